@@ -1,0 +1,153 @@
+"""The answer: verdict, rotors, events and the evidence for them. Plain data; see docs/json.md for every field."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+SCHEMA = 1
+EXIT_CODES = {"healthy": 0, "fault": 1, "ambiguous": 3, "inconclusive": 3}
+
+
+@dataclass(frozen=True)
+class RotorState:
+    """rotor: 1-based. loss: 0 healthy .. 1 dead. interval: 95 %. status: healthy, degraded, failed or unobservable."""
+
+    rotor: int
+    loss: float
+    interval: tuple[float, float]
+    status: str
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that happened in flight. Times in s from the first record of the log; end_s None while it lasts.
+
+    kind: loss_of_effectiveness, output_override, common_mode, torque_bias. rotors: 1-based; loss and interval follow
+    their order. alternatives: other rotor sets that explain the data as well. probability: of these rotors, given the data.
+    reason: one sentence. history: (time, loss...) rows of the causal estimate, for plots.
+    """
+
+    kind: str
+    rotors: tuple[int, ...]
+    onset_s: float
+    detected_s: float
+    end_s: float | None
+    loss: tuple[float, ...]
+    interval: tuple[tuple[float, float], ...]
+    probability: float
+    alternatives: tuple[tuple[int, ...], ...] = ()
+    reason: str = ""
+    extra: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Trace:
+    """What a picture of the flight needs, on the diagnoser's own ticks (T of them, n rotors).
+
+    time (T,); loss, lower, upper (T, n); residual, residual_sd (T, 4) in hover-thrust units: roll, pitch, yaw, thrust;
+    command (T, n) share of full thrust; evidence: hypothesis name -> (T,) log10 odds against healthy;
+    blind: ((start, end, why), ...) when the diagnoser could not judge; airborne: ((start, end), ...).
+    """
+
+    time: np.ndarray
+    loss: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    residual: np.ndarray
+    residual_sd: np.ndarray
+    command: np.ndarray
+    evidence: Mapping[str, np.ndarray]
+    blind: tuple[tuple[float, float, str], ...]
+    airborne: tuple[tuple[float, float], ...]
+    threshold: float = 0.0
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Everything `rotorwatch diagnose` says. verdict: healthy, fault, ambiguous or inconclusive; reason: why, one sentence."""
+
+    flight: Mapping[str, Any]
+    verdict: str
+    reason: str
+    rotors: tuple[RotorState, ...]
+    events: tuple[Event, ...]
+    common_mode: Mapping[str, Any]
+    baseline: str
+    assumptions: tuple[str, ...]
+    warnings: tuple[str, ...]
+    timing: Mapping[str, float]
+    estimator: str = "default"
+    comparison: tuple[Mapping[str, Any], ...] = ()
+    whole_flight: Mapping[str, Any] | None = None
+    trace: Trace | None = None
+
+    @property
+    def exit_code(self) -> int:
+        """0 healthy, 1 fault found, 3 inconclusive or ambiguous only."""
+        return EXIT_CODES[self.verdict]
+
+    def to_dict(self) -> dict:
+        """The documented JSON structure (docs/json.md), without the trace."""
+        return {
+            "schema": SCHEMA,
+            "flight": dict(self.flight),
+            "verdict": self.verdict,
+            "reason": self.reason,
+            "rotors": [
+                {"rotor": r.rotor, "loss": _round(r.loss), "interval": _round(r.interval), "status": r.status}
+                for r in self.rotors
+            ],
+            "events": [
+                {
+                    "kind": e.kind,
+                    "rotors": list(e.rotors),
+                    "alternatives": [list(a) for a in e.alternatives],
+                    "onset_s": _round(e.onset_s),
+                    "detected_s": _round(e.detected_s),
+                    "end_s": _round(e.end_s),
+                    "loss": _round(e.loss),
+                    "interval": _round(e.interval),
+                    "probability": _round(e.probability),
+                    "reason": e.reason,
+                    **_round(dict(e.extra)),
+                }
+                for e in self.events
+            ],
+            "common_mode": _round(dict(self.common_mode)),
+            "whole_flight": _round(self.whole_flight),
+            "baseline": self.baseline,
+            "estimator": self.estimator,
+            "comparison": [_round(dict(c)) for c in self.comparison],
+            "assumptions": list(self.assumptions),
+            "warnings": list(self.warnings),
+            "timing": _round(dict(self.timing)),
+        }
+
+    def to_json(self, indent: int | None = 1) -> str:
+        """`to_dict` as JSON text; never NaN or Infinity."""
+        return json.dumps(self.to_dict(), indent=indent, allow_nan=False)
+
+    def to_html(self, path) -> None:
+        """Write the self-contained HTML report to `path` (atomically)."""
+        from rotorwatch.report.html import write
+
+        write(self, path)
+
+
+def _round(value, digits: int = 4):
+    """Numbers to plain Python, rounded; containers walked; NaN and infinities become None."""
+    if value is None or isinstance(value, (bool, str)):
+        return value
+    if isinstance(value, Mapping):
+        return {str(k): _round(v, digits) for k, v in value.items()}
+    if isinstance(value, (list, tuple, np.ndarray)):
+        return [_round(v, digits) for v in value]
+    if isinstance(value, (int, np.integer)):
+        return int(value)
+    number = float(value)
+    return round(number, digits) if np.isfinite(number) else None

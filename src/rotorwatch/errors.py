@@ -1,0 +1,17 @@
+"""Errors a user can do something about. Each carries one sentence: what is wrong and what to do."""
+
+
+class RotorwatchError(Exception):
+    """Base of every error rotorwatch raises on purpose; the command line prints it and exits with 2."""
+
+
+class LogError(RotorwatchError):
+    """A file cannot be read as a flight log."""
+
+
+class VehicleError(RotorwatchError):
+    """The airframe is unknown, contradictory or its description file is wrong."""
+
+
+class ConfigError(RotorwatchError):
+    """A call's arguments do not fit together."""

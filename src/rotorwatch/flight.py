@@ -1,0 +1,137 @@
+"""A flight: what a log says, in SI units and known frames, before any physics is assumed.
+
+Signals have canonical names (columns, unit, frame); a log holds any subset of them:
+
+========== =============================== ======== ==================================================================
+name       columns                         unit     meaning
+========== =============================== ======== ==================================================================
+motors     r1 .. rN                        us or 1  command sent to rotor k, in the autopilot's rotor order
+control    roll pitch yaw thrust           1        output of the rate controller, before the mixer (body FRD)
+gyro       x y z                           rad/s    angular rate, body FRD
+rates      x y z                           rad/s    angular rate the rate controller used (filtered), body FRD
+accel      x y z                           m/s^2    specific force, body FRD (about -9.8 on z in hover)
+attitude   w x y z                         1        quaternion body FRD -> world NED, scalar first
+velocity   n e d                           m/s      world NED
+position   n e d                           m        world NED
+throttle   out                             1        collective the autopilot asked for (0..1)
+battery    voltage current                 V, A     (unit "V,A")
+lift       lift_max voltage_ratio limit    1        ArduPilot's battery compensation (MOTB)
+esc        rpm1 .. rpmN current1 ..        rpm,A    ESC telemetry where logged, rotor order
+========== =============================== ======== ==================================================================
+
+Missing samples are the norm: ``valid`` masks them, values there are 0, never NaN.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Signal:
+    """One multi-column time series.
+
+    time: (n,) s since the first record of the log, non-decreasing. values: (n, k), finite everywhere.
+    valid: (n, k) bool; False where the log had no usable number. source: the log's own name for it.
+    """
+
+    time: np.ndarray
+    values: np.ndarray
+    columns: tuple[str, ...]
+    unit: str
+    frame: str = ""
+    source: str = ""
+    valid: np.ndarray | None = None
+
+    def __post_init__(self):
+        time = np.ascontiguousarray(self.time, dtype=np.float64)
+        values = np.ascontiguousarray(self.values, dtype=np.float64)
+        if values.ndim == 1:
+            values = values[:, None]
+        if time.ndim != 1 or values.shape != (time.size, len(self.columns)):
+            raise ValueError(f"signal {self.source or self.columns}: time {time.shape} does not fit values {values.shape}")
+        valid = np.isfinite(values)
+        if self.valid is not None:
+            given = np.asarray(self.valid, dtype=bool)
+            valid &= given[:, None] if given.ndim == 1 else given
+        object.__setattr__(self, "time", time)
+        object.__setattr__(self, "values", np.where(valid, values, 0.0))
+        object.__setattr__(self, "valid", valid)
+
+    def __len__(self):
+        return self.time.size
+
+    @property
+    def rate_hz(self) -> float:
+        """Median sampling rate; 0 with fewer than two samples."""
+        if self.time.size < 2:
+            return 0.0
+        step = float(np.median(np.diff(self.time)))
+        return 1.0 / step if step > 0 else 0.0
+
+    def between(self, start: float, end: float) -> Signal:
+        """The samples with start <= time < end."""
+        a, b = np.searchsorted(self.time, [start, end])
+        return Signal(self.time[a:b], self.values[a:b], self.columns, self.unit, self.frame, self.source, self.valid[a:b])
+
+
+@dataclass(frozen=True)
+class Message:
+    """A text or state change the autopilot logged. kind: 'text', 'error', 'event', 'mode', 'armed', 'landed', 'dropout'."""
+
+    time: float
+    kind: str
+    text: str
+    value: float = 0.0
+
+
+@dataclass(frozen=True)
+class Flight:
+    """Everything read from one log.
+
+    signals: canonical name -> Signal (module docstring). parameters: the autopilot's, never simulation (``SIM_*``) ones.
+    parameter_changes: (time s, name, value) after the start. messages: in time order. warnings: sentences about
+    what was damaged, missing or assumed while reading.
+    """
+
+    format: str
+    autopilot: str
+    signals: Mapping[str, Signal]
+    duration: float
+    firmware: str = ""
+    vehicle_type: str = ""
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    parameter_changes: tuple[tuple[float, str, float], ...] = ()
+    messages: tuple[Message, ...] = ()
+    warnings: tuple[str, ...] = ()
+    name: str = ""
+    start_us: int = 0
+    facts: Mapping[str, Any] = field(default_factory=dict)
+
+    def has(self, *names: str) -> bool:
+        """True when every named signal is there with at least two samples."""
+        return all(n in self.signals and len(self.signals[n]) >= 2 for n in names)
+
+    def __getitem__(self, name: str) -> Signal:
+        return self.signals[name]
+
+    @property
+    def rotor_count(self) -> int:
+        """Number of rotors the log shows commands for; 0 when it shows none."""
+        return self.signals["motors"].values.shape[1] if "motors" in self.signals else 0
+
+    def until(self, end: float) -> Flight:
+        """The same flight as if the log had stopped at ``end`` seconds: what a live observer would have had."""
+        from dataclasses import replace
+
+        return replace(
+            self,
+            signals={k: s.between(-np.inf, end) for k, s in self.signals.items()},
+            duration=min(self.duration, end),
+            parameter_changes=tuple(c for c in self.parameter_changes if c[0] < end),
+            messages=tuple(m for m in self.messages if m.time < end),
+        )

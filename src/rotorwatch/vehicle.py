@@ -1,0 +1,69 @@
+"""What is known of an airframe: where its rotors are, how commands become thrust, and what was identified from flights."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Rotor:
+    """One rotor. x forward, y right [arm lengths, or m]; spin +1 counter-clockwise seen from above, -1 clockwise.
+
+    A counter-clockwise propeller turns the body clockwise: positive yaw torque in FRD.
+    """
+
+    x: float
+    y: float
+    spin: int
+
+
+@dataclass(frozen=True)
+class ThrustCurve:
+    """Command -> share of full thrust: with a = (u - u_min) / (u_max - u_min) clipped to [0, 1], times the battery ratio V,
+
+        f(a) = (1 - expo) a V + expo (a V)^2
+
+    u_min, u_max are in the unit of the ``motors`` signal (us, or 1). ArduPilot: MOT_THST_EXPO and the PWM of
+    MOT_SPIN_MIN / MOT_SPIN_MAX; PX4: THR_MDL_FAC. ``known`` is False when expo is an assumption.
+    """
+
+    u_min: float
+    u_max: float
+    expo: float
+    known: bool = True
+
+    def __call__(self, u: np.ndarray, battery: np.ndarray | float = 1.0) -> np.ndarray:
+        a = np.clip((u - self.u_min) / (self.u_max - self.u_min), 0.0, 1.0) * battery
+        return (1.0 - self.expo) * a + self.expo * a * a
+
+
+@dataclass(frozen=True)
+class Vehicle:
+    """Geometry, mixer and thrust curve of one airframe.
+
+    mixer: (n, 4) factors (roll, pitch, yaw, throttle) with which the autopilot turns its rate controller's output
+    into rotor thrusts, or None when unknown. identified: gains learned from healthy flights (see calibrate), or None.
+    assumptions: sentences on what was not in the log and had to be assumed.
+    """
+
+    name: str
+    rotors: tuple[Rotor, ...]
+    curve: ThrustCurve
+    mixer: np.ndarray | None = None
+    lag_s: float = 0.03
+    source: str = ""
+    assumptions: tuple[str, ...] = ()
+    identified: Mapping | None = None
+    extra: Mapping = field(default_factory=dict)
+
+    def effectiveness(self) -> np.ndarray:
+        """B (4, n): roll, pitch, yaw torque and thrust per unit thrust of each rotor, rows scaled to a largest entry of 1.
+
+        FRD: thrust T at (x, y) pointing up gives roll -y T, pitch +x T; yaw is spin times a common drag ratio.
+        """
+        x, y, spin = (np.array([getattr(r, k) for r in self.rotors], float) for k in ("x", "y", "spin"))
+        scale = max(np.abs(x).max(), np.abs(y).max())
+        return np.stack([-y / scale, x / scale, spin, np.ones_like(x)])
