@@ -1,0 +1,72 @@
+"""Which airframe flew: one module per autopilot, each turning what a log says into a `Vehicle`.
+
+A module here offers ``identify(flight) -> Vehicle | None`` (None: not mine, or the log says too little) and may
+offer ``NAMES``, name -> function without arguments that builds the `Vehicle` with default settings. ``RANK`` orders the
+attempts, smallest first. Adding an autopilot is adding a file.
+"""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+from types import ModuleType
+
+from rotorwatch.errors import VehicleError
+from rotorwatch.flight import Flight
+from rotorwatch.vehicle import Vehicle
+
+
+def modules() -> tuple[ModuleType, ...]:
+    """The airframe modules found in this folder, in the order they are asked."""
+    found = [importlib.import_module(f"{__name__}.{info.name}") for info in pkgutil.iter_modules(__path__)]
+    return tuple(sorted(found, key=lambda module: (getattr(module, "RANK", 0), module.__name__)))
+
+
+def identify(flight: Flight) -> Vehicle:
+    """The airframe of a flight.
+
+    Raises VehicleError when nothing in the log names an airframe, or when the frame contradicts the number of outputs.
+    """
+    for module in modules():
+        vehicle = module.identify(flight)
+        if vehicle is not None:
+            check(vehicle, flight)
+            return vehicle
+    raise VehicleError(
+        f"{flight.name or 'The log'} does not say which airframe flew ({_missing(flight)}); "
+        "describe it in a vehicle file and give that with --vehicle FILE."
+    )
+
+
+def check(vehicle: Vehicle, flight: Flight) -> None:
+    """Raise VehicleError when the log commands another number of rotors than the vehicle has."""
+    if flight.rotor_count and flight.rotor_count != len(vehicle.rotors):
+        raise VehicleError(
+            f"{flight.name or 'The log'} commands {flight.rotor_count} rotors but the frame {vehicle.name} "
+            f"({vehicle.source}) has {len(vehicle.rotors)}; give the right airframe with --vehicle FILE."
+        )
+
+
+def names() -> tuple[str, ...]:
+    """Names of all airframes that `named` can build."""
+    return tuple(sorted(name for module in modules() for name in getattr(module, "NAMES", {})))
+
+
+def named(name: str) -> Vehicle:
+    """The airframe of that name with its autopilot's default settings. Raises VehicleError for an unknown name."""
+    for module in modules():
+        build = getattr(module, "NAMES", {}).get(name)
+        if build is not None:
+            return build()
+    close = [n for n in names() if name.lower() in n] or [n for n in names() if n.endswith("-quad-x")]
+    raise VehicleError(f"There is no airframe called {name!r}; close ones are {', '.join(close[:8])}.")
+
+
+def _missing(flight: Flight) -> str:
+    if not flight.rotor_count:
+        return "it has no motor outputs either"
+    if flight.autopilot.lower().startswith("ardupilot"):
+        return "no FRAME_CLASS or FRAME parameter"
+    if flight.autopilot.lower().startswith("px4"):
+        return "no CA_ROTOR parameters and no known SYS_AUTOSTART or MAV_TYPE"
+    return "no frame parameters, no vehicle type"

@@ -1,0 +1,253 @@
+"""ArduPilot Copter frames: FRAME_CLASS, FRAME_TYPE and the MOT_* parameters.
+
+Motor order and spin follow ArduPilot's published frame drawings ("Connect ESCs and Motors"). The mixer gives motor k
+
+    t_k = throttle + roll r_k + pitch p_k + yaw y_k,   r = cos(angle + 90 deg), p = cos(angle), y = +1 counter-clockwise
+
+each of the three columns scaled to a largest factor of 0.5. Angles run clockwise from the nose.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+import re
+
+import numpy as np
+
+from rotorwatch.errors import VehicleError
+from rotorwatch.flight import Flight
+from rotorwatch.vehicle import Rotor, ThrustCurve, Vehicle
+
+CLASSES = {1: "quad", 2: "hexa", 3: "octa", 4: "octaquad", 5: "y6", 12: "dodecahexa", 14: "deca"}
+TYPES = {
+    **{0: "plus", 1: "x", 2: "v", 3: "h", 4: "vtail", 5: "atail", 6: "plus-rev", 10: "b", 11: "f", 12: "bf-x"},
+    **{
+        13: "dji-x",
+        14: "cw-x",
+        15: "i",
+        16: "nyt-plus",
+        17: "nyt-x",
+        18: "bf-x-rev",
+        19: "y4",
+        20: "x-cor",
+        21: "cw-x-cor",
+    },
+}
+UNSUPPORTED = {6: "a helicopter", 7: "a tricopter", 8: "a single copter", 9: "a coaxial copter", 10: "a bicopter"}
+UNSUPPORTED |= {
+    11: "a dual helicopter",
+    13: "a quad helicopter",
+    15: "a scripted frame",
+    16: "a scripted frame",
+    17: "a scripted frame",
+}
+ROTORS = {"quad": 4, "hexa": 6, "octa": 8, "octaquad": 8, "y6": 6, "dodecahexa": 12, "deca": 10}
+
+# One motor is (angle, yaw factor) or, where the arms are not on a circle, (right, forward, yaw factor).
+CCW, CW = 1.0, -1.0
+_V = 0.7981  # front motors of the V frames carry less yaw, so that yawing does not pitch
+_X4, _PLUS4 = (45, -135, -45, 135), (90, -90, 0, 180)
+_AROUND4 = (45, 135, -135, -45)
+_PLUS8 = (0, 180, 45, 135, -45, -135, -90, 90)
+_X8 = (22.5, -157.5, 67.5, 157.5, -22.5, -112.5, -67.5, 112.5)
+_OCTA_YAW = "-- ++ ++ --"
+_PAIRS4 = (45, -45, -135, 135, -45, 45, 135, -135)
+
+
+def _ring(angles, yaw: str):
+    """Motors on a circle; yaw is one + (counter-clockwise), - (clockwise) or 0 per motor, blanks ignored."""
+    signs = [{"+": CCW, "-": CW, "0": 0.0}[c] for c in yaw.replace(" ", "")]
+    return tuple(zip(angles, signs, strict=True))
+
+
+def _steps(first, step, count):
+    """`count` angles from `first` in steps, in -180..180 degrees."""
+    return tuple((first + step * k + 180.0) % 360.0 - 180.0 for k in range(count))
+
+
+def _twice(angles):
+    """Every angle twice: an upper and a lower motor on each arm."""
+    return tuple(a for a in angles for _ in range(2))
+
+
+FRAMES = {
+    "quad-plus": _ring(_PLUS4, "++--"),
+    "quad-x": _ring(_X4, "++--"),
+    "quad-v": ((45, _V), (-135, CCW), (-45, -_V), (135, CW)),
+    "quad-h": _ring(_X4, "--++"),
+    "quad-plus-rev": _ring(_PLUS4, "--++"),
+    "quad-bf-x": _ring((135, 45, -135, -45), "-++-"),
+    "quad-bf-x-rev": _ring((135, 45, -135, -45), "+--+"),
+    "quad-dji-x": _ring((45, -45, -135, 135), "+-+-"),
+    "quad-cw-x": _ring(_AROUND4, "+-+-"),
+    "quad-nyt-plus": _ring(_PLUS4, "0000"),
+    "quad-nyt-x": _ring(_X4, "0000"),
+    "quad-y4": ((1, 1, CCW), (0, -1, CW), (0, -1, CCW), (-1, 1, CW)),
+    "hexa-plus": _ring((0, 180, -120, 60, -60, 120), "-+-++-"),
+    "hexa-x": _ring((90, -90, -30, 150, 30, -150), "-+-++-"),
+    "hexa-h": ((1, 0, CW), (-1, 0, CCW), (-1, 1, CW), (1, -1, CCW), (1, 1, CCW), (-1, -1, CW)),
+    "hexa-dji-x": _ring(_steps(30, -60, 6), "+-+-+-"),
+    "hexa-cw-x": _ring(_steps(30, 60, 6), "+-+-+-"),
+    "octa-plus": _ring(_PLUS8, _OCTA_YAW),
+    "octa-x": _ring(_X8, _OCTA_YAW),
+    "octa-v": (
+        *((-0.83, 0.34, CW), (0.67, -0.32, CW), (-0.67, -0.32, CCW), (0.5, -1.0, CCW)),
+        *((-1.0, 1.0, CCW), (0.83, 0.34, CCW), (1.0, 1.0, CW), (-0.5, -1.0, CW)),
+    ),
+    "octa-h": (
+        *((1, 1, CW), (-1, -1, CW), (1, 1 / 3, CCW), (1, -1, CCW)),
+        *((-1, 1, CCW), (-1, -1 / 3, CCW), (-1, 1 / 3, CW), (1, -1 / 3, CW)),
+    ),
+    "octa-i": (
+        *((-1 / 3, -1, CW), (1 / 3, 1, CW), (-1, -1, CCW), (-1 / 3, 1, CCW)),
+        *((1 / 3, -1, CCW), (1, 1, CCW), (1, -1, CW), (-1, 1, CW)),
+    ),
+    "octa-dji-x": _ring(_steps(22.5, -45, 8), "+-+-+-+-"),
+    "octa-cw-x": _ring(_steps(22.5, 45, 8), "+-+-+-+-"),
+    "octaquad-plus": _ring((0, -90, 180, 90, -90, 0, 90, 180), "+-+- +-+-"),
+    "octaquad-x": _ring(_PAIRS4, "+-+- +-+-"),
+    "octaquad-v": tuple(zip(_PAIRS4, (_V, -_V, CCW, CW, _V, -_V, CCW, CW), strict=True)),
+    "octaquad-h": _ring(_PAIRS4, "-+-+ -+-+"),
+    "octaquad-cw-x": _ring(_twice(_AROUND4), "+- -+ +- -+"),
+    "octaquad-bf-x": _ring((135, 45, -135, -45) * 2, "-++- +--+"),
+    "octaquad-bf-x-rev": _ring((135, 45, -135, -45) * 2, "+--+ -++-"),
+    "octaquad-x-cor": _ring(_PAIRS4, "+-+- -+-+"),
+    "octaquad-cw-x-cor": _ring(_twice(_AROUND4), "++ -- ++ --"),
+    "y6-b": ((1, 0.5, CW), (1, 0.5, CCW), (0, -1, CW), (0, -1, CCW), (-1, 0.5, CW), (-1, 0.5, CCW)),
+    "y6-f": ((0, -1, CCW), (1, 0.5, CCW), (-1, 0.5, CCW), (0, -1, CW), (1, 0.5, CW), (-1, 0.5, CW)),
+    "y6": (
+        *((1, 2 / 3, CCW), (-1, 2 / 3, CW), (-1, 2 / 3, CCW)),
+        *((0, -4 / 3, CW), (1, 2 / 3, CW), (0, -4 / 3, CCW)),
+    ),
+    "deca-plus": _ring(_steps(0, 36, 10), "+-" * 5),
+    "deca-x": _ring(_steps(18, 36, 10), "+-" * 5),
+    "deca-cw-x": _ring(_steps(18, 36, 10), "+-" * 5),
+    "dodecahexa-plus": _ring(_twice(_steps(0, 60, 6)), "+- -+" * 3),
+    "dodecahexa-x": _ring(_twice(_steps(30, 60, 6)), "+- -+" * 3),
+}
+# On co-rotating frames the upper rotor of each arm does 0.9 of the work of the lower one.
+UPPER = {"octaquad-x-cor": (0, 1, 2, 3), "octaquad-cw-x-cor": (0, 2, 4, 6)}
+# V- and A-tail: the front motors turn the frame in roll and pitch only, the tilted rear ones in pitch and yaw.
+for _name, _yaw in (("quad-vtail", CCW), ("quad-atail", CW)):
+    _side, _front, _rear = math.sin(math.radians(60)), math.cos(math.radians(60)), math.cos(math.radians(160))
+    FRAMES[_name] = ((_side, _front, 0.0), (0.0, _rear, -_yaw), (-_side, _front, 0.0), (0.0, _rear, _yaw))
+
+
+def identify(flight: Flight) -> Vehicle | None:
+    """The frame of an ArduPilot log by its parameters; None for other autopilots or without frame parameters.
+
+    Raises VehicleError for frames that are not multirotors with fixed rotors, and for types ArduPilot does not have.
+    """
+    if not flight.autopilot.lower().startswith(("ardu", "apm")):
+        return None
+    parameters = flight.parameters
+    notes: list[str] = []
+    if parameters.get("FRAME_CLASS", 0) > 0:
+        frame = _frame(int(parameters["FRAME_CLASS"]), int(parameters.get("FRAME_TYPE", 1)))
+        source = "FRAME_CLASS, FRAME_TYPE"
+    elif "FRAME" in parameters:
+        frame = _old_frame(flight, notes)
+        source = "FRAME"
+    else:
+        return None
+    return build(frame, curve(flight, notes), source=f"{source} in the log", assumptions=tuple(notes))
+
+
+def build(frame: str, curve: ThrustCurve, source: str = "airframe name", assumptions: tuple[str, ...] = ()) -> Vehicle:
+    """The vehicle of one entry of `FRAMES`, with ArduPilot's normalised mixer."""
+    right, forward, yaw = np.array([_place(motor) for motor in FRAMES[frame]]).T
+    rotors = tuple(Rotor(float(x), float(y), int(np.sign(s))) for x, y, s in zip(forward, right, yaw))
+    columns = [0.5 * v / max(np.abs(v).max(), 1e-9) for v in (-right, forward, yaw)]
+    mixer = np.stack([*columns, np.ones(len(rotors))], axis=1)
+    mixer[list(UPPER.get(frame, ()))] *= 0.9
+    return Vehicle(f"ardupilot-{frame}", rotors, curve, mixer=mixer, source=source, assumptions=assumptions)
+
+
+def curve(flight: Flight, notes: list[str]) -> ThrustCurve:
+    """Thrust curve from the MOT_* (3.5 and later) or THR_* (before) parameters; `notes` gets what had to be assumed."""
+    p = flight.parameters
+    low, high = p.get("MOT_PWM_MIN", 0.0), p.get("MOT_PWM_MAX", 0.0)
+    if not 0 < low < high:
+        low, high = p.get("RC3_MIN", 0.0), p.get("RC3_MAX", 0.0)
+    if not 0 < low < high:
+        low, high = 1000.0, 2000.0
+        notes.append("The log has neither MOT_PWM_MIN/MAX nor RC3_MIN/MAX: motor pulses taken as 1000 to 2000 us.")
+    if "MOT_SPIN_MAX" in p or "THR_MIN" not in p:
+        start, full = p.get("MOT_SPIN_MIN", 0.15), p.get("MOT_SPIN_MAX", 0.95)
+        if "MOT_SPIN_MAX" not in p:
+            notes.append("The log has no MOT_SPIN_MIN/MAX: ArduPilot's defaults 0.15 and 0.95 assumed.")
+    else:
+        # Before 3.5 the thrust curve starts at THR_MIN and MOT_THST_MAX is a share of what lies above it.
+        start = p["THR_MIN"] / 1000.0
+        full = start + (1.0 - start) * p.get("MOT_THST_MAX", 0.95)
+    if not 0 <= start < full <= 1.0:
+        start, full = 0.15, 0.95
+        notes.append("MOT_SPIN_MIN/MAX in the log make no sense: ArduPilot's defaults 0.15 and 0.95 assumed.")
+    known = "MOT_THST_EXPO" in p
+    expo = float(np.clip(p.get("MOT_THST_EXPO", 0.65), 0.0, 1.0))
+    if not known:
+        notes.append(
+            "The log has no MOT_THST_EXPO: ArduPilot's default 0.65 assumed, which affects the size of a loss."
+        )
+    span = high - low
+    return ThrustCurve(low + start * span, low + full * span, expo, known)
+
+
+def _frame(number: int, kind: int) -> str:
+    if number in UNSUPPORTED:
+        raise VehicleError(
+            f"FRAME_CLASS {number} is {UNSUPPORTED[number]}, which is not supported: "
+            "only multirotors with fixed rotors are."
+        )
+    name = CLASSES.get(number)
+    if name is None:
+        raise VehicleError(
+            f"FRAME_CLASS {number} is not a multirotor frame; describe the airframe with --vehicle FILE."
+        )
+    if name == "y6":  # every type but B and F is the same default Y6
+        return {10: "y6-b", 11: "y6-f"}.get(kind, "y6")
+    frame = f"{name}-{TYPES.get(kind, kind)}"
+    if frame not in FRAMES:
+        raise VehicleError(
+            f"FRAME_CLASS {number} with FRAME_TYPE {kind} is not a frame of ArduPilot; "
+            "describe the airframe with --vehicle FILE."
+        )
+    return frame
+
+
+def _old_frame(flight: Flight, notes: list[str]) -> str:
+    """Before 3.5 the class was compiled in: the firmware's 'Frame: QUAD' text has it, else the number of motors."""
+    kind = int(flight.parameters["FRAME"])
+    texts = [m.text for m in flight.messages if m.kind == "text"] + [flight.firmware, flight.vehicle_type]
+    for text in texts:
+        found = re.search(r"\b(OCTA_?QUAD|QUAD|HEXA|OCTA|Y6|TRI|HELI)\b", text.upper())
+        if found:
+            name = found.group(1).replace("_", "").lower()
+            break
+    else:
+        name = {4: "quad", 6: "hexa", 8: "octa"}.get(flight.rotor_count, "")
+        notes.append(
+            f"The log does not name its frame class: {name} taken from its {flight.rotor_count} motor outputs."
+        )
+    if name in ("tri", "heli") or not name:
+        raise VehicleError(
+            "The firmware of this log flies a frame that is not supported: only multirotors with fixed rotors are."
+        )
+    if name == "y6":
+        return {10: "y6-b", 11: "y6-f"}.get(kind, "y6")
+    if f"{name}-{TYPES.get(kind)}" not in FRAMES:
+        raise VehicleError(f"FRAME {kind} is not a {name} frame; describe the airframe with --vehicle FILE.")
+    return f"{name}-{TYPES[kind]}"
+
+
+def _place(motor: tuple) -> tuple[float, float, float]:
+    """(right, forward, yaw factor) of one motor of `FRAMES`."""
+    if len(motor) == 3:
+        return motor
+    angle, yaw = math.radians(motor[0]), motor[1]
+    return math.sin(angle), math.cos(angle), yaw
+
+
+DEFAULT_CURVE = ThrustCurve(1150.0, 1950.0, 0.65, known=False)
+NAMES = {f"ardupilot-{frame}": functools.partial(build, frame, DEFAULT_CURVE) for frame in FRAMES}
