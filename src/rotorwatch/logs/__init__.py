@@ -1,0 +1,73 @@
+"""Reading flight logs. Each module in this folder that has FORMAT is one format; nothing else lists them.
+
+    FORMAT: str                                  what to call it
+    sniff(head: bytes, name: str) -> bool        is it mine? name is "" when only the content may decide
+    read(data, name, progress=None) -> Flight    data: bytes or a memory map; may raise LogError
+
+A format that is a folder of tables has sniff_folder(path) and read_folder(path, progress=None) besides or instead.
+progress, where given, is called with the finished share, 0..1.
+"""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+from rotorwatch.errors import LogError, RotorwatchError
+from rotorwatch.flight import Flight
+
+HEAD = 4096
+"""Bytes that sniff sees."""
+
+
+@cache
+def formats() -> tuple:
+    """The modules of all log formats, by name."""
+    names = sorted(m.name for m in pkgutil.iter_modules(__path__))
+    modules = (importlib.import_module(f"{__name__}.{name}") for name in names)
+    return tuple(m for m in modules if hasattr(m, "FORMAT"))
+
+
+def read(path, progress=None) -> Flight:
+    """Read a flight log of any known format, compressed (.xz, .gz, .bz2) or not.
+
+    path: a file, or a folder of ulog2csv tables. progress: called with the finished share, 0..1.
+    Raises LogError with one sentence when there is no flight to be read; damage that leaves something is in `warnings`.
+    """
+    from rotorwatch.logs.container import open_log
+
+    path = Path(path)
+    if path.is_dir():
+        module = next((m for m in formats() if hasattr(m, "sniff_folder") and m.sniff_folder(path)), None)
+        if module is None:
+            raise LogError(f"{path}: a folder without ulog2csv tables; give the log file itself")
+        return _checked(lambda: module.read_folder(path, progress), module, path, ())
+    data, name, warnings = open_log(path, progress)
+    module = recognise(bytes(data[:HEAD]), name)
+    if module is None:
+        known = ", ".join(sorted(m.FORMAT for m in formats()))
+        raise LogError(f"{path}: not a flight log of a known kind; known are {known}")
+    return _checked(lambda: module.read(data, name, progress), module, path, warnings)
+
+
+def recognise(head: bytes, name: str):
+    """The format module for a file that starts with `head`: by content, failing that by `name`; None when unknown."""
+    files = [m for m in formats() if hasattr(m, "sniff")]
+    return next((m for m in files if m.sniff(head, "")), None) or next((m for m in files if m.sniff(head, name)), None)
+
+
+def _checked(job, module, path, warnings) -> Flight:
+    """Run a reader; anything it trips over becomes a LogError, and so does a log without data."""
+    try:
+        flight = job()
+    except RotorwatchError as error:
+        text = str(error)
+        raise LogError(text if path.name in text else f"{path}: {text}") from error
+    except (Exception, RecursionError) as error:
+        raise LogError(f"{path}: this {module.FORMAT} is too damaged to be read ({type(error).__name__})") from error
+    if not any(len(s) >= 2 for s in flight.signals.values()):
+        raise LogError(f"{path}: this {module.FORMAT} holds no flight data; was logging switched on?")
+    return replace(flight, name=path.name, warnings=(*warnings, *flight.warnings))

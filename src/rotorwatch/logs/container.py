@@ -1,0 +1,105 @@
+"""Opening a log file: plain files are mapped into memory, .xz, .gz and .bz2 are decompressed, recognised by content."""
+
+from __future__ import annotations
+
+import bz2
+import lzma
+import mmap
+import zlib
+from pathlib import Path
+
+from rotorwatch.errors import LogError
+
+LIMIT = 4 << 30
+"""Bytes a compressed log may unfold to at most."""
+
+_CHUNK = 1 << 20
+_MAGIC = {
+    b"\xfd7zXZ\x00": (".xz", lzma.LZMADecompressor),
+    b"\x1f\x8b": (".gz", lambda: _Gzip()),
+    b"BZh": (".bz2", bz2.BZ2Decompressor),
+}
+_REFUSED = {
+    b"\x28\xb5\x2f\xfd": ("zstd", "unzstd"),
+    b"PK\x03\x04": ("zip", "unzip"),
+    b"7z\xbc\xaf\x27\x1c": ("7-zip", "7z x"),
+}
+
+
+class _Gzip:
+    """zlib's decompressor with the interface of the other two."""
+
+    def __init__(self):
+        self._inner, self._rest = zlib.decompressobj(31), b""
+
+    def decompress(self, data, max_length):
+        out = self._inner.decompress(self._rest + data, max_length)
+        self._rest = self._inner.unconsumed_tail
+        return out
+
+    eof = property(lambda self: self._inner.eof)
+    unused_data = property(lambda self: self._inner.unused_data)
+    needs_input = property(lambda self: not self._rest)
+
+
+def open_log(path: Path, progress=None, limit: int = LIMIT):
+    """The content of a log file: (bytes-like data, name without the compression suffix, list of warnings).
+
+    A truncated or damaged compressed stream gives what could be read of it and a warning.
+    Raises LogError when the file is missing, unreadable, empty, or unfolds to more than `limit` bytes.
+    """
+    try:
+        with path.open("rb") as file:
+            size = path.stat().st_size
+            if size == 0:
+                raise LogError(f"{path}: the file is empty; copy the log from the vehicle again")
+            head = file.read(16)
+            for magic, (kind, tool) in _REFUSED.items():
+                if head.startswith(magic):
+                    raise LogError(
+                        f"{path}: {kind} archives are not opened; unpack it first, for instance with '{tool}'"
+                    )
+            for magic, (suffix, decoder) in _MAGIC.items():
+                if head.startswith(magic):
+                    file.seek(0)
+                    data, warnings = _unfold(file, size, decoder, path, progress, limit)
+                    name = path.name[: -len(suffix)] if path.name.lower().endswith(suffix) else path.name
+                    return data, name, warnings
+            return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ), path.name, []
+    except FileNotFoundError:
+        raise LogError(f"{path}: no such file or folder") from None
+    except (OSError, ValueError) as error:
+        raise LogError(f"{path}: cannot be opened ({error})") from None
+
+
+def _unfold(file, size, decoder, path, progress, limit):
+    """Decompress stream after stream. Returns (bytes, warnings)."""
+    # No log shrinks a hundredfold; a file that does so is a decompression bomb or nothing but zeros.
+    limit = min(limit, (256 << 20) + 100 * size)
+    pieces, total, warnings = [], 0, []
+    stream, data = decoder(), file.read(_CHUNK)
+    try:
+        while True:
+            piece = stream.decompress(data, _CHUNK)
+            pieces.append(piece)
+            total += len(piece)
+            if total > limit:
+                raise LogError(f"{path}: unfolds to more than {limit >> 20} MB, which no flight log does")
+            if stream.eof:
+                data = stream.unused_data.lstrip(b"\0") or file.read(_CHUNK)
+                if not data:
+                    break
+                stream = decoder()
+            else:
+                data = file.read(_CHUNK) if stream.needs_input else b""
+                if not data and stream.needs_input:
+                    raise EOFError
+            if progress:
+                progress(0.5 * file.tell() / size)
+    except EOFError:
+        warnings.append(f"the compressed file ends early; {total} bytes of it could be read")
+    except (lzma.LZMAError, zlib.error, OSError) as error:
+        warnings.append(f"the compressed file is damaged ({error}); {total} bytes of it could be read")
+    if total == 0:
+        raise LogError(f"{path}: nothing could be decompressed; copy the log from the vehicle again")
+    return b"".join(pieces), warnings

@@ -1,0 +1,181 @@
+"""A Flight from arrays or a data frame in memory; also the column names of our CSV and Parquet tables (docs/readers.md)."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+
+import numpy as np
+
+from rotorwatch.errors import LogError
+from rotorwatch.flight import Flight, Message
+from rotorwatch.logs import series
+
+_AXES = "xyz"
+_RAD = np.pi / 180
+
+# Signal: the columns it may be given in (all of them, in this order) and their factor to SI.
+_GROUPS = {
+    "control": [(("control_roll", "control_pitch", "control_yaw", "control_thrust"), 1.0)],
+    "gyro": [(tuple(f"gyro_{a}_{u}" for a in _AXES), k) for u, k in (("rad_s", 1.0), ("deg_s", _RAD))],
+    "rates": [(tuple(f"rates_{a}_{u}" for a in _AXES), k) for u, k in (("rad_s", 1.0), ("deg_s", _RAD))],
+    "accel": [(tuple(f"accel_{a}_{u}" for a in _AXES), k) for u, k in (("m_s2", 1.0), ("g", series.G))],
+    "attitude": [
+        (("q_w", "q_x", "q_y", "q_z"), 1.0),
+        (("roll_rad", "pitch_rad", "yaw_rad"), 1.0),
+        (("roll_deg", "pitch_deg", "yaw_deg"), _RAD),
+    ],
+    "velocity": [(tuple(f"velocity_{a}_m_s" for a in "ned"), 1.0)],
+    "position": [(tuple(f"position_{a}_m" for a in "ned"), 1.0)],
+    "throttle": [(("throttle",), 1.0)],
+    "battery": [(("voltage_V", "current_A"), 1.0), (("voltage_V",), 1.0)],
+    "lift": [(("lift_max", "voltage_ratio", "lift_limit"), 1.0)],
+}
+_NUMBERED = re.compile(r"(motor_(?P<motor>\d{1,2})(?P<us>_us)?|rpm_(?P<rpm>\d{1,2})|esc_current_(?P<esc>\d{1,2})_A)")
+_STATES = ("armed", "landed")
+_MOST_ROTORS = 16
+_KNOWN = {"time_s", *_STATES, *(c for ways in _GROUPS.values() for way, _ in ways for c in way)}
+
+
+def known_column(name: str) -> bool:
+    """True for a column name that a table may have."""
+    return name in _KNOWN or _NUMBERED.fullmatch(name) is not None
+
+
+def from_arrays(
+    columns, *, parameters: Mapping[str, float] | None = None, name: str = "", autopilot: str = ""
+) -> Flight:
+    """Build a Flight from columns with the names of docs/readers.md.
+
+    columns: a mapping of names to equally long sequences, or a pandas or polars data frame. NaN means no sample. Signals
+    of different rates share one table: a column that is empty in most rows is taken at the rows where it has values.
+    parameters: the autopilot's, by their names (MOT_THST_EXPO, CA_ROTOR0_PX ...).
+
+    Raises LogError naming the columns that are unknown, incomplete or of the wrong kind.
+    """
+    table = _arrays(columns)
+    notes: list[str] = []
+    time = table.pop("time_s")
+    kept = np.isfinite(time)
+    if not kept.any():
+        raise LogError("column time_s holds no numbers")
+    start = float(time[kept].min())
+    time = time - start
+    signals = {}
+    for kind, ways in _GROUPS.items():
+        found = _group(kind, ways, time, table, notes)
+        if found is not None:
+            signals[kind] = found
+    signals |= _rotors(time, table, notes)
+    if not signals:
+        raise LogError(
+            "no signal is in this table; it needs at least motor_1 .. motor_N and gyro_x_rad_s .. gyro_z_rad_s"
+        )
+    messages = _messages(time, table)
+    return Flight(
+        format="arrays",
+        autopilot=autopilot,
+        signals=signals,
+        duration=series.end_of(signals),
+        parameters={k: float(v) for k, v in (parameters or {}).items() if not k.startswith("SIM_")},
+        messages=tuple(messages),
+        warnings=tuple(notes),
+        name=name,
+        start_us=round(start * 1e6) if abs(start) < 1e12 else 0,
+    )
+
+
+def _arrays(columns) -> dict[str, np.ndarray]:
+    """Columns as float arrays of one length, names checked."""
+    names = [str(n) for n in (columns.columns if hasattr(columns, "columns") else columns)]
+    if "time_s" not in names:
+        raise LogError(f"a table needs a column time_s; found {_list(names)}")
+    unknown = [n for n in names if not known_column(n)]
+    if unknown:
+        raise LogError(f"unknown column {_list(unknown)}; docs/readers.md lists the names, units are part of them")
+    table = {}
+    for name in names:
+        try:
+            table[name] = np.array(columns[name], dtype=np.float64)
+        except (TypeError, ValueError):
+            raise LogError(f"column {name} holds something other than numbers") from None
+    if len({a.shape for a in table.values()}) > 1 or table["time_s"].ndim != 1:
+        raise LogError("the columns of a table must be one-dimensional and of one length")
+    return table
+
+
+def _list(names, most=5) -> str:
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
+
+
+def _rows(values: np.ndarray) -> np.ndarray:
+    """Which rows are samples: all, unless most are empty; then the signal was logged more slowly than the table."""
+    filled = np.isfinite(values).any(axis=1)
+    return filled if filled.mean() < 0.5 else np.ones_like(filled)
+
+
+def _group(kind, ways, time, table, notes):
+    """One signal from whichever way its columns were given; a LogError names those missing from an incomplete set."""
+    for names, scale in ways:
+        if all(n in table for n in names):
+            values = np.stack([table[n] for n in names], axis=1) * scale
+            if kind == "attitude":
+                values = series.unit_quaternion(values)[0] if len(names) == 4 else series.quaternion(*values.T)
+                values[~np.isfinite(np.stack([table[n] for n in names], axis=1)).all(axis=1)] = np.nan
+            elif kind == "battery" and len(names) == 1:
+                values = np.column_stack([values, np.full(time.size, np.nan)])
+            rows = _rows(values)
+            return series.make(kind, time[rows], values[rows], names[0] + " ..", notes)
+    for names, _ in ways:
+        given = [n for n in names if n in table]
+        if given:
+            raise LogError(f"column {_list([n for n in names if n not in table])} is missing beside {_list(given)}")
+    return None
+
+
+def _rotors(time, table, notes) -> dict:
+    """The numbered columns: motors and ESC telemetry."""
+    numbered: dict[str, dict[int, str]] = {"motor": {}, "rpm": {}, "esc": {}}
+    for name in table:
+        match = _NUMBERED.fullmatch(name)
+        if match:
+            what = next(k for k in numbered if match[k])
+            if int(match[what]) in numbered[what]:
+                raise LogError(f"columns {numbered[what][int(match[what])]} and {name} are the same rotor")
+            numbered[what][int(match[what])] = name
+    for names in numbered.values():
+        if names and (sorted(names) != list(range(1, len(names) + 1)) or len(names) > _MOST_ROTORS):
+            raise LogError(f"columns {_list(list(names.values()))} are not numbered 1, 2, 3 without gaps")
+    found = {}
+    names = [numbered["motor"][k] for k in sorted(numbered["motor"])]
+    if names:
+        values = np.stack([table[n] for n in names], axis=1)
+        in_us = [n.endswith("_us") for n in names]
+        if len(set(in_us)) > 1:
+            raise LogError("motor columns must all end in _us or none of them")
+        # Shares of full command never pass 1.5, pulses never fall below 500 us while driven.
+        if not in_us[0] and np.nanmax(values, initial=0.0) > 100:
+            notes.append("motor_1 .. are taken as us because of their size; name them motor_1_us .. to say so")
+            in_us = [True]
+        rows = _rows(values)
+        found["motors"] = series.motors(time[rows], values[rows], "us" if in_us[0] else "1", names[0] + " ..", notes)
+    if numbered["rpm"]:
+        count = len(numbered["rpm"])
+        current = [table.get(numbered["esc"].get(k, ""), np.full(time.size, np.nan)) for k in range(1, count + 1)]
+        values = np.stack([*(table[numbered["rpm"][k]] for k in range(1, count + 1)), *current], axis=1)
+        rows = _rows(values)
+        columns = tuple(f"{what}{k + 1}" for what in ("rpm", "current") for k in range(count))
+        found["esc"] = series.build(time[rows], values[rows], columns, "rpm,A", "", "rpm_1 ..", 1e6, notes)
+    return {k: v for k, v in found.items() if v is not None}
+
+
+def _messages(time, table) -> list[Message]:
+    """State changes from the columns armed and landed (0 or 1)."""
+    words = {"armed": ("disarmed", "armed"), "landed": ("in the air", "landed")}
+    out = []
+    for kind in _STATES:
+        if kind in table:
+            known = np.isfinite(table[kind]) & np.isfinite(time)
+            for at, value in series.changes(time[known], table[kind][known] > 0.5):
+                out.append(Message(at, kind, words[kind][int(value)], value))
+    return sorted(out, key=lambda m: m.time)

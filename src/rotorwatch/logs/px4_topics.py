@@ -1,0 +1,284 @@
+"""PX4's topics -> signals, whatever file they came from (ULog, ulog2csv tables).
+
+Topics are {(name, instance): {field: (n,) array}} with fields named as PX4 flattens them ("control[0]") and `timestamp`
+in us. Message definitions: https://docs.px4.io/main/en/msg_docs/
+"""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from rotorwatch.flight import Message
+from rotorwatch.logs import series
+
+TOPICS = (
+    "actuator_armed",
+    "actuator_controls_0",
+    "actuator_motors",
+    "actuator_outputs",
+    "battery_status",
+    "esc_status",
+    "sensor_combined",
+    "vehicle_acceleration",
+    "vehicle_angular_velocity",
+    "vehicle_attitude",
+    "vehicle_land_detected",
+    "vehicle_local_position",
+    "vehicle_status",
+    "vehicle_thrust_setpoint",
+    "vehicle_torque_setpoint",
+)
+"""The topics that are read; all others, simulator truth among them, never are."""
+
+MAV_TYPES = {
+    2: ("quadrotor", 4),
+    3: ("coaxial", 2),
+    4: ("helicopter", 0),
+    13: ("hexarotor", 6),
+    14: ("octorotor", 8),
+    15: ("tricopter", 3),
+    29: ("dodecarotor", 12),
+    35: ("decarotor", 10),
+}
+"""MAVLink MAV_TYPE: name, number of rotors (0: not a multirotor)."""
+
+NAV_STATES = {
+    **{0: "Manual", 1: "Altitude", 2: "Position", 3: "Mission", 4: "Hold", 5: "Return", 6: "Position slow"},
+    **{10: "Acro", 12: "Descend", 13: "Termination", 14: "Offboard", 15: "Stabilized", 17: "Takeoff", 18: "Land"},
+    **{19: "Follow", 20: "Precision land", 21: "Orbit"},
+}
+
+_ARMED = 2  # vehicle_status.arming_state
+_MOTOR_1, _MOTOR_12 = 101, 112  # output functions, *_FUNCn
+_FUNCTION = re.compile(r"(PWM_MAIN|PWM_AUX|UAVCAN_EC|HIL_ACT|PCA9685|VOXL_ESC|TAP_ESC)_FUNC(\d{1,2})")
+
+
+class Topics:
+    """Read access to one log's topics. start_us: time stamp that is second 0; notes: sentences on what was damaged."""
+
+    def __init__(self, tables, start_us: int):
+        self.tables, self.start_us, self.notes = tables, start_us, []
+
+    def table(self, name, *fields, instance=0, early=False):
+        """(time s (n,), table) of a topic that has all `fields`, else None.
+
+        Samples from before the start (states latched there) are left out, or counted as second 0 with `early`.
+        """
+        table = self.tables.get((name, instance))
+        if table is None or "timestamp" not in table or any(f not in table for f in fields):
+            return None
+        stamp = np.asarray(table["timestamp"])
+        # Difference in the stamp's own integer type: unix-epoch microseconds lose nothing that way.
+        time = (stamp.astype(np.int64) - np.int64(self.start_us)) * 1e-6
+        if early:
+            return np.maximum(time, 0.0), table
+        late = time >= 0
+        if not late.all():
+            table = {k: np.asarray(v)[late] for k, v in table.items()}
+        return time[late], table
+
+    def signal(self, kind, name, fields, scale=1.0, valid=None):
+        """The Signal `kind` from the given fields of a topic, or None. valid: 0/1 fields, one for each field, or None."""
+        found = self.table(name, *fields)
+        if found is None:
+            return None
+        time, table = found
+        fine = columns(table, valid) != 0 if valid and all(v in table for v in valid) else None
+        return series.make(kind, time, columns(table, fields) * scale, name, self.notes, fine)
+
+
+def columns(table, fields) -> np.ndarray:
+    """(n, k) float array of the given fields."""
+    return np.stack([np.asarray(table[f], np.float64) for f in fields], axis=1)
+
+
+def numbered(name, n) -> list[str]:
+    return [f"{name}[{k}]" for k in range(n)]
+
+
+def signals(topics: Topics, parameters) -> tuple[dict, dict]:
+    """All signals that the topics hold, and the facts about them: pwm_min, pwm_max, motors_topic."""
+    xyz, motors = numbered("xyz", 3), None
+    rates = topics.signal("rates", "vehicle_angular_velocity", xyz) or topics.signal(
+        "rates", "vehicle_attitude", ["rollspeed", "pitchspeed", "yawspeed"]
+    )
+    battery = _battery(topics)
+    found = {
+        "control": _control(topics),
+        "gyro": series.fastest(rates, topics.signal("gyro", "sensor_combined", numbered("gyro_rad", 3))),
+        "rates": rates,
+        "accel": series.fastest(
+            topics.signal("accel", "vehicle_acceleration", xyz),
+            topics.signal("accel", "sensor_combined", numbered("accelerometer_m_s2", 3)),
+        ),
+        "attitude": _attitude(topics),
+        "velocity": topics.signal(
+            "velocity", "vehicle_local_position", ["vx", "vy", "vz"], valid=["v_xy_valid", "v_xy_valid", "v_z_valid"]
+        ),
+        "position": topics.signal(
+            "position", "vehicle_local_position", ["x", "y", "z"], valid=["xy_valid", "xy_valid", "z_valid"]
+        ),
+        "battery": battery,
+        "esc": _esc(topics, parameters),
+    }
+    motors, facts = _motors(topics, parameters)
+    found["motors"] = motors
+    if found["control"] is not None:
+        thrust = found["control"]
+        found["throttle"] = series.make(
+            "throttle", thrust.time, thrust.values[:, 3:], thrust.source, topics.notes, thrust.valid[:, 3:]
+        )
+    return {k: v for k, v in found.items() if v is not None}, facts
+
+
+def rotor_count(parameters) -> int:
+    """Number of rotors by parameter (CA_ROTOR_COUNT, else MAV_TYPE); 0 when neither says."""
+    count = int(parameters.get("CA_ROTOR_COUNT", 0))
+    return count if 0 < count <= 12 else MAV_TYPES.get(int(parameters.get("MAV_TYPE", 0)), ("", 0))[1]
+
+
+def _motors(topics: Topics, parameters):
+    """Rotor commands and facts. actuator_motors (1.13+) is in rotor order already; actuator_outputs may need mapping."""
+    count = rotor_count(parameters)
+    found = topics.table("actuator_motors", "control[0]")
+    if found is not None:
+        time, table = found
+        fields = [f for f in numbered("control", 12) if f in table]
+        values = columns(table, fields)
+        used = np.flatnonzero(np.isfinite(values).any(axis=0))
+        if used.size:
+            values = values[:, : count or used[-1] + 1]
+            return series.motors(time, values, "1", "actuator_motors", topics.notes), {
+                "motors_topic": "actuator_motors"
+            }
+    best, facts = None, {}
+    for instance in range(4):
+        found = topics.table("actuator_outputs", "output[0]", instance=instance)
+        if found is None:
+            continue
+        time, table = found
+        values = columns(table, [f for f in numbered("output", 16) if f in table])
+        picked, unit = _outputs(values, parameters, count)
+        if picked and (best is None or _swing(values[:, picked]).sum() > best[0]):
+            best = _swing(values[:, picked]).sum(), time, values[:, picked], unit, instance
+    if best is None:
+        return None, facts
+    _, time, values, unit, instance = best
+    source = "actuator_outputs" + (f"[{instance}]" if instance else "")
+    facts = {"motors_topic": "actuator_outputs"}
+    if unit == "us":
+        facts |= _pwm_limits(parameters, values.shape[1])
+    elif np.nanmin(values) < -0.05:
+        values, facts["motors_scaled"] = (values + 1) / 2, "-1..1"  # old HIL and lock-step SITL drivers
+    return series.motors(time, values, unit, source, topics.notes), facts
+
+
+def _outputs(values, parameters, count) -> tuple[list[int], str]:
+    """Which outputs drive rotors, in rotor order, and their unit, judged by the size of the values."""
+    top = np.where(np.isfinite(values), values, -np.inf).max(axis=0, initial=-np.inf)
+    pwm = (top >= 800) & (top <= 2500)
+    if not pwm.any():
+        share = np.flatnonzero((_swing(values) > 0.01) & (np.abs(top) <= 1.01))
+        return list(range(count)) if 0 < count <= values.shape[1] and share.size else share.tolist(), "1"
+    functions: dict[str, dict[int, int]] = {}
+    for name, value in parameters.items():
+        match = _FUNCTION.fullmatch(name)
+        if match and _MOTOR_1 <= value <= _MOTOR_12:
+            functions.setdefault(match[1], {})[int(value) - _MOTOR_1] = int(match[2]) - 1
+    for outputs in functions.values():
+        picked = [outputs[k] for k in sorted(outputs)]
+        if sorted(outputs) == list(range(len(outputs))) and max(picked) < values.shape[1] and pwm[picked].all():
+            return picked, "us"
+    if count and pwm[:count].all():
+        return list(range(count)), "us"
+    # Without a word on the vehicle: rotors move through many values, servos and spare outputs step between a few.
+    moving = [k for k in np.flatnonzero(pwm & (_swing(values) > 100)) if np.unique(values[:, k]).size >= 10]
+    return [int(k) for k in moving], "us"
+
+
+def _swing(values) -> np.ndarray:
+    """(k,) largest minus smallest finite value of each column; 0 for a column without any."""
+    fine = np.isfinite(values)
+    high = np.where(fine, values, -np.inf).max(axis=0, initial=-np.inf)
+    low = np.where(fine, values, np.inf).min(axis=0, initial=np.inf)
+    return np.where(high >= low, high - low, 0.0)
+
+
+def _pwm_limits(parameters, count) -> dict:
+    """facts pwm_min and pwm_max in us: PWM_MAIN_MINn (1.13+), PWM_MAIN_MIN (1.11+), PWM_MIN (older), as logged."""
+    facts = {}
+    for fact, word in (("pwm_min", "MIN"), ("pwm_max", "MAX")):
+        each = [parameters.get(f"PWM_MAIN_{word}{k + 1}", 0) for k in range(count)]
+        usable = [v for v in (*each, parameters.get(f"PWM_MAIN_{word}", 0), parameters.get(f"PWM_{word}", 0)) if v > 0]
+        if usable:
+            facts[fact] = float(usable[0])
+    return facts
+
+
+def _control(topics: Topics):
+    """Rate controller output: torque and thrust set points (1.13+), else actuator_controls_0."""
+    xyz = numbered("xyz", 3)
+    torque, thrust = (topics.table(f"vehicle_{k}_setpoint", *xyz) for k in ("torque", "thrust"))
+    if torque is not None and thrust is not None and thrust[0].size:
+        time, values = torque[0], columns(torque[1], xyz)
+        # The latest thrust set point at each torque set point; both are published within the same controller cycle.
+        latest = np.clip(np.searchsorted(thrust[0], time + 1e-3, side="right") - 1, 0, None)
+        values = np.column_stack([values, -np.asarray(thrust[1]["xyz[2]"], float)[latest]])
+        return series.make("control", time, values, "vehicle_torque_setpoint", topics.notes)
+    return topics.signal("control", "actuator_controls_0", numbered("control", 4))
+
+
+def _attitude(topics: Topics):
+    found = topics.table("vehicle_attitude", *numbered("q", 4))
+    if found is None:
+        return None
+    q, fine = series.unit_quaternion(columns(found[1], numbered("q", 4)))
+    return series.make("attitude", found[0], q, "vehicle_attitude", topics.notes, fine)
+
+
+def _battery(topics: Topics):
+    found = topics.table("battery_status", "voltage_v", "current_a")
+    if found is None:
+        return None
+    values = columns(found[1], ["voltage_v", "current_a"])
+    fine = np.column_stack([values[:, 0] > 0, values[:, 1] >= 0])  # -1: not measured
+    return series.make("battery", found[0], values, "battery_status", topics.notes, fine)
+
+
+def _esc(topics: Topics, parameters):
+    """ESC telemetry in rotor order (esc[i].actuator_function where logged, else the order of the ESCs)."""
+    found = topics.table("esc_status", "esc[0].esc_rpm", "esc[0].esc_current")
+    if found is None or found[0].size == 0:
+        return None
+    time, table = found
+    rotor = {}
+    for i in range(8):
+        if f"esc[{i}].esc_rpm" in table and f"esc[{i}].esc_current" in table:
+            function = int(np.asarray(table.get(f"esc[{i}].actuator_function", [0])).flat[0])
+            rotor[function - _MOTOR_1 if _MOTOR_1 <= function <= _MOTOR_12 else i] = i
+    order = [rotor[k] for k in sorted(rotor)][: rotor_count(parameters) or 8]
+    fields = [f"esc[{i}].{what}" for what in ("esc_rpm", "esc_current") for i in order]
+    names = tuple(f"{what}{k + 1}" for what in ("rpm", "current") for k in range(len(order)))
+    return series.build(time, columns(table, fields), names, "rpm,A", "", "esc_status", 1e6, topics.notes)
+
+
+def messages(topics: Topics) -> list[Message]:
+    """State changes: landed, armed, flight mode."""
+    out = []
+    found = topics.table("vehicle_land_detected", "landed", early=True)
+    if found is not None:
+        for time, value in series.changes(found[0], found[1]["landed"]):
+            out.append(Message(time, "landed", "landed" if value else "in the air", float(value != 0)))
+    status = topics.table("vehicle_status", "arming_state", early=True)
+    armed = topics.table("actuator_armed", "armed", early=True)
+    if armed is not None:
+        states = series.changes(armed[0], np.asarray(armed[1]["armed"]) != 0)
+    else:
+        states = series.changes(status[0], np.asarray(status[1]["arming_state"]) == _ARMED) if status else []
+    out += [Message(time, "armed", "armed" if value else "disarmed", value) for time, value in states]
+    if status is not None and "nav_state" in status[1]:
+        for time, value in series.changes(status[0], status[1]["nav_state"]):
+            out.append(Message(time, "mode", NAV_STATES.get(int(value), f"mode {int(value)}"), value))
+    return out

@@ -1,0 +1,156 @@
+"""From raw columns to a Signal: canonical columns and units, steady time, wild values masked.
+
+Shared by the readers; knows nothing about any file format.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+
+import numpy as np
+
+from rotorwatch.flight import Signal
+
+G = 9.80665
+"""Standard gravity, m/s^2."""
+
+DAY_S = 86_400.0
+"""A gap longer than this is a damaged time stamp, not a pause between two flights."""
+
+# name: columns, unit, frame, largest absolute value that any sensor or autopilot could mean.
+SHAPES = {
+    "control": (("roll", "pitch", "yaw", "thrust"), "1", "FRD", 10.0),
+    "gyro": (("x", "y", "z"), "rad/s", "FRD", 100.0),
+    "rates": (("x", "y", "z"), "rad/s", "FRD", 100.0),
+    "accel": (("x", "y", "z"), "m/s^2", "FRD", 1000.0),
+    "attitude": (("w", "x", "y", "z"), "1", "FRD->NED", 1.1),
+    "velocity": (("n", "e", "d"), "m/s", "NED", 300.0),
+    "position": (("n", "e", "d"), "m", "NED", 1e6),
+    "throttle": (("out",), "1", "", 2.0),
+    "battery": (("voltage", "current"), "V,A", "", 5000.0),
+    "lift": (("lift_max", "voltage_ratio", "limit"), "1", "", 100.0),
+}
+
+
+def make(name, time, values, source, notes, valid=None) -> Signal | None:
+    """The Signal `name` of SHAPES from time (n,) s and values (n, k); None when no usable sample is left.
+
+    valid: (n,) or (n, k) bool or None. Values beyond what can be meant become invalid; damaged time stamps are dropped;
+    both are said in `notes`, a list of sentences that this appends to.
+    """
+    columns, unit, frame, limit = SHAPES[name]
+    return build(time, values, columns, unit, frame, source, limit, notes, valid)
+
+
+def motors(time, values, unit, source, notes, valid=None) -> Signal | None:
+    """The Signal `motors`: values (n, rotors) in us or in shares of full command (unit "1")."""
+    values = np.asarray(values, float)
+    columns = tuple(f"r{k + 1}" for k in range(values.shape[1]))
+    return build(time, values, columns, unit, "", source, 3000.0 if unit == "us" else 1.5, notes, valid)
+
+
+def build(time, values, columns, unit, frame, source, limit, notes, valid=None) -> Signal | None:
+    """A Signal with any columns; see `make`. limit: largest absolute value taken seriously."""
+    time, values = np.asarray(time, np.float64), np.asarray(values, np.float64)
+    if values.ndim == 1:
+        values = values[:, None]
+    with np.errstate(invalid="ignore"):
+        fine = np.isfinite(values) & (np.abs(values) <= limit)
+        wild = int(np.count_nonzero(np.isfinite(values) & ~fine))
+    if wild:
+        notes.append(f"{source}: {wild} impossible value{'s' if wild > 1 else ''} ignored")
+    if valid is not None:
+        valid = np.asarray(valid, bool)
+        fine &= valid[:, None] if valid.ndim == 1 else valid
+    keep = steady(time)
+    if keep.size < time.size:
+        notes.append(f"{source}: {time.size - keep.size} of {time.size} samples dropped because time ran backwards")
+    if keep.size == 0 or not fine[keep].any():
+        return None
+    return Signal(time[keep], np.where(fine, values, 0.0)[keep], columns, unit, frame, source, fine[keep])
+
+
+def steady(time: np.ndarray) -> np.ndarray:
+    """Indices of the most samples that form non-decreasing times without a gap of more than a day.
+
+    The longest non-decreasing subsequence, so that a single wild stamp costs one sample, not all that follow it.
+    """
+    index = np.flatnonzero(np.isfinite(time))
+    t = time[index]
+    if t.size > 1 and (np.diff(t) < 0).any():
+        index = index[_longest_rise(t)]
+        t = time[index]
+    gaps = np.flatnonzero(np.diff(t) > DAY_S) + 1
+    if gaps.size:
+        pieces = np.split(np.arange(t.size), gaps)
+        index = index[max(pieces, key=len)]
+    return index
+
+
+def _longest_rise(t: np.ndarray) -> np.ndarray:
+    """Indices of a longest non-decreasing subsequence of t (patience sorting, O(n log n))."""
+    tails: list[float] = []
+    ends: list[int] = []
+    before = np.full(t.size, -1)
+    for i, value in enumerate(t.tolist()):
+        k = bisect_right(tails, value)
+        if k == len(tails):
+            tails.append(value)
+            ends.append(i)
+        else:
+            tails[k], ends[k] = value, i
+        if k:
+            before[i] = ends[k - 1]
+    chain = np.empty(len(ends), int)
+    i = ends[-1]
+    for k in range(len(ends) - 1, -1, -1):
+        chain[k] = i
+        i = before[i]
+    return chain
+
+
+def quaternion(roll, pitch, yaw) -> np.ndarray:
+    """(n, 4) scalar-first quaternion body FRD -> world NED from roll, pitch, yaw in rad (order yaw, pitch, roll)."""
+    cr, cp, cy = (np.cos(np.asarray(a) / 2) for a in (roll, pitch, yaw))
+    sr, sp, sy = (np.sin(np.asarray(a) / 2) for a in (roll, pitch, yaw))
+    return np.stack(
+        [
+            cr * cp * cy + sr * sp * sy,
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+        ],
+        axis=-1,
+    )
+
+
+def unit_quaternion(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Quaternions (n, 4) scaled to length 1, and (n,) bool: True where they were quaternions (length 0.9 .. 1.1)."""
+    q = np.asarray(q, float)
+    with np.errstate(invalid="ignore", over="ignore"):
+        length = np.sqrt(np.sum(q * q, axis=1))
+        fine = np.abs(length - 1) < 0.1
+    return np.where(fine[:, None], q / np.where(fine, length, 1.0)[:, None], 0.0), fine
+
+
+def changes(time, state) -> list[tuple[float, float]]:
+    """(time, value) of the first sample and of each one that differs from the sample before."""
+    state = np.asarray(state, float)
+    if state.size == 0:
+        return []
+    at = np.r_[0, np.flatnonzero(np.diff(state) != 0) + 1]
+    return [(float(time[i]), float(state[i])) for i in at]
+
+
+def fastest(*candidates: Signal | None) -> Signal | None:
+    """The candidate with the highest rate; within 10 % the earlier one in the list wins."""
+    best = None
+    for signal in candidates:
+        if signal is not None and (best is None or signal.rate_hz > 1.1 * best.rate_hz):
+            best = signal
+    return best
+
+
+def end_of(signals) -> float:
+    """Time of the last sample of any signal, s; 0 without signals."""
+    return max((float(s.time[-1]) for s in signals.values() if len(s)), default=0.0)

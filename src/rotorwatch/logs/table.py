@@ -1,0 +1,51 @@
+"""CSV and Parquet tables in our own column names; docs/readers.md lists them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from rotorwatch.errors import LogError
+from rotorwatch.flight import Flight
+from rotorwatch.logs import delimited, memory
+
+FORMAT = "CSV or Parquet table"
+
+_PARQUET = b"PAR1"
+_MOST_CELLS = 500_000_000
+
+
+def sniff(head: bytes, name: str) -> bool:
+    """True for Parquet, for text whose first line has a column time_s, and for .csv and .parquet names."""
+    if name:
+        return name.lower().endswith((".csv", ".parquet"))
+    return head.startswith(_PARQUET) or "time_s" in delimited.header(head)
+
+
+def read(data, name: str, progress=None) -> Flight:
+    """Read one table. Raises LogError naming what is unknown or missing, or when Parquet needs pyarrow installed."""
+    notes: list[str] = []
+    parquet = bytes(data[:4]) == _PARQUET
+    columns = _parquet(data) if parquet else delimited.numbers(data, notes)
+    flight = memory.from_arrays(columns, name=name)
+    return replace(flight, format="Parquet" if parquet else "CSV", warnings=(*notes, *flight.warnings))
+
+
+def _parquet(data) -> dict[str, np.ndarray]:
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError:
+        raise LogError("Parquet needs pyarrow: pip install 'rotorwatch[parquet]'") from None
+    try:
+        file = pyarrow.parquet.ParquetFile(pyarrow.BufferReader(memoryview(data)))
+        if file.metadata.num_rows * file.metadata.num_columns > _MOST_CELLS:
+            raise LogError("this Parquet table claims more cells than any flight has")
+        unknown = [n for n in file.schema_arrow.names if not memory.known_column(n)]
+        if unknown:
+            return memory.from_arrays(dict.fromkeys(["time_s", *unknown], ()))  # raises, naming them
+        table = file.read()
+        return {n: table[n].cast(pyarrow.float64()).to_numpy() for n in table.column_names}
+    except pyarrow.ArrowException as error:
+        raise LogError("this Parquet table is damaged or holds columns that are no numbers") from error

@@ -1,0 +1,305 @@
+"""MAVLink telemetry logs (.tlog), as ground stations write them. Messages: https://mavlink.io/en/messages/"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rotorwatch.errors import LogError
+from rotorwatch.flight import Flight, Message
+from rotorwatch.logs import mavlink_frames, series
+from rotorwatch.logs.px4_topics import MAV_TYPES
+
+FORMAT = "MAVLink tlog"
+
+_AUTOPILOTS = {3: "ArduPilot", 12: "PX4"}
+_NO_AUTOPILOT = 8
+_ARMED = 0x80  # HEARTBEAT.base_mode
+_SIMULATOR = {"SIMSTATE", "SIM_STATE", "HIL_STATE", "HIL_STATE_QUATERNION"}  # hold the simulator's truth: never decoded
+_UNTIMED = {
+    *{"HEARTBEAT", "SYS_STATUS", "BATTERY_STATUS", "VFR_HUD", "STATUSTEXT", "PARAM_VALUE", "EXTENDED_SYS_STATE"},
+    *{"ESC_TELEMETRY_1_TO_4", "ESC_TELEMETRY_5_TO_8", "ESC_TELEMETRY_9_TO_12"},
+}
+_UNIX_US = 1e14  # larger time stamps count from 1970, smaller ones from the autopilot's start
+_WRAP_US = 2.0**32  # SERVO_OUTPUT_RAW.time_usec and time_boot_ms * 1000 overflow there, in their own units
+_MG = series.G / 1000
+
+
+def sniff(head: bytes, name: str) -> bool:
+    """True when a MAVLink frame follows an 8-byte time stamp and another one follows that."""
+    if name:
+        return name.lower().endswith(".tlog")
+    if len(head) < 30 or head[8] not in (0xFE, 0xFD):
+        return False
+    end = 8 + head[9] + (8 if head[8] == 0xFE else 12 + (13 if head[10] & 1 else 0))
+    return end + 8 >= len(head) or head[end + 8] in (0xFE, 0xFD)
+
+
+def read(data, name: str, progress=None) -> Flight:
+    """Read the autopilot's side of a telemetry log. Times count from the smallest boot time of any of its messages.
+
+    Raises LogError when no autopilot's heartbeat is in it.
+    """
+    log = _Log(data, progress)
+    signals, facts = _signals(log)
+    parameters, changes = _parameters(log)
+    end = series.end_of(signals)
+    return Flight(
+        format=FORMAT,
+        autopilot=log.autopilot,
+        signals=signals,
+        duration=end,
+        firmware=_firmware(log),
+        vehicle_type=MAV_TYPES.get(log.vehicle, ("", 0))[0],
+        parameters=parameters,
+        parameter_changes=tuple(changes),
+        messages=tuple(sorted((m for m in _messages(log) if m.time <= end + 1), key=lambda m: m.time)),
+        warnings=tuple(log.notes),
+        start_us=int(log.start_us),
+        facts=facts,
+    )
+
+
+class _Log:
+    """One vehicle's messages: `get(name)` -> (time s, structured array). notes: sentences on what was damaged."""
+
+    def __init__(self, data, progress):
+        from pymavlink.dialects.v20 import ardupilotmega
+
+        layouts = {layout.msgname: layout for layout in ardupilotmega.mavlink_map.values()}
+        clocked = {n for n, c in layouts.items() if {"time_boot_ms", "time_usec"} & set(c.fieldnames)}
+        self.layouts = {n: layouts[n] for n in (clocked | _UNTIMED) - _SIMULATOR}
+        self.notes: list[str] = []
+        self.frames = mavlink_frames.Frames(data, (c.id for c in self.layouts.values()), progress)
+        if self.frames.skipped:
+            self.notes.append(f"{self.frames.skipped} bytes of the log are damaged and were skipped")
+        self._choose_vehicle()
+        self._read_clock()
+
+    def _choose_vehicle(self):
+        """The system whose heartbeat, of a vehicle with an autopilot, comes first."""
+        heartbeat, first = self.layouts["HEARTBEAT"], None
+        for system, component, message in self.frames.found:
+            if message != heartbeat.id:
+                continue
+            beats, order = self.frames.decode(system, component, heartbeat)
+            real = (beats["autopilot"] != _NO_AUTOPILOT) & np.isin(beats["type"], list(MAV_TYPES))
+            if real.any():
+                i = int(np.flatnonzero(real)[0])
+                if first is None or order[i] < first[0]:
+                    first = order[i], system, component, int(beats["autopilot"][i]), int(beats["type"][i])
+        if first is None:
+            raise LogError("no heartbeat of a multirotor's autopilot is in this telemetry log")
+        _, self.system, self.component, autopilot, self.vehicle = first
+        self.autopilot = _AUTOPILOTS.get(autopilot, f"MAVLink autopilot {autopilot}")
+
+    def _read_clock(self):
+        """Decode all messages; find second 0 and the boot time at each place in the file."""
+        self.tables, self._stamps = {}, {}
+        places, stamps = [], []
+        for name, layout in self.layouts.items():
+            table, order = self.frames.decode(self.system, self.component, layout)
+            if not table.size:
+                continue
+            self.tables[name] = table, order
+            stamp = _boot_us(table)
+            if stamp is not None:
+                self._stamps[name] = stamp
+                known = np.isfinite(stamp)
+                places.append(order[known])
+                stamps.append(stamp[known])
+        if not places or not sum(p.size for p in places):
+            raise LogError("no message with a time stamp of the autopilot is in this telemetry log")
+        place, stamp = np.concatenate(places), np.concatenate(stamps)
+        first_come = np.argsort(place, kind="stable")
+        self._place, self._latest = place[first_come], np.maximum.accumulate(stamp[first_come])
+        self.start_us = float(stamp.min())
+
+    def get(self, name, *fields):
+        """(time s (n,), table) of a message, or None. Messages without a clock get the latest time before them."""
+        if name not in self.tables:
+            return None
+        table, order = self.tables[name]
+        stamp = self._stamps.get(name)
+        if stamp is None:
+            at = np.clip(np.searchsorted(self._place, order) - 1, 0, None)
+            return (self._latest[at] - self.start_us) * 1e-6, table
+        known = np.isfinite(stamp)
+        return ((stamp[known] - self.start_us) * 1e-6, table[known]) if known.any() else None
+
+    def signal(self, kind, name, fields, scale=1.0):
+        found = self.get(name)
+        if found is None:
+            return None
+        return series.make(kind, found[0], _columns(found[1], fields) * scale, name, self.notes)
+
+
+def _boot_us(table):
+    """(n,) us since the autopilot's start, NaN where unknown; None for a message without a clock."""
+    names = table.dtype.names
+    if "time_boot_ms" in names:
+        stamp, wrap = table["time_boot_ms"] * 1e3, _WRAP_US * 1e3
+    elif "time_usec" in names:
+        stamp, wrap = table["time_usec"].astype(float), _WRAP_US if table.dtype["time_usec"].itemsize == 4 else 0
+    else:
+        return None
+    stamp = np.where((stamp > 0) & (stamp < _UNIX_US), stamp, np.nan)
+    if wrap:
+        known = np.flatnonzero(np.isfinite(stamp))
+        turns = np.cumsum(np.diff(stamp[known], prepend=stamp[known[:1]]) < -0.9 * wrap)
+        stamp[known] += turns * wrap
+    return stamp
+
+
+def _columns(table, fields) -> np.ndarray:
+    return np.stack([table[f].astype(float) for f in fields], axis=1)
+
+
+def _signals(log: _Log) -> tuple[dict, dict]:
+    axes, turns = ("xgyro", "ygyro", "zgyro"), ("rollspeed", "pitchspeed", "yawspeed")
+    push = ("xacc", "yacc", "zacc")
+    imus = ("SCALED_IMU", "RAW_IMU", "SCALED_IMU2", "SCALED_IMU3")
+    rates = series.fastest(*(log.signal("rates", n, turns) for n in ("ATTITUDE", "ATTITUDE_QUATERNION")))
+    motors, facts = _motors(log)
+    found = {
+        "motors": motors,
+        # Raw rates come in steps of 1 mrad/s, so at equal speed the attitude message's finer ones are preferred.
+        "gyro": series.fastest(
+            log.signal("gyro", "HIGHRES_IMU", axes), rates, *(log.signal("gyro", n, axes, 1e-3) for n in imus)
+        ),
+        "rates": rates,
+        "accel": series.fastest(
+            log.signal("accel", "HIGHRES_IMU", push), *(log.signal("accel", n, push, _MG) for n in imus)
+        ),
+        "attitude": _attitude(log),
+        "velocity": log.signal("velocity", "LOCAL_POSITION_NED", ("vx", "vy", "vz"))
+        or log.signal("velocity", "GLOBAL_POSITION_INT", ("vx", "vy", "vz"), 0.01),
+        "position": log.signal("position", "LOCAL_POSITION_NED", ("x", "y", "z")) or _height(log),
+        "throttle": log.signal("throttle", "VFR_HUD", ("throttle",), 0.01),
+        "battery": _battery(log),
+        "esc": _esc(log, facts),
+    }
+    return {k: v for k, v in found.items() if v is not None}, facts
+
+
+def _motors(log: _Log):
+    """Rotor commands from SERVO_OUTPUT_RAW: outputs by SERVOn_FUNCTION where the log has them, else the first ones."""
+    found = log.get("SERVO_OUTPUT_RAW")
+    count = MAV_TYPES[log.vehicle][1]
+    if found is None:
+        return None, {}
+    time, table = found
+    main = table["port"] == 0
+    time, table = time[main], table[main]
+    outputs = list(range(1, count + 1))
+    functions, _ = _parameters(log)
+    mapped = {}
+    for n in range(1, 17):
+        function = int(functions.get(f"SERVO{n}_FUNCTION", 0))
+        if 33 <= function <= 40 or 82 <= function <= 85:
+            mapped[function - 32 if function <= 40 else function - 73] = n
+    if mapped and sorted(mapped) == list(range(1, len(mapped) + 1)) and len(mapped) >= count:
+        outputs = [mapped[k] for k in sorted(mapped)]
+    if not outputs or not time.size:
+        return None, {}
+    values = _columns(table, [f"servo{n}_raw" for n in outputs])
+    motors = series.motors(time, values, "us", "SERVO_OUTPUT_RAW", log.notes, values > 0)  # 0: not driven yet
+    return motors, {"motors_topic": "SERVO_OUTPUT_RAW", "outputs": tuple(outputs)}
+
+
+def _attitude(log: _Log):
+    angles, quaternions = log.get("ATTITUDE"), log.get("ATTITUDE_QUATERNION")
+    candidates = []
+    if angles is not None:
+        q = series.quaternion(*(angles[1][a].astype(float) for a in ("roll", "pitch", "yaw")))
+        candidates.append(series.make("attitude", angles[0], q, "ATTITUDE", log.notes))
+    if quaternions is not None:
+        q, fine = series.unit_quaternion(_columns(quaternions[1], ("q1", "q2", "q3", "q4")))
+        candidates.append(series.make("attitude", quaternions[0], q, "ATTITUDE_QUATERNION", log.notes, fine))
+    return series.fastest(*candidates)
+
+
+def _height(log: _Log):
+    """Position with only its height, from GLOBAL_POSITION_INT."""
+    found = log.get("GLOBAL_POSITION_INT")
+    if found is None:
+        return None
+    height = found[1]["relative_alt"] * -1e-3
+    values = np.column_stack([np.full((height.size, 2), np.nan), height])
+    return series.make("position", found[0], values, "GLOBAL_POSITION_INT", log.notes)
+
+
+def _battery(log: _Log):
+    found = log.get("SYS_STATUS")
+    if found is None:
+        return None
+    volt, ampere = found[1]["voltage_battery"].astype(float), found[1]["current_battery"].astype(float)
+    fine = np.column_stack([(volt > 0) & (volt < 65535), ampere >= 0])
+    return series.make(
+        "battery", found[0], np.column_stack([volt * 1e-3, ampere * 1e-2]), "SYS_STATUS", log.notes, fine
+    )
+
+
+def _esc(log: _Log, facts):
+    """ESC telemetry of the first four, eight or twelve ESCs, in rotor order when the outputs are known."""
+    found = [f for f in (log.get(f"ESC_TELEMETRY_{n}_TO_{n + 3}") for n in (1, 5, 9)) if f is not None]
+    if not found:
+        return None
+    samples = min(f[0].size for f in found)  # the messages are sent in turn; they differ by one sample at most
+    time = found[0][0][:samples]
+    rpm, current = (np.hstack([f[1][k][:samples].astype(float) for f in found]) for k in ("rpm", "current"))
+    order = [n - 1 for n in facts.get("outputs", range(1, rpm.shape[1] + 1)) if n <= rpm.shape[1]]
+    names = tuple(f"{what}{k + 1}" for what in ("rpm", "current") for k in range(len(order)))
+    values = np.hstack([rpm[:, order], current[:, order] * 0.01])
+    return series.build(time, values, names, "rpm,A", "", "ESC_TELEMETRY", 1e6, log.notes)
+
+
+def _parameters(log: _Log):
+    """(parameters, changes) from PARAM_VALUE, but for the simulator's: SIM_* can give a fault away."""
+    values, changes = {}, []
+    found = log.get("PARAM_VALUE")
+    if found is None:
+        return values, changes
+    for time, row in zip(found[0], found[1]):
+        name = row["param_id"].decode("ascii", "replace")
+        value = row["param_value"]
+        if log.autopilot == "PX4" and row["param_type"] == 6:  # PX4 sends the bytes of an int32 as they are
+            value = value.view("<i4")
+        value = float(value)
+        if name.startswith("SIM_") or not np.isfinite(value):
+            continue
+        if values.setdefault(name, value) != value:
+            if next((v for _, n, v in reversed(changes) if n == name), values[name]) != value:
+                changes.append((float(time), name, value))
+    return values, changes
+
+
+def _messages(log: _Log) -> list[Message]:
+    out = []
+    beats = log.get("HEARTBEAT")
+    if beats is not None:
+        for time, value in series.changes(beats[0], (beats[1]["base_mode"] & _ARMED) > 0):
+            out.append(Message(time, "armed", "armed" if value else "disarmed", value))
+        for time, value in series.changes(beats[0], beats[1]["custom_mode"]):
+            out.append(Message(time, "mode", f"mode {int(value)}", value))
+    states = log.get("EXTENDED_SYS_STATE")
+    if states is not None:
+        known = states[1]["landed_state"] > 0
+        for time, value in series.changes(states[0][known], states[1]["landed_state"][known] == 1):
+            out.append(Message(time, "landed", "landed" if value else "in the air", value))
+    texts = log.get("STATUSTEXT")
+    if texts is not None:
+        for time, row in zip(texts[0], texts[1]):
+            text = row["text"].decode("utf-8", "replace").strip()
+            out.append(Message(float(time), "error" if row["severity"] <= 3 else "text", text))
+    return out
+
+
+def _firmware(log: _Log) -> str:
+    """From the version that the autopilot announces in text on a parameter download, where that is in the log."""
+    texts = log.get("STATUSTEXT")
+    if texts is not None:
+        for row in texts[1]["text"]:
+            text = row.decode("utf-8", "replace").strip()
+            if text.startswith(("ArduCopter V", "APM:Copter V", "PX4 v")):
+                return text
+    return log.autopilot

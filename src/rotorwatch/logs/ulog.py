@@ -1,0 +1,163 @@
+"""PX4 ULog files, through pyulog. File format: https://docs.px4.io/main/en/dev_log/ulog_file_format.html"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+
+from rotorwatch.errors import LogError
+from rotorwatch.flight import Flight, Message
+from rotorwatch.logs import px4_topics, series
+
+FORMAT = "PX4 ULog"
+
+_MAGIC = b"ULog\x01\x12\x35"
+_MOST_FIELDS = 20_000  # flattened; PX4's largest message has about 400
+
+
+def sniff(head: bytes, name: str) -> bool:
+    """True for a ULog header; never by name, a ULog without it cannot be read."""
+    return head.startswith(_MAGIC)
+
+
+def read(data, name: str, progress=None) -> Flight:
+    """Read a ULog of any PX4 from 1.6 on. Times count from the log's own start time stamp.
+
+    Raises LogError when the definitions are damaged or no topic of interest is left.
+    """
+    from pyulog import ULog
+
+    _check_definitions(_pyulog(ULog, _File(data), parse_header_only=True)[0])
+    file = _File(data, progress)
+    log, damaged = _pyulog(ULog, file, message_name_filter_list=list(px4_topics.TOPICS))
+    tables = {(d.name, d.multi_id): d.data for d in log.data_list if d.name in px4_topics.TOPICS}
+    start = int(log.start_timestamp)
+    topics = px4_topics.Topics(tables, start)
+    parameters = {k: float(v) for k, v in log.initial_parameters.items() if _is_parameter(k, v)}
+    signals, facts = px4_topics.signals(topics, parameters)
+    warnings = list(topics.notes)
+    if damaged:
+        warnings.insert(0, "parts of the log are damaged; what is intact was read")
+    elif file.cut:
+        warnings.insert(0, "the log ends in the middle of a record; everything before it was read")
+    messages = px4_topics.messages(topics) + _log_messages(log, start)
+    end = series.end_of(signals)
+    kind = px4_topics.MAV_TYPES.get(int(parameters.get("MAV_TYPE", 0)), ("", 0))[0]
+    changed = ((t, k, v) for t, k, v in log.changed_parameters if _is_parameter(k, v))
+    return Flight(
+        format=FORMAT,
+        autopilot="PX4",
+        signals=signals,
+        duration=end,
+        firmware=_firmware(log),
+        vehicle_type=kind,
+        parameters=parameters,
+        parameter_changes=tuple((max(0.0, (int(t) - start) * 1e-6), k, float(v)) for t, k, v in changed),
+        messages=tuple(sorted((m for m in messages if m.time <= end + 1), key=lambda m: m.time)),
+        warnings=tuple(warnings),
+        start_us=start,
+        facts=facts,
+    )
+
+
+def _pyulog(ulog, file, **options):
+    """(log, damaged): pyulog with its prints caught and its stumbles turned into a LogError."""
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stdout(said):
+            log = ulog(file, **options)
+    except Exception as error:
+        raise LogError(f"this {FORMAT} is too damaged to be read ({error})") from error
+    return log, bool(log.file_corruption)
+
+
+def _check_definitions(log) -> None:
+    """Refuse message definitions that nest endlessly or flatten to absurd sizes: only damage makes such."""
+    formats = log.message_formats
+    sizes: dict[str, int] = {}
+
+    def size(name, depth=0):
+        if depth > 10:
+            raise LogError(f"this {FORMAT} has damaged message definitions and cannot be read")
+        if name not in sizes:
+            total = 0
+            for kind, count, _ in formats[name].fields:
+                total += max(1, count) * (size(kind, depth + 1) if kind in formats else 1)
+            if total > _MOST_FIELDS:
+                raise LogError(f"this {FORMAT} has damaged message definitions and cannot be read")
+            sizes[name] = total
+        return sizes[name]
+
+    for name in formats:
+        size(name)
+
+
+def _is_parameter(name, value) -> bool:
+    """Numbers only, and nothing of the simulator's: SIM_* parameters can give a fault away."""
+    return isinstance(value, (int, float)) and not name.startswith("SIM_")
+
+
+def _firmware(log) -> str:
+    """Release ("v1.13.0"), else the first digits of the commit."""
+    with contextlib.suppress(Exception):
+        release = log.get_version_info_str()
+        commit = str(log.msg_info_dict.get("ver_sw", ""))[:8]
+        return f"PX4 {release or commit}".strip()
+    return "PX4"
+
+
+def _log_messages(log, start) -> list[Message]:
+    """Texts and logging gaps."""
+    texts = [*log.logged_messages, *(m for group in log.logged_messages_tagged.values() for m in group)]
+    out = []
+    for m in texts:
+        severe = m.log_level in b"0123"
+        out.append(
+            Message(max(0.0, (int(m.timestamp) - start) * 1e-6), "error" if severe else "text", m.message.strip())
+        )
+    for gap in log.dropouts:
+        seconds = gap.duration * 1e-3
+        if seconds > 0:
+            time = max(0.0, (int(gap.timestamp) - start) * 1e-6)
+            out.append(Message(time, "dropout", f"logging gap of {gap.duration} ms", seconds))
+    return out
+
+
+class _File:
+    """A read-only file over bytes that need not be copied, and that ends for good when a parser runs in circles.
+
+    Each record takes two reads and no record of interest is shorter than 8 bytes, so a parser that reads more often than
+    one time in four bytes is lost; from there on this file pretends to be at its end. cut: a read got less than it asked.
+    """
+
+    def __init__(self, data, progress=None):
+        self._data, self._size, self._at = data, len(data), 0
+        self._left = self._size // 4 + 100_000
+        self._progress = progress
+        self.cut = False
+
+    def read(self, count=-1) -> bytes:
+        self._left -= 1
+        if self._left < 0:
+            return b""
+        at = self._at
+        end = self._size if count < 0 else min(self._size, at + count)
+        self._at = max(at, end)
+        if end - at < count and not (count == 3 and at >= self._size):
+            self.cut = True
+        if self._progress and not self._left & 0xFFFF:
+            self._progress(0.5 + 0.5 * self._at / self._size)
+        return bytes(self._data[at:end])
+
+    def seek(self, offset, whence=0) -> int:
+        at = offset + (0, self._at, self._size)[whence]
+        if at < 0:
+            raise ValueError("seek before the start of the file")
+        self._at = at
+        return at
+
+    def tell(self) -> int:
+        return self._at
+
+    def close(self) -> None:
+        """Nothing to close: the data belongs to the caller."""
