@@ -1,0 +1,351 @@
+"""ArduPilot DataFlash logs (`.bin`, or `.log` as text), APM:Copter 3.3 to ArduCopter 4.7 -> Flight.
+
+What is read from which message (instance 0 where sensors come in several):
+
+    motors    RCOU (RCO2, RCO3) C1.. or Ch1.., in rotor order by SERVOn_FUNCTION
+    control   RATE ROut POut YOut AOut         rates     RATE R P Y
+    gyro      IMU GyrX..                       accel     IMU AccX..
+    attitude  ANG or ATT, whichever is faster  velocity, position   XKF1, NKF1 or EKF1
+    throttle  CTUN ThO or ThrOut               battery   BAT or CURR
+    lift      MOTB                             esc       ESC
+
+Times count from the smallest time stamp of any record. Simulation parameters and messages (SIM*) are never read.
+"""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from rotorwatch.errors import LogError
+from rotorwatch.flight import Flight, Signal
+from rotorwatch.logs import dataflash_events as events
+from rotorwatch.logs import dataflash_rotors as rotors
+from rotorwatch.logs.dataflash_binary import BinaryLog, amount
+from rotorwatch.logs.dataflash_clock import Clock, make_clock
+from rotorwatch.logs.dataflash_text import FIRST_LINE, TextLog
+from rotorwatch.logs.series import SHAPES, quaternion
+
+FORMAT = "dataflash"
+
+FMT_HEADER = b"\xa3\x95\x80"
+NEAR_START = 512  # bytes that damage or a ground station may have put before the first FMT
+INSTANCE_COLUMNS = ("I", "Instance", "Inst", "IMU", "C", "Id")
+PWM_RANGE_US = (500.0, 2600.0)
+ESC_HOLD = 5.0  # an ESC value is good for this many typical intervals
+
+# Magnitudes beyond which a number is damage, not flight; (low, high) per column, in the unit of the signal.
+TURN = (-80.0, 80.0)  # rad/s: gyros end at 2000 or 4000 deg/s
+LIMITS = {
+    "control": ((-1.6, 1.6),) * 3 + ((-0.5, 1.6),),
+    "gyro": (TURN,) * 3,
+    "rates": (TURN,) * 3,
+    "accel": ((-640.0, 640.0),) * 3,
+    "attitude": ((-1.001, 1.001),) * 4,
+    "velocity": ((-150.0, 150.0),) * 3,
+    "position": ((-1e5, 1e5),) * 3,
+    "throttle": ((-0.1, 1.1),),
+    "battery": ((0.0, 120.0), (-100.0, 2000.0)),
+    "lift": ((0.0, 2.0), (0.0, 2.0), (0.0, 1.5)),
+}
+RAW_TORQUE = 4500.0  # APM:Copter 3.3: full roll, pitch or yaw output
+RAW_THROTTLE = 1000.0  # ... and full throttle
+
+
+def sniff(head: bytes, name: str) -> bool:
+    """True when the file starts as a DataFlash log, binary or text; `name` decides only where the start is damaged."""
+    if 0 <= head.find(FMT_HEADER) < NEAR_START or FIRST_LINE.search(head):
+        return True
+    return name.lower().endswith(".bin") and FMT_HEADER in head
+
+
+def read(data, name: str, progress=None) -> Flight:
+    """Read a DataFlash log from bytes or a memory map.
+
+    name: for messages. progress: called with the share done (0..1). Damage is passed over and named in `warnings`.
+    Raises LogError when the file is no DataFlash log or holds no flight data.
+    """
+    head = bytes(data[: 64 * 1024])
+    if not len(head):
+        raise LogError(f"{name}: the file is empty; copy it from the autopilot again.")
+    log = (TextLog if FMT_HEADER not in head and FIRST_LINE.search(head) else BinaryLog)(data, progress)
+    if not log.counts:
+        raise LogError(f"{name}: this is not a DataFlash log; no message definition (FMT) was found in it.")
+    clock = make_clock(log.stamps())
+    parameters, changes = events.parameters(log, clock)
+    reader = _Signals(log, clock)
+    frame_class, frame_type = rotors.frame(parameters, events.frame_text(log, clock))
+    steps = (
+        lambda: reader.motors(parameters, frame_class),
+        reader.imu,
+        reader.rate,
+        reader.attitude,
+        reader.navigation,
+        reader.power,
+        reader.esc,
+    )
+    for done, step in enumerate(steps, 1):
+        step()
+        if progress:
+            progress(0.5 + 0.5 * done / len(steps))
+    if not any(len(s) >= 2 for s in reader.signals.values()):
+        raise LogError(
+            f"{name}: no data: the log names its messages and parameters but holds no flight; "
+            "check that logging was on and the vehicle was armed."
+        )
+    version, vehicle = events.firmware(log, clock)
+    return Flight(
+        format=FORMAT,
+        autopilot="ArduPilot",
+        signals=reader.signals,
+        duration=clock.end,
+        firmware=version,
+        vehicle_type=vehicle,
+        parameters=parameters,
+        parameter_changes=changes,
+        messages=events.messages(log, clock),
+        warnings=(*log.warnings, *clock.warnings, *reader.warnings),
+        name=name,
+        start_us=int(clock.start_us),
+        facts={
+            "log_messages": dict(sorted(log.counts.items())),
+            "rates_hz": {k: round(s.rate_hz, 1) for k, s in reader.signals.items()},
+            "rotor_outputs": [reader.outputs[k] for k in sorted(reader.outputs)],
+            "rotor_numbers": sorted(reader.outputs),
+            "frame_class": frame_class,
+            "frame_type": frame_type,
+            "clock_jumps": list(clock.jumps),
+        },
+    )
+
+
+class _Signals:
+    """Collects the Flight's signals from the tables of one log."""
+
+    def __init__(self, log: BinaryLog | TextLog, clock: Clock):
+        self.log, self.clock = log, clock
+        self.signals: dict[str, Signal] = {}
+        self.warnings: list[str] = []
+        self.outputs: dict[int, int] = {}
+
+    # -- helpers ---------------------------------------------------------------------------------------------------
+
+    def table(self, message: str, columns, where=None):
+        """(time (n,), values (n, k), codes) of a message, in time order; None when absent. Lacking columns are NaN."""
+        table = self.log.table(message, columns, where)
+        if table is None or not any(c in table for c in columns):
+            return None
+        time = self.clock.time[table.record]
+        values = np.full((time.size, len(columns)), np.nan)
+        for k, column in enumerate(columns):
+            if column in table and table[column].ndim == 1 and table[column].dtype.kind in "iuf":
+                values[:, k] = table[column]
+        good = self.clock.good[table.record]
+        if not good.all():
+            time, values = time[good], values[good]
+        if time.size > 1 and (np.diff(time) < 0).any():
+            order = np.argsort(time, kind="stable")
+            time, values = time[order], values[order]
+        return time, values, table.codes
+
+    def instance(self, message: str, columns):
+        """As `table`, for sensor instance 0, or for the one with most records where 0 is missing."""
+        column = next((c for c in INSTANCE_COLUMNS if c in self.log.columns(message)), None)
+        if column is None:
+            return self.table(message, columns)
+        first = self.table(message, columns, (column, 0))
+        if first is not None:
+            return first
+        numbers = self.log.table(message, [column])
+        values = numbers[column][np.isfinite(numbers[column])].astype(int) if numbers is not None else np.zeros(0, int)
+        if not values.size:
+            return None
+        number = int(np.argmax(np.bincount(np.clip(values, 0, 255))))
+        self.warnings.append(f"{message} has no instance 0; instance {number} was used.")
+        return self.table(message, columns, (column, number))
+
+    def first_of(self, *messages: str) -> str | None:
+        return next((m for m in messages if self.log.counts.get(m)), None)
+
+    def add(self, name: str, time, values, source: str, valid=None) -> None:
+        """Store a signal; values out of LIMITS become invalid and are counted in a warning."""
+        columns, unit, frame, _ = SHAPES[name]
+        low, high = np.array(LIMITS[name]).T
+        with np.errstate(invalid="ignore"):
+            wild = np.isfinite(values) & ((values < low) | (values > high))
+        mask = ~wild if valid is None else ~wild & valid[:, None]
+        self._store(name, Signal(time, values, columns, unit, frame, source, mask), int(wild.sum()))
+
+    def _store(self, name: str, signal: Signal, wild: int) -> None:
+        if wild:
+            self.warnings.append(f"{name} ({signal.source}): {amount(wild, 'impossible value')} dropped.")
+        if signal.valid is not None and signal.valid.any():
+            self.signals[name] = signal
+
+    # -- one method per group of messages --------------------------------------------------------------------------
+
+    def motors(self, parameters, frame_class) -> None:
+        """RCOU, and RCO2/RCO3 for outputs beyond 14, in rotor order."""
+        pwm: dict[int, np.ndarray] = {}
+        time = np.zeros(0)
+        for message in ("RCOU", "RCO2", "RCO3"):
+            names = [c for c in self.log.columns(message) if re.fullmatch(r"(C|Ch|Chan)\d{1,2}", c)]
+            rows = self.table(message, names) if names else None
+            if rows is None or (message != "RCOU" and not pwm):
+                continue
+            t, values, _ = rows
+            if message == "RCOU":
+                time, at = t, slice(None)
+            else:  # logged right after RCOU: the record nearest in time belongs to it
+                at = np.clip(np.searchsorted((t[1:] + t[:-1]) / 2, time), 0, t.size - 1)
+            for k, column in enumerate(names):
+                pwm[int(column.lstrip("Chan"))] = values[at, k]
+        self.outputs, notes = rotors.outputs(parameters, frame_class, pwm)
+        if not time.size or not self.outputs:
+            return
+        self.warnings += notes
+        if absent := [o for o in self.outputs.values() if o not in pwm]:
+            self.warnings.append(f"Servo outputs {', '.join(map(str, absent))} are not in the log.")
+        missing = np.full(time.size, np.nan)
+        values = np.stack([pwm.get(self.outputs[k], missing) for k in sorted(self.outputs)], axis=1)
+        low, high = PWM_RANGE_US
+        with np.errstate(invalid="ignore"):
+            valid = (values >= low) & (values <= high)  # 0 means that the output is off
+            wild = int((np.isfinite(values) & ~valid & (values != 0)).sum())
+        columns = tuple(f"r{k}" for k in sorted(self.outputs))
+        self._store("motors", Signal(time, values, columns, "us", "", "RCOU", valid), wild)
+
+    def imu(self) -> None:
+        """IMU holds all instances, or instance 0 with IMU2 and IMU3 for the others."""
+        columns = ("GyrX", "GyrY", "GyrZ", "AccX", "AccY", "AccZ")
+        message = self.first_of("IMU", "IMU2", "IMU3")
+        rows = self.instance(message, columns) if message else None
+        if message and rows is not None:
+            if message != "IMU":
+                self.warnings.append(f"IMU is not in the log; {message} was used.")
+            time, values, _ = rows
+            self.add("gyro", time, values[:, :3], message)
+            self.add("accel", time, values[:, 3:], message)
+
+    def rate(self) -> None:
+        """RATE: rates in deg/s (centidegrees/s up to 3.3) and outputs in -1..1 (-4500..4500 up to 3.3)."""
+        rows = self.table("RATE", ("R", "P", "Y", "ROut", "POut", "YOut", "AOut"))
+        if rows is None:
+            return
+        time, values, _ = rows
+        rates, control = np.radians(values[:, :3]), values[:, 3:]
+        raw_control = _typical_peak(control[:, :3]) > 2.0
+        if self._rates_are_centi(time, rates, raw_control):
+            rates = rates / 100.0
+            self.warnings.append("RATE is in centidegrees per second in this firmware; it was scaled.")
+        if raw_control:
+            control = control / [RAW_TORQUE, RAW_TORQUE, RAW_TORQUE, 1.0]
+            self.warnings.append(
+                f"Controller outputs in this firmware are raw; {RAW_TORQUE:.0f} was taken as full output."
+            )
+        if _typical_peak(control[:, 3:]) > 2.0:
+            control = control / [1.0, 1.0, 1.0, RAW_THROTTLE]
+        self.add("rates", time, rates, "RATE")
+        self.add("control", time, control, "RATE")
+
+    def _rates_are_centi(self, time: np.ndarray, rates: np.ndarray, guess: bool) -> bool:
+        """Compare |rates| with |gyro| where the vehicle turns fastest; `guess` where the log has no gyro."""
+        gyro = self.signals.get("gyro")
+        if gyro is None or len(gyro) < 10 or time.size < 10:
+            return guess
+        at = np.clip(np.searchsorted(gyro.time, time), 0, len(gyro) - 1)
+        near = (np.abs(gyro.time[at] - time) < 0.1) & gyro.valid[at].all(axis=1) & np.isfinite(rates).all(axis=1)
+        if near.sum() < 10:
+            return guess
+        ours, theirs = np.abs(rates[near]).ravel(), np.abs(gyro.values[at[near]]).ravel()
+        fast = theirs >= np.quantile(theirs, 0.9)
+        return float(np.median(ours[fast])) > 10.0 * float(np.median(theirs[fast]))
+
+    def attitude(self) -> None:
+        """The faster of ANG and ATT; angles to quaternions."""
+        counts = self.log.counts
+        message = "ANG" if counts.get("ANG", 0) > counts.get("ATT", 0) else "ATT"
+        rows = self.table(message, ("Roll", "Pitch", "Yaw"))
+        if rows is None:
+            return
+        time, degrees, _ = rows
+        with np.errstate(invalid="ignore"):
+            fine = (np.abs(degrees) <= [181.0, 91.0, 361.0]).all(axis=1)
+        wild = int((~fine & np.isfinite(degrees).all(axis=1)).sum())
+        if wild:
+            self.warnings.append(f"attitude ({message}): {amount(wild, 'impossible value')} dropped.")
+        q = quaternion(*np.radians(np.where(fine[:, None], degrees, 0.0)).T)
+        # q and -q are the same attitude; keep the sign that makes the series continuous.
+        turned = np.einsum("ij,ij->i", q[1:], q[:-1]) < 0
+        q[1:][np.logical_xor.accumulate(turned)] *= -1.0
+        self.add("attitude", time, q, message, fine)
+
+    def navigation(self) -> None:
+        """Velocity and position of the EKF's first core; collective throttle."""
+        if message := self.first_of("XKF1", "NKF1", "EKF1"):
+            rows = self.instance(message, ("VN", "VE", "VD", "PN", "PE", "PD"))
+            if rows is not None:
+                time, values, _ = rows
+                self.add("velocity", time, values[:, :3], message)
+                self.add("position", time, values[:, 3:], message)
+        column = next((c for c in ("ThO", "ThrOut") if c in self.log.columns("CTUN")), None)
+        rows = self.table("CTUN", (column,)) if column else None
+        if rows is not None:
+            time, values, _ = rows
+            if _typical_peak(values) > 2.0:
+                values = values / RAW_THROTTLE
+            self.add("throttle", time, values, "CTUN")
+
+    def power(self) -> None:
+        """Battery 0 (CURR up to 3.5: 3.3 logs it in hundredths) and ArduPilot's lift compensation."""
+        if message := self.first_of("BAT", "CURR"):
+            rows = self.instance(message, ("Volt", "Curr"))
+            if rows is not None:
+                time, values, codes = rows
+                for k, column in enumerate(("Volt", "Curr")):
+                    if codes.get(column, "f") in "hHiI":
+                        values[:, k] /= 100.0
+                self.add("battery", time, values, message)
+        rows = self.table("MOTB", ("LiftMax", "BatVolt", "ThLimit"))
+        if rows is not None:
+            self.add("lift", *rows[:2], "MOTB")
+
+    def esc(self) -> None:
+        """ESC telemetry in rotor order, on the time base of the ESC with most records.
+
+        ESC.Instance counts servo outputs from 0. Before 4.0 each ESC had a message of its own (ESC1, ESC2, ..).
+        """
+        columns = ("RPM", "Curr")
+        series = []
+        number = next((c for c in ("Instance", "I") if c in self.log.columns("ESC")), None)
+        for rotor in sorted(self.outputs):
+            output = self.outputs[rotor]
+            if number:
+                series.append(self.table("ESC", columns, (number, output - 1)))
+            else:
+                series.append(self.table(f"ESC{output}", columns))
+        present = [s for s in series if s is not None]
+        if not present:
+            return
+        time = max(present, key=lambda s: s[0].size)[0]
+        values = np.full((time.size, 2 * len(series)), np.nan)
+        for k, rows in enumerate(series):
+            if rows is None:
+                continue
+            t, v, _ = rows
+            at = np.searchsorted(t, time, side="right") - 1
+            age = time - t[np.maximum(at, 0)]
+            hold = ESC_HOLD * float(np.median(np.diff(t))) if t.size > 1 else 0.0
+            fresh = (at >= 0) & (age <= hold)
+            values[fresh, k], values[fresh, len(series) + k] = v[at[fresh]].T
+        names = [f"{what}{rotor}" for what in ("rpm", "current") for rotor in sorted(self.outputs)]
+        with np.errstate(invalid="ignore"):
+            wild = np.isfinite(values) & ((values < -1000.0) | (values > 200_000.0))
+        self._store("esc", Signal(time, values, tuple(names), "rpm,A", "", "ESC", ~wild), int(wild.sum()))
+
+
+def _typical_peak(values: np.ndarray) -> float:
+    """99th percentile of the magnitudes: the scale of a column, whatever a few damaged values say."""
+    finite = np.abs(values[np.isfinite(values)])
+    return float(np.quantile(finite, 0.99)) if finite.size else 0.0

@@ -1,0 +1,368 @@
+"""Binary DataFlash records to tables, without a Python step per record.
+
+A binary log is a chain of records: bytes A3 95, a type number, then the fields named by that type's FMT record, packed and
+little-endian. All header candidates are found at once; the chain "position + length = next position" is checked at once;
+Python steps in only where it breaks: at header bytes inside a payload and at damaged places. Fields are gathered through
+overlapping one-byte-stride views of the file, so only the wanted columns are ever copied.
+"""
+
+from __future__ import annotations
+
+import re
+from bisect import bisect_left
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+HEADER = b"\xa3\x95"
+FMT_TYPE = 128
+FMT_LENGTH = 89
+SCAN_CHUNK = 1 << 22  # bytes compared at a time: the comparison's result stays small
+
+# Format character -> (numpy type, divisor); the characters of ArduPilot's Logger. `M` is a flight mode number.
+CODES: dict[str, tuple[Any, float | None]] = {
+    "a": (("<i2", (32,)), None),
+    "b": ("i1", None),
+    "B": ("u1", None),
+    "h": ("<i2", None),
+    "H": ("<u2", None),
+    "i": ("<i4", None),
+    "I": ("<u4", None),
+    "q": ("<i8", None),
+    "Q": ("<u8", None),
+    "g": ("<f2", None),
+    "f": ("<f4", None),
+    "d": ("<f8", None),
+    "n": ("S4", None),
+    "N": ("S16", None),
+    "Z": ("S64", None),
+    "M": ("u1", None),
+    "c": ("<i2", 1e2),
+    "C": ("<u2", 1e2),
+    "e": ("<i4", 1e2),
+    "E": ("<u4", 1e2),
+    "L": ("<i4", 1e7),
+}
+
+
+@dataclass(frozen=True)
+class Format:
+    """What one FMT record declares: a type number's name, record length [bytes], field codes and column names."""
+
+    type: int
+    name: str
+    length: int
+    codes: str
+    columns: tuple[str, ...]
+
+    @cached_property
+    def dtype(self) -> np.dtype:
+        """The whole record with its header; `formats`/`offsets` leave the padding that a longer record has."""
+        plain = [np.dtype(CODES[c][0]) for c in self.codes]
+        offsets = 3 + np.cumsum([0] + [d.itemsize for d in plain])
+        return np.dtype(
+            {
+                "names": list(self.columns),
+                "formats": plain,
+                "offsets": [int(o) for o in offsets[:-1]],
+                "itemsize": self.length,
+            }
+        )
+
+    @property
+    def stamp(self) -> str:
+        """'TimeUS' or 'TimeMS' where the record starts with its boot time, else ''. (Old GPS.TimeMS is a time of week.)"""
+        named = self.columns[:1] in (("TimeUS",), ("TimeMS",)) and self.codes[0] in "QI"
+        return self.columns[0] if named else ""
+
+
+def make_format(
+    type_: int, length: int, name: str, codes: str, columns: str, check_length: bool = True
+) -> Format | None:
+    """A Format from the fields of a FMT record, or None where they contradict each other (a damaged record)."""
+    if not re.fullmatch(r"[A-Za-z0-9_]{1,4}", name) or not codes or any(c not in CODES for c in codes):
+        return None
+    size = 3 + sum(np.dtype(CODES[c][0]).itemsize for c in codes)
+    names = [c.strip() for c in columns.split(",")] if columns else []
+    if (check_length and not size <= length <= 255) or len(names) > len(codes) or not all(n.isascii() for n in names):
+        return None
+    names += [f"_{k}" for k in range(len(names), len(codes))]  # the 64 characters for names can run out
+    if len(set(names)) != len(names) or "" in names:
+        return None
+    return Format(type_, name, length, codes, tuple(names))
+
+
+@dataclass(frozen=True)
+class Table:
+    """All wanted records of one message name. record: (n,) running number in the file. codes: column -> format character."""
+
+    name: str
+    record: np.ndarray
+    columns: dict[str, np.ndarray]
+    codes: dict[str, str]
+
+    def __len__(self):
+        return self.record.size
+
+    def __contains__(self, column: str) -> bool:
+        return column in self.columns
+
+    def __getitem__(self, column: str) -> np.ndarray:
+        return self.columns[column]
+
+
+class BinaryLog:
+    """The records of a binary DataFlash log.
+
+    data: anything with the buffer protocol. progress: called with the share done (0..1).
+    counts: records per message name. warnings: sentences on damage. record_count: intact records.
+    """
+
+    def __init__(self, data, progress: Callable[[float], None] | None = None):
+        self._bytes = np.frombuffer(data, np.uint8)
+        self.warnings: list[str] = []
+        candidates = self._header_candidates(progress)
+        types = self._bytes[candidates + 2]
+        self._formats = self._read_formats(candidates[types == FMT_TYPE])
+        lengths = self._record_lengths(candidates, types)
+        known = lengths > 0
+        candidates, types, ends = candidates[known], types[known], (candidates + lengths)[known]
+        keep = self._chain(candidates, ends)
+        self._at = candidates[keep]
+        if bad := int(np.isin(self._bad_formats, self._at).sum()):
+            self.warnings.append(f"{amount(bad, 'damaged message definition')} (FMT) ignored.")
+        self._type = types[keep]
+        self.record_count = self._at.size
+        # One stable radix sort by type number gives each type's records in file order.
+        self._by_type = np.argsort(self._type, kind="stable")
+        self._type_start = np.concatenate([[0], np.cumsum(np.bincount(self._type, minlength=256))])
+
+    # -- finding records -------------------------------------------------------------------------------------------
+
+    def _header_candidates(self, progress) -> np.ndarray:
+        """Positions of A3 95 with a type byte after it; some lie inside payloads."""
+        found = [np.zeros(0, np.int64)]
+        end = self._bytes.size - 2
+        for start in range(0, max(end, 0), SCAN_CHUNK):
+            at = np.flatnonzero(self._bytes[start : min(start + SCAN_CHUNK, end)] == HEADER[0]) + start
+            found.append(at[self._bytes[at + 1] == HEADER[1]])
+            if progress:
+                progress(0.5 * min(1.0, (start + SCAN_CHUNK) / end))
+        return np.concatenate(found)
+
+    def _read_formats(self, positions: np.ndarray) -> dict[int, list[tuple[int, Format]]]:
+        """Type number -> [(position from which it holds, Format)]; more than one where a log redefines a type."""
+        fmt = Format(FMT_TYPE, "FMT", FMT_LENGTH, "BBnNZ", ("Type", "Length", "Name", "Format", "Columns"))
+        formats = {FMT_TYPE: [(0, fmt)]}
+        self._bad_formats: list[int] = []
+        for at in positions.tolist():
+            row = self._bytes[at + 3 : at + FMT_LENGTH].tobytes()
+            if len(row) < FMT_LENGTH - 3:
+                continue
+            name, codes, columns = (_text(row[a:b]) for a, b in ((2, 6), (6, 22), (22, 86)))
+            new = make_format(row[0], row[1], name, codes, columns)
+            if new is None or (new.type == FMT_TYPE and new != fmt):
+                self._bad_formats.append(at)
+                continue
+            versions = formats.setdefault(new.type, [])
+            if not versions:
+                versions.append((0, new))
+            elif versions[-1][1] != new:
+                versions.append((at, new))
+        return formats
+
+    def _record_lengths(self, positions: np.ndarray, types: np.ndarray) -> np.ndarray:
+        """Declared length of each candidate, 0 for unknown types."""
+        table = np.zeros(256, np.int64)
+        for type_, versions in self._formats.items():
+            table[type_] = versions[0][1].length
+        lengths = table[types]
+        for type_, versions in self._formats.items():
+            for since, version in versions[1:]:
+                lengths[(types == type_) & (positions >= since)] = version.length
+        return lengths
+
+    def _chain(self, at: np.ndarray, end: np.ndarray) -> np.ndarray:
+        """Mask of the candidates that are records: each starts where the one before it ends.
+
+        Where the chain breaks, candidates inside the record before are payload, if a header follows that record. If not,
+        something is damaged: the record before stays only if what follows still looks like half a header, and
+        the chain resumes at the next candidate that is itself followed by a header (or overlaps none that is).
+        """
+        size, n = self._bytes.size, at.size
+        keep = end <= size
+        if n == 0:
+            self._note_damage(0, 0, 0, size)
+            return keep
+        starts, ends = memoryview(at), memoryview(end)
+        tail = size - _zero_tail(self._bytes)
+
+        def confirmed(k: int) -> bool:
+            """Is candidate k followed by a header, the end or the empty tail of the file?"""
+            stop = ends[k]
+            if stop == size or tail <= stop < size:
+                return True
+            j = bisect_left(starts, stop, k + 1, n)
+            return j < n and starts[j] == stop
+
+        def first_confirmed(k: int) -> int:
+            """From k on: the first candidate to trust after a damaged place."""
+            while k < n and not confirmed(k):
+                inner = k + 1
+                while inner < n and starts[inner] < ends[k] and not confirmed(inner):
+                    inner += 1
+                if inner == n or starts[inner] >= ends[k]:
+                    return k
+                k = inner
+            return k
+
+        unknown = 0
+        damages = int(starts[0] > 0)
+        cursor = first_confirmed(0) if damages else 0
+        keep[:cursor] = False
+        broken = np.flatnonzero(np.append(end[:-1] != at[1:], True))
+        for b in broken.tolist():
+            if b < cursor:
+                continue
+            stop = ends[b]
+            following = bisect_left(starts, stop, b + 1, n)
+            if following < n and starts[following] == stop:  # header bytes inside b's payload
+                keep[b + 1 : following] = False
+                cursor = following
+                continue
+            if stop >= tail:  # b ends the log, whole or cut; headers inside it are payload unless a chain starts there
+                inner = b + 1
+                while stop > size and inner < n and not confirmed(inner):
+                    inner += 1
+                cursor = inner if stop > size else n
+                keep[b + 1 : cursor] = False
+                continue
+            damages += 1
+            inner = b + 1
+            while inner < following and not confirmed(inner):
+                inner += 1
+            lead = bytes(self._bytes[stop : stop + 2])
+            unknown += lead == HEADER
+            if inner < following or (lead[:1] != HEADER[:1] and lead[1:] != HEADER[1:]):
+                keep[b] = False  # it swallowed a record, or its length is wrong: its type byte is damaged
+            cursor = inner if inner < following else first_confirmed(following)
+            keep[b + 1 : cursor] = False
+        used = int((end[keep] - at[keep]).sum())
+        self._note_damage(damages, unknown, used, tail)
+        return keep
+
+    def _note_damage(self, damages: int, unknown: int, used: int, tail: int) -> None:
+        size = self._bytes.size
+        if size - tail >= 256:
+            self.warnings.append(f"The last {size - tail} bytes of the file are empty; they were ignored.")
+        # With no damage, all that is left over before the empty tail is the start of a record that was never finished.
+        # (Its last fields may be zeros of the record itself, hence no count of bytes.)
+        if damages:
+            lost = max(size - used - (size - tail), 0)
+            self.warnings.append(
+                f"The log is damaged in {damages} places; {lost} bytes could not be read and were skipped."
+            )
+        elif tail - used > 2:
+            self.warnings.append("The log ends inside a record; the incomplete record was dropped.")
+        if unknown:
+            self.warnings.append(f"{amount(unknown, 'record')} of unknown type skipped.")
+
+    # -- reading columns -------------------------------------------------------------------------------------------
+
+    @cached_property
+    def counts(self) -> dict[str, int]:
+        """Records per message name."""
+        counts: dict[str, int] = {}
+        for _, fmt, records in self._versions():
+            if records.size:
+                counts[fmt.name] = counts.get(fmt.name, 0) + records.size
+        return counts
+
+    def _versions(self, name: str | None = None):
+        """(type, Format, record numbers) for each definition of `name` (all names if None)."""
+        for type_, versions in self._formats.items():
+            if name is not None and all(v.name != name for _, v in versions):
+                continue
+            records = self._by_type[self._type_start[type_] : self._type_start[type_ + 1]]
+            limits = [0, *(np.searchsorted(self._at[records], since) for since, _ in versions[1:]), records.size]
+            for (_, fmt), a, b in zip(versions, limits[:-1], limits[1:], strict=True):
+                if name is None or fmt.name == name:
+                    yield type_, fmt, records[a:b]
+
+    def _gather(self, records: np.ndarray, offset: int, dtype: np.dtype) -> np.ndarray:
+        """(n,) `dtype` items `offset` bytes after the start of each record."""
+        view = np.ndarray(
+            (max(self._bytes.size - dtype.itemsize + 1, 0),), f"V{dtype.itemsize}", buffer=self._bytes, strides=(1,)
+        )
+        return view[self._at[records] + offset].view(dtype)
+
+    def stamps(self) -> np.ndarray:
+        """(record_count,) boot time of each record in us, NaN for records that carry none."""
+        times = np.full(self.record_count, np.nan)
+        for _, fmt, records in self._versions():
+            if fmt.stamp and records.size:
+                raw = self._gather(records, 3, fmt.dtype[fmt.stamp])
+                times[records] = raw if fmt.stamp == "TimeUS" else raw * 1e3
+        return times
+
+    def columns(self, name: str) -> tuple[str, ...]:
+        """Column names of message `name` over all its definitions; empty when the log has no such records."""
+        return tuple(dict.fromkeys(c for _, f, records in self._versions(name) if records.size for c in f.columns))
+
+    def table(
+        self, name: str, wanted: Iterable[str] | None = None, where: tuple[str, int] | None = None
+    ) -> Table | None:
+        """Columns of all records called `name`, scaled as their format characters say; None when there are none.
+
+        wanted: columns to read, those the log lacks are left out (None: all). where: (column, value) keeps only the
+        records of one sensor instance. Numbers keep their type unless scaled; text is bytes without trailing zeros.
+        """
+        parts = []
+        for _, fmt, records in self._versions(name):
+            if where and where[0] in fmt.columns:
+                field, offset = fmt.dtype.fields[where[0]][:2]  # type: ignore[index]
+                records = records[self._gather(records, offset, field) == where[1]]
+            if records.size:
+                names = fmt.columns if wanted is None else [c for c in wanted if c in fmt.columns]
+                rows = self._gather(records, 0, fmt.dtype)
+                parts.append((fmt, records, {c: _scaled(rows[c], fmt.codes[fmt.columns.index(c)]) for c in names}))
+        if not parts:
+            return None
+        if len(parts) == 1:
+            fmt, records, columns = parts[0]
+            return Table(name, records, columns, dict(zip(fmt.columns, fmt.codes, strict=True)))
+        # A redefined message: only the columns that all its definitions share, back in file order.
+        shared = [c for c in parts[0][2] if all(c in p[2] for p in parts)]
+        records = np.concatenate([p[1] for p in parts])
+        order = np.argsort(records)
+        merged = {c: np.concatenate([p[2][c] for p in parts])[order] for c in shared}
+        return Table(name, records[order], merged, dict(zip(parts[0][0].columns, parts[0][0].codes, strict=True)))
+
+
+def amount(number: int, noun: str) -> str:
+    """'1 record', '2 records'."""
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
+def _scaled(values: np.ndarray, code: str) -> np.ndarray:
+    divisor = CODES[code][1]
+    return np.ascontiguousarray(values) if divisor is None else values / divisor
+
+
+def _text(raw: bytes) -> str:
+    return raw.split(b"\0", 1)[0].decode("latin-1")
+
+
+def _zero_tail(data: np.ndarray) -> int:
+    """How many zero bytes end the file."""
+    stop = data.size
+    while stop > 0:
+        start = max(stop - SCAN_CHUNK, 0)
+        used = np.flatnonzero(data[start:stop])
+        if used.size:
+            return int(data.size - (start + used[-1] + 1))
+        stop = start
+    return int(data.size)

@@ -1,0 +1,135 @@
+"""Parameters, firmware and messages of a DataFlash log."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from rotorwatch.flight import Message
+from rotorwatch.logs.dataflash_text import MODES
+
+PARAMETER_NAME = re.compile(r"[A-Z][A-Z0-9_]{1,15}")
+FIRMWARE = re.compile(r"\b(APM:Copter|Ardu\w+|Blimp|AntennaTracker)\s+V\d\S*(\s+\([0-9a-f]+\))?")
+FRAME_TEXT = re.compile(r"^Frame: (\w+)(?:/(\w+))?")
+SAME_EVENT_S = 1.0  # an arming logged by ARM and again by EV
+
+# AP_Logger's event numbers (EV.Id) and error sources (ERR.Subsys) that matter for what a rotor did.
+ARMED, DISARMED, LANDED, NOT_LANDED = 10, 11, 18, 28
+EVENTS = {
+    15: "auto armed",
+    16: "take-off",
+    17: "landing assumed",
+    41: "parachute released",
+    46: "emergency stop of the motors",
+    47: "emergency stop of the motors cleared",
+    54: "motors interlocked",
+    55: "motors interlocked",
+    56: "motors interlocked",
+    57: "motors released",
+    60: "estimator's height reset",
+    62: "estimator's yaw reset",
+}
+ERROR_SOURCES = {
+    2: "radio",
+    3: "compass",
+    5: "radio failsafe",
+    6: "battery failsafe",
+    8: "ground station failsafe",
+    9: "fence",
+    10: "flight mode",
+    11: "GPS",
+    12: "crash check",
+    13: "flip",
+    15: "parachute",
+    16: "estimator check",
+    17: "estimator failsafe",
+    18: "barometer",
+    19: "CPU load",
+    25: "thrust loss check",
+    29: "vibration",
+}
+
+
+def parameters(log, clock) -> tuple[dict[str, float], tuple[tuple[float, str, float], ...]]:
+    """(first value of each parameter, later changes as (time s, name, value)); none that is the simulator's own (SIM_)."""
+    first: dict[str, float] = {}
+    changes: list[tuple[float, str, float]] = []
+    now: dict[str, float] = {}
+    for time, name, value in _rows(log, clock, "PARM", "Name", "Value"):
+        if not PARAMETER_NAME.fullmatch(name) or name.startswith("SIM_") or not np.isfinite(value):
+            continue
+        value = float(value)
+        if name not in now:
+            first[name] = value
+        elif now[name] != value:
+            changes.append((time, name, value))
+        now[name] = value
+    return first, tuple(sorted(changes, key=lambda c: c[0]))
+
+
+def firmware(log, clock) -> tuple[str, str]:
+    """(version text, vehicle type such as 'ArduCopter'), empty where the log does not say."""
+    for kind, column in (("VER", "FWS"), ("MSG", "Message")):
+        for _, text in _rows(log, clock, kind, column):
+            if match := FIRMWARE.search(text):
+                name = match.group(1)
+                return match.group(0), "ArduCopter" if name == "APM:Copter" else name
+    return "", ""
+
+
+def frame_text(log, clock) -> tuple[str, str]:
+    """The airframe as the autopilot announces it: ('QUAD', 'X'); empty texts where it does not."""
+    for _, text in _rows(log, clock, "MSG", "Message"):
+        if match := FRAME_TEXT.match(text):
+            return match.group(1), match.group(2) or ""
+    return "", ""
+
+
+def messages(log, clock) -> tuple[Message, ...]:
+    """Texts, errors, events, modes and arming, in time order.
+
+    'armed' and 'landed' have value 1 or 0; 'mode' and 'event' their number; 'error' the number of the part that reports.
+    """
+    found = [Message(t, "text", text) for t, text in _rows(log, clock, "MSG", "Message") if "SIM_" not in text]
+    for time, source, code in _rows(log, clock, "ERR", "Subsys", "ECode"):
+        if np.isfinite([source, code]).all():
+            name = ERROR_SOURCES.get(int(source), f"part {int(source)}")
+            found.append(
+                Message(time, "error", f"{name}: {'resolved' if code == 0 else f'error {int(code)}'}", float(source))
+            )
+    number = "ModeNum" if "ModeNum" in log.columns("MODE") else "Mode"
+    for time, mode in _rows(log, clock, "MODE", number):
+        if np.isfinite(mode):
+            found.append(Message(time, "mode", MODES.get(int(mode), f"mode {int(mode)}"), float(mode)))
+    arming = [(time, float(state != 0)) for time, state in _rows(log, clock, "ARM", "ArmState")]
+    known = len(arming)
+    for time, event in _rows(log, clock, "EV", "Id"):
+        if not np.isfinite(event):
+            continue
+        if event in (ARMED, DISARMED):
+            state = float(event == ARMED)
+            if not any(s == state and abs(t - time) < SAME_EVENT_S for t, s in arming[:known]):
+                arming.append((time, state))
+        elif event in (LANDED, NOT_LANDED):
+            found.append(Message(time, "landed", "landed" if event == LANDED else "in the air", float(event == LANDED)))
+        else:
+            found.append(Message(time, "event", EVENTS.get(int(event), f"event {int(event)}"), float(event)))
+    found += [Message(t, "armed", "armed" if state else "disarmed", state) for t, state in arming]
+    return tuple(sorted(found, key=lambda m: m.time))
+
+
+def _rows(log, clock, name, *columns):
+    """(time s, column...) of each record of message `name` with a believable time; texts decoded."""
+    table = log.table(name, columns)
+    if table is None or any(c not in table for c in columns):
+        return
+    values = [_texts(table[c]) if table[c].dtype.kind == "S" else table[c].tolist() for c in columns]
+    times, good = clock.time[table.record].tolist(), clock.good[table.record].tolist()
+    for k, time in enumerate(times):
+        if good[k]:
+            yield (time, *(v[k] for v in values))
+
+
+def _texts(raw: np.ndarray) -> list[str]:
+    return [r.split(b"\0", 1)[0].decode("utf-8", "replace").strip() for r in raw.tolist()]

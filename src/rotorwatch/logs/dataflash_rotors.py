@@ -1,0 +1,80 @@
+"""Which servo output drives which rotor, and which airframe the log is of."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+
+import numpy as np
+
+# SERVOn_FUNCTION numbers of motors 1..8 and 9..12.
+MOTOR_FUNCTIONS = {**{32 + k: k for k in range(1, 9)}, **{73 + k: k for k in range(9, 13)}}
+# FRAME_CLASS -> motor numbers. A tricopter's motor 7 is its tail servo, motor 3 does not exist.
+FRAME_ROTORS: dict[int, tuple[int, ...]] = {
+    1: (1, 2, 3, 4),
+    2: tuple(range(1, 7)),
+    3: tuple(range(1, 9)),
+    4: tuple(range(1, 9)),
+    5: tuple(range(1, 7)),
+    7: (1, 2, 4),
+    10: (1, 2),
+    12: tuple(range(1, 13)),
+    14: tuple(range(1, 11)),
+}
+FRAME_NAMES = {"QUAD": 1, "HEXA": 2, "OCTA": 3, "OCTA_QUAD": 4, "OCTAQUAD": 4, "Y6": 5, "HELI": 6, "TRI": 7}
+FRAME_NAMES |= {"SINGLE": 8, "COAX": 9, "BICOPTER": 10, "DODECA_HEXA": 12, "DODECAHEXA": 12, "DECA": 14}
+
+
+def frame(parameters: Mapping[str, float], announced: tuple[str, str]) -> tuple[int | None, int | None]:
+    """(FRAME_CLASS, FRAME_TYPE) from the parameters or, before Copter 3.5, from FRAME and the announced name."""
+    class_, type_ = parameters.get("FRAME_CLASS"), parameters.get("FRAME_TYPE", parameters.get("FRAME"))
+    if not class_:
+        class_ = FRAME_NAMES.get(announced[0].upper())
+    return (int(class_) if class_ else None), (int(type_) if type_ is not None else None)
+
+
+def outputs(
+    parameters: Mapping[str, float], frame_class: int | None, pwm: Mapping[int, np.ndarray]
+) -> tuple[dict[int, int], list[str]]:
+    """({rotor: servo output}, sentences on what had to be assumed), both numbered from 1.
+
+    pwm: servo output -> its logged pulse widths [us]; only used when neither SERVOn_FUNCTION nor the frame are known.
+    """
+    functions = {}
+    for name, value in parameters.items():
+        if match := re.fullmatch(r"SERVO(\d{1,2})_FUNCTION", name):
+            functions[int(match.group(1))] = int(value)
+    mapped: dict[int, int] = {}
+    for output in sorted(functions):
+        if rotor := MOTOR_FUNCTIONS.get(functions[output]):
+            mapped.setdefault(rotor, output)
+    expected = FRAME_ROTORS.get(frame_class or 0)
+    notes = []
+    if mapped and expected:
+        if extra := sorted(set(mapped) - set(expected)):
+            # A tricopter's tail servo is function 39 ("motor 7"); nothing odd about that.
+            if not (frame_class == 7 and extra == [7]):
+                notes.append(f"Outputs of motors {_listed(extra)} are not part of this frame and were left out.")
+        if missing := [k for k in expected if k not in mapped]:
+            free = {k: k for k in missing if not functions.get(k)}
+            mapped |= free
+            notes.append(
+                f"The log does not say which output drives motors {_listed(missing)}; outputs of the same number were assumed."
+            )
+        return {k: mapped[k] for k in expected if k in mapped}, notes
+    if mapped:
+        return dict(sorted(mapped.items())), notes
+    if expected:
+        if functions:
+            notes.append("No output has a motor function; rotor k was taken to be output k.")
+        return {k: k for k in expected}, notes
+    moving = [k for k, u in sorted(pwm.items()) if np.unique(u[(u > 500) & (u < 2600)]).size > 1]
+    if moving:
+        notes.append(
+            f"Neither outputs nor frame are named in the log; moving outputs {_listed(moving)} were taken as rotors."
+        )
+    return {rotor + 1: output for rotor, output in enumerate(moving)}, notes
+
+
+def _listed(numbers) -> str:
+    return ", ".join(str(n) for n in numbers)

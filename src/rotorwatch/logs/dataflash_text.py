@@ -1,0 +1,162 @@
+"""The text form of DataFlash logs (`.log`), as ground stations write it: one record a line, fields already scaled.
+
+    FMT, 131, 43, IMU, IffffffIIf, TimeMS,GyrX,GyrY,GyrZ,AccX,AccY,AccZ,ErrG,ErrA,Temp
+    IMU, 12046, 0.0009, 0.0005, -0.0004, -0.07, -0.63, -9.55, 0, 0, 25.5
+
+It offers the same tables as `dataflash_binary.BinaryLog`.
+"""
+
+from __future__ import annotations
+
+import re
+from array import array
+from collections.abc import Callable, Iterable
+
+import numpy as np
+
+from rotorwatch.logs.dataflash_binary import Format, Table, amount, make_format
+
+TEXT_CODES = "nNZ"
+FIRST_LINE = re.compile(rb"^[ \t]*FMT[ \t]*,[ \t]*128[ \t]*,[ \t]*89[ \t]*,", re.MULTILINE)
+
+# Copter's flight modes by number; ground stations write the names into text logs.
+MODES = {
+    0: "STABILIZE",
+    1: "ACRO",
+    2: "ALT_HOLD",
+    3: "AUTO",
+    4: "GUIDED",
+    5: "LOITER",
+    6: "RTL",
+    7: "CIRCLE",
+    9: "LAND",
+    11: "DRIFT",
+    13: "SPORT",
+    14: "FLIP",
+    15: "AUTOTUNE",
+    16: "POSHOLD",
+    17: "BRAKE",
+    18: "THROW",
+    19: "AVOID_ADSB",
+    20: "GUIDED_NOGPS",
+    21: "SMART_RTL",
+    22: "FLOWHOLD",
+    23: "FOLLOW",
+    24: "ZIGZAG",
+    25: "SYSTEMID",
+    26: "AUTOROTATE",
+    27: "AUTO_RTL",
+    28: "TURTLE",
+}
+MODE_NUMBERS = {name.replace("_", ""): float(number) for number, name in MODES.items()}
+
+
+class TextLog:
+    """The records of a text DataFlash log; see `dataflash_binary.BinaryLog` for the members."""
+
+    def __init__(self, data, progress: Callable[[float], None] | None = None):
+        self._data = data = bytes(data)
+        self._formats: dict[str, Format] = {}
+        self._starts: dict[str, array] = {}  # of each record's fields, after the name
+        self._records: dict[str, array] = {}
+        self.warnings: list[str] = []
+        self.record_count = 0
+        bad = lines = 0
+        start, size = 0, len(data)
+        while start < size:
+            end = data.find(b"\n", start)
+            end = size if end < 0 else end
+            comma = data.find(b",", start, end)
+            name = data[start:comma].strip().decode("latin-1") if comma >= 0 else ""
+            start = end + 1
+            lines += 1
+            if progress and not lines & 0x3FFFF:
+                progress(0.5 * start / size)
+            if name == "FMT":
+                fmt = _parse_format(data[comma + 1 : end])
+                if fmt is None:
+                    bad += 1
+                    continue
+                self._formats[fmt.name] = fmt
+            elif name not in self._formats:
+                # Ground stations put a few lines of their own first; later ones are damage.
+                bad += comma >= 0 and bool(self._formats)
+                continue
+            self._starts.setdefault(name, array("q")).append(comma + 1)
+            self._records.setdefault(name, array("q")).append(self.record_count)
+            self.record_count += 1
+        if bad:
+            self.warnings.append(f"{amount(bad, 'line')} damaged or of unknown type skipped.")
+
+    def _fields(self, name: str):
+        """The text after the name of each record called `name`."""
+        for start in self._starts.get(name, ()):
+            end = self._data.find(b"\n", start)
+            yield self._data[start : end if end >= 0 else len(self._data)]
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Records per message name."""
+        return {name: len(starts) for name, starts in self._starts.items()}
+
+    def columns(self, name: str) -> tuple[str, ...]:
+        """Column names of message `name`; empty when the log has no such records."""
+        return self._formats[name].columns if name in self._formats and self._starts.get(name) else ()
+
+    def stamps(self) -> np.ndarray:
+        """(record_count,) boot time of each record in us, NaN for records that carry none."""
+        times = np.full(self.record_count, np.nan)
+        for name in self._starts:
+            fmt = self._formats.get(name)
+            if name != "FMT" and fmt is not None and fmt.stamp:
+                raw = np.array([_number(line.partition(b",")[0]) for line in self._fields(name)])
+                times[self._records[name]] = raw if fmt.stamp == "TimeUS" else raw * 1e3
+        return times
+
+    def table(
+        self, name: str, wanted: Iterable[str] | None = None, where: tuple[str, int] | None = None
+    ) -> Table | None:
+        """Columns of all records called `name`; None when there are none. See `BinaryLog.table`.
+
+        Numbers are float64, NaN where a field is missing or not a number.
+        """
+        fmt = self._formats.get(name)
+        if fmt is None or not self._starts.get(name):
+            return None
+        width = len(fmt.columns)
+        rows = [line.split(b",", width - 1) for line in self._fields(name)]  # the last field may hold commas: a text
+        records = np.array(self._records[name])
+        if where and where[0] in fmt.columns:
+            k = fmt.columns.index(where[0])
+            chosen = [len(row) > k and _number(row[k]) == where[1] for row in rows]
+            rows = [row for row, take in zip(rows, chosen, strict=True) if take]
+            records = records[chosen]
+        if not rows:
+            return None
+        columns: dict[str, np.ndarray] = {}
+        for column in fmt.columns if wanted is None else wanted:
+            if column not in fmt.columns:
+                continue
+            k = fmt.columns.index(column)
+            cells = [row[k].strip() if k < len(row) else b"" for row in rows]
+            if fmt.codes[k] in TEXT_CODES:
+                columns[column] = np.array(cells, dtype="S64")
+            else:
+                columns[column] = np.array([_number(cell) for cell in cells], float)
+        return Table(name, records, columns, dict(zip(fmt.columns, fmt.codes, strict=True)))
+
+
+def _parse_format(rest: bytes) -> Format | None:
+    cells = [cell.strip() for cell in rest.decode("latin-1").split(",", 4)]
+    if len(cells) < 5 or not (cells[0].isdigit() and cells[1].isdigit()):
+        return None
+    columns = ",".join(c.strip() for c in cells[4].split(","))
+    # Lengths in text logs are not used, and some writers get them wrong.
+    return make_format(int(cells[0]), int(cells[1]), cells[2], cells[3], columns, check_length=False)
+
+
+def _number(cell: bytes) -> float:
+    try:
+        return float(cell)
+    except ValueError:
+        return MODE_NUMBERS.get(cell.strip().decode("latin-1").upper().replace("_", ""), np.nan)
