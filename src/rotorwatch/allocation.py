@@ -70,9 +70,9 @@ def mixed_thrusts(flight: Flight, vehicle: Vehicle) -> Signal | None:
     """Rotor thrusts rebuilt from the rate controller's output, at its times; None when that brings nothing.
 
     Columns and unit as in `motor_thrusts`. None: no ``control`` signal, or it is not faster than ``motors``. ``valid``
-    is False where the rebuilt thrust is not to be trusted and the last logged command is better: outputs that reach their
-    limits, yaw beyond the mixer's headroom, and any rotor whose last logged command differed by more than 0.05 of full
-    thrust (thrust boost, spool-up, an output that is overridden).
+    is False where the rebuilt thrust is not to be trusted and the last logged command is better: outputs that reach
+    their limits, yaw beyond the mixer's headroom, and any rotor whose last logged command differed by more than 0.05 of
+    full thrust (thrust boost, spool-up, an output that is overridden).
     """
     if not flight.has("control", "motors") or flight["control"].rate_hz < 1.5 * flight["motors"].rate_hz:
         return None

@@ -1,0 +1,143 @@
+"""PX4 multirotors: CA_ROTOR* geometry (1.13 and later), else the frame that SYS_AUTOSTART or MAV_TYPE stands for.
+
+Motor order of the fixed frames follows PX4's published airframe reference. PX4's mixer is the pseudo-inverse of the
+geometry, its roll and pitch columns scaled by their larger root mean square over half of the rotors, yaw by its largest
+and thrust by its mean entry; see docs/airframes.md.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+
+import numpy as np
+
+from rotorwatch.errors import VehicleError
+from rotorwatch.flight import Flight
+from rotorwatch.vehicle import Rotor, ThrustCurve, Vehicle
+
+# (angle clockwise from the nose, spin: +1 counter-clockwise seen from above)
+_HEXA, _OCTA, _STACKED = (-1, 1, -1, 1, 1, -1), (-1, -1, 1, 1, 1, 1, -1, -1), (1, -1, 1, -1, 1, -1, 1, -1)
+FRAMES = {
+    "quad-x": ((45, -135, -45, 135), (1, 1, -1, -1)),
+    "quad-plus": ((90, -90, 0, 180), (1, 1, -1, -1)),
+    "hexa-x": ((90, -90, -30, 150, 30, -150), _HEXA),
+    "hexa-plus": ((0, 180, -120, 60, -60, 120), _HEXA),
+    "hexa-coaxial": ((60, 60, 180, 180, -60, -60), (-1, 1, -1, 1, -1, 1)),
+    "octa-x": ((22.5, -157.5, 67.5, 157.5, -22.5, -112.5, -67.5, 112.5), _OCTA),
+    "octa-plus": ((0, 180, 45, 135, -45, -135, -90, 90), _OCTA),
+    "octa-coaxial": ((45, -45, -135, 135, -45, 45, 135, -135), _STACKED),
+}
+# SYS_AUTOSTART comes in thousands per frame; 1001 and 3010 are simulated quads, 10015 to 10020 quads of wide X shape.
+THOUSANDS = {4: "quad-x", 5: "quad-plus", 6: "hexa-x", 7: "hexa-plus", 8: "octa-x", 9: "octa-plus"}
+THOUSANDS |= {11: "hexa-coaxial", 12: "octa-coaxial"}
+SINGLE = {1001: "quad-x", 3010: "quad-x", **dict.fromkeys(range(10015, 10021), "quad-x"), 10040: "quad-x"}
+MAV_TYPES = {2: "quad-x", 13: "hexa-x", 14: "octa-x"}
+USUAL_EXPO = 0.65  # ESCs without a thrust model: what most propeller test stands show
+
+
+def identify(flight: Flight) -> Vehicle | None:
+    """The frame of a PX4 log; None for other autopilots or when neither parameters nor outputs say which frame.
+
+    Raises VehicleError for airframes that are not multirotors.
+    """
+    if not flight.autopilot.lower().startswith("px4"):
+        return None
+    notes: list[str] = []
+    rotors = _rotors_from_parameters(flight, notes)
+    if rotors is not None:
+        name, source = f"px4-{len(rotors)}-rotors", "CA_ROTOR parameters in the log"
+    else:
+        frame, source = _frame(flight, notes)
+        if frame is None:
+            return None
+        name, rotors = f"px4-{frame}", place(frame)
+    return Vehicle(name, rotors, curve(flight, notes), mixer=mix(rotors), source=source, assumptions=tuple(notes))
+
+
+def place(frame: str) -> tuple[Rotor, ...]:
+    """Rotors of one of `FRAMES`, on a circle of radius 1."""
+    angles, spins = FRAMES[frame]
+    return tuple(Rotor(math.cos(math.radians(a)), math.sin(math.radians(a)), s) for a, s in zip(angles, spins))
+
+
+def mix(rotors: tuple[Rotor, ...]) -> np.ndarray:
+    """(n, 4) factors (roll, pitch, yaw, thrust) of PX4's normalised allocation for upright rotors of equal strength."""
+    x, y, spin = (np.array([getattr(r, k) for r in rotors], float) for k in ("x", "y", "spin"))
+    inverse = np.linalg.pinv(np.stack([-y, x, 0.05 * spin, np.ones_like(x)]))
+    inverse[np.abs(inverse) < 1e-9] = 0.0
+    used = np.maximum(np.count_nonzero(inverse[:, :2], axis=0) / 2, 1)
+    tilt = np.max(np.sqrt(np.sum(inverse[:, :2] ** 2, axis=0) / used))
+    scale = np.array([tilt, tilt, np.max(np.abs(inverse[:, 2])), np.mean(np.abs(inverse[:, 3]))])
+    return inverse / np.where(scale > 0, scale, 1.0)
+
+
+def curve(flight: Flight, notes: list[str]) -> ThrustCurve:
+    """Thrust curve from THR_MDL_FAC and the output limits; `notes` gets what had to be assumed."""
+    factor = flight.parameters.get("THR_MDL_FAC", 0.0)
+    known = 0.0 < factor <= 1.0
+    if not known:
+        notes.append(
+            f"THR_MDL_FAC is not set: thrust taken as {1 - USUAL_EXPO:.2f} u + {USUAL_EXPO:.2f} u^2 of the command u, "
+            "which affects the size of a loss."
+        )
+    expo = factor if known else USUAL_EXPO
+    motors = flight.signals.get("motors")
+    if motors is None or motors.unit == "us":
+        low, high = flight.facts.get("pwm_min"), flight.facts.get("pwm_max")
+        if not low or not high or not low < high:
+            low, high = 1000.0, 2000.0
+            notes.append("The log has no PWM limits: motor pulses taken as 1000 to 2000 us.")
+        return ThrustCurve(float(low), float(high), expo, known)
+    # actuator_motors holds thrust demands: the thrust model is applied to them on the way out.
+    asked = known and "actuator_motors" in motors.source
+    return ThrustCurve(0.0, 1.0, 0.0 if asked else expo, known)
+
+
+def _rotors_from_parameters(flight: Flight, notes: list[str]) -> tuple[Rotor, ...] | None:
+    p = flight.parameters
+    count = int(p.get("CA_ROTOR_COUNT", 0))
+    if count < 3:
+        return None
+    if p.get("CA_AIRFRAME", 0) != 0:
+        raise VehicleError(
+            f"CA_AIRFRAME {int(p['CA_AIRFRAME'])} is not a plain multirotor; "
+            "describe its lifting rotors with --vehicle FILE if they fly it alone."
+        )
+    rows = [[p.get(f"CA_ROTOR{k}_{name}", 0.0) for name in ("PX", "PY", "KM", "AX", "AY", "CT")] for k in range(count)]
+    x, y, moment, tilt_x, tilt_y, strength = np.array(rows, float).T
+    if max(np.abs(x).max(), np.abs(y).max()) < 1e-3:
+        return None
+    if np.abs(np.stack([tilt_x, tilt_y])).max() > 0.1:
+        notes.append("Rotors are tilted (CA_ROTOR*_AX, _AY): treated as upright.")
+    if strength.min() < 0.99 * strength.max():
+        notes.append("Rotors differ in strength (CA_ROTOR*_CT): treated as equal.")
+    # Positions count from the centre of gravity.
+    return tuple(Rotor(float(a), float(b), int(np.sign(m))) for a, b, m in zip(x, y, moment))
+
+
+def _frame(flight: Flight, notes: list[str]) -> tuple[str | None, str]:
+    start = int(flight.parameters.get("SYS_AUTOSTART", 0))
+    frame = SINGLE.get(start) or THOUSANDS.get(start // 1000)
+    if frame is not None:
+        if start in SINGLE and start > 10000:
+            notes.append(f"SYS_AUTOSTART {start} is a quad of wide X shape: taken as a square X.")
+        return frame, f"SYS_AUTOSTART {start} in the log"
+    kind = int(flight.parameters.get("MAV_TYPE", 0))
+    if kind in MAV_TYPES:
+        notes.append(f"The log only says MAV_TYPE {kind}: frame {MAV_TYPES[kind]} assumed.")
+        return MAV_TYPES[kind], f"MAV_TYPE {kind} in the log"
+    frame = {4: "quad-x", 6: "hexa-x", 8: "octa-x"}.get(flight.rotor_count)
+    if frame is not None:
+        notes.append(f"The log has no frame parameters: frame {frame} assumed for {flight.rotor_count} motor outputs.")
+    return frame, f"{flight.rotor_count} motor outputs"
+
+
+def _named(frame: str) -> Vehicle:
+    rotors = place(frame)
+    return Vehicle(
+        f"px4-{frame}", rotors, ThrustCurve(0.0, 1.0, USUAL_EXPO, False), mix(rotors), source="airframe name"
+    )
+
+
+NAMES = {f"px4-{frame}": functools.partial(_named, frame) for frame in FRAMES}
