@@ -271,7 +271,7 @@ class _Signals:
             return
         time, degrees, _ = rows
         with np.errstate(invalid="ignore"):
-            fine = (np.abs(degrees) <= [181.0, 91.0, 361.0]).all(axis=1)
+            fine = (np.abs(degrees) <= [200.0, 100.0, 400.0]).all(axis=1)
         wild = int((~fine & np.isfinite(degrees).all(axis=1)).sum())
         if wild:
             self.warnings.append(f"attitude ({message}): {amount(wild, 'impossible value')} dropped.")

@@ -1,9 +1,9 @@
 """Binary DataFlash records to tables, without a Python step per record.
 
-A binary log is a chain of records: bytes A3 95, a type number, then the fields named by that type's FMT record, packed and
-little-endian. All header candidates are found at once; the chain "position + length = next position" is checked at once;
-Python steps in only where it breaks: at header bytes inside a payload and at damaged places. Fields are gathered through
-overlapping one-byte-stride views of the file, so only the wanted columns are ever copied.
+A binary log is a chain of records: bytes A3 95, a type number, then the fields named by that type's FMT record, packed
+and little-endian. All header candidates are found at once; the chain "position + length = next position" is checked at
+once; Python steps in only where it breaks: at header bytes inside a payload and at damaged places. Fields are gathered
+through overlapping one-byte-stride views of the file, so only the wanted records are ever copied.
 """
 
 from __future__ import annotations
@@ -74,16 +74,19 @@ class Format:
 
     @property
     def stamp(self) -> str:
-        """'TimeUS' or 'TimeMS' where the record starts with its boot time, else ''. (Old GPS.TimeMS is a time of week.)"""
-        named = self.columns[:1] in (("TimeUS",), ("TimeMS",)) and self.codes[0] in "QI"
-        return self.columns[0] if named else ""
+        """'TimeUS' or 'TimeMS' where the record starts with its boot time, else ''.
+
+        Only the first field counts: the TimeMS further on in old GPS records is a time of week.
+        """
+        first = self.columns[0] if self.columns else ""
+        return first if first in ("TimeUS", "TimeMS") and self.codes[0] in "QIqi" else ""
 
 
 def make_format(
     type_: int, length: int, name: str, codes: str, columns: str, check_length: bool = True
 ) -> Format | None:
     """A Format from the fields of a FMT record, or None where they contradict each other (a damaged record)."""
-    if not re.fullmatch(r"[A-Za-z0-9_]{1,4}", name) or not codes or any(c not in CODES for c in codes):
+    if not re.fullmatch(r"[A-Za-z0-9_]{1,4}", name) or any(c not in CODES for c in codes):
         return None
     size = 3 + sum(np.dtype(CODES[c][0]).itemsize for c in codes)
     names = [c.strip() for c in columns.split(",")] if columns else []
@@ -97,7 +100,10 @@ def make_format(
 
 @dataclass(frozen=True)
 class Table:
-    """All wanted records of one message name. record: (n,) running number in the file. codes: column -> format character."""
+    """All wanted records of one message name.
+
+    record: (n,) running number in the file. columns: name -> (n,) values. codes: name -> format character.
+    """
 
     name: str
     record: np.ndarray
@@ -132,7 +138,8 @@ class BinaryLog:
         candidates, types, ends = candidates[known], types[known], (candidates + lengths)[known]
         keep = self._chain(candidates, ends)
         self._at = candidates[keep]
-        if bad := int(np.isin(self._bad_formats, self._at).sum()):
+        # Only now it is known which FMT headers belong to records; the others were payload.
+        if bad := sum(self._at[min(np.searchsorted(self._at, p), self._at.size - 1)] == p for p in self._bad_formats):
             self.warnings.append(f"{amount(bad, 'damaged message definition')} (FMT) ignored.")
         self._type = types[keep]
         self.record_count = self._at.size
@@ -188,8 +195,8 @@ class BinaryLog:
     def _chain(self, at: np.ndarray, end: np.ndarray) -> np.ndarray:
         """Mask of the candidates that are records: each starts where the one before it ends.
 
-        Where the chain breaks, candidates inside the record before are payload, if a header follows that record. If not,
-        something is damaged: the record before stays only if what follows still looks like half a header, and
+        Where the chain breaks, candidates inside the record before are payload, if a header follows that record.
+        If not, something is damaged: the record before stays only if what follows still looks like half a header, and
         the chain resumes at the next candidate that is itself followed by a header (or overlaps none that is).
         """
         size, n = self._bytes.size, at.size

@@ -25,8 +25,8 @@ LOOK_BACK = 64  # stretches of garbage in a row that can be skipped
 class Clock:
     """time: (n,) s since the first record, for every record. good: (n,) False where the stamp is garbage.
 
-    start_us: boot time of the first record. jumps: times [s] where the log's clock was set back. Records without a stamp
-    have the time of the last stamped record before them.
+    start_us: boot time of the first record. jumps: times [s] where the log's clock was set back. Records without a
+    stamp have the time of the last stamped record before them.
     """
 
     time: np.ndarray
@@ -59,9 +59,8 @@ def make_clock(stamps: np.ndarray) -> Clock:
     start = float(us.min())
     for at, back in resets:
         jumps.append((at - start) / 1e6)
-        warnings.append(
-            f"The log's clock jumps back by {back / 1e6:.1f} s at {jumps[-1]:.1f} s; later times are shifted to follow on."
-        )
+        size, when = f"{back / 1e6:.1f} s", f"{jumps[-1]:.1f} s"
+        warnings.append(f"The log's clock jumps back by {size} at {when}; later times are shifted to follow on.")
     # Carry the last stamp forward to records without one; those before the first stamp belong to the start.
     last = np.zeros(stamps.size, np.int64)
     last[timed] = np.arange(timed.size)

@@ -52,7 +52,7 @@ ERROR_SOURCES = {
 
 
 def parameters(log, clock) -> tuple[dict[str, float], tuple[tuple[float, str, float], ...]]:
-    """(first value of each parameter, later changes as (time s, name, value)); none that is the simulator's own (SIM_)."""
+    """(first value of each parameter, later changes as (time s, name, value)); none of the simulator's own (SIM_)."""
     first: dict[str, float] = {}
     changes: list[tuple[float, str, float]] = []
     now: dict[str, float] = {}
@@ -89,7 +89,7 @@ def frame_text(log, clock) -> tuple[str, str]:
 def messages(log, clock) -> tuple[Message, ...]:
     """Texts, errors, events, modes and arming, in time order.
 
-    'armed' and 'landed' have value 1 or 0; 'mode' and 'event' their number; 'error' the number of the part that reports.
+    'armed' and 'landed' have value 1 or 0; 'mode' and 'event' their number; 'error' that of the part that reports.
     """
     found = [Message(t, "text", text) for t, text in _rows(log, clock, "MSG", "Message") if "SIM_" not in text]
     for time, source, code in _rows(log, clock, "ERR", "Subsys", "ECode"):

@@ -59,7 +59,8 @@ def outputs(
             free = {k: k for k in missing if not functions.get(k)}
             mapped |= free
             notes.append(
-                f"The log does not say which output drives motors {_listed(missing)}; outputs of the same number were assumed."
+                f"The log does not say which output drives motors {_listed(missing)}; "
+                "outputs of the same number were assumed."
             )
         return {k: mapped[k] for k in expected if k in mapped}, notes
     if mapped:
