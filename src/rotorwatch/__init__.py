@@ -1,0 +1,104 @@
+"""Which rotor of a multirotor lost effectiveness, how much, since when and how sure that is: from flight logs.
+
+    import rotorwatch as rw
+    flight = rw.read("flight.bin")
+    diagnosis = rw.diagnose(flight)
+    print(diagnosis.verdict, diagnosis.reason)
+    diagnosis.to_html("report.html")
+
+Everything is loaded on first use, so that importing the package costs nothing: ``rw.read``, ``rw.diagnose``,
+``rw.calibrate``, ``rw.inject``, ``rw.info``, ``rw.fuzz`` are the command line's verbs, ``rw.Flight``, ``rw.Vehicle``,
+``rw.Diagnosis`` and friends its nouns, ``rw.airframes``, ``rw.estimators`` and so on the submodules.
+"""
+
+from __future__ import annotations
+
+import sys
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+__version__ = "0.1.0"
+
+# Verbs: functions that live in a module of the same name (rotorwatch/diagnose.py holds diagnose).
+_VERBS = ("airborne", "calibrate", "diagnose", "fuzz", "info", "inject")
+# Other names: where each one lives.
+_HOMES = {
+    "read": "logs",
+    "Flight": "flight",
+    "Message": "flight",
+    "Signal": "flight",
+    "Rotor": "vehicle",
+    "ThrustCurve": "vehicle",
+    "Vehicle": "vehicle",
+    "Diagnosis": "diagnosis",
+    "Event": "diagnosis",
+    "RotorState": "diagnosis",
+    "Trace": "diagnosis",
+    "ConfigError": "errors",
+    "LogError": "errors",
+    "RotorwatchError": "errors",
+    "VehicleError": "errors",
+}
+
+__all__ = ["__version__", "read", *_VERBS, *(n for n in _HOMES if n != "read")]
+
+if TYPE_CHECKING:
+    from rotorwatch.airborne import airborne as airborne
+    from rotorwatch.calibrate import calibrate as calibrate
+    from rotorwatch.diagnose import diagnose as diagnose
+    from rotorwatch.diagnosis import Diagnosis as Diagnosis
+    from rotorwatch.diagnosis import Event as Event
+    from rotorwatch.diagnosis import RotorState as RotorState
+    from rotorwatch.diagnosis import Trace as Trace
+    from rotorwatch.errors import ConfigError as ConfigError
+    from rotorwatch.errors import LogError as LogError
+    from rotorwatch.errors import RotorwatchError as RotorwatchError
+    from rotorwatch.errors import VehicleError as VehicleError
+    from rotorwatch.flight import Flight as Flight
+    from rotorwatch.flight import Message as Message
+    from rotorwatch.flight import Signal as Signal
+    from rotorwatch.fuzz import fuzz as fuzz
+    from rotorwatch.info import info as info
+    from rotorwatch.inject import inject as inject
+    from rotorwatch.logs import read as read
+    from rotorwatch.vehicle import Rotor as Rotor
+    from rotorwatch.vehicle import ThrustCurve as ThrustCurve
+    from rotorwatch.vehicle import Vehicle as Vehicle
+
+
+class _Verb(ModuleType):
+    """A module that can be called: ``rw.inject(flight, ...)`` is its main function, ``rw.inject.campaign`` another."""
+
+    @property
+    def __wrapped__(self):
+        return getattr(self, self.__name__.rpartition(".")[2])
+
+    def __call__(self, *args, **kwargs):
+        return self.__wrapped__(*args, **kwargs)
+
+
+class _Package(ModuleType):
+    """The import system sets each loaded submodule as an attribute here; verbs become callable at that moment."""
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name in _VERBS and type(value) is ModuleType:
+            value.__class__ = _Verb
+        super().__setattr__(name, value)
+
+
+def __getattr__(name: str) -> Any:
+    from importlib import import_module
+    from importlib.util import find_spec
+
+    if name in _HOMES:
+        return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+    if not name.startswith("_") and find_spec(f"{__name__}.{name}") is not None:
+        return import_module(f"{__name__}.{name}")
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
+
+
+sys.modules[__name__].__class__ = _Package

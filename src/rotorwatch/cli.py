@@ -1,0 +1,364 @@
+"""The command line: arguments in, a table or JSON out. Whatever it does, the Python API does under the same name.
+
+Standard output carries the answer and nothing else; progress, warnings and errors go to standard error.
+Exit codes: 0 healthy, 1 fault found, 3 inconclusive or ambiguous only, 2 error.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from rotorwatch import __version__
+from rotorwatch.errors import ConfigError, RotorwatchError
+
+if TYPE_CHECKING:
+    from rotorwatch.diagnosis import Diagnosis
+
+ERROR, INTERRUPTED, BROKEN_PIPE = 2, 130, 141
+# Of several logs the most severe answer is the exit code: error, fault, undecided, healthy.
+SEVERITY = (2, 1, 3, 0)
+LOG = click.Path(path_type=Path)
+
+
+def main(argv: list[str] | None = None) -> None:
+    """Entry point of the `rotorwatch` command; always leaves by SystemExit."""
+    try:
+        code = cli.main(args=argv, prog_name="rotorwatch", standalone_mode=False)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        # The reader (head, less) has seen enough; keep the interpreter from complaining at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = BROKEN_PIPE
+    except (KeyboardInterrupt, click.Abort):
+        _say("interrupted")
+        code = INTERRUPTED
+    except click.ClickException as why:
+        why.show()
+        code = why.exit_code
+    except Exception as why:
+        _say(explain(why))
+        code = ERROR
+    sys.exit(code or 0)
+
+
+def explain(why: Exception) -> str:
+    """One sentence for any exception: its own if it was raised on purpose, else a request to report it."""
+    if os.environ.get("ROTORWATCH_DEBUG"):
+        import traceback
+
+        traceback.print_exc()
+    if isinstance(why, RotorwatchError):
+        return str(why)
+    if isinstance(why, OSError) and why.filename:
+        return f"{why.filename}: {why.strerror}."
+    if isinstance(why, MemoryError):
+        return "Out of memory; try a shorter log."
+    text = " ".join(f"{type(why).__name__}: {why}".split())[:200]
+    return f"An error in rotorwatch itself ({text}); please report it with the output of the same command with --debug."
+
+
+def _say(text: str) -> None:
+    click.echo(f"rotorwatch: {text}", err=True)
+
+
+def _debug(context: click.Context, parameter: click.Parameter, on: bool) -> None:
+    if on:
+        os.environ["ROTORWATCH_DEBUG"] = "1"
+
+
+def common(command: Callable) -> Callable:
+    """Options every command has."""
+    quiet = click.option("--quiet", "-q", is_flag=True, help="No progress and no warnings on standard error.")
+    debug = click.option(
+        "--debug", is_flag=True, expose_value=False, callback=_debug, help="Show tracebacks of errors."
+    )
+    return quiet(debug(command))
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, prog_name="rotorwatch", message="%(prog)s %(version)s")
+@click.option("--debug", is_flag=True, expose_value=False, callback=_debug, help="Show tracebacks of errors.")
+def cli() -> None:
+    """Which rotor lost effectiveness, how much, since when and how sure that is: from a multirotor's flight log.
+
+    New here? Run `rotorwatch demo`, then `rotorwatch diagnose YOUR.LOG --report report.html`.
+    """
+
+
+@cli.command()
+@click.argument("logs", nargs=-1, required=True, type=LOG, metavar="LOG...")
+@click.option(
+    "--baseline", "baselines", multiple=True, type=LOG, metavar="LOG", help="A healthy flight of the same build."
+)
+@click.option("--vehicle", type=LOG, metavar="FILE", help="Vehicle file (TOML), as `rotorwatch calibrate` writes it.")
+@click.option("--estimator", default="default", show_default=True, metavar="NAME", help="Estimator to use.")
+@click.option(
+    "--report", type=LOG, metavar="OUT.html", help="Write an HTML page; for several logs a folder or {name}.html."
+)
+@click.option(
+    "--json", "as_json", is_flag=True, help="Print JSON (docs/json.md): an object, or a list for several logs."
+)
+@common
+@click.pass_context
+def diagnose(context, logs, baselines, vehicle, estimator, report, as_json, quiet) -> None:
+    """Judge each LOG: PX4 .ulg, ArduPilot .bin/.log, MAVLink .tlog, CSV, also .xz and .gz.
+
+    Exit code: 0 healthy, 1 fault found, 3 inconclusive or ambiguous only, 2 error.
+    """
+    from rotorwatch.vehicle_file import read as read_vehicle
+
+    pages = report_paths(logs, report)
+    with progress(quiet) as tell:
+        known = read_vehicle(vehicle) if vehicle else None
+        healthy = tuple(_read(path, tell) for path in baselines)
+
+    def judge(path: Path) -> Diagnosis:
+        from rotorwatch.diagnose import diagnose as run
+
+        with progress(quiet) as tell:
+            return run(_read(path, tell), vehicle=known, baseline=healthy, estimator=estimator, progress=tell)
+
+    if len(logs) == 1:
+        result = judge(logs[0])
+        if pages:
+            result.to_html(pages[0])
+        if as_json:
+            click.echo(result.to_json())
+        else:
+            _print(lambda terminal: terminal.diagnosis(result))
+            _report_written(pages[0] if pages else None, quiet)
+        context.exit(result.exit_code)
+    context.exit(_several(logs, judge, pages, as_json, quiet))
+
+
+def _several(logs: tuple[Path, ...], judge: Callable, pages: list[Path], as_json: bool, quiet: bool) -> int:
+    """One line (or one item of a JSON list) per log. A log that fails does not stop the others."""
+    codes, items = [], []
+    for i, path in enumerate(logs):
+        try:
+            result = judge(path)
+            if pages:
+                result.to_html(pages[i])
+            codes.append(result.exit_code)
+            items.append(result.to_dict())
+            if not as_json:
+                _print(lambda terminal, p=path, r=result: terminal.line(str(p), r))
+        except Exception as why:  # explain() tells ours from unexpected ones
+            sentence = explain(why)
+            _say(f"{path}: {sentence}" if str(path) not in sentence else sentence)
+            codes.append(ERROR)
+            items.append({"schema": 1, "flight": {"name": str(path)}, "error": sentence})
+            if not as_json:
+                _print(lambda terminal, p=path: terminal.error_line(str(p), "see the message"))
+    if as_json:
+        import json
+
+        click.echo(json.dumps(items, indent=1, allow_nan=False))
+    elif pages:
+        _report_written(pages[0].parent, quiet)
+    return next(code for code in SEVERITY if code in codes)
+
+
+def report_paths(logs: tuple[Path, ...], out: Path | None) -> list[Path]:
+    """Where each log's page goes: OUT, OUT/NAME.html in a folder, or OUT with {name} filled in; never one twice."""
+    if out is None:
+        return []
+    several = len(logs) > 1
+    if "{name}" not in str(out) and (out.is_dir() or (several and not out.suffix)):
+        out = out / "{name}.html"
+    if several and "{name}" not in str(out):
+        raise ConfigError(
+            f"--report {out} names one page for {len(logs)} logs; give a folder, or a name with {{name}} in it."
+        )
+    pages: list[Path] = []
+    for log in logs:
+        stem = log.name.removesuffix(".xz").removesuffix(".gz").rpartition(".")[0] or log.name
+        page, n = Path(str(out).replace("{name}", stem)), 1
+        while page in pages:
+            n += 1
+            page = Path(str(out).replace("{name}", f"{stem}-{n}"))
+        pages.append(page)
+    for page in pages:
+        page.parent.mkdir(parents=True, exist_ok=True)
+    return pages
+
+
+def _report_written(page: Path | None, quiet: bool) -> None:
+    if page and not quiet:
+        _say(f"report written to {page}")
+
+
+@cli.command()
+@click.argument("logs", nargs=-1, required=True, type=LOG, metavar="LOG...")
+@click.option("-o", "--out", required=True, type=LOG, metavar="vehicle.toml", help="Vehicle file to write.")
+@common
+def calibrate(logs, out, quiet) -> None:
+    """Learn from healthy flights of one build what healthy means for it, and write a vehicle file.
+
+    Give the file to `rotorwatch diagnose --vehicle` later.
+    """
+    from rotorwatch.calibrate import calibrate as run
+    from rotorwatch.vehicle_file import write
+
+    with progress(quiet) as tell:
+        learned = run([_read(path, tell) for path in logs], progress=tell)
+    write(learned, out)
+    click.echo(
+        f"{learned.name}: learned from {len(logs)} {'flight' if len(logs) == 1 else 'flights'}, written to {out}"
+    )
+
+
+@cli.command()
+@click.argument("log", type=LOG)
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@common
+def info(log, as_json, quiet) -> None:
+    """Show what LOG holds, what is missing for a diagnosis, and which logging setting would give it."""
+    from rotorwatch.info import info as run
+
+    with progress(quiet) as tell:
+        facts = run(_read(log, tell))
+    if as_json:
+        import json
+
+        click.echo(json.dumps(facts, indent=1, allow_nan=False))
+    else:
+        _print(lambda terminal: terminal.info(facts))
+
+
+@cli.command()
+@click.option("--report", type=LOG, metavar="OUT.html", help="Also write the faulty flight's HTML page.")
+@common
+def demo(report, quiet) -> None:
+    """Diagnose the sample flights that come with rotorwatch, and say what to look at."""
+    from rotorwatch.diagnose import diagnose as run
+
+    samples = sorted(
+        (Path(__file__).parent / "samples").glob("*.bin.xz"), key=lambda p: ("healthy" not in p.name, p.name)
+    )
+    if not samples:
+        raise ConfigError("This installation has no sample flights; reinstall rotorwatch.")
+    page = report_paths((samples[-1],), report)
+    for sample in samples:
+        with progress(quiet) as tell:
+            result = run(_read(sample, tell), progress=tell)
+        click.echo(f"$ rotorwatch diagnose {sample.name}\n")
+        _print(lambda terminal, r=result: terminal.diagnosis(r))
+        click.echo("")
+        if page and sample is samples[-1]:
+            result.to_html(page[0])
+    click.echo(
+        "What to look at: the line in capitals is the verdict. The rotor table says how much\n"
+        "thrust each rotor has lost, and the range that holds with 95 % probability. An event\n"
+        "began at 'since'; a live observer would have been told at 'announced'."
+    )
+    if page:
+        click.echo(f"The faulty flight as a page: {page[0]} (open it in a browser; it needs no network).")
+    else:
+        click.echo("For the same as an interactive page: rotorwatch demo --report rotorwatch-demo.html")
+
+
+@cli.command()
+@click.argument("logs", nargs=-1, required=True, type=LOG, metavar="LOG...")
+@click.option(
+    "--loss", "losses", default="0.2,0.3,0.4", show_default=True, metavar="L,L,...", help="Losses to inject, 0..1."
+)
+@click.option(
+    "--repeats", default=1, show_default=True, type=click.IntRange(1), help="Injections per flight, rotor and loss."
+)
+@click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Seed of the random onsets.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@common
+def inject(logs, losses, repeats, seed, as_json, quiet) -> None:
+    """Inject losses into healthy flights and count what the diagnosis finds of them."""
+    from rotorwatch.inject import campaign
+
+    try:
+        shares = tuple(float(x) for x in losses.split(","))
+    except ValueError:
+        raise ConfigError(f"--loss {losses}: give numbers with commas, as in 0.2,0.3.") from None
+    if not all(0 < x <= 1 for x in shares):
+        raise ConfigError(f"--loss {losses}: a loss is above 0 and at most 1 (a dead rotor).")
+    with progress(quiet) as tell:
+        result = campaign(logs, shares, repeats, seed, tell)
+    if as_json:
+        import json
+
+        click.echo(json.dumps(result, indent=1, allow_nan=False))
+    else:
+        _print(lambda terminal: terminal.campaign(result))
+
+
+@cli.command()
+@click.argument("log", type=LOG)
+@click.option("--mutations", default=10_000, show_default=True, type=click.IntRange(1), help="How many damaged copies.")
+@click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Seed of the damage.")
+@click.option("--jobs", type=click.IntRange(1), help="Worker processes; default: one per processor.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@common
+@click.pass_context
+def fuzz(context, log, mutations, seed, jobs, as_json, quiet) -> None:
+    """Read damaged copies of LOG, each within limits of time and memory; exit code 1 when any fails badly."""
+    from rotorwatch.fuzz import fuzz as run
+
+    with progress(quiet) as tell:
+        result = run(log, mutations, seed, jobs, progress=tell)
+    if as_json:
+        import json
+
+        click.echo(json.dumps(result, indent=1, allow_nan=False))
+    else:
+        _print(lambda terminal: terminal.fuzz(result))
+    context.exit(1 if result["outcomes"]["FAILED"] else 0)
+
+
+def _read(path: Path, tell: Callable | None) -> Any:
+    from rotorwatch.logs import read
+
+    if not path.exists():
+        raise ConfigError(f"{path}: no such file.")
+    return read(path, progress=tell)
+
+
+def _print(table: Callable[[Any], Any]) -> None:
+    """Print what `table` makes of the terminal module, on standard output."""
+    from rotorwatch.report import terminal
+
+    screen = terminal.console()
+    if screen.is_terminal:
+        screen.print(table(terminal))
+        return
+    with screen.capture() as text:  # rich pads lines to the table's width; a file does not need that
+        screen.print(table(terminal))
+    click.echo("\n".join(line.rstrip() for line in text.get().splitlines()))
+
+
+@contextmanager
+def progress(quiet: bool) -> Iterator[Callable | None]:
+    """A progress bar on standard error when that is a terminal, else nothing. Yields tell(share 0..1, text)."""
+    if quiet or not sys.stderr.isatty():
+        yield None
+        return
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+
+    from rotorwatch.report import terminal
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=terminal.console(stderr=True), transient=True) as bar:
+        task = bar.add_task("reading", total=1.0)
+
+        def tell(share: float, text: str = "") -> None:
+            bar.update(task, completed=min(max(float(share), 0.0), 1.0), description=text or None)
+
+        yield tell
+
+
+if __name__ == "__main__":
+    main()

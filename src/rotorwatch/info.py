@@ -1,0 +1,181 @@
+"""What a log holds, what it lacks for a diagnosis, and which setting of the autopilot would log it next time."""
+
+from __future__ import annotations
+
+from rotorwatch.errors import RotorwatchError
+from rotorwatch.flight import Flight, Signal
+
+# Below this rate a signal slows the diagnosis down; the default logging of both autopilots reaches it.
+USEFUL_HZ = 10.0
+FAST_HZ = 50.0
+MESSAGES_SHOWN = 40
+
+# What gives a signal on each autopilot. ArduPilot: LOG_BITMASK bits of ArduCopter/defines.h (MASK_LOG_*);
+# PX4: SDLOG_PROFILE bits of src/modules/logger (logged_topics.cpp). Anything else: the column to add.
+_ARDUPILOT = {
+    "motors": "Set LOG_BITMASK bit 10 (motor outputs, RCOU, value 1024).",
+    "control": "Set LOG_BITMASK bit 1 (attitude and RATE at 10 Hz, value 2), better bit 0 (at loop rate, value 1).",
+    "gyro": "Set LOG_BITMASK bit 7 (IMU at 25 Hz, value 128), better bit 18 (IMU at loop rate, value 262144).",
+    "accel": "Set LOG_BITMASK bit 7 (IMU at 25 Hz, value 128), better bit 18 (IMU at loop rate, value 262144).",
+    "attitude": "Set LOG_BITMASK bit 1 (attitude at 10 Hz, value 2), better bit 0 (at loop rate, value 1).",
+    "battery": "Set LOG_BITMASK bit 9 (battery, value 512) and a battery monitor (BATT_MONITOR).",
+    "lift": "Set LOG_BITMASK bit 17 (motor battery compensation, MOTB, value 131072).",
+}
+_PX4 = {
+    "motors": "Set SDLOG_PROFILE bit 0 (default set, value 1): actuator_motors and actuator_outputs at 10 Hz.",
+    "control": "Set SDLOG_PROFILE bit 0 (default set, value 1): vehicle_torque_setpoint and vehicle_thrust_setpoint.",
+    "gyro": "Set SDLOG_PROFILE bit 0 (default set, value 1): vehicle_angular_velocity or sensor_combined.",
+    "accel": "Set SDLOG_PROFILE bit 0 (default set, value 1): vehicle_acceleration or sensor_combined.",
+    "attitude": "Set SDLOG_PROFILE bit 0 (default set, value 1): vehicle_attitude.",
+    "battery": "Set SDLOG_PROFILE bit 0 (default set, value 1): battery_status.",
+}
+_FASTER = {
+    "ardupilot": {
+        "motors": "Set LOG_BITMASK bit 0 (RATE at loop rate, value 1): the commands are rebuilt from it.",
+        "gyro": "Set LOG_BITMASK bit 18 (IMU at loop rate, value 262144).",
+    },
+    "px4": {
+        "motors": "Add SDLOG_PROFILE bit 4 (high rate, value 16): actuator_motors at full rate.",
+        "gyro": "Add SDLOG_PROFILE bit 4 (high rate, value 16): vehicle_angular_velocity at full rate.",
+    },
+}
+_WHY = {
+    "motors": "No motor commands: without them no rotor can be judged.",
+    "gyro": "No angular rates: without them no torque balance can be drawn up.",
+    "accel": "No accelerations: thrust cannot be checked, so a loss common to all rotors stays unseen.",
+    "control": "No rate controller output: an overridden output cannot be told from a commanded one.",
+    "attitude": "No attitude: take-off, landing and flips are found less reliably.",
+    "battery": "No battery voltage: battery sag cannot be told from a loss common to all rotors.",
+    "lift": "No battery compensation of the autopilot: it is estimated from the voltage.",
+}
+_NEEDED = ("motors", "gyro")
+
+
+def info(flight: Flight) -> dict:
+    """What `rotorwatch info --json` prints. Times in s from the first record of the log.
+
+    schema, name, format, autopilot, firmware, vehicle_type, frame, rotors, duration_s; parameters: how many;
+    airborne_s: [[start, end]]; signals: [{name, rate_hz, samples, columns, unit, frame, source, valid (share), start_s,
+    end_s}]; messages, the notable ones: [{time_s, kind, text}]; ready: whether a diagnosis is possible;
+    missing: [{signal, why, setting, needed}]; warnings. docs/json.md has more on each.
+    """
+    frame, warnings = _frame(flight)
+    airborne = _airborne(flight)
+    missing = _missing(flight, frame, airborne)
+    return {
+        "schema": 1,
+        "name": flight.name,
+        "format": flight.format,
+        "autopilot": flight.autopilot,
+        "firmware": flight.firmware,
+        "vehicle_type": flight.vehicle_type,
+        "frame": frame,
+        "rotors": flight.rotor_count,
+        "duration_s": round(float(flight.duration), 3),
+        "airborne_s": airborne,
+        "signals": [_signal(name, s) for name, s in sorted(flight.signals.items())],
+        "parameters": len(flight.parameters),
+        "messages": _messages(flight),
+        "ready": not any(gap["needed"] for gap in missing),
+        "missing": missing,
+        "warnings": [*flight.warnings, *warnings],
+    }
+
+
+def _signal(name: str, signal: Signal) -> dict:
+    some = len(signal) > 0
+    return {
+        "name": name,
+        "rate_hz": round(signal.rate_hz, 2),
+        "samples": len(signal),
+        "columns": list(signal.columns),
+        "unit": signal.unit,
+        "frame": signal.frame,
+        "source": signal.source,
+        "valid": round(float(signal.valid.mean()), 4) if some and signal.valid is not None else 0.0,
+        "start_s": round(float(signal.time[0]), 3) if some else None,
+        "end_s": round(float(signal.time[-1]), 3) if some else None,
+    }
+
+
+def _frame(flight: Flight) -> tuple[str, list[str]]:
+    """The airframe's name, empty when it cannot be told; and why not."""
+    from rotorwatch.airframes import identify
+
+    try:
+        return identify(flight).name, []
+    except RotorwatchError as why:
+        return "", [str(why)]
+
+
+def _airborne(flight: Flight) -> list[list[float]]:
+    from rotorwatch.airborne import airborne
+
+    try:
+        return [[round(float(a), 3), round(float(b), 3)] for a, b in airborne(flight)]
+    except RotorwatchError:
+        return []
+
+
+def _missing(flight: Flight, frame: str, airborne: list[list[float]]) -> list[dict]:
+    """Gaps, the ones that prevent a diagnosis first. A signal counts as there with two valid samples."""
+    settings = {"ardupilot": _ARDUPILOT, "px4": _PX4}.get(_family(flight), {})
+    gaps = []
+    for name, why in _WHY.items():
+        if _present(flight, name) or (name == "gyro" and _present(flight, "rates")):
+            continue
+        if name == "lift" and _family(flight) != "ardupilot":
+            continue
+        gaps.append(_gap(name, why, settings.get(name, f"Add the signal '{name}' to the table."), name in _NEEDED))
+    for name, setting in _FASTER.get(_family(flight), {}).items():
+        # ArduPilot's motor commands are rebuilt from the rate controller's output where that is logged faster.
+        rates = [flight[n].rate_hz for n in ((name, "control") if name == "motors" else (name,)) if _present(flight, n)]
+        if _present(flight, name) and max(rates) < FAST_HZ:
+            enough = "enough for a diagnosis, but fast logging finds a loss sooner"
+            verdict = enough if max(rates) >= 0.9 * USEFUL_HZ else "slow, small losses are found late or not at all"
+            gaps.append(_gap(name, f"{name.capitalize()} at {max(rates):.3g} Hz: {verdict}.", setting, False))
+    if not frame and flight.rotor_count:
+        gaps.append(
+            _gap("frame", "The airframe cannot be told from this log.", "Give its geometry with --vehicle FILE.", True)
+        )
+    if not airborne:
+        gaps.append(
+            _gap("airborne", "No part of this log is in the air.", "Use a log of a flight, not of a bench test.", True)
+        )
+    return sorted(gaps, key=lambda gap: not gap["needed"])
+
+
+def _gap(signal: str, why: str, setting: str, needed: bool) -> dict:
+    return {"signal": signal, "why": why, "setting": setting, "needed": needed}
+
+
+def _present(flight: Flight, name: str) -> bool:
+    return flight.has(name) and flight[name].valid is not None and int(flight[name].valid.any(axis=1).sum()) >= 2
+
+
+def _family(flight: Flight) -> str:
+    autopilot = flight.autopilot.lower()
+    return "ardupilot" if "ardu" in autopilot else "px4" if "px4" in autopilot else ""
+
+
+def _messages(flight: Flight) -> list[dict]:
+    """What a reader wants to know happened: errors, modes, arming, landing, dropouts, texts on motors and failsafes."""
+    words = (
+        "thrust",
+        "motor",
+        "esc",
+        "crash",
+        "failsafe",
+        "fail-safe",
+        "vibration",
+        "battery",
+        "error",
+        "emergency",
+        "lost",
+    )
+    shown = [
+        {"time_s": round(float(m.time), 3), "kind": m.kind, "text": m.text}
+        for m in flight.messages
+        if m.kind != "text" or any(w in m.text.lower() for w in words)
+    ]
+    return shown[:MESSAGES_SHOWN]

@@ -1,0 +1,391 @@
+"""The report's pictures: interactive time plots (Bokeh) and the airframe seen from above (SVG)."""
+
+from __future__ import annotations
+
+from html import escape
+from typing import Any
+
+import numpy as np
+
+from rotorwatch import report
+from rotorwatch.diagnosis import Diagnosis, Trace
+from rotorwatch.vehicle import Rotor
+
+# Okabe and Ito's palette, which colour-blind readers can tell apart, without the yellow that white swallows; rotors 5
+# and up are dashed as well, so that no line depends on its colour alone.
+COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#8c8c8c", "#9467bd")
+DASHES = ("solid",) * 4 + ("dashed",) * 4 + ("dotted",) * 4
+INK = "#7a828a"  # reads on white and on black until the page's script has set the theme
+CHANNELS = ("roll", "pitch", "yaw", "thrust")
+OVERVIEW_ROWS, DETAIL_ROWS = 1600, 2400  # a wide screen's worth of the whole flight, and full rate around events
+DETAIL_S = (5.0, 8.0)  # before an event's onset, after its announcement
+HYPOTHESES = 8
+
+
+class Screen:
+    """Thins a trace to what a screen can show: a least and a greatest value per bucket, every tick around events.
+
+    Peaks survive because each bucket of ticks becomes two rows that hold its extremes, in the order of its trend.
+    """
+
+    def __init__(self, time: np.ndarray, windows: list[tuple[float, float]]):
+        inside = np.zeros(time.size, bool)
+        for start, end in windows:
+            inside |= (time >= start) & (time <= end)
+        stride = np.where(
+            inside, max(1.0, 2.0 * inside.sum() / DETAIL_ROWS), max(1.0, 2.0 * (~inside).sum() / OVERVIEW_ROWS)
+        )
+        bucket = np.floor(np.cumsum(1.0 / stride) - 1.0 / stride + 1e-9)
+        self.start = np.flatnonzero(np.diff(bucket, prepend=-1.0))
+        self.last = np.append(self.start[1:], time.size) - 1
+        twice = (self.last > self.start).astype(int) + 1
+        self.first = np.cumsum(twice) - twice  # row of each bucket's first value
+        self.second = self.first + twice - 1  # the same row where a bucket is one tick
+        self.time = np.empty(int(twice.sum()))
+        self.time[self.second] = time[(self.start + self.last + 1) // 2]
+        self.time[self.first] = time[self.start]
+
+    def least(self, values: np.ndarray) -> np.ndarray:
+        """The lower edge of a band."""
+        low = np.fmin.reduceat(values, self.start)
+        return self._rows(low, low)
+
+    def greatest(self, values: np.ndarray) -> np.ndarray:
+        """The upper edge of a band."""
+        high = np.fmax.reduceat(values, self.start)
+        return self._rows(high, high)
+
+    def line(self, values: np.ndarray) -> np.ndarray:
+        """Both extremes of each bucket; rising buckets start with the least."""
+        low, high = np.fmin.reduceat(values, self.start), np.fmax.reduceat(values, self.start)
+        rising = ~(values[self.last] < values[self.start])
+        return self._rows(np.where(rising, low, high), np.where(rising, high, low))
+
+    def _rows(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+        out = np.empty(self.time.size, np.float32)
+        out[self.second] = second
+        out[self.first] = first
+        return out
+
+
+def colour(rotor: int) -> str:
+    """The colour of a rotor, 1-based, wherever it appears."""
+    return COLOURS[(rotor - 1) % len(COLOURS)]
+
+
+def dash(rotor: int) -> str:
+    """The line style of a rotor, 1-based."""
+    return DASHES[(rotor - 1) % len(DASHES)]
+
+
+def plots(diagnosis: Diagnosis) -> dict[str, Any]:
+    """Bokeh figures by name: loss, command, evidence, roll, pitch, yaw, thrust. Time axes and crosshairs are linked.
+
+    Empty without `diagnosis.trace`. Losses and commands in percent, residuals in hover-thrust units, evidence in log10 odds.
+    """
+    from bokeh.models import ColumnDataSource, CrosshairTool, Range1d, Span
+
+    trace = diagnosis.trace
+    if trace is None or trace.time.size < 2:
+        return {}
+    n = trace.loss.shape[1]
+    flying = _flying(trace)
+    screen = Screen(trace.time, _windows(diagnosis))
+    data: dict[str, Any] = {"time": screen.time}
+    for k in range(n):
+        data[f"loss{k + 1}"] = screen.line(np.where(flying, 100 * trace.loss[:, k], np.nan))
+        data[f"low{k + 1}"] = screen.least(np.where(flying, 100 * trace.lower[:, k], np.nan))
+        data[f"high{k + 1}"] = screen.greatest(np.where(flying, 100 * trace.upper[:, k], np.nan))
+        data[f"command{k + 1}"] = screen.line(100 * trace.command[:, k])
+    for i, name in enumerate(CHANNELS):
+        data[name] = screen.line(np.where(flying, trace.residual[:, i], np.nan))
+        data[f"{name}_band"] = screen.greatest(np.where(flying, 2 * trace.residual_sd[:, i], np.nan))
+        data[f"{name}_bottom"] = -data[f"{name}_band"]
+    shown = _hypotheses(diagnosis)
+    for i, name in enumerate(shown):
+        data[f"odds{i}"] = screen.line(np.where(flying, trace.evidence[name], np.nan))
+    source = ColumnDataSource(data)
+    start, end = float(trace.time[0]), float(trace.time[-1])
+    x_range = Range1d(start, end, bounds=(start, end), min_interval=0.2)
+    cross = CrosshairTool(dimensions="height", overlay=Span(dimension="height", line_color=INK, line_dash="dotted"))
+
+    out = {
+        "loss": _loss(diagnosis, source, x_range, n),
+        "command": _commands(source, x_range, n),
+        "evidence": _evidence(trace, source, x_range, shown) if shown else None,
+        **{name: _residual(trace, source, x_range, name, i) for i, name in enumerate(CHANNELS)},
+    }
+    figures = {name: figure for name, figure in out.items() if figure is not None}
+    for figure in figures.values():
+        figure.add_tools(cross)
+        _shade(figure, trace)
+        _mark(figure, diagnosis)
+    return figures
+
+
+def _flying(trace: Trace) -> np.ndarray:
+    """(T,) bool: in the air, where estimates mean something. All of it when no part was found airborne."""
+    if not trace.airborne:
+        return np.ones(trace.time.size, bool)
+    return np.any([(trace.time >= a) & (trace.time <= b) for a, b in trace.airborne], axis=0)
+
+
+def _windows(diagnosis: Diagnosis) -> list[tuple[float, float]]:
+    """Stretches to keep at full rate: around what happened."""
+    before, after = DETAIL_S
+    out = [(e.onset_s - before, e.detected_s + after) for e in diagnosis.events]
+    return out + [(e.end_s - before, e.end_s + before) for e in diagnosis.events if e.end_s is not None]
+
+
+def _hypotheses(diagnosis: Diagnosis) -> list[str]:
+    """The hypotheses worth a line: those with the highest peaks."""
+    evidence = diagnosis.trace.evidence if diagnosis.trace is not None else {}
+    peak = {name: float(np.max(odds, initial=-np.inf, where=np.isfinite(odds))) for name, odds in evidence.items()}
+    return sorted(peak, key=lambda name: (-peak[name], name))[:HYPOTHESES]
+
+
+def _figure(x_range, height: int, y_label: str, tooltips: list[tuple[str, str]], **more) -> Any:
+    from bokeh.models import BoxZoomTool, HoverTool, PanTool, ResetTool, SaveTool, WheelZoomTool
+    from bokeh.plotting import figure
+
+    box = BoxZoomTool(dimensions="width")
+    tools = [box, PanTool(dimensions="width"), WheelZoomTool(dimensions="width"), ResetTool(), SaveTool()]
+    p = figure(
+        height=height,
+        sizing_mode="stretch_width",
+        x_range=x_range,
+        tools=tools,
+        active_drag=box,
+        toolbar_location="above",
+        toolbar_inner=True,
+        background_fill_color=None,
+        border_fill_color=None,
+        outline_line_color=None,
+        min_border_left=72,
+        min_border_top=6,
+        output_backend="canvas",
+        **more,
+    )
+    p.add_tools(HoverTool(tooltips=[("time", "@time{0.00} s"), *tooltips], mode="vline", renderers=[]))
+    p.toolbar.logo = None
+    p.toolbar.autohide = True
+    p.yaxis.axis_label = y_label
+    p.xaxis.axis_label = "time [s]"
+    for axis in (*p.xaxis, *p.yaxis):
+        axis.axis_label_text_font_style = "normal"
+        axis.update(axis_label_text_color=INK, major_label_text_color=INK, axis_line_color=INK)
+        axis.update(major_tick_line_color=INK, minor_tick_line_color=None)
+        axis.update(axis_label_text_font="system-ui, sans-serif", major_label_text_font="system-ui, sans-serif")
+        axis.update(axis_label_text_font_size="12px", major_label_text_font_size="11px")
+    for grid in (*p.xgrid, *p.ygrid):
+        grid.update(grid_line_color=INK, grid_line_alpha=0.22)
+    return p
+
+
+def _hover(p, renderer) -> None:
+    """One tooltip per time, attached to one line."""
+    from bokeh.models import HoverTool
+
+    p.select_one(HoverTool).renderers = [renderer]
+
+
+def _loss(diagnosis: Diagnosis, source, x_range, n: int) -> Any:
+    from bokeh.models import Range1d
+
+    tips = [(f"rotor {k}", f"@loss{k}{{0.0}} % (@low{k}{{0}} to @high{k}{{0}})") for k in range(1, n + 1)]
+    top = _top(diagnosis)
+    p = _figure(x_range, 340, "loss of effectiveness [%]", tips, y_range=Range1d(-0.03 * top, top, bounds=(-10, 110)))
+    p.name = "loss"
+    named = {k for e in diagnosis.events for k in e.rotors} | {
+        r.rotor for r in diagnosis.rotors if r.status in ("degraded", "failed")
+    }
+    line = None
+    for k in sorted(range(1, n + 1), key=lambda k: k in named):  # the ones that matter on top
+        look = dict(source=source, name=f"rotor {k}", level="glyph")
+        p.varea("time", f"low{k}", f"high{k}", color=colour(k), alpha=0.3 if k in named else 0.07, **look)
+        width = 2.6 if k in named else 1.3
+        line = p.line("time", f"loss{k}", color=colour(k), line_width=width, line_dash=dash(k), **look)
+    _hover(p, line)
+    return p
+
+
+def _top(diagnosis: Diagnosis) -> float:
+    """Upper end of the loss axis [%]: room for everything that was found, closer for small losses."""
+    trace = diagnosis.trace
+    assert trace is not None
+    flying = _flying(trace)
+    seen = trace.loss[flying & ~_blind(trace)]
+    high = [0.12, *(i[1] for e in diagnosis.events for i in e.interval), *(r.loss for r in diagnosis.rotors)]
+    if seen.size:
+        high.append(float(np.nanquantile(seen.max(axis=1), 0.999)))
+    return min(105.0, 125 * max(high))
+
+
+def _blind(trace: Trace) -> np.ndarray:
+    out = np.zeros(trace.time.size, bool)
+    for start, end, _ in trace.blind:
+        out |= (trace.time >= start) & (trace.time <= end)
+    return out
+
+
+def _commands(source, x_range, n: int) -> Any:
+    tips = [(f"rotor {k}", f"@command{k}{{0.0}} %") for k in range(1, n + 1)]
+    p = _figure(x_range, 250, "command [% of full thrust]", tips)
+    p.name = "command"
+    for k in range(1, n + 1):
+        line = p.line(
+            "time", f"command{k}", source=source, name=f"rotor {k}", color=colour(k), line_width=1.3, line_dash=dash(k)
+        )
+    _hover(p, line)
+    return p
+
+
+def _evidence(trace: Trace, source, x_range, shown: list[str]) -> Any:
+    from bokeh.models import Legend, LegendItem, Span
+
+    tips = [(name, f"@odds{i}{{0.0}}") for i, name in enumerate(shown)]
+    p = _figure(x_range, 280, "log10 odds against healthy", tips)
+    p.name = "evidence"
+    lines = []
+    for i, name in reversed(list(enumerate(shown))):  # the likeliest on top
+        line = p.line(
+            "time", f"odds{i}", source=source, name=f"odds {i}", line_width=2.2 if i == 0 else 1.4, **_look(name, i)
+        )
+        lines.insert(0, line)
+    items = [LegendItem(label=name, renderers=[line]) for name, line in zip(shown, lines, strict=True)]
+    _hover(p, lines[0])
+    p.add_layout(Span(location=float(trace.threshold), dimension="width", line_color="#d55e00", line_width=1.6))
+    legend = Legend(
+        items=items, location="top_left", click_policy="hide", background_fill_alpha=0.0, border_line_color=None
+    )
+    legend.update(label_text_color=INK, label_text_font_size="11px", label_text_font="system-ui, sans-serif", spacing=0)
+    legend.update(padding=4, label_height=14, glyph_height=14)
+    p.add_layout(legend)
+    return p
+
+
+def _look(hypothesis: str, place: int) -> dict[str, str]:
+    """One rotor's hypothesis has the rotor's colour; the others are told apart by grey and dashes."""
+    number = hypothesis.rpartition(" ")[2]
+    if hypothesis.startswith("rotor ") and number.isdigit():
+        return dict(color=colour(int(number)), line_dash=dash(int(number)))
+    return dict(color=INK, line_dash=("solid", "dashed", "dotted", "dotdash")[place % 4])
+
+
+def _residual(trace: Trace, source, x_range, name: str, channel: int) -> Any:
+    from bokeh.models import Range1d
+
+    tips = [(name, f"@{name}{{0.0000}}"), ("2 sd", f"@{name}_band{{0.0000}}")]
+    values = np.abs(trace.residual[_flying(trace), channel])
+    band = 2 * trace.residual_sd[_flying(trace), channel]
+    top = max(1.5 * float(np.nanquantile(values, 0.995)), 1.6 * float(np.nanmedian(band)), 1e-4) if values.size else 1.0
+    last = name == CHANNELS[-1]
+    p = _figure(x_range, 165 if last else 135, name, tips, y_range=Range1d(-top, top))
+    p.name = name
+    p.xaxis.visible = last
+    p.yaxis.ticker.desired_num_ticks = 3
+    p.varea("time", f"{name}_bottom", f"{name}_band", source=source, color="#56b4e9", alpha=0.22, name="band")
+    _hover(p, p.line("time", name, source=source, color="#0072b2", line_width=1.1, name="residual"))
+    return p
+
+
+def _shade(figure, trace: Trace) -> None:
+    """Ground grey, blind time hatched."""
+    from bokeh.models import BoxAnnotation
+
+    edges = [float(trace.time[0]), *(t for span in trace.airborne for t in span), float(trace.time[-1])]
+    if trace.airborne:
+        for start, end in zip(edges[::2], edges[1::2], strict=True):
+            if end > start:
+                figure.add_layout(
+                    BoxAnnotation(left=start, right=end, fill_color=INK, fill_alpha=0.20, line_color=None)
+                )
+    for start, end, _ in trace.blind:
+        hatch = dict(hatch_pattern="right_diagonal_line", hatch_color=INK, hatch_alpha=0.35, hatch_scale=10.0)
+        box = BoxAnnotation(left=float(start), right=float(end), fill_color=None, line_color=None, **hatch)
+        figure.add_layout(box)
+
+
+def _mark(figure, diagnosis: Diagnosis) -> None:
+    """Events: dashed line at the onset, full one at the announcement, dotted one at the end; named on the loss plot."""
+    from bokeh.models import Label, Span
+
+    for number, event in enumerate(diagnosis.events, 1):
+        tint = colour(event.rotors[0]) if len(event.rotors) == 1 else INK
+        style = dict(dimension="height", line_color=tint, line_width=1.5)
+        figure.add_layout(Span(location=float(event.onset_s), line_dash="dashed", **style))
+        figure.add_layout(Span(location=float(event.detected_s), **style))
+        if event.end_s is not None:
+            figure.add_layout(Span(location=float(event.end_s), line_dash="dotted", **style))
+        if figure.name == "loss":
+            text = f"{number}: {report.rotors(event.rotors)}" if event.rotors else f"{number}: {report.kind(event)}"
+            where = dict(
+                x=float(event.detected_s), y=_top(diagnosis), x_offset=5, y_offset=-4 - 16 * ((number - 1) % 4)
+            )
+            look = dict(text_font="system-ui, sans-serif", text_font_size="12px", text_color=INK, text_baseline="top")
+            figure.add_layout(Label(text=text, **where, **look))
+
+
+def airframe(diagnosis: Diagnosis) -> str:
+    """The airframe from above as inline SVG, nose up; rotors filled by loss, arrows for spin. Empty without rotors."""
+    states = diagnosis.rotors
+    places = geometry(diagnosis)
+    if not states or len(places) != len(states):
+        return ""
+    xy = np.array([(r.y, -r.x) for r in places], float)
+    reach = max(float(np.hypot(*xy.T).max()), 1e-9)
+    xy *= 100 / reach
+    gaps = np.hypot(*(xy[:, None] - xy[None]).transpose(2, 0, 1)) + 1e9 * np.eye(len(xy))
+    for k in range(len(xy)):  # coaxial pairs: the second one is drawn further out
+        if gaps[k, :k].size and gaps[k, :k].min() < 1:
+            xy[k] *= 1.55
+    gaps = np.hypot(*(xy[:, None] - xy[None]).transpose(2, 0, 1)) + 1e9 * np.eye(len(xy))
+    radius = float(np.clip(0.46 * gaps.min(), 16, 40))
+    half = float(np.abs(xy).max()) + radius + 8
+    named = f"Airframe from above: {report.frame(diagnosis)}"
+    parts = [
+        f'<svg class="airframe" viewBox="{-half:.0f} {-half - 14:.0f} {2 * half:.0f} {2 * half + 14:.0f}" role="img" '
+        f'aria-label="{escape(named)}"><title>{escape(named)}</title>'
+        '<defs><marker id="spin-tip" viewBox="0 0 8 8" refX="4" refY="4" markerWidth="6" markerHeight="6" '
+        'orient="auto">'
+        '<path class="tip" d="M0 0 L8 4 L0 8z"/></marker></defs>'
+    ]
+    parts += [f'<line class="arm" x1="0" y1="0" x2="{x:.1f}" y2="{y:.1f}"/>' for x, y in xy]
+    parts.append(f'<path class="nose" d="M0 {-half - 10:.0f} l8 14 h-16z"/><circle class="body" r="15"/>')
+    for (x, y), place, state in zip(xy, places, states, strict=True):
+        parts.append(_rotor(float(x), float(y), radius, place, state))
+    return "".join(parts) + "</svg>"
+
+
+def _rotor(x: float, y: float, radius: float, place: Rotor, state) -> str:
+    """One rotor: a disc that empties with the loss, its number, its loss in percent, an arrow for its spin."""
+    loss = min(max(state.loss, 0.0), 1.0)
+    label = "?" if state.status == "unobservable" else report.percent(state.loss)
+    opacity = 0.15 + 0.85 * loss if loss > 0.02 else 0.0
+    # The arrow's arc runs over the top of the disc, 110 degrees of it.
+    aside, up = 0.82 * radius, -0.57 * radius
+    start, end, sweep = (aside, -aside, 0) if place.spin > 0 else (-aside, aside, 1)
+    spin = "counter-clockwise" if place.spin > 0 else "clockwise"
+    title = f"Rotor {state.rotor}, {spin}: {state.status}, loss {label}"
+    return (
+        f'<g class="rotor {escape(state.status)}" transform="translate({x:.1f} {y:.1f})"><title>{escape(title)}</title>'
+        f'<circle class="disc" r="{radius - 5:.1f}"/>'
+        f'<circle class="lost" r="{radius - 5:.1f}" style="fill-opacity:{opacity:.2f}"/>'
+        f'<path class="spin" marker-end="url(#spin-tip)" '
+        f'd="M{start:.1f} {up:.1f} A{radius:.1f} {radius:.1f} 0 0 {sweep} {end:.1f} {up:.1f}"/>'
+        f'<text class="number" y="1">{state.rotor}</text><text class="loss" y="14">{escape(label)}</text></g>'
+    )
+
+
+def geometry(diagnosis: Diagnosis) -> tuple[Rotor, ...]:
+    """Where the rotors are: as the diagnosis says (flight.geometry), as the frame's name says, or none."""
+    from rotorwatch import airframes
+    from rotorwatch.errors import RotorwatchError
+
+    try:
+        given = diagnosis.flight.get("geometry")
+        if given:
+            return tuple(Rotor(float(g["x"]), float(g["y"]), int(g["spin"])) for g in given)
+        return airframes.named(str(diagnosis.flight.get("frame", ""))).rotors
+    except (RotorwatchError, KeyError, TypeError, ValueError):
+        return ()

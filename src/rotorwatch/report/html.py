@@ -1,0 +1,273 @@
+"""The HTML report: one self-contained file that opens offline. Everything that comes from a log is escaped."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from rotorwatch import __version__, report
+from rotorwatch.diagnosis import Diagnosis, Event, RotorState
+from rotorwatch.errors import ConfigError
+from rotorwatch.report import comparison_cells, figures, plain, words
+
+SYMBOLS = {"healthy": "✓", "fault": "✕", "ambiguous": "?", "inconclusive": "?"}
+# The page may run its own inline scripts and styles and nothing else; in particular it may not fetch anything.
+POLICY = (
+    "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:; font-src data:"
+)
+
+
+def write(diagnosis: Diagnosis, path: str | os.PathLike) -> None:
+    """Write the page to `path`: all of it or nothing. Raises ConfigError when the place cannot be written to."""
+    path = Path(path)
+    text = page(diagnosis)
+    try:
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}-", suffix=".part")
+        try:
+            with os.fdopen(handle, "w", encoding="utf-8") as file:
+                file.write(text)
+            umask = os.umask(0)
+            os.umask(umask)
+            os.chmod(temporary, 0o666 & ~umask)  # mkstemp keeps files private; a report has the usual rights
+            os.replace(temporary, path)
+        except BaseException:
+            with suppress(OSError):
+                os.unlink(temporary)
+            raise
+    except OSError as why:
+        raise ConfigError(f"The report cannot be written to {path}: {why.strerror or why}.") from None
+
+
+def page(diagnosis: Diagnosis) -> str:
+    """The page's HTML text."""
+    title = str(diagnosis.flight.get("name") or "flight")
+    plots = figures.plots(diagnosis)
+    scripts, divs = _embed(plots)
+    body = [
+        _masthead(title),
+        '<main id="report">',
+        _verdict(diagnosis),
+        _overview(diagnosis),
+        _events(diagnosis.events),
+        _plots(diagnosis, divs),
+        _pairs("Common mode", "What all rotors share: battery sag, added mass, a common loss.", diagnosis.common_mode),
+        _pairs("Against healthy flights of this build", "", diagnosis.whole_flight or {}),
+        _comparison(diagnosis.comparison),
+        _list("Warnings", diagnosis.warnings, "warnings"),
+        _list("Assumptions", [f"Baseline: {diagnosis.baseline}", *diagnosis.assumptions]),
+        _blind(diagnosis),
+        "</main>",
+        _footer(diagnosis, title),
+    ]
+    data = diagnosis.to_json().replace("<", "\\u003c")  # inside a script element no tag may begin
+    return (
+        '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f"<title>{escape(title)}: {escape(report.VERDICTS[diagnosis.verdict])} – rotorwatch</title>\n"
+        f"<style>{_own('page.css')}</style>\n</head>\n<body>\n"
+        + "\n".join(part for part in body if part)
+        + f'\n<script type="application/json" id="diagnosis">{data}</script>\n{scripts}\n</body>\n</html>\n'
+    )
+
+
+def _own(name: str) -> str:
+    return (Path(__file__).parent / name).read_text(encoding="utf-8")
+
+
+def _embed(plots: Mapping[str, Any]) -> tuple[str, dict[str, str]]:
+    """The scripts (library, data, our own) and one element per plot. Without plots only our own script."""
+    own = f"<script>{_own('page.js')}</script>"
+    if not plots:
+        return own, {}
+    from bokeh.embed import components
+    from bokeh.resources import Resources
+
+    # Only the core library: no widgets, no tables, no GL, no MathJax.
+    library = Resources(mode="inline", components=["bokeh"]).render_js()
+    data, divs = components(dict(plots))
+    return f"{library}\n{data}\n{own}", divs
+
+
+def _masthead(title: str) -> str:
+    return (
+        f'<div class="masthead"><b>{escape(title)}</b><span class="brand">rotorwatch {escape(__version__)}</span></div>'
+    )
+
+
+def _verdict(diagnosis: Diagnosis) -> str:
+    word = f"{SYMBOLS[diagnosis.verdict]} {report.VERDICTS[diagnosis.verdict]}"
+    return (
+        f'<section class="verdict {escape(diagnosis.verdict)}"><div class="word">{escape(word)}</div>'
+        f"<h1>{escape(report.headline(diagnosis))}</h1><p>{escape(diagnosis.reason)}</p></section>"
+    )
+
+
+def _overview(diagnosis: Diagnosis) -> str:
+    facts = diagnosis.flight
+    airborne = facts.get("airborne_s") or ()
+    entries = {
+        "airframe": report.frame(diagnosis),
+        "autopilot": facts.get("autopilot"),
+        "format": facts.get("format"),
+        "logging": facts.get("profile"),
+        "duration": f"{float(facts.get('duration_s') or 0):.1f} s",
+        "airborne": f"{float(airborne[0]):.1f} to {float(airborne[1]):.1f} s" if len(airborne) == 2 else None,
+    }
+    head = _row(("rotor", "loss", "95 % interval", "", "status"), cell="th", right=(0, 1, 2), wide=(3,))
+    rows = "".join(_rotor(r) for r in diagnosis.rotors)
+    return (
+        f'{_facts(entries)}<div class="top"><div><h2>Rotors</h2>'
+        "<p>Loss of effectiveness at the end of the flight, with 95 % interval.</p>"
+        f'<div class="scroll"><table><thead>{head}</thead><tbody>{rows}</tbody></table></div></div>'
+        f"{figures.airframe(diagnosis)}</div>"
+    )
+
+
+def _rotor(r: RotorState) -> str:
+    """A line of the rotor table; the bar is drawing, not text, hence put in after escaping."""
+    if r.status == "unobservable":
+        return _row((r.rotor, "?", "", "", r.status), r.status, right=(0, 1, 2), wide=(3,))
+    bar = f'<span class="bar"><i style="width:{100 * min(max(r.loss, 0.0), 1.0):.1f}%"></i></span>'
+    cells = (r.rotor, report.percent(r.loss, 1), report.interval(*r.interval), "BAR", r.status)
+    return _row(cells, r.status, right=(0, 1, 2), wide=(3,)).replace("BAR", bar)
+
+
+def _row(
+    cells: Iterable[Any], name: str = "", cell: str = "td", right: Iterable[int] = (), wide: Iterable[int] = ()
+) -> str:
+    """A line of a table, escaped. right: columns of numbers; wide: columns that a phone has no room for."""
+    classes = {**dict.fromkeys(wide, ' class="wide"'), **dict.fromkeys(right, ' class="n"')}
+    inner = "".join(f"<{cell}{classes.get(i, '')}>{escape(str(c))}</{cell}>" for i, c in enumerate(cells))
+    return f'<tr class="{escape(name)}">{inner}</tr>' if name else f"<tr>{inner}</tr>"
+
+
+def _facts(entries: Mapping[str, Any]) -> str:
+    cells = (
+        f"<div><dt>{escape(k)}</dt><dd>{escape(str(v))}</dd></div>" for k, v in entries.items() if v not in (None, "")
+    )
+    return f'<dl class="facts">{"".join(cells)}</dl>'
+
+
+def _events(events: Iterable[Event]) -> str:
+    items = []
+    for number, e in enumerate(events, 1):
+        who = report.candidates(e) if e.rotors else "no single rotor"
+        tint = figures.colour(e.rotors[0]) if len(e.rotors) == 1 else "var(--soft)"
+        entries = {
+            "since": report.seconds(e.onset_s),
+            "announced": f"{report.seconds(e.detected_s)} ({e.detected_s - e.onset_s:.2f} s later)",
+            "until": "it lasts" if e.end_s is None else report.seconds(e.end_s),
+            "loss (95 % interval)": report.losses(e),
+            "probability": report.probability(e.probability),
+            **{words(str(k)): plain(v) for k, v in e.extra.items() if k != "history"},
+        }
+        items.append(
+            f'<li style="--tint:{tint}"><h3>{number}. {escape(report.sentence(report.kind(e)))}: {escape(who)}</h3>'
+            f"{_facts(entries)}<p>{escape(e.reason)}</p></li>"
+        )
+    return f'<h2>Events</h2><ol class="events">{"".join(items)}</ol>' if items else ""
+
+
+PLOTS = (
+    (
+        ("command",),
+        "Motor commands",
+        "What the autopilot asked of each rotor: a weak rotor is asked for more.",
+    ),
+    (
+        ("evidence",),
+        "Evidence",
+        "Odds of each explanation against a healthy aircraft, as powers of ten. The orange line is the threshold. "
+        "Click a name to hide it.",
+    ),
+    (
+        figures.CHANNELS,
+        "Residuals",
+        "What the motion shows beyond what the commands explain, with the ±2 sd a healthy aircraft stays in; "
+        "in units of the hover thrust (torques: times the arm).",
+    ),
+)
+MARKS = (
+    ("mark", "onset"),
+    ("mark full", "announced"),
+    ("mark end", "end"),
+    ("ground", "on the ground"),
+    ("blind", "blind"),
+)
+
+
+def _plots(diagnosis: Diagnosis, divs: Mapping[str, str]) -> str:
+    if not divs:
+        return ""
+    chips = "".join(_chip(r.rotor) for r in diagnosis.rotors)
+    marks = " &ensp; ".join(f'<span class="key {name}"></span>{text}' for name, text in MARKS)
+    parts = [
+        "<h2>Loss of each rotor over the flight</h2><p>The estimate as a live observer would have had it, with its "
+        "95 % band. Drag over a stretch of time to zoom all plots; the circular arrow in a plot's corner goes back.</p>",
+        f'<div class="chips" role="group" aria-label="Rotors shown">{chips}</div>',
+        _plot("loss", divs),
+        f'<p class="note">{marks}</p>',
+    ]
+    for names, title, note in PLOTS:
+        if names[0] in divs:
+            parts += [f"<h2>{title}</h2><p>{note}</p>", *(_plot(name, divs) for name in names)]
+    return "".join(parts)
+
+
+def _chip(rotor: int) -> str:
+    """A button that shows and hides a rotor's lines; it doubles as the legend."""
+    return (
+        f'<button type="button" aria-pressed="true" data-rotor="rotor {rotor}"><svg viewBox="0 0 24 8" aria-hidden="true">'
+        f'<line x1="0" y1="4" x2="24" y2="4" stroke="{figures.colour(rotor)}" stroke-width="3"{_dasharray(rotor)}/></svg>'
+        f"rotor {rotor}</button>"
+    )
+
+
+def _plot(name: str, divs: Mapping[str, str]) -> str:
+    return f'<div class="plot" id="plot-{name}">{divs[name]}</div>'
+
+
+def _dasharray(rotor: int) -> str:
+    pattern = {"solid": "", "dashed": "6 3", "dotted": "2 3"}[figures.dash(rotor)]
+    return f' stroke-dasharray="{pattern}"' if pattern else ""
+
+
+def _pairs(title: str, note: str, facts: Mapping[str, Any]) -> str:
+    if not facts:
+        return ""
+    rows = "".join(f"<dt>{escape(words(str(k)))}</dt><dd>{escape(plain(v))}</dd>" for k, v in facts.items())
+    return f'<h2>{escape(title)}</h2>{f"<p>{escape(note)}</p>" if note else ""}<dl class="pairs">{rows}</dl>'
+
+
+def _comparison(rows: Iterable[Mapping[str, Any]]) -> str:
+    body = "".join(_row(comparison_cells(row), right=(2,)) for row in rows)
+    if not body:
+        return ""
+    head = _row(("check", "found", "at", "note"), cell="th", right=(2,))
+    return f'<h2>What other checks say</h2><div class="scroll"><table><thead>{head}</thead><tbody>{body}</tbody></table></div>'
+
+
+def _list(title: str, sentences: Iterable[str], name: str = "") -> str:
+    items = "".join(f"<li>{escape(s)}</li>" for s in sentences)
+    return f'<h2>{title}</h2><ul class="plain {name}">{items}</ul>' if items else ""
+
+
+def _blind(diagnosis: Diagnosis) -> str:
+    blind = diagnosis.trace.blind if diagnosis.trace is not None else ()
+    return _list("When it could not judge", (f"{start:.1f} to {end:.1f} s: {why}" for start, end, why in blind))
+
+
+def _footer(diagnosis: Diagnosis, title: str) -> str:
+    took = ", ".join(f"{words(k)} {v:.2f} s" for k, v in diagnosis.timing.items())
+    name = f"{title.partition('.')[0] or 'flight'}.json"
+    return (
+        f"<footer>Written by rotorwatch {escape(__version__)}, estimator {escape(diagnosis.estimator)}."
+        f"{f' Time taken: {escape(took)}.' if took else ''} Times are in seconds from the first record of the log. "
+        f'<button type="button" id="save-json" data-name="{escape(name)}">Save the answer as JSON</button></footer>'
+    )

@@ -1,0 +1,100 @@
+"""Fixtures that several test files share: a fabricated but complete diagnosis, as the diagnoser would make it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rotorwatch.diagnosis import Diagnosis, Event, RotorState, Trace
+
+
+def hexa_trace(duration=60.0, rate=50.0, rotors=6, onset=31.2, detected=31.56, loss=0.37, seed=1):
+    """A hovering hexa whose rotor 3 weakens at `onset`; noise as on a calm day."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(0.0, duration, 1 / rate)
+    size = (time.size, rotors)
+    estimate = 0.012 * np.abs(np.cumsum(rng.standard_normal(size), axis=0) / np.sqrt(rate * 20))
+    width = np.full(size, 0.02)
+    after = time > detected
+    estimate[after, 2] = loss + 0.006 * rng.standard_normal(after.sum())
+    width[after, 2] = 0.02 + 0.12 * np.exp(-(time[after] - detected) / 0.8)
+    command = 0.42 + 0.012 * rng.standard_normal(size)
+    command[after, 2] += 0.16
+    command[time < 4.0] = 0.0
+    sd = np.tile([0.006, 0.006, 0.004, 0.02], (time.size, 1))
+    residual = sd * rng.standard_normal((time.size, 4))
+    residual[(time > onset) & (time < onset + 2), :] += [0.05, 0.09, -0.02, -0.06]
+    growth = np.clip((time - onset) * 16, -3, 40)
+    evidence = {
+        f"rotor {k}": (growth if k == 3 else np.clip(growth * 0.3 - k, -6, 4)) + rng.standard_normal(time.size)
+        for k in range(1, rotors + 1)
+    }
+    evidence["common mode"] = np.full(time.size, -2.0) + rng.standard_normal(time.size)
+    return Trace(
+        time=time,
+        loss=estimate,
+        lower=np.clip(estimate - width, 0, 1),
+        upper=np.clip(estimate + width, 0, 1),
+        residual=residual,
+        residual_sd=sd,
+        command=command,
+        evidence=evidence,
+        blind=((4.0, 7.5, "learning what healthy means for this flight"),),
+        airborne=((4.0, duration - 2.0),),
+        threshold=6.0,
+    )
+
+
+def hexa_diagnosis(**changes):
+    """Rotor 3 of a hexa X lost 37 % at 31.2 s of 60 s."""
+    event = Event(
+        kind="loss_of_effectiveness",
+        rotors=(3,),
+        onset_s=31.2,
+        detected_s=31.56,
+        end_s=None,
+        loss=(0.37,),
+        interval=((0.33, 0.41),),
+        probability=0.998,
+        reason="Roll and pitch torque fell short of the commands as a weaker rotor 3 would make them.",
+    )
+    states = tuple(RotorState(k, 0.01, (0.0, 0.04), "healthy") for k in range(1, 7))
+    states = (*states[:2], RotorState(3, 0.372, (0.35, 0.39), "degraded"), *states[3:])
+    whole = Diagnosis(
+        flight={
+            "name": "hexa.bin",
+            "format": "ArduPilot DataFlash",
+            "autopilot": "ArduPilot",
+            "frame": "ardupilot-hexa-x",
+            "rotors": 6,
+            "duration_s": 60.0,
+            "airborne_s": (4.0, 58.0),
+            "profile": "commands 50 Hz, gyro 100 Hz",
+        },
+        verdict="fault",
+        reason="A loss of rotor 3 explains the motion; the next best explanation is 500 times less likely.",
+        rotors=states,
+        events=(event,),
+        common_mode={"thrust_loss": 0.01, "interval": [-0.01, 0.03]},
+        baseline="the first 8 s of this flight",
+        assumptions=("Thrust curve: MOT_THST_EXPO 0.65.", "Mass and inertia unknown: gains identified in flight."),
+        warnings=("The log ends in the air.",),
+        timing={"read_s": 0.12, "diagnose_s": 1.31, "total_s": 1.43},
+        comparison=(
+            {"detector": "ArduPilot thrust loss check", "rotors": [], "detected_s": None, "note": "no total loss"},
+        ),
+        whole_flight=None,
+        trace=hexa_trace(),
+    )
+    return replace(whole, **changes)
+
+
+@pytest.fixture
+def fault():
+    return hexa_diagnosis()
+
+
+@pytest.fixture
+def healthy():
+    states = tuple(RotorState(k, 0.005, (0.0, 0.03), "healthy") for k in range(1, 7))
+    return hexa_diagnosis(verdict="healthy", reason="Nothing happened.", rotors=states, events=(), warnings=())
