@@ -153,6 +153,6 @@ def _specific_force(columns, attitude):
     world = columns("stateEstimate.ax", "stateEstimate.ay", "stateEstimate.az")
     if world is None or attitude is None:
         return None
-    force = (world + [0.0, 0.0, 1.0]) * _FLIP * series.G
+    force = np.add(world, [0.0, 0.0, 1.0]) * _FLIP * series.G
     w, v = attitude[:, :1], -attitude[:, 1:]  # the inverse rotation
     return force + 2 * np.cross(v, np.cross(v, force) + w * force)

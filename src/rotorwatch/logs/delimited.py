@@ -16,7 +16,7 @@ _MOST_COLUMNS = 2000
 
 def header(head: bytes) -> list[str]:
     """Column names in the first line of a text table; [] when it is no such table."""
-    line, found, _ = bytes(head).partition(b"\n")
+    line = bytes(head).partition(b"\n")[0]
     try:
         text = line.decode("utf-8-sig").strip()
     except UnicodeDecodeError:
@@ -27,7 +27,7 @@ def header(head: bytes) -> list[str]:
 
 
 def numbers(data, notes, name="") -> dict[str, np.ndarray]:
-    """Columns of a text table by name. Empty cells and what is no number become NaN; notes says how many lines suffered.
+    """Columns of a text table by name. Empty cells and what is no number become NaN; notes says how many lines it hit.
 
     Raises LogError without a header line, with doubled names, or without any line of numbers.
     """
@@ -52,7 +52,7 @@ def numbers(data, notes, name="") -> dict[str, np.ndarray]:
 
 
 def _line_by_line(body: bytes, width: int, notes, where: str) -> np.ndarray:
-    """Slower than loadtxt, and takes damaged lines: a wrong number of cells drops the line, a wrong cell becomes NaN."""
+    """Slower than loadtxt, but takes damage: a wrong number of cells drops the line, a wrong cell becomes NaN."""
     rows, dropped, cells = [], 0, 0
     lines = io.StringIO(body.decode("utf-8", "replace").replace("\0", ""), newline="")
     for line in csv.reader(lines):

@@ -1,4 +1,4 @@
-"""A Flight from arrays or a data frame in memory; also the column names of our CSV and Parquet tables (docs/readers.md)."""
+"""A Flight from arrays or a data frame in memory; also the column names of our tables (docs/readers.md)."""
 
 from __future__ import annotations
 
@@ -47,8 +47,8 @@ def from_arrays(
 ) -> Flight:
     """Build a Flight from columns with the names of docs/readers.md.
 
-    columns: a mapping of names to equally long sequences, or a pandas or polars data frame. NaN means no sample. Signals
-    of different rates share one table: a column that is empty in most rows is taken at the rows where it has values.
+    columns: a mapping of names to equally long sequences, or a pandas or polars data frame. NaN means no sample.
+    Signals of different rates share one table: one that is empty in most rows is taken at the rows where it has values.
     parameters: the autopilot's, by their names (MOT_THST_EXPO, CA_ROTOR0_PX ...).
 
     Raises LogError naming the columns that are unknown, incomplete or of the wrong kind.

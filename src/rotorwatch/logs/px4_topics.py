@@ -80,7 +80,7 @@ class Topics:
         return time[late], table
 
     def signal(self, kind, name, fields, scale=1.0, valid=None):
-        """The Signal `kind` from the given fields of a topic, or None. valid: 0/1 fields, one for each field, or None."""
+        """The Signal `kind` from the given fields of a topic, or None. valid: 0/1 fields, one for each, or None."""
         found = self.table(name, *fields)
         if found is None:
             return None
@@ -140,7 +140,7 @@ def rotor_count(parameters) -> int:
 
 
 def _motors(topics: Topics, parameters):
-    """Rotor commands and facts. actuator_motors (1.13+) is in rotor order already; actuator_outputs may need mapping."""
+    """Rotor commands and facts. actuator_motors (1.13+) is in rotor order; actuator_outputs may need mapping."""
     count = rotor_count(parameters)
     found = topics.table("actuator_motors", "control[0]")
     if found is not None:

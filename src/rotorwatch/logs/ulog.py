@@ -126,8 +126,8 @@ def _log_messages(log, start) -> list[Message]:
 class _File:
     """A read-only file over bytes that need not be copied, and that ends for good when a parser runs in circles.
 
-    Each record takes two reads and no record of interest is shorter than 8 bytes, so a parser that reads more often than
-    one time in four bytes is lost; from there on this file pretends to be at its end. cut: a read got less than it asked.
+    Each record takes two reads and no record of interest is shorter than 8 bytes, so a parser that reads more often
+    than one time in four bytes is lost; then this file pretends to be at its end. cut: a read got less than it asked.
     """
 
     def __init__(self, data, progress=None):

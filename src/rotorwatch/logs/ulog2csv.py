@@ -76,7 +76,7 @@ def _integer_stamps(table):
 
 
 def _flight(tables, notes) -> Flight:
-    """Second 0 is the first attitude: the tables do not say when the log started, and the estimator runs from then on."""
+    """Second 0 is the first attitude: the tables do not say when the log started; the estimator runs from then on."""
     first = {k: int(t["timestamp"].min()) for k, t in tables.items() if t["timestamp"].size}
     if not first:
         raise LogError("these tables hold no samples")
