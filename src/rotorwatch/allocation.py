@@ -3,25 +3,32 @@
 A rotor's command u is logged slowly (ArduPilot: 10 Hz), the rate controller's output c = (roll, pitch, yaw, throttle)
 often fast. The autopilot turns c into thrust demands with its mixer M and its gain g (air density),
 
-    t = g M c,        f(u) = t        with f the thrust curve that includes the battery compensation,
+    t = g M c,        m(u) = t        with m the thrust curve the autopilot believes in (battery compensation included),
 
-so that the slow f(u) verifies and scales a fast rebuilt t. All functions here are causal: a value at time s uses
-nothing logged after s.
+so that the slow m(u) verifies and scales a fast rebuilt t, from which u and the thrust f(u) follow. ArduPilot's m is f;
+PX4 often believes in a straight line (THR_MDL_FAC 0) that no motor follows: ``vehicle.extra["mixer_expo"]``.
+
+All functions here are causal: a value at time s uses nothing logged after s.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import itertools
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from rotorwatch.flight import Flight, Signal
-from rotorwatch.vehicle import Vehicle
+from rotorwatch.vehicle import ThrustCurve, Vehicle
 
+Spans = tuple[tuple[float, float], ...]
 PART = 0.05  # share of full thrust by which rebuilt and logged thrust may differ before the rebuilt one is not trusted
 FLYING = 0.05  # share of full thrust above which a rotor does enough for a comparison
 GAIN_MEMORY_S = 20.0  # air density changes with height, slowly
 PAIR_WITHIN_S = 0.15  # a command further than this from any control sample has no partner
+PROVEN = 20  # comparisons a mixer must have passed before it can accuse an output
+CONFIRM_S, CONFIRM_SAMPLES = 0.25, 3  # how long an output must differ
+SILENT_S = 0.5  # an output that does not move for this long while all others do is stuck
 NOISE_SD = 0.004  # rounding to 1 us, and the controller moving between its own log lines and those of the outputs
 
 
@@ -80,9 +87,13 @@ def mixed_thrusts(flight: Flight, vehicle: Vehicle) -> Signal | None:
     check = compare(flight, vehicle)
     step = np.searchsorted(check.known, control.time, side="right") - 1  # last comparison finished by then
     regressors = np.column_stack([control.values, np.ones(len(control))])
-    thrust = np.einsum("tc,tcr->tr", regressors, check.weights[np.maximum(step, 0)])
-    top = vehicle.curve(np.asarray(vehicle.curve.u_max), battery_ratio(flight, control.time))
-    inside = np.all((thrust > 0.005) & (thrust < 0.99 * top[:, None]), axis=1)
+    if not len(check.time):
+        return None
+    demand = np.einsum("tc,tcr->tr", regressors, check.weights[np.maximum(step, 0)])
+    believed, battery = believed_curve(vehicle), battery_ratio(flight, control.time)[:, None]
+    inside = np.all((demand > 0.005) & (demand < 0.99 * believed(np.asarray(believed.u_max), battery)), axis=1)
+    share = drive(believed.expo, np.clip(demand, 0.0, 1.0))
+    thrust = (1.0 - vehicle.curve.expo) * share + vehicle.curve.expo * share * share
     inside &= yaw_granted(flight, vehicle, control.values)
     fresh = (step >= 0) & (control.time - check.time[np.maximum(step, 0)] < 0.5)
     trusted = check.trusted[np.maximum(step, 0)]
@@ -93,17 +104,17 @@ def mixed_thrusts(flight: Flight, vehicle: Vehicle) -> Signal | None:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Logged against rebuilt thrust at the m motor samples that have control samples around them.
+    """Logged against rebuilt demand at the m motor samples that have control samples around them.
 
     time (m,): of the motor sample. known (m,): when its comparison could be made (the later control sample has come).
-    thrust, deviation (m, n): logged f(u), and logged minus rebuilt. weights (m, 5, n): (roll, pitch, yaw, throttle, 1)
-    -> thrust as known right after this sample. free (m,): no rotor near its limits, so that they explain nothing.
+    demand, deviation (m, n): logged m(u), and logged minus rebuilt. weights (m, 5, n): (roll, pitch, yaw, throttle, 1)
+    -> demand as known right after this sample. free (m,): no rotor near its limits, so that they explain nothing.
     trusted (m, n): the rebuilt thrust of this rotor agreed in this sample and the one before.
     """
 
     time: np.ndarray
     known: np.ndarray
-    thrust: np.ndarray
+    demand: np.ndarray
     deviation: np.ndarray
     weights: np.ndarray
     free: np.ndarray
@@ -111,9 +122,9 @@ class Comparison:
 
 
 def compare(flight: Flight, vehicle: Vehicle) -> Comparison:
-    """Hold the rebuilt thrusts against the logged ones, learning the mixer's gain (or, for a mixer that is not known,
+    """Hold the rebuilt demands against the logged ones, learning the mixer's gain (or, for a mixer that is not known,
     all of its factors) on the way. Needs signals ``motors`` and ``control``."""
-    logged, control = motor_thrusts(flight, vehicle), flight["control"]
+    logged, control, believed = flight["motors"], flight["control"], believed_curve(vehicle)
     ok = np.all(control.valid, axis=1)
     when, what = control.time[ok], control.values[ok]
     # Linear interpolation between the two control samples around each command; the comparison waits for the later one.
@@ -129,25 +140,27 @@ def compare(flight: Flight, vehicle: Vehicle) -> Comparison:
         after = np.where(close, before, after)
         before = np.where(when[after] - logged.time < 0.002, after, before)
         found = (found | close) & (np.maximum(when[after] - logged.time, logged.time - when[before]) < PAIR_WITHIN_S)
-    before, after, thrust, time = before[found], after[found], logged.values[found], logged.time[found]
+    before, after, time = before[found], after[found], logged.time[found]
+    battery = battery_ratio(flight, time)[:, None]
+    demand = believed(logged.values[found], battery)
     gap = np.maximum(when[after] - when[before], 1e-9)
     share = np.clip((time - when[before]) / gap, 0.0, 1.0)[:, None]
     inputs = np.column_stack([(1.0 - share) * what[before] + share * what[after], np.ones(len(time))])
-    top = vehicle.curve(np.asarray(vehicle.curve.u_max), battery_ratio(flight, time))[:, None]
+    top = believed(np.asarray(believed.u_max), battery)
     if vehicle.mixer is None:
-        weights = _learn_mixer(time, inputs, thrust, top)
+        weights = _learn_mixer(time, inputs, demand, top)
     else:
-        weights = _learn_gain(time, inputs, thrust, vehicle.mixer)
+        weights = _learn_gain(time, inputs, demand, vehicle.mixer)
     # Each sample is judged by what was known before it.
     prior = np.concatenate([weights[:1], weights[:-1]])
     rebuilt = np.einsum("tc,tcr->tr", inputs, prior)
-    deviation = thrust - np.clip(rebuilt, 0.0, top)
+    deviation = demand - np.clip(rebuilt, 0.0, top)
     free = np.all((rebuilt > 0.02) & (rebuilt < 0.97 * top), axis=1)
     free &= yaw_granted(flight, vehicle, inputs)
     good = np.abs(deviation) < PART
     trusted = good & np.concatenate([np.zeros_like(good[:1]), good[:-1]])
     return Comparison(
-        time, np.maximum(time, when[after]) if len(time) else time, thrust, deviation, weights, free, trusted
+        time, np.maximum(time, when[after]) if len(time) else time, demand, deviation, weights, free, trusted
     )
 
 
@@ -167,6 +180,18 @@ def yaw_granted(flight: Flight, vehicle: Vehicle, control: np.ndarray) -> np.nda
     up = control[:, 2:3] * factors[:, 2] > 0
     room = np.where(up, 1.0 - level, level) / np.abs(factors[:, 2])
     return yaw < np.maximum(always, 0.95 * room.min(axis=1, initial=np.inf))
+
+
+def believed_curve(vehicle: Vehicle) -> ThrustCurve:
+    """The thrust curve the autopilot's mixer reckons with; the vehicle's own unless ``extra`` has ``mixer_expo``."""
+    return replace(vehicle.curve, expo=float(vehicle.extra.get("mixer_expo", vehicle.curve.expo)))
+
+
+def drive(expo: float, thrust: np.ndarray) -> np.ndarray:
+    """Inverse of the thrust curve: (command share times battery ratio) that gives `thrust`, 0 or more."""
+    if expo < 1e-6:
+        return thrust
+    return (np.sqrt((1.0 - expo) ** 2 + 4.0 * expo * thrust) - (1.0 - expo)) / (2.0 * expo)
 
 
 def _learn_gain(time, inputs, thrust, mixer) -> np.ndarray:
@@ -206,3 +231,183 @@ def _learn_mixer(time, inputs, thrust, top) -> np.ndarray:
             spread = spread - np.outer(gain, x @ spread)
         weights[k] = now
     return weights
+
+
+@dataclass(frozen=True)
+class Override:
+    """An output that no longer follows the mixer.
+
+    rotor: 1-based. kind: stuck, off or overridden. Times in s, end None while it lasts. reason: one sentence.
+    """
+
+    rotor: int
+    kind: str
+    onset: float
+    detected: float
+    end: float | None
+    reason: str
+
+
+def overrides(flight: Flight, vehicle: Vehicle, airborne: Spans) -> tuple[Override, ...]:
+    """Outputs that stopped following the mixer in flight: stuck at a value, off, or driven by something else.
+
+    airborne: ((start, end), ...) in s. With a ``control`` signal that the mixer is seen to follow, an output counts
+    when it differs by more than 0.05 of full thrust (and six times the usual difference) for 0.25 s while no rotor is
+    near its limits; limits explain neither an output below its minimum nor one that does not move at all. Without it,
+    only outputs that are off, or constant for 0.5 s while all others move, are found. Loss of effectiveness never
+    shows here: the commands are what is compared. Causal: `detected` is when a live observer would have known.
+    """
+    if not flight.has("motors"):
+        return ()
+    found: list[Override] = []
+    if flight.has("control"):
+        found += _departures(flight, vehicle, airborne)
+    seen = {o.rotor for o in found}
+    found += [o for o in _silent(flight, vehicle, airborne) if o.rotor not in seen]
+    return tuple(sorted(found, key=lambda o: (o.detected, o.rotor)))
+
+
+def within(time: np.ndarray, spans: Spans) -> np.ndarray:
+    """(n,) bool: which times lie in one of the spans."""
+    inside = np.zeros(len(time), bool)
+    for start, end in spans:
+        inside |= (time >= start) & (time < end)
+    return inside
+
+
+def _departures(flight: Flight, vehicle: Vehicle, airborne: Spans) -> list[Override]:
+    """Overrides found by comparing each output with what the mixer asks of it."""
+    check = compare(flight, vehicle)
+    if len(check.time) < 3:
+        return []
+    command = hold(flight["motors"].time, flight["motors"].values, check.time)
+    low, span = vehicle.curve.u_min, vehicle.curve.u_max - vehicle.curve.u_min
+    flying = within(check.time, airborne) & (np.median(check.demand, axis=1) > FLYING)
+    apart = np.abs(check.deviation)
+    good = flying & np.all(apart < PART, axis=1)
+    # How well the mixer has explained the outputs so far; a mixer that never did says nothing about single outputs.
+    past = np.concatenate([[0], np.cumsum(good)[:-1]])
+    compared = np.concatenate([[0], np.cumsum(flying & check.free)[:-1]])
+    power = np.concatenate([[0.0], np.cumsum(np.where(good[:, None], apart**2, 0.0).max(axis=1))[:-1]])
+    proven = (past >= PROVEN) & (past > 0.7 * compared)
+    limit = np.maximum(PART, 6.0 * np.sqrt(power / np.maximum(past, 1)))
+    asked = check.demand - check.deviation
+    found = []
+    for k in range(command.shape[1]):
+        others = np.delete(apart, k, axis=1)
+        alone = np.mean(others < limit[:, None], axis=1) >= 0.5
+        still = _since_moved(check.time, command[:, k], span / 400.0)
+        interior = (command[:, k] > low + 0.01 * span) & (command[:, k] < low + 0.99 * span)
+        off = (command[:, k] < low - 0.01 * span) & (asked[:, k] > 2 * FLYING)
+        frozen = (check.time - still > 0.5) & interior
+        wrong = proven & flying & (apart[:, k] > limit) & ((check.free & alone) | off | frozen)
+        back = (apart[:, k] < PART) & (check.time - still < 0.5)
+        for onset, seen, end in _runs(check.time, wrong, back | ~flying, CONFIRM_S, CONFIRM_SAMPLES):
+            kind = "overridden"
+            if np.all(command[onset : seen + 1, k] < low - 0.01 * span):
+                kind = "off"
+            elif np.ptp(command[onset : seen + 1, k]) <= span / 400.0 and interior[seen]:
+                kind = "stuck"
+            start = min(still[seen], check.time[onset]) if kind == "stuck" else check.time[onset]
+            reason = (
+                f"output {k + 1} was at {command[seen, k]:.4g} while the mixer asked for {asked[seen, k]:.0%} "
+                f"of full thrust and got {check.demand[seen, k]:.0%}"
+            )
+            until = None if end is None else float(check.time[end])
+            found.append(Override(k + 1, kind, float(start), float(check.known[seen]), until, reason))
+    return found
+
+
+def _silent(flight: Flight, vehicle: Vehicle, airborne: Spans) -> list[Override]:
+    """Overrides that the outputs alone give away: one is off, or constant, while all others fly and move."""
+    motors, thrust = flight["motors"], motor_thrusts(flight, vehicle).values
+    low, span = vehicle.curve.u_min, vehicle.curve.u_max - vehicle.curve.u_min
+    time, inside = motors.time, within(motors.time, airborne) & np.all(motors.valid, axis=1)
+    window = np.searchsorted(time, time - SILENT_S, side="left")
+    moved = np.stack([_range(thrust[:, j], window) for j in range(thrust.shape[1])], axis=1)
+    found = []
+    for k in range(thrust.shape[1]):
+        others, command = np.delete(thrust, k, axis=1), motors.values[:, k]
+        still = _since_moved(time, command, 1e-9)
+        interior = (command > low + 0.02 * span) & (command < low + 0.98 * span)
+        moving = np.min(np.delete(moved, k, axis=1), axis=1) > 0.03
+        stuck = inside & interior & (time - still > SILENT_S) & moving
+        # Below the minimum of the others: no mixer asks for that. With a minimum of 0, at 0 while no other is limited.
+        unlimited = np.all((others > FLYING) & (others < 0.95), axis=1)
+        off = inside & (np.median(others, axis=1) > 2 * FLYING)
+        off &= (command < low - 0.01 * span) if low > 0.01 * span else (command <= low) & unlimited
+        for wrong, kind, hold_s in ((stuck, "stuck", 0.0), (off, "off", 0.3 if low > 0.01 * span else 1.0)):
+            back = (time - still < 0.2) if kind == "stuck" else (command > low + 0.01 * span)
+            for onset, seen, end in _runs(time, wrong, back | ~inside, hold_s, 1 if kind == "stuck" else 3):
+                start = still[seen] if kind == "stuck" else time[onset]
+                what = "did not move" if kind == "stuck" else "was below its minimum"
+                reason = f"output {k + 1} {what} at {command[seen]:.4g} while all others flew on"
+                until = None if end is None else float(time[end])
+                found.append(Override(k + 1, kind, float(start), float(time[seen]), until, reason))
+    return found
+
+
+def _runs(time, wrong, back, hold_s: float, samples: int):
+    """(onset, confirmed, end or None) indices of the spells of `wrong`.
+
+    Confirmed after `hold_s` and `samples` in a row, ended when `back` holds for 0.5 s.
+    """
+    k, n = 0, len(time)
+    flags = np.flatnonzero(wrong)
+    while k < n:
+        later = flags[np.searchsorted(flags, k) :]
+        if not len(later):
+            return
+        onset = k = int(later[0])
+        while k < n and wrong[k] and (time[k] - time[onset] < hold_s or k - onset + 1 < samples):
+            k += 1
+        if k == n or not wrong[k]:
+            k += 1
+            continue
+        seen, since = k, None
+        while k < n:
+            since = (k if since is None else since) if back[k] else None
+            if since is not None and time[k] - time[since] >= 0.5:
+                break
+            k += 1
+        yield onset, seen, (since if k < n else None)
+
+
+def _since_moved(time: np.ndarray, values: np.ndarray, tolerance: float) -> np.ndarray:
+    """For each sample the time since which the value has stayed within `tolerance` of where it settled."""
+    start = np.empty(len(time))
+    anchor, since = np.inf, 0.0
+    for k, value in enumerate(values.tolist()):
+        if abs(value - anchor) > tolerance:
+            anchor, since = value, time[k]
+        start[k] = since
+    return start
+
+
+def _range(values: np.ndarray, window: np.ndarray) -> np.ndarray:
+    """Largest minus smallest value from index window[i] to i."""
+    return np.array([np.ptp(values[a : b + 1]) for b, a in enumerate(window)])
+
+
+def ambiguous_sets(effectiveness: np.ndarray, size: int = 2) -> tuple[tuple[tuple[int, ...], tuple[int, ...]], ...]:
+    """Pairs of rotor sets (1-based, up to `size` rotors) whose losses can produce exactly the same effect.
+
+    effectiveness: (3 or 4, n), a column per rotor (`Vehicle.effectiveness`; its first three rows for torque only). Two
+    sets S and T are listed when B_S x = B_T y has a solution with all x and y above 0: a linear program for each pair.
+    """
+    from scipy.optimize import linprog
+
+    rotors = range(effectiveness.shape[1])
+    sets = [s for k in range(1, size + 1) for s in itertools.combinations(rotors, k)]
+    found = []
+    for one, other in itertools.combinations(sets, 2):
+        if set(one) & set(other):
+            continue  # what they share cancels: the rest is a pair of smaller sets
+        columns = np.concatenate([effectiveness[:, one], -effectiveness[:, other]], axis=1)
+        # Cheap refusal first: no solution at all unless the columns depend on each other.
+        if np.linalg.svd(columns, compute_uv=False)[-1] > 1e-9 and columns.shape[1] <= columns.shape[0]:
+            continue
+        answer = linprog(np.ones(columns.shape[1]), A_eq=columns, b_eq=np.zeros(len(columns)), bounds=(1, None))
+        if answer.status == 0:
+            found.append((tuple(k + 1 for k in one), tuple(k + 1 for k in other)))
+    return tuple(found)

@@ -29,6 +29,7 @@ def identify(flight: Flight) -> Vehicle | None:
             return None
         vehicle = px4.NAMES[f"px4-{kind}-x"]()
         curve = px4.curve(flight, notes)
+        vehicle = replace(vehicle, extra={"mixer_expo": px4.mixer_expo(flight)})
     else:
         vehicle = ardupilot.NAMES[f"ardupilot-{kind}-x"]()
         curve = ardupilot.curve(flight, notes)

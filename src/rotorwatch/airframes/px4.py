@@ -52,7 +52,13 @@ def identify(flight: Flight) -> Vehicle | None:
         if frame is None:
             return None
         name, rotors = f"px4-{frame}", place(frame)
-    return Vehicle(name, rotors, curve(flight, notes), mixer=mix(rotors), source=source, assumptions=tuple(notes))
+    return Vehicle(
+        *(name, rotors, curve(flight, notes)),
+        mixer=mix(rotors),
+        source=source,
+        assumptions=tuple(notes),
+        extra={"mixer_expo": mixer_expo(flight)},
+    )
 
 
 def place(frame: str) -> tuple[Rotor, ...]:
@@ -72,6 +78,15 @@ def mix(rotors: tuple[Rotor, ...]) -> np.ndarray:
     return inverse / np.where(scale > 0, scale, 1.0)
 
 
+def mixer_expo(flight: Flight) -> float:
+    """The expo of the thrust curve that lies between PX4's mixer and the logged commands."""
+    motors = flight.signals.get("motors")
+    # actuator_motors holds thrust demands: the thrust model is applied to them on the way out.
+    if motors is not None and "actuator_motors" in motors.source:
+        return 0.0
+    return float(np.clip(flight.parameters.get("THR_MDL_FAC", 0.0), 0.0, 1.0))
+
+
 def curve(flight: Flight, notes: list[str]) -> ThrustCurve:
     """Thrust curve from THR_MDL_FAC and the output limits; `notes` gets what had to be assumed."""
     factor = flight.parameters.get("THR_MDL_FAC", 0.0)
@@ -89,7 +104,6 @@ def curve(flight: Flight, notes: list[str]) -> ThrustCurve:
             low, high = 1000.0, 2000.0
             notes.append("The log has no PWM limits: motor pulses taken as 1000 to 2000 us.")
         return ThrustCurve(float(low), float(high), expo, known)
-    # actuator_motors holds thrust demands: the thrust model is applied to them on the way out.
     asked = known and "actuator_motors" in motors.source
     return ThrustCurve(0.0, 1.0, 0.0 if asked else expo, known)
 
