@@ -146,7 +146,7 @@ DAMAGE: dict[str, Callable[[np.ndarray, np.random.Generator], np.ndarray]] = {
 
 @dataclass(frozen=True)
 class Task:
-    """What a worker needs to know: the intact log, its name (for the suffix), seed, share to diagnose and time limit."""
+    """What a worker needs to know: the intact log, its name (for the suffix), seed, share to diagnose, time limit."""
 
     data: bytes
     name: str

@@ -84,7 +84,8 @@ def headline(diagnosis: Diagnosis) -> str:
         worst = max(faults, key=lambda e: max(e.loss, default=0.0))
         again = f" ({len(faults)} events)" if len(faults) > 1 else ""
         until = f" until {seconds(worst.end_s)}" if worst.end_s is not None else ""
-        return f"{sentence(rotors(worst.rotors))} lost {losses(worst)} of thrust at {seconds(worst.onset_s)}{until}{again}."
+        who, when = sentence(rotors(worst.rotors)), f"{seconds(worst.onset_s)}{until}{again}"
+        return f"{who} lost {losses(worst)} of thrust at {when}."
     if stuck:
         who = rotors(stuck[0].rotors)
         return f"The output of {who} stopped following the mixer at {seconds(stuck[0].onset_s)}."

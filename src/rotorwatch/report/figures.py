@@ -81,7 +81,8 @@ def dash(rotor: int) -> str:
 def plots(diagnosis: Diagnosis) -> dict[str, Any]:
     """Bokeh figures by name: loss, command, evidence, roll, pitch, yaw, thrust. Time axes and crosshairs are linked.
 
-    Empty without `diagnosis.trace`. Losses and commands in percent, residuals in hover-thrust units, evidence in log10 odds.
+    Empty without `diagnosis.trace`. Losses and commands in percent, residuals in units of
+    hover thrust, evidence in log10 odds.
     """
     from bokeh.models import ColumnDataSource, CrosshairTool, Range1d, Span
 
@@ -217,7 +218,7 @@ def _top(diagnosis: Diagnosis) -> float:
     seen = trace.loss[flying & ~_blind(trace)]
     high = [0.12, *(i[1] for e in diagnosis.events for i in e.interval), *(r.loss for r in diagnosis.rotors)]
     if seen.size:
-        high.append(float(np.nanquantile(seen.max(axis=1), 0.999)))
+        high.append(float(np.quantile(np.nan_to_num(seen).max(axis=1), 0.999)))
     return min(105.0, 125 * max(high))
 
 
@@ -285,7 +286,7 @@ def _residual(trace: Trace, source, x_range, name: str, channel: int) -> Any:
     p.xaxis.visible = last
     p.yaxis.ticker.desired_num_ticks = 3
     p.varea("time", f"{name}_bottom", f"{name}_band", source=source, color="#56b4e9", alpha=0.22, name="band")
-    _hover(p, p.line("time", name, source=source, color="#0072b2", line_width=1.1, name="residual"))
+    _hover(p, p.line("time", name, source=source, color="#2b83ba", line_width=1.1, name="residual"))
     return p
 
 

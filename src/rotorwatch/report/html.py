@@ -209,7 +209,7 @@ def _plots(diagnosis: Diagnosis, divs: Mapping[str, str]) -> str:
     marks = " &ensp; ".join(f'<span class="key {name}"></span>{text}' for name, text in MARKS)
     parts = [
         "<h2>Loss of each rotor over the flight</h2><p>The estimate as a live observer would have had it, with its "
-        "95 % band. Drag over a stretch of time to zoom all plots; the circular arrow in a plot's corner goes back.</p>",
+        "95 % band. Drag over a stretch of time to zoom all plots; the arrow in a plot's corner goes back.</p>",
         f'<div class="chips" role="group" aria-label="Rotors shown">{chips}</div>',
         _plot("loss", divs),
         f'<p class="note">{marks}</p>',
@@ -223,9 +223,9 @@ def _plots(diagnosis: Diagnosis, divs: Mapping[str, str]) -> str:
 def _chip(rotor: int) -> str:
     """A button that shows and hides a rotor's lines; it doubles as the legend."""
     return (
-        f'<button type="button" aria-pressed="true" data-rotor="rotor {rotor}"><svg viewBox="0 0 24 8" aria-hidden="true">'
-        f'<line x1="0" y1="4" x2="24" y2="4" stroke="{figures.colour(rotor)}" stroke-width="3"{_dasharray(rotor)}/></svg>'
-        f"rotor {rotor}</button>"
+        f'<button type="button" aria-pressed="true" data-rotor="rotor {rotor}">'
+        '<svg viewBox="0 0 24 8" aria-hidden="true"><path d="M0 4h24" stroke-width="3" '
+        f'stroke="{figures.colour(rotor)}"{_dasharray(rotor)}/></svg>rotor {rotor}</button>'
     )
 
 
@@ -250,7 +250,8 @@ def _comparison(rows: Iterable[Mapping[str, Any]]) -> str:
     if not body:
         return ""
     head = _row(("check", "found", "at", "note"), cell="th", right=(2,))
-    return f'<h2>What other checks say</h2><div class="scroll"><table><thead>{head}</thead><tbody>{body}</tbody></table></div>'
+    table = f"<table><thead>{head}</thead><tbody>{body}</tbody></table>"
+    return f'<h2>What other checks say</h2><div class="scroll">{table}</div>'
 
 
 def _list(title: str, sentences: Iterable[str], name: str = "") -> str:

@@ -1,0 +1,266 @@
+"""The words, tables and pages made of a diagnosis."""
+
+import json
+import re
+import stat
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from conftest import hexa_diagnosis, hexa_trace
+from rotorwatch import report
+from rotorwatch.diagnosis import Event, RotorState
+from rotorwatch.errors import ConfigError
+from rotorwatch.report import figures, html, terminal
+
+
+def text_of(diagnosis):
+    screen = terminal.console()
+    with screen.capture() as out:
+        screen.print(terminal.diagnosis(diagnosis))
+    return out.get()
+
+
+def event(**changes):
+    return replace(hexa_diagnosis().events[0], **changes)
+
+
+# Words
+
+
+@pytest.mark.parametrize(
+    ("share", "text"), [(0.374, "37 %"), (-0.001, "0 %"), (0.0, "0 %"), (1.0, "100 %"), (-0.021, "-2 %")]
+)
+def test_percent_never_says_minus_zero(share, text):
+    assert report.percent(share) == text
+
+
+@pytest.mark.parametrize(("value", "text"), [(0.8, "80 %"), (0.998, "99.8 %"), (0.9999, "> 99.9 %"), (1.0, "> 99.9 %")])
+def test_probability_is_never_rounded_up_to_certainty(value, text):
+    assert report.probability(value) == text
+
+
+def test_rotor_lists_read_as_english():
+    assert report.rotors(()) == "no rotor"
+    assert report.rotors((3,)) == "rotor 3"
+    assert report.rotors((1, 2, 4)) == "rotors 1, 2 and 4"
+    both = event(rotors=(1, 2), alternatives=((3, 4), (1, 2)))
+    assert report.candidates(both) == "rotors 1 and 2, or rotors 3 and 4"
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({}, "Rotor 3 lost 37 % (33–41 %) of thrust at 31.20 s."),
+        ({"events": (event(end_s=40.0), event(loss=(0.1,)))}, "31.20 s until 40.00 s (2 events)."),
+        ({"events": (event(kind="output_override"),)}, "output of rotor 3 stopped following the mixer at 31.20 s"),
+        ({"events": ()}, "Rotor 3 pulled less than on healthy flights: loss 37 %"),
+        ({"verdict": "healthy", "events": ()}, "All rotors pull their weight."),
+        ({"verdict": "inconclusive", "events": ()}, "This log cannot say."),
+        ({"verdict": "ambiguous", "events": (event(rotors=(1, 2), alternatives=((3, 4),)),)}, "or rotors 3 and 4"),
+        ({"verdict": "ambiguous", "events": ()}, "cannot say which rotor"),
+    ],
+)
+def test_headline(changes, words):
+    assert words in report.headline(hexa_diagnosis(**changes))
+
+
+# Terminal
+
+
+def test_table_holds_the_whole_answer(fault):
+    text = text_of(fault)
+    for part in ("FAULT FOUND", "31.56 s", "37.2 %", "35–39 %", "degraded", "99.8 %", "ArduPilot thrust loss check"):
+        assert part in text, part
+    for sentence in (*fault.assumptions, *fault.warnings, fault.baseline, "4.0 to 7.5 s: learning what healthy"):
+        assert sentence in " ".join(text.split()), sentence
+
+
+def test_table_fits_80_columns_and_has_no_escape_codes(fault):
+    text = text_of(fault)
+    assert max(len(line.rstrip()) for line in text.splitlines()) <= 80
+    assert "\x1b" not in text
+
+
+def test_markup_in_a_log_is_text():
+    assert "[bold]x[/bold] :skull:" in text_of(hexa_diagnosis(reason="[bold]x[/bold] :skull:"))
+
+
+def test_unobservable_rotors_have_no_number(healthy):
+    unseen = replace(healthy, rotors=(RotorState(1, 0.0, (0.0, 1.0), "unobservable"),))
+    row = next(line for line in text_of(unseen).splitlines() if "unobservable" in line)
+    assert "?" in row and "%" not in row
+    assert "bar" not in html.page(unseen).split("<tbody>")[1].split("</tbody>")[0]
+
+
+# Thinning
+
+
+def test_thinning_keeps_every_peak_and_the_order_of_time():
+    rng = np.random.default_rng(3)
+    time = np.arange(60_000) / 100.0
+    values = rng.standard_normal(time.size)
+    values[12_345], values[50_001] = 40.0, -40.0
+    screen = figures.Screen(time, [])
+    line = screen.line(values)
+    assert screen.time.size <= 2 * figures.OVERVIEW_ROWS
+    assert np.all(np.diff(screen.time) > 0)
+    assert line.max() == 40.0 and line.min() == -40.0
+    assert abs(screen.time[line.argmax()] - 123.45) < 2 * 600 / figures.OVERVIEW_ROWS
+    assert np.all(screen.least(values) <= line) and np.all(line <= screen.greatest(values))
+
+
+def test_thinning_keeps_the_full_rate_around_events():
+    time = np.arange(60_000) / 100.0
+    screen = figures.Screen(time, [(100.0, 110.0)])
+    near = (screen.time >= 100.0) & (screen.time <= 110.0)
+    assert near.sum() >= 1000
+    assert screen.time.size <= figures.OVERVIEW_ROWS + figures.DETAIL_ROWS
+
+
+def test_thinning_bridges_no_gap_and_survives_few_samples():
+    time = np.arange(10.0)
+    values = np.where(time < 5, np.nan, time)
+    screen = figures.Screen(time, [])
+    assert np.array_equal(screen.time, time)
+    assert np.isnan(screen.line(values)[:5]).all() and np.array_equal(screen.line(values)[5:], time[5:])
+
+
+# Page
+
+
+class Tags(HTMLParser):
+    """Start tags with their attributes, and the visible text."""
+
+    def __init__(self, page):
+        super().__init__()
+        self.tags, self.words, self.raw = [], [], False
+        self.feed(page)
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+        self.raw = tag in ("script", "style")
+
+    def handle_endtag(self, tag):
+        self.raw = False
+
+    def handle_data(self, data):
+        if not self.raw:
+            self.words.append(data)
+
+
+def test_page_holds_the_whole_answer(fault):
+    page = html.page(fault)
+    words = " ".join(" ".join(Tags(page).words).split())
+    for part in ("Rotor 3 lost 37 %", fault.reason, fault.events[0].reason, "31.56 s (0.36 s later)", fault.baseline):
+        assert part in words, part
+    for part in (*fault.assumptions, *fault.warnings, "learning what healthy means", "ArduPilot thrust loss check"):
+        assert part in words, part
+    for name in ("loss", "command", "evidence", "roll", "pitch", "yaw", "thrust"):
+        assert f'id="plot-{name}"' in page
+    assert page.count('class="rotor ') == 6
+
+
+def test_page_asks_for_nothing_from_outside(fault):
+    for tag, attrs in Tags(html.page(fault)).tags:
+        assert tag not in ("link", "iframe", "img", "object", "embed"), tag
+        assert not {"src", "href", "srcset", "action"} & set(attrs), (tag, attrs)
+
+
+def test_page_embeds_the_json(fault):
+    data = re.search(r'<script type="application/json" id="diagnosis">(.*?)</script>', html.page(fault), re.DOTALL)
+    assert json.loads(data.group(1)) == json.loads(fault.to_json())
+
+
+def test_what_a_log_says_is_never_markup(fault):
+    evil = "</script><script>alert(1)</script><img src=x onerror=alert(2)>\"'&"
+    tainted = replace(
+        fault,
+        flight={**fault.flight, "name": evil, "frame": evil, "autopilot": evil, "profile": evil},
+        reason=evil,
+        baseline=evil,
+        warnings=(evil,),
+        assumptions=(evil,),
+        common_mode={evil: evil},
+        whole_flight={evil: [evil]},
+        comparison=({"detector": evil, "note": evil},),
+        events=(event(reason=evil, extra={evil: evil}),),
+        estimator=evil,
+        trace=replace(fault.trace, blind=((1.0, 2.0, evil),), evidence={evil: np.ones(fault.trace.time.size)}),
+    )
+    tags = Tags(html.page(tainted)).tags
+    clean = Tags(html.page(fault)).tags
+    assert sum(t == "script" for t, _ in tags) == sum(t == "script" for t, _ in clean)
+    assert not [t for t, a in tags if t == "img" or "onerror" in a]
+
+
+def test_size_stays_below_three_megabytes_for_ten_minutes_of_an_octa():
+    long = hexa_diagnosis(trace=hexa_trace(duration=600.0, rate=100.0, rotors=8))
+    assert len(html.page(long).encode()) < 3e6
+
+
+def test_page_without_trace_events_or_rotors(healthy):
+    bare = replace(healthy, verdict="inconclusive", rotors=(), events=(), trace=None, comparison=(), common_mode={})
+    page = html.page(bare)
+    assert "This log cannot say." in page and len(page) < 30_000
+
+
+def test_page_of_an_odd_trace(fault):
+    """No airborne part, estimates that are not finite, a common-mode event without rotors."""
+    trace = fault.trace
+    odd = replace(trace, airborne=(), blind=(), loss=np.full_like(trace.loss, np.nan), evidence={})
+    page = html.page(replace(fault, trace=odd, events=(event(kind="common_mode", rotors=(), loss=(), interval=()),)))
+    assert "Common mode: no single rotor" in page and 'id="plot-evidence"' not in page
+    assert "NaN" not in re.sub(r"<script.*?</script>", "", page, flags=re.DOTALL)
+
+
+def test_airframe_drawing_shows_place_spin_and_loss(fault):
+    drawing = figures.airframe(fault)
+    titles = re.findall(r"<title>(Rotor .*?)</title>", drawing)
+    assert titles[2] == "Rotor 3, clockwise: degraded, loss 37 %"
+    assert titles[4] == "Rotor 5, counter-clockwise: healthy, loss 1 %"
+    places = [tuple(map(float, m)) for m in re.findall(r"translate\((-?[\d.]+) (-?[\d.]+)\)", drawing)]
+    assert places[0][0] > 90 and abs(places[0][1]) < 1  # rotor 1 of ArduPilot's hexa X is on the right
+    assert places[2][0] < 0 and places[2][1] < 0  # rotor 3 is front left
+
+
+def test_airframe_drawing_keeps_coaxial_rotors_apart(fault):
+    pairs = [{"x": x, "y": y, "spin": s} for x, y in ((1, 1), (1, -1), (-1, 0)) for s in (1, -1)]
+    drawing = figures.airframe(replace(fault, flight={**fault.flight, "geometry": pairs}))
+    places = {m for m in re.findall(r"translate\((-?[\d.]+ -?[\d.]+)\)", drawing)}
+    assert len(places) == 6
+
+
+def test_unknown_airframe_has_no_drawing(fault):
+    assert figures.airframe(replace(fault, flight={"frame": "flying carpet"})) == ""
+
+
+def test_report_is_written_whole_or_not_at_all(fault, tmp_path, monkeypatch):
+    target = tmp_path / "report.html"
+    fault.to_html(target)
+    assert target.read_text().startswith("<!doctype html>")
+    assert stat.S_IMODE(target.stat().st_mode) & 0o400
+    assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    before = target.read_bytes()
+    monkeypatch.setattr("os.replace", full)
+    with pytest.raises(ConfigError, match="No space left"):
+        fault.to_html(target)
+    assert target.read_bytes() == before
+    assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
+
+
+def test_report_in_a_missing_folder_is_one_sentence(fault, tmp_path):
+    with pytest.raises(ConfigError, match="cannot be written"):
+        fault.to_html(tmp_path / "nowhere" / "report.html")
+
+
+def test_event_kinds_have_words():
+    for kind in ("loss_of_effectiveness", "output_override", "common_mode", "torque_bias"):
+        assert "_" not in report.kind(event(kind=kind))
+    assert isinstance(event(), Event)
