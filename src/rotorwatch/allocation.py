@@ -24,6 +24,7 @@ from rotorwatch.vehicle import ThrustCurve, Vehicle
 Spans = tuple[tuple[float, float], ...]
 PART = 0.05  # share of full thrust by which rebuilt and logged thrust may differ before the rebuilt one is not trusted
 FLYING = 0.05  # share of full thrust above which a rotor does enough for a comparison
+PART_STILL = 0.015  # the same for an output that does not move at all
 GAIN_MEMORY_S = 20.0  # air density changes with height, slowly
 PAIR_WITHIN_S = 0.15  # a command further than this from any control sample has no partner
 PROVEN = 20  # comparisons a mixer must have passed before it can accuse an output
@@ -35,10 +36,16 @@ NOISE_SD = 0.004  # rounding to 1 us, and the controller moving between its own 
 def motor_thrusts(flight: Flight, vehicle: Vehicle) -> Signal:
     """Share of full thrust f(u) of every rotor, columns r1..rN, unit 1, at the times of signal ``motors``.
 
-    The battery ratio is the last one logged (signal ``lift``), 1 where none is.
+    The battery ratio is the last one logged (signal ``lift``), 1 where none is; an airframe whose ``extra`` has
+    ``full_voltage`` drives its motors straight from the battery, whose voltage (signal ``battery``) then counts.
     """
     motors = flight["motors"]
-    thrust = vehicle.curve(motors.values, battery_ratio(flight, motors.time)[:, None])
+    ratio, full = battery_ratio(flight, motors.time), vehicle.extra.get("full_voltage")
+    if full and "battery" in flight.signals:
+        battery = flight["battery"]
+        ok = battery.valid[:, 0] & (battery.values[:, 0] > 0.5 * full)
+        ratio = hold(battery.time[ok], battery.values[ok, 0] / full, motors.time, before=1.0)
+    thrust = vehicle.curve(motors.values, ratio[:, None])
     return Signal(motors.time, thrust, motors.columns, "1", "body", motors.source, motors.valid)
 
 
@@ -262,9 +269,17 @@ def overrides(flight: Flight, vehicle: Vehicle, airborne: Spans) -> tuple[Overri
     found: list[Override] = []
     if flight.has("control"):
         found += _departures(flight, vehicle, airborne)
-    seen = {o.rotor for o in found}
-    found += [o for o in _silent(flight, vehicle, airborne) if o.rotor not in seen]
-    return tuple(sorted(found, key=lambda o: (o.detected, o.rotor)))
+    found += _silent(flight, vehicle, airborne)
+    return _earliest(found)
+
+
+def _earliest(found: list[Override]) -> tuple[Override, ...]:
+    """Of overrides of one rotor that overlap in time, the one detected first."""
+    kept: list[Override] = []
+    for one in sorted(found, key=lambda o: (o.detected, o.rotor)):
+        if not any(o.rotor == one.rotor and (o.end is None or one.onset < o.end) for o in kept):
+            kept.append(one)
+    return tuple(kept)
 
 
 def within(time: np.ndarray, spans: Spans) -> np.ndarray:
@@ -290,7 +305,8 @@ def _departures(flight: Flight, vehicle: Vehicle, airborne: Spans) -> list[Overr
     compared = np.concatenate([[0], np.cumsum(flying & check.free)[:-1]])
     power = np.concatenate([[0.0], np.cumsum(np.where(good[:, None], apart**2, 0.0).max(axis=1))[:-1]])
     proven = (past >= PROVEN) & (past > 0.7 * compared)
-    limit = np.maximum(PART, 6.0 * np.sqrt(power / np.maximum(past, 1)))
+    usual = 6.0 * np.sqrt(power / np.maximum(past, 1))
+    limit, still_limit = np.maximum(PART, usual), np.maximum(PART_STILL, usual)
     asked = check.demand - check.deviation
     found = []
     for k in range(command.shape[1]):
@@ -300,11 +316,12 @@ def _departures(flight: Flight, vehicle: Vehicle, airborne: Spans) -> list[Overr
         interior = (command[:, k] > low + 0.01 * span) & (command[:, k] < low + 0.99 * span)
         off = (command[:, k] < low - 0.01 * span) & (asked[:, k] > 2 * FLYING)
         frozen = (check.time - still > 0.5) & interior
-        wrong = proven & flying & (apart[:, k] > limit) & ((check.free & alone) | off | frozen)
-        back = (apart[:, k] < PART) & (check.time - still < 0.5)
+        far = (apart[:, k] > limit) & ((check.free & alone) | off | frozen)
+        wrong = proven & flying & (far | (frozen & check.free & alone & (apart[:, k] > still_limit)))
+        back = (apart[:, k] < PART) & ~frozen
         for onset, seen, end in _runs(check.time, wrong, back | ~flying, CONFIRM_S, CONFIRM_SAMPLES):
             kind = "overridden"
-            if np.all(command[onset : seen + 1, k] < low - 0.01 * span):
+            if np.all(command[onset : seen + 1, k] <= low + span / 400.0):
                 kind = "off"
             elif np.ptp(command[onset : seen + 1, k]) <= span / 400.0 and interior[seen]:
                 kind = "stuck"
@@ -332,15 +349,18 @@ def _silent(flight: Flight, vehicle: Vehicle, airborne: Spans) -> list[Override]
         interior = (command > low + 0.02 * span) & (command < low + 0.98 * span)
         moving = np.min(np.delete(moved, k, axis=1), axis=1) > 0.03
         stuck = inside & interior & (time - still > SILENT_S) & moving
-        # Below the minimum of the others: no mixer asks for that. With a minimum of 0, at 0 while no other is limited.
-        unlimited = np.all((others > FLYING) & (others < 0.95), axis=1)
-        off = inside & (np.median(others, axis=1) > 2 * FLYING)
-        off &= (command < low - 0.01 * span) if low > 0.01 * span else (command <= low) & unlimited
-        for wrong, kind, hold_s in ((stuck, "stuck", 0.0), (off, "off", 0.3 if low > 0.01 * span else 1.0)):
+        # Below the minimum: no mixer asks for that. At the minimum, where outputs have nothing below it: no quad flies on
+        # with a rotor at rest and the others away from their limits (with more rotors, one opposite a dead one rests).
+        flown = inside & (np.median(others, axis=1) > 2 * FLYING)
+        below = flown & (command < low - 0.01 * span)
+        idle = flown & (command <= low + 0.002 * span) & np.all((others > FLYING) & (others < 0.99), axis=1)
+        idle &= others.shape[1] == 3 and bool(vehicle.extra.get("rests_at_minimum", False))
+        ways = ((stuck, "stuck", 0.0, 1), (below, "off", 0.3, 3), (idle & (time - still > 1.0), "off", 0.0, 1))
+        for wrong, kind, hold_s, samples in ways:
             back = (time - still < 0.2) if kind == "stuck" else (command > low + 0.01 * span)
-            for onset, seen, end in _runs(time, wrong, back | ~inside, hold_s, 1 if kind == "stuck" else 3):
-                start = still[seen] if kind == "stuck" else time[onset]
-                what = "did not move" if kind == "stuck" else "was below its minimum"
+            for onset, seen, end in _runs(time, wrong, back | ~inside, hold_s, samples):
+                start = still[seen] if samples == 1 else time[onset]
+                what = "did not move" if kind == "stuck" else "was off"
                 reason = f"output {k + 1} {what} at {command[seen]:.4g} while all others flew on"
                 until = None if end is None else float(time[end])
                 found.append(Override(k + 1, kind, float(start), float(time[seen]), until, reason))

@@ -29,7 +29,7 @@ def identify(flight: Flight) -> Vehicle | None:
             return None
         vehicle = px4.NAMES[f"px4-{kind}-x"]()
         curve = px4.curve(flight, notes)
-        vehicle = replace(vehicle, extra={"mixer_expo": px4.mixer_expo(flight)})
+        vehicle = replace(vehicle, extra={"mixer_expo": px4.mixer_expo(flight), "rests_at_minimum": True})
     else:
         vehicle = ardupilot.NAMES[f"ardupilot-{kind}-x"]()
         curve = ardupilot.curve(flight, notes)

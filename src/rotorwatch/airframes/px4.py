@@ -57,7 +57,7 @@ def identify(flight: Flight) -> Vehicle | None:
         mixer=mix(rotors),
         source=source,
         assumptions=tuple(notes),
-        extra={"mixer_expo": mixer_expo(flight)},
+        extra={"mixer_expo": mixer_expo(flight), "rests_at_minimum": True},
     )
 
 
