@@ -31,7 +31,7 @@ FORMAT = "dataflash"
 
 FMT_HEADER = b"\xa3\x95\x80"
 NEAR_START = 512  # bytes that damage or a ground station may have put before the first FMT
-INSTANCE_COLUMNS = ("I", "Instance", "Inst", "IMU", "C", "Id")
+INSTANCE_COLUMNS = ("I", "Instance", "Inst", "IMU", "C")
 PWM_RANGE_US = (500.0, 2600.0)
 ESC_HOLD = 5.0  # an ESC value is good for this many typical intervals
 
@@ -81,7 +81,7 @@ def read(data, name: str, progress=None) -> Flight:
         reader.imu,
         reader.rate,
         reader.attitude,
-        reader.navigation,
+        lambda: reader.navigation(parameters),
         reader.power,
         reader.esc,
     )
@@ -140,7 +140,8 @@ class _Signals:
         values = np.full((time.size, len(columns)), np.nan)
         for k, column in enumerate(columns):
             if column in table and table[column].ndim == 1 and table[column].dtype.kind in "iuf":
-                values[:, k] = table[column]
+                with np.errstate(invalid="ignore"):  # damage can make a signalling NaN
+                    values[:, k] = table[column]
         good = self.clock.good[table.record]
         if not good.all():
             time, values = time[good], values[good]
@@ -157,11 +158,11 @@ class _Signals:
         first = self.table(message, columns, (column, 0))
         if first is not None:
             return first
-        numbers = self.log.table(message, [column])
-        values = numbers[column][np.isfinite(numbers[column])].astype(int) if numbers is not None else np.zeros(0, int)
-        if not values.size:
+        rows = self.table(message, (column,))
+        numbers = rows[1][np.isfinite(rows[1])] if rows else np.zeros(0)
+        if not numbers.size:
             return None
-        number = int(np.argmax(np.bincount(np.clip(values, 0, 255))))
+        number = int(np.argmax(np.bincount(np.clip(numbers, 0, 255).astype(int))))
         self.warnings.append(f"{message} has no instance 0; instance {number} was used.")
         return self.table(message, columns, (column, number))
 
@@ -252,7 +253,7 @@ class _Signals:
     def _rates_are_centi(self, time: np.ndarray, rates: np.ndarray, guess: bool) -> bool:
         """Compare |rates| with |gyro| where the vehicle turns fastest; `guess` where the log has no gyro."""
         gyro = self.signals.get("gyro")
-        if gyro is None or len(gyro) < 10 or time.size < 10:
+        if gyro is None or gyro.valid is None or len(gyro) < 10 or time.size < 10:
             return guess
         at = np.clip(np.searchsorted(gyro.time, time), 0, len(gyro) - 1)
         near = (np.abs(gyro.time[at] - time) < 0.1) & gyro.valid[at].all(axis=1) & np.isfinite(rates).all(axis=1)
@@ -277,13 +278,14 @@ class _Signals:
             self.warnings.append(f"attitude ({message}): {amount(wild, 'impossible value')} dropped.")
         q = quaternion(*np.radians(np.where(fine[:, None], degrees, 0.0)).T)
         # q and -q are the same attitude; keep the sign that makes the series continuous.
-        turned = np.einsum("ij,ij->i", q[1:], q[:-1]) < 0
+        turned = np.less(np.einsum("ij,ij->i", q[1:], q[:-1]), 0)
         q[1:][np.logical_xor.accumulate(turned)] *= -1.0
         self.add("attitude", time, q, message, fine)
 
-    def navigation(self) -> None:
-        """Velocity and position of the EKF's first core; collective throttle."""
-        if message := self.first_of("XKF1", "NKF1", "EKF1"):
+    def navigation(self, parameters) -> None:
+        """Velocity and position of the first core of the EKF that flew (AHRS_EKF_TYPE); collective throttle."""
+        estimators = ("NKF1", "XKF1", "EKF1") if parameters.get("AHRS_EKF_TYPE") == 2 else ("XKF1", "NKF1", "EKF1")
+        if message := self.first_of(*estimators):
             rows = self.instance(message, ("VN", "VE", "VD", "PN", "PE", "PD"))
             if rows is not None:
                 time, values, _ = rows

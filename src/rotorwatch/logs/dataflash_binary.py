@@ -129,6 +129,8 @@ class BinaryLog:
 
     def __init__(self, data, progress: Callable[[float], None] | None = None):
         self._bytes = np.frombuffer(data, np.uint8)
+        # There is a record in every 50 bytes or so: the width of positions decides how much memory is used.
+        self._index = np.int32 if self._bytes.size < 2**31 - 1024 else np.int64
         self.warnings: list[str] = []
         candidates = self._header_candidates(progress)
         types = self._bytes[candidates + 2]
@@ -139,23 +141,23 @@ class BinaryLog:
         keep = self._chain(candidates, ends)
         self._at = candidates[keep]
         # Only now it is known which FMT headers belong to records; the others were payload.
-        if bad := sum(self._at[min(np.searchsorted(self._at, p), self._at.size - 1)] == p for p in self._bad_formats):
+        if bad := sum(int(p in self._at[np.searchsorted(self._at, p) :][:1]) for p in self._bad_formats):
             self.warnings.append(f"{amount(bad, 'damaged message definition')} (FMT) ignored.")
-        self._type = types[keep]
+        types = types[keep]
         self.record_count = self._at.size
         # One stable radix sort by type number gives each type's records in file order.
-        self._by_type = np.argsort(self._type, kind="stable")
-        self._type_start = np.concatenate([[0], np.cumsum(np.bincount(self._type, minlength=256))])
+        self._by_type = np.argsort(types, kind="stable").astype(self._index)
+        self._type_start = np.concatenate([[0], np.cumsum(np.bincount(types, minlength=256))])
 
     # -- finding records -------------------------------------------------------------------------------------------
 
     def _header_candidates(self, progress) -> np.ndarray:
         """Positions of A3 95 with a type byte after it; some lie inside payloads."""
-        found = [np.zeros(0, np.int64)]
+        found = [np.zeros(0, self._index)]
         end = self._bytes.size - 2
         for start in range(0, max(end, 0), SCAN_CHUNK):
             at = np.flatnonzero(self._bytes[start : min(start + SCAN_CHUNK, end)] == HEADER[0]) + start
-            found.append(at[self._bytes[at + 1] == HEADER[1]])
+            found.append(at[self._bytes[at + 1] == HEADER[1]].astype(self._index))
             if progress:
                 progress(0.5 * min(1.0, (start + SCAN_CHUNK) / end))
         return np.concatenate(found)
@@ -183,7 +185,7 @@ class BinaryLog:
 
     def _record_lengths(self, positions: np.ndarray, types: np.ndarray) -> np.ndarray:
         """Declared length of each candidate, 0 for unknown types."""
-        table = np.zeros(256, np.int64)
+        table = np.zeros(256, self._index)
         for type_, versions in self._formats.items():
             table[type_] = versions[0][1].length
         lengths = table[types]
@@ -204,7 +206,7 @@ class BinaryLog:
         if n == 0:
             self._note_damage(0, 0, 0, size)
             return keep
-        starts, ends = memoryview(at), memoryview(end)
+        starts, ends = at.data, end.data
         tail = size - _zero_tail(self._bytes)
 
         def confirmed(k: int) -> bool:
@@ -231,7 +233,7 @@ class BinaryLog:
         cursor = first_confirmed(0) if damages else 0
         keep[:cursor] = False
         broken = np.flatnonzero(np.append(end[:-1] != at[1:], True))
-        for b in broken.tolist():
+        for b in broken.data:
             if b < cursor:
                 continue
             stop = ends[b]
@@ -331,7 +333,8 @@ class BinaryLog:
         for _, fmt, records in self._versions(name):
             if where and where[0] in fmt.columns:
                 field, offset = fmt.dtype.fields[where[0]][:2]  # type: ignore[index]
-                records = records[self._gather(records, offset, field) == where[1]]
+                if field.kind in "iuf":
+                    records = records[self._gather(records, offset, field) == where[1]]
             if records.size:
                 names = fmt.columns if wanted is None else [c for c in wanted if c in fmt.columns]
                 rows = self._gather(records, 0, fmt.dtype)

@@ -62,8 +62,8 @@ def make_clock(stamps: np.ndarray) -> Clock:
         size, when = f"{back / 1e6:.1f} s", f"{jumps[-1]:.1f} s"
         warnings.append(f"The log's clock jumps back by {size} at {when}; later times are shifted to follow on.")
     # Carry the last stamp forward to records without one; those before the first stamp belong to the start.
-    last = np.zeros(stamps.size, np.int64)
-    last[timed] = np.arange(timed.size)
+    last = np.zeros(stamps.size, np.int32 if stamps.size < 2**31 else np.int64)
+    last[timed] = np.arange(timed.size, dtype=last.dtype)
     np.maximum.accumulate(last, out=last)
     time = (us[last] - start) / 1e6
     time[: timed[0]] = 0.0

@@ -12,6 +12,7 @@ from rotorwatch.logs.dataflash_text import MODES
 PARAMETER_NAME = re.compile(r"[A-Z][A-Z0-9_]{1,15}")
 FIRMWARE = re.compile(r"\b(APM:Copter|Ardu\w+|Blimp|AntennaTracker)\s+V\d\S*(\s+\([0-9a-f]+\))?")
 FRAME_TEXT = re.compile(r"^Frame: (\w+)(?:/(\w+))?")
+TEXT_COLUMNS = ("Name", "Message", "FWS")
 SAME_EVENT_S = 1.0  # an arming logged by ARM and again by EV
 
 # AP_Logger's event numbers (EV.Id) and error sources (ERR.Subsys) that matter for what a rotor did.
@@ -124,6 +125,8 @@ def _rows(log, clock, name, *columns):
     table = log.table(name, columns)
     if table is None or any(c not in table for c in columns):
         return
+    if any((table[c].dtype.kind == "S") != (c in TEXT_COLUMNS) or table[c].ndim > 1 for c in columns):
+        return  # a damaged definition
     values = [_texts(table[c]) if table[c].dtype.kind == "S" else table[c].tolist() for c in columns]
     times, good = clock.time[table.record].tolist(), clock.good[table.record].tolist()
     for k, time in enumerate(times):
