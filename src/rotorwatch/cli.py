@@ -29,9 +29,16 @@ LOG = click.Path(path_type=Path)
 
 def main(argv: list[str] | None = None) -> None:
     """Entry point of the `rotorwatch` command; always leaves by SystemExit."""
+    if "_ROTORWATCH_COMPLETE" in os.environ:  # set by the shell's completion function
+        cli.main(prog_name="rotorwatch")
+    code = 0
     try:
-        code = cli.main(args=argv, prog_name="rotorwatch", standalone_mode=False)
+        # Not cli.main: it leaves with 1 when a pipe breaks, which here says "fault found".
+        with cli.make_context("rotorwatch", sys.argv[1:] if argv is None else list(argv)) as context:
+            cli.invoke(context)
         sys.stdout.flush()
+    except click.exceptions.Exit as leave:
+        code = leave.exit_code
     except BrokenPipeError:
         # The reader (head, less) has seen enough; keep the interpreter from complaining at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -45,7 +52,7 @@ def main(argv: list[str] | None = None) -> None:
     except Exception as why:
         _say(explain(why))
         code = ERROR
-    sys.exit(code or 0)
+    sys.exit(code)
 
 
 def explain(why: Exception) -> str:

@@ -160,7 +160,6 @@ class Task:
 
     def attempt(self, number: int, folder: str) -> tuple[str, str]:
         """(outcome, what went wrong) of one mutation."""
-        from rotorwatch.diagnose import diagnose
         from rotorwatch.logs import read
 
         damaged, _ = mutate(self.data, self.seed, number)
@@ -169,6 +168,8 @@ class Task:
         try:
             flight = read(path)
             if self.judged(number):
+                from rotorwatch.diagnose import diagnose
+
                 diagnose(flight).to_json()
         except RotorwatchError as why:
             sentence = str(why).strip()

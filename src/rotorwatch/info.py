@@ -29,6 +29,8 @@ _PX4 = {
     "attitude": "Set SDLOG_PROFILE bit 0 (default set, value 1): vehicle_attitude.",
     "battery": "Set SDLOG_PROFILE bit 0 (default set, value 1): battery_status.",
 }
+_CRAZYFLIE = {"gyro": "Add gyro.x, gyro.y and gyro.z to config.txt on the memory card."}
+_TELEMETRY = "Telemetry may not carry it; use the log that the autopilot wrote itself (.bin or .ulg)."
 _FASTER = {
     "ardupilot": {
         "motors": "Set LOG_BITMASK bit 0 (RATE at loop rate, value 1): the commands are rebuilt from it.",
@@ -41,14 +43,13 @@ _FASTER = {
 }
 _WHY = {
     "motors": "No motor commands: without them no rotor can be judged.",
-    "gyro": "No angular rates: without them no torque balance can be drawn up.",
+    "gyro": "No angular rates: they can only be derived from the attitude, where that is logged.",
     "accel": "No accelerations: thrust cannot be checked, so a loss common to all rotors stays unseen.",
     "control": "No rate controller output: an overridden output cannot be told from a commanded one.",
     "attitude": "No attitude: take-off, landing and flips are found less reliably.",
     "battery": "No battery voltage: battery sag cannot be told from a loss common to all rotors.",
     "lift": "No battery compensation of the autopilot: it is estimated from the voltage.",
 }
-_NEEDED = ("motors", "gyro")
 
 
 def info(flight: Flight) -> dict:
@@ -119,15 +120,18 @@ def _airborne(flight: Flight) -> list[list[float]]:
 
 def _missing(flight: Flight, frame: str, airborne: list[list[float]]) -> list[dict]:
     """Gaps, the ones that prevent a diagnosis first. A signal counts as there with two valid samples."""
-    settings = {"ardupilot": _ARDUPILOT, "px4": _PX4}.get(_family(flight), {})
+    telemetry = "tlog" in flight.format.lower()
+    settings = {"ardupilot": _ARDUPILOT, "px4": _PX4, "crazyflie": _CRAZYFLIE}.get(_family(flight), {})
     gaps = []
     for name, why in _WHY.items():
         if _present(flight, name) or (name == "gyro" and _present(flight, "rates")):
             continue
         if name == "lift" and _family(flight) != "ardupilot":
             continue
-        gaps.append(_gap(name, why, settings.get(name, f"Add the signal '{name}' to the table."), name in _NEEDED))
-    for name, setting in _FASTER.get(_family(flight), {}).items():
+        needed = name == "motors" or (name == "gyro" and not _present(flight, "attitude"))
+        setting = _TELEMETRY if telemetry else settings.get(name, f"Log it, or give a table with the signal '{name}'.")
+        gaps.append(_gap(name, why, setting, needed))
+    for name, setting in ({} if telemetry else _FASTER.get(_family(flight), {})).items():
         # ArduPilot's motor commands are rebuilt from the rate controller's output where that is logged faster.
         rates = [flight[n].rate_hz for n in ((name, "control") if name == "motors" else (name,)) if _present(flight, n)]
         if _present(flight, name) and max(rates) < FAST_HZ:
@@ -155,7 +159,7 @@ def _present(flight: Flight, name: str) -> bool:
 
 def _family(flight: Flight) -> str:
     autopilot = flight.autopilot.lower()
-    return "ardupilot" if "ardu" in autopilot else "px4" if "px4" in autopilot else ""
+    return next((name for name in ("ardupilot", "px4", "crazyflie") if name in autopilot), "")
 
 
 def _messages(flight: Flight) -> list[dict]:

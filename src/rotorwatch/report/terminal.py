@@ -40,11 +40,11 @@ def diagnosis(result: Diagnosis) -> RenderableType:
     parts: list[RenderableType] = [_heading(result), Text()]
     parts.append(_rotors(result))
     if result.events:
-        parts += [Text(), _events(result)]
+        parts.append(_events(result))
     parts += _mentions(result)
     if result.comparison:
         parts += [Text(), _comparison(result.comparison)]
-    parts += [Text(), _small_print(result)]
+    parts += [*([] if result.comparison else [Text()]), _small_print(result)]
     return Group(*parts)
 
 
@@ -152,7 +152,12 @@ def info(facts: Mapping[str, Any]) -> RenderableType:
     for key, value in (
         ("log", facts["name"]),
         ("format", facts["format"]),
-        ("autopilot", " ".join(x for x in (facts["autopilot"], facts["firmware"]) if x)),
+        (
+            "autopilot",
+            facts["firmware"]
+            if facts["autopilot"] in facts["firmware"]
+            else f"{facts['autopilot']} {facts['firmware']}",
+        ),
         ("vehicle", facts["frame"] or facts["vehicle_type"] or "unknown"),
         ("rotors", facts["rotors"] or "no commands found"),
         ("duration", f"{facts['duration_s']:.1f} s"),
@@ -176,15 +181,18 @@ def info(facts: Mapping[str, Any]) -> RenderableType:
         said = _table("Messages", "at", "what", "text", right=(0,))
         for m in facts["messages"]:
             said.add_row(f"{m['time_s']:.1f} s", m["kind"], Text(m["text"]))
-        parts += [Text(), said]
-    parts += [Text(), Text("For a diagnosis", style="bold")]
+        parts.append(said)
+    parts.append(Text("For a diagnosis", style="bold"))
     ready = "This log has what a diagnosis needs." if facts["ready"] else "This log cannot be diagnosed as it is."
     parts.append(Text(f" {ready}", style="green" if facts["ready"] else "red"))
+    list_ = Table.grid(padding=(0, 1))
     for gap in facts["missing"]:
-        parts.append(Padding(Text("• ").append(gap["why"]).append(f" {gap['setting']}", style="dim"), (0, 0, 0, 1)))
+        list_.add_row(
+            Text(" •", style="red" if gap["needed"] else "dim"), Text(gap["why"]).append(f" {gap['setting']}", "dim")
+        )
     for sentence in facts["warnings"]:
-        parts.append(Padding(Text("warning ", style="yellow").append(sentence, style="default"), (0, 0, 0, 1)))
-    return Group(*parts)
+        list_.add_row(Text(" !", style="yellow"), Text(sentence))
+    return Group(*parts, list_)
 
 
 def campaign(result: Mapping[str, Any]) -> RenderableType:

@@ -1,0 +1,304 @@
+"""The command line from outside, and the package's front door."""
+
+import json
+import os
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+
+import click
+import numpy as np
+import pytest
+
+import rotorwatch
+from conftest import hexa_diagnosis
+from rotorwatch import cli
+from rotorwatch.errors import LogError
+from rotorwatch.flight import Flight, Message, Signal
+from rotorwatch.info import info
+
+ROOT = Path(__file__).parents[1]
+VERDICTS = {"healthy": 0, "fault": 1, "ambiguous": 3, "inconclusive": 3}
+
+
+def a_flight(**changes):
+    time = np.arange(0.0, 20.0, 0.02)
+    hover = np.tile([1500.0] * 4, (time.size, 1))
+    signals = {
+        "motors": Signal(time[::5], hover[::5], ("r1", "r2", "r3", "r4"), "us", source="RCOU"),
+        "gyro": Signal(time, np.zeros((time.size, 3)), ("x", "y", "z"), "rad/s", "FRD", "IMU"),
+    }
+    flight = Flight("dataflash", "ArduPilot", signals, 20.0, firmware="ArduCopter V4.5", name="a.bin")
+    return replace(flight, **changes)
+
+
+@pytest.fixture
+def fake(monkeypatch, tmp_path):
+    """Logs named after their verdict, and a diagnoser that believes the name. Returns the folder."""
+
+    def read(path, progress=None):
+        if progress:
+            progress(0.5)
+        if "broken" in str(path):
+            raise LogError(f"{path}: not a flight log.")
+        if "bug" in str(path):
+            raise RuntimeError("unforeseen")
+        return a_flight(name=Path(path).name)
+
+    def diagnose(flight, vehicle=None, baseline=(), estimator="default", progress=None):
+        verdict = flight.name.split("-")[0].removesuffix(".bin")
+        flight = {**hexa_diagnosis().flight, "name": flight.name}
+        told = f"{len(baseline)} baseline, vehicle {getattr(vehicle, 'name', None)}, estimator {estimator}"
+        return hexa_diagnosis(verdict=verdict, flight=flight, baseline=told)
+
+    for name, function in (("logs", read), ("diagnose", diagnose)):
+        module = ModuleType(f"rotorwatch.{name}")
+        setattr(module, function.__name__, function)
+        monkeypatch.setitem(sys.modules, module.__name__, module)
+    for name in ("healthy", "fault", "ambiguous", "inconclusive", "broken", "bug", "healthy-2"):
+        (tmp_path / f"{name}.bin").write_bytes(b"x")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("ROTORWATCH_DEBUG", raising=False)
+    return tmp_path
+
+
+@pytest.fixture
+def run(capfd):
+    def go(*argv):
+        with pytest.raises(SystemExit) as end:
+            cli.main([str(a) for a in argv])
+        out, err = capfd.readouterr()
+        return end.value.code, out, err
+
+    return go
+
+
+# diagnose
+
+
+@pytest.mark.parametrize(("verdict", "code"), VERDICTS.items())
+def test_exit_code_says_the_verdict(fake, run, verdict, code):
+    got, out, err = run("diagnose", f"{verdict}.bin")
+    assert got == code and verdict in out.lower() and err == ""
+
+
+def test_json_of_one_log_is_an_object_and_of_several_a_list(fake, run):
+    code, out, _ = run("diagnose", "fault.bin", "--json")
+    assert code == 1 and json.loads(out)["verdict"] == "fault"
+    code, out, err = run("diagnose", "fault.bin", "broken.bin", "healthy.bin", "--json")
+    first, broken, last = json.loads(out)
+    assert (code, first["verdict"], last["verdict"]) == (2, "fault", "healthy")
+    assert broken == {"schema": 1, "flight": {"name": "broken.bin"}, "error": "broken.bin: not a flight log."}
+    assert err == "rotorwatch: broken.bin: not a flight log.\n"
+
+
+@pytest.mark.parametrize(
+    ("names", "code"),
+    [
+        (("healthy", "healthy-2"), 0),
+        (("healthy", "ambiguous"), 3),
+        (("ambiguous", "fault", "healthy"), 1),
+        (("fault", "broken", "healthy"), 2),
+        (("bug", "healthy"), 2),
+    ],
+)
+def test_several_logs_give_a_line_each_and_the_gravest_code(fake, run, names, code):
+    got, out, _ = run("diagnose", *(f"{n}.bin" for n in names))
+    assert got == code
+    lines = out.splitlines()
+    assert len([line for line in lines if ".bin" in line]) == len(names)
+    assert all(any(f"{n}.bin" in line for line in lines) for n in names)
+
+
+def test_baselines_and_estimator_reach_the_diagnoser(fake, run):
+    _, out, _ = run(
+        "diagnose",
+        "fault.bin",
+        "--baseline",
+        "healthy.bin",
+        "--baseline",
+        "healthy-2.bin",
+        "--estimator",
+        "kf",
+        "--json",
+    )
+    assert json.loads(out)["baseline"] == "2 baseline, vehicle None, estimator kf"
+
+
+@pytest.mark.parametrize(
+    ("argv", "words"),
+    [
+        (("missing.bin",), "missing.bin: no such file."),
+        (("broken.bin",), "broken.bin: not a flight log."),
+        (("fault.bin", "--baseline", "broken.bin"), "broken.bin: not a flight log."),
+        (("bug.bin",), "please report it"),
+        (("fault.bin", "healthy.bin", "--report", "one.html"), "one page for 2 logs"),
+        (("fault.bin", "--report", "healthy.bin/x.html"), "healthy.bin"),
+    ],
+)
+def test_trouble_is_one_sentence(fake, run, argv, words):
+    code, out, err = run("diagnose", *argv)
+    assert code == 2 and out == ""
+    assert err.startswith("rotorwatch: ") and words in err and err.count("\n") == 1 and "Traceback" not in err
+
+
+def test_usage_errors_exit_with_2(fake, run):
+    assert run("diagnose")[0] == 2
+    assert run("diagnose", "fault.bin", "--nonsense")[0] == 2
+    assert run("nonsense")[0] == 2
+
+
+def test_debug_shows_the_traceback(fake, run, monkeypatch):
+    monkeypatch.setenv("ROTORWATCH_DEBUG", "")  # restored afterwards, whatever --debug sets
+    code, _, err = run("diagnose", "--debug", "bug.bin")
+    assert code == 2 and "Traceback" in err and "unforeseen" in err
+
+
+def test_interrupt_exits_with_130(fake, run, monkeypatch):
+    def interrupt(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(sys.modules["rotorwatch.logs"], "read", interrupt)
+    code, out, err = run("diagnose", "fault.bin")
+    assert (code, out, err) == (130, "", "rotorwatch: interrupted\n")
+
+
+# --report
+
+
+def test_report_of_one_log(fake, run):
+    code, _, err = run("diagnose", "fault.bin", "--report", "sub/page.html")
+    assert code == 1 and "sub/page.html" in err
+    assert (fake / "sub/page.html").read_text().startswith("<!doctype html>")
+    assert run("diagnose", "-q", "fault.bin", "--report", "sub")[2] == ""
+    assert sorted(p.name for p in (fake / "sub").iterdir()) == ["fault.html", "page.html"]
+
+
+def test_reports_of_several_logs(fake, run):
+    run("diagnose", "fault.bin", "healthy.bin", "--report", "pages")
+    assert sorted(p.name for p in (fake / "pages").iterdir()) == ["fault.html", "healthy.html"]
+
+
+def test_report_names_never_clash(fake):
+    logs = (Path("a/x.bin"), Path("b/x.bin.xz"), Path("plain"))
+    assert [p.name for p in cli.report_paths(logs, Path("out/r-{name}.html"))] == [
+        "r-x.html",
+        "r-x-2.html",
+        "r-plain.html",
+    ]
+
+
+# Other commands
+
+
+def test_fast_start():
+    """The smallest of three: other work on the machine may slow one of them."""
+    times = []
+    for _ in range(3):
+        start = time.monotonic()
+        done = subprocess.run([sys.executable, "-m", "rotorwatch.cli", "--version"], capture_output=True, text=True)
+        times.append(time.monotonic() - start)
+    assert done.stdout == f"rotorwatch {rotorwatch.__version__}\n"
+    assert min(times) < 0.3
+
+
+def test_help_of_every_command_is_complete(run):
+    _, out, _ = run("--help")
+    for name, command in cli.cli.commands.items():
+        assert name in out
+        assert run(name, "--help")[0] == 0
+        assert all(p.help for p in command.params if isinstance(p, click.Option)), name
+
+
+def test_broken_pipe_is_quiet_and_no_verdict():
+    """As in `rotorwatch ... | head`: 1 would say that a fault was found."""
+    read_end, write_end = os.pipe()
+    os.close(read_end)
+    done = subprocess.run([sys.executable, "-m", "rotorwatch.cli", "--help"], stdout=write_end, stderr=subprocess.PIPE)
+    os.close(write_end)
+    assert (done.returncode, done.stderr) == (141, b"")
+
+
+def test_info_prints_json_and_a_table(fake, run):
+    code, out, _ = run("info", "fault.bin", "--json")
+    facts = json.loads(out)
+    assert code == 0 and facts["rotors"] == 4 and facts["name"] == "fault.bin"
+    code, out, _ = run("info", "fault.bin")
+    assert code == 0 and "RCOU" in out and "LOG_BITMASK" in out
+    assert max(len(line) for line in out.splitlines()) <= 80
+
+
+# info
+
+
+def settings(flight):
+    return {gap["signal"]: gap["setting"] for gap in info(flight)["missing"]}
+
+
+def test_info_names_the_setting_that_would_log_what_is_missing():
+    ardupilot = settings(a_flight())
+    assert "bit 1 " in ardupilot["control"] and "bit 0 " in ardupilot["motors"] and "bit 7 " in ardupilot["accel"]
+    assert "bit 9 " in ardupilot["battery"] and "bit 17 " in ardupilot["lift"] and "bit 18 " not in ardupilot["motors"]
+    px4 = settings(a_flight(autopilot="PX4"))
+    assert "SDLOG_PROFILE bit 4" in px4["motors"] and "battery_status" in px4["battery"] and "lift" not in px4
+
+
+def test_info_says_what_prevents_a_diagnosis():
+    bare = a_flight(signals={})
+    facts = info(bare)
+    assert not facts["ready"]
+    assert {gap["signal"] for gap in facts["missing"] if gap["needed"]} >= {"motors", "gyro"}
+    assert facts["missing"][0]["needed"] and not facts["missing"][-1]["needed"]
+
+
+def test_info_counts_invalid_samples_and_empty_signals():
+    gyro = Signal(np.arange(4.0), np.array([[np.nan], [1.0], [1.0], [1.0]]), ("x",), "rad/s")
+    empty = Signal(np.zeros(0), np.zeros((0, 1)), ("out",), "1")
+    facts = {s["name"]: s for s in info(a_flight(signals={"gyro": gyro, "throttle": empty}))["signals"]}
+    assert facts["gyro"]["valid"] == 0.75 and facts["gyro"]["rate_hz"] == 1.0
+    assert facts["throttle"]["samples"] == 0 and facts["throttle"]["start_s"] is None
+
+
+def test_info_shows_notable_messages_only():
+    said = (
+        Message(1.0, "text", "EKF3 IMU0 is using GPS"),
+        Message(2.0, "text", "Potential Thrust Loss (3)"),
+        Message(3.0, "mode", "LAND"),
+    )
+    assert [m["time_s"] for m in info(a_flight(messages=said))["messages"]] == [2.0, 3.0]
+
+
+# The package
+
+
+def test_importing_the_package_loads_nothing_heavy():
+    heavy = "{'numpy', 'jax', 'bokeh', 'rich', 'pymavlink', 'pyulog', 'click'}"
+    code = f"import sys, rotorwatch; print(sorted({heavy} & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stdout == "[]\n"
+
+
+def test_verbs_are_functions_and_modules_at_once():
+    """However the submodule came to be imported: `rotorwatch.info` can be called and holds its other names."""
+    code = (
+        "import inspect, rotorwatch.info, rotorwatch as rw; from rotorwatch.flight import Flight; "
+        "assert rw.info(Flight('csv', '', {}, 0.0)) == rw.info.info(Flight('csv', '', {}, 0.0)); "
+        "assert list(inspect.signature(rw.info).parameters) == ['flight']; "
+        "assert rw.fuzz.OUTCOMES and callable(rw.fuzz) and rw.Flight is Flight; print('ok')"
+    )
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "ok\n"
+
+
+def test_unknown_names_are_attribute_errors():
+    with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
+        _ = rotorwatch.nonsense
+    assert {"read", "diagnose", "Flight"} <= set(dir(rotorwatch))
+
+
+def test_version_is_the_packages():
+    import tomllib
+
+    assert tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"] == rotorwatch.__version__
