@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import gzip
-import itertools
 import lzma
 import os
 import signal
@@ -25,6 +24,8 @@ from rotorwatch.errors import ConfigError, RotorwatchError
 
 OUTCOMES = ("read", "read with warnings", "rejected with a sentence", "FAILED")
 KEPT_FAILURES = 20
+START_S = 120.0  # for a worker to load what it needs
+GRACE_S = 30.0  # beyond a mutation's own time limit: then the worker does not come back and is killed
 
 
 def fuzz(
@@ -195,7 +196,7 @@ class _TooLong(BaseException):
 
 
 def _work(pipe, task: Task, folder: str, memory_mb: int) -> None:
-    """A worker: numbers in, outcomes out, until the pipe closes. Damaged copies go to `folder`."""
+    """A worker: says that it is ready, then numbers in, outcomes out, until the pipe closes. Copies go to `folder`."""
     _limit_memory(memory_mb)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides when to stop
 
@@ -205,6 +206,7 @@ def _work(pipe, task: Task, folder: str, memory_mb: int) -> None:
     if hasattr(signal, "SIGALRM"):
         signal.signal(signal.SIGALRM, too_long)
     with contextlib.suppress(EOFError, OSError):
+        pipe.send("ready")
         while True:
             number = pipe.recv()
             try:
@@ -221,10 +223,13 @@ def _work(pipe, task: Task, folder: str, memory_mb: int) -> None:
 
 def _limit_memory(memory_mb: int) -> None:
     """Cap the address space at what the process has plus memory_mb, where the system can."""
+    from importlib import import_module
+
+    for name in ("rotorwatch.logs", "rotorwatch.diagnose"):  # before measuring, so that libraries do not count
+        with contextlib.suppress(ImportError):
+            import_module(name)
     with contextlib.suppress(ImportError, OSError, ValueError):
         import resource
-
-        import rotorwatch.diagnose  # noqa: F401  # loaded before measuring, so that libraries do not count
 
         have = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
         resource.setrlimit(resource.RLIMIT_AS, (have + memory_mb * 2**20,) * 2)
@@ -239,9 +244,17 @@ class _Worker:
         self.process = context.Process(target=_work, args=args, daemon=True)
         self.process.start()
         theirs.close()
-        self.number, self.deadline = -1, np.inf
+        self.number, self.deadline, self.ready = -1, np.inf, False
 
     def give(self, number: int, limit_s: float) -> None:
+        """Hand over a mutation; its time begins when the worker has started."""
+        if not self.ready:
+            try:
+                self.ready = self.pipe.poll(START_S) and bool(self.pipe.recv())
+            except (EOFError, OSError):
+                pass
+            if not self.ready:
+                raise ConfigError("A worker process does not start; is there enough memory? Try --jobs 1.")
         self.number, self.deadline = number, time.monotonic() + limit_s
         self.pipe.send(number)
 
@@ -254,14 +267,14 @@ class _Worker:
 def _pool(task: Task, mutations: int, jobs: int, memory_mb: int):
     """Results from worker processes, in the order they come. A worker that dies or hangs is replaced."""
     context = get_context("spawn")  # a fork would inherit locks of numerical libraries
-    grace = task.timeout_s + 30.0  # the worker's own clock comes first; this one is for code that never returns
+    grace = task.timeout_s + GRACE_S
     todo = iter(range(mutations))
     busy: list[_Worker] = []
     with tempfile.TemporaryDirectory(prefix="rotorwatch-fuzz-") as root:
         try:
-            for number in itertools.islice(todo, jobs):
-                busy.append(_Worker(context, task, root, memory_mb))
-                busy[-1].give(number, grace)
+            busy += [_Worker(context, task, root, memory_mb) for _ in range(min(jobs, mutations))]
+            for worker, number in zip(busy, todo):
+                worker.give(number, grace)
             while busy:
                 wait = max(0.0, min(w.deadline for w in busy) - time.monotonic())
                 ready = connection.wait([w.pipe for w in busy], wait)
