@@ -44,7 +44,7 @@ class Senses:
     """What is known at one tick. NaN: not known.
 
     command: mean motor command, share of its range. climb: m/s up. speed: horizontal, m/s. force: magnitude of the
-    specific force, m/s^2; upward: its part along the rotors' thrust, both means over half a second. turning: rad/s, too.
+    specific force, m/s^2; upward: its part along the rotors' thrust; turning: rad/s; all means over half a second.
     struck: a specific force, just now, that rotors cannot make. landed, armed: the autopilot's last word, or None.
     """
 
@@ -161,13 +161,15 @@ def airborne(flight: Flight) -> tuple[tuple[float, float], ...]:
     intervals: list[tuple[float, float]] = []
     pieces = np.split(np.arange(time.size), np.flatnonzero(np.diff(time) > GAP_S) + 1)
     for piece in pieces:
-        intervals += _walk(flight, time[piece], command[piece])
+        # Past the last command, too: many logs stop with the motors, and say "landed" just after.
+        end = min(time[piece[-1]] + GAP_S, max(flight.duration, time[piece[-1]]))
+        intervals += _walk(flight, time[piece], command[piece], end)
     return tuple(intervals)
 
 
-def _walk(flight, time, command) -> list[tuple[float, float]]:
-    """Intervals within one stretch of motor commands without a long gap."""
-    ticks = np.arange(np.ceil(time[0] / TICK_S), np.floor(time[-1] / TICK_S) + 1) * TICK_S
+def _walk(flight, time, command, end) -> list[tuple[float, float]]:
+    """Intervals within one stretch of motor commands without a long gap; the walk goes on to `end`."""
+    ticks = np.arange(np.ceil(time[0] / TICK_S), np.floor(end / TICK_S) + 1) * TICK_S
     force, upward, turning, struck = _carried(flight, ticks)
     climb, speed = _motion(flight, ticks)
     landed, armed = (_state(flight, kind, ticks) for kind in ("landed", "armed"))
@@ -179,8 +181,8 @@ def _walk(flight, time, command) -> list[tuple[float, float]]:
         if flying and start is None:
             start = t
         elif not flying and start is not None:
-            if monitor.since > start:
-                intervals.append((start, monitor.since))
+            if min(monitor.since, time[-1]) > start:
+                intervals.append((start, min(monitor.since, float(time[-1]))))
             start = None
     if start is not None and time[-1] > start:
         intervals.append((start, float(time[-1])))
@@ -209,7 +211,7 @@ def _motion(flight, ticks) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _carried(flight, ticks):
-    """Specific force (magnitude, part along the thrust) and angular rate, means over _WINDOW_S; and blows at the ticks."""
+    """Specific force (magnitude, part along the thrust), angular rate, means over _WINDOW_S; and blows at the ticks."""
     force = upward = turning = np.full(ticks.size, np.nan)
     struck = [False] * ticks.size
     if flight.has("accel"):

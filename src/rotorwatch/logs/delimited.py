@@ -39,6 +39,8 @@ def numbers(data, notes, name="") -> dict[str, np.ndarray]:
     if len(set(names)) < len(names):
         raise LogError(f"{where}column {next(n for n in names if names.count(n) > 1)} is there twice")
     body = data.partition(b"\n")[2]
+    if not body.strip():
+        raise LogError(f"{where}the table has no line of numbers")
     try:
         filled = io.BytesIO(_EMPTY.sub(b"nan", body))
         rows = np.loadtxt(filled, delimiter=",", ndmin=2, comments=None, encoding="ascii")

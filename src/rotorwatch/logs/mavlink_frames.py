@@ -1,6 +1,6 @@
 """MAVLink frames from a telemetry log, decoded a message type at a time.
 
-A telemetry log repeats: time of receipt (8 bytes, big endian, us since 1970), then one MAVLink 1 or 2 frame. The layouts
+A telemetry log repeats: time of receipt (8 bytes, big endian, us since 1970), then one MAVLink 1 or 2 frame. Layouts
 come from pymavlink's dialect; its own reader takes message after message, at about 2 MB/s.
 Frame format and check sum: https://mavlink.io/en/guide/serialization.html
 """

@@ -91,7 +91,8 @@ class Topics:
 
 def columns(table, fields) -> np.ndarray:
     """(n, k) float array of the given fields."""
-    return np.stack([np.asarray(table[f], np.float64) for f in fields], axis=1)
+    with np.errstate(invalid="ignore"):  # damaged floats may be signalling NaNs
+        return np.stack([np.asarray(table[f], np.float64) for f in fields], axis=1)
 
 
 def numbered(name, n) -> list[str]:

@@ -64,7 +64,8 @@ def build(time, values, columns, unit, frame, source, limit, notes, valid=None) 
         fine &= valid[:, None] if valid.ndim == 1 else valid
     keep = steady(time)
     if keep.size < time.size:
-        notes.append(f"{source}: {time.size - keep.size} of {time.size} samples dropped because time ran backwards")
+        lost = f"{time.size - keep.size} of {time.size} samples"
+        notes.append(f"{source}: {lost} dropped because their time is impossible or runs backwards")
     if keep.size == 0 or not fine[keep].any():
         return None
     return Signal(time[keep], np.where(fine, values, 0.0)[keep], columns, unit, frame, source, fine[keep])

@@ -20,7 +20,7 @@ _UNTIMED = {
     *{"ESC_TELEMETRY_1_TO_4", "ESC_TELEMETRY_5_TO_8", "ESC_TELEMETRY_9_TO_12"},
 }
 _UNIX_US = 1e14  # larger time stamps count from 1970, smaller ones from the autopilot's start
-_WRAP_US = 2.0**32  # SERVO_OUTPUT_RAW.time_usec and time_boot_ms * 1000 overflow there, in their own units
+_WRAP_US = 2.0**32  # SERVO_OUTPUT_RAW.time_usec starts again there
 _MG = series.G / 1000
 
 
@@ -95,24 +95,34 @@ class _Log:
     def _read_clock(self):
         """Decode all messages; find second 0 and the boot time at each place in the file."""
         self.tables, self._stamps = {}, {}
-        places, stamps = [], []
+        clocks, short = [], []
         for name, layout in self.layouts.items():
             table, order = self.frames.decode(self.system, self.component, layout)
             if not table.size:
                 continue
             self.tables[name] = table, order
             stamp = _boot_us(table)
-            if stamp is not None:
-                self._stamps[name] = stamp
-                known = np.isfinite(stamp)
-                places.append(order[known])
-                stamps.append(stamp[known])
-        if not places or not sum(p.size for p in places):
+            if stamp is None:
+                continue
+            self._stamps[name] = stamp
+            known = np.isfinite(stamp)
+            if "time_usec" in table.dtype.names and table.dtype["time_usec"].itemsize == 4:
+                short.append((stamp, order))
+            else:
+                clocks.append((order[known], stamp[known]))
+        if not sum(place.size for place, _ in clocks):
             raise LogError("no message with a time stamp of the autopilot is in this telemetry log")
-        place, stamp = np.concatenate(places), np.concatenate(stamps)
+        place, stamp = (np.concatenate(parts) for parts in zip(*clocks))
+        self.start_us = float(stamp.min())
         first_come = np.argsort(place, kind="stable")
         self._place, self._latest = place[first_come], np.maximum.accumulate(stamp[first_come])
-        self.start_us = float(stamp.min())
+        for stamp, order in short:  # 32-bit microseconds start again every 71 minutes
+            stamp += _WRAP_US * np.round((self._latest[self._before(order)] - stamp) / _WRAP_US)
+            self.start_us = float(np.nanmin([self.start_us, *stamp]))
+
+    def _before(self, order):
+        """Index into the known clock times of the latest one before each place in the file (the first, before any)."""
+        return np.clip(np.searchsorted(self._place, order) - 1, 0, None)
 
     def get(self, name, *fields):
         """(time s (n,), table) of a message, or None. Messages without a clock get the latest time before them."""
@@ -121,8 +131,7 @@ class _Log:
         table, order = self.tables[name]
         stamp = self._stamps.get(name)
         if stamp is None:
-            at = np.clip(np.searchsorted(self._place, order) - 1, 0, None)
-            return (self._latest[at] - self.start_us) * 1e-6, table
+            return (self._latest[self._before(order)] - self.start_us) * 1e-6, table
         known = np.isfinite(stamp)
         return ((stamp[known] - self.start_us) * 1e-6, table[known]) if known.any() else None
 
@@ -137,17 +146,12 @@ def _boot_us(table):
     """(n,) us since the autopilot's start, NaN where unknown; None for a message without a clock."""
     names = table.dtype.names
     if "time_boot_ms" in names:
-        stamp, wrap = table["time_boot_ms"] * 1e3, _WRAP_US * 1e3
+        stamp = table["time_boot_ms"] * 1e3
     elif "time_usec" in names:
-        stamp, wrap = table["time_usec"].astype(float), _WRAP_US if table.dtype["time_usec"].itemsize == 4 else 0
+        stamp = table["time_usec"].astype(float)
     else:
         return None
-    stamp = np.where((stamp > 0) & (stamp < _UNIX_US), stamp, np.nan)
-    if wrap:
-        known = np.flatnonzero(np.isfinite(stamp))
-        turns = np.cumsum(np.diff(stamp[known], prepend=stamp[known[:1]]) < -0.9 * wrap)
-        stamp[known] += turns * wrap
-    return stamp
+    return np.where((stamp > 0) & (stamp < _UNIX_US), stamp, np.nan)
 
 
 def _columns(table, fields) -> np.ndarray:

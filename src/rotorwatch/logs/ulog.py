@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import math
 
 from rotorwatch.errors import LogError
 from rotorwatch.flight import Flight, Message
@@ -94,7 +95,7 @@ def _check_definitions(log) -> None:
 
 def _is_parameter(name, value) -> bool:
     """Numbers only, and nothing of the simulator's: SIM_* parameters can give a fault away."""
-    return isinstance(value, (int, float)) and not name.startswith("SIM_")
+    return isinstance(value, (int, float)) and math.isfinite(value) and not name.startswith("SIM_")
 
 
 def _firmware(log) -> str:
@@ -116,7 +117,7 @@ def _log_messages(log, start) -> list[Message]:
             Message(max(0.0, (int(m.timestamp) - start) * 1e-6), "error" if severe else "text", m.message.strip())
         )
     for gap in log.dropouts:
-        seconds = gap.duration * 1e-3
+        seconds = gap.duration / 1000
         if seconds > 0:
             time = max(0.0, (int(gap.timestamp) - start) * 1e-6)
             out.append(Message(time, "dropout", f"logging gap of {gap.duration} ms", seconds))

@@ -1,0 +1,203 @@
+"""Intervals in the air: real logs, made-up ones, and the law that a cut log gives the same intervals, cut."""
+
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rotorwatch import logs
+from rotorwatch.airborne import CONFIRM_S, airborne
+from rotorwatch.flight import Flight, Message
+from rotorwatch.logs.memory import from_arrays
+
+FLIGHTS = Path(__file__).parents[2] / "shared" / "flights"
+needs_flights = pytest.mark.skipif(
+    not FLIGHTS.is_dir(), reason="the folder of test flights, ../shared/flights, is missing"
+)
+
+# Lift-off and touch-down read off height, specific force and commands by eye, to about half a second.
+BY_EYE = {
+    "ardupilot-sitl/quadx_healthy_hover.bin.xz": [(3.2, 119.8)],
+    "ardupilot-sitl/quadx_m1_mul0.90_hover.bin.xz": [(3.0, 94.1)],
+    "ardupilot-sitl/octa_healthy_circle_wind.bin.xz": [(3.2, 89.1)],
+    "ardupilot-sitl/hexaplus_m6_mul0.00_fwdback_wind.bin.xz": [(3.1, 94.1)],
+    "ardupilot-sitl/quadx_m3_mul0.85_tlog.tlog.xz": [(47.1, 123.0)],
+    "ardupilot-sitl/fullrate_excerpt_quadx_m1_mul0.90_hover.bin.xz": [(27.5, 57.5)],  # starts in the air
+    "ardupilot-real-twoflights/sample.bin.xz": [(6.4, 41.7), (679.1, 699.5)],
+    "ardupilot-real-dronekit/log171.bin.xz": [(72.4, 227.7)],  # ends in a crash, upside down with motors running
+    "ardupilot-real-rrc/good_prop_hover_2.bin.xz": [(15.8, 91.0)],
+    "ardupilot-real-rrc/20_mm_cut_straight_line_2.bin.xz": [(25.7, 78.7)],
+    "px4-pyulog/sample.ulg.xz": [],
+    "px4-pyulog/sample_logging_tagged_and_default_params.ulg.xz": [],
+    "px4-pyulog/sample_px4_events.ulg.xz": [(18.8, 26.9)],
+    "px4-rflymad/TestCase_4_1000000003.ulg.xz": [(14.8, 36.0)],  # flips and falls from 34.0 s on
+}
+CUT = [*BY_EYE, "px4-ulogassessment", "crazypad/normal_flight__E8_log03.usd.xz"]
+
+
+@needs_flights
+@pytest.mark.parametrize("name", BY_EYE)
+def test_real_and_simulated_flights(name):
+    found = airborne(logs.read(FLIGHTS / name))
+    want = BY_EYE[name]
+    assert len(found) == len(want)
+    for (start, end), (lift_off, touch_down) in zip(found, want):
+        assert lift_off - 0.2 <= start <= lift_off + 0.8
+        assert touch_down - 0.6 <= end <= touch_down + 0.6
+
+
+@needs_flights
+def test_every_sitl_flight_lifts_off_two_to_four_seconds_after_the_log_starts():
+    for path in (FLIGHTS / "ardupilot-sitl").glob("*[!_]*.bin.xz"):
+        if not path.name.startswith("fullrate"):
+            assert 2 < airborne(logs.read(path))[0][0] < 4, path.name
+
+
+@needs_flights
+def test_crazyflie_hovers_lie_within_the_intervals():
+    for path in sorted((FLIGHTS / "crazypad").glob("*.xz"))[::4]:
+        flight = logs.read(path)
+        intervals = airborne(flight)
+        position = flight["position"]
+        high = position.time[-position.values[:, 2] > 0.35]
+        inside = np.any([(high >= a) & (high <= b + 0.3) for a, b in intervals], axis=0)
+        assert inside.mean() > 0.98 and len(intervals) == 2, path.name
+
+
+@needs_flights
+@pytest.mark.parametrize("name", CUT)
+def test_a_cut_log_gives_the_same_intervals_cut(name):
+    flight = logs.read(FLIGHTS / name)
+    whole = airborne(flight)
+    first = flight["motors"].time[0]
+    for t in np.linspace(first + 0.5, flight.duration, 25):
+        if any(b <= t < b + CONFIRM_S for _, b in whole):
+            continue  # the end is not certain yet
+        cut = airborne(flight.until(t))
+        want = [(a, min(b, t)) for a, b in whole if a < t - 0.2]
+        assert len([i for i in cut if i[0] < t - 0.2]) == len(want)
+        for (a, b), (start, end) in zip(cut, want):
+            assert a == start and b == pytest.approx(end, abs=0.15)
+
+
+# Made-up flights
+
+
+def made_up(hops, duration=60.0, idle=0.12, hover=0.45, velocity=True, rate=50, seed=0, ramp=0.6) -> Flight:
+    """A vehicle that climbs at 0.8 m/s for 2 s at the start of each hop and sinks as fast before its end."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0, duration, 1 / rate)
+    command, climb = np.full(t.size, idle), np.zeros(t.size)
+    for start, end in hops:
+        up = np.clip((t - start + ramp) / ramp, 0, 1) * np.clip((end - t) / 0.2, 0, 1)
+        command = np.maximum(command, idle + (hover - idle) * up)
+        climb += 0.8 * ((t > start) & (t < start + 2)) - 0.8 * ((t > end - 2) & (t < end))
+    columns = {"time_s": t}
+    columns |= {f"motor_{k}": command + 0.01 * rng.standard_normal(t.size) for k in range(1, 5)}
+    columns |= {f"gyro_{a}_rad_s": 0.02 * rng.standard_normal(t.size) for a in "xyz"}
+    columns |= {f"accel_{a}_m_s2": v + 0.3 * rng.standard_normal(t.size) for a, v in zip("xyz", (0, 0, -9.81))}
+    if velocity:
+        zero = 0.02 * rng.standard_normal(t.size)
+        columns |= {"velocity_n_m_s": zero, "velocity_e_m_s": zero, "velocity_d_m_s": -climb + zero}
+    return from_arrays(columns)
+
+
+@pytest.mark.parametrize("velocity", [True, False])
+@pytest.mark.parametrize("hops", [[(10, 50)], [(5, 15), (20, 30), (40, 55)], [(8, 59.99)]])
+@pytest.mark.parametrize("idle, hover", [(0.0, 0.35), (0.12, 0.45), (0.2, 0.75)])
+def test_hops_are_found_without_a_word_from_the_autopilot(hops, velocity, idle, hover):
+    found = airborne(made_up(hops, idle=idle, hover=hover, velocity=velocity))
+    assert len(found) == len(hops)
+    for (a, b), (start, end) in zip(found, hops):
+        assert start - 0.3 < a < start + 1.1 and end - 0.3 < b < end + 0.3
+
+
+def test_running_up_on_the_ground_is_no_flight():
+    flight = made_up([], duration=30)
+    assert airborne(flight) == ()
+    # A short burst of throttle that does not lift the vehicle
+    assert airborne(made_up([(10, 10.8)], hover=0.3, velocity=False, ramp=0.3)) == ()
+
+
+def test_drifting_velocity_on_the_ground_is_no_flight():
+    flight = made_up([(20, 40)])
+    velocity = flight["velocity"]
+    values = velocity.values.copy()
+    values[:, 2] -= 0.3  # the estimator thinks that it climbs all the time
+    drifting = replace(flight, signals={**flight.signals, "velocity": replace(velocity, values=values)})
+    ((start, end),) = airborne(drifting)
+    assert 19.7 < start < 21 and 39.7 < end < 40.3
+
+
+def test_a_stale_landed_word_does_not_hide_a_climb():
+    flight = replace(made_up([(10, 50)]), messages=(Message(0.0, "landed", "landed", 1.0),))
+    ((start, _),) = airborne(flight)
+    assert 10 < start < 12
+
+
+def test_falling_with_motors_off_is_still_in_the_air():
+    flight = made_up([(10, 50)])
+    t = flight["motors"].time
+    values = flight["motors"].values.copy()
+    values[(t > 25) & (t < 28)] = 0.0
+    force = flight["accel"].values.copy()
+    force[(t > 25) & (t < 28)] *= 0.1
+    signals = {**flight.signals, "motors": replace(flight["motors"], values=values)}
+    fallen = replace(flight, signals={**signals, "accel": replace(flight["accel"], values=force)})
+    assert len(airborne(fallen)) == 1
+    landed = replace(flight, signals=signals)  # the same command while something carries the weight
+    assert len(airborne(landed)) >= 1 and airborne(landed)[0][1] == pytest.approx(25, abs=0.2)
+
+
+def test_lying_upside_down_ends_the_flight_at_the_crash():
+    flight = made_up([(10, 59.9)])
+    force = flight["accel"].values.copy()
+    t = flight["accel"].time
+    force[t > 40] *= -1
+    force[(t > 40) & (t < 40.1)] = (60.0, 0, 0)
+    crashed = replace(flight, signals={**flight.signals, "accel": replace(flight["accel"], values=force)})
+    ((_, end),) = airborne(crashed)
+    assert end == pytest.approx(40.05, abs=0.1)
+
+
+def test_a_gap_in_the_commands_separates_flights():
+    flight = made_up([(10, 50)])
+    motors = flight["motors"]
+    keep = (motors.time < 25) | (motors.time > 32)
+    cut = replace(motors, time=motors.time[keep], values=motors.values[keep], valid=motors.valid[keep])
+    found = airborne(replace(flight, signals={**flight.signals, "motors": cut}))
+    assert len(found) == 2 and found[0][1] == pytest.approx(25, abs=0.1) and found[1][0] == pytest.approx(32, abs=0.2)
+
+
+def test_missing_commands_are_held():
+    flight = made_up([(10, 50)])
+    valid = flight["motors"].valid.copy()
+    valid[(flight["motors"].time > 30) & (flight["motors"].time < 31.5)] = False
+    found = airborne(replace(flight, signals={**flight.signals, "motors": replace(flight["motors"], valid=valid)}))
+    assert len(found) == 1
+
+
+def test_nothing_without_commands():
+    flight = made_up([(10, 50)])
+    assert airborne(replace(flight, signals={"gyro": flight["gyro"]})) == ()
+
+
+def test_ten_minutes_at_400_hz_take_a_moment():
+    flight = made_up([(10, 590)], duration=600, rate=400)
+    begin = time.perf_counter()
+    assert len(airborne(flight)) == 1
+    assert time.perf_counter() - begin < 2
+
+
+@pytest.mark.parametrize("velocity", [True, False])
+def test_made_up_flights_cut_anywhere(velocity):
+    flight = made_up([(5, 15), (20, 30), (40, 55)], velocity=velocity)
+    whole = airborne(flight)
+    for t in np.arange(1, 60, 0.43):
+        if any(b <= t < b + CONFIRM_S for _, b in whole):
+            continue
+        cut = airborne(flight.until(t))
+        assert [a for a, _ in cut] == [a for a, _ in whole if a < t - 0.1] or abs(cut[-1][0] - t) < 0.1
+        assert cut == () or cut[-1][1] <= t

@@ -1,0 +1,120 @@
+"""Crazyflie uSD logs: units, axes, and damage."""
+
+import lzma
+import struct
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rotorwatch import logs
+from rotorwatch.errors import LogError
+from rotorwatch.logs import crazyflie
+
+FLIGHTS = Path(__file__).parents[2] / "shared" / "flights" / "crazypad"
+needs_flights = pytest.mark.skipif(
+    not FLIGHTS.is_dir(), reason="the folder of test flights, ../shared/flights, is missing"
+)
+
+
+def usd(rows, variables, version=2, other=()):
+    """A log with one fixed-frequency event (id 255) and, before each row in `other`, an event 0 with one byte."""
+    data = bytes([0xBC]) + struct.pack("<HH", version, 2)
+    data += struct.pack("<H", 255) + b"fixedFrequency\0" + struct.pack("<H", len(variables))
+    data += b"".join(f"{name}({code})\0".encode() for name, code in variables)
+    data += struct.pack("<H", 0) + b"mode\0" + struct.pack("<H", 1) + b"mode(B)\0"
+    stamp = "Q" if version == 2 else "I"
+    layout = "<H" + stamp + "".join(code for _, code in variables)
+    for k, row in enumerate(rows):
+        if k in other:
+            data += struct.pack("<H" + stamp + "B", 0, 1000 + 10 * k, 1)
+        data += struct.pack(layout, 255, (10_000 * k + 5_000_000) if version == 2 else 10 * k + 5000, *row)
+    return data + struct.pack("<I", zlib.crc32(data))
+
+
+VARIABLES = [*((f"motor.m{k}", "H") for k in (1, 2, 3, 4)), *((f"gyro.{a}", "f") for a in "xyz")]
+VARIABLES += [*((f"acc.{a}", "f") for a in "xyz"), ("pm.vbat", "f")]
+ROW = (65535, 0, 32768, 13107, 57.29578, 10, 20, 0.1, 0.2, 1.0, 3.7)
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_units_and_axes_of_body_signals(version):
+    flight = crazyflie.read(usd([ROW] * 50, VARIABLES, version, other=(3, 17)), "x.usd")
+    assert flight.start_us == 5_000_000 and len(flight["motors"]) == 50
+    assert np.allclose(flight["motors"].values[0], [1, 0, 0.5, 0.2], atol=1e-4) and flight["motors"].unit == "1"
+    assert np.allclose(flight["gyro"].values[0], np.radians([57.29578, -10, -20]))
+    assert np.allclose(flight["accel"].values[0], np.array([0.1, -0.2, -1.0]) * 9.80665)
+    assert flight["battery"].values[0, 0] == pytest.approx(3.7) and not flight["battery"].valid[:, 1].any()
+    assert flight["motors"].rate_hz == pytest.approx(100) and flight.warnings == ()
+
+
+def test_world_acceleration_becomes_specific_force_in_the_body():
+    names = [f"stateEstimate.{n}" for n in ("ax", "ay", "az", "roll", "pitch", "yaw", "x", "y", "z")]
+    # Level, facing the world's y (left of x), pushed along world y with 0.5 g: that is forward in the body.
+    rows = [(0.0, 0.5, 0.0, 0.0, 0.0, 90.0, 1.0, 2.0, 3.0)] * 10
+    flight = crazyflie.read(usd(rows, [(n, "f") for n in names]), "x.usd")
+    assert np.allclose(flight["accel"].values[0] / 9.80665, [0.5, 0, -1], atol=1e-6)
+    assert np.allclose(flight["position"].values[0], [1, -2, -3])
+    # Rolled 30 degrees right and hovering: the rotors push along body -z only if that balances; here nothing else does.
+    flight = crazyflie.read(usd([(0.0, 0.0, 0.0, 30.0, 0.0, 0.0, 0, 0, 0)] * 10, [(n, "f") for n in names]), "x.usd")
+    assert np.allclose(flight["accel"].values[0] / 9.80665, [0, -0.5, -np.sqrt(0.75)], atol=1e-6)
+
+
+@needs_flights
+def test_real_hover_flights():
+    for path in sorted(FLIGHTS.glob("normal*.xz")):
+        flight = logs.read(path)
+        high = -flight["position"].values[:, 2] > 0.35
+        assert flight["motors"].rate_hz == pytest.approx(100, rel=0.03)
+        assert 0.4 < np.median(flight["motors"].values[high]) < 0.8
+        assert np.median(flight["accel"].values[high, 2]) == pytest.approx(-9.8, abs=0.3)
+        assert 3.0 < np.median(flight["battery"].values[:, 0]) < 4.3
+
+
+def test_a_wrong_check_sum_is_a_warning():
+    data = bytearray(usd([ROW] * 50, VARIABLES))
+    data[-30] ^= 1
+    assert "check sum" in crazyflie.read(bytes(data), "x.usd").warnings[0]
+
+
+def test_damage_in_the_middle_keeps_what_came_before():
+    good = usd([ROW] * 50, VARIABLES)
+    hurt = bytearray(good)
+    record = 2 + 8 + 4 * 2 + 7 * 4
+    hurt[len(good) - 4 - 20 * record] = 99  # an event id that nobody declared
+    flight = crazyflie.read(bytes(hurt), "x.usd")
+    assert len(flight["motors"]) == 30 and "30 records" in flight.warnings[0]
+
+
+def test_truncation_and_damage_anywhere_is_read_or_refused():
+    data = usd([ROW] * 40, VARIABLES)
+    rng = np.random.default_rng(5)
+    trials = [data[:end] for end in range(6, len(data), 7)]
+    for _ in range(200):
+        hurt = np.frombuffer(data, np.uint8).copy()
+        where = rng.integers(5, rng.choice([200, hurt.size]), 3)
+        hurt[where] = rng.integers(0, 256, 3)
+        trials.append(hurt.tobytes())
+    outcomes = []
+    for trial in trials:
+        try:
+            flight = logs._checked(lambda t=trial: crazyflie.read(t, "x"), crazyflie, Path("x"), ())
+            outcomes.append(all(np.isfinite(s.values).all() for s in flight.signals.values()))
+        except LogError:
+            outcomes.append(None)
+    assert set(outcomes) == {True, None}
+
+
+def test_recognised_by_content_only():
+    assert crazyflie.sniff(usd([ROW], VARIABLES)[:100], "") and not crazyflie.sniff(
+        b"\xbc\x02\x00\x01\x07\x00", "x.usd"
+    )
+    with pytest.raises(LogError, match="fixedFrequency"):
+        crazyflie.read(bytes([0xBC, 2, 0, 1, 0]) + b"\0\0mode\0\0\0" + bytes(20), "x.usd")
+
+
+@needs_flights
+def test_the_check_sum_of_a_real_log_holds():
+    data = lzma.decompress(next(FLIGHTS.glob("normal*E9*.xz")).read_bytes())
+    assert not [w for w in crazyflie.read(data, "x").warnings if "sum" in w]

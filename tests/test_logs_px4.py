@@ -1,0 +1,286 @@
+"""PX4 logs: ULog through pyulog, ulog2csv tables, and the topics of old and new releases."""
+
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rotorwatch import logs
+from rotorwatch.errors import LogError
+from rotorwatch.flight import Flight
+from rotorwatch.logs import px4_topics, series, ulog
+
+FLIGHTS = Path(__file__).parents[2] / "shared" / "flights"
+pytestmark = pytest.mark.skipif(
+    not FLIGHTS.is_dir(), reason="the folder of test flights, ../shared/flights, is missing"
+)
+REFERENCE = FLIGHTS / "corrupt" / "intact_reference.ulg"
+
+
+@pytest.fixture(scope="module")
+def events() -> Flight:
+    return logs.read(FLIGHTS / "px4-pyulog" / "sample_px4_events.ulg.xz")
+
+
+def test_new_px4_gives_motors_in_shares_and_esc_telemetry(events):
+    motors = events["motors"]
+    assert motors.unit == "1" and motors.source == "actuator_motors" and motors.columns == ("r1", "r2", "r3", "r4")
+    assert 9.5 < motors.rate_hz < 10.5 and 0.5 < motors.values.max() < 0.6
+    assert events["gyro"].source == "sensor_combined" and events["gyro"].rate_hz == pytest.approx(250, rel=0.02)
+    assert events["rates"].source == "vehicle_angular_velocity"
+    assert events["esc"].columns[:4] == ("rpm1", "rpm2", "rpm3", "rpm4") and events["esc"].values[:, :4].max() > 3000
+    assert not events["battery"].valid[:, 1].any()  # logged as -1: no current sensor
+    assert events["control"].values[:, 3].max() == pytest.approx(0.552, abs=0.001)
+
+
+def test_state_changes_become_messages(events):
+    armed = [(round(m.time, 1), m.value) for m in events.messages if m.kind == "armed"]
+    landed = [(round(m.time, 1), m.value) for m in events.messages if m.kind == "landed"]
+    assert armed == [(0.0, 0.0), (14.9, 1.0), (30.1, 0.0)]
+    assert landed == [(0.0, 1.0), (16.7, 0.0), (28.1, 1.0)]
+    assert [m.text for m in events.messages if m.kind == "mode"][1] == "Takeoff"
+    assert any("Disarmed by landing" in m.text for m in events.messages if m.kind == "text")
+
+
+def test_old_px4_gives_pulses_with_limits_and_dropouts():
+    flight = logs.read(FLIGHTS / "px4-pyulog" / "sample.ulg.xz")
+    assert flight["motors"].unit == "us" and flight.rotor_count == 4
+    assert flight.facts["pwm_min"] == 1075 and flight.facts["pwm_max"] == 1950
+    assert flight["rates"].source == "vehicle_attitude"
+    assert [m.value for m in flight.messages if m.kind == "dropout"] == [0.026, 0.031, 0.062]
+
+
+def test_the_fault_topic_and_ground_truth_are_never_decoded(monkeypatch):
+    import pyulog
+
+    asked = []
+    real = pyulog.ULog
+
+    def spy(file, **options):
+        asked.append(options)
+        return real(file, **options)
+
+    monkeypatch.setattr(pyulog, "ULog", spy)
+    flight = logs.read(FLIGHTS / "px4-rflymad" / "TestCase_4_1000000003.ulg.xz")
+    names = [n for o in asked for n in o.get("message_name_filter_list", [])]
+    assert len(names) == len(px4_topics.TOPICS) and all(o.get("parse_header_only") or names for o in asked)
+    assert "rfly_ctrl_lxl" not in names and not [n for n in names if "groundtruth" in n]
+    assert flight.vehicle_type == "quadrotor" and flight.parameter_changes[0][1] == "COM_RCL_EXCEPT"
+
+
+def test_gaps_of_not_a_number_are_masked_rows():
+    flight = logs.read(FLIGHTS / "corrupt" / "nan_motor_outputs.ulg")
+    motors = flight["motors"]
+    assert motors.values.shape == (61, 4) and not motors.valid.all(axis=1)[25:30].all()
+    assert 0.6 < motors.valid.mean() < 0.7 and np.isfinite(motors.values).all()
+
+
+def test_a_cut_log_is_read_and_said():
+    whole, cut = (logs.read(FLIGHTS / "corrupt" / f) for f in ("intact_reference.ulg", "truncated_mid_message.ulg"))
+    n = len(cut["gyro"])
+    assert n < len(whole["gyro"]) and np.array_equal(cut["gyro"].values, whole["gyro"].values[:n])
+    assert whole.warnings == () and "middle of a record" in cut.warnings[0]
+
+
+def test_the_name_does_not_matter():
+    flight = logs.read(FLIGHTS / "corrupt" / "ulog_with_wrong_extension.bin")
+    assert flight.format == ulog.FORMAT and flight.name == "ulog_with_wrong_extension.bin"
+
+
+def outcome(data) -> str:
+    """'read', or the sentence of the LogError; anything else fails the test."""
+    begin = time.perf_counter()
+    try:
+        module = logs.recognise(bytes(data[: logs.HEAD]), "x.ulg")
+        if module is None:
+            return "unknown"
+        flight = logs._checked(lambda: module.read(data, "x.ulg"), module, Path("x.ulg"), ())
+        assert all(np.isfinite(s.values).all() and (np.diff(s.time) >= 0).all() for s in flight.signals.values())
+        assert flight.duration < 1e6
+        return "read"
+    except LogError as error:
+        assert "\n" not in str(error)
+        return str(error)
+    finally:
+        assert time.perf_counter() - begin < 5
+
+
+def test_truncation_anywhere_is_read_or_refused():
+    data = REFERENCE.read_bytes()
+    outcomes = [outcome(data[:end]) for end in range(1, len(data), 337)]
+    assert outcomes[-1] == "read" and outcomes.count("read") > 10
+
+
+def test_random_damage_is_read_or_refused(capfd):
+    data = REFERENCE.read_bytes()
+    rng = np.random.default_rng(7)
+    outcomes = []
+    for _ in range(150):
+        hurt = np.frombuffer(data, np.uint8).copy()
+        # Half of the damage in the definitions, where it does most.
+        where = rng.integers(0, rng.choice([3000, 30_000, hurt.size]), rng.integers(1, 30))
+        hurt[where] = rng.integers(0, 256, where.size)
+        outcomes.append(outcome(hurt.tobytes()))
+    assert outcomes.count("read") > 50
+    assert capfd.readouterr().out == ""
+
+
+def definitions(*lines: bytes) -> bytes:
+    head = b"ULog\x01\x12\x35\x01" + (1000).to_bytes(8, "little")
+    return head + b"".join(len(x).to_bytes(2, "little") + b"F" + x for x in lines)
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        [b"a:uint64_t timestamp;a inner;"],
+        [b"a:uint64_t timestamp;b[9] x;", b"b:a[9] y;"],
+        [b"a:uint64_t timestamp;b[60000] x;", b"b:c[60000] y;", b"c:float[60000] z;"],
+    ],
+)
+def test_definitions_that_would_eat_all_memory_are_refused(lines):
+    subscribe = b"\0\1\0a"
+    data = definitions(*lines) + len(subscribe).to_bytes(2, "little") + b"A" + subscribe
+    with pytest.raises(LogError, match="definitions"):
+        ulog.read(data, "x.ulg")
+
+
+def test_a_parser_in_circles_meets_the_end_of_the_file():
+    file = ulog._File(bytes(1000))
+    reads = 0
+    while file.read(3):
+        file.seek(0)
+        reads += 1
+    assert reads <= 1000 // 4 + 100_000
+    with pytest.raises(ValueError):
+        file.seek(-5)
+
+
+# Topics of releases that no test flight has
+
+
+def topics(**tables) -> px4_topics.Topics:
+    """Topics from name=(n rows at 10 Hz, fields)."""
+    out = {}
+    for name, fields in tables.items():
+        base, _, instance = name.partition("__")
+        n = len(next(iter(fields.values())))
+        stamp = np.arange(n, dtype=np.uint64) * 100_000 + 1_700_000_000_000_000
+        out[base, int(instance or 0)] = {"timestamp": stamp, **{k: np.asarray(v) for k, v in fields.items()}}
+    return px4_topics.Topics(out, 1_700_000_000_000_000)
+
+
+def outputs(*levels, n=50):
+    """output[0..15], each swinging by 100 us round its level; level 0: unused."""
+    wave = 100 * np.sin(np.arange(n) / 5)
+    columns = [level + wave if level else np.zeros(n) for level in (*levels, *[0] * (16 - len(levels)))]
+    return {f"output[{k}]": c for k, c in enumerate(columns)}
+
+
+def test_outputs_are_put_in_rotor_order_by_their_functions():
+    found, facts = px4_topics.signals(
+        topics(actuator_outputs=outputs(1500, 1400, 1300, 1200)),
+        {
+            "PWM_MAIN_FUNC1": 104,
+            "PWM_MAIN_FUNC2": 103,
+            "PWM_MAIN_FUNC3": 102,
+            "PWM_MAIN_FUNC4": 101,
+            "CA_ROTOR_COUNT": 4,
+        },
+    )
+    assert np.allclose(found["motors"].values.mean(axis=0), [1200, 1300, 1400, 1500], atol=20)
+    assert facts["motors_topic"] == "actuator_outputs" and found["motors"].unit == "us"
+
+
+def test_the_instance_that_moves_has_the_motors():
+    still = {k: v * 0 + 1500 for k, v in outputs(1500, 1500, 1500, 1500).items()}
+    found, _ = px4_topics.signals(
+        topics(actuator_outputs=still, actuator_outputs__1=outputs(1400, 1400, 1400, 1400)), {"MAV_TYPE": 2}
+    )
+    assert found["motors"].source == "actuator_outputs[1]" and np.ptp(found["motors"].values) > 100
+
+
+@pytest.mark.parametrize("low, high", [(0.0, 1.0), (-1.0, 1.0)])
+def test_scaled_simulator_outputs_become_shares(low, high):
+    share = 0.5 + 0.3 * np.sin(np.arange(50) / 5)
+    fields = {f"output[{k}]": low + (high - low) * share for k in range(4)} | {"output[4]": np.zeros(50)}
+    if low < 0:
+        fields = {k: np.where(np.arange(50) < 5, low, v) if k != "output[4]" else v for k, v in fields.items()}
+    found, _ = px4_topics.signals(topics(actuator_outputs=fields), {"MAV_TYPE": 2})
+    assert found["motors"].unit == "1" and found["motors"].values.shape == (50, 4)
+    assert np.allclose(found["motors"].values[10:, 0], share[10:])
+
+
+def test_per_output_limits_win_over_common_ones():
+    tables = topics(actuator_outputs=outputs(1500, 1500, 1500, 1500))
+    old = px4_topics.signals(tables, {"MAV_TYPE": 2, "PWM_MIN": 1075, "PWM_MAX": 1950})[1]
+    new = px4_topics.signals(tables, {"MAV_TYPE": 2, "PWM_MAIN_MIN1": 1100, "PWM_MAIN_MAX1": 1900, "PWM_MIN": 1075})[1]
+    assert (old["pwm_min"], old["pwm_max"]) == (1075, 1950) and (new["pwm_min"], new["pwm_max"]) == (1100, 1900)
+
+
+def test_a_failed_motor_is_a_gap_in_its_column_only():
+    values = np.full((50, 12), np.nan)
+    values[:, :6] = 0.5
+    values[20:, 2] = np.nan
+    fields = {f"control[{k}]": values[:, k] for k in range(12)}
+    motors = px4_topics.signals(topics(actuator_motors=fields), {"CA_ROTOR_COUNT": 6})[0]["motors"]
+    assert motors.values.shape == (50, 6) and motors.valid[:, 2].sum() == 20 and motors.valid[:, 0].all()
+
+
+def test_esc_telemetry_follows_the_actuator_functions():
+    fields = {}
+    for i, function in enumerate((103, 101, 102)):
+        fields |= {f"esc[{i}].esc_rpm": np.full(9, 1000 * function), f"esc[{i}].esc_current": np.full(9, float(i))}
+        fields |= {f"esc[{i}].actuator_function": np.full(9, function)}
+    esc = px4_topics.signals(topics(esc_status=fields), {"CA_ROTOR_COUNT": 3})[0]["esc"]
+    assert esc.values[0].tolist() == [101_000, 102_000, 103_000, 1, 2, 0]
+
+
+def test_times_count_from_the_start_in_exact_microseconds():
+    table = topics(vehicle_angular_velocity={f"xyz[{k}]": np.zeros(30) for k in range(3)})
+    rates = px4_topics.signals(table, {})[0]["rates"]
+    assert np.allclose(rates.time, np.arange(30) / 10, atol=1e-9, rtol=0)
+
+
+# ulog2csv
+
+
+def test_a_folder_of_tables_is_one_flight():
+    flight = logs.read(FLIGHTS / "px4-ulogassessment")
+    assert flight["motors"].columns == ("r1", "r2", "r3", "r4") and 1500 < np.median(flight["motors"].values) < 1700
+    assert {"gyro", "accel", "attitude", "battery"} <= set(flight.signals)
+    assert flight["gyro"].rate_hz == pytest.approx(50, rel=0.02)
+
+
+def test_one_table_alone_reads_too():
+    path = next((FLIGHTS / "px4-ulogassessment").glob("*angular_velocity*"))
+    flight = logs.read(path)
+    assert set(flight.signals) == {"gyro", "rates"}
+
+
+def test_tables_of_two_logs_are_refused(tmp_path):
+    for log in ("one", "two"):
+        (tmp_path / f"{log}_battery_status_0.csv").write_text("timestamp,voltage_v,current_a\n1,12,1\n")
+    with pytest.raises(LogError, match="2 logs"):
+        logs.read(tmp_path)
+
+
+# Damaged time
+
+
+def test_one_wild_stamp_costs_one_sample():
+    t = np.arange(100) / 10.0
+    t[40], t[60] = 1e9, 0.0
+    assert series.steady(t).tolist() == [k for k in range(100) if k not in (40, 60)]
+
+
+def test_time_set_back_never_gives_a_negative_step():
+    t = np.r_[np.arange(60) / 10.0, np.arange(30, 70) / 10.0]
+    kept = t[series.steady(t)]
+    assert (np.diff(kept) >= 0).all() and kept.size >= 70
+
+
+def test_a_jump_of_years_keeps_the_longer_side():
+    t = np.r_[np.arange(90) / 10.0, 1e9 + np.arange(10) / 10.0]
+    assert series.steady(t).tolist() == list(range(90))

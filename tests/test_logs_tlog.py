@@ -1,0 +1,204 @@
+"""MAVLink telemetry logs: our frame decoder against pymavlink's, vehicles, clocks and damage."""
+
+import lzma
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rotorwatch import logs
+from rotorwatch.errors import LogError
+from rotorwatch.logs import mavlink_frames, tlog
+
+FLIGHTS = Path(__file__).parents[2] / "shared" / "flights"
+LOG = FLIGHTS / "ardupilot-sitl" / "quadx_m3_mul0.85_tlog.tlog.xz"
+needs_flights = pytest.mark.skipif(not LOG.exists(), reason="the folder of test flights, ../shared/flights, is missing")
+
+
+class Writer:
+    """Makes telemetry logs with pymavlink's own encoder."""
+
+    def __init__(self, version=2):
+        from pymavlink.dialects.v20 import ardupilotmega
+
+        self.mav = ardupilotmega
+        self.version, self.data, self.stamp, self.encoders = version, b"", 1_700_000_000_000_000, {}
+
+    def add(self, name, *values, system=1, component=1, raw=None):
+        if (system, component) not in self.encoders:
+            self.encoders[system, component] = self.mav.MAVLink(None, system, component)
+        message = getattr(self.mav, f"MAVLink_{name}_message")(*values)
+        frame = message.pack(self.encoders[system, component], force_mavlink1=self.version == 1)
+        self.stamp += 10_000
+        self.data += struct.pack(">Q", self.stamp) + frame
+        return self
+
+    def flight(self, samples=200, kind=2, autopilot=3):
+        self.add("heartbeat", kind, autopilot, 0x81, 4, 4, 3)
+        for k in range(samples):
+            ms = 5000 + 20 * k
+            self.add("attitude", ms, 0.1, 0.2, 0.3, 0.01 * k, 0.02, -0.03)
+            self.add("raw_imu", ms * 1000, 10, -20, -1000, 100, 200, -300, 0, 0, 0)
+            self.add("servo_output_raw", ms * 1000, 0, 1500, 1501, 1502, 1503, 1504, 1505, 1506, 1507)
+        return self
+
+
+def read(writer):
+    return tlog.read(writer.data, "x.tlog")
+
+
+@needs_flights
+def test_every_wanted_field_equals_pymavlinks():
+    from pymavlink.dialects.v20 import ardupilotmega
+
+    data = lzma.decompress(LOG.read_bytes())[:600_000]
+    layouts = {c.msgname: c for c in ardupilotmega.mavlink_map.values()}
+    frames = mavlink_frames.Frames(data, (c.id for c in layouts.values()))
+    parser = ardupilotmega.MAVLink(None)
+    parser.robust_parsing = True
+    theirs: dict[str, list] = {}
+    at = 0
+    while at + 8 < len(data):
+        at += 8
+        size = data[at + 1] + (8 if data[at] == 0xFE else 12)
+        message = parser.parse_char(data[at : at + size])
+        at += size
+        if message is not None:
+            theirs.setdefault(message.get_type(), []).append(message)
+    checked = 0
+    for name, messages in theirs.items():
+        if name in ("BAD_DATA", "STATUSTEXT", "PARAM_VALUE") or name.startswith("UNKNOWN"):
+            continue
+        table, _ = frames.decode(1, 1, layouts[name])
+        assert table.size == len(messages), name
+        for field in messages[0].fieldnames:
+            want = np.array([getattr(m, field) for m in messages])
+            if want.dtype.kind in "iuf":
+                assert np.array_equal(table[field].astype(want.dtype), want, equal_nan=want.dtype.kind == "f"), (
+                    name,
+                    field,
+                )
+                checked += want.size
+    assert checked > 50_000
+
+
+@needs_flights
+def test_the_telemetry_of_a_flight_agrees_with_its_onboard_log():
+    telemetry, onboard = logs.read(LOG), logs.read(LOG.with_name("quadx_m3_mul0.85_tlog.bin.xz"))
+    shift = (onboard.start_us - telemetry.start_us) * 1e-6
+    at = np.linspace(15, 70, 200)
+    for name, column, tolerance in (("motors", 0, 10.0), ("accel", 2, 0.3), ("position", 2, 0.1)):
+        a, b = telemetry[name], onboard[name]
+        mine = np.interp(at + shift, a.time, a.values[:, column])
+        other = np.interp(at, b.time, b.values[:, column])
+        assert np.median(np.abs(mine - other)) < tolerance, name
+    assert telemetry["motors"].unit == "us" and telemetry["motors"].rate_hz == pytest.approx(50, rel=0.05)
+    assert [(round(m.time), m.value) for m in telemetry.messages if m.kind == "armed"] == [(0, 0.0), (44, 1.0)]
+
+
+@needs_flights
+def test_reading_prints_nothing(capfd):
+    logs.read(LOG)
+    captured = capfd.readouterr()
+    assert captured.out == "" and captured.err == ""
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_units_and_times_of_both_protocol_versions(version):
+    flight = read(Writer(version).flight())
+    assert flight.start_us == 5_000_000 and flight.autopilot == "ArduPilot" and flight.vehicle_type == "quadrotor"
+    assert flight["motors"].values[0].tolist() == [1500, 1501, 1502, 1503]
+    assert np.allclose(flight["accel"].values[0], np.array([10, -20, -1000]) * 9.80665e-3)
+    assert np.allclose(flight["gyro"].values[:, 0], 0.01 * np.arange(200), atol=1e-6)
+    assert np.allclose(flight["gyro"].time, np.arange(200) / 50, atol=1e-9)
+    assert np.allclose((flight["attitude"].values ** 2).sum(axis=1), 1)
+
+
+@pytest.mark.parametrize("kind, rotors", [(2, 4), (13, 6), (14, 8)])
+def test_the_number_of_rotors_follows_the_heartbeat(kind, rotors):
+    assert read(Writer().flight(kind=kind)).rotor_count == rotors
+
+
+def test_ground_stations_and_other_components_are_not_the_vehicle():
+    log = Writer()
+    log.add("heartbeat", 6, 8, 0, 0, 0, 3, system=255, component=190)  # ground station
+    log.add("heartbeat", 26, 8, 0, 0, 0, 3, system=7, component=154)  # gimbal
+    log.flight()
+    log.add("attitude", 1, 9, 9, 9, 9, 9, 9, system=255, component=190)
+    flight = read(log)
+    assert flight.start_us == 5_000_000 and np.abs(flight["gyro"].values).max() < 3
+
+
+def test_no_vehicle_no_flight():
+    log = Writer()
+    for k in range(10):
+        log.add("heartbeat", 6, 8, 0, 0, 0, 3).add("attitude", 100 + k, 0, 0, 0, 0, 0, 0)
+    with pytest.raises(LogError, match="heartbeat"):
+        read(log)
+
+
+def test_simulation_parameters_stay_out_and_changes_are_kept():
+    log = Writer().flight(samples=20)
+    for name, value in ((b"SIM_ENGINE_MUL", 0.5), (b"MOT_THST_EXPO", 0.65), (b"MOT_THST_EXPO", 0.65)):
+        log.add("param_value", name, value, 9, 100, 1)
+    log.add("param_value", b"MOT_THST_EXPO", 0.5, 9, 100, 1).flight(samples=1)
+    flight = read(log)
+    assert list(flight.parameters) == ["MOT_THST_EXPO"] and flight.parameters["MOT_THST_EXPO"] == pytest.approx(0.65)
+    assert [(n, v) for _, n, v in flight.parameter_changes] == [("MOT_THST_EXPO", 0.5)]
+
+
+def test_outputs_are_put_in_rotor_order_by_their_functions():
+    log = Writer()
+    for output, rotor in ((1, 4), (2, 3), (3, 2), (4, 1)):
+        log.add("param_value", b"SERVO%d_FUNCTION" % output, 32 + rotor, 9, 100, 1)
+    flight = read(log.flight())
+    assert flight["motors"].values[0].tolist() == [1503, 1502, 1501, 1500]
+
+
+def test_px4_sends_whole_numbers_as_their_bytes():
+    log = Writer().flight(autopilot=12)
+    log.add("param_value", b"CA_ROTOR_COUNT", struct.unpack("<f", struct.pack("<i", 4))[0], 6, 100, 1)
+    assert read(log).parameters == {"CA_ROTOR_COUNT": 4.0}
+
+
+@pytest.mark.parametrize("turns", [1, 2, 5])
+def test_the_32_bit_clock_of_the_outputs_may_wrap(turns):
+    log = Writer().add("heartbeat", 2, 3, 0x81, 4, 4, 3)
+    for k in range(100):
+        us = turns * 2**32 - 1_000_100 + 20_000 * k
+        log.add("attitude", us // 1000, 0, 0, 0, 0, 0, 0)
+        log.add("servo_output_raw", us % 2**32, 0, *[1500] * 8)
+    flight = read(log)
+    time = flight["motors"].time
+    assert flight.start_us == pytest.approx(turns * 2**32 - 1_000_100, abs=1000)
+    assert time.size == 100 and time[-1] - time[0] == pytest.approx(1.98) and (np.diff(time) > 0).all()
+
+
+def test_damaged_frames_are_skipped_and_said():
+    log = Writer().flight()
+    data = bytearray(log.data)
+    rng = np.random.default_rng(3)
+    for at in rng.integers(200, len(data), 40):
+        data[at] ^= 0x55
+    flight = tlog.read(bytes(data), "x.tlog")
+    assert 100 < len(flight["gyro"]) < 200 and "damaged" in flight.warnings[0]
+    assert set(flight["motors"].values[:, 0]) == {1500.0}
+
+
+def test_truncation_anywhere_is_read_or_refused():
+    data = Writer().flight(samples=30).data
+    outcomes = set()
+    for end in range(0, len(data), 13):
+        try:
+            tlog.read(data[:end], "x.tlog")
+            outcomes.add("read")
+        except LogError:
+            outcomes.add("refused")
+    assert outcomes == {"read", "refused"}
+
+
+def test_recognised_by_its_frames():
+    data = Writer().flight(samples=5).data
+    assert tlog.sniff(data[:4096], "") and not tlog.sniff(bytes(4096), "")
+    assert tlog.sniff(b"", "flight.TLOG")
