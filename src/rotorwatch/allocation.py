@@ -349,8 +349,8 @@ def _silent(flight: Flight, vehicle: Vehicle, airborne: Spans) -> list[Override]
         interior = (command > low + 0.02 * span) & (command < low + 0.98 * span)
         moving = np.min(np.delete(moved, k, axis=1), axis=1) > 0.03
         stuck = inside & interior & (time - still > SILENT_S) & moving
-        # Below the minimum: no mixer asks for that. At the minimum, where outputs have nothing below it: no quad flies on
-        # with a rotor at rest and the others away from their limits (with more rotors, one opposite a dead one rests).
+        # Below the minimum: no mixer asks for that. At the minimum, where outputs have nothing below it: no quad flies
+        # on with a rotor at rest and the others off their limits (with more rotors, one opposite a dead one rests).
         flown = inside & (np.median(others, axis=1) > 2 * FLYING)
         below = flown & (command < low - 0.01 * span)
         idle = flown & (command <= low + 0.002 * span) & np.all((others > FLYING) & (others < 0.99), axis=1)

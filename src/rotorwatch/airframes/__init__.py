@@ -1,8 +1,8 @@
 """Which airframe flew: one module per autopilot, each turning what a log says into a `Vehicle`.
 
 A module here offers ``identify(flight) -> Vehicle | None`` (None: not mine, or the log says too little) and may
-offer ``NAMES``, name -> function without arguments that builds the `Vehicle` with default settings. ``RANK`` orders the
-attempts, smallest first. Adding an autopilot is adding a file.
+offer ``NAMES``, name -> function without arguments that builds the `Vehicle` with default settings. Adding an autopilot
+is adding a file.
 """
 
 from __future__ import annotations
@@ -15,11 +15,14 @@ from rotorwatch.errors import VehicleError
 from rotorwatch.flight import Flight
 from rotorwatch.vehicle import Vehicle
 
+KINDS = {2: "quad", 13: "hexa", 14: "octa", 29: "dodecahexa", 35: "deca"}  # MAVLink MAV_TYPE
+WORDS = {"quad": "quad", "hexa": "hexa", "octo": "octa", "octa": "octa", "dodeca": "dodecahexa", "deca": "deca"}
+
 
 def modules() -> tuple[ModuleType, ...]:
-    """The airframe modules found in this folder, in the order they are asked."""
+    """The airframe modules found in this folder, by name."""
     found = [importlib.import_module(f"{__name__}.{info.name}") for info in pkgutil.iter_modules(__path__)]
-    return tuple(sorted(found, key=lambda module: (getattr(module, "RANK", 0), module.__name__)))
+    return tuple(sorted(found, key=lambda module: module.__name__))
 
 
 def identify(flight: Flight) -> Vehicle:
@@ -60,6 +63,19 @@ def named(name: str) -> Vehicle:
             return build()
     close = [n for n in names() if name.lower() in n] or [n for n in names() if n.endswith("-quad-x")]
     raise VehicleError(f"There is no airframe called {name!r}; close ones are {', '.join(close[:8])}.")
+
+
+def kind(flight: Flight) -> str | None:
+    """quad, hexa, octa ... by the vehicle type the log names (MAVLink's MAV_TYPE or its word for it); None without one.
+
+    For autopilots that need a frame when nothing but this is logged, as in telemetry.
+    """
+    number = flight.facts.get("mav_type", flight.parameters.get("MAV_TYPE"))
+    if number is not None and int(number) in KINDS:
+        return KINDS[int(number)]
+    text = str(flight.vehicle_type).lower()
+    # Longest word first: "dodeca" holds "deca".
+    return next((WORDS[word] for word in sorted(WORDS, key=len, reverse=True) if word in text), None)
 
 
 def _missing(flight: Flight) -> str:

@@ -15,6 +15,7 @@ import re
 
 import numpy as np
 
+from rotorwatch import airframes
 from rotorwatch.errors import VehicleError
 from rotorwatch.flight import Flight
 from rotorwatch.vehicle import Rotor, ThrustCurve, Vehicle
@@ -135,7 +136,7 @@ for _name, _yaw in (("quad-vtail", CCW), ("quad-atail", CW)):
 
 
 def identify(flight: Flight) -> Vehicle | None:
-    """The frame of an ArduPilot log by its parameters; None for other autopilots or without frame parameters.
+    """The frame of an ArduPilot log by its parameters, else its vehicle type; None for others or when it says neither.
 
     Raises VehicleError for frames that are not multirotors with fixed rotors, and for types ArduPilot does not have.
     """
@@ -149,6 +150,13 @@ def identify(flight: Flight) -> Vehicle | None:
     elif "FRAME" in parameters:
         frame = _old_frame(flight, notes)
         source = "FRAME"
+    elif (guess := airframes.kind(flight)) is not None:
+        frame, source = f"{guess}-x", "vehicle type"
+        notes.append(f"The log only says that this is a {guess} rotor vehicle: frame {guess} X assumed.")
+        if guess == "octa":
+            notes.append(
+                "An octa can as well be a + or coaxial frame, and rotor numbers be wrong: give --vehicle FILE."
+            )
     else:
         return None
     return build(frame, curve(flight, notes), source=f"{source} in the log", assumptions=tuple(notes))

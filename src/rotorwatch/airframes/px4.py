@@ -12,6 +12,7 @@ import math
 
 import numpy as np
 
+from rotorwatch import airframes
 from rotorwatch.errors import VehicleError
 from rotorwatch.flight import Flight
 from rotorwatch.vehicle import Rotor, ThrustCurve, Vehicle
@@ -32,7 +33,6 @@ FRAMES = {
 THOUSANDS = {4: "quad-x", 5: "quad-plus", 6: "hexa-x", 7: "hexa-plus", 8: "octa-x", 9: "octa-plus"}
 THOUSANDS |= {11: "hexa-coaxial", 12: "octa-coaxial"}
 SINGLE = {1001: "quad-x", 3010: "quad-x", **dict.fromkeys(range(10015, 10021), "quad-x"), 10040: "quad-x"}
-MAV_TYPES = {2: "quad-x", 13: "hexa-x", 14: "octa-x"}
 USUAL_EXPO = 0.65  # ESCs without a thrust model: what most propeller test stands show
 
 
@@ -137,10 +137,10 @@ def _frame(flight: Flight, notes: list[str]) -> tuple[str | None, str]:
         if start in SINGLE and start > 10000:
             notes.append(f"SYS_AUTOSTART {start} is a quad of wide X shape: taken as a square X.")
         return frame, f"SYS_AUTOSTART {start} in the log"
-    kind = int(flight.parameters.get("MAV_TYPE", 0))
-    if kind in MAV_TYPES:
-        notes.append(f"The log only says MAV_TYPE {kind}: frame {MAV_TYPES[kind]} assumed.")
-        return MAV_TYPES[kind], f"MAV_TYPE {kind} in the log"
+    guess = f"{airframes.kind(flight)}-x"
+    if guess in FRAMES:
+        notes.append(f"The log only names its vehicle type: frame {guess} assumed.")
+        return guess, "vehicle type in the log"
     frame = {4: "quad-x", 6: "hexa-x", 8: "octa-x"}.get(flight.rotor_count)
     if frame is not None:
         notes.append(f"The log has no frame parameters: frame {frame} assumed for {flight.rotor_count} motor outputs.")
