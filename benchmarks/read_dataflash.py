@@ -76,7 +76,7 @@ def _peak_bytes() -> int:
     """Largest resident memory of this process so far, mapped files included."""
     status = Path("/proc/self/status")
     if status.exists():  # unlike getrusage, this does not remember the parent process
-        return 1024 * int(re.search(r"VmHWM:\s*(\d+)", status.read_text()).group(1))
+        return 1024 * int(re.findall(r"VmHWM:\s*(\d+)", status.read_text())[0])
     return 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 

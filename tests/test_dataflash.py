@@ -324,6 +324,37 @@ def test_clock_drops_garbage_and_takes_out_resets():
     assert len(clock.warnings) == 2 and "jumps back by 3.0 s at 15.0 s" in clock.warnings[1]
 
 
+def test_a_stamp_slightly_ahead_costs_one_sample():
+    log = Writer()
+    log.define(*IMU)
+    for k in range(200):
+        log.add("IMU", 10_000 * k + {50: 300_000, 120: 700_000, 121: -4_000}.get(k, 0), 0, k / 4, 0, 0, 0, 0, -9.8)
+    gyro = dataflash.read(log.data, "made.bin")["gyro"]
+    assert (np.diff(gyro.time) > 0).all()
+    assert sorted(set(range(200)) - set(4 * gyro.values[:, 0])) == [50, 120]
+
+
+def test_text_log_with_mode_names_and_commas():
+    text = b"""Ready to drive.
+FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format,Columns
+FMT, 132, 67, MSG, QZ, TimeUS,Message
+FMT, 136, 12, RCOU, QHHHH, TimeUS,C1,C2,C3,C4
+FMT, 170, 13, MODE, QMB, TimeUS,Mode,ModeNum
+FMT, 171, 13, HURT
+MSG, 1000000, ArduCopter V3.5.7 (b11c6af3), quad
+MSG, 1000000, Frame: QUAD
+MODE, 1000000, AltHold, AltHold
+RCOU, 1000000, 1500, 1501, 1502, 1503
+RCOU, 1100000, 1500, 15
+NONE, 1, 2
+RCOU, 1200000, 1500, 1501, oops, 0
+"""
+    flight = dataflash.read(text, "made.log")
+    assert flight["motors"].valid.tolist() == [[True] * 4, [True] + [False] * 3, [True, True, False, False]]
+    assert [m.text for m in flight.messages] == ["ArduCopter V3.5.7 (b11c6af3), quad", "Frame: QUAD", "ALT_HOLD"]
+    assert "2 lines damaged or of unknown type skipped." in flight.warnings
+
+
 def test_a_log_without_flight_or_of_another_kind_is_refused():
     log = Writer()
     log.parameters(FRAME_CLASS=1)

@@ -37,6 +37,12 @@ def _check(data: bytes):
     return flight
 
 
+def _flight(name: str = "intact_reference.bin"):
+    flight = _check(_bytes(name))
+    assert flight is not None
+    return flight
+
+
 def test_intact_reference():
     log = BinaryLog(_bytes())
     assert (log.record_count, log.warnings) == (679, [])
@@ -45,12 +51,12 @@ def test_intact_reference():
 
 def test_truncated_in_a_record():
     assert BinaryLog(_bytes("truncated_mid_message.bin")).record_count == 438
-    flight = _check(_bytes("truncated_mid_message.bin"))
+    flight = _flight("truncated_mid_message.bin")
     assert "The log ends inside a record; the incomplete record was dropped." in flight.warnings
 
 
 def test_flipped_bytes():
-    flight, intact = _check(_bytes("flipped_bytes.bin")), _check(_bytes())
+    flight, intact = _flight("flipped_bytes.bin"), _flight()
     assert any("damaged in 9 places" in w for w in flight.warnings)
     assert flight.duration == pytest.approx(intact.duration, abs=0.2)
     for name, least in (("motors", 70), ("gyro", 180), ("rates", 70), ("attitude", 70)):
@@ -60,7 +66,7 @@ def test_flipped_bytes():
 
 
 def test_zero_tail_changes_nothing():
-    flight, intact = _check(_bytes("zero_tail.bin")), _check(_bytes())
+    flight, intact = _flight("zero_tail.bin"), _flight()
     assert any("empty" in w for w in flight.warnings)
     for name, signal in intact.signals.items():
         np.testing.assert_array_equal(flight[name].values, signal.values)
@@ -68,7 +74,7 @@ def test_zero_tail_changes_nothing():
 
 
 def test_clock_that_jumps_back():
-    flight, intact = _check(_bytes("time_jumps_backwards.bin")), _check(_bytes())
+    flight, intact = _flight("time_jumps_backwards.bin"), _flight()
     assert any("jumps back by 3.0 s" in w for w in flight.warnings)
     assert len(flight["gyro"]) == len(intact["gyro"])
     np.testing.assert_allclose(flight["gyro"].time, intact["gyro"].time, atol=0.2)

@@ -25,7 +25,7 @@ from rotorwatch.logs import dataflash_rotors as rotors
 from rotorwatch.logs.dataflash_binary import BinaryLog, amount
 from rotorwatch.logs.dataflash_clock import Clock, make_clock
 from rotorwatch.logs.dataflash_text import FIRST_LINE, TextLog
-from rotorwatch.logs.series import SHAPES, quaternion
+from rotorwatch.logs.series import SHAPES, quaternion, steady
 
 FORMAT = "dataflash"
 
@@ -33,6 +33,7 @@ FMT_HEADER = b"\xa3\x95\x80"
 NEAR_START = 512  # bytes that damage or a ground station may have put before the first FMT
 INSTANCE_COLUMNS = ("I", "Instance", "Inst", "IMU", "C")
 PWM_RANGE_US = (500.0, 2600.0)
+SMALL_STEP_S = 0.005  # records of one message that changed places
 ESC_HOLD = 5.0  # an ESC value is good for this many typical intervals
 
 # Magnitudes beyond which a number is damage, not flight; (low, high) per column, in the unit of the signal.
@@ -60,6 +61,7 @@ def sniff(head: bytes, name: str) -> bool:
     return name.lower().endswith(".bin") and FMT_HEADER in head
 
 
+@np.errstate(all="ignore")  # damaged numbers may be NaN or huge; they are masked, not computed with
 def read(data, name: str, progress=None) -> Flight:
     """Read a DataFlash log from bytes or a memory map.
 
@@ -140,12 +142,16 @@ class _Signals:
         values = np.full((time.size, len(columns)), np.nan)
         for k, column in enumerate(columns):
             if column in table and table[column].ndim == 1 and table[column].dtype.kind in "iuf":
-                with np.errstate(invalid="ignore"):  # damage can make a signalling NaN
-                    values[:, k] = table[column]
+                values[:, k] = table[column]
         good = self.clock.good[table.record]
         if not good.all():
             time, values = time[good], values[good]
-        if time.size > 1 and (np.diff(time) < 0).any():
+        steps = np.diff(time)
+        if (steps < -SMALL_STEP_S).any():  # within one message time only runs backwards where a stamp is damaged
+            keep = steady(time)
+            self.warnings.append(f"{message}: {amount(time.size - keep.size, 'sample')} out of time order dropped.")
+            time, values = time[keep], values[keep]
+        elif (steps < 0).any():
             order = np.argsort(time, kind="stable")
             time, values = time[order], values[order]
         return time, values, table.codes
@@ -173,8 +179,7 @@ class _Signals:
         """Store a signal; values out of LIMITS become invalid and are counted in a warning."""
         columns, unit, frame, _ = SHAPES[name]
         low, high = np.array(LIMITS[name]).T
-        with np.errstate(invalid="ignore"):
-            wild = np.isfinite(values) & ((values < low) | (values > high))
+        wild = np.isfinite(values) & ((values < low) | (values > high))
         mask = ~wild if valid is None else ~wild & valid[:, None]
         self._store(name, Signal(time, values, columns, unit, frame, source, mask), int(wild.sum()))
 
@@ -211,9 +216,8 @@ class _Signals:
         missing = np.full(time.size, np.nan)
         values = np.stack([pwm.get(self.outputs[k], missing) for k in sorted(self.outputs)], axis=1)
         low, high = PWM_RANGE_US
-        with np.errstate(invalid="ignore"):
-            valid = (values >= low) & (values <= high)  # 0 means that the output is off
-            wild = int((np.isfinite(values) & ~valid & (values != 0)).sum())
+        valid = (values >= low) & (values <= high)  # 0 means that the output is off
+        wild = int((np.isfinite(values) & ~valid & (values != 0)).sum())
         columns = tuple(f"r{k}" for k in sorted(self.outputs))
         self._store("motors", Signal(time, values, columns, "us", "", "RCOU", valid), wild)
 
@@ -271,15 +275,14 @@ class _Signals:
         if rows is None:
             return
         time, degrees, _ = rows
-        with np.errstate(invalid="ignore"):
-            fine = (np.abs(degrees) <= [200.0, 100.0, 400.0]).all(axis=1)
+        fine = (np.abs(degrees) <= [200.0, 100.0, 400.0]).all(axis=1)
         wild = int((~fine & np.isfinite(degrees).all(axis=1)).sum())
         if wild:
             self.warnings.append(f"attitude ({message}): {amount(wild, 'impossible value')} dropped.")
         q = quaternion(*np.radians(np.where(fine[:, None], degrees, 0.0)).T)
         # q and -q are the same attitude; keep the sign that makes the series continuous.
-        turned = np.less(np.einsum("ij,ij->i", q[1:], q[:-1]), 0)
-        q[1:][np.logical_xor.accumulate(turned)] *= -1.0
+        turned = np.einsum("ij,ij->i", q[1:], q[:-1]) < 0
+        q[1:] *= np.where(np.logical_xor.accumulate(turned), -1.0, 1.0)[:, None]
         self.add("attitude", time, q, message, fine)
 
     def navigation(self, parameters) -> None:
@@ -342,8 +345,7 @@ class _Signals:
             fresh = (at >= 0) & (age <= hold)
             values[fresh, k], values[fresh, len(series) + k] = v[at[fresh]].T
         names = [f"{what}{rotor}" for what in ("rpm", "current") for rotor in sorted(self.outputs)]
-        with np.errstate(invalid="ignore"):
-            wild = np.isfinite(values) & ((values < -1000.0) | (values > 200_000.0))
+        wild = np.isfinite(values) & ((values < -1000.0) | (values > 200_000.0))
         self._store("esc", Signal(time, values, tuple(names), "rpm,A", "", "ESC", ~wild), int(wild.sum()))
 
 

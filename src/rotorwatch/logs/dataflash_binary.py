@@ -271,9 +271,7 @@ class BinaryLog:
         # (Its last fields may be zeros of the record itself, hence no count of bytes.)
         if damages:
             lost = max(size - used - (size - tail), 0)
-            self.warnings.append(
-                f"The log is damaged in {damages} places; {lost} bytes could not be read and were skipped."
-            )
+            self.warnings.append(f"The log is damaged in {amount(damages, 'place')}; {lost} bytes were skipped.")
         elif tail - used > 2:
             self.warnings.append("The log ends inside a record; the incomplete record was dropped.")
         if unknown:

@@ -12,7 +12,8 @@ import numpy as np
 from rotorwatch.logs.dataflash_binary import amount
 
 STEP_BACK_US = 0.5e6  # larger steps back are no matter of record order
-GAP_US = 1e6  # a silence this long starts a new stretch where stamps are in doubt
+GAP_US = 0.4e6  # where stamps are in doubt, a silence this long starts a new stretch; less than a step back, so that a
+# stamp that is ahead of its time never counts as the end of the stretch before it
 LONG_GAP_US = 600e6  # a silence this long puts stamps in doubt
 EDGE_RECORDS = 5  # ... and if no more records than these lie before or after it, they are not believed
 RESET_PRICE = 20.0  # records a clock reset must explain before it is believed
@@ -46,7 +47,6 @@ def make_clock(stamps: np.ndarray) -> Clock:
     us = stamps[timed]
     steps = np.diff(us)
     warnings: list[str] = []
-    jumps: list[float] = []
     good = np.ones(stamps.size, bool)
     if ((steps < -STEP_BACK_US) | (steps > LONG_GAP_US)).any():
         us, kept, resets = _repaired(us, steps)
@@ -57,10 +57,11 @@ def make_clock(stamps: np.ndarray) -> Clock:
     else:
         resets = []
     start = float(us.min())
-    for at, back in resets:
-        jumps.append((at - start) / 1e6)
-        size, when = f"{back / 1e6:.1f} s", f"{jumps[-1]:.1f} s"
-        warnings.append(f"The log's clock jumps back by {size} at {when}; later times are shifted to follow on.")
+    jumps = [(at - start) / 1e6 for at, _ in resets]
+    if resets:
+        size, when = f"{resets[0][1] / 1e6:.1f} s", f"{jumps[0]:.1f} s"
+        more = f" (and {amount(len(jumps) - 1, 'more time')})" if len(jumps) > 1 else ""
+        warnings.append(f"The log's clock jumps back by {size} at {when}{more}; later times are shifted to follow on.")
     # Carry the last stamp forward to records without one; those before the first stamp belong to the start.
     last = np.zeros(stamps.size, np.int32 if stamps.size < 2**31 else np.int64)
     last[timed] = np.arange(timed.size, dtype=last.dtype)
