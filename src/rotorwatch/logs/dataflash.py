@@ -282,7 +282,7 @@ class _Signals:
         q = quaternion(*np.radians(np.where(fine[:, None], degrees, 0.0)).T)
         # q and -q are the same attitude; keep the sign that makes the series continuous.
         turned = np.einsum("ij,ij->i", q[1:], q[:-1]) < 0
-        q[1:] *= np.where(np.logical_xor.accumulate(turned), -1.0, 1.0)[:, None]
+        q[1:] *= np.where(np.cumsum(turned) % 2, -1.0, 1.0)[:, None]
         self.add("attitude", time, q, message, fine)
 
     def navigation(self, parameters) -> None:
