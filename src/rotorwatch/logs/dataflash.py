@@ -279,7 +279,8 @@ class _Signals:
         wild = int((~fine & np.isfinite(degrees).all(axis=1)).sum())
         if wild:
             self.warnings.append(f"attitude ({message}): {amount(wild, 'impossible value')} dropped.")
-        q = quaternion(*np.radians(np.where(fine[:, None], degrees, 0.0)).T)
+        roll, pitch, yaw = np.deg2rad(np.where(fine[:, None], degrees, 0.0)).T
+        q = quaternion(roll, pitch, yaw)
         # q and -q are the same attitude; keep the sign that makes the series continuous.
         turned = np.einsum("ij,ij->i", q[1:], q[:-1]) < 0
         q[1:] *= np.where(np.cumsum(turned) % 2, -1.0, 1.0)[:, None]
