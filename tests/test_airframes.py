@@ -4,6 +4,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from rotorwatch import airframes, logs
 from rotorwatch.airframes import ardupilot
@@ -181,6 +183,27 @@ def test_every_class_and_type_pair_of_ardupilot_is_named():
     for frame in ardupilot.FRAMES:
         assert f"ardupilot-{frame}" in airframes.names()
     assert len(ardupilot.FRAMES) >= 40
+
+
+SETTINGS = ["FRAME_CLASS", "FRAME_TYPE", "FRAME", "MOT_PWM_MIN", "MOT_PWM_MAX", "RC3_MIN", "RC3_MAX", "MOT_SPIN_MIN"]
+SETTINGS += ["MOT_SPIN_MAX", "MOT_THST_EXPO", "THR_MIN", "MOT_THST_MAX", "CA_ROTOR_COUNT", "CA_AIRFRAME", "THR_MDL_FAC"]
+SETTINGS += ["SYS_AUTOSTART", "MAV_TYPE", "CA_ROTOR0_PX", "CA_ROTOR1_PY", "CA_ROTOR2_KM", "CA_ROTOR0_CT"]
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    st.dictionaries(st.sampled_from(SETTINGS), st.one_of(st.floats(), st.integers(-3, 20), st.integers(900, 13000))),
+    st.sampled_from(["ArduPilot", "PX4"]),
+    st.sampled_from([0, 3, 4, 6, 8]),
+)
+def test_damaged_parameters_give_a_vehicle_or_a_sentence(parameters, autopilot, rotors):
+    try:
+        vehicle = airframes.identify(flight(autopilot, rotors, parameters=parameters))
+    except VehicleError as error:
+        assert str(error).endswith(".")
+        return
+    assert vehicle.curve.u_min < vehicle.curve.u_max and 0 <= vehicle.curve.expo <= 1
+    assert np.isfinite(vehicle.mixer).all() and np.isfinite(vehicle.effectiveness()).all()
 
 
 @needs_flights

@@ -96,7 +96,9 @@ def mixed_thrusts(flight: Flight, vehicle: Vehicle) -> Signal | None:
     regressors = np.column_stack([control.values, np.ones(len(control))])
     if not len(check.time):
         return None
-    demand = np.einsum("tc,tcr->tr", regressors, check.weights[np.maximum(step, 0)])
+    demand = np.empty((len(control), len(vehicle.rotors)))
+    for part in np.array_split(np.arange(len(control)), len(control) // 8192 + 1):  # weights of all rows: much memory
+        demand[part] = np.einsum("tc,tcr->tr", regressors[part], check.weights[np.maximum(step[part], 0)])
     believed, battery = believed_curve(vehicle), battery_ratio(flight, control.time)[:, None]
     inside = np.all((demand > 0.005) & (demand < 0.99 * believed(np.asarray(believed.u_max), battery)), axis=1)
     share = drive(believed.expo, np.clip(demand, 0.0, 1.0))
@@ -178,7 +180,7 @@ def yaw_granted(flight: Flight, vehicle: Vehicle, control: np.ndarray) -> np.nda
     never below MOT_YAW_HEADROOM (default 200 of 1000).
     """
     yaw = np.abs(control[:, 2])
-    always = max(flight.parameters.get("MOT_YAW_HEADROOM", 200.0), 100.0) / 1000.0
+    always = np.clip(np.nan_to_num(flight.parameters.get("MOT_YAW_HEADROOM", 200.0), nan=200.0), 100.0, 500.0) / 1000.0
     if vehicle.mixer is None:
         return yaw < always
     turning = np.abs(vehicle.mixer[:, 2]) > 1e-9

@@ -8,6 +8,7 @@ is adding a file.
 from __future__ import annotations
 
 import importlib
+import math
 import pkgutil
 from types import ModuleType
 
@@ -70,12 +71,17 @@ def kind(flight: Flight) -> str | None:
 
     For autopilots that need a frame when nothing but this is logged, as in telemetry.
     """
-    number = flight.facts.get("mav_type", flight.parameters.get("MAV_TYPE"))
-    if number is not None and int(number) in KINDS:
+    number = flight.facts.get("mav_type", finite(flight).get("MAV_TYPE"))
+    if number in KINDS:
         return KINDS[int(number)]
     text = str(flight.vehicle_type).lower()
     # Longest word first: "dodeca" holds "deca".
     return next((WORDS[word] for word in sorted(WORDS, key=len, reverse=True) if word in text), None)
+
+
+def finite(flight: Flight) -> dict[str, float]:
+    """The parameters that are usable numbers: damaged logs hold others."""
+    return {name: float(v) for name, v in flight.parameters.items() if math.isfinite(v) and abs(v) < 1e9}
 
 
 def _missing(flight: Flight) -> str:

@@ -142,7 +142,7 @@ def identify(flight: Flight) -> Vehicle | None:
     """
     if not flight.autopilot.lower().startswith(("ardu", "apm")):
         return None
-    parameters = flight.parameters
+    parameters = airframes.finite(flight)
     notes: list[str] = []
     if parameters.get("FRAME_CLASS", 0) > 0:
         frame = _frame(int(parameters["FRAME_CLASS"]), int(parameters.get("FRAME_TYPE", 1)))
@@ -174,7 +174,7 @@ def build(frame: str, curve: ThrustCurve, source: str = "airframe name", assumpt
 
 def curve(flight: Flight, notes: list[str]) -> ThrustCurve:
     """Thrust curve from the MOT_* (3.5 and later) or THR_* (before) parameters; `notes` gets what had to be assumed."""
-    p = flight.parameters
+    p = airframes.finite(flight)
     low, high = p.get("MOT_PWM_MIN", 0.0), p.get("MOT_PWM_MAX", 0.0)
     if not 0 < low < high:
         low, high = p.get("RC3_MIN", 0.0), p.get("RC3_MAX", 0.0)
@@ -226,7 +226,7 @@ def _frame(number: int, kind: int) -> str:
 
 def _old_frame(flight: Flight, notes: list[str]) -> str:
     """Before 3.5 the class was compiled in: the firmware's 'Frame: QUAD' text has it, else the number of motors."""
-    kind = int(flight.parameters["FRAME"])
+    kind = int(airframes.finite(flight)["FRAME"])
     texts = [m.text for m in flight.messages if m.kind == "text"] + [flight.firmware, flight.vehicle_type]
     for text in texts:
         found = re.search(r"\b(OCTA_?QUAD|QUAD|HEXA|OCTA|Y6|TRI|HELI)\b", text.upper())

@@ -84,12 +84,12 @@ def mixer_expo(flight: Flight) -> float:
     # actuator_motors holds thrust demands: the thrust model is applied to them on the way out.
     if motors is not None and "actuator_motors" in motors.source:
         return 0.0
-    return float(np.clip(flight.parameters.get("THR_MDL_FAC", 0.0), 0.0, 1.0))
+    return float(np.clip(airframes.finite(flight).get("THR_MDL_FAC", 0.0), 0.0, 1.0))
 
 
 def curve(flight: Flight, notes: list[str]) -> ThrustCurve:
     """Thrust curve from THR_MDL_FAC and the output limits; `notes` gets what had to be assumed."""
-    factor = flight.parameters.get("THR_MDL_FAC", 0.0)
+    factor = airframes.finite(flight).get("THR_MDL_FAC", 0.0)
     known = 0.0 < factor <= 1.0
     if not known:
         notes.append(
@@ -109,9 +109,9 @@ def curve(flight: Flight, notes: list[str]) -> ThrustCurve:
 
 
 def _rotors_from_parameters(flight: Flight, notes: list[str]) -> tuple[Rotor, ...] | None:
-    p = flight.parameters
+    p = airframes.finite(flight)
     count = int(p.get("CA_ROTOR_COUNT", 0))
-    if count < 3:
+    if not 3 <= count <= 12:
         return None
     if p.get("CA_AIRFRAME", 0) != 0:
         raise VehicleError(
@@ -131,7 +131,7 @@ def _rotors_from_parameters(flight: Flight, notes: list[str]) -> tuple[Rotor, ..
 
 
 def _frame(flight: Flight, notes: list[str]) -> tuple[str | None, str]:
-    start = int(flight.parameters.get("SYS_AUTOSTART", 0))
+    start = int(airframes.finite(flight).get("SYS_AUTOSTART", 0))
     frame = SINGLE.get(start) or THOUSANDS.get(start // 1000)
     if frame is not None:
         if start in SINGLE and start > 10000:

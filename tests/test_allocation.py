@@ -1,0 +1,290 @@
+"""Rotor thrusts rebuilt from the rate controller, overridden outputs, and what losses cannot be told apart."""
+
+import functools
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rotorwatch import airframes, allocation, logs
+from rotorwatch.flight import Flight, Signal
+from rotorwatch.vehicle import ThrustCurve
+
+FLIGHTS = Path(__file__).resolve().parents[2] / "shared" / "flights"
+needs_flights = pytest.mark.skipif(not FLIGHTS.is_dir(), reason="the shared test flights are not beside the repository")
+
+
+@functools.cache
+def read(path):
+    return logs.read(FLIGHTS / path)
+
+
+def spans(flight):
+    """Where most outputs do more than idle, less take-off and landing: airborne enough for these tests."""
+    thrust = allocation.motor_thrusts(flight, airframes.identify(flight))
+    up = thrust.time[np.median(thrust.values, axis=1) > 0.12]
+    return ((up[0] + 2.0, up[-1] - 1.0),) if up.size else ()
+
+
+def command_of(thrust, curve, battery=1.0):
+    """The command that gives a thrust: inverse of the curve."""
+    return curve.u_min + (curve.u_max - curve.u_min) * allocation.drive(curve.expo, thrust) / battery
+
+
+def hover(frame="ardupilot-quad-x", duration=30.0, rate=50.0, outputs=10.0, gain=1.08, seed=3):
+    """A made-up flight whose outputs follow the mixer exactly, rounded to 1 us. Signals motors, control, lift."""
+    vehicle = airframes.named(frame)
+    rng = np.random.default_rng(seed)
+    time = np.arange(0.0, duration, 1 / rate)
+    waves = np.stack([np.sin(2 * np.pi * f * time + p) for f, p in ((0.9, 0.0), (0.7, 1.0), (0.4, 2.0), (0.2, 3.0))])
+    control = (np.array([[0.06, 0.06, 0.05, 0.04]]).T * waves).T + np.array([0, 0, 0, 0.4])
+    control += 0.002 * rng.standard_normal(control.shape)
+    battery = 0.97 - 0.001 * time
+    demand = gain * control @ vehicle.mixer.T
+    command = np.round(command_of(demand, vehicle.curve, battery[:, None]))
+    every = round(rate / outputs)
+    columns = tuple(f"r{k + 1}" for k in range(len(vehicle.rotors)))
+    signals = {
+        "motors": Signal(time[::every], command[::every], columns, "us", source="RCOU"),
+        "control": Signal(time, control, ("roll", "pitch", "yaw", "thrust"), "1", source="RATE"),
+        "lift": Signal(time, np.stack([battery**2, battery, np.ones_like(time)], 1), LIFT, "1", source="MOTB"),
+    }
+    return Flight("made", "ArduPilot", signals, float(time[-1]), name="hover"), vehicle, demand
+
+
+LIFT = ("lift_max", "voltage_ratio", "limit")
+
+
+def with_output(flight, rotor, start, value=None, end=np.inf):
+    """The flight with one output held at `value` (None: at what it was) from `start` to `end`."""
+    motors = flight["motors"]
+    values, on = motors.values.copy(), (motors.time >= start) & (motors.time < end)
+    values[on, rotor - 1] = values[np.argmax(on), rotor - 1] if value is None else value
+    return replace(flight, signals={**flight.signals, "motors": replace(motors, values=values)})
+
+
+def test_thrust_follows_the_curve_and_the_last_known_battery():
+    vehicle = replace(airframes.named("ardupilot-quad-x"), curve=ThrustCurve(1000.0, 2000.0, 0.5))
+    motors = Signal([0.0, 1.0, 2.0], np.full((3, 4), 1500.0), ("r1", "r2", "r3", "r4"), "us")
+    lift = Signal([0.5, 1.5], np.array([[1.0, 0.8, 1.0], [1.0, 0.6, 1.0]]), LIFT, "1")
+    thrust = allocation.motor_thrusts(Flight("t", "", {"motors": motors, "lift": lift}, 2.0), vehicle)
+    share = 0.5 * np.array([1.0, 0.8, 0.6])
+    assert thrust.values[:, 0] == pytest.approx(0.5 * share + 0.5 * share**2)
+
+
+@pytest.mark.parametrize("expo", [0.0, 0.3, 0.65, 1.0])
+def test_drive_is_the_inverse_of_the_curve(expo):
+    share = np.linspace(0, 1, 50)
+    assert allocation.drive(expo, ThrustCurve(0.0, 1.0, expo)(share)) == pytest.approx(share)
+
+
+@pytest.mark.parametrize("frame", ["ardupilot-quad-x", "ardupilot-hexa-x", "ardupilot-octa-plus", "ardupilot-y6"])
+def test_rebuilt_thrust_equals_what_the_mixer_asked(frame):
+    flight, vehicle, demand = hover(frame)
+    rebuilt = allocation.mixed_thrusts(flight, vehicle)
+    late = rebuilt.time > 1.0
+    assert rebuilt.valid[late].all()
+    # 1 us is 0.001 of full thrust; the gain is averaged over many.
+    assert np.abs(rebuilt.values - demand)[late].max() < 1e-3
+
+
+def test_an_unknown_mixer_is_learned():
+    flight, vehicle, demand = hover()
+    rebuilt = allocation.mixed_thrusts(flight, replace(vehicle, mixer=None))
+    late = rebuilt.time > 10.0
+    assert np.abs(rebuilt.values - demand)[late].max() < 3e-3
+
+
+def test_rebuilding_brings_nothing_at_equal_rates():
+    flight, vehicle, _ = hover(rate=10.0)
+    assert allocation.mixed_thrusts(flight, vehicle) is None
+    assert len(allocation.rotor_thrusts(flight, vehicle)) == len(flight["motors"])
+
+
+def test_believed_and_true_curve_may_differ():
+    """PX4 with THR_MDL_FAC 0 mixes commands, not thrusts."""
+    flight, vehicle, _ = hover()
+    shares = flight["control"].values @ vehicle.mixer.T
+    motors = Signal(flight["control"].time[::5], shares[::5], flight["motors"].columns, "1", source="actuator_motors")
+    flight = replace(flight, signals={"control": flight["control"], "motors": motors})
+    vehicle = replace(vehicle, curve=ThrustCurve(0.0, 1.0, 0.65), extra={"mixer_expo": 0.0})
+    rebuilt = allocation.mixed_thrusts(flight, vehicle)
+    late = rebuilt.time > 1.0
+    assert np.abs(rebuilt.values - vehicle.curve(shares))[late].max() < 1e-6
+
+
+def test_an_output_that_does_not_follow_is_not_trusted_and_the_logged_one_taken():
+    flight, vehicle, _ = hover()
+    flight = with_output(flight, 2, 15.0, 1900.0)
+    rebuilt, best = allocation.mixed_thrusts(flight, vehicle), allocation.rotor_thrusts(flight, vehicle)
+    late = rebuilt.time > 15.5
+    assert not rebuilt.valid[late, 1].any()
+    assert rebuilt.valid[late][:, [0, 2, 3]].all()
+    assert best.valid[late].all()
+    held = vehicle.curve(np.array(1900.0), allocation.battery_ratio(flight, best.time[late]))
+    assert np.abs(best.values[late, 1] - held).max() < 2e-3
+
+
+def test_nothing_in_the_future_changes_a_rebuilt_value():
+    flight, vehicle, _ = hover()
+    flight = with_output(flight, 2, 15.0, 1700.0, end=17.0)
+    whole = allocation.mixed_thrusts(flight, vehicle)
+    for end in (3.03, 14.99, 15.31, 17.2, 22.0):
+        cut = allocation.mixed_thrusts(flight.until(end), vehicle)
+        size = len(cut)
+        assert np.array_equal(cut.values, whole.values[:size])
+        assert np.array_equal(cut.valid, whole.valid[:size])
+
+
+def test_saturation_is_not_trusted():
+    flight, vehicle, _ = hover()
+    control = flight["control"]
+    values = control.values.copy()
+    high = (control.time > 15.02) & (control.time < 15.08)  # between two logged outputs: only the limits tell
+    values[high, 0] = 2.0
+    flight = replace(flight, signals={**flight.signals, "control": replace(control, values=values)})
+    rebuilt = allocation.mixed_thrusts(flight, vehicle)
+    assert high.sum() >= 2 and not rebuilt.valid[high].any()
+
+
+def test_yaw_beyond_the_headroom_is_not_granted():
+    flight, vehicle, _ = hover()
+    asked = np.array([[0.0, 0.0, 0.19, 0.4], [0.0, 0.0, 0.5, 0.4], [0.0, 0.0, 0.95, 0.4], [0.6, 0.0, 0.4, 0.4]])
+    assert allocation.yaw_granted(flight, vehicle, asked).tolist() == [True, True, False, False]
+
+
+LOGS = {
+    # path: largest rms of logged minus rebuilt thrust (rounding to 1 us alone gives 0.0004)
+    "ardupilot-sitl/hexax_healthy_square_wind.bin.xz": 1.5e-3,
+    "ardupilot-sitl/octa_healthy_circle_wind.bin.xz": 5e-4,
+    "ardupilot-real-rrc/good_prop_hover_2.bin.xz": 5e-4,
+    "ardupilot-real-rrc/25_mm_cut_straight_line_2.bin.xz": 6e-4,
+    "px4-pyulog/sample_px4_events.ulg.xz": 1e-5,
+    "px4-rflymad/TestCase_4_1000000003.ulg.xz": 1e-3,
+}
+
+
+@needs_flights
+@pytest.mark.parametrize("path", LOGS)
+def test_known_mixers_explain_real_outputs(path):
+    flight = read(path)
+    check = allocation.compare(flight, airframes.identify(flight))
+    flying = check.free & (check.demand.min(axis=1) > 0.1)
+    assert flying.sum() > 100
+    assert np.sqrt(np.mean(check.deviation[flying] ** 2)) < LOGS[path]
+
+
+HEALTHY_OUTPUTS = [
+    *LOGS,
+    "ardupilot-sitl/hexaplus_m6_mul0.00_fwdback_wind.bin.xz",
+    "ardupilot-sitl/quadx_m2_mul0.80_hover_wind.bin.xz",
+    "ardupilot-sitl/quadx_m3_mul0.85_tlog.tlog.xz",
+    "ardupilot-real-dronekit/log171.bin.xz",
+    "ardupilot-real-twoflights/sample.bin.xz",
+    "crazypad/cut_propeller_M3_4mm_4mm_39mm__E8_log00.usd.xz",
+]
+
+
+@needs_flights
+@pytest.mark.parametrize("path", HEALTHY_OUTPUTS)
+def test_no_output_is_accused_where_all_follow(path):
+    """Losses of effectiveness, a total loss with outputs at both limits, take-offs, landings."""
+    flight = read(path)
+    assert allocation.overrides(flight, airframes.identify(flight), spans(flight)) == ()
+
+
+INJECTED = [
+    ("ardupilot-sitl/hexax_healthy_square_wind.bin.xz", 3, 60.0, None, "stuck", 2.0),
+    ("ardupilot-sitl/hexax_healthy_square_wind.bin.xz", 6, 60.0, 1000.0, "off", 0.5),
+    ("ardupilot-sitl/octa_healthy_circle_wind.bin.xz", 8, 50.0, None, "stuck", 1.5),
+    ("ardupilot-sitl/octa_healthy_circle_wind.bin.xz", 1, 50.0, 1000.0, "off", 0.5),
+    ("ardupilot-real-rrc/good_prop_hover_2.bin.xz", 3, 50.0, None, "stuck", 1.0),
+    ("ardupilot-real-rrc/good_prop_hover_2.bin.xz", 2, 50.0, 1000.0, "off", 0.5),
+    ("ardupilot-sitl/hexaplus_m6_mul0.00_fwdback_wind.bin.xz", 4, 70.0, None, "stuck", 3.0),
+    ("ardupilot-sitl/quadx_m3_mul0.85_tlog.tlog.xz", 4, 100.0, 1000.0, "off", 0.5),
+    ("ardupilot-real-dronekit/log171.bin.xz", 1, 150.0, None, "stuck", 1.0),
+    ("crazypad/normal_flight__E9_log00.usd.xz", 2, 8.0, None, "stuck", 1.0),
+    ("px4-pyulog/sample_px4_events.ulg.xz", 4, 23.0, 0.0, "off", 0.6),
+]
+
+
+@needs_flights
+@pytest.mark.parametrize("path, rotor, start, value, kind, within", INJECTED)
+def test_an_injected_override_is_found_live(path, rotor, start, value, kind, within):
+    flight = with_output(read(path), rotor, start, value)
+    vehicle, airborne = airframes.identify(flight), spans(read(path))
+    found = allocation.overrides(flight, vehicle, airborne)
+    assert [(o.rotor, o.kind) for o in found] == [(rotor, kind)]
+    assert start < found[0].detected < start + within
+    assert abs(found[0].onset - start) < 0.35
+    assert f"output {rotor}" in found[0].reason
+    end = found[0].detected + 0.2
+    cut = allocation.overrides(flight.until(end), vehicle, tuple((a, min(b, end)) for a, b in airborne if a < end))
+    assert [(o.rotor, o.kind, o.detected) for o in cut] == [(rotor, kind, found[0].detected)]
+    before = found[0].detected - 0.01
+    assert allocation.overrides(flight.until(before), vehicle, airborne) == ()
+
+
+def test_an_output_that_is_driven_by_something_else():
+    flight, vehicle, _ = hover()
+    motors = flight["motors"]
+    values = motors.values.copy()
+    on = motors.time >= 15.0
+    values[on, 2] = 1550 + 60 * np.sin(5 * motors.time[on])
+    flight = replace(flight, signals={**flight.signals, "motors": replace(motors, values=values)})
+    found = allocation.overrides(flight, vehicle, ((1.0, 30.0),))
+    assert [(o.rotor, o.kind, o.end) for o in found] == [(3, "overridden", None)]
+
+
+def test_an_override_that_ends():
+    flight, vehicle, _ = hover()
+    flight = with_output(flight, 4, 12.0, 1000.0, end=16.0)
+    (found,) = allocation.overrides(flight, vehicle, ((1.0, 30.0),))
+    assert found.kind == "off" and found.end == pytest.approx(16.0, abs=0.25)
+
+
+def test_a_mixer_that_never_fitted_accuses_nobody():
+    flight, vehicle, _ = hover()
+    wrong = replace(vehicle, mixer=airframes.named("ardupilot-quad-plus").mixer)
+    assert allocation.overrides(flight, wrong, ((1.0, 30.0),)) == ()
+
+
+def test_flights_without_commands_have_no_overrides():
+    flight, vehicle, _ = hover()
+    empty = Signal(np.zeros(0), np.zeros((0, 4)), flight["motors"].columns, "us")
+    for signals in ({}, {"motors": empty}, {"motors": empty, "control": flight["control"]}):
+        assert allocation.overrides(replace(flight, signals=signals), vehicle, ((0.0, 9.0),)) == ()
+    lonely = replace(flight, signals={**flight.signals, "control": flight["control"].between(0.0, 0.03)})
+    assert (
+        allocation.mixed_thrusts(lonely, vehicle) is None or not allocation.mixed_thrusts(lonely, vehicle).valid.any()
+    )
+
+
+def pairs(*texts):
+    """'1+2=7+8' -> ((1, 2), (7, 8))."""
+    return {tuple(tuple(int(r) for r in side.split("+")) for side in text.split("=")) for text in texts}
+
+
+@pytest.mark.parametrize(
+    "frame, expected",
+    [
+        ("ardupilot-quad-x", pairs()),
+        ("ardupilot-hexa-x", pairs("1+2=3+4", "1+2=5+6", "3+4=5+6")),
+        (
+            "ardupilot-octa-plus",
+            pairs(
+                *("1+2=7+8", "1+4=2+3", "1+4=5+8", "1+6=2+5", "1+6=3+7"),
+                *("2+3=6+8", "2+5=4+7", "3+6=4+5", "3+7=5+8", "4+7=6+8"),
+            ),
+        ),
+    ],
+)
+def test_ambiguous_sets_of_known_frames(frame, expected):
+    assert set(allocation.ambiguous_sets(airframes.named(frame).effectiveness())) == expected
+
+
+def test_torque_alone_tells_less():
+    effect = airframes.named("ardupilot-octa-plus").effectiveness()
+    with_thrust, torque = (set(allocation.ambiguous_sets(b)) for b in (effect, effect[:3]))
+    assert with_thrust < torque
