@@ -279,10 +279,10 @@ class _Signals:
         wild = int((~fine & np.isfinite(degrees).all(axis=1)).sum())
         if wild:
             self.warnings.append(f"attitude ({message}): {amount(wild, 'impossible value')} dropped.")
-        roll, pitch, yaw = np.deg2rad(np.where(fine[:, None], degrees, 0.0)).T
-        q = quaternion(roll, pitch, yaw)
+        angles = np.radians(np.where(fine[:, None], degrees, 0.0))
+        q = quaternion(angles[:, 0], angles[:, 1], angles[:, 2])
         # q and -q are the same attitude; keep the sign that makes the series continuous.
-        turned = np.einsum("ij,ij->i", q[1:], q[:-1]) < 0
+        turned = (q[1:] * q[:-1]).sum(axis=1) < 0
         q[1:] *= np.where(np.cumsum(turned) % 2, -1.0, 1.0)[:, None]
         self.add("attitude", time, q, message, fine)
 
