@@ -343,14 +343,18 @@ def _silent(flight: Flight, vehicle: Vehicle, airborne: Spans) -> list[Override]
     low, span = vehicle.curve.u_min, vehicle.curve.u_max - vehicle.curve.u_min
     time, inside = motors.time, within(motors.time, airborne) & np.all(motors.valid, axis=1)
     window = np.searchsorted(time, time - SILENT_S, side="left")
-    moved = np.stack([_range(thrust[:, j], window) for j in range(thrust.shape[1])], axis=1)
+    stills = np.stack([_since_moved(time, motors.values[:, j], 1e-9) for j in range(thrust.shape[1])], axis=1)
+    resting = (time[:, None] - stills > SILENT_S) & inside[:, None]
+    moved = np.zeros_like(thrust)  # range over the last SILENT_S, where it matters: while any output rests
+    for i in np.flatnonzero(resting.any(axis=1)):
+        moved[i] = np.ptp(thrust[window[i] : i + 1], axis=0)
     found = []
     for k in range(thrust.shape[1]):
         others, command = np.delete(thrust, k, axis=1), motors.values[:, k]
-        still = _since_moved(time, command, 1e-9)
+        still = stills[:, k]
         interior = (command > low + 0.02 * span) & (command < low + 0.98 * span)
         moving = np.min(np.delete(moved, k, axis=1), axis=1) > 0.03
-        stuck = inside & interior & (time - still > SILENT_S) & moving
+        stuck = resting[:, k] & interior & moving
         # Below the minimum: no mixer asks for that. At the minimum, where outputs have nothing below it: no quad flies
         # on with a rotor at rest and the others off their limits (with more rotors, one opposite a dead one rests).
         flown = inside & (np.median(others, axis=1) > 2 * FLYING)
@@ -404,11 +408,6 @@ def _since_moved(time: np.ndarray, values: np.ndarray, tolerance: float) -> np.n
             anchor, since = value, time[k]
         start[k] = since
     return start
-
-
-def _range(values: np.ndarray, window: np.ndarray) -> np.ndarray:
-    """Largest minus smallest value from index window[i] to i."""
-    return np.array([np.ptp(values[a : b + 1]) for b, a in enumerate(window)])
 
 
 def ambiguous_sets(effectiveness: np.ndarray, size: int = 2) -> tuple[tuple[tuple[int, ...], tuple[int, ...]], ...]:
