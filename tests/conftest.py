@@ -80,9 +80,7 @@ def hexa_diagnosis(**changes):
         assumptions=("Thrust curve: MOT_THST_EXPO 0.65.", "Mass and inertia unknown: gains identified in flight."),
         warnings=("The log ends in the air.",),
         timing={"read_s": 0.12, "diagnose_s": 1.31, "total_s": 1.43},
-        comparison=(
-            {"detector": "ArduPilot thrust loss check", "rotors": [], "detected_s": None, "note": "no total loss"},
-        ),
+        comparison=({"detector": "ardupilot-thrust-loss", "rotor": 3, "time_s": 33.4, "reason": "sinking for 1 s"},),
         whole_flight=None,
         trace=hexa_trace(),
     )

@@ -67,12 +67,21 @@ def test_headline(changes, words):
     assert words in report.headline(hexa_diagnosis(**changes))
 
 
+def test_comparison_is_in_time_order_and_says_when_nobody_else_found_anything(fault, healthy):
+    assert [(who, at) for who, _, at, _ in report.comparison(fault)] == [
+        ("rotorwatch", "31.56 s"),
+        ("ardupilot-thrust-loss", "33.40 s"),
+    ]
+    assert report.comparison(replace(fault, comparison=()))[1][:2] == ("other checks", "nothing")
+    assert report.comparison(replace(healthy, comparison=())) == []
+
+
 # Terminal
 
 
 def test_table_holds_the_whole_answer(fault):
     text = text_of(fault)
-    for part in ("FAULT FOUND", "31.56 s", "37.2 %", "35–39 %", "degraded", "99.8 %", "ArduPilot thrust loss check"):
+    for part in ("FAULT FOUND", "31.56 s", "37.2 %", "35–39 %", "degraded", "99.8 %", "ardupilot-thrust-loss"):
         assert part in text, part
     for sentence in (*fault.assumptions, *fault.warnings, fault.baseline, "4.0 to 7.5 s: learning what healthy"):
         assert sentence in " ".join(text.split()), sentence
@@ -156,7 +165,7 @@ def test_page_holds_the_whole_answer(fault):
     words = " ".join(" ".join(Tags(page).words).split())
     for part in ("Rotor 3 lost 37 %", fault.reason, fault.events[0].reason, "31.56 s (0.36 s later)", fault.baseline):
         assert part in words, part
-    for part in (*fault.assumptions, *fault.warnings, "learning what healthy means", "ArduPilot thrust loss check"):
+    for part in (*fault.assumptions, *fault.warnings, "learning what healthy means", "ardupilot-thrust-loss"):
         assert part in words, part
     for name in ("loss", "command", "evidence", "roll", "pitch", "yaw", "thrust"):
         assert f'id="plot-{name}"' in page
@@ -185,7 +194,7 @@ def test_what_a_log_says_is_never_markup(fault):
         assumptions=(evil,),
         common_mode={evil: evil},
         whole_flight={evil: [evil]},
-        comparison=({"detector": evil, "note": evil},),
+        comparison=({"detector": evil, "rotor": 3, "time_s": 33.0, "reason": evil},),
         events=(event(reason=evil, extra={evil: evil}),),
         estimator=evil,
         trace=replace(fault.trace, blind=((1.0, 2.0, evil),), evidence={evil: np.ones(fault.trace.time.size)}),

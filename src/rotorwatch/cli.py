@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import sys
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -31,6 +32,8 @@ def main(argv: list[str] | None = None) -> None:
     """Entry point of the `rotorwatch` command; always leaves by SystemExit."""
     if "_ROTORWATCH_COMPLETE" in os.environ:  # set by the shell's completion function
         cli.main(prog_name="rotorwatch")
+    if not os.environ.get("ROTORWATCH_DEBUG"):
+        warnings.simplefilter("ignore")  # those of numerical libraries; ours are part of the answer
     code = 0
     try:
         # Not cli.main: it leaves with 1 when a pipe breaks, which here says "fault found".
@@ -99,7 +102,7 @@ def cli() -> None:
     """
 
 
-@cli.command()
+@cli.command(short_help="Judge flights: verdict, rotors, events.")
 @click.argument("logs", nargs=-1, required=True, type=LOG, metavar="LOG...")
 @click.option(
     "--baseline", "baselines", multiple=True, type=LOG, metavar="LOG", help="A healthy flight of the same build."
@@ -202,7 +205,7 @@ def _report_written(page: Path | None, quiet: bool) -> None:
         _say(f"report written to {page}")
 
 
-@cli.command()
+@cli.command(short_help="Learn a vehicle file from healthy flights.")
 @click.argument("logs", nargs=-1, required=True, type=LOG, metavar="LOG...")
 @click.option("-o", "--out", required=True, type=LOG, metavar="vehicle.toml", help="Vehicle file to write.")
 @common
@@ -222,7 +225,7 @@ def calibrate(logs, out, quiet) -> None:
     )
 
 
-@cli.command()
+@cli.command(short_help="Show what a log holds and lacks.")
 @click.argument("log", type=LOG)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @common
@@ -240,7 +243,7 @@ def info(log, as_json, quiet) -> None:
         _print(lambda terminal: terminal.info(facts))
 
 
-@cli.command()
+@cli.command(short_help="Diagnose the sample flights.")
 @click.option("--report", type=LOG, metavar="OUT.html", help="Also write the faulty flight's HTML page.")
 @common
 def demo(report, quiet) -> None:
@@ -272,7 +275,7 @@ def demo(report, quiet) -> None:
         click.echo("For the same as an interactive page: rotorwatch demo --report rotorwatch-demo.html")
 
 
-@cli.command()
+@cli.command(short_help="Inject losses and count what is found.")
 @click.argument("logs", nargs=-1, required=True, type=LOG, metavar="LOG...")
 @click.option(
     "--loss", "losses", default="0.2,0.3,0.4", show_default=True, metavar="L,L,...", help="Losses to inject, 0..1."
@@ -303,7 +306,7 @@ def inject(logs, losses, repeats, seed, as_json, quiet) -> None:
         _print(lambda terminal: terminal.campaign(result))
 
 
-@cli.command()
+@cli.command(short_help="Try to break the readers with damaged logs.")
 @click.argument("log", type=LOG)
 @click.option("--mutations", default=10_000, show_default=True, type=click.IntRange(1), help="How many damaged copies.")
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Seed of the damage.")

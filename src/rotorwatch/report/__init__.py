@@ -106,11 +106,25 @@ def frame(diagnosis: Diagnosis) -> str:
     return ", ".join(parts) or "unknown frame"
 
 
-def comparison_cells(row: Mapping[str, Any]) -> tuple[str, str, str, str]:
-    """One line of the comparison: who, what, when and a note."""
-    at = row.get("detected_s")
-    found = rotors(row["rotors"]) if row.get("rotors") else "a fault" if at is not None else "nothing"
-    return str(row.get("detector", "")), found, seconds(at), str(row.get("note") or "")
+def comparison(diagnosis: Diagnosis) -> list[tuple[str, str, str, str]]:
+    """Who found what, when and why: our events among the other checks' findings, in time order. Empty without any."""
+    ours = [
+        ("rotorwatch", candidates(e) if e.rotors else "no single rotor", e.detected_s, kind(e))
+        for e in diagnosis.events
+    ]
+    theirs = [
+        (
+            str(row.get("detector", "")),
+            rotors((row["rotor"],) if row.get("rotor") else ()),
+            row["time_s"],
+            row.get("reason", ""),
+        )
+        for row in diagnosis.comparison
+    ]
+    rows = [(who, what, seconds(at), str(why)) for who, what, at, why in sorted(ours + theirs, key=lambda row: row[2])]
+    if ours and not theirs:
+        rows.append(("other checks", "nothing", seconds(None), "as far as this log lets them run"))
+    return rows
 
 
 def words(key: str) -> str:

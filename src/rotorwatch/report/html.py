@@ -13,7 +13,7 @@ from typing import Any
 from rotorwatch import __version__, report
 from rotorwatch.diagnosis import Diagnosis, Event, RotorState
 from rotorwatch.errors import ConfigError
-from rotorwatch.report import comparison_cells, figures, plain, words
+from rotorwatch.report import figures, plain, words
 
 SYMBOLS = {"healthy": "✓", "fault": "✕", "ambiguous": "?", "inconclusive": "?"}
 # The page may run its own inline scripts and styles and nothing else; in particular it may not fetch anything.
@@ -57,7 +57,7 @@ def page(diagnosis: Diagnosis) -> str:
         _plots(diagnosis, divs),
         _pairs("Common mode", "What all rotors share: battery sag, added mass, a common loss.", diagnosis.common_mode),
         _pairs("Against healthy flights of this build", "", diagnosis.whole_flight or {}),
-        _comparison(diagnosis.comparison),
+        _comparison(report.comparison(diagnosis)),
         _list("Warnings", diagnosis.warnings, "warnings"),
         _list("Assumptions", [f"Baseline: {diagnosis.baseline}", *diagnosis.assumptions]),
         _blind(diagnosis),
@@ -245,13 +245,13 @@ def _pairs(title: str, note: str, facts: Mapping[str, Any]) -> str:
     return f'<h2>{escape(title)}</h2>{f"<p>{escape(note)}</p>" if note else ""}<dl class="pairs">{rows}</dl>'
 
 
-def _comparison(rows: Iterable[Mapping[str, Any]]) -> str:
-    body = "".join(_row(comparison_cells(row), right=(2,)) for row in rows)
+def _comparison(rows: Iterable[tuple[str, str, str, str]]) -> str:
+    body = "".join(_row(row, right=(2,)) for row in rows)
     if not body:
         return ""
-    head = _row(("check", "found", "at", "note"), cell="th", right=(2,))
+    head = _row(("check", "found", "at", "why"), cell="th", right=(2,))
     table = f"<table><thead>{head}</thead><tbody>{body}</tbody></table>"
-    return f'<h2>What other checks say</h2><div class="scroll">{table}</div>'
+    return f'<h2>Who found what, when</h2><div class="scroll">{table}</div>'
 
 
 def _list(title: str, sentences: Iterable[str], name: str = "") -> str:

@@ -13,7 +13,7 @@ from rich.text import Text
 
 from rotorwatch import report
 from rotorwatch.diagnosis import Diagnosis
-from rotorwatch.report import comparison_cells, plain, words
+from rotorwatch.report import plain, words
 
 STYLES = {
     "healthy": "bold green",
@@ -42,9 +42,10 @@ def diagnosis(result: Diagnosis) -> RenderableType:
     if result.events:
         parts.append(_events(result))
     parts += _mentions(result)
-    if result.comparison:
-        parts += [Text(), _comparison(result.comparison)]
-    parts += [*([] if result.comparison else [Text()]), _small_print(result)]
+    rows = report.comparison(result)
+    if rows:
+        parts += [Text(), _comparison(rows)]
+    parts += [*([] if rows else [Text()]), _small_print(result)]
     return Group(*parts)
 
 
@@ -107,10 +108,10 @@ def _events(result: Diagnosis) -> RenderableType:
     return Group(table, *reasons)
 
 
-def _comparison(rows: Iterable[Mapping[str, Any]]) -> RenderableType:
-    table = _table("What other checks say of this flight", "check", "found", "at", "note", right=(2,))
+def _comparison(rows: Iterable[tuple[str, str, str, str]]) -> RenderableType:
+    table = _table("Who found what, when", "check", "found", "at", "why", right=(2,))
     for row in rows:
-        table.add_row(*comparison_cells(row))
+        table.add_row(*(Text(cell) for cell in row))
     return table
 
 
