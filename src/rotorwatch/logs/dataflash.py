@@ -275,7 +275,7 @@ class _Signals:
         if rows is None:
             return
         time, degrees, _ = rows
-        fine = (np.abs(degrees) <= [200.0, 100.0, 400.0]).all(axis=1)
+        fine = np.all(np.abs(degrees) <= np.array([200.0, 100.0, 400.0]), axis=1)
         wild = int((~fine & np.isfinite(degrees).all(axis=1)).sum())
         if wild:
             self.warnings.append(f"attitude ({message}): {amount(wild, 'impossible value')} dropped.")
