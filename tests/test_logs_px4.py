@@ -157,6 +157,14 @@ def test_a_parser_in_circles_meets_the_end_of_the_file():
         file.seek(-5)
 
 
+@pytest.mark.parametrize("stamp", [0, 2**63 - 1, 10**17])
+def test_a_damaged_start_time_falls_back_on_the_data(stamp):
+    data = bytearray(REFERENCE.read_bytes())
+    data[8:16] = stamp.to_bytes(8, "little")
+    flight = ulog.read(bytes(data), "x.ulg")
+    assert "start time" in flight.warnings[0] and 17 < flight.duration < 19 and flight.has("motors", "gyro")
+
+
 # Topics of releases that no test flight has
 
 

@@ -154,7 +154,7 @@ def airborne(flight: Flight) -> tuple[tuple[float, float], ...]:
     if not flight.has("motors"):
         return ()
     motors = flight["motors"]
-    known = motors.valid.any(axis=1)
+    known = np.asarray(motors.valid).any(axis=1)
     time, command = motors.time[known], _command(flight)[known]
     if time.size < 2:
         return ()
@@ -176,8 +176,8 @@ def _walk(flight, time, command, end) -> list[tuple[float, float]]:
     held = command[np.clip(np.searchsorted(time, ticks, side="right") - 1, 0, None)]
     columns = (a.tolist() for a in (held, climb, speed, force, upward, turning))
     monitor, intervals, start = Monitor(), [], None
-    for t, *numbers, blow, down, on in zip(ticks.tolist(), *columns, struck, landed, armed):
-        flying = monitor.step(t, Senses(*numbers, blow, down, on))
+    for t, senses in zip(ticks.tolist(), zip(*columns, struck, landed, armed)):
+        flying = monitor.step(t, Senses(*senses))
         if flying and start is None:
             start = t
         elif not flying and start is not None:
@@ -196,7 +196,7 @@ def _command(flight: Flight) -> np.ndarray:
     if motors.unit == "us":
         low = flight.facts.get("pwm_min") or flight.parameters.get("MOT_PWM_MIN") or 1000.0
         high = flight.facts.get("pwm_max") or flight.parameters.get("MOT_PWM_MAX") or 2000.0
-    mean = motors.values.sum(axis=1) / np.maximum(motors.valid.sum(axis=1), 1)
+    mean = motors.values.sum(axis=1) / np.maximum(np.asarray(motors.valid).sum(axis=1), 1)
     return np.clip((mean - low) / max(high - low, 1e-6), 0.0, 1.0)
 
 
@@ -219,7 +219,7 @@ def _carried(flight, ticks):
         x, y, z = accel.values.T
         force = _latest(accel, _trailing(accel, np.linalg.norm(accel.values, axis=1)), ticks)
         upward = _latest(accel, _trailing(accel, -z), ticks)
-        blows = accel.time[((np.hypot(x, y) > _BLOW) | (z > _BLOW / 2)) & accel.valid.all(axis=1)]
+        blows = accel.time[((np.hypot(x, y) > _BLOW) | (z > _BLOW / 2)) & np.asarray(accel.valid).all(axis=1)]
         struck = (np.searchsorted(blows, ticks, "right") > np.searchsorted(blows, ticks - TICK_S, "right")).tolist()
     if flight.has("gyro"):
         gyro = flight["gyro"]
@@ -229,7 +229,7 @@ def _carried(flight, ticks):
 
 def _trailing(signal: Signal, value: np.ndarray) -> np.ndarray:
     """Mean over the last _WINDOW_S before each sample, over samples that are valid; NaN without one."""
-    good = signal.valid.all(axis=1)
+    good = np.asarray(signal.valid).all(axis=1)
     first = np.searchsorted(signal.time, signal.time - _WINDOW_S)
     total, count = (np.r_[0.0, np.cumsum(x)] for x in (np.where(good, value, 0.0), good))
     after = np.arange(1, value.size + 1)

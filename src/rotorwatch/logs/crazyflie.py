@@ -18,6 +18,7 @@ FORMAT = "Crazyflie uSD log"
 _FULL = 65535.0
 _FLIP = np.array([1.0, -1.0, -1.0])
 _MAIN = "fixedFrequency"
+_TYPES = {code: np.dtype(code).newbyteorder("<") for code in "bBhHiIqQefd"}
 
 
 def sniff(head: bytes, name: str) -> bool:
@@ -33,9 +34,9 @@ def read(data, name: str, progress=None) -> Flight:
     notes: list[str] = []
     data = bytes(data)
     table = _records(data, notes)
-    time = (table["time"].astype(np.float64)) * (1e-6 if data[1] == 2 else 1e-3)
-    start = float(time.min())
-    signals = _signals(time - start, {n: table[n] for n in table.dtype.names}, notes)
+    time = table["time"].astype(np.float64) * (1e-6 if data[1] == 2 else 1e-3)
+    start = float(time[series.steady(time)[0]])
+    signals = _signals(time - start, {n: table[n] for n in table.dtype.names or ()}, notes)
     return Flight(
         format=FORMAT,
         autopilot="Crazyflie",
@@ -57,17 +58,14 @@ def _records(data: bytes, notes) -> np.ndarray:
         for _ in range(int.from_bytes(data[3:5], "little")):
             number, at = int.from_bytes(data[at : at + 2], "little"), at + 2
             event, at = _text(data, at)
-            fields, count, at = (
-                [("event", "<u2"), ("time", "<u8" if version == 2 else "<u4")],
-                data[at : at + 2],
-                at + 2,
-            )
+            fields: list = [("event", "<u2"), ("time", "<u8" if version == 2 else "<u4")]
+            count, at = data[at : at + 2], at + 2
             for _ in range(int.from_bytes(count, "little")):
                 variable, at = _text(data, at)
                 field, code = variable[:-3], variable[-2]
-                fields.append((field, np.dtype(code).newbyteorder("<")))
+                fields.append((field, _TYPES[code]))
             kinds[number] = event, np.dtype(fields)
-    except (ValueError, IndexError, TypeError) as error:
+    except (ValueError, IndexError, KeyError) as error:
         raise LogError("the header of this Crazyflie log is damaged") from error
     main = next((n for n, (event, _) in kinds.items() if event == _MAIN), None)
     if main is None:
@@ -103,7 +101,10 @@ def _text(data: bytes, at: int) -> tuple[str, int]:
 
 def _signals(time, table, notes) -> dict:
     def columns(*names):
-        return np.stack([table[n].astype(float) for n in names], 1) if all(n in table for n in names) else None
+        if any(n not in table for n in names):
+            return None
+        with np.errstate(invalid="ignore"):  # damaged floats may be signalling NaNs
+            return np.stack([table[n].astype(float) for n in names], 1)
 
     def make(kind, values, source, valid=None):
         return None if values is None else series.make(kind, time, values, source, notes, valid)
@@ -118,9 +119,8 @@ def _signals(time, table, notes) -> dict:
     else:
         accel, source = _specific_force(columns, attitude), "stateEstimate.ax..az"
     battery = columns("pm.vbatMV")
-    if battery is None and "pm.vbat" in table:
-        battery = columns("pm.vbat") * 1000
-    voltage = None if battery is None else np.column_stack([battery * 1e-3, np.full(time.size, np.nan)])
+    volts = columns("pm.vbat") if battery is None else battery * 1e-3
+    voltage = None if volts is None else np.column_stack([volts, np.full(time.size, np.nan)])
     found = {
         "motors": None if motors is None else series.motors(time, motors / _FULL, "1", "motor.m1..m4", notes),
         "gyro": make("gyro", None if gyro is None else np.radians(gyro) * _FLIP, "gyro"),

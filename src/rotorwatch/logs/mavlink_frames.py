@@ -7,6 +7,8 @@ Frame format and check sum: https://mavlink.io/en/guide/serialization.html
 
 from __future__ import annotations
 
+from array import array
+
 import numpy as np
 
 _STAMP = 8
@@ -21,7 +23,7 @@ class Frames:
         """data: bytes-like; wanted: message ids to keep. Frames are kept unchecked; `decode` checks their sums."""
         self._bytes = np.frombuffer(data, np.uint8)
         self.skipped = 0
-        self.found: dict[tuple[int, int, int], list[tuple[int, int]]] = {}
+        self.found: dict[tuple[int, int, int], tuple[array, array]] = {}
         self._scan(data, frozenset(wanted), progress)
 
     def _scan(self, data, wanted, progress):
@@ -30,6 +32,7 @@ class Frames:
         while at + _STAMP + 8 <= size:
             start = at + _STAMP
             magic, length = data[start], data[start + 1]
+            source = component = message = -1
             if magic == _V2 and start + 12 <= size:
                 end = start + 12 + length + (13 if data[start + 2] & _SIGNED else 0)
                 source, component = data[start + 5], data[start + 6]
@@ -46,7 +49,11 @@ class Frames:
                 at = later - _STAMP
                 continue
             if message in wanted:
-                found.setdefault((source, component, message), []).append((start, count))
+                key = source, component, message
+                if key not in found:
+                    found[key] = array("q"), array("q")
+                found[key][0].append(start)
+                found[key][1].append(count)
             count += 1
             at = end
             if progress and not count & 0xFFFF:
@@ -58,9 +65,8 @@ class Frames:
 
         layout: the message's class in a pymavlink dialect. Frames whose check sum is wrong are left out.
         """
-        entries = np.array(self.found.get((source, component, layout.id), ()), np.int64).reshape(-1, 2)
+        starts, order = (np.array(a, np.int64) for a in self.found.get((source, component, layout.id), ((), ())))
         kind = _dtype(layout)
-        starts, order = entries[:, 0], entries[:, 1]
         second = self._bytes[starts] == _V2
         header = np.where(second, 10, 6)
         length = self._bytes[starts + 1].astype(np.int64)

@@ -42,6 +42,15 @@ def known_column(name: str) -> bool:
     return name in _KNOWN or _NUMBERED.fullmatch(name) is not None
 
 
+def check_names(names) -> None:
+    """Raise a LogError that names what is wrong with a table's column names."""
+    if "time_s" not in names:
+        raise LogError(f"a table needs a column time_s; found {_list(names)}")
+    unknown = [n for n in names if not known_column(n)]
+    if unknown:
+        raise LogError(f"unknown column {_list(unknown)}; docs/readers.md lists the names, units are part of them")
+
+
 def from_arrays(
     columns, *, parameters: Mapping[str, float] | None = None, name: str = "", autopilot: str = ""
 ) -> Flight:
@@ -56,10 +65,9 @@ def from_arrays(
     table = _arrays(columns)
     notes: list[str] = []
     time = table.pop("time_s")
-    kept = np.isfinite(time)
-    if not kept.any():
+    if not np.isfinite(time).any():
         raise LogError("column time_s holds no numbers")
-    start = float(time[kept].min())
+    start = float(time[series.steady(time)[0]])
     time = time - start
     signals = {}
     for kind, ways in _GROUPS.items():
@@ -88,11 +96,7 @@ def from_arrays(
 def _arrays(columns) -> dict[str, np.ndarray]:
     """Columns as float arrays of one length, names checked."""
     names = [str(n) for n in (columns.columns if hasattr(columns, "columns") else columns)]
-    if "time_s" not in names:
-        raise LogError(f"a table needs a column time_s; found {_list(names)}")
-    unknown = [n for n in names if not known_column(n)]
-    if unknown:
-        raise LogError(f"unknown column {_list(unknown)}; docs/readers.md lists the names, units are part of them")
+    check_names(names)
     table = {}
     for name in names:
         try:
@@ -110,8 +114,8 @@ def _list(names, most=5) -> str:
 
 def _rows(values: np.ndarray) -> np.ndarray:
     """Which rows are samples: all, unless most are empty; then the signal was logged more slowly than the table."""
-    filled = np.isfinite(values).any(axis=1)
-    return filled if filled.mean() < 0.5 else np.ones_like(filled)
+    filled = np.asarray(np.isfinite(values).any(axis=1))
+    return filled if filled.mean() < 0.5 else np.ones(filled.size, bool)
 
 
 def _group(kind, ways, time, table, notes):

@@ -128,8 +128,9 @@ def signals(topics: Topics, parameters) -> tuple[dict, dict]:
     found["motors"] = motors
     if found["control"] is not None:
         thrust = found["control"]
+        valid = None if thrust.valid is None else thrust.valid[:, 3:]
         found["throttle"] = series.make(
-            "throttle", thrust.time, thrust.values[:, 3:], thrust.source, topics.notes, thrust.valid[:, 3:]
+            "throttle", thrust.time, thrust.values[:, 3:], thrust.source, topics.notes, valid
         )
     return {k: v for k, v in found.items() if v is not None}, facts
 

@@ -42,9 +42,7 @@ def _parquet(data) -> dict[str, np.ndarray]:
         file = pyarrow.parquet.ParquetFile(pyarrow.BufferReader(memoryview(data)))
         if file.metadata.num_rows * file.metadata.num_columns > _MOST_CELLS:
             raise LogError("this Parquet table claims more cells than any flight has")
-        unknown = [n for n in file.schema_arrow.names if not memory.known_column(n)]
-        if unknown:
-            return memory.from_arrays(dict.fromkeys(["time_s", *unknown], ()))  # raises, naming them
+        memory.check_names(file.schema_arrow.names)  # before anything large is decoded
         table = file.read()
         return {n: table[n].cast(pyarrow.float64()).to_numpy() for n in table.column_names}
     except pyarrow.ArrowException as error:

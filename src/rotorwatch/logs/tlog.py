@@ -106,7 +106,7 @@ class _Log:
                 continue
             self._stamps[name] = stamp
             known = np.isfinite(stamp)
-            if "time_usec" in table.dtype.names and table.dtype["time_usec"].itemsize == 4:
+            if "time_usec" in (table.dtype.names or ()) and table.dtype["time_usec"].itemsize == 4:
                 short.append((stamp, order))
             else:
                 clocks.append((order[known], stamp[known]))

@@ -6,6 +6,8 @@ import contextlib
 import io
 import math
 
+import numpy as np
+
 from rotorwatch.errors import LogError
 from rotorwatch.flight import Flight, Message
 from rotorwatch.logs import px4_topics, series
@@ -32,11 +34,11 @@ def read(data, name: str, progress=None) -> Flight:
     file = _File(data, progress)
     log, damaged = _pyulog(ULog, file, message_name_filter_list=list(px4_topics.TOPICS))
     tables = {(d.name, d.multi_id): d.data for d in log.data_list if d.name in px4_topics.TOPICS}
-    start = int(log.start_timestamp)
+    start, notes = _start(log, tables)
     topics = px4_topics.Topics(tables, start)
     parameters = {k: float(v) for k, v in log.initial_parameters.items() if _is_parameter(k, v)}
     signals, facts = px4_topics.signals(topics, parameters)
-    warnings = list(topics.notes)
+    warnings = [*notes, *topics.notes]
     if damaged:
         warnings.insert(0, "parts of the log are damaged; what is intact was read")
     elif file.cut:
@@ -68,7 +70,8 @@ def _pyulog(ulog, file, **options):
         with contextlib.redirect_stdout(said):
             log = ulog(file, **options)
     except Exception as error:
-        raise LogError(f"this {FORMAT} is too damaged to be read ({error})") from error
+        why = " ".join(str(error).split()) or type(error).__name__
+        raise LogError(f"this {FORMAT} is too damaged to be read ({why})") from error
     return log, bool(log.file_corruption)
 
 
@@ -91,6 +94,16 @@ def _check_definitions(log) -> None:
 
     for name in formats:
         size(name)
+
+
+def _start(log, tables) -> tuple[int, list[str]]:
+    """(us of second 0, warnings): the header's time stamp, or the earliest data where the header's cannot be right."""
+    start = int(log.start_timestamp)
+    stamps = [int(np.median(t["timestamp"])) for t in tables.values() if len(t.get("timestamp", ()))]
+    if stamps and not any(0 <= s - start < 10 * series.DAY_S * 1e6 for s in stamps):
+        start = min(int(t["timestamp"].min()) for t in tables.values() if len(t.get("timestamp", ())))
+        return start, ["the header's start time is damaged; times count from the earliest data"]
+    return start, []
 
 
 def _is_parameter(name, value) -> bool:
