@@ -69,7 +69,8 @@ class Monitor:
 
     def __init__(self):
         self.flying, self.since = False, -np.inf
-        self.idle, self.hover = None, 0.0
+        self.idle: float | None = None
+        self.floor, self.hover = 0.0, 0.0
         self.drift, self.height = 0.0, 0.0
         self.high_since = self.low_since = self.lying_since = None
         self.first_blow = self.last_blow = -np.inf
@@ -90,7 +91,8 @@ class Monitor:
         self.height = self.height + TICK_S * climb if high else 0.0
         if self._lifted(time, now, climb):
             self.flying, self.since = True, time
-            self.idle, self.hover = floor, max(now.command, floor + _HIGH_RISE)
+            self.floor, self.hover = floor, max(now.command, floor + _HIGH_RISE)
+            self.idle = floor
             self.low_since = None
             self.first_blow = self.last_blow = -np.inf
             return
@@ -114,7 +116,7 @@ class Monitor:
         return high_for >= (_HIGH_S if np.isfinite(now.climb) else _HIGH_BLIND_S)
 
     def _in_the_air(self, time, now):
-        low = now.command < self.idle + _LOW * (self.hover - self.idle)
+        low = now.command < self.floor + _LOW * (self.hover - self.floor)
         self.low_since = _since(self.low_since, low, time)
         if not low:
             self.hover = _blend(self.hover, now.command, _HOVER_S)

@@ -55,7 +55,7 @@ def read(data, name: str, progress=None) -> Flight:
         messages=tuple(sorted((m for m in _messages(log) if m.time <= end + 1), key=lambda m: m.time)),
         warnings=tuple(log.notes),
         start_us=int(log.start_us),
-        facts=facts,
+        facts={**facts, "mav_type": log.vehicle},
     )
 
 
