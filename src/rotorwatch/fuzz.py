@@ -50,7 +50,7 @@ def fuzz(
         results = _here(task, mutations)
     else:
         results = _pool(task, mutations, jobs or os.cpu_count() or 1, memory_mb)
-    outcomes = dict.fromkeys(OUTCOMES, 0)
+    outcomes: dict[str, int] = dict.fromkeys(OUTCOMES, 0)
     failures, judged = [], 0
     for done, (number, outcome, what, was_judged) in enumerate(results, 1):
         outcomes[outcome] += 1
@@ -232,7 +232,8 @@ def _limit_memory(memory_mb: int) -> None:
         import resource
 
         have = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
-        resource.setrlimit(resource.RLIMIT_AS, (have + memory_mb * 2**20,) * 2)
+        most = have + memory_mb * 2**20
+        resource.setrlimit(resource.RLIMIT_AS, (most, most))
 
 
 class _Worker:

@@ -154,7 +154,8 @@ def _gap(signal: str, why: str, setting: str, needed: bool) -> dict:
 
 
 def _present(flight: Flight, name: str) -> bool:
-    return flight.has(name) and flight[name].valid is not None and int(flight[name].valid.any(axis=1).sum()) >= 2
+    valid = flight[name].valid if flight.has(name) else None
+    return valid is not None and int(valid.any(axis=1).sum()) >= 2
 
 
 def _family(flight: Flight) -> str:

@@ -107,7 +107,7 @@ def plots(diagnosis: Diagnosis) -> dict[str, Any]:
         data[f"odds{i}"] = screen.line(np.where(flying, trace.evidence[name], np.nan))
     source = ColumnDataSource(data)
     start, end = float(trace.time[0]), float(trace.time[-1])
-    x_range = Range1d(start, end, bounds=(start, end), min_interval=0.2)
+    x_range = Range1d(start=start, end=end, bounds=(start, end), min_interval=0.2)
     cross = CrosshairTool(dimensions="height", overlay=Span(dimension="height", line_color=INK, line_dash="dotted"))
 
     out = {
@@ -195,14 +195,16 @@ def _loss(diagnosis: Diagnosis, source, x_range, n: int) -> Any:
 
     tips = [(f"rotor {k}", f"@loss{k}{{0.0}} % (@low{k}{{0}} to @high{k}{{0}})") for k in range(1, n + 1)]
     top = _top(diagnosis)
-    p = _figure(x_range, 340, "loss of effectiveness [%]", tips, y_range=Range1d(-0.03 * top, top, bounds=(-10, 110)))
+    p = _figure(
+        x_range, 340, "loss of effectiveness [%]", tips, y_range=Range1d(start=-0.03 * top, end=top, bounds=(-10, 110))
+    )
     p.name = "loss"
     named = {k for e in diagnosis.events for k in e.rotors} | {
         r.rotor for r in diagnosis.rotors if r.status in ("degraded", "failed")
     }
     line = None
     for k in sorted(range(1, n + 1), key=lambda k: k in named):  # the ones that matter on top
-        look = dict(source=source, name=f"rotor {k}", level="glyph")
+        look: dict[str, Any] = dict(source=source, name=f"rotor {k}", level="glyph")
         p.varea("time", f"low{k}", f"high{k}", color=colour(k), alpha=0.3 if k in named else 0.07, **look)
         width = 2.6 if k in named else 1.3
         line = p.line("time", f"loss{k}", color=colour(k), line_width=width, line_dash=dash(k), **look)
@@ -233,19 +235,24 @@ def _commands(source, x_range, n: int) -> Any:
     tips = [(f"rotor {k}", f"@command{k}{{0.0}} %") for k in range(1, n + 1)]
     p = _figure(x_range, 250, "command [% of full thrust]", tips)
     p.name = "command"
-    for k in range(1, n + 1):
-        line = p.line(
+    lines = [
+        p.line(
             "time", f"command{k}", source=source, name=f"rotor {k}", color=colour(k), line_width=1.3, line_dash=dash(k)
         )
-    _hover(p, line)
+        for k in range(1, n + 1)
+    ]
+    _hover(p, lines[0])
     return p
 
 
 def _evidence(trace: Trace, source, x_range, shown: list[str]) -> Any:
-    from bokeh.models import Legend, LegendItem, Span
+    from bokeh.models import Legend, LegendItem, Range1d, Span
 
     tips = [(name, f"@odds{i}{{0.0}}") for i, name in enumerate(shown)]
-    p = _figure(x_range, 280, "log10 odds against healthy", tips)
+    seen = np.nan_to_num(np.stack([trace.evidence[name] for name in shown])[:, _flying(trace)])
+    top = 1.08 * max(float(seen.max(initial=0.0)), 1.5 * abs(float(trace.threshold)), 1.0)
+    low = max(1.05 * float(seen.min(initial=0.0)), -top)  # how unlikely the wrong ones are is of no interest
+    p = _figure(x_range, 280, "log10 odds against healthy", tips, y_range=Range1d(start=low, end=top))
     p.name = "evidence"
     lines = []
     for i, name in reversed(list(enumerate(shown))):  # the likeliest on top
@@ -265,7 +272,7 @@ def _evidence(trace: Trace, source, x_range, shown: list[str]) -> Any:
     return p
 
 
-def _look(hypothesis: str, place: int) -> dict[str, str]:
+def _look(hypothesis: str, place: int) -> dict[str, Any]:
     """One rotor's hypothesis has the rotor's colour; the others are told apart by grey and dashes."""
     number = hypothesis.rpartition(" ")[2]
     if hypothesis.startswith("rotor ") and number.isdigit():
@@ -281,7 +288,7 @@ def _residual(trace: Trace, source, x_range, name: str, channel: int) -> Any:
     band = 2 * trace.residual_sd[_flying(trace), channel]
     top = max(1.5 * float(np.nanquantile(values, 0.995)), 1.6 * float(np.nanmedian(band)), 1e-4) if values.size else 1.0
     last = name == CHANNELS[-1]
-    p = _figure(x_range, 165 if last else 135, name, tips, y_range=Range1d(-top, top))
+    p = _figure(x_range, 165 if last else 135, name, tips, y_range=Range1d(start=-top, end=top))
     p.name = name
     p.xaxis.visible = last
     p.yaxis.ticker.desired_num_ticks = 3
@@ -302,7 +309,9 @@ def _shade(figure, trace: Trace) -> None:
                     BoxAnnotation(left=start, right=end, fill_color=INK, fill_alpha=0.20, line_color=None)
                 )
     for start, end, _ in trace.blind:
-        hatch = dict(hatch_pattern="right_diagonal_line", hatch_color=INK, hatch_alpha=0.35, hatch_scale=10.0)
+        hatch: dict[str, Any] = dict(
+            hatch_pattern="right_diagonal_line", hatch_color=INK, hatch_alpha=0.35, hatch_scale=10.0
+        )
         box = BoxAnnotation(left=float(start), right=float(end), fill_color=None, line_color=None, **hatch)
         figure.add_layout(box)
 
@@ -313,17 +322,19 @@ def _mark(figure, diagnosis: Diagnosis) -> None:
 
     for number, event in enumerate(diagnosis.events, 1):
         tint = colour(event.rotors[0]) if len(event.rotors) == 1 else INK
-        style = dict(dimension="height", line_color=tint, line_width=1.5)
+        style: dict[str, Any] = dict(dimension="height", line_color=tint, line_width=1.5)
         figure.add_layout(Span(location=float(event.onset_s), line_dash="dashed", **style))
         figure.add_layout(Span(location=float(event.detected_s), **style))
         if event.end_s is not None:
             figure.add_layout(Span(location=float(event.end_s), line_dash="dotted", **style))
         if figure.name == "loss":
             text = f"{number}: {report.rotors(event.rotors)}" if event.rotors else f"{number}: {report.kind(event)}"
-            where = dict(
+            where: dict[str, Any] = dict(
                 x=float(event.detected_s), y=_top(diagnosis), x_offset=5, y_offset=-4 - 16 * ((number - 1) % 4)
             )
-            look = dict(text_font="system-ui, sans-serif", text_font_size="12px", text_color=INK, text_baseline="top")
+            look: dict[str, Any] = dict(
+                text_font="system-ui, sans-serif", text_font_size="12px", text_color=INK, text_baseline="top"
+            )
             figure.add_layout(Label(text=text, **where, **look))
 
 

@@ -1,0 +1,75 @@
+"""docs/json.md names every field of the JSON, and no other."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from conftest import hexa_diagnosis
+from rotorwatch.flight import Message
+from rotorwatch.info import info
+from test_cli import a_flight
+
+ROOT = Path(__file__).parents[1]
+TEXT = (ROOT / "docs/json.md").read_text(encoding="utf-8")
+
+
+def documented(heading):
+    """{field: (type, meaning)} of the table under that heading."""
+    section = TEXT.split(f"## {heading}")[1].split("\n## ")[0]
+    rows = re.findall(r"^\| `([^`]+)` \| (.*?) \| (.*?) \|$", section, re.MULTILINE)
+    return {field: (kind, meaning) for field, kind, meaning in rows}
+
+
+def fields(value, table, path=""):
+    """Paths of all fields in a JSON value; free objects are not looked into."""
+    if isinstance(value, dict) and "free" not in table.get(path, ("",))[0]:
+        for key, inner in value.items():
+            here = f"{path}.{key}" if path else key
+            yield here
+            yield from fields(inner, table, here)
+    elif isinstance(value, list) and not path.endswith("geometry"):
+        for inner in value:
+            yield from fields(inner, table, f"{path}[]")
+
+
+def check(value, heading):
+    table = documented(heading)
+    found = set(fields(value, table))
+    assert found - set(table) == set(), "fields that docs/json.md does not name"
+    required = {f for f, (_, meaning) in table.items() if "*optional*" not in meaning}
+    assert required - found == set(), "documented fields that are not there"
+
+
+def test_diagnosis_has_the_documented_fields():
+    check(json.loads(hexa_diagnosis().to_json()), "Fields")
+
+
+def test_info_has_the_documented_fields():
+    facts = info(a_flight(messages=(Message(1.0, "mode", "LAND"),)))
+    check(json.loads(json.dumps(facts, allow_nan=False)), "What `rotorwatch info LOG --json` prints")
+
+
+def test_verdicts_and_exit_codes_are_documented():
+    from rotorwatch.diagnosis import EXIT_CODES
+
+    rows = dict(re.findall(r"^\| `(\w+)` \| (\d) \|", TEXT, re.MULTILINE))
+    assert {verdict: int(code) for verdict, code in rows.items()} == EXIT_CODES
+
+
+@pytest.mark.parametrize("kind", ["number", "share", "s", "string", "list", "integer"])
+def test_types_are_stated(kind):
+    assert any(kind in entry[0] for entry in documented("Fields").values())
+
+
+def test_a_real_diagnosis_has_the_documented_fields():
+    samples = sorted((ROOT / "src/rotorwatch/samples").glob("*mul*.bin.xz"))
+    if not samples:
+        pytest.skip("the package carries no sample flight yet")
+    import rotorwatch
+
+    result = json.loads(rotorwatch.diagnose(rotorwatch.read(samples[0])).to_json())
+    table = documented("Fields")
+    extra = {f for f in set(fields(result, table)) - set(table) if not f.startswith("events[].")}
+    assert extra == set(), "fields that docs/json.md does not name"
