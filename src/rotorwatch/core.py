@@ -1,0 +1,103 @@
+"""The nouns every method is written in. Imports nothing of ours.
+
+A *system* is one plant: how its state moves, what is measured, how uncertain both are. An *estimator* is one method that
+can be run on systems; a *detector* turns its estimates into decisions. All three are pure: ``init() -> carry`` and
+``step(carry, ...) -> (carry, out)`` with static shapes, so that one definition serves a single flight, a batch under
+``jax.vmap``, an accelerator and, through its jaxpr, exported C. Rules for step functions: docs/architecture.md.
+
+theta is loss of effectiveness: 0 healthy, 1 dead.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple, Protocol, runtime_checkable
+
+Array = Any
+Carry = Any
+
+
+class Estimate(NamedTuple):
+    """What an estimator says after one step. Arrays only; n_x states, n_theta effectiveness parameters, n_y measurements.
+
+    x, x_cov: (n_x,), (n_x, n_x). theta, theta_cov: (n_theta,), (n_theta, n_theta). innovation, innovation_cov: (n_y,),
+    (n_y, n_y): y minus its prediction, 0 where invalid. status: int32, 0 ok, 1 not ready, 2 no valid measurement.
+    """
+
+    x: Array
+    x_cov: Array
+    theta: Array
+    theta_cov: Array
+    innovation: Array
+    innovation_cov: Array
+    status: Array
+
+
+class Decision(NamedTuple):
+    """What a detector says after one step.
+
+    log_odds: (n_h,) natural log of each hypothesis' evidence against "nothing changed". statistic: log of the fault
+    hypotheses' evidence over everything else's. alarm: bool. onset: estimated steps since the change. best: index of the
+    most probable fault hypothesis.
+    """
+
+    log_odds: Array
+    statistic: Array
+    alarm: Array
+    onset: Array
+    best: Array
+
+
+@runtime_checkable
+class System(Protocol):
+    """One plant. Shapes: x (n_x,), u (n_u,), theta (n_theta,), y (n_y,)."""
+
+    n_x: int
+    n_u: int
+    n_theta: int
+    n_y: int
+
+    def f(self, x: Array, u: Array, theta: Array, dt: Array) -> Array:
+        """State after dt seconds."""
+        ...
+
+    def h(self, x: Array, u: Array, theta: Array) -> Array:
+        """Measurement."""
+        ...
+
+    def Q(self, dt: Array) -> Array:
+        """(n_x, n_x) process noise covariance over dt."""
+        ...
+
+    def R(self, u: Array) -> Array:
+        """(n_y,) measurement noise variances: measurements are independent."""
+        ...
+
+
+@runtime_checkable
+class Estimator(Protocol):
+    """One method on one system. name: what the command line calls it."""
+
+    name: str
+
+    def init(self) -> Carry:
+        """The carry before the first measurement."""
+        ...
+
+    def step(self, carry: Carry, u: Array, y: Array, valid: Array, dt: Array) -> tuple[Carry, Estimate]:
+        """One time step dt [s] with input u, measurement y (n_y,) and its validity mask; causal and pure."""
+        ...
+
+
+@runtime_checkable
+class Detector(Protocol):
+    """One rule that decides when an estimate means that something changed."""
+
+    name: str
+
+    def init(self) -> Carry:
+        """The carry before the first estimate."""
+        ...
+
+    def step(self, carry: Carry, estimate: Estimate, dt: Array) -> tuple[Carry, Decision]:
+        """One time step."""
+        ...

@@ -1,0 +1,373 @@
+"""The default diagnoser: one augmented Kalman filter and a bank of jump detectors on its innovations.
+
+The filter runs on the wrench balance with the losses theta of already announced rotors in its state. For every onset time in
+a bank (dense for recent ones, sparse for old ones) the exact effect of a unit jump on the innovations is carried along, so that at
+each tick the likelihood ratio of any jump - one rotor, two rotors, common mode, a torque bias, any disturbance - at any of these times is
+known, with its most probable size and its covariance (generalised likelihood ratio, Willsky & Jones, IEEE TAC 21(1), 1976):
+
+    phi = H M,   C += phi' phi / S,   z += phi' nu / S,   M <- A (M - K phi)
+
+M (n_s, q): the part of a unit jump the filter has not absorbed. Summed over onset times with prior weights this is the
+Shiryaev-Roberts statistic, whose mean time to a false alarm is at least its threshold (Pollak, Ann. Statist. 13, 1985):
+the threshold follows from the stated false-alarm rate. An alarm is announced at once; the jump is committed to the
+filter (state, covariance and cross-covariance, exactly) as soon as one rotor set is certain or after HOLD_S.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from rotorwatch import hypotheses, noise
+from rotorwatch.core import Decision, Estimate
+from rotorwatch.systems.wrench_balance import B1, B2, B3, DAMPING, GAIN, PER_AXIS
+from rotorwatch.ticks import GROUND, JUDGE
+
+SLOTS = 16
+BUILD_UP_S = 0.5
+THRUST_MEMORY_S = 1.0
+FALSE_ALARM_PERIOD_S = 100 * 3600.0  # design value: ten times rarer than promised, for what the model does not know
+COMPETITOR_ODDS = 20.0
+HOLD_S = 1.5
+LEARN_LOSS_S = 3.0  # a committed loss is refined this long; after that only a new jump changes it
+THETA_WALK = 0.02**2  # 1/s, while it is refined
+DISTURBANCE_SCALE, DISTURBANCE_RANGE = 3.0, (0.01, 1.0)
+GAIN_ERROR, DAMPING_ERROR, LAG_ERROR, LOAD_ERROR = 0.15, 0.10, 0.008, 0.15
+OUTLIER = 15.0
+PERSIST_S = 0.15
+GARROTE = 2.5
+LEVEL_MEMORY_S = 10.0
+FREEZE_S = 4.0
+
+
+class Carry(NamedTuple):
+    """State s = [x; theta] (n_s,), its covariance, the noise model, the bank, and where an announcement stands."""
+
+    s: object
+    P: object
+    noise: noise.NoiseState
+    M: object
+    C: object
+    z: object
+    age: object
+    count: object
+    active: object
+    pending: object
+    statistic: object
+    above: object
+    level: object
+    learning: object
+    theta_var: object
+    thrust: object
+    thrust_level: object
+    frozen: object
+
+
+class Output(NamedTuple):
+    """What one tick leaves behind, beside the Estimate and the Decision."""
+
+    estimate: Estimate
+    decision: Decision
+    probability: object
+    theta: object
+    theta_sd: object
+    announced: object
+    committed: object
+    active: object
+    jump_sd: object
+
+
+class JumpBank:
+    """system: a WrenchBalance. dt: tick length in s. The carry's last two inputs in u are mode (GROUND, LEARN, JUDGE) and restart."""
+
+    name = "default"
+
+    def __init__(self, system, dt: float = 0.05, noise_prior=None, false_alarm_period_s: float = FALSE_ALARM_PERIOD_S):
+        """noise_prior: (variances (4, 4), weight) learned from healthy flights, or None."""
+        self.system, self.dt = system, float(dt)
+        self.hyp = hypotheses.make(system.n_theta)
+        self.noise_prior = noise_prior
+        self.n, self.n_x = system.n_theta, system.n_x
+        self.n_s = self.n_x + self.n
+        self.q = self.n + 4
+        strides = (1, 2, 4) if dt < 0.08 else (1, 2, 3)
+        self.stride = np.repeat(strides, SLOTS)
+        self.place = np.tile(np.arange(SLOTS), len(strides))
+        # Recent slots hold sudden losses; the oldest group one that builds up, as a controller reveals it.
+        steps = np.arange(400)
+        gradual = np.exp(-steps * dt / BUILD_UP_S) * (1.0 - np.exp(-dt / BUILD_UP_S))
+        self.slow = np.repeat((False, False, True), SLOTS)
+        self.first_share = float(gradual[0])
+        self.log_threshold = float(np.log(false_alarm_period_s / dt))
+        E = np.zeros((self.n_s, self.q))
+        E[self.n_x :, : self.n] = np.eye(self.n)
+        for a in range(4):
+            E[a * PER_AXIS + B3, self.n + a] = 1.0
+        self.E = E
+        self.bias_rows = np.array([a * PER_AXIS + b for a in range(4) for b in (B1, B2, B3)])
+
+    def init(self) -> Carry:
+        """Before the first tick: nothing announced, the system's prior."""
+        import jax.numpy as jnp
+
+        W = self.stride.size
+        P = np.zeros((self.n_s, self.n_s))
+        P[: self.n_x, : self.n_x] = self.system.P0
+        return Carry(
+            jnp.asarray(np.concatenate([self.system.x0, np.zeros(self.n)])),
+            jnp.asarray(P),
+            noise.init(self.dt, *(self.noise_prior or ())),
+            jnp.zeros((W, self.n_s, self.q)),
+            jnp.zeros((W, self.q, self.q)),
+            jnp.zeros((W, self.q)),
+            jnp.full(W, -1, jnp.int32),
+            jnp.int32(0),
+            jnp.zeros(self.n, bool),
+            jnp.int32(-1),
+            jnp.float64(-50.0),
+            jnp.int32(0),
+            jnp.full(6, 0.3) ** 2,
+            jnp.zeros(self.n),
+            jnp.zeros(self.n),
+            jnp.ones(self.n),
+            jnp.full(self.n, 0.05**2),
+            jnp.float64(0.0),
+        )
+
+    def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Output]:
+        """One tick; see Output."""
+        import jax.numpy as jnp
+
+        n, n_x, hyp, dt = self.n, self.n_x, self.hyp, self.dt
+        mode, restart, u = u[-2], u[-1] > 0.5, u[:-2]
+        judge = mode > JUDGE - 0.5
+        flying = mode > GROUND + 0.5
+
+        # A new hop starts with new biases; what the vehicle is like, and how noisy, stays known.
+        keep = jnp.ones(self.n_s).at[self.bias_rows].set(0.0).at[n_x:].set(0.0)
+        fresh_s = carry.s * keep
+        P0 = np.zeros((self.n_s, self.n_s))
+        rows = self.bias_rows
+        P0[np.ix_(rows, rows)] = self.system.P0[np.ix_(rows, rows)]
+        fresh_P = carry.P * keep[:, None] * keep[None, :] + P0
+        s, P = jnp.where(restart, fresh_s, carry.s), jnp.where(restart, fresh_P, carry.P)
+        active = carry.active & ~restart
+        pending = jnp.where(restart, -1, carry.pending)
+
+        # a loss that has been refined long enough is taken as known; its variance is remembered
+        finished = (carry.learning > 0) & (carry.learning <= dt)
+        theta_var = jnp.where(finished, jnp.diagonal(P)[n_x:], jnp.where(restart, 0.0, carry.theta_var))
+        known = jnp.concatenate([jnp.ones(n_x), jnp.where(finished, 0.0, 1.0)])
+        P = P * known[:, None] * known[None, :]
+        learning = jnp.where(restart, 0.0, jnp.maximum(carry.learning - dt, 0.0))
+
+        # predict
+        A = jnp.concatenate([self.system.decay(dt), jnp.ones(n)])
+        q3 = noise.process_variances(carry.noise.variances, dt)
+        q_diag = jnp.zeros((4, PER_AXIS)).at[:, jnp.array([B1, B2, B3])].set(q3.T).reshape(-1)
+        q_diag = jnp.concatenate([jnp.where(flying, q_diag, 0.0), (learning > 0) * THETA_WALK * dt])
+        s = A * s
+        biases = s
+        P = A[:, None] * P * A[None, :] + jnp.diag(q_diag)
+
+        # the bank: one slot of each group is reused for a jump at this tick
+        open_ = judge & (pending < 0)
+        turn = (carry.count % self.stride == 0) & ((carry.count // self.stride) % SLOTS == self.place)
+        new = turn & open_
+        since = jnp.where(new, 0, jnp.maximum(carry.age, -1) + 1)
+        share = jnp.where(jnp.asarray(self.slow), self.first_share * jnp.exp(-since * dt / BUILD_UP_S), (since == 0) * 1.0)
+        share = jnp.where(new | (carry.age >= 0), share, 0.0)
+        M = jnp.where(new[:, None, None], 0.0, carry.M * A[None, :, None]) + share[:, None, None] * self.E[None]
+        C = jnp.where(new[:, None, None], 0.0, carry.C)
+        z = jnp.where(new[:, None], 0.0, carry.z)
+        age = jnp.where(new, 0, jnp.where(carry.age >= 0, carry.age + 1, -1))
+        age = jnp.where(judge & ~restart, age, -1)
+
+        # Below the calm level, angular motion is gyro noise that the rate controller answers: it would teach the filter the
+        # controller's gains instead of the vehicle's. Only motion that stands out counts (nonnegative garrote).
+        motion6 = u[jnp.array([n, n + 1, n + 2, n + 4, n + 5, n + 6])]
+        shrink = jnp.maximum(0.0, 1.0 - GARROTE**2 * carry.level / jnp.maximum(motion6**2, 1e-12))
+        left = motion6 * (1.0 - shrink)
+        fade = jnp.where(flying & valid[0], dt / LEVEL_MEMORY_S, 0.0)
+        level = carry.level + fade * (jnp.minimum(motion6**2, 6.0 * carry.level) - carry.level)
+        kept = motion6 * shrink
+        u = jnp.concatenate([u[:n], kept[:3], u[n + 3 : n + 4], kept[3:], u[n + 7 :]])
+
+        # What a loss takes is in proportion to the rotor's thrust, but not to its jitter: a disturbance that the controller
+        # answers through rotor i would correlate with that rotor's own command and look like its loss.
+        away = u[:n] - carry.thrust
+        tracked = jnp.maximum(0.0, 1.0 - GARROTE**2 * carry.thrust_level / jnp.maximum(away**2, 1e-12)) * away
+        thrust = jnp.where(restart, u[:n], carry.thrust + away * (dt / THRUST_MEMORY_S))
+        fade_t = jnp.where(flying & valid[0] & ~restart, dt / LEVEL_MEMORY_S, 0.0)
+        thrust_level = carry.thrust_level + fade_t * (jnp.minimum(away**2, 6.0 * carry.thrust_level) - carry.thrust_level)
+        smooth = jnp.where(restart, u[:n], carry.thrust + tracked)
+        u = jnp.concatenate([smooth, u[n:]])
+
+        # update, one axis after the other: R is diagonal
+        x = s[:n_x].reshape(4, PER_AXIS)
+        motion = jnp.concatenate([u[n : n + 3], u[n + 3 : n + 4] - n])
+        rates = jnp.concatenate([u[n + 4 : n + 7], jnp.zeros(1)])
+        slope = u[n + 7 : n + 11]
+        model_error = (
+            (jnp.where(jnp.arange(4) < 3, GAIN_ERROR, LOAD_ERROR) * x[:, GAIN] * motion) ** 2
+            + (DAMPING_ERROR * x[:, DAMPING] * rates) ** 2
+            + (LAG_ERROR * slope) ** 2
+        )
+        Pd = jnp.diagonal(P)[:n_x].reshape(4, PER_AXIS)
+        unexplained = jnp.concatenate(
+            [(x[:3, GAIN] ** 2 + Pd[:3, GAIN]) * left[:3] ** 2 + Pd[:3, DAMPING] * left[3:] ** 2, jnp.zeros(1)]
+        )
+        R_white = carry.noise.variances[0]
+        R = R_white + model_error + 0.25 * unexplained
+        Ct, Ht = self.system.C(u), self.system.H(u)
+        full = jnp.concatenate([Ct, Ht], axis=1)
+        e_raw = y - full @ s
+        innovations, variances = [], []
+        for a in range(4):
+            h = full[a]
+            nu = y[a] - h @ s
+            Ph = P @ h
+            S = h @ Ph + R[a]
+            S = jnp.maximum(S, nu * nu / OUTLIER**2)
+            ok = valid[a] & flying
+            w = jnp.where(ok, 1.0 / S, 0.0)
+            K = Ph * w
+            phi = jnp.einsum("s,wsq->wq", h, M)
+            C = C + (w * phi[:, :, None]) * phi[:, None, :]
+            z = z + (w * nu) * phi
+            M = M - K[None, :, None] * phi[:, None, :]
+            s = s + K * jnp.where(ok, nu, 0.0)
+            P = P - K[:, None] * Ph[None, :]
+            innovations.append(jnp.where(ok, nu, 0.0))
+            variances.append(S)
+        P = 0.5 * (P + P.T)
+
+        # hypotheses
+        theta = s[n_x:]
+        lo, hi = jnp.where(active, jnp.minimum(-theta, 0.0), 0.0), jnp.maximum(1.0 - theta, 0.0)
+        width = jnp.clip(DISTURBANCE_SCALE * jnp.sqrt(noise.spread(carry.noise.variances)), *DISTURBANCE_RANGE)
+        logbf, nu_h = hypotheses.log_bayes_factors(hyp, C, z, lo, hi, width)
+        live = age >= 0
+        logbf = jnp.where(live[:, None], logbf, -50.0)
+        slot_weight = jnp.log(jnp.asarray(self.stride, float))
+        per_slot = logbf + slot_weight[:, None] + jnp.log(jnp.asarray(hyp.weight))[None, :]
+        top = per_slot.max(0)
+        evidence = top + jnp.log(jnp.exp(per_slot - top[None]).sum(0))
+        fault = jnp.asarray(hyp.fault)
+        f_top = jnp.max(jnp.where(fault, evidence, -jnp.inf))
+        prob = jnp.where(fault, jnp.exp(evidence - f_top), 0.0)
+        log_fault = f_top + jnp.log(prob.sum())
+        prob = prob / prob.sum()
+        o_top = jnp.max(jnp.where(fault, -jnp.inf, evidence))
+        log_other = o_top + jnp.log(jnp.where(fault, 0.0, jnp.exp(evidence - o_top)).sum())
+        statistic = jnp.minimum(log_fault - self.log_threshold, log_fault - log_other - jnp.log(COMPETITOR_ODDS))
+        above = jnp.where(open_ & (statistic > 0.0), carry.above + 1, 0)
+        alarm = above >= max(2, round(PERSIST_S / dt))
+        best = jnp.argmax(prob).astype(jnp.int32)
+        slot = jnp.argmax(jnp.where(live, per_slot[:, best], -jnp.inf))
+        pending = jnp.where(alarm, 0, jnp.where(pending >= 0, pending + 1, pending))
+        waited = pending * dt
+        commit = (pending >= 0) & (waited >= HOLD_S)
+
+        # the most probable jump, as a full direction vector with its covariance
+        onehot = (jnp.arange(len(hyp.names)) == best).astype(float)[: nu_h.shape[1]]
+        where_slot = (jnp.arange(self.stride.size) == slot).astype(float)
+        pair_nu = jnp.einsum("w,h,whk->k", where_slot, onehot, nu_h)
+        first = jnp.asarray(np.concatenate([hyp.singles, hyp.pairs[:, 0], hyp.mixed[:, 0]]))
+        second = jnp.asarray(np.concatenate([hyp.singles, hyp.pairs[:, 1], hyp.mixed[:, 1]]))
+        D1 = (jnp.arange(self.q) == (onehot @ first)).astype(float)
+        D2 = (jnp.arange(self.q) == (onehot @ second)).astype(float)
+        two = (D1 * D2).sum() < 0.5
+        C_best = jnp.einsum("w,wab->ab", where_slot, C)
+        M_best = jnp.einsum("w,wsq->sq", where_slot, M)
+        c11 = D1 @ C_best @ D1 + 1e-6
+        c22 = jnp.where(two, D2 @ C_best @ D2 + 1e-6, 1.0)
+        c12 = jnp.where(two, D1 @ C_best @ D2, 0.0)
+        det = jnp.maximum(c11 * c22 - c12 * c12, 1e-12)
+        v11, v22, v12 = c22 / det, c11 / det, -c12 / det
+        jump = pair_nu[0] * D1 + jnp.where(two, pair_nu[1], 0.0) * D2
+        cov = v11 * D1[:, None] * D1[None] + jnp.where(
+            two, v22 * D2[:, None] * D2[None] + v12 * (D1[:, None] * D2[None] + D2[:, None] * D1[None]), 0.0
+        )
+        waiting = (pending >= 0).astype(float)
+        shown = jnp.clip(theta + waiting * jump[:n], 0.0, 1.0)
+        shown_var = theta_var + jnp.diagonal(P)[n_x:] + waiting * jnp.diagonal(cov)[:n]
+
+        # commit: exactly what an augmented filter with this jump would hold
+        s_c = s + M_best @ jump
+        P_c = P + M_best @ cov @ M_best.T
+        s = jnp.where(commit, s_c, s)
+        P = jnp.where(commit, 0.5 * (P_c + P_c.T), P)
+        hit = ((D1 + jnp.where(two, D2, 0.0))[:n] > 0.5) & commit
+        active_new = active | hit
+        # a loss that a new jump has taken back is over
+        th, var = s[n_x:], jnp.diagonal(P)[n_x:]
+        over = hit & (th < jnp.maximum(0.02, 2.0 * jnp.sqrt(var))) & (jump[:n] < 0)
+        too_small = hit & ~over & (th < 0.005)
+        off = over | too_small
+        for i in range(n):
+            j = n_x + i
+            col = P[:, j]
+            pjj = jnp.maximum(col[j], 1e-12)
+            s = jnp.where(off[i], s - col * (s[j] / pjj), s)
+            P = jnp.where(off[i], P - col[:, None] * col[None, :] / pjj, P)
+        active_new = active_new & ~off
+        learning = jnp.where(hit & ~off, LEARN_LOSS_S, jnp.where(off, 0.0, learning))
+        theta_var = jnp.where(off, 0.0, theta_var)
+        age = jnp.where(commit, -1, age)
+        pending = jnp.where(commit, -1, pending)
+
+        # learn the noise from what the calm parts leave over, never from a growing suspicion
+        gains = jnp.zeros(PER_AXIS).at[jnp.array([B1, B2, B3])].set(1.0)
+        e = e_raw + (Ct * jnp.tile(gains, 4)[None, :]) @ biases[:n_x]
+        trust = R_white / (R_white + model_error)
+        suspicious = log_fault > 0.5 * self.log_threshold
+        frozen = jnp.where(suspicious, carry.frozen + dt, jnp.maximum(carry.frozen - dt, 0.0))
+        calm = (~suspicious | (frozen > FREEZE_S)) & (pending < 0) & flying
+        noise_state = noise.step(carry.noise, e, valid & calm, trust, dt)
+
+        out_cov = P[n_x:, n_x:]
+        estimate = Estimate(
+            s[:n_x],
+            P[:n_x, :n_x],
+            shown,
+            out_cov,
+            jnp.stack(innovations),
+            jnp.diag(jnp.stack(variances)),
+            jnp.where(~flying, 1, jnp.where(valid.any(), 0, 2)).astype(jnp.int32),
+        )
+        onset_age = jnp.einsum("w,w->", where_slot, age.astype(float) * 0 + jnp.where(live, carry.age + 1.0, 0.0))
+        decision = Decision(evidence, statistic, alarm, onset_age, best)
+        out = Output(
+            estimate,
+            decision,
+            prob,
+            shown,
+            jnp.sqrt(jnp.maximum(shown_var, 0.0)),
+            alarm,
+            commit,
+            active_new,
+            jnp.sqrt(jnp.maximum(jnp.diagonal(cov)[:n], 0.0)),
+        )
+        new_carry = Carry(
+            s,
+            P,
+            noise_state,
+            M,
+            C,
+            z,
+            age.astype(jnp.int32),
+            carry.count + 1,
+            active_new,
+            pending.astype(jnp.int32),
+            statistic,
+            above.astype(jnp.int32),
+            level,
+            learning,
+            theta_var,
+            thrust,
+            thrust_level,
+            jnp.minimum(frozen, 2.0 * FREEZE_S),
+        )
+        return new_carry, out

@@ -1,0 +1,157 @@
+"""What may have happened: the explicit hypotheses of the default diagnoser, and how strongly a window of data speaks for each.
+
+For a jump nu in directions d (rotor losses and axis biases) at a given time, the filter's innovations give the information
+matrix C (q, q) and vector z (q,) of nu (Willsky & Jones 1976). A hypothesis allows a subset of directions; the log
+Bayes factor against "no jump", with a Gaussian prior of width w on each direction and rotor losses confined to [lo, hi], is
+
+    log BF = z.nu - nu.C.nu / 2  -  1/2 sum log(1 + C_dd|rest w^2)        at the most probable admissible nu
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+LOSS_WIDTH = 0.4
+# Prior weights: how often each kind of jump happens, relative to one particular rotor failing. Disturbances are common.
+WEIGHT = {"single": 1.0, "pair": 0.05, "single_common": 0.02, "disturbance": 3.0}
+# Disturbances: which of roll, pitch, yaw, thrust they touch.
+DISTURBANCES = ((0,), (1,), (2,), (3,), (0, 3), (1, 3), (2, 3), (0, 1, 2), (0, 1, 2, 3))
+
+
+@dataclass(frozen=True)
+class Hypotheses:
+    """All hypotheses of an n-rotor vehicle. names; kinds; rotors: 0-based sets; fault: bool; weight: prior weights.
+
+    members (n_h, 2): direction indices of single and pair hypotheses (a repeated index marks a single).
+    """
+
+    n: int
+    names: tuple[str, ...]
+    kinds: tuple[str, ...]
+    rotors: tuple[tuple[int, ...], ...]
+    weight: np.ndarray
+    fault: np.ndarray
+    singles: np.ndarray
+    pairs: np.ndarray
+    mixed: np.ndarray
+    blocks: tuple[tuple[int, ...], ...]
+
+
+def make(n: int) -> Hypotheses:
+    """Singles, pairs, single with common mode, each axis' bias, torque bias, common mode, any wrench."""
+    names, kinds, rotors = [], [], []
+
+    def add(kind, label, who=()):
+        names.append(label)
+        kinds.append(kind)
+        rotors.append(tuple(who))
+
+    for i in range(n):
+        add("single", f"rotor {i + 1}", (i,))
+    pairs = list(combinations(range(n), 2))
+    for i, j in pairs:
+        add("pair", f"rotors {i + 1}+{j + 1}", (i, j))
+    for i in range(n):
+        add("single_common", f"rotor {i + 1} and common mode", (i,))
+    axes = ("roll", "pitch", "yaw", "common mode")
+    for block in DISTURBANCES:
+        what = {3: "torque bias", 4: "any disturbance"}.get(len(block)) or " and ".join(axes[a] for a in block)
+        add("disturbance", what if len(block) > 2 or block == (3,) else what + " bias" if 3 not in block else what)
+    kinds_ = np.array(kinds)
+    weight = np.array([WEIGHT[k] for k in kinds])
+    return Hypotheses(
+        n,
+        tuple(names),
+        tuple(kinds),
+        tuple(rotors),
+        weight,
+        np.isin(kinds_, ["single", "pair", "single_common"]),
+        np.arange(n),
+        np.array(pairs),
+        np.array([(i, n + 3) for i in range(n)]),
+        tuple(tuple(n + a for a in block) for block in DISTURBANCES),
+    )
+
+
+def _clip_pair(c11, c12, c22, z1, z2, lo1, hi1, lo2, hi2):
+    """Most probable (nu1, nu2) inside a box: the interior solution, else the best point of the edges."""
+    import jax.numpy as jnp
+
+    det = c11 * c22 - c12 * c12
+    det = jnp.where(det > 1e-12 * c11 * c22, det, 1e-12 * c11 * c22 + 1e-30)
+    i1, i2 = (c22 * z1 - c12 * z2) / det, (c11 * z2 - c12 * z1) / det
+    inside = (i1 >= lo1) & (i1 <= hi1) & (i2 >= lo2) & (i2 <= hi2)
+
+    def score(a, b):
+        return z1 * a + z2 * b - 0.5 * (c11 * a * a + 2 * c12 * a * b + c22 * b * b)
+
+    best_a, best_b = jnp.clip(i1, lo1, hi1), jnp.clip(i2, lo2, hi2)
+    best = jnp.where(inside, score(i1, i2), -jnp.inf)
+    best_a, best_b = jnp.where(inside, i1, best_a), jnp.where(inside, i2, best_b)
+    for fixed in (lo1, hi1):
+        b = jnp.clip((z2 - c12 * fixed) / c22, lo2, hi2)
+        s = score(fixed, b)
+        best_a, best_b, best = jnp.where(s > best, fixed, best_a), jnp.where(s > best, b, best_b), jnp.maximum(s, best)
+    for fixed in (lo2, hi2):
+        a = jnp.clip((z1 - c12 * fixed) / c11, lo1, hi1)
+        s = score(a, fixed)
+        best_a, best_b, best = jnp.where(s > best, a, best_a), jnp.where(s > best, fixed, best_b), jnp.maximum(s, best)
+    return best_a, best_b, best
+
+
+def log_bayes_factors(hyp: Hypotheses, C, z, lo, hi, width):
+    """C (W, q, q), z (W, q) for W jump times; lo, hi (n,) bounds of rotor jumps; width (4,): how large disturbances of this
+    aircraft are. -> log BF (W, n_h), nu (W, n_fault, 2)."""
+    import jax.numpy as jnp
+
+    n = hyp.n
+    w2 = LOSS_WIDTH**2
+    diag = jnp.diagonal(C, axis1=1, axis2=2)
+    tiny = 1e-9
+    # Gaussian prior as information, so that every precision is positive.
+    prior = 1.0 / jnp.concatenate([jnp.full(n, LOSS_WIDTH), width]) ** 2
+    c = diag + prior
+    c1, z1 = c[:, :n], z[:, :n]
+    nu1 = jnp.clip(z1 / c1, lo, hi)
+    single = z1 * nu1 - 0.5 * c1 * nu1**2 - 0.5 * jnp.log(c1 * w2)
+
+    def pairwise(a, b, lo_b, hi_b):
+        c11, c22, c12 = c[:, a], c[:, b], C[:, a, b]
+        x, y, s = _clip_pair(c11, c12, c22, z[:, a], z[:, b], lo[a], hi[a], lo_b, hi_b)
+        det = jnp.maximum(c11 * c22 - c12 * c12, tiny)
+        return x, y, s - 0.5 * jnp.log(det / (prior[a] * prior[b]))
+
+    a, b = hyp.pairs.T
+    pa, pb, pair = pairwise(a, b, lo[b], hi[b])
+    ma, mb = hyp.mixed.T
+    xa, xb, mixed = pairwise(ma, mb, -jnp.ones(n) * 2.0, jnp.ones(n) * 2.0)
+    free = []
+    for block in hyp.blocks:
+        idx = np.array(block)
+        Cb = C[:, idx][:, :, idx] + jnp.diag(prior[idx])
+        L = jnp.linalg.cholesky(Cb)
+        y = _forward(L, z[:, idx])
+        free.append(
+            0.5 * (y * y).sum(1) - jnp.log(jnp.diagonal(L, axis1=1, axis2=2)).sum(1) + 0.5 * jnp.log(prior[idx]).sum()
+        )
+    logbf = jnp.concatenate([single, pair, mixed, jnp.stack(free, axis=1)], axis=1)
+    nu = jnp.concatenate(
+        [jnp.stack([nu1, jnp.zeros_like(nu1)], -1), jnp.stack([pa, pb], -1), jnp.stack([xa, xb], -1)], axis=1
+    )
+    return logbf, nu
+
+
+def _forward(L, b):
+    """Solve L y = b for lower-triangular L (W, k, k), k <= 4, unrolled."""
+    import jax.numpy as jnp
+
+    y = []
+    for i in range(L.shape[-1]):
+        s = b[:, i]
+        for j in range(i):
+            s = s - L[:, i, j] * y[j]
+        y.append(s / L[:, i, i])
+    return jnp.stack(y, axis=1)

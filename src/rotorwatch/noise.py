@@ -1,0 +1,105 @@
+"""How noisy is this aircraft, on every time scale: variances of a four-component noise model, learned causally.
+
+The residual's structure function at lag L,  D(L) = E[(e(t) - e(t - L))^2] / 2,  of white noise plus two coloured
+disturbances (time constants TAU) plus a random walk is
+
+    D(L) = s_w^2 + sum_j s_j^2 (1 - exp(-L / tau_j)) + q L / 2
+
+Each squared difference is a chi-square sample of D(L), so the variances (s_w^2, s_1^2, s_2^2, q) >= 0 have a gamma likelihood; its
+multiplicative (expectation-maximisation) update keeps them positive and needs no solver: a few iterations a tick, warm.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from rotorwatch.systems.wrench_balance import TAU
+
+LAGS = (1, 2, 4, 8, 16, 32, 64)  # ticks
+MEMORY_S = 60.0  # how long a squared difference counts
+CLIP = 5.0  # a squared difference counts at most this many times the present mean: a fault must not look like noise
+# Per axis floor of the white variance, in hover thrusts: one PWM step of a few rotors.
+FLOOR = 0.0008**2
+
+
+class NoiseState(NamedTuple):
+    """ring (64, 4) last residuals, ring_ok (64,); weight, total (7, 4): sums for D; variances (4, 4): components x axes."""
+
+    ring: object
+    ring_ok: object
+    weight: object
+    total: object
+    variances: object
+    safety: object
+
+
+def basis(dt: float) -> np.ndarray:
+    """(7, 4): D at each lag for a unit of each variance."""
+    lag = np.array(LAGS) * dt
+    return np.stack([np.ones_like(lag), *(1.0 - np.exp(-lag / t) for t in TAU), lag / 2.0], axis=1)
+
+
+def init(dt: float, prior_variances: np.ndarray | None = None, prior_weight: float = 0.0) -> NoiseState:
+    """prior_variances (4 components, 4 axes) of healthy flights count like prior_weight samples a lag."""
+    import jax.numpy as jnp
+
+    if prior_variances is None:
+        prior_variances = np.tile(np.array([[0.05**2], [0.05**2], [0.05**2], [0.02**2]]), (1, 4))
+        prior_weight = 0.3
+    D = basis(dt) @ prior_variances
+    weight = np.full((len(LAGS), 4), prior_weight)
+    return NoiseState(
+        jnp.zeros((LAGS[-1], 4)),
+        jnp.zeros((LAGS[-1], 4), bool),
+        jnp.asarray(weight),
+        jnp.asarray(weight * D),
+        jnp.asarray(prior_variances),
+        jnp.ones(4),
+    )
+
+
+def step(state: NoiseState, e, ok, trust, dt: float) -> NoiseState:
+    """Add one residual e (4,) where ok (4,); trust (4,) in 0..1 discounts manoeuvring ticks."""
+    import jax.numpy as jnp
+
+    A = jnp.asarray(basis(dt))
+    back = jnp.array([LAGS[-1] - lag for lag in LAGS])
+    old, old_ok = state.ring[back], state.ring_ok[back]
+    both = (old_ok & ok[None, :]) * trust[None, :]
+    D = state.total / state.weight
+    square = jnp.minimum(0.5 * (e[None, :] - old) ** 2, CLIP * D)
+    # Differences a long lag apart overlap: L of them carry about as much as one independent sample.
+    share = 1.0 / jnp.array(LAGS, float)[:, None]
+    forget = jnp.exp(-dt / MEMORY_S) ** both
+    weight = state.weight * forget + both * share
+    total = state.total * forget + both * share * square
+    # With few samples a variance may well be larger than it looks: lean to the upper side by one standard deviation.
+    D = total / weight * (1.0 + jnp.sqrt(1.0 / (1.0 + weight)))
+    certain = jnp.sqrt(weight)
+    v = state.variances / state.safety
+    for _ in range(3):
+        model = A @ v
+        gain = (A.T @ (certain * D / model**2)) / (A.T @ (certain / model))
+        v = v * jnp.sqrt(jnp.clip(gain, 0.05, 20.0))
+    v = v.at[0].set(jnp.maximum(v[0], FLOOR))
+    v = jnp.maximum(v, 1e-12)
+    # The model must not be quieter than the aircraft on any scale.
+    safety = jnp.clip((D / (A @ v)).max(axis=0), 1.0, 4.0)
+    ring = jnp.concatenate([state.ring[1:], jnp.where(ok, e, 0.0)[None, :]])
+    ring_ok = jnp.concatenate([state.ring_ok[1:], ok[None, :]])
+    return NoiseState(ring, ring_ok, weight, total, v * safety, safety)
+
+
+def process_variances(variances, dt: float):
+    """(3, 4) variances added a tick to (b1, b2, b3) that keep the coloured ones stationary."""
+    import jax.numpy as jnp
+
+    tau = jnp.array(TAU)[:, None]
+    return jnp.concatenate([variances[1:3] * (1.0 - jnp.exp(-2.0 * dt / tau)), variances[3:4] * dt])
+
+
+def spread(variances):
+    """(4,) variance of everything but white noise over ten seconds: how large this aircraft's disturbances are."""
+    return variances[1] + variances[2] + variances[3] * 5.0

@@ -1,0 +1,213 @@
+"""From a log's uneven samples to the diagnoser's ticks: one causal, uniform table of commands and motion.
+
+A tick at time t uses nothing measured after t. It pairs the commands sent during one tick length with the motion they
+caused a motor lag later:
+
+    commands   mean of the rotor thrusts in (t - dt - a, t - a],     a = lag + dt / 2
+    motion     over the window of length dt centred a lag after them
+
+Units: thrusts in hover thrusts of one rotor (the mean command that carries the weight is 1), found from the first second
+in the air and then kept for that hop. All frames body FRD.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rotorwatch.flight import Flight, Signal
+
+G0 = 9.80665
+LAG_S = 0.02
+SETTLE_S = 1.0  # after lift-off: the first second gives the hover command and is not judged
+UPSET_RATE = 6.0  # rad/s of roll or pitch rate: the vehicle tumbles, hover physics is over
+UPSET_TILT = np.cos(np.radians(65.0))
+
+GROUND, LEARN, JUDGE = 0, 1, 2
+
+
+@dataclass(frozen=True)
+class Ticks:
+    """T ticks of an n-rotor flight.
+
+    time (T,) s, when everything in the tick was known. command_time (T,) s, mean time of the commands in it.
+    thrust (T, n); wrench (T, 4) = B thrust; rate, rate_dot (T, 3) rad/s, rad/s^2; load (T,) specific force up / g0;
+    valid (T, 4) bool; mode (T,) GROUND, LEARN or JUDGE; restart (T,) bool, first tick of a hop; dt s; hover (T,) mean share of full thrust
+    per rotor that one unit of thrust stands for; blind: why judging was impossible.
+    """
+
+    time: np.ndarray
+    command_time: np.ndarray
+    thrust: np.ndarray
+    wrench: np.ndarray
+    rate: np.ndarray
+    rate_dot: np.ndarray
+    load: np.ndarray
+    valid: np.ndarray
+    mode: np.ndarray
+    restart: np.ndarray
+    hover: np.ndarray
+    dt: float
+    upset: np.ndarray
+    notes: tuple[str, ...] = ()
+
+
+def tick_length(rate_hz: float) -> float:
+    """0.05 s for commands at 19 Hz and faster, else 0.1 s; slower than 8 Hz: one sample a tick, rounded up to 0.1 s."""
+    if rate_hz >= 19.0:
+        return 0.05
+    return 0.1 if rate_hz >= 8.0 else float(np.ceil(10.0 / max(rate_hz, 0.5)) / 10.0)
+
+
+def _bin_mean(signal: Signal, edges_lo: np.ndarray, edges_hi: np.ndarray):
+    """Mean of valid samples with lo < time <= hi, their mean time and whether there is any: (T, k), (T,), (T,)."""
+    ok = signal.valid.all(axis=1)
+    time, values = signal.time[ok], signal.values[ok]
+    total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
+    when = np.concatenate([[0.0], np.cumsum(time)])
+    lo, hi = np.searchsorted(time, edges_lo, "right"), np.searchsorted(time, edges_hi, "right")
+    count = hi - lo
+    some = count > 0
+    safe = np.maximum(count, 1)
+    return (total[hi] - total[lo]) / safe[:, None], (when[hi] - when[lo]) / safe, some
+
+
+def _window(signal: Signal, centre: np.ndarray, half: float):
+    """Mean (T, k) and slope (T, k) of a signal over [centre - half, centre + half], linear between samples; and coverage.
+
+    The mean comes from the exact integral of the linear interpolation. The slope is the difference of two short means
+    around the ends, which keeps single-sample noise out when the signal is much faster than the window.
+    """
+    ok = signal.valid.all(axis=1)
+    time, values = signal.time[ok], signal.values[ok]
+    if time.size < 2:
+        shape = (centre.size, signal.values.shape[1])
+        return np.zeros(shape), np.zeros(shape), np.zeros(centre.size, bool)
+    keep = np.concatenate([[True], np.diff(time) > 0])
+    time, values = time[keep], values[keep]
+    step = np.diff(time)[:, None]
+    integral = np.concatenate(
+        [np.zeros((1, values.shape[1])), np.cumsum(0.5 * (values[1:] + values[:-1]) * step, axis=0)]
+    )
+
+    def area(t):
+        i = np.clip(np.searchsorted(time, t, "right") - 1, 0, time.size - 2)
+        s = np.clip((t - time[i]) / (time[i + 1] - time[i]), 0.0, 1.0)[:, None]
+        width = (time[i + 1] - time[i])[:, None]
+        return integral[i] + width * (values[i] * s + 0.5 * (values[i + 1] - values[i]) * s * s)
+
+    def mean(a, b):
+        return (area(b) - area(a)) / (b - a)[:, None]
+
+    end = half * 0.25
+    lo, hi = centre - half, centre + half
+    middle = mean(lo, hi)
+    slope = (mean(hi - end, hi) - mean(lo, lo + end)) / (2.0 * half - end)
+    gap = np.searchsorted(time, hi, "right") - np.searchsorted(time, lo, "left")
+    period = float(np.median(np.diff(time)))
+    covered = (lo >= time[0]) & (hi <= time[-1] + 1e-9) & (gap >= max(1, int(half / period * 0.8)))
+    return middle, slope, covered
+
+
+def make(
+    flight: Flight,
+    thrust: Signal,
+    B: np.ndarray,
+    airborne: tuple[tuple[float, float], ...],
+    ready_s: float,
+    lag_s: float = LAG_S,
+    hover: float | None = None,
+    dt: float | None = None,
+) -> Ticks:
+    """Ticks of one flight. thrust: share of full thrust per rotor over time; B (4, n); ready_s: blind time after lift-off.
+
+    hover: share of full thrust that carries the vehicle, when a vehicle file or baseline knows it.
+    """
+    dt = tick_length(thrust.rate_hz) if dt is None else dt
+    half = dt / 2.0
+    notes = []
+    # Slow commands are snapshots: put them in the middle of their ticks so that jitter never empties one.
+    phase = float(np.median(np.mod(thrust.time, dt))) if thrust.rate_hz < 1.5 / dt else 0.0
+    first = np.floor((thrust.time[0] - phase) / dt) * dt + phase + half
+    count = max(0, int((thrust.time[-1] - first) / dt) + 1)
+    hi = first + dt * np.arange(count)
+    time = hi + lag_s + half
+    mean, when, some = _bin_mean(thrust, hi - dt, hi)
+    when = np.where(some, when, hi - half)
+    centre = when + lag_s
+    n = mean.shape[1]
+    zeros3 = np.zeros((count, 3))
+    gyro_name = "gyro" if flight.has("gyro") else "rates" if flight.has("rates") else None
+    if gyro_name:
+        rate, rate_dot, gyro_ok = _window(flight[gyro_name], centre, half)
+    else:
+        rate, rate_dot, gyro_ok = zeros3, zeros3, np.ones(count, bool)
+        notes.append("no angular rate in the log: torque is judged from commands alone, as in steady hover")
+    if flight.has("accel"):
+        force, _, accel_ok = _window(flight["accel"], centre, half)
+        load = -force[:, 2] / G0
+    else:
+        load, accel_ok = np.ones(count), np.zeros(count, bool)
+        notes.append("no accelerometer in the log: thrust is not judged, only torque")
+
+    valid = np.empty((count, 4), bool)
+    valid[:, :3] = (some & gyro_ok)[:, None]
+    valid[:, 3] = some & accel_ok
+    mode = np.zeros(count, np.int32)
+    restart = np.zeros(count, bool)
+    scale = np.full(count, hover or 1.0)
+    tilt = np.ones(count)
+    if flight.has("attitude"):
+        q = flight["attitude"]
+        i = np.clip(np.searchsorted(q.time, time, "right") - 1, 0, len(q) - 1)
+        w, x, y, z = q.values[i].T
+        tilt = 1.0 - 2.0 * (x * x + y * y)
+    upset = (np.abs(rate[:, :2]).max(axis=1, initial=0.0) > UPSET_RATE) | (tilt < UPSET_TILT)
+    for start, end in airborne:
+        inside = (time >= start + SETTLE_S) & (when <= end)
+        if not inside.any():
+            continue
+        settle = (when >= start) & (when < start + SETTLE_S) & some & (mean.sum(axis=1) > 0)
+        if hover is None:
+            first_load = np.where(accel_ok[settle], np.clip(load[settle], 0.5, 2.0), 1.0)
+            level = (
+                float(np.median(mean[settle].mean(axis=1) / first_load))
+                if settle.any()
+                else float(np.median(mean[inside][:10]))
+            )
+        else:
+            level = hover
+        scale[time >= start] = max(level, 0.02)
+        mode[inside] = np.where(time[inside] >= start + ready_s, JUDGE, LEARN)
+        restart[np.flatnonzero(inside)[0]] = True
+        # Once tumbling, never hovering again in this hop: what follows is a fall, not evidence.
+        fall = np.flatnonzero(inside & upset)
+        if fall.size:
+            since = (time >= time[fall[0]]) & inside
+            long_upset = (
+                np.convolve(upset & inside, np.ones(max(2, round(0.3 / dt))), "full")[:count]
+                >= max(2, round(0.3 / dt)) - 0.5
+            )
+            begin = np.flatnonzero(long_upset & since)
+            if begin.size:
+                gone = (np.arange(count) >= begin[0]) & inside
+                upset = upset | gone
+    thrust_units = mean / scale[:, None]
+    valid &= (~upset & (mode > GROUND))[:, None]
+    return Ticks(
+        time,
+        when,
+        thrust_units,
+        thrust_units @ B.T,
+        rate,
+        rate_dot,
+        load,
+        valid,
+        mode,
+        restart,
+        scale,
+        dt,
+        upset,
+        tuple(notes),
+    )
