@@ -194,6 +194,68 @@ def test_report_names_never_clash(fake):
 # Other commands
 
 
+def test_demo_explains_the_samples_and_says_where_the_page_is(fake, run, monkeypatch):
+    samples = fake / "samples"
+    samples.mkdir()
+    for name in ("fault-hexa.bin.xz", "healthy-quad.bin.xz"):
+        (samples / name).write_bytes(b"x")
+    monkeypatch.setattr(cli, "SAMPLES", samples)
+    code, out, err = run("demo", "--report", "d.html")
+    assert code == 0 and err == ""
+    assert out.index("healthy-quad.bin.xz") < out.index("fault-hexa.bin.xz") < out.index("What to look at")
+    assert "The faulty flight as a page: d.html" in out
+    assert "fault-hexa.bin.xz" in (fake / "d.html").read_text().split("</title>")[0]
+    assert "rotorwatch demo --report" in run("demo")[1]
+    monkeypatch.setattr(cli, "SAMPLES", fake / "nothing")
+    assert run("demo")[0] == 2
+
+
+def test_calibrate_writes_the_vehicle_it_learned(fake, run, monkeypatch):
+    written = {}
+    learned = ModuleType("rotorwatch.calibrate")
+    learned.calibrate = lambda flights, progress=None: type("V", (), {"name": f"quad of {len(flights)}"})
+    files = ModuleType("rotorwatch.vehicle_file")
+    files.write = lambda vehicle, path: written.update({path: vehicle.name})
+    monkeypatch.setitem(sys.modules, "rotorwatch.calibrate", learned)
+    monkeypatch.setitem(sys.modules, "rotorwatch.vehicle_file", files)
+    code, out, err = run("calibrate", "healthy.bin", "healthy-2.bin", "-o", "v.toml")
+    assert (code, written, err) == (0, {Path("v.toml"): "quad of 2"}, "")
+    assert "learned from 2 flights" in out
+    assert run("calibrate", "healthy.bin")[0] == 2
+
+
+def test_inject_hands_its_options_to_the_campaign(fake, run, monkeypatch):
+    asked = []
+    module = ModuleType("rotorwatch.inject")
+
+    def campaign(paths, losses, repeats, seed, progress):
+        asked.append(([p.name for p in paths], losses, repeats, seed))
+        return {"table": [{"loss": 0.2, "injections": 8, "detected": 0.5, "delay_s": 1.25}], "false_alarms": 0}
+
+    module.campaign = campaign
+    monkeypatch.setitem(sys.modules, "rotorwatch.inject", module)
+    argv = ("inject", "healthy.bin", "--loss", "0.2,1", "--repeats", "2", "--seed", "9")
+    code, out, _ = run(*argv, "--json")
+    assert code == 0 and json.loads(out)["false_alarms"] == 0
+    assert asked == [(["healthy.bin"], (0.2, 1.0), 2, 9)]
+    _, out, _ = run(*argv)
+    assert "20 %" in out and "50 %" in out and "1.25 s" in out
+    for wrong in ("0.2;0.3", "0", "1.1"):
+        code, out, err = run("inject", "healthy.bin", "--loss", wrong)
+        assert code == 2 and out == "" and "--loss" in err
+
+
+@pytest.mark.parametrize(("failed", "code"), [(0, 0), (2, 1)])
+def test_fuzz_exits_with_1_when_something_failed(fake, run, monkeypatch, failed, code):
+    outcomes = {"read": 10, "FAILED": failed}
+    failures = [{"number": 3, "mutation": "truncated", "what": "ValueError: x"}][:failed]
+    result = {"log": "a", "seed": 0, "mutations": 10, "diagnosed": 0, "outcomes": outcomes, "failures": failures}
+    monkeypatch.setattr("rotorwatch.fuzz.fuzz", lambda *_, **__: result)
+    got, out, _ = run("fuzz", "healthy.bin")
+    assert got == code and ("number 3" in out) == bool(failed)
+    assert json.loads(run("fuzz", "healthy.bin", "--json")[1]) == result
+
+
 def test_fast_start():
     """The smallest of three: other work on the machine may slow one of them."""
     times = []

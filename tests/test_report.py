@@ -162,7 +162,7 @@ class Tags(HTMLParser):
 
 def test_page_holds_the_whole_answer(fault):
     page = html.page(fault)
-    words = " ".join(" ".join(Tags(page).words).split())
+    words = " ".join(" ".join(Tags(page).words).split())  # no-break spaces become spaces, too
     for part in ("Rotor 3 lost 37 %", fault.reason, fault.events[0].reason, "31.56 s (0.36 s later)", fault.baseline):
         assert part in words, part
     for part in (*fault.assumptions, *fault.warnings, "learning what healthy means", "ardupilot-thrust-loss"):

@@ -26,6 +26,7 @@ ERROR, INTERRUPTED, BROKEN_PIPE = 2, 130, 141
 # Of several logs the most severe answer is the exit code: error, fault, undecided, healthy.
 SEVERITY = (2, 1, 3, 0)
 LOG = click.Path(path_type=Path)
+SAMPLES = Path(__file__).parent / "samples"
 
 
 def main(argv: list[str] | None = None) -> None:
@@ -250,9 +251,7 @@ def demo(report, quiet) -> None:
     """Diagnose the sample flights that come with rotorwatch, and say what to look at."""
     from rotorwatch.diagnose import diagnose as run
 
-    samples = sorted(
-        (Path(__file__).parent / "samples").glob("*.bin.xz"), key=lambda p: ("healthy" not in p.name, p.name)
-    )
+    samples = sorted(SAMPLES.glob("*.bin.xz"), key=lambda p: ("healthy" not in p.name, p.name))
     if not samples:
         raise ConfigError("This installation has no sample flights; reinstall rotorwatch.")
     page = report_paths((samples[-1],), report)

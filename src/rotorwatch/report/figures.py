@@ -385,7 +385,8 @@ def _rotor(x: float, y: float, radius: float, place: Rotor, state) -> str:
         f'<circle class="lost" r="{radius - 5:.1f}" style="fill-opacity:{opacity:.2f}"/>'
         f'<path class="spin" marker-end="url(#spin-tip)" '
         f'd="M{start:.1f} {up:.1f} A{radius:.1f} {radius:.1f} 0 0 {sweep} {end:.1f} {up:.1f}"/>'
-        f'<text class="number" y="1">{state.rotor}</text><text class="loss" y="14">{escape(label)}</text></g>'
+        f'<text class="number" style="font-size:{0.42 * radius:.1f}px" y="0">{state.rotor}</text>'
+        f'<text class="loss" style="font-size:{0.33 * radius:.1f}px" y="{0.38 * radius:.1f}">{escape(label)}</text></g>'
     )
 
 

@@ -100,11 +100,16 @@ def _masthead(title: str) -> str:
     )
 
 
+def _text(value: Any) -> str:
+    """Escaped, with numbers and their percent signs kept on one line."""
+    return escape(str(value)).replace(" %", "\u00a0%")
+
+
 def _verdict(diagnosis: Diagnosis) -> str:
     word = f"{SYMBOLS[diagnosis.verdict]} {report.VERDICTS[diagnosis.verdict]}"
     return (
         f'<section class="verdict {escape(diagnosis.verdict)}"><div class="word">{escape(word)}</div>'
-        f"<h1>{escape(report.headline(diagnosis))}</h1><p>{escape(diagnosis.reason)}</p></section>"
+        f"<h1>{_text(report.headline(diagnosis))}</h1><p>{escape(diagnosis.reason)}</p></section>"
     )
 
 
@@ -148,9 +153,7 @@ def _row(
 
 
 def _facts(entries: Mapping[str, Any]) -> str:
-    cells = (
-        f"<div><dt>{escape(k)}</dt><dd>{escape(str(v))}</dd></div>" for k, v in entries.items() if v not in (None, "")
-    )
+    cells = (f"<div><dt>{escape(k)}</dt><dd>{_text(v)}</dd></div>" for k, v in entries.items() if v not in (None, ""))
     return f'<dl class="facts">{"".join(cells)}</dl>'
 
 

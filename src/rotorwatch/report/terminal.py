@@ -75,7 +75,8 @@ def _table(title: str, *columns: str, right: Iterable[int] = ()) -> Table:
         title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1)
     )
     for i, name in enumerate(columns):
-        table.add_column(name, justify="right" if i in set(right) else "left", header_style="default")
+        number = i in set(right)
+        table.add_column(name, justify="right" if number else "left", no_wrap=number, header_style="default")
     return table
 
 
@@ -96,7 +97,7 @@ def _rotors(result: Diagnosis) -> RenderableType:
 
 
 def _events(result: Diagnosis) -> RenderableType:
-    table = _table("Events", "what", "since", "announced", "until", "loss (95 %)", "sure", right=(1, 2, 3, 5))
+    table = _table("Events", "what", "since", "announced", "until", "loss (95 %)", "sure", right=(1, 2, 3, 4, 5))
     for e in result.events:
         what = Text(f"{report.kind(e)}\n").append(report.candidates(e) if e.rotors else "no single rotor", style="bold")
         loss = "\n".join(report.losses(e).split(", ")) or "–"
