@@ -26,7 +26,7 @@ from rotorwatch.ticks import GROUND, JUDGE
 
 SLOTS = 16
 BUILD_UP_S = 0.5
-THRUST_MEMORY_S = 1.0
+THRUST_MEMORY_S = 0.5
 FALSE_ALARM_PERIOD_S = 100 * 3600.0  # design value: ten times rarer than promised, for what the model does not know
 COMPETITOR_ODDS = 20.0
 HOLD_S = 1.5
@@ -130,7 +130,7 @@ class JumpBank:
             jnp.full(6, 0.3) ** 2,
             jnp.zeros(self.n),
             jnp.zeros(self.n),
-            jnp.ones(self.n),
+            jnp.zeros(self.n),
             jnp.full(self.n, 0.05**2),
             jnp.float64(0.0),
         )
@@ -196,12 +196,16 @@ class JumpBank:
 
         # What a loss takes is in proportion to the rotor's thrust, but not to its jitter: a disturbance that the controller
         # answers through rotor i would correlate with that rotor's own command and look like its loss.
-        away = u[:n] - carry.thrust
+        # The collective part is common to all rotors and may pass; the torque part is smoothed unless it stands out.
+        collective = u[:n].mean()
+        part = u[:n] - collective
+        before = jnp.where(restart, part, carry.thrust)
+        away = part - before
         tracked = jnp.maximum(0.0, 1.0 - GARROTE**2 * carry.thrust_level / jnp.maximum(away**2, 1e-12)) * away
-        thrust = jnp.where(restart, u[:n], carry.thrust + away * (dt / THRUST_MEMORY_S))
+        thrust = before + away * (dt / THRUST_MEMORY_S)
         fade_t = jnp.where(flying & valid[0] & ~restart, dt / LEVEL_MEMORY_S, 0.0)
         thrust_level = carry.thrust_level + fade_t * (jnp.minimum(away**2, 6.0 * carry.thrust_level) - carry.thrust_level)
-        smooth = jnp.where(restart, u[:n], carry.thrust + tracked)
+        smooth = jnp.maximum(collective + before + tracked, 0.0)
         u = jnp.concatenate([smooth, u[n:]])
 
         # update, one axis after the other: R is diagonal
