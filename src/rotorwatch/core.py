@@ -1,9 +1,9 @@
 """The nouns every method is written in. Imports nothing of ours.
 
-A *system* is one plant: how its state moves, what is measured, how uncertain both are. An *estimator* is one method that
-can be run on systems; a *detector* turns its estimates into decisions. All three are pure: ``init() -> carry`` and
-``step(carry, ...) -> (carry, out)`` with static shapes, so that one definition serves a single flight, a batch under
-``jax.vmap``, an accelerator and, through its jaxpr, exported C. Rules for step functions: docs/architecture.md.
+A *system* is one plant: how its state moves, what is measured, how uncertain both are. An *estimator* is one method
+that can be run on systems; a *detector* turns its estimates into decisions. All three are pure: ``init() -> carry``
+and ``step(carry, ...) -> (carry, out)`` with static shapes, so that one definition serves a single flight, a batch
+under ``jax.vmap``, an accelerator and, through its jaxpr, exported C. Rules for step functions: docs/architecture.md.
 
 theta is loss of effectiveness: 0 healthy, 1 dead.
 """
@@ -17,7 +17,7 @@ Carry = Any
 
 
 class Estimate(NamedTuple):
-    """What an estimator says after one step. Arrays only; n_x states, n_theta effectiveness parameters, n_y measurements.
+    """What an estimator says after one step. Arrays only; n_x states, n_theta losses, n_y measurements.
 
     x, x_cov: (n_x,), (n_x, n_x). theta, theta_cov: (n_theta,), (n_theta, n_theta). innovation, innovation_cov: (n_y,),
     (n_y, n_y): y minus its prediction, 0 where invalid. status: int32, 0 ok, 1 not ready, 2 no valid measurement.
@@ -36,8 +36,8 @@ class Decision(NamedTuple):
     """What a detector says after one step.
 
     log_odds: (n_h,) natural log of each hypothesis' evidence against "nothing changed". statistic: log of the fault
-    hypotheses' evidence over everything else's. alarm: bool. onset: estimated steps since the change. best: index of the
-    most probable fault hypothesis.
+    hypotheses' evidence over everything else's. alarm: bool. onset: estimated steps since the change. best: index of
+    the most probable fault hypothesis.
     """
 
     log_odds: Array
@@ -83,8 +83,12 @@ class Estimator(Protocol):
         """The carry before the first measurement."""
         ...
 
-    def step(self, carry: Carry, u: Array, y: Array, valid: Array, dt: Array) -> tuple[Carry, Estimate]:
-        """One time step dt [s] with input u, measurement y (n_y,) and its validity mask; causal and pure."""
+    def step(self, carry: Carry, u: Array, y: Array, valid: Array, dt: Array = None) -> tuple[Carry, Any]:
+        """One time step with input u, measurement y (n_y,) and its validity mask; causal and pure.
+
+        dt: s; None where the estimator was made for one step length. Returns the carry and an `Estimate`, or a named
+        tuple of the method's own that holds one in its field ``estimate``.
+        """
         ...
 
 

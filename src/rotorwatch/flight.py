@@ -25,7 +25,7 @@ Missing samples are the norm: ``valid`` masks them, values there are 0, never Na
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -36,7 +36,8 @@ class Signal:
     """One multi-column time series.
 
     time: (n,) s since the first record of the log, non-decreasing. values: (n, k), finite everywhere.
-    valid: (n, k) bool; False where the log had no usable number. source: the log's own name for it.
+    valid: (n, k) bool; False where the log had no usable number; left out, or (n,), it is completed to that.
+    source: the log's own name for it.
     """
 
     time: np.ndarray
@@ -45,7 +46,7 @@ class Signal:
     unit: str
     frame: str = ""
     source: str = ""
-    valid: np.ndarray | None = None
+    valid: np.ndarray = None  # pyright: ignore[reportAssignmentType]: always an array once constructed
 
     def __post_init__(self):
         time = np.ascontiguousarray(self.time, dtype=np.float64)
@@ -53,7 +54,8 @@ class Signal:
         if values.ndim == 1:
             values = values[:, None]
         if time.ndim != 1 or values.shape != (time.size, len(self.columns)):
-            raise ValueError(f"signal {self.source or self.columns}: time {time.shape} does not fit values {values.shape}")
+            name = self.source or self.columns
+            raise ValueError(f"signal {name}: time {time.shape} does not fit values {values.shape}")
         valid = np.isfinite(values)
         if self.valid is not None:
             given = np.asarray(self.valid, dtype=bool)
@@ -75,13 +77,16 @@ class Signal:
 
     def between(self, start: float, end: float) -> Signal:
         """The samples with start <= time < end."""
-        a, b = np.searchsorted(self.time, [start, end])
-        return Signal(self.time[a:b], self.values[a:b], self.columns, self.unit, self.frame, self.source, self.valid[a:b])
+        part = slice(*np.searchsorted(self.time, [start, end]))
+        return replace(self, time=self.time[part], values=self.values[part], valid=self.valid[part])
 
 
 @dataclass(frozen=True)
 class Message:
-    """A text or state change the autopilot logged. kind: 'text', 'error', 'event', 'mode', 'armed', 'landed', 'dropout'."""
+    """A text or state change the autopilot logged.
+
+    kind: 'text', 'error', 'event', 'mode', 'armed', 'landed' or 'dropout'.
+    """
 
     time: float
     kind: str
@@ -93,9 +98,9 @@ class Message:
 class Flight:
     """Everything read from one log.
 
-    signals: canonical name -> Signal (module docstring). parameters: the autopilot's, never simulation (``SIM_*``) ones.
-    parameter_changes: (time s, name, value) after the start. messages: in time order. warnings: sentences about
-    what was damaged, missing or assumed while reading.
+    signals: canonical name -> Signal (module docstring). parameters: the autopilot's, never the simulator's
+    (``SIM_*``). parameter_changes: (time s, name, value) after the start. messages: in time order. warnings: sentences
+    about what was damaged, missing or assumed while reading.
     """
 
     format: str
@@ -126,8 +131,6 @@ class Flight:
 
     def until(self, end: float) -> Flight:
         """The same flight as if the log had stopped at ``end`` seconds: what a live observer would have had."""
-        from dataclasses import replace
-
         return replace(
             self,
             signals={k: s.between(-np.inf, end) for k, s in self.signals.items()},

@@ -1,0 +1,54 @@
+"""What plug-ins there are: every module of a room is looked at, and nothing lists them by hand.
+
+Names that start with an underscore, and classes that a module merely imports, do not count.
+"""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import pkgutil
+from collections.abc import Iterator
+from types import ModuleType
+
+from rotorwatch.errors import ConfigError
+
+
+def estimators() -> dict[str, type]:
+    """Name -> class of every estimator (`core.Estimator`: name, init, step) in `rotorwatch.estimators`."""
+    return _classes("rotorwatch.estimators", ("name", "init", "step"))
+
+
+def systems() -> dict[str, type]:
+    """Name -> class of every plant (`core.System`: name, f, h) in `rotorwatch.systems`."""
+    return _classes("rotorwatch.systems", ("name", "f", "h"))
+
+
+def estimator(name: str) -> type:
+    """The estimator class of that name. Raises ConfigError that lists the known ones."""
+    known = estimators()
+    if name not in known:
+        raise ConfigError(f"There is no estimator called {name!r}; known are {', '.join(known)}.")
+    return known[name]
+
+
+def modules(package: str) -> Iterator[ModuleType]:
+    """Every module of a package, those of its sub-packages included, in the order of their names."""
+    parent = importlib.import_module(package)
+    for info in pkgutil.walk_packages(parent.__path__, f"{package}."):
+        if not info.name.rpartition(".")[2].startswith("_"):
+            yield importlib.import_module(info.name)
+
+
+def _classes(package: str, parts: tuple[str, ...]) -> dict[str, type]:
+    """Classes defined in the package's modules that have all `parts`, by their `name`, in the order of names."""
+    found: dict[str, type] = {}
+    for module in modules(package):
+        for label, kind in inspect.getmembers(module, inspect.isclass):
+            own = kind.__module__ == module.__name__ and not label.startswith("_")
+            if not own or not all(hasattr(kind, part) for part in parts):
+                continue
+            if kind.name in found:
+                raise TypeError(f"{kind.__module__} and {found[kind.name].__module__} are both called {kind.name!r}")
+            found[kind.name] = kind
+    return dict(sorted(found.items()))
