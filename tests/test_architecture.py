@@ -1,0 +1,140 @@
+"""The house rules: who imports whom, how light the package loads, and that a new plug-in is one new file."""
+
+import ast
+import importlib
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from rotorwatch import discovery
+
+ROOT = Path(__file__).resolve().parents[1]
+SOURCE = ROOT / "src" / "rotorwatch"
+FILES = sorted(SOURCE.rglob("*.py"))
+MOST_LINES = 600
+
+# What must not be imported, and the contract of pyproject.toml that forbids it.
+FORBIDDEN = (
+    ("flight.py", "rotorwatch.logs", "Layers"),
+    ("logs/series.py", "rotorwatch.ticks", "Layers"),
+    ("detectors/esc_current.py", "rotorwatch.estimators.jump_bank", "Layers"),
+    ("airframes/px4.py", "rotorwatch.cli", "Layers"),
+    ("estimators/planted.py", "rotorwatch.estimators.jump_bank", "Estimators do not"),
+    ("systems/planted.py", "rotorwatch.systems.wrench_balance", "Plants do not"),
+    ("detectors/thrust_loss.py", "rotorwatch.detectors.esc_current", "Detectors do not"),
+    ("airframes/crazyflie.py", "rotorwatch.airframes.ardupilot", "Airframes do not"),
+    ("logs/ulog.py", "rotorwatch.logs.tlog", "Log formats do not"),
+    ("vehicle.py", "jax", "The nouns"),
+)
+
+
+@pytest.fixture
+def copy(tmp_path):
+    """A copy of the package to plant things in, and a way to run a command that sees it instead of the original."""
+    shutil.copytree(SOURCE, tmp_path / "rotorwatch", ignore=shutil.ignore_patterns("samples", "__pycache__"))
+    shutil.copy(ROOT / "pyproject.toml", tmp_path)
+
+    def run(*command):
+        environment = {**os.environ, "PYTHONPATH": str(tmp_path), "PYTHONDONTWRITEBYTECODE": "1"}
+        return subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=60)
+
+    return tmp_path / "rotorwatch", run
+
+
+def lint(run):
+    """Exit code of the import linter and what it says, spaces and line breaks made one."""
+    tool = shutil.which("lint-imports", path=str(Path(sys.executable).parent)) or shutil.which("lint-imports")
+    assert tool, "import-linter is missing: pip install -e '.[test]'"
+    done = run(tool, "--no-cache", "--config", "pyproject.toml")
+    return done.returncode, " ".join((done.stdout + done.stderr).split())
+
+
+def module_name(path):
+    return "rotorwatch." + path.removesuffix(".py").replace("/", ".")
+
+
+def test_the_contracts_hold(copy):
+    code, said = lint(copy[1])
+    assert code == 0, said
+    assert " 0 broken" in said
+
+
+def test_planted_imports_are_found(copy):
+    folder, run = copy
+    for path, target, _ in FORBIDDEN:
+        with (folder / path).open("a") as file:
+            file.write(f"\nimport {target}\n")
+    code, said = lint(run)
+    assert code == 1
+    for path, target, contract in FORBIDDEN:
+        verdict = re.search(contract + r".*?(KEPT|BROKEN)", said)
+        assert verdict and verdict.group(1) == "BROKEN", contract
+        assert f"{module_name(path)} -> {target}" in said, f"{path} importing {target} went unnoticed"
+
+
+def test_a_module_without_a_place_is_found(copy):
+    folder, run = copy
+    (folder / "attic.py").write_text('"""Anything."""\n')
+    code, said = lint(run)
+    assert code == 1 and "attic" in said
+
+
+def test_a_plug_in_is_one_file(copy):
+    """An estimator, a plant, a detector, a format and an airframe are found as soon as their file is there."""
+    folder, run = copy
+    (folder / "estimators" / "planted.py").write_text(
+        "class Planted:\n    name = 'planted'\n    def init(self): ...\n    def step(self, carry, u, y, valid): ...\n"
+    )
+    (folder / "systems" / "planted.py").write_text(
+        "class Planted:\n    name = 'planted'\n    def f(self): ...\n    def h(self): ...\n"
+    )
+    (folder / "detectors" / "planted.py").write_text("name = 'planted'\ndef detect(flight, vehicle, airborne): ...\n")
+    (folder / "logs" / "planted.py").write_text("FORMAT = 'planted'\ndef sniff(head, name): ...\n")
+    (folder / "airframes" / "planted.py").write_text("NAMES = {'planted': None}\ndef identify(flight): ...\n")
+    done = run(
+        sys.executable,
+        "-c",
+        "from rotorwatch import airframes, detectors, discovery, logs\n"
+        "print('planted' in discovery.estimators(), 'planted' in discovery.systems(), 'planted' in airframes.names(),\n"
+        "      'planted' in [m.name for m in detectors.modules()], 'planted' in [m.FORMAT for m in logs.formats()])",
+    )
+    assert done.stdout.split() == ["True"] * 5, done.stderr
+
+
+def test_two_plug_ins_of_one_name_are_refused(copy):
+    folder, run = copy
+    shutil.copy(folder / "estimators" / "jump_bank.py", folder / "estimators" / "planted.py")
+    done = run(sys.executable, "-c", "from rotorwatch import discovery; discovery.estimators()")
+    assert done.returncode != 0 and "both called 'default'" in done.stderr
+
+
+def test_importing_loads_nothing_heavy():
+    """`import rotorwatch` and `rotorwatch --help` do not wait for numerics, plots or parsers."""
+    heavy = {"numpy", "jax", "scipy", "bokeh", "pymavlink", "pyulog", "pandas", "pyarrow", "rich"}
+    code = f"import sys, rotorwatch, rotorwatch.cli; print(*sorted({heavy!r} & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout.split() == []
+
+
+def test_every_module_can_be_imported():
+    for module in discovery.modules("rotorwatch"):
+        assert importlib.import_module(module.__name__) is module
+
+
+def test_unknown_estimator_is_named():
+    from rotorwatch.errors import ConfigError
+
+    with pytest.raises(ConfigError, match=r"'nonsense'.*default"):
+        discovery.estimator("nonsense")
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(SOURCE)))
+def test_files_are_short_and_say_what_they_are(path):
+    text = path.read_text(encoding="utf-8")
+    assert len(text.splitlines()) <= MOST_LINES, "split this file by what changes together"
+    assert ast.get_docstring(ast.parse(text)), "a module begins with a sentence on what it holds"
