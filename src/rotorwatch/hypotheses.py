@@ -16,7 +16,7 @@ import numpy as np
 
 LOSS_WIDTH = 0.4
 # Prior weights: how often each kind of jump happens, relative to one particular rotor failing. Disturbances are common.
-WEIGHT = {"single": 1.0, "pair": 0.05, "single_common": 0.02, "disturbance": 3.0}
+WEIGHT = {"single": 1.0, "pair": 1e-4, "single_common": 0.02, "disturbance": 3.0}
 # Disturbances: which of roll, pitch, yaw, thrust they touch.
 DISTURBANCES = ((0,), (1,), (2,), (3,), (0, 3), (1, 3), (2, 3), (0, 1, 2), (0, 1, 2, 3))
 

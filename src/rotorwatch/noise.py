@@ -1,7 +1,7 @@
 """How noisy is this aircraft, on every time scale: variances of a four-component noise model, learned causally.
 
-The residual's structure function at lag L,  D(L) = E[(e(t) - e(t - L))^2] / 2,  of white noise plus two coloured
-disturbances (time constants TAU) plus a random walk is
+The residual's structure function at lag L,  D(L) = E[(e(t) - e(t - L))^2] / 2,  of white noise, two coloured disturbances (time
+constants TAU) and a random walk is
 
     D(L) = s_w^2 + sum_j s_j^2 (1 - exp(-L / tau_j)) + q L / 2
 
@@ -15,11 +15,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rotorwatch.systems.wrench_balance import TAU
+from rotorwatch.systems.wrench_balance import PER_AXIS, TAU
 
 LAGS = (1, 2, 4, 8, 16, 32, 64)  # ticks
 MEMORY_S = 60.0  # how long a squared difference counts
 CLIP = 5.0  # a squared difference counts at most this many times the present mean: a fault must not look like noise
+GROWTH_S, GROWTH_WEIGHT, LEAN = 0.5, 0.05, 0.15
 # Per axis floor of the white variance, in hover thrusts: one PWM step of a few rotors.
 FLOOR = 0.0008**2
 
@@ -47,7 +48,7 @@ def init(dt: float, prior_variances: np.ndarray | None = None, prior_weight: flo
 
     if prior_variances is None:
         prior_variances = np.tile(np.array([[0.05**2], [0.05**2], [0.05**2], [0.02**2]]), (1, 4))
-        prior_weight = 0.3
+        prior_weight = 0.02
     D = basis(dt) @ prior_variances
     weight = np.full((len(LAGS), 4), prior_weight)
     return NoiseState(
@@ -75,9 +76,12 @@ def step(state: NoiseState, e, ok, trust, dt: float) -> NoiseState:
     forget = jnp.exp(-dt / MEMORY_S) ** both
     weight = state.weight * forget + both * share
     total = state.total * forget + both * share * square
-    # With few samples a variance may well be larger than it looks: lean to the upper side by one standard deviation.
-    D = total / weight * (1.0 + jnp.sqrt(1.0 / (1.0 + weight)))
-    certain = jnp.sqrt(weight)
+    # Long lags have few samples at first: until then suppose that variance grows with the lag, as disturbances do.
+    D = total / weight
+    D = (total + GROWTH_WEIGHT * D[:1] * (1.0 + jnp.array(LAGS, float)[:, None] * dt / GROWTH_S)) / (weight + GROWTH_WEIGHT)
+    # With few samples a variance may well be larger than it looks: lean to the upper side.
+    D = D * (1.0 + LEAN / jnp.sqrt(1.0 + weight))
+    certain = jnp.minimum(weight, 5.0)
     v = state.variances / state.safety
     for _ in range(3):
         model = A @ v
@@ -92,12 +96,13 @@ def step(state: NoiseState, e, ok, trust, dt: float) -> NoiseState:
     return NoiseState(ring, ring_ok, weight, total, v * safety, safety)
 
 
-def process_variances(variances, dt: float):
-    """(3, 4) variances added a tick to (b1, b2, b3) that keep the coloured ones stationary."""
+def process_variance(variances, dt: float):
+    """(20,) process noise variances a tick that keep b1 and b2 stationary and let b3 walk; variances (4 components, 4 axes)."""
     import jax.numpy as jnp
 
-    tau = jnp.array(TAU)[:, None]
-    return jnp.concatenate([variances[1:3] * (1.0 - jnp.exp(-2.0 * dt / tau)), variances[3:4] * dt])
+    share = np.array([*(1.0 - np.exp(-2.0 * dt / np.array(TAU))), dt])[:, None]
+    per_axis = jnp.concatenate([variances[1:] * share, jnp.zeros((PER_AXIS - 3, 4))])
+    return per_axis.T.reshape(-1)
 
 
 def spread(variances):

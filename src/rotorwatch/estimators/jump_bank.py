@@ -33,9 +33,12 @@ HOLD_S = 1.5
 LEARN_LOSS_S = 3.0  # a committed loss is refined this long; after that only a new jump changes it
 THETA_WALK = 0.02**2  # 1/s, while it is refined
 DISTURBANCE_SCALE, DISTURBANCE_RANGE = 3.0, (0.01, 1.0)
-GAIN_ERROR, DAMPING_ERROR, LAG_ERROR, LOAD_ERROR = 0.15, 0.10, 0.008, 0.15
+GAIN_ERROR, DAMPING_ERROR, LOAD_ERROR = 0.15, 0.15, 0.15
 OUTLIER = 15.0
 PERSIST_S = 0.15
+TRUST = 300.0  # nats
+SMALLEST = 0.025  # loss that is worth an event
+ABSORB_S, ABSORB_NATS, BASE_NATS = 1.0, 10.0, 6.0
 GARROTE = 2.5
 LEVEL_MEMORY_S = 10.0
 FREEZE_S = 4.0
@@ -62,6 +65,7 @@ class Carry(NamedTuple):
     thrust: object
     thrust_level: object
     frozen: object
+    sure_s: object
 
 
 class Output(NamedTuple):
@@ -105,6 +109,7 @@ class JumpBank:
         for a in range(4):
             E[a * PER_AXIS + B3, self.n + a] = 1.0
         self.E = E
+        self.blocks = np.array([[float(a in block) for a in range(4)] for block in hypotheses.DISTURBANCES])
         self.bias_rows = np.array([a * PER_AXIS + b for a in range(4) for b in (B1, B2, B3)])
 
     def init(self) -> Carry:
@@ -133,10 +138,12 @@ class JumpBank:
             jnp.zeros(self.n),
             jnp.full(self.n, 0.05**2),
             jnp.float64(0.0),
+            jnp.float64(0.0),
         )
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Output]:
         """One tick; see Output."""
+        import jax
         import jax.numpy as jnp
 
         n, n_x, hyp, dt = self.n, self.n_x, self.hyp, self.dt
@@ -163,13 +170,11 @@ class JumpBank:
         learning = jnp.where(restart, 0.0, jnp.maximum(carry.learning - dt, 0.0))
 
         # predict
-        A = jnp.concatenate([self.system.decay(dt), jnp.ones(n)])
-        q3 = noise.process_variances(carry.noise.variances, dt)
-        q_diag = jnp.zeros((4, PER_AXIS)).at[:, jnp.array([B1, B2, B3])].set(q3.T).reshape(-1)
-        q_diag = jnp.concatenate([jnp.where(flying, q_diag, 0.0), (learning > 0) * THETA_WALK * dt])
+        A = np.concatenate([self.system.decay(dt), np.ones(n)])
         s = A * s
         biases = s
-        P = A[:, None] * P * A[None, :] + jnp.diag(q_diag)
+        q_x = jnp.where(flying, noise.process_variance(carry.noise.variances, dt), 0.0)
+        P = A[:, None] * P * A[None, :] + jnp.diag(jnp.concatenate([q_x, (learning > 0) * THETA_WALK * dt]))
 
         # the bank: one slot of each group is reused for a jump at this tick
         open_ = judge & (pending < 0)
@@ -178,7 +183,7 @@ class JumpBank:
         since = jnp.where(new, 0, jnp.maximum(carry.age, -1) + 1)
         share = jnp.where(jnp.asarray(self.slow), self.first_share * jnp.exp(-since * dt / BUILD_UP_S), (since == 0) * 1.0)
         share = jnp.where(new | (carry.age >= 0), share, 0.0)
-        M = jnp.where(new[:, None, None], 0.0, carry.M * A[None, :, None]) + share[:, None, None] * self.E[None]
+        M = jnp.where(new[:, None, None], 0.0, A[:, None] * carry.M) + share[:, None, None] * self.E[None]
         C = jnp.where(new[:, None, None], 0.0, carry.C)
         z = jnp.where(new[:, None], 0.0, carry.z)
         age = jnp.where(new, 0, jnp.where(carry.age >= 0, carry.age + 1, -1))
@@ -212,11 +217,10 @@ class JumpBank:
         x = s[:n_x].reshape(4, PER_AXIS)
         motion = jnp.concatenate([u[n : n + 3], u[n + 3 : n + 4] - n])
         rates = jnp.concatenate([u[n + 4 : n + 7], jnp.zeros(1)])
-        slope = u[n + 7 : n + 11]
         model_error = (
             (jnp.where(jnp.arange(4) < 3, GAIN_ERROR, LOAD_ERROR) * x[:, GAIN] * motion) ** 2
             + (DAMPING_ERROR * x[:, DAMPING] * rates) ** 2
-            + (LAG_ERROR * slope) ** 2
+           
         )
         Pd = jnp.diagonal(P)[:n_x].reshape(4, PER_AXIS)
         unexplained = jnp.concatenate(
@@ -252,6 +256,8 @@ class JumpBank:
         lo, hi = jnp.where(active, jnp.minimum(-theta, 0.0), 0.0), jnp.maximum(1.0 - theta, 0.0)
         width = jnp.clip(DISTURBANCE_SCALE * jnp.sqrt(noise.spread(carry.noise.variances)), *DISTURBANCE_RANGE)
         logbf, nu_h = hypotheses.log_bayes_factors(hyp, C, z, lo, hi, width)
+        # The model is right to a few percent: overwhelming evidence must not hang on its last decimals.
+        logbf = logbf * (TRUST / (TRUST + jnp.maximum(logbf.max(), 0.0)))
         live = age >= 0
         logbf = jnp.where(live[:, None], logbf, -50.0)
         slot_weight = jnp.log(jnp.asarray(self.stride, float))
@@ -266,18 +272,20 @@ class JumpBank:
         o_top = jnp.max(jnp.where(fault, -jnp.inf, evidence))
         log_other = o_top + jnp.log(jnp.where(fault, 0.0, jnp.exp(evidence - o_top)).sum())
         statistic = jnp.minimum(log_fault - self.log_threshold, log_fault - log_other - jnp.log(COMPETITOR_ODDS))
-        above = jnp.where(open_ & (statistic > 0.0), carry.above + 1, 0)
-        alarm = above >= max(2, round(PERSIST_S / dt))
         best = jnp.argmax(prob).astype(jnp.int32)
         slot = jnp.argmax(jnp.where(live, per_slot[:, best], -jnp.inf))
-        pending = jnp.where(alarm, 0, jnp.where(pending >= 0, pending + 1, pending))
-        waited = pending * dt
-        commit = (pending >= 0) & (waited >= HOLD_S)
-
-        # the most probable jump, as a full direction vector with its covariance
         onehot = (jnp.arange(len(hyp.names)) == best).astype(float)[: nu_h.shape[1]]
         where_slot = (jnp.arange(self.stride.size) == slot).astype(float)
         pair_nu = jnp.einsum("w,h,whk->k", where_slot, onehot, nu_h)
+        big = jnp.abs(pair_nu[0]) > SMALLEST
+        above = jnp.where(open_ & (statistic > 0.0) & big, carry.above + 1, 0)
+        alarm = above >= max(2, round(PERSIST_S / dt))
+        pending = jnp.where(alarm, 0, jnp.where(pending >= 0, pending + 1, pending))
+        waited = pending * dt
+        pending = jnp.where(judge, pending, -1)
+        commit = (pending >= 0) & (waited >= HOLD_S)
+
+        # the most probable jump, as a full direction vector with its covariance
         first = jnp.asarray(np.concatenate([hyp.singles, hyp.pairs[:, 0], hyp.mixed[:, 0]]))
         second = jnp.asarray(np.concatenate([hyp.singles, hyp.pairs[:, 1], hyp.mixed[:, 1]]))
         D1 = (jnp.arange(self.q) == (onehot @ first)).astype(float)
@@ -305,6 +313,24 @@ class JumpBank:
         P = jnp.where(commit, 0.5 * (P_c + P_c.T), P)
         hit = ((D1 + jnp.where(two, D2, 0.0))[:n] > 0.5) & commit
         active_new = active | hit
+        # A disturbance that has long been certain becomes part of the biases; the bank starts afresh.
+        certain = open_ & (pending < 0) & (log_other > log_fault + 3.0) & (log_other > ABSORB_NATS + BASE_NATS)
+        sure_s = jnp.where(certain, carry.sure_s + dt, 0.0)
+        absorb = sure_s >= ABSORB_S
+        other = jnp.argmax(jnp.where(fault, -jnp.inf, evidence))
+        d_slot = (jnp.arange(self.stride.size) == jnp.argmax(jnp.where(live, per_slot[:, other], -jnp.inf))).astype(float)
+        mask = jnp.asarray(self.blocks)[jnp.maximum(other - (len(hyp.names) - len(self.blocks)), 0)]
+        C4 = jnp.einsum("w,wab->ab", d_slot, C[:, n:, n:]) * mask[:, None] * mask[None, :] + jnp.diag(1.0 / width**2)
+        L4 = jnp.linalg.cholesky(C4)
+        half = jax.scipy.linalg.solve_triangular(L4, jnp.diag(mask), lower=True)
+        cov4 = half.T @ half
+        nu4 = cov4 @ (jnp.einsum("w,wa->a", d_slot, z[:, n:]) * mask)
+        M4 = jnp.einsum("w,wsq->sq", d_slot, M[:, :, n:])
+        s = jnp.where(absorb, s + M4 @ nu4, s)
+        P = jnp.where(absorb, P + M4 @ cov4 @ M4.T, P)
+        age = jnp.where(absorb, -1, age)
+        sure_s = jnp.where(absorb, 0.0, sure_s)
+
         # a loss that a new jump has taken back is over
         th, var = s[n_x:], jnp.diagonal(P)[n_x:]
         over = hit & (th < jnp.maximum(0.02, 2.0 * jnp.sqrt(var))) & (jump[:n] < 0)
@@ -373,5 +399,6 @@ class JumpBank:
             thrust,
             thrust_level,
             jnp.minimum(frozen, 2.0 * FREEZE_S),
+            sure_s,
         )
         return new_carry, out
