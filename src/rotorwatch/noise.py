@@ -25,6 +25,10 @@ GROWTH_S, GROWTH_WEIGHT, LEAN = 0.5, 0.05, 0.15
 FLOOR = 0.0008**2
 
 
+GENERIC = np.tile(np.array([[0.05**2], [0.05**2], [0.05**2], [0.02**2]]), (1, 4))
+GENERIC_WEIGHT = 0.02
+
+
 class NoiseState(NamedTuple):
     """ring (64, 4) last residuals, ring_ok (64,); weight, total (7, 4): sums for D; variances (4, 4): components x axes."""
 
@@ -42,15 +46,12 @@ def basis(dt: float) -> np.ndarray:
     return np.stack([np.ones_like(lag), *(1.0 - np.exp(-lag / t) for t in TAU), lag / 2.0], axis=1)
 
 
-def init(dt: float, prior_variances: np.ndarray | None = None, prior_weight: float = 0.0) -> NoiseState:
-    """prior_variances (4 components, 4 axes) of healthy flights count like prior_weight samples a lag."""
+def init(dt: float, prior_variances=GENERIC, prior_weight=GENERIC_WEIGHT) -> NoiseState:
+    """prior_variances (4 components, 4 axes), of healthy flights or generic, count like prior_weight samples a lag."""
     import jax.numpy as jnp
 
-    if prior_variances is None:
-        prior_variances = np.tile(np.array([[0.05**2], [0.05**2], [0.05**2], [0.02**2]]), (1, 4))
-        prior_weight = 0.02
     D = basis(dt) @ prior_variances
-    weight = np.full((len(LAGS), 4), prior_weight)
+    weight = jnp.full((len(LAGS), 4), prior_weight)
     return NoiseState(
         jnp.zeros((LAGS[-1], 4)),
         jnp.zeros((LAGS[-1], 4), bool),

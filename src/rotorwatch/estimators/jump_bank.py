@@ -37,11 +37,17 @@ GAIN_ERROR, DAMPING_ERROR, LOAD_ERROR = 0.15, 0.15, 0.15
 OUTLIER = 15.0
 PERSIST_S = 0.15
 TRUST = 300.0  # nats
+DEAD = 0.8
 SMALLEST = 0.025  # loss that is worth an event
 ABSORB_S, ABSORB_NATS, BASE_NATS = 1.0, 10.0, 6.0
 GARROTE = 2.5
 LEVEL_MEMORY_S = 10.0
 FREEZE_S = 4.0
+
+
+def threshold(dt: float, false_alarm_period_s: float = FALSE_ALARM_PERIOD_S) -> float:
+    """Log of the Shiryaev-Roberts threshold: its mean time to a false alarm, in ticks, is at least its value."""
+    return float(np.log(false_alarm_period_s / dt))
 
 
 class Carry(NamedTuple):
@@ -79,7 +85,7 @@ class Output(NamedTuple):
     announced: object
     committed: object
     active: object
-    jump_sd: object
+    detectable: object
 
 
 class JumpBank:
@@ -103,12 +109,13 @@ class JumpBank:
         gradual = np.exp(-steps * dt / BUILD_UP_S) * (1.0 - np.exp(-dt / BUILD_UP_S))
         self.slow = np.repeat((False, False, True), SLOTS)
         self.first_share = float(gradual[0])
-        self.log_threshold = float(np.log(false_alarm_period_s / dt))
+        self.log_threshold = threshold(dt, false_alarm_period_s)
         E = np.zeros((self.n_s, self.q))
         E[self.n_x :, : self.n] = np.eye(self.n)
         for a in range(4):
             E[a * PER_AXIS + B3, self.n + a] = 1.0
         self.E = E
+        self.membership = np.array([[float(i in who) for i in range(self.n)] for who in self.hyp.rotors])
         self.blocks = np.array([[float(a in block) for a in range(4)] for block in hypotheses.DISTURBANCES])
         self.bias_rows = np.array([a * PER_AXIS + b for a in range(4) for b in (B1, B2, B3)])
 
@@ -117,10 +124,9 @@ class JumpBank:
         import jax.numpy as jnp
 
         W = self.stride.size
-        P = np.zeros((self.n_s, self.n_s))
-        P[: self.n_x, : self.n_x] = self.system.P0
+        P = jnp.zeros((self.n_s, self.n_s)).at[: self.n_x, : self.n_x].set(self.system.P0)
         return Carry(
-            jnp.asarray(np.concatenate([self.system.x0, np.zeros(self.n)])),
+            jnp.concatenate([jnp.asarray(self.system.x0), jnp.zeros(self.n)]),
             jnp.asarray(P),
             noise.init(self.dt, *(self.noise_prior or ())),
             jnp.zeros((W, self.n_s, self.q)),
@@ -154,9 +160,8 @@ class JumpBank:
         # A new hop starts with new biases; what the vehicle is like, and how noisy, stays known.
         keep = jnp.ones(self.n_s).at[self.bias_rows].set(0.0).at[n_x:].set(0.0)
         fresh_s = carry.s * keep
-        P0 = np.zeros((self.n_s, self.n_s))
-        rows = self.bias_rows
-        P0[np.ix_(rows, rows)] = self.system.P0[np.ix_(rows, rows)]
+        rows = np.ix_(self.bias_rows, self.bias_rows)
+        P0 = jnp.zeros((self.n_s, self.n_s)).at[rows].set(jnp.asarray(self.system.P0)[rows])
         fresh_P = carry.P * keep[:, None] * keep[None, :] + P0
         s, P = jnp.where(restart, fresh_s, carry.s), jnp.where(restart, fresh_P, carry.P)
         active = carry.active & ~restart
@@ -262,6 +267,10 @@ class JumpBank:
         logbf = jnp.where(live[:, None], logbf, -50.0)
         slot_weight = jnp.log(jnp.asarray(self.stride, float))
         per_slot = logbf + slot_weight[:, None] + jnp.log(jnp.asarray(hyp.weight))[None, :]
+        # With a rotor gone the vehicle flies at its limits: only that rotor itself is still judged.
+        gone = active & (theta > DEAD)
+        outside = jnp.asarray(self.membership) @ (~gone).astype(float) > 0.5
+        per_slot = jnp.where((gone.any() & outside)[None, :] & jnp.asarray(hyp.fault)[None, :], -60.0, per_slot)
         top = per_slot.max(0)
         evidence = top + jnp.log(jnp.exp(per_slot - top[None]).sum(0))
         fault = jnp.asarray(hyp.fault)
@@ -357,6 +366,8 @@ class JumpBank:
         calm = (~suspicious | (frozen > FREEZE_S)) & (pending < 0) & flying
         noise_state = noise.step(carry.noise, e, valid & calm, trust, dt)
 
+        own = jnp.where(live[:, None], jnp.diagonal(C, axis1=1, axis2=2)[:, :n], 0.0).max(0)
+        detectable = 1.0 / jnp.sqrt(own + 1.0 / hypotheses.LOSS_WIDTH**2)
         out_cov = P[n_x:, n_x:]
         estimate = Estimate(
             s[:n_x],
@@ -378,7 +389,7 @@ class JumpBank:
             alarm,
             commit,
             active_new,
-            jnp.sqrt(jnp.maximum(jnp.diagonal(cov)[:n], 0.0)),
+            detectable,
         )
         new_carry = Carry(
             s,

@@ -1,0 +1,322 @@
+"""The default pipeline: a flight in, a diagnosis out. Every step is one call; the numbers are made in the files it calls."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from os import PathLike
+from typing import NamedTuple
+
+import numpy as np
+
+from rotorwatch import airborne as airborne_
+from rotorwatch import airframes, allocation, detectors, events, hypotheses, ticks
+from rotorwatch.diagnosis import Diagnosis, Event, RotorState, Trace
+from rotorwatch.errors import ConfigError
+from rotorwatch.flight import Flight
+from rotorwatch.run import run
+from rotorwatch.ticks import JUDGE, LEARN, Ticks
+from rotorwatch.vehicle import Vehicle
+
+READY_S, READY_KNOWN_S = 8.0, 3.0
+LN10 = float(np.log(10.0))
+
+
+class Kept(NamedTuple):
+    """What is kept of every tick; shapes as in jump_bank.Output."""
+
+    theta: object
+    theta_sd: object
+    innovation: object
+    innovation_var: object
+    log_odds: object
+    statistic: object
+    best: object
+    onset: object
+    probability: object
+    announced: object
+    committed: object
+    active: object
+    detectable: object
+    biases: object
+
+
+def _keep(out) -> Kept:
+    import jax.numpy as jnp
+
+    e, d = out.estimate, out.decision
+    return Kept(
+        out.theta, out.theta_sd, e.innovation, jnp.diagonal(e.innovation_cov), d.log_odds, d.statistic, d.best, d.onset,
+        out.probability, out.announced, out.committed, out.active, out.detectable, e.x.reshape(4, -1)[:, :3].sum(axis=1),
+    )  # fmt: skip
+
+
+def _build_fast(p):
+    return _estimator(p, 0.05)
+
+
+def _build_slow(p):
+    return _estimator(p, 0.1)
+
+
+def _estimator(p, dt):
+    from rotorwatch.estimators.jump_bank import JumpBank
+    from rotorwatch.systems.wrench_balance import WrenchBalance
+
+    return JumpBank(WrenchBalance(p["B"], (p["x0"], p["P0"])), dt, (p["noise"], p["noise_weight"]))
+
+
+def parameters(vehicle: Vehicle) -> dict:
+    """The arrays the default estimator is built from: geometry, and what is known of the vehicle or of any multirotor."""
+    from rotorwatch import noise
+    from rotorwatch.systems.wrench_balance import WrenchBalance
+
+    B = vehicle.effectiveness()
+    known = (vehicle.identified or {}).get("dynamics")
+    if known:
+        return {"B": B, **{k: np.array(known[k], float) for k in ("x0", "P0", "noise", "noise_weight")}}
+    system = WrenchBalance(B)
+    return {"B": B, "x0": system.x0, "P0": system.P0, "noise": noise.GENERIC, "noise_weight": np.array(noise.GENERIC_WEIGHT)}
+
+
+def observe(flight: Flight, vehicle: Vehicle, air, ready_s: float) -> Ticks | None:
+    """Ticks of a flight, or None when it shows no motor commands in the air."""
+    if not flight.has("motors") or not air:
+        return None
+    thrust = allocation.rotor_thrusts(flight, vehicle)
+    if len(thrust) < 20:
+        return None
+    hover = (vehicle.identified or {}).get("hover")
+    return ticks.make(flight, thrust, vehicle.effectiveness(), air, ready_s, hover=hover)
+
+
+def estimate(table: Ticks, vehicle: Vehicle, progress=None, keep=_keep):
+    """Run the default estimator over ticks: (last carry, stacked outputs)."""
+    from rotorwatch.systems.wrench_balance import WrenchBalance
+
+    if table.dt not in (0.05, 0.1):
+        raise ConfigError(f"commands every {table.dt:.1f} s are too slow: log motor outputs at 10 Hz or faster.")
+    u = np.column_stack([WrenchBalance(vehicle.effectiveness()).pack(table), table.mode, table.restart])
+    build = _build_fast if table.dt < 0.08 else _build_slow
+    return run(build, parameters(vehicle), u, table.wrench, table.valid, keep, progress)
+
+
+def diagnose(
+    flight: Flight | str | PathLike,
+    vehicle: Vehicle | str | PathLike | None = None,
+    baseline: Iterable[Flight | str | PathLike] = (),
+    estimator: str = "default",
+    progress: Callable | None = None,
+) -> Diagnosis:
+    """Which rotor lost effectiveness, how much, since when and how sure.
+
+    flight: a Flight or a log file. vehicle: a Vehicle or its file; identified from the log when None. baseline: healthy
+    flights of the same build, which make damage that was there from take-off judgeable and shorten the blind time.
+    progress: called as progress(share, text). Raises LogError, VehicleError or ConfigError with one sentence.
+    """
+    began = time.perf_counter()
+    timing: dict[str, float] = {}
+    tell = progress or (lambda share, text="": None)
+
+    def lap(name):
+        timing[name] = time.perf_counter() - began - sum(timing.values())
+
+    if estimator != "default":
+        raise ConfigError(f"estimator {estimator!r} is not known here; available: default.")
+    baseline = tuple(baseline)
+    flight = _flight(flight, lambda share: tell(0.3 * share, "reading"))
+    if isinstance(vehicle, (str, PathLike)):
+        from rotorwatch import vehicle_file
+
+        vehicle = vehicle_file.read(vehicle)
+    lap("read_s")
+    source = "none"
+    if baseline:
+        from rotorwatch import calibrate
+
+        healthy = [_flight(b) for b in baseline]
+        learned = calibrate.calibrate(healthy)
+        vehicle = learned if vehicle is None else _with_identified(vehicle, learned)
+        source = f"{len(healthy)} healthy flight{'s' if len(healthy) > 1 else ''} of the same build"
+    elif vehicle is not None and vehicle.identified:
+        source = f"vehicle file {vehicle.name}"
+    vehicle = vehicle or airframes.identify(flight)
+    lap("baseline_s")
+    known = bool(vehicle.identified)
+    ready_s = READY_KNOWN_S if known else READY_S
+    air = airborne_.airborne(flight) if flight.has("motors") else ()
+    table = observe(flight, vehicle, air, ready_s)
+    lap("prepare_s")
+    warnings = list(flight.warnings)
+    assumptions = list(vehicle.assumptions)
+    if not known:
+        source = "the flight's own first healthy part"
+        assumptions.append(
+            f"the flight's first {READY_S:.0f} s in the air are taken as healthy: damage that was there from take-off "
+            "cannot be judged without --baseline or --vehicle"
+        )
+    facts = _facts(flight, vehicle, air, table)
+    if table is None:
+        why = "the log shows no motor outputs" if not flight.has("motors") else "the log shows no flight: the vehicle never took off"
+        return Diagnosis(
+            facts, "inconclusive", f"{why}; nothing can be judged.", _unobservable(vehicle), (), {}, source,
+            tuple(assumptions), tuple(warnings), timing,
+        )  # fmt: skip
+    assumptions += table.notes
+    _, out = estimate(table, vehicle, lambda share: tell(0.3 + 0.6 * share, "estimating"))
+    lap("estimate_s")
+    hyp = hypotheses.make(len(vehicle.rotors))
+    losses = events.read(out, table, hyp)
+    overrides = _overrides(flight, vehicle, air)
+    overridden = {(e.rotors[0]): e for e in overrides}
+    losses = tuple(e for e in losses if not _explained(e, overridden))
+    found = tuple(sorted((*losses, *overrides), key=lambda e: e.detected_s))
+    lap("events_s")
+    whole = _whole_flight(flight, vehicle, air)
+    comparison = detectors.detect(flight, vehicle, air)
+    lap("comparison_s")
+    rotors = _rotors(out, table, found, len(vehicle.rotors))
+    verdict, reason = _verdict(found, whole, table, known)
+    judged = table.mode == JUDGE
+    shift = out.biases[judged, 3]
+    common = {"shift": float(shift[-1] - np.median(shift[:20])), "unit": "hover thrusts of one rotor"} if judged.any() else {}
+    tell(1.0, "done")
+    timing["total_s"] = time.perf_counter() - began
+    return Diagnosis(
+        facts, verdict, reason, rotors, found, common, source, tuple(assumptions), tuple(warnings), timing, estimator,
+        comparison, whole, _trace(out, table, hyp, air, ready_s),
+    )  # fmt: skip
+
+
+def _flight(flight, progress=None) -> Flight:
+    if isinstance(flight, Flight):
+        return flight
+    from rotorwatch import logs
+
+    return logs.read(flight, progress)
+
+
+def _with_identified(vehicle: Vehicle, learned: Vehicle) -> Vehicle:
+    from dataclasses import replace
+
+    return replace(vehicle, identified=learned.identified, assumptions=(*vehicle.assumptions, *learned.assumptions))
+
+
+def _facts(flight: Flight, vehicle: Vehicle, air, table: Ticks | None) -> dict:
+    return {
+        "name": flight.name,
+        "format": flight.format,
+        "autopilot": flight.autopilot,
+        "firmware": flight.firmware,
+        "frame": vehicle.name,
+        "geometry": [{"x": r.x, "y": r.y, "spin": r.spin} for r in vehicle.rotors],
+        "rotors": len(vehicle.rotors),
+        "duration_s": round(flight.duration, 3),
+        "airborne_s": [round(air[0][0], 3), round(air[-1][1], 3)] if air else [],
+        "hops": [[round(a, 3), round(b, 3)] for a, b in air],
+        "profile": _profile(flight, table),
+    }
+
+
+def _profile(flight: Flight, table: Ticks | None) -> str:
+    rates = {n: flight[n].rate_hz for n in ("motors", "control", "gyro", "accel") if n in flight.signals}
+    text = ", ".join(f"{name} {rate:.0f} Hz" for name, rate in rates.items())
+    return text + (f"; judged every {table.dt:.2f} s" if table is not None else "")
+
+
+def _unobservable(vehicle: Vehicle) -> tuple[RotorState, ...]:
+    return tuple(RotorState(i + 1, 0.0, (0.0, 1.0), "unobservable") for i in range(len(vehicle.rotors)))
+
+
+def _overrides(flight: Flight, vehicle: Vehicle, air) -> tuple[Event, ...]:
+    return tuple(
+        Event(
+            "output_override", (o.rotor,), o.onset, o.detected, o.end, (0.0,), ((0.0, 1.0),), 1.0, (), o.reason, {"override": o.kind}
+        )
+        for o in allocation.overrides(flight, vehicle, air)
+    )
+
+
+def _explained(event: Event, overridden: dict) -> bool:
+    """A loss of a rotor whose output is overridden at that time is the override, not a loss."""
+    return any(
+        r in overridden and overridden[r].onset_s - 1.0 <= event.onset_s <= (overridden[r].end_s or np.inf) + 1.0 for r in event.rotors
+    )
+
+
+def _whole_flight(flight: Flight, vehicle: Vehicle, air):
+    """Damage present from take-off, against the baseline in the vehicle; None without one."""
+    stored = (vehicle.identified or {}).get("whole_flight")
+    if not stored:
+        return None
+    from rotorwatch import whole_flight
+
+    features = whole_flight.features(flight, vehicle, air)
+    return whole_flight.judge(features, [whole_flight.Features.from_dict(f) for f in stored], vehicle).to_dict()
+
+
+def _rotors(out, table: Ticks, found, n: int) -> tuple[RotorState, ...]:
+    """Loss at the end of the flight, or the largest an ended event had shown; healthy rotors with what could have hidden."""
+    judged = np.flatnonzero(table.mode == JUDGE)
+    if judged.size < 10:
+        return tuple(RotorState(i + 1, 0.0, (0.0, 1.0), "unobservable") for i in range(n))
+    hidden = np.minimum(1.0, 1.96 * np.median(out.detectable[judged], axis=0) + events.MODEL_SD)
+    states = []
+    for i in range(n):
+        mine = [e for e in found if e.kind == "loss_of_effectiveness" and i + 1 in e.rotors]
+        lasting = [e for e in mine if e.end_s is None] or mine
+        if lasting:
+            e = lasting[-1]
+            j = e.rotors.index(i + 1)
+            loss, interval = e.loss[j], e.interval[j]
+        else:
+            loss, interval = 0.0, (0.0, float(hidden[i]))
+        status = "healthy" if loss < events.MODEL_SD * 5 else "failed" if loss > events.GONE else "degraded"
+        states.append(RotorState(i + 1, float(loss), interval, status))
+    return tuple(states)
+
+
+def _verdict(found, whole, table: Ticks, known: bool) -> tuple[str, str]:
+    losses = [e for e in found if e.kind == "loss_of_effectiveness"]
+    overrides = [e for e in found if e.kind == "output_override"]
+    judged_s = float((table.mode == JUDGE).sum() * table.dt)
+    sure = [e for e in losses if not e.alternatives]
+    if sure:
+        e = max(sure, key=lambda e: max(e.loss))
+        who = " and ".join(map(str, e.rotors))
+        return "fault", f"rotor {who} lost {', '.join(f'{100 * v:.0f} %' for v in e.loss)} of its effectiveness at {e.onset_s:.1f} s."
+    if overrides:
+        return "fault", overrides[0].reason
+    if whole and whole["verdict"] == "fault":
+        return "fault", whole["reason"]
+    if losses:
+        return "ambiguous", losses[0].reason + "."
+    if whole and whole["verdict"] == "ambiguous":
+        return "ambiguous", whole["reason"]
+    if judged_s < 3.0:
+        return "inconclusive", f"only {judged_s:.1f} s of flight could be judged: the vehicle was hardly in the air, or its motion is not logged."
+    scope = "and none from take-off on, compared with its healthy flights" if known and whole else "after take-off"
+    return "healthy", f"no rotor lost effectiveness in {judged_s:.0f} s of judged flight, {scope}."
+
+
+def _trace(out, table: Ticks, hyp, air, ready_s: float) -> Trace:
+    sd = events.sd_of(out.theta, out.theta_sd)
+    spread = np.where(out.theta > 0, 1.96 * sd, 1.96 * np.where((table.mode == JUDGE)[:, None], out.detectable, 0.0))
+    evidence = {name: out.log_odds[:, i] / LN10 for i, name in enumerate(hyp.names) if hyp.kinds[i] in ("single", "disturbance")}
+    pairs = [i for i, kind in enumerate(hyp.kinds) if kind == "pair"]
+    evidence["best pair"] = out.log_odds[:, pairs].max(axis=1) / LN10
+    blind = [(a, min(a + ready_s, b), "learning after take-off") for a, b in air]
+    for start, end in _spans(table.time, table.upset & (table.mode > 0)):
+        blind.append((start, end, "upset: hover physics does not hold"))
+    from rotorwatch.estimators.jump_bank import threshold
+
+    return Trace(
+        table.time, out.theta, np.clip(out.theta - spread, 0, 1), np.clip(out.theta + spread, 0, 1), out.innovation,
+        np.sqrt(out.innovation_var), table.thrust * table.hover[:, None],
+        {k: np.clip(v, -3.0, None) for k, v in evidence.items()}, tuple(blind), tuple(air), threshold(table.dt) / LN10,
+    )  # fmt: skip
+
+
+def _spans(when: np.ndarray, flag: np.ndarray) -> list[tuple[float, float]]:
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flag, [False]]).astype(int)))
+    return [(float(when[a]), float(when[min(b, len(when) - 1)])) for a, b in zip(edges[::2], edges[1::2])]

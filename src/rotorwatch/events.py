@@ -1,0 +1,137 @@
+"""From the diagnoser's ticks to events: what was announced, what became of it, and how sure that is.
+
+Announcements, commitments and endings are made by the estimator, live; this file only writes them down. Nothing here
+moves a detection time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rotorwatch.diagnosis import Event
+from rotorwatch.hypotheses import Hypotheses
+from rotorwatch.ticks import JUDGE, Ticks
+
+CREDIBLE = 0.03  # a rotor set with less probability than this is not named
+CERTAIN = 0.9  # below this the answer is ambiguous
+# What the model itself is uncertain of: the thrust curve away from the operating point, equal rotors.
+MODEL_SD, MODEL_SHARE = 0.004, 0.02
+GONE = 0.8
+
+
+@dataclass
+class Record:
+    """One loss under way, while the ticks are read in order."""
+
+    onset: float
+    announced: int
+    rotors: tuple[int, ...]
+    shares: dict
+    last: int
+    end: float | None = None
+    peak: dict | None = None
+
+
+def rotor_sets(hyp: Hypotheses, probability: np.ndarray) -> dict[tuple[int, ...], float]:
+    """Probability of each rotor set: a rotor alone and with a common shift of thrust are the same set."""
+    sets: dict[tuple[int, ...], float] = {}
+    for who, fault, p in zip(hyp.rotors, hyp.fault, probability):
+        if fault:
+            sets[who] = sets.get(who, 0.0) + float(p)
+    return dict(sorted(sets.items(), key=lambda item: -item[1]))
+
+
+def read(out, ticks: Ticks, hyp: Hypotheses) -> tuple[Event, ...]:
+    """Events of one flight from the diagnoser's stacked outputs (theta, theta_sd, announced, committed, active, ...)."""
+    records: list[Record] = []
+    current: Record | None = None
+    active = np.zeros(out.theta.shape[1], bool)
+    holder: dict[int, Record] = {}
+    notable = np.flatnonzero(out.announced | out.committed | (np.diff(out.active, axis=0, prepend=False).any(axis=1)) | ticks.restart)
+    for k in notable:
+        if ticks.restart[k]:
+            for record in set(map(id, holder.values())):
+                pass
+            for record in holder.values():
+                record.end = record.end if record.end is not None else float(ticks.time[record.last])
+            holder, current, active = {}, None, np.zeros_like(active)
+        if out.announced[k]:
+            who = hyp.rotors[out.best[k]]
+            onset = float(ticks.command_time[max(0, k - round(float(out.onset[k])))])
+            shares = rotor_sets(hyp, out.probability[k])
+            if all(active[i] for i in who):
+                current = None  # more, or less, of what is already known
+                pending_onset = onset
+            else:
+                current = Record(min(onset, float(ticks.time[k])), k, who, shares, k)
+                records.append(current)
+                pending_onset = onset
+        if out.committed[k]:
+            now = out.active[k]
+            if current is not None:
+                fresh = tuple(i for i in np.flatnonzero(now) if not active[i])
+                current.shares = rotor_sets(hyp, out.probability[k])
+                current.rotors = fresh or current.rotors
+                for i in fresh:
+                    holder[int(i)] = current
+                current = None
+            for i in np.flatnonzero(active & ~now):
+                record = holder.pop(int(i), None)
+                if record is not None and not any(r is record for r in holder.values()):
+                    record.end = pending_onset
+                    record.last = k
+            active = now.copy()
+        for record in holder.values():
+            record.last = k
+    judged = np.flatnonzero(ticks.mode == JUDGE)
+    final = int(judged[-1]) if judged.size else len(ticks.time) - 1
+    return tuple(_event(r, out, ticks, hyp, final) for r in records)
+
+
+def sd_of(theta: np.ndarray, sd: np.ndarray) -> np.ndarray:
+    """Standard deviation of a loss with what the model is uncertain of."""
+    return np.sqrt(sd**2 + MODEL_SD**2 + (MODEL_SHARE * theta) ** 2)
+
+
+def _event(record: Record, out, ticks: Ticks, hyp: Hypotheses, final: int) -> Event:
+    if record.end is None:
+        k = final
+    else:  # the last estimate before the change that ended it
+        k = int(np.searchsorted(ticks.time, record.end)) - 1
+    k = max(k, record.announced)
+    rotors = record.rotors
+    loss = out.theta[k, list(rotors)]
+    sd = sd_of(loss, out.theta_sd[k, list(rotors)])
+    shares = record.shares
+    own = shares.get(tuple(sorted(rotors)), max(shares.values(), default=0.0))
+    others = [s for s, p in shares.items() if p >= CREDIBLE and set(s) != set(rotors)]
+    alternatives = tuple(tuple(i + 1 for i in s) for s in others) if own < CERTAIN else ()
+    delay = float(ticks.time[record.announced])
+    names = " and ".join(str(i + 1) for i in rotors)
+    if alternatives:
+        reason = (
+            f"commands and motion changed at {record.onset:.1f} s as if rotor {names} had lost thrust, but "
+            + ", ".join("+".join(map(str, a)) for a in alternatives)
+            + " would look the same"
+        )
+    else:
+        reason = (
+            f"since {record.onset:.1f} s the rotors are commanded a torque and thrust that the motion does not show; the "
+            f"missing part has the direction of rotor {names}"
+        )
+    k2 = min(record.announced + round(2.0 / ticks.dt), final)
+    return Event(
+        kind="loss_of_effectiveness",
+        rotors=tuple(int(i) + 1 for i in rotors),
+        onset_s=record.onset,
+        detected_s=delay,
+        end_s=record.end,
+        loss=tuple(float(v) for v in loss),
+        interval=tuple((max(0.0, float(v - 1.96 * s)), min(1.0, float(v + 1.96 * s))) for v, s in zip(loss, sd)),
+        probability=float(own),
+        alternatives=alternatives,
+        reason=reason,
+        extra={"loss_2s": [float(v) for v in out.theta[k2, list(rotors)]]},
+    )
