@@ -35,7 +35,7 @@ def main() -> int:
 
 
 def shoot(browser: str, page: Path, picture: Path) -> None:
-    """Write a PNG of the first WIDTH x HEIGHT pixels of a local page. Raises CalledProcessError when the browser fails."""
+    """Write a PNG of the first WIDTH x HEIGHT pixels of a local page; CalledProcessError when the browser fails."""
     options = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--hide-scrollbars"]
     options += [f"--user-data-dir={page.parent / 'profile'}", f"--window-size={WIDTH},{HEIGHT}"]
     options += ["--virtual-time-budget=10000", f"--screenshot={picture}", page.as_uri()]

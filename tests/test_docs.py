@@ -1,0 +1,212 @@
+"""What the documents say is so: commands, examples, links, names and tables."""
+
+import ast
+import itertools
+import lzma
+import re
+import shlex
+import subprocess
+import sys
+import tomllib
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+import rotorwatch as rw
+from rotorwatch import airframes, cli, diagnosis, logs
+from rotorwatch.allocation import ambiguous_sets
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+README = (ROOT / "README.md").read_text()
+
+
+def name(path):
+    return str(path.relative_to(ROOT))
+
+
+def blocks(text, language):
+    """Fenced blocks of a language."""
+    return re.findall(rf"^```{language}\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+
+
+def prose(text):
+    """A page without its fenced blocks."""
+    return re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.MULTILINE)
+
+
+def anchors(page):
+    """What headings of a page can be linked to by, as code hosts make it of them."""
+    heads = re.findall(r"^#+ (.*)$", prose(page.read_text()), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", head.lower()).replace(" ", "-") for head in heads}
+
+
+def table(text, after):
+    """Rows of the first table after a heading, each a list of its cells; header and rule left out."""
+    rows = re.search(r"((?:^\|.*\n)+)", text[text.index(after) :], re.MULTILINE)
+    assert rows, f"no table after {after}"
+    return [[cell.strip() for cell in row.strip("|").split("|")] for row in rows.group(1).splitlines()[2:]]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name)
+def test_links_lead_somewhere(page):
+    for target in re.findall(r"\]\(([^)\s]+)\)", prose(page.read_text())):
+        if re.match(r"[a-z]+:", target):
+            continue
+        path, _, anchor = target.partition("#")
+        goal = page.parent / path if path else page
+        assert goal.exists(), f"{target} does not exist"
+        assert not anchor or anchor in anchors(goal), f"{target}: no such heading"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name)
+def test_named_files_exist(page):
+    """`logs/series.py` and its like, seen from the root, the package or the page's folder."""
+    for path in re.findall(r"`((?:[\w.]+/)+[\w.]*\.(?:py|md|toml|png))`", prose(page.read_text())):
+        homes = (ROOT, ROOT / "src" / "rotorwatch", ROOT / "src", page.parent)
+        assert "NAME" in path or any((home / path).exists() for home in homes), f"{path} does not exist"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name)
+def test_named_objects_exist(page):
+    for dotted in re.findall(r"`(rotorwatch(?:\.\w+)+)", prose(page.read_text())):
+        parts, found = dotted.split("."), rw
+        for k, part in enumerate(parts[1:], 2):
+            found = getattr(found, part, None) or import_module(".".join(parts[:k]))
+        assert found is not None, dotted
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name)
+def test_commands_are_understood(page):
+    """Every `rotorwatch ...` line of a shell block has a command and options that exist."""
+    for line in "".join(blocks(page.read_text(), "sh")).splitlines():
+        words = shlex.split(line, comments=True)
+        starts = [k for k, word in enumerate(words) if word == "rotorwatch" or word.endswith("/rotorwatch")]
+        for k in starts:
+            end = words.index("&&", k) if "&&" in words[k:] else len(words)
+            command, *arguments = words[k + 1 : end]
+            cli.cli.commands[command].make_context(command, arguments)  # raises what the command line would print
+
+
+def python_blocks():
+    return [
+        pytest.param(code, id=f"{name(page)}-{k}")
+        for page in PAGES
+        for k, code in enumerate(blocks(page.read_text(), "python"))
+    ]
+
+
+@pytest.mark.parametrize("code", python_blocks())
+def test_examples_use_what_is_there(code):
+    """Every example parses, and what it imports from rotorwatch exists."""
+    for node in ast.walk(ast.parse(code)):
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("rotorwatch"):
+            module = import_module(node.module)
+            for alias in node.names:
+                assert hasattr(module, alias.name), f"{node.module} has no {alias.name}"
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "rw":
+            assert hasattr(rw, node.attr), f"rotorwatch has no {node.attr}"
+
+
+def test_readme_example_runs(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    sample = next(path for path in sorted(cli.SAMPLES.glob("*.bin.xz")) if "healthy" not in path.name)
+    Path("flight.bin").write_bytes(lzma.open(sample).read())
+    (code,) = blocks(README, "python")
+    exec(compile(code, "README.md", "exec"), {})
+    assert capsys.readouterr().out.startswith("fault - ")
+    assert Path("report.html").stat().st_size > 100_000
+
+
+def test_limits_example_runs(capsys):
+    (code,) = blocks((ROOT / "docs" / "limits.md").read_text(), "python")
+    exec(compile(code, "limits.md", "exec"), {})
+    assert "(1, 2) looks like (3, 5)" in capsys.readouterr().out
+
+
+def test_ci_runs_what_the_readme_says():
+    """The README's two commands to set up, and the check command that it and CONTRIBUTING.md name."""
+    script = (ROOT / ".ci" / "run").read_text()
+    commands = [line for line in "".join(blocks(README, "sh")).splitlines() if line.startswith("python3 -m venv")]
+    assert len(commands) == 2 and all(f"'{command}'" in script for command in commands)
+    assert "python check.py" in script and "python check.py" in (ROOT / "CONTRIBUTING.md").read_text()
+    assert subprocess.run(["bash", "-n", str(ROOT / ".ci" / "run")], check=False).returncode == 0
+
+
+def test_picture_of_a_report():
+    picture = (ROOT / "docs" / "report.png").read_bytes()
+    assert picture.startswith(b"\x89PNG") and len(picture) < 500_000
+    assert "docs/report.png" in README
+
+
+def test_verdicts_and_exit_codes():
+    rows = {row[0].strip("`"): int(row[1]) for row in table(README, "## What the answer means")}
+    assert rows == {**diagnosis.EXIT_CODES, "(error)": cli.ERROR}
+
+
+def test_supported_logs():
+    """A row for every format there is, by its most telling word."""
+    rows = " ".join(" ".join(row) for row in table(README, "## Supported logs")).lower()
+    for module in logs.formats():
+        assert module.__name__.rpartition(".")[2].removesuffix("_binary") in rows, module.FORMAT
+
+
+def test_ambiguous_sets_in_limits():
+    text = (ROOT / "docs" / "limits.md").read_text()
+    for frame, said in table(text, "## Rotor sets with the same effect"):
+        found = ambiguous_sets(airframes.named(frame.strip("`")).effectiveness())
+        pairs = set()
+        for family in re.findall(r"\d\+\d(?: = \d\+\d)+", said):  # a = b = c says a = b, a = c and b = c
+            members = [tuple(int(k) for k in s.split("+")) for s in family.split(" = ")]
+            pairs |= {(a, b) for i, a in enumerate(members) for b in members[i + 1 :]}
+        assert pairs == set(found), frame
+
+
+def test_layers_of_the_architecture_page():
+    """The list of layers on the page is the one that import-linter checks."""
+    (contract,) = [c for c in PROJECT["tool"]["importlinter"]["contracts"] if c["type"] == "layers"]
+    page = (ROOT / "docs" / "architecture.md").read_text()
+    text = blocks(page[page.index("## Who may import whom") :], "text")[0]
+    said = [re.split(r"\s{2,}", line)[0] for line in text.splitlines()]
+    assert [re.findall(r"\w+", line) for line in said] == [re.findall(r"\w+", line) for line in contract["layers"]]
+    assert ["|" in line for line in said] == ["|" in line for line in contract["layers"]]
+
+
+def test_dependencies_are_explained():
+    project = PROJECT["project"]
+    text = (ROOT / "docs" / "dependencies.md").read_text()
+
+    def bare(requirements):
+        return {re.match(r"[\w-]+", r).group().lower() for r in requirements}
+
+    extras = project["optional-dependencies"]
+    assert {row[0] for row in table(text, "## Needed to run")} == bare(project["dependencies"])
+    assert {row[0] for row in table(text, "## To develop")} == bare(extras.pop("test"))
+    said = {(row[0], row[1]) for row in table(text, "## Optional")}
+    assert said == {(extra, package) for extra, needs in extras.items() for package in bare(needs)}
+
+
+def test_everything_imported_is_declared():
+    """No library is used that only happens to be installed by another one."""
+    project = PROJECT["project"]
+    declared = [*project["dependencies"], *itertools.chain(*project["optional-dependencies"].values())]
+    known = {re.match(r"[\w-]+", r).group().lower() for r in declared} | set(sys.stdlib_module_names) | {"rotorwatch"}
+    for path in sorted((ROOT / "src").rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text())):
+            names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
+            names += [node.module] if isinstance(node, ast.ImportFrom) and node.module and not node.level else []
+            assert {n.partition(".")[0] for n in names} <= known, path
+
+
+def test_version_is_one():
+    version = PROJECT["project"]["version"]
+    assert rw.__version__ == version
+    assert f"## {version}" in (ROOT / "CHANGELOG.md").read_text()
+
+
+def test_index_lists_every_page():
+    index = (ROOT / "docs" / "index.md").read_text()
+    for page in (ROOT / "docs").glob("*.md"):
+        assert page.name == "index.md" or f"]({page.name})" in index, page.name
