@@ -106,7 +106,8 @@ def _assumptions(flown, tables, identified) -> list[str]:
     said = [
         f"The {count} calibration flights were healthy and of the same build, payload and battery type."
         if count > 1
-        else "The calibration flight was healthy and of the same build, payload and battery type."
+        else "The calibration flight was healthy and of the same build, payload and battery type.",
+        "The hover command is the mean of these flights, at their battery voltages.",
     ]
     said += [
         f"{t.name or 'A calibration flight'} has too little steady hover to be compared with."
@@ -119,10 +120,6 @@ def _assumptions(flown, tables, identified) -> list[str]:
             f"{100 * whole_flight.ROTOR_SD:.0f} % for the thrust of each rotor, "
             f"{100 * whole_flight.CENTRE_SD:.0f} % of an arm length for the centre of mass."
         )
-    if any("lift" not in f.signals and "battery" in f.signals for f, _ in flown) or not any(
-        "battery" in f.signals for f, _ in flown
-    ):
-        said.append("The hover command was not corrected for battery voltage.")
     return said
 
 

@@ -19,7 +19,7 @@ moves by a vector that names the rotor. What else moves it is modelled:
 
 Hotelling's test rejects the healthy hypothesis at FALSE_ALARM per flight, shared by two tests: of the mean, and of its
 change between the halves of the flight, as damage at take-off stays and a swinging load does not. Only then
-explanations are weighed. The verdict fault needs a rarer flight (FALSE_FAULT) and one set of rotors that is SURE to be the cause.
+explanations are weighed. The verdict fault needs a rarer flight (FALSE_FAULT) and one set of rotors that is SURE.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from typing import Any
 
 import numpy as np
 
+from rotorwatch import airframes
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.vehicle import Vehicle
@@ -101,17 +102,14 @@ class Features:
     @classmethod
     def from_dict(cls, table: Mapping) -> Features:
         """The inverse of `to_dict`. Raises ConfigError when something is missing or not a number."""
-        n = np.size(table.get("share", ()))
-        shapes = dict.fromkeys(("share", "limited"), (n,)) | dict.fromkeys(("wrench", "change"), (3,))
-        shapes |= dict.fromkeys(("force", "slope", "slope_sd"), (2,)) | dict.fromkeys(
-            ("seconds", "blocks", "voltage"), ()
-        )
-        shapes |= dict.fromkeys(("covariance", "change_covariance"), (3, 3))
+        like = {
+            k: np.shape(v) for k, v in asdict(_no_hover("", np.size(table.get("share", ())))).items() if k != "name"
+        }
         try:
-            arrays = {k: np.asarray(table[k], float) for k in shapes}
+            arrays = {k: np.asarray(table[k], float) for k in like}
         except (KeyError, TypeError, ValueError):
             arrays = {}
-        if not arrays or any(a.shape != shapes[k] or not np.isfinite(a).all() for k, a in arrays.items()):
+        if not arrays or any(a.shape != like[k] or not np.isfinite(a).all() for k, a in arrays.items()):
             raise ConfigError("The healthy flights in the vehicle file are damaged; run calibrate again.")
         return cls(name=str(table.get("name", "")), **{k: _frozen(a) for k, a in arrays.items()})
 
@@ -156,14 +154,18 @@ class WholeFlight:
 
 
 def features(flight: Flight, vehicle: Vehicle, airborne: Sequence[tuple[float, float]]) -> Features:
-    """How this flight hovered. airborne: ((start, end), ...) s. With too little steady flight it is not `usable`."""
+    """How this flight hovered. airborne: ((start, end), ...) s. With too little steady flight it is not `usable`.
+
+    Raises VehicleError when the vehicle has another number of rotors than the log.
+    """
     from rotorwatch.allocation import motor_thrusts
 
     empty = _no_hover(flight.name, len(vehicle.rotors))
     if not flight.has("motors"):
         return empty
+    airframes.check(vehicle, flight)
     thrust = motor_thrusts(flight, vehicle)
-    time = np.concatenate([_block_starts(start, end) for start, end in airborne] or [np.zeros(0)])
+    time = np.concatenate([_block_starts(thrust.time, start, end) for start, end in airborne] or [np.zeros(0)])
     share, some = _block_means(thrust, time)
     keep = some & (share.sum(axis=1) > 1e-3) & _steady(flight, time)
     time, share = time[keep], share[keep]
@@ -207,9 +209,12 @@ def _no_hover(name: str, n: int) -> Features:
     return Features(name, (0.0,) * n, none, none[:2], none[:2], none[:2], square, none, square, (0.0,) * n, 0.0, 0.0)
 
 
-def _block_starts(start: float, end: float) -> np.ndarray:
+def _block_starts(samples: np.ndarray, start: float, end: float) -> np.ndarray:
+    """Starts of the whole blocks in which there are samples, well after take-off and before landing."""
     first, last = start + AFTER_TAKE_OFF_S, end - BEFORE_LANDING_S
-    return first + BLOCK_S * np.arange(max(0, int((last - first) / BLOCK_S)))
+    index = np.unique(np.floor((samples[(samples >= first) & (samples < last)] - first) / BLOCK_S))
+    starts = first + BLOCK_S * index
+    return starts[starts + BLOCK_S <= last]
 
 
 def _inside(time: np.ndarray, starts: np.ndarray) -> np.ndarray:
@@ -459,11 +464,8 @@ def _weigh(shift, covariance, dof, share, vehicle) -> list[_Hypothesis]:
     """All hypotheses for a shift of w; share (n,): healthy commands. A priori healthy is as likely as all others."""
     B, n = vehicle.effectiveness()[:3], len(vehicle.rotors)
     none = np.zeros((1, 0))
-    found = [
-        _Hypothesis(
-            "healthy", (), _t_density(shift, np.zeros((1, 3)), covariance, np.zeros(1), dof)[0], none, np.ones(1)
-        )
-    ]
+    unmoved = _t_density(shift, np.zeros((1, 3)), covariance, np.zeros(1), dof)[0]
+    found = [_Hypothesis("healthy", (), unmoved, none, np.ones(1))]
 
     def rotor_shift(rotors, extra):
         """(g, 3) shift of w when rotors are commanded `extra` (g, r) more than healthy."""
@@ -499,11 +501,11 @@ def _weigh(shift, covariance, dof, share, vehicle) -> list[_Hypothesis]:
 
 def _t_density(x, mean, scale, yaw_variance, dof) -> np.ndarray:
     """(g,) multivariate t density at x (3,) around mean (g, 3); yaw_variance (g,) is added to the scale matrix."""
-    S = np.broadcast_to(scale, (len(mean), 3, 3)).copy()
-    S[:, 2, 2] += yaw_variance
-    rest = x - mean
-    distance = np.einsum("gi,gi->g", rest, np.linalg.solve(S, rest[:, :, None])[:, :, 0])
-    return (1.0 + distance / dof) ** (-(dof + 3) / 2) / np.sqrt(np.linalg.det(S))
+    inverse, rest = np.linalg.inv(scale), x - mean
+    # Sherman and Morrison: only one entry of the scale matrix differs from row to row.
+    grown = 1.0 + yaw_variance * inverse[2, 2]
+    distance = np.einsum("gi,ij,gj->g", rest, inverse, rest) - yaw_variance * (rest @ inverse[2]) ** 2 / grown
+    return (1.0 + distance / dof) ** (-(dof + 3) / 2) / np.sqrt(np.linalg.det(scale) * grown)
 
 
 def _losses(hypotheses, n: int) -> tuple[tuple[float, ...], tuple[tuple[float, float], ...]]:

@@ -32,8 +32,11 @@ COMPETITOR_ODDS = 20.0
 HOLD_S = 1.5
 LEARN_LOSS_S = 3.0  # a committed loss is refined this long; after that only a new jump changes it
 THETA_WALK = 0.02**2  # 1/s, while it is refined
+KNOWN_BONUS = 6.0  # nats: a rotor that has failed is likely to change again
 DISTURBANCE_SCALE, DISTURBANCE_RANGE = 3.0, (0.01, 1.0)
-GAIN_ERROR, DAMPING_ERROR, LOAD_ERROR = 0.15, 0.15, 0.15
+# Share by which the motion model may be wrong for a moment, and how many ticks such an error lasts.
+GAIN_ERROR, DAMPING_ERROR = (0.25, 0.25, 0.35, 0.15), 0.3
+ERROR_TICKS = 4.0
 OUTLIER = 15.0
 PERSIST_S = 0.15
 TRUST = 300.0  # nats
@@ -138,7 +141,7 @@ class JumpBank:
             jnp.int32(-1),
             jnp.float64(-50.0),
             jnp.int32(0),
-            jnp.full(6, 0.3) ** 2,
+            jnp.array([0.3, 0.3, 0.3, 0.05, 0.05, 0.05]) ** 2,
             jnp.zeros(self.n),
             jnp.zeros(self.n),
             jnp.zeros(self.n),
@@ -195,14 +198,14 @@ class JumpBank:
         age = jnp.where(judge & ~restart, age, -1)
 
         # Below the calm level, angular motion is gyro noise that the rate controller answers: it would teach the filter the
-        # controller's gains instead of the vehicle's. Only motion that stands out counts (nonnegative garrote).
+        # controller's gains instead of the vehicle's. Only motion that stands out teaches (nonnegative garrote).
         motion6 = u[jnp.array([n, n + 1, n + 2, n + 4, n + 5, n + 6])]
         shrink = jnp.maximum(0.0, 1.0 - GARROTE**2 * carry.level / jnp.maximum(motion6**2, 1e-12))
-        left = motion6 * (1.0 - shrink)
         fade = jnp.where(flying & valid[0], dt / LEVEL_MEMORY_S, 0.0)
         level = carry.level + fade * (jnp.minimum(motion6**2, 6.0 * carry.level) - carry.level)
-        kept = motion6 * shrink
-        u = jnp.concatenate([u[:n], kept[:3], u[n + 3 : n + 4], kept[3:], u[n + 7 :]])
+        one = jnp.ones(1)
+        teach = jnp.ones((4, PER_AXIS)).at[:, GAIN].set(jnp.concatenate([shrink[:3], one]))
+        teach = jnp.concatenate([teach.at[:, DAMPING].set(jnp.concatenate([shrink[3:], one])).reshape(-1), jnp.ones(n)])
 
         # What a loss takes is in proportion to the rotor's thrust, but not to its jitter: a disturbance that the controller
         # answers through rotor i would correlate with that rotor's own command and look like its loss.
@@ -222,17 +225,11 @@ class JumpBank:
         x = s[:n_x].reshape(4, PER_AXIS)
         motion = jnp.concatenate([u[n : n + 3], u[n + 3 : n + 4] - n])
         rates = jnp.concatenate([u[n + 4 : n + 7], jnp.zeros(1)])
-        model_error = (
-            (jnp.where(jnp.arange(4) < 3, GAIN_ERROR, LOAD_ERROR) * x[:, GAIN] * motion) ** 2
-            + (DAMPING_ERROR * x[:, DAMPING] * rates) ** 2
-           
-        )
-        Pd = jnp.diagonal(P)[:n_x].reshape(4, PER_AXIS)
-        unexplained = jnp.concatenate(
-            [(x[:3, GAIN] ** 2 + Pd[:3, GAIN]) * left[:3] ** 2 + Pd[:3, DAMPING] * left[3:] ** 2, jnp.zeros(1)]
+        model_error = ERROR_TICKS * (
+            (jnp.asarray(GAIN_ERROR) * x[:, GAIN] * motion) ** 2 + (DAMPING_ERROR * x[:, DAMPING] * rates) ** 2
         )
         R_white = carry.noise.variances[0]
-        R = R_white + model_error + 0.25 * unexplained
+        R = R_white + model_error
         Ct, Ht = self.system.C(u), self.system.H(u)
         full = jnp.concatenate([Ct, Ht], axis=1)
         e_raw = y - full @ s
@@ -245,13 +242,13 @@ class JumpBank:
             S = jnp.maximum(S, nu * nu / OUTLIER**2)
             ok = valid[a] & flying
             w = jnp.where(ok, 1.0 / S, 0.0)
-            K = Ph * w
+            K = Ph * w * teach  # a deliberately smaller gain: the covariance update below holds for any gain
             phi = jnp.einsum("s,wsq->wq", h, M)
             C = C + (w * phi[:, :, None]) * phi[:, None, :]
             z = z + (w * nu) * phi
             M = M - K[None, :, None] * phi[:, None, :]
             s = s + K * jnp.where(ok, nu, 0.0)
-            P = P - K[:, None] * Ph[None, :]
+            P = P - K[:, None] * Ph[None, :] - Ph[:, None] * K[None, :] + jnp.where(ok, S, 0.0) * K[:, None] * K[None, :]
             innovations.append(jnp.where(ok, nu, 0.0))
             variances.append(S)
         P = 0.5 * (P + P.T)
@@ -271,6 +268,8 @@ class JumpBank:
         gone = active & (theta > DEAD)
         outside = jnp.asarray(self.membership) @ (~gone).astype(float) > 0.5
         per_slot = jnp.where((gone.any() & outside)[None, :] & jnp.asarray(hyp.fault)[None, :], -60.0, per_slot)
+        mine = jnp.asarray(self.membership) @ (~active).astype(float) < 0.5
+        per_slot = per_slot + jnp.where(mine & jnp.asarray(hyp.fault), KNOWN_BONUS, 0.0)[None, :]
         top = per_slot.max(0)
         evidence = top + jnp.log(jnp.exp(per_slot - top[None]).sum(0))
         fault = jnp.asarray(hyp.fault)

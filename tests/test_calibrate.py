@@ -1,0 +1,112 @@
+"""Calibration: what is learned, that it survives the vehicle file, and what is refused."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rotorwatch import airframes, vehicle_file
+from rotorwatch import whole_flight as wf
+from rotorwatch.calibrate import calibrate
+from rotorwatch.errors import ConfigError, LogError, VehicleError
+from rotorwatch.flight import Flight, Signal
+
+QUAD = airframes.named("ardupilot-quad-x")
+
+
+def flown(name="one.bin", hover=0.4, offset=(0.1, 0.0, -0.1, 0.0), frame=1, rotors=4):
+    """An ArduPilot log of a minute: 5 s on the ground, 45 s hover, 10 s on the ground."""
+    time = np.arange(0.0, 60.0, 0.1)
+    rng = np.random.default_rng(1)
+    share = hover * (1.0 + np.resize(offset, rotors) + 0.01 * rng.standard_normal((len(time), rotors)))
+    curve = QUAD.curve
+    a = (np.sqrt((1 - curve.expo) ** 2 + 4 * curve.expo * share) - (1 - curve.expo)) / (2 * curve.expo)
+    pwm = curve.u_min + a * (curve.u_max - curve.u_min)
+    ground = (time < 5.0) | (time > 50.0)
+    pwm[ground] = curve.u_min
+    still = np.zeros((len(time), 3))
+    climb = np.where((time > 5.0) & (time < 7.0), -1.0, np.where((time > 48.0) & (time < 50.0), 1.0, 0.0))
+    signals = {
+        "motors": Signal(time, pwm, tuple(f"r{k + 1}" for k in range(rotors)), "us"),
+        "gyro": Signal(time, still, ("x", "y", "z"), "rad/s"),
+        "accel": Signal(time, np.add(still, [0.0, 0.0, -wf.G0]), ("x", "y", "z"), "m/s^2"),
+        "velocity": Signal(time, still + np.outer(climb, [0.0, 0.0, 1.0]), ("n", "e", "d"), "m/s"),
+    }
+    parameters = {
+        "FRAME_CLASS": frame,
+        "FRAME_TYPE": 1,
+        "MOT_THST_EXPO": 0.65,
+        "MOT_SPIN_MIN": 0.15,
+        "MOT_SPIN_MAX": 0.95,
+    }
+    parameters |= {"MOT_PWM_MIN": 1000, "MOT_PWM_MAX": 2000}
+    return Flight("ArduPilot DataFlash", "ArduPilot", signals, 60.0, parameters=parameters, name=name)
+
+
+def test_what_is_learned():
+    shares = []
+    learned = calibrate([flown(), flown("two.bin", hover=0.44)], progress=shares.append)
+    known = learned.identified
+    assert known["flights"] == 2 and shares[-1] == 1.0
+    assert 80.0 < known["airborne_s"] < 92.0 and 60.0 < known["steady_s"] < known["airborne_s"]
+    assert known["hover"] == pytest.approx(0.42, abs=0.01)
+    assert known["thrust_offset"] == pytest.approx([0.1, 0.0, -0.1, 0.0], abs=0.005)
+    assert learned.rotors == QUAD.rotors and "one.bin, two.bin" in learned.source
+    assert any("mostly assumed" in a for a in learned.assumptions)
+    assert len(set(learned.assumptions)) == len(learned.assumptions)
+
+
+def test_it_survives_the_vehicle_file_and_judges_from_there(tmp_path):
+    learned = calibrate([flown(), flown("two.bin")], dynamics=lambda rows, B: {"x0": [0.5] * 20, "noise_weight": 3.0})
+    vehicle_file.write(learned, tmp_path / "quad.toml")
+    again = vehicle_file.read(tmp_path / "quad.toml")
+    assert again.identified == learned.identified
+    baseline = [wf.Features.from_dict(t) for t in again.identified["whole_flight"]]
+    worse = wf.features(flown(offset=(0.6, 0.0, -0.1, 0.0)), again, ((6.0, 48.0),))
+    assert wf.judge(baseline[0], baseline[1:], again).verdict == "healthy"
+    result = wf.judge(worse, baseline, again)
+    assert result.verdict == "fault" and result.causes[0].rotors == (1,)
+    low, high = result.interval[0]
+    assert low < 1.0 - 1.1 / 1.6 < high
+
+
+def test_dynamics_gets_the_ticks_of_every_flight():
+    seen = []
+
+    def learn(rows, B):
+        seen.extend((len(row.time), row.thrust.shape[1], B.shape) for row in rows)
+        return {"x0": [0.0]}
+
+    assert calibrate([flown(), flown("two.bin")], dynamics=learn).identified["dynamics"] == {"x0": [0.0]}
+    assert len(seen) == 2 and all(count > 300 and n == 4 and shape == (4, 4) for count, n, shape in seen)
+    assert "dynamics" not in calibrate([flown()]).identified
+
+
+def test_what_is_refused(tmp_path):
+    with pytest.raises(ConfigError, match="at least one"):
+        calibrate([])
+    with pytest.raises(VehicleError, match="one build only"):
+        calibrate([flown(), flown("hexa.bin", frame=2, rotors=6)])
+    ground = flown("ground.bin")
+    motors = ground["motors"]
+    still = replace(motors, values=np.full_like(motors.values, QUAD.curve.u_min))
+    with pytest.raises(VehicleError, match=r"ground.bin shows no flight"):
+        calibrate([flown(), replace(ground, signals={**ground.signals, "motors": still})])
+    with pytest.raises(LogError):
+        calibrate([tmp_path / "missing.bin"])
+
+
+def test_an_airframe_can_be_given():
+    nameless = replace(flown(), autopilot="", parameters={})
+    with pytest.raises(VehicleError):
+        calibrate([nameless])
+    assert calibrate([nameless], vehicle=QUAD).name == QUAD.name
+
+
+def test_too_little_hover_is_said_and_left_out():
+    short = flown("short.bin")
+    cut = short.until(9.0)
+    learned = calibrate([flown(), cut])
+    assert any("short.bin has too little steady hover" in a for a in learned.assumptions)
+    tables = [wf.Features.from_dict(t) for t in learned.identified["whole_flight"]]
+    assert [t.usable for t in tables] == [True, False]

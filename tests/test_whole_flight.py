@@ -1,0 +1,281 @@
+"""Whole-flight damage: calibrated on flights drawn from the model, and right on real ones."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rotorwatch import airframes, logs
+from rotorwatch import whole_flight as wf
+from rotorwatch.airborne import airborne
+from rotorwatch.errors import ConfigError
+from rotorwatch.flight import Flight, Signal
+
+SHARED = Path(__file__).resolve().parents[2] / "shared" / "flights"
+shared = pytest.mark.skipif(not SHARED.is_dir(), reason="needs the test logs in ../shared/flights")
+QUAD = airframes.named("ardupilot-quad-x")
+HEXA = airframes.named("ardupilot-hexa-x")
+
+
+# Flights drawn from the model
+
+
+def drawn(rng, vehicle, between, drift, share=None, extra_yaw=0.0, shift=(0.0, 0.0)):
+    """Features of a flight: spread `between` of w, `drift` of its change, within-flight noise; share: commands."""
+    n = len(vehicle.rotors)
+    share = np.ones(n) if share is None else np.asarray(share, float)
+    within = np.diag([0.004, 0.005, 0.003]) ** 2
+    w = vehicle.effectiveness()[:3] @ share / share.sum() + [*shift, extra_yaw]
+    w = w + rng.multivariate_normal(np.zeros(3), between + within)
+    change = rng.multivariate_normal(np.zeros(3), drift + 4.0 * within)
+    table = wf._no_hover("drawn", n).to_dict() | {
+        "share": 0.4 * share, "wrench": w, "slope_sd": [0.5, 0.5], "covariance": within, "change": change,
+        "change_covariance": 4.0 * within, "seconds": 60.0, "blocks": 20.0,
+    }  # fmt: skip
+    return wf.Features.from_dict(table)
+
+
+def build(rng, vehicle):
+    """One build's covariances between its flights, from the inverse Wishart priors."""
+    from scipy.stats import invwishart
+
+    return [
+        invwishart.rvs(wf.PRIOR_FLIGHTS + 4, wf.PRIOR_FLIGHTS * prior, random_state=rng)
+        for prior in (wf.prior_covariance(vehicle), np.eye(3) * wf.HALVES_SD**2)
+    ]
+
+
+@pytest.mark.parametrize("vehicle, flights", [(QUAD, 1), (QUAD, 6), (HEXA, 2)], ids=["quad 1", "quad 6", "hexa 2"])
+def test_false_alarm_rate_is_the_stated_one(vehicle, flights):
+    rng, count = np.random.default_rng(flights), 250
+    alarms = faults = 0
+    for _ in range(count):
+        spreads = build(rng, vehicle)
+        baseline = [drawn(rng, vehicle, *spreads) for _ in range(flights)]
+        result = wf.judge(drawn(rng, vehicle, *spreads), baseline, vehicle)
+        alarms += result.verdict != "healthy"
+        faults += result.verdict == "fault"
+    # Four standard errors of the count, on both sides: a test that never alarms would be no better.
+    sd = np.sqrt(count * wf.FALSE_ALARM * (1 - wf.FALSE_ALARM))
+    assert abs(alarms - count * wf.FALSE_ALARM) < 4 * sd
+    assert faults <= count * wf.FALSE_FAULT + 4 * np.sqrt(count * wf.FALSE_FAULT)
+
+
+def damaged(rng, vehicle, spreads, rotor, theta):
+    """A flight whose rotor lost theta; its yaw balance as the prior of rho has it."""
+    share = np.ones(len(vehicle.rotors))
+    share[rotor - 1] = 1.0 / (1.0 - theta)
+    yaw = vehicle.rotors[rotor - 1].spin * (share[rotor - 1] - 1.0) / len(share)
+    return drawn(rng, vehicle, *spreads, share=share, extra_yaw=wf.RHO_SD * rng.standard_normal() * yaw)
+
+
+def test_damage_is_found_named_and_its_interval_holds():
+    rng, found, named, inside, faults, wrong = np.random.default_rng(5), [], 0, 0, 0, 0
+    for k in range(250):
+        spreads, rotor = build(rng, QUAD), 1 + k % 4
+        extra = rng.exponential(wf.LOSS_MEAN)
+        theta = extra / (1.0 + extra)
+        result = wf.judge(
+            damaged(rng, QUAD, spreads, rotor, theta), [drawn(rng, QUAD, *spreads) for _ in range(3)], QUAD
+        )
+        if theta > 0.25:
+            found.append(result.verdict != "healthy")
+        if result.verdict == "healthy":
+            continue
+        low, high = result.interval[rotor - 1]
+        inside += low <= theta <= high
+        named += 1
+        if result.verdict == "fault":
+            faults += 1
+            wrong += result.causes[0].rotors != (rotor,)
+    assert np.mean(found) > 0.9
+    assert 0.90 <= inside / named <= 0.995
+    assert faults > 30 and wrong / faults < 0.03
+
+
+def test_healthy_interval_says_what_could_hide():
+    rng, inside = np.random.default_rng(8), 0
+    for _ in range(150):
+        spreads = build(rng, QUAD)
+        theta = rng.uniform(0.02, 0.12)
+        result = wf.judge(damaged(rng, QUAD, spreads, 2, theta), [drawn(rng, QUAD, *spreads) for _ in range(2)], QUAD)
+        low, high = result.interval[1]
+        inside += result.verdict != "healthy" or low <= theta <= high
+    assert inside >= 0.9 * 150
+
+
+def test_a_weight_is_never_sure_to_be_a_rotor():
+    rng, verdicts = np.random.default_rng(2), []
+    for _ in range(120):
+        spreads, angle = build(rng, QUAD), rng.uniform(0.0, 2.0 * np.pi)
+        shift = 0.12 * np.array([np.cos(angle), np.sin(angle)])
+        weighted = drawn(rng, QUAD, *spreads, shift=shift)
+        verdicts.append(wf.judge(weighted, [drawn(rng, QUAD, *spreads) for _ in range(3)], QUAD).verdict)
+    assert verdicts.count("ambiguous") >= 0.9 * len(verdicts)
+    assert verdicts.count("fault") <= 0.03 * len(verdicts)
+
+
+def test_a_balance_that_moves_in_flight_is_ambiguous():
+    rng = np.random.default_rng(3)
+    spreads = [np.eye(3) * 1e-6] * 2
+    moved = drawn(rng, QUAD, *spreads)
+    moved = wf.Features.from_dict(moved.to_dict() | {"change": [0.0, 0.1, -0.1]})
+    result = wf.judge(moved, [drawn(rng, QUAD, *spreads)], QUAD)
+    assert result.verdict == "ambiguous" and "changed in flight" in result.reason
+
+
+def test_a_rotor_at_its_limit_cannot_be_told_from_a_weight():
+    rng = np.random.default_rng(4)
+    spreads = [np.eye(3) * 1e-6] * 2
+    flight = drawn(rng, QUAD, *spreads, share=[1.6, 1.0, 1.0, 1.0])
+    baseline = [drawn(rng, QUAD, *spreads) for _ in range(2)]
+    assert wf.judge(flight, baseline, QUAD).verdict == "fault"
+    limited = wf.Features.from_dict(flight.to_dict() | {"limited": [0.5, 0.0, 0.0, 0.0]})
+    result = wf.judge(limited, baseline, QUAD)
+    assert result.verdict == "ambiguous" and "rotor 1 was at its limit 50 %" in result.reason
+
+
+def test_opposite_rotors_of_a_hexa_balance_each_other():
+    rng = np.random.default_rng(6)
+    spreads = [np.eye(3) * 1e-6] * 2
+    flight = drawn(rng, HEXA, *spreads, share=[1.3, 1.3, 1.0, 1.0, 1.0, 1.0])
+    result = wf.judge(flight, [drawn(rng, HEXA, *spreads)], HEXA)
+    assert result.verdict == "healthy"  # as any equal loss: battery and payload do the same
+    assert result.common == pytest.approx(np.log(1.1), abs=0.01)
+
+
+def test_without_what_is_needed():
+    rng = np.random.default_rng(7)
+    spreads = [np.eye(3) * 1e-6] * 2
+    flight = drawn(rng, QUAD, *spreads)
+    nothing = wf._no_hover("ground", 4)
+    assert wf.judge(nothing, [flight], QUAD).verdict == "inconclusive"
+    assert wf.judge(flight, [nothing], QUAD).verdict == "inconclusive"
+    assert wf.judge(flight, [nothing, flight], QUAD).flights == 1
+    with pytest.raises(ConfigError, match="healthy flights"):
+        wf.judge(flight, [], QUAD)
+    with pytest.raises(ConfigError, match="number of rotors"):
+        wf.judge(flight, [drawn(rng, HEXA, *spreads)], QUAD)
+
+
+def test_damaged_tables_are_refused():
+    table = wf._no_hover("x", 4).to_dict()
+    assert wf.Features.from_dict(table).to_dict() == table
+    for change in ({"share": [0.1, float("nan"), 0.1, 0.1]}, {"wrench": [1.0]}, {"force": "north"}, {"seconds": None}):
+        with pytest.raises(ConfigError, match="run calibrate again"):
+            wf.Features.from_dict(table | change)
+    with pytest.raises(ConfigError):
+        wf.Features.from_dict({"name": "empty"})
+
+
+# Flights made sample by sample
+
+
+def hover(loss=0.0, rotor=1, slope=1.8, gust=0.02, seed=0, duration=80.0):
+    """A quad at 10 Hz that wind pushes and pitches (slope per g); one rotor's loss makes its command rise."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(0.0, duration, 0.1)
+    force = np.cumsum(rng.standard_normal((len(time), 2)), axis=0) * gust * 0.1 + gust * rng.standard_normal(2)
+    B = QUAD.effectiveness()
+    w = np.stack([-slope * force[:, 1], slope * force[:, 0], 0.01 * rng.standard_normal(len(time))], axis=1)
+    share = 0.4 * (1.0 + w @ B[:3] + 0.02 * rng.standard_normal((len(time), 4)))
+    share = np.maximum(share, 0.02)
+    share[:, rotor - 1] /= 1.0 - loss
+    share[(time < 4.0) | (time > duration - 4.0)] = 0.0
+    curve = QUAD.curve
+    a = (np.sqrt((1 - curve.expo) ** 2 + 4 * curve.expo * share) - (1 - curve.expo)) / (2 * curve.expo)
+    pwm = curve.u_min + a * (curve.u_max - curve.u_min)
+    accel = np.column_stack([force, -np.ones(len(time))]) * wf.G0
+    signals = {
+        "motors": Signal(time, pwm, ("r1", "r2", "r3", "r4"), "us"),
+        "accel": Signal(time, accel, ("x", "y", "z"), "m/s^2"),
+    }
+    return Flight("made", "ArduPilot", signals, duration, name=f"hover {seed}")
+
+
+def of(flight):
+    return wf.features(flight, QUAD, ((4.0, flight.duration - 4.0),))
+
+
+def test_wind_is_not_damage_and_damage_is_seen_through_wind():
+    baseline = [of(hover(seed=k)) for k in range(3)]
+    assert baseline[0].slope == pytest.approx((-1.8, 1.8), abs=0.5)
+    windy = of(hover(seed=7, gust=0.06))
+    assert np.abs(windy.wrench[:2]).max() > 0.05  # wind shifts the raw balance as much as a quarter of a rotor's thrust
+    assert wf.judge(windy, baseline, QUAD).verdict == "healthy"
+    result = wf.judge(of(hover(0.3, rotor=3, seed=8, gust=0.06)), baseline, QUAD)
+    assert result.verdict == "fault" and result.causes[0].rotors == (3,)
+    assert result.interval[2][0] < 0.3 < result.interval[2][1]
+    assert result.loss[2] == pytest.approx(0.3, abs=0.08)
+
+
+def test_nothing_to_see_is_not_usable():
+    short = hover(duration=12.0)
+    assert not wf.features(short, QUAD, ((4.0, 8.0),)).usable
+    assert not wf.features(short, QUAD, ()).usable
+    assert not wf.features(short, QUAD, ((0.0, 1e15),)).seconds > 12.0  # damaged clocks cost no memory
+    assert not wf.features(Flight("made", "ArduPilot", {}, 10.0), QUAD, ((0.0, 10.0),)).usable
+
+
+# Real flights: a cut propeller against good ones. The table in docs/whole-flight.md is the output of `python
+# tests/test_whole_flight.py`.
+
+
+def verdicts(folder):
+    """file name -> (WholeFlight, build) for every flight in the folder against the other healthy ones of its build."""
+    flights = {}
+    for path in sorted((SHARED / folder).glob("*.xz")):
+        flight = logs.read(path)
+        vehicle = airframes.identify(flight)
+        group = path.name.split("__")[1][:2] if "__" in path.name else "rrc"
+        flights[path.name] = (wf.features(flight, vehicle, airborne(flight)), vehicle, group)
+    found = {}
+    for name, (features, vehicle, group) in flights.items():
+        good = [f for other, (f, _, g) in flights.items() if g == group and other != name and _good(other)]
+        found[name] = (wf.judge(features, good, vehicle), group)
+    return found
+
+
+def _good(name):
+    return name.startswith(("good_prop", "normal_flight"))
+
+
+@shared
+def test_cut_tips_of_a_real_quad():
+    for name, (result, _) in verdicts("ardupilot-real-rrc").items():
+        if name.startswith(("20_mm", "25_mm")):
+            assert result.verdict == "fault" and result.causes[0].rotors == (1,), name
+        elif _good(name):
+            assert result.verdict == "healthy", name
+
+
+@shared
+def test_crazyflie_cuts_weights_and_normal_flights():
+    from scipy.stats import spearmanr
+
+    found, cuts, losses = verdicts("crazypad"), [], []
+    for name, (result, group) in found.items():
+        if _good(name):
+            assert result.verdict == "healthy", name
+        elif "weight" in name:
+            assert result.verdict == "ambiguous", name
+        elif group == "E8":
+            left = float(name.split("mm__")[0].rsplit("_", 1)[1])  # diameter left, of 47 mm
+            cuts.append(47.0 - left)
+            losses.append(result.loss[2])
+            if left <= 44.0:
+                assert result.verdict in ("fault", "ambiguous"), name
+                assert result.causes[0].rotors == (3,), name
+            if left <= 43.0:
+                assert result.verdict == "fault", name
+    assert spearmanr(cuts, losses).statistic >= 0.9
+
+
+if __name__ == "__main__":
+    for folder in ("ardupilot-real-rrc", "crazypad"):
+        for name, (r, group) in sorted(verdicts(folder).items(), key=lambda item: (item[1][1], item[0])):
+            likely = [c for c in r.causes if c.probability > 0.05]
+            causes = ", ".join(f"{'+'.join(map(str, c.rotors)) or 'centre'} {c.probability:.2f}" for c in likely)
+            loss = " ".join(f"{v:.2f}" for v in r.loss)
+            short = name.split(".bin")[0].split(".usd")[0]
+            print(f"| {group} | {short} | {r.verdict} | {r.p_value:.2g} | {loss} | {causes} |")
