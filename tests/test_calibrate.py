@@ -65,7 +65,7 @@ def test_it_survives_the_vehicle_file_and_judges_from_there(tmp_path):
     worse = wf.features(flown(offset=(0.6, 0.0, -0.1, 0.0)), again, ((6.0, 48.0),))
     assert wf.judge(baseline[0], baseline[1:], again).verdict == "healthy"
     result = wf.judge(worse, baseline, again)
-    assert result.verdict == "fault" and result.causes[0].rotors == (1,)
+    assert result.verdict == "fault" and result.rotors == (1,)
     low, high = result.interval[0]
     assert low < 1.0 - 1.1 / 1.6 < high
 

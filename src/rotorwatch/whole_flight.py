@@ -19,7 +19,7 @@ moves by a vector that names the rotor. What else moves it is modelled:
 
 Hotelling's test rejects the healthy hypothesis at FALSE_ALARM per flight, shared by two tests: of the mean, and of its
 change between the halves of the flight, as damage at take-off stays and a swinging load does not. Only then
-explanations are weighed. The verdict fault needs a rarer flight (FALSE_FAULT) and one set of rotors that is SURE.
+explanations are weighed. The verdict fault needs a rarer flight (FALSE_FAULT) and a rotor that is SURE to be damaged.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ FALSE_ALARM = 0.05
 FALSE_FAULT = 0.01
 """Share of healthy flights that may be called a fault at most."""
 OF_MEAN = 0.8  # of the false alarms are the mean's; the rest the change's between halves
-SURE = 0.8  # probability that one set of rotors needs for the verdict fault
+SURE = 0.95  # probability of being damaged that a rotor needs for the verdict fault
 OTHER = 0.05  # probability from which another explanation is worth a word
 
 SINGLE, PAIR, CENTRE = 0.45, 0.1, 0.45  # prior of what it is when something is wrong
@@ -127,6 +127,7 @@ class Cause:
 class WholeFlight:
     """The judgement.
 
+    rotors: 1-based, those damaged (fault) or most likely so if any are (ambiguous).
     loss (n,), interval (n, 2): per rotor, 95 %. Verdict healthy: loss weighs in that nothing is wrong, and the interval
     reaches to what could have gone unnoticed; else both suppose that rotors are the cause.
     causes: what explains the difference, most probable first; empty when there is none. p_value: share of healthy
@@ -136,6 +137,7 @@ class WholeFlight:
 
     verdict: str
     reason: str
+    rotors: tuple[int, ...]
     loss: tuple[float, ...]
     interval: tuple[tuple[float, float], ...]
     causes: tuple[Cause, ...]
@@ -343,13 +345,17 @@ def judge(flight: Features, baseline: Sequence[Features], vehicle: Vehicle) -> W
     wrong = [h for h in hypotheses if h.kind != "healthy"]
     total = sum(h.weight for h in wrong)
     causes = sorted((Cause(h.kind, h.rotors, h.weight / total) for h in wrong), key=lambda c: -c.probability)
+    suspects: tuple[int, ...] = ()
     verdict, reason = "healthy", f"the rotors shared the load as in {_flights(len(healthy))}."
     if different:
-        verdict, reason = _explain(causes, p_mean, p_change, p_value, flight, loss)
+        sure = tuple(r for r in range(1, n + 1) if sum(c.probability for c in causes if r in c.rotors) >= SURE)
+        suspects = sure or next(c.rotors for c in causes if c.kind == "rotors")
+        verdict, reason = _explain(causes, suspects, bool(sure), p_mean, p_change, p_value, flight, loss)
     common = float(np.log(np.mean(flight.share) / np.mean([np.mean(one.share) for one in healthy])))
     return WholeFlight(
         verdict=verdict,
         reason=reason,
+        rotors=suspects,
         loss=loss,
         interval=interval,
         causes=tuple(c for c in causes if c.probability > 0.01) if different else (),
@@ -361,11 +367,10 @@ def judge(flight: Features, baseline: Sequence[Features], vehicle: Vehicle) -> W
     )
 
 
-def _explain(causes, p_mean, p_change, p_value, flight, loss) -> tuple[str, str]:
+def _explain(causes, suspects, sure, p_mean, p_change, p_value, flight, loss) -> tuple[str, str]:
     """Verdict and sentence for a flight that differs."""
-    best = next(c for c in causes if c.kind == "rotors")
-    named = " and ".join(f"{r} ({100 * loss[r - 1]:.0f} % loss)" for r in best.rotors)
-    rotors = f"rotor{'s' if len(best.rotors) > 1 else ''} {named}"
+    named = " and ".join(f"{r} ({100 * loss[r - 1]:.0f} % loss)" for r in suspects)
+    rotors = f"rotor{'s' if len(suspects) > 1 else ''} {named}"
     seldom = f"1 in {1.0 / p_value:.0f}" if p_value > 1e-6 else "less than 1 in a million"
     seldom = f"{seldom} healthy flights differ so much"
     if p_mean / OF_MEAN > max(FALSE_ALARM, p_change):
@@ -374,19 +379,22 @@ def _explain(causes, p_mean, p_change, p_value, flight, loss) -> tuple[str, str]
     if flight.limited[limited] > LIMITED:
         why = f"rotor {limited + 1} was at its limit {100 * flight.limited[limited]:.0f} % of the time"
         return "ambiguous", f"{rotors} or a shifted centre of mass: {why}, too much to tell them apart."
-    if best.probability >= SURE and p_value < FALSE_FAULT:
+    if sure and p_value < FALSE_FAULT:
         return "fault", f"{rotors} had to work harder from take-off on, and roll, pitch and yaw agree; {seldom}."
-    others = [c for c in causes if c is not best and c.probability > OTHER]
-    if any(c.kind == "centre_of_mass" for c in others):
+    if any(c.kind == "centre_of_mass" and c.probability > OTHER for c in causes):
         return "ambiguous", f"{rotors} or a shifted centre of mass: the yaw balance does not tell them apart; {seldom}."
-    sets = " or ".join("+".join(map(str, c.rotors)) for c in (best, *others))
-    which = f"which rotors is not certain ({sets})" if others else "but not beyond doubt"
+    sets = [c.rotors for c in causes if c.rotors and (c.probability > OTHER or c is causes[0])]
+    which = (
+        "but not beyond doubt"
+        if len(sets) < 2
+        else f"and it is not certain which ({' or '.join('+'.join(map(str, r)) for r in sets)})"
+    )
     return "ambiguous", f"{rotors} had to work harder from take-off on, {which}; {seldom}."
 
 
 def _undecided(n: int, reason: str, flights: int) -> WholeFlight:
     return WholeFlight(
-        "inconclusive", reason, (0.0,) * n, ((0.0, 1.0),) * n, (), 1.0, (0.0,) * 3, (0.0,) * 3, 0.0, flights
+        "inconclusive", reason, (), (0.0,) * n, ((0.0, 1.0),) * n, (), 1.0, (0.0,) * 3, (0.0,) * 3, 0.0, flights
     )
 
 
