@@ -14,8 +14,8 @@ ROOT = Path(__file__).resolve().parent
 TOOLS = Path(sys.executable).parent  # not resolved: the environment's own, not its interpreter's
 
 COMMANDS = (
-    (sys.executable, "-m", "ruff", "check"),
-    (sys.executable, "-m", "ruff", "format", "--check"),
+    (sys.executable, "-m", "ruff", "check", "--output-format", "concise"),
+    (sys.executable, "-m", "ruff", "format", "--check", "--output-format", "concise"),
     (sys.executable, "-m", "pyright", "--pythonpath", sys.executable),
     (str(TOOLS / "lint-imports"), "--no-cache"),
 )

@@ -20,6 +20,7 @@ TAKE_OFF, READY, ONSET = 5, 80, 110
 GAPS = (slice(50, 60), slice(95, 103), slice(130, 150))  # no measurement at all
 BLIND_AXIS = slice(65, 75)  # only the thrust axis is missing
 LOSS = 0.3
+FORBIDDEN = {"while", "sort", "lu", "qr", "geqrf", "eigh", "eig", "svd", "pure_callback", "io_callback"}
 
 
 def vehicle():
@@ -126,6 +127,27 @@ def test_status_says_what_a_tick_was(method):
     _, _, valid = flight()
     expected = np.where(np.arange(TICKS) < TAKE_OFF, 1, np.where(valid.any(axis=1), 0, 2))
     np.testing.assert_array_equal(estimate_of(method.usual[0]).status, expected)
+
+
+def primitives(jaxpr):
+    """Names of all operations of a traced function, those inside loops, branches and calls included."""
+    for equation in jaxpr.eqns:
+        yield equation.primitive.name
+        for value in equation.params.values():
+            for inner in value if isinstance(value, tuple | list) else (value,):
+                inner = getattr(inner, "jaxpr", inner)
+                if hasattr(inner, "eqns"):
+                    yield from primitives(inner)
+
+
+def test_a_step_is_made_of_what_can_run_anywhere(method):
+    """No loops of unknown length, nothing that a microcontroller could not do: docs/architecture.md, rules 3 and 4."""
+    u, y, valid = flight()
+    traced = method.jax.make_jaxpr(method.estimator.step)(method.estimator.init(), u[0], y[0], valid[0])
+    assert set(primitives(traced.jaxpr)) & FORBIDDEN == set()
+    assert {str(v.aval.dtype) for v in traced.jaxpr.outvars} <= {"float64", "int32", "bool"}
+    found = set(primitives(method.jax.make_jaxpr(method.jax.numpy.linalg.inv)(np.eye(2)).jaxpr))
+    assert found & FORBIDDEN  # else the list has lost touch with the library's names
 
 
 def test_causal(method):

@@ -10,6 +10,7 @@ import inspect
 import pkgutil
 from collections.abc import Iterator
 from types import ModuleType
+from typing import Any
 
 from rotorwatch.errors import ConfigError
 
@@ -44,7 +45,8 @@ def _classes(package: str, parts: tuple[str, ...]) -> dict[str, type]:
     """Classes defined in the package's modules that have all `parts`, by their `name`, in the order of names."""
     found: dict[str, type] = {}
     for module in modules(package):
-        for label, kind in inspect.getmembers(module, inspect.isclass):
+        members: list[tuple[str, Any]] = inspect.getmembers(module, inspect.isclass)
+        for label, kind in members:
             own = kind.__module__ == module.__name__ and not label.startswith("_")
             if not own or not all(hasattr(kind, part) for part in parts):
                 continue

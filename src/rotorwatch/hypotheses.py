@@ -14,7 +14,7 @@ from itertools import combinations
 
 import numpy as np
 
-LOSS_WIDTH = 0.4
+LOSS_WIDTH, SMALL_WIDTH = 0.3, 0.06
 # Prior weights: how often each kind of jump happens, relative to one particular rotor failing. Disturbances are common.
 WEIGHT = {"single": 1.0, "pair": 1e-4, "single_common": 0.02, "disturbance": 3.0}
 # Disturbances: which of roll, pitch, yaw, thrust they touch.
@@ -117,6 +117,11 @@ def log_bayes_factors(hyp: Hypotheses, C, z, lo, hi, width):
     c1, z1 = c[:, :n], z[:, :n]
     nu1 = jnp.clip(z1 / c1, lo, hi)
     single = z1 * nu1 - 0.5 * c1 * nu1**2 - 0.5 * jnp.log(c1 * w2)
+    # Losses are small as often as large: half of the prior is narrow.
+    c0 = diag[:, :n] + 1.0 / SMALL_WIDTH**2
+    nu0 = jnp.clip(z1 / c0, lo, hi)
+    small = z1 * nu0 - 0.5 * c0 * nu0**2 - 0.5 * jnp.log(c0 * SMALL_WIDTH**2)
+    single = jnp.logaddexp(single, small) - np.log(2.0)
 
     def pairwise(a, b, lo_b, hi_b):
         c11, c22, c12 = c[:, a], c[:, b], C[:, a, b]

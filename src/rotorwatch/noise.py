@@ -20,7 +20,7 @@ from rotorwatch.systems.wrench_balance import PER_AXIS, TAU
 LAGS = (1, 2, 4, 8, 16, 32, 64)  # ticks
 MEMORY_S = 60.0  # how long a squared difference counts
 CLIP = 5.0  # a squared difference counts at most this many times the present mean: a fault must not look like noise
-GROWTH_S, GROWTH_WEIGHT, LEAN = 0.5, 0.05, 0.15
+GROWTH_S, GROWTH_WEIGHT, LEAN = 0.5, 0.05, 0.0
 # Per axis floor of the white variance, in hover thrusts: one PWM step of a few rotors.
 FLOOR = 0.0008**2
 
@@ -91,7 +91,7 @@ def step(state: NoiseState, e, ok, trust, dt: float) -> NoiseState:
     v = v.at[0].set(jnp.maximum(v[0], FLOOR))
     v = jnp.maximum(v, 1e-12)
     # The model must not be quieter than the aircraft on any scale.
-    safety = jnp.clip((D / (A @ v)).max(axis=0), 1.0, 4.0)
+    safety = jnp.clip((D / (A @ v)).max(axis=0) / 1.1, 1.0, 4.0)
     ring = jnp.concatenate([state.ring[1:], jnp.where(ok, e, 0.0)[None, :]])
     ring_ok = jnp.concatenate([state.ring_ok[1:], ok[None, :]])
     return NoiseState(ring, ring_ok, weight, total, v * safety, safety)

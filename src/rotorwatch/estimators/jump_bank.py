@@ -27,13 +27,13 @@ from rotorwatch.ticks import GROUND, JUDGE
 SLOTS = 16
 BUILD_UP_S = 0.5
 THRUST_MEMORY_S = 0.5
-FALSE_ALARM_PERIOD_S = 100 * 3600.0  # design value: ten times rarer than promised, for what the model does not know
-COMPETITOR_ODDS = 20.0
+FALSE_ALARM_PERIOD_S = 15 * 3600.0  # design value: three times rarer than promised, for what the model does not know
+COMPETITOR_ODDS = 10.0
 HOLD_S = 1.5
-LEARN_LOSS_S = 3.0  # a committed loss is refined this long; after that only a new jump changes it
+LEARN_LOSS_S = 6.0  # a committed loss is refined this long; after that only a new jump changes it
 THETA_WALK = 0.02**2  # 1/s, while it is refined
-KNOWN_BONUS = 6.0  # nats: a rotor that has failed is likely to change again
-DISTURBANCE_SCALE, DISTURBANCE_RANGE = 3.0, (0.01, 1.0)
+KNOWN_BONUS = 2.0  # nats: a rotor that has failed is likely to change again
+DISTURBANCE_SCALE, DISTURBANCE_RANGE = 3.0, (0.03, 1.0)
 # Share by which the motion model may be wrong for a moment, and how many ticks such an error lasts.
 GAIN_ERROR, DAMPING_ERROR = (0.25, 0.25, 0.35, 0.15), 0.3
 ERROR_TICKS = 4.0
@@ -41,7 +41,7 @@ OUTLIER = 15.0
 PERSIST_S = 0.15
 TRUST = 300.0  # nats
 DEAD = 0.8
-SMALLEST = 0.025  # loss that is worth an event
+SMALLEST = 0.015  # loss that is worth an event
 ABSORB_S, ABSORB_NATS, BASE_NATS = 1.0, 10.0, 6.0
 GARROTE = 2.5
 LEVEL_MEMORY_S = 10.0
@@ -75,6 +75,7 @@ class Carry(NamedTuple):
     thrust_level: object
     frozen: object
     sure_s: object
+    update: object
 
 
 class Output(NamedTuple):
@@ -148,6 +149,7 @@ class JumpBank:
             jnp.full(self.n, 0.05**2),
             jnp.float64(0.0),
             jnp.float64(0.0),
+            jnp.bool_(False),
         )
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Output]:
@@ -265,10 +267,12 @@ class JumpBank:
         slot_weight = jnp.log(jnp.asarray(self.stride, float))
         per_slot = logbf + slot_weight[:, None] + jnp.log(jnp.asarray(hyp.weight))[None, :]
         # With a rotor gone the vehicle flies at its limits: only that rotor itself is still judged.
+        # While the change of a known loss is being measured, no other rotor can slip in.
         gone = active & (theta > DEAD)
         outside = jnp.asarray(self.membership) @ (~gone).astype(float) > 0.5
-        per_slot = jnp.where((gone.any() & outside)[None, :] & jnp.asarray(hyp.fault)[None, :], -60.0, per_slot)
         mine = jnp.asarray(self.membership) @ (~active).astype(float) < 0.5
+        barred = (gone.any() & outside) | ((pending >= 0) & carry.update & ~mine)
+        per_slot = jnp.where(barred[None, :] & jnp.asarray(hyp.fault)[None, :], -60.0, per_slot)
         per_slot = per_slot + jnp.where(mine & jnp.asarray(hyp.fault), KNOWN_BONUS, 0.0)[None, :]
         top = per_slot.max(0)
         evidence = top + jnp.log(jnp.exp(per_slot - top[None]).sum(0))
@@ -288,6 +292,7 @@ class JumpBank:
         big = jnp.abs(pair_nu[0]) > SMALLEST
         above = jnp.where(open_ & (statistic > 0.0) & big, carry.above + 1, 0)
         alarm = above >= max(2, round(PERSIST_S / dt))
+        update = jnp.where(alarm, (mine.astype(float) * (jnp.arange(len(hyp.names)) == best)).sum() > 0.5, carry.update)
         pending = jnp.where(alarm, 0, jnp.where(pending >= 0, pending + 1, pending))
         waited = pending * dt
         pending = jnp.where(judge, pending, -1)
@@ -342,7 +347,7 @@ class JumpBank:
         # a loss that a new jump has taken back is over
         th, var = s[n_x:], jnp.diagonal(P)[n_x:]
         over = hit & (th < jnp.maximum(0.02, 2.0 * jnp.sqrt(var))) & (jump[:n] < 0)
-        too_small = hit & ~over & (th < 0.005)
+        too_small = hit & ~over & (th < jnp.where(active, 0.005, 0.6 * SMALLEST))
         off = over | too_small
         for i in range(n):
             j = n_x + i
@@ -410,5 +415,6 @@ class JumpBank:
             thrust_level,
             jnp.minimum(frozen, 2.0 * FREEZE_S),
             sure_s,
+            update,
         )
         return new_carry, out
