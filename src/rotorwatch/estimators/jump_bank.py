@@ -37,9 +37,9 @@ DISTURBANCE_SCALE, DISTURBANCE_RANGE = 3.0, (0.03, 1.0)
 # Share by which the motion model may be wrong for a moment, and how many ticks such an error lasts.
 GAIN_ERROR, DAMPING_ERROR = (0.25, 0.25, 0.35, 0.15), 0.3
 ERROR_TICKS = 4.0
-OUTLIER = 15.0
+OUTLIER = 6.0
 PERSIST_S = 0.15
-TRUST = 300.0  # nats
+TRUST = 3000.0  # nats
 DEAD = 0.8
 SMALLEST = 0.015  # loss that is worth an event
 ABSORB_S, ABSORB_NATS, BASE_NATS = 1.0, 10.0, 6.0
