@@ -37,6 +37,7 @@ DISTURBANCE_SCALE, DISTURBANCE_RANGE = 3.0, (0.03, 1.0)
 # Share by which the motion model may be wrong for a moment, and how many ticks such an error lasts.
 GAIN_ERROR, DAMPING_ERROR = (0.25, 0.25, 0.35, 0.15), 0.3
 ERROR_TICKS = 4.0
+FAR, FAR_ERROR, FAR_MEMORY_S = 0.3, 0.5, 5.0
 OUTLIER = 6.0
 PERSIST_S = 0.15
 TRUST = 3000.0  # nats
@@ -76,6 +77,7 @@ class Carry(NamedTuple):
     frozen: object
     sure_s: object
     update: object
+    collective: object
 
 
 class Output(NamedTuple):
@@ -150,6 +152,7 @@ class JumpBank:
             jnp.float64(0.0),
             jnp.float64(0.0),
             jnp.bool_(False),
+            jnp.float64(1.0),
         )
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Output]:
@@ -159,6 +162,7 @@ class JumpBank:
 
         n, n_x, hyp, dt = self.n, self.n_x, self.hyp, self.dt
         mode, restart, u = u[-2], u[-1] > 0.5, u[:-2]
+        y = jnp.where(valid, y, 0.0)
         judge = mode > JUDGE - 0.5
         flying = mode > GROUND + 0.5
 
@@ -225,10 +229,16 @@ class JumpBank:
 
         # update, one axis after the other: R is diagonal
         x = s[:n_x].reshape(4, PER_AXIS)
+        # Punch-outs, drops and knocks: far from hover the thrust curve and the lag are no longer known well.
+        level_T = jnp.where(restart, collective, carry.collective)
+        far = jnp.maximum(jnp.abs(collective - level_T) - FAR, 0.0) + jnp.maximum(jnp.abs(u[n + 3] / n - 1.0) - FAR, 0.0)
+        level_T = level_T + (collective - level_T) * (dt / FAR_MEMORY_S)
         motion = jnp.concatenate([u[n : n + 3], u[n + 3 : n + 4] - n])
         rates = jnp.concatenate([u[n + 4 : n + 7], jnp.zeros(1)])
         model_error = ERROR_TICKS * (
-            (jnp.asarray(GAIN_ERROR) * x[:, GAIN] * motion) ** 2 + (DAMPING_ERROR * x[:, DAMPING] * rates) ** 2
+            (jnp.asarray(GAIN_ERROR) * x[:, GAIN] * motion) ** 2
+            + (DAMPING_ERROR * x[:, DAMPING] * rates) ** 2
+            + (FAR_ERROR * n * far) ** 2
         )
         R_white = carry.noise.variances[0]
         R = R_white + model_error
@@ -416,5 +426,6 @@ class JumpBank:
             jnp.minimum(frozen, 2.0 * FREEZE_S),
             sure_s,
             update,
+            level_T,
         )
         return new_carry, out

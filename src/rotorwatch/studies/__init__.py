@@ -1,0 +1,1 @@
+"""Experiments on the default diagnoser: what it promises, measured."""

@@ -1,0 +1,126 @@
+"""The noise model finds what a signal was made of, on every time scale, and is not fooled by a step."""
+
+import numpy as np
+import pytest
+
+from rotorwatch import noise
+from rotorwatch.backend import jax as load_jax
+from rotorwatch.systems.wrench_balance import PER_AXIS, TAU
+
+DT = 0.05
+
+
+def signal(variances, count, seed=0):
+    """(count, 4) white noise + two coloured disturbances + random walk of the given variances (4 components, 4 axes)."""
+    rng = np.random.default_rng(seed)
+    white, fast, slow, walk = np.sqrt(np.asarray(variances, float))
+    out = white * rng.standard_normal((count, 4))
+    for sd, tau in ((fast, TAU[0]), (slow, TAU[1])):
+        keep = np.exp(-DT / tau)
+        b = sd * rng.standard_normal(4)
+        for k in range(count):
+            out[k] += b
+            b = keep * b + sd * np.sqrt(1 - keep**2) * rng.standard_normal(4)
+    return out + np.cumsum(walk * np.sqrt(DT) * rng.standard_normal((count, 4)), axis=0)
+
+
+def learn(e, ok=None, dt=DT, **prior):
+    """All states after each residual, stacked."""
+    jax = load_jax()
+    ok = np.ones(e.shape, bool) if ok is None else ok
+
+    def tick(state, row):
+        state = noise.step(state, *row, np.ones(4), dt)
+        return state, state
+
+    run = jax.jit(lambda e, ok: jax.lax.scan(tick, noise.init(dt, **prior), (e, ok))[1])
+    return jax.tree.map(np.asarray, run(e, ok))
+
+
+def structure(variances):
+    """Model variance of differences at each lag (7, 4): what a detector of jumps lives on."""
+    return noise.basis(DT) @ variances
+
+
+@pytest.mark.parametrize(
+    "made_of",
+    [
+        (0.05**2, 1e-10, 1e-10, 1e-10),
+        (0.01**2, 0.05**2, 1e-10, 1e-10),
+        (0.01**2, 1e-10, 0.06**2, 1e-10),
+        (0.02**2, 1e-10, 1e-10, 0.05**2),
+        (0.03**2, 0.03**2, 0.05**2, 0.01**2),
+    ],
+    ids=["white", "fast", "slow", "walk", "mixed"],
+)
+def test_the_noise_of_a_flight_is_found_on_every_scale(made_of):
+    made = np.tile(np.array(made_of)[:, None], (1, 4))
+    found = learn(signal(made, 2400)).variances[-1]
+    ratio = structure(found) / structure(made)
+    assert np.all(ratio > 0.5) and np.all(ratio < 2.5), ratio
+    assert np.all(ratio[:4] > 0.7) and np.all(ratio[:4] < 1.8), ratio  # up to half a second: many samples
+
+
+def test_axes_are_learned_apart():
+    made = np.full((4, 4), 1e-10)
+    made[0] = np.array([0.005, 0.02, 0.08, 0.3]) ** 2
+    found = learn(signal(made, 1200)).variances[-1, 0]
+    np.testing.assert_allclose(np.sqrt(found), np.sqrt(made[0]), rtol=0.25)
+
+
+@pytest.mark.parametrize("step", [0.3, 3.0])
+def test_a_step_does_not_poison_it(step):
+    """A fault that nobody announced: afterwards the noise is hardly larger than before, even for a very large step."""
+    made = np.full((4, 4), 1e-10)
+    made[0] = 0.01**2
+    e = signal(made, 1200)
+    e[900:] += step
+    states = learn(e)
+    before, after = structure(states.variances[899])[0], structure(states.variances[-1])[0]
+    assert np.all(after < 2.0 * before)  # what tick-to-tick noise is thought to be
+    assert np.all(np.sqrt(structure(states.variances[-1])) < 0.3 * step)  # a step of this size still stands out
+
+
+def test_it_learns_within_seconds():
+    made = np.full((4, 4), 1e-10)
+    made[0] = 0.004**2
+    start = structure(noise.GENERIC)[0, 0]
+    found = structure(learn(signal(made, 100)).variances[-1])[0]
+    assert start > 100 * made[0, 0]
+    assert np.all(found < 4 * made[0]) and np.all(found > 0.3 * made[0])
+
+
+def test_gaps_and_masked_axes_teach_nothing():
+    made = np.full((4, 4), 1e-10)
+    made[0] = 0.02**2
+    e = signal(made, 400)
+    ok = np.ones(e.shape, bool)
+    ok[200:260] = False
+    ok[:, 3] = False
+    spoilt = np.where(ok, e, 1e3)
+    one, two = learn(e, ok), learn(spoilt, ok)
+    np.testing.assert_array_equal(one.variances, two.variances)
+    np.testing.assert_array_equal(one.total[:, :, 3], np.broadcast_to(one.total[0, :, 3], one.total[:, :, 3].shape))
+    assert np.all(np.isfinite(two.variances)) and np.all(two.variances > 0)
+
+
+def test_healthy_flights_known_before_are_believed_at_first():
+    """A prior with the weight of a flight hardly moves within a second, a generic one does."""
+    known = np.tile(np.array([[0.05**2], [1e-6], [1e-6], [1e-6]]), (1, 4))
+    made = np.full((4, 4), 1e-10)
+    made[0] = 0.005**2
+    e = signal(made, 20)
+    firm = learn(e, prior_variances=known, prior_weight=500.0).variances[-1, 0]
+    weak = learn(e, prior_variances=known, prior_weight=0.02).variances[-1, 0]
+    assert np.all(firm > 0.8 * known[0]) and np.all(weak < 0.1 * known[0])
+
+
+def test_process_noise_keeps_the_disturbances_as_large_as_they_are():
+    variances = np.tile(np.array([[1.0], [0.04], [0.09], [0.01]]), (1, 4)) * np.array([1.0, 2.0, 3.0, 4.0])
+    load_jax()
+    q = np.asarray(noise.process_variance(variances, DT)).reshape(4, PER_AXIS)
+    for component, tau in ((0, TAU[0]), (1, TAU[1])):
+        keep = np.exp(-2 * DT / tau)
+        np.testing.assert_allclose(q[:, component] / (1 - keep), variances[1 + component], rtol=1e-9)
+    np.testing.assert_allclose(q[:, 2], variances[3] * DT, rtol=1e-12)
+    assert np.all(q[:, 3:] == 0.0)  # gains and damping do not walk

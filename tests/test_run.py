@@ -1,0 +1,114 @@
+"""Running an estimator over a table: chunks are an implementation detail that nobody may notice."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from rotorwatch.run import CHUNK, run
+
+
+class Counter:
+    """Adds up inputs, and says at each step how far it is, so that a lost or repeated step shows."""
+
+    def __init__(self, gain):
+        self.gain = gain
+
+    def init(self):
+        return {"total": np.zeros(2), "steps": np.int32(0)}
+
+    def step(self, carry, u, y, valid):
+        import jax.numpy as jnp
+
+        total = 0.9 * carry["total"] + self.gain * u + jnp.where(valid, y, 0.0)
+        steps = carry["steps"] + 1
+        return {"total": total, "steps": steps}, (total, steps)
+
+
+def build(parameters):
+    return Counter(parameters["gain"])
+
+
+def only_total(out):
+    return out[0]
+
+
+def table(count):
+    rng = np.random.default_rng(count)
+    u, y = rng.standard_normal((2, count, 2))
+    return SimpleNamespace(u=u, y=y, valid=rng.random((count, 2)) < 0.8)
+
+
+def by_hand(t, gain, total=None):
+    total = np.zeros(2) if total is None else total
+    rows = []
+    for u, y, valid in zip(t.u, t.y, t.valid, strict=True):
+        total = 0.9 * total + gain * u + np.where(valid, y, 0.0)
+        rows.append(total)
+    return np.array(rows)
+
+
+@pytest.mark.parametrize("count", [1, 7, CHUNK - 1, CHUNK, CHUNK + 1, 2 * CHUNK, 2 * CHUNK + 500])
+def test_any_length_is_run_as_one(count):
+    t = table(count)
+    _, (total, steps) = run(build, {"gain": 0.5}, t.u, t.y, t.valid)
+    assert isinstance(total, np.ndarray) and total.dtype == np.float64
+    np.testing.assert_allclose(total, by_hand(t, 0.5), rtol=1e-12, atol=1e-12)
+    np.testing.assert_array_equal(steps, np.arange(1, count + 1))
+
+
+def test_selections_and_parameters():
+    t = table(40)
+    for gain in (0.5, 2.0):  # the same program, another vehicle
+        _, total = run(build, {"gain": gain}, t.u, t.y, t.valid, only_total)
+        np.testing.assert_allclose(total, by_hand(t, gain), rtol=1e-12, atol=1e-12)
+
+
+def test_a_table_in_two_parts_is_the_same_when_the_carry_is_handed_on():
+    t = table(2 * CHUNK)
+    _, (whole, _) = run(build, {"gain": 1.0}, t.u, t.y, t.valid)
+    carry, (first, _) = run(build, {"gain": 1.0}, t.u[:CHUNK], t.y[:CHUNK], t.valid[:CHUNK])
+    _, (second, _) = run(build, {"gain": 1.0}, t.u[CHUNK:], t.y[CHUNK:], t.valid[CHUNK:], carry=carry)
+    np.testing.assert_array_equal(np.concatenate([first, second]), whole)
+
+
+def test_progress_grows_to_one():
+    told = []
+    t = table(2 * CHUNK + 10)
+    run(build, {"gain": 1.0}, t.u, t.y, t.valid, progress=told.append)
+    assert told == sorted(told) and len(told) == 3 and told[-1] == 1.0
+
+
+def test_the_default_estimator_is_run_the_same_in_any_chunks(monkeypatch):
+    """The real thing: a made-up hover in chunks of 64 and of 1024 steps gives the same losses and announcements."""
+    import rotorwatch.run as module
+    from rotorwatch import airframes, noise
+    from rotorwatch.estimators.jump_bank import JumpBank
+    from rotorwatch.systems.wrench_balance import WrenchBalance
+
+    B = airframes.named("ardupilot-quad-x").effectiveness()
+    rng = np.random.default_rng(0)
+    count = 150
+    thrust = 1.0 + 0.004 * rng.standard_normal((count, 4))
+    thrust[100:, 2] /= 0.7
+    flat = np.zeros((count, 3))
+    u = np.column_stack([thrust, flat, np.full(count, 4.0), flat, np.where(np.arange(count) < 60, 1, 2), flat[:, 0]])
+    u[0, -1] = 1.0
+    valid = np.ones((count, 4), bool)
+
+    def bank(p):
+        return JumpBank(WrenchBalance(p["B"]), 0.05, (p["noise"], p["weight"]))
+
+    def selected(out):
+        return out.theta, out.decision.statistic, out.announced
+
+    parameters = {"B": B, "noise": noise.GENERIC, "weight": np.array(noise.GENERIC_WEIGHT)}
+    results = []
+    for chunk in (64, CHUNK):
+        monkeypatch.setattr(module, "CHUNK", chunk)
+        results.append(run(bank, parameters, u, thrust @ B.T, valid, selected)[1])
+    for a, b in zip(*results, strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-12)
+    theta, _, announced = results[0]
+    assert announced[100:].any() and not announced[:100].any()
+    assert theta[-1].argmax() == 2 and abs(theta[-1, 2] - 0.3) < 0.03

@@ -1,0 +1,158 @@
+"""From uneven samples to ticks: means and slopes are exact, and nothing of a tick was measured after it."""
+
+import numpy as np
+import pytest
+
+from rotorwatch import ticks
+from rotorwatch.flight import Flight, Signal
+
+B = np.array([[-1.0, 1, 1, -1], [1, -1, 1, -1], [1, 1, -1, -1], [1, 1, 1, 1]])
+END = 12.0
+AIR = ((2.0, 11.0),)
+SLOPE = np.array([0.3, -0.2, 0.1])
+
+
+def log(rate=200.0, gyro_rate=400.0, start=0.0, seed=0):
+    """(flight, thrusts) with uneven sample times, a gyro that turns up evenly and a level accelerometer."""
+    rng = np.random.default_rng(seed)
+    time = start + np.arange(0, END, 1 / rate) + rng.uniform(0, 0.3 / rate, round(END * rate))
+    gyro = start + np.arange(0, END, 1 / gyro_rate)
+    thrust = Signal(time, 0.4 + 0.02 * rng.standard_normal((time.size, 4)), ("r1", "r2", "r3", "r4"), "1")
+    signals = {
+        "motors": thrust,
+        "gyro": Signal(gyro, gyro[:, None] * SLOPE, ("x", "y", "z"), "rad/s"),
+        "accel": Signal(gyro, np.tile([0.0, 0.0, -ticks.G0], (gyro.size, 1)), ("x", "y", "z"), "m/s^2"),
+    }
+    return Flight("test", "test", signals, start + END), thrust
+
+
+def make(flight, thrust, **options):
+    return ticks.make(flight, thrust, B, AIR, 3.0, **options)
+
+
+@pytest.mark.parametrize("rate, dt", [(400.0, 0.05), (50.0, 0.05), (20.0, 0.05), (10.0, 0.1), (8.5, 0.1), (5.0, 0.2)])
+def test_tick_length_follows_the_rate_of_the_commands(rate, dt):
+    assert ticks.tick_length(rate) == pytest.approx(dt)
+
+
+@pytest.mark.parametrize("rate", [10.0, 25.0, 200.0])
+def test_a_tick_holds_the_mean_of_its_own_commands_and_every_command_counts_once(rate):
+    flight, thrust = log(rate)
+    table = make(flight, thrust, hover=0.5)
+    end = table.time - ticks.LAG_S - table.dt / 2  # of each tick's commands
+    counted = 0
+    for k in range(len(end)):
+        inside = (thrust.time > end[k] - table.dt + 1e-9) & (thrust.time <= end[k] + 1e-9)
+        counted += inside.sum()
+        if inside.any():
+            np.testing.assert_allclose(table.thrust[k], thrust.values[inside].mean(axis=0) / 0.5, rtol=1e-9)
+            assert table.command_time[k] == pytest.approx(thrust.time[inside].mean())
+        else:
+            assert not table.valid[k].any()
+    assert counted >= len(thrust) - 2 * max(1, rate * table.dt)  # the log's ends may cut a tick
+    np.testing.assert_allclose(table.wrench, table.thrust @ B.T)
+
+
+def test_samples_that_are_not_valid_do_not_count():
+    flight, thrust = log()
+    bad = np.arange(len(thrust)) % 3 == 0
+    values = np.where(bad[:, None], 1e6, thrust.values)
+    marked = Signal(thrust.time, values, thrust.columns, "1", valid=~bad)
+    table = make(flight, marked, hover=0.5)
+    assert np.abs(table.thrust[table.valid[:, 0]]).max() < 1.1
+
+
+@pytest.mark.parametrize("gyro_rate", [50.0, 400.0, 1000.0])
+def test_an_even_turn_up_has_exactly_its_slope_and_the_load_is_one(gyro_rate):
+    flight, thrust = log(gyro_rate=gyro_rate)
+    table = make(flight, thrust)
+    judged = table.valid.all(axis=1)
+    assert judged.sum() > 0.9 * (table.mode > ticks.GROUND).sum() > 0
+    np.testing.assert_allclose(table.rate_dot[judged], np.tile(SLOPE, (judged.sum(), 1)), atol=1e-9)
+    centre = table.command_time + ticks.LAG_S
+    np.testing.assert_allclose(table.rate[judged], centre[judged, None] * SLOPE, atol=1e-9)
+    np.testing.assert_allclose(table.load[judged], 1.0, rtol=1e-9)
+
+
+def test_the_unit_of_thrust_is_the_hover_command():
+    flight, thrust = log()
+    hover = thrust.between(2.0, 3.0).values.mean()
+    np.testing.assert_allclose(make(flight, thrust).hover[-1], hover, rtol=0.01)
+    heavy = Signal(flight["accel"].time, flight["accel"].values * 1.25, ("x", "y", "z"), "m/s^2")
+    climbing = Flight("test", "test", {**flight.signals, "accel": heavy}, END)
+    np.testing.assert_allclose(make(climbing, thrust).hover[-1], hover / 1.25, rtol=0.01)
+    assert np.all(make(flight, thrust, hover=0.37).hover == 0.37)
+
+
+def test_modes_ground_learning_judging():
+    flight, thrust = log()
+    table = make(flight, thrust)
+    when = table.time
+    assert np.all(table.mode[when < 2.0 + ticks.SETTLE_S] == ticks.GROUND)
+    learning = (when >= 2.0 + ticks.SETTLE_S) & (when < 5.0)
+    assert np.all(table.mode[learning] == ticks.LEARN)
+    assert np.all(table.mode[(when >= 5.0) & (table.command_time <= 11.0)] == ticks.JUDGE)
+    assert np.all(table.mode[table.command_time > 11.0] == ticks.GROUND)
+    assert np.flatnonzero(table.restart).tolist() == [np.flatnonzero(learning)[0]]
+    assert not table.valid[table.mode == ticks.GROUND].any()
+
+
+def test_a_tumbling_vehicle_is_not_judged_any_more():
+    flight, thrust = log()
+    gyro = flight["gyro"]
+    rolling = gyro.values + (gyro.time[:, None] > 8.0) * np.array([10.0, 0, 0])
+    table = make(
+        Flight("t", "t", {**flight.signals, "gyro": Signal(gyro.time, rolling, gyro.columns, "rad/s")}, END), thrust
+    )
+    assert table.valid[(table.time > 5.0) & (table.time < 7.9), 0].all()
+    assert not table.valid[table.time > 8.5].any()
+
+
+@pytest.mark.parametrize("rate", [10.0, 200.0])
+@pytest.mark.parametrize("cut", [6.03, 9.5])
+def test_what_comes_later_changes_no_tick(rate, cut):
+    """Garbage after the cut, of the same time stamps: every tick up to then stays as it was, to the last bit."""
+    flight, thrust = log(rate)
+    rng = np.random.default_rng(1)
+
+    def spoilt(signal):
+        late = signal.time > cut
+        return Signal(
+            signal.time,
+            np.where(late[:, None], rng.standard_normal(signal.values.shape) * 50, signal.values),
+            signal.columns,
+            signal.unit,
+        )
+
+    other = Flight("test", "test", {k: spoilt(s) for k, s in flight.signals.items()}, END)
+    one, two = make(flight, thrust), make(other, spoilt(thrust))
+    before = one.time <= cut
+    assert before.sum() > 30
+    for name in ("time", "command_time", "hover", "mode", "valid", "upset"):
+        np.testing.assert_array_equal(getattr(one, name)[before], getattr(two, name)[before], err_msg=name)
+    for name in ("thrust", "wrench", "rate", "rate_dot", "load"):
+        np.testing.assert_array_equal(getattr(one, name)[before], getattr(two, name)[before], err_msg=name)
+    assert not np.array_equal(one.thrust[~before], two.thrust[~before])
+
+
+@pytest.mark.parametrize("rate", [10.0, 25.0, 200.0])
+def test_a_log_that_stops_earlier_has_the_same_ticks_until_then(rate):
+    flight, thrust = log(rate)
+    whole = make(flight, thrust)
+    short = make(flight.until(8.0), thrust.between(-np.inf, 8.0))
+    done = short.time <= 8.0
+    assert done.sum() > 50
+    count = np.flatnonzero(done)[-1] + 1
+    np.testing.assert_array_equal(short.time[:count], whole.time[:count])
+    for name in ("thrust", "rate", "rate_dot", "load"):
+        np.testing.assert_allclose(getattr(short, name)[:count], getattr(whole, name)[:count], atol=1e-12, err_msg=name)
+
+
+def test_without_gyro_or_accelerometer_the_rest_is_still_judged_and_said():
+    _, thrust = log()
+    bare = Flight("test", "test", {"motors": thrust}, END)
+    table = make(bare, thrust)
+    flying = table.mode > ticks.GROUND
+    assert table.valid[flying, :3].all() and not table.valid[:, 3].any()
+    assert len(table.notes) == 2 and "angular rate" in table.notes[0] and "accelerometer" in table.notes[1]
+    assert not np.abs(table.rate_dot).any() and np.all(table.load == 1.0)
