@@ -1,4 +1,4 @@
-"""What may have happened: log Bayes factors against integrals done by brute force, boxes against a general optimiser."""
+"""What may have happened: log Bayes factors against brute-force integrals, boxes against a general optimiser."""
 
 import numpy as np
 import pytest
@@ -63,17 +63,14 @@ def box_mass(c, z, width):
     return top + np.log(quad(density, max(0.0, near - 12 * spread), min(1.0, near + 12 * spread), limit=400)[0])
 
 
-@pytest.mark.parametrize("loss", [0.03, 0.1, 0.4])
-@pytest.mark.parametrize("c", [400.0, 5000.0])
+@pytest.mark.parametrize("loss, c", [(0.06, 5000.0), (0.1, 5000.0), (0.3, 400.0), (0.4, 5000.0)])
 def test_a_single_rotor_is_weighed_as_the_integral_over_its_loss(loss, c):
     """The prior is half narrow, half wide. Well inside 0..1 the closed form is that integral."""
-    if loss * np.sqrt(c) < 4.0:
-        pytest.skip("too near to no loss at all for a Gaussian integral to be inside the box")
     n = 4
     C = np.diag(np.full(n + 4, c))[None]
     z = np.zeros((1, n + 4))
     z[0, 1] = c * loss
-    hyp, logbf, nu = factors(n, C, z)
+    _, logbf, nu = factors(n, C, z)
     exact = np.logaddexp(box_mass(c, c * loss, LOSS_WIDTH), box_mass(c, c * loss, SMALL_WIDTH)) - np.log(2.0)
     assert logbf[0, 1] == pytest.approx(exact, abs=1e-3)
     assert logbf[0, :n].argmax() == 1
@@ -98,7 +95,7 @@ def test_gain_of_thrust_speaks_for_no_loss():
     C = np.diag(np.full(n + 4, c))[None]
     z = np.zeros((1, n + 4))
     z[0, 2] = -c * 0.3
-    hyp, logbf, nu = factors(n, C, z)
+    _, logbf, nu = factors(n, C, z)
     assert nu[0, 2, 0] == 0.0 and logbf[0, 2] < 0.0
 
 
