@@ -280,7 +280,7 @@ def demo(report, quiet) -> None:
     "--loss", "losses", default="0.2,0.3,0.4", show_default=True, metavar="L,L,...", help="Losses to inject, 0..1."
 )
 @click.option(
-    "--repeats", default=1, show_default=True, type=click.IntRange(1), help="Injections per flight, rotor and loss."
+    "--repeats", default=3, show_default=True, type=click.IntRange(1), help="Injections per flight, rotor and loss."
 )
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Seed of the random onsets.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
@@ -303,6 +303,27 @@ def inject(logs, losses, repeats, seed, as_json, quiet) -> None:
         click.echo(json.dumps(result, indent=1, allow_nan=False))
     else:
         _print(lambda terminal: terminal.campaign(result))
+
+
+@cli.command("false-alarms", short_help="Measure the false-alarm rate on real noise.")
+@click.argument("logs", nargs=-1, required=True, type=LOG, metavar="LOG...")
+@click.option("--hours", default=20.0, show_default=True, type=float, help="Flight hours to simulate, over all logs.")
+@click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Seed of the surrogate flights.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@common
+def false_alarms(logs, hours, seed, as_json, quiet) -> None:
+    """Judge surrogate flights with the noise of healthy LOGs, and count the false alarms per flight hour."""
+    from rotorwatch.studies.false_alarms import describe
+    from rotorwatch.studies.false_alarms import false_alarms as run
+
+    with progress(quiet) as tell:
+        result = run([_read(path, tell) for path in logs], hours, seed, tell)
+    if as_json:
+        import json
+
+        click.echo(json.dumps(result, indent=1, allow_nan=False))
+    else:
+        click.echo(describe(result))
 
 
 @cli.command(short_help="Try to break the readers with damaged logs.")

@@ -1,7 +1,7 @@
 """Losses put into healthy flights: real noise with a known fault, and what the default diagnoser finds of it.
 
-A rotor that loses the share l of its thrust is commanded more until the vehicle moves as before. Rotor thrusts f, mixer M and
-effectiveness B give the commands f + d that the rate controller ends up with, from "same wrench, through the mixer":
+A rotor that loses the share l of its thrust is commanded more until the vehicle moves as before. Rotor thrusts f, mixer
+M and effectiveness B give the commands f + d that the rate controller ends up with: the same wrench, through the mixer,
 
     B (1 - L) (f + d) = B f,   d = M c    =>    d = M (B (1 - L) M)^-1 B L f,       L = diag(l)
 
@@ -41,15 +41,17 @@ def inject(
 ) -> Flight:
     """The flight as it would look had `rotors` (1-based) lost `loss` (0..1, one for all or one each) at `onset` s.
 
-    Signals ``motors`` and ``control`` are rewritten after the onset, everything else stays. Where a command would exceed
-    its limit it is cut off there, and a warning of the flight says how often: such a loss is larger than this flight could
-    have flown on with. ``facts["injected"]`` holds what was done. Raises ConfigError for rotors, losses or times that
-    the flight does not have.
+    Signals ``motors`` and ``control`` are rewritten after the onset, everything else stays. Where a command would
+    exceed its limit it is cut off there, and a warning of the flight says how often: this flight could not have flown
+    on like that. ``facts["injected"]`` holds what was done. Raises ConfigError for rotors, losses or times that the
+    flight does not have.
     """
     share = _losses(flight, vehicle, rotors, loss)
     motors = flight.signals["motors"]
     if not (np.isfinite(onset) and len(motors) and motors.time[0] <= onset < motors.time[-1]):
-        raise ConfigError(f"onset {onset:g} s lies outside the motor commands of the flight; choose a time within them.")
+        raise ConfigError(
+            f"onset {onset:g} s lies outside the motor commands of the flight; choose a time within them."
+        )
     if not (np.isfinite(response_s) and response_s > 0):
         raise ConfigError(f"response time {response_s:g} s: give a positive number of seconds.")
     answer = _answer(vehicle, share)
@@ -65,13 +67,15 @@ def inject(
         control = _control(flight, vehicle, raised, onset)
         if control is None:
             del signals["control"]
-            warnings.append("The rate controller's output was left out: without a known mixer no loss can be put into it.")
+            warnings.append(
+                "The rate controller's output was left out: without a known mixer no loss can be put into it."
+            )
         else:
             signals["control"] = control
     for k in np.flatnonzero(limited > 0.001):
         warnings.append(
-            f"The injected loss drives rotor {k + 1} to its limit in {limited[k]:.0%} of the commands after {onset:.1f} s: "
-            "the vehicle could not have flown as it did."
+            f"The injected loss drives rotor {k + 1} to its limit in {limited[k]:.1%} of the commands after "
+            f"{onset:.1f} s: the vehicle could not have flown as it did."
         )
     done = {
         "rotors": [int(k) + 1 for k in np.flatnonzero(share)],
@@ -86,14 +90,24 @@ def _losses(flight: Flight, vehicle: Vehicle, rotors, loss) -> np.ndarray:
     """(n,) loss of every rotor; ConfigError unless the request makes sense."""
     n = len(vehicle.rotors)
     if not flight.has("motors") or flight.rotor_count != n:
-        raise ConfigError(f"the flight has commands of {flight.rotor_count} rotors, the vehicle {n}: nothing to put a loss into.")
+        raise ConfigError(
+            f"the flight has commands of {flight.rotor_count} rotors, the vehicle {n}: nothing to put a loss into."
+        )
     who, much = np.atleast_1d(rotors), np.atleast_1d(np.asarray(loss, float))
-    if who.dtype.kind not in "iu" or not who.size or len(set(who.tolist())) != who.size or who.min() < 1 or who.max() > n:
+    if (
+        who.dtype.kind not in "iu"
+        or not who.size
+        or len(set(who.tolist())) != who.size
+        or who.min() < 1
+        or who.max() > n
+    ):
         raise ConfigError(f"rotors {rotors}: give different rotor numbers from 1 to {n}.")
     if much.ndim != 1 or much.size not in (1, who.size):
         raise ConfigError(f"{much.size} losses for {who.size} rotors: give one for all, or one each.")
     if not np.all((much > 0) & (much < 1)):
-        raise ConfigError(f"loss {loss}: give shares above 0 and below 1; no vehicle flies as before with a dead rotor.")
+        raise ConfigError(
+            f"loss {loss}: give shares above 0 and below 1; no vehicle flies as before with a dead rotor."
+        )
     share = np.zeros(n)
     share[who - 1] = much
     return share
@@ -161,12 +175,13 @@ def campaign(
 
     Onsets are drawn at random, from 3 s after judging begins to 12 s before the hop ends. The answer:
 
-    table      a row for each loss: injections; detected (share that got an event before the flight's end); of those right
-               (first event names this rotor alone) and ambiguous_with_truth (several sets, this rotor among them);
-               median_delay_s, p90_delay_s from onset to announcement; of the right ones loss_rms and loss_bias 2 s after
-               the announcement, coverage (share whose 95 % interval at the end holds the loss); false_alarms: events before
-               the onset, or after it of other rotors; at_limit: injections that drove the rotor to its limit
+    table      a row for each loss: injections; detected: share that got an event before the flight's end; of those
+               right: first event names this rotor alone, and ambiguous_with_truth: several sets, this rotor among them;
+               median_delay_s, p90_delay_s from onset to announcement; of the right ones loss_rms and loss_bias 2 s
+               after the announcement, coverage: share whose 95 % interval at the end holds the loss; false_alarms:
+               events before the onset, or after it without this rotor; at_limit: injections that reach a rotor's limit
     healthy    flights, hours judged and false_alarms of the flights as they are
+    flights    number of flights long enough for an injection
     trials     one entry for each injection
 
     progress: called as progress(share, text). Raises LogError, VehicleError or ConfigError with one sentence.
@@ -202,7 +217,15 @@ def campaign(
             faulty = inject(flight, vehicle, rotor, loss, onset)
             found, _ = _judge(faulty, vehicle, air)
             limit = max(faulty.facts["injected"]["at_limit"])
-            trials.append({"flight": flight.name, "rotor": rotor, "loss": loss, **_outcome(found, rotor, loss, onset), "at_limit": limit})
+            trials.append(
+                {
+                    "flight": flight.name,
+                    "rotor": rotor,
+                    "loss": loss,
+                    **_outcome(found, rotor, loss, onset),
+                    "at_limit": limit,
+                }
+            )
             tell((i + (j + 1) / len(plan)) / len(paths), flight.name)
     if not trials:
         raise ConfigError("No flight is long enough: losses need 23 s in the air without a baseline.")
@@ -211,13 +234,15 @@ def campaign(
 
 
 def _judge(flight: Flight, vehicle: Vehicle, air) -> tuple[tuple[Event, ...], float]:
-    """Losses that the default diagnoser announces, without what it makes for people to look at; and seconds judged."""
+    """Losses that the default diagnoser announces, without what it makes for people to look at; seconds judged."""
     ready_s = default.READY_KNOWN_S if vehicle.identified else default.READY_S
     table = default.observe(flight, vehicle, air, ready_s)
     if table is None:
         return (), 0.0
     _, out = default.estimate(table, vehicle)
-    return events.read(out, table, hypotheses.make(len(vehicle.rotors))), float((table.mode == default.JUDGE).sum() * table.dt)
+    return events.read(out, table, hypotheses.make(len(vehicle.rotors))), float(
+        (table.mode == default.JUDGE).sum() * table.dt
+    )
 
 
 def _draw(room: list[tuple[float, float]], rng: np.random.Generator) -> float:
@@ -247,7 +272,11 @@ def _outcome(found: tuple[Event, ...], rotor: int, loss: float, onset: float) ->
     result["false_alarms"] += sum(truth not in (e.rotors, *e.alternatives) for e in after[1:])
     if right:
         low, high = first.interval[0]
-        result |= {"loss_2s": first.extra["loss_2s"][0], "loss_end": first.loss[0], "covered": bool(low <= loss <= high)}
+        result |= {
+            "loss_2s": first.extra["loss_2s"][0],
+            "loss_end": first.loss[0],
+            "covered": bool(low <= loss <= high),
+        }
     return result
 
 

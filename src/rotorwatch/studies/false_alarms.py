@@ -1,0 +1,403 @@
+"""How often the default diagnoser raises a false alarm on real noise: surrogate flights made from healthy ones.
+
+A healthy flight is split, axis by axis, into what its motion explains and what is left over, y = G m + c r + e (plant:
+`systems.wrench_balance`). Residuals e and motion (r, dr/dt, load) then become a new flight with the same statistics:
+
+    activity  all channels are divided by their common, slowly varying activity, which the surrogate gets back with
+              another start: gusts and manoeuvres come in bursts, and bursts are what a false alarm is made of
+    phases    all channels get the same random phases, so that amplitude spectra and cross-spectra stay (Prichard &
+              Theiler, Phys. Rev. Lett. 73(7), 1994), alternating with a rank-wise return to each channel's own
+              values, so that their tails stay, too (Schreiber & Schmitz, Phys. Rev. Lett. 77(4), 1996; for several
+              channels Physica D 142, 2000)
+    mirrors   signs of roll, pitch and yaw are drawn at random, each in torque, rate and acceleration alike
+
+Mean and trend are kept; rotor thrusts follow from the wrench, T = B^+ y. What surrogates cannot show is a single event
+whose shape matters, a hard turn say. Therefore every flight is also judged as it was flown, take-off included, and with
+its yaw mirrored (on a quad, all other mirror images are one of these two with the rotors renumbered).
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from os import PathLike
+from typing import Any
+
+import numpy as np
+
+from rotorwatch import airborne as airborne_
+from rotorwatch import airframes, allocation, events, hypotheses, logs, ticks
+from rotorwatch import diagnose as default
+from rotorwatch.errors import ConfigError
+from rotorwatch.flight import Flight
+from rotorwatch.run import CHUNK, run
+from rotorwatch.ticks import JUDGE, LEARN, Ticks
+from rotorwatch.vehicle import Vehicle
+
+PROMISED_PER_HOUR = 0.1
+FLIGHT_S = 100.0  # length of a surrogate flight, roughly: as short as flights are, each starts without knowledge
+SHORTEST_S = 20.0  # of a healthy flight's judged part that surrogates can be made from
+TOUCHDOWN_S = 2.0  # before the end of a hop: cut throttle is no noise
+JOIN_S, TREND_S, ACTIVITY_S = 2.0, 2.0, 3.0
+GAP_TICKS = 3  # missing ticks in a row that are bridged by a straight line
+ITERATIONS = 10
+IMAGES = {"as flown": (1.0, 1.0, 1.0), "yaw mirrored": (1.0, 1.0, -1.0)}
+SHIFTS = (-4.0, -2.0, 0.0, 2.0, 4.0)  # nats added to the threshold
+
+
+@dataclass(frozen=True)
+class Source:
+    """A healthy flight to make surrogates from, T ticks of its longest judged stretch.
+
+    table: all of its ticks. channels (T, 11): residuals e of roll, pitch, yaw, thrust; rates; angular accelerations;
+    load: all without their means, e without its trend, and divided by activity (T,). level (11,): the means; slope
+    (4,): trend of e per tick; gains (4, 2): G and c of each axis. missing: share of its ticks without a measurement.
+    """
+
+    name: str
+    vehicle: Vehicle
+    table: Ticks
+    channels: np.ndarray
+    activity: np.ndarray
+    level: np.ndarray
+    slope: np.ndarray
+    gains: np.ndarray
+    missing: float
+
+
+def source(flight: Flight, vehicle: Vehicle) -> Source:
+    """Split a healthy flight into motion and residuals; ConfigError when it has no 20 s that can be judged."""
+    air = airborne_.airborne(flight)
+    table = default.observe(flight, vehicle, air, _ready_s(vehicle))
+    part = _longest(table, air) if table is not None else slice(0, 0)
+    if table is None or (part.stop - part.start) * table.dt < SHORTEST_S:
+        name = flight.name or "the flight"
+        raise ConfigError(
+            f"{name} has no {SHORTEST_S:.0f} s of judged flight without gaps to make surrogates from; leave it out."
+        )
+    n = table.thrust.shape[1]
+    known = table.valid[part, :3].all(axis=1)
+    y, rate, rate_dot, load = (
+        _bridged(v[part], known) for v in (table.wrench, table.rate, table.rate_dot, table.load[:, None])
+    )
+    motion, rates = np.column_stack([rate_dot, n * load]), np.column_stack([rate, np.zeros(len(y))])
+    one = np.ones(len(y))
+    gains = np.zeros((4, 2))
+    for a in range(4):
+        gains[a] = np.linalg.lstsq(np.column_stack([motion[:, a], rates[:, a], one]), y[:, a], rcond=None)[0][:2]
+    e = y - gains[:, 0] * motion - gains[:, 1] * rates
+    # The line from start to end: without it the ends meet, and a spectrum of finite length means what it says.
+    edge = max(1, round(TREND_S / table.dt))
+    slope = (e[-edge:].mean(axis=0) - e[:edge].mean(axis=0)) / (len(e) - edge)
+    e = e - slope * (np.arange(len(e)) - 0.5 * (len(e) - 1))[:, None]
+    channels = np.column_stack([e, rate, rate_dot, load])
+    level = channels.mean(axis=0)
+    channels = channels - level
+    activity = _activity(channels, max(3, round(ACTIVITY_S / table.dt)))
+    return Source(
+        flight.name,
+        vehicle,
+        table,
+        channels / activity[:, None],
+        activity,
+        level,
+        slope,
+        gains,
+        float(1.0 - known.mean()),
+    )
+
+
+def _activity(channels: np.ndarray, window: int) -> np.ndarray:
+    """(T,) how lively all channels are around each tick, relative to the whole; from start to end without a step."""
+    change = channels - np.roll(channels, 1, axis=0)
+    change[0] = 0.0
+    power = np.mean(change**2 / np.maximum(np.mean(change**2, axis=0), 1e-30), axis=1)
+    shape = np.zeros(len(power))
+    shape[np.arange(window) - window // 2] = np.hanning(window + 2)[1:-1]
+    smooth = np.fft.irfft(np.fft.rfft(power) * np.fft.rfft(shape / shape.sum()), len(power))
+    return np.sqrt(np.maximum(smooth, 0.01))
+
+
+def _bridged(values: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """(T, k) with straight lines where not `known` (T,)."""
+    at = np.arange(len(values))
+    return np.column_stack([np.interp(at, at[known], column[known]) for column in values.T])
+
+
+def _ready_s(vehicle: Vehicle) -> float:
+    return default.READY_KNOWN_S if vehicle.identified else default.READY_S
+
+
+def _longest(table: Ticks, air) -> slice:
+    """The longest stretch of judged ticks, touch-down left out, with torque measured but for short gaps."""
+    aloft = allocation.within(table.time, tuple((start, end - TOUCHDOWN_S) for start, end in air))
+    known = np.flatnonzero((table.mode == JUDGE) & table.valid[:, :3].all(axis=1) & aloft)
+    good = np.zeros(len(table.time) + 2, bool)
+    good[known + 1] = True
+    for k in np.flatnonzero((np.diff(known) > 1) & (np.diff(known) <= GAP_TICKS + 1)):
+        good[known[k] + 1 : known[k + 1] + 1] = not table.restart[known[k] + 1 : known[k + 1] + 1].any()
+    edges = np.flatnonzero(np.diff(good.astype(int)))
+    if not edges.size:
+        return slice(0, 0)
+    starts, ends = edges[::2], edges[1::2]
+    k = int(np.argmax(ends - starts))
+    return slice(int(starts[k]), int(ends[k]))
+
+
+def phases(values: np.ndarray, rng: np.random.Generator, iterations: int = ITERATIONS) -> np.ndarray:
+    """(T, k) surrogate of k channels: common random phases, and each channel's own values in a new order.
+
+    Each round returns to the original amplitudes and phase differences, with the one common phase per frequency that is
+    nearest to the last round, and then to the original values by rank.
+    """
+    count = len(values)
+    wanted = np.fft.rfft(values, axis=0)
+    ranked = np.sort(values, axis=0)
+    own = np.exp(-1j * np.angle(wanted))
+    turn = np.exp(1j * rng.uniform(0.0, 2.0 * np.pi, (len(wanted), 1)))
+    made = values
+    for k in range(max(1, iterations)):
+        if k:
+            together = (np.fft.rfft(made, axis=0) * own).sum(axis=1, keepdims=True)
+            size = np.abs(together)
+            turn = np.where(size > 0, together / np.where(size > 0, size, 1.0), 1.0)
+        turn[0] = 1.0
+        if count % 2 == 0:  # the highest frequency is real
+            turn[-1] = np.where(turn[-1].real < 0, -1.0, 1.0)
+        made = np.fft.irfft(wanted * turn, count, axis=0)
+        made = np.take_along_axis(ranked, np.argsort(np.argsort(made, axis=0), axis=0), axis=0)
+    return made
+
+
+def surrogate(source: Source, rng: np.random.Generator, flight_s: float = FLIGHT_S) -> Ticks:
+    """One surrogate flight of about `flight_s`: learning as after a take-off, then judged to its end."""
+    dt, n = source.table.dt, source.table.thrust.shape[1]
+    # Whole chunks of the compiled program: no tick is computed in vain.
+    count = CHUNK * max(1, round(flight_s / dt / CHUNK))
+    join = max(2, round(JOIN_S / dt))
+    channels = _piece(source, rng)
+    while len(channels) < count:  # independent pieces, faded into each other at constant power
+        more = _piece(source, rng)
+        angle = 0.5 * np.pi * (np.arange(join) + 0.5)[:, None] / join
+        mixed = np.cos(angle) * channels[-join:] + np.sin(angle) * more[:join]
+        channels = np.concatenate([channels[:-join], mixed, more[join:]])
+    channels = channels[:count]
+    e, rate, rate_dot, load = np.split(channels + source.level, [4, 7, 10], axis=1)
+    # The trend goes to and fro: continued, it would leave the range that it had in flight.
+    length = len(source.channels)
+    drift = (
+        source.slope
+        * (np.abs((np.arange(count) + rng.integers(2) * length) % (2 * length) - length) - 0.5 * length)[:, None]
+    )
+    motion, rates = np.column_stack([rate_dot, n * load]), np.column_stack([rate, np.zeros(count)])
+    wrench = source.gains[:, 0] * motion + source.gains[:, 1] * rates + drift + e
+    learning = _ready_s(source.vehicle) - ticks.SETTLE_S
+    time = dt * np.arange(count)
+    accelerometer = bool(np.median(source.table.valid[source.table.mode == JUDGE, 3]))
+    table = Ticks(
+        time,
+        time - ticks.LAG_S - 0.5 * dt,
+        np.ones((count, n)),
+        wrench,
+        rate,
+        rate_dot,
+        load[:, 0],
+        (rng.random(count) >= source.missing)[:, None] & [True, True, True, accelerometer],
+        np.where(time < learning, LEARN, JUDGE).astype(np.int32),
+        np.arange(count) == 0,
+        np.full(count, float(np.median(source.table.hover[source.table.mode == JUDGE]))),
+        dt,
+        np.zeros(count, bool),
+    )
+    return mirrored(table, source.vehicle, rng.choice([-1.0, 1.0], 3))
+
+
+def _piece(source: Source, rng: np.random.Generator) -> np.ndarray:
+    """Surrogate channels as long as the source; they are periodic, so channels and activity may start anywhere."""
+    count = len(source.channels)
+    activity = np.roll(source.activity, rng.integers(count))[:, None]
+    return activity * phases(source.channels, rng)
+
+
+def mirrored(table: Ticks, vehicle: Vehicle, signs) -> Ticks:
+    """The flight with roll, pitch and yaw turned by `signs` (3,) of +1 and -1; thrusts T = B^+ y, none below zero."""
+    B, signs = vehicle.effectiveness(), np.asarray(signs, float)
+    thrust = np.maximum(table.wrench * [*signs, 1.0] @ np.linalg.pinv(B).T, 0.0)
+    return replace(table, thrust=thrust, wrench=thrust @ B.T, rate=table.rate * signs, rate_dot=table.rate_dot * signs)
+
+
+def false_alarms(
+    paths: Sequence[Flight | str | PathLike],
+    hours: float = 20.0,
+    seed: int = 0,
+    progress: Callable | None = None,
+    flight_s: float = FLIGHT_S,
+) -> dict[str, Any]:
+    """Judge `hours` of surrogate flights of healthy ones with the default diagnoser, and count its false alarms.
+
+    The answer, every rate per flight hour with its exact 95 % Poisson interval (low, high):
+
+    total       flights, hours judged, alarms (all events of all flights), rate, low, high; promised: the stated rate
+    table       the same for each healthy flight that surrogates were made of
+    thresholds  for a threshold `shift` nats higher: first_alarms of a flight and the hours up to them. Higher ones are
+                run anew on the flights that raised an alarm; lower ones are read off the recorded evidence
+    flown       the healthy flights themselves, as flown and with yaw mirrored: few hours, but real ones
+    alarms      what was announced: flight, which surrogate (or as flown), time, rotors, loss
+
+    progress: called as progress(share, text). Raises LogError, VehicleError or ConfigError with one sentence.
+    """
+    if not paths:
+        raise ConfigError("Give at least one healthy flight to make surrogates from.")
+    if not (np.isfinite(hours) and hours > 0):
+        raise ConfigError(f"hours {hours:g}: give how many flight hours to simulate, above 0.")
+    tell = progress or (lambda share, text="": None)
+    rows, alarms = [], []
+    flown = {"flights": 0, "hours": 0.0, "alarms": 0}
+    firsts = {shift: [0, 0.0] for shift in SHIFTS}
+    for i, path in enumerate(paths):
+        flight = path if isinstance(path, Flight) else logs.read(path)
+        origin = source(flight, airframes.identify(flight))
+        rng = np.random.default_rng([seed, i])
+        row = {"flight": flight.name, "flights": 0, "hours": 0.0, "alarms": 0}
+        while row["hours"] < hours / len(paths):
+            table = surrogate(origin, rng, flight_s)
+            found, out = _judge(table, origin.vehicle)
+            judged_h = _hours(table)
+            row = {
+                **row,
+                "flights": row["flights"] + 1,
+                "hours": row["hours"] + judged_h,
+                "alarms": row["alarms"] + len(found),
+            }
+            alarms += [_line(flight.name, f"surrogate {row['flights']}", e) for e in found]
+            for shift, first in _first_alarms(table, origin.vehicle, out).items():
+                firsts[shift][0] += first is not None
+                firsts[shift][1] += judged_h if first is None else max(0.0, first) / 3600.0
+            tell((i + min(1.0, row["hours"] * len(paths) / hours)) / len(paths), flight.name)
+        rows.append({**row, **_rate(row["alarms"], row["hours"])})
+        for image, signs in IMAGES.items():
+            table = mirrored(origin.table, origin.vehicle, signs)
+            found, _ = _judge(table, origin.vehicle)
+            flown["flights"] += 1
+            flown["hours"] += _hours(table)
+            flown["alarms"] += len(found)
+            alarms += [_line(flight.name, image, e) for e in found]
+    total = {k: sum(r[k] for r in rows) for k in ("flights", "hours", "alarms")}
+    return {
+        "table": rows,
+        "total": {**total, **_rate(total["alarms"], total["hours"]), "promised": PROMISED_PER_HOUR},
+        "thresholds": [{"shift": s, "first_alarms": k, "hours": h, **_rate(k, h)} for s, (k, h) in firsts.items()],
+        "mirrors": {**flown, **_rate(flown["alarms"], flown["hours"])},
+        "alarms": alarms,
+        "seed": seed,
+    }
+
+
+def describe(result: dict[str, Any]) -> str:
+    """What `false_alarms` found, as text of at most 80 columns."""
+
+    def line(name, count, hours, r):
+        return f"{name[:34]:<34} {hours:7.2f} h {count:6d}   {r['rate']:7.3f}   {r['low']:7.3f} to {r['high']:.3f}"
+
+    head = f"{'':<34} {'judged':>9} {'alarms':>6} {'per hour':>9}   95 % interval"
+    total, flown = result["total"], result["flown"]
+    lines = [f"False alarms on surrogates of healthy flights (promised: {total['promised']} per hour)", "", head]
+    lines += [line(r["flight"], r["alarms"], r["hours"], r) for r in result["table"]]
+    lines += [line("all", total["alarms"], total["hours"], total), "", "First alarm of a flight, by threshold", head]
+    for r in result["thresholds"]:
+        lines.append(line(f"{r['shift']:+.0f} nats" if r["shift"] else "as it is", r["first_alarms"], r["hours"], r))
+    lines += ["", "The flights themselves, as flown and with yaw mirrored", head]
+    return "\n".join([*lines, line(f"{flown['flights']} flights", flown["alarms"], flown["hours"], flown)])
+
+
+def _judge(table: Ticks, vehicle: Vehicle):
+    _, out = default.estimate(table, vehicle)
+    return events.read(out, table, hypotheses.make(len(vehicle.rotors))), out
+
+
+def _hours(table: Ticks) -> float:
+    return float((table.mode == JUDGE).sum() * table.dt / 3600.0)
+
+
+def _rate(count: int, hours: float) -> dict:
+    """Events per hour and the exact 95 % interval of a Poisson rate (Garwood, Biometrika 28, 1936)."""
+    from scipy.stats import chi2
+
+    low = chi2.ppf(0.025, 2 * count) / 2.0 if count else 0.0
+    high = chi2.ppf(0.975, 2 * count + 2) / 2.0
+    hours = max(hours, 1e-12)
+    return {"rate": count / hours, "low": float(low / hours), "high": float(high / hours)}
+
+
+def _line(name: str, what: str, e) -> dict:
+    return {
+        "flight": name,
+        "what": what,
+        "detected_s": e.detected_s,
+        "rotors": list(e.rotors),
+        "alternatives": [list(a) for a in e.alternatives],
+        "loss": list(e.loss),
+    }
+
+
+def _first_alarms(table: Ticks, vehicle: Vehicle, out) -> dict[float, float | None]:
+    """Seconds of judged flight up to the first alarm, None without one, for each of SHIFTS."""
+    judged = np.cumsum(table.mode == JUDGE) * table.dt
+
+    def first(flag) -> float | None:
+        return float(judged[np.argmax(flag)]) if flag.any() else None
+
+    result = {}
+    for shift in SHIFTS:
+        if shift < 0:
+            # Up to the first announcement, the evidence is what a lower threshold would have seen.
+            result[shift] = first(_crossed(table, out, shift) | out.announced)
+        elif shift == 0 or not out.announced.any():
+            result[shift] = first(out.announced)
+        else:
+            result[shift] = first(_announced(table, vehicle, shift))
+    return result
+
+
+def _crossed(table: Ticks, out, shift: float) -> np.ndarray:
+    """(T,) bool: the evidence was above the shifted threshold for as long as an alarm takes."""
+    from rotorwatch.estimators import jump_bank
+
+    fault = hypotheses.make(out.theta.shape[1]).fault
+
+    def log_sum(v):
+        top = v.max(axis=1)
+        return top + np.log(np.exp(v - top[:, None]).sum(axis=1))
+
+    for_fault, against = log_sum(out.log_odds[:, fault]), log_sum(out.log_odds[:, ~fault])
+    bound = jump_bank.threshold(table.dt) + shift
+    above = (for_fault > bound) & (for_fault - against > np.log(jump_bank.COMPETITOR_ODDS)) & (table.mode == JUDGE)
+    long = max(2, round(jump_bank.PERSIST_S / table.dt))
+    return np.convolve(above, np.ones(long), "full")[: len(above)] > long - 0.5
+
+
+def _announced(table: Ticks, vehicle: Vehicle, shift: float) -> np.ndarray:
+    """(T,) bool: announcements with the threshold `shift` nats higher."""
+    from rotorwatch.systems.wrench_balance import WrenchBalance
+
+    u = np.column_stack([WrenchBalance(vehicle.effectiveness()).pack(table), table.mode, table.restart])
+    build = _build(table.dt, shift)
+    return run(build, default.parameters(vehicle), u, table.wrench, table.valid, _keep_announced)[1]
+
+
+def _keep_announced(out):
+    return out.announced
+
+
+@functools.cache
+def _build(dt: float, shift: float) -> Callable:
+    """The default estimator with a false-alarm period exp(shift) times as long."""
+    from rotorwatch.estimators.jump_bank import FALSE_ALARM_PERIOD_S, JumpBank
+    from rotorwatch.systems.wrench_balance import WrenchBalance
+
+    def build(p):
+        system = WrenchBalance(p["B"], (p["x0"], p["P0"]))
+        return JumpBank(system, dt, (p["noise"], p["noise_weight"]), FALSE_ALARM_PERIOD_S * float(np.exp(shift)))
+
+    return build
