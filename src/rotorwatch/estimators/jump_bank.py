@@ -37,11 +37,13 @@ DISTURBANCE_SCALE, DISTURBANCE_RANGE = 3.0, (0.03, 1.0)
 # Share by which the motion model may be wrong for a moment, and how many ticks such an error lasts.
 GAIN_ERROR, DAMPING_ERROR = (0.25, 0.25, 0.35, 0.15), 0.3
 ERROR_TICKS = 4.0
+LAG_ERROR_S = 0.015
 FAR, FAR_ERROR, FAR_MEMORY_S = 0.3, 0.5, 5.0
 OUTLIER = 6.0
 PERSIST_S = 0.15
 TRUST = 3000.0  # nats
 DEAD = 0.8
+ASKED_SHARE, ASKED_SLACK, ASKED_MEMORY_S = 0.25, 0.05, 6.0
 SMALLEST = 0.015  # loss that is worth an event
 ABSORB_S, ABSORB_NATS, BASE_NATS = 1.0, 10.0, 6.0
 GARROTE = 2.5
@@ -74,10 +76,12 @@ class Carry(NamedTuple):
     theta_var: object
     thrust: object
     thrust_level: object
+    thrust_slow: object
     frozen: object
     sure_s: object
     update: object
     collective: object
+    y: object
 
 
 class Output(NamedTuple):
@@ -121,6 +125,8 @@ class JumpBank:
         for a in range(4):
             E[a * PER_AXIS + B3, self.n + a] = 1.0
         self.E = E
+        fault = [who for who, f in zip(self.hyp.rotors, self.hyp.fault) if f]
+        self.pick = np.array([[[float(k < len(who) and who[k] == i) for i in range(self.n)] for k in range(2)] for who in fault])
         self.membership = np.array([[float(i in who) for i in range(self.n)] for who in self.hyp.rotors])
         self.blocks = np.array([[float(a in block) for a in range(4)] for block in hypotheses.DISTURBANCES])
         self.bias_rows = np.array([a * PER_AXIS + b for a in range(4) for b in (B1, B2, B3)])
@@ -149,10 +155,12 @@ class JumpBank:
             jnp.zeros(self.n),
             jnp.zeros(self.n),
             jnp.full(self.n, 0.05**2),
+            jnp.zeros(self.n),
             jnp.float64(0.0),
             jnp.float64(0.0),
             jnp.bool_(False),
             jnp.float64(1.0),
+            jnp.zeros(4),
         )
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Output]:
@@ -222,6 +230,8 @@ class JumpBank:
         away = part - before
         tracked = jnp.maximum(0.0, 1.0 - GARROTE**2 * carry.thrust_level / jnp.maximum(away**2, 1e-12)) * away
         thrust = before + away * (dt / THRUST_MEMORY_S)
+        slow = jnp.where(restart, part, carry.thrust_slow)
+        slow = slow + (part - slow) * (dt / ASKED_MEMORY_S)
         fade_t = jnp.where(flying & valid[0] & ~restart, dt / LEVEL_MEMORY_S, 0.0)
         thrust_level = carry.thrust_level + fade_t * (jnp.minimum(away**2, 6.0 * carry.thrust_level) - carry.thrust_level)
         smooth = jnp.maximum(collective + before + tracked, 0.0)
@@ -239,6 +249,7 @@ class JumpBank:
             (jnp.asarray(GAIN_ERROR) * x[:, GAIN] * motion) ** 2
             + (DAMPING_ERROR * x[:, DAMPING] * rates) ** 2
             + (FAR_ERROR * n * far) ** 2
+            + (LAG_ERROR_S / dt * jnp.maximum(jnp.abs(y - carry.y) - 4.0 * jnp.sqrt(carry.noise.variances[0]), 0.0)) ** 2
         )
         R_white = carry.noise.variances[0]
         R = R_white + model_error
@@ -300,6 +311,11 @@ class JumpBank:
         where_slot = (jnp.arange(self.stride.size) == slot).astype(float)
         pair_nu = jnp.einsum("w,h,whk->k", where_slot, onehot, nu_h)
         big = jnp.abs(pair_nu[0]) > SMALLEST
+        # A controller asks more of a rotor that gives less: a candidate whose command has fallen instead is none.
+        rise = smooth - collective - carry.thrust_slow
+        jump_of = jnp.einsum("h,hkr->kr", onehot, jnp.asarray(self.pick)) * pair_nu[:, None]
+        asked = jnp.minimum(jump_of, 0.35) * smooth
+        big = big & jnp.where(jump_of > 0, rise > ASKED_SHARE * asked - ASKED_SLACK, True).all()
         above = jnp.where(open_ & (statistic > 0.0) & big, carry.above + 1, 0)
         alarm = above >= max(2, round(PERSIST_S / dt))
         update = jnp.where(alarm, (mine.astype(float) * (jnp.arange(len(hyp.names)) == best)).sum() > 0.5, carry.update)
@@ -423,9 +439,11 @@ class JumpBank:
             theta_var,
             thrust,
             thrust_level,
+            slow,
             jnp.minimum(frozen, 2.0 * FREEZE_S),
             sure_s,
             update,
             level_T,
+            jnp.where(valid, y, carry.y),
         )
         return new_carry, out
