@@ -19,7 +19,8 @@ def table(restarts=(0,)):
     restart[list(restarts)] = True
     return Ticks(
         time, time - 0.07, np.ones((COUNT, N)), np.zeros((COUNT, 4)), flat, flat, np.ones(COUNT),
-        np.ones((COUNT, 4), bool), np.full(COUNT, JUDGE, np.int32), restart, np.full(COUNT, 0.4), DT, np.zeros(COUNT, bool),
+        np.ones((COUNT, 4), bool), np.full(COUNT, JUDGE, np.int32), restart,
+        np.full(COUNT, 0.4), DT, np.zeros(COUNT, bool),
     )  # fmt: skip
 
 

@@ -302,20 +302,22 @@ def inject(logs, losses, repeats, seed, as_json, quiet) -> None:
 
         click.echo(json.dumps(result, indent=1, allow_nan=False))
     else:
-        _print(lambda terminal: terminal.campaign({**result, "table": [_narrow(row) for row in result["table"]]}))
+        _print(lambda terminal: terminal.campaign({**result, "table": _by_loss(result["table"])}))
 
 
-def _narrow(row: dict[str, Any]) -> dict[str, Any]:
-    """A row of a campaign's table in words that leave room for twelve columns on 80."""
-    short = {"injections": "n", "detected": "found", "ambiguous_with_truth": "unsure", "median_delay_s": "delay_s"}
-    short |= {"p90_delay_s": "p90_s", "loss_rms": "rms", "loss_bias": "bias", "coverage": "in 95", "at_limit": "limit"}
-    short |= {"false_alarms": "false"}
-    shares = {"detected": 0, "right": 0, "ambiguous_with_truth": 0, "coverage": 0, "loss_rms": 1, "loss_bias": 1}
+def _by_loss(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """A campaign's table turned over: a line for each measure, a column for each loss."""
+    from rotorwatch.report import percent, seconds, words
 
-    def cell(key, value):
-        return f"{100 * value:.{shares[key]}f} %" if key in shares and value is not None else value
+    counts = {"loss", "injections", "false_alarms", "at_limit"}
 
-    return {short.get(key, key): cell(key, value) for key, value in row.items()}
+    def cell(key: str, value: Any) -> Any:
+        if value is None or key in counts:
+            return value
+        return seconds(value) if key.endswith("_s") else percent(value, 1 if key.startswith("loss_") else 0)
+
+    keys = [key for key in rows[0] if key != "loss"] if rows else []
+    return [{"loss": words(key)} | {percent(row["loss"]): cell(key, row.get(key)) for row in rows} for key in keys]
 
 
 @cli.command("false-alarms", short_help="Measure the false-alarm rate on real noise.")

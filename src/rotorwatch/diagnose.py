@@ -15,7 +15,7 @@ from rotorwatch.diagnosis import Diagnosis, Event, RotorState, Trace
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight
 from rotorwatch.run import run
-from rotorwatch.ticks import JUDGE, LEARN, Ticks
+from rotorwatch.ticks import JUDGE, Ticks
 from rotorwatch.vehicle import Vehicle
 
 READY_S, READY_KNOWN_S = 8.0, 3.0
@@ -166,7 +166,7 @@ def diagnose(
     _, out = estimate(table, vehicle, lambda share: tell(0.3 + 0.6 * share, "estimating"))
     lap("estimate_s")
     hyp = hypotheses.make(len(vehicle.rotors))
-    losses = events.read(out, table, hyp)
+    losses = events.read(out, table, hyp, vehicle.effectiveness())
     overrides = _overrides(flight, vehicle, air)
     overridden = {(e.rotors[0]): e for e in overrides}
     losses = tuple(e for e in losses if not _explained(e, overridden))
@@ -175,7 +175,7 @@ def diagnose(
     whole = _whole_flight(flight, vehicle, air)
     comparison = detectors.detect(flight, vehicle, air)
     lap("comparison_s")
-    rotors = _rotors(out, table, found, len(vehicle.rotors))
+    rotors = _rotors(out, table, found, len(vehicle.rotors), whole)
     verdict, reason = _verdict(found, whole, table, known)
     judged = table.mode == JUDGE
     shift = out.biases[judged, 3]
@@ -255,9 +255,11 @@ def _whole_flight(flight: Flight, vehicle: Vehicle, air):
     return whole_flight.judge(features, [whole_flight.Features.from_dict(f) for f in stored], vehicle).to_dict()
 
 
-def _rotors(out, table: Ticks, found, n: int) -> tuple[RotorState, ...]:
+def _rotors(out, table: Ticks, found, n: int, whole=None) -> tuple[RotorState, ...]:
     """Loss at the end of the flight, or the largest an ended event had shown; healthy rotors with what could have hidden."""
     judged = np.flatnonzero(table.mode == JUDGE)
+    if whole and whole["verdict"] != "inconclusive" and not any(e.kind == "loss_of_effectiveness" for e in found):
+        return _whole_rotors(whole, n)
     if judged.size < 10:
         return tuple(RotorState(i + 1, 0.0, (0.0, 1.0), "unobservable") for i in range(n))
     hidden = np.minimum(1.0, 1.96 * np.median(out.detectable[judged], axis=0) + events.MODEL_SD)
@@ -273,6 +275,17 @@ def _rotors(out, table: Ticks, found, n: int) -> tuple[RotorState, ...]:
             loss, interval = 0.0, (0.0, float(hidden[i]))
         status = "healthy" if loss < events.MODEL_SD * 5 else "failed" if loss > events.GONE else "degraded"
         states.append(RotorState(i + 1, float(loss), interval, status))
+    return tuple(states)
+
+
+def _whole_rotors(whole, n: int) -> tuple[RotorState, ...]:
+    """Rotor states when only the comparison with healthy flights says something."""
+    named = whole["rotors"] if whole["verdict"] in ("fault", "ambiguous") else ()
+    states = []
+    for i in range(n):
+        loss, interval = float(whole["loss"][i]), tuple(float(v) for v in whole["interval"][i])
+        status = "degraded" if i + 1 in named else "healthy"
+        states.append(RotorState(i + 1, loss, interval, status))
     return tuple(states)
 
 

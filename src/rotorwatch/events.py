@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rotorwatch.diagnosis import Event
+from rotorwatch.hypotheses import WEIGHT as hypotheses_weight
 from rotorwatch.hypotheses import Hypotheses
 from rotorwatch.ticks import JUDGE, Ticks
 
@@ -19,6 +20,7 @@ CERTAIN = 0.9  # below this the answer is ambiguous
 # What the model itself is uncertain of: the thrust curve away from the operating point, equal rotors.
 MODEL_SD, MODEL_SHARE = 0.004, 0.02
 GONE = 0.8
+HIDDEN = 20.0
 
 
 @dataclass
@@ -43,7 +45,27 @@ def rotor_sets(hyp: Hypotheses, probability: np.ndarray) -> dict[tuple[int, ...]
     return dict(sorted(sets.items(), key=lambda item: -item[1]))
 
 
-def read(out, ticks: Ticks, hyp: Hypotheses) -> tuple[Event, ...]:
+def opposites(B: np.ndarray) -> dict[int, tuple[int, ...]]:
+    """For each rotor the rotors that cancel its roll and pitch torque: with those it can share a loss almost unseen."""
+    n = B.shape[1]
+    return {i: tuple(j for j in range(n) if j != i and np.abs(B[:2, i] + B[:2, j]).max() < 0.05) for i in range(n)}
+
+
+def hidden_pairs(shares: dict, hyp: Hypotheses, partners: dict) -> tuple[tuple[int, ...], ...]:
+    """Pairs that only their rarity, not the data, rules out against a single rotor: it and the one opposite.
+
+    Losses on opposite rotors cancel in roll and pitch; gusts hide the rest in yaw and thrust. When the data favour such
+    a pair by more than HIDDEN once prior weights are taken out, a small single loss must not be claimed.
+    """
+    best = next(iter(shares), ())
+    if len(best) != 1:
+        return ()
+    rarity = hypotheses_weight["single"] / hypotheses_weight["pair"]
+    pairs = [tuple(sorted((best[0], j))) for j in partners.get(best[0], ())]
+    return tuple(p for p in pairs if shares.get(p, 0.0) * rarity > HIDDEN * shares[best])
+
+
+def read(out, ticks: Ticks, hyp: Hypotheses, B: np.ndarray | None = None) -> tuple[Event, ...]:
     """Events of one flight from the diagnoser's stacked outputs (theta, theta_sd, announced, committed, active, ...)."""
     records: list[Record] = []
     current: Record | None = None
@@ -52,8 +74,6 @@ def read(out, ticks: Ticks, hyp: Hypotheses) -> tuple[Event, ...]:
     notable = np.flatnonzero(out.announced | out.committed | (np.diff(out.active, axis=0, prepend=False).any(axis=1)) | ticks.restart)
     for k in notable:
         if ticks.restart[k]:
-            for record in set(map(id, holder.values())):
-                pass
             for record in holder.values():
                 record.end = record.end if record.end is not None else float(ticks.time[record.last])
             holder, current, active = {}, None, np.zeros_like(active)
@@ -87,7 +107,8 @@ def read(out, ticks: Ticks, hyp: Hypotheses) -> tuple[Event, ...]:
             record.last = k
     judged = np.flatnonzero(ticks.mode == JUDGE)
     final = int(judged[-1]) if judged.size else len(ticks.time) - 1
-    return tuple(_event(r, out, ticks, hyp, final) for r in records)
+    partners = opposites(B) if B is not None else {}
+    return tuple(_event(r, out, ticks, hyp, final, partners) for r in records)
 
 
 def sd_of(theta: np.ndarray, sd: np.ndarray) -> np.ndarray:
@@ -95,7 +116,7 @@ def sd_of(theta: np.ndarray, sd: np.ndarray) -> np.ndarray:
     return np.sqrt(sd**2 + MODEL_SD**2 + (MODEL_SHARE * theta) ** 2)
 
 
-def _event(record: Record, out, ticks: Ticks, hyp: Hypotheses, final: int) -> Event:
+def _event(record: Record, out, ticks: Ticks, hyp: Hypotheses, final: int, partners: dict) -> Event:
     if record.end is None:
         k = final
     else:  # the last estimate before the change that ended it
@@ -107,7 +128,8 @@ def _event(record: Record, out, ticks: Ticks, hyp: Hypotheses, final: int) -> Ev
     shares = record.shares
     own = shares.get(tuple(sorted(rotors)), max(shares.values(), default=0.0))
     others = [s for s, p in shares.items() if p >= CREDIBLE and set(s) != set(rotors)]
-    alternatives = tuple(tuple(i + 1 for i in s) for s in others) if own < CERTAIN else ()
+    hidden = hidden_pairs(shares, hyp, partners)
+    alternatives = tuple(tuple(i + 1 for i in s) for s in (*hidden, *(o for o in others if o not in hidden))) if own < CERTAIN or hidden else ()
     delay = float(ticks.time[record.announced])
     names = " and ".join(str(i + 1) for i in rotors)
     if alternatives:

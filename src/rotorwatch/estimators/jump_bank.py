@@ -44,6 +44,8 @@ PERSIST_S = 0.15
 TRUST = 3000.0  # nats
 DEAD = 0.8
 ASKED_SHARE, ASKED_SLACK, ASKED_MEMORY_S = 0.25, 0.05, 6.0
+MISSING_SLACK = 0.15  # hover thrusts of one rotor
+SECOND, SECOND_NATS = 0.1, 6.0
 SMALLEST = 0.015  # loss that is worth an event
 ABSORB_S, ABSORB_NATS, BASE_NATS = 1.0, 10.0, 6.0
 GARROTE = 2.5
@@ -82,6 +84,8 @@ class Carry(NamedTuple):
     update: object
     collective: object
     y: object
+    missing: object
+    missing_slow: object
 
 
 class Output(NamedTuple):
@@ -161,6 +165,8 @@ class JumpBank:
             jnp.bool_(False),
             jnp.float64(1.0),
             jnp.zeros(4),
+            jnp.float64(0.0),
+            jnp.float64(0.0),
         )
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Output]:
@@ -294,7 +300,8 @@ class JumpBank:
         mine = jnp.asarray(self.membership) @ (~active).astype(float) < 0.5
         barred = (gone.any() & outside) | ((pending >= 0) & carry.update & ~mine)
         per_slot = jnp.where(barred[None, :] & jnp.asarray(hyp.fault)[None, :], -60.0, per_slot)
-        per_slot = per_slot + jnp.where(mine & jnp.asarray(hyp.fault), KNOWN_BONUS, 0.0)[None, :]
+        prior = jnp.where(mine, KNOWN_BONUS, jnp.where(active.any(), -SECOND_NATS, 0.0))
+        per_slot = per_slot + jnp.where(jnp.asarray(hyp.fault), prior, 0.0)[None, :]
         top = per_slot.max(0)
         evidence = top + jnp.log(jnp.exp(per_slot - top[None]).sum(0))
         fault = jnp.asarray(hyp.fault)
@@ -316,6 +323,16 @@ class JumpBank:
         jump_of = jnp.einsum("h,hkr->kr", onehot, jnp.asarray(self.pick)) * pair_nu[:, None]
         asked = jnp.minimum(jump_of, 0.35) * smooth
         big = big & jnp.where(jump_of > 0, rise > ASKED_SHARE * asked - ASKED_SLACK, True).all()
+        # ... and what the rotors no longer give must be missing from the thrust.
+        missing = jnp.where(valid[3], y[3] - x[3, GAIN] * u[n + 3], carry.missing_slow)
+        missing_fast = jnp.where(restart, missing, carry.missing + (missing - carry.missing) * (dt / THRUST_MEMORY_S))
+        missing_slow = jnp.where(restart, missing, carry.missing_slow + (missing - carry.missing_slow) * (dt / ASKED_MEMORY_S))
+        lost = (jnp.clip(jump_of, 0.0, 1.0) * smooth).sum()
+        big = big & (~valid[3] | (missing_fast - carry.missing_slow > ASKED_SHARE * lost - MISSING_SLACK))
+        # A second rotor failing is rare: small second losses are more likely errors in the size of the first.
+        second = active.any() & (jump_of * (~active)[None, :] > 0).any()
+        new_size = jnp.where(active[None, :], 1.0, jump_of)
+        big = big & (~second | jnp.where(jump_of > 0, new_size > SECOND, True).all())
         above = jnp.where(open_ & (statistic > 0.0) & big, carry.above + 1, 0)
         alarm = above >= max(2, round(PERSIST_S / dt))
         update = jnp.where(alarm, (mine.astype(float) * (jnp.arange(len(hyp.names)) == best)).sum() > 0.5, carry.update)
@@ -445,5 +462,7 @@ class JumpBank:
             update,
             level_T,
             jnp.where(valid, y, carry.y),
+            missing_fast,
+            missing_slow,
         )
         return new_carry, out

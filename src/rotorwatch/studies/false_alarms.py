@@ -3,8 +3,8 @@
 A healthy flight is split, axis by axis, into what its motion explains and what is left over, y = G m + c r + e (plant:
 `systems.wrench_balance`). Residuals e and motion (r, dr/dt, load) then become a new flight with the same statistics:
 
-    activity  all channels are divided by their common, slowly varying activity, which the surrogate gets back with
-              another start: gusts and manoeuvres come in bursts, and bursts are what a false alarm is made of
+    activity  what changes faster than the flight's liveliness does is divided by this liveliness, which the surrogate
+              gets back with another start: gusts and manoeuvres come in bursts, and bursts make false alarms
     phases    all channels get the same random phases, so that amplitude spectra and cross-spectra stay (Prichard &
               Theiler, Phys. Rev. Lett. 73(7), 1994), alternating with a rank-wise return to each channel's own
               values, so that their tails stay, too (Schreiber & Schmitz, Phys. Rev. Lett. 77(4), 1996; for several
@@ -39,7 +39,7 @@ PROMISED_PER_HOUR = 0.1
 FLIGHT_S = 100.0  # length of a surrogate flight, roughly: as short as flights are, each starts without knowledge
 SHORTEST_S = 20.0  # of a healthy flight's judged part that surrogates can be made from
 TOUCHDOWN_S = 2.0  # before the end of a hop: cut throttle is no noise
-JOIN_S, TREND_S, ACTIVITY_S = 2.0, 2.0, 3.0
+JOIN_S, TREND_S, ACTIVITY_S = 2.0, 2.0, 8.0
 GAP_TICKS = 3  # missing ticks in a row that are bridged by a straight line
 ITERATIONS = 10
 IMAGES = {"as flown": (1.0, 1.0, 1.0), "yaw mirrored": (1.0, 1.0, -1.0)}
@@ -50,15 +50,16 @@ SHIFTS = (-4.0, -2.0, 0.0, 2.0, 4.0)  # nats added to the threshold
 class Source:
     """A healthy flight to make surrogates from, T ticks of its longest judged stretch.
 
-    table: all of its ticks. channels (T, 11): residuals e of roll, pitch, yaw, thrust; rates; angular accelerations;
-    load: all without their means, e without its trend, and divided by activity (T,). level (11,): the means; slope
+    table: all of its ticks. slow, fast (T, 11): residuals e of roll, pitch, yaw, thrust; rates; angular accelerations;
+    load: all without their means, e without its trend, fast divided by activity (T,). level (11,): the means; slope
     (4,): trend of e per tick; gains (4, 2): G and c of each axis. missing: share of its ticks without a measurement.
     """
 
     name: str
     vehicle: Vehicle
     table: Ticks
-    channels: np.ndarray
+    slow: np.ndarray
+    fast: np.ndarray
     activity: np.ndarray
     level: np.ndarray
     slope: np.ndarray
@@ -94,29 +95,22 @@ def source(flight: Flight, vehicle: Vehicle) -> Source:
     channels = np.column_stack([e, rate, rate_dot, load])
     level = channels.mean(axis=0)
     channels = channels - level
-    activity = _activity(channels, max(3, round(ACTIVITY_S / table.dt)))
-    return Source(
-        flight.name,
-        vehicle,
-        table,
-        channels / activity[:, None],
-        activity,
-        level,
-        slope,
-        gains,
-        float(1.0 - known.mean()),
-    )
-
-
-def _activity(channels: np.ndarray, window: int) -> np.ndarray:
-    """(T,) how lively all channels are around each tick, relative to the whole; from start to end without a step."""
-    change = channels - np.roll(channels, 1, axis=0)
-    change[0] = 0.0
+    window = max(3, round(ACTIVITY_S / table.dt))
+    slow = _smooth(channels, window)
+    fast = channels - slow
+    change = fast - np.roll(fast, 1, axis=0)
     power = np.mean(change**2 / np.maximum(np.mean(change**2, axis=0), 1e-30), axis=1)
-    shape = np.zeros(len(power))
+    activity = np.sqrt(np.maximum(_smooth(power[:, None], window)[:, 0], 0.01))
+    missing = float(1.0 - known.mean())
+    return Source(flight.name, vehicle, table, slow, fast / activity[:, None], activity, level, slope, gains, missing)
+
+
+def _smooth(values: np.ndarray, window: int) -> np.ndarray:
+    """(T, k) moved through a raised cosine of `window` ticks; the end goes on with the beginning."""
+    shape = np.zeros(len(values))
     shape[np.arange(window) - window // 2] = np.hanning(window + 2)[1:-1]
-    smooth = np.fft.irfft(np.fft.rfft(power) * np.fft.rfft(shape / shape.sum()), len(power))
-    return np.sqrt(np.maximum(smooth, 0.01))
+    gain = np.fft.rfft(shape / shape.sum())
+    return np.fft.irfft(np.fft.rfft(values, axis=0) * gain[:, None], len(values), axis=0)
 
 
 def _bridged(values: np.ndarray, known: np.ndarray) -> np.ndarray:
@@ -185,7 +179,7 @@ def surrogate(source: Source, rng: np.random.Generator, flight_s: float = FLIGHT
     channels = channels[:count]
     e, rate, rate_dot, load = np.split(channels + source.level, [4, 7, 10], axis=1)
     # The trend goes to and fro: continued, it would leave the range that it had in flight.
-    length = len(source.channels)
+    length = len(source.slow)
     drift = (
         source.slope
         * (np.abs((np.arange(count) + rng.integers(2) * length) % (2 * length) - length) - 0.5 * length)[:, None]
@@ -215,9 +209,9 @@ def surrogate(source: Source, rng: np.random.Generator, flight_s: float = FLIGHT
 
 def _piece(source: Source, rng: np.random.Generator) -> np.ndarray:
     """Surrogate channels as long as the source; they are periodic, so channels and activity may start anywhere."""
-    count = len(source.channels)
-    activity = np.roll(source.activity, rng.integers(count))[:, None]
-    return activity * phases(source.channels, rng)
+    count, k = source.slow.shape
+    made = phases(np.concatenate([source.slow, source.fast], axis=1), rng)
+    return made[:, :k] + np.roll(source.activity, rng.integers(count))[:, None] * made[:, k:]
 
 
 def mirrored(table: Ticks, vehicle: Vehicle, signs) -> Ticks:
@@ -288,7 +282,7 @@ def false_alarms(
         "table": rows,
         "total": {**total, **_rate(total["alarms"], total["hours"]), "promised": PROMISED_PER_HOUR},
         "thresholds": [{"shift": s, "first_alarms": k, "hours": h, **_rate(k, h)} for s, (k, h) in firsts.items()],
-        "mirrors": {**flown, **_rate(flown["alarms"], flown["hours"])},
+        "flown": {**flown, **_rate(flown["alarms"], flown["hours"])},
         "alarms": alarms,
         "seed": seed,
     }
