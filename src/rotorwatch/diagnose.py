@@ -9,8 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rotorwatch import airborne as airborne_
 from rotorwatch import airframes, allocation, detectors, events, hypotheses, ticks
+from rotorwatch.airborne import airborne
+from rotorwatch.core import Array
 from rotorwatch.diagnosis import Diagnosis, Event, RotorState, Trace
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight
@@ -25,20 +26,20 @@ LN10 = float(np.log(10.0))
 class Kept(NamedTuple):
     """What is kept of every tick; shapes as in jump_bank.Output."""
 
-    theta: object
-    theta_sd: object
-    innovation: object
-    innovation_var: object
-    log_odds: object
-    statistic: object
-    best: object
-    onset: object
-    probability: object
-    announced: object
-    committed: object
-    active: object
-    detectable: object
-    biases: object
+    theta: Array
+    theta_sd: Array
+    innovation: Array
+    innovation_var: Array
+    log_odds: Array
+    statistic: Array
+    best: Array
+    onset: Array
+    probability: Array
+    announced: Array
+    committed: Array
+    active: Array
+    detectable: Array
+    biases: Array
 
 
 def _keep(out) -> Kept:
@@ -76,7 +77,13 @@ def parameters(vehicle: Vehicle) -> dict:
     if known:
         return {"B": B, **{k: np.array(known[k], float) for k in ("x0", "P0", "noise", "noise_weight")}}
     system = WrenchBalance(B)
-    return {"B": B, "x0": system.x0, "P0": system.P0, "noise": noise.GENERIC, "noise_weight": np.array(noise.GENERIC_WEIGHT)}
+    return {
+        "B": B,
+        "x0": system.x0,
+        "P0": system.P0,
+        "noise": noise.GENERIC,
+        "noise_weight": np.array(noise.GENERIC_WEIGHT),
+    }
 
 
 def observe(flight: Flight, vehicle: Vehicle, air, ready_s: float) -> Ticks | None:
@@ -125,61 +132,66 @@ def diagnose(
         raise ConfigError(f"estimator {estimator!r} is not known here; available: default.")
     baseline = tuple(baseline)
     flight = _flight(flight, lambda share: tell(0.3 * share, "reading"))
-    if isinstance(vehicle, (str, PathLike)):
-        from rotorwatch import vehicle_file
-
-        vehicle = vehicle_file.read(vehicle)
+    known_vehicle = _vehicle(vehicle)
     lap("read_s")
     source = "none"
     if baseline:
-        from rotorwatch import calibrate
+        from rotorwatch.calibrate import calibrate
 
         healthy = [_flight(b) for b in baseline]
-        learned = calibrate.calibrate(healthy)
-        vehicle = learned if vehicle is None else _with_identified(vehicle, learned)
+        learned = calibrate(healthy, vehicle=known_vehicle)
+        known_vehicle = learned if known_vehicle is None else _with_identified(known_vehicle, learned)
         source = f"{len(healthy)} healthy flight{'s' if len(healthy) > 1 else ''} of the same build"
-    elif vehicle is not None and vehicle.identified:
-        source = f"vehicle file {vehicle.name}"
-    vehicle = vehicle or airframes.identify(flight)
+    elif known_vehicle is not None and known_vehicle.identified:
+        source = f"vehicle file {known_vehicle.name}"
+    craft = known_vehicle or airframes.identify(flight)
     lap("baseline_s")
-    known = bool(vehicle.identified)
+    known = bool(craft.identified)
     ready_s = READY_KNOWN_S if known else READY_S
-    air = airborne_.airborne(flight) if flight.has("motors") else ()
-    table = observe(flight, vehicle, air, ready_s)
+    air = airborne(flight) if flight.has("motors") else ()
+    table = observe(flight, craft, air, ready_s)
     lap("prepare_s")
     warnings = list(flight.warnings)
-    assumptions = list(vehicle.assumptions)
+    assumptions = list(craft.assumptions)
     if not known:
         source = "the flight's own first healthy part"
         assumptions.append(
             f"the flight's first {READY_S:.0f} s in the air are taken as healthy: damage that was there from take-off "
             "cannot be judged without --baseline or --vehicle"
         )
-    facts = _facts(flight, vehicle, air, table)
+    facts = _facts(flight, craft, air, table)
     if table is None:
-        why = "the log shows no motor outputs" if not flight.has("motors") else "the log shows no flight: the vehicle never took off"
+        why = (
+            "the log shows no motor outputs"
+            if not flight.has("motors")
+            else "the log shows no flight: the vehicle never took off"
+        )
         return Diagnosis(
-            facts, "inconclusive", f"{why}; nothing can be judged.", _unobservable(vehicle), (), {}, source,
+            facts, "inconclusive", f"{why}; nothing can be judged.", _unobservable(craft), (), {}, source,
             tuple(assumptions), tuple(warnings), timing,
         )  # fmt: skip
     assumptions += table.notes
-    _, out = estimate(table, vehicle, lambda share: tell(0.3 + 0.6 * share, "estimating"))
+    _, out = estimate(table, craft, lambda share: tell(0.3 + 0.6 * share, "estimating"))
     lap("estimate_s")
-    hyp = hypotheses.make(len(vehicle.rotors))
-    losses = events.read(out, table, hyp, vehicle.effectiveness())
-    overrides = _overrides(flight, vehicle, air)
+    hyp = hypotheses.make(len(craft.rotors))
+    losses = events.read(out, table, hyp, craft.effectiveness())
+    overrides = _overrides(flight, craft, air)
     overridden = {(e.rotors[0]): e for e in overrides}
     losses = tuple(e for e in losses if not _explained(e, overridden))
     found = tuple(sorted((*losses, *overrides), key=lambda e: e.detected_s))
     lap("events_s")
-    whole = _whole_flight(flight, vehicle, air)
-    comparison = detectors.detect(flight, vehicle, air)
+    whole = _whole_flight(flight, craft, air)
+    comparison = detectors.detect(flight, craft, air)
     lap("comparison_s")
-    rotors = _rotors(out, table, found, len(vehicle.rotors), whole)
+    rotors = _rotors(out, table, found, len(craft.rotors), whole)
     verdict, reason = _verdict(found, whole, table, known)
     judged = table.mode == JUDGE
     shift = out.biases[judged, 3]
-    common = {"shift": float(shift[-1] - np.median(shift[:20])), "unit": "hover thrusts of one rotor"} if judged.any() else {}
+    common = (
+        {"shift": float(shift[-1] - np.median(shift[:20])), "unit": "hover thrusts of one rotor"}
+        if judged.any()
+        else {}
+    )
     tell(1.0, "done")
     timing["total_s"] = time.perf_counter() - began
     return Diagnosis(
@@ -194,6 +206,14 @@ def _flight(flight, progress=None) -> Flight:
     from rotorwatch import logs
 
     return logs.read(flight, progress)
+
+
+def _vehicle(vehicle) -> Vehicle | None:
+    if isinstance(vehicle, (str, PathLike)):
+        from rotorwatch import vehicle_file
+
+        return vehicle_file.read(vehicle)
+    return vehicle
 
 
 def _with_identified(vehicle: Vehicle, learned: Vehicle) -> Vehicle:
@@ -231,7 +251,17 @@ def _unobservable(vehicle: Vehicle) -> tuple[RotorState, ...]:
 def _overrides(flight: Flight, vehicle: Vehicle, air) -> tuple[Event, ...]:
     return tuple(
         Event(
-            "output_override", (o.rotor,), o.onset, o.detected, o.end, (0.0,), ((0.0, 1.0),), 1.0, (), o.reason, {"override": o.kind}
+            "output_override",
+            (o.rotor,),
+            o.onset,
+            o.detected,
+            o.end,
+            (0.0,),
+            ((0.0, 1.0),),
+            1.0,
+            (),
+            o.reason,
+            {"override": o.kind},
         )
         for o in allocation.overrides(flight, vehicle, air)
     )
@@ -240,7 +270,8 @@ def _overrides(flight: Flight, vehicle: Vehicle, air) -> tuple[Event, ...]:
 def _explained(event: Event, overridden: dict) -> bool:
     """A loss of a rotor whose output is overridden at that time is the override, not a loss."""
     return any(
-        r in overridden and overridden[r].onset_s - 1.0 <= event.onset_s <= (overridden[r].end_s or np.inf) + 1.0 for r in event.rotors
+        r in overridden and overridden[r].onset_s - 1.0 <= event.onset_s <= (overridden[r].end_s or np.inf) + 1.0
+        for r in event.rotors
     )
 
 
@@ -283,7 +314,7 @@ def _whole_rotors(whole, n: int) -> tuple[RotorState, ...]:
     named = whole["rotors"] if whole["verdict"] in ("fault", "ambiguous") else ()
     states = []
     for i in range(n):
-        loss, interval = float(whole["loss"][i]), tuple(float(v) for v in whole["interval"][i])
+        loss, interval = float(whole["loss"][i]), (float(whole["interval"][i][0]), float(whole["interval"][i][1]))
         status = "degraded" if i + 1 in named else "healthy"
         states.append(RotorState(i + 1, loss, interval, status))
     return tuple(states)
@@ -297,7 +328,10 @@ def _verdict(found, whole, table: Ticks, known: bool) -> tuple[str, str]:
     if sure:
         e = max(sure, key=lambda e: max(e.loss))
         who = " and ".join(map(str, e.rotors))
-        return "fault", f"rotor {who} lost {', '.join(f'{100 * v:.0f} %' for v in e.loss)} of its effectiveness at {e.onset_s:.1f} s."
+        return (
+            "fault",
+            f"rotor {who} lost {', '.join(f'{100 * v:.0f} %' for v in e.loss)} of its effectiveness at {e.onset_s:.1f} s.",
+        )
     if overrides:
         return "fault", overrides[0].reason
     if whole and whole["verdict"] == "fault":
@@ -307,7 +341,10 @@ def _verdict(found, whole, table: Ticks, known: bool) -> tuple[str, str]:
     if whole and whole["verdict"] == "ambiguous":
         return "ambiguous", whole["reason"]
     if judged_s < 3.0:
-        return "inconclusive", f"only {judged_s:.1f} s of flight could be judged: the vehicle was hardly in the air, or its motion is not logged."
+        return (
+            "inconclusive",
+            f"only {judged_s:.1f} s of flight could be judged: the vehicle was hardly in the air, or its motion is not logged.",
+        )
     scope = "and none from take-off on, compared with its healthy flights" if known and whole else "after take-off"
     return "healthy", f"no rotor lost effectiveness in {judged_s:.0f} s of judged flight, {scope}."
 
@@ -315,7 +352,9 @@ def _verdict(found, whole, table: Ticks, known: bool) -> tuple[str, str]:
 def _trace(out, table: Ticks, hyp, air, ready_s: float) -> Trace:
     sd = events.sd_of(out.theta, out.theta_sd)
     spread = np.where(out.theta > 0, 1.96 * sd, 1.96 * np.where((table.mode == JUDGE)[:, None], out.detectable, 0.0))
-    evidence = {name: out.log_odds[:, i] / LN10 for i, name in enumerate(hyp.names) if hyp.kinds[i] in ("single", "disturbance")}
+    evidence = {
+        name: out.log_odds[:, i] / LN10 for i, name in enumerate(hyp.names) if hyp.kinds[i] in ("single", "disturbance")
+    }
     pairs = [i for i, kind in enumerate(hyp.kinds) if kind == "pair"]
     evidence["best pair"] = out.log_odds[:, pairs].max(axis=1) / LN10
     blind = [(a, min(a + ready_s, b), "learning after take-off") for a, b in air]

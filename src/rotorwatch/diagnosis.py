@@ -114,7 +114,7 @@ class Diagnosis:
                     "interval": _round(e.interval),
                     "probability": _round(e.probability),
                     "reason": e.reason,
-                    **_round(dict(e.extra)),
+                    **{key: _round(value) for key, value in e.extra.items()},
                 }
                 for e in self.events
             ],

@@ -69,10 +69,13 @@ def read(out, ticks: Ticks, hyp: Hypotheses, B: np.ndarray | None = None) -> tup
     """Events of one flight from the diagnoser's stacked outputs (theta, theta_sd, announced, committed, active, ...)."""
     records: list[Record] = []
     current: Record | None = None
+    pending_onset = 0.0
     active = np.zeros(out.theta.shape[1], bool)
     holder: dict[int, Record] = {}
-    notable = np.flatnonzero(out.announced | out.committed | (np.diff(out.active, axis=0, prepend=False).any(axis=1)) | ticks.restart)
-    for k in notable:
+    notable = np.flatnonzero(
+        out.announced | out.committed | (np.diff(out.active, axis=0, prepend=False).any(axis=1)) | ticks.restart
+    )
+    for k in map(int, notable):
         if ticks.restart[k]:
             for record in holder.values():
                 record.end = record.end if record.end is not None else float(ticks.time[record.last])
@@ -91,7 +94,7 @@ def read(out, ticks: Ticks, hyp: Hypotheses, B: np.ndarray | None = None) -> tup
         if out.committed[k]:
             now = out.active[k]
             if current is not None:
-                fresh = tuple(i for i in np.flatnonzero(now) if not active[i])
+                fresh = tuple(int(i) for i in np.flatnonzero(now) if not active[i])
                 current.shares = rotor_sets(hyp, out.probability[k])
                 current.rotors = fresh or current.rotors
                 for i in fresh:
@@ -129,7 +132,11 @@ def _event(record: Record, out, ticks: Ticks, hyp: Hypotheses, final: int, partn
     own = shares.get(tuple(sorted(rotors)), max(shares.values(), default=0.0))
     others = [s for s, p in shares.items() if p >= CREDIBLE and set(s) != set(rotors)]
     hidden = hidden_pairs(shares, hyp, partners)
-    alternatives = tuple(tuple(i + 1 for i in s) for s in (*hidden, *(o for o in others if o not in hidden))) if own < CERTAIN or hidden else ()
+    alternatives = (
+        tuple(tuple(i + 1 for i in s) for s in (*hidden, *(o for o in others if o not in hidden)))
+        if own < CERTAIN or hidden
+        else ()
+    )
     delay = float(ticks.time[record.announced])
     names = " and ".join(str(i + 1) for i in rotors)
     if alternatives:

@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rotorwatch.core import Array
 from rotorwatch.systems.wrench_balance import PER_AXIS, TAU
 
 LAGS = (1, 2, 4, 8, 16, 32, 64)  # ticks
@@ -30,14 +31,14 @@ GENERIC_WEIGHT = 0.02
 
 
 class NoiseState(NamedTuple):
-    """ring (64, 4) last residuals, ring_ok (64,); weight, total (7, 4): sums for D; variances (4, 4): components x axes."""
+    """ring, ring_ok (64, 4): last residuals; weight, total (7, 4): sums for D; variances (4 components, 4 axes); safety (4,)."""
 
-    ring: object
-    ring_ok: object
-    weight: object
-    total: object
-    variances: object
-    safety: object
+    ring: Array
+    ring_ok: Array
+    weight: Array
+    total: Array
+    variances: Array
+    safety: Array
 
 
 def basis(dt: float) -> np.ndarray:
@@ -79,7 +80,9 @@ def step(state: NoiseState, e, ok, trust, dt: float) -> NoiseState:
     total = state.total * forget + both * share * square
     # Long lags have few samples at first: until then suppose that variance grows with the lag, as disturbances do.
     D = total / weight
-    D = (total + GROWTH_WEIGHT * D[:1] * (1.0 + jnp.array(LAGS, float)[:, None] * dt / GROWTH_S)) / (weight + GROWTH_WEIGHT)
+    D = (total + GROWTH_WEIGHT * D[:1] * (1.0 + jnp.array(LAGS, float)[:, None] * dt / GROWTH_S)) / (
+        weight + GROWTH_WEIGHT
+    )
     # With few samples a variance may well be larger than it looks: lean to the upper side.
     D = D * (1.0 + LEAN / jnp.sqrt(1.0 + weight))
     certain = jnp.minimum(weight, 5.0)

@@ -47,7 +47,7 @@ def run(build: Callable, parameters, u, y, valid, select: Callable = everything,
     if carry is None:
         carry = build(parameters).init()
     program = _program(build, select)
-    count, parts = len(u), []
+    count, parts, new_carry = len(u), [], carry
     for start in range(0, max(count, 1), CHUNK):
         rows = [a[start : start + CHUNK] for a in (u, y, valid)]
         size = len(rows[0])

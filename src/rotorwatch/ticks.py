@@ -136,7 +136,6 @@ def make(
     mean, when, some = _bin_mean(thrust, hi - dt, hi)
     when = np.where(some, when, hi - half)
     centre = when + lag_s
-    n = mean.shape[1]
     zeros3 = np.zeros((count, 3))
     gyro_name = "gyro" if flight.has("gyro") else "rates" if flight.has("rates") else None
     if gyro_name:
@@ -161,7 +160,7 @@ def make(
     if flight.has("attitude"):
         q = flight["attitude"]
         i = np.clip(np.searchsorted(q.time, time, "right") - 1, 0, len(q) - 1)
-        w, x, y, z = q.values[i].T
+        _, x, y, _ = q.values[i].T
         tilt = 1.0 - 2.0 * (x * x + y * y)
     upset = (np.abs(rate[:, :2]).max(axis=1, initial=0.0) > UPSET_RATE) | (tilt < UPSET_TILT)
     for start, end in airborne:

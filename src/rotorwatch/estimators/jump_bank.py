@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch import hypotheses, noise
-from rotorwatch.core import Decision, Estimate
+from rotorwatch.core import Array, Decision, Estimate
 from rotorwatch.systems.wrench_balance import B1, B2, B3, DAMPING, GAIN, PER_AXIS
 from rotorwatch.ticks import GROUND, JUDGE
 
@@ -61,31 +61,31 @@ def threshold(dt: float, false_alarm_period_s: float = FALSE_ALARM_PERIOD_S) -> 
 class Carry(NamedTuple):
     """State s = [x; theta] (n_s,), its covariance, the noise model, the bank, and where an announcement stands."""
 
-    s: object
-    P: object
+    s: Array
+    P: Array
     noise: noise.NoiseState
-    M: object
-    C: object
-    z: object
-    age: object
-    count: object
-    active: object
-    pending: object
-    statistic: object
-    above: object
-    level: object
-    learning: object
-    theta_var: object
-    thrust: object
-    thrust_level: object
-    thrust_slow: object
-    frozen: object
-    sure_s: object
-    update: object
-    collective: object
-    y: object
-    missing: object
-    missing_slow: object
+    M: Array
+    C: Array
+    z: Array
+    age: Array
+    count: Array
+    active: Array
+    pending: Array
+    statistic: Array
+    above: Array
+    level: Array
+    learning: Array
+    theta_var: Array
+    thrust: Array
+    thrust_level: Array
+    thrust_slow: Array
+    frozen: Array
+    sure_s: Array
+    update: Array
+    collective: Array
+    y: Array
+    missing: Array
+    missing_slow: Array
 
 
 class Output(NamedTuple):
@@ -93,13 +93,13 @@ class Output(NamedTuple):
 
     estimate: Estimate
     decision: Decision
-    probability: object
-    theta: object
-    theta_sd: object
-    announced: object
-    committed: object
-    active: object
-    detectable: object
+    probability: Array
+    theta: Array
+    theta_sd: Array
+    announced: Array
+    committed: Array
+    active: Array
+    detectable: Array
 
 
 class JumpBank:
@@ -130,7 +130,9 @@ class JumpBank:
             E[a * PER_AXIS + B3, self.n + a] = 1.0
         self.E = E
         fault = [who for who, f in zip(self.hyp.rotors, self.hyp.fault) if f]
-        self.pick = np.array([[[float(k < len(who) and who[k] == i) for i in range(self.n)] for k in range(2)] for who in fault])
+        self.pick = np.array(
+            [[[float(k < len(who) and who[k] == i) for i in range(self.n)] for k in range(2)] for who in fault]
+        )
         self.membership = np.array([[float(i in who) for i in range(self.n)] for who in self.hyp.rotors])
         self.blocks = np.array([[float(a in block) for a in range(4)] for block in hypotheses.DISTURBANCES])
         self.bias_rows = np.array([a * PER_AXIS + b for a in range(4) for b in (B1, B2, B3)])
@@ -209,7 +211,9 @@ class JumpBank:
         turn = (carry.count % self.stride == 0) & ((carry.count // self.stride) % SLOTS == self.place)
         new = turn & open_
         since = jnp.where(new, 0, jnp.maximum(carry.age, -1) + 1)
-        share = jnp.where(jnp.asarray(self.slow), self.first_share * jnp.exp(-since * dt / BUILD_UP_S), (since == 0) * 1.0)
+        share = jnp.where(
+            jnp.asarray(self.slow), self.first_share * jnp.exp(-since * dt / BUILD_UP_S), (since == 0) * 1.0
+        )
         share = jnp.where(new | (carry.age >= 0), share, 0.0)
         M = jnp.where(new[:, None, None], 0.0, A[:, None] * carry.M) + share[:, None, None] * self.E[None]
         C = jnp.where(new[:, None, None], 0.0, carry.C)
@@ -239,7 +243,9 @@ class JumpBank:
         slow = jnp.where(restart, part, carry.thrust_slow)
         slow = slow + (part - slow) * (dt / ASKED_MEMORY_S)
         fade_t = jnp.where(flying & valid[0] & ~restart, dt / LEVEL_MEMORY_S, 0.0)
-        thrust_level = carry.thrust_level + fade_t * (jnp.minimum(away**2, 6.0 * carry.thrust_level) - carry.thrust_level)
+        thrust_level = carry.thrust_level + fade_t * (
+            jnp.minimum(away**2, 6.0 * carry.thrust_level) - carry.thrust_level
+        )
         smooth = jnp.maximum(collective + before + tracked, 0.0)
         u = jnp.concatenate([smooth, u[n:]])
 
@@ -247,7 +253,9 @@ class JumpBank:
         x = s[:n_x].reshape(4, PER_AXIS)
         # Punch-outs, drops and knocks: far from hover the thrust curve and the lag are no longer known well.
         level_T = jnp.where(restart, collective, carry.collective)
-        far = jnp.maximum(jnp.abs(collective - level_T) - FAR, 0.0) + jnp.maximum(jnp.abs(u[n + 3] / n - 1.0) - FAR, 0.0)
+        far = jnp.maximum(jnp.abs(collective - level_T) - FAR, 0.0) + jnp.maximum(
+            jnp.abs(u[n + 3] / n - 1.0) - FAR, 0.0
+        )
         level_T = level_T + (collective - level_T) * (dt / FAR_MEMORY_S)
         motion = jnp.concatenate([u[n : n + 3], u[n + 3 : n + 4] - n])
         rates = jnp.concatenate([u[n + 4 : n + 7], jnp.zeros(1)])
@@ -255,7 +263,8 @@ class JumpBank:
             (jnp.asarray(GAIN_ERROR) * x[:, GAIN] * motion) ** 2
             + (DAMPING_ERROR * x[:, DAMPING] * rates) ** 2
             + (FAR_ERROR * n * far) ** 2
-            + (LAG_ERROR_S / dt * jnp.maximum(jnp.abs(y - carry.y) - 4.0 * jnp.sqrt(carry.noise.variances[0]), 0.0)) ** 2
+            + (LAG_ERROR_S / dt * jnp.maximum(jnp.abs(y - carry.y) - 4.0 * jnp.sqrt(carry.noise.variances[0]), 0.0))
+            ** 2
         )
         R_white = carry.noise.variances[0]
         R = R_white + model_error
@@ -277,7 +286,12 @@ class JumpBank:
             z = z + (w * nu) * phi
             M = M - K[None, :, None] * phi[:, None, :]
             s = s + K * jnp.where(ok, nu, 0.0)
-            P = P - K[:, None] * Ph[None, :] - Ph[:, None] * K[None, :] + jnp.where(ok, S, 0.0) * K[:, None] * K[None, :]
+            P = (
+                P
+                - K[:, None] * Ph[None, :]
+                - Ph[:, None] * K[None, :]
+                + jnp.where(ok, S, 0.0) * K[:, None] * K[None, :]
+            )
             innovations.append(jnp.where(ok, nu, 0.0))
             variances.append(S)
         P = 0.5 * (P + P.T)
@@ -326,7 +340,9 @@ class JumpBank:
         # ... and what the rotors no longer give must be missing from the thrust.
         missing = jnp.where(valid[3], y[3] - x[3, GAIN] * u[n + 3], carry.missing_slow)
         missing_fast = jnp.where(restart, missing, carry.missing + (missing - carry.missing) * (dt / THRUST_MEMORY_S))
-        missing_slow = jnp.where(restart, missing, carry.missing_slow + (missing - carry.missing_slow) * (dt / ASKED_MEMORY_S))
+        missing_slow = jnp.where(
+            restart, missing, carry.missing_slow + (missing - carry.missing_slow) * (dt / ASKED_MEMORY_S)
+        )
         lost = (jnp.clip(jump_of, 0.0, 1.0) * smooth).sum()
         big = big & (~valid[3] | (missing_fast - carry.missing_slow > ASKED_SHARE * lost - MISSING_SLACK))
         # A second rotor failing is rare: small second losses are more likely errors in the size of the first.
@@ -374,7 +390,9 @@ class JumpBank:
         sure_s = jnp.where(certain, carry.sure_s + dt, 0.0)
         absorb = sure_s >= ABSORB_S
         other = jnp.argmax(jnp.where(fault, -jnp.inf, evidence))
-        d_slot = (jnp.arange(self.stride.size) == jnp.argmax(jnp.where(live, per_slot[:, other], -jnp.inf))).astype(float)
+        d_slot = (jnp.arange(self.stride.size) == jnp.argmax(jnp.where(live, per_slot[:, other], -jnp.inf))).astype(
+            float
+        )
         mask = jnp.asarray(self.blocks)[jnp.maximum(other - (len(hyp.names) - len(self.blocks)), 0)]
         C4 = jnp.einsum("w,wab->ab", d_slot, C[:, n:, n:]) * mask[:, None] * mask[None, :] + jnp.diag(1.0 / width**2)
         L4 = jnp.linalg.cholesky(C4)

@@ -43,6 +43,7 @@ JOIN_S, TREND_S, ACTIVITY_S = 2.0, 2.0, 8.0
 GAP_TICKS = 3  # missing ticks in a row that are bridged by a straight line
 ITERATIONS = 10
 IMAGES = {"as flown": (1.0, 1.0, 1.0), "yaw mirrored": (1.0, 1.0, -1.0)}
+QUANTILES, PEAK_S = (0.5, 0.9, 0.99), 5.0
 SHIFTS = (-4.0, -2.0, 0.0, 2.0, 4.0)  # nats added to the threshold
 
 
@@ -53,6 +54,7 @@ class Source:
     table: all of its ticks. slow, fast (T, 11): residuals e of roll, pitch, yaw, thrust; rates; angular accelerations;
     load: all without their means, e without its trend, fast divided by activity (T,). level (11,): the means; slope
     (4,): trend of e per tick; gains (4, 2): G and c of each axis. missing: share of its ticks without a measurement.
+    part: which ticks of the table these are.
     """
 
     name: str
@@ -65,6 +67,7 @@ class Source:
     slope: np.ndarray
     gains: np.ndarray
     missing: float
+    part: slice
 
 
 def source(flight: Flight, vehicle: Vehicle) -> Source:
@@ -102,7 +105,8 @@ def source(flight: Flight, vehicle: Vehicle) -> Source:
     power = np.mean(change**2 / np.maximum(np.mean(change**2, axis=0), 1e-30), axis=1)
     activity = np.sqrt(np.maximum(_smooth(power[:, None], window)[:, 0], 0.01))
     missing = float(1.0 - known.mean())
-    return Source(flight.name, vehicle, table, slow, fast / activity[:, None], activity, level, slope, gains, missing)
+    fast = fast / activity[:, None]
+    return Source(flight.name, vehicle, table, slow, fast, activity, level, slope, gains, missing, part)
 
 
 def _smooth(values: np.ndarray, window: int) -> np.ndarray:
@@ -234,9 +238,10 @@ def false_alarms(
 
     total       flights, hours judged, alarms (all events of all flights), rate, low, high; promised: the stated rate
     table       the same for each healthy flight that surrogates were made of
-    thresholds  for a threshold `shift` nats higher: first_alarms of a flight and the hours up to them. Higher ones are
-                run anew on the flights that raised an alarm; lower ones are read off the recorded evidence
+    thresholds  for a threshold `shift` nats higher: first_alarms of a flight and the hours up to them
     flown       the healthy flights themselves, as flown and with yaw mirrored: few hours, but real ones
+    evidence    how near to an alarm noise comes, to compare surrogates with the flights they stand for: 50, 90 and 99 %
+                quantiles of the largest evidence in 5 s [nats above the threshold], up to the first alarm of a flight
     alarms      what was announced: flight, which surrogate (or as flown), time, rotors, loss
 
     progress: called as progress(share, text). Raises LogError, VehicleError or ConfigError with one sentence.
@@ -248,6 +253,7 @@ def false_alarms(
     tell = progress or (lambda share, text="": None)
     rows, alarms = [], []
     flown = {"flights": 0, "hours": 0.0, "alarms": 0}
+    evidence: dict[str, list[float]] = {"surrogates": [], "flown": []}
     firsts = {shift: [0, 0.0] for shift in SHIFTS}
     for i, path in enumerate(paths):
         flight = path if isinstance(path, Flight) else logs.read(path)
@@ -265,6 +271,7 @@ def false_alarms(
                 "alarms": row["alarms"] + len(found),
             }
             alarms += [_line(flight.name, f"surrogate {row['flights']}", e) for e in found]
+            evidence["surrogates"] += _peaks(out, table.mode == JUDGE, table.dt)
             for shift, first in _first_alarms(table, origin.vehicle, out).items():
                 firsts[shift][0] += first is not None
                 firsts[shift][1] += judged_h if first is None else max(0.0, first) / 3600.0
@@ -272,7 +279,10 @@ def false_alarms(
         rows.append({**row, **_rate(row["alarms"], row["hours"])})
         for image, signs in IMAGES.items():
             table = mirrored(origin.table, origin.vehicle, signs)
-            found, _ = _judge(table, origin.vehicle)
+            found, out = _judge(table, origin.vehicle)
+            inside = np.zeros(len(table.time), bool)
+            inside[origin.part] = True
+            evidence["flown"] += _peaks(out, inside, table.dt)
             flown["flights"] += 1
             flown["hours"] += _hours(table)
             flown["alarms"] += len(found)
@@ -283,6 +293,7 @@ def false_alarms(
         "total": {**total, **_rate(total["alarms"], total["hours"]), "promised": PROMISED_PER_HOUR},
         "thresholds": [{"shift": s, "first_alarms": k, "hours": h, **_rate(k, h)} for s, (k, h) in firsts.items()],
         "flown": {**flown, **_rate(flown["alarms"], flown["hours"])},
+        "evidence": {k: [float(q) for q in np.quantile(v, QUANTILES)] for k, v in evidence.items()},
         "alarms": alarms,
         "seed": seed,
     }
@@ -301,6 +312,8 @@ def describe(result: dict[str, Any]) -> str:
     lines += [line("all", total["alarms"], total["hours"], total), "", "First alarm of a flight, by threshold", head]
     for r in result["thresholds"]:
         lines.append(line(f"{r['shift']:+.0f} nats" if r["shift"] else "as it is", r["first_alarms"], r["hours"], r))
+    lines += ["", "Evidence for a fault: nats above the threshold, largest in 5 s (50, 90, 99 %)"]
+    lines += [f"{k:<34} " + " ".join(f"{q:8.1f}" for q in v) for k, v in result["evidence"].items()]
     lines += ["", "The flights themselves, as flown and with yaw mirrored", head]
     return "\n".join([*lines, line(f"{flown['flights']} flights", flown["alarms"], flown["hours"], flown)])
 
@@ -308,6 +321,16 @@ def describe(result: dict[str, Any]) -> str:
 def _judge(table: Ticks, vehicle: Vehicle):
     _, out = default.estimate(table, vehicle)
     return events.read(out, table, hypotheses.make(len(vehicle.rotors))), out
+
+
+def _peaks(out, inside: np.ndarray, dt: float) -> list[float]:
+    """The largest evidence in every 5 s of the ticks `inside`, up to the first alarm: nats above the threshold."""
+    ticks_ = np.flatnonzero(inside)
+    if out.announced.any():
+        ticks_ = ticks_[ticks_ <= np.argmax(out.announced)]
+    size = round(PEAK_S / dt)
+    whole = out.statistic[ticks_[: len(ticks_) // size * size]].reshape(-1, size)
+    return whole.max(axis=1).tolist()
 
 
 def _hours(table: Ticks) -> float:
@@ -344,31 +367,19 @@ def _first_alarms(table: Ticks, vehicle: Vehicle, out) -> dict[float, float | No
 
     result = {}
     for shift in SHIFTS:
-        if shift < 0:
-            # Up to the first announcement, the evidence is what a lower threshold would have seen.
-            result[shift] = first(_crossed(table, out, shift) | out.announced)
-        elif shift == 0 or not out.announced.any():
-            result[shift] = first(out.announced)
-        else:
-            result[shift] = first(_announced(table, vehicle, shift))
+        # Without evidence above a threshold there is no alarm: only where there was, the diagnoser is run again.
+        same = not shift or not (out.announced.any() if shift > 0 else _crossed(table, out, shift).any())
+        result[shift] = first(out.announced if same else _announced(table, vehicle, shift))
     return result
 
 
 def _crossed(table: Ticks, out, shift: float) -> np.ndarray:
-    """(T,) bool: the evidence was above the shifted threshold for as long as an alarm takes."""
+    """(T,) bool: the recorded evidence for a fault is above the shifted threshold."""
     from rotorwatch.estimators import jump_bank
 
     fault = hypotheses.make(out.theta.shape[1]).fault
-
-    def log_sum(v):
-        top = v.max(axis=1)
-        return top + np.log(np.exp(v - top[:, None]).sum(axis=1))
-
-    for_fault, against = log_sum(out.log_odds[:, fault]), log_sum(out.log_odds[:, ~fault])
-    bound = jump_bank.threshold(table.dt) + shift
-    above = (for_fault > bound) & (for_fault - against > np.log(jump_bank.COMPETITOR_ODDS)) & (table.mode == JUDGE)
-    long = max(2, round(jump_bank.PERSIST_S / table.dt))
-    return np.convolve(above, np.ones(long), "full")[: len(above)] > long - 0.5
+    evidence = np.logaddexp.reduce(out.log_odds[:, fault], axis=1)
+    return (evidence > jump_bank.threshold(table.dt) + shift) & (table.mode == JUDGE)
 
 
 def _announced(table: Ticks, vehicle: Vehicle, shift: float) -> np.ndarray:
