@@ -11,6 +11,7 @@ import numpy as np
 from rotorwatch import airframes, logs, ticks, whole_flight
 from rotorwatch.airborne import airborne
 from rotorwatch.allocation import rotor_thrusts
+from rotorwatch.default_estimator import learn
 from rotorwatch.errors import ConfigError, VehicleError
 from rotorwatch.flight import Flight
 from rotorwatch.vehicle import Vehicle
@@ -30,10 +31,10 @@ def calibrate(
     hover                           mean share of full thrust of a rotor in steady hover
     thrust_offset (n)               how much more (+) than that mean each rotor needs, relative: trim of this build
     whole_flight                    a table for each flight: whole_flight.Features.from_dict reads them
-    dynamics                        what `dynamics` returned, when it was given
+    dynamics                        motion gains and noise (default_estimator.learn), when the flights show enough
 
     flights: at least one healthy flight of one build, or their log files. progress: called with the finished share.
-    dynamics: called as dynamics(list of ticks.Ticks, B) -> mapping of floats and lists. vehicle: the airframe, for logs
+    dynamics: called as dynamics(list of ticks.Ticks, B) -> mapping of floats and lists, in place of learn. vehicle: the airframe, for logs
     that do not name theirs. Raises ConfigError without a flight, VehicleError when the flights are not of one airframe
     or never flew, LogError for an unreadable file.
     """
@@ -56,16 +57,17 @@ def calibrate(
         tables.append(whole_flight.features(flight, own, air))
         flown.append((flight, air))
         if progress:
-            progress((k + 1) / len(flights) * (0.5 if dynamics else 1.0))
+            progress((k + 1) / len(flights) * 0.5)
     if reference is None:
         raise ConfigError("Calibration needs at least one healthy flight.")
     identified = _identified(flown, tables)
-    if dynamics:
-        B = reference.effectiveness()
-        rows = [ticks.make(f, rotor_thrusts(f, reference), B, air, READY_S) for f, air in flown]
-        identified["dynamics"] = dict(dynamics(rows, B))
-        if progress:
-            progress(1.0)
+    B = reference.effectiveness()
+    rows = [ticks.make(f, rotor_thrusts(f, reference), B, air, READY_S) for f, air in flown if f.has("motors")]
+    learned = (dynamics or learn)(rows, B) if rows else None
+    if learned:
+        identified["dynamics"] = dict(learned)
+    if progress:
+        progress(1.0)
     names = ", ".join(_name(flight) for flight, _ in flown)
     source = f"{reference.source}; calibrated on {names}" if reference.source else f"calibrated on {names}"
     assumptions = (*reference.assumptions, *_assumptions(flown, tables, identified))

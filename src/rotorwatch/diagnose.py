@@ -5,85 +5,20 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable
 from os import PathLike
-from typing import NamedTuple
 
 import numpy as np
 
 from rotorwatch import airframes, allocation, detectors, events, hypotheses, ticks
 from rotorwatch.airborne import airborne
-from rotorwatch.core import Array
+from rotorwatch.default_estimator import estimate
 from rotorwatch.diagnosis import Diagnosis, Event, RotorState, Trace
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight
-from rotorwatch.run import run
 from rotorwatch.ticks import JUDGE, Ticks
 from rotorwatch.vehicle import Vehicle
 
 READY_S, READY_KNOWN_S = 8.0, 3.0
 LN10 = float(np.log(10.0))
-
-
-class Kept(NamedTuple):
-    """What is kept of every tick; shapes as in jump_bank.Output."""
-
-    theta: Array
-    theta_sd: Array
-    innovation: Array
-    innovation_var: Array
-    log_odds: Array
-    statistic: Array
-    best: Array
-    onset: Array
-    probability: Array
-    announced: Array
-    committed: Array
-    active: Array
-    detectable: Array
-    biases: Array
-
-
-def _keep(out) -> Kept:
-    import jax.numpy as jnp
-
-    e, d = out.estimate, out.decision
-    return Kept(
-        out.theta, out.theta_sd, e.innovation, jnp.diagonal(e.innovation_cov), d.log_odds, d.statistic, d.best, d.onset,
-        out.probability, out.announced, out.committed, out.active, out.detectable, e.x.reshape(4, -1)[:, :3].sum(axis=1),
-    )  # fmt: skip
-
-
-def _build_fast(p):
-    return _estimator(p, 0.05)
-
-
-def _build_slow(p):
-    return _estimator(p, 0.1)
-
-
-def _estimator(p, dt):
-    from rotorwatch.estimators.jump_bank import JumpBank
-    from rotorwatch.systems.wrench_balance import WrenchBalance
-
-    return JumpBank(WrenchBalance(p["B"], (p["x0"], p["P0"])), dt, (p["noise"], p["noise_weight"]))
-
-
-def parameters(vehicle: Vehicle) -> dict:
-    """The arrays the default estimator is built from: geometry, and what is known of the vehicle or of any multirotor."""
-    from rotorwatch import noise
-    from rotorwatch.systems.wrench_balance import WrenchBalance
-
-    B = vehicle.effectiveness()
-    known = (vehicle.identified or {}).get("dynamics")
-    if known:
-        return {"B": B, **{k: np.array(known[k], float) for k in ("x0", "P0", "noise", "noise_weight")}}
-    system = WrenchBalance(B)
-    return {
-        "B": B,
-        "x0": system.x0,
-        "P0": system.P0,
-        "noise": noise.GENERIC,
-        "noise_weight": np.array(noise.GENERIC_WEIGHT),
-    }
 
 
 def observe(flight: Flight, vehicle: Vehicle, air, ready_s: float) -> Ticks | None:
@@ -95,17 +30,6 @@ def observe(flight: Flight, vehicle: Vehicle, air, ready_s: float) -> Ticks | No
         return None
     hover = (vehicle.identified or {}).get("hover")
     return ticks.make(flight, thrust, vehicle.effectiveness(), air, ready_s, hover=hover)
-
-
-def estimate(table: Ticks, vehicle: Vehicle, progress=None, keep=_keep):
-    """Run the default estimator over ticks: (last carry, stacked outputs)."""
-    from rotorwatch.systems.wrench_balance import WrenchBalance
-
-    if table.dt not in (0.05, 0.1):
-        raise ConfigError(f"commands every {table.dt:.1f} s are too slow: log motor outputs at 10 Hz or faster.")
-    u = np.column_stack([WrenchBalance(vehicle.effectiveness()).pack(table), table.mode, table.restart])
-    build = _build_fast if table.dt < 0.08 else _build_slow
-    return run(build, parameters(vehicle), u, table.wrench, table.valid, keep, progress)
 
 
 def diagnose(
@@ -147,7 +71,8 @@ def diagnose(
     craft = known_vehicle or airframes.identify(flight)
     lap("baseline_s")
     known = bool(craft.identified)
-    ready_s = READY_KNOWN_S if known else READY_S
+    # Without a gyro every take-off swing looks like a torque that is missing: no short blind time then.
+    ready_s = READY_KNOWN_S if known and flight.has("gyro") else READY_S
     air = airborne(flight) if flight.has("motors") else ()
     table = observe(flight, craft, air, ready_s)
     lap("prepare_s")
@@ -171,10 +96,14 @@ def diagnose(
             tuple(assumptions), tuple(warnings), timing,
         )  # fmt: skip
     assumptions += table.notes
-    _, out = estimate(table, craft, lambda share: tell(0.3 + 0.6 * share, "estimating"))
+    dynamics = (craft.identified or {}).get("dynamics")
+    if dynamics and dynamics.get("dt") != table.dt:
+        dynamics = None  # learned at another logging rate: its noise is not this flight's
+    B = craft.effectiveness()
+    _, out = estimate(table, B, dynamics, lambda share: tell(0.3 + 0.6 * share, "estimating"))
     lap("estimate_s")
     hyp = hypotheses.make(len(craft.rotors))
-    losses = events.read(out, table, hyp, craft.effectiveness())
+    losses = events.read(out, table, hyp, B)
     overrides = _overrides(flight, craft, air)
     overridden = {(e.rotors[0]): e for e in overrides}
     losses = tuple(e for e in losses if not _explained(e, overridden))

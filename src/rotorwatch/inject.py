@@ -19,12 +19,13 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import airborne as airborne_
-from rotorwatch import airframes, allocation, events, hypotheses, logs
-from rotorwatch import diagnose as default
+from rotorwatch import airframes, allocation, default_estimator, events, hypotheses, logs
+from rotorwatch.airborne import airborne
+from rotorwatch.diagnose import READY_KNOWN_S, READY_S, observe
 from rotorwatch.diagnosis import Event
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight, Signal
+from rotorwatch.ticks import JUDGE
 from rotorwatch.vehicle import Vehicle
 
 RESPONSE_S = 0.7  # how fast rate and attitude controllers of real quads make up for a loss
@@ -200,12 +201,12 @@ def campaign(
     for i, path in enumerate(paths):
         flight = path if isinstance(path, Flight) else logs.read(path)
         vehicle = airframes.identify(flight)
-        air = airborne_.airborne(flight)
+        air = airborne(flight)
         found, judged_s = _judge(flight, vehicle, air)
         healthy["flights"] += 1
         healthy["hours"] += judged_s / 3600.0
         healthy["false_alarms"] += len(found)
-        ready_s = default.READY_KNOWN_S if vehicle.identified else default.READY_S
+        ready_s = READY_KNOWN_S if vehicle.identified else READY_S
         room = [(start + ready_s + AFTER_READY_S, end - BEFORE_END_S) for start, end in air]
         room = [(a, b) for a, b in room if b > a]
         if not room:
@@ -235,14 +236,14 @@ def campaign(
 
 def _judge(flight: Flight, vehicle: Vehicle, air) -> tuple[tuple[Event, ...], float]:
     """Losses that the default diagnoser announces, without what it makes for people to look at; seconds judged."""
-    ready_s = default.READY_KNOWN_S if vehicle.identified else default.READY_S
-    table = default.observe(flight, vehicle, air, ready_s)
+    ready_s = READY_KNOWN_S if vehicle.identified else READY_S
+    table = observe(flight, vehicle, air, ready_s)
     if table is None:
         return (), 0.0
-    _, out = default.estimate(table, vehicle)
-    return events.read(out, table, hypotheses.make(len(vehicle.rotors))), float(
-        (table.mode == default.JUDGE).sum() * table.dt
-    )
+    B = vehicle.effectiveness()
+    _, out = default_estimator.estimate(table, B, (vehicle.identified or {}).get("dynamics"))
+    found = events.read(out, table, hypotheses.make(len(vehicle.rotors)), B)
+    return found, float((table.mode == JUDGE).sum() * table.dt)
 
 
 def _draw(room: list[tuple[float, float]], rng: np.random.Generator) -> float:

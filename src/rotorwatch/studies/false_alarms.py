@@ -26,9 +26,9 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import airborne as airborne_
-from rotorwatch import airframes, allocation, events, hypotheses, logs, ticks
-from rotorwatch import diagnose as default
+from rotorwatch import airframes, allocation, default_estimator, events, hypotheses, logs, ticks
+from rotorwatch.airborne import airborne
+from rotorwatch.diagnose import READY_KNOWN_S, READY_S, observe
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight
 from rotorwatch.run import CHUNK, run
@@ -72,8 +72,8 @@ class Source:
 
 def source(flight: Flight, vehicle: Vehicle) -> Source:
     """Split a healthy flight into motion and residuals; ConfigError when it has no 20 s that can be judged."""
-    air = airborne_.airborne(flight)
-    table = default.observe(flight, vehicle, air, _ready_s(vehicle))
+    air = airborne(flight)
+    table = observe(flight, vehicle, air, _ready_s(vehicle))
     part = _longest(table, air) if table is not None else slice(0, 0)
     if table is None or (part.stop - part.start) * table.dt < SHORTEST_S:
         name = flight.name or "the flight"
@@ -81,7 +81,7 @@ def source(flight: Flight, vehicle: Vehicle) -> Source:
             f"{name} has no {SHORTEST_S:.0f} s of judged flight without gaps to make surrogates from; leave it out."
         )
     n = table.thrust.shape[1]
-    known = table.valid[part, :3].all(axis=1)
+    known = np.asarray(table.valid[part, :3].all(axis=1))
     y, rate, rate_dot, load = (
         _bridged(v[part], known) for v in (table.wrench, table.rate, table.rate_dot, table.load[:, None])
     )
@@ -124,7 +124,7 @@ def _bridged(values: np.ndarray, known: np.ndarray) -> np.ndarray:
 
 
 def _ready_s(vehicle: Vehicle) -> float:
-    return default.READY_KNOWN_S if vehicle.identified else default.READY_S
+    return READY_KNOWN_S if vehicle.identified else READY_S
 
 
 def _longest(table: Ticks, air) -> slice:
@@ -303,9 +303,9 @@ def describe(result: dict[str, Any]) -> str:
     """What `false_alarms` found, as text of at most 80 columns."""
 
     def line(name, count, hours, r):
-        return f"{name[:34]:<34} {hours:7.2f} h {count:6d}   {r['rate']:7.3f}   {r['low']:7.3f} to {r['high']:.3f}"
+        return f"{name[:30]:<30} {hours:7.2f} h {count:6d}   {r['rate']:7.2f}   {r['low']:7.2f} to {r['high']:.2f}"
 
-    head = f"{'':<34} {'judged':>9} {'alarms':>6} {'per hour':>9}   95 % interval"
+    head = f"{'':<30} {'judged':>9} {'alarms':>6} {'per hour':>9}   95 % interval"
     total, flown = result["total"], result["flown"]
     lines = [f"False alarms on surrogates of healthy flights (promised: {total['promised']} per hour)", "", head]
     lines += [line(r["flight"], r["alarms"], r["hours"], r) for r in result["table"]]
@@ -313,14 +313,15 @@ def describe(result: dict[str, Any]) -> str:
     for r in result["thresholds"]:
         lines.append(line(f"{r['shift']:+.0f} nats" if r["shift"] else "as it is", r["first_alarms"], r["hours"], r))
     lines += ["", "Evidence for a fault: nats above the threshold, largest in 5 s (50, 90, 99 %)"]
-    lines += [f"{k:<34} " + " ".join(f"{q:8.1f}" for q in v) for k, v in result["evidence"].items()]
+    lines += [f"{k:<30} " + " ".join(f"{q:8.1f}" for q in v) for k, v in result["evidence"].items()]
     lines += ["", "The flights themselves, as flown and with yaw mirrored", head]
     return "\n".join([*lines, line(f"{flown['flights']} flights", flown["alarms"], flown["hours"], flown)])
 
 
 def _judge(table: Ticks, vehicle: Vehicle):
-    _, out = default.estimate(table, vehicle)
-    return events.read(out, table, hypotheses.make(len(vehicle.rotors))), out
+    B = vehicle.effectiveness()
+    _, out = default_estimator.estimate(table, B, (vehicle.identified or {}).get("dynamics"))
+    return events.read(out, table, hypotheses.make(len(vehicle.rotors)), B), out
 
 
 def _peaks(out, inside: np.ndarray, dt: float) -> list[float]:
@@ -386,9 +387,11 @@ def _announced(table: Ticks, vehicle: Vehicle, shift: float) -> np.ndarray:
     """(T,) bool: announcements with the threshold `shift` nats higher."""
     from rotorwatch.systems.wrench_balance import WrenchBalance
 
-    u = np.column_stack([WrenchBalance(vehicle.effectiveness()).pack(table), table.mode, table.restart])
-    build = _build(table.dt, shift)
-    return run(build, default.parameters(vehicle), u, table.wrench, table.valid, _keep_announced)[1]
+    B = vehicle.effectiveness()
+    u = np.column_stack([WrenchBalance(B).pack(table), table.mode, table.restart])
+    known = default_estimator.parameters(B, (vehicle.identified or {}).get("dynamics"))
+    given = {**known, "shift": np.array(shift)}
+    return run(_builder(table.dt), given, u, table.wrench, table.valid, _keep_announced)[1]
 
 
 def _keep_announced(out):
@@ -396,13 +399,14 @@ def _keep_announced(out):
 
 
 @functools.cache
-def _build(dt: float, shift: float) -> Callable:
-    """The default estimator with a false-alarm period exp(shift) times as long."""
-    from rotorwatch.estimators.jump_bank import FALSE_ALARM_PERIOD_S, JumpBank
+def _builder(dt: float) -> Callable:
+    """The default estimator with a threshold p["shift"] nats higher: one compiled program for all of them."""
+    from rotorwatch.estimators.jump_bank import JumpBank
     from rotorwatch.systems.wrench_balance import WrenchBalance
 
     def build(p):
-        system = WrenchBalance(p["B"], (p["x0"], p["P0"]))
-        return JumpBank(system, dt, (p["noise"], p["noise_weight"]), FALSE_ALARM_PERIOD_S * float(np.exp(shift)))
+        bank = JumpBank(WrenchBalance(p["B"], (p["x0"], p["P0"])), dt, (p["noise"], p["noise_weight"]))
+        bank.log_threshold = bank.log_threshold + p["shift"]
+        return bank
 
     return build

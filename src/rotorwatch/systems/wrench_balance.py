@@ -6,8 +6,9 @@ The default diagnoser's plant. Nothing of the vehicle but its geometry is needed
 
 y = B T: commanded wrench; T (n,): commanded thrusts (hover thrust of one rotor = 1); m: angular acceleration [rad/s^2], and for
 thrust the load factor times n; r: angular rate [rad/s] (damping); b1, b2: coloured disturbances with time
-constants TAU (gusts, and what the controller makes of them); b3: slow drift (wind, centre of mass, battery), a random walk. theta_i: loss of rotor i. Per
-axis the state is (b1, b2, b3, G, c). It is linear in the state for given u, and in theta.
+constants TAU (gusts, and what the controller makes of them); b3: slow drift (wind,
+centre of mass, battery), a random walk. theta_i: loss of rotor i. Per axis the state is (b1, b2, b3, G, c). It is linear
+in the state for given u, and in theta.
 """
 
 from __future__ import annotations

@@ -1,0 +1,118 @@
+"""The default estimator made runnable: built from arrays, run over ticks, and taught by healthy flights."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from rotorwatch.core import Array
+from rotorwatch.errors import ConfigError
+from rotorwatch.run import run
+from rotorwatch.ticks import JUDGE, Ticks
+
+LEARNED_WEIGHT = 2.0  # samples a lag that the noise of healthy flights counts for
+
+
+class Kept(NamedTuple):
+    """What is kept of every tick; shapes as in jump_bank.Output."""
+
+    theta: Array
+    theta_sd: Array
+    innovation: Array
+    innovation_var: Array
+    log_odds: Array
+    statistic: Array
+    best: Array
+    onset: Array
+    probability: Array
+    announced: Array
+    committed: Array
+    active: Array
+    detectable: Array
+    biases: Array
+
+
+def _keep(out) -> Kept:
+    import jax.numpy as jnp
+
+    e, d = out.estimate, out.decision
+    return Kept(
+        out.theta, out.theta_sd, e.innovation, jnp.diagonal(e.innovation_cov), d.log_odds, d.statistic, d.best, d.onset,
+        out.probability, out.announced, out.committed, out.active, out.detectable, e.x.reshape(4, -1)[:, :3].sum(axis=1),
+    )  # fmt: skip
+
+
+def _build_fast(p):
+    return _estimator(p, 0.05)
+
+
+def _build_slow(p):
+    return _estimator(p, 0.1)
+
+
+def _estimator(p, dt):
+    from rotorwatch.estimators.jump_bank import JumpBank
+    from rotorwatch.systems.wrench_balance import WrenchBalance
+
+    return JumpBank(WrenchBalance(p["B"], (p["x0"], p["P0"])), dt, (p["noise"], p["noise_weight"]))
+
+
+def parameters(B: np.ndarray, dynamics=None) -> dict:
+    """The arrays the estimator is built from: geometry B (4, n), and what `learn` found or any multirotor is like."""
+    from rotorwatch import noise
+    from rotorwatch.systems.wrench_balance import WrenchBalance
+
+    if dynamics:
+        return {"B": B, **{k: np.array(dynamics[k], float) for k in ("x0", "P0", "noise", "noise_weight")}}
+    system = WrenchBalance(B)
+    return {
+        "B": B,
+        "x0": system.x0,
+        "P0": system.P0,
+        "noise": noise.GENERIC,
+        "noise_weight": np.array(noise.GENERIC_WEIGHT),
+    }
+
+
+def estimate(table: Ticks, B: np.ndarray, dynamics=None, progress=None, keep=_keep):
+    """Run the default estimator over ticks: (last carry, stacked outputs). Raises ConfigError when commands are too slow."""
+    from rotorwatch.systems.wrench_balance import WrenchBalance
+
+    if table.dt not in (0.05, 0.1):
+        raise ConfigError(f"commands every {table.dt:.1f} s are too slow: log motor outputs at 10 Hz or faster.")
+    u = np.column_stack([WrenchBalance(B).pack(table), table.mode, table.restart])
+    build = _build_fast if table.dt < 0.08 else _build_slow
+    return run(build, parameters(B, dynamics), u, table.wrench, table.valid, keep, progress)
+
+
+def learn(tables: Sequence[Ticks], B: np.ndarray) -> dict | None:
+    """What healthy flights teach: x0 (20), P0 (20, 20), noise (4, 4), noise_weight; None when none of them is long enough.
+
+    Gains and damping: precision-weighted mean over the flights, with their spread added. Biases are left open: they are
+    each flight's own. Noise: the largest of the flights', per component and axis.
+    """
+    from rotorwatch.systems.wrench_balance import DAMPING, GAIN, PER_AXIS, WrenchBalance
+
+    system = WrenchBalance(B)
+    rows = (np.arange(4)[:, None] * PER_AXIS + np.array([GAIN, DAMPING])).reshape(-1)
+    means, precisions, noises = [], [], []
+    for table in tables:
+        if (table.mode == JUDGE).sum() * table.dt < 10.0 or table.dt not in (0.05, 0.1):
+            continue
+        carry, _ = estimate(table, B)
+        means.append(np.asarray(carry.s)[rows])
+        precisions.append(1.0 / np.maximum(np.diag(np.asarray(carry.P))[rows], 1e-12))
+        noises.append(np.asarray(carry.noise.variances))
+    if not means:
+        return None
+    mean = np.average(means, axis=0, weights=precisions)
+    spread = np.average((np.array(means) - mean) ** 2, axis=0, weights=precisions)
+    x0, P0 = system.x0.copy(), system.P0.copy()
+    x0[rows] = mean
+    P0[rows, rows] = np.minimum(np.diag(P0)[rows], 1.0 / np.sum(precisions, axis=0) + spread)
+    return {
+        "x0": x0.tolist(), "P0": P0.tolist(), "noise": np.max(noises, axis=0).tolist(), "noise_weight": LEARNED_WEIGHT,
+        "dt": tables[0].dt,
+    }  # fmt: skip
