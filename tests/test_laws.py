@@ -233,18 +233,22 @@ def kalman(system, x, P, u, y, valid, Q, R):
     return (np.stack(column) for column in zip(*history, strict=True))
 
 
-def test_default_is_the_kalman_filter_while_nothing_is_suspected(method):
+def test_default_is_the_kalman_filter_while_nothing_is_suspected(method, monkeypatch):
     """Hovering without motion the plant is linear and Gaussian: the filter has to be Kalman's with the learned noise.
 
-    In motion the default estimator is more careful than Kalman: it counts the error of its own gains as noise.
+    In motion the default estimator is more careful than Kalman: it counts the error of its own gains as noise. So it is
+    with outliers and with commands that jump; that caution is switched off here.
     """
     if method.estimator.name != "default":
         pytest.skip("about the default estimator's own noise model")
     from rotorwatch import noise
+    from rotorwatch.estimators import jump_bank
 
+    monkeypatch.setattr(jump_bank, "OUTLIER", 1e9)
+    monkeypatch.setattr(jump_bank, "LAG_ERROR_S", 0.0)
     when = np.arange(TICKS)
     u, y, valid = flight(seed=4, motion=0.0, loss=0.0, mode=np.where(when < TAKE_OFF, GROUND, LEARN))
-    out, carries = method.over(u, y, valid)
+    out, carries = method.jax.tree.map(np.asarray, method.jax.jit(lambda *table: method.run(*table))(u, y, valid))
     estimate = estimate_of(out)
     learned = carries.noise.variances[:-1]  # what a tick works with was known before it
     flying = slice(TAKE_OFF, TICKS)

@@ -128,7 +128,8 @@ def make(
     half = dt / 2.0
     notes = []
     # Slow commands are snapshots: put them in the middle of their ticks so that jitter never empties one.
-    phase = float(np.median(np.mod(thrust.time, dt))) if thrust.rate_hz < 1.5 / dt else 0.0
+    turns = np.exp(2j * np.pi * thrust.time[:64] / dt)  # the first seconds decide, so that a longer log changes nothing
+    phase = float(np.angle(turns.mean()) / (2.0 * np.pi) % 1.0 * dt) if thrust.rate_hz < 1.5 / dt else 0.0
     first = np.floor((thrust.time[0] - phase) / dt) * dt + phase + half
     count = max(0, int((thrust.time[-1] - first) / dt) + 1)
     hi = first + dt * np.arange(count)
