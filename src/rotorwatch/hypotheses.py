@@ -137,8 +137,8 @@ def log_bayes_factors(hyp: Hypotheses, C, z, lo, hi, width):
     for block in hyp.blocks:
         idx = np.array(block)
         Cb = C[:, idx][:, :, idx] + jnp.diag(prior[idx])
-        L = jnp.linalg.cholesky(Cb)
-        y = _forward(L, z[:, idx])
+        L = cholesky(Cb)
+        y = forward(L, z[:, idx])
         free.append(
             0.5 * (y * y).sum(1) - jnp.log(jnp.diagonal(L, axis1=1, axis2=2)).sum(1) + 0.5 * jnp.log(prior[idx]).sum()
         )
@@ -149,7 +149,23 @@ def log_bayes_factors(hyp: Hypotheses, C, z, lo, hi, width):
     return logbf, nu
 
 
-def _forward(L, b):
+def cholesky(A):
+    """Lower factors of A (..., k, k), k <= 4, unrolled.
+
+    LAPACK would be exact as well, but calling it 48 times a tick costs more than the work, and JAX loads SciPy for it.
+    """
+    import jax.numpy as jnp
+
+    k = A.shape[-1]
+    L = [[jnp.zeros(A.shape[:-2])] * k for _ in range(k)]
+    for i in range(k):
+        for j in range(i + 1):
+            rest = A[..., i, j] - sum(L[i][m] * L[j][m] for m in range(j))
+            L[i][j] = jnp.sqrt(rest) if i == j else rest / L[j][j]
+    return jnp.stack([jnp.stack(row, axis=-1) for row in L], axis=-2)
+
+
+def forward(L, b):
     """Solve L y = b for lower-triangular L (W, k, k), k <= 4, unrolled."""
     import jax.numpy as jnp
 

@@ -49,17 +49,15 @@ def basis(dt: float) -> np.ndarray:
 
 def init(dt: float, prior_variances=GENERIC, prior_weight=GENERIC_WEIGHT) -> NoiseState:
     """prior_variances (4 components, 4 axes), of healthy flights or generic, count like prior_weight samples a lag."""
-    import jax.numpy as jnp
-
     D = basis(dt) @ prior_variances
-    weight = jnp.full((len(LAGS), 4), prior_weight)
+    weight = np.full((len(LAGS), 4), prior_weight)
     return NoiseState(
-        jnp.zeros((LAGS[-1], 4)),
-        jnp.zeros((LAGS[-1], 4), bool),
-        jnp.asarray(weight),
-        jnp.asarray(weight * D),
-        jnp.asarray(prior_variances),
-        jnp.ones(4),
+        np.zeros((LAGS[-1], 4)),
+        np.zeros((LAGS[-1], 4), bool),
+        np.asarray(weight),
+        np.asarray(weight * D),
+        np.asarray(prior_variances),
+        np.ones(4),
     )
 
 
