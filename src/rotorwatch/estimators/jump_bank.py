@@ -298,7 +298,8 @@ class JumpBank:
 
         # hypotheses
         theta = s[n_x:]
-        lo, hi = jnp.where(active, jnp.minimum(-theta, 0.0), 0.0), jnp.maximum(1.0 - theta, 0.0)
+        # A known loss may be taken back; what the filter has absorbed of that already is part of the jump.
+        lo, hi = jnp.where(active, -1.0, 0.0), jnp.maximum(1.0 - theta, 0.0)
         width = jnp.clip(DISTURBANCE_SCALE * jnp.sqrt(noise.spread(carry.noise.variances)), *DISTURBANCE_RANGE)
         logbf, nu_h = hypotheses.log_bayes_factors(hyp, C, z, lo, hi, width)
         # The model is right to a few percent: overwhelming evidence must not hang on its last decimals.
@@ -344,7 +345,9 @@ class JumpBank:
             restart, missing, carry.missing_slow + (missing - carry.missing_slow) * (dt / ASKED_MEMORY_S)
         )
         lost = (jnp.clip(jump_of, 0.0, 1.0) * smooth).sum()
-        big = big & (~valid[3] | (missing_fast - carry.missing_slow > ASKED_SHARE * lost - MISSING_SLACK))
+        big = big & (
+            ~valid[3] | (lost <= 0.0) | (missing_fast - carry.missing_slow > ASKED_SHARE * lost - MISSING_SLACK)
+        )
         # A second rotor failing is rare: small second losses are more likely errors in the size of the first.
         second = active.any() & (jump_of * (~active)[None, :] > 0).any()
         new_size = jnp.where(active[None, :], 1.0, jump_of)
