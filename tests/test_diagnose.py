@@ -162,12 +162,7 @@ def test_every_flight_known_to_be_healthy_is_in_the_list():
     assert known <= {*HEALTHY_FLIGHTS}
 
 
-# A manual flight with punch-outs, knocks and a crash at its end: two false alarms, named in docs/results.md. Strict: once
-# it is judged healthy, this mark has to go.
-ROUGH = pytest.mark.xfail(reason="false alarms in rough manual flight, see docs/results.md", strict=True)
-
-
-@pytest.mark.parametrize("name", [pytest.param(n, marks=ROUGH) if "log171" in n else n for n in HEALTHY_FLIGHTS])
+@pytest.mark.parametrize("name", HEALTHY_FLIGHTS)
 def test_no_false_alarm(name):
     diagnosis = judged(shared(name))
     assert losses(diagnosis) == [], diagnosis.reason
