@@ -49,7 +49,10 @@ def lengthened(data: bytes, seconds: float) -> bytes:
 
     once = enlarged(data, len(data) + 1)
     part = len(once) - len(data)
-    stamps = BinaryLog(once).table("RATE", ["TimeUS"])["TimeUS"]
+    table = BinaryLog(once).table("RATE", ["TimeUS"])
+    if table is None:
+        raise SystemExit("The log has no RATE records; choose another.")
+    stamps = table["TimeUS"]
     span = (stamps[-1] - stamps[0]) / 2e6
     return enlarged(data, len(data) + part * (int(seconds / span) - 1) + 1)
 
@@ -102,7 +105,7 @@ def main() -> None:
             del data
             diagnose(path)
             runs = [diagnose(path) for _ in range(arguments.repeats)]
-            wall, cpu, peak = (min(run[i] for run in runs) for i in range(3))
+            wall, cpu, peak = min(r[0] for r in runs), min(r[1] for r in runs), min(r[2] for r in runs)
             base = base or peak
             size, minutes = path.stat().st_size / 1e6, runs[0][3]["flight"]["duration_s"] / 60
             estimating = min(run[3]["timing"]["estimate_s"] for run in runs)
