@@ -33,7 +33,6 @@ class Record:
     shares: dict
     last: int
     end: float | None = None
-    peak: dict | None = None
 
 
 def rotor_sets(hyp: Hypotheses, probability: np.ndarray) -> dict[tuple[int, ...], float]:
@@ -51,7 +50,7 @@ def opposites(B: np.ndarray) -> dict[int, tuple[int, ...]]:
     return {i: tuple(j for j in range(n) if j != i and np.abs(B[:2, i] + B[:2, j]).max() < 0.05) for i in range(n)}
 
 
-def hidden_pairs(shares: dict, hyp: Hypotheses, partners: dict) -> tuple[tuple[int, ...], ...]:
+def hidden_pairs(shares: dict, partners: dict) -> tuple[tuple[int, ...], ...]:
     """Pairs that only their rarity, not the data, rules out against a single rotor: it and the one opposite.
 
     Losses on opposite rotors cancel in roll and pitch; gusts hide the rest in yaw and thrust. When the data favour such
@@ -84,13 +83,12 @@ def read(out, ticks: Ticks, hyp: Hypotheses, B: np.ndarray | None = None) -> tup
             who = hyp.rotors[out.best[k]]
             onset = float(ticks.command_time[max(0, k - round(float(out.onset[k])))])
             shares = rotor_sets(hyp, out.probability[k])
+            pending_onset = onset
             if all(active[i] for i in who):
                 current = None  # more, or less, of what is already known
-                pending_onset = onset
             else:
                 current = Record(min(onset, float(ticks.time[k])), k, who, shares, k)
                 records.append(current)
-                pending_onset = onset
         if out.committed[k]:
             now = out.active[k]
             if current is not None:
@@ -111,7 +109,7 @@ def read(out, ticks: Ticks, hyp: Hypotheses, B: np.ndarray | None = None) -> tup
     judged = np.flatnonzero(ticks.mode == JUDGE)
     final = int(judged[-1]) if judged.size else len(ticks.time) - 1
     partners = opposites(B) if B is not None else {}
-    return tuple(_event(r, out, ticks, hyp, final, partners) for r in records)
+    return tuple(_event(r, out, ticks, final, partners) for r in records)
 
 
 def sd_of(theta: np.ndarray, sd: np.ndarray) -> np.ndarray:
@@ -119,7 +117,7 @@ def sd_of(theta: np.ndarray, sd: np.ndarray) -> np.ndarray:
     return np.sqrt(sd**2 + MODEL_SD**2 + (MODEL_SHARE * theta) ** 2)
 
 
-def _event(record: Record, out, ticks: Ticks, hyp: Hypotheses, final: int, partners: dict) -> Event:
+def _event(record: Record, out, ticks: Ticks, final: int, partners: dict) -> Event:
     if record.end is None:
         k = final
     else:  # the last estimate before the change that ended it
@@ -131,7 +129,7 @@ def _event(record: Record, out, ticks: Ticks, hyp: Hypotheses, final: int, partn
     shares = record.shares
     own = shares.get(tuple(sorted(rotors)), max(shares.values(), default=0.0))
     others = [s for s, p in shares.items() if p >= CREDIBLE and set(s) != set(rotors)]
-    hidden = hidden_pairs(shares, hyp, partners)
+    hidden = hidden_pairs(shares, partners)
     alternatives = (
         tuple(tuple(i + 1 for i in s) for s in (*hidden, *(o for o in others if o not in hidden)))
         if own < CERTAIN or hidden

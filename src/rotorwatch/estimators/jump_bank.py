@@ -73,7 +73,6 @@ class Carry(NamedTuple):
     count: Array
     active: Array
     pending: Array
-    statistic: Array
     above: Array
     level: Array
     learning: Array
@@ -105,7 +104,7 @@ class Output(NamedTuple):
 
 
 class JumpBank:
-    """system: a WrenchBalance. dt: tick length in s. The carry's last two inputs in u are mode (GROUND, LEARN, JUDGE) and restart."""
+    """system: a WrenchBalance. dt: tick length in s. The last two inputs in u are mode (GROUND, LEARN, JUDGE) and restart."""
 
     name = "default"
 
@@ -121,10 +120,8 @@ class JumpBank:
         self.stride = np.repeat(strides, SLOTS)
         self.place = np.tile(np.arange(SLOTS), len(strides))
         # Recent slots hold sudden losses; the oldest group one that builds up, as a controller reveals it.
-        steps = np.arange(400)
-        gradual = np.exp(-steps * dt / BUILD_UP_S) * (1.0 - np.exp(-dt / BUILD_UP_S))
         self.slow = np.repeat((False, False, True), SLOTS)
-        self.first_share = float(gradual[0])
+        self.first_share = float(1.0 - np.exp(-dt / BUILD_UP_S))
         self.log_threshold = threshold(dt, false_alarm_period_s)
         E = np.zeros((self.n_s, self.q))
         E[self.n_x :, : self.n] = np.eye(self.n)
@@ -155,7 +152,6 @@ class JumpBank:
             np.int32(0),
             np.zeros(self.n, bool),
             np.int32(-1),
-            np.float64(-50.0),
             np.int32(0),
             np.array([0.3, 0.3, 0.3, 0.05, 0.05, 0.05]) ** 2,
             np.zeros(self.n),
@@ -349,9 +345,9 @@ class JumpBank:
             ~valid[3] | (lost <= 0.0) | (missing_fast - carry.missing_slow > ASKED_SHARE * lost - MISSING_SLACK)
         )
         # A second rotor failing is rare: small second losses are more likely errors in the size of the first.
-        second = active.any() & (jump_of * (~active)[None, :] > 0).any()
+        another = active.any() & (jump_of * (~active)[None, :] > 0).any()
         new_size = jnp.where(active[None, :], 1.0, jump_of)
-        big = big & (~second | jnp.where(jump_of > 0, new_size > SECOND, True).all())
+        big = big & (~another | jnp.where(jump_of > 0, new_size > SECOND, True).all())
         above = jnp.where(open_ & (statistic > 0.0) & big, carry.above + 1, 0)
         alarm = above >= max(2, round(PERSIST_S / dt))
         update = jnp.where(alarm, (mine.astype(float) * (jnp.arange(len(hyp.names)) == best)).sum() > 0.5, carry.update)
@@ -446,7 +442,7 @@ class JumpBank:
             jnp.diag(jnp.stack(variances)),
             jnp.where(~flying, 1, jnp.where(valid.any(), 0, 2)).astype(jnp.int32),
         )
-        onset_age = jnp.einsum("w,w->", where_slot, age.astype(float) * 0 + jnp.where(live, carry.age + 1.0, 0.0))
+        onset_age = where_slot @ jnp.where(live, carry.age + 1.0, 0.0)
         decision = Decision(evidence, statistic, alarm, onset_age, best)
         out = Output(
             estimate,
@@ -470,7 +466,6 @@ class JumpBank:
             carry.count + 1,
             active_new,
             pending.astype(jnp.int32),
-            statistic,
             above.astype(jnp.int32),
             level,
             learning,
