@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rotorwatch.run import CHUNK, run
+from rotorwatch.run import CHUNK, run_built
 
 
 class Counter:
@@ -51,7 +51,7 @@ def by_hand(t, gain, total=None):
 @pytest.mark.parametrize("count", [1, 7, CHUNK - 1, CHUNK, CHUNK + 1, 2 * CHUNK, 2 * CHUNK + 500])
 def test_any_length_is_run_as_one(count):
     t = table(count)
-    _, (total, steps) = run(build, {"gain": 0.5}, t.u, t.y, t.valid)
+    _, (total, steps) = run_built(build, {"gain": 0.5}, t.u, t.y, t.valid)
     assert isinstance(total, np.ndarray) and total.dtype == np.float64
     np.testing.assert_allclose(total, by_hand(t, 0.5), rtol=1e-12, atol=1e-12)
     np.testing.assert_array_equal(steps, np.arange(1, count + 1))
@@ -60,22 +60,22 @@ def test_any_length_is_run_as_one(count):
 def test_selections_and_parameters():
     t = table(40)
     for gain in (0.5, 2.0):  # the same program, another vehicle
-        _, total = run(build, {"gain": gain}, t.u, t.y, t.valid, only_total)
+        _, total = run_built(build, {"gain": gain}, t.u, t.y, t.valid, only_total)
         np.testing.assert_allclose(total, by_hand(t, gain), rtol=1e-12, atol=1e-12)
 
 
 def test_a_table_in_two_parts_is_the_same_when_the_carry_is_handed_on():
     t = table(2 * CHUNK)
-    _, (whole, _) = run(build, {"gain": 1.0}, t.u, t.y, t.valid)
-    carry, (first, _) = run(build, {"gain": 1.0}, t.u[:CHUNK], t.y[:CHUNK], t.valid[:CHUNK])
-    _, (second, _) = run(build, {"gain": 1.0}, t.u[CHUNK:], t.y[CHUNK:], t.valid[CHUNK:], carry=carry)
+    _, (whole, _) = run_built(build, {"gain": 1.0}, t.u, t.y, t.valid)
+    carry, (first, _) = run_built(build, {"gain": 1.0}, t.u[:CHUNK], t.y[:CHUNK], t.valid[:CHUNK])
+    _, (second, _) = run_built(build, {"gain": 1.0}, t.u[CHUNK:], t.y[CHUNK:], t.valid[CHUNK:], carry=carry)
     np.testing.assert_array_equal(np.concatenate([first, second]), whole)
 
 
 def test_progress_grows_to_one():
     told = []
     t = table(2 * CHUNK + 10)
-    run(build, {"gain": 1.0}, t.u, t.y, t.valid, progress=told.append)
+    run_built(build, {"gain": 1.0}, t.u, t.y, t.valid, progress=told.append)
     assert told == sorted(told) and len(told) == 3 and told[-1] == 1.0
 
 
@@ -106,7 +106,7 @@ def test_the_default_estimator_is_run_the_same_in_any_chunks(monkeypatch):
     results = []
     for chunk in (64, CHUNK):
         monkeypatch.setattr(module, "CHUNK", chunk)
-        results.append(run(bank, parameters, u, thrust @ B.T, valid, selected)[1])
+        results.append(run_built(bank, parameters, u, thrust @ B.T, valid, selected)[1])
     for a, b in zip(*results, strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-12)
     theta, _, announced = results[0]

@@ -49,12 +49,20 @@ class Decision(NamedTuple):
 
 @runtime_checkable
 class System(Protocol):
-    """One plant. Shapes: x (n_x,), u (n_u,), theta (n_theta,), y (n_y,)."""
+    """One plant. Shapes: x (n_x,), u (n_u,), theta (n_theta,), y (n_y,).
 
+    theta is loss of effectiveness per actuator (0 healthy, 1 dead), then whatever the plant adds (bias). A plant whose
+    state is no vector space offers `retract` and `local` too. x_names, x_units and so on: a tuple per variable, SI. x0, P0: where an
+    estimator starts, and how uncertain that is.
+    """
+
+    name: str
     n_x: int
     n_u: int
     n_theta: int
     n_y: int
+    x0: Array
+    P0: Array
 
     def f(self, x: Array, u: Array, theta: Array, dt: Array) -> Array:
         """State after dt seconds."""
@@ -75,9 +83,16 @@ class System(Protocol):
 
 @runtime_checkable
 class Estimator(Protocol):
-    """One method on one system. name: what the command line calls it."""
+    """One method on one system, made by `Method(system, dt, ...)` with the method's tuning as keywords.
+
+    name: what the command line calls it. not_kalman: why it is not the augmented Kalman filter on a linear Gaussian plant;
+    empty when it is (a law then holds it to that). The constructor raises ConfigError for a plant that the method is not
+    defined for, and for wrong shapes and values.
+    """
 
     name: str
+    not_kalman: str
+    system: Any
 
     def init(self) -> Carry:
         """The carry before the first measurement."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from rotorwatch.core import Array
 from rotorwatch.errors import ConfigError
-from rotorwatch.run import run
+from rotorwatch.run import run_built
 from rotorwatch.ticks import JUDGE, Ticks
 
 LEARNED_WEIGHT = 2.0  # samples a lag that the noise of healthy flights counts for
@@ -84,7 +84,7 @@ def estimate(table: Ticks, B: np.ndarray, dynamics=None, progress=None, keep=_ke
         raise ConfigError(f"commands every {table.dt:.1f} s are too slow: log motor outputs at 10 Hz or faster.")
     u = np.column_stack([WrenchBalance(B).pack(table), table.mode, table.restart])
     build = _build_fast if table.dt < 0.08 else _build_slow
-    return run(build, parameters(B, dynamics), u, table.wrench, table.valid, keep, progress)
+    return run_built(build, parameters(B, dynamics), u, table.wrench, table.valid, keep, progress)
 
 
 def learn(tables: Sequence[Ticks], B: np.ndarray) -> dict | None:

@@ -5,14 +5,11 @@ Names that start with an underscore, and classes that a module merely imports, d
 
 from __future__ import annotations
 
-import importlib
 import inspect
-import pkgutil
-from collections.abc import Iterator
-from types import ModuleType
 from typing import Any
 
 from rotorwatch.errors import ConfigError
+from rotorwatch.plugins import modules
 
 
 def estimators() -> dict[str, type]:
@@ -25,20 +22,20 @@ def systems() -> dict[str, type]:
     return _classes("rotorwatch.systems", ("name", "f", "h"))
 
 
+def system(name: str) -> type:
+    """The plant class of that name. Raises ConfigError that lists the known ones."""
+    known = systems()
+    if name not in known:
+        raise ConfigError(f"There is no plant called {name!r}; known are {', '.join(known)}.")
+    return known[name]
+
+
 def estimator(name: str) -> type:
     """The estimator class of that name. Raises ConfigError that lists the known ones."""
     known = estimators()
     if name not in known:
         raise ConfigError(f"There is no estimator called {name!r}; known are {', '.join(known)}.")
     return known[name]
-
-
-def modules(package: str) -> Iterator[ModuleType]:
-    """Every module of a package, those of its sub-packages included, in the order of their names."""
-    parent = importlib.import_module(package)
-    for info in pkgutil.walk_packages(parent.__path__, f"{package}."):
-        if not info.name.rpartition(".")[2].startswith("_"):
-            yield importlib.import_module(info.name)
 
 
 def _classes(package: str, parts: tuple[str, ...]) -> dict[str, type]:

@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from rotorwatch.backend import jax as load_jax
+from rotorwatch.errors import ConfigError
 
 CHUNK = 1024
 
@@ -34,12 +35,48 @@ def everything(out):
     return out
 
 
-def run(build: Callable, parameters, u, y, valid, select: Callable = everything, progress=None, carry=None):
-    """Step build(parameters) over T rows: u (T, n_u), y (T, n_y), valid (T, n_y) bool.
+def run(estimator, u, y, valid=None, select: Callable = everything, progress=None, carry=None):
+    """Step one estimator over T rows: u (T, n_u), y (T, n_y), valid (T, n_y) bool (None: all of y that is finite).
+
+    Returns (last carry, stacked outputs of `step`, or of `select` of each), as NumPy arrays. Compiled once for the estimator
+    object: run the same object again for further flights. progress: called with the finished share, 0..1. carry: where an
+    earlier run ended, to go on from there. Raises ConfigError for tables of the wrong shape.
+    """
+    u, y = np.asarray(u, float), np.asarray(y, float)
+    valid = np.isfinite(y) if valid is None else np.asarray(valid, bool)
+    system = getattr(estimator, "system", None)
+    rows = len(u)
+    for name, table, width in (("u", u, getattr(system, "n_u", None)), ("y", y, getattr(system, "n_y", None))):
+        if table.ndim != 2 or len(table) != rows or (width is not None and table.shape[1] != width):
+            wanted = f"({rows}, {width if width is not None else 'n'})"
+            raise ConfigError(f"{name} must have the shape {wanted}, a row per time step, not {table.shape}.")
+    if valid.shape != y.shape:
+        raise ConfigError(f"valid must have the shape of y, {y.shape}, not {valid.shape}.")
+    return run_built(_Same(estimator), (), u, y, valid, select, progress, carry)
+
+
+class _Same:
+    """A build function that always returns the one estimator; equal for the same object, so that it is compiled once."""
+
+    def __init__(self, estimator):
+        self.estimator = estimator
+
+    def __call__(self, _):
+        return self.estimator
+
+    def __hash__(self):
+        return id(self.estimator)
+
+    def __eq__(self, other):
+        return isinstance(other, _Same) and other.estimator is self.estimator
+
+
+def run_built(build: Callable, parameters, u, y, valid, select: Callable = everything, progress=None, carry=None):
+    """The same for an estimator that is built inside the compiled program: build(parameters).
 
     build: a function of `parameters` (a pytree of arrays) that returns an estimator; it and `select` (what to keep of each
-    step) are compiled once per array shape, so give the same function objects again. Returns the last carry and the
-    stacked selections, as NumPy arrays. progress: called with the finished share, 0..1.
+    step) are compiled once per array shape, so give the same function objects again: one program serves every airframe
+    with as many rotors.
     """
     jax = load_jax()
     u, y, valid = np.asarray(u, float), np.asarray(y, float), np.asarray(valid, bool)

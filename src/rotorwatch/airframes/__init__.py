@@ -10,6 +10,8 @@ from __future__ import annotations
 import importlib
 import math
 import pkgutil
+import tomllib
+from importlib import resources
 from types import ModuleType
 
 from rotorwatch.errors import VehicleError
@@ -64,6 +66,23 @@ def named(name: str) -> Vehicle:
             return build()
     close = [n for n in names() if name.lower() in n] or [n for n in names() if n.endswith("-quad-x")]
     raise VehicleError(f"There is no airframe called {name!r}; close ones are {', '.join(close[:8])}.")
+
+
+def paper(name: str) -> dict:
+    """The parameters (SI) of an airframe that a paper describes, from `airframes/papers/NAME.toml`. Raises VehicleError."""
+    try:
+        text = (resources.files(__name__) / "papers" / f"{name}.toml").read_text("utf-8")
+    except OSError as error:
+        raise VehicleError(f"There is no paper's airframe called {name!r}; known are {', '.join(papers())}.") from error
+    return tomllib.loads(text)
+
+
+def papers() -> tuple[str, ...]:
+    """Names of the airframes that `paper` knows."""
+    folder = resources.files(__name__) / "papers"
+    if not folder.is_dir():
+        return ()
+    return tuple(sorted(f.name.removesuffix(".toml") for f in folder.iterdir() if f.name.endswith(".toml")))
 
 
 def kind(flight: Flight) -> str | None:

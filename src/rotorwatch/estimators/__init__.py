@@ -1,1 +1,9 @@
-"""Estimators: one method a file, found by discovery."""
+"""Estimators: one method a file, found by discovery; `rotorwatch.estimators.ATSUKF` finds the class in its file."""
+
+from __future__ import annotations
+
+
+def __getattr__(name: str):
+    from rotorwatch import plugins
+
+    return plugins.member(__name__, name)

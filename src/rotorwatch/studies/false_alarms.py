@@ -31,7 +31,7 @@ from rotorwatch.airborne import airborne
 from rotorwatch.diagnose import READY_KNOWN_S, READY_S, observe
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight
-from rotorwatch.run import CHUNK, run
+from rotorwatch.run import CHUNK, run_built
 from rotorwatch.ticks import JUDGE, LEARN, Ticks
 from rotorwatch.vehicle import Vehicle
 
@@ -391,7 +391,7 @@ def _announced(table: Ticks, vehicle: Vehicle, shift: float) -> np.ndarray:
     u = np.column_stack([WrenchBalance(B).pack(table), table.mode, table.restart])
     known = default_estimator.parameters(B, (vehicle.identified or {}).get("dynamics"))
     given = {**known, "shift": np.array(shift)}
-    return run(_builder(table.dt), given, u, table.wrench, table.valid, _keep_announced)[1]
+    return run_built(_builder(table.dt), given, u, table.wrench, table.valid, _keep_announced)[1]
 
 
 def _keep_announced(out):

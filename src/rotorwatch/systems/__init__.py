@@ -1,1 +1,9 @@
-"""Plants: one file each, found by discovery."""
+"""Plants: one file each, found by discovery; `rotorwatch.systems.RateDynamics` finds the class in its file."""
+
+from __future__ import annotations
+
+
+def __getattr__(name: str):
+    from rotorwatch import plugins
+
+    return plugins.member(__name__, name)
