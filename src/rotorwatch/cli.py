@@ -9,14 +9,14 @@ from __future__ import annotations
 import os
 import sys
 import warnings
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from rotorwatch import __version__
+from rotorwatch import __version__, cli_research
+from rotorwatch.cli_tools import LOG, common, debug, progress, say, show
 from rotorwatch.errors import ConfigError, RotorwatchError
 
 if TYPE_CHECKING:
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 ERROR, INTERRUPTED, BROKEN_PIPE = 2, 130, 141
 # Of several logs the most severe answer is the exit code: error, fault, undecided, healthy.
 SEVERITY = (2, 1, 3, 0)
-LOG = click.Path(path_type=Path)
 SAMPLES = Path(__file__).parent / "samples"
 
 
@@ -48,13 +47,13 @@ def main(argv: list[str] | None = None) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = BROKEN_PIPE
     except (KeyboardInterrupt, click.Abort):
-        _say("interrupted")
+        say("interrupted")
         code = INTERRUPTED
     except click.ClickException as why:
         why.show()
         code = why.exit_code
     except Exception as why:
-        _say(explain(why))
+        say(explain(why))
         code = ERROR
     sys.exit(code)
 
@@ -75,27 +74,9 @@ def explain(why: Exception) -> str:
     return f"An error in rotorwatch itself ({text}); please report it with the output of the same command with --debug."
 
 
-def _say(text: str) -> None:
-    click.echo(f"rotorwatch: {text}", err=True)
-
-
-def _debug(context: click.Context, parameter: click.Parameter, on: bool) -> None:
-    if on:
-        os.environ["ROTORWATCH_DEBUG"] = "1"
-
-
-def common(command: Callable) -> Callable:
-    """Options every command has."""
-    quiet = click.option("--quiet", "-q", is_flag=True, help="No progress and no warnings on standard error.")
-    debug = click.option(
-        "--debug", is_flag=True, expose_value=False, callback=_debug, help="Show tracebacks of errors."
-    )
-    return quiet(debug(command))
-
-
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="rotorwatch", message="%(prog)s %(version)s")
-@click.option("--debug", is_flag=True, expose_value=False, callback=_debug, help="Show tracebacks of errors.")
+@click.option("--debug", is_flag=True, expose_value=False, callback=debug, help="Show tracebacks of errors.")
 def cli() -> None:
     """Which rotor lost effectiveness, how much, since when and how sure that is: from a multirotor's flight log.
 
@@ -143,7 +124,7 @@ def diagnose(context, logs, baselines, vehicle, estimator, report, as_json, quie
         if as_json:
             click.echo(result.to_json())
         else:
-            _print(lambda terminal: terminal.diagnosis(result))
+            show(lambda terminal: terminal.diagnosis(result))
             _report_written(pages[0] if pages else None, quiet)
         context.exit(result.exit_code)
     context.exit(_several(logs, judge, pages, as_json, quiet))
@@ -160,14 +141,14 @@ def _several(logs: tuple[Path, ...], judge: Callable, pages: list[Path], as_json
             codes.append(result.exit_code)
             items.append(result.to_dict())
             if not as_json:
-                _print(lambda terminal, p=path, r=result: terminal.line(str(p), r))
+                show(lambda terminal, p=path, r=result: terminal.line(str(p), r))
         except Exception as why:  # explain() tells ours from unexpected ones
             sentence = explain(why)
-            _say(f"{path}: {sentence}" if str(path) not in sentence else sentence)
+            say(f"{path}: {sentence}" if str(path) not in sentence else sentence)
             codes.append(ERROR)
             items.append({"schema": 1, "flight": {"name": str(path)}, "error": sentence})
             if not as_json:
-                _print(lambda terminal, p=path: terminal.error_line(str(p), "see the message"))
+                show(lambda terminal, p=path: terminal.error_line(str(p), "see the message"))
     if as_json:
         import json
 
@@ -203,7 +184,7 @@ def report_paths(logs: tuple[Path, ...], out: Path | None) -> list[Path]:
 
 def _report_written(page: Path | None, quiet: bool) -> None:
     if page and not quiet:
-        _say(f"report written to {page}")
+        say(f"report written to {page}")
 
 
 @cli.command(short_help="Learn a vehicle file from healthy flights.")
@@ -241,7 +222,7 @@ def info(log, as_json, quiet) -> None:
 
         click.echo(json.dumps(facts, indent=1, allow_nan=False))
     else:
-        _print(lambda terminal: terminal.info(facts))
+        show(lambda terminal: terminal.info(facts))
 
 
 @cli.command(short_help="Diagnose the sample flights.")
@@ -259,7 +240,7 @@ def demo(report, quiet) -> None:
         with progress(quiet) as tell:
             result = run(_read(sample, tell), progress=tell)
         click.echo(f"$ rotorwatch diagnose {sample.name}\n")
-        _print(lambda terminal, r=result: terminal.diagnosis(r))
+        show(lambda terminal, r=result: terminal.diagnosis(r))
         click.echo("")
         if page and sample is samples[-1]:
             result.to_html(page[0])
@@ -302,7 +283,7 @@ def inject(logs, losses, repeats, seed, as_json, quiet) -> None:
 
         click.echo(json.dumps(result, indent=1, allow_nan=False))
     else:
-        _print(lambda terminal: terminal.campaign({**result, "table": _by_loss(result["table"])}))
+        show(lambda terminal: terminal.campaign({**result, "table": _by_loss(result["table"])}))
 
 
 def _by_loss(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -360,7 +341,7 @@ def fuzz(context, log, mutations, seed, jobs, as_json, quiet) -> None:
 
         click.echo(json.dumps(result, indent=1, allow_nan=False))
     else:
-        _print(lambda terminal: terminal.fuzz(result))
+        show(lambda terminal: terminal.fuzz(result))
     context.exit(1 if result["outcomes"]["FAILED"] else 0)
 
 
@@ -372,37 +353,7 @@ def _read(path: Path, tell: Callable | None) -> Any:
     return read(path, progress=tell)
 
 
-def _print(table: Callable[[Any], Any]) -> None:
-    """Print what `table` makes of the terminal module, on standard output."""
-    from rotorwatch.report import terminal
-
-    screen = terminal.console()
-    if screen.is_terminal:
-        screen.print(table(terminal))
-        return
-    with screen.capture() as text:  # rich pads lines to the table's width; a file does not need that
-        screen.print(table(terminal))
-    click.echo("\n".join(line.rstrip() for line in text.get().splitlines()))
-
-
-@contextmanager
-def progress(quiet: bool) -> Iterator[Callable | None]:
-    """A progress bar on standard error when that is a terminal, else nothing. Yields tell(share 0..1, text)."""
-    if quiet or not sys.stderr.isatty():
-        yield None
-        return
-    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
-
-    from rotorwatch.report import terminal
-
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=terminal.console(stderr=True), transient=True) as bar:
-        task = bar.add_task("reading", total=1.0)
-
-        def tell(share: float, text: str = "") -> None:
-            bar.update(task, completed=min(max(float(share), 0.0), 1.0), description=text or None)
-
-        yield tell
+cli_research.register(cli)
 
 
 if __name__ == "__main__":

@@ -70,7 +70,8 @@ def _heading(result: Diagnosis) -> RenderableType:
     return Group(Text(" · ".join(what), style="dim"), Text(), text, Text(result.reason))
 
 
-def _table(title: str, *columns: str, right: Iterable[int] = ()) -> Table:
+def listing(title: str, *columns: str, right: Iterable[int] = ()) -> Table:
+    """An empty table: a title and its columns; `right`: the places of those with numbers."""
     table = Table(
         title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1)
     )
@@ -81,7 +82,7 @@ def _table(title: str, *columns: str, right: Iterable[int] = ()) -> Table:
 
 
 def _rotors(result: Diagnosis) -> RenderableType:
-    table = _table("Rotors, at the end of the flight", "rotor", "loss", "95 % interval", "", "status", right=(0, 1, 2))
+    table = listing("Rotors, at the end of the flight", "rotor", "loss", "95 % interval", "", "status", right=(0, 1, 2))
     for r in result.rotors:
         bar = Text("█" * round(20 * min(max(r.loss, 0.0), 1.0)), style=STYLES.get(r.status, ""))
         bar.append("·" * (20 - len(bar)), style="dim")
@@ -97,7 +98,7 @@ def _rotors(result: Diagnosis) -> RenderableType:
 
 
 def _events(result: Diagnosis) -> RenderableType:
-    table = _table("Events", "what", "since", "announced", "until", "loss (95 %)", "sure", right=(1, 2, 3, 4, 5))
+    table = listing("Events", "what", "since", "announced", "until", "loss (95 %)", "sure", right=(1, 2, 3, 4, 5))
     for e in result.events:
         what = Text(f"{report.kind(e)}\n").append(report.candidates(e) if e.rotors else "no single rotor", style="bold")
         loss = "\n".join(report.losses(e).split(", ")) or "–"
@@ -110,7 +111,7 @@ def _events(result: Diagnosis) -> RenderableType:
 
 
 def _comparison(rows: Iterable[tuple[str, str, str, str]]) -> RenderableType:
-    table = _table("Who found what, when", "check", "found", "at", "why", right=(2,))
+    table = listing("Who found what, when", "check", "found", "at", "why", right=(2,))
     for row in rows:
         table.add_row(*(Text(cell) for cell in row))
     return table
@@ -168,7 +169,7 @@ def info(facts: Mapping[str, Any]) -> RenderableType:
     ):
         if value not in ("", None):
             grid.add_row(key, Text(str(value)))
-    table = _table("Signals", "signal", "rate", "unit", "frame", "valid", "source", right=(1, 4))
+    table = listing("Signals", "signal", "rate", "unit", "frame", "valid", "source", right=(1, 4))
     for s in facts["signals"]:
         table.add_row(
             s["name"],
@@ -180,7 +181,7 @@ def info(facts: Mapping[str, Any]) -> RenderableType:
         )
     parts: list[RenderableType] = [grid, Text(), table]
     if facts["messages"]:
-        said = _table("Messages", "at", "what", "text", right=(0,))
+        said = listing("Messages", "at", "what", "text", right=(0,))
         for m in facts["messages"]:
             said.add_row(f"{m['time_s']:.1f} s", m["kind"], Text(m["text"]))
         parts.append(said)
@@ -201,7 +202,7 @@ def campaign(result: Mapping[str, Any]) -> RenderableType:
     """The table of an injection campaign (`rotorwatch.inject.campaign`)."""
     rows = list(result.get("table", ()))
     columns = list(dict.fromkeys(key for row in rows for key in row))
-    table = _table("Injected losses", *(words(c) for c in columns), right=range(len(columns)))
+    table = listing("Injected losses", *(words(c) for c in columns), right=range(len(columns)))
     shares = {"loss", "detected", "right", "right_rotor", "loss_rms", "detected_share", "right_share"}
     for row in rows:
         table.add_row(*(_campaign_cell(c, row.get(c), shares) for c in columns))
@@ -222,7 +223,7 @@ def _campaign_cell(column: str, value: Any, shares: set[str]) -> str:
 
 def fuzz(result: Mapping[str, Any]) -> RenderableType:
     """What `rotorwatch fuzz` prints; result as from `rotorwatch.fuzz.fuzz`."""
-    table = _table("Outcomes", "outcome", "mutations", "share", right=(1, 2))
+    table = listing("Outcomes", "outcome", "mutations", "share", right=(1, 2))
     for outcome, count in result["outcomes"].items():
         style = STYLES["error"] if outcome == "FAILED" and count else ""
         table.add_row(Text(outcome, style=style), str(count), report.percent(count / max(result["mutations"], 1), 1))

@@ -1,0 +1,103 @@
+"""Commands for estimation research: what can be told apart on an airframe, and published experiments run again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from rotorwatch.cli_tools import LOG, common, progress, say, show
+from rotorwatch.errors import ConfigError
+
+FIGURES = "Draw the paper's figures again, as SVG files in this folder."
+
+
+def register(group: click.Group) -> None:
+    """Add the commands of this module to the command line."""
+    for command in (observability, reproduce):
+        group.add_command(command)
+
+
+@click.command(short_help="What can be told apart on an airframe.")
+@click.option(
+    "--vehicle",
+    required=True,
+    metavar="FILE|NAME",
+    help="Vehicle file (TOML), or an airframe's name (docs/airframes.md).",
+)
+@click.option("--figure", type=LOG, metavar="OUT.svg", help="Draw it.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@common
+def observability(vehicle, figure, as_json, quiet) -> None:
+    """Say which losses of which rotors can be told apart on this airframe, in hover and in a manoeuvre."""
+    from rotorwatch.observability import observability as run
+
+    with progress(quiet) as tell:
+        result = run(_vehicle(vehicle), progress=tell)
+        if figure:
+            result.figure(figure)
+    if as_json:
+        click.echo(result.to_json())
+    else:
+        from rotorwatch.report import research_tables
+
+        show(lambda _: research_tables.observability(result))
+    if figure and not quiet:
+        say(f"figure written to {figure}")
+
+
+def _vehicle(name: str):
+    """What --vehicle names: a file, an autopilot's airframe, or a paper's."""
+    from rotorwatch import airframes, vehicle_file
+
+    if name in airframes.papers():
+        return name
+    return vehicle_file.read(name) if Path(name).suffix == ".toml" or Path(name).exists() else airframes.named(name)
+
+
+@click.command(short_help="Run a paper's experiments again.")
+@click.argument("paper")
+@click.option("--seeds", type=click.IntRange(1), help="Noise seeds per experiment; default: the study's own number.")
+@click.option(
+    "--literal", multiple=True, metavar="NAME", help="Read this erratum as the paper prints it, to see what it does."
+)
+@click.option("--figures", type=LOG, metavar="DIR", help=FIGURES)
+@click.option("--json", "as_json", is_flag=True, help="Print JSON; for `all` a list.")
+@common
+def reproduce(paper, seeds, literal, figures, as_json, quiet) -> None:
+    """Run the experiments of PAPER (or of `all`): each claim beside what comes out here, a verdict, and why."""
+    from rotorwatch.studies import reproduction
+
+    known = reproduction.studies()
+    modules = list(known.values()) if paper == "all" else [reproduction.study(paper)]
+    if paper == "all" and literal:
+        raise ConfigError(f"--literal belongs to one paper; name it instead of `all`: {', '.join(known)}.")
+    results = []
+    for module in modules:
+        with progress(quiet) as tell:
+            chosen = reproduction.check_literal(module, literal)
+            result = module.reproduce(module.SEEDS if seeds is None else seeds, chosen, tell)
+        results.append(result)
+        if not as_json:
+            from rotorwatch.report import research_tables
+
+            show(lambda _, r=result: research_tables.reproduction(r))
+        if figures:
+            for path in _draw(module, result, figures):
+                if not quiet:
+                    say(f"figure written to {path}")
+    if as_json:
+        import json
+
+        out = [result.to_dict() for result in results]
+        click.echo(json.dumps(out if paper == "all" else out[0], indent=1, allow_nan=False))
+
+
+def _draw(module, result, folder: Path) -> list[Path]:
+    """The study's figures as SVG files in a folder; returns where."""
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = []
+    for stem, figure in module.figures(result).items():
+        paths.append(folder / f"{stem}.svg")
+        figure.savefig(paths[-1], metadata={"Date": None})
+    return paths

@@ -1,0 +1,75 @@
+"""The research commands from outside: `rotorwatch reproduce` and `rotorwatch observability`."""
+
+import json
+from types import SimpleNamespace
+
+import pytest
+
+from rotorwatch import cli
+from rotorwatch.studies import reproduction
+from rotorwatch.studies.reproduction import Claim, Reproduction
+
+
+@pytest.fixture
+def run(capsys):
+    def call(*argv):
+        with pytest.raises(SystemExit) as leave:
+            cli.main([str(a) for a in argv])
+        out, err = capsys.readouterr()
+        return leave.value.code, out, err
+
+    return call
+
+
+class Drawing:
+    def savefig(self, path, metadata):
+        path.write_text("<svg/>")
+
+
+def fake(paper):
+    def reproduce(seeds, literal=(), progress=None):
+        claim = Claim("It converges.", "0.30", f"0.31 over {seeds}", "holds", "The gain is the printed one.")
+        return Reproduction(paper, f"Title of {paper}", (claim,), {"p": float("nan")}, literal, seeds)
+
+    return SimpleNamespace(
+        PAPER=paper, LITERAL={"sign": "as printed"}, SEEDS=7, reproduce=reproduce, figures=lambda _: {"one": Drawing()}
+    )
+
+
+@pytest.fixture(autouse=True)
+def studies(monkeypatch):
+    monkeypatch.setattr(reproduction, "studies", lambda: {name: fake(name) for name in ("axkf", "aesmf")})
+
+
+def test_table_of_claims(run):
+    code, out, _ = run("reproduce", "axkf")
+    assert code == 0
+    for words in ("Title of axkf", "It converges.", "0.30", "0.31 over 7", "holds", "The gain is the printed one."):
+        assert words in out
+
+
+def test_json_of_one_is_an_object_and_of_all_a_list(run):
+    code, out, _ = run("reproduce", "axkf", "--json", "--seeds", 2, "--literal", "sign")
+    one = json.loads(out)
+    assert code == 0 and one["paper"] == "axkf" and one["seeds"] == 2 and one["literal"] == ["sign"]
+    assert one["figures"] == {"p": None} and one["claims"][0]["verdict"] == "holds"
+    code, out, _ = run("reproduce", "all", "--json")
+    assert code == 0 and [item["paper"] for item in json.loads(out)] == ["axkf", "aesmf"]
+
+
+def test_figures_are_written_and_named(run, tmp_path):
+    code, _, err = run("reproduce", "axkf", "--figures", tmp_path / "new")
+    assert code == 0 and (tmp_path / "new" / "one.svg").exists() and "one.svg" in err
+
+
+@pytest.mark.parametrize(
+    "argv, words",
+    [
+        (("nonsense",), "known are axkf, aesmf"),
+        (("axkf", "--literal", "nonsense"), "it has sign"),
+        (("all", "--literal", "sign"), "belongs to one paper"),
+    ],
+)
+def test_what_does_not_exist_is_one_sentence(run, argv, words):
+    code, out, err = run("reproduce", *argv)
+    assert code == 2 and out == "" and words in err
