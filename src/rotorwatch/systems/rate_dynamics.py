@@ -42,6 +42,7 @@ class RateDynamics:
         n = np.shape(B_T)[0]
         checks.shape("B_tau", B_tau, 3, n)
         self.J = checks.covariance("J", J, 3, definite=True)
+        self.J_inverse = _inverse(self.J)
         self.B_tau, self.B_T, self.m = B_tau, B_T, checks.positive("m", m)
         self.n_u = self.n_theta = n
         self.u_names = tuple(f"thrust_{i + 1}" for i in range(n))
@@ -63,13 +64,9 @@ class RateDynamics:
     def derivative(self, x, u, theta):
         """d(omega)/dt (3,) [rad/s^2]."""
         from jax import numpy as jnp
-        from jax.scipy.linalg import cho_solve
 
         torque = self.B_tau @ (u * (1.0 - theta)) + self.tau_0
-        return cho_solve(
-            (jnp.linalg.cholesky(jnp.asarray(self.J)), True),
-            torque - jnp.cross(x, jnp.asarray(self.J) @ x) - self.damping * x,
-        )
+        return self.J_inverse @ (torque - jnp.cross(x, jnp.asarray(self.J) @ x) - self.damping * x)
 
     def f(self, x, u, theta, dt):
         """omega after dt seconds of constant u: midpoint rule (error of order dt^3)."""
@@ -86,9 +83,8 @@ class RateDynamics:
     def Q(self, dt):
         """(3, 3): white disturbance torque over dt."""
         from jax import numpy as jnp
-        from jax.scipy.linalg import cho_solve
 
-        root = cho_solve((jnp.linalg.cholesky(jnp.asarray(self.J)), True), jnp.diag(self.torque_sd * jnp.ones(3)))
+        root = self.J_inverse * (self.torque_sd * jnp.ones(3))
         return dt * root @ root.T
 
     def R(self, u):
@@ -96,3 +92,13 @@ class RateDynamics:
         from jax import numpy as jnp
 
         return jnp.concatenate([jnp.broadcast_to(self.gyro_sd, (3,)), jnp.reshape(self.accel_sd, (1,))]) ** 2
+
+
+def _inverse(A):
+    """Inverse of a symmetric 3 x 3 matrix by its adjugate: no factorisation in a step, and any derivative of it is exact."""
+    from rotorwatch.backend import jax as load_jax
+
+    np_ = np if checks.concrete(A) else load_jax().numpy
+    a, b, c = (np_.asarray(A)[k] for k in range(3))
+    adjugate = np_.stack([np_.cross(b, c), np_.cross(c, a), np_.cross(a, b)])
+    return adjugate / (a @ adjugate[0])
