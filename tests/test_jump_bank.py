@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rotorwatch import airframes, noise
+from rotorwatch import airframes, caution, jumps, noise
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.estimators import jump_bank
 from rotorwatch.estimators.jump_bank import JumpBank
@@ -117,7 +117,7 @@ def quad():
     """A calm quad whose rotor 3 loses 5 % at ONSET; caution with outliers and jumping commands is switched off."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(jump_bank, "OUTLIER", 1e9)
-        patch.setattr(jump_bank, "LAG_ERROR_S", 0.0)
+        patch.setattr(caution, "LAG_ERROR_S", 0.0)
         method = make("ardupilot-quad-x")
         table = hover(losses=[(2, ONSET, 0.05)], answered=False, scale=0.3)
         out, carries = method.over(*table)
@@ -135,13 +135,15 @@ def test_every_slot_is_an_augmented_kalman_filter(quad, slot):
     bank, system = quad.method.bank, quad.method.system
     u, y, _ = quad.table
     last = int(np.flatnonzero(quad.out.announced)[0]) - 1  # later, the bank stands still
-    age = int(quad.carries.age[last, slot])
+    age = int(quad.carries.bank.age[last, slot])
     assert age >= 0
-    carry = SimpleNamespace(**{k: getattr(quad.carries, k)[last] for k in ("s", "P", "M", "C", "z")})
-    build_up = 1.0 - np.exp(-DT / jump_bank.BUILD_UP_S)
+    carry = SimpleNamespace(
+        s=quad.carries.s[last], P=quad.carries.P[last], **{k: getattr(quad.carries.bank, k)[last] for k in "MCz"}
+    )
+    build_up = 1.0 - np.exp(-DT / jumps.BUILD_UP_S)
 
     def share(since):
-        return build_up * np.exp(-since * DT / jump_bank.BUILD_UP_S) if bank.slow[slot] else float(since == 0)
+        return build_up * np.exp(-since * DT / jumps.BUILD_UP_S) if bank.jumps.slow[slot] else float(since == 0)
 
     noises = quad.carries.noise.variances
     for d in (0, 2, system.n_theta + 1, system.n_theta + 3):
@@ -168,16 +170,16 @@ def test_a_committed_jump_is_the_augmented_filters(quad):
     bank, system = quad.method.bank, quad.method.system
     onset = k - int(quad.out.decision.onset[k])  # the one that the bank chose
     assert abs(onset - ONSET) <= 6
-    slow = [bool(bank.slow[w]) for w in np.flatnonzero(quad.carries.age[k - 1] == k - 1 - onset)]
+    slow = [bool(bank.jumps.slow[w]) for w in np.flatnonzero(quad.carries.bank.age[k - 1] == k - 1 - onset)]
     u, y, _ = quad.table
     direction = np.zeros(bank.n_s)
     direction[system.n_x + 2] = 1.0
-    build_up = 1.0 - np.exp(-DT / jump_bank.BUILD_UP_S)
+    build_up = 1.0 - np.exp(-DT / jumps.BUILD_UP_S)
     found = []
     for gradual in set(slow):
 
         def share(since, gradual=gradual):
-            return build_up * np.exp(-since * DT / jump_bank.BUILD_UP_S) if gradual else float(since == 0)
+            return build_up * np.exp(-since * DT / jumps.BUILD_UP_S) if gradual else float(since == 0)
 
         mean, P = dense(quad.method, u, y, quad.carries.noise.variances, onset, direction, share, k, LOSS_WIDTH**2)
         found.append((mean[:-1], P[:-1, :-1]))
@@ -194,7 +196,7 @@ def test_a_committed_jump_is_the_augmented_filters(quad):
 
 def test_every_covariance_is_symmetric_and_not_negative(quad):
     """Through announcement and commit: the filter's covariance with all cross terms, the information of every jump."""
-    P, C = quad.carries.P, quad.carries.C
+    P, C = quad.carries.P, quad.carries.bank.C
     np.testing.assert_array_equal(P, np.swapaxes(P, 1, 2))
     sd = np.sqrt(np.maximum(np.diagonal(P, axis1=1, axis2=2), 1e-20))
     assert np.linalg.eigvalsh(P / sd[:, :, None] / sd[:, None, :]).min() > -1e-9

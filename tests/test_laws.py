@@ -241,11 +241,11 @@ def test_default_is_the_kalman_filter_while_nothing_is_suspected(method, monkeyp
     """
     if method.estimator.name != "default":
         pytest.skip("about the default estimator's own noise model")
-    from rotorwatch import noise
+    from rotorwatch import caution, noise
     from rotorwatch.estimators import jump_bank
 
     monkeypatch.setattr(jump_bank, "OUTLIER", 1e9)
-    monkeypatch.setattr(jump_bank, "LAG_ERROR_S", 0.0)
+    monkeypatch.setattr(caution, "LAG_ERROR_S", 0.0)
     when = np.arange(TICKS)
     u, y, valid = flight(seed=4, motion=0.0, loss=0.0, mode=np.where(when < TAKE_OFF, GROUND, LEARN))
     out, carries = method.jax.tree.map(np.asarray, method.jax.jit(lambda *table: method.run(*table))(u, y, valid))

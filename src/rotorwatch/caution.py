@@ -1,0 +1,117 @@
+"""How far commands and motion can be believed: what the filter may learn from them, and how wrong its model may be for a moment.
+
+In closed loop the commands answer the noise. Three things follow, each learned the hard way: small motion teaches the
+controller's gains instead of the vehicle's; a loss must not be regressed on a rotor's own jitter; and gains, damping,
+thrust curve and lag are wrong by some share of what they multiply, which belongs in the measurement noise.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from rotorwatch.core import Array
+from rotorwatch.systems.wrench_balance import DAMPING, GAIN, PER_AXIS
+
+GARROTE = 2.5  # how many times its calm level motion must reach to stand out
+LEVEL_MEMORY_S = 10.0
+THRUST_MEMORY_S, TRIM_MEMORY_S = 0.5, 6.0
+# Share by which the motion model may be wrong for a moment, and how many ticks such an error lasts.
+GAIN_ERROR, DAMPING_ERROR = (0.25, 0.25, 0.35, 0.15), 0.3
+ERROR_TICKS = 4.0
+LAG_ERROR_S = 0.015
+FAR, FAR_ERROR, FAR_MEMORY_S = 0.3, 0.5, 5.0
+
+
+class Memory(NamedTuple):
+    """level (6,): calm variance of angular accelerations and rates. thrust, trim (n,): each rotor's thrust less the mean of all, in
+    half a second and in six; thrust_level (n,): its calm variance. collective: the mean. y (4,): last wrench."""
+
+    level: Array
+    thrust: Array
+    thrust_level: Array
+    trim: Array
+    collective: Array
+    y: Array
+
+
+class Look(NamedTuple):
+    """What this tick's inputs are worth. u: with smoothed thrusts. teach (n_s,): share of the Kalman gain each state gets.
+    far: hover thrusts away from hover. rise (n,): thrust asked for above trim. collective: mean thrust."""
+
+    u: Array
+    teach: Array
+    far: Array
+    rise: Array
+    collective: Array
+
+
+def init(n: int) -> Memory:
+    """Nothing known: motion counts as calm up to about 0.3 rad/s^2."""
+    return Memory(
+        np.array([0.3, 0.3, 0.3, 0.05, 0.05, 0.05]) ** 2,
+        np.zeros(n),
+        np.full(n, 0.05**2),
+        np.zeros(n),
+        np.float64(1.0),
+        np.zeros(4),
+    )
+
+
+def look(memory: Memory, u, y, valid, flying, restart, n: int, dt: float) -> tuple[Memory, Look]:
+    """One tick's inputs u (n + 7,) as `WrenchBalance.pack` lays them out, judged against what was usual."""
+    import jax.numpy as jnp
+
+    # Below the calm level, angular motion is gyro noise that the rate controller answers: it would teach the filter the
+    # controller's gains instead of the vehicle's. Only motion that stands out teaches (nonnegative garrote).
+    motion = u[jnp.array([n, n + 1, n + 2, n + 4, n + 5, n + 6])]
+    shrink = jnp.maximum(0.0, 1.0 - GARROTE**2 * memory.level / jnp.maximum(motion**2, 1e-12))
+    fade = jnp.where(flying & valid[0], dt / LEVEL_MEMORY_S, 0.0)
+    level = memory.level + fade * (jnp.minimum(motion**2, 6.0 * memory.level) - memory.level)
+    one = jnp.ones(1)
+    teach = jnp.ones((4, PER_AXIS)).at[:, GAIN].set(jnp.concatenate([shrink[:3], one]))
+    teach = teach.at[:, DAMPING].set(jnp.concatenate([shrink[3:], one]))
+
+    # What a loss takes is in proportion to the rotor's thrust, but not to its jitter: a disturbance that the controller
+    # answers through rotor i would correlate with that rotor's own command and look like its loss.
+    # The collective part is common to all rotors and may pass; the torque part is smoothed unless it stands out.
+    collective = u[:n].mean()
+    part = u[:n] - collective
+    before = jnp.where(restart, part, memory.thrust)
+    away = part - before
+    stands_out = jnp.maximum(0.0, 1.0 - GARROTE**2 * memory.thrust_level / jnp.maximum(away**2, 1e-12)) * away
+    trim = jnp.where(restart, part, memory.trim)
+    fade = jnp.where(flying & valid[0] & ~restart, dt / LEVEL_MEMORY_S, 0.0)
+    thrust_level = memory.thrust_level + fade * (jnp.minimum(away**2, 6.0 * memory.thrust_level) - memory.thrust_level)
+    smooth = jnp.maximum(collective + before + stands_out, 0.0)
+
+    # Punch-outs, drops and knocks: far from hover the thrust curve and the lag are no longer known well.
+    usual = jnp.where(restart, collective, memory.collective)
+    far = jnp.maximum(jnp.abs(collective - usual) - FAR, 0.0) + jnp.maximum(jnp.abs(u[n + 3] / n - 1.0) - FAR, 0.0)
+    new = Memory(
+        level,
+        before + away * (dt / THRUST_MEMORY_S),
+        thrust_level,
+        trim + (part - trim) * (dt / TRIM_MEMORY_S),
+        usual + (collective - usual) * (dt / FAR_MEMORY_S),
+        jnp.where(valid, y, memory.y),
+    )
+    teach = jnp.concatenate([teach.reshape(-1), jnp.ones(n)])
+    return new, Look(jnp.concatenate([smooth, u[n:]]), teach, far, smooth - collective - memory.trim, collective)
+
+
+def model_error(memory: Memory, seen: Look, x, y, white, n: int, dt: float):
+    """(4,) variance by which the plant's model may be wrong at this tick; x (20,) state, white (4,) noise variance."""
+    import jax.numpy as jnp
+
+    u, x = seen.u, x.reshape(4, PER_AXIS)
+    motion = jnp.concatenate([u[n : n + 3], u[n + 3 : n + 4] - n])
+    rates = jnp.concatenate([u[n + 4 : n + 7], jnp.zeros(1)])
+    step = jnp.maximum(jnp.abs(y - memory.y) - 4.0 * jnp.sqrt(white), 0.0)
+    return ERROR_TICKS * (
+        (jnp.asarray(GAIN_ERROR) * x[:, GAIN] * motion) ** 2
+        + (DAMPING_ERROR * x[:, DAMPING] * rates) ** 2
+        + (FAR_ERROR * n * seen.far) ** 2
+        + (LAG_ERROR_S / dt * step) ** 2
+    )

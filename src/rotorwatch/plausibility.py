@@ -1,0 +1,61 @@
+"""Before a loss is believed: has the controller asked more of that rotor, and is the thrust missing that it no longer gives?
+
+Evidence says which explanation fits best; these gates say whether the best one can be true at all.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from rotorwatch.core import Array
+
+SMALLEST = 0.015  # loss that is worth an event
+ASKED_SHARE, ASKED_SLACK, ASKED_MOST = 0.25, 0.05, 0.35
+MISSING_SLACK = 0.15  # hover thrusts of one rotor
+FAST_S, SLOW_S = 0.5, 6.0
+SECOND = 0.1
+
+
+class Missing(NamedTuple):
+    """Commanded thrust that the accelerometer does not see, hover thrusts of one rotor: over FAST_S and over SLOW_S."""
+
+    fast: Array
+    slow: Array
+
+
+def init() -> Missing:
+    """Nothing missing."""
+    return Missing(np.float64(0.0), np.float64(0.0))
+
+
+def follow(state: Missing, missing, valid, restart, dt: float) -> Missing:
+    """One tick on. missing: commanded thrust minus load factor times its gain, where `valid`."""
+    import jax.numpy as jnp
+
+    missing = jnp.where(valid, missing, state.slow)
+    return Missing(
+        jnp.where(restart, missing, state.fast + (missing - state.fast) * (dt / FAST_S)),
+        jnp.where(restart, missing, state.slow + (missing - state.slow) * (dt / SLOW_S)),
+    )
+
+
+def plausible(first, jump, smooth, rise, now: Missing, before: Missing, thrust_valid, active):
+    """bool: may the jump (2, n; two rotors at most, 0 elsewhere) be a loss?
+
+    first: size of the first rotor's jump. smooth (n,): thrust of each rotor; rise (n,): what is asked above trim. active (n,):
+    rotors already known to be weak.
+    """
+    import jax.numpy as jnp
+
+    # A controller asks more of a rotor that gives less: a candidate whose command has fallen instead is none.
+    asked = jnp.minimum(jump, ASKED_MOST) * smooth
+    ok = (jnp.abs(first) > SMALLEST) & jnp.where(jump > 0, rise > ASKED_SHARE * asked - ASKED_SLACK, True).all()
+    # ... and what the rotors no longer give must be missing from the thrust.
+    lost = (jnp.clip(jump, 0.0, 1.0) * smooth).sum()
+    ok &= ~thrust_valid | (lost <= 0.0) | (now.fast - before.slow > ASKED_SHARE * lost - MISSING_SLACK)
+    # A second rotor failing is rare: small second losses are more likely errors in the size of the first.
+    another = active.any() & (jump * (~active)[None, :] > 0).any()
+    size = jnp.where(active[None, :], 1.0, jump)
+    return ok & (~another | jnp.where(jump > 0, size > SECOND, True).all())
