@@ -1,0 +1,81 @@
+"""First-order models of a plant, and the measurement update of a Gaussian: what linearised estimators share.
+
+    x(k+1) = f + F dx + Phi dtheta,    y = h + C dx + D dtheta
+
+D is the direct feedthrough of a loss to a measurement (an accelerometer feels thrust at once).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from rotorwatch import checks
+from rotorwatch.core import Array
+from rotorwatch.errors import ConfigError
+
+
+class Linear(NamedTuple):
+    """value (m,) at the point; by_x (m, n_x) and by_theta (m, n_theta): its derivatives there."""
+
+    value: Array
+    by_x: Array
+    by_theta: Array
+
+
+def transition(system, x, u, theta, dt) -> Linear:
+    """f, F and Phi: the plant's step of dt seconds about (x, theta)."""
+    return _linear(lambda x, theta: system.f(x, u, theta, dt), x, theta)
+
+
+def measurement(system, x, u, theta) -> Linear:
+    """h, C and D: the plant's measurement about (x, theta)."""
+    return _linear(lambda x, theta: system.h(x, u, theta), x, theta)
+
+
+def _linear(g, x, theta) -> Linear:
+    """One pass of forward differentiation in all directions."""
+    from rotorwatch.backend import jax as load_jax
+
+    jax = load_jax()
+    jnp, n = jax.numpy, x.shape[0]
+
+    def both(s):
+        value = g(s[:n], s[n:])
+        return value, value
+
+    slope, value = jax.jacfwd(both, has_aux=True)(jnp.concatenate([x, theta]))
+    return Linear(value, slope[:, :n], slope[:, n:])
+
+
+def update(s, P, H, e, R, valid):
+    """Kalman update of mean s (n,) and covariance P (n, n), one measurement after the other: R is diagonal.
+
+    H (m, n): rows of the measurement; e (m,): y minus its prediction from s; R (m,) variances; valid (m,) bool: what is not
+    valid changes nothing, whatever e holds there. The same as the update with all at once, because H stays where it was.
+    Returns s and an exactly symmetric P.
+    """
+    import jax.numpy as jnp
+
+    ds = jnp.zeros_like(s)
+    for i in range(H.shape[0]):
+        Ph = P @ H[i]
+        w = jnp.where(valid[i], 1.0 / (H[i] @ Ph + R[i]), 0.0)
+        ds = ds + Ph * (w * (jnp.where(valid[i], e[i], 0.0) - H[i] @ ds))
+        P = P - Ph[:, None] * Ph[None, :] * w
+    return s + ds, 0.5 * (P + P.T)
+
+
+def status(valid):
+    """0 when something was measured, 2 when not: `core.Estimate.status`."""
+    import jax.numpy as jnp
+
+    return jnp.where(valid.any(), 0, 2).astype(jnp.int32)
+
+
+def variances(name: str, value, n: int):
+    """(n,) variances from one number or n of them; raises ConfigError when they are negative or too few."""
+    if np.shape(value) not in ((), (n,)):
+        raise ConfigError(f"{name} must be one number or {n} of them, not an array of the shape {np.shape(value)}.")
+    return checks.between(name, value, 0.0, np.inf) * np.ones(n)
