@@ -8,12 +8,14 @@ from os import PathLike
 
 import numpy as np
 
-from rotorwatch import airframes, allocation, detectors, events, hypotheses, ticks
+from rotorwatch import airframes, allocation, decide, detectors, discovery, events, hypotheses, published, ticks
 from rotorwatch.airborne import airborne
 from rotorwatch.default_estimator import estimate
 from rotorwatch.diagnosis import Diagnosis, Event, RotorState, Trace
 from rotorwatch.errors import ConfigError
+from rotorwatch.estimators import jump_bank
 from rotorwatch.flight import Flight
+from rotorwatch.published import Tuning
 from rotorwatch.ticks import JUDGE, Ticks
 from rotorwatch.vehicle import Vehicle
 
@@ -38,11 +40,13 @@ def diagnose(
     baseline: Iterable[Flight | str | PathLike] = (),
     estimator: str = "default",
     progress: Callable | None = None,
+    tuning: Tuning | None = None,
 ) -> Diagnosis:
     """Which rotor lost effectiveness, how much, since when and how sure.
 
     flight: a Flight or a log file. vehicle: a Vehicle or its file; identified from the log when None. baseline: healthy
     flights of the same build, which make damage that was there from take-off judgeable and shorten the blind time.
+    estimator: the default method, or a published one by name; tuning: of a published one (`rotorwatch.tune`).
     progress: called as progress(share, text). Raises LogError, VehicleError or ConfigError with one sentence.
     """
     began = time.perf_counter()
@@ -53,7 +57,11 @@ def diagnose(
         timing[name] = time.perf_counter() - began - sum(timing.values())
 
     if estimator != "default":
-        raise ConfigError(f"estimator {estimator!r} is not known here; available: default.")
+        discovery.estimator(estimator)
+    elif tuning is not None:
+        raise ConfigError(
+            "The default estimator learns its noise in flight; name the estimator that the tuning is for."
+        )
     baseline = tuple(baseline)
     flight = _flight(flight, lambda share: tell(0.3 * share, "reading"))
     known_vehicle = _vehicle(vehicle)
@@ -100,7 +108,17 @@ def diagnose(
     if dynamics and dynamics.get("dt") != table.dt:
         dynamics = None  # learned at another logging rate: its noise is not this flight's
     B = craft.effectiveness()
-    _, out = estimate(table, B, dynamics, lambda share: tell(0.3 + 0.6 * share, "estimating"))
+
+    def estimating(share):
+        tell(0.3 + 0.6 * share, "estimating")
+
+    if estimator == "default":
+        _, out = estimate(table, B, dynamics, estimating)
+        limit = jump_bank.threshold(table.dt)
+    else:
+        out = published.judge(estimator, table, B, dynamics, tuning, estimating)
+        assumptions += published.notes(estimator)
+        limit = 0.5 * decide.SIGMAS**2
     lap("estimate_s")
     hyp = hypotheses.make(len(craft.rotors))
     losses = events.read(out, table, hyp, B)
@@ -125,7 +143,7 @@ def diagnose(
     timing["total_s"] = time.perf_counter() - began
     return Diagnosis(
         facts, verdict, reason, rotors, found, common, source, tuple(assumptions), tuple(warnings), timing, estimator,
-        comparison, whole, _trace(out, table, hyp, air, ready_s),
+        comparison, whole, _trace(out, table, hyp, air, ready_s, limit),
     )  # fmt: skip
 
 
@@ -278,7 +296,7 @@ def _verdict(found, whole, table: Ticks, known: bool) -> tuple[str, str]:
     return "healthy", f"no rotor lost effectiveness in {judged_s:.0f} s of judged flight, {scope}."
 
 
-def _trace(out, table: Ticks, hyp, air, ready_s: float) -> Trace:
+def _trace(out, table: Ticks, hyp, air, ready_s: float, limit: float) -> Trace:
     sd = events.sd_of(out.theta, out.theta_sd)
     spread = np.where(out.theta > 0, 1.96 * sd, 1.96 * np.where((table.mode == JUDGE)[:, None], out.detectable, 0.0))
     evidence = {
@@ -289,12 +307,10 @@ def _trace(out, table: Ticks, hyp, air, ready_s: float) -> Trace:
     blind = [(a, min(a + ready_s, b), "learning after take-off") for a, b in air]
     for start, end in _spans(table.time, table.upset & (table.mode > 0)):
         blind.append((start, end, "upset: hover physics does not hold"))
-    from rotorwatch.estimators.jump_bank import threshold
-
     return Trace(
         table.time, out.theta, np.clip(out.theta - spread, 0, 1), np.clip(out.theta + spread, 0, 1), out.innovation,
         np.sqrt(out.innovation_var), table.thrust * table.hover[:, None],
-        {k: np.clip(v, -3.0, None) for k, v in evidence.items()}, tuple(blind), tuple(air), threshold(table.dt) / LN10,
+        {k: np.clip(v, -3.0, None) for k, v in evidence.items()}, tuple(blind), tuple(air), limit / LN10,
     )  # fmt: skip
 
 
