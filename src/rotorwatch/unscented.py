@@ -34,12 +34,19 @@ class Weights(NamedTuple):
 
 
 class Transformed(NamedTuple):
-    """A function of a Gaussian. mean (m,); deviations (2 n + 1, m) of its points from the mean; slope (m, n): its mean
-    derivative times L, from the differences of opposite points."""
+    """A function of a Gaussian. mean (m,). deviations (2 n + 1, m): its points minus the mean. slope (m, n): its mean derivative
+    times L, from the differences of opposite points. curvature (m, m): what its covariance has beyond slope slope', 0 where
+    the function is linear."""
 
     mean: Array
     deviations: Array
     slope: Array
+    curvature: Array
+
+    @property
+    def cov(self) -> Array:
+        """(m, m) sum w_c (f(chi) - mean)(f(chi) - mean)'."""
+        return self.slope @ self.slope.T + self.curvature
 
 
 def weights(n: int, alpha: float = 1.0, beta: float = 2.0, kappa: float = 0.0) -> Weights:
@@ -80,8 +87,10 @@ def transform(function: Callable, x: Array, L: Array, w: Weights) -> Transformed
     n = x.shape[0]
     from_centre = values - values[0]  # the mean as a difference: no loss of digits where weights are large
     shift = w.side * from_centre[1:].sum(axis=0)
-    plus, minus = values[1 : n + 1], values[n + 1 :]
-    return Transformed(values[0] + shift, from_centre - shift, (plus - minus).T / (2.0 * w.spread))
+    plus, minus = from_centre[1 : n + 1], from_centre[n + 1 :]
+    even = 0.5 * (plus + minus) - shift  # what opposite points have in common; slope is what they have not
+    curvature = 2.0 * w.side * even.T @ even + w.cov_0 * shift[:, None] * shift[None, :]
+    return Transformed(values[0] + shift, from_centre - shift, (plus - minus).T / (2.0 * w.spread), curvature)
 
 
 def covariance(a: Array, b: Array, w: Weights) -> Array:
@@ -99,14 +108,16 @@ def gain(P_xy: Array, S: Array, valid: Array) -> Array:
     return cho_solve((jnp.linalg.cholesky(S), True), jnp.where(valid[:, None], P_xy.T, 0.0)).T
 
 
-def corrected(dx: Array, dy: Array, K: Array, R: Array, w: Weights) -> Array:
-    """Covariance after the update x + K (y - h), in Joseph's form: sum w_c (dx - K dy)(dx - K dy)' + K R K'.
+def corrected(L: Array, y: Transformed, K: Array, R: Array) -> Array:
+    """Covariance after the update x + K (y - h), in Joseph's form: (L - K D)(L - K D)' + K (C + diag(R)) K'.
 
-    dx (2 n + 1, n), dy (2 n + 1, m): deviations of points drawn from the predicted Gaussian. R (m,): variances. Equal to
-    P - K S K' for K = P_xy S^-1, and positive semidefinite for any K.
+    L (n, n): root of the predicted covariance that the points of h were drawn with; D, C: slope and curvature of h. R (m,):
+    variances. Equal to P - K S K' for K = L D' S^-1, and positive semidefinite for any K.
     """
-    rest = dx - dy @ K.T
-    return symmetric(covariance(rest, rest, w) + (K * R) @ K.T)
+    from jax import numpy as jnp
+
+    rest = L - K @ y.slope
+    return symmetric(rest @ rest.T + K @ (y.curvature + jnp.diag(R)) @ K.T)
 
 
 def symmetric(P: Array) -> Array:

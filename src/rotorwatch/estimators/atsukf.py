@@ -1,0 +1,147 @@
+"""Adaptive two-stage unscented Kalman filter: the losses' random walk widens when innovations are larger than predicted.
+
+When e'e > threshold tr S and the window of M innovations is full, P_theta- = P_theta + delta Q_theta with
+
+    delta = max(1, [tr sum e e' / (M - 1) - tr P_yy - tr H P_theta H'] / tr H Q_theta H')
+
+while beta-, H and P_free keep their nominal values (recomputing them with delta diverges). Source: Zhang et al., Drones 7
+(2023) 12, section 3.2, eqs. (40)-(47). Options beyond the paper: a whiteness gate, because only innovations that point the same
+way twice speak of a loss that moves, not of noise; and losses kept in [0, 1]. docs/methods/atsukf.md.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from rotorwatch import checks, two_stage, unscented
+from rotorwatch.core import Array, Estimate
+from rotorwatch.errors import ConfigError
+
+
+class Window(NamedTuple):
+    """Sums over the last M rows, kept by adding what comes and taking away what leaves. rows (M, 2 n_y + 1): squared
+    innovations, whether valid, and product with the innovations before. total: sum of all rows. lap: of those since row 0 was
+    last written; it becomes the total once a lap, so that rounding does not pile up. next: row to write. full: bool."""
+
+    rows: Array
+    total: Array
+    lap: Array
+    next: Array
+    full: Array
+
+
+class Carry(NamedTuple):
+    """state: the filter's. window: of innovations. e (n_y,): the last innovation. delta: the last factor on Q_theta."""
+
+    state: two_stage.State
+    window: Window
+    e: Array
+    delta: Array
+
+
+class ATSUKF:
+    """Adaptive two-stage UKF on any plant with f, h, Q and R."""
+
+    name = "atsukf"
+    not_kalman = "it widens the losses' random walk when innovations exceed their predicted size, so its gains depend on the data"
+
+    def __init__(
+        self,
+        system: Any,
+        dt: float,
+        *,
+        Q_theta=1e-3,
+        P0_theta=1e-2,
+        M=150,
+        threshold=1.0,
+        whiteness=None,
+        clip=False,
+        alpha=1.0,
+        beta=2.0,
+        kappa=0.0,
+    ):
+        """dt: step [s]. Q_theta: random walk of the losses, growth of variance [1/s]; P0_theta: variance at the start; each a
+        number for all, one for each (n_theta,), or a covariance. M: steps in the window. threshold: how many times the predicted
+        size counts as too large (the paper's K). whiteness: widen only when the innovations' lag-1 correlation in the window
+        exceeds this (0.2 is a good value; None: no gate, as in the paper). clip: keep actuators' losses in [0, 1]. alpha, beta,
+        kappa: where the points lie, `unscented.weights`. Raises ConfigError.
+        """
+        checks.has(system, "atsukf", "f", "h", "Q", "R")
+        self.system, self.dt = system, checks.positive("dt", dt)
+        n = system.n_theta
+        self.Q_theta = two_stage.loss_covariance("Q_theta", Q_theta, n)
+        self.P0_theta = two_stage.loss_covariance("P0_theta", P0_theta, n)
+        if int(M) != M or M < 2:
+            raise ConfigError(f"M must be a whole number of steps, 2 or more, not {M}.")
+        self.M, self.threshold = int(M), checks.positive("threshold", threshold)
+        self.whiteness = None if whiteness is None else checks.between("whiteness", whiteness, -1.0, 1.0)
+        self.limit = two_stage.to_unit(min(system.n_u, n)) if clip else two_stage.no_limit
+        self.weights = unscented.weights(system.n_x, alpha, beta, kappa)
+
+    def init(self) -> Carry:
+        """The plant's x0 and P0, no loss, an empty window."""
+        from jax import numpy as jnp
+
+        n_y = self.system.n_y
+        width = 2 * n_y + 1
+        window = Window(
+            jnp.zeros((self.M, width)),
+            jnp.zeros(width),
+            jnp.zeros(width),
+            jnp.zeros((), jnp.int32),
+            jnp.zeros((), bool),
+        )
+        return Carry(two_stage.initial(self.system, self.P0_theta), window, jnp.zeros(n_y), jnp.ones(()))
+
+    def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Estimate]:
+        """One time step; arguments as in `core.Estimator`."""
+        from jax import numpy as jnp
+
+        dt = self.dt if dt is None else dt
+        Q_theta = dt * self.Q_theta
+        p = two_stage.predict(self.system, self.weights, carry.state, Q_theta, u, y, valid, dt)
+        row = jnp.concatenate([p.e * p.e, valid.astype(float), (p.e @ carry.e)[None]])
+        window = self._push(carry.window, row, valid.any())
+        delta = self._factor(p, window, Q_theta, valid)
+        state, estimate = two_stage.update(p, carry.state.P_theta + delta * Q_theta, valid, self.limit)
+        return Carry(state, window, p.e, delta), estimate
+
+    def _push(self, window: Window, row: Array, measured: Array) -> Window:
+        """The window one row on; unchanged where nothing was measured."""
+        from jax import lax
+        from jax import numpy as jnp
+
+        leaving = lax.dynamic_index_in_dim(window.rows, window.next, keepdims=False)
+        kept = jnp.where(measured, row, leaving)
+        total, lap = window.total + kept - leaving, window.lap + jnp.where(measured, row, 0.0)
+        rows = lax.dynamic_update_index_in_dim(window.rows, kept, window.next, 0)
+        step = window.next + measured.astype(jnp.int32)
+        round_done = step == self.M
+        return Window(
+            rows,
+            jnp.where(round_done, lap, total),
+            jnp.where(round_done, 0.0, lap),
+            jnp.where(round_done, 0, step).astype(jnp.int32),
+            window.full | round_done,
+        )
+
+    def _factor(self, p: two_stage.Prediction, window: Window, Q_theta: Array, valid: Array) -> Array:
+        """delta, 1 when nothing calls for more."""
+        from jax import numpy as jnp
+
+        n_y = self.system.n_y
+        squares, count = window.total[:n_y], window.total[n_y : 2 * n_y]
+        seen = jnp.where(valid, squares / jnp.maximum(count - 1.0, 1.0), 0.0).sum()
+
+        def trace(diagonal):
+            return jnp.where(valid, diagonal, 0.0).sum()
+
+        noise, known = trace(jnp.diagonal(p.P_yy)), trace(((p.H @ p.P_theta_before) * p.H).sum(axis=1))
+        walk = trace(((p.H @ Q_theta) * p.H).sum(axis=1))
+        expected = noise + known + walk
+        felt = walk > 1e-15 * expected  # else no loss can be felt at all: before the first coupling, or with motors off
+        wide = (p.e @ p.e > self.threshold * expected) & window.full & felt
+        if self.whiteness is not None:
+            wide = wide & (window.total[-1] > self.whiteness * squares.sum())
+        delta = (seen - noise - known) / jnp.where(felt, walk, 1.0)
+        return jnp.where(wide, jnp.maximum(delta, 1.0), 1.0)

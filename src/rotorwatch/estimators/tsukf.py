@@ -1,0 +1,44 @@
+"""Two-stage unscented Kalman filter: points are drawn for the states only, losses are carried by a linear coupling.
+
+Equations: `rotorwatch.two_stage`. Source: Zhang et al., Drones 7 (2023) 12, section 3.1. docs/methods/tsukf.md.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rotorwatch import checks, two_stage, unscented
+from rotorwatch.core import Estimate
+
+
+class TSUKF:
+    """Two-stage UKF on any plant with f, h, Q and R; as good as the augmented UKF where losses act nearly linearly."""
+
+    name = "tsukf"
+    not_kalman = ""
+
+    def __init__(
+        self, system: Any, dt: float, *, Q_theta=1e-3, P0_theta=1e-2, clip=False, alpha=1.0, beta=2.0, kappa=0.0
+    ):
+        """dt: step [s]. Q_theta: random walk of the losses, growth of variance [1/s]; P0_theta: variance at the start; each a
+        number for all, one for each (n_theta,), or a covariance. clip: keep actuators' losses in [0, 1]. alpha, beta, kappa:
+        where the points lie, `unscented.weights`. Raises ConfigError.
+        """
+        checks.has(system, "tsukf", "f", "h", "Q", "R")
+        self.system, self.dt = system, checks.positive("dt", dt)
+        n = system.n_theta
+        self.Q_theta = two_stage.loss_covariance("Q_theta", Q_theta, n)
+        self.P0_theta = two_stage.loss_covariance("P0_theta", P0_theta, n)
+        self.limit = two_stage.to_unit(min(system.n_u, n)) if clip else two_stage.no_limit
+        self.weights = unscented.weights(system.n_x, alpha, beta, kappa)
+
+    def init(self) -> two_stage.State:
+        """The plant's x0 and P0, no loss."""
+        return two_stage.initial(self.system, self.P0_theta)
+
+    def step(self, carry: two_stage.State, u, y, valid, dt=None) -> tuple[two_stage.State, Estimate]:
+        """One time step; arguments as in `core.Estimator`."""
+        dt = self.dt if dt is None else dt
+        Q_theta = dt * self.Q_theta
+        p = two_stage.predict(self.system, self.weights, carry, Q_theta, u, y, valid, dt)
+        return two_stage.update(p, carry.P_theta + Q_theta, valid, self.limit)

@@ -1,0 +1,79 @@
+"""Augmented unscented Kalman filter: states and losses are one vector, and points are drawn from their joint Gaussian.
+
+    z = (x, theta),  theta a random walk;   z- = sum w (f(chi), chi_theta),   P- = P_f + diag(Q, Q_theta)
+    points drawn again from (z-, P-):  y-, P_yy + R, P_zy;   K = P_zy S^-1;   z = z- + K (y - y-),   P = P- - K S K'
+
+Source: Julier and Uhlmann, Proc. IEEE 92 (2004); the yardstick of the two-stage filters. docs/methods/ukf.md.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from rotorwatch import checks, two_stage, unscented
+from rotorwatch.core import Array, Estimate
+
+
+class Carry(NamedTuple):
+    """z (n_x + n_theta,): states, then losses. P: its covariance."""
+
+    z: Array
+    P: Array
+
+
+class UKF:
+    """Augmented UKF on any plant with f, h, Q and R."""
+
+    name = "ukf"
+    not_kalman = ""
+
+    def __init__(
+        self, system: Any, dt: float, *, Q_theta=1e-3, P0_theta=1e-2, clip=False, alpha=1.0, beta=2.0, kappa=0.0
+    ):
+        """dt: step [s]. Q_theta: random walk of the losses, growth of variance [1/s]; P0_theta: variance at the start; each a
+        number for all, one for each (n_theta,), or a covariance. clip: keep actuators' losses in [0, 1]. alpha, beta, kappa:
+        where the points lie, `unscented.weights`. Raises ConfigError.
+        """
+        checks.has(system, "ukf", "f", "h", "Q", "R")
+        self.system, self.dt = system, checks.positive("dt", dt)
+        n = system.n_theta
+        self.Q_theta = two_stage.loss_covariance("Q_theta", Q_theta, n)
+        self.P0_theta = two_stage.loss_covariance("P0_theta", P0_theta, n)
+        self.limit = two_stage.to_unit(min(system.n_u, n)) if clip else two_stage.no_limit
+        self.weights = unscented.weights(system.n_x + n, alpha, beta, kappa)
+
+    def init(self) -> Carry:
+        """The plant's x0 and P0, no loss."""
+        from jax import numpy as jnp
+        from jax.scipy.linalg import block_diag
+
+        x0 = jnp.asarray(self.system.x0, float)
+        return Carry(
+            jnp.concatenate([x0, jnp.zeros(self.system.n_theta)]),
+            block_diag(jnp.asarray(self.system.P0, float), self.P0_theta),
+        )
+
+    def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Estimate]:
+        """One time step; arguments as in `core.Estimator`."""
+        from jax import numpy as jnp
+        from jax.scipy.linalg import block_diag
+
+        system, w, dt = self.system, self.weights, self.dt if dt is None else dt
+        n = system.n_x
+
+        def f(z):
+            return jnp.concatenate([system.f(z[:n], u, z[n:], dt), z[n:]])
+
+        moved = unscented.transform(f, carry.z, unscented.root(carry.P), w)
+        P = moved.cov + block_diag(system.Q(dt), dt * self.Q_theta)
+        L = unscented.root(unscented.symmetric(P))
+        seen = unscented.transform(lambda z: system.h(z[:n], u, z[n:]), moved.mean, L, w)
+        R = system.R(u)
+        S = unscented.symmetric(seen.cov + jnp.diag(R))
+        K = unscented.gain(L @ seen.slope.T, S, valid)
+        e = jnp.where(valid, y - seen.mean, 0.0)
+        z = moved.mean + K @ e
+        z = jnp.concatenate([z[:n], self.limit(z[n:])])
+        P = unscented.corrected(L, seen, K, R)
+        status = jnp.where(valid.any(), 0, 2).astype(jnp.int32)
+        return Carry(z, P), Estimate(z[:n], P[:n, :n], z[n:], P[n:, n:], e, S, status)
