@@ -68,14 +68,16 @@ def initial(system: Any, P_theta: Array) -> State:
     )
 
 
-def loss_covariance(name: str, value: Any, n: int) -> np.ndarray:
+def loss_covariance(name: str, value: Any, n: int) -> Array:
     """(n, n) covariance of the losses given as a variance for all, one for each, or a matrix. Raises ConfigError."""
-    size = np.ndim(value)
-    if size < 2:
-        if size == 1:
+    if np.ndim(value) < 2:
+        from jax import numpy as jnp
+
+        if np.ndim(value) == 1:
             checks.shape(name, value, n)
-        value = np.diag(np.broadcast_to(np.asarray(value, float), (n,)))
-    return np.asarray(checks.covariance(name, value, n), float)
+        xp = np if checks.concrete(value) else jnp
+        value = xp.eye(n) * xp.asarray(value, float)
+    return checks.covariance(name, value, n)
 
 
 def predict(

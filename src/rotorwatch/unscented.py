@@ -3,9 +3,14 @@
     chi_0 = x,   chi_i = x +- sqrt(n + lambda) L e_i,   L L' = P,   lambda = alpha^2 (n + kappa) - n
     mean  = sum w_m f(chi),   covariance = sum w_c (f(chi) - mean) (f(chi) - mean)'
 
-Source: Julier and Uhlmann, Unscented filtering and nonlinear estimation, Proc. IEEE 92 (2004). Points are rows of arrays:
-the centre, then n on the plus side, then n on the minus side. With weights that are not negative (the default) every
-covariance made here is positive semidefinite by construction. Pure functions for use inside compiled steps.
+With the symmetric points everything follows from sums and differences of opposite values, measured from the centre's,
+d_i+- = f(chi_i+-) - f(x):
+
+    mean  = f(x) + m,  m = w sum (d_i+ + d_i-),  w = 1 / 2 (n + lambda)          slope D = [(d_i+ - d_i-) / 2 sqrt(n + lambda)]
+    covariance = D D' + 2 w sum e_i e_i' + (beta - alpha^2) m m',  e_i = (d_i+ + d_i-) / 2          with x itself: L D'
+
+which loses no digits for small alpha, and shows that covariances are positive semidefinite when beta >= alpha^2. Source:
+Julier and Uhlmann, Unscented filtering and nonlinear estimation, Proc. IEEE 92 (2004). Pure functions for compiled steps.
 """
 
 from __future__ import annotations
@@ -24,44 +29,40 @@ RELATIVE, ABSOLUTE = 1e-14, 1e-20
 
 
 class Weights(NamedTuple):
-    """spread: sqrt(n + lambda), how far out the points lie in standard deviations. mean_0, cov_0: of the centre. side: of
-    each other point."""
+    """spread: sqrt(n + lambda), how far out the points lie in standard deviations. side: weight of each point but the centre.
+    bend: beta - alpha^2, what the centre adds to covariances."""
 
     spread: float
-    mean_0: float
-    cov_0: float
     side: float
+    bend: float
 
 
 class Transformed(NamedTuple):
-    """A function of a Gaussian. mean (m,). deviations (2 n + 1, m): its points minus the mean. slope (m, n): its mean derivative
-    times L, from the differences of opposite points. curvature (m, m): what its covariance has beyond slope slope', 0 where
-    the function is linear."""
+    """A function of a Gaussian. mean (m,). slope D (m, n): its mean derivative times L. curvature (m, m): what its covariance
+    has beyond D D'; 0 where the function is linear."""
 
     mean: Array
-    deviations: Array
     slope: Array
     curvature: Array
 
     @property
     def cov(self) -> Array:
-        """(m, m) sum w_c (f(chi) - mean)(f(chi) - mean)'."""
+        """(m, m) covariance."""
         return self.slope @ self.slope.T + self.curvature
 
 
-def weights(n: int, alpha: float = 1.0, beta: float = 2.0, kappa: float = 0.0) -> Weights:
-    """Weights for n dimensions. alpha in (0, 1]: how far out; beta: 2 for a Gaussian; kappa > -n.
-
-    The default puts no weight on the centre's mean, so that none is negative. Raises ConfigError.
-    """
-    checks.positive("alpha", alpha)
+def weights(n: int, alpha: float = 0.1, beta: float = 2.0, kappa: float = 0.0) -> Weights:
+    """Weights for n dimensions. alpha in (0, 1]: how far out the points lie, alpha sqrt(n + kappa) standard deviations; beta: 2
+    for a Gaussian; kappa > -n. Raises ConfigError."""
+    checks.between("alpha", checks.positive("alpha", alpha), 0.0, 1.0)
     checks.finite("beta", beta)
     checks.finite("kappa", kappa)
     if n + kappa <= 0:
         raise ConfigError(f"kappa must be above -{n}, the dimension, not {kappa:g}.")
+    if beta < alpha**2:
+        raise ConfigError(f"beta must be at least alpha^2 = {alpha**2:g}, or covariances turn negative, not {beta:g}.")
     size = alpha**2 * (n + kappa)
-    mean_0 = (size - n) / size
-    return Weights(math.sqrt(size), mean_0, mean_0 + 1.0 - alpha**2 + beta, 0.5 / size)
+    return Weights(math.sqrt(size), 0.5 / size, beta - alpha**2)
 
 
 def root(P: Array) -> Array:
@@ -72,7 +73,7 @@ def root(P: Array) -> Array:
 
 
 def points(x: Array, L: Array, w: Weights) -> Array:
-    """(2 n + 1, n) points of the Gaussian with mean x (n,) and covariance L L'."""
+    """(2 n + 1, n) points of the Gaussian with mean x (n,) and covariance L L': the centre, the plus side, the minus side."""
     from jax import numpy as jnp
 
     out = w.spread * L.T
@@ -85,17 +86,11 @@ def transform(function: Callable, x: Array, L: Array, w: Weights) -> Transformed
 
     values = jax.vmap(function)(points(x, L, w))
     n = x.shape[0]
-    from_centre = values - values[0]  # the mean as a difference: no loss of digits where weights are large
-    shift = w.side * from_centre[1:].sum(axis=0)
-    plus, minus = from_centre[1 : n + 1], from_centre[n + 1 :]
-    even = 0.5 * (plus + minus) - shift  # what opposite points have in common; slope is what they have not
-    curvature = 2.0 * w.side * even.T @ even + w.cov_0 * shift[:, None] * shift[None, :]
-    return Transformed(values[0] + shift, from_centre - shift, (plus - minus).T / (2.0 * w.spread), curvature)
-
-
-def covariance(a: Array, b: Array, w: Weights) -> Array:
-    """(m, k) covariance of deviations a (2 n + 1, m) with b (2 n + 1, k)."""
-    return w.side * (a[1:].T @ b[1:]) + w.cov_0 * a[0][:, None] * b[0][None, :]
+    plus, minus = values[1 : n + 1] - values[0], values[n + 1 :] - values[0]
+    e = 0.5 * (plus + minus)
+    m = 2.0 * w.side * e.sum(axis=0)
+    curvature = 2.0 * w.side * e.T @ e + w.bend * m[:, None] * m[None, :]
+    return Transformed(values[0] + m, (plus - minus).T / (2.0 * w.spread), curvature)
 
 
 def gain(P_xy: Array, S: Array, valid: Array) -> Array:

@@ -56,7 +56,7 @@ class ATSUKF:
         threshold=1.0,
         whiteness=None,
         clip=False,
-        alpha=1.0,
+        alpha=0.1,
         beta=2.0,
         kappa=0.0,
     ):

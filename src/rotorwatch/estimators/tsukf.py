@@ -18,7 +18,7 @@ class TSUKF:
     not_kalman = ""
 
     def __init__(
-        self, system: Any, dt: float, *, Q_theta=1e-3, P0_theta=1e-2, clip=False, alpha=1.0, beta=2.0, kappa=0.0
+        self, system: Any, dt: float, *, Q_theta=1e-3, P0_theta=1e-2, clip=False, alpha=0.1, beta=2.0, kappa=0.0
     ):
         """dt: step [s]. Q_theta: random walk of the losses, growth of variance [1/s]; P0_theta: variance at the start; each a
         number for all, one for each (n_theta,), or a covariance. clip: keep actuators' losses in [0, 1]. alpha, beta, kappa:
