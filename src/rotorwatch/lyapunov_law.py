@@ -1,0 +1,180 @@
+"""The Lyapunov adaptation law of Niermeyer, Pak and Lohmann 2017 for any plant whose states are all measured.
+
+With the measured state x_m, w = x_hat - x_m, l = theta_hat - theta, G = d(dx/dt)/dtheta, and for outputs that the states do
+not move (the accelerometer) their error f~ = y_hat - y and D = dh/dtheta:
+
+    dx_hat/dt     = dx/dt(x_m, u, theta_hat) - k_w w
+    dtheta_hat/dt = Proj{ -Gamma (G' M w + k_f D' f~) }
+    V = w' M w / 2 + l' Gamma^-1 l / 2    =>    dV/dt = -k_w w' M w - k_f f~' f~      while dx/dt is affine in theta
+
+On the rate dynamics G = -J^-1 B_tau diag(u) and M = P J: the paper's law, written for losses instead of effectiveness.
+M is diagonal and evens out the axes: at the nominal input each answers to theta with the same speed, which is `bandwidth`.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from rotorwatch import checks
+from rotorwatch.backend import jax as load_jax
+from rotorwatch.errors import ConfigError
+
+TINY = 1e-12
+
+
+class Terms(NamedTuple):
+    """The plant at one point: x- (n_x,), A = df/dx, G = df/dtheta per second, C = dh/dx, D = dh/dtheta, y- and C's left inverse."""
+
+    x: Any
+    A: Any
+    G: Any
+    y: Any
+    C: Any
+    D: Any
+    C_left: Any
+    direct: Any
+
+
+class Law:
+    """Gains of the law for one plant. Raises ConfigError where a state is not measured, or theta never moves anything."""
+
+    def __init__(self, method, system, dt, rate, bandwidth, direct_rate, bounds, hold, u_nominal):
+        """method: name for messages. rate: k_w [1/s]. bandwidth: sqrt of Gamma [rad/s]. direct_rate: how fast f~ moves theta
+        [1/s]. bounds: least and largest theta. hold: share of u_nominal below which a rotor's theta rests. u_nominal (n_u,)."""
+        jax = load_jax()
+        jnp = jax.numpy
+        self.system, self.dt = system, checks.positive("dt", dt)
+        for name, value in (("rate", rate), ("bandwidth", bandwidth)):
+            checks.positive(name, value)
+        checks.between("direct_rate", direct_rate, 0.0, 1.0 / dt)
+        checks.between("rate times dt", rate * dt, 0.0, 1.0)
+        checks.between("bandwidth times dt", bandwidth * dt, 0.0, 1.0)
+        checks.finite("hold", hold)
+        if len(bounds) != 2 or not bounds[0] <= 0.0 < bounds[1]:
+            raise ConfigError(f"bounds must be a least theta of at most 0 and a largest above it, not {tuple(bounds)}.")
+        self.rate, self.gamma, self.bounds, self.hold = rate, bandwidth**2, bounds, hold
+        self.u_nominal = checks.shape("u_nominal", nominal_input(system) if u_nominal is None else u_nominal, system.n_u)
+        at = self.terms(jnp.asarray(system.x0, float), jnp.asarray(self.u_nominal, float), jnp.zeros(system.n_theta), dt)
+        if checks.concrete(at.C):
+            if np.linalg.matrix_rank(np.asarray(at.C)) < system.n_x:
+                raise ConfigError(
+                    f"{method} is not defined for the plant {system.name}: it needs every state measured, because the law "
+                    "compares states with their measurements."
+                )
+            if not np.abs(at.G).max() > 0:
+                raise ConfigError(
+                    f"{method} is not defined for the plant {system.name}: its theta does not move the states at u_nominal."
+                )
+        size = jnp.sum(at.G**2, axis=1)
+        self.M = jnp.where(size > TINY, 1.0 / jnp.maximum(size, TINY), 1.0)
+        self.k_f = direct_rate / (self.gamma * jnp.maximum(jnp.sum((at.D * at.direct[:, None]) ** 2), TINY))
+
+    def terms(self, x, u, theta, dt) -> Terms:
+        """f, h and their Jacobians for a step of dt from x."""
+        jax = load_jax()
+        jnp = jax.numpy
+        f, h, n = self.system.f, self.system.h, self.system.n_x
+        both = jnp.concatenate([x, theta])
+        x_next, move = both_ways(lambda s: f(s[:n], u, s[n:], dt), both)
+        y, look = both_ways(lambda s: h(s[:n], u, s[n:]), jnp.concatenate([x_next, theta]))
+        C, D = look[:, :n], look[:, n:]
+        direct = jnp.sum(C * C, axis=1) < TINY
+        factor = jnp.linalg.cholesky(C.T @ C + TINY * jnp.eye(n))
+        C_left = jax.scipy.linalg.cho_solve((factor, True), C.T)
+        return Terms(x_next, move[:, :n], move[:, n:] / dt, y, C, D, C_left, direct)
+
+    def gains(self, at: Terms, u, dt):
+        """L_x (n_x, n_y), L_theta (n_theta, n_y): what an innovation moves, before the projection."""
+        jnp = load_jax().numpy
+        adapt = at.G.T @ (self.M[:, None] * at.C_left) + self.k_f * at.D.T * at.direct[None, :]
+        L_x = (1.0 - jnp.exp(-self.rate * dt)) * at.C_left
+        return L_x, dt * self.gamma * adapt * self.moving(u)[:, None]
+
+    def moving(self, u):
+        """(n_theta,) 1, or 0 where the rotor's command is too small to tell its loss from any other."""
+        jnp = load_jax().numpy
+        n = min(self.system.n_theta, self.system.n_u)
+        live = (jnp.abs(u[:n]) >= self.hold * jnp.abs(self.u_nominal[:n])).astype(float)
+        return jnp.concatenate([live, jnp.ones(self.system.n_theta - n)])
+
+    def project(self, theta):
+        """theta within the bounds."""
+        return load_jax().numpy.clip(theta, *self.bounds)
+
+    def lyapunov(self, w, loss_error):
+        """V of the state error w and the loss error theta_hat - theta."""
+        return 0.5 * w @ (self.M * w) + 0.5 * loss_error @ loss_error / self.gamma
+
+
+class State(NamedTuple):
+    """x, theta: the estimate. P: covariance of both. measured (n_x,): the state as last measured, predicted where it was not."""
+
+    x: Any
+    theta: Any
+    P: Any
+    measured: Any
+
+
+def start(system, theta_sd, x0=None) -> State:
+    """The state before the first measurement: nothing lost, give or take theta_sd."""
+    jnp = load_jax().numpy
+    x = jnp.asarray(system.x0 if x0 is None else x0, float)
+    n, k = system.n_x, system.n_theta
+    P = jnp.zeros((n + k, n + k)).at[:n, :n].set(system.P0).at[n:, n:].set(theta_sd**2 * jnp.eye(k))
+    return State(x, jnp.zeros(k), P, x)
+
+
+def advance(law: Law, state: State, u, y, valid, dt, walk) -> tuple[State, Any, Any, Terms]:
+    """One step of the law: (state, innovation (n_y,), its covariance, the plant's terms).
+
+    P is the covariance of this observer's own error, F P F' + Q and then (I - L C) P (I - L C)' + L R L' with the law's gains
+    L: what a fixed-gain observer knows. walk: random walk of theta [1 per square root of s].
+    """
+    jax = load_jax()
+    jnp = jax.numpy
+    system, n = law.system, law.system.n_x
+    at = law.terms(state.measured, u, state.theta, dt)
+    x_minus = state.x + at.x - state.measured
+    y_minus = at.y + at.C @ (x_minus - at.x)
+    e = jnp.where(valid, y - y_minus, 0.0)
+    L_x, L_theta = law.gains(at, u, dt)
+    x = x_minus + L_x @ e
+    theta = law.project(state.theta + L_theta @ e)
+
+    k = system.n_theta
+    F = jnp.block([[at.A, dt * at.G], [jnp.zeros((k, n)), jnp.eye(k)]])
+    Q = jnp.concatenate([jnp.zeros(n), jnp.full(k, walk**2 * dt)])
+    P = F @ state.P @ F.T + jnp.diag(Q) + jnp.pad(system.Q(dt), (0, k))
+    H = jnp.concatenate([at.C, at.D], axis=1)
+    R = system.R(u)
+    L = jnp.concatenate([L_x, L_theta]) * valid[None, :]
+    S = H @ P @ H.T + jnp.diag(R)
+    keep = jnp.eye(n + k) - L @ H
+    P = keep @ P @ keep.T + (L * R) @ L.T
+    P = 0.5 * (P + P.T)
+    measured = x + at.C_left @ jnp.where(valid, y - at.y - at.C @ (x - at.x), 0.0)
+    return State(x, theta, P, measured), e, 0.5 * (S + S.T), at
+
+
+def both_ways(function, at):
+    """(function(at), its Jacobian), the function evaluated once."""
+    jax = load_jax()
+
+    def twice(s):
+        value = function(s)
+        return value, value
+
+    jacobian, value = jax.jacfwd(twice, has_aux=True)(at)
+    return value, jacobian
+
+
+def nominal_input(system):
+    """The plant's own `u_nominal`; for the rate dynamics equal thrusts that carry the weight; else ones."""
+    if hasattr(system, "u_nominal"):
+        return system.u_nominal
+    if hasattr(system, "B_T") and hasattr(system, "m"):
+        weight = system.m * 9.80665 - getattr(system, "F_0", 0.0)
+        return weight / system.B_T.sum() * np.ones(system.n_u)
+    return np.ones(system.n_u)
