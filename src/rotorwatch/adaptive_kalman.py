@@ -1,0 +1,114 @@
+"""Zhang's adaptive Kalman filter: states by Kalman's filter, losses by recursive least squares with forgetting.
+
+    P- = F P F' + Q,   Sigma = C P- C' + R,   K = P- C' Sigma^-1,   P = (I - K C) P-
+    Upsilon- = F Upsilon + Phi,   Omega = C Upsilon- + D,   Upsilon = Upsilon- - K Omega
+    Gamma = S Omega' (lambda Sigma + Omega S Omega')^-1,   S+ = (S - Gamma Omega S) / lambda
+    dtheta = Gamma e,   x = x- + K e + Upsilon dtheta
+
+Upsilon (n_x, p) is the sensitivity of the filter's state to theta, Omega (m, p) that of its innovation, S the covariance of
+theta. Source: Zhang, Adaptive Kalman filter for actuator fault diagnosis, Automatica 93 (2018), in the form of Rot, Hasan and
+Manoonpong (2020), Table 1; D, the direct feedthrough of theta to y, is added here. With lambda = 1 this is the Kalman filter
+of the state augmented by a constant theta (Friedland's separation); with lambda < 1 theta minimises the squared whitened
+innovations weighted by lambda^age.
+
+What is not excited is forgotten without bound: S grows as lambda^-k. Here S is kept below s_max: the forgotten
+S / lambda loses (1 - lambda) / s_max times its square, which has its fixed point at lambda s_max and leaves what is well
+measured as it was. To first order it is the information 1 / s_max put back for what was forgotten
+(exponential forgetting and resetting: Salgado, Goodwin and Middleton, Int. J. Control 47, 1988).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from rotorwatch import checks, linearise
+from rotorwatch.core import Array, Estimate
+
+
+class State(NamedTuple):
+    """x (n,) and P (n, n): state, and its covariance were theta known. theta (p,), its covariance S. Upsilon (n, p)."""
+
+    x: Array
+    P: Array
+    theta: Array
+    S: Array
+    Upsilon: Array
+
+
+class Tuning(NamedTuple):
+    """forgetting: lambda of a step of dt seconds. s_max: bound of S, inf without. theta_var (p,): S at the start."""
+
+    dt: float
+    forgetting: float
+    s_max: float
+    theta_var: Array
+
+
+def tuning(system, dt, forgetting, theta_var, s_max) -> Tuning:
+    """The tuning, checked; raises ConfigError. s_max None: without bound."""
+    checks.has(system, "The adaptive Kalman filter", "f", "h", "Q", "R", "x0", "P0")
+    checks.shape("P0", system.P0, system.n_x, system.n_x)
+    checks.between("forgetting", forgetting, 0.5, 1.0)
+    theta_var = linearise.variances("theta_var", theta_var, system.n_theta)
+    bound = np.inf if s_max is None else checks.positive("s_max", s_max)
+    if s_max is not None and checks.concrete((theta_var, s_max)):
+        checks.between("theta_var", theta_var, 0.0, s_max)
+    return Tuning(checks.positive("dt", dt), forgetting, bound, theta_var)
+
+
+def init(system, tuned: Tuning) -> State:
+    """The plant's start, no loss."""
+    import jax.numpy as jnp
+
+    n, p = system.n_x, system.n_theta
+    x, P = jnp.asarray(system.x0, float), jnp.asarray(system.P0, float)
+    return State(x, P, jnp.zeros(p), jnp.diag(tuned.theta_var), jnp.zeros((n, p)))
+
+
+def forget(S, tuned: Tuning, dt=None):
+    """S / lambda, kept below s_max; lambda to the power of the time passed."""
+    lam = tuned.forgetting if dt is None else tuned.forgetting ** (dt / tuned.dt)
+    S = S / lam
+    return S - (1.0 - lam) / tuned.s_max * (S @ S)
+
+
+def step(state: State, x, F, Phi, e, C, D, Q, R, valid, tuned: Tuning, dt=None) -> tuple[State, Estimate]:
+    """One step from the prediction x (n,) at the old theta, and e (m,): y minus what it predicts.
+
+    F (n, n), Phi (n, p), C (m, n), D (m, p): derivatives of the step and of the measurement. R (m,): variances. The equations
+    above, one measurement after the other, because R is diagonal: nothing is inverted.
+    """
+    import jax.numpy as jnp
+
+    e = jnp.where(valid, e, 0.0)
+    n, p = len(x), len(state.theta)
+    P = F @ state.P @ F.T + Q
+    Upsilon = F @ state.Upsilon + Phi
+    S = forget(state.S, tuned, dt)
+    Omega = C @ Upsilon + D
+    S_e = C @ P @ C.T + Omega @ S @ Omega.T + jnp.diag(R)
+    # Side by side, because one measurement changes them alike: [P, Upsilon, -dx] by K [c P, omega, r], [S, -dtheta] likewise.
+    state_side = jnp.concatenate([P, Upsilon, jnp.zeros((n, 1))], axis=1)
+    theta_side = jnp.concatenate([S, jnp.zeros((p, 1))], axis=1)
+    direct = jnp.concatenate([jnp.zeros((len(e), n)), D, e[:, None]], axis=1)
+    for i in range(len(e)):
+        row = C[i] @ state_side + direct[i]  # P c, omega, and the innovation r that earlier ones leave
+        sigma = C[i] @ row[:n] + R[i]
+        state_side = state_side - _outer(row[:n] * jnp.where(valid[i], 1.0 / sigma, 0.0), row)
+        omega = row[n : n + p]
+        column = omega @ theta_side + jnp.concatenate([jnp.zeros(p), row[-1:]])
+        variance = sigma + omega @ column[:p]
+        theta_side = theta_side - _outer(column[:p] * jnp.where(valid[i], 1.0 / variance, 0.0), column)
+    P, Upsilon, dx = state_side[:, :n], state_side[:, n : n + p], -state_side[:, -1]
+    S, dtheta = theta_side[:, :p], -theta_side[:, -1]
+    P, S = 0.5 * (P + P.T), 0.5 * (S + S.T)
+    x, theta = x + dx + Upsilon @ dtheta, state.theta + dtheta
+    x_cov = P + Upsilon @ S @ Upsilon.T
+    estimate = Estimate(x, 0.5 * (x_cov + x_cov.T), theta, S, e, 0.5 * (S_e + S_e.T), linearise.status(valid))
+    return State(x, P, theta, S, Upsilon), estimate
+
+
+def _outer(a, b):
+    return a[:, None] * b[None, :]

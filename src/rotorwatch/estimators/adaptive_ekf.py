@@ -1,0 +1,43 @@
+"""Adaptive extended Kalman filter: Zhang's filter linearised at its own estimate.
+
+    x- = f(x, u, theta),   e = y - h(x-, u, theta);   F, Phi at (x, theta),   C, D at (x-, theta)
+
+then the recursion of `adaptive_kalman.py`. Source: Skriver, Helck and Hasan, Adaptive extended Kalman filter for actuator
+fault diagnosis, IEEE ICSRS 2019, on Zhang, Automatica 93 (2018).
+"""
+
+from __future__ import annotations
+
+from rotorwatch import adaptive_kalman, linearise
+from rotorwatch.adaptive_kalman import State
+from rotorwatch.core import Estimate
+
+
+class AdaptiveEKF:
+    """Adaptive extended Kalman filter on any plant that can be differentiated."""
+
+    name = "adaptive_ekf"
+    not_kalman = (
+        "it forgets: measurements count the less for the losses the older they are; with forgetting=1 it is the augmented "
+        "Kalman filter of constant losses"
+    )
+
+    def __init__(self, system, dt: float, *, forgetting=0.995, theta_var=0.01, s_max: float | None = 1.0):
+        """dt: s. forgetting: lambda of one step, 0.5 to 1; theta_var: variance of the losses at the start, a number or one per
+        theta; s_max: bound of that variance, None for none. Raises ConfigError for wrong values."""
+        self.tuned = adaptive_kalman.tuning(system, dt, forgetting, theta_var, s_max)
+        self.system, self.dt = system, dt
+
+    def init(self) -> State:
+        """The plant's start, no loss."""
+        return adaptive_kalman.init(self.system, self.tuned)
+
+    def step(self, carry: State, u, y, valid, dt=None) -> tuple[State, Estimate]:
+        """Predict over dt with input u (n_u,), then update with y (n_y,) where valid."""
+        system = self.system
+        seconds = self.dt if dt is None else dt
+        x, F, Phi = linearise.transition(system, carry.x, u, carry.theta, seconds)
+        h, C, D = linearise.measurement(system, x, u, carry.theta)
+        return adaptive_kalman.step(
+            carry, x, F, Phi, y - h, C, D, system.Q(seconds), system.R(u), valid, self.tuned, dt
+        )

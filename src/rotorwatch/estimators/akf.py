@@ -1,0 +1,74 @@
+"""Adaptive Kalman filter: Zhang's filter of a linear plant, or of one linearised at points known beforehand.
+
+    x- = f(a, u, 0) + F (x - a) + Phi theta,   y- = h(a, u, 0) + C (x- - a) + D theta
+
+with F, Phi, C, D the derivatives at a, the point of linearisation, and theta = 0; then the recursion of
+`adaptive_kalman.py`. Source: Zhang, Automatica 93 (2018).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from rotorwatch import adaptive_kalman, checks, linearise
+from rotorwatch.core import Array, Estimate
+from rotorwatch.errors import ConfigError
+
+
+class Carry(NamedTuple):
+    """state: of the recursion. k: int32, steps made, to find the point of linearisation."""
+
+    state: adaptive_kalman.State
+    k: Array
+
+
+class AKF:
+    """Adaptive Kalman filter about one point, or about a known trajectory."""
+
+    name = "akf"
+    not_kalman = (
+        "it forgets: measurements count the less for the losses the older they are; with forgetting=1 it is the augmented "
+        "Kalman filter of constant losses"
+    )
+
+    def __init__(self, system, dt: float, *, forgetting=0.995, theta_var=0.01, s_max: float | None = 1.0, about=None):
+        """dt: s. forgetting: lambda of one step, 0.5 to 1; theta_var: variance of the losses at the start, a number or one per
+        theta; s_max: bound of that variance, None for none. about: (n_x,) where to linearise (default: x0), or (T, n_x),
+        a point per step, the last one from then on. Raises ConfigError for wrong values."""
+        self.tuned = adaptive_kalman.tuning(system, dt, forgetting, theta_var, s_max)
+        self.system, self.dt = system, dt
+        about = system.x0 if about is None else checks.finite("about", about)
+        if np.ndim(about) not in (1, 2) or np.shape(about)[-1] != system.n_x or np.size(about) == 0:
+            raise ConfigError(f"about must have the shape ({system.n_x},) or (T, {system.n_x}), not {np.shape(about)}.")
+        self.about = about
+
+    def init(self) -> Carry:
+        """The plant's start, no loss."""
+        return Carry(adaptive_kalman.init(self.system, self.tuned), np.int32(0))
+
+    def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Estimate]:
+        """Predict over dt with input u (n_u,), then update with y (n_y,) where valid."""
+        import jax.numpy as jnp
+
+        system, (state, k) = self.system, carry
+        seconds = self.dt if dt is None else dt
+        a, healthy = self._point(k), jnp.zeros(system.n_theta)
+        f, F, Phi = linearise.transition(system, a, u, healthy, seconds)
+        h, C, D = linearise.measurement(system, a, u, healthy)
+        x = f + F @ (state.x - a) + Phi @ state.theta
+        e = y - (h + C @ (x - a) + D @ state.theta)
+        state, estimate = adaptive_kalman.step(
+            state, x, F, Phi, e, C, D, system.Q(seconds), system.R(u), valid, self.tuned, dt
+        )
+        return Carry(state, (k + 1).astype(jnp.int32)), estimate
+
+    def _point(self, k):
+        import jax
+        import jax.numpy as jnp
+
+        points = jnp.asarray(self.about, float)
+        if points.ndim == 1:
+            return points
+        return jax.lax.dynamic_index_in_dim(points, jnp.minimum(k, len(points) - 1), keepdims=False)

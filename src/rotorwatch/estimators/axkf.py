@@ -1,0 +1,75 @@
+"""Adaptive exogenous Kalman filter: an observer says where to linearise, Zhang's filter estimates state and losses there.
+
+    1. z+ = f(z, u, theta) + L (y(k) - h(z, u, theta))                             the observer, with the measurement of step k
+    2. x- = f(z, u, theta) + F (x - z),   F, Phi at (z, theta)                     the filter, linearised at z
+       e  = y(k+1) - h(z+, u, theta) - C (x- - z+),   C, D at (z+, theta)
+
+then the recursion of `adaptive_kalman.py`. Neither a wrong start nor an overconfident P can spoil the
+linearisation, because z does not depend on them. Source: Rot, Hasan and Manoonpong, Robust actuator fault diagnosis algorithm
+for autonomous hexacopter UAVs, IFAC-PapersOnLine 53-2 (2020); what was corrected: docs/methods/axkf.md.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from rotorwatch import adaptive_kalman, checks, linearise, observer_gain
+from rotorwatch.core import Array, Estimate
+
+
+class Carry(NamedTuple):
+    """state: of the recursion. z (n_x,): the observer's state. correction (n_x,): what the last measurement adds to it."""
+
+    state: adaptive_kalman.State
+    z: Array
+    correction: Array
+
+
+class AXKF:
+    """Adaptive exogenous Kalman filter on any plant that can be differentiated."""
+
+    name = "axkf"
+    not_kalman = (
+        "it forgets: measurements count the less for the losses the older they are; with forgetting=1 it is the augmented "
+        "Kalman filter of constant losses"
+    )
+
+    def __init__(
+        self, system, dt: float, *, gain=None, forgetting=0.995, theta_var=0.01, s_max: float | None = 1.0, z0=None
+    ):
+        """dt: s. gain: (n_x, n_y) of the observer, for steps of dt; default: the stationary Kalman gain at x0, and others are
+        made by `rotorwatch.observer_gain`. forgetting: lambda of one step, 0.5 to 1; theta_var: variance of the losses at
+        the start, a number or one per theta; s_max: bound of that variance, None for none. z0: (n_x,) where the observer
+        starts (default: x0). Raises ConfigError for wrong values."""
+        self.tuned = adaptive_kalman.tuning(system, dt, forgetting, theta_var, s_max)
+        self.system, self.dt = system, dt
+        if gain is None:
+            gain = observer_gain.stationary(system, dt)
+        self.gain = checks.finite("gain", checks.shape("gain", gain, system.n_x, system.n_y))
+        self.z0 = system.x0 if z0 is None else checks.finite("z0", checks.shape("z0", z0, system.n_x))
+
+    def init(self) -> Carry:
+        """The plant's start, no loss."""
+        import jax.numpy as jnp
+
+        z = jnp.asarray(self.z0, float)
+        return Carry(adaptive_kalman.init(self.system, self.tuned), z, jnp.zeros_like(z))
+
+    def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Estimate]:
+        """Predict over dt with input u (n_u,), then update with y (n_y,) where valid."""
+        import jax.numpy as jnp
+
+        system, state = self.system, carry.state
+        seconds = self.dt if dt is None else dt
+        f, F, Phi = linearise.transition(system, carry.z, u, state.theta, seconds)
+        z = f + carry.correction
+        x = f + F @ (state.x - carry.z)
+        h, C, D = linearise.measurement(system, z, u, state.theta)
+        e = y - (h + C @ (x - z))
+        state, estimate = adaptive_kalman.step(
+            state, x, F, Phi, e, C, D, system.Q(seconds), system.R(u), valid, self.tuned, dt
+        )
+        # What the measurement adds to the observer acts with the next step, in which its loss is known: h + D dtheta.
+        seen = h + D @ (state.theta - carry.state.theta)
+        correction = jnp.asarray(self.gain) @ jnp.where(valid, y - seen, 0.0)
+        return Carry(state, z, correction), estimate
