@@ -1,0 +1,219 @@
+"""Which rotors' losses make up a missing wrench: f = Phi theta with more rotors than channels.
+
+f (c,): what the actuators did not deliver, channel by channel; Phi (c, n): what a full loss of each rotor does; W (c,):
+weight of each channel, 1 / noise variance, 0 where it says nothing. Up to four rotors Phi can be inverted, and weighting the
+rows balances their magnitudes. Beyond, infinitely many theta explain f, and three readings are offered:
+
+    least squares    the smallest theta: spreads one rotor's loss over all of them
+    sparse           the fewest faulty rotors, by enumeration, a loss common to all counting as one
+    temporal         one constant theta in [0, 1] for all that was seen lately: commands that move tell rotors apart
+
+Each is a pure rule: init() -> state, and rule(state, Phi, f, W, dt) -> (state, Answer). dt is 0 where nothing was measured.
+"""
+
+from __future__ import annotations
+
+from itertools import combinations
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from rotorwatch import checks
+from rotorwatch.core import Array
+
+RIDGE = 1e-12  # of the largest information: directions with less say nothing
+
+
+class Answer(NamedTuple):
+    """theta (n,); M (n, c): how noise in f gets into it; spread (n, n): covariance of what f leaves open, PSD; count
+    (int32): how many explanations are as good, 1 when there is no other."""
+
+    theta: Array
+    M: Array
+    spread: Array
+    count: Array
+
+
+class Window(NamedTuple):
+    """What the temporal rule has seen: information G (n, n) and z (n,); both forget."""
+
+    G: Array
+    z: Array
+
+
+class LeastSquares:
+    """theta = (Phi' W Phi)^+ Phi' W f: exact for up to as many rotors as channels, the smallest theta beyond."""
+
+    def __init__(self, n: int, loss_sd: float):
+        """n: size of theta; loss_sd: how far a loss may be from 0 where f does not tell."""
+        self.n, self.loss_sd = n, loss_sd
+
+    def init(self) -> tuple:
+        """Nothing is remembered."""
+        return ()
+
+    def __call__(self, state, Phi, f, W, dt) -> tuple[Any, Answer]:
+        """See the module."""
+        import jax.numpy as jnp
+        from jax.scipy.linalg import cho_solve
+
+        weighted = Phi.T * W
+        G = weighted @ Phi
+        factor = (jnp.linalg.cholesky(G + _ridge(G) * np.eye(self.n)), True)
+        M = cho_solve(factor, weighted)
+        M = M + cho_solve(factor, weighted - G @ M)  # one refinement takes the ridge's bias out
+        open_ = (np.eye(self.n) - M @ Phi) * self.loss_sd
+        return state, Answer(M @ f, M, open_ @ open_.T, jnp.int32(1))
+
+
+class Sparse:
+    """The fewest rotors that explain f: every set of up to `largest` losses, with and without a loss common to all rotors.
+
+    A set's score is its weighted squared residual plus `price` for each loss it needs; the lowest wins. Sets that score less
+    than `price` worse with as few losses are other explanations: they are counted, and spread the answer. Exact but for
+    bounds: a solution outside [0, 1] is clipped before it is scored, as its neighbours on the bound are sets of their own.
+    """
+
+    def __init__(self, n: int, losses: int, *, largest: int = 3, price: float = 9.0, rest_sd: float = 0.02):
+        """n: size of theta, whose first `losses` are rotors; the others (biases) have no bounds. price: chi-squared that one more
+        faulty rotor must earn; rest_sd: how far the rotors called healthy may be from it."""
+        checks.positive("price", price)
+        self.n, self.price, self.rest_sd = n, price, rest_sd
+        alone = [s for k in range(min(largest, n) + 1) for s in combinations(range(n), k)]
+        common = [(*s, n) for s in alone if len(s) < n] if losses > 1 else []
+        sets = alone + common
+        width = max(len(s) for s in sets)
+        self.size = np.array([len(s) for s in sets], float)
+        self.filled = np.array([[k < len(s) for k in range(width)] for s in sets])
+        self.index = np.array([[*s, *[0] * (width - len(s))] for s in sets])
+        self.pick = np.eye(n + 1)[self.index] * self.filled[:, :, None]  # (sets, width, n + 1)
+        rotor = np.arange(n) < losses
+        self.atoms = np.column_stack([np.eye(n), rotor.astype(float)])  # theta = atoms a
+        self.low = np.append(np.where(rotor, 0.0, -np.inf), 0.0)
+        self.high = np.append(np.where(rotor, 1.0, np.inf), 1.0)
+
+    def init(self) -> tuple:
+        """Nothing is remembered."""
+        return ()
+
+    def __call__(self, state, Phi, f, W, dt) -> tuple[Any, Answer]:
+        """See the module."""
+        import jax.numpy as jnp
+        from jax.lax import dynamic_index_in_dim
+        from jax.scipy.linalg import cho_solve
+
+        Psi = Phi @ self.atoms
+        weighted = Psi.T * W
+        G, z = weighted @ Psi, weighted @ f
+        theta, score = self._candidates(G, z, f @ (W * f))
+        best = jnp.argmin(score)
+        away = score - score[best]
+        count = ((self.size <= jnp.asarray(self.size)[best]) & (away < self.price)).sum().astype(jnp.int32)
+        chosen = theta[best]
+        T = dynamic_index_in_dim(jnp.asarray(self.pick), best, keepdims=False)  # (width, n + 1)
+        empty = 1.0 - T.sum(axis=1)
+        small = T @ G @ T.T + jnp.diag(empty + _ridge(G))
+        M = self.atoms @ T.T @ cho_solve((jnp.linalg.cholesky(small), True), T @ weighted)
+        odds = jnp.exp(-0.5 * away)
+        apart = (theta - chosen) * jnp.sqrt(odds / odds.sum())[:, None]
+        open_ = (np.eye(self.n) - M @ Phi) * self.rest_sd
+        return state, Answer(chosen, M, apart.T @ apart + open_ @ open_.T, count)
+
+    def _candidates(self, G, z, power):
+        """theta (sets, n) of every set within bounds, and its score (sets,). G, z: information about the atoms."""
+        import jax.numpy as jnp
+
+        i = self.index
+        both = self.filled[:, :, None] & self.filled[:, None, :]
+        own = jnp.where(
+            self.filled, 1e-10 * jnp.diagonal(G)[i] + _ridge(G), 1.0
+        )  # places that a small set leaves empty: 1
+        A = jnp.where(both, G[i[:, :, None], i[:, None, :]], 0.0) + own[:, :, None] * np.eye(i.shape[1])
+        a = jnp.clip(_solve(A, jnp.where(self.filled, z[i], 0.0)), self.low[i], self.high[i])
+        whole = jnp.einsum("mk,mkj->mj", jnp.where(self.filled, a, 0.0), self.pick)
+        theta = jnp.clip(
+            whole @ self.atoms.T, self.low[: self.n], self.high[: self.n]
+        )  # what is scored is what is answered
+        G, z = G[: self.n, : self.n], z[: self.n]
+        residual = power - 2.0 * theta @ z + ((theta @ G) * theta).sum(axis=1)
+        return theta, residual + self.price * self.size
+
+
+class Temporal:
+    """One constant theta for everything lately seen: least squares over filtered regressors, rotors bounded to [0, 1].
+
+    G <- l G + (dt / correlation_s) Phi' W Phi,  z <- l z + (dt / correlation_s) Phi' W f,  l = exp(-dt / memory_s). Where f departs
+    from Phi theta by more than `limit` (chi-squared), theta has changed: what was seen is forgotten.
+    """
+
+    def __init__(self, n: int, losses: int, loss_sd: float, *, memory_s=10.0, correlation_s=0.5, limit=50.0):
+        """loss_sd: prior of each theta about 0; memory_s: how long it remembers; correlation_s: f's noise is white beyond that."""
+        for name, value in (("memory_s", memory_s), ("correlation_s", correlation_s), ("limit", limit)):
+            checks.positive(name, value)
+        self.n, self.prior = n, np.eye(n) / loss_sd**2
+        self.memory_s, self.correlation_s, self.limit = memory_s, correlation_s, limit
+        rotor = np.arange(n) < losses
+        self.low, self.high = np.where(rotor, 0.0, -np.inf), np.where(rotor, 1.0, np.inf)
+
+    def init(self) -> Window:
+        """Nothing seen."""
+        import jax.numpy as jnp
+
+        return Window(jnp.zeros((self.n, self.n)), jnp.zeros(self.n))
+
+    def __call__(self, state, Phi, f, W, dt) -> tuple[Any, Answer]:
+        """See the module."""
+        import jax.numpy as jnp
+        from jax.scipy.linalg import cho_solve
+
+        weighted = Phi.T * W
+        share, keep = dt / self.correlation_s, jnp.exp(-dt / self.memory_s)
+        G_now, z_now = share * weighted @ Phi, share * weighted @ f
+        G, z = keep * state.G + G_now, keep * state.z + z_now
+        theta = self._bounded(G + self.prior, z)
+        rest = f - Phi @ theta
+        changed = rest @ (W * rest) > self.limit
+        G, z = jnp.where(changed, G_now, G), jnp.where(changed, z_now, z)
+        theta = jnp.where(changed, self._bounded(G + self.prior, z), theta)
+        spread = cho_solve((jnp.linalg.cholesky(G + self.prior), True), jnp.eye(self.n))
+        return Window(G, z), Answer(theta, jnp.zeros_like(Phi.T), spread, jnp.int32(1))
+
+    def _bounded(self, G, z):
+        """argmin theta' G theta / 2 - z' theta within bounds: what leaves them is held there, and the rest solved again."""
+        import jax.numpy as jnp
+        from jax.scipy.linalg import cho_solve
+
+        held, theta = jnp.zeros(self.n, bool), jnp.zeros(self.n)
+        for _ in range(3):
+            at = jnp.where(held, theta, 0.0)
+            both = ~held[:, None] & ~held[None, :]
+            A = jnp.where(both, G, jnp.eye(self.n))
+            b = jnp.where(held, theta, z - G @ at)
+            theta = cho_solve((jnp.linalg.cholesky(A), True), b)
+            inside = jnp.clip(theta, self.low, self.high)
+            held, theta = held | (inside != theta), inside
+        return theta
+
+
+def _ridge(G):
+    """Just enough to make G invertible."""
+    import jax.numpy as jnp
+
+    return RIDGE * jnp.max(jnp.diagonal(G)) + 1e-30
+
+
+def _solve(A, b):
+    """A^-1 b for a batch of positive definite A (m, k, k) and b (m, k), k small: L D L' unrolled, no call per matrix."""
+    import jax.numpy as jnp
+
+    k = A.shape[-1]
+    L, d, y = {}, [], []
+    for i in range(k):
+        for j in range(i):
+            L[i, j] = (A[:, i, j] - sum(L[i, m] * L[j, m] * d[m] for m in range(j))) / d[j]
+        d.append(A[:, i, i] - sum(L[i, m] ** 2 * d[m] for m in range(i)))
+        y.append(b[:, i] - sum(L[i, m] * y[m] for m in range(i)))
+    x = [y[i] / d[i] for i in range(k)]
+    for i in reversed(range(k)):
+        x[i] = x[i] - sum(L[m, i] * x[m] for m in range(i + 1, k))
+    return jnp.stack(x, axis=1)

@@ -1,0 +1,193 @@
+"""Design of the intermediate observer: poles, gains, and the matrix inequality that guarantees bounded errors.
+
+    dx/dt = A x + B u + E f + G + N xi,  y = C x,  tau = f - S x,  S = alpha E'
+    dxhat/dt   = A xhat + B u + E fhat + G + L (y - C xhat)
+    dtauhat/dt = -S (A xhat + B u + E tauhat + E S xhat + G),        fhat = tauhat + S xhat
+
+Differentiating fhat gives dfhat/dt = alpha E' L (y - C xhat): a proportional-integral observer, whatever u, G and A are.
+With L = diag(lp I, lv I) on double integrators each channel is  fhat / f = alpha lv / (s^2 + lv s + alpha lv).
+
+Source: Nguyen, Huynh, Do, Mung and Hong, Robust fault estimation using the intermediate observer, Sensors 20 (2020) 4917,
+eqs. (7)-(29), after Zhu, Yang, Wang and Wang, IEEE TAC 61 (2016) 2518. In (28) I_n is of the size of f, in (29) Sigma < 0.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from rotorwatch import checks
+from rotorwatch.errors import ConfigError
+
+MARGIN = 1e-7  # eigenvalues above minus this much, relative to the largest, do not count as negative
+
+
+class Matrices(NamedTuple):
+    """dz/dt = F z + Gu u + Gy y + g, z = [xhat; tauhat]; fhat = out z."""
+
+    F: np.ndarray
+    Gu: np.ndarray
+    Gy: np.ndarray
+    g: np.ndarray
+    out: np.ndarray
+
+
+class Synthesis(NamedTuple):
+    """A solution of the inequality: L (n_x, n_y), mu, and the largest eigenvalue of Sigma, which is negative."""
+
+    L: np.ndarray
+    mu: float
+    largest: float
+
+
+def matrices(A, B, C, E, G, L, alpha) -> Matrices:
+    """The observer of eqs. (11)-(14) as one linear system."""
+    S = alpha * E.T
+    F = np.block([[A + E @ S - L @ C, E], [-S @ A - S @ E @ S, -S @ E]])
+    Gu, Gy = np.vstack([B, -S @ B]), np.vstack([L, np.zeros((E.shape[1], C.shape[0]))])
+    return Matrices(F, Gu, Gy, np.concatenate([G, -S @ G]), np.hstack([S, np.eye(E.shape[1])]))
+
+
+def double_integrators(channels: int = 4):
+    """A, C, E of n double integrators with all states measured: the quadrotor's near hover."""
+    eye, zero = np.eye(channels), np.zeros((channels, channels))
+    return np.block([[zero, eye], [zero, zero]]), np.eye(2 * channels), np.vstack([zero, eye])
+
+
+def sigma(A, C, E, N, L, alpha, epsilon, mu) -> np.ndarray:
+    """Sigma_1 of eqs. (25)-(28): the errors are bounded when it is negative definite."""
+    one_one = A - L @ C + (A - L @ C).T + 2 * alpha * E @ E.T + N @ N.T / epsilon
+    one_two = E - mu * alpha * A.T @ E - mu * alpha**2 * E @ E.T @ E
+    return np.block([[one_one, one_two], [one_two.T, mu * _free_of_gain(E, N, alpha, epsilon)]])
+
+
+def feasible(alpha, epsilon, lp, lv) -> bool:
+    """Whether L = diag(lp I, lv I) with mu = 1 / alpha^2 satisfies the inequality on double integrators, in closed form.
+
+    mu = 1/alpha^2 makes Sigma_12 vanish, so Sigma_22 < 0 iff epsilon > (1 + alpha) / (2 alpha), and Sigma_11 < 0 iff
+    lv > alpha + 1 / (2 epsilon) and 4 lp (lv - alpha - 1 / (2 epsilon)) > 1.
+    """
+    rest = lv - alpha - 0.5 / epsilon
+    return bool(epsilon > 0.5 * (1 + alpha) / alpha and rest > 0 and 4 * lp * rest > 1)
+
+
+def synthesize(A, C, E, N, alpha, epsilon, solver: str = "CLARABEL") -> Synthesis:
+    """The smallest L, and a mu, that satisfy the inequality: linear in both once alpha and epsilon are fixed.
+
+    The solver's word is not taken for it: Sigma is built again from its answer, and its eigenvalues decide. Raises
+    ConfigError when there is no solution, when the solver has none, and when CVXPY is not there.
+    """
+    checks.positive("alpha", alpha)
+    checks.positive("epsilon", epsilon)
+    n_x, n_f = E.shape
+    worst = np.linalg.eigvalsh(_free_of_gain(E, N, alpha, epsilon)).max()
+    if worst >= 0:
+        raise ConfigError(
+            f"The matrix inequality has no solution for alpha = {alpha:g}, epsilon = {epsilon:g}: Sigma_22 has the eigenvalue "
+            f"{worst:.3g} mu whatever L is; choose epsilon above (1 + alpha) / (2 alpha)."
+        )
+    try:
+        import cvxpy as cp
+    except ImportError as error:
+        raise ConfigError("Solving the matrix inequality needs CVXPY: install rotorwatch[research].") from error
+    L, mu = cp.Variable((n_x, C.shape[0])), cp.Variable()
+    one_one = A - L @ C + (A - L @ C).T + 2 * alpha * E @ E.T + N @ N.T / epsilon
+    one_two = E - mu * (alpha * A.T @ E + alpha**2 * E @ E.T @ E)
+    whole = cp.bmat([[one_one, one_two], [one_two.T, mu * _free_of_gain(E, N, alpha, epsilon)]])
+    inside = 1e-3 * np.eye(n_x + n_f)
+    problem = cp.Problem(cp.Minimize(cp.norm(L, "fro") + 1e-6 * mu), [0.5 * (whole + whole.T) << -inside, mu >= 1e-6])
+    try:
+        problem.solve(solver=solver)
+    except cp.error.SolverError as error:
+        raise ConfigError(f"The solver {solver} failed on the matrix inequality; try CLARABEL or SCS.") from error
+    if L.value is None or mu.value is None:
+        raise ConfigError(f"The matrix inequality has no solution: {solver} says {problem.status}.")
+    return checked(A, C, E, N, alpha, epsilon, np.asarray(L.value), float(mu.value))
+
+
+def checked(A, C, E, N, alpha, epsilon, L, mu) -> Synthesis:
+    """L and mu as a `Synthesis` when Sigma's eigenvalues confirm them; raises ConfigError when not."""
+    values = np.linalg.eigvalsh(sigma(A, C, E, N, L, alpha, epsilon, mu))
+    if mu <= 0 or values.max() >= -MARGIN * np.abs(values).max():
+        raise ConfigError(
+            f"The gains do not satisfy the matrix inequality: mu = {mu:.3g}, largest eigenvalue of Sigma {values.max():.3g}."
+        )
+    return Synthesis(L, mu, float(values.max()))
+
+
+def rates(settle_s: float, within: float = 0.1) -> tuple[float, float]:
+    """(alpha, lv) of a channel with a double pole that forgets a step to the share `within` in settle_s seconds.
+
+    A double pole at -a means lv = 2 a, alpha = a / 2, and a share (1 + a t) exp(-a t) is left after t.
+    """
+    from scipy.special import lambertw
+
+    checks.positive("settle_s", settle_s)
+    checks.between("within", within, 1e-12, 1 - 1e-12)
+    at = -1.0 - float(np.real(lambertw(-within / np.e, -1)))  # (1 + z) exp(-z) = within
+    return 0.5 * at / settle_s, 2.0 * at / settle_s
+
+
+def exact_gains(lp, lv, alpha, dt):
+    """(kp, k1, k2): gains of the sampled observer that has the continuous one's poles exactly, at any dt.
+
+    On x(k+1) = x + f dt with e = y - xpred, x = xpred + k1 e, f += k2 e, the poles z have the sum 2 - k1 - k2 dt and the product
+    1 - k1. Poles exp(s dt) of s^2 + lv s + alpha lv therefore need k1 = 1 - z1 z2 and k2 = (1 - z1)(1 - z2) / dt. kp, of a
+    measured state that no loss drives, keeps the pole -lp.
+    """
+    import jax.numpy as jnp
+
+    square = 0.25 * lv**2 - alpha * lv
+    root = jnp.sqrt(jnp.abs(square))
+    fast, slow = jnp.exp((root - 0.5 * lv) * dt), jnp.exp((-root - 0.5 * lv) * dt)  # both real
+    half = jnp.exp(-0.5 * lv * dt)
+    total = jnp.where(square >= 0, fast + slow, 2.0 * half * jnp.cos(root * dt))
+    product = half * half
+    real = (1.0 - fast) * (1.0 - slow)  # 1 + product - total without its cancellation
+    return 1.0 - jnp.exp(-lp * dt), 1.0 - product, jnp.where(square >= 0, real, 1.0 + product - total) / dt
+
+
+def euler_gains(lp, lv, alpha, dt):
+    """(kp, k1, k2) of Euler's method on dx/dt = ... + l e, df/dt = alpha lv e; unstable from lv dt = 2 on."""
+    return lp * dt, lv * dt, alpha * lv * dt
+
+
+def riccati_gains(F, G, H, Q, W, R) -> tuple[np.ndarray, np.ndarray]:
+    """(K_x, K_f), (n_x, n_y) each: steady gains where a state that losses drive is not measured itself.
+
+    x(k+1) = F x + G f with process noise Q, f walks with the covariance W a step, y = H x with variances R. The augmented
+    plant's Riccati equation; raises ConfigError when f cannot be told from y (Assumption 4 fails).
+    """
+    from scipy.linalg import LinAlgError, solve_discrete_are
+
+    n = len(F)
+    A = np.block([[F, G], [np.zeros((n, n)), np.eye(n)]])
+    C = np.hstack([H, np.zeros_like(H)])
+    used = np.flatnonzero(np.abs(H).sum(axis=1) > 0)
+    alive = np.concatenate([np.ones(n, bool), np.diag(W) > 0])  # what is no fault channel stays zero
+    A, C, noise = A[np.ix_(alive, alive)], C[np.ix_(used, alive)], _block(Q, W)[np.ix_(alive, alive)]
+    K = np.zeros((2 * n, len(H)))
+    try:
+        P = solve_discrete_are(A.T, C.T, noise + 1e-12 * np.eye(len(A)), np.diag(R[used]))
+        gain = np.linalg.solve(C @ P @ C.T + np.diag(R[used]), C @ P).T
+        stable = np.abs(np.linalg.eigvals((np.eye(len(A)) - gain @ C) @ A)).max() < 1.0 - 1e-9
+    except LinAlgError:
+        gain, stable = None, False
+    if not stable or gain is None:
+        raise ConfigError(
+            "The intermediate observer is not defined for these measurements: what the losses do to the state cannot be "
+            "told from them; measure the states that rotors drive, or their integrals."
+        )
+    K[np.ix_(np.flatnonzero(alive), used)] = gain
+    return K[:n], K[n:]
+
+
+def _free_of_gain(E, N, alpha, epsilon) -> np.ndarray:
+    """Sigma_22 / mu, which holds no L: eq. (28)."""
+    EN = E.T @ N
+    return np.eye(E.shape[1]) / epsilon - 2 * alpha * E.T @ E + alpha / epsilon * EN @ EN.T
+
+
+def _block(Q, W) -> np.ndarray:
+    return np.block([[Q, np.zeros((len(Q), len(W)))], [np.zeros((len(W), len(Q))), W]])
