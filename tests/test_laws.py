@@ -1,8 +1,12 @@
-"""Laws that hold for every estimator there is, on every plant it runs on; see docs/architecture.md.
+"""Laws that hold for every estimator there is, on the plants it runs on; see docs/architecture.md.
 
-A made-up flight serves all of them: on the ground, learning, judging, a rotor that weakens, and gaps.
+Published methods run on rotational dynamics (a quad in hover thrusts, a hexa in SI) that are flown in closed loop by a made-up
+pilot; the default method runs on the plant of its own. A law is a function that looks at a `Case` and asserts; further down
+each law is shown to catch a planted error.
 """
 
+import functools
+import inspect
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,31 +15,77 @@ import pytest
 from rotorwatch import airframes, discovery
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.core import Estimate
+from rotorwatch.estimators.ekf import EKF
+from rotorwatch.systems.rate_dynamics import RateDynamics
 from rotorwatch.systems.wrench_balance import WrenchBalance
 from rotorwatch.ticks import GROUND, JUDGE, LEARN
 
-DT = 0.05
-TICKS = 200
+DT, TICKS = 0.02, 220
 TAKE_OFF, READY, ONSET = 5, 80, 110
 GAPS = (slice(50, 60), slice(95, 103), slice(130, 150))  # no measurement at all
 BLIND_AXIS = slice(65, 75)  # only the thrust axis is missing
 LOSS = 0.3
 FORBIDDEN = {"while", "sort", "lu", "qr", "geqrf", "eigh", "eig", "svd", "pure_callback", "io_callback"}
 
-
-def vehicle():
-    return airframes.named("ardupilot-quad-x")
+jax = load_jax()
 
 
-def make_system():
-    return WrenchBalance(vehicle().effectiveness())
+def rates_quad():
+    """A quad in hover thrusts of one rotor, as logs are judged."""
+    B = airframes.named("ardupilot-quad-x").effectiveness()
+    return RateDynamics(
+        np.diag([0.012, 0.013, 0.025]), np.diag([1, 1, 0.08]) @ B[:3], B[3], 4 / 9.80665, 0.01, 0.3, 0.01 * np.ones(3)
+    )
 
 
-def flight(seed=0, motion=1.0, loss=LOSS, mode=None):
-    """(u, y, valid) of a quad hovering in light wind; rotor 2 loses `loss` at ONSET. motion: how much it turns."""
+def rates_hexa():
+    """The hexarotor of a paper, SI, with trim, so that theta is not seen through the torque alone."""
+    return RateDynamics.of(airframes.paper("niermeyer-hexa"))
+
+
+def wrench_quad():
+    """The plant of the default method."""
+    return WrenchBalance(airframes.named("ardupilot-quad-x").effectiveness())
+
+
+def gaps():
+    valid = np.ones((TICKS, 4), bool)
+    for gap in GAPS:
+        valid[gap] = False
+    valid[BLIND_AXIS, 3] = False
+    return valid
+
+
+@functools.cache
+def flown(make, seed=0, loss=0.0):
+    """(u, y, valid, x) of a flight on rotational dynamics with the noise the plant says: hover, rates damped by the pilot, every
+    rotor excited; rotor 2 loses `loss` at ONSET."""
     rng = np.random.default_rng(seed)
-    B = vehicle().effectiveness()
-    n = B.shape[1]
+    system = make()
+    n = system.n_u
+    B = np.vstack([system.B_tau, system.B_T])
+    hover = np.linalg.pinv(B) @ np.array([0, 0, 0, system.m * 9.80665])
+    share = np.linalg.pinv(B)[:, :3] @ np.diag(np.diag(system.J)) * 8.0
+    root = np.linalg.cholesky(np.asarray(system.Q(DT)))
+    f, h = jax.jit(system.f), jax.jit(system.h)
+    x, rows = np.asarray(system.x0) + 0.1 * rng.standard_normal(3), []
+    for k in range(TICKS):
+        theta = np.where(np.arange(n) == 1, loss * (k >= ONSET), 0.0)
+        wiggle = 0.05 * hover * np.sin(0.9 * k * DT * 2 * np.pi + np.arange(n))
+        u = np.clip(hover + wiggle - share @ x, 0.05 * hover, 3.0 * hover)
+        x = np.asarray(f(x, u, theta, DT)) + root @ rng.standard_normal(3)
+        y = np.asarray(h(x, u, theta)) + np.sqrt(np.asarray(system.R(u))) * rng.standard_normal(4)
+        rows.append((u, y, x))
+    u, y, x = (np.array(column) for column in zip(*rows, strict=True))
+    return u, y, gaps(), x
+
+
+@functools.cache
+def balanced(seed=0, motion=1.0, loss=LOSS, mode=None):
+    """(u, y, valid) of a quad hovering in light wind, for the default method; rotor 2 loses `loss` at ONSET. motion: how much it turns."""
+    rng = np.random.default_rng(seed)
+    system = wrench_quad()
+    B, n = system.B, system.n_theta
     wind = np.zeros((TICKS, 4))
     for k in range(1, TICKS):
         wind[k] = 0.95 * wind[k - 1] + 0.01 * rng.standard_normal(4)
@@ -51,82 +101,105 @@ def flight(seed=0, motion=1.0, loss=LOSS, mode=None):
     when = np.arange(TICKS)
     if mode is None:
         mode = np.where(when < TAKE_OFF, GROUND, np.where(when < READY, LEARN, JUDGE))
-    u = np.column_stack([make_system().pack(table), np.broadcast_to(mode, TICKS), when == TAKE_OFF]).astype(float)
-    valid = np.ones((TICKS, 4), bool)
-    for gap in GAPS:
-        valid[gap] = False
-    valid[BLIND_AXIS, 3] = False
-    return u, thrust @ B.T, valid
+    u = np.column_stack([system.pack(table), np.broadcast_to(mode, TICKS), when == TAKE_OFF]).astype(float)
+    return u, thrust @ B.T, gaps()
 
 
 def estimate_of(out):
     return out if isinstance(out, Estimate) else out.estimate
 
 
-@pytest.fixture(scope="module", params=discovery.estimators().items(), ids=lambda item: item[0])
-def method(request):
-    """One estimator on the plant, with its compiled run over a flight: (outputs, carries), a leading axis of ticks."""
-    jax = load_jax()
-    system = make_system()
-    estimator = request.param[1](system, DT)
+class Case:
+    """One estimator on one plant, with its compiled run over a flight."""
 
-    def run(u, y, valid):
-        def tick(carry, now):
-            carry, out = estimator.step(carry, *now)
-            return carry, (out, carry)
+    reverse = False  # for a planted error
 
-        return jax.lax.scan(tick, estimator.init(), (u, y, valid))[1]
+    def __init__(self, kind, make, dt=DT):
+        self.kind, self.make, self.dt = kind, make, dt
+        self.own_plant = make is wrench_quad
+        self.system = make()
+        self.estimator = kind(self.system, dt)
+        self._compiled = None
 
-    compiled = jax.jit(run)
-    return SimpleNamespace(
-        jax=jax,
-        system=system,
-        estimator=estimator,
-        run=run,
-        over=lambda *table: jax.tree.map(np.asarray, compiled(*table)),
-        usual=jax.tree.map(np.asarray, compiled(*flight())),
-    )
+    def flight(self, seed=0, loss=LOSS):
+        return balanced(seed, loss=loss) if self.own_plant else flown(self.make, seed, loss)[:3]
+
+    def run(self, u, y, valid, dt=None):
+        """Stacked estimates; dt (T,) where steps differ."""
+
+        def tick(carry, row):
+            carry, out = self.estimator.step(carry, *row)
+            return carry, estimate_of(out)
+
+        rows = (u, y, valid) if dt is None else (u, y, valid, dt)
+        return jax.lax.scan(tick, self.estimator.init(), rows, reverse=self.reverse)[1]
+
+    def over(self, u, y, valid):
+        if self._compiled is None:
+            self._compiled = jax.jit(lambda *table: self.run(*table))
+        return jax.tree.map(np.asarray, self._compiled(u, y, valid))
+
+    @functools.cached_property
+    def usual(self):
+        return self.over(*self.flight())
 
 
-def leaves(method, tree):
-    """(path, array) of everything in a tree, for messages that say what differs."""
-    return [
-        (method.jax.tree_util.keystr(path), leaf) for path, leaf in method.jax.tree_util.tree_leaves_with_path(tree)
-    ]
+def published():
+    return {name: kind for name, kind in discovery.estimators().items() if name != "default"}
 
 
-def assert_same(method, one, other, **tolerance):
-    for (path, a), (_, b) in zip(leaves(method, one), leaves(method, other), strict=True):
+CASES = [("default", wrench_quad)] + [(name, make) for name in published() for make in (rates_quad, rates_hexa)]
+
+
+@functools.cache
+def case_of(name, make):
+    return Case(discovery.estimator(name), make, 0.05 if make is wrench_quad else DT)
+
+
+def assert_same(one, other, **tolerance):
+    for name, a, b in zip(Estimate._fields, one, other, strict=True):
         if tolerance:
-            np.testing.assert_allclose(a, b, err_msg=path, **tolerance)
+            np.testing.assert_allclose(a, b, err_msg=name, **tolerance)
         else:
-            np.testing.assert_array_equal(a, b, err_msg=path)
+            np.testing.assert_array_equal(a, b, err_msg=name)
 
 
-def test_shapes_and_kinds_are_the_documented_ones(method):
-    estimate, system = estimate_of(method.usual[0]), method.system
-    n_x, n_theta, n_y = system.n_x, system.n_theta, system.n_y
+# The laws.
+
+
+def shapes_and_kinds_are_the_documented_ones(case):
+    n_x, n_theta, n_y = case.system.n_x, case.system.n_theta, case.system.n_y
     sizes = [(n_x,), (n_x, n_x), (n_theta,), (n_theta, n_theta), (n_y,), (n_y, n_y), ()]
-    assert [leaf.shape for leaf in estimate] == [(TICKS, *size) for size in sizes]
-    assert [leaf.dtype for leaf in estimate] == [np.float64] * 6 + [np.int32]
+    assert [leaf.shape for leaf in case.usual] == [(TICKS, *size) for size in sizes]
+    assert [leaf.dtype for leaf in case.usual] == [np.float64] * 6 + [np.int32]
 
 
-def test_everything_stays_finite(method):
-    for path, leaf in leaves(method, method.usual):
-        assert not np.isnan(leaf).any(), path
-    for name, leaf in zip(Estimate._fields, estimate_of(method.usual[0]), strict=True):
+def everything_stays_finite(case):
+    for name, leaf in zip(Estimate._fields, case.usual, strict=True):
         assert np.isfinite(leaf).all(), name
 
 
-def test_losses_are_shares(method):
-    theta = estimate_of(method.usual[0]).theta
-    assert theta.min() >= 0 and theta.max() <= 1
+def losses_are_shares(case):
+    if case.own_plant or getattr(case.kind, "bounded", False):
+        assert case.usual.theta.min() >= 0 and case.usual.theta.max() <= 1
 
 
-def test_status_says_what_a_tick_was(method):
-    _, _, valid = flight()
-    expected = np.where(np.arange(TICKS) < TAKE_OFF, 1, np.where(valid.any(axis=1), 0, 2))
-    np.testing.assert_array_equal(estimate_of(method.usual[0]).status, expected)
+def status_says_what_a_tick_was(case):
+    """1 at the start only, while a method fills its window; then 0, and 2 where nothing is measured."""
+    measured = case.flight()[2].any(axis=1)
+    ready = TAKE_OFF if case.own_plant else int(np.argmax(case.usual.status != 1))
+    assert ready < 50 and set(case.usual.status[:ready]) <= {1}
+    np.testing.assert_array_equal(case.usual.status[ready:], np.where(measured, 0, 2)[ready:])
+
+
+def a_step_is_made_of_what_can_run_anywhere(case):
+    """No loops of unknown length, nothing that a microcontroller could not do: docs/architecture.md, rules 3 and 4."""
+    u, y, valid = case.flight()
+    traced = jax.make_jaxpr(case.estimator.step)(case.estimator.init(), u[0], y[0], valid[0])
+    assert set(primitives(traced.jaxpr)) & FORBIDDEN == set()
+    assert {str(v.aval.dtype) for v in traced.jaxpr.outvars} <= {"float64", "int32", "bool"}
+    found = set(primitives(jax.make_jaxpr(jax.numpy.linalg.inv)(np.eye(2)).jaxpr))
+    assert found & FORBIDDEN  # else the list has lost touch with the library's names
 
 
 def primitives(jaxpr):
@@ -140,38 +213,25 @@ def primitives(jaxpr):
                     yield from primitives(inner)
 
 
-def test_a_step_is_made_of_what_can_run_anywhere(method):
-    """No loops of unknown length, nothing that a microcontroller could not do: docs/architecture.md, rules 3 and 4."""
-    u, y, valid = flight()
-    traced = method.jax.make_jaxpr(method.estimator.step)(method.estimator.init(), u[0], y[0], valid[0])
-    assert set(primitives(traced.jaxpr)) & FORBIDDEN == set()
-    assert {str(v.aval.dtype) for v in traced.jaxpr.outvars} <= {"float64", "int32", "bool"}
-    found = set(primitives(method.jax.make_jaxpr(method.jax.numpy.linalg.inv)(np.eye(2)).jaxpr))
-    assert found & FORBIDDEN  # else the list has lost touch with the library's names
-
-
-def test_causal(method):
+def causal(case):
     """What comes later changes nothing of what was said before."""
     cut = ONSET + 12
-    table, other = flight(), flight(seed=1, loss=0.8)
-    mixed = [np.concatenate([a[:cut], b[cut:]]) for a, b in zip(table, other, strict=True)]
+    mixed = [np.concatenate([a[:cut], b[cut:]]) for a, b in zip(case.flight(), case.flight(1, 0.6), strict=True)]
     mixed[2][cut:] = ~mixed[2][cut:]
-    changed = method.over(*mixed)
-    head = method.jax.tree.map(lambda leaf: leaf[:cut], (method.usual, changed))
-    assert_same(method, *head)
-    assert not np.array_equal(estimate_of(changed[0]).x[cut:], estimate_of(method.usual[0]).x[cut:])
+    changed = case.over(*mixed)
+    assert_same([leaf[:cut] for leaf in case.usual], [leaf[:cut] for leaf in changed])
+    assert not np.array_equal(changed.x[cut:], case.usual.x[cut:])
 
 
-@pytest.mark.parametrize("garbage", [1e30, -1e30, np.nan])
-def test_what_is_not_valid_does_not_count(method, garbage):
-    u, y, valid = flight()
-    assert_same(method, method.usual, method.over(u, np.where(valid, y, garbage), valid))
+def what_is_not_valid_does_not_count(case):
+    u, y, valid = case.flight()
+    for garbage in (1e30, -1e30, np.nan):
+        assert_same(case.usual, case.over(u, np.where(valid, y, garbage), valid))
 
 
-def test_covariances_are_symmetric_and_not_negative(method):
-    estimate = estimate_of(method.usual[0])
+def covariances_are_symmetric_and_not_negative(case):
     for name in ("x_cov", "theta_cov", "innovation_cov"):
-        P = getattr(estimate, name)
+        P = getattr(case.usual, name)
         np.testing.assert_array_equal(P, np.swapaxes(P, 1, 2), err_msg=name)
         # Scaled to a unit diagonal: states have units of their own.
         sd = np.sqrt(np.maximum(np.diagonal(P, axis1=1, axis2=2), 1e-30))
@@ -179,47 +239,320 @@ def test_covariances_are_symmetric_and_not_negative(method):
         assert (least > -1e-9).all(), f"{name} at tick {least.argmin()}: {least.min()}"
 
 
-def test_nothing_is_learned_where_nothing_is_measured(method):
-    """In a gap the variance of a state that stays as it is never shrinks, nor does that of a loss."""
-    estimate, system = estimate_of(method.usual[0]), method.system
-    u = flight()[0]
+def nothing_is_learned_where_nothing_is_measured(case):
+    """In a gap no loss becomes surer, nor any state that stays as it is; innovations are 0."""
+    constant = np.array([name.endswith(("b3", "gain", "damping")) for name in case.system.x_names])
+    theta = np.diagonal(case.usual.theta_cov, axis1=1, axis2=2)
+    x = np.diagonal(case.usual.x_cov, axis1=1, axis2=2)
     for gap in GAPS:
-        x, theta = estimate.x[gap.start], estimate.theta[gap.start]
-        F = method.jax.jacfwd(lambda x, u=u[gap.start], theta=theta: system.f(x, u, theta, DT))(x)
-        constant = np.all(np.asarray(F) == np.eye(system.n_x), axis=1)
-        assert constant.any()
-        for P, which in ((estimate.x_cov, constant), (estimate.theta_cov, slice(None))):
-            variance = np.diagonal(P, axis1=1, axis2=2)[gap.start - 1 : gap.stop, which]
-            assert (np.diff(variance, axis=0) >= -1e-12 * variance[:-1]).all(), gap
-        assert (estimate.innovation[gap] == 0).all()
+        for variance in (theta, x[:, constant] if constant.any() else x.sum(axis=1, keepdims=True)):
+            inside = variance[gap.start - 1 : gap.stop]
+            assert (np.diff(inside, axis=0) >= -1e-9 * inside[:-1]).all(), gap
+        assert (case.usual.innovation[gap] == 0).all()
 
 
-def test_many_flights_at_once_are_the_same_as_one_by_one(method):
-    flights = [flight(), flight(seed=1, motion=0.3), flight(seed=2, loss=0.0)]
-    batch = [np.stack(column) for column in zip(*flights, strict=True)]
-    together, _ = method.jax.jit(method.jax.vmap(method.run))(*batch)
+def many_flights_at_once_are_the_same_as_one_by_one(case):
+    flights = [case.flight(), case.flight(2, 0.0)]
+    together = jax.jit(jax.vmap(case.run))(*(np.stack(column) for column in zip(*flights, strict=True)))
     for k, table in enumerate(flights):
-        alone, _ = method.over(*table)
-        one = method.jax.tree.map(lambda leaf, k=k: leaf[k], together)
-        assert_same(method, estimate_of(alone), estimate_of(one), rtol=1e-6, atol=1e-9)
+        assert_same(case.over(*table), [leaf[k] for leaf in together], rtol=1e-6, atol=1e-9)
 
 
-def test_compiled_is_the_same_as_not(method):
-    steps = slice(TAKE_OFF - 1, TAKE_OFF + 2)
-    u, y, valid = flight()
-    carry = method.jax.tree.map(lambda leaf: leaf[steps.start - 1], method.usual[1])
-    for k in range(steps.start, steps.stop):
-        carry, out = method.estimator.step(carry, u[k], y[k], valid[k])
-        expected = method.jax.tree.map(lambda leaf, k=k: leaf[k], method.usual[0])
-        assert_same(method, estimate_of(expected), estimate_of(out), rtol=1e-9, atol=1e-12)
+def compiled_is_the_same_as_not(case):
+    u, y, valid = case.flight()
+    carry = case.estimator.init()
+    for k in range(2):
+        carry, out = case.estimator.step(carry, u[k], y[k], valid[k])
+        assert_same([leaf[k] for leaf in case.usual], estimate_of(out), rtol=1e-9, atol=1e-12)
 
 
-def kalman(system, x, P, u, y, valid, Q, R):
+def errors_are_as_large_as_the_covariance_says(case):
+    """Healthy flights with the plant's own noise: states and losses lie within three standard deviations; where the method is
+    the Kalman filter, the normalised error squared (NEES) is the number of states as well."""
+    if case.own_plant:
+        return  # its noise model is learned in flight: tests/test_jump_bank.py
+    inside_x, inside_theta, nees = [], [], []
+    for seed in (0, 1, 2):
+        u, y, valid, x = flown(case.make, seed, 0.0)
+        estimate = case.over(u, y, valid)
+        late = slice(10, None)
+        error, P = (estimate.x - x)[late], estimate.x_cov[late]
+        inside_x.append((np.abs(error) <= 3.0 * np.sqrt(np.diagonal(P, axis1=1, axis2=2))).mean())
+        sd = np.sqrt(np.diagonal(estimate.theta_cov, axis1=1, axis2=2))[late]
+        inside_theta.append((np.abs(estimate.theta[late]) <= 3.0 * sd).mean())
+        nees.append(np.einsum("ti,tij,tj->t", error, np.linalg.inv(P), error).mean())
+    assert min(inside_x) > 0.97, f"states: {inside_x}"
+    assert min(inside_theta) > 0.9, f"losses: {inside_theta}"
+    if not case.kind.not_kalman:
+        assert 0.75 * case.system.n_x < np.mean(nees) < 1.3 * case.system.n_x, nees
+
+
+LAWS = [
+    shapes_and_kinds_are_the_documented_ones,
+    everything_stays_finite,
+    losses_are_shares,
+    status_says_what_a_tick_was,
+    a_step_is_made_of_what_can_run_anywhere,
+    causal,
+    what_is_not_valid_does_not_count,
+    covariances_are_symmetric_and_not_negative,
+    nothing_is_learned_where_nothing_is_measured,
+    errors_are_as_large_as_the_covariance_says,
+]
+SLOW_LAWS = [many_flights_at_once_are_the_same_as_one_by_one, compiled_is_the_same_as_not]  # compiled once more each
+
+
+@pytest.mark.parametrize("law", LAWS, ids=lambda law: law.__name__)
+@pytest.mark.parametrize(("name", "make"), CASES, ids=lambda v: v if isinstance(v, str) else v.__name__)
+def test_law(name, make, law):
+    law(case_of(name, make))
+
+
+@pytest.mark.parametrize("law", SLOW_LAWS, ids=lambda law: law.__name__)
+@pytest.mark.parametrize(
+    ("name", "make"), [c for c in CASES if c[1] is not rates_hexa], ids=lambda v: v if isinstance(v, str) else ""
+)
+def test_slow_law(name, make, law):
+    law(case_of(name, make))
+
+
+# Steps of different length, and the Kalman filter.
+
+
+class Linear:
+    """x+ = A x + dt B (u o (1 - theta)),  y = C x + D (u o (1 - theta)): linear and Gaussian for given u."""
+
+    name, n_x, n_u, n_theta, n_y = "linear", 3, 2, 2, 3
+    x_names, x0, P0 = ("a", "b", "c"), np.array([0.3, -0.2, 0.1]), np.diag([0.5, 0.3, 0.4])
+    drift = np.array([[-0.4, 1.0, 0.0], [-1.0, -0.3, 0.2], [0.1, 0.0, -0.6]])
+    B = np.array([[1.0, -0.5], [0.3, 0.8], [0.0, 1.2]])
+    C = np.array([[1.0, 0.0, 0.2], [0.0, 1.0, 0.0], [0.3, 0.0, 0.0]])
+    D = np.array([[0.0, 0.0], [0.0, 0.0], [0.7, -0.9]])
+
+    def A(self, dt):
+        return np.eye(3) + dt * self.drift
+
+    def f(self, x, u, theta, dt):
+        return self.A(dt) @ x + dt * self.B @ (u * (1.0 - theta))
+
+    def h(self, x, u, theta):
+        return self.C @ x + self.D @ (u * (1.0 - theta))
+
+    def Q(self, dt):
+        return dt * np.diag([1e-2, 2e-2, 5e-3])
+
+    def R(self, u):
+        return np.array([1e-2, 2e-2, 1.5e-2])
+
+
+def linear_table(T=60, seed=0):
+    """Random inputs and measurements with gaps, and steps of different lengths."""
+    rng = np.random.default_rng(seed)
+    valid = rng.random((T, 3)) < 0.8
+    valid[[0, 1, 20, 21]] = False  # the first two show the method's prior
+    return rng.normal(1, 0.5, (T, 2)), rng.normal(0, 1, (T, 3)), valid, rng.uniform(0.5, 1.5, T) * DT
+
+
+def kalman(system, x, P, walk, table):
+    """Textbook Kalman filter of [x; theta], dense and in NumPy, Joseph's form; yields Estimates without status."""
+    n = system.n_x
+    for u, y, valid, dt in zip(*table, strict=True):
+        F = np.block([[system.A(dt), -dt * system.B * u], [np.zeros((2, n)), np.eye(2)]])
+        H = np.hstack([system.C, -system.D * u])
+        x = F @ x + np.concatenate([dt * system.B @ u, np.zeros(2)])
+        P = F @ P @ F.T
+        P[:n, :n] += system.Q(dt)
+        P[n:, n:] += dt * walk
+        e = np.where(valid, y - H @ x - system.D @ u, 0.0)
+        S = H @ P @ H.T + np.diag(system.R(u))
+        K = np.linalg.solve(S[np.ix_(valid, valid)], H[valid] @ P).T
+        x = x + K @ e[valid]
+        I_KH = np.eye(n + 2) - K @ H[valid]
+        P = I_KH @ P @ I_KH.T + K @ np.diag(system.R(u)[valid]) @ K.T
+        yield x[:n], P[:n, :n], x[n:], P[n:, n:], e, S
+
+
+@functools.cache
+def over_linear(kind):
+    """The method on the linear plant with steps of different length: stacked estimates."""
+    case = Case(kind, Linear)
+    return jax.tree.map(np.asarray, jax.jit(lambda *t: case.run(*t))(*linear_table()))
+
+
+def on_linear_plants_it_is_the_kalman_filter(kind):
+    """States, losses, covariances and innovations, through gaps and changing steps.
+
+    The prior and the walk of the losses are the method's own: the first two steps, without measurements, show them.
+    """
+    table = linear_table()
+    got = over_linear(kind)
+    dt = table[3]
+    walk = (got.theta_cov[1] - got.theta_cov[0]) / dt[1]
+    P = np.zeros((5, 5))
+    P[:3, :3], P[3:, 3:] = Linear.P0, got.theta_cov[0] - dt[0] * walk
+    wanted = kalman(Linear(), np.concatenate([Linear.x0, np.zeros(2)]), P, walk, table)
+    wanted = [np.array(column) for column in zip(*wanted, strict=True)]
+    for name, a, b in zip(Estimate._fields[:5], got[:5], wanted[:5], strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-8, atol=1e-10, err_msg=name)
+    measured = table[2].any(axis=1)
+    np.testing.assert_allclose(got.innovation_cov[measured], wanted[5][measured], rtol=1e-8, atol=1e-10)
+
+
+def the_length_of_a_step_counts(kind):
+    """No dt is the constructor's; and after a long step without measurements states and uncertainty are others than after a short one."""
+    case = Case(kind, Linear)
+    u, y, valid, _ = linear_table()
+    step = jax.jit(case.estimator.step)
+    carry = case.estimator.init()
+    for k in range(2, 8):
+        carry, _ = step(carry, u[k], y[k], valid[k], DT)
+    usual, same = step(carry, u[8], y[8], valid[8]), step(carry, u[8], y[8], valid[8], DT)
+    assert_same(estimate_of(usual[1]), estimate_of(same[1]), rtol=1e-9, atol=1e-12)
+    unmeasured = np.zeros(3, bool)
+    short, long = (estimate_of(step(carry, u[8], y[8], unmeasured, dt)[1]) for dt in (0.5 * DT, 20 * DT))
+    assert np.abs(long.x - short.x).max() > 1e-3
+    assert np.abs(long.x_cov / short.x_cov - 1.0).max() > 1e-3
+    assert np.trace(long.theta_cov) >= np.trace(short.theta_cov)
+
+
+@pytest.mark.parametrize("name", published())
+def test_not_kalman_says_why_in_a_sentence(name):
+    reason = discovery.estimator(name).not_kalman
+    assert reason == "" or len(reason.split()) >= 5
+
+
+@pytest.mark.parametrize("name", [name for name, kind in published().items() if not kind.not_kalman])
+def test_on_linear_plants_it_is_the_kalman_filter(name):
+    on_linear_plants_it_is_the_kalman_filter(discovery.estimator(name))
+
+
+@pytest.mark.parametrize("name", published())
+def test_the_length_of_a_step_counts(name):
+    the_length_of_a_step_counts(discovery.estimator(name))
+
+
+@pytest.mark.parametrize("name", published())
+def test_every_tuning_keyword_has_a_default(name):
+    parameters = list(inspect.signature(discovery.estimator(name).__init__).parameters.values())[3:]
+    assert all(p.kind is p.KEYWORD_ONLY and p.default is not p.empty for p in parameters)
+
+
+# Planted errors: an extended Kalman filter with one mistake each, and the law that must catch it.
+
+
+def mistaken(change):
+    """EKF whose step is `change(step, self, carry, u, y, valid, dt)`."""
+
+    class Mistaken(EKF):
+        def step(self, carry, u, y, valid, dt=None):
+            return change(super().step, self, carry, u, y, valid, dt)
+
+    return Mistaken
+
+
+def altered(**fields):
+    """EKF with fields of its Estimate replaced by functions of it."""
+
+    def change(step, self, carry, u, y, valid, dt):
+        carry, out = step(carry, u, y, valid, dt)
+        return carry, out._replace(**{name: new(out) for name, new in fields.items()})
+
+    return mistaken(change)
+
+
+def _learns_in_gaps(step, self, carry, u, y, valid, dt):
+    return step(carry, u, jax.numpy.where(valid, y, 0.0), jax.numpy.ones_like(valid), dt)
+
+
+def _ignores_validity(step, self, carry, u, y, valid, dt):
+    carry, out = step(carry, u, y, valid, dt)
+    return carry, out._replace(innovation=out.innovation + 1e-40 * jax.numpy.where(valid, 0.0, y))
+
+
+def _loops(step, self, carry, u, y, valid, dt):
+    y = jax.lax.while_loop(lambda v: (v > 1e300).any(), lambda v: v / 2, jax.numpy.where(valid, y, 0.0))
+    return step(carry, u, y, valid, dt)
+
+
+def _deaf_to_dt(step, self, carry, u, y, valid, dt):
+    return step(carry, u, y, valid)
+
+
+def _knows_it_is_compiled(step, self, carry, u, y, valid, dt):
+    carry, out = step(carry, u, y, valid, dt)
+    return carry, out._replace(x=out.x + (1e-3 if isinstance(out.x, jax.core.Tracer) else 0.0))
+
+
+@jax.custom_batching.custom_vmap
+def _lonely(x):
+    return x
+
+
+_lonely.def_vmap(lambda size, batched, x: (1.001 * x, True))
+
+
+def _trusts_too_much(step, self, carry, u, y, valid, dt):
+    carry, out = step(carry, u, y, valid, dt)
+    return carry._replace(P=0.99 * carry.P), out
+
+
+class _Foreseeing(Case):
+    reverse = True
+
+
+PLANTED = [
+    (shapes_and_kinds_are_the_documented_ones, altered(x=lambda e: e.x.astype("float32"))),
+    (everything_stays_finite, altered(x=lambda e: e.x / jax.numpy.where(e.status == 2, 0.0, 1.0))),
+    (status_says_what_a_tick_was, altered(status=lambda e: 0 * e.status)),
+    (a_step_is_made_of_what_can_run_anywhere, mistaken(_loops)),
+    (what_is_not_valid_does_not_count, mistaken(_ignores_validity)),
+    (covariances_are_symmetric_and_not_negative, altered(x_cov=lambda e: e.x_cov + 1e-12 * np.eye(3, k=1))),
+    (covariances_are_symmetric_and_not_negative, altered(theta_cov=lambda e: e.theta_cov - 1e-3 * np.eye(4))),
+    (nothing_is_learned_where_nothing_is_measured, mistaken(_learns_in_gaps)),
+    (errors_are_as_large_as_the_covariance_says, altered(x_cov=lambda e: 0.2 * e.x_cov)),
+    (many_flights_at_once_are_the_same_as_one_by_one, altered(x=lambda e: _lonely(e.x))),
+    (compiled_is_the_same_as_not, mistaken(_knows_it_is_compiled)),
+]
+
+
+@pytest.mark.parametrize(
+    ("law", "kind"), PLANTED, ids=lambda v: getattr(v, "__name__", "") if inspect.isfunction(v) else ""
+)
+def test_a_planted_error_is_caught(law, kind):
+    with pytest.raises(AssertionError):
+        law(Case(kind, rates_quad))
+
+
+def test_planted_foresight_is_caught():
+    with pytest.raises(AssertionError):
+        causal(_Foreseeing(EKF, rates_quad))
+
+
+def test_planted_losses_out_of_range_are_caught():
+    kind = altered(theta=lambda e: e.theta - 1.0)
+    kind.bounded = True
+    with pytest.raises(AssertionError):
+        losses_are_shares(Case(kind, rates_quad))
+
+
+@pytest.mark.parametrize("law", [on_linear_plants_it_is_the_kalman_filter, the_length_of_a_step_counts])
+@pytest.mark.parametrize("change", [_deaf_to_dt, _trusts_too_much])
+def test_planted_errors_of_the_filter_are_caught(law, change):
+    if law is the_length_of_a_step_counts and change is _trusts_too_much:
+        pytest.skip("a wrong covariance, but steps count")
+    with pytest.raises(AssertionError):
+        law(mistaken(change))
+
+
+# The default method on its own plant.
+
+
+def balance_kalman(system, x, P, u, y, valid, Q, R):
     """Textbook Kalman filter, dense and in NumPy: x- = A x, P- = A P A' + Q; K = P- C' S^-1 with S = C P- C' + R.
 
     Q (T, n_x, n_x) and R (T, n_y) may change from step to step. Returns x (T, n_x) and P (T, n_x, n_x) after each.
     """
-    A = np.diag(system.decay(DT))
+    A = np.diag(system.decay(0.05))
     history = []
     for k in range(len(y)):
         x, P = A @ x, A @ P @ A.T + Q[k]
@@ -233,28 +566,32 @@ def kalman(system, x, P, u, y, valid, Q, R):
     return (np.stack(column) for column in zip(*history, strict=True))
 
 
-def test_default_is_the_kalman_filter_while_nothing_is_suspected(method, monkeypatch):
+def test_default_is_the_kalman_filter_while_nothing_is_suspected(monkeypatch):
     """Hovering without motion the plant is linear and Gaussian: the filter has to be Kalman's with the learned noise.
 
     In motion the default estimator is more careful than Kalman: it counts the error of its own gains as noise. So it is
     with outliers and with commands that jump; that caution is switched off here.
     """
-    if method.estimator.name != "default":
-        pytest.skip("about the default estimator's own noise model")
     from rotorwatch import caution, noise
     from rotorwatch.estimators import jump_bank
 
     monkeypatch.setattr(jump_bank, "OUTLIER", 1e9)
     monkeypatch.setattr(caution, "LAG_ERROR_S", 0.0)
-    when = np.arange(TICKS)
-    u, y, valid = flight(seed=4, motion=0.0, loss=0.0, mode=np.where(when < TAKE_OFF, GROUND, LEARN))
-    out, carries = method.jax.tree.map(np.asarray, method.jax.jit(lambda *table: method.run(*table))(u, y, valid))
-    estimate = estimate_of(out)
-    learned = carries.noise.variances[:-1]  # what a tick works with was known before it
+    system = wrench_quad()
+    estimator = discovery.estimator("default")(system, 0.05)
+
+    def tick(carry, now):
+        carry, out = estimator.step(carry, *now)
+        return carry, (out.estimate, carry.noise.variances)
+
+    u, y, valid = balanced(4, 0.0, 0.0, mode=tuple(np.where(np.arange(TICKS) < TAKE_OFF, GROUND, LEARN).tolist()))
+    run = jax.jit(lambda *table: jax.lax.scan(tick, estimator.init(), table)[1])
+    estimate, variances = jax.tree.map(np.asarray, run(u, y, valid))
+    learned = variances[:-1]  # what a tick works with was known before it
     flying = slice(TAKE_OFF, TICKS)
     R = learned[TAKE_OFF - 1 :, 0]
-    Q = np.stack([np.diag(np.asarray(noise.process_variance(v, DT))) for v in learned[TAKE_OFF - 1 :]])
-    x, P = kalman(method.system, method.system.x0, method.system.P0, u[flying], y[flying], valid[flying], Q, R)
+    Q = np.stack([np.diag(np.asarray(noise.process_variance(v, 0.05))) for v in learned[TAKE_OFF - 1 :]])
+    x, P = balance_kalman(system, system.x0, system.P0, u[flying], y[flying], valid[flying], Q, R)
     assert learned[-1, 0].max() < 0.1 * learned[0, 0].min()  # the noise was learned: Q and R did change on the way
     np.testing.assert_allclose(estimate.x[flying], x, rtol=1e-7, atol=1e-9)
     np.testing.assert_allclose(estimate.x_cov[flying], P, rtol=1e-6, atol=1e-10)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from rotorwatch import __version__, cli_research
+from rotorwatch import __version__, cli_research, cli_tune
 from rotorwatch.cli_tools import LOG, common, debug, progress, say, show
 from rotorwatch.errors import ConfigError, RotorwatchError
 
@@ -92,6 +92,9 @@ def cli() -> None:
 @click.option("--vehicle", type=LOG, metavar="FILE", help="Vehicle file (TOML), as `rotorwatch calibrate` writes it.")
 @click.option("--estimator", default="default", show_default=True, metavar="NAME", help="Estimator to use.")
 @click.option(
+    "--tuning", type=LOG, metavar="FILE", help="Tuning of a published estimator (TOML), as `rotorwatch tune` writes it."
+)
+@click.option(
     "--report", type=LOG, metavar="OUT.html", help="Write an HTML page; for several logs a folder or {name}.html."
 )
 @click.option(
@@ -99,7 +102,7 @@ def cli() -> None:
 )
 @common
 @click.pass_context
-def diagnose(context, logs, baselines, vehicle, estimator, report, as_json, quiet) -> None:
+def diagnose(context, logs, baselines, vehicle, estimator, tuning, report, as_json, quiet) -> None:
     """Judge each LOG: PX4 .ulg, ArduPilot .bin/.log, MAVLink .tlog, CSV, also .xz and .gz.
 
     Exit code: 0 healthy, 1 fault found, 3 inconclusive or ambiguous only, 2 error.
@@ -110,12 +113,15 @@ def diagnose(context, logs, baselines, vehicle, estimator, report, as_json, quie
     with progress(quiet) as tell:
         known = read_vehicle(vehicle) if vehicle else None
         healthy = tuple(_read(path, tell) for path in baselines)
+    tuned = _tuning(tuning, estimator) if tuning else None
 
     def judge(path: Path) -> Diagnosis:
         from rotorwatch.diagnose import diagnose as run
 
         with progress(quiet) as tell:
-            return run(_read(path, tell), vehicle=known, baseline=healthy, estimator=estimator, progress=tell)
+            return run(
+                _read(path, tell), vehicle=known, baseline=healthy, estimator=estimator, progress=tell, tuning=tuned
+            )
 
     if len(logs) == 1:
         result = judge(logs[0])
@@ -128,6 +134,12 @@ def diagnose(context, logs, baselines, vehicle, estimator, report, as_json, quie
             _report_written(pages[0] if pages else None, quiet)
         context.exit(result.exit_code)
     context.exit(_several(logs, judge, pages, as_json, quiet))
+
+
+def _tuning(path: Path, estimator: str):
+    from rotorwatch.tune import read
+
+    return read(path, estimator)
 
 
 def _several(logs: tuple[Path, ...], judge: Callable, pages: list[Path], as_json: bool, quiet: bool) -> int:
@@ -354,6 +366,7 @@ def _read(path: Path, tell: Callable | None) -> Any:
 
 
 cli_research.register(cli)
+cli_tune.register(cli)
 
 
 if __name__ == "__main__":

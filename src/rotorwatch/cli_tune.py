@@ -1,0 +1,82 @@
+"""Commands that fit estimators to an aircraft and hold them against each other: tune, compare."""
+
+from __future__ import annotations
+
+import json
+
+import click
+
+from rotorwatch.cli_tools import LOG, common, progress, say
+from rotorwatch.errors import ConfigError
+
+
+def register(group: click.Group) -> None:
+    """Add the commands of this module to the command line."""
+    for command in (tune, compare):
+        group.add_command(command)
+
+
+@click.command(short_help="Fit an estimator's noise to healthy flights.")
+@click.argument("logs", nargs=-1, required=True, type=LOG, metavar="LOG...")
+@click.option("--estimator", default="ekf", show_default=True, metavar="NAME", help="Published method to tune.")
+@click.option("-o", "--out", type=LOG, metavar="tuning.toml", help="Tuning file to write.")
+@click.option("--rounds", default=30, show_default=True, type=click.IntRange(1), help="Steps of the optimiser.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@common
+def tune(logs, estimator, out, rounds, as_json, quiet) -> None:
+    """Fit process and measurement noise and the walk of the losses to healthy LOGs of one build, by likelihood.
+
+    Give the file to `rotorwatch diagnose --estimator NAME --tuning FILE` later.
+    """
+    from rotorwatch.tune import fit_logs, write
+
+    with progress(quiet) as tell:
+        found = fit_logs(estimator, logs, rounds, tell)
+    if out:
+        write(found, out)
+    if as_json:
+        click.echo(json.dumps(found.to_dict(), indent=1, allow_nan=False))
+        return
+    click.echo(f"{estimator}: log-likelihood of a row {found.before:.3f} as it was, {found.after:.3f} as tuned")
+    for name, values in (("process noise", found.tuning.q), ("measurement noise", found.tuning.r)):
+        click.echo(f"{name}, factors on the variances: {', '.join(f'{v:.3g}' for v in values)}")
+    for name, value in found.tuning.keywords.items():
+        click.echo(f"{name}: {value:.3g}")
+    if out and not quiet:
+        say(f"tuning written to {out}")
+
+
+@click.command(short_help="All estimators on the same flights.")
+@click.argument("logs", nargs=-1, type=LOG, metavar="[LOG]...")
+@click.option(
+    "--truth",
+    type=LOG,
+    metavar="FILE.csv",
+    help="What is wrong with which LOG: path, faulty_rotors, thrust_loss, start_s.",
+)
+@click.option("--estimators", metavar="NAME,NAME,...", help="Only these.")
+@click.option(
+    "--losses", default="0.2,0.4", show_default=True, metavar="L,L,...", help="Losses to simulate and to put in, 0..1."
+)
+@click.option("--seeds", default=2, show_default=True, type=click.IntRange(0), help="Simulated flights of each kind.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@common
+def compare(logs, truth, estimators, losses, seeds, as_json, quiet) -> None:
+    """Run all estimators on simulated flights, on healthy LOGs with losses put in, and on LOGs with a table of their faults."""
+    from rotorwatch.studies import compare_flights as flights
+    from rotorwatch.studies.compare import compare as run
+    from rotorwatch.studies.compare import markdown
+
+    try:
+        shares = tuple(float(x) for x in losses.split(","))
+    except ValueError:
+        raise ConfigError(f"--losses {losses}: give numbers with commas, as in 0.2,0.3.") from None
+    if not all(0 < x < 1 for x in shares):
+        raise ConfigError(f"--losses {losses}: a loss is above 0 and below 1.")
+    names = [name.strip() for name in estimators.split(",")] if estimators else []
+    with progress(quiet) as tell:
+        scenes = flights.simulated(seeds, shares, tell) if seeds else []
+        if logs:
+            scenes += flights.with_truth(logs, truth) if truth else flights.injected(logs, shares)
+        result = run(scenes, names, tell)
+    click.echo(json.dumps(result, indent=1, allow_nan=False) if as_json else markdown(result).strip())
