@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rotorwatch import checks
+from rotorwatch import bounded, checks
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
 
@@ -42,7 +42,7 @@ class Law:
 
     def __init__(self, method, system, dt, rate, bandwidth, direct_rate, bounds, hold, u_nominal):
         """method: name for messages. rate: k_w [1/s]. bandwidth: sqrt of Gamma [rad/s]. direct_rate: how fast f~ moves theta
-        [1/s]. bounds: least and largest theta. hold: share of u_nominal below which a rotor's theta rests. u_nominal (n_u,)."""
+        [1/s]. bounds: least and largest loss. hold: share of u_nominal below which a rotor's theta rests. u_nominal (n_u,)."""
         jax = load_jax()
         jnp = jax.numpy
         self.system, self.dt = system, checks.positive("dt", dt)
@@ -52,9 +52,8 @@ class Law:
         checks.between("rate times dt", rate * dt, 0.0, 1.0)
         checks.between("bandwidth times dt", bandwidth * dt, 0.0, 1.0)
         checks.finite("hold", hold)
-        if len(bounds) != 2 or not bounds[0] <= 0.0 < bounds[1]:
-            raise ConfigError(f"bounds must be a least theta of at most 0 and a largest above it, not {tuple(bounds)}.")
-        self.rate, self.gamma, self.bounds, self.hold = rate, bandwidth**2, bounds, hold
+        self.rate, self.gamma, self.hold = rate, bandwidth**2, hold
+        self.bounds = bounded.of_losses(system, bounds)
         self.u_nominal = checks.shape("u_nominal", nominal_input(system) if u_nominal is None else u_nominal, system.n_u)
         at = self.terms(jnp.asarray(system.x0, float), jnp.asarray(self.u_nominal, float), jnp.zeros(system.n_theta), dt)
         if checks.concrete(at.C):

@@ -14,9 +14,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import numpy as np
-
-from rotorwatch import checks
+from rotorwatch import bounded, checks
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.core import Estimate
 from rotorwatch.errors import ConfigError
@@ -27,11 +25,10 @@ SURPRISED = 2  # blocks in a row that empty the window
 
 
 class Block(NamedTuple):
-    """What has been summed since the block began. elapsed [s]; moved, predicted (n_x,): states, and states at no loss;
+    """What has been summed since the block began. elapsed [s]; predicted (n_x,): the states had nothing been lost;
     slope (n_x, n_theta); whole (n_x,): measured at both ends; direct (n_y,), direct_slope (n_y, n_theta), count (n_y,); noise (n_x,)."""
 
     elapsed: Any
-    began: Any
     predicted: Any
     slope: Any
     whole: Any
@@ -117,7 +114,7 @@ class MHLyapunov:
         n, k, m = self.system.n_x, self.system.n_theta, self.system.n_y
         zero = jnp.zeros(())
         return Block(
-            zero, measured, measured, jnp.zeros((n, k)), seen, jnp.zeros(m), jnp.zeros((m, k)), jnp.zeros(m), jnp.zeros(n)
+            zero, measured, jnp.zeros((n, k)), seen, jnp.zeros(m), jnp.zeros((m, k)), jnp.zeros(m), jnp.zeros(n)
         )
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Estimate]:
@@ -139,7 +136,7 @@ class MHLyapunov:
         block, seen = self.gather(carry.block, before, at, u, y, valid, dt)
         carry = carry._replace(state=state, block=block)
         done = block.elapsed >= max(self.block_s, self.dt) - 0.5 * dt
-        carry = jax.lax.cond(done, lambda c: self.close(c, u, seen), lambda c: c, carry)
+        carry = jax.lax.cond(done, lambda c: self.close(c, u, seen, at.C_left), lambda c: c, carry)
         status = jnp.where(valid.any(), 0, 2).astype(jnp.int32)
         out = Estimate(state.x, state.P[:n, :n], state.theta, state.P[n:, n:], e, S, status)
         return carry, out
@@ -155,7 +152,6 @@ class MHLyapunov:
         noise = jnp.diagonal(self.system.Q(dt)) + TINY
         added = Block(
             block.elapsed + dt,
-            block.began,
             block.predicted + step,
             block.slope + dt * at.G,
             block.whole,
@@ -166,11 +162,11 @@ class MHLyapunov:
         )
         return added, seen
 
-    def close(self, carry: Carry, u, seen) -> Carry:
+    def close(self, carry: Carry, u, seen, C_left) -> Carry:
         """The block joins the window; what the window asks for is worked out anew."""
         jnp = load_jax().numpy
         theta, block = carry.state.theta, carry.block
-        A_new, b_new, chi2 = self.summary(block, carry.state.measured, u, seen, theta)
+        A_new, b_new, chi2 = self.summary(block, carry.state.measured, u, seen, C_left, theta)
         surprises = jnp.where(chi2 > self.surprise, carry.surprises + 1, 0).astype(jnp.int32)
         old = jnp.where(self.flush & (surprises == SURPRISED), 0.0, 1.0)
         A = jnp.concatenate([old * carry.A[1:], A_new[None]])
@@ -178,7 +174,7 @@ class MHLyapunov:
         target, pull, spread = self.pull_of(A.sum(axis=0), b.sum(axis=0), theta)
         return Carry(carry.state, self.new_block(carry.state.measured, seen), A, b, target, pull, spread, surprises)
 
-    def summary(self, block: Block, measured, u, seen, theta):
+    def summary(self, block: Block, measured, u, seen, C_left, theta):
         """Phi' W Phi, Phi' W z and chi^2 of z - Phi theta for a block that is complete."""
         jnp = load_jax().numpy
         R = self.system.R(u)
@@ -186,8 +182,7 @@ class MHLyapunov:
         z = jnp.concatenate([measured - block.predicted, block.direct / average])
         Phi = jnp.concatenate([block.slope, block.direct_slope / average[:, None]])
         Dn = block.direct_slope / average[:, None]
-        at = self.law.terms(measured, u, theta, self.dt)
-        gyro = jnp.sum(at.C_left**2 * R[None, :], axis=1)  # variance of a measured state
+        gyro = jnp.sum(C_left**2 * R[None, :], axis=1)  # variance of a measured state
         w_x = block.whole * seen / (2.0 * gyro + block.noise)
         w_y = jnp.where(block.count > 0, average / R, 0.0)
         if self.kind == "gradient":  # a step that serves all directions needs A well conditioned more than it needs W right
@@ -208,37 +203,10 @@ class MHLyapunov:
         k = len(b)
         H = A + self.anchor * jnp.eye(k)
         low, high = self.law.bounds
-        wanted = boxed(H, b + self.anchor * theta, low, high)
+        wanted = bounded.quadratic(H, b + self.anchor * theta, low, high)
         solve = lambda right: jax.scipy.linalg.cho_solve((jnp.linalg.cholesky(H), True), right)  # noqa: E731
         share = solve(A)
         spread = solve(share.T)
         # The box is in `wanted`; the pull's derivative is that of the free minimum: theta* = share theta_true + (I - share) theta.
         target = self.proximal_rate * (wanted - theta + share @ theta)
         return target, self.proximal_rate * share, self.proximal_rate**2 * 0.5 * (spread + spread.T)
-
-
-def boxed(H, g, low, high, iterations: int = 6):
-    """argmin over low <= t <= high of t' H t / 2 - g' t for a positive definite H, by the primal-dual active-set method.
-
-    Hintermueller, Ito and Kunisch, SIAM J. Optim. 13(3), 2003: a semismooth Newton method, exact once the set settles.
-    """
-    jax = load_jax()
-    jnp = jax.numpy
-    scale = jnp.diagonal(H)
-    t = jnp.clip(g / scale, low, high)
-    force = jnp.zeros_like(g)
-    for _ in range(iterations):
-        trial = t + force / scale
-        at = jnp.where(trial < low, low, jnp.where(trial > high, high, 0.0))
-        free = ((trial >= low) & (trial <= high)).astype(float)
-        masked = free[:, None] * H * free[None, :] + jnp.diag((1.0 - free) * scale)
-        fixed = (1.0 - free) * at
-        right = free * (g - H @ fixed) + scale * fixed
-        t = jax.scipy.linalg.cho_solve((jnp.linalg.cholesky(masked), True), right)
-        force = (1.0 - free) * (g - H @ t)
-    return jnp.clip(t, low, high)
-
-
-def window_information(carry: Carry) -> tuple[np.ndarray, np.ndarray]:
-    """A (n_theta, n_theta) and b (n_theta,) of the whole window of one carry."""
-    return np.asarray(carry.A).sum(axis=0), np.asarray(carry.b).sum(axis=0)

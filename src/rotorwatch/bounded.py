@@ -1,0 +1,47 @@
+"""Losses within bounds: which bounds a theta has, and quadratic programs over a box."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rotorwatch import checks
+from rotorwatch.backend import jax as load_jax
+from rotorwatch.errors import ConfigError
+
+
+def of_losses(system, bounds) -> tuple[np.ndarray, np.ndarray]:
+    """Least and largest theta (n_theta,) of a plant: `bounds` for the losses, none for what the plant adds to them.
+
+    bounds: (least, largest) loss. Raises ConfigError unless least <= 0 < largest.
+    """
+    if len(bounds) != 2 or (checks.concrete(bounds) and not bounds[0] <= 0.0 < bounds[1]):
+        raise ConfigError(f"bounds must be a least loss of at most 0 and a largest above it, not {tuple(bounds)}.")
+    loss = np.arange(system.n_theta) < system.n_u
+    return np.where(loss, bounds[0], -np.inf), np.where(loss, bounds[1], np.inf)
+
+
+def quadratic(H, g, low, high, iterations: int = 6):
+    """argmin over low <= t <= high of t' H t / 2 - g' t for a positive definite H (n, n): a primal-dual active-set method.
+
+    Hintermueller, Ito and Kunisch, SIAM J. Optim. 13(3), 2003: a semismooth Newton method, exact once the set settles.
+    """
+    jax = load_jax()
+    jnp = jax.numpy
+    scale = jnp.diagonal(H)
+    t = jnp.clip(g / scale, low, high)
+    force = jnp.zeros_like(g)
+    for _ in range(iterations):
+        free, fixed = active(t + force / scale, low, high)
+        masked = free[:, None] * H * free[None, :] + jnp.diag((1.0 - free) * scale)
+        right = free * (g - H @ fixed) + scale * fixed
+        t = jax.scipy.linalg.cho_solve((jnp.linalg.cholesky(masked), True), right)
+        force = (1.0 - free) * (g - H @ t)
+    return jnp.clip(t, low, high)
+
+
+def active(trial, low, high):
+    """(free, fixed): 1 where `trial` is strictly inside the box, and the bound where it is not (0 where it is)."""
+    jnp = load_jax().numpy
+    inside = (trial > low) & (trial < high)
+    fixed = jnp.where(trial <= low, low, jnp.where(trial >= high, high, 0.0))
+    return inside.astype(float), jnp.where(inside, 0.0, fixed)
