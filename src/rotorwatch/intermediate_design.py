@@ -89,6 +89,7 @@ def synthesize(A, C, E, N, alpha, epsilon, solver: str = "CLARABEL") -> Synthesi
         )
     try:
         import cvxpy as cp
+        from cvxpy.error import SolverError
     except ImportError as error:
         raise ConfigError("Solving the matrix inequality needs CVXPY: install rotorwatch[research].") from error
     L, mu = cp.Variable((n_x, C.shape[0])), cp.Variable()
@@ -99,7 +100,7 @@ def synthesize(A, C, E, N, alpha, epsilon, solver: str = "CLARABEL") -> Synthesi
     problem = cp.Problem(cp.Minimize(cp.norm(L, "fro") + 1e-6 * mu), [0.5 * (whole + whole.T) << -inside, mu >= 1e-6])
     try:
         problem.solve(solver=solver)
-    except cp.error.SolverError as error:
+    except SolverError as error:
         raise ConfigError(f"The solver {solver} failed on the matrix inequality; try CLARABEL or SCS.") from error
     if L.value is None or mu.value is None:
         raise ConfigError(f"The matrix inequality has no solution: {solver} says {problem.status}.")

@@ -19,6 +19,7 @@ import numpy as np
 
 from rotorwatch import checks, linearise
 from rotorwatch import intermediate_design as design
+from rotorwatch.backend import jax as load_jax
 from rotorwatch.core import Array, Estimate
 from rotorwatch.errors import ConfigError
 from rotorwatch.faulty_allocation import LeastSquares, Sparse, Temporal
@@ -104,7 +105,10 @@ class Intermediate:
             )
         checks.shape("P0", system.P0, system.n_x, system.n_x)
         self.scale = self._yaw(checks.positive("yaw_gain", yaw_gain))
-        self._look()
+        with (
+            load_jax().ensure_compile_time_eval()
+        ):  # values stay values inside compiled programs, where the plant has them
+            self._look()
         self.allocate = _rule(system, allocation, float(sparsity), float(loss_sd), float(memory_s))
 
     def init(self) -> Carry:
@@ -232,8 +236,6 @@ class Intermediate:
 
     def _look(self) -> None:
         """Which channels losses act on, how states follow from measurements, and gains where they do not."""
-        from rotorwatch.backend import jax as load_jax
-
         jax = load_jax()
         jnp, system = jax.numpy, self.system
         x0, u, theta = jnp.asarray(system.x0, float), jnp.ones(system.n_u), jnp.zeros(system.n_theta)
