@@ -59,9 +59,9 @@ class LeastSquares:
 
         weighted = Phi.T * W
         G = weighted @ Phi
-        factor = (jnp.linalg.cholesky(G + _ridge(G) * np.eye(self.n)), True)
-        M = cho_solve(factor, weighted)
-        M = M + cho_solve(factor, weighted - G @ M)  # one refinement takes the ridge's bias out
+        inverse = cho_solve((jnp.linalg.cholesky(G + _ridge(G) * np.eye(self.n)), True), jnp.eye(self.n))
+        inverse = inverse + inverse @ (np.eye(self.n) - G @ inverse)  # one refinement takes the ridge's bias out
+        M = inverse @ weighted
         open_ = (np.eye(self.n) - M @ Phi) * self.loss_sd
         return state, Answer(M @ f, M, open_ @ open_.T, jnp.int32(1))
 
@@ -89,6 +89,7 @@ class Sparse:
         self.pick = np.eye(n + 1)[self.index] * self.filled[:, :, None]  # (sets, width, n + 1)
         rotor = np.arange(n) < losses
         self.atoms = np.column_stack([np.eye(n), rotor.astype(float)])  # theta = atoms a
+        self.places = self.pick @ self.atoms.T  # (sets, width, n): theta = sum of places a
         self.low = np.append(np.where(rotor, 0.0, -np.inf), 0.0)
         self.high = np.append(np.where(rotor, 1.0, np.inf), 1.0)
 
@@ -123,17 +124,13 @@ class Sparse:
         """theta (sets, n) of every set within bounds, and its score (sets,). G, z: information about the atoms."""
         import jax.numpy as jnp
 
-        i = self.index
-        both = self.filled[:, :, None] & self.filled[:, None, :]
-        own = jnp.where(
-            self.filled, 1e-10 * jnp.diagonal(G)[i] + _ridge(G), 1.0
-        )  # places that a small set leaves empty: 1
-        A = jnp.where(both, G[i[:, :, None], i[:, None, :]], 0.0) + own[:, :, None] * np.eye(i.shape[1])
-        a = jnp.clip(_solve(A, jnp.where(self.filled, z[i], 0.0)), self.low[i], self.high[i])
-        whole = jnp.einsum("mk,mkj->mj", jnp.where(self.filled, a, 0.0), self.pick)
-        theta = jnp.clip(
-            whole @ self.atoms.T, self.low[: self.n], self.high[: self.n]
-        )  # what is scored is what is answered
+        i, filled = self.index, self.filled
+        own = jnp.where(filled, 1e-10 * jnp.diagonal(G)[i] + _ridge(G), 1.0)  # places that a small set leaves empty: 1
+        A = jnp.where(filled[:, :, None] & filled[:, None, :], G[i[:, :, None], i[:, None, :]], 0.0)
+        a = _solve(A + own[:, :, None] * np.eye(i.shape[1]), jnp.where(filled, z[i], 0.0))
+        a = jnp.clip(a, self.low[i], self.high[i])
+        theta = sum(a[:, k, None] * self.places[:, k] for k in range(i.shape[1]))
+        theta = jnp.clip(theta, self.low[: self.n], self.high[: self.n])  # what is scored is what is answered
         G, z = G[: self.n, : self.n], z[: self.n]
         residual = power - 2.0 * theta @ z + ((theta @ G) * theta).sum(axis=1)
         return theta, residual + self.price * self.size

@@ -154,34 +154,32 @@ def euler_gains(lp, lv, alpha, dt):
     return lp * dt, lv * dt, alpha * lv * dt
 
 
-def riccati_gains(F, G, H, Q, W, R) -> tuple[np.ndarray, np.ndarray]:
+def riccati_gains(F, G, E, H, Q, R) -> tuple[np.ndarray, np.ndarray]:
     """(K_x, K_f), (n_x, n_y) each: steady gains where a state that losses drive is not measured itself.
 
-    x(k+1) = F x + G f with process noise Q, f walks with the covariance W a step, y = H x with variances R. The augmented
-    plant's Riccati equation; raises ConfigError when f cannot be told from y (Assumption 4 fails).
+    x(k+1) = F x + G f with process noise Q, y = H x with variances R; f = E w, and w (r,) walks by unit variance a step. The
+    Riccati equation of [x; w]; raises ConfigError when w cannot be told from y (Assumption 4 fails).
     """
     from scipy.linalg import LinAlgError, solve_discrete_are
 
-    n = len(F)
-    A = np.block([[F, G], [np.zeros((n, n)), np.eye(n)]])
-    C = np.hstack([H, np.zeros_like(H)])
+    n, r = E.shape
     used = np.flatnonzero(np.abs(H).sum(axis=1) > 0)
-    alive = np.concatenate([np.ones(n, bool), np.diag(W) > 0])  # what is no fault channel stays zero
-    A, C, noise = A[np.ix_(alive, alive)], C[np.ix_(used, alive)], _block(Q, W)[np.ix_(alive, alive)]
-    K = np.zeros((2 * n, len(H)))
+    A = np.block([[F, G @ E], [np.zeros((r, n)), np.eye(r)]])
+    C = np.hstack([H[used], np.zeros((used.size, r))])
+    noise = np.block([[Q, np.zeros((n, r))], [np.zeros((r, n)), np.eye(r)]])
+    K = np.zeros((n + r, len(H)))
     try:
-        P = solve_discrete_are(A.T, C.T, noise + 1e-12 * np.eye(len(A)), np.diag(R[used]))
-        gain = np.linalg.solve(C @ P @ C.T + np.diag(R[used]), C @ P).T
-        stable = np.abs(np.linalg.eigvals((np.eye(len(A)) - gain @ C) @ A)).max() < 1.0 - 1e-9
-    except LinAlgError:
-        gain, stable = None, False
-    if not stable or gain is None:
+        P = solve_discrete_are(A.T, C.T, noise, np.diag(R[used]))
+        K[:, used] = np.linalg.solve(C @ P @ C.T + np.diag(R[used]), C @ P).T
+        stable = np.abs(np.linalg.eigvals((np.eye(n + r) - K[:, used] @ C) @ A)).max() < 1.0 - 1e-9
+    except (LinAlgError, ValueError):
+        stable = False
+    if not stable:
         raise ConfigError(
             "The intermediate observer is not defined for these measurements: what the losses do to the state cannot be "
             "told from them; measure the states that rotors drive, or their integrals."
         )
-    K[np.ix_(np.flatnonzero(alive), used)] = gain
-    return K[:n], K[n:]
+    return K[:n], E @ K[n:]
 
 
 def _free_of_gain(E, N, alpha, epsilon) -> np.ndarray:
@@ -189,6 +187,3 @@ def _free_of_gain(E, N, alpha, epsilon) -> np.ndarray:
     EN = E.T @ N
     return np.eye(E.shape[1]) / epsilon - 2 * alpha * E.T @ E + alpha / epsilon * EN @ EN.T
 
-
-def _block(Q, W) -> np.ndarray:
-    return np.block([[Q, np.zeros((len(Q), len(W)))], [np.zeros((len(W), len(Q))), W]])

@@ -30,7 +30,7 @@ SEEN = 1e-9  # share of the largest derivative below which a loss does nothing t
 
 
 class Filter(NamedTuple):
-    """Regressors of the faults, and of what they were while the observer lagged: (channels, n_theta) each."""
+    """Regressors value (n_x + n_y, n_theta) as the faults are filtered, and lag: the filter's other state."""
 
     value: Array
     lag: Array
@@ -156,11 +156,25 @@ class Intermediate:
         l1, l2, ldt = (jnp.where(self.feels & valid, g, 0.0) for g in (k1, k2, dt))
         ahead = carry.lag + ldt * e
         fault = jnp.concatenate([state_fault, carry.fault[n_x:] + l2 * ahead])
-        now = jnp.concatenate([Phi / dt * self.driven[:, None], D])
-        regressor = self._filtered(carry, now, C, F, G, K_x, K_f, l1, l2, ldt)
-        Psi = regressor.value if self.matched else now
 
-        P_, P = self._covariance(carry.P, F, G, C, K_x, K_f, system.Q(dt), R)
+        # The error of (x, state fault) goes A, then J, for whatever gains (Joseph's form).
+        K, constant = jnp.concatenate([K_x, K_f]), np.eye(2 * n_x)[n_x:]
+        A = jnp.concatenate([jnp.concatenate([F, G], axis=1), constant])
+        J = np.eye(2 * n_x) - jnp.concatenate([K @ C, np.zeros((2 * n_x, n_x))], axis=1)
+        P_ = A @ carry.P @ A.T
+        P_ = P_.at[:n_x, :n_x].add(system.Q(dt))
+        P = _symmetric(J @ P_ @ J.T + (K * R) @ K.T)
+
+        # What happens to a fault happens to regressors, so that fault = regressor theta stays true while commands move.
+        now = jnp.concatenate([Phi / dt * self.driven[:, None], D])
+        value = jnp.where(carry.started, carry.regressor.value, now)
+        missing = now - value
+        gone = J @ (A @ jnp.concatenate([carry.regressor.lag[:n_x], missing[:n_x]]))
+        felt = carry.regressor.lag[n_x:] + ldt[:, None] * missing[n_x:]
+        value = jnp.concatenate([now[:n_x] - gone[n_x:], value[n_x:] + l2[:, None] * felt])
+        regressor = Filter(value, jnp.concatenate([gone[:n_x], (1.0 - l1)[:, None] * felt]))
+        Psi = value if self.matched else now
+
         direct = _block(carry.direct, l1, l2, ldt, R * ldt**2, 0.0)
         all_seen = jnp.where(seen, 1.0, 0.0)
         late = _block(carry.late, all_seen * k1, all_seen * k2, dt, 0.0, self.drift**2 * dt)
@@ -172,8 +186,8 @@ class Intermediate:
         wide = P[n_x:, n_x:] / nu / nu[:, None]
         M_x, M_y = answer.M[:, :n_x], answer.M[:, n_x:]
         theta_cov = M_x @ wide @ M_x.T + (M_y * direct[2]) @ M_y.T + answer.spread + late[2] * np.eye(system.n_theta)
-        slow = regressor.value[:n_x] * jnp.sqrt(late[0])
-        felt = C @ slow + regressor.value[n_x:] * jnp.sqrt(late[2])
+        slow = value[:n_x] * jnp.sqrt(late[0])
+        felt = C @ slow + value[n_x:] * jnp.sqrt(late[2])
         S = C @ P_[:n_x, :n_x] @ C.T + jnp.diag(R + direct[2]) + felt @ felt.T
         estimate = Estimate(
             x=x,
@@ -207,32 +221,6 @@ class Intermediate:
             states = known[:n_x] | measured
             seen = jnp.where(self.driven > 0, measured, True).all() & direct
         return seen, K_x, K_f, jnp.concatenate([states, known[n_x:] | (self.feels & valid)])
-
-    def _filtered(self, carry, now, C, F, G, K_x, K_f, l1, l2, ldt) -> Filter:
-        """Regressors after this step: whatever happens to a fault happens to them, so that fault = regressor theta stays true."""
-        import jax.numpy as jnp
-
-        n_x = self.system.n_x
-        value = jnp.where(carry.started, carry.regressor.value, now)
-        ahead = F @ carry.regressor.lag[:n_x] + G @ (now - value)[:n_x]
-        seen = C @ ahead
-        ahead_y = carry.regressor.lag[n_x:] + ldt[:, None] * (now - value)[n_x:]
-        change = jnp.concatenate([K_f @ seen, l2[:, None] * ahead_y])
-        lag = jnp.concatenate([ahead - K_x @ seen, (1.0 - l1)[:, None] * ahead_y])
-        return Filter(value + change, lag)
-
-    def _covariance(self, P, F, G, C, K_x, K_f, Q, R):
-        """Covariance of (x, state fault) before and after the correction, for whatever gains: Joseph's form."""
-        import jax.numpy as jnp
-
-        n_x = self.system.n_x
-        eye, zero = np.eye(n_x), np.zeros((n_x, n_x))
-        A = jnp.concatenate([jnp.concatenate([F, G], axis=1), np.concatenate([zero, eye], axis=1)])
-        P = A @ P @ A.T
-        P = P.at[:n_x, :n_x].add(Q)
-        K = jnp.concatenate([K_x, K_f])
-        J = np.eye(2 * n_x) - jnp.concatenate([K @ C, jnp.zeros((2 * n_x, n_x))], axis=1)
-        return P, _symmetric(J @ P @ J.T + (K * R) @ K.T)
 
     def _look(self) -> None:
         """Which channels losses act on, how states follow from measurements, and gains where they do not."""
@@ -269,20 +257,23 @@ class Intermediate:
         self.least = jnp.concatenate([(K_f * K_f) @ R, (k2 * self.dt) ** 2 * R]) + 1e-30
 
     def _riccati(self, rate, x0, u, theta):
-        """Steady gains about the inputs that hold x0, for losses that walk as the noise of velocity_rate and alpha would have it."""
+        """Steady gains about the inputs that hold x0."""
         import jax
 
         system = self.system
         by_u = np.asarray(jax.jacfwd(lambda u: rate(x0, u, theta))(u))
         u = u - np.linalg.pinv(by_u) @ np.asarray(rate(x0, u, theta))
-        _, F, Phi = (np.asarray(part) for part in linearise.transition(system, x0, u, theta, self.dt))
-        _, H, _ = (np.asarray(part) for part in linearise.measurement(system, x0, u, theta))
+        F = np.asarray(linearise.transition(system, x0, u, theta, self.dt).by_x)
+        turning = np.where(np.abs(u) > SEEN, u, 1.0)  # an input that rests shows nothing of its losses
+        Phi = np.asarray(linearise.transition(system, x0, turning, theta, self.dt).by_theta)
+        H = np.asarray(linearise.measurement(system, x0, u, theta).by_x)
         driven = np.asarray(self.driven)
         Phi = Phi / self.dt * driven[:, None]
         G = 0.5 * self.dt * (F + np.eye(system.n_x)) * driven
-        walk = np.diag(np.diag(Phi @ Phi.T)) * (self.loss_sd * self.alpha) ** 2 * self.dt
+        basis, size, _ = np.linalg.svd(Phi * self.loss_sd * self.alpha * np.sqrt(self.dt), full_matrices=False)
+        E = (basis * size)[:, size > SEEN * size[0]]  # losses that walk by loss_sd alpha in a second
         H = np.where(np.asarray(self.feels)[:, None], 0.0, H)
-        return design.riccati_gains(F, G, H, np.asarray(system.Q(self.dt)), walk, np.asarray(system.R(u)))
+        return design.riccati_gains(F, G, E, H, np.asarray(system.Q(self.dt)), np.asarray(system.R(u)))
 
     def _yaw(self, yaw_gain):
         """(n_x + n_y,) the paper's nu on the yaw rate's channel, 1 elsewhere."""
