@@ -1,4 +1,4 @@
-"""Losses within bounds: which bounds a theta has, and quadratic programs over a box."""
+"""Losses within bounds and losses at rest: which bounds a theta has, quadratic programs over a box, and whose loss shows at all."""
 
 from __future__ import annotations
 
@@ -45,3 +45,24 @@ def active(trial, low, high):
     inside = (trial > low) & (trial < high)
     fixed = jnp.where(trial <= low, low, jnp.where(trial >= high, high, 0.0))
     return inside.astype(float), jnp.where(inside, 0.0, fixed)
+
+
+def nominal_input(system, given=None):
+    """u (n_u,) in ordinary flight: as given, or the plant's own `u_nominal`, or for plants with B_T and m equal thrusts that
+    carry the weight, else ones."""
+    if given is not None:
+        return checks.finite("u_nominal", checks.shape("u_nominal", np.asarray(given, float), system.n_u))
+    if hasattr(system, "u_nominal"):
+        return system.u_nominal
+    if hasattr(system, "B_T") and hasattr(system, "m"):
+        weight = system.m * 9.80665 - getattr(system, "F_0", 0.0)
+        return weight / system.B_T.sum() * np.ones(system.n_u)
+    return np.ones(system.n_u)
+
+
+def moving(system, u, least):
+    """(n_theta,) 1, or 0 where the rotor's command is below least (n_u,): its loss does nothing then, and would only drift."""
+    jnp = load_jax().numpy
+    n = min(system.n_theta, system.n_u)
+    live = (jnp.abs(u[:n]) >= jnp.abs(least[:n])).astype(float)
+    return jnp.concatenate([live, jnp.ones(system.n_theta - n)])

@@ -54,7 +54,7 @@ class Law:
         checks.finite("hold", hold)
         self.rate, self.gamma, self.hold = rate, bandwidth**2, hold
         self.bounds = bounded.of_losses(system, bounds)
-        self.u_nominal = checks.shape("u_nominal", nominal_input(system) if u_nominal is None else u_nominal, system.n_u)
+        self.u_nominal = bounded.nominal_input(system, u_nominal)
         at = self.terms(jnp.asarray(system.x0, float), jnp.asarray(self.u_nominal, float), jnp.zeros(system.n_theta), dt)
         if checks.concrete(at.C):
             if np.linalg.matrix_rank(np.asarray(at.C)) < system.n_x:
@@ -93,10 +93,7 @@ class Law:
 
     def moving(self, u):
         """(n_theta,) 1, or 0 where the rotor's command is too small to tell its loss from any other."""
-        jnp = load_jax().numpy
-        n = min(self.system.n_theta, self.system.n_u)
-        live = (jnp.abs(u[:n]) >= self.hold * jnp.abs(self.u_nominal[:n])).astype(float)
-        return jnp.concatenate([live, jnp.ones(self.system.n_theta - n)])
+        return bounded.moving(self.system, u, self.hold * self.u_nominal)
 
     def project(self, theta):
         """theta within the bounds."""
@@ -167,13 +164,3 @@ def both_ways(function, at):
 
     jacobian, value = jax.jacfwd(twice, has_aux=True)(at)
     return value, jacobian
-
-
-def nominal_input(system):
-    """The plant's own `u_nominal`; for the rate dynamics equal thrusts that carry the weight; else ones."""
-    if hasattr(system, "u_nominal"):
-        return system.u_nominal
-    if hasattr(system, "B_T") and hasattr(system, "m"):
-        weight = system.m * 9.80665 - getattr(system, "F_0", 0.0)
-        return weight / system.B_T.sum() * np.ones(system.n_u)
-    return np.ones(system.n_u)

@@ -21,6 +21,7 @@ from rotorwatch.core import Estimate
 from rotorwatch.errors import ConfigError
 
 FLOOR = 1e-9  # process noise of states that have none, as a share of P0 in a second: keeps Q invertible
+REST = 1e-4  # share of the walk's variance that a rotor at rest keeps, for the same reason
 
 
 class Samples(NamedTuple):
@@ -80,12 +81,15 @@ class MHE:
         iterations=2,
         active_set=2,
         bounds=(-0.02, 1.0),
-        theta_sd=0.3,
-        walk=0.1,
+        theta_sd=0.1,
+        walk=0.05,
+        hold=0.22,
+        u_nominal=None,
     ):
         """nodes: in the window. node_s: between them [s]; at least one step of dt. iterations: Gauss-Newton steps a solve.
         active_set: passes of the active-set method a step; it starts from the last one's set. bounds: least and largest loss.
-        theta_sd: of a loss at the start. walk: of a loss in a second. Raises ConfigError for values that cannot be.
+        theta_sd: of a loss at the start. walk: of a loss in a second, for rotors commanded
+        at least `hold` times u_nominal (n_u,) (default: hover); others rest. Raises ConfigError for values that cannot be.
         """
         for name, value, least in (("nodes", nodes, 2), ("iterations", iterations, 1), ("active_set", active_set, 1)):
             if int(value) != value or value < least:
@@ -94,6 +98,7 @@ class MHE:
         self.intervals, self.m = int(nodes) - 1, max(1, round(checks.positive("node_s", node_s) / dt))
         self.iterations, self.passes = int(iterations), int(active_set)
         self.theta_sd, self.walk = checks.positive("theta_sd", theta_sd), checks.positive("walk", walk)
+        self.least = checks.between("hold", hold, 0.0, 1.0) * bounded.nominal_input(system, u_nominal)
         jnp = load_jax().numpy
         low, high = bounded.of_losses(system, bounds)
         free = jnp.full(system.n_x, jnp.inf)
@@ -123,7 +128,7 @@ class MHE:
         dt = jnp.asarray(self.dt if dt is None else dt, float)
         y = jnp.where(valid, y, 0.0)
         s, A = self.linear(lambda s: self.move(s, u, dt), carry.s)
-        P = symmetric(A @ carry.P @ A.T + self.Q(dt))
+        P = symmetric(A @ carry.P @ A.T + self.Q(u, dt))
         y_minus, H = self.linear(lambda s: self.look(s, u), s)
         e, R = jnp.where(valid, y - y_minus, 0.0), self.system.R(u)
         S = symmetric(H @ P @ H.T + jnp.diag(R))
@@ -224,7 +229,7 @@ class MHE:
             inner,
         )
         s = part.F + part.A @ (s - carry.nodes[0])
-        P = symmetric(part.A @ P @ part.A.T + self.Q(window.dt.sum()))
+        P = symmetric(part.A @ P @ part.A.T + self.Q(window.u[-1], window.dt.sum()))
         last = part.r_weight > 0
         e = jnp.where(last, part.r + part.C @ (carry.nodes[1] - s), 0.0)
         return absorb(s, P, part.C, e, 1.0 / jnp.where(last, part.r_weight, 1.0), last)
@@ -241,7 +246,7 @@ class MHE:
         weight = samples.valid / jax.vmap(self.system.R)(samples.u)
         e = jnp.where(samples.valid[:-1], samples.y[:-1] - inner, 0.0).reshape(-1)
         r = jnp.where(samples.valid[-1], samples.y[-1] - y_last, 0.0)
-        factor = (jnp.linalg.cholesky(self.Q(samples.dt.sum())), True)
+        factor = (jnp.linalg.cholesky(self.Q(u, samples.dt.sum())), True)
         Q_inverse = symmetric(jax.scipy.linalg.cho_solve(factor, jnp.eye(self.n)))
         E = E.reshape(len(e), self.n)
         return Interval(F, A, e, E, weight[:-1].reshape(-1), r, C, weight[-1], Q_inverse)
@@ -264,11 +269,12 @@ class MHE:
         """Measurement at s."""
         return self.system.h(s[: self.system.n_x], u, s[self.system.n_x :])
 
-    def Q(self, dt):
+    def Q(self, u, dt):
         """(n_s, n_s) process noise over dt, invertible."""
         jnp = load_jax().numpy
         k = self.system.n_x
-        Q = jnp.diag(jnp.full(self.n, self.walk**2) * dt)
+        rate = self.walk**2 * jnp.maximum(bounded.moving(self.system, u, self.least), REST)
+        Q = jnp.diag(jnp.concatenate([jnp.zeros(k), rate * dt]))
         return Q.at[:k, :k].set(self.system.Q(dt) + FLOOR * dt * jnp.diag(jnp.diagonal(jnp.asarray(self.system.P0))))
 
     @staticmethod
