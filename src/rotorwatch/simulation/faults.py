@@ -1,0 +1,88 @@
+"""What breaks: faults of single rotors, as numbers that a compiled program can be given.
+
+A fault is active from its onset to its end, wholly or in periods (`period`, `share`), and grows over `ramp` seconds:
+
+    loss          thrust and torque times 1 - strength           chipped    the same, and an imbalance that shakes
+    bias          strength is added to the command               stuck      the command stays what it was, or `level`
+    float         the rotor is not driven any more               saturated  the command is full, or `level`
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from rotorwatch.backend import jax as load_jax
+
+Array = Any
+MOST = 2  # at once
+KINDS = ("loss", "complete loss", "stuck", "bias", "float", "saturated", "chipped")
+SPIN_DOWN = 5.0  # a rotor that only the air brakes takes this many times its lag
+HELD = -1.0  # level of a stuck command: what it was at onset
+NEVER = 1e9
+
+
+class Faults(NamedTuple):
+    """MOST faults in rows. rotor (F, n): 1 at the rotor, else 0. onset, end, ramp, period [s], share: part of a period that
+    the fault is there; loss, bias: strengths; frozen 0 or 1 with level; undriven 0 or 1; shake [m/s^2 at full speed]."""
+
+    rotor: Array
+    onset: Array
+    end: Array
+    ramp: Array
+    period: Array
+    share: Array
+    loss: Array
+    bias: Array
+    frozen: Array
+    level: Array
+    undriven: Array
+    shake: Array
+
+
+def none(rotors: int) -> Faults:
+    """No fault: every row starts never."""
+    zero = np.zeros(MOST)
+    later = np.full(MOST, NEVER)
+    return Faults(
+        np.zeros((MOST, rotors)), later, later, zero, later, zero + 1.0, zero, zero, zero, zero + HELD, zero, zero
+    )
+
+
+def strength(faults: Faults, t):
+    """(F,) how far each fault has come at time t: 0 absent, 1 all there."""
+    jnp = load_jax().numpy
+    since = t - faults.onset
+    there = (since >= 0.0) & (t < faults.end) & (jnp.mod(since, faults.period) < faults.share * faults.period)
+    grown = jnp.clip(since / jnp.maximum(faults.ramp, 1e-9), 0.0, 1.0)
+    return jnp.where(there, jnp.where(faults.ramp > 0.0, grown, 1.0), 0.0)
+
+
+def loss(faults: Faults, s):
+    """theta (n,): losses of one rotor multiply what is left of it. s (F,): `strength`."""
+    left = 1.0 - faults.rotor[0] * (faults.loss * s)[0]
+    for k in range(1, MOST):
+        left = left * (1.0 - faults.rotor[k] * (faults.loss * s)[k])
+    return 1.0 - left
+
+
+def act(faults: Faults, s, command, held):
+    """(command that reaches the motors (n,), undriven (n,) 0 or 1, what a stuck motor will be stuck at (n,))."""
+    jnp = load_jax().numpy
+    undriven = 0.0 * command
+    for k in range(MOST):
+        there = faults.rotor[k] * jnp.where(s[k] > 0.0, 1.0, 0.0)
+        command = jnp.clip(command + faults.rotor[k] * (faults.bias * s)[k], 0.0, 1.0)
+        level = jnp.where(faults.level[k] < 0.0, held, faults.level[k])
+        command = jnp.where(there * faults.frozen[k] > 0.0, level, command)
+        undriven = jnp.maximum(undriven, there * faults.undriven[k])
+    return jnp.where(undriven > 0.0, 0.0, command), undriven, command
+
+
+def imbalance(faults: Faults, s):
+    """(n,) what faults add to each rotor's vibration [m/s^2 at full speed]."""
+    total = faults.rotor[0] * (faults.shake * s)[0]
+    for k in range(1, MOST):
+        total = total + faults.rotor[k] * (faults.shake * s)[k]
+    return total

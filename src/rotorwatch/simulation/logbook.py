@@ -1,0 +1,275 @@
+"""From what happened to what an autopilot would have logged of it: a `Flight`, with the sensors' errors and at its rates.
+
+Nothing of the truth gets in: losses, true speeds and the wind stay outside. `truth` is where they go.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rotorwatch.flight import Flight, Message, Signal
+from rotorwatch.logs.series import SHAPES
+from rotorwatch.simulation import trajectories
+from rotorwatch.simulation.loop import Plan, Record
+from rotorwatch.simulation.plan import PWM, SPIN, a_compensates, frame_numbers, vehicle
+from rotorwatch.simulation.scenario import Scenario
+from rotorwatch.vehicle import Vehicle
+
+RATES = {
+    ("ardupilot", "default"): {"motors": 10, "control": 10, "imu": 25, "attitude": 10, "nav": 10, "power": 10},
+    ("ardupilot", "fast"): {"motors": 10, "control": 50, "imu": 100, "attitude": 50, "nav": 25, "power": 10},
+    ("ardupilot", "full"): {"motors": 10, "control": 400, "imu": 400, "attitude": 100, "nav": 25, "power": 10},
+    ("px4", "default"): {"motors": 10, "control": 50, "imu": 200, "attitude": 20, "nav": 10, "power": 5},
+    ("px4", "fast"): {"motors": 200, "control": 200, "imu": 200, "attitude": 200, "nav": 50, "power": 5},
+    ("px4", "full"): {"motors": 400, "control": 400, "imu": 400, "attitude": 200, "nav": 100, "power": 10},
+}
+"""Samples a second of each group of signals. ArduPilot: LOG_BITMASK as delivered, with fast attitude, and with raw IMU on top;
+its motor outputs always come at 10 Hz. PX4: SDLOG_PROFILE default, high rate, and everything."""
+
+SOURCES = {
+    "ardupilot": {
+        "motors": "RCOU",
+        "control": "RATE",
+        "rates": "RATE",
+        "gyro": "IMU",
+        "accel": "IMU",
+        "attitude": "ATT",
+    },
+    "px4": {"motors": "actuator_motors", "control": "vehicle_torque_setpoint", "rates": "vehicle_angular_velocity"},
+}
+"""What logs call the signals, where an airframe's identification goes by it."""
+
+JITTER_S = 0.0005  # a record's stamp is up to this much later than its values
+ARMED_S = 1.0  # arming, after the log's start
+IDLE = 0.1  # ArduPilot's MOT_SPIN_ARM
+MAV_TYPE = {4: 2, 6: 13, 8: 14, 12: 29, 10: 35}
+TRUTH_HZ = 50.0
+
+
+def record_hz(scenario: Scenario) -> float:
+    """How often the simulation has to be recorded for the scenario's log."""
+    return float({"default": 100, "fast": 100, "full": 400}[scenario.logging["profile"]] if scenario.autopilot == "ardupilot"
+                 else {"default": 200, "fast": 200, "full": 400}[scenario.logging["profile"]])  # fmt: skip
+
+
+def flight(scenario: Scenario, plan: Plan, record: Record) -> Flight:
+    """The flight as its log tells it. record: of `loop.fly`, recorded `record_hz(scenario)` times a second."""
+    craft = vehicle(scenario)
+    log = _Log(scenario, plan, record)
+    ardupilot = scenario.autopilot == "ardupilot"
+    armed, disarmed = _arming(plan, record)
+    lifted = (record.time > float(plan.way.take_off)) & (record.time < disarmed)
+    log.add(
+        "motors", "motors", _motors(craft, record, armed, disarmed, lifted, ardupilot), unit="us" if ardupilot else "1"
+    )
+    log.add("control", "control", record.control)
+    log.add("rates", "control", record.rates)
+    shaking = _shaking(plan, record)
+    log.add("gyro", "imu", record.rates + np.asarray(plan.sensors.gyro_bias) + float(plan.sensors.rattle) * shaking)
+    log.add("accel", "imu", record.accel + np.asarray(plan.sensors.accel_bias) + shaking, plan.sensors.accel_sd)
+    log.add("attitude", "attitude", _leaning(record.q, log.rng, float(plan.sensors.attitude_sd)))
+    log.add("velocity", "nav", record.v, plan.sensors.velocity_sd)
+    log.add("position", "nav", record.p, plan.sensors.position_sd)
+    log.add("throttle", "power" if ardupilot else "control", record.control[:, 3:])
+    log.add("battery", "power", np.stack([record.volts, record.amps], axis=1), np.array([0.01, 0.0]))
+    if ardupilot:
+        lift = np.stack([record.lift_max, _belief(scenario, record), np.ones_like(record.volts)], axis=1)
+        log.add("lift", "power", lift)
+    if scenario.logging["esc"]:
+        log.add("esc", "power", _esc(plan, record), unit="rpm,A")
+    end = float(record.time[-1])
+    autopilot = "ArduPilot" if ardupilot else "PX4"
+    return Flight(
+        format="simulated",
+        autopilot=autopilot,
+        signals=log.signals,
+        duration=end,
+        firmware="ArduCopter V4.5.7 (simulated)" if ardupilot else "PX4 v1.15.0 (simulated)",
+        vehicle_type="ArduCopter" if ardupilot else "",
+        parameters=(_ardupilot_parameters if ardupilot else _px4_parameters)(scenario, craft, plan),
+        messages=_messages(plan, armed, disarmed, end, ardupilot),
+        name=scenario.name,
+        start_us=30_000_000,
+        facts={"simulated": True},
+    )
+
+
+class _Log:
+    """Collects signals: every one at the rate of its group, from the group's own phase, stamped with a little jitter."""
+
+    def __init__(self, scenario: Scenario, plan: Plan, record: Record):
+        self.record, self.signals = record, {}
+        self.rng = np.random.default_rng([scenario.seed, 2])
+        rates = RATES[scenario.autopilot, scenario.logging["profile"]]
+        self.sources = SOURCES[scenario.autopilot]
+        full, self.rows, self.time = record_hz(scenario), {}, {}
+        for k, (group, rate) in enumerate(rates.items()):
+            stride = round(full / rate)
+            self.rows[group] = np.arange(k % stride, len(record.time), stride)
+            late = self.rng.uniform(0.0, JITTER_S, self.rows[group].size)
+            self.time[group] = np.round(record.time[self.rows[group]] + late, 6)
+
+    def add(self, name: str, group: str, values: np.ndarray, sd: Any = 0.0, unit: str = "") -> None:
+        rows = self.rows[group]
+        values = np.asarray(values, float)[rows]
+        values = values + np.asarray(sd) * self.rng.standard_normal(values.shape)
+        if name == "motors":
+            columns, frame = tuple(f"r{k + 1}" for k in range(values.shape[1])), ""
+        elif name == "esc":
+            n = values.shape[1] // 2
+            columns, frame = tuple(f"{w}{k + 1}" for w in ("rpm", "current") for k in range(n)), ""
+        else:
+            columns, unit, frame, _ = SHAPES[name]
+        self.signals[name] = Signal(self.time[group], values, columns, unit, frame, self.sources.get(name, ""))
+
+
+def _arming(plan: Plan, record: Record) -> tuple[float, float]:
+    """(armed s, disarmed s): at the end of the flight, or a second after the crash."""
+    down = float(trajectories.touch_down(plan.way)) + 1.0
+    crash = np.flatnonzero(np.asarray(record.flies) < 0.5)
+    return ARMED_S, min(down, float(record.time[crash[0]]) + 1.0 if crash.size else np.inf)
+
+
+def _motors(craft: Vehicle, record: Record, armed, disarmed, lifted, ardupilot: bool) -> np.ndarray:
+    """Outputs (T, n): pulses in us for ArduPilot, thrust demands for PX4."""
+    on = (record.time >= armed) & (record.time < disarmed)
+    if not ardupilot:
+        return np.where(on[:, None], record.demand, 0.0)
+    low, high = craft.curve.u_min, craft.curve.u_max
+    flown = np.round(low + record.command * (high - low))
+    idle = PWM[0] + IDLE * (PWM[1] - PWM[0])
+    return np.where(lifted[:, None], flown, np.where(on[:, None], idle, PWM[0]))
+
+
+def _shaking(plan: Plan, record: Record) -> np.ndarray:
+    """(T, 3) m/s^2: every rotor's imbalance turns with it, and nods at the same rate."""
+    turns = 2.0 * np.pi * record.phase
+    return np.stack(
+        [np.sum(record.shake * wave, axis=1) for wave in (np.cos(turns), np.sin(turns), 0.5 * np.sin(turns + 1.0))],
+        axis=1,
+    )
+
+
+def _leaning(q: np.ndarray, rng, sd: float) -> np.ndarray:
+    """Attitudes (T, 4) with an estimator's slowly wandering error of `sd` rad about each axis."""
+    steps = rng.standard_normal((len(q) // 100 + 2, 3)) * sd
+    at = np.linspace(0.0, len(steps) - 1.0, len(q))
+    e = 0.5 * np.stack([np.interp(at, np.arange(len(steps)), column) for column in steps.T], axis=1)
+    w, v = q[:, :1], q[:, 1:]
+    turned = np.concatenate([w - np.sum(v * e, axis=1, keepdims=True), v + w * e + np.cross(v, e)], axis=1)
+    return turned / np.linalg.norm(turned, axis=1, keepdims=True)
+
+
+def _belief(scenario: Scenario, record: Record) -> np.ndarray:
+    return record.believed if a_compensates(scenario) else np.ones_like(record.believed)
+
+
+def _esc(plan: Plan, record: Record) -> np.ndarray:
+    """(T, 2 n): revolutions per minute, and currents [A]: a rotor that lost thrust lost drag with it."""
+    n = record.w.shape[1]
+    rpm = record.w * float(plan.sensors.full_turns) * 60.0
+    amps = float(plan.battery.current) / n * record.w**3 * (1.0 - record.theta)
+    return np.concatenate([np.round(rpm), amps], axis=1)
+
+
+def _messages(plan: Plan, armed: float, disarmed: float, end: float, ardupilot: bool) -> tuple[Message, ...]:
+    mode = Message(0.0, "mode", "GUIDED" if ardupilot else "Offboard", 4.0 if ardupilot else 14.0)
+    found = [mode, Message(0.0, "landed", "landed", 1.0), Message(armed, "armed", "armed", 1.0)]
+    found.append(Message(float(plan.way.take_off) + 1.0, "landed", "in the air", 0.0))
+    if disarmed < end:
+        found += [Message(disarmed - 0.1, "landed", "landed", 1.0), Message(disarmed, "armed", "disarmed", 0.0)]
+    return tuple(found)
+
+
+def _ardupilot_parameters(scenario: Scenario, craft: Vehicle, plan: Plan) -> dict[str, float]:
+    number, kind = frame_numbers(scenario.airframe["frame"])
+    compensated = a_compensates(scenario)
+    found = {
+        "FRAME_CLASS": number,
+        "FRAME_TYPE": kind,
+        "AHRS_EKF_TYPE": 3,
+        "MOT_PWM_MIN": PWM[0],
+        "MOT_PWM_MAX": PWM[1],
+        "MOT_SPIN_ARM": IDLE,
+        "MOT_SPIN_MIN": SPIN[0],
+        "MOT_SPIN_MAX": SPIN[1],
+        "MOT_THST_EXPO": craft.curve.expo,
+        "MOT_THST_HOVER": round(float(plan.pilot.hover), 4),
+        "MOT_YAW_HEADROOM": 200,
+        "MOT_BAT_VOLT_MAX": round(float(plan.battery.full), 2) if compensated else 0,
+        "MOT_BAT_VOLT_MIN": round(float(plan.battery.empty), 2) if compensated else 0,
+        "BATT_CAPACITY": round(float(plan.battery.charge) / 3.6),
+        "INS_GYRO_FILTER": scenario.sensors["gyro_filter_hz"],
+        "INS_ACCEL_FILTER": scenario.sensors["accel_filter_hz"],
+        "SCHED_LOOP_RATE": round(scenario.rate_hz),
+    }
+    motors = (*range(33, 41), *range(82, 86))
+    found |= {f"SERVO{k + 1}_FUNCTION": motors[k] for k in range(len(craft.rotors))}
+    return {k: float(v) for k, v in found.items()}
+
+
+def _px4_parameters(scenario: Scenario, craft: Vehicle, plan: Plan) -> dict[str, float]:
+    n = len(craft.rotors)
+    found = {
+        "CA_AIRFRAME": 0,
+        "CA_ROTOR_COUNT": n,
+        "MAV_TYPE": MAV_TYPE.get(n, 2),
+        "THR_MDL_FAC": float(plan.pilot.expo),
+        "MPC_THR_HOVER": round(float(plan.pilot.hover), 4),
+        "MC_BAT_SCALE_EN": 0,
+        "IMU_GYRO_CUTOFF": scenario.sensors["gyro_filter_hz"],
+        "IMU_ACCEL_CUTOFF": scenario.sensors["accel_filter_hz"],
+    }
+    for k, r in enumerate(craft.rotors):
+        found |= {
+            f"CA_ROTOR{k}_PX": r.x,
+            f"CA_ROTOR{k}_PY": r.y,
+            f"CA_ROTOR{k}_KM": 0.05 * r.spin,
+            f"CA_ROTOR{k}_CT": 6.5,
+        }
+    return {k: float(v) for k, v in found.items()}
+
+
+def write_truth(scenario: Scenario, plan: Plan, record: Record, stem: Path) -> tuple[Path, Path]:
+    """Write what only the simulator knows beside the log: STEM.truth.json (what was broken, when) and STEM.truth.csv (time
+    series, 50 Hz). Times count from the log's start. Returns both paths."""
+    about = {
+        "name": scenario.name,
+        "seed": scenario.seed,
+        "autopilot": scenario.autopilot,
+        "frame": scenario.airframe["frame"],
+        "rotors": int(record.w.shape[1]),
+        "faults": [{k: v for k, v in f.items() if v is not None} for f in scenario.faults],
+        "largest_loss": [round(float(v), 6) for v in record.theta.max(axis=0)],
+        "crashed_s": _first(record.time, np.asarray(record.flies) < 0.5),
+        "wind_m_s": [round(float(v), 6) for v in record.wind.mean(axis=0)],
+        "mass_kg": float(plan.craft.mass),
+        "hover_share": float(plan.craft.mass * 9.80665 / plan.craft.thrust_max.sum()),
+    }
+    about_path, table_path = (stem.with_name(stem.name + f".truth.{kind}") for kind in ("json", "csv"))
+    about_path.write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
+    stride = max(1, round(1.0 / TRUTH_HZ / float(record.time[1] - record.time[0])))
+    n = record.w.shape[1]
+    parts = {
+        "north east down": record.p,
+        "v_north v_east v_down": record.v,
+        "q_w q_x q_y q_z": record.q,
+        "p q r": record.omega,
+    }
+    parts |= {"wind_north wind_east wind_down": record.wind}
+    parts |= {" ".join(f"{w}_{k + 1}" for k in range(n)): v for w, v in (("loss", record.theta), ("speed", record.w))}
+    with open(table_path, "w", newline="", encoding="utf-8") as file:
+        out = csv.writer(file)
+        out.writerow(["time_s", *" ".join(parts).split()])
+        rows = np.column_stack([record.time, *parts.values()])[::stride]
+        out.writerows([f"{v:.6g}" for v in row] for row in rows)
+    return about_path, table_path
+
+
+def _first(time: np.ndarray, flag: np.ndarray) -> float | None:
+    return float(time[np.argmax(flag)]) if flag.any() else None

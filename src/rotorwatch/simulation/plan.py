@@ -1,0 +1,272 @@
+"""From a scenario to numbers: the vehicle, its autopilot's gains, its air, sensors and faults, ready to be flown."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from rotorwatch import airframes
+from rotorwatch.airframes import ardupilot, px4
+from rotorwatch.errors import ConfigError, VehicleError
+from rotorwatch.simulation import control, dynamics, faults, trajectories, wind
+from rotorwatch.simulation.loop import Battery, Plan, Sensors
+from rotorwatch.simulation.scenario import Scenario
+from rotorwatch.vehicle import Rotor, ThrustCurve, Vehicle
+
+AIR = 1.225  # kg/m^3
+TIP_SPEED = 170.0  # m/s
+WATT_PER_NEWTON = 12.0  # electrical, at full thrust
+HOVER_MINUTES = 12.0
+SAG = 0.07
+SAME = {"octaquad-x": "octa-coaxial", "octa-coaxial": "octaquad-x"}  # one frame, two names
+PWM = (1000.0, 2000.0)
+SPIN = (0.15, 0.95)  # ArduPilot's MOT_SPIN_MIN, MOT_SPIN_MAX
+
+
+def vehicle(scenario: Scenario) -> Vehicle:
+    """The airframe as its autopilot knows it: rotors in metres, mixer, believed thrust curve. Raises ConfigError."""
+    frame, a = scenario.airframe["frame"], scenario.airframe
+    believed = a["expo"] if a["believed_expo"] is None else a["believed_expo"]
+    known = _paper(frame)
+    if known is not None:
+        found, arm = _rotors(known), 1.0
+    else:
+        found = _geometry(scenario.autopilot, frame)
+        arm = a["arm_m"] / max(np.hypot(r.x, r.y) for r in found)
+    rotors = tuple(Rotor(r.x * arm, r.y * arm, r.spin) for r in found)
+    if any(f["rotor"] > len(rotors) for f in scenario.faults):
+        raise ConfigError(f"faults[].rotor: the frame {frame} has {len(rotors)} rotors.")
+    if scenario.autopilot == "px4":
+        # Demands are logged: the thrust curve is applied to them on the way to the ESC.
+        curve, name, mixer = ThrustCurve(0.0, 1.0, 0.0), f"px4-{frame}", px4.mix(rotors)
+    else:
+        low, high = (PWM[0] + s * (PWM[1] - PWM[0]) for s in SPIN)
+        curve, name = ThrustCurve(low, high, believed), f"ardupilot-{frame}"
+        mixer = px4.mix(rotors) if known is not None else _built(frame).mixer
+    return Vehicle(name, rotors, curve, mixer, lag_s=a["lag_s"], source="scenario", extra={"mixer_expo": curve.expo})
+
+
+def _paper(frame: str) -> dict | None:
+    return airframes.paper(frame) if frame in airframes.papers() else None
+
+
+def _rotors(known: Mapping[str, Any]) -> tuple[Rotor, ...]:
+    rows = (known["rotors"][k] for k in ("x", "y", "spin"))
+    return tuple(Rotor(float(x), float(y), int(s)) for x, y, s in zip(*rows, strict=True))
+
+
+def _built(frame: str) -> Vehicle:
+    name = f"ardupilot-{frame}"
+    try:
+        return airframes.named(name)
+    except VehicleError as error:
+        if frame in SAME:
+            return airframes.named(f"ardupilot-{SAME[frame]}")
+        raise ConfigError(f"airframe.frame: {error}") from error
+
+
+def _geometry(autopilot: str, frame: str) -> tuple[Rotor, ...]:
+    if autopilot == "px4":
+        name = frame if frame in px4.FRAMES else SAME.get(frame, "")
+        if name in px4.FRAMES:
+            return px4.place(name)
+    rotors = _built(frame).rotors  # PX4 takes any geometry, by its CA_ROTOR parameters
+    if any(r.spin == 0 for r in rotors):
+        raise ConfigError(f"airframe.frame: the rotors of {frame} are tilted, which is not simulated.")
+    return rotors
+
+
+def frame_numbers(frame: str) -> tuple[int, int]:
+    """(FRAME_CLASS, FRAME_TYPE) of an ArduPilot frame. Raises ConfigError for others."""
+    frame = frame if frame in ardupilot.FRAMES else SAME.get(frame, frame)
+    for number, kind in ardupilot.CLASSES.items():
+        for code, word in ardupilot.TYPES.items():
+            if f"{kind}-{word}" == frame:
+                return number, code
+    if frame.startswith("y6"):
+        return 5, {"y6-b": 10, "y6-f": 11}.get(frame, 1)
+    raise ConfigError(f"airframe.frame: ArduPilot has no frame {frame}, so no DataFlash log of it can be written.")
+
+
+def plan(scenario: Scenario) -> Plan:
+    """The scenario's numbers. Raises ConfigError for frames that do not exist or vehicles that cannot fly."""
+    craft_known = vehicle(scenario)
+    a, known = scenario.airframe, _paper(scenario.airframe["frame"])
+    n = len(craft_known.rotors)
+    x, y, spin = (np.array([getattr(r, k) for r in craft_known.rotors], float) for k in ("x", "y", "spin"))
+    arm = float(np.hypot(x, y).max())
+    mass = float(known["mass"]) if known else a["mass_kg"]
+    J = _inertia(a, known, mass, arm)
+    share = _shares(x, y, a["lower_rotor"])
+    if known:
+        thrust_max = np.full(n, float(known["thrust_max"]))
+    else:
+        thrust_max = share * a["thrust_to_weight"] * mass * dynamics.G0 / share.sum()
+    radius = a["rotor_radius_m"] or 0.75 * _gap(x, y) / 2.0
+    drag_ratio = a["drag_ratio_m"] or (float(known["drag_ratio"]) if known else 0.12 * radius)
+    hub = 0.1 * arm if a["hub_height_m"] is None else a["hub_height_m"]
+
+    believed = craft_known.mixer
+    assert believed is not None
+    B_tau = np.stack([-y, x, drag_ratio * spin])
+    expo_known = a["expo"] if a["believed_expo"] is None else a["believed_expo"]
+    compensates = float(a_compensates(scenario))
+    hover = mass * dynamics.G0 / thrust_max.sum()
+    pilot = control.tune(
+        *(believed, B_tau, np.diag(J), thrust_max, hover, a["lag_s"]),
+        gyro_hz=scenario.sensors["gyro_filter_hz"], expo=expo_known, compensates=compensates,
+    )  # fmt: skip
+
+    total, J_all, shift = _loaded(mass, J, a["payload_kg"], np.array(a["payload_at_m"], float))
+    if total * dynamics.G0 > 0.9 * thrust_max.sum():
+        raise ConfigError(
+            f"airframe.payload_kg: {total:.3g} kg are too much for {thrust_max.sum():.3g} N of full thrust."
+        )
+    each = mass * dynamics.G0 / n
+    induced = np.sqrt(each / (2.0 * AIR * np.pi * radius**2))
+    slope = each / induced / np.sqrt(hover)  # N s/m at full speed: hover thrust over induced velocity, at hover speed
+    full_speed = a["rotor_speed_rad_s"] or TIP_SPEED / radius
+    inertia = a["rotor_inertia_kg_m2"]
+    inertia = 0.015 * mass / n * (2.0 * radius) ** 2 / 12.0 if inertia is None else inertia
+    craft = dynamics.Craft(
+        *(
+            np.array(total),
+            J_all,
+            np.linalg.inv(J_all),
+            x - shift[0],
+            y - shift[1],
+            np.array(-hub - shift[2]),
+            spin,
+            thrust_max,
+        ),
+        *(np.array(drag_ratio), np.array(a["expo"]), np.array(a["lag_s"]), np.array(inertia * full_speed)),
+        *(np.array(0.1 * slope * a["rotor_drag"]), np.array(0.4 * slope * a["inflow"])),
+        *(
+            a["body_drag"] * 0.01 * mass * np.array([1.0, 1.0, 2.0]),
+            np.array(radius),
+            np.array(float(a["ground_effect"])),
+        ),
+    )
+    return Plan(
+        *(craft, pilot, _way(scenario), _wind(scenario, arm), _faults(scenario, n)),
+        *(
+            _battery(scenario, thrust_max.sum(), hover),
+            _sensors(scenario, full_speed),
+            np.array(scenario.seed, np.int64),
+        ),
+    )
+
+
+def a_compensates(scenario: Scenario) -> bool:
+    """Whether the autopilot divides battery sag out of its commands: an ArduPilot may, PX4 does not."""
+    return scenario.autopilot == "ardupilot" and bool(scenario.battery["compensated"])
+
+
+def _inertia(a: Mapping[str, Any], known: dict | None, mass: float, arm: float) -> np.ndarray:
+    if a["inertia_kg_m2"] is not None:
+        diagonal = np.array(a["inertia_kg_m2"])
+    elif known:
+        diagonal = np.array(known["inertia"], float)
+    else:
+        diagonal = mass * (arm * np.array([0.4, 0.4, 0.55])) ** 2
+    if 2.0 * diagonal.max() > diagonal.sum() * (1.0 + 1e-9):
+        raise ConfigError(
+            "airframe.inertia_kg_m2: no body has one moment of inertia larger than the sum of the others."
+        )
+    return np.diag(diagonal)
+
+
+def _shares(x, y, lower: float) -> np.ndarray:
+    """1 for each rotor, `lower` for the second one on the same arm."""
+    place = np.round(np.stack([x, y], axis=1) / max(np.abs(x).max(), np.abs(y).max()), 3)
+    return np.array([lower if (np.abs(place[:k] - place[k]).max(axis=1) < 1e-2).any() else 1.0 for k in range(len(x))])
+
+
+def _gap(x, y) -> float:
+    """Distance between neighbouring hubs that are not on the same arm."""
+    d = np.hypot(x[:, None] - x, y[:, None] - y)
+    return float(d[d > 0.05 * d.max()].min())
+
+
+def _loaded(mass, J, payload, at):
+    """Mass, inertia about the common centre and where that lies, of a vehicle with a point mass at `at`."""
+    total = mass + payload
+    shift = payload / total * at
+
+    def offset(m, r):
+        return m * (r @ r * np.eye(3) - np.outer(r, r))
+
+    return total, J + offset(mass, -shift) + offset(payload, at - shift), shift
+
+
+def _way(scenario: Scenario) -> trajectories.Trajectory:
+    w = scenario.trajectory
+    landing = faults.NEVER
+    if w["land"]:
+        landing = scenario.duration_s - w["altitude_m"] / trajectories.DESCENT - 3.0
+    return trajectories.Trajectory(
+        *(np.array(trajectories.KINDS.index(w["kind"]), np.int32), np.array(w["altitude_m"]), np.array(w["size_m"])),
+        *(np.array(w["speed_m_s"]), np.radians(w["yaw_deg"]), np.radians(w["yaw_speed_deg_s"])),
+        *(np.array(w["take_off_s"]), np.array(landing)),
+    )
+
+
+def _wind(scenario: Scenario, arm: float) -> wind.Wind:
+    w, way = scenario.wind, scenario.trajectory
+    own = way["speed_m_s"] if way["kind"] in ("square", "figure-eight", "aggressive") else 0.0
+    speed = w["speed_m_s"]
+    return wind.dryden(speed, w["from_deg"], w["turbulence"], way["altitude_m"], np.hypot(speed, own), 2.0 * arm)
+
+
+def _battery(scenario: Scenario, thrust: float, hover: float) -> Battery:
+    b = scenario.battery
+    full, empty = 4.2 * b["cells"], 3.5 * b["cells"]
+    amps = thrust * WATT_PER_NEWTON / full
+    hovering = amps * hover**1.5
+    charge = 3600.0 * b["capacity_Ah"] if b["capacity_Ah"] else hovering * HOVER_MINUTES * 60.0
+    resistance = SAG * full / amps if b["resistance_ohm"] is None else b["resistance_ohm"]
+    return Battery(*(np.array(float(v)) for v in (full, empty, charge, resistance, amps)))
+
+
+def _sensors(scenario: Scenario, full_speed: float) -> Sensors:
+    s = scenario.sensors
+    rng = np.random.default_rng([scenario.seed, 1])
+    gyro_bias, accel_bias = s["gyro_bias"] * rng.standard_normal(3), s["accel_bias"] * rng.standard_normal(3)
+    # One-sided densities: a step of dt passes 1 / (2 dt), a first-order filter pi / 2 of its corner.
+    gyro_sd = s["gyro_noise"] * np.sqrt(scenario.rate_hz / 2.0)
+    accel_sd = s["accel_noise"] * np.sqrt(0.5 * np.pi * s["accel_filter_hz"])
+    return Sensors(
+        *(np.array(gyro_sd), np.array(accel_sd), gyro_bias, accel_bias, np.array(2.0 * np.pi * s["accel_filter_hz"])),
+        *(np.array(s["vibration"]), np.array(full_speed / (2.0 * np.pi)), np.array(0.01)),
+        *(np.array(0.002), np.array(0.03), np.array(0.02)),
+    )
+
+
+def _faults(scenario: Scenario, rotors: int) -> faults.Faults:
+    table = {k: np.array(v, float) for k, v in faults.none(rotors)._asdict().items()}
+    for k, f in enumerate(scenario.faults):
+        kind, size = f["kind"], f["strength"]
+        row = {"onset": f["onset_s"], "ramp": f["ramp_s"], "share": 1.0}
+        if f["end_s"] is not None:
+            row["end"] = f["end_s"]
+        if f["period_s"] is not None:
+            row |= {"period": f["period_s"], "share": f["share"]}
+        if kind in ("loss", "chipped"):
+            row["loss"] = size
+        if kind == "complete loss":
+            row["loss"] = 1.0
+        if kind == "bias":
+            row["bias"] = size
+        if kind in ("stuck", "saturated"):
+            held = faults.HELD if kind == "stuck" else 1.0
+            row |= {"frozen": 1.0, "level": held if f["level"] is None else f["level"]}
+        if kind == "float":
+            row["undriven"] = 1.0
+        if kind == "chipped":
+            row["shake"] = f["vibration"]
+        for name, value in row.items():
+            table[name][k] = value
+        table["rotor"][k, f["rotor"] - 1] = 1.0
+    return faults.Faults(**table)

@@ -1,0 +1,113 @@
+"""What the vehicle is asked to fly: take-off, one manoeuvre, landing; positions as smooth functions of time.
+
+Velocity and acceleration are differences of the positions asked for at neighbouring ticks, so they always fit.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+from rotorwatch.backend import jax as load_jax
+
+Array = Any
+KINDS = ("hover", "square", "figure-eight", "climb", "yaw", "aggressive")
+CLIMB = 1.0  # m/s on average, up to the working height
+DESCENT = 0.8  # m/s, down to the ground
+BLEND = 2.0  # s from standstill into the manoeuvre, and out of it
+SETTLE = 2.0  # s of hover after the climb
+SPOOL = 1.0  # s from idling motors to what the controller asks
+
+
+class Trajectory(NamedTuple):
+    """kind: index into KINDS. altitude, size [m], speed [m/s], yaw [rad] at take-off, yaw_speed [rad/s]; take_off, landing:
+    times [s] when the motors start to lift and when the way down begins."""
+
+    kind: Array
+    altitude: Array
+    size: Array
+    speed: Array
+    yaw: Array
+    yaw_speed: Array
+    take_off: Array
+    landing: Array
+
+
+class Reference(NamedTuple):
+    """p, v, a (3,) NED; yaw, yaw_rate; lift: 0 while the motors idle, rising to 1 in SPOOL seconds."""
+
+    p: Array
+    v: Array
+    a: Array
+    yaw: Array
+    yaw_rate: Array
+    lift: Array
+
+
+def smooth(s):
+    """0 to 1 over s in [0, 1], at rest with no acceleration at both ends."""
+    jnp = load_jax().numpy
+    s = jnp.clip(s, 0.0, 1.0)
+    return s * s * s * (10.0 + s * (6.0 * s - 15.0))
+
+
+def touch_down(way: Trajectory):
+    """When the vehicle should stand on the ground again [s]."""
+    return way.landing + way.altitude / DESCENT + 2.0
+
+
+def table(way: Trajectory, ticks: int, dt: float) -> Reference:
+    """What is asked at ticks of dt seconds: a Reference of arrays with `ticks` rows."""
+    jax = load_jax()
+    jnp = jax.numpy
+    t = (jnp.arange(ticks + 2) - 1.0).astype(jnp.result_type(way.altitude)) * dt
+    pose = jax.vmap(_path, in_axes=(None, 0))(way, t)
+    speed = (pose[2:] - pose[:-2]) / (2.0 * dt)
+    bend = (pose[2:, :3] - 2.0 * pose[1:-1, :3] + pose[:-2, :3]) / (dt * dt)
+    lift = jnp.clip((t[1:-1] - way.take_off) / SPOOL, 0.0, 1.0)
+    lift = jnp.where(t[1:-1] > touch_down(way), 0.0, lift)
+    return Reference(pose[1:-1, :3], speed[:, :3], bend, pose[1:-1, 3], speed[:, 3], lift)
+
+
+def _path(way: Trajectory, t):
+    """(4,): north, east, down [m] and yaw [rad]."""
+    jnp = load_jax().numpy
+    up_time = 1.0 + way.altitude / CLIMB
+    # The manoeuvre's own time runs from the end of the climb to the landing, starting and ending at standstill.
+    begin = way.take_off + up_time + SETTLE
+    s = _eased(t - begin) - _eased(t - (way.landing - BLEND))
+    a, v = way.size, way.speed
+    north, east, rise, turn = (jnp.select([way.kind == k for k in range(len(KINDS))], row) for row in _shapes(a, v, s))
+    height = way.altitude * smooth((t - way.take_off) / up_time) + rise
+    descent = DESCENT * jnp.maximum(t - way.landing, 0.0)
+    down = jnp.where(t > way.landing, jnp.minimum(-height + descent, 0.5), -height)
+    return jnp.stack([north, east, down, way.yaw + way.yaw_speed * s + turn])
+
+
+def _eased(t):
+    """Integral of a ramp from 0 to 1 over BLEND seconds."""
+    jnp = load_jax().numpy
+    t = jnp.maximum(t, 0.0)
+    return jnp.where(t < BLEND, t * t / (2.0 * BLEND), t - 0.5 * BLEND)
+
+
+def _shapes(a, v, s):
+    """(north, east, rise, turn) of each kind at manoeuvre time s >= 0, size a, speed v."""
+    jnp = load_jax().numpy
+    zero = 0.0 * s
+    # Square: a stop at each corner; the polynomial's top speed is 15/8 of its mean.
+    leg_time = 1.875 * a / v
+    leg = jnp.floor(s / leg_time)
+    part = a * smooth(s / leg_time - leg)
+    side = jnp.mod(leg, 4.0)
+    square_n = jnp.select([side == 0.0, side == 1.0, side == 2.0], [part, a + zero, a - part], zero)
+    square_e = jnp.select([side == 0.0, side == 1.0, side == 2.0], [zero, part, a + zero], a - part)
+    eight = v / (a * math.sqrt(2.0)) * s
+    climb = 0.5 * a * (1.0 - jnp.cos(2.0 * v / a * s))
+    spin = v / 2.0 * jnp.sin(0.5 * s)  # yaw to and fro, up to v/4 rad/s
+    fast = v / a * s
+    north = [zero, square_n, a * jnp.sin(eight), zero, zero, a * jnp.sin(fast)]
+    east = [zero, square_e, 0.5 * a * jnp.sin(2.0 * eight), zero, zero, a * jnp.sin(1.5 * fast)]
+    rise = [zero, zero, zero, climb, zero, 0.25 * a * jnp.sin(0.7 * fast)]
+    turn = [zero, zero, zero, zero, spin, 0.5 * jnp.sin(0.4 * fast)]
+    return north, east, rise, turn

@@ -1,0 +1,178 @@
+"""A `Flight` as a PX4 ULog (`.ulg`): header, definitions, then data in order of time.
+
+File format: https://docs.px4.io/main/en/dev_log/ulog_file_format.html. Topics and fields: those that PX4 1.13 and later logs.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+from pathlib import Path
+
+import numpy as np
+
+from rotorwatch.errors import ConfigError
+from rotorwatch.flight import Flight, Signal
+
+MAGIC = b"ULog\x01\x12\x35\x01"
+TOPICS = {
+    "actuator_motors": "uint64_t timestamp;uint64_t timestamp_sample;float[12] control",
+    "vehicle_torque_setpoint": "uint64_t timestamp;uint64_t timestamp_sample;float[3] xyz",
+    "vehicle_thrust_setpoint": "uint64_t timestamp;uint64_t timestamp_sample;float[3] xyz",
+    "vehicle_angular_velocity": "uint64_t timestamp;uint64_t timestamp_sample;float[3] xyz",
+    "sensor_combined": "uint64_t timestamp;float[3] gyro_rad;float[3] accelerometer_m_s2",
+    "vehicle_attitude": "uint64_t timestamp;uint64_t timestamp_sample;float[4] q",
+    "vehicle_local_position": "uint64_t timestamp;uint64_t timestamp_sample;float x;float y;float z;float vx;float vy;float vz;"
+    "bool xy_valid;bool z_valid;bool v_xy_valid;bool v_z_valid",
+    "battery_status": "uint64_t timestamp;float voltage_v;float current_a",
+    "vehicle_status": "uint64_t timestamp;uint8_t nav_state;uint8_t arming_state",
+    "vehicle_land_detected": "uint64_t timestamp;bool landed",
+    "esc_status": "uint64_t timestamp;esc_report[8] esc;uint8_t esc_count",
+}
+NESTED = {"esc_report": "int32_t esc_rpm;float esc_current;uint8_t actuator_function;uint8_t[3] _padding0"}
+SIZES = {"uint64_t": "<u8", "int32_t": "<i4", "float": "<f4", "bool": "u1", "uint8_t": "u1"}
+WHOLE = ("CA_AIRFRAME", "CA_ROTOR_COUNT", "MAV_TYPE", "MC_BAT_SCALE_EN", "SYS_AUTOSTART")
+ESCS = 8
+MOTOR_1 = 101  # actuator_function
+ARMED, STANDBY = 2, 1
+
+
+def write_ulog(flight: Flight, path: str | os.PathLike) -> None:
+    """Write the flight's signals, parameters and messages. Raises ConfigError when it is no PX4 flight of up to 12 rotors."""
+    if flight.autopilot.lower() != "px4":
+        raise ConfigError(f"a ULog is PX4's; this flight is of {flight.autopilot}: write a DataFlash log.")
+    tables = {name: rows for name, rows in _tables(flight) if len(rows)}
+    parts = [MAGIC + struct.pack("<Q", flight.start_us), _message(b"B", bytes(40))]
+    used = {
+        **({"esc_report": NESTED["esc_report"]} if "esc_status" in tables else {}),
+        **{k: TOPICS[k] for k in tables},
+    }
+    parts += [_message(b"F", f"{name}:{fields};".encode()) for name, fields in used.items()]
+    for key, text in (("sys_name", "PX4"), ("ver_hw", "simulated"), ("ver_sw", flight.firmware)):
+        parts.append(_message(b"I", _keyed(f"char[{len(text)}] {key}") + text.encode()))
+    for name, value in sorted(flight.parameters.items()):
+        whole = name in WHOLE
+        packed = struct.pack("<i", int(value)) if whole else struct.pack("<f", value)
+        parts.append(_message(b"P", _keyed(f"{'int32_t' if whole else 'float'} {name}") + packed))
+    records: list[tuple[int, bytes]] = []
+    for number, (name, rows) in enumerate(tables.items()):
+        parts.append(_message(b"A", struct.pack("<BH", 0, number) + name.encode()))
+        data, size = rows.tobytes(), rows.dtype.itemsize
+        head = struct.pack("<HBH", size + 2, ord("D"), number)
+        stamps = rows["timestamp"].tolist()
+        records += [(stamp, head + data[i * size : (i + 1) * size]) for i, stamp in enumerate(stamps)]
+    for m in flight.messages:
+        if m.kind in ("text", "error"):
+            stamp = flight.start_us + round(m.time * 1e6)
+            level = b"3" if m.kind == "error" else b"6"
+            records.append((stamp, _message(b"L", level + struct.pack("<Q", stamp) + m.text.encode())))
+    records.sort(key=lambda r: r[0])
+    Path(path).write_bytes(b"".join([*parts, *(data for _, data in records)]))
+
+
+def _message(kind: bytes, body: bytes) -> bytes:
+    return struct.pack("<H", len(body)) + kind + body
+
+
+def _keyed(key: str) -> bytes:
+    return struct.pack("<B", len(key)) + key.encode()
+
+
+def _kind(fields: str) -> np.dtype:
+    """The NumPy type of a topic's records. ULog leaves out padding at the end, and these definitions have none inside."""
+    columns = []
+    for field in fields.split(";"):
+        kind, name = field.split(" ")
+        kind, _, count = kind.partition("[")
+        base = _kind(NESTED[kind]) if kind in NESTED else SIZES[kind]
+        columns.append((name, base, (int(count[:-1]),)) if count else (name, base))
+    return np.dtype(columns)
+
+
+def _blank(name: str, flight: Flight, time: np.ndarray) -> np.ndarray:
+    rows = np.zeros(len(time), _kind(TOPICS[name]))
+    rows["timestamp"] = flight.start_us + np.round(time * 1e6).astype(np.int64)
+    if "timestamp_sample" in (rows.dtype.names or ()):
+        rows["timestamp_sample"] = rows["timestamp"]
+    return rows
+
+
+def _tables(flight: Flight):
+    """(topic, records) of every signal there is."""
+    s = flight.signals
+    if "motors" in s:
+        n = len(s["motors"].columns)
+        if s["motors"].unit != "1" or n > 12:
+            raise ConfigError("actuator_motors holds shares of full thrust of up to 12 rotors; this flight has others.")
+        rows = _blank("actuator_motors", flight, s["motors"].time)
+        rows["control"] = np.nan
+        rows["control"][:, :n] = s["motors"].values
+        yield "actuator_motors", rows
+    if "control" in s:
+        control = s["control"]
+        torque, thrust = (_blank(f"vehicle_{k}_setpoint", flight, control.time) for k in ("torque", "thrust"))
+        torque["xyz"], thrust["xyz"][:, 2] = control.values[:, :3], -control.values[:, 3]
+        yield "vehicle_torque_setpoint", torque
+        yield "vehicle_thrust_setpoint", thrust
+    if "rates" in s:
+        rows = _blank("vehicle_angular_velocity", flight, s["rates"].time)
+        rows["xyz"] = s["rates"].values
+        yield "vehicle_angular_velocity", rows
+    if "gyro" in s and "accel" in s:
+        rows = _blank("sensor_combined", flight, s["gyro"].time)
+        rows["gyro_rad"], rows["accelerometer_m_s2"] = s["gyro"].values, _at(s["accel"], s["gyro"].time)
+        yield "sensor_combined", rows
+    if "attitude" in s:
+        rows = _blank("vehicle_attitude", flight, s["attitude"].time)
+        rows["q"] = s["attitude"].values
+        yield "vehicle_attitude", rows
+    if "velocity" in s and "position" in s:
+        rows = _blank("vehicle_local_position", flight, s["velocity"].time)
+        where = np.concatenate([_at(s["position"], s["velocity"].time), s["velocity"].values], axis=1)
+        for k, name in enumerate(("x", "y", "z", "vx", "vy", "vz")):
+            rows[name] = where[:, k]
+        for name in ("xy_valid", "z_valid", "v_xy_valid", "v_z_valid"):
+            rows[name] = 1
+        yield "vehicle_local_position", rows
+    if "battery" in s:
+        rows = _blank("battery_status", flight, s["battery"].time)
+        rows["voltage_v"], rows["current_a"] = s["battery"].values.T
+        yield "battery_status", rows
+    if "esc" in s:
+        yield "esc_status", _escs(flight, s["esc"])
+    yield "vehicle_status", _status(flight)
+    landed = [m for m in flight.messages if m.kind == "landed"]
+    rows = _blank("vehicle_land_detected", flight, np.array([m.time for m in landed]))
+    rows["landed"] = [m.value > 0.5 for m in landed]
+    yield "vehicle_land_detected", rows
+
+
+def _escs(flight: Flight, esc: Signal) -> np.ndarray:
+    rows, n = _blank("esc_status", flight, esc.time), len(esc.columns) // 2
+    if n > ESCS:
+        raise ConfigError(f"esc_status holds {ESCS} ESCs; this flight has {n}.")
+    rows["esc_count"] = n
+    for k in range(n):
+        rows["esc"]["esc_rpm"][:, k], rows["esc"]["esc_current"][:, k] = esc.values[:, k], esc.values[:, n + k]
+        rows["esc"]["actuator_function"][:, k] = MOTOR_1 + k
+    return rows
+
+
+def _status(flight: Flight) -> np.ndarray:
+    """vehicle_status: a row whenever arming or mode change."""
+    changes = [m for m in flight.messages if m.kind in ("armed", "mode")]
+    rows = _blank("vehicle_status", flight, np.array([m.time for m in changes]))
+    arming, mode = STANDBY, 0
+    for k, m in enumerate(changes):
+        if m.kind == "armed":
+            arming = ARMED if m.value > 0.5 else STANDBY
+        else:
+            mode = int(m.value)
+        rows["arming_state"][k], rows["nav_state"][k] = arming, mode
+    return rows
+
+
+def _at(signal: Signal, time: np.ndarray) -> np.ndarray:
+    """Values of a signal at other times: the nearest sample's."""
+    middle = 0.5 * (signal.time[1:] + signal.time[:-1])
+    return signal.values[np.searchsorted(middle, time)]
