@@ -48,7 +48,7 @@ def fake(monkeypatch, tmp_path):
             raise RuntimeError("unforeseen")
         return a_flight(name=Path(path).name)
 
-    def diagnose(flight, vehicle=None, baseline=(), estimator="default", progress=None):
+    def diagnose(flight, vehicle=None, baseline=(), estimator="default", progress=None, tuning=None):
         verdict = flight.name.split("-")[0].removesuffix(".bin")
         flight = {**hexa_diagnosis().flight, "name": flight.name}
         told = f"{len(baseline)} baseline, vehicle {getattr(vehicle, 'name', None)}, estimator {estimator}"

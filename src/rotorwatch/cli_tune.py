@@ -17,19 +17,31 @@ def register(group: click.Group) -> None:
 
 
 @click.command(short_help="Fit an estimator's noise to healthy flights.")
-@click.argument("logs", nargs=-1, required=True, type=LOG, metavar="LOG...")
+@click.argument("logs", nargs=-1, type=LOG, metavar="LOG...")
 @click.option("--estimator", default="ekf", show_default=True, metavar="NAME", help="Published method to tune.")
 @click.option("-o", "--out", type=LOG, metavar="tuning.toml", help="Tuning file to write.")
 @click.option("--rounds", default=30, show_default=True, type=click.IntRange(1), help="Steps of the optimiser.")
+@click.option(
+    "--papers", is_flag=True, help="Instead: what tuning brings over each paper's hand tuning, on simulated flights."
+)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @common
-def tune(logs, estimator, out, rounds, as_json, quiet) -> None:
+def tune(logs, estimator, out, rounds, papers, as_json, quiet) -> None:
     """Fit process and measurement noise and the walk of the losses to healthy LOGs of one build, by likelihood.
 
     Give the file to `rotorwatch diagnose --estimator NAME --tuning FILE` later.
     """
     from rotorwatch.tune import fit_logs, write
 
+    if papers:
+        from rotorwatch.studies.hand_tuning import markdown, study
+
+        with progress(quiet) as tell:
+            rows = study((), rounds, tell)
+        click.echo(json.dumps(rows, indent=1, allow_nan=False) if as_json else markdown(rows).strip())
+        return
+    if not logs:
+        raise ConfigError("Give healthy logs of one build to tune to, or --papers.")
     with progress(quiet) as tell:
         found = fit_logs(estimator, logs, rounds, tell)
     if out:

@@ -33,6 +33,7 @@ ROWS, SETTLE = 600, 40  # rows of one window, and how many of its first do not c
 LOSS, GROWTH_S = 0.3, 0.3  # the loss put in, and how fast it grows
 RANGE = 1e4  # factors stay within this
 ROUNDS = 30
+WALL = 1e3
 
 
 @dataclass(frozen=True)
@@ -98,16 +99,19 @@ def fit(
     first = float(score(start)[0])
     if not np.isfinite(first):
         raise ConfigError(f"{name} gives no finite likelihood on these flights; start from another tuning.")
-    calls = 0
+    calls, good = 0, start
 
     def value(p):
-        nonlocal calls
+        nonlocal calls, good
         calls += 1
         if progress:
             progress(min(1.0, calls / (1.5 * rounds)))
         L, slope = score(p)
-        good = np.isfinite(L) and np.isfinite(slope).all()
-        return (float(L), np.asarray(slope)) if good else (first + 1e3, np.zeros_like(p))
+        if np.isfinite(L) and np.isfinite(slope).all():
+            good = p.copy()
+            return float(L), np.asarray(slope)
+        back = p - good  # a step too far: the way back is downhill
+        return first + WALL, WALL * back / max(back @ back, 1e-12)
 
     limit = float(np.log(RANGE))
     best = minimize(

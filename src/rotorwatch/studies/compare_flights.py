@@ -80,11 +80,11 @@ def simulate(vehicle: Vehicle, losses, rotors, onsets, rng: np.random.Generator)
         t = k * STEP
         noisy = rate + GYRO_SD * rng.standard_normal((F, 3))
         tilt = turn * tilt + TURN_SD * np.sqrt(1 - turn**2) * rng.standard_normal((F, 2))
-        error = np.column_stack([5.0 * (tilt - angle[:, :2]), -2.0 * angle[:, 2:]]) - noisy
+        error = np.column_stack([6.0 * (tilt - angle[:, :2]), -2.0 * angle[:, 2:]]) - noisy
         error = np.column_stack([error, -0.15 * climb])
         integral = np.clip(integral + STEP * error * np.array([1.0, 1.0, 0.5, 0.6]), -0.6, 0.6)
-        wanted = np.column_stack([INERTIA * np.array([14.0, 14.0, 5.0]) * error[:, :3], n * (1.0 + error[:, 3:])])
-        wanted += integral * np.array([0.5, 0.5, 0.1, n])
+        wanted = np.column_stack([INERTIA * np.array([24.0, 24.0, 6.0]) * error[:, :3], n * (1.0 + error[:, 3:])])
+        wanted += integral * np.array([1.0, 1.0, 0.1, n])
         command = np.clip(wanted @ M.T, 0.05, 1.0 / HOVER)
         thrust = thrust + (STEP / MOTOR_LAG) * (command - thrust)
         active = (t >= np.asarray(onsets))[:, None]

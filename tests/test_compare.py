@@ -1,0 +1,191 @@
+"""One table for all estimators: what is counted, how flights are made, and the command."""
+
+import json
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from rotorwatch import airframes, cli, default_estimator, diagnose, published
+from rotorwatch.diagnosis import Event
+from rotorwatch.errors import ConfigError
+from rotorwatch.studies import compare as study
+from rotorwatch.studies import compare_flights
+from rotorwatch.ticks import JUDGE
+
+
+@pytest.fixture(scope="module")
+def quads():
+    """Two short simulated quads: healthy, and rotor with a loss of 0.4."""
+    patch = pytest.MonkeyPatch()
+    patch.setattr(compare_flights, "SECONDS", 27.0)
+    patch.setattr(compare_flights, "AIRFRAMES", ("ardupilot-quad-x",))
+    scenes = compare_flights.simulated(1, (0.4,))
+    patch.undo()
+    return scenes
+
+
+def test_simulated_flights_fly_and_hold_the_truth(quads):
+    healthy, faulty = quads
+    assert healthy.faults == () and len(faulty.faults) == 1 and faulty.group == "simulated quad-x"
+    ((rotor, onset, loss),) = faulty.faults
+    t = faulty.ticks
+    assert (t.mode == JUDGE).sum() * t.dt > 10 and not t.upset.any() and loss == 0.4
+    after = (t.time > onset + 2.0) & (t.mode == JUDGE)
+    # The controller makes up for the loss: the others as before, the faulty rotor 1 / (1 - 0.4) times as much.
+    others = np.delete(t.thrust[after].mean(axis=0), rotor - 1)
+    assert abs(t.thrust[after, rotor - 1].mean() * 0.6 / others.mean() - 1.0) < 0.05
+    assert abs(t.load[after].mean() - 1.0) < 0.02 and 0.05 < t.rate[after].std(axis=0)[:2].min() < 1.0
+
+
+def test_simulation_is_the_same_for_the_same_seed():
+    vehicle = airframes.named("ardupilot-hexa-x")
+    patch = pytest.MonkeyPatch()
+    patch.setattr(compare_flights, "SECONDS", 2.0)
+    one, other = (
+        compare_flights.simulate(vehicle, [0.0], np.array([0]), np.array([9.0]), np.random.default_rng(s))[0]
+        for s in (1, 1)
+    )
+    patch.undo()
+    for name, signal in one.signals.items():
+        np.testing.assert_array_equal(signal.values, other[name].values, err_msg=name)
+
+
+def event(rotors, detected, loss=0.4, alternatives=(), onset=None):
+    return Event(
+        "loss_of_effectiveness", rotors, detected if onset is None else onset, detected, None, (loss,) * len(rotors),
+        ((loss - 0.05, loss + 0.05),) * len(rotors), 1.0, alternatives,
+    )  # fmt: skip
+
+
+@pytest.fixture
+def judged(quads, monkeypatch):
+    """trial(events, theta of the faulty rotor): what is made of that in the faulty scene."""
+    scene = quads[1]
+
+    def trial(found, theta=0.4, which=scene):
+        shown = np.zeros(which.ticks.thrust.shape)
+        if which.faults:
+            shown[:, which.faults[0][0] - 1] = theta
+        out = default_estimator.Kept(*[shown] * len(default_estimator.Kept._fields))
+        monkeypatch.setattr(published, "judge", lambda *a, **k: out)
+        monkeypatch.setattr(study.events, "read", lambda *a, **k: tuple(found))
+        return study._trial("ekf", which)
+
+    return trial
+
+
+def test_what_counts(quads, judged):
+    ((rotor, onset, _),) = quads[1].faults
+    other = rotor % 4 + 1
+    good = judged([event((rotor,), onset + 0.5)])
+    assert good["right"] and good["named"] and good["covered"] and good["false_alarms"] == 0
+    assert abs(good["delay_s"] - 0.5) < 1e-9 and good["square"] < 1e-12
+    assert judged([], theta=0.0)["square"] == pytest.approx(0.16)
+    wrong = judged([event((other,), onset + 0.5)])
+    assert "right" not in wrong and wrong["false_alarms"] == 1
+    late = judged([event((other,), onset + 0.5), event((rotor,), onset + 2.0)])
+    assert not late["right"] and late["named"] and late["false_alarms"] == 1 and abs(late["delay_s"] - 2.0) < 1e-9
+    early = judged([event((rotor,), onset - 3.0)])
+    assert "delay_s" not in early and early["false_alarms"] == 1
+    unsure = judged([event((other,), onset + 1.0, alternatives=((rotor,),))])
+    assert not unsure["right"] and unsure["named"] and unsure["false_alarms"] == 0
+    off = judged([event((rotor,), onset + 0.5, loss=0.2)])
+    assert off["right"] and not off["covered"]
+    assert judged([event((1,), 15.0)], which=quads[0])["false_alarms"] == 1
+
+
+def test_rows_add_up():
+    hour = {"judged_s": 1800.0}
+    trials = [
+        hour
+        | {
+            "fault": True,
+            "false_alarms": 1,
+            "square": 0.01,
+            "delay_s": 1.0,
+            "right": True,
+            "named": True,
+            "covered": True,
+        },
+        hour | {"fault": True, "false_alarms": 0, "square": 0.16},
+        hour | {"fault": False, "false_alarms": 2},
+        hour
+        | {
+            "fault": True,
+            "false_alarms": 0,
+            "square": 0.01,
+            "delay_s": 3.0,
+            "right": False,
+            "named": True,
+            "covered": False,
+        },
+    ]
+    row = study._row(trials)
+    assert row["flights"] == 4 and row["faults"] == 3 and row["false_alarms"] == 3
+    assert row["loss_rmse"] == pytest.approx(np.sqrt(0.06)) and row["delay_s"] == 2.0
+    assert row["right"] == pytest.approx(1 / 3) and row["named"] == pytest.approx(2 / 3)
+    assert row["coverage"] == 0.5 and row["false_alarms_h"] == pytest.approx(1.5)
+    empty = study._row([hour | {"fault": False, "false_alarms": 0}])
+    assert empty["loss_rmse"] is None and empty["right"] is None
+
+
+def test_a_method_and_the_default_in_one_table(quads):
+    result = study.compare(quads, ["default", "ekf"])
+    rows = result["groups"]["simulated quad-x"]
+    assert set(rows) == {"default", "ekf"} and result["failed"] == {}
+    for name, row in rows.items():
+        assert row["right"] == 1.0 and row["loss_rmse"] < 0.2 and row["false_alarms"] == 0, name
+        assert 0.0 <= row["delay_s"] < 3.0
+    assert 0.5 < result["us_per_step"]["ekf"] < 1e4
+    text = study.markdown(result)
+    assert "## Simulated quad-x" in text and "| `ekf` |" in text and "| `default` |" in text
+    json.dumps(result, allow_nan=False)
+
+
+def test_methods_that_cannot_run_say_why(quads, monkeypatch):
+    def refuse(*a, **k):
+        raise ConfigError("needs a helicopter.")
+
+    monkeypatch.setattr(published, "judge", refuse)
+    result = study.compare(quads, ["ekf"])
+    assert result["failed"] == {"ekf": "needs a helicopter."}
+    assert "`ekf`: needs a helicopter." in study.markdown(result)
+
+
+def test_bad_requests_get_one_sentence(quads, tmp_path):
+    with pytest.raises(ConfigError, match="no flight"):
+        study.compare([])
+    with pytest.raises(ConfigError, match="no estimator called"):
+        study.compare(quads, ["crystal ball"])
+    table = tmp_path / "truth.csv"
+    table.write_text("path,rotor\na.bin,1\n")
+    with pytest.raises(ConfigError, match="columns path"):
+        compare_flights.with_truth([], table)
+    for arguments in (["--losses", "x"], ["--losses", "0"], ["--losses", "1.2"]):
+        done = CliRunner().invoke(cli.cli, ["compare", *arguments])
+        assert isinstance(done.exception, ConfigError) and "--losses" in str(done.exception)
+
+
+def test_truth_tables_choose_the_logs(tmp_path):
+    sample = next(iter(sorted(cli.SAMPLES.glob("hexax_m3*.bin.xz"))))
+    table = tmp_path / "truth.csv"
+    table.write_text(f"path,faulty_rotors,thrust_loss,start_s\nelsewhere/{sample.name},3,0.368,47.6\n")
+    (scene,) = compare_flights.with_truth([sample, tmp_path / "unlisted.bin"], table)
+    assert scene.faults == ((3, 47.6, 0.368),) and scene.B.shape == (4, 6)
+
+
+def test_the_command(monkeypatch):
+    monkeypatch.setattr(compare_flights, "simulated", lambda *a: [])
+    monkeypatch.setattr(study, "compare", lambda scenes, names, tell: {"groups": {}, "us_per_step": {}, "failed": {}})
+    done = CliRunner().invoke(cli.cli, ["compare", "--json", "--estimators", "ekf, ukf"])
+    assert done.exit_code == 0 and json.loads(done.output)["groups"] == {}
+
+
+def test_diagnose_by_name_says_what_it_assumes():
+    sample = next(iter(sorted(cli.SAMPLES.glob("quadx_healthy*.bin.xz"))))
+    diagnosis = diagnose(sample, estimator="ekf")
+    assert diagnosis.verdict == "healthy" and diagnosis.estimator == "ekf"
+    assert any("as published" in said for said in diagnosis.assumptions)
+    with pytest.raises(ConfigError, match="learns its noise in flight"):
+        diagnose(sample, tuning=published.Tuning())
