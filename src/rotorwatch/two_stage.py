@@ -23,6 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rotorwatch import checks, unscented
+from rotorwatch.backend import jax as load_jax
 from rotorwatch.core import Array, Estimate
 
 
@@ -56,7 +57,7 @@ class Prediction(NamedTuple):
 
 def initial(system: Any, P_theta: Array) -> State:
     """Before the first measurement: the plant's x0 and P0, no loss, and no coupling yet."""
-    from jax import numpy as jnp
+    jnp = load_jax().numpy
 
     n_x, n_theta = system.n_x, system.n_theta
     return State(

@@ -14,6 +14,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from rotorwatch import checks, two_stage, unscented
+from rotorwatch.backend import jax as load_jax
 from rotorwatch.core import Array, Estimate
 from rotorwatch.errors import ConfigError
 
@@ -80,8 +81,7 @@ class ATSUKF:
 
     def init(self) -> Carry:
         """The plant's x0 and P0, no loss, an empty window."""
-        from jax import numpy as jnp
-
+        jnp = load_jax().numpy
         n_y = self.system.n_y
         width = 2 * n_y + 1
         window = Window(

@@ -11,6 +11,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from rotorwatch import checks, two_stage, unscented
+from rotorwatch.backend import jax as load_jax
 from rotorwatch.core import Array, Estimate
 
 
@@ -44,7 +45,7 @@ class UKF:
 
     def init(self) -> Carry:
         """The plant's x0 and P0, no loss."""
-        from jax import numpy as jnp
+        jnp = load_jax().numpy
         from jax.scipy.linalg import block_diag
 
         x0 = jnp.asarray(self.system.x0, float)

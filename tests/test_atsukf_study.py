@@ -1,0 +1,112 @@
+"""The paper's experiments with the two-stage filters: its own way to write them, its figures, its slips."""
+
+import numpy as np
+import pytest
+
+from rotorwatch.errors import ConfigError
+from rotorwatch.estimators.tsukf import TSUKF
+from rotorwatch.studies import reproduce_atsukf as study
+from rotorwatch.studies import reproduction
+from rotorwatch.studies import two_stage_as_printed as printed
+from rotorwatch.studies.uaf_flight import DT, fly, losses
+
+EXACT = 1e-9
+
+
+def steps(method, *table):
+    """What a filter says, stacked, taken step by step."""
+    carry, outs = method.init(), []
+    for row in zip(*table, strict=True):
+        carry, out = method.step(carry, *row)
+        outs.append(np.asarray(out.theta if hasattr(out, "theta") else out))
+    return np.stack(outs)
+
+
+def test_the_papers_variables_give_the_same_losses():
+    """x_free carried instead of the fused mean, dense inverses: another way to write the same filter, and its slips."""
+    plant = study.Linear()
+    plant.D = np.zeros_like(plant.D)  # the paper knows no losses in the measurement
+    u, y, _ = study.linear_table(plant, rows=15)
+    expected = steps(TSUKF(plant, 0.1, Q_theta=0.1, P0_theta=0.3), u, y, np.ones(y.shape, bool))
+
+    def off(*reading):
+        method = printed.AsPrinted(plant, 0.1, 0.01 * np.eye(2), 0.3 * np.eye(2), reading)
+        return np.abs(steps(method, u, y) - expected).max()
+
+    assert off() < EXACT
+    assert off("centre") < EXACT  # harmless where nothing bends
+    for slip in ("no_redraw", "gain_covariance", "inverse"):
+        assert not off(slip) < 1e-3, slip
+
+
+def test_the_papers_variables_on_the_quadrotor():
+    airframe, system = study.plant()
+    u, pose = fly(airframe, np.tile([0.4, 0.0, 0.0, 0.0], (10, 1)))
+    y = study.measure(pose, study.NOISE, 0)
+    expected = steps(TSUKF(system, DT, Q_theta=1e-2 / DT, P0_theta=1e-6), u, y, np.ones(y.shape, bool))
+
+    def off(*reading):
+        method = printed.AsPrinted(system, DT, 1e-2 * np.eye(4), 1e-6 * np.eye(4), reading)
+        return np.abs(steps(method, u, y) - expected).max()
+
+    assert off() < EXACT
+    assert off("centre") > 1e-6
+
+
+@pytest.fixture(scope="module")
+def result():
+    return study.reproduce(seeds=1, literal=("no_redraw",))
+
+
+SPEC_RMSE = {
+    "scenario_1": {"tsukf_q1": 0.0159, "atsukf_q1": 0.0159, "tsukf_q2": 0.056, "atsukf_q2": 0.044},
+    "scenario_2": {"tsukf_q1": 0.020, "atsukf_q1": 0.020, "tsukf_q2": 0.077, "atsukf_q2": 0.060},
+}
+
+
+def test_figures_of_the_reproduction(result):
+    figures = result.figures
+    for scenario, expected in SPEC_RMSE.items():
+        for name, value in expected.items():
+            assert figures["rmse"][scenario][name] == pytest.approx(value, rel=0.1), (scenario, name)
+    delay = figures["half_delay_s"]["scenario_1"]
+    assert delay["tsukf_q1"] == pytest.approx(0.05, abs=0.02) == delay["atsukf_q1"]
+    assert delay["tsukf_q2"] == pytest.approx(0.60, abs=0.04)
+    assert delay["atsukf_q2"] == pytest.approx(0.31, abs=0.04)
+    assert figures["tsukf_vs_augmented_linear"] < 4e-12
+    assert figures["tsukf_vs_augmented_quad"] < 3e-5
+
+
+def test_noise_reverses_the_ranking_and_the_gate_restores_it(result):
+    loud = result.figures["rmse_loud"]
+    assert loud["atsukf_q2"] > 3 * loud["tsukf_q2"]
+    assert loud["atsukf_q2_gated"] < 1.1 * loud["tsukf_q2"]
+    assert result.figures["rmse_gated_q2"] < 1.1 * result.figures["rmse"]["scenario_1"]["atsukf_q2"]
+
+
+def test_claims_and_their_verdicts(result):
+    verdicts = [claim.verdict for claim in result.claims]
+    assert verdicts[:4] == ["holds", "not reproduced", "partly", "holds"]
+    assert verdicts[5:7] == ["not reproduced", "holds"]
+    assert reproduction.study("atsukf") is study
+    assert result.to_json()
+
+
+def test_figures_are_drawn(result):
+    drawn = study.figures(result)
+    assert set(drawn) == {"atsukf-scenario-1", "atsukf-scenario-2", "atsukf-noise"}
+
+
+def test_literal_readings_are_measured(result):
+    found = result.figures["literal"]["no_redraw"]
+    assert found["difference_q1"] > 1e-3 < found["difference_q2"]
+    (claim,) = [claim for claim in result.claims if "no_redraw" in claim.claim]
+    assert f"{found['difference_q1']:.2g}" in claim.measured
+    with pytest.raises(ConfigError, match=r"no literal reading 'nonsense'; it has no_redraw, "):
+        study.reproduce(1, ("nonsense",))
+
+
+def test_the_losses_are_the_papers():
+    one, two = losses(1), losses(2)
+    assert one[3500, 0] == pytest.approx(0.1) and one[4500, 0] == 0 and one[6000, 0] == 0.4 and one[8500, 0] == 0
+    assert not one[:, 1:].any() and (two == one[:, :1]).all()
