@@ -19,7 +19,7 @@ from rotorwatch.systems.rate_dynamics import RateDynamics
 jnp = load_jax().numpy
 EXACT = 1e-9
 METHODS = (UKF, TSUKF, ATSUKF)
-TUNING = {"Q_theta": 0.01, "P0_theta": 0.3}
+TUNING = {"theta_walk": 0.01, "theta_var": 0.3}
 DT = 0.1  # s
 ROWS = 36
 each_method = pytest.mark.parametrize("method", METHODS, ids=lambda m: m.name)
@@ -125,7 +125,7 @@ def test_adaptation_is_the_papers_formula(plant):
     e = np.stack([np.asarray(c.e) for c in carries])
     widened = 0
     for k in range(1, ROWS):
-        Q, before = DT * estimator.Q_theta, carries[k - 1].state
+        Q, before = DT * estimator.theta_walk, carries[k - 1].state
         p = two_stage.predict(plant, estimator.weights, before, Q, u[k], y[k], np.ones(3, bool), DT)
         nominal = float(jnp.trace(p.P_yy) + jnp.trace(p.H @ before.P_theta @ p.H.T))
         walk_trace = float(jnp.trace(p.H @ Q @ p.H.T))
@@ -171,8 +171,8 @@ def test_the_gate_tells_a_lag_from_noise(plant, correlated):
     """Innovations of the same size: pointing one way they widen the walk, changing sign each step they do not."""
     u, y, _ = study.linear_table(plant, rows=ROWS)
     y[20:] += 4.0 * (1.0 if correlated else (-1.0) ** np.arange(ROWS - 20)[:, None])
-    _, gated = walk(ATSUKF(plant, DT, Q_theta=1e-6, P0_theta=1e-6, M=10, whiteness=0.2), u, y, True)
-    _, open_ = walk(ATSUKF(plant, DT, Q_theta=1e-6, P0_theta=1e-6, M=10), u, y, True)
+    _, gated = walk(ATSUKF(plant, DT, theta_walk=1e-6, theta_var=1e-6, M=10, whiteness=0.2), u, y, True)
+    _, open_ = walk(ATSUKF(plant, DT, theta_walk=1e-6, theta_var=1e-6, M=10), u, y, True)
     assert max(float(c.delta) for c in open_[22:]) > 100
     assert (max(float(c.delta) for c in gated[22:]) > 100) == correlated
 
@@ -214,10 +214,10 @@ def test_a_longer_step_is_taken_as_one(method):
 @pytest.mark.parametrize(
     "options, says",
     [
-        ({"Q_theta": -1.0}, "Q_theta is not positive semidefinite"),
-        ({"P0_theta": [1.0, 2.0, 3.0]}, r"P0_theta must have the shape \(2,\)"),
-        ({"P0_theta": np.eye(3)}, r"P0_theta must have the shape \(2, 2\)"),
-        ({"Q_theta": np.nan}, "Q_theta holds NaN"),
+        ({"theta_walk": -1.0}, "theta_walk is not positive semidefinite"),
+        ({"theta_var": [1.0, 2.0, 3.0]}, r"theta_var must have the shape \(2,\)"),
+        ({"theta_var": np.eye(3)}, r"theta_var must have the shape \(2, 2\)"),
+        ({"theta_walk": np.nan}, "theta_walk holds NaN"),
         ({"dt": 0.0}, "dt must be above zero"),
         ({"alpha": 0.0}, "alpha must be above zero"),
     ],

@@ -27,7 +27,7 @@ def test_the_papers_variables_give_the_same_losses():
     plant = study.Linear()
     plant.D = np.zeros_like(plant.D)  # the paper knows no losses in the measurement
     u, y, _ = study.linear_table(plant, rows=15)
-    expected = steps(TSUKF(plant, 0.1, Q_theta=0.1, P0_theta=0.3), u, y, np.ones(y.shape, bool))
+    expected = steps(TSUKF(plant, 0.1, theta_walk=0.1, theta_var=0.3), u, y, np.ones(y.shape, bool))
 
     def off(*reading):
         method = printed.AsPrinted(plant, 0.1, 0.01 * np.eye(2), 0.3 * np.eye(2), reading)
@@ -43,7 +43,7 @@ def test_the_papers_variables_on_the_quadrotor():
     airframe, system = study.plant()
     u, pose = fly(airframe, np.tile([0.4, 0.0, 0.0, 0.0], (10, 1)))
     y = study.measure(pose, study.NOISE, 0)
-    expected = steps(TSUKF(system, DT, Q_theta=1e-2 / DT, P0_theta=1e-6), u, y, np.ones(y.shape, bool))
+    expected = steps(TSUKF(system, DT, theta_walk=1e-2 / DT, theta_var=1e-6), u, y, np.ones(y.shape, bool))
 
     def off(*reading):
         method = printed.AsPrinted(system, DT, 1e-2 * np.eye(4), 1e-6 * np.eye(4), reading)

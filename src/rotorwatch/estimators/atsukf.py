@@ -51,8 +51,8 @@ class ATSUKF:
         system: Any,
         dt: float,
         *,
-        Q_theta=1e-3,
-        P0_theta=1e-2,
+        theta_walk=1e-3,
+        theta_var=1e-2,
         M=150,
         threshold=1.0,
         whiteness=None,
@@ -61,7 +61,7 @@ class ATSUKF:
         beta=2.0,
         kappa=0.0,
     ):
-        """dt: step [s]. Q_theta: random walk of the losses, growth of variance [1/s]; P0_theta: variance at the start; each a
+        """dt: step [s]. theta_walk: variance that a loss gains per second [1/s]; theta_var: its variance at the start; each a
         number for all, one for each (n_theta,), or a covariance. M: steps in the window. threshold: how many times the predicted
         size counts as too large (the paper's K). whiteness: widen only when the innovations' lag-1 correlation in the window
         exceeds this (0.2 is a good value; None: no gate, as in the paper). clip: keep actuators' losses in [0, 1]. alpha, beta,
@@ -70,8 +70,8 @@ class ATSUKF:
         checks.has(system, "atsukf", "f", "h", "Q", "R")
         self.system, self.dt = system, checks.positive("dt", dt)
         n = system.n_theta
-        self.Q_theta = two_stage.loss_covariance("Q_theta", Q_theta, n)
-        self.P0_theta = two_stage.loss_covariance("P0_theta", P0_theta, n)
+        self.theta_walk = two_stage.loss_covariance("theta_walk", theta_walk, n)
+        self.theta_var = two_stage.loss_covariance("theta_var", theta_var, n)
         if int(M) != M or M < 2:
             raise ConfigError(f"M must be a whole number of steps, 2 or more, not {M}.")
         self.M, self.threshold = int(M), checks.positive("threshold", threshold)
@@ -91,14 +91,14 @@ class ATSUKF:
             jnp.zeros((), jnp.int32),
             jnp.zeros((), bool),
         )
-        return Carry(two_stage.initial(self.system, self.P0_theta), window, jnp.zeros(n_y), jnp.ones(()))
+        return Carry(two_stage.initial(self.system, self.theta_var), window, jnp.zeros(n_y), jnp.ones(()))
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Estimate]:
         """One time step; arguments as in `core.Estimator`."""
         from jax import numpy as jnp
 
         dt = self.dt if dt is None else dt
-        Q_theta = dt * self.Q_theta
+        Q_theta = dt * self.theta_walk
         p = two_stage.predict(self.system, self.weights, carry.state, Q_theta, u, y, valid, dt)
         row = jnp.concatenate([p.e * p.e, valid.astype(float), (p.e @ carry.e)[None]])
         window = self._push(carry.window, row, valid.any())

@@ -29,17 +29,17 @@ class UKF:
     not_kalman = ""
 
     def __init__(
-        self, system: Any, dt: float, *, Q_theta=1e-3, P0_theta=1e-2, clip=False, alpha=0.1, beta=2.0, kappa=0.0
+        self, system: Any, dt: float, *, theta_walk=1e-3, theta_var=1e-2, clip=False, alpha=0.1, beta=2.0, kappa=0.0
     ):
-        """dt: step [s]. Q_theta: random walk of the losses, growth of variance [1/s]; P0_theta: variance at the start; each a
+        """dt: step [s]. theta_walk: variance that a loss gains per second [1/s]; theta_var: its variance at the start; each a
         number for all, one for each (n_theta,), or a covariance. clip: keep actuators' losses in [0, 1]. alpha, beta, kappa:
         where the points lie, `unscented.weights`. Raises ConfigError.
         """
         checks.has(system, "ukf", "f", "h", "Q", "R")
         self.system, self.dt = system, checks.positive("dt", dt)
         n = system.n_theta
-        self.Q_theta = two_stage.loss_covariance("Q_theta", Q_theta, n)
-        self.P0_theta = two_stage.loss_covariance("P0_theta", P0_theta, n)
+        self.theta_walk = two_stage.loss_covariance("theta_walk", theta_walk, n)
+        self.theta_var = two_stage.loss_covariance("theta_var", theta_var, n)
         self.limit = two_stage.to_unit(min(system.n_u, n)) if clip else two_stage.no_limit
         self.weights = unscented.weights(system.n_x + n, alpha, beta, kappa)
 
@@ -51,7 +51,7 @@ class UKF:
         x0 = jnp.asarray(self.system.x0, float)
         return Carry(
             jnp.concatenate([x0, jnp.zeros(self.system.n_theta)]),
-            block_diag(jnp.asarray(self.system.P0, float), self.P0_theta),
+            block_diag(jnp.asarray(self.system.P0, float), self.theta_var),
         )
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Estimate]:
@@ -66,7 +66,7 @@ class UKF:
             return jnp.concatenate([system.f(z[:n], u, z[n:], dt), z[n:]])
 
         moved = unscented.transform(f, carry.z, unscented.root(carry.P), w)
-        P = moved.cov + block_diag(system.Q(dt), dt * self.Q_theta)
+        P = moved.cov + block_diag(system.Q(dt), dt * self.theta_walk)
         L = unscented.root(unscented.symmetric(P))
         seen = unscented.transform(lambda z: system.h(z[:n], u, z[n:]), moved.mean, L, w)
         R = system.R(u)

@@ -65,9 +65,9 @@ def estimates(system: RigidBody, adaptive: bool, lanes: list[tuple]) -> np.ndarr
 
     def one(u, y, walk, gate):
         if adaptive:
-            method = ATSUKF(system, DT, Q_theta=walk / DT, P0_theta=P0_THETA, whiteness=gate)
+            method = ATSUKF(system, DT, theta_walk=walk / DT, theta_var=P0_THETA, whiteness=gate)
         else:
-            method = TSUKF(system, DT, Q_theta=walk / DT, P0_theta=P0_THETA)
+            method = TSUKF(system, DT, theta_walk=walk / DT, theta_var=P0_THETA)
 
         def step(carry, row):
             carry, out = method.step(carry, row[0], row[1], valid)
@@ -177,11 +177,11 @@ class Linear:
         return self.variance
 
 
-def kalman(plant: Linear, Q_theta, P0_theta, u, y, valid):
+def kalman(plant: Linear, Q_theta, P_theta, u, y, valid):
     """Augmented Kalman filter, dense and in NumPy: z, P and S after each row."""
     n, m = plant.n_x, plant.n_theta
     z, P = np.zeros(n + m), np.zeros((n + m, n + m))
-    z[:n], P[:n, :n], P[n:, n:] = plant.x0, plant.P0, P0_theta
+    z[:n], P[:n, :n], P[n:, n:] = plant.x0, plant.P0, P_theta
     F, Q, history = np.eye(n + m), np.zeros_like(P), []
     F[:n, :n], Q[:n, :n], Q[n:, n:] = plant.A, plant.process, Q_theta
     for now, measured, good in zip(u, y, valid, strict=True):
@@ -213,7 +213,7 @@ def against_kalman() -> float:
     """Largest difference of the two-stage filter from the augmented Kalman filter on a linear plant: x, theta, P's and S."""
     plant = Linear()
     u, y, valid = linear_table(plant)
-    _, out = run(TSUKF(plant, 0.1, Q_theta=0.01, P0_theta=0.3), u, y, valid)
+    _, out = run(TSUKF(plant, 0.1, theta_walk=0.01, theta_var=0.3), u, y, valid)
     z, P, S = kalman(plant, 0.001 * np.eye(2), 0.3 * np.eye(2), u, y, valid)
     pairs = ((out.x, z[:, :4]), (out.theta, z[:, 4:]), (out.x_cov, P[:, :4, :4]), (out.theta_cov, P[:, 4:, 4:]))
     return max(float(np.abs(a - b).max()) for a, b in (*pairs, (out.innovation_cov, S)))
@@ -228,7 +228,7 @@ def against_augmented(system: RigidBody, u, pose) -> dict:
     y = measure(pose, NOISE, 0)
     found, microseconds = [], {}
     for method in (TSUKF, UKF):
-        estimator, seconds = method(system, DT, Q_theta=WALKS["q1"] / DT, P0_theta=P0_THETA), []
+        estimator, seconds = method(system, DT, theta_walk=WALKS["q1"] / DT, theta_var=P0_THETA), []
         run(estimator, u[:1], y[:1], select=_theta)  # compiled apart from the clock
         for _ in range(2):
             start = time.perf_counter()
