@@ -183,14 +183,15 @@ def _objective(name: str, tables, keywords: dict, walk: str | None) -> Callable:
     """Negative mean log-likelihood of the log factors p, over windows of all tables, each once healthy and once not."""
     jax = load_jax()
     jnp = jax.numpy
-    rows = min(ROWS, max(t.u.shape[0] for t in tables))
+    rows = min(ROWS, *(t.u.shape[0] for t in tables))
     plants, windows = [], []
     for t in tables:
-        for start in range(0, t.u.shape[0] - rows // 2, rows):
-            part = _window(t, start, rows)
+        last = t.u.shape[0] - rows
+        for start in [*range(0, last, rows), last]:  # the last window may overlap the one before
+            u, y, valid = (np.asarray(a)[start : start + rows] for a in (t.u, t.y, t.valid))
             for lost in (None, len(windows) // 2 % t.system.n_u):
                 plants.append(t.parameters if isinstance(t, LogPlant) else len(plants))
-                windows.append((_with_loss(part[0], lost, t.dt), *part[1:]))
+                windows.append((_with_loss(u, lost, t.dt), np.where(valid, y, 0.0), valid))
     u, y, valid = (np.stack(column) for column in zip(*windows))
     shared = all(isinstance(t, LogPlant) for t in tables)
     if not shared and any(t.system is not tables[0].system for t in tables):
@@ -219,16 +220,6 @@ def _objective(name: str, tables, keywords: dict, walk: str | None) -> Callable:
         return -jax.vmap(one, (None, 0, 0, 0, 0))(p, stacked, u, y, valid).mean()
 
     return objective
-
-
-def _window(t, start: int, rows: int):
-    """(u, y, valid) of `rows` rows, filled up with rows that are not measured."""
-    u, y, valid = (np.asarray(a)[start : start + rows] for a in (t.u, t.y, t.valid))
-    missing = rows - len(u)
-    if missing:
-        u = np.concatenate([u, np.repeat(u[-1:], missing, axis=0)])
-        y, valid = (np.concatenate([a, np.zeros((missing, a.shape[1]), a.dtype)]) for a in (y, valid))
-    return u, np.where(valid, y, 0.0), valid
 
 
 def _with_loss(u: np.ndarray, actuator: int | None, dt: float) -> np.ndarray:

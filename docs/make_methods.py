@@ -1,0 +1,65 @@
+"""Makes the table of docs/methods/index.md from what discovery finds: run it after adding a method."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from rotorwatch import airframes, discovery
+from rotorwatch.errors import ConfigError
+
+PAGE = Path(__file__).parent / "methods" / "index.md"
+START, END = "<!-- table made by docs/make_methods.py -->\n", "<!-- end of the table -->\n"
+
+
+def plants() -> dict:
+    """One example of each plant, by name."""
+    from rotorwatch.systems import helicopter, linear_hover, port_hamiltonian_attitude, rate_dynamics, rigid_body
+
+    return {
+        "rate_dynamics": rate_dynamics.RateDynamics.of(airframes.paper("niermeyer-hexa")),
+        "rigid_body": rigid_body.RigidBody.of(airframes.paper("uaf-02e")),
+        "port_hamiltonian_attitude": port_hamiltonian_attitude.PortHamiltonianAttitude.of(airframes.paper("rot-hexa")),
+        "linear_hover": linear_hover.LinearHover.of(airframes.paper("f450")),
+        "helicopter": helicopter.Helicopter(airframes.paper("ruav-40kg")),
+    }
+
+
+def defined_for(kind: type, examples: dict) -> list[str]:
+    """Names of the plants that the method takes."""
+    found = []
+    for name, plant in examples.items():
+        try:
+            kind(plant, 0.01)
+        except ConfigError:
+            continue
+        found.append(name)
+    return found
+
+
+def table() -> str:
+    """A row for each method: name, what it is, the plants it takes, and how it differs from Kalman's filter."""
+    examples = plants()
+    lines = ["| name | method | plants | on a linear Gaussian plant |", "|---|---|---|---|"]
+    for name, kind in discovery.estimators().items():
+        module = sys.modules[kind.__module__].__doc__ or ""
+        about = " ".join(module.split("\n\n")[0].split()).rstrip(".")
+        if name == "default":
+            takes, linear = "`wrench_balance`", "Kalman's filter while nothing is suspected"
+        else:
+            which = defined_for(kind, examples)
+            takes = "all" if len(which) == len(examples) else ", ".join(f"`{w}`" for w in which)
+            linear = kind.not_kalman or "the augmented Kalman filter"
+        page = PAGE.parent / f"{name}.md"
+        link = f"[`{name}`]({name}.md)" if page.exists() else f"`{name}`"
+        lines.append(f"| {link} | {about} | {takes} | {linear} |")
+    return "\n".join(lines) + "\n"
+
+
+def filled(page: str) -> str:
+    """The page with the table as it is now."""
+    return page[: page.index(START) + len(START)] + table() + page[page.index(END) :]
+
+
+if __name__ == "__main__":
+    PAGE.write_text(filled(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
