@@ -31,8 +31,6 @@ class PortHamiltonianAttitude:
     x_units = ("rad",) * 3 + ("kg m^2/s",) * 3
     y_names = ("phi", "theta", "psi")
     y_units = ("rad",) * 3
-    x0 = np.zeros(6)
-    P0 = np.eye(6)
 
     def __init__(
         self,
@@ -44,12 +42,15 @@ class PortHamiltonianAttitude:
         generalised_force: str = "printed",
         process_var=10.0,
         measurement_var=0.04,
+        x0=None,
+        P0=None,
     ):
         """J (3, 3) [kg m^2]; B (3, n): body torque per input, default the identity: torques are the input ("virtual").
 
         suspects: zero-based inputs that may have lost effectiveness, default all; theta has one entry for each. faults: "additive"
         makes theta a torque missing from the input itself, in the unit of u: u - theta. process_var: variance that states gain
-        per second, a number or (6,); measurement_var [rad^2]: a number or (3,). Raises ConfigError.
+        per second, a number or (6,); measurement_var [rad^2]: a number or (3,). x0 (6,), P0 (6, 6): where
+        estimators start, default 0 and the identity. Raises ConfigError.
         """
         self.J = checks.covariance("J", J, 3, definite=True)
         self.B = np.eye(3) if B is None else checks.finite("B", B)
@@ -66,6 +67,8 @@ class PortHamiltonianAttitude:
         self.n_theta = len(suspects)
         self.process_var = _entries("process_var", process_var, 6)
         self.measurement_var = _entries("measurement_var", measurement_var, 3)
+        self.x0 = np.zeros(6) if x0 is None else checks.finite("x0", checks.shape("x0", x0, 6))
+        self.P0 = np.eye(6) if P0 is None else checks.covariance("P0", P0, 6)
         self._spread = np.eye(self.n_u)[:, list(suspects)]  # (n_u, n_theta)
         self._J_inverse = np.linalg.inv(np.asarray(J, float)) if checks.concrete(J) else _inverse(J)
         motors = B is not None
