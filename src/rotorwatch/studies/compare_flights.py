@@ -152,7 +152,8 @@ def injected(paths: Sequence[str | PathLike], losses: Sequence[float] = (0.2, 0.
 def with_truth(paths: Sequence[str | PathLike], truth: str | PathLike) -> list[Scene]:
     """Scenes of logs whose faults a CSV file tells: columns path, faulty_rotors (1+2), thrust_loss, start_s; log names decide.
 
-    Logs that the file does not list, and losses it does not know, are left out. Raises ConfigError for other files.
+    Left out: logs that the file does not list, losses it does not know, and (column faults) those that change on the way.
+    Raises ConfigError for other files.
     """
     known = {}
     with open(truth, newline="", encoding="utf-8") as file:
@@ -163,7 +164,8 @@ def with_truth(paths: Sequence[str | PathLike], truth: str | PathLike) -> list[S
     found = []
     for path in paths:
         row = known.get(_stem(str(path)))
-        if row is None or row["thrust_loss"] == "?":
+        segments = (row.get("faults") or "").count(";") if row else 0
+        if row is None or row["thrust_loss"] == "?" or segments >= len(row["faulty_rotors"].split("+")):
             continue
         flight = logs.read(path)
         rotors = [int(r) for r in row["faulty_rotors"].split("+") if r]
