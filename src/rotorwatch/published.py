@@ -169,15 +169,25 @@ def judge(
     """
     discovery.estimator(name)
     hyp = hypotheses.make(B.shape[1])
-    T, n, n_h = len(table.time), B.shape[1], len(hyp.names)
-    out = Kept(
-        np.zeros((T, n)), np.zeros((T, n)), np.zeros((T, 4)), np.ones((T, 4)), np.full((T, n_h), -50.0),
-        np.full(T, -50.0), np.zeros(T, int), np.zeros(T), np.full((T, n_h), 1.0 / n_h), np.zeros(T, bool), np.zeros(T, bool),
-        np.zeros((T, n), bool), np.ones((T, n)), np.zeros((T, 4)),
-    )  # fmt: skip
+    out = _nothing(len(table.time), hyp)
     for hop in log_plant.hops(table, B, dynamics):
         _write_down(out, run_hop(name, hop, B, tuning, progress), hop, hyp, B)
     return out
+
+
+def _nothing(T: int, hyp: hypotheses.Hypotheses) -> Kept:
+    """T ticks on which nothing was seen; what only the default method looks at stays so."""
+    n, n_h = hyp.n, len(hyp.names)
+    numbers = {
+        "theta": (n,), "theta_sd": (n,), "innovation": (4,), "biases": (4,), "onset": (), "opposite_onset": (), "opposite_loss": (2,),
+    }  # fmt: skip
+    flags = {"announced": (), "committed": (), "active": (n,)}
+    filled = {k: np.zeros((T, *size)) for k, size in numbers.items()} | {
+        "innovation_var": np.ones((T, 4)), "log_odds": np.full((T, n_h), -50.0), "statistic": np.full(T, -50.0),
+        "best": np.zeros(T, int), "probability": np.full((T, n_h), 1.0 / n_h), "detectable": np.ones((T, n)),
+        "opposite": np.full(T, -1),
+    } | {k: np.zeros((T, *size), bool) for k, size in flags.items()}  # fmt: skip
+    return Kept(**{name: filled[name] for name in Kept._fields})
 
 
 def notes(name: str) -> tuple[str, ...]:
