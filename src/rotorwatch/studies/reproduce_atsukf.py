@@ -264,8 +264,8 @@ def claims(figures: dict) -> tuple[Claim, ...]:
     delay, loud, cost = figures["half_delay_s"]["scenario_1"], figures["rmse_loud"], figures["microseconds_per_step"]
     same = max(abs(s["atsukf_q1"] / s["tsukf_q1"] - 1.0) for s in (one, two)) < 0.05
     settled = figures["settled_loss_tsukf_q2"]
-    gain = [1.0 - s["atsukf_q2"] / s["tsukf_q2"] for s in (one, two)]
-    kept = max(s["atsukf_q2"] / s["tsukf_q1"] for s in (one, two)) < 1.1
+    change = [s["atsukf_q2"] / s["tsukf_q2"] - 1.0 for s in (one, two)]
+    kept = max(change) < 0 and max(s["atsukf_q2"] / s["tsukf_q1"] for s in (one, two)) < 1.1
     reverses = loud["atsukf_q2"] > loud["tsukf_q2"]
     cured = loud["atsukf_q2_gated"] < 1.1 * loud["tsukf_q2"] and figures["rmse_gated_q2"] < 1.1 * one["atsukf_q2"]
 
@@ -291,9 +291,9 @@ def claims(figures: dict) -> tuple[Claim, ...]:
         row(
             "Mismatched walk (Q2): the adaptive filter keeps the matched accuracy",
             "same accuracy as with Q1",
-            f"RMSE {one['atsukf_q2']:.3f} and {two['atsukf_q2']:.3f}, {100 * gain[0]:.0f} % and {100 * gain[1]:.0f} % below the plain "
-            f"filter's; half way after {delay['atsukf_q2']:.2f} s instead of {delay['tsukf_q2']:.2f} s",
-            "holds" if kept else "partly" if min(gain) > 0.1 else "not reproduced",
+            f"RMSE {one['atsukf_q2']:.3f} and {two['atsukf_q2']:.3f}, {100 * change[0]:+.0f} % and {100 * change[1]:+.0f} % against "
+            f"the plain filter; half way after {delay['atsukf_q2']:.2f} s instead of {delay['tsukf_q2']:.2f} s",
+            "holds" if kept else "partly" if max(change) < -0.1 else "not reproduced",
             "A window of 150 steps takes its time to notice; Q1 needs no noticing.",
         ),
         row(
@@ -329,13 +329,18 @@ def claims(figures: dict) -> tuple[Claim, ...]:
         ),
     ]
     for name, found in figures.get("literal", {}).items():
+        diverged = not np.isfinite(found["difference_q1"] + found["difference_q2"])
         out.append(
             row(
                 f"Literal reading: {name}",
                 LITERAL[name],
-                f"losses differ by up to {found['difference_q1']:.2g} (Q1) and {found['difference_q2']:.2g} (Q2)",
+                "diverges"
+                if diverged
+                else f"losses differ by up to {found['difference_q1']:.2g} (Q1) and {found['difference_q2']:.2g} (Q2)",
                 "not reproduced",
-                f"RMSE of motor 1 {found['rmse_q1']:.3f} (Q1), {found['rmse_q2']:.3f} (Q2).",
+                "The sensitivities are off by a factor of the spread."
+                if diverged
+                else f"RMSE of motor 1 {found['rmse_q1']:.3f} (Q1), {found['rmse_q2']:.3f} (Q2).",
             )
         )
     return tuple(out)
