@@ -55,7 +55,9 @@ class Law:
         self.rate, self.gamma, self.hold = rate, bandwidth**2, hold
         self.bounds = bounded.of_losses(system, bounds)
         self.u_nominal = bounded.nominal_input(system, u_nominal)
-        at = self.terms(jnp.asarray(system.x0, float), jnp.asarray(self.u_nominal, float), jnp.zeros(system.n_theta), dt)
+        at = self.terms(
+            jnp.asarray(system.x0, float), jnp.asarray(self.u_nominal, float), jnp.zeros(system.n_theta), dt
+        )
         if checks.concrete(at.C):
             if np.linalg.matrix_rank(np.asarray(at.C)) < system.n_x:
                 raise ConfigError(

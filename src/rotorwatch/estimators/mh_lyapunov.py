@@ -57,7 +57,9 @@ class MHLyapunov:
     """The Lyapunov law and a moving horizon: almost as cheap, and it learns what single samples do not show."""
 
     name = "mh_lyapunov"
-    not_kalman = "Its gains are fixed by a Lyapunov function and a window of equal weights; they do not follow the covariance."
+    not_kalman = (
+        "Its gains are fixed by a Lyapunov function and a window of equal weights; they do not follow the covariance."
+    )
 
     def __init__(
         self,
@@ -76,15 +78,16 @@ class MHLyapunov:
         window_s=1.0,
         gradient_rate=60.0,
         proximal_rate=2.0,
-        anchor_sd=0.05,
+        anchor_sd=0.07,
         surprise=50.0,
         theta_sd=0.3,
         walk=0.05,
     ):
-        """pull: "gradient" or "proximal". flush: empty the window after two blocks whose chi^2 is above `surprise`. block_s,
-        window_s: lengths [s]. gradient_rate: k_g [1/s]. proximal_rate: kappa [1/s]. anchor_sd: how far theta* may
-        stray from the estimate, sqrt(Gamma / r). The rest as in `Lyapunov`: rate [1/s], bandwidth [rad/s], direct_rate [1/s], bounds of theta, hold (share of
-        u_nominal), u_nominal (n_u,), theta_sd, walk. Raises ConfigError for plants with unmeasured states.
+        """pull: "gradient" or "proximal". flush: empty the window after two blocks whose chi^2 is above `surprise`.
+
+        block_s, window_s: lengths [s]. gradient_rate: k_g [1/s]. proximal_rate: kappa [1/s]. anchor_sd: how far theta* may stray
+        from the estimate, sqrt(Gamma / r). As in `Lyapunov`: rate [1/s], bandwidth [rad/s], direct_rate [1/s], bounds of a loss,
+        hold (share of u_nominal), u_nominal (n_u,), theta_sd, walk. Raises ConfigError for plants with unmeasured states.
         """
         if pull not in PULLS:
             raise ConfigError(f"pull must be one of {', '.join(PULLS)}, not {pull!r}.")
@@ -97,7 +100,10 @@ class MHLyapunov:
         self.window_s, self.blocks = window_s, max(1, round(window_s / max(block_s, dt)))
         self.gradient_rate = checks.between("gradient_rate", gradient_rate, 0.0, 1.0 / dt)
         self.proximal_rate = checks.between("proximal_rate", proximal_rate, 0.0, 1.0 / dt)
-        self.anchor, self.surprise = checks.positive("anchor_sd", anchor_sd) ** -2, checks.positive("surprise", surprise)
+        self.anchor, self.surprise = (
+            checks.positive("anchor_sd", anchor_sd) ** -2,
+            checks.positive("surprise", surprise),
+        )
 
     def init(self) -> Carry:
         """Nothing lost, an empty window."""
@@ -185,7 +191,9 @@ class MHLyapunov:
         gyro = jnp.sum(C_left**2 * R[None, :], axis=1)  # variance of a measured state
         w_x = block.whole * seen / (2.0 * gyro + block.noise)
         w_y = jnp.where(block.count > 0, average / R, 0.0)
-        if self.kind == "gradient":  # a step that serves all directions needs A well conditioned more than it needs W right
+        if (
+            self.kind == "gradient"
+        ):  # a step that serves all directions needs A well conditioned more than it needs W right
             w_x = block.whole * seen * self.law.M / self.block_s**2
             w_y = jnp.where(block.count > 0, 1.0, 0.0) / jnp.maximum(jnp.sum(Dn**2, axis=1), TINY)
         W = jnp.concatenate([w_x, w_y])

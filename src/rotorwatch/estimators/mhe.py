@@ -82,7 +82,7 @@ class MHE:
         active_set=2,
         bounds=(-0.02, 1.0),
         theta_sd=0.1,
-        walk=0.05,
+        walk=0.07,
         hold=0.22,
         u_nominal=None,
     ):
@@ -175,12 +175,12 @@ class MHE:
         live = (jnp.arange(self.intervals) < filled).astype(float)
         for _ in range(self.iterations):
             part = jax.vmap(self.interval)(nodes[:-1], nodes[1:], window)
-            D, O, g = self.normal_equations(part, live, nodes, prior, arrival)
-            nodes, force = self.quadratic_program(D, O, g, nodes, force)
+            D, below, g = self.normal_equations(part, live, nodes, prior, arrival)
+            nodes, force = self.quadratic_program(D, below, g, nodes, force)
         return nodes, force
 
     def normal_equations(self, part: Interval, live, nodes, prior, arrival):
-        """Block tridiagonal Hessian, D (M + 1, n, n) and O (M, n, n) below it, and minus the gradient g (M + 1, n)."""
+        """Block tridiagonal Hessian, D (M + 1, n, n) and `below` (M, n, n) it, and minus the gradient g (M + 1, n)."""
         jnp = load_jax().numpy
         one = jnp.eye(self.n)
         QA = part.Q_inverse @ part.A
@@ -189,16 +189,16 @@ class MHE:
         after = live[:, None, None] * (part.Q_inverse + CW @ part.C) + (1.0 - live)[:, None, None] * one
         none = jnp.zeros((1, self.n, self.n))
         D = jnp.concatenate([before, none]) + jnp.concatenate([arrival[None], after])
-        O = -live[:, None, None] * QA  # noqa: E741 the usual letter
+        below = -live[:, None, None] * QA
         defect = jnp.einsum("kij,kj->ki", part.Q_inverse, part.F - nodes[1:])
         g_before = jnp.einsum("kij,kj->ki", EW, part.e) - jnp.einsum("kji,kj->ki", part.A, defect)
         g_after = defect + jnp.einsum("kij,kj->ki", CW, part.r)
         g = jnp.concatenate([live[:, None] * g_before, none[0, :1]]) + jnp.concatenate(
             [(arrival @ (prior - nodes[0]))[None], live[:, None] * g_after]
         )
-        return D, O, g
+        return D, below, g
 
-    def quadratic_program(self, D, O, g, nodes, force):  # noqa: E741
+    def quadratic_program(self, D, below, g, nodes, force):
         """The nodes moved to the minimum of the quadratic model in the box, and the force of the bounds there."""
         jnp = load_jax().numpy
         scale = jnp.diagonal(D, axis1=1, axis2=2)
@@ -206,10 +206,12 @@ class MHE:
         for _ in range(self.passes):
             free, fixed = bounded.active(nodes + move + force / scale, self.low, self.high)
             fixed = (1.0 - free) * (fixed - nodes)
-            masked = free[:, :, None] * D * free[:, None, :] + (1.0 - free)[:, :, None] * scale[:, :, None] * jnp.eye(self.n)
-            right = free * (g - banded(D, O, fixed)) + scale * fixed
-            move = tridiagonal(masked, free[1:, :, None] * O * free[:-1, None, :], right)
-            force = (1.0 - free) * (g - banded(D, O, move))
+            masked = free[:, :, None] * D * free[:, None, :] + (1.0 - free)[:, :, None] * scale[:, :, None] * jnp.eye(
+                self.n
+            )
+            right = free * (g - banded(D, below, fixed)) + scale * fixed
+            move = tridiagonal(masked, free[1:, :, None] * below * free[:-1, None, :], right)
+            force = (1.0 - free) * (g - banded(D, below, move))
         return jnp.clip(nodes + move, self.low, self.high), force
 
     def leave(self, carry: Carry):
@@ -297,18 +299,20 @@ def absorb(s, P, H, e, R, valid):
     return s + V.T @ jax.scipy.linalg.solve_triangular(L, jnp.where(valid, e, 0.0), lower=True), symmetric(P - V.T @ V)
 
 
-def tridiagonal(D, O, b):  # noqa: E741
-    """x (K, n) of the symmetric block tridiagonal system with D (K, n, n) on and O (K - 1, n, n) below the diagonal: block Cholesky."""
+def tridiagonal(D, below, b):
+    """x (K, n) of the symmetric block tridiagonal system with D (K, n, n) on and below (K - 1, n, n) below the diagonal: block Cholesky."""
     jax = load_jax()
     jnp = jax.numpy
-    below = jnp.concatenate([O, jnp.zeros_like(D[:1])])  # block k + 1 below block k; none below the last
+    below = jnp.concatenate([below, jnp.zeros_like(D[:1])])  # block k + 1 below block k; none below the last
     n = b.shape[1]
 
     def forward(carry, row):
-        W, z_in = carry  # W = L_{k-1}^-1 O_k', z_in = W' z_{k-1}
-        D_k, O_next, b_k = row
+        W, z_in = carry  # W = L_{k-1}^-1 below_k', z_in = W' z_{k-1}
+        D_k, below_next, b_k = row
         L = jnp.linalg.cholesky(D_k - W.T @ W)
-        both = jax.scipy.linalg.solve_triangular(L, jnp.concatenate([O_next.T, (b_k - z_in)[:, None]], 1), lower=True)
+        both = jax.scipy.linalg.solve_triangular(
+            L, jnp.concatenate([below_next.T, (b_k - z_in)[:, None]], 1), lower=True
+        )
         W, z = both[:, :n], both[:, n]
         return (W, W.T @ z), (L, W, z)
 
@@ -322,10 +326,10 @@ def tridiagonal(D, O, b):  # noqa: E741
     return jax.lax.scan(backward, jnp.zeros(n), factors, reverse=True)[1]
 
 
-def banded(D, O, v):  # noqa: E741
+def banded(D, below, v):
     """The block tridiagonal matrix times v (K, n)."""
     jnp = load_jax().numpy
-    up, down = jnp.einsum("kji,kj->ki", O, v[1:]), jnp.einsum("kij,kj->ki", O, v[:-1])
+    up, down = jnp.einsum("kji,kj->ki", below, v[1:]), jnp.einsum("kij,kj->ki", below, v[:-1])
     none = jnp.zeros_like(v[:1])
     return jnp.einsum("kij,kj->ki", D, v) + jnp.concatenate([up, none]) + jnp.concatenate([none, down])
 

@@ -90,7 +90,7 @@ def fly(airframe, loss, eight, seed_noise, disturbance):
     down = np.array([0.0, 0.0, 1.0])
 
     def motion(state, u, lam, torque):
-        p, v, q, omega = state
+        _, v, q, omega = state
         wrench = B @ (lam * u)
         a = down * G - turn(q, down * wrench[3] / m)
         spin_up = (wrench[:3] + torque - jnp.cross(omega, J * omega)) / J
