@@ -21,6 +21,7 @@ import numpy as np
 from rotorwatch import checks
 from rotorwatch.core import Array
 
+CHANNELS = 4  # roll, pitch, yaw, thrust: what rotors can be told apart by
 RIDGE = 1e-12  # of the largest information: directions with less say nothing
 
 
@@ -57,11 +58,16 @@ class LeastSquares:
         import jax.numpy as jnp
         from jax.scipy.linalg import cho_solve
 
-        weighted = Phi.T * W
-        G = weighted @ Phi
-        inverse = cho_solve((jnp.linalg.cholesky(G + _ridge(G) * np.eye(self.n)), True), jnp.eye(self.n))
-        inverse = inverse + inverse @ (np.eye(self.n) - G @ inverse)  # one refinement takes the ridge's bias out
-        M = inverse @ weighted
+        # Psi^+ of the weighted rows, from the smaller of its two products; one refinement takes the ridge's bias out.
+        root = jnp.sqrt(W)
+        Psi = root[:, None] * Phi
+        if self.n <= CHANNELS:
+            G = Psi.T @ Psi
+            inverse = cho_solve((jnp.linalg.cholesky(G + _ridge(G) * np.eye(self.n)), True), Psi.T)
+        else:
+            G = Psi @ Psi.T
+            inverse = cho_solve((jnp.linalg.cholesky(G + _ridge(G) * np.eye(len(W))), True), Psi).T
+        M = (2.0 * inverse - inverse @ (Psi @ inverse)) * root
         open_ = (np.eye(self.n) - M @ Phi) * self.loss_sd
         return state, Answer(M @ f, M, open_ @ open_.T, jnp.int32(1))
 

@@ -150,7 +150,7 @@ def exact_gains(lp, lv, alpha, dt):
 
 
 def euler_gains(lp, lv, alpha, dt):
-    """(kp, k1, k2) of Euler's method on dx/dt = ... + l e, df/dt = alpha lv e; unstable from lv dt = 2 on."""
+    """(kp, k1, k2) of Euler's method on dx/dt = ... + l e, df/dt = alpha lv e; unstable from lv dt (1 + alpha dt / 2) = 2 on."""
     return lp * dt, lv * dt, alpha * lv * dt
 
 
@@ -186,4 +186,3 @@ def _free_of_gain(E, N, alpha, epsilon) -> np.ndarray:
     """Sigma_22 / mu, which holds no L: eq. (28)."""
     EN = E.T @ N
     return np.eye(E.shape[1]) / epsilon - 2 * alpha * E.T @ E + alpha / epsilon * EN @ EN.T
-

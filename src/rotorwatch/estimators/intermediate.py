@@ -22,7 +22,7 @@ from rotorwatch import intermediate_design as design
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.core import Array, Estimate
 from rotorwatch.errors import ConfigError
-from rotorwatch.faulty_allocation import LeastSquares, Sparse, Temporal
+from rotorwatch.faulty_allocation import CHANNELS, LeastSquares, Sparse, Temporal
 
 GAINS = {"exact": design.exact_gains, "euler": design.euler_gains}
 ALLOCATIONS = ("auto", "least_squares", "sparse", "temporal")
@@ -99,10 +99,8 @@ class Intermediate:
         _choice("discretisation", discretisation, tuple(GAINS))
         _choice("allocation", allocation, ALLOCATIONS)
         self.gains, self.matched = GAINS[discretisation], matched
-        if discretisation == "euler" and checks.concrete((velocity_rate, dt)) and velocity_rate * dt >= 2.0:
-            raise ConfigError(
-                f"Euler's method is unstable for velocity_rate * dt = {velocity_rate * dt:.3g}; keep it below 2 or choose exact."
-            )
+        if discretisation == "euler" and checks.concrete((dt, alpha, velocity_rate)):
+            _stable(float(velocity_rate), float(alpha), float(dt))
         checks.shape("P0", system.P0, system.n_x, system.n_x)
         self.scale = self._yaw(checks.positive("yaw_gain", yaw_gain))
         with (
@@ -287,12 +285,21 @@ class Intermediate:
         return jnp.concatenate([jnp.where(here, yaw_gain, 1.0), jnp.ones(self.system.n_y)])
 
 
+def _stable(lv: float, alpha: float, dt: float) -> None:
+    """Euler's pole leaves the unit circle through -1 where lv dt (1 + alpha dt / 2) = 2."""
+    if lv * dt * (1.0 + 0.5 * alpha * dt) >= 2.0:
+        raise ConfigError(
+            f"Euler's method is unstable for steps of {dt:g} s with velocity_rate = {lv:g}: keep velocity_rate * dt below 2, "
+            "or choose exact."
+        )
+
+
 def _rule(system, allocation: str, sparsity: float, loss_sd: float, memory_s: float):
     """The allocation rule of that name; auto: least squares as long as four channels can determine the losses."""
     n = system.n_theta
     losses = sum(name.startswith("loss") for name in getattr(system, "theta_names", ())) or n
     if allocation == "auto":
-        allocation = "least_squares" if n <= 4 else "sparse"
+        allocation = "least_squares" if n <= CHANNELS else "sparse"
     if allocation == "least_squares":
         return LeastSquares(n, loss_sd)
     if allocation == "sparse":
