@@ -20,7 +20,7 @@ from typing import Any
 from rotorwatch.errors import ConfigError
 from rotorwatch.simulation import logbook, loop
 from rotorwatch.simulation.loop import Plan, Record
-from rotorwatch.simulation.plan import plan
+from rotorwatch.simulation.prepare import plan
 from rotorwatch.simulation.scenario import Scenario
 
 __all__ = ["Plan", "Record", "Scenario", "Simulated", "plan", "simulate", "simulate_batch"]

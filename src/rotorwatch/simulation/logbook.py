@@ -16,7 +16,7 @@ from rotorwatch.flight import Flight, Message, Signal
 from rotorwatch.logs.series import SHAPES
 from rotorwatch.simulation import trajectories
 from rotorwatch.simulation.loop import Plan, Record
-from rotorwatch.simulation.plan import PWM, SPIN, a_compensates, frame_numbers, vehicle
+from rotorwatch.simulation.prepare import PWM, SPIN, a_compensates, frame_numbers, vehicle
 from rotorwatch.simulation.scenario import Scenario
 from rotorwatch.vehicle import Vehicle
 

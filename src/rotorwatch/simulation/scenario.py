@@ -203,7 +203,8 @@ def from_table(table: Mapping[str, Any]) -> Scenario:
 def _times(duration: float, way: Mapping[str, Any]) -> None:
     """Refuse a flight too short for its own way up and down."""
     least = way["take_off_s"] + way["altitude_m"] / trajectories.CLIMB + 8.0
-    least += (way["altitude_m"] / trajectories.DESCENT + 4.0) if way["land"] else 0.0
+    least += (way["altitude_m"] / trajectories.DESCENT + 6.0) if way["land"] else 0.0
+    least += way["size_m"] / trajectories.LEVEL if way["land"] and way["kind"] in ("climb", "aggressive") else 0.0
     if duration < least:
         raise ConfigError(
             f"duration_s is {duration:g}, but the way to trajectory.altitude_m and back takes {least:.0f} s."

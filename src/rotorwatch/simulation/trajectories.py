@@ -15,6 +15,7 @@ KINDS = ("hover", "square", "figure-eight", "climb", "yaw", "aggressive")
 CLIMB = 1.0  # m/s on average, up to the working height
 DESCENT = 0.8  # m/s, down to the ground
 BLEND = 2.0  # s from standstill into the manoeuvre, and out of it
+LEVEL = 1.5  # m/s on average, from where a climb was to the working height
 SETTLE = 2.0  # s of hover after the climb
 SPOOL = 1.0  # s from idling motors to what the controller asks
 
@@ -78,6 +79,8 @@ def _path(way: Trajectory, t):
     s = _eased(t - begin) - _eased(t - (way.landing - BLEND))
     a, v = way.size, way.speed
     north, east, rise, turn = (jnp.select([way.kind == k for k in range(len(KINDS))], row) for row in _shapes(a, v, s))
+    level_time = 1.0 + a / LEVEL  # before the way down: back to the working height
+    rise = rise * (1.0 - smooth((t - way.landing + level_time) / level_time))
     height = way.altitude * smooth((t - way.take_off) / up_time) + rise
     descent = DESCENT * jnp.maximum(t - way.landing, 0.0)
     down = jnp.where(t > way.landing, jnp.minimum(-height + descent, 0.5), -height)

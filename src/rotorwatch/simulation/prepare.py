@@ -205,7 +205,7 @@ def _way(scenario: Scenario) -> trajectories.Trajectory:
     w = scenario.trajectory
     landing = faults.NEVER
     if w["land"]:
-        landing = scenario.duration_s - w["altitude_m"] / trajectories.DESCENT - 3.0
+        landing = scenario.duration_s - w["altitude_m"] / trajectories.DESCENT - 5.0
     return trajectories.Trajectory(
         *(np.array(trajectories.KINDS.index(w["kind"]), np.int32), np.array(w["altitude_m"]), np.array(w["size_m"])),
         *(np.array(w["speed_m_s"]), np.radians(w["yaw_deg"]), np.radians(w["yaw_speed_deg_s"])),

@@ -1,0 +1,273 @@
+"""Scenarios, and the logs written of simulated flights: what other tools and our own readers find in them."""
+
+import json
+import re
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import rotorwatch as rw
+from rotorwatch.cli import cli
+from rotorwatch.errors import ConfigError
+from rotorwatch.simulation import scenario, simulate
+from rotorwatch.simulation.prepare import frame_numbers, plan, vehicle
+from rotorwatch.simulation.write_dataflash import write_dataflash
+from rotorwatch.simulation.write_ulog import write_ulog
+
+SCENARIOS = sorted((Path(__file__).resolve().parents[1] / "docs" / "scenarios").glob("*.toml"))
+FAULT = {"kind": "loss", "rotor": 3, "onset_s": 25.0, "strength": 0.4}
+WITHIN = {"motors": 1e-6, "battery": 1e-5, "position": 1e-5}  # single precision of what the log holds
+
+
+def table(autopilot="ardupilot", frame="hexa-x", **tables):
+    rest = {"duration_s": 45.0, "autopilot": autopilot, "seed": 5, "trajectory": {"altitude_m": 6.0}, "faults": [FAULT]}
+    return {**rest, "airframe": {"frame": frame}, **tables}
+
+
+@cache
+def made(autopilot):
+    return simulate(scenario.from_table(table(autopilot, logging={"profile": "default", "esc": True})))
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("logs")
+    paths = {}
+    for autopilot, name in (("ardupilot", "one.bin"), ("px4", "one.ulg")):
+        paths[autopilot] = made(autopilot).write(folder / name, folder / name)
+    return paths
+
+
+@pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
+def test_our_readers_find_what_was_written(logs, autopilot):
+    flight, found = made(autopilot).flight, rw.read(logs[autopilot][0])
+    assert found.warnings == () and found.autopilot == flight.autopilot
+    assert set(found.signals) == set(flight.signals)
+    assert found.parameters == pytest.approx(dict(flight.parameters), rel=1e-6)
+    for name, asked in flight.signals.items():
+        got = found.signals[name]
+        if autopilot == "px4" and name == "gyro" and len(got) != len(asked):
+            continue  # the reader prefers the other topic when it is faster
+        assert got.unit == asked.unit and got.columns == asked.columns, name
+        assert np.allclose(got.time, asked.time, rtol=0, atol=2e-6), name
+        wanted = asked.values
+        if name == "attitude":
+            wanted = wanted * np.sign(np.sum(wanted * got.values, axis=1, keepdims=True))
+        assert np.allclose(got.values, wanted, rtol=2e-7, atol=WITHIN.get(name, 2e-6)), name
+    assert [(m.kind, m.value) for m in found.messages if m.kind in ("armed", "landed")][-4:] == [
+        *(("armed", 1.0), ("landed", 0.0), ("landed", 1.0), ("armed", 0.0))
+    ]
+
+
+def test_pymavlink_opens_the_dataflash_log(logs):
+    DFReader = pytest.importorskip("pymavlink.DFReader")
+    log = DFReader.DFReader_binary(str(logs["ardupilot"][0]), zero_time_base=False)
+    seen, outputs, pitch = {}, [], []
+    while (m := log.recv_msg()) is not None:
+        seen[m.get_type()] = seen.get(m.get_type(), 0) + 1
+        if m.get_type() == "RCOU":
+            outputs.append([m.C1, m.C6, m.C7])
+        if m.get_type() == "RATE":
+            pitch.append(np.radians(m.P))
+    flight = made("ardupilot").flight
+    assert (
+        seen["RCOU"] == 450
+        and seen["IMU"] == 1125
+        and seen["PARM"] == len(flight.parameters)
+        and seen["ESC"] == 6 * 450
+    )
+    assert np.array_equal(np.array(outputs)[:, :2], flight["motors"].values[:, [0, 5]])
+    assert np.allclose(pitch, flight["rates"].values[:, 1], atol=1e-6)
+    assert log.params["FRAME_CLASS"] == 2 and log.params["SERVO6_FUNCTION"] == 38
+
+
+def test_pyulog_opens_the_ulog(logs):
+    from pyulog import ULog
+
+    log = ULog(str(logs["px4"][0]))
+    assert not log.file_corruption and not log.dropouts
+    flight = made("px4").flight
+    motors = log.get_dataset("actuator_motors").data
+    assert np.allclose([motors[f"control[{k}]"] for k in range(6)], flight["motors"].values.T, atol=1e-6)
+    assert np.isnan(motors["control[6]"]).all()
+    imu = log.get_dataset("sensor_combined").data
+    assert len(imu["timestamp"]) == 9000 and (np.diff(imu["timestamp"].astype(int)) > 0).all()
+    assert log.initial_parameters["CA_ROTOR_COUNT"] == 6 and log.msg_info_dict["sys_name"] == "PX4"
+    assert log.get_dataset("esc_status").data["esc[5].esc_rpm"].max() > 1000
+
+
+@pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
+def test_the_log_does_not_hold_the_truth(logs, autopilot):
+    log, about, series = logs[autopilot]
+    text = log.read_bytes().decode("latin-1").lower()
+    assert not re.findall(r"truth|theta|loss|(?<!de)fault|sim_", text)
+    told = json.loads(about.read_text())
+    assert (
+        told["faults"][0]["rotor"] == 3 and told["largest_loss"] == [0, 0, 0.4, 0, 0, 0] and told["crashed_s"] is None
+    )
+    columns = np.genfromtxt(series, delimiter=",", names=True)
+    began = columns["time_s"][np.argmax(columns["loss_3"] > 0.1)]
+    assert began == pytest.approx(25.0, abs=0.03) and columns["loss_3"][-1] == 0.4 and columns["loss_2"].max() == 0
+
+
+@pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
+def test_the_diagnosis_finds_the_fault(logs, autopilot):
+    answer = rw.diagnose(logs[autopilot][0])
+    assert answer.verdict == "fault", answer.reason
+    event = next(e for e in answer.events if e.kind == "loss_of_effectiveness")
+    assert event.rotors == (3,) and event.onset_s == pytest.approx(25.0, abs=0.3) and event.detected_s < 27.0
+    assert event.loss[0] == pytest.approx(0.4, abs=0.06)
+
+
+def test_frames_and_outputs_are_recognised(logs):
+    for autopilot, name in (("ardupilot", "ardupilot-hexa-x"), ("px4", "px4-6-rotors")):
+        found = rw.airframes.identify(rw.read(logs[autopilot][0]))
+        assert found.name == name
+        ours = vehicle(made(autopilot).scenario)
+        assert found.mixer == pytest.approx(ours.mixer, abs=1e-7)
+        assert found.curve.expo == pytest.approx(ours.curve.expo) and found.curve.u_max == pytest.approx(
+            ours.curve.u_max
+        )
+
+
+def test_writers_refuse_the_other_autopilot(tmp_path):
+    with pytest.raises(ConfigError, match="write a ULog"):
+        write_dataflash(made("px4").flight, tmp_path / "x.bin")
+    with pytest.raises(ConfigError, match="write a DataFlash"):
+        write_ulog(made("ardupilot").flight, tmp_path / "x.ulg")
+    with pytest.raises(ConfigError, match=r"x\.ulg: a log of the autopilot ardupilot is a \.bin file"):
+        made("ardupilot").write(tmp_path / "x.ulg")
+
+
+# -- scenarios -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("path", SCENARIOS, ids=lambda p: p.stem)
+def test_examples_can_be_planned(path):
+    for autopilot in scenario.AUTOPILOTS:
+        numbers = plan(scenario.read(path).with_autopilot(autopilot))
+        assert all(
+            np.isfinite(np.asarray(leaf)).all()
+            for part in numbers
+            for leaf in (part if isinstance(part, tuple) else (part,))
+        )
+
+
+WRONG = {
+    "wnid is not a field of a scenario": {"wnid": {}},
+    r"wind.speed is not a field; known are speed_m_s": {"wind": {"speed": 3}},
+    r"wind.speed_m_s must lie between 0 and 30, not 99": {"wind": {"speed_m_s": 99}},
+    r"wind.speed_m_s must be a number, not 'much'": {"wind": {"speed_m_s": "much"}},
+    r"wind must be a table": {"wind": 3},
+    r"airframe.frame is missing": {"airframe": {}},
+    r"airframe.frame: There is no airframe called 'ardupilot-hexa-z'": {"airframe": {"frame": "hexa-z"}},
+    r"airframe.frame: the rotors of quad-vtail are tilted": {"airframe": {"frame": "quad-vtail"}},
+    r"airframe.inertia_kg_m2 must be 3 numbers": {"airframe": {"frame": "quad-x", "inertia_kg_m2": [1, 2]}},
+    r"airframe.inertia_kg_m2: no body": {"airframe": {"frame": "quad-x", "inertia_kg_m2": [1.0, 1.0, 3.0]}},
+    r"airframe.payload_kg: .* too much": {"airframe": {"frame": "quad-x", "payload_kg": 9.0}},
+    r"airframe.ground_effect must be true or false": {"airframe": {"frame": "quad-x", "ground_effect": 1}},
+    r"trajectory.kind must be one of hover, .*, not 'loop'": {"trajectory": {"kind": "loop"}},
+    r"duration_s is 45, but the way to trajectory.altitude_m and back takes": {"trajectory": {"altitude_m": 40}},
+    r"seed must be a whole number": {"seed": 1.5},
+    r"name must be a text": {"name": 3},
+    r"faults\[1\].rotor is missing": {"faults": [{"kind": "loss", "onset_s": 3.0, "strength": 0.1}]},
+    r"faults\[1\].strength is missing: a bias needs one": {"faults": [{"kind": "bias", "rotor": 1, "onset_s": 3.0}]},
+    r"faults\[2\].onset_s is 99, after the end": {"faults": [FAULT, {**FAULT, "onset_s": 99.0}]},
+    r"faults\[1\].end_s must lie after": {"faults": [{**FAULT, "end_s": 3.0}]},
+    r"faults\[1\].strength must be a share from 0 to 1": {"faults": [{**FAULT, "strength": -0.1}]},
+    r"faults must be at most 2": {"faults": [FAULT] * 3},
+    r"faults\[\].rotor: the frame hexa-x has 6 rotors": {"faults": [{**FAULT, "rotor": 7}]},
+    r"autopilot must be one of ardupilot, px4": {"autopilot": "betaflight"},
+}
+
+
+@pytest.mark.parametrize("sentence", WRONG)
+def test_one_sentence_names_the_field(sentence):
+    with pytest.raises(ConfigError, match=sentence):
+        plan(scenario.from_table({**table(), **WRONG[sentence]}))
+
+
+JUNK = st.recursive(
+    st.none() | st.booleans() | st.integers(-9, 99) | st.floats() | st.text(max_size=5),
+    lambda inner: (
+        st.lists(inner, max_size=3)
+        | st.dictionaries(st.sampled_from(["kind", "frame", "rotor", "x"]), inner, max_size=3)
+    ),
+    max_leaves=6,
+)
+
+
+@given(
+    part=st.sampled_from([*scenario.FIELDS[""], "airframe", "wind", "faults", "sensors", "trajectory", "battery"]),
+    junk=JUNK,
+)
+@settings(max_examples=150, deadline=None)
+def test_junk_is_a_config_error_or_a_scenario(part, junk):
+    try:
+        scenario.from_table({**table(), part: junk})
+    except ConfigError as error:
+        assert part.split(".")[0] in str(error)
+
+
+def test_frame_numbers():
+    assert (
+        frame_numbers("hexa-x") == (2, 1)
+        and frame_numbers("octa-coaxial") == (4, 1)
+        and frame_numbers("y6-b") == (5, 10)
+    )
+    with pytest.raises(ConfigError, match="ArduPilot has no frame niermeyer-hexa"):
+        frame_numbers("niermeyer-hexa")
+
+
+def test_a_papers_airframe():
+    numbers = plan(scenario.from_table(table("px4", "niermeyer-hexa")))
+    assert float(numbers.craft.mass) == 2.0 and numbers.craft.thrust_max == pytest.approx([9.0] * 6)
+    assert np.diag(numbers.craft.J) == pytest.approx([0.032, 0.032, 0.058])
+
+
+# -- command line ----------------------------------------------------------------------------------------------------
+
+
+def run(*arguments):
+    return CliRunner().invoke(cli, ["simulate", *map(str, arguments)])
+
+
+def test_command_writes_a_log_and_the_truth(tmp_path):
+    text = "\n".join(
+        [
+            *("duration_s = 45.0", "seed = 5", "[airframe]", 'frame = "hexa-x"', "[trajectory]", "altitude_m = 6.0"),
+            *(
+                "[logging]",
+                "esc = true",
+                "[[faults]]",
+                'kind = "loss"',
+                "rotor = 3",
+                "onset_s = 25.0",
+                "strength = 0.4",
+            ),
+        ]
+    )  # the same flight as above, by its file
+    (tmp_path / "s.toml").write_text(text)
+    done = run(tmp_path / "s.toml", "-o", tmp_path / "f.bin", "-q")
+    assert done.exit_code == 0, done.output
+    assert [Path(p).name for p in done.stdout.split()] == ["f.bin", "f.truth.json", "f.truth.csv"]
+    made("ardupilot").write(tmp_path / "g.bin")
+    assert (tmp_path / "f.bin").read_bytes() == (tmp_path / "g.bin").read_bytes()
+
+
+def test_command_refuses_in_one_sentence(tmp_path):
+    (tmp_path / "s.toml").write_text('[airframe]\nframe = "hexa-x"\n[wind]\nspeed_m_s = -1\n')
+    for arguments, sentence in (
+        ((tmp_path / "s.toml", "-o", tmp_path / "f.bin"), "wind.speed_m_s must lie between 0 and 30, not -1."),
+        ((tmp_path / "no.toml", "-o", tmp_path / "f.bin"), "Cannot read the scenario"),
+        ((SCENARIOS[0], "-o", tmp_path / "f.csv"), "ends in .bin or .ulg"),
+        ((SCENARIOS[0], "-o", tmp_path / "no" / "f.bin"), "there is no folder"),
+    ):
+        done = run(*arguments)
+        assert isinstance(done.exception, ConfigError) and sentence in str(done.exception)
+    assert not list(tmp_path.glob("f.*"))
