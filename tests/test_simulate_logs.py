@@ -271,3 +271,18 @@ def test_command_refuses_in_one_sentence(tmp_path):
         done = run(*arguments)
         assert isinstance(done.exception, ConfigError) and sentence in str(done.exception)
     assert not list(tmp_path.glob("f.*"))
+
+
+def test_the_page_lists_every_field():
+    page = (SCENARIOS[0].parents[1] / "simulation.md").read_text()
+    for part, fields in {**scenario.FIELDS, "faults": scenario.FAULT_FIELDS}.items():
+        for name, field in fields.items():
+            row = next(
+                line
+                for line in page.splitlines()
+                if line.startswith(f"| `{name}` |") and line.endswith(f"| {field.about} |")
+            )
+            value = row.split("|")[2].strip()
+            if isinstance(field.default, (int, float)) and not isinstance(field.default, bool):
+                assert float(value) == field.default, (part, name)
+            assert (value == "-") == (field.default is None), (part, name)

@@ -145,7 +145,7 @@ def mix(mixer, control, throttle):
     low, high = low * scale, high * scale
     level = jnp.maximum(jnp.minimum(throttle, 1.0 - high), -low)
     granted = (scale == 1.0) & (yaw == control[2]) & (level == throttle)
-    return jnp.clip(level + scale * apart, 0.0, 1.0), jnp.where(granted, 1.0, 0.0)
+    return jnp.clip(level + scale * apart, 0.0, 1.0), granted.astype(apart.dtype)
 
 
 def drive(expo, thrust):
