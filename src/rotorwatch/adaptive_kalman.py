@@ -26,6 +26,8 @@ import numpy as np
 from rotorwatch import checks, linearise
 from rotorwatch.core import Array, Estimate
 
+ROUNDING = 2e-15  # of the largest variance
+
 
 class State(NamedTuple):
     """x (n,) and P (n, n): state, and its covariance were theta known. theta (p,), its covariance S. Upsilon (n, p)."""
@@ -50,7 +52,7 @@ def tuning(system, dt, forgetting, theta_var, s_max) -> Tuning:
     """The tuning, checked; raises ConfigError. s_max None: without bound."""
     checks.has(system, "The adaptive Kalman filter", "f", "h", "Q", "R", "x0", "P0")
     checks.shape("P0", system.P0, system.n_x, system.n_x)
-    checks.between("forgetting", forgetting, 0.5, 1.0)
+    checks.between("forgetting", forgetting, 0.6, 1.0)  # below, the bound of S overshoots
     theta_var = linearise.variances("theta_var", theta_var, system.n_theta)
     bound = np.inf if s_max is None else checks.positive("s_max", s_max)
     if s_max is not None and checks.concrete((theta_var, s_max)):
@@ -70,8 +72,10 @@ def init(system, tuned: Tuning) -> State:
 def forget(S, tuned: Tuning, dt=None):
     """S / lambda, kept below s_max; lambda to the power of the time passed."""
     lam = tuned.forgetting if dt is None else tuned.forgetting ** (dt / tuned.dt)
-    S = S / lam
-    return S - (1.0 - lam) / tuned.s_max * (S @ S)
+    forgotten = S / lam
+    # A direction rounded to below zero would be blown up by forgetting like any other.
+    floor = ROUNDING * S.diagonal().max() * np.eye(S.shape[0])
+    return forgotten - (1.0 - lam) / tuned.s_max * (forgotten @ forgotten) + floor
 
 
 def step(state: State, x, F, Phi, e, C, D, Q, R, valid, tuned: Tuning, dt=None) -> tuple[State, Estimate]:

@@ -23,7 +23,7 @@ class AdaptiveEKF:
     )
 
     def __init__(self, system, dt: float, *, forgetting=0.995, theta_var=0.01, s_max: float | None = 1.0):
-        """dt: s. forgetting: lambda of one step, 0.5 to 1; theta_var: variance of the losses at the start, a number or one per
+        """dt: s. forgetting: lambda of one step, 0.6 to 1; theta_var: variance of the losses at the start, a number or one per
         theta; s_max: bound of that variance, None for none. Raises ConfigError for wrong values."""
         self.tuned = adaptive_kalman.tuning(system, dt, forgetting, theta_var, s_max)
         self.system, self.dt = system, dt

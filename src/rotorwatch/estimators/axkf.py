@@ -38,7 +38,7 @@ class AXKF:
         self, system, dt: float, *, gain=None, forgetting=0.995, theta_var=0.01, s_max: float | None = 1.0, z0=None
     ):
         """dt: s. gain: (n_x, n_y) of the observer, for steps of dt; default: the stationary Kalman gain at x0, and others are
-        made by `rotorwatch.observer_gain`. forgetting: lambda of one step, 0.5 to 1; theta_var: variance of the losses at
+        made by `rotorwatch.observer_gain`. forgetting: lambda of one step, 0.6 to 1; theta_var: variance of the losses at
         the start, a number or one per theta; s_max: bound of that variance, None for none. z0: (n_x,) where the observer
         starts (default: x0). Raises ConfigError for wrong values."""
         self.tuned = adaptive_kalman.tuning(system, dt, forgetting, theta_var, s_max)

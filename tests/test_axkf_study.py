@@ -1,0 +1,100 @@
+"""Rot, Hasan and Manoonpong 2020 run again: its figures, with few seeds, and what literal readings do."""
+
+import json
+
+import numpy as np
+import pytest
+
+from rotorwatch import airframes
+from rotorwatch.errors import ConfigError
+from rotorwatch.studies import reproduce_axkf as study
+from rotorwatch.studies import rot_flights as flights
+from rotorwatch.systems.port_hamiltonian_attitude import PortHamiltonianAttitude
+
+
+@pytest.fixture(scope="module")
+def result():
+    return study.reproduce(seeds=4)
+
+
+@pytest.fixture(scope="module")
+def figures(result):
+    return json.loads(result.to_json())["figures"]
+
+
+def test_truth_and_stationary_gain(figures):
+    np.testing.assert_allclose(figures["p_final"], [2.189e-3, -1.667e-3, 8.955e-4], rtol=1e-3)
+    assert figures["sigma11"] == pytest.approx(0.0700, rel=1e-3)
+    assert figures["k11"] == pytest.approx(0.429, rel=1e-3)
+    assert figures["k41"] == pytest.approx(0.378, rel=1e-3)
+
+
+def test_equal_thrusts_split_each_loss_between_opposite_motors(figures):
+    split = [0.062, -0.062, 0.0675, -0.0675, 0.0, 0.0]
+    np.testing.assert_allclose(figures["six_theta_final"], split, atol=5e-4)
+    np.testing.assert_allclose(figures["six_theta_bounded_final"], split, atol=5e-4)
+    assert figures["s11_final"] > 1e13 and figures["s11_bounded_final"] < study.S_BOUND
+    np.testing.assert_allclose(figures["six_theta_excited_final"], flights.losses()[-1], atol=5e-3)
+
+
+def test_two_suspects(figures):
+    np.testing.assert_allclose(figures["motors_1_3_final"], [0.1242, 0.1351], atol=1e-4)
+    np.testing.assert_allclose(figures["motors_1_3_settle_s"], [1.21, 0.474], atol=5e-3)
+    assert max(figures["settle_s_lambda_099"]) == pytest.approx(0.25, abs=0.01)
+    assert figures["settle_s_lambda_0998"] == [None, None]
+    np.testing.assert_allclose(figures["noise_4e5_mean"], [0.126, 0.135], atol=0.025)
+    np.testing.assert_allclose(figures["noise_4e5_std"], [0.016, 0.015], atol=0.01)
+    assert min(figures["noise_printed_R_std"]) > 1
+
+
+def test_without_the_fault_term_the_observer_sees_no_momenta(figures):
+    p = np.abs(figures["p_final"])
+    np.testing.assert_allclose(figures["observer_p_error_without_fault_term"], p, rtol=1e-2)
+    assert (np.array(figures["observer_p_error"]) < 0.25 * p).all()
+    assert (np.array(figures["p_error"]) < 1e-3 * p).all()
+
+
+def test_virtual_inputs(figures):
+    assert np.abs(figures["virtual_multiplicative_final"]).max() < 1e-6
+    assert figures["virtual_additive_error"] < 5e-7
+
+
+def test_theorem_and_wrong_starts(figures):
+    assert figures["lmi_paper_max_eig"] == pytest.approx(1.47, abs=0.01)
+    assert figures["lmi_best_eig_A_identity"] > 0 > figures["lmi_best_eig_A_kinematics"]
+    assert figures["divergence"] == {"adaptive_ekf": 1.0, "axkf": 0.0, "ekf": 1.0}
+    assert figures["divergence_honest_P0"] == {"adaptive_ekf": 0.0, "axkf": 0.0, "ekf": 0.0}
+    assert figures["tumbles_after_s"] < 0.2
+
+
+def test_claims_say_what_holds(result):
+    verdicts = [claim.verdict for claim in result.claims]
+    assert len(verdicts) == 12 and set(verdicts) == {"holds", "partly", "not reproduced"}
+    theorem = next(claim for claim in result.claims if "Theorem 1" in claim.claim)
+    assert theorem.verdict == "not reproduced" and "+1.474" in theorem.measured
+
+
+def test_figures_can_be_drawn(result, tmp_path):
+    drawn = study.figures(result)
+    assert {"fig4_faults", "fig7_momenta", "fig9_momenta_without_fault_term", "wrong_starts"} <= set(drawn)
+    drawn["fig4_faults"].savefig(tmp_path / "a.svg")
+    assert 5_000 < (tmp_path / "a.svg").stat().st_size < 150_000
+
+
+@pytest.mark.parametrize(("literal", "least"), [("innovation", 1e3), ("two_predictions", 1e-5), ("initial_s", 1e-5)])
+def test_literal_readings_change_the_losses(result, literal, least):
+    """Nearly nothing for two of them; the innovation without A x makes losses run away."""
+    airframe = airframes.paper("rot-hexa")
+    plant = PortHamiltonianAttitude.of(airframe, suspects=flights.MOTORS)
+    start = 1.0 if literal == "initial_s" else study.S0
+    lane = (result.series["u"], result.series["truth"][:, :3], study.LAMBDA, start, np.inf)
+    theta = study.histories(plant, (literal,), [lane]).theta[0, -1]
+    change = np.abs(theta - result.figures["motors_1_3_final"]).max()
+    assert change > least
+    if literal != "innovation":
+        assert change < 1e-3
+
+
+def test_unknown_reading():
+    with pytest.raises(ConfigError, match="no literal reading 'wrong'; it has innovation"):
+        study.reproduce(1, ("wrong",))
