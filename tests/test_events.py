@@ -35,6 +35,10 @@ def silence():
         best=np.zeros(COUNT, np.int32),
         onset=np.zeros(COUNT),
         probability=np.zeros((COUNT, len(HYP.names))),
+        log_odds=np.zeros((COUNT, len(HYP.names))),
+        opposite=np.full(COUNT, -1),
+        opposite_onset=np.zeros(COUNT),
+        opposite_loss=np.zeros((COUNT, 2)),
     )
 
 

@@ -21,6 +21,8 @@ THRUST_MEMORY_S, TRIM_MEMORY_S = 0.5, 6.0
 GAIN_ERROR, DAMPING_ERROR = (0.25, 0.25, 0.35, 0.15), 0.3
 ERROR_TICKS = 4.0
 LAG_ERROR_S = 0.015
+BURST_MEMORY_S, BURST_CLIP, BURST_POWER = 3.0, 6.0, 1.0
+LEAN_S, LASTING_MEMORY_S, LASTING = 1.0, 30.0, 1.0
 FAR, FAR_ERROR, FAR_MEMORY_S = 0.3, 0.5, 5.0
 
 
@@ -34,6 +36,9 @@ class Memory(NamedTuple):
     trim: Array
     collective: Array
     y: Array
+    burst: Array
+    lean: Array
+    lasting: Array
 
 
 class Look(NamedTuple):
@@ -56,6 +61,9 @@ def init(n: int) -> Memory:
         np.zeros(n),
         np.float64(1.0),
         np.zeros(4),
+        np.ones(4),
+        np.zeros(4),
+        np.ones(4),
     )
 
 
@@ -96,9 +104,36 @@ def look(memory: Memory, u, y, valid, flying, restart, n: int, dt: float) -> tup
         trim + (part - trim) * (dt / TRIM_MEMORY_S),
         usual + (collective - usual) * (dt / FAR_MEMORY_S),
         jnp.where(valid, y, memory.y),
+        jnp.where(restart, 1.0, memory.burst),
+        jnp.where(restart, 0.0, memory.lean),
+        memory.lasting,
     )
     teach = jnp.concatenate([teach.reshape(-1), jnp.ones(n)])
     return new, Look(jnp.concatenate([smooth, u[n:]]), teach, far, smooth - collective - memory.trim, collective)
+
+
+def calm(memory: Memory):
+    """(4,) weight of this tick's evidence: below 1 while innovations are larger than the noise model expects (gusts come in bursts)."""
+    import jax.numpy as jnp
+
+    return 1.0 / jnp.maximum(jnp.maximum(memory.burst, LASTING * memory.lasting), 1.0) ** BURST_POWER
+
+
+def remember(memory: Memory, innovation, variance, ok, dt: float) -> Memory:
+    """One tick's innovations (4,) of given variance (4,) where ok (4,), for `calm`."""
+    import jax.numpy as jnp
+
+    size = innovation / jnp.sqrt(variance)
+    burst = jnp.minimum(size**2, BURST_CLIP)
+    fade = jnp.where(ok, dt, 0.0)
+    lean = memory.lean + fade / LEAN_S * (size - memory.lean)
+    # White innovations would give a mean over LEAN_S this variance.
+    lasting = jnp.minimum(lean**2 * (2.0 * LEAN_S / dt - 1.0), BURST_CLIP)
+    return memory._replace(
+        burst=memory.burst + fade / BURST_MEMORY_S * (burst - memory.burst),
+        lean=lean,
+        lasting=memory.lasting + fade / LASTING_MEMORY_S * (lasting - memory.lasting),
+    )
 
 
 def model_error(memory: Memory, seen: Look, x, y, white, n: int, dt: float):

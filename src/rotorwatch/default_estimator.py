@@ -32,6 +32,9 @@ class Kept(NamedTuple):
     active: Array
     detectable: Array
     biases: Array
+    opposite: Array
+    opposite_onset: Array
+    opposite_loss: Array
 
 
 def _keep(out) -> Kept:
@@ -41,6 +44,7 @@ def _keep(out) -> Kept:
     return Kept(
         out.theta, out.theta_sd, e.innovation, jnp.diagonal(e.innovation_cov), d.log_odds, d.statistic, d.best, d.onset,
         out.probability, out.announced, out.committed, out.active, out.detectable, e.x.reshape(4, -1)[:, :3].sum(axis=1),
+        *out.opposite,
     )  # fmt: skip
 
 

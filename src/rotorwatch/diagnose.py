@@ -114,7 +114,7 @@ def diagnose(
 
     if estimator == "default":
         _, out = estimate(table, B, dynamics, estimating)
-        limit = jump_bank.threshold(table.dt)
+        limit = jump_bank.threshold(hypotheses.make(len(craft.rotors)), table.dt)
     else:
         out = published.judge(estimator, table, B, dynamics, tuning, estimating)
         assumptions += published.notes(estimator)

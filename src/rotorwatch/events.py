@@ -17,6 +17,7 @@ from rotorwatch.ticks import JUDGE, Ticks
 
 CREDIBLE = 0.03  # a rotor set with less probability than this is not named
 CERTAIN = 0.9  # below this the answer is ambiguous
+CERTAIN_OPPOSITE = 0.99  # the same for a pair of opposite rotors: only manoeuvres tell it from the others
 # What the model itself is uncertain of: the thrust curve away from the operating point, equal rotors.
 MODEL_SD, MODEL_SHARE = 0.004, 0.02
 GONE = 0.8
@@ -33,6 +34,7 @@ class Record:
     shares: dict
     last: int
     end: float | None = None
+    loss: tuple[float, ...] = ()  # of opposite rotors that share a shift of thrust; the others' is in the estimates
 
 
 def rotor_sets(hyp: Hypotheses, probability: np.ndarray) -> dict[tuple[int, ...], float]:
@@ -64,21 +66,39 @@ def hidden_pairs(shares: dict, partners: dict) -> tuple[tuple[int, ...], ...]:
     return tuple(p for p in pairs if shares.get(p, 0.0) * rarity > HIDDEN * shares[best])
 
 
+def opposite_shares(hyp: Hypotheses, log_odds: np.ndarray, partners: dict) -> dict[tuple[int, ...], float]:
+    """Probabilities of the pairs of opposite rotors among each other."""
+    pairs = [h for h, who in enumerate(hyp.rotors) if hyp.kinds[h] == "pair" and who[1] in partners.get(who[0], ())]
+    weight = np.exp(log_odds[pairs] - log_odds[pairs].max())
+    order = np.argsort(-weight)
+    return {hyp.rotors[pairs[k]]: float(weight[k] / weight.sum()) for k in order}
+
+
 def read(out, ticks: Ticks, hyp: Hypotheses, B: np.ndarray | None = None) -> tuple[Event, ...]:
     """Events of one flight from the diagnoser's stacked outputs (theta, theta_sd, announced, committed, active, ...)."""
+    partners = opposites(B) if B is not None else {}
     records: list[Record] = []
     current: Record | None = None
-    pending_onset = 0.0
+    pending_onset = opened = 0.0
     active = np.zeros(out.theta.shape[1], bool)
     holder: dict[int, Record] = {}
     notable = np.flatnonzero(
-        out.announced | out.committed | (np.diff(out.active, axis=0, prepend=False).any(axis=1)) | ticks.restart
+        out.announced
+        | out.committed
+        | (out.opposite >= 0)
+        | (np.diff(out.active, axis=0, prepend=False).any(axis=1))
+        | ticks.restart
     )
     for k in map(int, notable):
         if ticks.restart[k]:
             for record in holder.values():
                 record.end = record.end if record.end is not None else float(ticks.time[record.last])
-            holder, current, active = {}, None, np.zeros_like(active)
+            holder, current, active, opened = {}, None, np.zeros_like(active), float(ticks.time[k])
+        if out.opposite[k] >= 0:
+            onset = float(ticks.command_time[max(0, k - round(float(out.opposite_onset[k])))])
+            shares = opposite_shares(hyp, out.log_odds[k], partners)
+            share = float(np.mean(out.opposite_loss[k]))  # only their sum shows
+            records.append(Record(onset, k, hyp.rotors[out.opposite[k]], shares, k, None, (share, share)))
         if out.announced[k]:
             who = hyp.rotors[out.best[k]]
             onset = float(ticks.command_time[max(0, k - round(float(out.onset[k])))])
@@ -97,6 +117,12 @@ def read(out, ticks: Ticks, hyp: Hypotheses, B: np.ndarray | None = None) -> tup
                 current.rotors = fresh or current.rotors
                 for i in fresh:
                     holder[int(i)] = current
+                resolved = [
+                    r for r in records if r.loss and opened <= r.onset and set(current.rotors) <= set().union(*r.shares)
+                ]
+                for record in resolved[-1:]:  # what opposite rotors were suspected of is now known
+                    current.onset, current.announced = record.onset, record.announced
+                    records.remove(record)
                 current = None
             for i in np.flatnonzero(active & ~now):
                 record = holder.pop(int(i), None)
@@ -108,7 +134,6 @@ def read(out, ticks: Ticks, hyp: Hypotheses, B: np.ndarray | None = None) -> tup
             record.last = k
     judged = np.flatnonzero(ticks.mode == JUDGE)
     final = int(judged[-1]) if judged.size else len(ticks.time) - 1
-    partners = opposites(B) if B is not None else {}
     return tuple(_event(r, out, ticks, final, partners) for r in records)
 
 
@@ -124,16 +149,20 @@ def _event(record: Record, out, ticks: Ticks, final: int, partners: dict) -> Eve
         k = int(np.searchsorted(ticks.time, record.end)) - 1
     k = max(k, record.announced)
     rotors = record.rotors
-    loss = out.theta[k, list(rotors)]
-    sd = sd_of(loss, out.theta_sd[k, list(rotors)])
+    loss = np.array(record.loss) if record.loss else out.theta[k, list(rotors)]
+    # Of a shared shift each rotor may hold anything from nothing to all.
+    sd = loss / 1.96 if record.loss else sd_of(loss, out.theta_sd[k, list(rotors)])
     shares = record.shares
     own = shares.get(tuple(sorted(rotors)), max(shares.values(), default=0.0))
-    others = [s for s, p in shares.items() if p >= CREDIBLE and set(s) != set(rotors)]
+    paired = len(rotors) == 2 and rotors[1] in partners.get(rotors[0], ()) and len(partners) > 4
+    others = [s for s, p in shares.items() if (p >= CREDIBLE or record.loss) and set(s) != set(rotors)]
     hidden = hidden_pairs(shares, partners)
+    unsure = own < (CERTAIN_OPPOSITE if paired else CERTAIN) or bool(hidden) or bool(record.loss)
+    if paired and unsure:  # all that only a manoeuvre could tell apart
+        torque_free = {tuple(sorted((i, j))) for i, js in partners.items() for j in js}
+        others += [s for s in sorted(torque_free) if s not in others and set(s) != set(rotors)]
     alternatives = (
-        tuple(tuple(i + 1 for i in s) for s in (*hidden, *(o for o in others if o not in hidden)))
-        if own < CERTAIN or hidden
-        else ()
+        tuple(tuple(i + 1 for i in s) for s in (*hidden, *(o for o in others if o not in hidden))) if unsure else ()
     )
     delay = float(ticks.time[record.announced])
     names = " and ".join(str(i + 1) for i in rotors)
@@ -142,6 +171,7 @@ def _event(record: Record, out, ticks: Ticks, final: int, partners: dict) -> Eve
             f"commands and motion changed at {record.onset:.1f} s as if rotor {names} had lost thrust, but "
             + ", ".join("+".join(map(str, a)) for a in alternatives)
             + " would look the same"
+            + (", and so would a sudden drop of battery voltage or more weight" if record.loss else "")
         )
     else:
         reason = (
@@ -160,5 +190,5 @@ def _event(record: Record, out, ticks: Ticks, final: int, partners: dict) -> Eve
         probability=float(own),
         alternatives=alternatives,
         reason=reason,
-        extra={"loss_2s": [float(v) for v in out.theta[k2, list(rotors)]]},
+        extra={"loss_2s": [float(v) for v in (record.loss or out.theta[k2, list(rotors)])]},
     )

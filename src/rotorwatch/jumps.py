@@ -18,7 +18,7 @@ import numpy as np
 from rotorwatch.core import Array
 
 SLOTS = 16  # of each group
-STRIDES = {0.05: (1, 2, 4), 0.1: (1, 2, 3)}  # ticks between the slots of a group
+STRIDES = {0.05: (1, 2, 6), 0.1: (1, 2, 5)}  # ticks between the slots of a group
 BUILD_UP_S = 0.5
 
 

@@ -16,6 +16,8 @@ ASKED_SHARE, ASKED_SLACK, ASKED_MOST = 0.25, 0.05, 0.35
 MISSING_SLACK = 0.15  # hover thrusts of one rotor
 FAST_S, SLOW_S = 0.5, 6.0
 SECOND = 0.1
+# A loss that is known wanders with the operating point and the weather: only a step in it is news.
+CHANGE, CHANGE_GONE, GONE = 0.035, 0.3, 0.8
 
 
 class Missing(NamedTuple):
@@ -41,11 +43,11 @@ def follow(state: Missing, missing, valid, restart, dt: float) -> Missing:
     )
 
 
-def plausible(first, jump, smooth, rise, now: Missing, before: Missing, thrust_valid, active):
+def plausible(first, jump, smooth, rise, now: Missing, before: Missing, thrust_valid, active, theta):
     """bool: may the jump (2, n; two rotors at most, 0 elsewhere) be a loss?
 
     first: size of the first rotor's jump. smooth (n,): thrust of each rotor; rise (n,): what is asked above trim. active (n,):
-    rotors already known to be weak.
+    rotors already known to be weak, by theta (n,).
     """
     import jax.numpy as jnp
 
@@ -55,7 +57,15 @@ def plausible(first, jump, smooth, rise, now: Missing, before: Missing, thrust_v
     # ... and what the rotors no longer give must be missing from the thrust.
     lost = (jnp.clip(jump, 0.0, 1.0) * smooth).sum()
     ok &= ~thrust_valid | (lost <= 0.0) | (now.fast - before.slow > ASKED_SHARE * lost - MISSING_SLACK)
+    known = active[None, :] & (jump != 0.0)
+    least = jnp.where(theta > GONE, CHANGE_GONE, CHANGE)
+    ok &= ~known.any() | (known & (jnp.abs(jump) > least)).any() | (another_of(jump, active)).any()
     # A second rotor failing is rare: small second losses are more likely errors in the size of the first.
-    another = active.any() & (jump * (~active)[None, :] > 0).any()
+    another = active.any() & another_of(jump, active).any()
     size = jnp.where(active[None, :], 1.0, jump)
     return ok & (~another | jnp.where(jump > 0, size > SECOND, True).all())
+
+
+def another_of(jump, active):
+    """(2, n) bool: jumps of rotors that are not known to be weak yet."""
+    return jump * (~active)[None, :] > 0

@@ -20,9 +20,10 @@ from rotorwatch.core import Array, Decision, Estimate
 from rotorwatch.systems.wrench_balance import B1, B2, B3, GAIN, PER_AXIS
 from rotorwatch.ticks import GROUND, JUDGE
 
-# Nominal: the weights of all hypotheses sum to about n, and real noise is not quite what the model says (docs/results.md).
-FALSE_ALARM_PERIOD_S = 300 * 3600.0
-COMPETITOR_ODDS = 200.0
+# Mean time between false alarms if the noise were what the model says; on real noise: docs/results.md.
+FALSE_ALARM_PERIOD_S = 25 * 3600.0
+# How much likelier than any disturbance a fault must be; more for a change of a loss that is known already.
+COMPETITOR_ODDS, UPDATE_ODDS = 5.0, 500.0
 PERSIST_S = 0.15
 HOLD_S = 1.5
 LEARN_LOSS_S = 6.0  # a committed loss is refined this long; after that only a new jump changes it
@@ -34,20 +35,24 @@ TRUST = 3000.0  # nats
 DEAD = 0.8
 ABSORB_S, ABSORB_NATS, BASE_NATS = 1.0, 10.0, 6.0
 FREEZE_S = 4.0
+SUSPICIOUS = 0.5  # share of the usual threshold from which on noise is not learned
+# A disturbance that opposite rotors explain as well, within OPPOSITE_NATS, and that came at once: SHARP_NATS likelier than one that
+# builds up; for so long.
+OPPOSITE_NATS, SHARP_NATS, OPPOSITE_S, OPPOSITE_LOSS = 5.0, 2.0, 0.5, 0.03
 OVER, NOTHING = 0.02, 0.6 * plausibility.SMALLEST
 
 
-def threshold(dt: float, false_alarm_period_s: float = FALSE_ALARM_PERIOD_S) -> float:
+def threshold(hyp: hypotheses.Hypotheses, dt: float, false_alarm_period_s: float = FALSE_ALARM_PERIOD_S) -> float:
     """Log of the Shiryaev-Roberts threshold: the mean time to a false alarm, in ticks, is at least its value over the sum
-    of the hypotheses' prior weights (about the number of rotors), as far as the noise is what the model says."""
-    return float(np.log(false_alarm_period_s / dt))
+    of the fault hypotheses' prior weights (about the number of rotors), as far as the noise is what the model says."""
+    return float(np.log(false_alarm_period_s / dt * hyp.weight[hyp.fault].sum()))
 
 
 class Standing(NamedTuple):
     """Where rotors and announcements stand. active (n,): announced and in the filter. pending: ticks since an announcement
     that is not committed, -1 none; above: ticks over the threshold in a row; update: it changes a known loss only. learning (n,):
     seconds a loss is still refined; theta_var (n,): its variance after that. frozen: seconds of suspicion in which no noise
-    was learned; sure_s: seconds for which a disturbance has been certain."""
+    was learned; sure_s: seconds for which a disturbance has been certain; opposite_s: for which opposite rotors explain one."""
 
     active: Array
     pending: Array
@@ -57,6 +62,7 @@ class Standing(NamedTuple):
     theta_var: Array
     frozen: Array
     sure_s: Array
+    opposite_s: Array
 
 
 class Carry(NamedTuple):
@@ -73,12 +79,14 @@ class Carry(NamedTuple):
 
 class Evidence(NamedTuple):
     """Of all hypotheses (n_h,): log evidence over all onsets, probability among faults. fault, other: log of the sums;
-    per_slot (W, n_h); nu (W, n_fault, 2): most probable sizes; width (4,): of disturbances; live (W,): slots in use."""
+    log_bf (W, n_h): Bayes factors, per_slot (W, n_h): with prior weights; nu (W, n_fault, 2): most probable sizes; width (4,): of
+    disturbances; live (W,): slots in use."""
 
     log_odds: Array
     probability: Array
     fault: Array
     other: Array
+    log_bf: Array
     per_slot: Array
     nu: Array
     width: Array
@@ -99,6 +107,15 @@ class Candidate(NamedTuple):
     mine: Array
 
 
+class Opposite(NamedTuple):
+    """A sudden shift that is a disturbance, or else a pair of opposite rotors that explains it as well. pair: its hypothesis, at the
+    tick that says so, else -1; onset: ticks ago; loss (2,) of its rotors."""
+
+    pair: Array
+    onset: Array
+    loss: Array
+
+
 class Output(NamedTuple):
     """What one tick leaves behind, beside the Estimate and the Decision."""
 
@@ -111,6 +128,8 @@ class Output(NamedTuple):
     committed: Array
     active: Array
     detectable: Array
+    plausible: Array
+    opposite: Opposite
 
 
 class JumpBank:
@@ -126,7 +145,7 @@ class JumpBank:
         self.noise_prior = noise_prior
         self.n, self.n_x = system.n_theta, system.n_x
         self.n_s = self.n_x + self.n
-        self.log_threshold = threshold(dt, false_alarm_period_s)
+        self.log_threshold = threshold(self.hyp, dt, false_alarm_period_s)
         E = np.zeros((self.n_s, self.n + 4))  # a jump is a rotor's loss, or a step of an axis' bias
         E[self.n_x :, : self.n] = np.eye(self.n)
         E[np.arange(4) * PER_AXIS + B3, self.n + np.arange(4)] = 1.0
@@ -155,14 +174,7 @@ class JumpBank:
             caution.init(self.n),
             plausibility.init(),
             Standing(
-                np.zeros(self.n, bool),
-                np.int32(-1),
-                np.int32(0),
-                np.bool_(False),
-                none,
-                none,
-                np.float64(0),
-                np.float64(0),
+                np.zeros(self.n, bool), np.int32(-1), np.int32(0), np.bool_(False), none, none, *[np.float64(0)] * 3
             ),
         )
 
@@ -186,13 +198,16 @@ class JumpBank:
         e = y - rows @ s
         load = u[n + 3] * biases.reshape(4, PER_AXIS)[3, GAIN]
         missing = plausibility.follow(carry.missing, y[3] - load, valid[3], restart, dt)
-        s, P, bank, innovation, variance = self._updated(s, P, bank, rows, y, valid & flying, white + error, seen.teach)
+        s, P, bank, innovation, variance = self._updated(
+            s, P, bank, rows, y, valid & flying, white + error, seen.teach, caution.calm(memory)
+        )
+        memory = caution.remember(memory, innovation, variance, valid & flying, dt)
 
         found = self._evidence(s, bank, carry.noise.variances, stand)
         best = self._candidate(found, bank, stand)
         statistic = jnp.minimum(found.fault - self.log_threshold, found.fault - found.other - jnp.log(COMPETITOR_ODDS))
         possible = plausibility.plausible(
-            best.sizes[0], best.each, seen.u[:n], seen.rise, missing, carry.missing, valid[3], stand.active
+            best.sizes[0], best.each, seen.u[:n], seen.rise, missing, carry.missing, valid[3], stand.active, s[n_x:]
         )
         above = jnp.where(open_ & (statistic > 0.0) & possible, stand.above + 1, 0)
         alarm = above >= max(2, round(PERSIST_S / dt))
@@ -208,13 +223,14 @@ class JumpBank:
         detectable = self._detectable(bank, found.live)
         s, P = self._committed(s, P, bank, best, commit)
         s, P, sure_s, absorbed = self._absorbed(s, P, bank, found, stand, open_ & (pending < 0))
+        opposite, opposite_s = self._opposite(found, bank, stand, open_ & (pending < 0))
         s, P, active, learning, theta_var = self._settled(s, P, stand, best, best.hit & commit)
         bank = jumps.forget(bank, commit | absorbed)
         pending = jnp.where(commit, -1, pending)
 
         # Learn the noise from what the calm parts leave over, never from a growing suspicion.
         e = e + (rows[:, :n_x] * jnp.asarray(np.isin(np.arange(n_x), self.bias_rows), float)) @ biases
-        suspicious = found.fault > 0.5 * self.log_threshold
+        suspicious = found.fault > SUSPICIOUS * threshold(self.hyp, dt)
         frozen = jnp.where(suspicious, stand.frozen + dt, jnp.maximum(stand.frozen - dt, 0.0))
         calm = (~suspicious | (frozen > FREEZE_S)) & (pending < 0) & flying
         noises = noise.step(carry.noise, e, valid & calm, white / (white + error), dt)
@@ -239,6 +255,8 @@ class JumpBank:
             commit,
             active,
             detectable,
+            possible,
+            opposite,
         )
         standing = Standing(
             active,
@@ -249,6 +267,7 @@ class JumpBank:
             theta_var,
             jnp.minimum(frozen, 2.0 * FREEZE_S),
             sure_s,
+            opposite_s,
         )
         return Carry(s, P, noises, bank, memory, missing, standing), out
 
@@ -290,7 +309,7 @@ class JumpBank:
         Q = jnp.diag(jnp.concatenate([q_x, (learning > 0) * THETA_WALK * self.dt]))
         return A * s, A[:, None] * P * A[None, :] + Q, stand._replace(theta_var=theta_var, learning=learning)
 
-    def _updated(self, s, P, bank, rows, y, valid, R, teach):
+    def _updated(self, s, P, bank, rows, y, valid, R, teach, weight):
         """One axis after the other: R is diagonal."""
         import jax.numpy as jnp
 
@@ -304,7 +323,7 @@ class JumpBank:
             w = jnp.where(valid[a], 1.0 / S, 0.0)
             nu = jnp.where(valid[a], nu, 0.0)
             K = Ph * w * teach  # a deliberately smaller gain: the covariance update below holds for any gain
-            bank = self.jumps.observe(bank, h, K, w, nu)
+            bank = self.jumps.observe(bank, h, K, w * weight[a], nu)
             s = s + K * nu
             P = P - K[:, None] * Ph[None, :] - Ph[:, None] * K[None, :]
             P = P + jnp.where(valid[a], S, 0.0) * K[:, None] * K[None, :]
@@ -343,7 +362,9 @@ class JumpBank:
         share = jnp.where(fault, jnp.exp(evidence - f_top), 0.0)
         o_top = jnp.max(jnp.where(fault, -jnp.inf, evidence))
         other = o_top + jnp.log(jnp.where(fault, 0.0, jnp.exp(evidence - o_top)).sum())
-        return Evidence(evidence, share / share.sum(), f_top + jnp.log(share.sum()), other, per_slot, nu, width, live)
+        return Evidence(
+            evidence, share / share.sum(), f_top + jnp.log(share.sum()), other, logbf, per_slot, nu, width, live
+        )
 
     def _candidate(self, found: Evidence, bank, stand: Standing) -> Candidate:
         """The most probable fault at its most probable onset, as a full direction vector with its covariance."""
@@ -414,6 +435,32 @@ class JumpBank:
         s = jnp.where(now, s + M @ (cov @ (z[n:] * mask)), s)
         P = jnp.where(now, P + M @ cov @ M.T, P)
         return s, P, jnp.where(now, 0.0, sure_s), now
+
+    def _opposite(self, found: Evidence, bank, stand: Standing, free) -> tuple[Opposite, Array]:
+        """Could a disturbance be two opposite rotors? Their torques cancel in roll and pitch, so that the shift left in thrust
+        (and yaw) is what battery, payload or a gust make, too - but those do not come within a tick. Returns with it for how
+        many seconds that has been so."""
+        import jax.numpy as jnp
+
+        n, (i, j) = self.n, self.hyp.pairs.T
+        B = jnp.asarray(self.system.B)
+        cancel = jnp.abs(B[:2, i] + B[:2, j]).max(axis=0) < 0.05
+        slow = jnp.asarray(self.jumps.slow)
+        real = (found.nu[:, n : n + len(i)] > OPPOSITE_LOSS).all(axis=2)
+        usable = ~slow[:, None] & cancel[None, :] & real & found.live[:, None]
+        fit = jnp.where(usable, found.log_bf[:, n : n + len(i)], -50.0)
+        free_fit = jnp.where(found.live[:, None], found.log_bf[:, len(self.first) :], -50.0)
+        best, gradual = fit.max(), free_fit[self.jumps.slow].max()
+        sudden = free_fit[~self.jumps.slow].max()
+        # A quadrotor's pairs can be told apart by their yaw: there the fault hypotheses say all there is to say.
+        now = free & ~stand.active.any() & (n >= 6) & (best > self.log_threshold)
+        now &= (best > sudden - OPPOSITE_NATS) & (best > gradual + SHARP_NATS)
+        since = jnp.where(now, stand.opposite_s + self.dt, 0.0)
+        news = (since >= OPPOSITE_S) & (stand.opposite_s < OPPOSITE_S)
+        pair = jnp.argmax(fit.max(axis=0))
+        slot = jnp.argmax(fit[:, pair])
+        which = jnp.where(news, n + pair, -1).astype(jnp.int32)
+        return Opposite(which, bank.age[slot].astype(float) + 1.0, found.nu[slot, n + pair]), since
 
     def _settled(self, s, P, stand: Standing, best: Candidate, hit):
         """After a commitment: what is a loss now, and what a new jump has taken back."""

@@ -378,9 +378,9 @@ def _crossed(table: Ticks, out, shift: float) -> np.ndarray:
     """(T,) bool: the recorded evidence for a fault is above the shifted threshold."""
     from rotorwatch.estimators import jump_bank
 
-    fault = hypotheses.make(out.theta.shape[1]).fault
-    evidence = np.logaddexp.reduce(out.log_odds[:, fault], axis=1)
-    return (evidence > jump_bank.threshold(table.dt) + shift) & (table.mode == JUDGE)
+    hyp = hypotheses.make(out.theta.shape[1])
+    evidence = np.logaddexp.reduce(out.log_odds[:, hyp.fault], axis=1)
+    return (evidence > jump_bank.threshold(hyp, table.dt) + shift) & (table.mode == JUDGE)
 
 
 def _announced(table: Ticks, vehicle: Vehicle, shift: float) -> np.ndarray:
