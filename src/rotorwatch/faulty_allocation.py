@@ -90,12 +90,13 @@ class Sparse:
         sets = alone + common
         width = max(len(s) for s in sets)
         self.size = np.array([len(s) for s in sets], float)
-        self.filled = np.array([[k < len(s) for k in range(width)] for s in sets])
-        self.index = np.array([[*s, *[0] * (width - len(s))] for s in sets])
-        self.pick = np.eye(n + 1)[self.index] * self.filled[:, :, None]  # (sets, width, n + 1)
+        # Tables with a column for each set: contiguous, so that a step is a few vector operations.
+        self.filled = np.array([[k < len(s) for s in sets] for k in range(width)])
+        self.index = np.array([[s[k] if k < len(s) else 0 for s in sets] for k in range(width)])
+        self.pick = np.eye(n + 1)[self.index] * self.filled[:, :, None]  # (width, sets, n + 1)
         rotor = np.arange(n) < losses
         self.atoms = np.column_stack([np.eye(n), rotor.astype(float)])  # theta = atoms a
-        self.places = self.pick @ self.atoms.T  # (sets, width, n): theta = sum of places a
+        self.places = np.swapaxes(self.pick @ self.atoms.T, 1, 2)  # (width, n, sets): theta = sum of places a
         self.low = np.append(np.where(rotor, 0.0, -np.inf), 0.0)
         self.high = np.append(np.where(rotor, 1.0, np.inf), 1.0)
 
@@ -116,29 +117,31 @@ class Sparse:
         best = jnp.argmin(score)
         away = score - score[best]
         count = ((self.size <= jnp.asarray(self.size)[best]) & (away < self.price)).sum().astype(jnp.int32)
-        chosen = theta[best]
-        T = dynamic_index_in_dim(jnp.asarray(self.pick), best, keepdims=False)  # (width, n + 1)
+        chosen = dynamic_index_in_dim(theta, best, axis=1, keepdims=False)
+        T = dynamic_index_in_dim(jnp.asarray(self.pick), best, axis=1, keepdims=False)  # (width, n + 1)
         empty = 1.0 - T.sum(axis=1)
         small = T @ G @ T.T + jnp.diag(empty + _ridge(G))
         M = self.atoms @ T.T @ cho_solve((jnp.linalg.cholesky(small), True), T @ weighted)
         odds = jnp.exp(-0.5 * away)
-        apart = (theta - chosen) * jnp.sqrt(odds / odds.sum())[:, None]
+        apart = (theta - chosen[:, None]) * jnp.sqrt(odds / odds.sum())
         open_ = (np.eye(self.n) - M @ Phi) * self.rest_sd
-        return state, Answer(chosen, M, apart.T @ apart + open_ @ open_.T, count)
+        return state, Answer(chosen, M, apart @ apart.T + open_ @ open_.T, count)
 
     def _candidates(self, G, z, power):
-        """theta (sets, n) of every set within bounds, and its score (sets,). G, z: information about the atoms."""
+        """theta (n, sets) of every set within bounds, and its score (sets,). G, z: information about the atoms."""
         import jax.numpy as jnp
 
         i, filled = self.index, self.filled
-        own = jnp.where(filled, 1e-10 * jnp.diagonal(G)[i] + _ridge(G), 1.0)  # places that a small set leaves empty: 1
-        A = jnp.where(filled[:, :, None] & filled[:, None, :], G[i[:, :, None], i[:, None, :]], 0.0)
-        a = _solve(A + own[:, :, None] * np.eye(i.shape[1]), jnp.where(filled, z[i], 0.0))
-        a = jnp.clip(a, self.low[i], self.high[i])
-        theta = sum(a[:, k, None] * self.places[:, k] for k in range(i.shape[1]))
-        theta = jnp.clip(theta, self.low[: self.n], self.high[: self.n])  # what is scored is what is answered
-        G, z = G[: self.n, : self.n], z[: self.n]
-        residual = power - 2.0 * theta @ z + ((theta @ G) * theta).sum(axis=1)
+        width = len(i)
+        own = 1e-10 * jnp.diagonal(G) + _ridge(G)
+        A = {(j, k): jnp.where(filled[j] & filled[k], G[i[j], i[k]], 0.0) for j in range(width) for k in range(j)}
+        A |= {(k, k): jnp.where(filled[k], (jnp.diagonal(G) + own)[i[k]], 1.0) for k in range(width)}  # empty places: 1
+        a = _solve(A, [jnp.where(filled[k], z[i[k]], 0.0) for k in range(width)])
+        theta = sum(jnp.clip(a[k], self.low[i[k]], self.high[i[k]]) * self.places[k] for k in range(width))
+        theta = jnp.clip(
+            theta, self.low[: self.n, None], self.high[: self.n, None]
+        )  # what is scored is what is answered
+        residual = power + (theta * (G[: self.n, : self.n] @ theta - 2.0 * z[: self.n, None])).sum(axis=0)
         return theta, residual + self.price * self.size
 
 
@@ -206,17 +209,15 @@ def _ridge(G):
 
 
 def _solve(A, b):
-    """A^-1 b for a batch of positive definite A (m, k, k) and b (m, k), k small: L D L' unrolled, no call per matrix."""
-    import jax.numpy as jnp
-
-    k = A.shape[-1]
+    """A^-1 b for many small positive definite A at once: A[j, k], j >= k, and b[k] are vectors with an entry for each; L D L'
+    unrolled."""
     L, d, y = {}, [], []
-    for i in range(k):
+    for i in range(len(b)):
         for j in range(i):
-            L[i, j] = (A[:, i, j] - sum(L[i, m] * L[j, m] * d[m] for m in range(j))) / d[j]
-        d.append(A[:, i, i] - sum(L[i, m] ** 2 * d[m] for m in range(i)))
-        y.append(b[:, i] - sum(L[i, m] * y[m] for m in range(i)))
-    x = [y[i] / d[i] for i in range(k)]
-    for i in reversed(range(k)):
-        x[i] = x[i] - sum(L[m, i] * x[m] for m in range(i + 1, k))
-    return jnp.stack(x, axis=1)
+            L[i, j] = (A[i, j] - sum(L[i, m] * L[j, m] * d[m] for m in range(j))) / d[j]
+        d.append(A[i, i] - sum(L[i, m] ** 2 * d[m] for m in range(i)))
+        y.append(b[i] - sum(L[i, m] * y[m] for m in range(i)))
+    x = [y[i] / d[i] for i in range(len(b))]
+    for i in reversed(range(len(b))):
+        x[i] = x[i] - sum(L[m, i] * x[m] for m in range(i + 1, len(b)))
+    return x
