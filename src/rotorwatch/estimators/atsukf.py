@@ -21,10 +21,12 @@ from rotorwatch.errors import ConfigError
 
 class Window(NamedTuple):
     """Sums over the last M rows, kept by adding what comes and taking away what leaves. rows (M, 2 n_y + 1): squared
-    innovations, whether valid, and product with the innovations before. total: sum of all rows. lap: of those since row 0 was
+    innovations, whether valid, and product with the innovations before. leaving: the row that is overwritten next, read in
+    advance, so that compiled code need not copy the rows. total: sum of all rows. lap: of those since row 0 was
     last written; it becomes the total once a lap, so that rounding does not pile up. next: row to write. full: bool."""
 
     rows: Array
+    leaving: Array
     total: Array
     lap: Array
     next: Array
@@ -83,14 +85,9 @@ class ATSUKF:
         """The plant's x0 and P0, no loss, an empty window."""
         jnp = load_jax().numpy
         n_y = self.system.n_y
-        width = 2 * n_y + 1
-        window = Window(
-            jnp.zeros((self.M, width)),
-            jnp.zeros(width),
-            jnp.zeros(width),
-            jnp.zeros((), jnp.int32),
-            jnp.zeros((), bool),
-        )
+        row = jnp.zeros(2 * n_y + 1)
+        rows = jnp.zeros((self.M, row.size))
+        window = Window(rows, row, row, row, jnp.zeros((), jnp.int32), jnp.zeros((), bool))
         return Carry(two_stage.initial(self.system, self.theta_var), window, jnp.zeros(n_y), jnp.ones(()))
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Estimate]:
@@ -111,17 +108,18 @@ class ATSUKF:
         from jax import lax
         from jax import numpy as jnp
 
-        leaving = lax.dynamic_index_in_dim(window.rows, window.next, keepdims=False)
-        kept = jnp.where(measured, row, leaving)
-        total, lap = window.total + kept - leaving, window.lap + jnp.where(measured, row, 0.0)
+        kept = jnp.where(measured, row, window.leaving)
+        total, lap = window.total + kept - window.leaving, window.lap + jnp.where(measured, row, 0.0)
         rows = lax.dynamic_update_index_in_dim(window.rows, kept, window.next, 0)
         step = window.next + measured.astype(jnp.int32)
         round_done = step == self.M
+        step = jnp.where(round_done, 0, step).astype(jnp.int32)
         return Window(
             rows,
+            lax.dynamic_index_in_dim(rows, step, keepdims=False),
             jnp.where(round_done, lap, total),
             jnp.where(round_done, 0.0, lap),
-            jnp.where(round_done, 0, step).astype(jnp.int32),
+            step,
             window.full | round_done,
         )
 
