@@ -350,7 +350,7 @@ def _claims(f: dict[str, Any]) -> tuple[Claim, ...]:
             f"observer off by {f['observer_p_error_without_fault_term'][0]:.1e} (all of it), filter by "
             f"{f['p_error_without_fault_term'][0]:.1e}",
             "partly",
-            "True of the observer. The filter's own gain corrects momenta by 0.38 of an angle's error, so it follows to 1 %.",
+            "True of the observer. The filter's own gain corrects momenta by 0.38 of an angle's error, so it follows to 1.5 %.",
         ),
         Claim(
             "The algorithm is robust to process and measurement noise",
