@@ -93,10 +93,11 @@ class Sparse:
         # Tables with a column for each set: contiguous, so that a step is a few vector operations.
         self.filled = np.array([[k < len(s) for s in sets] for k in range(width)])
         self.index = np.array([[s[k] if k < len(s) else 0 for s in sets] for k in range(width)])
-        self.pick = np.eye(n + 1)[self.index] * self.filled[:, :, None]  # (width, sets, n + 1)
         rotor = np.arange(n) < losses
         self.atoms = np.column_stack([np.eye(n), rotor.astype(float)])  # theta = atoms a
-        self.places = np.swapaxes(self.pick @ self.atoms.T, 1, 2)  # (width, n, sets): theta = sum of places a
+        self.places = np.swapaxes(
+            self.atoms.T[self.index] * self.filled[:, :, None], 1, 2
+        )  # (width, n, sets): theta = sum of places a
         self.low = np.append(np.where(rotor, 0.0, -np.inf), 0.0)
         self.high = np.append(np.where(rotor, 1.0, np.inf), 1.0)
 
@@ -118,14 +119,13 @@ class Sparse:
         away = score - score[best]
         count = ((self.size <= jnp.asarray(self.size)[best]) & (away < self.price)).sum().astype(jnp.int32)
         chosen = dynamic_index_in_dim(theta, best, axis=1, keepdims=False)
-        T = dynamic_index_in_dim(jnp.asarray(self.pick), best, axis=1, keepdims=False)  # (width, n + 1)
-        empty = 1.0 - T.sum(axis=1)
-        small = T @ G @ T.T + jnp.diag(empty + _ridge(G))
-        M = self.atoms @ T.T @ cho_solve((jnp.linalg.cholesky(small), True), T @ weighted)
+        T = dynamic_index_in_dim(jnp.asarray(self.places), best, axis=2, keepdims=False)  # (width, n)
+        only = T @ Phi.T
+        empty = jnp.where(jnp.abs(T).sum(axis=1) == 0.0, 1.0, _ridge(G))
+        M = T.T @ cho_solve((jnp.linalg.cholesky((only * W) @ only.T + jnp.diag(empty)), True), only * W)
         odds = jnp.exp(-0.5 * away)
         apart = (theta - chosen[:, None]) * jnp.sqrt(odds / odds.sum())
-        open_ = (np.eye(self.n) - M @ Phi) * self.rest_sd
-        return state, Answer(chosen, M, apart @ apart.T + open_ @ open_.T, count)
+        return state, Answer(chosen, M, apart @ apart.T + self.rest_sd**2 * np.eye(self.n), count)
 
     def _candidates(self, G, z, power):
         """theta (n, sets) of every set within bounds, and its score (sets,). G, z: information about the atoms."""
