@@ -56,6 +56,9 @@ def diagnose(
     def lap(name):
         timing[name] = time.perf_counter() - began - sum(timing.values())
 
+    if isinstance(flight, Flight):
+        timing["read_s"] = float(flight.facts.get("read_s", 0.0))
+        began -= timing["read_s"]
     if estimator != "default":
         discovery.estimator(estimator)
     elif tuning is not None:
@@ -65,7 +68,8 @@ def diagnose(
     baseline = tuple(baseline)
     flight = _flight(flight, lambda share: tell(0.3 * share, "reading"))
     known_vehicle = _vehicle(vehicle)
-    lap("read_s")
+    if "read_s" not in timing:
+        lap("read_s")
     source = "none"
     if baseline:
         from rotorwatch.calibrate import calibrate
@@ -79,13 +83,21 @@ def diagnose(
     craft = known_vehicle or airframes.identify(flight)
     lap("baseline_s")
     known = bool(craft.identified)
+    dynamics = (craft.identified or {}).get("dynamics")
     # Without a gyro every take-off swing looks like a torque that is missing: no short blind time then.
-    ready_s = READY_KNOWN_S if known and flight.has("gyro") else READY_S
+    ready_s = READY_KNOWN_S if dynamics and flight.has("gyro") else READY_S
     air = airborne(flight) if flight.has("motors") else ()
     table = observe(flight, craft, air, ready_s)
-    lap("prepare_s")
     warnings = list(flight.warnings)
     assumptions = list(craft.assumptions)
+    if table is not None and dynamics and dynamics.get("dt") != table.dt:
+        assumptions.append(
+            f"the healthy flights were logged at another rate (judged every {dynamics.get('dt', 0):.2f} s): their noise is not "
+            "this flight's, which therefore learns its own for as long as without them"
+        )
+        dynamics, ready_s = None, READY_S
+        table = observe(flight, craft, air, ready_s)
+    lap("prepare_s")
     if not known:
         source = "the flight's own first healthy part"
         assumptions.append(
@@ -104,9 +116,6 @@ def diagnose(
             tuple(assumptions), tuple(warnings), timing,
         )  # fmt: skip
     assumptions += table.notes
-    dynamics = (craft.identified or {}).get("dynamics")
-    if dynamics and dynamics.get("dt") != table.dt:
-        dynamics = None  # learned at another logging rate: its noise is not this flight's
     B = craft.effectiveness()
 
     def estimating(share):
@@ -135,7 +144,7 @@ def diagnose(
     judged = table.mode == JUDGE
     shift = out.biases[judged, 3]
     common = (
-        {"shift": float(shift[-1] - np.median(shift[:20])), "unit": "hover thrusts of one rotor"}
+        {"thrust_shift": float(np.median(shift[-20:]) - np.median(shift[:20])), "unit": "hover thrusts of one rotor"}
         if judged.any()
         else {}
     )
