@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import functools
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -160,17 +160,23 @@ def run_hop(name: str, hop: LogPlant, B: np.ndarray, tuning: Tuning | None = Non
 
 
 def judge(
-    name: str, table: Ticks, B: np.ndarray, dynamics: dict | None = None, tuning: Tuning | None = None, progress=None
+    name: str,
+    table: Ticks,
+    B: np.ndarray,
+    dynamics: dict | None = None,
+    tuning: Tuning | None = None,
+    progress=None,
+    hops: Sequence[LogPlant] | None = None,
 ) -> Kept:
     """What a published method leaves behind on every tick of a flight, in the default estimator's form.
 
-    Ticks outside the judged hops hold zeros. biases: the missing wrench that counts as usual. log_odds: `hypotheses.make(n)`.
-    Raises ConfigError for an unknown method and for logs too slow.
+    hops: of `log_plant.hops`, when they are known already. Ticks outside the judged hops hold zeros. biases: the missing
+    wrench that counts as usual. log_odds: of `hypotheses.make(n)`. Raises ConfigError for an unknown method and slow logs.
     """
     discovery.estimator(name)
     hyp = hypotheses.make(B.shape[1])
     out = _nothing(len(table.time), hyp)
-    for hop in log_plant.hops(table, B, dynamics):
+    for hop in log_plant.hops(table, B, dynamics) if hops is None else hops:
         _write_down(out, run_hop(name, hop, B, tuning, progress), hop, hyp, B)
     return out
 

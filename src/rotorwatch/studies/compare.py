@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import default_estimator, discovery, events, hypotheses, log_plant, published
+from rotorwatch import default_estimator, discovery, events, hypotheses, published
 from rotorwatch.errors import ConfigError
 from rotorwatch.run import run, run_built
 from rotorwatch.studies.compare_flights import Scene
@@ -64,7 +64,7 @@ def _trial(name: str, scene: Scene) -> dict:
     if name == "default":
         _, out = default_estimator.estimate(table, scene.B)
     else:
-        out = published.judge(name, table, scene.B)
+        out = published.judge(name, table, scene.B, hops=scene.hops)
     found = events.read(out, table, hyp, scene.B)
     judged = table.mode == JUDGE
     trial: dict[str, Any] = {"judged_s": float(judged.sum() * table.dt), "fault": bool(scene.faults)}
@@ -127,10 +127,9 @@ def microseconds(name: str, scenes: Sequence[Scene]) -> float:
         build = default_estimator._build_fast if table.dt < 0.08 else default_estimator._build_slow
         rows = _repeated(u, table.wrench, table.valid)
         return _best(lambda: run_built(build, default_estimator.parameters(B), *rows, select=default_estimator._keep))
-    hops = log_plant.hops(scene.ticks, scene.B)
-    if not hops:
+    if not scene.hops:
         return float("nan")
-    hop = hops[0]
+    hop = scene.hops[0]
     estimator = published.method(name, hop.system, hop.dt)
     rows = _repeated(hop.u, hop.y, hop.valid)
     return _best(lambda: run(estimator, *rows, select=_theta))

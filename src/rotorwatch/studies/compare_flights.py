@@ -7,6 +7,7 @@ attitude and climb controller that knows nothing of the loss, 200 Hz steps; it e
 from __future__ import annotations
 
 import csv
+import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from os import PathLike
@@ -14,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rotorwatch import airframes, allocation, logs
+from rotorwatch import airframes, allocation, log_plant, logs
 from rotorwatch.airborne import airborne
 from rotorwatch.diagnose import READY_S, observe
 from rotorwatch.errors import ConfigError
@@ -43,6 +44,11 @@ class Scene:
     ticks: Ticks
     B: np.ndarray
     faults: tuple[tuple[int, float, float], ...]
+
+    @functools.cached_property
+    def hops(self) -> tuple[log_plant.LogPlant, ...]:
+        """Plants and tables for published methods, the same for all of them."""
+        return log_plant.hops(self.ticks, self.B)
 
 
 def simulated(seeds: int = 2, losses: Sequence[float] = (0.2, 0.4), progress: Callable | None = None) -> list[Scene]:
