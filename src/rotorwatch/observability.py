@@ -33,7 +33,7 @@ SPAN_S = 10.0
 DT = 0.01
 LOSS = 0.3  # of the pair whose separation is stated
 THETA_SD = 1.0  # what is known of a loss beforehand: nothing
-PERIOD_S, EIGHT, LOOKED_AT = 7.0, (4.0, 2.0, 0.8), (0.0, 9.0)  # of the figure-eight: s, half lengths [m], point [m]
+PERIOD_S, EIGHT, LOOKED_AT = 8.0, (4.0, 2.0, 0.7), (0.0, 9.0)  # of the figure-eight: s, half lengths [m], point [m]
 POINTS = 48  # along it
 
 

@@ -173,11 +173,14 @@ class MHE:
         one = jnp.eye(self.n)
         arrival = symmetric(jax.scipy.linalg.cho_solve((jnp.linalg.cholesky(prior_P), True), one))
         live = (jnp.arange(self.intervals) < filled).astype(float)
-        for _ in range(self.iterations):
+
+        def gauss_newton(_, now):
+            nodes, force = now
             part = jax.vmap(self.interval)(nodes[:-1], nodes[1:], window)
             D, below, g = self.normal_equations(part, live, nodes, prior, arrival)
-            nodes, force = self.quadratic_program(D, below, g, nodes, force)
-        return nodes, force
+            return self.quadratic_program(D, below, g, nodes, force)
+
+        return jax.lax.fori_loop(0, self.iterations, gauss_newton, (nodes, force))
 
     def normal_equations(self, part: Interval, live, nodes, prior, arrival):
         """Block tridiagonal Hessian, D (M + 1, n, n) and `below` (M, n, n) it, and minus the gradient g (M + 1, n)."""
@@ -200,18 +203,21 @@ class MHE:
 
     def quadratic_program(self, D, below, g, nodes, force):
         """The nodes moved to the minimum of the quadratic model in the box, and the force of the bounds there."""
-        jnp = load_jax().numpy
+        jax = load_jax()
+        jnp = jax.numpy
         scale = jnp.diagonal(D, axis1=1, axis2=2)
-        move = jnp.zeros_like(nodes)
-        for _ in range(self.passes):
+
+        def settle(_, now):
+            move, force = now
             free, fixed = bounded.active(nodes + move + force / scale, self.low, self.high)
             fixed = (1.0 - free) * (fixed - nodes)
-            masked = free[:, :, None] * D * free[:, None, :] + (1.0 - free)[:, :, None] * scale[:, :, None] * jnp.eye(
-                self.n
-            )
+            own = (1.0 - free)[:, :, None] * scale[:, :, None] * jnp.eye(self.n)
+            masked = free[:, :, None] * D * free[:, None, :] + own
             right = free * (g - banded(D, below, fixed)) + scale * fixed
             move = tridiagonal(masked, free[1:, :, None] * below * free[:-1, None, :], right)
-            force = (1.0 - free) * (g - banded(D, below, move))
+            return move, (1.0 - free) * (g - banded(D, below, move))
+
+        move, force = jax.lax.fori_loop(0, self.passes, settle, (jnp.zeros_like(nodes), force))
         return jnp.clip(nodes + move, self.low, self.high), force
 
     def leave(self, carry: Carry):
