@@ -13,15 +13,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rotorwatch import checks, linearise
+from rotorwatch import checks, linearise, mit_rule
 from rotorwatch.core import Array, Estimate
 
 
 class Carry(NamedTuple):
-    """s = [x; theta] (n_x + n_theta,) and its covariance P."""
+    """s = [x; theta] (n_x + n_theta,) and its covariance P. mit: the adaptation of Q, or an empty tuple without one."""
 
     s: Array
     P: Array
+    mit: mit_rule.MitState | tuple = ()
 
 
 class EKF:
@@ -30,15 +31,19 @@ class EKF:
     name = "ekf"
     not_kalman = ""
 
-    def __init__(self, system, dt: float, *, theta_walk=1e-3, theta_var=0.01):
+    def __init__(
+        self, system, dt: float, *, theta_walk=1e-3, theta_var=0.01, adaptation: mit_rule.Adaptation | None = None
+    ):
         """dt: s. theta_walk: variance that a loss gains per second [1/s]; theta_var: variance of the losses at the start;
-        both a number or one per theta. Raises ConfigError for wrong values."""
+        both a number or one per theta. adaptation: lets the process noise follow the innovations by the MIT rule, which makes
+        this the adaptive EKF (AEKF) of Qi et al. 2015. Raises ConfigError for wrong values."""
         checks.has(system, "The extended Kalman filter", "f", "h", "Q", "R", "x0", "P0")
         self.system, self.dt = system, checks.positive("dt", dt)
         n = system.n_theta
         self.theta_walk = linearise.variances("theta_walk", theta_walk, n)
         self.theta_var = linearise.variances("theta_var", theta_var, n)
         checks.shape("P0", system.P0, system.n_x, system.n_x)
+        self.adaptation = None if adaptation is None else mit_rule.check(adaptation)
 
     def init(self) -> Carry:
         """The plant's start, no loss."""
@@ -46,7 +51,8 @@ class EKF:
         from jax.scipy.linalg import block_diag
 
         s = jnp.concatenate([jnp.asarray(self.system.x0, float), jnp.zeros(self.system.n_theta)])
-        return Carry(s, block_diag(jnp.asarray(self.system.P0, float), jnp.diag(self.theta_var)))
+        P = block_diag(jnp.asarray(self.system.P0, float), jnp.diag(self.theta_var))
+        return Carry(s, P, mit_rule.init(len(s), self.system.n_y, self.adaptation) if self.adaptation else ())
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Estimate]:
         """Predict over dt with input u (n_u,), then update with y (n_y,) where valid."""
@@ -56,16 +62,17 @@ class EKF:
         dt = self.dt if dt is None else dt
         x, theta, P = carry.s[:n_x], carry.s[n_x:], carry.P
         x, F, Phi = linearise.transition(system, x, u, theta, dt)
-        P = self._predicted(P, F, Phi, dt)
+        P = self._predicted(P, F, Phi, dt, carry.mit)
         y_, C, D = linearise.measurement(system, x, u, theta)
         H, R = jnp.concatenate([C, D], axis=1), system.R(u)
         e = jnp.where(valid, y - y_, 0.0)
         S = H @ P @ H.T + jnp.diag(R)
         s, P = linearise.update(jnp.concatenate([x, theta]), P, H, e, R, valid)
         estimate = Estimate(s[:n_x], P[:n_x, :n_x], s[n_x:], P[n_x:, n_x:], e, 0.5 * (S + S.T), linearise.status(valid))
-        return Carry(s, P), estimate
+        mit = mit_rule.adapt(carry.mit, H, S, e, valid, dt, self.adaptation) if self.adaptation else ()
+        return Carry(s, P, mit), estimate
 
-    def _predicted(self, P, F, Phi, dt):
+    def _predicted(self, P, F, Phi, dt, mit):
         """A P A' + noise, block by block: A = [F Phi; 0 I]."""
         import jax.numpy as jnp
 
@@ -73,4 +80,4 @@ class EKF:
         A = jnp.concatenate([jnp.concatenate([F, Phi], axis=1), jnp.asarray(np.eye(n_x + n)[n_x:])])
         P = A @ P @ A.T
         Q = jnp.zeros_like(P).at[:n_x, :n_x].set(self.system.Q(dt)).at[n_x:, n_x:].set(jnp.diag(self.theta_walk) * dt)
-        return P + Q
+        return P + (mit_rule.scaled(Q, mit) if self.adaptation else Q)

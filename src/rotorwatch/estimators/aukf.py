@@ -1,0 +1,90 @@
+"""Adaptive unscented Kalman filter: the augmented UKF whose process noise follows its innovations by the MIT rule.
+
+    z = (x, theta),   P- = P_f + q^1/2 blkdiag(Q, Q_theta) q^1/2,   q adapted after each step: `mit_rule`
+
+Source: the baseline of Qi, Song, Dai, Han and Wang 2015; Julier and Uhlmann, Proc. IEEE 92 (2004). docs/methods/aukf.md.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from rotorwatch import checks, linearise, mit_rule, two_stage, unscented
+from rotorwatch.backend import jax as load_jax
+from rotorwatch.core import Array, Estimate
+
+
+class Carry(NamedTuple):
+    """z (n_x + n_theta,): states, then losses. P: its covariance. mit: the adaptation."""
+
+    z: Array
+    P: Array
+    mit: mit_rule.MitState
+
+
+class AUKF:
+    """Augmented UKF with adaptive process noise, on any plant with f, h, Q and R."""
+
+    name = "aukf"
+    not_kalman = "it adapts the process noise to its innovations"
+
+    def __init__(
+        self,
+        system: Any,
+        dt: float,
+        *,
+        theta_walk=1e-3,
+        theta_var=1e-2,
+        eta=0.5,
+        window=50,
+        alpha=1.0,
+        beta=2.0,
+        kappa=0.0,
+    ):
+        """dt: step [s]. theta_walk: variance a loss gains per second [1/s] before adaptation; theta_var: variance at the
+        start; each a number for all, one for each (n_theta,), or a covariance. eta: rate of adaptation [1/s]; window: steps
+        that innovations are averaged over. alpha, beta, kappa: `unscented.weights`. Raises ConfigError."""
+        checks.has(system, "The adaptive unscented Kalman filter", "f", "h", "Q", "R", "x0", "P0")
+        self.system, self.dt = system, checks.positive("dt", dt)
+        n = system.n_theta
+        self.theta_walk = two_stage.loss_covariance("theta_walk", theta_walk, n)
+        self.theta_var = two_stage.loss_covariance("theta_var", theta_var, n)
+        self.adaptation = mit_rule.check(mit_rule.Adaptation(eta, window))
+        self.weights = unscented.weights(system.n_x + n, alpha, beta, kappa)
+
+    def init(self) -> Carry:
+        """The plant's x0 and P0, no loss."""
+        jnp = load_jax().numpy
+        from jax.scipy.linalg import block_diag
+
+        x0 = jnp.asarray(self.system.x0, float)
+        P = block_diag(jnp.asarray(self.system.P0, float), self.theta_var)
+        mit = mit_rule.init(P.shape[0], self.system.n_y, self.adaptation)
+        return Carry(jnp.concatenate([x0, jnp.zeros(self.system.n_theta)]), P, mit)
+
+    def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Estimate]:
+        """One time step; arguments as in `core.Estimator`."""
+        from jax import numpy as jnp
+        from jax.scipy.linalg import block_diag
+
+        system, w, dt = self.system, self.weights, self.dt if dt is None else dt
+        n = system.n_x
+
+        def f(z):
+            return jnp.concatenate([system.f(z[:n], u, z[n:], dt), z[n:]])
+
+        moved = unscented.transform(f, carry.z, unscented.root(carry.P), w)
+        P = moved.cov + mit_rule.scaled(block_diag(system.Q(dt), dt * self.theta_walk), carry.mit)
+        L = unscented.root(unscented.symmetric(P))
+        seen = unscented.transform(lambda z: system.h(z[:n], u, z[n:]), moved.mean, L, w)
+        R = system.R(u)
+        S = unscented.symmetric(seen.cov + jnp.diag(R))
+        K = unscented.gain(L @ seen.slope.T, S, valid)
+        e = jnp.where(valid, y - seen.mean, 0.0)
+        z = moved.mean + K @ e
+        P = unscented.corrected(L, seen, K, R)
+        by_x = linearise.measurement(system, moved.mean[:n], u, moved.mean[n:])
+        H = jnp.concatenate([by_x.by_x, by_x.by_theta], axis=1)
+        mit = mit_rule.adapt(carry.mit, H, S, e, valid, dt, self.adaptation)
+        status = jnp.where(valid.any(), 0, 2).astype(jnp.int32)
+        return Carry(z, P, mit), Estimate(z[:n], P[:n, :n], z[n:], P[n:, n:], e, S, status)

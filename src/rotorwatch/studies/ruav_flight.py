@@ -1,0 +1,96 @@
+"""The simulated helicopter flights of the set-membership study: closed loop, bounded coloured noise, two actuators that fail.
+
+Truth follows the paper's discrete model (8), z+ = (x + dt f, gamma, delta) + w, with w within an ellipsoid E(0, Q): a constant
+part of 0.7 semi-axes in a direction of the seed's choice plus random parts, smoothed with a factor of 0.98 from step to step.
+Measurement errors lie within an ellipsoid. A linear quadratic controller with integrators flies, and every command is dithered.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from rotorwatch import airframes
+from rotorwatch.backend import jax as load_jax
+from rotorwatch.systems.helicopter import Helicopter
+
+DT, SECONDS, FAULT_S = 0.02, 20.0, 8.0
+FAULT = np.array([0.0, 1.0, 0.0, 0.6, 0.0, 0.15, 0.0, 0.15])  # gamma = (1, 0, 1, .4), delta = (0, .15, 0, .15)
+PROCESS = np.repeat([2e-3, 4e-3, 1e-5], [3, 3, 8])  # semi-axes of what one step adds
+MEASUREMENT = np.repeat([0.01, 0.002], 3)
+MEAN_SHARE, SMOOTH = 0.7, 0.98
+DITHER, DITHER_HZ = 0.08, np.array([0.55, 0.8, 1.1, 1.45])
+ATTITUDE = np.array([0.0635, -0.003])  # roll and pitch in hover
+
+
+class Flights(NamedTuple):
+    """u, y, x, theta: (seeds, steps, ...)."""
+
+    u: np.ndarray
+    y: np.ndarray
+    x: np.ndarray
+    theta: np.ndarray
+
+
+def plant() -> Helicopter:
+    """The 40 kg helicopter."""
+    return Helicopter(airframes.paper("ruav-40kg"))
+
+
+def in_ball(rng, *shape) -> np.ndarray:
+    """Uniform in the unit ball of the last axis' dimension."""
+    d = rng.standard_normal(shape)
+    return d / np.linalg.norm(d, axis=-1, keepdims=True) * rng.uniform(size=(*shape[:-1], 1)) ** (1 / shape[-1])
+
+
+def fly(system: Helicopter, seeds: int, steps: int | None = None) -> Flights:
+    """Flights of seeds 0, 1, ...; all at once."""
+    jax = load_jax()
+    jnp, lax = jax.numpy, jax.lax
+    steps, K = int(SECONDS / DT) if steps is None else steps, _controller(system)
+    draws = []
+    for seed in range(seeds):
+        rng = np.random.default_rng(seed)
+        mean = rng.standard_normal(14)
+        mean *= MEAN_SHARE / np.linalg.norm(mean)
+        push = (mean + (1 - MEAN_SHARE) * in_ball(rng, steps, 14)) * PROCESS
+        phase = rng.uniform(0, 2 * np.pi, 4)
+        dither = DITHER * np.sin(2 * np.pi * DITHER_HZ * np.arange(steps)[:, None] * DT + phase)
+        draws.append((push, in_ball(rng, steps, 6) * MEASUREMENT, dither))
+
+    def one(push, error, dither):
+        def step(state, row):
+            x, theta, attitude, integral, w = state
+            k, push, error, dither = row
+            U = jnp.clip(system.trim - K @ jnp.concatenate([x, attitude - ATTITUDE, integral]) + dither, 0.0, 1.0)
+            theta = jnp.where(k == round(FAULT_S / DT), theta + FAULT, theta)
+            u, w = jnp.concatenate([U, attitude]), SMOOTH * w + (1 - SMOOTH) * push
+            x_next = x + DT * system.derivative(x, u, theta) + w[:6]
+            roll_pitch = attitude + DT * jnp.stack([x[3] + attitude[1] * x[5], x[4] - attitude[0] * x[5]])
+            integral = integral + DT * x[np.array([0, 1, 2, 5])] * np.array([1, 1, 1, 0.2])
+            theta = theta + w[6:]
+            return (x_next, theta, roll_pitch, integral, w), (u, x_next + error, x_next, theta)
+
+        start = (jnp.zeros(6), jnp.zeros(8), jnp.asarray(ATTITUDE), jnp.zeros(4), jnp.zeros(14))
+        return lax.scan(step, start, (jnp.arange(steps), push, error, dither))[1]
+
+    columns = (np.stack(column) for column in zip(*draws, strict=True))
+    return Flights(*(np.asarray(table) for table in jax.jit(jax.vmap(one))(*columns)))
+
+
+def _controller(system) -> np.ndarray:
+    """(4, 12) feedback from velocities, rates, attitude and the integrals of u, v, w, r."""
+    from scipy.linalg import solve_discrete_are
+
+    jax = load_jax()
+    hover = (np.zeros(6), np.concatenate([system.trim, ATTITUDE]), np.zeros(8))
+    by_x, by_u = (np.asarray(part) for part in jax.jacfwd(system.derivative, (0, 1))(*hover))
+    A, B = np.zeros((12, 12)), np.zeros((12, 4))
+    A[:6, :6], A[:6, 6:8], B[:6] = by_x, by_u[:, 4:], by_u[:, :4]
+    A[6, 3] = A[7, 4] = A[8, 0] = A[9, 1] = A[10, 2] = A[11, 5] = 1.0
+    A, B = np.eye(12) + DT * A, DT * B
+    Q = np.diag([0.1, 0.1, 0.3, 0.1, 0.1, 0.1, 1.0, 1.0, 0.02, 0.02, 0.1, 0.05])
+    R = np.diag([3.0, 1.0, 3.0, 3.0])
+    X = solve_discrete_are(A, B, Q, R)
+    return np.linalg.solve(R + B.T @ X @ B, B.T @ X @ A)

@@ -1,0 +1,258 @@
+"""First-order Taylor models over an ellipsoid: a function's value, slope, and a bound of everything else.
+
+Over all z = a + d with d in E(0, P) every intermediate result of a function is written
+
+    value = c + g'd + rest,   |rest| <= e,    and, where something more is known,   lo <= value <= hi
+
+A linear operation keeps the form. A product of two linear parts lies within 1/2 (g1'P g2 +- |g1| |g2|), |g| = sqrt(g'Pg): the
+exact range of a quadratic form over an ellipsoid. A smooth operation of one operand adds its distance from its tangent over the
+operand's range: exactly when it bends one way there, else by half its second derivative, bounded by interval arithmetic.
+Correlations within P count, so the bounds are much tighter than those of interval arithmetic over the box around the
+ellipsoid, and they hold as certainly.
+Source: Makino and Berz, "Taylor models and other validated functional inclusion methods", 2003, of order one, with
+ellipsoids for boxes.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from rotorwatch import interval
+from rotorwatch.backend import jax as load_jax
+from rotorwatch.interval import Interval
+
+
+class Model(NamedTuple):
+    """c, e, lo, hi: (*shape,); g: (k, *shape), the slope in k directions."""
+
+    c: Any
+    g: Any
+    e: Any
+    lo: Any
+    hi: Any
+
+
+def expand(function, a, slope, metric=None, lo=None, hi=None) -> tuple:
+    """(c (m,), g (m, k), e (m,)) with |function(a + slope' xi) - c - g xi| <= e for all admitted xi (k,). function (n,) -> (m,).
+
+    slope (k, n): L' of P = L L', for xi in the unit ball (metric None); or the unit matrix, for xi = d in E(0, metric). Both
+    say the same. lo, hi (n,): what is known about the argument besides. Raises ConfigError for operations without a rule.
+    """
+    from jax import numpy as jnp
+
+    jax = load_jax()
+    closed = jax.make_jaxpr(function)(a)
+    free = jnp.full(a.shape, jnp.inf)
+    start = Model(a, slope, jnp.zeros(a.shape), -free if lo is None else lo, free if hi is None else hi)
+    found = _Rules(metric, slope.shape[0]).run(closed.jaxpr, closed.consts, [start])[0]
+    if not isinstance(found, Model):
+        found = jnp.asarray(found)
+        return found, jnp.zeros((found.shape[0], slope.shape[0])), jnp.zeros(found.shape)
+    return found.c, found.g.T, found.e
+
+
+class _Rules:
+    """Evaluates traced operations on models; the size of a slope is measured in `metric`."""
+
+    def __init__(self, metric, k: int):
+        self.metric, self.k = metric, k
+
+    def run(self, jaxpr, consts, arguments) -> list:
+        values: dict = {}
+
+        def read(atom):
+            return atom.val if hasattr(atom, "val") else values[atom]  # a literal, or a variable
+
+        values.update(zip(jaxpr.constvars, consts, strict=True))
+        values.update(zip(jaxpr.invars, arguments, strict=True))
+        for equation in jaxpr.eqns:
+            operands = [read(atom) for atom in equation.invars]
+            name = equation.primitive.name
+            if name in interval.CALLS:
+                inner = equation.params.get("jaxpr", equation.params.get("call_jaxpr"))
+                results = self.run(
+                    *((inner.jaxpr, inner.consts) if hasattr(inner, "consts") else (inner, ())), operands
+                )
+            elif not any(isinstance(operand, Model | Interval) for operand in operands):
+                out = equation.primitive.bind(*operands, **equation.params)
+                results = out if equation.primitive.multiple_results else [out]
+            else:
+                results = self.apply(equation, name, operands)
+            values.update(zip(equation.outvars, results, strict=True))
+        return [read(atom) for atom in jaxpr.outvars]
+
+    def apply(self, equation, name: str, operands: list) -> list:
+        from jax import numpy as jnp
+
+        models = [operand for operand in operands if isinstance(operand, Model)]
+        if any(isinstance(operand, Interval) for operand in operands):
+            return self.flat(equation, operands)
+        if name in LINEAR or (name in BILINEAR and len(models) == 1 and (name != "div" or operands[0] is models[0])):
+            return self.linear(equation, operands)
+        if name == "mul":
+            return [self.multiply(*operands)]
+        if name == "div":
+            over = Model(*operands[1])
+            inverse = self.smooth(lambda y: 1.0 / y, over)
+            x = operands[0]
+            return [self.multiply(x, inverse) if isinstance(x, Model) else self.times(inverse, x)]
+        if name in SMOOTH:
+            return [self.smooth(lambda x: equation.primitive.bind(x, **equation.params), operands[0])]
+                if name == "clamp" and isinstance(operands[1], Model) and len(models) == 1:
+            return [self.clip(operands[1], operands[0], operands[2])]
+        if name in ("max", "min") and len(models) == 1:
+            x, bound = operands if isinstance(operands[0], Model) else operands[::-1]
+            bound = bound if jnp.ndim(bound) else jnp.broadcast_to(bound, x.c.shape)
+            return [self.clip(x, bound, jnp.inf) if name == "max" else self.clip(x, -jnp.inf, bound)]
+        return self.flat(equation, operands)
+
+    def size(self, g):
+        """sqrt(g' metric g) of slopes (k, *shape)."""
+        from jax import numpy as jnp
+
+        return jnp.sqrt(jnp.maximum(self.inner(g, g), 0.0))
+
+    def inner(self, g, other):
+        from jax import numpy as jnp
+
+        if self.metric is not None:
+            other = jnp.tensordot(self.metric, other, 1)
+        return (g * other).sum(0)
+
+    def range(self, x) -> Interval:
+        """All values a model can take."""
+        from jax import numpy as jnp
+
+        if not isinstance(x, Model):
+            return x if isinstance(x, Interval) else Interval(x, x)
+        reach = self.size(x.g) + x.e
+        return Interval(jnp.maximum(x.c - reach, x.lo), jnp.minimum(x.c + reach, x.hi))
+
+    def linear(self, equation, operands) -> list:
+        """An operation that is linear in its one model, or in all of them together: done to centres and slopes alike."""
+        from jax import numpy as jnp
+
+        jax = load_jax()
+        name, several = equation.primitive.name, equation.primitive.multiple_results
+
+        def bind(*values):
+            out = equation.primitive.bind(*values, **equation.params)
+            return tuple(out) if several else (out,)
+
+        def pick(part, other):
+            return [part(o) if isinstance(o, Model) else other(o) for o in operands]
+
+        same, nothing = (lambda o: o), (lambda o: jnp.zeros_like(o))
+        affine = name in ("add", "add_any", "sub", "concatenate", "stack", "pad")
+        centre = bind(*pick(lambda m: m.c, same))
+        axes = [0 if isinstance(o, Model) else None for o in operands]
+        slope = jax.vmap(bind, in_axes=axes)(*pick(lambda m: m.g, nothing if affine else same))
+        size = nothing if affine else (lambda o: jnp.abs(o) if jnp.issubdtype(jnp.result_type(o), jnp.floating) else o)
+        if name in ("sub", "neg"):
+            errors = pick(lambda m: m.e, nothing)
+            error = (errors[0] if name == "neg" else errors[0] + errors[1],)
+        elif name == "triangular_solve":
+            error = (interval.absolute_solve(equation, operands[0], operands[1].e),)
+        else:
+            error = bind(*pick(lambda m: m.e, size))
+        if name in MOVING:  # what is known of the operands stays known
+            ends = (bind(*pick(lambda m: m.lo, same)), bind(*pick(lambda m: m.hi, same)))
+        else:
+            free = tuple(jnp.full(c.shape, jnp.inf) for c in centre)
+            ends = (tuple(-f for f in free), free)
+        return [Model(*parts) for parts in zip(centre, slope, error, *ends, strict=True)]
+
+    def times(self, x: Model, factor) -> Model:
+        from jax import numpy as jnp
+
+        c = x.c * factor
+        free = jnp.full(c.shape, jnp.inf)
+        return Model(c, x.g * factor, x.e * jnp.abs(factor), -free, free)
+
+    def multiply(self, x: Model, y: Model) -> Model:
+        from jax import numpy as jnp
+
+        size_x, size_y = self.size(x.g), self.size(y.g)
+        c = x.c * y.c + 0.5 * self.inner(x.g, y.g)
+        e = 0.5 * size_x * size_y + (jnp.abs(x.c) + size_x) * y.e + (jnp.abs(y.c) + size_y) * x.e + x.e * y.e
+        free = jnp.full(c.shape, jnp.inf)
+        return Model(c, x.c * y.g + y.c * x.g, e, -free, free)
+
+    def smooth(self, function, x: Model) -> Model:
+        """A smooth operation on one operand, by Lagrange's remainder over the operand's range."""
+        from jax import jvp
+        from jax import numpy as jnp
+
+        reach = self.range(x)
+        centre = jnp.clip(x.c, reach.lo, reach.hi)
+
+        def slope(t):
+            return jvp(function, (t,), (jnp.ones_like(t),))[1]
+
+        value, first = jvp(function, (centre,), (jnp.ones_like(centre),))
+        bend = interval.evaluate(lambda t: jvp(slope, (t,), (jnp.ones_like(t),))[1], reach)
+        bend = bend if isinstance(bend, Interval) else Interval(bend, bend)
+        square = jnp.maximum(reach.hi - centre, centre - reach.lo) ** 2
+        # Where it bends one way only, the tangent is furthest from it at the ends: exact, and finite at a root of 0.
+        apart = [function(t) - value - first * (t - centre) for t in (reach.lo, reach.hi)]
+        one_way = (bend.lo >= 0) | (bend.hi <= 0)
+        low = jnp.where(one_way, jnp.minimum(*apart), 0.5 * jnp.minimum(bend.lo, 0.0) * square)
+        high = jnp.where(one_way, jnp.maximum(*apart), 0.5 * jnp.maximum(bend.hi, 0.0) * square)
+        low, high = jnp.minimum(low, 0.0), jnp.maximum(high, 0.0)
+        c = value + first * (x.c - centre) + 0.5 * (low + high)
+        e = jnp.abs(first) * x.e + 0.5 * (high - low)
+        # At the edge of its domain (a root of what may be 0) there is no slope: only the range is known.
+        whole = interval.evaluate(function, reach)
+        fine = jnp.isfinite(c) & jnp.isfinite(e)
+        return Model(
+            jnp.where(fine, c, 0.5 * (whole.lo + whole.hi)),
+            jnp.where(fine, first * x.g, 0.0),
+            jnp.where(fine, e, 0.5 * (whole.hi - whole.lo)),
+            whole.lo,
+            whole.hi,
+        )
+
+    def clip(self, x: Model, low, high) -> Model:
+        """Clipping by its chord over the operand's range; the largest distances between both are at the corners."""
+        from jax import numpy as jnp
+
+        reach = self.range(x)
+        ends = Interval(jnp.clip(reach.lo, low, high), jnp.clip(reach.hi, low, high))
+        width = reach.hi - reach.lo
+        slope = jnp.where(width > 0, (ends.hi - ends.lo) / jnp.where(width > 0, width, 1.0), 1.0)
+
+        def apart(corner):
+            corner = jnp.clip(corner, reach.lo, reach.hi)
+            return jnp.clip(corner, low, high) - ends.lo - slope * (corner - reach.lo)
+
+        gaps = (
+            jnp.minimum(jnp.minimum(apart(low), apart(high)), 0.0),
+            jnp.maximum(jnp.maximum(apart(low), apart(high)), 0.0),
+        )
+        c = ends.lo + slope * (x.c - reach.lo) + 0.5 * (gaps[0] + gaps[1])
+        return Model(c, slope * x.g, slope * x.e + 0.5 * (gaps[1] - gaps[0]), ends.lo, ends.hi)
+
+    def flat(self, equation, operands) -> list:
+        """Any other operation: its range by interval arithmetic, without a slope."""
+        from jax import numpy as jnp
+
+        inputs = [self.range(o) if isinstance(o, Model) else o for o in operands]
+        found = interval.apply(equation, inputs)
+        results = []
+        for out in found:
+            if out.lo.dtype == bool:  # certainly true, possibly true: a comparison
+                results.append(out)
+                continue
+            c, e = 0.5 * (out.lo + out.hi), 0.5 * (out.hi - out.lo)
+            results.append(Model(c, jnp.zeros((self.k, *c.shape)), e, out.lo, out.hi))
+        return results
+
+
+MOVING = frozenset(
+    "broadcast_in_dim reshape transpose squeeze slice split concatenate stack rev expand_dims copy gather dynamic_slice".split()
+)
+LINEAR = MOVING | frozenset("neg add add_any sub pad reduce_sum cumsum convert_element_type real".split())
+BILINEAR = frozenset(("mul", "div", "dot_general", "triangular_solve"))
+SMOOTH = frozenset(
+    "sin cos tan exp log sqrt rsqrt integer_pow square tanh log1p expm1 exp2 atan sinh asinh logistic".split()
+)
