@@ -13,7 +13,7 @@ from rotorwatch.airborne import airborne
 from rotorwatch.default_estimator import estimate
 from rotorwatch.diagnosis import Diagnosis, Event, RotorState, Trace
 from rotorwatch.errors import ConfigError
-from rotorwatch.estimators import jump_bank
+from rotorwatch.estimators.jump_bank import threshold
 from rotorwatch.flight import Flight
 from rotorwatch.published import Tuning
 from rotorwatch.ticks import JUDGE, Ticks
@@ -123,7 +123,7 @@ def diagnose(
 
     if estimator == "default":
         _, out = estimate(table, B, dynamics, estimating)
-        limit = jump_bank.threshold(hypotheses.make(len(craft.rotors)), table.dt)
+        limit = threshold(hypotheses.make(len(craft.rotors)), table.dt)
     else:
         out = published.judge(estimator, table, B, dynamics, tuning, estimating)
         assumptions += published.notes(estimator)
