@@ -18,8 +18,11 @@ def modules(package: str) -> Iterator[ModuleType]:
 
 
 def member(package: str, name: str):
-    """The class of that name defined in one of the package's modules. Raises AttributeError: for modules' __getattr__."""
-    if not name.startswith("_"):
+    """The class of that name defined in one of the package's modules. Raises AttributeError: for modules' __getattr__.
+
+    Importing a submodule asks for its name here first: only what looks like a class is searched for, because that loads all.
+    """
+    if name[:1].isupper():
         for module in modules(package):
             found = getattr(module, name, None)
             if getattr(found, "__module__", None) == module.__name__:
