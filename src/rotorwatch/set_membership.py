@@ -350,10 +350,10 @@ class SetMembership:
         if self.form == "ud":
             return self._rows(ellipsoid.ud_strip_cut, z, shape, H, e, limit, valid)
 
-        def cut(a, P, h, e, r):
+        def by(a, P, h, e, r):
             return ellipsoid.strip_cut(a, P, h, e, r, self.cut, self.weights)
 
-        return self._rows(cut, z, shape, H, e, limit, valid)
+        return self._rows(by, z, shape, H, e, limit, valid)
 
     def _within_range(self, cut: ellipsoid.Cut) -> ellipsoid.Cut:
         """The set cut by what is known about theta, as by measurements of it that are always there."""

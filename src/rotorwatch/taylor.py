@@ -98,7 +98,7 @@ class _Rules:
             return [self.multiply(x, inverse) if isinstance(x, Model) else self.times(inverse, x)]
         if name in SMOOTH:
             return [self.smooth(lambda x: equation.primitive.bind(x, **equation.params), operands[0])]
-                if name == "clamp" and isinstance(operands[1], Model) and len(models) == 1:
+        if name == "clamp" and isinstance(operands[1], Model) and len(models) == 1:
             return [self.clip(operands[1], operands[0], operands[2])]
         if name in ("max", "min") and len(models) == 1:
             x, bound = operands if isinstance(operands[0], Model) else operands[::-1]
