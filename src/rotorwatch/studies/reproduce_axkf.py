@@ -448,7 +448,7 @@ def figures(result: Reproduction) -> dict:
         drawn[stem] = figure
     drawn["wrong_starts"], (axis,) = _axes(1, "largest error of angles [rad]")
     for name, error in series["wrong_starts"].items():
-        gone = np.logical_or.accumulate(~(error < 10.0))  # no angles any more
+        gone = np.logical_or.accumulate(~(error < 5.0))  # no angles any more
         axis.semilogy(DT * np.arange(len(error))[rows], np.where(gone, np.nan, error)[rows], label=name)
     axis.axhline(LOST, color="k", ls=":", lw=1)
     axis.legend()
