@@ -515,6 +515,16 @@ def test_batch_is_one_by_one_and_seeds_repeat():
     assert np.abs(other.wind - again.wind).max() > 0.1
 
 
+def test_single_precision_flies_the_same_way():
+    flights, records = fleet()
+    plans = loop.stack([plan(f) for f in flights[:2]])
+    single = jax.tree.map(lambda a: a.astype(np.float32) if a.dtype == np.float64 else a, plans)
+    flown_ = loop.fly_many(single, DURATION)
+    assert all(a.dtype == np.float32 for a in flown_)
+    for k in range(2):
+        assert np.abs(one(flown_, k).p - records[k].p)[:3300].max() < 5e-3  # until the landing: contact is touchy
+
+
 def test_bad_batches_and_rates():
     with pytest.raises(ConfigError, match="same number of rotors"):
         simulate_batch([asked(), asked("hexa-x")])

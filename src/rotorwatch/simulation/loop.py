@@ -8,6 +8,7 @@ every line is one operation on long vectors.
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -186,7 +187,7 @@ def tick(plan: Plan, state: State, t, ask, noise, dt: float, steps: int) -> tupl
     amps = battery.current * work * battery.full / jnp.maximum(at_rest, 1.0)
     volts = jnp.maximum(at_rest - amps * battery.resistance, 0.3 * battery.full)
     sag = volts / battery.full
-    believed = sag + (state.believed - sag) * np.exp(-TURN * BELIEF_HZ * long)
+    believed = sag + (state.believed - sag) * math.exp(-TURN * BELIEF_HZ * long)
     R22 = 1.0 - 2.0 * (body.q[1] ** 2 + body.q[2] ** 2)
     lying = (body.p[2] > 0.0) & (R22 < CRASH_COS)
     flies = jnp.where(lying, 0.0, state.flies)
