@@ -292,7 +292,7 @@ def test_it_runs_with_its_plant_built_inside_the_program(method):
     "kind, options, words",
     [
         (Lyapunov, {"rate": -1.0}, "rate must be above zero"),
-        (Lyapunov, {"rate": 1e4}, "rate times dt"),
+        (Lyapunov, {"bandwidth": 1e4}, "bandwidth times dt"),
         (Lyapunov, {"bounds": (0.1, 1.0)}, "bounds must be"),
         (Lyapunov, {"u_nominal": np.ones(3)}, "u_nominal must have the shape"),
         (MHLyapunov, {"pull": "push"}, "gradient, proximal"),

@@ -49,7 +49,6 @@ class Law:
         for name, value in (("rate", rate), ("bandwidth", bandwidth)):
             checks.positive(name, value)
         checks.between("direct_rate", direct_rate, 0.0, 1.0 / dt)
-        checks.between("rate times dt", rate * dt, 0.0, 1.0)
         checks.between("bandwidth times dt", bandwidth * dt, 0.0, 1.0)
         checks.finite("hold", hold)
         self.rate, self.gamma, self.hold = rate, bandwidth**2, hold

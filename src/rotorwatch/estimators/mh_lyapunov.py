@@ -12,6 +12,7 @@ The proximal pull adds at most -kappa |theta* - theta_hat|^2_{Gamma^-1} to dV/dt
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 from rotorwatch import bounded, checks
@@ -76,7 +77,7 @@ class MHLyapunov:
         u_nominal=None,
         block_s=0.05,
         window_s=1.0,
-        gradient_rate=60.0,
+        gradient_rate=70.0,
         proximal_rate=2.0,
         anchor_sd=0.07,
         surprise=50.0,
@@ -98,7 +99,8 @@ class MHLyapunov:
         if not window_s >= block_s:
             raise ConfigError(f"window_s must be at least one block of {block_s:g} s, not {window_s:g}.")
         self.window_s, self.blocks = window_s, max(1, round(window_s / max(block_s, dt)))
-        self.gradient_rate = checks.between("gradient_rate", gradient_rate, 0.0, 1.0 / dt)
+        # Over a step as the exponential decays, so that a coarse step is stable too.
+        self.gradient_rate = -math.expm1(-checks.positive("gradient_rate", gradient_rate) * dt) / dt
         self.proximal_rate = checks.between("proximal_rate", proximal_rate, 0.0, 1.0 / dt)
         self.anchor, self.surprise = (
             checks.positive("anchor_sd", anchor_sd) ** -2,
