@@ -194,7 +194,7 @@ class Intermediate:
             theta_cov=_symmetric(theta_cov),
             innovation=e,
             innovation_cov=_symmetric(S),
-            status=linearise.status(valid),
+            status=jnp.where(self.mute & valid.any(), jnp.int32(1), linearise.status(valid)),
         )
         lag = (1.0 - l1) * ahead
         started = jnp.array(True)
@@ -249,6 +249,7 @@ class Intermediate:
         blind = (self.driven > 0) & ~self.measured
         if checks.concrete(blind) and blind.any():
             self.steady = self._riccati(rate, x0, u, theta)
+        self.mute = blind.any() & (self.steady is None)  # only a plant without values yet: its faults are never seen
         # What one measurement's noise does to a fault: keeps weights finite while the covariance starts from nothing.
         k2, R = self.gains(self.lp, self.lv, self.alpha, self.dt)[2], jnp.asarray(system.R(u))
         K_f = k2 * self.from_y if self.steady is None else self.steady[1]
