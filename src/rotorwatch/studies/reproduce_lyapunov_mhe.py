@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 import time
+from typing import Any
 
 import numpy as np
 
@@ -47,7 +49,7 @@ NLP_STEPS = 260  # of a flight, after which the window is handed to another solv
 
 def reproduce(seeds: int = SEEDS, literal: tuple[str, ...] = (), progress=None) -> Reproduction:
     """The experiments with that many noise seeds. literal: names from LITERAL. progress: called with share and text."""
-    literal = check_literal(__import__("sys").modules[__name__], tuple(literal))
+    literal = check_literal(sys.modules[__name__], tuple(literal))
     tell = progress or (lambda share, text="": None)
     table = airframes.paper("niermeyer-hexa")
     system = RateDynamics.of(table)
@@ -55,7 +57,7 @@ def reproduce(seeds: int = SEEDS, literal: tuple[str, ...] = (), progress=None) 
     observed = observable(system, scaled="unscaled" not in literal)
     tell(0.2, "flights")
     flown = fly(table, seeds)
-    options = {"hold": 0.0} if "no-hold" in literal else {}
+    options: dict[str, Any] = {"hold": 0.0} if "no-hold" in literal else {}
     rmse, cost, traces = {}, {}, {}
     for k, (name, (kind, tuning)) in enumerate(ESTIMATORS.items()):
         tell(0.3 + 0.1 * k, name)
@@ -189,6 +191,8 @@ def mhe_vs_nlp(system: RateDynamics, flown: flights.Flight) -> float:
 
         return jnp.concatenate([root @ (s[0] - carry.prior), jax.vmap(interval)(s[:-1], s[1:], window).reshape(-1)])
 
+    value: Any
+    jacobian: Any
     value, jacobian = jax.jit(residuals), jax.jit(jax.jacfwd(residuals))
     low, high = (np.tile(np.asarray(b), thorough.intervals + 1) for b in (thorough.low, thorough.high))
     other = np.tile(np.asarray(carry.prior), thorough.intervals + 1).reshape(-1, n)
