@@ -236,8 +236,9 @@ def test_a_wrong_arrival_cost_is_not_the_kalman_filter(monkeypatch):
 def test_losses_stay_in_their_box():
     u, y, valid = table(200, loss=1.0)
     for kind, options in ((MHLyapunov, {}), (MHE, {"nodes": 4})):
-        out, _ = over(kind(hexa(), DT, bounds=(-0.01, 0.6), **options), u, y, valid)
-        assert out.theta.min() >= -0.01 and out.theta.max() == 0.6, kind.name
+        out, _ = over(kind(hexa(), DT, bounds=(-0.01, 0.4), **options), u, y, valid)
+        assert out.theta.min() >= -0.01, kind.name
+        assert 0.35 < out.theta.max() <= 0.4, kind.name
 
 
 # All three
