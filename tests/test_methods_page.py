@@ -33,9 +33,9 @@ def test_links_lead_somewhere():
 
 def test_the_table_is_made_where_the_marks_are():
     make = maker()
-    page = f"before\n{make.START}old\n{make.END}after\n"
+    page = f"before\n{make.START}stale row\n{make.END}after\n"
     filled = make.filled(page)
-    assert filled.startswith("before\n") and filled.endswith("after\n") and "old" not in filled
+    assert filled.startswith("before\n") and filled.endswith("after\n") and "stale row" not in filled
     assert "| all |" in filled and "`rate_dynamics`" in filled and "augmented Kalman filter" in filled
 
 
