@@ -17,7 +17,7 @@ MISSING_SLACK = 0.15  # hover thrusts of one rotor
 FAST_S, SLOW_S = 0.5, 6.0
 SECOND = 0.1
 # A loss that is known wanders with the operating point and the weather: only a step in it is news.
-CHANGE, CHANGE_GONE, GONE = 0.035, 0.3, 0.8
+CHANGE, CHANGE_GONE, GONE = 0.03, 0.3, 0.8
 
 
 class Missing(NamedTuple):

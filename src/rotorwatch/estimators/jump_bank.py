@@ -26,7 +26,8 @@ FALSE_ALARM_PERIOD_S = 25 * 3600.0
 COMPETITOR_ODDS, UPDATE_ODDS = 5.0, 500.0
 PERSIST_S = 0.15
 HOLD_S = 1.5
-LEARN_LOSS_S = 6.0  # a committed loss is refined this long; after that only a new jump changes it
+LEARN_LOSS_S = 6.0  # a committed loss is refined this long; after that only a new jump changes it,
+MOVING, MOVING_S = 0.01, 2.0  # unless it has moved by so much from its mean over so long: a loss that grows
 THETA_WALK = 0.02**2  # 1/s, while it is refined
 KNOWN_BONUS, SECOND_NATS = 2.0, 6.0  # nats: a rotor that has failed is likely to change again, another one is not
 DISTURBANCE_SCALE, DISTURBANCE_RANGE = 3.0, (0.03, 1.0)
@@ -51,7 +52,8 @@ def threshold(hyp: hypotheses.Hypotheses, dt: float, false_alarm_period_s: float
 class Standing(NamedTuple):
     """Where rotors and announcements stand. active (n,): announced and in the filter. pending: ticks since an announcement
     that is not committed, -1 none; above: ticks over the threshold in a row; update: it changes a known loss only. learning (n,):
-    seconds a loss is still refined; theta_var (n,): its variance after that. frozen: seconds of suspicion in which no noise
+    seconds a loss is still refined; theta_var (n,): its variance after
+    that; theta_mean (n,): over MOVING_S. frozen: seconds of suspicion in which no noise
     was learned; sure_s: seconds for which a disturbance has been certain; opposite_s: for which opposite rotors explain one."""
 
     active: Array
@@ -60,6 +62,7 @@ class Standing(NamedTuple):
     update: Array
     learning: Array
     theta_var: Array
+    theta_mean: Array
     frozen: Array
     sure_s: Array
     opposite_s: Array
@@ -174,7 +177,14 @@ class JumpBank:
             caution.init(self.n),
             plausibility.init(),
             Standing(
-                np.zeros(self.n, bool), np.int32(-1), np.int32(0), np.bool_(False), none, none, *[np.float64(0)] * 3
+                np.zeros(self.n, bool),
+                np.int32(-1),
+                np.int32(0),
+                np.bool_(False),
+                none,
+                none,
+                none,
+                *[np.float64(0)] * 3,
             ),
         )
 
@@ -265,6 +275,7 @@ class JumpBank:
             update,
             learning,
             theta_var,
+            stand.theta_mean,
             jnp.minimum(frozen, 2.0 * FREEZE_S),
             sure_s,
             opposite_s,
@@ -299,15 +310,23 @@ class JumpBank:
         """One tick ahead. A loss that has been refined long enough is taken as known; its variance is remembered."""
         import jax.numpy as jnp
 
+        theta = s[self.n_x :]
+        mean = stand.theta_mean + (theta - stand.theta_mean) * (self.dt / MOVING_S)
         finished = (stand.learning > 0) & (stand.learning <= self.dt)
+        moving = finished & (jnp.abs(theta - mean) > MOVING)
+        finished &= ~moving
         theta_var = jnp.where(finished, jnp.diagonal(P)[self.n_x :], stand.theta_var)
         known = jnp.concatenate([jnp.ones(self.n_x), jnp.where(finished, 0.0, 1.0)])
         P = P * known[:, None] * known[None, :]
-        learning = jnp.maximum(stand.learning - self.dt, 0.0)
+        learning = jnp.where(moving, MOVING_S, jnp.maximum(stand.learning - self.dt, 0.0))
         A = self._A()
         q_x = jnp.where(flying, noise.process_variance(variances, self.dt), 0.0)
         Q = jnp.diag(jnp.concatenate([q_x, (learning > 0) * THETA_WALK * self.dt]))
-        return A * s, A[:, None] * P * A[None, :] + Q, stand._replace(theta_var=theta_var, learning=learning)
+        return (
+            A * s,
+            A[:, None] * P * A[None, :] + Q,
+            stand._replace(theta_var=theta_var, learning=learning, theta_mean=mean),
+        )
 
     def _updated(self, s, P, bank, rows, y, valid, R, teach, weight):
         """One axis after the other: R is diagonal."""
