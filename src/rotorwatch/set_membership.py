@@ -170,8 +170,15 @@ class SetMembership:
             z_new, shape_new = lax.cond(empty, lambda: self._again(carry, u, y, valid, step), lambda: (cut.a, cut.P))
         else:
             z_new, shape_new = jnp.where(empty, z, cut.a), jnp.where(empty, shape, cut.P)
+        # In a long gap a set may outgrow every number: it is held as it was, and starts again once something is measured.
+        known = jnp.isfinite(z_new).all() & jnp.isfinite(shape_new).all() & (jnp.abs(shape_new).max() < UNBOUNDED**2)
+        first = self.init()
+        z_held, shape_held = (jnp.where(valid.any(), a, b) for a, b in ((first.z, carry.z), (first.shape, carry.shape)))
+        z_new, shape_new = jnp.where(known, z_new, z_held), jnp.where(known, shape_new, shape_held)
+        empty = empty | (~known & valid.any())
         P_prior = self.unfactored(shape)
         S = ellipsoid.symmetric(H @ P_prior @ H.T)
+        S = jnp.where(jnp.isfinite(S).all(), S, jnp.eye(len(e)) * UNBOUNDED**2)
         R = jnp.diag(limit)
         q = self.adapt(
             carry.q, Cutting(Phi, jnp.where(valid[:, None], H, 0.0), e, P_prior, R, amplify), cut.health, step

@@ -115,10 +115,10 @@ def _judged(estimator, flights) -> tuple[dict, dict]:
     wide = np.diag((REACH / 3) ** 2)
 
     def again(carry):
-        """A Kalman filter's losses from the prior, after an innovation outside all that three deviations allow."""
+        """A Kalman filter's losses as uncertain as at first, about where they are, after an innovation outside all that three deviations allow."""
         z, P = carry[:2]
         P = jnp.zeros_like(P).at[:n_x, :n_x].set(4 * P[:n_x, :n_x]).at[n_x:, n_x:].set(wide)
-        return carry._replace(**dict(zip(carry._fields, (jnp.concatenate([z[:n_x], CENTRE]), P), strict=False)))
+        return carry._replace(**dict(zip(carry._fields, (z, P), strict=False)))
 
     def step(state, row):
         carry, count = state
@@ -137,7 +137,10 @@ def _judged(estimator, flights) -> tuple[dict, dict]:
     def over(u, y):
         return lax.scan(step, (start, jnp.zeros((), jnp.int32)), (u, y))[1]
 
-    z, P, count = (np.asarray(part) for part in jax.jit(jax.vmap(over))(flights.u, flights.y))
+    z, P, count = (
+        np.asarray(part)
+        for part in jax.jit(lambda *table: lax.map(lambda one: over(*one), table))(flights.u, flights.y)
+    )
     fault, late, last = (round(s / DT) for s in (FAULT_S, FAULT_S + SETTLE_S, ruav_flight.SECONDS - 5.0))
     truth = np.concatenate([flights.x, flights.theta], axis=-1)
     half = np.sqrt(np.diagonal(P, axis1=-2, axis2=-1))
