@@ -187,11 +187,13 @@ def test_small_losses_and_short_ones_do_not_count(decided):
     assert decided(small).alarm.any() and not decided(small, sigmas=60.0).alarm.any()
 
 
-@settings(max_examples=20, deadline=None)
+evidence = jax.jit(decide.Threshold(geometry()).evidence)
+
+
+@settings(deadline=None)
 @given(away=st.lists(st.floats(-2, 2), min_size=4, max_size=4), scatter=st.floats(1e-4, 0.1))
 def test_evidence_is_finite_and_losses_are_shares(away, scatter):
-    threshold = decide.Threshold(geometry())
-    log_odds, loss = threshold.evidence(np.array(away), np.full(4, scatter))
+    log_odds, loss = evidence(np.array(away), np.full(4, scatter))
     assert np.isfinite(log_odds).all()
     hyp = hypotheses.make(4)
     single = np.array([kind in ("single", "pair") for kind in hyp.kinds])[: loss.shape[0]]
