@@ -21,7 +21,7 @@ from rotorwatch.systems.wrench_balance import B1, B2, B3, GAIN, PER_AXIS
 from rotorwatch.ticks import GROUND, JUDGE
 
 # Mean time between false alarms if the noise were what the model says; on real noise: docs/results.md.
-FALSE_ALARM_PERIOD_S = 25 * 3600.0
+FALSE_ALARM_PERIOD_S = 60 * 3600.0
 # How much likelier than any disturbance a fault must be; more for a change of a loss that is known already.
 COMPETITOR_ODDS, UPDATE_ODDS = 5.0, 500.0
 PERSIST_S = 0.15
