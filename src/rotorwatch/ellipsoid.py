@@ -122,8 +122,11 @@ def strip_cut(a, P, h, e, r, rule: str = "source", weights: Array = 1.0):
         D = r + weight * g
         health = 1.0 + weight - weight * e**2 / jnp.maximum(D, TINY)
         use = (weight > 0) & ~empty & (health > 0)
-        cut = health * (P - jnp.outer(Ph, Ph) * (weight / jnp.maximum(D, TINY)))
-        shift = Ph * (weight * e / jnp.maximum(D, TINY))
+        k = Ph * (weight / jnp.maximum(D, TINY))
+        less = P - jnp.outer(k, Ph)
+        # Joseph's form of P - k Ph': no digits lost where the strip is much thinner than the set.
+        cut = health * (less - jnp.outer(less @ h, k) + jnp.outer(k, k) * (r / jnp.maximum(weight, TINY)))
+        shift = k * e
     keep = jnp.where(use, 1.0, 0.0)
     return Cut(a + keep * shift, jnp.where(use, symmetric(cut), P), jnp.where(empty, -1.0, jnp.where(use, health, 1.0)))
 

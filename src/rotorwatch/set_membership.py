@@ -183,11 +183,17 @@ class SetMembership:
         q = self.adapt(
             carry.q, Cutting(Phi, jnp.where(valid[:, None], H, 0.0), e, P_prior, R, amplify), cut.health, step
         )
-        P = self.unfactored(shape_new)
+        P = ellipsoid.symmetric(self.unfactored(shape_new))
         status = jnp.where(valid.any(), 0, 2).astype(jnp.int32)
         new = Carry(z_new, shape_new, q, carry.restarts + empty.astype(jnp.int32), cut.health)
         return new, Estimate(
-            z_new[:n_x], P[:n_x, :n_x], z_new[n_x:], P[n_x:, n_x:], e, ellipsoid.minkowski(S, R)[0], status
+            z_new[:n_x],
+            P[:n_x, :n_x],
+            z_new[n_x:],
+            P[n_x:, n_x:],
+            e,
+            ellipsoid.symmetric(ellipsoid.minkowski(S, R)[0]),
+            status,
         )
 
     def _again(self, carry, u, y, valid, dt):

@@ -22,12 +22,51 @@ class AESMF(SetMembership):
     name = "aesmf"
     not_kalman = "its sets hold all states that bounded noise allows, and the bound of the noise adapts"
 
-    def __init__(self, system, dt, *, eta=1.0, mu=300.0, floor=1e-3, ceiling=4.0, additive=False, **bounds):
+    def __init__(
+        self,
+        system,
+        dt,
+        *,
+        eta=1.0,
+        mu=300.0,
+        floor=1e-3,
+        ceiling=4.0,
+        additive=False,
+        bound=3.0,
+        process=None,
+        measurement=None,
+        theta_centre=None,
+        theta_reach=1.0,
+        theta_drift=1e-3,
+        theta_range=None,
+        form="scalar",
+        cut=None,
+        remainder="taylor",
+        remainder_box="trace",
+        weights=None,
+        restart=True,
+    ):
         """eta: rate [1/s]; mu: weight of the health index; floor, ceiling: least and largest factor on Q's diagonal (squared
         semi-axes). The set is only guaranteed when floor keeps Q above the true bound. additive: q_i - eta dt dJ/dq_i as
-        printed, in units of q_i, instead of logarithms; stable only for eta dt below about 0.27. bounds: as
-        `SetMembership`. Raises ConfigError."""
-        super().__init__(system, dt, **bounds)
+        printed, in units of q_i, instead of logarithms; stable only for eta dt below about 0.27. The rest as
+        for `SetMembership`. Raises ConfigError."""
+        super().__init__(
+            system,
+            dt,
+            bound=bound,
+            process=process,
+            measurement=measurement,
+            theta_centre=theta_centre,
+            theta_reach=theta_reach,
+            theta_drift=theta_drift,
+            theta_range=theta_range,
+            form=form,
+            cut=cut,
+            remainder=remainder,
+            remainder_box=remainder_box,
+            weights=weights,
+            restart=restart,
+        )
         self.eta, self.mu = checks.positive("eta", eta), checks.positive("mu", mu)
         self.floor, self.ceiling = checks.between("floor", floor, 0.0, 1.0), checks.positive("ceiling", ceiling)
         if floor == 0 or ceiling < 1:

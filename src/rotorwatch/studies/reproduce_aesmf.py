@@ -115,7 +115,7 @@ def _judged(estimator, flights) -> tuple[dict, dict]:
     wide = np.diag((REACH / 3) ** 2)
 
     def again(carry):
-        """A Kalman filter's losses as uncertain as at first, about where they are, after an innovation outside all that three deviations allow."""
+        """A Kalman filter's losses as uncertain as the prior, after an innovation outside all that three deviations allow."""
         z, P = carry[:2]
         P = jnp.zeros_like(P).at[:n_x, :n_x].set(4 * P[:n_x, :n_x]).at[n_x:, n_x:].set(wide)
         return carry._replace(**dict(zip(carry._fields, (z, P), strict=False)))
