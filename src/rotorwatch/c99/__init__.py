@@ -1,0 +1,9 @@
+"""From a traced function to C99 that depends on libm alone.
+
+lower.py      jaxpr -> graph: calls inlined, constants folded, indices made constant tables; refusals
+graph.py      the graph: each value once, slices, transposes and broadcasts as affine views
+operations.py element-wise operations: what NumPy and what C call them
+plan.py       which values get storage, for how long, and who shares it
+emit.py       the graph as C statements; kernels.py: products, factors, triangular systems
+project.py    header, source, example, CMakeLists of a function with named inputs, state and outputs
+"""

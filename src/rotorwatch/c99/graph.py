@@ -1,0 +1,292 @@
+"""The graph of a traced function: each value once, constants folded, slices, transposes and broadcasts as affine views.
+
+A value of shape (s_0, s_1, ...) is a `Node`. A view's element (i_0, i_1, ...) is its root's element whose index along each of
+the root's axes is  c + sum_j m_j i_j:  `Axis(c, (m_0, m_1, ...))`. Views of views are composed, so a view's root is no view.
+Loops and branches are regions of their own: a node belongs to the innermost region whose parameters it depends on, which
+takes what does not change out of loops.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from rotorwatch.c99.operations import ELEMENTWISE, NUMPY, kind
+
+MOST_FOLDED = 200_000  # elements
+
+
+class Axis(NamedTuple):
+    """Index along one axis of the root: start + sum of steps[j] i_j over the view's axes."""
+
+    start: int
+    steps: tuple[int, ...]
+
+
+class Region:
+    """Where a node is computed: the whole function (depth 0), or the inside of a loop or branch."""
+
+    def __init__(self, parent: Region | None = None):
+        self.parent = parent
+        self.depth: int = 0 if parent is None else parent.depth + 1
+
+    def within(self, other: Region) -> bool:
+        """Whether this is `other` or inside it."""
+        here: Region | None = self
+        while here is not None and here is not other:
+            here = here.parent
+        return here is other
+
+
+class Node:
+    """One value. kind: f, i, l or b (operations.TYPES); data: what the operation needs besides its arguments."""
+
+    __slots__ = ("args", "data", "index", "kind", "op", "region", "shape", "source")
+
+    def __init__(self, op, args, shape, kind, data, region, source, index):
+        self.op: str = op
+        self.args: tuple[Node, ...] = args
+        self.shape: tuple[int, ...] = shape
+        self.kind: str = kind
+        self.data: Any = data
+        self.region: Region = region
+        self.source: str = source
+        self.index: int = index
+
+    @property
+    def size(self) -> int:
+        return math.prod(self.shape)
+
+    def __repr__(self):
+        return f"%{self.index}:{self.kind}{list(self.shape)} = {self.op}({', '.join(f'%{a.index}' for a in self.args)})"
+
+
+def identity(shape: tuple[int, ...]) -> tuple[Axis, ...]:
+    """Every element where it is."""
+    return tuple(Axis(0, tuple(int(i == j) for j in range(len(shape)))) for i in range(len(shape)))
+
+
+def composed(outer: tuple[Axis, ...], inner: tuple[Axis, ...], width: int) -> tuple[Axis, ...]:
+    """The view `outer` of the view `inner`; width: axes of the outer one."""
+
+    def one(axis: Axis) -> Axis:
+        start = axis.start + sum(m * o.start for m, o in zip(axis.steps, outer))
+        return Axis(start, tuple(sum(m * o.steps[j] for m, o in zip(axis.steps, outer)) for j in range(width)))
+
+    return tuple(one(axis) for axis in inner)
+
+
+def strides(shape: tuple[int, ...]) -> tuple[int, ...]:
+    """Of a row-major array, in elements."""
+    return tuple(math.prod(shape[k + 1 :]) for k in range(len(shape)))
+
+
+def flat(axes: tuple[Axis, ...], root_shape: tuple[int, ...], width: int) -> tuple[int, tuple[int, ...]]:
+    """(offset, steps) of a view in the row-major storage of its root."""
+    s = strides(root_shape)
+    steps = tuple(sum(k * axis.steps[j] for k, axis in zip(s, axes)) for j in range(width))
+    return sum(k * axis.start for k, axis in zip(s, axes)), steps
+
+
+class Graph:
+    """Makes nodes; equal ones are made once."""
+
+    def __init__(self):
+        self.nodes: list[Node] = []
+        self.top = Region()
+        self.source = ""
+        self._known: dict[Any, Node] = {}
+
+    def make(self, op, args, shape, kind, data=None, key=None, region=None) -> Node:
+        """A node; the equal one that is there already, unless key is False. key: what stands for data in the comparison."""
+        shape = tuple(int(n) for n in shape)
+        if region is None:
+            region = max((a.region for a in args), key=lambda r: r.depth, default=self.top)
+        known = None
+        if key is not False:
+            known = (op, tuple(a.index for a in args), shape, kind, data if key is None else key)
+            if known in self._known:
+                return self._known[known]
+        node = Node(op, tuple(args), shape, kind, data, region, self.source, len(self.nodes))
+        self.nodes.append(node)
+        if known is not None:
+            self._known[known] = node
+        return node
+
+    def const(self, value) -> Node:
+        """A constant; one that is the same everywhere is a broadcast scalar."""
+        value = np.asarray(value)
+        value = np.ascontiguousarray(value, NUMPY[kind(value.dtype)]).reshape(value.shape)
+        if value.size > 1 and value.tobytes() == np.broadcast_to(value.flat[0], value.shape).tobytes():
+            return self.broadcast(self.const(value.flat[0].reshape(())), value.shape, ())
+        return self.make("const", (), value.shape, kind(value.dtype), value, key=value.tobytes())
+
+    def param(self, shape, kind, data, region: Region | None = None) -> Node:
+        """An input of the function or of a region."""
+        return self.make("param", (), shape, kind, data, key=False, region=region or self.top)
+
+    def elementwise(self, name: str, *args: Node, kind: str) -> Node:
+        """An operation of `ELEMENTWISE` on arguments of one shape; scalars and axes of length 1 are broadcast."""
+        rank = max(len(a.shape) for a in args)
+        shape = tuple(max(sizes) for sizes in zip(*(a.shape for a in args if len(a.shape) == rank)))
+        args = tuple(a if a.shape == shape else self.broadcast(a, shape, range(len(a.shape))) for a in args)
+        simple = self._simplified(name, args, kind)
+        if simple is not None:
+            return simple
+        known = values(*args)
+        if known is not None and math.prod(shape) <= MOST_FOLDED:
+            with np.errstate(all="ignore"):
+                return self.const(np.asarray(ELEMENTWISE[name].fold(*known), NUMPY[kind]))
+        return self.make(name, args, shape, kind)
+
+    def _simplified(self, name, args, kind) -> Node | None:
+        """Operations that change nothing, as they come from derivatives and masks."""
+        if name == "copy" or name == f"to_{args[0].kind}":
+            return args[0]
+        if name in ("mul", "add") and kind in "fil":
+            for one, other in (args, args[::-1]):
+                if uniform(one) == (1 if name == "mul" else 0):
+                    return other
+        if name in ("sub", "div") and kind in "fil" and uniform(args[1]) == (0 if name == "sub" else 1):
+            return args[0]
+        if name == "select":
+            which, no, yes = args
+            if no is yes:
+                return no
+            if uniform(which) is not None:
+                return yes if uniform(which) else no
+            mask = value(which)
+            lower = mask is not None and mask.ndim == 2 and np.array_equal(mask, np.tril(np.ones_like(mask)))
+            if lower and yes.op == "cholesky" and uniform(no) == 0:
+                return yes  # the factor's upper part is zero already
+        return None
+
+    # Views.
+
+    def view(self, x: Node, shape: tuple[int, ...], axes: tuple[Axis, ...]) -> Node:
+        """Elements of x where `axes` says."""
+        shape = tuple(int(n) for n in shape)
+        axes = tuple(Axis(a.start, tuple(m if n > 1 else 0 for m, n in zip(a.steps, shape))) for a in axes)
+        if x.op == "view":
+            x, axes = x.args[0], composed(axes, x.data, len(shape))
+        if x.op == "concat":
+            piece = self._piece(x, shape, axes)
+            if piece is not None:
+                return piece
+        if shape == x.shape and all(
+            axis.start == 0 and all(m == int(i == j) or shape[j] == 1 for j, m in enumerate(axis.steps))
+            for i, axis in enumerate(axes)
+        ):
+            return x
+        if x.op == "const" and x.size > 1 and math.prod(shape) <= MOST_FOLDED:
+            return self.const(_taken(x.data, shape, axes))
+        return self.make("view", (x,), shape, x.kind, axes)
+
+    def _piece(self, x: Node, shape, axes) -> Node | None:
+        """A view of a concatenation that stays within one of its pieces."""
+        along, at = axes[x.data], 0
+        low = along.start + sum(min(0, m * (n - 1)) for m, n in zip(along.steps, shape))
+        high = along.start + sum(max(0, m * (n - 1)) for m, n in zip(along.steps, shape))
+        for piece in x.args:
+            size = piece.shape[x.data]
+            if at <= low and high < at + size:
+                moved = tuple(Axis(a.start - at, a.steps) if k == x.data else a for k, a in enumerate(axes))
+                return self.view(piece, shape, moved)
+            at += size
+        return None
+
+    def broadcast(self, x: Node, shape, where) -> Node:
+        """x's axis i becomes axis where[i] of the result."""
+        axes = tuple(
+            Axis(0, tuple(int(j == where[i] and x.shape[i] > 1) for j in range(len(shape))))
+            for i in range(len(x.shape))
+        )
+        return self.view(x, shape, axes)
+
+    def sliced(self, x: Node, start, stop, step=None) -> Node:
+        step = step or (1,) * len(start)
+        shape = tuple(-(-(b - a) // s) for a, b, s in zip(start, stop, step))
+        axes = tuple(
+            Axis(int(a), tuple(int(s) * int(i == j) for j in range(len(shape))))
+            for i, (a, s) in enumerate(zip(start, step))
+        )
+        return self.view(x, shape, axes)
+
+    def transposed(self, x: Node, order) -> Node:
+        shape = tuple(x.shape[k] for k in order)
+        axes = tuple(Axis(0, tuple(int(order[j] == i) for j in range(len(order)))) for i in range(len(order)))
+        return self.view(x, shape, axes)
+
+    def reversed(self, x: Node, dimensions) -> Node:
+        axes = tuple(
+            Axis(n - 1 if i in dimensions else 0, tuple((-1 if i in dimensions else 1) * int(i == j) for j in range(len(x.shape))))
+            for i, n in enumerate(x.shape)
+        )  # fmt: skip
+        return self.view(x, x.shape, axes)
+
+    def reshaped(self, x: Node, shape) -> Node:
+        """A view where only axes of length 1 come or go; else the same storage read in another shape."""
+        shape = tuple(int(n) for n in shape)
+        if shape == x.shape:
+            return x
+        if uniform(x) is not None:
+            return self.broadcast(self.const(np.asarray(uniform(x), NUMPY[x.kind])), shape, ())
+        if x.op == "const":
+            return self.const(x.data.reshape(shape))
+        long = [j for j, n in enumerate(shape) if n > 1]
+        old = [i for i, n in enumerate(x.shape) if n > 1]
+        if [shape[j] for j in long] == [x.shape[i] for i in old]:
+            place = dict(zip(old, long))
+            axes = tuple(Axis(0, tuple(int(place.get(i) == j) for j in range(len(shape)))) for i in range(len(x.shape)))
+            return self.view(x, shape, axes)
+        root = self.stored(x)
+        root = root.args[0] if root.op == "alias" else root
+        return root if root.shape == shape else self.make("alias", (root,), shape, x.kind)
+
+    def stored(self, x: Node) -> Node:
+        """x with row-major storage of its own: a copy of a view."""
+        return self.make("copy", (x,), x.shape, x.kind) if x.op == "view" else x
+
+    def concat(self, parts, dimension: int) -> Node:
+        parts = tuple(p for p in parts if p.size)
+        if len(parts) == 1:
+            return parts[0]
+        shape = list(parts[0].shape)
+        shape[dimension] = sum(p.shape[dimension] for p in parts)
+        known = values(*parts)
+        if known is not None and math.prod(shape) <= MOST_FOLDED:
+            return self.const(np.concatenate(known, axis=dimension))
+        return self.make("concat", parts, shape, parts[0].kind, dimension)
+
+
+def value(x: Node) -> np.ndarray | None:
+    """The constant x is, or None."""
+    if x.op == "const":
+        return x.data
+    if x.op == "view" and x.args[0].op == "const" and x.size <= MOST_FOLDED:
+        return _taken(x.args[0].data, x.shape, x.data)
+    return None
+
+
+def values(*nodes: Node) -> list[np.ndarray] | None:
+    """The constants that nodes are, or None when one of them is none."""
+    known = [v for v in map(value, nodes) if v is not None]
+    return known if len(known) == len(nodes) else None
+
+
+def uniform(x: Node):
+    """The number a constant is everywhere, or None."""
+    if x.op == "view":
+        x = x.args[0]
+    return x.data.reshape(-1)[0].item() if x.op == "const" and x.size == 1 else None
+
+
+def _taken(a: np.ndarray, shape, axes) -> np.ndarray:
+    """NumPy's reading of a view."""
+    offset, steps = flat(axes, a.shape, len(shape))
+    index = np.full(shape, offset)
+    for j, (n, m) in enumerate(zip(shape, steps)):
+        index += (np.arange(n) * m).reshape([-1 if k == j else 1 for k in range(len(shape))])
+    return a.reshape(-1)[index].reshape(shape)
