@@ -164,8 +164,7 @@ class SetMembership:
         else:
             cut = self._cut(z, shape, H, e, limit, valid)
         empty = ~(cut.health > 0)
-        inside = self._within_range(cut)  # where something was measured: a gap teaches nothing
-        cut = ellipsoid.Cut(*(jnp.where(valid.any(), a, b) for a, b in zip(inside, cut, strict=True)))
+        cut = self._within_range(cut, valid)
         if self.restart:
             z_new, shape_new = lax.cond(empty, lambda: self._again(carry, u, y, valid, step), lambda: (cut.a, cut.P))
         else:
@@ -368,8 +367,9 @@ class SetMembership:
 
         return self._rows(by, z, shape, H, e, limit, valid)
 
-    def _within_range(self, cut: ellipsoid.Cut) -> ellipsoid.Cut:
-        """The set cut by what is known about theta, as by measurements of it that are always there."""
+    def _within_range(self, cut: ellipsoid.Cut, valid) -> ellipsoid.Cut:
+        """The set cut by what is known about theta, as by measurements of it; but a gap teaches nothing."""
+        from jax import lax
         from jax import numpy as jnp
 
         bounded = np.flatnonzero(np.isfinite(self.high) & np.isfinite(self.low))
@@ -382,10 +382,16 @@ class SetMembership:
             return ellipsoid.strip_cut(a, P, h, e, r, "trace", self.weights)
 
         by = ellipsoid.ud_strip_cut if self.form == "ud" else one
-        inside = self._rows(
-            by, cut.a, cut.P, jnp.asarray(rows), middle - cut.a[bounded], limit, np.ones(bounded.size, bool)
-        )
-        return ellipsoid.Cut(inside.a, inside.P, jnp.minimum(cut.health, inside.health))
+        e = middle - cut.a[bounded]
+        # No strip that the set does not leave makes it smaller: usually there is nothing to do.
+        leaves = (self.unfactored(cut.P).diagonal()[bounded] + e**2 > limit).any()
+        always = np.ones(bounded.size, bool)
+
+        def narrowed():
+            inside = self._rows(by, cut.a, cut.P, jnp.asarray(rows), e, jnp.asarray(limit), always)
+            return ellipsoid.Cut(inside.a, inside.P, jnp.minimum(cut.health, inside.health))
+
+        return lax.cond(valid.any() & leaves, narrowed, lambda: cut)
 
     def _rows(self, cut, z, shape, H, e, limit, valid):
         """One valid measurement after the other; e: measured minus predicted at z."""

@@ -55,7 +55,7 @@ def filters(system, literal=()) -> dict[str, Any]:
         "theta_range": RANGE,
         "remainder_box": "paper" if "box" in literal else "trace",
     }
-    rule = {"additive": "additive" in literal}
+    rule: dict[str, Any] = {"additive": "additive" in literal}
     walk = (TOO_WIDE * PROCESS[6:] / 3) ** 2 / DT
     kalman: dict[str, Any] = {"theta_walk": walk, "theta_var": (START_REACH / 3) ** 2}
     kalman_plant = ruav_flight.plant()
