@@ -1,0 +1,312 @@
+"""Plans: what a campaign flies, as a TOML file. A scenario whose fields may be drawn, and the faults that may happen.
+
+    name = "small multirotors"
+    seed = 1
+    healthy = 0.3                                  # share of flights without a fault
+    estimators = ["default"]
+    detectors = ["ardupilot-thrust-loss"]
+
+    [scenario]                                     # any field of a scenario (docs/simulation.md), or how to draw it
+    duration_s = 60.0
+    [scenario.airframe]
+    frame = { choice = ["quad-x", "hexa-x"] }
+    [scenario.wind]
+    speed_m_s = { uniform = [0.0, 8.0] }
+
+    [[faults]]                                     # one of these in every flight that is not healthy, by share
+    kind = "loss"
+    onset_s = { uniform = [22.0, 35.0] }
+    strength = { log_uniform = [0.03, 0.6] }
+
+Flight k is the same flight whatever else is flown: its numbers come from (seed, k) alone.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import os
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from rotorwatch import detectors, discovery
+from rotorwatch.errors import ConfigError
+from rotorwatch.simulation import prepare, scenario
+from rotorwatch.simulation.scenario import Scenario
+
+MAX_BYTES = 1_000_000
+DRAWS = ("choice", "uniform", "log_uniform")
+FIXED = ("duration_s", "rate_hz", "name", "seed")
+MOST_CELLS = 64
+TOP = {
+    "name": "", "seed": 0, "healthy": 0.3, "estimators": ("default",), "detectors": (), "false_alarm_period_h": 10.0, "scenario": {},
+    "faults": (),
+}  # fmt: skip
+FAULT = {"share": 1.0, "together": 1}
+
+
+class Cell(NamedTuple):
+    """What the flights of one compiled batch share: frame, autopilot, logging profile."""
+
+    frame: str
+    autopilot: str
+    profile: str
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A checked plan. text: the file's, by which a folder of results knows its plan. cells: flight k belongs to cell k % len(cells).
+
+    scenario and faults: tables whose values are numbers and texts, or draws. false_alarm_period_h: the mean time between false
+    alarms that the bound on delays is worked out for.
+    """
+
+    name: str
+    seed: int
+    healthy: float
+    estimators: tuple[str, ...]
+    detectors: tuple[str, ...]
+    false_alarm_period_h: float
+    scenario: Mapping[str, Any]
+    faults: tuple[Mapping[str, Any], ...]
+    cells: tuple[Cell, ...]
+    rotors: tuple[int, ...]
+    text: str
+
+    @property
+    def methods(self) -> tuple[str, ...]:
+        """Estimators, then detectors: what each flight is judged by."""
+        return (*self.estimators, *self.detectors)
+
+    def cell(self, flight: int) -> Cell:
+        """Which cell a flight belongs to."""
+        return self.cells[flight % len(self.cells)]
+
+    def flight(self, k: int) -> Scenario:
+        """The scenario of flight k, drawn from (seed, k)."""
+        rng = np.random.default_rng([self.seed, k])
+        table = _drawn(self.scenario, rng)
+        here, n = self.cell(k), self.rotors[k % len(self.cells)]
+        table["autopilot"] = here.autopilot
+        table["airframe"]["frame"], table["logging"]["profile"] = here.frame, here.profile
+        faults = []
+        if self.faults and rng.random() >= self.healthy:
+            shares = np.array([f["share"] for f in self.faults])
+            asked = self.faults[int(rng.choice(len(shares), p=shares / shares.sum()))]
+            rotors = rng.permutation(n)[: asked["together"]] + 1
+            for rotor in rotors:
+                drawn = _drawn({key: v for key, v in asked.items() if key not in FAULT}, rng)
+                faults.append({"rotor": int(rotor), **drawn})
+        return scenario.from_table(
+            {**table, "name": f"{self.name} {k}", "seed": int(rng.integers(2**31 - 1)), "faults": faults}
+        )
+
+
+def read(path: str | os.PathLike) -> Plan:
+    """The plan in a TOML file. Raises ConfigError with one sentence that names the field."""
+    try:
+        with open(path, "rb") as file:
+            data = file.read(MAX_BYTES + 1)
+        if len(data) > MAX_BYTES:
+            raise ConfigError(f"{path} is too large for a plan.")
+        text = data.decode()
+        table = tomllib.loads(text)
+    except OSError as error:
+        raise ConfigError(f"Cannot read the plan {path}: {error.strerror or error}.") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise ConfigError(f"The plan {path} is not valid TOML: {error}.") from error
+    stem = os.path.splitext(os.path.basename(os.fspath(path)))[0]
+    try:
+        return from_table({"name": stem, **table}, text)
+    except ConfigError as error:
+        raise ConfigError(f"Plan {path}: {error}") from error
+
+
+def from_table(table: Mapping[str, Any], text: str = "") -> Plan:
+    """The plan of a parsed TOML table. Raises ConfigError naming the field that is missing or wrong."""
+    for key in table:
+        if key not in TOP:
+            raise ConfigError(f"{key} is not a field of a plan; known are {', '.join(TOP)}.")
+    given = {**TOP, **table}
+    if not isinstance(given["name"], str):
+        raise ConfigError(f"name must be a text, not {given['name']!r}.")
+    seed = _number("seed", given["seed"], 0, 2**31 - 1)
+    healthy = _number("healthy", given["healthy"], 0.0, 1.0)
+    period = _number("false_alarm_period_h", given["false_alarm_period_h"], 0.01, 1e6)
+    estimators = _names("estimators", given["estimators"], tuple(discovery.estimators()))
+    rules = _names("detectors", given["detectors"], tuple(m.name for m in detectors.modules()))
+    if not estimators and not rules:
+        raise ConfigError("estimators and detectors are both empty; name at least one of either.")
+    asked = given["scenario"]
+    if not isinstance(asked, Mapping):
+        raise ConfigError("scenario must be a table, [scenario].")
+    if "faults" in asked:
+        raise ConfigError("scenario.faults: faults of a plan are [[faults]] tables at its top.")
+    for key in ("name", "seed"):
+        if key in asked:
+            raise ConfigError(f"scenario.{key} is each flight's own; a plan has {key} at its top.")
+    asked = {key: dict(v) if isinstance(v, Mapping) and not _is_draw(v) else v for key, v in asked.items()}
+    for part in ("airframe", "logging"):
+        if not isinstance(asked.setdefault(part, {}), dict):
+            raise ConfigError(f"scenario.{part} must be a table, [scenario.{part}].")
+    _check_draws("scenario", asked)
+    for key in FIXED:
+        if isinstance(asked.get(key), Mapping):
+            raise ConfigError(f"scenario.{key} must be one value: flights of a batch share it.")
+    cells = _cells(asked)
+    rows = given["faults"]
+    if not isinstance(rows, (list, tuple)) or not all(isinstance(row, Mapping) for row in rows):
+        raise ConfigError("faults must be [[faults]] tables.")
+    faults = tuple(_fault(f"faults[{k + 1}]", row) for k, row in enumerate(rows))
+    if not faults and healthy < 1.0 and "healthy" in table:
+        raise ConfigError("healthy is below 1, but there are no [[faults]] for the other flights.")
+    rotors = _try_out(asked, cells, faults)
+    return Plan(
+        given["name"], int(seed), healthy, estimators, rules, period, asked, faults, cells, rotors, text or repr(table)
+    )
+
+
+def _cells(asked: Mapping[str, Any]) -> tuple[Cell, ...]:
+    """Every combination of the frames, autopilots and profiles that the plan names."""
+    parts = []
+    for name, value in (
+        ("airframe.frame", asked["airframe"].get("frame")),
+        ("autopilot", asked.get("autopilot", "ardupilot")),
+        ("logging.profile", asked["logging"].get("profile", "default")),
+    ):
+        if value is None:
+            raise ConfigError(f"scenario.{name} is missing; name one, or {{ choice = [...] }}.")
+        values = value["choice"] if isinstance(value, Mapping) and "choice" in value else [value]
+        if not all(isinstance(v, str) for v in values):
+            raise ConfigError(f"scenario.{name} must be a name or a choice of names, not {value!r}.")
+        parts.append(values)
+    cells = tuple(Cell(*one) for one in itertools.product(*parts))
+    if len(cells) > MOST_CELLS:
+        raise ConfigError(f"scenario: {len(cells)} combinations of frame, autopilot and profile; at most {MOST_CELLS}.")
+    return cells
+
+
+def _fault(where: str, row: Mapping[str, Any]) -> Mapping[str, Any]:
+    if "rotor" in row:
+        raise ConfigError(f"{where}.rotor is drawn anew for each flight; leave it out.")
+    _check_draws(where, row)
+    share = _number(f"{where}.share", row.get("share", 1.0), 1e-6, 1e6)
+    together = _number(f"{where}.together", row.get("together", 1), 1, 2)
+    if together != int(together):
+        raise ConfigError(f"{where}.together must be 1 or 2 rotors, not {together:g}.")
+    return {**row, "share": share, "together": int(together)}
+
+
+def _try_out(asked, cells, faults) -> tuple[int, ...]:
+    """Build scenarios at the ends of every draw, and one vehicle per cell: (rotors of each). Raises what they raise, by field."""
+    for end in _ends(asked):
+        _built("scenario.", end, cells[0], [])
+    counts = []
+    base = next(_ends(asked))
+    for cell in cells:
+        made = _built("scenario.", base, cell, [])
+        try:
+            prepare.plan(made)
+        except ConfigError as error:
+            raise ConfigError(f"scenario.{error}") from error
+        counts.append(len(prepare.vehicle(made).rotors))
+    for k, fault in enumerate(faults):
+        for end in _ends({key: v for key, v in fault.items() if key not in FAULT}):
+            _built("", base, cells[0], [{**end, "rotor": 1}], f"faults[{k + 1}]")
+    return tuple(counts)
+
+
+def _built(prefix: str, table: Mapping[str, Any], cell: Cell, faults: list, called: str = "") -> Scenario:
+    table = {k: dict(v) if isinstance(v, Mapping) else v for k, v in table.items()}
+    table["autopilot"] = cell.autopilot
+    table.setdefault("airframe", {})["frame"] = cell.frame
+    table.setdefault("logging", {})["profile"] = cell.profile
+    try:
+        return scenario.from_table({**table, "faults": faults})
+    except ConfigError as error:
+        text = str(error).replace("faults[1]", called) if called else str(error)
+        raise ConfigError(prefix + text) from error
+
+
+def _ends(table: Mapping[str, Any]) -> Iterator[dict]:
+    """The table with every draw at its first value; then with one draw after the other at each of its other values."""
+
+    def first(value):
+        if _is_draw(value):
+            return next(iter(value.values()))[0]
+        return {k: first(v) for k, v in value.items()} if isinstance(value, Mapping) else value
+
+    base = first(table)
+    yield base
+    for path, draw in _draws(table):
+        for other in next(iter(draw.values()))[1:]:
+            changed = {k: dict(v) if isinstance(v, Mapping) else v for k, v in base.items()}
+            where = changed
+            for step in path[:-1]:
+                where = where[step]
+            where[path[-1]] = other
+            yield changed
+
+
+def _draws(table: Mapping[str, Any], path: tuple = ()) -> Iterator[tuple[tuple, Mapping]]:
+    for key, value in table.items():
+        if _is_draw(value):
+            yield (*path, key), value
+        elif isinstance(value, Mapping):
+            yield from _draws(value, (*path, key))
+
+
+def _is_draw(value: Any) -> bool:
+    return isinstance(value, Mapping) and len(value) == 1 and next(iter(value)) in DRAWS
+
+
+def _check_draws(where: str, table: Mapping[str, Any]) -> None:
+    for path, draw in _draws(table):
+        name, (kind, values) = ".".join((where, *path)), next(iter(draw.items()))
+        if not isinstance(values, list) or not values:
+            raise ConfigError(f"{name}.{kind} must be a list, not {values!r}.")
+        if kind == "choice":
+            continue
+        numbers = [v for v in values if isinstance(v, (int, float)) and not isinstance(v, bool) and math.isfinite(v)]
+        if len(values) != 2 or len(numbers) != 2 or values[0] > values[1]:
+            raise ConfigError(f"{name}.{kind} must be two numbers, the smaller first, not {values!r}.")
+        if kind == "log_uniform" and values[0] <= 0:
+            raise ConfigError(f"{name}.log_uniform must be above zero, not {values[0]:g}.")
+
+
+def _drawn(table: Mapping[str, Any], rng: np.random.Generator) -> dict[str, Any]:
+    """The table with a value for every draw, in the order of the file."""
+    found: dict[str, Any] = {}
+    for key, value in table.items():
+        if _is_draw(value):
+            kind, values = next(iter(value.items()))
+            if kind == "choice":
+                found[key] = values[int(rng.integers(len(values)))]
+            elif kind == "uniform":
+                found[key] = float(rng.uniform(*values))
+            else:
+                found[key] = float(np.exp(rng.uniform(*np.log(values))))
+        else:
+            found[key] = _drawn(value, rng) if isinstance(value, Mapping) else value
+    return found
+
+
+def _number(name: str, value: Any, low: float, high: float) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        raise ConfigError(f"{name} must be a number, not {value!r}.")
+    if not low <= value <= high:
+        raise ConfigError(f"{name} must lie between {low:g} and {high:g}, not {value:g}.")
+    return float(value)
+
+
+def _names(name: str, values: Any, known: tuple[str, ...]) -> tuple[str, ...]:
+    if not isinstance(values, (list, tuple)):
+        raise ConfigError(f"{name} must be a list of names, not {values!r}.")
+    for value in values:
+        if value not in known:
+            raise ConfigError(f"{name}: there is no {value!r}; known are {', '.join(known)}.")
+    return tuple(dict.fromkeys(values))

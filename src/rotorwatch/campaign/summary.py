@@ -1,0 +1,236 @@
+"""From a campaign's table to what it shows: rates and shares with 95 % intervals, ROC and delay curves, loss errors, the limits.
+
+Rates have exact Poisson intervals (Garwood 1936), shares Wilson's (1927), medians and errors those of a seeded bootstrap. Missed
+detections are counted apart and never enter a delay or an error.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from rotorwatch.campaign.score import WINDOWS_S
+from rotorwatch.errors import ConfigError
+
+Z = 1.959963984540054
+RESAMPLES = 400
+LOSS_EDGES = (0.03, 0.06, 0.12, 0.25, 0.5, 1.01)
+WIND_EDGES = (0.0, 3.0, 6.0, np.inf)
+DELAYS_S = (0.1, 0.2, 0.3, 0.4, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 5.0, 7.0, 10.0)
+THRESHOLDS = (*np.arange(-12.0, 0.0, 0.5), 0.0, *np.arange(0.5, 12.1, 0.5))
+LIKELY = 0.6744897501960817  # half of normal errors are smaller than so many standard deviations
+
+
+def summarise(table: Any, name: str = "") -> dict[str, Any]:
+    """{"name", "flights", "healthy_h", "methods": {method: {...}}} of a pyarrow table with the columns of score.COLUMNS.
+
+    Per method: `overall` and, by frame, profile, wind, trajectory and fault, `groups`, each a dict of `measures`; `roc`, `delay_curve` and
+    `loss_error`, lists of points. Raises ConfigError for an empty table.
+    """
+    if table.num_rows == 0:
+        raise ConfigError("There is no flight in this campaign's table.")
+    columns = {key: _array(table[key]) for key in table.column_names}
+    methods = {}
+    for method in sorted(set(columns["method"])):
+        mine = {key: values[columns["method"] == method] for key, values in columns.items()}
+        methods[method] = {
+            "overall": measures(mine),
+            "groups": {kind: _groups(mine, labels) for kind, labels in _labels(mine).items()},
+            "roc": _roc(mine), "delay_curve": _delay_curve(mine), "loss_error": _loss_error(mine),
+        }  # fmt: skip
+    one = columns["method"] == columns["method"][0]
+    hours = float(columns["healthy_s"][one].sum() / 3600.0)
+    return {"name": name, "flights": int(one.sum()), "healthy_h": hours, "methods": methods}
+
+
+def measures(d: dict[str, np.ndarray]) -> dict[str, Any]:
+    """One line: numbers, or {"value", "low", "high", "n"} for what has an interval; None where nothing can be said."""
+    faulty, clear = d["fault"] != "", d["clear"].astype(bool)
+    hours = float(d["healthy_s"].sum() / 3600.0)
+    found = clear & (d["detected"] == True)  # noqa: E712 - None where there is no fault
+    delays = d["delay_s"][found].astype(float)
+    error, sd = _errors(d)
+    both = found & np.isfinite(d["bound_delay_s"])
+    inside = _announced(d)
+    covered = (d["lower"] <= d["loss"]) & (d["loss"] <= d["upper"])
+    return {
+        "flights": len(faulty), "faults": int(faulty.sum()), "clear_faults": int(clear.sum()), "healthy_h": hours,
+        "false_alarms": int(d["false_alarms"].sum()), "false_alarms_h": rate(int(d["false_alarms"].sum()), hours),
+        "detected": share(d["detected"][clear]), "right": share(d["right"][clear]), "named": share(d["named"][clear]),
+        "wrong": int(d["wrong"].sum()),
+        "delay_s": boot(delays, np.median), "bound_delay_s": boot(d["bound_delay_s"][both], np.median),
+        "delay_ratio": boot(d["delay_s"][both] / d["bound_delay_s"][both], np.median),
+        "loss_rmse": boot(error, _rms), "bound_rmse": boot(sd, _rms),
+        "rmse_ratio": _ratio(error, sd), "typical_ratio": boot(np.abs(error) / sd / LIKELY, np.median),
+        "coverage": share(covered[inside]),
+    }  # fmt: skip
+
+
+def rate(count: int, hours: float) -> dict[str, float] | None:
+    """Events per hour with its exact Poisson interval."""
+    if hours <= 0.0:
+        return None
+    from scipy.stats import chi2
+
+    low = 0.5 * chi2.ppf(0.025, 2 * count) if count else 0.0
+    return {
+        "value": count / hours,
+        "low": float(low) / hours,
+        "high": float(0.5 * chi2.ppf(0.975, 2 * count + 2)) / hours,
+        "n": count,
+    }
+
+
+def share(flags: np.ndarray) -> dict[str, float] | None:
+    """Share of what is true, with Wilson's interval."""
+    n = len(flags)
+    if n == 0:
+        return None
+    p = float(np.mean(flags.astype(float)))
+    middle = (p + Z * Z / (2 * n)) / (1 + Z * Z / n)
+    half = Z / (1 + Z * Z / n) * np.sqrt(p * (1 - p) / n + Z * Z / (4 * n * n))
+    return {"value": p, "low": max(0.0, float(middle - half)), "high": min(1.0, float(middle + half)), "n": n}
+
+
+def boot(values: np.ndarray, statistic: Callable) -> dict[str, float] | None:
+    """A statistic of a sample with its bootstrap interval, the same for the same sample."""
+    values = np.asarray(values, float)
+    values = values[np.isfinite(values)]
+    if values.size == 0:
+        return None
+    rng = np.random.default_rng(values.size)
+    again = [statistic(values[rng.integers(values.size, size=values.size)]) for _ in range(RESAMPLES)]
+    low, high = np.quantile(again, (0.025, 0.975))
+    return {"value": float(statistic(values)), "low": float(low), "high": float(high), "n": int(values.size)}
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _ratio(error: np.ndarray, sd: np.ndarray) -> dict[str, float] | None:
+    """RMS error over RMS bound, flights resampled together."""
+    both = np.arange(error.size, dtype=float)
+    return boot(both, lambda k: _rms(error[k.astype(int)]) / _rms(sd[k.astype(int)]))
+
+
+def _announced(d: dict[str, np.ndarray]) -> np.ndarray:
+    """Clear faults whose rotor was announced in time to have an estimate."""
+    return d["clear"].astype(bool) & (d["estimate"] > 0.0) & np.isfinite(d["bound_sd"])
+
+
+def _errors(d: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    ok = _announced(d)
+    return d["estimate"][ok] - d["loss"][ok], d["bound_sd"][ok]
+
+
+def _labels(d: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    wind = np.array(
+        [f"{a:g} to {b:g} m/s" if np.isfinite(b) else f"over {a:g} m/s" for a, b in itertools.pairwise(WIND_EDGES)],
+        object,
+    )
+    profile = np.array([f"{a} {p}" for a, p in zip(d["autopilot"], d["profile"])], object)
+    return {
+        "frame": d["frame"],
+        "profile": profile,
+        "wind": wind[np.digitize(d["wind_m_s"], WIND_EDGES[1:-1])],
+        "trajectory": d["trajectory"],
+        "fault": np.array([f or "none" for f in d["fault"]], object),
+    }
+
+
+def _groups(d: dict[str, np.ndarray], labels: np.ndarray) -> dict[str, dict]:
+    return {str(g): measures({k: v[labels == g] for k, v in d.items()}) for g in sorted(set(labels))}
+
+
+def _roc(d: dict[str, np.ndarray]) -> list[dict]:
+    """Points: threshold (nats above the one in use), false alarms per healthy hour, detected within each window.
+
+    A flight's first false alarm ends its healthy time as far as this curve knows: at most one counts per flight.
+    """
+    peak, clear = d["peak"], d["clear"].astype(bool)
+    if not np.isfinite(peak).any():
+        return []
+    hours = float(d["healthy_s"].sum() / 3600.0)
+    return [
+        {"threshold": float(t), "false_alarms_h": rate(int((peak > t).sum()), hours)}
+        | {f"detected_{s:g}s": share(d[f"peak_{s:g}s"][clear] > t) for s in WINDOWS_S}
+        for t in THRESHOLDS
+    ]
+
+
+def _delay_curve(d: dict[str, np.ndarray]) -> list[dict]:
+    """Points: share of clear faults detected within so many seconds, and by the best possible detector on average."""
+    clear = d["clear"].astype(bool)
+    with np.errstate(invalid="ignore"):
+        return [
+            {"delay_s": t, "detected": share(d["delay_s"][clear] <= t), "bound": share(d["bound_delay_s"][clear] <= t)}
+            for t in DELAYS_S
+        ]
+
+
+def _loss_error(d: dict[str, np.ndarray]) -> list[dict]:
+    """By size of the loss: detections, bias and error of the announced ones, and the bound."""
+    points = []
+    for low, high in itertools.pairwise(LOSS_EDGES):
+        here = d["clear"].astype(bool) & (d["loss"] >= low) & (d["loss"] < high)
+        part = {k: v[here] for k, v in d.items()}
+        error, sd = _errors(part)
+        points.append(
+            {
+                "low": low, "high": min(high, 1.0), "faults": int(here.sum()), "detected": share(part["detected"]),
+                "right": share(part["right"]), "delay_s": measures(part)["delay_s"], "bias": boot(error, np.mean),
+                "rmse": boot(error, _rms), "bound_rmse": boot(sd, _rms), "rmse_ratio": _ratio(error, sd),
+                "typical_ratio": boot(np.abs(error) / sd / LIKELY, np.median),
+            }
+        )  # fmt: skip
+    return points
+
+
+def _array(column: Any) -> np.ndarray:
+    """A column as NumPy: numbers as floats with NaN for what is missing, else objects."""
+    import pyarrow as pa
+
+    if pa.types.is_floating(column.type) or pa.types.is_integer(column.type):
+        return np.array([np.nan if v is None else v for v in column.to_pylist()], float)
+    return np.array(column.to_pylist(), object)
+
+
+def markdown(summary: dict[str, Any]) -> str:
+    """The summary as Markdown tables."""
+    parts = [f"{summary['flights']} flights, {summary['healthy_h']:.1f} healthy hours judged."]
+    heads = (
+        "flights", "false alarms/h", "detected", "right rotor", "delay, s", "x bound", "loss RMSE", "x bound", "typical x", "coverage",
+    )  # fmt: skip
+    keys = (
+        "false_alarms_h", "detected", "right", "delay_s", "delay_ratio", "loss_rmse", "rmse_ratio", "typical_ratio", "coverage",
+    )  # fmt: skip
+    for method, found in summary["methods"].items():
+        parts.append(f"\n### {method}\n\n| | {' | '.join(heads)} |\n|{'---|' * (len(heads) + 1)}")
+        rows = [("all", found["overall"])]
+        rows += [(f"{kind}: {name}", m) for kind, groups in found["groups"].items() for name, m in groups.items()]
+        parts += [
+            f"| {label} | {m['flights']} | {' | '.join(cell(key, m[key]) for key in keys)} |" for label, m in rows
+        ]
+        if any(point["rmse"] for point in found["loss_error"]):
+            heads_ = ("faults", "detected", "right rotor", "bias", "RMSE", "bound", "x bound", "typical x")
+            keys_ = ("detected", "right", "bias", "rmse", "bound_rmse", "rmse_ratio", "typical_ratio")
+            parts.append(f"\n| {method}: loss | {' | '.join(heads_)} |\n|{'---|' * (len(heads_) + 1)}")
+            parts += [
+                f"| {p['low']:g} to {p['high']:g} | {p['faults']} | {' | '.join(cell(k, p[k]) for k in keys_)} |"
+                for p in found["loss_error"]
+            ]
+    return "\n".join(parts) + "\n"
+
+
+def cell(key: str, value: Any) -> str:
+    """A measure with its interval as people read it."""
+    if value is None:
+        return "-"
+    if key in ("detected", "right", "named", "coverage"):
+        return f"{100 * value['value']:.0f} % ({100 * value['low']:.0f} to {100 * value['high']:.0f})"
+    digits = 3 if key in ("loss_rmse", "bias", "rmse", "bound_rmse") else 2
+    return f"{value['value']:.{digits}f} ({value['low']:.{digits}f} to {value['high']:.{digits}f})"

@@ -1,0 +1,84 @@
+"""The command that flies campaigns: a plan in, a table with intervals out."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import click
+
+from rotorwatch.cli_tools import LOG, common, say
+
+
+def register(group: click.Group) -> None:
+    """Add the command of this module to the command line."""
+    group.add_command(campaign)
+
+
+@click.command(short_help="Judge thousands of simulated flights.")
+@click.argument("plan", type=LOG)
+@click.option(
+    "--flights", type=click.IntRange(1, 10_000_000), default=1000, show_default=True, help="How many, with those done."
+)
+@click.option("--jobs", type=click.IntRange(1, 256), help="Processes; default: one per processor.")
+@click.option("-o", "--out", required=True, type=LOG, metavar="DIR", help="Folder of the results.")
+@click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
+@common
+def campaign(plan, flights, jobs, out, as_json, quiet) -> None:
+    """Fly PLAN (TOML, docs/campaigns.md): random flights, simulated, judged by the plan's estimators and detectors. The same command
+    again goes on where it was stopped; more --flights add to what is there.
+
+    Writes DIR/flights.parquet, DIR/summary.json and DIR/index.html, and prints the summary.
+    """
+    import json
+
+    from rotorwatch import campaign as campaigns
+    from rotorwatch.campaign import page
+    from rotorwatch.campaign.store import Folder
+
+    asked = campaigns.read(plan)
+    with _progress(quiet) as tell:
+        table = campaigns.run(asked, flights, out, jobs, tell)
+    summary = campaigns.summarise(table, asked.name)
+    Folder(out).finish(table, summary)
+    page.write(summary, out / "index.html")
+    click.echo(json.dumps(summary, indent=1, allow_nan=False) if as_json else campaigns.markdown(summary), nl=as_json)
+    if not quiet:
+        say(f"table, summary and page written to {out}")
+
+
+@contextmanager
+def _progress(quiet: bool) -> Iterator:
+    """A bar with flights per second and the time left on a terminal; a line now and then elsewhere. Yields work.Tell."""
+    if quiet:
+        yield None
+    elif not sys.stderr.isatty():
+        yield _lines()
+    else:
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+        from rotorwatch.report import terminal
+
+        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+        with Progress(*columns, console=terminal.console(stderr=True), transient=True) as bar:
+            task = bar.add_task("flying", total=None)
+
+            def tell(done: int, flights: int, speed: float) -> None:
+                text = f"{speed:.1f} flights/s" if speed else "flying"
+                bar.update(task, completed=done, total=flights, description=text)
+
+            yield tell
+
+
+def _lines():
+    shown = [0]
+
+    def tell(done: int, flights: int, speed: float) -> None:
+        tenth = 10 * done // flights
+        if speed and tenth > shown[0]:
+            shown[0] = tenth
+            left = (flights - done) / speed
+            say(f"{done} of {flights} flights, {speed:.1f} a second, {left:.0f} s left")
+
+    return tell
