@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import functools
+import os
+import warnings
 from collections.abc import Callable
 
 import numpy as np
 
+from rotorwatch import native
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
 
@@ -35,12 +38,15 @@ def everything(out):
     return out
 
 
-def run(estimator, u, y, valid=None, select: Callable = everything, progress=None, carry=None):
+def run(
+    estimator, u, y, valid=None, select: Callable = everything, progress=None, carry=None, backend: str | None = None
+):
     """Step one estimator over T rows: u (T, n_u), y (T, n_y), valid (T, n_y) bool (None: all of y that is finite).
 
     Returns (last carry, stacked outputs of `step`, or of `select` of each), as NumPy arrays. Compiled once for the estimator
     object: run the same object again for further flights. progress: called with the finished share, 0..1. carry: where an
-    earlier run ended, to go on from there. Raises ConfigError for tables of the wrong shape.
+    earlier run ended, to go on from there. backend: "jax", or "native": C, built once by the system's compiler and kept
+    (docs/export.md); without a compiler JAX, after a warning; None: what $ROTORWATCH_BACKEND says, else "jax". Raises ConfigError for tables of the wrong shape.
     """
     u, y = np.asarray(u, float), np.asarray(y, float)
     valid = np.isfinite(y) if valid is None else np.asarray(valid, bool)
@@ -52,7 +58,7 @@ def run(estimator, u, y, valid=None, select: Callable = everything, progress=Non
             raise ConfigError(f"{name} must have the shape {wanted}, a row per time step, not {table.shape}.")
     if valid.shape != y.shape:
         raise ConfigError(f"valid must have the shape of y, {y.shape}, not {valid.shape}.")
-    return run_built(_Same(estimator), (), u, y, valid, select, progress, carry)
+    return run_built(_Same(estimator), (), u, y, valid, select, progress, carry, backend)
 
 
 class _Same:
@@ -71,15 +77,47 @@ class _Same:
         return isinstance(other, _Same) and other.estimator is self.estimator
 
 
-def run_built(build: Callable, parameters, u, y, valid, select: Callable = everything, progress=None, carry=None):
+@functools.lru_cache(maxsize=32)
+def _traced(same: _Same, select: Callable, sizes: tuple[int, int]):
+    return native.prepared(same, select, (), sizes)
+
+
+def _library(build: Callable, select: Callable, parameters, sizes: tuple[int, int]):
+    """The native code, made once for an estimator object."""
+    if isinstance(build, _Same):
+        return _traced(build, select, sizes)
+    return native.prepared(build, select, parameters, sizes)
+
+
+def run_built(
+    build: Callable,
+    parameters,
+    u,
+    y,
+    valid,
+    select: Callable = everything,
+    progress=None,
+    carry=None,
+    backend: str | None = None,
+):
     """The same for an estimator that is built inside the compiled program: build(parameters).
 
     build: a function of `parameters` (a pytree of arrays) that returns an estimator; it and `select` (what to keep of each
     step) are compiled once per array shape, so give the same function objects again: one program serves every airframe
     with as many rotors.
     """
-    jax = load_jax()
     u, y, valid = np.asarray(u, float), np.asarray(y, float), np.asarray(valid, bool)
+    backend = backend or os.environ.get("ROTORWATCH_BACKEND") or "jax"
+    if backend not in ("jax", "native"):
+        raise ConfigError(f"backend must be 'jax' or 'native', not {backend!r}.")
+    if backend == "native":
+        try:
+            library = _library(build, select, parameters, (u.shape[1], y.shape[1]))
+            start = build(parameters).init() if carry is None else carry
+            return native.run(library, parameters, start, u, y, valid, progress)
+        except native.Unavailable as why:
+            warnings.warn(f"{why} JAX runs instead.", RuntimeWarning, stacklevel=3)
+    jax = load_jax()
     parameters = jax.tree.map(np.asarray, parameters)
     if carry is None:
         carry = build(parameters).init()

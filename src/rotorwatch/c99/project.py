@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -94,29 +95,32 @@ def _key(part) -> str:
 def make(
     name: str,
     step: Callable,
-    init: Callable,
+    init: Callable | None,
     inputs: tuple[Field, ...],
     parameters: Any = (),
     notes: dict[str, str] | None = None,
     about: str = "",
+    carry: Any = None,
 ) -> Program:
-    """The program of `step(parameters, carry, *inputs) -> (carry, out)` and `init(parameters) -> carry`.
+    """The program of `step(parameters, carry, *inputs) -> (carry, out)` and `init(parameters) -> carry`; without init no NAME_init,
+    and `carry` is an example of one.
 
     parameters: a pytree of arrays (values do not matter), empty when everything is constant. notes: what the header says of a field.
     about: the header's first words. Raises Refused for what has no counterpart in C.
     """
     jax = load_jax()
     notes = notes or {}
-    carry = jax.eval_shape(init, parameters)
+    carry = jax.eval_shape(init, parameters) if init else jax.tree.map(np.asarray, carry)
     example = [jax.ShapeDtypeStruct(f.shape, NUMPY[f.kind]) for f in inputs]
     out = jax.eval_shape(step, parameters, carry, *example)[1]
     p_fields, s_fields, o_fields = fields(parameters, notes), fields(carry, notes), fields(out, notes)
     structs = {"parameters": p_fields, "state": s_fields, "out": o_fields}
     step_c = _function(jax.make_jaxpr(step)(parameters, carry, *example), structs, inputs, o_fields)
-    init_c = _function(jax.make_jaxpr(init)(parameters), structs, (), None)
-    sizes = {k: max(step_c.sizes.get(k, 0), init_c.sizes.get(k, 0)) for k in WORKSPACE}
-    digest = hashlib.sha256("\n".join([*step_c.lines, *init_c.lines, *step_c.tables]).encode()).hexdigest()[:16]
-    header = _header(name, about, digest, structs, inputs, sizes)
+    init_c = _function(jax.make_jaxpr(init)(parameters), structs, (), None) if init else None
+    parts = [c for c in (step_c, init_c) if c is not None]
+    sizes = {k: max(c.sizes.get(k, 0) for c in parts) for k in WORKSPACE}
+    digest = hashlib.sha256("\n".join(line for c in parts for line in (*c.lines, *c.tables)).encode()).hexdigest()[:16]
+    header = _header(name, about, digest, structs, inputs, sizes, init is not None)
     source = _source(name, digest, structs, inputs, step_c, init_c)
     bytes_ = sum(n * {"f": 8, "i": 4, "l": 8, "b": 1}[k] for k, n in sizes.items())
     return Program(name, p_fields, s_fields, inputs, o_fields, header, source, digest, bytes_)
@@ -219,7 +223,7 @@ def arguments(name: str, structs, inputs: tuple[Field, ...], many: bool = False)
     return ", ".join([*parts, f"{name}_out *restrict out", f"{name}_workspace *restrict work"])
 
 
-def _header(name, about, digest, structs, inputs, sizes) -> str:
+def _header(name, about, digest, structs, inputs, sizes, starts: bool) -> str:
     guard = f"ROTORWATCH_{name.upper()}_H"
     made = f"rotorwatch {__version__}, definition {digest}. Made by `rotorwatch export-c`; not to be edited."
     lines = [f"/* {about or name}", "", f"   {made}", ""]
@@ -268,10 +272,10 @@ def _header(name, about, digest, structs, inputs, sizes) -> str:
     members = [f"    {Field(WORKSPACE[k], k, (n,)).declared};" for k, n in sizes.items() if n]
     lines += [*(members or ["    char nothing;"]), f"}} {name}_workspace;", ""]
     parameters = f", const {name}_parameters *parameters" if structs["parameters"] else ""
+    if starts:
+        first = f"void {name}_init({name}_state *restrict state{parameters}, {name}_workspace *restrict work);"
+        lines += ["/* The state before the first step. */", first, ""]
     lines += [
-        "/* The state before the first step. */",
-        f"void {name}_init({name}_state *restrict state{parameters}, {name}_workspace *restrict work);",
-        "",
         "/* One step. What is not valid may hold anything. */",
         *_signature(f"void {name}_step", arguments(name, structs, inputs), ";"),
         "",
@@ -311,33 +315,27 @@ def _signature(head: str, arguments_: str, tail: str) -> list[str]:
     return [f"{head}(", *lines[:-1], f"{lines[-1]}){tail}"]
 
 
-def _source(name, digest, structs, inputs, step: _C, init: _C) -> str:
-    body = "\n".join([*step.kernels, *step.lines, *init.kernels, *init.lines])
+def _source(name, digest, structs, inputs, step: _C, init: _C | None) -> str:
+    parts = [c for c in (step, init) if c is not None]
+    body = "\n".join(line for c in parts for line in (*c.kernels, *c.lines))
     helpers = _used(body)
-    macros = [
-        f"#define r_{f} {f}f" if single else f"#define r_{f} {f}" for single in (True, False) for f in FUNCTIONS
-        if f"r_{f}(" in body + "".join(helpers)
-    ]  # fmt: skip
-    half = len(macros) // 2
-    lines = [
-        f"/* rotorwatch {__version__}, definition {digest}: see {name}.h. */",
-        f'#include "{name}.h"',
-        "",
-        "#include <math.h>",
-        "",
-    ]
-    lines += ["#define real rw_real", "#define R(x) ((real)(x))"]
+    text = body + "".join(helpers)
+    macros = [f for f in FUNCTIONS if f"r_{f}(" in text]
+    lines = [f"/* rotorwatch {__version__}, definition {digest}: see {name}.h. */", f'#include "{name}.h"', ""]
+    lines += ["#include <math.h>", "#include <stddef.h>", "", "#define real rw_real", "#define R(x) ((real)(x))"]
     if macros:
-        lines += ["#ifdef ROTORWATCH_FLOAT", *macros[:half], "#else", *macros[half:], "#endif"]
+        floats, doubles = ([f"#define r_{f} {f}{tail}" for f in macros] for tail in ("f", ""))
+        lines += ["#ifdef ROTORWATCH_FLOAT", *floats, "#else", *doubles, "#endif"]
     lines += ["", *helpers, ""] if helpers else [""]
-    steps = _renamed(step, "")
-    starts = _renamed(init, "i_")
-    parameters = f", const {name}_parameters *parameters" if structs["parameters"] else ""
-    lines += [*starts.tables, *starts.kernels, ""]
-    lines += [f"void {name}_init({name}_state *restrict state{parameters}, {name}_workspace *restrict work)", "{"]
-    lines += [*_opening(init, structs, ()), *starts.lines, "}", "", *steps.tables, *steps.kernels, ""]
+    if init is not None:
+        init = _renamed(init, "i_")
+        parameters = f", const {name}_parameters *parameters" if structs["parameters"] else ""
+        lines += [*init.tables, *init.kernels, ""]
+        lines += [f"void {name}_init({name}_state *restrict state{parameters}, {name}_workspace *restrict work)", "{"]
+        lines += [*_opening(init, structs, ()), *init.lines, "}", ""]
+    lines += [*step.tables, *step.kernels, ""]
     lines += [*_signature(f"void {name}_step", arguments(name, structs, inputs), ""), "{"]
-    lines += [*_opening(step, structs, inputs), *steps.lines, "}", ""]
+    lines += [*_opening(step, structs, inputs), *step.lines, "}", ""]
     lines += [*_signature(f"void {name}_run", arguments(name, structs, inputs, True), ""), "{"]
     row = ["state", *(["parameters"] if structs["parameters"] else [])]
     row += [f"{f.name} + {f.size} * (size_t)k" if f.shape else f"{f.name}[k]" for f in inputs]
@@ -347,8 +345,7 @@ def _source(name, digest, structs, inputs, step: _C, init: _C) -> str:
         "}",
         "",
     ]
-    text = "\n".join(lines)
-    return text.replace("#include <math.h>", "#include <math.h>\n#include <stddef.h>")
+    return "\n".join(lines)
 
 
 def _used(body: str) -> list[str]:
@@ -358,10 +355,6 @@ def _used(body: str) -> list[str]:
 
 def _renamed(c: _C, prefix: str) -> _C:
     """Tables and kernels of the two functions kept apart."""
-    import re
-
-    if not prefix:
-        return c
     names = [re.search(r"(\w+)\[\d+\] = \{", t) for t in c.tables] + [
         re.search(r"static void (\w+)\(", k) for k in c.kernels
     ]
@@ -388,8 +381,6 @@ def _opening(c: _C, structs, inputs) -> list[str]:
         lines.append("    (void)parameters;")
     if inputs and "state->" not in text:
         lines.append("    (void)state;")
-    import re
-
     for f in inputs:
         if not re.search(rf"\b{f.name}\b", text):
             lines.append(f"    (void){f.name};")
