@@ -114,9 +114,11 @@ def test_readme_example_runs(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     sample = next(path for path in sorted(cli.SAMPLES.glob("*.bin.xz")) if "healthy" not in path.name)
     Path("flight.bin").write_bytes(lzma.open(sample).read())
-    (code,) = blocks(README, "python")
-    exec(compile(code, "README.md", "exec"), {})
+    log, method = blocks(README, "python")
+    exec(compile(log, "README.md", "exec"), {})
     assert capsys.readouterr().out.startswith("fault - ")
+    exec(compile(method, "README.md", "exec"), {})
+    assert capsys.readouterr().out.count("[") == 2
     assert Path("report.html").stat().st_size > 100_000
 
 

@@ -124,9 +124,9 @@ def test_what_cannot_be_tuned_is_refused():
     with pytest.raises(ConfigError, match="one rate"):
         tune.fit("ekf", [flight(0), tune.Table(WRONG, *vars_of(flight(1))[:3], 0.1)])
     with pytest.raises(ConfigError, match="learns its noise"):
-        tune.fit_logs("default", [])
+        tune.tune([], "default")
     with pytest.raises(ConfigError, match="no estimator called"):
-        tune.fit_logs("crystal ball", [])
+        tune.tune([], "crystal ball")
 
 
 def test_walks_are_known_by_the_methods_own_names():

@@ -7,7 +7,7 @@
     diagnosis.to_html("report.html")
 
 Everything is loaded on first use, so that importing the package costs nothing: ``rw.read``, ``rw.diagnose``,
-``rw.calibrate``, ``rw.inject``, ``rw.info``, ``rw.fuzz`` are the command line's verbs, ``rw.Flight``, ``rw.Vehicle``,
+``rw.calibrate``, ``rw.simulate``, ``rw.reproduce`` and so on are the command line's verbs, ``rw.Flight``, ``rw.Vehicle``,
 ``rw.Diagnosis`` and friends its nouns, ``rw.airframes``, ``rw.estimators`` and so on the submodules.
 """
 
@@ -20,10 +20,13 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 # Verbs: functions that live in a module of the same name (rotorwatch/diagnose.py holds diagnose).
-_VERBS = ("airborne", "calibrate", "diagnose", "fuzz", "info", "inject")
+_VERBS = ("airborne", "calibrate", "diagnose", "fuzz", "info", "inject", "observability", "run", "tune")
 # Other names: where each one lives.
 _HOMES = {
     "read": "logs",
+    "compare": "studies.compare",
+    "reproduce": "studies.reproduction",
+    "simulate": "simulation",
     "Flight": "flight",
     "Message": "flight",
     "Signal": "flight",
@@ -61,6 +64,12 @@ if TYPE_CHECKING:
     from rotorwatch.info import info as info
     from rotorwatch.inject import inject as inject
     from rotorwatch.logs import read as read
+    from rotorwatch.observability import observability as observability
+    from rotorwatch.run import run as run
+    from rotorwatch.simulation import simulate as simulate
+    from rotorwatch.studies.compare import compare as compare
+    from rotorwatch.studies.reproduction import reproduce as reproduce
+    from rotorwatch.tune import tune as tune
     from rotorwatch.vehicle import Rotor as Rotor
     from rotorwatch.vehicle import ThrustCurve as ThrustCurve
     from rotorwatch.vehicle import Vehicle as Vehicle

@@ -75,8 +75,7 @@ def reproduce(paper, seeds, literal, figures, as_json, quiet) -> None:
     results = []
     for module in modules:
         with progress(quiet) as tell:
-            chosen = reproduction.check_literal(module, literal)
-            result = module.reproduce(module.SEEDS if seeds is None else seeds, chosen, tell)
+            result = reproduction.reproduce(module.PAPER, seeds, literal, tell)
         results.append(result)
         if not as_json:
             from rotorwatch.report import research_tables

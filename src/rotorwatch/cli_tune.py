@@ -31,7 +31,8 @@ def tune(logs, estimator, out, rounds, papers, as_json, quiet) -> None:
 
     Give the file to `rotorwatch diagnose --estimator NAME --tuning FILE` later.
     """
-    from rotorwatch.tune import fit_logs, write
+    from rotorwatch.tune import tune as run
+    from rotorwatch.tune import write
 
     if papers:
         from rotorwatch.studies.hand_tuning import markdown, study
@@ -43,7 +44,7 @@ def tune(logs, estimator, out, rounds, papers, as_json, quiet) -> None:
     if not logs:
         raise ConfigError("Give healthy logs of one build to tune to, or --papers.")
     with progress(quiet) as tell:
-        found = fit_logs(estimator, logs, rounds, tell)
+        found = run(logs, estimator, rounds, tell)
     if out:
         write(found, out)
     if as_json:

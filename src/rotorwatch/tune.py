@@ -126,8 +126,8 @@ def fit(
     return Fit(name, system.name, dt, tuning, -first, -float(best.fun))
 
 
-def fit_logs(name: str, logs: Sequence[str | PathLike], rounds: int = ROUNDS, progress: Callable | None = None) -> Fit:
-    """`fit` to healthy logs of one build. Raises LogError, VehicleError or ConfigError with one sentence."""
+def tune(logs: Sequence[str | PathLike], estimator: str, rounds: int = ROUNDS, progress: Callable | None = None) -> Fit:
+    """`fit` the named estimator to healthy logs of one build. Raises LogError, VehicleError or ConfigError with one sentence."""
     from dataclasses import replace
 
     from rotorwatch import airframes
@@ -135,16 +135,16 @@ def fit_logs(name: str, logs: Sequence[str | PathLike], rounds: int = ROUNDS, pr
     from rotorwatch.diagnose import READY_S, observe
     from rotorwatch.logs import read as read_log
 
-    if name == "default":
+    if estimator == "default":
         raise ConfigError("The default estimator learns its noise in flight; tune a published one, such as ekf.")
-    discovery.estimator(name)
+    discovery.estimator(estimator)
     hops: list[LogPlant] = []
     for path in logs:
         flight = read_log(path)
         vehicle = airframes.identify(flight)
         table = observe(flight, vehicle, airborne(flight), READY_S)
         hops += log_plant.hops(table, vehicle.effectiveness()) if table is not None else ()
-    return replace(fit(name, hops, rounds=rounds, progress=progress), flights=tuple(str(p) for p in logs))
+    return replace(fit(estimator, hops, rounds=rounds, progress=progress), flights=tuple(str(p) for p in logs))
 
 
 def log_likelihood(name: str, table: LogPlant | Table, tuning: Tuning | None = None) -> float:

@@ -27,7 +27,10 @@ COMPETITOR_ODDS, UPDATE_ODDS = 5.0, 500.0
 PERSIST_S = 0.15
 HOLD_S = 1.5
 LEARN_LOSS_S = 6.0  # a committed loss is refined this long; after that only a new jump changes it,
-MOVING, MOVING_S = 0.01, 2.0  # unless it has moved by so much from its mean over so long: a loss that grows
+MOVING, MOVING_S = (
+    0.01,
+    2.0,
+)  # unless it has left its mean over so long by so much, and by its own uncertainty: it grows
 THETA_WALK = 0.02**2  # 1/s, while it is refined
 KNOWN_BONUS, SECOND_NATS = 2.0, 6.0  # nats: a rotor that has failed is likely to change again, another one is not
 DISTURBANCE_SCALE, DISTURBANCE_RANGE = 3.0, (0.03, 1.0)
@@ -197,7 +200,7 @@ class JumpBank:
         y = jnp.where(valid, y, 0.0)
         judge, flying = mode > JUDGE - 0.5, mode > GROUND + 0.5
         s, P, stand = self._restarted(carry, restart)
-        s, P, stand = self._predicted(s, P, stand, carry.noise.variances, flying)
+        s, P, stand = self._predicted(s, P, stand, carry, flying)
         biases = s[:n_x]
         open_ = judge & (stand.pending < 0)
         bank = self.jumps.advance(carry.bank, self._A(), open_, judge & ~restart)
@@ -227,7 +230,9 @@ class JumpBank:
         commit = (pending >= 0) & (pending * dt >= HOLD_S)
         waiting = (pending >= 0).astype(float)
         shown = jnp.clip(s[n_x:] + waiting * best.jump[:n], 0.0, 1.0)
-        shown_var = stand.theta_var + jnp.diagonal(P)[n_x:] + waiting * jnp.diagonal(best.cov)[:n]
+        # The filter believes its noise model; where innovations have been larger or longer than that, so is the error.
+        doubt = (1.0 / caution.calm(memory)).mean()
+        shown_var = stand.theta_var + doubt * jnp.diagonal(P)[n_x:] + waiting * jnp.diagonal(best.cov)[:n]
 
         onset = best.slot @ jnp.where(found.live, carry.bank.age + 1.0, 0.0)
         detectable = self._detectable(bank, found.live)
@@ -306,21 +311,22 @@ class JumpBank:
             ),
         )
 
-    def _predicted(self, s, P, stand: Standing, variances, flying):
+    def _predicted(self, s, P, stand: Standing, carry: Carry, flying):
         """One tick ahead. A loss that has been refined long enough is taken as known; its variance is remembered."""
         import jax.numpy as jnp
 
         theta = s[self.n_x :]
         mean = stand.theta_mean + (theta - stand.theta_mean) * (self.dt / MOVING_S)
+        var = (1.0 / caution.calm(carry.caution)).mean() * jnp.diagonal(P)[self.n_x :]
         finished = (stand.learning > 0) & (stand.learning <= self.dt)
-        moving = finished & (jnp.abs(theta - mean) > MOVING)
+        moving = finished & (jnp.abs(theta - mean) > jnp.maximum(MOVING, jnp.sqrt(jnp.maximum(var, 0.0))))
         finished &= ~moving
-        theta_var = jnp.where(finished, jnp.diagonal(P)[self.n_x :], stand.theta_var)
+        theta_var = jnp.where(finished, var, stand.theta_var)
         known = jnp.concatenate([jnp.ones(self.n_x), jnp.where(finished, 0.0, 1.0)])
         P = P * known[:, None] * known[None, :]
         learning = jnp.where(moving, MOVING_S, jnp.maximum(stand.learning - self.dt, 0.0))
         A = self._A()
-        q_x = jnp.where(flying, noise.process_variance(variances, self.dt), 0.0)
+        q_x = jnp.where(flying, noise.process_variance(carry.noise.variances, self.dt), 0.0)
         Q = jnp.diag(jnp.concatenate([q_x, (learning > 0) * THETA_WALK * self.dt]))
         return (
             A * s,

@@ -18,7 +18,7 @@ import importlib
 import json
 import math
 import pkgutil
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from types import ModuleType
 from typing import Any, Literal
@@ -83,6 +83,17 @@ def study(paper: str) -> ModuleType:
     if paper not in known:
         raise ConfigError(f"There is no paper called {paper!r}; known are {', '.join(known)}.")
     return known[paper]
+
+
+def reproduce(
+    paper: str, seeds: int | None = None, literal: tuple[str, ...] = (), progress: Callable | None = None
+) -> Reproduction:
+    """Run the experiments of a paper (names: `studies`): seeds None: the study's own number; literal: errata read as printed.
+
+    Raises ConfigError for an unknown paper or literal reading.
+    """
+    module = study(paper)
+    return module.reproduce(module.SEEDS if seeds is None else seeds, check_literal(module, literal), progress)
 
 
 def check_literal(module: ModuleType, literal: tuple[str, ...]) -> tuple[str, ...]:
