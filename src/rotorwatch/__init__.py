@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 # Verbs: functions that live in a module of the same name (rotorwatch/diagnose.py holds diagnose).
-_VERBS = ("airborne", "calibrate", "diagnose", "fuzz", "info", "inject", "observability", "run", "tune")
+_VERBS = ("airborne", "calibrate", "diagnose", "export_c", "fuzz", "info", "inject", "observability", "run", "tune")
 # Other names: where each one lives.
 _HOMES = {
     "read": "logs",
@@ -57,6 +57,7 @@ if TYPE_CHECKING:
     from rotorwatch.errors import LogError as LogError
     from rotorwatch.errors import RotorwatchError as RotorwatchError
     from rotorwatch.errors import VehicleError as VehicleError
+    from rotorwatch.export_c import export_c as export_c
     from rotorwatch.flight import Flight as Flight
     from rotorwatch.flight import Message as Message
     from rotorwatch.flight import Signal as Signal

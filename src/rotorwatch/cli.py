@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from rotorwatch import __version__, cli_campaign, cli_research, cli_simulate, cli_tune
+from rotorwatch import __version__, cli_campaign, cli_export, cli_research, cli_simulate, cli_tune
 from rotorwatch.cli_tools import LOG, common, debug, progress, say, show
 from rotorwatch.errors import ConfigError, RotorwatchError
 
@@ -368,6 +368,7 @@ def _read(path: Path, tell: Callable | None) -> Any:
 cli_research.register(cli)
 cli_tune.register(cli)
 cli_simulate.register(cli)
+cli_export.register(cli)
 cli_campaign.register(cli)
 
 

@@ -228,7 +228,7 @@ def rebuilt(like: Any, leaves) -> Any:
         if "dict" in node:
             return {k: one(v) for k, v in node["dict"].items()}
         module, _, name = node["kind"].partition(":")
-        kind = functools.reduce(getattr, name.split("."), import_module(module))
+        kind: Any = functools.reduce(getattr, name.split("."), import_module(module))
         items = [one(item) for item in node["items"]]
         return kind(*items) if hasattr(kind, "_fields") else kind(items)
 
@@ -260,8 +260,8 @@ def _made(make_estimator: Callable, select: Callable, parameters, sizes: tuple[i
     inputs = (Field("u", "f", (n_u,)), Field("y", "f", (n_y,)), Field("valid", "b", (n_y,)))
     program = make(name, step, None, inputs, parameters, carry=carry)
     out = jax.eval_shape(step, parameters, carry, *(jax.ShapeDtypeStruct(f.shape, TYPES[f.kind]) for f in inputs))[1]
-    groups = [[(f.name, f.kind, list(f.shape)) for f in g] for g in (program.parameters, program.state, program.out)]
-    return program, Layout(name, *groups, program.workspace_bytes, described(carry), described(out))
+    p, s, o = ([(f.name, f.kind, list(f.shape)) for f in g] for g in (program.parameters, program.state, program.out))
+    return program, Layout(name, p, s, o, program.workspace_bytes, described(carry), described(out))
 
 
 def traced(estimator, parameters, select: Callable | None = None, sizes: tuple[int, int] | None = None) -> Library:

@@ -46,7 +46,8 @@ def run(
     Returns (last carry, stacked outputs of `step`, or of `select` of each), as NumPy arrays. Compiled once for the estimator
     object: run the same object again for further flights. progress: called with the finished share, 0..1. carry: where an
     earlier run ended, to go on from there. backend: "jax", or "native": C, built once by the system's compiler and kept
-    (docs/export.md); without a compiler JAX, after a warning; None: what $ROTORWATCH_BACKEND says, else "jax". Raises ConfigError for tables of the wrong shape.
+    (docs/export.md), without a compiler JAX, after a warning; None: what $ROTORWATCH_BACKEND says, else "jax". Raises
+    ConfigError for tables of the wrong shape.
     """
     u, y = np.asarray(u, float), np.asarray(y, float)
     valid = np.isfinite(y) if valid is None else np.asarray(valid, bool)

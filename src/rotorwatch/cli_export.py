@@ -1,0 +1,40 @@
+"""The command that makes C of an estimator."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from rotorwatch.cli_tools import LOG, common, say
+
+
+def register(group: click.Group) -> None:
+    """Add the command of this module to the command line."""
+    group.add_command(export_c)
+
+
+@click.command("export-c", short_help="Write an estimator as C99.")
+@click.option(
+    "--estimator", required=True, metavar="NAME", help="Estimator to export; `default-filter`: the default's filter."
+)
+@click.option(
+    "--vehicle", metavar="FILE|NAME", help="Vehicle file (TOML) or an airframe's name; default: the method's paper's."
+)
+@click.option("-o", "--out", required=True, type=LOG, metavar="DIR", help="Folder to write into.")
+@click.option("--dt", type=click.FloatRange(0, min_open=True), metavar="S", help="Length of a step.")
+@click.option("--variable-dt", is_flag=True, help="Let the step take its length as an argument.")
+@common
+def export_c(estimator, vehicle, out, dt, variable_dt, quiet) -> None:
+    """Write an estimator as a C99 project that needs nothing but libm: header, source, example, CMakeLists (docs/export.md)."""
+    from rotorwatch import vehicle_file
+    from rotorwatch.export_c import export_c as run
+
+    on_file = vehicle is not None and (Path(vehicle).suffix == ".toml" or Path(vehicle).exists())
+    craft = vehicle_file.read(vehicle) if on_file else vehicle
+    made = run(estimator, out, vehicle=craft, dt=dt, variable_dt=variable_dt)
+    click.echo("\n".join(str(path) for path in made.files))
+    if not quiet:
+        say(
+            f"{made.name}: {made.state_bytes} bytes of state, {made.workspace_bytes} of workspace, definition {made.digest}"
+        )

@@ -1,0 +1,262 @@
+"""Any estimator as a C99 project for a flight controller: header, source, example and CMakeLists, out of its traced step.
+
+rw.export_c("ukf", "out")                                  on the airframe of the method's paper
+rw.export_c("ekf", "out", vehicle=rw.vehicle_file.read("mine.toml"))
+rw.export_c(MyEstimator(my_system, 0.01), "out", name="mine")
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rotorwatch import airframes, checks, discovery, log_plant, noise
+from rotorwatch.backend import jax as load_jax
+from rotorwatch.c99.project import Field, Program, make
+from rotorwatch.default_estimator import parameters as balance_parameters
+from rotorwatch.errors import ConfigError
+from rotorwatch.systems.wrench_balance import DAMPING, GAIN, GAIN_MEAN, PER_AXIS, WrenchBalance
+from rotorwatch.vehicle import Vehicle
+
+SINGLE = "default-filter"  # the default diagnoser's filter for one hypothesis
+# Plant, airframe and step (s) of each method's paper; others run on the first.
+USUAL = ("rate_dynamics", "niermeyer-hexa", 0.01)
+PAPERS = {
+    "ukf": ("rigid_body", "uaf-02e", 0.01), "aukf": ("rigid_body", "uaf-02e", 0.01),
+    "tsukf": ("rigid_body", "uaf-02e", 0.01), "atsukf": ("rigid_body", "uaf-02e", 0.01),
+    "akf": ("port_hamiltonian_attitude", "rot-hexa", 0.001), "axkf": ("port_hamiltonian_attitude", "rot-hexa", 0.001),
+    "intermediate": ("linear_hover", "f450", 0.01), "esmf": ("helicopter", "ruav-40kg", 0.02),
+    "aesmf": ("helicopter", "ruav-40kg", 0.02), "adaptive_ekf": ("helicopter", "ruav-40kg", 0.02),
+}  # fmt: skip
+LOG_DT, FRAME = 0.05, "ardupilot-quad-x"
+STATUS = "0 ok, 1 not ready, 2 no valid measurement"
+
+
+@dataclass(frozen=True)
+class Exported:
+    """What was written. state_bytes, workspace_bytes: in double precision; digest: of the definition, as in the header."""
+
+    name: str
+    folder: Path
+    files: tuple[Path, ...]
+    state_bytes: int
+    workspace_bytes: int
+    digest: str
+
+
+class NoisyBalance(WrenchBalance):
+    """The default method's plant with the noise it has learned, or the usual one: what makes one Kalman filter of it.
+
+    variances (4, 4): white, two coloured disturbances, random walk [hover thrusts^2, the last per s]; a column per axis.
+    """
+
+    name = "noisy_balance"
+
+    def __init__(self, B, prior=None, variances=noise.GENERIC):
+        super().__init__(B, prior)
+        self.variances = checks.shape("variances", variances, 4, 4)
+
+    def Q(self, dt):
+        """(20, 20): coloured disturbances stay as large as they are, the drift walks."""
+        from jax import numpy as jnp
+
+        return jnp.diag(noise.process_variance(jnp.asarray(self.variances), dt))
+
+    def R(self, u):
+        """(4,) white variances."""
+        return np.asarray(self.variances)[0]
+
+
+def export_c(
+    estimator: Any,
+    out: str | Path,
+    *,
+    vehicle: Vehicle | str | None = None,
+    dt: float | None = None,
+    variable_dt: bool = False,
+    name: str | None = None,
+) -> Exported:
+    """Write a C99 project of an estimator into the folder `out`.
+
+    estimator: a name (`discovery.estimators`, or "default-filter": the default diagnoser's filter without its bank of
+    hypotheses), or an estimator object. vehicle: what `calibrate` learned, an airframe's or a paper's name; None: the method's own
+    paper's. dt: s, length of a step. variable_dt: the step takes dt as an argument. name: of files and functions. Raises ConfigError for
+    unknown names, and c99.lower.Refused, with the line it comes from, for what cannot be C.
+    """
+    method = prepare(estimator, vehicle, dt) if isinstance(estimator, str) else estimator
+    called = name or (estimator if isinstance(estimator, str) else getattr(method, "name", "estimator"))
+    identifier = re.sub(r"\W", "_", called)
+    if not re.match(r"[A-Za-z]", identifier):
+        raise ConfigError(f"{called!r} cannot be the name of a C function: begin it with a letter.")
+    program = program_of(method, identifier, variable_dt)
+    folder = Path(out)
+    folder.mkdir(parents=True, exist_ok=True)
+    texts = {
+        f"{identifier}.h": program.header,
+        f"{identifier}.c": program.source,
+        "example.c": _example(program, method),
+        "CMakeLists.txt": _cmake(identifier),
+    }
+    for file, text in texts.items():
+        (folder / file).write_text(text, encoding="utf-8")
+    bytes_ = sum(f.size * {"f": 8, "i": 4, "l": 8, "b": 1}[f.kind] for f in program.state)
+    files = tuple(folder / file for file in texts)
+    return Exported(identifier, folder, files, bytes_, program.workspace_bytes, program.digest)
+
+
+def prepare(name: str, vehicle: Vehicle | str | None = None, dt: float | None = None) -> Any:
+    """The estimator of that name on the plant of a vehicle: see `export_c`."""
+    if name != SINGLE and name not in discovery.estimators():
+        raise ConfigError(
+            f"There is no estimator called {name!r}; known are {', '.join([*discovery.estimators(), SINGLE])}."
+        )
+    if isinstance(vehicle, str):
+        vehicle = vehicle if vehicle in airframes.papers() else airframes.named(vehicle)
+    if name in ("default", SINGLE):
+        if isinstance(vehicle, str):
+            raise ConfigError(f"{name} runs in hover thrusts of an autopilot's airframe; {vehicle} is a paper's.")
+        return _balance(name, airframes.named(FRAME) if vehicle is None else vehicle, dt)
+    if isinstance(vehicle, Vehicle):
+        p, usual = _learned(vehicle), LOG_DT
+        c = np.reshape(p["x0"], (4, PER_AXIS))
+        G, damping = np.clip(c[:, GAIN], GAIN_MEAN / 3, GAIN_MEAN * 3), np.maximum(c[:, DAMPING], 0.0)
+        step = dt or usual
+        plant = log_plant.plant(log_plant.parameters(p["B"], G, damping, np.zeros(4), np.asarray(p["noise"]), step))
+        return discovery.estimator(name)(plant, step)
+    kind, paper, usual = PAPERS.get(name, USUAL)
+    if vehicle is not None and vehicle != paper:
+        kind, paper = USUAL[0], vehicle
+    system, file = discovery.system(kind), airframes.paper(paper)
+    try:
+        plant = system.of(file) if hasattr(system, "of") else system(file)
+    except KeyError as missing:
+        raise ConfigError(f"The airframe {paper} does not say {missing}: the plant {kind} needs it.") from None
+    return discovery.estimator(name)(plant, dt or usual)
+
+
+def _learned(vehicle: Vehicle) -> dict:
+    """Geometry, and what healthy flights taught or any multirotor is like."""
+    return balance_parameters(vehicle.effectiveness(), (vehicle.identified or {}).get("dynamics"))
+
+
+def _balance(name: str, vehicle: Vehicle, dt: float | None):
+    p = _learned(vehicle)
+    prior, step = (p["x0"], p["P0"]), dt or LOG_DT
+    if name == SINGLE:
+        return discovery.estimator("ekf")(NoisyBalance(p["B"], prior, p["noise"]), step)
+    return discovery.estimator("default")(WrenchBalance(p["B"], prior), step, (p["noise"], p["noise_weight"]))
+
+
+def program_of(method: Any, identifier: str, variable_dt: bool = False) -> Program:
+    """The C of an estimator object, its fields described by the plant's names and units."""
+    system = method.system
+    n_u = _width(method)
+    inputs = [
+        Field("u", "f", (n_u,), _named(system, "u", n_u)),
+        Field("y", "f", (system.n_y,), _named(system, "y", system.n_y)),
+        Field("valid", "b", (system.n_y,), "which of y was measured; the others may hold anything"),
+    ]
+    inputs += [Field("dt", "f", (), "s since the step before")] * variable_dt
+    x, theta = _named(system, "x", system.n_x), _named(system, "theta", system.n_theta)
+    notes = {
+        "x": x, "theta": f"{theta}; losses: 0 healthy, 1 dead", "status": STATUS, "innovation": "y minus its prediction",
+        "s": "x, then theta",
+    }  # fmt: skip
+    notes |= {f"estimate_{k}": v for k, v in notes.items()}
+
+    def step(_, carry, u, y, valid, dt=None):
+        return method.step(carry, u, y, valid) if dt is None else method.step(carry, u, y, valid, dt)
+
+    about = f"{method.name} on the plant {getattr(system, 'name', type(system).__name__)}, a step of {method.dt:g} s"
+    about += ", or as long as dt says." if variable_dt else "."
+    return make(identifier, step, lambda _: method.init(), tuple(inputs), (), notes, about)
+
+
+def _width(method) -> int:
+    """How many inputs the method takes: the plant's; the default's are followed by mode and restart."""
+    return method.system.n_u + (2 if method.name == "default" else 0)
+
+
+def _named(system, letter: str, count: int) -> str:
+    """`p, q, r [rad/s]`: names and units of a variable, as far as the plant knows them."""
+    names = list(getattr(system, f"{letter}_names", ()))
+    units = list(getattr(system, f"{letter}_units", ("",) * len(names)))
+    if letter == "u" and isinstance(system, WrenchBalance):
+        n = system.n_theta
+        names = [*(f"thrust_{k + 1}" for k in range(n)), "p_dot", "q_dot", "r_dot", f"{n} x load factor", "p", "q", "r"]
+        units = ["hover thrust"] * n + ["rad/s^2"] * 3 + ["1"] + ["rad/s"] * 3
+        names, units = names + ["mode", "restart"][: count - len(names)], units + ["1"] * (count - len(units))
+    if letter == "y" and isinstance(system, WrenchBalance):
+        names, units = ["commanded roll", "pitch", "yaw torque", "thrust"], ["hover thrust"] * 4
+    parts: list[str] = []
+    for k, (n, unit) in enumerate(zip(names, units)):
+        last = k + 1 == len(names) or units[k + 1] != unit
+        parts.append(f"{n} [{unit}]" if last and unit else n)
+    return ", ".join(parts)
+
+
+def _example(program: Program, method: Any) -> str:
+    """A main that steps on constant measurements, those of a healthy vehicle, and prints the losses."""
+    jax = load_jax()
+    system, n_u, name = method.system, _width(method), program.name
+    u = np.full(n_u, 0.5)
+    y = np.asarray(jax.jit(system.h)(np.asarray(system.x0, float), u[: system.n_u], np.zeros(system.n_theta)))
+    shown = next(f for f in program.out if f.name in ("theta", "estimate_theta"))
+    status = next(f for f in program.out if f.name in ("status", "estimate_status"))
+    has_dt = any(f.name == "dt" for f in program.inputs)
+    values = {"u": u, "y": y, "valid": np.ones(system.n_y, bool)}
+    rows = []
+    for f in program.inputs:
+        if f.shape:
+            numbers = ", ".join(
+                ("true" if v else "false") if f.kind == "b" else f"(rw_real){float(v)!r}" for v in values[f.name]
+            )
+            rows.append(f"    static const {f.declared} = {{{numbers}}};")
+    call = ["&state", "u", "y", "valid", *([f"(rw_real){method.dt!r}"] if has_dt else []), "&out", "&work"]
+    return f"""/* A thousand steps of {name} on measurements that do not change. */
+#include "{name}.h"
+
+#include <stdio.h>
+
+int main(void)
+{{
+{chr(10).join(rows)}
+    static {name}_state state;
+    static {name}_workspace work;
+    static {name}_out out;
+
+    {name}_init(&state, &work);
+    for (int k = 0; k < 1000; ++k)
+        {name}_step({", ".join(call)});
+    printf("status %d, losses", (int)out.{status.name});
+    for (int k = 0; k < {shown.size}; ++k)
+        printf(" %.6f", (double)out.{shown.name}[k]);
+    printf("\\n");
+    return 0;
+}}
+"""
+
+
+def _cmake(name: str) -> str:
+    return f"""cmake_minimum_required(VERSION 3.10)
+project({name} C)
+
+option(ROTORWATCH_FLOAT "single precision" OFF)
+
+add_library({name} STATIC {name}.c)
+target_include_directories({name} PUBLIC ${{CMAKE_CURRENT_SOURCE_DIR}})
+set_target_properties({name} PROPERTIES C_STANDARD 99 C_EXTENSIONS OFF)
+if(ROTORWATCH_FLOAT)
+  target_compile_definitions({name} PUBLIC ROTORWATCH_FLOAT)
+endif()
+if(UNIX)
+  target_link_libraries({name} PUBLIC m)
+endif()
+
+add_executable(example example.c)
+target_link_libraries(example PRIVATE {name})
+"""
