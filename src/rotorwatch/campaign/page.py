@@ -109,7 +109,9 @@ def _delays(methods: dict) -> Any:
     from bokeh.models import Range1d
     from bokeh.plotting import figure
 
-    p = figure(title="Detected within a time; dashed: the bound", x_axis_type="log", y_range=Range1d(start=0, end=1.02), **SIZE)
+    p = figure(
+        title="Detected within a time; dashed: the bound", x_axis_type="log", y_range=Range1d(start=0, end=1.02), **SIZE
+    )
     p.xaxis.axis_label, p.yaxis.axis_label = "seconds after the onset", "share of clear faults"
     some = False
     for colour, (name, m) in zip(COLOURS, methods.items()):

@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from multiprocessing import connection, get_context, parent_process
 from typing import Any
 
@@ -19,15 +19,22 @@ from rotorwatch.campaign.store import Folder, Work
 from rotorwatch.errors import ConfigError, RotorwatchError
 
 Tell = Callable[[int, int, float], None]
+Judge = Callable[[Plan, Sequence[int], int], list[dict]]
 
 
 def run(
-    plan: Plan, flights: int, folder: str | os.PathLike, jobs: int | None = None, progress: Tell | None = None
+    plan: Plan,
+    flights: int,
+    folder: str | os.PathLike,
+    jobs: int | None = None,
+    progress: Tell | None = None,
+    judge: Judge = batch.judge,
 ) -> Any:
     """Fly and judge flights 0..flights-1 of the plan, except those that the folder already holds; returns the table of all.
 
-    jobs: processes, default one per processor (one in all where JAX has an accelerator). progress(done, flights, flights this time):
-    after every part. Raises ConfigError for a folder of another plan, or one that is in use.
+    jobs: processes, default one per processor (one in all where JAX has an accelerator). progress(done, flights, flights a second):
+    at the start and after every part. judge: what makes rows of flights (batch.judge). Raises ConfigError for a folder of another
+    plan, or one that is in use.
     """
     if flights < 1:
         raise ConfigError(f"flights must be at least 1, not {flights}.")
@@ -42,10 +49,10 @@ def run(
         jobs = min(jobs or _processes(), max(len(todo), 1))
         if jobs == 1:
             for work in todo:
-                _do(plan, place, work, width)
+                _do(plan, place, work, width, judge)
                 tell(work)
         else:
-            _spread(plan, place, todo, width, jobs, tell)
+            _spread(plan, place, todo, width, jobs, tell, judge)
         return place.table(flights)
 
 
@@ -71,18 +78,18 @@ def _processes() -> int:
     return (os.cpu_count() or 1) if jax().default_backend() == "cpu" else 1
 
 
-def _do(plan: Plan, folder: Folder, work: Work, width: int) -> None:
-    folder.write(work, batch.judge(plan, work.flights(len(plan.cells), width), width))
+def _do(plan: Plan, folder: Folder, work: Work, width: int, judge: Judge) -> None:
+    folder.write(work, judge(plan, work.flights(len(plan.cells), width), width))
 
 
-def _spread(plan: Plan, folder: Folder, todo: list[Work], width: int, jobs: int, tell: _Telling) -> None:
+def _spread(plan: Plan, folder: Folder, todo: list[Work], width: int, jobs: int, tell: _Telling, judge: Judge) -> None:
     """Processes that each take the next part when they have finished one."""
     context = get_context("spawn")
     workers, queue = {}, list(reversed(todo))
     try:
         for _ in range(jobs):
             ours, theirs = context.Pipe()
-            process = context.Process(target=_serve, args=(theirs, plan, folder.path, width), daemon=True)
+            process = context.Process(target=_serve, args=(theirs, plan, folder.path, width, judge), daemon=True)
             process.start()
             theirs.close()
             workers[ours] = process
@@ -109,7 +116,7 @@ def _spread(plan: Plan, folder: Folder, todo: list[Work], width: int, jobs: int,
             process.terminate()
 
 
-def _serve(pipe, plan: Plan, path, width: int) -> None:
+def _serve(pipe, plan: Plan, path, width: int, judge: Judge) -> None:
     """A worker: parts in, words that they are done out. Ends at once when the process that started it does."""
     parent = parent_process()
     assert parent is not None
@@ -118,7 +125,7 @@ def _serve(pipe, plan: Plan, path, width: int) -> None:
     while (work := pipe.recv()) is not None:
         error = None
         try:
-            _do(plan, folder, work, width)
+            _do(plan, folder, work, width, judge)
         except RotorwatchError as why:
             error = why
         except Exception as why:
