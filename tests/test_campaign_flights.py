@@ -1,0 +1,145 @@
+"""Campaign flights for real: the batch judges as `diagnose` does, however it is split, and what is written down is true."""
+
+import numpy as np
+import pytest
+
+import rotorwatch
+from rotorwatch import campaign
+from rotorwatch.campaign import batch, score
+from rotorwatch.simulation import simulate
+
+pytest.importorskip("pyarrow")
+WIDTH = 4
+PLAN = {
+    "name": "small",
+    "seed": 3,
+    "healthy": 0.4,
+    "estimators": ["default", "ekf"],
+    "detectors": ["ardupilot-thrust-loss"],
+    "scenario": {
+        "duration_s": 35.0,
+        "airframe": {"frame": "quad-x"},
+        "trajectory": {"land": False},
+        "wind": {"speed_m_s": {"uniform": [0.0, 2.0]}},
+    },
+    "faults": [{"kind": "loss", "onset_s": 22.0, "strength": {"uniform": [0.15, 0.4]}}],
+}
+
+
+@pytest.fixture(scope="module")
+def plan():
+    return campaign.from_table(PLAN)
+
+
+@pytest.fixture(scope="module")
+def rows(plan):
+    return batch.judge(plan, range(WIDTH), WIDTH)
+
+
+def of(rows, method):
+    return [row for row in rows if row["method"] == method]
+
+
+def test_a_row_per_flight_and_method(plan, rows):
+    assert len(rows) == WIDTH * 3
+    for method in plan.methods:
+        assert [row["flight"] for row in of(rows, method)] == list(range(WIDTH))
+    assert all(set(row) == set(score.COLUMNS) for row in rows)
+
+
+def test_however_it_is_split(plan, rows):
+    """Bit for bit: flights do not depend on who they fly with, nor on their place in the batch."""
+    apart = [*batch.judge(plan, [2, 0], WIDTH), *batch.judge(plan, [3], WIDTH), *batch.judge(plan, [1], WIDTH)]
+
+    def key(row):
+        return row["method"], row["flight"]
+
+    assert sorted(apart, key=key) == sorted(rows, key=key)
+
+
+def test_as_diagnose_judges_the_log(plan, rows):
+    """The first event, its delay and the judged time are those of `diagnose` on the flight's log."""
+    some = 0
+    for row in of(rows, "default"):
+        made = simulate(plan.flight(row["flight"]))
+        found = rotorwatch.diagnose(made.flight)
+        events = [e for e in found.events if e.kind == "loss_of_effectiveness"]
+        assert len(events) == row["false_alarms"] + row["wrong"] + bool(row["detected"])
+        if row["fault"]:
+            some += 1
+            assert "+".join(map(str, sorted(events[0].rotors))) == row["broken"]
+            assert events[0].detected_s - row["onset_s"] == pytest.approx(row["delay_s"], abs=1e-6)
+            assert events[0].loss[0] == pytest.approx(
+                row["estimate"], abs=0.03
+            )  # at the end of the flight, here 10 s on
+    assert 0 < some < WIDTH
+
+
+def test_the_truth_is_written_down(plan, rows):
+    for row in of(rows, "default"):
+        scenario = plan.flight(row["flight"])
+        assert row["wind_m_s"] == scenario.wind["speed_m_s"] and bool(row["fault"]) == bool(scenario.faults)
+        if not scenario.faults:
+            assert row["healthy_s"] == row["judged_s"] and row["onset_s"] is None and row["bound_sd"] is None
+            continue
+        fault = scenario.faults[0]
+        assert (row["onset_s"], row["broken"], row["clear"]) == (fault["onset_s"], str(fault["rotor"]), True)
+        assert row["loss"] == pytest.approx(fault["strength"], abs=1e-9)
+        assert row["healthy_s"] < row["judged_s"]
+
+
+def test_calm_flights_are_judged_well_and_bounds_are_below(rows):
+    for row in of(rows, "default"):
+        assert row["false_alarms"] == 0 and row["peak"] < 0.0
+        if row["fault"]:
+            assert row["right"] and row["delay_s"] < 1.5 and row["peak_2s"] > 0.0
+            assert abs(row["estimate"] - row["loss"]) < 0.03
+            assert 0.0 < row["bound_delay_s"] <= row["delay_s"] and 0.0 < row["bound_sd"] < 0.03
+
+
+def test_rules_that_name_rotors_only():
+    """A finding before the onset is a false alarm, of another rotor a wrong one, of the right one a detection; each rotor once."""
+    asked = campaign.from_table({**PLAN, "healthy": 0.0})
+    f = batch.fly(asked, [0], WIDTH)[0]
+    broken = f.scenario.faults[0]["rotor"]
+    other = broken % 4 + 1
+
+    def finds(*pairs):
+        return score.rule("x", f, [{"rotor": r, "time_s": t} for r, t in pairs], None, asked)
+
+    row = finds((broken, 25.0), (broken, 23.0))
+    assert (row["detected"], row["right"], row["delay_s"], row["wrong"]) == (True, True, pytest.approx(1.0), 0)
+    row = finds((other, 15.0), (broken, 23.0))
+    assert (row["false_alarms"], row["right"]) == (1, True)
+    row = finds((other, 23.0))
+    assert (row["detected"], row["wrong"], row["delay_s"]) == (False, 1, None)
+    assert row["estimate"] is None and row["peak"] is None
+
+
+def test_peaks_need_to_last(plan):
+    f = batch.fly(plan, [0], WIDTH)[0]
+    assert f.ticks.dt == 0.1
+    judged = np.flatnonzero(f.ticks.mode == 2)
+    statistic = np.full(len(f.ticks.time), -9.0)
+    statistic[judged[20]] = 7.0
+    assert score._peaks(f, statistic, None) == {"peak": -9.0}
+    statistic[judged[20] + 1] = 5.0
+    assert score._peaks(f, statistic, None) == {"peak": 5.0}
+    onset = float(f.ticks.time[judged[10]])
+    found = score._peaks(f, statistic, onset)
+    assert (found["peak"], found["peak_1s"], found["peak_2s"]) == (-9.0, -9.0, 5.0)
+    statistic[: judged[0]] = 99.0  # what is not judged does not count
+    assert score._peaks(f, statistic, None) == {"peak": 5.0}
+
+
+def test_the_width_follows_the_device(monkeypatch):
+    class Device:
+        kind = "cpu"
+
+        def default_backend(self):
+            return self.kind
+
+    monkeypatch.setattr(batch, "load_jax", Device)
+    assert batch.width() == batch.CPU_WIDTH
+    monkeypatch.setattr(Device, "kind", "gpu")
+    assert batch.width() == batch.ACCELERATOR_WIDTH
