@@ -6,7 +6,7 @@ nu_k of variance S and any gain K:
 
     phi = h M,   C += phi' phi / S,   z += phi' nu_k / S,   M <- A (M - K phi)
 
-Slots are reused in turn: dense for recent onsets, sparse for older ones, so that the bank reaches back REACH_S.
+Slots are reused in turn: dense for recent onsets, sparse for older ones.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 from rotorwatch.core import Array
 
 SLOTS = 16  # of each group
-STRIDES = {0.05: (1, 2, 6), 0.1: (1, 2, 5)}  # ticks between the slots of a group
+STRIDES = {0.05: (1, 2, 4), 0.1: (1, 2, 5)}  # ticks between the slots of a group
 BUILD_UP_S = 0.5
 
 
@@ -40,6 +40,7 @@ class Jumps:
         strides = STRIDES[0.05 if dt < 0.08 else 0.1]
         self.directions = directions
         self.stride = np.repeat(strides, SLOTS)
+        self.reach = float(SLOTS * strides[-1])  # ticks
         self.place = np.tile(np.arange(SLOTS), len(strides))
         # Recent slots hold sudden losses; the oldest group one that builds up, as a controller reveals it.
         self.slow = np.repeat((*[False] * (len(strides) - 1), True), SLOTS)

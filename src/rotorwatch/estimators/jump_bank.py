@@ -23,8 +23,9 @@ from rotorwatch.ticks import GROUND, JUDGE
 # Mean time between false alarms if the noise were what the model says; on real noise: docs/results.md.
 FALSE_ALARM_PERIOD_S = 60 * 3600.0
 # How much likelier than any disturbance a fault must be; more for a change of a loss that is known already.
-COMPETITOR_ODDS, UPDATE_ODDS = 5.0, 500.0
+COMPETITOR_ODDS, UPDATE_ODDS = 10.0, 500.0
 PERSIST_S = 0.15
+EDGE = 0.9  # of the bank's reach
 HOLD_S = 1.5
 LEARN_LOSS_S = 6.0  # a committed loss is refined this long; after that only a new jump changes it,
 MOVING, MOVING_S = (
@@ -222,6 +223,9 @@ class JumpBank:
         possible = plausibility.plausible(
             best.sizes[0], best.each, seen.u[:n], seen.rise, missing, carry.missing, valid[3], stand.active, s[n_x:]
         )
+        # The most probable onset at the edge of the bank speaks of a drift that began before it, not of a jump.
+        onset = best.slot @ jnp.where(found.live, carry.bank.age + 1.0, 0.0)
+        possible &= onset < EDGE * self.jumps.reach
         above = jnp.where(open_ & (statistic > 0.0) & possible, stand.above + 1, 0)
         alarm = above >= max(2, round(PERSIST_S / dt))
         update = jnp.where(alarm, best.mine, stand.update)
@@ -234,7 +238,6 @@ class JumpBank:
         doubt = (1.0 / caution.calm(memory)).mean()
         shown_var = stand.theta_var + doubt * jnp.diagonal(P)[n_x:] + waiting * jnp.diagonal(best.cov)[:n]
 
-        onset = best.slot @ jnp.where(found.live, carry.bank.age + 1.0, 0.0)
         detectable = self._detectable(bank, found.live)
         s, P = self._committed(s, P, bank, best, commit)
         s, P, sure_s, absorbed = self._absorbed(s, P, bank, found, stand, open_ & (pending < 0))
