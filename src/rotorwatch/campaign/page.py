@@ -17,6 +17,7 @@ td:first-child,th:first-child{text-align:left}.pictures{display:flex;flex-wrap:w
 COLUMNS = {
     "flights": "flights",
     "false_alarms_h": "false alarms/h",
+    "sure_false_alarms_h": "of these sure",
     "detected": "detected",
     "right": "right rotor",
     "delay_s": "delay, s",

@@ -41,6 +41,7 @@ COLUMNS: dict[str, tuple[str, str]] = {
     "judged_s": ("double", "flight time that was judged"),
     "healthy_s": ("double", "judged before the onset"),
     "false_alarms": ("int64", "events in healthy time"),
+    "sure_false_alarms": ("int64", "those of them that name rotors without alternatives: verdict fault, not ambiguous"),
     "wrong": ("int64", "events after the onset that name no broken rotor"),
     "detected": ("bool", "an event after the onset names a broken rotor, alone or among alternatives"),
     "delay_s": ("double", "from the onset to that event"),
@@ -103,7 +104,8 @@ def _row(name: str, f, found, bound, plan: Plan) -> dict[str, Any]:
     }  # fmt: skip
     early = [one for one in found if one[0] < onset - EARLY_S]
     later = [one for one in found if one[0] >= onset - EARLY_S]
-    row |= {"false_alarms": len(early), "wrong": 0, "broken": ""}
+    sure = sum(len(one[1]) == 1 for one in early)
+    row |= {"false_alarms": len(early), "sure_false_alarms": sure, "wrong": 0, "broken": ""}
     if not s.faults:
         return row
     broken = tuple(sorted(fault["rotor"] for fault in s.faults))

@@ -59,6 +59,7 @@ def measures(d: dict[str, np.ndarray]) -> dict[str, Any]:
     return {
         "flights": len(faulty), "faults": int(faulty.sum()), "clear_faults": int(clear.sum()), "healthy_h": hours,
         "false_alarms": int(d["false_alarms"].sum()), "false_alarms_h": rate(int(d["false_alarms"].sum()), hours),
+        "sure_false_alarms_h": rate(int(d["sure_false_alarms"].sum()), hours),
         "detected": share(d["detected"][clear]), "right": share(d["right"][clear]), "named": share(d["named"][clear]),
         "wrong": int(d["wrong"].sum()),
         "delay_s": boot(delays, np.median), "bound_delay_s": boot(d["bound_delay_s"][both], np.median),
@@ -203,10 +204,12 @@ def markdown(summary: dict[str, Any]) -> str:
     """The summary as Markdown tables."""
     parts = [f"{summary['flights']} flights, {summary['healthy_h']:.1f} healthy hours judged."]
     heads = (
-        "flights", "false alarms/h", "detected", "right rotor", "delay, s", "x bound", "loss RMSE", "x bound", "typical x", "coverage",
+        "flights", "false alarms/h", "of these sure", "detected", "right rotor", "delay, s", "x bound", "loss RMSE",
+        "x bound", "typical x", "coverage",
     )  # fmt: skip
     keys = (
-        "false_alarms_h", "detected", "right", "delay_s", "delay_ratio", "loss_rmse", "rmse_ratio", "typical_ratio", "coverage",
+        "false_alarms_h", "sure_false_alarms_h", "detected", "right", "delay_s", "delay_ratio", "loss_rmse",
+        "rmse_ratio", "typical_ratio", "coverage",
     )  # fmt: skip
     for method, found in summary["methods"].items():
         parts.append(f"\n### {method}\n\n| | {' | '.join(heads)} |\n|{'---|' * (len(heads) + 1)}")
