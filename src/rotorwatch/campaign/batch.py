@@ -33,11 +33,24 @@ TICK_BLOCK = (
     100  # tables are padded to a multiple of this, so that a flight's few ticks more or less need no other program
 )
 CPU_WIDTH, ACCELERATOR_WIDTH = 32, 1024
+CACHE_BYTES = (
+    2_500_000  # of the estimators' states that a processor keeps at hand: larger batches are slower, not faster
+)
 
 
 def width() -> int:
     """Flights in a batch: what fits a processor's cache, or fills an accelerator where JAX has found one."""
     return CPU_WIDTH if load_jax().default_backend() == "cpu" else ACCELERATOR_WIDTH
+
+
+def side_by_side(carry: Any, size: int) -> int:
+    """How many of `size` flights (a power of two) the estimator with this state steps at once."""
+    tree = load_jax().tree
+    each = sum(np.asarray(leaf).nbytes for leaf in tree.leaves(carry))
+    if load_jax().default_backend() == "cpu":
+        while size > 1 and size % 2 == 0 and size * each > CACHE_BYTES:
+            size //= 2
+    return size
 
 
 @dataclass(frozen=True)
@@ -175,9 +188,14 @@ def _default(flown: Sequence[Flown], B: np.ndarray, size: int) -> list[Judged]:
         raise ConfigError(f"commands every {dt:.1f} s are too slow: log motor outputs at 10 Hz or faster.")
     build = default_estimator._build_fast if dt < 0.08 else default_estimator._build_slow
     tree, parameters = load_jax().tree, default_estimator.parameters(B)
-    carry = build(parameters).init()
-    out = tree.map(np.asarray, _program(build)(parameters, carry, *_stacked(flown, B, size)))
-    return [tree.map(lambda a, k=k, f=f: a[k, : len(f.ticks.time)], out) for k, f in enumerate(flown)]
+    carry, rows, found = build(parameters).init(), _stacked(flown, B, size), []
+    step = side_by_side(carry, size)
+    for start in range(0, len(flown), step):
+        out = _program(build)(parameters, carry, *(a[start : start + step] for a in rows))
+        out = tree.map(np.asarray, out)
+        for k, f in enumerate(flown[start : start + step]):
+            found.append(tree.map(lambda a, k=k, f=f: a[k, : len(f.ticks.time)], out))
+    return found
 
 
 def _bounds(flown: Sequence[Flown], B: np.ndarray, size: int) -> list[np.ndarray | None]:

@@ -92,16 +92,17 @@ def _roc(methods: dict) -> Any:
     )
     for colour, (name, m) in zip(COLOURS, methods.items()):
         points = [q for q in m["roc"] if q["false_alarms_h"] and q["false_alarms_h"]["value"] > 0 and q["detected_2s"]]
+        if not points:
+            continue
         x = [q["false_alarms_h"]["value"] for q in points]
         for key, dash in (("detected_2s", "solid"), ("detected_10s", "dashed")):
             p.line(x, [q[key]["value"] for q in points], color=colour, line_dash=dash, line_width=2, legend_label=name)
-        if points:
-            band = [[q["detected_2s"][edge] for q in points] for edge in ("low", "high")]
-            p.varea(x, *band, fill_color=colour, fill_alpha=0.15)
+        band = [[q["detected_2s"][edge] for q in points] for edge in ("low", "high")]
+        p.varea(x, *band, fill_color=colour, fill_alpha=0.15)
         at = [q for q in points if q["threshold"] == 0.0]
         p.scatter([q["false_alarms_h"]["value"] for q in at], [q["detected_2s"]["value"] for q in at], marker="x", size=14,
                   color=colour, line_width=3)  # fmt: skip
-    p.legend.location = "bottom_right"
+    p.legend.location = "top_left"
     return p
 
 
@@ -122,7 +123,7 @@ def _delays(methods: dict) -> Any:
         p.line(x, [q["detected"]["value"] for q in points], color=colour, line_width=2, legend_label=name)
         p.varea(x, *[[q["detected"][e] for q in points] for e in ("low", "high")], fill_color=colour, fill_alpha=0.15)
         p.line(x, [q["bound"]["value"] for q in points], color="#555555", line_dash="dashed", legend_label="bound")
-    p.legend.location = "top_left"
+    p.legend.location = "center_right"
     return p if some else None
 
 
