@@ -30,8 +30,9 @@ def export_c(estimator, vehicle, out, dt, variable_dt, quiet) -> None:
     from rotorwatch import vehicle_file
     from rotorwatch.export_c import export_c as run
 
-    on_file = vehicle is not None and (Path(vehicle).suffix == ".toml" or Path(vehicle).exists())
-    craft = vehicle_file.read(vehicle) if on_file else vehicle
+    craft = vehicle
+    if vehicle is not None and (Path(vehicle).suffix == ".toml" or Path(vehicle).exists()):
+        craft = vehicle_file.read(vehicle)
     made = run(estimator, out, vehicle=craft, dt=dt, variable_dt=variable_dt)
     click.echo("\n".join(str(path) for path in made.files))
     if not quiet:

@@ -215,6 +215,13 @@ def _pad(graph, x, params, outvars):
     return body
 
 
+def _tile(graph, x, params, outvars):
+    out = x[0]
+    for axis, times in enumerate(params["reps"]):
+        out = graph.concat([out] * int(times), axis)
+    return out
+
+
 def _iota(graph, x, params, outvars):
     shape, axis = params["shape"], params["dimension"]
     line = np.arange(shape[axis]).reshape([-1 if k == axis else 1 for k in range(len(shape))])
@@ -292,6 +299,8 @@ def _scattered(graph, operand, updates, table, how):
             accumulate = {"add": np.add, "mul": np.multiply, "min": np.minimum, "max": np.maximum}[how]
             accumulate.at(out, table[inside], known[1][inside])
         return graph.const(out.reshape(operand.shape))
+    if indices.regular(table) is None:  # read by a table: one after the other
+        updates = graph.stored(updates)
     return graph.make(
         "scatter", (operand, updates), operand.shape, operand.kind, (table, how), key=(table.tobytes(), how)
     )
@@ -465,7 +474,7 @@ def _free(outputs, regions) -> tuple[Node, ...]:
 SPECIAL = {
     "convert_element_type": _convert, "integer_pow": _integer_pow, "pow": _pow, "round": _round, "select_n": _select, "clamp": _clamp,
     "broadcast_in_dim": _broadcast, "slice": _slice, "split": _split, "reshape": _reshape, "squeeze": _reshape,
-    "expand_dims": _reshape, "stack": _stack, "pad": _pad, "iota": _iota, "gather": _gather, "dynamic_slice": _dynamic_slice,
+    "expand_dims": _reshape, "stack": _stack, "pad": _pad, "tile": _tile, "iota": _iota, "gather": _gather, "dynamic_slice": _dynamic_slice,
     "dynamic_update_slice": _dynamic_update_slice, "scatter": _scatter("set"),
     "transpose": lambda graph, x, params, outvars: graph.transposed(x[0], params["permutation"]),
     "rev": lambda graph, x, params, outvars: graph.reversed(x[0], params["dimensions"]),

@@ -1,0 +1,96 @@
+"""Exported C says what Python says: every estimator, step by step, in double and single precision."""
+
+import re
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+
+from exporting import STRICT, address, difference, estimator, exported, library, measurements, room, struct
+from rotorwatch import discovery
+from rotorwatch.c99 import operations
+from rotorwatch.c99.plan import Plan
+from rotorwatch.export_c import SINGLE, export_c, program_of
+
+EQUAL = 1e-12
+NAMES = [*discovery.estimators(), SINGLE]
+# Random steps a method is compared on; the default's bank and sliding windows carry much more along.
+ROWS = {"default": 300, "mhe": 300, "esmf": 1_000, "aesmf": 1_000, "ekf": 100_000, "lyapunov": 100_000}
+USUAL_ROWS, CHUNK = 5_000, 10_000
+# Single precision: largest difference of losses over a flight, in losses, and of the covariance, relative.
+FLOAT_LOSS, FLOAT_FLIGHT = 1e-4, 400
+FLOAT = ("ekf", "adaptive_ekf", "lyapunov", "ukf", "tsukf", "default-filter")
+SANITIZE = ("-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+
+pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_step_in_c_is_the_step_in_python(name, tmp_path):
+    program = exported(name)
+    lib = library(program, tmp_path, "-O0" if name in ("default", "mhe") else "-O1")
+    rows = ROWS.get(name, USUAL_ROWS)
+    for seed in range(max(1, rows // CHUNK)):
+        much, where = difference(name, program, lib, min(rows, CHUNK), seed)
+        assert much <= EQUAL, f"{where} differs by {much:.2g} in flight {seed}"
+
+
+def forgetful(packed):
+    """Storage that is given away as soon as it is written."""
+    return lambda self, kind, blocks: packed(
+        self, kind, [(size, begin, begin, node) for size, begin, _, node in blocks]
+    )
+
+
+@pytest.mark.parametrize("fault", ["sign", "storage", "order"])
+def test_the_law_catches_planted_errors(fault, tmp_path, monkeypatch):
+    if fault == "sign":
+        wrong = operations.ELEMENTWISE["sub"]._replace(c={"f": "({0} - R(1.000000001) * {1})", "i": "0", "l": "0"})
+        monkeypatch.setitem(operations.ELEMENTWISE, "sub", wrong)
+    elif fault == "storage":
+        monkeypatch.setattr(Plan, "_packed", forgetful(Plan._packed))
+    program = program_of(estimator("ekf"), "ekf")
+    if fault == "order":
+        source = re.sub(r"a\[9 \* i \+ k0\]", "a[9 * k0 + i]", program.source)
+        assert source != program.source
+        program = type(program)(**{**vars(program), "source": source})
+    lib = library(program, tmp_path, "-O0", "-Wno-restrict")
+    assert difference("ekf", program, lib, 300)[0] > EQUAL
+
+
+def runs(program, lib, real, table):
+    """A whole flight in C."""
+    u, y, valid = table
+    state, out = np.zeros((), struct(program.state, real)), np.zeros(len(u), struct(program.out, real))
+    keep = room(program)
+    getattr(lib, f"{program.name}_init")(address(state), address(keep))
+    rows = [np.ascontiguousarray(a) for a in (u.astype(real), y.astype(real), valid)]
+    getattr(lib, f"{program.name}_run")(len(u), address(state), *map(address, rows), address(out), address(keep))
+    return out
+
+
+@pytest.mark.parametrize("name", FLOAT)
+def test_single_precision_is_close(name, tmp_path):
+    """The same flight with float and with double; float calls float functions only."""
+    program, table = exported(name), measurements(estimator(name), FLOAT_FLIGHT)
+    double = runs(program, library(program, tmp_path / "d", "-O1"), np.float64, table)
+    flags = ("-O1", "-DROTORWATCH_FLOAT", "-Wdouble-promotion")
+    single = runs(program, library(program, tmp_path / "s", *flags), np.float32, table)
+    gap = np.abs(single["theta"] - double["theta"]).max()
+    assert gap < FLOAT_LOSS, gap
+    assert np.array_equal(single["status"], double["status"])
+    called = subprocess.run(
+        ["nm", "-u", str(tmp_path / "s" / f"{program.name}.so")], capture_output=True, text=True
+    ).stdout
+    assert not re.search(r"\b(sqrt|exp|log|cos|acos|cbrt|pow|fmod)(@|$)", called, re.MULTILINE), called
+
+
+@pytest.mark.parametrize("name", ["ekf", "tsukf", "intermediate", "aesmf"])
+def test_sanitizers_find_nothing(name, tmp_path):
+    made = export_c(name, tmp_path)
+    command = ["gcc", *STRICT, *SANITIZE, "-o", str(tmp_path / "example"), *map(str, tmp_path.glob("*.c")), "-lm"]
+    subprocess.run(command, check=True)
+    done = subprocess.run([str(tmp_path / "example")], capture_output=True, text=True)
+    assert done.returncode == 0 and done.stdout.startswith("status 0"), done.stderr[:2000]
+    assert made.workspace_bytes < 64_000
