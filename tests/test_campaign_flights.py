@@ -143,3 +143,19 @@ def test_the_width_follows_the_device(monkeypatch):
     assert batch.width() == batch.CPU_WIDTH
     monkeypatch.setattr(Device, "kind", "gpu")
     assert batch.width() == batch.ACCELERATOR_WIDTH
+
+
+def test_as_many_at_once_as_fit_the_cache(monkeypatch):
+    small, large = {"a": np.zeros(100)}, {"a": np.zeros(batch.CACHE_BYTES // 8 // 5), "b": np.zeros(1)}
+    assert batch.side_by_side(small, 32) == 32
+    assert batch.side_by_side(large, 32) == 4
+    assert batch.side_by_side({"a": np.zeros(batch.CACHE_BYTES)}, 32) == 1
+
+    class Device:
+        tree = batch.load_jax().tree
+
+        def default_backend(self):
+            return "gpu"
+
+    monkeypatch.setattr(batch, "load_jax", Device)
+    assert batch.side_by_side(large, 1024) == 1024
