@@ -319,7 +319,7 @@ def test_without_a_compiler_jax_runs_and_says_so(cache, monkeypatch):
     method, (u, y) = small(), table(50)
     with pytest.warns(RuntimeWarning, match=r"no C compiler \(no-such-compiler\).*JAX runs instead"):
         out = run(method, u, y, backend="native")
-    close(out, run(method, u, y))
+    close(out[1], run(method, u, y)[1])
 
 
 def test_a_cache_that_cannot_be_written_costs_a_build(cache, monkeypatch):
@@ -331,7 +331,7 @@ def test_a_cache_that_cannot_be_written_costs_a_build(cache, monkeypatch):
     assert not list(cache.glob("*.so"))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        close(out, run(method, u, y, backend="jax"))
+        close(out[1], run(method, u, y, backend="jax")[1])
 
 
 def test_an_unknown_backend_is_told():
