@@ -16,7 +16,7 @@ from rotorwatch.export_c import SINGLE, export_c, program_of
 EQUAL = 1e-12
 NAMES = [*discovery.estimators(), SINGLE]
 # Random steps a method is compared on; the default's bank and sliding windows carry much more along.
-ROWS = {"default": 300, "mhe": 300, "esmf": 1_000, "aesmf": 1_000, "ekf": 100_000, "lyapunov": 100_000}
+ROWS = {"default": 300, "mhe": 300, "esmf": 1_000, "aesmf": 1_000, "ekf": 100_000}
 USUAL_ROWS, CHUNK = 5_000, 10_000
 # Single precision: largest difference of losses over a flight, in losses, and of the covariance, relative.
 FLOAT_LOSS, FLOAT_FLIGHT = 1e-4, 400
