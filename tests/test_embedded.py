@@ -21,8 +21,8 @@ ARM = (
     "-Wpedantic",
     "-Werror",
 )
-TEXT = {"ekf": 12_000, "ukf": 16_000, "tsukf": 16_000}  # bytes in single precision; constants weigh twice as much in double
-DOUBLE = 1.15
+# Bytes in single precision; constants weigh twice as much in double.
+TEXT, DOUBLE = {"ekf": 12_000, "ukf": 16_000, "tsukf": 16_000}, 1.15
 STACK = 24_000
 
 
