@@ -65,11 +65,13 @@ def test_selections_and_parameters():
 
 
 def test_a_table_in_two_parts_is_the_same_when_the_carry_is_handed_on():
-    t = table(2 * CHUNK)
-    _, (whole, _) = run_built(build, {"gain": 1.0}, t.u, t.y, t.valid)
-    carry, (first, _) = run_built(build, {"gain": 1.0}, t.u[:CHUNK], t.y[:CHUNK], t.valid[:CHUNK])
-    _, (second, _) = run_built(build, {"gain": 1.0}, t.u[CHUNK:], t.y[CHUNK:], t.valid[CHUNK:], carry=carry)
-    np.testing.assert_array_equal(np.concatenate([first, second]), whole)
+    t = table(2 * CHUNK + 7)
+    last, (whole, _) = run_built(build, {"gain": 1.0}, t.u, t.y, t.valid)
+    for cut in (CHUNK, 5, CHUNK + 700):  # in the middle of a chunk, too: padding leaves no trace
+        carry, (first, _) = run_built(build, {"gain": 1.0}, t.u[:cut], t.y[:cut], t.valid[:cut])
+        end, (second, _) = run_built(build, {"gain": 1.0}, t.u[cut:], t.y[cut:], t.valid[cut:], carry=carry)
+        np.testing.assert_array_equal(np.concatenate([first, second]), whole)
+        assert end["steps"] == last["steps"] == len(t.u)
 
 
 def test_progress_grows_to_one():

@@ -56,9 +56,6 @@ def diagnose(
     def lap(name):
         timing[name] = time.perf_counter() - began - sum(timing.values())
 
-    if isinstance(flight, Flight):
-        timing["read_s"] = float(flight.facts.get("read_s", 0.0))
-        began -= timing["read_s"]
     if estimator != "default":
         discovery.estimator(estimator)
     elif tuning is not None:
@@ -68,8 +65,7 @@ def diagnose(
     baseline = tuple(baseline)
     flight = _flight(flight, lambda share: tell(0.3 * share, "reading"))
     known_vehicle = _vehicle(vehicle)
-    if "read_s" not in timing:
-        lap("read_s")
+    lap("read_s")
     source = "none"
     if baseline:
         from rotorwatch.calibrate import calibrate

@@ -6,7 +6,7 @@ nu_k of variance S and any gain K:
 
     phi = h M,   C += phi' phi / S,   z += phi' nu_k / S,   M <- A (M - K phi)
 
-Slots are reused in turn: dense for recent onsets, sparse for older ones.
+Slots are reused in turn: dense for recent onsets, sparse for older ones, and a group for losses that show gradually.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 from rotorwatch.core import Array
 
 SLOTS = 16  # of each group
-STRIDES = {0.05: (1, 2, 4), 0.1: (1, 2, 5)}  # ticks between the slots of a group
+STRIDES = {0.05: (1, 2, 4), 0.1: (1, 5, 3)}  # ticks between the slots of a group
 BUILD_UP_S = 0.5
 
 
@@ -40,9 +40,9 @@ class Jumps:
         strides = STRIDES[0.05 if dt < 0.08 else 0.1]
         self.directions = directions
         self.stride = np.repeat(strides, SLOTS)
-        self.reach = float(SLOTS * strides[-1])  # ticks
+        self.reach = float(SLOTS * max(strides))  # ticks
         self.place = np.tile(np.arange(SLOTS), len(strides))
-        # Recent slots hold sudden losses; the oldest group one that builds up, as a controller reveals it.
+        # The last group holds losses that build up, as a controller reveals them.
         self.slow = np.repeat((*[False] * (len(strides) - 1), True), SLOTS)
         self.decay = float(np.exp(-dt / BUILD_UP_S))
 

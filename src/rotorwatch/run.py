@@ -21,14 +21,16 @@ def _program(build: Callable, select: Callable):
     jax = load_jax()
 
     @jax.jit
-    def chunk(parameters, carry, u, y, valid):
+    def chunk(parameters, carry, u, y, valid, size):
         estimator = build(parameters)
 
-        def step(carry, row):
-            carry, out = estimator.step(carry, *row)
+        def step(carry, numbered):
+            k, row = numbered
+            new, out = estimator.step(carry, *row)
+            carry = jax.tree.map(lambda a, b: jax.numpy.where(k < size, a, b), new, carry)  # padding leaves no trace
             return carry, select(out)
 
-        return jax.lax.scan(step, carry, (u, y, valid))
+        return jax.lax.scan(step, carry, (jax.numpy.arange(len(u)), (u, y, valid)))
 
     return chunk
 
@@ -123,16 +125,14 @@ def run_built(
     if carry is None:
         carry = build(parameters).init()
     program = _program(build, select)
-    count, parts, new_carry = len(u), [], carry
+    count, parts = len(u), []
     for start in range(0, max(count, 1), CHUNK):
         rows = [a[start : start + CHUNK] for a in (u, y, valid)]
         size = len(rows[0])
-        if size < CHUNK:  # a padded tail keeps one program for all lengths; its carry is not the flight's any more
+        if size < CHUNK:  # a padded tail keeps one program for all lengths
             rows = [np.concatenate([a, np.zeros((CHUNK - size, *a.shape[1:]), a.dtype)]) for a in rows]
-        new_carry, out = program(parameters, carry, *rows)
-        if size == CHUNK:
-            carry = new_carry
+        carry, out = program(parameters, carry, *rows, size)
         parts.append(jax.tree.map(lambda a, size=size: np.asarray(a)[:size], out))
         if progress:
             progress(min(1.0, (start + size) / max(count, 1)))
-    return new_carry, jax.tree.map(lambda *a: np.concatenate(a), *parts)
+    return carry, jax.tree.map(lambda *a: np.concatenate(a), *parts)

@@ -69,7 +69,9 @@ class EKF:
         S = H @ P @ H.T + jnp.diag(R)
         s, P = linearise.update(jnp.concatenate([x, theta]), P, H, e, R, valid)
         estimate = Estimate(s[:n_x], P[:n_x, :n_x], s[n_x:], P[n_x:, n_x:], e, 0.5 * (S + S.T), linearise.status(valid))
-        mit = mit_rule.adapt(carry.mit, H, S, e, valid, dt, self.adaptation) if self.adaptation else ()
+        mit = carry.mit
+        if self.adaptation and isinstance(mit, mit_rule.MitState):
+            mit = mit_rule.adapt(mit, H, S, e, valid, dt, self.adaptation)
         return Carry(s, P, mit), estimate
 
     def _predicted(self, P, F, Phi, dt, mit):

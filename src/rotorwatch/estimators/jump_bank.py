@@ -21,7 +21,7 @@ from rotorwatch.systems.wrench_balance import B1, B2, B3, GAIN, PER_AXIS
 from rotorwatch.ticks import GROUND, JUDGE
 
 # Mean time between false alarms if the noise were what the model says; on real noise: docs/results.md.
-FALSE_ALARM_PERIOD_S = 60 * 3600.0
+FALSE_ALARM_PERIOD_S = 15 * 3600.0
 # How much likelier than any disturbance a fault must be; more for a change of a loss that is known already.
 COMPETITOR_ODDS, UPDATE_ODDS = 10.0, 500.0
 PERSIST_S = 0.15
@@ -40,7 +40,7 @@ TRUST = 3000.0  # nats
 DEAD = 0.8
 ABSORB_S, ABSORB_NATS, BASE_NATS = 1.0, 10.0, 6.0
 FREEZE_S = 4.0
-SUSPICIOUS = 0.5  # share of the usual threshold from which on noise is not learned
+SUSPICIOUS_PERIOD_S = 60.0  # noise is not learned while there is more evidence than chance would bring in a minute
 # A disturbance that opposite rotors explain as well, within OPPOSITE_NATS, and that came at once: SHARP_NATS likelier than one that
 # builds up; for so long.
 OPPOSITE_NATS, SHARP_NATS, OPPOSITE_S, OPPOSITE_LOSS = 5.0, 2.0, 0.5, 0.03
@@ -215,7 +215,8 @@ class JumpBank:
         s, P, bank, innovation, variance = self._updated(
             s, P, bank, rows, y, valid & flying, white + error, seen.teach, caution.calm(memory)
         )
-        memory = caution.remember(memory, innovation, variance, valid & flying, dt)
+        # What an announced jump does to the innovations is not weather.
+        memory = caution.remember(memory, innovation, variance, valid & flying & (stand.pending < 0), dt)
 
         found = self._evidence(s, bank, carry.noise.variances, stand)
         best = self._candidate(found, bank, stand)
@@ -248,7 +249,7 @@ class JumpBank:
 
         # Learn the noise from what the calm parts leave over, never from a growing suspicion.
         e = e + (rows[:, :n_x] * jnp.asarray(np.isin(np.arange(n_x), self.bias_rows), float)) @ biases
-        suspicious = found.fault > SUSPICIOUS * threshold(self.hyp, dt)
+        suspicious = found.fault > threshold(self.hyp, dt, SUSPICIOUS_PERIOD_S)
         frozen = jnp.where(suspicious, stand.frozen + dt, jnp.maximum(stand.frozen - dt, 0.0))
         calm = (~suspicious | (frozen > FREEZE_S)) & (pending < 0) & flying
         noises = noise.step(carry.noise, e, valid & calm, white / (white + error), dt)

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
-import time
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -61,8 +60,7 @@ def recognise(head: bytes, name: str):
 
 
 def _checked(job, module, path, warnings) -> Flight:
-    """Run a reader; anything it trips over becomes a LogError, and so does a log without data. facts["read_s"]: how long it took."""
-    began = time.perf_counter()
+    """Run a reader; anything it trips over becomes a LogError, and so does a log without data."""
     try:
         flight = job()
     except RotorwatchError as error:
@@ -72,5 +70,4 @@ def _checked(job, module, path, warnings) -> Flight:
         raise LogError(f"{path}: this {module.FORMAT} is too damaged to be read ({type(error).__name__})") from error
     if not any(len(s) >= 2 for s in flight.signals.values()):
         raise LogError(f"{path}: this {module.FORMAT} holds no flight data; was logging switched on?")
-    facts = {**flight.facts, "read_s": time.perf_counter() - began}
-    return replace(flight, name=path.name, warnings=(*warnings, *flight.warnings), facts=facts)
+    return replace(flight, name=path.name, warnings=(*warnings, *flight.warnings))

@@ -13,7 +13,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rotorwatch import airframes, published, tune
+import rotorwatch.tune as tune
+from rotorwatch import airframes, published
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
 from rotorwatch.run import run

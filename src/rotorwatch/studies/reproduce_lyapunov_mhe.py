@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import airframes, observability
+import rotorwatch.observability as observability
+from rotorwatch import airframes
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.estimators.lyapunov import Lyapunov
 from rotorwatch.estimators.mh_lyapunov import MHLyapunov
