@@ -44,6 +44,7 @@ SUSPICIOUS_PERIOD_S = 60.0  # noise is not learned while there is more evidence 
 # A disturbance that opposite rotors explain as well, within OPPOSITE_NATS, and that came at once: SHARP_NATS likelier than one that
 # builds up; for so long.
 OPPOSITE_NATS, SHARP_NATS, OPPOSITE_S, OPPOSITE_LOSS = 5.0, 2.0, 0.5, 0.03
+TURNING = 0.15  # rad/s of yaw, above which its drag is known too badly for that
 OVER, NOTHING = 0.02, 0.6 * plausibility.SMALLEST
 
 
@@ -242,7 +243,8 @@ class JumpBank:
         detectable = self._detectable(bank, found.live)
         s, P = self._committed(s, P, bank, best, commit)
         s, P, sure_s, absorbed = self._absorbed(s, P, bank, found, stand, open_ & (pending < 0))
-        opposite, opposite_s = self._opposite(found, bank, stand, open_ & (pending < 0))
+        straight = jnp.abs(seen.u[n + 6]) < TURNING
+        opposite, opposite_s = self._opposite(found, bank, stand, open_ & (pending < 0) & straight)
         s, P, active, learning, theta_var = self._settled(s, P, stand, best, best.hit & commit)
         bank = jumps.forget(bank, commit | absorbed)
         pending = jnp.where(commit, -1, pending)
