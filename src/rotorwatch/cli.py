@@ -119,8 +119,8 @@ def diagnose(context, logs, baselines, vehicle, estimator, tuning, report, as_js
         from rotorwatch.diagnose import diagnose as run
 
         with progress(quiet) as tell:
-            log = _existing(path)
-            return run(log, vehicle=known, baseline=healthy, estimator=estimator, progress=tell, tuning=tuned)
+            flight = _read(path, tell)
+            return run(flight, vehicle=known, baseline=healthy, estimator=estimator, progress=tell, tuning=tuned)
 
     if len(logs) == 1:
         result = judge(logs[0])
@@ -359,13 +359,9 @@ def fuzz(context, log, mutations, seed, jobs, as_json, quiet) -> None:
 def _read(path: Path, tell: Callable | None) -> Any:
     from rotorwatch.logs import read
 
-    return read(_existing(path), progress=tell)
-
-
-def _existing(path: Path) -> Path:
     if not path.exists():
         raise ConfigError(f"{path}: no such file.")
-    return path
+    return read(path, progress=tell)
 
 
 cli_research.register(cli)
