@@ -154,15 +154,7 @@ class Emitter:
         if node.op in ELEMENTWISE:
             parts = [self.tree(a, identity(node.shape), len(node.shape)) for a in node.args]
             tree = (ELEMENTWISE[node.op].c[node.args[0].kind], parts)
-            if self.plan.local(node):
-                self.line(f"const {TYPES[node.kind]} t{node.index} = {self.text(tree, [])};")
-                return
-            target = Leaf(self.where(node), 0, strides(node.shape))
-
-            def body(names):
-                self.line(f"{self.text(target, names)} = {self.text(tree, names)};")
-
-            self._nest(list(node.shape), [list(range(len(node.shape)))], [tree, target], body)
+            self._assign(node, tree)
             return
         getattr(self, f"_{node.op}")(node)
 

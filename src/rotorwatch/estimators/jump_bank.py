@@ -22,8 +22,7 @@ from rotorwatch.ticks import GROUND, JUDGE
 
 # Mean time between false alarms if the noise were what the model says; on real noise: docs/results.md.
 FALSE_ALARM_PERIOD_S = 15 * 3600.0
-# How much likelier than any disturbance a fault must be; more for a change of a loss that is known already.
-COMPETITOR_ODDS, UPDATE_ODDS = 10.0, 500.0
+COMPETITOR_ODDS = 10.0  # how much likelier than any disturbance a fault must be
 PERSIST_S = 0.15
 EDGE = 0.9  # of the bank's reach
 HOLD_S = 1.5
