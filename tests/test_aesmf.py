@@ -5,15 +5,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rotorwatch import airframes, ellipsoid, interval, mit_rule, taylor
+from rotorwatch import airframes
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
 from rotorwatch.estimators.aesmf import AESMF, gradient
 from rotorwatch.estimators.aukf import AUKF
 from rotorwatch.estimators.ekf import EKF
 from rotorwatch.estimators.esmf import ESMF
+from rotorwatch.maths import ellipsoid, interval, mit_rule, taylor
+from rotorwatch.maths.set_membership import Cutting
 from rotorwatch.run import run
-from rotorwatch.set_membership import Cutting
 from rotorwatch.studies import ruav_flight, small_systems
 from rotorwatch.systems.helicopter import Helicopter
 

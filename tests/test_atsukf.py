@@ -7,12 +7,13 @@ compiled as a whole: for so few of them that is faster.
 import numpy as np
 import pytest
 
-from rotorwatch import airframes, two_stage, unscented
+from rotorwatch import airframes
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
 from rotorwatch.estimators.atsukf import ATSUKF
 from rotorwatch.estimators.tsukf import TSUKF
 from rotorwatch.estimators.ukf import UKF
+from rotorwatch.maths import two_stage, unscented
 from rotorwatch.studies import reproduce_atsukf as study
 from rotorwatch.systems.rate_dynamics import RateDynamics
 

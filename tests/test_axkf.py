@@ -7,13 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rotorwatch import adaptive_kalman, airframes, linearise
+from rotorwatch import airframes
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
 from rotorwatch.estimators.adaptive_ekf import AdaptiveEKF
 from rotorwatch.estimators.akf import AKF
 from rotorwatch.estimators.axkf import AXKF
 from rotorwatch.estimators.ekf import EKF
+from rotorwatch.maths import adaptive_kalman, linearise
 from rotorwatch.run import run
 from rotorwatch.systems.port_hamiltonian_attitude import PortHamiltonianAttitude
 from rotorwatch.systems.rate_dynamics import RateDynamics

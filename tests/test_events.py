@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rotorwatch import events, hypotheses
+from rotorwatch.evidence import events, hypotheses
 from rotorwatch.ticks import JUDGE, Ticks
 
 DT, COUNT, N = 0.1, 300, 4

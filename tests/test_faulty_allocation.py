@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
-from rotorwatch.faulty_allocation import LeastSquares, Sparse, Temporal
+from rotorwatch.maths.faulty_allocation import LeastSquares, Sparse, Temporal
 
 jax = load_jax()
 

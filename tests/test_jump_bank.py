@@ -10,11 +10,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rotorwatch import airframes, caution, jumps, noise
+from rotorwatch import airframes
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.estimators import jump_bank
 from rotorwatch.estimators.jump_bank import JumpBank
-from rotorwatch.hypotheses import LOSS_WIDTH
+from rotorwatch.evidence import caution, jumps, noise
+from rotorwatch.evidence.hypotheses import LOSS_WIDTH
 from rotorwatch.systems.wrench_balance import B3, PER_AXIS, WrenchBalance
 from rotorwatch.ticks import GROUND, JUDGE, LEARN
 

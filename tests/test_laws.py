@@ -571,8 +571,8 @@ def test_default_is_the_kalman_filter_while_nothing_is_suspected(monkeypatch):
     In motion the default estimator is more careful than Kalman: it counts the error of its own gains as noise. So it is
     with outliers and with commands that jump; that caution is switched off here.
     """
-    from rotorwatch import caution, noise
     from rotorwatch.estimators import jump_bank
+    from rotorwatch.evidence import caution, noise
 
     monkeypatch.setattr(jump_bank, "OUTLIER", 1e9)
     monkeypatch.setattr(caution, "LAG_ERROR_S", 0.0)

@@ -8,10 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rotorwatch import airframes, decide, discovery, events, hypotheses, log_plant, published
+from rotorwatch import airframes, discovery, log_plant, published
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
 from rotorwatch.estimators.ekf import EKF
+from rotorwatch.evidence import decide, events, hypotheses
 from rotorwatch.run import run
 from rotorwatch.studies import compare_flights
 from rotorwatch.ticks import JUDGE, LEARN, Ticks

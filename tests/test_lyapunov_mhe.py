@@ -9,13 +9,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
-from rotorwatch import airframes, bounded
+from rotorwatch import airframes
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
 from rotorwatch.estimators.lyapunov import Lyapunov
 from rotorwatch.estimators.mh_lyapunov import MHLyapunov
 from rotorwatch.estimators.mhe import MHE, banded, tridiagonal
-from rotorwatch.lyapunov_law import Law
+from rotorwatch.maths import bounded
+from rotorwatch.maths.lyapunov_law import Law
 from rotorwatch.systems.rate_dynamics import RateDynamics
 
 DT = 0.005

@@ -5,8 +5,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from rotorwatch import noise
 from rotorwatch.backend import jax as load_jax
+from rotorwatch.evidence import noise
 from rotorwatch.systems.wrench_balance import PER_AXIS, TAU
 
 DT = 0.05

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
 
-from rotorwatch import airframes, observer_gain
+from rotorwatch import airframes
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
-from rotorwatch.observer_gain import Lipschitz
+from rotorwatch.maths import observer_gain
+from rotorwatch.maths.observer_gain import Lipschitz
 from rotorwatch.systems.port_hamiltonian_attitude import PortHamiltonianAttitude
 from rotorwatch.systems.rate_dynamics import RateDynamics
 

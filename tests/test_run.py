@@ -84,8 +84,9 @@ def test_progress_grows_to_one():
 def test_the_default_estimator_is_run_the_same_in_any_chunks(monkeypatch):
     """The real thing: a made-up hover in chunks of 64 and of 1024 steps gives the same losses and announcements."""
     import rotorwatch.run as module
-    from rotorwatch import airframes, noise
+    from rotorwatch import airframes
     from rotorwatch.estimators.jump_bank import JumpBank
+    from rotorwatch.evidence import noise
     from rotorwatch.systems.wrench_balance import WrenchBalance
 
     B = airframes.named("ardupilot-quad-x").effectiveness()

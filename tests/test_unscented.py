@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rotorwatch import unscented
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
+from rotorwatch.maths import unscented
 
 jax = load_jax()
 N, M = 4, 3

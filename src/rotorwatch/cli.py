@@ -15,8 +15,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from rotorwatch import __version__, cli_campaign, cli_export, cli_research, cli_simulate, cli_tune
-from rotorwatch.cli_tools import LOG, common, debug, progress, say, show
+from rotorwatch import __version__
+from rotorwatch.commands import campaign, export, research, simulate, tune
+from rotorwatch.commands.tools import LOG, common, debug, progress, say, show
 from rotorwatch.errors import ConfigError, RotorwatchError
 
 if TYPE_CHECKING:
@@ -364,11 +365,11 @@ def _read(path: Path, tell: Callable | None) -> Any:
     return read(path, progress=tell)
 
 
-cli_research.register(cli)
-cli_tune.register(cli)
-cli_simulate.register(cli)
-cli_export.register(cli)
-cli_campaign.register(cli)
+research.register(cli)
+tune.register(cli)
+simulate.register(cli)
+export.register(cli)
+campaign.register(cli)
 
 
 if __name__ == "__main__":

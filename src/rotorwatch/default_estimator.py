@@ -65,7 +65,7 @@ def _estimator(p, dt):
 
 def parameters(B: np.ndarray, dynamics=None) -> dict:
     """The arrays the estimator is built from: geometry B (4, n), and what `learn` found or any multirotor is like."""
-    from rotorwatch import noise
+    from rotorwatch.evidence import noise
     from rotorwatch.systems.wrench_balance import WrenchBalance
 
     if dynamics:

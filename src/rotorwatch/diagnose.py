@@ -8,12 +8,13 @@ from os import PathLike
 
 import numpy as np
 
-from rotorwatch import airframes, allocation, decide, detectors, discovery, events, hypotheses, published, ticks
+from rotorwatch import airframes, allocation, detectors, discovery, published, ticks
 from rotorwatch.airborne import airborne
 from rotorwatch.default_estimator import estimate
 from rotorwatch.diagnosis import Diagnosis, Event, RotorState, Trace
 from rotorwatch.errors import ConfigError
 from rotorwatch.estimators.jump_bank import threshold
+from rotorwatch.evidence import decide, events, hypotheses
 from rotorwatch.flight import Flight
 from rotorwatch.published import Tuning
 from rotorwatch.ticks import JUDGE, Ticks

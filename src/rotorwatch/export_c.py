@@ -14,11 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import airframes, checks, discovery, log_plant, noise
+from rotorwatch import airframes, checks, discovery, log_plant
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.c99.project import Field, Program, make
 from rotorwatch.default_estimator import parameters as balance_parameters
 from rotorwatch.errors import ConfigError
+from rotorwatch.evidence import noise
 from rotorwatch.systems.wrench_balance import DAMPING, GAIN, GAIN_MEAN, PER_AXIS, WrenchBalance
 from rotorwatch.vehicle import Vehicle
 

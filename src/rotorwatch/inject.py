@@ -19,11 +19,12 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import airframes, allocation, default_estimator, events, hypotheses, logs
+from rotorwatch import airframes, allocation, default_estimator, logs
 from rotorwatch.airborne import airborne
 from rotorwatch.diagnose import READY_KNOWN_S, READY_S, observe
 from rotorwatch.diagnosis import Event
 from rotorwatch.errors import ConfigError
+from rotorwatch.evidence import events, hypotheses
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.ticks import JUDGE
 from rotorwatch.vehicle import Vehicle

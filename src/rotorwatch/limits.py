@@ -23,9 +23,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rotorwatch import noise
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
+from rotorwatch.evidence import noise
 
 Array = Any
 
@@ -133,7 +133,7 @@ def delay(time: Array, information: Array, theta: float, onset: float, false_ala
 
 
 class Bound(NamedTuple):
-    """Of one flight on its ticks: information (T,) on the loss, and the noise variances (4, 4) it holds for (noise.py)."""
+    """Of one flight on its ticks: information (T,) on the loss, and the noise variances (4, 4) it holds for (evidence/noise.py)."""
 
     information: Array
     variances: Array

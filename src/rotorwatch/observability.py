@@ -18,10 +18,11 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import airframes, bounded
+from rotorwatch import airframes
 from rotorwatch.allocation import ambiguous_sets
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
+from rotorwatch.maths import bounded
 from rotorwatch.systems.rate_dynamics import G, RateDynamics
 from rotorwatch.systems.wrench_balance import GAIN_MEAN
 from rotorwatch.vehicle import Vehicle

@@ -1,7 +1,7 @@
 """A published method on a real flight: from ticks to what the default diagnoser leaves behind, so that all else is shared.
 
-Each hop of the flight becomes a plant and a table (log_plant.py), the method runs over it with the threshold of decide.py
-behind it, and what that announces is written down as the default estimator's outputs are: events.py, the report and the JSON
+Each hop of the flight becomes a plant and a table (log_plant.py), the method runs over it with the threshold of evidence/decide.py
+behind it, and what that announces is written down as the default estimator's outputs are: evidence/events.py, the report and the JSON
 do not know the difference. What the default method does beyond - it tests every onset, competes losses against disturbances
 over whole windows, learns the noise on the way and refines a loss - a plain method does not, and `notes` says so.
 """
@@ -15,11 +15,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rotorwatch import decide, discovery, hypotheses, log_plant
+from rotorwatch import discovery, log_plant
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.default_estimator import Kept
 from rotorwatch.errors import ConfigError
-from rotorwatch.events import MODEL_SD
+from rotorwatch.evidence import decide, hypotheses
+from rotorwatch.evidence.events import MODEL_SD
 from rotorwatch.log_plant import LogPlant
 from rotorwatch.run import run, run_built
 from rotorwatch.ticks import Ticks

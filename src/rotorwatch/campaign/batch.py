@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rotorwatch import airframes, default_estimator, detectors, events, hypotheses, limits, published
+from rotorwatch import airframes, default_estimator, detectors, limits, published
 from rotorwatch.airborne import airborne
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.campaign import score
@@ -22,6 +22,7 @@ from rotorwatch.campaign.plan import Plan
 from rotorwatch.diagnose import READY_S, _explained, _overrides, observe
 from rotorwatch.diagnosis import Event
 from rotorwatch.errors import ConfigError
+from rotorwatch.evidence import events, hypotheses
 from rotorwatch.flight import Flight
 from rotorwatch.simulation import logbook, one, simulate_batch
 from rotorwatch.simulation import plan as flight_plan

@@ -11,10 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import events, limits
+from rotorwatch import limits
 from rotorwatch.campaign.plan import Plan
 from rotorwatch.diagnosis import Event
 from rotorwatch.estimators.jump_bank import PERSIST_S
+from rotorwatch.evidence import events
 from rotorwatch.simulation.scenario import Scenario
 from rotorwatch.ticks import JUDGE
 

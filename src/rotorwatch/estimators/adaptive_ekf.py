@@ -2,15 +2,15 @@
 
     x- = f(x, u, theta),   e = y - h(x-, u, theta);   F, Phi at (x, theta),   C, D at (x-, theta)
 
-then the recursion of `adaptive_kalman.py`. Source: Skriver, Helck and Hasan, Adaptive extended Kalman filter for actuator
+then the recursion of `maths/adaptive_kalman.py`. Source: Skriver, Helck and Hasan, Adaptive extended Kalman filter for actuator
 fault diagnosis, IEEE ICSRS 2019, on Zhang, Automatica 93 (2018).
 """
 
 from __future__ import annotations
 
-from rotorwatch import adaptive_kalman, linearise
-from rotorwatch.adaptive_kalman import State
 from rotorwatch.core import Estimate
+from rotorwatch.maths import adaptive_kalman, linearise
+from rotorwatch.maths.adaptive_kalman import State
 
 
 class AdaptiveEKF:

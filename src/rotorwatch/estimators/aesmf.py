@@ -9,9 +9,10 @@ Source: Qi, Song, Dai, Han and Wang 2015, rule (39), whose formula is lost in pr
 
 from __future__ import annotations
 
-from rotorwatch import checks, ellipsoid
+from rotorwatch import checks
 from rotorwatch.errors import ConfigError
-from rotorwatch.set_membership import Cutting, SetMembership
+from rotorwatch.maths import ellipsoid
+from rotorwatch.maths.set_membership import Cutting, SetMembership
 
 LARGEST_STEP, LEAST_HEALTH = 0.5, 1e-3
 

@@ -3,7 +3,7 @@
     x- = f(a, u, 0) + F (x - a) + Phi theta,   y- = h(a, u, 0) + C (x- - a) + D theta
 
 with F, Phi, C, D the derivatives at a, the point of linearisation, and theta = 0; then the recursion of
-`adaptive_kalman.py`. Source: Zhang, Automatica 93 (2018).
+`maths/adaptive_kalman.py`. Source: Zhang, Automatica 93 (2018).
 """
 
 from __future__ import annotations
@@ -12,9 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rotorwatch import adaptive_kalman, checks, linearise
+from rotorwatch import checks
 from rotorwatch.core import Array, Estimate
 from rotorwatch.errors import ConfigError
+from rotorwatch.maths import adaptive_kalman, linearise
 
 
 class Carry(NamedTuple):

@@ -13,10 +13,11 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from rotorwatch import checks, two_stage, unscented
+from rotorwatch import checks
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.core import Array, Estimate
 from rotorwatch.errors import ConfigError
+from rotorwatch.maths import two_stage, unscented
 
 
 class Window(NamedTuple):

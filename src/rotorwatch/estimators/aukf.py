@@ -9,9 +9,10 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from rotorwatch import checks, linearise, mit_rule, two_stage, unscented
+from rotorwatch import checks
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.core import Array, Estimate
+from rotorwatch.maths import linearise, mit_rule, two_stage, unscented
 
 
 class Carry(NamedTuple):

@@ -4,7 +4,7 @@
     2. x- = f(z, u, theta) + F (x - z),   F, Phi at (z, theta)                     the filter, linearised at z
        e  = y(k+1) - h(z+, u, theta) - C (x- - z+),   C, D at (z+, theta)
 
-then the recursion of `adaptive_kalman.py`. Neither a wrong start nor an overconfident P can spoil the
+then the recursion of `maths/adaptive_kalman.py`. Neither a wrong start nor an overconfident P can spoil the
 linearisation, because z does not depend on them. Source: Rot, Hasan and Manoonpong, Robust actuator fault diagnosis algorithm
 for autonomous hexacopter UAVs, IFAC-PapersOnLine 53-2 (2020); what was corrected: docs/methods/axkf.md.
 """
@@ -13,8 +13,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from rotorwatch import adaptive_kalman, checks, linearise, observer_gain
+from rotorwatch import checks
 from rotorwatch.core import Array, Estimate
+from rotorwatch.maths import adaptive_kalman, linearise, observer_gain
 
 
 class Carry(NamedTuple):
@@ -38,7 +39,7 @@ class AXKF:
         self, system, dt: float, *, gain=None, forgetting=0.995, theta_var=0.01, s_max: float | None = 1.0, z0=None
     ):
         """dt: s. gain: (n_x, n_y) of the observer, for steps of dt; default: the stationary Kalman gain at x0, and others are
-        made by `rotorwatch.observer_gain`. forgetting: lambda of one step, 0.6 to 1; theta_var: variance of the losses at
+        made by `rotorwatch.maths.observer_gain`. forgetting: lambda of one step, 0.6 to 1; theta_var: variance of the losses at
         the start, a number or one per theta; s_max: bound of that variance, None for none. z0: (n_x,) where the observer
         starts (default: x0). Raises ConfigError for wrong values."""
         self.tuned = adaptive_kalman.tuning(system, dt, forgetting, theta_var, s_max)

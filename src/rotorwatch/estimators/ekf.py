@@ -13,8 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rotorwatch import checks, linearise, mit_rule
+from rotorwatch import checks
 from rotorwatch.core import Array, Estimate
+from rotorwatch.maths import linearise, mit_rule
 
 
 class Carry(NamedTuple):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rotorwatch.set_membership import SetMembership
+from rotorwatch.maths.set_membership import SetMembership
 
 
 class ESMF(SetMembership):

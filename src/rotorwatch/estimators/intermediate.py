@@ -3,7 +3,7 @@
     x- = f(x, u, 0) + G fault,   e = y - h(x-, u, 0) - direct fault,   x = x- + K_x e,   fault <- fault + K_f e
     fault = Phi theta, with Phi = df/dtheta (and dh/dtheta) passed through the very filter that the fault went through
 
-The paper writes it with an intermediate variable tau = fault - S x, S = alpha E', which is the same: intermediate_design.py.
+The paper writes it with an intermediate variable tau = fault - S x, S = alpha E', which is the same: maths/intermediate_design.py.
 A state that losses drive has the gains k1, k2 of a sampled double pole; h that feels losses directly (an accelerometer) is
 passed through the same filter. Dividing by filtered Phi instead of the present one keeps a loss still while commands move.
 
@@ -17,12 +17,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rotorwatch import checks, linearise
-from rotorwatch import intermediate_design as design
+from rotorwatch import checks
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.core import Array, Estimate
 from rotorwatch.errors import ConfigError
-from rotorwatch.faulty_allocation import CHANNELS, LeastSquares, Sparse, Temporal
+from rotorwatch.maths import intermediate_design as design
+from rotorwatch.maths import linearise
+from rotorwatch.maths.faulty_allocation import CHANNELS, LeastSquares, Sparse, Temporal
 
 GAINS = {"exact": design.exact_gains, "euler": design.euler_gains}
 ALLOCATIONS = ("auto", "least_squares", "sparse", "temporal")

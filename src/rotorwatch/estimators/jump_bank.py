@@ -1,8 +1,8 @@
 """The default diagnoser: one augmented Kalman filter and a bank of jump detectors on its innovations.
 
 The filter runs on the wrench balance with the losses theta of already announced rotors in its state. For every onset time in
-a bank (jumps.py) the exact effect of a unit jump on the innovations is carried along, so that at each tick the likelihood ratio
-of any jump - one rotor, two rotors, common mode, a torque bias, any disturbance (hypotheses.py) - at any of these times is
+a bank (evidence/jumps.py) the exact effect of a unit jump on the innovations is carried along, so that at each tick the likelihood ratio
+of any jump - one rotor, two rotors, common mode, a torque bias, any disturbance (evidence/hypotheses.py) - at any of these times is
 known, with its most probable size and its covariance. Summed over onset times with prior weights this is the
 Shiryaev-Roberts statistic, whose mean time to a false alarm is at least its threshold (Pollak, Ann. Statist. 13, 1985):
 the threshold follows from the stated false-alarm rate. An alarm is announced at once; the jump is committed to the
@@ -15,8 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rotorwatch import caution, hypotheses, jumps, noise, plausibility
 from rotorwatch.core import Array, Decision, Estimate
+from rotorwatch.evidence import caution, hypotheses, jumps, noise, plausibility
 from rotorwatch.systems.wrench_balance import B1, B2, B3, GAIN, PER_AXIS
 from rotorwatch.ticks import GROUND, JUDGE
 

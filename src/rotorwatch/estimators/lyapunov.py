@@ -1,6 +1,6 @@
 """The Lyapunov effectiveness estimator: an observer that adapts the losses so that a Lyapunov function falls.
 
-Niermeyer, Pak and Lohmann 2017, section 3; the law is in `lyapunov_law.py`, its derivation in docs/methods/lyapunov.md.
+Niermeyer, Pak and Lohmann 2017, section 3; the law is in `maths/lyapunov_law.py`, its derivation in docs/methods/lyapunov.md.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 from rotorwatch import checks
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.core import Estimate
-from rotorwatch.lyapunov_law import Law, State, advance, start
+from rotorwatch.maths.lyapunov_law import Law, State, advance, start
 
 
 class Lyapunov:

@@ -2,7 +2,7 @@
 
 Niermeyer, Pak and Lohmann 2017, section 3 and abstract. Blocks of 50 ms sum up what the losses did to the states and to
 the outputs that only they move: z = Phi theta + noise; a window of them gives A = sum Phi' W Phi, b = sum Phi' W z. Added to
-the law of `lyapunov_law.py` is one of
+the law of `maths/lyapunov_law.py` is one of
 
     gradient     -k_g (A theta_hat - b) / (1 + tr A)
     proximal     kappa (theta* - theta_hat),  theta* = argmin_box t' A t / 2 - b' t + r/2 |t - theta_hat|^2_{Gamma^-1}
@@ -15,11 +15,12 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from rotorwatch import bounded, checks
+from rotorwatch import checks
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.core import Estimate
 from rotorwatch.errors import ConfigError
-from rotorwatch.lyapunov_law import TINY, Law, State, advance, start
+from rotorwatch.maths import bounded
+from rotorwatch.maths.lyapunov_law import TINY, Law, State, advance, start
 
 PULLS = ("gradient", "proximal")
 SURPRISED = 2  # blocks in a row that empty the window

@@ -15,10 +15,11 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from rotorwatch import bounded, checks
+from rotorwatch import checks
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.core import Estimate
 from rotorwatch.errors import ConfigError
+from rotorwatch.maths import bounded
 
 FLOOR = 1e-9  # process noise of states that have none, as a share of P0 in a second: keeps Q invertible
 REST = 1e-4  # share of the walk's variance that a rotor at rest keeps, for the same reason

@@ -1,14 +1,15 @@
 """Two-stage unscented Kalman filter: points are drawn for the states only, losses are carried by a linear coupling.
 
-Equations: `rotorwatch.two_stage`. Source: Zhang et al., Drones 7 (2023) 12, section 3.1. docs/methods/tsukf.md.
+Equations: `rotorwatch.maths.two_stage`. Source: Zhang et al., Drones 7 (2023) 12, section 3.1. docs/methods/tsukf.md.
 """
 
 from __future__ import annotations
 
 from typing import Any
 
-from rotorwatch import checks, two_stage, unscented
+from rotorwatch import checks
 from rotorwatch.core import Estimate
+from rotorwatch.maths import two_stage, unscented
 
 
 class TSUKF:

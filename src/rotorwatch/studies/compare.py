@@ -19,8 +19,9 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import default_estimator, discovery, events, hypotheses, published
+from rotorwatch import default_estimator, discovery, published
 from rotorwatch.errors import ConfigError
+from rotorwatch.evidence import events, hypotheses
 from rotorwatch.run import run, run_built
 from rotorwatch.studies.compare_flights import Scene
 from rotorwatch.ticks import JUDGE

@@ -26,10 +26,11 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import airframes, allocation, default_estimator, events, hypotheses, logs, ticks
+from rotorwatch import airframes, allocation, default_estimator, logs, ticks
 from rotorwatch.airborne import airborne
 from rotorwatch.diagnose import READY_KNOWN_S, READY_S, observe
 from rotorwatch.errors import ConfigError
+from rotorwatch.evidence import events, hypotheses
 from rotorwatch.flight import Flight
 from rotorwatch.run import CHUNK, run_built
 from rotorwatch.ticks import JUDGE, LEARN, Ticks

@@ -17,7 +17,7 @@ from rotorwatch.estimators.aesmf import AESMF
 from rotorwatch.estimators.aukf import AUKF
 from rotorwatch.estimators.ekf import EKF
 from rotorwatch.estimators.esmf import ESMF
-from rotorwatch.mit_rule import Adaptation
+from rotorwatch.maths.mit_rule import Adaptation
 from rotorwatch.studies import ruav_flight
 from rotorwatch.studies.reproduction import Claim, Reproduction, check_literal
 from rotorwatch.studies.ruav_flight import DT, FAULT_S, MEASUREMENT, PROCESS

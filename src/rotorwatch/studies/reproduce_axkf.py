@@ -10,12 +10,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rotorwatch import adaptive_kalman, airframes, linearise, observer_gain
+from rotorwatch import airframes
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
 from rotorwatch.estimators.adaptive_ekf import AdaptiveEKF
 from rotorwatch.estimators.axkf import AXKF, Carry
 from rotorwatch.estimators.ekf import EKF
+from rotorwatch.maths import adaptive_kalman, linearise, observer_gain
 from rotorwatch.studies import rot_flights as flights
 from rotorwatch.studies.reproduction import Claim, Reproduction, Verdict, check_literal
 from rotorwatch.studies.rot_flights import DT, LOSSES, MOTORS, ONSETS

@@ -12,10 +12,10 @@ from types import SimpleNamespace
 import numpy as np
 
 from rotorwatch import airframes
-from rotorwatch import intermediate_design as design
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
 from rotorwatch.estimators.intermediate import Intermediate
+from rotorwatch.maths import intermediate_design as design
 from rotorwatch.studies import hover_flights
 from rotorwatch.studies.reproduction import Claim, Reproduction
 from rotorwatch.systems.linear_hover import LinearHover

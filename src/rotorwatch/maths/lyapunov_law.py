@@ -17,9 +17,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rotorwatch import bounded, checks
+from rotorwatch import checks
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
+from rotorwatch.maths import bounded
 
 TINY = 1e-12
 

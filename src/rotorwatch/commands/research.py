@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from rotorwatch.cli_tools import LOG, common, progress, say, show
+from rotorwatch.commands.tools import LOG, common, progress, say, show
 from rotorwatch.errors import ConfigError
 
 FIGURES = "Draw the paper's figures again, as SVG files in this folder."

@@ -6,7 +6,7 @@ import json
 
 import click
 
-from rotorwatch.cli_tools import LOG, common, progress, say
+from rotorwatch.commands.tools import LOG, common, progress, say
 from rotorwatch.errors import ConfigError
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from rotorwatch.cli_tools import LOG, common, say
+from rotorwatch.commands.tools import LOG, common, say
 
 
 def register(group: click.Group) -> None:

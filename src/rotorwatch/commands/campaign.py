@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 import click
 
-from rotorwatch.cli_tools import LOG, common, say
+from rotorwatch.commands.tools import LOG, common, say
 
 
 def register(group: click.Group) -> None:

@@ -22,9 +22,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rotorwatch import checks, unscented
+from rotorwatch import checks
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.core import Array, Estimate
+from rotorwatch.maths import unscented
 
 
 class State(NamedTuple):

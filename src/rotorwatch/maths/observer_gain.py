@@ -14,9 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import checks, linearise
+from rotorwatch import checks
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
+from rotorwatch.maths import linearise
 
 DOUBLINGS = 30  # of the Riccati recursion: 2^30 steps are forever
 

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from rotorwatch.diagnosis import Event
-from rotorwatch.hypotheses import WEIGHT as hypotheses_weight
-from rotorwatch.hypotheses import Hypotheses
+from rotorwatch.evidence.hypotheses import WEIGHT as hypotheses_weight
+from rotorwatch.evidence.hypotheses import Hypotheses
 from rotorwatch.ticks import JUDGE, Ticks
 
 CREDIBLE = 0.03  # a rotor set with less probability than this is not named

@@ -23,8 +23,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rotorwatch import checks, linearise
+from rotorwatch import checks
 from rotorwatch.core import Array, Estimate
+from rotorwatch.maths import linearise
 
 ROUNDING = 2e-15  # of the largest variance
 

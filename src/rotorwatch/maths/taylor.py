@@ -17,9 +17,9 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from rotorwatch import interval
 from rotorwatch.backend import jax as load_jax
-from rotorwatch.interval import Interval
+from rotorwatch.maths import interval
+from rotorwatch.maths.interval import Interval
 
 
 class Model(NamedTuple):

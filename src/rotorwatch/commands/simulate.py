@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from rotorwatch.cli_tools import LOG, common, progress, say
+from rotorwatch.commands.tools import LOG, common, progress, say
 from rotorwatch.errors import ConfigError
 
 
