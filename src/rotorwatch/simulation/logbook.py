@@ -72,7 +72,7 @@ def flight(scenario: Scenario, plan: Plan, record: Record) -> Flight:
     shaking = _shaking(plan, record)
     log.add("gyro", "imu", record.rates + np.asarray(plan.sensors.gyro_bias) + float(plan.sensors.rattle) * shaking)
     log.add("accel", "imu", record.accel + np.asarray(plan.sensors.accel_bias) + shaking, plan.sensors.accel_sd)
-    log.add("attitude", "attitude", _leaning(record.q, log.rng, float(plan.sensors.attitude_sd)))
+    log.add("attitude", "attitude", leaning(record.q, log.rng, float(plan.sensors.attitude_sd)))
     log.add("velocity", "nav", record.v, plan.sensors.velocity_sd)
     log.add("position", "nav", record.p, plan.sensors.position_sd)
     log.add("throttle", "power" if ardupilot else "control", record.control[:, 3:])
@@ -155,7 +155,7 @@ def _shaking(plan: Plan, record: Record) -> np.ndarray:
     )
 
 
-def _leaning(q: np.ndarray, rng, sd: float) -> np.ndarray:
+def leaning(q: np.ndarray, rng, sd: float) -> np.ndarray:
     """Attitudes (T, 4) with an estimator's slowly wandering error of `sd` rad about each axis."""
     steps = rng.standard_normal((len(q) // 100 + 2, 3)) * sd
     at = np.linspace(0.0, len(steps) - 1.0, len(q))

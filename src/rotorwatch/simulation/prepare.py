@@ -150,10 +150,10 @@ def plan(scenario: Scenario) -> Plan:
         ),
     )
     return Plan(
-        *(craft, pilot, _way(scenario), _wind(scenario, arm), _faults(scenario, n)),
+        *(craft, pilot, _way(scenario), air(scenario, arm), broken(scenario, n)),
         *(
             _battery(scenario, thrust_max.sum(), hover),
-            _sensors(scenario, full_speed),
+            sensors(scenario, full_speed),
             np.array(scenario.seed, np.int64),
         ),
     )
@@ -213,7 +213,8 @@ def _way(scenario: Scenario) -> trajectories.Trajectory:
     )
 
 
-def _wind(scenario: Scenario, arm: float) -> wind.Wind:
+def air(scenario: Scenario, arm: float) -> wind.Wind:
+    """The scenario's wind, for a vehicle of that half span [m]."""
     w, way = scenario.wind, scenario.trajectory
     own = way["speed_m_s"] if way["kind"] in ("square", "figure-eight", "aggressive") else 0.0
     speed = w["speed_m_s"]
@@ -230,7 +231,8 @@ def _battery(scenario: Scenario, thrust: float, hover: float) -> Battery:
     return Battery(*(np.array(float(v)) for v in (full, empty, charge, resistance, amps)))
 
 
-def _sensors(scenario: Scenario, full_speed: float) -> Sensors:
+def sensors(scenario: Scenario, full_speed: float) -> Sensors:
+    """The scenario's sensors, biases drawn, on a vehicle whose rotors turn with full_speed [rad/s] at most."""
     s = scenario.sensors
     rng = np.random.default_rng([scenario.seed, 1])
     gyro_bias, accel_bias = s["gyro_bias"] * rng.standard_normal(3), s["accel_bias"] * rng.standard_normal(3)
@@ -244,7 +246,8 @@ def _sensors(scenario: Scenario, full_speed: float) -> Sensors:
     )
 
 
-def _faults(scenario: Scenario, rotors: int) -> faults.Faults:
+def broken(scenario: Scenario, rotors: int) -> faults.Faults:
+    """The scenario's faults as numbers."""
     table = {k: np.array(v, float) for k, v in faults.none(rotors)._asdict().items()}
     for k, f in enumerate(scenario.faults):
         kind, size = f["kind"], f["strength"]

@@ -17,7 +17,8 @@
     onset_s = 30.0
     strength = 0.35
 
-docs/simulation.md lists all fields; `FIELDS` and `FAULT_FIELDS` are that list.
+docs/simulation.md lists all fields; `FIELDS` and `FAULT_FIELDS` are that list. A frame that is a helicopter (a paper's airframe with
+a main rotor) takes those of `HELICOPTER_FIELDS` and names what breaks by `actuator`.
 """
 
 from __future__ import annotations
@@ -29,12 +30,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
+from rotorwatch import airframes
 from rotorwatch.errors import ConfigError
 from rotorwatch.simulation import faults, trajectories
 
 MAX_BYTES = 1_000_000
 AUTOPILOTS = ("ardupilot", "px4")
 PROFILES = ("default", "fast", "full")
+ACTUATORS = ("collective", "tail", "longitudinal", "lateral")
 
 
 class Field(NamedTuple):
@@ -120,6 +123,7 @@ FIELDS: dict[str, dict[str, Field]] = {
 FAULT_FIELDS: dict[str, Field] = {
     "kind": Field(None, choices=faults.KINDS, about="what breaks"),
     "rotor": Field(None, 1, 32, "the autopilot's number"),
+    "actuator": Field(None, choices=ACTUATORS, about="of a helicopter, instead of a rotor"),
     "onset_s": Field(None, 0.0, 7200.0, "when it begins"),
     "end_s": Field(None, 0.0, 7200.0, "when it is gone again; default: never"),
     "strength": Field(
@@ -132,6 +136,18 @@ FAULT_FIELDS: dict[str, Field] = {
     "vibration": Field(6.0, 0.0, 200.0, "chipped: shaking at full speed, m/s^2"),
 }
 NEEDS_STRENGTH = ("loss", "bias", "chipped")
+HELICOPTER_FIELDS: dict[str, tuple[str, ...]] = {
+    "": ("name", "duration_s", "seed", "rate_hz"),
+    "airframe": ("frame", "lag_s", "payload_kg"),
+    "trajectory": ("kind", "altitude_m", "size_m", "speed_m_s", "yaw_deg", "yaw_speed_deg_s", "take_off_s"),
+    "wind": tuple(FIELDS["wind"]),
+    "battery": (),
+    "sensors": tuple(FIELDS["sensors"]),
+    "logging": ("profile",),
+}
+"""What a helicopter has of `FIELDS`."""
+HELICOPTER_WAYS = tuple(kind for kind in trajectories.KINDS if kind != "aggressive")
+HELICOPTER_FAULTS = ("loss", "complete loss", "stuck", "bias", "saturated")
 
 
 @dataclass(frozen=True)
@@ -150,6 +166,11 @@ class Scenario:
     sensors: Mapping[str, Any]
     logging: Mapping[str, Any]
     faults: tuple[Mapping[str, Any], ...]
+
+    @property
+    def helicopter(self) -> bool:
+        """Whether the frame is a helicopter's."""
+        return is_helicopter(self.airframe["frame"])
 
     def with_autopilot(self, autopilot: str) -> Scenario:
         """The same flight under the other autopilot."""
@@ -177,6 +198,11 @@ def read(path: str | os.PathLike) -> Scenario:
         raise ConfigError(f"Scenario {path}: {error}") from error
 
 
+def is_helicopter(frame: Any) -> bool:
+    """Whether a frame's name is that of a helicopter that a paper describes."""
+    return isinstance(frame, str) and frame in airframes.papers() and "main" in airframes.paper(frame)
+
+
 def from_table(table: Mapping[str, Any]) -> Scenario:
     """The scenario of a parsed TOML table. Raises ConfigError naming the field that is missing or wrong."""
     known = {*FIELDS[""], *(k for k in FIELDS if k), "faults"}
@@ -195,8 +221,12 @@ def from_table(table: Mapping[str, Any]) -> Scenario:
     rows = table.get("faults", [])
     if not isinstance(rows, list) or len(rows) > faults.MOST:
         raise ConfigError(f"faults must be at most {faults.MOST} [[faults]] tables.")
-    found = tuple(_fault(f"faults[{k + 1}]", row, top["duration_s"]) for k, row in enumerate(rows))
-    _times(top["duration_s"], parts["trajectory"])
+    helicopter = is_helicopter(parts["airframe"]["frame"])
+    found = tuple(_fault(f"faults[{k + 1}]", row, top["duration_s"], helicopter) for k, row in enumerate(rows))
+    if helicopter:
+        _helicopter(table, parts["trajectory"]["kind"])
+    else:
+        _times(top["duration_s"], parts["trajectory"])
     return Scenario(**top, **parts, faults=found)
 
 
@@ -211,13 +241,35 @@ def _times(duration: float, way: Mapping[str, Any]) -> None:
         )
 
 
-def _fault(where: str, row: Any, duration: float) -> Mapping[str, Any]:
+def _helicopter(table: Mapping[str, Any], way: str) -> None:
+    """Refuse what a helicopter does not have."""
+    for part, known in HELICOPTER_FIELDS.items():
+        given = table.get(part, {}) if part else [key for key in table if key in FIELDS[""]]
+        for key in given:
+            if key not in known:
+                field, has = (f"{part}.{key}", ", ".join(known) or "none") if part else (key, ", ".join(known))
+                raise ConfigError(f"{field} is no field of a helicopter; it has {has}.")
+    if way not in HELICOPTER_WAYS:
+        raise ConfigError(f"trajectory.kind: a helicopter flies {', '.join(HELICOPTER_WAYS)}, not {way!r}.")
+
+
+def _fault(where: str, row: Any, duration: float, helicopter: bool = False) -> Mapping[str, Any]:
     if not isinstance(row, Mapping):
         raise ConfigError(f"{where} must be a [[faults]] table.")
     fault = _table(f"{where}.", row, FAULT_FIELDS)
-    for field in ("kind", "rotor", "onset_s"):
+    what, other = ("actuator", "rotor") if helicopter else ("rotor", "actuator")
+    if fault[other] is not None:
+        vehicle = "helicopter" if helicopter else "multirotor"
+        raise ConfigError(f"{where}.{other}: what breaks on a {vehicle} is named by {what}.")
+    for field in ("kind", what, "onset_s"):
         if fault[field] is None:
             raise ConfigError(f"{where}.{field} is missing.")
+    if helicopter:
+        if fault["kind"] not in HELICOPTER_FAULTS:
+            raise ConfigError(
+                f"{where}.kind: a helicopter's actuators suffer {', '.join(HELICOPTER_FAULTS)}, not {fault['kind']!r}."
+            )
+        fault["rotor"] = ACTUATORS.index(fault["actuator"]) + 1
     if fault["onset_s"] > duration:
         raise ConfigError(f"{where}.onset_s is {fault['onset_s']:g}, after the end of the flight at {duration:g}.")
     if fault["end_s"] is not None and fault["end_s"] <= fault["onset_s"]:
