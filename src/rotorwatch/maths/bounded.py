@@ -20,23 +20,31 @@ def of_losses(system, bounds) -> tuple[np.ndarray, np.ndarray]:
     return np.where(loss, bounds[0], -np.inf), np.where(loss, bounds[1], np.inf)
 
 
-def quadratic(H, g, low, high, iterations: int = 6):
-    """argmin over low <= t <= high of t' H t / 2 - g' t for a positive definite H (n, n): a primal-dual active-set method.
+def quadratic(H, g, low, high, iterations: int = 4):
+    """argmin over low <= t <= high of t' H t / 2 - g' t for a positive definite H (n, n).
 
-    Hintermueller, Ito and Kunisch, SIAM J. Optim. 13(3), 2003: a semismooth Newton method, exact once the set settles.
+    Each iteration: one sweep of coordinate descent, which lowers the cost whatever the active set, then Newton's step on
+    what the sweep left free, taken where it lowers the cost further. Exact once the set settles; a pure active-set method
+    (Hintermueller, Ito and Kunisch, SIAM J. Optim. 13(3), 2003) is as exact but may run in circles.
     """
     jax = load_jax()
     jnp = jax.numpy
+    n = H.shape[-1]
+    low, high = jnp.broadcast_to(low, n), jnp.broadcast_to(high, n)
     scale = jnp.diagonal(H)
     t = jnp.clip(g / scale, low, high)
-    force = jnp.zeros_like(g)
     for _ in range(iterations):
-        free, fixed = active(t + force / scale, low, high)
+        for i in range(n):
+            t = t.at[i].set(jnp.clip(t[i] + (g[i] - H[i] @ t) / scale[i], low[i], high[i]))
+        free = ((t > low) & (t < high)).astype(float)
         masked = free[:, None] * H * free[None, :] + jnp.diag((1.0 - free) * scale)
-        right = free * (g - H @ fixed) + scale * fixed
-        t = jax.scipy.linalg.cho_solve((jnp.linalg.cholesky(masked), True), right)
-        force = (1.0 - free) * (g - H @ t)
-    return jnp.clip(t, low, high)
+        root = jnp.linalg.cholesky(masked)
+        move = jax.scipy.linalg.cho_solve((root, True), free * (g - H @ t))
+        newton = jnp.clip(t + move, low, high)
+        move = newton - t
+        gain = move @ (g - H @ t) - 0.5 * move @ (H @ move)
+        t = jnp.where(gain > 0.0, newton, t)
+    return t
 
 
 def active(trial, low, high):
