@@ -1,4 +1,4 @@
-"""The command that makes flights: a scenario in, a log and its truth out."""
+"""The commands of simulated flights: a scenario in, a log and its truth out; and a helicopter's log judged by any estimator."""
 
 from __future__ import annotations
 
@@ -11,20 +11,26 @@ from rotorwatch.errors import ConfigError
 
 
 def register(group: click.Group) -> None:
-    """Add the command of this module to the command line."""
-    group.add_command(simulate)
+    """Add the commands of this module to the command line."""
+    for command in (simulate, estimate):
+        group.add_command(command)
 
 
 @click.command(short_help="Simulate a flight and write its log.")
 @click.argument("scenario", type=LOG)
 @click.option(
-    "-o", "--out", required=True, type=LOG, metavar="FLIGHT", help="FLIGHT.bin or .ulg; without ending: both."
+    "-o",
+    "--out",
+    required=True,
+    type=LOG,
+    metavar="FLIGHT",
+    help="FLIGHT.bin or .ulg; without ending: both. A helicopter's: .csv or .parquet.",
 )
 @click.option("--seed", type=click.IntRange(0, 2**31 - 1), help="Another seed than the scenario's.")
 @common
 def simulate(scenario, out, seed, quiet) -> None:
-    """Fly SCENARIO (TOML, docs/simulation.md): writes an ArduPilot .bin or a PX4 .ulg as the autopilot would have logged it, and
-    what was broken beside it, as FLIGHT.truth.json and FLIGHT.truth.csv.
+    """Fly SCENARIO (TOML, docs/simulation.md): writes an ArduPilot .bin or a PX4 .ulg as the autopilot would have logged it (of a
+    helicopter a .csv or .parquet table), and what was broken beside it, as FLIGHT.truth.json and FLIGHT.truth.csv.
     """
     from rotorwatch import simulation
     from rotorwatch.simulation.scenario import read
@@ -32,20 +38,63 @@ def simulate(scenario, out, seed, quiet) -> None:
     asked = read(scenario)
     if seed is not None:
         asked = asked.with_seed(seed)
-    endings = [out.suffix.lower()] if out.suffix else list(simulation.SUFFIXES)
-    if endings[0] not in simulation.SUFFIXES:
-        raise ConfigError(f"--out {out}: give a name that ends in .bin or .ulg, or has no ending for both.")
     if not out.absolute().parent.is_dir():
         raise ConfigError(f"--out {out}: there is no folder {out.parent}.")
+    endings = _endings(out, asked.helicopter)
     written: list[Path] = []
     for k, ending in enumerate(endings):
         with progress(quiet) as tell:
             if tell:
                 tell(k / len(endings), "flying")
-            made = simulation.simulate(asked.with_autopilot(simulation.SUFFIXES[ending]))
-            written += made.write(
+            one = asked if asked.helicopter else asked.with_autopilot(simulation.SUFFIXES[ending])
+            written += simulation.simulate(one).write(
                 out.with_suffix(ending), out.with_name(out.stem if len(endings) == 1 else out.name + ending)
             )
     click.echo("\n".join(str(path) for path in written))
     if not quiet:
         say(f"{asked.name}: {asked.duration_s:g} s flown")
+
+
+def _endings(out: Path, helicopter: bool) -> list[str]:
+    """What to write, by the ending asked for; without one all there is of an autopilot, .csv of a helicopter."""
+    from rotorwatch import simulation
+
+    known = simulation.helicopter.table.SUFFIXES if helicopter else tuple(simulation.SUFFIXES)
+    if not out.suffix:
+        return [known[0]] if helicopter else list(known)
+    if out.suffix.lower() not in known:
+        rest = f"ends in {' or '.join(known)}, or has no ending{'' if helicopter else ' for both'}"
+        what = "of a helicopter's flight " if helicopter else ""
+        raise ConfigError(f"--out {out}: give a name {what}that {rest}.")
+    return [out.suffix.lower()]
+
+
+@click.command(short_help="Which actuator of a helicopter does not do what it is told.")
+@click.argument("log", type=LOG)
+@click.option(
+    "--airframe", required=True, metavar="NAME", help="A helicopter that a paper describes, such as ruav-40kg."
+)
+@click.option("--estimator", default="aesmf", show_default=True, metavar="NAME", help="Any estimator (docs/methods).")
+@click.option("--lag", default=0.03, show_default=True, type=click.FloatRange(0.001, 1.0), help="Of the actuators, s.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@common
+def estimate(log, airframe, estimator, lag, as_json, quiet) -> None:
+    """Run an estimator over a helicopter's LOG (a table of docs/readers.md, such as `rotorwatch simulate` writes): loss and displacement
+    of each actuator at the end of the flight, and which of them were found faulty, when.
+    """
+    import json
+
+    from rotorwatch import helicopter_log, logs
+
+    with progress(quiet) as tell:
+        found = helicopter_log.estimate(logs.read(log), airframe, estimator, lag, tell)
+    said = helicopter_log.said(found)
+    if as_json:
+        click.echo(json.dumps(said, indent=1, allow_nan=False))
+        return
+    for name, one in said.items():
+        verdict = "sound" if one["found_s"] is None else f"FAULTY, found at {one['found_s']:.2f} s"
+        click.echo(
+            f"{name:13s} {verdict:29s} off by {one['deviation']:+.3f} +- {one['deviation_off']:.3f}   "
+            f"loss {one['loss']:.2f} +- {one['loss_off']:.2f}, displaced {one['bias']:+.2f} +- {one['bias_off']:.2f}"
+        )

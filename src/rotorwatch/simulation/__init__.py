@@ -6,6 +6,8 @@
     made.record.theta                # the truth
     made.write("flight.bin")         # ArduPilot DataFlash; .ulg: PX4 ULog; and flight.truth.json, flight.truth.csv
 
+A scenario whose frame is a helicopter gives a `helicopter.SimulatedHelicopter`, which writes .csv or .parquet.
+
 See docs/simulation.md.
 """
 
@@ -18,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from rotorwatch.errors import ConfigError
-from rotorwatch.simulation import logbook, loop
+from rotorwatch.simulation import helicopter, logbook, loop
 from rotorwatch.simulation.loop import Plan, Record
 from rotorwatch.simulation.prepare import plan
 from rotorwatch.simulation.scenario import Scenario
@@ -55,8 +57,11 @@ class Simulated:
         return (path, *logbook.write_truth(self.scenario, self.plan, self.record, stem))
 
 
-def simulate(scenario: Scenario) -> Simulated:
-    """Fly one scenario. Raises ConfigError with one sentence for a vehicle that cannot fly."""
+def simulate(scenario: Scenario) -> Any:
+    """Fly one scenario: a `Simulated`, or a `helicopter.SimulatedHelicopter`. Raises ConfigError with one sentence for a vehicle that
+    cannot fly."""
+    if scenario.helicopter:
+        return helicopter.simulate(scenario)
     numbers = plan(scenario)
     record = loop.fly(numbers, scenario.duration_s, scenario.rate_hz, logbook.record_hz(scenario))
     return Simulated(scenario, numbers, record)
@@ -65,7 +70,7 @@ def simulate(scenario: Scenario) -> Simulated:
 def simulate_batch(
     scenarios: Sequence[Scenario], select: Callable = loop.everything, record_hz: float | None = None
 ) -> Any:
-    """Fly many scenarios side by side: same number of rotors, duration, rate_hz and autopilot's profile; everything else is free.
+    """Fly many scenarios of multirotors side by side: same number of rotors, duration, rate_hz and autopilot's profile; all else is free.
 
     Returns the records stacked (T, ..., B), flights last, as arrays of the device (a `Record`, or what `select` keeps of it);
     `one(records, k)` is the record of flight k. Chunks of 32 to 128 flights are fastest on a CPU. Raises ConfigError.

@@ -28,6 +28,8 @@ SPIN = (0.15, 0.95)  # ArduPilot's MOT_SPIN_MIN, MOT_SPIN_MAX
 def vehicle(scenario: Scenario) -> Vehicle:
     """The airframe as its autopilot knows it: rotors in metres, mixer, believed thrust curve. Raises ConfigError."""
     frame, a = scenario.airframe["frame"], scenario.airframe
+    if scenario.helicopter:
+        raise ConfigError(f"airframe.frame: {frame} is a helicopter; here only multirotors fly.")
     believed = a["expo"] if a["believed_expo"] is None else a["believed_expo"]
     known = _paper(frame)
     if known is not None:
