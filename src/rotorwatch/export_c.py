@@ -20,7 +20,7 @@ from rotorwatch.c99.project import Field, Program, make
 from rotorwatch.default_estimator import parameters as balance_parameters
 from rotorwatch.errors import ConfigError
 from rotorwatch.evidence import noise
-from rotorwatch.systems.wrench_balance import DAMPING, GAIN, GAIN_MEAN, PER_AXIS, WrenchBalance
+from rotorwatch.systems.wrench_balance import DAMPING, GAIN, PER_AXIS, WrenchBalance
 from rotorwatch.vehicle import Vehicle
 
 SINGLE = "default-filter"  # the default diagnoser's filter for one hypothesis
@@ -123,8 +123,9 @@ def prepare(name: str, vehicle: Vehicle | str | None = None, dt: float | None = 
         return _balance(name, airframes.named(FRAME) if vehicle is None else vehicle, dt)
     if isinstance(vehicle, Vehicle):
         p, usual = _learned(vehicle), LOG_DT
-        c = np.reshape(p["x0"], (4, PER_AXIS))
-        G, damping = np.clip(c[:, GAIN], GAIN_MEAN / 3, GAIN_MEAN * 3), np.maximum(c[:, DAMPING], 0.0)
+        c, any_vehicle = (np.reshape(x, (4, PER_AXIS)) for x in (p["x0"], WrenchBalance(p["B"]).x0))
+        G = np.clip(c[:, GAIN], any_vehicle[:, GAIN] / 3, any_vehicle[:, GAIN] * 3)
+        damping = np.maximum(c[:, DAMPING], 0.0)
         step = dt or usual
         plant = log_plant.plant(log_plant.parameters(p["B"], G, damping, np.zeros(4), np.asarray(p["noise"]), step))
         return discovery.estimator(name)(plant, step)
@@ -190,6 +191,7 @@ def _named(system, letter: str, count: int) -> str:
         n = system.n_theta
         names = [*(f"thrust_{k + 1}" for k in range(n)), "p_dot", "q_dot", "r_dot", f"{n} x load factor", "p", "q", "r"]
         units = ["hover thrust"] * n + ["rad/s^2"] * 3 + ["1"] + ["rad/s"] * 3
+        names, units = [*names, "climb"][: system.n_u], [*units, "m/s"][: system.n_u]
         names, units = names + ["mode", "restart"][: count - len(names)], units + ["1"] * (count - len(units))
     if letter == "y" and isinstance(system, WrenchBalance):
         names, units = ["commanded roll", "pitch", "yaw torque", "thrust"], ["hover thrust"] * 4

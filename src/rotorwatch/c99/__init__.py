@@ -2,6 +2,7 @@
 
 lower.py      jaxpr -> graph: calls inlined, constants folded, indices made constant tables; refusals
 graph.py      the graph: each value once, slices, transposes and broadcasts as affine views
+selections.py products with constants that pick and scale: no products
 operations.py element-wise operations: what NumPy and what C call them
 plan.py       which values get storage, for how long, and who shares it
 emit.py       the graph as C statements; kernels.py: products, factors, triangular systems

@@ -364,14 +364,16 @@ class Emitter:
         self._call(kernels.product(product, TYPES[node.kind]), goal, self._pointer(pa, oa), self._pointer(pb, ob))
 
     def _cholesky(self, node: Node):
-        place, offset, steps = self._strided(node.args[0])
-        kernel = kernels.cholesky(node.shape, steps)
-        self._call(kernel, self._pointer(self.where(node)), self._pointer(place, offset))
+        place = self.where(node)
+        self._store(node.args[0], place)
+        self._call(kernels.cholesky(node.shape), self._pointer(place))
 
     def _trisolve(self, node: Node):
-        (pa, oa, sa), (pb, ob, sb) = (self._strided(x) for x in node.args)
-        kernel = kernels.triangular(node.args[0].shape, sa, node.shape, sb, *node.data)
-        self._call(kernel, self._pointer(self.where(node)), self._pointer(pa, oa), self._pointer(pb, ob))
+        place = self.where(node)
+        self._store(node.args[1], place)
+        at, offset, steps = self._strided(node.args[0])
+        kernel = kernels.triangular(node.args[0].shape, steps, node.shape, *node.data)
+        self._call(kernel, self._pointer(place), self._pointer(at, offset))
 
     # Loops and branches.
 

@@ -16,6 +16,7 @@ import numpy as np
 from rotorwatch.c99.operations import ELEMENTWISE, NUMPY, kind
 
 MOST_FOLDED = 200_000  # elements
+MANY = 8  # rows from which on a table is kept column by column
 
 
 class Axis(NamedTuple):
@@ -98,6 +99,7 @@ class Graph:
         self.top = Region()
         self.source = ""
         self._known: dict[Any, Node] = {}
+        self._symmetric: dict[int, bool] = {}
 
     def make(self, op, args, shape, kind, data=None, key=None, region=None) -> Node:
         """A node; the equal one that is there already, unless key is False. key: what stands for data in the comparison."""
@@ -139,6 +141,10 @@ class Graph:
         if known is not None and math.prod(shape) <= MOST_FOLDED:
             with np.errstate(all="ignore"):
                 return self.const(np.asarray(ELEMENTWISE[name].fold(*known), NUMPY[kind]))
+        order = _common_order(args)
+        if order is not None:  # computed as it lies in storage, and read turned
+            turned = self.elementwise(name, *(self.transposed(a, order) for a in args), kind=kind)
+            return self.transposed(turned, _inverse(order))
         return self.make(name, args, shape, kind)
 
     def _simplified(self, name, args, kind) -> Node | None:
@@ -151,13 +157,18 @@ class Graph:
                     return other
         if name in ("sub", "div") and kind in "fil" and uniform(args[1]) == (0 if name == "sub" else 1):
             return args[0]
+        if name in ("mul", "div") and args[0].op == "add" and args[0].args[0] is args[0].args[-1]:
+            if uniform(args[1]) == {"mul": 0.5, "div": 2}[name]:
+                return args[0].args[0]  # (x + x) / 2
+        if name == "mul" and args[1].op == "add" and args[1].args[0] is args[1].args[1] and uniform(args[0]) == 0.5:
+            return args[1].args[0]
         if name == "select":
             which, no, yes = args
             if no is yes:
                 return no
             if uniform(which) is not None:
                 return yes if uniform(which) else no
-            mask = value(which)
+            mask = value(which) if yes.op == "cholesky" else None
             lower = mask is not None and mask.ndim == 2 and np.array_equal(mask, np.tril(np.ones_like(mask)))
             if lower and yes.op == "cholesky" and uniform(no) == 0:
                 return yes  # the factor's upper part is zero already
@@ -180,7 +191,7 @@ class Graph:
             for i, axis in enumerate(axes)
         ):
             return x
-        if x.op == "const" and x.size > 1 and math.prod(shape) <= MOST_FOLDED:
+        if x.op == "const" and math.prod(shape) <= x.size > 1:
             return self.const(_taken(x.data, shape, axes))
         return self.make("view", (x,), shape, x.kind, axes)
 
@@ -215,9 +226,39 @@ class Graph:
         return self.view(x, shape, axes)
 
     def transposed(self, x: Node, order) -> Node:
+        """Axis j of the result is axis order[j] of x."""
+        if tuple(order) == (1, 0) and self.symmetric(x):
+            return x
+        return self._turned(x, order)
+
+    def _turned(self, x: Node, order=(1, 0)) -> Node:
         shape = tuple(x.shape[k] for k in order)
         axes = tuple(Axis(0, tuple(int(order[j] == i) for j in range(len(order)))) for i in range(len(order)))
         return self.view(x, shape, axes)
+
+    def symmetric(self, x: Node) -> bool:
+        """Whether x is surely its own transpose, to the last bit: A + A', and what is made of such values element by element."""
+        if len(x.shape) != 2 or x.shape[0] != x.shape[1]:
+            return False
+        known = value(x)
+        if known is not None:
+            return np.array_equal(known, known.T)
+        if x.op not in ELEMENTWISE:
+            return False
+        if x.index not in self._symmetric:
+            one, other = x.args[0], x.args[-1]
+            if x.op in ("add", "mul") and other.op == "view" and other == self._turned(one):
+                found = True
+            elif (
+                x.op == "select"
+                and (mask := value(one)) is not None
+                and not (mask & ~np.eye(len(mask), dtype=bool)).any()
+            ):
+                found = self.symmetric(x.args[1])  # only the diagonal comes from elsewhere
+            else:
+                found = all(self.symmetric(a) for a in x.args)
+            self._symmetric[x.index] = found
+        return self._symmetric[x.index]
 
     def reversed(self, x: Node, dimensions) -> Node:
         axes = tuple(
@@ -250,7 +291,7 @@ class Graph:
         return self.make("copy", (x,), x.shape, x.kind) if x.op == "view" else x
 
     def concat(self, parts, dimension: int) -> Node:
-        parts = tuple(p for p in parts if p.size)
+        parts = _joined(self, [p for p in parts if p.size], dimension)
         if len(parts) == 1:
             return parts[0]
         shape = list(parts[0].shape)
@@ -258,7 +299,63 @@ class Graph:
         known = values(*parts)
         if known is not None and math.prod(shape) <= MOST_FOLDED:
             return self.const(np.concatenate(known, axis=dimension))
-        return self.make("concat", parts, shape, parts[0].kind, dimension)
+        order = _common_order(parts)
+        if (
+            order is None
+            and dimension == 1
+            and len(shape) == 2
+            and shape[0] >= MANY
+            and all(p.shape[1] == 1 for p in parts)
+        ):
+            order = (1, 0)  # columns of a batch, each kept together
+        if order is not None:
+            turned = self.concat([self.transposed(p, order) for p in parts], order.index(dimension))
+            return self.transposed(turned, _inverse(order))
+        return self.make("concat", tuple(parts), shape, parts[0].kind, dimension)
+
+
+def _order(x: Node) -> tuple[int, ...] | None:
+    """Axes of x from the slowest to the fastest in storage; None when x does not mind: a constant, or the same along an axis."""
+    long = [j for j, n in enumerate(x.shape) if n > 1]
+    if len(long) < 2 or value(x) is not None:
+        return None
+    used = [j for axis in x.data for j, m in enumerate(axis.steps) if m] if x.op == "view" else long
+    if sorted(used) != long:
+        return None if set(used) != set(long) else tuple(range(len(x.shape)))
+    fast = iter(used)
+    return tuple(next(fast) if n > 1 else j for j, n in enumerate(x.shape))
+
+
+def _common_order(nodes) -> tuple[int, ...] | None:
+    """The order in which all of them lie, when it is not the natural one."""
+    orders = {_order(x) for x in nodes} - {None}
+    if len(orders) != 1:
+        return None
+    (order,) = orders
+    return None if order == tuple(range(len(order))) else order
+
+
+def _inverse(order: tuple[int, ...]) -> tuple[int, ...]:
+    return tuple(order.index(k) for k in range(len(order)))
+
+
+def _joined(graph: Graph, parts: list[Node], dimension: int) -> list[Node]:
+    """Neighbouring slices of one value put together again."""
+    out: list[Node] = []
+    for part in parts:
+        last = out[-1] if out else None
+        if last is not None and last.op == part.op == "view" and last.args == part.args:
+            n = last.shape[dimension]
+            follows = all(
+                a.steps == b.steps and b.start - a.start == n * a.steps[dimension] for a, b in zip(last.data, part.data)
+            )
+            if follows and any(a.steps[dimension] for a in last.data):
+                size = n + part.shape[dimension]
+                shape = tuple(size if k == dimension else m for k, m in enumerate(last.shape))
+                out[-1] = graph.view(last.args[0], shape, last.data)
+                continue
+        out.append(part)
+    return out
 
 
 def value(x: Node) -> np.ndarray | None:

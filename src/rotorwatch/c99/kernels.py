@@ -200,43 +200,45 @@ def _wide_block(text: _Text, p, kind, a, b, here_out, here_a, here_b, inner_b, r
     text.end(len(p.inner) + 2)
 
 
-def cholesky(shape, steps) -> tuple[str, str]:
-    """L with A = L L', from the lower triangle of A; zero above the diagonal; all NaN below it when A is not positive definite."""
-    n, text = shape[-1], _Text(_head(shape[:-2], "a"))
-    _batch(text, shape[:-2], [("out", strides(shape)), ("a", steps)])
-    row, column = steps[-2:]
+def cholesky(shape) -> tuple[str, str]:
+    """A's lower triangle becomes L with A = L L'; zero above the diagonal; all NaN below it when A is not positive definite."""
+    n, text = shape[-1], _Text("static void @(real *restrict a)")
+    _batch(text, shape)
     for line in f"""bool definite = true;
-for (int i = 0; i < {n}; ++i)
-    for (int j = 0; j < {n}; ++j)
-        out[{n} * i + j] = j <= i ? a[{_at(0, (row, "i"), (column, "j"))}] : R(0.0);
 for (int j = 0; j < {n}; ++j) {{
-    if (!(out[{n + 1} * j] > 0)) definite = false;
-    const real d = r_sqrt(out[{n + 1} * j]), w = R(1.0) / d;
-    out[{n + 1} * j] = d;
-    for (int i = j + 1; i < {n}; ++i)
-        out[{n} * i + j] *= w;
+    real column[{n}];
+    if (!(a[{n + 1} * j] > 0)) definite = false;
+    const real d = r_sqrt(a[{n + 1} * j]), w = R(1.0) / d;
+    a[{n + 1} * j] = d;
     for (int i = j + 1; i < {n}; ++i) {{
-        const real x = out[{n} * i + j];
+        column[i] = a[{n} * i + j] *= w;
+        a[{n} * j + i] = 0;
+    }}
+    for (int i = j + 1; i < {n}; ++i) {{
+        const real x = column[i];
         for (int k = j + 1; k <= i; ++k)
-            out[{n} * i + k] -= x * out[{n} * k + j];
+            a[{n} * i + k] -= x * column[k];
     }}
 }}
 if (!definite)
     for (int i = 0; i < {n}; ++i)
         for (int j = 0; j <= i; ++j)
-            out[{n} * i + j] = (real)NAN;""".splitlines():
+            a[{n} * i + j] = (real)NAN;""".splitlines():
         text.line(line)
-    text.end(len(shape) - 2)
+    text.end(len(shape) > 2)
     return "cholesky", text.done()
 
 
-def triangular(
-    shape_a, steps_a, shape, steps_b, left: bool, lower: bool, transposed: bool, unit: bool
-) -> tuple[str, str]:
-    """X with op(A) X = B (left) or X op(A) = B."""
-    text = _Text(_head(shape[:-2], "a", "b"))
-    out = strides(shape)
-    _batch(text, shape[:-2], [("out", out), ("a", steps_a), ("b", steps_b)])
+def triangular(shape_a, steps_a, shape, left: bool, lower: bool, transposed: bool, unit: bool) -> tuple[str, str]:
+    """x holds B and becomes X with op(A) X = B (left) or X op(A) = B."""
+    batch, steps = shape[:-2], strides(shape)
+    text = _Text(f"static void @(real *restrict {'x0' if batch else 'x'}, const real *{'a0' if batch else 'a'})")
+    for k, n in enumerate(batch):
+        text.loop(f"m{k}", n)
+    names = [f"m{k}" for k in range(len(batch))]
+    if names:
+        text.line(f"real *const x = x0 + {_at(0, *zip(steps, names))};")
+        text.line(f"const real *const a = a0 + {_at(0, *zip(steps_a, names))};")
     n = shape_a[-1]
     row, column = steps_a[-2:]
     if transposed:
@@ -245,42 +247,31 @@ def triangular(
         row, column, lower = column, row, not lower
     m = shape[-1] if left else shape[-2]
     # Elements of the unknown: i along the system, j from one right-hand side to the next.
-    xi, xj = (out[-2], out[-1]) if left else (out[-1], out[-2])
-    bi, bj = (steps_b[-2], steps_b[-1]) if left else (steps_b[-1], steps_b[-2])
+    xi, xj = (steps[-2], steps[-1]) if left else (steps[-1], steps[-2])
     text.line(f"for (int n = 0; n < {n}; ++n) {{")
     text.depth += 1
     text.line("const int i = n;" if lower else f"const int i = {n - 1} - n;")
     if not unit:
         text.line(f"const real w = R(1.0) / a[{_at(0, (row + column, 'i'))}];")
-    text.loop("j", m)
-    text.line(f"out[{_at(0, (xi, 'i'), (xj, 'j'))}] = b[{_at(0, (bi, 'i'), (bj, 'j'))}];")
-    text.end()
+    here = f"x[{_at(0, (xi, 'i'), (xj, 'j'))}]"
     text.line("for (int k = 0; k < i; ++k) {" if lower else f"for (int k = i + 1; k < {n}; ++k) {{")
     text.depth += 1
-    text.line(f"const real x = a[{_at(0, (row, 'i'), (column, 'k'))}];")
+    text.line(f"const real y = a[{_at(0, (row, 'i'), (column, 'k'))}];")
     text.loop("j", m)
-    text.line(f"out[{_at(0, (xi, 'i'), (xj, 'j'))}] -= x * out[{_at(0, (xi, 'k'), (xj, 'j'))}];")
+    text.line(f"{here} -= y * x[{_at(0, (xi, 'k'), (xj, 'j'))}];")
     text.end(2)
     if not unit:
         text.loop("j", m)
-        text.line(f"out[{_at(0, (xi, 'i'), (xj, 'j'))}] *= w;")
+        text.line(f"{here} *= w;")
         text.end()
-    text.end(1 + len(shape) - 2)
+    text.end(1 + len(batch))
     return "triangular", text.done()
 
 
-def _batch(text: _Text, batch, pointers):
-    """Loops over leading axes, in which the pointers move along: out from out0, and so on."""
-    names = [f"m{k}" for k in range(len(batch))]
-    for name, n in zip(names, batch):
-        text.loop(name, n)
-    for pointer, steps in pointers if names else ():
-        kind = "real *const" if pointer == "out" else "const real *const"
-        text.line(f"{kind} {pointer} = {pointer}0 + {_at(0, *zip(steps, names))};")
-
-
-def _head(batch, *pointers: str) -> str:
-    """The function's first line; in a batch the pointers are where it begins."""
-    tail = "0" if batch else ""
-    arguments = [f"const real *{name}{tail}" for name in pointers]
-    return f"static void @({', '.join([f'real *restrict out{tail}', *arguments])})"
+def _batch(text: _Text, shape):
+    """A loop over matrices that lie one after the other, in which the pointer a moves along."""
+    if len(shape) > 2:
+        size = shape[-1] * shape[-2]
+        text.loop("m", math.prod(shape[:-2]))
+        text.lines[0] = text.lines[0].replace("*restrict a", "*restrict a0")
+        text.line(f"real *const a = a0 + {size} * m;")

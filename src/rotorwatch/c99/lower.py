@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rotorwatch.c99 import indices
+from rotorwatch.c99 import indices, selections
 from rotorwatch.c99.graph import Graph, Node, Region, uniform, value, values
 from rotorwatch.c99.operations import COMPARISONS, ELEMENTWISE, NUMPY, kind
 from rotorwatch.errors import ConfigError
@@ -360,6 +360,10 @@ def _dot_general(graph, x, params, outvars):
         left = graph.broadcast(a, shape, range(len(a.shape)))
         right = graph.broadcast(b, shape, [*range(n_batch), *range(len(a.shape), len(shape))])
         return graph.elementwise("mul", left, right, kind=a.kind)
+    if not n_batch and n_over == 1:
+        simple = selections.product(graph, a, b)
+        if simple is not None:
+            return simple
     return graph.make("dot", (a, b), shape, a.kind, (n_batch, n_over))
 
 

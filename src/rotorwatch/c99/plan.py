@@ -127,7 +127,7 @@ class Plan:
         op = node.op
         if op == "scatter":
             return k == 1 and regular(node.data[0]) is None
-        return op in ("dot", "cholesky", "trisolve", "cumulative", "take") or (op == "pick" and k == 0)
+        return op in ("dot", "take") or (op in ("pick", "trisolve") and k == 0)
 
     def local(self, node: Node) -> bool:
         """Whether the value is a variable of the C function: one element that nobody wants to point at."""

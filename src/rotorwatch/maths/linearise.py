@@ -63,7 +63,7 @@ def update(s, P, H, e, R, valid):
         Ph = P @ H[i]
         w = jnp.where(valid[i], 1.0 / (H[i] @ Ph + R[i]), 0.0)
         ds = ds + Ph * (w * (jnp.where(valid[i], e[i], 0.0) - H[i] @ ds))
-        P = P - Ph[:, None] * Ph[None, :] * w
+        P = P - (w * Ph)[:, None] * Ph[None, :]
     return s + ds, 0.5 * (P + P.T)
 
 
