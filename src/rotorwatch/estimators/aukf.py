@@ -68,24 +68,10 @@ class AUKF:
         from jax import numpy as jnp
         from jax.scipy.linalg import block_diag
 
-        system, w, dt = self.system, self.weights, self.dt if dt is None else dt
-        n = system.n_x
-
-        def f(z):
-            return jnp.concatenate([system.f(z[:n], u, z[n:], dt), z[n:]])
-
-        moved = unscented.transform(f, carry.z, unscented.root(carry.P), w)
-        P = moved.cov + mit_rule.scaled(block_diag(system.Q(dt), dt * self.theta_walk), carry.mit)
-        L = unscented.root(unscented.symmetric(P))
-        seen = unscented.transform(lambda z: system.h(z[:n], u, z[n:]), moved.mean, L, w)
-        R = system.R(u)
-        S = unscented.symmetric(seen.cov + jnp.diag(R))
-        K = unscented.gain(L @ seen.slope.T, S, valid)
-        e = jnp.where(valid, y - seen.mean, 0.0)
-        z = moved.mean + K @ e
-        P = unscented.corrected(L, seen, K, R)
-        by_x = linearise.measurement(system, moved.mean[:n], u, moved.mean[n:])
-        H = jnp.concatenate([by_x.by_x, by_x.by_theta], axis=1)
-        mit = mit_rule.adapt(carry.mit, H, S, e, valid, dt, self.adaptation)
-        status = jnp.where(valid.any(), 0, 2).astype(jnp.int32)
-        return Carry(z, P, mit), Estimate(z[:n], P[:n, :n], z[n:], P[n:, n:], e, S, status)
+        system, dt = self.system, self.dt if dt is None else dt
+        noise = mit_rule.scaled(block_diag(system.Q(dt), dt * self.theta_walk), carry.mit)
+        z, P, out, middle = unscented.joint_step(system, self.weights, carry.z, carry.P, noise, u, y, valid, dt)
+        seen = linearise.measurement(system, middle[: system.n_x], u, middle[system.n_x :])
+        H = jnp.concatenate([seen.by_x, seen.by_theta], axis=1)
+        mit = mit_rule.adapt(carry.mit, H, out.innovation_cov, out.innovation, valid, dt, self.adaptation)
+        return Carry(z, P, mit), out

@@ -57,25 +57,11 @@ class UKF:
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Estimate]:
         """One time step; arguments as in `core.Estimator`."""
-        from jax import numpy as jnp
         from jax.scipy.linalg import block_diag
 
-        system, w, dt = self.system, self.weights, self.dt if dt is None else dt
-        n = system.n_x
-
-        def f(z):
-            return jnp.concatenate([system.f(z[:n], u, z[n:], dt), z[n:]])
-
-        moved = unscented.transform(f, carry.z, unscented.root(carry.P), w)
-        P = moved.cov + block_diag(system.Q(dt), dt * self.theta_walk)
-        L = unscented.root(unscented.symmetric(P))
-        seen = unscented.transform(lambda z: system.h(z[:n], u, z[n:]), moved.mean, L, w)
-        R = system.R(u)
-        S = unscented.symmetric(seen.cov + jnp.diag(R))
-        K = unscented.gain(L @ seen.slope.T, S, valid)
-        e = jnp.where(valid, y - seen.mean, 0.0)
-        z = moved.mean + K @ e
-        z = jnp.concatenate([z[:n], self.limit(z[n:])])
-        P = unscented.corrected(L, seen, K, R)
-        status = jnp.where(valid.any(), 0, 2).astype(jnp.int32)
-        return Carry(z, P), Estimate(z[:n], P[:n, :n], z[n:], P[n:, n:], e, S, status)
+        dt = self.dt if dt is None else dt
+        noise = block_diag(self.system.Q(dt), dt * self.theta_walk)
+        z, P, out, _ = unscented.joint_step(
+            self.system, self.weights, carry.z, carry.P, noise, u, y, valid, dt, self.limit
+        )
+        return Carry(z, P), out

@@ -20,7 +20,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from rotorwatch import checks
-from rotorwatch.core import Array
+from rotorwatch.core import Array, Estimate
 from rotorwatch.errors import ConfigError
 
 # What is added to a diagonal before its root is taken: relative, so that rounding does not make a singular covariance
@@ -113,6 +113,35 @@ def corrected(L: Array, y: Transformed, K: Array, R: Array) -> Array:
 
     rest = L - K @ y.slope
     return symmetric(rest @ rest.T + K @ (y.curvature + jnp.diag(R)) @ K.T)
+
+
+def joint_step(system, w: Weights, z, P, noise, u, y, valid, dt, limit: Callable = lambda theta: theta):
+    """One step of a filter of states and losses together: (z, P, Estimate, predicted z).
+
+        z- = sum w (f(chi), chi_theta),   P- = P_f + noise;   points drawn again from (z-, P-):  y-, P_yy, P_zy
+        S = P_yy + R,   K = P_zy S^-1;   z = z- + K (y - y-),   P = P- - K S K'
+
+    z (n_x + n_theta,), P and noise square. limit: what is done to the new losses, so that they stay admissible.
+    """
+    from jax import numpy as jnp
+
+    n = system.n_x
+
+    def f(z):
+        return jnp.concatenate([system.f(z[:n], u, z[n:], dt), z[n:]])
+
+    moved = transform(f, z, root(P), w)
+    L = root(symmetric(moved.cov + noise))
+    seen = transform(lambda z: system.h(z[:n], u, z[n:]), moved.mean, L, w)
+    R = system.R(u)
+    S = symmetric(seen.cov + jnp.diag(R))
+    K = gain(L @ seen.slope.T, S, valid)
+    e = jnp.where(valid, y - seen.mean, 0.0)
+    z = moved.mean + K @ e
+    z = jnp.concatenate([z[:n], limit(z[n:])])
+    P = corrected(L, seen, K, R)
+    status = jnp.where(valid.any(), 0, 2).astype(jnp.int32)
+    return z, P, Estimate(z[:n], P[:n, :n], z[n:], P[n:, n:], e, S, status), moved.mean
 
 
 def symmetric(P: Array) -> Array:

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rotorwatch import checks
+from rotorwatch import checks, inertia
 from rotorwatch.errors import ConfigError
 
 FORCES = ("printed", "physical")
@@ -70,7 +70,7 @@ class PortHamiltonianAttitude:
         self.x0 = np.zeros(6) if x0 is None else checks.finite("x0", checks.shape("x0", x0, 6))
         self.P0 = np.eye(6) if P0 is None else checks.covariance("P0", P0, 6)
         self._spread = np.eye(self.n_u)[:, list(suspects)]  # (n_u, n_theta)
-        self._J_inverse = np.linalg.inv(np.asarray(J, float)) if checks.concrete(J) else _inverse(J)
+        self._J_inverse = inertia.inverse(J)
         motors = B is not None
         self.u_names = tuple(f"thrust_{i + 1}" for i in range(self.n_u)) if motors else ("M_x", "M_y", "M_z")
         self.u_units = ("N" if motors else "N m",) * self.n_u
@@ -145,11 +145,3 @@ def _entries(name: str, value, n: int):
     if np.shape(value) not in ((), (n,)):
         raise ConfigError(f"{name} must be one number or {n} of them, not an array of the shape {np.shape(value)}.")
     return checks.between(name, value, 0.0, np.inf) * np.ones(n)
-
-
-def _inverse(J):
-    """Inverse of a traced 3 x 3 matrix by cofactors: rows are cross products of columns."""
-    from jax import numpy as jnp
-
-    a, b, c = jnp.asarray(J).T
-    return jnp.stack([jnp.cross(b, c), jnp.cross(c, a), jnp.cross(a, b)]) / (a @ jnp.cross(b, c))

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rotorwatch import checks
+from rotorwatch import checks, inertia
 
 G = 9.80665
 
@@ -42,7 +42,7 @@ class RateDynamics:
         n = np.shape(B_T)[0]
         checks.shape("B_tau", B_tau, 3, n)
         self.J = checks.covariance("J", J, 3, definite=True)
-        self.J_inverse = _inverse(self.J)
+        self.J_inverse = inertia.inverse(self.J)
         self.B_tau, self.B_T, self.m = B_tau, B_T, checks.positive("m", m)
         self.n_u = self.n_theta = n
         self.u_names = tuple(f"thrust_{i + 1}" for i in range(n))
@@ -92,13 +92,3 @@ class RateDynamics:
         from jax import numpy as jnp
 
         return jnp.concatenate([jnp.broadcast_to(self.gyro_sd, (3,)), jnp.reshape(self.accel_sd, (1,))]) ** 2
-
-
-def _inverse(A):
-    """Inverse of a symmetric 3 x 3 matrix by its adjugate: no factorisation in a step, and any derivative of it is exact."""
-    from rotorwatch.backend import jax as load_jax
-
-    np_ = np if checks.concrete(A) else load_jax().numpy
-    a, b, c = (np_.asarray(A)[k] for k in range(3))
-    adjugate = np_.stack([np_.cross(b, c), np_.cross(c, a), np_.cross(a, b)])
-    return adjugate / (a @ adjugate[0])

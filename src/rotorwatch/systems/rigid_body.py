@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rotorwatch import checks
+from rotorwatch import checks, inertia
 from rotorwatch.errors import ConfigError
 
 G = 9.80665
@@ -50,7 +50,7 @@ class RigidBody:
         """
         n = np.shape(B_T)[0]
         self.J = checks.covariance("J", J, 3, definite=True)
-        self.J_inverse = _inverse(self.J)
+        self.J_inverse = inertia.inverse(self.J)
         self.B_tau, self.B_T = checks.shape("B_tau", B_tau, 3, n), B_T
         self.m, self.gravity = checks.positive("m", m), gravity
         unknown = [name for name in measured if name not in self.x_names]
@@ -120,13 +120,3 @@ class RigidBody:
         from jax import numpy as jnp
 
         return jnp.broadcast_to(jnp.asarray(self.measured_sd, float), (self.n_y,)) ** 2
-
-
-def _inverse(A):
-    """Inverse of a symmetric 3 x 3 matrix by its adjugate, traced or not."""
-    from rotorwatch.backend import jax as load_jax
-
-    xp = np if checks.concrete(A) else load_jax().numpy
-    a, b, c = (xp.asarray(A)[k] for k in range(3))
-    adjugate = xp.stack([xp.cross(b, c), xp.cross(c, a), xp.cross(a, b)])
-    return adjugate / (a @ adjugate[0])
