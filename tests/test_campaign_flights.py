@@ -1,12 +1,15 @@
 """Campaign flights for real: the batch judges as `diagnose` does, however it is split, and what is written down is true."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import rotorwatch
-from rotorwatch import campaign
-from rotorwatch.campaign import batch, score
+from rotorwatch import campaign, log_plant, published
+from rotorwatch.campaign import batch, methods, score
 from rotorwatch.simulation import simulate
+from rotorwatch.ticks import LEARN
 
 pytest.importorskip("pyarrow")
 WIDTH = 4
@@ -16,6 +19,7 @@ PLAN = {
     "healthy": 0.4,
     "estimators": ["default", "ekf"],
     "detectors": ["ardupilot-thrust-loss"],
+    "decisions": [{"name": "usual"}, {"name": "strict", "sigmas": 40.0}],
     "scenario": {
         "duration_s": 35.0,
         "airframe": {"frame": "quad-x"},
@@ -41,7 +45,8 @@ def of(rows, method):
 
 
 def test_a_row_per_flight_and_method(plan, rows):
-    assert len(rows) == WIDTH * 3
+    assert plan.methods == ("default", "ekf/usual", "ekf/strict", "ardupilot-thrust-loss")
+    assert len(rows) == WIDTH * 4
     for method in plan.methods:
         assert [row["flight"] for row in of(rows, method)] == list(range(WIDTH))
     assert all(set(row) == set(score.COLUMNS) for row in rows)
@@ -73,6 +78,50 @@ def test_as_diagnose_judges_the_log(plan, rows):
                 row["estimate"], abs=0.03
             )  # at the end of the flight, here 10 s on
     assert 0 < some < WIDTH
+
+
+def test_published_methods_are_judged_as_alone(plan, rows):
+    """Side by side, with several thresholds and what one learning run taught: as `published.judge` does it for each flight."""
+    flown = batch.fly(plan, range(WIDTH), WIDTH)
+    B, tables = flown[0].vehicle.effectiveness(), [f.ticks for f in flown]
+    _, taught = batch._default(flown, B, WIDTH, whole=False)
+    assert all(one is not None for one in taught)
+    hops = methods.learn(tables, B, taught)
+    for f, found in zip(flown, hops, strict=True):  # learned in the flight's own run: ticks on the ground went before
+        own = log_plant.hops(f.ticks, B)
+        assert len(found) == len(own) == 1
+        for key, value in own[0].parameters.items():
+            assert np.allclose(found[0].parameters[key], value, rtol=0.05, atol=1e-6), key
+    for name in ("ekf", "lyapunov"):
+        usual, strict = methods.judge(name, tables, hops, B, WIDTH, ((), (("sigmas", 40.0),)))
+        for kept, table, found in zip(usual, tables, hops, strict=True):
+            alone = published.judge(name, table, B, hops=found)
+            for a, b in zip(kept, alone, strict=True):
+                assert np.allclose(a, b, rtol=0, atol=1e-6)
+        assert all(k.statistic.max() < u.statistic.max() for k, u in zip(strict, usual, strict=True))
+        assert not any(k.announced.any() for k in strict) and any(u.announced.any() for u in usual)
+    found = {row["flight"]: row["detected"] for row in of(rows, "ekf/usual") if row["fault"]}
+    assert any(found.values()) and not any(row["detected"] for row in of(rows, "ekf/strict"))
+
+
+def test_flights_of_several_hops_learn_alone(plan):
+    """A table that restarts half-way has two hops; each is written down where it belongs, none from the batched learning run."""
+    f = batch.fly(plan, [0], WIDTH)[0]
+    table = f.ticks
+    assert methods.learned_at(table) is not None
+    again = table.restart.copy()
+    again[len(again) // 2] = True
+    mode = table.mode.copy()
+    mode[len(mode) // 2 : len(mode) // 2 + np.count_nonzero(mode == LEARN)] = LEARN
+    table = replace(table, restart=again, mode=mode)
+    assert methods.learned_at(table) is None
+    B = f.vehicle.effectiveness()
+    hops = methods.learn([table], B, [None])
+    assert len(hops[0]) == 2
+    kept = methods.judge("ekf", [table], hops, B, WIDTH, ((),))[0][0]
+    alone = published.judge("ekf", table, B)
+    assert np.allclose(kept.statistic, alone.statistic, rtol=0, atol=1e-6)
+    assert (kept.statistic[hops[0][1].rows] > -50.0).all()
 
 
 def test_the_truth_is_written_down(plan, rows):
@@ -146,16 +195,16 @@ def test_the_width_follows_the_device(monkeypatch):
 
 
 def test_as_many_at_once_as_fit_the_cache(monkeypatch):
-    small, large = {"a": np.zeros(100)}, {"a": np.zeros(batch.CACHE_BYTES // 8 // 5), "b": np.zeros(1)}
-    assert batch.side_by_side(small, 32) == 32
-    assert batch.side_by_side(large, 32) == 4
-    assert batch.side_by_side({"a": np.zeros(batch.CACHE_BYTES)}, 32) == 1
+    small, large = {"a": np.zeros(100)}, {"a": np.zeros(methods.CACHE_BYTES // 8 // 5), "b": np.zeros(1)}
+    assert methods.side_by_side(small, 32) == 32
+    assert methods.side_by_side(large, 32) == 4
+    assert methods.side_by_side({"a": np.zeros(methods.CACHE_BYTES)}, 32) == 1
 
     class Device:
-        tree = batch.load_jax().tree
+        tree = methods.load_jax().tree
 
         def default_backend(self):
             return "gpu"
 
-    monkeypatch.setattr(batch, "load_jax", Device)
-    assert batch.side_by_side(large, 1024) == 1024
+    monkeypatch.setattr(methods, "load_jax", Device)
+    assert methods.side_by_side(large, 1024) == 1024

@@ -100,9 +100,13 @@ class Watched:
     def step(self, carry, u, y, valid):
         """One time step."""
         first, out = self.estimator.step(carry[0], u, y, valid)
-        estimate = getattr(out, "estimate", out)
-        second, decision = self.threshold.step(carry[1], estimate, self.dt)
-        return (first, second), Output(estimate, decision, second.level, second.scatter)
+        second, found = self.decided(carry[1], getattr(out, "estimate", out))
+        return (first, second), found
+
+    def decided(self, carry, estimate):
+        """The threshold's carry after an estimate, and all that is known then."""
+        carry, decision = self.threshold.step(carry, estimate, self.dt)
+        return carry, Output(estimate, decision, carry.level, carry.scatter)
 
 
 class Seen(NamedTuple):
@@ -122,7 +126,8 @@ class Seen(NamedTuple):
     scatter: Any
 
 
-def _keep(out: Output) -> Seen:
+def seen(out: Output) -> Seen:
+    """What is kept of a step."""
     import jax.numpy as jnp
 
     e, d = out.estimate, out.decision
@@ -152,12 +157,12 @@ def run_hop(name: str, hop: LogPlant, B: np.ndarray, tuning: Tuning | None = Non
     build = _builder(name, hop.dt, tuple(sorted(tuning.keywords.items())))
     watched = build(parameters)  # with values: what is wrong with the configuration is said here
     try:
-        return run_built(build, parameters, hop.u, hop.y, hop.valid, _keep, progress)[1]
+        return run_built(build, parameters, hop.u, hop.y, hop.valid, seen, progress)[1]
     except (
         load_jax().errors.JAXTypeError,
         ConfigError,
     ):  # design work that needs values: compiled for this flight alone
-        return run(watched, hop.u, hop.y, hop.valid, _keep, progress)[1]
+        return run(watched, hop.u, hop.y, hop.valid, seen, progress)[1]
 
 
 def judge(
@@ -176,13 +181,13 @@ def judge(
     """
     discovery.estimator(name)
     hyp = hypotheses.make(B.shape[1])
-    out = _nothing(len(table.time), hyp)
+    out = nothing(len(table.time), hyp)
     for hop in log_plant.hops(table, B, dynamics) if hops is None else hops:
-        _write_down(out, run_hop(name, hop, B, tuning, progress), hop, hyp, B)
+        write_down(out, run_hop(name, hop, B, tuning, progress), hop, hyp, B)
     return out
 
 
-def _nothing(T: int, hyp: hypotheses.Hypotheses) -> Kept:
+def nothing(T: int, hyp: hypotheses.Hypotheses) -> Kept:
     """T ticks on which nothing was seen; what only the default method looks at stays so."""
     n, n_h = hyp.n, len(hyp.names)
     numbers = {
@@ -206,8 +211,8 @@ def notes(name: str) -> tuple[str, ...]:
     )
 
 
-def _write_down(out: Kept, seen: Seen, hop: LogPlant, hyp: hypotheses.Hypotheses, B: np.ndarray) -> None:
-    """Fill the rows of one hop."""
+def write_down(out: Kept, seen: Seen, hop: LogPlant, hyp: hypotheses.Hypotheses, B: np.ndarray) -> None:
+    """Fill the rows of one hop in what `nothing` made."""
     rows, dt, n = hop.rows, hop.dt, B.shape[1]
     fault = np.asarray(hyp.fault)
     odds = np.where(fault, seen.log_odds, -np.inf)

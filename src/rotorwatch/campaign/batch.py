@@ -14,29 +14,24 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rotorwatch import airframes, default_estimator, detectors, limits, published
+from rotorwatch import airframes, default_estimator, detectors, limits
 from rotorwatch.airborne import airborne
 from rotorwatch.backend import jax as load_jax
-from rotorwatch.campaign import score
+from rotorwatch.campaign import methods, score
 from rotorwatch.campaign.plan import Plan
 from rotorwatch.diagnose import READY_S, _explained, _overrides, observe
 from rotorwatch.diagnosis import Event
 from rotorwatch.errors import ConfigError
 from rotorwatch.evidence import events, hypotheses
 from rotorwatch.flight import Flight
-from rotorwatch.simulation import logbook, one, simulate_batch
+from rotorwatch.simulation import logbook, one
 from rotorwatch.simulation import plan as flight_plan
+from rotorwatch.simulation.loop import fly_many, stack
 from rotorwatch.simulation.scenario import Scenario
 from rotorwatch.ticks import GROUND, LAG_S, Ticks
 from rotorwatch.vehicle import Vehicle
 
-TICK_BLOCK = (
-    100  # tables are padded to a multiple of this, so that a flight's few ticks more or less need no other program
-)
 CPU_WIDTH, ACCELERATOR_WIDTH = 32, 1024
-CACHE_BYTES = (
-    2_500_000  # of the estimators' states that a processor keeps at hand: larger batches are slower, not faster
-)
 
 
 def width() -> int:
@@ -44,19 +39,10 @@ def width() -> int:
     return CPU_WIDTH if load_jax().default_backend() == "cpu" else ACCELERATOR_WIDTH
 
 
-def side_by_side(carry: Any, size: int) -> int:
-    """How many of `size` flights (a power of two) the estimator with this state steps at once."""
-    tree = load_jax().tree
-    each = sum(np.asarray(leaf).nbytes for leaf in tree.leaves(carry))
-    if load_jax().default_backend() == "cpu":
-        while size > 1 and size % 2 == 0 and size * each > CACHE_BYTES:
-            size //= 2
-    return size
-
-
 @dataclass(frozen=True)
 class Flown:
-    """One flight on its way through the batch. theta (T, n): true losses at its ticks; lost_s: when it crashed, or None."""
+    """One flight on its way through the batch. theta (T, n): true losses at its ticks; lost_s: when it crashed, or None; overrides:
+    outputs that do not follow the mixer."""
 
     number: int
     scenario: Scenario
@@ -66,6 +52,7 @@ class Flown:
     ticks: Ticks
     theta: np.ndarray
     lost_s: float | None
+    overrides: tuple[Event, ...]
 
 
 class Judged(NamedTuple):
@@ -86,18 +73,26 @@ def judge(plan: Plan, flights: Sequence[int], size: int) -> list[dict]:
         raise ConfigError("flights of one batch must have the same geometry; name the frame by a choice.")
     hyp, rows = hypotheses.make(B.shape[1]), []
     bounds = _bounds(flown, B, size)
-    if "default" in plan.estimators:
-        for f, bound, out in zip(flown, bounds, _default(flown, B, size), strict=True):
-            seen = _all_events(f, events.read(out.kept, f.ticks, hyp, B))
+    published = [name for name in plan.estimators if name != "default"]
+    whole = "default" in plan.estimators
+    outs, taught = _default(flown, B, size, whole) if whole or published else ([], [])
+
+    def row(label: str, f: Flown, kept, statistic, bound) -> dict:
+        seen = _all_events(f, events.read(kept, f.ticks, hyp, B))
+        return score.estimator(label, f, kept, statistic, seen, bound, plan)
+
+    if whole:
+        for f, bound, out in zip(flown, bounds, outs, strict=True):
             statistic = np.where(out.plausible, out.kept.statistic, score.NOTHING)
-            rows.append(score.estimator("default", f, out.kept, statistic, seen, bound, plan))
-    for name in plan.estimators:
-        if name == "default":
-            continue
-        for f, bound in zip(flown, bounds, strict=True):
-            kept = published.judge(name, f.ticks, B)
-            seen = _all_events(f, events.read(kept, f.ticks, hyp, B))
-            rows.append(score.estimator(name, f, kept, kept.statistic, seen, bound, plan))
+            rows.append(row("default", f, out.kept, statistic, bound))
+    if published:
+        tables = [f.ticks for f in flown]
+        hops = methods.learn(tables, B, taught)
+        for name in published:
+            found = methods.judge(name, tables, hops, B, size, tuple(d.tuning for d in plan.decisions))
+            for decision, kept in zip(plan.decisions, found, strict=True):
+                label = decision.label(name)
+                rows += [row(label, f, k, k.statistic, b) for f, k, b in zip(flown, kept, bounds, strict=True)]
     rules = {m.name: m for m in detectors.modules() if m.name in plan.detectors}
     for name in plan.detectors:
         for f, bound in zip(flown, bounds, strict=True):
@@ -108,12 +103,14 @@ def judge(plan: Plan, flights: Sequence[int], size: int) -> list[dict]:
 def fly(plan: Plan, flights: Sequence[int], size: int) -> list[Flown]:
     """Simulate the flights and look at them as `diagnose` looks at a log. Flights that never take off are left out."""
     scenarios = [plan.flight(k) for k in flights]
-    filled = [*scenarios, *[scenarios[-1]] * (size - len(scenarios))]
-    records = load_jax().tree.map(np.asarray, simulate_batch(filled, _needed))
+    plans = [flight_plan(scenario) for scenario in scenarios]
+    filled, first = [*plans, *[plans[-1]] * (size - len(plans))], scenarios[0]
+    records = fly_many(stack(filled), first.duration_s, first.rate_hz, logbook.record_hz(first), _needed)
+    records = load_jax().tree.map(np.asarray, records)
     found = []
     for k, (number, scenario) in enumerate(zip(flights, scenarios, strict=True)):
         record = one(records, k)
-        flight = logbook.flight(scenario, flight_plan(scenario), record)
+        flight = logbook.flight(scenario, plans[k], record)
         vehicle = airframes.identify(flight)
         air = airborne(flight)
         table = observe(flight, vehicle, air, READY_S)
@@ -125,7 +122,7 @@ def fly(plan: Plan, flights: Sequence[int], size: int) -> list[Flown]:
         found.append(
             Flown(
                 number, scenario, flight, vehicle, air, table, record.theta[at],
-                float(record.time[lost[0]]) if lost.size else None,
+                float(record.time[lost[0]]) if lost.size else None, _overrides(flight, vehicle, air),
             )
         )  # fmt: skip
     return found
@@ -133,10 +130,9 @@ def fly(plan: Plan, flights: Sequence[int], size: int) -> list[Flown]:
 
 def _all_events(f: Flown, losses: Sequence[Event]) -> tuple[Event, ...]:
     """Losses, and outputs that do not follow the mixer, as `diagnose` puts them together."""
-    overrides = _overrides(f.flight, f.vehicle, f.air)
-    overridden = {e.rotors[0]: e for e in overrides}
+    overridden = {e.rotors[0]: e for e in f.overrides}
     found = [e for e in losses if not _explained(e, overridden)]
-    return tuple(sorted((*found, *overrides), key=lambda e: e.detected_s))
+    return tuple(sorted((*found, *f.overrides), key=lambda e: e.detected_s))
 
 
 def _needed(record):
@@ -144,59 +140,61 @@ def _needed(record):
     return record._replace(omega=(), rates_asked=(), q_asked=(), wind=())
 
 
-def _padded(table: Ticks, B: np.ndarray, length: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _table(table: Ticks, B: np.ndarray, rows: slice = slice(None)) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """u, y, valid of the default estimator."""
     from rotorwatch.systems.wrench_balance import WrenchBalance
 
     u = np.column_stack([WrenchBalance(B).pack(table), table.mode, table.restart])
-    more = length - len(u)
-
-    def fill(a):
-        return np.concatenate([a, np.zeros((more, *a.shape[1:]), a.dtype)])
-
-    return fill(u), fill(table.wrench), fill(table.valid)
-
-
-def _stacked(flown: Sequence[Flown], B: np.ndarray, size: int):
-    """u, y, valid of all flights: (size, T, ...), filled up with the last flight and with ticks on the ground."""
-    longest = max(len(f.ticks.time) for f in flown)
-    length = -(-longest // TICK_BLOCK) * TICK_BLOCK
-    tables = [_padded(f.ticks, B, length) for f in flown]
-    tables += [tables[-1]] * (size - len(tables))
-    return tuple(np.stack(parts) for parts in zip(*tables, strict=True))
+    return u[rows], table.wrench[rows], table.valid[rows]
 
 
 @functools.lru_cache(maxsize=8)
 def _program(build):
-    """Compiled: parameters, first carry, u, y, valid (flights first) -> stacked `Judged`."""
+    """Compiled: parameters, first carry, last learning tick, u, y, valid (flights first from the tick on) -> stacked `Judged`, and
+    (state, noise variances) after that tick."""
     jax = load_jax()
+    jnp = jax.numpy
 
-    def single(parameters, carry, u, y, valid):
+    def single(parameters, carry, learned, u, y, valid):
         estimator = build(parameters)
 
-        def step(carry, row):
-            carry, out = estimator.step(carry, *row)
-            return carry, Judged(default_estimator._keep(out), out.plausible)
+        def step(state, row):
+            (carry, taught), k = state, row[0]
+            carry, out = estimator.step(carry, *row[1:])
+            now = (carry.s, carry.noise.variances)
+            taught = jax.tree.map(lambda a, b: jnp.where(k == learned, a, b), now, taught)
+            return (carry, taught), Judged(default_estimator._keep(out), out.plausible)
 
-        return jax.lax.scan(step, carry, (u, y, valid))[1]
+        start = (carry, jax.tree.map(jnp.asarray, (carry.s, carry.noise.variances)))
+        (_, taught), out = jax.lax.scan(step, start, (jnp.arange(u.shape[0]), u, y, valid))
+        return out, taught
 
-    return jax.jit(jax.vmap(single, in_axes=(None, None, 0, 0, 0)))
+    return jax.jit(jax.vmap(single, in_axes=(None, None, 0, 0, 0, 0)))
 
 
-def _default(flown: Sequence[Flown], B: np.ndarray, size: int) -> list[Judged]:
-    """The default estimator over every flight, side by side."""
+def _default(flown: Sequence[Flown], B: np.ndarray, size: int, whole: bool) -> tuple[list[Judged], list[tuple | None]]:
+    """The default estimator over every flight, side by side: its outputs, and what it had learned when learning ended (None for
+    flights of several hops). whole: else the learning time only, and no outputs that mean anything."""
     dt = flown[0].ticks.dt
     if dt not in (0.05, 0.1):
         raise ConfigError(f"commands every {dt:.1f} s are too slow: log motor outputs at 10 Hz or faster.")
     build = default_estimator._build_fast if dt < 0.08 else default_estimator._build_slow
     tree, parameters = load_jax().tree, default_estimator.parameters(B)
-    carry, rows, found = build(parameters).init(), _stacked(flown, B, size), []
-    step = side_by_side(carry, size)
+    learned = [methods.learned_at(f.ticks) for f in flown]
+    last = np.array([-1 if k is None else k for k in learned])
+    rows = methods.stacked(
+        [_table(f.ticks, B, slice(None) if whole else slice(max(k, 0) + 1)) for f, k in zip(flown, last)], size
+    )
+    last = np.concatenate([last, np.full(size - len(flown), -1)])
+    carry, found, taught = build(parameters).init(), [], []
+    step = methods.side_by_side(carry, size)
     for start in range(0, len(flown), step):
-        out = _program(build)(parameters, carry, *(a[start : start + step] for a in rows))
-        out = tree.map(np.asarray, out)
-        for k, f in enumerate(flown[start : start + step]):
+        here = slice(start, start + step)
+        out, ends = tree.map(np.asarray, _program(build)(parameters, carry, last[here], *(a[here] for a in rows)))
+        for k, f in enumerate(flown[here]):
             found.append(tree.map(lambda a, k=k, f=f: a[k, : len(f.ticks.time)], out))
-    return found
+            taught.append(None if learned[start + k] is None else tree.map(lambda a, k=k: a[k], ends))
+    return found, taught
 
 
 def _bounds(flown: Sequence[Flown], B: np.ndarray, size: int) -> list[np.ndarray | None]:
@@ -204,7 +202,7 @@ def _bounds(flown: Sequence[Flown], B: np.ndarray, size: int) -> list[np.ndarray
     clear = [score.clear_fault(f.scenario) for f in flown]
     if not any(clear):
         return [None] * len(flown)
-    u, y, valid = _stacked(flown, B, size)
+    u, y, valid = methods.stacked([_table(f.ticks, B) for f in flown], size)
     length = u.shape[1]
     theta = np.stack([np.concatenate([f.theta, np.zeros((length - len(f.theta), B.shape[1]))]) for f in flown])
     rotor = [c["rotor"] - 1 if c else 0 for c in clear]

@@ -3,8 +3,12 @@
     name = "small multirotors"
     seed = 1
     healthy = 0.3                                  # share of flights without a fault
-    estimators = ["default"]
+    estimators = ["default", "ekf"]
     detectors = ["ardupilot-thrust-loss"]
+
+    [[decisions]]                                  # thresholds behind published estimators; without any: the usual one
+    name = "strict"
+    sigmas = 7.0
 
     [scenario]                                     # any field of a scenario (docs/simulation.md), or how to draw it
     duration_s = 60.0
@@ -43,10 +47,12 @@ DRAWS = ("choice", "uniform", "log_uniform")
 FIXED = ("duration_s", "rate_hz", "name", "seed")
 MOST_CELLS = 64
 TOP = {
-    "name": "", "seed": 0, "healthy": 0.3, "estimators": ("default",), "detectors": (), "false_alarm_period_h": 10.0, "scenario": {},
-    "faults": (),
+    "name": "", "seed": 0, "healthy": 0.3, "estimators": ("default",), "detectors": (), "decisions": (),
+    "false_alarm_period_h": 10.0, "scenario": {}, "faults": (),
 }  # fmt: skip
 FAULT = {"share": 1.0, "together": 1}
+DECISION = {"sigmas": (0.5, 100.0), "least": (0.0, 1.0), "persist_s": (0.0, 60.0)}
+"""What a [[decisions]] table may set (evidence/decide.py), from and to."""
 
 
 class Cell(NamedTuple):
@@ -55,6 +61,17 @@ class Cell(NamedTuple):
     frame: str
     autopilot: str
     profile: str
+
+
+class Decision(NamedTuple):
+    """A threshold behind published estimators. name: "" for the usual one; tuning: keywords of `decide.Threshold`."""
+
+    name: str = ""
+    tuning: tuple[tuple[str, float], ...] = ()
+
+    def label(self, estimator: str) -> str:
+        """What the pair is called in the results."""
+        return f"{estimator}/{self.name}" if self.name else estimator
 
 
 @dataclass(frozen=True)
@@ -70,6 +87,7 @@ class Plan:
     healthy: float
     estimators: tuple[str, ...]
     detectors: tuple[str, ...]
+    decisions: tuple[Decision, ...]
     false_alarm_period_h: float
     scenario: Mapping[str, Any]
     faults: tuple[Mapping[str, Any], ...]
@@ -79,8 +97,9 @@ class Plan:
 
     @property
     def methods(self) -> tuple[str, ...]:
-        """Estimators, then detectors: what each flight is judged by."""
-        return (*self.estimators, *self.detectors)
+        """Estimators (published ones with each decision), then detectors: what each flight is judged by."""
+        pairs = ([name] if name == "default" else [d.label(name) for d in self.decisions] for name in self.estimators)
+        return (*itertools.chain.from_iterable(pairs), *self.detectors)
 
     def cell(self, flight: int) -> Cell:
         """Which cell a flight belongs to."""
@@ -141,6 +160,7 @@ def from_table(table: Mapping[str, Any], text: str = "") -> Plan:
     rules = _names("detectors", given["detectors"], tuple(m.name for m in detectors.modules()))
     if not estimators and not rules:
         raise ConfigError("estimators and detectors are both empty; name at least one of either.")
+    decisions = _decisions(given["decisions"])
     asked = given["scenario"]
     if not isinstance(asked, Mapping):
         raise ConfigError("scenario must be a table, [scenario].")
@@ -166,7 +186,18 @@ def from_table(table: Mapping[str, Any], text: str = "") -> Plan:
         raise ConfigError("healthy is below 1, but there are no [[faults]] for the other flights.")
     rotors = _try_out(asked, cells, faults)
     return Plan(
-        given["name"], int(seed), healthy, estimators, rules, period, asked, faults, cells, rotors, text or repr(table)
+        given["name"],
+        int(seed),
+        healthy,
+        estimators,
+        rules,
+        decisions,
+        period,
+        asked,
+        faults,
+        cells,
+        rotors,
+        text or repr(table),
     )
 
 
@@ -184,10 +215,30 @@ def _cells(asked: Mapping[str, Any]) -> tuple[Cell, ...]:
         if not all(isinstance(v, str) for v in values):
             raise ConfigError(f"scenario.{name} must be a name or a choice of names, not {value!r}.")
         parts.append(values)
+    for frame in parts[0]:
+        if scenario.is_helicopter(frame):
+            raise ConfigError(f"scenario.airframe.frame: {frame} is a helicopter; campaigns fly multirotors.")
     cells = tuple(Cell(*one) for one in itertools.product(*parts))
     if len(cells) > MOST_CELLS:
         raise ConfigError(f"scenario: {len(cells)} combinations of frame, autopilot and profile; at most {MOST_CELLS}.")
     return cells
+
+
+def _decisions(rows: Any) -> tuple[Decision, ...]:
+    if not isinstance(rows, (list, tuple)) or not all(isinstance(row, Mapping) for row in rows):
+        raise ConfigError("decisions must be [[decisions]] tables.")
+    found = []
+    for k, row in enumerate(rows):
+        where = f"decisions[{k + 1}]"
+        for key in row:
+            if key not in ("name", *DECISION):
+                raise ConfigError(f"{where}.{key} is not a field; known are name, {', '.join(DECISION)}.")
+        name = row.get("name")
+        if not isinstance(name, str) or not name or name in (d.name for d in found):
+            raise ConfigError(f"{where}.name must be a text that no other decision has, not {name!r}.")
+        numbers = ((key, _number(f"{where}.{key}", row[key], *ends)) for key, ends in DECISION.items() if key in row)
+        found.append(Decision(name, tuple(numbers)))
+    return tuple(found) or (Decision(),)
 
 
 def _fault(where: str, row: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -1,0 +1,163 @@
+"""Published estimators over all flights of a batch side by side, each with every decision of the plan behind it.
+
+What `published.judge` does flight by flight - the hop's plant, the method, the threshold of evidence/decide.py - is done here in one
+compiled scan: the estimator is stepped once, and as many thresholds as the plan names look at it. Methods whose design needs
+values (linear matrix inequalities, eigenvalues) cannot be built inside a program; they run flight by flight.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from rotorwatch import default_estimator, log_plant, published
+from rotorwatch.backend import jax as load_jax
+from rotorwatch.errors import ConfigError
+from rotorwatch.evidence import decide, hypotheses
+from rotorwatch.log_plant import LogPlant
+from rotorwatch.run import run
+from rotorwatch.systems.wrench_balance import PER_AXIS
+from rotorwatch.ticks import LEARN, Ticks
+
+TICK_BLOCK = 100
+"""Tables are padded to a multiple of this, so that a flight's few ticks more or less need no other program."""
+CACHE_BYTES = 2_500_000
+"""Of the estimators' states that a processor keeps at hand: larger batches are slower, not faster."""
+Decisions = tuple[tuple[tuple[str, float], ...], ...]
+
+
+def side_by_side(carry: Any, size: int) -> int:
+    """How many of `size` flights (a power of two) the estimator with this state steps at once."""
+    tree = load_jax().tree
+    each = sum(np.asarray(leaf).nbytes for leaf in tree.leaves(carry))
+    if load_jax().default_backend() == "cpu":
+        while size > 1 and size % 2 == 0 and size * each > CACHE_BYTES:
+            size //= 2
+    return size
+
+
+def stacked(tables: Sequence[tuple[np.ndarray, ...]], size: int) -> tuple[np.ndarray, ...]:
+    """Tables of flights (each some arrays of as many rows), flights first: filled up with rows of zeros and with the last flight."""
+    longest = max(len(table[0]) for table in tables)
+    length = -(-longest // TICK_BLOCK) * TICK_BLOCK
+
+    def fill(a: np.ndarray) -> np.ndarray:
+        return np.concatenate([a, np.zeros((length - len(a), *a.shape[1:]), a.dtype)])
+
+    rows = [tuple(map(fill, table)) for table in tables]
+    rows += [rows[-1]] * (size - len(rows))
+    return tuple(np.stack(parts) for parts in zip(*rows, strict=True))
+
+
+class Decided:
+    """An estimator with several thresholds behind it, stepped as one."""
+
+    def __init__(self, estimator, thresholds: Sequence[decide.Threshold], dt: float):
+        self.watched = tuple(published.Watched(estimator, threshold, dt) for threshold in thresholds)
+        self.estimator, self.system, self.dt = estimator, estimator.system, dt
+
+    def init(self):
+        """Carries of the estimator and of each threshold."""
+        return self.estimator.init(), tuple(w.threshold.init() for w in self.watched)
+
+    def step(self, carry, u, y, valid):
+        """One time step: a `published.Output` per threshold."""
+        first, out = self.estimator.step(carry[0], u, y, valid)
+        estimate = getattr(out, "estimate", out)
+        found = [w.decided(second, estimate) for w, second in zip(self.watched, carry[1], strict=True)]
+        return (first, tuple(second for second, _ in found)), tuple(output for _, output in found)
+
+
+def _keep(outputs: tuple[published.Output, ...]) -> tuple[published.Seen, ...]:
+    return tuple(published.seen(out) for out in outputs)
+
+
+def _built(name: str, dt: float, decisions: Decisions, p: dict) -> Decided:
+    thresholds = [decide.Threshold(p["B"], **dict(asked)) for asked in decisions]
+    return Decided(published.method(name, log_plant.plant(p["plant"]), dt), thresholds, dt)
+
+
+@functools.lru_cache(maxsize=32)
+def _program(name: str, dt: float, decisions: Decisions):
+    """Compiled: parameters of the plants and tables (flights first), B -> stacked `published.Seen`, one per decision."""
+    jax = load_jax()
+
+    def single(plant, B, u, y, valid):
+        estimator = _built(name, dt, decisions, {"plant": plant, "B": B})
+
+        def step(carry, row):
+            carry, out = estimator.step(carry, *row)
+            return carry, _keep(out)
+
+        return jax.lax.scan(step, estimator.init(), (u, y, valid))[1]
+
+    return jax.jit(jax.vmap(single, in_axes=(0, None, 0, 0, 0)))
+
+
+def run_hops(name: str, found: Sequence[LogPlant], B: np.ndarray, size: int, decisions: Decisions) -> list[tuple]:
+    """For each hop the `published.Seen` of each decision. Raises ConfigError for a method that the plant does not suit.
+
+    size: width that the batch is filled up to, so that a hop's result does not depend on which it runs with.
+    """
+    jax = load_jax()
+    tree, dt = jax.tree, found[0].dt
+    example = _built(name, dt, decisions, {"plant": found[0].parameters, "B": B})  # with values: says what is wrong
+    step = side_by_side(example.init(), size)
+    rows = stacked([(hop.u, hop.y, hop.valid) for hop in found], size)
+    plants = [hop.parameters for hop in found]
+    plants += [plants[-1]] * (size - len(plants))
+    plants = tree.map(lambda *leaves: np.stack([np.asarray(leaf, float) for leaf in leaves]), *plants)
+    results = []
+    try:
+        for start in range(0, len(found), step):
+            part = slice(start, start + step)
+            out = _program(name, dt, decisions)(
+                tree.map(lambda a, part=part: a[part], plants), B, *(a[part] for a in rows)
+            )
+            out = tree.map(np.asarray, out)
+            for k, hop in enumerate(found[part]):
+                results.append(tree.map(lambda a, k=k, hop=hop: a[k, : len(hop.u)], out))
+    except (jax.errors.JAXTypeError, ConfigError):  # design work that needs values: compiled for each flight alone
+        results = [
+            run(_built(name, dt, decisions, {"plant": hop.parameters, "B": B}), hop.u, hop.y, hop.valid, _keep)[1]
+            for hop in found
+        ]
+    return results
+
+
+def judge(
+    name: str,
+    tables: Sequence[Ticks],
+    hops: Sequence[Sequence[LogPlant]],
+    B: np.ndarray,
+    size: int,
+    decisions: Decisions,
+) -> list[list[default_estimator.Kept]]:
+    """For each decision and each flight what `published.judge` leaves behind. hops: of each flight, by `learn`."""
+    hyp = hypotheses.make(B.shape[1])
+    kept = [[published.nothing(len(table.time), hyp) for table in tables] for _ in decisions]
+    for turn in range(max(map(len, hops), default=0)):
+        here = [k for k, found in enumerate(hops) if len(found) > turn]
+        for k, found in zip(here, run_hops(name, [hops[k][turn] for k in here], B, size, decisions), strict=True):
+            for which, seen in enumerate(found):
+                published.write_down(kept[which][k], seen, hops[k][turn], hyp, B)
+    return kept
+
+
+def learn(tables: Sequence[Ticks], B: np.ndarray, taught: Sequence[tuple | None]) -> list[tuple[LogPlant, ...]]:
+    """The hops of each flight as plants and tables. taught: state and noise variances of the default estimator at the end of the
+    learning time, for flights of one hop; None: worked out for the flight alone."""
+    found = []
+    for table, one in zip(tables, taught, strict=True):
+        known = None if one is None else {"x0": one[0][: 4 * PER_AXIS], "noise": one[1]}
+        found.append(log_plant.hops(table, B, known))
+    return found
+
+
+def learned_at(table: Ticks) -> int | None:
+    """The last learning tick of a flight of one hop; None for others."""
+    learning = np.flatnonzero(table.mode == LEARN)
+    return int(learning[-1]) if np.count_nonzero(table.restart) == 1 and learning.size else None
