@@ -74,20 +74,18 @@ def judge(plan: Plan, flights: Sequence[int], size: int) -> list[dict]:
     hyp, rows = hypotheses.make(B.shape[1]), []
     bounds = _bounds(flown, B, size)
     published = [name for name in plan.estimators if name != "default"]
-    whole = "default" in plan.estimators
-    outs, taught = _default(flown, B, size, whole) if whole or published else ([], [])
 
     def row(label: str, f: Flown, kept, statistic, bound) -> dict:
         seen = _all_events(f, events.read(kept, f.ticks, hyp, B))
         return score.estimator(label, f, kept, statistic, seen, bound, plan)
 
-    if whole:
-        for f, bound, out in zip(flown, bounds, outs, strict=True):
+    if "default" in plan.estimators:
+        for f, bound, out in zip(flown, bounds, _default(flown, B, size), strict=True):
             statistic = np.where(out.plausible, out.kept.statistic, score.NOTHING)
             rows.append(row("default", f, out.kept, statistic, bound))
     if published:
         tables = [f.ticks for f in flown]
-        hops = methods.learn(tables, B, taught)
+        hops = methods.learn(tables, B, _taught(flown, B, size))
         for name in published:
             found = methods.judge(name, tables, hops, B, size, tuple(d.tuning for d in plan.decisions))
             for decision, kept in zip(plan.decisions, found, strict=True):
@@ -150,8 +148,8 @@ def _table(table: Ticks, B: np.ndarray, rows: slice = slice(None)) -> tuple[np.n
 
 @functools.lru_cache(maxsize=8)
 def _program(build):
-    """Compiled: parameters, first carry, last learning tick, u, y, valid (flights first from the tick on) -> stacked `Judged`, and
-    (state, noise variances) after that tick."""
+    """Compiled: parameters, first carry, a row's number, u, y, valid (flights first from that on) -> stacked `Judged`, and (state, noise
+    variances) after that row."""
     jax = load_jax()
     jnp = jax.numpy
 
@@ -172,29 +170,38 @@ def _program(build):
     return jax.jit(jax.vmap(single, in_axes=(None, None, 0, 0, 0, 0)))
 
 
-def _default(flown: Sequence[Flown], B: np.ndarray, size: int, whole: bool) -> tuple[list[Judged], list[tuple | None]]:
-    """The default estimator over every flight, side by side: its outputs, and what it had learned when learning ended (None for
-    flights of several hops). whole: else the learning time only, and no outputs that mean anything."""
+def _default(flown: Sequence[Flown], B: np.ndarray, size: int) -> list[Judged]:
+    """The default estimator over every flight, side by side."""
+    never = np.full(len(flown), -1)
+    return [out for out, _ in _stepped(flown, B, size, [_table(f.ticks, B) for f in flown], never)]
+
+
+def _taught(flown: Sequence[Flown], B: np.ndarray, size: int) -> list[tuple | None]:
+    """State and noise variances of the default estimator after the learning time of each flight of one hop; None for others."""
+    spans = [methods.learning(f.ticks) for f in flown]
+    rows = [_table(f.ticks, B, span or slice(1)) for f, span in zip(flown, spans, strict=True)]
+    ends = np.array([len(table[0]) - 1 for table in rows])
+    found = _stepped(flown, B, size, rows, ends)
+    return [None if span is None else end for span, (_, end) in zip(spans, found, strict=True)]
+
+
+def _stepped(flown: Sequence[Flown], B: np.ndarray, size: int, tables: list, learned: np.ndarray) -> list[tuple]:
+    """The default estimator over tables of the flights: for each its `Judged`, and its state and noise after row `learned`."""
     dt = flown[0].ticks.dt
     if dt not in (0.05, 0.1):
         raise ConfigError(f"commands every {dt:.1f} s are too slow: log motor outputs at 10 Hz or faster.")
     build = default_estimator._build_fast if dt < 0.08 else default_estimator._build_slow
     tree, parameters = load_jax().tree, default_estimator.parameters(B)
-    learned = [methods.learned_at(f.ticks) for f in flown]
-    last = np.array([-1 if k is None else k for k in learned])
-    rows = methods.stacked(
-        [_table(f.ticks, B, slice(None) if whole else slice(max(k, 0) + 1)) for f, k in zip(flown, last)], size
-    )
-    last = np.concatenate([last, np.full(size - len(flown), -1)])
-    carry, found, taught = build(parameters).init(), [], []
+    rows, carry, found = methods.stacked(tables, size), build(parameters).init(), []
+    learned = np.concatenate([learned, np.full(size - len(flown), -1)])
     step = methods.side_by_side(carry, size)
     for start in range(0, len(flown), step):
         here = slice(start, start + step)
-        out, ends = tree.map(np.asarray, _program(build)(parameters, carry, last[here], *(a[here] for a in rows)))
-        for k, f in enumerate(flown[here]):
-            found.append(tree.map(lambda a, k=k, f=f: a[k, : len(f.ticks.time)], out))
-            taught.append(None if learned[start + k] is None else tree.map(lambda a, k=k: a[k], ends))
-    return found, taught
+        out, ends = tree.map(np.asarray, _program(build)(parameters, carry, learned[here], *(a[here] for a in rows)))
+        for k, table in enumerate(tables[here]):
+            mine = tree.map(lambda a, k=k, table=table: a[k, : len(table[0])], out)
+            found.append((mine, tree.map(lambda a, k=k: a[k], ends)))
+    return found
 
 
 def _bounds(flown: Sequence[Flown], B: np.ndarray, size: int) -> list[np.ndarray | None]:

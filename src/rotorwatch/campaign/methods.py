@@ -157,7 +157,7 @@ def learn(tables: Sequence[Ticks], B: np.ndarray, taught: Sequence[tuple | None]
     return found
 
 
-def learned_at(table: Ticks) -> int | None:
-    """The last learning tick of a flight of one hop; None for others."""
-    learning = np.flatnonzero(table.mode == LEARN)
-    return int(learning[-1]) if np.count_nonzero(table.restart) == 1 and learning.size else None
+def learning(table: Ticks) -> slice | None:
+    """The rows from the take-off to the last learning tick, of a flight of one hop; None for others."""
+    starts, learned = np.flatnonzero(table.restart), np.flatnonzero(table.mode == LEARN)
+    return slice(int(starts[0]), int(learned[-1]) + 1) if starts.size == 1 and learned.size else None
