@@ -288,7 +288,7 @@ def test_bad_configuration_is_one_sentence(name):
 
 
 def test_more_bad_configuration():
-    with pytest.raises(ConfigError, match="form 'scalar' only"):
+    with pytest.raises(ConfigError, match="not defined for form 'batch'"):
         ESMF(HELICOPTER, 0.02, form="batch", cut="volume")
     with pytest.raises(ConfigError, match="floor"):
         AESMF(HELICOPTER, 0.02, floor=0.0)

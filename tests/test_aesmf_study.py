@@ -12,8 +12,8 @@ from rotorwatch.studies import reproduction, ruav_flight
 def judged():
     system = ruav_flight.plant()
     flights = ruav_flight.fly(system, 1)
-    made = study.filters(system)
-    return flights, {name: study._judged(made[name], flights)[0] for name in ("esmf", "aekf", "aukf", "ekf")}
+    made = study.filters(ruav_flight.plant(stops=False))
+    return flights, {name: study._judged(made[name], flights)[0] for name in ("esmf", "aesmf", "aekf", "aukf", "ekf")}
 
 
 def test_the_flight_keeps_its_bounds_and_its_fault(judged):
@@ -33,9 +33,18 @@ def test_the_flight_keeps_its_bounds_and_its_fault(judged):
     assert ((w / ruav_flight.PROCESS[:6]) ** 2).sum(-1).max() <= 1.0
 
 
+def test_no_actuator_reaches_a_stop(judged):
+    flights, _ = judged
+    commands = flights.u[..., :4]
+    U = commands * (1.0 - flights.theta[..., :4]) + flights.theta[..., 4:]
+    assert U.min() > 0.0 and U.max() < 1.0
+
+
 def test_sets_and_a_generous_kalman_filter_cover(judged):
     _, result = judged
     assert result["esmf"]["containment_worst_seed"] == 1.0 and result["esmf"]["ellipsoid"] == 1.0
+    assert result["aesmf"]["containment_worst_seed"] == 1.0
+    assert result["esmf"]["half_width"] < 0.58 and result["aesmf"]["half_width"] < 0.215
     assert result["ekf"]["containment"] > 0.99
     assert result["ekf"]["half_width_last_5s"] < 0.1 * result["esmf"]["half_width_last_5s"]
 

@@ -40,7 +40,7 @@ class AESMF(SetMembership):
         theta_reach=1.0,
         theta_drift=1e-3,
         theta_range=None,
-        form="scalar",
+        form="joint",
         cut=None,
         remainder="taylor",
         remainder_box="trace",

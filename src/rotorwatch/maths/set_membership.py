@@ -1,15 +1,18 @@
 """The extended set-membership filter on the augmented state z = (x, theta): what ESMF and AESMF are made of.
 
-Noise is unknown but bounded: w in E(0, Q) each step, each measurement error within sqrt(R_ii). The filter keeps an ellipsoid
-E(z, P) that holds the true state as long as these bounds are true:
+Noise is unknown but bounded: w in E(0, Q) and v in E(0, R) at each step. The filter keeps an ellipsoid E(z, P) that holds the
+true state as long as these bounds are true:
 
     predict   z- = F(z) + mid,   P- = Phi P Phi' (+) Q (+) box(remainder)        (+): ellipsoid around the Minkowski sum
-    cut       by every valid measurement                                           (`ellipsoid.strip_cut`, `batch_cut`)
+    cut       by the valid measurements             (`ellipsoid.joint_cut`, or row by row `strip_cut`, or `batch_cut`)
 
-The remainder of the linearisation is bounded, so nothing is neglected: by Taylor models over the ellipsoid (`taylor`), or
-as the source does, 1/2 d' Hess F_i(xi) d over the box around it (`interval`). When no state of the set explains a measurement
-the bounds were broken - a fault that jumped - and the set starts again from the prior of theta. Scholte and Campbell 2003;
-Zhou, Han and Liu 2008.
+The remainder of the linearisation is bounded, so nothing is neglected: by Taylor models over an ellipsoid (`taylor`), or
+as the source does, 1/2 d' Hess F_i(xi) d over the box around it (`interval`). The sums of sets that lose least about theta
+leave x wide for many steps, and a wide set has a large remainder. So form joint keeps a second set that the last two
+measurements alone keep small; the truth is in both, and the remainder need only be bounded over the small one.
+
+When no state of the set explains a measurement the bounds were broken - a fault that jumped - and the set starts again from
+the prior of theta. Scholte and Campbell 2003; Zhou, Han and Liu 2008.
 """
 
 from __future__ import annotations
@@ -25,21 +28,28 @@ from rotorwatch.errors import ConfigError
 from rotorwatch.maths import ellipsoid, interval, taylor
 
 UNBOUNDED = 1e6  # half-width taken for a remainder that interval arithmetic cannot bound: in effect "anything"
-
-
-RESTART_ROUNDS, RESTART_SLACK = 5, 1.5
-SHARES = (0.001, 0.03, 1.0, 30.0)  # tried, as factors on the odds of the share of least trace
+RESTART_ROUNDS = 8
+RESTART_WEIGHTS = (0.03, 0.3, 2.0)  # of the measurement; the last makes the set that the remainder is bounded over
+ALLOWED, MARGIN = 0.5, 1.2  # a remainder's allowance: in noise bounds at most, and in remainders of the round before
+APART = 3.0, 1.5  # E(0, P) x E(0, T) lies within the ellipsoid of 3 P and 3/2 T
+SHARP = 1.0  # weight of each of the two measurements that keep the small set small
+# Tried in every step: factors on the odds of the share of least trace, and the measurement's weights with them.
+SHARES = (1.0, 1.0, 10.0, 10.0, 10.0)
+WEIGHTS = (0.003, 0.03, 0.003, 0.03, 1.0)
 
 
 class Carry(NamedTuple):
     """z (n,) centre; shape (n, n): P, or its factors U and D in one matrix; q (n,): factors on Q's diagonal; restarts: how
-    often the set was empty; health: distance from empty of the last step, 1 at best, 0 or less when it was."""
+    often the set was empty; health: distance from empty of the last step, 1 at best, 0 or less when it was. near (n,),
+    near_shape (n, n): a set of x and a set of theta, both small, that hold the truth too: where remainders are bounded."""
 
     z: Array
     shape: Array
     q: Array
     restarts: Array
     health: Array
+    near: Array
+    near_shape: Array
 
 
 class Cutting(NamedTuple):
@@ -51,6 +61,20 @@ class Cutting(NamedTuple):
     e: Array
     P: Array
     R: Array
+    amplify: Array
+
+
+class Ahead(NamedTuple):
+    """A predicted set before its sum: centre z; moved = G G', what the step makes of the last set; noise (+) remainder; half
+    (n_x,): the remainder's; b: the sum's share of least trace. Phi, amplify: as in `Cutting`."""
+
+    z: Array
+    G: Array
+    moved: Array
+    noise: Array
+    half: Array
+    b: Array
+    Phi: Array
     amplify: Array
 
 
@@ -72,7 +96,7 @@ class SetMembership:
         theta_reach=1.0,
         theta_drift=1e-3,
         theta_range=None,
-        form="scalar",
+        form="joint",
         cut=None,
         remainder="taylor",
         remainder_box="trace",
@@ -82,8 +106,9 @@ class SetMembership:
         """dt: s. bound: noise bounds and the start's half-widths in standard deviations of the plant's Q, R and P0, or given
         directly: process (n_x,) semi-axes of one step, measurement (n_y,). theta_centre, theta_reach: centre and semi-axes of
         the losses at the start and after a restart; theta_drift: loss per second that a loss may change by; theta_range: (low, high)
-        known limits (default 0 and 1 when each theta belongs to an input). form: scalar, batch or ud (factors); cut: how much a
-        measurement weighs (`ellipsoid.strip_cut`; default trace, source for batch and ud). remainder: taylor, interval, or none,
+        known limits (default 0 and 1 when each theta belongs to an input). form: joint, where one ellipsoid bounds all
+        errors; batch, the source's way of that; scalar, where each error is bounded alone; or ud, the same on factors. cut: how
+        much a measurement weighs (`ellipsoid.strip_cut`; default trace, source for batch and ud). remainder: taylor, interval, or none,
         which neglects it and guarantees nothing; remainder_box: `ellipsoid.around_box`. weights (n_x + n_theta,): in traces.
         restart: start again when the set is empty. Raises ConfigError."""
         self.system, self.dt = system, float(checks.positive("dt", dt))
@@ -91,7 +116,7 @@ class SetMembership:
         self.n = n_x + n_theta
         checks.positive("bound", bound)
         for label, value, known in (
-            ("form", form, ("scalar", "batch", "ud")),
+            ("form", form, ("joint", "scalar", "batch", "ud")),
             ("cut", cut or "trace", ("source", "volume", "trace")),
             ("remainder", remainder, ("taylor", "interval", "none")),
             ("remainder_box", remainder_box, ("trace", "volume", "paper")),
@@ -99,9 +124,9 @@ class SetMembership:
             if value not in known:
                 raise ConfigError(f"{label} must be one of {', '.join(known)}, not {value!r}.")
         if cut is None:
-            cut = "trace" if form == "scalar" else "source"
-        if cut != "source" and form != "scalar":
-            raise ConfigError(f"cut {cut!r} is defined for form 'scalar' only: it weighs one measurement at a time.")
+            cut = "trace" if form in ("joint", "scalar") else "source"
+        if (form == "joint" and cut != "trace") or (form in ("batch", "ud") and cut != "source"):
+            raise ConfigError(f"cut {cut!r} is not defined for form {form!r}.")
         self.form, self.cut, self.remainder, self.remainder_box = form, cut, remainder, remainder_box
         self.bound, self.restart = bound, bool(restart)
         self.process = None if process is None else checks.positive("process", checks.shape("process", process, n_x))
@@ -130,6 +155,7 @@ class SetMembership:
         checks.covariance("P0", system.P0, n_x)
         self.theta_prior = np.diag(reach**2)
         self.prior = _blocks(np.asarray(bound**2 * np.asarray(system.P0)), self.theta_prior)
+        self.apart = _blocks(np.full((n_x, n_x), APART[0]), np.full((n_theta, n_theta), APART[1]))
         load_jax()
         if form == "ud":
             self.prior = ellipsoid.factored(self.prior)
@@ -137,7 +163,15 @@ class SetMembership:
     def init(self) -> Carry:
         """The set before the first measurement: the plant's x0 and P0, and the prior of theta."""
         z = np.concatenate([np.asarray(self.system.x0, float), self.theta_centre])
-        return Carry(z, self.prior, np.ones(self.n), np.zeros((), np.int32), np.ones(()))
+        return Carry(
+            z,
+            self.prior,
+            np.ones(self.n),
+            np.zeros((), np.int32),
+            np.ones(()),
+            z,
+            np.asarray(self.unfactored(self.prior)),
+        )
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Estimate]:
         """One step. Estimate.x_cov and theta_cov are blocks of the ellipsoid's shape P: the bound of a component is its
@@ -146,46 +180,43 @@ class SetMembership:
         from jax import lax
         from jax import numpy as jnp
 
-        n_x, system, step = self.n_x, self.system, self.dt if dt is None else dt
-        z, moved, noise, Phi, b_Q, b = self._predict(carry, u, step)
-        shape, amplify = self._sum(moved, noise, b), ellipsoid.parts(b_Q)[0] * ellipsoid.parts(b)[1]
+        n_x, step = self.n_x, self.dt if dt is None else dt
         valid = jnp.asarray(valid, bool)
-
-        def h(point):
-            return system.h(point[:n_x], u, point[n_x:])
-
-        def compare(point, shape):
-            y_hat, H, half = self._measured(h, point, self.unfactored(shape))
-            e = jnp.where(valid, jnp.where(valid, y, 0.0) - y_hat, 0.0)
-            return H, e, (self._error_bound(u) + half) ** 2
-
-        H, e, limit = compare(z, shape)
-        if self.cut == "trace":
-            cut = self._best(z, moved, noise, b, H, e, limit, valid)
+        ahead = self._predict(carry, u, step)
+        z, shape, (H, e, limit) = ahead.z, self._sum(ahead), self._compare(ahead, u, y, valid, self.form)
+        if self.form == "joint":
+            cut, x, P_x = self._least(ahead, H, e, limit, valid)
+            small = self._small(carry, ahead, H, e, limit, valid, step)
+            cut = cut._replace(health=jnp.minimum(cut.health, small.health))
+            near = jnp.concatenate([x, small.a[n_x:]]), _blocks(P_x, small.P[n_x:, n_x:], jnp)
         else:
             cut = self._cut(z, shape, H, e, limit, valid)
+            near = cut.a, self.unfactored(cut.P)
         empty = ~(cut.health > 0)
         cut = self._within_range(cut, valid)
         if self.restart:
-            z_new, shape_new = lax.cond(empty, lambda: self._again(carry, u, y, valid, step), lambda: (cut.a, cut.P))
+            sets = lax.cond(empty, lambda: self._again(carry, u, y, valid, step), lambda: (cut.a, cut.P, *near))
         else:
-            z_new, shape_new = jnp.where(empty, z, cut.a), jnp.where(empty, shape, cut.P)
+            sets = jnp.where(empty, z, cut.a), jnp.where(empty, shape, cut.P), *near
         # In a long gap a set may outgrow every number: it is held as it was, and starts again once something is measured.
-        known = jnp.isfinite(z_new).all() & jnp.isfinite(shape_new).all() & (jnp.abs(shape_new).max() < UNBOUNDED**2)
-        first = self.init()
-        z_held, shape_held = (jnp.where(valid.any(), a, b) for a, b in ((first.z, carry.z), (first.shape, carry.shape)))
-        z_new, shape_new = jnp.where(known, z_new, z_held), jnp.where(known, shape_new, shape_held)
+        known = jnp.stack([jnp.isfinite(part).all() for part in sets]).all() & (jnp.abs(sets[1]).max() < UNBOUNDED**2)
+        held, first = ((c.z, c.shape, c.near, c.near_shape) for c in (carry, self.init()))
+        held = [jnp.where(valid.any(), a, b) for a, b in zip(first, held, strict=True)]
+        z_new, shape_new, *near = [jnp.where(known, a, b) for a, b in zip(sets, held, strict=True)]
         empty = empty | (~known & valid.any())
         P_prior = self.unfactored(shape)
         S = ellipsoid.symmetric(H @ P_prior @ H.T)
         S = jnp.where(jnp.isfinite(S).all(), S, jnp.eye(len(e)) * UNBOUNDED**2)
         R = jnp.diag(limit)
         q = self.adapt(
-            carry.q, Cutting(Phi, jnp.where(valid[:, None], H, 0.0), e, P_prior, R, amplify), cut.health, step
+            carry.q,
+            Cutting(ahead.Phi, jnp.where(valid[:, None], H, 0.0), e, P_prior, R, ahead.amplify),
+            cut.health,
+            step,
         )
         P = ellipsoid.symmetric(self.unfactored(shape_new))
         status = jnp.where(valid.any(), 0, 2).astype(jnp.int32)
-        new = Carry(z_new, shape_new, q, carry.restarts + empty.astype(jnp.int32), cut.health)
+        new = Carry(z_new, shape_new, q, carry.restarts + empty.astype(jnp.int32), cut.health, *near)
         return new, Estimate(
             z_new[:n_x],
             P[:n_x, :n_x],
@@ -197,41 +228,75 @@ class SetMembership:
         )
 
     def _again(self, carry, u, y, valid, dt):
-        """(z, shape) after a measurement that no state of the set explains: a fault jumped.
+        """(z, shape, near, near_shape) after a measurement that no state of the set explains: a fault jumped.
 
-        The last x, twice as wide, and the prior of theta are predicted and cut again. That prior is too wide for one
-        linearisation, so it is repeated about its own result (as the iterated extended Kalman filter does); what is left of the
-        remainder is not bounded in this one step, but given for by RESTART_SLACK times wider strips.
+        S, the last set of x with the prior of theta, is too wide for one linearisation. So what of S explains the measurement
+        is sought by Gauss and Newton's method: in each round S is cut by the measurement linearised at the last result, errors
+        being widened by an allowance for the remainder, and the remainder over what is left is bounded. When that is less than
+        the allowance, no point on the edge of the cut explains the measurement: all that explains it is inside, if it hangs
+        together. That is then predicted, and cut as ever; S is, if no round came so far.
         """
-        from jax import lax
+        from jax import lax, vmap
         from jax import numpy as jnp
 
         n_x, n, system = self.n_x, self.n, self.system
-        x, P_x = carry.z[:n_x], self.unfactored(carry.shape)[:n_x, :n_x]
-        start = jnp.concatenate([x, jnp.asarray(self.theta_centre)])
-        Q, limit = self.Q0(dt), self._error_bound(u)
-        P = _blocks(4.0 * P_x, jnp.asarray(self.theta_prior), jnp)
+        start = jnp.concatenate([carry.near[:n_x], jnp.asarray(self.theta_centre)])
+        S = self.apart * _blocks(carry.near_shape[:n_x, :n_x], jnp.asarray(self.theta_prior), jnp)
+        Q, bound = self.Q0(dt), self._error_bound(u)
+        weights = jnp.asarray(RESTART_WEIGHTS)
+
+        def both(point):
+            x = system.f(point[:n_x], u, point[n_x:], dt)
+            return jnp.concatenate([x, system.h(x, u, point[n_x:])])
 
         def about(state, _):
-            theta = state[0][n_x:]
-            point = jnp.concatenate([x, theta])
-            x_next, F = _linear(lambda s: system.f(s[:n_x], u, s[n_x:], dt), point)
-            Phi = jnp.concatenate([F, jnp.eye(n)[n_x:]])
-            z = jnp.concatenate([x_next, theta]) + Phi @ (start - point)
-            moved = ellipsoid.symmetric(Phi @ P @ Phi.T)
-            middle = jnp.concatenate([x_next, theta])
-            y_hat, H = _linear(lambda s: system.h(s[:n_x], u, s[n_x:]), middle)
-            e = jnp.where(valid, jnp.where(valid, y, 0.0) - y_hat - H @ (z - middle), 0.0)
-            noise = jnp.sqrt(
-                (H * (Q @ H.T).T).sum(1)
-            )  # counted with the measurement's: the sum of sets would blur theta
-            cut = self._rows(ellipsoid.strip_cut, z, moved, H, e, (RESTART_SLACK * (limit + noise)) ** 2, valid)
-            fine = (cut.health > 0) & jnp.isfinite(cut.a).all()
-            a, shape = jnp.where(fine, cut.a, z), jnp.where(fine, cut.P, moved)
-            return (a, ellipsoid.minkowski(shape, Q, self.weights)[0]), None
+            point, allowed, best = state
+            value, J = _linear(both, point)
+            H = J[n_x:]
+            C = _linear(lambda x: system.h(x, u, point[n_x:]), value[:n_x])[1]
+            through = C @ Q[:n_x, :n_x] @ C.T
+            noise = bound + jnp.sqrt(through.diagonal())
+            allowed = jnp.minimum(allowed, ALLOWED * noise)
+            errors = ellipsoid.minkowski(jnp.diag(bound**2), through, 1.0 / noise**2)[0]
+            box = jnp.diag(ellipsoid.around_box(allowed / noise) * noise**2)
+            errors = ellipsoid.minkowski(errors, box, 1.0 / noise**2)[0]
+            e = jnp.where(valid, jnp.where(valid, y, 0.0) - value[n_x:] - H @ (start - point), 0.0)
+            H = jnp.where(valid[:, None], H, 0.0)
+            SH = jnp.broadcast_to(S @ H.T, (len(weights), n, len(e)))
+            K, health = ellipsoid.joint_gains(SH, H @ SH, e, errors, weights)
+            cuts = vmap(lambda *one: ellipsoid.joint_cut(start, S, H, e, errors, *one))(weights, K, health)
+            a, P = cuts.a[-1], cuts.P[-1]
+            centre, slope, rest = taylor.expand(both, a, jnp.eye(n), P, self.low, self.high)
+            turn = slope - J
+            rest = rest + jnp.abs(centre - value - J @ (a - point)) + jnp.sqrt(((turn @ P) * turn).sum(1))
+            fine = jnp.isfinite(rest).all() & (cuts.health > 0).all()
+            proved = fine & (~valid | (rest[n_x:] < allowed)).all()
+            size = (jnp.diagonal(cuts.P, axis1=1, axis2=2) * self.weights).sum(1)
+            pick = (jnp.arange(len(weights)) == jnp.argmin(size)).astype(float)
+            best_a, best_P = pick @ cuts.a, jnp.tensordot(pick, cuts.P, 1)
+            Phi = jnp.concatenate([J[:n_x], jnp.eye(n)[n_x:]])
+            ahead = (
+                jnp.concatenate([value[:n_x] + J[:n_x] @ (best_a - point), best_a[n_x:]]),
+                Phi @ best_P @ Phi.T,
+                rest[:n_x],
+            )
+            best = [jnp.where(proved, new, old) for new, old in zip((*ahead, a, P), best, strict=True)]
+            return (jnp.where(fine, a, point), jnp.where(fine, MARGIN * rest[n_x:], allowed), best), None
 
-        z, P = lax.scan(about, (start, P), None, length=RESTART_ROUNDS)[0]
-        return z, ellipsoid.factored(P) if self.form == "ud" else P
+        shape = ellipsoid.factored(S) if self.form == "ud" else S
+        first = self._predict(carry._replace(z=start, shape=shape, near=start, near_shape=S / self.apart), u, dt)
+        begin = start, jnp.full(len(bound), jnp.inf), [first.z, first.moved, first.half, start, S]
+        z, moved, half, point, around = lax.scan(about, begin, None, length=RESTART_ROUNDS)[0][2]
+        ahead = self._summed(z, first.G, moved, half, Q, first.Phi)
+        cut, x, P_x = self._least(ahead, *self._compare(ahead, u, y, valid, "joint"), valid)
+        fine = (cut.health > 0) & jnp.isfinite(cut.a).all() & jnp.isfinite(cut.P).all()
+        left, right = ellipsoid.parts(ahead.b)
+        z, P = jnp.where(fine, cut.a, ahead.z), jnp.where(fine, cut.P, left * ahead.moved + right * ahead.noise)
+        near = jnp.concatenate([jnp.where(fine, x, z[:n_x]), point[n_x:]])
+        near_shape = _blocks(
+            jnp.where(fine, P_x, P[:n_x, :n_x]), ellipsoid.minkowski(around[n_x:, n_x:], self._walk(dt))[0], jnp
+        )
+        return z, ellipsoid.factored(P) if self.form == "ud" else P, near, near_shape
 
     def adapt(self, q, cutting: Cutting, health, dt):
         """New factors on Q's diagonal: the same. Methods that learn Q say more."""
@@ -250,7 +315,12 @@ class SetMembership:
         from jax import numpy as jnp
 
         Q = self.bound**2 * self.system.Q(dt) if self.process is None else jnp.diag(jnp.asarray(self.process) ** 2)
-        return _blocks(Q, jnp.diag((self.drift * dt) ** 2), jnp)
+        return _blocks(Q, self._walk(dt), jnp)
+
+    def _walk(self, dt):
+        from jax import numpy as jnp
+
+        return jnp.diag((jnp.asarray(self.drift) * dt) ** 2)
 
     def _error_bound(self, u):
         from jax import numpy as jnp
@@ -259,8 +329,8 @@ class SetMembership:
             return jnp.asarray(self.measurement)
         return self.bound * jnp.sqrt(self.system.R(u))
 
-    def _predict(self, carry, u, dt):
-        """z-; the shape that Phi makes of P (form ud: a root of it) and that of the noise, their shares bQ and b; Phi."""
+    def _predict(self, carry: Carry, u, dt) -> Ahead:
+        """The carried set one step on, not yet summed."""
         from jax import numpy as jnp
 
         n_x, system = self.n_x, self.system
@@ -268,77 +338,124 @@ class SetMembership:
         def f(point):
             return system.f(point[:n_x], u, point[n_x:], dt)
 
+        root = jnp.sqrt(carry.q)
+        if self.form == "joint":
+            point, around = carry.near, self.apart * carry.near_shape
+        else:
+            point, around = carry.z, self.unfactored(carry.shape)
+        x, F, half = self._bounded(f, point, around)
+        Phi = jnp.concatenate([F, jnp.eye(self.n)[n_x:]])
+        z = jnp.concatenate([x + F @ (carry.z - point), carry.z[n_x:]])
         if self.form == "ud":
             U, D = ellipsoid.factors(carry.shape)
-            L = U * jnp.sqrt(jnp.maximum(D, 0.0))
+            G = Phi @ (U * jnp.sqrt(jnp.maximum(D, 0.0)))
+            moved = G @ G.T
         else:
-            P = carry.shape
-            L = jnp.linalg.cholesky(P + jnp.diag(1e-13 * P.diagonal() + 1e-300))
-        x, G, half = self._moved(f, carry.z, L)
-        z = jnp.concatenate([x, carry.z[n_x:]])
-        root = jnp.sqrt(carry.q)
-        Q = self.Q0(dt) * root * root[:, None]
-        pad = jnp.zeros(system.n_theta)
+            G, moved = Phi, Phi @ carry.shape @ Phi.T
+        return self._summed(z, G, moved, half, self.Q0(dt) * root * root[:, None], Phi)
+
+    def _summed(self, z, G, moved, half, Q, Phi) -> Ahead:
+        """The shares of noise and remainder."""
+        from jax import numpy as jnp
+
+        pad = jnp.zeros(self.system.n_theta)
         rest = jnp.diag(jnp.concatenate([ellipsoid.around_box(half, self.remainder_box), pad]))
         noise, b_Q = ellipsoid.minkowski(Q, rest, self.weights)
-        G = jnp.concatenate([G, L[n_x:]])
-        moved = ellipsoid.symmetric(G @ G.T)
+        moved = ellipsoid.symmetric(moved)
         b = ellipsoid.minkowski(moved, noise, self.weights)[1]
-        Phi = jnp.concatenate([_linear(f, carry.z)[1], jnp.eye(self.n)[n_x:]])
-        return z, G if self.form == "ud" else moved, noise, Phi, b_Q, b
+        amplify = ellipsoid.parts(b_Q)[0] * ellipsoid.parts(b)[1]
+        return Ahead(z, G, moved, noise, half, b, Phi, amplify)
 
-    def _sum(self, moved, noise, b):
-        """The predicted shape: the Minkowski sum with share b."""
+    def _sum(self, ahead: Ahead):
+        """The predicted shape: the Minkowski sum of least trace."""
         from jax import numpy as jnp
 
-        left, right = ellipsoid.parts(b)
+        left, right = ellipsoid.parts(ahead.b)
         if self.form != "ud":
-            return left * moved + right * noise
-        rows = jnp.concatenate([moved, jnp.linalg.cholesky(noise + 1e-30 * jnp.eye(self.n))], axis=1)
+            return left * ahead.moved + right * ahead.noise
+        rows = jnp.concatenate([ahead.G, jnp.linalg.cholesky(ahead.noise + 1e-30 * jnp.eye(self.n))], axis=1)
         return ellipsoid.ud_sum(rows, jnp.repeat(jnp.stack([left, right]), self.n))
 
-    def _best(self, z, moved, noise, b, H, e, limit, valid):
-        """The smallest of the cuts after sums with several shares: each holds all that is possible, so any may be taken.
+    def _compare(self, ahead: Ahead, u, y, valid, form):
+        """(H, e, limit): slope of the measurement over the predicted set, innovation, and squared bounds of the errors, h's
+        remainder included: of each alone (forms that cut by strips), or semi-axes of all together."""
+        from jax import numpy as jnp
 
-        A small share leaves theta as it was and trusts the measurement of x, which is right when nothing was learned; a large
-        one keeps the prediction of x sharp, which is right while excitation tells the losses apart.
+        n_x, system = self.n_x, self.system
+        left, right = ellipsoid.parts(ahead.b)
+        P = left * ahead.moved + right * ahead.noise
+        y_hat, H, half = self._bounded(lambda point: system.h(point[:n_x], u, point[n_x:]), ahead.z, P)
+        e = jnp.where(valid, jnp.where(valid, y, 0.0) - y_hat, 0.0)
+        bound = self._error_bound(u)
+        if form in ("scalar", "ud"):
+            return H, e, (bound + half) ** 2
+        b = ellipsoid.share((bound**2).sum(), half.sum() ** 2)
+        left, right = ellipsoid.parts(b)
+        return H, e, left * bound**2 + right * ellipsoid.around_box(half)
+
+    def _least(self, ahead: Ahead, H, e, limit, valid):
+        """(cut, x, P_x): the smallest of the joint cuts with several weights, after sums with several shares; each holds all
+        that is possible, so any may be taken. x, P_x: of the one that trusts the measurement most.
+
+        A large share and weight keep the prediction of x sharp and the set of theta blunt. Small ones, while little is
+        learned, leave theta as it was. health: also whether every row alone is possible, which no share enters.
         """
-        import jax
         from jax import numpy as jnp
 
-        odds = b / jnp.maximum(1.0 - b, 1e-12) * jnp.asarray(SHARES)
-        cuts = jax.vmap(lambda share: self._cut(z, self._sum(moved, noise, share), H, e, limit, valid))(
-            odds / (1 + odds)
-        )
-        size = (jnp.diagonal(cuts.P, axis1=1, axis2=2) * self.weights).sum(1)
-        pick = (jnp.arange(len(SHARES)) == jnp.argmin(size)).astype(float)
-        return ellipsoid.Cut(pick @ cuts.a, jnp.tensordot(pick, cuts.P, 1), cuts.health.min())
+        n_x = self.n_x
+        H, weight, R = jnp.where(valid[:, None], H, 0.0), jnp.asarray(WEIGHTS), jnp.diag(limit)
+        odds = ahead.b / jnp.maximum(1.0 - ahead.b, 1e-12) * jnp.asarray(SHARES)
+        left, right = ellipsoid.parts(odds / (1.0 + odds))
+        PH, reach, size = 0.0, jnp.sqrt(limit), 0.0
+        for part, P in ((left, ahead.moved), (right, ahead.noise)):
+            by = P @ H.T
+            PH = PH + part[:, None, None] * by
+            reach = reach + jnp.sqrt(jnp.maximum((H * by.T).sum(1), 0.0))
+            size = size + part * (self.weights * P.diagonal()).sum()
+        K, health = ellipsoid.joint_gains(PH, H @ PH, e, R, weight)
+        health = jnp.where(valid.any(), health, 1.0)
+        size = health * (size - ((K * PH).sum(2) * self.weights).sum(1))
+        pick = (jnp.arange(len(SHARES)) == jnp.argmin(jnp.where(health > 0, size, jnp.inf))).astype(float)
 
-    def _moved(self, f, z, L):
-        """(x-, G, half): f(z + L xi) lies within half of x- + G xi for all xi in the unit ball."""
+        def cut(pick):
+            P = (pick @ left) * ahead.moved + (pick @ right) * ahead.noise
+            return ellipsoid.joint_cut(ahead.z, P, H, e, R, pick @ weight, jnp.tensordot(pick, K, 1), pick @ health)
+
+        least, sharpest = cut(pick), cut(jnp.asarray([0.0] * (len(SHARES) - 1) + [1.0]))
+        health = jnp.minimum(health.min(), 1.0 - (jnp.abs(e) / reach).max())
+        return least._replace(health=health), sharpest.a[:n_x], sharpest.P[:n_x, :n_x]
+
+    def _small(self, carry: Carry, ahead: Ahead, H, e, limit, valid, dt):
+        """What the last two measurements leave of theta in the carried set, which is cut, before the step, by the small set of its
+        x and by the measurement after the step: a `Cut` whose theta is that after the step."""
+        from jax import numpy as jnp
+
+        n_x, n = self.n_x, self.n
+        H = jnp.where(valid[:, None], H, 0.0)
+        through = ellipsoid.symmetric(H @ ahead.noise @ H.T)
+        errors = ellipsoid.minkowski(jnp.diag(limit), through, 1.0 / limit)[0]
+        R = _blocks(carry.near_shape[:n_x, :n_x], errors, jnp)
+        rows = jnp.concatenate([jnp.eye(n)[:n_x], H @ ahead.Phi])
+        e = jnp.concatenate([carry.near[:n_x] - carry.z[:n_x], e])
+        PH = carry.shape @ rows.T
+        weight = jnp.full(1, SHARP)
+        K, health = ellipsoid.joint_gains(PH[None], (rows @ PH)[None], e, R, weight)
+        health = health[0] + SHARP * valid.any()  # two ellipsoids
+        cut = ellipsoid.joint_cut(carry.z, carry.shape, rows, e, R, SHARP, K[0], health)
+        return cut._replace(P=ellipsoid.minkowski(cut.P, _blocks(jnp.zeros((n_x, n_x)), self._walk(dt), jnp))[0])
+
+    def _bounded(self, function, z, P):
+        """(value (m,), J (m, n), half (m,)): function(z + d) lies within half of value + J d for all d in E(0, P)."""
         from jax import numpy as jnp
 
         if self.remainder == "taylor":
-            x, G, half = taylor.expand(f, z, L.T, None, self.low, self.high)
-            return x, G, _capped(half)
-        x, F = _linear(f, z)
+            value, J, half = taylor.expand(function, z, jnp.eye(self.n), P, self.low, self.high)
+            return value, J, _capped(half)
+        value, J = _linear(function, z)
         if self.remainder == "none":
-            return x, F @ L, jnp.zeros_like(x)
-        mid, half = self._box_remainder(f, z, jnp.sqrt((L**2).sum(1)))
-        return x + mid, F @ L, half
-
-    def _measured(self, h, z, P):
-        """(y-, H, half): h(z + d) lies within half of y- + H d for all d in E(0, P)."""
-        from jax import numpy as jnp
-
-        if self.remainder == "taylor":
-            y, H, half = taylor.expand(h, z, jnp.eye(self.n), P, self.low, self.high)
-            return y, H, _capped(half)
-        y, H = _linear(h, z)
-        if self.remainder == "none":
-            return y, H, jnp.zeros_like(y)
-        mid, half = self._box_remainder(h, z, jnp.sqrt(jnp.maximum(P.diagonal(), 0.0)))
-        return y + mid, H, half
+            return value, J, jnp.zeros_like(value)
+        mid, half = self._box_remainder(function, z, jnp.sqrt(jnp.maximum(P.diagonal(), 0.0)))
+        return value + mid, J, half
 
     def _box_remainder(self, function, z, reach):
         """(mid, half) of the linearisation's remainder over the box around the ellipsoid, as the source bounds it."""

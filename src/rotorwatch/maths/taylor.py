@@ -42,9 +42,13 @@ def expand(function, a, slope, metric=None, lo=None, hi=None) -> tuple:
 
     jax = load_jax()
     closed = jax.make_jaxpr(function)(a)
-    free = jnp.full(a.shape, jnp.inf)
-    start = Model(a, slope, jnp.zeros(a.shape), -free if lo is None else lo, free if hi is None else hi)
-    found = _Rules(metric, slope.shape[0]).run(closed.jaxpr, closed.consts, [start])[0]
+    rules = _Rules(metric, slope.shape[0])
+    reach = rules.size(slope)
+    ends = [
+        a - reach if lo is None else jnp.maximum(a - reach, lo),
+        a + reach if hi is None else jnp.minimum(a + reach, hi),
+    ]
+    found = rules.run(closed.jaxpr, closed.consts, [Model(a, slope, jnp.zeros(a.shape), *ends)])[0]
     if not isinstance(found, Model):
         found = jnp.asarray(found)
         return found, jnp.zeros((found.shape[0], slope.shape[0])), jnp.zeros(found.shape)

@@ -61,9 +61,10 @@ def options(system, **changes) -> dict:
 
 RIGOROUS = (
     {},
-    {"cut": "source"},
-    {"cut": "volume"},
-    {"cut": "source", "remainder": "interval"},
+    {"remainder": "interval"},
+    {"form": "scalar"},
+    {"form": "scalar", "cut": "source"},
+    {"form": "scalar", "cut": "volume", "remainder": "interval"},
     {"form": "batch", "remainder": "interval", "remainder_box": "volume"},
     {"form": "ud"},
 )

@@ -77,9 +77,12 @@ class Helicopter:
     x0 = np.zeros(6)
     P0 = np.diag([0.1] * 3 + [0.05] * 3) ** 2
 
-    def __init__(self, airframe: dict[str, Any], process_sd=(2e-3, 4e-3), velocity_sd=0.01 / 3, rate_sd=0.002 / 3):
+    def __init__(
+        self, airframe: dict[str, Any], process_sd=(2e-3, 4e-3), velocity_sd=0.01 / 3, rate_sd=0.002 / 3, stops=True
+    ):
         """airframe: a helicopter's file, such as airframes.paper("ruav-40kg"). process_sd: of velocities [m/s] and rates
-        [rad/s], that a step of 0.02 s adds; velocity_sd, rate_sd: of one measurement. Raises ConfigError."""
+        [rad/s], that a step of 0.02 s adds; velocity_sd, rate_sd: of one measurement. stops: whether an actuator stops at 0 and 1;
+        without, it is eq. (6) alone, for who knows that none is reached. Raises ConfigError."""
         missing = [part for part in (*PARTS, "main", "tail") if part not in airframe]
         missing += [f"{r}.{part}" for r in ("main", "tail") for part in ROTOR if part not in airframe.get(r, ())]
         if missing:
@@ -98,14 +101,16 @@ class Helicopter:
         rho = checks.positive("air_density", airframe["air_density"])
         self.main, self.tail = _Rotor(rho, airframe["main"]), _Rotor(rho, airframe["tail"])
         self.process_sd = checks.positive("process_sd", checks.shape("process_sd", process_sd, 2))
+        self.stops = bool(stops)
         self.velocity_sd, self.rate_sd = (
             checks.positive("velocity_sd", velocity_sd),
             checks.positive("rate_sd", rate_sd),
         )
 
     def outputs(self, u, theta):
-        """(4,) where the actuators are: U_out in [0, 1]."""
-        return _within_stops()(u[:4] * (1.0 - theta[:4]) + theta[4:])
+        """(4,) where the actuators are: U_out."""
+        U = u[:4] * (1.0 - theta[:4]) + theta[4:]
+        return _within_stops()(U) if self.stops else U
 
     def derivative(self, x, u, theta):
         """dx/dt (6,)."""
