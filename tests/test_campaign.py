@@ -12,11 +12,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from rotorwatch import campaign, cli
 from rotorwatch.campaign import page, score, store, summary, work
 from rotorwatch.campaign import plan as plans
 from rotorwatch.errors import ConfigError
+from rotorwatch.simulation import scenario
 
 pyarrow = pytest.importorskip("pyarrow")
 ROOT = Path(__file__).resolve().parents[1]
@@ -103,6 +106,7 @@ def test_draws_are_as_the_plan_says():
         ([(("decisions",), [{"name": "a"}, {"name": "a"}])], r"decisions\[2\].name must be a text that no other"),
         ([(("decisions",), [{"name": "a", "sigma": 3.0}])], r"decisions\[1\].sigma is not a field"),
         ([(("decisions",), [{"name": "a", "least": 2.0}])], r"decisions\[1\].least must lie between 0 and 1"),
+        ([(("scenario", "airframe", "frame"), "f450")], "scenario.airframe.frame: ArduPilot has no frame f450"),
         ([(("scenario", "airframe", "frame"), "ruav-40kg")], "scenario.airframe.frame: ruav-40kg is a helicopter"),
         ([(("scenario", "wind", "speed_m_s"), {"uniform": [0.0, 99.0]})], "scenario.wind.speed_m_s must lie between"),
         ([(("scenario", "wind", "speed_m_s"), {"uniform": [5.0, 1.0]})], "scenario.wind.speed_m_s.uniform .* smaller first"),
@@ -130,6 +134,69 @@ def test_bad_plans_are_named_by_field(changes, says):
     with pytest.raises(ConfigError, match=says) as why:
         campaign.from_table(table(changes))
     assert str(why.value).count("\n") == 0
+
+
+def paths_of(table, above=()):
+    """Every place in a table, tables and their rows included."""
+    for key, value in table.items() if isinstance(table, dict) else enumerate(table):
+        yield (*above, key)
+        if isinstance(value, (dict, list)):
+            yield from paths_of(value, (*above, key))
+
+
+DRAW = st.sampled_from(["choice", "uniform", "log_uniform", "x"])
+NUMBER = st.floats() | st.integers(-5, 100) | st.booleans()
+JUNK = st.recursive(
+    st.none()
+    | NUMBER
+    | st.text(max_size=4)
+    | st.sampled_from(["loss", "stuck", "hover", "hexa-x", "f450", "ruav-40kg"]),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(DRAW, st.lists(inner, max_size=3), max_size=2),
+    max_leaves=5,
+)
+
+
+@given(where=st.sampled_from(sorted(paths_of(table()), key=str)), junk=JUNK, add=st.none() | st.text(max_size=3))
+@settings(max_examples=300, deadline=None)
+def test_junk_anywhere_is_one_sentence_or_a_plan_that_flies(where, junk, add):
+    """A value, a draw, a table or a key that does not belong: refused by the name of its part, else every flight can be drawn."""
+    try:
+        plan = campaign.from_table(
+            table([((*where, add), junk) if add is not None and add_to(where) else (where, junk)])
+        )
+    except ConfigError as why:
+        text = str(why)
+        assert "\n" not in text and len(text) < 600
+        assert str(where[0]).split(".")[0] in text or "healthy" in text, text
+        return
+    for k in range(4):
+        assert plan.flight(k).duration_s > 0.0
+
+
+def add_to(where):
+    """Whether a place holds a table that a key can be added to."""
+    found = table()
+    for step in where:
+        found = found[step]
+    return isinstance(found, dict)
+
+
+SCENARIO_FIELDS = [
+    (part, name)
+    for part, fields in scenario.FIELDS.items()
+    for name, field in fields.items()
+    if field.low < field.high
+    and not field.numbers
+    and (part, name) not in {("", "seed"), ("", "duration_s"), ("", "rate_hz")}
+]
+
+
+@pytest.mark.parametrize(("part", "name"), SCENARIO_FIELDS, ids=[".".join(f) for f in SCENARIO_FIELDS])
+def test_draws_beyond_a_field_are_refused_by_its_name(part, name):
+    field = scenario.FIELDS[part][name]
+    for draw in ({"uniform": [field.low, field.high * 2 + 1]}, {"choice": [field.low, "x"]}, {"uniform": [field.low]}):
+        with pytest.raises(ConfigError, match=rf"^scenario\.{part}\.{name}[ .]"):
+            campaign.from_table(table([(("scenario", part, name), draw)]))
 
 
 def test_files_that_are_no_plans(tmp_path):

@@ -193,6 +193,50 @@ def test_one_sentence_names_the_field(sentence):
         plan(scenario.from_table({**table(), **WRONG[sentence]}))
 
 
+def wrong_values(field):
+    """Values that a field does not take: of another kind, out of its range, not finite, too few."""
+    if field.choices:
+        return ["nonsense", 3, None, []]
+    if isinstance(field.default, bool):
+        return [1, "yes", None, []]
+    if field.low == field.high:
+        return [3, True, None, {}]
+    if field.numbers:
+        good = [field.low] * field.numbers
+        return [
+            good[1:],
+            [*good, field.low],
+            field.low,
+            "x",
+            [*good[1:], float("nan")],
+            [*good[1:], field.high * 2 + 1],
+        ]
+    return [True, "x", None, [], {}, float("nan"), float("inf"), field.low - 1, field.high * 2 + 1]
+
+
+ALL_FIELDS = [(part, name) for part, fields in scenario.FIELDS.items() for name in fields]
+
+
+@pytest.mark.parametrize(("part", "name"), ALL_FIELDS, ids=[".".join(f).strip(".") for f in ALL_FIELDS])
+def test_every_field_refuses_by_name(part, name):
+    for value in wrong_values(scenario.FIELDS[part][name]):
+        changed = {part: {**table().get(part, {}), name: value}} if part else {name: value}
+        with pytest.raises(ConfigError) as why:
+            scenario.from_table({**table(), **changed})
+        text = str(why.value)
+        assert text.startswith(f"{part}.{name} " if part else f"{name} ") and "\n" not in text and text.endswith("."), (
+            text
+        )
+
+
+@pytest.mark.parametrize("name", scenario.FAULT_FIELDS)
+def test_every_field_of_a_fault_refuses_by_name(name):
+    for value in wrong_values(scenario.FAULT_FIELDS[name]):
+        with pytest.raises(ConfigError) as why:
+            scenario.from_table({**table(), "faults": [FAULT, {**FAULT, name: value}]})
+        assert str(why.value).startswith(f"faults[2].{name} ") and "\n" not in str(why.value)
+
+
 JUNK = st.recursive(
     st.none() | st.booleans() | st.integers(-9, 99) | st.floats() | st.text(max_size=5),
     lambda inner: (

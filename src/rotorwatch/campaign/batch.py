@@ -39,6 +39,14 @@ def width() -> int:
     return CPU_WIDTH if load_jax().default_backend() == "cpu" else ACCELERATOR_WIDTH
 
 
+def where() -> str:
+    """Which device JAX has found, and how many flights it takes at once, in words."""
+    jax = load_jax()
+    kind, devices = jax.default_backend(), jax.devices()
+    name = "the processor" if kind == "cpu" else f"{len(devices)} x {devices[0].device_kind}"
+    return f"on {name}, {width()} flights side by side"
+
+
 @dataclass(frozen=True)
 class Flown:
     """One flight on its way through the batch. theta (T, n): true losses at its ticks; lost_s: when it crashed, or None; overrides:

@@ -253,7 +253,8 @@ def _fault(where: str, row: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def _try_out(asked, cells, faults) -> tuple[int, ...]:
-    """Build scenarios at the ends of every draw, and one vehicle per cell: (rotors of each). Raises what they raise, by field."""
+    """Build scenarios at the ends of every draw, and one vehicle per cell whose log can be written: (rotors of each). Raises what they
+    raise, by field."""
     for end in _ends(asked):
         _built("scenario.", end, cells[0], [])
     counts = []
@@ -262,6 +263,8 @@ def _try_out(asked, cells, faults) -> tuple[int, ...]:
         made = _built("scenario.", base, cell, [])
         try:
             prepare.plan(made)
+            if cell.autopilot == "ardupilot":
+                prepare.frame_numbers(cell.frame)
         except ConfigError as error:
             raise ConfigError(f"scenario.{error}") from error
         counts.append(len(prepare.vehicle(made).rotors))

@@ -34,10 +34,12 @@ def campaign(plan, flights, jobs, out, as_json, quiet) -> None:
     import json
 
     from rotorwatch import campaign as campaigns
-    from rotorwatch.campaign import page
+    from rotorwatch.campaign import batch, page
     from rotorwatch.campaign.store import Folder
 
     asked = campaigns.read(plan)
+    if not quiet:
+        say(f"{len(asked.cells)} kinds of flights, {len(asked.methods)} methods, {batch.where()}")
     with _progress(quiet) as tell:
         table = campaigns.run(asked, flights, out, jobs, tell)
     summary = campaigns.summarise(table, asked.name)
