@@ -328,10 +328,8 @@ def _order(x: Node) -> tuple[int, ...] | None:
 
 def _common_order(nodes) -> tuple[int, ...] | None:
     """The order in which all of them lie, when it is not the natural one."""
-    orders = {_order(x) for x in nodes} - {None}
-    if len(orders) != 1:
-        return None
-    (order,) = orders
+    orders = {order for order in map(_order, nodes) if order is not None}
+    order = orders.pop() if len(orders) == 1 else ()
     return None if order == tuple(range(len(order))) else order
 
 
