@@ -40,7 +40,7 @@ import numpy as np
 from rotorwatch import detectors, discovery
 from rotorwatch.errors import ConfigError
 from rotorwatch.simulation import prepare, scenario
-from rotorwatch.simulation.scenario import Scenario
+from rotorwatch.simulation.scenario import Scenario, brief, plain
 
 MAX_BYTES = 1_000_000
 DRAWS = ("choice", "uniform", "log_uniform")
@@ -149,10 +149,10 @@ def from_table(table: Mapping[str, Any], text: str = "") -> Plan:
     """The plan of a parsed TOML table. Raises ConfigError naming the field that is missing or wrong."""
     for key in table:
         if key not in TOP:
-            raise ConfigError(f"{key} is not a field of a plan; known are {', '.join(TOP)}.")
+            raise ConfigError(f"{plain(key)} is not a field of a plan; known are {', '.join(TOP)}.")
     given = {**TOP, **table}
     if not isinstance(given["name"], str):
-        raise ConfigError(f"name must be a text, not {given['name']!r}.")
+        raise ConfigError(f"name must be a text, not {brief(given['name'])}.")
     seed = _number("seed", given["seed"], 0, 2**31 - 1)
     healthy = _number("healthy", given["healthy"], 0.0, 1.0)
     period = _number("false_alarm_period_h", given["false_alarm_period_h"], 0.01, 1e6)
@@ -211,9 +211,9 @@ def _cells(asked: Mapping[str, Any]) -> tuple[Cell, ...]:
     ):
         if value is None:
             raise ConfigError(f"scenario.{name} is missing; name one, or {{ choice = [...] }}.")
-        values = value["choice"] if isinstance(value, Mapping) and "choice" in value else [value]
+        values = value["choice"] if _is_draw(value) and "choice" in value else [value]
         if not all(isinstance(v, str) for v in values):
-            raise ConfigError(f"scenario.{name} must be a name or a choice of names, not {value!r}.")
+            raise ConfigError(f"scenario.{name} must be a name or a choice of names, not {brief(value)}.")
         parts.append(values)
     for frame in parts[0]:
         if scenario.is_helicopter(frame):
@@ -232,10 +232,10 @@ def _decisions(rows: Any) -> tuple[Decision, ...]:
         where = f"decisions[{k + 1}]"
         for key in row:
             if key not in ("name", *DECISION):
-                raise ConfigError(f"{where}.{key} is not a field; known are name, {', '.join(DECISION)}.")
+                raise ConfigError(f"{where}.{plain(key)} is not a field; known are name, {', '.join(DECISION)}.")
         name = row.get("name")
         if not isinstance(name, str) or not name or name in (d.name for d in found):
-            raise ConfigError(f"{where}.name must be a text that no other decision has, not {name!r}.")
+            raise ConfigError(f"{where}.name must be a text that no other decision has, not {brief(name)}.")
         numbers = ((key, _number(f"{where}.{key}", row[key], *ends)) for key, ends in DECISION.items() if key in row)
         found.append(Decision(name, tuple(numbers)))
     return tuple(found) or (Decision(),)
@@ -244,6 +244,8 @@ def _decisions(rows: Any) -> tuple[Decision, ...]:
 def _fault(where: str, row: Mapping[str, Any]) -> Mapping[str, Any]:
     if "rotor" in row:
         raise ConfigError(f"{where}.rotor is drawn anew for each flight; leave it out.")
+    if _is_draw(row):
+        raise ConfigError(f"{where}.{next(iter(row))} is not a field of a fault; draw its fields, one by one.")
     _check_draws(where, row)
     share = _number(f"{where}.share", row.get("share", 1.0), 1e-6, 1e6)
     together = _number(f"{where}.together", row.get("together", 1), 1, 2)
@@ -322,12 +324,12 @@ def _check_draws(where: str, table: Mapping[str, Any]) -> None:
     for path, draw in _draws(table):
         name, (kind, values) = ".".join((where, *path)), next(iter(draw.items()))
         if not isinstance(values, list) or not values:
-            raise ConfigError(f"{name}.{kind} must be a list, not {values!r}.")
+            raise ConfigError(f"{name}.{kind} must be a list, not {brief(values)}.")
         if kind == "choice":
             continue
         numbers = [v for v in values if isinstance(v, (int, float)) and not isinstance(v, bool) and math.isfinite(v)]
         if len(values) != 2 or len(numbers) != 2 or values[0] > values[1]:
-            raise ConfigError(f"{name}.{kind} must be two numbers, the smaller first, not {values!r}.")
+            raise ConfigError(f"{name}.{kind} must be two numbers, the smaller first, not {brief(values)}.")
         if kind == "log_uniform" and values[0] <= 0:
             raise ConfigError(f"{name}.log_uniform must be above zero, not {values[0]:g}.")
 
@@ -351,7 +353,7 @@ def _drawn(table: Mapping[str, Any], rng: np.random.Generator) -> dict[str, Any]
 
 def _number(name: str, value: Any, low: float, high: float) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise ConfigError(f"{name} must be a number, not {value!r}.")
+        raise ConfigError(f"{name} must be a number, not {brief(value)}.")
     if not low <= value <= high:
         raise ConfigError(f"{name} must lie between {low:g} and {high:g}, not {value:g}.")
     return float(value)
@@ -359,8 +361,8 @@ def _number(name: str, value: Any, low: float, high: float) -> float:
 
 def _names(name: str, values: Any, known: tuple[str, ...]) -> tuple[str, ...]:
     if not isinstance(values, (list, tuple)):
-        raise ConfigError(f"{name} must be a list of names, not {values!r}.")
+        raise ConfigError(f"{name} must be a list of names, not {brief(values)}.")
     for value in values:
         if value not in known:
-            raise ConfigError(f"{name}: there is no {value!r}; known are {', '.join(known)}.")
+            raise ConfigError(f"{name}: there is no {brief(value)}; known are {', '.join(known)}.")
     return tuple(dict.fromkeys(values))

@@ -208,7 +208,7 @@ def from_table(table: Mapping[str, Any]) -> Scenario:
     known = {*FIELDS[""], *(k for k in FIELDS if k), "faults"}
     for key in table:
         if key not in known:
-            raise ConfigError(f"{key} is not a field of a scenario; known are {', '.join(sorted(known))}.")
+            raise ConfigError(f"{plain(key)} is not a field of a scenario; known are {', '.join(sorted(known))}.")
     top = _table("", {k: v for k, v in table.items() if k in FIELDS[""]}, FIELDS[""])
     parts = {}
     for part in (k for k in FIELDS if k):
@@ -285,7 +285,7 @@ def _table(where: str, given: Mapping[str, Any], fields: Mapping[str, Field]) ->
     """All of `fields`, as given or by default."""
     for key in given:
         if key not in fields:
-            raise ConfigError(f"{where}{key} is not a field; known are {', '.join(fields)}.")
+            raise ConfigError(f"{where}{plain(key)} is not a field; known are {', '.join(fields)}.")
     return {
         key: _value(f"{where}{key}", given[key], field) if key in given else field.default
         for key, field in fields.items()
@@ -296,30 +296,41 @@ def _value(name: str, value: Any, field: Field) -> Any:
     """One value in the kind of its field. Raises ConfigError."""
     if field.choices:
         if value not in field.choices:
-            raise ConfigError(f"{name} must be one of {', '.join(field.choices)}, not {value!r}.")
+            raise ConfigError(f"{name} must be one of {', '.join(field.choices)}, not {brief(value)}.")
         return value
     if isinstance(field.default, bool):
         if not isinstance(value, bool):
-            raise ConfigError(f"{name} must be true or false, not {value!r}.")
+            raise ConfigError(f"{name} must be true or false, not {brief(value)}.")
         return value
     if field.low == field.high:
         if not isinstance(value, str):
-            raise ConfigError(f"{name} must be a text, not {value!r}.")
+            raise ConfigError(f"{name} must be a text, not {brief(value)}.")
         return value
     if field.numbers:
         if not isinstance(value, (list, tuple)) or len(value) != field.numbers:
-            raise ConfigError(f"{name} must be {field.numbers} numbers, not {value!r}.")
+            raise ConfigError(f"{name} must be {field.numbers} numbers, not {brief(value)}.")
         return tuple(float(_number(name, v, field)) for v in value)
     whole = isinstance(field.default, int) or name.endswith(".rotor")
     number = _number(name, value, field)
     if whole and number != int(number):
-        raise ConfigError(f"{name} must be a whole number, not {value!r}.")
+        raise ConfigError(f"{name} must be a whole number, not {brief(value)}.")
     return int(number) if whole else float(number)
+
+
+def brief(value: Any) -> str:
+    """A wrong value as one short line of a message."""
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def plain(key: str) -> str:
+    """A field's name as one short line of a message: in quotes where it is no word."""
+    return key if key.isidentifier() and len(key) <= 60 else brief(key)
 
 
 def _number(name: str, value: Any, field: Field) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise ConfigError(f"{name} must be a number, not {value!r}.")
+        raise ConfigError(f"{name} must be a number, not {brief(value)}.")
     if not field.low <= value <= field.high:
         raise ConfigError(f"{name} must lie between {field.low:g} and {field.high:g}, not {value:g}.")
     return value
