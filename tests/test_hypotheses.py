@@ -32,10 +32,48 @@ def information(n, seed=0, windows=3, strength=60.0):
 
 
 def factors(n, C, z, lo=None, hi=None):
+    """With effects of nothing, so that geometry counts as exact."""
     hyp = hypotheses.make(n)
     lo, hi = np.zeros(n) if lo is None else lo, np.ones(n) if hi is None else hi
-    logbf, nu = hypotheses.log_bayes_factors(hyp, C, z, lo, hi, WIDTH)
+    logbf, nu, _ = hypotheses.log_bayes_factors(hyp, C, z, lo, hi, WIDTH, np.zeros((4, n)))
     return hyp, np.asarray(logbf), np.asarray(nu)
+
+
+def quad_evidence(wrong=(1.0, 1.0, 1.0, 1.0), loss=0.4, sd=0.02):
+    """(C, z, effect) of a quad's rotor 1 that loses thrust, each axis seen to `sd` and off by a factor `wrong`."""
+    B = np.array([[-1, 1, 1, -1], [1, -1, 1, -1], [1, 1, -1, -1], [1, 1, 1, 1.0]])
+    Phi = np.concatenate([B, np.eye(4)], axis=1)
+    return (Phi.T @ Phi / sd**2)[None], (Phi.T @ (B[:, 0] * loss * wrong) / sd**2)[None], B
+
+
+def log_evidence(hyp, C, z, effect):
+    logbf, nu, own = hypotheses.log_bayes_factors(hyp, C, z, np.zeros(hyp.n), np.ones(hyp.n), WIDTH, effect)
+    return dict(zip(hyp.names, np.asarray(logbf)[0])), np.asarray(nu)[0], np.asarray(own)[0]
+
+
+def test_a_rotor_whose_effect_differs_a_little_from_geometry_is_still_named():
+    """Yaw a third short, thrust a fifth: no other explanation may gain from that - as one would if geometry counted as exact."""
+    hyp = hypotheses.make(4)
+    C, z, B = quad_evidence(wrong=(1.05, 0.97, 0.65, 0.8))
+    tolerant, nu, _ = log_evidence(hyp, C, z, B)
+    assert max(tolerant, key=tolerant.get) == "rotor 1"
+    assert nu[0, 0] == pytest.approx(0.4, abs=0.03)
+    exact, _, _ = log_evidence(hyp, C, z, 0.0 * B)
+    assert max(exact, key=exact.get) != "rotor 1"
+
+
+def test_slop_is_steps_of_the_axes_integrated_out():
+    """Against the same Gaussian integral done at once, by dense linear algebra, at the size that the loss has without slop."""
+    hyp = hypotheses.make(4)
+    C, z, B = quad_evidence(wrong=(1.1, 0.9, 0.7, 1.2), sd=0.05)
+    _, _, own = log_evidence(hyp, C, z, B)
+    c, v = C[0], z[0]
+    first = np.clip(v[:4] / (np.diag(c)[:4] + 1 / LOSS_WIDTH**2), 0, 1)
+    for i in range(4):
+        prior = np.diag((np.array(hypotheses.SLOP) * B[:, i] * first[i]) ** 2 + 1e-12)
+        axes = slice(4, 8)
+        inner = np.linalg.inv(c[axes, axes] + np.linalg.inv(prior))
+        assert own[i] == pytest.approx(c[i, i] - c[i, axes] @ inner @ c[axes, i], rel=1e-9)
 
 
 @pytest.mark.parametrize("n", [4, 6, 8])

@@ -14,7 +14,7 @@ from rotorwatch import airframes
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.estimators import jump_bank
 from rotorwatch.estimators.jump_bank import JumpBank
-from rotorwatch.evidence import caution, jumps, noise
+from rotorwatch.evidence import caution, hypotheses, jumps, noise
 from rotorwatch.evidence.hypotheses import LOSS_WIDTH
 from rotorwatch.systems.wrench_balance import B3, PER_AXIS, WrenchBalance
 from rotorwatch.ticks import GROUND, JUDGE, LEARN
@@ -80,7 +80,7 @@ def hover(frame="ardupilot-quad-x", seed=0, losses=(), ready=READY, bias=(), ans
     when = np.arange(TICKS)
     mode = np.where(when < 5, GROUND, np.where(when < ready, LEARN, JUDGE))
     zeros = np.zeros((TICKS, 3))
-    table = [thrust, zeros, np.full(TICKS, n), zeros, mode, when == 5]
+    table = [thrust, zeros, np.full(TICKS, n), zeros, zeros[:, :1], mode, when == 5]
     return np.column_stack(table).astype(float), y, np.ones((TICKS, 4), bool)
 
 
@@ -120,6 +120,7 @@ def quad():
         patch.setattr(jump_bank, "OUTLIER", 1e9)
         patch.setattr(caution, "LAG_ERROR_S", 0.0)
         patch.setattr(caution, "BURST_POWER", 0.0)
+        patch.setattr(hypotheses, "SLOP", (0.0,) * 4)  # geometry counts as exact
         method = make("ardupilot-quad-x")
         table = hover(losses=[(2, ONSET, 0.05)], answered=False, scale=0.3)
         out, carries = method.over(*table)
@@ -214,13 +215,29 @@ def test_a_loss_is_announced_with_its_rotor_and_size(frame, rotor):
     ticks = np.flatnonzero(out.announced)
     assert ticks.size == 1 and ONSET < ticks[0] <= ONSET + 10
     assert method.bank.hyp.rotors[out.decision.best[ticks[0]]] == (rotor,)
-    assert out.probability[ticks[0]][rotor] > 0.9
+    alone = [who == (rotor,) for who in method.bank.hyp.rotors]
+    assert out.probability[ticks[0]][alone].sum() > 0.9
     assert abs(out.theta[-1, rotor] - 0.25) < 0.03
     assert np.all(np.delete(out.theta[-1], rotor) == 0.0)
     assert not out.theta[: ticks[0]].any()
     onset = ticks[0] - out.decision.onset[ticks[0]]
     assert abs(onset - ONSET) <= 4
     assert abs(out.theta[-1, rotor] - 0.25) < 4 * np.hypot(out.theta_sd[-1, rotor], 0.004)
+
+
+def test_an_unknown_yaw_gain_is_integrated_out():
+    """Schur complement: what is left of (C, z) is the information on the other directions, whatever the last one did."""
+    rng = np.random.default_rng(0)
+    A = rng.standard_normal((3, 20, 6))
+    C, z = np.einsum("wki,wkj->wij", A, A), rng.standard_normal((3, 6))
+    bank = jumps.Bank(np.zeros((3, 9, 6)), C, z, np.zeros(3, np.int32), np.int32(0))
+    told = jumps.without_last(bank, 0.3)
+    for w in range(3):
+        full = np.linalg.inv(C[w] + np.diag([0.0] * 5 + [1 / 0.3]))
+        assert np.asarray(told.C)[w] == pytest.approx(np.linalg.inv(full[:5, :5]), rel=1e-9)
+        assert np.linalg.solve(np.asarray(told.C)[w], np.asarray(told.z)[w]) == pytest.approx(
+            (full @ z[w])[:5], rel=1e-9
+        )
 
 
 def test_a_loss_that_ends_is_over():

@@ -115,7 +115,8 @@ def learn(tables: Sequence[Ticks], B: np.ndarray) -> dict | None:
     spread = np.average((np.array(means) - mean) ** 2, axis=0, weights=precisions)
     x0, P0 = system.x0.copy(), system.P0.copy()
     x0[rows] = mean
-    P0[rows, rows] = np.minimum(np.diag(P0)[rows], 1.0 / np.sum(precisions, axis=0) + spread)
+    variance = np.minimum(np.diag(P0)[rows], 1.0 / np.sum(precisions, axis=0) + spread)
+    P0[rows[:, None], rows] = np.diag(variance)
     return {
         "x0": x0.tolist(), "P0": P0.tolist(), "noise": np.max(noises, axis=0).tolist(), "noise_weight": LEARNED_WEIGHT,
         "dt": tables[0].dt,

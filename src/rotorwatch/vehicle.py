@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 
 @dataclass(frozen=True)
 class Rotor:
-    """One rotor. x forward, y right [arm lengths, or m]; spin +1 counter-clockwise seen from above, -1 clockwise.
+    """One rotor. x forward, y right [arm lengths, or m]; spin +1 counter-clockwise seen from above, -1 clockwise; share: thrust
+    it gives compared with the vehicle's other rotors at the same command.
 
     A counter-clockwise propeller turns the body clockwise: positive yaw torque in FRD.
     """
@@ -18,6 +19,34 @@ class Rotor:
     x: float
     y: float
     spin: int
+    share: float = 1.0
+
+
+# In the wash of an upper rotor one or two tenths of the lower one's thrust are lost (Leishman, Principles of Helicopter
+# Aerodynamics, coaxial rotors).
+LOWER_SHARE = 0.85
+SAME_ARM = 0.02
+
+
+def coaxial(rotors: tuple[Rotor, ...], height: Sequence[float] | None = None) -> tuple[Rotor, ...]:
+    """The same rotors, the lower one of each arm that carries two with LOWER_SHARE of thrust.
+
+    height (n,): z of each rotor, down; without it the one listed later is the lower one, as autopilots number them.
+    """
+    below = np.arange(len(rotors)) if height is None else np.asarray(height, float)
+    place = np.array([(r.x, r.y) for r in rotors])
+    same = np.linalg.norm(place[:, None] - place[None], axis=2) < SAME_ARM * np.abs(place).max()
+    lower = (same & (below[None] < below[:, None])).any(axis=1)
+    return tuple(replace(r, share=LOWER_SHARE) if low else r for r, low in zip(rotors, lower))
+
+
+def note_on_coaxial(rotors: tuple[Rotor, ...]) -> tuple[str, ...]:
+    """What `coaxial` has assumed, as a sentence, if anything."""
+    return (
+        (f"Lower rotors of coaxial pairs are taken to give {LOWER_SHARE:.0%} of the upper ones' thrust.",)
+        if any(r.share == LOWER_SHARE for r in rotors)
+        else ()
+    )
 
 
 @dataclass(frozen=True)
@@ -60,10 +89,11 @@ class Vehicle:
     extra: Mapping = field(default_factory=dict)
 
     def effectiveness(self) -> np.ndarray:
-        """B (4, n): roll, pitch, yaw torque and thrust per unit thrust of each rotor, rows scaled to a largest entry of 1.
+        """B (4, n): roll, pitch, yaw torque and thrust per unit of commanded thrust of each rotor, rows scaled to a largest
+        entry of 1 and then by the rotors' shares, whose mean counts as 1.
 
         FRD: thrust T at (x, y) pointing up gives roll -y T, pitch +x T; yaw is spin times a common drag ratio.
         """
-        x, y, spin = (np.array([getattr(r, k) for r in self.rotors], float) for k in ("x", "y", "spin"))
+        x, y, spin, share = (np.array([getattr(r, k) for r in self.rotors], float) for k in ("x", "y", "spin", "share"))
         scale = max(np.abs(x).max(), np.abs(y).max())
-        return np.stack([-y / scale, x / scale, spin, np.ones_like(x)])
+        return np.stack([-y / scale, x / scale, spin, np.ones_like(x)]) * (share / share.mean())

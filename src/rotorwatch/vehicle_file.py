@@ -125,6 +125,7 @@ def dumps(vehicle: Vehicle) -> str:
     for rotor in vehicle.rotors:
         spin = {1: '"ccw"', -1: '"cw"'}.get(rotor.spin, "0")
         lines += ["", "[[rotors]]", f"x = {_value(rotor.x)}", f"y = {_value(rotor.y)}", f"spin = {spin}"]
+        lines += [f"share = {_value(rotor.share)}"] if rotor.share != 1.0 else []
     for key, table in (("identified", vehicle.identified), ("extra", vehicle.extra)):
         if table is not None and (table or key == "identified"):
             lines += _table(key, table)
@@ -173,7 +174,8 @@ def _rotor(row: Any, where: str) -> Rotor:
     spin = spin.lower() if isinstance(spin, str) else spin
     if isinstance(spin, (bool, list, dict)) or spin not in SPINS:
         raise VehicleError(f'{where}.spin must be "ccw" or "cw" (seen from above).')
-    return Rotor(_number(row, "x", where, -100, 100), _number(row, "y", where, -100, 100), SPINS[spin])
+    x, y = (_number(row, key, where, -100, 100) for key in ("x", "y"))
+    return Rotor(x, y, SPINS[spin], _number(row, "share", where, 0.1, 10.0, 1.0))
 
 
 def _curve(row: Any) -> ThrustCurve:

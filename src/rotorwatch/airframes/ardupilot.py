@@ -18,7 +18,7 @@ import numpy as np
 from rotorwatch import airframes
 from rotorwatch.errors import VehicleError
 from rotorwatch.flight import Flight
-from rotorwatch.vehicle import Rotor, ThrustCurve, Vehicle
+from rotorwatch.vehicle import Rotor, ThrustCurve, Vehicle, coaxial, note_on_coaxial
 
 CLASSES = {1: "quad", 2: "hexa", 3: "octa", 4: "octaquad", 5: "y6", 12: "dodecahexa", 14: "deca"}
 TYPES = {
@@ -165,11 +165,18 @@ def identify(flight: Flight) -> Vehicle | None:
 def build(frame: str, curve: ThrustCurve, source: str = "airframe name", assumptions: tuple[str, ...] = ()) -> Vehicle:
     """The vehicle of one entry of `FRAMES`, with ArduPilot's normalised mixer."""
     right, forward, yaw = np.array([_place(motor) for motor in FRAMES[frame]]).T
-    rotors = tuple(Rotor(float(x), float(y), int(np.sign(s))) for x, y, s in zip(forward, right, yaw))
+    rotors = coaxial(tuple(Rotor(float(x), float(y), int(np.sign(s))) for x, y, s in zip(forward, right, yaw)))
     columns = [0.5 * v / max(np.abs(v).max(), 1e-9) for v in (-right, forward, yaw)]
     mixer = np.stack([*columns, np.ones(len(rotors))], axis=1)
     mixer[list(UPPER.get(frame, ()))] *= 0.9
-    return Vehicle(f"ardupilot-{frame}", rotors, curve, mixer=mixer, source=source, assumptions=assumptions)
+    return Vehicle(
+        f"ardupilot-{frame}",
+        rotors,
+        curve,
+        mixer=mixer,
+        source=source,
+        assumptions=(*assumptions, *note_on_coaxial(rotors)),
+    )
 
 
 def curve(flight: Flight, notes: list[str]) -> ThrustCurve:

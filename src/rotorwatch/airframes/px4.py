@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import functools
 import math
+from dataclasses import replace
 
 import numpy as np
 
 from rotorwatch import airframes
 from rotorwatch.errors import VehicleError
 from rotorwatch.flight import Flight
-from rotorwatch.vehicle import Rotor, ThrustCurve, Vehicle
+from rotorwatch.vehicle import Rotor, ThrustCurve, Vehicle, coaxial, note_on_coaxial
 
 # (angle clockwise from the nose, spin: +1 counter-clockwise seen from above)
 _HEXA, _OCTA, _STACKED = (-1, 1, -1, 1, 1, -1), (-1, -1, 1, 1, 1, 1, -1, -1), (1, -1, 1, -1, 1, -1, 1, -1)
@@ -56,7 +57,7 @@ def identify(flight: Flight) -> Vehicle | None:
         *(name, rotors, curve(flight, notes)),
         mixer=mix(rotors),
         source=source,
-        assumptions=tuple(notes),
+        assumptions=(*notes, *note_on_coaxial(rotors)),
         extra={"mixer_expo": mixer_expo(flight), "rests_at_minimum": True},
     )
 
@@ -64,7 +65,7 @@ def identify(flight: Flight) -> Vehicle | None:
 def place(frame: str) -> tuple[Rotor, ...]:
     """Rotors of one of `FRAMES`, on a circle of radius 1."""
     angles, spins = FRAMES[frame]
-    return tuple(Rotor(math.cos(math.radians(a)), math.sin(math.radians(a)), s) for a, s in zip(angles, spins))
+    return coaxial(tuple(Rotor(math.cos(math.radians(a)), math.sin(math.radians(a)), s) for a, s in zip(angles, spins)))
 
 
 def mix(rotors: tuple[Rotor, ...]) -> np.ndarray:
@@ -118,16 +119,19 @@ def _rotors_from_parameters(flight: Flight, notes: list[str]) -> tuple[Rotor, ..
             f"CA_AIRFRAME {int(p['CA_AIRFRAME'])} is not a plain multirotor; "
             "describe its lifting rotors with --vehicle FILE if they fly it alone."
         )
-    rows = [[p.get(f"CA_ROTOR{k}_{name}", 0.0) for name in ("PX", "PY", "KM", "AX", "AY", "CT")] for k in range(count)]
-    x, y, moment, tilt_x, tilt_y, strength = np.array(rows, float).T
+    names = ("PX", "PY", "PZ", "KM", "AX", "AY", "CT")
+    rows = [[p.get(f"CA_ROTOR{k}_{name}", 0.0) for name in names] for k in range(count)]
+    x, y, z, moment, tilt_x, tilt_y, strength = np.array(rows, float).T
     if max(np.abs(x).max(), np.abs(y).max()) < 1e-3:
         return None
     if np.abs(np.stack([tilt_x, tilt_y])).max() > 0.1:
         notes.append("Rotors are tilted (CA_ROTOR*_AX, _AY): treated as upright.")
-    if strength.min() < 0.99 * strength.max():
-        notes.append("Rotors differ in strength (CA_ROTOR*_CT): treated as equal.")
+    if strength.min() <= 0.0:
+        strength = np.ones(count)
     # Positions count from the centre of gravity.
-    return tuple(Rotor(float(a), float(b), int(np.sign(m))) for a, b, m in zip(x, y, moment))
+    rotors = tuple(Rotor(float(a), float(b), int(np.sign(m))) for a, b, m in zip(x, y, moment))
+    rotors = coaxial(rotors, z if np.ptp(z) > 0.0 else None)
+    return tuple(replace(r, share=r.share * float(c / strength.mean())) for r, c in zip(rotors, strength))
 
 
 def _frame(flight: Flight, notes: list[str]) -> tuple[str | None, str]:

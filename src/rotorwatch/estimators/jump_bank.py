@@ -86,7 +86,8 @@ class Carry(NamedTuple):
 
 class Evidence(NamedTuple):
     """Of all hypotheses (n_h,): log evidence over all onsets, probability among faults. fault, other: log of the sums;
-    log_bf (W, n_h): Bayes factors, per_slot (W, n_h): with prior weights; nu (W, n_fault, 2): most probable sizes; width (4,): of
+    log_bf (W, n_h): Bayes factors, per_slot (W, n_h): with prior weights; nu (W, n_fault, 2): most probable sizes; own (W, n): information
+    on the loss of one rotor alone; width (4,): of
     disturbances; live (W,): slots in use."""
 
     log_odds: Array
@@ -96,6 +97,7 @@ class Evidence(NamedTuple):
     log_bf: Array
     per_slot: Array
     nu: Array
+    own: Array
     width: Array
     live: Array
 
@@ -153,9 +155,13 @@ class JumpBank:
         self.n, self.n_x = system.n_theta, system.n_x
         self.n_s = self.n_x + self.n
         self.log_threshold = threshold(self.hyp, dt, false_alarm_period_s)
-        E = np.zeros((self.n_s, self.n + 4))  # a jump is a rotor's loss, or a step of an axis' bias
+        # A jump is a rotor's loss, or a step of an axis' bias. The yaw that follows a loss is long and slow, and what it takes to
+        # yaw this vehicle is the least known of its gains: the last direction is an error in that, integrated out.
+        E = np.zeros((self.n_s, self.n + 5))
         E[self.n_x :, : self.n] = np.eye(self.n)
         E[np.arange(4) * PER_AXIS + B3, self.n + np.arange(4)] = 1.0
+        self.yaw_gain = 2 * PER_AXIS + GAIN
+        E[self.yaw_gain, -1] = 1.0
         self.jumps = jumps.Jumps(E, self.dt)
         hyp = self.hyp
         fault = [who for who, f in zip(hyp.rotors, hyp.fault) if f]
@@ -205,7 +211,7 @@ class JumpBank:
         biases = s[:n_x]
         open_ = judge & (stand.pending < 0)
         bank = self.jumps.advance(carry.bank, self._A(), open_, judge & ~restart)
-        memory, seen = caution.look(carry.caution, u, y, valid, flying, restart, n, dt)
+        memory, seen = caution.look(carry.caution, u, y, valid, flying, restart, biases, carry.noise.variances, n, dt)
         white = carry.noise.variances[0]
         error = caution.model_error(carry.caution, seen, biases, y, white, n, dt)
         rows = jnp.concatenate([self.system.C(seen.u), self.system.H(seen.u)], axis=1)
@@ -218,11 +224,22 @@ class JumpBank:
         # What an announced jump does to the innovations is not weather.
         memory = caution.remember(memory, innovation, variance, valid & flying & (stand.pending < 0), dt)
 
-        found = self._evidence(s, bank, carry.noise.variances, stand)
-        best = self._candidate(found, bank, stand)
+        told = jumps.without_last(bank, jnp.maximum(P[self.yaw_gain, self.yaw_gain], 1e-12))
+        found = self._evidence(s, told, carry.noise.variances, stand, self.system.H(seen.u))
+        best = self._candidate(found, told, stand)
         statistic = jnp.minimum(found.fault - self.log_threshold, found.fault - found.other - jnp.log(COMPETITOR_ODDS))
+        rough = noise.spread(carry.noise.variances)
         possible = plausibility.plausible(
-            best.sizes[0], best.each, seen.u[:n], seen.rise, missing, carry.missing, valid[3], stand.active, s[n_x:]
+            best.sizes[0],
+            best.each,
+            seen.u[:n],
+            seen.rise,
+            missing,
+            carry.missing,
+            valid[3],
+            stand.active,
+            s[n_x:],
+            rough,
         )
         # The most probable onset at the edge of the bank speaks of a drift that began before it, not of a jump.
         onset = best.slot @ jnp.where(found.live, carry.bank.age + 1.0, 0.0)
@@ -239,11 +256,11 @@ class JumpBank:
         doubt = (1.0 / caution.calm(memory)).mean()
         shown_var = stand.theta_var + doubt * jnp.diagonal(P)[n_x:] + waiting * jnp.diagonal(best.cov)[:n]
 
-        detectable = self._detectable(bank, found.live)
-        s, P = self._committed(s, P, bank, best, commit)
-        s, P, sure_s, absorbed = self._absorbed(s, P, bank, found, stand, open_ & (pending < 0))
+        detectable = self._detectable(told, found.live)
+        s, P = self._committed(s, P, told, best, commit)
+        s, P, sure_s, absorbed = self._absorbed(s, P, told, found, stand, open_ & (pending < 0))
         straight = jnp.abs(seen.u[n + 6]) < TURNING
-        opposite, opposite_s = self._opposite(found, bank, stand, open_ & (pending < 0) & straight)
+        opposite, opposite_s = self._opposite(found, told, stand, open_ & (pending < 0) & straight)
         s, P, active, learning, theta_var = self._settled(s, P, stand, best, best.hit & commit)
         bank = jumps.forget(bank, commit | absorbed)
         pending = jnp.where(commit, -1, pending)
@@ -361,7 +378,7 @@ class JumpBank:
             variances.append(S)
         return s, 0.5 * (P + P.T), bank, jnp.stack(innovations), jnp.stack(variances)
 
-    def _evidence(self, s, bank, variances, stand: Standing) -> Evidence:
+    def _evidence(self, s, bank, variances, stand: Standing, effect) -> Evidence:
         """How strongly the data speak for each hypothesis, over all onset times."""
         import jax.numpy as jnp
 
@@ -369,7 +386,7 @@ class JumpBank:
         # A known loss may be taken back; what the filter has absorbed of that already is part of the jump.
         lo, hi = jnp.where(active, -1.0, 0.0), jnp.maximum(1.0 - theta, 0.0)
         width = jnp.clip(DISTURBANCE_SCALE * jnp.sqrt(noise.spread(variances)), *DISTURBANCE_RANGE)
-        logbf, nu = hypotheses.log_bayes_factors(hyp, bank.C, bank.z, lo, hi, width)
+        logbf, nu, own = hypotheses.log_bayes_factors(hyp, bank.C, bank.z, lo, hi, width, effect)
         # The model is right to a few percent: overwhelming evidence must not hang on its last decimals.
         logbf = logbf * (TRUST / (TRUST + jnp.maximum(logbf.max(), 0.0)))
         live = bank.age >= 0
@@ -393,7 +410,7 @@ class JumpBank:
         o_top = jnp.max(jnp.where(fault, -jnp.inf, evidence))
         other = o_top + jnp.log(jnp.where(fault, 0.0, jnp.exp(evidence - o_top)).sum())
         return Evidence(
-            evidence, share / share.sum(), f_top + jnp.log(share.sum()), other, logbf, per_slot, nu, width, live
+            evidence, share / share.sum(), f_top + jnp.log(share.sum()), other, logbf, per_slot, nu, own, width, live
         )
 
     def _candidate(self, found: Evidence, bank, stand: Standing) -> Candidate:
@@ -415,6 +432,7 @@ class JumpBank:
         c12 = jnp.where(two, D1 @ C @ D2, 0.0)
         det = jnp.maximum(c11 * c22 - c12 * c12, 1e-12)
         v11, v22, v12 = c22 / det, c11 / det, -c12 / det
+        v11 = jnp.where(two, v11, 1.0 / (one_slot @ found.own @ D1[:n] + 1e-6))
         jump = sizes[0] * D1 + jnp.where(two, sizes[1], 0.0) * D2
         cross = v12 * (D1[:, None] * D2[None] + D2[:, None] * D1[None])
         cov = v11 * D1[:, None] * D1[None] + jnp.where(two, v22 * D2[:, None] * D2[None] + cross, 0.0)

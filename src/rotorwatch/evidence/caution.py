@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch.core import Array
-from rotorwatch.systems.wrench_balance import DAMPING, GAIN, PER_AXIS
+from rotorwatch.systems.wrench_balance import DAMPING, DAMPING_RATE, GAIN, GAIN_MEAN, PER_AXIS
 
 GARROTE = 2.5  # how many times its calm level motion must reach to stand out
 LEVEL_MEMORY_S = 10.0
@@ -23,6 +23,7 @@ ERROR_TICKS = 4.0
 LAG_ERROR_S = 0.015
 BURST_MEMORY_S, BURST_CLIP, BURST_POWER = 3.0, 6.0, 1.0
 LEAN_S, LASTING_MEMORY_S, LASTING = 1.0, 30.0, 1.0
+GUST_S, GUST_SHARE, LEAST_GAIN = 1.0, 2.0, 0.3
 FAR, FAR_ERROR, FAR_MEMORY_S = 0.3, 0.5, 5.0
 
 
@@ -67,19 +68,31 @@ def init(n: int) -> Memory:
     )
 
 
-def look(memory: Memory, u, y, valid, flying, restart, n: int, dt: float) -> tuple[Memory, Look]:
-    """One tick's inputs u (n + 7,) as `WrenchBalance.pack` lays them out, judged against what was usual."""
+def look(memory: Memory, u, y, valid, flying, restart, x, variances, n: int, dt: float) -> tuple[Memory, Look]:
+    """One tick's inputs u (n + 8,) as `WrenchBalance.pack` lays them out, judged against what was usual.
+
+    x (20,): state; variances (4, 4) of the noise model.
+    """
     import jax.numpy as jnp
 
     # Below the calm level, angular motion is gyro noise that the rate controller answers: it would teach the filter the
     # controller's gains instead of the vehicle's. Only motion that stands out teaches (nonnegative garrote).
     motion = u[jnp.array([n, n + 1, n + 2, n + 4, n + 5, n + 6])]
     shrink = jnp.maximum(0.0, 1.0 - GARROTE**2 * memory.level / jnp.maximum(motion**2, 1e-12))
+    # Motion that gusts have made teaches what the gusts did, not what the vehicle is: it has to need more than they give.
+    gain = jnp.maximum(x.reshape(4, PER_AXIS)[:3, GAIN], LEAST_GAIN * n * GAIN_MEAN[:3])
+    gusts = (variances[1] + variances[2] + variances[3] * GUST_S)[:3]
+    needs = jnp.concatenate([gain * motion[:3], DAMPING_RATE * gain * motion[3:]])
+    shrink = jnp.minimum(
+        shrink, jnp.maximum(0.0, 1.0 - GUST_SHARE**2 * jnp.tile(gusts, 2) / jnp.maximum(needs**2, 1e-12))
+    )
     fade = jnp.where(flying & valid[0], dt / LEVEL_MEMORY_S, 0.0)
     level = memory.level + fade * (jnp.minimum(motion**2, 6.0 * memory.level) - memory.level)
     one = jnp.ones(1)
     teach = jnp.ones((4, PER_AXIS)).at[:, GAIN].set(jnp.concatenate([shrink[:3], one]))
-    teach = teach.at[:, DAMPING].set(jnp.concatenate([shrink[3:], one]))
+    # A vertical gust lifts the vehicle and its thrust alike: what flight shows of the rotors' answer to climbing is biased, so
+    # that it stays at its prior, with its uncertainty.
+    teach = teach.at[:, DAMPING].set(jnp.concatenate([shrink[3:], 0.0 * one]))
 
     # What a loss takes is in proportion to the rotor's thrust, but not to its jitter: a disturbance that the controller
     # answers through rotor i would correlate with that rotor's own command and look like its loss.

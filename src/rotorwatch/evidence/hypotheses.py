@@ -15,6 +15,9 @@ from itertools import combinations
 import numpy as np
 
 LOSS_WIDTH, SMALL_WIDTH = 0.3, 0.06
+# Share by which what a loss does to roll, pitch, yaw and thrust may differ from geometry: inflow and battery change thrust, and
+# in moving air rotors that no longer match in speed drag the vehicle round.
+SLOP = (0.1, 0.1, 0.4, 0.3)
 # Prior weights: how often each kind of jump happens, relative to one particular rotor failing. Disturbances are common.
 WEIGHT = {"single": 1.0, "pair": 1e-4, "single_common": 0.02, "disturbance": 3.0}
 # Disturbances: which of roll, pitch, yaw, thrust they touch.
@@ -102,9 +105,10 @@ def _clip_pair(c11, c12, c22, z1, z2, lo1, hi1, lo2, hi2):
     return best_a, best_b, best
 
 
-def log_bayes_factors(hyp: Hypotheses, C, z, lo, hi, width):
+def log_bayes_factors(hyp: Hypotheses, C, z, lo, hi, width, effect):
     """C (W, q, q), z (W, q) for W jump times; lo, hi (n,) bounds of rotor jumps; width (4,): how large disturbances of this
-    aircraft are. -> log BF (W, n_h), nu (W, n_fault, 2)."""
+    aircraft are; effect (4, n): what a rotor's whole loss does to each axis now.
+    -> log BF (W, n_h), nu (W, n_fault, 2), information on each rotor's loss alone (W, n)."""
     import jax.numpy as jnp
 
     n = hyp.n
@@ -115,13 +119,15 @@ def log_bayes_factors(hyp: Hypotheses, C, z, lo, hi, width):
     prior = 1.0 / jnp.concatenate([jnp.full(n, LOSS_WIDTH), width]) ** 2
     c = diag + prior
     c1, z1 = c[:, :n], z[:, :n]
-    nu1 = jnp.clip(z1 / c1, lo, hi)
-    single = z1 * nu1 - 0.5 * c1 * nu1**2 - 0.5 * jnp.log(c1 * w2)
+    own, told, gain = _with_slop(C, z, jnp.clip(z1 / c1, lo, hi), effect)
+    c1 = own + 1.0 / w2
+    nu1 = jnp.clip(told / c1, lo, hi)
+    single = told * nu1 - 0.5 * c1 * nu1**2 - 0.5 * jnp.log(c1 * w2)
     # Losses are small as often as large: half of the prior is narrow.
-    c0 = diag[:, :n] + 1.0 / SMALL_WIDTH**2
-    nu0 = jnp.clip(z1 / c0, lo, hi)
-    small = z1 * nu0 - 0.5 * c0 * nu0**2 - 0.5 * jnp.log(c0 * SMALL_WIDTH**2)
-    single = jnp.logaddexp(single, small) - np.log(2.0)
+    c0 = own + 1.0 / SMALL_WIDTH**2
+    nu0 = jnp.clip(told / c0, lo, hi)
+    small = told * nu0 - 0.5 * c0 * nu0**2 - 0.5 * jnp.log(c0 * SMALL_WIDTH**2)
+    single = jnp.logaddexp(single, small) - np.log(2.0) + gain
 
     def pairwise(a, b, lo_b, hi_b):
         c11, c22, c12 = c[:, a], c[:, b], C[:, a, b]
@@ -146,7 +152,31 @@ def log_bayes_factors(hyp: Hypotheses, C, z, lo, hi, width):
     nu = jnp.concatenate(
         [jnp.stack([nu1, jnp.zeros_like(nu1)], -1), jnp.stack([pa, pb], -1), jnp.stack([xa, xb], -1)], axis=1
     )
-    return logbf, nu
+    return logbf, nu, own
+
+
+def _with_slop(C, z, nu, effect):
+    """Information and vector of each rotor's jump (W, n) when every axis may differ by SLOP of what a jump nu (W, n) does to it, and
+    what that freedom gains (W, n): Gaussian steps of the four axes integrated out, one after the other."""
+    import jax.numpy as jnp
+
+    n = nu.shape[1]
+    prior = (jnp.asarray(SLOP)[:, None, None] * effect[:, None, :] * nu[None]) ** 2 + 1e-12  # (4, W, n)
+    own, told, gain = jnp.diagonal(C, axis1=1, axis2=2)[:, :n], z[:, :n], 0.0
+    shape = nu.shape
+    cross = [C[:, :n, n + a] for a in range(4)]
+    among = [[jnp.broadcast_to(C[:, n + a, n + b, None], shape) for b in range(4)] for a in range(4)]
+    step = [jnp.broadcast_to(z[:, n + a, None], shape) for a in range(4)]
+    for a in range(4):
+        d = among[a][a] + 1.0 / prior[a]
+        gain = gain + 0.5 * step[a] ** 2 / d - 0.5 * jnp.log(d * prior[a])
+        own, told = own - cross[a] ** 2 / d, told - cross[a] * step[a] / d
+        for b in range(a + 1, 4):
+            share = among[a][b] / d
+            cross[b], step[b] = cross[b] - cross[a] * share, step[b] - step[a] * share
+            for k in range(b, 4):
+                among[b][k] = among[b][k] - share * among[a][k]
+    return own, told, gain
 
 
 def cholesky(A):

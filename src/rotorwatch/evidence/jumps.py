@@ -79,6 +79,19 @@ class Jumps:
         return bank._replace(M=M, C=C, z=z)
 
 
+def without_last(bank: Bank, variance) -> Bank:
+    """The bank with its last direction integrated out: how large that is nobody asks, its prior variance is known.
+
+    C - c c' / (C_ll + 1 / variance), and z alike: what is left holds whatever the last direction did.
+    """
+    C, z = bank.C, bank.z
+    c = C[:, :-1, -1]
+    share = c / (C[:, -1, -1] + 1.0 / variance)[:, None]
+    return bank._replace(
+        M=bank.M[:, :, :-1], C=C[:, :-1, :-1] - share[:, :, None] * c[:, None, :], z=z[:, :-1] - share * z[:, -1:]
+    )
+
+
 def pick(bank: Bank, one_slot) -> tuple[Array, Array, Array]:
     """M, C, z of one slot; one_slot (W,) is 1 there and 0 elsewhere."""
     import jax.numpy as jnp

@@ -15,6 +15,7 @@ SMALLEST = 0.015  # loss that is worth an event
 ASKED_SHARE, ASKED_SLACK, ASKED_MOST = 0.25, 0.05, 0.35
 MISSING_SLACK = 0.15  # hover thrusts of one rotor
 FAST_S, SLOW_S = 0.5, 6.0
+WEATHER = 1.0  # standard deviations of this flight's disturbances that either may be off by
 SECOND = 0.1
 # A loss that is known wanders with the operating point and the weather: only a step in it is news.
 CHANGE, CHANGE_GONE, GONE = 0.03, 0.3, 0.8
@@ -43,20 +44,23 @@ def follow(state: Missing, missing, valid, restart, dt: float) -> Missing:
     )
 
 
-def plausible(first, jump, smooth, rise, now: Missing, before: Missing, thrust_valid, active, theta):
+def plausible(first, jump, smooth, rise, now: Missing, before: Missing, thrust_valid, active, theta, rough):
     """bool: may the jump (2, n; two rotors at most, 0 elsewhere) be a loss?
 
     first: size of the first rotor's jump. smooth (n,): thrust of each rotor; rise (n,): what is asked above trim. active (n,):
-    rotors already known to be weak, by theta (n,).
+    rotors already known to be weak, by theta (n,). rough (4,): variance of this flight's disturbances.
     """
     import jax.numpy as jnp
 
     # A controller asks more of a rotor that gives less: a candidate whose command has fallen instead is none.
+    n = smooth.shape[0]
+    swing = WEATHER * jnp.sqrt(rough[:3].sum()) / n
     asked = jnp.minimum(jump, ASKED_MOST) * smooth
-    ok = (jnp.abs(first) > SMALLEST) & jnp.where(jump > 0, rise > ASKED_SHARE * asked - ASKED_SLACK, True).all()
+    ok = (jnp.abs(first) > SMALLEST) & jnp.where(jump > 0, rise > ASKED_SHARE * asked - ASKED_SLACK - swing, True).all()
     # ... and what the rotors no longer give must be missing from the thrust.
+    slack = MISSING_SLACK + WEATHER * jnp.sqrt(rough[3])
     lost = (jnp.clip(jump, 0.0, 1.0) * smooth).sum()
-    ok &= ~thrust_valid | (lost <= 0.0) | (now.fast - before.slow > ASKED_SHARE * lost - MISSING_SLACK)
+    ok &= ~thrust_valid | (lost <= 0.0) | (now.fast - before.slow > ASKED_SHARE * lost - slack)
     known = active[None, :] & (jump != 0.0)
     least = jnp.where(theta > GONE, CHANGE_GONE, CHANGE)
     ok &= ~known.any() | (known & (jnp.abs(jump) > least)).any() | (another_of(jump, active)).any()
