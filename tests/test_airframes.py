@@ -57,10 +57,12 @@ def test_every_frame_balances_and_can_steer(name):
     """Equal thrusts give no torque, and roll, pitch and thrust are independent; yaw too where rotors drag."""
     vehicle = airframes.named(name)
     effect = vehicle.effectiveness()
+    share = np.array([r.share for r in vehicle.rotors])
+    equal = effect * share.mean() / share  # as if lower rotors of coaxial pairs gave as much as upper ones
     unbalanced = {"ardupilot-octa-v"}  # its published factors are not symmetric
     tails = {"ardupilot-quad-vtail", "ardupilot-quad-atail"}  # factors of the mixer, not places of rotors
     if name not in unbalanced | tails:
-        assert np.abs(effect[:3].sum(axis=1)).max() < 1e-9
+        assert np.abs(equal[:3].sum(axis=1)).max() < 1e-9
     turning = np.abs(effect[2]).max() > 0
     assert np.linalg.matrix_rank(effect if turning else effect[[0, 1, 3]]) == 3 + turning
 
@@ -74,6 +76,14 @@ def test_mixer_pushes_the_way_the_rotors_can(name):
         if np.abs(vehicle.mixer[:, axis]).max() > 0:
             assert made[axis, axis] > 0.4
     assert np.abs(vehicle.mixer[:, :3]).max() <= 0.5
+
+
+def test_lower_rotors_of_coaxial_pairs_give_less():
+    vehicle = airframes.named("ardupilot-octaquad-x")
+    assert [r.share for r in vehicle.rotors] == [1.0] * 4 + [0.85] * 4
+    assert vehicle.effectiveness()[3].mean() == pytest.approx(1.0)
+    assert any("Lower rotors" in note for note in vehicle.assumptions)
+    assert not any("Lower rotors" in note for note in airframes.named("ardupilot-octa-x").assumptions)
 
 
 def test_v_frame_yaws_less_in_front():
