@@ -172,6 +172,17 @@ def test_px4_geometry_from_parameters():
     assert (shares.curve.u_min, shares.curve.u_max, shares.curve.expo) == (0, 1, 0)
 
 
+def test_px4_rotors_of_different_strength_and_height():
+    """CA_ROTOR*_CT scales what a rotor gives; of two on one arm the one whose z points further down is the lower."""
+    parameters = {"CA_ROTOR_COUNT": 8, "CA_AIRFRAME": 0}
+    for k in range(8):
+        x, y = (0.2, 0.2, -0.2, -0.2)[k % 4], (0.2, -0.2, -0.2, 0.2)[k % 4]
+        parameters |= {f"CA_ROTOR{k}_PX": x, f"CA_ROTOR{k}_PY": y, f"CA_ROTOR{k}_PZ": (0.05, -0.05)[k // 4]}
+        parameters |= {f"CA_ROTOR{k}_KM": 0.05 * (-1) ** (k + k // 4), f"CA_ROTOR{k}_CT": 8.0 if k == 6 else 4.0}
+    shares = np.array([r.share for r in airframes.identify(flight("PX4", rotors=8, parameters=parameters)).rotors])
+    assert shares / shares[4] == pytest.approx([0.85] * 4 + [1.0, 1.0, 2.0, 1.0])
+
+
 @pytest.mark.parametrize("start, frame", [(4001, "quad-x"), (5001, "quad-plus"), (10016, "quad-x"), (3010, "quad-x")])
 def test_px4_airframe_numbers(start, frame):
     vehicle = airframes.identify(flight("PX4", parameters={"SYS_AUTOSTART": start}))
