@@ -440,6 +440,54 @@ def test_the_page_holds_all_it_needs(tmp_path):
     assert not re.search(r"<(link|img|iframe)\b", outside)
 
 
+def test_curves_of_groups_are_those_of_their_flights():
+    """Each frame's, profile's and wind's curves are what a table of these flights alone gives."""
+    rows = [{"peak": -3.0, "frame": f, "wind_m_s": w} for f in ("quad-x", "hexa-x") for w in (1.0, 4.0)] * 5
+    rows += [{"peak": 1.0, "false_alarms": 1, "frame": "hexa-x", "wind_m_s": 4.0}]
+    rows += [broken(frame="quad-x")] * 6 + [
+        broken(frame="hexa-x", delay_s=3.0, estimate=0.25, wind_m_s=8.0, peak_2s=-1.0)
+    ] * 4
+    found = campaign.summarise(made(rows))["methods"]["default"]
+    assert set(found["curves"]) == {"frame", "profile", "wind"} and set(found["curves"]["wind"]) == set(
+        found["groups"]["wind"]
+    )
+    for frame in ("quad-x", "hexa-x"):
+        alone = campaign.summarise(made([row for row in rows if row.get("frame") == frame]))["methods"]["default"]
+        curves = found["curves"]["frame"][frame]
+        whole = {p["threshold"]: p for p in alone["roc"]}
+        for point in curves["roc"]:
+            assert point["false_alarms_h"] == pytest.approx(whole[point["threshold"]]["false_alarms_h"]["value"])
+            assert point["detected_2s"] == pytest.approx(whole[point["threshold"]]["detected_2s"]["value"])
+        assert [p["detected"] for p in curves["delay_curve"]] == [p["detected"]["value"] for p in alone["delay_curve"]]
+        errors = [p for p in alone["loss_error"] if p["rmse"]]
+        assert [p["rmse"] for p in curves["loss_error"]] == pytest.approx([p["rmse"]["value"] for p in errors])
+    assert found["curves"]["frame"]["hexa-x"]["delay_curve"][0]["detected"] == 0.0
+
+
+def test_the_page_shows_every_method_and_group(tmp_path):
+    """More methods than colours, a rule without a statistic, and pictures by frame, profile and wind."""
+    rows = [
+        {"peak": -3.0},
+        {"peak": 0.5, "false_alarms": 1},
+        *[broken()] * 3,
+        *[broken(frame="hexa-x", wind_m_s=8.0)] * 3,
+    ]
+    rows += [broken(autopilot="ardupilot", profile="default", wind_m_s=4.0)]
+    names = [f"method-{k}" for k in range(12)]
+    rows = [{**row, "method": name} for name in names for row in rows]
+    blank = dict.fromkeys(("peak", "estimate", "lower", "upper", *(f"peak_{s:g}s" for s in score.WINDOWS_S)))
+    rows += [{**broken(), **blank, "method": "rule"}, {**blank, "method": "rule", "false_alarms": 1}]
+    page.write(campaign.summarise(made(rows)), tmp_path / "index.html")
+    text = (tmp_path / "index.html").read_text()
+    for title in ("All flights", "By frame", "By logging profile", "By wind"):
+        assert f"<h2>{title}</h2>" in text
+    for name in (*names, "rule"):
+        assert re.search(rf'"label":\{{"type":"value","value":"{name}"\}}', text), name
+    for what in ("detected within 2 s", "detected within a time", "error of announced losses"):
+        assert text.count(f"method-3: {what}") >= 3  # by frame, profile, wind
+    assert "rule: detected within" not in text
+
+
 def test_an_empty_table_is_refused():
     with pytest.raises(ConfigError, match="no flight"):
         campaign.summarise(made([]))

@@ -21,6 +21,7 @@ LOSS_EDGES = (0.03, 0.06, 0.12, 0.25, 0.5, 1.01)
 WIND_EDGES = (0.0, 3.0, 6.0, np.inf)
 DELAYS_S = (0.1, 0.2, 0.3, 0.4, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 5.0, 7.0, 10.0)
 THRESHOLDS = (*np.arange(-12.0, 0.0, 0.5), 0.0, *np.arange(0.5, 12.1, 0.5))
+DRAWN = ("frame", "profile", "wind")  # groups with curves of their own
 LIKELY = 0.6744897501960817  # half of normal errors are smaller than so many standard deviations
 
 
@@ -28,7 +29,8 @@ def summarise(table: Any, name: str = "") -> dict[str, Any]:
     """{"name", "flights", "healthy_h", "methods": {method: {...}}} of a pyarrow table with the columns of score.COLUMNS.
 
     Per method: `overall` and, by frame, profile, wind, trajectory and fault, `groups`, each a dict of `measures`; `roc`, `delay_curve` and
-    `loss_error`, lists of points. Raises ConfigError for an empty table.
+    `loss_error`, lists of points; `curves`: the same three for each frame, profile and wind, as plain numbers. Raises ConfigError for
+    an empty table.
     """
     if table.num_rows == 0:
         raise ConfigError("There is no flight in this campaign's table.")
@@ -36,10 +38,12 @@ def summarise(table: Any, name: str = "") -> dict[str, Any]:
     methods = {}
     for method in sorted(set(columns["method"])):
         mine = {key: values[columns["method"] == method] for key, values in columns.items()}
+        labels = _labels(mine)
         methods[method] = {
             "overall": measures(mine),
-            "groups": {kind: _groups(mine, labels) for kind, labels in _labels(mine).items()},
+            "groups": {kind: _groups(mine, labels[kind], measures) for kind in labels},
             "roc": _roc(mine), "delay_curve": _delay_curve(mine), "loss_error": _loss_error(mine),
+            "curves": {kind: _groups(mine, labels[kind], _curves) for kind in DRAWN},
         }  # fmt: skip
     one = columns["method"] == columns["method"][0]
     hours = float(columns["healthy_s"][one].sum() / 3600.0)
@@ -143,8 +147,32 @@ def _labels(d: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     }
 
 
-def _groups(d: dict[str, np.ndarray], labels: np.ndarray) -> dict[str, dict]:
-    return {str(g): measures({k: v[labels == g] for k, v in d.items()}) for g in sorted(set(labels))}
+def _groups(d: dict[str, np.ndarray], labels: np.ndarray, count: Callable) -> dict[str, dict]:
+    """What `count` makes of the flights of each label."""
+    return {str(g): count({k: v[labels == g] for k, v in d.items()}) for g in sorted(set(labels))}
+
+
+def _curves(d: dict[str, np.ndarray]) -> dict[str, list[dict]]:
+    """ROC, delays and errors of some flights, as numbers without intervals: what a picture with many lines can show."""
+    hours, clear = float(d["healthy_s"].sum() / 3600.0), d["clear"].astype(bool)
+    roc: list[dict] = []
+    if np.isfinite(d["peak"]).any() and hours > 0.0 and clear.any():
+        roc = [
+            {"threshold": float(t), "false_alarms_h": float((d["peak"] > t).sum() / hours)}
+            | {f"detected_{s:g}s": float((d[f"peak_{s:g}s"][clear] > t).mean()) for s in (2.0, 10.0)}
+            for t in THRESHOLDS[::2]
+        ]
+    delays: list[dict] = []
+    if clear.any():
+        with np.errstate(invalid="ignore"):
+            delays = [{"delay_s": t, "detected": float((d["delay_s"][clear] <= t).mean())} for t in DELAYS_S]
+    errors = []
+    for low, high in itertools.pairwise(LOSS_EDGES):
+        here = (d["loss"] >= low) & (d["loss"] < high)
+        error, sd = _errors({k: v[here] for k, v in d.items()})
+        if error.size:
+            errors.append({"low": low, "high": min(high, 1.0), "rmse": _rms(error), "bound_rmse": _rms(sd)})
+    return {"roc": roc, "delay_curve": delays, "loss_error": errors}
 
 
 def _roc(d: dict[str, np.ndarray]) -> list[dict]:
