@@ -125,7 +125,7 @@ def prepare(name: str, vehicle: Vehicle | str | None = None, dt: float | None = 
         p, usual = _learned(vehicle), LOG_DT
         c, any_vehicle = (np.reshape(x, (4, PER_AXIS)) for x in (p["x0"], WrenchBalance(p["B"]).x0))
         G = np.clip(c[:, GAIN], any_vehicle[:, GAIN] / 3, any_vehicle[:, GAIN] * 3)
-        damping = np.maximum(c[:, DAMPING], 0.0)
+        damping = np.maximum(c[:, DAMPING], 0.0) * [1.0, 1.0, 1.0, 0.0]
         step = dt or usual
         plant = log_plant.plant(log_plant.parameters(p["B"], G, damping, np.zeros(4), np.asarray(p["noise"]), step))
         return discovery.estimator(name)(plant, step)

@@ -23,7 +23,7 @@ from rotorwatch import default_estimator
 from rotorwatch.errors import ConfigError
 from rotorwatch.systems.rate_dynamics import G as G0
 from rotorwatch.systems.rate_dynamics import RateDynamics
-from rotorwatch.systems.wrench_balance import DAMPING, GAIN, GAIN_MEAN, PER_AXIS, TAU
+from rotorwatch.systems.wrench_balance import DAMPING, GAIN, PER_AXIS, TAU, usual_gains
 from rotorwatch.ticks import GROUND, JUDGE, LEARN, Ticks
 
 GAIN_RANGE = 3.0  # a gain further than this factor from what any multirotor has was learned from noise
@@ -81,7 +81,7 @@ def _hop(table: Ticks, B: np.ndarray, dynamics: dict | None, start: int, stop: i
     if not judging.size or learning.size * table.dt < 1.0:
         return None
     x, noise = _taught(_cut(table, start, int(learning[-1]) + 1), B, dynamics)
-    G, c = _plausible(x.reshape(4, PER_AXIS))
+    G, c = _plausible(x.reshape(4, PER_AXIS), B.shape[1])
     b = _trim(table, learning, G, c)
     previous = np.maximum(judging - 1, start)
     u = 0.5 * (table.thrust[judging] + table.thrust[previous])
@@ -126,10 +126,11 @@ def _taught(part: Ticks, B: np.ndarray, dynamics: dict | None) -> tuple[np.ndarr
     return np.asarray(carry.s)[: 4 * PER_AXIS], np.asarray(carry.noise.variances)
 
 
-def _plausible(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Gains and damping (4,) that a multirotor can have: in calm air little can be learned, and some of it wrong."""
-    G = np.clip(x[:, GAIN], GAIN_MEAN / GAIN_RANGE, GAIN_MEAN * GAIN_RANGE)
-    return G, np.clip(x[:, DAMPING], 0.0, FASTEST_DAMPING * G)
+def _plausible(x: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Gains and damping (4,) that an n-rotor vehicle can have: in calm air little can be learned, and some of it wrong."""
+    usual = usual_gains(n)
+    G = np.clip(x[:, GAIN], usual / GAIN_RANGE, usual * GAIN_RANGE)
+    return G, np.clip(x[:, DAMPING], 0.0, FASTEST_DAMPING * G * [1.0, 1.0, 1.0, 0.0])
 
 
 def _trim(table: Ticks, rows: np.ndarray, G: np.ndarray, c: np.ndarray) -> np.ndarray:

@@ -24,7 +24,7 @@ from rotorwatch.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
 from rotorwatch.maths import bounded
 from rotorwatch.systems.rate_dynamics import G, RateDynamics
-from rotorwatch.systems.wrench_balance import GAIN_MEAN
+from rotorwatch.systems.wrench_balance import usual_gains
 from rotorwatch.vehicle import Vehicle
 
 T0 = 0.05  # s
@@ -209,7 +209,7 @@ def plant(subject) -> tuple[str, Any]:
     if isinstance(subject, Vehicle):
         B = subject.effectiveness()
         n = B.shape[1]
-        return subject.name, RateDynamics(np.diag(GAIN_MEAN[:3]), B[:3], B[3], n / G)
+        return subject.name, RateDynamics(np.diag(usual_gains(n)[:3]), B[:3], B[3], n / G)
     return getattr(subject, "name", type(subject).__name__), subject
 
 

@@ -99,6 +99,11 @@ def any_multirotor(n: int) -> tuple[np.ndarray, np.ndarray]:
     return mean.reshape(-1), P.reshape(4 * PER_AXIS, 4 * PER_AXIS)
 
 
+def usual_gains(n: int) -> np.ndarray:
+    """(4,) gains of an n-rotor vehicle that nothing is known of."""
+    return any_multirotor(n)[0].reshape(4, PER_AXIS)[:, GAIN]
+
+
 def climbing(load, valid, restart, dt: float) -> np.ndarray:
     """(T,) climb in m/s from load factors (T,): what exceeds their mean over LOAD_MEMORY_S adds up and fades over CLIMB_MEMORY_S.
 
