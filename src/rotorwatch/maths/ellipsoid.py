@@ -189,29 +189,29 @@ def batch_cut(a, P, H, e, R):
 
 
 def joint_gains(PH, S, e, R, weight):
-    """(K, health) of `joint_cut` for several candidates at once: PH (k, n, m) = P H', S (k, m, m) = H P H', weight (k,)."""
-    import jax
+    """(K, health) of `joint_cut`: PH (n, m) = P H', S (m, m) = H P H'."""
     from jax import numpy as jnp
     from jax.scipy.linalg import cho_solve
 
-    root = jnp.linalg.cholesky(S + R / weight[:, None, None])
-    solved = jax.vmap(lambda root, right: cho_solve((root, True), right))
-    K = jnp.swapaxes(solved(root, jnp.swapaxes(PH, 1, 2)), 1, 2)
-    return K, 1.0 + weight - solved(root, jnp.broadcast_to(e, S.shape[:2])) @ e
+    root = jnp.linalg.cholesky(S + R / weight)
+    solved = cho_solve((root, True), jnp.concatenate([PH.T, e[:, None]], axis=1))
+    return solved[:, :-1].T, 1.0 + weight - e @ solved[:, -1]
 
 
-def joint_cut(a, P, H, e, R, weight, K, health):
+def joint_cut(a, P, H, e, R, weight, K, health, part=slice(None)):
     """`Cut` of E(a, P) by a measurement whose errors all together lie in E(0, R), with the given weight lambda > 0.
 
         K = P H' (H P H' + R / lambda)^-1,   a <- a + K e,   P <- health (P - K H P)
         health = 1 + lambda - e' (H P H' + R / lambda)^-1 e
 
     H (m, n), rows 0 where nothing was measured; e (m,) measured minus predicted at a; R (m, m); K (n, m), health of
-    `joint_gains`. One ellipsoid bounds all errors, so it costs one lambda, where m strips of the same size would cost m.
-    In Joseph's form: no digits are lost where the set is much larger than the errors.
+    `joint_gains`; part: the components wanted. One ellipsoid bounds all errors, so it costs one lambda, where m strips of the
+    same size would cost m. In Joseph's form: no digits are lost where the set is much larger than the errors.
     """
-    less = P - K @ (H @ P)
-    return Cut(a + K @ e, symmetric(health * (less - (less @ H.T) @ K.T + K @ (R / weight) @ K.T)), health)
+    K = K[part]
+    less = P[part] - K @ (H @ P)
+    shape = less[:, part] - (less @ H.T) @ K.T + K @ (R / weight) @ K.T
+    return Cut(a[part] + K @ e, symmetric(health * shape), health)
 
 
 def batch_share(S, R):

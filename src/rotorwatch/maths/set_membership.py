@@ -33,9 +33,8 @@ RESTART_WEIGHTS = (0.03, 0.3, 2.0)  # of the measurement; the last makes the set
 ALLOWED, MARGIN = 0.5, 1.2  # a remainder's allowance: in noise bounds at most, and in remainders of the round before
 APART = 3.0, 1.5  # E(0, P) x E(0, T) lies within the ellipsoid of 3 P and 3/2 T
 SHARP = 1.0  # weight of each of the two measurements that keep the small set small
-# Tried in every step: factors on the odds of the share of least trace, and the measurement's weights with them.
-SHARES = (1.0, 1.0, 10.0, 10.0, 10.0)
-WEIGHTS = (0.003, 0.03, 0.003, 0.03, 1.0)
+# Tried in every step: factors on the odds of the sum's share of least trace, and weights of the measurement.
+SHARES, WEIGHTS = (1.0, 10.0), (0.003, 0.003)
 
 
 class Carry(NamedTuple):
@@ -103,7 +102,8 @@ class SetMembership:
         weights=None,
         restart=True,
     ):
-        """dt: s. bound: noise bounds and the start's half-widths in standard deviations of the plant's Q, R and P0, or given
+        """dt: s. bound: noise bounds and the start's half-widths in standard deviations of the plant's Q, R and P0, wider where
+        several numbers share one bound, so that all are left as rarely; or given
         directly: process (n_x,) semi-axes of one step, measurement (n_y,). theta_centre, theta_reach: centre and semi-axes of
         the losses at the start and after a restart; theta_drift: loss per second that a loss may change by; theta_range: (low, high)
         known limits (default 0 and 1 when each theta belongs to an input). form: joint, where one ellipsoid bounds all
@@ -185,10 +185,10 @@ class SetMembership:
         ahead = self._predict(carry, u, step)
         z, shape, (H, e, limit) = ahead.z, self._sum(ahead), self._compare(ahead, u, y, valid, self.form)
         if self.form == "joint":
-            cut, x, P_x = self._least(ahead, H, e, limit, valid)
+            cut, x = self._least(ahead, H, e, limit, valid)
             small = self._small(carry, ahead, H, e, limit, valid, step)
             cut = cut._replace(health=jnp.minimum(cut.health, small.health))
-            near = jnp.concatenate([x, small.a[n_x:]]), _blocks(P_x, small.P[n_x:, n_x:], jnp)
+            near = jnp.concatenate([x.a, small.a]), _blocks(x.P, small.P, jnp)
         else:
             cut = self._cut(z, shape, H, e, limit, valid)
             near = cut.a, self.unfactored(cut.P)
@@ -242,14 +242,15 @@ class SetMembership:
         n_x, n, system = self.n_x, self.n, self.system
         start = jnp.concatenate([carry.near[:n_x], jnp.asarray(self.theta_centre)])
         S = self.apart * _blocks(carry.near_shape[:n_x, :n_x], jnp.asarray(self.theta_prior), jnp)
-        Q, bound = self.Q0(dt), self._error_bound(u)
+        Q, bound = self.Q0(dt), self._error_bound(u, "joint")
         weights = jnp.asarray(RESTART_WEIGHTS)
 
         def both(point):
             x = system.f(point[:n_x], u, point[n_x:], dt)
             return jnp.concatenate([x, system.h(x, u, point[n_x:])])
 
-        def about(state, _):
+        def about(state, first):
+            """One round; the first bounds the remainder over all of S, for want of better."""
             point, allowed, best = state
             value, J = _linear(both, point)
             H = J[n_x:]
@@ -262,9 +263,14 @@ class SetMembership:
             errors = ellipsoid.minkowski(errors, box, 1.0 / noise**2)[0]
             e = jnp.where(valid, jnp.where(valid, y, 0.0) - value[n_x:] - H @ (start - point), 0.0)
             H = jnp.where(valid[:, None], H, 0.0)
-            SH = jnp.broadcast_to(S @ H.T, (len(weights), n, len(e)))
-            K, health = ellipsoid.joint_gains(SH, H @ SH, e, errors, weights)
-            cuts = vmap(lambda *one: ellipsoid.joint_cut(start, S, H, e, errors, *one))(weights, K, health)
+            SH = S @ H.T
+
+            def cut(weight):
+                return ellipsoid.joint_cut(
+                    start, S, H, e, errors, weight, *ellipsoid.joint_gains(SH, H @ SH, e, errors, weight)
+                )
+
+            cuts = vmap(cut)(weights * jnp.where(first, 1e-9, 1.0))
             a, P = cuts.a[-1], cuts.P[-1]
             centre, slope, rest = taylor.expand(both, a, jnp.eye(n), P, self.low, self.high)
             turn = slope - J
@@ -280,21 +286,22 @@ class SetMembership:
                 Phi @ best_P @ Phi.T,
                 rest[:n_x],
             )
+            proved = proved | first
             best = [jnp.where(proved, new, old) for new, old in zip((*ahead, a, P), best, strict=True)]
             return (jnp.where(fine, a, point), jnp.where(fine, MARGIN * rest[n_x:], allowed), best), None
 
-        shape = ellipsoid.factored(S) if self.form == "ud" else S
-        first = self._predict(carry._replace(z=start, shape=shape, near=start, near_shape=S / self.apart), u, dt)
-        begin = start, jnp.full(len(bound), jnp.inf), [first.z, first.moved, first.half, start, S]
-        z, moved, half, point, around = lax.scan(about, begin, None, length=RESTART_ROUNDS)[0][2]
-        ahead = self._summed(z, first.G, moved, half, Q, first.Phi)
-        cut, x, P_x = self._least(ahead, *self._compare(ahead, u, y, valid, "joint"), valid)
+        blank = jnp.zeros(n), jnp.zeros((n, n)), jnp.zeros(n_x), start, S
+        begin = start, jnp.full(len(bound), jnp.inf), list(blank)
+        first = jnp.arange(RESTART_ROUNDS) == 0
+        z, moved, half, point, around = lax.scan(about, begin, first)[0][2]
+        ahead = self._summed(z, jnp.eye(n), moved, half, Q, jnp.eye(n))
+        cut, x = self._least(ahead, *self._compare(ahead, u, y, valid, "joint"), valid)
         fine = (cut.health > 0) & jnp.isfinite(cut.a).all() & jnp.isfinite(cut.P).all()
         left, right = ellipsoid.parts(ahead.b)
         z, P = jnp.where(fine, cut.a, ahead.z), jnp.where(fine, cut.P, left * ahead.moved + right * ahead.noise)
-        near = jnp.concatenate([jnp.where(fine, x, z[:n_x]), point[n_x:]])
+        near = jnp.concatenate([jnp.where(fine, x.a, z[:n_x]), point[n_x:]])
         near_shape = _blocks(
-            jnp.where(fine, P_x, P[:n_x, :n_x]), ellipsoid.minkowski(around[n_x:, n_x:], self._walk(dt))[0], jnp
+            jnp.where(fine, x.P, P[:n_x, :n_x]), ellipsoid.minkowski(around[n_x:, n_x:], self._walk(dt))[0], jnp
         )
         return z, ellipsoid.factored(P) if self.form == "ud" else P, near, near_shape
 
@@ -314,7 +321,11 @@ class SetMembership:
         """(n, n) shape that bounds one step's noise before it is adapted. theta moves by theta_drift dt at most."""
         from jax import numpy as jnp
 
-        Q = self.bound**2 * self.system.Q(dt) if self.process is None else jnp.diag(jnp.asarray(self.process) ** 2)
+        Q = (
+            self._radius(self.n_x) ** 2 * self.system.Q(dt)
+            if self.process is None
+            else jnp.diag(jnp.asarray(self.process) ** 2)
+        )
         return _blocks(Q, self._walk(dt), jnp)
 
     def _walk(self, dt):
@@ -322,12 +333,18 @@ class SetMembership:
 
         return jnp.diag((jnp.asarray(self.drift) * dt) ** 2)
 
-    def _error_bound(self, u):
+    def _radius(self, m: int) -> float:
+        """Of an ellipsoid that m Gaussian numbers leave about as rarely as one leaves `bound` standard deviations."""
+        return self.bound + m**0.5 - 1.0
+
+    def _error_bound(self, u, form):
+        """(n_y,) bounds of the errors, each alone (forms that cut by strips) or as semi-axes of all together."""
         from jax import numpy as jnp
 
         if self.measurement is not None:
             return jnp.asarray(self.measurement)
-        return self.bound * jnp.sqrt(self.system.R(u))
+        size = self.bound if form in ("scalar", "ud") else self._radius(self.system.n_y)
+        return size * jnp.sqrt(self.system.R(u))
 
     def _predict(self, carry: Carry, u, dt) -> Ahead:
         """The carried set one step on, not yet summed."""
@@ -386,7 +403,7 @@ class SetMembership:
         P = left * ahead.moved + right * ahead.noise
         y_hat, H, half = self._bounded(lambda point: system.h(point[:n_x], u, point[n_x:]), ahead.z, P)
         e = jnp.where(valid, jnp.where(valid, y, 0.0) - y_hat, 0.0)
-        bound = self._error_bound(u)
+        bound = self._error_bound(u, form)
         if form in ("scalar", "ud"):
             return H, e, (bound + half) ** 2
         b = ellipsoid.share((bound**2).sum(), half.sum() ** 2)
@@ -394,40 +411,37 @@ class SetMembership:
         return H, e, left * bound**2 + right * ellipsoid.around_box(half)
 
     def _least(self, ahead: Ahead, H, e, limit, valid):
-        """(cut, x, P_x): the smallest of the joint cuts with several weights, after sums with several shares; each holds all
-        that is possible, so any may be taken. x, P_x: of the one that trusts the measurement most.
-
-        A large share and weight keep the prediction of x sharp and the set of theta blunt. Small ones, while little is
-        learned, leave theta as it was. health: also whether every row alone is possible, which no share enters.
+        """(cut, near): the smaller of two joint cuts, each of which holds all that is possible; and x as a cut that trusts the
+        measurement has it. Small share and weight leave theta as it was, while little is learned; large ones pay where much
+        is. health: also whether every row alone is possible, which no share enters.
         """
         from jax import numpy as jnp
 
-        n_x = self.n_x
-        H, weight, R = jnp.where(valid[:, None], H, 0.0), jnp.asarray(WEIGHTS), jnp.diag(limit)
-        odds = ahead.b / jnp.maximum(1.0 - ahead.b, 1e-12) * jnp.asarray(SHARES)
-        left, right = ellipsoid.parts(odds / (1.0 + odds))
-        PH, reach, size = 0.0, jnp.sqrt(limit), 0.0
-        for part, P in ((left, ahead.moved), (right, ahead.noise)):
-            by = P @ H.T
-            PH = PH + part[:, None, None] * by
-            reach = reach + jnp.sqrt(jnp.maximum((H * by.T).sum(1), 0.0))
-            size = size + part * (self.weights * P.diagonal()).sum()
-        K, health = ellipsoid.joint_gains(PH, H @ PH, e, R, weight)
-        health = jnp.where(valid.any(), health, 1.0)
-        size = health * (size - ((K * PH).sum(2) * self.weights).sum(1))
-        pick = (jnp.arange(len(SHARES)) == jnp.argmin(jnp.where(health > 0, size, jnp.inf))).astype(float)
-
-        def cut(pick):
-            P = (pick @ left) * ahead.moved + (pick @ right) * ahead.noise
-            return ellipsoid.joint_cut(ahead.z, P, H, e, R, pick @ weight, jnp.tensordot(pick, K, 1), pick @ health)
-
-        least, sharpest = cut(pick), cut(jnp.asarray([0.0] * (len(SHARES) - 1) + [1.0]))
-        health = jnp.minimum(health.min(), 1.0 - (jnp.abs(e) / reach).max())
-        return least._replace(health=health), sharpest.a[:n_x], sharpest.P[:n_x, :n_x]
+        H, R, x = jnp.where(valid[:, None], H, 0.0), jnp.diag(limit), slice(0, self.n_x)
+        tried = []
+        for share, weight in zip(SHARES, WEIGHTS, strict=True):
+            left, right = ellipsoid.parts(share * ahead.b / (1.0 + (share - 1.0) * ahead.b))
+            P = left * ahead.moved + right * ahead.noise
+            PH = P @ H.T
+            K, health = ellipsoid.joint_gains(PH, H @ PH, e, R, weight)
+            size = health * (self.weights * (P.diagonal() - (K * PH).sum(1))).sum()
+            tried.append((P, PH, K, health, weight, size))
+        second = tried[1][-1] < tried[0][-1]
+        P, PH, K, health, weight, _ = (jnp.where(second, b, a) for a, b in zip(*tried, strict=True))
+        lost = jnp.where(valid.any(), 0.0, 1.0)  # a gap costs nothing
+        least = ellipsoid.joint_cut(ahead.z, P, H, e, R, weight, K, health - lost * weight)
+        P, PH = tried[1][:2]
+        K, sharp = ellipsoid.joint_gains(PH, H @ PH, e, R, SHARP)
+        near = ellipsoid.joint_cut(ahead.z, P, H, e, R, SHARP, K, sharp - lost * SHARP, x)
+        reach = jnp.sqrt(limit)
+        for part in (ahead.moved, ahead.noise):
+            reach = reach + jnp.sqrt(jnp.maximum(((H @ part) * H).sum(1), 0.0))
+        health = jnp.minimum(jnp.minimum(health, sharp), 1.0 - (jnp.abs(e) / reach).max())
+        return least._replace(health=health), near
 
     def _small(self, carry: Carry, ahead: Ahead, H, e, limit, valid, dt):
-        """What the last two measurements leave of theta in the carried set, which is cut, before the step, by the small set of its
-        x and by the measurement after the step: a `Cut` whose theta is that after the step."""
+        """`Cut`: what the last two measurements leave of theta. The carried set is cut, before the step, by the small set of its x
+        and by the measurement after the step."""
         from jax import numpy as jnp
 
         n_x, n = self.n_x, self.n
@@ -438,11 +452,10 @@ class SetMembership:
         rows = jnp.concatenate([jnp.eye(n)[:n_x], H @ ahead.Phi])
         e = jnp.concatenate([carry.near[:n_x] - carry.z[:n_x], e])
         PH = carry.shape @ rows.T
-        weight = jnp.full(1, SHARP)
-        K, health = ellipsoid.joint_gains(PH[None], (rows @ PH)[None], e, R, weight)
-        health = health[0] + SHARP * valid.any()  # two ellipsoids
-        cut = ellipsoid.joint_cut(carry.z, carry.shape, rows, e, R, SHARP, K[0], health)
-        return cut._replace(P=ellipsoid.minkowski(cut.P, _blocks(jnp.zeros((n_x, n_x)), self._walk(dt), jnp))[0])
+        K, health = ellipsoid.joint_gains(PH, rows @ PH, e, R, SHARP)
+        health = health + SHARP * valid.any()  # two ellipsoids
+        cut = ellipsoid.joint_cut(carry.z, carry.shape, rows, e, R, SHARP, K, health, slice(n_x, n))
+        return cut._replace(P=ellipsoid.minkowski(cut.P, self._walk(dt))[0])
 
     def _bounded(self, function, z, P):
         """(value (m,), J (m, n), half (m,)): function(z + d) lies within half of value + J d for all d in E(0, P)."""
