@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import rotorwatch
-from rotorwatch import campaign, log_plant, published
-from rotorwatch.campaign import batch, methods, score
+from rotorwatch import backend, campaign, log_plant, published
+from rotorwatch.campaign import batch, methods, score, work
 from rotorwatch.simulation import simulate
 from rotorwatch.ticks import LEARN
 
@@ -183,15 +183,21 @@ def test_peaks_need_to_last(plan):
 
 def test_the_width_follows_the_device(monkeypatch):
     class Device:
-        kind = "cpu"
+        kind, device_kind = "cpu", "NVIDIA H200"
 
         def default_backend(self):
             return self.kind
 
+        def devices(self):
+            return [self]
+
     monkeypatch.setattr(batch, "load_jax", Device)
-    assert batch.width() == batch.CPU_WIDTH
+    monkeypatch.setattr(backend, "jax", Device)
+    assert batch.width() == batch.CPU_WIDTH and work._processes(3) == 3 and work._processes() >= 1
+    assert batch.where() == "on the processor, 32 flights side by side"
     monkeypatch.setattr(Device, "kind", "gpu")
-    assert batch.width() == batch.ACCELERATOR_WIDTH
+    assert batch.width() == batch.ACCELERATOR_WIDTH and work._processes(3) == work._processes() == 1
+    assert batch.where() == "on 1 x NVIDIA H200, 1024 flights side by side"
 
 
 def test_as_many_at_once_as_fit_the_cache(monkeypatch):

@@ -32,7 +32,7 @@ def run(
 ) -> Any:
     """Fly and judge flights 0..flights-1 of the plan, except those that the folder already holds; returns the table of all.
 
-    jobs: processes, default one per processor (one in all where JAX has an accelerator). progress(done, flights, flights a second):
+    jobs: processes, default one per processor; never more than one where JAX has an accelerator. progress(done, flights, flights a second):
     at the start and after every part. judge: what makes rows of flights (batch.judge). Raises ConfigError for a folder of another
     plan, or one that is in use.
     """
@@ -46,7 +46,7 @@ def run(
         todo = place.missing(flights, len(plan.cells), width)
         left = sum(w.last - w.first for w in todo)
         tell = _Telling(flights, flights - left, progress)
-        jobs = min(jobs or _processes(), max(len(todo), 1))
+        jobs = min(_processes(jobs), max(len(todo), 1))
         if jobs == 1:
             for work in todo:
                 _do(plan, place, work, width, judge)
@@ -72,10 +72,11 @@ class _Telling:
             self.progress(self.done, self.flights, self.now / (time.monotonic() - self.began))
 
 
-def _processes() -> int:
+def _processes(jobs: int | None = None) -> int:
+    """How many processes: as asked for, else one per processor; never more than one on an accelerator, whose memory one takes."""
     from rotorwatch.backend import jax
 
-    return (os.cpu_count() or 1) if jax().default_backend() == "cpu" else 1
+    return (jobs or os.cpu_count() or 1) if jax().default_backend() == "cpu" else 1
 
 
 def _do(plan: Plan, folder: Folder, work: Work, width: int, judge: Judge) -> None:
