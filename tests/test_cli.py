@@ -86,7 +86,9 @@ def test_exit_code_says_the_verdict(fake, run, verdict, code):
 
 def test_json_of_one_log_is_an_object_and_of_several_a_list(fake, run):
     code, out, _ = run("diagnose", "fault.bin", "--json")
-    assert code == 1 and json.loads(out)["verdict"] == "fault"
+    answer = json.loads(out)
+    assert code == 1 and answer["verdict"] == "fault"
+    assert 0.0 < answer["timing"]["read_s"] < answer["timing"]["total_s"]
     code, out, err = run("diagnose", "fault.bin", "broken.bin", "healthy.bin", "--json")
     first, broken, last = json.loads(out)
     assert (code, first["verdict"], last["verdict"]) == (2, "fault", "healthy")

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import os
 import sys
+import time
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -119,9 +121,14 @@ def diagnose(context, logs, baselines, vehicle, estimator, tuning, report, as_js
     def judge(path: Path) -> Diagnosis:
         from rotorwatch.diagnose import diagnose as run
 
+        began = time.perf_counter()
         with progress(quiet) as tell:
             flight = _read(path, tell)
-            return run(flight, vehicle=known, baseline=healthy, estimator=estimator, progress=tell, tuning=tuned)
+            read_s = time.perf_counter() - began
+            found = run(flight, vehicle=known, baseline=healthy, estimator=estimator, progress=tell, tuning=tuned)
+        return replace(
+            found, timing={**found.timing, "read_s": read_s, "total_s": found.timing.get("total_s", 0.0) + read_s}
+        )
 
     if len(logs) == 1:
         result = judge(logs[0])

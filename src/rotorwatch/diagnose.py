@@ -108,6 +108,7 @@ def diagnose(
             if not flight.has("motors")
             else "the log shows no flight: the vehicle never took off"
         )
+        timing["total_s"] = time.perf_counter() - began
         return Diagnosis(
             facts, "inconclusive", f"{why}; nothing can be judged.", _unobservable(craft), (), {}, source,
             tuple(assumptions), tuple(warnings), timing,
