@@ -380,8 +380,9 @@ def test_other_endings_are_refused(tmp_path):
 def test_every_method_for_two_unknowns_an_actuator_can_be_named():
     for name in ("ekf", "ukf", "adaptive_ekf", "aukf", "esmf", "aesmf"):
         assert helicopter_log.method(name, "ruav-40kg", 0.02).system.n_theta == 8
-    with pytest.raises(ConfigError, match="no estimator called"):
-        helicopter_log.method("nonsense", "ruav-40kg", 0.02)
+    for name, says in (("nonsense", "no estimator called"), ("default", "made for multirotors; name a published one")):
+        with pytest.raises(ConfigError, match=says):
+            helicopter_log.method(name, "ruav-40kg", 0.02)
 
 
 @pytest.mark.parametrize("name", ["ekf", "adaptive_ekf", "aukf", "aesmf"])
@@ -395,6 +396,16 @@ def test_estimators_find_the_jam(name):
     assert said["tail"]["deviation"] == pytest.approx(truth, abs=0.05)
     before = found.table.time < 14.9
     assert np.abs(found.deviation[before & (found.table.time > 3.0)]).max() < 0.05
+
+
+def test_steady_wind_is_no_fault():
+    """3 m/s and its gusts move the estimates, but what was there from the start does not count; a log too short to tell is refused."""
+    made = simulate(asked(trajectory={"kind": "figure-eight"}, wind={"speed_m_s": 3.0, "from_deg": 40.0}))
+    found = helicopter_log.estimate(made.flight, "ruav-40kg", "ekf")
+    assert np.isnan(found.found).all()
+    early = {k: v[:90] for k, v in loop_columns(made).items()}
+    with pytest.raises(LogError, match="shorter than the 6 s"):
+        helicopter_log.estimate(memory.from_arrays(early), "ruav-40kg", "ekf")
 
 
 def test_the_table_of_the_plant():

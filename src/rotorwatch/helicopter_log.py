@@ -4,6 +4,7 @@
 
 From commands alone a loss and a displacement cannot be told apart while the command stands still; their deviation can always be seen,
 so it decides: an actuator is named when its deviation stays beyond LEAST and beyond MARGIN times what it may be off by for LASTING_S.
+A flight is taken to begin sound: what deviates at first is steady wind and trim, and counts as none.
 """
 
 from __future__ import annotations
@@ -28,7 +29,10 @@ VELOCITY_SD, RATE_SD = 0.03, 0.0015  # of one sample: a navigation filter's velo
 PROCESS_SD = (4e-3, 4e-3)  # what gusts and the plant's simplifications add in 0.02 s [m/s, rad/s]
 LEAST, MARGIN, LASTING_S = 0.04, 1.5, 0.5
 FILTER_SD = 2.0  # standard deviations that a filter's estimate may be off by; of a set, its half-width
-LEARN_S = 2.0  # nothing is named before
+LEARN_S = (
+    2.0,
+    6.0,
+)  # what deviates meanwhile is steady wind and trim: it is taken out, and nothing is named before the end
 KALMAN: dict[str, Any] = {
     # A fault is a jump of theta; a random walk follows it in about a second.
     "theta_walk": np.repeat([4e-3, 1e-3], ACTUATORS), "theta_var": np.repeat([1e-3, 4e-4], ACTUATORS),
@@ -129,6 +133,10 @@ def method(name: str, airframe: str, dt: float) -> Any:
         raise ConfigError(f"There is no helicopter called {airframe!r}; known are {', '.join(known)}.")
     load_jax()
     kind = discovery.estimator(name)
+    if name == "default":
+        raise ConfigError(
+            "The default estimator is made for multirotors; name a published one for a helicopter (docs/methods)."
+        )
     system = Helicopter(airframes.paper(airframe), PROCESS_SD, VELOCITY_SD, RATE_SD)
     known = inspect.signature(kind.__init__).parameters
     tuning = SETS if issubclass(kind, SetMembership) else KALMAN
@@ -153,6 +161,13 @@ def estimate(flight: Flight, airframe: str, name: str, lag_s: float = LAG_S, pro
     _, (theta, cov) = run(estimator, table.u, table.y, table.valid, _losses, progress, sound(estimator))
     cov = cov * (1.0 if isinstance(estimator, SetMembership) else FILTER_SD**2)
     deviation, deviation_off = _deviation(theta, cov, table.u[:, :ACTUATORS])
+    since = table.time - table.time[0]
+    level = (since > LEARN_S[0]) & (since <= LEARN_S[1])
+    if not level.any():
+        raise LogError(
+            f"{flight.name or 'The log'} is shorter than the {LEARN_S[1]:g} s that a helicopter's trim takes to learn."
+        )
+    deviation = deviation - deviation[level].mean(axis=0)
     off = np.sqrt(np.maximum(np.diagonal(cov, axis1=1, axis2=2), 0.0))
     return Estimated(table, theta, off, deviation, deviation_off, _named(table, deviation, deviation_off))
 
@@ -185,7 +200,7 @@ def _deviation(theta: np.ndarray, cov: np.ndarray, u: np.ndarray) -> tuple[np.nd
 
 def _named(table: Table, deviation: np.ndarray, off: np.ndarray) -> np.ndarray:
     """(4,) when each actuator had deviated for LASTING_S."""
-    far = (np.abs(deviation) > np.maximum(LEAST, MARGIN * off)) & (table.time > table.time[0] + LEARN_S)[:, None]
+    far = (np.abs(deviation) > np.maximum(LEAST, MARGIN * off)) & (table.time > table.time[0] + LEARN_S[1])[:, None]
     width, found = max(1, round(LASTING_S / table.dt)), np.full(ACTUATORS, np.nan)
     for k in range(ACTUATORS):
         run_length = np.convolve(far[:, k], np.ones(width, int))[: len(far)]
