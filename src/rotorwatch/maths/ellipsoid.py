@@ -215,10 +215,11 @@ def joint_cut(a, P, H, e, R, weight, K, health, part=slice(None)):
 
 
 def batch_share(S, R):
-    """rho of `batch_cut`; kept off its ends, where a part would weigh nothing. Any value in between gives an outer bound."""
+    """rho of `batch_cut`, R being diagonal; kept off its ends, where a part would weigh nothing. Any value in between gives an
+    outer bound."""
     from jax import numpy as jnp
 
-    p, r = jnp.sqrt(largest_eigenvalue(S)), jnp.sqrt(largest_eigenvalue(R))
+    p, r = jnp.sqrt(largest_eigenvalue(S)), jnp.sqrt(R.diagonal().max())
     return jnp.clip(r / jnp.maximum(p + r, TINY), 1e-6, 1 - 1e-6)
 
 

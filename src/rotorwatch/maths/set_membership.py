@@ -154,7 +154,7 @@ class SetMembership:
             self.weights = np.ones(self.n)
         checks.covariance("P0", system.P0, n_x)
         self.theta_prior = np.diag(reach**2)
-        self.prior = _blocks(np.asarray(bound**2 * np.asarray(system.P0)), self.theta_prior)
+        self.prior = self.near_prior = _blocks(np.asarray(bound**2 * np.asarray(system.P0)), self.theta_prior)
         self.apart = _blocks(np.full((n_x, n_x), APART[0]), np.full((n_theta, n_theta), APART[1]))
         load_jax()
         if form == "ud":
@@ -163,15 +163,8 @@ class SetMembership:
     def init(self) -> Carry:
         """The set before the first measurement: the plant's x0 and P0, and the prior of theta."""
         z = np.concatenate([np.asarray(self.system.x0, float), self.theta_centre])
-        return Carry(
-            z,
-            self.prior,
-            np.ones(self.n),
-            np.zeros((), np.int32),
-            np.ones(()),
-            z,
-            np.asarray(self.unfactored(self.prior)),
-        )
+        none = np.zeros((), np.int32)
+        return Carry(z, self.prior, np.ones(self.n), none, np.ones(()), z, self.near_prior)
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Estimate]:
         """One step. Estimate.x_cov and theta_cov are blocks of the ellipsoid's shape P: the bound of a component is its

@@ -265,7 +265,7 @@ def claims(numbers: dict) -> tuple[Claim, ...]:
             "up to 1.2 here",
             f"mean RMSE {mean['proximal_flush']:.3f}; {capped:.3f} with a cap of 1.02",
             "partly",
-            "A tight cap makes partial losses without an opposite pair unique, even in hover; after a total loss it does harm.",
+            "A tight cap makes losses without an opposite pair unique, even in hover, but needs calibrated coefficients.",
         ),
     )
 
@@ -292,7 +292,7 @@ def figures(result: Reproduction) -> dict:
     two.suptitle("Sensitivity to losses; red: in the kernel of B, blue: off it")
 
     three = Figure(figsize=(9, 6), layout="constrained")
-    flown, step = s["flights"], 160
+    flown, step = s["flights"], 240
     grid = three.subplots(len(FAULTS), len(ESTIMATORS), sharex=True, sharey=True)
     for f, fault in enumerate(FAULTS):
         for e, name in enumerate(ESTIMATORS):
