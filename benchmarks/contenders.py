@@ -15,7 +15,7 @@ import numpy as np
 from rotorwatch import airframes, discovery, native
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.estimators import mhe
-from rotorwatch.run import run_built
+from rotorwatch.run import run
 from rotorwatch.systems.rigid_body import RigidBody
 
 DT = 0.01
@@ -78,16 +78,11 @@ class Rotorwatch:
     """One of rotorwatch's estimators, `run` over a table with a backend."""
 
     def __init__(self, name: str, backend: str):
-        self._build = functools.partial(_same, name)
-        self.backend = backend
+        self.method, self.backend = estimator(name), backend
 
-    def __call__(self, u, y, valid) -> np.ndarray:
-        """(T, 20) what is kept."""
-        return np.hstack(run_built(self._build, (), u, y, valid, kept, backend=self.backend)[1])
-
-
-def _same(name, _):
-    return estimator(name)
+    def __call__(self, u, y, valid) -> tuple[np.ndarray, ...]:
+        """(T, 12), (T, 4), (T, 4): what is kept."""
+        return run(self.method, u, y, valid, kept, backend=self.backend)[1]
 
 
 class NativeBatch:

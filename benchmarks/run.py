@@ -36,15 +36,16 @@ from rotorwatch import native
 from rotorwatch.backend import jax as load_jax
 
 HERE = Path(__file__).resolve().parent
+PARTS = ["single_flight", "batch", "live", "start", "read"]
 SAME = 1e-9
 GAPS, FULL = 2000, 300  # rows compared: with missing measurements, and all there, for those who cannot miss any
-SHARE = {"mhe": 0.1}  # of the steps of one flight
-PEER_SECONDS = 1.0  # that a peer's turn may take
+SHARE = {"mhe": 0.05}  # of the steps of one flight
+PEER_SECONDS = 0.5  # that a peer's turn may take
 BATCH, BATCH_STEPS, CHUNK = (
-    1000,
-    {"mhe": 50},
+    {"mhe": 100},
+    60,
     {"mhe": 10},
-)  # flights; steps of each (else 200); flights at once (else 50)
+)  # flights (else 1000); steps of each; flights at once (else 50)
 LIVE_STEPS = 20_000
 CORES = os.cpu_count() or 1
 CHILD = """
@@ -59,8 +60,9 @@ print(next(line.split()[1] for line in Path("/proc/self/status").read_text().spl
 """
 
 
-def same(method: str, one: np.ndarray, other: np.ndarray, who: str) -> float:
+def same(method: str, one, other, who: str) -> float:
     """The largest relative difference. Exits when that is too large for a comparison of times to mean anything."""
+    one, other = (np.hstack(said) if isinstance(said, tuple) else said for said in (one, other))
     gap = float((np.abs(one - other) / np.abs(one).max(axis=0)).max())
     if not gap <= SAME:
         raise SystemExit(f"{method}: {who} differs from rotorwatch by {gap:.2g}, more than {SAME:g}: nothing is timed.")
@@ -145,24 +147,24 @@ def batch(library, rounds: int, clock: Callable[[], float]) -> dict:
     """Many flights on all cores: native code and the floor in threads, flight by flight; JAX in chunks, a device for each core."""
     out = {}
     for method in METHODS:
-        steps, chunk = BATCH_STEPS.get(method, 200), CHUNK.get(method, 50)
-        tables = tuple(a.reshape(BATCH, steps, -1) for a in flight(BATCH * steps))
-        flights = [tuple(np.ascontiguousarray(a[k]) for a in tables) for k in range(BATCH)]
-        by_jax, alone = jax_batch(method, chunk), jax_batch(method, BATCH, devices=1)
+        count, steps, chunk = BATCH.get(method, 1000), BATCH_STEPS, CHUNK.get(method, 50)
+        tables = tuple(a.reshape(count, steps, -1) for a in flight(count * steps))
+        flights = [tuple(np.ascontiguousarray(a[k]) for a in tables) for k in range(count)]
+        by_jax, alone = jax_batch(method, chunk), jax_batch(method, count, devices=1)
         contenders = {
             "jax": partial(by_jax, *tables),
             "native": partial(threads, NativeBatch(method), flights),
             "floor": partial(threads, Floor(library, method), flights),
         }
-        if method != "mhe":  # a minute of it
+        if method != "mhe":
             contenders["jax vmap(1000), one device"] = partial(alone, *tables)
         said_by = {name: np.asarray(run()) for name, run in contenders.items()}  # compiled, and the same
         for name in ("native", "floor"):
             same(method, said_by["jax"].reshape(-1, 20), said_by[name].reshape(-1, 20), f"{name} in a batch")
 
-        timed = {name: clocked(run, BATCH * steps, clock) for name, run in contenders.items()}
-        times = turns(timed, 1 if method == "mhe" else rounds)
-        out[method] = {**summary(times, ("jax", "native")), "flights": BATCH, "steps": steps, "cores": CORES}
+        timed = {name: clocked(run, count * steps, clock) for name, run in contenders.items()}
+        times = turns(timed, rounds)
+        out[method] = {**summary(times, ("jax", "native")), "flights": count, "steps": steps, "cores": CORES}
         print(f"batch, {method}: {said(out[method])}", flush=True)
     return out
 
@@ -276,6 +278,8 @@ def tables(result: dict) -> str:
     """What docs/speed.md holds."""
     lines = []
     for part, title in (("single_flight", "One flight"), ("batch", "Batch")):
+        if part not in result:
+            continue
         names = sorted({name for row in result[part].values() for name in row["peers"]})
         lines += [f"{title}, microseconds a step:", ""]
         lines += [
@@ -287,34 +291,51 @@ def tables(result: dict) -> str:
             others = [f"{row['peers'][name]:.0f}" if name in row["peers"] else "" for name in names]
             lines.append("| " + " | ".join([method, *cells, *others]) + " |")
         lines.append("")
-    lines += ["| live step | p50 us | p99 us |", "|---|---|---|"]
-    lines += [f"| {m} | {row['p50_us']:.1f} | {row['p99_us']:.1f} |" for m, row in result["live"]["methods"].items()]
+    if "live" in result:
+        lines += ["| live step | p50 us | p99 us |", "|---|---|---|"]
+        lines += [
+            f"| {m} | {row['p50_us']:.1f} | {row['p99_us']:.1f} |" for m, row in result["live"]["methods"].items()
+        ]
     for part in ("start", "memory", "read"):
         lines += ["", f"| {part} | |", "|---|---|"]
-        lines += [f"| {name} | {value:.2f} |" for name, value in result[part].items() if isinstance(value, float)]
+        lines += [
+            f"| {name} | {value:.2f} |" for name, value in result.get(part, {}).items() if isinstance(value, float)
+        ]
     return "\n".join(lines)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", type=Path, default=None)
+    parser.add_argument(
+        "--parts", type=lambda text: text.split(","), default=PARTS, help="some; with --json: into that file"
+    )
     parser.add_argument("--cpu", action="store_true")
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--steps", type=int, default=60_000)
     parser.add_argument("--flights", type=Path, default=HERE.parents[0] / "../shared/flights")
     chosen = parser.parse_args()
     one, many = (time.process_time, lambda: time.process_time() / CORES) if chosen.cpu else (time.perf_counter,) * 2
-    with tempfile.TemporaryDirectory() as folder:
-        library = build_floor(Path(folder))
-        result: dict = {"machine": {"processor": processor(), "cores": CORES, "python": platform.python_version()}}
-        result["clock"] = "processor" if chosen.cpu else "wall"
-        result["agreement"] = agreement(library)
-        print("largest differences:", json.dumps(result["agreement"]), flush=True)
-        result["single_flight"] = single_flight(library, chosen.steps, chosen.rounds, one)
-        result["batch"] = batch(library, chosen.rounds, many)
-    result["live"] = live()
-    result["start"], result["memory"] = start_and_memory(chosen.flights, min(3, chosen.rounds))
-    result["read"] = reading(chosen.flights)
+    result: dict = (
+        json.loads(chosen.json.read_text()) if chosen.parts != PARTS and chosen.json and chosen.json.exists() else {}
+    )
+    result["machine"] = {"processor": processor(), "cores": CORES, "python": platform.python_version()}
+    result["clock"] = "processor" if chosen.cpu else "wall"
+    if {"single_flight", "batch"} & set(chosen.parts):
+        with tempfile.TemporaryDirectory() as folder:
+            library = build_floor(Path(folder))
+            result["agreement"] = agreement(library)
+            print("largest differences:", json.dumps(result["agreement"]), flush=True)
+            if "single_flight" in chosen.parts:
+                result["single_flight"] = single_flight(library, chosen.steps, chosen.rounds, one)
+            if "batch" in chosen.parts:
+                result["batch"] = batch(library, chosen.rounds, many)
+    if "live" in chosen.parts:
+        result["live"] = live()
+    if "start" in chosen.parts:
+        result["start"], result["memory"] = start_and_memory(chosen.flights, min(3, chosen.rounds))
+    if "read" in chosen.parts:
+        result["read"] = reading(chosen.flights)
     print(tables(result))
     if chosen.json is not None:
         chosen.json.write_text(json.dumps(result, indent=1), encoding="utf-8")

@@ -142,6 +142,8 @@ class Graph:
             with np.errstate(all="ignore"):
                 return self.const(np.asarray(ELEMENTWISE[name].fold(*known), NUMPY[kind]))
         order = _common_order(args)
+        if order is None and _tall(shape) and all(_order(a) is None for a in args):
+            order = (1, 0)
         if order is not None:  # computed as it lies in storage, and read turned
             turned = self.elementwise(name, *(self.transposed(a, order) for a in args), kind=kind)
             return self.transposed(turned, _inverse(order))
@@ -312,6 +314,11 @@ class Graph:
             turned = self.concat([self.transposed(p, order) for p in parts], order.index(dimension))
             return self.transposed(turned, _inverse(order))
         return self.make("concat", tuple(parts), shape, parts[0].kind, dimension)
+
+
+def _tall(shape) -> bool:
+    """Whether a table is best kept column by column: a value for each of a batch, and each value's are read together."""
+    return len(shape) == 2 and shape[0] >= MANY > shape[1]
 
 
 def _order(x: Node) -> tuple[int, ...] | None:
