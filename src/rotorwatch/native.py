@@ -169,7 +169,7 @@ class Library:
     def run(self, state: np.ndarray, parameters, u, y, valid, progress=None) -> list[np.ndarray]:
         """Step over rows; changes `state`, returns the outputs' leaves, stacked."""
         fields, rows = self.layout.out, len(u)
-        stacked = [np.zeros((rows, *shape), TYPES[kind]) for _, kind, shape in fields]
+        stacked = [np.empty((rows, *shape), TYPES[kind]) for _, kind, shape in fields]
         out, room = np.empty(min(ROWS, rows), self.out_type), self.room()
         between = [_address(parameters)] if self.layout.parameters else []
         for first in range(0, rows, ROWS):
