@@ -208,9 +208,11 @@ def joint_cut(a, P, H, e, R, weight, K, health, part=slice(None)):
     `joint_gains`; part: the components wanted. One ellipsoid bounds all errors, so it costs one lambda, where m strips of the
     same size would cost m. In Joseph's form: no digits are lost where the set is much larger than the errors.
     """
+    from jax import numpy as jnp
+
     K = K[part]
-    less = P[part] - K @ (H @ P)
-    shape = less[:, part] - (less @ H.T) @ K.T + K @ (R / weight) @ K.T
+    rest = jnp.eye(a.shape[0])[part] - K @ H
+    shape = rest @ P @ rest.T + K @ (R / weight) @ K.T
     return Cut(a[part] + K @ e, symmetric(health * shape), health)
 
 

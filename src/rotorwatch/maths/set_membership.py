@@ -28,6 +28,7 @@ from rotorwatch.errors import ConfigError
 from rotorwatch.maths import ellipsoid, interval, taylor
 
 UNBOUNDED = 1e6  # half-width taken for a remainder that interval arithmetic cannot bound: in effect "anything"
+OUTGROWN = 1e3  # half-width beyond which a set that nothing cut says nothing, and costs digits
 RESTART_ROUNDS = 8
 RESTART_WEIGHTS = (0.03, 0.3, 2.0)  # of the measurement; the last makes the set that the remainder is bounded over
 ALLOWED, MARGIN = 0.5, 1.2  # a remainder's allowance: in noise bounds at most, and in remainders of the round before
@@ -191,8 +192,8 @@ class SetMembership:
             sets = lax.cond(empty, lambda: self._again(carry, u, y, valid, step), lambda: (cut.a, cut.P, *near))
         else:
             sets = jnp.where(empty, z, cut.a), jnp.where(empty, shape, cut.P), *near
-        # In a long gap a set may outgrow every number: it is held as it was, and starts again once something is measured.
-        known = jnp.stack([jnp.isfinite(part).all() for part in sets]).all() & (jnp.abs(sets[1]).max() < UNBOUNDED**2)
+        # In a long gap a set may outgrow all sense: it is held as it was, and starts again once something is measured.
+        known = jnp.stack([jnp.isfinite(part).all() for part in sets]).all() & (jnp.abs(sets[1]).max() < OUTGROWN**2)
         held, first = ((c.z, c.shape, c.near, c.near_shape) for c in (carry, self.init()))
         held = [jnp.where(valid.any(), a, b) for a, b in zip(first, held, strict=True)]
         z_new, shape_new, *near = [jnp.where(known, a, b) for a, b in zip(sets, held, strict=True)]
