@@ -16,7 +16,7 @@ from rotorwatch.estimators import jump_bank
 from rotorwatch.estimators.jump_bank import JumpBank
 from rotorwatch.evidence import caution, hypotheses, jumps, noise
 from rotorwatch.evidence.hypotheses import LOSS_WIDTH
-from rotorwatch.systems.wrench_balance import B3, PER_AXIS, WrenchBalance
+from rotorwatch.systems.wrench_balance import B3, PER_AXIS, SIDEWAYS, WrenchBalance
 from rotorwatch.ticks import GROUND, JUDGE, LEARN
 
 DT = 0.05
@@ -80,7 +80,7 @@ def hover(frame="ardupilot-quad-x", seed=0, losses=(), ready=READY, bias=(), ans
     when = np.arange(TICKS)
     mode = np.where(when < 5, GROUND, np.where(when < ready, LEARN, JUDGE))
     zeros = np.zeros((TICKS, 3))
-    table = [thrust, zeros, np.full(TICKS, n), zeros, zeros[:, :1], mode, when == 5]
+    table = [thrust, zeros, np.full(TICKS, n), zeros, zeros[:, :2], mode, when == 5]
     return np.column_stack(table).astype(float), y, np.ones((TICKS, 4), bool)
 
 
@@ -223,6 +223,29 @@ def test_a_loss_is_announced_with_its_rotor_and_size(frame, rotor):
     onset = ticks[0] - out.decision.onset[ticks[0]]
     assert abs(onset - ONSET) <= 4
     assert abs(out.theta[-1, rotor] - 0.25) < 4 * np.hypot(out.theta_sd[-1, rotor], 0.004)
+
+
+def test_a_side_force_that_tilts_the_vehicle_is_no_loss_and_is_learned():
+    """Gusts push the vehicle about and tilt it: without the push in its plant the filter would have to call that torque a jump."""
+    method, lever = make("ardupilot-quad-x"), 0.6
+    u, y, valid = hover()
+    rng = np.random.default_rng(7)
+    push = np.zeros((TICKS, 2))
+    for t in range(1, TICKS):
+        push[t] = 0.95 * push[t - 1] + 0.1 * rng.standard_normal(2)
+    push[ONSET:] += [0.5, -0.4]
+    y[:, 0] -= lever * push[:, 1]
+    y[:, 1] += lever * push[:, 0]
+    blind, _ = method.over(u, y, valid)
+    u[:, -4:-2] = push
+    out, carries = method.over(u, y, valid)
+    assert not out.announced.any()
+    assert carries.s[-1, SIDEWAYS] == pytest.approx(lever, abs=0.05)
+    assert out.decision.log_odds.max() < 10.0 < 50.0 < blind.decision.log_odds.max()
+    assert (
+        np.abs(out.estimate.x[-1, [B3, PER_AXIS + B3]]).max()
+        < 0.5 * np.abs(blind.estimate.x[-1, [B3, PER_AXIS + B3]]).max()
+    )
 
 
 def test_an_unknown_yaw_gain_is_integrated_out():

@@ -97,7 +97,7 @@ def balanced(seed=0, motion=1.0, loss=LOSS, mode=None):
     # The controller commands what makes up for the loss: B diag(share) thrust = needed.
     thrust = np.stack([np.linalg.solve(B * s, w) for s, w in zip(share, needed, strict=True)])
     thrust += 0.004 * rng.standard_normal((TICKS, n))
-    table = SimpleNamespace(thrust=thrust, rate_dot=rate_dot, load=load, rate=rate)
+    table = SimpleNamespace(thrust=thrust, rate_dot=rate_dot, load=load, rate=rate, side=None)
     when = np.arange(TICKS)
     if mode is None:
         mode = np.where(when < TAKE_OFF, GROUND, np.where(when < READY, LEARN, JUDGE))

@@ -198,7 +198,7 @@ def test_on_ticks_in_white_noise():
     n, T, onset, sd = 4, 600, 300, 0.05
     B = np.array([[-1.0, 1, 1, -1], [1, -1, 1, -1], [1, 1, -1, -1], [1, 1, 1, 1]])
     rng = np.random.default_rng(2)
-    u = np.zeros((T, n + 8))
+    u = np.zeros((T, n + 9))
     u[:, :n], u[:, n + 3] = 1.0, n
     theta = np.zeros((T, n))
     theta[onset:, 1] = 0.3

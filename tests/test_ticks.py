@@ -74,6 +74,21 @@ def test_an_even_turn_up_has_exactly_its_slope_and_the_load_is_one(gyro_rate):
     np.testing.assert_allclose(table.load[judged], 1.0, rtol=1e-9)
 
 
+def test_side_forces_are_means_of_the_half_second_that_has_passed():
+    """Forward and right, of a force that grows evenly: their mean is that of a quarter of a second before the tick's end."""
+    flight, thrust = log()
+    accel = flight["accel"]
+    ramp = np.column_stack([0.4 * accel.time, -0.1 * accel.time, accel.values[:, 2]])
+    signals = {**flight.signals, "accel": Signal(accel.time, ramp, ("x", "y", "z"), "m/s^2")}
+    table = make(Flight("test", "test", signals, END), thrust)
+    middle = table.command_time + ticks.LAG_S + table.dt / 2 - ticks.SIDE_S / 2
+    flying = table.mode > ticks.GROUND
+    np.testing.assert_allclose(table.side[flying], np.outer(middle[flying], [0.4, -0.1]), atol=1e-9)
+    assert (middle + ticks.SIDE_S / 2 <= table.time + 1e-9).all()  # nothing after the tick
+    blind = Flight("test", "test", {k: v for k, v in flight.signals.items() if k != "accel"}, END)
+    assert make(blind, thrust).side is None
+
+
 def test_the_unit_of_thrust_is_the_hover_command():
     flight, thrust = log()
     hover = thrust.between(2.0, 3.0).values.mean()

@@ -20,6 +20,7 @@ from rotorwatch.flight import Flight, Signal
 
 G0 = 9.80665
 LAG_S = 0.02
+SIDE_S = 0.5  # side forces are averaged over: they change as slowly as speed and wind, and vibration is louder
 SETTLE_S = 1.0  # after lift-off: the first second gives the hover command and is not judged
 UPSET_RATE = 6.0  # rad/s of roll or pitch rate: the vehicle tumbles, hover physics is over
 UPSET_TILT = np.cos(np.radians(65.0))
@@ -34,7 +35,8 @@ class Ticks:
     time (T,) s, when everything in the tick was known. command_time (T,) s, mean time of the commands in it.
     thrust (T, n); wrench (T, 4) = B thrust; rate, rate_dot (T, 3) rad/s, rad/s^2; load (T,) specific force up / g0;
     valid (T, 4) bool; mode (T,) GROUND, LEARN or JUDGE; restart (T,) bool, first tick of a hop; dt s; hover (T,) mean share of full thrust
-    per rotor that one unit of thrust stands for; blind: why judging was impossible.
+    per rotor that one unit of thrust stands for; side (T, 2): specific force forward and right [m/s^2], mean of the last SIDE_S, or None
+    where nothing measures it.
     """
 
     time: np.ndarray
@@ -51,6 +53,7 @@ class Ticks:
     dt: float
     upset: np.ndarray
     notes: tuple[str, ...] = ()
+    side: np.ndarray | None = None
 
 
 def tick_length(rate_hz: float) -> float:
@@ -147,7 +150,10 @@ def make(
     if flight.has("accel"):
         force, _, accel_ok = _window(flight["accel"], centre, half)
         load = -force[:, 2] / G0
+        side, _, side_ok = _window(flight["accel"], centre + half - 0.5 * SIDE_S, 0.5 * SIDE_S)
+        side = np.where(side_ok[:, None], side[:, :2], 0.0)
     else:
+        side = None
         load, accel_ok = np.ones(count), np.zeros(count, bool)
         notes.append("no accelerometer in the log: thrust is not judged, only torque")
 
@@ -210,4 +216,5 @@ def make(
         dt,
         upset,
         tuple(notes),
+        side,
     )

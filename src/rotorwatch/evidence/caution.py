@@ -69,7 +69,7 @@ def init(n: int) -> Memory:
 
 
 def look(memory: Memory, u, y, valid, flying, restart, x, variances, n: int, dt: float) -> tuple[Memory, Look]:
-    """One tick's inputs u (n + 8,) as `WrenchBalance.pack` lays them out, judged against what was usual.
+    """One tick's inputs u (n + 9,) as `WrenchBalance.pack` lays them out, judged against what was usual.
 
     x (20,): state; variances (4, 4) of the noise model.
     """
@@ -90,9 +90,7 @@ def look(memory: Memory, u, y, valid, flying, restart, x, variances, n: int, dt:
     level = memory.level + fade * (jnp.minimum(motion**2, 6.0 * memory.level) - memory.level)
     one = jnp.ones(1)
     teach = jnp.ones((4, PER_AXIS)).at[:, GAIN].set(jnp.concatenate([shrink[:3], one]))
-    # A vertical gust lifts the vehicle and its thrust alike: what flight shows of the rotors' answer to climbing is biased, so
-    # that it stays at its prior, with its uncertainty.
-    teach = teach.at[:, DAMPING].set(jnp.concatenate([shrink[3:], 0.0 * one]))
+    teach = teach.at[:, DAMPING].set(jnp.concatenate([shrink[3:], one]))
 
     # What a loss takes is in proportion to the rotor's thrust, but not to its jitter: a disturbance that the controller
     # answers through rotor i would correlate with that rotor's own command and look like its loss.

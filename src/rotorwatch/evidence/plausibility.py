@@ -12,10 +12,10 @@ import numpy as np
 from rotorwatch.core import Array
 
 SMALLEST = 0.015  # loss that is worth an event
+# Both may be off by a standard deviation of this flight's disturbances, and by as much as the slack in calm air.
 ASKED_SHARE, ASKED_SLACK, ASKED_MOST = 0.25, 0.05, 0.35
 MISSING_SLACK = 0.15  # hover thrusts of one rotor
 FAST_S, SLOW_S = 0.5, 6.0
-WEATHER = 1.0  # standard deviations of this flight's disturbances that either may be off by
 SECOND = 0.1
 # A loss that is known wanders with the operating point and the weather: only a step in it is news.
 CHANGE, CHANGE_GONE, GONE = 0.03, 0.3, 0.8
@@ -53,12 +53,15 @@ def plausible(first, jump, smooth, rise, now: Missing, before: Missing, thrust_v
     import jax.numpy as jnp
 
     # A controller asks more of a rotor that gives less: a candidate whose command has fallen instead is none.
-    n = smooth.shape[0]
-    swing = WEATHER * jnp.sqrt(rough[:3].sum()) / n
+    # Two rotors at once are rare: they have to show as they would in calm air.
+    n, rough = smooth.shape[0], jnp.where((jump != 0.0).any(axis=1).all(), 0.0, rough)
+    swing = jnp.sqrt(rough[:3].sum()) / n
     asked = jnp.minimum(jump, ASKED_MOST) * smooth
-    ok = (jnp.abs(first) > SMALLEST) & jnp.where(jump > 0, rise > ASKED_SHARE * asked - ASKED_SLACK - swing, True).all()
+    ok = (jnp.abs(first) > SMALLEST) & jnp.where(
+        jump > 0, rise > ASKED_SHARE * asked - jnp.maximum(ASKED_SLACK, swing), True
+    ).all()
     # ... and what the rotors no longer give must be missing from the thrust.
-    slack = MISSING_SLACK + WEATHER * jnp.sqrt(rough[3])
+    slack = jnp.maximum(MISSING_SLACK, jnp.sqrt(rough[3]))
     lost = (jnp.clip(jump, 0.0, 1.0) * smooth).sum()
     ok &= ~thrust_valid | (lost <= 0.0) | (now.fast - before.slow > ASKED_SHARE * lost - slack)
     known = active[None, :] & (jump != 0.0)

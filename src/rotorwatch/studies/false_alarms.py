@@ -52,9 +52,9 @@ SHIFTS = (-4.0, -2.0, 0.0, 2.0, 4.0)  # nats added to the threshold
 class Source:
     """A healthy flight to make surrogates from, T ticks of its longest judged stretch.
 
-    table: all of its ticks. slow, fast (T, 11): residuals e of roll, pitch, yaw, thrust; rates; angular accelerations;
-    load: all without their means, e without its trend, fast divided by activity (T,). level (11,): the means; slope
-    (4,): trend of e per tick; gains (4, 2): G and c of each axis. missing: share of its ticks without a measurement.
+    table: all of its ticks. slow, fast (T, 13): residuals e of roll, pitch, yaw, thrust; rates; angular accelerations;
+    load; side forces: all without their means, e without its trend, fast divided by activity (T,). level (13,): the means; slope
+    (4,): trend of e per tick; gains (4, 3): G, c and l of each axis. missing: share of its ticks without a measurement.
     part: which ticks of the table these are.
     """
 
@@ -86,17 +86,18 @@ def source(flight: Flight, vehicle: Vehicle) -> Source:
     y, rate, rate_dot, load = (
         _bridged(v[part], known) for v in (table.wrench, table.rate, table.rate_dot, table.load[:, None])
     )
-    motion, rates = np.column_stack([rate_dot, n * load]), np.column_stack([rate, np.zeros(len(y))])
-    one = np.ones(len(y))
-    gains = np.zeros((4, 2))
+    side = _bridged(np.zeros((len(y), 2)) if table.side is None else table.side[part], known)
+    regressors = _regressors(rate, rate_dot, load, side, n)
+    one = np.ones((len(y), 1))
+    gains = np.zeros((4, 3))
     for a in range(4):
-        gains[a] = np.linalg.lstsq(np.column_stack([motion[:, a], rates[:, a], one]), y[:, a], rcond=None)[0][:2]
-    e = y - gains[:, 0] * motion - gains[:, 1] * rates
+        gains[a] = np.linalg.lstsq(np.column_stack([regressors[:, a], one]), y[:, a], rcond=None)[0][:3]
+    e = y - (gains * regressors).sum(axis=2)
     # The line from start to end: without it the ends meet, and a spectrum of finite length means what it says.
     edge = max(1, round(TREND_S / table.dt))
     slope = (e[-edge:].mean(axis=0) - e[:edge].mean(axis=0)) / (len(e) - edge)
     e = e - slope * (np.arange(len(e)) - 0.5 * (len(e) - 1))[:, None]
-    channels = np.column_stack([e, rate, rate_dot, load])
+    channels = np.column_stack([e, rate, rate_dot, load, side])
     level = channels.mean(axis=0)
     channels = channels - level
     window = max(3, round(ACTIVITY_S / table.dt))
@@ -108,6 +109,13 @@ def source(flight: Flight, vehicle: Vehicle) -> Source:
     missing = float(1.0 - known.mean())
     fast = fast / activity[:, None]
     return Source(flight.name, vehicle, table, slow, fast, activity, level, slope, gains, missing, part)
+
+
+def _regressors(rate, rate_dot, load, side, n: int) -> np.ndarray:
+    """(T, 4, 3): what G, c and l of each axis multiply in the wrench balance."""
+    none = np.zeros((len(rate), 1))
+    motion, rates = np.column_stack([rate_dot, n * load]), np.column_stack([rate, none])
+    return np.stack([motion, rates, np.column_stack([-side[:, 1:], side[:, :1], none, none])], axis=2)
 
 
 def _smooth(values: np.ndarray, window: int) -> np.ndarray:
@@ -182,15 +190,14 @@ def surrogate(source: Source, rng: np.random.Generator, flight_s: float = FLIGHT
         mixed = np.cos(angle) * channels[-join:] + np.sin(angle) * more[:join]
         channels = np.concatenate([channels[:-join], mixed, more[join:]])
     channels = channels[:count]
-    e, rate, rate_dot, load = np.split(channels + source.level, [4, 7, 10], axis=1)
+    e, rate, rate_dot, load, side = np.split(channels + source.level, [4, 7, 10, 11], axis=1)
     # The trend goes to and fro: continued, it would leave the range that it had in flight.
     length = len(source.slow)
     drift = (
         source.slope
         * (np.abs((np.arange(count) + rng.integers(2) * length) % (2 * length) - length) - 0.5 * length)[:, None]
     )
-    motion, rates = np.column_stack([rate_dot, n * load]), np.column_stack([rate, np.zeros(count)])
-    wrench = source.gains[:, 0] * motion + source.gains[:, 1] * rates + drift + e
+    wrench = (source.gains * _regressors(rate, rate_dot, load, side, n)).sum(axis=2) + drift + e
     learning = _ready_s(source.vehicle) - ticks.SETTLE_S
     time = dt * np.arange(count)
     accelerometer = bool(np.median(source.table.valid[source.table.mode == JUDGE, 3]))
@@ -208,6 +215,7 @@ def surrogate(source: Source, rng: np.random.Generator, flight_s: float = FLIGHT
         np.full(count, float(np.median(source.table.hover[source.table.mode == JUDGE]))),
         dt,
         np.zeros(count, bool),
+        side=side,
     )
     return mirrored(table, source.vehicle, rng.choice([-1.0, 1.0], 3))
 
@@ -223,7 +231,10 @@ def mirrored(table: Ticks, vehicle: Vehicle, signs) -> Ticks:
     """The flight with roll, pitch and yaw turned by `signs` (3,) of +1 and -1; thrusts T = B^+ y, none below zero."""
     B, signs = vehicle.effectiveness(), np.asarray(signs, float)
     thrust = np.maximum(table.wrench * [*signs, 1.0] @ np.linalg.pinv(B).T, 0.0)
-    return replace(table, thrust=thrust, wrench=thrust @ B.T, rate=table.rate * signs, rate_dot=table.rate_dot * signs)
+    # A push to the right rolls and a push forward pitches: they turn with the torque that they make.
+    side = None if table.side is None else table.side * signs[[1, 0]]
+    turned = {"rate": table.rate * signs, "rate_dot": table.rate_dot * signs, "side": side}
+    return replace(table, thrust=thrust, wrench=thrust @ B.T, **turned)
 
 
 def false_alarms(
