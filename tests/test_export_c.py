@@ -20,7 +20,7 @@ from rotorwatch.c99.project import Field, make
 from rotorwatch.cli import cli
 from rotorwatch.errors import ConfigError
 from rotorwatch.estimators.ekf import EKF
-from rotorwatch.export_c import export_c
+from rotorwatch.export_c import export_c, prepare
 from rotorwatch.run import run
 from rotorwatch.systems.rate_dynamics import RateDynamics
 
@@ -377,3 +377,18 @@ def test_what_is_known_is_run_without_jax(tmp_path):
     for note in Path(tmp_path, "native").glob("known-*.json"):
         note.write_text("{damaged")
     assert process(1.0)[0] == 5.0
+
+
+def test_the_default_filter_takes_a_step_of_any_length():
+    """A length given at run time, and the same length known beforehand: the same step."""
+    rng = np.random.default_rng(2)
+    usual, longer = prepare("default-filter"), prepare("default-filter", dt=0.1)
+    u = np.concatenate([np.ones(4), 0.1 * rng.standard_normal(3), [4.1], 0.2 * rng.standard_normal(5)])
+    y, valid = np.array([0.1, -0.05, 0.02, 4.2]), np.ones(4, bool)
+    carry, _ = usual.step(usual.init(), u, y, valid)
+    given = jax.jit(usual.step)(carry, u, y, valid, 0.1)
+    known = longer.step(carry, u, y, valid)
+    for a, b in zip(jax.tree.leaves(given), jax.tree.leaves(known), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-15)
+    shorter = jax.jit(usual.step)(carry, u, y, valid, 0.05)[1]
+    assert np.abs(np.asarray(shorter.x_cov) - np.asarray(known[1].x_cov)).max() > 1e-9

@@ -41,8 +41,10 @@ class WrenchBalance:
     name = "wrench_balance"
     n_y = 4
     n_x = 4 * PER_AXIS
-    x_names = (*(f"{axis}.{what}" for axis in AXES for what in ("b1", "b2", "b3", "gain", "damping")),)[:-1] + (
-        "side force",
+    x_names = tuple(
+        "side force" if axis == "thrust" and what == "damping" else f"{axis}.{what}"
+        for axis in AXES
+        for what in ("b1", "b2", "b3", "gain", "damping")
     )
 
     def __init__(self, B, prior=None):
@@ -84,8 +86,12 @@ class WrenchBalance:
         return self.C(u) @ x + self.H(u) @ theta
 
     def decay(self, dt):
-        """(20,) diagonal of the state transition."""
-        return np.tile([*np.exp(-dt / np.array(TAU)), 1.0, 1.0, 1.0], 4)
+        """(20,) diagonal of the state transition: constant for a dt that is known, traced for one that is not."""
+        if isinstance(dt, (int, float)):
+            return np.tile([*np.exp(-dt / np.array(TAU)), 1.0, 1.0, 1.0], 4)
+        from jax import numpy as jnp
+
+        return jnp.tile(jnp.concatenate([jnp.exp(-dt / jnp.array(TAU)), jnp.ones(3)]), 4)
 
 
 def any_multirotor(n: int) -> tuple[np.ndarray, np.ndarray]:
