@@ -315,5 +315,5 @@ def test_the_threshold_follows_from_a_false_alarm_rate():
     hours = jump_bank.FALSE_ALARM_PERIOD_S / 3600.0
     assert hours >= 10.0  # what is promised: at most one in ten flight hours
     weight = hyp.weight[hyp.fault].sum()
-    assert np.exp(jump_bank.threshold(hyp, DT)) * DT / 3600.0 / weight == pytest.approx(hours)
+    assert np.exp(jump_bank.threshold(hyp, DT)) * DT / 3600.0 / weight == pytest.approx(hours * jump_bank.GATES)
     assert jump_bank.threshold(hyp, DT, 10 * 3600.0) < jump_bank.threshold(hyp, DT, 100 * 3600.0)
