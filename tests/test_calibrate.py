@@ -81,6 +81,9 @@ def test_dynamics_gets_the_ticks_of_every_flight():
     assert len(seen) == 2 and all(count > 300 and n == 4 and shape == (4, 4) for count, n, shape in seen)
     # Without a callable of the caller's the default estimator learns from the flights.
     learned = calibrate([flown()]).identified["dynamics"]
+    # A calm flight says of no time scale that it is silent: variances that start at nothing could never grow in a rough one.
+    noise = np.array(learned["noise"])
+    assert noise.shape == (4, 4) and (noise >= 0.049 * noise.max(axis=0)).all() and noise.max() > 0.0
     assert len(learned["x0"]) == 20 and np.linalg.eigvalsh(np.array(learned["P0"])).min() > -1e-12
 
 

@@ -12,7 +12,10 @@ from rotorwatch.errors import ConfigError
 from rotorwatch.run import run_built
 from rotorwatch.ticks import JUDGE, Ticks
 
-LEARNED_WEIGHT = 2.0  # samples a lag that the noise of healthy flights counts for
+FLIGHTS_DIFFER = 0.25
+LEARNED_WEIGHT = 0.5  # samples a lag that the noise of healthy flights counts for
+# Variances grow by factors: one learned as nothing could never be anything in a rougher flight.
+LEAST_SHARE = 0.05
 
 
 class Kept(NamedTuple):
@@ -111,13 +114,17 @@ def learn(tables: Sequence[Ticks], B: np.ndarray) -> dict | None:
         noises.append(np.asarray(carry.noise.variances))
     if not means:
         return None
+    loudest = np.max(noises, axis=0)
+    loudest = np.maximum(loudest, LEAST_SHARE * loudest.max(axis=0))
     mean = np.average(means, axis=0, weights=precisions)
     spread = np.average((np.array(means) - mean) ** 2, axis=0, weights=precisions)
     x0, P0 = system.x0.copy(), system.P0.copy()
     x0[rows] = mean
-    variance = np.minimum(np.diag(P0)[rows], 1.0 / np.sum(precisions, axis=0) + spread)
+    # Few flights do not show how much flights differ: until many do, part of what vehicles differ by is left open.
+    open_ = FLIGHTS_DIFFER * np.diag(P0)[rows] / len(means)
+    variance = np.minimum(np.diag(P0)[rows], 1.0 / np.sum(precisions, axis=0) + spread + open_)
     P0[rows[:, None], rows] = np.diag(variance)
     return {
-        "x0": x0.tolist(), "P0": P0.tolist(), "noise": np.max(noises, axis=0).tolist(), "noise_weight": LEARNED_WEIGHT,
+        "x0": x0.tolist(), "P0": P0.tolist(), "noise": loudest.tolist(), "noise_weight": LEARNED_WEIGHT,
         "dt": tables[0].dt,
     }  # fmt: skip
