@@ -13,7 +13,7 @@ from rotorwatch.run import run_built
 from rotorwatch.ticks import JUDGE, Ticks
 
 FLIGHTS_DIFFER = 0.25
-LEARNED_WEIGHT = 0.5  # samples a lag that the noise of healthy flights counts for
+LEARNED_WEIGHT = 2.0  # samples a lag that the noise of healthy flights counts for
 # Variances grow by factors: one learned as nothing could never be anything in a rougher flight.
 LEAST_SHARE = 0.05
 
