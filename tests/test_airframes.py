@@ -179,7 +179,9 @@ def test_px4_rotors_of_different_strength_and_height():
         x, y = (0.2, 0.2, -0.2, -0.2)[k % 4], (0.2, -0.2, -0.2, 0.2)[k % 4]
         parameters |= {f"CA_ROTOR{k}_PX": x, f"CA_ROTOR{k}_PY": y, f"CA_ROTOR{k}_PZ": (0.05, -0.05)[k // 4]}
         parameters |= {f"CA_ROTOR{k}_KM": 0.05 * (-1) ** (k + k // 4), f"CA_ROTOR{k}_CT": 8.0 if k == 6 else 4.0}
-    shares = np.array([r.share for r in airframes.identify(flight("PX4", rotors=8, parameters=parameters)).rotors])
+    vehicle = airframes.identify(flight("PX4", rotors=8, parameters=parameters))
+    assert any("Lower rotors" in note for note in vehicle.assumptions)
+    shares = np.array([r.share for r in vehicle.rotors])
     assert shares / shares[4] == pytest.approx([0.85] * 4 + [1.0, 1.0, 2.0, 1.0])
 
 

@@ -34,19 +34,21 @@ def coaxial(rotors: tuple[Rotor, ...], height: Sequence[float] | None = None) ->
     height (n,): z of each rotor, down; without it the one listed later is the lower one, as autopilots number them.
     """
     below = np.arange(len(rotors)) if height is None else np.asarray(height, float)
-    place = np.array([(r.x, r.y) for r in rotors])
-    same = np.linalg.norm(place[:, None] - place[None], axis=2) < SAME_ARM * np.abs(place).max()
-    lower = (same & (below[None] < below[:, None])).any(axis=1)
+    lower = (_on_one_arm(rotors) & (below[None] < below[:, None])).any(axis=1)
     return tuple(replace(r, share=LOWER_SHARE) if low else r for r, low in zip(rotors, lower))
 
 
 def note_on_coaxial(rotors: tuple[Rotor, ...]) -> tuple[str, ...]:
     """What `coaxial` has assumed, as a sentence, if anything."""
-    return (
-        (f"Lower rotors of coaxial pairs are taken to give {LOWER_SHARE:.0%} of the upper ones' thrust.",)
-        if any(r.share == LOWER_SHARE for r in rotors)
-        else ()
-    )
+    if _on_one_arm(rotors).sum() == len(rotors):
+        return ()
+    return (f"Lower rotors of coaxial pairs are taken to give {LOWER_SHARE:.0%} of the upper ones' thrust.",)
+
+
+def _on_one_arm(rotors: tuple[Rotor, ...]) -> np.ndarray:
+    """(n, n) bool: which rotors stand at the same place, each with itself included."""
+    place = np.array([(r.x, r.y) for r in rotors])
+    return np.linalg.norm(place[:, None] - place[None], axis=2) < SAME_ARM * np.abs(place).max()
 
 
 @dataclass(frozen=True)

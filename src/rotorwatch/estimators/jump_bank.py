@@ -29,10 +29,8 @@ PERSIST_S = 0.15
 EDGE = 0.9  # of the bank's reach
 HOLD_S = 1.5
 LEARN_LOSS_S = 6.0  # a committed loss is refined this long; after that only a new jump changes it,
-MOVING, MOVING_S = (
-    0.01,
-    2.0,
-)  # unless it has left its mean over so long by so much, and by its own uncertainty: it grows
+# unless it grows: has left its mean over MOVING_S by MOVING, and by its own uncertainty.
+MOVING, MOVING_S = 0.01, 2.0
 THETA_WALK = 0.02**2  # 1/s, while it is refined
 KNOWN_BONUS, SECOND_NATS = 2.0, 6.0  # nats: a rotor that has failed is likely to change again, another one is not
 DISTURBANCE_SCALE, DISTURBANCE_RANGE = 3.0, (0.03, 1.0)
