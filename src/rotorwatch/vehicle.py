@@ -34,8 +34,8 @@ def coaxial(rotors: tuple[Rotor, ...], height: Sequence[float] | None = None) ->
     height (n,): z of each rotor, down; without it the one listed later is the lower one, as autopilots number them.
     """
     below = np.arange(len(rotors)) if height is None else np.asarray(height, float)
-    lower = (_on_one_arm(rotors) & (below[None] < below[:, None])).any(axis=1)
-    return tuple(replace(r, share=LOWER_SHARE) if low else r for r, low in zip(rotors, lower))
+    above = _on_one_arm(rotors) & (below[None] < below[:, None])
+    return tuple(replace(r, share=LOWER_SHARE) if row.any() else r for r, row in zip(rotors, above))
 
 
 def note_on_coaxial(rotors: tuple[Rotor, ...]) -> tuple[str, ...]:
