@@ -22,6 +22,7 @@ from rotorwatch.simulation import (
     trajectories,
     wind,
 )
+from rotorwatch.simulation.multirotor import MULTIROTOR
 from rotorwatch.simulation.prepare import plan
 
 jax = load_jax()
@@ -506,9 +507,9 @@ def test_chipped_propeller_shakes():
 
 def test_batch_is_one_by_one_and_seeds_repeat():
     flights, records = fleet()
-    again = loop.fly(plan(flights[1]), DURATION)
-    same = loop.fly(plan(flights[1]), DURATION)
-    other = loop.fly(plan(flights[1].with_seed(4)), DURATION)
+    again = loop.fly(MULTIROTOR, plan(flights[1]), DURATION)
+    same = loop.fly(MULTIROTOR, plan(flights[1]), DURATION)
+    other = loop.fly(MULTIROTOR, plan(flights[1].with_seed(4)), DURATION)
     for name, a, b, c in zip(again._fields, again, same, records[1]):
         assert np.array_equal(a, b), name
         assert np.allclose(a, c, rtol=0, atol=1e-7), name
@@ -519,7 +520,7 @@ def test_single_precision_flies_the_same_way():
     flights, records = fleet()
     plans = loop.stack([plan(f) for f in flights[:2]])
     single = jax.tree.map(lambda a: a.astype(np.float32) if a.dtype == np.float64 else a, plans)
-    flown_ = loop.fly_many(single, DURATION)
+    flown_ = loop.fly_many(MULTIROTOR, single, DURATION)
     assert all(a.dtype == np.float32 for a in flown_)
     for k in range(2):
         assert np.abs(one(flown_, k).p - records[k].p)[:3300].max() < 5e-3  # until the landing: contact is touchy

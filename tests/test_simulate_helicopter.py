@@ -13,8 +13,8 @@ from rotorwatch.backend import jax as load_jax
 from rotorwatch.errors import ConfigError, LogError
 from rotorwatch.logs import memory
 from rotorwatch.simulation import faults, rotation, scenario, simulate, simulate_batch
-from rotorwatch.simulation.dynamics import G0, Air, Body
-from rotorwatch.simulation.helicopter import dynamics, loop
+from rotorwatch.simulation.helicopter import aircraft, dynamics
+from rotorwatch.simulation.rigid import G0, Air, Body
 
 jax = load_jax()
 jnp = jax.numpy
@@ -184,7 +184,7 @@ def test_trim_holds():
     system = dynamics.plant(DATA)
     at, (roll, pitch) = dynamics.trim(system)
     assert np.allclose(at, DATA["trim"], atol=2e-4)  # the airframe's file says the same, rounded
-    q = loop.plan(asked()).pilot.q
+    q = aircraft.plan(asked()).pilot.q
     slope, force = dynamics.derivative(system, body_of(q=q), at, STILL)
     assert np.abs(slope.v).max() < 1e-9 and np.abs(slope.omega).max() < 1e-9
     assert np.linalg.norm(force) == pytest.approx(G0, abs=1e-9) and roll > 0.05 > abs(pitch)
@@ -244,8 +244,8 @@ def test_faults_are_the_plants(kind, k):
     """theta is what the plant's actuators make of it: U = (1 - loss) u + bias, from the onset on."""
     fields, (loss, bias) = FAULTS[kind]
     one = asked(faults=[{**fields, "actuator": scenario.ACTUATORS[k], "onset_s": 10.0}])
-    broken, held = loop.plan(one).faults, np.full(4, 0.33)
-    before, after = (loop.theta_of(broken, faults.strength(broken, t), held) for t in (9.99, 10.0))
+    broken, held = aircraft.plan(one).faults, np.full(4, 0.33)
+    before, after = (aircraft.theta_of(broken, faults.strength(broken, t), held) for t in (9.99, 10.0))
     assert not np.asarray(before).any()
     wanted = np.zeros(8)
     wanted[k], wanted[4 + k] = loss, bias

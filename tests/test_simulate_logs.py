@@ -153,7 +153,7 @@ def test_writers_refuse_the_other_autopilot(tmp_path):
 def test_examples_can_be_planned(path):
     asked = scenario.read(path)
     if asked.helicopter:
-        found = [helicopter.loop.plan(asked)]
+        found = [helicopter.plan(asked)]
     else:
         found = [plan(asked.with_autopilot(autopilot)) for autopilot in scenario.AUTOPILOTS]
     assert all(np.isfinite(np.asarray(leaf)).all() for leaf in jax().tree.leaves(found))

@@ -27,6 +27,7 @@ from rotorwatch.flight import Flight
 from rotorwatch.simulation import logbook, one
 from rotorwatch.simulation import plan as flight_plan
 from rotorwatch.simulation.loop import fly_many, stack
+from rotorwatch.simulation.multirotor import MULTIROTOR
 from rotorwatch.simulation.scenario import Scenario
 from rotorwatch.ticks import GROUND, LAG_S, Ticks
 from rotorwatch.vehicle import Vehicle
@@ -111,7 +112,7 @@ def fly(plan: Plan, flights: Sequence[int], size: int) -> list[Flown]:
     scenarios = [plan.flight(k) for k in flights]
     plans = [flight_plan(scenario) for scenario in scenarios]
     filled, first = [*plans, *[plans[-1]] * (size - len(plans))], scenarios[0]
-    records = fly_many(stack(filled), first.duration_s, first.rate_hz, logbook.record_hz(first), _needed)
+    records = fly_many(MULTIROTOR, stack(filled), first.duration_s, first.rate_hz, logbook.record_hz(first), _needed)
     records = load_jax().tree.map(np.asarray, records)
     found = []
     for k, (number, scenario) in enumerate(zip(flights, scenarios, strict=True)):

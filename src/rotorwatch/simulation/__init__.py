@@ -21,7 +21,7 @@ from typing import Any
 
 from rotorwatch.errors import ConfigError
 from rotorwatch.simulation import helicopter, logbook, loop
-from rotorwatch.simulation.loop import Plan, Record
+from rotorwatch.simulation.multirotor import MULTIROTOR, Plan, Record
 from rotorwatch.simulation.prepare import plan
 from rotorwatch.simulation.scenario import Scenario
 
@@ -63,7 +63,7 @@ def simulate(scenario: Scenario) -> Any:
     if scenario.helicopter:
         return helicopter.simulate(scenario)
     numbers = plan(scenario)
-    record = loop.fly(numbers, scenario.duration_s, scenario.rate_hz, logbook.record_hz(scenario))
+    record = loop.fly(MULTIROTOR, numbers, scenario.duration_s, scenario.rate_hz, logbook.record_hz(scenario))
     return Simulated(scenario, numbers, record)
 
 
@@ -84,7 +84,9 @@ def simulate_batch(
             raise ConfigError("flights of one batch must have the same duration_s and rate_hz.")
         if record_hz is None and logbook.record_hz(s) != hz:
             raise ConfigError("flights of one batch must be recorded alike: the same autopilot and logging.profile.")
-    return loop.fly_many(loop.stack([plan(s) for s in scenarios]), first.duration_s, first.rate_hz, hz, select)
+    return loop.fly_many(
+        MULTIROTOR, loop.stack([plan(s) for s in scenarios]), first.duration_s, first.rate_hz, hz, select
+    )
 
 
 def one(records: Any, k: int) -> Any:

@@ -12,7 +12,7 @@ import numpy as np
 
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.simulation import rotation
-from rotorwatch.simulation.dynamics import G0
+from rotorwatch.simulation.rigid import G0
 from rotorwatch.simulation.trajectories import Reference
 
 Array = Any
@@ -100,12 +100,10 @@ def outer(pilot: Autopilot, ref: Reference, body, integral, dt) -> tuple[Target,
     size = jnp.sqrt(n * n + e * e + up * up)
     # Shortest turn that takes "down" to -f / |f|, after the turn by the yaw angle.
     tilt = rotation.unit(jnp.stack([1.0 + up / size, e / size, -n / size, 0.0 * n]))
-    half = 0.5 * ref.yaw
-    turn = jnp.stack([jnp.cos(half), 0.0 * half, 0.0 * half, jnp.sin(half)])
     R = rotation.axes(body.q)
     along = jnp.maximum(-n * R[0][2] - e * R[1][2] + up * R[2][2], 0.0)
     throttle = jnp.clip(pilot.hover * along / G0, 0.05, 0.95) * ref.lift
-    return Target(rotation.multiply(tilt, turn), ref.yaw_rate, throttle), integral
+    return Target(rotation.multiply(tilt, rotation.heading(ref.yaw)), ref.yaw_rate, throttle), integral
 
 
 def inner(pilot: Autopilot, target: Target, q, gyro, loops: Loops, lift, dt) -> tuple[Array, Array, Loops]:

@@ -22,9 +22,9 @@ from typing import Any, NamedTuple
 
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.simulation import rotation
+from rotorwatch.simulation.rigid import G0, Air, Body, runge_kutta
 
 Array = Any
-G0 = 9.80665
 CONTACT_RATE = 30.0  # rad/s: how stiff the feet are (one centimetre deep under the weight)
 CONTACT_DAMPING = 0.8
 SLIDE = 0.1  # m/s: below this speed friction fades
@@ -55,23 +55,6 @@ class Craft(NamedTuple):
     drag: Array
     radius: Array
     ground_effect: Array
-
-
-class Body(NamedTuple):
-    """p, v (3,) NED; q (4,) body to world; omega (3,) body."""
-
-    p: Array
-    v: Array
-    q: Array
-    omega: Array
-
-
-class Air(NamedTuple):
-    """What surrounds the vehicle in one step: wind (3,) NED [m/s], turning (3,) gust rates in body axes [rad/s]; ground 0 or 1."""
-
-    wind: Array
-    turning: Array
-    ground: Array
 
 
 def thrust_share(expo, drive):
@@ -168,18 +151,5 @@ def step(craft: Craft, body: Body, w, w_command, lag, air: Air, theta, dt):
     gaps = (gap, gap * fade, gap * fade * fade)
     nodes = [sums(craft, w_command + g, -g / lag, theta) for g in gaps]
     rows = jax.tree.map(lambda a, b, c: jnp.stack([a, b, b, c]), *nodes)
-    # Four stages, one program: where each one looks from the last slope, and what it counts.
-    ahead, weight = (
-        jnp.asarray(c, body.p.dtype) for c in ([0.0, 0.5 * dt, 0.5 * dt, dt], [dt / 6, dt / 3, dt / 3, dt / 6])
-    )
-
-    def stage(carry, row):
-        slope, total, mean = carry
-        ahead, weight, rotors = row
-        at = jax.tree.map(lambda s, ds: s + ahead * ds, body, slope)
-        slope, force = derivative(craft, at, rotors, air)
-        return (slope, jax.tree.map(lambda s, ds: s + weight * ds, total, slope), mean + weight / dt * force), None
-
-    rest = jax.tree.map(lambda s: 0.0 * s, body)
-    (_, new, mean), _ = jax.lax.scan(stage, (rest, body, 0.0 * body.p), (ahead, weight, rows))
-    return new._replace(q=rotation.unit(new.q)), w_command + gaps[2], mean
+    body, force = runge_kutta(lambda at, rotors: derivative(craft, at, rotors, air), body, rows, dt)
+    return body, w_command + gaps[2], force

@@ -59,12 +59,25 @@ def strength(faults: Faults, t):
     return jnp.where(there, jnp.where(faults.ramp > 0.0, grown, 1.0), 0.0)
 
 
-def loss(faults: Faults, s):
-    """theta (n,): losses of one rotor multiply what is left of it. s (F,): `strength`."""
-    left = 1.0 - faults.rotor[0] * (faults.loss * s)[0]
+def left(faults: Faults, s):
+    """(n,) what losses leave of each rotor: two of one rotor multiply. s (F,): `strength`."""
+    some = 1.0 - faults.rotor[0] * (faults.loss * s)[0]
     for k in range(1, MOST):
-        left = left * (1.0 - faults.rotor[k] * (faults.loss * s)[k])
-    return 1.0 - left
+        some = some * (1.0 - faults.rotor[k] * (faults.loss * s)[k])
+    return some
+
+
+def loss(faults: Faults, s):
+    """theta (n,), the loss of each rotor. s (F,): `strength`."""
+    return 1.0 - left(faults, s)
+
+
+def summed(faults: Faults, amount):
+    """(n,) amounts (F,) of the faults, added up at the rotors that have them."""
+    total = faults.rotor[0] * amount[0]
+    for k in range(1, MOST):
+        total = total + faults.rotor[k] * amount[k]
+    return total
 
 
 def act(faults: Faults, s, command, held):
@@ -82,7 +95,4 @@ def act(faults: Faults, s, command, held):
 
 def imbalance(faults: Faults, s):
     """(n,) what faults add to each rotor's vibration [m/s^2 at full speed]."""
-    total = faults.rotor[0] * (faults.shake * s)[0]
-    for k in range(1, MOST):
-        total = total + faults.rotor[k] * (faults.shake * s)[k]
-    return total
+    return summed(faults, faults.shake * s)

@@ -1,12 +1,10 @@
 """From what happened to what an autopilot would have logged of it: a `Flight`, with the sensors' errors and at its rates.
 
-Nothing of the truth gets in: losses, true speeds and the wind stay outside. `truth` is where they go.
+Nothing of the truth gets in: losses, true speeds and the wind stay outside. `write_truth` is where they go.
 """
 
 from __future__ import annotations
 
-import csv
-import json
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +12,10 @@ import numpy as np
 
 from rotorwatch.flight import Flight, Message, Signal
 from rotorwatch.logs.series import SHAPES
-from rotorwatch.simulation import trajectories
-from rotorwatch.simulation.loop import Plan, Record
+from rotorwatch.simulation import sensors, trajectories, truth
+from rotorwatch.simulation.multirotor import Plan, Record
 from rotorwatch.simulation.prepare import PWM, SPIN, a_compensates, frame_numbers, vehicle
+from rotorwatch.simulation.rigid import G0
 from rotorwatch.simulation.scenario import Scenario
 from rotorwatch.vehicle import Vehicle
 
@@ -44,11 +43,20 @@ SOURCES = {
 }
 """What logs call the signals, where an airframe's identification goes by it."""
 
+GROUPS = {
+    "rates": "control",
+    "gyro": "imu",
+    "accel": "imu",
+    "attitude": "attitude",
+    "velocity": "nav",
+    "position": "nav",
+}
+"""Which group's rate a signal of motion is logged at."""
+
 JITTER_S = 0.0005  # a record's stamp is up to this much later than its values
 ARMED_S = 1.0  # arming, after the log's start
 IDLE = 0.1  # ArduPilot's MOT_SPIN_ARM
 MAV_TYPE = {4: 2, 6: 13, 8: 14, 12: 29, 10: 35}
-TRUTH_HZ = 50.0
 
 
 def record_hz(scenario: Scenario) -> float:
@@ -58,7 +66,7 @@ def record_hz(scenario: Scenario) -> float:
 
 
 def flight(scenario: Scenario, plan: Plan, record: Record) -> Flight:
-    """The flight as its log tells it. record: of `loop.fly`, recorded `record_hz(scenario)` times a second."""
+    """The flight as its log tells it. record: of `loop.fly` of a multirotor, recorded `record_hz(scenario)` times a second."""
     craft = vehicle(scenario)
     log = _Log(scenario, plan, record)
     ardupilot = scenario.autopilot == "ardupilot"
@@ -68,13 +76,9 @@ def flight(scenario: Scenario, plan: Plan, record: Record) -> Flight:
         "motors", "motors", _motors(craft, record, armed, disarmed, lifted, ardupilot), unit="us" if ardupilot else "1"
     )
     log.add("control", "control", record.control)
-    log.add("rates", "control", record.rates)
-    shaking = _shaking(plan, record)
-    log.add("gyro", "imu", record.rates + np.asarray(plan.sensors.gyro_bias) + float(plan.sensors.rattle) * shaking)
-    log.add("accel", "imu", record.accel + np.asarray(plan.sensors.accel_bias) + shaking, plan.sensors.accel_sd)
-    log.add("attitude", "attitude", leaning(record.q, log.rng, float(plan.sensors.attitude_sd)))
-    log.add("velocity", "nav", record.v, plan.sensors.velocity_sd)
-    log.add("position", "nav", record.p, plan.sensors.position_sd)
+    shaking = sensors.vibration(record.shake, 2.0 * np.pi * record.phase)
+    for name, values, sd in sensors.readings(plan.sensors, record, shaking, log.rng):
+        log.add(name, GROUPS[name], values, 0.0 if sd is None else sd)
     log.add("throttle", "power" if ardupilot else "control", record.control[:, 3:])
     log.add("battery", "power", np.stack([record.volts, record.amps], axis=1), np.array([0.01, 0.0]))
     if ardupilot:
@@ -144,25 +148,6 @@ def _motors(craft: Vehicle, record: Record, armed, disarmed, lifted, ardupilot: 
     flown = np.round(low + record.command * (high - low))
     idle = PWM[0] + IDLE * (PWM[1] - PWM[0])
     return np.where(lifted[:, None], flown, np.where(on[:, None], idle, PWM[0]))
-
-
-def _shaking(plan: Plan, record: Record) -> np.ndarray:
-    """(T, 3) m/s^2: every rotor's imbalance turns with it, and nods at the same rate."""
-    turns = 2.0 * np.pi * record.phase
-    return np.stack(
-        [np.sum(record.shake * wave, axis=1) for wave in (np.cos(turns), np.sin(turns), 0.5 * np.sin(turns + 1.0))],
-        axis=1,
-    )
-
-
-def leaning(q: np.ndarray, rng, sd: float) -> np.ndarray:
-    """Attitudes (T, 4) with an estimator's slowly wandering error of `sd` rad about each axis."""
-    steps = rng.standard_normal((len(q) // 100 + 2, 3)) * sd
-    at = np.linspace(0.0, len(steps) - 1.0, len(q))
-    e = 0.5 * np.stack([np.interp(at, np.arange(len(steps)), column) for column in steps.T], axis=1)
-    w, v = q[:, :1], q[:, 1:]
-    turned = np.concatenate([w - np.sum(v * e, axis=1, keepdims=True), v + w * e + np.cross(v, e)], axis=1)
-    return turned / np.linalg.norm(turned, axis=1, keepdims=True)
 
 
 def _belief(scenario: Scenario, record: Record) -> np.ndarray:
@@ -236,40 +221,14 @@ def _px4_parameters(scenario: Scenario, craft: Vehicle, plan: Plan) -> dict[str,
 
 
 def write_truth(scenario: Scenario, plan: Plan, record: Record, stem: Path) -> tuple[Path, Path]:
-    """Write what only the simulator knows beside the log: STEM.truth.json (what was broken, when) and STEM.truth.csv (time
-    series, 50 Hz). Times count from the log's start. Returns both paths."""
-    about = {
-        "name": scenario.name,
-        "seed": scenario.seed,
-        "autopilot": scenario.autopilot,
-        "frame": scenario.airframe["frame"],
-        "rotors": int(record.w.shape[1]),
-        "faults": [{k: v for k, v in f.items() if v is not None} for f in scenario.faults],
-        "largest_loss": [round(float(v), 6) for v in record.theta.max(axis=0)],
-        "crashed_s": _first(record.time, np.asarray(record.flies) < 0.5),
-        "wind_m_s": [round(float(v), 6) for v in record.wind.mean(axis=0)],
-        "mass_kg": float(plan.craft.mass),
-        "hover_share": float(plan.craft.mass * 9.80665 / plan.craft.thrust_max.sum()),
-    }
-    about_path, table_path = (stem.with_name(stem.name + f".truth.{kind}") for kind in ("json", "csv"))
-    about_path.write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
-    stride = max(1, round(1.0 / TRUTH_HZ / float(record.time[1] - record.time[0])))
+    """Write what only the simulator knows beside the log, as STEM.truth.json and STEM.truth.csv; returns both paths."""
     n = record.w.shape[1]
-    parts = {
-        "north east down": record.p,
-        "v_north v_east v_down": record.v,
-        "q_w q_x q_y q_z": record.q,
-        "p q r": record.omega,
+    about = {
+        "autopilot": scenario.autopilot,
+        "rotors": n,
+        "largest_loss": [round(float(v), 6) for v in record.theta.max(axis=0)],
+        "mass_kg": float(plan.craft.mass),
+        "hover_share": float(plan.craft.mass * G0 / plan.craft.thrust_max.sum()),
     }
-    parts |= {"wind_north wind_east wind_down": record.wind}
-    parts |= {" ".join(f"{w}_{k + 1}" for k in range(n)): v for w, v in (("loss", record.theta), ("speed", record.w))}
-    with open(table_path, "w", newline="", encoding="utf-8") as file:
-        out = csv.writer(file)
-        out.writerow(["time_s", *" ".join(parts).split()])
-        rows = np.column_stack([record.time, *parts.values()])[::stride]
-        out.writerows([f"{v:.6g}" for v in row] for row in rows)
-    return about_path, table_path
-
-
-def _first(time: np.ndarray, flag: np.ndarray) -> float | None:
-    return float(time[np.argmax(flag)]) if flag.any() else None
+    series = {" ".join(f"{w}_{k + 1}" for k in range(n)): v for w, v in (("loss", record.theta), ("speed", record.w))}
+    return truth.write(scenario, record, stem, about, series)

@@ -11,8 +11,9 @@ from rotorwatch import airframes
 from rotorwatch.airframes import ardupilot, px4
 from rotorwatch.errors import ConfigError, VehicleError
 from rotorwatch.simulation import control, dynamics, faults, trajectories, wind
-from rotorwatch.simulation.loop import Battery, Plan, Sensors
+from rotorwatch.simulation.multirotor import Battery, Plan
 from rotorwatch.simulation.scenario import Scenario
+from rotorwatch.simulation.sensors import Sensors
 from rotorwatch.vehicle import Rotor, ThrustCurve, Vehicle
 
 AIR = 1.225  # kg/m^3
@@ -152,7 +153,7 @@ def plan(scenario: Scenario) -> Plan:
         ),
     )
     return Plan(
-        *(craft, pilot, _way(scenario), air(scenario, arm), broken(scenario, n)),
+        *(craft, pilot, _up_and_down(scenario), air(scenario, arm), broken(scenario, n)),
         *(
             _battery(scenario, thrust_max.sum(), hover),
             sensors(scenario, full_speed),
@@ -203,24 +204,35 @@ def _loaded(mass, J, payload, at):
     return total, J + offset(mass, -shift) + offset(payload, at - shift), shift
 
 
-def _way(scenario: Scenario) -> trajectories.Trajectory:
-    w = scenario.trajectory
-    landing = faults.NEVER
+def _up_and_down(scenario: Scenario) -> trajectories.Trajectory:
+    """From the ground, and back to it where the scenario says so."""
+    w, landing = scenario.trajectory, faults.NEVER
     if w["land"]:
         landing = scenario.duration_s - w["altitude_m"] / trajectories.DESCENT - 5.0
+    return way(scenario, w["altitude_m"], w["take_off_s"], landing)
+
+
+def way(scenario: Scenario, altitude: float, take_off: float, landing: float) -> trajectories.Trajectory:
+    """The scenario's manoeuvre at `altitude` [m] above where it begins, between those times [s]."""
+    w = scenario.trajectory
     return trajectories.Trajectory(
-        *(np.array(trajectories.KINDS.index(w["kind"]), np.int32), np.array(w["altitude_m"]), np.array(w["size_m"])),
-        *(np.array(w["speed_m_s"]), np.radians(w["yaw_deg"]), np.radians(w["yaw_speed_deg_s"])),
-        *(np.array(w["take_off_s"]), np.array(landing)),
+        kind=np.array(trajectories.KINDS.index(w["kind"]), np.int32),
+        altitude=np.array(altitude),
+        size=np.array(w["size_m"]),
+        speed=np.array(w["speed_m_s"]),
+        yaw=np.radians(w["yaw_deg"]),
+        yaw_speed=np.radians(w["yaw_speed_deg_s"]),
+        take_off=np.array(take_off),
+        landing=np.array(landing),
     )
 
 
 def air(scenario: Scenario, arm: float) -> wind.Wind:
     """The scenario's wind, for a vehicle of that half span [m]."""
-    w, way = scenario.wind, scenario.trajectory
-    own = way["speed_m_s"] if way["kind"] in ("square", "figure-eight", "aggressive") else 0.0
+    w, flown = scenario.wind, scenario.trajectory
+    own = flown["speed_m_s"] if flown["kind"] in ("square", "figure-eight", "aggressive") else 0.0
     speed = w["speed_m_s"]
-    return wind.dryden(speed, w["from_deg"], w["turbulence"], way["altitude_m"], np.hypot(speed, own), 2.0 * arm)
+    return wind.dryden(speed, w["from_deg"], w["turbulence"], flown["altitude_m"], np.hypot(speed, own), 2.0 * arm)
 
 
 def _battery(scenario: Scenario, thrust: float, hover: float) -> Battery:

@@ -49,6 +49,13 @@ def conjugate(q):
     return jnp.stack([q[0], -q[1], -q[2], -q[3]])
 
 
+def heading(yaw):
+    """The quaternion of a turn by yaw [rad] about down."""
+    jnp = load_jax().numpy
+    half = 0.5 * yaw
+    return jnp.stack([jnp.cos(half), 0.0 * half, 0.0 * half, jnp.sin(half)])
+
+
 def unit(q):
     """q, scaled to length 1."""
     jnp = load_jax().numpy

@@ -8,11 +8,12 @@ from pathlib import Path
 
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight
-from rotorwatch.simulation.helicopter import loop, table
-from rotorwatch.simulation.helicopter.loop import Plan, Record
+from rotorwatch.simulation import loop
+from rotorwatch.simulation.helicopter import table
+from rotorwatch.simulation.helicopter.aircraft import HelicopterAircraft, Plan, Record, plan
 from rotorwatch.simulation.scenario import Scenario
 
-__all__ = ["Plan", "Record", "SimulatedHelicopter", "simulate"]
+__all__ = ["Plan", "Record", "SimulatedHelicopter", "plan", "simulate"]
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,6 @@ def simulate(scenario: Scenario) -> SimulatedHelicopter:
     """Fly one scenario of a helicopter. Raises ConfigError with one sentence."""
     if not scenario.helicopter:
         raise ConfigError(f"airframe.frame: {scenario.airframe['frame']} is no helicopter.")
-    numbers = loop.plan(scenario)
-    hz = table.record_hz(scenario)
-    record = loop.fly(numbers, scenario.airframe["frame"], scenario.duration_s, scenario.rate_hz, hz)
+    numbers, craft = plan(scenario), HelicopterAircraft(scenario.airframe["frame"])
+    record = loop.fly(craft, numbers, scenario.duration_s, scenario.rate_hz, table.record_hz(scenario))
     return SimulatedHelicopter(scenario, numbers, record)

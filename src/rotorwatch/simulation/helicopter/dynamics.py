@@ -16,7 +16,7 @@ import numpy as np
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
 from rotorwatch.simulation import rotation
-from rotorwatch.simulation.dynamics import G0, Air, Body
+from rotorwatch.simulation.rigid import G0, Air, Body, runge_kutta
 from rotorwatch.systems.helicopter import Helicopter
 
 Array = Any
@@ -64,20 +64,8 @@ def step(system: Helicopter, body: Body, U, driven, lag, air: Air, dt) -> tuple[
 
     driven (4,): where the actuators are driven to; lag [s].
     """
-    jax = load_jax()
-    jnp = jax.numpy
+    jnp = load_jax().numpy
     gap, fade = U - driven, jnp.exp(-0.5 * dt / lag)
     nodes = [driven + gap * f for f in (1.0, fade, fade, fade * fade)]
-    ahead, weight = (0.0, 0.5 * dt, 0.5 * dt, dt), (dt / 6, dt / 3, dt / 3, dt / 6)
-    rows = (jnp.asarray(ahead), jnp.asarray(weight), jnp.stack(nodes))
-
-    def stage(carry, row):
-        slope, total, mean = carry
-        ahead, weight, U = row
-        at = jax.tree.map(lambda s, ds: s + ahead * ds, body, slope)
-        slope, force = derivative(system, at, U, air)
-        return (slope, jax.tree.map(lambda s, ds: s + weight * ds, total, slope), mean + weight / dt * force), None
-
-    rest = jax.tree.map(lambda s: 0.0 * s, body)
-    (_, new, mean), _ = jax.lax.scan(stage, (rest, body, 0.0 * body.p), rows)
-    return new._replace(q=rotation.unit(new.q)), nodes[3], mean
+    body, force = runge_kutta(lambda at, U: derivative(system, at, U, air), body, jnp.stack(nodes), dt)
+    return body, nodes[3], force

@@ -5,8 +5,6 @@
 
 from __future__ import annotations
 
-import csv
-import json
 from pathlib import Path
 
 import numpy as np
@@ -14,13 +12,22 @@ import numpy as np
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight
 from rotorwatch.logs import memory
-from rotorwatch.simulation.helicopter.loop import ACTUATORS, Plan, Record
-from rotorwatch.simulation.logbook import leaning
+from rotorwatch.simulation import sensors, truth
+from rotorwatch.simulation.helicopter.aircraft import ACTUATORS, Plan, Record
 from rotorwatch.simulation.scenario import ACTUATORS as NAMES
 from rotorwatch.simulation.scenario import Scenario
 
 RATES = {"default": 50.0, "fast": 100.0, "full": 200.0}
 SUFFIXES = (".csv", ".parquet")
+COLUMNS = {
+    "rates": ("rates_{}_rad_s", "xyz"),
+    "gyro": ("gyro_{}_rad_s", "xyz"),
+    "accel": ("accel_{}_m_s2", "xyz"),
+    "attitude": ("q_{}", "wxyz"),
+    "velocity": ("velocity_{}_m_s", "ned"),
+    "position": ("position_{}_m", "ned"),
+}
+"""What the columns of each signal are called, and its axes."""
 
 
 def record_hz(scenario: Scenario) -> float:
@@ -30,27 +37,20 @@ def record_hz(scenario: Scenario) -> float:
 
 def columns(scenario: Scenario, plan: Plan, record: Record) -> dict[str, np.ndarray]:
     """The log's columns with the sensors' errors; no truth in them."""
-    rng, sensors = np.random.default_rng([scenario.seed, 2]), plan.sensors
+    rng, sensed = np.random.default_rng([scenario.seed, 2]), plan.sensors
     stride = round(record_hz(scenario) / RATES[scenario.logging["profile"]])
     rows = slice(stride - 1, None, stride)
-
-    def noisy(values, sd):
-        return values[rows] + float(sd) * rng.standard_normal(values[rows].shape)
-
-    turns = 2.0 * np.pi * float(sensors.full_turns) * record.time
-    shaking = float(sensors.shake) * np.stack([np.cos(turns), np.sin(turns), 0.5 * np.sin(turns + 1.0)], axis=1)
+    # The main rotor turns with one speed: its imbalance is felt once per turn.
+    angle = 2.0 * np.pi * float(sensed.full_turns) * record.time[:, None]
+    shaking = sensors.vibration(np.full(angle.shape, float(sensed.shake)), angle)
     found = {"time_s": record.time[rows]}
-    groups = {
-        "motor_{}": (range(1, ACTUATORS + 1), record.command[rows]),
-        "rates_{}_rad_s": ("xyz", record.rates[rows]),
-        "gyro_{}_rad_s": ("xyz", (record.rates + sensors.gyro_bias + float(sensors.rattle) * shaking)[rows]),
-        "accel_{}_m_s2": ("xyz", noisy(record.accel + sensors.accel_bias + shaking, sensors.accel_sd)),
-        "q_{}": ("wxyz", leaning(record.q, rng, float(sensors.attitude_sd))[rows]),
-        "velocity_{}_m_s": ("ned", noisy(record.v, sensors.velocity_sd)),
-        "position_{}_m": ("ned", noisy(record.p, sensors.position_sd)),
-    }
-    for name, (axes, values) in groups.items():
-        found |= {name.format(axis): values[:, k] for k, axis in enumerate(axes)}
+    found |= {f"motor_{k + 1}": record.command[rows, k] for k in range(ACTUATORS)}
+    for name, values, sd in sensors.readings(sensed, record, shaking, rng):
+        logged = values[rows]
+        if sd is not None:
+            logged = logged + float(sd) * rng.standard_normal(logged.shape)
+        column, axes = COLUMNS[name]
+        found |= {column.format(axis): logged[:, k] for k, axis in enumerate(axes)}
     return found
 
 
@@ -70,7 +70,7 @@ def write(scenario: Scenario, plan: Plan, record: Record, path: Path) -> None:
             raise ConfigError("Parquet needs pyarrow: pip install rotorwatch[parquet].") from error
         pyarrow.parquet.write_table(pyarrow.table(found), path)
     elif path.suffix.lower() == ".csv":
-        _write_csv(path, found)
+        truth.write_csv(path, list(found), np.column_stack(list(found.values())))
     else:
         raise ConfigError(
             f"{path.name}: a helicopter's flight is a .csv or .parquet table; an autopilot's log would hold servo pulses behind a "
@@ -80,32 +80,7 @@ def write(scenario: Scenario, plan: Plan, record: Record, path: Path) -> None:
 
 def write_truth(scenario: Scenario, plan: Plan, record: Record, stem: Path) -> tuple[Path, Path]:
     """Write what only the simulator knows, as STEM.truth.json and STEM.truth.csv; returns both paths."""
-    theta = {f"{what}_{name}": record.theta[:, k] for k, (what, name) in enumerate(
-        (what, name) for what in ("loss", "bias") for name in NAMES)}  # fmt: skip
-    down = np.flatnonzero(record.flies < 0.5)
-    about = {
-        "name": scenario.name, "seed": scenario.seed, "frame": scenario.airframe["frame"],
-        "faults": [{k: v for k, v in f.items() if v is not None} for f in scenario.faults],
-        "last_theta": {name: round(float(v[-1]), 6) for name, v in theta.items()},
-        "crashed_s": float(record.time[down[0]]) if down.size else None,
-        "wind_m_s": [round(float(v), 6) for v in record.wind.mean(axis=0)], "mass_kg": float(plan.mass),
-    }  # fmt: skip
-    about_path, table_path = (stem.with_name(stem.name + f".truth.{kind}") for kind in ("json", "csv"))
-    about_path.write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
-    stride = round(record_hz(scenario) / 50.0)
-    series = {"time_s": record.time}
-    for names, values in (
-        ("north east down", record.p), ("v_north v_east v_down", record.v), ("q_w q_x q_y q_z", record.q),
-        ("p q r", record.omega), ("wind_north wind_east wind_down", record.wind),
-        (" ".join(f"actuator_{name}" for name in NAMES), record.actuators),
-    ):  # fmt: skip
-        series |= {name: values[:, k] for k, name in enumerate(names.split())}
-    _write_csv(table_path, {name: values[::stride] for name, values in (series | theta).items()})
-    return about_path, table_path
-
-
-def _write_csv(path: Path, table: dict[str, np.ndarray]) -> None:
-    with open(path, "w", newline="", encoding="utf-8") as file:
-        out = csv.writer(file)
-        out.writerow(table)
-        out.writerows([f"{v:.9g}" for v in row] for row in np.column_stack(list(table.values())))
+    theta = [f"{what}_{name}" for what in ("loss", "bias") for name in NAMES]
+    last = {name: round(float(v), 6) for name, v in zip(theta, record.theta[-1], strict=True)}
+    series = {" ".join(f"actuator_{name}" for name in NAMES): record.actuators, " ".join(theta): record.theta}
+    return truth.write(scenario, record, stem, {"last_theta": last, "mass_kg": float(plan.mass)}, series)

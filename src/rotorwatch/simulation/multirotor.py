@@ -1,0 +1,174 @@
+"""A multirotor in the closed loop: rotors and their faults, battery, mixer, and what the autopilot believes of them."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from rotorwatch.backend import jax as load_jax
+from rotorwatch.simulation import control, dynamics, faults, rotation, trajectories, wind
+from rotorwatch.simulation.loop import Moment, State
+from rotorwatch.simulation.rigid import G0, Air, Body
+from rotorwatch.simulation.sensors import Sensors
+
+Array = Any
+TURN = 2.0 * np.pi
+BELIEF_HZ = 0.5  # the autopilot's filter of the battery's voltage
+CRASH_COS = 0.5  # lying on the ground further tilted than this, the autopilot gives up
+
+
+class Battery(NamedTuple):
+    """full, empty: voltages at rest [V]; charge [A s]; resistance [ohm]; current [A] at full thrust of all rotors."""
+
+    full: Array
+    empty: Array
+    charge: Array
+    resistance: Array
+    current: Array
+
+
+class Plan(NamedTuple):
+    """One flight as numbers: everything that a compiled program needs. seed: integer."""
+
+    craft: dynamics.Craft
+    pilot: control.Autopilot
+    way: trajectories.Trajectory
+    wind: wind.Wind
+    faults: faults.Faults
+    battery: Battery
+    sensors: Sensors
+    seed: Array
+
+
+class Drives(NamedTuple):
+    """What turns the n rotors. w (n,): speeds as shares of full, phase (n,): turns; drawn: charge used [A s]; sag: battery voltage as a
+    share of full, believed: what the autopilot knows of it; held (n,): last sound commands."""
+
+    w: Array
+    phase: Array
+    drawn: Array
+    sag: Array
+    believed: Array
+    held: Array
+
+
+class Supply(NamedTuple):
+    """What the autopilot reckons with during a tick. lift: 0 while the motors idle; compensated: what it divides commands by;
+    lift_max: share of full thrust that it believes it has left."""
+
+    lift: Array
+    compensated: Array
+    lift_max: Array
+
+
+class Record(NamedTuple):
+    """What there is to know after each tick; n rotors. Logs hold some of it, with noise; the truth file the rest.
+
+    time [s]; p [m], v [m/s] (3,) NED, q (4,) body to world, omega (3,) [rad/s]; rates (3,): filtered gyro [rad/s]; accel (3,): filtered
+    specific force [m/s^2]; demand (n,): thrust asked of each rotor, command (n,): drive share that gives it; control (4,): roll, pitch,
+    yaw, throttle; rates_asked (3,), q_asked (4,); w (n,): speeds as shares of full, phase (n,) in turns, shake (n,) [m/s^2], theta (n,):
+    losses; volts, amps; believed, lift_max; wind (3,) NED [m/s]; flies: 0 after a crash.
+    """
+
+    time: Array
+    p: Array
+    v: Array
+    q: Array
+    omega: Array
+    rates: Array
+    accel: Array
+    demand: Array
+    command: Array
+    control: Array
+    rates_asked: Array
+    q_asked: Array
+    w: Array
+    phase: Array
+    shake: Array
+    theta: Array
+    volts: Array
+    amps: Array
+    believed: Array
+    lift_max: Array
+    wind: Array
+    flies: Array
+
+
+class Multirotor:
+    """The `loop.Aircraft` of every frame with rotors; plans: `Plan`."""
+
+    noise_kind = np.float32
+
+    def start(self, plan: Plan) -> tuple[Body, Array, Drives]:
+        """Standing on the ground, motors off, battery full."""
+        jnp = load_jax().numpy
+        n, kind = plan.craft.x.shape[0], jnp.result_type(plan.craft.x)
+        zero, one = jnp.zeros((), kind), jnp.ones((), kind)
+        none, rotors = jnp.zeros(3, kind), jnp.zeros(n, kind)
+        body = Body(jnp.stack([zero, zero, zero + 0.01]), none, rotation.heading(plan.way.yaw).astype(kind), none)
+        accel = jnp.stack([zero, zero, zero - G0])
+        return body, accel, Drives(rotors, rotors, zero, one, one, rotors)
+
+    def reference(self, plan: Plan, ticks: int, dt: float) -> trajectories.Reference:
+        """Take-off, the manoeuvre and the landing."""
+        return trajectories.table(plan.way, ticks, dt)
+
+    def begin(self, plan: Plan, state: State, ask, blowing, turning, dt: float) -> tuple[Moment, Array]:
+        """Outer loops, and what the autopilot believes of its battery."""
+        jnp = load_jax().numpy
+        pilot = plan.pilot
+        # Near the ground the air is slow: a logarithmic profile in short.
+        near = jnp.clip(-state.body.p[2] / 2.0, 0.1, 1.0)
+        air = Air(blowing * near, turning * near, jnp.ones_like(near))
+        lift = ask.lift * state.flies
+        target, integral = control.outer(pilot, ask._replace(lift=lift), state.body, state.integral, dt)
+        compensated = pilot.compensates * state.own.believed + (1.0 - pilot.compensates)
+        supply = Supply(lift, compensated, dynamics.thrust_share(pilot.expo, compensated))
+        return Moment(target, air, supply), integral
+
+    def step(self, plan: Plan, now: Moment, t, body: Body, gyro, loops: control.Loops, own: Drives, dt: float) -> tuple:
+        """Inner loops, mixer, faults, rotors and body."""
+        jnp = load_jax().numpy
+        craft, pilot = plan.craft, plan.pilot
+        target, (lift, compensated, lift_max) = now.target, now.more
+        turning, wish, loops = control.inner(pilot, target, body.q, gyro, loops, lift, dt)
+        demand, free = control.mix(pilot.mixer, turning, target.throttle)
+        command = jnp.minimum(control.drive(pilot.expo, lift_max * demand) / compensated, 1.0) * jnp.where(
+            lift > 0, 1.0, 0.0
+        )
+        s = faults.strength(plan.faults, t)
+        driven, undriven, held = faults.act(plan.faults, s, command, own.held)
+        theta = faults.loss(plan.faults, s)
+        share = jnp.sqrt(dynamics.thrust_share(craft.expo, driven * own.sag))
+        lag = craft.lag * (1.0 + (faults.SPIN_DOWN - 1.0) * undriven)
+        body, w, force = dynamics.step(craft, body, own.w, share, lag, now.air, theta, dt)
+        phase = own.phase + 0.5 * (own.w + w) * plan.sensors.full_turns * dt
+        phase = phase - jnp.floor(phase)
+        last = (demand, command, jnp.concatenate([turning, target.throttle[None]]), wish, theta, s)
+        return body, loops._replace(free=free), own._replace(w=w, phase=phase, held=held), force, last
+
+    def end(self, plan: Plan, now: Moment, before: State, after: State, seen, last, dt: float) -> tuple[State, Record]:
+        """The battery, and whether the vehicle lies on the ground."""
+        jnp = load_jax().numpy
+        battery, own, body = plan.battery, after.own, after.body
+        demand, command, asked, wish, theta, s = last
+        work = jnp.sum(own.w * own.w * own.w) / own.w.shape[0]
+        at_rest = battery.full - (battery.full - battery.empty) * jnp.minimum(own.drawn / battery.charge, 1.2)
+        amps = battery.current * work * battery.full / jnp.maximum(at_rest, 1.0)
+        volts = jnp.maximum(at_rest - amps * battery.resistance, 0.3 * battery.full)
+        sag = volts / battery.full
+        believed = sag + (own.believed - sag) * math.exp(-TURN * BELIEF_HZ * dt)
+        R22 = 1.0 - 2.0 * (body.q[1] ** 2 + body.q[2] ** 2)
+        flies = jnp.where((body.p[2] > 0.0) & (R22 < CRASH_COS), 0.0, before.flies)
+        own = own._replace(drawn=own.drawn + amps * dt, sag=sag, believed=believed)
+        record = Record(
+            **seen, **body._asdict(), demand=demand, command=command, control=asked, rates_asked=wish, q_asked=now.target.q,
+            w=own.w, phase=own.phase, shake=(plan.sensors.shake + faults.imbalance(plan.faults, s)) * own.w * own.w, theta=theta,
+            volts=volts, amps=amps, believed=believed, lift_max=now.more.lift_max, flies=flies,
+        )  # fmt: skip
+        return after._replace(flies=flies, own=own), record
+
+
+MULTIROTOR = Multirotor()

@@ -1,0 +1,58 @@
+"""What sensors make of a flight: noise inside the control loop, and what is added to the record when it is logged."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+
+Array = Any
+
+
+class Sensors(NamedTuple):
+    """gyro_sd [rad/s] of one sample in a step, accel_sd [m/s^2] after the filter; biases (3,); accel_cut [rad/s];
+    shake [m/s^2 at full speed] of each healthy rotor, full_turns: its revolutions per second at full speed; rattle: rad/s of gyro
+    per m/s^2 of it; attitude_sd [rad], velocity_sd [m/s], position_sd [m] of what is logged."""
+
+    gyro_sd: Array
+    accel_sd: Array
+    gyro_bias: Array
+    accel_bias: Array
+    accel_cut: Array
+    shake: Array
+    full_turns: Array
+    rattle: Array
+    attitude_sd: Array
+    velocity_sd: Array
+    position_sd: Array
+
+
+def readings(sensors: Sensors, record: Any, shaking: np.ndarray, rng) -> Iterator[tuple[str, np.ndarray, Any]]:
+    """(signal, values (T, k), standard deviation of the white noise that each logged sample has on top, or None) of all motion.
+
+    record: with rates, accel, q, v and p (T, ..). shaking (T, 3): of `vibration`. rng: draws the wandering error of attitudes when its
+    turn comes, so that the order in which a log takes the signals is part of the flight.
+    """
+    yield "rates", record.rates, None
+    yield "gyro", record.rates + np.asarray(sensors.gyro_bias) + float(sensors.rattle) * shaking, None
+    yield "accel", record.accel + np.asarray(sensors.accel_bias) + shaking, sensors.accel_sd
+    yield "attitude", leaning(record.q, rng, float(sensors.attitude_sd)), None
+    yield "velocity", record.v, sensors.velocity_sd
+    yield "position", record.p, sensors.position_sd
+
+
+def vibration(size: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """(T, 3) m/s^2: every rotor's imbalance turns with it, and nods at the same rate. size [m/s^2], angle [rad]: (T, rotors)."""
+    waves = (np.cos(angle), np.sin(angle), 0.5 * np.sin(angle + 1.0))
+    return np.stack([np.sum(size * wave, axis=1) for wave in waves], axis=1)
+
+
+def leaning(q: np.ndarray, rng, sd: float) -> np.ndarray:
+    """Attitudes (T, 4) with an estimator's slowly wandering error of `sd` rad about each axis."""
+    steps = rng.standard_normal((len(q) // 100 + 2, 3)) * sd
+    at = np.linspace(0.0, len(steps) - 1.0, len(q))
+    e = 0.5 * np.stack([np.interp(at, np.arange(len(steps)), column) for column in steps.T], axis=1)
+    w, v = q[:, :1], q[:, 1:]
+    turned = np.concatenate([w - np.sum(v * e, axis=1, keepdims=True), v + w * e + np.cross(v, e)], axis=1)
+    return turned / np.linalg.norm(turned, axis=1, keepdims=True)
