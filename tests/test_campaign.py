@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rotorwatch import campaign, cli
-from rotorwatch.campaign import page, score, store, summary, work
+from rotorwatch.campaign import batch, page, score, store, summary, work
 from rotorwatch.campaign import plan as plans
 from rotorwatch.errors import ConfigError
 from rotorwatch.simulation import scenario
@@ -126,7 +126,15 @@ def test_draws_are_as_the_plan_says():
         ([(("faults", 0, "rotor"), 1)], r"faults\[1\].rotor is drawn anew"),
         ([(("faults", 0, "strength"), {"uniform": [0.1, 2.0]})], r"faults\[1\].strength must lie between"),
         ([(("faults", 1, "together"), 3)], r"faults\[2\].together must lie between 1 and 2"),
-        ([(("faults", 0, "onset_s"), 90.0)], r"faults\[1\].onset_s is 90, after the end"),
+        ([(("faults", 0, "onset_s"), 90.0)], r"faults\[1\].onset_s is 90, not before the end"),
+        ([(("seed",), 20.5)], "seed must be a whole number, not 20.5"),
+        ([(("seed",), int("9" * 400))], "seed must be a number, not 9999"),
+        ([(("healthy",), int("9" * 400))], "healthy must be a number, not 9999"),
+        ([(("scenario", "rate_hz"), 333.0)], "scenario.rate_hz must be a multiple of 100"),
+        ([(("scenario", "wind", "speed_m_s"), {"uniform": [0.0, int("9" * 400)]})], "speed_m_s.uniform must be two numbers"),
+        ([(("scenario", "airframe", "payload_kg"), {"choice": [0.0, 9.0]})], "scenario.airframe.payload_kg: .* too much"),
+        ([(("scenario", "wind", "speed_m_s"), {"choice": 3})], "scenario.wind.speed_m_s.choice must be a list of values"),
+        ([(("faults", 0, "kind"), {"choice": ["loss", "stuck"]})], r"faults\[1\].strength: a stuck has none"),
         ([(("faults", 0, "share"), 0.0)], r"faults\[1\].share must lie between"),
     ],
 )  # fmt: skip
@@ -361,6 +369,57 @@ def test_folders_of_other_campaigns_are_refused(tmp_path, monkeypatch):
     for flights, jobs in ((0, 1), (1, 0)):
         with pytest.raises(ConfigError, match="must be at least 1"):
             work.run(plan, flights, tmp_path / "b", jobs, judge=quick)
+
+
+def test_intermittent_faults_can_be_planned():
+    """`share` is how often a plan draws the fault, `duty` how much of a period it is there."""
+    rows = [{"share": 3.0, "kind": "float", "onset_s": 22.0, "period_s": 2.0, "duty": {"uniform": [0.1, 0.2]}}]
+    plan = campaign.from_table(table([(("faults",), rows), (("healthy",), 0.0)]))
+    duties = [plan.flight(k).faults[0]["duty"] for k in range(20)]
+    assert 0.1 <= min(duties) < max(duties) <= 0.2
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "says"),
+    [
+        ("campaign.json", b'{"version":', "campaign.json is damaged"),
+        ("campaign.json", b"[]", "campaign.json is damaged"),
+        ("campaign.json", b'{"version": "1", "width": "x"}', "campaign.json is damaged"),
+        ("plan.toml", b"\xff", "holds results of another plan"),
+        ("plan.toml", None, "holds results of another plan"),
+        ("parts/00-00000-0000-0001.parquet", b"junk", "00-00000-0000-0001.parquet is damaged"),
+    ],
+)
+def test_damaged_folders_are_told(tmp_path, monkeypatch, name, data, says):
+    monkeypatch.setattr(work.batch, "width", lambda: 4)
+    plan = campaign.read(written(tmp_path))
+    work.run(plan, 1, tmp_path / "a", 1, judge=quick)
+    path = tmp_path / "a" / name
+    path.unlink() if data is None else path.write_bytes(data)
+    with pytest.raises(ConfigError, match=says) as why:
+        work.run(plan, 1, tmp_path / "a", 1, judge=quick)
+    assert "\n" not in str(why.value)
+
+
+@pytest.mark.parametrize("where", ["{}/file", "{}/file/under", "/proc/campaign"])
+def test_folders_that_cannot_be_made_are_told(tmp_path, where):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ConfigError, match="Cannot make the folder "):
+        work.run(campaign.read(written(tmp_path)), 1, where.format(tmp_path), 1, judge=quick)
+
+
+def test_a_flight_that_cannot_fly_is_told_with_its_number(tmp_path):
+    """Draws that only together are too much are met by the flight that drew them."""
+    changes = [
+        (("scenario", "airframe", "mass_kg"), {"choice": [4.0, 1.0]}),
+        (("scenario", "airframe", "payload_kg"), {"choice": [0.0, 2.0]}),
+    ]
+    plan = campaign.from_table(table(changes))
+    heavy = next(
+        k for k in range(50) if plan.flight(k).airframe["mass_kg"] < 2.0 < 1.0 + plan.flight(k).airframe["payload_kg"]
+    )
+    with pytest.raises(ConfigError, match=rf"flight {heavy}: airframe.payload_kg: "):
+        batch.fly(plan, (heavy,), 1)
 
 
 def test_without_pyarrow_one_sentence(monkeypatch, tmp_path):

@@ -382,7 +382,7 @@ def test_drive_inverts_the_thrust_curve(thrust, expo):
 def test_faults_come_and_go():
     rows = [
         {"kind": "loss", "rotor": 2, "onset_s": 10.0, "end_s": 20.0, "strength": 0.4, "ramp_s": 4.0},
-        {"kind": "loss", "rotor": 4, "onset_s": 12.0, "strength": 0.5, "period_s": 2.0, "share": 0.25},
+        {"kind": "loss", "rotor": 4, "onset_s": 12.0, "strength": 0.5, "period_s": 2.0, "duty": 0.25},
     ]
     table = plan(asked(faults=rows)).faults
     for t, second, fourth in (

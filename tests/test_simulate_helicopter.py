@@ -347,6 +347,8 @@ def test_sensors_err_as_asked():
         ({"autopilot": "px4"}, "autopilot is no field of a helicopter"),
         ({"trajectory": {"land": True}}, "trajectory.land is no field of a helicopter"),
         ({"trajectory": {"kind": "aggressive"}}, "trajectory.kind: a helicopter flies hover, square"),
+        ({"trajectory": {"take_off_s": 30.0}}, "trajectory.take_off_s is 30, not before the end of the flight at 24"),
+        ({"logging": {"profile": "full"}, "rate_hz": 300.0}, "rate_hz must be a multiple of 200, the rate of the record, not 300"),
         ({"logging": {"esc": True}}, "logging.esc is no field"),
         ({"faults": [{"kind": "loss", "rotor": 2, "onset_s": 9.0, "strength": 0.1}]}, r"faults\[1\].rotor: .* named by actuator"),
         ({"faults": [{"kind": "loss", "onset_s": 9.0, "strength": 0.1}]}, r"faults\[1\].actuator is missing"),

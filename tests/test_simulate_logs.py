@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import rotorwatch as rw
+from rotorwatch import airframes
 from rotorwatch.backend import jax
 from rotorwatch.cli import cli
 from rotorwatch.errors import ConfigError
@@ -166,7 +167,7 @@ WRONG = {
     r"wind.speed_m_s must be a number, not 'much'": {"wind": {"speed_m_s": "much"}},
     r"wind must be a table": {"wind": 3},
     r"airframe.frame is missing": {"airframe": {}},
-    r"airframe.frame: There is no airframe called 'ardupilot-hexa-z'": {"airframe": {"frame": "hexa-z"}},
+    r"airframe.frame: there is no frame 'hexa-z'; close ones are hexa-x, ": {"airframe": {"frame": "hexa-z"}},
     r"airframe.frame: the rotors of quad-vtail are tilted": {"airframe": {"frame": "quad-vtail"}},
     r"airframe.inertia_kg_m2 must be 3 numbers": {"airframe": {"frame": "quad-x", "inertia_kg_m2": [1, 2]}},
     r"airframe.inertia_kg_m2: no body": {"airframe": {"frame": "quad-x", "inertia_kg_m2": [1.0, 1.0, 3.0]}},
@@ -178,11 +179,22 @@ WRONG = {
     r"name must be a text": {"name": 3},
     r"faults\[1\].rotor is missing": {"faults": [{"kind": "loss", "onset_s": 3.0, "strength": 0.1}]},
     r"faults\[1\].strength is missing: a bias needs one": {"faults": [{"kind": "bias", "rotor": 1, "onset_s": 3.0}]},
-    r"faults\[2\].onset_s is 99, after the end": {"faults": [FAULT, {**FAULT, "onset_s": 99.0}]},
+    r"faults\[2\].onset_s is 99, not before the end": {"faults": [FAULT, {**FAULT, "onset_s": 99.0}]},
     r"faults\[1\].end_s must lie after": {"faults": [{**FAULT, "end_s": 3.0}]},
     r"faults\[1\].strength must be a share from 0 to 1": {"faults": [{**FAULT, "strength": -0.1}]},
     r"faults must be at most 2": {"faults": [FAULT] * 3},
-    r"faults\[\].rotor: the frame hexa-x has 6 rotors": {"faults": [{**FAULT, "rotor": 7}]},
+    r"faults\[2\].rotor is 7, but the frame hexa-x has 6": {"faults": [FAULT, {**FAULT, "rotor": 7}]},
+    r"faults\[1\].onset_s is 45, not before the end of the flight at 45": {"faults": [{**FAULT, "onset_s": 45.0}]},
+    r"faults\[1\].strength: a stuck has none; leave it out": {"faults": [{**FAULT, "kind": "stuck"}]},
+    r"faults\[1\].level: a loss has none; leave it out": {"faults": [{**FAULT, "level": 0.3}]},
+    r"faults\[1\].vibration: a loss has none; leave it out": {"faults": [{**FAULT, "vibration": 3.0}]},
+    r"faults\[1\].ramp_s: a float has none; leave it out": {
+        "faults": [{"kind": "float", "rotor": 3, "onset_s": 25.0, "ramp_s": 1.0}]
+    },
+    r"faults\[1\].duty: only a fault with a period_s has one": {"faults": [{**FAULT, "duty": 0.3}]},
+    r"rate_hz must be a multiple of 100, the rate of the record, not 333": {"rate_hz": 333.0},
+    r"seed must lie between 0 and 2147483647, not 1e\+99": {"seed": 10**99},
+    r"duration_s must be a number, not 9999": {"duration_s": int("9" * 400)},
     r"autopilot must be one of ardupilot, px4": {"autopilot": "betaflight"},
 }
 
@@ -316,6 +328,31 @@ def test_command_refuses_in_one_sentence(tmp_path):
         done = run(*arguments)
         assert isinstance(done.exception, ConfigError) and sentence in str(done.exception)
     assert not list(tmp_path.glob("f.*"))
+
+
+@pytest.mark.parametrize("taken", ["f.bin", "f.truth.json", "f.truth.csv"])
+def test_all_files_are_written_or_none(tmp_path, taken):
+    """A name that is a folder's is refused before anything flies, and what lies there stays."""
+    (tmp_path / taken).mkdir()
+    done = run(HEXA, "-o", tmp_path / "f.bin")
+    assert isinstance(done.exception, ConfigError) and f"{taken} is a folder" in str(done.exception)
+    assert [path.name for path in tmp_path.iterdir()] == [taken]
+
+
+def test_a_folder_that_takes_no_files():
+    done = run(HEXA, "-o", "/proc/f.bin")
+    assert isinstance(done.exception, ConfigError) and "cannot write to /proc: " in str(done.exception)
+
+
+@pytest.mark.parametrize("frame", airframes.papers())
+def test_every_papers_airframe_flies_or_is_refused(frame):
+    try:
+        asked = scenario.from_table({"airframe": {"frame": frame}})
+        numbers = helicopter.plan(asked) if asked.helicopter else plan(asked)
+    except ConfigError as why:
+        assert str(why).startswith("airframe.frame: ")
+    else:
+        assert np.isfinite(float(numbers.seed))
 
 
 def test_the_page_lists_every_field():

@@ -110,9 +110,9 @@ def judge(plan: Plan, flights: Sequence[int], size: int) -> list[dict]:
 def fly(plan: Plan, flights: Sequence[int], size: int) -> list[Flown]:
     """Simulate the flights and look at them as `diagnose` looks at a log. Flights that never take off are left out."""
     scenarios = [plan.flight(k) for k in flights]
-    plans = [flight_plan(scenario) for scenario in scenarios]
+    plans = [_planned(k, scenario) for k, scenario in zip(flights, scenarios, strict=True)]
     filled, first = [*plans, *[plans[-1]] * (size - len(plans))], scenarios[0]
-    records = fly_many(MULTIROTOR, stack(filled), first.duration_s, first.rate_hz, logbook.record_hz(first), _needed)
+    records = fly_many(MULTIROTOR, stack(filled), first.duration_s, first.rate_hz, first.record_hz, _needed)
     records = load_jax().tree.map(np.asarray, records)
     found = []
     for k, (number, scenario) in enumerate(zip(flights, scenarios, strict=True)):
@@ -133,6 +133,14 @@ def fly(plan: Plan, flights: Sequence[int], size: int) -> list[Flown]:
             )
         )  # fmt: skip
     return found
+
+
+def _planned(number: int, scenario: Scenario) -> Any:
+    """The flight's numbers. Raises ConfigError that names the flight: draws may be too much only together."""
+    try:
+        return flight_plan(scenario)
+    except ConfigError as error:
+        raise ConfigError(f"flight {number}: {error}") from error
 
 
 def _all_events(f: Flown, losses: Sequence[Event]) -> tuple[Event, ...]:

@@ -28,7 +28,6 @@ Flight k is the same flight whatever else is flown: its numbers come from (seed,
 from __future__ import annotations
 
 import itertools
-import math
 import os
 import tomllib
 from collections.abc import Iterator, Mapping
@@ -40,7 +39,7 @@ import numpy as np
 from rotorwatch import detectors, discovery
 from rotorwatch.errors import ConfigError
 from rotorwatch.simulation import prepare, scenario
-from rotorwatch.simulation.scenario import Scenario, brief, plain
+from rotorwatch.simulation.scenario import Scenario, brief, is_number, number, plain, whole
 
 MAX_BYTES = 1_000_000
 DRAWS = ("choice", "uniform", "log_uniform")
@@ -153,9 +152,9 @@ def from_table(table: Mapping[str, Any], text: str = "") -> Plan:
     given = {**TOP, **table}
     if not isinstance(given["name"], str):
         raise ConfigError(f"name must be a text, not {brief(given['name'])}.")
-    seed = _number("seed", given["seed"], 0, 2**31 - 1)
-    healthy = _number("healthy", given["healthy"], 0.0, 1.0)
-    period = _number("false_alarm_period_h", given["false_alarm_period_h"], 0.01, 1e6)
+    seed = whole("seed", given["seed"], 0, 2**31 - 1)
+    healthy = number("healthy", given["healthy"], 0.0, 1.0)
+    period = number("false_alarm_period_h", given["false_alarm_period_h"], 0.01, 1e6)
     estimators = _names("estimators", given["estimators"], tuple(discovery.estimators()))
     rules = _names("detectors", given["detectors"], tuple(m.name for m in detectors.modules()))
     if not estimators and not rules:
@@ -187,7 +186,7 @@ def from_table(table: Mapping[str, Any], text: str = "") -> Plan:
     rotors = _try_out(asked, cells, faults)
     return Plan(
         given["name"],
-        int(seed),
+        seed,
         healthy,
         estimators,
         rules,
@@ -236,7 +235,7 @@ def _decisions(rows: Any) -> tuple[Decision, ...]:
         name = row.get("name")
         if not isinstance(name, str) or not name or name in (d.name for d in found):
             raise ConfigError(f"{where}.name must be a text that no other decision has, not {brief(name)}.")
-        numbers = ((key, _number(f"{where}.{key}", row[key], *ends)) for key, ends in DECISION.items() if key in row)
+        numbers = ((key, number(f"{where}.{key}", row[key], *ends)) for key, ends in DECISION.items() if key in row)
         found.append(Decision(name, tuple(numbers)))
     return tuple(found) or (Decision(),)
 
@@ -247,33 +246,35 @@ def _fault(where: str, row: Mapping[str, Any]) -> Mapping[str, Any]:
     if _is_draw(row):
         raise ConfigError(f"{where}.{next(iter(row))} is not a field of a fault; draw its fields, one by one.")
     _check_draws(where, row)
-    share = _number(f"{where}.share", row.get("share", 1.0), 1e-6, 1e6)
-    together = _number(f"{where}.together", row.get("together", 1), 1, 2)
-    if together != int(together):
-        raise ConfigError(f"{where}.together must be 1 or 2 rotors, not {together:g}.")
-    return {**row, "share": share, "together": int(together)}
+    share = number(f"{where}.share", row.get("share", 1.0), 1e-6, 1e6)
+    return {**row, "share": share, "together": whole(f"{where}.together", row.get("together", 1), 1, 2)}
 
 
 def _try_out(asked, cells, faults) -> tuple[int, ...]:
     """Build scenarios at the ends of every draw, and one vehicle per cell whose log can be written: (rotors of each). Raises what they
     raise, by field."""
     for end in _ends(asked):
-        _built("scenario.", end, cells[0], [])
+        _flyable(_built("scenario.", end, cells[0], []))
     counts = []
     base = next(_ends(asked))
     for cell in cells:
         made = _built("scenario.", base, cell, [])
-        try:
-            prepare.plan(made)
-            if cell.autopilot == "ardupilot":
-                prepare.frame_numbers(cell.frame)
-        except ConfigError as error:
-            raise ConfigError(f"scenario.{error}") from error
+        _flyable(made)
         counts.append(len(prepare.vehicle(made).rotors))
     for k, fault in enumerate(faults):
         for end in _ends({key: v for key, v in fault.items() if key not in FAULT}):
             _built("", base, cells[0], [{**end, "rotor": 1}], f"faults[{k + 1}]")
     return tuple(counts)
+
+
+def _flyable(made: Scenario) -> None:
+    """Raise ConfigError where no vehicle can fly the scenario, or no log can be written of it."""
+    try:
+        prepare.plan(made)
+        if made.autopilot == "ardupilot":
+            prepare.frame_numbers(made.airframe["frame"])
+    except ConfigError as error:
+        raise ConfigError(f"scenario.{error}") from error
 
 
 def _built(prefix: str, table: Mapping[str, Any], cell: Cell, faults: list, called: str = "") -> Scenario:
@@ -324,11 +325,10 @@ def _check_draws(where: str, table: Mapping[str, Any]) -> None:
     for path, draw in _draws(table):
         name, (kind, values) = ".".join((where, *path)), next(iter(draw.items()))
         if not isinstance(values, list) or not values:
-            raise ConfigError(f"{name}.{kind} must be a list, not {brief(values)}.")
+            raise ConfigError(f"{name}.{kind} must be a list of values, not {brief(values)}.")
         if kind == "choice":
             continue
-        numbers = [v for v in values if isinstance(v, (int, float)) and not isinstance(v, bool) and math.isfinite(v)]
-        if len(values) != 2 or len(numbers) != 2 or values[0] > values[1]:
+        if len(values) != 2 or not all(map(is_number, values)) or values[0] > values[1]:
             raise ConfigError(f"{name}.{kind} must be two numbers, the smaller first, not {brief(values)}.")
         if kind == "log_uniform" and values[0] <= 0:
             raise ConfigError(f"{name}.log_uniform must be above zero, not {values[0]:g}.")
@@ -349,14 +349,6 @@ def _drawn(table: Mapping[str, Any], rng: np.random.Generator) -> dict[str, Any]
         else:
             found[key] = _drawn(value, rng) if isinstance(value, Mapping) else value
     return found
-
-
-def _number(name: str, value: Any, low: float, high: float) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise ConfigError(f"{name} must be a number, not {brief(value)}.")
-    if not low <= value <= high:
-        raise ConfigError(f"{name} must lie between {low:g} and {high:g}, not {value:g}.")
-    return float(value)
 
 
 def _names(name: str, values: Any, known: tuple[str, ...]) -> tuple[str, ...]:

@@ -66,10 +66,7 @@ class Folder:
     def open(self, plan: Plan, width: int, version: str) -> int:
         """Make the folder, or check that it is of the same plan; returns the width of its batches. Raises ConfigError."""
         parquet()
-        try:
-            self.parts.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise ConfigError(f"Cannot make the folder {self.path}: {error.strerror or error}.") from error
+        _make(self.parts)
         about, kept = self.path / "campaign.json", self.path / "plan.toml"
         if not about.exists():
             if any(self.parts.iterdir()):
@@ -77,19 +74,19 @@ class Folder:
             _write(kept, plan.text.encode())
             _write(about, json.dumps({"version": version, "width": width}).encode())
             return width
-        known = json.loads(about.read_text())
-        if kept.read_text() != plan.text:
+        known = _known(about)
+        if not kept.is_file() or kept.read_bytes() != plan.text.encode():
             raise ConfigError(f"{self.path} holds results of another plan (its plan.toml); give another folder.")
         if known["version"] != version:
             raise ConfigError(
                 f"{self.path} was begun with rotorwatch {known['version']}, this is {version}; give another folder."
             )
-        return int(known["width"])
+        return known["width"]
 
     @contextmanager
     def locked(self) -> Iterator[None]:
         """Nobody else works in the folder meanwhile; the lock goes with the process. Raises ConfigError."""
-        self.path.mkdir(parents=True, exist_ok=True)
+        _make(self.path)
         with open(self.path / ".lock", "w") as file:
             try:
                 import fcntl
@@ -136,7 +133,7 @@ class Folder:
         paths = sorted(path for path in self.parts.glob("*.parquet") if PART.fullmatch(path.name))
         if not paths:
             raise ConfigError(f"{self.path} holds no finished part of a campaign.")
-        whole = pa.concat_tables([pa.parquet.read_table(path) for path in paths])
+        whole = pa.concat_tables([_part(path) for path in paths])
         whole = whole.sort_by([("flight", "ascending"), ("method", "ascending")])
         if flights is not None:
             whole = whole.filter(pa.compute.less(whole["flight"], flights))
@@ -149,6 +146,32 @@ class Folder:
         pa.parquet.write_table(table, hidden)
         os.replace(hidden, self.path / "flights.parquet")
         _write(self.path / "summary.json", (json.dumps(summary, indent=1, allow_nan=False) + "\n").encode())
+
+
+def _make(folder: Path) -> None:
+    """Make a folder where there is none. Raises ConfigError."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"Cannot make the folder {folder}: {error.strerror or error}.") from error
+
+
+def _known(about: Path) -> dict[str, Any]:
+    """What campaign.json says. Raises ConfigError."""
+    try:
+        known = json.loads(about.read_bytes())
+        return {"version": str(known["version"]), "width": int(known["width"])}
+    except (ValueError, TypeError, KeyError) as error:
+        raise ConfigError(f"{about} is damaged; give another folder.") from error
+
+
+def _part(path: Path) -> Any:
+    """A finished part. Raises ConfigError."""
+    pa = parquet()
+    try:
+        return pa.parquet.read_table(path)
+    except pa.ArrowException as error:
+        raise ConfigError(f"{path} is damaged; delete it and run the command again.") from error
 
 
 _TYPES = {"int64": "int64", "string": "string", "double": "float64", "bool": "bool_"}

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import click
@@ -38,21 +42,43 @@ def simulate(scenario, out, seed, quiet) -> None:
     asked = read(scenario)
     if seed is not None:
         asked = asked.with_seed(seed)
-    if not out.absolute().parent.is_dir():
-        raise ConfigError(f"--out {out}: there is no folder {out.parent}.")
     endings = _endings(out, asked.helicopter)
-    written: list[Path] = []
-    for k, ending in enumerate(endings):
-        with progress(quiet) as tell:
-            if tell:
-                tell(k / len(endings), "flying")
-            one = asked if asked.helicopter else asked.with_autopilot(simulation.SUFFIXES[ending])
-            written += simulation.simulate(one).write(
-                out.with_suffix(ending), out.with_name(out.stem if len(endings) == 1 else out.name + ending)
-            )
-    click.echo("\n".join(str(path) for path in written))
+    stems = [out.with_name(out.stem if len(endings) == 1 else out.name + ending) for ending in endings]
+    for stem, ending in zip(stems, endings, strict=True):
+        for path in (
+            out.with_suffix(ending),
+            *(stem.with_name(f"{stem.name}.truth.{kind}") for kind in ("json", "csv")),
+        ):
+            if path.is_dir():
+                raise ConfigError(f"--out {out}: {path} is a folder.")
+    with _all_or_none(out) as hidden:
+        written: list[Path] = []
+        for k, ending in enumerate(endings):
+            with progress(quiet) as tell:
+                if tell:
+                    tell(k / len(endings), "flying")
+                one = asked if asked.helicopter else asked.with_autopilot(simulation.SUFFIXES[ending])
+                made = simulation.simulate(one)
+                written += made.write(hidden / out.with_suffix(ending).name, hidden / stems[k].name)
+    click.echo("\n".join(str(out.with_name(path.name)) for path in written))
     if not quiet:
         say(f"{asked.name}: {asked.duration_s:g} s flown")
+
+
+@contextmanager
+def _all_or_none(out: Path) -> Iterator[Path]:
+    """A hidden folder beside `out`, whose files are moved to where `out` is when all are written. Raises ConfigError before that."""
+    folder = out.absolute().parent
+    if not folder.is_dir():
+        raise ConfigError(f"--out {out}: there is no folder {out.parent}.")
+    try:
+        hidden = tempfile.TemporaryDirectory(prefix=".rotorwatch-", dir=folder)
+    except OSError as error:
+        raise ConfigError(f"--out {out}: cannot write to {out.parent}: {error.strerror or error}.") from error
+    with hidden:
+        yield Path(hidden.name)
+        for path in Path(hidden.name).iterdir():
+            os.replace(path, folder / path.name)
 
 
 def _endings(out: Path, helicopter: bool) -> list[str]:

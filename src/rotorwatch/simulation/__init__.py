@@ -63,7 +63,7 @@ def simulate(scenario: Scenario) -> Any:
     if scenario.helicopter:
         return helicopter.simulate(scenario)
     numbers = plan(scenario)
-    record = loop.fly(MULTIROTOR, numbers, scenario.duration_s, scenario.rate_hz, logbook.record_hz(scenario))
+    record = loop.fly(MULTIROTOR, numbers, scenario.duration_s, scenario.rate_hz, scenario.record_hz)
     return Simulated(scenario, numbers, record)
 
 
@@ -78,11 +78,11 @@ def simulate_batch(
     if not scenarios:
         raise ConfigError("a batch needs at least one scenario.")
     first = scenarios[0]
-    hz = logbook.record_hz(first) if record_hz is None else record_hz
+    hz = first.record_hz if record_hz is None else record_hz
     for s in scenarios[1:]:
         if (s.duration_s, s.rate_hz) != (first.duration_s, first.rate_hz):
             raise ConfigError("flights of one batch must have the same duration_s and rate_hz.")
-        if record_hz is None and logbook.record_hz(s) != hz:
+        if record_hz is None and s.record_hz != hz:
             raise ConfigError("flights of one batch must be recorded alike: the same autopilot and logging.profile.")
     return loop.fly_many(
         MULTIROTOR, loop.stack([plan(s) for s in scenarios]), first.duration_s, first.rate_hz, hz, select

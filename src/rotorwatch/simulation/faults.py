@@ -1,6 +1,6 @@
 """What breaks: faults of single rotors, as numbers that a compiled program can be given.
 
-A fault is active from its onset to its end, wholly or in periods (`period`, `share`), and grows over `ramp` seconds:
+A fault is active from its onset to its end, wholly or in periods (`period`, `duty`), and grows over `ramp` seconds:
 
     loss          thrust and torque times 1 - strength           chipped    the same, and an imbalance that shakes
     bias          strength is added to the command               stuck      the command stays what it was, or `level`
@@ -24,7 +24,7 @@ NEVER = 1e9
 
 
 class Faults(NamedTuple):
-    """MOST faults in rows. rotor (F, n): 1 at the rotor, else 0. onset, end, ramp, period [s], share: part of a period that
+    """MOST faults in rows. rotor (F, n): 1 at the rotor, else 0. onset, end, ramp, period [s], duty: part of a period that
     the fault is there; loss, bias: strengths; frozen 0 or 1 with level; undriven 0 or 1; shake [m/s^2 at full speed]."""
 
     rotor: Array
@@ -32,7 +32,7 @@ class Faults(NamedTuple):
     end: Array
     ramp: Array
     period: Array
-    share: Array
+    duty: Array
     loss: Array
     bias: Array
     frozen: Array
@@ -54,7 +54,7 @@ def strength(faults: Faults, t):
     """(F,) how far each fault has come at time t: 0 absent, 1 all there."""
     jnp = load_jax().numpy
     since = t - faults.onset
-    there = (since >= 0.0) & (t < faults.end) & (jnp.mod(since, faults.period) < faults.share * faults.period)
+    there = (since >= 0.0) & (t < faults.end) & (jnp.mod(since, faults.period) < faults.duty * faults.period)
     grown = jnp.clip(since / jnp.maximum(faults.ramp, 1e-9), 0.0, 1.0)
     return jnp.where(there, jnp.where(faults.ramp > 0.0, grown, 1.0), 0.0)
 

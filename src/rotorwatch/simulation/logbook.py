@@ -59,14 +59,8 @@ IDLE = 0.1  # ArduPilot's MOT_SPIN_ARM
 MAV_TYPE = {4: 2, 6: 13, 8: 14, 12: 29, 10: 35}
 
 
-def record_hz(scenario: Scenario) -> float:
-    """How often the simulation has to be recorded for the scenario's log."""
-    return float({"default": 100, "fast": 100, "full": 400}[scenario.logging["profile"]] if scenario.autopilot == "ardupilot"
-                 else {"default": 200, "fast": 200, "full": 400}[scenario.logging["profile"]])  # fmt: skip
-
-
 def flight(scenario: Scenario, plan: Plan, record: Record) -> Flight:
-    """The flight as its log tells it. record: of `loop.fly` of a multirotor, recorded `record_hz(scenario)` times a second."""
+    """The flight as its log tells it. record: of `loop.fly` of a multirotor, recorded `scenario.record_hz` times a second."""
     craft = vehicle(scenario)
     log = _Log(scenario, plan, record)
     ardupilot = scenario.autopilot == "ardupilot"
@@ -111,7 +105,7 @@ class _Log:
         self.rng = np.random.default_rng([scenario.seed, 2])
         rates = RATES[scenario.autopilot, scenario.logging["profile"]]
         self.sources = SOURCES[scenario.autopilot]
-        full, self.rows, self.time = record_hz(scenario), {}, {}
+        full, self.rows, self.time = scenario.record_hz, {}, {}
         for k, (group, rate) in enumerate(rates.items()):
             stride = round(full / rate)
             self.rows[group] = np.arange(k % stride, len(record.time), stride)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Mapping
 from typing import Any
 
@@ -12,7 +13,7 @@ from rotorwatch.airframes import ardupilot, px4
 from rotorwatch.errors import ConfigError, VehicleError
 from rotorwatch.simulation import control, dynamics, faults, trajectories, wind
 from rotorwatch.simulation.multirotor import Battery, Plan
-from rotorwatch.simulation.scenario import Scenario
+from rotorwatch.simulation.scenario import Scenario, brief
 from rotorwatch.simulation.sensors import Sensors
 from rotorwatch.vehicle import Rotor, ThrustCurve, Vehicle
 
@@ -39,8 +40,11 @@ def vehicle(scenario: Scenario) -> Vehicle:
         found = _geometry(scenario.autopilot, frame)
         arm = a["arm_m"] / max(np.hypot(r.x, r.y) for r in found)
     rotors = tuple(Rotor(r.x * arm, r.y * arm, r.spin) for r in found)
-    if any(f["rotor"] > len(rotors) for f in scenario.faults):
-        raise ConfigError(f"faults[].rotor: the frame {frame} has {len(rotors)} rotors.")
+    for k, fault in enumerate(scenario.faults):
+        if fault["rotor"] > len(rotors):
+            raise ConfigError(
+                f"faults[{k + 1}].rotor is {fault['rotor']}, but the frame {frame} has {len(rotors)} rotors."
+            )
     if scenario.autopilot == "px4":
         # Demands are logged: the thrust curve is applied to them on the way to the ESC.
         curve, name, mixer = ThrustCurve(0.0, 1.0, 0.0), f"px4-{frame}", px4.mix(rotors)
@@ -67,7 +71,11 @@ def _built(frame: str) -> Vehicle:
     except VehicleError as error:
         if frame in SAME:
             return airframes.named(f"ardupilot-{SAME[frame]}")
-        raise ConfigError(f"airframe.frame: {error}") from error
+        known = sorted({*ardupilot.FRAMES, *px4.FRAMES, *airframes.papers()})
+        close = difflib.get_close_matches(frame, known, 6, 0.5) or ["quad-x"]
+        raise ConfigError(
+            f"airframe.frame: there is no frame {brief(frame)}; close ones are {', '.join(close)}."
+        ) from error
 
 
 def _geometry(autopilot: str, frame: str) -> tuple[Rotor, ...]:
@@ -265,11 +273,11 @@ def broken(scenario: Scenario, rotors: int) -> faults.Faults:
     table = {k: np.array(v, float) for k, v in faults.none(rotors)._asdict().items()}
     for k, f in enumerate(scenario.faults):
         kind, size = f["kind"], f["strength"]
-        row = {"onset": f["onset_s"], "ramp": f["ramp_s"], "share": 1.0}
+        row = {"onset": f["onset_s"], "ramp": f["ramp_s"], "duty": 1.0}
         if f["end_s"] is not None:
             row["end"] = f["end_s"]
         if f["period_s"] is not None:
-            row |= {"period": f["period_s"], "share": f["share"]}
+            row |= {"period": f["period_s"], "duty": f["duty"]}
         if kind in ("loss", "chipped"):
             row["loss"] = size
         if kind == "complete loss":

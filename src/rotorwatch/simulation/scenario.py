@@ -38,6 +38,12 @@ MAX_BYTES = 1_000_000
 AUTOPILOTS = ("ardupilot", "px4")
 PROFILES = ("default", "fast", "full")
 ACTUATORS = ("collective", "tail", "longitudinal", "lateral")
+RECORD_HZ = {
+    "ardupilot": {"default": 100.0, "fast": 100.0, "full": 400.0},
+    "px4": {"default": 200.0, "fast": 200.0, "full": 400.0},
+    "helicopter": {"default": 100.0, "fast": 100.0, "full": 200.0},
+}
+"""How often a flight is recorded: a multiple of every rate that its log has."""
 
 
 class Field(NamedTuple):
@@ -132,10 +138,17 @@ FAULT_FIELDS: dict[str, Field] = {
     "level": Field(None, 0.0, 1.0, "stuck, saturated: the command it stays at"),
     "ramp_s": Field(0.0, 0.0, 3600.0, "time to grow to full strength"),
     "period_s": Field(None, 0.02, 3600.0, "intermittent: of on and off"),
-    "share": Field(0.5, 0.0, 1.0, "intermittent: part of a period that it is there"),
+    "duty": Field(0.5, 0.01, 1.0, "intermittent: part of a period that it is there"),
     "vibration": Field(6.0, 0.0, 200.0, "chipped: shaking at full speed, m/s^2"),
 }
 NEEDS_STRENGTH = ("loss", "bias", "chipped")
+SOME_HAVE = {
+    "strength": NEEDS_STRENGTH,
+    "level": ("stuck", "saturated"),
+    "ramp_s": (*NEEDS_STRENGTH, "complete loss"),
+    "vibration": ("chipped",),
+}
+"""Fields that only these kinds of faults have."""
 HELICOPTER_FIELDS: dict[str, tuple[str, ...]] = {
     "": ("name", "duration_s", "seed", "rate_hz"),
     "airframe": ("frame", "lag_s", "payload_kg"),
@@ -167,13 +180,24 @@ class Scenario:
     logging: Mapping[str, Any]
     faults: tuple[Mapping[str, Any], ...]
 
+    def __post_init__(self):
+        if self.rate_hz % self.record_hz:
+            raise ConfigError(
+                f"rate_hz must be a multiple of {self.record_hz:g}, the rate of the record, not {self.rate_hz:g}."
+            )
+
+    @property
+    def record_hz(self) -> float:
+        """How often the flight is recorded for its log."""
+        return RECORD_HZ["helicopter" if self.helicopter else self.autopilot][self.logging["profile"]]
+
     @property
     def helicopter(self) -> bool:
         """Whether the frame is a helicopter's."""
         return is_helicopter(self.airframe["frame"])
 
     def with_autopilot(self, autopilot: str) -> Scenario:
-        """The same flight under the other autopilot."""
+        """The same flight under the other autopilot. Raises ConfigError where its log needs another rate_hz."""
         return replace(self, autopilot=autopilot)
 
     def with_seed(self, seed: int) -> Scenario:
@@ -224,7 +248,7 @@ def from_table(table: Mapping[str, Any]) -> Scenario:
     helicopter = is_helicopter(parts["airframe"]["frame"])
     found = tuple(_fault(f"faults[{k + 1}]", row, top["duration_s"], helicopter) for k, row in enumerate(rows))
     if helicopter:
-        _helicopter(table, parts["trajectory"]["kind"])
+        _helicopter(table, top["duration_s"], parts["trajectory"])
     else:
         _times(top["duration_s"], parts["trajectory"])
     return Scenario(**top, **parts, faults=found)
@@ -241,7 +265,7 @@ def _times(duration: float, way: Mapping[str, Any]) -> None:
         )
 
 
-def _helicopter(table: Mapping[str, Any], way: str) -> None:
+def _helicopter(table: Mapping[str, Any], duration: float, way: Mapping[str, Any]) -> None:
     """Refuse what a helicopter does not have."""
     for part, known in HELICOPTER_FIELDS.items():
         given = table.get(part, {}) if part else [key for key in table if key in FIELDS[""]]
@@ -249,11 +273,16 @@ def _helicopter(table: Mapping[str, Any], way: str) -> None:
             if key not in known:
                 field, has = (f"{part}.{key}", ", ".join(known) or "none") if part else (key, ", ".join(known))
                 raise ConfigError(f"{field} is no field of a helicopter; it has {has}.")
-    if way not in HELICOPTER_WAYS:
-        raise ConfigError(f"trajectory.kind: a helicopter flies {', '.join(HELICOPTER_WAYS)}, not {way!r}.")
+    if way["kind"] not in HELICOPTER_WAYS:
+        raise ConfigError(f"trajectory.kind: a helicopter flies {', '.join(HELICOPTER_WAYS)}, not {way['kind']!r}.")
+    if way["take_off_s"] >= duration:
+        raise ConfigError(
+            f"trajectory.take_off_s is {way['take_off_s']:g}, not before the end of the flight at {duration:g}."
+        )
 
 
-def _fault(where: str, row: Any, duration: float, helicopter: bool = False) -> Mapping[str, Any]:
+def _fault(where: str, row: Any, duration: float, helicopter: bool) -> Mapping[str, Any]:
+    """One row of `faults`, with all of FAULT_FIELDS; of a helicopter, `rotor` is the actuator's place."""
     if not isinstance(row, Mapping):
         raise ConfigError(f"{where} must be a [[faults]] table.")
     fault = _table(f"{where}.", row, FAULT_FIELDS)
@@ -270,8 +299,13 @@ def _fault(where: str, row: Any, duration: float, helicopter: bool = False) -> M
                 f"{where}.kind: a helicopter's actuators suffer {', '.join(HELICOPTER_FAULTS)}, not {fault['kind']!r}."
             )
         fault["rotor"] = ACTUATORS.index(fault["actuator"]) + 1
-    if fault["onset_s"] > duration:
-        raise ConfigError(f"{where}.onset_s is {fault['onset_s']:g}, after the end of the flight at {duration:g}.")
+    for field, kinds in SOME_HAVE.items():
+        if field in row and fault["kind"] not in kinds:
+            raise ConfigError(f"{where}.{field}: a {fault['kind']} has none; leave it out.")
+    if "duty" in row and fault["period_s"] is None:
+        raise ConfigError(f"{where}.duty: only a fault with a period_s has one.")
+    if fault["onset_s"] >= duration:
+        raise ConfigError(f"{where}.onset_s is {fault['onset_s']:g}, not before the end of the flight at {duration:g}.")
     if fault["end_s"] is not None and fault["end_s"] <= fault["onset_s"]:
         raise ConfigError(f"{where}.end_s must lie after its onset_s.")
     if fault["kind"] in NEEDS_STRENGTH and fault["strength"] is None:
@@ -309,12 +343,10 @@ def _value(name: str, value: Any, field: Field) -> Any:
     if field.numbers:
         if not isinstance(value, (list, tuple)) or len(value) != field.numbers:
             raise ConfigError(f"{name} must be {field.numbers} numbers, not {brief(value)}.")
-        return tuple(float(_number(name, v, field)) for v in value)
-    whole = isinstance(field.default, int) or name.endswith(".rotor")
-    number = _number(name, value, field)
-    if whole and number != int(number):
-        raise ConfigError(f"{name} must be a whole number, not {brief(value)}.")
-    return int(number) if whole else float(number)
+        return tuple(number(name, v, field.low, field.high) for v in value)
+    if isinstance(field.default, int) or name.endswith(".rotor"):
+        return whole(name, value, field.low, field.high)
+    return number(name, value, field.low, field.high)
 
 
 def brief(value: Any) -> str:
@@ -328,9 +360,26 @@ def plain(key: str) -> str:
     return key if key.isidentifier() and len(key) <= 60 else brief(key)
 
 
-def _number(name: str, value: Any, field: Field) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+def is_number(value: Any) -> bool:
+    """Whether a value of a TOML file is a finite number (an integer of hundreds of digits is none)."""
+    try:
+        return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+    except OverflowError:
+        return False
+
+
+def number(name: str, value: Any, low: float, high: float) -> float:
+    """The value as a float when it is a number in [low, high]. Raises ConfigError."""
+    if not is_number(value):
         raise ConfigError(f"{name} must be a number, not {brief(value)}.")
-    if not field.low <= value <= field.high:
-        raise ConfigError(f"{name} must lie between {field.low:g} and {field.high:g}, not {value:g}.")
-    return value
+    if not low <= value <= high:
+        raise ConfigError(f"{name} must lie between {low:.10g} and {high:.10g}, not {value:g}.")
+    return float(value)
+
+
+def whole(name: str, value: Any, low: float, high: float) -> int:
+    """The value as an int when it is a whole number in [low, high]. Raises ConfigError."""
+    found = number(name, value, low, high)
+    if found != int(found):
+        raise ConfigError(f"{name} must be a whole number, not {brief(value)}.")
+    return int(found)

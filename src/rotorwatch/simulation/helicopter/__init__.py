@@ -43,5 +43,5 @@ def simulate(scenario: Scenario) -> SimulatedHelicopter:
     if not scenario.helicopter:
         raise ConfigError(f"airframe.frame: {scenario.airframe['frame']} is no helicopter.")
     numbers, craft = plan(scenario), HelicopterAircraft(scenario.airframe["frame"])
-    record = loop.fly(craft, numbers, scenario.duration_s, scenario.rate_hz, table.record_hz(scenario))
+    record = loop.fly(craft, numbers, scenario.duration_s, scenario.rate_hz, scenario.record_hz)
     return SimulatedHelicopter(scenario, numbers, record)

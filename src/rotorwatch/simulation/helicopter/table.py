@@ -30,15 +30,10 @@ COLUMNS = {
 """What the columns of each signal are called, and its axes."""
 
 
-def record_hz(scenario: Scenario) -> float:
-    """How often the flight is recorded: as often as it is logged, and not less than 100 times a second."""
-    return max(100.0, RATES[scenario.logging["profile"]])
-
-
 def columns(scenario: Scenario, plan: Plan, record: Record) -> dict[str, np.ndarray]:
     """The log's columns with the sensors' errors; no truth in them."""
     rng, sensed = np.random.default_rng([scenario.seed, 2]), plan.sensors
-    stride = round(record_hz(scenario) / RATES[scenario.logging["profile"]])
+    stride = round(scenario.record_hz / RATES[scenario.logging["profile"]])
     rows = slice(stride - 1, None, stride)
     # The main rotor turns with one speed: its imbalance is felt once per turn.
     angle = 2.0 * np.pi * float(sensed.full_turns) * record.time[:, None]
