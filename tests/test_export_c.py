@@ -336,7 +336,7 @@ def test_a_cache_that_cannot_be_written_costs_a_build(cache, monkeypatch):
 
 def test_an_unknown_backend_is_told():
     u, y = table(3)
-    with pytest.raises(ConfigError, match="'jax' or 'native', not 'fortran'"):
+    with pytest.raises(ConfigError, match="'jax', 'native' or 'auto', not 'fortran'"):
         run(small(), u, y, backend="fortran")
 
 

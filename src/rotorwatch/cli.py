@@ -20,7 +20,7 @@ import click
 from rotorwatch import __version__
 from rotorwatch.commands import campaign, export, research, simulate, tune
 from rotorwatch.commands.tools import LOG, common, debug, progress, say, show
-from rotorwatch.errors import ConfigError, RotorwatchError
+from rotorwatch.errors import BackendWarning, ConfigError, RotorwatchError
 
 if TYPE_CHECKING:
     from rotorwatch.diagnosis import Diagnosis
@@ -36,7 +36,9 @@ def main(argv: list[str] | None = None) -> None:
     if "_ROTORWATCH_COMPLETE" in os.environ:  # set by the shell's completion function
         cli.main(prog_name="rotorwatch")
     if not os.environ.get("ROTORWATCH_DEBUG"):
-        warnings.simplefilter("ignore")  # those of numerical libraries; ours are part of the answer
+        warnings.simplefilter("ignore")  # those of numerical libraries; a flight's are part of the answer
+        warnings.filterwarnings("once", category=BackendWarning)
+        warnings.showwarning = lambda message, *where, **more: say(str(message))
     code = 0
     try:
         # Not cli.main: it leaves with 1 when a pipe breaks, which here says "fault found".

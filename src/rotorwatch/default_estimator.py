@@ -9,7 +9,7 @@ import numpy as np
 
 from rotorwatch.core import Array
 from rotorwatch.errors import ConfigError
-from rotorwatch.run import run_built
+from rotorwatch.run import chosen, run_built
 from rotorwatch.ticks import JUDGE, Ticks
 
 FLIGHTS_DIFFER = 0.25
@@ -84,14 +84,20 @@ def parameters(B: np.ndarray, dynamics=None) -> dict:
 
 
 def estimate(table: Ticks, B: np.ndarray, dynamics=None, progress=None, keep=_keep):
-    """Run the default estimator over ticks: (last carry, stacked outputs). Raises ConfigError when commands are too slow."""
+    """Run the default estimator over ticks: (last carry, stacked outputs). Raises ConfigError when commands are too slow.
+
+    As native code where there is a C compiler, which is several times as fast and needs no JAX once it is built; $ROTORWATCH_BACKEND
+    says otherwise.
+    """
     from rotorwatch.systems.wrench_balance import WrenchBalance
 
     if table.dt not in (0.05, 0.1):
         raise ConfigError(f"commands every {table.dt:.1f} s are too slow: log motor outputs at 10 Hz or faster.")
     u = np.column_stack([WrenchBalance(B).pack(table), table.mode, table.restart])
     build = _build_fast if table.dt < 0.08 else _build_slow
-    return run_built(build, parameters(B, dynamics), u, table.wrench, table.valid, keep, progress)
+    return run_built(
+        build, parameters(B, dynamics), u, table.wrench, table.valid, keep, progress, backend=chosen(None, "auto")
+    )
 
 
 def learn(tables: Sequence[Ticks], B: np.ndarray) -> dict | None:

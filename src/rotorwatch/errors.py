@@ -15,3 +15,7 @@ class VehicleError(RotorwatchError):
 
 class ConfigError(RotorwatchError):
     """A call's arguments do not fit together."""
+
+
+class BackendWarning(RuntimeWarning):
+    """Native code cannot be had, or not be kept; one sentence says why and what happens instead."""

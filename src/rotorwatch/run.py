@@ -11,9 +11,18 @@ import numpy as np
 
 from rotorwatch import native
 from rotorwatch.backend import jax as load_jax
-from rotorwatch.errors import ConfigError
+from rotorwatch.errors import BackendWarning, ConfigError
 
 CHUNK = 1024
+BACKENDS = ("jax", "native", "auto")
+
+
+def chosen(backend: str | None, usual: str) -> str:
+    """The backend asked for, else $ROTORWATCH_BACKEND, else the usual one. Raises ConfigError for one that does not exist."""
+    backend = backend or os.environ.get("ROTORWATCH_BACKEND") or usual
+    if backend not in BACKENDS:
+        raise ConfigError(f"backend must be 'jax', 'native' or 'auto', not {backend!r}.")
+    return backend
 
 
 @functools.lru_cache(maxsize=32)
@@ -48,8 +57,8 @@ def run(
     Returns (last carry, stacked outputs of `step`, or of `select` of each), as NumPy arrays. Compiled once for the estimator
     object: run the same object again for further flights. progress: called with the finished share, 0..1. carry: where an
     earlier run ended, to go on from there. backend: "jax", or "native": C, built once by the system's compiler and kept
-    (docs/export.md), without a compiler JAX, after a warning; None: what $ROTORWATCH_BACKEND says, else "jax". Raises
-    ConfigError for tables of the wrong shape.
+    (docs/export.md), without a compiler JAX, after a BackendWarning; "auto": the same without one; None: what
+    $ROTORWATCH_BACKEND says, else "jax". Raises ConfigError for tables of the wrong shape.
     """
     u, y = np.asarray(u, float), np.asarray(y, float)
     valid = np.isfinite(y) if valid is None else np.asarray(valid, bool)
@@ -110,16 +119,15 @@ def run_built(
     with as many rotors.
     """
     u, y, valid = np.asarray(u, float), np.asarray(y, float), np.asarray(valid, bool)
-    backend = backend or os.environ.get("ROTORWATCH_BACKEND") or "jax"
-    if backend not in ("jax", "native"):
-        raise ConfigError(f"backend must be 'jax' or 'native', not {backend!r}.")
-    if backend == "native":
+    backend = chosen(backend, "jax")
+    if backend != "jax":
         try:
             library = _library(build, select, parameters, (u.shape[1], y.shape[1]))
             start = build(parameters).init() if carry is None else carry
             return native.run(library, parameters, start, u, y, valid, progress)
         except native.Unavailable as why:
-            warnings.warn(f"{why} JAX runs instead.", RuntimeWarning, stacklevel=3)
+            if backend == "native":
+                warnings.warn(f"{why} JAX runs instead.", BackendWarning, stacklevel=3)
     jax = load_jax()
     parameters = jax.tree.map(np.asarray, parameters)
     if carry is None:

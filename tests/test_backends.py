@@ -1,0 +1,63 @@
+"""A diagnosis by native code and by JAX: the same answer, and one line where native code cannot be had."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import rotorwatch as rw
+from rotorwatch.cli import SAMPLES
+
+SAMPLE = SAMPLES / "hexax_m3_mul0.80_square_wind.bin.xz"
+COMMAND = [sys.executable, "-m", "rotorwatch.cli", "diagnose", str(SAMPLE), "--json"]
+
+needs_compiler = pytest.mark.skipif(
+    not any(map(shutil.which, ("cc", "gcc", "clang"))), reason="needs a C compiler: install gcc or clang"
+)
+
+
+def said(**env):
+    done = subprocess.run(COMMAND, capture_output=True, text=True, env={**os.environ, **env}, check=False)
+    assert done.returncode == 1, done.stderr
+    return json.loads(done.stdout), done.stderr
+
+
+@needs_compiler
+def test_both_backends_say_the_same(monkeypatch):
+    answers = []
+    for backend in ("native", "jax"):
+        monkeypatch.setenv("ROTORWATCH_BACKEND", backend)
+        answers.append(rw.diagnose(SAMPLE))
+    a, b = answers
+    for x, y in zip(a.events, b.events, strict=True):
+        for what in ("kind", "rotors", "onset_s", "detected_s", "alternatives"):
+            assert getattr(x, what) == getattr(y, what)
+        np.testing.assert_allclose(x.loss, y.loss, rtol=1e-9)
+    # Rounding is amplified where an onset is chosen; what is estimated moves by no more than that.
+    np.testing.assert_allclose(a.trace.loss, b.trace.loss, atol=1e-8)
+
+
+@needs_compiler
+def test_the_command_uses_native_code_of_itself_and_then_needs_no_jax():
+    said()  # builds it
+    code = (
+        "import sys; from rotorwatch import cli\n"
+        f"try: cli.main({COMMAND[3:]!r})\nexcept SystemExit: pass\n"
+        "print('jax' in sys.modules, file=sys.stderr)"
+    )
+    env = {k: v for k, v in os.environ.items() if k != "ROTORWATCH_BACKEND"}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=env, check=False)
+    assert done.stderr.splitlines()[-1] == "False"
+    assert json.loads(done.stdout)["verdict"] == "fault"
+
+
+def test_without_a_compiler_jax_runs_and_one_line_says_so_when_native_code_was_asked_for():
+    line = "rotorwatch: There is no C compiler (nonesuch): install gcc or clang, or set CC. JAX runs instead."
+    answer, err = said(CC="nonesuch", ROTORWATCH_BACKEND="native")
+    assert answer["verdict"] == "fault" and err.count(line) == 1
+    answer, err = said(CC="nonesuch", ROTORWATCH_BACKEND="auto")
+    assert answer["verdict"] == "fault" and "compiler" not in err
