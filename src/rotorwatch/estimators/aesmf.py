@@ -9,70 +9,42 @@ Source: Qi, Song, Dai, Han and Wang 2015, rule (39), whose formula is lost in pr
 
 from __future__ import annotations
 
+from dataclasses import KW_ONLY, dataclass
+
 from rotorwatch import checks
 from rotorwatch.errors import ConfigError
 from rotorwatch.maths import ellipsoid
 from rotorwatch.maths.set_membership import Cutting, SetMembership
+from rotorwatch.maths.small import product, solve
 
 LARGEST_STEP, LEAST_HEALTH = 0.5, 1e-3
 
 
+@dataclass(eq=False, repr=False)
 class AESMF(SetMembership):
-    """The set-membership filter (`set_membership`) with an adaptive Q."""
+    """The set-membership filter (`set_membership`, with all its keywords) with an adaptive Q.
+
+    eta: rate [1/s]; mu: weight of the health index; floor, ceiling: least and largest factor on Q's diagonal (squared
+    semi-axes). The set is only guaranteed when floor keeps Q above the true bound. additive: q_i - eta dt dJ/dq_i as printed,
+    in units of q_i, instead of logarithms; stable only for eta dt below about 0.27. Raises ConfigError."""
+
+    _: KW_ONLY
+    eta: float = 1.0
+    mu: float = 300.0
+    floor: float = 1e-3
+    ceiling: float = 4.0
+    additive: bool = False
 
     name = "aesmf"
     not_kalman = "its sets hold all states that bounded noise allows, and the bound of the noise adapts"
 
-    def __init__(
-        self,
-        system,
-        dt,
-        *,
-        eta=1.0,
-        mu=300.0,
-        floor=1e-3,
-        ceiling=4.0,
-        additive=False,
-        bound=3.0,
-        process=None,
-        measurement=None,
-        theta_centre=None,
-        theta_reach=1.0,
-        theta_drift=1e-3,
-        theta_range=None,
-        form="joint",
-        cut=None,
-        remainder="taylor",
-        remainder_box="trace",
-        weights=None,
-        restart=True,
-    ):
-        """eta: rate [1/s]; mu: weight of the health index; floor, ceiling: least and largest factor on Q's diagonal (squared
-        semi-axes). The set is only guaranteed when floor keeps Q above the true bound. additive: q_i - eta dt dJ/dq_i as
-        printed, in units of q_i, instead of logarithms; stable only for eta dt below about 0.27. The rest as
-        for `SetMembership`. Raises ConfigError."""
-        super().__init__(
-            system,
-            dt,
-            bound=bound,
-            process=process,
-            measurement=measurement,
-            theta_centre=theta_centre,
-            theta_reach=theta_reach,
-            theta_drift=theta_drift,
-            theta_range=theta_range,
-            form=form,
-            cut=cut,
-            remainder=remainder,
-            remainder_box=remainder_box,
-            weights=weights,
-            restart=restart,
-        )
-        self.eta, self.mu = checks.positive("eta", eta), checks.positive("mu", mu)
-        self.floor, self.ceiling = checks.between("floor", floor, 0.0, 1.0), checks.positive("ceiling", ceiling)
-        if floor == 0 or ceiling < 1:
+    def __post_init__(self):
+        super().__post_init__()
+        checks.positive("eta", self.eta)
+        checks.positive("mu", self.mu)
+        checks.positive("ceiling", self.ceiling)
+        if checks.between("floor", self.floor, 0.0, 1.0) == 0 or self.ceiling < 1:
             raise ConfigError("floor must be above zero, and ceiling at least 1.")
-        self.additive = bool(additive)
 
     def adapt(self, q, cutting: Cutting, health, dt):
         """q after one step of the rule, kept within floor and ceiling; unchanged when nothing was measured."""
@@ -91,16 +63,16 @@ class AESMF(SetMembership):
 def gradient(cutting: Cutting, mu: float):
     """(dJ/dq_i (n,), delta): q_i the i-th diagonal element of Q."""
     from jax import numpy as jnp
-    from jax.scipy.linalg import cho_solve
 
     Phi, H, e, P, R, amplify = cutting
-    S = H @ P @ H.T
+    S = product(product(H, P), H.T)
     rho = ellipsoid.batch_share(S, R)
-    W = jnp.linalg.cholesky(ellipsoid.symmetric(S / (1 - rho) + R / rho))
-    s = cho_solve((W, True), e)
-    delta = 1.0 - e @ s
-    total, pull = 0.0, 0.0
-    for columns in (H, H @ Phi):  # noise of this step, and of the one before as the source counts it
-        total = total + (columns * cho_solve((W, True), columns)).sum(0)
-        pull = pull + (s @ columns) ** 2
-    return (total - mu / jnp.maximum(delta, LEAST_HEALTH) * pull) * amplify / (1 - rho), delta
+    columns = jnp.concatenate(
+        [H, product(H, Phi)], axis=1
+    )  # noise of this step, and of the one before as the source counts it
+    W = S / (1 - rho) + R / rho
+    solved = solve(ellipsoid.symmetric(W), jnp.concatenate([columns, e[:, None]], axis=1))
+    delta = 1.0 - e @ solved[:, -1]
+    total, pull = (columns * solved[:, :-1]).sum(0), (solved[:, -1] @ columns) ** 2
+    slope = (total - mu / jnp.maximum(delta, LEAST_HEALTH) * pull) * amplify / (1 - rho)
+    return slope.reshape(2, -1).sum(0), delta

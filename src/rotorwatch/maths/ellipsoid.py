@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from rotorwatch.core import Array
+from rotorwatch.maths.small import blocks, product, solve
 
 TINY = 1e-300
 
@@ -78,11 +79,10 @@ def largest_eigenvalue(A, squarings: int = 7):
     """
     from jax import numpy as jnp
 
-    power = A / jnp.maximum(jnp.trace(A), TINY)
+    power = A / jnp.maximum(jnp.trace(A), TINY)  # the largest eigenvalue is 1/n or more: its power is far from TINY
     for _ in range(squarings):
         power = power @ power
-        power = power / jnp.maximum(jnp.trace(power), TINY)
-    return (A * power).sum()
+    return (A * power).sum() / jnp.maximum(jnp.trace(power), TINY)
 
 
 def strip_cut(a, P, h, e, r, rule: str = "source", weights: Array = 1.0):
@@ -191,10 +191,8 @@ def batch_cut(a, P, H, e, R):
 def joint_gains(PH, S, e, R, weight):
     """(K, health) of `joint_cut`: PH (n, m) = P H', S (m, m) = H P H'."""
     from jax import numpy as jnp
-    from jax.scipy.linalg import cho_solve
 
-    root = jnp.linalg.cholesky(S + R / weight)
-    solved = cho_solve((root, True), jnp.concatenate([PH.T, e[:, None]], axis=1))
+    solved = solve(S + R / weight, jnp.concatenate([PH.T, e[:, None]], axis=1))
     return solved[:, :-1].T, 1.0 + weight - e @ solved[:, -1]
 
 
@@ -211,8 +209,8 @@ def joint_cut(a, P, H, e, R, weight, K, health, part=slice(None)):
     from jax import numpy as jnp
 
     K = K[part]
-    rest = jnp.eye(a.shape[0])[part] - K @ H
-    shape = rest @ P @ rest.T + K @ (R / weight) @ K.T
+    both = jnp.concatenate([jnp.eye(a.shape[0])[part] - product(K, H), K], axis=1)
+    shape = product(product(both, blocks(P, R / weight, jnp)), both.T)
     return Cut(a[part] + K @ e, symmetric(health * shape), health)
 
 

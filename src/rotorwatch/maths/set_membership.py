@@ -17,6 +17,7 @@ the prior of theta. Scholte and Campbell 2003; Zhou, Han and Liu 2008.
 
 from __future__ import annotations
 
+from dataclasses import KW_ONLY, dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,6 +27,7 @@ from rotorwatch.backend import jax as load_jax
 from rotorwatch.core import Array, Estimate
 from rotorwatch.errors import ConfigError
 from rotorwatch.maths import ellipsoid, interval, taylor
+from rotorwatch.maths.small import blocks, product
 
 UNBOUNDED = 1e6  # half-width taken for a remainder that interval arithmetic cannot bound: in effect "anything"
 OUTGROWN = 1e3  # half-width beyond which a set that nothing cut says nothing, and costs digits
@@ -34,8 +36,8 @@ RESTART_WEIGHTS = (0.03, 0.3, 2.0)  # of the measurement; the last makes the set
 ALLOWED, MARGIN = 0.5, 1.2  # a remainder's allowance: in noise bounds at most, and in remainders of the round before
 APART = 3.0, 1.5  # E(0, P) x E(0, T) lies within the ellipsoid of 3 P and 3/2 T
 SHARP = 1.0  # weight of each of the two measurements that keep the small set small
-# Tried in every step: factors on the odds of the sum's share of least trace, and weights of the measurement.
-SHARES, WEIGHTS = (1.0, 10.0), (0.003, 0.003)
+# In every step: factor on the odds of the sum's share of least trace, and weight of the measurement. The last is for x.
+TRIED = (1.0, 0.003), (10.0, 0.003), (10.0, SHARP)
 
 
 class Carry(NamedTuple):
@@ -78,85 +80,78 @@ class Ahead(NamedTuple):
     amplify: Array
 
 
+@dataclass(eq=False, repr=False)
 class SetMembership:
-    """See the module. Not a method by itself: a method sets `name` and `not_kalman`, and `adapt` if Q learns."""
+    """See the module. Not a method by itself: a method sets `name` and `not_kalman`, and `adapt` if Q learns.
+
+    dt: s. bound: noise bounds and the start's half-widths in standard deviations of the plant's Q, R and P0, wider where
+    several numbers share one bound, so that all are left as rarely; or given
+    directly: process (n_x,) semi-axes of one step, measurement (n_y,). theta_centre, theta_reach: centre and semi-axes of
+    the losses at the start and after a restart; theta_drift: loss per second that a loss may change by; theta_range: (low, high)
+    known limits (default 0 and 1 when each theta belongs to an input). form: joint, where one ellipsoid bounds all
+    errors; batch, the source's way of that; scalar, where each error is bounded alone; or ud, the same on factors. cut: how
+    much a measurement weighs (`ellipsoid.strip_cut`; default trace, source for batch and ud). remainder: taylor, interval, or none,
+    which neglects it and guarantees nothing; remainder_box: `ellipsoid.around_box`. weights (n_x + n_theta,): in traces.
+    restart: start again when the set is empty. Raises ConfigError."""
 
     system: Any
     dt: float
+    _: KW_ONLY
+    bound: float = 3.0
+    process: Any = None
+    measurement: Any = None
+    theta_centre: Any = None
+    theta_reach: Any = 1.0
+    theta_drift: Any = 1e-3
+    theta_range: Any = None
+    form: str = "joint"
+    cut: str | None = None
+    remainder: str = "taylor"
+    remainder_box: str = "trace"
+    weights: Any = None
+    restart: bool = True
 
-    def __init__(
-        self,
-        system,
-        dt,
-        *,
-        bound=3.0,
-        process=None,
-        measurement=None,
-        theta_centre=None,
-        theta_reach=1.0,
-        theta_drift=1e-3,
-        theta_range=None,
-        form="joint",
-        cut=None,
-        remainder="taylor",
-        remainder_box="trace",
-        weights=None,
-        restart=True,
-    ):
-        """dt: s. bound: noise bounds and the start's half-widths in standard deviations of the plant's Q, R and P0, wider where
-        several numbers share one bound, so that all are left as rarely; or given
-        directly: process (n_x,) semi-axes of one step, measurement (n_y,). theta_centre, theta_reach: centre and semi-axes of
-        the losses at the start and after a restart; theta_drift: loss per second that a loss may change by; theta_range: (low, high)
-        known limits (default 0 and 1 when each theta belongs to an input). form: joint, where one ellipsoid bounds all
-        errors; batch, the source's way of that; scalar, where each error is bounded alone; or ud, the same on factors. cut: how
-        much a measurement weighs (`ellipsoid.strip_cut`; default trace, source for batch and ud). remainder: taylor, interval, or none,
-        which neglects it and guarantees nothing; remainder_box: `ellipsoid.around_box`. weights (n_x + n_theta,): in traces.
-        restart: start again when the set is empty. Raises ConfigError."""
-        self.system, self.dt = system, float(checks.positive("dt", dt))
+    def __post_init__(self):
+        system, form, bound = self.system, self.form, self.bound
+        self.dt = float(checks.positive("dt", self.dt))
         n_x, n_theta = system.n_x, system.n_theta
         self.n = n_x + n_theta
         checks.positive("bound", bound)
-        for label, value, known in (
-            ("form", form, ("joint", "scalar", "batch", "ud")),
-            ("cut", cut or "trace", ("source", "volume", "trace")),
-            ("remainder", remainder, ("taylor", "interval", "none")),
-            ("remainder_box", remainder_box, ("trace", "volume", "paper")),
+        for label, known in (
+            ("form", ("joint", "scalar", "batch", "ud")),
+            ("cut", (None, "source", "volume", "trace")),
+            ("remainder", ("taylor", "interval", "none")),
+            ("remainder_box", ("trace", "volume", "paper")),
         ):
-            if value not in known:
-                raise ConfigError(f"{label} must be one of {', '.join(known)}, not {value!r}.")
-        if cut is None:
-            cut = "trace" if form in ("joint", "scalar") else "source"
-        if (form == "joint" and cut != "trace") or (form in ("batch", "ud") and cut != "source"):
-            raise ConfigError(f"cut {cut!r} is not defined for form {form!r}.")
-        self.form, self.cut, self.remainder, self.remainder_box = form, cut, remainder, remainder_box
-        self.bound, self.restart = bound, bool(restart)
-        self.process = None if process is None else checks.positive("process", checks.shape("process", process, n_x))
-        self.measurement = None
-        if measurement is not None:
-            self.measurement = checks.positive("measurement", checks.shape("measurement", measurement, system.n_y))
-        self.drift = checks.shape(
-            "theta_drift", np.broadcast_to(checks.finite("theta_drift", theta_drift), (n_theta,)), n_theta
-        )
-        checks.between("theta_drift", self.drift, 0.0, np.inf)
-        centre = np.zeros(n_theta) if theta_centre is None else checks.shape("theta_centre", theta_centre, n_theta)
+            if getattr(self, label) not in known:
+                names = ", ".join(filter(None, known))
+                raise ConfigError(f"{label} must be one of {names}, not {getattr(self, label)!r}.")
+        if self.cut is None:
+            self.cut = "trace" if form in ("joint", "scalar") else "source"
+        if (form == "joint" and self.cut != "trace") or (form in ("batch", "ud") and self.cut != "source"):
+            raise ConfigError(f"cut {self.cut!r} is not defined for form {form!r}.")
+        for label, m in (("process", n_x), ("measurement", system.n_y), ("weights", self.n)):
+            if getattr(self, label) is not None:
+                setattr(self, label, checks.positive(label, checks.shape(label, getattr(self, label), m)))
+        drift = np.broadcast_to(checks.finite("theta_drift", self.theta_drift), (n_theta,))
+        self.theta_drift = checks.between("theta_drift", drift, 0.0, np.inf)
+        centre = np.zeros(n_theta) if self.theta_centre is None else self.theta_centre
+        centre = checks.shape("theta_centre", centre, n_theta)
         self.theta_centre = checks.finite("theta_centre", np.asarray(centre, float))
-        reach = np.broadcast_to(checks.positive("theta_reach", theta_reach), (n_theta,))
-        if theta_range is None:
-            theta_range = (0.0, 1.0) if n_theta == system.n_u else (-np.inf, np.inf)
-        low, high = theta_range
+        reach = np.broadcast_to(checks.positive("theta_reach", self.theta_reach), (n_theta,))
+        if self.theta_range is None:
+            self.theta_range = (0.0, 1.0) if n_theta == system.n_u else (-np.inf, np.inf)
+        low, high = self.theta_range
         self.low = np.concatenate([np.full(n_x, -np.inf), np.broadcast_to(low, (n_theta,))])
         self.high = np.concatenate([np.full(n_x, np.inf), np.broadcast_to(high, (n_theta,))])
         if (self.low > self.high).any():
             raise ConfigError("theta_range must be (low, high) with low not above high.")
-        if weights is not None:
-            checks.positive("weights", checks.shape("weights", weights, self.n))
-        self.weights = np.repeat([1e-3, 1.0], [n_x, n_theta]) if weights is None else weights
-        if cut != "trace" and weights is None:
-            self.weights = np.ones(self.n)
+        if self.weights is None:
+            self.weights = np.repeat([1e-3, 1.0], [n_x, n_theta]) if self.cut == "trace" else np.ones(self.n)
         checks.covariance("P0", system.P0, n_x)
         self.theta_prior = np.diag(reach**2)
-        self.prior = self.near_prior = _blocks(np.asarray(bound**2 * np.asarray(system.P0)), self.theta_prior)
-        self.apart = _blocks(np.full((n_x, n_x), APART[0]), np.full((n_theta, n_theta), APART[1]))
+        self.prior = self.near_prior = blocks(np.asarray(bound**2 * np.asarray(system.P0)), self.theta_prior)
+        self.apart = blocks(np.full((n_x, n_x), APART[0]), np.full((n_theta, n_theta), APART[1]))
         load_jax()
         if form == "ud":
             self.prior = ellipsoid.factored(self.prior)
@@ -182,7 +177,7 @@ class SetMembership:
             cut, x = self._least(ahead, H, e, limit, valid)
             small = self._small(carry, ahead, H, e, limit, valid, step)
             cut = cut._replace(health=jnp.minimum(cut.health, small.health))
-            near = jnp.concatenate([x.a, small.a]), _blocks(x.P, small.P, jnp)
+            near = jnp.concatenate([x.a[:n_x], small.a]), blocks(x.P[:n_x, :n_x], small.P, jnp)
         else:
             cut = self._cut(z, shape, H, e, limit, valid)
             near = cut.a, self.unfactored(cut.P)
@@ -199,7 +194,7 @@ class SetMembership:
         z_new, shape_new, *near = [jnp.where(known, a, b) for a, b in zip(sets, held, strict=True)]
         empty = empty | (~known & valid.any())
         P_prior = self.unfactored(shape)
-        S = ellipsoid.symmetric(H @ P_prior @ H.T)
+        S = ellipsoid.symmetric(product(product(H, P_prior), H.T))
         S = jnp.where(jnp.isfinite(S).all(), S, jnp.eye(len(e)) * UNBOUNDED**2)
         R = jnp.diag(limit)
         q = self.adapt(
@@ -235,7 +230,7 @@ class SetMembership:
 
         n_x, n, system = self.n_x, self.n, self.system
         start = jnp.concatenate([carry.near[:n_x], jnp.asarray(self.theta_centre)])
-        S = self.apart * _blocks(carry.near_shape[:n_x, :n_x], jnp.asarray(self.theta_prior), jnp)
+        S = self.apart * blocks(carry.near_shape[:n_x, :n_x], jnp.asarray(self.theta_prior), jnp)
         Q, bound = self.Q0(dt), self._error_bound(u, "joint")
         weights = jnp.asarray(RESTART_WEIGHTS)
 
@@ -293,9 +288,9 @@ class SetMembership:
         fine = (cut.health > 0) & jnp.isfinite(cut.a).all() & jnp.isfinite(cut.P).all()
         left, right = ellipsoid.parts(ahead.b)
         z, P = jnp.where(fine, cut.a, ahead.z), jnp.where(fine, cut.P, left * ahead.moved + right * ahead.noise)
-        near = jnp.concatenate([jnp.where(fine, x.a, z[:n_x]), point[n_x:]])
-        near_shape = _blocks(
-            jnp.where(fine, x.P, P[:n_x, :n_x]), ellipsoid.minkowski(around[n_x:, n_x:], self._walk(dt))[0], jnp
+        near = jnp.concatenate([jnp.where(fine, x.a, z)[:n_x], point[n_x:]])
+        near_shape = blocks(
+            jnp.where(fine, x.P, P)[:n_x, :n_x], ellipsoid.minkowski(around[n_x:, n_x:], self._walk(dt))[0], jnp
         )
         return z, ellipsoid.factored(P) if self.form == "ud" else P, near, near_shape
 
@@ -320,12 +315,12 @@ class SetMembership:
             if self.process is None
             else jnp.diag(jnp.asarray(self.process) ** 2)
         )
-        return _blocks(Q, self._walk(dt), jnp)
+        return blocks(Q, self._walk(dt), jnp)
 
     def _walk(self, dt):
         from jax import numpy as jnp
 
-        return jnp.diag((jnp.asarray(self.drift) * dt) ** 2)
+        return jnp.diag((jnp.asarray(self.theta_drift) * dt) ** 2)
 
     def _radius(self, m: int) -> float:
         """Of an ellipsoid that m Gaussian numbers leave about as rarely as one leaves `bound` standard deviations."""
@@ -360,9 +355,9 @@ class SetMembership:
         if self.form == "ud":
             U, D = ellipsoid.factors(carry.shape)
             G = Phi @ (U * jnp.sqrt(jnp.maximum(D, 0.0)))
-            moved = G @ G.T
+            moved = product(G, G.T)
         else:
-            G, moved = Phi, Phi @ carry.shape @ Phi.T
+            G, moved = Phi, product(product(Phi, carry.shape), Phi.T)
         return self._summed(z, G, moved, half, self.Q0(dt) * root * root[:, None], Phi)
 
     def _summed(self, z, G, moved, half, Q, Phi) -> Ahead:
@@ -410,28 +405,29 @@ class SetMembership:
         is. health: also whether every row alone is possible, which no share enters.
         """
         from jax import numpy as jnp
+        from jax import vmap
 
-        H, R, x = jnp.where(valid[:, None], H, 0.0), jnp.diag(limit), slice(0, self.n_x)
-        tried = []
-        for share, weight in zip(SHARES, WEIGHTS, strict=True):
-            left, right = ellipsoid.parts(share * ahead.b / (1.0 + (share - 1.0) * ahead.b))
-            P = left * ahead.moved + right * ahead.noise
-            PH = P @ H.T
-            K, health = ellipsoid.joint_gains(PH, H @ PH, e, R, weight)
-            size = health * (self.weights * (P.diagonal() - (K * PH).sum(1))).sum()
-            tried.append((P, PH, K, health, weight, size))
-        second = tried[1][-1] < tried[0][-1]
-        P, PH, K, health, weight, _ = (jnp.where(second, b, a) for a, b in zip(*tried, strict=True))
-        lost = jnp.where(valid.any(), 0.0, 1.0)  # a gap costs nothing
-        least = ellipsoid.joint_cut(ahead.z, P, H, e, R, weight, K, health - lost * weight)
-        P, PH = tried[1][:2]
-        K, sharp = ellipsoid.joint_gains(PH, H @ PH, e, R, SHARP)
-        near = ellipsoid.joint_cut(ahead.z, P, H, e, R, SHARP, K, sharp - lost * SHARP, x)
-        reach = jnp.sqrt(limit)
-        for part in (ahead.moved, ahead.noise):
-            reach = reach + jnp.sqrt(jnp.maximum(((H @ part) * H).sum(1), 0.0))
-        health = jnp.minimum(jnp.minimum(health, sharp), 1.0 - (jnp.abs(e) / reach).max())
-        return least._replace(health=health), near
+        H, R = jnp.where(valid[:, None], H, 0.0), jnp.diag(limit)
+        share, weight = np.array(TRIED).T
+        left, right = (part[:, None, None] for part in ellipsoid.parts(share * ahead.b / (1 + (share - 1) * ahead.b)))
+        PH = product(jnp.stack([ahead.moved, ahead.noise]), H.T)
+        S = product(H, PH)
+        P, PH, S_all = (
+            left * ahead.moved + right * ahead.noise,
+            left * PH[0] + right * PH[1],
+            left * S[0] + right * S[1],
+        )
+        K, health = vmap(ellipsoid.joint_gains, (0, 0, None, None, 0))(PH, S_all, e, R, weight)
+        size = health * (self.weights * (P.diagonal(axis1=1, axis2=2) - (K * PH).sum(2))).sum(1)
+        second = size[1] < size[0]
+        P, K, health, weight = (
+            jnp.stack([jnp.where(second, a[1], a[0]), a[2]]) for a in (P, K, health, jnp.asarray(weight))
+        )
+        reach = jnp.sqrt(limit) + jnp.sqrt(jnp.maximum(S.diagonal(axis1=1, axis2=2), 0.0)).sum(0)
+        possible = jnp.minimum(health.min(), 1.0 - (jnp.abs(e) / reach).max())
+        health = health - jnp.where(valid.any(), 0.0, weight)  # a gap costs nothing
+        least, near = (ellipsoid.joint_cut(ahead.z, P[k], H, e, R, weight[k], K[k], health[k]) for k in (0, 1))
+        return least._replace(health=possible), near
 
     def _small(self, carry: Carry, ahead: Ahead, H, e, limit, valid, dt):
         """`Cut`: what the last two measurements leave of theta. The carried set is cut, before the step, by the small set of its x
@@ -440,13 +436,13 @@ class SetMembership:
 
         n_x, n = self.n_x, self.n
         H = jnp.where(valid[:, None], H, 0.0)
-        through = ellipsoid.symmetric(H @ ahead.noise @ H.T)
+        through = ellipsoid.symmetric(product(product(H, ahead.noise), H.T))
         errors = ellipsoid.minkowski(jnp.diag(limit), through, 1.0 / limit)[0]
-        R = _blocks(carry.near_shape[:n_x, :n_x], errors, jnp)
-        rows = jnp.concatenate([jnp.eye(n)[:n_x], H @ ahead.Phi])
+        R = blocks(carry.near_shape[:n_x, :n_x], errors, jnp)
+        rows = jnp.concatenate([jnp.eye(n)[:n_x], product(H, ahead.Phi)])
         e = jnp.concatenate([carry.near[:n_x] - carry.z[:n_x], e])
-        PH = carry.shape @ rows.T
-        K, health = ellipsoid.joint_gains(PH, rows @ PH, e, R, SHARP)
+        PH = product(carry.shape, rows.T)
+        K, health = ellipsoid.joint_gains(PH, product(rows, PH), e, R, SHARP)
         health = health + SHARP * valid.any()  # two ellipsoids
         cut = ellipsoid.joint_cut(carry.z, carry.shape, rows, e, R, SHARP, K, health, slice(n_x, n))
         return cut._replace(P=ellipsoid.minkowski(cut.P, self._walk(dt))[0])
@@ -544,9 +540,3 @@ def _linear(function, z):
     from jax import jacfwd
 
     return function(z), jacfwd(function)(z)
-
-
-def _blocks(A, B, numpy=np):
-    """Block-diagonal matrix of two."""
-    corner = numpy.zeros((A.shape[0], B.shape[0]))
-    return numpy.block([[A, corner], [corner.T, B]])

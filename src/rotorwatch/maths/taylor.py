@@ -23,7 +23,7 @@ from rotorwatch.maths.interval import Interval
 
 
 class Model(NamedTuple):
-    """c, e, lo, hi: (*shape,); g: (k, *shape), the slope in k directions."""
+    """c, e, lo, hi: (*shape,); g: (k, *shape), the slope in k directions; (2 k, *shape) with what `_Rules` measures it by."""
 
     c: Any
     g: Any
@@ -42,24 +42,27 @@ def expand(function, a, slope, metric=None, lo=None, hi=None) -> tuple:
 
     jax = load_jax()
     closed = jax.make_jaxpr(function)(a)
-    rules = _Rules(metric, slope.shape[0])
-    reach = rules.size(slope)
+    k = slope.shape[0]
+    rules = _Rules(k, metric is not None)
+    both = slope if metric is None else jnp.concatenate([slope, metric @ slope])
+    reach = rules.size(both)
     ends = [
         a - reach if lo is None else jnp.maximum(a - reach, lo),
         a + reach if hi is None else jnp.minimum(a + reach, hi),
     ]
-    found = rules.run(closed.jaxpr, closed.consts, [Model(a, slope, jnp.zeros(a.shape), *ends)])[0]
+    found = rules.run(closed.jaxpr, closed.consts, [Model(a, both, jnp.zeros(a.shape), *ends)])[0]
     if not isinstance(found, Model):
         found = jnp.asarray(found)
-        return found, jnp.zeros((found.shape[0], slope.shape[0])), jnp.zeros(found.shape)
-    return found.c, found.g.T, found.e
+        return found, jnp.zeros((found.shape[0], k)), jnp.zeros(found.shape)
+    return found.c, found.g[:k].T, found.e
 
 
 class _Rules:
-    """Evaluates traced operations on models; the size of a slope is measured in `metric`."""
+    """Evaluates traced operations on models. k: directions. measured: whether a slope (2 k, *shape) is g and P g, one above the
+    other, so that what is done to g is done to P g as well and no operation need multiply by P."""
 
-    def __init__(self, metric, k: int):
-        self.metric, self.k = metric, k
+    def __init__(self, k: int, measured: bool):
+        self.k, self.measured = k, measured
 
     def run(self, jaxpr, consts, arguments) -> list:
         values: dict = {}
@@ -111,17 +114,14 @@ class _Rules:
         return self.flat(equation, operands)
 
     def size(self, g):
-        """sqrt(g' metric g) of slopes (k, *shape)."""
+        """sqrt(g' P g)."""
         from jax import numpy as jnp
 
         return jnp.sqrt(jnp.maximum(self.inner(g, g), 0.0))
 
     def inner(self, g, other):
-        from jax import numpy as jnp
-
-        if self.metric is not None:
-            other = jnp.tensordot(self.metric, other, 1)
-        return (g * other).sum(0)
+        """g' P other."""
+        return (g[: self.k] * other[self.k :]).sum(0) if self.measured else (g * other).sum(0)
 
     def range(self, x) -> Interval:
         """All values a model can take."""
@@ -140,6 +140,8 @@ class _Rules:
         name, several = equation.primitive.name, equation.primitive.multiple_results
 
         def bind(*values):
+            if name == "dot_general":
+                return (_dot(equation, *values),)
             out = equation.primitive.bind(*values, **equation.params)
             return tuple(out) if several else (out,)
 
@@ -248,8 +250,21 @@ class _Rules:
                 results.append(out)
                 continue
             c, e = 0.5 * (out.lo + out.hi), 0.5 * (out.hi - out.lo)
-            results.append(Model(c, jnp.zeros((self.k, *c.shape)), e, out.lo, out.hi))
+            results.append(Model(c, jnp.zeros((2 * self.k if self.measured else self.k, *c.shape)), e, out.lo, out.hi))
         return results
+
+
+def _dot(equation, a, b):
+    """A product as a sum of products: `small`."""
+    from jax import numpy as jnp
+
+    (left, right), batch = equation.params["dimension_numbers"]
+    if any(batch):
+        return equation.primitive.bind(a, b, **equation.params)
+    a, b = (jnp.moveaxis(x, axes, range(-len(axes), 0)) for x, axes in ((a, left), (b, right)))
+    kept = a.ndim - len(left)
+    a = a.reshape(*a.shape[:kept], *[1] * (b.ndim - len(right)), *a.shape[kept:])
+    return (a * b).sum(tuple(range(-len(left), 0)))
 
 
 MOVING = frozenset(

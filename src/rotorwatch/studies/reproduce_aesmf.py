@@ -83,10 +83,10 @@ def reproduce(seeds: int = SEEDS, literal: tuple[str, ...] = (), progress=None) 
         if progress:
             progress(k / (len(made) + 2))
         results[name], series[name] = _judged(estimator, flights)
-    escapes = adversarial_escapes(seeds=40)
+    escapes = adversarial_escapes(seeds=40)  # the same number below, and the programs are the same
     if progress:
         progress((len(made) + 1) / (len(made) + 2))
-    mutants = mutation_escapes(seeds=10)
+    mutants = mutation_escapes(seeds=40)
     keys = tuple(key for key in results["esmf"] if key != "restarts")
     figures: dict[str, Any] = {key: {name: results[name][key] for name in made} for key in keys}
     figures["restarts_per_flight"] = {name: results[name]["restarts"] for name in made}

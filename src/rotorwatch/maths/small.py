@@ -1,0 +1,31 @@
+"""Algebra of matrices of a dozen rows, in elementwise operations: in a compiled step each call of a matrix library, or of XLA's own
+product, takes 0.5 us, ten times what the arithmetic does.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def product(A, B):
+    """A B: (..., n, k) and (..., k, m) to (..., n, m)."""
+    return (A[..., :, :, None] * B[..., None, :, :]).sum(-2)
+
+
+def solve(A, B):
+    """A^-1 B (m, k) of a positive definite A (m, m), NaN of any other: Gauss and Jordan's elimination, which needs no pivots
+    then. B (m, k)."""
+    from jax import numpy as jnp
+
+    m = A.shape[0]
+    rows = jnp.concatenate([A, B], axis=1)
+    for j in range(m):
+        pivot = rows[j, 1:] / jnp.where(rows[j, 0] > 0, rows[j, 0], jnp.nan)
+        rows = jnp.where((np.arange(m) == j)[:, None], pivot, rows[:, 1:] - rows[:, :1] * pivot)
+    return rows
+
+
+def blocks(A, B, numpy=np):
+    """Block-diagonal matrix of two."""
+    corner = numpy.zeros((A.shape[0], B.shape[0]))
+    return numpy.block([[A, corner], [corner.T, B]])
