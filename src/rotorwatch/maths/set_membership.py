@@ -105,7 +105,7 @@ class SetMembership:
     theta_drift: Any = 1e-3
     theta_range: Any = None
     form: str = "joint"
-    cut: str | None = None
+    cut: Any = None
     remainder: str = "taylor"
     remainder_box: str = "trace"
     weights: Any = None
