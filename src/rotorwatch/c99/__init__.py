@@ -4,6 +4,7 @@ lower.py      jaxpr -> graph: calls inlined, constants folded, indices made cons
 graph.py      the graph: each value once, slices, transposes and broadcasts as affine views
 selections.py products with constants that pick and scale: no products
 operations.py element-wise operations: what NumPy and what C call them
+zeros.py      what is known to be zero: products with sparse Jacobians term by term
 plan.py       which values get storage, for how long, and who shares it
 emit.py       the graph as C statements; kernels.py: products, factors, triangular systems
 project.py    header, source, example, CMakeLists of a function with named inputs, state and outputs

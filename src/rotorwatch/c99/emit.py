@@ -159,11 +159,18 @@ class Emitter:
         getattr(self, f"_{node.op}")(node)
 
     def _concat(self, node: Node):
-        place, at = self.where(node), 0
-        steps = strides(node.shape)
+        self._join(node, self.where(node), 0, strides(node.shape))
+
+    def _join(self, node: Node, place: Place, at: int, steps: tuple[int, ...]):
+        """The pieces written one after the other from `at`; products and concatenations that nobody else reads, where they belong."""
         for piece in node.args:
-            self._store(piece, place, (at * steps[node.data], steps))
-            at += piece.shape[node.data]
+            if piece.op == "dot" and piece.index not in self.plan.stored:
+                self._multiply(piece, self._pointer(place, at), steps)
+            elif piece.op == "concat" and piece.index not in self.plan.stored:
+                self._join(piece, place, at, steps)
+            else:
+                self._store(piece, place, (at, steps))
+            at += piece.shape[node.data] * steps[node.data]
 
     def _pick(self, node: Node):
         axes, dims, most, fill = node.data
@@ -354,13 +361,17 @@ class Emitter:
         self.line(f"{name}({', '.join(pointers)});")
 
     def _dot(self, node: Node):
-        (pa, oa, sa), (pb, ob, sb) = (self._strided(x) for x in node.args)
-        product = kernels.Product.of(node.args[0].shape, sa, node.args[1].shape, sb, *node.data)
         if self.plan.local(node):
             self.line(f"{TYPES[node.kind]} t{node.index};")
             goal = f"&t{node.index}"
         else:
             goal = self._pointer(self.where(node))
+        self._multiply(node, goal, strides(node.shape))
+
+    def _multiply(self, node: Node, goal: str, steps: tuple[int, ...]):
+        """The product written where `goal` points, with steps of its own."""
+        (pa, oa, sa), (pb, ob, sb) = (self._strided(x) for x in node.args)
+        product = kernels.Product.of(node.args[0].shape, sa, node.args[1].shape, sb, steps, *node.data)
         self._call(kernels.product(product, TYPES[node.kind]), goal, self._pointer(pa, oa), self._pointer(pb, ob))
 
     def _cholesky(self, node: Node):

@@ -100,6 +100,7 @@ class Graph:
         self.source = ""
         self._known: dict[Any, Node] = {}
         self._symmetric: dict[int, bool] = {}
+        self.patterns: dict[int, np.ndarray] = {}  # of zeros.py
 
     def make(self, op, args, shape, kind, data=None, key=None, region=None) -> Node:
         """A node; the equal one that is there already, unless key is False. key: what stands for data in the comparison."""
@@ -164,6 +165,8 @@ class Graph:
                 return args[0].args[0]  # (x + x) / 2
         if name == "mul" and args[1].op == "add" and args[1].args[0] is args[1].args[1] and uniform(args[0]) == 0.5:
             return args[1].args[0]
+        if name == "div" and kind == "f":
+            return self._divided(*args)
         if name == "select":
             which, no, yes = args
             if no is yes:
@@ -174,6 +177,20 @@ class Graph:
             lower = mask is not None and mask.ndim == 2 and np.array_equal(mask, np.tril(np.ones_like(mask)))
             if lower and yes.op == "cholesky" and uniform(no) == 0:
                 return yes  # the factor's upper part is zero already
+        return None
+
+    def _divided(self, x: Node, by: Node) -> Node | None:
+        """x / by as XLA does it, with one division for all elements: by a constant, or by what is the same for all."""
+        one, known = self.const(np.float64(1.0)), value(by)
+        if values(x) is not None:
+            return None
+        if known is not None:
+            with np.errstate(all="ignore"):
+                return self.elementwise("mul", x, self.const(1.0 / known), kind="f")
+        if by.op == "view" and by.size > 1 and not any(any(axis.steps) for axis in by.data):
+            same = self.view(by.args[0], (), tuple(Axis(axis.start, ()) for axis in by.data))
+            inverse = self.elementwise("div", one, same, kind="f")
+            return self.elementwise("mul", x, self.broadcast(inverse, by.shape, ()), kind="f")
         return None
 
     # Views.
@@ -194,7 +211,7 @@ class Graph:
         ):
             return x
         if x.op == "const" and math.prod(shape) <= x.size > 1:
-            return self.const(_taken(x.data, shape, axes))
+            return self.const(taken(x.data, shape, axes))
         return self.make("view", (x,), shape, x.kind, axes)
 
     def _piece(self, x: Node, shape, axes) -> Node | None:
@@ -368,7 +385,7 @@ def value(x: Node) -> np.ndarray | None:
     if x.op == "const":
         return x.data
     if x.op == "view" and x.args[0].op == "const" and x.size <= MOST_FOLDED:
-        return _taken(x.args[0].data, x.shape, x.data)
+        return taken(x.args[0].data, x.shape, x.data)
     return None
 
 
@@ -385,7 +402,7 @@ def uniform(x: Node):
     return x.data.reshape(-1)[0].item() if x.op == "const" and x.size == 1 else None
 
 
-def _taken(a: np.ndarray, shape, axes) -> np.ndarray:
+def taken(a: np.ndarray, shape, axes) -> np.ndarray:
     """NumPy's reading of a view."""
     offset, steps = flat(axes, a.shape, len(shape))
     index = np.full(shape, offset)

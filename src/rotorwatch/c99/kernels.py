@@ -26,11 +26,9 @@ class Product(NamedTuple):
     columns: tuple[tuple[int, int, int, int], ...]
 
     @classmethod
-    def of(cls, shape_a, steps_a, shape_b, steps_b, n_batch: int, n_inner: int) -> Product:
-        """A (batch, rows, inner), B (batch, inner, columns)."""
+    def of(cls, shape_a, steps_a, shape_b, steps_b, out, n_batch: int, n_inner: int) -> Product:
+        """A (batch, rows, inner), B (batch, inner, columns); out: steps of the result."""
         free_a, free_b = len(shape_a) - n_batch - n_inner, len(shape_b) - n_batch - n_inner
-        out_shape = (*shape_a[: n_batch + free_a], *shape_b[n_batch + n_inner :])
-        out = strides(out_shape)
         batch = [(shape_a[k], out[k], steps_a[k], steps_b[k]) for k in range(n_batch)]
         rows = [(shape_a[k], out[k], steps_a[k], 0) for k in range(n_batch, n_batch + free_a)]
         inner = [(shape_b[n_batch + k], 0, steps_a[n_batch + free_a + k], steps_b[n_batch + k]) for k in range(n_inner)]

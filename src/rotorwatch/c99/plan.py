@@ -56,6 +56,7 @@ class Plan:
         self.must: set[int] = set()
         self.stored: set[int] = set()
         self.place: dict[int, Place] = {}
+        self.into: set[int] = set()  # pieces of concatenations
         self.owner: dict[int, Node] = {}  # loops and branches by the parameters' and results' regions
         self._choose()
         self._order()
@@ -117,7 +118,10 @@ class Plan:
                 for x in out:
                     self._read(x)
         elif op not in ("const", "param"):
-            self.stored.add(node.index)
+            if not (op in ("dot", "concat") and node.index in self.into and times == 1 and not must):
+                self.stored.add(node.index)  # else written by the only one who reads it: a concatenation
+            if op == "concat":
+                self.into.update(x.index for x in node.args)
             for k, x in enumerate(node.args):
                 self._read(x, must=self._needs_storage(node, k), by=node)
 
@@ -140,7 +144,9 @@ class Plan:
         out, todo = [], [x]
         while todo:
             node = todo.pop()
-            if node.op in ("view", "alias") or (node.op in ELEMENTWISE and node.index not in self.stored):
+            if node.op in ("view", "alias") or (
+                node.op in (*ELEMENTWISE, "dot", "concat") and node.index not in self.stored
+            ):
                 todo += node.args
             elif node.op == "param" and node.data[0] == "alias":
                 todo.append(node.data[1])

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rotorwatch.c99 import zeros
 from rotorwatch.c99.graph import Axis, Graph, Node, identity, value
 from rotorwatch.c99.indices import regular
 
@@ -36,7 +37,7 @@ def selection(matrix: np.ndarray | None) -> Selection | None:
 
 def product(graph: Graph, a: Node, b: Node) -> Node | None:
     """a @ b without a product for a (rows, inner), b (inner, ...), or b (inner, columns), a (..., inner), where a factor selects; and
-    block by block where one is stacked of blocks that do. None where neither is so."""
+    block by block where one is stacked of blocks that do; without its zeros where `a` is known to have many. None where nothing is so."""
     for left, first, second in ((True, a, b), (False, b, a)):
         axis = 0 if left else len(first.shape) - 1
         if len(first.shape) > 2 or (not left and len(first.shape) == 2 and len(second.shape) == 0):
@@ -54,7 +55,7 @@ def product(graph: Graph, a: Node, b: Node) -> Node | None:
         if any(selection(value(p) if left else _turned(value(p))) is not None for p in blocks):
             parts = [_multiplied(graph, p, second) if left else _multiplied(graph, second, p) for p in blocks]
             return graph.concat(parts, 0 if left else len(parts[0].shape) - 1)
-    return None
+    return zeros.product(graph, a, b)
 
 
 def _turned(matrix):

@@ -15,6 +15,7 @@ from rotorwatch.logs import px4_topics, series
 FORMAT = "PX4 ULog"
 
 _MAGIC = b"ULog\x01\x12\x35"
+_BUFFER = 1 << 18  # bytes
 _MOST_FIELDS = 20_000  # flattened; PX4's largest message has about 400
 
 
@@ -140,38 +141,57 @@ def _log_messages(log, start) -> list[Message]:
 class _File:
     """A read-only file over bytes that need not be copied, and that ends for good when a parser runs in circles.
 
-    Each record takes two reads and no record of interest is shorter than 8 bytes, so a parser that reads more often
-    than one time in four bytes is lost; then this file pretends to be at its end. cut: a read got less than it asked.
+    Only seeking back leads into a circle, and damage makes a parser seek at most about once a byte; one that seeks more
+    often than one time in eight bytes is lost; then this file stays at its end. cut: a read got less than it asked.
     """
 
     def __init__(self, data, progress=None):
-        self._data, self._size, self._at = data, len(data), 0
-        self._left = self._size // 4 + 100_000
-        self._progress = progress
+        self._size = len(data)
+        self._file = io.BufferedReader(_Bytes(data, progress), _BUFFER)
+        self._read, self.tell = self._file.read, self._file.tell
+        self._left = self._size // 8 + 50_000
         self.cut = False
 
     def read(self, count=-1) -> bytes:
-        self._left -= 1
-        if self._left < 0:
-            return b""
-        at = self._at
-        end = self._size if count < 0 else min(self._size, at + count)
-        self._at = max(at, end)
-        if end - at < count and not (count == 3 and at >= self._size):
+        found = self._read(count)
+        if len(found) < count and (found or count != 3):
             self.cut = True
-        if self._progress and not self._left & 0xFFFF:
-            self._progress(0.5 + 0.5 * self._at / self._size)
-        return bytes(self._data[at:end])
+        return found
 
     def seek(self, offset, whence=0) -> int:
-        at = offset + (0, self._at, self._size)[whence]
+        self._left -= 1
+        at = offset + (0, self.tell(), self._size)[whence]
         if at < 0:
             raise ValueError("seek before the start of the file")
-        self._at = at
-        return at
-
-    def tell(self) -> int:
-        return self._at
+        return self._file.seek(at if self._left >= 0 else max(at, self._size))
 
     def close(self) -> None:
         """Nothing to close: the data belongs to the caller."""
+
+
+class _Bytes(io.RawIOBase):
+    """Bytes or a memory map as the file below a buffer. progress: counts from a half on."""
+
+    def __init__(self, data, progress):
+        self._data, self._at, self._progress = data, 0, progress
+
+    def readable(self) -> bool:
+        return True
+
+    def seekable(self) -> bool:
+        return True
+
+    def readinto(self, buffer) -> int:
+        part = self._data[self._at : self._at + len(buffer)]
+        buffer[: len(part)] = part
+        self._at += len(part)
+        if self._progress and self._at <= len(self._data):
+            self._progress(0.5 + 0.5 * self._at / max(1, len(self._data)))
+        return len(part)
+
+    def seek(self, offset, whence=0) -> int:
+        self._at = offset + (0, self._at, len(self._data))[whence]
+        return self._at
+
+    def tell(self) -> int:
+        return self._at
