@@ -364,6 +364,11 @@ def test_folders_of_other_campaigns_are_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(work, "__version__", "9.9")
     with pytest.raises(ConfigError, match=r"begun with rotorwatch .* this is 9.9"):
         work.run(plan, 2, tmp_path / "a", 1, judge=quick)
+    monkeypatch.undo()
+    monkeypatch.setattr(work.batch, "engine", lambda: "other")
+    with pytest.raises(ConfigError, match=r"begun with (native|jax) code, here is other"):
+        work.run(plan, 2, tmp_path / "a", 1, judge=quick)
+    monkeypatch.undo()
     with store.Folder(tmp_path / "a").locked(), pytest.raises(ConfigError, match="Another campaign is running"):
         work.run(plan, 2, tmp_path / "a", 1, judge=quick)
     for flights, jobs in ((0, 1), (1, 0)):

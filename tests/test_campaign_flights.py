@@ -80,6 +80,32 @@ def test_as_diagnose_judges_the_log(plan, rows):
     assert 0 < some < WIDTH
 
 
+def test_native_code_and_jax_judge_alike(plan, rows, monkeypatch):
+    """One flight after the other as C, or all side by side in JAX: the same events, numbers to rounding."""
+    try:
+        batch.native.compiler()
+    except batch.native.Unavailable:
+        pytest.skip("no C compiler")
+    kinds = {}
+    for wanted in ("native", "jax"):
+        monkeypatch.setenv("ROTORWATCH_BACKEND", wanted)
+        assert batch.engine() == wanted
+        kinds[wanted] = batch.judge(plan, range(WIDTH), WIDTH)
+    for one, other in zip(kinds["native"], kinds["jax"], strict=True):
+        for key, value in one.items():
+            same = value == other[key] or value == pytest.approx(other[key], rel=1e-5, abs=1e-5)
+            assert same, (one["method"], key, value, other[key])
+
+
+def test_no_compiler_no_native_code(monkeypatch):
+    def missing():
+        raise batch.native.Unavailable("none")
+
+    monkeypatch.setattr(batch.native, "compiler", missing)
+    monkeypatch.delenv("ROTORWATCH_BACKEND", raising=False)
+    assert batch.engine() == "jax"
+
+
 def test_published_methods_are_judged_as_alone(plan, rows):
     """Side by side, with several thresholds and what one learning run taught: as `published.judge` does it for each flight."""
     flown = batch.fly(plan, range(WIDTH), WIDTH)
@@ -194,10 +220,14 @@ def test_the_width_follows_the_device(monkeypatch):
     monkeypatch.setattr(batch, "load_jax", Device)
     monkeypatch.setattr(backend, "jax", Device)
     assert batch.width() == batch.CPU_WIDTH and work._processes(3) == 3 and work._processes() >= 1
+    monkeypatch.setenv("ROTORWATCH_BACKEND", "jax")
     assert batch.where() == "on the processor, 32 flights side by side"
+    monkeypatch.delenv("ROTORWATCH_BACKEND")
+    monkeypatch.setattr(batch.native, "compiler", lambda: "cc")
+    assert batch.where() == "on the processor, 32 flights side by side, estimator as native code"
     monkeypatch.setattr(Device, "kind", "gpu")
     assert batch.width() == batch.ACCELERATOR_WIDTH and work._processes(3) == work._processes() == 1
-    assert batch.where() == "on 1 x NVIDIA H200, 1024 flights side by side"
+    assert batch.where() == "on 1 x NVIDIA H200, 1024 flights side by side" and batch.engine() == "jax"
 
 
 def test_as_many_at_once_as_fit_the_cache(monkeypatch):

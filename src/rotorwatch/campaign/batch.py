@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rotorwatch import airframes, default_estimator, detectors, limits
+from rotorwatch import airframes, default_estimator, detectors, limits, native
 from rotorwatch.airborne import airborne
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.campaign import methods, score
@@ -24,6 +24,7 @@ from rotorwatch.diagnosis import Event
 from rotorwatch.errors import ConfigError
 from rotorwatch.evidence import events, hypotheses
 from rotorwatch.flight import Flight
+from rotorwatch.run import chosen, run_built
 from rotorwatch.simulation import logbook, one
 from rotorwatch.simulation import plan as flight_plan
 from rotorwatch.simulation.loop import fly_many, stack
@@ -45,7 +46,19 @@ def where() -> str:
     jax = load_jax()
     kind, devices = jax.default_backend(), jax.devices()
     name = "the processor" if kind == "cpu" else f"{len(devices)} x {devices[0].device_kind}"
-    return f"on {name}, {width()} flights side by side"
+    return f"on {name}, {width()} flights side by side{', estimator as native code' if engine() == 'native' else ''}"
+
+
+def engine() -> str:
+    """What steps the default estimator: "native" code, flight by flight, on a processor with a C compiler, as in `diagnose`; else "jax",
+    flights side by side. $ROTORWATCH_BACKEND=jax says so, too. Results of the two differ in their last digits."""
+    if load_jax().default_backend() != "cpu" or chosen(None, "auto") == "jax":
+        return "jax"
+    try:
+        native.compiler()
+    except native.Unavailable:
+        return "jax"
+    return "native"
 
 
 @dataclass(frozen=True)
@@ -163,6 +176,11 @@ def _table(table: Ticks, B: np.ndarray, rows: slice = slice(None)) -> tuple[np.n
     return u[rows], table.wrench[rows], table.valid[rows]
 
 
+def _judged(out) -> Judged:
+    """What is kept of the estimator's output of one tick."""
+    return Judged(default_estimator._keep(out), out.plausible)
+
+
 @functools.lru_cache(maxsize=8)
 def _program(build):
     """Compiled: parameters, first carry, a row's number, u, y, valid (flights first from that on) -> stacked `Judged`, and (state, noise
@@ -178,7 +196,7 @@ def _program(build):
             carry, out = estimator.step(carry, *row[1:])
             now = (carry.s, carry.noise.variances)
             taught = jax.tree.map(lambda a, b: jnp.where(k == learned, a, b), now, taught)
-            return (carry, taught), Judged(default_estimator._keep(out), out.plausible)
+            return (carry, taught), _judged(out)
 
         start = (carry, jax.tree.map(jnp.asarray, (carry.s, carry.noise.variances)))
         (_, taught), out = jax.lax.scan(step, start, (jnp.arange(u.shape[0]), u, y, valid))
@@ -203,12 +221,16 @@ def _taught(flown: Sequence[Flown], B: np.ndarray, size: int) -> list[tuple | No
 
 
 def _stepped(flown: Sequence[Flown], B: np.ndarray, size: int, tables: list, learned: np.ndarray) -> list[tuple]:
-    """The default estimator over tables of the flights: for each its `Judged`, and its state and noise after row `learned`."""
+    """The default estimator over tables of the flights: for each its `Judged`, and its state and noise after row `learned`, which is the
+    last of its table where it matters."""
     dt = flown[0].ticks.dt
     if dt not in (0.05, 0.1):
         raise ConfigError(f"commands every {dt:.1f} s are too slow: log motor outputs at 10 Hz or faster.")
     build = default_estimator._build_fast if dt < 0.08 else default_estimator._build_slow
     tree, parameters = load_jax().tree, default_estimator.parameters(B)
+    if engine() == "native":
+        ran = [run_built(build, parameters, u, y, ok, _judged, backend="native") for u, y, ok in tables]
+        return [(out, (carry.s, carry.noise.variances)) for carry, out in ran]
     rows, carry, found = methods.stacked(tables, size), build(parameters).init(), []
     learned = np.concatenate([learned, np.full(size - len(flown), -1)])
     step = methods.side_by_side(carry, size)

@@ -1,7 +1,7 @@
 """A campaign's folder: which flights are done, and the table of all of them.
 
     DIR/plan.toml           the plan, as it was
-    DIR/campaign.json       version and width of batches: what results depend on
+    DIR/campaign.json       version, width of batches and what steps the default estimator: what results depend on
     DIR/parts/*.parquet     finished parts, written under another name and then renamed: a part is there whole or not at all
     DIR/flights.parquet     all parts, in order of flights
     DIR/summary.json, DIR/index.html
@@ -63,7 +63,7 @@ class Folder:
         self.path = Path(path)
         self.parts = self.path / "parts"
 
-    def open(self, plan: Plan, width: int, version: str) -> int:
+    def open(self, plan: Plan, width: int, version: str, engine: str) -> int:
         """Make the folder, or check that it is of the same plan; returns the width of its batches. Raises ConfigError."""
         parquet()
         _make(self.parts)
@@ -72,7 +72,7 @@ class Folder:
             if any(self.parts.iterdir()):
                 raise ConfigError(f"{self.path} holds parts of an unknown campaign; give another folder.")
             _write(kept, plan.text.encode())
-            _write(about, json.dumps({"version": version, "width": width}).encode())
+            _write(about, json.dumps({"version": version, "width": width, "engine": engine}).encode())
             return width
         known = _known(about)
         if not kept.is_file() or kept.read_bytes() != plan.text.encode():
@@ -80,6 +80,11 @@ class Folder:
         if known["version"] != version:
             raise ConfigError(
                 f"{self.path} was begun with rotorwatch {known['version']}, this is {version}; give another folder."
+            )
+        if known["engine"] != engine:
+            raise ConfigError(
+                f"{self.path} was begun with {known['engine']} code, here is {engine}, whose last digits differ: set "
+                f"ROTORWATCH_BACKEND={known['engine']} where a C compiler is, or give another folder."
             )
         return known["width"]
 
@@ -160,8 +165,12 @@ def _known(about: Path) -> dict[str, Any]:
     """What campaign.json says. Raises ConfigError."""
     try:
         known = json.loads(about.read_bytes())
-        return {"version": str(known["version"]), "width": int(known["width"])}
-    except (ValueError, TypeError, KeyError) as error:
+        return {
+            "version": str(known["version"]),
+            "width": int(known["width"]),
+            "engine": str(known.get("engine", "jax")),
+        }
+    except (ValueError, TypeError, KeyError, AttributeError) as error:
         raise ConfigError(f"{about} is damaged; give another folder.") from error
 
 

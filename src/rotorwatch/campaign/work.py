@@ -42,7 +42,7 @@ def run(
         raise ConfigError(f"jobs must be at least 1, not {jobs}.")
     place = Folder(folder)
     with place.locked():
-        width = place.open(plan, batch.width(), __version__)
+        width = place.open(plan, batch.width(), __version__, batch.engine())
         todo = place.missing(flights, len(plan.cells), width)
         left = sum(w.last - w.first for w in todo)
         tell = _Telling(flights, flights - left, progress)
