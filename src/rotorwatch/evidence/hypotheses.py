@@ -5,6 +5,8 @@ matrix C (q, q) and vector z (q,) of nu (Willsky & Jones 1976). A hypothesis all
 Bayes factor against "no jump", with a Gaussian prior of width w on each direction and rotor losses confined to [lo, hi], is
 
     log BF = z.nu - nu.C.nu / 2  -  1/2 sum log(1 + C_dd|rest w^2)        at the most probable admissible nu
+
+Disturbances have heavy tails: their prior is a mixture of two widths.
 """
 
 from __future__ import annotations
@@ -18,6 +20,8 @@ LOSS_WIDTH, SMALL_WIDTH = 0.3, 0.06
 # Share by which what a loss does to roll, pitch, yaw and thrust may differ from geometry: inflow and battery change thrust, and
 # in moving air rotors that no longer match in speed drag the vehicle round.
 SLOP = (0.1, 0.1, 0.4, 0.3)
+# A calm flight does not show what a manoeuvre or a gust can do: so often a disturbance is so many times its usual size.
+FAR_SHARE, FAR = 0.2, 4.0
 # Prior weights: how often each kind of jump happens, relative to one particular rotor failing. Disturbances are common.
 WEIGHT = {"single": 1.0, "pair": 1e-4, "single_common": 0.02, "disturbance": 3.0}
 # Disturbances: which of roll, pitch, yaw, thrust they touch.
@@ -139,20 +143,25 @@ def log_bayes_factors(hyp: Hypotheses, C, z, lo, hi, width, effect):
     pa, pb, pair = pairwise(a, b, lo[b], hi[b])
     ma, mb = hyp.mixed.T
     xa, xb, mixed = pairwise(ma, mb, -jnp.ones(n) * 2.0, jnp.ones(n) * 2.0)
-    free = []
-    for block in hyp.blocks:
-        idx = np.array(block)
-        Cb = C[:, idx][:, :, idx] + jnp.diag(prior[idx])
-        L = cholesky(Cb)
-        y = forward(L, z[:, idx])
-        free.append(
-            0.5 * (y * y).sum(1) - jnp.log(jnp.diagonal(L, axis1=1, axis2=2)).sum(1) + 0.5 * jnp.log(prior[idx]).sum()
-        )
-    logbf = jnp.concatenate([single, pair, mixed, jnp.stack(free, axis=1)], axis=1)
+    usual, rare = (
+        jnp.stack([_any_size(C, z, block, prior / by**2) for block in hyp.blocks], axis=1) for by in (1.0, FAR)
+    )
+    free = jnp.logaddexp(usual + np.log(1.0 - FAR_SHARE), rare + np.log(FAR_SHARE))
+    logbf = jnp.concatenate([single, pair, mixed, free], axis=1)
     nu = jnp.concatenate(
         [jnp.stack([nu1, jnp.zeros_like(nu1)], -1), jnp.stack([pa, pb], -1), jnp.stack([xa, xb], -1)], axis=1
     )
     return logbf, nu, own
+
+
+def _any_size(C, z, block, prior):
+    """Log Bayes factor (W,) of steps of any size in the directions `block`, of prior information `prior` (q,)."""
+    import jax.numpy as jnp
+
+    idx = np.array(block)
+    L = cholesky(C[:, idx][:, :, idx] + jnp.diag(prior[idx]))
+    y = forward(L, z[:, idx])
+    return 0.5 * (y * y).sum(1) - jnp.log(jnp.diagonal(L, axis1=1, axis2=2)).sum(1) + 0.5 * jnp.log(prior[idx]).sum()
 
 
 def _with_slop(C, z, nu, effect):
