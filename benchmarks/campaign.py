@@ -1,8 +1,9 @@
 """What a campaign costs: `python benchmarks/campaign.py [PLAN] [--cell K] [--flights N] [--seconds S ..]`.
 
-Processor seconds of this process (compiled programs use threads; wall time on a busy machine says little), after a first run that
-compiles. Where they go, phase by phase, and how they grow: exponents of a power law fitted to the flights of one batch after the other,
-and to flights of several lengths. 1 is linear.
+On a processor: processor seconds of this process (compiled programs use threads; wall time on a busy machine says little); where
+JAX has an accelerator, which does its work elsewhere: seconds by the clock. After a first run that compiles. Where they go, phase
+by phase, and how they grow: exponents of a power law fitted to the flights of one batch after the other, and to flights of several
+lengths. 1 is linear. At last the simulator alone, in flight-steps a second, in double and single precision.
 """
 
 from __future__ import annotations
@@ -17,8 +18,11 @@ from pathlib import Path
 import numpy as np
 
 from rotorwatch import campaign
+from rotorwatch.backend import jax as load_jax
 from rotorwatch.campaign import batch
 from rotorwatch.campaign.plan import Plan
+from rotorwatch.simulation import loop, prepare
+from rotorwatch.simulation.multirotor import MULTIROTOR
 
 PHASES = {
     "flights simulated, logged, turned into ticks": "fly",
@@ -33,7 +37,7 @@ def main() -> None:
     asked = argparse.ArgumentParser(description=__doc__)
     asked.add_argument("plan", nargs="?", default=Path(__file__).parents[1] / "plans" / "default.toml")
     asked.add_argument("--cell", type=int, default=0, help="which combination of frame, autopilot and profile")
-    asked.add_argument("--flights", type=int, default=128, help="most flights of the first exponent")
+    asked.add_argument("--flights", type=int, help="most flights of the first exponent; default: four batches")
     asked.add_argument("--seconds", type=float, nargs="*", default=[60.0, 90.0, 120.0], help="lengths of the second")
     asked.add_argument("--repeats", type=int, default=2, help="the least of so many runs counts")
     given = asked.parse_args()
@@ -41,7 +45,7 @@ def main() -> None:
     width = batch.width()
     print(f"{' '.join(plan.cells[given.cell])}, {batch.where()}, load {os.getloadavg()[0]:.1f}")
 
-    counts = [n for n in (width // 4, width // 2, width, 2 * width, 4 * width) if width <= n <= given.flights]
+    counts = [n for n in (width, 2 * width, 4 * width) if n <= (given.flights or 4 * width)]
     judged(plan, given.cell, width, width)  # compiles
     spent = [best(lambda n=n: judged(plan, given.cell, n, width), given.repeats) for n in counts]
     for n, cost in zip(counts, spent, strict=True):
@@ -58,6 +62,34 @@ def main() -> None:
         print(f"{width:6d} flights of {seconds:g} s: {costs[-1]:7.2f} s, {costs[-1] / width:.4f} s a flight")
     if len(costs) > 1:
         print(f"grows with their length to the power of {exponent(given.seconds, costs):.2f}")
+    for name, cost in simulated(plan, given.cell, width, given.repeats).items():
+        steps = width * plan.scenario["duration_s"] * plan.flight(given.cell).rate_hz
+        print(
+            f"{steps / cost:.3g} flight-steps a second by the clock: the simulator alone in {name}, {width} flights side by side"
+        )
+
+
+def simulated(plan: Plan, cell: int, width: int, repeats: int) -> dict[str, float]:
+    """Precision -> least seconds by the clock to simulate a batch of the cell, records left on the device."""
+    jax = load_jax()
+    flights = [plan.flight(cell + len(plan.cells) * k) for k in range(width)]
+    double, one, found = loop.stack([prepare.plan(flight) for flight in flights]), flights[0], {}
+    single = jax.tree.map(lambda a: a.astype(np.float32) if a.dtype == np.float64 else a, double)
+    for name, numbers in (("float64", double), ("float32", single)):
+        spent = []
+        for _ in range(1 + repeats):  # the first one compiles
+            began = time.perf_counter()
+            jax.block_until_ready(
+                loop.fly_many(MULTIROTOR, numbers, one.duration_s, one.rate_hz, one.record_hz, batch._needed)
+            )
+            spent.append(time.perf_counter() - began)
+        found[name] = min(spent[1:])
+    return found
+
+
+def clock() -> float:
+    """Seconds of this process' work: of the processor where it does all, else by the clock."""
+    return time.process_time() if load_jax().default_backend() == "cpu" else time.perf_counter()
 
 
 def judged(plan: Plan, cell: int, flights: int, width: int) -> None:
@@ -67,12 +99,12 @@ def judged(plan: Plan, cell: int, flights: int, width: int) -> None:
 
 
 def best(run: Callable[[], None], repeats: int) -> float:
-    """Least processor seconds of so many runs."""
+    """Least seconds of so many runs."""
     found = []
     for _ in range(repeats):
-        began = time.process_time()
+        began = clock()
         run()
-        found.append(time.process_time() - began)
+        found.append(clock() - began)
     return min(found)
 
 
@@ -87,11 +119,11 @@ def phases(plan: Plan, cell: int, width: int) -> None:
 
     def timed(name: str, function: Callable) -> Callable:
         def run(*given):
-            began = time.process_time()
+            began = clock()
             try:
                 return function(*given)
             finally:
-                spent[name] += time.process_time() - began
+                spent[name] += clock() - began
 
         return run
 
@@ -99,9 +131,9 @@ def phases(plan: Plan, cell: int, width: int) -> None:
     try:
         for name, function in kept.items():
             setattr(batch, name, timed(name, function))
-        began = time.process_time()
+        began = clock()
         judged(plan, cell, width, width)
-        whole = time.process_time() - began
+        whole = clock() - began
     finally:
         for name, function in kept.items():
             setattr(batch, name, function)

@@ -76,10 +76,22 @@ def tune(mixer, B_tau, J, thrust_max, hover, lag, gyro_hz=40.0, tilt_deg=40.0, e
     bandwidth = np.array([fast, fast, min(yaw, 8.0)])
     rate_p = bandwidth / authority
     return Autopilot(
-        *(mixer, np.array(hover), np.array(1.0), np.array(2.5), np.array(1.0), bandwidth / 3.0, rate_p),
-        *(rate_p * bandwidth / 8.0, rate_p * np.array([lag / 3.0, lag / 3.0, 0.0])),
-        *(np.array(12.0), np.array(3.0), np.array(np.radians(tilt_deg)), np.array([4.0, 4.0, 2.0])),
-        *(np.array(cut), np.array(expo), np.array(compensates)),
+        mixer=mixer,
+        hover=np.array(hover),
+        position=np.array(1.0),
+        velocity=np.array(2.5),
+        velocity_i=np.array(1.0),
+        attitude=bandwidth / 3.0,
+        rate_p=rate_p,
+        rate_i=rate_p * bandwidth / 8.0,
+        rate_d=rate_p * np.array([lag / 3.0, lag / 3.0, 0.0]),
+        speed_most=np.array(12.0),
+        climb_most=np.array(3.0),
+        tilt_most=np.array(np.radians(tilt_deg)),
+        turn_most=np.array([4.0, 4.0, 2.0]),
+        gyro_cut=np.array(cut),
+        expo=np.array(expo),
+        compensates=np.array(compensates),
     )
 
 

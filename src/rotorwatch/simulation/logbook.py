@@ -113,6 +113,7 @@ class _Log:
             self.time[group] = np.round(record.time[self.rows[group]] + late, 6)
 
     def add(self, name: str, group: str, values: np.ndarray, sd: Any = 0.0, unit: str = "") -> None:
+        """Log values (T, k), one row per record, at the group's times; sd: of white noise on each, a number or (k,)."""
         rows = self.rows[group]
         values = np.asarray(values, float)[rows]
         values = values + np.asarray(sd) * self.rng.standard_normal(values.shape)

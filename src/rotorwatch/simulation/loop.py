@@ -46,7 +46,10 @@ class Moment(NamedTuple):
 
 
 class Aircraft(Protocol):
-    """What flies: hashable, because a program is compiled for each. Plans are pytrees of numbers with wind, faults, sensors, way, seed."""
+    """What flies: hashable, because a program is compiled for each. Plans are pytrees of numbers with wind, faults, sensors and seed.
+
+    noise_kind: what standard normal numbers are drawn as. Thousands of multirotors at once draw single precision, half the memory.
+    """
 
     noise_kind: Any
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from rotorwatch.airframes import ardupilot, px4
 from rotorwatch.errors import ConfigError, VehicleError
 from rotorwatch.simulation import control, dynamics, faults, trajectories, wind
 from rotorwatch.simulation.multirotor import Battery, Plan
+from rotorwatch.simulation.rigid import G0
 from rotorwatch.simulation.scenario import Scenario, brief
 from rotorwatch.simulation.sensors import Sensors
 from rotorwatch.vehicle import Rotor, ThrustCurve, Vehicle
@@ -101,72 +102,101 @@ def frame_numbers(frame: str) -> tuple[int, int]:
     raise ConfigError(f"airframe.frame: ArduPilot has no frame {frame}, so no DataFlash log of it can be written.")
 
 
+class Bare(NamedTuple):
+    """A vehicle without its payload; n rotors, SI. x, y, spin, thrust_max (n,); J (3, 3); arm: to the outermost rotor; radius of a rotor;
+    drag_ratio: torque per thrust [m]; hover: share of full thrust that carries it."""
+
+    x: np.ndarray
+    y: np.ndarray
+    spin: np.ndarray
+    thrust_max: np.ndarray
+    mass: float
+    J: np.ndarray
+    arm: float
+    radius: float
+    drag_ratio: float
+    hover: float
+
+
 def plan(scenario: Scenario) -> Plan:
     """The scenario's numbers. Raises ConfigError for frames that do not exist or vehicles that cannot fly."""
-    craft_known = vehicle(scenario)
+    known = vehicle(scenario)
+    bare = _bare(scenario, known)
+    full_speed = scenario.airframe["rotor_speed_rad_s"] or TIP_SPEED / bare.radius
+    return Plan(
+        craft=_craft(scenario, bare, full_speed),
+        pilot=_pilot(scenario, known, bare),
+        way=_up_and_down(scenario),
+        wind=air(scenario, bare.arm),
+        faults=broken(scenario, len(bare.x)),
+        battery=_battery(scenario, bare.thrust_max.sum(), bare.hover),
+        sensors=sensors(scenario, full_speed),
+        seed=np.array(scenario.seed, np.int64),
+    )
+
+
+def _bare(scenario: Scenario, craft: Vehicle) -> Bare:
+    """What a paper says of its airframe, else what the scenario asks for or what is usual."""
     a, known = scenario.airframe, _paper(scenario.airframe["frame"])
-    n = len(craft_known.rotors)
-    x, y, spin = (np.array([getattr(r, k) for r in craft_known.rotors], float) for k in ("x", "y", "spin"))
+    x, y, spin = (np.array([getattr(r, k) for r in craft.rotors], float) for k in ("x", "y", "spin"))
     arm = float(np.hypot(x, y).max())
     mass = float(known["mass"]) if known else a["mass_kg"]
-    J = _inertia(a, known, mass, arm)
     share = _shares(x, y, a["lower_rotor"])
     if known:
-        thrust_max = np.full(n, float(known["thrust_max"]))
+        thrust_max = np.full(len(x), float(known["thrust_max"]))
     else:
-        thrust_max = share * a["thrust_to_weight"] * mass * dynamics.G0 / share.sum()
+        thrust_max = share * a["thrust_to_weight"] * mass * G0 / share.sum()
     radius = a["rotor_radius_m"] or 0.75 * _gap(x, y) / 2.0
     drag_ratio = a["drag_ratio_m"] or (float(known["drag_ratio"]) if known else 0.12 * radius)
-    hub = 0.1 * arm if a["hub_height_m"] is None else a["hub_height_m"]
+    hover = mass * G0 / thrust_max.sum()
+    return Bare(x, y, spin, thrust_max, mass, _inertia(a, known, mass, arm), arm, radius, drag_ratio, hover)
 
-    believed = craft_known.mixer
-    assert believed is not None
-    B_tau = np.stack([-y, x, drag_ratio * spin])
-    expo_known = a["expo"] if a["believed_expo"] is None else a["believed_expo"]
-    compensates = float(a_compensates(scenario))
-    hover = mass * dynamics.G0 / thrust_max.sum()
-    pilot = control.tune(
-        *(believed, B_tau, np.diag(J), thrust_max, hover, a["lag_s"]),
-        gyro_hz=scenario.sensors["gyro_filter_hz"], expo=expo_known, compensates=compensates,
-    )  # fmt: skip
 
-    total, J_all, shift = _loaded(mass, J, a["payload_kg"], np.array(a["payload_at_m"], float))
-    if total * dynamics.G0 > 0.9 * thrust_max.sum():
-        raise ConfigError(
-            f"airframe.payload_kg: {total:.3g} kg are too much for {thrust_max.sum():.3g} N of full thrust."
-        )
-    each = mass * dynamics.G0 / n
-    induced = np.sqrt(each / (2.0 * AIR * np.pi * radius**2))
-    slope = each / induced / np.sqrt(hover)  # N s/m at full speed: hover thrust over induced velocity, at hover speed
-    full_speed = a["rotor_speed_rad_s"] or TIP_SPEED / radius
-    inertia = a["rotor_inertia_kg_m2"]
-    inertia = 0.015 * mass / n * (2.0 * radius) ** 2 / 12.0 if inertia is None else inertia
-    craft = dynamics.Craft(
-        *(
-            np.array(total),
-            J_all,
-            np.linalg.inv(J_all),
-            x - shift[0],
-            y - shift[1],
-            np.array(-hub - shift[2]),
-            spin,
-            thrust_max,
-        ),
-        *(np.array(drag_ratio), np.array(a["expo"]), np.array(a["lag_s"]), np.array(inertia * full_speed)),
-        *(np.array(0.1 * slope * a["rotor_drag"]), np.array(0.4 * slope * a["inflow"])),
-        *(
-            a["body_drag"] * 0.01 * mass * np.array([1.0, 1.0, 2.0]),
-            np.array(radius),
-            np.array(float(a["ground_effect"])),
-        ),
+def _pilot(scenario: Scenario, known: Vehicle, bare: Bare) -> control.Autopilot:
+    """An autopilot tuned for the vehicle without payload, with the thrust curve that it believes in."""
+    a, mixer = scenario.airframe, known.mixer
+    assert mixer is not None
+    B_tau = np.stack([-bare.y, bare.x, bare.drag_ratio * bare.spin])
+    return control.tune(
+        *(mixer, B_tau, np.diag(bare.J), bare.thrust_max, bare.hover, a["lag_s"]),
+        gyro_hz=scenario.sensors["gyro_filter_hz"],
+        expo=a["expo"] if a["believed_expo"] is None else a["believed_expo"],
+        compensates=float(a_compensates(scenario)),
     )
-    return Plan(
-        *(craft, pilot, _up_and_down(scenario), air(scenario, arm), broken(scenario, n)),
-        *(
-            _battery(scenario, thrust_max.sum(), hover),
-            sensors(scenario, full_speed),
-            np.array(scenario.seed, np.int64),
-        ),
+
+
+def _craft(scenario: Scenario, bare: Bare, full_speed: float) -> dynamics.Craft:
+    """The vehicle with its payload, about their common centre of mass. full_speed [rad/s] of the rotors. Raises ConfigError."""
+    a, n, full = scenario.airframe, len(bare.x), bare.thrust_max.sum()
+    total, J, shift = _loaded(bare.mass, bare.J, a["payload_kg"], np.array(a["payload_at_m"], float))
+    if total * G0 > 0.9 * full:
+        raise ConfigError(f"airframe.payload_kg: {total:.3g} kg are too much for {full:.3g} N of full thrust.")
+    hub = 0.1 * bare.arm if a["hub_height_m"] is None else a["hub_height_m"]
+    each = bare.mass * G0 / n
+    induced = np.sqrt(each / (2.0 * AIR * np.pi * bare.radius**2))
+    slope = (
+        each / induced / np.sqrt(bare.hover)
+    )  # N s/m at full speed: hover thrust over induced velocity, at hover speed
+    inertia = a["rotor_inertia_kg_m2"]
+    inertia = 0.015 * bare.mass / n * (2.0 * bare.radius) ** 2 / 12.0 if inertia is None else inertia
+    return dynamics.Craft(
+        mass=np.array(total),
+        J=J,
+        J_inverse=np.linalg.inv(J),
+        x=bare.x - shift[0],
+        y=bare.y - shift[1],
+        z=np.array(-hub - shift[2]),
+        spin=bare.spin,
+        thrust_max=bare.thrust_max,
+        drag_ratio=np.array(bare.drag_ratio),
+        expo=np.array(a["expo"]),
+        lag=np.array(a["lag_s"]),
+        rotor_momentum=np.array(inertia * full_speed),
+        k_d=np.array(0.1 * slope * a["rotor_drag"]),
+        k_z=np.array(0.4 * slope * a["inflow"]),
+        drag=a["body_drag"] * 0.01 * bare.mass * np.array([1.0, 1.0, 2.0]),
+        radius=np.array(bare.radius),
+        ground_effect=np.array(float(a["ground_effect"])),
     )
 
 
@@ -262,9 +292,17 @@ def sensors(scenario: Scenario, full_speed: float) -> Sensors:
     gyro_sd = s["gyro_noise"] * np.sqrt(scenario.rate_hz / 2.0)
     accel_sd = s["accel_noise"] * np.sqrt(0.5 * np.pi * s["accel_filter_hz"])
     return Sensors(
-        *(np.array(gyro_sd), np.array(accel_sd), gyro_bias, accel_bias, np.array(2.0 * np.pi * s["accel_filter_hz"])),
-        *(np.array(s["vibration"]), np.array(full_speed / (2.0 * np.pi)), np.array(0.01)),
-        *(np.array(0.002), np.array(0.03), np.array(0.02)),
+        gyro_sd=np.array(gyro_sd),
+        accel_sd=np.array(accel_sd),
+        gyro_bias=gyro_bias,
+        accel_bias=accel_bias,
+        accel_cut=np.array(2.0 * np.pi * s["accel_filter_hz"]),
+        shake=np.array(s["vibration"]),
+        full_turns=np.array(full_speed / (2.0 * np.pi)),
+        rattle=np.array(0.01),
+        attitude_sd=np.array(0.002),
+        velocity_sd=np.array(0.03),
+        position_sd=np.array(0.02),
     )
 
 

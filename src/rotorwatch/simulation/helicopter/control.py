@@ -54,18 +54,22 @@ def tune(system, lag: float, gyro_hz: float) -> Pilot:
     attitude = bandwidth / 3.0
     speed = attitude[0] / 2.5
     loops = Autopilot(
-        *(
-            np.eye(4),
-            np.array(HALF),
-            np.array(0.4 * speed),
-            np.array(speed),
-            np.array(0.3 * speed**2),
-            attitude,
-            rate_p,
-        ),
-        *(rate_p * bandwidth / 8.0, 0.0 * rate_p),
-        *(np.array(8.0), np.array(2.0), np.array(np.radians(25.0)), np.array([1.5, 1.5, 1.0])),
-        *(np.array(cut), np.array(0.0), np.array(0.0)),
+        mixer=np.eye(4),
+        hover=np.array(HALF),
+        position=np.array(0.4 * speed),
+        velocity=np.array(speed),
+        velocity_i=np.array(0.3 * speed**2),
+        attitude=attitude,
+        rate_p=rate_p,
+        rate_i=rate_p * bandwidth / 8.0,
+        rate_d=0.0 * rate_p,
+        speed_most=np.array(8.0),
+        climb_most=np.array(2.0),
+        tilt_most=np.array(np.radians(25.0)),
+        turn_most=np.array([1.5, 1.5, 1.0]),
+        gyro_cut=np.array(cut),
+        expo=np.array(0.0),
+        compensates=np.array(0.0),
     )
     half_roll, half_pitch = 0.5 * roll, 0.5 * pitch
     q = np.array([np.cos(half_pitch) * np.cos(half_roll), np.cos(half_pitch) * np.sin(half_roll),
