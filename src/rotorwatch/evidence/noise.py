@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch.core import Array
-from rotorwatch.systems.wrench_balance import PER_AXIS, TAU
+from rotorwatch.systems.wrench_balance import PER_AXIS, TAU, fading
 
 LAGS = (1, 2, 4, 8, 16, 32, 64)  # ticks
 MEMORY_S = 60.0  # how long a squared difference counts
@@ -102,10 +102,7 @@ def process_variance(variances, dt: float):
     """(20,) process noise variances a tick that keep b1 and b2 stationary and let b3 walk; variances (4 components, 4 axes)."""
     import jax.numpy as jnp
 
-    if isinstance(dt, (int, float)):
-        share = np.array([*(1.0 - np.exp(-2.0 * dt / np.array(TAU))), dt])[:, None]
-    else:
-        share = jnp.stack([*(1.0 - jnp.exp(-2.0 * dt / jnp.array(TAU))), dt])[:, None]
+    share = jnp.stack([*(1.0 - fading(dt) ** 2), dt])[:, None]
     per_axis = jnp.concatenate([variances[1:] * share, jnp.zeros((PER_AXIS - 3, 4))])
     return per_axis.T.reshape(-1)
 

@@ -87,11 +87,21 @@ class WrenchBalance:
 
     def decay(self, dt):
         """(20,) diagonal of the state transition: constant for a dt that is known, traced for one that is not."""
-        if isinstance(dt, (int, float)):
-            return np.tile([*np.exp(-dt / np.array(TAU)), 1.0, 1.0, 1.0], 4)
+        left = fading(dt)
+        if isinstance(left, np.ndarray):
+            return np.tile([*left, 1.0, 1.0, 1.0], 4)
         from jax import numpy as jnp
 
-        return jnp.tile(jnp.concatenate([jnp.exp(-dt / jnp.array(TAU)), jnp.ones(3)]), 4)
+        return jnp.tile(jnp.stack([*left, 1.0, 1.0, 1.0]), 4)
+
+
+def fading(dt):
+    """(2,) share of b1 and b2 that is left after dt seconds: constant for a dt that is known, traced for one that is not."""
+    if isinstance(dt, (int, float)):
+        return np.exp(-dt / np.array(TAU))
+    from jax import numpy as jnp
+
+    return jnp.exp(-dt / jnp.array(TAU))
 
 
 def any_multirotor(n: int) -> tuple[np.ndarray, np.ndarray]:
