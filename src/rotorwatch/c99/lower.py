@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rotorwatch.c99 import indices, selections
+from rotorwatch.c99 import indices, selections, zeros
 from rotorwatch.c99.graph import Graph, Node, Region, uniform, value, values
 from rotorwatch.c99.operations import COMPARISONS, ELEMENTWISE, NUMPY, kind
 from rotorwatch.errors import ConfigError
@@ -122,6 +122,14 @@ def _equation(graph: Graph, name: str, x: list[Node], params, outvars):
 def _convert(graph, x, params, outvars):
     to = kind(params["new_dtype"])
     return graph.elementwise(f"to_{to}", x[0], kind=to)
+
+
+def _add(graph, x, params, outvars):
+    for one, other in (x, x[::-1]):
+        made = zeros.added(graph, one, other)
+        if made is not None:
+            return made
+    return graph.elementwise("add", *x, kind=x[0].kind)
 
 
 def _integer_pow(graph, x, params, outvars):
@@ -476,6 +484,7 @@ def _free(outputs, regions) -> tuple[Node, ...]:
 
 
 SPECIAL = {
+    "add": _add, "add_any": _add,
     "convert_element_type": _convert, "integer_pow": _integer_pow, "pow": _pow, "round": _round, "select_n": _select, "clamp": _clamp,
     "broadcast_in_dim": _broadcast, "slice": _slice, "split": _split, "reshape": _reshape, "squeeze": _reshape,
     "expand_dims": _reshape, "stack": _stack, "pad": _pad, "tile": _tile, "iota": _iota, "gather": _gather, "dynamic_slice": _dynamic_slice,

@@ -91,11 +91,5 @@ def _picked(graph: Graph, s: Selection, x: Node, left: bool, vector: bool) -> No
         picked = graph.elementwise("mul", factors, picked, kind=x.kind)
     if vector:
         picked = graph.reshaped(picked, tuple(n for k, n in enumerate(shape) if k != along))
-        contiguous = picked.op != "view" or not picked.shape or _contiguous(picked)
-        return picked if contiguous else graph.stored(picked)
+        return picked if not picked.shape or zeros.in_rows(picked) else graph.stored(picked)
     return picked
-
-
-def _contiguous(x: Node) -> bool:
-    """Whether neighbours along the view's last axis are neighbours in storage."""
-    return x.data[-1].steps[-1] == 1 and all(a.steps[-1] == 0 for a in x.data[:-1])

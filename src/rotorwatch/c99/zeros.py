@@ -8,10 +8,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from rotorwatch.c99.graph import Graph, Node, taken
+from rotorwatch.c99.graph import Graph, Node, taken, value
+from rotorwatch.c99.indices import regular
 
 MOST = 4096  # elements of a value that is looked at
 SPARSE = 0.4  # share of elements that may be other than zero for a product to be written out term by term
+TABLE, FEW = (
+    64,
+    8,
+)  # elements of a constant from which on it is not kept as a table if only one in so many is other than zero
 WIDE = 8  # columns of the other factor from which on that is worth its code
 ZERO_AT_ZERO = {"copy", "neg", "abs", "sign", "sqrt", "sin", "tan", "asin", "atan", "sinh", "tanh", "asinh", "atanh", "expm1", "log1p",
                 "floor", "ceil", "square", "to_f", "div"}  # fmt: skip
@@ -39,7 +44,9 @@ def _seen_through(x: Node) -> tuple[Node, ...]:
     if matrices or x.op in ("view", "alias", "concat", "mul", "add", "sub"):
         return x.args
     if x.op == "select":
-        return x.args[1:]
+        return x.args
+    if x.op == "scatter" and x.data[1] in ("add", "set") and (x.data[0] >= 0).all():
+        return x.args[:1]
     return x.args[:1] if x.op in ZERO_AT_ZERO else ()
 
 
@@ -56,12 +63,38 @@ def _pattern(x: Node, args: list[np.ndarray]) -> np.ndarray:
         return np.asarray(args[0].astype(int) @ args[1].astype(int) > 0)
     if x.op == "mul":
         return args[0] & args[1]
+    if x.op == "select":
+        which = value(x.args[0])
+        return args[1] | args[2] if which is None else np.where(which, args[2], args[1])
+    if x.op == "scatter":
+        found = args[0].reshape(-1).copy()
+        found[x.data[0]] = True
+        return found.reshape(x.shape)
     return np.any(args, axis=0).reshape(x.shape)
+
+
+def added(graph: Graph, x: Node, constant: Node) -> Node | None:
+    """x + a constant that is zero but on a line (an identity, a diagonal of process noise): only that line is added; else None."""
+    known = value(constant)
+    if (
+        known is None
+        or x.kind != "f"
+        or x.shape != constant.shape
+        or x.size < TABLE
+        or x.op == "view"
+        or graph.symmetric(x)
+    ):
+        return None
+    at = np.flatnonzero(known)
+    if regular(at) is None or at.size * FEW > x.size or value(x) is not None:
+        return None
+    line = graph.const(known.reshape(-1)[at])
+    return graph.make("scatter", (x, line), x.shape, "f", (at, "add"), key=(at.tobytes(), "add"))
 
 
 def product(graph: Graph, a: Node, b: Node) -> Node | None:
     """a @ b row by row from the elements of a that may be other than zero, where those are few and b's rows are long; else None."""
-    if len(a.shape) != 2 or len(b.shape) != 2 or a.kind != "f" or b.shape[1] < WIDE or not _rows_lie_together(b):
+    if len(a.shape) != 2 or len(b.shape) != 2 or a.kind != "f" or b.shape[1] < WIDE or not in_rows(b):
         return None
     here = pattern(graph, a)
     if here.sum() > SPARSE * here.size:
@@ -78,5 +111,8 @@ def product(graph: Graph, a: Node, b: Node) -> Node | None:
     return graph.concat(rows, 0)
 
 
-def _rows_lie_together(x: Node) -> bool:
-    return x.op != "view" or (x.data[-1].steps[-1] == 1 and all(axis.steps[-1] == 0 for axis in x.data[:-1]))
+def in_rows(x: Node) -> bool:
+    """Whether neighbours along the last axis are neighbours in storage."""
+    if x.op != "view":
+        return True
+    return bool(x.data) and x.data[-1].steps[-1] == 1 and all(axis.steps[-1] == 0 for axis in x.data[:-1])
