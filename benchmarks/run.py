@@ -47,6 +47,9 @@ BATCH, BATCH_STEPS, CHUNK = (
     {"mhe": 10},
 )  # flights (else 1000); steps of each; flights at once (else 50)
 LIVE_STEPS = 20_000
+DEVICES = {
+    "mhe": 1
+}  # JAX's; its small factors and loops, run on two of the processor's devices at once, wait for each other for ever
 CORES = os.cpu_count() or 1
 CHILD = """
 import sys; sys.path.insert(0, {here!r})
@@ -150,7 +153,7 @@ def batch(library, rounds: int, clock: Callable[[], float]) -> dict:
         count, steps, chunk = BATCH.get(method, 1000), BATCH_STEPS, CHUNK.get(method, 50)
         tables = tuple(a.reshape(count, steps, -1) for a in flight(count * steps))
         flights = [tuple(np.ascontiguousarray(a[k]) for a in tables) for k in range(count)]
-        by_jax, alone = jax_batch(method, chunk), jax_batch(method, count, devices=1)
+        by_jax, alone = jax_batch(method, chunk, DEVICES.get(method, CORES)), jax_batch(method, count, devices=1)
         contenders = {
             "jax": partial(by_jax, *tables),
             "native": partial(threads, NativeBatch(method), flights),
