@@ -85,15 +85,16 @@ class Carry(NamedTuple):
 
 
 class Evidence(NamedTuple):
-    """Of all hypotheses (n_h,): log evidence over all onsets, probability among faults. fault, other: log of the sums;
-    log_bf (W, n_h): Bayes factors, per_slot (W, n_h): with prior weights; nu (W, n_fault, 2): most probable sizes; own (W, n): information
-    on the loss of one rotor alone; width (4,): of
+    """Of all hypotheses (n_h,): log evidence over all onsets, probability among faults. fault, other: log of the sums; far: that
+    of disturbances much larger than this flight's; log_bf (W, n_h): Bayes factors, per_slot (W, n_h): with prior weights; nu
+    (W, n_fault, 2): most probable sizes; own (W, n): information on the loss of one rotor alone; width (4,): of
     disturbances; live (W,): slots in use."""
 
     log_odds: Array
     probability: Array
     fault: Array
     other: Array
+    far: Array
     log_bf: Array
     per_slot: Array
     nu: Array
@@ -104,7 +105,7 @@ class Evidence(NamedTuple):
 
 class Candidate(NamedTuple):
     """The most probable fault. best: its index; slot (W,): its onset, one-hot; sizes (2,); jump (q,) with its covariance cov; hit (n,):
-    its rotors; each (2, n): the jump rotor by rotor; mine: it touches known rotors only."""
+    its rotors; each (2, n): the jump rotor by rotor; mine: it touches known rotors only; lone: one rotor only."""
 
     best: Array
     slot: Array
@@ -114,6 +115,7 @@ class Candidate(NamedTuple):
     hit: Array
     each: Array
     mine: Array
+    lone: Array
 
 
 class Opposite(NamedTuple):
@@ -168,6 +170,7 @@ class JumpBank:
         self.pick = np.array(
             [[[float(k < len(who) and who[k] == i) for i in range(self.n)] for k in range(2)] for who in fault]
         )
+        self.lone = np.array([float(len(who) == 1) for who in fault])
         self.membership = np.array([[float(i in who) for i in range(self.n)] for who in hyp.rotors])
         self.first = np.concatenate([hyp.singles, hyp.pairs[:, 0], hyp.mixed[:, 0]])
         self.second = np.concatenate([hyp.singles, hyp.pairs[:, 1], hyp.mixed[:, 1]])
@@ -227,7 +230,9 @@ class JumpBank:
         told = jumps.without_last(bank, jnp.maximum(P[self.yaw_gain, self.yaw_gain], 1e-12))
         found = self._evidence(s, told, carry.noise.variances, stand, self.system.H(seen.u))
         best = self._candidate(found, told, stand)
-        statistic = jnp.minimum(found.fault - self.log_threshold, found.fault - found.other - jnp.log(COMPETITOR_ODDS))
+        # One rotor's direction may be met by chance, by a disturbance such as this flight has not seen yet.
+        other = jnp.where(best.lone, jnp.logaddexp(found.other, found.far), found.other)
+        statistic = jnp.minimum(found.fault - self.log_threshold, found.fault - other - jnp.log(COMPETITOR_ODDS))
         rough = noise.spread(carry.noise.variances)
         possible = plausibility.plausible(
             best.sizes[0],
@@ -388,11 +393,13 @@ class JumpBank:
         width = jnp.clip(DISTURBANCE_SCALE * jnp.sqrt(noise.spread(variances)), *DISTURBANCE_RANGE)
         logbf, nu, own = hypotheses.log_bayes_factors(hyp, bank.C, bank.z, lo, hi, width, effect)
         # The model is right to a few percent: overwhelming evidence must not hang on its last decimals.
-        logbf = logbf * (TRUST / (TRUST + jnp.maximum(logbf.max(), 0.0)))
+        far = hypotheses.disturbances(hyp, bank.C, bank.z, hypotheses.FAR * width)
+        share = TRUST / (TRUST + jnp.maximum(logbf.max(), 0.0))
         live = bank.age >= 0
-        logbf = jnp.where(live[:, None], logbf, -50.0)
+        logbf, far = (jnp.where(live[:, None], share * b, -50.0) for b in (logbf, far))
         slot_weight = jnp.log(jnp.asarray(self.jumps.stride, float))
         per_slot = logbf + slot_weight[:, None] + jnp.log(jnp.asarray(hyp.weight))[None, :]
+        far = far + slot_weight[:, None] + np.log(hypotheses.FAR_SHARE * hypotheses.WEIGHT["disturbance"])
         # With a rotor gone the vehicle flies at its limits: only that rotor itself is still judged.
         # While the change of a known loss is being measured, no other rotor can slip in.
         gone = active & (theta > DEAD)
@@ -409,8 +416,19 @@ class JumpBank:
         share = jnp.where(fault, jnp.exp(evidence - f_top), 0.0)
         o_top = jnp.max(jnp.where(fault, -jnp.inf, evidence))
         other = o_top + jnp.log(jnp.where(fault, 0.0, jnp.exp(evidence - o_top)).sum())
+        far = far.max() + jnp.log(jnp.exp(far - far.max()).sum())
         return Evidence(
-            evidence, share / share.sum(), f_top + jnp.log(share.sum()), other, logbf, per_slot, nu, own, width, live
+            evidence,
+            share / share.sum(),
+            f_top + jnp.log(share.sum()),
+            other,
+            far,
+            logbf,
+            per_slot,
+            nu,
+            own,
+            width,
+            live,
         )
 
     def _candidate(self, found: Evidence, bank, stand: Standing) -> Candidate:
@@ -446,6 +464,7 @@ class JumpBank:
             (D1 + jnp.where(two, D2, 0.0))[:n] > 0.5,
             jnp.einsum("h,hkr->kr", one_fault, jnp.asarray(self.pick)) * sizes[:, None],
             (mine * (jnp.arange(len(self.hyp.names)) == best)).sum() > 0.5,
+            one_fault @ self.lone > 0.5,
         )
 
     def _detectable(self, bank, live):

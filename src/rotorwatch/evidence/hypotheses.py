@@ -5,8 +5,6 @@ matrix C (q, q) and vector z (q,) of nu (Willsky & Jones 1976). A hypothesis all
 Bayes factor against "no jump", with a Gaussian prior of width w on each direction and rotor losses confined to [lo, hi], is
 
     log BF = z.nu - nu.C.nu / 2  -  1/2 sum log(1 + C_dd|rest w^2)        at the most probable admissible nu
-
-Disturbances have heavy tails: their prior is a mixture of two widths.
 """
 
 from __future__ import annotations
@@ -20,7 +18,7 @@ LOSS_WIDTH, SMALL_WIDTH = 0.3, 0.06
 # Share by which what a loss does to roll, pitch, yaw and thrust may differ from geometry: inflow and battery change thrust, and
 # in moving air rotors that no longer match in speed drag the vehicle round.
 SLOP = (0.1, 0.1, 0.4, 0.3)
-# A calm flight does not show what a manoeuvre or a gust can do: so often a disturbance is so many times its usual size.
+# A calm flight does not show what a manoeuvre or a gust can do: this share of disturbances is so many times their usual size.
 FAR_SHARE, FAR = 0.2, 4.0
 # Prior weights: how often each kind of jump happens, relative to one particular rotor failing. Disturbances are common.
 WEIGHT = {"single": 1.0, "pair": 1e-4, "single_common": 0.02, "disturbance": 3.0}
@@ -143,25 +141,26 @@ def log_bayes_factors(hyp: Hypotheses, C, z, lo, hi, width, effect):
     pa, pb, pair = pairwise(a, b, lo[b], hi[b])
     ma, mb = hyp.mixed.T
     xa, xb, mixed = pairwise(ma, mb, -jnp.ones(n) * 2.0, jnp.ones(n) * 2.0)
-    usual, rare = (
-        jnp.stack([_any_size(C, z, block, prior / by**2) for block in hyp.blocks], axis=1) for by in (1.0, FAR)
-    )
-    free = jnp.logaddexp(usual + np.log(1.0 - FAR_SHARE), rare + np.log(FAR_SHARE))
-    logbf = jnp.concatenate([single, pair, mixed, free], axis=1)
+    logbf = jnp.concatenate([single, pair, mixed, disturbances(hyp, C, z, width)], axis=1)
     nu = jnp.concatenate(
         [jnp.stack([nu1, jnp.zeros_like(nu1)], -1), jnp.stack([pa, pb], -1), jnp.stack([xa, xb], -1)], axis=1
     )
     return logbf, nu, own
 
 
-def _any_size(C, z, block, prior):
-    """Log Bayes factor (W,) of steps of any size in the directions `block`, of prior information `prior` (q,)."""
+def disturbances(hyp: Hypotheses, C, z, width):
+    """Log Bayes factors (W, n_blocks) of steps of the axes' biases, of any sign and about `width` (4,) large."""
     import jax.numpy as jnp
 
-    idx = np.array(block)
-    L = cholesky(C[:, idx][:, :, idx] + jnp.diag(prior[idx]))
-    y = forward(L, z[:, idx])
-    return 0.5 * (y * y).sum(1) - jnp.log(jnp.diagonal(L, axis1=1, axis2=2)).sum(1) + 0.5 * jnp.log(prior[idx]).sum()
+    prior, factors = 1.0 / width**2, []
+    for block in hyp.blocks:
+        idx = np.array(block)
+        own = prior[idx - hyp.n]
+        L = cholesky(C[:, idx][:, :, idx] + jnp.diag(own))
+        y = forward(L, z[:, idx])
+        size = jnp.log(jnp.diagonal(L, axis1=1, axis2=2)).sum(1) - 0.5 * jnp.log(own).sum()
+        factors.append(0.5 * (y * y).sum(1) - size)
+    return jnp.stack(factors, axis=1)
 
 
 def _with_slop(C, z, nu, effect):
