@@ -237,6 +237,22 @@ def test_an_output_that_is_driven_by_something_else():
     assert [(o.rotor, o.kind, o.end) for o in found] == [(3, "overridden", None)]
 
 
+def test_outputs_that_give_way_to_a_limit_are_not_stuck():
+    """One rotor at its limit, as beside a lost one in calm air: the mixer takes from the others, and nothing moves for seconds."""
+    flight, vehicle, _ = hover()
+    time, on = flight["control"].time, flight["control"].time >= 15.0
+    control = flight["control"].values.copy()
+    control[on] = np.array([-0.3, 0.3, 0.25, 0.75])
+    granted = 1.08 * control @ vehicle.mixer.T
+    granted[on] = np.where(granted[on] > 1.0, 1.0, granted[on] - 0.1)
+    command = np.round(command_of(granted, vehicle.curve, 0.97 - 0.001 * time[:, None]))[::5]
+    calm = np.arange(len(command)) > np.argmax(on[::5])
+    command[calm] = command[np.argmax(on[::5])]
+    motors = replace(flight["motors"], values=command)
+    signals = {**flight.signals, "motors": motors, "control": replace(flight["control"], values=control)}
+    assert allocation.overrides(replace(flight, signals=signals), vehicle, ((1.0, 30.0),)) == ()
+
+
 def test_an_override_that_ends():
     flight, vehicle, _ = hover()
     flight = with_output(flight, 4, 12.0, 1000.0, end=16.0)

@@ -29,6 +29,7 @@ GAIN_MEMORY_S = 20.0  # air density changes with height, slowly
 PAIR_WITHIN_S = 0.15  # a command further than this from any control sample has no partner
 PROVEN = 20  # comparisons a mixer must have passed before it can accuse an output
 CONFIRM_S, CONFIRM_SAMPLES = 0.25, 3  # how long an output must differ
+STUCK_S = 1.0  # an output that does not move for this long while it should have, whatever limits the others, is stuck
 SILENT_S = 0.5  # an output that does not move for this long while all others do is stuck
 NOISE_SD = 0.004  # rounding to 1 us, and the controller moving between its own log lines and those of the outputs
 
@@ -262,9 +263,9 @@ def overrides(flight: Flight, vehicle: Vehicle, airborne: Spans) -> tuple[Overri
 
     airborne: ((start, end), ...) in s. With a ``control`` signal that the mixer is seen to follow, an output counts
     when it differs by more than 0.05 of full thrust (and six times the usual difference) for 0.25 s while no rotor is
-    near its limits; limits explain neither an output below its minimum nor one that does not move at all. Without it,
-    only outputs that are off, or constant for 0.5 s while all others move, are found. Loss of effectiveness never
-    shows here: the commands are what is compared. Causal: `detected` is when a live observer would have known.
+    near its limits; limits explain neither an output below its minimum nor one that rests though it is asked to
+    move against the others. Without it, only outputs that are off, or constant for 0.5 s while all others move, are found. Loss of
+    effectiveness never shows here: the commands are what is compared. Causal: `detected` is when a live observer would have known.
     """
     if not flight.has("motors"):
         return ()
@@ -310,6 +311,7 @@ def _departures(flight: Flight, vehicle: Vehicle, airborne: Spans) -> list[Overr
     usual = 6.0 * np.sqrt(power / np.maximum(past, 1))
     limit, still_limit = np.maximum(PART, usual), np.maximum(PART_STILL, usual)
     asked = check.demand - check.deviation
+    own = asked - asked.mean(axis=1, keepdims=True)
     found = []
     for k in range(command.shape[1]):
         others = np.delete(apart, k, axis=1)
@@ -318,7 +320,12 @@ def _departures(flight: Flight, vehicle: Vehicle, airborne: Spans) -> list[Overr
         interior = (command[:, k] > low + 0.01 * span) & (command[:, k] < low + 0.99 * span)
         off = (command[:, k] < low - 0.01 * span) & (asked[:, k] > 2 * FLYING)
         frozen = (check.time - still > 0.5) & interior
-        far = (apart[:, k] > limit) & ((check.free & alone) | off | frozen)
+        # At a limit the mixer takes from all others what it has too much, and in calm air they may rest: stuck is what does not
+        # stir at all while it should have moved against them.
+        rest = _since_moved(check.time, command[:, k], 1e-9)
+        moved = np.abs(own[:, k] - own[np.searchsorted(check.time, rest), k]) > PART
+        dead = (check.time - rest > STUCK_S) & interior & moved
+        far = (apart[:, k] > limit) & ((check.free & alone) | off | dead)
         wrong = proven & flying & (far | (frozen & check.free & alone & (apart[:, k] > still_limit)))
         back = (apart[:, k] < PART) & ~frozen
         for onset, seen, end in _runs(check.time, wrong, back | ~flying, CONFIRM_S, CONFIRM_SAMPLES):
