@@ -18,7 +18,6 @@ its yaw mirrored (on a quad, all other mirror images are one of these two with t
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from os import PathLike
@@ -32,7 +31,7 @@ from rotorwatch.diagnose import READY_KNOWN_S, READY_S, observe
 from rotorwatch.errors import ConfigError
 from rotorwatch.evidence import events, hypotheses
 from rotorwatch.flight import Flight
-from rotorwatch.run import CHUNK, run_built
+from rotorwatch.run import CHUNK, chosen, run_built
 from rotorwatch.ticks import JUDGE, LEARN, Ticks
 from rotorwatch.vehicle import Vehicle
 
@@ -403,22 +402,27 @@ def _announced(table: Ticks, vehicle: Vehicle, shift: float) -> np.ndarray:
     u = np.column_stack([WrenchBalance(B).pack(table), table.mode, table.restart])
     known = default_estimator.parameters(B, (vehicle.identified or {}).get("dynamics"))
     given = {**known, "shift": np.array(shift)}
-    return run_built(_builder(table.dt), given, u, table.wrench, table.valid, _keep_announced)[1]
+    build = _build_fast if table.dt < 0.08 else _build_slow
+    return run_built(build, given, u, table.wrench, table.valid, _keep_announced, backend=chosen(None, "auto"))[1]
 
 
 def _keep_announced(out):
     return out.announced
 
 
-@functools.cache
-def _builder(dt: float) -> Callable:
+def _shifted(p, dt: float):
     """The default estimator with a threshold p["shift"] nats higher: one compiled program for all of them."""
     from rotorwatch.estimators.jump_bank import JumpBank
     from rotorwatch.systems.wrench_balance import WrenchBalance
 
-    def build(p):
-        bank = JumpBank(WrenchBalance(p["B"], (p["x0"], p["P0"])), dt, (p["noise"], p["noise_weight"]))
-        bank.log_threshold = bank.log_threshold + p["shift"]
-        return bank
+    bank = JumpBank(WrenchBalance(p["B"], (p["x0"], p["P0"])), dt, (p["noise"], p["noise_weight"]))
+    bank.log_threshold = bank.log_threshold + p["shift"]
+    return bank
 
-    return build
+
+def _build_fast(p):
+    return _shifted(p, 0.05)
+
+
+def _build_slow(p):
+    return _shifted(p, 0.1)
