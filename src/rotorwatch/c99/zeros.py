@@ -13,10 +13,7 @@ from rotorwatch.c99.indices import regular
 
 MOST = 4096  # elements of a value that is looked at
 SPARSE = 0.4  # share of elements that may be other than zero for a product to be written out term by term
-TABLE, FEW = (
-    64,
-    8,
-)  # elements of a constant from which on it is not kept as a table if only one in so many is other than zero
+TABLE, FEW = 64, 8  # a constant of that many elements is no table if only one in so many is other than zero
 WIDE = 8  # columns of the other factor from which on that is worth its code
 ZERO_AT_ZERO = {"copy", "neg", "abs", "sign", "sqrt", "sin", "tan", "asin", "atan", "sinh", "tanh", "asinh", "atanh", "expm1", "log1p",
                 "floor", "ceil", "square", "to_f", "div"}  # fmt: skip
