@@ -291,6 +291,22 @@ def test_opposite_rotors_of_a_hexa_are_never_named_with_confidence():
         assert out.probability[k].max() < 0.9, method.bank.hyp.names[out.probability[k].argmax()]
 
 
+def test_a_shift_of_thrust_in_steady_hover_may_be_opposite_rotors_but_not_after_a_climb():
+    """Who has just pushed up or down meets other air: the shift that stays is explained by that."""
+    method, n = make("ardupilot-hexa-x"), 6
+    u, y, valid = hover("ardupilot-hexa-x", seed=8, losses=[((0, 1), ONSET, 0.25)])
+    steady, _ = method.over(u, y, valid)
+    assert (steady.opposite.pair >= 0).sum() == 1
+    assert set(method.bank.hyp.rotors[steady.opposite.pair.max()]) in ({0, 1}, {2, 3}, {4, 5})
+    pushed = slice(ONSET - 12, ONSET - 4)
+    u, y = u.copy(), y.copy()
+    u[pushed, n + 3] += 0.4 * n
+    u[pushed, :n] += 0.4
+    y[pushed, 3] += 0.4 * n
+    climbed, _ = method.over(u, y, valid)
+    assert (climbed.opposite.pair < 0).all() and not climbed.announced.any()
+
+
 def test_false_alarms_are_as_rare_as_the_threshold_says():
     """Without a fault the evidence, summed over onset times, grows by no more than one a tick and rotor set on average
     (a Shiryaev-Roberts statistic), so that the threshold bounds how often it is crossed: Markov's inequality."""

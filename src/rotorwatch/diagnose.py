@@ -119,6 +119,7 @@ def diagnose(
     def estimating(share):
         tell(0.3 + 0.6 * share, "estimating")
 
+    tell(0.3, "preparing the estimator (built the first time)")
     if estimator == "default":
         _, out = estimate(table, B, dynamics, estimating)
         limit = threshold(hypotheses.make(len(craft.rotors)), table.dt)

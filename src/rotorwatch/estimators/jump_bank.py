@@ -43,7 +43,9 @@ SUSPICIOUS_PERIOD_S = 60.0  # noise is not learned while there is more evidence 
 # A disturbance that opposite rotors explain as well, within OPPOSITE_NATS, and that came at once: SHARP_NATS likelier than one that
 # builds up; for so long.
 OPPOSITE_NATS, SHARP_NATS, OPPOSITE_S, OPPOSITE_LOSS = 5.0, 2.0, 0.5, 0.03
-TURNING = 0.15  # rad/s of yaw, above which its drag is known too badly for that
+# rad/s of yaw, above which its drag is known too badly for that; and load factor away from 1: who climbs, drops or is tossed about
+# changes the air that all rotors meet
+TURNING, HEAVING = 0.15, 0.2
 OVER, NOTHING = 0.02, 0.6 * plausibility.SMALLEST
 
 
@@ -219,8 +221,8 @@ class JumpBank:
         error = caution.model_error(carry.caution, seen, biases, y, white, n, dt)
         rows = jnp.concatenate([self.system.C(seen.u), self.system.H(seen.u)], axis=1)
         e = y - rows @ s
-        load = u[n + 3] * biases.reshape(4, PER_AXIS)[3, GAIN]
-        missing = plausibility.follow(carry.missing, y[3] - load, valid[3], restart, dt)
+        carried = u[n + 3] * biases.reshape(4, PER_AXIS)[3, GAIN]
+        missing = plausibility.follow(carry.missing, y[3] - carried, u[n + 3] / n, valid[3], restart, dt)
         s, P, bank, innovation, variance = self._updated(
             s, P, bank, rows, y, valid & flying, white + error, seen.teach, caution.calm(memory)
         )
@@ -264,8 +266,8 @@ class JumpBank:
         detectable = self._detectable(told, found.live)
         s, P = self._committed(s, P, told, best, commit)
         s, P, sure_s, absorbed = self._absorbed(s, P, told, found, stand, open_ & (pending < 0))
-        straight = jnp.abs(seen.u[n + 6]) < TURNING
-        opposite, opposite_s = self._opposite(found, told, stand, open_ & (pending < 0) & straight)
+        steady = (jnp.abs(seen.u[n + 6]) < TURNING) & (missing.heave < HEAVING)
+        opposite, opposite_s = self._opposite(found, told, stand, open_ & (pending < 0) & steady)
         s, P, active, learning, theta_var = self._settled(s, P, stand, best, best.hit & commit)
         bank = jumps.forget(bank, commit | absorbed)
         pending = jnp.where(commit, -1, pending)

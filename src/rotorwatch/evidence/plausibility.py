@@ -16,31 +16,36 @@ SMALLEST = 0.015  # loss that is worth an event
 ASKED_SHARE, ASKED_SLACK, ASKED_MOST = 0.25, 0.05, 0.35
 MISSING_SLACK = 0.15  # hover thrusts of one rotor
 FAST_S, SLOW_S = 0.5, 6.0
+HEAVE_S = 8.0  # how long a push up or down is remembered
 SECOND = 0.1
 # A loss that is known wanders with the operating point and the weather: only a step in it is news.
 CHANGE, CHANGE_GONE, GONE = 0.03, 0.3, 0.8
 
 
 class Missing(NamedTuple):
-    """Commanded thrust that the accelerometer does not see, hover thrusts of one rotor: over FAST_S and over SLOW_S."""
+    """Commanded thrust that the accelerometer does not see, hover thrusts of one rotor: over FAST_S and over SLOW_S. heave: how far the
+    load factor was from 1, lately."""
 
     fast: Array
     slow: Array
+    heave: Array
 
 
 def init() -> Missing:
     """Nothing missing."""
-    return Missing(np.float64(0.0), np.float64(0.0))
+    return Missing(np.float64(0.0), np.float64(0.0), np.float64(0.0))
 
 
-def follow(state: Missing, missing, valid, restart, dt: float) -> Missing:
-    """One tick on. missing: commanded thrust minus load factor times its gain, where `valid`."""
+def follow(state: Missing, missing, load, valid, restart, dt: float) -> Missing:
+    """One tick on. missing: commanded thrust minus load factor times its gain, where `valid`; load: that factor."""
     import jax.numpy as jnp
 
+    push = jnp.where(valid, jnp.abs(load - 1.0), 0.0)
     missing = jnp.where(valid, missing, state.slow)
     return Missing(
         jnp.where(restart, missing, state.fast + (missing - state.fast) * (dt / FAST_S)),
         jnp.where(restart, missing, state.slow + (missing - state.slow) * (dt / SLOW_S)),
+        jnp.where(restart, push, jnp.maximum(push, state.heave * np.exp(-dt / HEAVE_S))),
     )
 
 
