@@ -167,8 +167,9 @@ def _events(events: Iterable[Event]) -> str:
             "announced": f"{report.seconds(e.detected_s)} ({e.detected_s - e.onset_s:.2f} s later)",
             "until": "it lasts" if e.end_s is None else report.seconds(e.end_s),
             "loss (95 % interval)": report.losses(e),
+            "as told 2 s later": ", ".join(report.percent(v) for v in e.extra.get("loss_2s", ())),
             "probability": report.probability(e.probability),
-            **{words(str(k)): plain(v) for k, v in e.extra.items() if k != "history"},
+            **{words(str(k)): plain(v) for k, v in e.extra.items() if k not in ("history", "loss_2s")},
         }
         items.append(
             f'<li style="--tint:{tint}"><h3>{number}. {escape(report.sentence(report.kind(e)))}: {escape(who)}</h3>'
