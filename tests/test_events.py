@@ -125,6 +125,22 @@ def test_a_second_rotor_is_an_event_of_its_own():
     assert (second.rotors, second.loss, second.end_s) == ((4,), (0.5,), None)
 
 
+@pytest.mark.parametrize("had, until", [(0.03, 150), (0.25, 90), (0.25, 150)])
+def test_one_of_two_rotors_that_is_well_again_leaves_the_event(had, until):
+    """It had lost something, and that is an event that ended; or it was named for the other's sake, and is named no more."""
+    out, ticks = silence(), table()
+    announce(out, 50, {PAIR[(0, 1)]: 0.97, PAIR[(0, 2)]: 0.03}, age=3)
+    announce(out, until, {SINGLE[1]: 1.0}, age=5)  # the jump back
+    out.active[65:, 0] = out.active[65 : until + 15, 1] = True
+    out.theta[50:, 0], out.theta[50 : until - 4, 1] = 0.4, had
+    found = events.read(out, ticks, HYP)
+    (lasting,) = [e for e in found if e.end_s is None]
+    assert (lasting.rotors, lasting.loss, lasting.alternatives) == ((1,), (0.4,), ())
+    ended = [(e.rotors, e.loss, e.end_s) for e in found if e.end_s is not None]
+    real = had > 0.1 and until == 150
+    assert ended == ([((2,), (had,), pytest.approx(ticks.command_time[145]))] if real else [])
+
+
 def test_a_known_loss_that_grows_is_no_new_event():
     out, ticks = silence(), table()
     announce(out, 50, {SINGLE[0]: 1.0}, age=3)

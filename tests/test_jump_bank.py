@@ -333,3 +333,38 @@ def test_the_threshold_follows_from_a_false_alarm_rate():
     weight = hyp.weight[hyp.fault].sum()
     assert np.exp(jump_bank.threshold(hyp, DT)) * DT / 3600.0 / weight == pytest.approx(hours * jump_bank.GATES)
     assert jump_bank.threshold(hyp, DT, 10 * 3600.0) < jump_bank.threshold(hyp, DT, 100 * 3600.0)
+
+
+def test_no_torque_free_pair_is_added_to_a_known_loss():
+    """A third rotor's loss whose torque passed for a gust leaves a shift of thrust: opposite rotors would explain it, three failures."""
+    n = 6
+    bank = make("ardupilot-hexa-x").bank
+    hyp = bank.hyp
+    B = airframes.named("ardupilot-hexa-x").effectiveness()
+    free = [k for k, (i, j) in enumerate(hyp.pairs) if np.abs(B[:2, i] + B[:2, j]).max() < 0.05]
+    assert len(free) == 3 and np.flatnonzero(np.asarray(bank._torque_free())).tolist() == free
+    table = hover("ardupilot-hexa-x", seed=8, losses=[((0, 1), ONSET, 0.2)])
+    u, y, valid = (np.asarray(a) for a in table)
+    for known in (False, True):
+        carry = bank.init()
+        active = np.arange(n) == 2
+        carry = carry._replace(standing=carry.standing._replace(active=active & known))
+        odds = _evidence_after(bank, carry, u, y, valid, ONSET + 20)
+        barred = odds[n + np.array(free)] < -20.0
+        assert barred.tolist() == [known and 2 not in hyp.pairs[k] for k in free]
+
+
+def _evidence_after(bank, carry, u, y, valid, ticks):
+    """Log odds (n_h,) after so many ticks from `carry` on."""
+    jax = load_jax()
+
+    def tick(carry, row):
+        carry, out = bank.step(carry, *row)
+        return carry, out.decision.log_odds
+
+    # restart would forget what is known
+    u = u.copy()
+    u[:, -1] = 0.0
+    return np.asarray(jax.jit(lambda c, *t: jax.lax.scan(tick, c, t))(carry, u[:ticks], y[:ticks], valid[:ticks])[1])[
+        -1
+    ]

@@ -408,6 +408,10 @@ class JumpBank:
         outside = jnp.asarray(self.membership) @ (~gone).astype(float) > 0.5
         mine = jnp.asarray(self.membership) @ (~active).astype(float) < 0.5
         barred = (gone.any() & outside) | ((stand.pending >= 0) & stand.update & ~mine)
+        # Two more rotors whose torques cancel: that is what is left of a third one's loss when its torque passed for a disturbance.
+        i, j = self.hyp.pairs.T
+        more = self._torque_free() & active.any() & ~active[i] & ~active[j]
+        barred |= jnp.zeros(len(hyp.names), bool).at[self.n + np.arange(len(i))].set(more)
         fault = jnp.asarray(hyp.fault)
         per_slot = jnp.where(barred[None, :] & fault[None, :], -60.0, per_slot)
         prior = jnp.where(mine, KNOWN_BONUS, jnp.where(active.any(), -SECOND_NATS, 0.0))
@@ -511,13 +515,11 @@ class JumpBank:
         many seconds that has been so."""
         import jax.numpy as jnp
 
-        n, (i, j) = self.n, self.hyp.pairs.T
-        B = jnp.asarray(self.system.B)
-        cancel = jnp.abs(B[:2, i] + B[:2, j]).max(axis=0) < 0.05
+        n, pairs = self.n, slice(self.n, self.n + len(self.hyp.pairs))
         slow = jnp.asarray(self.jumps.slow)
-        real = (found.nu[:, n : n + len(i)] > OPPOSITE_LOSS).all(axis=2)
-        usable = ~slow[:, None] & cancel[None, :] & real & found.live[:, None]
-        fit = jnp.where(usable, found.log_bf[:, n : n + len(i)], -50.0)
+        real = (found.nu[:, pairs] > OPPOSITE_LOSS).all(axis=2)
+        usable = ~slow[:, None] & self._torque_free()[None, :] & real & found.live[:, None]
+        fit = jnp.where(usable, found.log_bf[:, pairs], -50.0)
         free_fit = jnp.where(found.live[:, None], found.log_bf[:, len(self.first) :], -50.0)
         best, gradual = fit.max(), free_fit[self.jumps.slow].max()
         sudden = free_fit[~self.jumps.slow].max()
@@ -530,6 +532,13 @@ class JumpBank:
         slot = jnp.argmax(fit[:, pair])
         which = jnp.where(news, n + pair, -1).astype(jnp.int32)
         return Opposite(which, bank.age[slot].astype(float) + 1.0, found.nu[slot, n + pair]), since
+
+    def _torque_free(self):
+        """(n_pairs,) bool: equal losses of these two rotors make no torque in roll and pitch."""
+        import jax.numpy as jnp
+
+        (i, j), B = self.hyp.pairs.T, jnp.asarray(self.system.B)
+        return jnp.abs(B[:2, i] + B[:2, j]).max(axis=0) < 0.05
 
     def _settled(self, s, P, stand: Standing, best: Candidate, hit):
         """After a commitment: what is a loss now, and what a new jump has taken back."""

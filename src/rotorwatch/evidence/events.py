@@ -21,6 +21,8 @@ CERTAIN_OPPOSITE = 0.99  # the same for a pair of opposite rotors: only manoeuvr
 # What the model itself is uncertain of: the thrust curve away from the operating point, equal rotors.
 MODEL_SD, MODEL_SHARE = 0.004, 0.02
 GONE = 0.8
+# One of two rotors that is taken back had failed only if it had lost so much, for so long: else it was an error in the other's share.
+REAL, LASTED_S = 0.1, 5.0
 HIDDEN = 20.0
 
 
@@ -126,7 +128,14 @@ def read(out, ticks: Ticks, hyp: Hypotheses, B: np.ndarray | None = None) -> tup
                 current = None
             for i in np.flatnonzero(active & ~now):
                 record = holder.pop(int(i), None)
-                if record is not None and not any(r is record for r in holder.values()):
+                if record is None:
+                    continue
+                if any(r is record for r in holder.values()):
+                    gone = _left(record, int(i), k, pending_onset)
+                    before = int(np.searchsorted(ticks.time, pending_onset)) - 1
+                    if out.theta[before, i] >= REAL and pending_onset - ticks.time[record.announced] > LASTED_S:
+                        records.append(gone)
+                else:
                     record.end = pending_onset
                     record.last = k
             active = now.copy()
@@ -135,6 +144,17 @@ def read(out, ticks: Ticks, hyp: Hypotheses, B: np.ndarray | None = None) -> tup
     judged = np.flatnonzero(ticks.mode == JUDGE)
     final = int(judged[-1]) if judged.size else len(ticks.time) - 1
     return tuple(_event(r, out, ticks, final, partners) for r in records)
+
+
+def _left(record: Record, rotor: int, k: int, end: float) -> Record:
+    """One of a record's rotors works again at tick k, or never failed: it leaves the record for one of its own, that ended."""
+    record.rotors = tuple(r for r in record.rotors if r != rotor)
+    shares: dict[tuple[int, ...], float] = {}
+    for who, share in record.shares.items():
+        rest = tuple(r for r in who if r != rotor)
+        shares[rest] = shares.get(rest, 0.0) + share
+    record.shares = {who: share for who, share in shares.items() if who}
+    return Record(record.onset, record.announced, (rotor,), {(rotor,): 1.0}, k, end)
 
 
 def sd_of(theta: np.ndarray, sd: np.ndarray) -> np.ndarray:
