@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -40,7 +40,8 @@ class Kept(NamedTuple):
     opposite_loss: Array
 
 
-def _keep(out) -> Kept:
+def kept(out) -> Kept:
+    """The usual selection of a tick's output."""
     import jax.numpy as jnp
 
     e, d = out.estimate, out.decision
@@ -66,6 +67,24 @@ def _estimator(p, dt):
     return JumpBank(WrenchBalance(p["B"], (p["x0"], p["P0"])), dt, (p["noise"], p["noise_weight"]))
 
 
+BUILDERS: dict[float, Callable] = {0.05: _build_fast, 0.1: _build_slow}
+
+
+def builder(dt: float) -> Callable:
+    """build(parameters) of the estimator for ticks of dt seconds, the same function every time. Raises ConfigError when commands are too
+    slow."""
+    if dt not in BUILDERS:
+        raise ConfigError(f"commands every {dt:.1f} s are too slow: log motor outputs at 10 Hz or faster.")
+    return BUILDERS[dt]
+
+
+def inputs(table: Ticks, B: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """u (T, n + 11), y (T, 4), valid (T, 4) of the estimator over ticks."""
+    from rotorwatch.systems.wrench_balance import WrenchBalance
+
+    return np.column_stack([WrenchBalance(B).pack(table), table.mode, table.restart]), table.wrench, table.valid
+
+
 def parameters(B: np.ndarray, dynamics=None) -> dict:
     """The arrays the estimator is built from: geometry B (4, n), and what `learn` found or any multirotor is like."""
     from rotorwatch.evidence import noise
@@ -83,21 +102,14 @@ def parameters(B: np.ndarray, dynamics=None) -> dict:
     }
 
 
-def estimate(table: Ticks, B: np.ndarray, dynamics=None, progress=None, keep=_keep):
+def estimate(table: Ticks, B: np.ndarray, dynamics=None, progress=None, keep=kept):
     """Run the default estimator over ticks: (last carry, stacked outputs). Raises ConfigError when commands are too slow.
 
     As native code where there is a C compiler, which is several times as fast and needs no JAX once it is built; $ROTORWATCH_BACKEND
     says otherwise.
     """
-    from rotorwatch.systems.wrench_balance import WrenchBalance
-
-    if table.dt not in (0.05, 0.1):
-        raise ConfigError(f"commands every {table.dt:.1f} s are too slow: log motor outputs at 10 Hz or faster.")
-    u = np.column_stack([WrenchBalance(B).pack(table), table.mode, table.restart])
-    build = _build_fast if table.dt < 0.08 else _build_slow
-    return run_built(
-        build, parameters(B, dynamics), u, table.wrench, table.valid, keep, progress, backend=chosen(None, "auto")
-    )
+    build, backend = builder(table.dt), chosen(None, "auto")
+    return run_built(build, parameters(B, dynamics), *inputs(table, B), keep, progress, backend=backend)
 
 
 def learn(tables: Sequence[Ticks], B: np.ndarray) -> dict | None:
@@ -112,7 +124,7 @@ def learn(tables: Sequence[Ticks], B: np.ndarray) -> dict | None:
     rows = (np.arange(4)[:, None] * PER_AXIS + np.array([GAIN, DAMPING])).reshape(-1)
     means, precisions, noises = [], [], []
     for table in tables:
-        if (table.mode == JUDGE).sum() * table.dt < 10.0 or table.dt not in (0.05, 0.1):
+        if (table.mode == JUDGE).sum() * table.dt < 10.0 or table.dt not in BUILDERS:
             continue
         carry, _ = estimate(table, B)
         means.append(np.asarray(carry.s)[rows])

@@ -20,7 +20,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rotorwatch import default_estimator
-from rotorwatch.errors import ConfigError
 from rotorwatch.systems.rate_dynamics import G as G0
 from rotorwatch.systems.rate_dynamics import RateDynamics
 from rotorwatch.systems.wrench_balance import DAMPING, GAIN, PER_AXIS, TAU, usual_gains
@@ -120,8 +119,6 @@ def _taught(part: Ticks, B: np.ndarray, dynamics: dict | None) -> tuple[np.ndarr
     """State (20,) and noise variances (4, 4) of the default method: from healthy flights, else after the ticks of `part`."""
     if dynamics:
         return np.array(dynamics["x0"], float), np.array(dynamics["noise"], float)
-    if part.dt not in (0.05, 0.1):
-        raise ConfigError(f"commands every {part.dt:.1f} s are too slow: log motor outputs at 10 Hz or faster.")
     carry, _ = default_estimator.estimate(part, B)
     return np.asarray(carry.s)[: 4 * PER_AXIS], np.asarray(carry.noise.variances)
 

@@ -170,15 +170,13 @@ def _needed(record):
 
 def _table(table: Ticks, B: np.ndarray, rows: slice = slice(None)) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """u, y, valid of the default estimator."""
-    from rotorwatch.systems.wrench_balance import WrenchBalance
-
-    u = np.column_stack([WrenchBalance(B).pack(table), table.mode, table.restart])
-    return u[rows], table.wrench[rows], table.valid[rows]
+    u, y, valid = default_estimator.inputs(table, B)
+    return u[rows], y[rows], valid[rows]
 
 
 def _judged(out) -> Judged:
     """What is kept of the estimator's output of one tick."""
-    return Judged(default_estimator._keep(out), out.plausible)
+    return Judged(default_estimator.kept(out), out.plausible)
 
 
 @functools.lru_cache(maxsize=8)
@@ -223,10 +221,7 @@ def _taught(flown: Sequence[Flown], B: np.ndarray, size: int) -> list[tuple | No
 def _stepped(flown: Sequence[Flown], B: np.ndarray, size: int, tables: list, learned: np.ndarray) -> list[tuple]:
     """The default estimator over tables of the flights: for each its `Judged`, and its state and noise after row `learned`, which is the
     last of its table where it matters."""
-    dt = flown[0].ticks.dt
-    if dt not in (0.05, 0.1):
-        raise ConfigError(f"commands every {dt:.1f} s are too slow: log motor outputs at 10 Hz or faster.")
-    build = default_estimator._build_fast if dt < 0.08 else default_estimator._build_slow
+    build = default_estimator.builder(flown[0].ticks.dt)
     tree, parameters = load_jax().tree, default_estimator.parameters(B)
     if engine() == "native":
         ran = [run_built(build, parameters, u, y, ok, _judged, backend="native") for u, y, ok in tables]

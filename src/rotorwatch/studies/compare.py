@@ -122,12 +122,11 @@ def microseconds(name: str, scenes: Sequence[Scene]) -> float:
     scene = min(scenes, key=lambda s: s.B.shape[1])
     if name == "default":
         table, B = scene.ticks, scene.B
-        from rotorwatch.systems.wrench_balance import WrenchBalance
-
-        u = np.column_stack([WrenchBalance(B).pack(table), table.mode, 0 * table.mode])
-        build = default_estimator._build_fast if table.dt < 0.08 else default_estimator._build_slow
-        rows = _repeated(u, table.wrench, table.valid)
-        return _best(lambda: run_built(build, default_estimator.parameters(B), *rows, select=default_estimator._keep))
+        build, parameters = default_estimator.builder(table.dt), default_estimator.parameters(B)
+        u, y, valid = default_estimator.inputs(table, B)
+        u[:, -1] = 0.0  # a flight repeated is no new flight
+        rows = _repeated(u, y, valid)
+        return _best(lambda: run_built(build, parameters, *rows, select=default_estimator.kept))
     if not scene.hops:
         return float("nan")
     hop = scene.hops[0]

@@ -396,33 +396,29 @@ def _crossed(table: Ticks, out, shift: float) -> np.ndarray:
 
 def _announced(table: Ticks, vehicle: Vehicle, shift: float) -> np.ndarray:
     """(T,) bool: announcements with the threshold `shift` nats higher."""
-    from rotorwatch.systems.wrench_balance import WrenchBalance
-
     B = vehicle.effectiveness()
-    u = np.column_stack([WrenchBalance(B).pack(table), table.mode, table.restart])
     known = default_estimator.parameters(B, (vehicle.identified or {}).get("dynamics"))
     given = {**known, "shift": np.array(shift)}
-    build = _build_fast if table.dt < 0.08 else _build_slow
-    return run_built(build, given, u, table.wrench, table.valid, _keep_announced, backend=chosen(None, "auto"))[1]
+    rows, backend = default_estimator.inputs(table, B), chosen(None, "auto")
+    return run_built(SHIFTED[table.dt], given, *rows, _keep_announced, backend=backend)[1]
 
 
 def _keep_announced(out):
     return out.announced
 
 
-def _shifted(p, dt: float):
-    """The default estimator with a threshold p["shift"] nats higher: one compiled program for all of them."""
-    from rotorwatch.estimators.jump_bank import JumpBank
-    from rotorwatch.systems.wrench_balance import WrenchBalance
-
-    bank = JumpBank(WrenchBalance(p["B"], (p["x0"], p["P0"])), dt, (p["noise"], p["noise_weight"]))
-    bank.log_threshold = bank.log_threshold + p["shift"]
-    return bank
-
-
 def _build_fast(p):
-    return _shifted(p, 0.05)
+    return _shifted(default_estimator.builder(0.05)(p), p)
 
 
 def _build_slow(p):
-    return _shifted(p, 0.1)
+    return _shifted(default_estimator.builder(0.1)(p), p)
+
+
+SHIFTED = {0.05: _build_fast, 0.1: _build_slow}
+
+
+def _shifted(bank, p):
+    """The default estimator with a threshold p["shift"] nats higher: one compiled program for all of them."""
+    bank.log_threshold = bank.log_threshold + p["shift"]
+    return bank
