@@ -1,0 +1,178 @@
+"""Is a sample what its neighbours say it should be? A lone value far off is damage of the log, not of the vehicle.
+
+A log's framing can be whole and a value in it wrong: one bit of one output is enough for a false fault. What a vehicle
+does leaves more than one sample: a step stays, a ramp goes on, an oscillation comes back. So a sample x_i (or two in a
+row) is held against the samples around it:
+
+    r_i = x_i - (the line between the samples before and after, at t_i),      D_i = the difference of these two
+
+It is `lone` when |r_i| > 3 D_i, the neighbours agree with each other and not with it, and |r_i| > SCALES s_i, with s_i
+the median |r| of the samples before, or of those on both sides, whichever is larger. Nothing later than `AHEAD` samples
+counts.
+
+A knock, a kick of the stick or a gust leaves one sample, too, in a slow log, but never in one column alone: all motors
+answer, several axes shake. So a lone value is damage only when nothing else in its record, and none of the signals that
+are coupled with it, jumps at the same time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from rotorwatch.flight import Flight, Signal
+
+SCALES = 8.0
+AGREE = 3.0
+BEFORE = 24  # samples before that say how rough the signal has been
+AHEAD = 7  # samples on each side that say how rough it is here; the nearest two share the value in question
+FAR = 6.0  # typical intervals; a neighbour further away says nothing
+JUMPS = 0.4  # share of what makes a value lone, beyond which another one is seen to jump with it
+ALONE = 0.125  # ... and the same as a share of how far the lone value is off
+HABIT = 0.05  # share of a signal's values beyond which it is not damage but what the signal is like
+HEAVY, LEAST_HEAVY = 0.002, 5  # share and number of lone values of a signal beyond which chance does not explain them
+
+# What no diagnosis would notice is left alone: the least |r|, in the unit of the signal. Signals not named are not judged on.
+FLOORS = {
+    "motors": 0.02,  # of the range; 20 us
+    "control": 0.03,
+    "gyro": 0.1,
+    "rates": 0.1,
+    "accel": 1.0,
+    "attitude": 0.1,
+    "velocity": 1.0,
+    "battery": 0.5,
+    "lift": 0.01,
+    "esc": 300.0,
+}
+COUPLED = ("motors", "control", "gyro", "rates", "accel")
+
+
+def checked(flight: Flight) -> Flight:
+    """The flight with lone values marked invalid, said in its warnings and counted in facts["damage"].
+
+    facts["damage"]: {signal: share of its values that were lone}, only of signals that had any.
+    """
+    signals, warnings, shares, heavy = dict(flight.signals), [], {}, []
+    for name, signal in flight.signals.items():
+        if name not in FLOORS:
+            continue
+        found = _unsupported(name, flight.signals)
+        count = int(np.count_nonzero(found))
+        share = count / max(int(np.count_nonzero(signal.valid)), 1)
+        if not count or share > HABIT:
+            continue
+        signals[name], shares[name] = replace(signal, valid=signal.valid & ~found), share
+        each = "value that does" if count == 1 else "values that do"
+        warnings.append(f"{name} ({signal.source}): {count} {each} not fit the ones before and after ignored.")
+        if count >= LEAST_HEAVY and share > HEAVY:
+            heavy.append(name)
+    if heavy:
+        warnings.append(
+            f"This log is damaged: too many values of {', '.join(heavy)} do not fit for it to be chance. "
+            "Copy the log from the autopilot again."
+        )
+    if not shares:
+        return flight
+    return replace(
+        flight, signals=signals, warnings=(*flight.warnings, *warnings), facts={**flight.facts, "damage": shares}
+    )
+
+
+def _unsupported(name: str, signals: Mapping[str, Signal]) -> np.ndarray:
+    """(n, k) bool: lone values of a signal at which nothing else jumps that would if it had happened."""
+    signal = signals[name]
+    size = _size(signal.time, signal.values, signal.valid, _floor(name, signal))
+    rows, columns = np.nonzero(size > 0.0)
+    if not rows.size or name == "attitude":  # one wrong angle moves all of a quaternion
+        return size > 0.0
+    support = np.zeros(rows.size)
+    for other in {name, *(COUPLED if name in COUPLED else ())} & signals.keys():
+        partner = signals[other]
+        if other != name and partner.columns == signal.columns and partner.source == signal.source:
+            continue  # the same numbers by another name
+        at = rows if other == name else _nearest(partner.time, signal.time[rows])
+        for k in range(partner.values.shape[1]):
+            jump = _jump(partner.time, partner.values[:, k], _floor(other, partner), at)
+            support = np.maximum(support, np.where((other == name) & (k == columns), 0.0, jump))
+    found = np.zeros(size.shape, bool)
+    found[rows, columns] = support < np.maximum(JUMPS, size[rows, columns] * ALONE)
+    return found
+
+
+def lone(time, values, floor: float, valid=None) -> np.ndarray:
+    """(n, k) bool: values (n, k) at times (n,) that fit neither the samples before nor those after; see above.
+
+    floor: the least deviation that counts. valid: (n, k) bool, the values to look at (default: all that are finite).
+    """
+    values = np.asarray(values, float)
+    return _size(np.asarray(time, float), values, np.isfinite(values) if valid is None else valid, floor) > 0.0
+
+
+def _size(time, values, valid, floor: float) -> np.ndarray:
+    """(n, k) how far lone values are off, as a multiple of what makes them lone; 0 for all others."""
+    size = np.zeros(values.shape)
+    for k in range(values.shape[1]):
+        known = np.flatnonzero(valid[:, k])
+        if known.size > 2 * AHEAD:
+            size[known, k] = _alone(time[known], values[known, k], floor)
+    return size
+
+
+def _alone(t: np.ndarray, x: np.ndarray, floor: float) -> np.ndarray:
+    """(n,) as `_size`, of one column without gaps in validity."""
+    near = FAR * max(float(np.median(np.diff(t))), 1e-6)
+    rough = np.abs(_residual(t, x, 1, 1, np.inf)[0])
+
+    def far(before: int, after: int) -> np.ndarray:
+        r, apart = _residual(t, x, before, after, near)
+        size = np.zeros(x.size)
+        at = np.flatnonzero((np.abs(r) > floor) & (np.abs(r) > AGREE * apart))
+        size[at] = np.abs(r[at]) / np.maximum(SCALES * _scale(rough, at), floor)
+        return np.where(size > 1.0, size, 0.0)
+
+    pair = np.minimum(far(1, 2)[:-1], far(2, 1)[1:])
+    return np.maximum(far(1, 1), np.maximum(np.append(pair, 0.0), np.append(0.0, pair)))
+
+
+def _jump(t: np.ndarray, x: np.ndarray, floor: float, at: np.ndarray) -> np.ndarray:
+    """How far the samples `at` are off the line between their neighbours, in the unit of `_size`."""
+    r = np.abs(_residual(t, x, 1, 1, np.inf)[0])
+    return r[at] / np.maximum(SCALES * _scale(r, at), floor)
+
+
+def _nearest(time: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """Index of the sample nearest to each wanted time."""
+    return np.searchsorted(0.5 * (time[1:] + time[:-1]), wanted)
+
+
+def _residual(t, x, before: int, after: int, near: float) -> tuple[np.ndarray, np.ndarray]:
+    """(r, D): of each sample against the line from the one `before` steps before it to the one `after` steps after it.
+
+    r is 0 where one of the two is missing or further away than `near` s for each step.
+    """
+    r, apart = np.zeros(x.size), np.zeros(x.size)
+    a, b = slice(0, x.size - before - after), slice(before + after, x.size)
+    middle = slice(before, x.size - after)
+    width = np.maximum(t[b] - t[a], 1e-9)
+    with np.errstate(over="ignore", invalid="ignore"):
+        apart[middle] = np.abs(x[b] - x[a])
+        r[middle] = x[middle] - x[a] - (x[b] - x[a]) * np.clip((t[middle] - t[a]) / width, 0.0, 1.0)
+    far = (t[middle] - t[a] > near * before) | (t[b] - t[middle] > near * after)
+    r[middle][far] = 0.0
+    return r, apart
+
+
+def _scale(rough: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """How large a residual is usual at the samples `at`: the larger of what was before and what is around."""
+    around = np.concatenate([np.arange(-AHEAD, -2), np.arange(3, AHEAD + 1)])
+    before = np.arange(-BEFORE, -2)
+    last = rough.size - 1
+    here = np.partition(rough[np.clip(at[:, None] + around, 0, last)], around.size // 2, axis=1)[:, around.size // 2]
+    return np.maximum(here, np.median(rough[np.clip(at[:, None] + before, 0, last)], axis=1))
+
+
+def _floor(name: str, signal: Signal) -> float:
+    return 20.0 if name == "motors" and signal.unit == "us" else FLOORS[name]
