@@ -32,12 +32,15 @@ FAR = 6.0  # typical intervals; a neighbour further away says nothing
 JUMPS = 0.4  # share of what makes a value lone, beyond which another one is seen to jump with it
 ALONE = 0.125  # ... and the same as a share of how far the lone value is off
 HABIT = 0.05  # share of a signal's values beyond which it is not damage but what the signal is like
+FITTED, FIT_EVERY = 512, 64  # samples that say how the mixer makes commands of the controller's output, and how often
+PARTNER_S = 0.1  # a command further than this from any output of the controller is not compared
 HEAVY, LEAST_HEAVY = 0.002, 5  # share and number of lone values of a signal beyond which chance does not explain them
 
 # What no diagnosis would notice is left alone: the least |r|, in the unit of the signal. Signals not named are not judged on.
+# In this order: the outputs are held against a control signal that has been cleaned.
 FLOORS = {
-    "motors": 0.02,  # of the range; 20 us
     "control": 0.03,
+    "motors": 0.02,  # of the range; 20 us
     "gyro": 0.1,
     "rates": 0.1,
     "accel": 1.0,
@@ -56,10 +59,13 @@ def checked(flight: Flight) -> Flight:
     facts["damage"]: {signal: share of its values that were lone}, only of signals that had any.
     """
     signals, warnings, shares, heavy = dict(flight.signals), [], {}, []
-    for name, signal in flight.signals.items():
-        if name not in FLOORS:
+    for name in FLOORS:
+        if name not in signals:
             continue
-        found = _unsupported(name, flight.signals)
+        signal = signals[name]
+        found = _unsupported(name, signals)
+        if name == "motors" and "control" in signals:
+            found |= _unasked(signals, found)
         count = int(np.count_nonzero(found))
         share = count / max(int(np.count_nonzero(signal.valid)), 1)
         if not count or share > HABIT:
@@ -94,9 +100,44 @@ def _unsupported(name: str, signals: Mapping[str, Signal]) -> np.ndarray:
         if other != name and partner.columns == signal.columns and partner.source == signal.source:
             continue  # the same numbers by another name
         at = rows if other == name else _nearest(partner.time, signal.time[rows])
-        for k in range(partner.values.shape[1]):
-            jump = _jump(partner.time, partner.values[:, k], _floor(other, partner), at)
-            support = np.maximum(support, np.where((other == name) & (k == columns), 0.0, jump))
+        own = columns if other == name else np.full(rows.size, -1)
+        jumps = _support(partner.time, partner.values, partner.valid, _floor(other, partner), at, own)
+        support = np.maximum(support, jumps)
+    found = np.zeros(size.shape, bool)
+    found[rows, columns] = support < np.maximum(JUMPS, size[rows, columns] * ALONE)
+    return found
+
+
+def _unasked(signals: Mapping[str, Signal], already: np.ndarray) -> np.ndarray:
+    """(n, k) bool: motor commands that are lone in what the rate controller's output does not explain of them.
+
+    In a turbulent flight the commands are rough, but the mixer makes all of them of the same four numbers: commands =
+    W (roll, pitch, yaw, thrust, thrust^2, 1), W by least squares from the `FITTED` samples before each `FIT_EVERY`.
+    """
+    motors, control = signals["motors"], signals["control"]
+    fine = control.valid.all(axis=1)
+    if fine.sum() < FIT_EVERY or len(motors) < FIT_EVERY:
+        return np.zeros_like(already)
+    when = control.time[fine]
+    asked = np.stack([np.interp(motors.time, when, c) for c in control.values[fine].T], axis=1)
+    asked = np.column_stack([asked, asked[:, 3] ** 2, np.ones(len(motors))])
+    near = np.abs(when[_nearest(when, motors.time)] - motors.time) < PARTNER_S
+    known = near[:, None] & motors.valid & ~already
+    rest = motors.values.copy()
+    for start in range(0, len(motors), FIT_EVERY):
+        past = slice(max(0, start - FITTED), start) if start else slice(0, FIT_EVERY)
+        rows = np.flatnonzero(known[past].all(axis=1)) + past.start
+        weights = np.linalg.lstsq(asked[rows], motors.values[rows], rcond=1e-6)[0]
+        block = slice(start, start + FIT_EVERY)
+        rest[block] -= asked[block] @ weights
+    return _without_others(motors.time, rest, known, _floor("motors", motors))
+
+
+def _without_others(time, values, valid, floor: float) -> np.ndarray:
+    """(n, k) bool: lone values in rows where no other column jumps."""
+    size = _size(time, values, valid, floor)
+    rows, columns = np.nonzero(size > 0.0)
+    support = _support(time, values, valid, floor, rows, columns)
     found = np.zeros(size.shape, bool)
     found[rows, columns] = support < np.maximum(JUMPS, size[rows, columns] * ALONE)
     return found
@@ -135,6 +176,17 @@ def _alone(t: np.ndarray, x: np.ndarray, floor: float) -> np.ndarray:
 
     pair = np.minimum(far(1, 2)[:-1], far(2, 1)[1:])
     return np.maximum(far(1, 1), np.maximum(np.append(pair, 0.0), np.append(0.0, pair)))
+
+
+def _support(time, values, valid, floor: float, at, own) -> np.ndarray:
+    """The largest `_jump` at the samples `at` of any column but `own`; what is not valid does not jump."""
+    support = np.zeros(at.size)
+    for k in range(values.shape[1]):
+        known = valid[:, k]
+        if known.any():
+            jump = _jump(time, np.interp(time, time[known], values[known, k]), floor, at)
+            support = np.maximum(support, np.where(own == k, 0.0, jump))
+    return support
 
 
 def _jump(t: np.ndarray, x: np.ndarray, floor: float, at: np.ndarray) -> np.ndarray:

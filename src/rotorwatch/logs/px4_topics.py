@@ -11,7 +11,7 @@ import re
 import numpy as np
 
 from rotorwatch.flight import Message
-from rotorwatch.logs import series
+from rotorwatch.logs import plausible, series
 
 TOPICS = (
     "actuator_armed",
@@ -149,7 +149,8 @@ def _motors(topics: Topics, parameters):
         time, table = found
         fields = [f for f in numbered("control", 12) if f in table]
         values = columns(table, fields)
-        used = np.flatnonzero(np.isfinite(values).any(axis=0))
+        finite = np.isfinite(values).mean(axis=0)
+        used = np.flatnonzero(finite > 0.1 * finite.max())  # a damaged NaN can be a number
         if used.size:
             values = values[:, : count or used[-1] + 1]
             return series.motors(time, values, "1", "actuator_motors", topics.notes), {
@@ -162,17 +163,18 @@ def _motors(topics: Topics, parameters):
             continue
         time, table = found
         values = columns(table, [f for f in numbered("output", 16) if f in table])
-        picked, unit = _outputs(values, parameters, count)
-        if picked and (best is None or _swing(values[:, picked]).sum() > best[0]):
-            best = _swing(values[:, picked]).sum(), time, values[:, picked], unit, instance
+        clean = np.where(plausible.lone(time, values, 1e-3), np.nan, values)  # a wrong value makes no output a rotor
+        picked, unit = _outputs(clean, parameters, count)
+        if picked and (best is None or _swing(clean[:, picked]).sum() > best[0]):
+            best = _swing(clean[:, picked]).sum(), time, values[:, picked], unit, instance, clean[:, picked]
     if best is None:
         return None, facts
-    _, time, values, unit, instance = best
+    _, time, values, unit, instance, clean = best
     source = "actuator_outputs" + (f"[{instance}]" if instance else "")
     facts = {"motors_topic": "actuator_outputs"}
     if unit == "us":
         facts |= _pwm_limits(parameters, values.shape[1])
-    elif np.nanmin(values) < -0.05:
+    elif np.nanmin(clean) < -0.05:
         values, facts["motors_scaled"] = (values + 1) / 2, "-1..1"  # old HIL and lock-step SITL drivers
     return series.motors(time, values, unit, source, topics.notes), facts
 
