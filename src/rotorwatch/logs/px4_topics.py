@@ -11,7 +11,7 @@ import re
 import numpy as np
 
 from rotorwatch.flight import Message
-from rotorwatch.logs import series
+from rotorwatch.logs import publishers, series
 
 TOPICS = (
     "actuator_armed",
@@ -170,11 +170,28 @@ def _motors(topics: Topics, parameters):
     _, time, values, unit, instance = best
     source = "actuator_outputs" + (f"[{instance}]" if instance else "")
     facts = {"motors_topic": "actuator_outputs"}
+    time, values = _one_publisher(topics, time, values, unit, source, facts)
     if unit == "us":
         facts |= _pwm_limits(parameters, values.shape[1])
     elif np.nanmin(values) < -0.05:
         values, facts["motors_scaled"] = (values + 1) / 2, "-1..1"  # old HIL and lock-step SITL drivers
     return series.motors(time, values, unit, source, topics.notes), facts
+
+
+def _one_publisher(topics: Topics, time, values, unit, source, facts):
+    """The samples of the publisher whose outputs reached the motors; `facts` says when nobody can tell which."""
+    found = publishers.tracks(values, 0.01 * (1000.0 if unit == "us" else 1.0))
+    if len(found) == 1:
+        return time, values
+    keep = publishers.flown(values, found)
+    if keep is None:
+        facts["publishers"] = len(found)
+        topics.notes.append(f"{source}: the outputs of two publishers alternate in one instance, and both move")
+        return time, values
+    topics.notes.append(
+        f"{source}: the outputs of two publishers alternate in one instance; the {keep.size} of {len(values)} samples that move were taken"
+    )
+    return time[keep], values[keep]
 
 
 def _outputs(values, parameters, count) -> tuple[list[int], str]:
