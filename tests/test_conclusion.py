@@ -41,8 +41,8 @@ OVERRIDE = dict(kind="output_override", loss=(0.0,), interval=((0.0, 1.0),), rea
         ({"events": ()}, "No rotor lost thrust after take-off. Damage from take-off was not judged."),
         ({"events": (), "judged_s": 1.0}, "This log cannot say."),
         (
-            {"events": (hexa_event(rotors=(1, 2), alternatives=((3, 4),)),)},
-            "or rotors 3 (front left) and 4 (rear right)",
+            {"events": (hexa_event(alternatives=((1, 4),)),)},
+            "rotor 3 (front left), or rotors 1 (right) and 4 (rear right)",
         ),
         ({"events": (), "whole_flight": whole("ambiguous", (3,), 0.3)}, "cannot say which rotor"),
     ],
