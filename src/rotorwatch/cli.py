@@ -153,6 +153,8 @@ def _tuning(path: Path, estimator: str):
 
 def _several(logs: tuple[Path, ...], judge: Callable, pages: list[Path], as_json: bool, quiet: bool) -> int:
     """One line (or one item of a JSON list) per log. A log that fails does not stop the others."""
+    from rotorwatch.diagnosis import SCHEMA
+
     codes, items = [], []
     for i, path in enumerate(logs):
         try:
@@ -167,7 +169,7 @@ def _several(logs: tuple[Path, ...], judge: Callable, pages: list[Path], as_json
             sentence = explain(why)
             say(f"{path}: {sentence}" if str(path) not in sentence else sentence)
             codes.append(ERROR)
-            items.append({"schema": 1, "flight": {"name": str(path)}, "error": sentence})
+            items.append({"schema": SCHEMA, "flight": {"name": str(path)}, "error": sentence})
             if not as_json:
                 show(lambda terminal, p=path: terminal.error_line(str(p), "see the message"))
     if as_json:
