@@ -22,6 +22,7 @@ from rotorwatch.errors import LogError
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.logs import dataflash_events as events
 from rotorwatch.logs import dataflash_rotors as rotors
+from rotorwatch.logs import parameter_ranges
 from rotorwatch.logs.dataflash_binary import BinaryLog, amount
 from rotorwatch.logs.dataflash_clock import Clock, make_clock
 from rotorwatch.logs.dataflash_text import FIRST_LINE, TextLog
@@ -76,7 +77,9 @@ def read(data, name: str, progress=None) -> Flight:
         raise LogError(f"{name}: this is not a DataFlash log; no message definition (FMT) was found in it.")
     clock = make_clock(log.stamps())
     parameters, changes = events.parameters(log, clock)
+    parameters, notes = parameter_ranges.checked(parameters)
     reader = _Signals(log, clock)
+    reader.warnings += [*notes, *rotors.announced(parameters, events.frame_text(log, clock))]
     frame_class, frame_type = rotors.frame(parameters, events.frame_text(log, clock))
     steps = (
         lambda: reader.motors(parameters, frame_class),
@@ -105,7 +108,7 @@ def read(data, name: str, progress=None) -> Flight:
         firmware=version,
         vehicle_type=vehicle,
         parameters=parameters,
-        parameter_changes=changes,
+        parameter_changes=tuple(c for c in changes if parameter_ranges.possible(c[1], c[2])),
         messages=events.messages(log, clock),
         warnings=(*log.warnings, *clock.warnings, *reader.warnings),
         name=name,

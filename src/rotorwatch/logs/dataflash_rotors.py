@@ -24,6 +24,8 @@ FRAME_ROTORS: dict[int, tuple[int, ...]] = {
 FRAME_NAMES = {"QUAD": 1, "HEXA": 2, "OCTA": 3, "OCTA_QUAD": 4, "OCTAQUAD": 4, "Y6": 5, "HELI": 6, "TRI": 7}
 FRAME_NAMES |= {"SINGLE": 8, "COAX": 9, "BICOPTER": 10, "DODECA_HEXA": 12, "DODECAHEXA": 12, "DECA": 14}
 
+FRAME_TYPES = {"PLUS": 0, "X": 1, "V": 2, "H": 3}
+
 
 def frame(parameters: Mapping[str, float], announced: tuple[str, str]) -> tuple[int | None, int | None]:
     """(FRAME_CLASS, FRAME_TYPE) from the parameters or, before Copter 3.5, from FRAME and the announced name."""
@@ -31,6 +33,21 @@ def frame(parameters: Mapping[str, float], announced: tuple[str, str]) -> tuple[
     if not class_:
         class_ = FRAME_NAMES.get(announced[0].upper())
     return (int(class_) if class_ else None), (int(type_) if type_ is not None else None)
+
+
+def announced(parameters: dict[str, float], text: tuple[str, str]) -> list[str]:
+    """Put the frame that the autopilot announces ("Frame: QUAD/X") into parameters that lack theirs; says so.
+
+    Only for firmware that has FRAME_CLASS and FRAME_TYPE at all: one of the two, or the text's second half, is there.
+    """
+    class_, type_ = FRAME_NAMES.get(text[0].upper()), FRAME_TYPES.get(text[1].upper())
+    said = {"FRAME_CLASS": class_, "FRAME_TYPE": type_}
+    lacking = {k: float(v) for k, v in said.items() if k not in parameters and v is not None}
+    if class_ is None or type_ is None or "FRAME" in parameters or not lacking:
+        return []
+    parameters.update(lacking)
+    names = " and ".join(lacking)
+    return [f"{names} not in the log; the frame that the autopilot announced, {text[0]}/{text[1]}, was taken."]
 
 
 def outputs(

@@ -39,14 +39,14 @@ HEAVY, LEAST_HEAVY = 0.002, 5  # share and number of lone values of a signal bey
 # What no diagnosis would notice is left alone: the least |r|, in the unit of the signal. Signals not named are not judged on.
 # In this order: the outputs are held against a control signal that has been cleaned.
 FLOORS = {
-    "control": 0.03,
-    "motors": 0.02,  # of the range; 20 us
-    "gyro": 0.1,
-    "rates": 0.1,
-    "accel": 1.0,
+    "control": 0.01,
+    "motors": 0.006,  # of the range; 6 us
+    "gyro": 0.05,
+    "rates": 0.05,
+    "accel": 0.5,
     "attitude": 0.1,
     "velocity": 1.0,
-    "battery": 0.5,
+    "battery": 0.1,
     "lift": 0.01,
     "esc": 300.0,
 }
@@ -66,6 +66,8 @@ def checked(flight: Flight) -> Flight:
         found = _unsupported(name, signals)
         if name == "motors" and "control" in signals:
             found |= _unasked(signals, found)
+        if name == "battery":
+            found[:, 1:] = False  # current jumps as it likes
         count = int(np.count_nonzero(found))
         share = count / max(int(np.count_nonzero(signal.valid)), 1)
         if not count or share > HABIT:
@@ -227,4 +229,4 @@ def _scale(rough: np.ndarray, at: np.ndarray) -> np.ndarray:
 
 
 def _floor(name: str, signal: Signal) -> float:
-    return 20.0 if name == "motors" and signal.unit == "us" else FLOORS[name]
+    return 1e3 * FLOORS[name] if name == "motors" and signal.unit == "us" else FLOORS[name]

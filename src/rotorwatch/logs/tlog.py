@@ -6,7 +6,7 @@ import numpy as np
 
 from rotorwatch.errors import LogError
 from rotorwatch.flight import Flight, Message
-from rotorwatch.logs import mavlink_frames, series
+from rotorwatch.logs import mavlink_frames, parameter_ranges, series
 from rotorwatch.logs.dataflash_clock import make_clock
 from rotorwatch.logs.px4_topics import MAV_TYPES
 
@@ -286,7 +286,7 @@ def _parameters(log: _Log):
         if log.autopilot == "PX4" and row["param_type"] == 6:  # PX4 sends the bytes of an int32 as they are
             value = value.view("<i4")
         value = float(value)
-        if name.startswith("SIM_") or not np.isfinite(value):
+        if name.startswith("SIM_") or not np.isfinite(value) or not parameter_ranges.possible(name, value):
             continue
         if values.setdefault(name, value) != value:
             if next((v for _, n, v in reversed(changes) if n == name), values[name]) != value:

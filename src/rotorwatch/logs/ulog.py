@@ -10,7 +10,7 @@ import numpy as np
 
 from rotorwatch.errors import LogError
 from rotorwatch.flight import Flight, Message
-from rotorwatch.logs import px4_topics, series
+from rotorwatch.logs import parameter_ranges, px4_topics, series
 
 FORMAT = "PX4 ULog"
 
@@ -39,9 +39,11 @@ def read(data, name: str, progress=None) -> Flight:
     tables = {(d.name, d.multi_id): d.data for d in log.data_list if d.name in px4_topics.TOPICS}
     start, notes = _start(log, tables)
     topics = px4_topics.Topics(tables, start)
-    parameters = {k: float(v) for k, v in log.initial_parameters.items() if _is_parameter(k, v)}
+    parameters, impossible = parameter_ranges.checked(
+        {k: float(v) for k, v in log.initial_parameters.items() if _is_parameter(k, v)}
+    )
     signals, facts = px4_topics.signals(topics, parameters)
-    warnings = [*notes, *topics.notes]
+    warnings = [*notes, *impossible, *topics.notes]
     if damaged:
         warnings.insert(0, "parts of the log are damaged; what is intact was read")
     elif file.cut:
