@@ -28,7 +28,7 @@ PART_STILL = 0.015  # the same for an output that does not move at all
 GAIN_MEMORY_S = 20.0  # air density changes with height, slowly
 PAIR_WITHIN_S = 0.15  # a command further than this from any control sample has no partner
 PROVEN = 20  # comparisons a mixer must have passed before it can accuse an output
-GIVEN_UP = np.linspace(0.0, 1.0, 11)  # shares of tilt and yaw that a mixer at its limits may give up
+GIVEN_UP = np.linspace(0.0, 1.0, 11)  # shares of yaw that a mixer at its limits may give up
 AGREEING = 0.7  # share of the other outputs that must agree on what is common to all before one can be accused
 CONFIRM_S, CONFIRM_SAMPLES = 0.25, 3  # how long an output must differ
 STUCK_S = 1.0  # an output that does not move for this long while it should have, whatever limits the others, is stuck
@@ -120,8 +120,8 @@ class Comparison:
 
     time (m,): of the motor sample. known (m,): when its comparison could be made (the later control sample has come).
     demand (m, n): logged m(u). asked (m, n): rebuilt, as if outputs had no limits. deviation (m, n): logged minus rebuilt within the
-    limits, whose upper one is top (m, 1). tilt, yaw (m, n): the parts of `asked` that turn the vehicle; yaw_granted (m,): the mixer
-    grants all of the yaw. weights (m, 5, n): (roll, pitch, yaw, throttle, 1) -> demand as known right after this
+    limits, whose upper one is top (m, 1). yaw (m, n): the part of `asked` that is for yaw; yaw_granted (m,): the mixer grants all of
+    it. weights (m, 5, n): (roll, pitch, yaw, throttle, 1) -> demand as known right after this
     sample. trusted (m, n): the rebuilt thrust of this rotor agreed in this sample and the one before.
     """
 
@@ -130,7 +130,6 @@ class Comparison:
     demand: np.ndarray
     asked: np.ndarray
     top: np.ndarray
-    tilt: np.ndarray
     yaw: np.ndarray
     yaw_granted: np.ndarray
     deviation: np.ndarray
@@ -175,9 +174,9 @@ def compare(flight: Flight, vehicle: Vehicle) -> Comparison:
     good = np.abs(deviation) < PART
     trusted = good & np.concatenate([np.zeros_like(good[:1]), good[:-1]])
     known = np.maximum(time, when[after]) if len(time) else time
-    tilt, yaw = (np.einsum("tc,tcr->tr", inputs[:, part], prior[:, part]) for part in (slice(0, 2), slice(2, 3)))
+    yaw = inputs[:, 2:3] * prior[:, 2]
     granted = yaw_granted(flight, vehicle, inputs)
-    return Comparison(time, known, demand, rebuilt, top, tilt, yaw, granted, deviation, weights, trusted)
+    return Comparison(time, known, demand, rebuilt, top, yaw, granted, deviation, weights, trusted)
 
 
 def yaw_granted(flight: Flight, vehicle: Vehicle, control: np.ndarray) -> np.ndarray:
@@ -366,29 +365,23 @@ def _departures(flight: Flight, vehicle: Vehicle, airborne: Spans) -> list[Overr
 
 
 def _alone(check: Comparison, interior: np.ndarray) -> np.ndarray:
-    """(m, n) by how much each output parts from the mixer by itself; NaN where too few of the others follow the mixer.
+    """(m, n) by how much each output parts from the mixer by itself; NaN where nothing can be said.
 
-    Where not all that is asked can be had, a mixer gives up throttle for all outputs alike, then a share of yaw, then a share of the
-    tilt. Outputs that some such choice explains are nobody's fault, nor are outputs that are all off by the same amount (a gain). An
-    output is accused with what is left of its departure under the choice that suits it best, of those under which the others agree.
-    interior (m, n): away from the limits.
+    Where not all that is asked can be had, a mixer gives up throttle, for all outputs alike, and yaw, a share of it. Outputs that this
+    explains are nobody's fault, nor are outputs that are all off by the same amount (a gain). An output is accused with what is left of
+    its departure under the share of yaw that suits it best, of those under which the others agree. Where even throttle and yaw are not
+    enough, each mixer has its own way to give up tilt: nothing is said. interior (m, n): away from the limits.
     """
     alone, agreed = _against_others(check.demand, check.asked, check.top, interior)
-    odd = np.flatnonzero(~(np.abs(alone) < PART).all(axis=1))
-    demand, asked, top, inside = check.demand[odd], check.asked[odd], check.top[odd], interior[odd]
-    limited = ~np.all((asked > 0.005) & (asked < 0.99 * top), axis=1)
-    tilt_max = np.where(limited, 1.0, 0.0)[:, None]
-    yaw_max = np.where(limited | ~check.yaw_granted[odd], 1.0, 0.0)[:, None]
+    odd = np.flatnonzero(~(np.abs(alone) < PART).all(axis=1) & ~check.yaw_granted)
     best = np.where(agreed[odd], alone[odd], np.nan)
-    for tilt_off in GIVEN_UP:
-        for yaw_off in GIVEN_UP:
-            less = tilt_off * tilt_max * check.tilt[odd] + yaw_off * yaw_max * check.yaw[odd]
-            off, agree = _against_others(demand, asked - less, top, inside)
-            nearer = agree & ~(np.abs(off) > np.abs(best))
-            best = np.where(nearer, off, best)
-    alone = alone.copy()
+    for share in GIVEN_UP:
+        asked = check.asked[odd] - share * check.yaw[odd]
+        off, agree = _against_others(check.demand[odd], asked, check.top[odd], interior[odd])
+        best = np.where(agree & ~(np.abs(off) > np.abs(best)), off, best)
     alone[odd] = best
-    return alone
+    possible = np.ptp(check.asked, axis=1) < 0.97 * check.top[:, 0]
+    return np.where(possible[:, None], alone, np.nan)
 
 
 def _against_others(demand, asked, top, interior) -> tuple[np.ndarray, np.ndarray]:

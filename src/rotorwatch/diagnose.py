@@ -8,7 +8,7 @@ from os import PathLike
 
 import numpy as np
 
-from rotorwatch import airframes, allocation, conclusion, detectors, discovery, places, published, ticks
+from rotorwatch import airframes, allocation, conclusion, detectors, discovery, places, published, ticks, trust
 from rotorwatch.airborne import airborne
 from rotorwatch.default_estimator import estimate
 from rotorwatch.diagnosis import Diagnosis, Event, Trace
@@ -21,6 +21,7 @@ from rotorwatch.ticks import JUDGE, Ticks
 from rotorwatch.vehicle import Vehicle
 
 READY_S, READY_KNOWN_S = 8.0, 3.0
+TOUCH_DOWN_S = 1.0  # a contact so near the end of a flight is the landing
 LN10 = float(np.log(10.0))
 
 
@@ -129,10 +130,10 @@ def diagnose(
     lap("estimate_s")
     hyp = hypotheses.make(len(craft.rotors))
     losses = events.read(out, table, hyp, B)
-    overrides = _overrides(flight, craft, air)
-    overridden = {(e.rotors[0]): e for e in overrides}
-    losses = tuple(e for e in losses if not _explained(e, overridden))
-    found = tuple(sorted((*losses, *overrides), key=lambda e: e.detected_s))
+    overrides = _overrides(flight, craft, air, table)
+    losses = tuple(e for e in losses if not _explained(e, overrides))
+    contacts = _contacts(table, air)
+    found = tuple(sorted((*losses, *overrides, *contacts), key=lambda e: e.detected_s))
     lap("events_s")
     whole = _whole_flight(flight, craft, air)
     comparison = detectors.detect(flight, craft, air)
@@ -140,6 +141,7 @@ def diagnose(
     judged = table.mode == JUDGE
     end = conclusion.conclude(
         found, whole, len(craft.rotors), hidden=_hidden(out, table), judged_s=float(judged.sum() * table.dt), places=names,
+        doubts=trust.doubts(flight, craft, air, table),
         leftover=leftover.find(out, table, hyp, limit, found), hops=air,
     )  # fmt: skip
     shift = out.biases[judged, 3]
@@ -207,31 +209,47 @@ def _profile(flight: Flight, table: Ticks | None) -> str:
     return text + (f"; judged every {table.dt:.2f} s" if table is not None else "")
 
 
-def _overrides(flight: Flight, vehicle: Vehicle, air) -> tuple[Event, ...]:
+def _overrides(flight: Flight, vehicle: Vehicle, air, table: Ticks) -> tuple[Event, ...]:
+    """Outputs that do not follow the mixer; none that parts from it only once the vehicle tumbles: by then mixers, failsafes and pilots
+    do what they can."""
+    found = allocation.overrides(flight, vehicle, air)
     return tuple(
         Event(
-            "output_override",
-            (o.rotor,),
-            o.onset,
-            o.detected,
-            o.end,
-            (0.0,),
-            ((0.0, 1.0),),
-            1.0,
-            (),
-            o.reason,
-            {"override": o.kind},
+            "output_override", (o.rotor,), o.onset, o.detected, o.end, (), (), 1.0, (), o.reason, {"override": o.kind}
         )
-        for o in allocation.overrides(flight, vehicle, air)
+        for o in found
+        if not any(start < o.onset <= end for start, end in falls(table, air))
     )
 
 
-def _explained(event: Event, overridden: dict) -> bool:
-    """A loss of a rotor whose output is overridden at that time is the override, not a loss."""
-    return any(
-        r in overridden and overridden[r].onset_s - 1.0 <= event.onset_s <= (overridden[r].end_s or np.inf) + 1.0
-        for r in event.rotors
-    )
+def falls(table: Ticks, air) -> tuple[tuple[float, float], ...]:
+    """For each flight that ends in a fall: from when the vehicle tumbles, to the end."""
+    spans = []
+    for start, end in air:
+        inside = (table.time >= start) & (table.time <= end + table.dt)
+        tumbling = np.flatnonzero(table.upset & inside)
+        if tumbling.size and table.upset[np.flatnonzero(inside)[-1]]:
+            last_calm = np.flatnonzero(~table.upset & inside)
+            begin = tumbling[tumbling > last_calm[-1]] if last_calm.size else tumbling
+            spans.append((float(table.time[begin[0]]), end))
+    return tuple(spans)
+
+
+def _explained(event: Event, overrides: tuple[Event, ...]) -> bool:
+    """A loss that begins while an output is overridden is the override, or what it does to the others."""
+    return any(o.onset_s - 1.0 <= event.onset_s <= (np.inf if o.end_s is None else o.end_s) + 1.0 for o in overrides)
+
+
+def _contacts(table: Ticks, air) -> tuple[Event, ...]:
+    """Knocks in flight; the one that ends it is the landing, or the crash."""
+    return tuple(
+        Event(
+            "contact", (), c.time, c.time, c.time, (), (), 1.0, (), f"something outside the vehicle {c.what}, by {c.size:.1f} {c.unit}",
+            {"size": c.size, "unit": c.unit},
+        )
+        for c in table.contacts
+        if not any(end - TOUCH_DOWN_S < c.time < end + TOUCH_DOWN_S for _, end in air)
+    )  # fmt: skip
 
 
 def _whole_flight(flight: Flight, vehicle: Vehicle, air):
@@ -262,6 +280,7 @@ def _trace(out, table: Ticks, hyp, air, ready_s: float, limit: float) -> Trace:
     pairs = [i for i, kind in enumerate(hyp.kinds) if kind == "pair"]
     evidence["best pair"] = out.log_odds[:, pairs].max(axis=1) / LN10
     blind = [(a, min(a + ready_s, b), "learning after take-off") for a, b in air]
+    blind += [(c.time, c.time + ready_s, "learning after a contact") for c in table.contacts]
     for start, end in _spans(table.time, table.upset & (table.mode > 0)):
         blind.append((start, end, "upset: hover physics does not hold"))
     return Trace(

@@ -204,9 +204,12 @@ def curve(flight: Flight, notes: list[str]) -> ThrustCurve:
         if "MOT_SPIN_MAX" not in p:
             notes.append("The log has no MOT_SPIN_MIN/MAX: ArduPilot's defaults 0.15 and 0.95 assumed.")
     else:
-        # Before 3.5 the thrust curve starts at THR_MIN and MOT_THST_MAX is a share of what lies above it.
+        # Before 3.5 the thrust curve starts at THR_MIN and MOT_THST_MAX is a share of what lies above it; up to 3.2 outputs end at
+        # MOT_TCRV_MAXPCT of the whole range.
         start = p["THR_MIN"] / 1000.0
         full = start + (1.0 - start) * p.get("MOT_THST_MAX", 0.95)
+        if "MOT_TCRV_MAXPCT" in p:
+            full = p["MOT_TCRV_MAXPCT"] / 100.0 if p.get("MOT_TCRV_ENABLE", 1.0) else 1.0
     if not 0 <= start < full <= 1.0:
         start, full = 0.15, 0.95
         notes.append("MOT_SPIN_MIN/MAX in the log make no sense: ArduPilot's defaults 0.15 and 0.95 assumed.")
