@@ -141,9 +141,7 @@ def _tlog(data: bytes) -> Records:
             body_end = start + head + data[start + 1]
             signed = 13 if data[start] == 0xFD and data[start + 2] & 1 else 0
             known = size if offset + size <= data[start + 1] else 0  # MAVLink 2 cuts zeros off the end
-            rows.append(
-                (start - 8, body_end + 2 + signed, start + head, body_end, start + head + offset, known)
-            )
+            rows.append((start - 8, body_end + 2 + signed, start + head, body_end, start + head + offset, known))
             extras.append(layouts[message].crc_extra)
     order = np.argsort([r[0] for r in rows], kind="stable")
     table, extra = np.array(rows, np.int64).reshape(-1, 6)[order], np.array(extras)[order]

@@ -20,10 +20,11 @@ from rotorwatch.errors import ConfigError, RotorwatchError
 
 OUTCOMES = ("same", "inconclusive", "ambiguous", "missed", "rejected", "false fault", "wrong rotor", "FAILED")
 """Same verdict and rotors; three ways to say less; a sentence instead of an answer; three that must not be."""
+WRONG = OUTCOMES[-3:]
 KINDS = tuple(damage.KINDS)
 
 
-def framed(
+def fuzz_framed(
     path: str | os.PathLike,
     damages: int = 20,
     share: float = 0.05,
@@ -57,7 +58,7 @@ def framed(
         said = what if isinstance(what, dict) else {"what": what, "seconds": timeout_s}
         table[KINDS[number % len(KINDS)]][outcome] += 1
         slowest = max(slowest, said["seconds"])
-        if outcome in OUTCOMES[-3:]:
+        if outcome in WRONG:
             failures.append(
                 {"number": number, "kind": KINDS[number % len(KINDS)], "outcome": outcome, "what": said["what"]}
             )

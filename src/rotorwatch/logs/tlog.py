@@ -57,7 +57,7 @@ def read(data, name: str, progress=None) -> Flight:
         messages=tuple(sorted((m for m in _messages(log) if m.time <= end + 1), key=lambda m: m.time)),
         warnings=tuple(log.notes),
         start_us=int(log.start_us),
-        facts={**facts, "mav_type": log.vehicle},
+        facts={**facts, "mav_type": log.vehicle, "clock_jumps": log.clock_jumps},
     )
 
 
@@ -118,7 +118,7 @@ class _Log:
         sequence = np.argsort(place, kind="stable")
         clock = make_clock(raw[sequence])
         self.notes += [w.rstrip(".") for w in clock.warnings]
-        self.start_us = clock.start_us
+        self.start_us, self.clock_jumps = clock.start_us, list(clock.jumps)
         fine, fixed = np.empty(raw.size, bool), np.empty(raw.size)
         fine[sequence] = clock.good & np.isfinite(raw[sequence])
         fixed[sequence] = clock.start_us + clock.time * 1e6
