@@ -252,3 +252,17 @@ def test_the_study_refuses_what_it_cannot_damage(tmp_path):
         fuzz_framed(tmp_path / "a.csv", jobs=0)
     with pytest.raises(ConfigError, match="share"):
         fuzz_framed(SAMPLE, share=0.0, jobs=0)
+
+
+@pytest.mark.parametrize("wrong", [34.5, 32.0, 35.0, 50.0, 2.0])
+def test_one_bit_of_a_servo_function_is_no_other_rotor(wrong):
+    """35 is motor 3, which output 3 says it is, too."""
+    from rotorwatch.logs import dataflash_rotors, parameter_ranges
+
+    functions = {f"SERVO{k}_FUNCTION": 32.0 + k for k in range(1, 5)} | {"SERVO2_FUNCTION": wrong}
+    fine, _ = parameter_ranges.checked(functions)
+    outputs, notes = dataflash_rotors.outputs(fine, 1, {})
+    if wrong != 2.0:  # two bits away: that output is something else
+        assert outputs == {1: 1, 2: 2, 3: 3, 4: 4} and notes
+    else:
+        assert 2 not in outputs

@@ -14,9 +14,10 @@ from pathlib import Path
 
 import numpy as np
 
-from rotorwatch import damage, fuzz
+from rotorwatch import damage
 from rotorwatch.diagnosis import Diagnosis
 from rotorwatch.errors import ConfigError, RotorwatchError
+from rotorwatch.fuzz import Mutations, here, load, pool
 
 OUTCOMES = ("same", "inconclusive", "ambiguous", "missed", "rejected", "false fault", "wrong rotor", "FAILED")
 """Same verdict and rotors; three ways to say less; a sentence instead of an answer; three that must not be."""
@@ -43,15 +44,15 @@ def fuzz_framed(
     """
     if not 0.0 < share <= 1.0:
         raise ConfigError(f"--share {share:g}: a share of the records is above 0 and at most 1.")
-    data, name = fuzz.load(path), Path(path).name.removesuffix(".xz").removesuffix(".gz")
+    data, name = load(path), Path(path).name.removesuffix(".xz").removesuffix(".gz")
     damage.records(data, name)  # raises for other formats, before any worker starts
     verdict, sure, named = _answer(_judged(Path(path)))
     task = Task(data, name, seed, 1.0, timeout_s, share, verdict, named)
     total = damages * len(KINDS)
     if jobs == 0:
-        results = fuzz._here(task, total)
+        results = here(task, total)
     else:
-        results = fuzz._pool(task, total, jobs or os.cpu_count() or 1, memory_mb)
+        results = pool(task, total, jobs or os.cpu_count() or 1, memory_mb)
     table = {kind: dict.fromkeys(OUTCOMES, 0) for kind in KINDS}
     failures, slowest = [], 0.0
     for done, (number, outcome, what, _) in enumerate(results, 1):
@@ -78,8 +79,8 @@ def fuzz_framed(
 
 
 @dataclass(frozen=True)
-class Task(fuzz.Task):
-    """As `fuzz.Task`, with the share of records to damage, the intact log's verdict, and all rotors that it names."""
+class Task(Mutations):
+    """As `fuzz.Mutations`, with the share of records to damage, the intact log's verdict, and all rotors that it names."""
 
     share: float
     verdict: str

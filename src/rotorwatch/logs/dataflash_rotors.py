@@ -63,8 +63,9 @@ def outputs(
             functions[int(match.group(1))] = int(value)
     mapped: dict[int, int] = {}
     for output in sorted(functions):
-        if rotor := MOTOR_FUNCTIONS.get(functions[output]):
-            mapped.setdefault(rotor, output)
+        rotor = MOTOR_FUNCTIONS.get(functions[output])
+        if rotor and (rotor not in mapped or rotor == output):
+            mapped[rotor] = output
     expected = FRAME_ROTORS.get(frame_class or 0)
     notes = []
     if mapped and expected:
@@ -73,7 +74,7 @@ def outputs(
             if not (frame_class == 7 and extra == [7]):
                 notes.append(f"Outputs of motors {_listed(extra)} are not part of this frame and were left out.")
         if missing := [k for k in expected if k not in mapped]:
-            free = {k: k for k in missing if not functions.get(k)}
+            free = {k: k for k in missing if not functions.get(k) or _one_bit_off(functions[k], k)}
             mapped |= free
             notes.append(
                 f"The log does not say which output drives motors {_listed(missing)}; "
@@ -92,6 +93,13 @@ def outputs(
             f"Neither outputs nor frame are named in the log; moving outputs {_listed(moving)} were taken as rotors."
         )
     return {rotor + 1: output for rotor, output in enumerate(moving)}, notes
+
+
+def _one_bit_off(function: int, rotor: int) -> bool:
+    """Whether a logged SERVOn_FUNCTION is one wrong bit of a float32 away from that of the rotor."""
+    meant = next(f for f, k in MOTOR_FUNCTIONS.items() if k == rotor)
+    a, b = np.array([function, meant], np.float32).view(np.uint32).tolist()
+    return (a ^ b).bit_count() == 1
 
 
 def _listed(numbers) -> str:

@@ -31,6 +31,7 @@ AHEAD = 7  # samples on each side that say how rough it is here; the nearest two
 FAR = 6.0  # typical intervals; a neighbour further away says nothing
 JUMPS = 0.4  # share of what makes a value lone, beyond which another one is seen to jump with it
 ALONE = 0.125  # ... and the same as a share of how far the lone value is off
+ALONE_IN_AXIS = 0.33  # ... among motors, which share every error of roll, pitch, yaw and thrust
 HABIT = 0.05  # share of a signal's values beyond which it is not damage but what the signal is like
 FITTED, FIT_EVERY = 512, 64  # samples that say how the mixer makes commands of the controller's output, and how often
 PARTNER_S = 0.1  # a command further than this from any output of the controller is not compared
@@ -137,12 +138,12 @@ def _unasked(signals: Mapping[str, Signal], already: np.ndarray) -> np.ndarray:
 
 
 def _without_others(time, values, valid, floor: float) -> np.ndarray:
-    """(n, k) bool: lone values in rows where no other column jumps."""
+    """(n, k) bool: lone values in rows where no other column jumps nearly as far, as all do that one axis moves."""
     size = _size(time, values, valid, floor)
     rows, columns = np.nonzero(size > 0.0)
     support = _support(time, values, valid, floor, rows, columns)
     found = np.zeros(size.shape, bool)
-    found[rows, columns] = support < np.maximum(JUMPS, size[rows, columns] * ALONE)
+    found[rows, columns] = support < np.maximum(JUMPS, size[rows, columns] * ALONE_IN_AXIS)
     return found
 
 
