@@ -224,7 +224,10 @@ def test_what_an_answer_to_a_damaged_log_is_worth():
         def __init__(self, verdict, *events):
             self.verdict, self.events = verdict, [type("E", (), {"rotors": r, "alternatives": a}) for r, a in events]
 
-    healthy, fault = Task(b"", "", 0, 1.0, 1.0, 0.05, "healthy", frozenset()), Task(b"", "", 0, 1.0, 1.0, 0.05, "fault", frozenset({3}))
+    healthy, fault = (
+        Task(b"", "", 0, 1.0, 1.0, 0.05, "healthy", frozenset()),
+        Task(b"", "", 0, 1.0, 1.0, 0.05, "fault", frozenset({3})),
+    )
     assert healthy.compare(Answer("healthy")) == fault.compare(Answer("fault", ((3,), ()))) == "same"
     assert healthy.compare(Answer("fault", ((3,), ()))) == "false fault"
     assert fault.compare(Answer("fault", ((2,), ()))) == "wrong rotor"

@@ -95,8 +95,12 @@ def signals(n=400):
         "motors": Signal(times(n), motors, ("r1", "r2", "r3", "r4"), "us", source="RCOU"),
         "control": Signal(times(n), control, ("roll", "pitch", "yaw", "thrust"), "1", source="RATE"),
         "gyro": Signal(times(n), 0.02 * rng.standard_normal((n, 3)), ("x", "y", "z"), "rad/s", "FRD", "IMU"),
-        "accel": Signal(times(n), [0, 0, -9.8] + 0.1 * rng.standard_normal((n, 3)), ("x", "y", "z"), "m/s^2", "", "IMU"),
-        "lift": Signal(times(n), np.column_stack([np.ones(n), np.linspace(1.0, 0.9, n)]), ("lift_max", "voltage_ratio"), "1"),
+        "accel": Signal(
+            times(n), [0, 0, -9.8] + 0.1 * rng.standard_normal((n, 3)), ("x", "y", "z"), "m/s^2", "", "IMU"
+        ),
+        "lift": Signal(
+            times(n), np.column_stack([np.ones(n), np.linspace(1.0, 0.9, n)]), ("lift_max", "voltage_ratio"), "1"
+        ),
     }
 
 
@@ -116,7 +120,9 @@ def test_an_intact_flight_is_the_same_object():
     assert plausible.checked(one) is one
 
 
-@pytest.mark.parametrize(("name", "column", "by"), [("motors", 2, 64.0), ("lift", 1, 0.25), ("gyro", 0, 2.0), ("accel", 2, 20.0)])
+@pytest.mark.parametrize(
+    ("name", "column", "by"), [("motors", 2, 64.0), ("lift", 1, 0.25), ("gyro", 0, 2.0), ("accel", 2, 20.0)]
+)
 def test_one_wrong_value_is_dropped_and_said(name, column, by):
     checked = plausible.checked(flight(**changed(name, 200, column, by)))
     assert np.argwhere(~checked[name].valid).tolist() == [[200, column]]
@@ -171,7 +177,13 @@ def test_a_log_cut_short_keeps_what_was_said_before_the_cut():
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("FRAME_CLASS", 1.5), ("MOT_PWM_MIN", 4.3e12), ("MOT_THST_EXPO", 1e38), ("SERVO3_FUNCTION", 34.25), ("CA_ROTOR_COUNT", 1e9)],
+    [
+        ("FRAME_CLASS", 1.5),
+        ("MOT_PWM_MIN", 4.3e12),
+        ("MOT_THST_EXPO", 1e38),
+        ("SERVO3_FUNCTION", 34.25),
+        ("CA_ROTOR_COUNT", 1e9),
+    ],
 )
 def test_parameters_that_cannot_be_are_not_believed(name, value):
     fine, notes = parameter_ranges.checked({name: value, "WPNAV_SPEED": 500.0})

@@ -61,11 +61,10 @@ def checked(flight: Flight) -> Flight:
     facts["damage"]: {signal: share of its values that were lone}, only of signals that had any.
     """
     signals, warnings, shares, heavy = dict(flight.signals), [], {}, []
-    for name in FLOORS:
-        if name not in signals:
-            continue
-        signal = signals[name]
-        found = _unsupported(name, signals)
+    known = {name: signals[name] for name in FLOORS if name in signals}
+    sizes = {name: _size(s.time, s.values, s.valid, _floor(name, s)) for name, s in known.items()}
+    for name, signal in known.items():
+        found = _unsupported(name, signals, sizes)
         if name == "motors" and "control" in signals:
             found |= _unasked(signals, found)
         if name == "battery":
@@ -91,10 +90,12 @@ def checked(flight: Flight) -> Flight:
     )
 
 
-def _unsupported(name: str, signals: Mapping[str, Signal]) -> np.ndarray:
-    """(n, k) bool: lone values of a signal at which nothing else jumps that would if it had happened."""
-    signal = signals[name]
-    size = _size(signal.time, signal.values, signal.valid, _floor(name, signal))
+def _unsupported(name: str, signals: Mapping[str, Signal], sizes: Mapping[str, np.ndarray]) -> np.ndarray:
+    """(n, k) bool: lone values of a signal at which nothing else jumps that would if it had happened.
+
+    sizes: `_size` of every signal.
+    """
+    signal, size = signals[name], sizes[name]
     rows, columns = np.nonzero(size > 0.0)
     if not rows.size or name == "attitude":  # one wrong angle moves all of a quaternion
         return size > 0.0
@@ -105,7 +106,7 @@ def _unsupported(name: str, signals: Mapping[str, Signal]) -> np.ndarray:
             continue  # the same numbers by another name
         at = rows if other == name else _nearest(partner.time, signal.time[rows])
         own = columns if other == name else np.full(rows.size, -1)
-        jumps = _support(partner.time, partner.values, partner.valid, _floor(other, partner), at, own)
+        jumps = _support(partner.time, partner.values, partner.valid, sizes[other], _floor(other, partner), at, own)
         support = np.maximum(support, jumps)
     found = np.zeros(size.shape, bool)
     found[rows, columns] = support < np.maximum(JUMPS, size[rows, columns] * ALONE)
@@ -116,7 +117,8 @@ def _unasked(signals: Mapping[str, Signal], already: np.ndarray) -> np.ndarray:
     """(n, k) bool: motor commands that are lone in what the rate controller's output does not explain of them.
 
     In a turbulent flight the commands are rough, but the mixer makes all of them of the same four numbers: commands =
-    W (roll, pitch, yaw, thrust, thrust^2, 1), W by least squares from the `FITTED` samples before each `FIT_EVERY`.
+    W (roll, pitch, yaw, thrust, thrust^2, 1), W by least squares for each `FIT_EVERY` samples and the `FITTED` before
+    them (without them, W is not yet known for what the vehicle does for the first time).
     """
     motors, control = signals["motors"], signals["control"]
     fine = control.valid.all(axis=1)
@@ -129,10 +131,9 @@ def _unasked(signals: Mapping[str, Signal], already: np.ndarray) -> np.ndarray:
     known = near[:, None] & motors.valid & ~already
     rest = motors.values.copy()
     for start in range(0, len(motors), FIT_EVERY):
-        past = slice(max(0, start - FITTED), start) if start else slice(0, FIT_EVERY)
-        rows = np.flatnonzero(known[past].all(axis=1)) + past.start
+        block, first = slice(start, start + FIT_EVERY), max(0, start - FITTED)
+        rows = np.flatnonzero(known[first : block.stop].all(axis=1)) + first
         weights = np.linalg.lstsq(asked[rows], motors.values[rows], rcond=1e-6)[0]
-        block = slice(start, start + FIT_EVERY)
         rest[block] -= asked[block] @ weights
     return _without_others(motors.time, rest, known, _floor("motors", motors))
 
@@ -141,7 +142,7 @@ def _without_others(time, values, valid, floor: float) -> np.ndarray:
     """(n, k) bool: lone values in rows where no other column jumps nearly as far, as all do that one axis moves."""
     size = _size(time, values, valid, floor)
     rows, columns = np.nonzero(size > 0.0)
-    support = _support(time, values, valid, floor, rows, columns)
+    support = _support(time, values, valid, size, floor, rows, columns)
     found = np.zeros(size.shape, bool)
     found[rows, columns] = support < np.maximum(JUMPS, size[rows, columns] * ALONE_IN_AXIS)
     return found
@@ -182,21 +183,21 @@ def _alone(t: np.ndarray, x: np.ndarray, floor: float) -> np.ndarray:
     return np.maximum(far(1, 1), np.maximum(np.append(pair, 0.0), np.append(0.0, pair)))
 
 
-def _support(time, values, valid, floor: float, at, own) -> np.ndarray:
-    """The largest `_jump` at the samples `at` of any column but `own`; what is not valid does not jump."""
+def _support(time, values, valid, size, floor: float, at, own) -> np.ndarray:
+    """How far the samples `at` jump in any column but `own`, in the unit of `_size`.
+
+    Against the line between their neighbours where those are valid and not lone themselves; what is not valid does not jump.
+    """
     support = np.zeros(at.size)
     for k in range(values.shape[1]):
-        known = valid[:, k]
-        if known.any():
-            jump = _jump(time, np.interp(time, time[known], values[known, k]), floor, at)
+        good = valid[:, k] & (size[:, k] == 0.0)
+        if good.any():
+            calm = np.interp(time, time[good], values[good, k])
+            r = _residual(time, calm, 1, 1, np.inf)[0]
+            jump = np.abs(r + np.where(valid[:, k], values[:, k] - calm, 0.0))[at]
+            jump /= np.maximum(SCALES * _scale(np.abs(r), at), max(floor, TINY))
             support = np.maximum(support, np.where(own == k, 0.0, jump))
     return support
-
-
-def _jump(t: np.ndarray, x: np.ndarray, floor: float, at: np.ndarray) -> np.ndarray:
-    """How far the samples `at` are off the line between their neighbours, in the unit of `_size`."""
-    r = np.abs(_residual(t, x, 1, 1, np.inf)[0])
-    return r[at] / np.maximum(SCALES * _scale(r, at), max(floor, TINY))
 
 
 def _nearest(time: np.ndarray, wanted: np.ndarray) -> np.ndarray:
