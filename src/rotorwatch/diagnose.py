@@ -154,7 +154,7 @@ def diagnose(
     timing["total_s"] = time.perf_counter() - began
     return _answer(
         end, facts, common, source, assumptions, warnings, timing, estimator=estimator, comparison=comparison,
-        whole_flight=whole, trace=_trace(out, table, hyp, air, ready_s, limit),
+        whole_flight=whole, trace=_trace(out, table, hyp, B, air, ready_s, limit),
     )  # fmt: skip
 
 
@@ -228,8 +228,8 @@ def _hidden(out, table: Ticks) -> np.ndarray:
     return np.minimum(1.0, 1.96 * np.median(out.detectable[judged], axis=0) + events.MODEL_SD)
 
 
-def _trace(out, table: Ticks, hyp, air, ready_s: float, limit: float) -> Trace:
-    sd = events.sd_of(out.theta, out.theta_sd)
+def _trace(out, table: Ticks, hyp, B, air, ready_s: float, limit: float) -> Trace:
+    sd = events.sd_of(out.theta, out.theta_sd, B)
     spread = np.where(out.theta > 0, 1.96 * sd, 1.96 * np.where((table.mode == JUDGE)[:, None], out.detectable, 0.0))
     evidence = {
         name: out.log_odds[:, i] / LN10 for i, name in enumerate(hyp.names) if hyp.kinds[i] in ("single", "disturbance")
