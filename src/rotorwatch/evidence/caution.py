@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch.core import Array
-from rotorwatch.systems.wrench_balance import DAMPING, DAMPING_RATE, GAIN, GAIN_MEAN, PER_AXIS
+from rotorwatch.systems.wrench_balance import AXIS_STATES, DAMPING, DAMPING_RATE, GAIN, GAIN_MEAN, PER_AXIS
 
 GARROTE = 2.5  # how many times its calm level motion must reach to stand out
 LEVEL_MEMORY_S = 10.0
@@ -20,7 +20,10 @@ THRUST_MEMORY_S, TRIM_MEMORY_S = 0.5, 6.0
 # Share by which the motion model may be wrong for a moment, and how many ticks such an error lasts.
 GAIN_ERROR, DAMPING_ERROR = (0.25, 0.25, 0.35, 0.15), 0.3
 ERROR_TICKS = 4.0
-LAG_ERROR_S = 0.015
+LAG_ERROR_S, SNAPSHOT = (
+    0.015,
+    0.15,
+)  # the second: share of a step that a single slow command may be off by, within its tick
 BURST_MEMORY_S, BURST_CLIP, BURST_POWER = 3.0, 6.0, 1.0
 LEAN_S, LASTING_MEMORY_S, LASTING = 1.0, 30.0, 1.0
 GUST_S, GUST_SHARE, LEAST_GAIN = 1.0, 2.0, 0.3
@@ -73,7 +76,7 @@ def init(n: int) -> Memory:
 def look(memory: Memory, u, y, valid, flying, restart, x, variances, n: int, dt: float) -> tuple[Memory, Look]:
     """One tick's inputs u (n + 10,) as `WrenchBalance.pack` lays them out, judged against what was usual.
 
-    x (20,): state; variances (4, 4) of the noise model.
+    x (n_x,): state; variances (4, 4) of the noise model.
     """
     import jax.numpy as jnp
 
@@ -82,7 +85,7 @@ def look(memory: Memory, u, y, valid, flying, restart, x, variances, n: int, dt:
     motion = u[jnp.array([n, n + 1, n + 2, n + 4, n + 5, n + 6])]
     shrink = jnp.maximum(0.0, 1.0 - GARROTE**2 * memory.level / jnp.maximum(motion**2, 1e-12))
     # Motion that gusts have made teaches what the gusts did, not what the vehicle is: it has to need more than they give.
-    gain = jnp.maximum(x.reshape(4, PER_AXIS)[:3, GAIN], LEAST_GAIN * n * GAIN_MEAN[:3])
+    gain = jnp.maximum(x[:AXIS_STATES].reshape(4, PER_AXIS)[:3, GAIN], LEAST_GAIN * n * GAIN_MEAN[:3])
     gusts = (variances[1] + variances[2] + variances[3] * GUST_S)[:3]
     needs = jnp.concatenate([gain * motion[:3], DAMPING_RATE * gain * motion[3:]])
     shrink = jnp.minimum(
@@ -112,7 +115,7 @@ def look(memory: Memory, u, y, valid, flying, restart, x, variances, n: int, dt:
     far = jnp.maximum(jnp.abs(collective - usual) - FAR, 0.0) + jnp.maximum(jnp.abs(u[n + 3] / n - 1.0) - FAR, 0.0)
     new = Memory(
         level,
-        before + away * (dt / THRUST_MEMORY_S),
+        before + away * min(dt / THRUST_MEMORY_S, 1.0),
         thrust_level,
         trim + (part - trim) * (dt / TRIM_MEMORY_S),
         usual + (collective - usual) * (dt / FAR_MEMORY_S),
@@ -121,7 +124,7 @@ def look(memory: Memory, u, y, valid, flying, restart, x, variances, n: int, dt:
         jnp.where(restart, 0.0, memory.lean),
         memory.lasting,
     )
-    teach = jnp.concatenate([teach.reshape(-1), jnp.ones(n)])
+    teach = jnp.concatenate([teach.reshape(-1), jnp.ones(x.size - AXIS_STATES + n)])
     return new, Look(jnp.concatenate([smooth, u[n:]]), teach, far, smooth - collective - memory.trim, collective)
 
 
@@ -150,10 +153,10 @@ def remember(memory: Memory, innovation, variance, ok, dt: float) -> Memory:
 
 
 def model_error(memory: Memory, seen: Look, x, y, white, B, n: int, dt: float):
-    """(4,) variance by which the plant's model may be wrong at this tick; x (20,) state, white (4,) noise variance, B (4, n)."""
+    """(4,) variance by which the plant's model may be wrong at this tick; x (n_x,) state, white (4,) noise variance, B (4, n)."""
     import jax.numpy as jnp
 
-    u, x = seen.u, x.reshape(4, PER_AXIS)
+    u, x = seen.u, x[:AXIS_STATES].reshape(4, PER_AXIS)
     motion = jnp.concatenate([u[n : n + 3], u[n + 3 : n + 4] - n])
     rates = jnp.concatenate([u[n + 4 : n + 7], jnp.zeros(1)])
     missing = jnp.maximum(u[:n] - BELIEVED * u[n + 9], 0.0)  # thrust of each rotor that it may not give
@@ -163,5 +166,5 @@ def model_error(memory: Memory, seen: Look, x, y, white, B, n: int, dt: float):
         + (DAMPING_ERROR * x[:, DAMPING] * rates) ** 2
         + (FAR_ERROR * n * seen.far) ** 2
         + (B * missing[None, :]) ** 2 @ jnp.ones(n)
-        + (LAG_ERROR_S / dt * step) ** 2
+        + (max(LAG_ERROR_S / dt, SNAPSHOT) * step) ** 2
     )
