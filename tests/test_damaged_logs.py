@@ -257,6 +257,14 @@ def test_the_study_refuses_what_it_cannot_damage(tmp_path):
         fuzz_framed(SAMPLE, share=0.0, jobs=0)
 
 
+def test_one_bit_of_the_name_of_a_servo_function_puts_no_two_rotors_on_one_output():
+    """SERVO6_FUNCTION became SERVO7_FUNCTION, and is logged before it."""
+    from rotorwatch.logs import dataflash_rotors
+
+    functions = {f"SERVO{k}_FUNCTION": 32.0 + k for k in range(1, 9) if k != 6} | {"SERVO7_FUNCTION": 38.0}
+    assert dataflash_rotors.outputs(functions, 3, {})[0] == {k: k for k in range(1, 9)}
+
+
 @pytest.mark.parametrize("wrong", [34.5, 32.0, 35.0, 50.0, 2.0])
 def test_one_bit_of_a_servo_function_is_no_other_rotor(wrong):
     """35 is motor 3, which output 3 says it is, too."""

@@ -138,6 +138,29 @@ def test_a_command_that_rough_flight_hides_is_found_by_what_the_mixer_makes_of_t
     assert not plausible.checked(one)["motors"].valid[200, 2]
 
 
+def test_wrong_values_in_records_that_follow_each_other_do_not_support_each_other():
+    one = changed("lift", 200, 1, -0.06)["lift"]
+    values = one.values.copy()
+    values[201, 0] = 0.004
+    lift = Signal(one.time, values, one.columns, "1")
+    assert np.argwhere(~plausible.checked(flight(lift=lift))["lift"].valid).tolist() == [[200, 1], [201, 0]]
+
+
+def test_the_mixer_is_known_for_what_the_vehicle_does_for_the_first_time():
+    """Hover on end, then the first roll: what it teaches of the mixer counts where it is flown."""
+    n = 400
+    rng = np.random.default_rng(5)
+    control = np.column_stack([1e-3 * rng.standard_normal((n, 3)), 0.4 + 1e-4 * rng.standard_normal(n)])
+    control[200:230, 0] += 0.1 * rng.standard_normal(30)
+    mixer = np.array([[-0.5, 0.5, 0.5, 1.0], [0.5, -0.5, 0.5, 1.0], [0.5, 0.5, -0.5, 1.0], [-0.5, -0.5, -0.5, 1.0]])
+    motors = np.round(1100.0 + 800.0 * control @ mixer.T)
+    motors[215, 2] += 64.0
+    kinds = {"motors": (motors, ("r1", "r2", "r3", "r4"), "us"), "control": (control, ("roll", "pitch", "yaw", "thrust"), "1")}
+    made = {k: Signal(times(n), v, c, unit, source=k) for k, (v, c, unit) in kinds.items()}
+    checked = plausible.checked(Flight("test", "ArduPilot", made, 40.0))
+    assert np.argwhere(~checked["motors"].valid).tolist() == [[215, 2]]
+
+
 def test_a_knock_shakes_more_than_one_axis_and_stays():
     knock = changed("accel", 200, [0, 1], [30.0, -20.0]) | changed("gyro", 200, [0], 2.0)
     checked = plausible.checked(flight(**knock))

@@ -75,7 +75,9 @@ def outputs(
                 notes.append(f"Outputs of motors {_listed(extra)} are not part of this frame and were left out.")
         if missing := [k for k in expected if k not in mapped]:
             free = {k: k for k in missing if not functions.get(k) or _one_bit_off(functions[k], k)}
-            mapped |= free
+            # An output drives one rotor: one that is claimed twice is its own rotor's, and the other's name was damaged.
+            twice = {k: k for k, output in mapped.items() if output in free and not functions.get(k)}
+            mapped |= free | twice
             notes.append(
                 f"The log does not say which output drives motors {_listed(missing)}; "
                 "outputs of the same number were assumed."
