@@ -171,6 +171,29 @@ def test_what_cannot_be_flown_is_refused_in_a_sentence(parameters, rotors, says)
         airframes.identify(flight(rotors=rotors, parameters=parameters))
 
 
+@pytest.mark.parametrize(
+    "autopilot, about, says",
+    [
+        ("ArduPilot", {"vehicle_type": "ArduPlane"}, r"fixed-wing aircraft \(ArduPlane\).* multirotors"),
+        ("ArduPilot", {"vehicle_type": "ArduPlane", "parameters": {"Q_ENABLE": 1}}, "VTOL aircraft .*--vehicle FILE"),
+        ("ArduPilot", {"vehicle_type": "ArduRover", "parameters": {"FRAME_CLASS": 1}}, "ground rover"),
+        ("ArduPilot", {"vehicle_type": "ArduRover", "parameters": {"FRAME_CLASS": 2}}, "boat"),
+        ("ArduPilot", {"vehicle_type": "ArduSub", "parameters": {"FRAME_CONFIG": 1}}, "submarine"),
+        ("ArduPilot", {"vehicle_type": "Blimp"}, "airship"),
+        ("ArduPilot", {"vehicle_type": "AntennaTracker"}, "antenna tracker"),
+        ("ArduPilot", {"vehicle_type": "ArduCopter", "parameters": {"FRAME": 0, "H_COL_MIN": 1250}}, "helicopter"),
+        ("PX4", {"parameters": {"MAV_TYPE": 1}}, "fixed-wing"),
+        ("PX4", {"parameters": {"MAV_TYPE": 22, "SYS_AUTOSTART": 13000}}, "VTOL"),
+        ("PX4", {"parameters": {"CA_AIRFRAME": 6, "CA_ROTOR_COUNT": 2}}, r"ground rover \(CA_AIRFRAME 6\)"),
+        ("PX4", {"facts": {"mav_type": 10}}, "ground rover"),
+    ],
+)
+def test_other_vehicles_are_named_as_what_they_are(autopilot, about, says):
+    with pytest.raises(VehicleError, match=says) as caught:
+        airframes.identify(flight(autopilot, **about))
+    assert str(caught.value).startswith("test.bin") and "\n" not in str(caught.value)
+
+
 def test_tables_without_autopilot_are_not_guessed():
     with pytest.raises(VehicleError, match="--vehicle"):
         airframes.identify(flight(autopilot=""))
@@ -269,3 +292,12 @@ def test_damaged_parameters_give_a_vehicle_or_a_sentence(parameters, autopilot, 
 )
 def test_real_logs_are_identified(path, name):
     assert airframes.identify(logs.read(FLIGHTS / path)).name == name
+
+
+@needs_flights
+def test_a_real_plane_is_called_one():
+    path = FLIGHTS / "wild" / "plane-1.bin.xz"
+    if not path.is_file():
+        pytest.skip("this flight is missing")
+    with pytest.raises(VehicleError, match="fixed-wing"):
+        airframes.identify(logs.read(path))

@@ -14,6 +14,7 @@ import tomllib
 from importlib import resources
 from types import ModuleType
 
+from rotorwatch import vehicle_kind
 from rotorwatch.errors import VehicleError
 from rotorwatch.flight import Flight
 from rotorwatch.vehicle import Vehicle
@@ -31,8 +32,11 @@ def modules() -> tuple[ModuleType, ...]:
 def identify(flight: Flight) -> Vehicle:
     """The airframe of a flight.
 
-    Raises VehicleError when nothing in the log names an airframe, or when the frame contradicts the number of outputs.
+    Raises VehicleError when the log is of another kind of vehicle, when nothing in it names an airframe, or when the frame
+    contradicts the number of outputs.
     """
+    if other := vehicle_kind.refusal(flight):
+        raise VehicleError(other)
     for module in modules():
         vehicle = module.identify(flight)
         if vehicle is not None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from rotorwatch import vehicle_kind
 from rotorwatch.flight import Message
 from rotorwatch.logs import px4_outputs, series
 
@@ -122,6 +123,7 @@ def signals(topics: Topics, parameters) -> tuple[dict, dict]:
     }
     motors, facts = _motors(topics, parameters)
     found["motors"] = motors
+    facts |= _kind(topics)
     if found["control"] is not None:
         thrust = found["control"]
         valid = None if thrust.valid is None else thrust.valid[:, 3:]
@@ -135,6 +137,20 @@ def rotor_count(parameters) -> int:
     """Number of rotors by parameter (CA_ROTOR_COUNT, else MAV_TYPE); 0 when neither says."""
     count = int(parameters.get("CA_ROTOR_COUNT", 0))
     return count if 0 < count <= 12 else MAV_TYPES.get(int(parameters.get("MAV_TYPE", 0)), ("", 0))[1]
+
+
+def _kind(topics: Topics) -> dict:
+    """Fact mav_type, from vehicle_status: its system_type (MAV_TYPE), else is_vtol and vehicle_type (1.10 and later)."""
+    found = topics.table("vehicle_status", early=True)
+    if found is None or not found[0].size:
+        return {}
+    usual = {k: float(np.median(found[1][k])) for k in ("system_type", "is_vtol", "vehicle_type") if k in found[1]}
+    if usual.get("system_type", 0) > 0:
+        return {"mav_type": int(usual["system_type"])}
+    if usual.get("is_vtol", 0) > 0:
+        return {"mav_type": vehicle_kind.VTOL}
+    kinds = {2: vehicle_kind.PLANE, 3: vehicle_kind.ROVER}
+    return {"mav_type": kinds[int(usual["vehicle_type"])]} if usual.get("vehicle_type") in kinds else {}
 
 
 def _motors(topics: Topics, parameters):
