@@ -174,12 +174,11 @@ def _motors(topics: Topics, parameters):
             continue
         time, table = found
         reading = px4_outputs.read(columns(table, [f for f in numbered("output", 16) if f in table]), parameters, count)
-        rank = reading and (reading.named, reading.swing)
-        if reading and (best is None or rank > best[0]):
-            best = rank, time, reading, instance
+        if reading and (best is None or (reading.named, reading.swing) > (best[1].named, best[1].swing)):
+            best = time, reading, instance
     if best is None:
         return None, {}
-    _, time, reading, instance = best
+    time, reading, instance = best
     source = "actuator_outputs" + (f"[{instance}]" if instance else "")
     topics.notes += [reading.note] if reading.note else []
     facts = {"motors_topic": "actuator_outputs", **reading.facts}

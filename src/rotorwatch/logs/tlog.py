@@ -189,7 +189,7 @@ def _signals(log: _Log) -> tuple[dict, dict]:
 def _motors(log: _Log):
     """Rotor commands from SERVO_OUTPUT_RAW: outputs by SERVOn_FUNCTION where the log has them, else the first ones."""
     found = log.get("SERVO_OUTPUT_RAW")
-    count = MAV_TYPES[log.vehicle][1]
+    count = MAV_TYPES.get(log.vehicle, ("", 0))[1]
     if found is None:
         return None, {}
     time, table = found
