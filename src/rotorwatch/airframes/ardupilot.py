@@ -244,6 +244,11 @@ def _frame(number: int, kind: int) -> str:
 
 def _old_frame(flight: Flight, notes: list[str]) -> str:
     """Before 3.5 the class was compiled in: the firmware's 'Frame: QUAD' text has it, else the number of motors."""
+    if not flight.rotor_count:
+        raise VehicleError(
+            f"{flight.name or 'The log'} holds no motor outputs (RCOU records, or MOT before ArduCopter 3.2), so its rotors "
+            "cannot be judged; include motors in LOG_BITMASK for the next flight."
+        )
     kind = int(airframes.finite(flight)["FRAME"])
     texts = [m.text for m in flight.messages if m.kind == "text"] + [flight.firmware, flight.vehicle_type]
     for text in texts:

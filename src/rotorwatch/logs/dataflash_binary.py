@@ -127,6 +127,8 @@ class BinaryLog:
     counts: records per message name. warnings: sentences on damage. record_count: intact records.
     """
 
+    preamble: tuple[str, ...] = ()  # only text logs have one
+
     def __init__(self, data, progress: Callable[[float], None] | None = None):
         self._bytes = np.frombuffer(data, np.uint8)
         # There is a record in every 50 bytes or so: the width of positions decides how much memory is used.

@@ -72,8 +72,9 @@ def parameters(log, clock) -> tuple[dict[str, float], tuple[tuple[float, str, fl
 
 def firmware(log, clock) -> tuple[str, str]:
     """(version text, vehicle type such as 'ArduCopter'), empty where the log does not say."""
-    for kind, column in (("VER", "FWS"), ("MSG", "Message")):
-        for _, text in _rows(log, clock, kind, column):
+    for kind, column in (("VER", "FWS"), ("MSG", "Message"), ("", "")):
+        rows = _rows(log, clock, kind, column) if kind else ((0.0, text) for text in log.preamble)
+        for _, text in rows:
             if match := FIRMWARE.search(text):
                 return match.group(0), OLD_NAMES.get(match.group(1), match.group(1))
     return "", ""
