@@ -24,7 +24,7 @@ from rotorwatch.flight import Flight, Signal
 from rotorwatch.logs import dataflash_events as events
 from rotorwatch.logs import dataflash_rotors as rotors
 from rotorwatch.logs import dataflash_untimed as untimed
-from rotorwatch.logs.dataflash_binary import BinaryLog, amount
+from rotorwatch.logs.dataflash_binary import SDLOG2, BinaryLog, amount
 from rotorwatch.logs.dataflash_clock import Clock, make_clock
 from rotorwatch.logs.dataflash_text import FIRST_LINE, TextLog
 from rotorwatch.logs.series import SHAPES, quaternion, steady
@@ -58,6 +58,8 @@ RAW_THROTTLE = 1000.0  # ... and full throttle
 
 def sniff(head: bytes, name: str) -> bool:
     """True when the file starts as a DataFlash log, binary or text; `name` decides only where the start is damaged."""
+    if SDLOG2.search(head):
+        return False  # PX4's, in the same framing
     if 0 <= head.find(FMT_HEADER) < NEAR_START or FIRST_LINE.search(head):
         return True
     return name.lower().endswith(".bin") and FMT_HEADER in head
