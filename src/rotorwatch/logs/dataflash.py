@@ -222,9 +222,15 @@ class _Signals:
             self.outputs, notes = {k: k for k in pwm}, []
         else:
             self.outputs, notes = rotors.outputs(parameters, frame_class, pwm)
+        self.warnings += notes if time.size else []
         if not time.size or not self.outputs:
             return
-        self.warnings += notes
+        if rotors.BY_NUMBER in notes and (asked := self.collective()) is not None:
+            known = [pwm[o] for o in self.outputs.values() if o in pwm]
+            if known and not rotors.follow(time, np.stack(known, axis=1), *asked):
+                self.warnings.append("Those outputs do not follow the throttle: they are no motors and were left out.")
+                self.outputs = {}
+                return
         if absent := [o for o in self.outputs.values() if o not in pwm]:
             self.warnings.append(f"Servo outputs {', '.join(map(str, absent))} are not in the log.")
         missing = np.full(time.size, np.nan)
@@ -320,13 +326,17 @@ class _Signals:
                 time, values, _ = rows
                 self.add("velocity", time, values[:, :3], message)
                 self.add("position", time, values[:, 3:], message)
+        if (asked := self.collective()) is not None:
+            self.add("throttle", asked[0], asked[1][:, None], "CTUN")
+
+    def collective(self):
+        """(time (n,), throttle (n,), 1 is full) of CTUN; None without it."""
         column = next((c for c in ("ThO", "ThrOut") if c in self.log.columns("CTUN")), None)
         rows = self.table("CTUN", (column,)) if column else None
-        if rows is not None:
-            time, values, _ = rows
-            if _typical_peak(values) > 2.0:
-                values = values / RAW_THROTTLE
-            self.add("throttle", time, values, "CTUN")
+        if rows is None:
+            return None
+        time, values, _ = rows
+        return time, (values / RAW_THROTTLE if _typical_peak(values) > 2.0 else values)[:, 0]
 
     def power(self) -> None:
         """Battery 0 (CURR up to 3.5: 3.3 logs it in hundredths) and ArduPilot's lift compensation."""

@@ -115,7 +115,9 @@ def _motors(tables: _Tables, parameters):
     best = None
     for message in ("OUT0", "OUT1"):
         found = tables.get(message, *(f"Out{k}" for k in range(8)))
-        reading = found and px4_outputs.read(found[1], parameters, px4_topics.rotor_count(parameters))
+        if found is None:
+            continue
+        reading = px4_outputs.read(found[1], parameters, px4_topics.rotor_count(parameters))
         if reading and (best is None or reading.swing > best[2].swing):
             best = message, found[0], reading
     if best is None:
@@ -135,7 +137,7 @@ def _attitude(tables: _Tables):
     found = tables.get("ATT", *_ANGLES)
     if found is None:
         return None
-    fine = (np.abs(found[1]) < 7.0).all(axis=1)
+    fine = np.all(np.abs(found[1]) < 7.0, axis=1)
     return series.make(
         "attitude", found[0], series.quaternion(*np.where(fine[:, None], found[1], 0.0).T), "ATT", tables.notes, fine
     )
