@@ -93,7 +93,7 @@ def follow(time: np.ndarray, pulses: np.ndarray, stamps: np.ndarray, throttle: n
     fine = np.isfinite(mean) & np.isfinite(asked)
     if fine.sum() < 20 or np.std(asked[fine]) < LEAST_THROTTLE:
         return True
-    return np.std(mean[fine]) > 0.0 and bool(np.corrcoef(mean[fine], asked[fine])[0, 1] > 0.5)
+    return bool(np.std(mean[fine]) > 0.0 and np.corrcoef(mean[fine], asked[fine])[0, 1] > 0.5)
 
 
 def _listed(numbers) -> str:
