@@ -110,9 +110,9 @@ def _signals(time, table, notes) -> dict:
     def make(kind, values, source, valid=None):
         return None if values is None else series.make(kind, time, values, source, notes, valid)
 
-    motors, valid, source = columns("motor.m1", "motor.m2", "motor.m3", "motor.m4"), None, "motor.m1..m4"
+    motors, valid, origin = columns("motor.m1", "motor.m2", "motor.m3", "motor.m4"), None, "motor.m1..m4"
     if motors is None:
-        motors, valid, source = _mixed(columns, notes)
+        motors, valid, origin = _mixed(columns, notes)
     gyro, acc = columns("gyro.x", "gyro.y", "gyro.z"), columns("acc.x", "acc.y", "acc.z")
     place = columns("stateEstimate.x", "stateEstimate.y", "stateEstimate.z")
     speed = columns("stateEstimate.vx", "stateEstimate.vy", "stateEstimate.vz")
@@ -125,7 +125,7 @@ def _signals(time, table, notes) -> dict:
     volts = columns("pm.vbat") if battery is None else battery * 1e-3
     voltage = None if volts is None else np.column_stack([volts, np.full(time.size, np.nan)])
     found = {
-        "motors": None if motors is None else series.motors(time, motors / _FULL, "1", source, notes, valid),
+        "motors": None if motors is None else series.motors(time, motors / _FULL, "1", origin, notes, valid),
         "gyro": make("gyro", None if gyro is None else np.radians(gyro) * _FLIP, "gyro"),
         "accel": make("accel", accel, source),
         "attitude": make("attitude", attitude, "stateEstimate"),
