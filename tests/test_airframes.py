@@ -157,7 +157,8 @@ def test_old_firmware_without_message_is_counted():
 @pytest.mark.parametrize(
     "parameters, rotors, says",
     [
-        ({"FRAME_CLASS": 7, "FRAME_TYPE": 0}, 4, "tricopter"),
+        ({"FRAME_CLASS": 7, "FRAME_TYPE": 0}, 4, "commands 4 rotors"),
+        ({"FRAME_CLASS": 10}, 4, "bicopter"),
         ({"FRAME_CLASS": 6}, 4, "helicopter"),
         ({"FRAME_CLASS": 99}, 4, "FRAME_CLASS 99"),
         ({"FRAME_CLASS": 2, "FRAME_TYPE": 15}, 6, "FRAME_TYPE 15"),

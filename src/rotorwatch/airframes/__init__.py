@@ -19,8 +19,16 @@ from rotorwatch.errors import VehicleError
 from rotorwatch.flight import Flight
 from rotorwatch.vehicle import Vehicle
 
-KINDS = {2: "quad", 13: "hexa", 14: "octa", 29: "dodecahexa", 35: "deca"}  # MAVLink MAV_TYPE
-WORDS = {"quad": "quad", "hexa": "hexa", "octo": "octa", "octa": "octa", "dodeca": "dodecahexa", "deca": "deca"}
+KINDS = {2: "quad", 15: "tri", 13: "hexa", 14: "octa", 29: "dodecahexa", 35: "deca"}  # MAVLink MAV_TYPE
+WORDS = {
+    "tricopter": "tri",
+    "quad": "quad",
+    "hexa": "hexa",
+    "octo": "octa",
+    "octa": "octa",
+    "dodeca": "dodecahexa",
+    "deca": "deca",
+}
 
 
 def modules() -> tuple[ModuleType, ...]:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import functools
 import math
 import re
+from dataclasses import replace
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from rotorwatch.errors import VehicleError
 from rotorwatch.flight import Flight
 from rotorwatch.vehicle import Rotor, ThrustCurve, Vehicle, coaxial, note_on_coaxial
 
-CLASSES = {1: "quad", 2: "hexa", 3: "octa", 4: "octaquad", 5: "y6", 12: "dodecahexa", 14: "deca"}
+CLASSES = {1: "quad", 2: "hexa", 3: "octa", 4: "octaquad", 5: "y6", 7: "tri", 12: "dodecahexa", 14: "deca"}
 TYPES = {
     **{0: "plus", 1: "x", 2: "v", 3: "h", 4: "vtail", 5: "atail", 6: "plus-rev", 10: "b", 11: "f", 12: "bf-x"},
     **{
@@ -35,7 +36,7 @@ TYPES = {
         21: "cw-x-cor",
     },
 }
-UNSUPPORTED = {6: "a helicopter", 7: "a tricopter", 8: "a single copter", 9: "a coaxial copter", 10: "a bicopter"}
+UNSUPPORTED = {6: "a helicopter", 8: "a single copter", 9: "a coaxial copter", 10: "a bicopter"}
 UNSUPPORTED |= {
     11: "a dual helicopter",
     13: "a quad helicopter",
@@ -43,7 +44,7 @@ UNSUPPORTED |= {
     16: "a scripted frame",
     17: "a scripted frame",
 }
-ROTORS = {"quad": 4, "hexa": 6, "octa": 8, "octaquad": 8, "y6": 6, "dodecahexa": 12, "deca": 10}
+ROTORS = {"tri": 3, "quad": 4, "hexa": 6, "octa": 8, "octaquad": 8, "y6": 6, "dodecahexa": 12, "deca": 10}
 
 # One motor is (angle, yaw factor) or, where the arms are not on a circle, (right, forward, yaw factor).
 CCW, CW = 1.0, -1.0
@@ -121,6 +122,7 @@ FRAMES = {
         *((1, 2 / 3, CCW), (-1, 2 / 3, CW), (-1, 2 / 3, CCW)),
         *((0, -4 / 3, CW), (1, 2 / 3, CW), (0, -4 / 3, CCW)),
     ),
+    "tri": _ring((60, -60, 180), "000"),  # motors 1, 2 and 4; a servo yaws it
     "deca-plus": _ring(_steps(0, 36, 10), "+-" * 5),
     "deca-x": _ring(_steps(18, 36, 10), "+-" * 5),
     "deca-cw-x": _ring(_steps(18, 36, 10), "+-" * 5),
@@ -160,15 +162,18 @@ def identify(flight: Flight) -> Vehicle | None:
         frame = _old_frame(flight, notes)
         source = "FRAME"
     elif (guess := airframes.kind(flight)) is not None:
-        frame, source = f"{guess}-x", "vehicle type"
-        notes.append(f"The log only says that this is a {guess} rotor vehicle: frame {guess} X assumed.")
+        frame, source = "tri" if guess == "tri" else f"{guess}-x", "vehicle type"
+        if guess != "tri":
+            notes.append(f"The log only says that this is a {guess} rotor vehicle: frame {guess} X assumed.")
         if guess == "octa":
             notes.append(
                 "An octa can as well be a + or coaxial frame, and rotor numbers be wrong: give --vehicle FILE."
             )
     else:
         return None
-    return build(frame, curve(flight, notes), source=f"{source} in the log", assumptions=tuple(notes))
+    vehicle = build(frame, curve(flight, notes), source=f"{source} in the log", assumptions=tuple(notes))
+    # What the tilted rear motor must give more is not in the mixer's factors.
+    return replace(vehicle, mixer=None, assumptions=(*notes, TRI_NOTE)) if frame == "tri" else vehicle
 
 
 def build(frame: str, curve: ThrustCurve, source: str = "airframe name", assumptions: tuple[str, ...] = ()) -> Vehicle:
@@ -178,6 +183,8 @@ def build(frame: str, curve: ThrustCurve, source: str = "airframe name", assumpt
     rotors = coaxial(tuple(Rotor(float(x), float(y), int(np.sign(s))) for x, y, s in zip(forward, right, yaw)), below)
     columns = [0.5 * v / max(np.abs(v).max(), 1e-9) for v in (-right, forward, yaw)]
     mixer = np.stack([*columns, np.ones(len(rotors))], axis=1)
+    if frame == "tri":
+        mixer[:2, 1] = 0.5  # AP_MotorsTri.cpp: as much as the rear motor
     if frame in CO_ROTATING:
         mixer[~below] *= 0.9
     return Vehicle(
@@ -231,6 +238,8 @@ def _frame(number: int, kind: int) -> str:
         raise VehicleError(
             f"FRAME_CLASS {number} is not a multirotor frame; describe the airframe with --vehicle FILE."
         )
+    if name == "tri":
+        return name
     if name == "y6":  # every type but B and F is the same default Y6
         return {10: "y6-b", 11: "y6-f"}.get(kind, "y6")
     frame = f"{name}-{TYPES.get(kind, kind)}"
@@ -261,7 +270,9 @@ def _old_frame(flight: Flight, notes: list[str]) -> str:
         notes.append(
             f"The log does not name its frame class: {name} taken from its {flight.rotor_count} motor outputs."
         )
-    if name in ("tri", "heli") or not name:
+    if name == "tri":
+        return name
+    if name == "heli" or not name:
         raise VehicleError(
             "The firmware of this log flies a frame that is not supported: only multirotors with fixed rotors are."
         )
@@ -280,5 +291,9 @@ def _place(motor: tuple) -> tuple[float, float, float]:
     return math.sin(angle), math.cos(angle), yaw
 
 
+TRI_NOTE = (
+    "A tricopter: a servo yaws it, so yaw is not judged, and its outputs are not held against the mixer; "
+    "rotor 3 is motor 4, the rear one."
+)
 DEFAULT_CURVE = ThrustCurve(1150.0, 1950.0, 0.65, known=False)
 NAMES = {f"ardupilot-{frame}": functools.partial(build, frame, DEFAULT_CURVE) for frame in FRAMES}
