@@ -240,9 +240,7 @@ def _frame(number: int, kind: int) -> str:
         )
     if name == "tri":
         return name
-    if name == "y6":  # every type but B and F is the same default Y6
-        return {10: "y6-b", 11: "y6-f"}.get(kind, "y6")
-    frame = f"{name}-{TYPES.get(kind, kind)}"
+    frame = _of_type(name, kind)
     if frame not in FRAMES:
         raise VehicleError(
             f"FRAME_CLASS {number} with FRAME_TYPE {kind} is not a frame of ArduPilot; "
@@ -266,21 +264,47 @@ def _old_frame(flight: Flight, notes: list[str]) -> str:
             name = found.group(1).replace("_", "").lower()
             break
     else:
-        name = {4: "quad", 6: "hexa", 8: "octa"}.get(flight.rotor_count, "")
-        notes.append(
-            f"The log does not name its frame class: {name} taken from its {flight.rotor_count} motor outputs."
-        )
+        classes = {4: ("quad",), 6: ("hexa", "y6"), 8: ("octa", "octaquad")}.get(flight.rotor_count, ("",))
+        name, told = _class_by_outputs(flight, classes, kind)
+        how = "the only one that its outputs can be mixed for" if told else f"its {flight.rotor_count} motor outputs"
+        notes.append(f"The log does not name its frame class: {name} taken from {how}.")
     if name == "tri":
         return name
     if name == "heli" or not name:
         raise VehicleError(
             "The firmware of this log flies a frame that is not supported: only multirotors with fixed rotors are."
         )
-    if name == "y6":
-        return {10: "y6-b", 11: "y6-f"}.get(kind, "y6")
-    if f"{name}-{TYPES.get(kind)}" not in FRAMES:
+    frame = _of_type(name, kind)
+    if frame not in FRAMES:
         raise VehicleError(f"FRAME {kind} is not a {name} frame; describe the airframe with --vehicle FILE.")
-    return f"{name}-{TYPES[kind]}"
+    return frame
+
+
+def _of_type(name: str, kind: int) -> str:
+    """The frame of a class and a FRAME_TYPE; every Y6 but B and F is the same default one."""
+    return {10: "y6-b", 11: "y6-f"}.get(kind, "y6") if name == "y6" else f"{name}-{TYPES.get(kind)}"
+
+
+def _class_by_outputs(flight: Flight, classes: tuple[str, ...], kind: int) -> tuple[str, bool]:
+    """(class, True) when the outputs move as one mixer alone can move them, else (the first class, False).
+
+    A mixer moves n outputs along four directions only. What of their differences lies off those is compared.
+    """
+    motors, thrust = flight["motors"], curve(flight, [])
+    rows = motors.valid.all(axis=1) & (motors.values > thrust.u_min).all(axis=1)
+    able = [c for c in classes if _of_type(c, kind) in FRAMES]
+    if len(able) < 2 or rows.sum() < 50:
+        return able[0] if able else classes[0], False
+    apart = thrust(motors.values[rows])
+    apart = apart - apart.mean(axis=1, keepdims=True)
+    apart = apart - apart.mean(axis=0)
+    off = []
+    for name in able:
+        span, _ = np.linalg.qr(np.array(build(_of_type(name, kind), thrust).mixer, float))
+        off.append(float(np.square(apart - apart @ span @ span.T).sum()))
+    order = np.argsort(off)
+    told = off[order[0]] < OFF_MIXER * off[order[1]]
+    return (able[int(order[0])], True) if told else (able[0], False)
 
 
 def _place(motor: tuple) -> tuple[float, float, float]:
@@ -291,6 +315,7 @@ def _place(motor: tuple) -> tuple[float, float, float]:
     return math.sin(angle), math.cos(angle), yaw
 
 
+OFF_MIXER = 0.25  # of what the next class leaves unexplained: by chance the sums differ by far less
 TRI_NOTE = (
     "A tricopter: a servo yaws it, so yaw is not judged, and its outputs are not held against the mixer; "
     "rotor 3 is motor 4, the rear one."
