@@ -202,6 +202,9 @@ def make(
 
     valid = np.empty((count, 4), bool)
     valid[:, :3] = (some & gyro_ok)[:, None]
+    valid[:, 2] &= bool(
+        np.abs(B[2]).max() > 0.0
+    )  # rotors that make no yaw torque explain none: a servo yaws a tricopter
     valid[:, 3] = some & accel_ok
     mode = np.zeros(count, np.int32)
     restart = np.zeros(count, bool)

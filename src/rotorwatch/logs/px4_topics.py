@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from rotorwatch import vehicle_kind
 from rotorwatch.flight import Message
 from rotorwatch.logs import publishers, px4_outputs, series
 
@@ -122,6 +123,7 @@ def signals(topics: Topics, parameters) -> tuple[dict, dict]:
     }
     motors, facts = _motors(topics, parameters)
     found["motors"] = motors
+    facts |= _kind(topics)
     if found["control"] is not None:
         thrust = found["control"]
         valid = None if thrust.valid is None else thrust.valid[:, 3:]
@@ -135,6 +137,20 @@ def rotor_count(parameters) -> int:
     """Number of rotors by parameter (CA_ROTOR_COUNT, else MAV_TYPE); 0 when neither says."""
     count = int(parameters.get("CA_ROTOR_COUNT", 0))
     return count if 0 < count <= 12 else MAV_TYPES.get(int(parameters.get("MAV_TYPE", 0)), ("", 0))[1]
+
+
+def _kind(topics: Topics) -> dict:
+    """Fact mav_type, from vehicle_status: its system_type (MAV_TYPE), else is_vtol and vehicle_type (1.10 and later)."""
+    found = topics.table("vehicle_status", early=True)
+    if found is None or not found[0].size:
+        return {}
+    usual = {k: float(np.median(found[1][k])) for k in ("system_type", "is_vtol", "vehicle_type") if k in found[1]}
+    if usual.get("system_type", 0) > 0:
+        return {"mav_type": int(usual["system_type"])}
+    if usual.get("is_vtol", 0) > 0:
+        return {"mav_type": vehicle_kind.VTOL}
+    kinds = {2: vehicle_kind.PLANE, 3: vehicle_kind.ROVER}
+    return {"mav_type": kinds[int(usual["vehicle_type"])]} if usual.get("vehicle_type") in kinds else {}
 
 
 def _motors(topics: Topics, parameters):
@@ -158,12 +174,11 @@ def _motors(topics: Topics, parameters):
             continue
         time, table = found
         reading = px4_outputs.read(columns(table, [f for f in numbered("output", 16) if f in table]), parameters, count)
-        rank = reading and (reading.named, reading.swing)
-        if reading and (best is None or rank > best[0]):
-            best = rank, time, reading, instance
+        if reading and (best is None or (reading.named, reading.swing) > (best[1].named, best[1].swing)):
+            best = time, reading, instance
     if best is None:
         return None, {}
-    _, time, reading, instance = best
+    time, reading, instance = best
     source = "actuator_outputs" + (f"[{instance}]" if instance else "")
     topics.notes += [reading.note] if reading.note else []
     facts = {"motors_topic": "actuator_outputs", **reading.facts}

@@ -8,6 +8,7 @@ from rotorwatch.errors import LogError
 from rotorwatch.flight import Flight, Message
 from rotorwatch.logs import mavlink_frames, series
 from rotorwatch.logs.px4_topics import MAV_TYPES
+from rotorwatch.vehicle_kind import OTHERS
 
 FORMAT = "MAVLink tlog"
 
@@ -76,20 +77,20 @@ class _Log:
         self._read_clock()
 
     def _choose_vehicle(self):
-        """The system whose heartbeat, of a vehicle with an autopilot, comes first."""
+        """The multirotor with an autopilot whose heartbeat comes first; without one, the first vehicle of another kind."""
         heartbeat, first = self.layouts["HEARTBEAT"], None
         for system, component, message in self.frames.found:
             if message != heartbeat.id:
                 continue
             beats, order = self.frames.decode(system, component, heartbeat)
-            real = (beats["autopilot"] != _NO_AUTOPILOT) & np.isin(beats["type"], list(MAV_TYPES))
-            if real.any():
-                i = int(np.flatnonzero(real)[0])
-                if first is None or order[i] < first[0]:
-                    first = order[i], system, component, int(beats["autopilot"][i]), int(beats["type"][i])
+            for other, kinds in enumerate((MAV_TYPES, OTHERS.keys() - MAV_TYPES.keys())):
+                at = np.flatnonzero((beats["autopilot"] != _NO_AUTOPILOT) & np.isin(beats["type"], list(kinds)))
+                if at.size and (first is None or (other, order[at[0]]) < first[:2]):
+                    i = int(at[0])
+                    first = other, order[i], system, component, int(beats["autopilot"][i]), int(beats["type"][i])
         if first is None:
             raise LogError("no heartbeat of a multirotor's autopilot is in this telemetry log")
-        _, self.system, self.component, autopilot, self.vehicle = first
+        _, _, self.system, self.component, autopilot, self.vehicle = first
         self.autopilot = _AUTOPILOTS.get(autopilot, f"MAVLink autopilot {autopilot}")
 
     def _read_clock(self):
@@ -188,7 +189,7 @@ def _signals(log: _Log) -> tuple[dict, dict]:
 def _motors(log: _Log):
     """Rotor commands from SERVO_OUTPUT_RAW: outputs by SERVOn_FUNCTION where the log has them, else the first ones."""
     found = log.get("SERVO_OUTPUT_RAW")
-    count = MAV_TYPES[log.vehicle][1]
+    count = MAV_TYPES.get(log.vehicle, ("", 0))[1]
     if found is None:
         return None, {}
     time, table = found
