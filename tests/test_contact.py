@@ -152,7 +152,5 @@ def test_an_announcement_that_a_knock_cut_short_keeps_its_size():
 def test_knocks_in_logs_of_others(name):
     answer = diagnose(WILD / f"{name}.bin.xz")
     assert (
-        (answer.verdict != "fault"
-        and any(e.kind == "contact" for e in answer.events))
-        or answer.verdict == "inconclusive"
-    )
+        answer.verdict != "fault" and any(e.kind == "contact" for e in answer.events)
+    ) or answer.verdict == "inconclusive"

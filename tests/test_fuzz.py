@@ -44,7 +44,7 @@ def test_packed_logs_are_unpacked_before_damage(tmp_path):
 
 
 @dataclass(frozen=True)
-class Evil(fuzz.Task):
+class Evil(fuzz.Mutations):
     """A task that misbehaves in every way a reader could."""
 
     def judged(self, number):
@@ -70,7 +70,7 @@ class Evil(fuzz.Task):
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="limits of memory and time are Linux's")
 def test_workers_that_die_hang_or_eat_memory_are_found_and_replaced(monkeypatch):
     monkeypatch.setattr(fuzz, "GRACE_S", 1.0)
-    results = list(fuzz._pool(Evil(DATA, "a.bin", 0, 0.0, 1.0), 12, 2, 500))
+    results = list(fuzz.pool(Evil(DATA, "a.bin", 0, 0.0, 1.0), 12, 2, 500))
     assert sorted(number for number, *_ in results) == list(range(12))
     failed = {number: what for number, outcome, what, _ in results if outcome == "FAILED"}
     assert sorted(failed) == [1, 2, 3, 4]

@@ -20,7 +20,19 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 # Verbs: functions that live in a module of the same name (rotorwatch/diagnose.py holds diagnose).
-_VERBS = ("airborne", "calibrate", "diagnose", "export_c", "fuzz", "info", "inject", "observability", "run", "tune")
+_VERBS = (
+    "airborne",
+    "calibrate",
+    "diagnose",
+    "export_c",
+    "fuzz",
+    "fuzz_framed",
+    "info",
+    "inject",
+    "observability",
+    "run",
+    "tune",
+)
 # Other names: where each one lives.
 _HOMES = {
     "read": "logs",
@@ -62,6 +74,7 @@ if TYPE_CHECKING:
     from rotorwatch.flight import Message as Message
     from rotorwatch.flight import Signal as Signal
     from rotorwatch.fuzz import fuzz as fuzz
+    from rotorwatch.fuzz_framed import fuzz_framed as fuzz_framed
     from rotorwatch.info import info as info
     from rotorwatch.inject import inject as inject
     from rotorwatch.logs import read as read

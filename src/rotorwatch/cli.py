@@ -350,22 +350,34 @@ def false_alarms(logs, hours, seed, as_json, quiet) -> None:
 @click.option("--mutations", default=10_000, show_default=True, type=click.IntRange(1), help="How many damaged copies.")
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Seed of the damage.")
 @click.option("--jobs", type=click.IntRange(1), help="Worker processes; default: one per processor.")
+@click.option("--framed", is_flag=True, help="Damage inside valid framing; compare each answer with the intact log's.")
+@click.option("--damages", default=20, show_default=True, type=click.IntRange(1), help="With --framed: copies a kind.")
+@click.option("--share", default=0.05, show_default=True, help="With --framed: share of the records damaged.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @common
 @click.pass_context
-def fuzz(context, log, mutations, seed, jobs, as_json, quiet) -> None:
-    """Read damaged copies of LOG, each within limits of time and memory; exit code 1 when any fails badly."""
+def fuzz(context, log, mutations, seed, jobs, framed, damages, share, as_json, quiet) -> None:
+    """Read damaged copies of LOG, each within limits of time and memory; exit code 1 when any fails badly.
+
+    With --framed every record stays a record, but bits of values or time stamps are wrong, or records are missing,
+    doubled or swapped: how robust is the answer for this kind of log? Exit code 1 for any false fault or wrong rotor.
+    """
     from rotorwatch.fuzz import fuzz as run
 
     with progress(quiet) as tell:
-        result = run(log, mutations, seed, jobs, progress=tell)
+        if framed:
+            from rotorwatch.fuzz_framed import fuzz_framed
+
+            result = fuzz_framed(log, damages, share, seed, jobs, progress=tell)
+        else:
+            result = run(log, mutations, seed, jobs, progress=tell)
     if as_json:
         import json
 
         click.echo(json.dumps(result, indent=1, allow_nan=False))
     else:
-        show(lambda terminal: terminal.fuzz(result))
-    context.exit(1 if result["outcomes"]["FAILED"] else 0)
+        show(lambda terminal: (terminal.fuzz_framed if framed else terminal.fuzz)(result))
+    context.exit(1 if result["failures"] else 0)
 
 
 def _read(path: Path, tell: Callable | None) -> Any:

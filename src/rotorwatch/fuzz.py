@@ -45,11 +45,11 @@ def fuzz(
     diagnosed (count), outcomes ({outcome: count}, see OUTCOMES) and failures ([{number, mutation, what}], first 20).
     An outcome is FAILED for any exception other than a RotorwatchError, for a crash, and beyond a limit.
     """
-    task = Task(load(path), Path(path).name.removesuffix(".xz").removesuffix(".gz"), seed, diagnosed, timeout_s)
+    task = Mutations(load(path), Path(path).name.removesuffix(".xz").removesuffix(".gz"), seed, diagnosed, timeout_s)
     if jobs == 0:
-        results = _here(task, mutations)
+        results = here(task, mutations)
     else:
-        results = _pool(task, mutations, jobs or os.cpu_count() or 1, memory_mb)
+        results = pool(task, mutations, jobs or os.cpu_count() or 1, memory_mb)
     outcomes: dict[str, int] = dict.fromkeys(OUTCOMES, 0)
     failures, judged = [], 0
     for done, (number, outcome, what, was_judged) in enumerate(results, 1):
@@ -146,7 +146,7 @@ DAMAGE: dict[str, Callable[[np.ndarray, np.random.Generator], np.ndarray]] = {
 
 
 @dataclass(frozen=True)
-class Task:
+class Mutations:
     """What a worker needs to know: the intact log, its name (for the suffix), seed, share to diagnose, time limit."""
 
     data: bytes
@@ -184,7 +184,7 @@ class Task:
         return ("read with warnings" if flight.warnings else "read"), ""
 
 
-def _here(task: Task, mutations: int):
+def here(task: Mutations, mutations: int):
     """Results from this process."""
     with tempfile.TemporaryDirectory(prefix="rotorwatch-fuzz-") as folder:
         for number in range(mutations):
@@ -195,7 +195,7 @@ class _TooLong(BaseException):
     """Raised by the worker's own clock; no except clause of a reader swallows it."""
 
 
-def _work(pipe, task: Task, folder: str, memory_mb: int) -> None:
+def _work(pipe, task: Mutations, folder: str, memory_mb: int) -> None:
     """A worker: says that it is ready, then numbers in, outcomes out, until the pipe closes. Copies go to `folder`."""
     _limit_memory(memory_mb)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides when to stop
@@ -239,7 +239,7 @@ def _limit_memory(memory_mb: int) -> None:
 class _Worker:
     """One worker process, its pipe, and the mutation it is busy with."""
 
-    def __init__(self, context: Any, task: Task, root: str, memory_mb: int):
+    def __init__(self, context: Any, task: Mutations, root: str, memory_mb: int):
         self.pipe, theirs = context.Pipe()
         args = (theirs, task, tempfile.mkdtemp(dir=root), memory_mb)
         self.process = context.Process(target=_work, args=args, daemon=True)
@@ -265,7 +265,7 @@ class _Worker:
         self.pipe.close()
 
 
-def _pool(task: Task, mutations: int, jobs: int, memory_mb: int):
+def pool(task: Mutations, mutations: int, jobs: int, memory_mb: int):
     """Results from worker processes, in the order they come. A worker that dies or hangs is replaced."""
     context = get_context("spawn")  # a fork would inherit locks of numerical libraries
     grace = task.timeout_s + GRACE_S
@@ -296,7 +296,7 @@ def _pool(task: Task, mutations: int, jobs: int, memory_mb: int):
                 worker.stop()
 
 
-def _collect(worker: _Worker, task: Task, ready: bool) -> tuple[int, str, str, bool]:
+def _collect(worker: _Worker, task: Mutations, ready: bool) -> tuple[int, str, str, bool]:
     """The worker's result, or what became of it."""
     if ready:
         try:

@@ -22,6 +22,7 @@ from rotorwatch.flight import Flight, Signal
 G0 = 9.80665
 LAG_S = 0.02
 SIDE_S = 0.5  # side forces are averaged over: they change as slowly as speed and wind, and vibration is louder
+GAP_S = 2.0  # without any command: a flight ends there, see airborne.py
 SETTLE_S = 1.0  # after lift-off: the first second gives the hover command and is not judged
 UPSET_RATE = 6.0  # rad/s of roll or pitch rate: the vehicle tumbles, hover physics is over
 UPSET_TILT = np.cos(np.radians(65.0))
@@ -78,6 +79,18 @@ def tick_length(rate_hz: float) -> float:
 def ready_after(ready_s: float, dt: float) -> float:
     """Blind time in s after lift-off: as asked for, but long enough to learn the noise at slow ticks."""
     return max(ready_s, READY_TICKS * dt)
+
+
+def _filled(at: np.ndarray, most: int) -> np.ndarray:
+    """The ticks `at` (non-decreasing) and those between them, but of each gap only the first and last `most`.
+
+    Nothing flies in a longer gap, and days of it cost nothing.
+    """
+    at = np.maximum(at, 0)
+    gaps = np.flatnonzero(np.diff(at) > 2 * most)
+    begin = np.r_[0, at[gaps + 1] - most]
+    end = np.r_[at[gaps] + most, at[-1] + 1]
+    return np.concatenate([np.arange(a, b) for a, b in zip(begin, end)])
 
 
 def _bin_mean(signal: Signal, edges_lo: np.ndarray, edges_hi: np.ndarray):
@@ -177,8 +190,8 @@ def make(
     turns = np.exp(2j * np.pi * thrust.time[:64] / dt)  # the first seconds decide, so that a longer log changes nothing
     phase = float(np.angle(turns.mean()) / (2.0 * np.pi) % 1.0 * dt) if thrust.rate_hz < 1.5 / dt else 0.0
     first = np.floor((thrust.time[0] - phase) / dt) * dt + phase + half
-    count = max(0, int((thrust.time[-1] - first) / dt) + 1)
-    hi = first + dt * np.arange(count)
+    hi = first + dt * _filled(((thrust.time - first) / dt).astype(np.int64), round(GAP_S / dt))
+    count = hi.size
     time = hi + lag_s + half
     mean, when, some = _bin_mean(thrust, hi - dt, hi)
     when = np.where(some, when, hi - half)

@@ -18,6 +18,7 @@ from pathlib import Path
 
 from rotorwatch.errors import LogError, RotorwatchError
 from rotorwatch.flight import Flight
+from rotorwatch.logs import plausible
 
 HEAD = 4096
 """Bytes that sniff sees."""
@@ -70,4 +71,4 @@ def _checked(job, module, path, warnings) -> Flight:
         raise LogError(f"{path}: this {module.FORMAT} is too damaged to be read ({type(error).__name__})") from error
     if not any(len(s) >= 2 for s in flight.signals.values()):
         raise LogError(f"{path}: this {module.FORMAT} holds no flight data; was logging switched on?")
-    return replace(flight, name=path.name, warnings=(*warnings, *flight.warnings))
+    return plausible.checked(replace(flight, name=path.name, warnings=(*warnings, *flight.warnings)))

@@ -24,6 +24,7 @@ from rotorwatch.flight import Flight, Signal
 from rotorwatch.logs import dataflash_events as events
 from rotorwatch.logs import dataflash_rotors as rotors
 from rotorwatch.logs import dataflash_untimed as untimed
+from rotorwatch.logs import parameter_ranges
 from rotorwatch.logs.dataflash_binary import SDLOG2, BinaryLog, amount
 from rotorwatch.logs.dataflash_clock import Clock, make_clock
 from rotorwatch.logs.dataflash_text import FIRST_LINE, TextLog
@@ -83,7 +84,9 @@ def read(data, name: str, progress=None) -> Flight:
         stamps, rebuilt = untimed.stamps(log)
     clock = make_clock(stamps)
     parameters, changes = events.parameters(log, clock)
+    parameters, notes = parameter_ranges.checked(parameters)
     reader = _Signals(log, clock)
+    reader.warnings += [*notes, *rotors.announced(parameters, events.frame_text(log, clock))]
     frame_class, frame_type = rotors.frame(parameters, events.frame_text(log, clock))
     steps = (
         lambda: reader.motors(parameters, frame_class),
@@ -112,7 +115,7 @@ def read(data, name: str, progress=None) -> Flight:
         firmware=version,
         vehicle_type=vehicle,
         parameters=parameters,
-        parameter_changes=changes,
+        parameter_changes=tuple(c for c in changes if parameter_ranges.possible(c[1], c[2])),
         messages=events.messages(log, clock),
         warnings=(*log.warnings, *([rebuilt] if rebuilt else []), *clock.warnings, *reader.warnings),
         name=name,

@@ -318,6 +318,16 @@ class BinaryLog:
                 times[records] = raw if fmt.stamp == "TimeUS" else raw * 1e3
         return times
 
+    def spans(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Of every record: first byte, byte after the last, bytes of its time stamp (0: none), is it a definition (FMT)?"""
+        length, stamp = np.zeros(self.record_count, np.int64), np.zeros(self.record_count, np.int64)
+        definition = np.zeros(self.record_count, bool)
+        for type_, fmt, records in self._versions():
+            length[records], definition[records] = fmt.length, type_ == FMT_TYPE
+            stamp[records] = fmt.dtype[fmt.stamp].itemsize if fmt.stamp else 0
+        start = self._at.astype(np.int64)
+        return start, start + length, stamp, definition
+
     def columns(self, name: str) -> tuple[str, ...]:
         """Column names of message `name` over all its definitions; empty when the log has no such records."""
         return tuple(dict.fromkeys(c for _, f, records in self._versions(name) if records.size for c in f.columns))

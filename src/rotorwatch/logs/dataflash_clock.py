@@ -10,12 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from rotorwatch.logs.dataflash_binary import amount
+from rotorwatch.logs.series import wrong_gap
 
 STEP_BACK_US = 0.5e6  # larger steps back are no matter of record order
 GAP_US = 0.4e6  # where stamps are in doubt, a silence this long starts a new stretch; less than a step back, so that a
 # stamp that is ahead of its time never counts as the end of the stretch before it
 LONG_GAP_US = 600e6  # a silence this long puts stamps in doubt
-EDGE_RECORDS = 5  # ... and if no more records than these lie before or after it, they are not believed
+EDGE_RECORDS = 5  # no more records than these before or after a gap at an end of the log are not believed
 RESET_PRICE = 20.0  # records a clock reset must explain before it is believed
 GAP_PRICE = 0.5  # below 1: a lone stamp that fits the order of the others is believed
 DAY_US = 86400e6
@@ -48,7 +49,8 @@ def make_clock(stamps: np.ndarray) -> Clock:
     steps = np.diff(us)
     warnings: list[str] = []
     good = np.ones(stamps.size, bool)
-    if ((steps < -STEP_BACK_US) | (steps > LONG_GAP_US)).any():
+    ends = np.r_[steps[:EDGE_RECORDS], steps[-EDGE_RECORDS:]]
+    if ((steps < -STEP_BACK_US) | (steps > LONG_GAP_US)).any() or any(wrong_gap(step * 1e-6) for step in ends):
         us, kept, resets = _repaired(us, steps)
         good[timed[~kept]] = False
         timed, us = timed[kept], us[kept]
@@ -105,10 +107,10 @@ def _repaired(us: np.ndarray, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray
     while previous[chain[-1]] >= 0:
         chain.append(int(previous[chain[-1]]))
     chain.reverse()
-    # A few records beyond a long gap at either end are more likely damaged than flown.
-    while len(chain) > 1 and count[chain[-1]] <= EDGE_RECORDS and start[chain[-1]] - end[chain[-2]] > LONG_GAP_US:
+    # A few records beyond such a gap at either end are more likely damaged than flown.
+    while len(chain) > 1 and count[chain[-1]] <= EDGE_RECORDS and wrong_gap((start[chain[-1]] - end[chain[-2]]) * 1e-6):
         chain.pop()
-    while len(chain) > 1 and count[chain[0]] <= EDGE_RECORDS and start[chain[1]] - end[chain[0]] > LONG_GAP_US:
+    while len(chain) > 1 and count[chain[0]] <= EDGE_RECORDS and wrong_gap((start[chain[1]] - end[chain[0]]) * 1e-6):
         chain.pop(0)
     kept = np.zeros(us.size, bool)
     fixed = us.copy()

@@ -26,6 +26,8 @@ LEAST_THROTTLE = 0.02  # standard deviation of the throttle that tells something
 FRAME_NAMES = {"QUAD": 1, "HEXA": 2, "OCTA": 3, "OCTA_QUAD": 4, "OCTAQUAD": 4, "Y6": 5, "HELI": 6, "TRI": 7}
 FRAME_NAMES |= {"SINGLE": 8, "COAX": 9, "BICOPTER": 10, "DODECA_HEXA": 12, "DODECAHEXA": 12, "DECA": 14}
 
+FRAME_TYPES = {"PLUS": 0, "X": 1, "V": 2, "H": 3}
+
 
 def frame(parameters: Mapping[str, float], announced: tuple[str, str]) -> tuple[int | None, int | None]:
     """(FRAME_CLASS, FRAME_TYPE) from the parameters or, before Copter 3.5, from FRAME and the announced name."""
@@ -33,6 +35,21 @@ def frame(parameters: Mapping[str, float], announced: tuple[str, str]) -> tuple[
     if not class_:
         class_ = FRAME_NAMES.get(announced[0].upper())
     return (int(class_) if class_ else None), (int(type_) if type_ is not None else None)
+
+
+def announced(parameters: dict[str, float], text: tuple[str, str]) -> list[str]:
+    """Put the frame that the autopilot announces ("Frame: QUAD/X") into parameters that lack theirs; says so.
+
+    Only for firmware that has FRAME_CLASS and FRAME_TYPE at all: one of the two, or the text's second half, is there.
+    """
+    class_, type_ = FRAME_NAMES.get(text[0].upper()), FRAME_TYPES.get(text[1].upper())
+    said = {"FRAME_CLASS": class_, "FRAME_TYPE": type_}
+    lacking = {k: float(v) for k, v in said.items() if k not in parameters and v is not None}
+    if class_ is None or type_ is None or "FRAME" in parameters or not lacking:
+        return []
+    parameters.update(lacking)
+    names = " and ".join(lacking)
+    return [f"{names} not in the log; the frame that the autopilot announced, {text[0]}/{text[1]}, was taken."]
 
 
 def outputs(
@@ -48,8 +65,9 @@ def outputs(
             functions[int(match.group(1))] = int(value)
     mapped: dict[int, int] = {}
     for output in sorted(functions):
-        if rotor := MOTOR_FUNCTIONS.get(functions[output]):
-            mapped.setdefault(rotor, output)
+        rotor = MOTOR_FUNCTIONS.get(functions[output])
+        if rotor and (rotor not in mapped or rotor == output):
+            mapped[rotor] = output
     expected = FRAME_ROTORS.get(frame_class or 0)
     notes = []
     if mapped and expected:
@@ -58,7 +76,7 @@ def outputs(
             if not (frame_class == 7 and extra == [7]):
                 notes.append(f"Outputs of motors {_listed(extra)} are not part of this frame and were left out.")
         if missing := [k for k in expected if k not in mapped]:
-            free = {k: k for k in missing if not functions.get(k)}
+            free = {k: k for k in missing if not functions.get(k) or _one_bit_off(functions[k], k)}
             mapped |= free
             notes.append(
                 f"The log does not say which output drives motors {_listed(missing)}; "
@@ -94,6 +112,13 @@ def follow(time: np.ndarray, pulses: np.ndarray, stamps: np.ndarray, throttle: n
     if fine.sum() < 20 or np.std(asked[fine]) < LEAST_THROTTLE:
         return True
     return bool(np.std(mean[fine]) > 0.0 and np.corrcoef(mean[fine], asked[fine])[0, 1] > 0.5)
+
+
+def _one_bit_off(function: int, rotor: int) -> bool:
+    """Whether a logged SERVOn_FUNCTION is one wrong bit of a float32 away from that of the rotor."""
+    meant = next(f for f, k in MOTOR_FUNCTIONS.items() if k == rotor)
+    a, b = np.array([function, meant], np.float32).view(np.uint32).tolist()
+    return (a ^ b).bit_count() == 1
 
 
 def _listed(numbers) -> str:

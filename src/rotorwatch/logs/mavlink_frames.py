@@ -66,7 +66,7 @@ class Frames:
         layout: the message's class in a pymavlink dialect. Frames whose check sum is wrong are left out.
         """
         starts, order = (np.array(a, np.int64) for a in self.found.get((source, component, layout.id), ((), ())))
-        kind = _dtype(layout)
+        kind = payload_type(layout)
         second = self._bytes[starts] == _V2
         header = np.where(second, 10, 6)
         length = self._bytes[starts + 1].astype(np.int64)
@@ -77,7 +77,7 @@ class Frames:
             same = np.flatnonzero((header == head) & (length == n))
             block = self._bytes[starts[same, None] + np.arange(head + n + 2)]
             said = block[:, -2].astype(np.int64) | block[:, -1].astype(np.int64) << 8
-            sound[same] = said == _checksum(block[:, 1:-2], layout.crc_extra)
+            sound[same] = said == checksum(block[:, 1:-2], layout.crc_extra)
             payload[same, : min(n, kind.itemsize)] = block[:, head : head + min(n, kind.itemsize)]
         return payload[sound].view(kind)[:, 0], order[sound]
 
@@ -88,7 +88,7 @@ def _next_magic(data, at: int) -> int:
     return min(places, default=len(data))
 
 
-def _dtype(layout) -> np.dtype:
+def payload_type(layout) -> np.dtype:
     """numpy type of a message's payload as it is on the wire."""
     codes = {"b": "i1", "B": "u1", "h": "<i2", "H": "<u2", "i": "<i4", "I": "<u4", "q": "<i8", "Q": "<u8"}
     codes |= {"f": "<f4", "d": "<f8", "c": "S1"}
@@ -111,7 +111,7 @@ def _dtype(layout) -> np.dtype:
     return np.dtype(fields)
 
 
-def _checksum(block: np.ndarray, extra: int) -> np.ndarray:
+def checksum(block: np.ndarray, extra: int) -> np.ndarray:
     """CRC-16/MCRF4XX of each row of (n, k) bytes followed by the byte `extra`; (n,) int."""
     crc = np.full(block.shape[0], 0xFFFF, np.int64)
     for column in (*block.T, np.full(block.shape[0], extra, np.uint8)):

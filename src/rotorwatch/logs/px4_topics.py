@@ -161,7 +161,8 @@ def _motors(topics: Topics, parameters):
         time, table = found
         fields = [f for f in numbered("control", 12) if f in table]
         values = columns(table, fields)
-        used = np.flatnonzero(np.isfinite(values).any(axis=0))
+        finite = np.isfinite(values).mean(axis=0)
+        used = np.flatnonzero(finite > 0.1 * finite.max())  # a damaged NaN can be a number
         if used.size:
             values = values[:, : count or used[-1] + 1]
             return series.motors(time, values, "1", "actuator_motors", topics.notes), {
@@ -209,8 +210,9 @@ def _control(topics: Topics):
     if torque is not None and thrust is not None and thrust[0].size:
         time, values = torque[0], columns(torque[1], xyz)
         # The latest thrust set point at each torque set point; both are published within the same controller cycle.
-        latest = np.clip(np.searchsorted(thrust[0], time + 1e-3, side="right") - 1, 0, None)
-        values = np.column_stack([values, -np.asarray(thrust[1]["xyz[2]"], float)[latest]])
+        keep = series.steady(thrust[0])
+        latest = np.clip(np.searchsorted(thrust[0][keep], time + 1e-3, side="right") - 1, 0, None)
+        values = np.column_stack([values, -np.asarray(thrust[1]["xyz[2]"], float)[keep][latest]])
         return series.make("control", time, values, "vehicle_torque_setpoint", topics.notes)
     return topics.signal("control", "actuator_controls_0", numbered("control", 4))
 

@@ -17,6 +17,10 @@ G = 9.80665
 DAY_S = 86_400.0
 """A gap longer than this is a damaged time stamp, not a pause between two flights."""
 
+FEW, END_GAPS = 5, 20.0
+"""So few samples beyond a gap of so many typical intervals at an end of a signal may have damaged time stamps."""
+LEAST_GAP_S, LONG_GAP_S, BIT_WITHIN_S = 4.0, 600.0, 0.2
+
 # name: columns, unit, frame, largest absolute value that any sensor or autopilot could mean.
 SHAPES = {
     "control": (("roll", "pitch", "yaw", "thrust"), "1", "FRD", 10.0),
@@ -74,7 +78,8 @@ def build(time, values, columns, unit, frame, source, limit, notes, valid=None) 
 def steady(time: np.ndarray) -> np.ndarray:
     """Indices of the most samples that form non-decreasing times without a gap of more than a day.
 
-    The longest non-decreasing subsequence, so that a single wild stamp costs one sample, not all that follow it.
+    The longest non-decreasing subsequence, so that a single wild stamp costs one sample, not all that follow it. At
+    either end order cannot tell: there a few samples beyond a gap are not believed (`within_ends`).
     """
     index = np.flatnonzero(np.isfinite(time))
     t = time[index]
@@ -85,7 +90,34 @@ def steady(time: np.ndarray) -> np.ndarray:
     if gaps.size:
         pieces = np.split(np.arange(t.size), gaps)
         index = index[max(pieces, key=len)]
-    return index
+    return index[within_ends(time[index])]
+
+
+def within_ends(t: np.ndarray) -> slice:
+    """The part of non-decreasing times t [s] that is left without up to `FEW` samples beyond a `wrong_gap` at either end."""
+    if t.size < 4 * FEW:
+        return slice(None)
+    steps = np.diff(t)
+    usual = END_GAPS * float(np.median(steps))
+    first = [k for k in range(FEW) if steps[k] > usual and wrong_gap(steps[k])]
+    last = [k for k in range(t.size - 1 - FEW, t.size - 1) if steps[k] > usual and wrong_gap(steps[k])]
+    return slice(first[-1] + 1 if first else 0, last[0] + 1 if last else t.size)
+
+
+def wrong_gap(gap_s: float) -> bool:
+    """Whether a silence before the last few stamps of a log, or after the first, is more likely damage than silence.
+
+    It is when it is long, or when one bit of a stamp in us, ms or decimal digits makes it: one bit too many in the last
+    stamp makes minutes or days of flight. Logs that are closed long after the last sample, with a few records more, are
+    common: their gap is of any length.
+    """
+    if not gap_s > LEAST_GAP_S:
+        return False
+    if gap_s > LONG_GAP_S:
+        return True
+    binary = [unit * 2.0 ** round(np.log2(gap_s / unit)) for unit in (1e-6, 1e-3)]
+    power = 10.0 ** np.floor(np.log10(gap_s) + 1e-3)
+    return any(abs(gap_s - bit) < BIT_WITHIN_S for bit in (*binary, *(power * k for k in (1, 2, 4, 8, 10))))
 
 
 def _longest_rise(t: np.ndarray) -> np.ndarray:
@@ -112,8 +144,9 @@ def _longest_rise(t: np.ndarray) -> np.ndarray:
 
 def quaternion(roll, pitch, yaw) -> np.ndarray:
     """(n, 4) scalar-first quaternion body FRD -> world NED from roll, pitch, yaw in rad (order yaw, pitch, roll)."""
-    cr, cp, cy = (np.cos(np.asarray(a) / 2) for a in (roll, pitch, yaw))
-    sr, sp, sy = (np.sin(np.asarray(a) / 2) for a in (roll, pitch, yaw))
+    with np.errstate(invalid="ignore"):  # damaged angles
+        cr, cp, cy = (np.cos(np.asarray(a) / 2) for a in (roll, pitch, yaw))
+        sr, sp, sy = (np.sin(np.asarray(a) / 2) for a in (roll, pitch, yaw))
     return np.stack(
         [
             cr * cp * cy + sr * sp * sy,

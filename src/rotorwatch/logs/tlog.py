@@ -6,7 +6,8 @@ import numpy as np
 
 from rotorwatch.errors import LogError
 from rotorwatch.flight import Flight, Message
-from rotorwatch.logs import mavlink_frames, series
+from rotorwatch.logs import mavlink_frames, parameter_ranges, series
+from rotorwatch.logs.dataflash_clock import make_clock
 from rotorwatch.logs.px4_topics import MAV_TYPES
 from rotorwatch.vehicle_kind import OTHERS
 
@@ -22,6 +23,7 @@ _UNTIMED = {
 }
 _UNIX_US = 1e14  # larger time stamps count from 1970, smaller ones from the autopilot's start
 _WRAP_US = 2.0**32  # SERVO_OUTPUT_RAW.time_usec starts again there
+_APART_US = 10e6  # between two messages of the same moment; a stamp further from its neighbours in the file is damaged
 _MG = series.G / 1000
 
 
@@ -56,7 +58,7 @@ def read(data, name: str, progress=None) -> Flight:
         messages=tuple(sorted((m for m in _messages(log) if m.time <= end + 1), key=lambda m: m.time)),
         warnings=tuple(log.notes),
         start_us=int(log.start_us),
-        facts={**facts, "mav_type": log.vehicle},
+        facts={**facts, "mav_type": log.vehicle, "clock_jumps": log.clock_jumps},
     )
 
 
@@ -105,21 +107,36 @@ class _Log:
             stamp = _boot_us(table)
             if stamp is None:
                 continue
-            self._stamps[name] = stamp
-            known = np.isfinite(stamp)
             if "time_usec" in (table.dtype.names or ()) and table.dtype["time_usec"].itemsize == 4:
-                short.append((stamp, order))
+                short.append((name, stamp, order))
             else:
-                clocks.append((order[known], stamp[known]))
-        if not sum(place.size for place, _ in clocks):
+                clocks.append((name, stamp, order))
+        if not any(np.isfinite(stamp).any() for _, stamp, _ in clocks):
             raise LogError("no message with a time stamp of the autopilot is in this telemetry log")
-        place, stamp = (np.concatenate(parts) for parts in zip(*clocks))
-        self.start_us = float(stamp.min())
-        first_come = np.argsort(place, kind="stable")
-        self._place, self._latest = place[first_come], np.maximum.accumulate(stamp[first_come])
-        for stamp, order in short:  # 32-bit microseconds start again every 71 minutes
-            stamp += _WRAP_US * np.round((self._latest[self._before(order)] - stamp) / _WRAP_US)
-            self.start_us = float(np.nanmin([self.start_us, *stamp]))
+        place = np.concatenate([order for *_, order in clocks])
+        raw = np.concatenate([stamp for _, stamp, _ in clocks])
+        # In the order of the file all messages share one clock: damaged stamps do not fit into it.
+        sequence = np.argsort(place, kind="stable")
+        clock = make_clock(raw[sequence])
+        self.notes += [w.rstrip(".") for w in clock.warnings]
+        self.start_us, self.clock_jumps = clock.start_us, list(clock.jumps)
+        fine, fixed = np.empty(raw.size, bool), np.empty(raw.size)
+        fine[sequence] = clock.good & np.isfinite(raw[sequence])
+        fixed[sequence] = clock.start_us + clock.time * 1e6
+        self._place, first_come = place[sequence][fine[sequence]], fine[sequence]
+        self._latest = np.maximum.accumulate(fixed[sequence][first_come])
+        ahead = (raw - fixed)[sequence][first_come]
+        at = 0
+        for name, stamp, _ in clocks:
+            part = slice(at, at + stamp.size)
+            self._stamps[name] = np.where(fine[part], fixed[part], np.nan)
+            at += stamp.size
+        for name, stamp, order in short:  # 32-bit microseconds start again every 71 minutes
+            before = self._before(order)
+            now = self._latest[before] + ahead[before]
+            unwrapped = stamp + _WRAP_US * np.round((now - stamp) / _WRAP_US)
+            near = np.abs(unwrapped - now) < _APART_US
+            self._stamps[name] = np.where(near, np.maximum(unwrapped - ahead[before], self.start_us), np.nan)
 
     def _before(self, order):
         """Index into the known clock times of the latest one before each place in the file (the first, before any)."""
@@ -270,7 +287,7 @@ def _parameters(log: _Log):
         if log.autopilot == "PX4" and row["param_type"] == 6:  # PX4 sends the bytes of an int32 as they are
             value = value.view("<i4")
         value = float(value)
-        if name.startswith("SIM_") or not np.isfinite(value):
+        if name.startswith("SIM_") or not np.isfinite(value) or not parameter_ranges.possible(name, value):
             continue
         if values.setdefault(name, value) != value:
             if next((v for _, n, v in reversed(changes) if n == name), values[name]) != value:

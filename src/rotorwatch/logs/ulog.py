@@ -10,12 +10,14 @@ import numpy as np
 
 from rotorwatch.errors import LogError
 from rotorwatch.flight import Flight, Message
-from rotorwatch.logs import px4_topics, series
+from rotorwatch.logs import parameter_ranges, px4_topics, series
 
 FORMAT = "PX4 ULog"
 
 _MAGIC = b"ULog\x01\x12\x35"
 _BUFFER = 1 << 18  # bytes
+_ENOUGH = 20  # samples of a topic that is logged all the time
+_BEGINS_WITHIN_US = 30e6  # some topic after the header
 _MOST_FIELDS = 20_000  # flattened; PX4's largest message has about 400
 
 
@@ -37,9 +39,11 @@ def read(data, name: str, progress=None) -> Flight:
     tables = {(d.name, d.multi_id): d.data for d in log.data_list if d.name in px4_topics.TOPICS}
     start, notes = _start(log, tables)
     topics = px4_topics.Topics(tables, start)
-    parameters = {k: float(v) for k, v in log.initial_parameters.items() if _is_parameter(k, v)}
+    parameters, impossible = parameter_ranges.checked(
+        {k: float(v) for k, v in log.initial_parameters.items() if _is_parameter(k, v)}
+    )
     signals, facts = px4_topics.signals(topics, parameters)
-    warnings = [*notes, *topics.notes]
+    warnings = [*notes, *impossible, *topics.notes]
     if damaged:
         warnings.insert(0, "parts of the log are damaged; what is intact was read")
     elif file.cut:
@@ -98,12 +102,17 @@ def _check_definitions(log) -> None:
 
 
 def _start(log, tables) -> tuple[int, list[str]]:
-    """(us of second 0, warnings): the header's time stamp, or the earliest data where the header's cannot be right."""
-    start = int(log.start_timestamp)
-    stamps = [int(np.median(t["timestamp"])) for t in tables.values() if len(t.get("timestamp", ()))]
-    if stamps and not any(0 <= s - start < 10 * series.DAY_S * 1e6 for s in stamps):
-        start = min(int(t["timestamp"].min()) for t in tables.values() if len(t.get("timestamp", ())))
-        return start, ["the header's start time is damaged; times count from the earliest data"]
+    """(us of second 0, warnings): the header's time stamp, or the earliest data where the header's cannot be right.
+
+    Data begins within a second of the header; topics that are logged when they change may begin before or after it.
+    """
+    start, first = int(log.start_timestamp), []
+    for table in tables.values():
+        stamp = np.asarray(table.get("timestamp", ()), np.float64)
+        if stamp.size >= _ENOUGH:
+            first.append(int(stamp[series.steady(stamp * 1e-6)[0]]))
+    if first and not any(abs(t - start) < _BEGINS_WITHIN_US for t in first):
+        return min(first), ["the header's start time is damaged; times count from the earliest data"]
     return start, []
 
 

@@ -77,7 +77,8 @@ def _integer_stamps(table):
 
 def _flight(tables, notes) -> Flight:
     """Second 0 is the first attitude: the tables do not say when the log started; the estimator runs from then on."""
-    first = {k: int(t["timestamp"].min()) for k, t in tables.items() if t["timestamp"].size}
+    stamps = {k: t["timestamp"] for k, t in tables.items() if t["timestamp"].size}
+    first = {k: int(stamp[series.steady(stamp * 1e-6)[0]]) for k, stamp in stamps.items()}
     if not first:
         raise LogError("these tables hold no samples")
     start = first.get(("vehicle_attitude", 0), min(first.values()))

@@ -70,6 +70,10 @@ def _heading(result: Diagnosis) -> RenderableType:
     return Group(Text(" · ".join(what), style="dim"), Text(), text, Text(result.reason))
 
 
+WRONG = ("false fault", "wrong rotor", "FAILED")
+"""Answers to damaged logs that must not be."""
+
+
 def listing(title: str, *columns: str, right: Iterable[int] = ()) -> Table:
     """An empty table: a title and its columns; `right`: the places of those with numbers."""
     table = Table(
@@ -219,6 +223,28 @@ def _campaign_cell(column: str, value: Any, shares: set[str]) -> str:
     if column in shares and isinstance(value, float):
         return report.percent(value, 1 if column == "loss_rms" else 0)
     return report.seconds(value) if column.endswith("_s") else plain(value)
+
+
+def fuzz_framed(result: Mapping[str, Any]) -> RenderableType:
+    """What `rotorwatch fuzz --framed` prints; result as from `rotorwatch.fuzz_framed.fuzz_framed`."""
+    rows = result["table"]
+    table = listing("Answers to damaged copies", "answer", *rows, right=range(1, len(rows) + 1))
+    for outcome in next(iter(rows.values())):
+        counts = [row[outcome] for row in rows.values()]
+        style = STYLES["error"] if any(counts) and outcome in WRONG else ""
+        table.add_row(Text(outcome, style=style), *(str(n) if n else "–" for n in counts))
+    who = f" (rotor {', '.join(map(str, result['rotors']))})" if result["rotors"] else ""
+    parts: list[RenderableType] = [
+        Text(
+            f"{result['log']}: {result['verdict']}{who} when intact; {result['damages']} copies a kind, "
+            f"{report.percent(result['share'])} of the records damaged, seed {result['seed']}"
+        ),
+        table,
+        Text(f"slowest answer {result['slowest_s']} s"),
+    ]
+    for f in result["failures"]:
+        parts.append(Text(f"number {f['number']} ({f['kind']}), {f['outcome']}: {f['what']}", style="red"))
+    return Group(*parts)
 
 
 def fuzz(result: Mapping[str, Any]) -> RenderableType:

@@ -1,0 +1,240 @@
+"""Is a sample what its neighbours say it should be? A lone value far off is damage of the log, not of the vehicle.
+
+A log's framing can be whole and a value in it wrong: one bit of one output is enough for a false fault. What a vehicle
+does leaves more than one sample: a step stays, a ramp goes on, an oscillation comes back. So a sample x_i (or two in a
+row) is held against the samples around it:
+
+    r_i = x_i - (the line between the samples before and after, at t_i),      D_i = the difference of these two
+
+It is `lone` when |r_i| > 3 D_i, the neighbours agree with each other and not with it, and |r_i| > SCALES s_i, with s_i
+the median |r| of the samples before, or of those on both sides, whichever is larger. Nothing later than `AHEAD` samples
+counts. Of white noise one value in 15,000 is lone by this, of smooth signals none.
+
+A knock, a kick of the stick or a gust leaves one sample, too, in a slow log, but never in one column alone: all motors
+answer, several axes shake. So a lone value is damage only when nothing else in its record, and none of the signals that
+are coupled with it, jumps at the same time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from rotorwatch.flight import Flight, Signal
+
+SCALES = 8.0
+AGREE = 3.0
+BEFORE = 24  # samples before that say how rough the signal has been
+AHEAD = 7  # samples on each side that say how rough it is here; the nearest two share the value in question
+FAR = 6.0  # typical intervals; a neighbour further away says nothing
+JUMPS = 0.4  # share of what makes a value lone, beyond which another one is seen to jump with it
+ALONE = 0.125  # ... and the same as a share of how far the lone value is off
+ALONE_IN_AXIS = 0.33  # ... among motors, which share every error of roll, pitch, yaw and thrust
+HABIT = 0.05  # share of a signal's values beyond which it is not damage but what the signal is like
+FITTED, FIT_EVERY = 512, 64  # samples that say how the mixer makes commands of the controller's output, and how often
+PARTNER_S = 0.1  # a command further than this from any output of the controller is not compared
+TINY = 1e-12
+HEAVY, LEAST_HEAVY = 0.002, 5  # share and number of lone values of a signal beyond which chance does not explain them
+
+# What no diagnosis would notice is left alone: the least |r|, in the unit of the signal. Signals not named are not judged on.
+# In this order: the outputs are held against a control signal that has been cleaned.
+FLOORS = {
+    "control": 0.01,
+    "motors": 0.006,  # of the range; 6 us
+    "gyro": 0.05,
+    "rates": 0.05,
+    "accel": 0.5,
+    "attitude": 0.1,
+    "velocity": 1.0,
+    "battery": 0.1,
+    "lift": 0.01,
+    "esc": 300.0,
+}
+COUPLED = ("motors", "control", "gyro", "rates", "accel")
+
+
+def checked(flight: Flight) -> Flight:
+    """The flight with lone values marked invalid, said in its warnings and counted in facts["damage"].
+
+    facts["damage"]: {signal: share of its values that were lone}, only of signals that had any.
+    """
+    signals, warnings, shares, heavy = dict(flight.signals), [], {}, []
+    known = {name: signals[name] for name in FLOORS if name in signals}
+    sizes = {name: _size(s.time, s.values, s.valid, _floor(name, s)) for name, s in known.items()}
+    for name, signal in known.items():
+        found = _unsupported(name, signals, sizes)
+        if name == "motors" and "control" in signals:
+            found |= _unasked(signals, found)
+        if name == "battery":
+            found[:, 1:] = False  # current jumps as it likes
+        count = int(np.count_nonzero(found))
+        share = count / max(int(np.count_nonzero(signal.valid)), 1)
+        if not count or share > HABIT:
+            continue
+        signals[name], shares[name] = replace(signal, valid=signal.valid & ~found), share
+        each = "value that does" if count == 1 else "values that do"
+        warnings.append(f"{name} ({signal.source}): {count} {each} not fit the ones before and after ignored.")
+        if count >= LEAST_HEAVY and share > HEAVY:
+            heavy.append(name)
+    if heavy:
+        warnings.append(
+            f"This log is damaged: too many values of {', '.join(heavy)} do not fit for it to be chance. "
+            "Copy the log from the autopilot again."
+        )
+    if not shares:
+        return flight
+    return replace(
+        flight, signals=signals, warnings=(*flight.warnings, *warnings), facts={**flight.facts, "damage": shares}
+    )
+
+
+def _unsupported(name: str, signals: Mapping[str, Signal], sizes: Mapping[str, np.ndarray]) -> np.ndarray:
+    """(n, k) bool: lone values of a signal at which nothing else jumps that would if it had happened.
+
+    sizes: `_size` of every signal.
+    """
+    signal, size = signals[name], sizes[name]
+    rows, columns = np.nonzero(size > 0.0)
+    if not rows.size or name == "attitude":  # one wrong angle moves all of a quaternion
+        return size > 0.0
+    support = np.zeros(rows.size)
+    for other in {name, *(COUPLED if name in COUPLED else ())} & signals.keys():
+        partner = signals[other]
+        if other != name and (partner.unit, partner.source) == (signal.unit, signal.source):
+            continue  # the same numbers by another name
+        at = rows if other == name else _nearest(partner.time, signal.time[rows])
+        own = columns if other == name else np.full(rows.size, -1)
+        jumps = _support(partner.time, partner.values, partner.valid, sizes[other], _floor(other, partner), at, own)
+        support = np.maximum(support, jumps)
+    found = np.zeros(size.shape, bool)
+    found[rows, columns] = support < np.maximum(JUMPS, size[rows, columns] * ALONE)
+    return found
+
+
+def _unasked(signals: Mapping[str, Signal], already: np.ndarray) -> np.ndarray:
+    """(n, k) bool: motor commands that are lone in what the rate controller's output does not explain of them.
+
+    In a turbulent flight the commands are rough, but the mixer makes all of them of the same four numbers: commands =
+    W (roll, pitch, yaw, thrust, thrust^2, 1), W by least squares for each `FIT_EVERY` samples and the `FITTED` before
+    them (without them, W is not yet known for what the vehicle does for the first time).
+    """
+    motors, control = signals["motors"], signals["control"]
+    fine = control.valid.all(axis=1)
+    if fine.sum() < FIT_EVERY or len(motors) < FIT_EVERY:
+        return np.zeros_like(already)
+    when = control.time[fine]
+    asked = np.stack([np.interp(motors.time, when, c) for c in control.values[fine].T], axis=1)
+    asked = np.column_stack([asked, asked[:, 3] ** 2, np.ones(len(motors))])
+    near = np.abs(when[_nearest(when, motors.time)] - motors.time) < PARTNER_S
+    known = near[:, None] & motors.valid & ~already
+    rest = motors.values.copy()
+    for start in range(0, len(motors), FIT_EVERY):
+        block, first = slice(start, start + FIT_EVERY), max(0, start - FITTED)
+        rows = np.flatnonzero(known[first : block.stop].all(axis=1)) + first
+        weights = np.linalg.lstsq(asked[rows], motors.values[rows], rcond=1e-6)[0]
+        rest[block] -= asked[block] @ weights
+    return _without_others(motors.time, rest, known, _floor("motors", motors))
+
+
+def _without_others(time, values, valid, floor: float) -> np.ndarray:
+    """(n, k) bool: lone values in rows where no other column jumps nearly as far, as all do that one axis moves."""
+    size = _size(time, values, valid, floor)
+    rows, columns = np.nonzero(size > 0.0)
+    support = _support(time, values, valid, size, floor, rows, columns)
+    found = np.zeros(size.shape, bool)
+    found[rows, columns] = support < np.maximum(JUMPS, size[rows, columns] * ALONE_IN_AXIS)
+    return found
+
+
+def lone(time, values, floor: float, valid=None) -> np.ndarray:
+    """(n, k) bool: values (n, k) at times (n,) that fit neither the samples before nor those after; see above.
+
+    floor: the least deviation that counts. valid: (n, k) bool, the values to look at (default: all that are finite).
+    """
+    values = np.asarray(values, float)
+    return _size(np.asarray(time, float), values, np.isfinite(values) if valid is None else valid, floor) > 0.0
+
+
+def _size(time, values, valid, floor: float) -> np.ndarray:
+    """(n, k) how far lone values are off, as a multiple of what makes them lone; 0 for all others."""
+    size = np.zeros(values.shape)
+    for k in range(values.shape[1]):
+        known = np.flatnonzero(valid[:, k])
+        if known.size > 2 * AHEAD:
+            size[known, k] = _alone(time[known], values[known, k], floor)
+    return size
+
+
+def _alone(t: np.ndarray, x: np.ndarray, floor: float) -> np.ndarray:
+    """(n,) as `_size`, of one column without gaps in validity."""
+    near = FAR * max(float(np.median(np.diff(t))), 1e-6)
+    rough = np.abs(_residual(t, x, 1, 1, np.inf)[0])
+
+    def far(before: int, after: int) -> np.ndarray:
+        r, apart = _residual(t, x, before, after, near)
+        size = np.zeros(x.size)
+        at = np.flatnonzero((np.abs(r) > floor) & (np.abs(r) > AGREE * apart))
+        size[at] = np.abs(r[at]) / np.maximum(SCALES * _scale(rough, at), max(floor, TINY))
+        return np.where(size > 1.0, size, 0.0)
+
+    pair = np.minimum(far(1, 2)[:-1], far(2, 1)[1:])
+    return np.maximum(far(1, 1), np.maximum(np.append(pair, 0.0), np.append(0.0, pair)))
+
+
+def _support(time, values, valid, size, floor: float, at, own) -> np.ndarray:
+    """How far the samples `at` jump in any column but `own`, in the unit of `_size`.
+
+    Against the line between their neighbours where those are valid and not lone themselves; what is not valid does not jump.
+    """
+    support = np.zeros(at.size)
+    for k in range(values.shape[1]):
+        good = valid[:, k] & (size[:, k] == 0.0)
+        if good.any():
+            calm = np.interp(time, time[good], values[good, k])
+            r = _residual(time, calm, 1, 1, np.inf)[0]
+            jump = np.abs(r + np.where(valid[:, k], values[:, k] - calm, 0.0))[at]
+            jump /= np.maximum(SCALES * _scale(np.abs(r), at), max(floor, TINY))
+            support = np.maximum(support, np.where(own == k, 0.0, jump))
+    return support
+
+
+def _nearest(time: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """Index of the sample nearest to each wanted time."""
+    return np.searchsorted(0.5 * (time[1:] + time[:-1]), wanted)
+
+
+def _residual(t, x, before: int, after: int, near: float) -> tuple[np.ndarray, np.ndarray]:
+    """(r, D): of each sample against the line from the one `before` steps before it to the one `after` steps after it.
+
+    r is 0 where one of the two is missing or further away than `near` s for each step.
+    """
+    r, apart = np.zeros(x.size), np.zeros(x.size)
+    a, b = slice(0, x.size - before - after), slice(before + after, x.size)
+    middle = slice(before, x.size - after)
+    width = np.maximum(t[b] - t[a], 1e-9)
+    with np.errstate(over="ignore", invalid="ignore"):
+        apart[middle] = np.abs(x[b] - x[a])
+        r[middle] = x[middle] - x[a] - (x[b] - x[a]) * np.clip((t[middle] - t[a]) / width, 0.0, 1.0)
+    far = (t[middle] - t[a] > near * before) | (t[b] - t[middle] > near * after)
+    r[middle][far] = 0.0
+    return r, apart
+
+
+def _scale(rough: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """How large a residual is usual at the samples `at`: the larger of what was before and what is around."""
+    around = np.concatenate([np.arange(-AHEAD, -2), np.arange(3, AHEAD + 1)])
+    before = np.arange(-BEFORE, -2)
+
+    def those(offsets: np.ndarray) -> np.ndarray:
+        index = at[:, None] + offsets
+        inside = (index >= 1) & (index <= rough.size - 2)  # the first and the last sample have no residual
+        return rough[np.clip(np.where(inside, index, at[:, None] - offsets), 1, rough.size - 2)]
+
+    here = np.partition(those(around), around.size // 2, axis=1)[:, around.size // 2]
+    return np.maximum(here, np.median(those(before), axis=1))
+
+
+def _floor(name: str, signal: Signal) -> float:
+    return 1e3 * FLOORS[name] if name == "motors" and signal.unit == "us" else FLOORS[name]

@@ -1,0 +1,196 @@
+"""Lone values: what the neighbours of a sample give away, and what they do not."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rotorwatch.flight import Flight, Signal
+from rotorwatch.logs import parameter_ranges, plausible
+
+HZ = 10.0
+MANY = settings(max_examples=150, deadline=None)
+
+
+def times(n):
+    return np.arange(n) / HZ
+
+
+def noise(n, sd, seed=0):
+    return sd * np.random.default_rng(seed).standard_normal(n)
+
+
+def found(x, floor=1e-9):
+    return np.flatnonzero(plausible.lone(times(len(x)), np.asarray(x)[:, None], floor)[:, 0]).tolist()
+
+
+@MANY
+@given(st.integers(30, 170), st.floats(-1000.0, 1000.0), st.integers(1, 8), st.booleans())
+def test_a_step_is_no_damage(at, height, over, back):
+    """A rotor switched off, a limit reached: at once or over a few samples, for good or for a second."""
+    x = 1500.0 + height * np.clip((np.arange(200) - at) / over, 0.0, 1.0)
+    if back:
+        x[at + over + 10 :] = 1500.0
+    assert found(x) == []
+
+
+@MANY
+@given(st.floats(-500.0, 500.0), st.floats(-1e4, 1e4))
+def test_a_ramp_is_no_damage(slope, start):
+    assert found(start + slope * times(200), 1e-6) == []
+
+
+@MANY
+@given(st.floats(10.0, 200.0), st.floats(0.0, 6.3), st.floats(0.01, 1e4))
+def test_an_oscillation_of_ten_samples_and_more_is_no_damage(samples, phase, size):
+    assert found(size * np.sin(2.0 * np.pi * np.arange(400) / samples + phase), 1e-9 * size) == []
+
+
+def test_how_often_white_noise_is_taken_for_damage():
+    """6 values in 100,000, as the module says: 500,000 of them hold 33 or so."""
+    x = np.random.default_rng(1).standard_normal((125_000, 4))
+    assert plausible.lone(times(len(x)), x, 1e-9).mean() < 1e-4
+
+
+@MANY
+@given(
+    st.integers(30, 169),
+    st.sampled_from([-1.0, 1.0]),
+    st.floats(1.0, 1e6),
+    st.floats(0.0, 3.0),
+    st.integers(0, 10),
+)
+def test_a_value_far_off_in_a_smooth_signal_is_found(at, sign, beyond, sd, seed):
+    x = 1500.0 + 50.0 * np.sin(2.0 * np.pi * np.arange(200) / 60.0) + noise(200, sd, seed)
+    rough = np.median(np.abs(x[1:-1] - (x[2:] + x[:-2]) / 2.0))
+    apart = np.abs(x[at + 1] - x[at - 1])
+    x[at] += sign * (40.0 * rough + 4.0 * apart + beyond)
+    assert at in found(x)
+
+
+def test_two_in_a_row_are_found():
+    x = 1500.0 + noise(200, 1.0)
+    x[[100, 101]] += [512.0, -256.0]
+    assert found(x) == [100, 101]
+
+
+def test_a_gap_says_nothing():
+    """Beside a pause there is no neighbour."""
+    time = np.r_[times(100), 60.0, 100.0 + times(100)]
+    x = 1500.0 + noise(201, 1.0)
+    x[100] = 1900.0
+    assert not plausible.lone(time, x[:, None], 1e-9).any()
+
+
+# -- a whole flight ----------------------------------------------------------------------------------------------------
+
+
+def signals(n=400):
+    """A quad's flight with commands that follow its controller, some noise on all of it."""
+    rng = np.random.default_rng(3)
+    control = np.column_stack([0.1 * rng.standard_normal((n, 3)), 0.4 + 0.02 * rng.standard_normal(n)])
+    mixer = np.array([[-0.5, 0.5, 0.5, 1.0], [0.5, -0.5, 0.5, 1.0], [0.5, 0.5, -0.5, 1.0], [-0.5, -0.5, -0.5, 1.0]])
+    motors = 1100.0 + 800.0 * control @ mixer.T + rng.normal(0.0, 0.5, (n, 4))
+    return {
+        "motors": Signal(times(n), motors, ("r1", "r2", "r3", "r4"), "us", source="RCOU"),
+        "control": Signal(times(n), control, ("roll", "pitch", "yaw", "thrust"), "1", source="RATE"),
+        "gyro": Signal(times(n), 0.02 * rng.standard_normal((n, 3)), ("x", "y", "z"), "rad/s", "FRD", "IMU"),
+        "accel": Signal(
+            times(n), [0, 0, -9.8] + 0.1 * rng.standard_normal((n, 3)), ("x", "y", "z"), "m/s^2", "", "IMU"
+        ),
+        "lift": Signal(
+            times(n), np.column_stack([np.ones(n), np.linspace(1.0, 0.9, n)]), ("lift_max", "voltage_ratio"), "1"
+        ),
+    }
+
+
+def flight(**changed):
+    return Flight("test", "ArduPilot", {**signals(), **changed}, 40.0)
+
+
+def changed(name, rows, columns, by):
+    signal = signals()[name]
+    values = signal.values.copy()
+    values[rows, columns] += by
+    return {name: Signal(signal.time, values, signal.columns, signal.unit, signal.frame, signal.source)}
+
+
+def test_an_intact_flight_is_the_same_object():
+    one = flight()
+    assert plausible.checked(one) is one
+
+
+@pytest.mark.parametrize(
+    ("name", "column", "by"), [("motors", 2, 64.0), ("lift", 1, 0.25), ("gyro", 0, 2.0), ("accel", 2, 20.0)]
+)
+def test_one_wrong_value_is_dropped_and_said(name, column, by):
+    checked = plausible.checked(flight(**changed(name, 200, column, by)))
+    assert np.argwhere(~checked[name].valid).tolist() == [[200, column]]
+    assert any(w.startswith(name) and "1 value that does not fit" in w for w in checked.warnings)
+    assert checked.facts["damage"] == {name: pytest.approx(1.0 / checked[name].values.size)}
+
+
+def test_a_command_that_rough_flight_hides_is_found_by_what_the_mixer_makes_of_the_controller():
+    """64 us are within what these commands do from sample to sample (80 us), but nothing asked for them."""
+    one = flight(**changed("motors", 200, 2, 64.0))
+    alone = {"motors": one["motors"]}
+    assert plausible.checked(Flight("test", "ArduPilot", alone, 40.0)).warnings == ()
+    assert not plausible.checked(one)["motors"].valid[200, 2]
+
+
+def test_a_knock_shakes_more_than_one_axis_and_stays():
+    knock = changed("accel", 200, [0, 1], [30.0, -20.0]) | changed("gyro", 200, [0], 2.0)
+    checked = plausible.checked(flight(**knock))
+    assert checked["accel"].valid.all() and checked["gyro"].valid.all()
+
+
+def test_a_kick_of_all_motors_stays():
+    checked = plausible.checked(flight(**changed("motors", 200, slice(None), 300.0)))
+    assert checked["motors"].valid.all()
+
+
+def test_a_rotor_that_is_switched_off_stays():
+    one = signals()["motors"]
+    values = one.values.copy()
+    values[200:, 1] = 1000.0
+    motors = Signal(one.time, values, one.columns, "us", source="RCOU")
+    assert plausible.checked(flight(motors=motors))["motors"].valid.all()
+
+
+def test_heavy_damage_is_said():
+    checked = plausible.checked(flight(**changed("lift", np.arange(20, 390, 37), 1, 0.3)))
+    assert any(w.startswith("This log is damaged: too many values of lift") for w in checked.warnings)
+
+
+def test_a_log_cut_short_keeps_what_was_said_before_the_cut():
+    """Only the last samples may be judged otherwise: nothing later than AHEAD of them counts."""
+    whole = flight(**changed("lift", [100, 240], 1, 0.3), **changed("motors", [150, 290], 2, 200.0))
+    cut, all_of_it = plausible.checked(whole.until(30.0)), plausible.checked(whole)
+    for name in ("motors", "lift"):
+        n = len(cut[name]) - plausible.AHEAD - 2
+        assert (cut[name].valid[:n] == all_of_it[name].valid[:n]).all()
+    assert not all_of_it["motors"].valid[290, 2] and not cut["motors"].valid[290, 2]
+
+
+# -- parameters --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("FRAME_CLASS", 1.5),
+        ("MOT_PWM_MIN", 4.3e12),
+        ("MOT_THST_EXPO", 1e38),
+        ("SERVO3_FUNCTION", 34.25),
+        ("CA_ROTOR_COUNT", 1e9),
+    ],
+)
+def test_parameters_that_cannot_be_are_not_believed(name, value):
+    fine, notes = parameter_ranges.checked({name: value, "WPNAV_SPEED": 500.0})
+    assert fine == {"WPNAV_SPEED": 500.0} and name in notes[0]
+
+
+def test_every_bit_of_a_whole_parameter_that_makes_it_no_whole_number_is_seen():
+    bits = np.float32(34.0).view(np.uint32) ^ (np.uint32(1) << np.arange(32, dtype=np.uint32))
+    believed = [v for v in bits.view(np.float32).tolist() if parameter_ranges.possible("SERVO1_FUNCTION", v)]
+    assert len(believed) <= 7  # those that are other whole numbers
