@@ -36,7 +36,7 @@ class Ticks:
     thrust (T, n); wrench (T, 4) = B thrust; rate, rate_dot (T, 3) rad/s, rad/s^2; load (T,) specific force up / g0;
     valid (T, 4) bool; mode (T,) GROUND, LEARN or JUDGE; restart (T,) bool, first tick of a hop; dt s; hover (T,) mean share of full thrust
     per rotor that one unit of thrust stands for; side (T, 2): specific force forward and right [m/s^2], mean of the last SIDE_S, or None
-    where nothing measures it.
+    where nothing measures it; seen (T,) bool: a tick with commands in it, else thrust is 0.
     """
 
     time: np.ndarray
@@ -54,6 +54,7 @@ class Ticks:
     upset: np.ndarray
     notes: tuple[str, ...] = ()
     side: np.ndarray | None = None
+    seen: np.ndarray | None = None
 
 
 def tick_length(rate_hz: float) -> float:
@@ -217,4 +218,5 @@ def make(
         upset,
         tuple(notes),
         side,
+        some,
     )
