@@ -148,10 +148,13 @@ def _verdict(seen: Seen, main: int | None) -> tuple[str, str]:
 
 
 def _what_happened(event: Event) -> str:
+    why = event.reason.strip().removesuffix(".")
     if event.kind == OVERRIDE:
-        return event.reason.removesuffix(".")
+        return why
     until = f", until {seconds(event.end_s)}" if event.end_s is not None else ""
-    return f"{rotors(event.rotors)} lost {losses(event)} of its effectiveness at {seconds(event.onset_s)}{until}"
+    return f"{rotors(event.rotors)} lost {losses(event)} of its effectiveness at {seconds(event.onset_s)}{until}" + (
+        f": {why}" if why else ""
+    )
 
 
 def _and_more(seen: Seen, main: Event) -> str:
