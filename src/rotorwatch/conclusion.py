@@ -152,9 +152,8 @@ def _what_happened(event: Event) -> str:
     if event.kind == OVERRIDE:
         return why
     until = f", until {seconds(event.end_s)}" if event.end_s is not None else ""
-    return f"{rotors(event.rotors)} lost {losses(event)} of its effectiveness at {seconds(event.onset_s)}{until}" + (
-        f": {why}" if why else ""
-    )
+    what = f"{rotors(event.rotors)} lost {losses(event)} of its effectiveness at {seconds(event.onset_s)}{until}"
+    return f"{what}: {why}" if why else what
 
 
 def _and_more(seen: Seen, main: Event) -> str:
@@ -234,7 +233,7 @@ def _state(seen: Seen, rotor: int, verdict: str) -> RotorState:
     if sure:
         e = sure[-1]
         loss, bounds = e.loss[e.rotors.index(rotor)], e.interval[e.rotors.index(rotor)]
-        high = 1.0 - (1.0 - bounds[1]) * float(np.prod([1.0 - _most(m, rotor) for m in maybe]))
+        high = 1.0 - (1.0 - bounds[1]) * float(np.prod([1.0 - most(m, rotor) for m in maybe]))
         note = f"weak since {seconds(e.onset_s)}"
         return state(loss, (bounds[0], high), "failed" if loss > GONE else "degraded", note, (bounds[0], high))
     if from_takeoff == "damaged":
@@ -248,7 +247,7 @@ def _state(seen: Seen, rotor: int, verdict: str) -> RotorState:
             f"{'weak' if alone else 'one of several explanations'} since {seconds(e.onset_s)}"
             + (", not judged again after landing" if e in landed else "")
         )
-        high = 1.0 - (1.0 - high) * (1.0 - _most(e, rotor))
+        high = 1.0 - (1.0 - high) * (1.0 - most(e, rotor))
         loss = e.loss[e.rotors.index(rotor)] if rotor in e.rotors else loss
     for e in stuck_now:
         reasons.append(f"its output has not followed the mixer since {seconds(e.onset_s)}")
@@ -278,7 +277,7 @@ def _state(seen: Seen, rotor: int, verdict: str) -> RotorState:
     return state(0.0, INVISIBLE, "healthy", listed(notes), since)
 
 
-def _most(event: Event, rotor: int) -> float:
+def most(event: Event, rotor: int) -> float:
     """Upper bound of a rotor's loss over all explanations: its own share where the event says so; in another set it makes at most the
     torque and thrust that all of the event's rotors lack together."""
     own = event.interval[event.rotors.index(rotor)][1] if rotor in event.rotors else 0.0

@@ -138,9 +138,10 @@ def diagnose(
     comparison = detectors.detect(flight, craft, air)
     lap("comparison_s")
     judged = table.mode == JUDGE
+    spells = leftover.find(out, table, hyp, limit, found)
     end = conclusion.conclude(
         found, whole, len(craft.rotors), hidden=_hidden(out, table), judged_s=float(judged.sum() * table.dt), places=names,
-        leftover=leftover.find(out, table, hyp, limit, found), hops=air,
+        leftover=spells, hops=air,
     )  # fmt: skip
     shift = out.biases[judged, 3]
     common = (
@@ -152,7 +153,7 @@ def diagnose(
     timing["total_s"] = time.perf_counter() - began
     return _answer(
         end, facts, common, source, assumptions, warnings, timing, estimator=estimator, comparison=comparison,
-        whole_flight=whole, trace=traces.make(flight, out, table, hyp, air, ready_s, limit),
+        whole_flight=whole, trace=traces.make(flight, out, table, hyp, air, ready_s, limit, end.events, spells),
     )  # fmt: skip
 
 

@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from rotorwatch.conclusion import most
 from rotorwatch.diagnosis import Trace
 from rotorwatch.evidence import events
 from rotorwatch.evidence.hypotheses import Hypotheses
 from rotorwatch.flight import Flight
 from rotorwatch.ticks import JUDGE, Ticks
+from rotorwatch.wording import explanations, rotors
 
 LN10 = float(np.log(10.0))
 LEAST_ODDS = -3.0
@@ -19,8 +21,11 @@ BRIDGE_S = 0.6  # a gap that logging makes, not a dropout
 KINDS = ("mode", "armed", "landed", "error", "event", "text", "dropout")
 
 
-def make(flight: Flight, out, table: Ticks, hyp: Hypotheses, air, ready_s: float, limit: float) -> Trace:
-    """The Trace of a judged flight. out: the estimator's stacked outputs; limit: its threshold in nats."""
+def make(
+    flight: Flight, out, table: Ticks, hyp: Hypotheses, air, ready_s: float, limit: float, found=(), spells=()
+) -> Trace:
+    """The Trace of a judged flight. out: the estimator's stacked outputs; limit: its threshold in nats; found: events; spells: of evidence
+    that no event explains (`leftover`)."""
     judging = table.mode == JUDGE
     sd = events.sd_of(out.theta, out.theta_sd)
     spread = np.where(out.theta > 0, 1.96 * sd, 1.96 * np.where(judging[:, None], out.detectable, 0.0))
@@ -32,16 +37,33 @@ def make(flight: Flight, out, table: Ticks, hyp: Hypotheses, air, ready_s: float
     blind = [(a, min(a + ready_s, b), "learning after take-off") for a, b in air]
     for start, end in _spans(table.time, table.upset & (table.mode > 0)):
         blind.append((start, end, "upset: hover physics does not hold"))
+    for spell in spells:
+        blind.append((spell.start_s, spell.end_s, f"evidence against {rotors(spell.rotors)} that no event explains"))
+    lower, upper = np.clip(out.theta - spread, 0, 1), np.clip(out.theta + spread, 0, 1)
+    _open(lower, upper, table.time, found, spells)
     time, seen = table.time, np.ones(table.time.size, bool) if table.seen is None else table.seen
     measured = table.valid.any(axis=1)
     actual, wanted = (_angles(flight, name, time) for name in ("attitude", "attitude_wanted"))
     return Trace(
-        time, out.theta, np.clip(out.theta - spread, 0, 1), np.clip(out.theta + spread, 0, 1),
+        time, out.theta, lower, upper,
         _bridged(time, np.where(measured[:, None], out.innovation, np.nan)), np.sqrt(out.innovation_var),
         _bridged(time, np.where(seen[:, None], table.thrust * table.hover[:, None], np.nan)),
         {k: np.clip(v, LEAST_ODDS, None) for k, v in evidence.items()}, tuple(blind), tuple(air), limit / LN10,
         actual, wanted, _messages(flight, float(time[-1])),
     )  # fmt: skip
+
+
+def _open(lower: np.ndarray, upper: np.ndarray, time: np.ndarray, found, spells) -> None:
+    """Widen the bands of suspects as the rotor table does: over every explanation of an event, and up to all after unexplained evidence."""
+    for e in found:
+        inside = (time >= e.detected_s) & (time <= (np.inf if e.end_s is None else e.end_s))
+        for rotor in {r for who in explanations(e) for r in who} if e.alternatives else ():
+            lower[inside, rotor - 1] = 0.0
+            upper[inside, rotor - 1] = np.maximum(upper[inside, rotor - 1], most(e, rotor))
+    for spell in spells:
+        for rotor in spell.rotors:
+            lower[time >= spell.start_s, rotor - 1] = 0.0
+            upper[time >= spell.start_s, rotor - 1] = 1.0
 
 
 def _bridged(time: np.ndarray, values: np.ndarray) -> np.ndarray:

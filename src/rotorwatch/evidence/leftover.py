@@ -49,6 +49,10 @@ def find(out, table: Ticks, hyp: Hypotheses, limit: float, events: Sequence[Even
             if mark is not None:
                 over &= ~((time >= mark - 0.5) & (time <= mark + SETTLED_S))
         over &= ~((time >= e.onset_s) & (time <= e.detected_s))
+    for e in events:
+        if e.kind == "contact":  # what a knock leaves behind speaks of the knock
+            last = max(e.detected_s, e.end_s or 0.0)
+            over &= ~((time >= e.onset_s - 0.5) & (time <= last + SETTLED_S))
     members = np.array([[i in who for i in range(n)] for who in hyp.rotors])
     near = (odds > best_fault[:, None] - ALIKE) & fault
     edges = np.flatnonzero(np.diff(np.concatenate([[False], over, [False]]).astype(int)))

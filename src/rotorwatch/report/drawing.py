@@ -47,7 +47,7 @@ def airframe(diagnosis: Diagnosis) -> str:
 def _rotor(x: float, y: float, radius: float, place: Rotor, state, tint: str) -> str:
     """One rotor: a disc that empties with the loss, its number, its loss in percent, an arrow for its spin."""
     loss = min(max(state.loss, 0.0), 1.0)
-    label = "?" if report.rotor_loss(state) == "?" else report.percent(state.loss)
+    label = {"?": "?", "none seen": "none"}.get(report.rotor_loss(state), report.percent(state.loss))
     opacity = 0.15 + 0.85 * loss if loss > 0.02 else 0.0
     # The arrow's arc runs over the top of the disc, 110 degrees of it.
     aside, up = 0.82 * radius, -0.57 * radius

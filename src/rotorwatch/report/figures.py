@@ -214,10 +214,18 @@ def _loss(diagnosis: Diagnosis, source, x_range, n: int, looks) -> Any:
     )
     p.name = "loss"
     named = {*colours.faulty(diagnosis), *colours.suspects(diagnosis)}
+    moved = {k for e in diagnosis.events for k in e.rotors}
     line = None
     for k in sorted(range(1, n + 1), key=lambda k: k in named):  # the ones that matter on top
         look: dict[str, Any] = dict(source=source, name=f"rotor {k}", level="glyph")
-        p.varea("time", f"low{k}", f"high{k}", color=looks[k][0], alpha=0.3 if k in named else 0.07, **look)
+        p.varea(
+            "time",
+            f"low{k}",
+            f"high{k}",
+            color=looks[k][0],
+            alpha=0.3 if k in moved else 0.12 if k in named else 0.07,
+            **look,
+        )
         width = 2.6 if k in named else 1.3
         line = p.line("time", f"loss{k}", color=looks[k][0], line_width=width, line_dash=looks[k][1], **look)
     _hover(p, line)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import tempfile
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
@@ -15,6 +16,8 @@ from rotorwatch.diagnosis import Diagnosis, RotorState
 from rotorwatch.errors import ConfigError
 from rotorwatch.report import colours, drawing, figures, words
 
+UNIT = re.compile(r"(\d) (%|s|Hz|ms|V|g)(?![\w])")
+RANGE = re.compile(r"(\d)(–)(?=\d)")
 SYMBOLS = {"healthy": "✓", "fault": "✕", "ambiguous": "?", "inconclusive": "?"}
 # The page may run its own inline scripts and styles and nothing else; in particular it may not fetch anything.
 POLICY = (
@@ -102,8 +105,9 @@ def _masthead(title: str) -> str:
 
 
 def _text(value: Any) -> str:
-    """Escaped, with numbers and their percent signs kept on one line."""
-    return escape(str(value)).replace(" %", "\u00a0%")
+    """Escaped, with numbers, their ranges and their units kept on one line."""
+    text = UNIT.sub("\\1\u00a0\\2", escape(str(value)))
+    return RANGE.sub("\\1\u2060\\2\u2060", text)
 
 
 def _verdict(diagnosis: Diagnosis) -> str:
@@ -125,10 +129,10 @@ def _overview(diagnosis: Diagnosis) -> str:
         "airframe": report.frame(diagnosis),
         "autopilot": facts.get("autopilot"),
         "format": facts.get("format"),
-        "logging": facts.get("profile"),
         "duration": f"{float(facts.get('duration_s') or 0):.1f} s",
         "airborne": f"{float(airborne[0]):.1f} to {float(airborne[1]):.1f} s" if len(airborne) == 2 else None,
         "second 0 of the log": ", ".join(filter(None, (report.day(diagnosis), boot))),
+        "logging": facts.get("profile"),
     }
     head = _row(("rotor", "where", "status", "loss", "95 % interval", ""), cell="th", right=(3,), wide=(5,))
     looks = colours.looks(diagnosis)
