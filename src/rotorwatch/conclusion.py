@@ -143,6 +143,9 @@ def _verdict(seen: Seen, main: int | None) -> tuple[str, str]:
             "inconclusive",
             f"only {seen.judged_s:.1f} s of flight could be judged: the vehicle was hardly in the air, or its motion is not logged.",
         )
+    if seen.leftover:
+        said = [f"{rotors(s.rotors)} from {seconds(s.start_s)} to {seconds(s.end_s)}" for s in seen.leftover]
+        return "ambiguous", f"there is evidence against {listed(said)} that no event explains."
     scope = "and none from take-off on, compared with its healthy flights" if whole else "after take-off"
     return "healthy", f"no rotor lost effectiveness in {seen.judged_s:.0f} s of judged flight, {scope}."
 

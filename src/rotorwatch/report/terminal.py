@@ -77,7 +77,7 @@ class Fitted:
 
     def __rich_console__(self, console: Console, options):
         kept = [i for i in range(len(self.columns)) if i not in self.bars or options.max_width >= BARS_FROM]
-        least = 2 * (len(kept) - 1)
+        least = 3 * (len(kept) - 1) + 2  # what stands between columns and at the edges
         for i in kept:
             cells = [Text(self.columns[i]), *(row[i] for row in self.rows)]
             least += max(_longest_word(c) if i in self.wide else _longest_line(c) for c in cells)
