@@ -8,13 +8,13 @@ from os import PathLike
 
 import numpy as np
 
-from rotorwatch import airframes, allocation, conclusion, detectors, discovery, places, published, ticks, traces
+from rotorwatch import airframes, allocation, conclusion, detectors, discovery, places, published, ticks, traces, trust
 from rotorwatch.airborne import airborne
 from rotorwatch.default_estimator import estimate
-from rotorwatch.diagnosis import Diagnosis, Event
+from rotorwatch.diagnosis import Diagnosis
 from rotorwatch.errors import ConfigError
 from rotorwatch.estimators.jump_bank import threshold
-from rotorwatch.evidence import decide, events, hypotheses, leftover
+from rotorwatch.evidence import decide, events, hypotheses, leftover, outside
 from rotorwatch.flight import Flight
 from rotorwatch.published import Tuning
 from rotorwatch.ticks import JUDGE, Ticks
@@ -95,10 +95,11 @@ def diagnose(
         dynamics, ready_s = None, READY_S
         table = observe(flight, craft, air, ready_s)
     lap("prepare_s")
+    ready_s = ticks.ready_after(ready_s, table.dt if table is not None else 0.0)
     if not known:
         source = "the flight's own first healthy part"
         assumptions.append(
-            f"the flight's first {READY_S:.0f} s in the air are taken as healthy: damage that was there from take-off "
+            f"the flight's first {ready_s:.0f} s in the air are taken as healthy: damage that was there from take-off "
             "cannot be judged without --baseline or --vehicle"
         )
     facts = _facts(flight, craft, air, table)
@@ -129,19 +130,19 @@ def diagnose(
     lap("estimate_s")
     hyp = hypotheses.make(len(craft.rotors))
     losses = events.read(out, table, hyp, B)
-    overrides = _overrides(flight, craft, air)
-    overridden = {(e.rotors[0]): e for e in overrides}
-    losses = tuple(e for e in losses if not _explained(e, overridden))
-    found = tuple(sorted((*losses, *overrides), key=lambda e: e.detected_s))
+    overrides = outside.overrides(flight, craft, air, table)
+    losses = tuple(e for e in losses if not outside.explains(overrides, e))
+    contacts = outside.contacts(table, air)
+    found = tuple(sorted((*losses, *overrides, *contacts), key=lambda e: e.detected_s))
     lap("events_s")
     whole = _whole_flight(flight, craft, air)
     comparison = detectors.detect(flight, craft, air)
     lap("comparison_s")
-    judged = table.mode == JUDGE
+    judged = (table.mode == JUDGE) & table.valid.any(axis=1)
     spells = leftover.find(out, table, hyp, limit, found)
     end = conclusion.conclude(
         found, whole, len(craft.rotors), hidden=_hidden(out, table), judged_s=float(judged.sum() * table.dt), places=names,
-        leftover=spells, hops=air,
+        doubts=trust.doubts(flight, craft, air, table), leftover=spells, hops=air,
     )  # fmt: skip
     shift = out.biases[judged, 3]
     common = (
@@ -208,33 +209,6 @@ def _profile(flight: Flight, table: Ticks | None) -> str:
     rates = {n: flight[n].rate_hz for n in ("motors", "control", "gyro", "accel") if n in flight.signals}
     text = ", ".join(f"{name} {rate:.0f} Hz" for name, rate in rates.items())
     return text + (f"; judged every {table.dt:.2f} s" if table is not None else "")
-
-
-def _overrides(flight: Flight, vehicle: Vehicle, air) -> tuple[Event, ...]:
-    return tuple(
-        Event(
-            "output_override",
-            (o.rotor,),
-            o.onset,
-            o.detected,
-            o.end,
-            (0.0,),
-            ((0.0, 1.0),),
-            1.0,
-            (),
-            o.reason,
-            {"override": o.kind},
-        )
-        for o in allocation.overrides(flight, vehicle, air)
-    )
-
-
-def _explained(event: Event, overridden: dict) -> bool:
-    """A loss of a rotor whose output is overridden at that time is the override, not a loss."""
-    return any(
-        r in overridden and overridden[r].onset_s - 1.0 <= event.onset_s <= (overridden[r].end_s or np.inf) + 1.0
-        for r in event.rotors
-    )
 
 
 def _whole_flight(flight: Flight, vehicle: Vehicle, air):

@@ -35,6 +35,7 @@ def make(
     pairs = [i for i, kind in enumerate(hyp.kinds) if kind == "pair"]
     evidence["best pair"] = out.log_odds[:, pairs].max(axis=1) / LN10
     blind = [(a, min(a + ready_s, b), "learning after take-off") for a, b in air]
+    blind += [(c.time, c.time + ready_s, "learning after a contact") for c in table.contacts]
     for start, end in _spans(table.time, table.upset & (table.mode > 0)):
         blind.append((start, end, "upset: hover physics does not hold"))
     for spell in spells:

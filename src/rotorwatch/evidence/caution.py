@@ -20,11 +20,16 @@ THRUST_MEMORY_S, TRIM_MEMORY_S = 0.5, 6.0
 # Share by which the motion model may be wrong for a moment, and how many ticks such an error lasts.
 GAIN_ERROR, DAMPING_ERROR = (0.25, 0.25, 0.35, 0.15), 0.3
 ERROR_TICKS = 4.0
-LAG_ERROR_S = 0.015
+LAG_ERROR_S, SNAPSHOT = (
+    0.015,
+    0.15,
+)  # the second: share of a step that a single slow command may be off by, within its tick
 BURST_MEMORY_S, BURST_CLIP, BURST_POWER = 3.0, 6.0, 1.0
 LEAN_S, LASTING_MEMORY_S, LASTING = 1.0, 30.0, 1.0
 GUST_S, GUST_SHARE, LEAST_GAIN = 1.0, 2.0, 0.3
 FAR, FAR_ERROR, FAR_MEMORY_S = 0.3, 0.5, 5.0
+# Share of full thrust above which a rotor may give no more: batteries sag, speed controllers and simulated motors reach their end early.
+BELIEVED = 0.65
 
 
 class Memory(NamedTuple):
@@ -69,7 +74,7 @@ def init(n: int) -> Memory:
 
 
 def look(memory: Memory, u, y, valid, flying, restart, x, variances, n: int, dt: float) -> tuple[Memory, Look]:
-    """One tick's inputs u (n + 9,) as `WrenchBalance.pack` lays them out, judged against what was usual.
+    """One tick's inputs u (n + 10,) as `WrenchBalance.pack` lays them out, judged against what was usual.
 
     x (20,): state; variances (4, 4) of the noise model.
     """
@@ -110,7 +115,7 @@ def look(memory: Memory, u, y, valid, flying, restart, x, variances, n: int, dt:
     far = jnp.maximum(jnp.abs(collective - usual) - FAR, 0.0) + jnp.maximum(jnp.abs(u[n + 3] / n - 1.0) - FAR, 0.0)
     new = Memory(
         level,
-        before + away * (dt / THRUST_MEMORY_S),
+        before + away * min(dt / THRUST_MEMORY_S, 1.0),
         thrust_level,
         trim + (part - trim) * (dt / TRIM_MEMORY_S),
         usual + (collective - usual) * (dt / FAR_MEMORY_S),
@@ -147,17 +152,19 @@ def remember(memory: Memory, innovation, variance, ok, dt: float) -> Memory:
     )
 
 
-def model_error(memory: Memory, seen: Look, x, y, white, n: int, dt: float):
-    """(4,) variance by which the plant's model may be wrong at this tick; x (20,) state, white (4,) noise variance."""
+def model_error(memory: Memory, seen: Look, x, y, white, B, n: int, dt: float):
+    """(4,) variance by which the plant's model may be wrong at this tick; x (20,) state, white (4,) noise variance, B (4, n)."""
     import jax.numpy as jnp
 
     u, x = seen.u, x.reshape(4, PER_AXIS)
     motion = jnp.concatenate([u[n : n + 3], u[n + 3 : n + 4] - n])
     rates = jnp.concatenate([u[n + 4 : n + 7], jnp.zeros(1)])
+    missing = jnp.maximum(u[:n] - BELIEVED * u[n + 9], 0.0)  # thrust of each rotor that it may not give
     step = jnp.maximum(jnp.abs(y - memory.y) - 4.0 * jnp.sqrt(white), 0.0)
     return ERROR_TICKS * (
         (jnp.asarray(GAIN_ERROR) * x[:, GAIN] * motion) ** 2
         + (DAMPING_ERROR * x[:, DAMPING] * rates) ** 2
         + (FAR_ERROR * n * seen.far) ** 2
-        + (LAG_ERROR_S / dt * step) ** 2
+        + (B * missing[None, :]) ** 2 @ jnp.ones(n)
+        + (max(LAG_ERROR_S / dt, SNAPSHOT) * step) ** 2
     )

@@ -8,6 +8,16 @@ from rotorwatch.diagnosis import Diagnosis, Event
 # suspected, the rest for rotors that nothing is known against. Dashes tell apart what shares a colour.
 FAULT, SUSPECT = "#d55e00", "#e69f00"
 OTHERS = ("#0072b2", "#009e73", "#56b4e9", "#9467bd", "#8c8c8c", "#44727f", "#6aa84f", "#b08fb5")
+PALETTE = (
+    "#0072b2",
+    "#e69f00",
+    "#009e73",
+    "#cc79a7",
+    "#56b4e9",
+    "#d55e00",
+    "#8c8c8c",
+    "#9467bd",
+)  # for all that are no rotors
 DASHES = ("solid", "dashed", "dotted", "dotdash", "dashdot")
 INK = "#7a828a"  # reads on white and on black until the page's script has set the theme
 
@@ -26,9 +36,9 @@ def suspects(diagnosis: Diagnosis) -> list[int]:
 
 
 def looks(diagnosis: Diagnosis, count: int = 0) -> dict[int, tuple[str, str]]:
-    """(colour, dash) of each rotor, 1-based; count: of rotors, where the diagnosis does not list them."""
+    """(colour, dash) of each rotor, 1-based; count: of rotors at least, where the diagnosis does not list them all."""
     bad, open_ = faulty(diagnosis), suspects(diagnosis)
-    numbers = [r.rotor for r in diagnosis.rotors] or list(range(1, count + 1))
+    numbers = sorted({*(r.rotor for r in diagnosis.rotors), *range(1, count + 1)})
     out = {}
     for k in numbers:
         for group, tint in ((bad, FAULT), (open_, SUSPECT)):
