@@ -310,6 +310,7 @@ def events(views):
         views.shown(report.probability(event.probability), f"{me}: its probability")
         if event.end_s is not None:
             views.shown(report.seconds(event.end_s), f"{me}: its end")
+        views.shown(report.size(event), f"{me}: its size")
         if event.kind == LOSS:
             for text in report.losses(event).split(", "):
                 views.shown(text, f"{me}: its loss")
@@ -469,7 +470,7 @@ FIELDS = {
         views.shown(report.percent(v), "the loss 2 s later", screen=False) for v in value
     ],
     "events[].override": lambda views, value: views.shown(value, "the kind of override", screen=False),
-    "events[].size": lambda views, value: views.shown(report.plain(value), "the size of a contact"),
+    "events[].size": SHOWN,
     "events[].unit": word("the unit of a contact"),
     "common_mode": HIDDEN,
     "common_mode.thrust_shift": lambda views, value: views.shown(

@@ -139,7 +139,7 @@ def diagnose(
     comparison = detectors.detect(flight, craft, air)
     lap("comparison_s")
     judged = (table.mode == JUDGE) & table.valid.any(axis=1)
-    spells = leftover.find(out, table, hyp, limit, found)
+    spells = leftover.find(out, table, hyp, limit, found, B)
     end = conclusion.conclude(
         found, whole, len(craft.rotors), hidden=_hidden(out, table), judged_s=float(judged.sum() * table.dt), places=names,
         doubts=trust.doubts(flight, craft, air, table), leftover=spells, hops=air,

@@ -154,7 +154,7 @@ def event_rows(event: Event, diagnosis: Diagnosis) -> dict[str, str]:
 def size(event: Event) -> str:
     """How hard a contact was: '3.2 g'."""
     value = event.extra.get("size")
-    return f"{plain(value)} {event.extra.get('unit', '')}".strip() if value is not None else ""
+    return f"{value:.2g} {event.extra.get('unit', '')}".strip() if value is not None else ""
 
 
 def common_mode(diagnosis: Diagnosis) -> str:
