@@ -43,11 +43,11 @@ def make(
     lower, upper = np.clip(out.theta - spread, 0, 1), np.clip(out.theta + spread, 0, 1)
     _open(lower, upper, table.time, found, spells)
     time, seen = table.time, np.ones(table.time.size, bool) if table.seen is None else table.seen
-    measured = table.valid.any(axis=1)
+    measured = np.any(table.valid, axis=1, keepdims=True)
     actual, wanted = (_angles(flight, name, time) for name in ("attitude", "attitude_wanted"))
     return Trace(
         time, out.theta, lower, upper,
-        _bridged(time, np.where(measured[:, None], out.innovation, np.nan)), np.sqrt(out.innovation_var),
+        _bridged(time, np.where(measured, out.innovation, np.nan)), np.sqrt(out.innovation_var),
         _bridged(time, np.where(seen[:, None], table.thrust * table.hover[:, None], np.nan)),
         {k: np.clip(v, LEAST_ODDS, None) for k, v in evidence.items()}, tuple(blind), tuple(air), limit / LN10,
         actual, wanted, _messages(flight, float(time[-1])),
