@@ -104,7 +104,8 @@ def conclude(
 
 def _concluded(seen: Seen, verdict, reason, headline, main, doubts) -> Conclusion:
     states = tuple(_state(seen, k, verdict) for k in range(1, seen.n + 1))
-    next_steps = advice.of(verdict, seen.events, main, states, seen.whole, seen.places, doubts)
+    stays = main is not None and (seen.events[main].end_s is None or _landed(seen, seen.events[main].end_s))
+    next_steps = advice.of(verdict, seen.events, main, states, seen.whole, seen.places, doubts, stays)
     return Conclusion(verdict, reason, headline, main, states, next_steps, seen.events)
 
 
@@ -131,7 +132,7 @@ def _verdict(seen: Seen, main: int | None) -> tuple[str, str]:
     event = None if main is None else seen.events[main]
     whole = seen.compared
     if event is not None and not event.alternatives:
-        return "fault", _what_happened(event) + _and_more(seen, event) + _open(seen) + "."
+        return "fault", _what_happened(seen, event) + _and_more(seen, event) + _open(seen) + "."
     if whole and whole["verdict"] == "fault":
         return "fault", whole["reason"]
     if event is not None:
@@ -150,13 +151,19 @@ def _verdict(seen: Seen, main: int | None) -> tuple[str, str]:
     return "healthy", f"no rotor lost effectiveness in {seen.judged_s:.0f} s of judged flight, {scope}."
 
 
-def _what_happened(event: Event) -> str:
+def _what_happened(seen: Seen, event: Event) -> str:
     why = event.reason.strip().removesuffix(".")
     if event.kind == OVERRIDE:
         return why
-    until = f", until {seconds(event.end_s)}" if event.end_s is not None else ""
+    until = _until(seen, event, ", until")
     what = f"{rotors(event.rotors)} lost {losses(event)} of its effectiveness at {seconds(event.onset_s)}{until}"
     return f"{what}: {why}" if why else what
+
+
+def _until(seen: Seen, event: Event, word: str) -> str:
+    if event.end_s is None:
+        return ""
+    return f"{word} {'the landing at ' if _landed(seen, event.end_s) else ''}{seconds(event.end_s)}"
 
 
 def _and_more(seen: Seen, main: Event) -> str:
@@ -194,7 +201,7 @@ def _matter(seen: Seen, verdict: str, main: int | None) -> str:
     more = sum(e.kind in (LOSS, OVERRIDE) for e in seen.events) - 1
     again = f" (the first of {more + 1} events)" if more and event is seen.events[0] else ""
     again = again or (f" (one of {more + 1} events)" if more else "")
-    until = f" until {seconds(event.end_s)}" if event.end_s is not None else ""
+    until = _until(seen, event, " until")
     who = rotors(event.rotors, seen.places)
     if event.kind == OVERRIDE:
         return f"The output of {who} stopped following the mixer at {seconds(event.onset_s)}{until}{again}."
@@ -288,6 +295,6 @@ def most(event: Event, rotor: int) -> float:
     return max(own, other) if any(rotor in a for a in event.alternatives) else own
 
 
-def _landed(seen: Seen, end_s: float) -> bool:
+def _landed(seen: Seen, end_s: float | None) -> bool:
     """An event that ended with a landing, before another take-off: what became of it was not judged again."""
-    return any(abs(end_s - down) < LANDED_S for _, down in seen.hops[:-1])
+    return end_s is not None and any(abs(end_s - down) < LANDED_S for _, down in seen.hops[:-1])
