@@ -10,6 +10,7 @@ import numpy as np
 from rotorwatch.core import Array
 from rotorwatch.errors import ConfigError
 from rotorwatch.run import chosen, run_built
+from rotorwatch.systems.wrench_balance import AXIS_STATES
 from rotorwatch.ticks import AGAIN, JUDGE, Ticks
 
 FLIGHTS_DIFFER = 0.25
@@ -47,7 +48,7 @@ def kept(out) -> Kept:
     e, d = out.estimate, out.decision
     return Kept(
         out.theta, out.theta_sd, e.innovation, jnp.diagonal(e.innovation_cov), d.log_odds, d.statistic, d.best, d.onset,
-        out.probability, out.announced, out.committed, out.active, out.detectable, e.x.reshape(4, -1)[:, :3].sum(axis=1),
+        out.probability, out.announced, out.committed, out.active, out.detectable, e.x[:AXIS_STATES].reshape(4, -1)[:, :3].sum(axis=1),
         *out.opposite,
     )  # fmt: skip
 
@@ -77,7 +78,8 @@ def _estimator(p, dt):
     from rotorwatch.estimators.jump_bank import JumpBank
     from rotorwatch.systems.wrench_balance import WrenchBalance
 
-    return JumpBank(WrenchBalance(p["B"], (p["x0"], p["P0"])), dt, (p["noise"], p["noise_weight"]))
+    system = WrenchBalance(p["B"], (p["x0"], p["P0"]), p.get("lower"), p.get("share"))
+    return JumpBank(system, dt, (p["noise"], p["noise_weight"]))
 
 
 BUILDERS: dict[float, Callable] = {
@@ -103,15 +105,20 @@ def inputs(table: Ticks, B: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndar
 
 
 def parameters(B: np.ndarray, dynamics=None) -> dict:
-    """The arrays the estimator is built from: geometry B (4, n), and what `learn` found or any multirotor is like."""
+    """The arrays the estimator is built from: geometry B (4, n), and what `learn` found or any multirotor is like; on coaxial frames
+    which rotors are the lower ones, and what is known of their share."""
     from rotorwatch.evidence import noise
-    from rotorwatch.systems.wrench_balance import WrenchBalance
+    from rotorwatch.systems.wrench_balance import SHARE_SD, WrenchBalance, lower_rotors
 
+    lower, coaxial = lower_rotors(B), {}
+    if lower is not None:
+        coaxial = {"lower": lower, "share": np.array((dynamics or {}).get("share", [0.0, SHARE_SD**2]), float)}
     if dynamics:
-        return {"B": B, **{k: np.array(dynamics[k], float) for k in ("x0", "P0", "noise", "noise_weight")}}
+        return {"B": B, **coaxial, **{k: np.array(dynamics[k], float) for k in ("x0", "P0", "noise", "noise_weight")}}
     system = WrenchBalance(B)
     return {
         "B": B,
+        **coaxial,
         "x0": system.x0,
         "P0": system.P0,
         "noise": noise.GENERIC,
@@ -135,11 +142,11 @@ def learn(tables: Sequence[Ticks], B: np.ndarray) -> dict | None:
     Gains and damping: precision-weighted mean over the flights, with their spread added. Biases are left open: they are
     each flight's own. Noise: the largest of the flights', per component and axis.
     """
-    from rotorwatch.systems.wrench_balance import DAMPING, GAIN, PER_AXIS, WrenchBalance
+    from rotorwatch.systems.wrench_balance import DAMPING, GAIN, PER_AXIS, WrenchBalance, lower_rotors
 
     system = WrenchBalance(B)
     rows = (np.arange(4)[:, None] * PER_AXIS + np.array([GAIN, DAMPING])).reshape(-1)
-    means, precisions, noises = [], [], []
+    means, precisions, noises, shares = [], [], [], []
     for table in tables:
         if (table.mode == JUDGE).sum() * table.dt < 10.0 or table.dt not in BUILDERS:
             continue
@@ -147,6 +154,9 @@ def learn(tables: Sequence[Ticks], B: np.ndarray) -> dict | None:
         means.append(np.asarray(carry.s)[rows])
         precisions.append(1.0 / np.maximum(np.diag(np.asarray(carry.P))[rows], 1e-12))
         noises.append(np.asarray(carry.noise.variances))
+        shares.append(
+            (float(carry.s[AXIS_STATES]), float(carry.P[AXIS_STATES, AXIS_STATES]))
+        )  # the share, on coaxial frames
     if not means:
         return None
     loudest = np.max(noises, axis=0)
@@ -159,7 +169,10 @@ def learn(tables: Sequence[Ticks], B: np.ndarray) -> dict | None:
     open_ = FLIGHTS_DIFFER * np.diag(P0)[rows] / len(means)
     variance = np.minimum(np.diag(P0)[rows], 1.0 / np.sum(precisions, axis=0) + spread + open_)
     P0[rows[:, None], rows] = np.diag(variance)
+    # ... nor how much the lower rotors' share does.
+    share, spread_share = np.average(shares, axis=0), np.var([s for s, _ in shares])
+    known = {"share": [float(share[0]), float(share[1] + spread_share)]} if lower_rotors(B) is not None else {}
     return {
         "x0": x0.tolist(), "P0": P0.tolist(), "noise": loudest.tolist(), "noise_weight": LEARNED_WEIGHT,
-        "dt": tables[0].dt,
+        "dt": tables[0].dt, **known,
     }  # fmt: skip

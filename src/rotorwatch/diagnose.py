@@ -154,7 +154,7 @@ def diagnose(
     timing["total_s"] = time.perf_counter() - began
     return _answer(
         end, facts, common, source, assumptions, warnings, timing, estimator=estimator, comparison=comparison,
-        whole_flight=whole, trace=traces.make(flight, out, table, hyp, air, ready_s, limit, end.events, spells),
+        whole_flight=whole, trace=traces.make(flight, out, table, hyp, B, air, ready_s, limit, end.events, spells),
     )  # fmt: skip
 
 

@@ -22,12 +22,13 @@ KINDS = ("mode", "armed", "landed", "error", "event", "text", "dropout")
 
 
 def make(
-    flight: Flight, out, table: Ticks, hyp: Hypotheses, air, ready_s: float, limit: float, found=(), spells=()
+    flight: Flight, out, table: Ticks, hyp: Hypotheses, B, air, ready_s: float, limit: float, found=(), spells=()
 ) -> Trace:
-    """The Trace of a judged flight. out: the estimator's stacked outputs; limit: its threshold in nats; found: events; spells: of evidence
+    """The Trace of a judged flight. out: the estimator's stacked outputs; limit: its threshold in nats; B (4, n):
+    effectiveness; found: events; spells: of evidence
     that no event explains (`leftover`)."""
     judging = table.mode == JUDGE
-    sd = events.sd_of(out.theta, out.theta_sd)
+    sd = events.sd_of(out.theta, out.theta_sd, B)
     spread = np.where(out.theta > 0, 1.96 * sd, 1.96 * np.where(judging[:, None], out.detectable, 0.0))
     evidence = {
         name: out.log_odds[:, i] / LN10 for i, name in enumerate(hyp.names) if hyp.kinds[i] in ("single", "disturbance")

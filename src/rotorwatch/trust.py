@@ -99,7 +99,7 @@ def wild_motion(case: Case) -> str | None:
         smooth = np.convolve(size, np.ones(width) / width, "valid")
         if smooth.size and smooth.max() > limit:
             at = time[int(np.argmax(smooth))]
-            return f"the vehicle {what} {smooth.max():.0f} {unit} at {at:.1f} s, which none survives: the log's {name} is wrong, or its unit."
+            return f"the vehicle {what} {smooth.max():.0f} {unit} at {at:.1f} s, which none survives: its {name} or its unit is wrong."
     return None
 
 
@@ -113,7 +113,7 @@ def weightless(case: Case) -> str | None:
     typical = float(np.median(size)) / G0
     if 1.0 / SCALE < typical < SCALE:
         return None
-    return f"the accelerometer shows {typical:.3g} g over the whole flight instead of one: its unit is not m/s^2, or it is not this vehicle's."
+    return f"the accelerometer shows {typical:.3g} g over the flight instead of one: its unit is not m/s^2, or it is another vehicle's."
 
 
 def attitude_against_gyro(case: Case) -> str | None:

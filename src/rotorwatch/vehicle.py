@@ -50,7 +50,7 @@ def note_on_coaxial(rotors: tuple[Rotor, ...]) -> tuple[str, ...]:
     lower = [str(k + 1) for k, r in enumerate(rotors) if r.lower]
     if not lower:
         return ()
-    given = f"are taken to give {LOWER_SHARE:.0%} of the upper ones' thrust"
+    given = f"are taken to give about {LOWER_SHARE:.0%} of the upper ones' thrust, and more or less as the flight shows"
     return (f"Lower rotors of coaxial pairs ({', '.join(lower)}) {given}.",)
 
 

@@ -76,7 +76,7 @@ def estimator(name: str, f, kept, statistic: np.ndarray, seen: Sequence[Event], 
     if row["fault"]:
         k, rotor = _compared(f), f.scenario.faults[0]["rotor"] - 1
         loss = float(kept.theta[k, rotor])
-        sd = float(events.sd_of(kept.theta[k, rotor], kept.theta_sd[k, rotor]))
+        sd = float(events.sd_of(kept.theta[k, rotor], kept.theta_sd[k, rotor], f.vehicle.effectiveness()))
         row |= {"estimate": loss, "lower": max(0.0, loss - 1.96 * sd), "upper": min(1.0, loss + 1.96 * sd)}
     row |= _peaks(f, statistic, row["onset_s"])
     return row

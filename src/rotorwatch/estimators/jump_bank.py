@@ -220,9 +220,9 @@ class JumpBank:
         memory, seen = caution.look(carry.caution, u, y, valid, flying, restart, biases, carry.noise.variances, n, dt)
         white = carry.noise.variances[0]
         error = caution.model_error(carry.caution, seen, biases, y, white, self.system.B, n, dt)
-        rows = jnp.concatenate([self.system.C(seen.u), self.system.H(seen.u)], axis=1)
+        rows = jnp.concatenate([self.system.C(seen.u), self.system.H(seen.u, biases)], axis=1)
         e = y - rows @ s
-        carried = u[n + 3] * biases.reshape(4, PER_AXIS)[3, GAIN]
+        carried = u[n + 3] * biases[3 * PER_AXIS + GAIN]
         missing = plausibility.follow(carry.missing, y[3] - carried, u[n + 3] / n, valid[3], restart, dt)
         s, P, bank, innovation, variance = self._updated(
             s, P, bank, rows, y, valid & flying, white + error, seen.teach, caution.calm(memory)
@@ -231,7 +231,7 @@ class JumpBank:
         memory = caution.remember(memory, innovation, variance, valid & flying & (stand.pending < 0), dt)
 
         told = jumps.without_last(bank, jnp.maximum(P[self.yaw_gain, self.yaw_gain], 1e-12))
-        found = self._evidence(s, told, carry.noise.variances, stand, self.system.H(seen.u))
+        found = self._evidence(s, told, carry.noise.variances, stand, self.system.H(seen.u, biases))
         best = self._candidate(found, told, stand)
         # One rotor's direction may be met by chance, by a disturbance such as this flight has not seen yet.
         other = jnp.where(best.lone, jnp.logaddexp(found.other, found.far), found.other)
@@ -358,6 +358,7 @@ class JumpBank:
         learning = jnp.where(moving, MOVING_S, jnp.maximum(stand.learning - self.dt, 0.0))
         A = self._A()
         q_x = jnp.where(flying, noise.process_variance(carry.noise.variances, self.dt), 0.0)
+        q_x = jnp.concatenate([q_x, jnp.zeros(self.n_x - q_x.size)])
         Q = jnp.diag(jnp.concatenate([q_x, (learning > 0) * THETA_WALK * self.dt]))
         return (
             A * s,

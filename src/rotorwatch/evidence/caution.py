@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch.core import Array
-from rotorwatch.systems.wrench_balance import DAMPING, DAMPING_RATE, GAIN, GAIN_MEAN, PER_AXIS
+from rotorwatch.systems.wrench_balance import AXIS_STATES, DAMPING, DAMPING_RATE, GAIN, GAIN_MEAN, PER_AXIS
 
 GARROTE = 2.5  # how many times its calm level motion must reach to stand out
 LEVEL_MEMORY_S = 10.0
@@ -76,7 +76,7 @@ def init(n: int) -> Memory:
 def look(memory: Memory, u, y, valid, flying, restart, x, variances, n: int, dt: float) -> tuple[Memory, Look]:
     """One tick's inputs u (n + 10,) as `WrenchBalance.pack` lays them out, judged against what was usual.
 
-    x (20,): state; variances (4, 4) of the noise model.
+    x (n_x,): state; variances (4, 4) of the noise model.
     """
     import jax.numpy as jnp
 
@@ -85,7 +85,7 @@ def look(memory: Memory, u, y, valid, flying, restart, x, variances, n: int, dt:
     motion = u[jnp.array([n, n + 1, n + 2, n + 4, n + 5, n + 6])]
     shrink = jnp.maximum(0.0, 1.0 - GARROTE**2 * memory.level / jnp.maximum(motion**2, 1e-12))
     # Motion that gusts have made teaches what the gusts did, not what the vehicle is: it has to need more than they give.
-    gain = jnp.maximum(x.reshape(4, PER_AXIS)[:3, GAIN], LEAST_GAIN * n * GAIN_MEAN[:3])
+    gain = jnp.maximum(x[:AXIS_STATES].reshape(4, PER_AXIS)[:3, GAIN], LEAST_GAIN * n * GAIN_MEAN[:3])
     gusts = (variances[1] + variances[2] + variances[3] * GUST_S)[:3]
     needs = jnp.concatenate([gain * motion[:3], DAMPING_RATE * gain * motion[3:]])
     shrink = jnp.minimum(
@@ -124,7 +124,7 @@ def look(memory: Memory, u, y, valid, flying, restart, x, variances, n: int, dt:
         jnp.where(restart, 0.0, memory.lean),
         memory.lasting,
     )
-    teach = jnp.concatenate([teach.reshape(-1), jnp.ones(n)])
+    teach = jnp.concatenate([teach.reshape(-1), jnp.ones(x.size - AXIS_STATES + n)])
     return new, Look(jnp.concatenate([smooth, u[n:]]), teach, far, smooth - collective - memory.trim, collective)
 
 
@@ -153,10 +153,10 @@ def remember(memory: Memory, innovation, variance, ok, dt: float) -> Memory:
 
 
 def model_error(memory: Memory, seen: Look, x, y, white, B, n: int, dt: float):
-    """(4,) variance by which the plant's model may be wrong at this tick; x (20,) state, white (4,) noise variance, B (4, n)."""
+    """(4,) variance by which the plant's model may be wrong at this tick; x (n_x,) state, white (4,) noise variance, B (4, n)."""
     import jax.numpy as jnp
 
-    u, x = seen.u, x.reshape(4, PER_AXIS)
+    u, x = seen.u, x[:AXIS_STATES].reshape(4, PER_AXIS)
     motion = jnp.concatenate([u[n : n + 3], u[n + 3 : n + 4] - n])
     rates = jnp.concatenate([u[n + 4 : n + 7], jnp.zeros(1)])
     missing = jnp.maximum(u[:n] - BELIEVED * u[n + 9], 0.0)  # thrust of each rotor that it may not give

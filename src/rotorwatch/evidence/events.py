@@ -13,6 +13,7 @@ import numpy as np
 from rotorwatch.diagnosis import Event
 from rotorwatch.evidence.hypotheses import WEIGHT as hypotheses_weight
 from rotorwatch.evidence.hypotheses import Hypotheses
+from rotorwatch.systems.wrench_balance import lower_rotors
 from rotorwatch.ticks import JUDGE, Ticks
 
 CREDIBLE = 0.03  # a rotor set with less probability than this is not named
@@ -20,6 +21,7 @@ CERTAIN = 0.9  # below this the answer is ambiguous
 CERTAIN_OPPOSITE = 0.99  # the same for a pair of opposite rotors: only manoeuvres tell it from the others
 # What the model itself is uncertain of: the thrust curve away from the operating point, equal rotors.
 MODEL_SD, MODEL_SHARE = 0.004, 0.02
+COAXIAL_SHARE = 0.06  # ... how the thrust of a coaxial arm divides: half of what the lower rotors' share may be off by
 GONE = 0.8
 # One of two rotors that is taken back had failed only if it had lost so much, for so long: else it was an error in the other's share.
 REAL, LASTED_S = 0.1, 5.0
@@ -147,7 +149,7 @@ def read(out, ticks: Ticks, hyp: Hypotheses, B: np.ndarray | None = None) -> tup
             record.last = k
     judged = np.flatnonzero(ticks.mode == JUDGE)
     final = int(judged[-1]) if judged.size else len(ticks.time) - 1
-    return tuple(_event(r, out, ticks, final, partners) for r in records)
+    return tuple(_event(r, out, ticks, final, partners, B) for r in records)
 
 
 def _unjudged_from(ticks: Ticks, k: int) -> int:
@@ -167,12 +169,14 @@ def _left(record: Record, rotor: int, k: int, end: float) -> Record:
     return Record(record.onset, record.announced, (rotor,), {(rotor,): 1.0}, k, end)
 
 
-def sd_of(theta: np.ndarray, sd: np.ndarray) -> np.ndarray:
-    """Standard deviation of a loss with what the model is uncertain of."""
-    return np.sqrt(sd**2 + MODEL_SD**2 + (MODEL_SHARE * theta) ** 2)
+def sd_of(theta: np.ndarray, sd: np.ndarray, B: np.ndarray | None = None) -> np.ndarray:
+    """Standard deviation of a loss with what the model of a vehicle with effectiveness B (4, n) is uncertain of."""
+    coaxial = B is not None and lower_rotors(B) is not None
+    share = np.hypot(MODEL_SHARE, COAXIAL_SHARE) if coaxial else MODEL_SHARE
+    return np.sqrt(sd**2 + MODEL_SD**2 + (share * theta) ** 2)
 
 
-def _event(record: Record, out, ticks: Ticks, final: int, partners: dict) -> Event:
+def _event(record: Record, out, ticks: Ticks, final: int, partners: dict, B) -> Event:
     if record.seen is not None:
         k = record.seen
     elif record.end is None:
@@ -183,7 +187,7 @@ def _event(record: Record, out, ticks: Ticks, final: int, partners: dict) -> Eve
     rotors = record.rotors
     loss = np.array(record.loss) if record.loss else out.theta[k, list(rotors)]
     # Of a shared shift each rotor may hold anything from nothing to all.
-    sd = loss / 1.96 if record.loss else sd_of(loss, out.theta_sd[k, list(rotors)])
+    sd = loss / 1.96 if record.loss else sd_of(loss, out.theta_sd[k, list(rotors)], B)
     shares = record.shares
     own = shares.get(tuple(sorted(rotors)), max(shares.values(), default=0.0))
     paired = len(rotors) == 2 and rotors[1] in partners.get(rotors[0], ()) and len(partners) > 4

@@ -141,7 +141,7 @@ def _bare(scenario: Scenario, craft: Vehicle) -> Bare:
     x, y, spin = (np.array([getattr(r, k) for r in craft.rotors], float) for k in ("x", "y", "spin"))
     arm = float(np.hypot(x, y).max())
     mass = float(known["mass"]) if known else a["mass_kg"]
-    share = _shares(x, y, a["lower_rotor"])
+    share = np.array([a["lower_rotor"] if r.lower else 1.0 for r in craft.rotors])
     if known:
         thrust_max = np.full(len(x), float(known["thrust_max"]))
     else:
@@ -217,12 +217,6 @@ def _inertia(a: Mapping[str, Any], known: dict | None, mass: float, arm: float) 
             "airframe.inertia_kg_m2: no body has one moment of inertia larger than the sum of the others."
         )
     return np.diag(diagonal)
-
-
-def _shares(x, y, lower: float) -> np.ndarray:
-    """1 for each rotor, `lower` for the second one on the same arm."""
-    place = np.round(np.stack([x, y], axis=1) / max(np.abs(x).max(), np.abs(y).max()), 3)
-    return np.array([lower if (np.abs(place[:k] - place[k]).max(axis=1) < 1e-2).any() else 1.0 for k in range(len(x))])
 
 
 def _gap(x, y) -> float:

@@ -9,7 +9,8 @@ thrust the load factor times n; r: angular rate [rad/s] (damping, none for thrus
 and forward for pitch, with one l; b1, b2: coloured disturbances with time
 constants TAU (gusts, and what the controller makes of them); b3: slow drift (wind,
 centre of mass, battery), a random walk. theta_i: loss of rotor i. Per axis the state is (b1, b2, b3, G, c). It is linear
-in the state for given u, and in theta.
+in the state for given u, and in theta. On coaxial frames the lower rotors of all arms give a share s more than B says, which is
+one more state: y_a - ... - s (dB/ds T)_a, with B kept such that hover takes the same command.
 """
 
 from __future__ import annotations
@@ -33,6 +34,10 @@ DAMPING_RATE, DAMPING_RATE_SD = 2.0, 1.5
 # where it pushes. Real quadrotors: 0.05 to 0.2; rigid rotors in the plane of the centre of mass: 0.
 SIDE, SIDE_SD = 0.05, 0.07
 BIAS_SD = np.array([0.5, 0.5, 1.0, 0.4])
+SHARE_SD = (
+    0.12  # of a lower rotor's thrust, relative to what its share in B says: 75 to 95 % and more of the upper one's
+)
+AXIS_STATES = 4 * PER_AXIS
 
 
 class WrenchBalance:
@@ -40,19 +45,29 @@ class WrenchBalance:
 
     name = "wrench_balance"
     n_y = 4
-    n_x = 4 * PER_AXIS
-    x_names = tuple(
-        "side force" if axis == "thrust" and what == "damping" else f"{axis}.{what}"
-        for axis in AXES
-        for what in ("b1", "b2", "b3", "gain", "damping")
-    )
 
-    def __init__(self, B, prior=None):
-        """prior: (mean (20,), covariance (20, 20)) from healthy flights (calibrate), else what any multirotor is like."""
+    def __init__(self, B, prior=None, lower=None, share=None):
+        """prior: (mean (20,), covariance (20, 20)) from healthy flights (calibrate), else what any multirotor is like. lower (n,): 1 for
+        the lower rotors of coaxial arms, None on other frames: with it, how much more or less than in B they all give is a 21st state,
+        with mean and variance `share` (2,)."""
         self.B = B  # numpy, or traced: one compiled program serves every airframe with n rotors
+        self.lower = lower
         self.n_theta = B.shape[1]
         self.n_u = self.n_theta + 10
+        self.n_x = AXIS_STATES + (lower is not None)
         self.x0, self.P0 = any_multirotor(self.n_theta) if prior is None else prior
+        if lower is not None:
+            self.x0, self.P0 = _with_share(self.x0, self.P0, np.array([0.0, SHARE_SD**2]) if share is None else share)
+
+    @property
+    def x_names(self) -> tuple[str, ...]:
+        """Name of every state."""
+        names = tuple(
+            "side force" if axis == "thrust" and what == "damping" else f"{axis}.{what}"
+            for axis in AXES
+            for what in ("b1", "b2", "b3", "gain", "damping")
+        )
+        return (*names, "lower rotors' share")[: self.n_x]
 
     def pack(self, ticks):
         """(T, n + 10) inputs of a table of ticks: thrusts, angular accelerations, n times load factor, angular rates, side forces
@@ -63,20 +78,29 @@ class WrenchBalance:
         return np.concatenate([ticks.thrust, ticks.rate_dot, load, ticks.rate, side, full], axis=1)
 
     def C(self, u):
-        """(4, 20) dy/dx."""
+        """(4, n_x) dy/dx."""
         from jax import numpy as jnp
 
         n = self.n_theta
         one = jnp.ones(4)
         rates = jnp.concatenate([u[n + 4 : n + 7], jnp.zeros(1)])
         rows = jnp.stack([one, one, one, u[n : n + 4], rates], axis=1)
-        C = (jnp.eye(4)[:, :, None] * rows[:, None, :]).reshape(4, self.n_x)
+        C = (jnp.eye(4)[:, :, None] * rows[:, None, :]).reshape(4, AXIS_STATES)
         push = jnp.stack([-u[n + 8], u[n + 7], *jnp.zeros(2)])
-        return C + push[:, None] * (np.arange(self.n_x) == SIDEWAYS)
+        C = C + push[:, None] * (np.arange(AXIS_STATES) == SIDEWAYS)
+        if self.lower is None:
+            return C
+        return jnp.concatenate([C, -(self.B @ (self._more() * u[:n]))[:, None]], axis=1)
 
-    def H(self, u):
-        """(4, n) dy/dtheta."""
-        return self.B * u[: self.n_theta][None, :]
+    def H(self, u, x=None):
+        """(4, n) dy/dtheta; where x (n_x,) is given, with the lower rotors' share in it."""
+        effect = self.B * u[: self.n_theta][None, :]
+        return effect if x is None or self.lower is None else effect * (1.0 + x[-1] * self._more())[None, :]
+
+    def _more(self):
+        """(n,) by how much each rotor's thrust grows with the share. The unit of thrust stays the hover command: what the lower rotors
+        give more, all give less."""
+        return self.lower - (self.B[3] * self.lower).mean()
 
     def f(self, x, u, theta, dt):
         """State after dt: disturbances decay, the rest stays."""
@@ -87,13 +111,13 @@ class WrenchBalance:
         return self.C(u) @ x + self.H(u) @ theta
 
     def decay(self, dt):
-        """(20,) diagonal of the state transition: constant for a dt that is known, traced for one that is not."""
-        left = fading(dt)
+        """(n_x,) diagonal of the state transition: constant for a dt that is known, traced for one that is not."""
+        left, more = fading(dt), np.ones(self.n_x - AXIS_STATES)
         if isinstance(left, np.ndarray):
-            return np.tile([*left, 1.0, 1.0, 1.0], 4)
+            return np.concatenate([np.tile([*left, 1.0, 1.0, 1.0], 4), more])
         from jax import numpy as jnp
 
-        return jnp.tile(jnp.stack([*left, 1.0, 1.0, 1.0]), 4)
+        return jnp.concatenate([jnp.tile(jnp.stack([*left, 1.0, 1.0, 1.0]), 4), more])
 
 
 def fading(dt):
@@ -119,6 +143,27 @@ def any_multirotor(n: int) -> tuple[np.ndarray, np.ndarray]:
     mean, P = mean.reshape(-1), P.reshape(4 * PER_AXIS, 4 * PER_AXIS)
     mean[SIDEWAYS], P[SIDEWAYS, SIDEWAYS] = n * SIDE, (n * SIDE_SD) ** 2
     return mean, P
+
+
+def _with_share(mean, P, share):
+    """The prior with one more state, of mean share[0] and variance share[1]. Also of traced arrays."""
+    if all(isinstance(a, np.ndarray) for a in (mean, P, share)):
+        wide = np.zeros((AXIS_STATES + 1, AXIS_STATES + 1))
+        wide[:-1, :-1], wide[-1, -1] = P, share[1]
+        return np.append(mean, share[0]), wide
+    from jax import numpy as jnp
+
+    last = jnp.zeros(AXIS_STATES + 1).at[-1].set(share[1])
+    wide = jnp.concatenate([jnp.concatenate([P, jnp.zeros((AXIS_STATES, 1))], axis=1), last[None]])
+    return jnp.concatenate([mean, share[:1]]), wide
+
+
+def lower_rotors(B: np.ndarray) -> np.ndarray | None:
+    """(n,) 1 for each rotor that stands where a stronger one does: the lower ones of coaxial arms. None where there are none."""
+    place = B[:2] / B[3]
+    together = np.abs(place[:, :, None] - place[:, None, :]).max(axis=0) < 0.05
+    lower = (together & (B[3][None, :] > 1.02 * B[3][:, None])).any(axis=1)
+    return lower.astype(float) if lower.any() else None
 
 
 def usual_gains(n: int) -> np.ndarray:
