@@ -123,6 +123,8 @@ def test_a_contact_makes_no_verdict():
     diagnosis = hexa_diagnosis(events=(contact,))
     assert diagnosis.verdict == "healthy" and diagnosis.main is None and diagnosis.events == (contact,)
     assert any("31.20 s" in a for a in diagnosis.advice)
+    assert "What the knock at 31.20 s broke was not judged." in diagnosis.headline
+    assert "after take-off" not in diagnosis.headline  # the trim was learned afresh
 
 
 @pytest.mark.parametrize(

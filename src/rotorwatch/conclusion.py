@@ -180,10 +180,17 @@ def _headline(seen: Seen, verdict: str, main: int | None) -> str:
     """One or two short sentences that a pilot understands."""
     if verdict == "inconclusive":
         return "This log cannot say."
-    if verdict == "healthy":
-        return "All rotors pull their weight." if seen.compared else f"No rotor lost thrust after take-off. {UNJUDGED}"
-    said = _matter(seen, verdict, main)
-    return said if seen.compared else f"{said} {UNJUDGED}"
+    knocks = [seconds(e.onset_s) for e in seen.events if e.kind == CONTACT]
+    said = _matter(seen, verdict, main) if verdict != "healthy" else "All rotors pull their weight."
+    if verdict == "healthy" and not seen.compared:
+        said = "No rotor lost thrust after take-off."
+    if verdict == "healthy" and knocks:
+        said = f"No rotor lost thrust in the {seen.judged_s:.0f} s that were judged."
+    parts = [said] + ([] if seen.compared else [UNJUDGED])
+    if knocks:  # after each the trim is learned afresh, with whatever it broke
+        when = f"the knock at {knocks[0]}" if len(knocks) == 1 else f"{len(knocks)} knocks, the first at {knocks[0]},"
+        parts.append(f"What {when} broke was not judged.")
+    return " ".join(parts)
 
 
 def _matter(seen: Seen, verdict: str, main: int | None) -> str:
