@@ -41,7 +41,7 @@ class Ticks:
     valid (T, 4) bool; mode (T,) GROUND, LEARN or JUDGE; restart (T,) bool, first tick of a hop; dt s; hover (T,) mean share of full thrust
     per rotor that one unit of thrust stands for; side (T, 2): specific force forward and right [m/s^2], mean of the last SIDE_S, or None
     where nothing measures it. contact (T,) bool: something outside pushed the vehicle, and for `ready_s` after it its trim is learned
-    afresh (None: no contact); contacts: what and when.
+    afresh (None: no contact); contacts: what and when. seen (T,) bool: a tick with commands in it, else thrust is 0.
     """
 
     time: np.ndarray
@@ -61,6 +61,7 @@ class Ticks:
     side: np.ndarray | None = None
     contact: np.ndarray | None = None
     contacts: tuple[Contact, ...] = ()
+    seen: np.ndarray | None = None
 
 
 # Ticks in s, and the rate of commands in Hz from which on nearly all of them hold one.
@@ -284,4 +285,5 @@ def make(
         side,
         contact,
         contacts,
+        some,
     )

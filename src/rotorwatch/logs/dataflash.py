@@ -5,7 +5,8 @@ What is read from which message (instance 0 where sensors come in several):
     motors    RCOU (RCO2, RCO3) C1.. or Ch1.., in rotor order by SERVOn_FUNCTION; before 3.2 MOT Mot1.., in rotor order
     control   RATE ROut POut YOut AOut         rates     RATE R P Y
     gyro      IMU GyrX..                       accel     IMU AccX..
-    attitude  ANG or ATT, whichever is faster  velocity, position   XKF1, NKF1 or EKF1
+    attitude, attitude_wanted  ANG or ATT, whichever is faster
+    velocity, position   XKF1, NKF1 or EKF1
     throttle  CTUN ThO or ThrOut               battery   BAT or CURR
     lift      MOTB                             esc       ESC
 
@@ -24,7 +25,7 @@ from rotorwatch.flight import Flight, Signal
 from rotorwatch.logs import dataflash_events as events
 from rotorwatch.logs import dataflash_rotors as rotors
 from rotorwatch.logs import dataflash_untimed as untimed
-from rotorwatch.logs import parameter_ranges
+from rotorwatch.logs import parameter_ranges, wall_clock
 from rotorwatch.logs.dataflash_binary import SDLOG2, BinaryLog, amount
 from rotorwatch.logs.dataflash_clock import Clock, make_clock
 from rotorwatch.logs.dataflash_text import FIRST_LINE, TextLog
@@ -47,6 +48,7 @@ LIMITS = {
     "rates": (TURN,) * 3,
     "accel": ((-640.0, 640.0),) * 3,
     "attitude": ((-1.001, 1.001),) * 4,
+    "attitude_wanted": ((-1.001, 1.001),) * 4,
     "velocity": ((-150.0, 150.0),) * 3,
     "position": ((-1e5, 1e5),) * 3,
     "throttle": ((-0.1, 1.1),),
@@ -128,6 +130,7 @@ def read(data, name: str, progress=None) -> Flight:
             "frame_class": frame_class,
             "frame_type": frame_type,
             "clock_jumps": list(clock.jumps),
+            "utc_start": reader.utc_start(),
         },
     )
 
@@ -325,20 +328,36 @@ class _Signals:
         """The faster of ANG and ATT; angles to quaternions."""
         counts = self.log.counts
         message = "ANG" if counts.get("ANG", 0) > counts.get("ATT", 0) else "ATT"
-        rows = self.table(message, ("Roll", "Pitch", "Yaw"))
+        self._angles("attitude", message, ("Roll", "Pitch", "Yaw"))
+        if "DesRoll" in self.log.columns(message):
+            self._angles("attitude_wanted", message, ("DesRoll", "DesPitch", "DesYaw"))
+
+    def _angles(self, name: str, message: str, columns) -> None:
+        rows = self.table(message, columns)
         if rows is None:
             return
         time, degrees, _ = rows
         fine = np.all(np.abs(degrees) <= np.array([200.0, 100.0, 400.0]), axis=1)
         wild = int((~fine & np.isfinite(degrees).all(axis=1)).sum())
         if wild:
-            self.warnings.append(f"attitude ({message}): {amount(wild, 'impossible value')} dropped.")
+            self.warnings.append(f"{name} ({message}): {amount(wild, 'impossible value')} dropped.")
         angles = np.radians(np.where(fine[:, None], degrees, 0.0))
         q = quaternion(angles[:, 0], angles[:, 1], angles[:, 2])
         # q and -q are the same attitude; keep the sign that makes the series continuous.
         turned = (q[1:] * q[:-1]).sum(axis=1) < 0
         q[1:] *= np.where(np.cumsum(turned) % 2, -1.0, 1.0)[:, None]
-        self.add("attitude", time, q, message, fine)
+        self.add(name, time, q, message, fine)
+
+    def utc_start(self) -> str | None:
+        """UTC of second 0 from the GPS's week and milliseconds, while it had a fix."""
+        columns = self.log.columns("GPS")
+        names = [next((c for c in given if c in columns), "") for given in (("GWk", "Week"), ("GMS", "TimeMS"))]
+        rows = self.instance("GPS", (*names, "Status")) if all(names) else None
+        if rows is None:
+            return None
+        time, (week, milliseconds, status), _ = rows[0], rows[1].T, rows[2]
+        fixed = (status >= 3) & (week > 0)
+        return wall_clock.start(time[fixed], wall_clock.of_gps(week[fixed], milliseconds[fixed]))
 
     def navigation(self, parameters) -> None:
         """Velocity and position of the first core of the EKF that flew (AHRS_EKF_TYPE); collective throttle."""

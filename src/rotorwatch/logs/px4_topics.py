@@ -10,7 +10,7 @@ import numpy as np
 
 from rotorwatch import vehicle_kind
 from rotorwatch.flight import Message
-from rotorwatch.logs import publishers, px4_outputs, series
+from rotorwatch.logs import publishers, px4_outputs, series, wall_clock
 
 TOPICS = (
     "actuator_armed",
@@ -20,9 +20,12 @@ TOPICS = (
     "battery_status",
     "esc_status",
     "sensor_combined",
+    "sensor_gps",
     "vehicle_acceleration",
     "vehicle_angular_velocity",
     "vehicle_attitude",
+    "vehicle_attitude_setpoint",
+    "vehicle_gps_position",
     "vehicle_land_detected",
     "vehicle_local_position",
     "vehicle_status",
@@ -111,7 +114,8 @@ def signals(topics: Topics, parameters) -> tuple[dict, dict]:
             topics.signal("accel", "vehicle_acceleration", xyz),
             topics.signal("accel", "sensor_combined", numbered("accelerometer_m_s2", 3)),
         ),
-        "attitude": _attitude(topics),
+        "attitude": _attitude(topics, "attitude", "vehicle_attitude", "q"),
+        "attitude_wanted": _attitude(topics, "attitude_wanted", "vehicle_attitude_setpoint", "q_d"),
         "velocity": topics.signal(
             "velocity", "vehicle_local_position", ["vx", "vy", "vz"], valid=["v_xy_valid", "v_xy_valid", "v_z_valid"]
         ),
@@ -130,7 +134,7 @@ def signals(topics: Topics, parameters) -> tuple[dict, dict]:
         found["throttle"] = series.make(
             "throttle", thrust.time, thrust.values[:, 3:], thrust.source, topics.notes, valid
         )
-    return {k: v for k, v in found.items() if v is not None}, facts
+    return {k: v for k, v in found.items() if v is not None}, facts | {"utc_start": _utc_start(topics)}
 
 
 def rotor_count(parameters) -> int:
@@ -217,12 +221,21 @@ def _control(topics: Topics):
     return topics.signal("control", "actuator_controls_0", numbered("control", 4))
 
 
-def _attitude(topics: Topics):
-    found = topics.table("vehicle_attitude", *numbered("q", 4))
+def _attitude(topics: Topics, kind, name, field):
+    found = topics.table(name, *numbered(field, 4))
     if found is None:
         return None
-    q, fine = series.unit_quaternion(columns(found[1], numbered("q", 4)))
-    return series.make("attitude", found[0], q, "vehicle_attitude", topics.notes, fine)
+    q, fine = series.unit_quaternion(columns(found[1], numbered(field, 4)))
+    return series.make(kind, found[0], q, name, topics.notes, fine)
+
+
+def _utc_start(topics: Topics) -> str | None:
+    """UTC of second 0, as the GPS says."""
+    for name in ("vehicle_gps_position", "sensor_gps"):
+        found = topics.table(name, "time_utc_usec")
+        if found is not None:
+            return wall_clock.start(found[0], np.asarray(found[1]["time_utc_usec"], float) * 1e-6)
+    return None
 
 
 def _battery(topics: Topics):
