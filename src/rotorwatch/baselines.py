@@ -22,7 +22,7 @@ from os import PathLike
 
 import numpy as np
 
-from rotorwatch import airframes, logs, whole_flight
+from rotorwatch import airframes, whole_flight
 from rotorwatch.airborne import airborne
 from rotorwatch.errors import ConfigError, RotorwatchError, VehicleError
 from rotorwatch.flight import Flight
@@ -185,7 +185,11 @@ def settle(
 
 
 def _read(given) -> Flight:
-    return given if isinstance(given, Flight) else logs.read(given)
+    if isinstance(given, Flight):
+        return given
+    from rotorwatch.logs import read
+
+    return read(given)
 
 
 def _other_frame(flight: Flight, vehicle: Vehicle | None) -> tuple[str, ...]:

@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import discovery, log_plant, published
+from rotorwatch import discovery, files, log_plant, published
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
 from rotorwatch.log_plant import LogPlant
@@ -244,8 +244,8 @@ def write(found: Fit, path: str | PathLike) -> None:
         "\n[found]",
         *(f"{k} = {_toml(v)}" for k, v in d["found"].items()),
     ]
-    with open(path, "w", encoding="utf-8") as file:
-        file.write("\n".join(lines) + "\n")
+    with files.replacing(path) as unfinished:
+        unfinished.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def _toml(value) -> str:

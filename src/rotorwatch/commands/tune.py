@@ -6,7 +6,7 @@ import json
 
 import click
 
-from rotorwatch.commands.tools import LOG, common, progress, say
+from rotorwatch.commands.tools import LOG, OUT, common, progress, say, shares
 from rotorwatch.errors import ConfigError
 
 
@@ -19,7 +19,7 @@ def register(group: click.Group) -> None:
 @click.command(short_help="Fit an estimator's noise to healthy flights.")
 @click.argument("logs", nargs=-1, type=LOG, metavar="LOG...")
 @click.option("--estimator", default="ekf", show_default=True, metavar="NAME", help="Published method to tune.")
-@click.option("-o", "--out", type=LOG, metavar="tuning.toml", help="Tuning file to write.")
+@click.option("-o", "--out", type=OUT, metavar="tuning.toml", help="Tuning file to write.")
 @click.option("--rounds", default=30, show_default=True, type=click.IntRange(1), help="Steps of the optimiser.")
 @click.option(
     "--papers", is_flag=True, help="Instead: what tuning brings over each paper's hand tuning, on simulated flights."
@@ -31,6 +31,7 @@ def tune(logs, estimator, out, rounds, papers, as_json, quiet) -> None:
 
     Give the file to `rotorwatch diagnose --estimator NAME --tuning FILE` later.
     """
+    from rotorwatch import files
     from rotorwatch.tune import tune as run
     from rotorwatch.tune import write
 
@@ -43,6 +44,8 @@ def tune(logs, estimator, out, rounds, papers, as_json, quiet) -> None:
         return
     if not logs:
         raise ConfigError("Give healthy logs of one build to tune to, or --papers.")
+    if out:
+        files.writable(out, "--out")
     with progress(quiet) as tell:
         found = run(logs, estimator, rounds, tell)
     if out:
@@ -80,16 +83,13 @@ def compare(logs, truth, estimators, losses, seeds, as_json, quiet) -> None:
     from rotorwatch.studies.compare import compare as run
     from rotorwatch.studies.compare import markdown
 
-    try:
-        shares = tuple(float(x) for x in losses.split(","))
-    except ValueError:
-        raise ConfigError(f"--losses {losses}: give numbers with commas, as in 0.2,0.3.") from None
-    if not all(0 < x < 1 for x in shares):
-        raise ConfigError(f"--losses {losses}: a loss is above 0 and below 1.")
+    wanted = shares("--losses", losses)
+    if truth and not logs:
+        raise ConfigError("--truth says what is wrong with LOGs; give them, too.")
     names = [name.strip() for name in estimators.split(",")] if estimators else []
     with progress(quiet) as tell:
-        scenes = flights.simulated(seeds, shares, tell) if seeds else []
+        scenes = flights.simulated(seeds, wanted, tell) if seeds else []
         if logs:
-            scenes += flights.with_truth(logs, truth) if truth else flights.injected(logs, shares)
+            scenes += flights.with_truth(logs, truth) if truth else flights.injected(logs, wanted)
         result = run(scenes, names, tell)
     click.echo(json.dumps(result, indent=1, allow_nan=False) if as_json else markdown(result).strip())

@@ -134,7 +134,12 @@ def _other_checks(autopilot: str) -> tuple[str, str, str, str]:
     names = ", ".join(module.name for module in detectors.of(autopilot))
     if names:
         return names, "nothing", seconds(None), "as far as this log lets it run"
-    return "other checks", "none made", seconds(None), f"no check of {autopilot or 'this autopilot'} itself is known here"
+    return (
+        "other checks",
+        "none made",
+        seconds(None),
+        f"no check of {autopilot or 'this autopilot'} itself is known here",
+    )
 
 
 def words(key: str) -> str:
