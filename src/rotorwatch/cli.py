@@ -63,6 +63,9 @@ def main(argv: list[str] | None = None) -> None:
     except click.ClickException as why:
         why.show()
         code = why.exit_code
+        argument = next((a for a in sys.argv[1:] if a.startswith("-") and Path(a).is_file()), None)
+        if isinstance(why, click.NoSuchOption) and argument:
+            say(f"the file {argument} begins with a dash: write ./{argument}")
     except Exception as why:
         say(explain(why))
         code = ERROR
@@ -79,6 +82,8 @@ def explain(why: Exception) -> str:
         return str(why)
     if isinstance(why, OSError) and why.filename:
         return f"{why.filename}: {why.strerror}."
+    if isinstance(why, OSError) and why.errno:
+        return f"Reading or writing failed: {why.strerror}."
     if isinstance(why, MemoryError):
         return "Out of memory; try a shorter log."
     text = " ".join(f"{type(why).__name__}: {why}".split())[:200]
@@ -304,7 +309,11 @@ def demo(report, quiet) -> None:
     help="Losses to inject, above 0 and below 1.",
 )
 @click.option(
-    "--repeats", default=3, show_default=True, type=click.IntRange(1), help="Injections per flight, rotor and loss."
+    "--repeats",
+    default=3,
+    show_default=True,
+    type=click.IntRange(1, 1000),
+    help="Injections per flight, rotor and loss.",
 )
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Seed of the random onsets.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")

@@ -33,9 +33,9 @@ def writable(path: str | os.PathLike, what: str, make: bool = False) -> Path:
     if str(path) == "-":
         raise ConfigError(f"{what} -: give a file name; standard output carries the answer.")
     if path.is_dir():
-        raise ConfigError(f"{what} {path}: this is a folder; give a file name.")
+        raise ConfigError(f"{what}: {path} is a folder; give a file name.")
     if path.exists() and not path.is_file():
-        raise ConfigError(f"{what} {path}: this is no ordinary file; give another name.")
+        raise ConfigError(f"{what}: {path} is no ordinary file; give another name.")
     folder(path.parent, f"{what} {path}", make)
     if path.exists():
         try:

@@ -263,7 +263,7 @@ def read(path: str | PathLike, estimator: str) -> Tuning:
     try:
         with open(path, "rb") as file:
             d = tomllib.load(file)
-    except tomllib.TOMLDecodeError as why:
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as why:
         raise ConfigError(f"{path} is no tuning file: {why}.") from None
     if d.get("estimator") != estimator:
         raise ConfigError(f"{path} holds a tuning for {d.get('estimator', 'no estimator')}, not for {estimator}.")

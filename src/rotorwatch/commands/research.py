@@ -82,12 +82,12 @@ def reproduce(paper, seeds, literal, figures, as_json, quiet) -> None:
     modules = list(known.values()) if paper == "all" else [reproduction.study(paper)]
     if paper == "all" and literal:
         raise ConfigError(f"--literal belongs to one paper; name it instead of `all`: {', '.join(known)}.")
+    if figures:
+        files.folder(figures, "--figures")
+        checks.library("matplotlib.figure", "A figure")
     for module in modules:
         reproduction.check_literal(module, literal)
         reproduction.check_libraries(module)
-    if figures:
-        checks.library("matplotlib.figure", "A figure")
-        files.folder(figures, "--figures")
     results = []
     for module in modules:
         with progress(quiet) as tell:

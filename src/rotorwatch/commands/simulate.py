@@ -106,8 +106,9 @@ def estimate(log, airframe, estimator, lag, as_json, quiet) -> None:
     """
     import json
 
-    from rotorwatch import helicopter_log, logs
+    from rotorwatch import checks, helicopter_log, logs
 
+    checks.finite("--lag", lag)
     with progress(quiet) as tell:
         found = helicopter_log.estimate(logs.read(log), airframe, estimator, lag, tell)
     said = helicopter_log.said(found)

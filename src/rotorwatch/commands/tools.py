@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import stat
 import sys
 import warnings
@@ -29,6 +30,8 @@ class Log(click.ParamType):
 
         if isinstance(value, Path):
             return value
+        if not value:
+            raise ConfigError("An empty file name was given; give a file.")
         no_address(value)
         if value == "-":
             return _standard_input()
@@ -39,7 +42,7 @@ class Log(click.ParamType):
             return path  # whoever reads it says what is wrong
         if stat.S_ISFIFO(kind):
             with open(path, "rb") as pipe:
-                return _kept(pipe, path.name)
+                return _kept(pipe, f"pipe {path.name}")
         if not stat.S_ISREG(kind) and not stat.S_ISDIR(kind):
             raise ConfigError(f"{value} is a device, not a file; give a flight log.")
         return path
@@ -50,7 +53,7 @@ def _standard_input() -> Path:
         raise ConfigError(
             "- stands for standard input, where no log comes in: write `rotorwatch diagnose - < flight.bin`."
         )
-    if any(Path(folder, "standard input").exists() for folder in _spool):
+    if any(Path(_spool[0]).glob("*/standard input") if _spool else ()):
         raise ConfigError("Standard input (-) can be read only once.")
     return _kept(sys.stdin.buffer, "standard input")
 
@@ -64,7 +67,7 @@ def _kept(stream: Any, name: str) -> Path:
     if not _spool:
         _spool.append(tempfile.mkdtemp(prefix="rotorwatch-"))
         atexit.register(shutil.rmtree, _spool[0], ignore_errors=True)
-    path, size = Path(_spool[0], name), 0
+    path, size = Path(tempfile.mkdtemp(dir=_spool[0])) / name, 0
     with open(path, "wb") as file:
         while block := stream.read(1 << 20):
             size += len(block)
@@ -80,9 +83,7 @@ OUT = click.Path(path_type=Path)
 
 def label(text: Any) -> str:
     """A name, or a sentence with one, as the user knows it: what came through a pipe has no folder; bytes that are no text as \\udcXX."""
-    shown = str(text)
-    for folder in _spool:
-        shown = shown.replace(folder + os.sep, "")
+    shown = re.sub(re.escape(_spool[0]) + r"/[^/]*/", "", str(text)) if _spool else str(text)
     return shown.encode("utf-8", "backslashreplace").decode("utf-8")
 
 

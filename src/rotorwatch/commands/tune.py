@@ -74,11 +74,14 @@ def tune(logs, estimator, out, rounds, papers, as_json, quiet) -> None:
 @click.option(
     "--losses", default="0.2,0.4", show_default=True, metavar="L,L,...", help="Losses to simulate and to put in, 0..1."
 )
-@click.option("--seeds", default=2, show_default=True, type=click.IntRange(0), help="Simulated flights of each kind.")
+@click.option(
+    "--seeds", default=2, show_default=True, type=click.IntRange(0, 1000), help="Simulated flights of each kind."
+)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @common
 def compare(logs, truth, estimators, losses, seeds, as_json, quiet) -> None:
     """Run all estimators on simulated flights, on healthy LOGs with losses put in, and on LOGs with a table of their faults."""
+    from rotorwatch import discovery
     from rotorwatch.studies import compare_flights as flights
     from rotorwatch.studies.compare import compare as run
     from rotorwatch.studies.compare import markdown
@@ -86,10 +89,11 @@ def compare(logs, truth, estimators, losses, seeds, as_json, quiet) -> None:
     wanted = shares("--losses", losses)
     if truth and not logs:
         raise ConfigError("--truth says what is wrong with LOGs; give them, too.")
-    names = [name.strip() for name in estimators.split(",")] if estimators else []
+    names = [name.strip() for name in estimators.split(",") if name.strip()] if estimators else []
+    for name in names:
+        discovery.estimator(name)
     with progress(quiet) as tell:
-        scenes = flights.simulated(seeds, wanted, tell) if seeds else []
-        if logs:
-            scenes += flights.with_truth(logs, truth) if truth else flights.injected(logs, wanted)
+        scenes = [] if not logs else flights.with_truth(logs, truth) if truth else flights.injected(logs, wanted)
+        scenes = [*(flights.simulated(seeds, wanted, tell) if seeds else ()), *scenes]
         result = run(scenes, names, tell)
     click.echo(json.dumps(result, indent=1, allow_nan=False) if as_json else markdown(result).strip())
