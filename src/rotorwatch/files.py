@@ -18,6 +18,7 @@ def no_address(path: str | os.PathLike) -> None:
     """Raise ConfigError for an address on the web: only files of this computer are read and written."""
     text = os.fspath(path)
     if isinstance(text, str) and ADDRESS.match(text) and not Path(text).exists():
+        text = re.sub(":/+", "://", text, count=1)
         raise ConfigError(
             f"{text} is an address, not a file: download it first (for instance with curl -O), then give the file."
         )
