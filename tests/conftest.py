@@ -5,7 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rotorwatch.diagnosis import Diagnosis, Event, RotorState, Trace
+from rotorwatch import airframes, places
+from rotorwatch.conclusion import conclude
+from rotorwatch.diagnosis import Diagnosis, Event, Trace
 
 
 def hexa_trace(duration=60.0, rate=50.0, rotors=6, onset=31.2, detected=31.56, loss=0.37, seed=1):
@@ -45,8 +47,11 @@ def hexa_trace(duration=60.0, rate=50.0, rotors=6, onset=31.2, detected=31.56, l
     )
 
 
-def hexa_diagnosis(**changes):
-    """Rotor 3 of a hexa X lost 37 % at 31.2 s of 60 s."""
+HEXA = airframes.named("ardupilot-hexa-x").rotors
+
+
+def hexa_event(**changes):
+    """Rotor 3 lost 37 % at 31.2 s."""
     event = Event(
         kind="loss_of_effectiveness",
         rotors=(3,),
@@ -58,8 +63,15 @@ def hexa_diagnosis(**changes):
         probability=0.998,
         reason="Roll and pitch torque fell short of the commands as a weaker rotor 3 would make them.",
     )
-    states = tuple(RotorState(k, 0.01, (0.0, 0.04), "healthy") for k in range(1, 7))
-    states = (*states[:2], RotorState(3, 0.372, (0.35, 0.39), "degraded"), *states[3:])
+    return replace(event, **changes)
+
+
+def hexa_diagnosis(events=None, whole_flight=None, doubts=(), leftover=(), judged_s=46.0, **changes):
+    """The answer to these events of a hexa X in 60 s; by default to one, the loss of rotor 3. changes: of the Diagnosis made of it."""
+    end = conclude(
+        (hexa_event(),) if events is None else events, whole_flight, 6, hidden=np.full(6, 0.04), judged_s=judged_s,
+        doubts=doubts, leftover=leftover, places=places.names(HEXA), hops=((4.0, 58.0),),
+    )  # fmt: skip
     whole = Diagnosis(
         flight={
             "name": "hexa.bin",
@@ -71,18 +83,21 @@ def hexa_diagnosis(**changes):
             "airborne_s": (4.0, 58.0),
             "profile": "commands 50 Hz, gyro 100 Hz",
         },
-        verdict="fault",
-        reason="A loss of rotor 3 explains the motion; the next best explanation is 500 times less likely.",
-        rotors=states,
-        events=(event,),
+        verdict=end.verdict,
+        reason=end.reason,
+        rotors=end.rotors,
+        events=end.events,
         common_mode={"thrust_shift": 0.01, "unit": "hover thrusts of one rotor"},
         baseline="the first 8 s of this flight",
         assumptions=("Thrust curve: MOT_THST_EXPO 0.65.", "Mass and inertia unknown: gains identified in flight."),
         warnings=("The log ends in the air.",),
         timing={"read_s": 0.12, "estimate_s": 1.31, "total_s": 1.43},
         comparison=({"detector": "ardupilot-thrust-loss", "rotor": 3, "time_s": 33.4, "reason": "sinking for 1 s"},),
-        whole_flight=None,
+        whole_flight=whole_flight,
         trace=hexa_trace(),
+        headline=end.headline,
+        main=end.main,
+        advice=end.advice,
     )
     return replace(whole, **changes)
 
@@ -94,5 +109,4 @@ def fault():
 
 @pytest.fixture
 def healthy():
-    states = tuple(RotorState(k, 0.005, (0.0, 0.03), "healthy") for k in range(1, 7))
-    return hexa_diagnosis(verdict="healthy", reason="Nothing happened.", rotors=states, events=(), warnings=())
+    return hexa_diagnosis(events=(), warnings=())

@@ -32,6 +32,7 @@ def measurements(method, rows, seed=0):
     if method.name == "default":
         u[:, :4], u[:, 4:-2] = 1.0 + 0.02 * rng.standard_normal((rows, 4)), 0.1 * rng.standard_normal((rows, n_u - 6))
         u[:, 7] += 4.0
+        u[:, 13] = 1.3  # full thrust: some rotors come near their limits
         u[:, -2:] = 0.0
         u[5:100, -2], u[100:, -2], u[5, -1] = 1.0, 2.0, 1.0
     h = jax.jit(jax.vmap(lambda u: system.h(jax.numpy.asarray(system.x0, float), u, np.zeros(system.n_theta))))

@@ -86,6 +86,32 @@ def test_lower_rotors_of_coaxial_pairs_give_less():
     assert not any("Lower rotors" in note for note in airframes.named("ardupilot-octa-x").assumptions)
 
 
+# ArduPilot: order of its motor test, which takes the upper motor of an arm first; PX4: z of its geometry files.
+LOWER = {
+    **{"ardupilot-y6": {1, 3, 4}, "ardupilot-y6-b": {2, 4, 6}, "ardupilot-y6-f": {4, 5, 6}, "ardupilot-quad-y4": {3}},
+    **{f"ardupilot-octaquad-{t}": {5, 6, 7, 8} for t in ("plus", "x", "v", "h", "bf-x", "bf-x-rev", "x-cor")},
+    **{f"ardupilot-octaquad-{t}": {2, 4, 6, 8} for t in ("cw-x", "cw-x-cor")},
+    **{f"ardupilot-dodecahexa-{t}": {2, 4, 6, 8, 10, 12} for t in ("plus", "x")},
+    **{"px4-hexa-coaxial": {2, 4, 6}, "px4-octa-coaxial": {5, 6, 7, 8}},
+}
+
+
+@pytest.mark.parametrize("name", airframes.names())
+def test_the_lower_rotor_of_an_arm_is_the_one_the_autopilot_says(name):
+    vehicle = airframes.named(name)
+    assert {k + 1 for k, r in enumerate(vehicle.rotors) if r.lower} == LOWER.get(name, set())
+    assert all((r.share < 1.0) == r.lower for r in vehicle.rotors)
+    for rotor in (r for r in vehicle.rotors if r.lower):
+        mates = [r for r in vehicle.rotors if (r.x, r.y) == pytest.approx((rotor.x, rotor.y), abs=1e-3)]
+        assert [r.lower for r in mates].count(False) == 1
+
+
+def test_co_rotating_frames_ask_less_of_the_upper_rotors():
+    for name in ("ardupilot-octaquad-x-cor", "ardupilot-octaquad-cw-x-cor"):
+        vehicle = airframes.named(name)
+        assert [row[3] for row in vehicle.mixer] == [1.0 if r.lower else 0.9 for r in vehicle.rotors]
+
+
 def test_v_frame_yaws_less_in_front():
     mixer = airframes.named("ardupilot-quad-v").mixer
     assert mixer[0, 2] == pytest.approx(0.5 * 0.7981)

@@ -170,7 +170,8 @@ LOGS = {
 def test_known_mixers_explain_real_outputs(path):
     flight = read(path)
     check = allocation.compare(flight, airframes.identify(flight))
-    flying = check.free & (check.demand.min(axis=1) > 0.1)
+    free = np.all((check.asked > 0.02) & (check.asked < 0.97 * check.top), axis=1) & check.yaw_granted
+    flying = free & (check.demand.min(axis=1) > 0.1)
     assert flying.sum() > 100
     assert np.sqrt(np.mean(check.deviation[flying] ** 2)) < LOGS[path]
 

@@ -92,7 +92,7 @@ def test_json_of_one_log_is_an_object_and_of_several_a_list(fake, run):
     code, out, err = run("diagnose", "fault.bin", "broken.bin", "healthy.bin", "--json")
     first, broken, last = json.loads(out)
     assert (code, first["verdict"], last["verdict"]) == (2, "fault", "healthy")
-    assert broken == {"schema": 1, "flight": {"name": "broken.bin"}, "error": "broken.bin: not a flight log."}
+    assert broken == {"schema": 2, "flight": {"name": "broken.bin"}, "error": "broken.bin: not a flight log."}
     assert err == "rotorwatch: broken.bin: not a flight log.\n"
 
 

@@ -227,6 +227,78 @@ def test_per_output_limits_win_over_common_ones():
     assert (old["pwm_min"], old["pwm_max"]) == (1075, 1950) and (new["pwm_min"], new["pwm_max"]) == (1100, 1900)
 
 
+def counts(*levels, n=400, full=8191.0, off=20):
+    """output[0..15] as counts of a bus: `off` samples without command, then a share of `full` that swings by a tenth."""
+    wave = 0.1 * np.sin(np.arange(n) / 5 + np.arange(len(levels))[:, None])
+    columns = [np.where(np.arange(n) < off, 0.0, full * (level + w)) for level, w in zip(levels, wave)]
+    return {f"output[{k}]": c for k, c in enumerate([*columns, *[np.zeros(n)] * (16 - len(levels))])}
+
+
+def test_uavcan_counts_are_shares_of_8191_and_their_instance_has_the_motors():
+    """Three drivers publish: unused outputs, UAVCAN with two idle channels, and pulses of servos that hardly move."""
+    can = counts(0.6, 0.55, 0.5, 0.45)
+    can |= {"output[4]": np.full(400, 4095.5), "output[5]": np.full(400, 4095.5)}
+    servos = {f"output[{k}]": np.full(400, 1500.0) for k in range(6)}
+    unused = {f"output[{k}]": np.zeros(400) for k in range(16)}
+    tables = topics(actuator_outputs=unused, actuator_outputs__1=can, actuator_outputs__2=servos)
+    found, facts = px4_topics.signals(tables, {"MAV_TYPE": 2, "UAVCAN_ENABLE": 3})
+    motors = found["motors"]
+    assert motors.source == "actuator_outputs[1]" and motors.unit == "1" and motors.values.shape == (400, 4)
+    assert np.allclose(motors.values[20:].mean(axis=0), [0.6, 0.55, 0.5, 0.45], atol=0.01)
+    assert facts["motors_scaled"] == "UAVCAN" and any("8191" in note for note in tables.notes)
+
+
+def test_uavcan_outputs_have_their_order_and_ends_from_the_parameters():
+    """Two CAN outputs of four are exchanged, and 110 to 8082 is the range; pulses on the main outputs are a gimbal's."""
+    ends = {f"UAVCAN_EC_MIN{k}": 110 for k in range(1, 5)} | {f"UAVCAN_EC_MAX{k}": 8082 for k in range(1, 5)}
+    functions = {f"UAVCAN_EC_FUNC{k}": v for k, v in zip(range(1, 5), (102, 101, 103, 104))}
+    can = {k: np.where(v > 0, 110 + v / 8191 * (8082 - 110), 0.0) for k, v in counts(0.6, 0.5, 0.4, 0.3).items()}
+    tables = topics(actuator_outputs=outputs(1500, 1500, 1500, 1500, n=400), actuator_outputs__1=can)
+    motors = px4_topics.signals(tables, {"CA_ROTOR_COUNT": 4, **ends, **functions})[0]["motors"]
+    assert motors.source == "actuator_outputs[1]"
+    assert np.allclose(motors.values[20:].mean(axis=0), [0.5, 0.6, 0.4, 0.3], atol=0.01)
+
+
+def test_counts_that_look_like_pulses_are_told_by_the_parameters():
+    """A light vehicle flies UAVCAN at 1300 to 2300 counts; without the parameters such values are pulses."""
+    tables = topics(actuator_outputs=counts(0.22, 0.22, 0.22, 0.22, off=0, full=8191.0))
+    light = {
+        k: np.where(v > 0, 1800 + (v - v.mean()) * 0.5, 0.0) for k, v in tables.tables["actuator_outputs", 0].items()
+    }
+    light["timestamp"] = tables.tables["actuator_outputs", 0]["timestamp"]
+    tables.tables["actuator_outputs", 0] = light
+    functions = {f"UAVCAN_EC_FUNC{k}": 100 + k for k in range(1, 5)}
+    assert px4_topics.signals(tables, {"MAV_TYPE": 2})[0]["motors"].unit == "us"
+    motors = px4_topics.signals(tables, {"MAV_TYPE": 2, **functions})[0]["motors"]
+    assert motors.unit == "1" and motors.values.mean() == pytest.approx(1800 / 8191, rel=0.02)
+
+
+def test_dshot_counts_are_shares_of_1999_and_65535_is_no_command():
+    fields = counts(0.5, 0.5, 0.4, 0.4, full=1999.0)
+    fields = {k: np.where((np.arange(400) < 20) & (v.max() > 0), 65535.0, v) for k, v in fields.items()}
+    tables = topics(actuator_outputs=fields)
+    motors = px4_topics.signals(tables, {"MAV_TYPE": 2, "DSHOT_CONFIG": 600})[0]["motors"]
+    assert motors.unit == "1" and not motors.values[:20].any()
+    assert np.allclose(motors.values[20:].mean(axis=0), [0.5, 0.5, 0.4, 0.4], atol=0.01)
+
+
+def test_one_damaged_value_does_not_change_the_unit():
+    for unit, fields in (("us", outputs(1500, 1400, 1300, 1200, n=400)), ("1", counts(0.6, 0.5, 0.5, 0.5))):
+        fields["output[1]"][77] = 3e8
+        motors = px4_topics.signals(topics(actuator_outputs=fields), {"MAV_TYPE": 2})[0]["motors"]
+        assert motors.unit == unit and (~motors.valid).sum() == 1
+
+
+def test_a_uavcan_flight_is_judged():
+    path = FLIGHTS / "wild" / "uavcan-1.ulg.xz"
+    if not path.is_file():
+        pytest.skip("this flight is missing")
+    flight = logs.read(path)
+    assert flight["motors"].source == "actuator_outputs[1]" and flight.rotor_count == 4
+    hover = flight["motors"].between(15, 25).values
+    assert 0.3 < hover.mean() < 0.7 and hover.std(axis=0).min() > 0.003
+
+
 def test_a_failed_motor_is_a_gap_in_its_column_only():
     values = np.full((50, 12), np.nan)
     values[:, :6] = 0.5

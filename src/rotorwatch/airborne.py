@@ -192,14 +192,18 @@ def _walk(flight, time, command, end) -> list[tuple[float, float]]:
 
 
 def _command(flight: Flight) -> np.ndarray:
-    """(n,) mean command of the rotors as a share of its range, a rough one where the log does not tell."""
+    """(n,) command of the rotors as a share of its range, a rough one where the log does not tell.
+
+    Root mean square: thrust grows with the square, and rotors that fly on beside one that rests carry the vehicle all the same.
+    """
     motors = flight["motors"]
     low, high = 0.0, 1.0
     if motors.unit == "us":
         low = flight.facts.get("pwm_min") or flight.parameters.get("MOT_PWM_MIN") or 1000.0
         high = flight.facts.get("pwm_max") or flight.parameters.get("MOT_PWM_MAX") or 2000.0
-    mean = motors.values.sum(axis=1) / np.maximum(np.asarray(motors.valid).sum(axis=1), 1)
-    return np.clip((mean - low) / max(high - low, 1e-6), 0.0, 1.0)
+    valid = np.asarray(motors.valid)
+    share = np.where(valid, np.clip((motors.values - low) / max(high - low, 1e-6), 0.0, 1.0), 0.0)
+    return np.sqrt((share**2).sum(axis=1) / np.maximum(valid.sum(axis=1), 1))
 
 
 def _motion(flight, ticks) -> tuple[np.ndarray, np.ndarray]:

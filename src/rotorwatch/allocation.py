@@ -28,6 +28,8 @@ PART_STILL = 0.015  # the same for an output that does not move at all
 GAIN_MEMORY_S = 20.0  # air density changes with height, slowly
 PAIR_WITHIN_S = 0.15  # a command further than this from any control sample has no partner
 PROVEN = 20  # comparisons a mixer must have passed before it can accuse an output
+GIVEN_UP = np.linspace(0.0, 1.0, 11)  # shares of yaw that a mixer at its limits may give up
+AGREEING = 0.7  # share of the other outputs that must agree on what is common to all before one can be accused
 CONFIRM_S, CONFIRM_SAMPLES = 0.25, 3  # how long an output must differ
 STUCK_S = 1.0  # an output that does not move for this long while it should have, whatever limits the others, is stuck
 SILENT_S = 0.5  # an output that does not move for this long while all others do is stuck
@@ -117,17 +119,21 @@ class Comparison:
     """Logged against rebuilt demand at the m motor samples that have control samples around them.
 
     time (m,): of the motor sample. known (m,): when its comparison could be made (the later control sample has come).
-    demand, deviation (m, n): logged m(u), and logged minus rebuilt. weights (m, 5, n): (roll, pitch, yaw, throttle, 1)
-    -> demand as known right after this sample. free (m,): no rotor near its limits, so that they explain nothing.
-    trusted (m, n): the rebuilt thrust of this rotor agreed in this sample and the one before.
+    demand (m, n): logged m(u). asked (m, n): rebuilt, as if outputs had no limits. deviation (m, n): logged minus rebuilt within the
+    limits, whose upper one is top (m, 1). yaw (m, n): the part of `asked` that is for yaw; yaw_granted (m,): the mixer grants all of
+    it. weights (m, 5, n): (roll, pitch, yaw, throttle, 1) -> demand as known right after this
+    sample. trusted (m, n): the rebuilt thrust of this rotor agreed in this sample and the one before.
     """
 
     time: np.ndarray
     known: np.ndarray
     demand: np.ndarray
+    asked: np.ndarray
+    top: np.ndarray
+    yaw: np.ndarray
+    yaw_granted: np.ndarray
     deviation: np.ndarray
     weights: np.ndarray
-    free: np.ndarray
     trusted: np.ndarray
 
 
@@ -165,13 +171,12 @@ def compare(flight: Flight, vehicle: Vehicle) -> Comparison:
     prior = np.concatenate([weights[:1], weights[:-1]])
     rebuilt = np.einsum("tc,tcr->tr", inputs, prior)
     deviation = demand - np.clip(rebuilt, 0.0, top)
-    free = np.all((rebuilt > 0.02) & (rebuilt < 0.97 * top), axis=1)
-    free &= yaw_granted(flight, vehicle, inputs)
     good = np.abs(deviation) < PART
     trusted = good & np.concatenate([np.zeros_like(good[:1]), good[:-1]])
-    return Comparison(
-        time, np.maximum(time, when[after]) if len(time) else time, demand, deviation, weights, free, trusted
-    )
+    known = np.maximum(time, when[after]) if len(time) else time
+    yaw = inputs[:, 2:3] * prior[:, 2]
+    granted = yaw_granted(flight, vehicle, inputs)
+    return Comparison(time, known, demand, rebuilt, top, yaw, granted, deviation, weights, trusted)
 
 
 def yaw_granted(flight: Flight, vehicle: Vehicle, control: np.ndarray) -> np.ndarray:
@@ -247,7 +252,8 @@ def _learn_mixer(time, inputs, thrust, top) -> np.ndarray:
 class Override:
     """An output that no longer follows the mixer.
 
-    rotor: 1-based. kind: stuck, off or overridden. Times in s, end None while it lasts. reason: one sentence.
+    rotor: 1-based. kind: stuck, off or overridden. Times in s, end None while it lasts. reason: one sentence. asked: share of full
+    thrust that the mixer asked for when it was noticed; None where the log does not say what the mixer asked for.
     """
 
     rotor: int
@@ -256,6 +262,7 @@ class Override:
     detected: float
     end: float | None
     reason: str
+    asked: float | None = None
 
 
 def overrides(flight: Flight, vehicle: Vehicle, airborne: Spans) -> tuple[Override, ...]:
@@ -273,7 +280,20 @@ def overrides(flight: Flight, vehicle: Vehicle, airborne: Spans) -> tuple[Overri
     if flight.has("control"):
         found += _departures(flight, vehicle, airborne)
     found += _silent(flight, vehicle, airborne)
-    return _earliest(found)
+    return tuple(o for o in _earliest(found) if not _balances(o, found, vehicle))
+
+
+def _balances(one: Override, found: list[Override], vehicle: Vehicle) -> bool:
+    """Does an output rest only because the one opposite it has been lost? What flies on balances its torque that way."""
+    if one.kind != "off" or one.asked is not None:
+        return False
+    B = vehicle.effectiveness()[:2]
+    return any(
+        o.onset < one.onset
+        and (o.end is None or one.onset < o.end)
+        and np.abs(B[:, o.rotor - 1] + B[:, one.rotor - 1]).max() < 0.1
+        for o in found
+    )
 
 
 def _earliest(found: list[Override]) -> tuple[Override, ...]:
@@ -301,47 +321,90 @@ def _departures(flight: Flight, vehicle: Vehicle, airborne: Spans) -> list[Overr
     command = hold(flight["motors"].time, flight["motors"].values, check.time)
     low, span = vehicle.curve.u_min, vehicle.curve.u_max - vehicle.curve.u_min
     flying = within(check.time, airborne) & (np.median(check.demand, axis=1) > FLYING)
-    apart = np.abs(check.deviation)
-    good = flying & np.all(apart < PART, axis=1)
+    interior = (command > low + 0.01 * span) & (command < low + 0.99 * span)
+    alone = np.where(
+        command >= low + 0.99 * span, 0.0, _alone(check, interior)
+    )  # full thrust is what a mixer at its limits asks for
     # How well the mixer has explained the outputs so far; a mixer that never did says nothing about single outputs.
+    far = np.abs(alone)
+    good = flying & np.all(far < PART, axis=1)
     past = np.concatenate([[0], np.cumsum(good)[:-1]])
-    compared = np.concatenate([[0], np.cumsum(flying & check.free)[:-1]])
-    power = np.concatenate([[0.0], np.cumsum(np.where(good[:, None], apart**2, 0.0).max(axis=1))[:-1]])
+    compared = np.concatenate([[0], np.cumsum(flying & np.isfinite(alone).all(axis=1))[:-1]])
+    power = np.concatenate([[0.0], np.cumsum(np.where(good[:, None], far**2, 0.0).max(axis=1))[:-1]])
     proven = (past >= PROVEN) & (past > 0.7 * compared)
     usual = 6.0 * np.sqrt(power / np.maximum(past, 1))
     limit, still_limit = np.maximum(PART, usual), np.maximum(PART_STILL, usual)
-    asked = check.demand - check.deviation
-    own = asked - asked.mean(axis=1, keepdims=True)
+    own = check.asked - check.asked.mean(axis=1, keepdims=True)
     found = []
     for k in range(command.shape[1]):
-        others = np.delete(apart, k, axis=1)
-        alone = np.mean(others < limit[:, None], axis=1) >= 0.5
         still = _since_moved(check.time, command[:, k], span / 400.0)
-        interior = (command[:, k] > low + 0.01 * span) & (command[:, k] < low + 0.99 * span)
-        off = (command[:, k] < low - 0.01 * span) & (asked[:, k] > 2 * FLYING)
-        frozen = (check.time - still > 0.5) & interior
+        off = (command[:, k] < low - 0.01 * span) & (check.asked[:, k] > 2 * FLYING)
+        frozen = (check.time - still > 0.5) & interior[:, k]
         # At a limit the mixer takes from all others what it has too much, and in calm air they may rest: stuck is what does not
         # stir at all while it should have moved against them.
         rest = _since_moved(check.time, command[:, k], 1e-9)
         moved = np.abs(own[:, k] - own[np.searchsorted(check.time, rest), k]) > PART
-        dead = (check.time - rest > STUCK_S) & interior & moved
-        far = (apart[:, k] > limit) & ((check.free & alone) | off | dead)
-        wrong = proven & flying & (far | (frozen & check.free & alone & (apart[:, k] > still_limit)))
-        back = (apart[:, k] < PART) & ~frozen
+        dead = (check.time - rest > STUCK_S) & interior[:, k] & moved & (np.abs(check.deviation[:, k]) > limit)
+        wrong = proven & flying & ((far[:, k] > limit) | off | dead | (frozen & (far[:, k] > still_limit)))
+        back = (np.abs(check.deviation[:, k]) < PART) & ~frozen
         for onset, seen, end in _runs(check.time, wrong, back | ~flying, CONFIRM_S, CONFIRM_SAMPLES):
             kind = "overridden"
             if np.all(command[onset : seen + 1, k] <= low + span / 400.0):
                 kind = "off"
-            elif np.ptp(command[onset : seen + 1, k]) <= span / 400.0 and interior[seen]:
+            elif np.ptp(command[onset : seen + 1, k]) <= span / 400.0 and interior[seen, k]:
                 kind = "stuck"
             start = min(still[seen], check.time[onset]) if kind == "stuck" else check.time[onset]
+            asked = np.clip(check.asked[seen, k], 0.0, check.top[seen, 0])
             reason = (
-                f"output {k + 1} was at {command[seen, k]:.4g} while the mixer asked for {asked[seen, k]:.0%} "
+                f"output {k + 1} was at {command[seen, k]:.4g} while the mixer asked for {asked:.0%} "
                 f"of full thrust and got {check.demand[seen, k]:.0%}"
             )
             until = None if end is None else float(check.time[end])
-            found.append(Override(k + 1, kind, float(start), float(check.known[seen]), until, reason))
+            found.append(Override(k + 1, kind, float(start), float(check.known[seen]), until, reason, float(asked)))
     return found
+
+
+def _alone(check: Comparison, interior: np.ndarray) -> np.ndarray:
+    """(m, n) by how much each output parts from the mixer by itself; NaN where nothing can be said.
+
+    Where not all that is asked can be had, a mixer gives up throttle, for all outputs alike, and yaw, a share of it. Outputs that this
+    explains are nobody's fault, nor are outputs that are all off by the same amount (a gain). An output is accused with what is left of
+    its departure under the share of yaw that suits it best, of those under which the others agree. Where even throttle and yaw are not
+    enough, each mixer has its own way to give up tilt: nothing is said. interior (m, n): away from the limits.
+    """
+    alone, agreed = _against_others(check.demand, check.asked, check.top, interior)
+    odd = np.flatnonzero(~(np.abs(alone) < PART).all(axis=1) & ~check.yaw_granted)
+    best = np.where(agreed[odd], alone[odd], np.nan)
+    for share in GIVEN_UP:
+        asked = check.asked[odd] - share * check.yaw[odd]
+        off, agree = _against_others(check.demand[odd], asked, check.top[odd], interior[odd])
+        best = np.where(agree & ~(np.abs(off) > np.abs(best)), off, best)
+    alone[odd] = best
+    possible = np.ptp(check.asked, axis=1) < 0.97 * check.top[:, 0]
+    return np.where(possible[:, None], alone, np.nan)
+
+
+def _against_others(demand, asked, top, interior) -> tuple[np.ndarray, np.ndarray]:
+    """(m, n) departure of each output from what is asked and what the others have in common, within the limits; and whether they agree."""
+    apart, alone, agreed = (
+        np.where(interior, demand - asked, np.nan),
+        np.empty(demand.shape),
+        np.empty(demand.shape, bool),
+    )
+    for k in range(demand.shape[1]):
+        rest = np.arange(demand.shape[1]) != k
+        off = demand - np.clip(asked + _median(apart[:, rest])[:, None], 0.0, top)
+        agreed[:, k] = np.sum(np.abs(off[:, rest]) < PART, axis=1) > AGREEING * rest.sum()
+        alone[:, k] = np.where(agreed[:, k], off[:, k], np.nan)
+    return alone, agreed
+
+
+def _median(values: np.ndarray) -> np.ndarray:
+    """(m,) median of the finite values (m, k) of each row; NaN with fewer than two."""
+    count = np.isfinite(values).sum(axis=1)
+    ordered = np.sort(values, axis=1)  # NaN last
+    rows, middle = np.arange(len(values)), np.maximum(count - 1, 0)
+    return np.where(count < 2, np.nan, 0.5 * (ordered[rows, middle // 2] + ordered[rows, (middle + 1) // 2]))
 
 
 def _silent(flight: Flight, vehicle: Vehicle, airborne: Spans) -> list[Override]:

@@ -22,7 +22,7 @@ from os import PathLike
 
 import numpy as np
 
-from rotorwatch import airframes, whole_flight
+from rotorwatch import airframes, trust, whole_flight
 from rotorwatch.airborne import airborne
 from rotorwatch.errors import ConfigError, RotorwatchError, VehicleError
 from rotorwatch.flight import Flight
@@ -30,7 +30,6 @@ from rotorwatch.ticks import Ticks
 from rotorwatch.vehicle import Vehicle
 
 READY_S = 3.0  # after lift-off, before the dynamics of a flight are learned from
-JUDGED_S = 3.0  # a flight that leaves less to be judged is short, not suspicious
 
 SLOPE = 1.25
 """Ratio of the slopes d ln f / du of two thrust curves at the hover command: with it, a rotor trimmed by a tenth seems to be off by
@@ -102,16 +101,16 @@ class Candidate:
 
     @cached_property
     def flaw(self) -> str:
-        """What the default diagnosis finds in it alone; empty when that is nothing, or the flight is too short to say."""
-        from rotorwatch.diagnose import READY_S as BLIND_S
+        """What the default diagnosis finds in it alone, or what makes its log doubtful; empty when nothing does. One too short to say has none."""
         from rotorwatch.diagnose import diagnose
 
         try:
+            assert self.table is not None
             found = diagnose(self.flight, vehicle=self.vehicle)
+            doubts = trust.doubts(self.flight, self.vehicle, self.air, self.table)
         except RotorwatchError as why:
             return str(why).rstrip(".")
-        left_s = sum(max(0.0, end - start - BLIND_S) for start, end in self.air)
-        if found.verdict == "healthy" or (found.verdict == "inconclusive" and left_s < JUDGED_S):
+        if found.verdict == "healthy" or (found.verdict == "inconclusive" and not doubts):
             return ""
         return f"judged by itself it is {found.verdict}, not healthy: {found.reason.rstrip('.')}"
 

@@ -171,6 +171,8 @@ def _tuning(path: Path, estimator: str):
 
 def _several(logs: tuple[Path, ...], judge: Callable, pages: list[Path], as_json: bool, quiet: bool) -> int:
     """One line (or one item of a JSON list) per log. A log that fails does not stop the others."""
+    from rotorwatch.diagnosis import SCHEMA
+
     codes, items = [], []
     for i, path in enumerate(logs):
         try:
@@ -185,7 +187,7 @@ def _several(logs: tuple[Path, ...], judge: Callable, pages: list[Path], as_json
             sentence, name = explain(why), label(path)
             say(f"{name}: {sentence}" if name not in sentence else sentence)
             codes.append(ERROR)
-            items.append({"schema": 1, "flight": {"name": name}, "error": sentence})
+            items.append({"schema": SCHEMA, "flight": {"name": name}, "error": sentence})
             if not as_json:
                 show(lambda terminal, n=name: terminal.error_line(n, "see the message"))
     if as_json:

@@ -10,7 +10,7 @@ import numpy as np
 from rotorwatch.core import Array
 from rotorwatch.errors import ConfigError
 from rotorwatch.run import chosen, run_built
-from rotorwatch.ticks import JUDGE, Ticks
+from rotorwatch.ticks import AGAIN, JUDGE, Ticks
 
 FLIGHTS_DIFFER = 0.25
 LEARNED_WEIGHT = 2.0  # samples a lag that the noise of healthy flights counts for
@@ -79,10 +79,11 @@ def builder(dt: float) -> Callable:
 
 
 def inputs(table: Ticks, B: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """u (T, n + 11), y (T, 4), valid (T, 4) of the estimator over ticks."""
+    """u (T, n + 12), y (T, 4), valid (T, 4) of the estimator over ticks."""
     from rotorwatch.systems.wrench_balance import WrenchBalance
 
-    return np.column_stack([WrenchBalance(B).pack(table), table.mode, table.restart]), table.wrench, table.valid
+    again = table.restart if table.contact is None else np.where(table.contact, AGAIN, table.restart)
+    return np.column_stack([WrenchBalance(B).pack(table), table.mode, again]), table.wrench, table.valid
 
 
 def parameters(B: np.ndarray, dynamics=None) -> dict:

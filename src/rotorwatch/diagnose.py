@@ -8,20 +8,21 @@ from os import PathLike
 
 import numpy as np
 
-from rotorwatch import allocation, baselines, detectors, discovery, published, ticks
+from rotorwatch import allocation, baselines, conclusion, detectors, discovery, places, published, ticks, trust
 from rotorwatch.airborne import airborne
 from rotorwatch.baselines import Given
 from rotorwatch.default_estimator import estimate
-from rotorwatch.diagnosis import Diagnosis, Event, RotorState, Trace
+from rotorwatch.diagnosis import Diagnosis, Event, Trace
 from rotorwatch.errors import ConfigError
 from rotorwatch.estimators.jump_bank import threshold
-from rotorwatch.evidence import decide, events, hypotheses
+from rotorwatch.evidence import decide, events, hypotheses, leftover
 from rotorwatch.flight import Flight
 from rotorwatch.published import Tuning
 from rotorwatch.ticks import JUDGE, Ticks
 from rotorwatch.vehicle import Vehicle
 
 READY_S, READY_KNOWN_S = 8.0, 3.0
+TOUCH_DOWN_S = 1.0  # a contact so near the end of a flight is the landing
 LN10 = float(np.log(10.0))
 
 
@@ -93,6 +94,7 @@ def diagnose(
             "cannot be judged without --baseline or --vehicle"
         )
     facts = _facts(flight, craft, air, table)
+    names = places.names(craft.rotors)
     if table is None:
         why = (
             "the log shows no motor outputs"
@@ -100,10 +102,8 @@ def diagnose(
             else "the log shows no flight: the vehicle never took off"
         )
         timing["total_s"] = time.perf_counter() - began
-        return Diagnosis(
-            facts, "inconclusive", f"{why}; nothing can be judged.", _unobservable(craft), (), {}, source,
-            tuple(assumptions), tuple(warnings), timing,
-        )  # fmt: skip
+        end = conclusion.conclude((), None, len(craft.rotors), doubts=(f"{why}; nothing can be judged.",), places=names)
+        return _answer(end, facts, {}, source, assumptions, warnings, timing)
     assumptions += table.notes
     B = craft.effectiveness()
 
@@ -121,17 +121,20 @@ def diagnose(
     lap("estimate_s")
     hyp = hypotheses.make(len(craft.rotors))
     losses = events.read(out, table, hyp, B)
-    overrides = _overrides(flight, craft, air)
-    overridden = {(e.rotors[0]): e for e in overrides}
-    losses = tuple(e for e in losses if not _explained(e, overridden))
-    found = tuple(sorted((*losses, *overrides), key=lambda e: e.detected_s))
+    overrides = _overrides(flight, craft, air, table)
+    losses = tuple(e for e in losses if not _explained(e, overrides))
+    contacts = _contacts(table, air)
+    found = tuple(sorted((*losses, *overrides, *contacts), key=lambda e: e.detected_s))
     lap("events_s")
     whole = _whole_flight(flight, craft, air)
     comparison = detectors.detect(flight, craft, air)
     lap("comparison_s")
-    rotors = _rotors(out, table, found, len(craft.rotors), whole)
-    verdict, reason = _verdict(found, whole, table, known)
     judged = table.mode == JUDGE
+    end = conclusion.conclude(
+        found, whole, len(craft.rotors), hidden=_hidden(out, table), judged_s=float(judged.sum() * table.dt), places=names,
+        doubts=trust.doubts(flight, craft, air, table),
+        leftover=leftover.find(out, table, hyp, limit, found), hops=air,
+    )  # fmt: skip
     shift = out.biases[judged, 3]
     common = (
         {"thrust_shift": float(np.median(shift[-20:]) - np.median(shift[:20])), "unit": "hover thrusts of one rotor"}
@@ -140,9 +143,16 @@ def diagnose(
     )
     tell(1.0, "done")
     timing["total_s"] = time.perf_counter() - began
+    return _answer(
+        end, facts, common, source, assumptions, warnings, timing, estimator=estimator, comparison=comparison,
+        whole_flight=whole, trace=_trace(out, table, hyp, air, ready_s, limit),
+    )  # fmt: skip
+
+
+def _answer(end: conclusion.Conclusion, facts, common, source, assumptions, warnings, timing, **more) -> Diagnosis:
     return Diagnosis(
-        facts, verdict, reason, rotors, found, common, source, tuple(assumptions), tuple(warnings), timing, estimator,
-        comparison, whole, _trace(out, table, hyp, air, ready_s, limit),
+        facts, end.verdict, end.reason, end.rotors, end.events, common, source, tuple(assumptions), tuple(warnings), timing,
+        headline=end.headline, main=end.main, advice=end.advice, **more,
     )  # fmt: skip
 
 
@@ -184,35 +194,47 @@ def _profile(flight: Flight, table: Ticks | None) -> str:
     return text + (f"; judged every {table.dt:.2f} s" if table is not None else "")
 
 
-def _unobservable(vehicle: Vehicle) -> tuple[RotorState, ...]:
-    return tuple(RotorState(i + 1, 0.0, (0.0, 1.0), "unobservable") for i in range(len(vehicle.rotors)))
-
-
-def _overrides(flight: Flight, vehicle: Vehicle, air) -> tuple[Event, ...]:
+def _overrides(flight: Flight, vehicle: Vehicle, air, table: Ticks) -> tuple[Event, ...]:
+    """Outputs that do not follow the mixer; none that parts from it only once the vehicle tumbles: by then mixers, failsafes and pilots
+    do what they can."""
+    found = allocation.overrides(flight, vehicle, air)
     return tuple(
         Event(
-            "output_override",
-            (o.rotor,),
-            o.onset,
-            o.detected,
-            o.end,
-            (0.0,),
-            ((0.0, 1.0),),
-            1.0,
-            (),
-            o.reason,
-            {"override": o.kind},
+            "output_override", (o.rotor,), o.onset, o.detected, o.end, (), (), 1.0, (), o.reason, {"override": o.kind}
         )
-        for o in allocation.overrides(flight, vehicle, air)
+        for o in found
+        if not any(start < o.onset <= end for start, end in falls(table, air))
     )
 
 
-def _explained(event: Event, overridden: dict) -> bool:
-    """A loss of a rotor whose output is overridden at that time is the override, not a loss."""
-    return any(
-        r in overridden and overridden[r].onset_s - 1.0 <= event.onset_s <= (overridden[r].end_s or np.inf) + 1.0
-        for r in event.rotors
-    )
+def falls(table: Ticks, air) -> tuple[tuple[float, float], ...]:
+    """For each flight that ends in a fall: from when the vehicle tumbles, to the end."""
+    spans = []
+    for start, end in air:
+        inside = (table.time >= start) & (table.time <= end + table.dt)
+        tumbling = np.flatnonzero(table.upset & inside)
+        if tumbling.size and table.upset[np.flatnonzero(inside)[-1]]:
+            last_calm = np.flatnonzero(~table.upset & inside)
+            begin = tumbling[tumbling > last_calm[-1]] if last_calm.size else tumbling
+            spans.append((float(table.time[begin[0]]), end))
+    return tuple(spans)
+
+
+def _explained(event: Event, overrides: tuple[Event, ...]) -> bool:
+    """A loss that begins while an output is overridden is the override, or what it does to the others."""
+    return any(o.onset_s - 1.0 <= event.onset_s <= (np.inf if o.end_s is None else o.end_s) + 1.0 for o in overrides)
+
+
+def _contacts(table: Ticks, air) -> tuple[Event, ...]:
+    """Knocks in flight; the one that ends it is the landing, or the crash."""
+    return tuple(
+        Event(
+            "contact", (), c.time, c.time, c.time, (), (), 1.0, (), f"something outside the vehicle {c.what}, by {c.size:.1f} {c.unit}",
+            {"size": c.size, "unit": c.unit},
+        )
+        for c in table.contacts
+        if not any(end - TOUCH_DOWN_S < c.time < end + TOUCH_DOWN_S for _, end in air)
+    )  # fmt: skip
 
 
 def _whole_flight(flight: Flight, vehicle: Vehicle, air):
@@ -226,67 +248,12 @@ def _whole_flight(flight: Flight, vehicle: Vehicle, air):
     return whole_flight.judge(features, [whole_flight.Features.from_dict(f) for f in stored], vehicle).to_dict()
 
 
-def _rotors(out, table: Ticks, found, n: int, whole=None) -> tuple[RotorState, ...]:
-    """Loss at the end of the flight, or the largest an ended event had shown; healthy rotors with what could have hidden."""
-    judged = np.flatnonzero(table.mode == JUDGE)
-    if whole and whole["verdict"] != "inconclusive" and not any(e.kind == "loss_of_effectiveness" for e in found):
-        return _whole_rotors(whole, n)
-    if judged.size < 10:
-        return tuple(RotorState(i + 1, 0.0, (0.0, 1.0), "unobservable") for i in range(n))
-    hidden = np.minimum(1.0, 1.96 * np.median(out.detectable[judged], axis=0) + events.MODEL_SD)
-    states = []
-    for i in range(n):
-        mine = [e for e in found if e.kind == "loss_of_effectiveness" and i + 1 in e.rotors]
-        lasting = [e for e in mine if e.end_s is None] or mine
-        if lasting:
-            e = lasting[-1]
-            j = e.rotors.index(i + 1)
-            loss, interval = e.loss[j], e.interval[j]
-        else:
-            loss, interval = 0.0, (0.0, float(hidden[i]))
-        status = "healthy" if loss < events.MODEL_SD * 5 else "failed" if loss > events.GONE else "degraded"
-        states.append(RotorState(i + 1, float(loss), interval, status))
-    return tuple(states)
-
-
-def _whole_rotors(whole, n: int) -> tuple[RotorState, ...]:
-    """Rotor states when only the comparison with healthy flights says something."""
-    named = whole["rotors"] if whole["verdict"] in ("fault", "ambiguous") else ()
-    states = []
-    for i in range(n):
-        loss, interval = float(whole["loss"][i]), (float(whole["interval"][i][0]), float(whole["interval"][i][1]))
-        status = "degraded" if i + 1 in named else "healthy"
-        states.append(RotorState(i + 1, loss, interval, status))
-    return tuple(states)
-
-
-def _verdict(found, whole, table: Ticks, known: bool) -> tuple[str, str]:
-    losses = [e for e in found if e.kind == "loss_of_effectiveness"]
-    overrides = [e for e in found if e.kind == "output_override"]
-    judged_s = float((table.mode == JUDGE).sum() * table.dt)
-    sure = [e for e in losses if not e.alternatives]
-    if sure:
-        e = max(sure, key=lambda e: max(e.loss))
-        who = " and ".join(map(str, e.rotors))
-        return (
-            "fault",
-            f"rotor {who} lost {', '.join(f'{100 * v:.0f} %' for v in e.loss)} of its effectiveness at {e.onset_s:.1f} s.",
-        )
-    if overrides:
-        return "fault", overrides[0].reason
-    if whole and whole["verdict"] == "fault":
-        return "fault", whole["reason"]
-    if losses:
-        return "ambiguous", losses[0].reason + "."
-    if whole and whole["verdict"] == "ambiguous":
-        return "ambiguous", whole["reason"]
-    if judged_s < 3.0:
-        return (
-            "inconclusive",
-            f"only {judged_s:.1f} s of flight could be judged: the vehicle was hardly in the air, or its motion is not logged.",
-        )
-    scope = "and none from take-off on, compared with its healthy flights" if known and whole else "after take-off"
-    return "healthy", f"no rotor lost effectiveness in {judged_s:.0f} s of judged flight, {scope}."
+def _hidden(out, table: Ticks) -> np.ndarray:
+    """(n,) largest loss of each rotor that could have gone unseen in flight."""
+    judged = table.mode == JUDGE
+    if not judged.any():
+        return np.ones(out.theta.shape[1])
+    return np.minimum(1.0, 1.96 * np.median(out.detectable[judged], axis=0) + events.MODEL_SD)
 
 
 def _trace(out, table: Ticks, hyp, air, ready_s: float, limit: float) -> Trace:
@@ -298,6 +265,7 @@ def _trace(out, table: Ticks, hyp, air, ready_s: float, limit: float) -> Trace:
     pairs = [i for i, kind in enumerate(hyp.kinds) if kind == "pair"]
     evidence["best pair"] = out.log_odds[:, pairs].max(axis=1) / LN10
     blind = [(a, min(a + ready_s, b), "learning after take-off") for a, b in air]
+    blind += [(c.time, c.time + ready_s, "learning after a contact") for c in table.contacts]
     for start, end in _spans(table.time, table.upset & (table.mode > 0)):
         blind.append((start, end, "upset: hover physics does not hold"))
     return Trace(

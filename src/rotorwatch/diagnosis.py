@@ -9,25 +9,35 @@ from typing import Any
 
 import numpy as np
 
-SCHEMA = 1
+SCHEMA = 2
 EXIT_CODES = {"healthy": 0, "fault": 1, "ambiguous": 3, "inconclusive": 3}
 
 
 @dataclass(frozen=True)
 class RotorState:
-    """rotor: 1-based. loss: 0 healthy .. 1 dead. interval: 95 %. status: healthy, degraded, failed or unobservable."""
+    """A rotor at the end of the judged flight. rotor: 1-based. loss: 0 healthy .. 1 dead.
+
+    interval: 95 %, over all explanations; what could be there unseen where nothing was found. status: healthy, degraded (lost some),
+    failed (lost most), suspect (one of several explanations, or evidence that no event explains) or unobservable. place: in words.
+    since_takeoff: 95 % interval of the change since take-off, where that was judged. from_takeoff: not judged, healthy, suspect or
+    damaged. note: what happened to it, in a few words.
+    """
 
     rotor: int
     loss: float
     interval: tuple[float, float]
     status: str
+    place: str = ""
+    since_takeoff: tuple[float, float] | None = None
+    from_takeoff: str = "not judged"
+    note: str = ""
 
 
 @dataclass(frozen=True)
 class Event:
     """Something that happened in flight. Times in s from the first record of the log; end_s None while it lasts.
 
-    kind: loss_of_effectiveness, output_override, common_mode, torque_bias. rotors: 1-based; loss and interval follow
+    kind: loss_of_effectiveness, output_override, contact, common_mode, torque_bias. rotors: 1-based; loss and interval follow
     their order. alternatives: other rotor sets that explain the data as well. probability: of these rotors, given the data.
     reason: one sentence. history: (time, loss...) rows of the causal estimate, for plots.
     """
@@ -69,7 +79,11 @@ class Trace:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Everything `rotorwatch diagnose` says. verdict: healthy, fault, ambiguous or inconclusive; reason: why, one sentence."""
+    """Everything `rotorwatch diagnose` says. verdict: healthy, fault, ambiguous or inconclusive; reason: why, one sentence.
+
+    headline: the same for a pilot; main: index into events of the one that matters, or None; advice: what to do next. These, rotors and
+    events are made in one place: conclusion.conclude.
+    """
 
     flight: Mapping[str, Any]
     verdict: str
@@ -85,6 +99,9 @@ class Diagnosis:
     comparison: tuple[Mapping[str, Any], ...] = ()
     whole_flight: Mapping[str, Any] | None = None
     trace: Trace | None = None
+    headline: str = ""
+    main: int | None = None
+    advice: tuple[str, ...] = ()
 
     @property
     def exit_code(self) -> int:
@@ -97,9 +114,21 @@ class Diagnosis:
             "schema": SCHEMA,
             "flight": dict(self.flight),
             "verdict": self.verdict,
+            "headline": self.headline,
             "reason": self.reason,
+            "advice": list(self.advice),
+            "main_event": self.main,
             "rotors": [
-                {"rotor": r.rotor, "loss": _round(r.loss), "interval": _round(r.interval), "status": r.status}
+                {
+                    "rotor": r.rotor,
+                    "place": r.place,
+                    "loss": _round(r.loss),
+                    "interval": _round(r.interval),
+                    "status": r.status,
+                    "since_takeoff": _round(r.since_takeoff),
+                    "from_takeoff": r.from_takeoff,
+                    "note": r.note,
+                }
                 for r in self.rotors
             ],
             "events": [

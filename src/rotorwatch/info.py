@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from rotorwatch.diagnosis import SCHEMA
 from rotorwatch.errors import RotorwatchError
 from rotorwatch.flight import Flight, Signal
 
@@ -64,7 +65,7 @@ def info(flight: Flight) -> dict:
     airborne = _airborne(flight)
     missing = _missing(flight, frame, airborne)
     return {
-        "schema": 1,
+        "schema": SCHEMA,
         "name": flight.name,
         "format": flight.format,
         "autopilot": flight.autopilot,

@@ -185,7 +185,7 @@ def on_ticks(B, u, y, valid, flying, theta, rotor, onset, dt: float, batch: bool
     """The bound for a diagnoser that sees these ticks: plant and noise model are the default diagnoser's (systems/wrench_balance.py),
     its noise that of the whole flight with the true losses taken out, the rotor and the onset known.
 
-    B (4, n), u (T, n + 9), y (T, 4), valid (T, 4), flying (T,) bool; theta (T, n) true losses; rotor (0-based), onset (first tick with
+    B (4, n), u (T, n + 10), y (T, 4), valid (T, 4), flying (T,) bool; theta (T, n) true losses; rotor (0-based), onset (first tick with
     the loss): integers. batch: all but B have a first axis of flights. Arrays of NumPy.
     """
     program = _program(np.shape(B)[1], dt, batch)

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rotorwatch.contact import Contact, struck
 from rotorwatch.flight import Flight, Signal
 
 G0 = 9.80665
@@ -26,6 +27,7 @@ UPSET_RATE = 6.0  # rad/s of roll or pitch rate: the vehicle tumbles, hover phys
 UPSET_TILT = np.cos(np.radians(65.0))
 
 GROUND, LEARN, JUDGE = 0, 1, 2
+AGAIN = 2  # in the place of a restart: the trim is learned afresh, what is known to be lost stays
 
 
 @dataclass(frozen=True)
@@ -36,7 +38,8 @@ class Ticks:
     thrust (T, n); wrench (T, 4) = B thrust; rate, rate_dot (T, 3) rad/s, rad/s^2; load (T,) specific force up / g0;
     valid (T, 4) bool; mode (T,) GROUND, LEARN or JUDGE; restart (T,) bool, first tick of a hop; dt s; hover (T,) mean share of full thrust
     per rotor that one unit of thrust stands for; side (T, 2): specific force forward and right [m/s^2], mean of the last SIDE_S, or None
-    where nothing measures it.
+    where nothing measures it. contact (T,) bool: something outside pushed the vehicle, and for `ready_s` after it its trim is learned
+    afresh (None: no contact); contacts: what and when.
     """
 
     time: np.ndarray
@@ -54,6 +57,8 @@ class Ticks:
     upset: np.ndarray
     notes: tuple[str, ...] = ()
     side: np.ndarray | None = None
+    contact: np.ndarray | None = None
+    contacts: tuple[Contact, ...] = ()
 
 
 def tick_length(rate_hz: float) -> float:
@@ -149,11 +154,11 @@ def make(
         notes.append("no angular rate in the log: torque is judged from commands alone, as in steady hover")
     if flight.has("accel"):
         force, _, accel_ok = _window(flight["accel"], centre, half)
-        load = -force[:, 2] / G0
+        load, push = -force[:, 2] / G0, force[:, :2]
         side, _, side_ok = _window(flight["accel"], centre + half - 0.5 * SIDE_S, 0.5 * SIDE_S)
         side = np.where(side_ok[:, None], side[:, :2], 0.0)
     else:
-        side = None
+        side = push = None
         load, accel_ok = np.ones(count), np.zeros(count, bool)
         notes.append("no accelerometer in the log: thrust is not judged, only torque")
 
@@ -200,12 +205,17 @@ def make(
                 gone = (np.arange(count) >= begin[0]) & inside
                 upset = upset | gone
     thrust_units = mean / scale[:, None]
-    valid &= (~upset & (mode > GROUND))[:, None]
+    wrench = thrust_units @ B.T
+    fresh = some & gyro_ok & (accel_ok | (push is None)) & (mode > GROUND)
+    contact, contacts = struck(time, push, load, thrust_units, wrench[:, :3], rate_dot, fresh, dt)
+    known = np.maximum.accumulate(np.where(contact, time, -np.inf))
+    mode[(mode == JUDGE) & (time < known + ready_s)] = LEARN
+    valid &= (~upset & ~contact & (mode > GROUND))[:, None]
     return Ticks(
         time,
         when,
         thrust_units,
-        thrust_units @ B.T,
+        wrench,
         rate,
         rate_dot,
         load,
@@ -217,4 +227,6 @@ def make(
         upset,
         tuple(notes),
         side,
+        contact,
+        contacts,
     )

@@ -11,7 +11,7 @@ import numpy as np
 @dataclass(frozen=True)
 class Rotor:
     """One rotor. x forward, y right [arm lengths, or m]; spin +1 counter-clockwise seen from above, -1 clockwise; share: thrust
-    it gives compared with the vehicle's other rotors at the same command.
+    it gives compared with the vehicle's other rotors at the same command; lower: it works in the wash of a rotor above it.
 
     A counter-clockwise propeller turns the body clockwise: positive yaw torque in FRD.
     """
@@ -20,6 +20,7 @@ class Rotor:
     y: float
     spin: int
     share: float = 1.0
+    lower: bool = False
 
 
 # In the wash of an upper rotor one or two tenths of the lower one's thrust are lost (Leishman, Principles of Helicopter
@@ -28,27 +29,29 @@ LOWER_SHARE = 0.85
 SAME_ARM = 0.02
 
 
-def coaxial(rotors: tuple[Rotor, ...], height: Sequence[float] | None = None) -> tuple[Rotor, ...]:
-    """The same rotors, the lower one of each arm that carries two with LOWER_SHARE of thrust.
+def coaxial(rotors: tuple[Rotor, ...], lower: Sequence[bool] | np.ndarray) -> tuple[Rotor, ...]:
+    """The same rotors, those of the mask `lower` (n,) marked as such and with LOWER_SHARE of thrust."""
+    return tuple(replace(r, share=LOWER_SHARE, lower=True) if under else r for r, under in zip(rotors, lower))
 
-    height (n,): z of each rotor, down; without it the one listed later is the lower one, as autopilots number them.
+
+def lower_of_pairs(rotors: tuple[Rotor, ...], depth: Sequence[float] | np.ndarray | None = None) -> np.ndarray:
+    """(n,) bool: rotors with another above them on the same arm.
+
+    depth (n,): how far down each rotor sits, in any unit; of equal ones the later is the lower, as autopilots number them.
     """
-    below = np.arange(len(rotors)) if height is None else np.asarray(height, float)
-    above = _on_one_arm(rotors) & (below[None] < below[:, None])
-    return tuple(replace(r, share=LOWER_SHARE) if row.any() else r for r, row in zip(rotors, above))
+    place = np.array([(r.x, r.y) for r in rotors])
+    together = np.linalg.norm(place[:, None] - place[None], axis=2) < SAME_ARM * np.abs(place).max()
+    rank = np.argsort(np.argsort(np.zeros(len(rotors)) if depth is None else depth, kind="stable"))
+    return (together & (rank[None] < rank[:, None])).any(axis=1)
 
 
 def note_on_coaxial(rotors: tuple[Rotor, ...]) -> tuple[str, ...]:
     """What `coaxial` has assumed, as a sentence, if anything."""
-    if _on_one_arm(rotors).sum() == len(rotors):
+    lower = [str(k + 1) for k, r in enumerate(rotors) if r.lower]
+    if not lower:
         return ()
-    return (f"Lower rotors of coaxial pairs are taken to give {LOWER_SHARE:.0%} of the upper ones' thrust.",)
-
-
-def _on_one_arm(rotors: tuple[Rotor, ...]) -> np.ndarray:
-    """(n, n) bool: which rotors stand at the same place, each with itself included."""
-    place = np.array([(r.x, r.y) for r in rotors])
-    return np.linalg.norm(place[:, None] - place[None], axis=2) < SAME_ARM * np.abs(place).max()
+    given = f"are taken to give {LOWER_SHARE:.0%} of the upper ones' thrust"
+    return (f"Lower rotors of coaxial pairs ({', '.join(lower)}) {given}.",)
 
 
 @dataclass(frozen=True)

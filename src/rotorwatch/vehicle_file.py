@@ -12,6 +12,8 @@
     x = 0.7                           # forward, arm lengths or m
     y = 0.7                           # right
     spin = "ccw"                      # seen from above; or 1 / -1
+    share = 0.85                      # thrust at the same command, compared with the others; 1 when not given
+    lower = true                      # in the wash of a rotor above it; false when not given
 
 Optional: `mixer` (a row roll, pitch, yaw, throttle per rotor), `source`, `assumptions`, `[identified]` and `[extra]`.
 """
@@ -126,6 +128,7 @@ def dumps(vehicle: Vehicle) -> str:
         spin = {1: '"ccw"', -1: '"cw"'}.get(rotor.spin, "0")
         lines += ["", "[[rotors]]", f"x = {_value(rotor.x)}", f"y = {_value(rotor.y)}", f"spin = {spin}"]
         lines += [f"share = {_value(rotor.share)}"] if rotor.share != 1.0 else []
+        lines += ["lower = true"] if rotor.lower else []
     for key, table in (("identified", vehicle.identified), ("extra", vehicle.extra)):
         if table is not None and (table or key == "identified"):
             lines += _table(key, table)
@@ -175,7 +178,10 @@ def _rotor(row: Any, where: str) -> Rotor:
     if isinstance(spin, (bool, list, dict)) or spin not in SPINS:
         raise VehicleError(f'{where}.spin must be "ccw" or "cw" (seen from above).')
     x, y = (_number(row, key, where, -100, 100) for key in ("x", "y"))
-    return Rotor(x, y, SPINS[spin], _number(row, "share", where, 0.1, 10.0, 1.0))
+    lower = row.get("lower", False)
+    if not isinstance(lower, bool):
+        raise VehicleError(f"{where}.lower must be true or false.")
+    return Rotor(x, y, SPINS[spin], _number(row, "share", where, 0.1, 10.0, 1.0), lower)
 
 
 def _curve(row: Any) -> ThrustCurve:

@@ -127,8 +127,17 @@ FRAMES = {
     "dodecahexa-plus": _ring(_twice(_steps(0, 60, 6)), "+- -+" * 3),
     "dodecahexa-x": _ring(_twice(_steps(30, 60, 6)), "+- -+" * 3),
 }
+# The lower rotors of coaxial frames, counted from 0. ArduPilot's motor test turns clockwise from the front and takes the
+# upper motor of an arm before the lower; its numbers of the default Y6 do not follow that order, those of the others do
+# (testing_order and the comments "top", "bottom" in AP_MotorsMatrix.cpp; drawings of "Connect ESCs and Motors").
+LOWER = {
+    **dict.fromkeys([name for name in FRAMES if name.startswith("octaquad")], (4, 5, 6, 7)),
+    **dict.fromkeys(["octaquad-cw-x", "octaquad-cw-x-cor"], (1, 3, 5, 7)),
+    **dict.fromkeys(["dodecahexa-plus", "dodecahexa-x"], (1, 3, 5, 7, 9, 11)),
+    **{"quad-y4": (2,), "y6": (0, 2, 3), "y6-b": (1, 3, 5), "y6-f": (3, 4, 5)},
+}
 # On co-rotating frames the upper rotor of each arm does 0.9 of the work of the lower one.
-UPPER = {"octaquad-x-cor": (0, 1, 2, 3), "octaquad-cw-x-cor": (0, 2, 4, 6)}
+CO_ROTATING = ("octaquad-x-cor", "octaquad-cw-x-cor")
 # V- and A-tail: the front motors turn the frame in roll and pitch only, the tilted rear ones in pitch and yaw.
 for _name, _yaw in (("quad-vtail", CCW), ("quad-atail", CW)):
     _side, _front, _rear = math.sin(math.radians(60)), math.cos(math.radians(60)), math.cos(math.radians(160))
@@ -165,10 +174,12 @@ def identify(flight: Flight) -> Vehicle | None:
 def build(frame: str, curve: ThrustCurve, source: str = "airframe name", assumptions: tuple[str, ...] = ()) -> Vehicle:
     """The vehicle of one entry of `FRAMES`, with ArduPilot's normalised mixer."""
     right, forward, yaw = np.array([_place(motor) for motor in FRAMES[frame]]).T
-    rotors = coaxial(tuple(Rotor(float(x), float(y), int(np.sign(s))) for x, y, s in zip(forward, right, yaw)))
+    below = np.isin(np.arange(len(yaw)), LOWER.get(frame, ()))
+    rotors = coaxial(tuple(Rotor(float(x), float(y), int(np.sign(s))) for x, y, s in zip(forward, right, yaw)), below)
     columns = [0.5 * v / max(np.abs(v).max(), 1e-9) for v in (-right, forward, yaw)]
     mixer = np.stack([*columns, np.ones(len(rotors))], axis=1)
-    mixer[list(UPPER.get(frame, ()))] *= 0.9
+    if frame in CO_ROTATING:
+        mixer[~below] *= 0.9
     return Vehicle(
         f"ardupilot-{frame}",
         rotors,
@@ -193,9 +204,12 @@ def curve(flight: Flight, notes: list[str]) -> ThrustCurve:
         if "MOT_SPIN_MAX" not in p:
             notes.append("The log has no MOT_SPIN_MIN/MAX: ArduPilot's defaults 0.15 and 0.95 assumed.")
     else:
-        # Before 3.5 the thrust curve starts at THR_MIN and MOT_THST_MAX is a share of what lies above it.
+        # Before 3.5 the thrust curve starts at THR_MIN and MOT_THST_MAX is a share of what lies above it; up to 3.2 outputs end at
+        # MOT_TCRV_MAXPCT of the whole range.
         start = p["THR_MIN"] / 1000.0
         full = start + (1.0 - start) * p.get("MOT_THST_MAX", 0.95)
+        if "MOT_TCRV_MAXPCT" in p:
+            full = p["MOT_TCRV_MAXPCT"] / 100.0 if p.get("MOT_TCRV_ENABLE", 1.0) else 1.0
     if not 0 <= start < full <= 1.0:
         start, full = 0.15, 0.95
         notes.append("MOT_SPIN_MIN/MAX in the log make no sense: ArduPilot's defaults 0.15 and 0.95 assumed.")

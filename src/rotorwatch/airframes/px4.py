@@ -16,9 +16,11 @@ import numpy as np
 from rotorwatch import airframes
 from rotorwatch.errors import VehicleError
 from rotorwatch.flight import Flight
-from rotorwatch.vehicle import Rotor, ThrustCurve, Vehicle, coaxial, note_on_coaxial
+from rotorwatch.vehicle import Rotor, ThrustCurve, Vehicle, coaxial, lower_of_pairs, note_on_coaxial
 
 # (angle clockwise from the nose, spin: +1 counter-clockwise seen from above)
+# Of the coaxial frames the lower rotors are 2, 4, 6 and 5 to 8 (z of PX4's hex_cox.toml and octa_cox.toml): on each arm
+# the one listed later.
 _HEXA, _OCTA, _STACKED = (-1, 1, -1, 1, 1, -1), (-1, -1, 1, 1, 1, 1, -1, -1), (1, -1, 1, -1, 1, -1, 1, -1)
 FRAMES = {
     "quad-x": ((45, -135, -45, 135), (1, 1, -1, -1)),
@@ -65,7 +67,8 @@ def identify(flight: Flight) -> Vehicle | None:
 def place(frame: str) -> tuple[Rotor, ...]:
     """Rotors of one of `FRAMES`, on a circle of radius 1."""
     angles, spins = FRAMES[frame]
-    return coaxial(tuple(Rotor(math.cos(math.radians(a)), math.sin(math.radians(a)), s) for a, s in zip(angles, spins)))
+    rotors = tuple(Rotor(math.cos(math.radians(a)), math.sin(math.radians(a)), s) for a, s in zip(angles, spins))
+    return coaxial(rotors, lower_of_pairs(rotors))
 
 
 def mix(rotors: tuple[Rotor, ...]) -> np.ndarray:
@@ -130,7 +133,7 @@ def _rotors_from_parameters(flight: Flight, notes: list[str]) -> tuple[Rotor, ..
         strength = np.ones(count)
     # Positions count from the centre of gravity.
     rotors = tuple(Rotor(float(a), float(b), int(np.sign(m))) for a, b, m in zip(x, y, moment))
-    rotors = coaxial(rotors, z if np.ptp(z) > 0.0 else None)
+    rotors = coaxial(rotors, lower_of_pairs(rotors, z))
     return tuple(replace(r, share=r.share * float(c / strength.mean())) for r, c in zip(rotors, strength))
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from rotorwatch.core import Array, Decision, Estimate
 from rotorwatch.evidence import caution, hypotheses, jumps, noise, plausibility
 from rotorwatch.systems.wrench_balance import B1, B2, B3, GAIN, PER_AXIS
-from rotorwatch.ticks import GROUND, JUDGE
+from rotorwatch.ticks import AGAIN, GROUND, JUDGE
 
 FALSE_ALARM_PERIOD_S = 10 * 3600.0  # promised: no more than one in so long
 # Of the statistic's own false alarms - as rare, on surrogates of real noise, as its threshold says - odds, persistence and plausibility
@@ -146,7 +146,8 @@ class Output(NamedTuple):
 
 
 class JumpBank:
-    """system: a WrenchBalance. dt: tick length in s. The last two inputs in u are mode (GROUND, LEARN, JUDGE) and restart."""
+    """system: a WrenchBalance. dt: tick length in s. The last two inputs in u are mode (GROUND, LEARN, JUDGE) and restart: 1 at
+    the first tick of a hop, AGAIN at a contact."""
 
     name = "default"
     not_kalman = "a loss enters its state only once it is announced, and its noise is learned on the way"
@@ -208,17 +209,17 @@ class JumpBank:
         import jax.numpy as jnp
 
         n, n_x, dt = self.n, self.n_x, self.dt
-        mode, restart, u = u[-2], u[-1] > 0.5, u[:-2]
+        mode, restart, hop, u = u[-2], u[-1] > 0.5, (u[-1] > 0.5) & (u[-1] < AGAIN - 0.5), u[:-2]
         y = jnp.where(valid, y, 0.0)
         judge, flying = mode > JUDGE - 0.5, mode > GROUND + 0.5
-        s, P, stand = self._restarted(carry, restart)
+        s, P, stand = self._restarted(carry, restart, hop)
         s, P, stand = self._predicted(s, P, stand, carry, flying)
         biases = s[:n_x]
         open_ = judge & (stand.pending < 0)
         bank = self.jumps.advance(carry.bank, self._A(), open_, judge & ~restart)
         memory, seen = caution.look(carry.caution, u, y, valid, flying, restart, biases, carry.noise.variances, n, dt)
         white = carry.noise.variances[0]
-        error = caution.model_error(carry.caution, seen, biases, y, white, n, dt)
+        error = caution.model_error(carry.caution, seen, biases, y, white, self.system.B, n, dt)
         rows = jnp.concatenate([self.system.C(seen.u), self.system.H(seen.u)], axis=1)
         e = y - rows @ s
         carried = u[n + 3] * biases.reshape(4, PER_AXIS)[3, GAIN]
@@ -319,24 +320,25 @@ class JumpBank:
     def _A(self) -> np.ndarray:
         return np.concatenate([self.system.decay(self.dt), np.ones(self.n)])
 
-    def _restarted(self, carry: Carry, restart):
-        """A new hop starts with new biases; what the vehicle is like, and how noisy, stays known."""
+    def _restarted(self, carry: Carry, restart, hop):
+        """A new hop starts with new biases; what the vehicle is like, and how noisy, stays known. After a contact the biases may be any,
+        but a loss that was known stays."""
         import jax.numpy as jnp
 
         keep = jnp.ones(self.n_s).at[self.bias_rows].set(0.0).at[self.n_x :].set(0.0)
         rows = np.ix_(self.bias_rows, self.bias_rows)
         P0 = jnp.zeros((self.n_s, self.n_s)).at[rows].set(jnp.asarray(self.system.P0)[rows])
-        s = jnp.where(restart, carry.s * keep, carry.s)
-        P = jnp.where(restart, carry.P * keep[:, None] * keep[None, :] + P0, carry.P)
+        s = jnp.where(hop, carry.s * keep, carry.s)
+        P = jnp.where(hop, carry.P * keep[:, None] * keep[None, :], carry.P) + jnp.where(restart, P0, 0.0)
         stand = carry.standing
         return (
             s,
             P,
             stand._replace(
-                active=stand.active & ~restart,
+                active=stand.active & ~hop,
                 pending=jnp.where(restart, -1, stand.pending),
-                learning=jnp.where(restart, 0.0, stand.learning),
-                theta_var=jnp.where(restart, 0.0, stand.theta_var),
+                learning=jnp.where(hop, 0.0, stand.learning),
+                theta_var=jnp.where(hop, 0.0, stand.theta_var),
             ),
         )
 

@@ -25,6 +25,8 @@ BURST_MEMORY_S, BURST_CLIP, BURST_POWER = 3.0, 6.0, 1.0
 LEAN_S, LASTING_MEMORY_S, LASTING = 1.0, 30.0, 1.0
 GUST_S, GUST_SHARE, LEAST_GAIN = 1.0, 2.0, 0.3
 FAR, FAR_ERROR, FAR_MEMORY_S = 0.3, 0.5, 5.0
+# Share of full thrust above which a rotor may give no more: batteries sag, speed controllers and simulated motors reach their end early.
+BELIEVED = 0.65
 
 
 class Memory(NamedTuple):
@@ -69,7 +71,7 @@ def init(n: int) -> Memory:
 
 
 def look(memory: Memory, u, y, valid, flying, restart, x, variances, n: int, dt: float) -> tuple[Memory, Look]:
-    """One tick's inputs u (n + 9,) as `WrenchBalance.pack` lays them out, judged against what was usual.
+    """One tick's inputs u (n + 10,) as `WrenchBalance.pack` lays them out, judged against what was usual.
 
     x (20,): state; variances (4, 4) of the noise model.
     """
@@ -147,17 +149,19 @@ def remember(memory: Memory, innovation, variance, ok, dt: float) -> Memory:
     )
 
 
-def model_error(memory: Memory, seen: Look, x, y, white, n: int, dt: float):
-    """(4,) variance by which the plant's model may be wrong at this tick; x (20,) state, white (4,) noise variance."""
+def model_error(memory: Memory, seen: Look, x, y, white, B, n: int, dt: float):
+    """(4,) variance by which the plant's model may be wrong at this tick; x (20,) state, white (4,) noise variance, B (4, n)."""
     import jax.numpy as jnp
 
     u, x = seen.u, x.reshape(4, PER_AXIS)
     motion = jnp.concatenate([u[n : n + 3], u[n + 3 : n + 4] - n])
     rates = jnp.concatenate([u[n + 4 : n + 7], jnp.zeros(1)])
+    missing = jnp.maximum(u[:n] - BELIEVED * u[n + 9], 0.0)  # thrust of each rotor that it may not give
     step = jnp.maximum(jnp.abs(y - memory.y) - 4.0 * jnp.sqrt(white), 0.0)
     return ERROR_TICKS * (
         (jnp.asarray(GAIN_ERROR) * x[:, GAIN] * motion) ** 2
         + (DAMPING_ERROR * x[:, DAMPING] * rates) ** 2
         + (FAR_ERROR * n * seen.far) ** 2
+        + (B * missing[None, :]) ** 2 @ jnp.ones(n)
         + (LAG_ERROR_S / dt * step) ** 2
     )

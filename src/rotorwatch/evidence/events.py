@@ -37,6 +37,7 @@ class Record:
     last: int
     end: float | None = None
     loss: tuple[float, ...] = ()  # of opposite rotors that share a shift of thrust; the others' is in the estimates
+    seen: int | None = None  # last tick of an announcement that judging stopped before it became part of the filter
 
 
 def rotor_sets(hyp: Hypotheses, probability: np.ndarray) -> dict[tuple[int, ...], float]:
@@ -110,10 +111,12 @@ def read(out, ticks: Ticks, hyp: Hypotheses, B: np.ndarray | None = None) -> tup
                 current = None  # more, or less, of what is already known
             else:
                 current = Record(min(onset, float(ticks.time[k])), k, who, shares, k)
+                current.seen = _unjudged_from(ticks, k) - 1
                 records.append(current)
         if out.committed[k]:
             now = out.active[k]
             if current is not None:
+                current.seen = None
                 fresh = tuple(int(i) for i in np.flatnonzero(now) if not active[i])
                 current.shares = rotor_sets(hyp, out.probability[k])
                 current.rotors = fresh or current.rotors
@@ -146,6 +149,12 @@ def read(out, ticks: Ticks, hyp: Hypotheses, B: np.ndarray | None = None) -> tup
     return tuple(_event(r, out, ticks, final, partners) for r in records)
 
 
+def _unjudged_from(ticks: Ticks, k: int) -> int:
+    """First tick after k that is not judged."""
+    after = np.flatnonzero((ticks.mode[k:] != JUDGE) | (ticks.restart[k:] & (np.arange(len(ticks.time) - k) > 0)))
+    return k + int(after[0]) if after.size else len(ticks.time)
+
+
 def _left(record: Record, rotor: int, k: int, end: float) -> Record:
     """One of a record's rotors works again at tick k, or never failed: it leaves the record for one of its own, that ended."""
     record.rotors = tuple(r for r in record.rotors if r != rotor)
@@ -163,7 +172,9 @@ def sd_of(theta: np.ndarray, sd: np.ndarray) -> np.ndarray:
 
 
 def _event(record: Record, out, ticks: Ticks, final: int, partners: dict) -> Event:
-    if record.end is None:
+    if record.seen is not None:
+        k = record.seen
+    elif record.end is None:
         k = final
     else:  # the last estimate before the change that ended it
         k = int(np.searchsorted(ticks.time, record.end)) - 1

@@ -39,7 +39,7 @@ ESC_HOLD = 5.0  # an ESC value is good for this many typical intervals
 # Magnitudes beyond which a number is damage, not flight; (low, high) per column, in the unit of the signal.
 TURN = (-80.0, 80.0)  # rad/s: gyros end at 2000 or 4000 deg/s
 LIMITS = {
-    "control": ((-1.6, 1.6),) * 3 + ((-0.5, 1.6),),
+    "control": ((-10.0, 10.0),) * 3 + ((-0.5, 1.6),),  # newer firmware logs what it wishes, before the mixer's limits
     "gyro": (TURN,) * 3,
     "rates": (TURN,) * 3,
     "accel": ((-640.0, 640.0),) * 3,
@@ -240,7 +240,7 @@ class _Signals:
             return
         time, values, _ = rows
         rates, control = np.radians(values[:, :3]), values[:, 3:]
-        raw_control = _typical_peak(control[:, :3]) > 2.0
+        raw_control = self._control_is_raw(time, control[:, :3])
         if self._rates_are_centi(time, rates, raw_control):
             rates = rates / 100.0
             self.warnings.append("RATE is in centidegrees per second in this firmware; it was scaled.")
@@ -266,6 +266,26 @@ class _Signals:
         ours, theirs = np.abs(rates[near]).ravel(), np.abs(gyro.values[at[near]]).ravel()
         fast = theirs >= np.quantile(theirs, 0.9)
         return float(np.median(ours[fast])) > 10.0 * float(np.median(theirs[fast]))
+
+    def _control_is_raw(self, time: np.ndarray, control: np.ndarray) -> bool:
+        """Are controller outputs in RAW_TORQUE for full output, or in 1? By how far the motors move apart for them.
+
+        A mixer turns an output of 1 into about half of the motors' range, more or less of it as the frame and the thrust curve want:
+        the two answers are 4500 times apart, and the boundary lies half-way between them. Without motors that move, by size.
+        """
+        motors = self.signals.get("motors")
+        if motors is not None and len(motors) >= 10 and time.size >= 10:
+            at = np.clip(np.searchsorted(motors.time, time), 0, len(motors) - 1)
+            near = (
+                (np.abs(motors.time[at] - time) < 0.3) & motors.valid[at].all(axis=1) & np.isfinite(control).all(axis=1)
+            )
+            apart = motors.values[at[near]]
+            apart = (apart - apart.mean(axis=1, keepdims=True)) / (PWM_RANGE_US[1] - PWM_RANGE_US[0])
+            # Of most of the flight: a crash or a damaged record has no say, nor has calm air.
+            moved, asked = (float(np.quantile(np.abs(v), 0.8)) if v.size else 0.0 for v in (apart, control[near]))
+            if moved > 5e-4 and asked > 0.0:
+                return asked > 2.0 * np.sqrt(RAW_TORQUE) * moved
+        return _typical_peak(control) > np.sqrt(RAW_TORQUE)
 
     def attitude(self) -> None:
         """The faster of ANG and ATT; angles to quaternions."""

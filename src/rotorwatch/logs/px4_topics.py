@@ -6,12 +6,10 @@ in us. Message definitions: https://docs.px4.io/main/en/msg_docs/
 
 from __future__ import annotations
 
-import re
-
 import numpy as np
 
 from rotorwatch.flight import Message
-from rotorwatch.logs import series
+from rotorwatch.logs import publishers, px4_outputs, series
 
 TOPICS = (
     "actuator_armed",
@@ -51,8 +49,6 @@ NAV_STATES = {
 }
 
 _ARMED = 2  # vehicle_status.arming_state
-_MOTOR_1, _MOTOR_12 = 101, 112  # output functions, *_FUNCn
-_FUNCTION = re.compile(r"(PWM_MAIN|PWM_AUX|UAVCAN_EC|HIL_ACT|PCA9685|VOXL_ESC|TAP_ESC)_FUNC(\d{1,2})")
 
 
 class Topics:
@@ -155,68 +151,40 @@ def _motors(topics: Topics, parameters):
             return series.motors(time, values, "1", "actuator_motors", topics.notes), {
                 "motors_topic": "actuator_motors"
             }
-    best, facts = None, {}
+    best = None
     for instance in range(4):
         found = topics.table("actuator_outputs", "output[0]", instance=instance)
         if found is None:
             continue
         time, table = found
-        values = columns(table, [f for f in numbered("output", 16) if f in table])
-        picked, unit = _outputs(values, parameters, count)
-        if picked and (best is None or _swing(values[:, picked]).sum() > best[0]):
-            best = _swing(values[:, picked]).sum(), time, values[:, picked], unit, instance
+        reading = px4_outputs.read(columns(table, [f for f in numbered("output", 16) if f in table]), parameters, count)
+        rank = reading and (reading.named, reading.swing)
+        if reading and (best is None or rank > best[0]):
+            best = rank, time, reading, instance
     if best is None:
-        return None, facts
-    _, time, values, unit, instance = best
+        return None, {}
+    _, time, reading, instance = best
     source = "actuator_outputs" + (f"[{instance}]" if instance else "")
-    facts = {"motors_topic": "actuator_outputs"}
-    if unit == "us":
-        facts |= _pwm_limits(parameters, values.shape[1])
-    elif np.nanmin(values) < -0.05:
-        values, facts["motors_scaled"] = (values + 1) / 2, "-1..1"  # old HIL and lock-step SITL drivers
-    return series.motors(time, values, unit, source, topics.notes), facts
+    topics.notes += [reading.note] if reading.note else []
+    facts = {"motors_topic": "actuator_outputs", **reading.facts}
+    time, values = _one_publisher(topics, time, reading, source, facts)
+    return series.motors(time, values, reading.unit, source, topics.notes), facts
 
 
-def _outputs(values, parameters, count) -> tuple[list[int], str]:
-    """Which outputs drive rotors, in rotor order, and their unit, judged by the size of the values."""
-    top = np.where(np.isfinite(values), values, -np.inf).max(axis=0, initial=-np.inf)
-    pwm = (top >= 800) & (top <= 2500)
-    if not pwm.any():
-        share = np.flatnonzero((_swing(values) > 0.01) & (np.abs(top) <= 1.01))
-        return list(range(count)) if 0 < count <= values.shape[1] and share.size else share.tolist(), "1"
-    functions: dict[str, dict[int, int]] = {}
-    for name, value in parameters.items():
-        match = _FUNCTION.fullmatch(name)
-        if match and _MOTOR_1 <= value <= _MOTOR_12:
-            functions.setdefault(match[1], {})[int(value) - _MOTOR_1] = int(match[2]) - 1
-    for outputs in functions.values():
-        picked = [outputs[k] for k in sorted(outputs)]
-        if sorted(outputs) == list(range(len(outputs))) and max(picked) < values.shape[1] and pwm[picked].all():
-            return picked, "us"
-    if count and pwm[:count].all():
-        return list(range(count)), "us"
-    # Without a word on the vehicle: rotors move through many values, servos and spare outputs step between a few.
-    moving = [k for k in np.flatnonzero(pwm & (_swing(values) > 100)) if np.unique(values[:, k]).size >= 10]
-    return [int(k) for k in moving], "us"
-
-
-def _swing(values) -> np.ndarray:
-    """(k,) largest minus smallest finite value of each column; 0 for a column without any."""
-    fine = np.isfinite(values)
-    high = np.where(fine, values, -np.inf).max(axis=0, initial=-np.inf)
-    low = np.where(fine, values, np.inf).min(axis=0, initial=np.inf)
-    return np.where(high >= low, high - low, 0.0)
-
-
-def _pwm_limits(parameters, count) -> dict:
-    """facts pwm_min and pwm_max in us: PWM_MAIN_MINn (1.13+), PWM_MAIN_MIN (1.11+), PWM_MIN (older), as logged."""
-    facts = {}
-    for fact, word in (("pwm_min", "MIN"), ("pwm_max", "MAX")):
-        each = [parameters.get(f"PWM_MAIN_{word}{k + 1}", 0) for k in range(count)]
-        usable = [v for v in (*each, parameters.get(f"PWM_MAIN_{word}", 0), parameters.get(f"PWM_{word}", 0)) if v > 0]
-        if usable:
-            facts[fact] = float(usable[0])
-    return facts
+def _one_publisher(topics: Topics, time, reading: px4_outputs.Reading, source, facts):
+    """The samples of the publisher whose outputs reached the motors; `facts` says when nobody can tell which."""
+    values = reading.values
+    found = publishers.tracks(values, 0.01 * (1000.0 if reading.unit == "us" else 1.0))
+    if len(found) == 1:
+        return time, values
+    keep = publishers.flown(values, found)
+    said = f"{source}: the outputs of two publishers alternate in one instance"
+    if keep is None:
+        facts["publishers"] = len(found)
+        topics.notes.append(f"{said}, and both move")
+        return time, values
+    topics.notes.append(f"{said}; the {keep.size} of {len(values)} samples that move were taken")
+    return time[keep], values[keep]
 
 
 def _control(topics: Topics):
@@ -259,7 +227,7 @@ def _esc(topics: Topics, parameters):
     for i in range(8):
         if f"esc[{i}].esc_rpm" in table and f"esc[{i}].esc_current" in table:
             function = int(np.asarray(table.get(f"esc[{i}].actuator_function", [0])).flat[0])
-            rotor[function - _MOTOR_1 if _MOTOR_1 <= function <= _MOTOR_12 else i] = i
+            rotor[function - px4_outputs.MOTOR_1 if px4_outputs.MOTOR_1 <= function <= px4_outputs.MOTOR_12 else i] = i
     order = [rotor[k] for k in sorted(rotor)][: rotor_count(parameters) or 8]
     fields = [f"esc[{i}].{what}" for what in ("esc_rpm", "esc_current") for i in order]
     names = tuple(f"{what}{k + 1}" for what in ("rpm", "current") for k in range(len(order)))

@@ -109,7 +109,7 @@ def _verdict(diagnosis: Diagnosis) -> str:
     word = f"{SYMBOLS[diagnosis.verdict]} {report.VERDICTS[diagnosis.verdict]}"
     return (
         f'<section class="verdict {escape(diagnosis.verdict)}"><div class="word">{escape(word)}</div>'
-        f"<h1>{_text(report.headline(diagnosis))}</h1><p>{escape(diagnosis.reason)}</p></section>"
+        f"<h1>{_text(diagnosis.headline)}</h1><p>{escape(diagnosis.reason)}</p></section>"
     )
 
 

@@ -52,7 +52,7 @@ def diagnosis(result: Diagnosis) -> RenderableType:
 def line(name: str, result: Diagnosis) -> Text:
     """One flight of several on one line."""
     text = Text(f"{report.VERDICTS[result.verdict].lower():<13}", style=STYLES[result.verdict])
-    return text.append(f"{name}  ", style="default not bold").append(report.headline(result), style="default not bold")
+    return text.append(f"{name}  ", style="default not bold").append(result.headline, style="default not bold")
 
 
 def error_line(name: str, sentence: str) -> Text:
@@ -63,7 +63,7 @@ def error_line(name: str, sentence: str) -> Text:
 def _heading(result: Diagnosis) -> RenderableType:
     facts = result.flight
     text = Text(report.VERDICTS[result.verdict].upper(), style=STYLES[result.verdict])
-    text.append("  ").append(report.headline(result), style="default bold")
+    text.append("  ").append(result.headline, style="default bold")
     what = [str(facts["name"])] if facts.get("name") else []
     what += [report.frame(result), *(str(facts[k]) for k in ("autopilot", "profile") if facts.get(k))]
     what.append(f"{float(facts.get('duration_s') or 0):.0f} s")

@@ -36,7 +36,7 @@ BIAS_SD = np.array([0.5, 0.5, 1.0, 0.4])
 
 
 class WrenchBalance:
-    """n rotors with effectiveness matrix B (4, n). x (20,), u (n + 9,): see `pack`; theta (n,) loss; y (4,) wrench."""
+    """n rotors with effectiveness matrix B (4, n). x (20,), u (n + 10,): see `pack`; theta (n,) loss; y (4,) wrench."""
 
     name = "wrench_balance"
     n_y = 4
@@ -51,15 +51,16 @@ class WrenchBalance:
         """prior: (mean (20,), covariance (20, 20)) from healthy flights (calibrate), else what any multirotor is like."""
         self.B = B  # numpy, or traced: one compiled program serves every airframe with n rotors
         self.n_theta = B.shape[1]
-        self.n_u = self.n_theta + 9
+        self.n_u = self.n_theta + 10
         self.x0, self.P0 = any_multirotor(self.n_theta) if prior is None else prior
 
     def pack(self, ticks):
-        """(T, n + 9) inputs of a table of ticks: thrusts, angular accelerations, n times load factor, angular rates, side forces
-        forward and right [m/s^2]."""
+        """(T, n + 10) inputs of a table of ticks: thrusts, angular accelerations, n times load factor, angular rates, side forces
+        forward and right [m/s^2], full thrust of a rotor. Thrusts in hover thrusts."""
         load = ticks.load[:, None] * self.n_theta
         side = np.zeros((len(load), 2)) if ticks.side is None else ticks.side
-        return np.concatenate([ticks.thrust, ticks.rate_dot, load, ticks.rate, side], axis=1)
+        full = 1.0 / ticks.hover[:, None]
+        return np.concatenate([ticks.thrust, ticks.rate_dot, load, ticks.rate, side, full], axis=1)
 
     def C(self, u):
         """(4, 20) dy/dx."""

@@ -1,0 +1,85 @@
+"""Knocks: forces and torques on the vehicle that its rotors cannot make, whatever became of them.
+
+Rotors push along the body's axis and turn it with what they push. A sideways force that begins within a tick, a lift that nobody
+commanded, or an angular acceleration beyond what the commands and the loss of any two rotors explain comes from outside: another
+vehicle, an obstacle, the ground. What follows - tumbling, saturated outputs, a bent arm - must not be read as the loss of a rotor.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+G0 = 9.80665
+SIDEWAYS, UPWARD = 0.5, 0.8  # g, against the half second before; drag and gusts change by less than 0.2 g in a tick
+BEFORE_S = 0.5
+# Hover thrusts for each rad/s^2 and rotor that a small vehicle (arms of 5 cm) takes in roll, pitch and yaw: none turns for less.
+LEAST_GAIN = np.array([0.0015, 0.0015, 0.03])
+TOGETHER_S = 1.0  # knocks within that are one
+
+
+@dataclass(frozen=True)
+class Contact:
+    """time s; size: of the force in g, or of the torque in hover thrusts of one rotor; unit says which; what: in words."""
+
+    time: float
+    size: float
+    unit: str
+    what: str
+
+
+def struck(time, side, load, thrust, torque, rate_dot, fresh, dt: float) -> tuple[np.ndarray, tuple[Contact, ...]]:
+    """(T,) bool, ticks in which something outside pushed the vehicle, and the contacts they belong to.
+
+    side (T, 2): sideways specific force [m/s^2], mean of the tick; load (T,): specific force up / g. Both None without accelerometer.
+    thrust (T, n), torque (T, 3): commanded, in hover thrusts; rate_dot (T, 3) rad/s^2; fresh (T,) bool: in the air, all of them known.
+    Causal: a tick is judged by itself and the half second before it.
+    """
+    n = thrust.shape[1]
+    turned = _unexplained(torque, rate_dot, n) - np.sort(thrust, axis=1)[:, -2:].sum(axis=1)[:, None]
+    turned = np.where(fresh, turned.max(axis=1), 0.0)
+    kinds = [(turned, 0.0, "hover thrusts of one rotor", "turned it")]
+    if side is not None:
+        back = max(2, round(BEFORE_S / dt))
+        pushed = np.linalg.norm(_since(side, fresh, back), axis=1) / G0
+        # More lift than before, and not because the motors, cut, still turn.
+        lifted = _since(np.column_stack([load, load - thrust.mean(axis=1)]), fresh, back).min(axis=1)
+        kinds += [(pushed, SIDEWAYS, "g", "pushed it sideways"), (lifted, UPWARD, "g", "pushed it upwards")]
+    hit = np.zeros(len(time), bool)
+    for size, limit, _, _ in kinds:
+        hit |= size > limit
+    return hit, _contacts(time, hit, kinds)
+
+
+def _unexplained(torque, rate_dot, n: int) -> np.ndarray:
+    """(T, 3) torque that the motion takes at least, less what was commanded that way. Commands against the motion count for nothing:
+    they may come a tick early."""
+    return LEAST_GAIN * n * np.abs(rate_dot) - np.maximum(np.sign(rate_dot) * torque, 0.0)
+
+
+def _since(value, fresh, back: int) -> np.ndarray:
+    """(T, k) by how much each tick's value differs from the mean of the `back` ticks before it; 0 where one of them is not fresh."""
+    total = np.concatenate([np.zeros((1, value.shape[1])), np.cumsum(np.where(fresh[:, None], value, 0.0), axis=0)])
+    count = np.concatenate([[0], np.cumsum(fresh)])
+    now = np.arange(len(value))
+    first = np.maximum(now - back, 0)
+    usable = fresh & (count[now] - count[first] == back)
+    return np.where(usable[:, None], value - (total[now] - total[first]) / back, 0.0)
+
+
+def _contacts(time, hit, kinds) -> tuple[Contact, ...]:
+    """Ticks close together are one contact, as large as its largest tick."""
+    found: list[Contact] = []
+    last = -np.inf
+    for k in np.flatnonzero(hit):
+        size, _, unit, what = max(
+            kinds, key=lambda kind: kind[0][k] / (kind[1] or kind[0].max() or 1.0) * (kind[0][k] > kind[1])
+        )
+        one = Contact(float(time[k]), float(size[k]), unit, what)
+        if time[k] - last > TOGETHER_S:
+            found.append(one)
+        elif one.unit == found[-1].unit and one.size > found[-1].size:
+            found[-1] = Contact(found[-1].time, one.size, unit, what)
+        last = time[k]
+    return tuple(found)

@@ -1,0 +1,67 @@
+"""What the estimator's evidence still says after all events are written down: faults over the threshold that were never announced.
+
+Announcing asks for more than a threshold: one hypothesis that beats every disturbance for a while, and a motion that fits it. Beside
+a loss that is already known, or with the vehicle at its limits, that may never be met although a second rotor is failing. Its evidence
+is then absorbed as a disturbance, and calling the rotor healthy would be wrong. Such a spell is not an event - which rotor, and how
+much, remains open - but it is said.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rotorwatch.diagnosis import Event
+from rotorwatch.evidence.hypotheses import Hypotheses
+from rotorwatch.ticks import JUDGE, Ticks
+
+LASTS_S = 1.0
+RIVAL = np.log(10.0)  # nats: a disturbance so much likelier explains the motion instead
+ALIKE = np.log(10.0)  # nats: rotor sets so much less likely than the best are named with it
+SETTLED_S = 6.0  # after an announcement its loss is still being refined, and so is what it leaves over
+
+
+@dataclass(frozen=True)
+class Leftover:
+    """A spell of unexplained evidence: rotors (1-based) it points to, start and end [s]."""
+
+    rotors: tuple[int, ...]
+    start_s: float
+    end_s: float
+
+
+def find(out, table: Ticks, hyp: Hypotheses, limit: float, events: Sequence[Event]) -> tuple[Leftover, ...]:
+    """Spells of at least LASTS_S, after the first event, in which faults of other rotors than the known ones have more evidence than
+    `limit` [nats] and no disturbance explains them better by RIVAL. out: the estimator's stacked outputs."""
+    known = [e for e in events if e.kind in ("loss_of_effectiveness", "output_override")]
+    if not known:
+        return ()
+    time, n = table.time, out.theta.shape[1]
+    fault = np.asarray(hyp.fault)
+    odds = np.asarray(out.log_odds)
+    best_fault, best_other = odds[:, fault].max(axis=1), odds[:, ~fault].max(axis=1)
+    over = (best_fault > limit) & (best_fault > best_other - RIVAL)
+    over &= (table.mode == JUDGE) & ~table.upset & (time > min(e.detected_s for e in known))
+    for e in known:
+        for mark in (e.detected_s, e.end_s):
+            if mark is not None:
+                over &= ~((time >= mark - 0.5) & (time <= mark + SETTLED_S))
+        over &= ~((time >= e.onset_s) & (time <= e.detected_s))
+    members = np.array([[i in who for i in range(n)] for who in hyp.rotors])
+    near = (odds > best_fault[:, None] - ALIKE) & fault
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], over, [False]]).astype(int)))
+    found = []
+    for a, b in zip(edges[::2], edges[1::2]):
+        if (b - a) * table.dt < LASTS_S:
+            continue
+        weight = near[a:b].sum(axis=0) @ members.astype(float)
+        own = np.zeros(n, bool)
+        for e in known:
+            if e.onset_s <= time[b - 1] and (e.end_s is None or e.end_s >= time[a]):
+                own[[r - 1 for r in e.rotors]] = True
+        mine = np.flatnonzero((weight > 0.5 * (b - a)) & ~own)
+        if mine.size:
+            found.append(Leftover(tuple(int(i) + 1 for i in mine), float(time[a]), float(time[b - 1])))
+    return tuple(found)

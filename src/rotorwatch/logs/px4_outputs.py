@@ -1,0 +1,143 @@
+"""Which of PX4's actuator outputs drive rotors, in which order and unit.
+
+Each output driver publishes an instance of `actuator_outputs`, and none says which driver it is. Pulses are logged in us,
+simulated outputs as shares (0..1 or -1..1), UAVCAN as the counts of its raw command (uavcan.equipment.esc.RawCommand,
+14 bit and sign: 8191 is full) and DShot as counts of its throttle field (1999 is full).
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+
+import numpy as np
+
+MOTOR_1, MOTOR_12 = 101, 112  # output functions, *_FUNCn
+FUNCTION = re.compile(r"(PWM_MAIN|PWM_AUX|UAVCAN_EC|HIL_ACT|PCA9685|VOXL_ESC|TAP_ESC)_FUNC(\d{1,2})")
+CAN = "UAVCAN_EC"
+CAN_FULL, DSHOT_FULL = 8191.0, 1999.0
+PULSES_US = (800.0, 2500.0)  # what a motor gets when it gets anything
+NO_COMMAND = 65535.0  # drivers that take counts log this while disarmed
+MOVING, MOVING_US = 0.01, 100.0  # an output that moves less, of full command and in us, need not be a rotor's
+LEAST_VALUES = 10  # rotors move through many values, servos and spare outputs step between a few
+
+
+@dataclass(frozen=True)
+class Reading:
+    """One instance read as rotors: values (n, rotors) in us or shares, swing as a share of full, facts on limits.
+
+    named: the log's output functions name these outputs as motors.
+    """
+
+    values: np.ndarray
+    unit: str
+    swing: float
+    named: bool
+    facts: dict = field(default_factory=dict)
+    note: str = ""
+
+
+def read(values: np.ndarray, parameters, count: int) -> Reading | None:
+    """The rotors among the outputs of one instance, values (n, k); None when there are none.
+
+    count: rotors of the vehicle, 0 where the log does not say.
+    """
+    values = np.where(values == NO_COMMAND, 0.0, values)
+    functions: dict[str, dict[int, int]] = {}
+    for name, value in parameters.items():
+        match = FUNCTION.fullmatch(name)
+        if match and MOTOR_1 <= value <= MOTOR_12:
+            functions.setdefault(match[1], {})[int(value) - MOTOR_1] = int(match[2]) - 1
+    for driver, outputs in functions.items():
+        picked = [outputs[k] for k in sorted(outputs)]
+        if sorted(outputs) == list(range(len(outputs))) and max(picked) < values.shape[1]:
+            found = _scaled(values[:, picked], picked, driver, parameters)
+            if found is not None:
+                return found
+    can = set(functions) == {CAN} or (not functions and parameters.get("UAVCAN_ENABLE", 0) >= 3)
+    driver = CAN if can and not parameters.get("DSHOT_CONFIG", 0) > 0 else ""
+    if 0 < count <= values.shape[1]:
+        picked = list(range(count))
+        found = _scaled(values[:, picked], picked, driver, parameters)
+        if found is not None:
+            return found
+    moving = [k for k in range(values.shape[1]) if _moves(values[:, k])]
+    moving = [k for k in moving if _scaled(values[:, [k]], [k], driver, parameters, moving=True)]
+    return _scaled(values[:, moving], moving, driver, parameters) if moving else None
+
+
+def _moves(column: np.ndarray) -> bool:
+    fine = column[np.isfinite(column)]
+    return fine.size > 0 and (np.unique(fine).size >= LEAST_VALUES or float(np.abs(fine).max()) <= 1.01)
+
+
+def _scaled(values, picked, driver, parameters, moving=False) -> Reading | None:
+    """The picked outputs as pulses or shares, whichever their values and the log's parameters allow; None when neither.
+
+    moving: only when all of them move as rotors do.
+    """
+    low, top = _extremes(values)
+    if not np.isfinite(top).all():
+        return None
+    named = bool(driver) and f"{driver}_FUNC{picked[0] + 1}" in parameters
+    if (np.abs(top) <= 1.01).all() and (low >= -1.01).all():
+        return _shares(values, low, top, named)
+    start = _extremes(np.where(values == 0.0, np.nan, values))[0]  # 0 is no pulse at all
+    if driver != CAN and (start >= PULSES_US[0]).all() and (top <= PULSES_US[1]).all():
+        swing = top - low
+        if moving and swing.min() <= MOVING_US:
+            return None
+        return Reading(values, "us", float(swing.mean()) / 1e3, named, _pulse_limits(parameters, len(picked)))
+    if (top > CAN_FULL).any() or (low < 0.0).any() or (top < 2.0).any():
+        return None
+    return _counts(values, low, top, picked, driver, parameters, named)
+
+
+def _shares(values, low, top, named) -> Reading | None:
+    swing = top - low
+    if swing.max() <= MOVING:
+        return None
+    if low.min() < -0.05:  # old HIL and lock-step SITL drivers
+        return Reading((values + 1.0) / 2.0, "1", float(swing.mean()) / 2.0, named, {"motors_scaled": "-1..1"})
+    return Reading(values, "1", float(swing.mean()), named)
+
+
+def _counts(values, low, top, picked, driver, parameters, named) -> Reading | None:
+    """Counts of a UAVCAN or DShot command as shares of full; UAVCAN_EC_MINn and MAXn count where logged."""
+    full = CAN_FULL if driver == CAN or top.max() > DSHOT_FULL else DSHOT_FULL
+    least, most = np.zeros(len(picked)), np.full(len(picked), full)
+    if full == CAN_FULL:
+        limits = [
+            [parameters.get(f"{CAN}_{end}{k + 1}", d) for k in picked] for end, d in (("MIN", 0.0), ("MAX", full))
+        ]
+        if (np.array(limits[0]) < np.array(limits[1])).all():
+            least, most = np.array(limits, float)
+    span = most - least
+    if ((top - low) < MOVING * span).all():
+        return None
+    bus = "UAVCAN" if full == CAN_FULL else "DShot"
+    note = f"actuator_outputs are {bus} counts; {most.max():.0f} was taken as full command"
+    shares = np.maximum((values - least) / span, 0.0)
+    return Reading(shares, "1", float(((top - low) / span).mean()), named, {"motors_scaled": bus}, note)
+
+
+def _extremes(values) -> tuple[np.ndarray, np.ndarray]:
+    """(k,) low and high end of each column's finite values, one value in 200 left out for damage; NaN without any."""
+    ends = np.full((2, values.shape[1]), np.nan)
+    for k in range(values.shape[1]):
+        fine = np.sort(values[np.isfinite(values[:, k]), k])
+        if fine.size:
+            out = fine.size // 200
+            ends[:, k] = fine[out], fine[fine.size - 1 - out]
+    return ends[0], ends[1]
+
+
+def _pulse_limits(parameters, count) -> dict:
+    """facts pwm_min and pwm_max in us: PWM_MAIN_MINn (1.13+), PWM_MAIN_MIN (1.11+), PWM_MIN (older), as logged."""
+    facts = {}
+    for fact, word in (("pwm_min", "MIN"), ("pwm_max", "MAX")):
+        each = [parameters.get(f"PWM_MAIN_{word}{k + 1}", 0) for k in range(count)]
+        usable = [v for v in (*each, parameters.get(f"PWM_MAIN_{word}", 0), parameters.get(f"PWM_{word}", 0)) if v > 0]
+        if usable:
+            facts[fact] = float(usable[0])
+    return facts

@@ -1,0 +1,77 @@
+"""The words for numbers, rotors and events, which every sentence, table and page uses."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from rotorwatch.diagnosis import Event
+
+KINDS = {
+    "loss_of_effectiveness": "loss of effectiveness",
+    "output_override": "output overridden",
+    "contact": "knock or contact",
+    "common_mode": "common mode",
+    "torque_bias": "torque bias",
+}
+VERDICTS = {"healthy": "Healthy", "fault": "Fault found", "ambiguous": "Ambiguous", "inconclusive": "Inconclusive"}
+
+
+def percent(share: float, digits: int = 0) -> str:
+    """0.374 -> '37 %'. Never '-0 %'."""
+    text = f"{100 * share:.{digits}f}"
+    return f"{text.lstrip('-') if float(text) == 0 else text} %"
+
+
+def interval(low: float, high: float) -> str:
+    """A 95 % interval of shares: '33–41 %'."""
+    return f"{percent(low)[:-2]}–{percent(high)}"
+
+
+def probability(value: float) -> str:
+    """'97 %', but never a certainty that was rounded up: '> 99.9 %'."""
+    return "> 99.9 %" if value > 0.999 else percent(value, 1 if value > 0.985 else 0)
+
+
+def seconds(time: float | None) -> str:
+    """'41.20 s'; an event that lasts has no end: '–'."""
+    return "–" if time is None else f"{time:.2f} s" if abs(time) < 1000 else f"{time:.1f} s"
+
+
+def listed(words: Sequence[str], last: str = "and") -> str:
+    """('a', 'b', 'c') -> 'a, b and c'."""
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} {last} {words[-1]}" if words else ""
+
+
+def rotors(numbers: Iterable[int], places: Sequence[str] = ()) -> str:
+    """(3,) -> 'rotor 3', (1, 2, 4) -> 'rotors 1, 2 and 4', () -> 'no rotor'; with places: 'rotor 3 (front left)'."""
+    numbers = list(numbers)
+    names = [f"{n} ({places[n - 1]})" if n <= len(places) and places[n - 1] else str(n) for n in numbers]
+    if not names:
+        return "no rotor"
+    return f"rotor{'s' if len(names) > 1 else ''} {listed(names)}"
+
+
+def explanations(event: Event) -> tuple[tuple[int, ...], ...]:
+    """All rotor sets that explain an event, its own first."""
+    own = tuple(event.rotors)
+    return (own, *(tuple(a) for a in event.alternatives if tuple(a) != own)) if own else ()
+
+
+def candidates(event: Event, places: Sequence[str] = ()) -> str:
+    """The rotors of an event with what else explains the data: 'rotors 1 and 2, or rotors 3 and 4'."""
+    return ", or ".join(rotors(s, places) for s in explanations(event)) or "no single rotor"
+
+
+def losses(event: Event) -> str:
+    """'37 % (33–41 %)', one per rotor, in the order of the rotors."""
+    return ", ".join(f"{percent(v)} ({interval(*i)})" for v, i in zip(event.loss, event.interval, strict=False))
+
+
+def sentence(text: str) -> str:
+    """With a capital at the beginning."""
+    return text[:1].upper() + text[1:]
+
+
+def kind(event: Event) -> str:
+    """The event's kind in words; an unknown one as it is."""
+    return KINDS.get(event.kind, event.kind.replace("_", " "))

@@ -1,0 +1,155 @@
+"""The one place where events become verdict, headline, main event, rotor states and advice."""
+
+import pytest
+
+from conftest import hexa_diagnosis, hexa_event
+from rotorwatch.conclusion import main_event
+from rotorwatch.evidence.leftover import Leftover
+
+
+def whole(verdict, rotors=(), loss=0.0, causes=()):
+    """What comparing with healthy flights says of a hexa."""
+    shares = [loss if k in rotors else 0.01 for k in range(1, 7)]
+    return {
+        "verdict": verdict, "reason": f"the comparison says {verdict}.", "rotors": list(rotors), "loss": shares,
+        "interval": [[max(0.0, v - 0.05), v + 0.05] for v in shares],
+        "causes": [{"kind": "rotors" if c else "centre_of_mass", "rotors": list(c), "probability": 0.4} for c in causes],
+    }  # fmt: skip
+
+
+def statuses(diagnosis):
+    return {r.rotor: r.status for r in diagnosis.rotors}
+
+
+OVERRIDE = dict(kind="output_override", loss=(0.0,), interval=((0.0, 1.0),), reason="output 3 was off.")
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({}, "Rotor 3 (front left) lost 37 % (33–41 %) of thrust at 31.20 s."),
+        (
+            {"events": (hexa_event(end_s=40.0), hexa_event(loss=(0.1,)))},
+            "31.20 s until 40.00 s (the first of 2 events).",
+        ),
+        (
+            {"events": (hexa_event(**OVERRIDE),)},
+            "output of rotor 3 (front left) stopped following the mixer at 31.20 s",
+        ),
+        ({"events": (), "whole_flight": whole("fault", (3,), 0.3)}, "Rotor 3 (front left) pulled less than on healthy"),
+        ({"events": (), "whole_flight": whole("healthy")}, "All rotors pull their weight."),
+        ({"events": ()}, "No rotor lost thrust after take-off. Damage from take-off was not judged."),
+        ({"events": (), "judged_s": 1.0}, "This log cannot say."),
+        (
+            {"events": (hexa_event(alternatives=((1, 4),)),)},
+            "rotor 3 (front left), or rotors 1 (right) and 4 (rear right)",
+        ),
+        ({"events": (), "whole_flight": whole("ambiguous", (3,), 0.3)}, "cannot say which rotor"),
+    ],
+)
+def test_headline(changes, words):
+    assert words in hexa_diagnosis(**changes).headline
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({}, True),
+        ({"events": ()}, True),
+        ({"events": (hexa_event(alternatives=((4,),)),)}, True),
+        ({"events": (), "whole_flight": whole("healthy")}, False),
+        ({"events": (), "whole_flight": whole("fault", (3,), 0.3)}, False),
+        ({"whole_flight": whole("healthy")}, True),  # the comparison includes the time after the loss
+        ({"events": (), "whole_flight": whole("inconclusive")}, True),
+        ({"events": (), "doubts": ("Nothing moved.",)}, False),
+    ],
+)
+def test_damage_from_take_off_is_not_judged_without_healthy_flights_and_that_is_said(changes, said):
+    diagnosis = hexa_diagnosis(**changes)
+    assert ("Damage from take-off was not judged." in diagnosis.headline) is said
+    assert ({r.from_takeoff for r in diagnosis.rotors} == {"not judged"}) is (said or "doubts" in changes)
+    healthy = [r for r in diagnosis.rotors if r.status == "healthy"]
+    assert all((r.interval == (0.0, 1.0)) is said for r in healthy)
+    assert all(r.since_takeoff == (0.0, 0.04) for r in healthy)
+
+
+def test_every_rotor_of_any_explanation_is_suspect_and_its_interval_covers_all_of_them():
+    event = hexa_event(
+        rotors=(1, 2), loss=(0.2, 0.3), interval=((0.1, 0.3), (0.2, 0.4)), alternatives=((3,), (4, 5)), probability=0.5
+    )
+    diagnosis = hexa_diagnosis(events=(event,))
+    assert diagnosis.verdict == "ambiguous" and diagnosis.main == 0
+    assert statuses(diagnosis) == dict.fromkeys(range(1, 6), "suspect") | {6: "healthy"}
+    intervals = {r.rotor: r.interval for r in diagnosis.rotors}
+    assert intervals[1] == pytest.approx((0.0, 0.3)) and intervals[2] == pytest.approx((0.0, 0.4))
+    assert intervals[3] == pytest.approx((0.0, 0.7))  # alone it makes what both lack together
+    assert all(low == 0.0 and high >= 0.3 for low, high in list(intervals.values())[:5])
+
+
+def test_an_event_that_ended_is_over():
+    diagnosis = hexa_diagnosis(events=(hexa_event(end_s=40.0),))
+    third = diagnosis.rotors[2]
+    assert diagnosis.verdict == "fault" and third.status == "healthy" and third.loss == 0.0
+    assert third.note == "was weak from 31.20 s to 40.00 s"
+    assert "until 40.00 s" in diagnosis.headline and "until 40.00 s" in diagnosis.reason
+
+
+def test_what_became_of_a_loss_after_landing_is_not_known():
+    from rotorwatch.conclusion import conclude
+
+    end = conclude((hexa_event(end_s=49.9),), None, 6, hidden=[0.04] * 6, judged_s=60, hops=((4, 50), (60, 90)))
+    assert end.rotors[2].status == "suspect" and end.rotors[2].interval == pytest.approx((0.0, 0.41))
+    assert "not judged again after landing" in end.rotors[2].note
+
+
+def test_evidence_that_no_event_explains_makes_its_rotors_suspect_and_is_said():
+    diagnosis = hexa_diagnosis(leftover=(Leftover((5,), 40.0, 44.0),))
+    assert statuses(diagnosis)[5] == "suspect" and diagnosis.rotors[4].interval == (0.0, 1.0)
+    assert "rotor 5" in diagnosis.reason and any("rotor 5" in a for a in diagnosis.advice)
+
+
+def test_with_doubts_nothing_is_concluded_from_the_outputs():
+    contact = hexa_event(kind="contact", rotors=(), loss=(), interval=(), extra={"size": 3.0, "unit": "g"})
+    diagnosis = hexa_diagnosis(events=(hexa_event(), contact), doubts=("The outputs stand still.", "Two vehicles."))
+    assert diagnosis.verdict == "inconclusive" and diagnosis.reason == "The outputs stand still."
+    assert diagnosis.events == (contact,) and diagnosis.main is None
+    assert set(statuses(diagnosis).values()) == {"unobservable"}
+    assert "Two vehicles." in diagnosis.advice
+
+
+def test_a_contact_makes_no_verdict():
+    contact = hexa_event(kind="contact", rotors=(), loss=(), interval=(), reason="The vehicle was knocked.")
+    diagnosis = hexa_diagnosis(events=(contact,))
+    assert diagnosis.verdict == "healthy" and diagnosis.main is None and diagnosis.events == (contact,)
+    assert any("31.20 s" in a for a in diagnosis.advice)
+
+
+@pytest.mark.parametrize(
+    ("events", "main"),
+    [
+        ([], None),
+        ([hexa_event(loss=(0.3,)), hexa_event(onset_s=50.0, loss=(0.5,))], 0),  # the first that is large
+        ([hexa_event(loss=(0.1,)), hexa_event(onset_s=50.0, loss=(0.9,))], 1),
+        ([hexa_event(loss=(0.5,)), hexa_event(onset_s=31.9, loss=(0.9,))], 1),  # one happening: the largest
+        ([hexa_event(alternatives=((4,),)), hexa_event(onset_s=50.0, loss=(0.1,))], 1),  # surest
+        ([hexa_event(loss=(1.0,)), hexa_event(**OVERRIDE | {"onset_s": 31.5})], 0),  # an output of the fall
+        ([hexa_event(loss=(1.0,)), hexa_event(**OVERRIDE | {"onset_s": 31.0})], 1),  # an output that caused it
+        ([hexa_event(kind="contact"), hexa_event(onset_s=40.0)], 1),
+    ],
+)
+def test_main_event(events, main):
+    assert main_event(events) == main
+
+
+def test_whole_flight_fault_names_its_rotors():
+    diagnosis = hexa_diagnosis(events=(), whole_flight=whole("fault", (3,), 0.3, causes=((3,),)))
+    assert diagnosis.verdict == "fault" and diagnosis.main is None
+    third = diagnosis.rotors[2]
+    assert (third.status, third.from_takeoff, third.loss) == ("degraded", "damaged", 0.3)
+
+
+def test_whole_flight_that_cannot_tell_suspects_all_its_causes():
+    diagnosis = hexa_diagnosis(events=(), whole_flight=whole("ambiguous", (3,), 0.3, causes=((3,), (2, 4), ())))
+    assert diagnosis.verdict == "ambiguous"
+    assert {k for k, s in statuses(diagnosis).items() if s == "suspect"} == {2, 3, 4}
+    assert {r.rotor for r in diagnosis.rotors if r.from_takeoff == "suspect"} == {2, 3, 4}
