@@ -58,6 +58,12 @@ def tune(logs, estimator, out, rounds, papers, as_json, quiet) -> None:
         click.echo(f"{name}, factors on the variances: {', '.join(f'{v:.3g}' for v in values)}")
     for name, value in found.tuning.keywords.items():
         click.echo(f"{name}: {value:.3g}")
+    if found.held_out:
+        click.echo(
+            f"on {found.held_out}, which was not fitted to: {found.held_out_before:.3f} as it was, {found.held_out_after:.3f} as tuned"
+        )
+    for note in found.notes:
+        click.echo(f"note: {note}")
     if out and not quiet:
         say(f"tuning written to {out}")
 
