@@ -52,12 +52,25 @@ def kept(out) -> Kept:
     )  # fmt: skip
 
 
-def _build_fast(p):
+# One for each length of ticks that `ticks.tick_length` gives; functions of this module, so that their native code can be kept.
+def _every_50_ms(p):
     return _estimator(p, 0.05)
 
 
-def _build_slow(p):
+def _every_100_ms(p):
     return _estimator(p, 0.1)
+
+
+def _every_200_ms(p):
+    return _estimator(p, 0.2)
+
+
+def _every_500_ms(p):
+    return _estimator(p, 0.5)
+
+
+def _every_second(p):
+    return _estimator(p, 1.0)
 
 
 def _estimator(p, dt):
@@ -67,14 +80,17 @@ def _estimator(p, dt):
     return JumpBank(WrenchBalance(p["B"], (p["x0"], p["P0"])), dt, (p["noise"], p["noise_weight"]))
 
 
-BUILDERS: dict[float, Callable] = {0.05: _build_fast, 0.1: _build_slow}
+BUILDERS: dict[float, Callable] = {
+    **{0.05: _every_50_ms, 0.1: _every_100_ms, 0.2: _every_200_ms, 0.5: _every_500_ms, 1.0: _every_second}
+}
 
 
 def builder(dt: float) -> Callable:
-    """build(parameters) of the estimator for ticks of dt seconds, the same function every time. Raises ConfigError when commands are too
-    slow."""
+    """build(parameters) of the estimator for ticks of dt seconds, the same function every time. Raises ConfigError for other ticks."""
     if dt not in BUILDERS:
-        raise ConfigError(f"commands every {dt:.1f} s are too slow: log motor outputs at 10 Hz or faster.")
+        raise ConfigError(
+            f"the default estimator has no ticks of {dt:g} s; it has {', '.join(f'{t:g}' for t in BUILDERS)}."
+        )
     return BUILDERS[dt]
 
 

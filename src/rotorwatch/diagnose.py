@@ -12,17 +12,16 @@ from rotorwatch import allocation, baselines, conclusion, detectors, discovery, 
 from rotorwatch.airborne import airborne
 from rotorwatch.baselines import Given
 from rotorwatch.default_estimator import estimate
-from rotorwatch.diagnosis import Diagnosis, Event, Trace
+from rotorwatch.diagnosis import Diagnosis, Trace
 from rotorwatch.errors import ConfigError
 from rotorwatch.estimators.jump_bank import threshold
-from rotorwatch.evidence import decide, events, hypotheses, leftover
+from rotorwatch.evidence import decide, events, hypotheses, leftover, outside
 from rotorwatch.flight import Flight
 from rotorwatch.published import Tuning
 from rotorwatch.ticks import JUDGE, Ticks
 from rotorwatch.vehicle import Vehicle
 
 READY_S, READY_KNOWN_S = 8.0, 3.0
-TOUCH_DOWN_S = 1.0  # a contact so near the end of a flight is the landing
 LN10 = float(np.log(10.0))
 
 
@@ -87,10 +86,11 @@ def diagnose(
         dynamics, ready_s = None, READY_S
         table = observe(flight, craft, air, ready_s)
     lap("prepare_s")
+    ready_s = ticks.ready_after(ready_s, table.dt if table is not None else 0.0)
     if not known:
         source = "the flight's own first healthy part"
         assumptions.append(
-            f"the flight's first {READY_S:.0f} s in the air are taken as healthy: damage that was there from take-off "
+            f"the flight's first {ready_s:.0f} s in the air are taken as healthy: damage that was there from take-off "
             "cannot be judged without --baseline or --vehicle"
         )
     facts = _facts(flight, craft, air, table)
@@ -121,15 +121,15 @@ def diagnose(
     lap("estimate_s")
     hyp = hypotheses.make(len(craft.rotors))
     losses = events.read(out, table, hyp, B)
-    overrides = _overrides(flight, craft, air, table)
-    losses = tuple(e for e in losses if not _explained(e, overrides))
-    contacts = _contacts(table, air)
+    overrides = outside.overrides(flight, craft, air, table)
+    losses = tuple(e for e in losses if not outside.explains(overrides, e))
+    contacts = outside.contacts(table, air)
     found = tuple(sorted((*losses, *overrides, *contacts), key=lambda e: e.detected_s))
     lap("events_s")
     whole = _whole_flight(flight, craft, air)
     comparison = detectors.detect(flight, craft, air)
     lap("comparison_s")
-    judged = table.mode == JUDGE
+    judged = (table.mode == JUDGE) & table.valid.any(axis=1)
     end = conclusion.conclude(
         found, whole, len(craft.rotors), hidden=_hidden(out, table), judged_s=float(judged.sum() * table.dt), places=names,
         doubts=trust.doubts(flight, craft, air, table),
@@ -192,49 +192,6 @@ def _profile(flight: Flight, table: Ticks | None) -> str:
     rates = {n: flight[n].rate_hz for n in ("motors", "control", "gyro", "accel") if n in flight.signals}
     text = ", ".join(f"{name} {rate:.0f} Hz" for name, rate in rates.items())
     return text + (f"; judged every {table.dt:.2f} s" if table is not None else "")
-
-
-def _overrides(flight: Flight, vehicle: Vehicle, air, table: Ticks) -> tuple[Event, ...]:
-    """Outputs that do not follow the mixer; none that parts from it only once the vehicle tumbles: by then mixers, failsafes and pilots
-    do what they can."""
-    found = allocation.overrides(flight, vehicle, air)
-    return tuple(
-        Event(
-            "output_override", (o.rotor,), o.onset, o.detected, o.end, (), (), 1.0, (), o.reason, {"override": o.kind}
-        )
-        for o in found
-        if not any(start < o.onset <= end for start, end in falls(table, air))
-    )
-
-
-def falls(table: Ticks, air) -> tuple[tuple[float, float], ...]:
-    """For each flight that ends in a fall: from when the vehicle tumbles, to the end."""
-    spans = []
-    for start, end in air:
-        inside = (table.time >= start) & (table.time <= end + table.dt)
-        tumbling = np.flatnonzero(table.upset & inside)
-        if tumbling.size and table.upset[np.flatnonzero(inside)[-1]]:
-            last_calm = np.flatnonzero(~table.upset & inside)
-            begin = tumbling[tumbling > last_calm[-1]] if last_calm.size else tumbling
-            spans.append((float(table.time[begin[0]]), end))
-    return tuple(spans)
-
-
-def _explained(event: Event, overrides: tuple[Event, ...]) -> bool:
-    """A loss that begins while an output is overridden is the override, or what it does to the others."""
-    return any(o.onset_s - 1.0 <= event.onset_s <= (np.inf if o.end_s is None else o.end_s) + 1.0 for o in overrides)
-
-
-def _contacts(table: Ticks, air) -> tuple[Event, ...]:
-    """Knocks in flight; the one that ends it is the landing, or the crash."""
-    return tuple(
-        Event(
-            "contact", (), c.time, c.time, c.time, (), (), 1.0, (), f"something outside the vehicle {c.what}, by {c.size:.1f} {c.unit}",
-            {"size": c.size, "unit": c.unit},
-        )
-        for c in table.contacts
-        if not any(end - TOUCH_DOWN_S < c.time < end + TOUCH_DOWN_S for _, end in air)
-    )  # fmt: skip
 
 
 def _whole_flight(flight: Flight, vehicle: Vehicle, air):

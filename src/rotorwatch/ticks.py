@@ -61,11 +61,22 @@ class Ticks:
     contacts: tuple[Contact, ...] = ()
 
 
+# Ticks in s, and the rate of commands in Hz from which on nearly all of them hold one.
+LENGTHS = ((0.05, 19.0), (0.1, 8.0), (0.2, 4.5), (0.5, 1.8), (1.0, 0.0))
+SHORTEST_S = (
+    0.2  # a snapshot of the commands is compared with motion over so long, or with a sample and a half of the gyro
+)
+READY_TICKS = 40  # from which the noise is learned
+
+
 def tick_length(rate_hz: float) -> float:
-    """0.05 s for commands at 19 Hz and faster, else 0.1 s; slower than 8 Hz: one sample a tick, rounded up to 0.1 s."""
-    if rate_hz >= 19.0:
-        return 0.05
-    return 0.1 if rate_hz >= 8.0 else float(np.ceil(10.0 / max(rate_hz, 0.5)) / 10.0)
+    """Length of a tick in s for commands at that rate: 0.05 s from 19 Hz on, 1 s for the slowest."""
+    return next(length for length, least in LENGTHS if rate_hz >= least)
+
+
+def ready_after(ready_s: float, dt: float) -> float:
+    """Blind time in s after lift-off: as asked for, but long enough to learn the noise at slow ticks."""
+    return max(ready_s, READY_TICKS * dt)
 
 
 def _bin_mean(signal: Signal, edges_lo: np.ndarray, edges_hi: np.ndarray):
@@ -118,6 +129,13 @@ def _window(signal: Signal, centre: np.ndarray, half: float):
     return middle, slope, covered
 
 
+def _span(motion: Signal, commands: Signal, dt: float) -> float:
+    """Half of the time over which a signal is averaged for a tick: the tick, but less where its commands are one snapshot."""
+    if dt <= SHORTEST_S or commands.rate_hz > 1.5 / dt:
+        return 0.5 * dt
+    return 0.5 * min(dt, max(SHORTEST_S, 1.5 / max(motion.rate_hz, 1e-3)))
+
+
 def make(
     flight: Flight,
     thrust: Signal,
@@ -133,8 +151,13 @@ def make(
     hover: share of full thrust that carries the vehicle, when a vehicle file or baseline knows it.
     """
     dt = tick_length(thrust.rate_hz) if dt is None else dt
-    half = dt / 2.0
+    ready_s, half = ready_after(ready_s, dt), dt / 2.0
     notes = []
+    if dt > SHORTEST_S / 2.0:
+        notes.append(
+            f"motor outputs at {thrust.rate_hz:.1f} Hz are judged every {dt:g} s, after {ready_s:.0f} s of learning: losses are found "
+            "late, and short or small ones not at all"
+        )
     # Slow commands are snapshots: put them in the middle of their ticks so that jitter never empties one.
     turns = np.exp(2j * np.pi * thrust.time[:64] / dt)  # the first seconds decide, so that a longer log changes nothing
     phase = float(np.angle(turns.mean()) / (2.0 * np.pi) % 1.0 * dt) if thrust.rate_hz < 1.5 / dt else 0.0
@@ -148,12 +171,12 @@ def make(
     zeros3 = np.zeros((count, 3))
     gyro_name = "gyro" if flight.has("gyro") else "rates" if flight.has("rates") else None
     if gyro_name:
-        rate, rate_dot, gyro_ok = _window(flight[gyro_name], centre, half)
+        rate, rate_dot, gyro_ok = _window(flight[gyro_name], centre, _span(flight[gyro_name], thrust, dt))
     else:
         rate, rate_dot, gyro_ok = zeros3, zeros3, np.ones(count, bool)
         notes.append("no angular rate in the log: torque is judged from commands alone, as in steady hover")
     if flight.has("accel"):
-        force, _, accel_ok = _window(flight["accel"], centre, half)
+        force, _, accel_ok = _window(flight["accel"], centre, _span(flight["accel"], thrust, dt))
         load, push = -force[:, 2] / G0, force[:, :2]
         side, _, side_ok = _window(flight["accel"], centre + half - 0.5 * SIDE_S, 0.5 * SIDE_S)
         side = np.where(side_ok[:, None], side[:, :2], 0.0)

@@ -23,7 +23,8 @@ STILL_S, STILL_RAD = (
     1.0,
     1.0,
 )  # a controller answers before its vehicle has turned by so much: outputs that rest longer did not fly it
-STILL_LONG_S = 5.0  # ... and never rests so long at the resolution of an output, whatever the weather
+# ... nor does it rest for so long, in so many samples, at the resolution of an output, unless the air is dead calm.
+STILL_LONG_S, STILL_LONG_RAD, STILL_SAMPLES = 5.0, 0.2, 25
 # rad/s and m/s^2, means of half a second: beyond what gyros of autopilots measure (2000 deg/s) and airframes bear
 WILD_RATE, WILD_FORCE, WILD_S = 60.0, 20.0 * G0, 0.5
 SCALE = 2.5  # factor by which two measurements of one thing may differ
@@ -32,6 +33,7 @@ ALIKE = 0.5  # correlation of two measurements of one motion
 # hover thrusts of one rotor and rotor for each rad/s^2: the smallest vehicles turn for no less (radius of gyration 2 cm, arms of 3 cm)
 LEAST_GAIN = 0.001
 LONG_S = 30.0  # of flight, before commands are held against motion
+SLOWEST_S = 0.1  # ticks in which commands and the motion they cause can be seen together
 SHIFTS = 40  # how often commands are compared with motion at times that are not theirs
 SIGNIFICANT = 2.5  # standard deviations of those comparisons
 GEOMETRY = ("FRAME_CLASS", "FRAME_TYPE", "CA_ROTOR_COUNT", "CA_AIRFRAME", "SYS_AUTOSTART", "MAV_TYPE")
@@ -97,7 +99,7 @@ def wild_motion(case: Case) -> str | None:
         smooth = np.convolve(size, np.ones(width) / width, "valid")
         if smooth.size and smooth.max() > limit:
             at = time[int(np.argmax(smooth))]
-            return f"the vehicle {what} {smooth.max():.0f} {unit} at {at:.1f} s, which none survives: the log's {name} is wrong, or its unit is."
+            return f"the vehicle {what} {smooth.max():.0f} {unit} at {at:.1f} s, which none survives: the log's {name} is wrong, or its unit."
     return None
 
 
@@ -156,11 +158,11 @@ def outputs_at_rest(case: Case) -> str | None:
         if b - a < 4 or seconds < STILL_S or not driven:
             continue
         angle = _angle(case.flight, float(time[a]), float(time[b]))
-        if angle > STILL_RAD or seconds > STILL_LONG_S:
-            turned = f" while the vehicle turns by {np.degrees(angle):.0f} deg" if np.isfinite(angle) else ""
+        long = seconds > STILL_LONG_S and b - a >= STILL_SAMPLES and angle > STILL_LONG_RAD
+        if angle > STILL_RAD or long:
             return (
-                f"the motor outputs in the log stand still from {time[a]:.1f} to {time[b]:.1f} s{turned}: they are not what drove the "
-                "motors, so nothing can be concluded from them."
+                f"the motor outputs in the log stand still from {time[a]:.1f} to {time[b]:.1f} s while the vehicle turns by "
+                f"{np.degrees(angle):.0f} deg: they are not what drove the motors, so nothing can be concluded from them."
             )
     return None
 
@@ -197,9 +199,9 @@ class Coherence:
 
 
 def _coherence(case: Case, axis: int) -> Coherence | None:
-    """None where the flight is too short or does not show both. Trim, over a second, is left out."""
+    """None where the flight is too short or too slowly logged. Trim, over a second, is left out."""
     table, ok = case.table, case.flying & case.table.valid[:, axis]
-    if ok.sum() * table.dt < LONG_S:
+    if ok.sum() * table.dt < LONG_S or table.dt > SLOWEST_S:
         return None
     width = max(3, round(1.0 / table.dt))
     command, motion = (_without_trim(np.where(ok, x[:, axis], 0.0), width) for x in (table.wrench, table.rate_dot))

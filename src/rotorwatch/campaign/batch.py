@@ -19,10 +19,10 @@ from rotorwatch.airborne import airborne
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.campaign import methods, score
 from rotorwatch.campaign.plan import Plan
-from rotorwatch.diagnose import READY_S, _explained, _overrides, observe
+from rotorwatch.diagnose import READY_S, observe
 from rotorwatch.diagnosis import Event
 from rotorwatch.errors import ConfigError
-from rotorwatch.evidence import events, hypotheses
+from rotorwatch.evidence import events, hypotheses, outside
 from rotorwatch.flight import Flight
 from rotorwatch.run import chosen, run_built
 from rotorwatch.simulation import logbook, one
@@ -142,7 +142,7 @@ def fly(plan: Plan, flights: Sequence[int], size: int) -> list[Flown]:
         found.append(
             Flown(
                 number, scenario, flight, vehicle, air, table, record.theta[at],
-                float(record.time[lost[0]]) if lost.size else None, _overrides(flight, vehicle, air),
+                float(record.time[lost[0]]) if lost.size else None, outside.overrides(flight, vehicle, air, table),
             )
         )  # fmt: skip
     return found
@@ -158,8 +158,7 @@ def _planned(number: int, scenario: Scenario) -> Any:
 
 def _all_events(f: Flown, losses: Sequence[Event]) -> tuple[Event, ...]:
     """Losses, and outputs that do not follow the mixer, as `diagnose` puts them together."""
-    overridden = {e.rotors[0]: e for e in f.overrides}
-    found = [e for e in losses if not _explained(e, overridden)]
+    found = [e for e in losses if not outside.explains(f.overrides, e)]
     return tuple(sorted((*found, *f.overrides), key=lambda e: e.detected_s))
 
 

@@ -20,7 +20,10 @@ THRUST_MEMORY_S, TRIM_MEMORY_S = 0.5, 6.0
 # Share by which the motion model may be wrong for a moment, and how many ticks such an error lasts.
 GAIN_ERROR, DAMPING_ERROR = (0.25, 0.25, 0.35, 0.15), 0.3
 ERROR_TICKS = 4.0
-LAG_ERROR_S = 0.015
+LAG_ERROR_S, SNAPSHOT = (
+    0.015,
+    0.15,
+)  # the second: share of a step that a single slow command may be off by, within its tick
 BURST_MEMORY_S, BURST_CLIP, BURST_POWER = 3.0, 6.0, 1.0
 LEAN_S, LASTING_MEMORY_S, LASTING = 1.0, 30.0, 1.0
 GUST_S, GUST_SHARE, LEAST_GAIN = 1.0, 2.0, 0.3
@@ -112,7 +115,7 @@ def look(memory: Memory, u, y, valid, flying, restart, x, variances, n: int, dt:
     far = jnp.maximum(jnp.abs(collective - usual) - FAR, 0.0) + jnp.maximum(jnp.abs(u[n + 3] / n - 1.0) - FAR, 0.0)
     new = Memory(
         level,
-        before + away * (dt / THRUST_MEMORY_S),
+        before + away * min(dt / THRUST_MEMORY_S, 1.0),
         thrust_level,
         trim + (part - trim) * (dt / TRIM_MEMORY_S),
         usual + (collective - usual) * (dt / FAR_MEMORY_S),
@@ -163,5 +166,5 @@ def model_error(memory: Memory, seen: Look, x, y, white, B, n: int, dt: float):
         + (DAMPING_ERROR * x[:, DAMPING] * rates) ** 2
         + (FAR_ERROR * n * seen.far) ** 2
         + (B * missing[None, :]) ** 2 @ jnp.ones(n)
-        + (LAG_ERROR_S / dt * step) ** 2
+        + (max(LAG_ERROR_S / dt, SNAPSHOT) * step) ** 2
     )

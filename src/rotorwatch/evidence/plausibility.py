@@ -43,7 +43,7 @@ def follow(state: Missing, missing, load, valid, restart, dt: float) -> Missing:
     push = jnp.where(valid, jnp.abs(load - 1.0), 0.0)
     missing = jnp.where(valid, missing, state.slow)
     return Missing(
-        jnp.where(restart, missing, state.fast + (missing - state.fast) * (dt / FAST_S)),
+        jnp.where(restart, missing, state.fast + (missing - state.fast) * min(dt / FAST_S, 1.0)),
         jnp.where(restart, missing, state.slow + (missing - state.slow) * (dt / SLOW_S)),
         jnp.where(restart, push, jnp.maximum(push, state.heave * np.exp(-dt / HEAVE_S))),
     )

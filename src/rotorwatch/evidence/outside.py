@@ -1,0 +1,55 @@
+"""Events that need no estimator: outputs that do not follow the mixer, and knocks from outside the vehicle."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rotorwatch import allocation
+from rotorwatch.diagnosis import Event
+from rotorwatch.flight import Flight
+from rotorwatch.ticks import Ticks
+from rotorwatch.vehicle import Vehicle
+
+TOUCH_DOWN_S = 1.0  # a contact so near the end of a flight is the landing, or the crash
+
+
+def overrides(flight: Flight, vehicle: Vehicle, air, table: Ticks) -> tuple[Event, ...]:
+    """Outputs that do not follow the mixer; none that parts from it only once the vehicle tumbles: by then mixers, failsafes and pilots
+    do what they can."""
+    fallen = falls(table, air)
+    return tuple(
+        Event(
+            "output_override", (o.rotor,), o.onset, o.detected, o.end, (), (), 1.0, (), o.reason, {"override": o.kind}
+        )
+        for o in allocation.overrides(flight, vehicle, air)
+        if not any(start < o.onset <= end for start, end in fallen)
+    )
+
+
+def falls(table: Ticks, air) -> tuple[tuple[float, float], ...]:
+    """For each flight that ends in a fall: from when the vehicle tumbles, to the end."""
+    spans = []
+    for start, end in air:
+        inside = np.flatnonzero((table.time >= start) & (table.time <= end + table.dt))
+        if inside.size and table.upset[inside[-1]]:
+            calm = inside[~table.upset[inside]]
+            begin = inside[inside > calm[-1]][0] if calm.size else inside[0]
+            spans.append((float(table.time[begin]), end))
+    return tuple(spans)
+
+
+def explains(overridden: tuple[Event, ...], event: Event) -> bool:
+    """Does a loss begin while an output is overridden? Then it is the override, or what that does to the others."""
+    return any(o.onset_s - 1.0 <= event.onset_s <= (np.inf if o.end_s is None else o.end_s) + 1.0 for o in overridden)
+
+
+def contacts(table: Ticks, air) -> tuple[Event, ...]:
+    """Knocks in flight; one that ends it is the landing, or the crash."""
+    return tuple(
+        Event(
+            "contact", (), c.time, c.time, c.time, (), (), 1.0, (),
+            f"something outside the vehicle {c.what}, by {c.size:.1f} {c.unit}", {"size": c.size, "unit": c.unit},
+        )
+        for c in table.contacts
+        if not any(abs(c.time - end) < TOUCH_DOWN_S for _, end in air)
+    )  # fmt: skip
