@@ -53,7 +53,7 @@ _WHY = {
 }
 
 
-_SIGNAL = {"rate": "motors", "trust": "log"}  # what is missing, for reasons that are no signal's name
+_SIGNAL = {"trust": "log"}  # what is missing, for reasons that are no signal's name
 
 
 def info(flight: Flight) -> dict:
@@ -139,15 +139,14 @@ def _missing(flight: Flight, frame: str, stop: Obstacle | None) -> list[dict]:
     for name, setting in faster.items():
         # ArduPilot's motor commands are rebuilt from the rate controller's output where that is logged faster.
         rates = [flight[n].rate_hz for n in ((name, "control") if name == "motors" else (name,)) if _present(flight, n)]
-        if _present(flight, name) and max(rates) < FAST_HZ and not (stop and stop.what == "rate" and name == "motors"):
-            enough = "enough for a diagnosis, but fast logging finds a loss sooner"
-            verdict = enough if _accepted(max(rates)) else "slow, small losses are found late or not at all"
-            gaps.append(_gap(name, f"{name.capitalize()} at {max(rates):.3g} Hz: {verdict}.", setting, False))
+        if _present(flight, name) and max(rates) < FAST_HZ:
+            gaps.append(
+                _gap(name, f"{name.capitalize()} at {max(rates):.3g} Hz: {_judged(max(rates))}.", setting, False)
+            )
     if stop and stop.what != "motors":
         setting = {
             "frame": "Give its geometry with --vehicle FILE.",
             "airborne": "Use a log of a flight, not of a bench test.",
-            "rate": faster.get("motors", _TELEMETRY if telemetry else "Log them faster."),
             "trust": "Use another log of this flight, or another flight.",
         }
         name, why = _SIGNAL.get(stop.what, stop.what), stop.why
@@ -157,16 +156,11 @@ def _missing(flight: Flight, frame: str, stop: Obstacle | None) -> list[dict]:
     return sorted(gaps, key=lambda gap: not gap["needed"])
 
 
-def _accepted(rate_hz: float) -> bool:
-    """Whether the diagnoser takes commands or rates of this rate."""
-    from rotorwatch.default_estimator import builder
+def _judged(rate_hz: float) -> str:
+    """What a rate means for the diagnosis, by the ticks that it is judged in."""
     from rotorwatch.ticks import tick_length
 
-    try:
-        builder(tick_length(rate_hz))
-    except RotorwatchError:
-        return False
-    return True
+    return f"judged every {tick_length(rate_hz):g} s; faster logging finds a loss sooner"
 
 
 def _gap(signal: str, why: str, setting: str, needed: bool) -> dict:

@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 from rotorwatch import airframes, trust
 from rotorwatch.airborne import airborne
-from rotorwatch.default_estimator import builder
 from rotorwatch.diagnose import READY_S, observe
 from rotorwatch.errors import RotorwatchError
 from rotorwatch.flight import Flight
@@ -14,7 +13,7 @@ from rotorwatch.vehicle import Vehicle
 
 
 class Obstacle(NamedTuple):
-    """What keeps `diagnose` from judging a flight. what: frame, motors, airborne, rate or trust. why: one sentence."""
+    """What keeps `diagnose` from judging a flight. what: frame, motors, airborne or trust. why: one sentence."""
 
     what: str
     why: str
@@ -36,9 +35,5 @@ def obstacle(flight: Flight, vehicle: Vehicle | None = None) -> Obstacle | None:
     table = observe(flight, craft, air, READY_S)
     if table is None:
         return Obstacle("airborne", "No part of this log is in the air.")
-    try:
-        builder(table.dt)
-    except RotorwatchError as why:
-        return Obstacle("rate", str(why))
     doubts = trust.doubts(flight, craft, air, table)
     return Obstacle("trust", doubts[0]) if doubts else None

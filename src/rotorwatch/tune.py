@@ -220,8 +220,8 @@ def _at_bounds(factors: np.ndarray, system, walk: str | None) -> list[str]:
 
 def _names(system, kind: str, count: int) -> list[str]:
     """What a plant calls its states or measurements, in words where there are any, else numbers."""
-    names = getattr(system, kind, range(1, count + 1))
-    return [WORDS.get(name, str(name)) for name in names]
+    names = [str(name) for name in getattr(system, kind, range(1, count + 1))]
+    return [WORDS.get(name, name) for name in names]
 
 
 def log_likelihood(name: str, table: LogPlant | Table, tuning: Tuning | None = None) -> float:
