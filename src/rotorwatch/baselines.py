@@ -101,7 +101,7 @@ class Candidate:
 
     @cached_property
     def flaw(self) -> str:
-        """What the default diagnosis finds in it alone, or makes its log doubtful; empty when nothing does, and when it is too short to say."""
+        """What the default diagnosis finds in it alone, or makes its log doubtful; empty without such, and when it is too short to say."""
         from rotorwatch.diagnose import diagnose
 
         try:
