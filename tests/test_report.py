@@ -55,7 +55,12 @@ def test_comparison_is_in_time_order_and_says_when_nobody_else_found_anything(fa
         ("rotorwatch", "31.56 s"),
         ("ardupilot-thrust-loss", "33.40 s"),
     ]
-    assert report.comparison(replace(fault, comparison=()))[1][:2] == ("other checks", "nothing")
+    assert report.comparison(replace(fault, comparison=()))[1][:2] == ("ardupilot-thrust-loss", "nothing")
+    px4 = replace(fault, comparison=(), flight={**fault.flight, "autopilot": "PX4"})
+    assert report.comparison(px4)[1][:2] == ("px4-esc-current", "nothing")
+    other = replace(fault, comparison=(), flight={**fault.flight, "autopilot": "Crazyflie"})
+    assert report.comparison(other)[1][:2] == ("other checks", "none made")
+    assert "no check of Crazyflie itself" in report.comparison(other)[1][3]
     assert report.comparison(replace(healthy, comparison=())) == []
 
 

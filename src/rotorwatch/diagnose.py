@@ -8,8 +8,9 @@ from os import PathLike
 
 import numpy as np
 
-from rotorwatch import airframes, allocation, conclusion, detectors, discovery, places, published, ticks, traces, trust
+from rotorwatch import allocation, baselines, conclusion, detectors, discovery, places, published, ticks, traces, trust
 from rotorwatch.airborne import airborne
+from rotorwatch.baselines import Given
 from rotorwatch.default_estimator import estimate
 from rotorwatch.diagnosis import Diagnosis
 from rotorwatch.errors import ConfigError
@@ -38,7 +39,7 @@ def observe(flight: Flight, vehicle: Vehicle, air, ready_s: float) -> Ticks | No
 def diagnose(
     flight: Flight | str | PathLike,
     vehicle: Vehicle | str | PathLike | None = None,
-    baseline: Iterable[Flight | str | PathLike] = (),
+    baseline: Given | Iterable[Given] = (),
     estimator: str = "default",
     progress: Callable | None = None,
     tuning: Tuning | None = None,
@@ -46,7 +47,8 @@ def diagnose(
     """Which rotor lost effectiveness, how much, since when and how sure.
 
     flight: a Flight or a log file. vehicle: a Vehicle or its file; identified from the log when None. baseline: healthy
-    flights of the same build, which make damage that was there from take-off judgeable and shorten the blind time.
+    flights of the same build, which make damage that was there from take-off judgeable and shorten the blind time; one of them, or many.
+    Those that are not healthy or not of this build are set aside, and `warnings` say so (baselines.py).
     estimator: the default method, or a published one by name; tuning: of a published one (`rotorwatch.tune`).
     progress: called as progress(share, text). Raises LogError, VehicleError or ConfigError with one sentence.
     """
@@ -63,21 +65,10 @@ def diagnose(
         raise ConfigError(
             "The default estimator learns its noise in flight; name the estimator that the tuning is for."
         )
-    baseline = tuple(baseline)
     flight = _flight(flight, lambda share: tell(0.3 * share, "reading"))
     known_vehicle = _vehicle(vehicle)
     lap("read_s")
-    source = "none"
-    if baseline:
-        from rotorwatch.calibrate import calibrate
-
-        healthy = [_flight(b) for b in baseline]
-        learned = calibrate(healthy, vehicle=known_vehicle)
-        known_vehicle = learned if known_vehicle is None else _with_identified(known_vehicle, learned)
-        source = f"{len(healthy)} healthy flight{'s' if len(healthy) > 1 else ''} of the same build"
-    elif known_vehicle is not None and known_vehicle.identified:
-        source = f"vehicle file {known_vehicle.name}"
-    craft = known_vehicle or airframes.identify(flight)
+    craft, source, told = baselines.settle(flight, known_vehicle, baseline)
     lap("baseline_s")
     known = bool(craft.identified)
     dynamics = (craft.identified or {}).get("dynamics")
@@ -85,7 +76,7 @@ def diagnose(
     ready_s = READY_KNOWN_S if dynamics and flight.has("gyro") else READY_S
     air = airborne(flight) if flight.has("motors") else ()
     table = observe(flight, craft, air, ready_s)
-    warnings = list(flight.warnings)
+    warnings = [*flight.warnings, *told]
     assumptions = list(craft.assumptions)
     if table is not None and dynamics and dynamics.get("dt") != table.dt:
         assumptions.append(
@@ -179,12 +170,6 @@ def _vehicle(vehicle) -> Vehicle | None:
 
         return vehicle_file.read(vehicle)
     return vehicle
-
-
-def _with_identified(vehicle: Vehicle, learned: Vehicle) -> Vehicle:
-    from dataclasses import replace
-
-    return replace(vehicle, identified=learned.identified, assumptions=(*vehicle.assumptions, *learned.assumptions))
 
 
 def _facts(flight: Flight, vehicle: Vehicle, air, table: Ticks | None) -> dict:

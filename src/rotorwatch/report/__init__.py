@@ -238,8 +238,23 @@ def comparison(diagnosis: Diagnosis) -> list[tuple[str, str, str, str]]:
     ]
     rows = [(who, what, seconds(at), str(why)) for who, what, at, why in sorted(ours + theirs, key=lambda row: row[2])]
     if ours and not theirs:
-        rows.append(("other checks", "nothing", seconds(None), "as far as this log lets them run"))
+        rows.append(_other_checks(str(diagnosis.flight.get("autopilot") or "")))
     return rows
+
+
+def _other_checks(autopilot: str) -> tuple[str, str, str, str]:
+    """The row that says which other checks found nothing, or that there is none: an autopilot's checks run on its own logs alone."""
+    from rotorwatch import detectors
+
+    names = ", ".join(module.name for module in detectors.of(autopilot))
+    if names:
+        return names, "nothing", seconds(None), "as far as this log lets it run"
+    return (
+        "other checks",
+        "none made",
+        seconds(None),
+        f"no check of {autopilot or 'this autopilot'} itself is known here",
+    )
 
 
 def words(key: str) -> str:
