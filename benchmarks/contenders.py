@@ -127,7 +127,7 @@ def eigen() -> Path:
         if place and (Path(place) / "Eigen" / "Dense").exists():
             return Path(place)
     raise SystemExit(
-        "Eigen's headers are missing: install rotorwatch[benchmark] or libeigen3-dev, or set EIGEN3_INCLUDE_DIR."
+        "Eigen's headers are missing: install the extra `benchmark` or libeigen3-dev, or set EIGEN3_INCLUDE_DIR."
     )
 
 

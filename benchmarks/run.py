@@ -2,7 +2,7 @@
 
     python benchmarks/run.py [--json OUT] [--cpu] [--rounds 5] [--steps 60000] [--flights ../shared/flights]
 
-Needs rotorwatch[benchmark] and a C++ compiler. The plant has 16 states, losses included; UKF, EKF, TSUKF and MHE are the registered
+Needs the extra `benchmark` and a C++ compiler. The plant has 16 states, losses included; UKF, EKF, TSUKF and MHE are the registered
 estimators with their defaults. The C++ in floor/ is compiled here, into a temporary folder. Nothing is timed before all contenders
 have said the same to 1e-9 (relative to the largest value of each output). Contenders take turns; medians of the rounds, and of the
 rounds' ratios. Slow ones step over fewer rows. --cpu counts processor time where the wall clock would count other work on the

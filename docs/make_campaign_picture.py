@@ -1,4 +1,4 @@
-"""Draw docs/campaigns.svg from a campaign's folder: `python docs/make_campaign_picture.py DIR`. Needs rotorwatch[research]."""
+"""Draw docs/campaigns.svg from a campaign's folder: `python docs/make_campaign_picture.py DIR`. Needs matplotlib."""
 
 import json
 import sys

@@ -44,6 +44,14 @@ def hexa_trace(duration=60.0, rate=50.0, rotors=6, onset=31.2, detected=31.56, l
         blind=((4.0, 7.5, "learning what healthy means for this flight"),),
         airborne=((4.0, duration - 2.0),),
         threshold=6.0,
+        attitude=5.0 * rng.standard_normal((time.size, 3)),
+        wanted=4.0 * rng.standard_normal((time.size, 3)),
+        messages=(
+            (3.5, "armed", "armed"),
+            (4.0, "mode", "LOITER"),
+            (33.0, "error", "crash check"),
+            (40.0, "mode", "LAND"),
+        ),
     )
 
 

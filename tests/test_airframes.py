@@ -154,10 +154,28 @@ def test_old_firmware_without_message_is_counted():
     assert any("8 motor outputs" in a for a in vehicle.assumptions)
 
 
+@pytest.mark.parametrize("frame", ["octa-x", "octaquad-x", "octa-plus", "octaquad-plus", "hexa-x", "y6", "y6-b"])
+@pytest.mark.parametrize("noise", [0.0, 3.0])
+def test_old_firmware_without_message_is_told_by_how_its_outputs_move(frame, noise):
+    """Eight outputs are an octa's or an octaquad's: each mixer moves them along four directions of its own."""
+    rng = np.random.default_rng(2)
+    control = rng.normal(size=(400, 4)) * [0.05, 0.05, 0.05, 0.02] + [0.02, -0.01, 0.03, 0.45]
+    mixer = airframes.named(f"ardupilot-{frame}").mixer
+    assert mixer is not None
+    pulses = np.round(1000 + 1000 * (control @ mixer.T) + noise * rng.normal(size=(400, len(mixer))))
+    motors = Signal(np.arange(400) / 10, pulses, tuple(f"r{k + 1}" for k in range(len(mixer))), "us", source="MOT")
+    kind = {"plus": 0, "b": 10}.get(frame.rpartition("-")[2], 1)
+    log = Flight("test", "ArduPilot", {"motors": motors}, 40.0, parameters={"FRAME": kind, "THR_MIN": 130})
+    vehicle = airframes.identify(log)
+    assert vehicle.name == f"ardupilot-{frame}"
+    assert any("can be mixed for" in a for a in vehicle.assumptions) or kind == 10  # only a Y6 has that type
+
+
 @pytest.mark.parametrize(
     "parameters, rotors, says",
     [
-        ({"FRAME_CLASS": 7, "FRAME_TYPE": 0}, 4, "tricopter"),
+        ({"FRAME_CLASS": 7, "FRAME_TYPE": 0}, 4, "commands 4 rotors"),
+        ({"FRAME_CLASS": 10}, 4, "bicopter"),
         ({"FRAME_CLASS": 6}, 4, "helicopter"),
         ({"FRAME_CLASS": 99}, 4, "FRAME_CLASS 99"),
         ({"FRAME_CLASS": 2, "FRAME_TYPE": 15}, 6, "FRAME_TYPE 15"),
@@ -169,6 +187,29 @@ def test_old_firmware_without_message_is_counted():
 def test_what_cannot_be_flown_is_refused_in_a_sentence(parameters, rotors, says):
     with pytest.raises(VehicleError, match=says):
         airframes.identify(flight(rotors=rotors, parameters=parameters))
+
+
+@pytest.mark.parametrize(
+    "autopilot, about, says",
+    [
+        ("ArduPilot", {"vehicle_type": "ArduPlane"}, r"fixed-wing aircraft \(ArduPlane\).* multirotors"),
+        ("ArduPilot", {"vehicle_type": "ArduPlane", "parameters": {"Q_ENABLE": 1}}, "VTOL aircraft .*--vehicle FILE"),
+        ("ArduPilot", {"vehicle_type": "ArduRover", "parameters": {"FRAME_CLASS": 1}}, "ground rover"),
+        ("ArduPilot", {"vehicle_type": "ArduRover", "parameters": {"FRAME_CLASS": 2}}, "boat"),
+        ("ArduPilot", {"vehicle_type": "ArduSub", "parameters": {"FRAME_CONFIG": 1}}, "submarine"),
+        ("ArduPilot", {"vehicle_type": "Blimp"}, "airship"),
+        ("ArduPilot", {"vehicle_type": "AntennaTracker"}, "antenna tracker"),
+        ("ArduPilot", {"vehicle_type": "ArduCopter", "parameters": {"FRAME": 0, "H_COL_MIN": 1250}}, "helicopter"),
+        ("PX4", {"parameters": {"MAV_TYPE": 1}}, "fixed-wing"),
+        ("PX4", {"parameters": {"MAV_TYPE": 22, "SYS_AUTOSTART": 13000}}, "VTOL"),
+        ("PX4", {"parameters": {"CA_AIRFRAME": 6, "CA_ROTOR_COUNT": 2}}, r"ground rover \(CA_AIRFRAME 6\)"),
+        ("PX4", {"facts": {"mav_type": 10}}, "ground rover"),
+    ],
+)
+def test_other_vehicles_are_named_as_what_they_are(autopilot, about, says):
+    with pytest.raises(VehicleError, match=says) as caught:
+        airframes.identify(flight(autopilot, **about))
+    assert str(caught.value).startswith("test.bin") and "\n" not in str(caught.value)
 
 
 def test_tables_without_autopilot_are_not_guessed():
@@ -252,7 +293,8 @@ def test_damaged_parameters_give_a_vehicle_or_a_sentence(parameters, autopilot, 
         assert str(error).endswith(".")
         return
     assert vehicle.curve.u_min < vehicle.curve.u_max and 0 <= vehicle.curve.expo <= 1
-    assert np.isfinite(vehicle.mixer).all() and np.isfinite(vehicle.effectiveness()).all()
+    assert vehicle.mixer is None or np.isfinite(vehicle.mixer).all()  # a tricopter has none
+    assert np.isfinite(vehicle.effectiveness()).all()
 
 
 @needs_flights
@@ -269,3 +311,12 @@ def test_damaged_parameters_give_a_vehicle_or_a_sentence(parameters, autopilot, 
 )
 def test_real_logs_are_identified(path, name):
     assert airframes.identify(logs.read(FLIGHTS / path)).name == name
+
+
+@needs_flights
+def test_a_real_plane_is_called_one():
+    path = FLIGHTS / "wild" / "plane-1.bin.xz"
+    if not path.is_file():
+        pytest.skip("this flight is missing")
+    with pytest.raises(VehicleError, match="fixed-wing"):
+        airframes.identify(logs.read(path))

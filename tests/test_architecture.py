@@ -93,7 +93,9 @@ def test_a_plug_in_is_one_file(copy):
     (folder / "systems" / "planted.py").write_text(
         "class Planted:\n    name = 'planted'\n    def f(self): ...\n    def h(self): ...\n"
     )
-    (folder / "detectors" / "planted.py").write_text("name = 'planted'\ndef detect(flight, vehicle, airborne): ...\n")
+    (folder / "detectors" / "planted.py").write_text(
+        "name = 'planted'\nautopilot = 'PX4'\ndef detect(flight, vehicle, airborne): ...\n"
+    )
     (folder / "logs" / "planted.py").write_text("FORMAT = 'planted'\ndef sniff(head, name): ...\n")
     (folder / "airframes" / "planted.py").write_text("NAMES = {'planted': None}\ndef identify(flight): ...\n")
     done = run(

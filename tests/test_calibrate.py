@@ -1,6 +1,7 @@
 """Calibration: what is learned, that it survives the vehicle file, and what is refused."""
 
 from dataclasses import replace
+from zlib import crc32
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ QUAD = airframes.named("ardupilot-quad-x")
 def flown(name="one.bin", hover=0.4, offset=(0.1, 0.0, -0.1, 0.0), frame=1, rotors=4):
     """An ArduPilot log of a minute: 5 s on the ground, 45 s hover, 10 s on the ground."""
     time = np.arange(0.0, 60.0, 0.1)
-    rng = np.random.default_rng(1)
+    rng = np.random.default_rng(crc32(name.encode()))
     share = hover * (1.0 + np.resize(offset, rotors) + 0.01 * rng.standard_normal((len(time), rotors)))
     curve = QUAD.curve
     a = (np.sqrt((1 - curve.expo) ** 2 + 4 * curve.expo * share) - (1 - curve.expo)) / (2 * curve.expo)
@@ -92,13 +93,23 @@ def test_what_is_refused(tmp_path):
         calibrate([])
     with pytest.raises(VehicleError, match="one build only"):
         calibrate([flown(), flown("hexa.bin", frame=2, rotors=6)])
+    with pytest.raises(VehicleError, match=r"ground.bin: it shows no flight"):
+        calibrate([on_the_ground()])
+    with pytest.raises(LogError):
+        calibrate([tmp_path / "missing.bin"])
+
+
+def on_the_ground():
     ground = flown("ground.bin")
     motors = ground["motors"]
     still = replace(motors, values=np.full_like(motors.values, QUAD.curve.u_min))
-    with pytest.raises(VehicleError, match=r"ground.bin shows no flight"):
-        calibrate([flown(), replace(ground, signals={**ground.signals, "motors": still})])
-    with pytest.raises(LogError):
-        calibrate([tmp_path / "missing.bin"])
+    return replace(ground, signals={**ground.signals, "motors": still})
+
+
+def test_what_is_set_aside_is_said_and_teaches_nothing():
+    learned = calibrate([flown(), on_the_ground(), flown("two.bin")])
+    assert learned.identified["flights"] == 2 and "ground.bin" not in learned.source
+    assert any("ground.bin was set aside: it shows no flight" in a for a in learned.assumptions)
 
 
 def test_an_airframe_can_be_given():

@@ -429,7 +429,7 @@ def test_a_flight_that_cannot_fly_is_told_with_its_number(tmp_path):
 
 def test_without_pyarrow_one_sentence(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "pyarrow", None)
-    with pytest.raises(ConfigError, match=r"pip install rotorwatch\[parquet\]"):
+    with pytest.raises(ConfigError, match="pip install pyarrow"):
         work.run(campaign.read(written(tmp_path)), 2, tmp_path / "a", 1, judge=quick)
 
 

@@ -1,5 +1,6 @@
 """The command line from outside, and the package's front door."""
 
+import importlib
 import json
 import os
 import subprocess
@@ -53,8 +54,10 @@ def fake(monkeypatch, tmp_path):
         told = f"{len(baseline)} baseline, vehicle {getattr(vehicle, 'name', None)}, estimator {estimator}"
         return hexa_diagnosis(verdict=verdict, flight=flight, baseline=told)
 
+    real = importlib.import_module("rotorwatch.diagnose")
     for name, function in (("logs", read), ("diagnose", diagnose)):
         module = ModuleType(f"rotorwatch.{name}")
+        module.observe, module.READY_S = real.observe, real.READY_S
         setattr(module, function.__name__, function)
         monkeypatch.setitem(sys.modules, module.__name__, module)
     for name in ("healthy", "fault", "ambiguous", "inconclusive", "broken", "bug", "healthy-2"):
@@ -115,7 +118,7 @@ def test_several_logs_give_a_line_each_and_the_gravest_code(fake, run, names, co
 
 
 def test_baselines_and_estimator_reach_the_diagnoser(fake, run):
-    _, out, _ = run(
+    _, out, err = run(
         "diagnose",
         "fault.bin",
         "--baseline",
@@ -126,6 +129,7 @@ def test_baselines_and_estimator_reach_the_diagnoser(fake, run):
         "kf",
         "--json",
     )
+    assert err == ""
     assert json.loads(out)["baseline"] == "2 baseline, vehicle None, estimator kf"
 
 
@@ -214,7 +218,9 @@ def test_demo_explains_the_samples_and_says_where_the_page_is(fake, run, monkeyp
 def test_calibrate_writes_the_vehicle_it_learned(fake, run, monkeypatch):
     written = {}
     learned = ModuleType("rotorwatch.calibrate")
-    learned.calibrate = lambda flights, progress=None: type("V", (), {"name": f"quad of {len(flights)}"})
+    learned.calibrate = lambda flights, progress=None: type(
+        "V", (), {"name": f"quad of {len(flights)}", "identified": {"flights": len(flights)}, "assumptions": ()}
+    )
     files = ModuleType("rotorwatch.vehicle_file")
     files.write = lambda vehicle, path: written.update({path: vehicle.name})
     monkeypatch.setitem(sys.modules, "rotorwatch.calibrate", learned)
@@ -235,13 +241,13 @@ def test_inject_hands_its_options_to_the_campaign(fake, run, monkeypatch):
 
     module.campaign = campaign
     monkeypatch.setitem(sys.modules, "rotorwatch.inject", module)
-    argv = ("inject", "healthy.bin", "--loss", "0.2,1", "--repeats", "2", "--seed", "9")
+    argv = ("inject", "healthy.bin", "--loss", "0.2,0.9", "--repeats", "2", "--seed", "9")
     code, out, _ = run(*argv, "--json")
     assert code == 0 and json.loads(out)["false_alarms"] == 0
-    assert asked == [(["healthy.bin"], (0.2, 1.0), 2, 9)]
+    assert asked == [(["healthy.bin"], (0.2, 0.9), 2, 9)]
     _, out, _ = run(*argv)
     assert "20 %" in out and "50 %" in out and "1.25 s" in out
-    for wrong in ("0.2;0.3", "0", "1.1"):
+    for wrong in ("0.2;0.3", "0", "1", "nan", ""):
         code, out, err = run("inject", "healthy.bin", "--loss", wrong)
         assert code == 2 and out == "" and "--loss" in err
 
@@ -314,7 +320,7 @@ def test_info_says_what_prevents_a_diagnosis():
     bare = a_flight(signals={})
     facts = info(bare)
     assert not facts["ready"]
-    assert {gap["signal"] for gap in facts["missing"] if gap["needed"]} >= {"motors", "gyro"}
+    assert {gap["signal"] for gap in facts["missing"] if gap["needed"]} == {"motors", "frame"}
     assert facts["missing"][0]["needed"] and not facts["missing"][-1]["needed"]
 
 

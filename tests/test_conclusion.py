@@ -100,6 +100,7 @@ def test_what_became_of_a_loss_after_landing_is_not_known():
     end = conclude((hexa_event(end_s=49.9),), None, 6, hidden=[0.04] * 6, judged_s=60, hops=((4, 50), (60, 90)))
     assert end.rotors[2].status == "suspect" and end.rotors[2].interval == pytest.approx((0.0, 0.41))
     assert "not judged again after landing" in end.rotors[2].note
+    assert "until the landing at 49.90 s" in end.headline and not any("came back" in step for step in end.advice)
 
 
 def test_evidence_that_no_event_explains_makes_its_rotors_suspect_and_is_said():
@@ -122,6 +123,8 @@ def test_a_contact_makes_no_verdict():
     diagnosis = hexa_diagnosis(events=(contact,))
     assert diagnosis.verdict == "healthy" and diagnosis.main is None and diagnosis.events == (contact,)
     assert any("31.20 s" in a for a in diagnosis.advice)
+    assert "What the knock at 31.20 s broke was not judged." in diagnosis.headline
+    assert "after take-off" not in diagnosis.headline  # the trim was learned afresh
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """The DataFlash reader on logs made here: formats of all firmware ages, mapping to rotors, units, clock."""
 
 import struct
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -111,6 +112,36 @@ def test_rotor_count_without_a_full_description(parameters, rotors, said):
     flight = flight_with(lambda k: {f"o{j}": 1500 + k for j in range(1, 7)}, FRAME_TYPE=1, **parameters)
     assert flight.rotor_count == rotors
     assert said in " ".join(flight.warnings)
+
+
+def with_throttle(outputs, n=60, **parameters):
+    """`flight_with`, and a throttle that rises from 0.2 to 0.6."""
+    log = Writer()
+    log.parameters(**parameters)
+    log.define(*RCOU)
+    log.define("CTUN", "Qff", "TimeUS,ThI,ThO")
+    for k in range(n):
+        log.add("RCOU", 1_000_000 + 100_000 * k, *pwm(**outputs(k)))
+        log.add("CTUN", 1_000_000 + 100_000 * k, 0.0, 0.2 + 0.4 * k / n)
+    return dataflash.read(log.data, "made.bin")
+
+
+def test_outputs_with_another_function_are_no_motors():
+    """Radio passed through (1) and a gripper (28): the firmware drives no rotor through them, whatever they do."""
+    functions = dict.fromkeys((f"SERVO{k}_FUNCTION" for k in (1, 2, 4)), 1) | {"SERVO3_FUNCTION": 28}
+    flight = with_throttle(
+        lambda k: dict(o1=1300 + k, o2=1300 + k, o3=1300 + k, o4=1300 + k), FRAME_CLASS=1, **functions
+    )
+    assert flight.rotor_count == 0 and "motors" not in flight.signals
+    assert any("what drove the rotors is not in this log" in w for w in flight.warnings)
+
+
+@pytest.mark.parametrize("slope, rotors", [(4, 4), (0, 0), (-4, 0)])
+def test_outputs_without_any_function_are_motors_when_they_follow_the_throttle(slope, rotors):
+    functions = dict.fromkeys((f"SERVO{k}_FUNCTION" for k in range(1, 17)), 0)
+    flight = with_throttle(lambda k: {f"o{j}": 1500 + slope * k for j in range(1, 5)}, FRAME_CLASS=1, **functions)
+    assert flight.rotor_count == rotors
+    assert any("rotor k was taken to be output k" in w for w in flight.warnings)
 
 
 def test_tricopter_leaves_its_tail_servo_out():
@@ -378,3 +409,15 @@ def test_reads_any_buffer_and_lets_go_of_it(wrap):
     if wrap is bytearray:
         buffer.extend(b"x")  # raises BufferError while anything still looks at it
     assert len(flight["gyro"]) == 200
+
+
+WILD = Path(__file__).parents[2] / "shared" / "flights" / "wild"
+
+
+@pytest.mark.skipif(not (WILD / "on-its-side-1.bin.xz").is_file(), reason="this flight is missing")
+def test_a_vehicle_whose_outputs_are_passed_through_is_not_judged():
+    from rotorwatch import diagnose
+
+    diagnosis = diagnose(WILD / "on-its-side-1.bin.xz")
+    assert diagnosis.verdict == "inconclusive" and not diagnosis.events
+    assert any("SERVO1_FUNCTION" in w for w in diagnosis.warnings)

@@ -39,6 +39,20 @@ def test_both_detectors_are_found():
     assert [module.name for module in detectors.modules()] == ["ardupilot-thrust-loss", "px4-esc-current"]
 
 
+def test_an_autopilots_check_runs_on_its_own_logs_alone():
+    """PX4's current check says nothing of an ArduPilot log, whose ESCs may report otherwise, and the other way round."""
+    assert {module.name: module.autopilot for module in detectors.modules()} == {
+        "ardupilot-thrust-loss": "ArduPilot",
+        "px4-esc-current": "PX4",
+    }
+    stalled = with_esc([5.0, 5.0, 5.0, 0.2])
+    assert [f["detector"] for f in detectors.detect(stalled, QUAD, ALWAYS)] == ["px4-esc-current"]
+    assert detectors.detect(replace(stalled, autopilot="ArduPilot"), QUAD, ALWAYS) == ()
+    assert detectors.detect(replace(sinking(), autopilot="PX4"), VEHICLE, ALWAYS) == ()
+    said = (Message(1.5, "text", "Potential Thrust Loss (2)"),)
+    assert detectors.detect(Flight("t", "", {}, 3.0, messages=said), VEHICLE, ALWAYS) == ()
+
+
 def test_thrust_loss_names_the_highest_output_after_a_second():
     (found,) = detectors.detect(sinking(), VEHICLE, ALWAYS)
     assert (found["detector"], found["rotor"]) == ("ardupilot-thrust-loss", 3)

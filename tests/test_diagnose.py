@@ -196,7 +196,12 @@ def test_blind_time_without_a_baseline_is_8_s_and_said():
 
 def test_blind_time_with_a_baseline_is_3_s():
     healthy = flight(sample(HEALTHY))
-    diagnosis = diagnose(healthy, baseline=[healthy])
+    motors = healthy["motors"]
+    other = motors.values + np.random.default_rng(0).normal(0.0, 2.0, motors.values.shape)
+    diagnosis = diagnose(
+        healthy,
+        baseline=replace(healthy, name="other", signals=healthy.signals | {"motors": replace(motors, values=other)}),
+    )
     (start, end, _), *_ = diagnosis.trace.blind
     assert 0 < end - start <= 3.0
     assert "1 healthy flight" in diagnosis.baseline

@@ -61,6 +61,33 @@ def test_world_acceleration_becomes_specific_force_in_the_body():
     assert np.allclose(flight["accel"].values[0] / 9.80665, [0, -0.5, -np.sqrt(0.75)], atol=1e-6)
 
 
+COMMANDS = [(f"controller.cmd_{n}", "f") for n in ("thrust", "roll", "pitch", "yaw")]
+
+
+@pytest.mark.parametrize(
+    "command, motors",
+    [
+        ((40000.0, 0.0, 0.0, 0.0), (40000, 40000, 40000, 40000)),
+        ((40000.0, 2001.0, 0.0, 0.0), (39000, 39000, 41000, 41000)),  # roll right: the left motors; halves are cut off
+        ((40000.0, 0.0, 2000.0, 0.0), (41000, 39000, 39000, 41000)),
+        ((40000.0, 0.0, 0.0, 500.0), (40500, 39500, 40500, 39500)),
+        ((1000.0, 0.0, 0.0, -2000.0), (0, 3000, 0, 3000)),
+    ],
+)
+def test_motors_are_rebuilt_from_the_controllers_outputs(command, motors):
+    flight = crazyflie.read(usd([command + ROW[4:]] * 30, COMMANDS + VARIABLES[4:]), "x.usd")
+    assert np.allclose(flight["motors"].values[0] * 65535, motors) and flight["motors"].valid.all()
+    assert flight["motors"].source == "controller.cmd_*" and any("rebuilt" in w for w in flight.warnings)
+
+
+def test_rebuilt_motors_beyond_full_command_are_not_known_and_logged_motors_go_first():
+    rows = [((60000.0, 0.0, 12000.0, 0.0) if k > 20 else (30000.0, 0.0, 0.0, 0.0)) + ROW[4:] for k in range(40)]
+    flight = crazyflie.read(usd(rows, COMMANDS + VARIABLES[4:]), "x.usd")
+    assert flight["motors"].valid.all(axis=1).sum() == 21
+    both = crazyflie.read(usd([(30000.0, 0, 0, 0, *ROW)] * 9, COMMANDS + VARIABLES), "x.usd")
+    assert both["motors"].source == "motor.m1..m4" and both.warnings == ()
+
+
 @needs_flights
 def test_real_hover_flights():
     for path in sorted(FLIGHTS.glob("normal*.xz")):

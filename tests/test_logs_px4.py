@@ -308,6 +308,15 @@ def test_a_failed_motor_is_a_gap_in_its_column_only():
     assert motors.values.shape == (50, 6) and motors.valid[:, 2].sum() == 20 and motors.valid[:, 0].all()
 
 
+@pytest.mark.parametrize(
+    "fields, kind",
+    [({"system_type": 1}, 1), ({"is_vtol": 1, "vehicle_type": 1}, 22), ({"vehicle_type": 3}, 10), ({}, None)],
+)
+def test_the_vehicle_status_says_what_kind_of_vehicle_it_is(fields, kind):
+    status = {k: np.full(9, v) for k, v in {"arming_state": 2, "is_vtol": 0, "vehicle_type": 1, **fields}.items()}
+    assert px4_topics.signals(topics(vehicle_status=status), {})[1].get("mav_type") == kind
+
+
 def test_esc_telemetry_follows_the_actuator_functions():
     fields = {}
     for i, function in enumerate((103, 101, 102)):

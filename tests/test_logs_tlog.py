@@ -202,3 +202,15 @@ def test_recognised_by_its_frames():
     data = Writer().flight(samples=5).data
     assert tlog.sniff(data[:4096], "") and not tlog.sniff(bytes(4096), "")
     assert tlog.sniff(b"", "flight.TLOG")
+
+
+def test_a_plane_is_read_and_named_but_a_multirotor_beside_it_goes_first():
+    from rotorwatch import airframes
+    from rotorwatch.errors import VehicleError
+
+    plane = read(Writer().flight(kind=1))
+    assert plane.facts["mav_type"] == 1
+    with pytest.raises(VehicleError, match="fixed-wing"):
+        airframes.identify(plane)
+    both = Writer().add("heartbeat", 1, 3, 0x81, 4, 4, 3, system=9).flight(kind=2)
+    assert read(both).facts["mav_type"] == 2

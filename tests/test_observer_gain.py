@@ -143,7 +143,7 @@ def test_what_cannot_be_is_said_in_one_sentence(plant, call, sentence):
         call(plant)
 
 
-def test_without_a_solver_the_extra_is_named(monkeypatch):
+def test_without_a_solver_it_is_named(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "cvxpy", None)
-    with pytest.raises(ConfigError, match=r"install rotorwatch\[research\]"):
+    with pytest.raises(ConfigError, match="needs cvxpy, which is not installed: pip install cvxpy"):
         observer_gain.common_lyapunov(EYE[None], C, 0.9)

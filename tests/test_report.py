@@ -13,7 +13,7 @@ from conftest import hexa_diagnosis, hexa_trace
 from rotorwatch import report
 from rotorwatch.diagnosis import Event, RotorState
 from rotorwatch.errors import ConfigError
-from rotorwatch.report import figures, html, terminal
+from rotorwatch.report import colours, drawing, figures, html, terminal
 
 
 def text_of(diagnosis):
@@ -55,7 +55,12 @@ def test_comparison_is_in_time_order_and_says_when_nobody_else_found_anything(fa
         ("rotorwatch", "31.56 s"),
         ("ardupilot-thrust-loss", "33.40 s"),
     ]
-    assert report.comparison(replace(fault, comparison=()))[1][:2] == ("other checks", "nothing")
+    assert report.comparison(replace(fault, comparison=()))[1][:2] == ("ardupilot-thrust-loss", "nothing")
+    px4 = replace(fault, comparison=(), flight={**fault.flight, "autopilot": "PX4"})
+    assert report.comparison(px4)[1][:2] == ("px4-esc-current", "nothing")
+    other = replace(fault, comparison=(), flight={**fault.flight, "autopilot": "Crazyflie"})
+    assert report.comparison(other)[1][:2] == ("other checks", "none made")
+    assert "no check of Crazyflie itself" in report.comparison(other)[1][3]
     assert report.comparison(replace(healthy, comparison=())) == []
 
 
@@ -145,10 +150,10 @@ class Tags(HTMLParser):
 
 def test_page_holds_the_whole_answer(fault):
     page = html.page(fault)
-    words = " ".join(" ".join(Tags(page).words).split())  # no-break spaces become spaces, too
+    words = " ".join(" ".join(Tags(page).words).replace("\u2060", "").split())  # no-break spaces become spaces, too
     for part in (
         "Rotor 3 (front left) lost 37 %",
-        fault.reason,
+        report.sentence(fault.reason),
         fault.events[0].reason,
         "31.56 s (0.36 s later)",
         fault.baseline,
@@ -156,7 +161,7 @@ def test_page_holds_the_whole_answer(fault):
         assert part in words, part
     for part in (*fault.assumptions, *fault.warnings, "learning what healthy means", "ardupilot-thrust-loss"):
         assert part in words, part
-    for name in ("loss", "command", "evidence", "roll", "pitch", "yaw", "thrust"):
+    for name in ("loss", "lane", "command", "evidence", "angle_roll", "angle_yaw", "roll", "pitch", "yaw", "thrust"):
         assert f'id="plot-{name}"' in page
     assert page.count('class="rotor ') == 6
 
@@ -217,24 +222,24 @@ def test_page_of_an_odd_trace(fault):
 
 
 def test_airframe_drawing_shows_place_spin_and_loss(fault):
-    drawing = figures.airframe(fault)
-    titles = re.findall(r"<title>(Rotor .*?)</title>", drawing)
-    assert titles[2] == "Rotor 3, clockwise: degraded, loss 37 %"
-    assert titles[4] == "Rotor 5, counter-clockwise: healthy, loss 0 %"
-    places = [tuple(map(float, m)) for m in re.findall(r"translate\((-?[\d.]+) (-?[\d.]+)\)", drawing)]
+    drawn = drawing.airframe(fault)
+    titles = re.findall(r"<title>(Rotor .*?)</title>", drawn)
+    assert titles[2] == "Rotor 3, front left, clockwise: degraded, loss 37.0 %"
+    assert titles[4] == "Rotor 5, front right, counter-clockwise: healthy, loss none seen"
+    places = [tuple(map(float, m)) for m in re.findall(r"translate\((-?[\d.]+) (-?[\d.]+)\)", drawn)]
     assert places[0][0] > 90 and abs(places[0][1]) < 1  # rotor 1 of ArduPilot's hexa X is on the right
     assert places[2][0] < 0 and places[2][1] < 0  # rotor 3 is front left
 
 
 def test_airframe_drawing_keeps_coaxial_rotors_apart(fault):
     pairs = [{"x": x, "y": y, "spin": s} for x, y in ((1, 1), (1, -1), (-1, 0)) for s in (1, -1)]
-    drawing = figures.airframe(replace(fault, flight={**fault.flight, "geometry": pairs}))
-    places = {m for m in re.findall(r"translate\((-?[\d.]+ -?[\d.]+)\)", drawing)}
+    drawn = drawing.airframe(replace(fault, flight={**fault.flight, "geometry": pairs}))
+    places = {m for m in re.findall(r"translate\((-?[\d.]+ -?[\d.]+)\)", drawn)}
     assert len(places) == 6
 
 
 def test_unknown_airframe_has_no_drawing(fault):
-    assert figures.airframe(replace(fault, flight={"frame": "flying carpet"})) == ""
+    assert drawing.airframe(replace(fault, flight={"frame": "flying carpet"})) == ""
 
 
 def test_report_is_written_whole_or_not_at_all(fault, tmp_path, monkeypatch):
@@ -264,3 +269,77 @@ def test_event_kinds_have_words():
     for kind in ("loss_of_effectiveness", "output_override", "common_mode", "torque_bias"):
         assert "_" not in report.kind(event(kind=kind))
     assert isinstance(event(), Event)
+
+
+# Words and widths
+
+
+@pytest.mark.parametrize("width", [40, 41, 55, 72, 80, 100, 130, 200])
+@pytest.mark.parametrize("changes", [{}, {"verdict": "healthy", "events": ()}, {"doubts": ("Nothing moved.",)}])
+def test_nothing_is_cut_at_any_width(changes, width):
+    from rich.console import Console
+
+    shown = hexa_diagnosis(**changes)
+    whole = set(text_at(shown, 400, Console).split())
+    text = text_at(shown, width, Console)
+    assert max(len(line.rstrip()) for line in text.splitlines()) <= width and "…" not in text
+    words = re.compile(r"[\w.%–]{2,}")
+    missing = set(words.findall(" ".join(whole))) - set(words.findall(text))
+    assert missing <= {"where", "status", "interval", "95"}  # headings of a table that became lines
+
+
+def text_at(diagnosis, width, console):
+    screen = console(width=width, color_system=None, highlight=False, emoji=False, markup=False)
+    with screen.capture() as out:
+        screen.print(terminal.diagnosis(diagnosis))
+    return out.get()
+
+
+@pytest.mark.parametrize("environment", [{"NO_COLOR": "1"}, {"TERM": "dumb"}])
+def test_without_colours_there_are_none(environment, monkeypatch, fault):
+    from rich.console import Console
+
+    for name, value in {"TERM": "xterm-256color", **environment}.items():
+        monkeypatch.setenv(name, value)
+    screen = Console(force_terminal=True, width=80)
+    with screen.capture() as out:
+        screen.print(terminal.diagnosis(fault))
+    assert not re.search(r"\x1b\[[0-9;]*3[0-9]", out.get())
+
+
+def test_gaps_between_commands_are_no_cut_outs():
+    """A tick without a sample is no command of nothing: the line goes straight on; over a dropout there is none."""
+    from rotorwatch.traces import _bridged
+
+    time = np.arange(0.0, 3.0, 0.1)
+    values = np.full((30, 2), 0.5)
+    values[[5, 6]] = np.nan
+    values[15:28] = np.nan
+    out = _bridged(time, values)
+    assert np.array_equal(out[:15], np.full((15, 2), 0.5)) and np.isnan(out[15:28]).all()
+
+
+def test_moments_on_the_autopilots_clock_and_in_utc(fault):
+    there = replace(fault, flight={**fault.flight, "boot_s": 46.57, "utc_start": "2026-11-21T23:59:58.350Z"})
+    assert report.moment(there, 31.2) == "77.77 s since boot, 00:00:29.5 UTC"
+    assert report.day(there) == "2026-11-21 23:59:58 UTC" and report.moment(fault, 31.2) == ""
+    assert "77.77 s since boot" in text_of(there) and "00:00:29.5" in html.page(there)
+
+
+@pytest.mark.parametrize(
+    ("shift", "words"), [(0.01, "the same thrust"), (0.6, "10 % more thrust"), (-0.6, "10 % less thrust")]
+)
+def test_common_mode_in_words(fault, shift, words):
+    said = report.common_mode(replace(fault, common_mode={"thrust_shift": shift, "unit": "hover thrusts of one rotor"}))
+    assert words in said
+
+
+def test_the_faulty_rotor_has_one_colour_everywhere(fault):
+    looks = colours.looks(fault)
+    assert looks[3][0] == colours.FAULT and all(looks[k][0] != colours.FAULT for k in looks if k != 3)
+    page = html.page(fault)
+    assert page.count(f"--rotor:{colours.FAULT}") == 2  # its row and its place in the top view
+    line = next(
+        r for r in figures.plots(fault)["loss"].renderers if r.name == "rotor 3" and hasattr(r.glyph, "line_width")
+    )
+    assert line.glyph.line_color == colours.FAULT

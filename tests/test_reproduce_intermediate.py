@@ -103,5 +103,5 @@ def test_without_matplotlib_it_says_what_to_install(result, monkeypatch):
     from rotorwatch.errors import ConfigError
 
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    with pytest.raises(ConfigError, match=r"install rotorwatch\[research\]"):
+    with pytest.raises(ConfigError, match="needs matplotlib, which is not installed: pip install matplotlib"):
         study.figures(result)

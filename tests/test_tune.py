@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from rotorwatch import airframes, discovery, published, tune
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
+from rotorwatch.log_plant import LogPlant
 from rotorwatch.published import Tuning
 from rotorwatch.systems.rate_dynamics import RateDynamics
 
@@ -127,6 +128,82 @@ def test_what_cannot_be_tuned_is_refused():
         tune.tune([], "default")
     with pytest.raises(ConfigError, match="no estimator called"):
         tune.tune([], "crystal ball")
+
+
+def hop(rows):
+    """A hop of so many rows, with one number each to tell them by."""
+    time = np.arange(rows)
+    return LogPlant({}, time[:, None] * 1.0, time[:, None] * 1.0, np.ones((rows, 1), bool), time, 0.1)
+
+
+def test_something_is_kept_back_to_check_on():
+    a, b, short = hop(900), hop(300), hop(500)
+    assert tune._kept_back([("a", [a]), ("nothing", []), ("b", [b])]) == ([a], [b], "b")
+    taught, held, name = tune._kept_back([("a", [a])])
+    assert [len(h.u) for h in (*taught, *held)] == [675, 225] and name == "the last quarter of a"
+    assert held[0].rows[0] == 675
+    assert tune._kept_back([("short", [short])]) == ([short], [], "")
+
+
+def test_factors_at_their_bounds_are_named(found):
+    assert found.notes == ()
+    ends = np.array([1.0, tune.RANGE, 1.0, 1.0, 1.0 / tune.RANGE, 2.0, 1.0, tune.RANGE])
+    (said,) = tune._at_bounds(ends, WRONG, "theta_walk")
+    assert (
+        "process noise of pitch rate (largest), measurement noise of pitch rate (smallest), theta_walk (largest)."
+        in said
+    )
+
+
+@pytest.fixture
+def tuned(monkeypatch):
+    """tune.tune over made flights with a fit that finds nothing new, and a likelihood as wanted: tuned(after, flights) -> Fit."""
+    from test_calibrate import flown, on_the_ground
+
+    def go(after, *flights):
+        asked = []
+
+        def fitted(name, tables, keywords=None, rounds=0, progress=None):
+            asked.append(len(tables))
+            return tune.Fit(name, "rate_dynamics", 0.1, Tuning(np.ones(3), np.ones(4), {}), -1.0, 2.0)
+
+        monkeypatch.setattr(tune, "fit", fitted)
+        monkeypatch.setattr(tune, "log_likelihood", lambda name, table, tuning=None: -1.0 if tuning is None else after)
+        made = {
+            "one": flown(),
+            "two": flown("two.bin"),
+            "ground": on_the_ground(),
+            "hexa": flown("hexa.bin", frame=2, rotors=6),
+        }
+        return tune.tune([made[f] for f in flights], "ekf"), asked
+
+    return go
+
+
+def test_a_tuning_that_makes_things_worse_says_so(tuned, tmp_path):
+    worse, asked = tuned(-2.0, "one", "two")
+    assert asked == [1] and worse.held_out == "two.bin" and worse.flights == ("one.bin", "two.bin")
+    (said,) = worse.notes
+    assert "makes things worse: on two.bin" in said and "from -1.000 to -2.000; do not use it" in said
+    tune.write(worse, tmp_path / "t.toml")
+    assert (
+        "makes things worse" in (tmp_path / "t.toml").read_text()
+        and "held_out_after = -2" in (tmp_path / "t.toml").read_text()
+    )
+    better, _ = tuned(-0.5, "one", "two")
+    assert better.notes == () and (better.held_out_before, better.held_out_after) == (-1.0, -0.5)
+
+
+def test_a_tuning_that_was_not_checked_says_so(tuned):
+    (said,) = tuned(-0.5, "one")[0].notes
+    assert "was not checked" in said
+
+
+def test_logs_to_tune_to_are_judged_first(tuned):
+    found, _ = tuned(-0.5, "one", "ground", "hexa", "two")
+    assert found.flights == ("one.bin", "two.bin")
+    assert any("ground.bin was set aside: it shows no flight" in n for n in found.notes)
+    assert any("hexa.bin was set aside: its frame" in n for n in found.notes)
 
 
 def test_walks_are_known_by_the_methods_own_names():

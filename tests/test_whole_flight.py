@@ -124,6 +124,24 @@ def test_a_balance_that_moves_in_flight_is_ambiguous():
     assert result.verdict == "ambiguous" and "changed in flight" in result.reason
 
 
+def test_no_odds_are_claimed_that_few_flights_cannot_show():
+    """However far off a flight is: its p-value ends where the verdicts' own rates do, and the sentence says what it rests on."""
+    rng = np.random.default_rng(9)
+    spreads = [np.eye(3) * 1e-6] * 2
+    bent = drawn(rng, QUAD, *spreads, share=[1.6, 1.0, 1.0, 1.0])
+    for count, words in (
+        (1, "one flight cannot show that"),
+        (3, "3 flights are too few to show that"),
+        (12, "12 flights were"),
+    ):
+        baseline = [drawn(rng, QUAD, *spreads) for _ in range(count)]
+        result = wf.judge(bent, baseline, QUAD)
+        assert result.verdict == "fault" and result.p_value == wf.FALSE_FAULT
+        assert "fewer than 1 in 100 healthy flights would differ so much, if they spread as assumed" in result.reason
+        assert words in result.reason
+        assert wf.rarity(bent, baseline, QUAD) < 1e-3 * wf.FALSE_FAULT  # which orders flights, and is shown to nobody
+
+
 def test_a_rotor_at_its_limit_cannot_be_told_from_a_weight():
     rng = np.random.default_rng(4)
     spreads = [np.eye(3) * 1e-6] * 2

@@ -22,8 +22,9 @@ def of(
     whole: Mapping[str, Any] | None,
     places: Sequence[str],
     doubts: Sequence[str],
+    stays: bool = True,
 ) -> tuple[str, ...]:
-    """Sentences, the most urgent first."""
+    """Sentences, the most urgent first. stays: the main event was not over before the landing."""
     out: list[str] = []
     event = None if main is None else events[main]
     broken = [s.rotor for s in states if s.status in ("degraded", "failed")]
@@ -41,7 +42,9 @@ def of(
             "passthrough, motor test, failsafe, a second controller."
         )
     elif event is not None and not event.alternatives:
-        out.append(f"Do not fly again before {rotors(event.rotors, places)} has been looked at: {_parts(event)}.")
+        out.append(
+            f"Do not fly again before {rotors(event.rotors, places)} has been looked at: {_parts(event, stays)}."
+        )
     elif broken:
         out.append(
             f"Look at {rotors(broken, places)} before the next flight: nicked, bent or loose propeller, motor bearing, ESC."
@@ -64,8 +67,8 @@ def of(
     return tuple(out)
 
 
-def _parts(event: Event) -> str:
-    if event.end_s is not None:
+def _parts(event: Event, stays: bool) -> str:
+    if not stays:
         return "it came back by itself, so look first for a loose connector, a cold joint, an ESC that lost its motor, a hot motor"
     if max(event.loss) > GONE:
         return "propeller gone or loose, motor, ESC, and the wires between them"

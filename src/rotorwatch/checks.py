@@ -5,6 +5,7 @@ Inside a compiled program arrays have no values yet; there only shapes can be ch
 
 from __future__ import annotations
 
+import importlib
 from typing import Any
 
 import numpy as np
@@ -65,6 +66,15 @@ def has(system: Any, method: str, *parts: str, why: str = "") -> None:
         kind = getattr(system, "name", type(system).__name__)
         reason = f" ({why})" if why else ""
         raise ConfigError(f"{method} is not defined for the plant {kind}: it needs {', '.join(missing)}{reason}.")
+
+
+def library(name: str, what: str) -> Any:
+    """The library of that name, imported. Raises ConfigError that says how to install it, where it is not: what needs it."""
+    try:
+        return importlib.import_module(name)
+    except ImportError:
+        package = name.partition(".")[0]
+        raise ConfigError(f"{what} needs {package}, which is not installed: pip install {package}.") from None
 
 
 def concrete(value: Any) -> bool:

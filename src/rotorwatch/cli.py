@@ -6,6 +6,7 @@ Exit codes: 0 healthy, 1 fault found, 3 inconclusive or ambiguous only, 2 error.
 
 from __future__ import annotations
 
+import io
 import os
 import sys
 import time
@@ -19,7 +20,7 @@ import click
 
 from rotorwatch import __version__
 from rotorwatch.commands import campaign, export, research, simulate, tune
-from rotorwatch.commands.tools import LOG, common, debug, progress, say, show
+from rotorwatch.commands.tools import LOG, OUT, common, debug, label, progress, say, shares, show
 from rotorwatch.errors import BackendWarning, ConfigError, RotorwatchError
 
 if TYPE_CHECKING:
@@ -39,6 +40,11 @@ def main(argv: list[str] | None = None) -> None:
         warnings.simplefilter("ignore")  # those of numerical libraries; a flight's are part of the answer
         warnings.filterwarnings("once", category=BackendWarning)
         warnings.showwarning = lambda message, *where, **more: say(str(message))
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(
+            stream, io.TextIOWrapper
+        ):  # a name or a sign that the terminal does not know must not end the answer
+            stream.reconfigure(errors="backslashreplace")
     code = 0
     try:
         # Not cli.main: it leaves with 1 when a pipe breaks, which here says "fault found".
@@ -57,6 +63,9 @@ def main(argv: list[str] | None = None) -> None:
     except click.ClickException as why:
         why.show()
         code = why.exit_code
+        argument = next((a for a in sys.argv[1:] if a.startswith("-") and Path(a).is_file()), None)
+        if isinstance(why, click.NoSuchOption) and argument:
+            say(f"the file {argument} begins with a dash: write ./{argument}")
     except Exception as why:
         say(explain(why))
         code = ERROR
@@ -73,6 +82,8 @@ def explain(why: Exception) -> str:
         return str(why)
     if isinstance(why, OSError) and why.filename:
         return f"{why.filename}: {why.strerror}."
+    if isinstance(why, OSError) and why.errno:
+        return f"Reading or writing failed: {why.strerror}."
     if isinstance(why, MemoryError):
         return "Out of memory; try a shorter log."
     text = " ".join(f"{type(why).__name__}: {why}".split())[:200]
@@ -100,7 +111,7 @@ def cli() -> None:
     "--tuning", type=LOG, metavar="FILE", help="Tuning of a published estimator (TOML), as `rotorwatch tune` writes it."
 )
 @click.option(
-    "--report", type=LOG, metavar="OUT.html", help="Write an HTML page; for several logs a folder or {name}.html."
+    "--report", type=OUT, metavar="OUT.html", help="Write an HTML page; for several logs a folder or {name}.html."
 )
 @click.option(
     "--json", "as_json", is_flag=True, help="Print JSON (docs/json.md): an object, or a list for several logs."
@@ -108,17 +119,17 @@ def cli() -> None:
 @common
 @click.pass_context
 def diagnose(context, logs, baselines, vehicle, estimator, tuning, report, as_json, quiet) -> None:
-    """Judge each LOG: PX4 .ulg, ArduPilot .bin/.log, MAVLink .tlog, CSV, also .xz and .gz.
+    """Judge each LOG: PX4 .ulg, ArduPilot .bin/.log, MAVLink .tlog, CSV, also .xz and .gz; - is standard input.
 
     Exit code: 0 healthy, 1 fault found, 3 inconclusive or ambiguous only, 2 error.
     """
     from rotorwatch.vehicle_file import read as read_vehicle
 
     pages = report_paths(logs, report)
-    with progress(quiet) as tell:
-        known = read_vehicle(vehicle) if vehicle else None
-        healthy = tuple(_read(path, tell) for path in baselines)
+    known = read_vehicle(vehicle) if vehicle else None
     tuned = _tuning(tuning, estimator) if tuning else None
+    with progress(quiet) as tell:
+        healthy = tuple(_candidate(_read(path, tell), known) for path in baselines)
 
     def judge(path: Path) -> Diagnosis:
         from rotorwatch.diagnose import diagnose as run
@@ -145,6 +156,13 @@ def diagnose(context, logs, baselines, vehicle, estimator, tuning, report, as_js
     context.exit(_several(logs, judge, pages, as_json, quiet))
 
 
+def _candidate(flight: Any, vehicle: Any) -> Any:
+    """A baseline, whose own judgement is made once for all logs."""
+    from rotorwatch.baselines import Candidate
+
+    return Candidate(flight, vehicle)
+
+
 def _tuning(path: Path, estimator: str):
     from rotorwatch.tune import read
 
@@ -164,14 +182,14 @@ def _several(logs: tuple[Path, ...], judge: Callable, pages: list[Path], as_json
             codes.append(result.exit_code)
             items.append(result.to_dict())
             if not as_json:
-                show(lambda terminal, p=path, r=result: terminal.line(str(p), r))
+                show(lambda terminal, p=path, r=result: terminal.line(label(p), r))
         except Exception as why:  # explain() tells ours from unexpected ones
-            sentence = explain(why)
-            say(f"{path}: {sentence}" if str(path) not in sentence else sentence)
+            sentence, name = explain(why), label(path)
+            say(f"{name}: {sentence}" if name not in sentence else sentence)
             codes.append(ERROR)
-            items.append({"schema": SCHEMA, "flight": {"name": str(path)}, "error": sentence})
+            items.append({"schema": SCHEMA, "flight": {"name": name}, "error": sentence})
             if not as_json:
-                show(lambda terminal, p=path: terminal.error_line(str(p), "see the message"))
+                show(lambda terminal, n=name: terminal.error_line(n, "see the message"))
     if as_json:
         import json
 
@@ -183,6 +201,8 @@ def _several(logs: tuple[Path, ...], judge: Callable, pages: list[Path], as_json
 
 def report_paths(logs: tuple[Path, ...], out: Path | None) -> list[Path]:
     """Where each log's page goes: OUT, OUT/NAME.html in a folder, or OUT with {name} filled in; never one twice."""
+    from rotorwatch import files
+
     if out is None:
         return []
     several = len(logs) > 1
@@ -200,9 +220,7 @@ def report_paths(logs: tuple[Path, ...], out: Path | None) -> list[Path]:
             n += 1
             page = Path(str(out).replace("{name}", f"{stem}-{n}"))
         pages.append(page)
-    for page in pages:
-        page.parent.mkdir(parents=True, exist_ok=True)
-    return pages
+    return [files.writable(page, "--report", make=True) for page in pages]
 
 
 def _report_written(page: Path | None, quiet: bool) -> None:
@@ -212,22 +230,26 @@ def _report_written(page: Path | None, quiet: bool) -> None:
 
 @cli.command(short_help="Learn a vehicle file from healthy flights.")
 @click.argument("logs", nargs=-1, required=True, type=LOG, metavar="LOG...")
-@click.option("-o", "--out", required=True, type=LOG, metavar="vehicle.toml", help="Vehicle file to write.")
+@click.option("-o", "--out", required=True, type=OUT, metavar="vehicle.toml", help="Vehicle file to write.")
 @common
 def calibrate(logs, out, quiet) -> None:
     """Learn from healthy flights of one build what healthy means for it, and write a vehicle file.
 
     Give the file to `rotorwatch diagnose --vehicle` later.
     """
+    from rotorwatch import files
     from rotorwatch.calibrate import calibrate as run
     from rotorwatch.vehicle_file import write
 
+    files.writable(out, "--out")
     with progress(quiet) as tell:
         learned = run([_read(path, tell) for path in logs], progress=tell)
     write(learned, out)
-    click.echo(
-        f"{learned.name}: learned from {len(logs)} {'flight' if len(logs) == 1 else 'flights'}, written to {out}"
-    )
+    for sentence in learned.assumptions:
+        if "was set aside" in sentence and not quiet:
+            say(sentence)
+    count = (learned.identified or {}).get("flights", len(logs))
+    click.echo(f"{learned.name}: learned from {count} {'flight' if count == 1 else 'flights'}, written to {out}")
 
 
 @cli.command(short_help="Show what a log holds and lacks.")
@@ -249,7 +271,7 @@ def info(log, as_json, quiet) -> None:
 
 
 @cli.command(short_help="Diagnose the sample flights.")
-@click.option("--report", type=LOG, metavar="OUT.html", help="Also write the faulty flight's HTML page.")
+@click.option("--report", type=OUT, metavar="OUT.html", help="Also write the faulty flight's HTML page.")
 @common
 def demo(report, quiet) -> None:
     """Diagnose the sample flights that come with rotorwatch, and say what to look at."""
@@ -281,10 +303,19 @@ def demo(report, quiet) -> None:
 @cli.command(short_help="Inject losses and count what is found.")
 @click.argument("logs", nargs=-1, required=True, type=LOG, metavar="LOG...")
 @click.option(
-    "--loss", "losses", default="0.2,0.3,0.4", show_default=True, metavar="L,L,...", help="Losses to inject, 0..1."
+    "--loss",
+    "losses",
+    default="0.2,0.3,0.4",
+    show_default=True,
+    metavar="L,L,...",
+    help="Losses to inject, above 0 and below 1.",
 )
 @click.option(
-    "--repeats", default=3, show_default=True, type=click.IntRange(1), help="Injections per flight, rotor and loss."
+    "--repeats",
+    default=3,
+    show_default=True,
+    type=click.IntRange(1, 1000),
+    help="Injections per flight, rotor and loss.",
 )
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Seed of the random onsets.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
@@ -293,14 +324,9 @@ def inject(logs, losses, repeats, seed, as_json, quiet) -> None:
     """Inject losses into healthy flights and count what the diagnosis finds of them."""
     from rotorwatch.inject import campaign
 
-    try:
-        shares = tuple(float(x) for x in losses.split(","))
-    except ValueError:
-        raise ConfigError(f"--loss {losses}: give numbers with commas, as in 0.2,0.3.") from None
-    if not all(0 < x <= 1 for x in shares):
-        raise ConfigError(f"--loss {losses}: a loss is above 0 and at most 1 (a dead rotor).")
+    wanted = shares("--loss", losses)
     with progress(quiet) as tell:
-        result = campaign(logs, shares, repeats, seed, tell)
+        result = campaign(logs, wanted, repeats, seed, tell)
     if as_json:
         import json
 

@@ -104,7 +104,8 @@ def conclude(
 
 def _concluded(seen: Seen, verdict, reason, headline, main, doubts) -> Conclusion:
     states = tuple(_state(seen, k, verdict) for k in range(1, seen.n + 1))
-    next_steps = advice.of(verdict, seen.events, main, states, seen.whole, seen.places, doubts)
+    stays = main is not None and (seen.events[main].end_s is None or _landed(seen, seen.events[main].end_s))
+    next_steps = advice.of(verdict, seen.events, main, states, seen.whole, seen.places, doubts, stays)
     return Conclusion(verdict, reason, headline, main, states, next_steps, seen.events)
 
 
@@ -131,7 +132,7 @@ def _verdict(seen: Seen, main: int | None) -> tuple[str, str]:
     event = None if main is None else seen.events[main]
     whole = seen.compared
     if event is not None and not event.alternatives:
-        return "fault", _what_happened(event) + _and_more(seen, event) + _open(seen) + "."
+        return "fault", _what_happened(seen, event) + _and_more(seen, event) + _open(seen) + "."
     if whole and whole["verdict"] == "fault":
         return "fault", whole["reason"]
     if event is not None:
@@ -143,15 +144,26 @@ def _verdict(seen: Seen, main: int | None) -> tuple[str, str]:
             "inconclusive",
             f"only {seen.judged_s:.1f} s of flight could be judged: the vehicle was hardly in the air, or its motion is not logged.",
         )
+    if seen.leftover:
+        said = [f"{rotors(s.rotors)} from {seconds(s.start_s)} to {seconds(s.end_s)}" for s in seen.leftover]
+        return "ambiguous", f"there is evidence against {listed(said)} that no event explains."
     scope = "and none from take-off on, compared with its healthy flights" if whole else "after take-off"
     return "healthy", f"no rotor lost effectiveness in {seen.judged_s:.0f} s of judged flight, {scope}."
 
 
-def _what_happened(event: Event) -> str:
+def _what_happened(seen: Seen, event: Event) -> str:
+    why = event.reason.strip().removesuffix(".")
     if event.kind == OVERRIDE:
-        return event.reason.removesuffix(".")
-    until = f", until {seconds(event.end_s)}" if event.end_s is not None else ""
-    return f"{rotors(event.rotors)} lost {losses(event)} of its effectiveness at {seconds(event.onset_s)}{until}"
+        return why
+    until = _until(seen, event, ", until")
+    what = f"{rotors(event.rotors)} lost {losses(event)} of its effectiveness at {seconds(event.onset_s)}{until}"
+    return f"{what}: {why}" if why else what
+
+
+def _until(seen: Seen, event: Event, word: str) -> str:
+    if event.end_s is None:
+        return ""
+    return f"{word} {'the landing at ' if _landed(seen, event.end_s) else ''}{seconds(event.end_s)}"
 
 
 def _and_more(seen: Seen, main: Event) -> str:
@@ -168,10 +180,17 @@ def _headline(seen: Seen, verdict: str, main: int | None) -> str:
     """One or two short sentences that a pilot understands."""
     if verdict == "inconclusive":
         return "This log cannot say."
-    if verdict == "healthy":
-        return "All rotors pull their weight." if seen.compared else f"No rotor lost thrust after take-off. {UNJUDGED}"
-    said = _matter(seen, verdict, main)
-    return said if seen.compared else f"{said} {UNJUDGED}"
+    knocks = [seconds(e.onset_s) for e in seen.events if e.kind == CONTACT]
+    said = _matter(seen, verdict, main) if verdict != "healthy" else "All rotors pull their weight."
+    if verdict == "healthy" and not seen.compared:
+        said = "No rotor lost thrust after take-off."
+    if verdict == "healthy" and knocks:
+        said = f"No rotor lost thrust in the {seen.judged_s:.0f} s that were judged."
+    parts = [said] + ([] if seen.compared else [UNJUDGED])
+    if knocks:  # after each the trim is learned afresh, with whatever it broke
+        when = f"the knock at {knocks[0]}" if len(knocks) == 1 else f"{len(knocks)} knocks, the first at {knocks[0]},"
+        parts.append(f"What {when} broke was not judged.")
+    return " ".join(parts)
 
 
 def _matter(seen: Seen, verdict: str, main: int | None) -> str:
@@ -189,7 +208,7 @@ def _matter(seen: Seen, verdict: str, main: int | None) -> str:
     more = sum(e.kind in (LOSS, OVERRIDE) for e in seen.events) - 1
     again = f" (the first of {more + 1} events)" if more and event is seen.events[0] else ""
     again = again or (f" (one of {more + 1} events)" if more else "")
-    until = f" until {seconds(event.end_s)}" if event.end_s is not None else ""
+    until = _until(seen, event, " until")
     who = rotors(event.rotors, seen.places)
     if event.kind == OVERRIDE:
         return f"The output of {who} stopped following the mixer at {seconds(event.onset_s)}{until}{again}."
@@ -231,7 +250,7 @@ def _state(seen: Seen, rotor: int, verdict: str) -> RotorState:
     if sure:
         e = sure[-1]
         loss, bounds = e.loss[e.rotors.index(rotor)], e.interval[e.rotors.index(rotor)]
-        high = 1.0 - (1.0 - bounds[1]) * float(np.prod([1.0 - _most(m, rotor) for m in maybe]))
+        high = 1.0 - (1.0 - bounds[1]) * float(np.prod([1.0 - most(m, rotor) for m in maybe]))
         note = f"weak since {seconds(e.onset_s)}"
         return state(loss, (bounds[0], high), "failed" if loss > GONE else "degraded", note, (bounds[0], high))
     if from_takeoff == "damaged":
@@ -245,7 +264,7 @@ def _state(seen: Seen, rotor: int, verdict: str) -> RotorState:
             f"{'weak' if alone else 'one of several explanations'} since {seconds(e.onset_s)}"
             + (", not judged again after landing" if e in landed else "")
         )
-        high = 1.0 - (1.0 - high) * (1.0 - _most(e, rotor))
+        high = 1.0 - (1.0 - high) * (1.0 - most(e, rotor))
         loss = e.loss[e.rotors.index(rotor)] if rotor in e.rotors else loss
     for e in stuck_now:
         reasons.append(f"its output has not followed the mixer since {seconds(e.onset_s)}")
@@ -275,7 +294,7 @@ def _state(seen: Seen, rotor: int, verdict: str) -> RotorState:
     return state(0.0, INVISIBLE, "healthy", listed(notes), since)
 
 
-def _most(event: Event, rotor: int) -> float:
+def most(event: Event, rotor: int) -> float:
     """Upper bound of a rotor's loss over all explanations: its own share where the event says so; in another set it makes at most the
     torque and thrust that all of the event's rotors lack together."""
     own = event.interval[event.rotors.index(rotor)][1] if rotor in event.rotors else 0.0
@@ -283,6 +302,6 @@ def _most(event: Event, rotor: int) -> float:
     return max(own, other) if any(rotor in a for a in event.alternatives) else own
 
 
-def _landed(seen: Seen, end_s: float) -> bool:
+def _landed(seen: Seen, end_s: float | None) -> bool:
     """An event that ended with a landing, before another take-off: what became of it was not judged again."""
-    return any(abs(end_s - down) < LANDED_S for _, down in seen.hops[:-1])
+    return end_s is not None and any(abs(end_s - down) < LANDED_S for _, down in seen.hops[:-1])

@@ -8,10 +8,11 @@ from os import PathLike
 
 import numpy as np
 
-from rotorwatch import airframes, allocation, conclusion, detectors, discovery, places, published, ticks, trust
+from rotorwatch import allocation, baselines, conclusion, detectors, discovery, places, published, ticks, traces, trust
 from rotorwatch.airborne import airborne
+from rotorwatch.baselines import Given
 from rotorwatch.default_estimator import estimate
-from rotorwatch.diagnosis import Diagnosis, Trace
+from rotorwatch.diagnosis import Diagnosis
 from rotorwatch.errors import ConfigError
 from rotorwatch.estimators.jump_bank import threshold
 from rotorwatch.evidence import decide, events, hypotheses, leftover, outside
@@ -21,7 +22,7 @@ from rotorwatch.ticks import JUDGE, Ticks
 from rotorwatch.vehicle import Vehicle
 
 READY_S, READY_KNOWN_S = 8.0, 3.0
-LN10 = float(np.log(10.0))
+LONGEST_UP_US = 1e14  # a start later than that counts from 1970, not from the autopilot's boot
 
 
 def observe(flight: Flight, vehicle: Vehicle, air, ready_s: float) -> Ticks | None:
@@ -38,7 +39,7 @@ def observe(flight: Flight, vehicle: Vehicle, air, ready_s: float) -> Ticks | No
 def diagnose(
     flight: Flight | str | PathLike,
     vehicle: Vehicle | str | PathLike | None = None,
-    baseline: Iterable[Flight | str | PathLike] = (),
+    baseline: Given | Iterable[Given] = (),
     estimator: str = "default",
     progress: Callable | None = None,
     tuning: Tuning | None = None,
@@ -46,7 +47,8 @@ def diagnose(
     """Which rotor lost effectiveness, how much, since when and how sure.
 
     flight: a Flight or a log file. vehicle: a Vehicle or its file; identified from the log when None. baseline: healthy
-    flights of the same build, which make damage that was there from take-off judgeable and shorten the blind time.
+    flights of the same build, which make damage that was there from take-off judgeable and shorten the blind time; one of them, or many.
+    Those that are not healthy or not of this build are set aside, and `warnings` say so (baselines.py).
     estimator: the default method, or a published one by name; tuning: of a published one (`rotorwatch.tune`).
     progress: called as progress(share, text). Raises LogError, VehicleError or ConfigError with one sentence.
     """
@@ -63,21 +65,10 @@ def diagnose(
         raise ConfigError(
             "The default estimator learns its noise in flight; name the estimator that the tuning is for."
         )
-    baseline = tuple(baseline)
     flight = _flight(flight, lambda share: tell(0.3 * share, "reading"))
     known_vehicle = _vehicle(vehicle)
     lap("read_s")
-    source = "none"
-    if baseline:
-        from rotorwatch.calibrate import calibrate
-
-        healthy = [_flight(b) for b in baseline]
-        learned = calibrate(healthy, vehicle=known_vehicle)
-        known_vehicle = learned if known_vehicle is None else _with_identified(known_vehicle, learned)
-        source = f"{len(healthy)} healthy flight{'s' if len(healthy) > 1 else ''} of the same build"
-    elif known_vehicle is not None and known_vehicle.identified:
-        source = f"vehicle file {known_vehicle.name}"
-    craft = known_vehicle or airframes.identify(flight)
+    craft, source, told = baselines.settle(flight, known_vehicle, baseline)
     lap("baseline_s")
     known = bool(craft.identified)
     dynamics = (craft.identified or {}).get("dynamics")
@@ -85,7 +76,7 @@ def diagnose(
     ready_s = READY_KNOWN_S if dynamics and flight.has("gyro") else READY_S
     air = airborne(flight) if flight.has("motors") else ()
     table = observe(flight, craft, air, ready_s)
-    warnings = list(flight.warnings)
+    warnings = [*flight.warnings, *told]
     assumptions = list(craft.assumptions)
     if table is not None and dynamics and dynamics.get("dt") != table.dt:
         assumptions.append(
@@ -139,10 +130,10 @@ def diagnose(
     comparison = detectors.detect(flight, craft, air)
     lap("comparison_s")
     judged = (table.mode == JUDGE) & table.valid.any(axis=1)
+    spells = leftover.find(out, table, hyp, limit, found, B)
     end = conclusion.conclude(
         found, whole, len(craft.rotors), hidden=_hidden(out, table), judged_s=float(judged.sum() * table.dt), places=names,
-        doubts=trust.doubts(flight, craft, air, table),
-        leftover=leftover.find(out, table, hyp, limit, found), hops=air,
+        doubts=trust.doubts(flight, craft, air, table), leftover=spells, hops=air,
     )  # fmt: skip
     shift = out.biases[judged, 3]
     common = (
@@ -154,7 +145,7 @@ def diagnose(
     timing["total_s"] = time.perf_counter() - began
     return _answer(
         end, facts, common, source, assumptions, warnings, timing, estimator=estimator, comparison=comparison,
-        whole_flight=whole, trace=_trace(out, table, hyp, B, air, ready_s, limit),
+        whole_flight=whole, trace=traces.make(flight, out, table, hyp, B, air, ready_s, limit, end.events, spells),
     )  # fmt: skip
 
 
@@ -181,12 +172,6 @@ def _vehicle(vehicle) -> Vehicle | None:
     return vehicle
 
 
-def _with_identified(vehicle: Vehicle, learned: Vehicle) -> Vehicle:
-    from dataclasses import replace
-
-    return replace(vehicle, identified=learned.identified, assumptions=(*vehicle.assumptions, *learned.assumptions))
-
-
 def _facts(flight: Flight, vehicle: Vehicle, air, table: Ticks | None) -> dict:
     return {
         "name": flight.name,
@@ -197,6 +182,8 @@ def _facts(flight: Flight, vehicle: Vehicle, air, table: Ticks | None) -> dict:
         "geometry": [{"x": r.x, "y": r.y, "spin": r.spin} for r in vehicle.rotors],
         "rotors": len(vehicle.rotors),
         "duration_s": round(flight.duration, 3),
+        "boot_s": round(flight.start_us * 1e-6, 3) if 0 < flight.start_us < LONGEST_UP_US else None,
+        "utc_start": flight.facts.get("utc_start"),
         "airborne_s": [round(air[0][0], 3), round(air[-1][1], 3)] if air else [],
         "hops": [[round(a, 3), round(b, 3)] for a, b in air],
         "profile": _profile(flight, table),
@@ -226,27 +213,3 @@ def _hidden(out, table: Ticks) -> np.ndarray:
     if not judged.any():
         return np.ones(out.theta.shape[1])
     return np.minimum(1.0, 1.96 * np.median(out.detectable[judged], axis=0) + events.MODEL_SD)
-
-
-def _trace(out, table: Ticks, hyp, B, air, ready_s: float, limit: float) -> Trace:
-    sd = events.sd_of(out.theta, out.theta_sd, B)
-    spread = np.where(out.theta > 0, 1.96 * sd, 1.96 * np.where((table.mode == JUDGE)[:, None], out.detectable, 0.0))
-    evidence = {
-        name: out.log_odds[:, i] / LN10 for i, name in enumerate(hyp.names) if hyp.kinds[i] in ("single", "disturbance")
-    }
-    pairs = [i for i, kind in enumerate(hyp.kinds) if kind == "pair"]
-    evidence["best pair"] = out.log_odds[:, pairs].max(axis=1) / LN10
-    blind = [(a, min(a + ready_s, b), "learning after take-off") for a, b in air]
-    blind += [(c.time, c.time + ready_s, "learning after a contact") for c in table.contacts]
-    for start, end in _spans(table.time, table.upset & (table.mode > 0)):
-        blind.append((start, end, "upset: hover physics does not hold"))
-    return Trace(
-        table.time, out.theta, np.clip(out.theta - spread, 0, 1), np.clip(out.theta + spread, 0, 1), out.innovation,
-        np.sqrt(out.innovation_var), table.thrust * table.hover[:, None],
-        {k: np.clip(v, -3.0, None) for k, v in evidence.items()}, tuple(blind), tuple(air), limit / LN10,
-    )  # fmt: skip
-
-
-def _spans(when: np.ndarray, flag: np.ndarray) -> list[tuple[float, float]]:
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], flag, [False]]).astype(int)))
-    return [(float(when[a]), float(when[min(b, len(when) - 1)])) for a, b in zip(edges[::2], edges[1::2])]

@@ -60,8 +60,9 @@ class Trace:
     """What a picture of the flight needs, on the diagnoser's own ticks (T of them, n rotors).
 
     time (T,); loss, lower, upper (T, n); residual, residual_sd (T, 4) in hover-thrust units: roll, pitch, yaw, thrust;
-    command (T, n) share of full thrust; evidence: hypothesis name -> (T,) log10 odds against healthy;
-    blind: ((start, end, why), ...) when the diagnoser could not judge; airborne: ((start, end), ...).
+    command (T, n) share of full thrust, NaN where none is logged; evidence: hypothesis name -> (T,) log10 odds against healthy;
+    blind: ((start, end, why), ...) when the diagnoser could not judge; airborne: ((start, end), ...). attitude, wanted (T, 3): roll,
+    pitch, yaw in degrees, as flown and as asked for, or None; messages: ((time, kind, text), ...), kinds as in `flight.Message`.
     """
 
     time: np.ndarray
@@ -75,6 +76,9 @@ class Trace:
     blind: tuple[tuple[float, float, str], ...]
     airborne: tuple[tuple[float, float], ...]
     threshold: float = 0.0
+    attitude: np.ndarray | None = None
+    wanted: np.ndarray | None = None
+    messages: tuple[tuple[float, str, str], ...] = ()
 
 
 @dataclass(frozen=True)

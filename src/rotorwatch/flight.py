@@ -11,6 +11,8 @@ gyro       x y z                           rad/s    angular rate, body FRD
 rates      x y z                           rad/s    angular rate the rate controller used (filtered), body FRD
 accel      x y z                           m/s^2    specific force, body FRD (about -9.8 on z in hover)
 attitude   w x y z                         1        quaternion body FRD -> world NED, scalar first
+attitude_  w x y z                         1        attitude the controller was asked for, likewise (name: attitude_wanted)
+wanted
 velocity   n e d                           m/s      world NED
 position   n e d                           m        world NED
 throttle   out                             1        collective the autopilot asked for (0..1)

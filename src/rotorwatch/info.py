@@ -5,9 +5,9 @@ from __future__ import annotations
 from rotorwatch.diagnosis import SCHEMA
 from rotorwatch.errors import RotorwatchError
 from rotorwatch.flight import Flight, Signal
+from rotorwatch.readiness import Obstacle, obstacle
 
-# Below this rate a signal slows the diagnosis down; the default logging of both autopilots reaches it.
-USEFUL_HZ = 10.0
+# Faster logging than this finds nothing sooner.
 FAST_HZ = 50.0
 MESSAGES_SHOWN = 40
 
@@ -53,17 +53,21 @@ _WHY = {
 }
 
 
+_SIGNAL = {"trust": "log"}  # what is missing, for reasons that are no signal's name
+
+
 def info(flight: Flight) -> dict:
     """What `rotorwatch info --json` prints. Times in s from the first record of the log.
 
     schema, name, format, autopilot, firmware, vehicle_type, frame, rotors, duration_s; parameters: how many;
     airborne_s: [[start, end]]; signals: [{name, rate_hz, samples, columns, unit, frame, source, valid (share), start_s,
-    end_s}]; messages, the notable ones: [{time_s, kind, text}]; ready: whether a diagnosis is possible;
+    end_s}]; messages, the notable ones: [{time_s, kind, text}]; ready: whether `diagnose` judges it;
     missing: [{signal, why, setting, needed}]; warnings. docs/json.md has more on each.
     """
     frame, warnings = _frame(flight)
     airborne = _airborne(flight)
-    missing = _missing(flight, frame, airborne)
+    stop = obstacle(flight)
+    missing = _missing(flight, frame, stop)
     return {
         "schema": SCHEMA,
         "name": flight.name,
@@ -78,7 +82,7 @@ def info(flight: Flight) -> dict:
         "signals": [_signal(name, s) for name, s in sorted(flight.signals.items())],
         "parameters": len(flight.parameters),
         "messages": _messages(flight),
-        "ready": not any(gap["needed"] for gap in missing),
+        "ready": stop is None,
         "missing": missing,
         "warnings": [*flight.warnings, *warnings],
     }
@@ -119,8 +123,8 @@ def _airborne(flight: Flight) -> list[list[float]]:
         return []
 
 
-def _missing(flight: Flight, frame: str, airborne: list[list[float]]) -> list[dict]:
-    """Gaps, the ones that prevent a diagnosis first. A signal counts as there with two valid samples."""
+def _missing(flight: Flight, frame: str, stop: Obstacle | None) -> list[dict]:
+    """Gaps, the one that prevents a diagnosis first. A signal counts as there with two valid samples."""
     telemetry = "tlog" in flight.format.lower()
     settings = {"ardupilot": _ARDUPILOT, "px4": _PX4, "crazyflie": _CRAZYFLIE}.get(_family(flight), {})
     gaps = []
@@ -129,25 +133,34 @@ def _missing(flight: Flight, frame: str, airborne: list[list[float]]) -> list[di
             continue
         if name == "lift" and _family(flight) != "ardupilot":
             continue
-        needed = name == "motors" or (name == "gyro" and not _present(flight, "attitude"))
         setting = _TELEMETRY if telemetry else settings.get(name, f"Log it, or give a table with the signal '{name}'.")
-        gaps.append(_gap(name, why, setting, needed))
-    for name, setting in ({} if telemetry else _FASTER.get(_family(flight), {})).items():
+        gaps.append(_gap(name, why, setting, name == "motors"))
+    faster = {} if telemetry else _FASTER.get(_family(flight), {})
+    for name, setting in faster.items():
         # ArduPilot's motor commands are rebuilt from the rate controller's output where that is logged faster.
         rates = [flight[n].rate_hz for n in ((name, "control") if name == "motors" else (name,)) if _present(flight, n)]
         if _present(flight, name) and max(rates) < FAST_HZ:
-            enough = "enough for a diagnosis, but fast logging finds a loss sooner"
-            verdict = enough if max(rates) >= 0.9 * USEFUL_HZ else "slow, small losses are found late or not at all"
-            gaps.append(_gap(name, f"{name.capitalize()} at {max(rates):.3g} Hz: {verdict}.", setting, False))
-    if not frame and flight.rotor_count:
-        gaps.append(
-            _gap("frame", "The airframe cannot be told from this log.", "Give its geometry with --vehicle FILE.", True)
-        )
-    if not airborne:
-        gaps.append(
-            _gap("airborne", "No part of this log is in the air.", "Use a log of a flight, not of a bench test.", True)
-        )
+            gaps.append(
+                _gap(name, f"{name.capitalize()} at {max(rates):.3g} Hz: {_judged(max(rates))}.", setting, False)
+            )
+    if stop and stop.what != "motors":
+        setting = {
+            "frame": "Give its geometry with --vehicle FILE.",
+            "airborne": "Use a log of a flight, not of a bench test.",
+            "trust": "Use another log of this flight, or another flight.",
+        }
+        name, why = _SIGNAL.get(stop.what, stop.what), stop.why
+        if stop.what == "frame":  # the whole sentence is among the warnings
+            why = "The airframe cannot be told from this log." if not frame else why
+        gaps.append(_gap(name, why[:1].upper() + why[1:], setting[stop.what], True))
     return sorted(gaps, key=lambda gap: not gap["needed"])
+
+
+def _judged(rate_hz: float) -> str:
+    """What a rate means for the diagnosis, by the ticks that it is judged in."""
+    from rotorwatch.ticks import tick_length
+
+    return f"judged every {tick_length(rate_hz):g} s; faster logging finds a loss sooner"
 
 
 def _gap(signal: str, why: str, setting: str, needed: bool) -> dict:

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import airframes
+from rotorwatch import airframes, checks, files
 from rotorwatch.allocation import ambiguous_sets
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
@@ -117,10 +117,7 @@ class Observability:
         """Singular values along the manoeuvre, and how well each loss is known; written to `path` (SVG, PNG) when given.
 
         Raises ConfigError without matplotlib."""
-        try:
-            from matplotlib.figure import Figure
-        except ImportError:
-            raise ConfigError("Figures need matplotlib: install rotorwatch[research].") from None
+        Figure = checks.library("matplotlib.figure", "A figure").Figure
         picture = Figure(figsize=(9, 3.6), layout="constrained")
         left, right = picture.subplots(1, 2)
         hover, moving = self.cases
@@ -141,7 +138,8 @@ class Observability:
         right.set(title=f"Loss known after {SPAN_S:.0f} s (1 sd)", xlabel="rotor", ylabel="%")
         right.legend(frameon=False)
         if path is not None:
-            picture.savefig(path)
+            with files.replacing(path) as unfinished:
+                picture.savefig(unfinished)
         return picture
 
 

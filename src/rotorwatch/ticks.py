@@ -26,6 +26,7 @@ GAP_S = 2.0  # without any command: a flight ends there, see airborne.py
 SETTLE_S = 1.0  # after lift-off: the first second gives the hover command and is not judged
 UPSET_RATE = 6.0  # rad/s of roll or pitch rate: the vehicle tumbles, hover physics is over
 UPSET_TILT = np.cos(np.radians(65.0))
+CONTROLLED_SHARE, CONTROLLED_RATE = 0.65, 2.0  # of full thrust, and rad/s: below both a vehicle is under control
 
 GROUND, LEARN, JUDGE = 0, 1, 2
 AGAIN = 2  # in the place of a restart: the trim is learned afresh, what is known to be lost stays
@@ -40,7 +41,7 @@ class Ticks:
     valid (T, 4) bool; mode (T,) GROUND, LEARN or JUDGE; restart (T,) bool, first tick of a hop; dt s; hover (T,) mean share of full thrust
     per rotor that one unit of thrust stands for; side (T, 2): specific force forward and right [m/s^2], mean of the last SIDE_S, or None
     where nothing measures it. contact (T,) bool: something outside pushed the vehicle, and for `ready_s` after it its trim is learned
-    afresh (None: no contact); contacts: what and when.
+    afresh (None: no contact); contacts: what and when. seen (T,) bool: a tick with commands in it, else thrust is 0.
     """
 
     time: np.ndarray
@@ -60,6 +61,7 @@ class Ticks:
     side: np.ndarray | None = None
     contact: np.ndarray | None = None
     contacts: tuple[Contact, ...] = ()
+    seen: np.ndarray | None = None
 
 
 # Ticks in s, and the rate of commands in Hz from which on nearly all of them hold one.
@@ -142,6 +144,20 @@ def _window(signal: Signal, centre: np.ndarray, half: float):
     return middle, slope, covered
 
 
+def _learning_again(contact, restart, thrust, hover, rate, fresh, count: int) -> np.ndarray:
+    """(T,) bool: fewer than `count` ticks of controlled flight since the last contact of the hop. A vehicle that spins or has outputs
+    near their limits is not what its trim can be learned from."""
+    controlled = (
+        fresh
+        & ((thrust * hover[:, None]).max(axis=1) < CONTROLLED_SHARE)
+        & (np.abs(rate).max(axis=1) < CONTROLLED_RATE)
+    )
+    since = np.cumsum(controlled)
+    last = np.maximum.accumulate(np.where(contact, np.arange(len(since)), -1))
+    hop = np.maximum.accumulate(np.where(restart, np.arange(len(since)), 0))
+    return (last >= hop) & (last >= 0) & (since - since[np.maximum(last, 0)] < count)
+
+
 def _span(motion: Signal, commands: Signal, dt: float) -> float:
     """Half of the time over which a signal is averaged for a tick: the tick, but less where its commands are one snapshot."""
     if dt <= SHORTEST_S or commands.rate_hz > 1.5 / dt:
@@ -200,6 +216,9 @@ def make(
 
     valid = np.empty((count, 4), bool)
     valid[:, :3] = (some & gyro_ok)[:, None]
+    valid[:, 2] &= bool(
+        np.abs(B[2]).max() > 0.0
+    )  # rotors that make no yaw torque explain none: a servo yaws a tricopter
     valid[:, 3] = some & accel_ok
     mode = np.zeros(count, np.int32)
     restart = np.zeros(count, bool)
@@ -244,8 +263,9 @@ def make(
     wrench = thrust_units @ B.T
     fresh = some & gyro_ok & (accel_ok | (push is None)) & (mode > GROUND)
     contact, contacts = struck(time, push, load, thrust_units, wrench[:, :3], rate_dot, fresh, dt)
-    known = np.maximum.accumulate(np.where(contact, time, -np.inf))
-    mode[(mode == JUDGE) & (time < known + ready_s)] = LEARN
+    mode[(mode == JUDGE) & _learning_again(contact, restart, thrust_units, scale, rate, fresh, round(ready_s / dt))] = (
+        LEARN
+    )
     valid &= (~upset & ~contact & (mode > GROUND))[:, None]
     return Ticks(
         time,
@@ -265,4 +285,5 @@ def make(
         side,
         contact,
         contacts,
+        some,
     )

@@ -28,7 +28,7 @@ STILL_LONG_S, STILL_LONG_RAD, STILL_SAMPLES = 5.0, 0.2, 25
 # rad/s and m/s^2, means of half a second: beyond what gyros of autopilots measure (2000 deg/s) and airframes bear
 WILD_RATE, WILD_FORCE, WILD_S = 60.0, 20.0 * G0, 0.5
 SCALE = 2.5  # factor by which two measurements of one thing may differ
-MOVING = 0.15  # rad/s rms of angular rate, above which attitude and gyro can be compared
+MOVING = 0.05  # rad/s rms of angular rate, above which attitude and gyro can be compared
 ALIKE = 0.5  # correlation of two measurements of one motion
 # hover thrusts of one rotor and rotor for each rad/s^2: the smallest vehicles turn for no less (radius of gyration 2 cm, arms of 3 cm)
 LEAST_GAIN = 0.001
@@ -123,14 +123,15 @@ def attitude_against_gyro(case: Case) -> str | None:
     turned, rate = _turns(case.flight["attitude"], case.flight["gyro"], case.air)
     if len(rate) < 50 or np.sqrt(np.mean(rate**2)) < MOVING / SCALE or np.sqrt(np.mean(turned**2)) < MOVING:
         return None
-    # Of most of the flight: knocks and a crash show sensors' limits.
+    # Of most of the flight: knocks and a crash show sensors' limits. The axis that agrees best: one that shakes is sampled too slowly.
     bound = 5.0 * np.median(np.abs(rate)) + 1.0, 5.0 * np.median(np.abs(turned)) + 1.0
     calm = (np.abs(rate) < bound[0]).all(axis=1) & (np.abs(turned) < bound[1]).all(axis=1)
     rate, turned = rate[calm], turned[calm]
-    norm = np.sqrt(np.sum(rate**2) * np.sum(turned**2))
-    if norm <= 0.0 or np.sqrt(np.mean(turned**2)) < MOVING:
+    size = np.sqrt(np.sum(rate**2, axis=0)), np.sqrt(np.sum(turned**2, axis=0))
+    if len(rate) < 50 or min(s.max() for s in size) <= 0.0:
         return None
-    alike, scale = float(np.sum(rate * turned) / norm), float(np.sqrt(np.sum(rate**2) / np.sum(turned**2)))
+    each = np.sum(rate * turned, axis=0) / np.maximum(size[0] * size[1], 1e-12)
+    alike, scale = float(each.max()), float(size[0][each.argmax()] / max(size[1][each.argmax()], 1e-12))
     if alike < ALIKE:
         return (
             "gyro and attitude tell of different turns: they are not of one vehicle, one clock or one coordinate frame."

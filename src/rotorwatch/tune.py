@@ -15,14 +15,14 @@ Works for every estimator that says innovation and innovation_cov.
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
 from os import PathLike
 from typing import Any
 
 import numpy as np
 
-from rotorwatch import discovery, log_plant, published
+from rotorwatch import baselines, discovery, files, log_plant, published
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
 from rotorwatch.log_plant import LogPlant
@@ -30,6 +30,8 @@ from rotorwatch.published import Scaled, Tuning
 
 WALKS = ("theta_walk", "Q_theta", "theta_drift")  # what methods call the variance that a loss gains per second
 ROWS, SETTLE = 600, 40  # rows of one window, and how many of its first do not count
+LEAST_ROWS = 4 * SETTLE  # of a table that says something
+WORDS = {"p": "roll rate", "q": "pitch rate", "r": "yaw rate", "f_z": "thrust"}
 LOSS, GROWTH_S = 0.3, 0.3  # the loss put in, and how fast it grows
 RANGE = 1e4  # factors stay within this
 ROUNDS = 30
@@ -49,7 +51,9 @@ class Table:
 
 @dataclass(frozen=True)
 class Fit:
-    """What was found. before, after: log-likelihood of one measured row, on the flights fitted to."""
+    """What was found. before, after: log-likelihood of one measured row, on the flights fitted to; held_out: what was kept back from the
+    fit, held_out_before and held_out_after: the same on that, healthy rows only. notes: what makes the tuning doubtful, a sentence each.
+    """
 
     estimator: str
     plant: str
@@ -58,14 +62,27 @@ class Fit:
     before: float
     after: float
     flights: tuple[str, ...] = field(default=())
+    held_out: str = ""
+    held_out_before: float = float("nan")
+    held_out_after: float = float("nan")
+    notes: tuple[str, ...] = ()
 
     def to_dict(self) -> dict:
         """As in the file."""
         t = self.tuning
+        checked = {
+            "held_out": self.held_out,
+            "held_out_before": self.held_out_before,
+            "held_out_after": self.held_out_after,
+        }
+        checked = checked if self.held_out else {}
         return {
             "estimator": self.estimator, "plant": self.plant, "dt": self.dt, "q": [float(v) for v in t.q],
             "r": [float(v) for v in t.r], "keywords": {k: float(v) for k, v in t.keywords.items()},
-            "found": {"log_likelihood_before": self.before, "log_likelihood_after": self.after, "flights": list(self.flights)},
+            "found": {
+                "log_likelihood_before": self.before, "log_likelihood_after": self.after, "flights": list(self.flights), **checked,
+                "notes": list(self.notes),
+            },
         }  # fmt: skip
 
 
@@ -88,9 +105,9 @@ def fit(
     from scipy.optimize import minimize
 
     jax = load_jax()
-    tables = [t for t in tables if t.u.shape[0] >= 4 * SETTLE]
+    tables = [t for t in tables if t.u.shape[0] >= LEAST_ROWS]
     if not tables:
-        raise ConfigError(f"Tuning needs a healthy flight of at least {4 * SETTLE} rows after the learning time.")
+        raise ConfigError(f"Tuning needs a healthy flight of at least {LEAST_ROWS} rows after the learning time.")
     if len({(t.dt, t.system.n_u) for t in tables}) > 1:
         raise ConfigError("Tuning needs flights of one build, logged at one rate.")
     system, dt, walk = tables[0].system, tables[0].dt, walk_of(name)
@@ -123,28 +140,88 @@ def fit(
     if walk is not None:
         chosen[walk] = float(_default(name, walk, chosen) * factors[-1])
     tuning = Tuning(factors[:n_x], factors[n_x : n_x + n_y], chosen)
-    return Fit(name, system.name, dt, tuning, -first, -float(best.fun))
+    notes = _at_bounds(factors, system, walk)
+    if not best.fun < first:
+        notes.append("The fit found nothing better than the tuning it started from.")
+    return Fit(name, system.name, dt, tuning, -first, -float(best.fun), notes=tuple(notes))
 
 
-def tune(logs: Sequence[str | PathLike], estimator: str, rounds: int = ROUNDS, progress: Callable | None = None) -> Fit:
-    """`fit` the named estimator to healthy logs of one build. Raises LogError, VehicleError or ConfigError with one sentence."""
-    from dataclasses import replace
+def tune(
+    logs: baselines.Given | Iterable[baselines.Given],
+    estimator: str,
+    rounds: int = ROUNDS,
+    progress: Callable | None = None,
+) -> Fit:
+    """`fit` the named estimator to healthy logs of one build, and check it on what it was not fitted to.
 
-    from rotorwatch import airframes
-    from rotorwatch.airborne import airborne
-    from rotorwatch.diagnose import READY_S, observe
-    from rotorwatch.logs import read as read_log
-
+    Logs that are not healthy or not of one build are set aside (`baselines.healthy`). Of two flights and more the last is kept back for the
+    check, of a single long one its last quarter. Fit.notes say what was set aside, which factors ended at their bounds, and whether
+    what was kept back became less likely. Raises LogError, VehicleError or ConfigError with one sentence.
+    """
     if estimator == "default":
         raise ConfigError("The default estimator learns its noise in flight; tune a published one, such as ekf.")
     discovery.estimator(estimator)
-    hops: list[LogPlant] = []
-    for path in logs:
-        flight = read_log(path)
-        vehicle = airframes.identify(flight)
-        table = observe(flight, vehicle, airborne(flight), READY_S)
-        hops += log_plant.hops(table, vehicle.effectiveness()) if table is not None else ()
-    return replace(fit(estimator, hops, rounds=rounds, progress=progress), flights=tuple(str(p) for p in logs))
+    kept, aside = baselines.healthy(logs)
+    taught, held, held_name = _kept_back([(one.name, _hops(one)) for one in kept])
+    found = fit(estimator, taught, rounds=rounds, progress=progress)
+    notes = [*aside, *found.notes]
+    if held:
+        before, after = (_mean_likelihood(estimator, held, tuning) for tuning in (None, found.tuning))
+        found = replace(found, held_out=held_name, held_out_before=before, held_out_after=after)
+        if after < before:
+            notes.append(
+                f"The tuning makes things worse: on {held_name}, which it was not fitted to, the log-likelihood of a row falls from "
+                f"{before:.3f} to {after:.3f}; do not use it, or tune to more flights."
+            )
+    else:
+        notes.append("The tuning was not checked: give a second healthy flight, which is then kept back for that.")
+    return replace(found, flights=tuple(one.name for one in kept), notes=tuple(notes))
+
+
+def _hops(one: baselines.Candidate) -> list[LogPlant]:
+    """The hops of a healthy flight that are long enough to count."""
+    from rotorwatch.diagnose import READY_S, observe
+
+    table = observe(one.flight, one.vehicle, one.air, READY_S)
+    hops = log_plant.hops(table, one.vehicle.effectiveness()) if table is not None else ()
+    return [hop for hop in hops if len(hop.u) >= LEAST_ROWS]
+
+
+def _kept_back(flights: Sequence[tuple[str, list[LogPlant]]]) -> tuple[list[LogPlant], list[LogPlant], str]:
+    """Hops to fit to, hops to check on, and what those are called: the last flight, or the last quarter of a single long hop."""
+    flights = [(name, hops) for name, hops in flights if hops]
+    if len(flights) > 1:
+        name, held = flights[-1]
+        return [hop for _, hops in flights[:-1] for hop in hops], held, name
+    hops = [hop for _, found in flights for hop in found]
+    cut = len(hops[-1].u) * 3 // 4 if hops else 0
+    if not hops or len(hops[-1].u) - cut < LEAST_ROWS:
+        return hops, [], ""
+    return [*hops[:-1], hops[-1].part(0, cut)], [hops[-1].part(cut)], f"the last quarter of {flights[0][0]}"
+
+
+def _mean_likelihood(name: str, hops: Sequence[LogPlant], tuning: Tuning | None) -> float:
+    return float(np.average([log_likelihood(name, h, tuning) for h in hops], weights=[len(h.u) - SETTLE for h in hops]))
+
+
+def _at_bounds(factors: np.ndarray, system, walk: str | None) -> list[str]:
+    """A sentence on the factors (n_x + n_y, and the walk's) that ended at their bounds; none when there is none."""
+    what = [f"process noise of {name}" for name in _names(system, "x_names", system.n_x)]
+    what += [f"measurement noise of {name}" for name in _names(system, "y_names", system.n_y)]
+    ends = [(w, f) for w, f in zip([*what, walk], factors) if abs(np.log(f)) > 0.999 * np.log(RANGE)]
+    if not ends:
+        return []
+    said = ", ".join(f"{name} ({'largest' if factor > 1 else 'smallest'})" for name, factor in ends)
+    return [
+        f"The fit ran into its bounds, factors of {RANGE:g} up and down: {said}. The flights do not tell these, or the plant is "
+        "wrong in shape."
+    ]
+
+
+def _names(system, kind: str, count: int) -> list[str]:
+    """What a plant calls its states or measurements, in words where there are any, else numbers."""
+    names = [str(name) for name in getattr(system, kind, range(1, count + 1))]
+    return [WORDS.get(name, name) for name in names]
 
 
 def log_likelihood(name: str, table: LogPlant | Table, tuning: Tuning | None = None) -> float:
@@ -244,8 +321,8 @@ def write(found: Fit, path: str | PathLike) -> None:
         "\n[found]",
         *(f"{k} = {_toml(v)}" for k, v in d["found"].items()),
     ]
-    with open(path, "w", encoding="utf-8") as file:
-        file.write("\n".join(lines) + "\n")
+    with files.replacing(path) as unfinished:
+        unfinished.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def _toml(value) -> str:
@@ -263,7 +340,7 @@ def read(path: str | PathLike, estimator: str) -> Tuning:
     try:
         with open(path, "rb") as file:
             d = tomllib.load(file)
-    except tomllib.TOMLDecodeError as why:
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as why:
         raise ConfigError(f"{path} is no tuning file: {why}.") from None
     if d.get("estimator") != estimator:
         raise ConfigError(f"{path} holds a tuning for {d.get('estimator', 'no estimator')}, not for {estimator}.")

@@ -131,7 +131,9 @@ class WholeFlight:
     loss (n,), interval (n, 2): per rotor, 95 %. Verdict healthy: loss weighs in that nothing is wrong, and the interval
     reaches to what could have gone unnoticed; else both suppose that rotors are the cause.
     causes: what explains the difference, most probable first; empty when there is none. p_value: share of healthy
-    flights that differ at least so much. shift, shift_sd (3,): of w against the baseline. common: log ratio of the mean
+    flights that would differ at least so much if they spread as the model assumes; never below FALSE_FAULT, the smallest
+    share that a verdict is built on: neither the assumption nor a handful of flights can vouch for less.
+    shift, shift_sd (3,): of w against the baseline. common: log ratio of the mean
     command, which battery, payload and air density change too. flights: how many baseline flights were used.
     """
 
@@ -315,8 +317,6 @@ def judge(flight: Features, baseline: Sequence[Features], vehicle: Vehicle) -> W
     (something differs: rotors or the centre of mass, or not certain which rotors); inconclusive (too little hover).
     Raises ConfigError without a baseline or when numbers of rotors differ.
     """
-    from scipy.stats import f as f_distribution
-
     n = len(vehicle.rotors)
     if not baseline:
         raise ConfigError("Whole-flight damage can only be judged against healthy flights; give some with --baseline.")
@@ -328,10 +328,8 @@ def judge(flight: Features, baseline: Sequence[Features], vehicle: Vehicle) -> W
         return _undecided(n, f"too little steady hover in the {which} to compare whole flights.", len(healthy))
 
     shift, covariance, dof = _difference(flight, healthy, vehicle)
-    change, change_covariance, change_dof = _change(flight, healthy)
-    # Hotelling: T^2 / d follows F(d, dof) for a t distribution with that scale matrix.
-    p_mean = float(f_distribution.sf(shift @ np.linalg.solve(covariance, shift) / 3.0, 3, dof))
-    p_change = float(f_distribution.sf(change @ np.linalg.solve(change_covariance, change) / 3.0, 3, change_dof))
+    p_mean = _tail(shift, covariance, dof)
+    p_change = _tail(*_change(flight, healthy))
     p_value = min(1.0, p_mean / OF_MEAN, p_change / (1.0 - OF_MEAN))  # Bonferroni
     different = p_value < FALSE_ALARM
     hypotheses = _weigh(shift, covariance, dof, _mean_share(healthy), vehicle)
@@ -350,7 +348,7 @@ def judge(flight: Features, baseline: Sequence[Features], vehicle: Vehicle) -> W
     if different:
         sure = tuple(r for r in range(1, n + 1) if sum(c.probability for c in causes if r in c.rotors) >= SURE)
         suspects = sure or next(c.rotors for c in causes if c.kind == "rotors")
-        verdict, reason = _explain(causes, suspects, bool(sure), p_mean, p_change, p_value, flight, loss)
+        verdict, reason = _explain(causes, suspects, bool(sure), p_mean, p_change, p_value, flight, loss, healthy)
     common = float(np.log(np.mean(flight.share) / np.mean([np.mean(one.share) for one in healthy])))
     return WholeFlight(
         verdict=verdict,
@@ -359,7 +357,7 @@ def judge(flight: Features, baseline: Sequence[Features], vehicle: Vehicle) -> W
         loss=loss,
         interval=interval,
         causes=tuple(c for c in causes if c.probability > 0.01) if different else (),
-        p_value=p_value,
+        p_value=max(p_value, FALSE_FAULT),
         shift=_frozen(shift),
         shift_sd=_frozen(np.sqrt(np.diag(covariance))),
         common=common,
@@ -367,12 +365,37 @@ def judge(flight: Features, baseline: Sequence[Features], vehicle: Vehicle) -> W
     )
 
 
-def _explain(causes, suspects, sure, p_mean, p_change, p_value, flight, loss) -> tuple[str, str]:
+def rarity(flight: Features, others: Sequence[Features], vehicle: Vehicle) -> float:
+    """Share of healthy flights of the build that would differ from the others at least so much, under the model alone: no bound is put
+    on it, so it orders flights but is no odds. All flights must be `usable`."""
+    return min(
+        1.0,
+        _tail(*_difference(flight, others, vehicle)) / OF_MEAN,
+        _tail(*_change(flight, others)) / (1.0 - OF_MEAN),
+    )
+
+
+def _tail(x: np.ndarray, scale: np.ndarray, dof: float) -> float:
+    """Hotelling: x' scale^-1 x / d follows F(d, dof) when x (d,) has a t distribution with that scale matrix."""
+    from scipy.stats import f
+
+    return float(f.sf(x @ np.linalg.solve(scale, x) / len(x), len(x), dof))
+
+
+def _seldom(p_value: float, flights: int) -> str:
+    """How rare such a flight is, and what that rests on: few flights cannot show how much healthy ones differ."""
+    odds = f"1 in {1.0 / max(p_value, FALSE_FAULT):.0f}"
+    odds = f"fewer than {odds}" if p_value < FALSE_FAULT else odds
+    few = "one flight cannot show that" if flights == 1 else f"{flights} flights are too few to show that"
+    given = few if flights < PRIOR_FLIGHTS else f"{flights} flights were given"
+    return f"{odds} healthy flights would differ so much, if they spread as assumed ({given})"
+
+
+def _explain(causes, suspects, sure, p_mean, p_change, p_value, flight, loss, healthy) -> tuple[str, str]:
     """Verdict and sentence for a flight that differs."""
     named = " and ".join(f"{r} ({100 * loss[r - 1]:.0f} % loss)" for r in suspects)
     rotors = f"rotor{'s' if len(suspects) > 1 else ''} {named}"
-    seldom = f"1 in {1.0 / p_value:.0f}" if p_value > 1e-6 else "less than 1 in a million"
-    seldom = f"{seldom} healthy flights differ so much"
+    seldom = _seldom(p_value, len(healthy))
     if p_mean / OF_MEAN > max(FALSE_ALARM, p_change):
         return "ambiguous", f"the balance of the rotors changed in flight: a moving load, or {rotors}; {seldom}."
     limited = int(np.argmax(flight.limited))

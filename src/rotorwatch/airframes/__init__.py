@@ -14,12 +14,21 @@ import tomllib
 from importlib import resources
 from types import ModuleType
 
+from rotorwatch import vehicle_kind
 from rotorwatch.errors import VehicleError
 from rotorwatch.flight import Flight
 from rotorwatch.vehicle import Vehicle
 
-KINDS = {2: "quad", 13: "hexa", 14: "octa", 29: "dodecahexa", 35: "deca"}  # MAVLink MAV_TYPE
-WORDS = {"quad": "quad", "hexa": "hexa", "octo": "octa", "octa": "octa", "dodeca": "dodecahexa", "deca": "deca"}
+KINDS = {2: "quad", 15: "tri", 13: "hexa", 14: "octa", 29: "dodecahexa", 35: "deca"}  # MAVLink MAV_TYPE
+WORDS = {
+    "tricopter": "tri",
+    "quad": "quad",
+    "hexa": "hexa",
+    "octo": "octa",
+    "octa": "octa",
+    "dodeca": "dodecahexa",
+    "deca": "deca",
+}
 
 
 def modules() -> tuple[ModuleType, ...]:
@@ -31,8 +40,11 @@ def modules() -> tuple[ModuleType, ...]:
 def identify(flight: Flight) -> Vehicle:
     """The airframe of a flight.
 
-    Raises VehicleError when nothing in the log names an airframe, or when the frame contradicts the number of outputs.
+    Raises VehicleError when the log is of another kind of vehicle, when nothing in it names an airframe, or when the frame
+    contradicts the number of outputs.
     """
+    if other := vehicle_kind.refusal(flight):
+        raise VehicleError(other)
     for module in modules():
         vehicle = module.identify(flight)
         if vehicle is not None:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import functools
 import math
 import re
+from dataclasses import replace
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from rotorwatch.errors import VehicleError
 from rotorwatch.flight import Flight
 from rotorwatch.vehicle import Rotor, ThrustCurve, Vehicle, coaxial, note_on_coaxial
 
-CLASSES = {1: "quad", 2: "hexa", 3: "octa", 4: "octaquad", 5: "y6", 12: "dodecahexa", 14: "deca"}
+CLASSES = {1: "quad", 2: "hexa", 3: "octa", 4: "octaquad", 5: "y6", 7: "tri", 12: "dodecahexa", 14: "deca"}
 TYPES = {
     **{0: "plus", 1: "x", 2: "v", 3: "h", 4: "vtail", 5: "atail", 6: "plus-rev", 10: "b", 11: "f", 12: "bf-x"},
     **{
@@ -35,7 +36,7 @@ TYPES = {
         21: "cw-x-cor",
     },
 }
-UNSUPPORTED = {6: "a helicopter", 7: "a tricopter", 8: "a single copter", 9: "a coaxial copter", 10: "a bicopter"}
+UNSUPPORTED = {6: "a helicopter", 8: "a single copter", 9: "a coaxial copter", 10: "a bicopter"}
 UNSUPPORTED |= {
     11: "a dual helicopter",
     13: "a quad helicopter",
@@ -43,7 +44,7 @@ UNSUPPORTED |= {
     16: "a scripted frame",
     17: "a scripted frame",
 }
-ROTORS = {"quad": 4, "hexa": 6, "octa": 8, "octaquad": 8, "y6": 6, "dodecahexa": 12, "deca": 10}
+ROTORS = {"tri": 3, "quad": 4, "hexa": 6, "octa": 8, "octaquad": 8, "y6": 6, "dodecahexa": 12, "deca": 10}
 
 # One motor is (angle, yaw factor) or, where the arms are not on a circle, (right, forward, yaw factor).
 CCW, CW = 1.0, -1.0
@@ -121,6 +122,7 @@ FRAMES = {
         *((1, 2 / 3, CCW), (-1, 2 / 3, CW), (-1, 2 / 3, CCW)),
         *((0, -4 / 3, CW), (1, 2 / 3, CW), (0, -4 / 3, CCW)),
     ),
+    "tri": _ring((60, -60, 180), "000"),  # motors 1, 2 and 4; a servo yaws it
     "deca-plus": _ring(_steps(0, 36, 10), "+-" * 5),
     "deca-x": _ring(_steps(18, 36, 10), "+-" * 5),
     "deca-cw-x": _ring(_steps(18, 36, 10), "+-" * 5),
@@ -160,15 +162,18 @@ def identify(flight: Flight) -> Vehicle | None:
         frame = _old_frame(flight, notes)
         source = "FRAME"
     elif (guess := airframes.kind(flight)) is not None:
-        frame, source = f"{guess}-x", "vehicle type"
-        notes.append(f"The log only says that this is a {guess} rotor vehicle: frame {guess} X assumed.")
+        frame, source = "tri" if guess == "tri" else f"{guess}-x", "vehicle type"
+        if guess != "tri":
+            notes.append(f"The log only says that this is a {guess} rotor vehicle: frame {guess} X assumed.")
         if guess == "octa":
             notes.append(
                 "An octa can as well be a + or coaxial frame, and rotor numbers be wrong: give --vehicle FILE."
             )
     else:
         return None
-    return build(frame, curve(flight, notes), source=f"{source} in the log", assumptions=tuple(notes))
+    vehicle = build(frame, curve(flight, notes), source=f"{source} in the log", assumptions=tuple(notes))
+    # What the tilted rear motor must give more is not in the mixer's factors.
+    return replace(vehicle, mixer=None, assumptions=(*notes, TRI_NOTE)) if frame == "tri" else vehicle
 
 
 def build(frame: str, curve: ThrustCurve, source: str = "airframe name", assumptions: tuple[str, ...] = ()) -> Vehicle:
@@ -178,6 +183,8 @@ def build(frame: str, curve: ThrustCurve, source: str = "airframe name", assumpt
     rotors = coaxial(tuple(Rotor(float(x), float(y), int(np.sign(s))) for x, y, s in zip(forward, right, yaw)), below)
     columns = [0.5 * v / max(np.abs(v).max(), 1e-9) for v in (-right, forward, yaw)]
     mixer = np.stack([*columns, np.ones(len(rotors))], axis=1)
+    if frame == "tri":
+        mixer[:2, 1] = 0.5  # AP_MotorsTri.cpp: as much as the rear motor
     if frame in CO_ROTATING:
         mixer[~below] *= 0.9
     return Vehicle(
@@ -234,9 +241,9 @@ def _frame(number: int, kind: int) -> str:
         raise VehicleError(
             f"FRAME_CLASS {number} is not a multirotor frame; describe the airframe with --vehicle FILE."
         )
-    if name == "y6":  # every type but B and F is the same default Y6
-        return {10: "y6-b", 11: "y6-f"}.get(kind, "y6")
-    frame = f"{name}-{TYPES.get(kind, kind)}"
+    if name == "tri":
+        return name
+    frame = _of_type(name, kind)
     if frame not in FRAMES:
         raise VehicleError(
             f"FRAME_CLASS {number} with FRAME_TYPE {kind} is not a frame of ArduPilot; "
@@ -247,6 +254,11 @@ def _frame(number: int, kind: int) -> str:
 
 def _old_frame(flight: Flight, notes: list[str]) -> str:
     """Before 3.5 the class was compiled in: the firmware's 'Frame: QUAD' text has it, else the number of motors."""
+    if not flight.rotor_count:
+        raise VehicleError(
+            f"{flight.name or 'The log'} holds no motor outputs (RCOU records, or MOT before ArduCopter 3.2), so its rotors "
+            "cannot be judged; include motors in LOG_BITMASK for the next flight."
+        )
     kind = int(airframes.finite(flight)["FRAME"])
     texts = [m.text for m in flight.messages if m.kind == "text"] + [flight.firmware, flight.vehicle_type]
     for text in texts:
@@ -255,19 +267,47 @@ def _old_frame(flight: Flight, notes: list[str]) -> str:
             name = found.group(1).replace("_", "").lower()
             break
     else:
-        name = {4: "quad", 6: "hexa", 8: "octa"}.get(flight.rotor_count, "")
-        notes.append(
-            f"The log does not name its frame class: {name} taken from its {flight.rotor_count} motor outputs."
-        )
-    if name in ("tri", "heli") or not name:
+        classes = {4: ("quad",), 6: ("hexa", "y6"), 8: ("octa", "octaquad")}.get(flight.rotor_count, ("",))
+        name, told = _class_by_outputs(flight, classes, kind)
+        how = "the only one that its outputs can be mixed for" if told else f"its {flight.rotor_count} motor outputs"
+        notes.append(f"The log does not name its frame class: {name} taken from {how}.")
+    if name == "tri":
+        return name
+    if name == "heli" or not name:
         raise VehicleError(
             "The firmware of this log flies a frame that is not supported: only multirotors with fixed rotors are."
         )
-    if name == "y6":
-        return {10: "y6-b", 11: "y6-f"}.get(kind, "y6")
-    if f"{name}-{TYPES.get(kind)}" not in FRAMES:
+    frame = _of_type(name, kind)
+    if frame not in FRAMES:
         raise VehicleError(f"FRAME {kind} is not a {name} frame; describe the airframe with --vehicle FILE.")
-    return f"{name}-{TYPES[kind]}"
+    return frame
+
+
+def _of_type(name: str, kind: int) -> str:
+    """The frame of a class and a FRAME_TYPE; every Y6 but B and F is the same default one."""
+    return {10: "y6-b", 11: "y6-f"}.get(kind, "y6") if name == "y6" else f"{name}-{TYPES.get(kind)}"
+
+
+def _class_by_outputs(flight: Flight, classes: tuple[str, ...], kind: int) -> tuple[str, bool]:
+    """(class, True) when the outputs move as one mixer alone can move them, else (the first class, False).
+
+    A mixer moves n outputs along four directions only. What of their differences lies off those is compared.
+    """
+    motors, thrust = flight["motors"], curve(flight, [])
+    rows = motors.valid.all(axis=1) & (motors.values > thrust.u_min).all(axis=1)
+    able = [c for c in classes if _of_type(c, kind) in FRAMES]
+    if len(able) < 2 or rows.sum() < 50:
+        return able[0] if able else classes[0], False
+    apart = thrust(motors.values[rows])
+    apart = apart - apart.mean(axis=1, keepdims=True)
+    apart = apart - apart.mean(axis=0)
+    off = []
+    for name in able:
+        span, _ = np.linalg.qr(np.array(build(_of_type(name, kind), thrust).mixer, float))
+        off.append(float(np.square(apart - apart @ span @ span.T).sum()))
+    order = np.argsort(off)
+    told = off[order[0]] < OFF_MIXER * off[order[1]]
+    return (able[int(order[0])], True) if told else (able[0], False)
 
 
 def _place(motor: tuple) -> tuple[float, float, float]:
@@ -278,5 +318,10 @@ def _place(motor: tuple) -> tuple[float, float, float]:
     return math.sin(angle), math.cos(angle), yaw
 
 
+OFF_MIXER = 0.25  # of what the next class leaves unexplained: by chance the sums differ by far less
+TRI_NOTE = (
+    "A tricopter: a servo yaws it, so yaw is not judged, and its outputs are not held against the mixer; "
+    "rotor 3 is motor 4, the rear one."
+)
 DEFAULT_CURVE = ThrustCurve(1150.0, 1950.0, 0.65, known=False)
 NAMES = {f"ardupilot-{frame}": functools.partial(build, frame, DEFAULT_CURVE) for frame in FRAMES}

@@ -30,12 +30,14 @@ FRAMES = {
     "hexa-coaxial": ((60, 60, 180, 180, -60, -60), (-1, 1, -1, 1, -1, 1)),
     "octa-x": ((22.5, -157.5, 67.5, 157.5, -22.5, -112.5, -67.5, 112.5), _OCTA),
     "octa-plus": ((0, 180, 45, 135, -45, -135, -90, 90), _OCTA),
+    "tri": ((60, -60, 180), (0, 0, 0)),
     "octa-coaxial": ((45, -45, -135, 135, -45, 45, 135, -135), _STACKED),
 }
 # SYS_AUTOSTART comes in thousands per frame; 1001 and 3010 are simulated quads, 10015 to 10020 quads of wide X shape.
 THOUSANDS = {4: "quad-x", 5: "quad-plus", 6: "hexa-x", 7: "hexa-plus", 8: "octa-x", 9: "octa-plus"}
-THOUSANDS |= {11: "hexa-coaxial", 12: "octa-coaxial"}
+THOUSANDS |= {11: "hexa-coaxial", 12: "octa-coaxial", 14: "tri"}
 SINGLE = {1001: "quad-x", 3010: "quad-x", **dict.fromkeys(range(10015, 10021), "quad-x"), 10040: "quad-x"}
+TILTING = 8  # CA_AIRFRAME of multirotors with tilting rotors
 USUAL_EXPO = 0.65  # ESCs without a thrust model: what most propeller test stands show
 
 
@@ -55,9 +57,14 @@ def identify(flight: Flight) -> Vehicle | None:
         if frame is None:
             return None
         name, rotors = f"px4-{frame}", place(frame)
+    tilts = len(rotors) == 3 and not any(r.spin for r in rotors)
+    if tilts:
+        notes.append(
+            "A tricopter: a servo yaws it, so yaw is not judged, and its outputs are not held against the mixer."
+        )
     return Vehicle(
         *(name, rotors, curve(flight, notes)),
-        mixer=mix(rotors),
+        mixer=None if tilts else mix(rotors),
         source=source,
         assumptions=(*notes, *note_on_coaxial(rotors)),
         extra={"mixer_expo": mixer_expo(flight), "rests_at_minimum": True},
@@ -117,7 +124,8 @@ def _rotors_from_parameters(flight: Flight, notes: list[str]) -> tuple[Rotor, ..
     count = int(p.get("CA_ROTOR_COUNT", 0))
     if not 3 <= count <= 12:
         return None
-    if p.get("CA_AIRFRAME", 0) != 0:
+    tricopter = p.get("CA_AIRFRAME", 0) == TILTING and count == 3 and p.get("CA_SV_TL_COUNT", 0) > 0
+    if p.get("CA_AIRFRAME", 0) != 0 and not tricopter:
         raise VehicleError(
             f"CA_AIRFRAME {int(p['CA_AIRFRAME'])} is not a plain multirotor; "
             "describe its lifting rotors with --vehicle FILE if they fly it alone."
@@ -131,6 +139,8 @@ def _rotors_from_parameters(flight: Flight, notes: list[str]) -> tuple[Rotor, ..
         notes.append("Rotors are tilted (CA_ROTOR*_AX, _AY): treated as upright.")
     if strength.min() <= 0.0:
         strength = np.ones(count)
+    if tricopter:
+        moment = np.zeros(count)
     # Positions count from the centre of gravity.
     rotors = tuple(Rotor(float(a), float(b), int(np.sign(m))) for a, b, m in zip(x, y, moment))
     rotors = coaxial(rotors, lower_of_pairs(rotors, z))
@@ -144,6 +154,8 @@ def _frame(flight: Flight, notes: list[str]) -> tuple[str | None, str]:
         if start in SINGLE and start > 10000:
             notes.append(f"SYS_AUTOSTART {start} is a quad of wide X shape: taken as a square X.")
         return frame, f"SYS_AUTOSTART {start} in the log"
+    if airframes.kind(flight) == "tri":
+        return "tri", "vehicle type in the log"
     guess = f"{airframes.kind(flight)}-x"
     if guess in FRAMES:
         notes.append(f"The log only names its vehicle type: frame {guess} assumed.")

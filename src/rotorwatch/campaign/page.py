@@ -11,7 +11,7 @@ from typing import Any
 
 from rotorwatch import __version__
 from rotorwatch.campaign.summary import DRAWN, cell
-from rotorwatch.report.figures import COLOURS
+from rotorwatch.report.colours import PALETTE as COLOURS
 
 STYLE = """body{font:15px/1.5 system-ui,sans-serif;max-width:84rem;margin:2rem auto;padding:0 1rem;color:#222;background:#fff}
 table{border-collapse:collapse;font-size:.85rem;margin:1rem 0}td,th{padding:.15rem .6rem;text-align:right;border-bottom:1px solid #ddd}

@@ -19,6 +19,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from rotorwatch import checks
 from rotorwatch.campaign.plan import Plan
 from rotorwatch.campaign.score import COLUMNS
 from rotorwatch.errors import ConfigError
@@ -46,13 +47,9 @@ class Work(NamedTuple):
 
 def parquet() -> Any:
     """pyarrow with its parquet module. Raises ConfigError where it is not installed."""
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ImportError as error:
-        raise ConfigError(
-            "A campaign keeps its results as Parquet, which needs pyarrow: pip install rotorwatch[parquet]."
-        ) from error
+    checks.library("pyarrow.parquet", "A campaign, which keeps its results as Parquet,")
+    import pyarrow
+
     return pyarrow
 
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 import click
 
-from rotorwatch.commands.tools import LOG, common, say
+from rotorwatch.commands.tools import LOG, OUT, common, live, say
 
 
 def register(group: click.Group) -> None:
@@ -22,7 +21,7 @@ def register(group: click.Group) -> None:
     "--flights", type=click.IntRange(1, 10_000_000), default=1000, show_default=True, help="How many, with those done."
 )
 @click.option("--jobs", type=click.IntRange(1, 256), help="Processes; default: one per processor.")
-@click.option("-o", "--out", required=True, type=LOG, metavar="DIR", help="Folder of the results.")
+@click.option("-o", "--out", required=True, type=OUT, metavar="DIR", help="Folder of the results.")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
 @common
 def campaign(plan, flights, jobs, out, as_json, quiet) -> None:
@@ -34,10 +33,12 @@ def campaign(plan, flights, jobs, out, as_json, quiet) -> None:
     import json
 
     from rotorwatch import campaign as campaigns
+    from rotorwatch import files
     from rotorwatch.campaign import batch, page
     from rotorwatch.campaign.store import Folder
 
     asked = campaigns.read(plan)
+    files.folder(out, "--out")
     if not quiet:
         say(f"{len(asked.cells)} kinds of flights, {len(asked.methods)} methods, {batch.where()}")
     with _progress(quiet) as tell:
@@ -55,7 +56,7 @@ def _progress(quiet: bool) -> Iterator:
     """A bar with flights per second and the time left on a terminal; a line now and then elsewhere. Yields work.Tell."""
     if quiet:
         yield None
-    elif not sys.stderr.isatty():
+    elif not live():
         yield _lines()
     else:
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from rotorwatch.commands.tools import LOG, common, say
+from rotorwatch.commands.tools import OUT, common, say
 
 
 def register(group: click.Group) -> None:
@@ -21,15 +21,16 @@ def register(group: click.Group) -> None:
 @click.option(
     "--vehicle", metavar="FILE|NAME", help="Vehicle file (TOML) or an airframe's name; default: the method's paper's."
 )
-@click.option("-o", "--out", required=True, type=LOG, metavar="DIR", help="Folder to write into.")
+@click.option("-o", "--out", required=True, type=OUT, metavar="DIR", help="Folder to write into.")
 @click.option("--dt", type=click.FloatRange(0, min_open=True), metavar="S", help="Length of a step.")
 @click.option("--variable-dt", is_flag=True, help="Let the step take its length as an argument.")
 @common
 def export_c(estimator, vehicle, out, dt, variable_dt, quiet) -> None:
     """Write an estimator as a C99 project that needs nothing but libm: header, source, example, CMakeLists (docs/export.md)."""
-    from rotorwatch import vehicle_file
+    from rotorwatch import files, vehicle_file
     from rotorwatch.export_c import export_c as run
 
+    files.folder(out, "--out")
     craft = vehicle
     if vehicle is not None and (Path(vehicle).suffix == ".toml" or Path(vehicle).exists()):
         craft = vehicle_file.read(vehicle)

@@ -6,9 +6,10 @@ from pathlib import Path
 
 import click
 
-from rotorwatch.commands.tools import LOG, common, progress, say, show
+from rotorwatch.commands.tools import OUT, common, progress, say, show
 from rotorwatch.errors import ConfigError
 
+PICTURES = (".svg", ".png", ".pdf")
 FIGURES = "Draw the paper's figures again, as SVG files in this folder."
 
 
@@ -25,13 +26,21 @@ def register(group: click.Group) -> None:
     metavar="FILE|NAME",
     help="Vehicle file (TOML), or an airframe's name (docs/airframes.md).",
 )
-@click.option("--figure", type=LOG, metavar="OUT.svg", help="Draw it.")
+@click.option("--figure", type=OUT, metavar="OUT.svg", help="Draw it.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @common
 def observability(vehicle, figure, as_json, quiet) -> None:
     """Say which losses of which rotors can be told apart on this airframe, in hover and in a manoeuvre."""
+    from rotorwatch import checks, files
     from rotorwatch.observability import observability as run
 
+    if figure:
+        files.writable(figure, "--figure")
+        if figure.suffix.lower() not in PICTURES:
+            raise ConfigError(
+                f"--figure {figure}: give a name that ends in {', '.join(PICTURES[:-1])} or {PICTURES[-1]}."
+            )
+        checks.library("matplotlib.figure", "A figure")
     with progress(quiet) as tell:
         result = run(_vehicle(vehicle), progress=tell)
         if figure:
@@ -61,17 +70,24 @@ def _vehicle(name: str):
 @click.option(
     "--literal", multiple=True, metavar="NAME", help="Read this erratum as the paper prints it, to see what it does."
 )
-@click.option("--figures", type=LOG, metavar="DIR", help=FIGURES)
+@click.option("--figures", type=OUT, metavar="DIR", help=FIGURES)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON; for `all` a list.")
 @common
 def reproduce(paper, seeds, literal, figures, as_json, quiet) -> None:
     """Run the experiments of PAPER (or of `all`): each claim beside what comes out here, a verdict, and why."""
+    from rotorwatch import checks, files
     from rotorwatch.studies import reproduction
 
     known = reproduction.studies()
     modules = list(known.values()) if paper == "all" else [reproduction.study(paper)]
     if paper == "all" and literal:
         raise ConfigError(f"--literal belongs to one paper; name it instead of `all`: {', '.join(known)}.")
+    if figures:
+        files.folder(figures, "--figures")
+        checks.library("matplotlib.figure", "A figure")
+    for module in modules:
+        reproduction.check_literal(module, literal)
+        reproduction.check_libraries(module)
     results = []
     for module in modules:
         with progress(quiet) as tell:
@@ -94,9 +110,11 @@ def reproduce(paper, seeds, literal, figures, as_json, quiet) -> None:
 
 def _draw(module, result, folder: Path) -> list[Path]:
     """The study's figures as SVG files in a folder; returns where."""
-    folder.mkdir(parents=True, exist_ok=True)
+    from rotorwatch import files
+
     paths = []
     for stem, figure in module.figures(result).items():
         paths.append(folder / f"{stem}.svg")
-        figure.savefig(paths[-1], metadata={"Date": None})
+        with files.replacing(paths[-1]) as unfinished:
+            figure.savefig(unfinished, metadata={"Date": None})
     return paths

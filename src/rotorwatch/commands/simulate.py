@@ -10,7 +10,7 @@ from pathlib import Path
 
 import click
 
-from rotorwatch.commands.tools import LOG, common, progress, say
+from rotorwatch.commands.tools import LOG, OUT, common, progress, say
 from rotorwatch.errors import ConfigError
 
 
@@ -26,7 +26,7 @@ def register(group: click.Group) -> None:
     "-o",
     "--out",
     required=True,
-    type=LOG,
+    type=OUT,
     metavar="FLIGHT",
     help="FLIGHT.bin or .ulg; without ending: both. A helicopter's: .csv or .parquet.",
 )
@@ -36,8 +36,10 @@ def simulate(scenario, out, seed, quiet) -> None:
     """Fly SCENARIO (TOML, docs/simulation.md): writes an ArduPilot .bin or a PX4 .ulg as the autopilot would have logged it (of a
     helicopter a .csv or .parquet table), and what was broken beside it, as FLIGHT.truth.json and FLIGHT.truth.csv.
     """
-    from rotorwatch import simulation
+    from rotorwatch import files, simulation
     from rotorwatch.simulation.scenario import read
+
+    files.writable(out, "--out")
 
     asked = read(scenario)
     if seed is not None:
@@ -67,17 +69,11 @@ def simulate(scenario, out, seed, quiet) -> None:
 
 @contextmanager
 def _all_or_none(out: Path) -> Iterator[Path]:
-    """A hidden folder beside `out`, whose files are moved to where `out` is when all are written. Raises ConfigError before that."""
+    """A hidden folder beside `out`, whose files are moved to where `out` is when all are written."""
     folder = out.absolute().parent
-    if not folder.is_dir():
-        raise ConfigError(f"--out {out}: there is no folder {out.parent}.")
-    try:
-        hidden = tempfile.TemporaryDirectory(prefix=".rotorwatch-", dir=folder)
-    except OSError as error:
-        raise ConfigError(f"--out {out}: cannot write to {out.parent}: {error.strerror or error}.") from error
-    with hidden:
-        yield Path(hidden.name)
-        for path in Path(hidden.name).iterdir():
+    with tempfile.TemporaryDirectory(prefix=".rotorwatch-", dir=folder) as hidden:
+        yield Path(hidden)
+        for path in Path(hidden).iterdir():
             os.replace(path, folder / path.name)
 
 
@@ -110,8 +106,9 @@ def estimate(log, airframe, estimator, lag, as_json, quiet) -> None:
     """
     import json
 
-    from rotorwatch import helicopter_log, logs
+    from rotorwatch import checks, helicopter_log, logs
 
+    checks.finite("--lag", lag)
     with progress(quiet) as tell:
         found = helicopter_log.estimate(logs.read(log), airframe, estimator, lag, tell)
     said = helicopter_log.said(found)

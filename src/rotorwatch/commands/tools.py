@@ -1,9 +1,12 @@
-"""What all commands share: their common options, the progress bar, tables and messages."""
+"""What all commands share: their arguments and common options, the progress bar, tables and messages."""
 
 from __future__ import annotations
 
 import os
+import re
+import stat
 import sys
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,12 +14,82 @@ from typing import Any
 
 import click
 
-LOG = click.Path(path_type=Path)
+from rotorwatch.errors import BackendWarning, ConfigError
+
+MOST_INPUT = 4 << 30  # bytes taken from standard input or a pipe
+_spool: list[str] = []  # the folder in which what came through a pipe lies, once there is one
+
+
+class Log(click.ParamType):
+    """A file to be read: a Path. `-` is standard input; it and other pipes are kept in a file, as readers look at the whole of a log."""
+
+    name = "file"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
+        from rotorwatch.files import no_address
+
+        if isinstance(value, Path):
+            return value
+        if not value:
+            raise ConfigError("An empty file name was given; give a file.")
+        no_address(value)
+        if value == "-":
+            return _standard_input()
+        path = Path(value)
+        try:
+            kind = path.stat().st_mode
+        except (OSError, ValueError):
+            return path  # whoever reads it says what is wrong
+        if stat.S_ISFIFO(kind):
+            with open(path, "rb") as pipe:
+                return _kept(pipe, f"pipe {path.name}")
+        if not stat.S_ISREG(kind) and not stat.S_ISDIR(kind):
+            raise ConfigError(f"{value} is a device, not a file; give a flight log.")
+        return path
+
+
+def _standard_input() -> Path:
+    if sys.stdin is None or sys.stdin.isatty():
+        raise ConfigError(
+            "- stands for standard input, where no log comes in: write `rotorwatch diagnose - < flight.bin`."
+        )
+    if any(Path(_spool[0]).glob("*/standard input") if _spool else ()):
+        raise ConfigError("Standard input (-) can be read only once.")
+    return _kept(sys.stdin.buffer, "standard input")
+
+
+def _kept(stream: Any, name: str) -> Path:
+    """All of a stream in a file of that name, in a folder that goes with the process."""
+    import atexit
+    import shutil
+    import tempfile
+
+    if not _spool:
+        _spool.append(tempfile.mkdtemp(prefix="rotorwatch-"))
+        atexit.register(shutil.rmtree, _spool[0], ignore_errors=True)
+    path, size = Path(tempfile.mkdtemp(dir=_spool[0])) / name, 0
+    with open(path, "wb") as file:
+        while block := stream.read(1 << 20):
+            size += len(block)
+            if size > MOST_INPUT:
+                raise ConfigError(f"{name} holds more than {MOST_INPUT >> 30} GB, which no flight log does.")
+            file.write(block)
+    return path
+
+
+LOG = Log()
+OUT = click.Path(path_type=Path)
+
+
+def label(text: Any) -> str:
+    """A name, or a sentence with one, as the user knows it: what came through a pipe has no folder; bytes that are no text as \\udcXX."""
+    shown = re.sub(re.escape(_spool[0]) + r"/[^/]*/", "", str(text)) if _spool else str(text)
+    return shown.encode("utf-8", "backslashreplace").decode("utf-8")
 
 
 def say(text: str) -> None:
     """A message to the user, on standard error."""
-    click.echo(f"rotorwatch: {text}", err=True)
+    click.echo(f"rotorwatch: {label(text)}", err=True)
 
 
 def debug(context: click.Context, parameter: click.Parameter, on: bool) -> None:
@@ -25,13 +98,35 @@ def debug(context: click.Context, parameter: click.Parameter, on: bool) -> None:
         os.environ["ROTORWATCH_DEBUG"] = "1"
 
 
+def _hush(context: click.Context, parameter: click.Parameter, on: bool) -> bool:
+    """Callback of --quiet: not even the warning that native code cannot be had."""
+    if on:
+        warnings.filterwarnings("ignore", category=BackendWarning)
+    return on
+
+
 def common(command: Callable) -> Callable:
     """Options every command has."""
-    quiet = click.option("--quiet", "-q", is_flag=True, help="No progress and no warnings on standard error.")
+    quiet = click.option(
+        "--quiet", "-q", is_flag=True, callback=_hush, help="No progress and no warnings on standard error."
+    )
     tracebacks = click.option(
         "--debug", is_flag=True, expose_value=False, callback=debug, help="Show tracebacks of errors."
     )
     return quiet(tracebacks(command))
+
+
+def shares(option: str, text: str) -> tuple[float, ...]:
+    """Losses given with commas. Raises ConfigError unless each is above 0 and below 1."""
+    try:
+        found = tuple(float(x) for x in text.split(","))
+    except ValueError:
+        raise ConfigError(f"{option} {text}: give numbers with commas, as in 0.2,0.3.") from None
+    if not all(0 < x < 1 for x in found):
+        raise ConfigError(
+            f"{option} {text}: a loss is above 0 and below 1; no vehicle flies on as before with a dead rotor."
+        )
+    return found
 
 
 def show(table: Callable[[Any], Any]) -> None:
@@ -47,10 +142,17 @@ def show(table: Callable[[Any], Any]) -> None:
     click.echo("\n".join(line.rstrip() for line in text.get().splitlines()))
 
 
+def live() -> bool:
+    """Whether a bar can move on standard error: a terminal that can go back in its line."""
+    return (
+        sys.stderr is not None and sys.stderr.isatty() and os.environ.get("TERM", "").lower() not in ("dumb", "unknown")
+    )
+
+
 @contextmanager
 def progress(quiet: bool) -> Iterator[Callable | None]:
     """A progress bar on standard error when that is a terminal, else nothing. Yields tell(share 0..1, text)."""
-    if quiet or not sys.stderr.isatty():
+    if quiet or not live():
         yield None
         return
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn

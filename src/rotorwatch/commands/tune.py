@@ -6,7 +6,7 @@ import json
 
 import click
 
-from rotorwatch.commands.tools import LOG, common, progress, say
+from rotorwatch.commands.tools import LOG, OUT, common, progress, say, shares
 from rotorwatch.errors import ConfigError
 
 
@@ -19,7 +19,7 @@ def register(group: click.Group) -> None:
 @click.command(short_help="Fit an estimator's noise to healthy flights.")
 @click.argument("logs", nargs=-1, type=LOG, metavar="LOG...")
 @click.option("--estimator", default="ekf", show_default=True, metavar="NAME", help="Published method to tune.")
-@click.option("-o", "--out", type=LOG, metavar="tuning.toml", help="Tuning file to write.")
+@click.option("-o", "--out", type=OUT, metavar="tuning.toml", help="Tuning file to write.")
 @click.option("--rounds", default=30, show_default=True, type=click.IntRange(1), help="Steps of the optimiser.")
 @click.option(
     "--papers", is_flag=True, help="Instead: what tuning brings over each paper's hand tuning, on simulated flights."
@@ -31,6 +31,7 @@ def tune(logs, estimator, out, rounds, papers, as_json, quiet) -> None:
 
     Give the file to `rotorwatch diagnose --estimator NAME --tuning FILE` later.
     """
+    from rotorwatch import files
     from rotorwatch.tune import tune as run
     from rotorwatch.tune import write
 
@@ -43,6 +44,8 @@ def tune(logs, estimator, out, rounds, papers, as_json, quiet) -> None:
         return
     if not logs:
         raise ConfigError("Give healthy logs of one build to tune to, or --papers.")
+    if out:
+        files.writable(out, "--out")
     with progress(quiet) as tell:
         found = run(logs, estimator, rounds, tell)
     if out:
@@ -55,6 +58,12 @@ def tune(logs, estimator, out, rounds, papers, as_json, quiet) -> None:
         click.echo(f"{name}, factors on the variances: {', '.join(f'{v:.3g}' for v in values)}")
     for name, value in found.tuning.keywords.items():
         click.echo(f"{name}: {value:.3g}")
+    if found.held_out:
+        click.echo(
+            f"on {found.held_out}, which was not fitted to: {found.held_out_before:.3f} as it was, {found.held_out_after:.3f} as tuned"
+        )
+    for note in found.notes:
+        click.echo(f"note: {note}")
     if out and not quiet:
         say(f"tuning written to {out}")
 
@@ -71,25 +80,26 @@ def tune(logs, estimator, out, rounds, papers, as_json, quiet) -> None:
 @click.option(
     "--losses", default="0.2,0.4", show_default=True, metavar="L,L,...", help="Losses to simulate and to put in, 0..1."
 )
-@click.option("--seeds", default=2, show_default=True, type=click.IntRange(0), help="Simulated flights of each kind.")
+@click.option(
+    "--seeds", default=2, show_default=True, type=click.IntRange(0, 1000), help="Simulated flights of each kind."
+)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @common
 def compare(logs, truth, estimators, losses, seeds, as_json, quiet) -> None:
     """Run all estimators on simulated flights, on healthy LOGs with losses put in, and on LOGs with a table of their faults."""
+    from rotorwatch import discovery
     from rotorwatch.studies import compare_flights as flights
     from rotorwatch.studies.compare import compare as run
     from rotorwatch.studies.compare import markdown
 
-    try:
-        shares = tuple(float(x) for x in losses.split(","))
-    except ValueError:
-        raise ConfigError(f"--losses {losses}: give numbers with commas, as in 0.2,0.3.") from None
-    if not all(0 < x < 1 for x in shares):
-        raise ConfigError(f"--losses {losses}: a loss is above 0 and below 1.")
-    names = [name.strip() for name in estimators.split(",")] if estimators else []
+    wanted = shares("--losses", losses)
+    if truth and not logs:
+        raise ConfigError("--truth says what is wrong with LOGs; give them, too.")
+    names = [name.strip() for name in estimators.split(",") if name.strip()] if estimators else []
+    for name in names:
+        discovery.estimator(name)
     with progress(quiet) as tell:
-        scenes = flights.simulated(seeds, shares, tell) if seeds else []
-        if logs:
-            scenes += flights.with_truth(logs, truth) if truth else flights.injected(logs, shares)
+        scenes = [] if not logs else flights.with_truth(logs, truth) if truth else flights.injected(logs, wanted)
+        scenes = [*(flights.simulated(seeds, wanted, tell) if seeds else ()), *scenes]
         result = run(scenes, names, tell)
     click.echo(json.dumps(result, indent=1, allow_nan=False) if as_json else markdown(result).strip())

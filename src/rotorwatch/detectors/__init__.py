@@ -1,7 +1,8 @@
 """Published threshold detectors, to compare with: what the autopilots themselves would have said, and when.
 
-A module here offers ``name`` and ``detect(flight, vehicle, airborne) -> tuple[dict, ...]`` with a dict per finding:
-detector, rotor (1-based), time_s and reason (one sentence). Adding a detector is adding a file.
+A module here offers ``name``, ``autopilot`` (whose check it is, as `Flight.autopilot` names it) and
+``detect(flight, vehicle, airborne) -> tuple[dict, ...]`` with a dict per finding: detector, rotor (1-based), time_s and reason (one
+sentence). Adding a detector is adding a file.
 """
 
 from __future__ import annotations
@@ -21,7 +22,12 @@ def modules() -> tuple[ModuleType, ...]:
     return tuple(sorted(found, key=lambda module: module.name))
 
 
+def of(autopilot: str) -> tuple[ModuleType, ...]:
+    """The checks that this autopilot itself makes; none for one that no module is of."""
+    return tuple(module for module in modules() if module.autopilot.lower() == autopilot.lower())
+
+
 def detect(flight: Flight, vehicle: Vehicle, airborne: tuple[tuple[float, float], ...]) -> tuple[dict[str, Any], ...]:
-    """What all detectors find in a flight, in time order. airborne: ((start, end), ...) in s."""
-    found = [finding for module in modules() for finding in module.detect(flight, vehicle, airborne)]
+    """What the checks of the flight's own autopilot find, in time order. airborne: ((start, end), ...) in s."""
+    found = [finding for module in of(flight.autopilot) for finding in module.detect(flight, vehicle, airborne)]
     return tuple(sorted(found, key=lambda finding: (finding["time_s"], finding["detector"])))

@@ -15,6 +15,7 @@ from rotorwatch.flight import Flight
 from rotorwatch.vehicle import Vehicle
 
 name = "px4-esc-current"
+autopilot = "PX4"
 HAS_CURRENT = 0.1  # A that an ESC must have reported once to be believed at all
 
 

@@ -17,6 +17,7 @@ from rotorwatch.flight import Flight
 from rotorwatch.vehicle import Vehicle
 
 name = "ardupilot-thrust-loss"
+autopilot = "ArduPilot"
 MESSAGE = re.compile(r"potential thrust loss \((\d+)\)", re.IGNORECASE)
 
 HIGH_THROTTLE, LOW_THROTTLE = 0.9, 0.25

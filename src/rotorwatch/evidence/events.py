@@ -96,8 +96,9 @@ def read(out, ticks: Ticks, hyp: Hypotheses, B: np.ndarray | None = None) -> tup
     )
     for k in map(int, notable):
         if ticks.restart[k]:
-            for record in holder.values():
-                record.end = record.end if record.end is not None else float(ticks.time[record.last])
+            landed = max((int(j) for j in np.flatnonzero(ticks.mode[:k] == JUDGE)[-1:]), default=max(0, k - 1))
+            for record in holder.values():  # what lasted until the landing
+                record.end = record.end if record.end is not None else float(ticks.time[landed])
             holder, current, active, opened = {}, None, np.zeros_like(active), float(ticks.time[k])
         if out.opposite[k] >= 0:
             onset = float(ticks.command_time[max(0, k - round(float(out.opposite_onset[k])))])

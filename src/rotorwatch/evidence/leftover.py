@@ -2,8 +2,8 @@
 
 Announcing asks for more than a threshold: one hypothesis that beats every disturbance for a while, and a motion that fits it. Beside
 a loss that is already known, or with the vehicle at its limits, that may never be met although a second rotor is failing. Its evidence
-is then absorbed as a disturbance, and calling the rotor healthy would be wrong. Such a spell is not an event - which rotor, and how
-much, remains open - but it is said.
+is then absorbed as a disturbance, and calling the rotor healthy would be wrong. The same where the trim is learned afresh after a contact,
+and comes out changed as by a rotor's loss. Such a spell is not an event - which rotor, and how much, remains open - but it is said.
 """
 
 from __future__ import annotations
@@ -20,6 +20,10 @@ from rotorwatch.ticks import JUDGE, Ticks
 LASTS_S = 1.0
 RIVAL = np.log(10.0)  # nats: a disturbance so much likelier explains the motion instead
 ALIKE = np.log(10.0)  # nats: rotor sets so much less likely than the best are named with it
+TRIM_S = 2.0  # over which the trim before and after it was learned afresh is averaged
+# By how much the commanded wrench of trim is uncertain, in hover thrusts of one rotor, and how much of its change a rotor must explain.
+TRIM_SD = np.array([0.05, 0.05, 0.15, 0.2])
+LEAST_TRIM, UNEXPLAINED = 0.2, 0.5
 SETTLED_S = 6.0  # after an announcement its loss is still being refined, and so is what it leaves over
 
 
@@ -32,9 +36,12 @@ class Leftover:
     end_s: float
 
 
-def find(out, table: Ticks, hyp: Hypotheses, limit: float, events: Sequence[Event]) -> tuple[Leftover, ...]:
+def find(
+    out, table: Ticks, hyp: Hypotheses, limit: float, events: Sequence[Event], B: np.ndarray | None = None
+) -> tuple[Leftover, ...]:
     """Spells of at least LASTS_S, after the first event, in which faults of other rotors than the known ones have more evidence than
-    `limit` [nats] and no disturbance explains them better by RIVAL. out: the estimator's stacked outputs."""
+    `limit` [nats] and no disturbance explains them better by RIVAL; and, with B (4, n), trims that were learned afresh and changed as a
+    rotor's loss would change them. out: the estimator's stacked outputs."""
     known = [e for e in events if e.kind in ("loss_of_effectiveness", "output_override")]
     if not known:
         return ()
@@ -49,6 +56,10 @@ def find(out, table: Ticks, hyp: Hypotheses, limit: float, events: Sequence[Even
             if mark is not None:
                 over &= ~((time >= mark - 0.5) & (time <= mark + SETTLED_S))
         over &= ~((time >= e.onset_s) & (time <= e.detected_s))
+    for e in events:
+        if e.kind == "contact":  # what a knock leaves behind speaks of the knock
+            last = max(e.detected_s, e.end_s or 0.0)
+            over &= ~((time >= e.onset_s - 0.5) & (time <= last + SETTLED_S))
     members = np.array([[i in who for i in range(n)] for who in hyp.rotors])
     near = (odds > best_fault[:, None] - ALIKE) & fault
     edges = np.flatnonzero(np.diff(np.concatenate([[False], over, [False]]).astype(int)))
@@ -64,4 +75,29 @@ def find(out, table: Ticks, hyp: Hypotheses, limit: float, events: Sequence[Even
         mine = np.flatnonzero((weight > 0.5 * (b - a)) & ~own)
         if mine.size:
             found.append(Leftover(tuple(int(i) + 1 for i in mine), float(time[a]), float(time[b - 1])))
-    return tuple(found)
+    if B is not None:
+        found += _trims(np.asarray(out.biases), table, known, B)
+    return tuple(sorted(found, key=lambda spell: spell.start_s))
+
+
+def _trims(biases: np.ndarray, table: Ticks, known: Sequence[Event], B: np.ndarray) -> list[Leftover]:
+    """Times after an event when the vehicle flew on but was not judged, and the commanded wrench of trim, biases (T, 4), came out changed
+    along the direction of rotors, columns of B (4, n)."""
+    time, judging = table.time, table.mode == JUDGE
+    stops = np.flatnonzero(judging[:-1] & ~judging[1:])
+    found = []
+    for a in stops:
+        later = np.flatnonzero(judging[a + 1 :])
+        b = a + 1 + (later[0] if later.size else 0)
+        if not later.size or table.restart[a + 1 : b + 1].any() or time[a] < min(e.detected_s for e in known):
+            continue
+        before = judging & (time > time[a] - TRIM_S) & (time <= time[a])
+        after = judging & (time >= time[b]) & (time < time[b] + TRIM_S)
+        change = biases[after].mean(axis=0) - biases[before].mean(axis=0)
+        weighted, columns = change / TRIM_SD, B / TRIM_SD[:, None]
+        size = np.maximum(columns.T @ weighted, 0.0) / (columns**2).sum(axis=0)
+        left = np.linalg.norm(weighted[:, None] - columns * size, axis=0)
+        mine = np.flatnonzero((size > LEAST_TRIM) & (left < UNEXPLAINED * np.linalg.norm(weighted)))
+        if mine.size:
+            found.append(Leftover(tuple(int(i) + 1 for i in mine), float(time[a]), float(time[b])))
+    return found

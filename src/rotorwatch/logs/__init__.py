@@ -71,4 +71,5 @@ def _checked(job, module, path, warnings) -> Flight:
         raise LogError(f"{path}: this {module.FORMAT} is too damaged to be read ({type(error).__name__})") from error
     if not any(len(s) >= 2 for s in flight.signals.values()):
         raise LogError(f"{path}: this {module.FORMAT} holds no flight data; was logging switched on?")
-    return plausible.checked(replace(flight, name=path.name, warnings=(*warnings, *flight.warnings)))
+    name = path.name.encode("utf-8", "backslashreplace").decode()  # file names may hold bytes that are no text
+    return plausible.checked(replace(flight, name=name, warnings=(*warnings, *flight.warnings)))

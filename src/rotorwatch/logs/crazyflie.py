@@ -17,6 +17,7 @@ FORMAT = "Crazyflie uSD log"
 
 _FULL = 65535.0
 _FLIP = np.array([1.0, -1.0, -1.0])
+_CONTROLLERS = ("controller", "ctrlMel", "ctrlINDI")  # log groups that hold what the power distribution gets
 _MAIN = "fixedFrequency"
 _TYPES = {code: np.dtype(code).newbyteorder("<") for code in "bBhHiIqQefd"}
 
@@ -109,7 +110,9 @@ def _signals(time, table, notes) -> dict:
     def make(kind, values, source, valid=None):
         return None if values is None else series.make(kind, time, values, source, notes, valid)
 
-    motors = columns("motor.m1", "motor.m2", "motor.m3", "motor.m4")
+    motors, valid, origin = columns("motor.m1", "motor.m2", "motor.m3", "motor.m4"), None, "motor.m1..m4"
+    if motors is None:
+        motors, valid, origin = _mixed(columns, notes)
     gyro, acc = columns("gyro.x", "gyro.y", "gyro.z"), columns("acc.x", "acc.y", "acc.z")
     place = columns("stateEstimate.x", "stateEstimate.y", "stateEstimate.z")
     speed = columns("stateEstimate.vx", "stateEstimate.vy", "stateEstimate.vz")
@@ -122,7 +125,7 @@ def _signals(time, table, notes) -> dict:
     volts = columns("pm.vbat") if battery is None else battery * 1e-3
     voltage = None if volts is None else np.column_stack([volts, np.full(time.size, np.nan)])
     found = {
-        "motors": None if motors is None else series.motors(time, motors / _FULL, "1", "motor.m1..m4", notes),
+        "motors": None if motors is None else series.motors(time, motors / _FULL, "1", origin, notes, valid),
         "gyro": make("gyro", None if gyro is None else np.radians(gyro) * _FLIP, "gyro"),
         "accel": make("accel", accel, source),
         "attitude": make("attitude", attitude, "stateEstimate"),
@@ -131,6 +134,28 @@ def _signals(time, table, notes) -> dict:
         "battery": make("battery", voltage, "pm.vbatMV"),
     }
     return {k: v for k, v in found.items() if v is not None}
+
+
+def _mixed(columns, notes):
+    """((n, 4) motor commands, (n,) valid, source) from the controller's outputs; (None, None, "") where they are not logged.
+
+    The firmware's power distribution halves roll and pitch: power_distribution_quadrotor.c, powerDistributionLegacy. Newer
+    firmware takes from all motors what the strongest has too much: there the commands are not known.
+    """
+    for group in _CONTROLLERS:
+        wanted = columns(*(f"{group}.cmd_{axis}" for axis in ("thrust", "roll", "pitch", "yaw")))
+        if wanted is not None:
+            thrust, roll, pitch, yaw = np.where(np.abs(wanted) < 1e6, wanted, np.nan).T
+            r, p = np.trunc(roll / 2.0), np.trunc(pitch / 2.0)
+            motors = np.stack(
+                [thrust - r + p + yaw, thrust - r - p - yaw, thrust + r - p + yaw, thrust + r + p - yaw], 1
+            )
+            notes.append(
+                f"motor.m1..m4 were not logged; motor commands are rebuilt from {group}.cmd_* with the firmware's mixer"
+            )
+            with np.errstate(invalid="ignore"):
+                return np.clip(motors, 0.0, _FULL), (motors <= _FULL).all(axis=1), f"{group}.cmd_*"
+    return None, None, ""
 
 
 def _attitude(columns, notes):

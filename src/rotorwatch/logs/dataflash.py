@@ -1,15 +1,17 @@
-"""ArduPilot DataFlash logs (`.bin`, or `.log` as text), APM:Copter 3.3 to ArduCopter 4.7 -> Flight.
+"""ArduPilot DataFlash logs (`.bin`, or `.log` as text), ArduCopter 3.0 to 4.7 -> Flight.
 
 What is read from which message (instance 0 where sensors come in several):
 
-    motors    RCOU (RCO2, RCO3) C1.. or Ch1.., in rotor order by SERVOn_FUNCTION
+    motors    RCOU (RCO2, RCO3) C1.. or Ch1.., in rotor order by SERVOn_FUNCTION; before 3.2 MOT Mot1.., in rotor order
     control   RATE ROut POut YOut AOut         rates     RATE R P Y
     gyro      IMU GyrX..                       accel     IMU AccX..
-    attitude  ANG or ATT, whichever is faster  velocity, position   XKF1, NKF1 or EKF1
+    attitude, attitude_wanted  ANG or ATT, whichever is faster
+    velocity, position   XKF1, NKF1 or EKF1
     throttle  CTUN ThO or ThrOut               battery   BAT or CURR
     lift      MOTB                             esc       ESC
 
-Times count from the smallest time stamp of any record. Simulation parameters and messages (SIM*) are never read.
+Times count from the smallest time stamp of any record; 3.0 and 3.1 have none: see dataflash_untimed.
+Simulation parameters and messages (SIM*) are never read.
 """
 
 from __future__ import annotations
@@ -22,8 +24,9 @@ from rotorwatch.errors import LogError
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.logs import dataflash_events as events
 from rotorwatch.logs import dataflash_rotors as rotors
-from rotorwatch.logs import parameter_ranges
-from rotorwatch.logs.dataflash_binary import BinaryLog, amount
+from rotorwatch.logs import dataflash_untimed as untimed
+from rotorwatch.logs import parameter_ranges, wall_clock
+from rotorwatch.logs.dataflash_binary import SDLOG2, BinaryLog, amount
 from rotorwatch.logs.dataflash_clock import Clock, make_clock
 from rotorwatch.logs.dataflash_text import FIRST_LINE, TextLog
 from rotorwatch.logs.series import SHAPES, quaternion, steady
@@ -45,6 +48,7 @@ LIMITS = {
     "rates": (TURN,) * 3,
     "accel": ((-640.0, 640.0),) * 3,
     "attitude": ((-1.001, 1.001),) * 4,
+    "attitude_wanted": ((-1.001, 1.001),) * 4,
     "velocity": ((-150.0, 150.0),) * 3,
     "position": ((-1e5, 1e5),) * 3,
     "throttle": ((-0.1, 1.1),),
@@ -57,6 +61,8 @@ RAW_THROTTLE = 1000.0  # ... and full throttle
 
 def sniff(head: bytes, name: str) -> bool:
     """True when the file starts as a DataFlash log, binary or text; `name` decides only where the start is damaged."""
+    if SDLOG2.search(head):
+        return False  # PX4's, in the same framing
     if 0 <= head.find(FMT_HEADER) < NEAR_START or FIRST_LINE.search(head):
         return True
     return name.lower().endswith(".bin") and FMT_HEADER in head
@@ -75,7 +81,10 @@ def read(data, name: str, progress=None) -> Flight:
     log = (TextLog if FMT_HEADER not in head and FIRST_LINE.search(head) else BinaryLog)(data, progress)
     if not log.counts:
         raise LogError(f"{name}: this is not a DataFlash log; no message definition (FMT) was found in it.")
-    clock = make_clock(log.stamps())
+    stamps, rebuilt = log.stamps(), ""
+    if not np.isfinite(stamps).any():
+        stamps, rebuilt = untimed.stamps(log)
+    clock = make_clock(stamps)
     parameters, changes = events.parameters(log, clock)
     parameters, notes = parameter_ranges.checked(parameters)
     reader = _Signals(log, clock)
@@ -110,7 +119,7 @@ def read(data, name: str, progress=None) -> Flight:
         parameters=parameters,
         parameter_changes=tuple(c for c in changes if parameter_ranges.possible(c[1], c[2])),
         messages=events.messages(log, clock),
-        warnings=(*log.warnings, *clock.warnings, *reader.warnings),
+        warnings=(*log.warnings, *([rebuilt] if rebuilt else []), *clock.warnings, *reader.warnings),
         name=name,
         start_us=int(clock.start_us),
         facts={
@@ -121,6 +130,7 @@ def read(data, name: str, progress=None) -> Flight:
             "frame_class": frame_class,
             "frame_type": frame_type,
             "clock_jumps": list(clock.jumps),
+            "utc_start": reader.utc_start(),
         },
     )
 
@@ -210,10 +220,23 @@ class _Signals:
                 at = np.clip(np.searchsorted((t[1:] + t[:-1]) / 2, time), 0, t.size - 1)
             for k, column in enumerate(names):
                 pwm[int(column.lstrip("Chan"))] = values[at, k]
-        self.outputs, notes = rotors.outputs(parameters, frame_class, pwm)
+        source = "RCOU"
+        if not time.size and (rows := self.old_motors()) is not None:
+            source, (time, values) = "MOT", rows
+            pwm = {k + 1: values[:, k] for k in range(values.shape[1])}
+            self.warnings.append("Motor outputs are from MOT records, as ArduCopter wrote them before 3.2.")
+            self.outputs, notes = {k: k for k in pwm}, []
+        else:
+            self.outputs, notes = rotors.outputs(parameters, frame_class, pwm)
+        self.warnings += notes if time.size else []
         if not time.size or not self.outputs:
             return
-        self.warnings += notes
+        if rotors.BY_NUMBER in notes and (asked := self.collective()) is not None:
+            known = [pwm[o] for o in self.outputs.values() if o in pwm]
+            if known and not rotors.follow(time, np.stack(known, axis=1), *asked):
+                self.warnings.append("Those outputs do not follow the throttle: they are no motors and were left out.")
+                self.outputs = {}
+                return
         if absent := [o for o in self.outputs.values() if o not in pwm]:
             self.warnings.append(f"Servo outputs {', '.join(map(str, absent))} are not in the log.")
         missing = np.full(time.size, np.nan)
@@ -222,7 +245,18 @@ class _Signals:
         valid = (values >= low) & (values <= high)  # 0 means that the output is off
         wild = int((np.isfinite(values) & ~valid & (values != 0)).sum())
         columns = tuple(f"r{k}" for k in sorted(self.outputs))
-        self._store("motors", Signal(time, values, columns, "us", "", "RCOU", valid), wild)
+        self._store("motors", Signal(time, values, columns, "us", "", source, valid), wild)
+
+    def old_motors(self):
+        """(time (n,), pulses (n, rotors) in rotor order) of MOT; None without. Motors that never got a pulse are left out."""
+        names = [c for c in self.log.columns("MOT") if re.fullmatch(r"Mot\d{1,2}", c)]
+        rows = self.table("MOT", names) if names else None
+        if rows is None:
+            return None
+        time, values, _ = rows
+        driven = (values >= PWM_RANGE_US[0]).mean(axis=0) > 0.1
+        count = int(np.flatnonzero(driven)[-1]) + 1 if driven.any() else 0
+        return (time, values[:, :count]) if count else None
 
     def imu(self) -> None:
         """IMU holds all instances, or instance 0 with IMU2 and IMU3 for the others."""
@@ -294,20 +328,36 @@ class _Signals:
         """The faster of ANG and ATT; angles to quaternions."""
         counts = self.log.counts
         message = "ANG" if counts.get("ANG", 0) > counts.get("ATT", 0) else "ATT"
-        rows = self.table(message, ("Roll", "Pitch", "Yaw"))
+        self._angles("attitude", message, ("Roll", "Pitch", "Yaw"))
+        if "DesRoll" in self.log.columns(message):
+            self._angles("attitude_wanted", message, ("DesRoll", "DesPitch", "DesYaw"))
+
+    def _angles(self, name: str, message: str, columns) -> None:
+        rows = self.table(message, columns)
         if rows is None:
             return
         time, degrees, _ = rows
         fine = np.all(np.abs(degrees) <= np.array([200.0, 100.0, 400.0]), axis=1)
         wild = int((~fine & np.isfinite(degrees).all(axis=1)).sum())
         if wild:
-            self.warnings.append(f"attitude ({message}): {amount(wild, 'impossible value')} dropped.")
+            self.warnings.append(f"{name} ({message}): {amount(wild, 'impossible value')} dropped.")
         angles = np.radians(np.where(fine[:, None], degrees, 0.0))
         q = quaternion(angles[:, 0], angles[:, 1], angles[:, 2])
         # q and -q are the same attitude; keep the sign that makes the series continuous.
         turned = (q[1:] * q[:-1]).sum(axis=1) < 0
         q[1:] *= np.where(np.cumsum(turned) % 2, -1.0, 1.0)[:, None]
-        self.add("attitude", time, q, message, fine)
+        self.add(name, time, q, message, fine)
+
+    def utc_start(self) -> str | None:
+        """UTC of second 0 from the GPS's week and milliseconds, while it had a fix."""
+        columns = self.log.columns("GPS")
+        names = [next((c for c in given if c in columns), "") for given in (("GWk", "Week"), ("GMS", "TimeMS"))]
+        rows = self.instance("GPS", (*names, "Status")) if all(names) else None
+        if rows is None:
+            return None
+        time, (week, milliseconds, status), _ = rows[0], rows[1].T, rows[2]
+        fixed = (status >= 3) & (week > 0)
+        return wall_clock.start(time[fixed], wall_clock.of_gps(week[fixed], milliseconds[fixed]))
 
     def navigation(self, parameters) -> None:
         """Velocity and position of the first core of the EKF that flew (AHRS_EKF_TYPE); collective throttle."""
@@ -318,13 +368,17 @@ class _Signals:
                 time, values, _ = rows
                 self.add("velocity", time, values[:, :3], message)
                 self.add("position", time, values[:, 3:], message)
+        if (asked := self.collective()) is not None:
+            self.add("throttle", asked[0], asked[1][:, None], "CTUN")
+
+    def collective(self):
+        """(time (n,), throttle (n,), 1 is full) of CTUN; None without it."""
         column = next((c for c in ("ThO", "ThrOut") if c in self.log.columns("CTUN")), None)
         rows = self.table("CTUN", (column,)) if column else None
-        if rows is not None:
-            time, values, _ = rows
-            if _typical_peak(values) > 2.0:
-                values = values / RAW_THROTTLE
-            self.add("throttle", time, values, "CTUN")
+        if rows is None:
+            return None
+        time, values, _ = rows
+        return time, (values / RAW_THROTTLE if _typical_peak(values) > 2.0 else values)[:, 0]
 
     def power(self) -> None:
         """Battery 0 (CURR up to 3.5: 3.3 logs it in hundredths) and ArduPilot's lift compensation."""

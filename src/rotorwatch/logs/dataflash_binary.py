@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 HEADER = b"\xa3\x95"
+SDLOG2 = re.compile(rb"\xa3\x95\x80..(ATTC|ATSP|OUT0)", re.DOTALL)  # definitions that only PX4 made
 FMT_TYPE = 128
 FMT_LENGTH = 89
 SCAN_CHUNK = 1 << 22  # bytes compared at a time: the comparison's result stays small
@@ -126,6 +127,8 @@ class BinaryLog:
     data: anything with the buffer protocol. progress: called with the share done (0..1).
     counts: records per message name. warnings: sentences on damage. record_count: intact records.
     """
+
+    preamble: tuple[str, ...] = ()  # only text logs have one
 
     def __init__(self, data, progress: Callable[[float], None] | None = None):
         self._bytes = np.frombuffer(data, np.uint8)

@@ -10,7 +10,8 @@ from rotorwatch.flight import Message
 from rotorwatch.logs.dataflash_text import MODES
 
 PARAMETER_NAME = re.compile(r"[A-Z][A-Z0-9_]{1,15}")
-FIRMWARE = re.compile(r"\b(APM:Copter|Ardu\w+|Blimp|AntennaTracker)\s+V\d\S*(\s+\([0-9a-f]+\))?")
+FIRMWARE = re.compile(r"\b(APM:\w+|APMrover2?|Ardu\w+|Blimp|AntennaTracker)\s+[Vv]\d\S*(\s+\([0-9a-f]+\))?")
+OLD_NAMES = {"APM:Copter": "ArduCopter", "APM:Plane": "ArduPlane", "APM:Rover": "ArduRover", "APMrover2": "ArduRover"}
 FRAME_TEXT = re.compile(r"^Frame: (\w+)(?:/(\w+))?")
 TEXT_COLUMNS = ("Name", "Message", "FWS")
 SAME_EVENT_S = 1.0  # an arming logged by ARM and again by EV
@@ -71,11 +72,11 @@ def parameters(log, clock) -> tuple[dict[str, float], tuple[tuple[float, str, fl
 
 def firmware(log, clock) -> tuple[str, str]:
     """(version text, vehicle type such as 'ArduCopter'), empty where the log does not say."""
-    for kind, column in (("VER", "FWS"), ("MSG", "Message")):
-        for _, text in _rows(log, clock, kind, column):
+    for kind, column in (("VER", "FWS"), ("MSG", "Message"), ("", "")):
+        rows = _rows(log, clock, kind, column) if kind else ((0.0, text) for text in log.preamble)
+        for _, text in rows:
             if match := FIRMWARE.search(text):
-                name = match.group(1)
-                return match.group(0), "ArduCopter" if name == "APM:Copter" else name
+                return match.group(0), OLD_NAMES.get(match.group(1), match.group(1))
     return "", ""
 
 

@@ -21,6 +21,8 @@ FRAME_ROTORS: dict[int, tuple[int, ...]] = {
     12: tuple(range(1, 13)),
     14: tuple(range(1, 11)),
 }
+BY_NUMBER = "No output has a motor function; rotor k was taken to be output k."
+LEAST_THROTTLE = 0.02  # standard deviation of the throttle that tells something
 FRAME_NAMES = {"QUAD": 1, "HEXA": 2, "OCTA": 3, "OCTA_QUAD": 4, "OCTAQUAD": 4, "Y6": 5, "HELI": 6, "TRI": 7}
 FRAME_NAMES |= {"SINGLE": 8, "COAX": 9, "BICOPTER": 10, "DODECA_HEXA": 12, "DODECAHEXA": 12, "DECA": 14}
 
@@ -85,9 +87,16 @@ def outputs(
         return {k: mapped[k] for k in expected if k in mapped}, notes
     if mapped:
         return dict(sorted(mapped.items())), notes
+    if expected and (other := [k for k in expected if functions.get(k)]):
+        # ArduPilot drives no rotor through an output that has another function.
+        notes.append(
+            f"No output has a motor function, and outputs {_listed(other)} have others (SERVO{other[0]}_FUNCTION "
+            f"{functions[other[0]]}): what drove the rotors is not in this log."
+        )
+        return {}, notes
     if expected:
         if functions:
-            notes.append("No output has a motor function; rotor k was taken to be output k.")
+            notes.append(BY_NUMBER)
         return {k: k for k in expected}, notes
     moving = [k for k, u in sorted(pwm.items()) if np.unique(u[(u > 500) & (u < 2600)]).size > 1]
     if moving:
@@ -95,6 +104,16 @@ def outputs(
             f"Neither outputs nor frame are named in the log; moving outputs {_listed(moving)} were taken as rotors."
         )
     return {rotor + 1: output for rotor, output in enumerate(moving)}, notes
+
+
+def follow(time: np.ndarray, pulses: np.ndarray, stamps: np.ndarray, throttle: np.ndarray) -> bool:
+    """Do these outputs, pulses (n, k) at `time`, rise and fall with the throttle at `stamps`? True where the throttle does not."""
+    mean = np.nanmean(np.where(pulses > 500, pulses, np.nan), axis=1)
+    asked = np.interp(time, stamps, throttle)
+    fine = np.isfinite(mean) & np.isfinite(asked)
+    if fine.sum() < 20 or np.std(asked[fine]) < LEAST_THROTTLE:
+        return True
+    return bool(np.std(mean[fine]) > 0.0 and np.corrcoef(mean[fine], asked[fine])[0, 1] > 0.5)
 
 
 def _one_bit_off(function: int, rotor: int) -> bool:

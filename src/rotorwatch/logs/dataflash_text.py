@@ -48,6 +48,7 @@ MODES = {
     27: "AUTO_RTL",
     28: "TURTLE",
 }
+PREAMBLE = 20  # lines
 MODE_NUMBERS = {name.replace("_", ""): float(number) for number, name in MODES.items()}
 
 
@@ -60,6 +61,7 @@ class TextLog:
         self._starts: dict[str, array] = {}  # of each record's fields, after the name
         self._records: dict[str, array] = {}
         self.warnings: list[str] = []
+        self.preamble: list[str] = []  # what a ground station wrote before the first record: the firmware's name
         self.record_count = 0
         bad = lines = 0
         start, size = 0, len(data)
@@ -68,7 +70,7 @@ class TextLog:
             end = size if end < 0 else end
             comma = data.find(b",", start, end)
             name = data[start:comma].strip().decode("latin-1") if comma >= 0 else ""
-            start = end + 1
+            at, start = start, end + 1
             lines += 1
             if progress and not lines & 0x3FFFF:
                 progress(0.5 * start / size)
@@ -81,6 +83,8 @@ class TextLog:
             elif name not in self._formats:
                 # Ground stations put a few lines of their own first; later ones are damage.
                 bad += comma >= 0 and bool(self._formats)
+                if not self._formats and len(self.preamble) < PREAMBLE:
+                    self.preamble.append(data[at:end].decode("latin-1").strip())
                 continue
             self._starts.setdefault(name, array("q")).append(comma + 1)
             self._records.setdefault(name, array("q")).append(self.record_count)

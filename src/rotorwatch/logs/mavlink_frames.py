@@ -81,6 +81,12 @@ class Frames:
             payload[same, : min(n, kind.itemsize)] = block[:, head : head + min(n, kind.itemsize)]
         return payload[sound].view(kind)[:, 0], order[sound]
 
+    def received(self, source: int, component: int, layout) -> np.ndarray:
+        """(n,) s since 1970 at which the ground station received each frame of one type, sound or not."""
+        starts = np.array(self.found.get((source, component, layout.id), ((),))[0], np.int64)
+        stamps = self._bytes[starts[:, None] - _STAMP + np.arange(_STAMP)]
+        return stamps.copy().view(">u8")[:, 0].astype(float) * 1e-6
+
 
 def _next_magic(data, at: int) -> int:
     """Position of the next byte that may start a frame, or the end of the data."""

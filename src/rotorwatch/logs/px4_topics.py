@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from rotorwatch import vehicle_kind
 from rotorwatch.flight import Message
-from rotorwatch.logs import publishers, px4_outputs, series
+from rotorwatch.logs import publishers, px4_outputs, series, wall_clock
 
 TOPICS = (
     "actuator_armed",
@@ -19,9 +20,12 @@ TOPICS = (
     "battery_status",
     "esc_status",
     "sensor_combined",
+    "sensor_gps",
     "vehicle_acceleration",
     "vehicle_angular_velocity",
     "vehicle_attitude",
+    "vehicle_attitude_setpoint",
+    "vehicle_gps_position",
     "vehicle_land_detected",
     "vehicle_local_position",
     "vehicle_status",
@@ -110,7 +114,8 @@ def signals(topics: Topics, parameters) -> tuple[dict, dict]:
             topics.signal("accel", "vehicle_acceleration", xyz),
             topics.signal("accel", "sensor_combined", numbered("accelerometer_m_s2", 3)),
         ),
-        "attitude": _attitude(topics),
+        "attitude": _attitude(topics, "attitude", "vehicle_attitude", "q"),
+        "attitude_wanted": _attitude(topics, "attitude_wanted", "vehicle_attitude_setpoint", "q_d"),
         "velocity": topics.signal(
             "velocity", "vehicle_local_position", ["vx", "vy", "vz"], valid=["v_xy_valid", "v_xy_valid", "v_z_valid"]
         ),
@@ -122,19 +127,34 @@ def signals(topics: Topics, parameters) -> tuple[dict, dict]:
     }
     motors, facts = _motors(topics, parameters)
     found["motors"] = motors
+    facts |= _kind(topics)
     if found["control"] is not None:
         thrust = found["control"]
         valid = None if thrust.valid is None else thrust.valid[:, 3:]
         found["throttle"] = series.make(
             "throttle", thrust.time, thrust.values[:, 3:], thrust.source, topics.notes, valid
         )
-    return {k: v for k, v in found.items() if v is not None}, facts
+    return {k: v for k, v in found.items() if v is not None}, facts | {"utc_start": _utc_start(topics)}
 
 
 def rotor_count(parameters) -> int:
     """Number of rotors by parameter (CA_ROTOR_COUNT, else MAV_TYPE); 0 when neither says."""
     count = int(parameters.get("CA_ROTOR_COUNT", 0))
     return count if 0 < count <= 12 else MAV_TYPES.get(int(parameters.get("MAV_TYPE", 0)), ("", 0))[1]
+
+
+def _kind(topics: Topics) -> dict:
+    """Fact mav_type, from vehicle_status: its system_type (MAV_TYPE), else is_vtol and vehicle_type (1.10 and later)."""
+    found = topics.table("vehicle_status", early=True)
+    if found is None or not found[0].size:
+        return {}
+    usual = {k: float(np.median(found[1][k])) for k in ("system_type", "is_vtol", "vehicle_type") if k in found[1]}
+    if usual.get("system_type", 0) > 0:
+        return {"mav_type": int(usual["system_type"])}
+    if usual.get("is_vtol", 0) > 0:
+        return {"mav_type": vehicle_kind.VTOL}
+    kinds = {2: vehicle_kind.PLANE, 3: vehicle_kind.ROVER}
+    return {"mav_type": kinds[int(usual["vehicle_type"])]} if usual.get("vehicle_type") in kinds else {}
 
 
 def _motors(topics: Topics, parameters):
@@ -159,12 +179,11 @@ def _motors(topics: Topics, parameters):
             continue
         time, table = found
         reading = px4_outputs.read(columns(table, [f for f in numbered("output", 16) if f in table]), parameters, count)
-        rank = reading and (reading.named, reading.swing)
-        if reading and (best is None or rank > best[0]):
-            best = rank, time, reading, instance
+        if reading and (best is None or (reading.named, reading.swing) > (best[1].named, best[1].swing)):
+            best = time, reading, instance
     if best is None:
         return None, {}
-    _, time, reading, instance = best
+    time, reading, instance = best
     source = "actuator_outputs" + (f"[{instance}]" if instance else "")
     topics.notes += [reading.note] if reading.note else []
     facts = {"motors_topic": "actuator_outputs", **reading.facts}
@@ -202,12 +221,21 @@ def _control(topics: Topics):
     return topics.signal("control", "actuator_controls_0", numbered("control", 4))
 
 
-def _attitude(topics: Topics):
-    found = topics.table("vehicle_attitude", *numbered("q", 4))
+def _attitude(topics: Topics, kind, name, field):
+    found = topics.table(name, *numbered(field, 4))
     if found is None:
         return None
-    q, fine = series.unit_quaternion(columns(found[1], numbered("q", 4)))
-    return series.make("attitude", found[0], q, "vehicle_attitude", topics.notes, fine)
+    q, fine = series.unit_quaternion(columns(found[1], numbered(field, 4)))
+    return series.make(kind, found[0], q, name, topics.notes, fine)
+
+
+def _utc_start(topics: Topics) -> str | None:
+    """UTC of second 0, as the GPS says."""
+    for name in ("vehicle_gps_position", "sensor_gps"):
+        found = topics.table(name, "time_utc_usec")
+        if found is not None:
+            return wall_clock.start(found[0], np.asarray(found[1]["time_utc_usec"], float) * 1e-6)
+    return None
 
 
 def _battery(topics: Topics):

@@ -28,6 +28,7 @@ SHAPES = {
     "rates": (("x", "y", "z"), "rad/s", "FRD", 100.0),
     "accel": (("x", "y", "z"), "m/s^2", "FRD", 1000.0),
     "attitude": (("w", "x", "y", "z"), "1", "FRD->NED", 1.1),
+    "attitude_wanted": (("w", "x", "y", "z"), "1", "FRD->NED", 1.1),
     "velocity": (("n", "e", "d"), "m/s", "NED", 300.0),
     "position": (("n", "e", "d"), "m", "NED", 1e6),
     "throttle": (("out",), "1", "", 2.0),

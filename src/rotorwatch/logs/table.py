@@ -37,7 +37,7 @@ def _parquet(data) -> dict[str, np.ndarray]:
         import pyarrow
         import pyarrow.parquet
     except ImportError:
-        raise LogError("Parquet needs pyarrow: pip install 'rotorwatch[parquet]'") from None
+        raise LogError("Parquet needs pyarrow, which is not installed: pip install pyarrow") from None
     try:
         file = pyarrow.parquet.ParquetFile(pyarrow.BufferReader(memoryview(data)))
         if file.metadata.num_rows * file.metadata.num_columns > _MOST_CELLS:

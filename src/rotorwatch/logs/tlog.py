@@ -6,9 +6,10 @@ import numpy as np
 
 from rotorwatch.errors import LogError
 from rotorwatch.flight import Flight, Message
-from rotorwatch.logs import mavlink_frames, parameter_ranges, series
+from rotorwatch.logs import mavlink_frames, parameter_ranges, series, wall_clock
 from rotorwatch.logs.dataflash_clock import make_clock
 from rotorwatch.logs.px4_topics import MAV_TYPES
+from rotorwatch.vehicle_kind import OTHERS
 
 FORMAT = "MAVLink tlog"
 
@@ -57,7 +58,7 @@ def read(data, name: str, progress=None) -> Flight:
         messages=tuple(sorted((m for m in _messages(log) if m.time <= end + 1), key=lambda m: m.time)),
         warnings=tuple(log.notes),
         start_us=int(log.start_us),
-        facts={**facts, "mav_type": log.vehicle, "clock_jumps": log.clock_jumps},
+        facts={**facts, "mav_type": log.vehicle, "clock_jumps": log.clock_jumps, "utc_start": _utc_start(log)},
     )
 
 
@@ -78,20 +79,20 @@ class _Log:
         self._read_clock()
 
     def _choose_vehicle(self):
-        """The system whose heartbeat, of a vehicle with an autopilot, comes first."""
+        """The multirotor with an autopilot whose heartbeat comes first; without one, the first vehicle of another kind."""
         heartbeat, first = self.layouts["HEARTBEAT"], None
         for system, component, message in self.frames.found:
             if message != heartbeat.id:
                 continue
             beats, order = self.frames.decode(system, component, heartbeat)
-            real = (beats["autopilot"] != _NO_AUTOPILOT) & np.isin(beats["type"], list(MAV_TYPES))
-            if real.any():
-                i = int(np.flatnonzero(real)[0])
-                if first is None or order[i] < first[0]:
-                    first = order[i], system, component, int(beats["autopilot"][i]), int(beats["type"][i])
+            for other, kinds in enumerate((MAV_TYPES, OTHERS.keys() - MAV_TYPES.keys())):
+                at = np.flatnonzero((beats["autopilot"] != _NO_AUTOPILOT) & np.isin(beats["type"], list(kinds)))
+                if at.size and (first is None or (other, order[at[0]]) < first[:2]):
+                    i = int(at[0])
+                    first = other, order[i], system, component, int(beats["autopilot"][i]), int(beats["type"][i])
         if first is None:
             raise LogError("no heartbeat of a multirotor's autopilot is in this telemetry log")
-        _, self.system, self.component, autopilot, self.vehicle = first
+        _, _, self.system, self.component, autopilot, self.vehicle = first
         self.autopilot = _AUTOPILOTS.get(autopilot, f"MAVLink autopilot {autopilot}")
 
     def _read_clock(self):
@@ -152,6 +153,10 @@ class _Log:
         known = np.isfinite(stamp)
         return ((stamp[known] - self.start_us) * 1e-6, table[known]) if known.any() else None
 
+    def clock(self, name) -> np.ndarray:
+        """(n,) time s of each sound frame of a message that has a clock, NaN where it does not say."""
+        return (self._stamps[name] - self.start_us) * 1e-6
+
     def signal(self, kind, name, fields, scale=1.0):
         found = self.get(name)
         if found is None:
@@ -192,6 +197,7 @@ def _signals(log: _Log) -> tuple[dict, dict]:
             log.signal("accel", "HIGHRES_IMU", push), *(log.signal("accel", n, push, _MG) for n in imus)
         ),
         "attitude": _attitude(log),
+        "attitude_wanted": _attitude_wanted(log),
         "velocity": log.signal("velocity", "LOCAL_POSITION_NED", ("vx", "vy", "vz"))
         or log.signal("velocity", "GLOBAL_POSITION_INT", ("vx", "vy", "vz"), 0.01),
         "position": log.signal("position", "LOCAL_POSITION_NED", ("x", "y", "z")) or _height(log),
@@ -205,7 +211,7 @@ def _signals(log: _Log) -> tuple[dict, dict]:
 def _motors(log: _Log):
     """Rotor commands from SERVO_OUTPUT_RAW: outputs by SERVOn_FUNCTION where the log has them, else the first ones."""
     found = log.get("SERVO_OUTPUT_RAW")
-    count = MAV_TYPES[log.vehicle][1]
+    count = MAV_TYPES.get(log.vehicle, ("", 0))[1]
     if found is None:
         return None, {}
     time, table = found
@@ -237,6 +243,25 @@ def _attitude(log: _Log):
         q, fine = series.unit_quaternion(_columns(quaternions[1], ("q1", "q2", "q3", "q4")))
         candidates.append(series.make("attitude", quaternions[0], q, "ATTITUDE_QUATERNION", log.notes, fine))
     return series.fastest(*candidates)
+
+
+def _attitude_wanted(log: _Log):
+    found = log.get("ATTITUDE_TARGET")
+    if found is None:
+        return None
+    q, fine = series.unit_quaternion(found[1]["q"].astype(float))
+    return series.make("attitude_wanted", found[0], q, "ATTITUDE_TARGET", log.notes, fine)
+
+
+def _utc_start(log: _Log) -> str | None:
+    """UTC of second 0: as the autopilot says, else from the times at which the ground station received its attitude."""
+    found = log.get("SYSTEM_TIME")
+    said = wall_clock.start(found[0], found[1]["time_unix_usec"] * 1e-6) if found is not None else None
+    if said is None and "ATTITUDE" in log.tables:
+        received = log.frames.received(log.system, log.component, log.layouts["ATTITUDE"])
+        time = log.clock("ATTITUDE")
+        said = wall_clock.start(time, received) if received.size == time.size else None
+    return said
 
 
 def _height(log: _Log):

@@ -87,11 +87,7 @@ def synthesize(A, C, E, N, alpha, epsilon, solver: str = "CLARABEL") -> Synthesi
             f"The matrix inequality has no solution for alpha = {alpha:g}, epsilon = {epsilon:g}: Sigma_22 has the eigenvalue "
             f"{worst:.3g} mu whatever L is; choose epsilon above (1 + alpha) / (2 alpha)."
         )
-    try:
-        import cvxpy as cp
-        from cvxpy.error import SolverError
-    except ImportError as error:
-        raise ConfigError("Solving the matrix inequality needs CVXPY: install rotorwatch[research].") from error
+    cp = checks.library("cvxpy", "Solving the matrix inequality")
     L, mu = cp.Variable((n_x, C.shape[0])), cp.Variable()
     one_one = A - L @ C + (A - L @ C).T + 2 * alpha * E @ E.T + N @ N.T / epsilon
     one_two = E - mu * (alpha * A.T @ E + alpha**2 * E @ E.T @ E)
@@ -100,7 +96,7 @@ def synthesize(A, C, E, N, alpha, epsilon, solver: str = "CLARABEL") -> Synthesi
     problem = cp.Problem(cp.Minimize(cp.norm(L, "fro") + 1e-6 * mu), [0.5 * (whole + whole.T) << -inside, mu >= 1e-6])
     try:
         problem.solve(solver=solver)
-    except SolverError as error:
+    except cp.error.SolverError as error:
         raise ConfigError(f"The solver {solver} failed on the matrix inequality; try CLARABEL or SCS.") from error
     if L.value is None or mu.value is None:
         raise ConfigError(f"The matrix inequality has no solution: {solver} says {problem.status}.")

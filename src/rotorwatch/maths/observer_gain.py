@@ -209,11 +209,7 @@ def _F(system, points, u, dt):
 
 def _cvxpy():
     """The solver's modelling library; in the extra `research`."""
-    try:
-        import cvxpy
-    except ImportError as why:
-        raise ConfigError("Matrix inequalities need a solver: install rotorwatch[research].") from why
-    return cvxpy
+    return checks.library("cvxpy", "Solving a matrix inequality")
 
 
 def _solved(problem) -> bool:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from datetime import datetime, timedelta
 from typing import Any
 
-from rotorwatch.diagnosis import Diagnosis
+import numpy as np
+
+from rotorwatch.diagnosis import Diagnosis, Event, RotorState
 from rotorwatch.wording import (
     KINDS,
     VERDICTS,
@@ -22,8 +25,35 @@ from rotorwatch.wording import (
 )  # fmt: skip
 
 __all__ = [
-    "KINDS", "VERDICTS", "candidates", "comparison", "frame", "interval", "kind", "listed", "losses", "percent", "plain", "probability",
-    "rotors", "seconds", "sentence", "words",
+    "KINDS",
+    "VERDICTS",
+    "candidates",
+    "common_mode",
+    "comparison",
+    "day",
+    "event_rows",
+    "frame",
+    "interval",
+    "kind",
+    "listed",
+    "losses",
+    "moment",
+    "percent",
+    "places",
+    "plain",
+    "probability",
+    "rotor_interval",
+    "rotor_loss",
+    "rotors",
+    "rotors_title",
+    "said",
+    "scope",
+    "seconds",
+    "sentence",
+    "size",
+    "who",
+    "whole_flight",
+    "words",
 ]  # fmt: skip
 
 
@@ -36,12 +66,167 @@ def frame(diagnosis: Diagnosis) -> str:
     return ", ".join(parts) or "unknown frame"
 
 
+def places(diagnosis: Diagnosis) -> tuple[str, ...]:
+    """Where each rotor is, in words; empty texts when unknown."""
+    return tuple(r.place for r in diagnosis.rotors)
+
+
+def who(event: Event, diagnosis: Diagnosis) -> str:
+    """The rotors of an event with their places, and what else explains it; what it is about when no single rotor is."""
+    return candidates(event, places(diagnosis))
+
+
+def moment(diagnosis: Diagnosis, time: float | None) -> str:
+    """A time of the log on the autopilot's own clock and in UTC, where the log has them: '95.21 s since boot, 14:03:27.2 UTC'."""
+    boot, start = diagnosis.flight.get("boot_s"), diagnosis.flight.get("utc_start")
+    parts = [f"{boot + time:.2f} s since boot"] if time is not None and boot else []
+    if time is not None and start:
+        parts.append(f"{_utc(start, time):%H:%M:%S.%f}"[:-5] + " UTC")
+    return ", ".join(parts)
+
+
+def day(diagnosis: Diagnosis) -> str:
+    """When the log began: '2026-11-21 07:40:36 UTC'; empty when it does not say."""
+    start = diagnosis.flight.get("utc_start")
+    return f"{_utc(start, 0.0):%Y-%m-%d %H:%M:%S} UTC" if start else ""
+
+
+def _utc(start: str, time: float) -> datetime:
+    return datetime.fromisoformat(str(start).replace("Z", "+00:00")) + timedelta(seconds=time)
+
+
+def rotor_loss(state: RotorState) -> str:
+    """'37.0 %', '?' when the log cannot tell, 'none seen' where none was found but damage from take-off was not looked for."""
+    if state.status == "unobservable":
+        return "?"
+    if state.status == "suspect" and state.loss == 0.0:
+        return "?"
+    return "none seen" if state.status == "healthy" and state.from_takeoff == "not judged" else percent(state.loss, 1)
+
+
+def rotor_interval(state: RotorState) -> str:
+    """The 95 % interval in words: of the loss, or of the change since take-off where no more than that was judged."""
+    if state.status == "unobservable":
+        return ""
+    if state.status == "healthy" and state.from_takeoff == "not judged" and state.since_takeoff:
+        return f"changed by at most {percent(state.since_takeoff[1])}"
+    return interval(*state.interval)
+
+
+def rotors_title(diagnosis: Diagnosis) -> str:
+    """What the rotor table shows."""
+    if all(r.status == "unobservable" for r in diagnosis.rotors):
+        return "Rotors: nothing can be said of them"
+    return "Rotors at the end of the judged flight"
+
+
+def scope(diagnosis: Diagnosis) -> str:
+    """What the rotor table does not show; empty when it shows all."""
+    if diagnosis.rotors and any(r.status != "unobservable" for r in diagnosis.rotors):
+        if all(r.from_takeoff == "not judged" for r in diagnosis.rotors):
+            return (
+                "Changes since take-off, with 95 % intervals. Damage that was there from take-off was not judged: that needs "
+                "healthy flights of the same build"
+                + (", and no loss in this flight." if diagnosis.whole_flight else ".")
+            )
+        return "Losses compared with the healthy flights of this build, with 95 % intervals."
+    return ""
+
+
+def event_rows(event: Event, diagnosis: Diagnosis) -> dict[str, str]:
+    """What is known of an event, by name, in the order of importance. Only what there is."""
+    lasts = event.end_s is None and event.kind in ("loss_of_effectiveness", "output_override")
+    later = event.detected_s - event.onset_s
+    rows = {
+        "since": seconds(event.onset_s),
+        "clock": moment(diagnosis, event.onset_s),
+        "announced": f"{seconds(event.detected_s)} ({later:.2f} s later)",
+        "until": "it lasts" if lasts else seconds(event.end_s) if event.end_s is not None else "",
+        "loss (95 % interval)": losses(event) if event.kind == "loss_of_effectiveness" else "",
+        "as told 2 s later": ", ".join(percent(v) for v in event.extra.get("loss_2s", ())),
+        "how sure": probability(event.probability),
+        "size": size(event),
+    }
+    rest = {k: v for k, v in event.extra.items() if k not in ("history", "loss_2s", "size", "unit")}
+    return {k: v for k, v in rows.items() if v} | {words(str(k)): plain(v) for k, v in rest.items()}
+
+
+def size(event: Event) -> str:
+    """How hard a contact was: '3.2 g'."""
+    value = event.extra.get("size")
+    return f"{value:.2g} {event.extra.get('unit', '')}".strip() if value is not None else ""
+
+
+def common_mode(diagnosis: Diagnosis) -> str:
+    """What all rotors share, as a sentence; empty when it was not judged."""
+    facts = diagnosis.common_mode
+    shift = facts.get("thrust_shift")
+    if shift is None:
+        return plain(facts) if facts else ""
+    share = float(shift) / max(1, len(diagnosis.rotors))
+    if abs(share) < SMALL_SHIFT:
+        return f"All rotors together were asked for the same thrust at the end as at the beginning, within {percent(SMALL_SHIFT)}."
+    more, why = (
+        ("more", "a tired battery, more weight or thinner air, or a loss that all rotors share")
+        if share > 0
+        else ("less", "a lighter vehicle, denser air or a fresher battery")
+    )
+    return (
+        f"For the same motion all rotors together were asked for {percent(abs(share))} {more} thrust at the end than at the beginning: "
+        f"{why}. No single rotor is meant."
+    )
+
+
+SMALL_SHIFT = 0.02
+
+
+def whole_flight(diagnosis: Diagnosis) -> list[tuple[str, str]]:
+    """The comparison with healthy flights, as (name, sentence) rows; empty without one."""
+    facts = diagnosis.whole_flight
+    if not facts:
+        return []
+    count = facts.get("flights")
+    rows = [
+        (
+            "answer",
+            f"{VERDICTS.get(str(facts.get('verdict')), plain(facts.get('verdict'))).lower()}: {facts.get('reason', '')}",
+        ),
+        (
+            "compared with",
+            f"{count} healthy flight{'s' if count != 1 else ''} of this build" if count is not None else "",
+        ),
+    ]
+    likely = [c for c in facts.get("causes") or () if c.get("probability", 0) >= 0.05]
+    causes = [f"{cause(c, diagnosis)} {probability(float(c['probability']))}" for c in likely]
+    rows.append(("what explains the difference", "; ".join(causes)))
+    common = facts.get("common")
+    if common is not None and facts.get("verdict") != "inconclusive":
+        share = float(np.expm1(common))
+        word = "more" if share > 0 else "less"
+        rows.append(
+            (
+                "all rotors together",
+                f"{percent(abs(share))} {word} command than on the healthy flights (battery, payload and air density change it, too)",
+            )
+        )
+    return [(name, text) for name, text in rows if text]
+
+
+def cause(facts: Mapping[str, Any], diagnosis: Diagnosis) -> str:
+    """'rotor 3 (front left)', 'a shifted centre of mass'."""
+    if facts.get("rotors"):
+        return rotors(facts["rotors"], places(diagnosis))
+    return f"a shifted {words(str(facts.get('kind', '')))}"
+
+
+def said(diagnosis: Diagnosis) -> list[tuple[float, str, str]]:
+    """Modes, errors and texts of the autopilot: (time s, kind, text), empty without a trace."""
+    return list(diagnosis.trace.messages) if diagnosis.trace is not None else []
+
+
 def comparison(diagnosis: Diagnosis) -> list[tuple[str, str, str, str]]:
     """Who found what, when and why: our events among the other checks' findings, in time order. Empty without any."""
-    ours = [
-        ("rotorwatch", candidates(e) if e.rotors else "no single rotor", e.detected_s, kind(e))
-        for e in diagnosis.events
-    ]
+    ours = [("rotorwatch", candidates(e), e.detected_s, kind(e)) for e in diagnosis.events]
     theirs = [
         (
             str(row.get("detector", "")),
@@ -53,8 +238,23 @@ def comparison(diagnosis: Diagnosis) -> list[tuple[str, str, str, str]]:
     ]
     rows = [(who, what, seconds(at), str(why)) for who, what, at, why in sorted(ours + theirs, key=lambda row: row[2])]
     if ours and not theirs:
-        rows.append(("other checks", "nothing", seconds(None), "as far as this log lets them run"))
+        rows.append(_other_checks(str(diagnosis.flight.get("autopilot") or "")))
     return rows
+
+
+def _other_checks(autopilot: str) -> tuple[str, str, str, str]:
+    """The row that says which other checks found nothing, or that there is none: an autopilot's checks run on its own logs alone."""
+    from rotorwatch import detectors
+
+    names = ", ".join(module.name for module in detectors.of(autopilot))
+    if names:
+        return names, "nothing", seconds(None), "as far as this log lets it run"
+    return (
+        "other checks",
+        "none made",
+        seconds(None),
+        f"no check of {autopilot or 'this autopilot'} itself is known here",
+    )
 
 
 def words(key: str) -> str:

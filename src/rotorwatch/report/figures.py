@@ -1,22 +1,18 @@
-"""The report's pictures: interactive time plots (Bokeh) and the airframe seen from above (SVG)."""
+"""The report's interactive time plots (Bokeh)."""
 
 from __future__ import annotations
 
-from html import escape
 from typing import Any
 
 import numpy as np
 
 from rotorwatch import report
 from rotorwatch.diagnosis import Diagnosis, Trace
-from rotorwatch.vehicle import Rotor
+from rotorwatch.report import colours, lane
+from rotorwatch.report.colours import INK
 
-# Okabe and Ito's palette, which colour-blind readers can tell apart, without the yellow that white swallows; rotors 5
-# and up are dashed as well, so that no line depends on its colour alone.
-COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#8c8c8c", "#9467bd")
-DASHES = ("solid",) * 4 + ("dashed",) * 4 + ("dotted",) * 4
-INK = "#7a828a"  # reads on white and on black until the page's script has set the theme
 CHANNELS = ("roll", "pitch", "yaw", "thrust")
+ANGLES = ("roll", "pitch", "yaw")
 OVERVIEW_ROWS, DETAIL_ROWS = 1600, 2400  # a wide screen's worth of the whole flight, and full rate around events
 DETAIL_S = (5.0, 8.0)  # before an event's onset, after its announcement
 HYPOTHESES = 8
@@ -68,18 +64,9 @@ class Screen:
         return out
 
 
-def colour(rotor: int) -> str:
-    """The colour of a rotor, 1-based, wherever it appears."""
-    return COLOURS[(rotor - 1) % len(COLOURS)]
-
-
-def dash(rotor: int) -> str:
-    """The line style of a rotor, 1-based."""
-    return DASHES[(rotor - 1) % len(DASHES)]
-
-
 def plots(diagnosis: Diagnosis) -> dict[str, Any]:
-    """Bokeh figures by name: loss, command, evidence, roll, pitch, yaw, thrust. Time axes and crosshairs are linked.
+    """Bokeh figures by name: loss, lane, command, evidence, angle_roll .. angle_yaw, roll, pitch, yaw, thrust. Time axes and crosshairs
+    are linked.
 
     Empty without `diagnosis.trace`. Losses and commands in percent, residuals in units of
     hover thrust, evidence in log10 odds.
@@ -105,15 +92,22 @@ def plots(diagnosis: Diagnosis) -> dict[str, Any]:
     shown = _hypotheses(diagnosis)
     for i, name in enumerate(shown):
         data[f"odds{i}"] = screen.line(np.where(flying, trace.evidence[name], np.nan))
+    flown = _attitudes(trace)
+    for name, angles in flown.items():
+        for i, angle in enumerate(ANGLES):
+            data[f"{name}_{angle}"] = screen.line(np.where(flying, angles[:, i], np.nan))
     source = ColumnDataSource(data)
     start, end = float(trace.time[0]), float(trace.time[-1])
     x_range = Range1d(start=start, end=end, bounds=(start, end), min_interval=0.2)
     cross = CrosshairTool(dimensions="height", overlay=Span(dimension="height", line_color=INK, line_dash="dotted"))
 
+    looks = colours.looks(diagnosis, n)
     out = {
-        "loss": _loss(diagnosis, source, x_range, n),
-        "command": _commands(source, x_range, n),
-        "evidence": _evidence(trace, source, x_range, shown) if shown else None,
+        "loss": _loss(diagnosis, source, x_range, n, looks),
+        "lane": lane.lane(diagnosis, _figure, x_range),
+        "command": _commands(source, x_range, n, looks),
+        "evidence": _evidence(trace, source, x_range, shown, looks) if shown else None,
+        **{f"angle_{angle}": _angle(source, x_range, angle, flown) for angle in (ANGLES if flown else ())},
         **{name: _residual(trace, source, x_range, name, i) for i, name in enumerate(CHANNELS)},
     }
     figures = {name: figure for name, figure in out.items() if figure is not None}
@@ -122,6 +116,26 @@ def plots(diagnosis: Diagnosis) -> dict[str, Any]:
         _shade(figure, trace)
         _mark(figure, diagnosis)
     return figures
+
+
+def _attitudes(trace: Trace) -> dict[str, np.ndarray]:
+    """Roll, pitch and yaw (T, 3) [degrees] as flown and as wanted, going on beyond 180 instead of jumping back."""
+    out: dict[str, np.ndarray] = {}
+    if trace.attitude is not None:
+        out["actual"] = _unwrapped(trace.attitude)
+    if trace.wanted is not None:
+        flown = out.get("actual")
+        near = 0.0 if flown is None else 360.0 * np.round(np.nan_to_num((flown - trace.wanted) / 360.0))
+        out["wanted"] = _unwrapped(trace.wanted) if flown is None else trace.wanted + near
+    return out
+
+
+def _unwrapped(degrees: np.ndarray) -> np.ndarray:
+    out = degrees.copy()
+    for column in out.T:
+        fine = np.isfinite(column)
+        column[fine] = np.unwrap(column[fine], period=360.0)
+    return out
 
 
 def _flying(trace: Trace) -> np.ndarray:
@@ -190,7 +204,7 @@ def _hover(p, renderer) -> None:
     p.select_one(HoverTool).renderers = [renderer]
 
 
-def _loss(diagnosis: Diagnosis, source, x_range, n: int) -> Any:
+def _loss(diagnosis: Diagnosis, source, x_range, n: int, looks) -> Any:
     from bokeh.models import Range1d
 
     tips = [(f"rotor {k}", f"@loss{k}{{0.0}} % (@low{k}{{0}} to @high{k}{{0}})") for k in range(1, n + 1)]
@@ -199,15 +213,21 @@ def _loss(diagnosis: Diagnosis, source, x_range, n: int) -> Any:
         x_range, 340, "loss of effectiveness [%]", tips, y_range=Range1d(start=-0.03 * top, end=top, bounds=(-10, 110))
     )
     p.name = "loss"
-    named = {k for e in diagnosis.events for k in e.rotors} | {
-        r.rotor for r in diagnosis.rotors if r.status in ("degraded", "failed")
-    }
+    named = {*colours.faulty(diagnosis), *colours.suspects(diagnosis)}
+    moved = {k for e in diagnosis.events for k in e.rotors}
     line = None
     for k in sorted(range(1, n + 1), key=lambda k: k in named):  # the ones that matter on top
         look: dict[str, Any] = dict(source=source, name=f"rotor {k}", level="glyph")
-        p.varea("time", f"low{k}", f"high{k}", color=colour(k), alpha=0.3 if k in named else 0.07, **look)
+        p.varea(
+            "time",
+            f"low{k}",
+            f"high{k}",
+            color=looks[k][0],
+            alpha=0.3 if k in moved else 0.12 if k in named else 0.07,
+            **look,
+        )
         width = 2.6 if k in named else 1.3
-        line = p.line("time", f"loss{k}", color=colour(k), line_width=width, line_dash=dash(k), **look)
+        line = p.line("time", f"loss{k}", color=looks[k][0], line_width=width, line_dash=looks[k][1], **look)
     _hover(p, line)
     return p
 
@@ -231,13 +251,19 @@ def _blind(trace: Trace) -> np.ndarray:
     return out
 
 
-def _commands(source, x_range, n: int) -> Any:
+def _commands(source, x_range, n: int, looks) -> Any:
     tips = [(f"rotor {k}", f"@command{k}{{0.0}} %") for k in range(1, n + 1)]
     p = _figure(x_range, 250, "command [% of full thrust]", tips)
     p.name = "command"
     lines = [
         p.line(
-            "time", f"command{k}", source=source, name=f"rotor {k}", color=colour(k), line_width=1.3, line_dash=dash(k)
+            "time",
+            f"command{k}",
+            source=source,
+            name=f"rotor {k}",
+            color=looks[k][0],
+            line_width=1.3,
+            line_dash=looks[k][1],
         )
         for k in range(1, n + 1)
     ]
@@ -245,7 +271,7 @@ def _commands(source, x_range, n: int) -> Any:
     return p
 
 
-def _evidence(trace: Trace, source, x_range, shown: list[str]) -> Any:
+def _evidence(trace: Trace, source, x_range, shown: list[str], looks) -> Any:
     from bokeh.models import Legend, LegendItem, Range1d, Span
 
     tips = [(name, f"@odds{i}{{0.0}}") for i, name in enumerate(shown)]
@@ -257,12 +283,17 @@ def _evidence(trace: Trace, source, x_range, shown: list[str]) -> Any:
     lines = []
     for i, name in reversed(list(enumerate(shown))):  # the likeliest on top
         line = p.line(
-            "time", f"odds{i}", source=source, name=f"odds {i}", line_width=2.2 if i == 0 else 1.4, **_look(name, i)
+            "time",
+            f"odds{i}",
+            source=source,
+            name=f"odds {i}",
+            line_width=2.2 if i == 0 else 1.4,
+            **_look(name, i, looks),
         )
         lines.insert(0, line)
     items = [LegendItem(label=name, renderers=[line]) for name, line in zip(shown, lines, strict=True)]
     _hover(p, lines[0])
-    p.add_layout(Span(location=float(trace.threshold), dimension="width", line_color="#d55e00", line_width=1.6))
+    p.add_layout(Span(location=float(trace.threshold), dimension="width", line_color=INK, line_width=2.2))
     legend = Legend(
         items=items, location="top_left", click_policy="hide", background_fill_alpha=0.0, border_line_color=None
     )
@@ -272,12 +303,29 @@ def _evidence(trace: Trace, source, x_range, shown: list[str]) -> Any:
     return p
 
 
-def _look(hypothesis: str, place: int) -> dict[str, Any]:
+def _look(hypothesis: str, place: int, looks) -> dict[str, Any]:
     """One rotor's hypothesis has the rotor's colour; the others are told apart by grey and dashes."""
     number = hypothesis.rpartition(" ")[2]
-    if hypothesis.startswith("rotor ") and number.isdigit():
-        return dict(color=colour(int(number)), line_dash=dash(int(number)))
+    if hypothesis.startswith("rotor ") and number.isdigit() and int(number) in looks:
+        return dict(zip(("color", "line_dash"), looks[int(number)], strict=True))
     return dict(color=INK, line_dash=("solid", "dashed", "dotted", "dotdash")[place % 4])
+
+
+def _angle(source, x_range, angle: str, flown) -> Any:
+    """Wanted against actual attitude, one axis."""
+    last = angle == ANGLES[-1]
+    tips = [(name, f"@{name}_{angle}{{0.0}}°") for name in flown]
+    p = _figure(x_range, 165 if last else 135, f"{angle} [°]", tips)
+    p.name = f"angle_{angle}"
+    p.xaxis.visible = last
+    p.yaxis.ticker.desired_num_ticks = 3
+    style = {
+        "actual": dict(color="#2b83ba", line_width=1.6),
+        "wanted": dict(color=INK, line_width=1.3, line_dash="dashed"),
+    }
+    lines = [p.line("time", f"{name}_{angle}", source=source, name=name, **style[name]) for name in flown]
+    _hover(p, lines[0])
+    return p
 
 
 def _residual(trace: Trace, source, x_range, name: str, channel: int) -> Any:
@@ -321,7 +369,7 @@ def _mark(figure, diagnosis: Diagnosis) -> None:
     from bokeh.models import Label, Span
 
     for number, event in enumerate(diagnosis.events, 1):
-        tint = colour(event.rotors[0]) if len(event.rotors) == 1 else INK
+        tint = colours.of_event(event)
         style: dict[str, Any] = dict(dimension="height", line_color=tint, line_width=1.5)
         figure.add_layout(Span(location=float(event.onset_s), line_dash="dashed", **style))
         figure.add_layout(Span(location=float(event.detected_s), **style))
@@ -336,69 +384,3 @@ def _mark(figure, diagnosis: Diagnosis) -> None:
                 text_font="system-ui, sans-serif", text_font_size="12px", text_color=INK, text_baseline="top"
             )
             figure.add_layout(Label(text=text, **where, **look))
-
-
-def airframe(diagnosis: Diagnosis) -> str:
-    """The airframe from above as inline SVG, nose up; rotors filled by loss, arrows for spin. Empty without rotors."""
-    states = diagnosis.rotors
-    places = geometry(diagnosis)
-    if not states or len(places) != len(states):
-        return ""
-    xy = np.array([(r.y, -r.x) for r in places], float)
-    reach = max(float(np.hypot(*xy.T).max()), 1e-9)
-    xy *= 100 / reach
-    gaps = np.hypot(*(xy[:, None] - xy[None]).transpose(2, 0, 1)) + 1e9 * np.eye(len(xy))
-    for k in range(len(xy)):  # coaxial pairs: the second one is drawn further out
-        if gaps[k, :k].size and gaps[k, :k].min() < 1:
-            xy[k] *= 1.55
-    gaps = np.hypot(*(xy[:, None] - xy[None]).transpose(2, 0, 1)) + 1e9 * np.eye(len(xy))
-    radius = float(np.clip(0.46 * gaps.min(), 16, 40))
-    half = float(np.abs(xy).max()) + radius + 8
-    named = f"Airframe from above: {report.frame(diagnosis)}"
-    parts = [
-        f'<svg class="airframe" viewBox="{-half:.0f} {-half - 14:.0f} {2 * half:.0f} {2 * half + 14:.0f}" role="img" '
-        f'aria-label="{escape(named)}"><title>{escape(named)}</title>'
-        '<defs><marker id="spin-tip" viewBox="0 0 8 8" refX="4" refY="4" markerWidth="6" markerHeight="6" '
-        'orient="auto">'
-        '<path class="tip" d="M0 0 L8 4 L0 8z"/></marker></defs>'
-    ]
-    parts += [f'<line class="arm" x1="0" y1="0" x2="{x:.1f}" y2="{y:.1f}"/>' for x, y in xy]
-    parts.append(f'<path class="nose" d="M0 {-half - 10:.0f} l8 14 h-16z"/><circle class="body" r="15"/>')
-    for (x, y), place, state in zip(xy, places, states, strict=True):
-        parts.append(_rotor(float(x), float(y), radius, place, state))
-    return "".join(parts) + "</svg>"
-
-
-def _rotor(x: float, y: float, radius: float, place: Rotor, state) -> str:
-    """One rotor: a disc that empties with the loss, its number, its loss in percent, an arrow for its spin."""
-    loss = min(max(state.loss, 0.0), 1.0)
-    label = "?" if state.status == "unobservable" else report.percent(state.loss)
-    opacity = 0.15 + 0.85 * loss if loss > 0.02 else 0.0
-    # The arrow's arc runs over the top of the disc, 110 degrees of it.
-    aside, up = 0.82 * radius, -0.57 * radius
-    start, end, sweep = (aside, -aside, 0) if place.spin > 0 else (-aside, aside, 1)
-    spin = "counter-clockwise" if place.spin > 0 else "clockwise"
-    title = f"Rotor {state.rotor}, {spin}: {state.status}, loss {label}"
-    return (
-        f'<g class="rotor {escape(state.status)}" transform="translate({x:.1f} {y:.1f})"><title>{escape(title)}</title>'
-        f'<circle class="disc" r="{radius - 5:.1f}"/>'
-        f'<circle class="lost" r="{radius - 5:.1f}" style="fill-opacity:{opacity:.2f}"/>'
-        f'<path class="spin" marker-end="url(#spin-tip)" '
-        f'd="M{start:.1f} {up:.1f} A{radius:.1f} {radius:.1f} 0 0 {sweep} {end:.1f} {up:.1f}"/>'
-        f'<text class="number" style="font-size:{0.42 * radius:.1f}px" y="0">{state.rotor}</text>'
-        f'<text class="loss" style="font-size:{0.33 * radius:.1f}px" y="{0.38 * radius:.1f}">{escape(label)}</text></g>'
-    )
-
-
-def geometry(diagnosis: Diagnosis) -> tuple[Rotor, ...]:
-    """Where the rotors are: as the diagnosis says (flight.geometry), as the frame's name says, or none."""
-    from rotorwatch import airframes
-    from rotorwatch.errors import RotorwatchError
-
-    try:
-        given = diagnosis.flight.get("geometry")
-        if given:
-            return tuple(Rotor(float(g["x"]), float(g["y"]), int(g["spin"])) for g in given)
-        return airframes.named(str(diagnosis.flight.get("frame", ""))).rotors
-    except (RotorwatchError, KeyError, TypeError, ValueError):
-        return ()

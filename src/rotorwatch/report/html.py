@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import tempfile
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
@@ -11,10 +12,12 @@ from pathlib import Path
 from typing import Any
 
 from rotorwatch import __version__, report
-from rotorwatch.diagnosis import Diagnosis, Event, RotorState
+from rotorwatch.diagnosis import Diagnosis, RotorState
 from rotorwatch.errors import ConfigError
-from rotorwatch.report import figures, plain, words
+from rotorwatch.report import colours, drawing, figures, words
 
+UNIT = re.compile(r"(\d) (%|s|Hz|ms|V|g)(?![\w])")
+RANGE = re.compile(r"(\d)(–)(?=\d)")
 SYMBOLS = {"healthy": "✓", "fault": "✕", "ambiguous": "?", "inconclusive": "?"}
 # The page may run its own inline scripts and styles and nothing else; in particular it may not fetch anything.
 POLICY = (
@@ -53,11 +56,12 @@ def page(diagnosis: Diagnosis) -> str:
         '<main id="report">',
         _verdict(diagnosis),
         _overview(diagnosis),
-        _events(diagnosis.events),
+        _events(diagnosis),
+        _baseline(diagnosis),
         _plots(diagnosis, divs),
-        _pairs("Common mode", "What all rotors share: battery sag, added mass, a common loss.", diagnosis.common_mode),
-        _pairs("Against healthy flights of this build", "", diagnosis.whole_flight or {}),
+        _paragraph("All rotors together", report.common_mode(diagnosis)),
         _comparison(report.comparison(diagnosis)),
+        _messages(diagnosis),
         _list("Warnings", diagnosis.warnings, "warnings"),
         _list("Assumptions", [f"Baseline: {diagnosis.baseline}", *diagnosis.assumptions]),
         _blind(diagnosis),
@@ -101,55 +105,74 @@ def _masthead(title: str) -> str:
 
 
 def _text(value: Any) -> str:
-    """Escaped, with numbers and their percent signs kept on one line."""
-    return escape(str(value)).replace(" %", "\u00a0%")
+    """Escaped, with numbers, their ranges and their units kept on one line."""
+    text = UNIT.sub("\\1\u00a0\\2", escape(str(value)))
+    return RANGE.sub("\\1\u2060\\2\u2060", text)
 
 
 def _verdict(diagnosis: Diagnosis) -> str:
     word = f"{SYMBOLS[diagnosis.verdict]} {report.VERDICTS[diagnosis.verdict]}"
+    steps = "".join(f"<li>{_text(step)}</li>" for step in diagnosis.advice)
     return (
         f'<section class="verdict {escape(diagnosis.verdict)}"><div class="word">{escape(word)}</div>'
-        f"<h1>{_text(diagnosis.headline)}</h1><p>{escape(diagnosis.reason)}</p></section>"
+        f"<h1>{_text(diagnosis.headline)}</h1><p>{_text(report.sentence(diagnosis.reason))}</p>"
+        + (f'<h2>What to do next</h2><ul class="advice">{steps}</ul>' if steps else "")
+        + "</section>"
     )
 
 
 def _overview(diagnosis: Diagnosis) -> str:
     facts = diagnosis.flight
     airborne = facts.get("airborne_s") or ()
+    boot = f"{facts['boot_s']:.2f} s since boot" if facts.get("boot_s") else ""
     entries = {
         "airframe": report.frame(diagnosis),
         "autopilot": facts.get("autopilot"),
         "format": facts.get("format"),
-        "logging": facts.get("profile"),
         "duration": f"{float(facts.get('duration_s') or 0):.1f} s",
         "airborne": f"{float(airborne[0]):.1f} to {float(airborne[1]):.1f} s" if len(airborne) == 2 else None,
+        "second 0 of the log": ", ".join(filter(None, (report.day(diagnosis), boot))),
+        "logging": facts.get("profile"),
     }
-    head = _row(("rotor", "loss", "95 % interval", "", "status"), cell="th", right=(0, 1, 2), wide=(3,))
-    rows = "".join(_rotor(r) for r in diagnosis.rotors)
+    head = _row(("rotor", "where", "status", "loss", "95 % interval", ""), cell="th", right=(3,), wide=(5,))
+    looks = colours.looks(diagnosis)
+    rows = "".join(_rotor(r, looks[r.rotor][0]) for r in diagnosis.rotors)
+    table = (
+        f'<div class="scroll"><table class="rotors"><thead>{head}</thead><tbody>{rows}</tbody></table></div>'
+        if rows
+        else ""
+    )
     return (
-        f'{_facts(entries)}<div class="top"><div><h2>Rotors</h2>'
-        "<p>Loss of effectiveness at the end of the flight, with 95 % interval.</p>"
-        f'<div class="scroll"><table><thead>{head}</thead><tbody>{rows}</tbody></table></div></div>'
-        f"{figures.airframe(diagnosis)}</div>"
+        f'{_facts(entries)}<div class="top"><div><h2>{escape(report.rotors_title(diagnosis))}</h2>'
+        f"<p>{_text(report.scope(diagnosis))}</p>{table}</div>{drawing.airframe(diagnosis)}</div>"
     )
 
 
-def _rotor(r: RotorState) -> str:
-    """A line of the rotor table; the bar is drawing, not text, hence put in after escaping."""
-    if r.status == "unobservable":
-        return _row((r.rotor, "?", "", "", r.status), r.status, right=(0, 1, 2), wide=(3,))
+def _rotor(r: RotorState, tint: str) -> str:
+    """A line of the rotor table; the chip and the bar are drawing, not text, hence put in after escaping."""
+    unknown = r.status in ("unobservable", "suspect")
     bar = f'<span class="bar"><i style="width:{100 * min(max(r.loss, 0.0), 1.0):.1f}%"></i></span>'
-    cells = (r.rotor, report.percent(r.loss, 1), report.interval(*r.interval), "BAR", r.status)
-    return _row(cells, r.status, right=(0, 1, 2), wide=(3,)).replace("BAR", bar)
+    cells = ("CHIP", r.place, "STATUS", report.rotor_loss(r), report.rotor_interval(r), "" if unknown else "BAR")
+    note = f'<div class="why">{_text(report.sentence(r.note))}</div>' if r.note else ""
+    line = _row(cells, r.status, right=(3,), wide=(5,), style=f"--rotor:{tint}")
+    chip = f'<span class="chip"></span>{r.rotor}'
+    return line.replace("CHIP", chip).replace("STATUS", f"{escape(r.status)}{note}").replace("BAR", bar)
 
 
 def _row(
-    cells: Iterable[Any], name: str = "", cell: str = "td", right: Iterable[int] = (), wide: Iterable[int] = ()
+    cells: Iterable[Any],
+    name: str = "",
+    cell: str = "td",
+    right: Iterable[int] = (),
+    wide: Iterable[int] = (),
+    style: str = "",
 ) -> str:
-    """A line of a table, escaped. right: columns of numbers; wide: columns that a phone has no room for."""
+    """A line of a table, escaped. right: columns of numbers; wide: columns that a phone has no room for; style: CSS of the line."""
     classes = {**dict.fromkeys(wide, ' class="wide"'), **dict.fromkeys(right, ' class="n"')}
-    inner = "".join(f"<{cell}{classes.get(i, '')}>{escape(str(c))}</{cell}>" for i, c in enumerate(cells))
-    return f'<tr class="{escape(name)}">{inner}</tr>' if name else f"<tr>{inner}</tr>"
+    inner = "".join(f"<{cell}{classes.get(i, '')}>{_text(c)}</{cell}>" for i, c in enumerate(cells))
+    about = f' class="{escape(name)}"' if name else ""
+    about += f' style="{escape(style)}"' if style else ""
+    return f"<tr{about}>{inner}</tr>"
 
 
 def _facts(entries: Mapping[str, Any]) -> str:
@@ -157,27 +180,47 @@ def _facts(entries: Mapping[str, Any]) -> str:
     return f'<dl class="facts">{"".join(cells)}</dl>'
 
 
-def _events(events: Iterable[Event]) -> str:
+def _events(diagnosis: Diagnosis) -> str:
     items = []
-    for number, e in enumerate(events, 1):
-        who = report.candidates(e) if e.rotors else "no single rotor"
-        tint = figures.colour(e.rotors[0]) if len(e.rotors) == 1 else "var(--soft)"
-        entries = {
-            "since": report.seconds(e.onset_s),
-            "announced": f"{report.seconds(e.detected_s)} ({e.detected_s - e.onset_s:.2f} s later)",
-            "until": "it lasts" if e.end_s is None else report.seconds(e.end_s),
-            "loss (95 % interval)": report.losses(e),
-            "as told 2 s later": ", ".join(report.percent(v) for v in e.extra.get("loss_2s", ())),
-            "probability": report.probability(e.probability),
-            **{words(str(k)): plain(v) for k, v in e.extra.items() if k not in ("history", "loss_2s")},
-        }
+    for number, e in enumerate(diagnosis.events, 1):
+        main = (
+            ' <span class="main">main event</span>'
+            if number - 1 == diagnosis.main and len(diagnosis.events) > 1
+            else ""
+        )
         items.append(
-            f'<li style="--tint:{tint}"><h3>{number}. {escape(report.sentence(report.kind(e)))}: {escape(who)}</h3>'
-            f"{_facts(entries)}<p>{escape(e.reason)}</p></li>"
+            f'<li style="--tint:{colours.of_event(e)}"><h3>{number}. {escape(report.sentence(report.kind(e)))}: '
+            f"{_text(report.who(e, diagnosis))}{main}</h3>"
+            f"{_facts(report.event_rows(e, diagnosis))}<p>{_text(report.sentence(e.reason))}</p></li>"
         )
     return f'<h2>Events</h2><ol class="events">{"".join(items)}</ol>' if items else ""
 
 
+def _baseline(diagnosis: Diagnosis) -> str:
+    rows = "".join(f"<dt>{escape(name)}</dt><dd>{_text(value)}</dd>" for name, value in report.whole_flight(diagnosis))
+    if not rows:
+        return ""
+    return f'<h2>Against healthy flights of this build</h2><dl class="pairs">{rows}</dl>{drawing.baseline(diagnosis)}'
+
+
+def _paragraph(title: str, text: str) -> str:
+    return f"<h2>{escape(title)}</h2><p>{_text(text)}</p>" if text else ""
+
+
+def _messages(diagnosis: Diagnosis) -> str:
+    said = report.said(diagnosis)
+    body = "".join(
+        _row((report.seconds(t), report.moment(diagnosis, t), kind, text)) for t, kind, text in said[:MOST_SAID]
+    )
+    if not body:
+        return ""
+    head = _row(("at", "clock", "what", "text"), cell="th")
+    more = f"<p>The first {MOST_SAID} of {len(said)}.</p>" if len(said) > MOST_SAID else ""
+    table = f'<div class="scroll"><table><thead>{head}</thead><tbody>{body}</tbody></table></div>'
+    return f"<details><summary>Modes and messages of the autopilot ({len(said)})</summary>{table}{more}</details>"
+
+
+MOST_SAID = 300
 PLOTS = (
     (
         ("command",),
@@ -187,8 +230,13 @@ PLOTS = (
     (
         ("evidence",),
         "Evidence",
-        "Odds of each explanation against a healthy aircraft, as powers of ten. The orange line is the threshold. "
+        "Odds of each explanation against a healthy aircraft, as powers of ten. The thick grey line is the threshold. "
         "Click a name to hide it.",
+    ),
+    (
+        tuple(f"angle_{angle}" for angle in figures.ANGLES),
+        "Attitude: wanted and flown",
+        "Blue: as it flew. Dashed: as the controller was asked to. A vehicle that is at its limit no longer follows.",
     ),
     (
         figures.CHANNELS,
@@ -209,13 +257,15 @@ MARKS = (
 def _plots(diagnosis: Diagnosis, divs: Mapping[str, str]) -> str:
     if not divs:
         return ""
-    chips = "".join(_chip(r.rotor) for r in diagnosis.rotors)
+    looks = colours.looks(diagnosis)
+    chips = "".join(_chip(r.rotor, *looks[r.rotor]) for r in diagnosis.rotors)
     marks = " &ensp; ".join(f'<span class="key {name}"></span>{text}' for name, text in MARKS)
     parts = [
         "<h2>Loss of each rotor over the flight</h2><p>The estimate as a live observer would have had it, with its "
         "95 % band. Drag over a stretch of time to zoom all plots; the arrow in a plot's corner goes back.</p>",
         f'<div class="chips" role="group" aria-label="Rotors shown">{chips}</div>',
         _plot("loss", divs),
+        _plot("lane", divs) if "lane" in divs else "",
         f'<p class="note">{marks}</p>',
     ]
     for names, title, note in PLOTS:
@@ -224,12 +274,12 @@ def _plots(diagnosis: Diagnosis, divs: Mapping[str, str]) -> str:
     return "".join(parts)
 
 
-def _chip(rotor: int) -> str:
+def _chip(rotor: int, tint: str, dash: str) -> str:
     """A button that shows and hides a rotor's lines; it doubles as the legend."""
     return (
         f'<button type="button" aria-pressed="true" data-rotor="rotor {rotor}">'
         '<svg viewBox="0 0 24 8" aria-hidden="true"><path d="M0 4h24" stroke-width="3" '
-        f'stroke="{figures.colour(rotor)}"{_dasharray(rotor)}/></svg>rotor {rotor}</button>'
+        f'stroke="{tint}"{_dasharray(dash)}/></svg>rotor {rotor}</button>'
     )
 
 
@@ -237,16 +287,9 @@ def _plot(name: str, divs: Mapping[str, str]) -> str:
     return f'<div class="plot" id="plot-{name}">{divs[name]}</div>'
 
 
-def _dasharray(rotor: int) -> str:
-    pattern = {"solid": "", "dashed": "6 3", "dotted": "2 3"}[figures.dash(rotor)]
+def _dasharray(dash: str) -> str:
+    pattern = {"solid": "", "dashed": "6 3", "dotted": "2 3", "dotdash": "2 3 6 3", "dashdot": "6 3 2 3"}[dash]
     return f' stroke-dasharray="{pattern}"' if pattern else ""
-
-
-def _pairs(title: str, note: str, facts: Mapping[str, Any]) -> str:
-    if not facts:
-        return ""
-    rows = "".join(f"<dt>{escape(words(str(k)))}</dt><dd>{escape(plain(v))}</dd>" for k, v in facts.items())
-    return f'<h2>{escape(title)}</h2>{f"<p>{escape(note)}</p>" if note else ""}<dl class="pairs">{rows}</dl>'
 
 
 def _comparison(rows: Iterable[tuple[str, str, str, str]]) -> str:

@@ -1,4 +1,7 @@
-"""Tables for a terminal, by rich: readable at 80 columns, in a pipe and without colours."""
+"""Tables for a terminal, by rich: readable from 40 to 200 columns, in a pipe and without colours.
+
+Where a table does not fit, its rows become lines: no word and no number is cut.
+"""
 
 from __future__ import annotations
 
@@ -23,8 +26,10 @@ STYLES = {
     "error": "bold red",
     "degraded": "red",
     "failed": "bold red",
+    "suspect": "yellow",
     "unobservable": "dim",
 }
+BARS_FROM = 110  # columns from which a table has room for bars
 
 
 def console(stderr: bool = False) -> Console:
@@ -37,27 +42,87 @@ def console(stderr: bool = False) -> Console:
 
 def diagnosis(result: Diagnosis) -> RenderableType:
     """The whole answer for one flight."""
-    parts: list[RenderableType] = [_heading(result), Text()]
-    parts.append(_rotors(result))
-    if result.events:
-        parts.append(_events(result))
+    parts: list[RenderableType] = [_heading(result), Text(), _rotors(result)]
+    parts += [Text(), _events(result)] if result.events else []
     parts += _mentions(result)
     rows = report.comparison(result)
     if rows:
-        parts += [Text(), _comparison(rows)]
-    parts += [*([] if rows else [Text()]), _small_print(result)]
-    return Group(*parts)
+        head = ("check", "found", "at", "why")
+        parts += [Text(), Fitted("Who found what, when", head, [[Text(cell) for cell in row] for row in rows], (2,))]
+    return Group(*parts, Text(), _small_print(result))
 
 
 def line(name: str, result: Diagnosis) -> Text:
     """One flight of several on one line."""
     text = Text(f"{report.VERDICTS[result.verdict].lower():<13}", style=STYLES[result.verdict])
-    return text.append(f"{name}  ", style="default not bold").append(result.headline, style="default not bold")
+    return text.append(f"{name}  {result.headline}", style="default not bold")
 
 
 def error_line(name: str, sentence: str) -> Text:
     """A flight of several that could not be judged."""
     return Text(f"{'error':<13}", style=STYLES["error"]).append(f"{name}  {sentence}", style="default not bold")
+
+
+class Fitted:
+    """A table where it fits; else each row as lines, its cells named.
+
+    rows: cells (Text). right: places of numbers. wide: places of cells that need not be on one line. bars: places left out below
+    BARS_FROM columns. short: a row is one line then, in which only these places are named.
+    """
+
+    def __init__(self, title: str, columns, rows, right=(), wide=(-1,), bars=(), short=None):
+        self.title, self.columns, self.rows, self.right, self.bars = title, columns, rows, set(right), set(bars)
+        self.short = short
+        self.wide = {i % len(columns) for i in wide}
+
+    def __rich_console__(self, console: Console, options):
+        kept = [i for i in range(len(self.columns)) if i not in self.bars or options.max_width >= BARS_FROM]
+        least = 3 * (len(kept) - 1) + 2  # what stands between columns and at the edges
+        for i in kept:
+            cells = [Text(self.columns[i]), *(row[i] for row in self.rows)]
+            least += max(_longest_word(c) if i in self.wide else _longest_line(c) for c in cells)
+            least += 14 if i in self.wide and any(cell.cell_len > 30 for cell in cells) else 0
+        if least <= options.max_width:
+            table = Table(
+                title=self.title,
+                title_justify="left",
+                title_style="bold",
+                box=box.SIMPLE_HEAD,
+                pad_edge=False,
+                padding=(0, 1),
+            )
+            for i in kept:
+                number = i in self.right
+                table.add_column(
+                    self.columns[i],
+                    justify="right" if number else "left",
+                    no_wrap=i not in self.wide,
+                    header_style="default",
+                )
+            for row in self.rows:
+                table.add_row(*(row[i] for i in kept))
+            yield table
+            return
+        yield Text(self.title, style="bold")
+        for row in self.rows:
+            cells = [i for i in range(len(self.columns)) if i not in self.bars and row[i].plain]
+            first = cells[0]
+            if self.short is not None:
+                bits = [f"{self.columns[i]} {row[i].plain}" if i in self.short else row[i].plain for i in cells]
+                yield Padding(Text(", ".join(bits), style=row[cells[-1]].style or ""), (0, 0, 0, 1))
+                continue
+            yield Text(f"{self.columns[first]} ", style="dim").append_text(Text(" ").join(row[first].split()))
+            for i in cells[1:]:
+                name = Text(f"{self.columns[i]}: " if self.columns[i] else "", style="dim")
+                yield Padding(name.append_text(Text(" ").join(row[i].split())), (0, 0, 0, 2))
+
+
+def _longest_word(text: Text) -> int:
+    return max((Text(word).cell_len for word in text.plain.split()), default=0)
+
+
+def _longest_line(text: Text) -> int:
+    return max((piece.cell_len for piece in text.split()), default=0)
 
 
 def _heading(result: Diagnosis) -> RenderableType:
@@ -66,8 +131,9 @@ def _heading(result: Diagnosis) -> RenderableType:
     text.append("  ").append(result.headline, style="default bold")
     what = [str(facts["name"])] if facts.get("name") else []
     what += [report.frame(result), *(str(facts[k]) for k in ("autopilot", "profile") if facts.get(k))]
-    what.append(f"{float(facts.get('duration_s') or 0):.0f} s")
-    return Group(Text(" · ".join(what), style="dim"), Text(), text, Text(result.reason))
+    what += [f"{float(facts.get('duration_s') or 0):.0f} s", *filter(None, [report.day(result)])]
+    steps = [Padding(Text(f"→ {step}"), (0, 0, 0, 1)) for step in result.advice]
+    return Group(Text(" · ".join(what), style="dim"), Text(), text, Text(report.sentence(result.reason)), *steps)
 
 
 WRONG = ("false fault", "wrong rotor", "FAILED")
@@ -86,77 +152,102 @@ def listing(title: str, *columns: str, right: Iterable[int] = ()) -> Table:
 
 
 def _rotors(result: Diagnosis) -> RenderableType:
-    table = listing("Rotors, at the end of the flight", "rotor", "loss", "95 % interval", "", "status", right=(0, 1, 2))
+    if not result.rotors:
+        return Text("The log shows no rotors.")
+    rows = []
     for r in result.rotors:
-        bar = Text("█" * round(20 * min(max(r.loss, 0.0), 1.0)), style=STYLES.get(r.status, ""))
+        style = STYLES.get(r.status, "")
+        bar = Text("█" * round(20 * min(max(r.loss, 0.0), 1.0)), style=style)
         bar.append("·" * (20 - len(bar)), style="dim")
-        unknown = r.status == "unobservable"
-        table.add_row(
-            str(r.rotor),
-            "?" if unknown else report.percent(r.loss, 1),
-            "" if unknown else report.interval(*r.interval),
-            Text("") if unknown else bar,
-            Text(r.status, style=STYLES.get(r.status, "")),
-        )
-    return table if result.rotors else Text("The log shows no rotors.")
+        loss = report.rotor_loss(r)
+        row = [str(r.rotor), r.place, Text(r.status, style=style), loss, report.rotor_interval(r)]
+        bar = Text("") if r.status in ("unobservable", "suspect") else bar
+        rows.append([c if isinstance(c, Text) else Text(c) for c in (*row, bar)])
+    head = ("rotor", "where", "status", "loss", "95 % interval", "")
+    parts: list[RenderableType] = [
+        Fitted(report.rotors_title(result), head, rows, right=(0, 3), wide=(4,), bars=(5,), short=(0, 3))
+    ]
+    notes = [f"Rotor {r.rotor}: {r.note}." for r in result.rotors if r.note]
+    notes += [report.scope(result)] if report.scope(result) else []
+    return Group(*parts, *(Padding(Text(note), (0, 0, 0, 1)) for note in notes))
 
 
 def _events(result: Diagnosis) -> RenderableType:
-    table = listing("Events", "what", "since", "announced", "until", "loss (95 %)", "sure", right=(1, 2, 3, 4, 5))
+    rows = []
+    for number, e in enumerate(result.events):
+        main = " (main)" if number == result.main and len(result.events) > 1 else ""
+        what = Text(f"{report.kind(e)}{main}\n").append(report.candidates(e), style="bold")
+        loss = "\n".join(report.losses(e).split(", ")) if e.kind == "loss_of_effectiveness" else report.size(e)
+        times = [report.seconds(t) for t in (e.onset_s, e.detected_s, e.end_s)]
+        rows.append([what, *map(Text, (*times, loss or "–", report.probability(e.probability)))])
+    head = ("what", "since", "announced", "until", "loss (95 %)", "sure")
+    reasons = []
     for e in result.events:
-        what = Text(f"{report.kind(e)}\n").append(report.candidates(e) if e.rotors else "no single rotor", style="bold")
-        loss = "\n".join(report.losses(e).split(", ")) or "–"
-        sure = report.probability(e.probability)
-        table.add_row(what, *(report.seconds(t) for t in (e.onset_s, e.detected_s, e.end_s)), loss, sure)
-    reasons = [
-        Padding(Text(f"{report.seconds(e.detected_s)}: {e.reason}"), (0, 0, 0, 1)) for e in result.events if e.reason
-    ]
-    return Group(table, *reasons)
-
-
-def _comparison(rows: Iterable[tuple[str, str, str, str]]) -> RenderableType:
-    table = listing("Who found what, when", "check", "found", "at", "why", right=(2,))
-    for row in rows:
-        table.add_row(*(Text(cell) for cell in row))
-    return table
+        clock = report.moment(result, e.onset_s)
+        text = f"{report.seconds(e.onset_s)}{f' ({clock})' if clock else ''}: {e.reason}"
+        reasons.append(Padding(Text(text), (0, 0, 0, 1)))
+    return Group(Fitted("Events", head, rows, right=(1, 2, 3, 4, 5), wide=(0,)), *reasons)
 
 
 def _mentions(result: Diagnosis) -> list[RenderableType]:
-    """Common mode and whole-flight findings, as pairs of name and value."""
+    """The comparison with healthy flights, and what all rotors share."""
     out: list[RenderableType] = []
-    for title, facts in (("Common mode", result.common_mode), ("Against healthy flights", result.whole_flight)):
-        if facts:
-            grid = Table.grid(padding=(0, 2))
-            for key, value in facts.items():
-                grid.add_row(Text(f" {words(key)}", style="dim"), Text(plain(value)))
-            out += [Text(), Text(title, style="bold"), grid]
+    rows = report.whole_flight(result)
+    if rows:
+        out += [Text(), Text("Against healthy flights of this build", style="bold"), *_pairs(rows)]
+    common = report.common_mode(result)
+    if common:
+        out += [Text(), Text("All rotors together", style="bold"), Padding(Text(common), (0, 0, 0, 1))]
     return out
 
 
+def _pairs(rows: Iterable[tuple[str, str]]) -> list[RenderableType]:
+    return [
+        Padding(Text(f"{name}: ", style="dim").append(value, style="default"), (0, 0, 0, 1)) for name, value in rows
+    ]
+
+
 def _small_print(result: Diagnosis) -> RenderableType:
-    grid = Table.grid(padding=(0, 2))
-    grid.add_column(style="dim", no_wrap=True)
-    grid.add_column()
-    for sentence in result.warnings:
-        grid.add_row(Text("warning", style="yellow"), Text(sentence))
-    grid.add_row("baseline", Text(result.baseline))
-    for sentence in result.assumptions:
-        grid.add_row("assumed", Text(sentence))
+    rows = [("warning", sentence) for sentence in result.warnings]
+    rows.append(("baseline", result.baseline))
+    rows += [("assumed", sentence) for sentence in result.assumptions]
     if result.trace is not None:
-        for start, end, why in result.trace.blind:
-            grid.add_row("blind", Text(f"{start:.1f} to {end:.1f} s: {why}"))
+        rows += [("blind", f"{start:.1f} to {end:.1f} s: {why}") for start, end, why in result.trace.blind]
     if result.timing:
-        grid.add_row("took", Text(", ".join(f"{words(k)} {v:.2f} s" for k, v in result.timing.items())))
-    return grid
+        rows.append(("took", ", ".join(f"{words(k)} {v:.2f} s" for k, v in result.timing.items())))
+    return Notes(rows)
+
+
+def _cells(rows: Iterable[Iterable[Any]]) -> list[list[Text]]:
+    return [[Text(str(cell)) for cell in row] for row in rows]
+
+
+class Notes:
+    """Sentences with a word before them: side by side, or one after the other where there is little room."""
+
+    def __init__(self, rows: Iterable[tuple[str, str]]):
+        self.rows = list(rows)
+
+    def __rich_console__(self, console: Console, options):
+        room = options.max_width - 2 - max((len(name) for name, _ in self.rows), default=0)
+        if options.max_width < 60 or any(_longest_word(Text(text)) > room for _, text in self.rows):
+            for name, text in self.rows:
+                yield Text(f"{name}: ", style="yellow" if name == "warning" else "dim").append(
+                    text, style="default not dim"
+                )
+            return
+        grid = Table.grid(padding=(0, 2))
+        grid.add_column(no_wrap=True)
+        grid.add_column(overflow="fold")
+        for name, text in self.rows:
+            grid.add_row(Text(name, style="yellow" if name == "warning" else "dim"), Text(text))
+        yield grid
 
 
 def info(facts: Mapping[str, Any]) -> RenderableType:
     """What `rotorwatch info` prints; facts as from `rotorwatch.info.info`."""
-    grid = Table.grid(padding=(0, 2))
-    grid.add_column(style="dim", no_wrap=True)
-    grid.add_column()
     airborne = ", ".join(f"{a:.1f} to {b:.1f} s" for a, b in facts["airborne_s"]) or "never found airborne"
-    for key, value in (
+    entries = (
         ("log", facts["name"]),
         ("format", facts["format"]),
         (
@@ -170,25 +261,24 @@ def info(facts: Mapping[str, Any]) -> RenderableType:
         ("duration", f"{facts['duration_s']:.1f} s"),
         ("airborne", airborne),
         ("parameters", facts["parameters"]),
-    ):
-        if value not in ("", None):
-            grid.add_row(key, Text(str(value)))
-    table = listing("Signals", "signal", "rate", "unit", "frame", "valid", "source", right=(1, 4))
-    for s in facts["signals"]:
-        table.add_row(
+    )
+    grid = Notes((key, str(value)) for key, value in entries if value not in ("", None))
+    signals = [
+        (
             s["name"],
             f"{s['rate_hz']:.4g} Hz",
             s["unit"],
             s["frame"],
-            f"{int(100 * s['valid'])} %",  # 99.9 % is not all of it
+            f"{int(100 * s['valid'])} %",
             s["source"],
-        )
-    parts: list[RenderableType] = [grid, Text(), table]
+        )  # 99.9 % is not all of it
+        for s in facts["signals"]
+    ]
+    head = ("signal", "rate", "unit", "frame", "valid", "source")
+    parts: list[RenderableType] = [grid, Text(), Fitted("Signals", head, _cells(signals), (1, 4), short=(4,)), Text()]
     if facts["messages"]:
-        said = listing("Messages", "at", "what", "text", right=(0,))
-        for m in facts["messages"]:
-            said.add_row(f"{m['time_s']:.1f} s", m["kind"], Text(m["text"]))
-        parts.append(said)
+        said = [(f"{m['time_s']:.1f} s", m["kind"], m["text"]) for m in facts["messages"]]
+        parts += [Fitted("Messages", ("at", "what", "text"), _cells(said), (0,), short=()), Text()]
     parts.append(Text("For a diagnosis", style="bold"))
     ready = "This log has what a diagnosis needs." if facts["ready"] else "This log cannot be diagnosed as it is."
     parts.append(Text(f" {ready}", style="green" if facts["ready"] else "red"))

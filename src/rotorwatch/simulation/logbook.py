@@ -188,7 +188,7 @@ def _ardupilot_parameters(scenario: Scenario, craft: Vehicle, plan: Plan) -> dic
         "INS_ACCEL_FILTER": scenario.sensors["accel_filter_hz"],
         "SCHED_LOOP_RATE": round(scenario.rate_hz),
     }
-    motors = (*range(33, 41), *range(82, 86))
+    motors = (*range(33, 41), *range(82, 86)) if len(craft.rotors) > 3 else (33, 34, 36)  # a tricopter has no motor 3
     found |= {f"SERVO{k + 1}_FUNCTION": motors[k] for k in range(len(craft.rotors))}
     return {k: float(v) for k, v in found.items()}
 

@@ -85,7 +85,9 @@ def _geometry(autopilot: str, frame: str) -> tuple[Rotor, ...]:
         if name in px4.FRAMES:
             return px4.place(name)
     rotors = _built(frame).rotors  # PX4 takes any geometry, by its CA_ROTOR parameters
-    if any(r.spin == 0 for r in rotors):
+    if frame != "tri" and any(
+        r.spin == 0 for r in rotors
+    ):  # the servo of a tricopter is not simulated, its yaw is free
         raise ConfigError(f"airframe.frame: the rotors of {frame} are tilted, which is not simulated.")
     return rotors
 
@@ -97,6 +99,8 @@ def frame_numbers(frame: str) -> tuple[int, int]:
         for code, word in ardupilot.TYPES.items():
             if f"{kind}-{word}" == frame:
                 return number, code
+    if frame == "tri":
+        return 7, 0
     if frame.startswith("y6"):
         return 5, {"y6-b": 10, "y6-f": 11}.get(frame, 1)
     raise ConfigError(f"airframe.frame: ArduPilot has no frame {frame}, so no DataFlash log of it can be written.")

@@ -161,12 +161,17 @@ def with_truth(paths: Sequence[str | PathLike], truth: str | PathLike) -> list[S
     Left out: logs that the file does not list, losses it does not know, and (column faults) those that change on the way.
     Raises ConfigError for other files.
     """
-    known = {}
-    with open(truth, newline="", encoding="utf-8") as file:
-        for row in csv.DictReader(file):
-            if not {"path", "faulty_rotors", "thrust_loss", "start_s"} <= row.keys():
-                raise ConfigError(f"{truth} needs the columns path, faulty_rotors, thrust_loss and start_s.")
-            known[_stem(row["path"])] = row
+    try:
+        with open(truth, newline="", encoding="utf-8") as file:
+            table = csv.DictReader(file)
+            rows, columns = list(table), set(table.fieldnames or ())
+    except (UnicodeDecodeError, csv.Error) as why:
+        raise ConfigError(f"{truth} is no table of commas and lines ({why}).") from None
+    if not {"path", "faulty_rotors", "thrust_loss", "start_s"} <= columns:
+        raise ConfigError(f"{truth} needs the columns path, faulty_rotors, thrust_loss and start_s.")
+    known = {_stem(row["path"]): row for row in rows if row["path"]}
+    if not any(_stem(str(path)) in known for path in paths):
+        raise ConfigError(f"{truth} names none of the logs given; its column path holds their names.")
     found = []
     for path in paths:
         row = known.get(_stem(str(path)))
@@ -174,8 +179,13 @@ def with_truth(paths: Sequence[str | PathLike], truth: str | PathLike) -> list[S
         if row is None or row["thrust_loss"] == "?" or segments >= len(row["faulty_rotors"].split("+")):
             continue
         flight = logs.read(path)
-        rotors = [int(r) for r in row["faulty_rotors"].split("+") if r]
-        faults = tuple((r, float(row["start_s"]), float(row["thrust_loss"])) for r in rotors)
+        try:
+            rotors = [int(r) for r in row["faulty_rotors"].split("+") if r]
+            faults = tuple((r, float(row["start_s"]), float(row["thrust_loss"])) for r in rotors)
+        except ValueError:
+            raise ConfigError(
+                f"{truth}: the line of {row['path']} does not give rotors (as in 1+2), start and loss as numbers."
+            ) from None
         found.append(_scene("logs with known faults", flight, airframes.identify(flight), faults))
     return [s for s in found if s is not None]
 

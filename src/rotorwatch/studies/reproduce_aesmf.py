@@ -12,7 +12,6 @@ import numpy as np
 
 from rotorwatch import checks
 from rotorwatch.backend import jax as load_jax
-from rotorwatch.errors import ConfigError
 from rotorwatch.estimators.aesmf import AESMF
 from rotorwatch.estimators.aukf import AUKF
 from rotorwatch.estimators.ekf import EKF
@@ -210,10 +209,7 @@ def _claims(figures) -> tuple[Claim, ...]:
 
 def figures(result: Reproduction) -> dict:
     """The paper's figure of bounds, for the coefficients of roll and tail."""
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise ConfigError("Figures need matplotlib; install rotorwatch[research].") from error
+    Figure = checks.library("matplotlib.figure", "A figure").Figure
     figure = Figure(figsize=(9, 6), layout="constrained")
     axes = figure.subplots(2, 2, sharex=True)
     truth = result.series["truth"]

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import airframes
+from rotorwatch import airframes, checks
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.estimators.atsukf import ATSUKF
 from rotorwatch.estimators.tsukf import TSUKF
@@ -348,12 +348,7 @@ def claims(figures: dict) -> tuple[Claim, ...]:
 
 def figures(result: Reproduction) -> dict[str, Any]:
     """Figures 3 to 8 of the paper: losses found in both scenarios, and what noise beyond R does. Needs matplotlib."""
-    from rotorwatch.errors import ConfigError
-
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise ConfigError("Drawing figures needs matplotlib; install rotorwatch[research].") from error
+    Figure = checks.library("matplotlib.figure", "A figure").Figure
     t, series = result.series["t"], result.series
     colours = {"tsukf": "#c44e52", "atsukf": "#2a6f97"}
     drawn = {}

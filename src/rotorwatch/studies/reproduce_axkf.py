@@ -10,9 +10,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rotorwatch import airframes
+from rotorwatch import airframes, checks
 from rotorwatch.backend import jax as load_jax
-from rotorwatch.errors import ConfigError
 from rotorwatch.estimators.adaptive_ekf import AdaptiveEKF
 from rotorwatch.estimators.axkf import AXKF, Carry
 from rotorwatch.estimators.ekf import EKF
@@ -23,6 +22,7 @@ from rotorwatch.studies.rot_flights import DT, LOSSES, MOTORS, ONSETS
 from rotorwatch.systems.port_hamiltonian_attitude import PortHamiltonianAttitude
 
 PAPER = "axkf"
+NEEDS = ("cvxpy",)
 TITLE = "Rot, Hasan and Manoonpong 2020, Robust actuator fault diagnosis for hexacopter UAVs (IFAC-PapersOnLine 53-2)"
 LITERAL = {
     "innovation": "Table 1's innovation leaves A x out: the measurement itself drives the losses, which run away",
@@ -410,11 +410,7 @@ def _shares(shares: dict[str, float]) -> str:
 
 def figures(result: Reproduction) -> dict:
     """The paper's figures 3, 4 and 6 to 9, and all six losses."""
-    try:
-        import matplotlib
-    except ImportError as why:
-        raise ConfigError("Figures need matplotlib: install rotorwatch[research].") from why
-    matplotlib.use("agg")
+    checks.library("matplotlib", "A figure").use("agg")
     series = result.series
     rows, t = slice(None, None, KEEP), series["time"][::KEEP]
     two, without, six = series["two"], series["no_fault_term"], series["six"]

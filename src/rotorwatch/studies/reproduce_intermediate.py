@@ -11,7 +11,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from rotorwatch import airframes
+from rotorwatch import airframes, checks
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
 from rotorwatch.estimators.intermediate import Intermediate
@@ -21,6 +21,7 @@ from rotorwatch.studies.reproduction import Claim, Reproduction
 from rotorwatch.systems.linear_hover import LinearHover
 
 PAPER = "intermediate"
+NEEDS = ("cvxpy",)
 TITLE = "Nguyen, Huynh, Do, Mung and Hong, Robust fault estimation using the intermediate observer (2020)"
 LITERAL = {
     "epsilon": "1/epsilon with epsilon = 0.02, as printed: the matrix inequality then has no solution for any alpha, L and mu",
@@ -316,10 +317,7 @@ def _list(values) -> str:
 
 def figures(result: Reproduction) -> dict:
     """The paper's figures of losses and channel faults, as matplotlib figures."""
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise ConfigError("Drawing figures needs matplotlib: install rotorwatch[research].") from error
+    Figure = checks.library("matplotlib.figure", "A figure").Figure
     series, out = result.series, {}
     units = ("p, rad/s²", "q, rad/s²", "r, rad/s²", "down, m/s²")
     losses = Figure(figsize=(8, 5), layout="constrained")

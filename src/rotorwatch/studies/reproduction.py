@@ -25,6 +25,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from rotorwatch import checks
 from rotorwatch.errors import ConfigError
 
 Verdict = Literal["holds", "partly", "not reproduced"]
@@ -93,7 +94,14 @@ def reproduce(
     Raises ConfigError for an unknown paper or literal reading.
     """
     module = study(paper)
+    check_libraries(module)
     return module.reproduce(module.SEEDS if seeds is None else seeds, check_literal(module, literal), progress)
+
+
+def check_libraries(module: ModuleType) -> None:
+    """Raise ConfigError when the study needs a library that is not installed; NEEDS of a study names those that not everybody has."""
+    for name in getattr(module, "NEEDS", ()):
+        checks.library(name, f"The study {module.PAPER}")
 
 
 def check_literal(module: ModuleType, literal: tuple[str, ...]) -> tuple[str, ...]:

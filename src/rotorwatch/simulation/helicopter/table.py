@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from rotorwatch import checks
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight
 from rotorwatch.logs import memory
@@ -58,12 +59,10 @@ def write(scenario: Scenario, plan: Plan, record: Record, path: Path) -> None:
     """Write the table as .csv or .parquet. Raises ConfigError for other endings."""
     found = columns(scenario, plan, record)
     if path.suffix.lower() == ".parquet":
-        try:
-            import pyarrow
-            import pyarrow.parquet
-        except ImportError as error:
-            raise ConfigError("Parquet needs pyarrow: pip install rotorwatch[parquet].") from error
-        pyarrow.parquet.write_table(pyarrow.table(found), path)
+        parquet = checks.library("pyarrow.parquet", "Parquet")
+        import pyarrow
+
+        parquet.write_table(pyarrow.table(found), path)
     elif path.suffix.lower() == ".csv":
         truth.write_csv(path, list(found), np.column_stack(list(found.values())))
     else:

@@ -1,0 +1,89 @@
+"""Where results are written: checked before the work that makes them, and written in one step, all of it or nothing."""
+
+from __future__ import annotations
+
+import os
+import re
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from rotorwatch.errors import ConfigError
+
+ADDRESS = re.compile(r"[a-z][a-z0-9+.-]*:/{1,2}[^/]", re.IGNORECASE)  # a Path has lost one of two slashes
+
+
+def no_address(path: str | os.PathLike) -> None:
+    """Raise ConfigError for an address on the web: only files of this computer are read and written."""
+    text = os.fspath(path)
+    if isinstance(text, str) and ADDRESS.match(text) and not Path(text).exists():
+        text = re.sub(":/+", "://", text, count=1)
+        raise ConfigError(
+            f"{text} is an address, not a file: download it first (for instance with curl -O), then give the file."
+        )
+
+
+def writable(path: str | os.PathLike, what: str, make: bool = False) -> Path:
+    """The path, when a file can be written there: nothing is changed by asking, but with `make` missing folders are made.
+
+    what: names the target in the sentence, such as "--report". Raises ConfigError.
+    """
+    no_address(path)
+    path = Path(path)
+    if str(path) == "-":
+        raise ConfigError(f"{what} -: give a file name; standard output carries the answer.")
+    if path.is_dir():
+        raise ConfigError(f"{what}: {path} is a folder; give a file name.")
+    if path.exists() and not path.is_file():
+        raise ConfigError(f"{what}: {path} is no ordinary file; give another name.")
+    folder(path.parent, f"{what} {path}", make)
+    if path.exists():
+        try:
+            path.open("ab").close()
+        except OSError as why:
+            raise ConfigError(f"{what} {path}: cannot be written to ({why.strerror or why}).") from None
+    return path
+
+
+def folder(path: str | os.PathLike, what: str, make: bool = True) -> Path:
+    """The path, when files can be written into that folder; with `make` it is made. Raises ConfigError."""
+    no_address(path)
+    path = Path(path)
+    try:
+        if make:
+            path.mkdir(parents=True, exist_ok=True)
+        if not path.is_dir():
+            raise ConfigError(f"{what}: there is no folder {path}.")
+        tempfile.TemporaryFile(dir=path).close()
+    except FileExistsError:
+        raise ConfigError(f"{what}: {path} is a file, not a folder.") from None
+    except (OSError, ValueError) as why:
+        reason = getattr(why, "strerror", None) or why
+        raise ConfigError(f"{what}: cannot write into {path} ({reason}).") from None
+    return path
+
+
+@contextmanager
+def replacing(path: str | os.PathLike) -> Iterator[Path]:
+    """A temporary path beside `path`, with its ending, that takes its place at the end; gone when something goes wrong on the way.
+
+    Raises ConfigError when it cannot be written.
+    """
+    path = Path(path)
+    try:
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix)
+    except (OSError, ValueError) as why:
+        raise ConfigError(f"{path} cannot be written ({getattr(why, 'strerror', None) or why}).") from None
+    os.close(handle)
+    try:
+        yield Path(name)
+        umask = os.umask(0)
+        os.umask(umask)
+        os.chmod(name, 0o666 & ~umask)  # mkstemp keeps files private; a result has the usual rights
+        os.replace(name, path)
+    except OSError as why:
+        raise ConfigError(f"{path} cannot be written ({why.strerror or why}).") from None
+    finally:
+        with suppress(OSError):
+            os.unlink(name)

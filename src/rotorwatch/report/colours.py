@@ -1,0 +1,56 @@
+"""One colour for each rotor, wherever it appears: table, top view and plots. The faulty ones share one that no other has."""
+
+from __future__ import annotations
+
+from rotorwatch.diagnosis import Diagnosis, Event
+
+# Okabe and Ito's palette and neighbours, which colour-blind readers can tell apart: vermilion for what is broken, orange for what is
+# suspected, the rest for rotors that nothing is known against. Dashes tell apart what shares a colour.
+FAULT, SUSPECT = "#d55e00", "#e69f00"
+OTHERS = ("#0072b2", "#009e73", "#56b4e9", "#9467bd", "#8c8c8c", "#44727f", "#6aa84f", "#b08fb5")
+PALETTE = (
+    "#0072b2",
+    "#e69f00",
+    "#009e73",
+    "#cc79a7",
+    "#56b4e9",
+    "#d55e00",
+    "#8c8c8c",
+    "#9467bd",
+)  # for all that are no rotors
+DASHES = ("solid", "dashed", "dotted", "dotdash", "dashdot")
+INK = "#7a828a"  # reads on white and on black until the page's script has set the theme
+
+
+def faulty(diagnosis: Diagnosis) -> list[int]:
+    """Rotors that the verdict names: those of the main event when it is sure, and those that are degraded or failed."""
+    event = None if diagnosis.main is None else diagnosis.events[diagnosis.main]
+    named = set(event.rotors) if event is not None and not event.alternatives else set()
+    return sorted(named | {r.rotor for r in diagnosis.rotors if r.status in ("degraded", "failed")})
+
+
+def suspects(diagnosis: Diagnosis) -> list[int]:
+    """Rotors under suspicion that the verdict does not name."""
+    named = faulty(diagnosis)
+    return [r.rotor for r in diagnosis.rotors if r.status == "suspect" and r.rotor not in named]
+
+
+def looks(diagnosis: Diagnosis, count: int = 0) -> dict[int, tuple[str, str]]:
+    """(colour, dash) of each rotor, 1-based; count: of rotors at least, where the diagnosis does not list them all."""
+    bad, open_ = faulty(diagnosis), suspects(diagnosis)
+    numbers = sorted({*(r.rotor for r in diagnosis.rotors), *range(1, count + 1)})
+    out = {}
+    for k in numbers:
+        for group, tint in ((bad, FAULT), (open_, SUSPECT)):
+            if k in group:
+                out[k] = tint, DASHES[group.index(k) % len(DASHES)]
+        if k not in out:
+            out[k] = OTHERS[(k - 1) % len(OTHERS)], DASHES[(k - 1) // len(OTHERS) % len(DASHES)]
+    return out
+
+
+def of_event(event: Event) -> str:
+    """The colour of an event: of its verdict."""
+    if event.kind not in ("loss_of_effectiveness", "output_override"):
+        return INK
+    return SUSPECT if event.alternatives else FAULT

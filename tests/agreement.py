@@ -1,0 +1,512 @@
+"""Whether all views of one answer say the same: JSON, terminal, page, top view and plots, field by field.
+
+`walk(diagnosis)` returns the contradictions it finds, as sentences; an empty list when there is none. Every field of the JSON has an entry
+in FIELDS: a check, or the word that it is not shown. A field without an entry is itself a contradiction: nobody has decided what the
+views say of it.
+"""
+
+import io
+import json
+import re
+from html.parser import HTMLParser
+from unittest import mock
+
+import numpy as np
+from rich.console import Console
+
+from rotorwatch import report
+from rotorwatch.conclusion import LOSS, OVERRIDE
+from rotorwatch.diagnosis import EXIT_CODES
+from rotorwatch.report import colours, drawing, figures, html, terminal
+
+WIDTHS = (40, 80, 200)
+EPS = 1.01e-4  # numbers in the JSON are rounded to four digits
+
+
+def flat(text):
+    """One line, spaces and no-break spaces alike."""
+    return " ".join(text.replace("\u2060", "").replace("\u00a0", " ").split())
+
+
+class Page(HTMLParser):
+    """Visible text of a page; the rotor table's rows; titles and colours of the top view; colours of events and chips."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.words, self.raw, self.rows, self.places, self.tints, self.row = [], None, [], {}, [], None
+        self.inside, self.rotor = "", None
+        self.feed(text)
+        self.text = flat(" ".join(self.words))
+
+    def handle_starttag(self, tag, attrs):
+        attrs = dict(attrs)
+        self.raw = tag if tag in ("script", "style") else self.raw
+        if tag == "table":
+            self.inside = attrs.get("class", "")
+        if tag == "tr" and self.inside == "rotors" and "style" in attrs:
+            self.row = {"status": attrs.get("class"), "tint": attrs["style"].partition(":")[2], "words": []}
+            self.rows.append(self.row)
+        if tag == "g" and attrs.get("class", "").startswith("rotor "):
+            self.rotor = {"status": attrs["class"].split()[1], "tint": attrs["style"].partition(":")[2], "title": ""}
+            self.places[len(self.places) + 1] = self.rotor
+        if tag == "li" and "--tint" in attrs.get("style", ""):
+            self.tints.append(attrs["style"].partition(":")[2])
+
+    def handle_endtag(self, tag):
+        self.raw = None if tag == self.raw else self.raw
+        self.row = None if tag == "tr" else self.row
+        self.inside = "" if tag == "table" else self.inside
+        self.rotor = None if tag == "g" else self.rotor
+
+    def handle_data(self, data):
+        if self.raw:
+            return
+        self.words.append(data)
+        if self.row is not None:
+            self.row["words"].append(data)
+        if self.rotor is not None:
+            self.rotor["title"] += data
+
+
+class Views:
+    """All views of one diagnosis, made once."""
+
+    def __init__(self, diagnosis):
+        self.diagnosis = diagnosis
+        self.json = json.loads(diagnosis.to_json())
+        self.figures = {}
+        with mock.patch.object(figures, "plots", self._plots(figures.plots)):
+            self.page_text = html.page(diagnosis)
+        self.page = Page(self.page_text)
+        self.screens, self.faults = {}, []
+        for width in WIDTHS:
+            screen = Console(
+                width=width, color_system=None, highlight=False, emoji=False, markup=False, file=io.StringIO()
+            )
+            with screen.capture() as out:
+                screen.print(terminal.diagnosis(diagnosis))
+            self.screens[width] = flat(out.get())
+            longest = max(len(line.rstrip()) for line in out.get().splitlines())
+            self.expect(longest <= width, f"a line of {longest} columns on a terminal of {width}")
+            self.expect("…" not in out.get() and "\x1b" not in out.get(), f"text is cut or coloured at {width} columns")
+
+    def _plots(self, make):
+        def wrapped(diagnosis):
+            self.figures = make(diagnosis)
+            return self.figures
+
+        return wrapped
+
+    def expect(self, fine, what):
+        if not fine:
+            self.faults.append(what)
+
+    def shown(self, text, what, page=True, screen=True):
+        """A text stands on the page and on every terminal."""
+        text = flat(str(text))
+        self.expect(not page or text in self.page.text, f"{what} is not on the page: {text}")
+        for width in WIDTHS if screen else ():
+            self.expect(text in self.screens[width], f"{what} is not on a terminal of {width} columns: {text}")
+
+
+def walk(diagnosis, flown=True):
+    """Contradictions within one answer and between its views, as sentences. flown: its trace is of the same flight."""
+    views = Views(diagnosis)
+    views.flown = flown
+    for path, value in leaves(views.json):
+        if path not in FIELDS:
+            views.faults.append(f"{path}: nobody has said how it is shown")
+        elif FIELDS[path] is not None:
+            FIELDS[path](views, value)
+    for check in (verdict, main_event, headline, rotors, events, advice, page, plots, one_line):
+        check(views)
+    return views.faults
+
+
+def leaves(value, path=""):
+    """(path, value) of all that is not an object, nor a list of objects; list positions as []."""
+    if isinstance(value, dict) and value:
+        for key, inner in value.items():
+            yield from leaves(inner, f"{path}.{key}" if path else key)
+    elif isinstance(value, list) and any(isinstance(v, (dict, list)) for v in value) and not path.endswith("interval"):
+        for inner in value:
+            yield from leaves(inner, f"{path}[]")
+    else:
+        yield path, value
+
+
+# What is said
+
+
+def of_kind(views, *kinds):
+    return [e for e in views.json["events"] if e["kind"] in kinds]
+
+
+def explanations(event):
+    return [event["rotors"], *event["alternatives"]]
+
+
+def named(event):
+    return {r for who in explanations(event) for r in who}
+
+
+def states(views):
+    return {r["rotor"]: r for r in views.json["rotors"]}
+
+
+def verdict(views):
+    """Verdict, exit code, main event and states belong together."""
+    d, expect = views.json, views.expect
+    main = None if d["main_event"] is None else d["events"][d["main_event"]]
+    whole = (d["whole_flight"] or {}).get("verdict")
+    status = {r["status"] for r in d["rotors"]}
+    expect(views.diagnosis.exit_code == EXIT_CODES[d["verdict"]], "the exit code is of another verdict")
+    sure = [e for e in of_kind(views, LOSS, OVERRIDE) if not e["alternatives"]]
+    if d["verdict"] == "healthy":
+        expect(not of_kind(views, LOSS, OVERRIDE) and main is None, "healthy with a loss or an override")
+        expect(status <= {"healthy"}, f"healthy with rotors {status}")
+        expect(whole in (None, "healthy", "inconclusive"), "healthy, and the comparison says otherwise")
+    if d["verdict"] == "inconclusive":
+        expect(not of_kind(views, LOSS, OVERRIDE) and main is None, "inconclusive with a loss or an override")
+        expect(status <= {"unobservable"}, f"inconclusive with rotors {status}")
+    if d["verdict"] == "ambiguous":
+        expect(not sure, "ambiguous with an event that is certain")
+        over = main is not None and main["end_s"] is not None
+        expect("suspect" in status or over, "ambiguous without a suspect")
+        expect(not status & {"degraded", "failed"}, "ambiguous with a rotor that is called broken")
+    if d["verdict"] == "fault":
+        expect(bool(sure) or whole == "fault", "fault without anything certain")
+        over = main is not None and main["end_s"] is not None
+        expect(bool(status & {"degraded", "failed", "suspect"}) or over, "fault, and all rotors are healthy at the end")
+    expect(bool(sure) <= (d["verdict"] in ("fault",)), "something certain, and no fault")
+
+
+def main_event(views):
+    """No sure event that is as large is earlier than the main one."""
+    d = views.json
+    if d["main_event"] is None:
+        views.expect(not of_kind(views, LOSS, OVERRIDE), "events, and none of them is the main one")
+        return
+    main = d["events"][d["main_event"]]
+    rivals = [e for e in of_kind(views, LOSS, OVERRIDE) if bool(e["alternatives"]) <= bool(main["alternatives"])]
+    biggest = max((max(e["loss"]) for e in rivals if e["kind"] == LOSS), default=0.0)
+    for e in rivals:
+        if not e["alternatives"] and main["alternatives"]:
+            views.expect(False, "the main event is ambiguous beside a certain one")
+        if e["kind"] == LOSS and max(e["loss"]) >= 0.5 * biggest + EPS:
+            views.expect(e["onset_s"] >= main["onset_s"] - 1.0 - EPS, "a large loss came before the main event")
+    if main["kind"] == LOSS:
+        views.expect(max(main["loss"]) >= 0.5 * biggest - EPS, "the main loss is a small one")
+
+
+def headline(views):
+    """Headline and reason speak of the main event and of nothing else, with its numbers."""
+    d, said = views.json, views.json["headline"]
+    unjudged = bool(d["rotors"]) and {r["from_takeoff"] for r in d["rotors"]} == {"not judged"}
+    hidden = "Damage from take-off was not judged" in said
+    views.expect(
+        hidden == (unjudged and d["verdict"] != "inconclusive"), "the headline and the rotors differ on take-off"
+    )
+    if d["main_event"] is None or (d["verdict"] == "fault" and d["events"][d["main_event"]]["alternatives"]):
+        return
+    main = d["events"][d["main_event"]]
+    spoken = set(map(int, re.findall(r"(\d+) \((?:front|rear|left|right|centre)", said)))
+    spoken |= set(map(int, re.findall(r"rotors? (\d+)", said, re.IGNORECASE)))
+    views.expect(spoken == named(main), f"the headline names rotors {spoken}, the main event {named(main)}")
+    event = views.diagnosis.events[views.diagnosis.main]
+    views.expect(report.seconds(event.onset_s) in said, "the headline has another time than the main event")
+    views.expect(
+        all(str(r) in d["reason"] for r in main["rotors"]), "the reason names other rotors than the main event"
+    )
+    if main["kind"] == LOSS and not main["alternatives"]:
+        for text in (said, d["reason"]):
+            views.expect(report.losses(event) in text, f"the loss of the main event is not in: {text}")
+        views.expect((main["end_s"] is None) == ("until" not in said), "headline and main event differ on the end")
+
+
+def rotors(views):
+    """Every rotor's state follows from the events: nothing more is claimed, nothing less."""
+    d, expect = views.json, views.expect
+    whole = d["whole_flight"] or {}
+    for k, r in states(views).items():
+        low, high = r["interval"]
+        me = f"rotor {k} ({r['status']})"
+        lasting = [e for e in of_kind(views, LOSS) if k in named(e) and e["end_s"] is None]
+        sure = [e for e in lasting if not e["alternatives"]]
+        claims = [e for e in of_kind(views, LOSS, OVERRIDE) if k in named(e)]
+        expect(
+            0 <= low <= high <= 1 and low - EPS <= r["loss"] <= high + EPS,
+            f"{me}: loss {r['loss']} outside {r['interval']}",
+        )
+        expect(r["status"] in ("healthy", "degraded", "failed", "suspect", "unobservable"), f"{me}: unknown status")
+        if d["verdict"] == "inconclusive":
+            continue
+        for e in lasting:
+            expect(r["status"] not in ("healthy", "unobservable"), f"{me} although an event that lasts names it")
+            if e["alternatives"]:
+                expect(
+                    r["status"] == "suspect" or bool(sure) or r["from_takeoff"] == "damaged",
+                    f"{me} although one of several explanations",
+                )
+                top = e["interval"][e["rotors"].index(k)][1] if k in e["rotors"] else max(h for _, h in e["interval"])
+                expect(high >= top - EPS, f"{me}: the interval does not cover an explanation")
+                expect(
+                    bool(sure) or low == 0 or r["from_takeoff"] == "damaged",
+                    f"{me}: the interval leaves out that another rotor did it",
+                )
+        if sure:
+            e = sure[-1]
+            j = e["rotors"].index(k)
+            expect(
+                r["status"] == ("failed" if e["loss"][j] > 0.8 else "degraded"),
+                f"{me} with a certain loss of {e['loss'][j]}",
+            )
+            expect(abs(r["loss"] - e["loss"][j]) < EPS, f"{me}: another loss than its event's")
+            expect(
+                low <= e["interval"][j][0] + EPS and high >= e["interval"][j][1] - EPS,
+                f"{me}: a smaller interval than its event's",
+            )
+        if r["status"] in ("degraded", "failed"):
+            expect(
+                bool(sure) or (whole.get("verdict") == "fault" and k in whole["rotors"]),
+                f"{me} without anything certain",
+            )
+        if r["status"] == "suspect":
+            expect(bool(r["note"]), f"{me}: no word why")
+            # Its own evidence, an unjudged landing, an override or the comparison: at least one must have named it.
+            why = bool(claims) or r["from_takeoff"] == "suspect" or "no event explains" in r["note"]
+            expect(why, f"{me} although nothing names it")
+        if r["status"] == "healthy":
+            expect(r["since_takeoff"] is not None, f"{me}: no word on what could have hidden")
+            expect(all(e["end_s"] is not None for e in claims), f"{me} although something about it lasts")
+            if r["from_takeoff"] == "not judged":
+                expect((low, high) == (0, 1), f"{me}: a small interval although damage from take-off was not judged")
+            else:
+                expect(high >= r["since_takeoff"][1] - EPS, f"{me}: less could hide in all than since take-off")
+            expect(bool(claims) == bool(r["note"]), f"{me}: note and events differ")
+        expect(
+            (r["from_takeoff"] == "damaged") <= (r["status"] in ("degraded", "failed")),
+            f"{me} and damaged from take-off",
+        )
+
+
+def events(views):
+    """Events are in themselves consistent, and shown with the same numbers everywhere."""
+    for e, event in zip(views.json["events"], views.diagnosis.events, strict=True):
+        me = f"event {e['kind']} at {e['onset_s']}"
+        views.expect(e["onset_s"] <= e["detected_s"] + EPS, f"{me}: announced before it began")
+        views.expect(e["end_s"] is None or e["end_s"] >= e["onset_s"] - EPS, f"{me}: over before it began")
+        views.expect(
+            len(e["loss"]) == len(e["interval"]) and len(e["loss"]) in (0, len(e["rotors"])),
+            f"{me}: loss of other rotors",
+        )
+        views.expect(all(set(a) != set(e["rotors"]) for a in e["alternatives"]), f"{me}: an alternative that is none")
+        views.expect(e["kind"] != "contact" or not e["rotors"], f"{me}: a contact accuses a rotor")
+        views.shown(report.kind(event), f"{me}: its kind")
+        views.shown(report.candidates(event), f"{me}: its rotors", page=False)
+        views.shown(report.candidates(event, report.places(views.diagnosis)), f"{me}: its rotors", screen=False)
+        views.shown(report.seconds(event.onset_s), f"{me}: its beginning")
+        views.shown(report.seconds(event.detected_s), f"{me}: its announcement")
+        views.shown(report.probability(event.probability), f"{me}: its probability")
+        if event.end_s is not None:
+            views.shown(report.seconds(event.end_s), f"{me}: its end")
+        views.shown(report.size(event), f"{me}: its size")
+        if event.kind == LOSS:
+            for text in report.losses(event).split(", "):
+                views.shown(text, f"{me}: its loss")
+    tints = [colours.of_event(e) for e in views.diagnosis.events]
+    views.expect(views.page.tints == tints, "the events' colours are not those of their verdicts")
+
+
+def advice(views):
+    """What to do names every rotor that is broken or suspected, and no other."""
+    d = views.json
+    text = " ".join(d["advice"])
+    spoken = set(map(int, re.findall(r"(\d+) \((?:front|rear|left|right|centre)", text)))
+    concerned = {k for k, r in states(views).items() if r["status"] in ("degraded", "failed", "suspect")}
+    over = set() if d["main_event"] is None else named(d["events"][d["main_event"]])
+    views.expect(concerned <= spoken, f"rotors {concerned - spoken} are not in the advice")
+    views.expect(spoken <= concerned | over, f"the advice names rotors {spoken - concerned - over}")
+
+
+def page(views):
+    """The rotor table, the top view and the embedded JSON of the page; the rotor table of every terminal."""
+    d, looks = views.diagnosis, colours.looks(views.diagnosis)
+    views.expect(len(views.page.rows) == len(d.rotors), "the page's rotor table has other rows")
+    for row, r in zip(views.page.rows, d.rotors, strict=False):
+        words = flat(" ".join(row["words"]))
+        cells = (r.rotor, r.place, r.status, report.sentence(r.note), report.rotor_loss(r), report.rotor_interval(r))
+        views.expect(words == flat(" ".join(map(str, cells))), f"the page's row says {words}, not {cells}")
+        views.expect((row["status"], row["tint"]) == (r.status, looks[r.rotor][0]), f"rotor {r.rotor}: the row's look")
+        if r.status == "healthy" and r.from_takeoff == "not judged":
+            views.expect(
+                "%" not in words.replace("changed by at most", "").replace(report.rotor_interval(r)[19:], ""), words
+            )
+        for width, screen in views.screens.items():
+            wide = " ".join(
+                map(str, (r.rotor, r.place, r.status, report.rotor_loss(r), report.rotor_interval(r)))
+            ).strip()
+            lines = f"rotor {r.rotor}, {r.place}, {r.status}, loss {report.rotor_loss(r)}"
+            views.expect(
+                wide in screen or lines in screen, f"rotor {r.rotor}: not on a terminal of {width} columns: {wide}"
+            )
+    if drawing.airframe(d):
+        for r in d.rotors:
+            drawn = views.page.places[r.rotor]
+            views.expect(
+                (drawn["status"], drawn["tint"]) == (r.status, looks[r.rotor][0]),
+                f"rotor {r.rotor}: the top view's look",
+            )
+            title = f"{r.status}, loss {report.rotor_loss(r)}"
+            views.expect(title in flat(drawn["title"]), f"rotor {r.rotor}: the top view says {drawn['title']}")
+    found = re.search(r'<script type="application/json" id="diagnosis">(.*?)</script>', views.page_text, re.DOTALL)
+    views.expect(bool(found) and json.loads(found.group(1)) == views.json, "the page carries another JSON")
+    bad = set(colours.faulty(d))
+    for k, (tint, _) in looks.items():
+        views.expect((tint == colours.FAULT) == (k in bad), f"rotor {k} is {tint}")
+    broken = {r.rotor for r in d.rotors if r.status in ("degraded", "failed")}
+    views.expect(broken <= bad and (d.verdict == "fault" or not bad), "colours of faulty rotors without a fault")
+
+
+def plots(views):
+    """Lines have the rotors' colours, and the bands end where the rotor table says."""
+    d, looks = views.diagnosis, colours.looks(views.diagnosis)
+    if d.trace is None or d.trace.time.size < 2:
+        return
+    drawn = views.figures
+    for name in ("loss", "command"):
+        for line in drawn[name].renderers:
+            if (
+                (line.name or "").startswith("rotor ")
+                and hasattr(line.glyph, "line_color")
+                and not hasattr(line.glyph, "fill_color")
+            ):
+                k = int(line.name.split()[1])
+                views.expect(
+                    line.glyph.line_color == looks[k][0], f"rotor {k} has another colour in the plot of {name}"
+                )
+    if not views.flown:
+        return
+    last = np.flatnonzero(~np.isnan(d.trace.loss[:, 0]))[-1]
+    for r in d.rotors:
+        top = float(d.trace.upper[last, r.rotor - 1])
+        if r.status == "suspect":
+            views.expect(top >= r.loss - 0.05, f"rotor {r.rotor}: the plot ends at {top}, the table at {r.interval}")
+
+
+def one_line(views):
+    """One flight of several on a line: the same verdict and headline."""
+    text = flat(terminal.line("x.bin", views.diagnosis).plain)
+    views.expect(text == flat(f"{report.VERDICTS[views.json['verdict']].lower()} x.bin {views.json['headline']}"), text)
+
+
+# Every field of the JSON
+
+
+def word(name):
+    return lambda views, value: views.shown(value, name)
+
+
+def sentence(name):
+    return lambda views, value: views.shown(report.sentence(value), name) if value else None
+
+
+def every(name, screen=True):
+    return lambda views, value: [views.shown(v, name, screen=screen) for v in value]
+
+
+SHOWN = None  # by a check above, together with the fields it belongs to
+HIDDEN = None  # for programs only
+FIELDS = {
+    "schema": lambda views, value: views.expect(value == 2, "another schema"),
+    "flight.name": word("the name"),
+    "flight.format": lambda views, value: views.shown(value, "the format", screen=False),
+    "flight.autopilot": word("the autopilot"),
+    "flight.firmware": HIDDEN,
+    "flight.frame": word("the frame"),
+    "flight.rotors": lambda views, value: views.expect(value == len(views.json["rotors"]), "another number of rotors"),
+    "flight.geometry[].x": SHOWN,
+    "flight.geometry[].y": SHOWN,
+    "flight.geometry[].spin": SHOWN,
+    "flight.boot_s": lambda views, value: value and views.shown(f"{value:.2f} s since boot", "the clock", screen=False),
+    "flight.utc_start": lambda views, value: value and views.shown(report.day(views.diagnosis), "UTC"),
+    "flight.duration_s": lambda views, value: views.shown(f"{value:.1f} s", "the duration", screen=False),
+    "flight.airborne_s": lambda views, value: [
+        views.shown(f"{v:.1f}", "take-off or landing", screen=False) for v in value
+    ],
+    "flight.hops[]": HIDDEN,
+    "flight.hops": HIDDEN,
+    "flight.profile": word("the rates"),
+    "verdict": lambda views, value: (
+        views.shown(report.VERDICTS[value], "the verdict", screen=False),
+        views.shown(report.VERDICTS[value].upper(), "the verdict", page=False),
+    ),
+    "headline": word("the headline"),
+    "reason": sentence("the reason"),
+    "advice": every("the advice"),
+    "main_event": SHOWN,
+    "rotors": SHOWN,
+    "rotors[].rotor": SHOWN,
+    "rotors[].place": SHOWN,
+    "rotors[].loss": SHOWN,
+    "rotors[].interval": SHOWN,
+    "rotors[].status": SHOWN,
+    "rotors[].since_takeoff": SHOWN,
+    "rotors[].from_takeoff": SHOWN,
+    "rotors[].note": lambda views, value: value and views.shown(value[1:], "a rotor's note"),
+    "events": SHOWN,
+    "events[].kind": SHOWN,
+    "events[].rotors": SHOWN,
+    "events[].alternatives": SHOWN,
+    "events[].alternatives[]": SHOWN,
+    "events[].onset_s": SHOWN,
+    "events[].detected_s": SHOWN,
+    "events[].end_s": SHOWN,
+    "events[].loss": SHOWN,
+    "events[].interval": SHOWN,
+    "events[].probability": SHOWN,
+    "events[].reason": lambda views, value: value and views.shown(value[1:], "an event's reason"),
+    "events[].loss_2s": lambda views, value: [
+        views.shown(report.percent(v), "the loss 2 s later", screen=False) for v in value
+    ],
+    "events[].override": lambda views, value: views.shown(value, "the kind of override", screen=False),
+    "events[].size": SHOWN,
+    "events[].unit": word("the unit of a contact"),
+    "common_mode": HIDDEN,
+    "common_mode.thrust_shift": lambda views, value: views.shown(
+        report.common_mode(views.diagnosis), "what all rotors share"
+    ),
+    "common_mode.unit": HIDDEN,
+    "whole_flight": SHOWN,
+    "whole_flight.verdict": lambda views, value: views.shown(
+        report.VERDICTS[value].lower(), "the comparison's verdict"
+    ),
+    "whole_flight.reason": word("the comparison's reason"),
+    "whole_flight.flights": lambda views, value: views.shown(
+        f"{value} healthy flight", "the number of healthy flights"
+    ),
+    "whole_flight.causes": SHOWN,
+    "whole_flight.causes[].kind": SHOWN,
+    "whole_flight.causes[].rotors": SHOWN,
+    "whole_flight.causes[].probability": lambda views, value: (
+        value >= 0.05 and views.shown(report.probability(value), "a cause")
+    ),
+    **{
+        f"whole_flight.{k}": HIDDEN
+        for k in ("rotors", "loss", "interval", "p_value", "shift", "shift_sd", "common", "false_alarm_rate")
+    },
+    "baseline": word("the baseline"),
+    "estimator": lambda views, value: views.shown(value, "the estimator", screen=False),
+    "comparison": SHOWN,
+    "comparison[].detector": word("another check"),
+    "comparison[].rotor": SHOWN,
+    "comparison[].time_s": lambda views, value: views.shown(report.seconds(value), "the time of another check"),
+    "comparison[].reason": word("the reason of another check"),
+    "assumptions": every("an assumption"),
+    "warnings": every("a warning"),
+    "timing": HIDDEN,
+    **{
+        f"timing.{k}": HIDDEN
+        for k in ("read_s", "baseline_s", "prepare_s", "estimate_s", "events_s", "comparison_s", "total_s")
+    },
+}

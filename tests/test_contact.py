@@ -1,0 +1,156 @@
+"""Knocks: what rotors cannot make is an event of its own, and no rotor is accused on what follows."""
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rotorwatch import contact, diagnose
+from rotorwatch.simulation import scenario, simulate
+
+WILD = Path(__file__).resolve().parents[2] / "shared" / "flights" / "wild"
+DT, T, N = 0.1, 200, 4
+TIME = DT * np.arange(T)
+
+
+def struck(side=None, load=None, rate_dot=None, thrust=None, torque=None):
+    zeros = np.zeros((T, 3))
+    return contact.struck(
+        TIME,
+        np.zeros((T, 2)) if side is None else side,
+        np.ones(T) if load is None else load,
+        np.ones((T, N)) if thrust is None else thrust,
+        zeros if torque is None else torque,
+        zeros if rate_dot is None else rate_dot,
+        np.ones(T, bool),
+        DT,
+    )
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    drag=st.floats(0.0, 0.45),
+    wave=st.floats(0.1, 2.0),
+    climb=st.floats(-0.5, 0.5),
+    turn=st.floats(-15.0, 15.0),
+    loss=st.floats(0.0, 1.0),
+)
+def test_flying_is_no_contact(drag, wave, climb, turn, loss):
+    """Drag that comes and goes with speed, climbs that were commanded, a rotor that stops, turns within what any vehicle can."""
+    swing = np.sin(2 * np.pi * wave * TIME / 10.0)
+    side = contact.G0 * drag * np.stack([swing, np.zeros(T)], axis=1)
+    load = 1.0 + climb * (TIME > 10.0)
+    thrust = np.repeat(load[:, None], N, axis=1)
+    load = load - loss / N * (TIME > 15.0)
+    rate_dot = turn * np.stack([swing, -swing, 0.2 * swing], axis=1)
+    hit, found = struck(side, load, rate_dot, thrust)
+    assert not hit.any() and found == ()
+
+
+@pytest.mark.parametrize(
+    "what, axis, size",
+    [("sideways", 0, 8.0), ("sideways", 1, -20.0), ("upwards", 0, 1.2), ("turned", 2, 60.0), ("turned", 0, 900.0)],
+)
+def test_what_rotors_cannot_make(what, axis, size):
+    side, load, rate_dot = np.zeros((T, 2)), np.ones(T), np.zeros((T, 3))
+    k = 120
+    if what == "sideways":
+        side[k, axis] = size
+    elif what == "upwards":
+        load[k] += size
+    else:
+        rate_dot[k, axis] = size
+    hit, (one,) = struck(side, load, rate_dot)
+    assert np.flatnonzero(hit).tolist() == [k]
+    assert one.time == pytest.approx(TIME[k]) and what in one.what and one.size > 0
+
+
+def test_motors_that_are_cut_push_nothing():
+    """Commands end at once, thrust a little later: more load than was commanded is no push from below."""
+    thrust = np.repeat(np.where(TIME > 10.0, 0.1, 1.0)[:, None], N, axis=1)
+    load = np.where(TIME > 10.25, 0.1, 1.0)
+    assert not struck(load=load, thrust=thrust)[0].any()
+
+
+def test_knocks_close_together_are_one():
+    side = np.zeros((T, 2))
+    side[[100, 103, 150], 0] = 9.0, 15.0, 8.0
+    _, found = struck(side)
+    assert [round(c.time, 1) for c in found] == [10.0, 15.0]
+    assert found[0].size == pytest.approx(15.0 / contact.G0, rel=0.2)
+
+
+@cache
+def flown(faults=()):
+    made = simulate(
+        scenario.from_table(
+            {
+                "duration_s": 60.0,
+                "seed": 11,
+                "airframe": {"frame": "quad-x"},
+                "trajectory": {"kind": "hover", "land": False},
+                "wind": {"speed_m_s": 2.0},
+                "faults": [dict(f) for f in faults],
+            }
+        )
+    )
+    return made.flight
+
+
+def knocked(flight, time, shift=0.25, sideways=20.0):
+    """The flight with a push at `time`, after which its first rotor needs more: an arm was bent."""
+    accel, motors = flight["accel"], flight["motors"]
+    force = accel.values.copy()
+    force[(accel.time >= time) & (accel.time < time + 0.1), 0] += sideways
+    values = motors.values.copy()
+    values[motors.time >= time, 0] += 150.0 * shift
+    signals = {k: v for k, v in flight.signals.items() if k != "control"}
+    return replace(
+        flight, signals={**signals, "accel": replace(accel, values=force), "motors": replace(motors, values=values)}
+    )
+
+
+def test_no_rotor_is_accused_on_the_after_effects_of_a_knock():
+    answer = diagnose(knocked(flown(), 30.0))
+    assert [e.kind for e in answer.events] == ["contact"]
+    (event,) = answer.events
+    assert abs(event.onset_s - 30.0) < 0.3 and event.rotors == () and event.extra["size"] > 1.0
+    assert answer.verdict == "healthy"
+    # The same shift without the push is a loss: the test above can fail.
+    accused = diagnose(knocked(flown(), 30.0, sideways=0.0))
+    assert accused.verdict == "fault" and accused.events[0].rotors == (1,)
+
+
+def test_a_loss_long_after_a_knock_is_found_and_one_before_it_stays():
+    loss = (("kind", "loss"), ("rotor", 2), ("onset_s", 45.0), ("strength", 0.4))
+    answer = diagnose(knocked(flown((loss,)), 25.0))
+    assert [e.rotors for e in answer.events] == [(), (2,)]
+    early = (("kind", "loss"), ("rotor", 2), ("onset_s", 25.0), ("strength", 0.4))
+    answer = diagnose(knocked(flown((early,)), 40.0, shift=0.0))
+    event = next(e for e in answer.events if e.rotors)
+    assert event.rotors == (2,) and event.end_s is None and event.loss[0] == pytest.approx(0.4, abs=0.06)
+    assert answer.rotors[1].loss == pytest.approx(0.4, abs=0.06)
+
+
+def test_an_announcement_that_a_knock_cut_short_keeps_its_size():
+    """Told at 25.3 s, not yet part of the filter when the vehicle hits something half a second later."""
+    early = (("kind", "loss"), ("rotor", 2), ("onset_s", 25.0), ("strength", 0.5))
+    quiet = next(e for e in diagnose(flown((early,))).events if e.rotors)
+    answer = diagnose(knocked(flown((early,)), quiet.detected_s + 0.6, shift=0.0))
+    event = next(e for e in answer.events if e.rotors)
+    assert event.rotors == (2,) and event.loss[0] == pytest.approx(0.5, abs=0.15) and event.probability > 0.5
+
+
+@pytest.mark.skipif(not WILD.is_dir(), reason="the shared test flights are not beside the repository")
+@pytest.mark.parametrize(
+    "name", ["knock-1", "knock-2", "knock-3", "knock-scale-1", "knock-scale-2", "obstacle-scale-1", "ground-1"]
+)
+def test_knocks_in_logs_of_others(name):
+    answer = diagnose(WILD / f"{name}.bin.xz")
+    assert (
+        answer.verdict != "fault" and any(e.kind == "contact" for e in answer.events)
+    ) or answer.verdict == "inconclusive"

@@ -1,0 +1,136 @@
+"""Is this what flew? Logs that contradict themselves are not judged, and logs that do not are."""
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rotorwatch import airframes, diagnose, trust
+from rotorwatch.airborne import airborne
+from rotorwatch.diagnose import READY_S, observe
+from rotorwatch.flight import Signal
+from rotorwatch.simulation import scenario, simulate
+
+WILD = Path(__file__).resolve().parents[2] / "shared" / "flights" / "wild"
+
+
+@cache
+def flown(seed=1, kind="figure-eight", loss=0.0, rotor=2, duration=45.0):
+    """A quad that flies about in a light wind, and may lose thrust of a rotor."""
+    faults = [{"kind": "loss", "rotor": rotor, "onset_s": 25.0, "strength": loss}] if loss else []
+    return simulate(
+        scenario.from_table(
+            {
+                "duration_s": duration,
+                "seed": seed,
+                "airframe": {"frame": "quad-x"},
+                "trajectory": {"kind": kind, "land": False, "speed_m_s": 4.0},
+                "wind": {"speed_m_s": 3.0},
+                "faults": faults,
+            }
+        )
+    ).flight
+
+
+def doubts(flight):
+    vehicle, air = airframes.identify(flight), airborne(flight)
+    return trust.doubts(flight, vehicle, air, observe(flight, vehicle, air, READY_S))
+
+
+def with_signal(flight, name, **changes):
+    return replace(flight, signals={**flight.signals, name: replace(flight[name], **changes)})
+
+
+def frozen(flight, start=15.0, end=np.inf):
+    """From `start` on the log shows the outputs of that moment."""
+    motors = flight["motors"]
+    values = motors.values.copy()
+    still = (motors.time >= start) & (motors.time < end)
+    values[still] = values[np.argmax(still)]
+    return with_signal(flight, "motors", values=values)
+
+
+@pytest.mark.parametrize(
+    "seed, kind, loss", [(1, "figure-eight", 0.0), (2, "hover", 0.0), (3, "square", 0.4), (4, "climb", 1.0)]
+)
+def test_what_flew_is_trusted(seed, kind, loss):
+    assert doubts(flown(seed, kind, loss)) == ()
+
+
+def test_outputs_that_stand_still_while_the_vehicle_turns():
+    (first, *_) = doubts(frozen(flown()))
+    assert "stand still from 15" in first and "deg" in first
+    assert any("stand still" in d for d in doubts(frozen(flown(), 20.0, 26.0)))
+
+
+def test_motors_that_are_off_may_rest():
+    """After a crash outputs rest at their minimum, whatever the wreck does."""
+    flight = flown()
+    motors = flight["motors"]
+    values = motors.values.copy()
+    values[motors.time > 41.0] = 1000.0
+    assert not any("stand still" in d for d in doubts(with_signal(flight, "motors", values=values)))
+
+
+def test_outputs_of_another_flight_explain_nothing():
+    flight, other = flown(1, duration=60.0), flown(7, "square", duration=60.0)
+    count = min(len(flight["motors"]), len(other["motors"]))
+    motors = other["motors"]
+    strange = Signal(flight["motors"].time[:count], motors.values[:count], motors.columns, motors.unit, source="RCOU")
+    signals = {k: v for k, v in flight.signals.items() if k != "control"}
+    found = doubts(replace(flight, signals={**signals, "motors": strange}))
+    assert any("explain nothing" in d for d in found)
+
+
+@pytest.mark.parametrize(
+    "name, factor, says", [("gyro", np.degrees(1.0), "gyro turns 57"), ("accel", 1.0 / 9.80665, "g over the flight")]
+)
+def test_units(name, factor, says):
+    flight = flown()
+    found = doubts(with_signal(flight, name, values=flight[name].values * factor))
+    assert any(says in d for d in found)
+
+
+def test_a_gyro_of_another_vehicle():
+    flight, other = flown(1), flown(8, "square")
+    gyro = other["gyro"]
+    found = doubts(replace(flight, signals={**flight.signals, "gyro": gyro}))
+    assert any("different turns" in d for d in found)
+
+
+def test_rates_that_nothing_survives():
+    flight = flown()
+    gyro = flight["gyro"]
+    values = gyro.values + np.where((gyro.time > 30.0) & (gyro.time < 31.0), 80.0, 0.0)[:, None]
+    assert any("none survives" in d for d in doubts(with_signal(flight, "gyro", values=values)))
+
+
+def test_clock_frame_and_publishers():
+    flight = flown()
+    assert any(
+        "clock jumps at 20.0 s" in d for d in doubts(replace(flight, facts={**flight.facts, "clock_jumps": [20.0]}))
+    )
+    assert doubts(replace(flight, facts={**flight.facts, "clock_jumps": [0.5]})) == ()
+    assert any("two publishers" in d for d in doubts(replace(flight, facts={**flight.facts, "publishers": 2})))
+    changed = replace(flight, parameter_changes=((20.0, "FRAME_CLASS", 2.0),))
+    assert any("FRAME_CLASS becomes 2" in d for d in doubts(changed))
+
+
+def test_a_doubt_ends_the_answer():
+    """Whatever the outputs seem to show - here one falls to its minimum - nothing is concluded from them."""
+    flight = frozen(flown())
+    values = flight["motors"].values.copy()
+    values[flight["motors"].time > 35.0, 1] = 1000.0
+    answer = diagnose(with_signal(flight, "motors", values=values))
+    assert answer.verdict == "inconclusive" and "stand still" in answer.reason
+    assert not [e for e in answer.events if e.rotors]
+    assert {r.status for r in answer.rotors} == {"unobservable"}
+
+
+@pytest.mark.skipif(not WILD.is_dir(), reason="the shared test flights are not beside the repository")
+@pytest.mark.parametrize("name", ["frozen-healthy-1", "frozen-healthy-2", "frozen-fault-1", "frozen-fault-2"])
+def test_frozen_logs_of_real_vehicles(name):
+    answer = diagnose(WILD / f"{name}.ulg.xz")
+    assert answer.verdict == "inconclusive" and "stand still" in answer.reason
