@@ -155,7 +155,10 @@ def test_the_mixer_is_known_for_what_the_vehicle_does_for_the_first_time():
     mixer = np.array([[-0.5, 0.5, 0.5, 1.0], [0.5, -0.5, 0.5, 1.0], [0.5, 0.5, -0.5, 1.0], [-0.5, -0.5, -0.5, 1.0]])
     motors = np.round(1100.0 + 800.0 * control @ mixer.T)
     motors[215, 2] += 64.0
-    kinds = {"motors": (motors, ("r1", "r2", "r3", "r4"), "us"), "control": (control, ("roll", "pitch", "yaw", "thrust"), "1")}
+    kinds = {
+        "motors": (motors, ("r1", "r2", "r3", "r4"), "us"),
+        "control": (control, ("roll", "pitch", "yaw", "thrust"), "1"),
+    }
     made = {k: Signal(times(n), v, c, unit, source=k) for k, (v, c, unit) in kinds.items()}
     checked = plausible.checked(Flight("test", "ArduPilot", made, 40.0))
     assert np.argwhere(~checked["motors"].valid).tolist() == [[215, 2]]
