@@ -17,12 +17,13 @@ DT, T, N = 0.1, 200, 4
 TIME = DT * np.arange(T)
 
 
-def struck(side=None, load=None, rate_dot=None, thrust=None, torque=None):
+def struck(side=None, load=None, rate_dot=None, thrust=None, torque=None, shake=0.0):
     zeros = np.zeros((T, 3))
     return contact.struck(
         TIME,
         np.zeros((T, 2)) if side is None else side,
         np.ones(T) if load is None else load,
+        np.full(T, shake),
         np.ones((T, N)) if thrust is None else thrust,
         zeros if torque is None else torque,
         zeros if rate_dot is None else rate_dot,
@@ -67,6 +68,18 @@ def test_what_rotors_cannot_make(what, axis, size):
     hit, (one,) = struck(side, load, rate_dot)
     assert np.flatnonzero(hit).tolist() == [k]
     assert one.time == pytest.approx(TIME[k]) and what in one.what and one.size > 0
+
+
+def test_vibration_is_no_knock():
+    """Sampled slowly it looks like a push as large as itself; the same push in calm air is one."""
+    rng = np.random.default_rng(2)
+    time = np.arange(0.0, 20.0, 0.04)
+    force = np.stack([6.0 * np.sin(2 * np.pi * 25.2 * time), *rng.standard_normal((2, time.size))], axis=1)
+    size = contact.vibration(time, force, np.array([10.0]))[0]
+    assert 1.0 < size < 6.0
+    side = np.zeros((T, 2))
+    side[120:123, 0] = 6.0
+    assert not struck(side, shake=2.0)[0].any() and struck(side)[0].any()
 
 
 def test_motors_that_are_cut_push_nothing():

@@ -14,6 +14,9 @@ import numpy as np
 G0 = 9.80665
 SIDEWAYS, UPWARD = 0.5, 0.8  # g, against the half second before; drag and gusts change by less than 0.2 g in a tick
 BEFORE_S = 0.5
+SHAKES = (
+    2.5  # ... and so many times the vibration: sampled slowly, it looks at times like a steady push as large as itself
+)
 # Hover thrusts for each rad/s^2 and rotor that a small vehicle (arms of 5 cm) takes in roll, pitch and yaw: none turns for less.
 LEAST_GAIN = np.array([0.0015, 0.0015, 0.03])
 TOGETHER_S = 1.0  # knocks within that are one
@@ -29,10 +32,13 @@ class Contact:
     what: str
 
 
-def struck(time, side, load, thrust, torque, rate_dot, fresh, dt: float) -> tuple[np.ndarray, tuple[Contact, ...]]:
+def struck(
+    time, side, load, shake, thrust, torque, rate_dot, fresh, dt: float
+) -> tuple[np.ndarray, tuple[Contact, ...]]:
     """(T,) bool, ticks in which something outside pushed the vehicle, and the contacts they belong to.
 
-    side (T, 2): sideways specific force [m/s^2], mean of the tick; load (T,): specific force up / g. Both None without accelerometer.
+    side (T, 2): sideways specific force [m/s^2], mean of the tick; load (T,): specific force up / g; shake (T,): `vibration` so far. All
+    None without accelerometer.
     thrust (T, n), torque (T, 3): commanded, in hover thrusts; rate_dot (T, 3) rad/s^2; fresh (T,) bool: in the air, all of them known.
     Causal: a tick is judged by itself and the half second before it.
     """
@@ -45,11 +51,21 @@ def struck(time, side, load, thrust, torque, rate_dot, fresh, dt: float) -> tupl
         pushed = np.linalg.norm(_since(side, fresh, back), axis=1) / G0
         # More lift than before, and not because the motors, cut, still turn.
         lifted = _since(np.column_stack([load, load - thrust.mean(axis=1)]), fresh, back).min(axis=1)
-        kinds += [(pushed, SIDEWAYS, "g", "pushed it sideways"), (lifted, UPWARD, "g", "pushed it upwards")]
-    hit = np.zeros(len(time), bool)
-    for size, limit, _, _ in kinds:
-        hit |= size > limit
-    return hit, _contacts(time, hit, kinds)
+        kinds += [(pushed, np.maximum(SIDEWAYS, SHAKES * shake / G0), "g", "pushed it sideways")]
+        kinds += [(lifted, np.maximum(UPWARD, SHAKES * shake / G0), "g", "pushed it upwards")]
+    excess = np.stack([size - limit for size, limit, _, _ in kinds])
+    hit = (excess > 0.0).any(axis=0)
+    return hit, _contacts(time, hit, excess, kinds)
+
+
+def vibration(time, force, at) -> np.ndarray:
+    """(T,) root mean square of what force (m, 3) [m/s^2], sampled at `time` (m,), has shaken by up to each of the times `at`: half of the
+    squares of its changes from sample to sample, those of knocks cut off."""
+    if len(time) < 2:
+        return np.zeros(len(at))
+    square = np.minimum(0.5 * (np.diff(force, axis=0) ** 2).sum(axis=1), G0**2)
+    so_far = np.concatenate([[0.0], np.cumsum(square) / np.arange(1, len(square) + 1)])
+    return np.sqrt(so_far[np.clip(np.searchsorted(time, at, "right") - 1, 0, len(so_far) - 1)])
 
 
 def _unexplained(torque, rate_dot, n: int) -> np.ndarray:
@@ -68,14 +84,12 @@ def _since(value, fresh, back: int) -> np.ndarray:
     return np.where(usable[:, None], value - (total[now] - total[first]) / back, 0.0)
 
 
-def _contacts(time, hit, kinds) -> tuple[Contact, ...]:
+def _contacts(time, hit, excess, kinds) -> tuple[Contact, ...]:
     """Ticks close together are one contact, as large as its largest tick."""
     found: list[Contact] = []
     last = -np.inf
     for k in np.flatnonzero(hit):
-        size, _, unit, what = max(
-            kinds, key=lambda kind: kind[0][k] / (kind[1] or kind[0].max() or 1.0) * (kind[0][k] > kind[1])
-        )
+        size, _, unit, what = kinds[int(np.argmax(excess[:, k]))]
         one = Contact(float(time[k]), float(size[k]), unit, what)
         if time[k] - last > TOGETHER_S:
             found.append(one)

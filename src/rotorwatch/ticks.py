@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rotorwatch.contact import Contact, struck
+from rotorwatch.contact import Contact, struck, vibration
 from rotorwatch.flight import Flight, Signal
 
 G0 = 9.80665
@@ -207,10 +207,12 @@ def make(
     if flight.has("accel"):
         force, _, accel_ok = _window(flight["accel"], centre, _span(flight["accel"], thrust, dt))
         load, push = -force[:, 2] / G0, force[:, :2]
+        whole = flight["accel"].valid.all(axis=1)
+        shake = vibration(flight["accel"].time[whole], flight["accel"].values[whole], centre - half)
         side, _, side_ok = _window(flight["accel"], centre + half - 0.5 * SIDE_S, 0.5 * SIDE_S)
         side = np.where(side_ok[:, None], side[:, :2], 0.0)
     else:
-        side = push = None
+        side = push = shake = None
         load, accel_ok = np.ones(count), np.zeros(count, bool)
         notes.append("no accelerometer in the log: thrust is not judged, only torque")
 
@@ -262,7 +264,7 @@ def make(
     thrust_units = mean / scale[:, None]
     wrench = thrust_units @ B.T
     fresh = some & gyro_ok & (accel_ok | (push is None)) & (mode > GROUND)
-    contact, contacts = struck(time, push, load, thrust_units, wrench[:, :3], rate_dot, fresh, dt)
+    contact, contacts = struck(time, push, load, shake, thrust_units, wrench[:, :3], rate_dot, fresh, dt)
     mode[(mode == JUDGE) & _learning_again(contact, restart, thrust_units, scale, rate, fresh, round(ready_s / dt))] = (
         LEARN
     )

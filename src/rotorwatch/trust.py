@@ -30,8 +30,11 @@ WILD_RATE, WILD_FORCE, WILD_S = 60.0, 20.0 * G0, 0.5
 SCALE = 2.5  # factor by which two measurements of one thing may differ
 MOVING = 0.05  # rad/s rms of angular rate, above which attitude and gyro can be compared
 ALIKE = 0.5  # correlation of two measurements of one motion
-# hover thrusts of one rotor and rotor for each rad/s^2: the smallest vehicles turn for no less (radius of gyration 2 cm, arms of 3 cm)
-LEAST_GAIN = 0.001
+# Hover thrusts of one rotor and rotor for each rad/s^2: the smallest vehicles turn for no less (radius of gyration 2 cm, arms of 3 cm),
+# large ones for no more.
+LEAST_GAIN, MOST_GAIN = 0.001, 0.02
+PLAIN = 0.3  # rad/s^2 of roll or pitch: motion that is no longer the gyro's noise or a dead calm
+HELD = 0.05  # share of the motion that commands would give a large vehicle, below which it does not follow them: it stands, or is held
 LONG_S = 30.0  # of flight, before commands are held against motion
 SLOWEST_S = 0.1  # ticks in which commands and the motion they cause can be seen together
 SHIFTS = 40  # how often commands are compared with motion at times that are not theirs
@@ -179,11 +182,15 @@ def motion_without_command(case: Case) -> str | None:
 
 
 def command_without_effect(case: Case) -> str | None:
-    """Commands that explain no motion on any axis: they fit the motion no better than at times that are not theirs."""
+    """Commands that explain no motion on any axis: they fit the motion no better than at times that are not theirs. Where there is hardly
+    any motion, nothing can be said, unless the commands ask for a lot of it."""
     if not case.flight.has("gyro"):
         return None
     found = [c for axis in range(3) if (c := _coherence(case, axis)) is not None]
     if len(found) < 3 or max(c.sigmas for c in found) > SIGNIFICANT:
+        return None
+    least = PLAIN * LEAST_GAIN * case.table.thrust.shape[1]
+    if all(HELD * LEAST_GAIN / MOST_GAIN * c.commanded < c.needed < least for c in found[:2]):
         return None
     return "the motor outputs explain nothing of how the vehicle moves: they are of another vehicle, another time or another airframe."
 
