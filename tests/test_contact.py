@@ -59,6 +59,7 @@ def test_flying_is_no_contact(drag, wave, climb, turn, loss):
 def test_what_rotors_cannot_make(what, axis, size):
     side, load, rate_dot = np.zeros((T, 2)), np.ones(T), np.zeros((T, 3))
     k = 120
+    rate_dot[k, 1] = 8.0
     if what == "sideways":
         side[k, axis] = size
     elif what == "upwards":
@@ -74,12 +75,14 @@ def test_vibration_is_no_knock():
     """Sampled slowly it looks like a push as large as itself; the same push in calm air is one."""
     rng = np.random.default_rng(2)
     time = np.arange(0.0, 20.0, 0.04)
-    force = np.stack([6.0 * np.sin(2 * np.pi * 25.2 * time), *rng.standard_normal((2, time.size))], axis=1)
+    force = np.stack([6.0 * np.sin(2 * np.pi * 27.0 * time), *rng.standard_normal((2, time.size))], axis=1)
     size = contact.vibration(time, force, np.array([10.0]))[0]
-    assert 1.0 < size < 6.0
+    assert 3.0 < size < 8.0
     side = np.zeros((T, 2))
     side[120:123, 0] = 6.0
-    assert not struck(side, shake=2.0)[0].any() and struck(side)[0].any()
+    turning = np.full((T, 3), 8.0)
+    assert not struck(side, rate_dot=turning, shake=4.0)[0].any() and struck(side, rate_dot=turning)[0].any()
+    assert not struck(side)[0].any()  # what shakes does not turn
 
 
 def test_motors_that_are_cut_push_nothing():
@@ -92,7 +95,7 @@ def test_motors_that_are_cut_push_nothing():
 def test_knocks_close_together_are_one():
     side = np.zeros((T, 2))
     side[[100, 103, 150], 0] = 9.0, 15.0, 8.0
-    _, found = struck(side)
+    _, found = struck(side, rate_dot=np.full((T, 3), 8.0))
     assert [round(c.time, 1) for c in found] == [10.0, 15.0]
     assert found[0].size == pytest.approx(15.0 / contact.G0, rel=0.2)
 
@@ -115,15 +118,21 @@ def flown(faults=()):
 
 
 def knocked(flight, time, shift=0.25, sideways=20.0):
-    """The flight with a push at `time`, after which its first rotor needs more: an arm was bent."""
-    accel, motors = flight["accel"], flight["motors"]
+    """The flight with a push at `time` that tilts it, after which its first rotor needs more: an arm was bent."""
+    accel, gyro, motors = flight["accel"], flight["gyro"], flight["motors"]
+    rate = gyro.values.copy()
+    rate[(gyro.time >= time) & (gyro.time < time + 0.15), 0] += 0.1 * sideways
     force = accel.values.copy()
     force[(accel.time >= time) & (accel.time < time + 0.1), 0] += sideways
     values = motors.values.copy()
     values[motors.time >= time, 0] += 150.0 * shift
-    signals = {k: v for k, v in flight.signals.items() if k != "control"}
+    changed = {
+        "accel": replace(accel, values=force),
+        "gyro": replace(gyro, values=rate),
+        "motors": replace(motors, values=values),
+    }
     return replace(
-        flight, signals={**signals, "accel": replace(accel, values=force), "motors": replace(motors, values=values)}
+        flight, signals={k: changed.get(k, v) for k, v in flight.signals.items() if k not in ("control", "rates")}
     )
 
 

@@ -14,11 +14,10 @@ import numpy as np
 G0 = 9.80665
 SIDEWAYS, UPWARD = 0.5, 0.8  # g, against the half second before; drag and gusts change by less than 0.2 g in a tick
 BEFORE_S = 0.5
-SHAKES = (
-    2.5  # ... and so many times the vibration: sampled slowly, it looks at times like a steady push as large as itself
-)
+SHAKES = 2.5  # ... and so many times the vibration: sampled slowly, it looks at times like a steady push
 # Hover thrusts for each rad/s^2 and rotor that a small vehicle (arms of 5 cm) takes in roll, pitch and yaw: none turns for less.
 LEAST_GAIN = np.array([0.0015, 0.0015, 0.03])
+TURNS = 5.0  # rad/s^2, in the same tick or the one before: what hits a vehicle turns it as well, vibration does not
 TOGETHER_S = 1.0  # knocks within that are one
 
 
@@ -51,6 +50,9 @@ def struck(
         pushed = np.linalg.norm(_since(side, fresh, back), axis=1) / G0
         # More lift than before, and not because the motors, cut, still turn.
         lifted = _since(np.column_stack([load, load - thrust.mean(axis=1)]), fresh, back).min(axis=1)
+        turns = np.abs(rate_dot).max(axis=1)
+        turns = np.maximum(turns, np.concatenate([[0.0], turns[:-1]])) > TURNS
+        pushed, lifted = np.where(turns, pushed, 0.0), np.where(turns, lifted, 0.0)
         kinds += [(pushed, np.maximum(SIDEWAYS, SHAKES * shake / G0), "g", "pushed it sideways")]
         kinds += [(lifted, np.maximum(UPWARD, SHAKES * shake / G0), "g", "pushed it upwards")]
     excess = np.stack([size - limit for size, limit, _, _ in kinds])
@@ -59,12 +61,15 @@ def struck(
 
 
 def vibration(time, force, at) -> np.ndarray:
-    """(T,) root mean square of what force (m, 3) [m/s^2], sampled at `time` (m,), has shaken by up to each of the times `at`: half of the
-    squares of its changes from sample to sample, those of knocks cut off."""
+    """(T,) root mean square of what force (m, 3) [m/s^2], sampled at `time` (m,), has been away from its mean over the half second
+    before, up to each of the times `at`; what knocks add is cut off."""
     if len(time) < 2:
         return np.zeros(len(at))
-    square = np.minimum(0.5 * (np.diff(force, axis=0) ** 2).sum(axis=1), G0**2)
-    so_far = np.concatenate([[0.0], np.cumsum(square) / np.arange(1, len(square) + 1)])
+    total = np.concatenate([np.zeros((1, force.shape[1])), np.cumsum(force, axis=0)])
+    now, first = np.arange(len(time)), np.searchsorted(time, time - BEFORE_S)
+    mean = (total[now] - total[first]) / np.maximum(now - first, 1)[:, None]
+    square = np.where(now > first, np.minimum(((force - mean) ** 2).sum(axis=1), G0**2), 0.0)
+    so_far = np.cumsum(square) / np.arange(1, len(square) + 1)
     return np.sqrt(so_far[np.clip(np.searchsorted(time, at, "right") - 1, 0, len(so_far) - 1)])
 
 
