@@ -126,19 +126,20 @@ def diagnose(
     contacts = outside.contacts(table, air)
     found = tuple(sorted((*losses, *overrides, *contacts), key=lambda e: e.detected_s))
     lap("events_s")
-    whole = _whole_flight(flight, craft, air)
+    doubts = trust.doubts(flight, craft, air, table)
+    whole = None if doubts else _whole_flight(flight, craft, air)
     comparison = detectors.detect(flight, craft, air)
     lap("comparison_s")
     judged = (table.mode == JUDGE) & table.valid.any(axis=1)
     spells = leftover.find(out, table, hyp, limit, found, B)
     end = conclusion.conclude(
         found, whole, len(craft.rotors), hidden=_hidden(out, table), judged_s=float(judged.sum() * table.dt), places=names,
-        doubts=trust.doubts(flight, craft, air, table), leftover=spells, hops=air,
+        doubts=doubts, leftover=spells, hops=air,
     )  # fmt: skip
     shift = out.biases[judged, 3]
     common = (
         {"thrust_shift": float(np.median(shift[-20:]) - np.median(shift[:20])), "unit": "hover thrusts of one rotor"}
-        if judged.any()
+        if judged.any() and not doubts
         else {}
     )
     tell(1.0, "done")

@@ -12,7 +12,7 @@ from rotorwatch.diagnosis import Trace
 from rotorwatch.evidence import events
 from rotorwatch.evidence.hypotheses import Hypotheses
 from rotorwatch.flight import Flight
-from rotorwatch.ticks import JUDGE, Ticks
+from rotorwatch.ticks import JUDGE, LEARN, Ticks
 from rotorwatch.wording import explanations, rotors
 
 LN10 = float(np.log(10.0))
@@ -36,7 +36,9 @@ def make(
     pairs = [i for i, kind in enumerate(hyp.kinds) if kind == "pair"]
     evidence["best pair"] = out.log_odds[:, pairs].max(axis=1) / LN10
     blind = [(a, min(a + ready_s, b), "learning after take-off") for a, b in air]
-    blind += [(c.time, c.time + ready_s, "learning after a contact") for c in table.contacts]
+    first = np.logical_or.reduce([(table.time >= a) & (table.time < a + ready_s) for a, _ in air] or [table.mode < 0])
+    for start, end in _spans(table.time, (table.mode == LEARN) & ~first):
+        blind.append((start, end, "learning after a contact"))
     for start, end in _spans(table.time, table.upset & (table.mode > 0)):
         blind.append((start, end, "upset: hover physics does not hold"))
     for spell in spells:

@@ -33,7 +33,7 @@ RANGES = tuple(
         (r"MAV_TYPE", 0, 60, True),
         (r"SYS_AUTOSTART", 0, 9_999_999, True),
         (r"THR_MDL_FAC", 0, 1, False),
-        (r"PWM_(MAIN_|AUX_)?(MIN|MAX)\d{0,2}", 0, 3000, True),
+        (r"PWM_(MAIN_|AUX_)?(MIN|MAX)\d{0,2}", -1, 3000, True),  # -1: the common one counts
         (r"(PWM_MAIN|PWM_AUX|UAVCAN_EC|HIL_ACT|PCA9685|VOXL_ESC|TAP_ESC)_FUNC\d{1,2}", 0, 10_000, True),
         (r"UAVCAN_EC_(MIN|MAX)\d{1,2}", 0, 8191, True),
     )
