@@ -191,7 +191,7 @@ class JumpBank:
             noise.init(self.dt, *(self.noise_prior or ())),
             self.jumps.init(),
             caution.init(self.n),
-            plausibility.init(),
+            plausibility.init(self.n),
             Standing(
                 np.zeros(self.n, bool),
                 np.int32(-1),
@@ -223,7 +223,9 @@ class JumpBank:
         rows = jnp.concatenate([self.system.C(seen.u), self.system.H(seen.u, biases)], axis=1)
         e = y - rows @ s
         carried = u[n + 3] * biases[3 * PER_AXIS + GAIN]
-        missing = plausibility.follow(carry.missing, y[3] - carried, u[n + 3] / n, valid[3], restart, dt)
+        missing = plausibility.follow(
+            carry.missing, y[3] - carried, u[n + 3] / n, u[:n] / u[n + 9], valid[3], restart, dt
+        )
         s, P, bank, innovation, variance = self._updated(
             s, P, bank, rows, y, valid & flying, white + error, seen.teach, caution.calm(memory)
         )
@@ -240,6 +242,7 @@ class JumpBank:
         possible = plausibility.plausible(
             best.sizes[0],
             best.each,
+            jnp.sqrt(jnp.maximum(jnp.diagonal(best.cov)[:n], 0.0)),
             seen.u[:n],
             seen.rise,
             missing,

@@ -28,8 +28,9 @@ BURST_MEMORY_S, BURST_CLIP, BURST_POWER = 3.0, 6.0, 1.0
 LEAN_S, LASTING_MEMORY_S, LASTING = 1.0, 30.0, 1.0
 GUST_S, GUST_SHARE, LEAST_GAIN = 1.0, 2.0, 0.3
 FAR, FAR_ERROR, FAR_MEMORY_S = 0.3, 0.5, 5.0
-# Share of full thrust above which a rotor may give no more: batteries sag, speed controllers and simulated motors reach their end early.
-BELIEVED = 0.65
+# Shares of full thrust: up to the first a rotor gives what it is commanded; from the second on it is at its limit and may give only the
+# first: batteries sag, speed controllers and simulated motors reach their end early.
+BELIEVED, AT_LIMIT = 0.6, 0.9
 
 
 class Memory(NamedTuple):
@@ -159,7 +160,7 @@ def model_error(memory: Memory, seen: Look, x, y, white, B, n: int, dt: float):
     u, x = seen.u, x[:AXIS_STATES].reshape(4, PER_AXIS)
     motion = jnp.concatenate([u[n : n + 3], u[n + 3 : n + 4] - n])
     rates = jnp.concatenate([u[n + 4 : n + 7], jnp.zeros(1)])
-    missing = jnp.maximum(u[:n] - BELIEVED * u[n + 9], 0.0)  # thrust of each rotor that it may not give
+    missing = jnp.where(u[:n] > AT_LIMIT * u[n + 9], u[:n] - BELIEVED * u[n + 9], 0.0)
     step = jnp.maximum(jnp.abs(y - memory.y) - 4.0 * jnp.sqrt(white), 0.0)
     return ERROR_TICKS * (
         (jnp.asarray(GAIN_ERROR) * x[:, GAIN] * motion) ** 2

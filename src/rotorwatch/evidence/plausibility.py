@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch.core import Array
+from rotorwatch.evidence.caution import AT_LIMIT, BELIEVED
 
 SMALLEST = 0.015  # loss that is worth an event
 # Both may be off by a standard deviation of this flight's disturbances, and by as much as the slack in calm air.
@@ -18,42 +19,49 @@ MISSING_SLACK = 0.15  # hover thrusts of one rotor
 FAST_S, SLOW_S = 0.5, 6.0
 HEAVE_S = 8.0  # how long a push up or down is remembered
 SECOND = 0.1
+LIMIT_S = 8.0  # how long it is remembered that a rotor was at its limit
+BEYOND = 2.0  # standard deviations by which a loss must exceed what the limit explains
 # A loss that is known wanders with the operating point and the weather: only a step in it is news.
 CHANGE, CHANGE_GONE, GONE = 0.03, 0.3, 0.8
 
 
 class Missing(NamedTuple):
     """Commanded thrust that the accelerometer does not see, hover thrusts of one rotor: over FAST_S and over SLOW_S. heave: how far the
-    load factor was from 1, lately."""
+    load factor was from 1, lately. limit (n,): share of its thrust that a rotor near its limit may have lacked, lately."""
 
     fast: Array
     slow: Array
     heave: Array
+    limit: Array
 
 
-def init() -> Missing:
+def init(n: int) -> Missing:
     """Nothing missing."""
-    return Missing(np.float64(0.0), np.float64(0.0), np.float64(0.0))
+    return Missing(np.float64(0.0), np.float64(0.0), np.float64(0.0), np.zeros(n))
 
 
-def follow(state: Missing, missing, load, valid, restart, dt: float) -> Missing:
-    """One tick on. missing: commanded thrust minus load factor times its gain, where `valid`; load: that factor."""
+def follow(state: Missing, missing, load, share, valid, restart, dt: float) -> Missing:
+    """One tick on. missing: commanded thrust minus load factor times its gain, where `valid`; load: that factor. share (n,): of full
+    thrust that each rotor is commanded."""
     import jax.numpy as jnp
 
     push = jnp.where(valid, jnp.abs(load - 1.0), 0.0)
     missing = jnp.where(valid, missing, state.slow)
+    near = jnp.clip((share - BELIEVED) / (AT_LIMIT - BELIEVED), 0.0, 1.0)
+    lacks = near * (1.0 - BELIEVED / jnp.maximum(share, BELIEVED))
     return Missing(
         jnp.where(restart, missing, state.fast + (missing - state.fast) * min(dt / FAST_S, 1.0)),
         jnp.where(restart, missing, state.slow + (missing - state.slow) * (dt / SLOW_S)),
         jnp.where(restart, push, jnp.maximum(push, state.heave * np.exp(-dt / HEAVE_S))),
+        jnp.where(restart, lacks, jnp.maximum(lacks, state.limit * np.exp(-dt / LIMIT_S))),
     )
 
 
-def plausible(first, jump, smooth, rise, now: Missing, before: Missing, thrust_valid, active, theta, rough):
+def plausible(first, jump, sd, smooth, rise, now: Missing, before: Missing, thrust_valid, active, theta, rough):
     """bool: may the jump (2, n; two rotors at most, 0 elsewhere) be a loss?
 
-    first: size of the first rotor's jump. smooth (n,): thrust of each rotor; rise (n,): what is asked above trim. active (n,):
-    rotors already known to be weak, by theta (n,). rough (4,): variance of this flight's disturbances.
+    first: size of the first rotor's jump; sd (n,): of each rotor's. smooth (n,): thrust of each rotor; rise (n,): what is asked above
+    trim. active (n,): rotors already known to be weak, by theta (n,). rough (4,): variance of this flight's disturbances.
     """
     import jax.numpy as jnp
 
@@ -69,6 +77,9 @@ def plausible(first, jump, smooth, rise, now: Missing, before: Missing, thrust_v
     slack = jnp.maximum(MISSING_SLACK, jnp.sqrt(rough[3]))
     lost = (jnp.clip(jump, 0.0, 1.0) * smooth).sum()
     ok &= ~thrust_valid | (lost <= 0.0) | (now.fast - before.slow > ASKED_SHARE * lost - slack)
+    # ... and not because a rotor at its limit gives no more.
+    told = (jump > 0) & ~active[None, :]
+    ok &= jnp.where(told & (now.limit > 0)[None, :], jump - BEYOND * sd[None, :] > now.limit[None, :], True).all()
     known = active[None, :] & (jump != 0.0)
     least = jnp.where(theta > GONE, CHANGE_GONE, CHANGE)
     ok &= ~known.any() | (known & (jnp.abs(jump) > least)).any() | (another_of(jump, active)).any()
