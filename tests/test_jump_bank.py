@@ -47,6 +47,9 @@ def make(frame):
     )
 
 
+FULL = 2.5  # hover thrusts that a rotor gives at most
+
+
 def hover(frame="ardupilot-quad-x", seed=0, losses=(), ready=READY, bias=(), answered=True, scale=1.0):
     """(u, y, valid): steady hover, noise `scale` times as large as known.
 
@@ -80,7 +83,7 @@ def hover(frame="ardupilot-quad-x", seed=0, losses=(), ready=READY, bias=(), ans
     when = np.arange(TICKS)
     mode = np.where(when < 5, GROUND, np.where(when < ready, LEARN, JUDGE))
     zeros = np.zeros((TICKS, 3))
-    table = [thrust, zeros, np.full(TICKS, n), zeros, zeros[:, :2], mode, when == 5]
+    table = [thrust, zeros, np.full(TICKS, n), zeros, zeros[:, :2], np.full(TICKS, FULL), mode, when == 5]
     return np.column_stack(table).astype(float), y, np.ones((TICKS, 4), bool)
 
 
@@ -119,6 +122,7 @@ def quad():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(jump_bank, "OUTLIER", 1e9)
         patch.setattr(caution, "LAG_ERROR_S", 0.0)
+        patch.setattr(caution, "SNAPSHOT", 0.0)
         patch.setattr(caution, "BURST_POWER", 0.0)
         patch.setattr(hypotheses, "SLOP", (0.0,) * 4)  # geometry counts as exact
         method = make("ardupilot-quad-x")
@@ -237,7 +241,7 @@ def test_a_side_force_that_tilts_the_vehicle_is_no_loss_and_is_learned():
     y[:, 0] -= lever * push[:, 1]
     y[:, 1] += lever * push[:, 0]
     blind, _ = method.over(u, y, valid)
-    u[:, -4:-2] = push
+    u[:, -5:-3] = push
     out, carries = method.over(u, y, valid)
     assert not out.announced.any()
     assert carries.s[-1, SIDEWAYS] == pytest.approx(lever, abs=0.05)

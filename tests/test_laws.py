@@ -97,7 +97,9 @@ def balanced(seed=0, motion=1.0, loss=LOSS, mode=None):
     # The controller commands what makes up for the loss: B diag(share) thrust = needed.
     thrust = np.stack([np.linalg.solve(B * s, w) for s, w in zip(share, needed, strict=True)])
     thrust += 0.004 * rng.standard_normal((TICKS, n))
-    table = SimpleNamespace(thrust=thrust, rate_dot=rate_dot, load=load, rate=rate, side=None)
+    table = SimpleNamespace(
+        thrust=thrust, rate_dot=rate_dot, load=load, rate=rate, side=None, hover=np.full(TICKS, 0.4)
+    )
     when = np.arange(TICKS)
     if mode is None:
         mode = np.where(when < TAKE_OFF, GROUND, np.where(when < READY, LEARN, JUDGE))
@@ -576,6 +578,7 @@ def test_default_is_the_kalman_filter_while_nothing_is_suspected(monkeypatch):
 
     monkeypatch.setattr(jump_bank, "OUTLIER", 1e9)
     monkeypatch.setattr(caution, "LAG_ERROR_S", 0.0)
+    monkeypatch.setattr(caution, "SNAPSHOT", 0.0)
     system = wrench_quad()
     estimator = discovery.estimator("default")(system, 0.05)
 

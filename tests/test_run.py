@@ -95,7 +95,18 @@ def test_the_default_estimator_is_run_the_same_in_any_chunks(monkeypatch):
     thrust = 1.0 + 0.004 * rng.standard_normal((count, 4))
     thrust[100:, 2] /= 0.7
     flat = np.zeros((count, 3))
-    u = np.column_stack([thrust, flat, np.full(count, 4.0), flat, np.where(np.arange(count) < 60, 1, 2), flat[:, 0]])
+    u = np.column_stack(
+        [
+            thrust,
+            flat,
+            np.full(count, 4.0),
+            flat,
+            flat[:, :2],
+            np.full(count, 2.5),
+            np.where(np.arange(count) < 60, 1, 2),
+            flat[:, 0],
+        ]
+    )
     u[0, -1] = 1.0
     valid = np.ones((count, 4), bool)
 
