@@ -111,10 +111,10 @@ def test_each_hop_is_a_plant_of_its_own_and_gaps_stay_gaps():
     assert log_plant.hops(short, B, dynamics()) == ()
 
 
-def test_slow_commands_are_refused():
+def test_ticks_of_no_estimator_are_refused():
     B = geometry()
-    with pytest.raises(ConfigError, match="too slow"):
-        log_plant.hops(ticks(B, dt=0.2), B)
+    with pytest.raises(ConfigError, match="no ticks of"):
+        log_plant.hops(ticks(B, dt=0.3), B)
 
 
 # The threshold.

@@ -21,7 +21,7 @@ WILD = (
     "no-rcou-1",
     "frozen-fault-1",
     "healthy-real-1",
-    "knock-1",
+    "knock-2",
     "rotor-off-1",
     "on-its-side-1",
 )

@@ -29,6 +29,7 @@ GAIN_MEMORY_S = 20.0  # air density changes with height, slowly
 PAIR_WITHIN_S = 0.15  # a command further than this from any control sample has no partner
 PROVEN = 20  # comparisons a mixer must have passed before it can accuse an output
 GIVEN_UP = np.linspace(0.0, 1.0, 11)  # shares of yaw that a mixer at its limits may give up
+UNEXPLAINED = 0.5  # share of what outputs part by that a mixer may leave unexplained before it is not believed
 AGREEING = 0.7  # share of the other outputs that must agree on what is common to all before one can be accused
 CONFIRM_S, CONFIRM_SAMPLES = 0.25, 3  # how long an output must differ
 STUCK_S = 1.0  # an output that does not move for this long while it should have, whatever limits the others, is stuck
@@ -331,7 +332,7 @@ def _departures(flight: Flight, vehicle: Vehicle, airborne: Spans) -> list[Overr
     past = np.concatenate([[0], np.cumsum(good)[:-1]])
     compared = np.concatenate([[0], np.cumsum(flying & np.isfinite(alone).all(axis=1))[:-1]])
     power = np.concatenate([[0.0], np.cumsum(np.where(good[:, None], far**2, 0.0).max(axis=1))[:-1]])
-    proven = (past >= PROVEN) & (past > 0.7 * compared)
+    proven = (past >= PROVEN) & (past > 0.7 * compared) & _turns_as_asked(check, good)
     usual = 6.0 * np.sqrt(power / np.maximum(past, 1))
     limit, still_limit = np.maximum(PART, usual), np.maximum(PART_STILL, usual)
     own = check.asked - check.asked.mean(axis=1, keepdims=True)
@@ -362,6 +363,18 @@ def _departures(flight: Flight, vehicle: Vehicle, airborne: Spans) -> list[Overr
             until = None if end is None else float(check.time[end])
             found.append(Override(k + 1, kind, float(start), float(check.known[seen]), until, reason, float(asked)))
     return found
+
+
+def _turns_as_asked(check: Comparison, good: np.ndarray) -> np.ndarray:
+    """(m,) bool: in the samples before that fitted, outputs parted from each other as they were asked to. A mixer that has the throttle
+    right but another scale of roll, pitch and yaw fits as well, while nothing turns."""
+    asked, got = (x - x.mean(axis=1, keepdims=True) for x in (check.asked, check.demand))
+
+    def so_far(x):
+        return np.concatenate([[0.0], np.cumsum(np.where(good, x.sum(axis=1), 0.0))[:-1]])
+
+    unexplained, all_ = so_far((got - asked) ** 2), so_far(got**2 + NOISE_SD**2)
+    return unexplained < UNEXPLAINED * all_
 
 
 def _alone(check: Comparison, interior: np.ndarray) -> np.ndarray:

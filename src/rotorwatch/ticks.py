@@ -69,7 +69,7 @@ LENGTHS = ((0.05, 19.0), (0.1, 8.0), (0.2, 4.5), (0.5, 1.8), (1.0, 0.0))
 SHORTEST_S = (
     0.2  # a snapshot of the commands is compared with motion over so long, or with a sample and a half of the gyro
 )
-READY_TICKS = 40  # from which the noise is learned
+READY_TICKS = 30  # from which the noise is learned
 
 
 def tick_length(rate_hz: float) -> float:
