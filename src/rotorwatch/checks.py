@@ -71,6 +71,7 @@ def has(system: Any, method: str, *parts: str, why: str = "") -> None:
 def library(name: str, what: str) -> Any:
     """The library of that name, imported. Raises ConfigError that says how to install it, where it is not: what needs it."""
     try:
+        importlib.import_module(name.partition(".")[0])  # a part of it may be loaded already
         return importlib.import_module(name)
     except ImportError:
         package = name.partition(".")[0]
