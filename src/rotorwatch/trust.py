@@ -33,7 +33,13 @@ ALIKE = 0.5  # correlation of two measurements of one motion
 # Hover thrusts of one rotor and rotor for each rad/s^2: the smallest vehicles turn for no less (radius of gyration 2 cm, arms of 3 cm),
 # large ones for no more.
 LEAST_GAIN, MOST_GAIN = 0.001, 0.02
-PLAIN = 0.3  # rad/s^2 of roll or pitch: motion that is no longer the gyro's noise or a dead calm
+HARDER = (
+    3.0  # times the torque commanded that the motion must take at least: shaking of a bent blade may look like twice
+)
+PLAIN, PLAIN_RATE = (
+    0.3,
+    0.03,
+)  # rad/s^2 and rad/s of roll or pitch: motion that is no longer the gyro's noise or a dead calm
 HELD = 0.05  # share of the motion that commands would give a large vehicle, below which it does not follow them: it stands, or is held
 LONG_S = 30.0  # of flight, before commands are held against motion
 SLOWEST_S = 0.1  # ticks in which commands and the motion they cause can be seen together
@@ -176,7 +182,7 @@ def motion_without_command(case: Case) -> str | None:
     sizes = [_coherence(case, axis) for axis in (0, 1)]
     if any(s is None for s in sizes):
         return None
-    if all(s.needed > s.commanded and s.alike < ALIKE for s in sizes if s):
+    if all(s.needed > HARDER * s.commanded and s.alike < ALIKE for s in sizes if s):
         return "the vehicle turns harder than its motor outputs can make it: they are not what drove the motors."
     return None
 
@@ -190,7 +196,9 @@ def command_without_effect(case: Case) -> str | None:
     if len(found) < 3 or max(c.sigmas for c in found) > SIGNIFICANT:
         return None
     least = PLAIN * LEAST_GAIN * case.table.thrust.shape[1]
-    if all(HELD * LEAST_GAIN / MOST_GAIN * c.commanded < c.needed < least for c in found[:2]):
+    rates = np.abs(case.table.rate[case.flying][:, :2])
+    still = float(np.quantile(rates, 0.8)) < PLAIN_RATE
+    if all(c.needed > HELD * LEAST_GAIN / MOST_GAIN * c.commanded and (still or c.needed < least) for c in found[:2]):
         return None
     return "the motor outputs explain nothing of how the vehicle moves: they are of another vehicle, another time or another airframe."
 
