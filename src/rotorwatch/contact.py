@@ -56,7 +56,7 @@ def struck(
         kinds += [(pushed, np.maximum(SIDEWAYS, SHAKES * shake / G0), "g", "pushed it sideways")]
         kinds += [(lifted, np.maximum(UPWARD, SHAKES * shake / G0), "g", "pushed it upwards")]
     excess = np.stack([size - limit for size, limit, _, _ in kinds])
-    hit = (excess > 0.0).any(axis=0)
+    hit = np.asarray(np.any(excess > 0.0, axis=0))
     return hit, _contacts(time, hit, excess, kinds)
 
 

@@ -122,7 +122,8 @@ def _ulog(data: bytes) -> Records:
         elif kind == ord("P"):
             rows.append((at, end, at + 3, end, at + 3, 0))
         at = end
-    return Records(*np.array(rows, np.int64).reshape(-1, 6).T)
+    begin, end, first, last, stamp, size = np.array(rows, np.int64).reshape(-1, 6).T
+    return Records(begin, end, first, last, stamp, size)
 
 
 def _tlog(data: bytes) -> Records:

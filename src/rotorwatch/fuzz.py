@@ -159,8 +159,8 @@ class Mutations:
         """Whether this mutation is diagnosed, not only read."""
         return np.random.default_rng([self.seed, number, 1]).random() < self.diagnosed
 
-    def attempt(self, number: int, folder: str) -> tuple[str, str]:
-        """(outcome, what went wrong) of one mutation."""
+    def attempt(self, number: int, folder: str) -> tuple[str, Any]:
+        """(outcome, what went wrong, a text) of one mutation."""
         from rotorwatch.logs import read
 
         damaged, _ = mutate(self.data, self.seed, number)

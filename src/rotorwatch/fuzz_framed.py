@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -53,10 +54,10 @@ def fuzz_framed(
         results = here(task, total)
     else:
         results = pool(task, total, jobs or os.cpu_count() or 1, memory_mb)
-    table = {kind: dict.fromkeys(OUTCOMES, 0) for kind in KINDS}
+    table: dict[str, dict[str, int]] = {kind: dict.fromkeys(OUTCOMES, 0) for kind in KINDS}
     failures, slowest = [], 0.0
     for done, (number, outcome, what, _) in enumerate(results, 1):
-        said = what if isinstance(what, dict) else {"what": what, "seconds": timeout_s}
+        said: dict[str, Any] = what if isinstance(what, dict) else {"what": what, "seconds": timeout_s}
         table[KINDS[number % len(KINDS)]][outcome] += 1
         slowest = max(slowest, said["seconds"])
         if outcome in WRONG:
@@ -95,7 +96,7 @@ class Task(Mutations):
         rng = np.random.default_rng([self.seed, number])
         return damage.damaged(self.data, self.found, KINDS[number % len(KINDS)], self.share, rng)
 
-    def attempt(self, number: int, folder: str) -> tuple[str, dict]:
+    def attempt(self, number: int, folder: str) -> tuple[str, Any]:
         """(outcome, {what: the reason given, seconds: of reading and diagnosing}) of one damaged copy."""
         path = Path(folder) / self.name
         path.write_bytes(self.copy(number))

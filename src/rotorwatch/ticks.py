@@ -26,7 +26,7 @@ GAP_S = 2.0  # without any command: a flight ends there, see airborne.py
 SETTLE_S = 1.0  # after lift-off: the first second gives the hover command and is not judged
 UPSET_RATE = 6.0  # rad/s of roll or pitch rate: the vehicle tumbles, hover physics is over
 UPSET_TILT = np.cos(np.radians(65.0))
-CONTROLLED_SHARE, CONTROLLED_RATE = 0.65, 2.0  # of full thrust, and rad/s: below both a vehicle is under control
+CONTROLLED_SHARE, CONTROLLED_RATE = 0.9, 2.0  # of full thrust, and rad/s: below both a vehicle is under control
 
 GROUND, LEARN, JUDGE = 0, 1, 2
 AGAIN = 2  # in the place of a restart: the trim is learned afresh, what is known to be lost stays

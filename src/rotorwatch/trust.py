@@ -19,10 +19,8 @@ from rotorwatch.vehicle import Vehicle
 
 Spans = tuple[tuple[float, float], ...]
 
-STILL_S, STILL_RAD = (
-    1.0,
-    1.0,
-)  # a controller answers before its vehicle has turned by so much: outputs that rest longer did not fly it
+# A controller answers before its vehicle has turned by so much: outputs that rest longer did not fly it.
+STILL_S, STILL_RAD = 1.0, 1.0
 # ... nor does it rest for so long, in so many samples, at the resolution of an output, unless the air is dead calm.
 STILL_LONG_S, STILL_LONG_RAD, STILL_SAMPLES = 5.0, 0.2, 25
 # rad/s and m/s^2, means of half a second: beyond what gyros of autopilots measure (2000 deg/s) and airframes bear
@@ -35,10 +33,8 @@ ALIKE = 0.5  # correlation of two measurements of one motion
 LEAST_GAIN, MOST_GAIN = 0.001, 0.02
 # Torque that the motion must take at least: so many times the one commanded, and so many hover thrusts. Vibration looks like less.
 HARDER, HARD = 3.0, 0.05
-PLAIN, PLAIN_RATE = (
-    0.3,
-    0.03,
-)  # rad/s^2 and rad/s of roll or pitch: motion that is no longer the gyro's noise or a dead calm
+# rad/s^2 and rad/s of roll or pitch: motion that is no longer the gyro's noise or a dead calm
+PLAIN, PLAIN_RATE = 0.3, 0.03
 HELD = 0.05  # share of the motion that commands would give a large vehicle, below which it does not follow them: it stands, or is held
 LONG_S = 30.0  # of flight, before commands are held against motion
 SLOWEST_S = 0.1  # ticks in which commands and the motion they cause can be seen together
