@@ -83,7 +83,11 @@ def _estimator(p, dt):
 
 
 BUILDERS: dict[float, Callable] = {
-    **{0.05: _every_50_ms, 0.1: _every_100_ms, 0.2: _every_200_ms, 0.5: _every_500_ms, 1.0: _every_second}
+    0.05: _every_50_ms,
+    0.1: _every_100_ms,
+    0.2: _every_200_ms,
+    0.5: _every_500_ms,
+    1.0: _every_second,
 }
 
 

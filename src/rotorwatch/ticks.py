@@ -16,10 +16,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rotorwatch.contact import Contact, struck, vibration
+from rotorwatch.contact import G0, Contact, struck, vibration
 from rotorwatch.flight import Flight, Signal
 
-G0 = 9.80665
 LAG_S = 0.02
 SIDE_S = 0.5  # side forces are averaged over: they change as slowly as speed and wind, and vibration is louder
 GAP_S = 2.0  # without any command: a flight ends there, see airborne.py
