@@ -37,7 +37,7 @@ rotorwatch compare healthy1.bin healthy2.bin --losses 0.2,0.4
 
 
 def scenes(flights: Path, seeds: int) -> list:
-    from rotorwatch.studies import compare_flights
+    from rotorwatch.experiments.studies import compare_flights
 
     found = compare_flights.simulated(seeds)
     sitl = sorted((flights / "ardupilot-sitl").glob("*.bin.xz"))
@@ -49,7 +49,7 @@ def scenes(flights: Path, seeds: int) -> list:
 
 def main() -> None:
     from rotorwatch import discovery
-    from rotorwatch.studies.compare import compare, markdown
+    from rotorwatch.experiments.studies.compare import compare, markdown
 
     arguments = argparse.ArgumentParser(description=__doc__)
     arguments.add_argument("--flights", type=Path, default=ROOT / "../shared/flights")

@@ -12,10 +12,11 @@ from pathlib import Path
 
 import numpy as np
 
-from rotorwatch import airframes, discovery, native
+from rotorwatch import airframes, discovery
 from rotorwatch.backend import jax as load_jax
+from rotorwatch.compiling import native
+from rotorwatch.compiling.run import run
 from rotorwatch.estimators import mhe
-from rotorwatch.run import run
 from rotorwatch.systems.rigid_body import RigidBody
 
 DT = 0.01

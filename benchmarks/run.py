@@ -32,8 +32,8 @@ from contenders import METHODS, Floor, NativeBatch, Rotorwatch, build_floor, est
 from logs import reading, sample
 from peers import peers
 
-from rotorwatch import native
 from rotorwatch.backend import jax as load_jax
+from rotorwatch.compiling import native
 
 HERE = Path(__file__).resolve().parent
 PARTS = ["single_flight", "batch", "live", "start", "read"]

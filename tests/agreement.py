@@ -15,7 +15,7 @@ import numpy as np
 from rich.console import Console
 
 from rotorwatch import report
-from rotorwatch.conclusion import LOSS, OVERRIDE
+from rotorwatch.answer.conclusion import LOSS, OVERRIDE
 from rotorwatch.diagnosis import EXIT_CODES
 from rotorwatch.report import colours, drawing, figures, html, terminal
 

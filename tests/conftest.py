@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rotorwatch import airframes, places
-from rotorwatch.conclusion import conclude
+from rotorwatch import airframes
+from rotorwatch.answer import places
+from rotorwatch.answer.conclusion import conclude
 from rotorwatch.diagnosis import Diagnosis, Event, Trace
 
 

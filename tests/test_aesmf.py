@@ -7,15 +7,15 @@ from hypothesis import strategies as st
 
 from rotorwatch import airframes
 from rotorwatch.backend import jax as load_jax
+from rotorwatch.compiling.run import run
 from rotorwatch.errors import ConfigError
 from rotorwatch.estimators.aesmf import AESMF, gradient
 from rotorwatch.estimators.aukf import AUKF
 from rotorwatch.estimators.ekf import EKF
 from rotorwatch.estimators.esmf import ESMF
+from rotorwatch.experiments.studies import ruav_flight, small_systems
 from rotorwatch.maths import ellipsoid, interval, mit_rule, small, taylor
 from rotorwatch.maths.set_membership import Cutting
-from rotorwatch.run import run
-from rotorwatch.studies import ruav_flight, small_systems
 from rotorwatch.systems.helicopter import Helicopter
 
 jax = load_jax()

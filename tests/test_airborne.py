@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from rotorwatch import logs
-from rotorwatch.airborne import CONFIRM_S, airborne
 from rotorwatch.flight import Flight, Message
 from rotorwatch.logs.memory import from_arrays
+from rotorwatch.motion.airborne import CONFIRM_S, airborne
 
 FLIGHTS = Path(__file__).parents[2] / "shared" / "flights"
 needs_flights = pytest.mark.skipif(

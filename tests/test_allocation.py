@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rotorwatch import airframes, allocation, logs
+from rotorwatch import airframes, logs
 from rotorwatch.flight import Flight, Signal
-from rotorwatch.vehicle import ThrustCurve
+from rotorwatch.flight.vehicle import ThrustCurve
+from rotorwatch.motion import allocation
 
 FLIGHTS = Path(__file__).resolve().parents[2] / "shared" / "flights"
 needs_flights = pytest.mark.skipif(not FLIGHTS.is_dir(), reason="the shared test flights are not beside the repository")

@@ -20,16 +20,23 @@ MOST_LINES = 600
 
 # What must not be imported, and the contract of pyproject.toml that forbids it.
 FORBIDDEN = (
-    ("flight.py", "rotorwatch.logs", "Layers"),
-    ("logs/series.py", "rotorwatch.ticks", "Layers"),
+    ("flight/flight.py", "rotorwatch.logs", "Layers"),
+    ("logs/series.py", "rotorwatch.motion.ticks", "Layers"),
     ("detectors/esc_current.py", "rotorwatch.estimators.jump_bank", "Layers"),
     ("airframes/px4.py", "rotorwatch.cli", "Layers"),
+    ("experiments/damage.py", "rotorwatch.experiments.fuzz", "Inside the experiments"),
+    ("diagnose.py", "rotorwatch.healthy.tune", "Inside the healthy"),
+    ("answer/advice.py", "rotorwatch.answer.conclusion", "Inside the answer"),
+    ("published/log_plant.py", "rotorwatch.published.published", "Inside the published"),
+    ("compiling/native.py", "rotorwatch.compiling.run", "Inside compiling"),
+    ("motion/airborne.py", "rotorwatch.motion.ticks", "Inside motion"),
+    ("flight/flight.py", "rotorwatch.flight.vehicle_file", "Inside the flight"),
     ("estimators/planted.py", "rotorwatch.estimators.jump_bank", "Estimators do not"),
     ("systems/planted.py", "rotorwatch.systems.wrench_balance", "Plants do not"),
     ("detectors/thrust_loss.py", "rotorwatch.detectors.esc_current", "Detectors do not"),
     ("airframes/crazyflie.py", "rotorwatch.airframes.ardupilot", "Airframes do not"),
     ("logs/ulog.py", "rotorwatch.logs.tlog", "Log formats do not"),
-    ("vehicle.py", "jax", "The nouns"),
+    ("flight/vehicle.py", "jax", "The nouns"),
 )
 
 
@@ -140,3 +147,12 @@ def test_files_are_short_and_say_what_they_are(path):
     text = path.read_text(encoding="utf-8")
     assert len(text.splitlines()) <= MOST_LINES, "split this file by what changes together"
     assert ast.get_docstring(ast.parse(text)), "a module begins with a sentence on what it holds"
+
+
+@pytest.mark.parametrize("room", [p for p in FILES if p.name == "__init__.py"], ids=lambda p: p.parent.name)
+def test_a_room_that_lists_its_files_lists_all(room):
+    said = set(
+        re.findall(r"^(\w+)(?:\.py|/) ", ast.get_docstring(ast.parse(room.read_text(encoding="utf-8"))) or "", re.M)
+    )
+    there = {p.stem for p in room.parent.iterdir() if p.suffix == ".py" or (p / "__init__.py").exists()} - {"__init__"}
+    assert not said or said == there

@@ -13,8 +13,8 @@ from rotorwatch.errors import ConfigError
 from rotorwatch.estimators.atsukf import ATSUKF
 from rotorwatch.estimators.tsukf import TSUKF
 from rotorwatch.estimators.ukf import UKF
+from rotorwatch.experiments.studies import reproduce_atsukf as study
 from rotorwatch.maths import two_stage, unscented
-from rotorwatch.studies import reproduce_atsukf as study
 from rotorwatch.systems.rate_dynamics import RateDynamics
 
 jnp = load_jax().numpy

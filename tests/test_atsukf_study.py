@@ -5,10 +5,10 @@ import pytest
 
 from rotorwatch.errors import ConfigError
 from rotorwatch.estimators.tsukf import TSUKF
-from rotorwatch.studies import reproduce_atsukf as study
-from rotorwatch.studies import reproduction
-from rotorwatch.studies import two_stage_as_printed as printed
-from rotorwatch.studies.uaf_flight import DT, fly, losses
+from rotorwatch.experiments.studies import reproduce_atsukf as study
+from rotorwatch.experiments.studies import reproduction
+from rotorwatch.experiments.studies import two_stage_as_printed as printed
+from rotorwatch.experiments.studies.uaf_flight import DT, fly, losses
 
 EXACT = 1e-9
 

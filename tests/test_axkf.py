@@ -9,13 +9,13 @@ from hypothesis import strategies as st
 
 from rotorwatch import airframes
 from rotorwatch.backend import jax as load_jax
+from rotorwatch.compiling.run import run
 from rotorwatch.errors import ConfigError
 from rotorwatch.estimators.adaptive_ekf import AdaptiveEKF
 from rotorwatch.estimators.akf import AKF
 from rotorwatch.estimators.axkf import AXKF
 from rotorwatch.estimators.ekf import EKF
 from rotorwatch.maths import adaptive_kalman, linearise
-from rotorwatch.run import run
 from rotorwatch.systems.port_hamiltonian_attitude import PortHamiltonianAttitude
 from rotorwatch.systems.rate_dynamics import RateDynamics
 

@@ -7,8 +7,8 @@ import pytest
 
 from rotorwatch import airframes
 from rotorwatch.errors import ConfigError
-from rotorwatch.studies import reproduce_axkf as study
-from rotorwatch.studies import rot_flights as flights
+from rotorwatch.experiments.studies import reproduce_axkf as study
+from rotorwatch.experiments.studies import rot_flights as flights
 from rotorwatch.systems.port_hamiltonian_attitude import PortHamiltonianAttitude
 
 

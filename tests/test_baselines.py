@@ -6,14 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rotorwatch import airframes, baselines, logs
-from rotorwatch import whole_flight as wf
-from rotorwatch.baselines import Candidate, healthy, settle, unlike
-from rotorwatch.calibrate import calibrate
+from rotorwatch import airframes, logs
 from rotorwatch.diagnose import diagnose
 from rotorwatch.errors import ConfigError, VehicleError
-from rotorwatch.inject import inject
-from rotorwatch.studies import compare_flights
+from rotorwatch.experiments.inject import inject
+from rotorwatch.experiments.studies import compare_flights
+from rotorwatch.healthy import baselines
+from rotorwatch.healthy import whole_flight as wf
+from rotorwatch.healthy.baselines import Candidate, healthy, settle, unlike
+from rotorwatch.healthy.calibrate import calibrate
 from test_calibrate import QUAD, flown, on_the_ground
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "flights"

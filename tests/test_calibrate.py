@@ -6,11 +6,11 @@ from zlib import crc32
 import numpy as np
 import pytest
 
-from rotorwatch import airframes, vehicle_file
-from rotorwatch import whole_flight as wf
-from rotorwatch.calibrate import calibrate
+from rotorwatch import airframes
 from rotorwatch.errors import ConfigError, LogError, VehicleError
-from rotorwatch.flight import Flight, Signal
+from rotorwatch.flight import Flight, Signal, vehicle_file
+from rotorwatch.healthy import whole_flight as wf
+from rotorwatch.healthy.calibrate import calibrate
 
 QUAD = airframes.named("ardupilot-quad-x")
 

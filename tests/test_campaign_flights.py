@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 import rotorwatch
-from rotorwatch import backend, campaign, log_plant, published
+from rotorwatch import backend, campaign
 from rotorwatch.campaign import batch, methods, score, work
+from rotorwatch.motion.ticks import LEARN
+from rotorwatch.published import log_plant, published
 from rotorwatch.simulation import simulate
-from rotorwatch.ticks import LEARN
 
 pytest.importorskip("pyarrow")
 WIDTH = 4

@@ -1,6 +1,5 @@
 """The command line from outside, and the package's front door."""
 
-import importlib
 import json
 import os
 import subprocess
@@ -54,10 +53,8 @@ def fake(monkeypatch, tmp_path):
         told = f"{len(baseline)} baseline, vehicle {getattr(vehicle, 'name', None)}, estimator {estimator}"
         return hexa_diagnosis(verdict=verdict, flight=flight, baseline=told)
 
-    real = importlib.import_module("rotorwatch.diagnose")
     for name, function in (("logs", read), ("diagnose", diagnose)):
         module = ModuleType(f"rotorwatch.{name}")
-        module.observe, module.READY_S = real.observe, real.READY_S
         setattr(module, function.__name__, function)
         monkeypatch.setitem(sys.modules, module.__name__, module)
     for name in ("healthy", "fault", "ambiguous", "inconclusive", "broken", "bug", "healthy-2"):
@@ -217,14 +214,14 @@ def test_demo_explains_the_samples_and_says_where_the_page_is(fake, run, monkeyp
 
 def test_calibrate_writes_the_vehicle_it_learned(fake, run, monkeypatch):
     written = {}
-    learned = ModuleType("rotorwatch.calibrate")
+    learned = ModuleType("rotorwatch.healthy.calibrate")
     learned.calibrate = lambda flights, progress=None: type(
         "V", (), {"name": f"quad of {len(flights)}", "identified": {"flights": len(flights)}, "assumptions": ()}
     )
-    files = ModuleType("rotorwatch.vehicle_file")
+    files = ModuleType("rotorwatch.flight.vehicle_file")
     files.write = lambda vehicle, path: written.update({path: vehicle.name})
-    monkeypatch.setitem(sys.modules, "rotorwatch.calibrate", learned)
-    monkeypatch.setitem(sys.modules, "rotorwatch.vehicle_file", files)
+    monkeypatch.setitem(sys.modules, "rotorwatch.healthy.calibrate", learned)
+    monkeypatch.setitem(sys.modules, "rotorwatch.flight.vehicle_file", files)
     code, out, err = run("calibrate", "healthy.bin", "healthy-2.bin", "-o", "v.toml")
     assert (code, written, err) == (0, {Path("v.toml"): "quad of 2"}, "")
     assert "learned from 2 flights" in out
@@ -233,14 +230,14 @@ def test_calibrate_writes_the_vehicle_it_learned(fake, run, monkeypatch):
 
 def test_inject_hands_its_options_to_the_campaign(fake, run, monkeypatch):
     asked = []
-    module = ModuleType("rotorwatch.inject")
+    module = ModuleType("rotorwatch.experiments.inject")
 
     def campaign(paths, losses, repeats, seed, progress):
         asked.append(([p.name for p in paths], losses, repeats, seed))
         return {"table": [{"loss": 0.2, "injections": 8, "detected": 0.5, "delay_s": 1.25}], "false_alarms": 0}
 
     module.campaign = campaign
-    monkeypatch.setitem(sys.modules, "rotorwatch.inject", module)
+    monkeypatch.setitem(sys.modules, "rotorwatch.experiments.inject", module)
     argv = ("inject", "healthy.bin", "--loss", "0.2,0.9", "--repeats", "2", "--seed", "9")
     code, out, _ = run(*argv, "--json")
     assert code == 0 and json.loads(out)["false_alarms"] == 0
@@ -257,7 +254,7 @@ def test_fuzz_exits_with_1_when_something_failed(fake, run, monkeypatch, failed,
     outcomes = {"read": 10, "FAILED": failed}
     failures = [{"number": 3, "mutation": "truncated", "what": "ValueError: x"}][:failed]
     result = {"log": "a", "seed": 0, "mutations": 10, "diagnosed": 0, "outcomes": outcomes, "failures": failures}
-    monkeypatch.setattr("rotorwatch.fuzz.fuzz", lambda *_, **__: result)
+    monkeypatch.setattr("rotorwatch.experiments.fuzz.fuzz", lambda *_, **__: result)
     got, out, _ = run("fuzz", "healthy.bin")
     assert got == code and ("number 3" in out) == bool(failed)
     assert json.loads(run("fuzz", "healthy.bin", "--json")[1]) == result

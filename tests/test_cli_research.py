@@ -6,8 +6,8 @@ from types import SimpleNamespace
 import pytest
 
 from rotorwatch import cli
-from rotorwatch.studies import reproduction
-from rotorwatch.studies.reproduction import Claim, Reproduction
+from rotorwatch.experiments.studies import reproduction
+from rotorwatch.experiments.studies.reproduction import Claim, Reproduction
 
 
 @pytest.fixture

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from rotorwatch import airframes, cli, default_estimator, diagnose, published
+from rotorwatch import airframes, cli, default_estimator, diagnose
 from rotorwatch.diagnosis import Event
 from rotorwatch.errors import ConfigError
-from rotorwatch.studies import compare as study
-from rotorwatch.studies import compare_flights
-from rotorwatch.ticks import JUDGE
+from rotorwatch.experiments.studies import compare as study
+from rotorwatch.experiments.studies import compare_flights
+from rotorwatch.motion.ticks import JUDGE
+from rotorwatch.published import published
 
 
 @pytest.fixture(scope="module")

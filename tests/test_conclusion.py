@@ -3,7 +3,7 @@
 import pytest
 
 from conftest import hexa_diagnosis, hexa_event
-from rotorwatch.conclusion import main_event
+from rotorwatch.answer.conclusion import main_event
 from rotorwatch.evidence.leftover import Leftover
 
 
@@ -95,7 +95,7 @@ def test_an_event_that_ended_is_over():
 
 
 def test_what_became_of_a_loss_after_landing_is_not_known():
-    from rotorwatch.conclusion import conclude
+    from rotorwatch.answer.conclusion import conclude
 
     end = conclude((hexa_event(end_s=49.9),), None, 6, hidden=[0.04] * 6, judged_s=60, hops=((4, 50), (60, 90)))
     assert end.rotors[2].status == "suspect" and end.rotors[2].interval == pytest.approx((0.0, 0.41))

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import rotorwatch as rw
-from rotorwatch import damage
 from rotorwatch.errors import ConfigError
-from rotorwatch.fuzz_framed import KINDS, OUTCOMES, Task, fuzz_framed
+from rotorwatch.experiments import damage
+from rotorwatch.experiments.fuzz_framed import KINDS, OUTCOMES, Task, fuzz_framed
 from rotorwatch.logs import mavlink_frames, series
 from rotorwatch.logs.dataflash_binary import BinaryLog
 from rotorwatch.logs.dataflash_clock import make_clock

@@ -9,7 +9,7 @@ import pytest
 from rotorwatch import airframes, detectors, logs
 from rotorwatch.detectors import esc_current, thrust_loss
 from rotorwatch.flight import Flight, Message, Signal
-from rotorwatch.vehicle import ThrustCurve
+from rotorwatch.flight.vehicle import ThrustCurve
 
 FLIGHTS = Path(__file__).resolve().parents[2] / "shared" / "flights"
 needs_flights = pytest.mark.skipif(not FLIGHTS.is_dir(), reason="the shared test flights are not beside the repository")

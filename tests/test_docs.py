@@ -15,7 +15,7 @@ import pytest
 
 import rotorwatch as rw
 from rotorwatch import airframes, cli, diagnosis, logs
-from rotorwatch.allocation import ambiguous_sets
+from rotorwatch.motion.allocation import ambiguous_sets
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])

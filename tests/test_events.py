@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rotorwatch.evidence import events, hypotheses
-from rotorwatch.ticks import JUDGE, Ticks
+from rotorwatch.motion.ticks import JUDGE, Ticks
 
 DT, COUNT, N = 0.1, 300, 4
 HYP = hypotheses.make(N)

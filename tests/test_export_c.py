@@ -14,14 +14,15 @@ from click.testing import CliRunner
 
 import rotorwatch as rw
 from exporting import STRICT, address, jax, library, room, struct
-from rotorwatch import airframes, native
-from rotorwatch.c99.lower import Refused
-from rotorwatch.c99.project import Field, make
+from rotorwatch import airframes
 from rotorwatch.cli import cli
+from rotorwatch.compiling import native
+from rotorwatch.compiling.c99.lower import Refused
+from rotorwatch.compiling.c99.project import Field, make
+from rotorwatch.compiling.run import run
 from rotorwatch.errors import ConfigError
 from rotorwatch.estimators.ekf import EKF
 from rotorwatch.export_c import export_c, prepare
-from rotorwatch.run import run
 from rotorwatch.systems.rate_dynamics import RateDynamics
 
 jnp, lax = jax.numpy, jax.lax
@@ -348,8 +349,8 @@ WARM = """
 import json, sys
 import numpy as np
 from typing import NamedTuple
-from rotorwatch import native
-from rotorwatch.run import run_built
+from rotorwatch.compiling import native
+from rotorwatch.compiling.run import run_built
 class Carry(NamedTuple):
     total: object
 class Sum:

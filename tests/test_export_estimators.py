@@ -10,8 +10,8 @@ import pytest
 
 from exporting import STRICT, address, difference, estimator, exported, library, measurements, room, struct
 from rotorwatch import discovery
-from rotorwatch.c99 import operations
-from rotorwatch.c99.plan import Plan
+from rotorwatch.compiling.c99 import operations
+from rotorwatch.compiling.c99.plan import Plan
 from rotorwatch.export_c import SINGLE, export_c, program_of
 
 EQUAL = 1e-12

@@ -10,8 +10,8 @@ import pytest
 from rotorwatch import airframes, cli, diagnose, logs
 from rotorwatch.diagnosis import Event
 from rotorwatch.errors import ConfigError
-from rotorwatch.studies import false_alarms as study
-from rotorwatch.ticks import JUDGE, LEARN
+from rotorwatch.experiments.studies import false_alarms as study
+from rotorwatch.motion.ticks import JUDGE, LEARN
 
 
 @pytest.fixture(scope="module")

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rotorwatch import fuzz
 from rotorwatch.errors import ConfigError
+from rotorwatch.experiments import fuzz
 
 CORRUPT = Path(__file__).parents[1] / "../shared/flights/corrupt"
 DATA = bytes(range(256)) * 40

@@ -6,10 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rotorwatch import airborne, airframes, allocation, cli, inject, logs
+from rotorwatch import airframes, cli, logs
 from rotorwatch.diagnosis import Event
 from rotorwatch.errors import ConfigError
+from rotorwatch.experiments import inject
 from rotorwatch.flight import Flight, Signal
+from rotorwatch.motion import airborne, allocation
 
 ONSET = 10.0
 FLIGHTS = Path(__file__).resolve().parents[1] / ".." / "shared" / "flights"

@@ -16,8 +16,8 @@ from rotorwatch.estimators import jump_bank
 from rotorwatch.estimators.jump_bank import JumpBank
 from rotorwatch.evidence import caution, hypotheses, jumps, noise
 from rotorwatch.evidence.hypotheses import LOSS_WIDTH
+from rotorwatch.motion.ticks import GROUND, JUDGE, LEARN
 from rotorwatch.systems.wrench_balance import B3, PER_AXIS, SIDEWAYS, WrenchBalance
-from rotorwatch.ticks import GROUND, JUDGE, LEARN
 
 DT = 0.05
 TICKS, READY, ONSET = 160, 60, 100

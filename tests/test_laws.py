@@ -16,9 +16,9 @@ from rotorwatch import airframes, discovery
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.core import Estimate
 from rotorwatch.estimators.ekf import EKF
+from rotorwatch.motion.ticks import GROUND, JUDGE, LEARN
 from rotorwatch.systems.rate_dynamics import RateDynamics
 from rotorwatch.systems.wrench_balance import WrenchBalance
-from rotorwatch.ticks import GROUND, JUDGE, LEARN
 
 DT, TICKS = 0.02, 220
 TAKE_OFF, READY, ONSET = 5, 80, 110

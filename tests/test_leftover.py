@@ -8,7 +8,7 @@ import pytest
 from conftest import hexa_event
 from rotorwatch import airframes
 from rotorwatch.evidence import hypotheses, leftover
-from rotorwatch.ticks import JUDGE, LEARN
+from rotorwatch.motion.ticks import JUDGE, LEARN
 
 HYP = hypotheses.make(4)
 B = airframes.named("ardupilot-quad-x").effectiveness()

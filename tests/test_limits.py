@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rotorwatch import limits
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
-from rotorwatch.limits import Rows
+from rotorwatch.experiments import limits
+from rotorwatch.experiments.limits import Rows
 from rotorwatch.systems import RateDynamics
 
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes
-from rotorwatch import observability as module
-from rotorwatch.allocation import ambiguous_sets
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.errors import ConfigError, VehicleError
-from rotorwatch.observability import observability
+from rotorwatch.motion.allocation import ambiguous_sets
+from rotorwatch.published import observability as module
+from rotorwatch.published.observability import observability
 from rotorwatch.systems.rate_dynamics import RateDynamics
 
 

@@ -2,8 +2,9 @@
 
 import pytest
 
-from rotorwatch import airframes, places
-from rotorwatch.vehicle import Rotor
+from rotorwatch import airframes
+from rotorwatch.answer import places
+from rotorwatch.flight.vehicle import Rotor
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import pytest
 from rotorwatch import airframes
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
-from rotorwatch.studies.rot_flights import body_rates, euler_rates
+from rotorwatch.experiments.studies.rot_flights import body_rates, euler_rates
 from rotorwatch.systems.port_hamiltonian_attitude import PortHamiltonianAttitude
 
 jax = load_jax()

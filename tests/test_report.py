@@ -309,7 +309,7 @@ def test_without_colours_there_are_none(environment, monkeypatch, fault):
 
 def test_gaps_between_commands_are_no_cut_outs():
     """A tick without a sample is no command of nothing: the line goes straight on; over a dropout there is none."""
-    from rotorwatch.traces import _bridged
+    from rotorwatch.answer.traces import _bridged
 
     time = np.arange(0.0, 3.0, 0.1)
     values = np.full((30, 2), 0.5)

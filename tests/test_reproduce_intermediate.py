@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes
-from rotorwatch.studies import hover_flights
-from rotorwatch.studies import reproduce_intermediate as study
+from rotorwatch.experiments.studies import hover_flights
+from rotorwatch.experiments.studies import reproduce_intermediate as study
 from rotorwatch.systems.linear_hover import LinearHover
 
 FILE = airframes.paper("f450")

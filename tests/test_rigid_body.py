@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from rotorwatch import airframes
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
-from rotorwatch.studies.uaf_flight import DT, fly
+from rotorwatch.experiments.studies.uaf_flight import DT, fly
 from rotorwatch.systems.rigid_body import RigidBody
 
 jax = load_jax()

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rotorwatch.run import CHUNK, run_built
+from rotorwatch.compiling.run import CHUNK, run_built
 
 
 class Counter:
@@ -83,7 +83,7 @@ def test_progress_grows_to_one():
 
 def test_the_default_estimator_is_run_the_same_in_any_chunks(monkeypatch):
     """The real thing: a made-up hover in chunks of 64 and of 1024 steps gives the same losses and announcements."""
-    import rotorwatch.run as module
+    import rotorwatch.compiling.run as module
     from rotorwatch import airframes
     from rotorwatch.estimators.jump_bank import JumpBank
     from rotorwatch.evidence import noise

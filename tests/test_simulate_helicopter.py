@@ -8,10 +8,11 @@ import pytest
 from click.testing import CliRunner
 
 import rotorwatch
-from rotorwatch import airframes, cli, helicopter_log
+from rotorwatch import airframes, cli
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.errors import ConfigError, LogError
 from rotorwatch.logs import memory
+from rotorwatch.published import helicopter_log
 from rotorwatch.simulation import faults, rotation, scenario, simulate, simulate_batch
 from rotorwatch.simulation.helicopter import aircraft, dynamics
 from rotorwatch.simulation.rigid import G0, Air, Body

@@ -6,8 +6,9 @@ from functools import cache
 import numpy as np
 import pytest
 
-from rotorwatch import diagnose, ticks
+from rotorwatch import diagnose
 from rotorwatch.default_estimator import BUILDERS
+from rotorwatch.motion import ticks
 from rotorwatch.simulation import scenario, simulate
 
 

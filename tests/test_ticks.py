@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from rotorwatch import ticks
 from rotorwatch.flight import Flight, Signal
+from rotorwatch.motion import ticks
 
 B = np.array([[-1.0, 1, 1, -1], [1, -1, 1, -1], [1, 1, -1, -1], [1, 1, 1, 1]])
 END = 12.0

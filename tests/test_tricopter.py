@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 import rotorwatch as rw
-from rotorwatch import airframes, simulation, ticks
-from rotorwatch.airborne import airborne
+from rotorwatch import airframes, simulation
 from rotorwatch.flight import Flight, Signal
+from rotorwatch.motion import ticks
+from rotorwatch.motion.airborne import airborne
 from rotorwatch.simulation import scenario
 
 ONSET = 25.0

@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rotorwatch import airframes, diagnose, trust
-from rotorwatch.airborne import airborne
-from rotorwatch.diagnose import READY_S, observe
+from rotorwatch import airframes, diagnose
 from rotorwatch.flight import Signal
+from rotorwatch.motion import trust
+from rotorwatch.motion.airborne import airborne
+from rotorwatch.motion.ticks import READY_S, observe
 from rotorwatch.simulation import scenario, simulate
 
 WILD = Path(__file__).resolve().parents[2] / "shared" / "flights" / "wild"

@@ -5,11 +5,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rotorwatch import airframes, discovery, published, tune
+from rotorwatch import airframes, discovery
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
-from rotorwatch.log_plant import LogPlant
-from rotorwatch.published import Tuning
+from rotorwatch.healthy import tune
+from rotorwatch.published import published
+from rotorwatch.published.log_plant import LogPlant
+from rotorwatch.published.published import Tuning
 from rotorwatch.systems.rate_dynamics import RateDynamics
 
 jax = load_jax()
@@ -78,7 +80,7 @@ def test_a_loss_is_estimated_better(found):
     faulty = flight(6, loss=0.3)
     error = []
     for tuning in (None, found.tuning):
-        from rotorwatch.run import run
+        from rotorwatch.compiling.run import run
 
         estimator = published.method("ekf", WRONG, DT, tuning)
         _, theta = run(estimator, faulty.u, faulty.y, faulty.valid, select=lambda out: out.theta)

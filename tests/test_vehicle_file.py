@@ -7,9 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rotorwatch import airframes, vehicle_file
+from rotorwatch import airframes
 from rotorwatch.errors import VehicleError
-from rotorwatch.vehicle import Rotor, ThrustCurve, Vehicle
+from rotorwatch.flight import vehicle_file
+from rotorwatch.flight.vehicle import Rotor, ThrustCurve, Vehicle
 
 numbers = st.floats(-1e6, 1e6)
 texts = st.text(st.characters(exclude_categories=["Cs"]), max_size=20)

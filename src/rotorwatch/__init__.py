@@ -19,32 +19,32 @@ from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
 
-# Verbs: functions that live in a module of the same name (rotorwatch/diagnose.py holds diagnose).
-_VERBS = (
-    "airborne",
-    "calibrate",
-    "diagnose",
-    "export_c",
-    "fuzz",
-    "fuzz_framed",
-    "info",
-    "inject",
-    "observability",
-    "run",
-    "tune",
-)
+# Verbs: functions that live in a module of the same name (rotorwatch/diagnose.py holds diagnose), each in its room.
+_VERBS = {
+    "airborne": "motion.airborne",
+    "calibrate": "healthy.calibrate",
+    "diagnose": "diagnose",
+    "export_c": "export_c",
+    "fuzz": "experiments.fuzz",
+    "fuzz_framed": "experiments.fuzz_framed",
+    "info": "info",
+    "inject": "experiments.inject",
+    "observability": "published.observability",
+    "run": "compiling.run",
+    "tune": "healthy.tune",
+}
 # Other names: where each one lives.
 _HOMES = {
     "read": "logs",
-    "compare": "studies.compare",
-    "reproduce": "studies.reproduction",
+    "compare": "experiments.studies.compare",
+    "reproduce": "experiments.studies.reproduction",
     "simulate": "simulation",
     "Flight": "flight",
     "Message": "flight",
     "Signal": "flight",
-    "Rotor": "vehicle",
-    "ThrustCurve": "vehicle",
-    "Vehicle": "vehicle",
+    "Rotor": "flight.vehicle",
+    "ThrustCurve": "flight.vehicle",
+    "Vehicle": "flight.vehicle",
     "Diagnosis": "diagnosis",
     "Event": "diagnosis",
     "RotorState": "diagnosis",
@@ -58,8 +58,7 @@ _HOMES = {
 __all__ = ["__version__", "read", *_VERBS, *(n for n in _HOMES if n != "read")]
 
 if TYPE_CHECKING:
-    from rotorwatch.airborne import airborne as airborne
-    from rotorwatch.calibrate import calibrate as calibrate
+    from rotorwatch.compiling.run import run as run
     from rotorwatch.diagnose import diagnose as diagnose
     from rotorwatch.diagnosis import Diagnosis as Diagnosis
     from rotorwatch.diagnosis import Event as Event
@@ -69,24 +68,25 @@ if TYPE_CHECKING:
     from rotorwatch.errors import LogError as LogError
     from rotorwatch.errors import RotorwatchError as RotorwatchError
     from rotorwatch.errors import VehicleError as VehicleError
+    from rotorwatch.experiments.fuzz import fuzz as fuzz
+    from rotorwatch.experiments.fuzz_framed import fuzz_framed as fuzz_framed
+    from rotorwatch.experiments.inject import inject as inject
+    from rotorwatch.experiments.studies.compare import compare as compare
+    from rotorwatch.experiments.studies.reproduction import reproduce as reproduce
     from rotorwatch.export_c import export_c as export_c
     from rotorwatch.flight import Flight as Flight
     from rotorwatch.flight import Message as Message
     from rotorwatch.flight import Signal as Signal
-    from rotorwatch.fuzz import fuzz as fuzz
-    from rotorwatch.fuzz_framed import fuzz_framed as fuzz_framed
+    from rotorwatch.flight.vehicle import Rotor as Rotor
+    from rotorwatch.flight.vehicle import ThrustCurve as ThrustCurve
+    from rotorwatch.flight.vehicle import Vehicle as Vehicle
+    from rotorwatch.healthy.calibrate import calibrate as calibrate
+    from rotorwatch.healthy.tune import tune as tune
     from rotorwatch.info import info as info
-    from rotorwatch.inject import inject as inject
     from rotorwatch.logs import read as read
-    from rotorwatch.observability import observability as observability
-    from rotorwatch.run import run as run
+    from rotorwatch.motion.airborne import airborne as airborne
+    from rotorwatch.published.observability import observability as observability
     from rotorwatch.simulation import simulate as simulate
-    from rotorwatch.studies.compare import compare as compare
-    from rotorwatch.studies.reproduction import reproduce as reproduce
-    from rotorwatch.tune import tune as tune
-    from rotorwatch.vehicle import Rotor as Rotor
-    from rotorwatch.vehicle import ThrustCurve as ThrustCurve
-    from rotorwatch.vehicle import Vehicle as Vehicle
 
 
 class _Verb(ModuleType):
@@ -115,6 +115,9 @@ def __getattr__(name: str) -> Any:
 
     if name in _HOMES:
         return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+    if name in _VERBS:
+        setattr(sys.modules[__name__], name, import_module(f"{__name__}.{_VERBS[name]}"))
+        return sys.modules[__name__].__dict__[name]
     if not name.startswith("_") and find_spec(f"{__name__}.{name}") is not None:
         return import_module(f"{__name__}.{name}")
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -123,7 +123,7 @@ def diagnose(context, logs, baselines, vehicle, estimator, tuning, report, as_js
 
     Exit code: 0 healthy, 1 fault found, 3 inconclusive or ambiguous only, 2 error.
     """
-    from rotorwatch.vehicle_file import read as read_vehicle
+    from rotorwatch.flight.vehicle_file import read as read_vehicle
 
     pages = report_paths(logs, report)
     known = read_vehicle(vehicle) if vehicle else None
@@ -158,13 +158,13 @@ def diagnose(context, logs, baselines, vehicle, estimator, tuning, report, as_js
 
 def _candidate(flight: Any, vehicle: Any) -> Any:
     """A baseline, whose own judgement is made once for all logs."""
-    from rotorwatch.baselines import Candidate
+    from rotorwatch.healthy.baselines import Candidate
 
     return Candidate(flight, vehicle)
 
 
 def _tuning(path: Path, estimator: str):
-    from rotorwatch.tune import read
+    from rotorwatch.healthy.tune import read
 
     return read(path, estimator)
 
@@ -238,8 +238,8 @@ def calibrate(logs, out, quiet) -> None:
     Give the file to `rotorwatch diagnose --vehicle` later.
     """
     from rotorwatch import files
-    from rotorwatch.calibrate import calibrate as run
-    from rotorwatch.vehicle_file import write
+    from rotorwatch.flight.vehicle_file import write
+    from rotorwatch.healthy.calibrate import calibrate as run
 
     files.writable(out, "--out")
     with progress(quiet) as tell:
@@ -322,7 +322,7 @@ def demo(report, quiet) -> None:
 @common
 def inject(logs, losses, repeats, seed, as_json, quiet) -> None:
     """Inject losses into healthy flights and count what the diagnosis finds of them."""
-    from rotorwatch.inject import campaign
+    from rotorwatch.experiments.inject import campaign
 
     wanted = shares("--loss", losses)
     with progress(quiet) as tell:
@@ -358,8 +358,8 @@ def _by_loss(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
 @common
 def false_alarms(logs, hours, seed, as_json, quiet) -> None:
     """Judge surrogate flights with the noise of healthy LOGs, and count the false alarms per flight hour."""
-    from rotorwatch.studies.false_alarms import describe
-    from rotorwatch.studies.false_alarms import false_alarms as run
+    from rotorwatch.experiments.studies.false_alarms import describe
+    from rotorwatch.experiments.studies.false_alarms import false_alarms as run
 
     with progress(quiet) as tell:
         result = run([_read(path, tell) for path in logs], hours, seed, tell)
@@ -388,11 +388,11 @@ def fuzz(context, log, mutations, seed, jobs, framed, damages, share, as_json, q
     With --framed every record stays a record, but bits of values or time stamps are wrong, or records are missing,
     doubled or swapped: how robust is the answer for this kind of log? Exit code 1 for any false fault or wrong rotor.
     """
-    from rotorwatch.fuzz import fuzz as run
+    from rotorwatch.experiments.fuzz import fuzz as run
 
     with progress(quiet) as tell:
         if framed:
-            from rotorwatch.fuzz_framed import fuzz_framed
+            from rotorwatch.experiments.fuzz_framed import fuzz_framed
 
             result = fuzz_framed(log, damages, share, seed, jobs, progress=tell)
         else:

@@ -7,11 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rotorwatch.compiling.run import chosen, run_built
 from rotorwatch.core import Array
 from rotorwatch.errors import ConfigError
-from rotorwatch.run import chosen, run_built
+from rotorwatch.motion.ticks import AGAIN, JUDGE, Ticks
 from rotorwatch.systems.wrench_balance import AXIS_STATES
-from rotorwatch.ticks import AGAIN, JUDGE, Ticks
 
 FLIGHTS_DIFFER = 0.25
 LEARNED_WEIGHT = 2.0  # samples a lag that the noise of healthy flights counts for

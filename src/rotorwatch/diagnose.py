@@ -8,32 +8,24 @@ from os import PathLike
 
 import numpy as np
 
-from rotorwatch import allocation, baselines, conclusion, detectors, discovery, places, published, ticks, traces, trust
-from rotorwatch.airborne import airborne
-from rotorwatch.baselines import Given
+from rotorwatch import detectors, discovery
+from rotorwatch.answer import conclusion, places, traces
 from rotorwatch.default_estimator import estimate
 from rotorwatch.diagnosis import Diagnosis
 from rotorwatch.errors import ConfigError
 from rotorwatch.estimators.jump_bank import threshold
 from rotorwatch.evidence import decide, events, hypotheses, leftover, outside
 from rotorwatch.flight import Flight
-from rotorwatch.published import Tuning
-from rotorwatch.ticks import JUDGE, Ticks
-from rotorwatch.vehicle import Vehicle
+from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.healthy import baselines
+from rotorwatch.healthy.baselines import Given
+from rotorwatch.motion import ticks, trust
+from rotorwatch.motion.airborne import airborne
+from rotorwatch.motion.ticks import JUDGE, READY_KNOWN_S, READY_S, Ticks, observe
+from rotorwatch.published import published
+from rotorwatch.published.published import Tuning
 
-READY_S, READY_KNOWN_S = 8.0, 3.0
 LONGEST_UP_US = 1e14  # a start later than that counts from 1970, not from the autopilot's boot
-
-
-def observe(flight: Flight, vehicle: Vehicle, air, ready_s: float) -> Ticks | None:
-    """Ticks of a flight, or None when it shows no motor commands in the air."""
-    if not flight.has("motors") or not air:
-        return None
-    thrust = allocation.rotor_thrusts(flight, vehicle)
-    if len(thrust) < 20:
-        return None
-    hover = (vehicle.identified or {}).get("hover")
-    return ticks.make(flight, thrust, vehicle.effectiveness(), air, ready_s, hover=hover)
 
 
 def diagnose(
@@ -48,7 +40,7 @@ def diagnose(
 
     flight: a Flight or a log file. vehicle: a Vehicle or its file; identified from the log when None. baseline: healthy
     flights of the same build, which make damage that was there from take-off judgeable and shorten the blind time; one of them, or many.
-    Those that are not healthy or not of this build are set aside, and `warnings` say so (baselines.py).
+    Those that are not healthy or not of this build are set aside, and `warnings` say so (healthy/baselines.py).
     estimator: the default method, or a published one by name; tuning: of a published one (`rotorwatch.tune`).
     progress: called as progress(share, text). Raises LogError, VehicleError or ConfigError with one sentence.
     """
@@ -167,7 +159,7 @@ def _flight(flight, progress=None) -> Flight:
 
 def _vehicle(vehicle) -> Vehicle | None:
     if isinstance(vehicle, (str, PathLike)):
-        from rotorwatch import vehicle_file
+        from rotorwatch.flight import vehicle_file
 
         return vehicle_file.read(vehicle)
     return vehicle
@@ -202,7 +194,7 @@ def _whole_flight(flight: Flight, vehicle: Vehicle, air):
     stored = (vehicle.identified or {}).get("whole_flight")
     if not stored:
         return None
-    from rotorwatch import whole_flight
+    from rotorwatch.healthy import whole_flight
 
     features = whole_flight.features(flight, vehicle, air)
     return whole_flight.judge(features, [whole_flight.Features.from_dict(f) for f in stored], vehicle).to_dict()

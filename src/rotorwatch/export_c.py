@@ -1,7 +1,7 @@
 """Any estimator as a C99 project for a flight controller: header, source, example and CMakeLists, out of its traced step.
 
 rw.export_c("ukf", "out")                                  on the airframe of the method's paper
-rw.export_c("ekf", "out", vehicle=rw.vehicle_file.read("mine.toml"))
+rw.export_c("ekf", "out", vehicle=vehicle_file.read("mine.toml"))   # of rotorwatch.flight
 rw.export_c(MyEstimator(my_system, 0.01), "out", name="mine")
 """
 
@@ -14,14 +14,15 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import airframes, checks, discovery, log_plant
+from rotorwatch import airframes, checks, discovery
 from rotorwatch.backend import jax as load_jax
-from rotorwatch.c99.project import Field, Program, make
+from rotorwatch.compiling.c99.project import Field, Program, make
 from rotorwatch.default_estimator import parameters as balance_parameters
 from rotorwatch.errors import ConfigError
 from rotorwatch.evidence import noise
+from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.published import log_plant
 from rotorwatch.systems.wrench_balance import DAMPING, GAIN, PER_AXIS, WrenchBalance
-from rotorwatch.vehicle import Vehicle
 
 SINGLE = "default-filter"  # the default diagnoser's filter for one hypothesis
 # Plant, airframe and step (s) of each method's paper; others run on the first.

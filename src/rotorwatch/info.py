@@ -1,11 +1,20 @@
-"""What a log holds, what it lacks for a diagnosis, and which setting of the autopilot would log it next time."""
+"""What a log holds, what it lacks for a diagnosis, and which setting of the autopilot would log it next time.
+
+Whether it can be judged is asked of the very functions that the diagnosis itself calls: no more and no less is promised.
+"""
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
+from rotorwatch import airframes
 from rotorwatch.diagnosis import SCHEMA
 from rotorwatch.errors import RotorwatchError
 from rotorwatch.flight import Flight, Signal
-from rotorwatch.readiness import Obstacle, obstacle
+from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.motion import trust
+from rotorwatch.motion.airborne import airborne
+from rotorwatch.motion.ticks import READY_S, observe, tick_length
 
 # Faster logging than this finds nothing sooner.
 FAST_HZ = 50.0
@@ -65,7 +74,7 @@ def info(flight: Flight) -> dict:
     missing: [{signal, why, setting, needed}]; warnings. docs/json.md has more on each.
     """
     frame, warnings = _frame(flight)
-    airborne = _airborne(flight)
+    hops = _airborne(flight)
     stop = obstacle(flight)
     missing = _missing(flight, frame, stop)
     return {
@@ -78,7 +87,7 @@ def info(flight: Flight) -> dict:
         "frame": frame,
         "rotors": flight.rotor_count,
         "duration_s": round(float(flight.duration), 3),
-        "airborne_s": airborne,
+        "airborne_s": hops,
         "signals": [_signal(name, s) for name, s in sorted(flight.signals.items())],
         "parameters": len(flight.parameters),
         "messages": _messages(flight),
@@ -86,6 +95,33 @@ def info(flight: Flight) -> dict:
         "missing": missing,
         "warnings": [*flight.warnings, *warnings],
     }
+
+
+class Obstacle(NamedTuple):
+    """What keeps `diagnose` from judging a flight. what: frame, motors, airborne or trust. why: one sentence."""
+
+    what: str
+    why: str
+
+
+def obstacle(flight: Flight, vehicle: Vehicle | None = None) -> Obstacle | None:
+    """The first reason for which `diagnose` refuses this flight, or answers that nothing in it can be judged; None when it judges it.
+
+    vehicle: the airframe, for logs that do not name theirs.
+    """
+    try:
+        craft = vehicle or airframes.identify(flight)
+        airframes.check(craft, flight)
+    except RotorwatchError as why:
+        return Obstacle("frame", str(why))
+    if not flight.has("motors"):
+        return Obstacle("motors", "The log shows no motor outputs: without them no rotor can be judged.")
+    air = airborne(flight)
+    table = observe(flight, craft, air, READY_S)
+    if table is None:
+        return Obstacle("airborne", "No part of this log is in the air.")
+    doubts = trust.doubts(flight, craft, air, table)
+    return Obstacle("trust", doubts[0]) if doubts else None
 
 
 def _signal(name: str, signal: Signal) -> dict:
@@ -106,17 +142,13 @@ def _signal(name: str, signal: Signal) -> dict:
 
 def _frame(flight: Flight) -> tuple[str, list[str]]:
     """The airframe's name, empty when it cannot be told; and why not."""
-    from rotorwatch.airframes import identify
-
     try:
-        return identify(flight).name, []
+        return airframes.identify(flight).name, []
     except RotorwatchError as why:
         return "", [str(why)]
 
 
 def _airborne(flight: Flight) -> list[list[float]]:
-    from rotorwatch.airborne import airborne
-
     try:
         return [[round(float(a), 3), round(float(b), 3)] for a, b in airborne(flight)]
     except RotorwatchError:
@@ -158,8 +190,6 @@ def _missing(flight: Flight, frame: str, stop: Obstacle | None) -> list[dict]:
 
 def _judged(rate_hz: float) -> str:
     """What a rate means for the diagnosis, by the ticks that it is judged in."""
-    from rotorwatch.ticks import tick_length
-
     return f"judged every {tick_length(rate_hz):g} s; faster logging finds a loss sooner"
 
 

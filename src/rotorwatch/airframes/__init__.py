@@ -14,10 +14,9 @@ import tomllib
 from importlib import resources
 from types import ModuleType
 
-from rotorwatch import vehicle_kind
 from rotorwatch.errors import VehicleError
-from rotorwatch.flight import Flight
-from rotorwatch.vehicle import Vehicle
+from rotorwatch.flight import Flight, vehicle_kind
+from rotorwatch.flight.vehicle import Vehicle
 
 KINDS = {2: "quad", 15: "tri", 13: "hexa", 14: "octa", 29: "dodecahexa", 35: "deca"}  # MAVLink MAV_TYPE
 WORDS = {

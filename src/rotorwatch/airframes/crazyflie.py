@@ -8,7 +8,7 @@ applies that law itself: ``motor.m1``.. are thrust demands, ``pwm.m1_pwm``.. wha
 from __future__ import annotations
 
 from rotorwatch.flight import Flight
-from rotorwatch.vehicle import Rotor, ThrustCurve, Vehicle
+from rotorwatch.flight.vehicle import Rotor, ThrustCurve, Vehicle
 
 FULL_VOLTAGE = 4.2
 ARM = 2**-0.5

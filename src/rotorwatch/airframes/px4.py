@@ -16,7 +16,7 @@ import numpy as np
 from rotorwatch import airframes
 from rotorwatch.errors import VehicleError
 from rotorwatch.flight import Flight
-from rotorwatch.vehicle import Rotor, ThrustCurve, Vehicle, coaxial, lower_of_pairs, note_on_coaxial
+from rotorwatch.flight.vehicle import Rotor, ThrustCurve, Vehicle, coaxial, lower_of_pairs, note_on_coaxial
 
 # (angle clockwise from the nose, spin: +1 counter-clockwise seen from above)
 # Of the coaxial frames the lower rotors are 2, 4, 6 and 5 to 8 (z of PX4's hex_cox.toml and octa_cox.toml): on each arm

@@ -14,24 +14,25 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rotorwatch import airframes, default_estimator, detectors, limits, native
-from rotorwatch.airborne import airborne
+from rotorwatch import airframes, default_estimator, detectors
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.campaign import methods, score
 from rotorwatch.campaign.plan import Plan
-from rotorwatch.diagnose import READY_S, observe
+from rotorwatch.compiling import native
+from rotorwatch.compiling.run import chosen, run_built
 from rotorwatch.diagnosis import Event
 from rotorwatch.errors import ConfigError
 from rotorwatch.evidence import events, hypotheses, outside
+from rotorwatch.experiments import limits
 from rotorwatch.flight import Flight
-from rotorwatch.run import chosen, run_built
+from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.motion.airborne import airborne
+from rotorwatch.motion.ticks import GROUND, LAG_S, READY_S, Ticks, observe
 from rotorwatch.simulation import logbook, one
 from rotorwatch.simulation import plan as flight_plan
 from rotorwatch.simulation.loop import fly_many, stack
 from rotorwatch.simulation.multirotor import MULTIROTOR
 from rotorwatch.simulation.scenario import Scenario
-from rotorwatch.ticks import GROUND, LAG_S, Ticks
-from rotorwatch.vehicle import Vehicle
 
 CPU_WIDTH, ACCELERATOR_WIDTH = 32, 1024
 
@@ -238,7 +239,7 @@ def _stepped(flown: Sequence[Flown], B: np.ndarray, size: int, tables: list, lea
 
 
 def _bounds(flown: Sequence[Flown], B: np.ndarray, size: int) -> list[np.ndarray | None]:
-    """(T,) information on the broken rotor's loss (limits.py) for each flight in which one rotor loses thrust at once, else None."""
+    """(T,) information on the loss of the broken rotor (limits.py) for each flight in which one rotor loses thrust at once, else None."""
     clear = [score.clear_fault(f.scenario) for f in flown]
     if not any(clear):
         return [None] * len(flown)

@@ -13,14 +13,15 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import default_estimator, log_plant, published
+from rotorwatch import default_estimator
 from rotorwatch.backend import jax as load_jax
+from rotorwatch.compiling.run import run
 from rotorwatch.errors import ConfigError
 from rotorwatch.evidence import decide, hypotheses
-from rotorwatch.log_plant import LogPlant
-from rotorwatch.run import run
+from rotorwatch.motion.ticks import LEARN, Ticks
+from rotorwatch.published import log_plant, published
+from rotorwatch.published.log_plant import LogPlant
 from rotorwatch.systems.wrench_balance import PER_AXIS
-from rotorwatch.ticks import LEARN, Ticks
 
 TICK_BLOCK = 100
 """Tables are padded to a multiple of this, so that a flight's few ticks more or less need no other program."""

@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import limits
 from rotorwatch.campaign.plan import Plan
 from rotorwatch.diagnosis import Event
 from rotorwatch.estimators.jump_bank import PERSIST_S
 from rotorwatch.evidence import events
+from rotorwatch.experiments import limits
+from rotorwatch.motion.ticks import JUDGE
 from rotorwatch.simulation.scenario import Scenario
-from rotorwatch.ticks import JUDGE
 
 EARLY_S = 0.3  # an event this long before the onset is still the fault's: ticks are windows
 EVALUATE_S = 10.0

@@ -27,8 +27,9 @@ def register(group: click.Group) -> None:
 @common
 def export_c(estimator, vehicle, out, dt, variable_dt, quiet) -> None:
     """Write an estimator as a C99 project that needs nothing but libm: header, source, example, CMakeLists (docs/export.md)."""
-    from rotorwatch import files, vehicle_file
+    from rotorwatch import files
     from rotorwatch.export_c import export_c as run
+    from rotorwatch.flight import vehicle_file
 
     files.folder(out, "--out")
     craft = vehicle

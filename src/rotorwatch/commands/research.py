@@ -32,7 +32,7 @@ def register(group: click.Group) -> None:
 def observability(vehicle, figure, as_json, quiet) -> None:
     """Say which losses of which rotors can be told apart on this airframe, in hover and in a manoeuvre."""
     from rotorwatch import checks, files
-    from rotorwatch.observability import observability as run
+    from rotorwatch.published.observability import observability as run
 
     if figure:
         files.writable(figure, "--figure")
@@ -57,7 +57,8 @@ def observability(vehicle, figure, as_json, quiet) -> None:
 
 def _vehicle(name: str):
     """What --vehicle names: a file, an autopilot's airframe, or a paper's."""
-    from rotorwatch import airframes, vehicle_file
+    from rotorwatch import airframes
+    from rotorwatch.flight import vehicle_file
 
     if name in airframes.papers():
         return name
@@ -76,7 +77,7 @@ def _vehicle(name: str):
 def reproduce(paper, seeds, literal, figures, as_json, quiet) -> None:
     """Run the experiments of PAPER (or of `all`): each claim beside what comes out here, a verdict, and why."""
     from rotorwatch import checks, files
-    from rotorwatch.studies import reproduction
+    from rotorwatch.experiments.studies import reproduction
 
     known = reproduction.studies()
     modules = list(known.values()) if paper == "all" else [reproduction.study(paper)]

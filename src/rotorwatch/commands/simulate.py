@@ -106,7 +106,8 @@ def estimate(log, airframe, estimator, lag, as_json, quiet) -> None:
     """
     import json
 
-    from rotorwatch import checks, helicopter_log, logs
+    from rotorwatch import checks, logs
+    from rotorwatch.published import helicopter_log
 
     checks.finite("--lag", lag)
     with progress(quiet) as tell:

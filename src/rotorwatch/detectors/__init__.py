@@ -13,7 +13,7 @@ from types import ModuleType
 from typing import Any
 
 from rotorwatch.flight import Flight
-from rotorwatch.vehicle import Vehicle
+from rotorwatch.flight.vehicle import Vehicle
 
 
 def modules() -> tuple[ModuleType, ...]:

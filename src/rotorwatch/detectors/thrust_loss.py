@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import allocation
 from rotorwatch.flight import Flight
-from rotorwatch.vehicle import Vehicle
+from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.motion import allocation
 
 name = "ardupilot-thrust-loss"
 autopilot = "ArduPilot"

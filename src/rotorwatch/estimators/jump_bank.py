@@ -17,8 +17,8 @@ import numpy as np
 
 from rotorwatch.core import Array, Decision, Estimate
 from rotorwatch.evidence import caution, hypotheses, jumps, noise, plausibility
+from rotorwatch.motion.ticks import AGAIN, GROUND, JUDGE
 from rotorwatch.systems.wrench_balance import B1, B2, B3, GAIN, PER_AXIS
-from rotorwatch.ticks import AGAIN, GROUND, JUDGE
 
 FALSE_ALARM_PERIOD_S = 10 * 3600.0  # promised: no more than one in so long
 # Of the statistic's own false alarms - as rare, on surrogates of real noise, as its threshold says - odds, persistence and plausibility

@@ -13,8 +13,8 @@ import numpy as np
 from rotorwatch.diagnosis import Event
 from rotorwatch.evidence.hypotheses import WEIGHT as hypotheses_weight
 from rotorwatch.evidence.hypotheses import Hypotheses
+from rotorwatch.motion.ticks import JUDGE, Ticks
 from rotorwatch.systems.wrench_balance import lower_rotors
-from rotorwatch.ticks import JUDGE, Ticks
 
 CREDIBLE = 0.03  # a rotor set with less probability than this is not named
 CERTAIN = 0.9  # below this the answer is ambiguous

@@ -15,7 +15,7 @@ import numpy as np
 
 from rotorwatch.diagnosis import Event
 from rotorwatch.evidence.hypotheses import Hypotheses
-from rotorwatch.ticks import JUDGE, Ticks
+from rotorwatch.motion.ticks import JUDGE, Ticks
 
 LASTS_S = 1.0
 RIVAL = np.log(10.0)  # nats: a disturbance so much likelier explains the motion instead

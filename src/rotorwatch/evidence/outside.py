@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from rotorwatch import allocation
 from rotorwatch.diagnosis import Event
 from rotorwatch.flight import Flight
-from rotorwatch.ticks import Ticks
-from rotorwatch.vehicle import Vehicle
+from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.motion import allocation
+from rotorwatch.motion.ticks import Ticks
 
 TOUCH_DOWN_S = 1.0  # a contact so near the end of a flight is the landing, or the crash
 

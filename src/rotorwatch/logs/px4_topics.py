@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rotorwatch import vehicle_kind
-from rotorwatch.flight import Message
+from rotorwatch.flight import Message, vehicle_kind
 from rotorwatch.logs import publishers, px4_outputs, series, wall_clock
 
 TOPICS = (

@@ -6,10 +6,10 @@ import numpy as np
 
 from rotorwatch.errors import LogError
 from rotorwatch.flight import Flight, Message
+from rotorwatch.flight.vehicle_kind import OTHERS
 from rotorwatch.logs import mavlink_frames, parameter_ranges, series, wall_clock
 from rotorwatch.logs.dataflash_clock import make_clock
 from rotorwatch.logs.px4_topics import MAV_TYPES
-from rotorwatch.vehicle_kind import OTHERS
 
 FORMAT = "MAVLink tlog"
 

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch.diagnosis import Diagnosis, Event, RotorState
-from rotorwatch.wording import (
+from rotorwatch.answer.wording import (
     KINDS,
     VERDICTS,
     candidates,
@@ -23,6 +22,7 @@ from rotorwatch.wording import (
     seconds,
     sentence,
 )  # fmt: skip
+from rotorwatch.diagnosis import Diagnosis, Event, RotorState
 
 __all__ = [
     "KINDS",

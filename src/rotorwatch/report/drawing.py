@@ -9,8 +9,8 @@ import numpy as np
 
 from rotorwatch import report
 from rotorwatch.diagnosis import Diagnosis
+from rotorwatch.flight.vehicle import Rotor
 from rotorwatch.report import colours
-from rotorwatch.vehicle import Rotor
 
 
 def airframe(diagnosis: Diagnosis) -> str:

@@ -11,7 +11,7 @@ from rotorwatch import report
 from rotorwatch.report.terminal import listing
 
 if TYPE_CHECKING:
-    from rotorwatch.studies.reproduction import Reproduction
+    from rotorwatch.experiments.studies.reproduction import Reproduction
 
 VERDICTS = {"holds": "green", "partly": "yellow", "not reproduced": "red"}
 
@@ -30,7 +30,7 @@ def reproduction(result: Reproduction) -> RenderableType:
 
 
 def observability(result) -> RenderableType:
-    """What hover and a manoeuvre tell apart; result as from `rotorwatch.observability.observability`."""
+    """What hover and a manoeuvre tell apart; result as from `rotorwatch.observability`."""
     rows = listing("", "in", "rank", "smallest singular value", "least known loss (1 sd)", right=(1, 2, 3))
     for case in result.cases:
         rows.add_row(

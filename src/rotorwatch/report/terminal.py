@@ -316,7 +316,7 @@ def _campaign_cell(column: str, value: Any, shares: set[str]) -> str:
 
 
 def fuzz_framed(result: Mapping[str, Any]) -> RenderableType:
-    """What `rotorwatch fuzz --framed` prints; result as from `rotorwatch.fuzz_framed.fuzz_framed`."""
+    """What `rotorwatch fuzz --framed` prints; result as from `rotorwatch.fuzz_framed`."""
     rows = result["table"]
     table = listing("Answers to damaged copies", "answer", *rows, right=range(1, len(rows) + 1))
     for outcome in next(iter(rows.values())):
@@ -338,7 +338,7 @@ def fuzz_framed(result: Mapping[str, Any]) -> RenderableType:
 
 
 def fuzz(result: Mapping[str, Any]) -> RenderableType:
-    """What `rotorwatch fuzz` prints; result as from `rotorwatch.fuzz.fuzz`."""
+    """What `rotorwatch fuzz` prints; result as from `rotorwatch.fuzz`."""
     table = listing("Outcomes", "outcome", "mutations", "share", right=(1, 2))
     for outcome, count in result["outcomes"].items():
         style = STYLES["error"] if outcome == "FAILED" and count else ""

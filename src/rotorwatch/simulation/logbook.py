@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 
 from rotorwatch.flight import Flight, Message, Signal
+from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.logs.series import SHAPES
 from rotorwatch.simulation import sensors, trajectories, truth
 from rotorwatch.simulation.multirotor import Plan, Record
 from rotorwatch.simulation.prepare import PWM, SPIN, a_compensates, frame_numbers, vehicle
 from rotorwatch.simulation.rigid import G0
 from rotorwatch.simulation.scenario import Scenario
-from rotorwatch.vehicle import Vehicle
 
 RATES = {
     ("ardupilot", "default"): {"motors": 10, "control": 10, "imu": 25, "attitude": 10, "nav": 10, "power": 10},

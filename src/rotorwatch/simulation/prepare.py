@@ -11,12 +11,12 @@ import numpy as np
 from rotorwatch import airframes
 from rotorwatch.airframes import ardupilot, px4
 from rotorwatch.errors import ConfigError, VehicleError
+from rotorwatch.flight.vehicle import Rotor, ThrustCurve, Vehicle
 from rotorwatch.simulation import control, dynamics, faults, trajectories, wind
 from rotorwatch.simulation.multirotor import Battery, Plan
 from rotorwatch.simulation.rigid import G0
 from rotorwatch.simulation.scenario import Scenario, brief
 from rotorwatch.simulation.sensors import Sensors
-from rotorwatch.vehicle import Rotor, ThrustCurve, Vehicle
 
 AIR = 1.225  # kg/m^3
 TIP_SPEED = 170.0  # m/s

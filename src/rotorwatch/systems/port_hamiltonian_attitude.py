@@ -14,8 +14,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from rotorwatch import checks, inertia
+from rotorwatch import checks
 from rotorwatch.errors import ConfigError
+from rotorwatch.maths import inertia
 
 FORCES = ("printed", "physical")
 FAULTS = ("multiplicative", "additive")

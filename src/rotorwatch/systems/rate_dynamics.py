@@ -14,7 +14,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from rotorwatch import checks, inertia
+from rotorwatch import checks
+from rotorwatch.maths import inertia
 
 G = 9.80665
 

@@ -13,8 +13,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from rotorwatch import checks, inertia
+from rotorwatch import checks
 from rotorwatch.errors import ConfigError
+from rotorwatch.maths import inertia
 
 G = 9.80665
 POSE = ("north", "east", "down", "roll", "pitch", "yaw")

@@ -1,0 +1,8 @@
+"""From events to the one answer that every view shows. Nothing is estimated in here; the answer's data are in diagnosis.py.
+
+wording.py      the words for numbers, rotors and events
+places.py       where a rotor sits, in words
+conclusion.py   verdict, reason, headline, main event, state of every rotor
+advice.py       what to do next
+traces.py       what a picture of the flight needs
+"""

@@ -1,0 +1,75 @@
+"""What to do next, in sentences: which parts to look at, what to log, what to fly. It follows from the answer and changes nothing in it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from rotorwatch.answer.wording import listed, rotors, seconds, sentence
+from rotorwatch.diagnosis import Event, RotorState
+from rotorwatch.evidence.events import GONE
+
+BASELINE = (
+    "To have damage from take-off judged as well, give a healthy flight of the same build: --baseline HEALTHY.LOG."
+)
+
+
+def of(
+    verdict: str,
+    events: Sequence[Event],
+    main: int | None,
+    states: Sequence[RotorState],
+    whole: Mapping[str, Any] | None,
+    places: Sequence[str],
+    doubts: Sequence[str],
+    stays: bool = True,
+) -> tuple[str, ...]:
+    """Sentences, the most urgent first. stays: the main event was not over before the landing."""
+    out: list[str] = []
+    event = None if main is None else events[main]
+    broken = [s.rotor for s in states if s.status in ("degraded", "failed")]
+    suspects = [s.rotor for s in states if s.status == "suspect"]
+    if doubts:
+        out += [sentence(d) for d in doubts[1:]]
+        out.append("Log the outputs that reach the motors; `rotorwatch info LOG` says what a log holds and lacks.")
+    elif verdict == "inconclusive":
+        out.append(
+            "Fly at least 20 s in the air; `rotorwatch info LOG` says what this log holds and what to log next time."
+        )
+    if event is not None and event.kind == "output_override" and not event.alternatives:
+        out.append(
+            f"Do not fly again before it is clear why the output of {rotors(event.rotors, places)} left the mixer: output functions and "
+            "passthrough, motor test, failsafe, a second controller."
+        )
+    elif event is not None and not event.alternatives:
+        out.append(
+            f"Do not fly again before {rotors(event.rotors, places)} has been looked at: {_parts(event, stays)}."
+        )
+    elif broken:
+        out.append(
+            f"Look at {rotors(broken, places)} before the next flight: nicked, bent or loose propeller, motor bearing, ESC."
+        )
+    rest = [r for r in (*broken, *suspects) if event is None or event.alternatives or r not in event.rotors]
+    if rest and not (broken and event is None and not suspects):
+        out.append(f"Look at {rotors(sorted(set(rest)), places)}{', too' if out else ' before the next flight'}.")
+    if verdict == "ambiguous":
+        out.append(
+            "To tell the explanations apart: swap the propellers of the suspects with others and see whether the loss moves along, or fly "
+            "with brisk turns and rolls and a healthy flight of this build as --baseline."
+        )
+    contacts = [e for e in events if e.kind == "contact"]
+    if contacts:
+        out.append(
+            f"Look the vehicle over for damage: it was knocked at {listed([seconds(e.onset_s) for e in contacts[:5]])}."
+        )
+    if verdict != "inconclusive" and not whole:
+        out.append(BASELINE)
+    return tuple(out)
+
+
+def _parts(event: Event, stays: bool) -> str:
+    if not stays:
+        return "it came back by itself, so look first for a loose connector, a cold joint, an ESC that lost its motor, a hot motor"
+    if max(event.loss) > GONE:
+        return "propeller gone or loose, motor, ESC, and the wires between them"
+    return "nicked, bent or loose propeller, motor bearing, ESC, and their connectors"

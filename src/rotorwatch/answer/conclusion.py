@@ -1,0 +1,317 @@
+"""The one place where events become an answer: verdict, reason, headline, main event, state of every rotor, and what to do next.
+
+Every view - terminal, page, JSON - shows what is said here and adds nothing, so that no two can contradict each other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from rotorwatch.answer import advice
+from rotorwatch.answer.wording import (
+    candidates,
+    explanations,
+    interval,
+    listed,
+    losses,
+    percent,
+    rotors,
+    seconds,
+    sentence,
+)
+from rotorwatch.diagnosis import Event, RotorState
+from rotorwatch.evidence.events import GONE
+from rotorwatch.evidence.leftover import Leftover
+
+LOSS, OVERRIDE, CONTACT = "loss_of_effectiveness", "output_override", "contact"
+LEAST_S = 3.0  # of judged flight, below which nothing is said of healthy rotors
+LARGE = 0.5  # of the largest loss: what counts when the first one is looked for
+TOGETHER_S = 1.0  # losses that began within that are one happening, of which the largest stands for all
+CREDIBLE = 0.05  # causes of a whole flight's difference that are less probable accuse nobody
+LANDED_S = 1.5
+UNJUDGED = "Damage from take-off was not judged."
+INVISIBLE = (0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Conclusion:
+    """verdict, reason, headline: as in the answer. main: index into events of the one that matters most, or None. rotors: their states.
+    advice: what to do next, sentences. events: those that are shown."""
+
+    verdict: str
+    reason: str
+    headline: str
+    main: int | None
+    rotors: tuple[RotorState, ...]
+    advice: tuple[str, ...]
+    events: tuple[Event, ...]
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What there is to conclude from. n rotors; places: where each is, in words. hidden (n,): loss that could have gone unseen in
+    flight, None when nothing was judged. whole: against healthy flights, or None. hops: ((take-off, landing), ...) s."""
+
+    events: tuple[Event, ...]
+    whole: Mapping[str, Any] | None
+    n: int
+    hidden: np.ndarray | None
+    judged_s: float
+    leftover: tuple[Leftover, ...]
+    places: tuple[str, ...]
+    hops: tuple[tuple[float, float], ...]
+
+    @property
+    def losses(self) -> list[Event]:
+        return [e for e in self.events if e.kind == LOSS]
+
+    @property
+    def sure(self) -> list[Event]:
+        """Losses and overrides that name one set of rotors."""
+        return [e for e in self.events if e.kind in (LOSS, OVERRIDE) and not e.alternatives]
+
+    @property
+    def compared(self) -> Mapping[str, Any] | None:
+        """The comparison with healthy flights, as far as it says something: it takes the mean of a whole flight, so that with a
+        certain loss or override in flight it cannot tell what was there from take-off."""
+        return self.whole if self.whole and self.whole["verdict"] != "inconclusive" and not self.sure else None
+
+
+def conclude(
+    events: Sequence[Event],
+    whole: Mapping[str, Any] | None,
+    n: int,
+    *,
+    hidden: np.ndarray | None = None,
+    judged_s: float = 0.0,
+    doubts: Sequence[str] = (),
+    leftover: Sequence[Leftover] = (),
+    places: Sequence[str] = (),
+    hops: Sequence[tuple[float, float]] = (),
+) -> Conclusion:
+    """The answer to a flight of n rotors.
+
+    events: what was found. whole: `WholeFlight.to_dict()`, or None without healthy flights to compare with. hidden (n,): largest loss of
+    each rotor that could have gone unseen since take-off. judged_s: seconds of flight judged. doubts: sentences on why the log may not
+    show what flew; with any, nothing is concluded from its outputs. leftover: evidence that no event explains. places: `places.names`.
+    """
+    if doubts:
+        shown = tuple(e for e in events if e.kind not in (LOSS, OVERRIDE))
+        seen = Seen(shown, None, n, None, judged_s, (), tuple(places), tuple(hops))
+        return _concluded(seen, "inconclusive", doubts[0], "This log cannot say.", None, doubts)
+    judged = judged_s >= LEAST_S and hidden is not None
+    seen = Seen(
+        tuple(events), whole, n, hidden if judged else None, judged_s, tuple(leftover), tuple(places), tuple(hops)
+    )
+    main = main_event(seen.events)
+    verdict, reason = _verdict(seen, main)
+    return _concluded(seen, verdict, reason, _headline(seen, verdict, main), main, ())
+
+
+def _concluded(seen: Seen, verdict, reason, headline, main, doubts) -> Conclusion:
+    states = tuple(_state(seen, k, verdict) for k in range(1, seen.n + 1))
+    stays = main is not None and (seen.events[main].end_s is None or _landed(seen, seen.events[main].end_s))
+    next_steps = advice.of(verdict, seen.events, main, states, seen.whole, seen.places, doubts, stays)
+    return Conclusion(verdict, reason, headline, main, states, next_steps, seen.events)
+
+
+def main_event(events: Sequence[Event]) -> int | None:
+    """Index of the event that matters: sure ones before ambiguous ones; the first that is large, or an override that came before it
+    (one that comes after is what a falling vehicle's controller does); of losses that began together the largest."""
+    order = [i for i, e in enumerate(events) if e.kind in (LOSS, OVERRIDE)]
+    order = [i for i in order if not events[i].alternatives] or order
+    if not order:
+        return None
+    size = {i: max(events[i].loss, default=0.0) for i in order if events[i].kind == LOSS}
+    large = [i for i in size if size[i] >= LARGE * max(size.values())]
+    first = min((events[i].onset_s for i in large), default=np.inf)
+    before = [i for i in order if i not in size and events[i].onset_s < first]
+    if before:
+        return min(before, key=lambda i: events[i].onset_s)
+    return max((i for i in large if events[i].onset_s <= first + TOGETHER_S), key=lambda i: size[i])
+
+
+# Verdict and words
+
+
+def _verdict(seen: Seen, main: int | None) -> tuple[str, str]:
+    event = None if main is None else seen.events[main]
+    whole = seen.compared
+    if event is not None and not event.alternatives:
+        return "fault", _what_happened(seen, event) + _and_more(seen, event) + _open(seen) + "."
+    if whole and whole["verdict"] == "fault":
+        return "fault", whole["reason"]
+    if event is not None:
+        return "ambiguous", event.reason + _and_more(seen, event) + "."
+    if whole and whole["verdict"] == "ambiguous":
+        return "ambiguous", whole["reason"]
+    if seen.hidden is None:
+        return (
+            "inconclusive",
+            f"only {seen.judged_s:.1f} s of flight could be judged: the vehicle was hardly in the air, or its motion is not logged.",
+        )
+    if seen.leftover:
+        said = [f"{rotors(s.rotors)} from {seconds(s.start_s)} to {seconds(s.end_s)}" for s in seen.leftover]
+        return "ambiguous", f"there is evidence against {listed(said)} that no event explains."
+    scope = "and none from take-off on, compared with its healthy flights" if whole else "after take-off"
+    return "healthy", f"no rotor lost effectiveness in {seen.judged_s:.0f} s of judged flight, {scope}."
+
+
+def _what_happened(seen: Seen, event: Event) -> str:
+    why = event.reason.strip().removesuffix(".")
+    if event.kind == OVERRIDE:
+        return why
+    until = _until(seen, event, ", until")
+    what = f"{rotors(event.rotors)} lost {losses(event)} of its effectiveness at {seconds(event.onset_s)}{until}"
+    return f"{what}: {why}" if why else what
+
+
+def _until(seen: Seen, event: Event, word: str) -> str:
+    if event.end_s is None:
+        return ""
+    return f"{word} {'the landing at ' if _landed(seen, event.end_s) else ''}{seconds(event.end_s)}"
+
+
+def _and_more(seen: Seen, main: Event) -> str:
+    rest = [e for e in seen.events if e is not main and e.kind in (LOSS, OVERRIDE)]
+    return f"; {len(rest)} more event{'s' if len(rest) > 1 else ''} in this flight" if rest else ""
+
+
+def _open(seen: Seen) -> str:
+    who = sorted({r for spell in seen.leftover for r in spell.rotors})
+    return f"; later evidence against {rotors(who)} is not explained by that" if who else ""
+
+
+def _headline(seen: Seen, verdict: str, main: int | None) -> str:
+    """One or two short sentences that a pilot understands."""
+    if verdict == "inconclusive":
+        return "This log cannot say."
+    knocks = [seconds(e.onset_s) for e in seen.events if e.kind == CONTACT]
+    said = _matter(seen, verdict, main) if verdict != "healthy" else "All rotors pull their weight."
+    if verdict == "healthy" and not seen.compared:
+        said = "No rotor lost thrust after take-off."
+    if verdict == "healthy" and knocks:
+        said = f"No rotor lost thrust in the {seen.judged_s:.0f} s that were judged."
+    parts = [said] + ([] if seen.compared else [UNJUDGED])
+    if knocks:  # after each the trim is learned afresh, with whatever it broke
+        when = f"the knock at {knocks[0]}" if len(knocks) == 1 else f"{len(knocks)} knocks, the first at {knocks[0]},"
+        parts.append(f"What {when} broke was not judged.")
+    return " ".join(parts)
+
+
+def _matter(seen: Seen, verdict: str, main: int | None) -> str:
+    event = None if main is None else seen.events[main]
+    whole = seen.compared
+    if verdict == "fault" and (event is None or event.alternatives):
+        assert whole
+        shares = [f"{percent(whole['loss'][r - 1])} ({interval(*whole['interval'][r - 1])})" for r in whole["rotors"]]
+        who = sentence(rotors(whole["rotors"], seen.places))
+        return f"{who} pulled less than on healthy flights: loss {', '.join(shares)}."
+    if event is None:
+        return "Something is wrong, but the log cannot say which rotor."
+    if event.alternatives:
+        return f"Something lost thrust at {seconds(event.onset_s)}: {candidates(event, seen.places)}."
+    more = sum(e.kind in (LOSS, OVERRIDE) for e in seen.events) - 1
+    again = f" (the first of {more + 1} events)" if more and event is seen.events[0] else ""
+    again = again or (f" (one of {more + 1} events)" if more else "")
+    until = _until(seen, event, " until")
+    who = rotors(event.rotors, seen.places)
+    if event.kind == OVERRIDE:
+        return f"The output of {who} stopped following the mixer at {seconds(event.onset_s)}{until}{again}."
+    return f"{sentence(who)} lost {losses(event)} of thrust at {seconds(event.onset_s)}{until}{again}."
+
+
+# Rotors
+
+
+def _state(seen: Seen, rotor: int, verdict: str) -> RotorState:
+    """The rotor at the end of the judged flight."""
+    place = seen.places[rotor - 1] if rotor <= len(seen.places) else ""
+    whole = seen.compared
+    from_takeoff = "not judged" if not whole else "healthy"
+    claims = [e for e in seen.losses if any(rotor in who for who in explanations(e))]
+    sure = [e for e in claims if not e.alternatives and e.end_s is None]
+    maybe = [e for e in claims if e.alternatives and e.end_s is None]
+    landed = [e for e in claims if e.end_s is not None and _landed(seen, e.end_s)]
+    over = [e for e in claims if e.end_s is not None and e not in landed]
+    stuck = [e for e in seen.events if e.kind == OVERRIDE and rotor in e.rotors]
+    stuck_now = [e for e in stuck if e.end_s is None or _landed(seen, e.end_s)]
+    spells = [s for s in seen.leftover if rotor in s.rotors]
+
+    def state(loss, bounds, status, note="", since=None):
+        low, high = float(bounds[0]), float(bounds[1])
+        return RotorState(rotor, float(loss), (low, high), status, place, since, from_takeoff, note)
+
+    if verdict == "inconclusive":
+        from_takeoff = "not judged"
+        return state(0.0, INVISIBLE, "unobservable")
+    if whole and verdict != "healthy":
+        named = set(whole["rotors"]) | {
+            r for c in whole.get("causes", ()) if c["probability"] > CREDIBLE for r in c["rotors"]
+        }
+        if whole["verdict"] == "fault" and rotor in whole["rotors"]:
+            from_takeoff = "damaged"
+        elif whole["verdict"] in ("fault", "ambiguous") and rotor in named:
+            from_takeoff = "suspect"
+    if sure:
+        e = sure[-1]
+        loss, bounds = e.loss[e.rotors.index(rotor)], e.interval[e.rotors.index(rotor)]
+        high = 1.0 - (1.0 - bounds[1]) * float(np.prod([1.0 - most(m, rotor) for m in maybe]))
+        note = f"weak since {seconds(e.onset_s)}"
+        return state(loss, (bounds[0], high), "failed" if loss > GONE else "degraded", note, (bounds[0], high))
+    if from_takeoff == "damaged":
+        assert whole
+        loss, bounds = whole["loss"][rotor - 1], whole["interval"][rotor - 1]
+        return state(loss, bounds, "failed" if loss > GONE else "degraded", "weaker than on healthy flights")
+    reasons, high, loss = [], 0.0, 0.0
+    for e in (*maybe, *landed):
+        alone = len(explanations(e)) == 1
+        reasons.append(
+            f"{'weak' if alone else 'one of several explanations'} since {seconds(e.onset_s)}"
+            + (", not judged again after landing" if e in landed else "")
+        )
+        high = 1.0 - (1.0 - high) * (1.0 - most(e, rotor))
+        loss = e.loss[e.rotors.index(rotor)] if rotor in e.rotors else loss
+    for e in stuck_now:
+        reasons.append(f"its output has not followed the mixer since {seconds(e.onset_s)}")
+        high = 1.0
+    for s in spells:
+        reasons.append(f"evidence against it from {seconds(s.start_s)} to {seconds(s.end_s)} that no event explains")
+        high = 1.0
+    if from_takeoff == "suspect":
+        assert whole
+        reasons.append("may have been weaker than on healthy flights")
+        loss, high = max(loss, whole["loss"][rotor - 1]), max(high, whole["interval"][rotor - 1][1])
+    if reasons:
+        return state(loss, (0.0, max(high, loss)), "suspect", "; ".join(reasons))
+    if seen.hidden is None:
+        return state(0.0, INVISIBLE, "unobservable")
+    since = (0.0, float(seen.hidden[rotor - 1]))
+    notes = [f"was weak from {seconds(e.onset_s)} to {seconds(e.end_s)}" for e in over if not e.alternatives]
+    notes += [f"may have been weak from {seconds(e.onset_s)} to {seconds(e.end_s)}" for e in over if e.alternatives]
+    notes += [
+        f"its output did not follow the mixer from {seconds(e.onset_s)} to {seconds(e.end_s)}"
+        for e in stuck
+        if e not in stuck_now
+    ]
+    if whole:
+        high = 1.0 - (1.0 - since[1]) * (1.0 - float(whole["interval"][rotor - 1][1]))
+        return state(whole["loss"][rotor - 1], (0.0, high), "healthy", listed(notes), since)
+    return state(0.0, INVISIBLE, "healthy", listed(notes), since)
+
+
+def most(event: Event, rotor: int) -> float:
+    """Upper bound of a rotor's loss over all explanations: its own share where the event says so; in another set it makes at most the
+    torque and thrust that all of the event's rotors lack together."""
+    own = event.interval[event.rotors.index(rotor)][1] if rotor in event.rotors else 0.0
+    other = min(1.0, sum(high for _, high in event.interval))
+    return max(own, other) if any(rotor in a for a in event.alternatives) else own
+
+
+def _landed(seen: Seen, end_s: float | None) -> bool:
+    """An event that ended with a landing, before another take-off: what became of it was not judged again."""
+    return end_s is not None and any(abs(end_s - down) < LANDED_S for _, down in seen.hops[:-1])

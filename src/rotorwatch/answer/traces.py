@@ -1,0 +1,118 @@
+"""What a picture of the flight needs, on the estimator's ticks: estimates, evidence, residuals, commands, attitude, modes and messages.
+
+A tick without a sample has no value: over a short gap the line goes straight on, over a long one there is none.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rotorwatch.answer.conclusion import most
+from rotorwatch.answer.wording import explanations, rotors
+from rotorwatch.diagnosis import Trace
+from rotorwatch.evidence import events
+from rotorwatch.evidence.hypotheses import Hypotheses
+from rotorwatch.flight import Flight
+from rotorwatch.motion.ticks import JUDGE, LEARN, Ticks
+
+LN10 = float(np.log(10.0))
+LEAST_ODDS = -3.0
+BRIDGE_S = 0.6  # a gap that logging makes, not a dropout
+KINDS = ("mode", "armed", "landed", "error", "event", "text", "dropout")
+
+
+def make(
+    flight: Flight, out, table: Ticks, hyp: Hypotheses, B, air, ready_s: float, limit: float, found=(), spells=()
+) -> Trace:
+    """The Trace of a judged flight. out: the estimator's stacked outputs; limit: its threshold in nats; B (4, n):
+    effectiveness; found: events; spells: of evidence
+    that no event explains (`leftover`)."""
+    judging = table.mode == JUDGE
+    sd = events.sd_of(out.theta, out.theta_sd, B)
+    spread = np.where(out.theta > 0, 1.96 * sd, 1.96 * np.where(judging[:, None], out.detectable, 0.0))
+    evidence = {
+        name: out.log_odds[:, i] / LN10 for i, name in enumerate(hyp.names) if hyp.kinds[i] in ("single", "disturbance")
+    }
+    pairs = [i for i, kind in enumerate(hyp.kinds) if kind == "pair"]
+    evidence["best pair"] = out.log_odds[:, pairs].max(axis=1) / LN10
+    blind = [(a, min(a + ready_s, b), "learning after take-off") for a, b in air]
+    first = np.logical_or.reduce([(table.time >= a) & (table.time < a + ready_s) for a, _ in air] or [table.mode < 0])
+    for start, end in _spans(table.time, (table.mode == LEARN) & ~first):
+        blind.append((start, end, "learning after a contact"))
+    for start, end in _spans(table.time, table.upset & (table.mode > 0)):
+        blind.append((start, end, "upset: hover physics does not hold"))
+    for spell in spells:
+        blind.append((spell.start_s, spell.end_s, f"evidence against {rotors(spell.rotors)} that no event explains"))
+    lower, upper = np.clip(out.theta - spread, 0, 1), np.clip(out.theta + spread, 0, 1)
+    _open(lower, upper, table.time, found, spells)
+    time, seen = table.time, np.ones(table.time.size, bool) if table.seen is None else table.seen
+    measured = np.any(table.valid, axis=1, keepdims=True)
+    actual, wanted = (_angles(flight, name, time) for name in ("attitude", "attitude_wanted"))
+    return Trace(
+        time, out.theta, lower, upper,
+        _bridged(time, np.where(measured, out.innovation, np.nan)), np.sqrt(out.innovation_var),
+        _bridged(time, np.where(seen[:, None], table.thrust * table.hover[:, None], np.nan)),
+        {k: np.clip(v, LEAST_ODDS, None) for k, v in evidence.items()}, tuple(blind), tuple(air), limit / LN10,
+        actual, wanted, _messages(flight, float(time[-1])),
+    )  # fmt: skip
+
+
+def _open(lower: np.ndarray, upper: np.ndarray, time: np.ndarray, found, spells) -> None:
+    """Widen the bands of suspects as the rotor table does: over every explanation of an event, and up to all after unexplained evidence."""
+    for e in found:
+        inside = (time >= e.detected_s) & (time <= (np.inf if e.end_s is None else e.end_s))
+        for rotor in {r for who in explanations(e) for r in who} if e.alternatives else ():
+            lower[inside, rotor - 1] = 0.0
+            upper[inside, rotor - 1] = np.maximum(upper[inside, rotor - 1], most(e, rotor))
+    for spell in spells:
+        for rotor in spell.rotors:
+            lower[time >= spell.start_s, rotor - 1] = 0.0
+            upper[time >= spell.start_s, rotor - 1] = 1.0
+
+
+def _bridged(time: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """(T, k) with NaN rows filled in a straight line between their neighbours, where those are at most BRIDGE_S apart."""
+    gone = np.isnan(values).any(axis=1)
+    have = np.flatnonzero(~gone)
+    if not gone.any() or have.size < 2:
+        return values
+    k = np.searchsorted(have, np.flatnonzero(gone))
+    inside = (k > 0) & (k < have.size)
+    rows = np.flatnonzero(gone)[inside]
+    close = time[have[k[inside]]] - time[have[k[inside] - 1]] <= BRIDGE_S
+    out = values.copy()
+    for j in range(values.shape[1]):
+        out[rows[close], j] = np.interp(time[rows[close]], time[have], values[have, j])
+    return out
+
+
+def _angles(flight: Flight, name: str, time: np.ndarray) -> np.ndarray | None:
+    """(T, 3) roll, pitch, yaw [degrees] at the latest sample of each tick; NaN where the last one is older than BRIDGE_S."""
+    if not flight.has(name):
+        return None
+    signal = flight[name]
+    fine = signal.valid.all(axis=1)
+    when, (w, x, y, z) = signal.time[fine], signal.values[fine].T
+    if when.size < 2:
+        return None
+    roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+    pitch = np.arcsin(np.clip(2 * (w * y - z * x), -1.0, 1.0))
+    yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    at = np.searchsorted(when, time, side="right") - 1
+    fresh = (at >= 0) & (time - when[np.maximum(at, 0)] <= BRIDGE_S)
+    return np.where(fresh[:, None], np.degrees(np.stack([roll, pitch, yaw], axis=1))[np.maximum(at, 0)], np.nan)
+
+
+def _messages(flight: Flight, end: float) -> tuple[tuple[float, str, str], ...]:
+    """(time s, kind, text) of what the autopilot said and did; texts that say the same again at once are left out."""
+    out: list[tuple[float, str, str]] = []
+    for m in flight.messages:
+        row = (float(m.time), m.kind, " ".join(m.text.split()))
+        if m.kind in KINDS and row[2] and 0.0 <= m.time <= end and not (out and out[-1][1:] == row[1:]):
+            out.append(row)
+    return tuple(out)
+
+
+def _spans(when: np.ndarray, flag: np.ndarray) -> list[tuple[float, float]]:
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flag, [False]]).astype(int)))
+    return [(float(when[a]), float(when[min(b, len(when) - 1)])) for a, b in zip(edges[::2], edges[1::2])]

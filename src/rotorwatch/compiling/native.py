@@ -1,0 +1,328 @@
+"""Estimators as machine code of this computer: exported C, built once by the system's compiler, called through ctypes.
+
+The library is kept in the cache under a hash of its source, of the compiler with its flags and of the processor, so a changed
+definition never meets an old build. What `run_built` runs is known by the package's own sources and the shapes it is given: from
+the second time on nothing is traced, and JAX is not even imported.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import hashlib
+import json
+import os
+import platform
+import shlex
+import shutil
+import subprocess
+import tempfile
+import warnings
+from collections.abc import Callable
+from importlib import import_module, metadata
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from rotorwatch.backend import cache_folder
+from rotorwatch.errors import BackendWarning, ConfigError
+
+# Vector code of this processor; errno and signals of floating point are nobody's business here, NaN and signed zeros are.
+FLAGS = ("-std=c99", "-march=native", "-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math", "-fPIC", "-shared")
+# With glibc this macro only declares that sin, cos, exp and their like come as vectors too, and gcc then calls those in loops.
+VECTORS = ("-D__FAST_MATH__", "-lmvec")
+# Characters of source above which only what pays is optimised: the default diagnoser builds in 10 s instead of 50 s, and runs as fast.
+BIG, QUICK = 80_000, ("-O1", "-ftree-loop-vectorize")
+ROWS = 512  # run in one go, between two words on progress
+TYPES = {"f": np.float64, "i": np.int32, "l": np.int64, "b": np.bool_}
+
+
+class Unavailable(ConfigError):
+    """No native code on this computer; the sentence says why."""
+
+
+class Layout(NamedTuple):
+    """What is needed to call a library without the program it was made of: structs as lists of (name, kind, shape), and what the
+    carry and the outputs look like (`described`)."""
+
+    name: str
+    parameters: list
+    state: list
+    out: list
+    workspace: int
+    carry_like: Any
+    out_like: Any
+
+
+def compiler() -> str:
+    """The C compiler: $CC, else cc, gcc or clang. Raises Unavailable."""
+    wanted = [os.environ["CC"]] if os.environ.get("CC") else ["cc", "gcc", "clang"]
+    for name in wanted:
+        found = shutil.which(shlex.split(name)[0])
+        if found:
+            return found
+    raise Unavailable(f"There is no C compiler ({', '.join(wanted)}): install gcc or clang, or set CC.")
+
+
+@functools.cache
+def _machine() -> str:
+    """The compiler and the processor, so that a cache shared by computers holds a build for each."""
+    cc = Path(compiler())
+    about = cc.resolve().stat()
+    try:
+        info = Path("/proc/cpuinfo").read_text().split("\n\n")[0].splitlines()
+        cpu = "".join(line for line in info if line.startswith(("model name", "flags", "Features", "CPU part")))
+    except OSError:
+        cpu = platform.processor()
+    return f"{cc} {about.st_size} {about.st_mtime_ns} {platform.machine()} {cpu}"
+
+
+def _folder() -> Path:
+    """Where libraries are kept; a folder for this process only where the cache cannot be written."""
+    folder = cache_folder() / "native"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if os.access(folder, os.W_OK):
+            return folder
+    except OSError:
+        pass
+    return _temporary(folder)
+
+
+@functools.cache
+def _temporary(wanted: Path) -> Path:
+    warnings.warn(
+        f"{wanted} cannot be written: native code is built anew in every process.", BackendWarning, stacklevel=4
+    )
+    return Path(tempfile.mkdtemp(prefix="rotorwatch-"))
+
+
+def build(header: str, source: str, name: str) -> Path:
+    """The shared library of a program, built unless it is there already. Raises Unavailable with what the compiler says."""
+    cc = compiler()
+    flags = (*(QUICK if len(source) > BIG else ("-O3",)), *FLAGS)
+    vectors = VECTORS if platform.machine() == "x86_64" and platform.libc_ver()[0] == "glibc" else ()
+    key = hashlib.sha256("\0".join([header, source, *flags, *vectors, _machine()]).encode()).hexdigest()[:32]
+    goal = _folder() / f"{name}-{key}.so"
+    if goal.exists():
+        return goal
+    with tempfile.TemporaryDirectory() as scratch:
+        for suffix, text in ((".h", header), (".c", source)):
+            (Path(scratch) / f"{name}{suffix}").write_text(text, encoding="utf-8")
+        made = Path(scratch) / "made.so"
+        for extra in (vectors, ()):
+            command = [cc, *flags, *extra[:1], "-o", str(made), str(Path(scratch) / f"{name}.c"), *extra[1:], "-lm"]
+            done = subprocess.run(command, capture_output=True, text=True, check=False)
+            if not done.returncode or not extra:
+                break
+        if done.returncode:
+            said = (done.stderr.strip().splitlines() or ["nothing said"])[0]
+            raise Unavailable(f"{cc} cannot build native code: {said}.")
+        part = goal.with_suffix(f".{os.getpid()}")
+        shutil.copyfile(made, part)
+        os.replace(part, goal)  # whole or not at all, whoever else builds the same
+    return goal
+
+
+def _dtype(fields) -> np.dtype:
+    """The C struct as a NumPy type."""
+    return np.dtype([(name, TYPES[kind], tuple(shape)) for name, kind, shape in fields if 0 not in shape], align=True)
+
+
+def _address(array: np.ndarray) -> ctypes.c_void_p:
+    return ctypes.c_void_p(array.ctypes.data)
+
+
+class Library:
+    """A built program, run on NumPy structs."""
+
+    def __init__(self, path: Path, layout: Layout):
+        self.layout = layout
+        try:
+            library = ctypes.CDLL(str(path))
+        except OSError as why:
+            raise Unavailable(f"{path} cannot be loaded ({why}); delete it and try again.") from None
+        self._run, self.step = (getattr(library, f"{layout.name}_{verb}") for verb in ("run", "step"))
+        self._run.restype = self.step.restype = None
+        self.state_type, self.out_type = _dtype(layout.state), _dtype(layout.out)
+        self.parameter_type = _dtype(layout.parameters)
+
+    def room(self) -> np.ndarray:
+        """A workspace."""
+        return np.zeros(self.layout.workspace // 8 + 8)
+
+    def pack(self, fields, kind: np.dtype, leaves) -> np.ndarray:
+        """A struct of leaves."""
+        struct = np.zeros((), kind)
+        for (name, _, shape), leaf in zip(fields, leaves):
+            if 0 not in shape:
+                struct[name] = leaf
+        return struct
+
+    def leaves(self, state: np.ndarray) -> list[np.ndarray]:
+        """The carry's arrays."""
+        return [
+            np.zeros(shape, TYPES[kind]) if 0 in shape else np.array(state[name])
+            for name, kind, shape in self.layout.state
+        ]
+
+    def run(self, state: np.ndarray, parameters, u, y, valid, progress=None) -> list[np.ndarray]:
+        """Step over rows; changes `state`, returns the outputs' leaves, stacked: views of one table, which is never copied."""
+        fields, rows = self.layout.out, len(u)
+        out, room = np.empty(rows, self.out_type), self.room()
+        between = [_address(parameters)] if self.layout.parameters else []
+        for first in range(0, rows, ROWS):
+            part = slice(first, first + ROWS)
+            given = [_address(a[part]) for a in (u, y, valid)]
+            count = min(ROWS, rows - first)
+            self._run(ctypes.c_int32(count), _address(state), *between, *given, _address(out[part]), _address(room))
+            if progress:
+                progress(min(1.0, (first + ROWS) / rows))
+        return [out[name] if 0 not in shape else np.zeros((rows, *shape), TYPES[kind]) for name, kind, shape in fields]
+
+
+class Live:
+    """One estimator stepped as measurements come: everything is allocated beforehand. Not for two threads at once."""
+
+    def __init__(self, estimator):
+        """estimator: any that can be exported. Raises Unavailable, or c99.lower.Refused."""
+        self._library = traced(estimator, ())
+        layout, system = self._library.layout, estimator.system
+        self._state = self._library.pack(layout.state, self._library.state_type, flattened(estimator.init()))
+        self._room = self._library.room()
+        u_size = getattr(estimator, "n_u", system.n_u)
+        self.u, self.y, self.valid = np.zeros(u_size), np.zeros(system.n_y), np.zeros(system.n_y, bool)
+        self._out = np.zeros((), self._library.out_type)
+        order = (self._state, self.u, self.y, self.valid, self._out, self._room)
+        self._pointers = [_address(a) for a in order]
+        views = [self._out[name] for name, _, _ in layout.out]
+        self._estimate = rebuilt(layout.out_like, views)
+
+    def step(self, u, y, valid) -> Any:
+        """What the estimator's own `step` returns beside the carry; its arrays are overwritten by the next step."""
+        self.u[:], self.y[:], self.valid[:] = u, y, valid
+        self._library.step(*self._pointers)
+        return self._estimate
+
+
+def described(tree: Any) -> Any:
+    """A tree of (named) tuples, lists and dicts around leaves as JSON; raises TypeError for other nodes."""
+    if isinstance(tree, dict):
+        return {"dict": {k: described(tree[k]) for k in sorted(tree)}}
+    if isinstance(tree, tuple | list):
+        kind = type(tree)
+        items = [described(item) for item in tree]
+        return {"kind": f"{kind.__module__}:{kind.__qualname__}", "items": items}
+    if tree is None:
+        return {"none": True}
+    return 0
+
+
+def rebuilt(like: Any, leaves) -> Any:
+    """The tree that `described` describes, with new leaves in the same order."""
+    flat = iter(leaves)
+
+    def one(node):
+        if node == 0:
+            return next(flat)
+        if "none" in node:
+            return None
+        if "dict" in node:
+            return {k: one(v) for k, v in node["dict"].items()}
+        module, _, name = node["kind"].partition(":")
+        kind: Any = functools.reduce(getattr, name.split("."), import_module(module))
+        items = [one(item) for item in node["items"]]
+        return kind(*items) if hasattr(kind, "_fields") else kind(items)
+
+    return one(like)
+
+
+def flattened(tree: Any) -> list:
+    """Leaves of such a tree, in JAX's order."""
+    if isinstance(tree, dict):
+        return [leaf for k in sorted(tree) for leaf in flattened(tree[k])]
+    if isinstance(tree, tuple | list):
+        return [leaf for item in tree for leaf in flattened(item)]
+    return [] if tree is None else [tree]
+
+
+def _made(make_estimator: Callable, select: Callable, parameters, sizes: tuple[int, int], name: str):
+    """(program, layout) of an estimator built from parameters: traced and exported."""
+    from rotorwatch.backend import jax as load_jax
+    from rotorwatch.compiling.c99.project import Field, make
+
+    jax = load_jax()
+
+    def step(p, carry, u, y, valid):
+        carry, out = make_estimator(p).step(carry, u, y, valid)
+        return carry, select(out)
+
+    carry = make_estimator(parameters).init()
+    n_u, n_y = sizes
+    inputs = (Field("u", "f", (n_u,)), Field("y", "f", (n_y,)), Field("valid", "b", (n_y,)))
+    program = make(name, step, None, inputs, parameters, carry=carry)
+    out = jax.eval_shape(step, parameters, carry, *(jax.ShapeDtypeStruct(f.shape, TYPES[f.kind]) for f in inputs))[1]
+    p, s, o = ([(f.name, f.kind, list(f.shape)) for f in g] for g in (program.parameters, program.state, program.out))
+    return program, Layout(name, p, s, o, program.workspace_bytes, described(carry), described(out))
+
+
+def traced(estimator, parameters, select: Callable | None = None, sizes: tuple[int, int] | None = None) -> Library:
+    """The library of an estimator object: traced every time, built once."""
+    sizes = sizes or (getattr(estimator, "n_u", estimator.system.n_u), estimator.system.n_y)
+    program, layout = _made(lambda _: estimator, select or (lambda out: out), parameters, sizes, "estimator")
+    return Library(build(program.header, program.source, "estimator"), layout)
+
+
+@functools.cache
+def _package() -> str:
+    """A hash of rotorwatch's own sources and of what traces them."""
+    home = Path(__file__).parents[1]
+    digest = hashlib.sha256(metadata.version("jax").encode())
+    for path in sorted(home.rglob("*.py")):
+        digest.update(str(path.relative_to(home)).encode() + b"\0" + path.read_bytes() + b"\0")
+    return digest.hexdigest()
+
+
+def _named(function: Callable) -> str | None:
+    """A function's full name when it is one of this package's own, found again by that name."""
+    module, name = getattr(function, "__module__", ""), getattr(function, "__qualname__", "<")
+    return f"{module}:{name}" if module.startswith("rotorwatch.") and "<" not in name else None
+
+
+@functools.lru_cache(maxsize=8)
+def _loaded(path: str, layout: str) -> Library:
+    return Library(Path(path), Layout(*json.loads(layout)))
+
+
+def prepared(build_estimator: Callable, select: Callable, parameters, sizes: tuple[int, int]) -> Library:
+    """The library of build_estimator(parameters): without tracing when the same functions of the same package were met before."""
+    names = (_named(build_estimator), _named(select))
+    if None in names:
+        program, layout = _made(build_estimator, select, parameters, sizes, "estimator")
+        return Library(build(program.header, program.source, "estimator"), layout)
+    shapes = [(np.shape(leaf), str(np.asarray(leaf).dtype)) for leaf in flattened(parameters)]
+    about = json.dumps([_package(), names, shapes, described(parameters), sizes, _machine(), QUICK, FLAGS, VECTORS])
+    note = _folder() / f"known-{hashlib.sha256(about.encode()).hexdigest()[:32]}.json"
+    try:
+        known = json.loads(note.read_text())
+        if Path(known["library"]).exists():
+            return _loaded(known["library"], json.dumps(known["layout"]))
+    except (OSError, ValueError, KeyError):
+        pass  # not met before, or damaged: made again
+    program, layout = _made(build_estimator, select, parameters, sizes, "estimator")
+    library = build(program.header, program.source, "estimator")
+    part = note.with_suffix(f".{os.getpid()}")
+    part.write_text(json.dumps({"library": str(library), "layout": layout}))
+    os.replace(part, note)
+    return Library(library, layout)
+
+
+def run(library: Library, parameters, carry, u, y, valid, progress=None):
+    """(last carry, stacked outputs) of an estimator over rows, as `run.run_built` returns them."""
+    layout = library.layout
+    packed = library.pack(layout.parameters, library.parameter_type, flattened(parameters))
+    state = library.pack(layout.state, library.state_type, flattened(carry))
+    u, y, valid = (np.ascontiguousarray(a) for a in (u, y, valid))
+    out = library.run(state, packed, u, y, valid, progress)
+    return rebuilt(layout.carry_like, library.leaves(state)), rebuilt(layout.out_like, out)

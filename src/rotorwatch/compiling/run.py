@@ -1,0 +1,146 @@
+"""Run an estimator over a table of inputs: compiled once per size, in chunks of one length for every log."""
+
+from __future__ import annotations
+
+import functools
+import os
+import warnings
+from collections.abc import Callable
+
+import numpy as np
+
+from rotorwatch.backend import jax as load_jax
+from rotorwatch.compiling import native
+from rotorwatch.errors import BackendWarning, ConfigError
+
+CHUNK = 1024
+BACKENDS = ("jax", "native", "auto")
+
+
+def chosen(backend: str | None, usual: str) -> str:
+    """The backend asked for, else $ROTORWATCH_BACKEND, else the usual one. Raises ConfigError for one that does not exist."""
+    backend = backend or os.environ.get("ROTORWATCH_BACKEND") or usual
+    if backend not in BACKENDS:
+        raise ConfigError(f"backend must be 'jax', 'native' or 'auto', not {backend!r}.")
+    return backend
+
+
+@functools.lru_cache(maxsize=32)
+def _program(build: Callable, select: Callable):
+    jax = load_jax()
+
+    @jax.jit
+    def chunk(parameters, carry, u, y, valid, size):
+        estimator = build(parameters)
+
+        def step(carry, numbered):
+            k, row = numbered
+            new, out = estimator.step(carry, *row)
+            carry = jax.tree.map(lambda a, b: jax.numpy.where(k < size, a, b), new, carry)  # padding leaves no trace
+            return carry, select(out)
+
+        return jax.lax.scan(step, carry, (jax.numpy.arange(len(u)), (u, y, valid)))
+
+    return chunk
+
+
+def everything(out):
+    """The default selection: all of what a step returns."""
+    return out
+
+
+def run(
+    estimator, u, y, valid=None, select: Callable = everything, progress=None, carry=None, backend: str | None = None
+):
+    """Step one estimator over T rows: u (T, n_u), y (T, n_y), valid (T, n_y) bool (None: all of y that is finite).
+
+    Returns (last carry, stacked outputs of `step`, or of `select` of each), as NumPy arrays. Compiled once for the estimator
+    object: run the same object again for further flights. progress: called with the finished share, 0..1. carry: where an
+    earlier run ended, to go on from there. backend: "jax", or "native": C, built once by the system's compiler and kept
+    (docs/export.md), without a compiler JAX, after a BackendWarning; "auto": the same without one; None: what
+    $ROTORWATCH_BACKEND says, else "jax". Raises ConfigError for tables of the wrong shape.
+    """
+    u, y = np.asarray(u, float), np.asarray(y, float)
+    valid = np.isfinite(y) if valid is None else np.asarray(valid, bool)
+    system = getattr(estimator, "system", None)
+    rows = len(u)
+    for name, table, width in (("u", u, getattr(system, "n_u", None)), ("y", y, getattr(system, "n_y", None))):
+        if table.ndim != 2 or len(table) != rows or (width is not None and table.shape[1] != width):
+            wanted = f"({rows}, {width if width is not None else 'n'})"
+            raise ConfigError(f"{name} must have the shape {wanted}, a row per time step, not {table.shape}.")
+    if valid.shape != y.shape:
+        raise ConfigError(f"valid must have the shape of y, {y.shape}, not {valid.shape}.")
+    return run_built(_Same(estimator), (), u, y, valid, select, progress, carry, backend)
+
+
+class _Same:
+    """A build function that always returns the one estimator; equal for the same object, so that it is compiled once."""
+
+    def __init__(self, estimator):
+        self.estimator = estimator
+
+    def __call__(self, _):
+        return self.estimator
+
+    def __hash__(self):
+        return id(self.estimator)
+
+    def __eq__(self, other):
+        return isinstance(other, _Same) and other.estimator is self.estimator
+
+
+@functools.lru_cache(maxsize=32)
+def _traced(same: _Same, select: Callable, sizes: tuple[int, int]):
+    return native.prepared(same, select, (), sizes)
+
+
+def _library(build: Callable, select: Callable, parameters, sizes: tuple[int, int]):
+    """The native code, made once for an estimator object."""
+    if isinstance(build, _Same):
+        return _traced(build, select, sizes)
+    return native.prepared(build, select, parameters, sizes)
+
+
+def run_built(
+    build: Callable,
+    parameters,
+    u,
+    y,
+    valid,
+    select: Callable = everything,
+    progress=None,
+    carry=None,
+    backend: str | None = None,
+):
+    """The same for an estimator that is built inside the compiled program: build(parameters).
+
+    build: a function of `parameters` (a pytree of arrays) that returns an estimator; it and `select` (what to keep of each
+    step) are compiled once per array shape, so give the same function objects again: one program serves every airframe
+    with as many rotors.
+    """
+    u, y, valid = np.asarray(u, float), np.asarray(y, float), np.asarray(valid, bool)
+    backend = chosen(backend, "jax")
+    if backend != "jax":
+        try:
+            library = _library(build, select, parameters, (u.shape[1], y.shape[1]))
+            start = build(parameters).init() if carry is None else carry
+            return native.run(library, parameters, start, u, y, valid, progress)
+        except native.Unavailable as why:
+            if backend == "native":
+                warnings.warn(f"{why} JAX runs instead.", BackendWarning, stacklevel=3)
+    jax = load_jax()
+    parameters = jax.tree.map(np.asarray, parameters)
+    if carry is None:
+        carry = build(parameters).init()
+    program = _program(build, select)
+    count, parts = len(u), []
+    for start in range(0, max(count, 1), CHUNK):
+        rows = [a[start : start + CHUNK] for a in (u, y, valid)]
+        size = len(rows[0])
+        if size < CHUNK:  # a padded tail keeps one program for all lengths
+            rows = [np.concatenate([a, np.zeros((CHUNK - size, *a.shape[1:]), a.dtype)]) for a in rows]
+        carry, out = program(parameters, carry, *rows, size)
+        parts.append(jax.tree.map(lambda a, size=size: np.asarray(a)[:size], out))
+        if progress:
+            progress(min(1.0, (start + size) / max(count, 1)))
+    return carry, jax.tree.map(lambda *a: np.concatenate(a), *parts)

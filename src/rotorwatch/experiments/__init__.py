@@ -1,0 +1,9 @@
+"""What rotorwatch promises, measured: known faults and known damage in, answers counted. campaign/ does it on simulated flights.
+
+limits.py        the best that any method could do
+inject.py        losses put into healthy flights
+fuzz.py          damaged bytes: an answer or one clear sentence
+damage.py        damage inside valid framing
+fuzz_framed.py   the answers to it
+studies/         comparisons, false alarms, and the experiments of the papers
+"""

@@ -1,0 +1,304 @@
+"""Losses put into healthy flights: real noise with a known fault, and what the default diagnoser finds of it.
+
+A rotor that loses the share l of its thrust is commanded more until the vehicle moves as before. Rotor thrusts f, mixer
+M and effectiveness B give the commands f + d that the rate controller ends up with: the same wrench, through the mixer,
+
+    B (1 - L) (f + d) = B f,   d = M c    =>    d = M (B (1 - L) M)^-1 B L f,       L = diag(l)
+
+For a quad that is d_i = l_i / (1 - l_i) f_i on the faulty rotors alone. The controller gets there with a first-order
+response: d grows as 1 - exp(-(t - onset) / response_s), while the measured motion stays what it was. A real loss also
+moves the vehicle until the controller has made up for it, which is easier to see: the experiment errs on the hard side.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from os import PathLike
+from typing import Any
+
+import numpy as np
+
+from rotorwatch import airframes, default_estimator, logs
+from rotorwatch.diagnosis import Event
+from rotorwatch.errors import ConfigError
+from rotorwatch.evidence import events, hypotheses
+from rotorwatch.flight import Flight, Signal
+from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.motion import allocation
+from rotorwatch.motion.airborne import airborne
+from rotorwatch.motion.ticks import JUDGE, READY_KNOWN_S, READY_S, observe
+
+RESPONSE_S = 0.7  # how fast rate and attitude controllers of real quads make up for a loss
+AFTER_READY_S, BEFORE_END_S = 3.0, 12.0  # where onsets may lie within a flight
+
+
+def inject(
+    flight: Flight,
+    vehicle: Vehicle,
+    rotors: int | Sequence[int],
+    loss: float | Sequence[float],
+    onset: float,
+    response_s: float = RESPONSE_S,
+) -> Flight:
+    """The flight as it would look had `rotors` (1-based) lost `loss` (0..1, one for all or one each) at `onset` s.
+
+    Signals ``motors`` and ``control`` are rewritten after the onset, everything else stays. Where a command would
+    exceed its limit it is cut off there, and a warning of the flight says how often: this flight could not have flown
+    on like that. ``facts["injected"]`` holds what was done. Raises ConfigError for rotors, losses or times that the
+    flight does not have.
+    """
+    share = _losses(flight, vehicle, rotors, loss)
+    motors = flight.signals["motors"]
+    if not (np.isfinite(onset) and len(motors) and motors.time[0] <= onset < motors.time[-1]):
+        raise ConfigError(
+            f"onset {onset:g} s lies outside the motor commands of the flight; choose a time within them."
+        )
+    if not (np.isfinite(response_s) and response_s > 0):
+        raise ConfigError(f"response time {response_s:g} s: give a positive number of seconds.")
+    answer = _answer(vehicle, share)
+
+    def raised(thrust: np.ndarray, time: np.ndarray) -> np.ndarray:
+        grown = -np.expm1(-np.maximum(time - onset, 0.0) / response_s)
+        return np.maximum(thrust + grown[:, None] * (thrust @ answer.T), 0.0)
+
+    signals = dict(flight.signals)
+    signals["motors"], limited = _motors(flight, vehicle, raised, onset)
+    warnings = list(flight.warnings)
+    if "control" in signals:
+        control = _control(flight, vehicle, raised, onset)
+        if control is None:
+            del signals["control"]
+            warnings.append(
+                "The rate controller's output was left out: without a known mixer no loss can be put into it."
+            )
+        else:
+            signals["control"] = control
+    for k in np.flatnonzero(limited > 0.001):
+        warnings.append(
+            f"The injected loss drives rotor {k + 1} to its limit in {limited[k]:.1%} of the commands after "
+            f"{onset:.1f} s: the vehicle could not have flown as it did."
+        )
+    done = {
+        "rotors": [int(k) + 1 for k in np.flatnonzero(share)],
+        "loss": [float(v) for v in share[share > 0]],
+        "onset_s": float(onset),
+        "at_limit": [float(v) for v in limited],
+    }
+    return replace(flight, signals=signals, warnings=tuple(warnings), facts={**flight.facts, "injected": done})
+
+
+def _losses(flight: Flight, vehicle: Vehicle, rotors, loss) -> np.ndarray:
+    """(n,) loss of every rotor; ConfigError unless the request makes sense."""
+    n = len(vehicle.rotors)
+    if not flight.has("motors") or flight.rotor_count != n:
+        raise ConfigError(
+            f"the flight has commands of {flight.rotor_count} rotors, the vehicle {n}: nothing to put a loss into."
+        )
+    who, much = np.atleast_1d(rotors), np.atleast_1d(np.asarray(loss, float))
+    if (
+        who.dtype.kind not in "iu"
+        or not who.size
+        or len(set(who.tolist())) != who.size
+        or who.min() < 1
+        or who.max() > n
+    ):
+        raise ConfigError(f"rotors {rotors}: give different rotor numbers from 1 to {n}.")
+    if much.ndim != 1 or much.size not in (1, who.size):
+        raise ConfigError(f"{much.size} losses for {who.size} rotors: give one for all, or one each.")
+    if not np.all((much > 0) & (much < 1)):
+        raise ConfigError(
+            f"loss {loss}: give shares above 0 and below 1; no vehicle flies as before with a dead rotor."
+        )
+    share = np.zeros(n)
+    share[who - 1] = much
+    return share
+
+
+def _answer(vehicle: Vehicle, share: np.ndarray) -> np.ndarray:
+    """(n, n): extra thrust d per thrust f with which the controller makes up for losses `share` (n,)."""
+    B = vehicle.effectiveness()
+    M = vehicle.mixer if vehicle.mixer is not None else np.linalg.pinv(B)
+    return M @ np.linalg.pinv(B @ np.diag(1.0 - share) @ M) @ B @ np.diag(share)
+
+
+def _motors(flight: Flight, vehicle: Vehicle, raised: Callable, onset: float) -> tuple[Signal, np.ndarray]:
+    """Signal ``motors`` with the raised thrusts, and the share (n,) of later samples that would exceed the limit."""
+    motors, curve = flight["motors"], vehicle.curve
+    thrust = allocation.motor_thrusts(flight, vehicle).values
+    span = curve.u_max - curve.u_min
+    before = np.clip((motors.values - curve.u_min) / span, 0.0, 1.0)
+    # Both drives hold the same battery ratio, which their quotient is free of.
+    old, new = allocation.drive(curve.expo, thrust), allocation.drive(curve.expo, raised(thrust, motors.time))
+    after = before * np.divide(new, old, out=np.ones_like(old), where=old > 1e-9)
+    change = (motors.time > onset)[:, None] & motors.valid & (after != before)
+    values = np.where(change, curve.u_min + span * np.minimum(after, 1.0), motors.values)
+    later = max(1, int((motors.time > onset).sum()))
+    return replace(motors, values=values), ((after > 1.0) & change).sum(axis=0) / later
+
+
+def _control(flight: Flight, vehicle: Vehicle, raised: Callable, onset: float) -> Signal | None:
+    """Signal ``control`` that the mixer turns into the raised thrusts; None when the mixer is not known."""
+    control = flight["control"]
+    if vehicle.mixer is None:
+        return None
+    check = allocation.compare(flight, vehicle)
+    weights = np.concatenate([vehicle.mixer.T, np.zeros((1, len(vehicle.rotors)))])[None]
+    if len(check.time):
+        weights = check.weights  # the mixer with the gain it was seen to have
+    last = np.clip(np.searchsorted(check.known, control.time, side="right") - 1, 0, len(weights) - 1)
+    values = control.values.copy()
+    own, believed = vehicle.curve.expo, allocation.believed_curve(vehicle).expo
+    later = np.flatnonzero((control.time > onset) & control.valid.all(axis=1))
+    for part in np.array_split(later, len(later) // 8192 + 1):  # weights of all rows: much memory
+        if not part.size:
+            continue
+        W = weights[last[part], :4]
+        demand = np.einsum("tc,tcr->tr", values[part], W)
+        thrust = _thrust(own, allocation.drive(believed, np.clip(demand, 0.0, None)))
+        wanted = _thrust(believed, allocation.drive(own, raised(thrust, control.time[part])))
+        more = np.where(demand > 0, wanted - demand, 0.0)
+        values[part] += np.einsum("tr,trc->tc", more, np.linalg.pinv(W))
+    return replace(control, values=values)
+
+
+def _thrust(expo: float, drive: np.ndarray) -> np.ndarray:
+    return (1.0 - expo) * drive + expo * drive * drive
+
+
+def campaign(
+    paths: Sequence[Flight | str | PathLike],
+    losses: Sequence[float] = (0.2, 0.3, 0.4),
+    repeats: int = 3,
+    seed: int = 0,
+    progress: Callable | None = None,
+) -> dict[str, Any]:
+    """Inject every loss into every rotor of every healthy flight, `repeats` times each, and count what is found.
+
+    Onsets are drawn at random, from 3 s after judging begins to 12 s before the hop ends. The answer:
+
+    table      a row for each loss: injections; detected: share that got an event before the flight's end; of those
+               right: first event names this rotor alone, and ambiguous_with_truth: several sets, this rotor among them;
+               median_delay_s, p90_delay_s from onset to announcement; of the right ones loss_rms and loss_bias 2 s
+               after the announcement, coverage: share whose 95 % interval at the end holds the loss; false_alarms:
+               events before the onset, or after it without this rotor; at_limit: injections that reach a rotor's limit
+    healthy    flights, hours judged and false_alarms of the flights as they are
+    flights    number of flights long enough for an injection
+    trials     one entry for each injection
+
+    progress: called as progress(share, text). Raises LogError, VehicleError or ConfigError with one sentence.
+    """
+    if not paths:
+        raise ConfigError("Give at least one healthy flight to put losses into.")
+    if not losses or not all(0 < v < 1 for v in losses):
+        raise ConfigError("Losses to inject are above 0 and below 1; no vehicle flies as before with a dead rotor.")
+    if repeats < 1:
+        raise ConfigError(f"repeats {repeats}: give 1 or more.")
+    tell = progress or (lambda share, text="": None)
+    rng = np.random.default_rng(seed)
+    trials: list[dict] = []
+    healthy = {"flights": 0, "hours": 0.0, "false_alarms": 0}
+    used = 0
+    for i, path in enumerate(paths):
+        flight = path if isinstance(path, Flight) else logs.read(path)
+        vehicle = airframes.identify(flight)
+        air = airborne(flight)
+        found, judged_s = _judge(flight, vehicle, air)
+        healthy["flights"] += 1
+        healthy["hours"] += judged_s / 3600.0
+        healthy["false_alarms"] += len(found)
+        ready_s = READY_KNOWN_S if vehicle.identified else READY_S
+        room = [(start + ready_s + AFTER_READY_S, end - BEFORE_END_S) for start, end in air]
+        room = [(a, b) for a, b in room if b > a]
+        if not room:
+            continue
+        used += 1
+        plan = [(r, loss) for r in range(1, len(vehicle.rotors) + 1) for loss in losses for _ in range(repeats)]
+        for j, (rotor, loss) in enumerate(plan):
+            onset = _draw(room, rng)
+            faulty = inject(flight, vehicle, rotor, loss, onset)
+            found, _ = _judge(faulty, vehicle, air)
+            limit = max(faulty.facts["injected"]["at_limit"])
+            trials.append(
+                {
+                    "flight": flight.name,
+                    "rotor": rotor,
+                    "loss": loss,
+                    **_outcome(found, rotor, loss, onset),
+                    "at_limit": limit,
+                }
+            )
+            tell((i + (j + 1) / len(plan)) / len(paths), flight.name)
+    if not trials:
+        raise ConfigError("No flight is long enough: losses need 23 s in the air without a baseline.")
+    table = [_row(loss, [t for t in trials if t["loss"] == loss]) for loss in losses]
+    return {"table": table, "healthy": healthy, "flights": used, "seed": seed, "trials": trials}
+
+
+def _judge(flight: Flight, vehicle: Vehicle, air) -> tuple[tuple[Event, ...], float]:
+    """Losses that the default diagnoser announces, without what it makes for people to look at; seconds judged."""
+    ready_s = READY_KNOWN_S if vehicle.identified else READY_S
+    table = observe(flight, vehicle, air, ready_s)
+    if table is None:
+        return (), 0.0
+    B = vehicle.effectiveness()
+    _, out = default_estimator.estimate(table, B, (vehicle.identified or {}).get("dynamics"))
+    found = events.read(out, table, hypotheses.make(len(vehicle.rotors)), B)
+    return found, float((table.mode == JUDGE).sum() * table.dt)
+
+
+def _draw(room: list[tuple[float, float]], rng: np.random.Generator) -> float:
+    """A time, uniform over the intervals."""
+    lengths = np.array([b - a for a, b in room])
+    k = rng.choice(len(room), p=lengths / lengths.sum())
+    return float(rng.uniform(*room[k]))
+
+
+def _outcome(found: tuple[Event, ...], rotor: int, loss: float, onset: float) -> dict:
+    """What became of one injection."""
+    after = [e for e in found if e.detected_s >= onset]
+    result: dict[str, Any] = {"onset_s": onset, "detected": bool(after), "false_alarms": len(found) - len(after)}
+    if not after:
+        return result
+    first = after[0]
+    truth = (rotor,)
+    right = first.rotors == truth and not first.alternatives
+    named = truth in (first.rotors, *first.alternatives)
+    result |= {
+        "named": list(first.rotors),
+        "alternatives": [list(a) for a in first.alternatives],
+        "right": right,
+        "ambiguous_with_truth": named and not right,
+        "delay_s": first.detected_s - onset,
+    }
+    result["false_alarms"] += sum(truth not in (e.rotors, *e.alternatives) for e in after[1:])
+    if right:
+        low, high = first.interval[0]
+        result |= {
+            "loss_2s": first.extra["loss_2s"][0],
+            "loss_end": first.loss[0],
+            "covered": bool(low <= loss <= high),
+        }
+    return result
+
+
+def _row(loss: float, trials: list[dict]) -> dict:
+    """One line of the table: all injections of one size."""
+    found = [t for t in trials if t["detected"]]
+    right = [t for t in found if t["right"]]
+    delays = [t["delay_s"] for t in found]
+    error = np.array([t["loss_2s"] - loss for t in right])
+    return {
+        "loss": loss,
+        "injections": len(trials),
+        "detected": len(found) / len(trials),
+        "right": len(right) / len(found) if found else None,
+        "ambiguous_with_truth": sum(t["ambiguous_with_truth"] for t in found) / len(found) if found else None,
+        "median_delay_s": float(np.median(delays)) if found else None,
+        "p90_delay_s": float(np.quantile(delays, 0.9)) if found else None,
+        "loss_rms": float(np.sqrt(np.mean(error**2))) if right else None,
+        "loss_bias": float(error.mean()) if right else None,
+        "coverage": float(np.mean([t["covered"] for t in right])) if right else None,
+        "false_alarms": sum(t["false_alarms"] for t in trials),
+        "at_limit": sum(t["at_limit"] > 0.001 for t in trials),
+    }

@@ -1,0 +1,188 @@
+"""One table: every estimator on the same flights, the default method among them.
+
+Each flight becomes ticks once. The default method judges them on its own plant, a published one as `published.judge` runs it;
+events are read the same way from both. Per estimator and group of flights:
+
+    loss_rmse      of the faulty rotors from 2 s after the onset on, 0 where nothing was announced
+    delay_s        median of onset to the first event that names the rotor
+    right          share of faults whose first event names exactly these rotors;  named: or names them among alternatives
+    false_alarms_h events before the onset or of other rotors, per hour judged
+    coverage       share of right events whose 95 % interval holds the loss
+    us_per_step    microseconds of one step of a quad in a compiled scan, best of three
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from rotorwatch import default_estimator, discovery
+from rotorwatch.compiling.run import run, run_built
+from rotorwatch.errors import ConfigError
+from rotorwatch.evidence import events, hypotheses
+from rotorwatch.experiments.studies.compare_flights import Scene
+from rotorwatch.motion.ticks import JUDGE
+from rotorwatch.published import published
+
+SETTLED_S, EARLY_S = 2.0, 0.3  # an event this long before the onset is still the fault's: ticks are windows
+STEPS = 4096
+COLUMNS = ("flights", "faults", "loss_rmse", "delay_s", "right", "named", "false_alarms_h", "coverage")
+
+
+def compare(scenes: Sequence[Scene], names: Sequence[str] = (), progress: Callable | None = None) -> dict[str, Any]:
+    """{"groups": {group: {estimator: measures}}, "us_per_step": {estimator: float}, "failed": {estimator: sentence}}.
+
+    names: estimators, all of them when empty. Raises ConfigError for an unknown one, or no flights.
+    """
+    if not scenes:
+        raise ConfigError("There is no flight to compare estimators on.")
+    for name in names:
+        discovery.estimator(name)
+    names = list(names) or list(discovery.estimators())
+    groups: dict[str, dict] = {s.group: {} for s in scenes}
+    speed, failed = {}, {}
+    for k, name in enumerate(names):
+        trials: dict[str, list] = {group: [] for group in groups}
+        try:
+            for scene in scenes:
+                trials[scene.group].append(_trial(name, scene))
+            speed[name] = microseconds(name, scenes)
+        except ConfigError as why:
+            failed[name] = str(why)
+            continue
+        for group, found in trials.items():
+            groups[group][name] = _row(found)
+        if progress:
+            progress((k + 1) / len(names), name)
+    return {"groups": groups, "us_per_step": speed, "failed": failed}
+
+
+def _trial(name: str, scene: Scene) -> dict:
+    """What became of one flight."""
+    table, hyp = scene.ticks, hypotheses.make(scene.B.shape[1])
+    if name == "default":
+        _, out = default_estimator.estimate(table, scene.B)
+    else:
+        out = published.judge(name, table, scene.B, hops=scene.hops)
+    found = events.read(out, table, hyp, scene.B)
+    judged = table.mode == JUDGE
+    trial: dict[str, Any] = {"judged_s": float(judged.sum() * table.dt), "fault": bool(scene.faults)}
+    if not scene.faults:
+        return trial | {"false_alarms": len(found)}
+    rotors, onset = tuple(sorted(r for r, _, _ in scene.faults)), min(t for _, t, _ in scene.faults)
+    after = [e for e in found if e.detected_s >= onset - EARLY_S]
+    ours = [e for e in after if any(set(s) & set(rotors) for s in (e.rotors, *e.alternatives))]
+    late = judged & (table.time > onset + SETTLED_S) & ~table.upset
+    error = np.concatenate([out.theta[late, r - 1] - loss for r, _, loss in scene.faults])
+    trial |= {"false_alarms": len(found) - len(ours), "square": float(np.mean(error**2)) if error.size else None}
+    if ours:
+        first = ours[0]
+        exact = tuple(sorted(first.rotors)) == rotors
+        trial |= {
+            "delay_s": max(first.detected_s - onset, 0.0),
+            "right": exact and not first.alternatives and first is after[0],
+            "named": exact or any(tuple(sorted(a)) == rotors for a in first.alternatives),
+        }
+        if exact:
+            loss = {r: v for r, _, v in scene.faults}
+            trial["covered"] = all(lo <= loss[r] <= hi for r, (lo, hi) in zip(first.rotors, first.interval))
+    return trial
+
+
+def _row(trials: list[dict]) -> dict:
+    """One line of the table: all flights of one group."""
+    faulty = [t for t in trials if t["fault"]]
+    delays = [t["delay_s"] for t in faulty if "delay_s" in t]
+    squares = [t["square"] for t in faulty if t["square"] is not None]
+    covered = [t["covered"] for t in faulty if "covered" in t]
+    hours = sum(t["judged_s"] for t in trials) / 3600.0
+
+    def share(key):
+        return float(np.mean([t.get(key, False) for t in faulty])) if faulty else None
+
+    return {
+        "flights": len(trials), "faults": len(faulty),
+        "loss_rmse": float(np.sqrt(np.mean(squares))) if squares else None,
+        "delay_s": float(np.median(delays)) if delays else None,
+        "right": share("right"), "named": share("named"),
+        "false_alarms": sum(t["false_alarms"] for t in trials),
+        "false_alarms_h": sum(t["false_alarms"] for t in trials) / hours if hours else None,
+        "coverage": float(np.mean(covered)) if covered else None,
+    }  # fmt: skip
+
+
+def _theta(out):
+    return getattr(out, "estimate", out).theta
+
+
+def microseconds(name: str, scenes: Sequence[Scene]) -> float:
+    """Microseconds of one step over a table of STEPS rows, compiled before, best of three; of the scene with the fewest rotors."""
+    scene = min(scenes, key=lambda s: s.B.shape[1])
+    if name == "default":
+        table, B = scene.ticks, scene.B
+        build, parameters = default_estimator.builder(table.dt), default_estimator.parameters(B)
+        u, y, valid = default_estimator.inputs(table, B)
+        u[:, -1] = 0.0  # a flight repeated is no new flight
+        rows = _repeated(u, y, valid)
+        return _best(lambda: run_built(build, parameters, *rows, select=default_estimator.kept))
+    if not scene.hops:
+        return float("nan")
+    hop = scene.hops[0]
+    estimator = published.method(name, hop.system, hop.dt)
+    rows = _repeated(hop.u, hop.y, hop.valid)
+    return _best(lambda: run(estimator, *rows, select=_theta))
+
+
+def _repeated(u, y, valid) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    rows = np.arange(STEPS) % len(u)
+    return u[rows], y[rows], valid[rows]
+
+
+def _best(go: Callable) -> float:
+    go()
+    times = []
+    for _ in range(3):
+        began = time.perf_counter()
+        go()
+        times.append(time.perf_counter() - began)
+    return 1e6 * min(times) / STEPS
+
+
+def cell(key: str, value: Any) -> str:
+    """A measure as people read it."""
+    if value is None:
+        return "-"
+    if key in ("flights", "faults"):
+        return str(value)
+    if key in ("right", "named", "coverage"):
+        return f"{100 * value:.0f} %"
+    return (
+        f"{value:.0f}"
+        if key in ("false_alarms_h", "us_per_step")
+        else f"{value:.3f}"
+        if key == "loss_rmse"
+        else f"{value:.2f}"
+    )
+
+
+def markdown(result: dict[str, Any]) -> str:
+    """The tables in Markdown, best loss first, one for each group of flights."""
+    heads = ("estimator", "loss RMSE", "delay, s", "right", "named", "false alarms/h", "coverage", "us a step")
+    keys = ("loss_rmse", "delay_s", "right", "named", "false_alarms_h", "coverage")
+    parts = []
+    for group, rows in result["groups"].items():
+        count = next(iter(rows.values()), {"flights": 0, "faults": 0})
+        parts.append(
+            f"\n## {group[0].upper()}{group[1:]}\n\n{count['flights']} flights, {count['faults']} with a fault.\n"
+        )
+        parts.append(f"| {' | '.join(heads)} |\n|{'---|' * len(heads)}")
+        order = sorted(rows, key=lambda name: (rows[name]["loss_rmse"] or 0.0, rows[name]["false_alarms"]))
+        for name in order:
+            cells = [f"`{name}`", *(cell(k, rows[name][k]) for k in keys)]
+            parts.append(f"| {' | '.join(cells)} | {cell('us_per_step', result['us_per_step'].get(name))} |")
+    for name, why in result["failed"].items():
+        parts.append(f"\n`{name}`: {why}")
+    return "\n".join(parts) + "\n"

@@ -1,0 +1,130 @@
+"""What every `reproduce_<paper>` study returns: the paper's claims beside what comes out here, and the numbers behind them.
+
+A study is a module `studies/reproduce_<paper>.py` with
+
+    PAPER = "axkf"                      the name on the command line
+    TITLE = "..."                       authors, year, title
+    LITERAL = {"name": "what the paper prints, and what it does"}       errata that can be read literally
+    SEEDS = 10                          noise seeds when the user names none
+    def reproduce(seeds=SEEDS, literal=(), progress=None) -> Reproduction
+    def figures(result) -> {"file_stem": matplotlib Figure}             the paper's figures, drawn again
+
+and is found by looking into this folder.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import math
+import pkgutil
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from types import ModuleType
+from typing import Any, Literal
+
+import numpy as np
+
+from rotorwatch import checks
+from rotorwatch.errors import ConfigError
+
+Verdict = Literal["holds", "partly", "not reproduced"]
+
+
+@dataclass(frozen=True)
+class Claim:
+    """One claim: what it says, what the paper reports, what came out here, the verdict and why. Short sentences."""
+
+    claim: str
+    paper: str
+    measured: str
+    verdict: Verdict
+    why: str
+
+
+@dataclass(frozen=True)
+class Reproduction:
+    """A paper's experiments run again. figures: the numbers, JSON-able. series: arrays for drawing, not in the JSON."""
+
+    paper: str
+    title: str
+    claims: tuple[Claim, ...]
+    figures: Mapping[str, Any]
+    literal: tuple[str, ...] = ()
+    seeds: int = 0
+    series: Mapping[str, Any] = field(default_factory=dict, repr=False)
+
+    def to_dict(self) -> dict:
+        """Plain lists, numbers and strings; NaN and infinity become None."""
+        return {
+            "paper": self.paper,
+            "title": self.title,
+            "seeds": self.seeds,
+            "literal": list(self.literal),
+            "claims": [vars(claim) for claim in self.claims],
+            "figures": plain(self.figures),
+        }
+
+    def to_json(self) -> str:
+        """The same as JSON text."""
+        return json.dumps(self.to_dict(), indent=1, allow_nan=False)
+
+
+def studies() -> dict[str, ModuleType]:
+    """Paper name -> its study module, in the order of names."""
+    package = importlib.import_module("rotorwatch.experiments.studies")
+    names = [info.name for info in pkgutil.iter_modules(package.__path__) if info.name.startswith("reproduce_")]
+    found = [importlib.import_module(f"{package.__name__}.{name}") for name in names]
+    return {module.PAPER: module for module in sorted(found, key=lambda module: module.PAPER)}
+
+
+def study(paper: str) -> ModuleType:
+    """The study of that paper. Raises ConfigError that lists the known ones."""
+    known = studies()
+    if paper not in known:
+        raise ConfigError(f"There is no paper called {paper!r}; known are {', '.join(known)}.")
+    return known[paper]
+
+
+def reproduce(
+    paper: str, seeds: int | None = None, literal: tuple[str, ...] = (), progress: Callable | None = None
+) -> Reproduction:
+    """Run the experiments of a paper (names: `studies`): seeds None: the study's own number; literal: errata read as printed.
+
+    Raises ConfigError for an unknown paper or literal reading.
+    """
+    module = study(paper)
+    check_libraries(module)
+    return module.reproduce(module.SEEDS if seeds is None else seeds, check_literal(module, literal), progress)
+
+
+def check_libraries(module: ModuleType) -> None:
+    """Raise ConfigError when the study needs a library that is not installed; NEEDS of a study names those that not everybody has."""
+    for name in getattr(module, "NEEDS", ()):
+        checks.library(name, f"The study {module.PAPER}")
+
+
+def check_literal(module: ModuleType, literal: tuple[str, ...]) -> tuple[str, ...]:
+    """The chosen literal readings; raises ConfigError for one the study does not have."""
+    for name in literal:
+        if name not in module.LITERAL:
+            known = ", ".join(module.LITERAL) or "none"
+            raise ConfigError(f"{module.PAPER} has no literal reading {name!r}; it has {known}.")
+    return tuple(literal)
+
+
+def plain(value: Any) -> Any:
+    """Arrays and NumPy numbers as plain Python, for JSON."""
+    if isinstance(value, Mapping):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple | np.ndarray):
+        return [plain(v) for v in value]
+    if isinstance(value, bool | np.bool_):
+        return bool(value)
+    if isinstance(value, int | np.integer):
+        return int(value)
+    if isinstance(value, float | np.floating):
+        return float(value) if math.isfinite(value) else None
+    if hasattr(value, "tolist"):
+        return plain(np.asarray(value).tolist())
+    return value

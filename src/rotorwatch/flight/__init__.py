@@ -1,0 +1,11 @@
+"""The nouns: a flight as its log tells it, and the vehicle that flew. Data in SI units and known frames; no estimation in here.
+
+flight.py         signals, messages and parameters of a log
+vehicle_kind.py   what a log is of, when it is no multirotor
+vehicle.py        rotors, thrust curve, mixer, and what was learned of them
+vehicle_file.py   the same as a TOML file
+"""
+
+from rotorwatch.flight.flight import Flight, Message, Signal
+
+__all__ = ["Flight", "Message", "Signal"]

@@ -1,0 +1,7 @@
+"""Healthy flights: learned from, and compared with.
+
+baselines.py      judged before they teach, and held against the flight that they are to judge
+whole_flight.py   damage that was there at take-off, by comparison with them
+calibrate.py      what they say of a vehicle: noise and gains of the default method
+tune.py           what they say of a published method's noise
+"""

@@ -1,0 +1,8 @@
+"""Commands and the motion that they caused: what is made of a flight before any estimator sees it. Causal throughout.
+
+airborne.py     when it was in the air
+allocation.py   commands to the thrust of each rotor; rotors that cannot be told apart; outputs that leave the mixer
+contact.py      knocks: motion that no rotor can make
+ticks.py        one uniform table of all that
+trust.py        is this what flew? the log held against itself
+"""

@@ -1,0 +1,319 @@
+"""Is this what flew? The log is held against itself before anything is judged.
+
+Each test takes a `Case` and gives one sentence when the log cannot be what flew, else None. Any such sentence makes the answer
+`inconclusive`: what is concluded from outputs that did not reach the motors rests on nothing. The tests ask for contradictions that
+no healthy or faulty flight shows; docs/limits.md has how often each was wrong.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from rotorwatch.flight import Flight, Signal
+from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.motion.allocation import within
+from rotorwatch.motion.ticks import G0, Ticks
+
+Spans = tuple[tuple[float, float], ...]
+
+# A controller answers before its vehicle has turned by so much: outputs that rest longer did not fly it.
+STILL_S, STILL_RAD = 1.0, 1.0
+# ... nor does it rest for so long, in so many samples, at the resolution of an output, unless the air is dead calm.
+STILL_LONG_S, STILL_LONG_RAD, STILL_SAMPLES = 5.0, 0.2, 25
+# rad/s and m/s^2, means of half a second: beyond what gyros of autopilots measure (2000 deg/s) and airframes bear
+WILD_RATE, WILD_FORCE, WILD_S = 60.0, 20.0 * G0, 0.5
+SCALE = 2.5  # factor by which two measurements of one thing may differ
+MOVING = 0.05  # rad/s rms of angular rate, above which attitude and gyro can be compared
+ALIKE = 0.5  # correlation of two measurements of one motion
+# Hover thrusts of one rotor and rotor for each rad/s^2: the smallest vehicles turn for no less (radius of gyration 2 cm, arms of 3 cm),
+# large ones for no more.
+LEAST_GAIN, MOST_GAIN = 0.001, 0.02
+# Torque that the motion must take at least: so many times the one commanded, and so many hover thrusts. Vibration looks like less.
+HARDER, HARD = 3.0, 0.05
+# rad/s^2 and rad/s of roll or pitch: motion that is no longer the gyro's noise or a dead calm
+PLAIN, PLAIN_RATE = 0.3, 0.03
+HELD = 0.05  # share of the motion that commands would give a large vehicle, below which it does not follow them: it stands, or is held
+LONG_S = 30.0  # of flight, before commands are held against motion
+SLOWEST_S = 0.1  # ticks in which commands and the motion they cause can be seen together
+SHIFTS = 40  # how often commands are compared with motion at times that are not theirs
+SIGNIFICANT = 2.5  # standard deviations of those comparisons
+GEOMETRY = ("FRAME_CLASS", "FRAME_TYPE", "CA_ROTOR_COUNT", "CA_AIRFRAME", "SYS_AUTOSTART", "MAV_TYPE")
+
+
+@dataclass(frozen=True)
+class Case:
+    """One log to be trusted or not: the flight, what it is said to be, when it was airborne, and its ticks."""
+
+    flight: Flight
+    vehicle: Vehicle
+    air: Spans
+    table: Ticks
+
+    @cached_property
+    def flying(self) -> np.ndarray:
+        """(T,) ticks in the air, upset or not."""
+        return self.table.mode > 0
+
+
+def doubts(flight: Flight, vehicle: Vehicle, air: Spans, table: Ticks) -> tuple[str, ...]:
+    """Why the log cannot be what flew, a sentence for each test that fails; empty when nothing contradicts it."""
+    case = Case(flight, vehicle, air, table)
+    return tuple(why for test in TESTS if (why := test(case)))
+
+
+def two_publishers(case: Case) -> str | None:
+    """Outputs of two publishers that both move: neither can be told to be the one that reached the motors."""
+    if case.flight.facts.get("publishers", 1) > 1:
+        return "the motor outputs in this log come from two publishers at once, and nothing tells which of them reached the motors."
+    return None
+
+
+def clock_jumped(case: Case) -> str | None:
+    """A clock that was set in the air: commands and motion around the jump cannot be put in order."""
+    when = [t for t in case.flight.facts.get("clock_jumps", ()) if within(np.array([t]), case.air).any()]
+    if when:
+        return f"the log's clock jumps at {when[0]:.1f} s, in the air: commands and motion cannot be put in order."
+    return None
+
+
+def another_airframe(case: Case) -> str | None:
+    """Parameters of the airframe that change in the air: two logs, or two vehicles, in one file."""
+    for time, name, value in case.flight.parameter_changes:
+        motor = name.startswith("SERVO") and name.endswith("_FUNCTION") and (33 <= value <= 40 or 82 <= value <= 85)
+        if (name in GEOMETRY or motor) and within(np.array([time]), case.air).any():
+            return f"the airframe changes in the air ({name} becomes {value:g} at {time:.1f} s): the log is not of one vehicle."
+    return None
+
+
+def wild_motion(case: Case) -> str | None:
+    """Rates or accelerations that no vehicle survives, for half a second: wrong units, or not a sensor's values."""
+    for name, limit, what, unit in (
+        ("gyro", WILD_RATE, "turns at", "rad/s"),
+        ("accel", WILD_FORCE, "accelerates at", "m/s^2"),
+    ):
+        if not case.flight.has(name):
+            continue
+        time, size = _magnitude(case.flight[name], case.air)
+        if time.size < 5:
+            continue
+        width = max(1, round(WILD_S * case.flight[name].rate_hz))
+        smooth = np.convolve(size, np.ones(width) / width, "valid")
+        if smooth.size and smooth.max() > limit:
+            at = time[int(np.argmax(smooth))]
+            return f"the vehicle {what} {smooth.max():.0f} {unit} at {at:.1f} s, which none survives: its {name} or its unit is wrong."
+    return None
+
+
+def weightless(case: Case) -> str | None:
+    """Over a flight the specific force is one g: what is not, is in another unit or of another sensor."""
+    if not case.flight.has("accel"):
+        return None
+    time, size = _magnitude(case.flight["accel"], case.air)
+    if time.size < 50 or np.ptp(time) < LONG_S:
+        return None
+    typical = float(np.median(size)) / G0
+    if 1.0 / SCALE < typical < SCALE:
+        return None
+    return f"the accelerometer shows {typical:.3g} g over the flight instead of one: its unit is not m/s^2, or it is another vehicle's."
+
+
+def attitude_against_gyro(case: Case) -> str | None:
+    """Gyro and attitude tell of the same turns: same size, same sign, same time."""
+    if not case.flight.has("gyro", "attitude"):
+        return None
+    turned, rate = _turns(case.flight["attitude"], case.flight["gyro"], case.air)
+    if len(rate) < 50 or np.sqrt(np.mean(rate**2)) < MOVING / SCALE or np.sqrt(np.mean(turned**2)) < MOVING:
+        return None
+    # Of most of the flight: knocks and a crash show sensors' limits. The axis that agrees best: one that shakes is sampled too slowly.
+    bound = 5.0 * np.median(np.abs(rate)) + 1.0, 5.0 * np.median(np.abs(turned)) + 1.0
+    calm = (np.abs(rate) < bound[0]).all(axis=1) & (np.abs(turned) < bound[1]).all(axis=1)
+    rate, turned = rate[calm], turned[calm]
+    size = np.sqrt(np.sum(rate**2, axis=0)), np.sqrt(np.sum(turned**2, axis=0))
+    if len(rate) < 50 or min(s.max() for s in size) <= 0.0:
+        return None
+    each = np.sum(rate * turned, axis=0) / np.maximum(size[0] * size[1], 1e-12)
+    alike, scale = float(each.max()), float(size[0][each.argmax()] / max(size[1][each.argmax()], 1e-12))
+    if alike < ALIKE:
+        return (
+            "gyro and attitude tell of different turns: they are not of one vehicle, one clock or one coordinate frame."
+        )
+    if not 1.0 / SCALE < scale < SCALE:
+        return f"the gyro turns {scale:.3g} times as fast as the attitude: its unit is not rad/s, or it is not this vehicle's."
+    return None
+
+
+def outputs_at_rest(case: Case) -> str | None:
+    """Outputs that stand still while the vehicle turns: something else drove the motors."""
+    motors, curve = case.flight["motors"], case.vehicle.curve
+    inside = within(motors.time, case.air) & motors.valid.all(axis=1)
+    time, values = motors.time[inside], motors.values[inside]
+    if time.size < 5:
+        return None
+    moved = (np.abs(np.diff(values, axis=0)) > 1e-6 * (curve.u_max - curve.u_min)).any(axis=1)
+    starts = np.concatenate([[0], np.flatnonzero(moved) + 1])
+    ends = np.concatenate([starts[1:], [time.size]]) - 1
+    span = 0.02 * (curve.u_max - curve.u_min)
+    for a, b in zip(starts, ends):
+        seconds = float(time[b] - time[a])
+        # Motors that are off, or all at their limits, may well rest.
+        driven = ((values[a] > curve.u_min + span) & (values[a] < curve.u_max - span)).mean() > 0.5
+        if b - a < 4 or seconds < STILL_S or not driven:
+            continue
+        angle = _angle(case.flight, float(time[a]), float(time[b]))
+        long = seconds > STILL_LONG_S and b - a >= STILL_SAMPLES and angle > STILL_LONG_RAD
+        if angle > STILL_RAD or long:
+            return (
+                f"the motor outputs in the log stand still from {time[a]:.1f} to {time[b]:.1f} s while the vehicle turns by "
+                f"{np.degrees(angle):.0f} deg: they are not what drove the motors, so nothing can be concluded from them."
+            )
+    return None
+
+
+def motion_without_command(case: Case) -> str | None:
+    """Angular acceleration that takes more torque than was commanded, through most of a flight and not in step with the commands."""
+    sizes = [_coherence(case, axis) for axis in (0, 1)]
+    if any(s is None for s in sizes):
+        return None
+    if all(s.needed > max(HARDER * s.commanded, HARD) and s.alike < ALIKE for s in sizes if s):
+        return "the vehicle turns harder than its motor outputs can make it: they are not what drove the motors."
+    return None
+
+
+def command_without_effect(case: Case) -> str | None:
+    """Commands that explain no motion on any axis: they fit the motion no better than at times that are not theirs. Where there is hardly
+    any motion, nothing can be said, unless the commands ask for a lot of it."""
+    if not case.flight.has("gyro"):
+        return None
+    found = [c for axis in range(3) if (c := _coherence(case, axis)) is not None]
+    if len(found) < 3 or max(c.sigmas for c in found) > SIGNIFICANT:
+        return None
+    least = PLAIN * LEAST_GAIN * case.table.thrust.shape[1]
+    rates = np.abs(case.table.rate[case.flying][:, :2])
+    still = float(np.quantile(rates, 0.8)) < PLAIN_RATE
+    if all(c.needed > HELD * LEAST_GAIN / MOST_GAIN * c.commanded and (still or c.needed < least) for c in found[:2]):
+        return None
+    return "the motor outputs explain nothing of how the vehicle moves: they are of another vehicle, another time or another airframe."
+
+
+@dataclass(frozen=True)
+class Coherence:
+    """Commanded torque and angular acceleration of one axis. alike: correlation, -1..1, at the best lag; sigmas: how far above that at
+    wrong times; needed, commanded: usual size of the torque that the motion takes at least, and of the one commanded (hover thrusts)."""
+
+    alike: float
+    sigmas: float
+    needed: float
+    commanded: float
+
+
+def _coherence(case: Case, axis: int) -> Coherence | None:
+    """None where the flight is too short or too slowly logged. Trim, over a second, is left out."""
+    table, ok = case.table, case.flying & case.table.valid[:, axis]
+    if ok.sum() * table.dt < LONG_S or table.dt > SLOWEST_S:
+        return None
+    width = max(3, round(1.0 / table.dt))
+    command, motion = (_without_trim(np.where(ok, x[:, axis], 0.0), width) for x in (table.wrench, table.rate_dot))
+    command, motion = np.where(ok, command, 0.0), np.where(ok, motion, 0.0)
+    # Bounded to what is usual: one knock must not speak for a flight.
+    usual = [float(np.quantile(np.abs(x[ok]), 0.8)) for x in (command, motion)]
+    if min(usual) <= 0.0:
+        return Coherence(0.0, 0.0, LEAST_GAIN * table.thrust.shape[1] * usual[1], usual[0]) if usual[1] > 1.0 else None
+    command, motion = np.clip(command, -3 * usual[0], 3 * usual[0]), np.clip(motion, -3 * usual[1], 3 * usual[1])
+    lags = range(0, max(2, round(0.3 / table.dt)))
+
+    def best(shift: int) -> float:
+        return max(_correlation(np.roll(command, shift + lag), motion) for lag in lags)
+
+    step = len(command) // (SHIFTS + 2)
+    if step * table.dt < 0.5:
+        return None
+    elsewhere = np.array([best(step * (k + 1)) for k in range(SHIFTS)])
+    alike = best(0)
+    return Coherence(
+        alike,
+        (alike - float(elsewhere.mean())) / max(float(elsewhere.std()), 1e-3),
+        LEAST_GAIN * table.thrust.shape[1] * usual[1],
+        usual[0],
+    )
+
+
+def _correlation(a: np.ndarray, b: np.ndarray) -> float:
+    return float(a @ b / max(np.sqrt((a @ a) * (b @ b)), 1e-12))
+
+
+def _without_trim(x: np.ndarray, width: int) -> np.ndarray:
+    return x - np.convolve(x, np.ones(width) / width, "same")
+
+
+def _magnitude(signal: Signal, air: Spans) -> tuple[np.ndarray, np.ndarray]:
+    """(time, length of the vector) of a signal's valid samples in the air."""
+    ok = within(signal.time, air) & signal.valid.all(axis=1)
+    return signal.time[ok], np.linalg.norm(signal.values[ok], axis=1)
+
+
+def _angle(flight: Flight, start: float, end: float) -> float:
+    """Angle in rad that the vehicle turned through, back and forth counted alike; NaN without a gyro."""
+    name = "gyro" if flight.has("gyro") else "rates" if flight.has("rates") else None
+    if name is None:
+        return np.nan
+    part = flight[name].between(start, end)
+    if len(part) < 2:
+        return np.nan
+    return float(np.trapezoid(np.linalg.norm(part.values, axis=1), part.time))
+
+
+def _turns(attitude: Signal, gyro: Signal, air: Spans, width_s: float = 0.2) -> tuple[np.ndarray, np.ndarray]:
+    """Mean angular rate (m, 3) rad/s, body, over windows in the air: from the attitude at their ends, and from the gyro."""
+    none = np.zeros((0, 3)), np.zeros((0, 3))
+    fine = attitude.valid.all(axis=1) & within(attitude.time, air)
+    time, q = attitude.time[fine], attitude.values[fine]
+    step = max(1, round(width_s * attitude.rate_hz))
+    good = gyro.valid.all(axis=1)
+    when, rate = gyro.time[good], gyro.values[good]
+    if time.size < 2 * step or when.size < 2:
+        return none
+    first, last = np.arange(0, time.size - step, step), np.arange(step, time.size, step)
+    length = time[last] - time[first]
+    total = np.concatenate([np.zeros((1, 3)), np.cumsum(rate, axis=0)])
+    lo, hi = np.searchsorted(when, time[first]), np.searchsorted(when, time[last])
+    use = (length > 0.5 * width_s) & (length < 3.0 * width_s) & (hi - lo >= max(1, 0.3 * width_s * gyro.rate_hz))
+    if not use.any():
+        return none
+    a, b = q[first[use]], q[last[use]]
+    turned = _product(a * [1.0, -1.0, -1.0, -1.0], b)
+    turned *= np.where(turned[:, :1] < 0, -1.0, 1.0)
+    angle = 2.0 * np.arctan2(np.linalg.norm(turned[:, 1:], axis=1), turned[:, 0])
+    axis = turned[:, 1:] / np.maximum(np.linalg.norm(turned[:, 1:], axis=1), 1e-12)[:, None]
+    mean = (total[hi] - total[lo])[use] / (hi - lo)[use, None]
+    return axis * (angle / length[use])[:, None], mean
+
+
+def _product(p: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """Hamilton product of quaternions (m, 4), scalar first."""
+    a, b, c, d = p.T
+    w, x, y, z = q.T
+    return np.stack(
+        [
+            a * w - b * x - c * y - d * z,
+            a * x + b * w + c * z - d * y,
+            a * y - b * z + c * w + d * x,
+            a * z + b * y - c * x + d * w,
+        ],
+        axis=1,
+    )
+
+
+TESTS = (
+    two_publishers,
+    clock_jumped,
+    another_airframe,
+    outputs_at_rest,
+    wild_motion,
+    weightless,
+    attitude_against_gyro,
+    motion_without_command,
+    command_without_effect,
+)

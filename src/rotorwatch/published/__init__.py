@@ -1,0 +1,7 @@
+"""Published methods on real flights, judged like the default one.
+
+log_plant.py        a flight's ticks as a plant and its table
+published.py        a method of the literature over them, with the decisions that all methods share
+helicopter_log.py   the same for a helicopter's log
+observability.py    what can be told apart at all, of any plant
+"""

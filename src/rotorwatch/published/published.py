@@ -1,0 +1,296 @@
+"""A published method on a real flight: from ticks to what the default diagnoser leaves behind, so that all else is shared.
+
+Each hop of the flight becomes a plant and a table (log_plant.py), the method runs over it with the threshold of evidence/decide.py
+behind it, and what that announces is written down as the default estimator's outputs are: evidence/events.py, the report and the JSON
+do not know the difference. What the default method does beyond - it tests every onset, competes losses against disturbances
+over whole windows, learns the noise on the way and refines a loss - a plain method does not, and `notes` says so.
+"""
+
+from __future__ import annotations
+
+import functools
+import inspect
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from rotorwatch import discovery
+from rotorwatch.backend import jax as load_jax
+from rotorwatch.compiling.run import run, run_built
+from rotorwatch.default_estimator import Kept
+from rotorwatch.errors import ConfigError
+from rotorwatch.evidence import decide, hypotheses
+from rotorwatch.evidence.events import MODEL_SD
+from rotorwatch.motion.ticks import Ticks
+from rotorwatch.published import log_plant
+from rotorwatch.published.log_plant import LogPlant
+
+OTHER_NATS = 5.0  # by so much another rotor set must explain more before it takes the place of the announced one
+SHOWN_S = 1.0  # losses shown are means over this time
+
+
+class Tuning(NamedTuple):
+    """What `rotorwatch tune` finds: factors on the plant's noise, and the method's own keywords.
+
+    q (n_x,), r (n_y,): factors on the variances of process and measurement noise. keywords: such as theta_walk.
+    """
+
+    q: Any = None
+    r: Any = None
+    keywords: Mapping[str, float] = {}
+
+
+class Scaled:
+    """A plant with its noise variances multiplied: Q by sqrt(q_i q_j), R by r. Everything else is the plant's own."""
+
+    def __init__(self, system, q=None, r=None):
+        """q (n_x,) and r (n_y,): factors above zero, which may be traced; None: 1."""
+        self._system = system
+        self._q = np.ones(system.n_x) if q is None else q
+        self._r = np.ones(system.n_y) if r is None else r
+
+    def __getattr__(self, name):
+        return getattr(self._system, name)
+
+    def Q(self, dt):
+        """(n_x, n_x) scaled process noise."""
+        from jax import numpy as jnp
+
+        root = jnp.sqrt(jnp.asarray(self._q))
+        return root[:, None] * self._system.Q(dt) * root[None, :]
+
+    def R(self, u):
+        """(n_y,) scaled measurement variances."""
+        return self._r * self._system.R(u)
+
+
+def method(name: str, system, dt: float, tuning: Tuning | None = None):
+    """The estimator of that name on a plant. Raises ConfigError for an unknown name or keyword, or a plant it is not defined for."""
+    kind = discovery.estimator(name)
+    tuning = tuning or Tuning()
+    known = inspect.signature(kind.__init__).parameters
+    for keyword in tuning.keywords:
+        if keyword not in known:
+            raise ConfigError(f"{name} has no tuning called {keyword!r}.")
+    if tuning.q is not None or tuning.r is not None:
+        system = Scaled(system, tuning.q, tuning.r)
+    return kind(system, dt, **tuning.keywords)
+
+
+class Output(NamedTuple):
+    """One step: the method's estimate, the threshold's decision, and the level and scatter (4,) it is held against."""
+
+    estimate: Any
+    decision: Any
+    level: Any
+    scatter: Any
+
+
+class Watched:
+    """A method with a threshold behind it, stepped as one."""
+
+    def __init__(self, estimator, threshold, dt: float):
+        self.estimator, self.threshold, self.dt = estimator, threshold, dt
+        self.system = estimator.system
+
+    def init(self):
+        """Carries of both."""
+        return self.estimator.init(), self.threshold.init()
+
+    def step(self, carry, u, y, valid):
+        """One time step."""
+        first, out = self.estimator.step(carry[0], u, y, valid)
+        second, found = self.decided(carry[1], getattr(out, "estimate", out))
+        return (first, second), found
+
+    def decided(self, carry, estimate):
+        """The threshold's carry after an estimate, and all that is known then."""
+        carry, decision = self.threshold.step(carry, estimate, self.dt)
+        return carry, Output(estimate, decision, carry.level, carry.scatter)
+
+
+class Seen(NamedTuple):
+    """What is kept of a step: theta and its variances (n,), innovation and variances (n_y,), and the decision."""
+
+    theta: Any
+    theta_var: Any
+    innovation: Any
+    innovation_var: Any
+    status: Any
+    log_odds: Any
+    statistic: Any
+    alarm: Any
+    onset: Any
+    best: Any
+    level: Any
+    scatter: Any
+
+
+def seen(out: Output) -> Seen:
+    """What is kept of a step."""
+    import jax.numpy as jnp
+
+    e, d = out.estimate, out.decision
+    n = e.theta.shape[0]
+    return Seen(
+        e.theta, jnp.diagonal(e.theta_cov)[:n], e.innovation, jnp.diagonal(e.innovation_cov), e.status,
+        d.log_odds, d.statistic, d.alarm, d.onset, d.best, out.level, out.scatter,
+    )  # fmt: skip
+
+
+@functools.lru_cache(maxsize=64)
+def _builder(name: str, dt: float, keywords: tuple) -> Callable:
+    """build(parameters) for run_built: one compiled program for every flight with as many rotors."""
+
+    def build(p):
+        tuning = Tuning(p.get("q"), p.get("r"), dict(keywords))
+        return Watched(method(name, log_plant.plant(p["plant"]), dt, tuning), decide.Threshold(p["B"]), dt)
+
+    return build
+
+
+def run_hop(name: str, hop: LogPlant, B: np.ndarray, tuning: Tuning | None = None, progress=None) -> Seen:
+    """The method over one hop: stacked `Seen`."""
+    tuning = tuning or Tuning()
+    parameters: dict[str, Any] = {"plant": hop.parameters, "B": B}
+    parameters |= {k: np.asarray(v) for k, v in (("q", tuning.q), ("r", tuning.r)) if v is not None}
+    build = _builder(name, hop.dt, tuple(sorted(tuning.keywords.items())))
+    watched = build(parameters)  # with values: what is wrong with the configuration is said here
+    try:
+        return run_built(build, parameters, hop.u, hop.y, hop.valid, seen, progress)[1]
+    except (
+        load_jax().errors.JAXTypeError,
+        ConfigError,
+    ):  # design work that needs values: compiled for this flight alone
+        return run(watched, hop.u, hop.y, hop.valid, seen, progress)[1]
+
+
+def judge(
+    name: str,
+    table: Ticks,
+    B: np.ndarray,
+    dynamics: dict | None = None,
+    tuning: Tuning | None = None,
+    progress=None,
+    hops: Sequence[LogPlant] | None = None,
+) -> Kept:
+    """What a published method leaves behind on every tick of a flight, in the default estimator's form.
+
+    hops: of `log_plant.hops`, when they are known already. Ticks outside the judged hops hold zeros. biases: the missing
+    wrench that counts as usual. log_odds: of `hypotheses.make(n)`. Raises ConfigError for an unknown method and slow logs.
+    """
+    discovery.estimator(name)
+    hyp = hypotheses.make(B.shape[1])
+    out = nothing(len(table.time), hyp)
+    for hop in log_plant.hops(table, B, dynamics) if hops is None else hops:
+        write_down(out, run_hop(name, hop, B, tuning, progress), hop, hyp, B)
+    return out
+
+
+def nothing(T: int, hyp: hypotheses.Hypotheses) -> Kept:
+    """T ticks on which nothing was seen; what only the default method looks at stays so."""
+    n, n_h = hyp.n, len(hyp.names)
+    numbers = {
+        "theta": (n,), "theta_sd": (n,), "innovation": (4,), "biases": (4,), "onset": (), "opposite_onset": (), "opposite_loss": (2,),
+    }  # fmt: skip
+    flags = {"announced": (), "committed": (), "active": (n,)}
+    filled = {k: np.zeros((T, *size)) for k, size in numbers.items()} | {
+        "innovation_var": np.ones((T, 4)), "log_odds": np.full((T, n_h), -50.0), "statistic": np.full(T, -50.0),
+        "best": np.zeros(T, int), "probability": np.full((T, n_h), 1.0 / n_h), "detectable": np.ones((T, n)),
+        "opposite": np.full(T, -1),
+    } | {k: np.zeros((T, *size), bool) for k, size in flags.items()}  # fmt: skip
+    return Kept(**{name: filled[name] for name in Kept._fields})
+
+
+def notes(name: str) -> tuple[str, ...]:
+    """What has to be taken for granted when a published method judges a log."""
+    return (
+        f"{name} runs as published, on rotational dynamics whose gains, noise and trim were identified before judging began",
+        "its losses become events by a threshold on the wrench they say is missing; rotor sets that the geometry cannot tell apart "
+        "are named together, but slow changes of wind, balance or battery may still pass for losses",
+    )
+
+
+def write_down(out: Kept, seen: Seen, hop: LogPlant, hyp: hypotheses.Hypotheses, B: np.ndarray) -> None:
+    """Fill the rows of one hop in what `nothing` made."""
+    rows, dt, n = hop.rows, hop.dt, B.shape[1]
+    fault = np.asarray(hyp.fault)
+    odds = np.where(fault, seen.log_odds, -np.inf)
+    probability = np.exp(odds - odds.max(axis=1, keepdims=True))
+    away = seen.theta[:, :n] @ B.T - seen.level
+    weight = 1.0 / (seen.scatter + np.array([0, 0, 0, (n * decide.COMMON_SD) ** 2]))
+    announced, active, best, onset = _follow(seen, hyp, dt)
+    shown, sd = _losses(_trailing_mean(away, max(1, round(SHOWN_S / dt)), announced), weight, active, B)
+    to_wrench = np.concatenate([np.diag(hop.parameters["J"])[:3] / dt, [hop.parameters["m"]]])
+    to_wrench[2] *= 1.0 / np.abs(hop.parameters["B_tau"][2]).max()
+    own = np.einsum("ai,ta,ai->ti", B, weight, B)
+    out.theta[rows], out.theta_sd[rows] = shown, sd
+    out.innovation[rows], out.innovation_var[rows] = seen.innovation * to_wrench, seen.innovation_var * to_wrench**2
+    out.log_odds[rows], out.statistic[rows], out.best[rows], out.onset[rows] = (
+        seen.log_odds,
+        seen.statistic,
+        best,
+        onset,
+    )
+    out.probability[rows] = probability / probability.sum(axis=1, keepdims=True)
+    out.announced[rows], out.committed[rows], out.active[rows] = announced, announced, active
+    out.detectable[rows] = np.maximum(decide.SIGMAS / np.sqrt(own), decide.LEAST) / 1.96
+    out.biases[rows] = seen.level
+
+
+def _follow(seen: Seen, hyp: hypotheses.Hypotheses, dt: float):
+    """Which rotors are announced at each step: announced (T,), active (T, n), best (T,), onset (T,) steps back.
+
+    A set is replaced when another one explains OTHER_NATS more, grown when it holds the announced one, and over after decide.GONE_S
+    without a sign of it; an end is announced too, so that it is written down with its time.
+    """
+    T = len(seen.alarm)
+    announced, active = np.zeros(T, bool), np.zeros((T, hyp.n), bool)
+    best, onset = seen.best.astype(int).copy(), seen.onset.copy()
+    over = 0.5 * decide.SIGMAS**2 * decide.FADE
+    current: frozenset[int] = frozenset()
+    mine: np.ndarray = np.zeros(0, int)
+    quiet = 0
+    for k in range(T):
+        if current:
+            own = seen.log_odds[k, mine].max()
+            quiet = quiet + 1 if own < over else 0
+            if quiet * dt >= decide.GONE_S:
+                announced[k], best[k], onset[k] = True, mine[0], quiet
+                current, quiet = frozenset(), 0
+        who = frozenset(hyp.rotors[seen.best[k]])
+        if seen.alarm[k] and who != current and not announced[k]:
+            if (
+                not current
+                or who > current
+                or seen.log_odds[k, seen.best[k]] > seen.log_odds[k, mine].max() + OTHER_NATS
+            ):
+                announced[k], current, quiet = True, who, 0
+        if announced[k]:
+            mine = np.array([h for h, s in enumerate(hyp.rotors) if hyp.fault[h] and frozenset(s) == current], int)
+        active[k, sorted(current)] = True
+    return announced, active, best, onset
+
+
+def _trailing_mean(values: np.ndarray, width: int, restart: np.ndarray) -> np.ndarray:
+    """Mean of the last `width` rows, never reaching back over a row where `restart` holds."""
+    k = np.arange(len(values))
+    since = np.maximum.accumulate(np.where(restart, k, 0))
+    first = np.maximum(k - width + 1, since)
+    total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
+    return (total[k + 1] - total[first]) / (k + 1 - first)[:, None]
+
+
+def _losses(away: np.ndarray, weight: np.ndarray, active: np.ndarray, B: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Losses (T, n) of the announced rotors by weighted least squares on the missing wrench, 0..1, and their sd."""
+    shown, sd = np.zeros(active.shape), np.zeros(active.shape)
+    for pattern in np.unique(active[active.any(axis=1)], axis=0):
+        rows, M = np.flatnonzero((active == pattern).all(axis=1)), B[:, pattern]
+        information = np.einsum("ai,ta,aj->tij", M, weight[rows], M) + 1e-9 * np.eye(M.shape[1])
+        moment = np.einsum("ai,ta->ti", M, weight[rows] * away[rows])
+        covariance = np.linalg.inv(information)
+        where = np.ix_(rows, np.flatnonzero(pattern))
+        shown[where] = np.clip(np.einsum("tij,tj->ti", covariance, moment), 0.0, 1.0)
+        sd[where] = np.sqrt(np.einsum("tii->ti", covariance) + MODEL_SD**2)
+    return shown, sd
