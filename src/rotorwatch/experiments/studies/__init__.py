@@ -1,1 +1,1 @@
-"""Experiments on the default diagnoser: what it promises, measured."""
+"""Comparisons, false alarms, tuning by hand, and the experiments of the papers (reproduce_<paper>.py) with the flights they need."""
