@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import rotorwatch as rw
@@ -263,6 +263,7 @@ JUNK = st.recursive(
     part=st.sampled_from([*scenario.FIELDS[""], "airframe", "wind", "faults", "sensors", "trajectory", "battery"]),
     junk=JUNK,
 )
+@example(part="duration_s", junk=5)  # the fault of the table begins later
 @settings(max_examples=150, deadline=None)
 def test_junk_is_a_config_error_or_a_scenario(part, junk):
     try:

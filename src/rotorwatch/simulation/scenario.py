@@ -277,7 +277,7 @@ def _helicopter(table: Mapping[str, Any], duration: float, way: Mapping[str, Any
         raise ConfigError(f"trajectory.kind: a helicopter flies {', '.join(HELICOPTER_WAYS)}, not {way['kind']!r}.")
     if way["take_off_s"] >= duration:
         raise ConfigError(
-            f"trajectory.take_off_s is {way['take_off_s']:g}, not before the end of the flight at {duration:g}."
+            f"trajectory.take_off_s is {way['take_off_s']:g}, not before the end of the flight at {duration:g} (duration_s)."
         )
 
 
@@ -305,7 +305,9 @@ def _fault(where: str, row: Any, duration: float, helicopter: bool) -> Mapping[s
     if "duty" in row and fault["period_s"] is None:
         raise ConfigError(f"{where}.duty: only a fault with a period_s has one.")
     if fault["onset_s"] >= duration:
-        raise ConfigError(f"{where}.onset_s is {fault['onset_s']:g}, not before the end of the flight at {duration:g}.")
+        raise ConfigError(
+            f"{where}.onset_s is {fault['onset_s']:g}, not before the end of the flight at {duration:g} (duration_s)."
+        )
     if fault["end_s"] is not None and fault["end_s"] <= fault["onset_s"]:
         raise ConfigError(f"{where}.end_s must lie after its onset_s.")
     if fault["kind"] in NEEDS_STRENGTH and fault["strength"] is None:
