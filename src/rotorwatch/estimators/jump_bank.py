@@ -32,7 +32,7 @@ LEARN_LOSS_S = 6.0  # a committed loss is refined this long; after that only a n
 # unless it grows: has left its mean over MOVING_S by MOVING, and by its own uncertainty.
 MOVING, MOVING_S = 0.01, 2.0
 THETA_WALK = 0.02**2  # 1/s, while it is refined
-KNOWN_BONUS, SECOND_NATS = 2.0, 6.0  # nats: a rotor that has failed is likely to change again, another one is not
+KNOWN_BONUS, SECOND_NATS = 2.0, 0.0  # nats: a rotor that has failed is likely to change again, another one is not
 DISTURBANCE_SCALE, DISTURBANCE_RANGE = 3.0, (0.03, 1.0)
 OUTLIER = 6.0  # standard deviations that an innovation counts at most
 TRUST = 3000.0  # nats
@@ -100,7 +100,6 @@ class Evidence(NamedTuple):
     log_bf: Array
     per_slot: Array
     nu: Array
-    own: Array
     width: Array
     live: Array
 
@@ -175,8 +174,8 @@ class JumpBank:
         )
         self.lone = np.array([float(len(who) == 1) for who in fault])
         self.membership = np.array([[float(i in who) for i in range(self.n)] for who in hyp.rotors])
-        self.first = np.concatenate([hyp.singles, hyp.pairs[:, 0], hyp.mixed[:, 0]])
-        self.second = np.concatenate([hyp.singles, hyp.pairs[:, 1], hyp.mixed[:, 1]])
+        self.first = np.concatenate([hyp.singles, hyp.pairs[:, 0]])
+        self.second = np.concatenate([hyp.singles, hyp.pairs[:, 1]])
         self.blocks = np.array([[float(a in block) for a in range(4)] for block in hypotheses.DISTURBANCES])
         self.bias_rows = np.array([a * PER_AXIS + b for a in range(4) for b in (B1, B2, B3)])
 
@@ -233,7 +232,7 @@ class JumpBank:
         memory = caution.remember(memory, innovation, variance, valid & flying & (stand.pending < 0), dt)
 
         told = jumps.without_last(bank, jnp.maximum(P[self.yaw_gain, self.yaw_gain], 1e-12))
-        found = self._evidence(s, told, carry.noise.variances, stand, self.system.H(seen.u, biases))
+        found = self._evidence(s, told, carry.noise.variances, stand)
         best = self._candidate(found, told, stand)
         # One rotor's direction may be met by chance, by a disturbance such as this flight has not seen yet.
         other = jnp.where(best.lone, jnp.logaddexp(found.other, found.far), found.other)
@@ -391,7 +390,7 @@ class JumpBank:
             variances.append(S)
         return s, 0.5 * (P + P.T), bank, jnp.stack(innovations), jnp.stack(variances)
 
-    def _evidence(self, s, bank, variances, stand: Standing, effect) -> Evidence:
+    def _evidence(self, s, bank, variances, stand: Standing) -> Evidence:
         """How strongly the data speak for each hypothesis, over all onset times."""
         import jax.numpy as jnp
 
@@ -399,7 +398,7 @@ class JumpBank:
         # A known loss may be taken back; what the filter has absorbed of that already is part of the jump.
         lo, hi = jnp.where(active, -1.0, 0.0), jnp.maximum(1.0 - theta, 0.0)
         width = jnp.clip(DISTURBANCE_SCALE * jnp.sqrt(noise.spread(variances)), *DISTURBANCE_RANGE)
-        logbf, nu, own = hypotheses.log_bayes_factors(hyp, bank.C, bank.z, lo, hi, width, effect)
+        logbf, nu = hypotheses.log_bayes_factors(hyp, bank.C, bank.z, lo, hi, width)
         # The model is right to a few percent: overwhelming evidence must not hang on its last decimals.
         far = hypotheses.disturbances(hyp, bank.C, bank.z, hypotheses.FAR * width)
         share = TRUST / (TRUST + jnp.maximum(logbf.max(), 0.0))
@@ -438,7 +437,6 @@ class JumpBank:
             logbf,
             per_slot,
             nu,
-            own,
             width,
             live,
         )
@@ -456,16 +454,19 @@ class JumpBank:
         D1 = (jnp.arange(q) == (one_fault @ jnp.asarray(self.first))).astype(float)
         D2 = (jnp.arange(q) == (one_fault @ jnp.asarray(self.second))).astype(float)
         two = (D1 * D2).sum() < 0.5
-        _, C, _ = jumps.pick(bank, one_slot)
-        c11 = D1 @ C @ D1 + 1e-6
-        c22 = jnp.where(two, D2 @ C @ D2 + 1e-6, 1.0)
-        c12 = jnp.where(two, D1 @ C @ D2, 0.0)
-        det = jnp.maximum(c11 * c22 - c12 * c12, 1e-12)
-        v11, v22, v12 = c22 / det, c11 / det, -c12 / det
-        v11 = jnp.where(two, v11, 1.0 / (one_slot @ found.own @ D1[:n] + 1e-6))
+        # What the rotors' losses do may differ by SLOP from geometry: steps of the axes that come with them.
+        _, C, z = jumps.pick(bank, one_slot)
+        each = jnp.einsum("h,hkr->kr", one_fault, jnp.asarray(self.pick)) * sizes[:, None]
+        slop = hypotheses.slop(C[None], z[None], found.width)[0]
+        D = jnp.concatenate([D1[None], jnp.where(two, D2, 0.0)[None], jnp.eye(q)[n:]])
+        width = jnp.concatenate([jnp.full(2, hypotheses.LOSS_WIDTH**2), slop])
+        L = hypotheses.cholesky((D @ C @ D.T + jnp.diag(1.0 / width))[None])
+        half = hypotheses.forward(jnp.broadcast_to(L, (6, 6, 6)), jnp.eye(6)).T
+        cov = D.T @ (half.T @ half) @ D
         jump = sizes[0] * D1 + jnp.where(two, sizes[1], 0.0) * D2
-        cross = v12 * (D1[:, None] * D2[None] + D2[:, None] * D1[None])
-        cov = v11 * D1[:, None] * D1[None] + jnp.where(two, v22 * D2[:, None] * D2[None] + cross, 0.0)
+        step = hypotheses.cholesky((C[n:, n:] + jnp.diag(1.0 / slop))[None])
+        half = hypotheses.forward(jnp.broadcast_to(step, (4, 4, 4)), jnp.eye(4)).T
+        jump = jump + jnp.concatenate([jnp.zeros(n), half.T @ (half @ (z - C @ jump)[n:])])
         mine = jnp.asarray(self.membership) @ (~stand.active).astype(float) < 0.5
         return Candidate(
             best,
@@ -474,7 +475,7 @@ class JumpBank:
             jump,
             cov,
             (D1 + jnp.where(two, D2, 0.0))[:n] > 0.5,
-            jnp.einsum("h,hkr->kr", one_fault, jnp.asarray(self.pick)) * sizes[:, None],
+            each,
             (mine * (jnp.arange(len(self.hyp.names)) == best)).sum() > 0.5,
             one_fault @ self.lone > 0.5,
         )

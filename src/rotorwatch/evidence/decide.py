@@ -81,7 +81,7 @@ class Threshold:
         pick = (jnp.arange(jump.shape[0]) == best).astype(float)
         size = jnp.einsum("h,hk->k", pick, jump)
         double = jnp.asarray(
-            [float(kind == "pair") for kind in hyp.kinds if kind in ("single", "pair", "single_common")]
+            [float(kind == "pair") for kind in hyp.kinds if kind in ("single", "pair")]
         )
         enough = (size[0] > self.least) & ((size[1] > self.least) | (pick @ double < 0.5))
         log_fault = jnp.max(jnp.where(fault, log_odds, -jnp.inf))
@@ -117,8 +117,5 @@ class Threshold:
         w = 1.0 / (scatter + common + TURNED**2 * (away @ away) / 4.0)
         Phi = jnp.concatenate([jnp.asarray(self.B), jnp.eye(4)], axis=1)
         C, z = Phi.T @ (w[:, None] * Phi), Phi.T @ (w * away)
-        exact = jnp.zeros((4, n))
-        logbf, jump, _ = hypotheses.log_bayes_factors(
-            self.hyp, C[None], z[None], jnp.zeros(n), jnp.ones(n), jnp.ones(4), exact
-        )
+        logbf, jump = hypotheses.log_bayes_factors(self.hyp, C[None], z[None], jnp.zeros(n), jnp.ones(n), jnp.ones(4))
         return logbf[0], jump[0]

@@ -21,7 +21,7 @@ SLOP = (0.1, 0.1, 0.4, 0.3)
 # A calm flight does not show what a manoeuvre or a gust can do: this share of disturbances is so many times their usual size.
 FAR_SHARE, FAR = 0.2, 4.0
 # Prior weights: how often each kind of jump happens, relative to one particular rotor failing. Disturbances are common.
-WEIGHT = {"single": 1.0, "pair": 1e-4, "single_common": 0.02, "disturbance": 3.0}
+WEIGHT = {"single": 1.0, "pair": 1e-4, "disturbance": 3.0}
 # Disturbances: which of roll, pitch, yaw, thrust they touch.
 DISTURBANCES = ((0,), (1,), (2,), (3,), (0, 3), (1, 3), (2, 3), (0, 1, 2), (0, 1, 2, 3))
 
@@ -41,7 +41,6 @@ class Hypotheses:
     fault: np.ndarray
     singles: np.ndarray
     pairs: np.ndarray
-    mixed: np.ndarray
     blocks: tuple[tuple[int, ...], ...]
 
 
@@ -59,8 +58,6 @@ def make(n: int) -> Hypotheses:
     pairs = list(combinations(range(n), 2))
     for i, j in pairs:
         add("pair", f"rotors {i + 1}+{j + 1}", (i, j))
-    for i in range(n):
-        add("single_common", f"rotor {i + 1} and common mode", (i,))
     axes = ("roll", "pitch", "yaw", "common mode")
     for block in DISTURBANCES:
         what = {3: "torque bias", 4: "any disturbance"}.get(len(block)) or " and ".join(axes[a] for a in block)
@@ -73,10 +70,9 @@ def make(n: int) -> Hypotheses:
         tuple(kinds),
         tuple(rotors),
         weight,
-        np.isin(kinds_, ["single", "pair", "single_common"]),
+        np.isin(kinds_, ["single", "pair"]),
         np.arange(n),
         np.array(pairs),
-        np.array([(i, n + 3) for i in range(n)]),
         tuple(tuple(n + a for a in block) for block in DISTURBANCES),
     )
 
@@ -107,45 +103,28 @@ def _clip_pair(c11, c12, c22, z1, z2, lo1, hi1, lo2, hi2):
     return best_a, best_b, best
 
 
-def log_bayes_factors(hyp: Hypotheses, C, z, lo, hi, width, effect):
+def log_bayes_factors(hyp: Hypotheses, C, z, lo, hi, width):
     """C (W, q, q), z (W, q) for W jump times; lo, hi (n,) bounds of rotor jumps; width (4,): how large disturbances of this
-    aircraft are; effect (4, n): what a rotor's whole loss does to each axis now.
-    -> log BF (W, n_h), nu (W, n_fault, 2), information on each rotor's loss alone (W, n)."""
+    aircraft are. -> log BF (W, n_h), nu (W, n_fault, 2)."""
     import jax.numpy as jnp
 
-    n = hyp.n
-    w2 = LOSS_WIDTH**2
-    diag = jnp.diagonal(C, axis1=1, axis2=2)
-    tiny = 1e-9
-    # Gaussian prior as information, so that every precision is positive.
-    prior = 1.0 / jnp.concatenate([jnp.full(n, LOSS_WIDTH), width]) ** 2
-    c = diag + prior
-    c1, z1 = c[:, :n], z[:, :n]
-    own, told, gain = _with_slop(C, z, jnp.clip(z1 / c1, lo, hi), effect)
-    c1 = own + 1.0 / w2
-    nu1 = jnp.clip(told / c1, lo, hi)
-    single = told * nu1 - 0.5 * c1 * nu1**2 - 0.5 * jnp.log(c1 * w2)
+    n, w2 = hyp.n, LOSS_WIDTH**2
+    C_free, z_free = C, z
+    C, z, gain = with_slop(C, z, width)
+    c, C = jnp.diagonal(C, axis1=1, axis2=2), C + jnp.eye(n) / w2
     # Losses are small as often as large: half of the prior is narrow.
-    c0 = own + 1.0 / SMALL_WIDTH**2
-    nu0 = jnp.clip(told / c0, lo, hi)
-    small = told * nu0 - 0.5 * c0 * nu0**2 - 0.5 * jnp.log(c0 * SMALL_WIDTH**2)
-    single = jnp.logaddexp(single, small) - np.log(2.0) + gain
-
-    def pairwise(a, b, lo_b, hi_b):
-        c11, c22, c12 = c[:, a], c[:, b], C[:, a, b]
-        x, y, s = _clip_pair(c11, c12, c22, z[:, a], z[:, b], lo[a], hi[a], lo_b, hi_b)
-        det = jnp.maximum(c11 * c22 - c12 * c12, tiny)
-        return x, y, s - 0.5 * jnp.log(det / (prior[a] * prior[b]))
-
+    c0, c1 = c + 1.0 / SMALL_WIDTH**2, c + 1.0 / w2
+    nu0, nu1 = jnp.clip(z / c0, lo, hi), jnp.clip(z / c1, lo, hi)
+    large = z * nu1 - 0.5 * c1 * nu1**2 - 0.5 * jnp.log(c1 * w2)
+    small = z * nu0 - 0.5 * c0 * nu0**2 - 0.5 * jnp.log(c0 * SMALL_WIDTH**2)
+    single = jnp.logaddexp(large, small) - np.log(2.0)
     a, b = hyp.pairs.T
-    pa, pb, pair = pairwise(a, b, lo[b], hi[b])
-    ma, mb = hyp.mixed.T
-    xa, xb, mixed = pairwise(ma, mb, -jnp.ones(n) * 2.0, jnp.ones(n) * 2.0)
-    logbf = jnp.concatenate([single, pair, mixed, disturbances(hyp, C, z, width)], axis=1)
-    nu = jnp.concatenate(
-        [jnp.stack([nu1, jnp.zeros_like(nu1)], -1), jnp.stack([pa, pb], -1), jnp.stack([xa, xb], -1)], axis=1
-    )
-    return logbf, nu, own
+    pa, pb, pair = _clip_pair(C[:, a, a], C[:, a, b], C[:, b, b], z[:, a], z[:, b], lo[a], hi[a], lo[b], hi[b])
+    det = jnp.maximum(C[:, a, a] * C[:, b, b] - C[:, a, b] ** 2, 1e-9)
+    pair = pair - 0.5 * jnp.log(det * w2**2)
+    fault = jnp.concatenate([single, pair], axis=1) + gain[:, None]
+    nu = jnp.concatenate([jnp.stack([nu1, jnp.zeros_like(nu1)], -1), jnp.stack([pa, pb], -1)], axis=1)
+    return jnp.concatenate([fault, disturbances(hyp, C_free, z_free, width)], axis=1), nu
 
 
 def disturbances(hyp: Hypotheses, C, z, width):
@@ -163,28 +142,30 @@ def disturbances(hyp: Hypotheses, C, z, width):
     return jnp.stack(factors, axis=1)
 
 
-def _with_slop(C, z, nu, effect):
-    """Information and vector of each rotor's jump (W, n) when every axis may differ by SLOP of what a jump nu (W, n) does to it, and
-    what that freedom gains (W, n): Gaussian steps of the four axes integrated out, one after the other."""
+def slop(C, z, width):
+    """(W, 4) variance by which each axis may differ from what rotors' losses do to it: SLOP of the wrench that is missing, as far as
+    that is known."""
     import jax.numpy as jnp
 
-    n = nu.shape[1]
-    prior = (jnp.asarray(SLOP)[:, None, None] * effect[:, None, :] * nu[None]) ** 2 + 1e-12  # (4, W, n)
-    own, told, gain = jnp.diagonal(C, axis1=1, axis2=2)[:, :n], z[:, :n], 0.0
-    shape = nu.shape
-    cross = [C[:, :n, n + a] for a in range(4)]
-    among = [[jnp.broadcast_to(C[:, n + a, n + b, None], shape) for b in range(4)] for a in range(4)]
-    step = [jnp.broadcast_to(z[:, n + a, None], shape) for a in range(4)]
-    for a in range(4):
-        d = among[a][a] + 1.0 / prior[a]
-        gain = gain + 0.5 * step[a] ** 2 / d - 0.5 * jnp.log(d * prior[a])
-        own, told = own - cross[a] ** 2 / d, told - cross[a] * step[a] / d
-        for b in range(a + 1, 4):
-            share = among[a][b] / d
-            cross[b], step[b] = cross[b] - cross[a] * share, step[b] - step[a] * share
-            for k in range(b, 4):
-                among[b][k] = among[b][k] - share * among[a][k]
-    return own, told, gain
+    n = z.shape[1] - 4
+    L = cholesky(C[:, n:, n:] + jnp.diag(1.0 / width**2))
+    missing = backward(L, forward(L, z[:, n:]))
+    return (jnp.asarray(SLOP) * missing) ** 2 + 1e-12
+
+
+def with_slop(C, z, width):
+    """Information (W, n, n) and vector (W, n) of the rotors' jumps when the axes may differ by `slop`, and what that freedom gains
+    (W,): Gaussian steps of the four axes integrated out, one after the other."""
+    import jax.numpy as jnp
+
+    prior, gain = slop(C, z, width), 0.0
+    for a in (3, 2, 1, 0):
+        c, k = C[:, :-1, -1], z[:, -1]
+        d = C[:, -1, -1] + 1.0 / prior[:, a]
+        gain = gain + 0.5 * k**2 / d - 0.5 * jnp.log(d * prior[:, a])
+        share = c / d[:, None]
+        C, z = C[:, :-1, :-1] - share[:, :, None] * c[:, None, :], z[:, :-1] - share * k[:, None]
+    return C, z, gain
 
 
 def cholesky(A):
@@ -214,3 +195,17 @@ def forward(L, b):
             s = s - L[:, i, j] * y[j]
         y.append(s / L[:, i, i])
     return jnp.stack(y, axis=1)
+
+
+def backward(L, b):
+    """Solve L' x = b for lower-triangular L (W, k, k), k <= 4, unrolled."""
+    import jax.numpy as jnp
+
+    k = L.shape[-1]
+    x = [jnp.zeros(b.shape[0])] * k
+    for i in reversed(range(k)):
+        rest = b[:, i]
+        for j in range(i + 1, k):
+            rest = rest - L[:, j, i] * x[j]
+        x[i] = rest / L[:, i, i]
+    return jnp.stack(x, axis=1)

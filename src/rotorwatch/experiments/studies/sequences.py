@@ -1,0 +1,198 @@
+"""Flights in which more than one thing happens: how well the state of all rotors is known, between one change and the next.
+
+Second faults, recoveries, changes of size, intermittent faults, pairs at once, both rotors of a coaxial arm; 10 to 50 % each, in winds to
+6 m/s. Every stretch between two changes that lasts SETTLE_S is one state. It is read at its end from the events of the whole flight:
+
+    right       exactly the weak rotors are named, without alternatives
+    ambiguous   the weak rotors are one of the sets named
+    missed      weak rotors are missing, and none is named that is not weak
+    wrong       a healthy rotor is named as weak, without an alternative: wrong and sure
+    other       a healthy rotor is named, among alternatives that do not hold the truth
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from rotorwatch.campaign import batch, summary
+from rotorwatch.campaign.plan import Cell, _drawn
+from rotorwatch.diagnosis import Event
+from rotorwatch.evidence import events, hypotheses, outside
+from rotorwatch.simulation import scenario
+from rotorwatch.simulation.scenario import Scenario
+from rotorwatch.ticks import JUDGE
+
+FRAMES = {"quad-x": 4, "hexa-x": 6, "octa-x": 8, "y6": 6, "octaquad-x": 8}
+ARMS = {"y6": ((1, 5), (2, 3), (4, 6)), "octaquad-x": ((1, 6), (2, 5), (3, 8), (4, 7))}
+KINDS = ("second", "second", "second", "recovery", "change", "intermittent", "equal pair", "pair", "arm")
+DURATION_S, SETTLE_S, WEAK = 75.0, 5.0, 0.03
+OUTCOMES = ("right", "ambiguous", "missed", "wrong", "other")
+
+
+class Sequences:
+    """The flights, drawn from (seed, number): what `campaign.batch` needs of a plan."""
+
+    def __init__(self, seed: int = 31):
+        self.seed = seed
+        self.cells = tuple(Cell(frame, "ardupilot", profile) for frame in FRAMES for profile in ("default", "fast"))
+
+    def kind(self, k: int) -> str:
+        """What happens in flight k."""
+        return KINDS[(k // len(self.cells)) % len(KINDS)]
+
+    def flight(self, k: int) -> Scenario:
+        """The scenario of flight k."""
+        rng = np.random.default_rng([self.seed, k])
+        cell, kind = self.cells[k % len(self.cells)], self.kind(k)
+        table = _drawn(
+            {
+                "duration_s": DURATION_S,
+                "autopilot": "ardupilot",
+                "airframe": {
+                    "frame": cell.frame,
+                    "mass_kg": {"log_uniform": [0.8, 8.0]},
+                    "arm_m": {"log_uniform": [0.15, 0.6]},
+                    "thrust_to_weight": {"uniform": [2.2, 3.2]},
+                    "lag_s": {"uniform": [0.02, 0.05]},
+                },
+                "trajectory": {
+                    "kind": {"choice": ["hover", "square", "figure-eight", "yaw"]},
+                    "speed_m_s": {"uniform": [2.0, 6.0]},
+                    "land": False,
+                },
+                "wind": {"speed_m_s": {"uniform": [0.0, 6.0]}, "from_deg": {"uniform": [0.0, 360.0]}},
+                "sensors": {"vibration": {"log_uniform": [0.2, 4.0]}},
+                "logging": {"profile": cell.profile},
+            },
+            rng,
+        )
+        faults = _faults(kind, cell.frame, rng)
+        return scenario.from_table({**table, "name": f"{kind} {k}", "seed": int(rng.integers(2**31 - 1)), "faults": faults})
+
+
+def _faults(kind: str, frame: str, rng: np.random.Generator) -> list[dict[str, Any]]:
+    rotors = [int(r) + 1 for r in rng.permutation(FRAMES[frame])[:2]]
+    first, gap = float(rng.uniform(18.0, 24.0)), float(np.exp(rng.uniform(np.log(3.0), np.log(30.0))))
+    a, b = (float(v) for v in rng.uniform(0.1, 0.5, 2))
+
+    def loss(rotor: int, onset: float, strength: float, **more) -> dict[str, Any]:
+        return {"kind": "loss", "rotor": rotor, "onset_s": onset, "strength": strength, **more}
+
+    if kind == "arm":
+        if frame not in ARMS:
+            kind = "pair"
+        else:
+            rotors = list(rng.permutation(ARMS[frame][int(rng.integers(len(ARMS[frame])))]).astype(int).tolist())
+            gap *= float(rng.random() < 0.5)
+            return [loss(rotors[0], first, a), loss(rotors[1], first + gap, b)]
+    if kind == "second":
+        return [loss(rotors[0], first, a), loss(rotors[1], first + gap, b)]
+    if kind == "recovery":
+        return [loss(rotors[0], first, a, end_s=first + max(gap, 6.0))]
+    if kind == "change":  # up: two losses of one rotor multiply; down: one of them ends
+        if rng.random() < 0.5:
+            return [loss(rotors[0], first, a), loss(rotors[0], first + max(gap, 6.0), b)]
+        return [loss(rotors[0], first, a), loss(rotors[0], first, b, end_s=first + max(gap, 6.0))]
+    if kind == "intermittent":
+        return [loss(rotors[0], first, a, period_s=float(rng.uniform(12.0, 24.0)), duty=0.5)]
+    return [loss(rotors[0], first, a), loss(rotors[1], first, a if kind == "equal pair" else b)]
+
+
+@dataclass(frozen=True)
+class State:
+    """One stretch between changes: its end `at` [s], the weak rotors (1-based), the sets named then (the first is the answer), and what
+    that is worth."""
+
+    at: float
+    truth: tuple[int, ...]
+    named: tuple[tuple[int, ...], ...]
+    outcome: str
+
+
+def named_at(found: Iterable[Event], at: float) -> tuple[tuple[int, ...], ...]:
+    """The sets of rotors that may be weak at a time, the answer first, from events: one of each event's explanations holds."""
+    here = [e for e in found if e.onset_s <= at and (e.end_s is None or e.end_s > at)]
+    sets = [((tuple(e.rotors)), *e.alternatives) for e in here]
+    merged = dict.fromkeys(tuple(sorted(set(itertools.chain(*one)))) for one in itertools.product(*sets))
+    return tuple(merged)
+
+
+def outcome(truth: Sequence[int], named: Sequence[Sequence[int]]) -> str:
+    """One of OUTCOMES."""
+    want, sets = set(truth), [set(s) for s in named]
+    if len(sets) == 1 and sets[0] == want:
+        return "right"
+    if any(s == want for s in sets):
+        return "ambiguous"
+    if all(s <= want for s in sets):
+        return "missed"
+    return "wrong" if len(sets) == 1 else "other"
+
+
+def states(f: batch.Flown, found: Sequence[Event]) -> list[State]:
+    """All states of a flight, up to its crash."""
+    time, judged = f.ticks.time, f.ticks.mode == JUDGE
+    weak = f.theta > WEAK
+    edges = [0, *(np.flatnonzero((weak[1:] != weak[:-1]).any(axis=1) | (np.abs(np.diff(f.theta, axis=0)) > 0.02).any(axis=1)) + 1), len(time)]
+    answers = []
+    for a, b in itertools.pairwise(edges):
+        here = np.flatnonzero(judged[a:b] & ~f.ticks.upset[a:b]) + a
+        if f.lost_s is not None:
+            here = here[time[here] < f.lost_s - 1.0]
+        if len(here) * f.ticks.dt < SETTLE_S:
+            continue
+        at = float(time[here[-1]]) - 0.3
+        truth = tuple(int(i) + 1 for i in np.flatnonzero(weak[here[-1]]))
+        named = named_at(found, at)
+        answers.append(State(at, truth, named, outcome(truth, named)))
+    return answers
+
+
+def run(flights: int = 300, seed: int = 31, progress: Callable | None = None) -> dict[str, Any]:
+    """Fly, judge and score: {"table": a row per kind and per frame, "states": all of them}."""
+    plan, rows = Sequences(seed), []
+    cells = len(plan.cells)
+    size = 16
+    parts = [(c, k) for c in range(cells) for k in range(c, flights, cells * size)]
+    for done, (_, start) in enumerate(parts):
+        numbers = list(range(start, min(start + cells * size, flights), cells))
+        flown = batch.fly(plan, numbers, size)
+        rows += judged(plan, flown)
+        if progress:
+            progress((done + 1) / len(parts), "flying")
+    return {"table": table(rows), "states": rows}
+
+
+def judged(plan: Sequences, flown: Sequence[batch.Flown]) -> list[dict[str, Any]]:
+    """A row for every state of these flights, all of one cell."""
+    if not flown:
+        return []
+    B = flown[0].vehicle.effectiveness()
+    hyp, rows = hypotheses.make(B.shape[1]), []
+    for f, out in zip(flown, batch._default(flown, B, 16)):
+        losses = events.read(out.kept, f.ticks, hyp, B)
+        losses = [e for e in losses if not outside.explains(f.overrides, e)]
+        for s in states(f, losses):
+            rows.append(
+                {"flight": f.number, "kind": plan.kind(f.number), "frame": f.scenario.airframe["frame"], "at": s.at,
+                 "truth": s.truth, "named": s.named, "outcome": s.outcome}
+            )  # fmt: skip
+    return rows
+
+
+def table(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Shares of outcomes, with Wilson's intervals: all states, by kind, by frame."""
+    lines = []
+    groups = [("all", "", rows)]
+    groups += [("kind", k, [r for r in rows if r["kind"] == k]) for k in dict.fromkeys(KINDS)]
+    groups += [("frame", f, [r for r in rows if r["frame"] == f]) for f in FRAMES]
+    for by, name, mine in groups:
+        if mine:
+            shares = {o: summary.share(np.array([r["outcome"] == o for r in mine])) for o in OUTCOMES}
+            lines.append({"by": by, "name": name, "states": len(mine), **shares})
+    return lines
