@@ -75,13 +75,13 @@ class Threshold:
         v = B @ estimate.theta[: hyp.n]
         away = v - carry.level
         logbf, jump = self.evidence(away, carry.scatter)
-        fault, weight = jnp.asarray(hyp.fault), jnp.log(jnp.asarray(hyp.weight))
+        fault, weight = jnp.asarray(hyp.fault & (np.array(hyp.kinds) != "recovery")), jnp.log(jnp.asarray(hyp.weight))
         log_odds = logbf + weight
         best = jnp.argmax(jnp.where(fault, log_odds, -jnp.inf)).astype(jnp.int32)
         pick = (jnp.arange(jump.shape[0]) == best).astype(float)
         size = jnp.einsum("h,hk->k", pick, jump)
         double = jnp.asarray(
-            [float(kind == "pair") for kind in hyp.kinds if kind in ("single", "pair")]
+            [float(kind == "pair") for kind in hyp.kinds if kind in ("single", "pair", "recovery")]
         )
         enough = (size[0] > self.least) & ((size[1] > self.least) | (pick @ double < 0.5))
         log_fault = jnp.max(jnp.where(fault, log_odds, -jnp.inf))
@@ -117,5 +117,5 @@ class Threshold:
         w = 1.0 / (scatter + common + TURNED**2 * (away @ away) / 4.0)
         Phi = jnp.concatenate([jnp.asarray(self.B), jnp.eye(4)], axis=1)
         C, z = Phi.T @ (w[:, None] * Phi), Phi.T @ (w * away)
-        logbf, jump = hypotheses.log_bayes_factors(self.hyp, C[None], z[None], jnp.zeros(n), jnp.ones(n), jnp.ones(4))
+        logbf, jump = hypotheses.log_bayes_factors(self.hyp, C[None], z[None], jnp.zeros(n), jnp.ones(n), jnp.ones(4), jnp.zeros((1, n)))
         return logbf[0], jump[0]

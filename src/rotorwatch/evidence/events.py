@@ -1,7 +1,6 @@
 """From the diagnoser's ticks to events: what was announced, what became of it, and how sure that is.
 
-Announcements, commitments and endings are made by the estimator, live; this file only writes them down. Nothing here
-moves a detection time.
+What happened, and which explanations are left, is the estimator's, live; this file only writes it down.
 """
 
 from __future__ import annotations
@@ -23,23 +22,22 @@ CERTAIN_OPPOSITE = 0.99  # the same for a pair of opposite rotors: only manoeuvr
 MODEL_SD, MODEL_SHARE = 0.004, 0.02
 COAXIAL_SHARE = 0.06  # ... how the thrust of a coaxial arm divides: half of what the lower rotors' share may be off by
 GONE = 0.8
-# One of two rotors that is taken back had failed only if it had lost so much, for so long: else it was an error in the other's share.
-REAL, LASTED_S = 0.1, 5.0
 HIDDEN = 20.0
 
 
-@dataclass
+@dataclass(eq=False)
 class Record:
-    """One loss under way, while the ticks are read in order."""
+    """One loss: rotors (0-based) that failed together and, as far as they did, ended together. shares: probability of each set of rotors
+    that may have failed instead; data: the same as the data alone had it when it was announced; last: tick of its last estimate."""
 
     onset: float
     announced: int
     rotors: tuple[int, ...]
-    shares: dict
+    shares: dict[tuple[int, ...], float]
+    data: dict[tuple[int, ...], float]
     last: int
     end: float | None = None
     loss: tuple[float, ...] = ()  # of opposite rotors that share a shift of thrust; the others' is in the estimates
-    seen: int | None = None  # last tick of an announcement that judging stopped before it became part of the filter
 
 
 def rotor_sets(hyp: Hypotheses, probability: np.ndarray) -> dict[tuple[int, ...], float]:
@@ -80,93 +78,84 @@ def opposite_shares(hyp: Hypotheses, log_odds: np.ndarray, partners: dict) -> di
 
 
 def read(out, ticks: Ticks, hyp: Hypotheses, B: np.ndarray | None = None) -> tuple[Event, ...]:
-    """Events of one flight from the diagnoser's stacked outputs (theta, theta_sd, announced, committed, active, ...)."""
+    """Events of one flight from the diagnoser's stacked outputs (theta, theta_sd, announced, since, active, share, ...).
+
+    At every announcement the estimator goes on with a few explanations; the one that leads when the next announcement is made, or at
+    the end, is what happened.
+    """
     partners = opposites(B) if B is not None else {}
     records: list[Record] = []
-    current: Record | None = None
-    pending_onset = opened = 0.0
-    active = np.zeros(out.theta.shape[1], bool)
-    holder: dict[int, Record] = {}
-    notable = np.flatnonzero(
-        out.announced
-        | out.committed
-        | (out.opposite >= 0)
-        | (np.diff(out.active, axis=0, prepend=False).any(axis=1))
-        | ticks.restart
-    )
-    for k in map(int, notable):
-        if ticks.restart[k]:
-            landed = max((int(j) for j in np.flatnonzero(ticks.mode[:k] == JUDGE)[-1:]), default=max(0, k - 1))
-            for record in holder.values():  # what lasted until the landing
-                record.end = record.end if record.end is not None else float(ticks.time[landed])
-            holder, current, active, opened = {}, None, np.zeros_like(active), float(ticks.time[k])
-        if out.opposite[k] >= 0:
-            onset = float(ticks.command_time[max(0, k - round(float(out.opposite_onset[k])))])
-            shares = opposite_shares(hyp, out.log_odds[k], partners)
-            share = float(np.mean(out.opposite_loss[k]))  # only their sum shows
-            records.append(Record(onset, k, hyp.rotors[out.opposite[k]], shares, k, None, (share, share)))
-        if out.announced[k]:
-            who = hyp.rotors[out.best[k]]
-            onset = float(ticks.command_time[max(0, k - round(float(out.onset[k])))])
-            shares = rotor_sets(hyp, out.probability[k])
-            pending_onset = onset
-            if all(active[i] for i in who):
-                current = None  # more, or less, of what is already known
-            else:
-                current = Record(min(onset, float(ticks.time[k])), k, who, shares, k)
-                current.seen = _unjudged_from(ticks, k) - 1
-                records.append(current)
-        if out.committed[k]:
-            now = out.active[k]
-            if current is not None:
-                current.seen = None
-                fresh = tuple(int(i) for i in np.flatnonzero(now) if not active[i])
-                current.shares = rotor_sets(hyp, out.probability[k])
-                current.rotors = fresh or current.rotors
-                for i in fresh:
-                    holder[int(i)] = current
-                resolved = [
-                    r for r in records if r.loss and opened <= r.onset and set(current.rotors) <= set().union(*r.shares)
-                ]
-                for record in resolved[-1:]:  # what opposite rotors were suspected of is now known
-                    current.onset, current.announced = record.onset, record.announced
-                    records.remove(record)
-                current = None
-            for i in np.flatnonzero(active & ~now):
-                record = holder.pop(int(i), None)
-                if record is None:
-                    continue
-                if any(r is record for r in holder.values()):
-                    gone = _left(record, int(i), k, pending_onset)
-                    before = int(np.searchsorted(ticks.time, pending_onset)) - 1
-                    if out.theta[before, i] >= REAL and pending_onset - ticks.time[record.announced] > LASTED_S:
-                        records.append(gone)
-                else:
-                    record.end = pending_onset
-                    record.last = k
-            active = now.copy()
-        for record in holder.values():
-            record.last = k
+    for first, last in _hops(ticks):
+        open_: dict[int, Record] = {}
+        suspected = _suspected(out, ticks, hyp, partners, first, last)
+        records += suspected
+        before: frozenset[int] = frozenset()
+        births = [int(k) for k in np.flatnonzero(out.announced[first : last + 1]) + first]
+        for k, stop in zip(births, [*[j - 1 for j in births[1:]], last]):
+            sets = [frozenset(map(int, np.flatnonzero(row))) for row in out.active[stop]]
+            onset = float(ticks.command_time[max(first, stop - round(float(out.since[stop])))])
+            onset = min(onset, float(ticks.time[k]))
+            now = sets[0]
+            for record in list(dict.fromkeys(open_[r] for r in sorted(before - now))):
+                gone = tuple(r for r in record.rotors if r not in now)
+                if len(gone) < len(record.rotors):  # the others are weak still
+                    records.append(_parted(record, gone))
+                    record = records[-1]
+                record.end, record.last = onset, max(record.announced, k - 1)
+                for r in gone:
+                    del open_[r]
+            new = tuple(sorted(now - before))
+            if new:
+                shares: dict[tuple[int, ...], float] = {}
+                for who, share in zip(sets, out.share[stop]):
+                    other = tuple(sorted(who - before))
+                    shares[other] = shares.get(other, 0.0) + float(share)
+                same = (out.active[k : stop + 1, 0] == out.active[stop, 0]).all(axis=1)
+                found = k + int(np.flatnonzero(~same)[-1]) + 1 if not same.all() else k
+                record = Record(onset, found, new, shares, rotor_sets(hyp, out.probability[k]), last)
+                for suspect in suspected[-1:]:  # what opposite rotors were suspected of is now known
+                    if suspect in records and suspect.announced < k and set(new) <= set().union(*suspect.shares):
+                        record.onset, record.announced = suspect.onset, suspect.announced
+                        records.remove(suspect)
+                records.append(record)
+                open_ |= dict.fromkeys(new, record)
+            before = now
+        if last < len(ticks.time) - 1 and ticks.restart[last + 1 :].any():  # what lasted until the landing
+            for record in dict.fromkeys(open_.values()):
+                record.end = float(ticks.time[last])
     judged = np.flatnonzero(ticks.mode == JUDGE)
     final = int(judged[-1]) if judged.size else len(ticks.time) - 1
-    return tuple(_event(r, out, ticks, final, partners, B) for r in records)
+    return tuple(_event(r, out, ticks, final, partners, B) for r in sorted(records, key=lambda r: r.announced))
 
 
-def _unjudged_from(ticks: Ticks, k: int) -> int:
-    """First tick after k that is not judged."""
-    after = np.flatnonzero((ticks.mode[k:] != JUDGE) | (ticks.restart[k:] & (np.arange(len(ticks.time) - k) > 0)))
-    return k + int(after[0]) if after.size else len(ticks.time)
+def _hops(ticks: Ticks) -> list[tuple[int, int]]:
+    """First and last tick of every hop: until the last one that is judged."""
+    starts = [0, *[int(k) for k in np.flatnonzero(ticks.restart) if k > 0]]
+    spans = []
+    for a, b in zip(starts, [*starts[1:], len(ticks.time)]):
+        judged = np.flatnonzero(ticks.mode[a:b] == JUDGE)
+        if judged.size:
+            spans.append((a, a + int(judged[-1])))
+    return spans
 
 
-def _left(record: Record, rotor: int, k: int, end: float) -> Record:
-    """One of a record's rotors works again at tick k, or never failed: it leaves the record for one of its own, that ended."""
-    record.rotors = tuple(r for r in record.rotors if r != rotor)
-    shares: dict[tuple[int, ...], float] = {}
-    for who, share in record.shares.items():
-        rest = tuple(r for r in who if r != rotor)
-        shares[rest] = shares.get(rest, 0.0) + share
-    record.shares = {who: share for who, share in shares.items() if who}
-    return Record(record.onset, record.announced, (rotor,), {(rotor,): 1.0}, k, end)
+def _suspected(out, ticks: Ticks, hyp: Hypotheses, partners: dict, first: int, last: int) -> list[Record]:
+    """Sudden shifts of thrust that may be two opposite rotors."""
+    found = []
+    for k in map(int, np.flatnonzero(out.opposite[first : last + 1] >= 0) + first):
+        onset = float(ticks.command_time[max(first, k - round(float(out.opposite_onset[k])))])
+        shares = opposite_shares(hyp, out.log_odds[k], partners)
+        share = float(np.mean(out.opposite_loss[k]))  # only their sum shows
+        found.append(Record(onset, k, hyp.rotors[out.opposite[k]], shares, shares, k, None, (share, share)))
+    return found
+
+
+def _parted(record: Record, gone: tuple[int, ...]) -> Record:
+    """A record of its own for those of its rotors that work again."""
+    record.rotors = tuple(r for r in record.rotors if r not in gone)
+    record.shares = {record.rotors: 1.0}
+    record.data = {}
+    return Record(record.onset, record.announced, gone, {gone: 1.0}, {}, record.last)
 
 
 def sd_of(theta: np.ndarray, sd: np.ndarray, B: np.ndarray | None = None) -> np.ndarray:
@@ -177,13 +166,7 @@ def sd_of(theta: np.ndarray, sd: np.ndarray, B: np.ndarray | None = None) -> np.
 
 
 def _event(record: Record, out, ticks: Ticks, final: int, partners: dict, B) -> Event:
-    if record.seen is not None:
-        k = record.seen
-    elif record.end is None:
-        k = final
-    else:  # the last estimate before the change that ended it
-        k = int(np.searchsorted(ticks.time, record.end)) - 1
-    k = max(k, record.announced)
+    k = record.last if record.end is not None else min(record.last, final)
     rotors = record.rotors
     loss = np.array(record.loss) if record.loss else out.theta[k, list(rotors)]
     # Of a shared shift each rotor may hold anything from nothing to all.
@@ -191,8 +174,8 @@ def _event(record: Record, out, ticks: Ticks, final: int, partners: dict, B) -> 
     shares = record.shares
     own = shares.get(tuple(sorted(rotors)), max(shares.values(), default=0.0))
     paired = len(rotors) == 2 and rotors[1] in partners.get(rotors[0], ()) and len(partners) > 4
-    others = [s for s, p in shares.items() if (p >= CREDIBLE or record.loss) and set(s) != set(rotors)]
-    hidden = hidden_pairs(shares, partners)
+    others = [s for s, p in shares.items() if s and (p >= CREDIBLE or record.loss) and set(s) != set(rotors)]
+    hidden = hidden_pairs(record.data, partners) if not record.loss else ()
     unsure = own < (CERTAIN_OPPOSITE if paired else CERTAIN) or bool(hidden) or bool(record.loss)
     if paired and unsure:  # all that only a manoeuvre could tell apart
         torque_free = {tuple(sorted((i, j))) for i, js in partners.items() for j in js}
@@ -200,7 +183,6 @@ def _event(record: Record, out, ticks: Ticks, final: int, partners: dict, B) -> 
     alternatives = (
         tuple(tuple(i + 1 for i in s) for s in (*hidden, *(o for o in others if o not in hidden))) if unsure else ()
     )
-    delay = float(ticks.time[record.announced])
     names = " and ".join(str(i + 1) for i in rotors)
     if alternatives:
         reason = (
@@ -219,7 +201,7 @@ def _event(record: Record, out, ticks: Ticks, final: int, partners: dict, B) -> 
         kind="loss_of_effectiveness",
         rotors=tuple(int(i) + 1 for i in rotors),
         onset_s=record.onset,
-        detected_s=delay,
+        detected_s=float(ticks.time[record.announced]),
         end_s=record.end,
         loss=tuple(float(v) for v in loss),
         interval=tuple((max(0.0, float(v - 1.96 * s)), min(1.0, float(v + 1.96 * s))) for v, s in zip(loss, sd)),

@@ -21,7 +21,8 @@ SLOP = (0.1, 0.1, 0.4, 0.3)
 # A calm flight does not show what a manoeuvre or a gust can do: this share of disturbances is so many times their usual size.
 FAR_SHARE, FAR = 0.2, 4.0
 # Prior weights: how often each kind of jump happens, relative to one particular rotor failing. Disturbances are common.
-WEIGHT = {"single": 1.0, "pair": 1e-4, "disturbance": 3.0}
+WEIGHT = {"single": 1.0, "pair": 1e-4, "recovery": 1.0, "disturbance": 3.0}
+RECOVERY_SD = 0.02  # of what is left of a loss that is gone
 # Disturbances: which of roll, pitch, yaw, thrust they touch.
 DISTURBANCES = ((0,), (1,), (2,), (3,), (0, 3), (1, 3), (2, 3), (0, 1, 2), (0, 1, 2, 3))
 
@@ -58,6 +59,8 @@ def make(n: int) -> Hypotheses:
     pairs = list(combinations(range(n), 2))
     for i, j in pairs:
         add("pair", f"rotors {i + 1}+{j + 1}", (i, j))
+    for i in range(n):
+        add("recovery", f"rotor {i + 1} is well again", (i,))
     axes = ("roll", "pitch", "yaw", "common mode")
     for block in DISTURBANCES:
         what = {3: "torque bias", 4: "any disturbance"}.get(len(block)) or " and ".join(axes[a] for a in block)
@@ -70,7 +73,7 @@ def make(n: int) -> Hypotheses:
         tuple(kinds),
         tuple(rotors),
         weight,
-        np.isin(kinds_, ["single", "pair"]),
+        np.isin(kinds_, ["single", "pair", "recovery"]),
         np.arange(n),
         np.array(pairs),
         tuple(tuple(n + a for a in block) for block in DISTURBANCES),
@@ -103,9 +106,9 @@ def _clip_pair(c11, c12, c22, z1, z2, lo1, hi1, lo2, hi2):
     return best_a, best_b, best
 
 
-def log_bayes_factors(hyp: Hypotheses, C, z, lo, hi, width):
+def log_bayes_factors(hyp: Hypotheses, C, z, lo, hi, width, gone):
     """C (W, q, q), z (W, q) for W jump times; lo, hi (n,) bounds of rotor jumps; width (4,): how large disturbances of this
-    aircraft are. -> log BF (W, n_h), nu (W, n_fault, 2)."""
+    aircraft are; gone (W, n): the jump that would end each rotor's loss. -> log BF (W, n_h), nu (W, n_fault, 2)."""
     import jax.numpy as jnp
 
     n, w2 = hyp.n, LOSS_WIDTH**2
@@ -122,8 +125,12 @@ def log_bayes_factors(hyp: Hypotheses, C, z, lo, hi, width):
     pa, pb, pair = _clip_pair(C[:, a, a], C[:, a, b], C[:, b, b], z[:, a], z[:, b], lo[a], hi[a], lo[b], hi[b])
     det = jnp.maximum(C[:, a, a] * C[:, b, b] - C[:, a, b] ** 2, 1e-9)
     pair = pair - 0.5 * jnp.log(det * w2**2)
-    fault = jnp.concatenate([single, pair], axis=1) + gain[:, None]
-    nu = jnp.concatenate([jnp.stack([nu1, jnp.zeros_like(nu1)], -1), jnp.stack([pa, pb], -1)], axis=1)
+    left = c + 1.0 / RECOVERY_SD**2
+    more = (z - c * gone) / left
+    over = z * gone - 0.5 * c * gone**2 + 0.5 * left * more**2 - 0.5 * jnp.log(left * RECOVERY_SD**2)
+    fault = jnp.concatenate([single, pair, over], axis=1) + gain[:, None]
+    nu = [jnp.stack([nu1, jnp.zeros_like(nu1)], -1), jnp.stack([pa, pb], -1), jnp.stack([gone + more, jnp.zeros_like(nu1)], -1)]
+    nu = jnp.concatenate(nu, axis=1)
     return jnp.concatenate([fault, disturbances(hyp, C_free, z_free, width)], axis=1), nu
 
 

@@ -57,10 +57,10 @@ def follow(state: Missing, missing, load, share, valid, restart, dt: float) -> M
     )
 
 
-def plausible(first, jump, sd, smooth, rise, now: Missing, before: Missing, thrust_valid, active, theta, rough):
+def plausible(jump, sd, smooth, rise, now: Missing, before: Missing, thrust_valid, active, theta, rough):
     """bool: may the jump (2, n; two rotors at most, 0 elsewhere) be a loss?
 
-    first: size of the first rotor's jump; sd (n,): of each rotor's. smooth (n,): thrust of each rotor; rise (n,): what is asked above
+    sd (n,): of each rotor's size. smooth (n,): thrust of each rotor; rise (n,): what is asked above
     trim. active (n,): rotors already known to be weak, by theta (n,). rough (4,): variance of this flight's disturbances.
     """
     import jax.numpy as jnp
@@ -70,7 +70,7 @@ def plausible(first, jump, sd, smooth, rise, now: Missing, before: Missing, thru
     n, rough = smooth.shape[0], jnp.where((jump != 0.0).any(axis=1).all(), 0.0, rough)
     swing = jnp.sqrt(rough[:3].sum()) / n
     asked = jnp.minimum(jump, ASKED_MOST) * smooth
-    ok = (jnp.abs(first) > SMALLEST) & jnp.where(
+    ok = (jnp.abs(jump).max() > SMALLEST) & jnp.where(
         jump > 0, rise > ASKED_SHARE * asked - jnp.maximum(ASKED_SLACK, swing), True
     ).all()
     # ... and what the rotors no longer give must be missing from the thrust.

@@ -21,7 +21,8 @@ from rotorwatch.compiling.run import run, run_built
 from rotorwatch.default_estimator import Kept
 from rotorwatch.errors import ConfigError
 from rotorwatch.evidence import decide, hypotheses
-from rotorwatch.evidence.events import MODEL_SD
+from rotorwatch.evidence.branches import PLACES
+from rotorwatch.evidence.events import MODEL_SD, rotor_sets
 from rotorwatch.motion.ticks import Ticks
 from rotorwatch.published import log_plant
 from rotorwatch.published.log_plant import LogPlant
@@ -192,9 +193,10 @@ def nothing(T: int, hyp: hypotheses.Hypotheses) -> Kept:
     """T ticks on which nothing was seen; what only the default method looks at stays so."""
     n, n_h = hyp.n, len(hyp.names)
     numbers = {
-        "theta": (n,), "theta_sd": (n,), "innovation": (4,), "biases": (4,), "onset": (), "opposite_onset": (), "opposite_loss": (2,),
+        "theta": (n,), "theta_sd": (n,), "innovation": (4,), "biases": (4,), "onset": (), "since": (), "share": (PLACES,),
+        "opposite_onset": (), "opposite_loss": (2,),
     }  # fmt: skip
-    flags = {"announced": (), "committed": (), "active": (n,)}
+    flags = {"announced": (), "active": (PLACES, n)}
     filled = {k: np.zeros((T, *size)) for k, size in numbers.items()} | {
         "innovation_var": np.ones((T, 4)), "log_odds": np.full((T, n_h), -50.0), "statistic": np.full(T, -50.0),
         "best": np.zeros(T, int), "probability": np.full((T, n_h), 1.0 / n_h), "detectable": np.ones((T, n)),
@@ -234,7 +236,8 @@ def write_down(out: Kept, seen: Seen, hop: LogPlant, hyp: hypotheses.Hypotheses,
         onset,
     )
     out.probability[rows] = probability / probability.sum(axis=1, keepdims=True)
-    out.announced[rows], out.committed[rows], out.active[rows] = announced, announced, active
+    out.announced[rows] = announced
+    out.since[rows], out.active[rows], out.share[rows] = _explanations(announced, active, onset, out.probability[rows], hyp)
     out.detectable[rows] = np.maximum(decide.SIGMAS / np.sqrt(own), decide.LEAST) / 1.96
     out.biases[rows] = seen.level
 
@@ -271,6 +274,25 @@ def _follow(seen: Seen, hyp: hypotheses.Hypotheses, dt: float):
             mine = np.array([h for h, s in enumerate(hyp.rotors) if hyp.fault[h] and frozenset(s) == current], int)
         active[k, sorted(current)] = True
     return announced, active, best, onset
+
+
+def _explanations(announced, active, onset, probability, hyp: hypotheses.Hypotheses):
+    """Ticks since the onset (T,), rotors (T, K, n) and probabilities (T, K) of what was announced last and of its alternatives."""
+    T = len(announced)
+    since, sets, share = np.zeros(T), np.zeros((T, PLACES, hyp.n), bool), np.zeros((T, PLACES))
+    sets[:, 0], share[:, 0] = active, 1.0
+    births = np.flatnonzero(announced)
+    for k, stop in zip(births, [*births[1:], T]):
+        since[k:stop] = onset[k] + np.arange(stop - k)
+        named = tuple(int(i) for i in np.flatnonzero(active[k]))
+        if named:
+            found = rotor_sets(hyp, probability[k])
+            share[k:stop, 0] = found.get(named, 0.0)
+            others = [item for item in found.items() if item[0] != named]
+            for place, (who, p) in enumerate(others[: PLACES - 1], start=1):
+                sets[k:stop, place, list(who)] = True
+                share[k:stop, place] = p
+    return since, sets, share
 
 
 def _trailing_mean(values: np.ndarray, width: int, restart: np.ndarray) -> np.ndarray:

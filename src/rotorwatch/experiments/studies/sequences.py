@@ -25,7 +25,7 @@ from rotorwatch.diagnosis import Event
 from rotorwatch.evidence import events, hypotheses, outside
 from rotorwatch.simulation import scenario
 from rotorwatch.simulation.scenario import Scenario
-from rotorwatch.ticks import JUDGE
+from rotorwatch.motion.ticks import JUDGE
 
 FRAMES = {"quad-x": 4, "hexa-x": 6, "octa-x": 8, "y6": 6, "octaquad-x": 8}
 ARMS = {"y6": ((1, 5), (2, 3), (4, 6)), "octaquad-x": ((1, 6), (2, 5), (3, 8), (4, 7))}
