@@ -150,13 +150,13 @@ def disturbances(hyp: Hypotheses, C, z, width):
 
 
 def slop(C, z, width):
-    """(W, 4) variance by which each axis may differ from what rotors' losses do to it: SLOP of the wrench that is missing, as far as
-    that is known."""
+    """(W, 4) variance by which each axis may differ from what rotors' losses do to it: SLOP of the largest part of the wrench that is
+    missing, as far as that is known."""
     import jax.numpy as jnp
 
     n = z.shape[1] - 4
     L = cholesky(C[:, n:, n:] + jnp.diag(1.0 / width**2))
-    missing = backward(L, forward(L, z[:, n:]))
+    missing = jnp.abs(backward(L, forward(L, z[:, n:]))).max(axis=1, keepdims=True)
     return (jnp.asarray(SLOP) * missing) ** 2 + 1e-12
 
 
