@@ -52,7 +52,8 @@ OVER = 0.02
 def threshold(hyp: hypotheses.Hypotheses, dt: float, period_s: float = GATES * FALSE_ALARM_PERIOD_S) -> float:
     """Log of the Shiryaev-Roberts threshold: the mean time to a false alarm, in ticks, is at least its value over the sum
     of the fault hypotheses' prior weights (about the number of rotors), as far as the noise is what the model says."""
-    return float(np.log(period_s / dt * hyp.weight[hyp.fault].sum()))
+    new = hyp.fault & (np.array(hyp.kinds) != "recovery")
+    return float(np.log(period_s / dt * hyp.weight[new].sum()))
 
 
 class Standing(NamedTuple):
@@ -176,6 +177,7 @@ class JumpBank:
         self.steps[~hyp.fault] = [[float(a in block) for a in range(4)] for block in hypotheses.DISTURBANCES]
         self.well = np.array([kind == "recovery" for kind in hyp.kinds])
         self.membership = self.pick.sum(axis=1)
+        self.alone = self.membership.sum(axis=1) == 1
         self.bias_rows = np.array([a * PER_AXIS + b for a in range(4) for b in (B1, B2, B3)])
 
     def init(self) -> Carry:
@@ -231,16 +233,24 @@ class JumpBank:
         s, P, active = all_.s[0], all_.P[0], all_.active[0]
         told = jumps.without_last(bank, jnp.maximum(P[self.yaw_gain, self.yaw_gain], 1e-12))
         found = self._evidence(s, told, carry.noise.variances, active)
-        first = jnp.argmax(found.probability)
+        rough = noise.spread(carry.noise.variances)
+
+        def plausible(jump):
+            return plausibility.plausible(
+                jump.each, jump.sd, seen.u[:n], seen.rise, missing, carry.missing, valid[3], active, s[n_x:], rough
+            )
+
+        # What cannot be is no competitor: where two rotors cannot have failed, one may.
+        first, lonely = jnp.argmax(found.probability), jnp.argmax(jnp.where(self.alone, found.probability, 0.0))
+        two = self._jump(found, told, first)
+        first = jnp.where(plausible(two), first, lonely)
         best = self._jump(found, told, first)
+        possible = plausible(best)
         # One rotor's direction may be met by chance, by a disturbance such as this flight has not seen yet.
         lone = (best.each != 0.0).any(axis=1).sum() < 2
         other = jnp.where(lone, jnp.logaddexp(found.other, found.far), found.other)
-        statistic = jnp.minimum(found.fault - self.log_threshold, found.fault - other - jnp.log(COMPETITOR_ODDS))
-        rough = noise.spread(carry.noise.variances)
-        possible = plausibility.plausible(
-            best.each, best.sd, seen.u[:n], seen.rise, missing, carry.missing, valid[3], active, s[n_x:], rough
-        )
+        fault = found.log_odds[first]
+        statistic = jnp.minimum(fault - self.log_threshold, fault - other - jnp.log(COMPETITOR_ODDS))
         # The most probable onset at the edge of the bank speaks of a drift that began before it, not of a jump.
         onset = best.slot @ jnp.where(found.live, bank.age + 1.0, 0.0)
         possible &= onset < EDGE * self.jumps.reach

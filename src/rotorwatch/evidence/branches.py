@@ -5,7 +5,7 @@ branch: a set of weak rotors with its own filter state s = [x; theta], covarianc
 measurements; a branch's weight grows by the log-likelihood of its innovations nu with variances S (a bank of Kalman filters; D. T.
 Magill, IEEE Trans. Automatic Control 10 (1965) 434-439),
 
-    log w_b += g sum_a c_a [ -log S_a / 2 - nu_a^2 / (2 S_a) ],       g = exp(-age / RESOLVE_S)
+    log w_b += g sum_a c_a [ -log S_a / 2 - nu_a^2 / (2 S_a) ],       g = TEMPER exp(-age / RESOLVE_S)
 
 c_a: weight of evidence in weather that the noise model does not know (caution.py). g: evidence of the age of an explanation tells less and
 less; what decides is how a change looked, and after it the errors of the model. The branch in place 0 leads: it has the jump bank.
@@ -20,7 +20,7 @@ import numpy as np
 from rotorwatch.core import Array
 
 PLACES = 4
-RESOLVE_S = 3.0
+RESOLVE_S, TEMPER = 3.0, 0.3
 OUT = -7.0  # log weight relative to the leader's at which a branch is dropped
 AHEAD = 1.0  # nats by which another must be better before it leads
 NEVER = -1e3
@@ -65,7 +65,7 @@ def weigh(branches: Branches, innovation, variance, valid, calm, counts, dt: flo
 
     fit = -0.5 * jnp.log(variance) - 0.5 * innovation**2 / variance
     told = jnp.where(valid, calm, 0.0)
-    share = jnp.where(counts, jnp.exp(-branches.age / RESOLVE_S), 0.0)
+    share = jnp.where(counts, TEMPER * jnp.exp(-branches.age / RESOLVE_S), 0.0)
     weight = branches.weight + share * (fit @ told)
     weight = weight - weight[0]
     weight = jnp.where((branches.weight > 0.5 * NEVER) & (weight > OUT), weight, NEVER)
