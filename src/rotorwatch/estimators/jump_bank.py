@@ -36,7 +36,7 @@ DISTURBANCE_SCALE, DISTURBANCE_RANGE = 3.0, (0.03, 1.0)
 OUTLIER = 6.0  # standard deviations that an innovation counts at most
 TRUST = 3000.0  # nats
 DEAD = 0.8
-ABSORB_S, ABSORB_NATS, BASE_NATS = 1.0, 10.0, 6.0
+ABSORB_S, CERTAIN_NATS, UNDECIDED = 1.0, 16.0, 3.0
 FREEZE_S = 4.0
 SETTLE_S = 1.5  # after a jump, before noise is learned again
 SUSPICIOUS_PERIOD_S = 60.0  # noise is not learned while there is more evidence than chance would bring in a minute
@@ -258,8 +258,13 @@ class JumpBank:
         alarm = above >= max(2, round(PERSIST_S / dt))
 
         detectable = self._detectable(told, found.live)
-        all_ = self._born(all_, told, bank, found, alarm)
-        all_, sure_s, absorbed = self._absorbed(all_, told, found, stand, judge & ~alarm)
+        # What certainly happened is explained, whatever it was; where nothing is known to be wrong, only what is no fault.
+        certain = jnp.maximum(found.other, found.fault) > CERTAIN_NATS
+        certain &= (found.other > found.fault + UNDECIDED) | active.any()
+        sure_s = jnp.where(judge & ~alarm & certain, stand.sure_s + dt, 0.0)
+        absorbed = sure_s >= ABSORB_S
+        sure_s = jnp.where(absorbed, 0.0, sure_s)
+        all_ = self._born(all_, told, bank, found, first, alarm, absorbed)
         steady = (jnp.abs(seen.u[n + 6]) < TURNING) & (missing.heave < HEAVING)
         opposite, opposite_s = self._opposite(found, told, stand, active, judge & ~alarm & steady)
         bank = jumps.forget(bank, alarm | absorbed)
@@ -438,7 +443,7 @@ class JumpBank:
         each = jnp.einsum("w,h,whk->k", slot, it[:n_fault], found.nu)[:, None] * rotors
         slop = hypotheses.slop(C[None], z[None], found.width)[0]
         free = jnp.where(steps.sum() > 0.5, steps * (hypotheses.FAR * found.width) ** 2, slop) + 1e-12
-        width = jnp.where(well > 0.5, hypotheses.RECOVERY_SD, hypotheses.LOSS_WIDTH)
+        width = jnp.where(well > 0.5, hypotheses.recovery_sd(slot @ found.gone @ rotors[0]), hypotheses.LOSS_WIDTH)
         D = jnp.concatenate([jnp.concatenate([rotors, jnp.zeros((2, 4))], axis=1), jnp.eye(q)[n:]])
         own = jnp.concatenate([1.0 / width[None] ** 2, 1.0 / width[None] ** 2, 1.0 / free])
         half = _half_inverse(D @ C @ D.T + jnp.diag(own))
@@ -448,27 +453,33 @@ class JumpBank:
         size = size + jnp.concatenate([jnp.zeros(n), half.T @ (half @ (z - C @ size)[n:])])
         return Jump(slot, size, cov, each, jnp.sqrt(jnp.maximum(jnp.diagonal(cov)[:n], 0.0)))
 
-    def _born(self, all_: branches.Branches, told, bank, found: Evidence, alarm) -> branches.Branches:
-        """What may have happened becomes branches of the one that leads: the likeliest faults, and the likeliest disturbance."""
+    def _born(self, all_: branches.Branches, told, bank, found: Evidence, first, alarm, absorbed) -> branches.Branches:
+        """What may have happened becomes branches of the one that leads: the likeliest disturbance and the likeliest faults. Hypothesis
+        `first` leads where it is announced, else the disturbance."""
         import jax
         import jax.numpy as jnp
 
-        fault = jnp.asarray(self.hyp.fault)
+        fault, other = jnp.asarray(self.hyp.fault), jnp.logaddexp(found.other, found.far)
 
         def born(all_):
-            odds, left, made = found.log_odds, jnp.where(fault, found.log_odds, -jnp.inf), []
-            for k in range(branches.PLACES):
-                last = k == branches.PLACES - 1
-                h = jnp.argmax(jnp.where(fault, -jnp.inf, odds) if last else left)
-                weight = jnp.logaddexp(found.other, found.far) if last else left[h]
+            left, chosen = jnp.where(fault, found.log_odds, -jnp.inf), []
+            none = jnp.argmax(jnp.where(fault, -jnp.inf, found.log_odds))
+            h = first
+            for _ in range(branches.PLACES - 1):
+                chosen.append((h, found.log_odds[h]))
                 left = jnp.where(jnp.arange(left.size) == h, -jnp.inf, left)
-                made.append((self._child(all_, told, bank, found, h), weight))
-            weight = jnp.stack([w for _, w in made])
-            weight = weight - weight[0]
-            child = jax.tree.map(lambda *rows: jnp.stack(rows), *[c for c, _ in made])
+                h = jnp.argmax(left)
+            chosen.append((none, other))
+            weight = jnp.stack([w for _, w in chosen])
+            which = jnp.stack([h for h, _ in chosen])
+            # The first place leads; nobody else may be ahead from the start.
+            turn = jnp.where(alarm, jnp.arange(branches.PLACES), branches.PLACES - 1 - jnp.arange(branches.PLACES))
+            weight, which = weight[turn], which[turn]
+            weight = jnp.minimum(weight - weight[0], branches.AHEAD)
+            child = jax.vmap(lambda h: self._child(all_, told, bank, found, h))(which)
             return child._replace(weight=jnp.where(weight > branches.OUT, weight, branches.NEVER), age=0.0 * all_.age)
 
-        return jax.lax.cond(alarm, born, lambda same: same, all_)
+        return jax.lax.cond(alarm | absorbed, born, lambda same: same, all_)
 
     def _child(self, all_: branches.Branches, told, bank, found: Evidence, h) -> branches.Branches:
         """The leader with the jump of hypothesis h: exactly what an augmented filter with this jump would hold."""
@@ -498,7 +509,7 @@ class JumpBank:
             jnp.where(off, 0.0, all_.theta_var[0]),
             jnp.where(hit, s[n_x:], all_.theta_mean[0]),
             jump.slot @ jnp.where(found.live, bank.age + 1.0, 0.0),
-            all_.age,
+            jnp.zeros(()),
         )
 
     def _detectable(self, bank, live):
@@ -507,21 +518,6 @@ class JumpBank:
 
         own = jnp.where(live[:, None], jnp.diagonal(bank.C, axis1=1, axis2=2)[:, : self.n], 0.0).max(0)
         return 1.0 / jnp.sqrt(own + 1.0 / hypotheses.LOSS_WIDTH**2)
-
-    def _absorbed(self, all_: branches.Branches, bank, found: Evidence, stand: Standing, free):
-        """A disturbance that has long been certain becomes part of the biases; the bank starts afresh."""
-        import jax.numpy as jnp
-
-        certain = free & (found.other > found.fault + 3.0) & (found.other > ABSORB_NATS + BASE_NATS)
-        sure_s = jnp.where(certain, stand.sure_s + self.dt, 0.0)
-        now = sure_s >= ABSORB_S
-        which = jnp.argmax(jnp.where(jnp.asarray(self.hyp.fault), -jnp.inf, found.log_odds))
-        jump = self._jump(found, bank, which)
-        M, _, _ = jumps.pick(bank, jump.slot)
-        leads = (jnp.arange(branches.PLACES) == 0) & now
-        s = jnp.where(leads[:, None], all_.s + M @ jump.size, all_.s)
-        P = jnp.where(leads[:, None, None], all_.P + M @ jump.cov @ M.T, all_.P)
-        return all_._replace(s=s, P=P), jnp.where(now, 0.0, sure_s), now
 
     def _opposite(self, found: Evidence, bank, stand: Standing, active, free) -> tuple[Opposite, Array]:
         """Could a disturbance be two opposite rotors? Their torques cancel in roll and pitch, so that the shift left in thrust

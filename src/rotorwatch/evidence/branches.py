@@ -22,7 +22,7 @@ from rotorwatch.core import Array
 PLACES = 4
 RESOLVE_S, TEMPER = 3.0, 0.3
 OUT = -7.0  # log weight relative to the leader's at which a branch is dropped
-AHEAD = 1.0  # nats by which another must be better before it leads
+AHEAD = 2.3  # nats by which another must be better before it leads: ten times likelier
 NEVER = -1e3
 
 

@@ -109,7 +109,9 @@ def read(out, ticks: Ticks, hyp: Hypotheses, B: np.ndarray | None = None) -> tup
                 shares: dict[tuple[int, ...], float] = {}
                 for who, share in zip(sets, out.share[stop]):
                     other = tuple(sorted(who - before))
-                    shares[other] = shares.get(other, 0.0) + float(share)
+                    if other:  # that nothing broke is weighed before anything is announced
+                        shares[other] = shares.get(other, 0.0) + float(share)
+                shares = {who: share / sum(shares.values()) for who, share in shares.items()}
                 same = (out.active[k : stop + 1, 0] == out.active[stop, 0]).all(axis=1)
                 found = k + int(np.flatnonzero(~same)[-1]) + 1 if not same.all() else k
                 record = Record(onset, found, new, shares, rotor_sets(hyp, out.probability[k]), last)

@@ -22,7 +22,7 @@ SLOP = (0.1, 0.1, 0.4, 0.3)
 FAR_SHARE, FAR = 0.2, 4.0
 # Prior weights: how often each kind of jump happens, relative to one particular rotor failing. Disturbances are common.
 WEIGHT = {"single": 1.0, "pair": 1e-4, "recovery": 1.0, "disturbance": 3.0}
-RECOVERY_SD = 0.02  # of what is left of a loss that is gone
+RECOVERY_SD = (0.02, 0.3)  # by how much a loss that ends may differ from what it was thought to be, and by what share of it
 # Disturbances: which of roll, pitch, yaw, thrust they touch.
 DISTURBANCES = ((0,), (1,), (2,), (3,), (0, 3), (1, 3), (2, 3), (0, 1, 2), (0, 1, 2, 3))
 
@@ -125,13 +125,21 @@ def log_bayes_factors(hyp: Hypotheses, C, z, lo, hi, width, gone):
     pa, pb, pair = _clip_pair(C[:, a, a], C[:, a, b], C[:, b, b], z[:, a], z[:, b], lo[a], hi[a], lo[b], hi[b])
     det = jnp.maximum(C[:, a, a] * C[:, b, b] - C[:, a, b] ** 2, 1e-9)
     pair = pair - 0.5 * jnp.log(det * w2**2)
-    left = c + 1.0 / RECOVERY_SD**2
+    variance = recovery_sd(gone) ** 2
+    left = c + 1.0 / variance
     more = (z - c * gone) / left
-    over = z * gone - 0.5 * c * gone**2 + 0.5 * left * more**2 - 0.5 * jnp.log(left * RECOVERY_SD**2)
+    over = z * gone - 0.5 * c * gone**2 + 0.5 * left * more**2 - 0.5 * jnp.log(left * variance)
     fault = jnp.concatenate([single, pair, over], axis=1) + gain[:, None]
     nu = [jnp.stack([nu1, jnp.zeros_like(nu1)], -1), jnp.stack([pa, pb], -1), jnp.stack([gone + more, jnp.zeros_like(nu1)], -1)]
     nu = jnp.concatenate(nu, axis=1)
     return jnp.concatenate([fault, disturbances(hyp, C_free, z_free, width)], axis=1), nu
+
+
+def recovery_sd(gone):
+    """Standard deviation of the jump `gone` that ends a loss."""
+    import jax.numpy as jnp
+
+    return jnp.hypot(RECOVERY_SD[0], RECOVERY_SD[1] * gone)
 
 
 def disturbances(hyp: Hypotheses, C, z, width):

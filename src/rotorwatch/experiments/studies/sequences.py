@@ -31,6 +31,7 @@ FRAMES = {"quad-x": 4, "hexa-x": 6, "octa-x": 8, "y6": 6, "octaquad-x": 8}
 ARMS = {"y6": ((1, 5), (2, 3), (4, 6)), "octaquad-x": ((1, 6), (2, 5), (3, 8), (4, 7))}
 KINDS = ("second", "second", "second", "recovery", "change", "intermittent", "equal pair", "pair", "arm")
 DURATION_S, SETTLE_S, WEAK = 75.0, 5.0, 0.03
+MARGIN_S = 1.0  # an onset may be off by so much
 OUTCOMES = ("right", "ambiguous", "missed", "wrong", "other")
 
 
@@ -146,7 +147,7 @@ def states(f: batch.Flown, found: Sequence[Event]) -> list[State]:
             here = here[time[here] < f.lost_s - 1.0]
         if len(here) * f.ticks.dt < SETTLE_S:
             continue
-        at = float(time[here[-1]]) - 0.3
+        at = float(time[here[-1]]) - MARGIN_S
         truth = tuple(int(i) + 1 for i in np.flatnonzero(weak[here[-1]]))
         named = named_at(found, at)
         answers.append(State(at, truth, named, outcome(truth, named)))
