@@ -31,7 +31,7 @@ LEARN_LOSS_S = 6.0  # a new loss is refined this long; after that only a new jum
 # unless it grows: has left its mean over MOVING_S by MOVING, and by its own uncertainty.
 MOVING, MOVING_S = 0.01, 2.0
 THETA_WALK = 0.02**2  # 1/s, while it is refined
-KNOWN_BONUS = 2.0  # nats: a rotor that has failed is likely to change again
+KNOWN_BONUS, SECOND_NATS = 2.0, 3.0  # nats: a rotor that has failed is likely to change again, another one less so
 DISTURBANCE_SCALE, DISTURBANCE_RANGE = 3.0, (0.03, 1.0)
 OUTLIER = 6.0  # standard deviations that an innovation counts at most
 TRUST = 3000.0  # nats
@@ -405,7 +405,8 @@ class JumpBank:
         barred = (dead.any() & (members @ (~dead).astype(float) > 0.5)) | (jnp.asarray(self.well) & ~mine)
         fault = jnp.asarray(hyp.fault)
         per_slot = jnp.where(barred[None, :] & fault[None, :], -60.0, per_slot)
-        per_slot = per_slot + jnp.where(fault & mine, KNOWN_BONUS, 0.0)[None, :]
+        prior = jnp.where(mine, KNOWN_BONUS, jnp.where(active.any(), -SECOND_NATS, 0.0))
+        per_slot = per_slot + jnp.where(fault, prior, 0.0)[None, :]
         top = per_slot.max(0)
         evidence = top + jnp.log(jnp.exp(per_slot - top[None]).sum(0))
         f_top = jnp.max(jnp.where(fault, evidence, -jnp.inf))
@@ -476,6 +477,8 @@ class JumpBank:
             turn = jnp.where(alarm, jnp.arange(branches.PLACES), branches.PLACES - 1 - jnp.arange(branches.PLACES))
             weight, which = weight[turn], which[turn]
             weight = jnp.minimum(weight - weight[0], branches.AHEAD)
+            # The odds against disturbances are what an announcement is made by; they are not asked again.
+            weight = jnp.where(alarm & (which == none), branches.NEVER, weight)
             child = jax.vmap(lambda h: self._child(all_, told, bank, found, h))(which)
             return child._replace(weight=jnp.where(weight > branches.OUT, weight, branches.NEVER), age=0.0 * all_.age)
 
