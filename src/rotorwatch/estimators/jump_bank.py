@@ -429,8 +429,7 @@ class JumpBank:
         )
 
     def _jump(self, found: Evidence, bank, h) -> Jump:
-        """Hypothesis h at its most probable onset: sizes of its rotors, and steps of the axes: by which what a loss does may differ from
-        geometry, or those of a disturbance."""
+        """Hypothesis h at its most probable onset: sizes of its rotors, or of the steps of a disturbance."""
         import jax.numpy as jnp
 
         n, q = self.n, self.n + 4
@@ -448,10 +447,11 @@ class JumpBank:
         D = jnp.concatenate([jnp.concatenate([rotors, jnp.zeros((2, 4))], axis=1), jnp.eye(q)[n:]])
         own = jnp.concatenate([1.0 / width[None] ** 2, 1.0 / width[None] ** 2, 1.0 / free])
         half = _half_inverse(D @ C @ D.T + jnp.diag(own))
-        cov = D.T @ (half.T @ half) @ D
-        size = jnp.concatenate([each.sum(axis=0), jnp.zeros(4)])
+        # What geometry is wrong by counts in how well a loss is known; it does not become a disturbance.
+        kept = jnp.concatenate([jnp.ones(n), steps])
+        cov = D.T @ (half.T @ half) @ D * kept[:, None] * kept[None, :]
         half = _half_inverse(C[n:, n:] + jnp.diag(1.0 / free))
-        size = size + jnp.concatenate([jnp.zeros(n), half.T @ (half @ (z - C @ size)[n:])])
+        size = jnp.concatenate([each.sum(axis=0), steps * (half.T @ (half @ z[n:]))])
         return Jump(slot, size, cov, each, jnp.sqrt(jnp.maximum(jnp.diagonal(cov)[:n], 0.0)))
 
     def _born(self, all_: branches.Branches, told, bank, found: Evidence, first, alarm, absorbed) -> branches.Branches:
