@@ -90,7 +90,7 @@ class Carry(NamedTuple):
 class Evidence(NamedTuple):
     """Of all hypotheses (n_h,): log evidence over all onsets, probability among faults. fault, other: log of the sums; far: that
     of disturbances much larger than this flight's; log_bf (W, n_h): Bayes factors, per_slot (W, n_h): with prior weights; nu
-    (W, n_fault, 2): most probable sizes; gone (W, n): sizes that end a known loss; width (4,): of disturbances; live (W,): slots in use."""
+    (W, n_fault, 2): most probable sizes; gone (W, n): sizes that end a known loss; slop (W, 4): `hypotheses.slop`; width (4,): of disturbances; live (W,): slots in use."""
 
     log_odds: Array
     probability: Array
@@ -101,6 +101,7 @@ class Evidence(NamedTuple):
     per_slot: Array
     nu: Array
     gone: Array
+    slop: Array
     width: Array
     live: Array
 
@@ -177,7 +178,6 @@ class JumpBank:
         self.steps[~hyp.fault] = [[float(a in block) for a in range(4)] for block in hypotheses.DISTURBANCES]
         self.well = np.array([kind == "recovery" for kind in hyp.kinds])
         self.membership = self.pick.sum(axis=1)
-        self.alone = self.membership.sum(axis=1) == 1
         self.bias_rows = np.array([a * PER_AXIS + b for a in range(4) for b in (B1, B2, B3)])
 
     def init(self) -> Carry:
@@ -232,25 +232,18 @@ class JumpBank:
 
         s, P, active = all_.s[0], all_.P[0], all_.active[0]
         told = jumps.without_last(bank, jnp.maximum(P[self.yaw_gain, self.yaw_gain], 1e-12))
-        found = self._evidence(s, told, carry.noise.variances, active)
+        reach = jnp.abs(rows[:, n_x:]).max(axis=0)
+        found = self._evidence(s, told, carry.noise.variances, active, reach)
         rough = noise.spread(carry.noise.variances)
-
-        def plausible(jump):
-            return plausibility.plausible(
-                jump.each, jump.sd, seen.u[:n], seen.rise, missing, carry.missing, valid[3], active, s[n_x:], rough
-            )
-
-        # What cannot be is no competitor: where two rotors cannot have failed, one may.
-        first, lonely = jnp.argmax(found.probability), jnp.argmax(jnp.where(self.alone, found.probability, 0.0))
-        two = self._jump(found, told, first)
-        first = jnp.where(plausible(two), first, lonely)
+        first = jnp.argmax(found.probability)
         best = self._jump(found, told, first)
-        possible = plausible(best)
         # One rotor's direction may be met by chance, by a disturbance such as this flight has not seen yet.
         lone = (best.each != 0.0).any(axis=1).sum() < 2
         other = jnp.where(lone, jnp.logaddexp(found.other, found.far), found.other)
-        fault = found.log_odds[first]
-        statistic = jnp.minimum(fault - self.log_threshold, fault - other - jnp.log(COMPETITOR_ODDS))
+        statistic = jnp.minimum(found.fault - self.log_threshold, found.fault - other - jnp.log(COMPETITOR_ODDS))
+        possible = plausibility.plausible(
+            best.each, best.sd, seen.u[:n], seen.rise, missing, carry.missing, valid[3], active, s[n_x:], rough
+        )
         # The most probable onset at the edge of the bank speaks of a drift that began before it, not of a jump.
         onset = best.slot @ jnp.where(found.live, bank.age + 1.0, 0.0)
         possible &= onset < EDGE * self.jumps.reach
@@ -377,7 +370,7 @@ class JumpBank:
             variances.append(S)
         return s, 0.5 * (P + P.T), jnp.stack(gains), jnp.stack(innovations), jnp.stack(variances)
 
-    def _evidence(self, s, bank, variances, active) -> Evidence:
+    def _evidence(self, s, bank, variances, active, reach) -> Evidence:
         """How strongly the data speak for each hypothesis, over all onset times."""
         import jax.numpy as jnp
 
@@ -390,7 +383,7 @@ class JumpBank:
         own = jnp.diagonal(bank.M[:, self.n_x :, : self.n], axis1=1, axis2=2)
         to_come = jnp.where(jnp.asarray(self.jumps.slow), self.jumps.decay ** (jnp.maximum(bank.age, 0) + 1.0), 0.0)
         gone = jnp.where(active, -theta / jnp.maximum(own + to_come[:, None], 0.3), 0.0)
-        logbf, nu = hypotheses.log_bayes_factors(hyp, bank.C, bank.z, lo, hi, width, gone)
+        logbf, nu = hypotheses.log_bayes_factors(hyp, bank.C, bank.z, lo, hi, width, gone, reach)
         # The model is right to a few percent: overwhelming evidence must not hang on its last decimals.
         far = hypotheses.disturbances(hyp, bank.C, bank.z, hypotheses.FAR * width)
         share = TRUST / (TRUST + jnp.maximum(logbf.max(), 0.0))
@@ -424,6 +417,7 @@ class JumpBank:
             per_slot,
             nu,
             gone,
+            hypotheses.slop(bank.C, bank.z, lo, hi, reach),
             width,
             live,
         )
@@ -441,7 +435,7 @@ class JumpBank:
         steps, well = it @ jnp.asarray(self.steps), it @ jnp.asarray(self.well, float)
         n_fault = found.nu.shape[1]
         each = jnp.einsum("w,h,whk->k", slot, it[:n_fault], found.nu)[:, None] * rotors
-        slop = hypotheses.slop(C[None], z[None], found.width)[0]
+        slop = slot @ found.slop
         free = jnp.where(steps.sum() > 0.5, steps * (hypotheses.FAR * found.width) ** 2, slop) + 1e-12
         width = jnp.where(well > 0.5, hypotheses.recovery_sd(slot @ found.gone @ rotors[0]), hypotheses.LOSS_WIDTH)
         D = jnp.concatenate([jnp.concatenate([rotors, jnp.zeros((2, 4))], axis=1), jnp.eye(q)[n:]])
@@ -479,8 +473,11 @@ class JumpBank:
             weight = jnp.minimum(weight - weight[0], branches.AHEAD)
             # The odds against disturbances are what an announcement is made by; they are not asked again.
             weight = jnp.where(alarm & (which == none), branches.NEVER, weight)
+            # Where no rotor is weak, a fault has to be announced.
+            doubt = alarm | all_.active[0].any()
+            weight = jnp.where(doubt | (which == none), weight, branches.NEVER)
             child = jax.vmap(lambda h: self._child(all_, told, bank, found, h))(which)
-            return child._replace(weight=jnp.where(weight > branches.OUT, weight, branches.NEVER), age=0.0 * all_.age)
+            return child._replace(weight=jnp.where(weight > branches.OUT, weight, branches.NEVER), age=jnp.where(doubt, 0.0, all_.age))
 
         return jax.lax.cond(alarm | absorbed, born, lambda same: same, all_)
 

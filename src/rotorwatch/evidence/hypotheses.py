@@ -106,33 +106,34 @@ def _clip_pair(c11, c12, c22, z1, z2, lo1, hi1, lo2, hi2):
     return best_a, best_b, best
 
 
-def log_bayes_factors(hyp: Hypotheses, C, z, lo, hi, width, gone):
+def log_bayes_factors(hyp: Hypotheses, C, z, lo, hi, width, gone, reach):
     """C (W, q, q), z (W, q) for W jump times; lo, hi (n,) bounds of rotor jumps; width (4,): how large disturbances of this
-    aircraft are; gone (W, n): the jump that would end each rotor's loss. -> log BF (W, n_h), nu (W, n_fault, 2)."""
+    aircraft are; gone (W, n): the jump that would end each rotor's loss; reach (n,): see `slop`. -> log BF (W, n_h), nu (W, n_fault, 2)."""
     import jax.numpy as jnp
 
     n, w2 = hyp.n, LOSS_WIDTH**2
-    C_free, z_free = C, z
-    C, z, gain = with_slop(C, z, width)
-    c, C = jnp.diagonal(C, axis1=1, axis2=2), C + jnp.eye(n) / w2
+    # Two rotors explain more than one by chance: what they do has to be geometry's.
+    free = C[:, :n, :n] + jnp.eye(n) / w2
+    a, b = hyp.pairs.T
+    pa, pb, pair = _clip_pair(free[:, a, a], free[:, a, b], free[:, b, b], z[:, a], z[:, b], lo[a], hi[a], lo[b], hi[b])
+    det = jnp.maximum(free[:, a, a] * free[:, b, b] - free[:, a, b] ** 2, 1e-9)
+    pair = pair - 0.5 * jnp.log(det * w2**2)
+    others = disturbances(hyp, C, z, width)
+    c, z, gain = with_slop(C, z, slop(C, z, lo, hi, reach))
     # Losses are small as often as large: half of the prior is narrow.
     c0, c1 = c + 1.0 / SMALL_WIDTH**2, c + 1.0 / w2
     nu0, nu1 = jnp.clip(z / c0, lo, hi), jnp.clip(z / c1, lo, hi)
     large = z * nu1 - 0.5 * c1 * nu1**2 - 0.5 * jnp.log(c1 * w2)
     small = z * nu0 - 0.5 * c0 * nu0**2 - 0.5 * jnp.log(c0 * SMALL_WIDTH**2)
-    single = jnp.logaddexp(large, small) - np.log(2.0)
-    a, b = hyp.pairs.T
-    pa, pb, pair = _clip_pair(C[:, a, a], C[:, a, b], C[:, b, b], z[:, a], z[:, b], lo[a], hi[a], lo[b], hi[b])
-    det = jnp.maximum(C[:, a, a] * C[:, b, b] - C[:, a, b] ** 2, 1e-9)
-    pair = pair - 0.5 * jnp.log(det * w2**2)
+    single = jnp.logaddexp(large, small) - np.log(2.0) + gain[:, None]
     variance = recovery_sd(gone) ** 2
     left = c + 1.0 / variance
     more = (z - c * gone) / left
     over = z * gone - 0.5 * c * gone**2 + 0.5 * left * more**2 - 0.5 * jnp.log(left * variance)
-    fault = jnp.concatenate([single, pair, over], axis=1) + gain[:, None]
+    over = over + gain[:, None]
     nu = [jnp.stack([nu1, jnp.zeros_like(nu1)], -1), jnp.stack([pa, pb], -1), jnp.stack([gone + more, jnp.zeros_like(nu1)], -1)]
     nu = jnp.concatenate(nu, axis=1)
-    return jnp.concatenate([fault, disturbances(hyp, C_free, z_free, width)], axis=1), nu
+    return jnp.concatenate([single, pair, over, others], axis=1), nu
 
 
 def recovery_sd(gone):
@@ -157,30 +158,37 @@ def disturbances(hyp: Hypotheses, C, z, width):
     return jnp.stack(factors, axis=1)
 
 
-def slop(C, z, width):
-    """(W, 4) variance by which each axis may differ from what rotors' losses do to it: SLOP of the largest part of the wrench that is
-    missing, as far as that is known."""
+def slop(C, z, lo, hi, reach):
+    """(W, 4) variance by which each axis may differ from what a rotor's loss does to it: SLOP of what the likeliest rotor would lack;
+    reach (n,): the most that a whole loss of each does to any axis."""
     import jax.numpy as jnp
 
     n = z.shape[1] - 4
-    L = cholesky(C[:, n:, n:] + jnp.diag(1.0 / width**2))
-    missing = jnp.abs(backward(L, forward(L, z[:, n:]))).max(axis=1, keepdims=True)
-    return (jnp.asarray(SLOP) * missing) ** 2 + 1e-12
+    c = jnp.diagonal(C, axis1=1, axis2=2)[:, :n] + 1.0 / LOSS_WIDTH**2
+    nu = jnp.clip(z[:, :n] / c, lo, hi)
+    fit = z[:, :n] * nu - 0.5 * c * nu**2
+    best = fit == fit.max(axis=1, keepdims=True)
+    lacks = jnp.where(best, jnp.abs(nu) * reach, 0.0).max(axis=1)
+    return (jnp.asarray(SLOP) * lacks[:, None]) ** 2 + 1e-12
 
 
-def with_slop(C, z, width):
-    """Information (W, n, n) and vector (W, n) of the rotors' jumps when the axes may differ by `slop`, and what that freedom gains
-    (W,): Gaussian steps of the four axes integrated out, one after the other."""
+def with_slop(C, z, prior):
+    """Information (W, n) and vector (W, n) of each rotor's jump alone when the axes may differ by `prior` (W, 4), and what that freedom
+    gains (W,): Gaussian steps of the four axes integrated out, one after the other."""
     import jax.numpy as jnp
 
-    prior, gain = slop(C, z, width), 0.0
-    for a in (3, 2, 1, 0):
-        c, k = C[:, :-1, -1], z[:, -1]
-        d = C[:, -1, -1] + 1.0 / prior[:, a]
-        gain = gain + 0.5 * k**2 / d - 0.5 * jnp.log(d * prior[:, a])
-        share = c / d[:, None]
-        C, z = C[:, :-1, :-1] - share[:, :, None] * c[:, None, :], z[:, :-1] - share * k[:, None]
-    return C, z, gain
+    n = z.shape[1] - 4
+    own, told, gain = jnp.diagonal(C, axis1=1, axis2=2)[:, :n], z[:, :n], 0.0
+    cross, among, step = C[:, :n, n:], C[:, n:, n:], z[:, n:]
+    for a in range(4):
+        d = among[:, 0, 0] + 1.0 / prior[:, a]
+        gain = gain + 0.5 * step[:, 0] ** 2 / d - 0.5 * jnp.log(d * prior[:, a])
+        share, row = cross[:, :, 0] / d[:, None], among[:, 0, 1:]
+        own, told = own - cross[:, :, 0] * share, told - share * step[:, :1]
+        cross = cross[:, :, 1:] - share[:, :, None] * row[:, None, :]
+        step = step[:, 1:] - (step[:, 0] / d)[:, None] * row
+        among = among[:, 1:, 1:] - row[:, :, None] * (row / d[:, None])[:, None, :]
+    return own, told, gain
 
 
 def cholesky(A):
@@ -210,17 +218,3 @@ def forward(L, b):
             s = s - L[:, i, j] * y[j]
         y.append(s / L[:, i, i])
     return jnp.stack(y, axis=1)
-
-
-def backward(L, b):
-    """Solve L' x = b for lower-triangular L (W, k, k), k <= 4, unrolled."""
-    import jax.numpy as jnp
-
-    k = L.shape[-1]
-    x = [jnp.zeros(b.shape[0])] * k
-    for i in reversed(range(k)):
-        rest = b[:, i]
-        for j in range(i + 1, k):
-            rest = rest - L[:, j, i] * x[j]
-        x[i] = rest / L[:, i, i]
-    return jnp.stack(x, axis=1)
