@@ -5,12 +5,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from rotorwatch import airframes
 from rotorwatch.evidence import events, hypotheses
+from rotorwatch.evidence.branches import PLACES
 from rotorwatch.motion.ticks import JUDGE, Ticks
 
 DT, COUNT, N = 0.1, 300, 4
 HYP = hypotheses.make(N)
-SINGLE, PAIR = {i: i for i in range(N)}, {tuple(p): N + k for k, p in enumerate(HYP.pairs.tolist())}
+QUAD = airframes.named("ardupilot-quad-x").effectiveness()
 
 
 def table(restarts=(0,)):
@@ -25,15 +27,14 @@ def table(restarts=(0,)):
 
 
 def silence():
-    """Outputs of an estimator that saw nothing; `story` writes into them."""
+    """Outputs of an estimator that saw nothing; `announce` writes into them."""
     return SimpleNamespace(
         theta=np.zeros((COUNT, N)),
         theta_sd=np.full((COUNT, N), 0.01),
         announced=np.zeros(COUNT, bool),
-        committed=np.zeros(COUNT, bool),
-        active=np.zeros((COUNT, N), bool),
-        best=np.zeros(COUNT, np.int32),
-        onset=np.zeros(COUNT),
+        since=np.zeros(COUNT),
+        active=np.zeros((COUNT, PLACES, N), bool),
+        share=np.tile(np.eye(PLACES)[0], (COUNT, 1)),
         probability=np.zeros((COUNT, len(HYP.names))),
         log_odds=np.zeros((COUNT, len(HYP.names))),
         opposite=np.full(COUNT, -1),
@@ -42,13 +43,19 @@ def silence():
     )
 
 
-def announce(out, k, shares, age, commit=15):
-    """Announce at tick k the most probable of {hypothesis index: probability}, `age` ticks after its onset."""
-    out.announced[k], out.committed[k + commit] = True, True
-    out.best[k : k + commit + 1] = max(shares, key=shares.get)
-    out.onset[k] = age
-    for index, p in shares.items():
-        out.probability[k : k + commit + 1, index] = p
+def explain(out, k, shares, age):
+    """From tick k on, the explanations {rotors: probability}, the leader first, with an onset `age` ticks before k."""
+    out.since[k:] = age + np.arange(COUNT - k)
+    out.active[k:], out.share[k:] = False, 0.0
+    for place, (who, p) in enumerate(shares.items()):
+        out.active[k:, place, list(who)] = True
+        out.share[k:, place] = p
+
+
+def announce(out, k, shares, age):
+    """Announce at tick k that the weak rotors are one of these sets."""
+    out.announced[k] = True
+    explain(out, k, shares, age)
 
 
 def test_nothing_happened():
@@ -57,8 +64,8 @@ def test_nothing_happened():
 
 def test_one_loss_with_its_times_its_size_and_how_sure_it_is():
     out, ticks = silence(), table()
-    announce(out, 100, {SINGLE[2]: 0.98, PAIR[(0, 2)]: 0.02}, age=4)
-    out.theta[100:, 2], out.active[115:, 2] = 0.3, True
+    announce(out, 100, {(2,): 0.98, (0, 2): 0.02}, age=4)
+    out.theta[100:, 2] = 0.3
     (event,) = events.read(out, ticks, HYP)
     assert (event.kind, event.rotors, event.alternatives) == ("loss_of_effectiveness", (3,), ())
     assert event.detected_s == ticks.time[100]
@@ -72,40 +79,90 @@ def test_one_loss_with_its_times_its_size_and_how_sure_it_is():
 
 def test_a_later_estimate_refines_the_loss_but_never_the_time():
     out, ticks = silence(), table()
-    announce(out, 100, {SINGLE[0]: 1.0}, age=3)
+    announce(out, 100, {(0,): 1.0}, age=3)
     out.theta[100:, 0] = np.linspace(0.5, 0.2, COUNT - 100)
-    out.active[115:, 0] = True
     (event,) = events.read(out, ticks, HYP)
     assert event.detected_s == ticks.time[100] and event.loss[0] == pytest.approx(0.2)
 
 
+def test_an_explanation_that_overtakes_is_what_happened_and_was_found_when_it_did():
+    """Rotor 1 was announced; later its neighbour explains more, with an onset of its own."""
+    out, ticks = silence(), table()
+    announce(out, 100, {(0,): 0.6, (3,): 0.4}, age=4)
+    explain(out, 130, {(3,): 0.95, (0,): 0.05}, age=32)
+    out.theta[100:130, 0] = out.theta[130:, 3] = 0.3
+    (event,) = events.read(out, ticks, HYP)
+    assert (event.rotors, event.loss, event.end_s) == ((4,), (0.3,), None)
+    assert event.detected_s == ticks.time[130]
+    assert event.onset_s == pytest.approx(ticks.command_time[98])
+    assert event.probability == pytest.approx(0.95) and event.alternatives == ()
+
+
+def test_a_rotor_that_stays_while_its_partner_is_swapped():
+    """One event for all that failed at once: the pair that leads at the end, found when this pair led."""
+    out, ticks = silence(), table()
+    announce(out, 100, {(0, 1): 0.7, (0, 2): 0.3}, age=4)
+    explain(out, 120, {(0, 2): 0.92, (0, 1): 0.08}, age=24)
+    out.theta[100:, 0] = out.theta[120:, 2] = 0.3
+    (event,) = events.read(out, ticks, HYP)
+    assert (event.rotors, event.loss) == ((1, 3), (0.3, 0.3)) and event.detected_s == ticks.time[120]
+    assert event.probability == pytest.approx(0.92) and event.alternatives == ()
+
+
+def test_what_no_longer_leads_leaves_no_event():
+    """A loss was announced; in the end that nothing broke explains more."""
+    out, ticks = silence(), table()
+    announce(out, 100, {(0,): 0.8, (): 0.2}, age=4)
+    explain(out, 140, {(): 0.97, (0,): 0.03}, age=44)
+    out.theta[100:140, 0] = 0.2
+    assert events.read(out, ticks, HYP) == ()
+
+
+def test_that_nothing_broke_is_no_alternative():
+    """It was weighed before the announcement; the shares left are those of the sets of rotors."""
+    out = silence()
+    announce(out, 100, {(0,): 0.45, (): 0.5, (3,): 0.05}, age=4)
+    out.theta[100:, 0] = 0.2
+    (event,) = events.read(out, table(), HYP)
+    assert event.probability == pytest.approx(0.9) and event.alternatives == ()
+
+
 def test_what_cannot_be_told_apart_is_listed():
     out, ticks = silence(), table()
-    announce(out, 100, {PAIR[(0, 1)]: 0.5, PAIR[(2, 3)]: 0.48, SINGLE[1]: 0.02}, age=3)
-    out.theta[100:, :2], out.active[115:, :2] = 0.2, True
+    announce(out, 100, {(0, 1): 0.5, (2, 3): 0.48, (1,): 0.02}, age=3)
+    out.theta[100:, :2] = 0.2
     (event,) = events.read(out, ticks, HYP)
     assert event.rotors == (1, 2) and event.alternatives == ((3, 4),)  # two in a hundred is not worth naming
     assert len(event.loss) == len(event.interval) == 2 and event.probability == pytest.approx(0.5)
     assert "3+4" in event.reason
 
 
-def test_alone_and_with_a_common_shift_are_the_same_rotor():
-    mixed = HYP.kinds.index("single_common") + 2
-    probability = np.zeros(len(HYP.names))
-    probability[SINGLE[2]], probability[mixed], probability[-1] = 0.5, 0.45, 0.05
-    assert HYP.rotors[mixed] == (2,)
-    assert events.rotor_sets(HYP, probability) == {(2,): pytest.approx(0.95)} | {
-        who: 0.0 for who in dict.fromkeys(HYP.rotors) if who and who != (2,)
-    }
+def test_beside_a_known_loss_only_the_new_rotors_are_alternatives():
+    out = silence()
+    announce(out, 50, {(0,): 1.0}, age=3)
+    announce(out, 150, {(0, 3): 0.7, (0, 1): 0.3}, age=3)
+    out.theta[50:, 0] = out.theta[150:, 3] = 0.3
+    first, second = events.read(out, table(), HYP)
+    assert (first.rotors, first.alternatives) == ((1,), ())
+    assert (second.rotors, second.alternatives) == ((4,), ((2,),)) and second.probability == pytest.approx(0.7)
+
+
+def test_branches_with_the_same_rotors_are_one_explanation():
+    """Of one rotor a change and a recovery that leaves some: different states, the same set."""
+    out = silence()
+    announce(out, 100, {(0,): 0.55}, age=3)
+    out.active[100:, 1:3, :] = np.eye(N, dtype=bool)[[0, 2]]
+    out.share[100:, 1:3] = 0.4, 0.05
+    out.theta[100:, 0] = 0.3
+    (event,) = events.read(out, table(), HYP)
+    assert event.rotors == (1,) and event.probability == pytest.approx(0.95) and event.alternatives == ()
 
 
 def test_a_loss_that_ends_and_comes_back_is_two_events():
     out, ticks = silence(), table()
-    announce(out, 50, {SINGLE[1]: 1.0}, age=3)
-    announce(out, 120, {SINGLE[1]: 1.0}, age=5)  # the jump back
-    announce(out, 200, {SINGLE[1]: 1.0}, age=2)
-    for start, end in ((65, 135), (215, COUNT)):
-        out.active[start:end, 1] = True
+    announce(out, 50, {(1,): 1.0}, age=3)
+    announce(out, 120, {(): 1.0}, age=5)  # well again
+    announce(out, 200, {(1,): 1.0}, age=2)
     out.theta[50:120, 1] = out.theta[200:, 1] = 0.4
     first, second = events.read(out, ticks, HYP)
     assert (first.rotors, second.rotors) == ((2,), (2,))
@@ -114,38 +171,69 @@ def test_a_loss_that_ends_and_comes_back_is_two_events():
     assert second.detected_s == ticks.time[200] and second.end_s is None
 
 
+def test_a_recovery_that_is_taken_back_ended_nothing():
+    """Announced as the end of the loss, it turns out to have been a second rotor."""
+    out, ticks = silence(), table()
+    announce(out, 50, {(1,): 1.0}, age=3)
+    announce(out, 120, {(): 0.6, (1, 2): 0.4}, age=5)
+    explain(out, 135, {(1, 2): 0.99, (): 0.01}, age=20)
+    out.theta[50:, 1] = out.theta[135:, 2] = 0.4
+    first, second = events.read(out, ticks, HYP)
+    assert (first.rotors, first.end_s) == ((2,), None)
+    assert (second.rotors, second.detected_s, second.end_s) == ((3,), ticks.time[135], None)
+
+
 def test_a_second_rotor_is_an_event_of_its_own():
     out, ticks = silence(), table()
-    announce(out, 50, {SINGLE[0]: 1.0}, age=3)
-    announce(out, 150, {SINGLE[3]: 1.0}, age=3)
-    out.active[65:, 0] = out.active[165:, 3] = True
+    announce(out, 50, {(0,): 1.0}, age=3)
+    announce(out, 150, {(0, 3): 1.0}, age=3)
     out.theta[50:, 0], out.theta[150:, 3] = 0.2, 0.5
     first, second = events.read(out, ticks, HYP)
     assert (first.rotors, first.loss, first.end_s) == ((1,), (0.2,), None)
     assert (second.rotors, second.loss, second.end_s) == ((4,), (0.5,), None)
+    assert second.onset_s == pytest.approx(ticks.command_time[147])
 
 
-@pytest.mark.parametrize("had, until", [(0.03, 150), (0.25, 90), (0.25, 150)])
-def test_one_of_two_rotors_that_is_well_again_leaves_the_event(had, until):
-    """It had lost something, and that is an event that ended; or it was named for the other's sake, and is named no more."""
+def test_one_of_two_rotors_that_is_well_again_leaves_the_event():
     out, ticks = silence(), table()
-    announce(out, 50, {PAIR[(0, 1)]: 0.97, PAIR[(0, 2)]: 0.03}, age=3)
-    announce(out, until, {SINGLE[1]: 1.0}, age=5)  # the jump back
-    out.active[65:, 0] = out.active[65 : until + 15, 1] = True
-    out.theta[50:, 0], out.theta[50 : until - 4, 1] = 0.4, had
+    announce(out, 50, {(0, 1): 0.97, (0, 2): 0.03}, age=3)
+    announce(out, 150, {(0,): 1.0}, age=5)
+    out.theta[50:, 0], out.theta[50:150, 1] = 0.4, 0.25
     found = events.read(out, ticks, HYP)
     (lasting,) = [e for e in found if e.end_s is None]
     assert (lasting.rotors, lasting.loss, lasting.alternatives) == ((1,), (0.4,), ())
-    ended = [(e.rotors, e.loss, e.end_s) for e in found if e.end_s is not None]
-    real = had > 0.1 and until == 150
-    assert ended == ([((2,), (had,), pytest.approx(ticks.command_time[145]))] if real else [])
+    (ended,) = [e for e in found if e.end_s is not None]
+    assert (ended.rotors, ended.loss) == ((2,), (0.25,))
+    assert ended.end_s == pytest.approx(ticks.command_time[145])
+    assert {e.detected_s for e in found} == {ticks.time[50]}
+
+
+def test_of_two_losses_that_came_one_by_one_the_first_ends():
+    out, ticks = silence(), table()
+    announce(out, 50, {(0,): 1.0}, age=3)
+    announce(out, 120, {(0, 3): 1.0}, age=3)
+    announce(out, 200, {(3,): 1.0}, age=6)
+    out.theta[50:200, 0], out.theta[120:, 3] = 0.2, 0.5
+    first, second = events.read(out, ticks, HYP)
+    assert (first.rotors, first.loss, first.end_s) == ((1,), (0.2,), pytest.approx(ticks.command_time[194]))
+    assert (second.rotors, second.loss, second.end_s) == ((4,), (0.5,), None)
+
+
+def test_one_rotor_ends_where_another_begins():
+    """The same announcement: rotor 1 is well again and rotor 3 is not."""
+    out, ticks = silence(), table()
+    announce(out, 50, {(0,): 1.0}, age=3)
+    announce(out, 150, {(2,): 1.0}, age=4)
+    out.theta[50:150, 0], out.theta[150:, 2] = 0.2, 0.5
+    first, second = events.read(out, ticks, HYP)
+    assert (first.rotors, first.end_s) == ((1,), pytest.approx(ticks.command_time[146]))
+    assert (second.rotors, second.onset_s) == ((3,), first.end_s)
 
 
 def test_a_known_loss_that_grows_is_no_new_event():
     out, ticks = silence(), table()
-    announce(out, 50, {SINGLE[0]: 1.0}, age=3)
-    announce(out, 150, {SINGLE[0]: 1.0}, age=3)
-    out.active[65:, 0] = True
+    announce(out, 50, {(0,): 1.0}, age=3)
+    announce(out, 150, {(0,): 1.0}, age=3)
     out.theta[50:150, 0], out.theta[150:, 0] = 0.2, 0.4
     (event,) = events.read(out, ticks, HYP)
     assert event.detected_s == ticks.time[50] and event.loss == (0.4,) and event.end_s is None
@@ -153,8 +241,8 @@ def test_a_known_loss_that_grows_is_no_new_event():
 
 def test_landing_ends_an_event():
     out, ticks = silence(), table(restarts=(0, 200))
-    announce(out, 50, {SINGLE[2]: 1.0}, age=3)
-    out.active[65:200, 2] = True
+    announce(out, 50, {(2,): 1.0}, age=3)
+    out.active[200:] = False
     out.theta[50:200, 2] = 0.25
     (event,) = events.read(out, ticks, HYP)
     assert event.loss == (0.25,)
@@ -164,8 +252,7 @@ def test_landing_ends_an_event():
 def test_an_announcement_at_the_very_end_is_kept():
     out, ticks = silence(), table()
     k = COUNT - 1
-    out.announced[k], out.best[k], out.onset[k] = True, SINGLE[1], 4
-    out.probability[k, SINGLE[1]] = 1.0
+    announce(out, k, {(1,): 1.0}, age=4)
     out.theta[k, 1] = 0.3
     (event,) = events.read(out, ticks, HYP)
     assert event.rotors == (2,) and event.detected_s == ticks.time[k] and event.loss == (0.3,)
@@ -173,8 +260,36 @@ def test_an_announcement_at_the_very_end_is_kept():
 
 def test_intervals_stay_within_a_loss():
     out, ticks = silence(), table()
-    announce(out, 100, {PAIR[(1, 3)]: 1.0}, age=3)
-    out.theta[100:, 1], out.theta[100:, 3], out.active[115:, [1, 3]] = 0.01, 0.99, True
+    announce(out, 100, {(1, 3): 1.0}, age=3)
+    out.theta[100:, 1], out.theta[100:, 3] = 0.01, 0.99
     out.theta_sd[:] = 0.1
     (event,) = events.read(out, ticks, HYP)
     assert event.interval[0][0] == 0.0 and event.interval[1][1] == 1.0
+
+
+@pytest.mark.parametrize("rotor", range(N))
+def test_opposite_rotors_that_were_suspected_are_found_when_they_were(rotor):
+    """A suspicion of two opposite rotors becomes the loss of one of them: no second event, the earlier times."""
+    out, ticks = silence(), table()
+    suspect(out, 80, age=10)
+    announce(out, 120, {(rotor,): 1.0}, age=3)
+    out.theta[120:, rotor] = 0.3
+    (event,) = events.read(out, ticks, HYP, QUAD)
+    assert event.rotors == (rotor + 1,) and event.loss == (0.3,)
+    assert event.detected_s == ticks.time[80] and event.onset_s == pytest.approx(ticks.command_time[70])
+
+
+def test_opposite_rotors_that_stay_a_suspicion_may_be_any_such_pair():
+    out, ticks = silence(), table()
+    suspect(out, 80, age=10)
+    (event,) = events.read(out, ticks, HYP, QUAD)
+    assert event.rotors == (1, 2) and event.alternatives == ((3, 4),) and event.loss == (0.2, 0.2)
+    assert event.interval[0][0] == pytest.approx(0.0, abs=1e-9)
+
+
+def suspect(out, k, age):
+    """A sudden shift of thrust at tick k that may be rotors 1 and 2, of 20 % each."""
+    pair = HYP.rotors.index((0, 1))
+    out.opposite[k], out.opposite_onset[k], out.opposite_loss[k] = pair, age, 0.2
+    out.log_odds[k, [h for h, kind in enumerate(HYP.kinds) if kind == "pair"]] = -40.0
+    out.log_odds[k, pair] = 30.0

@@ -31,56 +31,135 @@ def information(n, seed=0, windows=3, strength=60.0):
     return C, z
 
 
-def factors(n, C, z, lo=None, hi=None):
-    """With effects of nothing, so that geometry counts as exact."""
+def factors(n, C, z, lo=None, hi=None, gone=None, reach=0.0):
+    """reach: 0 counts geometry as exact."""
     hyp = hypotheses.make(n)
     lo, hi = np.zeros(n) if lo is None else lo, np.ones(n) if hi is None else hi
-    logbf, nu, _ = hypotheses.log_bayes_factors(hyp, C, z, lo, hi, WIDTH, np.zeros((4, n)))
+    gone = np.zeros((len(z), n)) if gone is None else gone
+    logbf, nu = hypotheses.log_bayes_factors(hyp, C, z, lo, hi, WIDTH, gone, np.full(n, reach))
     return hyp, np.asarray(logbf), np.asarray(nu)
 
 
 def quad_evidence(wrong=(1.0, 1.0, 1.0, 1.0), loss=0.4, sd=0.02):
-    """(C, z, effect) of a quad's rotor 1 that loses thrust, each axis seen to `sd` and off by a factor `wrong`."""
+    """(C, z) of a quad's rotor 1 that loses thrust, each axis seen to `sd` and off by a factor `wrong`."""
     B = np.array([[-1, 1, 1, -1], [1, -1, 1, -1], [1, 1, -1, -1], [1, 1, 1, 1.0]])
     Phi = np.concatenate([B, np.eye(4)], axis=1)
-    return (Phi.T @ Phi / sd**2)[None], (Phi.T @ (B[:, 0] * loss * wrong) / sd**2)[None], B
+    return (Phi.T @ Phi / sd**2)[None], (Phi.T @ (B[:, 0] * loss * wrong) / sd**2)[None]
 
 
-def log_evidence(hyp, C, z, effect):
-    logbf, nu, own = hypotheses.log_bayes_factors(hyp, C, z, np.zeros(hyp.n), np.ones(hyp.n), WIDTH, effect)
-    return dict(zip(hyp.names, np.asarray(logbf)[0])), np.asarray(nu)[0], np.asarray(own)[0]
+def with_steps(C, z, i, prior, nu):
+    """Log of the likelihood ratio of a jump nu of rotor i with Gaussian steps of the axes, variances `prior`, integrated out."""
+    n = len(z) - 4
+    inner, rest = C[n:, n:], z[n:] - C[n:, i] * nu
+    told = rest @ np.linalg.solve(inner + np.diag(1.0 / prior), rest)
+    size = np.linalg.slogdet(np.eye(4) + np.sqrt(np.outer(prior, prior)) * inner)[1]
+    return z[i] * nu - 0.5 * C[i, i] * nu**2 + 0.5 * told - 0.5 * size
+
+
+def evidence(likelihood, mean, sd):
+    """Log of the integral of exp(likelihood(nu)) N(nu; mean, sd) over all nu, by quadrature."""
+    grid = np.linspace(mean - 8 * sd, mean + 8 * sd, 4001)
+    both = [likelihood(v) - 0.5 * ((v - mean) / sd) ** 2 for v in grid]
+    near, top = grid[int(np.argmax(both))], max(both)
+    wide = np.sqrt(
+        -1.0 / np.diff([likelihood(near + d) - 0.5 * ((near + d - mean) / sd) ** 2 for d in (-1e-3, 0, 1e-3)], 2)[0]
+    )
+    wide *= 1e-3
+
+    def density(nu):
+        return np.exp(likelihood(nu) - 0.5 * ((nu - mean) / sd) ** 2 - top) / (sd * np.sqrt(2 * np.pi))
+
+    return top + np.log(quad(density, near - 10 * wide, near + 10 * wide, limit=400)[0])
 
 
 def test_a_rotor_whose_effect_differs_a_little_from_geometry_is_still_named():
     """Yaw a third short, thrust a fifth: no other explanation may gain from that - as one would if geometry counted as exact."""
-    hyp = hypotheses.make(4)
-    C, z, B = quad_evidence(wrong=(1.05, 0.97, 0.65, 0.8))
-    tolerant, nu, _ = log_evidence(hyp, C, z, B)
-    assert max(tolerant, key=tolerant.get) == "rotor 1"
-    assert nu[0, 0] == pytest.approx(0.4, abs=0.03)
-    exact, _, _ = log_evidence(hyp, C, z, 0.0 * B)
-    assert max(exact, key=exact.get) != "rotor 1"
+    C, z = quad_evidence(wrong=(1.05, 0.97, 0.65, 0.8))
+    hyp, tolerant, nu = factors(4, C, z, reach=1.0)
+    assert hyp.names[tolerant[0].argmax()] == "rotor 1"
+    assert nu[0, 0, 0] == pytest.approx(0.4, abs=0.03)
+    _, exact, _ = factors(4, C, z)
+    assert hyp.names[exact[0].argmax()] != "rotor 1"
 
 
-def test_slop_is_steps_of_the_axes_integrated_out():
-    """Against the same Gaussian integral done at once, by dense linear algebra, at the size that the loss has without slop."""
-    hyp = hypotheses.make(4)
-    C, z, B = quad_evidence(wrong=(1.1, 0.9, 0.7, 1.2), sd=0.05)
-    _, _, own = log_evidence(hyp, C, z, B)
-    c, v = C[0], z[0]
-    first = np.clip(v[:4] / (np.diag(c)[:4] + 1 / LOSS_WIDTH**2), 0, 1)
-    for i in range(4):
-        prior = np.diag((np.array(hypotheses.SLOP) * B[:, i] * first[i]) ** 2 + 1e-12)
-        axes = slice(4, 8)
-        inner = np.linalg.inv(c[axes, axes] + np.linalg.inv(prior))
-        assert own[i] == pytest.approx(c[i, i] - c[i, axes] @ inner @ c[axes, i], rel=1e-9)
+@pytest.mark.parametrize("seed", range(3))
+def test_slop_is_a_share_of_what_the_likeliest_rotor_lacks(seed):
+    """Four axes, each its own share; a rotor that reaches further leaves more; never more than the whole loss allows."""
+    n = 6
+    C, z = information(n, seed)
+    reach = np.random.default_rng(seed).uniform(0.3, 2.0, n)
+    found = np.asarray(hypotheses.slop(C, z, np.zeros(n), np.ones(n), reach))
+    for w in range(len(C)):
+        precision = np.diag(C[w])[:n] + LOSS_WIDTH**-2
+        nu = np.clip(z[w, :n] / precision, 0.0, 1.0)
+        i = np.argmax(z[w, :n] * nu - 0.5 * precision * nu**2)
+        np.testing.assert_allclose(found[w], (np.array(hypotheses.SLOP) * nu[i] * reach[i]) ** 2 + 1e-12, rtol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_slop_is_steps_of_the_axes_integrated_out(seed):
+    """Against the same Gaussian integral done at once, by dense linear algebra: information, vector, and what the freedom gains."""
+    n = 6
+    C, z = information(n, seed)
+    prior = np.random.default_rng(seed).uniform(1e-4, 0.1, (len(C), 4))
+    own, told, gain = (np.asarray(a) for a in hypotheses.with_slop(C, z, prior))
+    for w in range(len(C)):
+        for i in range(n):
+            inner = np.linalg.inv(C[w][n:, n:] + np.diag(1.0 / prior[w]))
+            assert own[w, i] == pytest.approx(C[w, i, i] - C[w, i, n:] @ inner @ C[w, n:, i], rel=1e-9)
+            assert told[w, i] == pytest.approx(z[w, i] - C[w, i, n:] @ inner @ z[w, n:], rel=1e-8, abs=1e-8)
+            for nu in (0.0, 0.3):
+                expected = with_steps(C[w], z[w], i, prior[w], nu)
+                assert gain[w] + told[w, i] * nu - 0.5 * own[w, i] * nu**2 == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("loss, sd", [(0.15, 0.02), (0.4, 0.05)])
+def test_a_single_rotor_with_slop_is_weighed_as_the_integral_over_loss_and_axes(loss, sd):
+    C, z = quad_evidence(wrong=(1.05, 0.95, 0.8, 1.1), loss=loss, sd=sd)
+    _, logbf, _ = factors(4, C, z, reach=1.0)
+    prior = np.asarray(hypotheses.slop(C, z, np.zeros(4), np.ones(4), np.ones(4)))[0]
+    halves = [
+        evidence(lambda v: with_steps(C[0], z[0], 0, prior, v), 0.0, width) for width in (LOSS_WIDTH, SMALL_WIDTH)
+    ]
+    assert logbf[0, 0] == pytest.approx(np.logaddexp(*halves) - np.log(2.0), abs=1e-4)
+
+
+@pytest.mark.parametrize("reach", [0.0, 1.0])
+@pytest.mark.parametrize("ended, back", [(0.3, 0.3), (0.3, 0.2), (0.05, 0.05), (0.3, 0.0)])
+def test_a_recovery_is_weighed_as_the_integral_around_the_known_loss(ended, back, reach):
+    """A loss of size `ended` was known; the data show a jump back of `back`, the prior is about -ended."""
+    n, sd = 4, float(np.hypot(hypotheses.RECOVERY_SD[0], hypotheses.RECOVERY_SD[1] * ended))
+    C, z = quad_evidence(loss=-back, sd=0.05)
+    gone = np.zeros((1, n))
+    gone[0, 0] = -ended
+    hyp, logbf, nu = factors(n, C, z, lo=np.array([-1.0, 0, 0, 0]), gone=gone, reach=reach)
+    prior = np.asarray(hypotheses.slop(C, z, np.array([-1.0, 0, 0, 0]), np.ones(n), np.full(n, reach)))[0]
+    h = hyp.names.index("rotor 1 is well again")
+    expected = evidence(lambda v: with_steps(C[0], z[0], 0, prior, v), -ended, sd)
+    assert logbf[0, h] == pytest.approx(expected, abs=1e-4)
+    grid = np.linspace(-1.0, 0.5, 30001)
+    post = [with_steps(C[0], z[0], 0, prior, v) - 0.5 * ((v + ended) / sd) ** 2 for v in grid]
+    assert nu[0, h, 0] == pytest.approx(grid[int(np.argmax(post))], abs=1e-4) and nu[0, h, 1] == 0.0
+
+
+def test_a_loss_that_goes_back_to_nothing_is_a_recovery_rather_than_a_change():
+    """What ends a loss is sharp knowledge; a change of the same rotor may be any size. A step back of an eighth is a change."""
+    gone = np.zeros((1, 4))
+    gone[0, 0] = -0.4
+    for back, kind in ((0.4, "recovery"), (0.05, "single")):
+        C, z = quad_evidence(loss=-back, sd=0.03)
+        hyp, logbf, _ = factors(4, C, z, lo=np.array([-1.0, 0, 0, 0]), gone=gone)
+        mine = [h for h, who in enumerate(hyp.rotors) if who == (0,)]
+        assert hyp.kinds[max(mine, key=lambda h: logbf[0, h])] == kind
 
 
 @pytest.mark.parametrize("n", [4, 6, 8])
 def test_every_explanation_is_listed_once(n):
     hyp = hypotheses.make(n)
     assert len(set(hyp.names)) == len(hyp.names) == len(hyp.kinds) == len(hyp.rotors) == len(hyp.weight)
-    assert len(hyp.singles) == n and len(hyp.pairs) == n * (n - 1) // 2 and len(hyp.mixed) == n
+    assert len(hyp.singles) == n and len(hyp.pairs) == n * (n - 1) // 2
+    again = [who for who, kind in zip(hyp.rotors, hyp.kinds) if kind == "recovery"]
+    assert again == [(i,) for i in range(n)]
     assert {who for who, kind in zip(hyp.rotors, hyp.kinds) if kind == "pair"} == {tuple(p) for p in hyp.pairs.tolist()}
     assert hyp.fault.tolist() == [kind != "disturbance" for kind in hyp.kinds]
     assert all(who == () for who, kind in zip(hyp.rotors, hyp.kinds) if kind == "disturbance")
@@ -192,10 +271,9 @@ def test_disturbances_are_gaussian_integrals():
 def test_a_manoeuvre_in_calm_air_is_no_loss():
     """A pitch step ten times as large as calm air knows, with a little of everything else: rotor 1 fits better than anything usual,
     and worse than a disturbance far larger."""
-    hyp = hypotheses.make(4)
-    C, z, B = quad_evidence(wrong=(0.25, 1.0, 0.2, 0.5), loss=0.3, sd=0.02)
-    calm = np.full(4, 0.03)
-    logbf, _, _ = hypotheses.log_bayes_factors(hyp, C, z, np.zeros(4), np.ones(4), calm, B)
+    C, z = quad_evidence(wrong=(0.25, 1.0, 0.2, 0.5), loss=0.3, sd=0.02)
+    calm, hyp = np.full(4, 0.03), hypotheses.make(4)
+    logbf, _ = hypotheses.log_bayes_factors(hyp, C, z, np.zeros(4), np.ones(4), calm, np.zeros((1, 4)), np.ones(4))
     told = dict(zip(hyp.names, np.asarray(logbf)[0]))
     far = np.asarray(hypotheses.disturbances(hyp, C, z, hypotheses.FAR * calm))[0]
     usual = max(v for name, v in told.items() if "rotor" not in name)
