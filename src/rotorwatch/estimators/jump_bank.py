@@ -114,7 +114,6 @@ class Jump(NamedTuple):
     size: Array
     cov: Array
     each: Array
-    sd: Array
 
 
 class Opposite(NamedTuple):
@@ -242,7 +241,7 @@ class JumpBank:
         other = jnp.where(lone, jnp.logaddexp(found.other, found.far), found.other)
         statistic = jnp.minimum(found.fault - self.log_threshold, found.fault - other - jnp.log(COMPETITOR_ODDS))
         possible = plausibility.plausible(
-            best.each, best.sd, seen.u[:n], seen.rise, missing, carry.missing, valid[3], active, s[n_x:], rough
+            best.each, seen.u[:n], seen.rise, missing, carry.missing, valid[3], active, s[n_x:], rough
         )
         # The most probable onset at the edge of the bank speaks of a drift that began before it, not of a jump.
         onset = best.slot @ jnp.where(found.live, bank.age + 1.0, 0.0)
@@ -446,7 +445,7 @@ class JumpBank:
         cov = D.T @ (half.T @ half) @ D * kept[:, None] * kept[None, :]
         half = _half_inverse(C[n:, n:] + jnp.diag(1.0 / free))
         size = jnp.concatenate([each.sum(axis=0), steps * (half.T @ (half @ z[n:]))])
-        return Jump(slot, size, cov, each, jnp.sqrt(jnp.maximum(jnp.diagonal(cov)[:n], 0.0)))
+        return Jump(slot, size, cov, each)
 
     def _born(self, all_: branches.Branches, told, bank, found: Evidence, first, alarm, absorbed) -> branches.Branches:
         """What may have happened becomes branches of the one that leads: the likeliest disturbance and the likeliest faults. Hypothesis

@@ -19,8 +19,7 @@ MISSING_SLACK = 0.15  # hover thrusts of one rotor
 FAST_S, SLOW_S = 0.5, 6.0
 HEAVE_S = 8.0  # how long a push up or down is remembered
 SECOND = 0.1
-LIMIT_S = 8.0  # how long it is remembered that a rotor was at its limit
-BEYOND = 2.0  # standard deviations by which a loss must exceed what the limit explains
+LIMIT_S = 2.0  # how long it is remembered that a rotor was at its limit
 # A loss that is known wanders with the operating point and the weather: only a step in it is news.
 CHANGE, CHANGE_GONE, GONE = 0.03, 0.3, 0.8
 
@@ -57,11 +56,10 @@ def follow(state: Missing, missing, load, share, valid, restart, dt: float) -> M
     )
 
 
-def plausible(jump, sd, smooth, rise, now: Missing, before: Missing, thrust_valid, active, theta, rough):
+def plausible(jump, smooth, rise, now: Missing, before: Missing, thrust_valid, active, theta, rough):
     """bool: may the jump (2, n; two rotors at most, 0 elsewhere) be a loss?
 
-    sd (n,): of each rotor's size. smooth (n,): thrust of each rotor; rise (n,): what is asked above
-    trim. active (n,): rotors already known to be weak, by theta (n,). rough (4,): variance of this flight's disturbances.
+    smooth (n,): thrust of each rotor; rise (n,): what is asked above trim. active (n,): rotors already known to be weak, by theta (n,). rough (4,): variance of this flight's disturbances.
     """
     import jax.numpy as jnp
 
@@ -79,7 +77,7 @@ def plausible(jump, sd, smooth, rise, now: Missing, before: Missing, thrust_vali
     ok &= ~thrust_valid | (lost <= 0.0) | (now.fast - before.slow > ASKED_SHARE * lost - slack)
     # ... and not because a rotor at its limit gives no more.
     told = (jump > 0) & ~active[None, :]
-    ok &= jnp.where(told & (now.limit > 0)[None, :], jump - BEYOND * sd[None, :] > now.limit[None, :], True).all()
+    ok &= jnp.where(told & (now.limit > 0)[None, :], jump > now.limit[None, :], True).all()
     known = active[None, :] & (jump != 0.0)
     least = jnp.where(theta > GONE, CHANGE_GONE, CHANGE)
     ok &= ~known.any() | (known & (jnp.abs(jump) > least)).any() | (another_of(jump, active)).any()
