@@ -103,7 +103,7 @@ def judge(plan: Plan, flights: Sequence[int], size: int) -> list[dict]:
         return score.estimator(label, f, kept, statistic, seen, bound, plan)
 
     if "default" in plan.estimators:
-        for f, bound, out in zip(flown, bounds, _default(flown, B, size), strict=True):
+        for f, bound, out in zip(flown, bounds, by_default(flown, B, size), strict=True):
             statistic = np.where(out.plausible, out.kept.statistic, score.NOTHING)
             rows.append(row("default", f, out.kept, statistic, bound))
     if published:
@@ -203,7 +203,7 @@ def _program(build):
     return jax.jit(jax.vmap(single, in_axes=(None, None, 0, 0, 0, 0)))
 
 
-def _default(flown: Sequence[Flown], B: np.ndarray, size: int) -> list[Judged]:
+def by_default(flown: Sequence[Flown], B: np.ndarray, size: int) -> list[Judged]:
     """The default estimator over every flight, side by side."""
     never = np.full(len(flown), -1)
     return [out for out, _ in _stepped(flown, B, size, [_table(f.ticks, B) for f in flown], never)]

@@ -107,7 +107,7 @@ class Plan:
     def flight(self, k: int) -> Scenario:
         """The scenario of flight k, drawn from (seed, k)."""
         rng = np.random.default_rng([self.seed, k])
-        table = _drawn(self.scenario, rng)
+        table = drawn(self.scenario, rng)
         here, n = self.cell(k), self.rotors[k % len(self.cells)]
         table["autopilot"] = here.autopilot
         table["airframe"]["frame"], table["logging"]["profile"] = here.frame, here.profile
@@ -117,8 +117,8 @@ class Plan:
             asked = self.faults[int(rng.choice(len(shares), p=shares / shares.sum()))]
             rotors = rng.permutation(n)[: asked["together"]] + 1
             for rotor in rotors:
-                drawn = _drawn({key: v for key, v in asked.items() if key not in FAULT}, rng)
-                faults.append({"rotor": int(rotor), **drawn})
+                fault = drawn({key: v for key, v in asked.items() if key not in FAULT}, rng)
+                faults.append({"rotor": int(rotor), **fault})
         return scenario.from_table(
             {**table, "name": f"{self.name} {k}", "seed": int(rng.integers(2**31 - 1)), "faults": faults}
         )
@@ -334,7 +334,7 @@ def _check_draws(where: str, table: Mapping[str, Any]) -> None:
             raise ConfigError(f"{name}.log_uniform must be above zero, not {values[0]:g}.")
 
 
-def _drawn(table: Mapping[str, Any], rng: np.random.Generator) -> dict[str, Any]:
+def drawn(table: Mapping[str, Any], rng: np.random.Generator) -> dict[str, Any]:
     """The table with a value for every draw, in the order of the file."""
     found: dict[str, Any] = {}
     for key, value in table.items():
@@ -347,7 +347,7 @@ def _drawn(table: Mapping[str, Any], rng: np.random.Generator) -> dict[str, Any]
             else:
                 found[key] = float(np.exp(rng.uniform(*np.log(values))))
         else:
-            found[key] = _drawn(value, rng) if isinstance(value, Mapping) else value
+            found[key] = drawn(value, rng) if isinstance(value, Mapping) else value
     return found
 
 

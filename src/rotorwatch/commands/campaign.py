@@ -1,4 +1,4 @@
-"""The command that flies campaigns: a plan in, a table with intervals out."""
+"""The commands that fly many flights: a table with intervals out."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ from contextlib import contextmanager
 
 import click
 
-from rotorwatch.commands.tools import LOG, OUT, common, live, say
+from rotorwatch.commands.tools import LOG, OUT, common, live, progress, say
 
 
 def register(group: click.Group) -> None:
-    """Add the command of this module to the command line."""
+    """Add the commands of this module to the command line."""
     group.add_command(campaign)
+    group.add_command(sequences)
 
 
 @click.command(short_help="Judge thousands of simulated flights.")
@@ -49,6 +50,24 @@ def campaign(plan, flights, jobs, out, as_json, quiet) -> None:
     click.echo(json.dumps(summary, indent=1, allow_nan=False) if as_json else campaigns.markdown(summary), nl=as_json)
     if not quiet:
         say(f"table, summary and page written to {out}")
+
+
+@click.command(short_help="Judge simulated flights with several faults.")
+@click.option("--flights", type=click.IntRange(1, 100_000), default=300, show_default=True, help="How many.")
+@click.option("--seed", type=click.IntRange(0, 2**31 - 1), default=31, show_default=True, help="Of the flights.")
+@click.option("--jobs", type=click.IntRange(1, 256), help="Processes; default: one per processor.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON: the table and every state.")
+@common
+def sequences(flights, seed, jobs, as_json, quiet) -> None:
+    """Fly flights in which rotors fail one after the other, together, recover, change or come and go (docs/experiments.md), and say how
+    often the state of all rotors is known."""
+    import json
+
+    from rotorwatch.campaign import sequences as study
+
+    with progress(quiet) as tell:
+        result = study.run(flights, seed, jobs, tell)
+    click.echo(json.dumps(result, indent=1, allow_nan=False) if as_json else study.describe(result))
 
 
 @contextmanager

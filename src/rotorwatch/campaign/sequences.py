@@ -1,4 +1,4 @@
-"""Flights in which more than one thing happens: how well the state of all rotors is known, between one change and the next.
+"""Flights in which more than one thing happens: how well the state of all rotors is known between one change and the next.
 
 Second faults, recoveries, changes of size, intermittent faults, pairs at once, both rotors of a coaxial arm; 10 to 50 % each, in winds to
 6 m/s. Every stretch between two changes that lasts SETTLE_S is one state. It is read at its end from the events of the whole flight:
@@ -13,15 +13,20 @@ Second faults, recoveries, changes of size, intermittent faults, pairs at once, 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Sequence
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import nullcontext
 from dataclasses import dataclass
+from multiprocessing import get_context
 from typing import Any
 
 import numpy as np
 
 from rotorwatch.campaign import batch, summary
-from rotorwatch.campaign.plan import Cell, _drawn
+from rotorwatch.campaign.plan import Cell, drawn
 from rotorwatch.diagnosis import Event
+from rotorwatch.errors import ConfigError
 from rotorwatch.evidence import events, hypotheses, outside
 from rotorwatch.simulation import scenario
 from rotorwatch.simulation.scenario import Scenario
@@ -32,6 +37,7 @@ ARMS = {"y6": ((1, 5), (2, 3), (4, 6)), "octaquad-x": ((1, 6), (2, 5), (3, 8), (
 KINDS = ("second", "second", "second", "recovery", "change", "intermittent", "equal pair", "pair", "arm")
 DURATION_S, SETTLE_S, WEAK = 75.0, 5.0, 0.03
 MARGIN_S = 1.0  # an onset may be off by so much
+WIDTH = 16  # flights side by side
 OUTCOMES = ("right", "ambiguous", "missed", "wrong", "other")
 
 
@@ -50,7 +56,7 @@ class Sequences:
         """The scenario of flight k."""
         rng = np.random.default_rng([self.seed, k])
         cell, kind = self.cells[k % len(self.cells)], self.kind(k)
-        table = _drawn(
+        table = drawn(
             {
                 "duration_s": DURATION_S,
                 "autopilot": "ardupilot",
@@ -154,19 +160,47 @@ def states(f: batch.Flown, found: Sequence[Event]) -> list[State]:
     return answers
 
 
-def run(flights: int = 300, seed: int = 31, progress: Callable | None = None) -> dict[str, Any]:
-    """Fly, judge and score: {"table": a row per kind and per frame, "states": all of them}."""
-    plan, rows = Sequences(seed), []
+def run(
+    flights: int = 300, seed: int = 31, jobs: int | None = None, progress: Callable | None = None
+) -> dict[str, Any]:
+    """Fly, judge and score: {"flights", "seed", "table": rows with all states, by kind and by frame, "states": all of them}.
+
+    jobs: processes, default one per processor. progress: called as progress(share, text). Raises ConfigError.
+    """
+    if flights < 1:
+        raise ConfigError(f"flights must be at least 1, not {flights}.")
+    plan = Sequences(seed)
     cells = len(plan.cells)
-    size = 16
-    parts = [(c, k) for c in range(cells) for k in range(c, flights, cells * size)]
-    for done, (_, start) in enumerate(parts):
-        numbers = list(range(start, min(start + cells * size, flights), cells))
-        flown = batch.fly(plan, numbers, size)
-        rows += judged(plan, flown)
-        if progress:
-            progress((done + 1) / len(parts), "flying")
-    return {"table": table(rows), "states": rows}
+    parts = [
+        (seed, range(start, min(start + cells * WIDTH, flights), cells))
+        for cell in range(cells)
+        for start in range(cell, flights, cells * WIDTH)
+    ]
+    rows: list[dict[str, Any]] = []
+    jobs = min(jobs or os.cpu_count() or 1, len(parts))
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) if jobs > 1 else nullcontext() as pool:
+        for done, found in enumerate(pool.map(_part, parts) if pool else map(_part, parts), start=1):
+            rows += found
+            if progress:
+                progress(done / len(parts), "flying")
+    rows.sort(key=lambda row: (row["flight"], row["at"]))
+    return {"flights": flights, "seed": seed, "table": table(rows), "states": rows}
+
+
+def _part(work: tuple[int, range]) -> list[dict[str, Any]]:
+    seed, numbers = work
+    plan = Sequences(seed)
+    return judged(plan, batch.fly(plan, numbers, WIDTH))
+
+
+def describe(result: Mapping[str, Any]) -> str:
+    """The table, as text."""
+    lines = [f"{result['flights']} flights, seed {result['seed']}: what is said of all rotors between one change and the next", ""]
+    lines.append(f"{'':24}{'states':>8}" + "".join(f"{name:>22}" for name in OUTCOMES))
+    for row in result["table"]:
+        cells = (f"{100 * v['value']:.1f} % ({100 * v['low']:.0f}-{100 * v['high']:.0f})" for v in map(row.get, OUTCOMES))
+        lines.append(f"{row['by'] + ' ' + row['name']:24}{row['states']:>8}" + "".join(f"{cell:>22}" for cell in cells))
+    return "\n".join(lines)
 
 
 def judged(plan: Sequences, flown: Sequence[batch.Flown]) -> list[dict[str, Any]]:
@@ -175,7 +209,7 @@ def judged(plan: Sequences, flown: Sequence[batch.Flown]) -> list[dict[str, Any]
         return []
     B = flown[0].vehicle.effectiveness()
     hyp, rows = hypotheses.make(B.shape[1]), []
-    for f, out in zip(flown, batch._default(flown, B, 16)):
+    for f, out in zip(flown, batch.by_default(flown, B, WIDTH)):
         losses = events.read(out.kept, f.ticks, hyp, B)
         losses = [e for e in losses if not outside.explains(f.overrides, e)]
         for s in states(f, losses):
