@@ -123,3 +123,17 @@ def test_every_flight_is_a_valid_scenario_with_what_its_kind_says():
         if kind == "arm" and s.airframe["frame"] in sequences.ARMS:
             assert tuple(sorted(rotors)) in [tuple(sorted(a)) for a in sequences.ARMS[s.airframe["frame"]]]
     assert len(kinds) == len(set(sequences.KINDS)) * len(sequences.FRAMES)
+
+
+def test_two_flights_are_flown_judged_and_scored():
+    result = sequences.run(2)
+    rows = result["states"]
+    assert {r["flight"] for r in rows} == {0, 1} and all(r["frame"] == "quad-x" for r in rows)
+    plan = sequences.Sequences()
+    for k in (0, 1):
+        weak = {f["rotor"] if isinstance(f, dict) else f.rotor for f in plan.flight(k).faults}
+        mine = [r for r in rows if r["flight"] == k]
+        assert mine[0]["truth"] == () and set(mine[-1]["truth"]) == weak
+    assert all(r["outcome"] == sequences.outcome(r["truth"], r["named"]) for r in rows)
+    first = result["table"][0]
+    assert (first["by"], first["states"]) == ("all", len(rows))

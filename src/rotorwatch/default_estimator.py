@@ -49,8 +49,8 @@ def kept(out) -> Kept:
     e, d = out.estimate, out.decision
     return Kept(
         out.theta, out.theta_sd, e.innovation, jnp.diagonal(e.innovation_cov), d.log_odds, d.statistic, d.best, d.onset,
-        out.probability, out.announced, out.since, out.active, out.share, out.detectable, e.x[:AXIS_STATES].reshape(4, -1)[:, :3].sum(axis=1),
-        *out.opposite,
+        out.probability, out.announced, out.since, out.active, out.share, out.detectable,
+        e.x[:AXIS_STATES].reshape(4, -1)[:, :3].sum(axis=1), *out.opposite,
     )  # fmt: skip
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -121,7 +121,15 @@ def judge(plan: Plan, flights: Sequence[int], size: int) -> list[dict]:
     return rows
 
 
-def fly(plan: Plan, flights: Sequence[int], size: int) -> list[Flown]:
+class Flights(Protocol):
+    """What draws flights: a plan, or a study's own."""
+
+    def flight(self, k: int) -> Scenario:
+        """The scenario of flight k."""
+        ...
+
+
+def fly(plan: Flights, flights: Sequence[int], size: int) -> list[Flown]:
     """Simulate the flights and look at them as `diagnose` looks at a log. Flights that never take off are left out."""
     scenarios = [plan.flight(k) for k in flights]
     plans = [_planned(k, scenario) for k, scenario in zip(flights, scenarios, strict=True)]

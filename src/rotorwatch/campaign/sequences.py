@@ -28,9 +28,9 @@ from rotorwatch.campaign.plan import Cell, drawn
 from rotorwatch.diagnosis import Event
 from rotorwatch.errors import ConfigError
 from rotorwatch.evidence import events, hypotheses, outside
+from rotorwatch.motion.ticks import JUDGE
 from rotorwatch.simulation import scenario
 from rotorwatch.simulation.scenario import Scenario
-from rotorwatch.motion.ticks import JUDGE
 
 FRAMES = {"quad-x": 4, "hexa-x": 6, "octa-x": 8, "y6": 6, "octaquad-x": 8}
 ARMS = {"y6": ((1, 5), (2, 3), (4, 6)), "octaquad-x": ((1, 6), (2, 5), (3, 8), (4, 7))}
@@ -79,7 +79,9 @@ class Sequences:
             rng,
         )
         faults = _faults(kind, cell.frame, rng)
-        return scenario.from_table({**table, "name": f"{kind} {k}", "seed": int(rng.integers(2**31 - 1)), "faults": faults})
+        return scenario.from_table(
+            {**table, "name": f"{kind} {k}", "seed": int(rng.integers(2**31 - 1)), "faults": faults}
+        )
 
 
 def _faults(kind: str, frame: str, rng: np.random.Generator) -> list[dict[str, Any]]:
@@ -145,7 +147,14 @@ def states(f: batch.Flown, found: Sequence[Event]) -> list[State]:
     """All states of a flight, up to its crash."""
     time, judged = f.ticks.time, f.ticks.mode == JUDGE
     weak = f.theta > WEAK
-    edges = [0, *(np.flatnonzero((weak[1:] != weak[:-1]).any(axis=1) | (np.abs(np.diff(f.theta, axis=0)) > 0.02).any(axis=1)) + 1), len(time)]
+    edges = [
+        0,
+        *(
+            np.flatnonzero((weak[1:] != weak[:-1]).any(axis=1) | (np.abs(np.diff(f.theta, axis=0)) > 0.02).any(axis=1))
+            + 1
+        ),
+        len(time),
+    ]
     answers = []
     for a, b in itertools.pairwise(edges):
         here = np.flatnonzero(judged[a:b] & ~f.ticks.upset[a:b]) + a
@@ -195,10 +204,15 @@ def _part(work: tuple[int, range]) -> list[dict[str, Any]]:
 
 def describe(result: Mapping[str, Any]) -> str:
     """The table, as text."""
-    lines = [f"{result['flights']} flights, seed {result['seed']}: what is said of all rotors between one change and the next", ""]
+    lines = [
+        f"{result['flights']} flights, seed {result['seed']}: what is said of all rotors between one change and the next",
+        "",
+    ]
     lines.append(f"{'':24}{'states':>8}" + "".join(f"{name:>22}" for name in OUTCOMES))
     for row in result["table"]:
-        cells = (f"{100 * v['value']:.1f} % ({100 * v['low']:.0f}-{100 * v['high']:.0f})" for v in map(row.get, OUTCOMES))
+        cells = (
+            f"{100 * v['value']:.1f} % ({100 * v['low']:.0f}-{100 * v['high']:.0f})" for v in map(row.get, OUTCOMES)
+        )
         lines.append(f"{row['by'] + ' ' + row['name']:24}{row['states']:>8}" + "".join(f"{cell:>22}" for cell in cells))
     return "\n".join(lines)
 

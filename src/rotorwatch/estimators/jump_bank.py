@@ -90,7 +90,8 @@ class Carry(NamedTuple):
 class Evidence(NamedTuple):
     """Of all hypotheses (n_h,): log evidence over all onsets, probability among faults. fault, other: log of the sums; far: that
     of disturbances much larger than this flight's; log_bf (W, n_h): Bayes factors, per_slot (W, n_h): with prior weights; nu
-    (W, n_fault, 2): most probable sizes; gone (W, n): sizes that end a known loss; slop (W, 4): `hypotheses.slop`; width (4,): of disturbances; live (W,): slots in use."""
+    (W, n_fault, 2): most probable sizes; gone (W, n): sizes that end a known loss; slop (W, 4): `hypotheses.slop`; width (4,): of
+    disturbances; live (W,): slots in use."""
 
     log_odds: Array
     probability: Array
@@ -202,14 +203,14 @@ class JumpBank:
         y = jnp.where(valid, y, 0.0)
         judge, flying = mode > JUDGE - 0.5, mode > GROUND + 0.5
         stand = carry.standing
-        all_ = self._predicted(self._restarted(carry.branches, restart, hop), carry, flying)
-        biases = all_.s[0, :n_x]
+        explained = self._predicted(self._restarted(carry.branches, restart, hop), carry, flying)
+        biases = explained.s[0, :n_x]
         bank = self.jumps.advance(carry.bank, self._A(), judge, judge & ~restart)
         memory, seen = caution.look(carry.caution, u, y, valid, flying, restart, biases, carry.noise.variances, n, dt)
         white = carry.noise.variances[0]
         error = caution.model_error(carry.caution, seen, biases, y, white, self.system.B, n, dt)
         rows = jnp.concatenate([self.system.C(seen.u), self.system.H(seen.u, biases)], axis=1)
-        e = y - rows @ all_.s[0]
+        e = y - rows @ explained.s[0]
         carried = u[n + 3] * biases[3 * PER_AXIS + GAIN]
         missing = plausibility.follow(
             carry.missing, y[3] - carried, u[n + 3] / n, u[:n] / u[n + 9], valid[3], restart, dt
@@ -219,17 +220,17 @@ class JumpBank:
         def measured(s, P):
             return self._measured(s, P, rows, y, valid & flying, white + error, seen.teach)
 
-        s, P, gains, innovation, variance = jax.vmap(measured)(all_.s, all_.P)
+        s, P, gains, innovation, variance = jax.vmap(measured)(explained.s, explained.P)
         for a in range(4):
             w = jnp.where((valid & flying)[a], calm[a] / variance[0, a], 0.0)
             bank = self.jumps.observe(bank, rows[a], gains[0, a], w, innovation[0, a])
         memory = caution.remember(memory, innovation[0], variance[0], valid & flying, dt)
-        all_ = all_._replace(s=s, P=P)
-        all_ = branches.weigh(all_, innovation, variance, valid & flying, calm, judge, dt)
-        all_, other_leads = branches.lead(all_)
+        explained = explained._replace(s=s, P=P)
+        explained = branches.weigh(explained, innovation, variance, valid & flying, calm, judge, dt)
+        explained, other_leads = branches.lead(explained)
         bank = jumps.forget(bank, other_leads)
 
-        s, P, active = all_.s[0], all_.P[0], all_.active[0]
+        s, P, active = explained.s[0], explained.P[0], explained.active[0]
         told = jumps.without_last(bank, jnp.maximum(P[self.yaw_gain, self.yaw_gain], 1e-12))
         reach = jnp.abs(rows[:, n_x:]).max(axis=0)
         found = self._evidence(s, told, carry.noise.variances, active, reach)
@@ -256,7 +257,7 @@ class JumpBank:
         sure_s = jnp.where(judge & ~alarm & certain, stand.sure_s + dt, 0.0)
         absorbed = sure_s >= ABSORB_S
         sure_s = jnp.where(absorbed, 0.0, sure_s)
-        all_ = self._born(all_, told, bank, found, first, alarm, absorbed)
+        explained = self._born(explained, told, bank, found, first, alarm, absorbed)
         steady = (jnp.abs(seen.u[n + 6]) < TURNING) & (missing.heave < HEAVING)
         opposite, opposite_s = self._opposite(found, told, stand, active, judge & ~alarm & steady)
         bank = jumps.forget(bank, alarm | absorbed)
@@ -266,13 +267,13 @@ class JumpBank:
         e = e + (rows[:, :n_x] * jnp.asarray(np.isin(np.arange(n_x), self.bias_rows), float)) @ biases
         suspicious = found.fault > threshold(self.hyp, dt, SUSPICIOUS_PERIOD_S)
         frozen = jnp.where(suspicious, stand.frozen + dt, jnp.maximum(stand.frozen - dt, 0.0))
-        learns = (~suspicious | (frozen > FREEZE_S)) & (all_.age > SETTLE_S) & flying
+        learns = (~suspicious | (frozen > FREEZE_S)) & (explained.age > SETTLE_S) & flying
         noises = noise.step(carry.noise, e, valid & learns, white / (white + error), dt)
 
-        s, P = all_.s[0], all_.P[0]
+        s, P = explained.s[0], explained.P[0]
         shown = jnp.clip(s[n_x:], 0.0, 1.0)
         # The filter believes its noise model; where innovations have been larger or longer than that, so is the error.
-        shown_var = all_.theta_var[0] + (1.0 / calm).mean() * jnp.diagonal(P)[n_x:]
+        shown_var = explained.theta_var[0] + (1.0 / calm).mean() * jnp.diagonal(P)[n_x:]
         estimate = Estimate(
             s[:n_x],
             P[:n_x, :n_x],
@@ -289,20 +290,20 @@ class JumpBank:
             shown,
             jnp.sqrt(jnp.maximum(shown_var, 0.0)),
             alarm,
-            all_.onset[0],
-            all_.active,
-            branches.shares(all_),
+            explained.onset[0],
+            explained.active,
+            branches.shares(explained),
             detectable,
             possible,
             opposite,
         )
         standing = Standing(above.astype(jnp.int32), jnp.minimum(frozen, 2.0 * FREEZE_S), sure_s, opposite_s)
-        return Carry(all_, noises, bank, memory, missing, standing), out
+        return Carry(explained, noises, bank, memory, missing, standing), out
 
     def _A(self) -> np.ndarray:
         return np.concatenate([self.system.decay(self.dt), np.ones(self.n)])
 
-    def _restarted(self, all_: branches.Branches, restart, hop) -> branches.Branches:
+    def _restarted(self, explained: branches.Branches, restart, hop) -> branches.Branches:
         """A new hop starts with new biases; what the vehicle is like, and how noisy, stays known. After a contact the biases may be any,
         but a loss that was known stays. Either ends the competition of explanations."""
         import jax.numpy as jnp
@@ -311,16 +312,16 @@ class JumpBank:
         rows = np.ix_(self.bias_rows, self.bias_rows)
         P0 = jnp.zeros((self.n_s, self.n_s)).at[rows].set(jnp.asarray(self.system.P0)[rows])
         leads = jnp.arange(branches.PLACES) == 0
-        return all_._replace(
-            s=jnp.where(hop, all_.s * keep, all_.s),
-            P=jnp.where(hop, all_.P * keep[:, None] * keep[None, :], all_.P) + jnp.where(restart, P0, 0.0),
-            active=all_.active & ~hop,
-            learning=jnp.where(hop, 0.0, all_.learning),
-            theta_var=jnp.where(hop, 0.0, all_.theta_var),
-            weight=jnp.where(restart, jnp.where(leads, 0.0, branches.NEVER), all_.weight),
+        return explained._replace(
+            s=jnp.where(hop, explained.s * keep, explained.s),
+            P=jnp.where(hop, explained.P * keep[:, None] * keep[None, :], explained.P) + jnp.where(restart, P0, 0.0),
+            active=explained.active & ~hop,
+            learning=jnp.where(hop, 0.0, explained.learning),
+            theta_var=jnp.where(hop, 0.0, explained.theta_var),
+            weight=jnp.where(restart, jnp.where(leads, 0.0, branches.NEVER), explained.weight),
         )
 
-    def _predicted(self, all_: branches.Branches, carry: Carry, flying) -> branches.Branches:
+    def _predicted(self, explained: branches.Branches, carry: Carry, flying) -> branches.Branches:
         """One tick ahead. A loss that has been refined long enough is taken as known; its variance is remembered."""
         import jax
         import jax.numpy as jnp
@@ -344,9 +345,9 @@ class JumpBank:
             return A * s, A[:, None] * P * A[None, :] + Q, learning, jnp.where(finished, var, theta_var), mean
 
         s, P, learning, theta_var, theta_mean = jax.vmap(one)(
-            all_.s, all_.P, all_.learning, all_.theta_var, all_.theta_mean
+            explained.s, explained.P, explained.learning, explained.theta_var, explained.theta_mean
         )
-        return all_._replace(s=s, P=P, learning=learning, theta_var=theta_var, theta_mean=theta_mean)
+        return explained._replace(s=s, P=P, learning=learning, theta_var=theta_var, theta_mean=theta_mean)
 
     def _measured(self, s, P, rows, y, valid, R, teach):
         """One axis after the other: R is diagonal. -> s, P, gains (4, n_s), innovations (4,), variances (4,)."""
@@ -360,7 +361,9 @@ class JumpBank:
             S = h @ Ph + R[a]
             S = jnp.maximum(S, nu * nu / OUTLIER**2)
             nu = jnp.where(valid[a], nu, 0.0)
-            K = Ph * jnp.where(valid[a], 1.0 / S, 0.0) * teach  # a smaller gain: the covariance below holds for any gain
+            K = (
+                Ph * jnp.where(valid[a], 1.0 / S, 0.0) * teach
+            )  # a smaller gain: the covariance below holds for any gain
             s = s + K * nu
             P = P - K[:, None] * Ph[None, :] - Ph[:, None] * K[None, :]
             P = P + jnp.where(valid[a], S, 0.0) * K[:, None] * K[None, :]
@@ -447,7 +450,9 @@ class JumpBank:
         size = jnp.concatenate([each.sum(axis=0), steps * (half.T @ (half @ z[n:]))])
         return Jump(slot, size, cov, each)
 
-    def _born(self, all_: branches.Branches, told, bank, found: Evidence, first, alarm, absorbed) -> branches.Branches:
+    def _born(
+        self, explained: branches.Branches, told, bank, found: Evidence, first, alarm, absorbed
+    ) -> branches.Branches:
         """What may have happened becomes branches of the one that leads: the likeliest disturbance and the likeliest faults. Hypothesis
         `first` leads where it is announced, else the disturbance."""
         import jax
@@ -455,7 +460,7 @@ class JumpBank:
 
         fault, other = jnp.asarray(self.hyp.fault), jnp.logaddexp(found.other, found.far)
 
-        def born(all_):
+        def born(explained):
             left, chosen = jnp.where(fault, found.log_odds, -jnp.inf), []
             none = jnp.argmax(jnp.where(fault, -jnp.inf, found.log_odds))
             h = first
@@ -473,21 +478,24 @@ class JumpBank:
             # The odds against disturbances are what an announcement is made by; they are not asked again.
             weight = jnp.where(alarm & (which == none), branches.NEVER, weight)
             # Where no rotor is weak, a fault has to be announced.
-            doubt = alarm | all_.active[0].any()
+            doubt = alarm | explained.active[0].any()
             weight = jnp.where(doubt | (which == none), weight, branches.NEVER)
-            child = jax.vmap(lambda h: self._child(all_, told, bank, found, h))(which)
-            return child._replace(weight=jnp.where(weight > branches.OUT, weight, branches.NEVER), age=jnp.where(doubt, 0.0, all_.age))
+            child = jax.vmap(lambda h: self._child(explained, told, bank, found, h))(which)
+            return child._replace(
+                weight=jnp.where(weight > branches.OUT, weight, branches.NEVER),
+                age=jnp.where(doubt, 0.0, explained.age),
+            )
 
-        return jax.lax.cond(alarm | absorbed, born, lambda same: same, all_)
+        return jax.lax.cond(alarm | absorbed, born, lambda same: same, explained)
 
-    def _child(self, all_: branches.Branches, told, bank, found: Evidence, h) -> branches.Branches:
+    def _child(self, explained: branches.Branches, told, bank, found: Evidence, h) -> branches.Branches:
         """The leader with the jump of hypothesis h: exactly what an augmented filter with this jump would hold."""
         import jax.numpy as jnp
 
         n_x = self.n_x
         jump = self._jump(found, told, h)
         M, _, _ = jumps.pick(told, jump.slot)
-        s, P = all_.s[0] + M @ jump.size, all_.P[0] + M @ jump.cov @ M.T
+        s, P = explained.s[0] + M @ jump.size, explained.P[0] + M @ jump.cov @ M.T
         hit = (jnp.einsum("h,hkr->r", (jnp.arange(len(self.hyp.names)) == h).astype(float), self.pick)) > 0.5
         well = jnp.asarray(self.well)[h]
         theta, sd = s[n_x:], jnp.sqrt(jnp.maximum(jnp.diagonal(P)[n_x:], 0.0))
@@ -498,15 +506,15 @@ class JumpBank:
             variance = jnp.maximum(column[j], 1e-12)
             s = jnp.where(off[i], s - column * (s[j] / variance), s)
             P = jnp.where(off[i], P - column[:, None] * column[None, :] / variance, P)
-        learning = jnp.where(hit & ~off, LEARN_LOSS_S, jnp.where(off, 0.0, all_.learning[0]))
+        learning = jnp.where(hit & ~off, LEARN_LOSS_S, jnp.where(off, 0.0, explained.learning[0]))
         return branches.Branches(
             s,
             0.5 * (P + P.T),
-            all_.weight[0],
-            (all_.active[0] | hit) & ~off,
+            explained.weight[0],
+            (explained.active[0] | hit) & ~off,
             learning,
-            jnp.where(off, 0.0, all_.theta_var[0]),
-            jnp.where(hit, s[n_x:], all_.theta_mean[0]),
+            jnp.where(off, 0.0, explained.theta_var[0]),
+            jnp.where(hit, s[n_x:], explained.theta_mean[0]),
             jump.slot @ jnp.where(found.live, bank.age + 1.0, 0.0),
             jnp.zeros(()),
         )

@@ -85,8 +85,10 @@ def lead(branches: Branches) -> tuple[Branches, Array]:
 
     def moved(a):
         flat = a.reshape(PLACES, -1)
-        return (turn @ flat.astype(float)).reshape(a.shape).astype(a.dtype) if a.dtype != bool else (
-            (turn @ flat.astype(float)).reshape(a.shape) > 0.5
+        return (
+            (turn @ flat.astype(float)).reshape(a.shape).astype(a.dtype)
+            if a.dtype != bool
+            else ((turn @ flat.astype(float)).reshape(a.shape) > 0.5)
         )
 
     new = Branches(*[moved(a) if getattr(a, "ndim", 0) else a for a in branches])

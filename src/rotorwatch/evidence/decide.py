@@ -80,9 +80,7 @@ class Threshold:
         best = jnp.argmax(jnp.where(fault, log_odds, -jnp.inf)).astype(jnp.int32)
         pick = (jnp.arange(jump.shape[0]) == best).astype(float)
         size = jnp.einsum("h,hk->k", pick, jump)
-        double = jnp.asarray(
-            [float(kind == "pair") for kind in hyp.kinds if kind in ("single", "pair", "recovery")]
-        )
+        double = jnp.asarray([float(kind == "pair") for kind in hyp.kinds if kind in ("single", "pair", "recovery")])
         enough = (size[0] > self.least) & ((size[1] > self.least) | (pick @ double < 0.5))
         log_fault = jnp.max(jnp.where(fault, log_odds, -jnp.inf))
         log_other = jnp.maximum(jnp.max(jnp.where(fault, -jnp.inf, log_odds)), 0.0)
@@ -117,5 +115,7 @@ class Threshold:
         w = 1.0 / (scatter + common + TURNED**2 * (away @ away) / 4.0)
         Phi = jnp.concatenate([jnp.asarray(self.B), jnp.eye(4)], axis=1)
         C, z = Phi.T @ (w[:, None] * Phi), Phi.T @ (w * away)
-        logbf, jump = hypotheses.log_bayes_factors(self.hyp, C[None], z[None], jnp.zeros(n), jnp.ones(n), jnp.ones(4), jnp.zeros((1, n)), jnp.zeros(n))
+        logbf, jump = hypotheses.log_bayes_factors(
+            self.hyp, C[None], z[None], jnp.zeros(n), jnp.ones(n), jnp.ones(4), jnp.zeros((1, n)), jnp.zeros(n)
+        )
         return logbf[0], jump[0]

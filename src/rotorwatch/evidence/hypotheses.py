@@ -22,7 +22,10 @@ SLOP = (0.1, 0.1, 0.4, 0.3)
 FAR_SHARE, FAR = 0.2, 4.0
 # Prior weights: how often each kind of jump happens, relative to one particular rotor failing. Disturbances are common.
 WEIGHT = {"single": 1.0, "pair": 1e-4, "recovery": 1.0, "disturbance": 3.0}
-RECOVERY_SD = (0.02, 0.3)  # by how much a loss that ends may differ from what it was thought to be, and by what share of it
+RECOVERY_SD = (
+    0.02,
+    0.3,
+)  # by how much a loss that ends may differ from what it was thought to be, and by what share of it
 # Disturbances: which of roll, pitch, yaw, thrust they touch.
 DISTURBANCES = ((0,), (1,), (2,), (3,), (0, 3), (1, 3), (2, 3), (0, 1, 2), (0, 1, 2, 3))
 
@@ -131,7 +134,11 @@ def log_bayes_factors(hyp: Hypotheses, C, z, lo, hi, width, gone, reach):
     more = (z - c * gone) / left
     over = z * gone - 0.5 * c * gone**2 + 0.5 * left * more**2 - 0.5 * jnp.log(left * variance)
     over = over + gain[:, None]
-    nu = [jnp.stack([nu1, jnp.zeros_like(nu1)], -1), jnp.stack([pa, pb], -1), jnp.stack([gone + more, jnp.zeros_like(nu1)], -1)]
+    nu = [
+        jnp.stack([nu1, jnp.zeros_like(nu1)], -1),
+        jnp.stack([pa, pb], -1),
+        jnp.stack([gone + more, jnp.zeros_like(nu1)], -1),
+    ]
     nu = jnp.concatenate(nu, axis=1)
     return jnp.concatenate([single, pair, over, others], axis=1), nu
 
@@ -178,7 +185,7 @@ def with_slop(C, z, prior):
     import jax.numpy as jnp
 
     n = z.shape[1] - 4
-    own, told, gain = jnp.diagonal(C, axis1=1, axis2=2)[:, :n], z[:, :n], 0.0
+    own, told, gain = jnp.diagonal(C, axis1=1, axis2=2)[:, :n], z[:, :n], jnp.zeros(z.shape[0])
     cross, among, step = C[:, :n, n:], C[:, n:, n:], z[:, n:]
     for a in range(4):
         d = among[:, 0, 0] + 1.0 / prior[:, a]

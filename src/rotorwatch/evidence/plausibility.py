@@ -59,7 +59,8 @@ def follow(state: Missing, missing, load, share, valid, restart, dt: float) -> M
 def plausible(jump, smooth, rise, now: Missing, before: Missing, thrust_valid, active, theta, rough):
     """bool: may the jump (2, n; two rotors at most, 0 elsewhere) be a loss?
 
-    smooth (n,): thrust of each rotor; rise (n,): what is asked above trim. active (n,): rotors already known to be weak, by theta (n,). rough (4,): variance of this flight's disturbances.
+    smooth (n,): thrust of each rotor; rise (n,): what is asked above trim. active (n,): rotors already known to be weak, by theta (n,).
+    rough (4,): variance of this flight's disturbances.
     """
     import jax.numpy as jnp
 

@@ -237,7 +237,9 @@ def write_down(out: Kept, seen: Seen, hop: LogPlant, hyp: hypotheses.Hypotheses,
     )
     out.probability[rows] = probability / probability.sum(axis=1, keepdims=True)
     out.announced[rows] = announced
-    out.since[rows], out.active[rows], out.share[rows] = _explanations(announced, active, onset, out.probability[rows], hyp)
+    out.since[rows], out.active[rows], out.share[rows] = _explanations(
+        announced, active, onset, out.probability[rows], hyp
+    )
     out.detectable[rows] = np.maximum(decide.SIGMAS / np.sqrt(own), decide.LEAST) / 1.96
     out.biases[rows] = seen.level
 
