@@ -114,11 +114,10 @@ def test_every_flight_is_a_valid_scenario_with_what_its_kind_says():
         s, kind = plan.flight(k), plan.kind(k)
         kinds.add((kind, s.airframe["frame"]))
         assert s.airframe["frame"] == plan.cells[k % len(plan.cells)].frame
-        rotors = [f["rotor"] if isinstance(f, dict) else f.rotor for f in s.faults]
+        rotors = [f["rotor"] for f in s.faults]
         assert rotors and all(1 <= r <= sequences.FRAMES[s.airframe["frame"]] for r in rotors)
         assert len(set(rotors)) == (1 if kind in ("recovery", "change", "intermittent") else 2), (kind, rotors)
         for f in s.faults:
-            f = f if isinstance(f, dict) else vars(f)
             assert 0.1 <= f["strength"] <= 0.5 and 18.0 <= f["onset_s"] < sequences.DURATION_S - sequences.SETTLE_S
         if kind == "arm" and s.airframe["frame"] in sequences.ARMS:
             assert tuple(sorted(rotors)) in [tuple(sorted(a)) for a in sequences.ARMS[s.airframe["frame"]]]
@@ -131,7 +130,7 @@ def test_two_flights_are_flown_judged_and_scored():
     assert {r["flight"] for r in rows} == {0, 1} and all(r["frame"] == "quad-x" for r in rows)
     plan = sequences.Sequences()
     for k in (0, 1):
-        weak = {f["rotor"] if isinstance(f, dict) else f.rotor for f in plan.flight(k).faults}
+        weak = {f["rotor"] for f in plan.flight(k).faults}
         mine = [r for r in rows if r["flight"] == k]
         assert mine[0]["truth"] == () and set(mine[-1]["truth"]) == weak
     assert all(r["outcome"] == sequences.outcome(r["truth"], r["named"]) for r in rows)
