@@ -322,7 +322,8 @@ class JumpBank:
         )
 
     def _predicted(self, explained: branches.Branches, carry: Carry, flying) -> branches.Branches:
-        """One tick ahead. A loss that has been refined long enough is taken as known; its variance is remembered."""
+        """One tick ahead. A loss that has been refined long enough is taken as known; its variance is remembered. One that turned out to
+        be none is over."""
         import jax
         import jax.numpy as jnp
 
@@ -331,7 +332,7 @@ class JumpBank:
         q_x = jnp.where(flying, noise.process_variance(carry.noise.variances, self.dt), 0.0)
         q_x = jnp.concatenate([q_x, jnp.zeros(n_x - q_x.size)])
 
-        def one(s, P, learning, theta_var, theta_mean):
+        def one(s, P, active, learning, theta_var, theta_mean):
             theta = s[n_x:]
             mean = theta_mean + (theta - theta_mean) * (self.dt / MOVING_S)
             var = doubt * jnp.diagonal(P)[n_x:]
@@ -342,12 +343,14 @@ class JumpBank:
             P = P * known[:, None] * known[None, :]
             learning = jnp.where(moving, MOVING_S, jnp.maximum(learning - self.dt, 0.0))
             Q = jnp.diag(jnp.concatenate([q_x, (learning > 0) * THETA_WALK * self.dt]))
-            return A * s, A[:, None] * P * A[None, :] + Q, learning, jnp.where(finished, var, theta_var), mean
+            over = finished & (theta < OVER)
+            s = s * jnp.concatenate([jnp.ones(n_x), jnp.where(over, 0.0, 1.0)])
+            theta_var = jnp.where(over, 0.0, jnp.where(finished, var, theta_var))
+            return A * s, A[:, None] * P * A[None, :] + Q, active & ~over, learning, theta_var, mean
 
-        s, P, learning, theta_var, theta_mean = jax.vmap(one)(
-            explained.s, explained.P, explained.learning, explained.theta_var, explained.theta_mean
-        )
-        return explained._replace(s=s, P=P, learning=learning, theta_var=theta_var, theta_mean=theta_mean)
+        parts = ("s", "P", "active", "learning", "theta_var", "theta_mean")
+        ahead = jax.vmap(one)(*(getattr(explained, name) for name in parts))
+        return explained._replace(**dict(zip(parts, ahead)))
 
     def _measured(self, s, P, rows, y, valid, R, teach):
         """One axis after the other: R is diagonal. -> s, P, gains (4, n_s), innovations (4,), variances (4,)."""

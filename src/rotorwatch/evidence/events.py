@@ -101,7 +101,8 @@ def read(out, ticks: Ticks, hyp: Hypotheses, B: np.ndarray | None = None) -> tup
                 if len(gone) < len(record.rotors):  # the others are weak still
                     records.append(_parted(record, gone))
                     record = records[-1]
-                record.end, record.last = onset, max(record.announced, k - 1)
+                before_it = int(np.searchsorted(ticks.time, onset)) - 1  # the last estimate that knew nothing of it
+                record.end, record.last = onset, max(record.announced, before_it)
                 for r in gone:
                     del open_[r]
             new = tuple(sorted(now - before))
@@ -168,7 +169,10 @@ def sd_of(theta: np.ndarray, sd: np.ndarray, B: np.ndarray | None = None) -> np.
 
 
 def _event(record: Record, out, ticks: Ticks, final: int, partners: dict, B) -> Event:
-    k = record.last if record.end is not None else min(record.last, final)
+    k = min(record.last, final)
+    if record.end is not None and not record.loss:  # a loss that is over: what it was for most of its time
+        course = out.theta[record.announced : k + 1, record.rotors[0]]
+        k = record.announced + int(np.argmin(np.abs(course - np.median(course))))
     rotors = record.rotors
     loss = np.array(record.loss) if record.loss else out.theta[k, list(rotors)]
     # Of a shared shift each rotor may hold anything from nothing to all.
