@@ -276,8 +276,9 @@ def test_esc_telemetry_in_rotor_order():
             if not (instance == 2 and k > 5):  # output 3, rotor 2, falls silent
                 log.add("ESC", 100_000 * k + instance, instance, 100 * (5000 + instance), 12, 2.5 + instance, *[0] * 4)
     esc = dataflash.read(log.data, "made.bin")["esc"]
-    assert esc.columns == ("rpm1", "rpm2", "rpm3", "rpm4", "current1", "current2", "current3", "current4")
-    assert esc.values[3].tolist() == [5003, 5002, 5001, 5000, 5.5, 4.5, 3.5, 2.5]
+    assert esc.columns[:5] == ("speed1", "speed2", "speed3", "speed4", "current1")
+    assert esc.values[3, :4] == pytest.approx(np.array([5003, 5002, 5001, 5000]) * np.pi / 30)
+    assert esc.values[3, 4:8].tolist() == [5.5, 4.5, 3.5, 2.5]
     assert not esc.valid[-1, 1] and esc.valid[-1, [0, 2, 3]].all()
 
 

@@ -84,11 +84,11 @@ def test_the_autopilots_own_words_are_an_entry():
 def with_esc(currents, start=2.0):
     """A PX4 quad at half command whose ESC currents change to `currents` at `start`."""
     time = np.arange(0.0, 4.0, 0.05)
-    columns = tuple(f"{what}{k}" for what in ("rpm", "current") for k in range(1, 5))
+    columns = tuple(f"{what}{k}" for what in ("speed", "current") for k in range(1, 5))
     values = np.concatenate([np.full((time.size, 4), 6000.0), np.full((time.size, 4), 5.0)], axis=1)
     values[time >= start, 4:] = currents
     motors = Signal(time, np.full((time.size, 4), 0.5), ("r1", "r2", "r3", "r4"), "1")
-    signals = {"motors": motors, "esc": Signal(time, values, columns, "rpm,A")}
+    signals = {"motors": motors, "esc": Signal(time, values, columns, "rad/s,A")}
     return Flight("made", "PX4", signals, 4.0)
 
 

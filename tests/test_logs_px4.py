@@ -29,7 +29,9 @@ def test_new_px4_gives_motors_in_shares_and_esc_telemetry(events):
     assert 9.5 < motors.rate_hz < 10.5 and 0.5 < motors.values.max() < 0.6
     assert events["gyro"].source == "sensor_combined" and events["gyro"].rate_hz == pytest.approx(250, rel=0.02)
     assert events["rates"].source == "vehicle_angular_velocity"
-    assert events["esc"].columns[:4] == ("rpm1", "rpm2", "rpm3", "rpm4") and events["esc"].values[:, :4].max() > 3000
+    esc = events["esc"]
+    assert esc.columns[:5] == ("speed1", "speed2", "speed3", "speed4", "current1") and esc.unit == "rad/s,A,V,degC"
+    assert esc.values[:, :4].max() == pytest.approx(3324 * np.pi / 30)
     assert not events["battery"].valid[:, 1].any()  # logged as -1: no current sensor
     assert events["control"].values[:, 3].max() == pytest.approx(0.552, abs=0.001)
 
@@ -323,7 +325,9 @@ def test_esc_telemetry_follows_the_actuator_functions():
         fields |= {f"esc[{i}].esc_rpm": np.full(9, 1000 * function), f"esc[{i}].esc_current": np.full(9, float(i))}
         fields |= {f"esc[{i}].actuator_function": np.full(9, function)}
     esc = px4_topics.signals(topics(esc_status=fields), {"CA_ROTOR_COUNT": 3})[0]["esc"]
-    assert esc.values[0].tolist() == [101_000, 102_000, 103_000, 1, 2, 0]
+    assert esc.columns == tuple(f"{q}{k}" for q in ("speed", "current", "voltage", "temperature") for k in (1, 2, 3))
+    assert esc.values[0, :6] == pytest.approx([*(np.array([101, 102, 103]) * 100 * np.pi / 3), 1, 2, 0])
+    assert esc.valid[0].tolist() == [True] * 6 + [False] * 6  # no voltage, no temperature
 
 
 def test_times_count_from_the_start_in_exact_microseconds():

@@ -13,6 +13,7 @@ from rotorwatch.answer import conclusion, places, traces
 from rotorwatch.default_estimator import estimate
 from rotorwatch.diagnosis import Diagnosis
 from rotorwatch.errors import ConfigError
+from rotorwatch.esc import witness
 from rotorwatch.estimators.jump_bank import threshold
 from rotorwatch.evidence import decide, events, hypotheses, leftover, outside
 from rotorwatch.flight import Flight
@@ -117,6 +118,9 @@ def diagnose(
     losses = tuple(e for e in losses if not outside.explains(overrides, e))
     contacts = outside.contacts(table, air)
     found = tuple(sorted((*losses, *overrides, *contacts), key=lambda e: e.detected_s))
+    heard = witness.hear(flight, craft, air, table, found)
+    found = heard.events
+    warnings += heard.warnings
     lap("events_s")
     doubts = trust.doubts(flight, craft, air, table)
     whole = None if doubts else _whole_flight(flight, craft, air)

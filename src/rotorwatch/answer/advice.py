@@ -14,6 +14,18 @@ BASELINE = (
 )
 
 
+MOTORS = {
+    "slow_motor": "Look at motor, ESC, their connectors and supply wires of",
+    "high_current": "Look at the motor bearings of",
+    "low_current": "Look at the propeller of",
+}
+PARTS = {
+    "propeller": "its propeller first (nicked, bent, loose on its shaft); the motor turns as told",
+    "motor_or_esc": "its motor, ESC, connectors and supply wires first; it turns slower than told",
+    "bearing": "its motor's bearings first; it draws more current than its speed needs",
+}
+
+
 def of(
     verdict: str,
     events: Sequence[Event],
@@ -57,6 +69,12 @@ def of(
             "To tell the explanations apart: swap the propellers of the suspects with others and see whether the loss moves along, or fly "
             "with brisk turns and rolls and a healthy flight of this build as --baseline."
         )
+    out += [
+        f"{MOTORS[e.kind]} {rotors(e.rotors, places)} before the next flight: its ESC telemetry changed in flight, though no thrust was "
+        "missed."
+        for e in events
+        if e.kind in MOTORS
+    ]
     contacts = [e for e in events if e.kind == "contact"]
     if contacts:
         out.append(
@@ -68,6 +86,8 @@ def of(
 
 
 def _parts(event: Event, stays: bool) -> str:
+    if len(event.rotors) == 1 and event.extra.get("cause") in PARTS:
+        return PARTS[event.extra["cause"]]
     if not stays:
         return "it came back by itself, so look first for a loose connector, a cold joint, an ESC that lost its motor, a hot motor"
     if max(event.loss) > GONE:

@@ -14,6 +14,7 @@ import numpy as np
 from rotorwatch.answer import advice
 from rotorwatch.answer.wording import (
     candidates,
+    cause,
     explanations,
     interval,
     listed,
@@ -28,6 +29,12 @@ from rotorwatch.evidence.events import GONE
 from rotorwatch.evidence.leftover import Leftover
 
 LOSS, OVERRIDE, CONTACT = "loss_of_effectiveness", "output_override", "contact"
+# Of ESC telemetry, without a loss: what they say of a rotor.
+MOTOR_NOTICES = {
+    "slow_motor": "turns slower than told",
+    "high_current": "draws more current than before",
+    "low_current": "draws less current than before",
+}
 LEAST_S = 3.0  # of judged flight, below which nothing is said of healthy rotors
 LARGE = 0.5  # of the largest loss: what counts when the first one is looked for
 TOGETHER_S = 1.0  # losses that began within that are one happening, of which the largest stands for all
@@ -100,7 +107,7 @@ def conclude(
     show what flew; with any, nothing is concluded from its outputs. leftover: evidence that no event explains. places: `places.names`.
     """
     if doubts:
-        shown = tuple(e for e in events if e.kind not in (LOSS, OVERRIDE))
+        shown = tuple(e for e in events if e.kind not in (LOSS, OVERRIDE, *MOTOR_NOTICES))
         seen = Seen(shown, None, n, None, judged_s, (), tuple(places), tuple(hops))
         return _concluded(seen, "inconclusive", doubts[0], "This log cannot say.", None, doubts)
     judged = judged_s >= LEAST_S and hidden is not None
@@ -200,7 +207,15 @@ def _headline(seen: Seen, verdict: str, main: int | None) -> str:
     if knocks:  # after each the trim is learned afresh, with whatever it broke
         when = f"the knock at {knocks[0]}" if len(knocks) == 1 else f"{len(knocks)} knocks, the first at {knocks[0]},"
         parts.append(f"What {when} broke was not judged.")
+    for rotor in sorted({r for e in _notices(seen) for r in e.rotors}):
+        own = [e for e in _notices(seen) if rotor in e.rotors]
+        said = listed([MOTOR_NOTICES[e.kind] for e in own])
+        parts.append(sentence(f"{rotors([rotor], seen.places)} {said}, since {seconds(min(e.onset_s for e in own))}."))
     return " ".join(parts)
+
+
+def _notices(seen: Seen) -> list[Event]:
+    return [e for e in seen.events if e.kind in MOTOR_NOTICES]
 
 
 def _matter(seen: Seen, verdict: str, main: int | None) -> str:
@@ -222,7 +237,7 @@ def _matter(seen: Seen, verdict: str, main: int | None) -> str:
     who = rotors(event.rotors, seen.places)
     if event.kind == OVERRIDE:
         return f"The output of {who} stopped following the mixer at {seconds(event.onset_s)}{until}{again}."
-    return f"{sentence(who)} lost {losses(event)} of thrust at {seconds(event.onset_s)}{until}{again}."
+    return f"{sentence(who)} lost {losses(event)} of thrust at {seconds(event.onset_s)}{until}{cause(event)}{again}."
 
 
 # Rotors
@@ -298,6 +313,7 @@ def _state(seen: Seen, rotor: int, verdict: str) -> RotorState:
         for e in stuck
         if e not in stuck_now
     ]
+    notes += [f"{MOTOR_NOTICES[e.kind]} since {seconds(e.onset_s)}" for e in _notices(seen) if rotor in e.rotors]
     if whole:
         high = 1.0 - (1.0 - since[1]) * (1.0 - float(whole["interval"][rotor - 1][1]))
         return state(whole["loss"][rotor - 1], (0.0, high), "healthy", listed(notes), since)

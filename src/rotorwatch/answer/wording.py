@@ -12,7 +12,11 @@ KINDS = {
     "contact": "knock or contact",
     "common_mode": "common mode",
     "torque_bias": "torque bias",
+    "slow_motor": "motor slower than told",
+    "high_current": "motor draws more current",
+    "low_current": "motor draws less current",
 }
+CAUSES = {"propeller": "propeller", "motor_or_esc": "motor or ESC", "bearing": "bearing"}
 VERDICTS = {"healthy": "Healthy", "fault": "Fault found", "ambiguous": "Ambiguous", "inconclusive": "Inconclusive"}
 
 
@@ -75,3 +79,9 @@ def sentence(text: str) -> str:
 def kind(event: Event) -> str:
     """The event's kind in words; an unknown one as it is."""
     return KINDS.get(event.kind, event.kind.replace("_", " "))
+
+
+def cause(event: Event) -> str:
+    """What broke, as ESC telemetry has it, ready to follow 'lost thrust': ', by its propeller'; empty when that is not known."""
+    found = CAUSES.get(event.extra.get("cause", ""))
+    return f", by its {found}" if found and len(event.rotors) == 1 else ""

@@ -18,7 +18,8 @@ position   n e d                           m        world NED
 throttle   out                             1        collective the autopilot asked for (0..1)
 battery    voltage current                 V, A     (unit "V,A")
 lift       lift_max voltage_ratio limit    1        ArduPilot's battery compensation (MOTB)
-esc        rpm1 .. rpmN current1 ..        rpm,A    ESC telemetry where logged, rotor order
+esc        speed1 .. current1 ..           rad/s,A, ESC telemetry where logged, rotor order: speed of the rotor, current and
+           voltage1 .. temperature1 ..     V,degC   voltage at the ESC's input, temperature of the ESC
 ========== =============================== ======== ==================================================================
 
 Missing samples are the norm: ``valid`` masks them, values there are 0, never NaN.

@@ -8,7 +8,7 @@ What is read from which message (instance 0 where sensors come in several):
     attitude, attitude_wanted  ANG or ATT, whichever is faster
     velocity, position   XKF1, NKF1 or EKF1
     throttle  CTUN ThO or ThrOut               battery   BAT or CURR
-    lift      MOTB                             esc       ESC
+    lift      MOTB                             esc       ESC, ESC1.., CESC: see dataflash_esc
 
 Times count from the smallest time stamp of any record; 3.0 and 3.1 have none: see dataflash_untimed.
 Simulation parameters and messages (SIM*) are never read.
@@ -22,10 +22,10 @@ import numpy as np
 
 from rotorwatch.errors import LogError
 from rotorwatch.flight import Flight, Signal
+from rotorwatch.logs import dataflash_esc, parameter_ranges, wall_clock
 from rotorwatch.logs import dataflash_events as events
 from rotorwatch.logs import dataflash_rotors as rotors
 from rotorwatch.logs import dataflash_untimed as untimed
-from rotorwatch.logs import parameter_ranges, wall_clock
 from rotorwatch.logs.dataflash_binary import SDLOG2, BinaryLog, amount
 from rotorwatch.logs.dataflash_clock import Clock, make_clock
 from rotorwatch.logs.dataflash_text import FIRST_LINE, TextLog
@@ -38,7 +38,6 @@ NEAR_START = 512  # bytes that damage or a ground station may have put before th
 INSTANCE_COLUMNS = ("I", "Instance", "Inst", "IMU", "C")
 PWM_RANGE_US = (500.0, 2600.0)
 SMALL_STEP_S = 0.005  # records of one message that changed places
-ESC_HOLD = 5.0  # an ESC value is good for this many typical intervals
 
 # Magnitudes beyond which a number is damage, not flight; (low, high) per column, in the unit of the signal.
 TURN = (-80.0, 80.0)  # rad/s: gyros end at 2000 or 4000 deg/s
@@ -395,36 +394,10 @@ class _Signals:
             self.add("lift", *rows[:2], "MOTB")
 
     def esc(self) -> None:
-        """ESC telemetry in rotor order, on the time base of the ESC with most records.
-
-        ESC.Instance counts servo outputs from 0. Before 4.0 each ESC had a message of its own (ESC1, ESC2, ..).
-        """
-        columns = ("RPM", "Curr")
-        series = []
-        number = next((c for c in ("Instance", "I") if c in self.log.columns("ESC")), None)
-        for rotor in sorted(self.outputs):
-            output = self.outputs[rotor]
-            if number:
-                series.append(self.table("ESC", columns, (number, output - 1)))
-            else:
-                series.append(self.table(f"ESC{output}", columns))
-        present = [s for s in series if s is not None]
-        if not present:
-            return
-        time = max(present, key=lambda s: s[0].size)[0]
-        values = np.full((time.size, 2 * len(series)), np.nan)
-        for k, rows in enumerate(series):
-            if rows is None:
-                continue
-            t, v, _ = rows
-            at = np.searchsorted(t, time, side="right") - 1
-            age = time - t[np.maximum(at, 0)]
-            hold = ESC_HOLD * float(np.median(np.diff(t))) if t.size > 1 else 0.0
-            fresh = (at >= 0) & (age <= hold)
-            values[fresh, k], values[fresh, len(series) + k] = v[at[fresh]].T
-        names = [f"{what}{rotor}" for what in ("rpm", "current") for rotor in sorted(self.outputs)]
-        wild = np.isfinite(values) & ((values < -1000.0) | (values > 200_000.0))
-        self._store("esc", Signal(time, values, tuple(names), "rpm,A", "", "ESC", ~wild), int(wild.sum()))
+        """ESC telemetry in rotor order."""
+        signal = dataflash_esc.read(self.log, self.table, self.outputs, self.warnings)
+        if signal is not None:
+            self.signals["esc"] = signal
 
 
 def _typical_peak(values: np.ndarray) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 
 from rotorwatch.errors import LogError
 from rotorwatch.flight import Flight, Message
-from rotorwatch.logs import series
+from rotorwatch.logs import esc_columns, series
 
 _AXES = "xyz"
 _RAD = np.pi / 180
@@ -31,7 +31,10 @@ _GROUPS = {
     "battery": [(("voltage_V", "current_A"), 1.0), (("voltage_V",), 1.0)],
     "lift": [(("lift_max", "voltage_ratio", "lift_limit"), 1.0)],
 }
-_NUMBERED = re.compile(r"(motor_(?P<motor>\d{1,2})(?P<us>_us)?|rpm_(?P<rpm>\d{1,2})|esc_current_(?P<esc>\d{1,2})_A)")
+_NUMBERED = re.compile(
+    r"(motor_(?P<motor>\d{1,2})(?P<us>_us)?|rpm_(?P<speed>\d{1,2})|esc_current_(?P<current>\d{1,2})_A"
+    r"|esc_voltage_(?P<voltage>\d{1,2})_V|esc_temperature_(?P<temperature>\d{1,2})_degC)"
+)
 _STATES = ("armed", "landed")
 _MOST_ROTORS = 16
 _KNOWN = {"time_s", *_STATES, *(c for ways in _GROUPS.values() for way, _ in ways for c in way)}
@@ -139,7 +142,7 @@ def _group(kind, ways, time, table, notes):
 
 def _rotors(time, table, notes) -> dict:
     """The numbered columns: motors and ESC telemetry."""
-    numbered: dict[str, dict[int, str]] = {"motor": {}, "rpm": {}, "esc": {}}
+    numbered: dict[str, dict[int, str]] = {"motor": {}, **{quantity: {} for quantity in esc_columns.QUANTITIES}}
     for name in table:
         match = _NUMBERED.fullmatch(name)
         if match:
@@ -163,13 +166,17 @@ def _rotors(time, table, notes) -> dict:
             in_us = [True]
         rows = _rows(values)
         found["motors"] = series.motors(time[rows], values[rows], "us" if in_us[0] else "1", names[0] + " ..", notes)
-    if numbered["rpm"]:
-        count = len(numbered["rpm"])
-        current = [table.get(numbered["esc"].get(k, ""), np.full(time.size, np.nan)) for k in range(1, count + 1)]
-        values = np.stack([*(table[numbered["rpm"][k]] for k in range(1, count + 1)), *current], axis=1)
-        rows = _rows(values)
-        columns = tuple(f"{what}{k + 1}" for what in ("rpm", "current") for k in range(count))
-        found["esc"] = series.build(time[rows], values[rows], columns, "rpm,A", "", "rpm_1 ..", 1e6, notes)
+    if numbered["speed"]:
+        count = range(1, len(numbered["speed"]) + 1)
+        none = np.full(time.size, np.nan)
+        measured = {
+            quantity: np.stack([table.get(numbered[quantity].get(k, ""), none) for k in count], axis=1)
+            for quantity in esc_columns.QUANTITIES
+        }
+        measured["speed"] = measured["speed"] * esc_columns.RPM
+        rows = _rows(measured["speed"])
+        measured = {quantity: values[rows] for quantity, values in measured.items()}
+        found["esc"] = esc_columns.build(time[rows], measured, count, "rpm_1 ..", notes)
     return {k: v for k, v in found.items() if v is not None}
 
 

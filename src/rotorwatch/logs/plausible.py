@@ -50,7 +50,7 @@ FLOORS = {
     "velocity": 1.0,
     "battery": 0.1,
     "lift": 0.01,
-    "esc": 300.0,
+    "esc": 30.0,
 }
 COUPLED = ("motors", "control", "gyro", "rates", "accel")
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from rotorwatch.flight import Message, vehicle_kind
-from rotorwatch.logs import publishers, px4_outputs, series, wall_clock
+from rotorwatch.logs import publishers, px4_esc, px4_outputs, series, wall_clock
 
 TOPICS = (
     "actuator_armed",
@@ -247,20 +247,8 @@ def _battery(topics: Topics):
 
 
 def _esc(topics: Topics, parameters):
-    """ESC telemetry in rotor order (esc[i].actuator_function where logged, else the order of the ESCs)."""
-    found = topics.table("esc_status", "esc[0].esc_rpm", "esc[0].esc_current")
-    if found is None or found[0].size == 0:
-        return None
-    time, table = found
-    rotor = {}
-    for i in range(8):
-        if f"esc[{i}].esc_rpm" in table and f"esc[{i}].esc_current" in table:
-            function = int(np.asarray(table.get(f"esc[{i}].actuator_function", [0])).flat[0])
-            rotor[function - px4_outputs.MOTOR_1 if px4_outputs.MOTOR_1 <= function <= px4_outputs.MOTOR_12 else i] = i
-    order = [rotor[k] for k in sorted(rotor)][: rotor_count(parameters) or 8]
-    fields = [f"esc[{i}].{what}" for what in ("esc_rpm", "esc_current") for i in order]
-    names = tuple(f"{what}{k + 1}" for what in ("rpm", "current") for k in range(len(order)))
-    return series.build(time, columns(table, fields), names, "rpm,A", "", "esc_status", 1e6, topics.notes)
+    found = topics.table("esc_status", "esc[0].esc_rpm")
+    return None if found is None else px4_esc.read(*found, rotor_count(parameters), topics.notes)
 
 
 def messages(topics: Topics) -> list[Message]:

@@ -7,7 +7,7 @@ import numpy as np
 from rotorwatch.errors import LogError
 from rotorwatch.flight import Flight, Message
 from rotorwatch.flight.vehicle_kind import OTHERS
-from rotorwatch.logs import mavlink_frames, parameter_ranges, series, wall_clock
+from rotorwatch.logs import mavlink_esc, mavlink_frames, parameter_ranges, series, wall_clock
 from rotorwatch.logs.dataflash_clock import make_clock
 from rotorwatch.logs.px4_topics import MAV_TYPES
 
@@ -19,7 +19,7 @@ _ARMED = 0x80  # HEARTBEAT.base_mode
 _SIMULATOR = {"SIMSTATE", "SIM_STATE", "HIL_STATE", "HIL_STATE_QUATERNION"}  # hold the simulator's truth: never decoded
 _UNTIMED = {
     *{"HEARTBEAT", "SYS_STATUS", "BATTERY_STATUS", "VFR_HUD", "STATUSTEXT", "PARAM_VALUE", "EXTENDED_SYS_STATE"},
-    *{"ESC_TELEMETRY_1_TO_4", "ESC_TELEMETRY_5_TO_8", "ESC_TELEMETRY_9_TO_12"},
+    *mavlink_esc.TELEMETRY,
 }
 _UNIX_US = 1e14  # larger time stamps count from 1970, smaller ones from the autopilot's start
 _WRAP_US = 2.0**32  # SERVO_OUTPUT_RAW.time_usec starts again there
@@ -68,9 +68,10 @@ class _Log:
     def __init__(self, data, progress):
         from pymavlink.dialects.v20 import ardupilotmega
 
-        layouts = {layout.msgname: layout for layout in ardupilotmega.mavlink_map.values()}
+        known = (*mavlink_esc.LAYOUTS, *ardupilotmega.mavlink_map.values())
+        layouts = {layout.msgname: layout for layout in known}
         clocked = {n for n, c in layouts.items() if {"time_boot_ms", "time_usec"} & set(c.fieldnames)}
-        self.layouts = {n: layouts[n] for n in (clocked | _UNTIMED) - _SIMULATOR}
+        self.layouts = {n: layouts[n] for n in (clocked | _UNTIMED & layouts.keys()) - _SIMULATOR}
         self.notes: list[str] = []
         self.frames = mavlink_frames.Frames(data, (c.id for c in self.layouts.values()), progress)
         if self.frames.skipped:
@@ -203,7 +204,7 @@ def _signals(log: _Log) -> tuple[dict, dict]:
         "position": log.signal("position", "LOCAL_POSITION_NED", ("x", "y", "z")) or _height(log),
         "throttle": log.signal("throttle", "VFR_HUD", ("throttle",), 0.01),
         "battery": _battery(log),
-        "esc": _esc(log, facts),
+        "esc": mavlink_esc.read(log.get, facts.get("outputs", ()), log.notes),
     }
     return {k: v for k, v in found.items() if v is not None}, facts
 
@@ -283,20 +284,6 @@ def _battery(log: _Log):
     return series.make(
         "battery", found[0], np.column_stack([volt * 1e-3, ampere * 1e-2]), "SYS_STATUS", log.notes, fine
     )
-
-
-def _esc(log: _Log, facts):
-    """ESC telemetry of the first four, eight or twelve ESCs, in rotor order when the outputs are known."""
-    found = [f for f in (log.get(f"ESC_TELEMETRY_{n}_TO_{n + 3}") for n in (1, 5, 9)) if f is not None]
-    if not found:
-        return None
-    samples = min(f[0].size for f in found)  # the messages are sent in turn; they differ by one sample at most
-    time = found[0][0][:samples]
-    rpm, current = (np.hstack([f[1][k][:samples].astype(float) for f in found]) for k in ("rpm", "current"))
-    order = [n - 1 for n in facts.get("outputs", range(1, rpm.shape[1] + 1)) if n <= rpm.shape[1]]
-    names = tuple(f"{what}{k + 1}" for what in ("rpm", "current") for k in range(len(order)))
-    values = np.hstack([rpm[:, order], current[:, order] * 0.01])
-    return series.build(time, values, names, "rpm,A", "", "ESC_TELEMETRY", 1e6, log.notes)
 
 
 def _parameters(log: _Log):

@@ -5,6 +5,8 @@ A fault is active from its onset to its end, wholly or in periods (`period`, `du
     loss          thrust and torque times 1 - strength           chipped    the same, and an imbalance that shakes
     bias          strength is added to the command               stuck      the command stays what it was, or `level`
     float         the rotor is not driven any more               saturated  the command is full, or `level`
+    weak motor    the rotor turns so much slower than told that  bearing    friction, a share of the motor's full torque: more
+                  its thrust is 1 - strength of what was told               current, a little less speed (motor.py)
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ from rotorwatch.backend import jax as load_jax
 
 Array = Any
 MOST = 2  # at once
-KINDS = ("loss", "complete loss", "stuck", "bias", "float", "saturated", "chipped")
+KINDS = ("loss", "complete loss", "stuck", "bias", "float", "saturated", "chipped", "weak motor", "bearing")
 SPIN_DOWN = 5.0  # a rotor that only the air brakes takes this many times its lag
 HELD = -1.0  # level of a stuck command: what it was at onset
 NEVER = 1e9
@@ -25,7 +27,8 @@ NEVER = 1e9
 
 class Faults(NamedTuple):
     """MOST faults in rows. rotor (F, n): 1 at the rotor, else 0. onset, end, ramp, period [s], duty: part of a period that
-    the fault is there; loss, bias: strengths; frozen 0 or 1 with level; undriven 0 or 1; shake [m/s^2 at full speed]."""
+    the fault is there; loss, bias: strengths; frozen 0 or 1 with level; undriven 0 or 1; shake [m/s^2 at full speed];
+    weak: thrust lost by turning slower; friction: share of full torque."""
 
     rotor: Array
     onset: Array
@@ -39,6 +42,8 @@ class Faults(NamedTuple):
     level: Array
     undriven: Array
     shake: Array
+    weak: Array
+    friction: Array
 
 
 def none(rotors: int) -> Faults:
@@ -46,7 +51,20 @@ def none(rotors: int) -> Faults:
     zero = np.zeros(MOST)
     later = np.full(MOST, NEVER)
     return Faults(
-        np.zeros((MOST, rotors)), later, later, zero, later, zero + 1.0, zero, zero, zero, zero + HELD, zero, zero
+        np.zeros((MOST, rotors)),
+        later,
+        later,
+        zero,
+        later,
+        zero + 1.0,
+        zero,
+        zero,
+        zero,
+        zero + HELD,
+        zero,
+        zero,
+        zero,
+        zero,
     )
 
 
@@ -70,6 +88,15 @@ def left(faults: Faults, s):
 def loss(faults: Faults, s):
     """theta (n,), the loss of each rotor. s (F,): `strength`."""
     return 1.0 - left(faults, s)
+
+
+def weak(faults: Faults, s):
+    """(n,) share of thrust that weak motors lack because they turn slower than told: of two on one rotor the larger."""
+    jnp = load_jax().numpy
+    most = faults.rotor[0] * (faults.weak * s)[0]
+    for k in range(1, MOST):
+        most = jnp.maximum(most, faults.rotor[k] * (faults.weak * s)[k])
+    return most
 
 
 def summed(faults: Faults, amount):

@@ -12,8 +12,9 @@ import numpy as np
 
 from rotorwatch.flight import Flight, Message, Signal
 from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.logs import esc_columns
 from rotorwatch.logs.series import SHAPES
-from rotorwatch.simulation import sensors, trajectories, truth
+from rotorwatch.simulation import escs, sensors, trajectories, truth
 from rotorwatch.simulation.multirotor import Plan, Record
 from rotorwatch.simulation.prepare import PWM, SPIN, a_compensates, frame_numbers, vehicle
 from rotorwatch.simulation.rigid import G0
@@ -79,7 +80,7 @@ def flight(scenario: Scenario, plan: Plan, record: Record) -> Flight:
         lift = np.stack([record.lift_max, _belief(scenario, record), np.ones_like(record.volts)], axis=1)
         log.add("lift", "power", lift)
     if scenario.logging["esc"]:
-        log.add("esc", "power", _esc(plan, record), unit="rpm,A")
+        log.add("esc", "power", escs.readings(scenario, plan, record), unit=esc_columns.UNIT)
     end = float(record.time[-1])
     autopilot = "ArduPilot" if ardupilot else "PX4"
     return Flight(
@@ -120,8 +121,8 @@ class _Log:
         if name == "motors":
             columns, frame = tuple(f"r{k + 1}" for k in range(values.shape[1])), ""
         elif name == "esc":
-            n = values.shape[1] // 2
-            columns, frame = tuple(f"{w}{k + 1}" for w in ("rpm", "current") for k in range(n)), ""
+            n = values.shape[1] // len(esc_columns.QUANTITIES)
+            columns, frame = esc_columns.names(range(1, n + 1)), ""
         else:
             columns, unit, frame, _ = SHAPES[name]
         self.signals[name] = Signal(self.time[group], values, columns, unit, frame, self.sources.get(name, ""))
@@ -147,14 +148,6 @@ def _motors(craft: Vehicle, record: Record, armed, disarmed, lifted, ardupilot: 
 
 def _belief(scenario: Scenario, record: Record) -> np.ndarray:
     return record.believed if a_compensates(scenario) else np.ones_like(record.believed)
-
-
-def _esc(plan: Plan, record: Record) -> np.ndarray:
-    """(T, 2 n): revolutions per minute, and currents [A]: a rotor that lost thrust lost drag with it."""
-    n = record.w.shape[1]
-    rpm = record.w * float(plan.sensors.full_turns) * 60.0
-    amps = float(plan.battery.current) / n * record.w**3 * (1.0 - record.theta)
-    return np.concatenate([np.round(rpm), amps], axis=1)
 
 
 def _messages(plan: Plan, armed: float, disarmed: float, end: float, ardupilot: bool) -> tuple[Message, ...]:

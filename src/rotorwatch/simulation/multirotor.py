@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rotorwatch.backend import jax as load_jax
-from rotorwatch.simulation import control, dynamics, faults, rotation, trajectories, wind
+from rotorwatch.simulation import control, dynamics, faults, motor, rotation, trajectories, wind
 from rotorwatch.simulation.loop import Moment, State
 from rotorwatch.simulation.rigid import G0, Air, Body
 from rotorwatch.simulation.sensors import Sensors
@@ -69,7 +69,8 @@ class Record(NamedTuple):
     time [s]; p [m], v [m/s] (3,) NED, q (4,) body to world, omega (3,) [rad/s]; rates (3,): filtered gyro [rad/s]; accel (3,): filtered
     specific force [m/s^2]; demand (n,): thrust asked of each rotor, command (n,): drive share that gives it; control (4,): roll, pitch,
     yaw, throttle; rates_asked (3,), q_asked (4,); w (n,): speeds as shares of full, phase (n,) in turns, shake (n,) [m/s^2], theta (n,):
-    losses; volts, amps; believed, lift_max; wind (3,) NED [m/s]; flies: 0 after a crash.
+    losses of thrust, by whatever; volts, amps of the battery; drawn (n,) [A] by each ESC; believed, lift_max; wind (3,) NED [m/s]; flies: 0
+    after a crash.
     """
 
     time: Array
@@ -90,6 +91,7 @@ class Record(NamedTuple):
     theta: Array
     volts: Array
     amps: Array
+    drawn: Array
     believed: Array
     lift_max: Array
     wind: Array
@@ -140,20 +142,26 @@ class Multirotor:
         )
         s = faults.strength(plan.faults, t)
         driven, undriven, held = faults.act(plan.faults, s, command, own.held)
-        theta = faults.loss(plan.faults, s)
-        share = jnp.sqrt(dynamics.thrust_share(craft.expo, driven * own.sag))
+        theta = faults.loss(plan.faults, s)  # of the propellers
+        told = jnp.sqrt(dynamics.thrust_share(craft.expo, driven * own.sag))
+        friction = faults.summed(plan.faults, plan.faults.friction * s)
+        kept = 1.0 - faults.weak(plan.faults, s)
+        # Where nothing rubs the speed is what was told, to the last bit.
+        share = jnp.where(friction > 0.0, motor.slowed(told, theta, friction), told) * jnp.sqrt(kept)
         lag = craft.lag * (1.0 + (faults.SPIN_DOWN - 1.0) * undriven)
         body, w, force = dynamics.step(craft, body, own.w, share, lag, now.air, theta, dt)
         phase = own.phase + 0.5 * (own.w + w) * plan.sensors.full_turns * dt
         phase = phase - jnp.floor(phase)
-        last = (demand, command, jnp.concatenate([turning, target.throttle[None]]), wish, theta, s)
+        asked = jnp.concatenate([turning, target.throttle[None]])
+        lost = 1.0 - (1.0 - theta) * jnp.where(told > 0.0, (share / jnp.maximum(told, 1e-9)) ** 2, kept)
+        last = (demand, command, asked, wish, jnp.where(share < told, lost, theta), s, theta, friction, 1.0 - undriven)
         return body, loops._replace(free=free), own._replace(w=w, phase=phase, held=held), force, last
 
     def end(self, plan: Plan, now: Moment, before: State, after: State, seen, last, dt: float) -> tuple[State, Record]:
         """The battery, and whether the vehicle lies on the ground."""
         jnp = load_jax().numpy
         battery, own, body = plan.battery, after.own, after.body
-        demand, command, asked, wish, theta, s = last
+        demand, command, asked, wish, theta, s, propeller, friction, driven = last
         work = jnp.sum(own.w * own.w * own.w) / own.w.shape[0]
         at_rest = battery.full - (battery.full - battery.empty) * jnp.minimum(own.drawn / battery.charge, 1.2)
         amps = battery.current * work * battery.full / jnp.maximum(at_rest, 1.0)
@@ -162,11 +170,12 @@ class Multirotor:
         believed = sag + (own.believed - sag) * math.exp(-TURN * BELIEF_HZ * dt)
         R22 = 1.0 - 2.0 * (body.q[1] ** 2 + body.q[2] ** 2)
         flies = jnp.where((body.p[2] > 0.0) & (R22 < CRASH_COS), 0.0, before.flies)
+        drawn = motor.current(battery.current / own.w.shape[0], own.w, propeller, friction, sag, driven)
         own = own._replace(drawn=own.drawn + amps * dt, sag=sag, believed=believed)
         record = Record(
             **seen, **body._asdict(), demand=demand, command=command, control=asked, rates_asked=wish, q_asked=now.target.q,
             w=own.w, phase=own.phase, shake=(plan.sensors.shake + faults.imbalance(plan.faults, s)) * own.w * own.w, theta=theta,
-            volts=volts, amps=amps, believed=believed, lift_max=now.more.lift_max, flies=flies,
+            volts=volts, amps=amps, drawn=drawn, believed=believed, lift_max=now.more.lift_max, flies=flies,
         )  # fmt: skip
         return after._replace(flies=flies, own=own), record
 

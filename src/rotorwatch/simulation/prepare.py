@@ -327,6 +327,10 @@ def broken(scenario: Scenario, rotors: int) -> faults.Faults:
             row["undriven"] = 1.0
         if kind == "chipped":
             row["shake"] = f["vibration"]
+        if kind == "weak motor":
+            row["weak"] = size
+        if kind == "bearing":
+            row["friction"] = size
         for name, value in row.items():
             table[name][k] = value
         table["rotor"][k, f["rotor"] - 1] = 1.0

@@ -123,7 +123,7 @@ FIELDS: dict[str, dict[str, Field]] = {
         "profile": Field(
             "default", choices=PROFILES, about="the autopilot's default rates, faster ones, or all there is"
         ),
-        "esc": Field(False, about="ESC telemetry: speeds and currents"),
+        "esc": Field(False, about="ESC telemetry: speeds, currents, voltages, temperatures"),
     },
 }
 FAULT_FIELDS: dict[str, Field] = {
@@ -133,7 +133,10 @@ FAULT_FIELDS: dict[str, Field] = {
     "onset_s": Field(None, 0.0, 7200.0, "when it begins"),
     "end_s": Field(None, 0.0, 7200.0, "when it is gone again; default: never"),
     "strength": Field(
-        None, -1.0, 1.0, "loss: share of thrust lost; chipped: the same; bias: what the command is off by"
+        None,
+        -1.0,
+        1.0,
+        "loss, chipped, weak motor: share of thrust lost; bias: what the command is off by; bearing: friction, share of full torque",
     ),
     "level": Field(None, 0.0, 1.0, "stuck, saturated: the command it stays at"),
     "ramp_s": Field(0.0, 0.0, 3600.0, "time to grow to full strength"),
@@ -141,7 +144,8 @@ FAULT_FIELDS: dict[str, Field] = {
     "duty": Field(0.5, 0.01, 1.0, "intermittent: part of a period that it is there"),
     "vibration": Field(6.0, 0.0, 200.0, "chipped: shaking at full speed, m/s^2"),
 }
-NEEDS_STRENGTH = ("loss", "bias", "chipped")
+NEEDS_STRENGTH = ("loss", "bias", "chipped", "weak motor", "bearing")
+SHARES = ("loss", "chipped", "weak motor", "bearing")
 SOME_HAVE = {
     "strength": NEEDS_STRENGTH,
     "level": ("stuck", "saturated"),
@@ -312,7 +316,7 @@ def _fault(where: str, row: Any, duration: float, helicopter: bool) -> Mapping[s
         raise ConfigError(f"{where}.end_s must lie after its onset_s.")
     if fault["kind"] in NEEDS_STRENGTH and fault["strength"] is None:
         raise ConfigError(f"{where}.strength is missing: a {fault['kind']} needs one.")
-    if fault["kind"] in ("loss", "chipped") and fault["strength"] < 0.0:
+    if fault["kind"] in SHARES and fault["strength"] < 0.0:
         raise ConfigError(f"{where}.strength must be a share from 0 to 1, not {fault['strength']:g}.")
     return fault
 

@@ -14,10 +14,12 @@ import numpy as np
 
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight, Signal
+from rotorwatch.logs import esc_columns
 
 HEAD = b"\xa3\x95"
 FMT = 128
-# name: (type, format, columns). Formats: Q uint64, f float, B uint8, H uint16, n and N texts of 4 and 16, Z of 64 bytes, M mode.
+# name: (type, format, columns). Formats: Q uint64, f float, B uint8, H uint16, c hundredths in int16, n, N and Z texts
+# of 4, 16 and 64 bytes, M mode.
 MESSAGES = {
     "FMT": (FMT, "BBnNZ", "Type,Length,Name,Format,Columns"),
     "PARM": (32, "QNff", "TimeUS,Name,Value,Default"),
@@ -33,9 +35,9 @@ MESSAGES = {
     "CTUN": (64, "Qf", "TimeUS,ThO"),
     "BAT": (88, "QBff", "TimeUS,Inst,Volt,Curr"),
     "MOTB": (205, "Qfff", "TimeUS,LiftMax,BatVolt,ThLimit"),
-    "ESC": (173, "QBff", "TimeUS,Instance,RPM,Curr"),
+    "ESC": (173, "QBffffcfcf", "TimeUS,Instance,RPM,RawRPM,Volt,Curr,Temp,CTot,MotTemp,Err"),
 }
-CODES = {"Q": "Q", "f": "f", "B": "B", "M": "B", "H": "H", "I": "I", "n": "4s", "N": "16s", "Z": "64s"}
+CODES = {"Q": "Q", "f": "f", "B": "B", "M": "B", "H": "H", "I": "I", "c": "h", "n": "4s", "N": "16s", "Z": "64s"}
 EVENTS = {("armed", 1.0): 10, ("armed", 0.0): 11, ("landed", 1.0): 18, ("landed", 0.0): 28}
 
 
@@ -87,13 +89,18 @@ def _tables(flight: Flight):
     if "lift" in s:
         yield "MOTB", s["lift"].time, s["lift"].values
     if "esc" in s:
-        esc, n = s["esc"], len(s["esc"].columns) // 2
-        for k in range(n):
-            yield (
-                "ESC",
-                esc.time,
-                np.column_stack([np.full(len(esc), float(k)), esc.values[:, k], esc.values[:, n + k]]),
-            )
+        yield from _escs(s["esc"])
+
+
+def _escs(esc: Signal):
+    """One ESC message after the other: the instance is the servo output's number from 0. The charge is the current's integral [mAh]."""
+    n = len(esc.columns) // len(esc_columns.QUANTITIES)
+    step = np.diff(esc.time, prepend=esc.time[:1])
+    none = np.zeros(len(esc))
+    for k in range(n):
+        speed, amps, volts, degrees = esc.values[:, k::n].T
+        rpm, charge = np.round(speed / esc_columns.RPM), np.cumsum(amps * step) / 3.6
+        yield "ESC", esc.time, np.column_stack([none + k, rpm, rpm, volts, amps, degrees, charge, none, none])
 
 
 def _at(signal: Signal, time: np.ndarray) -> np.ndarray:
@@ -120,14 +127,14 @@ def _packed(name: str, time: np.ndarray, values: np.ndarray, start_us: int) -> l
     number, form, _ = MESSAGES[name]
     kinds = [
         ("head", "S3"),
-        *((f"c{k}", {"Q": "<u8", "f": "<f4", "B": "u1", "H": "<u2"}[c]) for k, c in enumerate(form)),
+        *((f"c{k}", {"Q": "<u8", "f": "<f4", "B": "u1", "H": "<u2", "c": "<i2"}[c]) for k, c in enumerate(form)),
     ]
     table = np.zeros(len(time), np.dtype(kinds))
     table["head"] = HEAD + bytes([number])
     stamps = start_us + np.round(time * 1e6).astype(np.int64)
     table["c0"] = stamps
     for k in range(values.shape[1]):
-        table[f"c{k + 1}"] = values[:, k]
+        table[f"c{k + 1}"] = np.round(100.0 * values[:, k]) if form[k + 1] == "c" else values[:, k]
     data, size = table.tobytes(), table.dtype.itemsize
     return [(stamp, data[i * size : (i + 1) * size]) for i, stamp in enumerate(stamps.tolist())]
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight, Signal
+from rotorwatch.logs import esc_columns
 
 MAGIC = b"ULog\x01\x12\x35\x01"
 TOPICS = {
@@ -27,10 +28,16 @@ TOPICS = {
     "battery_status": "uint64_t timestamp;float voltage_v;float current_a",
     "vehicle_status": "uint64_t timestamp;uint8_t nav_state;uint8_t arming_state",
     "vehicle_land_detected": "uint64_t timestamp;bool landed",
-    "esc_status": "uint64_t timestamp;esc_report[8] esc;uint8_t esc_count",
+    "esc_status": "uint64_t timestamp;esc_report[8] esc;uint16_t counter;uint8_t esc_count;uint8_t esc_connectiontype;"
+    "uint8_t esc_online_flags;uint8_t esc_armed_flags",
 }
-NESTED = {"esc_report": "int32_t esc_rpm;float esc_current;uint8_t actuator_function;uint8_t[3] _padding0"}
-SIZES = {"uint64_t": "<u8", "int32_t": "<i4", "float": "<f4", "bool": "u1", "uint8_t": "u1"}
+NESTED = {
+    "esc_report": "uint64_t timestamp;uint32_t esc_errorcount;int32_t esc_rpm;float esc_voltage;float esc_current;float esc_temperature;"
+    "float motor_temperature;uint8_t esc_address;uint8_t esc_cmdcount;uint8_t esc_state;uint8_t actuator_function;uint16_t failures;"
+    "int8_t esc_power;uint8_t[5] _padding0"
+}
+SIZES = {"uint64_t": "<u8", "uint32_t": "<u4", "int32_t": "<i4", "float": "<f4", "bool": "u1"}
+SIZES |= {"uint16_t": "<u2", "uint8_t": "u1", "int8_t": "i1"}
 WHOLE = ("CA_AIRFRAME", "CA_ROTOR_COUNT", "MAV_TYPE", "MC_BAT_SCALE_EN", "SYS_AUTOSTART")
 ESCS = 8
 MOTOR_1 = 101  # actuator_function
@@ -148,13 +155,18 @@ def _tables(flight: Flight):
 
 
 def _escs(flight: Flight, esc: Signal) -> np.ndarray:
-    rows, n = _blank("esc_status", flight, esc.time), len(esc.columns) // 2
+    rows, n = _blank("esc_status", flight, esc.time), len(esc.columns) // len(esc_columns.QUANTITIES)
     if n > ESCS:
         raise ConfigError(f"esc_status holds {ESCS} ESCs; this flight has {n}.")
-    rows["esc_count"] = n
+    rows["esc_count"], rows["esc_online_flags"], rows["esc_armed_flags"] = n, 2**n - 1, 2**n - 1
+    rows["counter"] = np.arange(len(esc)) % 2**16
+    reports = rows["esc"]
     for k in range(n):
-        rows["esc"]["esc_rpm"][:, k], rows["esc"]["esc_current"][:, k] = esc.values[:, k], esc.values[:, n + k]
-        rows["esc"]["actuator_function"][:, k] = MOTOR_1 + k
+        speed, amps, volts, degrees = esc.values[:, k::n].T
+        reports["timestamp"][:, k] = rows["timestamp"]
+        reports["esc_rpm"][:, k], reports["esc_current"][:, k] = np.round(speed / esc_columns.RPM), amps
+        reports["esc_voltage"][:, k], reports["esc_temperature"][:, k] = volts, degrees
+        reports["esc_address"][:, k], reports["actuator_function"][:, k] = k, MOTOR_1 + k
     return rows
 
 

@@ -1,0 +1,144 @@
+"""A rotor that stands though it is told to turn, or turns without load, until the vehicle is down: seen by its ESC alone.
+
+A quadrotor without one rotor tumbles within half a second, and commands and motion of a tumbling vehicle are evidence of nothing. Its ESC
+needs two reports. A dead motor reports speed 0. A motor without its propeller turns, but draws next to nothing: current over speed to
+the power that the propeller's load goes with falls to a fraction of what it was.
+
+A vehicle that flies on upright with a rotor that is said to stand, and no loss found, has wrong telemetry.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from rotorwatch.answer.wording import CAUSES, rotors, seconds
+from rotorwatch.diagnosis import Event
+from rotorwatch.esc import ratios
+from rotorwatch.esc.telemetry import Binned
+
+USUAL = 0.75
+STANDS = 0.2  # of its usual speed
+TOLD = 0.5  # of its usual command
+OTHERS_TURN = 0.4  # of their usual speed
+TURNS, UNLOADED = 0.6, 0.35  # of its usual speed; of the current that such a speed usually takes
+REPORTS, UNLOADED_REPORTS, UNLOADED_S = 2, 3, 0.5
+DOWN_S = 0.4  # before the end of the flight: propellers stop in the ground
+FLIES_ON_S = 3.0
+SAME_S = 3.0  # a loss found so near is the same
+LEAST_LOSS, LEAST_UNLOADED = 0.95, 0.6
+
+
+def find(bins: Binned, events: Sequence[Event], air, upset: np.ndarray) -> tuple[tuple[Event, ...], list[str]]:
+    """(events loss_of_effectiveness of rotors that stand or have no load, warnings). upset (T,) bool: bins in which the vehicle tumbles."""
+    out, warnings = [], []
+    for start, end in air:
+        inside = (bins.report_time > start) & (bins.report_time < end)
+        usual = _usual(bins.speed, bins.speed_known & inside[:, None])
+        asked = _usual(bins.asked, np.ones(bins.asked.shape, bool) & inside[:, None])
+        # Two others turn: the motors were not switched off.
+        turns = np.partition(bins.speed / np.maximum(usual, 1e-9), -2, axis=1)[:, -2] > OTHERS_TURN
+        for k in np.flatnonzero(usual > 0.0):
+            told = (bins.asked[:, k] > TOLD * asked[k]) & turns
+            at = np.flatnonzero(inside & bins.speed_known[:, k])
+            spell = _last(at, bins.speed[at, k] < STANDS * usual[k], told, REPORTS)
+            if spell is not None:
+                onset, known = _times(bins, spell)
+                later = (bins.time > onset) & (bins.time < end) & ~upset
+                if onset > end - DOWN_S or _explained(events, int(k) + 1, onset):
+                    continue
+                if np.count_nonzero(later) * bins.width > FLIES_ON_S:
+                    warnings.append(
+                        f"The ESC of {rotors([int(k) + 1])} reports a rotor that stands from {seconds(onset)} on, but the vehicle flies on "
+                        "without a loss: its telemetry has failed, and it is not used from there."
+                    )
+                else:
+                    out.append(_stands(int(k) + 1, onset, known))
+                continue
+            at = np.flatnonzero(
+                inside & bins.speed_known[:, k] & bins.amps_known[:, k] & (bins.speed[:, k] > TURNS * usual[k])
+            )
+            if at.size <= UNLOADED_REPORTS:
+                continue
+            load = bins.amps[at, k] / bins.speed[at, k] ** ratios.CURRENT_POWER[0]
+            spell = _last(at, load < UNLOADED * np.quantile(load, USUAL), told, UNLOADED_REPORTS)
+            if spell is not None:
+                onset, known = _times(bins, spell)
+                lasted = bins.report_time[at[-1]] - onset
+                if onset < end - DOWN_S and lasted > UNLOADED_S and not _explained(events, int(k) + 1, onset):
+                    out.append(
+                        _unloaded(
+                            int(k) + 1, onset, known, float(np.median(load[at >= spell[1]]) / np.quantile(load, USUAL))
+                        )
+                    )
+    return tuple(out), warnings
+
+
+def _last(at: np.ndarray, bad: np.ndarray, told: np.ndarray, reports: int) -> tuple[int, int, int] | None:
+    """(report before, first report, report with which it is known) of the stretch of bad reports that lasts to the end; None without one.
+
+    The rotor must be told to turn in `reports` of them. A stretch that ends is a gap of the telemetry.
+    """
+    if not bad.any() or bad.all() or not bad[-1]:
+        return None
+    first = at.size - int(np.argmin(bad[::-1]))
+    counted = [int(i) for i in at[first:] if told[i]]
+    return (int(at[first - 1]), int(at[first]), counted[reports - 1]) if len(counted) >= reports else None
+
+
+def _times(bins: Binned, spell: tuple[int, int, int]) -> tuple[float, float]:
+    """(onset, when it was known) s."""
+    before, first, known = (float(bins.report_time[i]) for i in spell)
+    return 0.5 * (before + first), known
+
+
+def _usual(values: np.ndarray, valid: np.ndarray) -> np.ndarray:
+    """(n,) upper quartile of the valid values (m, n): of a flight most of which may be flown without the rotor; 0 without any."""
+    return np.array([np.quantile(v[ok], USUAL) if ok.any() else 0.0 for v, ok in zip(values.T, valid.T)])
+
+
+def _explained(events: Sequence[Event], rotor: int, onset: float) -> bool:
+    kinds = ("loss_of_effectiveness", "output_override")
+    named = [e for e in events if e.kind in kinds and any(rotor in who for who in (e.rotors, *e.alternatives))]
+    return any(e.onset_s < onset + SAME_S for e in named)
+
+
+def _stands(rotor: int, onset: float, known: float) -> Event:
+    causes = {ratios.PROPELLER: 0.0, ratios.MOTOR: 0.95, ratios.BEARING: 0.04, ratios.UNKNOWN: 0.01}
+    said = {
+        "speed_loss": 1.0,
+        "speed_loss_interval": (LEAST_LOSS, 1.0),
+        "propeller_loss": 0.0,
+        "propeller_loss_interval": (0.0, 1.0),
+    }
+    said |= {"thrust_of_speed": 0.0, "current_ratio": None, "supply_drop_V": None}
+    what = f"stands from {seconds(onset)} on though it is told to turn"
+    return _event(rotor, onset, known, (1.0, LEAST_LOSS), ratios.MOTOR, causes, said, what)
+
+
+def _unloaded(rotor: int, onset: float, known: float, load: float) -> Event:
+    causes = {ratios.PROPELLER: 0.95, ratios.MOTOR: 0.02, ratios.BEARING: 0.0, ratios.UNKNOWN: 0.03}
+    loss = 1.0 - load
+    said = {
+        "speed_loss": 0.0,
+        "speed_loss_interval": (0.0, 0.1),
+        "propeller_loss": loss,
+        "propeller_loss_interval": (LEAST_UNLOADED, 1.0),
+    }
+    said |= {"thrust_of_speed": 1.0, "current_ratio": load, "supply_drop_V": None}
+    what = f"turns from {seconds(onset)} on with a fraction of the current that such a speed needs"
+    return _event(
+        rotor, onset, known, (max(loss, LEAST_UNLOADED), LEAST_UNLOADED), ratios.PROPELLER, causes, said, what
+    )
+
+
+def _event(
+    rotor: int, onset: float, known: float, loss: tuple[float, float], cause: str, causes: dict, said: dict, what: str
+) -> Event:
+    """A loss (likeliest, least) that an ESC alone shows."""
+    reason = f"the ESC of {rotors([rotor])} says that it {what}, so the cause is the {CAUSES[cause]}"
+    extra = {"cause": cause, "causes": causes, "esc": [{"rotor": rotor, "cause": cause, "causes": causes, **said}]}
+    return Event(
+        "loss_of_effectiveness", (rotor,), onset, known, None, (loss[0],), ((loss[1], 1.0),), causes[cause], (), reason, extra
+    )  # fmt: skip

@@ -1,0 +1,254 @@
+"""The mathematics of the witness: how far speed and current of a rotor are from what its command and its like say, and what that means.
+
+Thrust T of a propeller goes with its speed squared, T = k W^2, and the current of its motor with a power of the speed (torque goes with
+W^2, power with W^3; M. Drela, First-Order DC Electric Motor Model, MIT 2007). While rotor k is healthy its bins obey
+
+    log W_k^2 = a_k + b log f_k + c,        log I_k = alpha_k + beta log W_k + gamma
+
+with f_k the commanded share of full thrust; a_k, alpha_k are the rotor's own; b and beta are common to all (1 and about 3 when the
+autopilot's thrust curve is right); c and gamma are common to all at that moment (battery, air density): the median over the other
+rotors. From that, for a time after an onset,
+
+    S = W_k^2 / told         1: the rotor turns as told          told: exp(a_k + b log f_k + c)
+    D = (I_k - expected) / I_healthy      0: it draws what such a speed needs          expected: exp(alpha_k + beta log W_k + gamma)
+
+With theta the loss of effectiveness that commands and motion show, 1 - theta = S (1 - loss of the propeller). Causes predict
+
+    propeller       S = 1 (a little more: less load), D = -g theta E,  E = expected / I_healthy: drag goes with thrust, mostly
+    motor or ESC    S = 1 - theta, D = 0
+    bearing         S = 1 - theta, D well above 0
+    unknown         anything
+
+and Bayes' rule with Gaussian likelihoods, whose variances hold the flight's own scatter, gives their probabilities.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+PROPELLER, MOTOR, BEARING, UNKNOWN = "propeller", "motor_or_esc", "bearing", "unknown"
+PRIOR = {PROPELLER: 0.4, MOTOR: 0.3, BEARING: 0.15, UNKNOWN: 0.15}
+
+SPEED_POWER = (1.0, 0.3)  # b: mean and standard deviation before the flight is seen; a thrust curve may be wrong
+CURRENT_POWER = (2.9, 0.4)  # beta
+# No model is better than this: speed ratio, and difference of currents in healthy currents.
+MODEL_S, MODEL_D = 0.01, 0.04
+LEAST_POWER_SD = 0.05
+FEWEST = 10  # bins that a rotor's healthy part needs
+UNLOADED, UNLOADED_SD = 0.05, 0.05  # share of the lost thrust that a lighter propeller turns faster by, in W^2
+DRAG, DRAG_SD = 0.7, 0.4  # share of lost thrust that is lost drag too
+MOTOR_D_SD = 0.1  # a sick motor may be less efficient
+BEARING_D, BEARING_D_SD = 0.45, 0.25
+ANY_S, ANY_D = 0.15, 0.6
+THETA_SD = 0.15  # share of the loss by which commands and motion may be off: a thrust curve that is assumed, a flight that is short
+STANDS = 0.05
+
+
+@dataclass(frozen=True)
+class Law:
+    """log y_k = own_k + power x_k + common, learned from healthy bins. own (n,); power, power_sd; known (n,) bool: rotors it holds for;
+    scatter (n,): standard deviation of a bin about it; memory (n,): correlation of neighbouring bins."""
+
+    own: np.ndarray
+    power: float
+    power_sd: float
+    known: np.ndarray
+    scatter: np.ndarray
+    memory: np.ndarray
+
+
+def learn(y: np.ndarray, x: np.ndarray, known: np.ndarray, prior: tuple[float, float]) -> Law:
+    """The law of healthy bins: y, x, known (T, n), known False where there is none; prior: mean and sd of the power.
+
+    The power is learned from changes between neighbouring bins, which slow changes of what is common do not touch.
+    """
+    both = known[1:] & known[:-1]
+    dy, dx = (np.diff(v, axis=0)[both] for v in (y, x))
+    mean, sd = prior
+    power, power_sd = mean, sd
+    for _ in range(3):
+        rest = dy - power * dx
+        noise = max(float(np.median(np.abs(rest)) / 0.6745) if rest.size else 0.0, 1e-4)
+        usable = np.abs(rest) < 5.0 * noise
+        precision = 1.0 / sd**2 + float(np.sum(dx[usable] ** 2)) / noise**2
+        power = (mean / sd**2 + float(dx[usable] @ dy[usable]) / noise**2) / precision
+        power_sd = max(precision**-0.5, LEAST_POWER_SD)
+    enough = known.sum(axis=0) >= FEWEST
+    level = np.where(known, y - power * x, 0.0)
+    own = np.array([np.median(level[k, i]) if k.any() else 0.0 for i, k in enumerate(known.T)])
+    law = Law(own, float(power), float(power_sd), enough, np.full(own.size, 0.1), np.zeros(own.size))
+    rest, there = residual(law, y, x, known)
+    scatter, memory = np.full(own.size, 0.1), np.zeros(own.size)
+    for k in np.flatnonzero(enough):
+        at = there[:, k]
+        r = rest[at, k]
+        if r.size >= FEWEST:
+            r = r - np.median(r)
+            own[k] += float(np.median(rest[at, k]))
+            spread = max(float(np.median(np.abs(r)) / 0.6745), 0.3 * float(np.std(r)), 1e-4)
+            scatter[k] = spread
+            r = np.clip(r, -4.0 * spread, 4.0 * spread)
+            memory[k] = np.clip(float(r[1:] @ r[:-1]) / max(float(r @ r), 1e-12), 0.0, 0.95)
+    return Law(own, float(power), float(power_sd), enough, scatter, memory)
+
+
+def residual(law: Law, y: np.ndarray, x: np.ndarray, known: np.ndarray, healthy: np.ndarray | None = None):
+    """(rest (T, n), there (T, n) bool): y of each rotor less its law and less the median of the other rotors' rest in the same bin.
+
+    healthy (T, n) bool: rotors that may stand for what is common; all where None.
+    """
+    rest = y - law.own - law.power * x
+    good = known & law.known
+    reference = good if healthy is None else good & healthy
+    reference = np.where(reference.any(axis=1, keepdims=True), reference, good)
+    n = y.shape[1]
+    common, some = np.zeros(y.shape), np.zeros(y.shape, bool)
+    masked = np.where(reference, rest, np.nan)
+    for k in range(n):
+        others = np.delete(masked, k, axis=1)
+        some[:, k] = np.isfinite(others).any(axis=1)
+        common[some[:, k], k] = np.nanmedian(others[some[:, k]], axis=1)
+    return rest - common, good & some
+
+
+def mean_variance(scatter: float, memory: float, count: int) -> float:
+    """Variance of the mean of `count` bins with that scatter and correlation of neighbours (first-order process)."""
+    return scatter**2 / max(count, 1) * (1.0 + memory) / (1.0 - memory)
+
+
+@dataclass(frozen=True)
+class Testimony:
+    """What a rotor's telemetry says of a time after an onset. told: S and its sd. draws: D and its sd, or None without currents. load: E.
+    count: bins. volts: V by which its ESC's supply is below the others', compared with before; None where not measured."""
+
+    told: tuple[float, float]
+    draws: tuple[float, float] | None
+    load: float
+    count: int
+    volts: tuple[float, float] | None = None
+
+
+def causes(seen: Testimony, theta: float, theta_sd: float) -> dict[str, float]:
+    """Probability of each cause of a loss theta (0..1) with standard deviation theta_sd; they sum to 1."""
+    S, S_sd = seen.told
+    if S < STANDS:  # a rotor that stands has lost all, whatever the motion shows so far
+        theta = max(theta, 1.0 - S)
+    theta_sd = float(np.hypot(theta_sd, THETA_SD * theta))
+    means = {
+        PROPELLER: (1.0 + UNLOADED * theta, UNLOADED_SD * theta),
+        MOTOR: (1.0 - theta, theta_sd),
+        BEARING: (1.0 - theta, theta_sd),
+        UNKNOWN: (1.0 - 0.5 * theta, ANY_S + 0.5 * theta),
+    }
+    draws = {
+        PROPELLER: (-DRAG * theta * seen.load, DRAG_SD * theta * seen.load),
+        MOTOR: (0.0, MOTOR_D_SD),
+        BEARING: (BEARING_D, BEARING_D_SD),
+        UNKNOWN: (0.0, ANY_D),
+    }
+    log = {}
+    for cause, prior in PRIOR.items():
+        mean, spread = means[cause]
+        log[cause] = np.log(prior) + gaussian(S, mean, np.hypot(S_sd, spread))
+        if seen.draws is not None:
+            mean, spread = draws[cause]
+            log[cause] += gaussian(seen.draws[0], mean, np.hypot(seen.draws[1], spread))
+    top = max(log.values())
+    weight = {cause: float(np.exp(value - top)) for cause, value in log.items()}
+    total = sum(weight.values())
+    return {cause: value / total for cause, value in weight.items()}
+
+
+def gaussian(value: float, mean: float, sd: float) -> float:
+    """Log density."""
+    return float(-0.5 * ((value - mean) / sd) ** 2 - np.log(sd) - 0.5 * np.log(2.0 * np.pi))
+
+
+def parts(seen: Testimony, theta: float, theta_sd: float) -> dict[str, tuple[float, float, float]]:
+    """Loss of speed and loss of the propeller, which make theta together, each with its 95 % interval: (loss, low, high), in 0..1."""
+    S, S_sd = seen.told
+    kept = max(S, 0.05)
+    propeller = 1.0 - (1.0 - theta) / kept
+    propeller_sd = float(np.hypot(theta_sd / kept, (1.0 - theta) / kept**2 * S_sd))
+    return {
+        name: _bounded(value, sd)
+        for name, value, sd in (("speed", 1.0 - S, S_sd), ("propeller", propeller, propeller_sd))
+    }
+
+
+def _bounded(value: float, sd: float) -> tuple[float, float, float]:
+    low, high = value - 1.96 * sd, value + 1.96 * sd
+    return tuple(float(np.clip(v, 0.0, 1.0)) for v in (value, low, high))  # pyright: ignore[reportReturnType]
+
+
+def testify(
+    laws: tuple[Law, Law | None], bins, k: int, before: np.ndarray, after: np.ndarray, healthy: np.ndarray
+) -> Testimony | None:
+    """What rotor k (from 0) says of the bins `after`, compared with those `before` (T,) bool; None where there are too few of either.
+
+    laws: of speed and of current, learned from `before`; bins: `telemetry.Binned`; healthy (T, n): which rotors may stand for the others.
+    """
+    speed, current = laws
+    y, x = log_power(bins), np.log(bins.thrust)
+    known = bins.known
+    # A rotor that stands has no logarithm: its rest counts as that of a tiny speed, and S as 0.
+    rest, there = residual(speed, y, x, known, healthy)
+    b, a = before & there[:, k], after & there[:, k]
+    if b.sum() < FEWEST or not a.any() or not speed.known[k]:
+        return None
+    ratio = np.exp(np.clip(rest[:, k], -12.0, 2.0))
+    S = float(np.mean(ratio[a]) / np.mean(ratio[b]))
+    reach = _reach(x, a, b, k)
+    noise = mean_variance(speed.scatter[k], speed.memory[k], int(a.sum())) + mean_variance(
+        speed.scatter[k], speed.memory[k], int(b.sum())
+    )
+    S_sd = float(np.sqrt(max(S, 0.1) ** 2 * (noise + (speed.power_sd * reach) ** 2) + MODEL_S**2))
+    count, volts = int(a.sum()), _volts(bins, k, a, b)
+    if current is None or not current.known[k]:
+        return Testimony((S, S_sd), None, 1.0, count, volts)
+    z, v = np.log(np.maximum(bins.current, 1e-3)), 0.5 * y
+    known = bins.known & bins.current_known & (bins.power > 0.0)
+    rest, there = residual(current, z, v, known, healthy)
+    b2, a2 = before & there[:, k], after & there[:, k]
+    standing = after & bins.known[:, k] & (bins.power[:, k] <= 0.0) & bins.current_known[:, k]
+    if b2.sum() < FEWEST or not (a2.any() or standing.any()):
+        return Testimony((S, S_sd), None, 1.0, count, volts)
+    usual = float(np.mean(bins.current[b2, k]))
+    expected = bins.current[:, k] * np.exp(-np.clip(rest[:, k], -12.0, 12.0))
+    # Standing, it needs no current.
+    draws = np.concatenate([(bins.current[a2, k] - expected[a2]), bins.current[standing, k]]) / usual
+    load = float(np.mean(np.concatenate([expected[a2], np.zeros(int(standing.sum()))])) / usual)
+    noise = mean_variance(current.scatter[k], current.memory[k], draws.size) + mean_variance(
+        current.scatter[k], current.memory[k], int(b2.sum())
+    )
+    reach = _reach(v, a2, b2, k) if a2.any() else 0.0
+    D_sd = float(
+        np.sqrt(max(load, 0.3) ** 2 * (noise + (current.power_sd * reach) ** 2) + (MODEL_D * max(load, 1.0)) ** 2)
+    )
+    return Testimony((S, S_sd), (float(np.mean(draws)), D_sd), load, count, volts)
+
+
+def log_power(bins) -> np.ndarray:
+    """(T, n) log W^2; of a rotor that stands that of a speed far below any."""
+    return np.log(np.maximum(bins.power, 1e-2))
+
+
+def _reach(x: np.ndarray, a: np.ndarray, b: np.ndarray, k: int) -> float:
+    """How far the law is stretched: change of x of rotor k from b to a, against the other rotors' median change."""
+    change = x[a].mean(axis=0) - x[b].mean(axis=0)
+    return float(change[k] - np.median(np.delete(change, k)))
+
+
+def _volts(bins, k: int, a: np.ndarray, b: np.ndarray) -> tuple[float, float] | None:
+    """(V by which the supply of rotor k fell against the others', standard deviation)."""
+    n = bins.voltage.shape[1]
+    others = np.delete(np.arange(n), k)
+    ok = bins.voltage_known[:, k] & bins.voltage_known[:, others].all(axis=1)
+    a, b = a & ok, b & ok
+    if not a.any() or b.sum() < FEWEST:
+        return None
+    apart = np.median(bins.voltage[:, others], axis=1) - bins.voltage[:, k]
+    sd = float(np.std(apart[b]) * np.sqrt(1.0 / a.sum() + 1.0 / b.sum()))
+    return float(apart[a].mean() - apart[b].mean()), max(sd, 0.02)

@@ -1,0 +1,190 @@
+"""The witness heard: each loss of effectiveness gets its cause, as far as the ESCs of its rotors say; and motors that need a look.
+
+Before an onset the rotors were healthy and teach the laws of ratios.py; the last seconds of the loss are held against them. This is said
+after the flight: a cause uses what came after the announcement, the announcement itself does not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rotorwatch.answer.wording import CAUSES, listed, percent, probability, rotors
+from rotorwatch.diagnosis import Event
+from rotorwatch.esc import gone, ratios, telemetry, watch
+from rotorwatch.esc.telemetry import Binned
+from rotorwatch.flight import Flight
+from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.motion import allocation
+from rotorwatch.motion.ticks import Ticks
+
+LOSS, OVERRIDE = "loss_of_effectiveness", "output_override"
+CLEAR_S = 1.0  # before an onset: it is known no better
+SETTLED_S = 0.5  # after it: controllers and motors answer
+HEARD_S = 10.0  # how much of a loss is heard, its last
+TAUGHT_S = 60.0  # of healthy flight, the last before the onset
+TAKE_OFF_S = 2.0  # spool-up and ground effect are no usual flight
+DOWN_S = 1.0  # nor is the last second before the ground
+SAYS = 0.5  # probability from which on a cause is named
+NOTABLE_V = 0.3
+LOADED = 0.1  # of its usual current: a rotor that needs less tells nothing by what it draws
+
+
+@dataclass(frozen=True)
+class Heard:
+    """events: with causes, and with those that only telemetry shows, in order of announcement. warnings: what of it cannot be used."""
+
+    events: tuple[Event, ...]
+    warnings: tuple[str, ...]
+
+
+def hear(
+    flight: Flight,
+    vehicle: Vehicle,
+    air: allocation.Spans,
+    table: Ticks,
+    events: Sequence[Event],
+) -> Heard:
+    """The events of a flight after its ESC telemetry was asked; unchanged where the log has none."""
+    events = tuple(events)
+    if "esc" not in flight.signals:
+        return Heard(events, ())
+    bins, notes = telemetry.read(flight, allocation.rotor_thrusts(flight, vehicle), air)
+    if bins is None:
+        return Heard(events, tuple(notes))
+    calm = _calm(bins, table, air)
+    stood, said = gone.find(bins, events, air, _upset(bins, table))
+    notes += said
+    events = (*events, *stood)
+    healthy = _healthy(bins, events)
+    out = [_with_cause(e, bins, calm, healthy, air) if _asks(e) else e for e in events]
+    # Once a rotor is weak the others work elsewhere than where their laws were learned.
+    found, more = watch.look(bins, calm & healthy.all(axis=1, keepdims=True))
+    named = {rotor for e in out if e.kind == LOSS for rotor in e.rotors}
+    found = [e for e in found if e.kind != LOSS or not named & set(e.rotors)]  # what is known is not told again
+    return Heard(tuple(sorted((*out, *found), key=lambda e: e.detected_s)), (*notes, *more))
+
+
+def _asks(event: Event) -> bool:
+    """Whether ESCs are asked: a loss of known rotors, whose cause is not known yet."""
+    return event.kind == LOSS and not event.alternatives and "cause" not in event.extra
+
+
+def _upset(bins: Binned, table: Ticks) -> np.ndarray:
+    return table.upset[np.clip(np.searchsorted(table.time, bins.time), 0, len(table.time) - 1)]
+
+
+def _calm(bins: Binned, table: Ticks, air) -> np.ndarray:
+    """(T, 1) bool: bins of usual flight: no take-off, no touch-down, no tumbling, no contact."""
+    tick = np.clip(np.searchsorted(table.time, bins.time), 0, len(table.time) - 1)
+    fine = ~_upset(bins, table)
+    if table.contact is not None:
+        fine &= ~table.contact[tick]
+    for start, end in air:
+        fine &= ~((bins.time >= start) & (bins.time < start + TAKE_OFF_S)) & ~(
+            (bins.time > end - DOWN_S) & (bins.time <= end)
+        )
+    return fine[:, None]
+
+
+def _healthy(bins: Binned, events: Sequence[Event]) -> np.ndarray:
+    """(T, n) bool: rotors that no event names at that time; CLEAR_S before an onset is doubtful."""
+    out = np.ones(bins.known.shape, bool)
+    for e in events:
+        if e.kind in (LOSS, OVERRIDE):
+            during = (bins.time > e.onset_s - CLEAR_S) & (
+                bins.time < (np.inf if e.end_s is None else e.end_s + CLEAR_S)
+            )
+            for rotor in {r for who in (e.rotors, *e.alternatives) for r in who}:
+                out[during, rotor - 1] = False
+    return out
+
+
+def _with_cause(event: Event, bins: Binned, calm: np.ndarray, healthy: np.ndarray, air) -> Event:
+    """The event with what its rotors' ESCs say, as it is where they say nothing."""
+    undisturbed = calm[:, 0] & healthy.all(axis=1)
+    before = undisturbed & (bins.time < event.onset_s - CLEAR_S)
+    before &= np.cumsum(before[::-1])[::-1] <= TAUGHT_S / telemetry.BIN_S
+    end = event.end_s if event.end_s is not None else next((b for a, b in air if a <= event.onset_s <= b), np.inf)
+    after = (bins.time > event.onset_s + SETTLED_S) & (bins.time < end)
+    after &= calm[:, 0] | ~(after & calm[:, 0]).any()  # of a vehicle that tumbles at once what there is
+    after &= np.cumsum(after[::-1])[::-1] <= HEARD_S / telemetry.BIN_S
+    if before.sum() < ratios.FEWEST or not after.any():
+        return event
+    laws = learn(bins, before)
+    told = []
+    for rotor, loss, interval in zip(event.rotors, event.loss, event.interval, strict=True):
+        seen = ratios.testify(laws, bins, rotor - 1, before, after, healthy)
+        if seen is not None:
+            told.append(_told(rotor, loss, interval, seen))
+    if not told:
+        return event
+    main = max(told, key=lambda t: event.loss[event.rotors.index(t["rotor"])])
+    extra = {**event.extra, "cause": main["cause"], "causes": main["causes"], "esc": told}
+    says = "; ".join(sentence_of(t) for t in told)
+    event = replace(event, reason=f"{event.reason.removesuffix('.')}; {says}", extra=extra)
+    stands = [t for t in told if t["thrust_of_speed"] < ratios.STANDS]
+    if len(event.rotors) == 1 and stands:  # what stands pulls nothing, whatever a tumbling vehicle's motion says
+        event = replace(event, loss=(1.0,), interval=((gone.LEAST_LOSS, 1.0),))
+    return event
+
+
+def learn(bins: Binned, before: np.ndarray) -> tuple[ratios.Law, ratios.Law | None]:
+    """The laws of speed and current in the bins `before` (T,) bool; None for current where it is not measured."""
+    y, x = ratios.log_power(bins), np.log(bins.thrust)
+    turning = bins.power > 0.0
+    rows = np.flatnonzero(before)
+    speed = ratios.learn(y[rows], x[rows], (bins.known & turning)[rows], ratios.SPEED_POWER)
+    drawing = bins.known & turning & bins.current_known & (bins.current > 0.0)
+    if drawing[rows].sum(axis=0).max(initial=0) < ratios.FEWEST:
+        return speed, None
+    z = np.log(np.maximum(bins.current, 1e-3))
+    return speed, ratios.learn(z[rows], 0.5 * y[rows], drawing[rows], ratios.CURRENT_POWER)
+
+
+def _told(rotor: int, loss: float, interval: tuple[float, float], seen: ratios.Testimony) -> dict:
+    """One rotor's testimony as it stands in the answer."""
+    sd = max((interval[1] - interval[0]) / 3.92, 1e-3)
+    share = ratios.causes(seen, loss, sd)
+    best = max(share, key=lambda cause: share[cause])
+    split = ratios.parts(seen, loss, sd)
+    return {
+        "rotor": rotor,
+        "cause": best if share[best] >= SAYS else ratios.UNKNOWN,
+        "causes": share,
+        "speed_loss": split["speed"][0],
+        "speed_loss_interval": split["speed"][1:],
+        "propeller_loss": split["propeller"][0],
+        "propeller_loss_interval": split["propeller"][1:],
+        "thrust_of_speed": seen.told[0],
+        "current_ratio": None if seen.draws is None or seen.load < LOADED else 1.0 + seen.draws[0] / seen.load,
+        "supply_drop_V": None if seen.volts is None else seen.volts[0],
+    }
+
+
+def sentence_of(told: dict) -> str:
+    """What an ESC says, in words: 'ESC 3: it turns as told and draws 20 % less than ..., so the propeller (97 %)'."""
+    share = told["thrust_of_speed"]
+    high = 1.0 - told["speed_loss_interval"][0]
+    if share < ratios.STANDS:
+        said = ["it stands"]
+    elif high < 1.0:
+        said = [f"its speed gives {percent(share)} of the thrust asked for"]
+    else:
+        said = ["it turns as told"]
+    draws = told["current_ratio"]
+    if draws is not None and abs(draws - 1.0) >= 0.1:
+        said.append(
+            f"draws {percent(abs(draws - 1.0))} {'more' if draws > 1.0 else 'less'} current than such a speed needs"
+        )
+    drop = told["supply_drop_V"]
+    if drop is not None and drop > NOTABLE_V:
+        said.append(f"its supply fell {drop:.1f} V below the others'")
+    cause = told["cause"]
+    if cause == ratios.UNKNOWN:
+        so = "which fits no single cause" if told["causes"][ratios.UNKNOWN] >= SAYS else "which leaves the cause open"
+    else:
+        so = f"so the cause is the {CAUSES[cause]} ({probability(told['causes'][cause])})"
+    return f"the ESC of {rotors([told['rotor']])} says that {listed(said)}, {so}"

@@ -1,0 +1,80 @@
+"""ESC telemetry as a Signal: what every log format makes of its own records.
+
+Columns speed1 .. speedN [rad/s], current1 .. [A], voltage1 .. [V], temperature1 .. [degC, of the ESC], N rotors in the autopilot's
+order. What an ESC does not measure is invalid, and so is a row in which it did not report: a value never stands for an older one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from rotorwatch.flight import Signal
+from rotorwatch.logs import series
+
+QUANTITIES = ("speed", "current", "voltage", "temperature")
+UNIT = "rad/s,A,V,degC"
+RPM = 2.0 * np.pi / 60.0
+"""rad/s of a revolution per minute."""
+KELVIN = 273.15
+
+# Beyond these a number is damage; what is not measured is often sent as 0 V, or a temperature of -273 or 0 degC at 0 V.
+LIMITS = {"speed": (0.0, 20_000.0), "current": (-200.0, 1000.0), "voltage": (0.5, 200.0), "temperature": (-60.0, 300.0)}
+
+
+def build(time, measured: dict[str, np.ndarray], rotors: Sequence[int], source: str, notes: list[str], valid=None):
+    """The Signal `esc` from rows in which all ESCs report together; None when no speed or current in it is usable.
+
+    time (m,) s; measured: quantity -> (m, N) in the units above, speeds of either sign; those left out are not measured. rotors: their
+    numbers. valid (m, N) bool: where an ESC was heard. notes: sentences that this appends to.
+    """
+    shape = (len(time), len(rotors))
+    blocks, masks, wild = [], [], 0
+    for quantity in QUANTITIES:
+        values = np.asarray(measured.get(quantity, np.full(shape, np.nan)), np.float64).reshape(shape)
+        values = np.abs(values) if quantity == "speed" else values
+        low, high = LIMITS[quantity]
+        with np.errstate(invalid="ignore"):
+            fine = np.isfinite(values) & (values >= low) & (values <= high)
+            # 0 V is no measurement, not damage.
+            wild += int(np.count_nonzero(np.isfinite(values) & ~fine & (np.abs(values) > high)))
+        blocks.append(np.where(fine, values, np.nan))
+        masks.append(fine if valid is None else fine & valid)
+    if wild:
+        notes.append(f"{source}: {wild} impossible value{'s' if wild > 1 else ''} ignored")
+    mask = np.concatenate(masks, axis=1)
+    if not mask[:, : 2 * shape[1]].any():
+        return None
+    return series.build(time, np.concatenate(blocks, axis=1), names(rotors), UNIT, "", source, np.inf, notes, mask)
+
+
+def names(rotors: Sequence[int]) -> tuple[str, ...]:
+    """Columns of the telemetry of these rotors."""
+    return tuple(f"{quantity}{rotor}" for quantity in QUANTITIES for rotor in rotors)
+
+
+def together(
+    reports: Sequence[tuple[np.ndarray, dict[str, np.ndarray]] | None], rotors, source, notes
+) -> Signal | None:
+    """As `build`, from ESCs that report one after the other: for each rotor (time (m,) s, quantity -> (m,)) in order of time, or None.
+
+    Rows are the reports of the ESC that reports most; another's report goes into the row that is nearest in time, where that is no
+    further away than the rows are apart.
+    """
+    heard = [r for r in reports if r is not None and len(r[0])]
+    if not heard:
+        return None
+    base = max(heard, key=lambda r: len(r[0]))[0]
+    middle = 0.5 * (base[1:] + base[:-1])
+    apart = float(np.median(np.diff(base))) if len(base) > 1 else 1.0
+    measured = {quantity: np.full((len(base), len(reports)), np.nan) for quantity in QUANTITIES}
+    for column, report in enumerate(reports):
+        if report is None or not len(report[0]):
+            continue
+        time, values = report
+        row = np.searchsorted(middle, time)
+        near = np.abs(base[row] - time) <= apart
+        for quantity, series_ in values.items():
+            measured[quantity][row[near], column] = series_[near]
+    return build(base, measured, rotors, source, notes)

@@ -1,0 +1,119 @@
+"""ESC telemetry in MAVLink: which message is which rotor's, and in which units.
+
+    ESC_STATUS             index, rpm[4] (negative: backwards), voltage[4] V, current[4] A          PX4
+    ESC_INFO               index, temperature[4] 0.01 degC (32767: none), count                     PX4, slower
+    ESC_TELEMETRY_1_TO_4   rpm[4], voltage[4] 0.01 V, current[4] 0.01 A, temperature[4] degC        ArduPilot, to 29_TO_32
+
+`index` is the number of a message's first ESC, from 0. ArduPilot numbers ESCs as it numbers servo outputs, PX4 as its drivers do, in the
+order of the motors. https://mavlink.io/en/messages/common.html#ESC_STATUS, https://mavlink.io/en/messages/ardupilotmega.html#ESC_TELEMETRY_1_TO_4
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rotorwatch.flight import Signal
+from rotorwatch.logs import esc_columns
+
+TELEMETRY = tuple(f"ESC_TELEMETRY_{n}_TO_{n + 3}" for n in range(1, 33, 4))
+STATUS, INFO = "ESC_STATUS", "ESC_INFO"
+NO_TEMPERATURE = 32767
+
+
+@dataclass(frozen=True)
+class Layout:
+    """A message that pymavlink's dialects do not have, described as their classes are."""
+
+    msgname: str
+    id: int
+    crc_extra: int
+    unpacker: struct.Struct
+    ordered_fieldnames: tuple[str, ...]
+
+    @property
+    def fieldnames(self) -> tuple[str, ...]:
+        return self.ordered_fieldnames
+
+
+LAYOUTS = (
+    Layout(INFO, 290, 251, struct.Struct("<Q4IH4H4hBBBB"), (
+        *("time_usec", "error_count", "counter", "failure_flags", "temperature", "index", "count", "connection_type", "info"),
+    )),
+    Layout(STATUS, 291, 10, struct.Struct("<Q4i4f4fB"), ("time_usec", "rpm", "voltage", "current", "index")),
+)  # fmt: skip
+"""MAVLink's common messages; the check sums' seeds follow from names and types as MAVLink's serialization guide has it."""
+
+
+def read(get: Callable, outputs: Sequence[int], notes: list[str]) -> Signal | None:
+    """The signal `esc`; None where the log has none of these messages.
+
+    get(message): (time (m,) s, table) or None. outputs: servo output of each rotor, from 1; empty when not known.
+    """
+    reports, source = _status(get), STATUS
+    if not reports:
+        reports, source = _telemetry(get), "ESC_TELEMETRY"
+    if not reports:
+        return None
+    count = len(outputs) or max(reports) + 1
+    places = range(count) if source == STATUS else [n - 1 for n in outputs] or range(count)
+    if not set(places) & set(reports):
+        places = sorted(reports)[:count]
+    return esc_columns.together([reports.get(k) for k in places], range(1, len(places) + 1), source, notes)
+
+
+def _status(get: Callable) -> dict:
+    """ESC number, from 0 -> (time, quantity -> values) of ESC_STATUS, with temperatures of the last ESC_INFO."""
+    found = get(STATUS)
+    if found is None:
+        return {}
+    time, table = found
+    reports = {}
+    for first in np.unique(table["index"]).tolist():
+        rows = table["index"] == first
+        for k in range(4):
+            reports[first + k] = (
+                time[rows],
+                {
+                    "speed": table["rpm"][rows, k] * esc_columns.RPM,
+                    "current": table["current"][rows, k].astype(float),
+                    "voltage": table["voltage"][rows, k].astype(float),
+                },
+            )
+    found = get(INFO)
+    if found is None:
+        return reports
+    slow, table = found
+    for number, (time, values) in reports.items():
+        rows = np.flatnonzero(table["index"] == number - number % 4)
+        if rows.size:
+            degrees = table["temperature"][rows, number % 4].astype(float)
+            degrees = np.where(degrees == NO_TEMPERATURE, np.nan, 0.01 * degrees)
+            last = np.searchsorted(slow[rows], time, side="right") - 1
+            values["temperature"] = np.where(last >= 0, degrees[np.maximum(last, 0)], np.nan)
+    most = int(np.median(table["count"])) if table["count"].any() else len(reports)
+    return {number: report for number, report in reports.items() if number < most}
+
+
+def _telemetry(get: Callable) -> dict:
+    reports: dict[int, tuple[np.ndarray, Mapping[str, np.ndarray]]] = {}
+    for block, message in enumerate(TELEMETRY):
+        found = get(message)
+        if found is None:
+            continue
+        time, table = found
+        order = np.argsort(time, kind="stable")
+        for k in range(4):
+            values = {q: table[f][order, k].astype(float) for q, f in (("current", "current"), ("voltage", "voltage"))}
+            reports[4 * block + k] = (
+                time[order],
+                {
+                    "speed": table["rpm"][order, k] * esc_columns.RPM,
+                    "temperature": table["temperature"][order, k].astype(float),
+                    **{quantity: 0.01 * v for quantity, v in values.items()},
+                },
+            )
+    return reports
