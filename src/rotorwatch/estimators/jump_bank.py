@@ -364,9 +364,8 @@ class JumpBank:
             S = h @ Ph + R[a]
             S = jnp.maximum(S, nu * nu / OUTLIER**2)
             nu = jnp.where(valid[a], nu, 0.0)
-            K = (
-                Ph * jnp.where(valid[a], 1.0 / S, 0.0) * teach
-            )  # a smaller gain: the covariance below holds for any gain
+            # A smaller gain where little may be learned: the covariance below holds for any gain.
+            K = Ph * jnp.where(valid[a], 1.0 / S, 0.0) * teach
             s = s + K * nu
             P = P - K[:, None] * Ph[None, :] - Ph[:, None] * K[None, :]
             P = P + jnp.where(valid[a], S, 0.0) * K[:, None] * K[None, :]

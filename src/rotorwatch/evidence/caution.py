@@ -25,7 +25,7 @@ LAG_ERROR_S, SNAPSHOT = (
     0.15,
 )  # the second: share of a step that a single slow command may be off by, within its tick
 BURST_MEMORY_S, BURST_CLIP, BURST_POWER = 3.0, 6.0, 1.0
-LEAN_S, LASTING_MEMORY_S, LASTING = 1.0, 30.0, 1.0
+LEAN_S, LASTING_MEMORY_S = 1.0, 30.0
 GUST_S, GUST_SHARE, LEAST_GAIN = 1.0, 2.0, 0.3
 FAR, FAR_ERROR, FAR_MEMORY_S = 0.3, 0.5, 5.0
 # Shares of full thrust: up to the first a rotor gives what it is commanded; from the second on it is at its limit and may give only the
@@ -133,7 +133,7 @@ def calm(memory: Memory):
     """(4,) weight of this tick's evidence: below 1 while innovations are larger than the noise model expects (gusts come in bursts)."""
     import jax.numpy as jnp
 
-    return 1.0 / jnp.maximum(jnp.maximum(memory.burst, LASTING * memory.lasting), 1.0) ** BURST_POWER
+    return 1.0 / jnp.maximum(jnp.maximum(memory.burst, memory.lasting), 1.0) ** BURST_POWER
 
 
 def remember(memory: Memory, innovation, variance, ok, dt: float) -> Memory:

@@ -21,7 +21,7 @@ from rotorwatch.systems.wrench_balance import PER_AXIS, TAU, fading
 LAGS = (1, 2, 4, 8, 16, 32, 64)  # ticks
 MEMORY_S = 60.0  # how long a squared difference counts
 CLIP = 5.0  # a squared difference counts at most this many times the present mean: a fault must not look like noise
-GROWTH_S, GROWTH_WEIGHT, LEAN = 0.5, 0.05, 0.0
+GROWTH_S, GROWTH_WEIGHT = 0.5, 0.05
 # Per axis floor of the white variance, in hover thrusts: one PWM step of a few rotors.
 FLOOR = 0.0008**2
 
@@ -81,8 +81,6 @@ def step(state: NoiseState, e, ok, trust, dt: float) -> NoiseState:
     D = (total + GROWTH_WEIGHT * D[:1] * (1.0 + jnp.array(LAGS, float)[:, None] * dt / GROWTH_S)) / (
         weight + GROWTH_WEIGHT
     )
-    # With few samples a variance may well be larger than it looks: lean to the upper side.
-    D = D * (1.0 + LEAN / jnp.sqrt(1.0 + weight))
     certain = jnp.minimum(weight, 5.0)
     v = state.variances / state.safety
     for _ in range(3):
