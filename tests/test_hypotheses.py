@@ -5,8 +5,8 @@ import pytest
 from scipy.integrate import quad
 from scipy.optimize import minimize
 
-from rotorwatch.evidence import hypotheses
-from rotorwatch.evidence.hypotheses import LOSS_WIDTH, SMALL_WIDTH
+from rotorwatch.default import hypotheses
+from rotorwatch.default.hypotheses import LOSS_WIDTH, SMALL_WIDTH
 
 WIDTH = np.array([0.1, 0.2, 0.3, 0.4])
 

@@ -51,7 +51,7 @@ TOP = {
 }  # fmt: skip
 FAULT = {"share": 1.0, "together": 1}
 DECISION = {"sigmas": (0.5, 100.0), "least": (0.0, 1.0), "persist_s": (0.0, 60.0)}
-"""What a [[decisions]] table may set (evidence/decide.py), from and to."""
+"""What a [[decisions]] table may set (published/decide.py), from and to."""
 
 
 class Cell(NamedTuple):

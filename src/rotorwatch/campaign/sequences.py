@@ -25,9 +25,10 @@ import numpy as np
 
 from rotorwatch.campaign import batch, summary
 from rotorwatch.campaign.plan import Cell, drawn
+from rotorwatch.default import events, hypotheses
 from rotorwatch.diagnosis import Event
 from rotorwatch.errors import ConfigError
-from rotorwatch.evidence import events, hypotheses, outside
+from rotorwatch.motion import outside
 from rotorwatch.motion.ticks import JUDGE
 from rotorwatch.simulation import scenario
 from rotorwatch.simulation.scenario import Scenario

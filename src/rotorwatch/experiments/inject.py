@@ -19,10 +19,10 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import airframes, default_estimator, logs
+from rotorwatch import airframes, logs
+from rotorwatch.default import events, hypotheses, program
 from rotorwatch.diagnosis import Event
 from rotorwatch.errors import ConfigError
-from rotorwatch.evidence import events, hypotheses
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.motion import allocation
@@ -242,7 +242,7 @@ def _judge(flight: Flight, vehicle: Vehicle, air) -> tuple[tuple[Event, ...], fl
     if table is None:
         return (), 0.0
     B = vehicle.effectiveness()
-    _, out = default_estimator.estimate(table, B, (vehicle.identified or {}).get("dynamics"))
+    _, out = program.estimate(table, B, (vehicle.identified or {}).get("dynamics"))
     found = events.read(out, table, hypotheses.make(len(vehicle.rotors)), B)
     return found, float((table.mode == JUDGE).sum() * table.dt)
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch.core import Array
-from rotorwatch.evidence.caution import AT_LIMIT, BELIEVED
+from rotorwatch.default.caution import AT_LIMIT, BELIEVED
 
 SMALLEST = 0.015  # loss that is worth an event
 # Both may be off by a standard deviation of this flight's disturbances, and by as much as the slack in calm air.

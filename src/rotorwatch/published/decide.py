@@ -18,7 +18,7 @@ import numpy as np
 
 from rotorwatch import checks
 from rotorwatch.core import Array, Decision
-from rotorwatch.evidence import hypotheses
+from rotorwatch.default import hypotheses
 
 LEVEL_S, SCATTER_S, SETTLE_S = 20.0, 30.0, 4.0  # forgetting; and how long after the start nothing is decided
 FLOOR = 0.01  # hover thrusts: no method is steadier than that

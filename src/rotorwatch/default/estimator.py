@@ -1,12 +1,12 @@
 """The default diagnoser: one augmented Kalman filter and a bank of jump detectors on its innovations.
 
 The filter runs on the wrench balance with the losses theta of already announced rotors in its state. For every onset time in
-a bank (evidence/jumps.py) the exact effect of a unit jump on the innovations is carried along, so that at each tick the likelihood ratio
-of any jump - one rotor, two rotors, common mode, a torque bias, any disturbance (evidence/hypotheses.py) - at any of these times is
+a bank (default/bank.py) the exact effect of a unit jump on the innovations is carried along, so that at each tick the likelihood ratio
+of any jump - one rotor, two rotors, common mode, a torque bias, any disturbance (default/hypotheses.py) - at any of these times is
 known, with its most probable size and its covariance. Summed over onset times with prior weights this is the
 Shiryaev-Roberts statistic, whose mean time to a false alarm is at least its threshold (Pollak, Ann. Statist. 13, 1985):
 the threshold follows from the stated false-alarm rate. When it is passed, what may have happened becomes a few branches
-(evidence/branches.py), each with its jump in state, covariance and cross-covariance, exactly; the best of them leads.
+(default/posterior.py), each with its jump in state, covariance and cross-covariance, exactly; the best of them leads.
 """
 
 from __future__ import annotations
@@ -16,9 +16,10 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch.core import Array, Decision, Estimate
-from rotorwatch.evidence import branches, caution, hypotheses, jumps, noise, plausibility
+from rotorwatch.default import bank as onsets
+from rotorwatch.default import caution, hypotheses, noise, plausibility, posterior
+from rotorwatch.default.plant import B1, B2, B3, GAIN, PER_AXIS
 from rotorwatch.motion.ticks import AGAIN, GROUND, JUDGE
-from rotorwatch.systems.wrench_balance import B1, B2, B3, GAIN, PER_AXIS
 
 FALSE_ALARM_PERIOD_S = 10 * 3600.0  # promised: no more than one in so long
 # Of the statistic's own false alarms - as rare, on surrogates of real noise, as its threshold says - odds, persistence and plausibility
@@ -69,9 +70,9 @@ class Standing(NamedTuple):
 class Carry(NamedTuple):
     """The explanations with their filter states, the noise model, the leader's bank, and the memories of its parts."""
 
-    branches: branches.Branches
+    branches: posterior.Branches
     noise: noise.NoiseState
-    bank: jumps.Bank
+    bank: onsets.Bank
     caution: caution.Memory
     missing: plausibility.Missing
     standing: Standing
@@ -166,7 +167,7 @@ class JumpBank:
         E[np.arange(4) * PER_AXIS + B3, self.n + np.arange(4)] = 1.0
         self.yaw_gain = 2 * PER_AXIS + GAIN
         E[self.yaw_gain, -1] = 1.0
-        self.jumps = jumps.Jumps(E, self.dt)
+        self.jumps = onsets.Jumps(E, self.dt)
         # Of each hypothesis: its (at most two) rotors, one-hot; the axes it steps; whether it is a rotor that is well again.
         self.pick = np.array(
             [
@@ -185,7 +186,7 @@ class JumpBank:
         P = np.zeros((self.n_s, self.n_s))
         P[: self.n_x, : self.n_x] = self.system.P0
         return Carry(
-            branches.init(np.concatenate([np.asarray(self.system.x0), np.zeros(self.n)]), P, self.n),
+            posterior.init(np.concatenate([np.asarray(self.system.x0), np.zeros(self.n)]), P, self.n),
             noise.init(self.dt, *(self.noise_prior or ())),
             self.jumps.init(),
             caution.init(self.n),
@@ -226,12 +227,12 @@ class JumpBank:
             bank = self.jumps.observe(bank, rows[a], gains[0, a], w, innovation[0, a])
         memory = caution.remember(memory, innovation[0], variance[0], valid & flying, dt)
         explained = explained._replace(s=s, P=P)
-        explained = branches.weigh(explained, innovation, variance, valid & flying, calm, judge, dt)
-        explained, other_leads = branches.lead(explained)
-        bank = jumps.forget(bank, other_leads)
+        explained = posterior.weigh(explained, innovation, variance, valid & flying, calm, judge, dt)
+        explained, other_leads = posterior.lead(explained)
+        bank = onsets.forget(bank, other_leads)
 
         s, P, active = explained.s[0], explained.P[0], explained.active[0]
-        told = jumps.without_last(bank, jnp.maximum(P[self.yaw_gain, self.yaw_gain], 1e-12))
+        told = onsets.without_last(bank, jnp.maximum(P[self.yaw_gain, self.yaw_gain], 1e-12))
         reach = jnp.abs(rows[:, n_x:]).max(axis=0)
         found = self._evidence(s, told, carry.noise.variances, active, reach)
         rough = noise.spread(carry.noise.variances)
@@ -257,10 +258,12 @@ class JumpBank:
         sure_s = jnp.where(judge & ~alarm & certain, stand.sure_s + dt, 0.0)
         absorbed = sure_s >= ABSORB_S
         sure_s = jnp.where(absorbed, 0.0, sure_s)
+        # Where no rotor is weak, a fault has to be announced.
+        doubt = alarm | (absorbed & active.any())
         explained = self._born(explained, told, bank, found, first, alarm, absorbed)
         steady = (jnp.abs(seen.u[n + 6]) < TURNING) & (missing.heave < HEAVING)
         opposite, opposite_s = self._opposite(found, told, stand, active, judge & ~alarm & steady)
-        bank = jumps.forget(bank, alarm | absorbed)
+        bank = onsets.forget(bank, alarm | absorbed)
         above = jnp.where(alarm, 0, above)
 
         # Learn the noise from what the calm parts leave over, never from a growing suspicion.
@@ -289,10 +292,10 @@ class JumpBank:
             found.probability,
             shown,
             jnp.sqrt(jnp.maximum(shown_var, 0.0)),
-            alarm,
+            doubt,
             explained.onset[0],
             explained.active,
-            branches.shares(explained),
+            posterior.shares(explained),
             detectable,
             possible,
             opposite,
@@ -303,7 +306,7 @@ class JumpBank:
     def _A(self) -> np.ndarray:
         return np.concatenate([self.system.decay(self.dt), np.ones(self.n)])
 
-    def _restarted(self, explained: branches.Branches, restart, hop) -> branches.Branches:
+    def _restarted(self, explained: posterior.Branches, restart, hop) -> posterior.Branches:
         """A new hop starts with new biases; what the vehicle is like, and how noisy, stays known. After a contact the biases may be any,
         but a loss that was known stays. Either ends the competition of explanations."""
         import jax.numpy as jnp
@@ -311,17 +314,17 @@ class JumpBank:
         keep = jnp.ones(self.n_s).at[self.bias_rows].set(0.0).at[self.n_x :].set(0.0)
         rows = np.ix_(self.bias_rows, self.bias_rows)
         P0 = jnp.zeros((self.n_s, self.n_s)).at[rows].set(jnp.asarray(self.system.P0)[rows])
-        leads = jnp.arange(branches.PLACES) == 0
+        leads = jnp.arange(posterior.PLACES) == 0
         return explained._replace(
             s=jnp.where(hop, explained.s * keep, explained.s),
             P=jnp.where(hop, explained.P * keep[:, None] * keep[None, :], explained.P) + jnp.where(restart, P0, 0.0),
             active=explained.active & ~hop,
             learning=jnp.where(hop, 0.0, explained.learning),
             theta_var=jnp.where(hop, 0.0, explained.theta_var),
-            weight=jnp.where(restart, jnp.where(leads, 0.0, branches.NEVER), explained.weight),
+            weight=jnp.where(restart, jnp.where(leads, 0.0, posterior.NEVER), explained.weight),
         )
 
-    def _predicted(self, explained: branches.Branches, carry: Carry, flying) -> branches.Branches:
+    def _predicted(self, explained: posterior.Branches, carry: Carry, flying) -> posterior.Branches:
         """One tick ahead. A loss that has been refined long enough is taken as known; its variance is remembered. One that turned out to
         be none is over."""
         import jax
@@ -434,7 +437,7 @@ class JumpBank:
         it = (jnp.arange(len(self.hyp.names)) == h).astype(float)
         slot = jnp.argmax(jnp.where(found.live, found.per_slot @ it, -jnp.inf))
         slot = (jnp.arange(self.jumps.stride.size) == slot).astype(float)
-        _, C, z = jumps.pick(bank, slot)
+        _, C, z = onsets.pick(bank, slot)
         rotors = jnp.einsum("h,hkr->kr", it, jnp.asarray(self.pick))
         steps, well = it @ jnp.asarray(self.steps), it @ jnp.asarray(self.well, float)
         n_fault = found.nu.shape[1]
@@ -453,8 +456,8 @@ class JumpBank:
         return Jump(slot, size, cov, each)
 
     def _born(
-        self, explained: branches.Branches, told, bank, found: Evidence, first, alarm, absorbed
-    ) -> branches.Branches:
+        self, explained: posterior.Branches, told, bank, found: Evidence, first, alarm, absorbed
+    ) -> posterior.Branches:
         """What may have happened becomes branches of the one that leads: the likeliest disturbance and the likeliest faults. Hypothesis
         `first` leads where it is announced, else the disturbance."""
         import jax
@@ -466,7 +469,7 @@ class JumpBank:
             left, chosen = jnp.where(fault, found.log_odds, -jnp.inf), []
             none = jnp.argmax(jnp.where(fault, -jnp.inf, found.log_odds))
             h = first
-            for _ in range(branches.PLACES - 1):
+            for _ in range(posterior.PLACES - 1):
                 chosen.append((h, found.log_odds[h]))
                 left = jnp.where(jnp.arange(left.size) == h, -jnp.inf, left)
                 h = jnp.argmax(left)
@@ -474,29 +477,29 @@ class JumpBank:
             weight = jnp.stack([w for _, w in chosen])
             which = jnp.stack([h for h, _ in chosen])
             # The first place leads; nobody else may be ahead from the start.
-            turn = jnp.where(alarm, jnp.arange(branches.PLACES), branches.PLACES - 1 - jnp.arange(branches.PLACES))
+            turn = jnp.where(alarm, jnp.arange(posterior.PLACES), posterior.PLACES - 1 - jnp.arange(posterior.PLACES))
             weight, which = weight[turn], which[turn]
-            weight = jnp.minimum(weight - weight[0], branches.AHEAD)
+            weight = jnp.minimum(weight - weight[0], posterior.AHEAD)
             # The odds against disturbances are what an announcement is made by; they are not asked again.
-            weight = jnp.where(alarm & (which == none), branches.NEVER, weight)
+            weight = jnp.where(alarm & (which == none), posterior.NEVER, weight)
             # Where no rotor is weak, a fault has to be announced.
             doubt = alarm | explained.active[0].any()
-            weight = jnp.where(doubt | (which == none), weight, branches.NEVER)
+            weight = jnp.where(doubt | (which == none), weight, posterior.NEVER)
             child = jax.vmap(lambda h: self._child(explained, told, bank, found, h))(which)
             return child._replace(
-                weight=jnp.where(weight > branches.OUT, weight, branches.NEVER),
+                weight=jnp.where(weight > posterior.OUT, weight, posterior.NEVER),
                 age=jnp.where(doubt, 0.0, explained.age),
             )
 
         return jax.lax.cond(alarm | absorbed, born, lambda same: same, explained)
 
-    def _child(self, explained: branches.Branches, told, bank, found: Evidence, h) -> branches.Branches:
+    def _child(self, explained: posterior.Branches, told, bank, found: Evidence, h) -> posterior.Branches:
         """The leader with the jump of hypothesis h: exactly what an augmented filter with this jump would hold."""
         import jax.numpy as jnp
 
         n_x = self.n_x
         jump = self._jump(found, told, h)
-        M, _, _ = jumps.pick(told, jump.slot)
+        M, _, _ = onsets.pick(told, jump.slot)
         s, P = explained.s[0] + M @ jump.size, explained.P[0] + M @ jump.cov @ M.T
         hit = (jnp.einsum("h,hkr->r", (jnp.arange(len(self.hyp.names)) == h).astype(float), self.pick)) > 0.5
         well = jnp.asarray(self.well)[h]
@@ -509,7 +512,7 @@ class JumpBank:
             s = jnp.where(off[i], s - column * (s[j] / variance), s)
             P = jnp.where(off[i], P - column[:, None] * column[None, :] / variance, P)
         learning = jnp.where(hit & ~off, LEARN_LOSS_S, jnp.where(off, 0.0, explained.learning[0]))
-        return branches.Branches(
+        return posterior.Branches(
             s,
             0.5 * (P + P.T),
             explained.weight[0],
@@ -517,7 +520,7 @@ class JumpBank:
             learning,
             jnp.where(off, 0.0, explained.theta_var[0]),
             jnp.where(hit, s[n_x:], explained.theta_mean[0]),
-            jump.slot @ jnp.where(found.live, bank.age + 1.0, 0.0),
+            jnp.where(hit.any(), jump.slot @ jnp.where(found.live, bank.age + 1.0, 0.0), explained.onset[0]),
             jnp.zeros(()),
         )
 

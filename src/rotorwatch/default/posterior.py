@@ -29,7 +29,7 @@ NEVER = -1e3
 class Branches(NamedTuple):
     """K = PLACES explanations, the leader first. s (K, n_s), P (K, n_s, n_s); weight (K,): log, 0 for the leader, NEVER where there is
     none; active (K, n): weak rotors; learning (K, n): seconds their losses are still refined; theta_var, theta_mean (K, n): variance
-    after that, and mean lately; onset (K,): ticks since the jump that made it; age: s since then."""
+    after that, and mean lately; onset (K,): ticks since its last jump of a rotor; age: s since then."""
 
     s: Array
     P: Array
