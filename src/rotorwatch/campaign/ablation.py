@@ -117,7 +117,7 @@ def variants(only: Sequence[str] = (), words: Sequence[str] = WORDS) -> dict[str
             for word, factor in (("half", 0.5), ("double", 2.0)):
                 if word not in words:
                     continue
-                now = {**value, **_scaled(part, factor)} if part else _scaled(value, factor)
+                now = _scaled(value, factor) if part is None else {**value, **_scaled(part, factor)}
                 made[f"{label} {word}"] = {name: now}
             if label in OFF and "off" in words:
                 off = OFF[label]
