@@ -21,7 +21,6 @@ CERTAIN_OPPOSITE = 0.99  # the same for a pair of opposite rotors: only manoeuvr
 # What the model itself is uncertain of: the thrust curve away from the operating point, equal rotors.
 MODEL_SD, MODEL_SHARE = 0.004, 0.02
 COAXIAL_SHARE = 0.06  # ... how the thrust of a coaxial arm divides: half of what the lower rotors' share may be off by
-GONE = 0.8
 HIDDEN = 20.0
 
 

@@ -4,14 +4,14 @@
     nu = y_a - h_a s,   S = h_a P h_a' + R_a,   s <- s + K nu          one axis a after the other: R is diagonal
 
 K is the Kalman gain times the share that each state may learn (caution.py); the covariance update holds for any gain (Joseph). A loss
-is refined for `posterior.LEARN_LOSS_S`, then taken as known, so that errors of the model cannot wear it away.
+is refined for USUAL_S, then taken as known, so that errors of the model cannot wear it away.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from rotorwatch.default import noise, posterior
+from rotorwatch.default import hypotheses, noise, posterior
 from rotorwatch.default.plant import B1, B2, B3, PER_AXIS
 from rotorwatch.default.posterior import Branches
 
@@ -65,7 +65,7 @@ def predict(branches: Branches, decay, variances, doubt, flying, dt: float) -> B
         P = P * known[:, None] * known[None, :]
         learning = jnp.where(moving, MOVING_S, jnp.maximum(learning - dt, 0.0))
         Q = jnp.diag(jnp.concatenate([q_x, (learning > 0) * THETA_WALK * dt]))
-        over = finished & (theta < posterior.OVER)
+        over = finished & (theta < hypotheses.NONE)
         s = s * jnp.concatenate([jnp.ones(n_x), jnp.where(over, 0.0, 1.0)])
         theta_var = jnp.where(over, 0.0, jnp.where(finished, var, theta_var))
         return A * s, A[:, None] * P * A[None, :] + Q, active & ~over, learning, theta_var, mean
