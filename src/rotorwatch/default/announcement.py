@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch.core import Array
-from rotorwatch.default import bank, hypotheses
+from rotorwatch.default import bank, hypotheses, noise, plant
 from rotorwatch.default.evidence import Evidence, Jump
 from rotorwatch.default.hypotheses import Hypotheses
 
@@ -24,8 +24,6 @@ GATES = 0.15
 PERSIST_S = 0.15
 EDGE = 0.9  # of the bank's reach
 ABSORB_S, CERTAIN_NATS = 1.0, 16.0
-SUSPICIOUS_PERIOD_S = 60.0  # noise is not learned while there is more evidence than chance would bring in a minute
-FREEZE_S = 4.0
 SETTLE_S = 1.5  # after a jump, before noise is learned again
 
 
@@ -89,9 +87,10 @@ def decide(
 
 
 def suspicion(standing: Standing, found: Evidence, hyp: Hypotheses, dt: float) -> tuple[Standing, Array]:
-    """Noise is not learned from a growing suspicion, but not for ever: whether it may be learned at this tick."""
+    """Noise is not learned while there is more evidence than chance would bring in its memory, but not for ever: whether it may be learned
+    at this tick."""
     import jax.numpy as jnp
 
-    suspicious = found.fault > threshold(hyp, dt, SUSPICIOUS_PERIOD_S)
+    suspicious = found.fault > threshold(hyp, dt, 1.0) + jnp.log(noise.MEMORY_S)
     frozen = jnp.where(suspicious, standing.frozen + dt, jnp.maximum(standing.frozen - dt, 0.0))
-    return standing._replace(frozen=jnp.minimum(frozen, 2.0 * FREEZE_S)), ~suspicious | (frozen > FREEZE_S)
+    return standing._replace(frozen=jnp.minimum(frozen, 2.0 * plant.USUAL_S)), ~suspicious | (frozen > plant.USUAL_S)

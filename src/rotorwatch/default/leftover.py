@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rotorwatch.default.hypotheses import CLEAR, Hypotheses
-from rotorwatch.default.plant import USUAL_S
+from rotorwatch.default import hypotheses, plant
+from rotorwatch.default.hypotheses import Hypotheses
 from rotorwatch.diagnosis import Event
 from rotorwatch.motion.ticks import JUDGE, Ticks
 
@@ -38,7 +38,7 @@ def find(
     out, table: Ticks, hyp: Hypotheses, limit: float, events: Sequence[Event], B: np.ndarray | None = None
 ) -> tuple[Leftover, ...]:
     """Spells of at least LASTS_S, after the first event, in which faults of other rotors than the known ones have more evidence than
-    `limit` [nats] and no disturbance explains them better by CLEAR; and, with B (4, n), trims that were learned afresh and changed as a
+    `limit` [nats] and no disturbance explains them clearly better; and, with B (4, n), trims that were learned afresh and changed as a
     rotor's loss would change them. out: the estimator's stacked outputs."""
     known = [e for e in events if e.kind in ("loss_of_effectiveness", "output_override")]
     if not known:
@@ -47,19 +47,19 @@ def find(
     fault = np.asarray(hyp.fault)
     odds = np.asarray(out.log_odds)
     best_fault, best_other = odds[:, fault].max(axis=1), odds[:, ~fault].max(axis=1)
-    over = (best_fault > limit) & (best_fault > best_other - CLEAR)
+    over = (best_fault > limit) & (best_fault > best_other - hypotheses.CLEAR)
     over &= (table.mode == JUDGE) & ~table.upset & (time > min(e.detected_s for e in known))
     for e in known:
         for mark in (e.detected_s, e.end_s):
             if mark is not None:
-                over &= ~((time >= mark - 0.5) & (time <= mark + USUAL_S))
+                over &= ~((time >= mark - 0.5) & (time <= mark + plant.USUAL_S))
         over &= ~((time >= e.onset_s) & (time <= e.detected_s))
     for e in events:
         if e.kind == "contact":  # what a knock leaves behind speaks of the knock
             last = max(e.detected_s, e.end_s or 0.0)
-            over &= ~((time >= e.onset_s - 0.5) & (time <= last + USUAL_S))
+            over &= ~((time >= e.onset_s - 0.5) & (time <= last + plant.USUAL_S))
     members = np.array([[i in who for i in range(n)] for who in hyp.rotors])
-    near = (odds > best_fault[:, None] - CLEAR) & fault
+    near = (odds > best_fault[:, None] - hypotheses.CLEAR) & fault
     edges = np.flatnonzero(np.diff(np.concatenate([[False], over, [False]]).astype(int)))
     found = []
     for a, b in zip(edges[::2], edges[1::2]):

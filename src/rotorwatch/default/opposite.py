@@ -12,7 +12,6 @@ from rotorwatch.core import Array
 from rotorwatch.default import bank, evidence, hypotheses, plant
 from rotorwatch.default.hypotheses import Hypotheses
 
-OPPOSITE_NATS = 5.0  # by so much at most they may explain it worse than any disturbance does
 # rad/s of yaw, above which its drag is known too badly for that; and load factor away from 1
 TURNING, HEAVING = 0.15, 0.2
 
@@ -40,7 +39,13 @@ def suspect(
     free_fit = jnp.where(found.live[:, None], found.log_bf[:, ~hyp.fault], evidence.NOTHING)
     best, gradual, sudden = fit.max(), free_fit[onsets.slow].max(), free_fit[~onsets.slow].max()
     # A quadrotor's pairs can be told apart by their yaw: there the fault hypotheses say all there is to say.
-    now = calm & (n >= 6) & (best > limit) & (best > sudden - OPPOSITE_NATS) & (best > gradual + hypotheses.CLEAR)
+    now = (
+        calm
+        & (n >= 6)
+        & (best > limit)
+        & (best > sudden - 2.0 * hypotheses.CLEAR)
+        & (best > gradual + hypotheses.CLEAR)
+    )
     since = jnp.where(now, lasted + dt, 0.0)
     news = (since >= plant.ANSWER_S) & (lasted < plant.ANSWER_S)
     pair = jnp.argmax(fit.max(axis=0))

@@ -22,8 +22,8 @@ CHANGE, CHANGE_GONE = 0.03, 0.3
 
 
 class Missing(NamedTuple):
-    """Commanded thrust that the accelerometer does not see, hover thrusts of one rotor: fast, over ANSWER_S; slow, over USUAL_S. heave: how far the
-    load factor was from 1, lately. limit (n,): share of its thrust that a rotor near its limit may have lacked, lately."""
+    """Commanded thrust that the accelerometer does not see, hover thrusts of one rotor: fast, over ANSWER_S; slow, over USUAL_S. heave:
+    how far the load factor was from 1, lately. limit (n,): share of its thrust that a rotor near its limit may have lacked, lately."""
 
     fast: Array
     slow: Array

@@ -19,9 +19,8 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch.core import Array
-from rotorwatch.default import bank, evidence, hypotheses
+from rotorwatch.default import bank, evidence, hypotheses, plant
 from rotorwatch.default.hypotheses import Hypotheses
-from rotorwatch.default.plant import USUAL_S
 
 PLACES = 4
 RESOLVE_S, TEMPER = 3.0, 0.3
@@ -154,7 +153,7 @@ def _child(branches: Branches, hyp: Hypotheses, told: bank.Bank, found: evidence
         P=0.5 * (P + P.T),
         weight=branches.weight[0],
         active=(branches.active[0] | jump.rotors) & ~off,
-        learning=jnp.where(off, 0.0, jnp.where(jump.rotors, USUAL_S, branches.learning[0])),
+        learning=jnp.where(off, 0.0, jnp.where(jump.rotors, plant.USUAL_S, branches.learning[0])),
         theta_var=jnp.where(off, 0.0, branches.theta_var[0]),
         theta_mean=jnp.where(jump.rotors, s[n_x:], branches.theta_mean[0]),
         onset=jnp.where(jump.rotors.any(), jump.since, branches.onset[0]),
