@@ -22,7 +22,7 @@ MOST_LINES = 600
 FORBIDDEN = (
     ("flight/flight.py", "rotorwatch.logs", "Layers"),
     ("logs/series.py", "rotorwatch.motion.ticks", "Layers"),
-    ("detectors/esc_current.py", "rotorwatch.estimators.jump_bank", "Layers"),
+    ("detectors/esc_current.py", "rotorwatch.default.estimator", "Layers"),
     ("airframes/px4.py", "rotorwatch.cli", "Layers"),
     ("experiments/damage.py", "rotorwatch.experiments.fuzz", "Inside the experiments"),
     ("diagnose.py", "rotorwatch.healthy.tune", "Inside the healthy"),
@@ -31,8 +31,8 @@ FORBIDDEN = (
     ("compiling/native.py", "rotorwatch.compiling.run", "Inside compiling"),
     ("motion/airborne.py", "rotorwatch.motion.ticks", "Inside motion"),
     ("flight/flight.py", "rotorwatch.flight.vehicle_file", "Inside the flight"),
-    ("estimators/planted.py", "rotorwatch.estimators.jump_bank", "Estimators do not"),
-    ("systems/planted.py", "rotorwatch.systems.wrench_balance", "Plants do not"),
+    ("estimators/planted.py", "rotorwatch.estimators.ekf", "Estimators do not"),
+    ("systems/planted.py", "rotorwatch.systems.rate_dynamics", "Plants do not"),
     ("detectors/thrust_loss.py", "rotorwatch.detectors.esc_current", "Detectors do not"),
     ("airframes/crazyflie.py", "rotorwatch.airframes.ardupilot", "Airframes do not"),
     ("logs/ulog.py", "rotorwatch.logs.tlog", "Log formats do not"),
@@ -117,9 +117,9 @@ def test_a_plug_in_is_one_file(copy):
 
 def test_two_plug_ins_of_one_name_are_refused(copy):
     folder, run = copy
-    shutil.copy(folder / "estimators" / "jump_bank.py", folder / "estimators" / "planted.py")
+    shutil.copy(folder / "estimators" / "ekf.py", folder / "estimators" / "planted.py")
     done = run(sys.executable, "-c", "from rotorwatch import discovery; discovery.estimators()")
-    assert done.returncode != 0 and "both called 'default'" in done.stderr
+    assert done.returncode != 0 and "both called 'ekf'" in done.stderr
 
 
 def test_importing_loads_nothing_heavy():

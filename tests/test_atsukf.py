@@ -244,7 +244,7 @@ def test_bad_adaptation_gets_one_sentence(options, says, plant):
 
 @each_method
 def test_a_plant_without_noise_is_refused(method):
-    from rotorwatch.systems.wrench_balance import WrenchBalance
+    from rotorwatch.default.plant import WrenchBalance
 
     with pytest.raises(ConfigError, match=f"{method.name} is not defined for the plant wrench_balance: it needs Q, R"):
         method(WrenchBalance(np.ones((4, 4))), DT)

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rotorwatch import airframes, default_estimator
-from rotorwatch.evidence import events
-from rotorwatch.systems.wrench_balance import AXIS_STATES, SHARE_SD, WrenchBalance, lower_rotors
+from rotorwatch import airframes
+from rotorwatch.default import events, program
+from rotorwatch.default.plant import AXIS_STATES, SHARE_SD, WrenchBalance, lower_rotors
 
 
 @pytest.mark.parametrize(
@@ -20,7 +20,7 @@ def test_which_rotors_are_below(frame, lower):
     assert tuple(k for k, r in enumerate(vehicle.rotors) if r.lower) == lower
     system = WrenchBalance(vehicle.effectiveness(), lower=found)
     assert system.n_x == AXIS_STATES + bool(lower) == len(system.x_names) == len(system.x0)
-    assert "lower" in default_estimator.parameters(vehicle.effectiveness()) or not lower
+    assert "lower" in program.parameters(vehicle.effectiveness()) or not lower
 
 
 @pytest.mark.parametrize("frame", ["y6", "octaquad-x", "dodecahexa-plus"])

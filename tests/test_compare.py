@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from rotorwatch import airframes, cli, default_estimator, diagnose
+from rotorwatch import airframes, cli, diagnose
+from rotorwatch.default import program
 from rotorwatch.diagnosis import Event
 from rotorwatch.errors import ConfigError
 from rotorwatch.experiments.studies import compare as study
@@ -68,7 +69,7 @@ def judged(quads, monkeypatch):
         shown = np.zeros(which.ticks.thrust.shape)
         if which.faults:
             shown[:, which.faults[0][0] - 1] = theta
-        out = default_estimator.Kept(*[shown] * len(default_estimator.Kept._fields))
+        out = program.Kept(*[shown] * len(program.Kept._fields))
         monkeypatch.setattr(published, "judge", lambda *a, **k: out)
         monkeypatch.setattr(study.events, "read", lambda *a, **k: tuple(found))
         return study._trial("ekf", which)

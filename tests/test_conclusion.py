@@ -4,7 +4,7 @@ import pytest
 
 from conftest import hexa_diagnosis, hexa_event
 from rotorwatch.answer.conclusion import main_event
-from rotorwatch.evidence.leftover import Leftover
+from rotorwatch.default.leftover import Leftover
 
 
 def whole(verdict, rotors=(), loss=0.0, causes=()):

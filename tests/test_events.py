@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes
-from rotorwatch.evidence import events, hypotheses
-from rotorwatch.evidence.branches import PLACES
+from rotorwatch.default import events, hypotheses
+from rotorwatch.default.posterior import PLACES
 from rotorwatch.motion.ticks import JUDGE, Ticks
 
 DT, COUNT, N = 0.1, 300, 4

@@ -15,10 +15,10 @@ import pytest
 from rotorwatch import airframes, discovery
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.core import Estimate
+from rotorwatch.default.plant import WrenchBalance
 from rotorwatch.estimators.ekf import EKF
 from rotorwatch.motion.ticks import GROUND, JUDGE, LEARN
 from rotorwatch.systems.rate_dynamics import RateDynamics
-from rotorwatch.systems.wrench_balance import WrenchBalance
 
 DT, TICKS = 0.02, 220
 TAKE_OFF, READY, ONSET = 5, 80, 110
@@ -291,7 +291,7 @@ def errors_are_as_large_as_the_covariance_says(case):
     """Healthy flights with the plant's own noise: states and losses lie within three standard deviations; where the method is
     the Kalman filter, the normalised error squared (NEES) is the number of states as well."""
     if case.own_plant:
-        return  # its noise model is learned in flight: tests/test_jump_bank.py
+        return  # its noise model is learned in flight: tests/test_default_estimator.py
     inside_x, inside_theta, nees = [], [], []
     for seed in (0, 1, 2):
         u, y, valid, x = flown(case.make, seed, 0.0)
@@ -587,10 +587,9 @@ def test_default_is_the_kalman_filter_while_nothing_is_suspected(monkeypatch):
     In motion the default estimator is more careful than Kalman: it counts the error of its own gains as noise. So it is
     with outliers and with commands that jump; that caution is switched off here.
     """
-    from rotorwatch.estimators import jump_bank
-    from rotorwatch.evidence import caution, noise
+    from rotorwatch.default import caution, kalman, noise
 
-    monkeypatch.setattr(jump_bank, "OUTLIER", 1e9)
+    monkeypatch.setattr(kalman, "OUTLIER", 1e9)
     monkeypatch.setattr(caution, "LAG_ERROR_S", 0.0)
     monkeypatch.setattr(caution, "SNAPSHOT", 0.0)
     system = wrench_quad()

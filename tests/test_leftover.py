@@ -7,7 +7,7 @@ import pytest
 
 from conftest import hexa_event
 from rotorwatch import airframes
-from rotorwatch.evidence import hypotheses, leftover
+from rotorwatch.default import hypotheses, leftover
 from rotorwatch.motion.ticks import JUDGE, LEARN
 
 HYP = hypotheses.make(4)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from rotorwatch.backend import jax as load_jax
-from rotorwatch.evidence import noise
-from rotorwatch.systems.wrench_balance import PER_AXIS, TAU
+from rotorwatch.default import noise
+from rotorwatch.default.plant import PER_AXIS, TAU
 
 DT = 0.05
 

@@ -85,9 +85,9 @@ def test_the_default_estimator_is_run_the_same_in_any_chunks(monkeypatch):
     """The real thing: a made-up hover in chunks of 64 and of 1024 steps gives the same losses and announcements."""
     import rotorwatch.compiling.run as module
     from rotorwatch import airframes
-    from rotorwatch.estimators.jump_bank import JumpBank
-    from rotorwatch.evidence import noise
-    from rotorwatch.systems.wrench_balance import WrenchBalance
+    from rotorwatch.default import noise
+    from rotorwatch.default.estimator import JumpBank
+    from rotorwatch.default.plant import WrenchBalance
 
     B = airframes.named("ardupilot-quad-x").effectiveness()
     rng = np.random.default_rng(0)

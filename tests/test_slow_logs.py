@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from rotorwatch import diagnose
-from rotorwatch.default_estimator import BUILDERS
+from rotorwatch.default.program import BUILDERS
 from rotorwatch.motion import ticks
 from rotorwatch.simulation import scenario, simulate
 

@@ -10,20 +10,20 @@ import numpy as np
 
 from rotorwatch import detectors, discovery
 from rotorwatch.answer import conclusion, places, traces
-from rotorwatch.default_estimator import estimate
+from rotorwatch.default import events, hypotheses, leftover
+from rotorwatch.default.announcement import threshold
+from rotorwatch.default.program import estimate
 from rotorwatch.diagnosis import Diagnosis
 from rotorwatch.errors import ConfigError
 from rotorwatch.esc import witness
-from rotorwatch.estimators.jump_bank import threshold
-from rotorwatch.evidence import decide, events, hypotheses, leftover, outside
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.healthy import baselines
 from rotorwatch.healthy.baselines import Given
-from rotorwatch.motion import ticks, trust
+from rotorwatch.motion import outside, ticks, trust
 from rotorwatch.motion.airborne import airborne
 from rotorwatch.motion.ticks import JUDGE, READY_KNOWN_S, READY_S, Ticks, observe
-from rotorwatch.published import published
+from rotorwatch.published import decide, published
 from rotorwatch.published.published import Tuning
 
 LONGEST_UP_US = 1e14  # a start later than that counts from 1970, not from the autopilot's boot
@@ -115,7 +115,7 @@ def diagnose(
     hyp = hypotheses.make(len(craft.rotors))
     losses = events.read(out, table, hyp, B)
     overrides = outside.overrides(flight, craft, air, table)
-    losses = tuple(e for e in losses if not outside.explains(overrides, e))
+    losses = outside.unexplained(losses, overrides)
     contacts = outside.contacts(table, air)
     found = tuple(sorted((*losses, *overrides, *contacts), key=lambda e: e.detected_s))
     heard = witness.hear(flight, craft, air, table, found)

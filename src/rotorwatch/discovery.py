@@ -13,13 +13,13 @@ from rotorwatch.plugins import modules
 
 
 def estimators() -> dict[str, type]:
-    """Name -> class of every estimator (`core.Estimator`: name, init, step) in `rotorwatch.estimators`."""
-    return _classes("rotorwatch.estimators", ("name", "init", "step"))
+    """Name -> class of every estimator (`core.Estimator`: name, init, step) in `rotorwatch.estimators`, and the default one."""
+    return _classes(("rotorwatch.estimators", "rotorwatch.default"), ("name", "init", "step"))
 
 
 def systems() -> dict[str, type]:
-    """Name -> class of every plant (`core.System`: name, f, h) in `rotorwatch.systems`."""
-    return _classes("rotorwatch.systems", ("name", "f", "h"))
+    """Name -> class of every plant (`core.System`: name, f, h) in `rotorwatch.systems`, and the default estimator's."""
+    return _classes(("rotorwatch.systems", "rotorwatch.default"), ("name", "f", "h"))
 
 
 def system(name: str) -> type:
@@ -38,10 +38,10 @@ def estimator(name: str) -> type:
     return known[name]
 
 
-def _classes(package: str, parts: tuple[str, ...]) -> dict[str, type]:
-    """Classes defined in the package's modules that have all `parts`, by their `name`, in the order of names."""
+def _classes(rooms: tuple[str, ...], parts: tuple[str, ...]) -> dict[str, type]:
+    """Classes defined in the rooms' modules that have all `parts`, by their `name`, in the order of names."""
     found: dict[str, type] = {}
-    for module in modules(package):
+    for module in (module for room in rooms for module in modules(room)):
         members: list[tuple[str, Any]] = inspect.getmembers(module, inspect.isclass)
         for label, kind in members:
             own = kind.__module__ == module.__name__ and not label.startswith("_")

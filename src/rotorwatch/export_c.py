@@ -17,12 +17,12 @@ import numpy as np
 from rotorwatch import airframes, checks, discovery
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.compiling.c99.project import Field, Program, make
-from rotorwatch.default_estimator import parameters as balance_parameters
+from rotorwatch.default import noise
+from rotorwatch.default.plant import DAMPING, GAIN, PER_AXIS, WrenchBalance
+from rotorwatch.default.program import parameters as balance_parameters
 from rotorwatch.errors import ConfigError
-from rotorwatch.evidence import noise
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.published import log_plant
-from rotorwatch.systems.wrench_balance import DAMPING, GAIN, PER_AXIS, WrenchBalance
 
 SINGLE = "default-filter"  # the default diagnoser's filter for one hypothesis
 # Plant, airframe and step (s) of each method's paper; others run on the first.

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from rotorwatch.answer.wording import listed, rotors, seconds, sentence
+from rotorwatch.default.events import GONE
 from rotorwatch.diagnosis import Event, RotorState
-from rotorwatch.evidence.events import GONE
 
 BASELINE = (
     "To have damage from take-off judged as well, give a healthy flight of the same build: --baseline HEALTHY.LOG."

@@ -24,9 +24,9 @@ from rotorwatch.answer.wording import (
     seconds,
     sentence,
 )
+from rotorwatch.default.events import GONE
+from rotorwatch.default.leftover import Leftover
 from rotorwatch.diagnosis import Event, RotorState
-from rotorwatch.evidence.events import GONE
-from rotorwatch.evidence.leftover import Leftover
 
 LOSS, OVERRIDE, CONTACT = "loss_of_effectiveness", "output_override", "contact"
 # Of ESC telemetry, without a loss: what they say of a rotor.

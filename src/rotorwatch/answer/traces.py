@@ -9,9 +9,9 @@ import numpy as np
 
 from rotorwatch.answer.conclusion import most
 from rotorwatch.answer.wording import explanations, rotors
+from rotorwatch.default import events
+from rotorwatch.default.hypotheses import Hypotheses
 from rotorwatch.diagnosis import Trace
-from rotorwatch.evidence import events
-from rotorwatch.evidence.hypotheses import Hypotheses
 from rotorwatch.flight import Flight
 from rotorwatch.motion.ticks import JUDGE, LEARN, Ticks
 

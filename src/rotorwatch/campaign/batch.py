@@ -14,18 +14,19 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from rotorwatch import airframes, default_estimator, detectors
+from rotorwatch import airframes, detectors
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.campaign import methods, score
 from rotorwatch.campaign.plan import Plan
 from rotorwatch.compiling import native
 from rotorwatch.compiling.run import chosen, run_built
+from rotorwatch.default import events, hypotheses, program
 from rotorwatch.diagnosis import Event
 from rotorwatch.errors import ConfigError
-from rotorwatch.evidence import events, hypotheses, outside
 from rotorwatch.experiments import limits
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.motion import outside
 from rotorwatch.motion.airborne import airborne
 from rotorwatch.motion.ticks import GROUND, LAG_S, READY_S, Ticks, observe
 from rotorwatch.simulation import logbook, one
@@ -81,7 +82,7 @@ class Flown:
 class Judged(NamedTuple):
     """What is kept of every tick: the default estimator's outputs, and whether its best hypothesis was plausible."""
 
-    kept: default_estimator.Kept
+    kept: program.Kept
     plausible: Any
 
 
@@ -167,8 +168,7 @@ def _planned(number: int, scenario: Scenario) -> Any:
 
 def _all_events(f: Flown, losses: Sequence[Event]) -> tuple[Event, ...]:
     """Losses, and outputs that do not follow the mixer, as `diagnose` puts them together."""
-    found = [e for e in losses if not outside.explains(f.overrides, e)]
-    return tuple(sorted((*found, *f.overrides), key=lambda e: e.detected_s))
+    return tuple(sorted((*outside.unexplained(losses, f.overrides), *f.overrides), key=lambda e: e.detected_s))
 
 
 def _needed(record):
@@ -178,13 +178,13 @@ def _needed(record):
 
 def _table(table: Ticks, B: np.ndarray, rows: slice = slice(None)) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """u, y, valid of the default estimator."""
-    u, y, valid = default_estimator.inputs(table, B)
+    u, y, valid = program.inputs(table, B)
     return u[rows], y[rows], valid[rows]
 
 
 def _judged(out) -> Judged:
     """What is kept of the estimator's output of one tick."""
-    return Judged(default_estimator.kept(out), out.plausible)
+    return Judged(program.kept(out), out.plausible)
 
 
 @functools.lru_cache(maxsize=8)
@@ -229,8 +229,8 @@ def _taught(flown: Sequence[Flown], B: np.ndarray, size: int) -> list[tuple | No
 def _stepped(flown: Sequence[Flown], B: np.ndarray, size: int, tables: list, learned: np.ndarray) -> list[tuple]:
     """The default estimator over tables of the flights: for each its `Judged`, and its state and noise after row `learned`, which is the
     last of its table where it matters."""
-    build = default_estimator.builder(flown[0].ticks.dt)
-    tree, parameters = load_jax().tree, default_estimator.parameters(B)
+    build = program.builder(flown[0].ticks.dt)
+    tree, parameters = load_jax().tree, program.parameters(B)
     if engine() == "native":
         ran = [run_built(build, parameters, u, y, ok, _judged, backend="native") for u, y, ok in tables]
         return [(out, (carry.s, carry.noise.variances)) for carry, out in ran]

@@ -1,6 +1,6 @@
 """Published estimators over all flights of a batch side by side, each with every decision of the plan behind it.
 
-What `published.judge` does flight by flight - the hop's plant, the method, the threshold of evidence/decide.py - is done here in one
+What `published.judge` does flight by flight - the hop's plant, the method, the threshold of published/decide.py - is done here in one
 compiled scan: the estimator is stepped once, and as many thresholds as the plan names look at it. Methods whose design needs
 values (linear matrix inequalities, eigenvalues) cannot be built inside a program; they run flight by flight.
 """
@@ -13,15 +13,14 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import default_estimator
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.compiling.run import run
+from rotorwatch.default import hypotheses, program
+from rotorwatch.default.plant import PER_AXIS
 from rotorwatch.errors import ConfigError
-from rotorwatch.evidence import decide, hypotheses
 from rotorwatch.motion.ticks import LEARN, Ticks
-from rotorwatch.published import log_plant, published
+from rotorwatch.published import decide, log_plant, published
 from rotorwatch.published.log_plant import LogPlant
-from rotorwatch.systems.wrench_balance import PER_AXIS
 
 TICK_BLOCK = 100
 """Tables are padded to a multiple of this, so that a flight's few ticks more or less need no other program."""
@@ -136,7 +135,7 @@ def judge(
     B: np.ndarray,
     size: int,
     decisions: Decisions,
-) -> list[list[default_estimator.Kept]]:
+) -> list[list[program.Kept]]:
     """For each decision and each flight what `published.judge` leaves behind. hops: of each flight, by `learn`."""
     hyp = hypotheses.make(B.shape[1])
     kept = [[published.nothing(len(table.time), hyp) for table in tables] for _ in decisions]

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from rotorwatch.campaign.plan import Plan
+from rotorwatch.default import events
+from rotorwatch.default.announcement import PERSIST_S
 from rotorwatch.diagnosis import Event
-from rotorwatch.estimators.jump_bank import PERSIST_S
-from rotorwatch.evidence import events
 from rotorwatch.experiments import limits
 from rotorwatch.motion.ticks import JUDGE
 from rotorwatch.simulation.scenario import Scenario
@@ -69,7 +69,7 @@ def clear_fault(scenario: Scenario) -> Mapping[str, Any] | None:
 
 
 def estimator(name: str, f, kept, statistic: np.ndarray, seen: Sequence[Event], bound, plan: Plan) -> dict[str, Any]:
-    """The row of an estimator. f: batch.Flown. kept: default_estimator.Kept. statistic (T,): above 0 it announces. bound:
+    """The row of an estimator. f: batch.Flown. kept: program.Kept. statistic (T,): above 0 it announces. bound:
     (T,) information of `limits`, or None."""
     found = [(e.detected_s, {tuple(sorted(e.rotors)), *map(tuple, map(sorted, e.alternatives))}, e) for e in seen]
     row = _row(name, f, found, bound, plan)

@@ -19,16 +19,17 @@ from concurrent.futures import ProcessPoolExecutor
 from contextlib import nullcontext
 from dataclasses import dataclass
 from multiprocessing import get_context
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from rotorwatch.campaign import batch, summary
 from rotorwatch.campaign.plan import Cell, drawn
+from rotorwatch.default import events, hypotheses
 from rotorwatch.diagnosis import Event
 from rotorwatch.errors import ConfigError
-from rotorwatch.evidence import events, hypotheses, outside
-from rotorwatch.motion.ticks import JUDGE
+from rotorwatch.motion import outside
+from rotorwatch.motion.ticks import JUDGE, Ticks
 from rotorwatch.simulation import scenario
 from rotorwatch.simulation.scenario import Scenario
 
@@ -143,7 +144,18 @@ def outcome(truth: Sequence[int], named: Sequence[Sequence[int]]) -> str:
     return "wrong" if len(sets) == 1 else "other"
 
 
-def states(f: batch.Flown, found: Sequence[Event]) -> list[State]:
+class Truth(Protocol):
+    """A flight of which all is known: its ticks, true losses theta (T, n) at them, and when it crashed, or None."""
+
+    @property
+    def ticks(self) -> Ticks: ...
+    @property
+    def theta(self) -> np.ndarray: ...
+    @property
+    def lost_s(self) -> float | None: ...
+
+
+def states(f: Truth, found: Sequence[Event]) -> list[State]:
     """All states of a flight, up to its crash."""
     time, judged = f.ticks.time, f.ticks.mode == JUDGE
     weak = f.theta > WEAK
@@ -225,8 +237,7 @@ def judged(plan: Sequences, flown: Sequence[batch.Flown]) -> list[dict[str, Any]
     hyp, rows = hypotheses.make(B.shape[1]), []
     for f, out in zip(flown, batch.by_default(flown, B, WIDTH)):
         losses = events.read(out.kept, f.ticks, hyp, B)
-        losses = [e for e in losses if not outside.explains(f.overrides, e)]
-        for s in states(f, losses):
+        for s in states(f, outside.unexplained(losses, f.overrides)):
             rows.append(
                 {"flight": f.number, "kind": plan.kind(f.number), "frame": f.scenario.airframe["frame"], "at": s.at,
                  "truth": s.truth, "named": s.named, "outcome": s.outcome}

@@ -19,10 +19,10 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import airframes, default_estimator, logs
+from rotorwatch import airframes, logs
+from rotorwatch.default import events, hypotheses, program
 from rotorwatch.diagnosis import Event
 from rotorwatch.errors import ConfigError
-from rotorwatch.evidence import events, hypotheses
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.motion import allocation
@@ -215,7 +215,7 @@ def campaign(
         used += 1
         plan = [(r, loss) for r in range(1, len(vehicle.rotors) + 1) for loss in losses for _ in range(repeats)]
         for j, (rotor, loss) in enumerate(plan):
-            onset = _draw(room, rng)
+            onset = draw(room, rng)
             faulty = inject(flight, vehicle, rotor, loss, onset)
             found, _ = _judge(faulty, vehicle, air)
             limit = max(faulty.facts["injected"]["at_limit"])
@@ -242,12 +242,12 @@ def _judge(flight: Flight, vehicle: Vehicle, air) -> tuple[tuple[Event, ...], fl
     if table is None:
         return (), 0.0
     B = vehicle.effectiveness()
-    _, out = default_estimator.estimate(table, B, (vehicle.identified or {}).get("dynamics"))
+    _, out = program.estimate(table, B, (vehicle.identified or {}).get("dynamics"))
     found = events.read(out, table, hypotheses.make(len(vehicle.rotors)), B)
     return found, float((table.mode == JUDGE).sum() * table.dt)
 
 
-def _draw(room: list[tuple[float, float]], rng: np.random.Generator) -> float:
+def draw(room: list[tuple[float, float]], rng: np.random.Generator) -> float:
     """A time, uniform over the intervals."""
     lengths = np.array([b - a for a, b in room])
     k = rng.choice(len(room), p=lengths / lengths.sum())

@@ -24,8 +24,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rotorwatch.backend import jax as load_jax
+from rotorwatch.default import noise
 from rotorwatch.errors import ConfigError
-from rotorwatch.evidence import noise
 
 Array = Any
 
@@ -133,7 +133,7 @@ def delay(time: Array, information: Array, theta: float, onset: float, false_ala
 
 
 class Bound(NamedTuple):
-    """Of one flight on its ticks: information (T,) on the loss, and the noise variances (4, 4) it holds for (evidence/noise.py)."""
+    """Of one flight on its ticks: information (T,) on the loss, and the noise variances (4, 4) it holds for (default/noise.py)."""
 
     information: Array
     variances: Array
@@ -143,7 +143,7 @@ class Bound(NamedTuple):
 def _program(n: int, dt: float, batch: bool):
     jax = load_jax()
     jnp = jax.numpy
-    from rotorwatch.systems.wrench_balance import WrenchBalance
+    from rotorwatch.default.plant import WrenchBalance
 
     def one(B, u, y, valid, flying, theta, rotor, onset) -> Bound:
         system = WrenchBalance(B)
@@ -182,7 +182,7 @@ def _program(n: int, dt: float, batch: bool):
 
 
 def on_ticks(B, u, y, valid, flying, theta, rotor, onset, dt: float, batch: bool = False) -> Bound:
-    """The bound for a diagnoser that sees these ticks: plant and noise model are the default diagnoser's (systems/wrench_balance.py),
+    """The bound for a diagnoser that sees these ticks: plant and noise model are the default diagnoser's (default/plant.py),
     its noise that of the whole flight with the true losses taken out, the rotor and the onset known.
 
     B (4, n), u (T, n + 10), y (T, 4), valid (T, 4), flying (T,) bool; theta (T, n) true losses; rotor (0-based), onset (first tick with

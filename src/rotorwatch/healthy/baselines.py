@@ -83,8 +83,8 @@ class Candidate:
     @cached_property
     def gains(self) -> tuple[np.ndarray, np.ndarray]:
         """Commanded torque per angular acceleration (roll, pitch, yaw) as the default estimator learns it: (3,) and its sd (3,)."""
-        from rotorwatch.default_estimator import estimate
-        from rotorwatch.systems import wrench_balance as plant
+        from rotorwatch.default import plant
+        from rotorwatch.default.program import estimate
 
         assert self.table is not None
         carry, _ = estimate(self.table, self.vehicle.effectiveness())

@@ -1,6 +1,6 @@
 """From a log's ticks to a plant and its table: what every published method needs to run on a real flight.
 
-The default diagnoser's balance  B T (1 - theta) = G m + c r + b  (systems/wrench_balance.py; G motion gains, c damping, b biases)
+The default diagnoser's balance  B T (1 - theta) = G m + c r + b  (default/plant.py; G motion gains, c damping, b biases)
 is the rotational dynamics of systems/rate_dynamics.py in hover thrusts of one rotor:
 
     J = diag(G),   D = diag(c),   tau_0 = -b,   m = n G_T / g,   F_0 = -b_T
@@ -19,11 +19,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rotorwatch import default_estimator
+from rotorwatch.default import program
+from rotorwatch.default.plant import DAMPING, GAIN, PER_AXIS, TAU, usual_gains
 from rotorwatch.motion.ticks import GROUND, JUDGE, LEARN, Ticks
 from rotorwatch.systems.rate_dynamics import G as G0
 from rotorwatch.systems.rate_dynamics import RateDynamics
-from rotorwatch.systems.wrench_balance import DAMPING, GAIN, PER_AXIS, TAU, usual_gains
 
 GAIN_RANGE = 3.0  # a gain further than this factor from what any multirotor has was learned from noise
 FASTEST_DAMPING = 5.0  # 1/s
@@ -65,7 +65,7 @@ def plant(parameters) -> RateDynamics:
 def hops(table: Ticks, B: np.ndarray, dynamics: dict | None = None) -> tuple[LogPlant, ...]:
     """One plant and table for each hop of a flight, from the end of its learning time on; none without such a hop.
 
-    B (4, n): geometry. dynamics: what healthy flights taught (`default_estimator.learn`); None: the hop's own first part,
+    B (4, n): geometry. dynamics: what healthy flights taught (`default.learning.learn`); None: the hop's own first part,
     which is taken as healthy, teaches gains and noise. Trims are always the hop's own. Causal: a row uses nothing later than
     its tick. Raises ConfigError when the commands are too slow for the default estimator, which is the teacher.
     """
@@ -119,7 +119,7 @@ def _taught(part: Ticks, B: np.ndarray, dynamics: dict | None) -> tuple[np.ndarr
     """State (20,) and noise variances (4, 4) of the default method: from healthy flights, else after the ticks of `part`."""
     if dynamics:
         return np.array(dynamics["x0"], float), np.array(dynamics["noise"], float)
-    carry, _ = default_estimator.estimate(part, B)
+    carry, _ = program.estimate(part, B)
     return np.asarray(carry.s)[: 4 * PER_AXIS], np.asarray(carry.noise.variances)
 
 

@@ -20,12 +20,12 @@ import numpy as np
 
 from rotorwatch import airframes, checks, files
 from rotorwatch.backend import jax as load_jax
+from rotorwatch.default.plant import usual_gains
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.maths import bounded
 from rotorwatch.motion.allocation import ambiguous_sets
 from rotorwatch.systems.rate_dynamics import G, RateDynamics
-from rotorwatch.systems.wrench_balance import usual_gains
 
 T0 = 0.05  # s
 HIGHEST = 4  # order of derivatives: scaled like this, those above do next to nothing

@@ -1,7 +1,7 @@
 """A published method on a real flight: from ticks to what the default diagnoser leaves behind, so that all else is shared.
 
-Each hop of the flight becomes a plant and a table (log_plant.py), the method runs over it with the threshold of evidence/decide.py
-behind it, and what that announces is written down as the default estimator's outputs are: evidence/events.py, the report and the JSON
+Each hop of the flight becomes a plant and a table (log_plant.py), the method runs over it with the threshold of published/decide.py
+behind it, and what that announces is written down as the default estimator's outputs are: default/events.py, the report and the JSON
 do not know the difference. What the default method does beyond - it tests every onset, competes losses against disturbances
 over whole windows, learns the noise on the way and refines a loss - a plain method does not, and `notes` says so.
 """
@@ -18,13 +18,13 @@ import numpy as np
 from rotorwatch import discovery
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.compiling.run import run, run_built
-from rotorwatch.default_estimator import Kept
+from rotorwatch.default import hypotheses
+from rotorwatch.default.events import MODEL_SD, rotor_sets
+from rotorwatch.default.posterior import PLACES
+from rotorwatch.default.program import Kept
 from rotorwatch.errors import ConfigError
-from rotorwatch.evidence import decide, hypotheses
-from rotorwatch.evidence.branches import PLACES
-from rotorwatch.evidence.events import MODEL_SD, rotor_sets
 from rotorwatch.motion.ticks import Ticks
-from rotorwatch.published import log_plant
+from rotorwatch.published import decide, log_plant
 from rotorwatch.published.log_plant import LogPlant
 
 OTHER_NATS = 5.0  # by so much another rotor set must explain more before it takes the place of the announced one

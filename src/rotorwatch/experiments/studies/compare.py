@@ -19,10 +19,10 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import default_estimator, discovery
+from rotorwatch import discovery
 from rotorwatch.compiling.run import run, run_built
+from rotorwatch.default import events, hypotheses, program
 from rotorwatch.errors import ConfigError
-from rotorwatch.evidence import events, hypotheses
 from rotorwatch.experiments.studies.compare_flights import Scene
 from rotorwatch.motion.ticks import JUDGE
 from rotorwatch.published import published
@@ -64,7 +64,7 @@ def _trial(name: str, scene: Scene) -> dict:
     """What became of one flight."""
     table, hyp = scene.ticks, hypotheses.make(scene.B.shape[1])
     if name == "default":
-        _, out = default_estimator.estimate(table, scene.B)
+        _, out = program.estimate(table, scene.B)
     else:
         out = published.judge(name, table, scene.B, hops=scene.hops)
     found = events.read(out, table, hyp, scene.B)
@@ -123,11 +123,11 @@ def microseconds(name: str, scenes: Sequence[Scene]) -> float:
     scene = min(scenes, key=lambda s: s.B.shape[1])
     if name == "default":
         table, B = scene.ticks, scene.B
-        build, parameters = default_estimator.builder(table.dt), default_estimator.parameters(B)
-        u, y, valid = default_estimator.inputs(table, B)
+        build, parameters = program.builder(table.dt), program.parameters(B)
+        u, y, valid = program.inputs(table, B)
         u[:, -1] = 0.0  # a flight repeated is no new flight
         rows = _repeated(u, y, valid)
-        return _best(lambda: run_built(build, parameters, *rows, select=default_estimator.kept))
+        return _best(lambda: run_built(build, parameters, *rows, select=program.kept))
     if not scene.hops:
         return float("nan")
     hop = scene.hops[0]

@@ -14,11 +14,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rotorwatch.default_estimator import estimate
+from rotorwatch.default import events, hypotheses
+from rotorwatch.default.program import estimate
 from rotorwatch.diagnose import READY_S
 from rotorwatch.diagnosis import Event
 from rotorwatch.esc import telemetry
-from rotorwatch.evidence import events, hypotheses
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.healthy import baselines

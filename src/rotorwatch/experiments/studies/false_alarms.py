@@ -25,10 +25,10 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import airframes, default_estimator, logs
+from rotorwatch import airframes, logs
 from rotorwatch.compiling.run import CHUNK, chosen, run_built
+from rotorwatch.default import events, hypotheses, program
 from rotorwatch.errors import ConfigError
-from rotorwatch.evidence import events, hypotheses
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.motion import allocation, ticks
@@ -331,7 +331,7 @@ def describe(result: dict[str, Any]) -> str:
 
 def _judge(table: Ticks, vehicle: Vehicle):
     B = vehicle.effectiveness()
-    _, out = default_estimator.estimate(table, B, (vehicle.identified or {}).get("dynamics"))
+    _, out = program.estimate(table, B, (vehicle.identified or {}).get("dynamics"))
     return events.read(out, table, hypotheses.make(len(vehicle.rotors)), B), out
 
 
@@ -387,19 +387,19 @@ def _first_alarms(table: Ticks, vehicle: Vehicle, out) -> dict[float, float | No
 
 def _crossed(table: Ticks, out, shift: float) -> np.ndarray:
     """(T,) bool: the recorded evidence for a fault is above the shifted threshold."""
-    from rotorwatch.estimators import jump_bank
+    from rotorwatch.default import announcement
 
     hyp = hypotheses.make(out.theta.shape[1])
     evidence = np.logaddexp.reduce(out.log_odds[:, hyp.fault], axis=1)
-    return (evidence > jump_bank.threshold(hyp, table.dt) + shift) & (table.mode == JUDGE)
+    return (evidence > announcement.threshold(hyp, table.dt) + shift) & (table.mode == JUDGE)
 
 
 def _announced(table: Ticks, vehicle: Vehicle, shift: float) -> np.ndarray:
     """(T,) bool: announcements with the threshold `shift` nats higher."""
     B = vehicle.effectiveness()
-    known = default_estimator.parameters(B, (vehicle.identified or {}).get("dynamics"))
+    known = program.parameters(B, (vehicle.identified or {}).get("dynamics"))
     given = {**known, "shift": np.array(shift)}
-    rows, backend = default_estimator.inputs(table, B), chosen(None, "auto")
+    rows, backend = program.inputs(table, B), chosen(None, "auto")
     return run_built(SHIFTED[table.dt], given, *rows, _keep_announced, backend=backend)[1]
 
 
@@ -408,11 +408,11 @@ def _keep_announced(out):
 
 
 def _build_fast(p):
-    return _shifted(default_estimator.builder(0.05)(p), p)
+    return _shifted(program.builder(0.05)(p), p)
 
 
 def _build_slow(p):
-    return _shifted(default_estimator.builder(0.1)(p), p)
+    return _shifted(program.builder(0.1)(p), p)
 
 
 SHIFTED = {0.05: _build_fast, 0.1: _build_slow}

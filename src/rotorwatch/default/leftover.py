@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rotorwatch.default.hypotheses import Hypotheses
 from rotorwatch.diagnosis import Event
-from rotorwatch.evidence.hypotheses import Hypotheses
 from rotorwatch.motion.ticks import JUDGE, Ticks
 
 LASTS_S = 1.0

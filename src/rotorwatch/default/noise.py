@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch.core import Array
-from rotorwatch.systems.wrench_balance import PER_AXIS, TAU, fading
+from rotorwatch.default.plant import PER_AXIS, TAU, fading
 
 LAGS = (1, 2, 4, 8, 16, 32, 64)  # ticks
 MEMORY_S = 60.0  # how long a squared difference counts

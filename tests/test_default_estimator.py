@@ -13,12 +13,12 @@ from scipy.optimize import lsq_linear
 
 from rotorwatch import airframes
 from rotorwatch.backend import jax as load_jax
-from rotorwatch.estimators import jump_bank
-from rotorwatch.estimators.jump_bank import JumpBank
-from rotorwatch.evidence import branches, caution, hypotheses, jumps, noise
-from rotorwatch.evidence.hypotheses import LOSS_WIDTH
+from rotorwatch.default import announcement, caution, hypotheses, kalman, noise, opposite, posterior
+from rotorwatch.default import bank as onsets
+from rotorwatch.default.estimator import JumpBank
+from rotorwatch.default.hypotheses import LOSS_WIDTH
+from rotorwatch.default.plant import B3, GAIN, PER_AXIS, SIDEWAYS, WrenchBalance
 from rotorwatch.motion.ticks import GROUND, JUDGE, LEARN
-from rotorwatch.systems.wrench_balance import B3, GAIN, PER_AXIS, SIDEWAYS, WrenchBalance
 
 DT = 0.05
 TICKS, READY, ONSET = 160, 60, 100
@@ -133,8 +133,8 @@ def tick(method, u, y, noises, mean, P, G=None, walk=0.0):
 
 def shares_of(slow):
     """What part of a jump enters how long after its onset."""
-    build_up = 1.0 - np.exp(-DT / jumps.BUILD_UP_S)
-    return lambda since: build_up * np.exp(-since * DT / jumps.BUILD_UP_S) if slow else float(since == 0)
+    build_up = 1.0 - np.exp(-DT / onsets.BUILD_UP_S)
+    return lambda since: build_up * np.exp(-since * DT / onsets.BUILD_UP_S) if slow else float(since == 0)
 
 
 @pytest.fixture(scope="module")
@@ -142,12 +142,12 @@ def quad():
     """A calm quad whose rotor 3 loses 5 % at ONSET; caution with outliers and jumping commands is switched off, yaw gain and geometry
     count as exact, and every explanation is kept however unlikely."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(jump_bank, "OUTLIER", 1e9)
+        patch.setattr(kalman, "OUTLIER", 1e9)
         patch.setattr(caution, "LAG_ERROR_S", 0.0)
         patch.setattr(caution, "SNAPSHOT", 0.0)
         patch.setattr(caution, "BURST_POWER", 0.0)
         patch.setattr(hypotheses, "SLOP", (0.0,) * 4)
-        patch.setattr(branches, "OUT", -400.0)
+        patch.setattr(posterior, "OUT", -400.0)
         method = make("ardupilot-quad-x", yaw_known=True)
         table = hover(losses=[(2, ONSET, 0.05)], answered=False, scale=0.3)
         out, carries = method.over(*table)
@@ -160,7 +160,7 @@ def quad():
         for name in ("s", "P", "active", "learning", "theta_var", "theta_mean"):
             getattr(b, name)[1] = getattr(b, name)[0]
             getattr(b, name)[0] = getattr(before, name)[0]
-        b.weight[:] = [0.0, -8.0, branches.NEVER, branches.NEVER]
+        b.weight[:] = [0.0, -8.0, posterior.NEVER, posterior.NEVER]
         swapped = method.over(*(a[k + 1 :] for a in table), carry=doubting._replace(branches=b))
     return SimpleNamespace(method=method, table=table, out=out, carries=carries, born=k, swapped=swapped)
 
@@ -199,7 +199,7 @@ def test_every_slot_is_an_augmented_kalman_filter(quad, slot):
         np.testing.assert_allclose(P[:-1, -1], M / precision, atol=1e-9)
 
 
-@pytest.mark.parametrize("place", range(branches.PLACES - 1))
+@pytest.mark.parametrize("place", range(posterior.PLACES - 1))
 def test_a_born_branch_is_the_augmented_filters(quad, place):
     """At the announcement each explanation holds the state and covariance of a dense filter that knew of this jump, of the rotors it
     names, all along; losses of two rotors at the best point of 0..1."""
@@ -240,19 +240,19 @@ def test_explanations_go_on_as_kalman_filters_and_are_weighed_by_what_they_predi
     k, method, last = quad.born, quad.method, quad.born + 25
     u, y, _ = quad.table
     born, n_x = at(quad.carries, k).branches, method.system.n_x
-    alive = np.flatnonzero(born.weight > 0.5 * branches.NEVER)
+    alive = np.flatnonzero(born.weight > 0.5 * posterior.NEVER)
     assert alive.size >= 2
     assert (born.active[alive] == at(quad.carries, last).branches.active[alive]).all()  # no other has taken the lead
     fits = np.zeros((last - k, alive.size))
     for column, b in enumerate(alive):
         mean, P = born.s[b], born.P[b]
-        walk = np.concatenate([np.zeros(n_x), born.active[b] * jump_bank.THETA_WALK * DT])
+        walk = np.concatenate([np.zeros(n_x), born.active[b] * kalman.THETA_WALK * DT])
         for j in range(k + 1, last + 1):
             mean, P, e, S = tick(method, u[j], y[j], quad.carries.noise.variances[j - 1], mean, P, walk=walk)
             fits[j - k - 1, column] = -0.5 * np.linalg.slogdet(S)[1] - 0.5 * e @ np.linalg.solve(S, e)
         np.testing.assert_allclose(quad.carries.branches.s[last, b], mean, atol=1e-8)
         np.testing.assert_allclose(quad.carries.branches.P[last, b], P, atol=1e-9)
-    counts = branches.TEMPER * np.exp(-DT * np.arange(last - k) / branches.RESOLVE_S)
+    counts = posterior.TEMPER * np.exp(-DT * np.arange(last - k) / posterior.RESOLVE_S)
     expected = born.weight[alive] + counts @ (fits - fits[:, :1])
     assert np.abs(expected - born.weight[alive]).max() > 0.01  # there was something to be told
     np.testing.assert_allclose(quad.carries.branches.weight[last, alive], expected, atol=1e-6)
@@ -267,7 +267,7 @@ def test_the_better_explanation_takes_the_lead_and_the_bank_starts_anew(quad):
     leads = out.active[:, 0, 2]
     j = int(np.argmax(leads))
     assert j > 0 and leads[j:].all() and not leads[:j].any() and not out.announced[: j + 1].any()
-    assert carries.branches.weight[j - 1, 1] <= branches.AHEAD
+    assert carries.branches.weight[j - 1, 1] <= posterior.AHEAD
     assert (carries.bank.age[j] == -1).all() and (carries.bank.age[j - 1] >= 0).any()
     assert out.theta[j - 1].max() == 0.0
     assert out.theta[j:, 2] == pytest.approx(0.05, abs=0.02)
@@ -329,8 +329,8 @@ def test_an_unknown_yaw_gain_is_integrated_out():
     rng = np.random.default_rng(0)
     A = rng.standard_normal((3, 20, 6))
     C, z = np.einsum("wki,wkj->wij", A, A), rng.standard_normal((3, 6))
-    bank = jumps.Bank(np.zeros((3, 9, 6)), C, z, np.zeros(3, np.int32), np.int32(0))
-    told = jumps.without_last(bank, 0.3)
+    bank = onsets.Bank(np.zeros((3, 9, 6)), C, z, np.zeros(3, np.int32), np.int32(0))
+    told = onsets.without_last(bank, 0.3)
     for w in range(3):
         full = np.linalg.inv(C[w] + np.diag([0.0] * 5 + [1 / 0.3]))
         assert np.asarray(told.C)[w] == pytest.approx(np.linalg.inv(full[:5, :5]), rel=1e-9)
@@ -380,7 +380,7 @@ def test_a_new_hop_starts_anew_and_a_contact_ends_the_competition_only(restart, 
     assert out.active[ONSET + 29, 0].any()
     assert bool(out.active[ONSET + 30, 0, 4]) == kept and not np.delete(out.active[ONSET + 30, 0], 4).any()
     assert (out.theta[ONSET + 30, 4] > 0.1) == kept
-    assert carries.branches.weight[ONSET + 30].tolist() == [0.0] + [branches.NEVER] * 3
+    assert carries.branches.weight[ONSET + 30].tolist() == [0.0] + [posterior.NEVER] * 3
 
 
 def test_nothing_is_announced_before_it_may_be_judged():
@@ -444,14 +444,14 @@ def test_false_alarms_are_as_rare_as_the_threshold_says():
 
 def test_the_threshold_follows_from_a_false_alarm_rate():
     hyp = make("ardupilot-quad-x").bank.hyp
-    hours = jump_bank.FALSE_ALARM_PERIOD_S / 3600.0
+    hours = announcement.FALSE_ALARM_PERIOD_S / 3600.0
     assert hours >= 10.0  # what is promised: at most one in ten flight hours
     weight = hyp.weight[hyp.fault & (np.array(hyp.kinds) != "recovery")].sum()
-    assert np.exp(jump_bank.threshold(hyp, DT)) * DT / 3600.0 / weight == pytest.approx(hours * jump_bank.GATES)
-    assert jump_bank.threshold(hyp, DT, 10 * 3600.0) < jump_bank.threshold(hyp, DT, 100 * 3600.0)
+    assert np.exp(announcement.threshold(hyp, DT)) * DT / 3600.0 / weight == pytest.approx(hours * announcement.GATES)
+    assert announcement.threshold(hyp, DT, 10 * 3600.0) < announcement.threshold(hyp, DT, 100 * 3600.0)
 
 
 def test_torque_free_pairs_are_opposite_rotors():
     bank, B = make("ardupilot-hexa-x").bank, airframes.named("ardupilot-hexa-x").effectiveness()
     free = [k for k, (i, j) in enumerate(bank.hyp.pairs) if np.abs(B[:2, i] + B[:2, j]).max() < 0.05]
-    assert len(free) == 3 and np.flatnonzero(np.asarray(bank._torque_free())).tolist() == free
+    assert len(free) == 3 and np.flatnonzero(np.asarray(opposite.torque_free(bank.hyp, B))).tolist() == free

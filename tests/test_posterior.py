@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rotorwatch.evidence import branches
-from rotorwatch.evidence.branches import AHEAD, NEVER, OUT, PLACES, RESOLVE_S, TEMPER
+from rotorwatch.default import posterior
+from rotorwatch.default.posterior import AHEAD, NEVER, OUT, PLACES, RESOLVE_S, TEMPER
 
 DT, N, STATES = 0.05, 6, 9
 
@@ -22,7 +22,7 @@ def some(weights, seed=0, age=0.0):
     """Branches with these weights whose every other number is different."""
     rng = np.random.default_rng(seed)
     shape = (PLACES, N)
-    return branches.Branches(
+    return posterior.Branches(
         rng.standard_normal((PLACES, STATES)), rng.standard_normal((PLACES, STATES, STATES)), np.array(weights, float),
         rng.random(shape) < 0.4, rng.uniform(0, 6, shape), rng.random(shape), rng.random(shape),
         rng.integers(1, 80, PLACES).astype(float), np.float64(age),
@@ -44,14 +44,14 @@ def stretch(seed, ticks):
 
 def weighed(start, e, variance, valid, calm, counts=True):
     for k in range(len(e)):
-        start = branches.weigh(start, e[k], variance[k], valid[k], calm[k], counts, DT)
+        start = posterior.weigh(start, e[k], variance[k], valid[k], calm[k], counts, DT)
     return start
 
 
 def test_at_first_nothing_has_happened():
     s, P = np.arange(float(STATES)), np.eye(STATES)
-    b = branches.init(s, P, N)
-    assert np.asarray(branches.shares(b)) == pytest.approx([1.0, 0.0, 0.0, 0.0])
+    b = posterior.init(s, P, N)
+    assert np.asarray(posterior.shares(b)) == pytest.approx([1.0, 0.0, 0.0, 0.0])
     assert not b.active.any() and (b.s == s).all() and (b.P == P).all()
 
 
@@ -85,10 +85,10 @@ def test_what_has_become_too_unlikely_is_dropped_for_good():
     one, valid = np.ones((PLACES, 4)), np.ones(4, bool)
     poor = np.array([0.0, 6.0, 0.0, 0.0])[:, None] * one
     start = some([0.0, OUT + 1.0, OUT + 1.0, NEVER])
-    b = branches.weigh(start, poor, one, valid, np.ones(4), True, DT)
+    b = posterior.weigh(start, poor, one, valid, np.ones(4), True, DT)
     assert b.weight[1] == NEVER and b.weight[2] == pytest.approx(OUT + 1.0)
-    back = branches.weigh(b, poor[[1, 0, 2, 3]], one, valid, np.ones(4), True, DT)
-    assert back.weight[1] == NEVER and np.asarray(branches.shares(back))[1] == 0.0
+    back = posterior.weigh(b, poor[[1, 0, 2, 3]], one, valid, np.ones(4), True, DT)
+    assert back.weight[1] == NEVER and np.asarray(posterior.shares(back))[1] == 0.0
 
 
 @given(st.lists(st.floats(-6.0, 6.0), min_size=3, max_size=3), st.integers(0, 5), st.integers(0, 7))
@@ -97,7 +97,7 @@ def test_the_best_leads_once_it_is_far_enough_ahead_and_nothing_is_lost(others, 
     """Every part moves with its explanation, the former leader takes the place of the new one, and the leader weighs 0."""
     weights = np.array([0.0, *[NEVER if absent >> i & 1 else w for i, w in enumerate(others)]])
     before = some(weights, seed)
-    after, changed = branches.lead(before)
+    after, changed = posterior.lead(before)
     best = int(np.argmax(weights))
     order = list(range(PLACES))
     if weights[best] > AHEAD:
@@ -117,7 +117,7 @@ def test_the_best_leads_once_it_is_far_enough_ahead_and_nothing_is_lost(others, 
 @settings(max_examples=40, deadline=None)
 def test_shares_are_probabilities_of_what_is_left(others, absent):
     weights = np.array([0.0, *[NEVER if absent >> i & 1 else w for i, w in enumerate(others)]])
-    p = np.asarray(branches.shares(some(weights)))
+    p = np.asarray(posterior.shares(some(weights)))
     assert p.sum() == pytest.approx(1.0)
     assert (p[weights == NEVER] == 0.0).all()
     real = weights > NEVER

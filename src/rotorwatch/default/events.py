@@ -9,11 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rotorwatch.default.hypotheses import WEIGHT as hypotheses_weight
+from rotorwatch.default.hypotheses import Hypotheses
+from rotorwatch.default.plant import lower_rotors
 from rotorwatch.diagnosis import Event
-from rotorwatch.evidence.hypotheses import WEIGHT as hypotheses_weight
-from rotorwatch.evidence.hypotheses import Hypotheses
 from rotorwatch.motion.ticks import JUDGE, Ticks
-from rotorwatch.systems.wrench_balance import lower_rotors
 
 CREDIBLE = 0.03  # a rotor set with less probability than this is not named
 CERTAIN = 0.9  # below this the answer is ambiguous

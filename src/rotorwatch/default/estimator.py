@@ -1,0 +1,202 @@
+"""The default diagnoser: a Kalman filter, a bank of jump detectors on its innovations, and explanations side by side.
+
+The step below is the method, in the order of docs/methods/default.md; each part has its file. The filter (kalman.py) runs on the wrench
+balance (plant.py) with the losses theta of already announced rotors in its state. For every onset time in a bank (bank.py) the exact
+effect of a unit jump on the innovations is carried along, so that at each tick the likelihood ratio of any jump at any of these times is
+known, with its most probable size (hypotheses.py, evidence.py). When a fault is announced (announcement.py, plausibility.py) what may
+have happened becomes a few explanations (posterior.py); the best of them leads.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from rotorwatch.core import Array, Decision, Estimate
+from rotorwatch.default import (
+    announcement,
+    bank,
+    caution,
+    evidence,
+    hypotheses,
+    kalman,
+    noise,
+    opposite,
+    plausibility,
+    posterior,
+)
+from rotorwatch.default.plant import B3, GAIN, PER_AXIS
+from rotorwatch.motion.ticks import AGAIN, GROUND, JUDGE
+
+
+class Carry(NamedTuple):
+    """All that lasts from tick to tick: the explanations with their filters, the noise model, the leader's bank, and the memories of
+    caution, plausibility, announcement and (opposite_s) of opposite rotors."""
+
+    branches: posterior.Branches
+    noise: noise.NoiseState
+    bank: bank.Bank
+    caution: caution.Memory
+    missing: plausibility.Missing
+    standing: announcement.Standing
+    opposite_s: Array
+
+    @property
+    def s(self):
+        """State [x; theta] of the explanation that leads."""
+        return self.branches.s[0]
+
+    @property
+    def P(self):
+        """Its covariance."""
+        return self.branches.P[0]
+
+
+class Output(NamedTuple):
+    """What one tick leaves behind, beside the Estimate and the Decision. announced: explanations were made at this tick; since: ticks
+    since the last jump of a rotor in the one that leads; active (K, n), share (K,): their rotors and probabilities, the leader first."""
+
+    estimate: Estimate
+    decision: Decision
+    probability: Array
+    theta: Array
+    theta_sd: Array
+    announced: Array
+    since: Array
+    active: Array
+    share: Array
+    detectable: Array
+    plausible: Array
+    opposite: opposite.Opposite
+
+
+class JumpBank:
+    """system: a WrenchBalance. dt: tick length in s. The last two inputs in u are mode (GROUND, LEARN, JUDGE) and restart: 1 at
+    the first tick of a hop, AGAIN at a contact."""
+
+    name = "default"
+    not_kalman = "a loss enters its state only once it is announced, and its noise is learned on the way"
+
+    def __init__(self, system, dt: float = 0.05, noise_prior=None):
+        """noise_prior: (variances (4, 4), weight) learned from healthy flights, or None."""
+        self.system, self.dt, self.noise_prior = system, float(dt), noise_prior
+        self.n, self.n_x, self.n_s = system.n_theta, system.n_x, system.n_x + system.n_theta
+        self.hyp = hypotheses.make(self.n)
+        self.limit = announcement.threshold(self.hyp, dt)
+        # A jump is a rotor's loss, or a step of an axis' bias. The yaw that follows a loss is long and slow, and what it takes to
+        # yaw this vehicle is the least known of its gains: the last direction is an error in that, integrated out.
+        E = np.zeros((self.n_s, self.n + 5))
+        E[self.n_x :, : self.n] = np.eye(self.n)
+        E[np.arange(4) * PER_AXIS + B3, self.n + np.arange(4)] = 1.0
+        self.yaw_gain = 2 * PER_AXIS + GAIN
+        E[self.yaw_gain, -1] = 1.0
+        self.jumps = bank.Jumps(E, self.dt)
+
+    def init(self) -> Carry:
+        """Before the first tick: nothing announced, the system's prior."""
+        P = np.zeros((self.n_s, self.n_s))
+        P[: self.n_x, : self.n_x] = self.system.P0
+        return Carry(
+            branches=posterior.init(np.concatenate([np.asarray(self.system.x0), np.zeros(self.n)]), P, self.n),
+            noise=noise.init(self.dt, *(self.noise_prior or ())),
+            bank=self.jumps.init(),
+            caution=caution.init(self.n),
+            missing=plausibility.init(self.n),
+            standing=announcement.init(),
+            opposite_s=np.float64(0),
+        )
+
+    def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Output]:
+        """One tick; see Output."""
+        import jax
+        import jax.numpy as jnp
+
+        system, hyp, n, n_x, dt = self.system, self.hyp, self.n, self.n_x, self.dt
+        mode, again, u = u[-2], u[-1], u[:-2]
+        restart, hop = again > 0.5, (again > 0.5) & (again < AGAIN - 0.5)
+        judge, flying = mode > JUDGE - 0.5, mode > GROUND + 0.5
+        y, variances = jnp.where(valid, y, 0.0), carry.noise.variances
+
+        # One tick ahead: the filters of all explanations, and the bank of the one that leads.
+        branches = kalman.restart(carry.branches, system.P0, restart, hop)
+        doubt = (1.0 / caution.calm(carry.caution)).mean()
+        branches = kalman.predict(branches, system.decay(dt), variances, doubt, flying, dt)
+        A = np.concatenate([system.decay(dt), np.ones(n)])
+        onsets = self.jumps.advance(carry.bank, A, judge, judge & ~restart)
+
+        # How far this tick's inputs and the model can be believed.
+        x = branches.s[0, :n_x]
+        memory, seen = caution.look(carry.caution, u, y, valid, flying, restart, x, variances, n, dt)
+        error = caution.model_error(carry.caution, seen, x, y, variances[0], system.B, n, dt)
+        calm = caution.calm(memory)
+        lacking = y[3] - u[n + 3] * x[3 * PER_AXIS + GAIN]
+        missing = plausibility.follow(carry.missing, lacking, u[n + 3] / n, u[:n] / u[n + 9], valid[3], restart, dt)
+
+        # The measurement: to every explanation, and to the bank.
+        rows = jnp.concatenate([system.C(seen.u), system.H(seen.u, x)], axis=1)
+        counts, R = valid & flying, variances[0] + error
+        left = y - rows @ branches.s[0]
+        s, P, gains, innovation, variance = jax.vmap(lambda s, P: kalman.update(s, P, rows, y, counts, R, seen.teach))(
+            branches.s, branches.P
+        )
+        for a in range(4):
+            w = jnp.where(counts[a], calm[a] / variance[0, a], 0.0)
+            onsets = self.jumps.observe(onsets, rows[a], gains[0, a], w, innovation[0, a])
+        memory = caution.remember(memory, innovation[0], variance[0], counts, dt)
+
+        # Which explanation leads.
+        branches = posterior.weigh(branches._replace(s=s, P=P), innovation, variance, counts, calm, judge, dt)
+        branches, changed = posterior.lead(branches)
+        onsets = bank.forget(onsets, changed)
+
+        # What the bank says of any jump since, and whether that is announced.
+        theta, P, active = branches.s[0, n_x:], branches.P[0], branches.active[0]
+        told = bank.without_last(onsets, jnp.maximum(P[self.yaw_gain, self.yaw_gain], 1e-12))
+        reach = jnp.abs(rows[:, n_x:]).max(axis=0)
+        found = evidence.gather(hyp, self.jumps, told, theta, active, variances, reach)
+        first = jnp.argmax(found.probability)
+        best = evidence.jump(hyp, told, found, first)
+        rough = noise.spread(variances)
+        possible = plausibility.plausible(
+            best.each, seen.u[:n], seen.rise, missing, carry.missing, valid[3], active, theta, rough
+        )
+        standing, said = announcement.decide(
+            carry.standing, found, best, self.jumps, self.limit, possible, active.any(), judge, dt
+        )
+        steady = (jnp.abs(seen.u[n + 6]) < opposite.TURNING) & (missing.heave < opposite.HEAVING)
+        free = judge & ~said.alarm & steady & ~active.any()
+        pair, opposite_s = opposite.suspect(
+            hyp, self.jumps, told, found, system.B, free, self.limit, carry.opposite_s, dt
+        )
+        branches = posterior.born(branches, hyp, told, found, first, said.alarm, said.absorbed)
+        onsets = bank.forget(onsets, said.alarm | said.absorbed)
+
+        # The noise learns from what the calm parts leave over, biases included.
+        standing, quiet = announcement.suspicion(standing, found, hyp, dt)
+        learns = quiet & (branches.age > announcement.SETTLE_S) & flying
+        left = left + (rows[:, :n_x] * jnp.asarray(np.isin(np.arange(n_x), kalman.BIASES), float)) @ x
+        noises = noise.step(carry.noise, left, valid & learns, variances[0] / R, dt)
+
+        after = Carry(branches, noises, onsets, memory, missing, standing, opposite_s)
+        shown = jnp.clip(after.s[n_x:], 0.0, 1.0)
+        # The filter believes its noise model; where innovations have been larger or longer than that, so is the error.
+        shown_var = branches.theta_var[0] + (1.0 / calm).mean() * jnp.diagonal(after.P)[n_x:]
+        status = jnp.where(~flying, 1, jnp.where(valid.any(), 0, 2)).astype(jnp.int32)
+        estimate = Estimate(
+            after.s[:n_x], after.P[:n_x, :n_x], shown, after.P[n_x:, n_x:], innovation[0], jnp.diag(variance[0]), status
+        )
+        return after, Output(
+            estimate=estimate,
+            decision=Decision(found.log_odds, said.statistic, said.alarm, best.since, first.astype(jnp.int32)),
+            probability=found.probability,
+            theta=shown,
+            theta_sd=jnp.sqrt(jnp.maximum(shown_var, 0.0)),
+            announced=said.alarm | (said.absorbed & active.any()),
+            since=branches.onset[0],
+            active=branches.active,
+            share=posterior.shares(branches),
+            detectable=evidence.detectable(told, found),
+            plausible=said.possible,
+            opposite=pair,
+        )

@@ -1,0 +1,56 @@
+"""What healthy flights teach the default estimator: what this vehicle is like, and how noisy."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from rotorwatch.default.plant import AXIS_STATES, DAMPING, GAIN, PER_AXIS, WrenchBalance, lower_rotors
+from rotorwatch.default.program import BUILDERS, estimate
+from rotorwatch.motion.ticks import JUDGE, Ticks
+
+FLIGHTS_DIFFER = 0.25
+LEARNED_WEIGHT = 2.0  # samples a lag that the noise of healthy flights counts for
+# Variances grow by factors: one learned as nothing could never be anything in a rougher flight.
+LEAST_SHARE = 0.05
+
+
+def learn(tables: Sequence[Ticks], B: np.ndarray) -> dict | None:
+    """What healthy flights teach: x0 (20), P0 (20, 20), noise (4, 4), noise_weight; None when none of them is long enough.
+
+    Gains and damping: precision-weighted mean over the flights, with their spread added. Biases are left open: they are
+    each flight's own. Noise: the largest of the flights', per component and axis.
+    """
+    system = WrenchBalance(B)
+    rows = (np.arange(4)[:, None] * PER_AXIS + np.array([GAIN, DAMPING])).reshape(-1)
+    means, precisions, noises, shares = [], [], [], []
+    for table in tables:
+        if (table.mode == JUDGE).sum() * table.dt < 10.0 or table.dt not in BUILDERS:
+            continue
+        carry, _ = estimate(table, B)
+        means.append(np.asarray(carry.s)[rows])
+        precisions.append(1.0 / np.maximum(np.diag(np.asarray(carry.P))[rows], 1e-12))
+        noises.append(np.asarray(carry.noise.variances))
+        shares.append(
+            (float(carry.s[AXIS_STATES]), float(carry.P[AXIS_STATES, AXIS_STATES]))
+        )  # the share, on coaxial frames
+    if not means:
+        return None
+    loudest = np.max(noises, axis=0)
+    loudest = np.maximum(loudest, LEAST_SHARE * loudest.max(axis=0))
+    mean = np.average(means, axis=0, weights=precisions)
+    spread = np.average((np.array(means) - mean) ** 2, axis=0, weights=precisions)
+    x0, P0 = system.x0.copy(), system.P0.copy()
+    x0[rows] = mean
+    # Few flights do not show how much flights differ: until many do, part of what vehicles differ by is left open.
+    open_ = FLIGHTS_DIFFER * np.diag(P0)[rows] / len(means)
+    variance = np.minimum(np.diag(P0)[rows], 1.0 / np.sum(precisions, axis=0) + spread + open_)
+    P0[rows[:, None], rows] = np.diag(variance)
+    # ... nor how much the lower rotors' share does.
+    share, spread_share = np.average(shares, axis=0), np.var([s for s, _ in shares])
+    known = {"share": [float(share[0]), float(share[1] + spread_share)]} if lower_rotors(B) is not None else {}
+    return {
+        "x0": x0.tolist(), "P0": P0.tolist(), "noise": loudest.tolist(), "noise_weight": LEARNED_WEIGHT,
+        "dt": tables[0].dt, **known,
+    }  # fmt: skip
