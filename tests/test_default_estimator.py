@@ -13,8 +13,8 @@ from scipy.optimize import lsq_linear
 
 from rotorwatch import airframes
 from rotorwatch.backend import jax as load_jax
+from rotorwatch.default import announcement, caution, hypotheses, kalman, noise, opposite, posterior
 from rotorwatch.default import bank as onsets
-from rotorwatch.default import caution, estimator, hypotheses, noise, posterior
 from rotorwatch.default.estimator import JumpBank
 from rotorwatch.default.hypotheses import LOSS_WIDTH
 from rotorwatch.default.plant import B3, GAIN, PER_AXIS, SIDEWAYS, WrenchBalance
@@ -142,7 +142,7 @@ def quad():
     """A calm quad whose rotor 3 loses 5 % at ONSET; caution with outliers and jumping commands is switched off, yaw gain and geometry
     count as exact, and every explanation is kept however unlikely."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(estimator, "OUTLIER", 1e9)
+        patch.setattr(kalman, "OUTLIER", 1e9)
         patch.setattr(caution, "LAG_ERROR_S", 0.0)
         patch.setattr(caution, "SNAPSHOT", 0.0)
         patch.setattr(caution, "BURST_POWER", 0.0)
@@ -246,7 +246,7 @@ def test_explanations_go_on_as_kalman_filters_and_are_weighed_by_what_they_predi
     fits = np.zeros((last - k, alive.size))
     for column, b in enumerate(alive):
         mean, P = born.s[b], born.P[b]
-        walk = np.concatenate([np.zeros(n_x), born.active[b] * estimator.THETA_WALK * DT])
+        walk = np.concatenate([np.zeros(n_x), born.active[b] * kalman.THETA_WALK * DT])
         for j in range(k + 1, last + 1):
             mean, P, e, S = tick(method, u[j], y[j], quad.carries.noise.variances[j - 1], mean, P, walk=walk)
             fits[j - k - 1, column] = -0.5 * np.linalg.slogdet(S)[1] - 0.5 * e @ np.linalg.solve(S, e)
@@ -444,14 +444,14 @@ def test_false_alarms_are_as_rare_as_the_threshold_says():
 
 def test_the_threshold_follows_from_a_false_alarm_rate():
     hyp = make("ardupilot-quad-x").bank.hyp
-    hours = estimator.FALSE_ALARM_PERIOD_S / 3600.0
+    hours = announcement.FALSE_ALARM_PERIOD_S / 3600.0
     assert hours >= 10.0  # what is promised: at most one in ten flight hours
     weight = hyp.weight[hyp.fault & (np.array(hyp.kinds) != "recovery")].sum()
-    assert np.exp(estimator.threshold(hyp, DT)) * DT / 3600.0 / weight == pytest.approx(hours * estimator.GATES)
-    assert estimator.threshold(hyp, DT, 10 * 3600.0) < estimator.threshold(hyp, DT, 100 * 3600.0)
+    assert np.exp(announcement.threshold(hyp, DT)) * DT / 3600.0 / weight == pytest.approx(hours * announcement.GATES)
+    assert announcement.threshold(hyp, DT, 10 * 3600.0) < announcement.threshold(hyp, DT, 100 * 3600.0)
 
 
 def test_torque_free_pairs_are_opposite_rotors():
     bank, B = make("ardupilot-hexa-x").bank, airframes.named("ardupilot-hexa-x").effectiveness()
     free = [k for k, (i, j) in enumerate(bank.hyp.pairs) if np.abs(B[:2, i] + B[:2, j]).max() < 0.05]
-    assert len(free) == 3 and np.flatnonzero(np.asarray(bank._torque_free())).tolist() == free
+    assert len(free) == 3 and np.flatnonzero(np.asarray(opposite.torque_free(bank.hyp, B))).tolist() == free

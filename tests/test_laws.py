@@ -272,7 +272,7 @@ def errors_are_as_large_as_the_covariance_says(case):
     """Healthy flights with the plant's own noise: states and losses lie within three standard deviations; where the method is
     the Kalman filter, the normalised error squared (NEES) is the number of states as well."""
     if case.own_plant:
-        return  # its noise model is learned in flight: tests/test_estimator.py
+        return  # its noise model is learned in flight: tests/test_default_estimator.py
     inside_x, inside_theta, nees = [], [], []
     for seed in (0, 1, 2):
         u, y, valid, x = flown(case.make, seed, 0.0)
@@ -573,9 +573,9 @@ def test_default_is_the_kalman_filter_while_nothing_is_suspected(monkeypatch):
     In motion the default estimator is more careful than Kalman: it counts the error of its own gains as noise. So it is
     with outliers and with commands that jump; that caution is switched off here.
     """
-    from rotorwatch.default import caution, estimator, noise
+    from rotorwatch.default import caution, kalman, noise
 
-    monkeypatch.setattr(estimator, "OUTLIER", 1e9)
+    monkeypatch.setattr(kalman, "OUTLIER", 1e9)
     monkeypatch.setattr(caution, "LAG_ERROR_S", 0.0)
     monkeypatch.setattr(caution, "SNAPSHOT", 0.0)
     system = wrench_quad()

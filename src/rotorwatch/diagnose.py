@@ -11,7 +11,7 @@ import numpy as np
 from rotorwatch import detectors, discovery
 from rotorwatch.answer import conclusion, places, traces
 from rotorwatch.default import events, hypotheses, leftover
-from rotorwatch.default.estimator import threshold
+from rotorwatch.default.announcement import threshold
 from rotorwatch.default.program import estimate
 from rotorwatch.diagnosis import Diagnosis
 from rotorwatch.errors import ConfigError
@@ -115,7 +115,7 @@ def diagnose(
     hyp = hypotheses.make(len(craft.rotors))
     losses = events.read(out, table, hyp, B)
     overrides = outside.overrides(flight, craft, air, table)
-    losses = tuple(e for e in losses if not outside.explains(overrides, e))
+    losses = outside.unexplained(losses, overrides)
     contacts = outside.contacts(table, air)
     found = tuple(sorted((*losses, *overrides, *contacts), key=lambda e: e.detected_s))
     heard = witness.hear(flight, craft, air, table, found)

@@ -1,13 +1,15 @@
-"""Where results are written: checked before the work that makes them, and written in one step, all of it or nothing."""
+"""Where results are written: checked before the work that makes them, in one step, all of it or nothing. And TOML files read."""
 
 from __future__ import annotations
 
 import os
 import re
 import tempfile
+import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 from rotorwatch.errors import ConfigError
 
@@ -22,6 +24,22 @@ def no_address(path: str | os.PathLike) -> None:
         raise ConfigError(
             f"{text} is an address, not a file: download it first (for instance with curl -O), then give the file."
         )
+
+
+def toml(path: str | os.PathLike, what: str, most: int = 10_000_000) -> tuple[dict[str, Any], str]:
+    """The table in a TOML file of at most `most` bytes, and its text. what: names the file in sentences, such as "plan". Raises
+    ConfigError."""
+    try:
+        with open(path, "rb") as file:
+            data = file.read(most + 1)
+        if len(data) > most:
+            raise ConfigError(f"{path} is too large for a {what}.")
+        text = data.decode()
+        return tomllib.loads(text), text
+    except OSError as error:
+        raise ConfigError(f"Cannot read the {what} {path}: {error.strerror or error}.") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise ConfigError(f"The {what} {path} is not valid TOML: {error}.") from error
 
 
 def writable(path: str | os.PathLike, what: str, make: bool = False) -> Path:

@@ -168,8 +168,7 @@ def _planned(number: int, scenario: Scenario) -> Any:
 
 def _all_events(f: Flown, losses: Sequence[Event]) -> tuple[Event, ...]:
     """Losses, and outputs that do not follow the mixer, as `diagnose` puts them together."""
-    found = [e for e in losses if not outside.explains(f.overrides, e)]
-    return tuple(sorted((*found, *f.overrides), key=lambda e: e.detected_s))
+    return tuple(sorted((*outside.unexplained(losses, f.overrides), *f.overrides), key=lambda e: e.detected_s))
 
 
 def _needed(record):

@@ -29,14 +29,13 @@ from __future__ import annotations
 
 import itertools
 import os
-import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from rotorwatch import detectors, discovery
+from rotorwatch import detectors, discovery, files
 from rotorwatch.errors import ConfigError
 from rotorwatch.simulation import prepare, scenario
 from rotorwatch.simulation.scenario import Scenario, brief, is_number, number, plain, whole
@@ -126,17 +125,7 @@ class Plan:
 
 def read(path: str | os.PathLike) -> Plan:
     """The plan in a TOML file. Raises ConfigError with one sentence that names the field."""
-    try:
-        with open(path, "rb") as file:
-            data = file.read(MAX_BYTES + 1)
-        if len(data) > MAX_BYTES:
-            raise ConfigError(f"{path} is too large for a plan.")
-        text = data.decode()
-        table = tomllib.loads(text)
-    except OSError as error:
-        raise ConfigError(f"Cannot read the plan {path}: {error.strerror or error}.") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise ConfigError(f"The plan {path} is not valid TOML: {error}.") from error
+    table, text = files.toml(path, "plan", MAX_BYTES)
     stem = os.path.splitext(os.path.basename(os.fspath(path)))[0]
     try:
         return from_table({"name": stem, **table}, text)

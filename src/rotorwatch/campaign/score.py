@@ -13,7 +13,7 @@ import numpy as np
 
 from rotorwatch.campaign.plan import Plan
 from rotorwatch.default import events
-from rotorwatch.default.estimator import PERSIST_S
+from rotorwatch.default.announcement import PERSIST_S
 from rotorwatch.diagnosis import Event
 from rotorwatch.experiments import limits
 from rotorwatch.motion.ticks import JUDGE

@@ -14,6 +14,7 @@ def register(group: click.Group) -> None:
     """Add the commands of this module to the command line."""
     group.add_command(campaign)
     group.add_command(sequences)
+    group.add_command(ablate)
 
 
 @click.command(short_help="Judge thousands of simulated flights.")
@@ -68,6 +69,39 @@ def sequences(flights, seed, jobs, as_json, quiet) -> None:
     with progress(quiet) as tell:
         result = study.run(flights, seed, jobs, tell)
     click.echo(json.dumps(result, indent=1, allow_nan=False) if as_json else study.describe(result))
+
+
+@click.command(short_help="What each constant of the default method is worth.")
+@click.argument("plan", type=LOG)
+@click.argument("logs", nargs=-1, type=LOG)
+@click.option(
+    "--flights", type=click.IntRange(2, 100_000), default=96, show_default=True, help="Simulated ones in all."
+)
+@click.option(
+    "--hours", type=click.FloatRange(0.01, 1000.0), default=1.0, show_default=True, help="Of surrogates of LOGS."
+)
+@click.option(
+    "--only", default="", metavar="NAMES", help="Constants whose names begin so, such as caution.,noise.CLIP."
+)
+@click.option("--variants", default="off,half,double", show_default=True, help="How they are changed.")
+@click.option("--jobs", type=click.IntRange(1, 256), help="Processes; default: one per processor.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON: measures and differences of every variant.")
+@common
+def ablate(plan, logs, flights, hours, only, variants, jobs, as_json, quiet) -> None:
+    """Leave out, halve and double every constant of the default method over a fixed set: flights of PLAN, flights with several faults,
+    losses put into healthy LOGS, and surrogates of those. Prints what changes, with intervals (docs/ablation.md)."""
+    import json
+
+    from rotorwatch import campaign as campaigns
+    from rotorwatch.campaign import ablation
+
+    asked = campaigns.read(plan)
+    names, words = ([part for part in text.split(",") if part] for text in (only, variants))
+    if set(words) - set(ablation.WORDS) or not words:
+        raise click.UsageError(f"--variants {variants}: give some of {', '.join(ablation.WORDS)}.")
+    with progress(quiet) as tell:
+        result = ablation.run(asked, logs, flights, hours, only=names, words=words, jobs=jobs, progress=tell)
+    click.echo(json.dumps(result, indent=1, allow_nan=False) if as_json else ablation.markdown(result))
 
 
 @contextmanager

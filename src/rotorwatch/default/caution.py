@@ -12,7 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch.core import Array
-from rotorwatch.default.plant import AXIS_STATES, DAMPING, DAMPING_RATE, GAIN, GAIN_MEAN, PER_AXIS
+from rotorwatch.default import plant
+from rotorwatch.default.plant import AXIS_STATES, DAMPING, GAIN, PER_AXIS
 
 GARROTE = 2.5  # how many times its calm level motion must reach to stand out
 LEVEL_MEMORY_S = 10.0
@@ -86,9 +87,9 @@ def look(memory: Memory, u, y, valid, flying, restart, x, variances, n: int, dt:
     motion = u[jnp.array([n, n + 1, n + 2, n + 4, n + 5, n + 6])]
     shrink = jnp.maximum(0.0, 1.0 - GARROTE**2 * memory.level / jnp.maximum(motion**2, 1e-12))
     # Motion that gusts have made teaches what the gusts did, not what the vehicle is: it has to need more than they give.
-    gain = jnp.maximum(x[:AXIS_STATES].reshape(4, PER_AXIS)[:3, GAIN], LEAST_GAIN * n * GAIN_MEAN[:3])
+    gain = jnp.maximum(x[:AXIS_STATES].reshape(4, PER_AXIS)[:3, GAIN], LEAST_GAIN * n * plant.GAIN_MEAN[:3])
     gusts = (variances[1] + variances[2] + variances[3] * GUST_S)[:3]
-    needs = jnp.concatenate([gain * motion[:3], DAMPING_RATE * gain * motion[3:]])
+    needs = jnp.concatenate([gain * motion[:3], plant.DAMPING_RATE * gain * motion[3:]])
     shrink = jnp.minimum(
         shrink, jnp.maximum(0.0, 1.0 - GUST_SHARE**2 * jnp.tile(gusts, 2) / jnp.maximum(needs**2, 1e-12))
     )
@@ -116,7 +117,7 @@ def look(memory: Memory, u, y, valid, flying, restart, x, variances, n: int, dt:
     far = jnp.maximum(jnp.abs(collective - usual) - FAR, 0.0) + jnp.maximum(jnp.abs(u[n + 3] / n - 1.0) - FAR, 0.0)
     new = Memory(
         level,
-        before + away * min(dt / THRUST_MEMORY_S, 1.0),
+        before + away * jnp.minimum(dt / THRUST_MEMORY_S, 1.0),
         thrust_level,
         trim + (part - trim) * (dt / TRIM_MEMORY_S),
         usual + (collective - usual) * (dt / FAR_MEMORY_S),
@@ -167,5 +168,5 @@ def model_error(memory: Memory, seen: Look, x, y, white, B, n: int, dt: float):
         + (DAMPING_ERROR * x[:, DAMPING] * rates) ** 2
         + (FAR_ERROR * n * seen.far) ** 2
         + (B * missing[None, :]) ** 2 @ jnp.ones(n)
-        + (max(LAG_ERROR_S / dt, SNAPSHOT) * step) ** 2
+        + (jnp.maximum(LAG_ERROR_S / dt, SNAPSHOT) * step) ** 2
     )

@@ -22,10 +22,8 @@ SLOP = (0.1, 0.1, 0.4, 0.3)
 FAR_SHARE, FAR = 0.2, 4.0
 # Prior weights: how often each kind of jump happens, relative to one particular rotor failing. Disturbances are common.
 WEIGHT = {"single": 1.0, "pair": 1e-4, "recovery": 1.0, "disturbance": 3.0}
-RECOVERY_SD = (
-    0.02,
-    0.3,
-)  # by how much a loss that ends may differ from what it was thought to be, and by what share of it
+# By how much a loss that ends may differ from what it was thought to be, and by what share of it.
+RECOVERY_SD = (0.02, 0.3)
 # Disturbances: which of roll, pitch, yaw, thrust they touch.
 DISTURBANCES = ((0,), (1,), (2,), (3,), (0, 3), (1, 3), (2, 3), (0, 1, 2), (0, 1, 2, 3))
 
@@ -34,7 +32,8 @@ DISTURBANCES = ((0,), (1,), (2,), (3,), (0, 3), (1, 3), (2, 3), (0, 1, 2), (0, 1
 class Hypotheses:
     """All hypotheses of an n-rotor vehicle. names; kinds; rotors: 0-based sets; fault: bool; weight: prior weights.
 
-    members (n_h, 2): direction indices of single and pair hypotheses (a repeated index marks a single).
+    pairs (n_pairs, 2): rotors. blocks: directions of each disturbance. Of each hypothesis: pick (n_h, 2, n): its (at most two) rotors,
+    one-hot; steps (n_h, 4): the axes it steps; well (n_h,): whether it is a rotor that is well again.
     """
 
     n: int
@@ -43,9 +42,11 @@ class Hypotheses:
     rotors: tuple[tuple[int, ...], ...]
     weight: np.ndarray
     fault: np.ndarray
-    singles: np.ndarray
     pairs: np.ndarray
     blocks: tuple[tuple[int, ...], ...]
+    pick: np.ndarray
+    steps: np.ndarray
+    well: np.ndarray
 
 
 def make(n: int) -> Hypotheses:
@@ -68,18 +69,25 @@ def make(n: int) -> Hypotheses:
     for block in DISTURBANCES:
         what = {3: "torque bias", 4: "any disturbance"}.get(len(block)) or " and ".join(axes[a] for a in block)
         add("disturbance", what if len(block) > 2 or block == (3,) else what + " bias" if 3 not in block else what)
-    kinds_ = np.array(kinds)
     weight = np.array([WEIGHT[k] for k in kinds])
+    fault = np.array([k != "disturbance" for k in kinds])
+    pick = np.zeros((len(names), 2, n))
+    for h, who in enumerate(rotors):
+        pick[h, np.arange(len(who)), list(who)] = 1.0
+    steps = np.zeros((len(names), 4))
+    steps[~fault] = [[float(a in block) for a in range(4)] for block in DISTURBANCES]
     return Hypotheses(
-        n,
-        tuple(names),
-        tuple(kinds),
-        tuple(rotors),
-        weight,
-        np.isin(kinds_, ["single", "pair", "recovery"]),
-        np.arange(n),
-        np.array(pairs),
-        tuple(tuple(n + a for a in block) for block in DISTURBANCES),
+        n=n,
+        names=tuple(names),
+        kinds=tuple(kinds),
+        rotors=tuple(rotors),
+        weight=weight,
+        fault=fault,
+        pairs=np.array(pairs),
+        blocks=tuple(tuple(n + a for a in block) for block in DISTURBANCES),
+        pick=pick,
+        steps=steps,
+        well=np.array([k == "recovery" for k in kinds]),
     )
 
 
@@ -109,9 +117,10 @@ def _clip_pair(c11, c12, c22, z1, z2, lo1, hi1, lo2, hi2):
     return best_a, best_b, best
 
 
-def log_bayes_factors(hyp: Hypotheses, C, z, lo, hi, width, gone, reach):
+def log_bayes_factors(hyp: Hypotheses, C, z, lo, hi, width, gone, slop):
     """C (W, q, q), z (W, q) for W jump times; lo, hi (n,) bounds of rotor jumps; width (4,): how large disturbances of this
-    aircraft are; gone (W, n): the jump that would end each rotor's loss; reach (n,): see `slop`. -> log BF (W, n_h), nu (W, n_fault, 2)."""
+    aircraft are; gone (W, n): the jump that would end each rotor's loss; slop (W, 4): of that name. -> log BF (W, n_h), nu (W, n_fault,
+    2)."""
     import jax.numpy as jnp
 
     n, w2 = hyp.n, LOSS_WIDTH**2
@@ -122,7 +131,7 @@ def log_bayes_factors(hyp: Hypotheses, C, z, lo, hi, width, gone, reach):
     det = jnp.maximum(free[:, a, a] * free[:, b, b] - free[:, a, b] ** 2, 1e-9)
     pair = pair - 0.5 * jnp.log(det * w2**2)
     others = disturbances(hyp, C, z, width)
-    c, z, gain = with_slop(C, z, slop(C, z, lo, hi, reach))
+    c, z, gain = with_slop(C, z, slop)
     # Losses are small as often as large: half of the prior is narrow.
     c0, c1 = c + 1.0 / SMALL_WIDTH**2, c + 1.0 / w2
     nu0, nu1 = jnp.clip(z / c0, lo, hi), jnp.clip(z / c1, lo, hi)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch.core import Array
-from rotorwatch.default.caution import AT_LIMIT, BELIEVED
+from rotorwatch.default import caution
 
 SMALLEST = 0.015  # loss that is worth an event
 # Both may be off by a standard deviation of this flight's disturbances, and by as much as the slack in calm air.
@@ -46,13 +46,13 @@ def follow(state: Missing, missing, load, share, valid, restart, dt: float) -> M
 
     push = jnp.where(valid, jnp.abs(load - 1.0), 0.0)
     missing = jnp.where(valid, missing, state.slow)
-    near = jnp.clip((share - BELIEVED) / (AT_LIMIT - BELIEVED), 0.0, 1.0)
-    lacks = near * (1.0 - BELIEVED / jnp.maximum(share, BELIEVED))
+    near = jnp.clip((share - caution.BELIEVED) / (caution.AT_LIMIT - caution.BELIEVED), 0.0, 1.0)
+    lacks = near * (1.0 - caution.BELIEVED / jnp.maximum(share, caution.BELIEVED))
     return Missing(
-        jnp.where(restart, missing, state.fast + (missing - state.fast) * min(dt / FAST_S, 1.0)),
+        jnp.where(restart, missing, state.fast + (missing - state.fast) * jnp.minimum(dt / FAST_S, 1.0)),
         jnp.where(restart, missing, state.slow + (missing - state.slow) * (dt / SLOW_S)),
-        jnp.where(restart, push, jnp.maximum(push, state.heave * np.exp(-dt / HEAVE_S))),
-        jnp.where(restart, lacks, jnp.maximum(lacks, state.limit * np.exp(-dt / LIMIT_S))),
+        jnp.where(restart, push, jnp.maximum(push, state.heave * jnp.exp(-dt / HEAVE_S))),
+        jnp.where(restart, lacks, jnp.maximum(lacks, state.limit * jnp.exp(-dt / LIMIT_S))),
     )
 
 

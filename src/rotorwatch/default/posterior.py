@@ -8,7 +8,8 @@ Magill, IEEE Trans. Automatic Control 10 (1965) 434-439),
     log w_b += g sum_a c_a [ -log S_a / 2 - nu_a^2 / (2 S_a) ],       g = TEMPER exp(-age / RESOLVE_S)
 
 c_a: weight of evidence in weather that the noise model does not know (caution.py). g: evidence of the age of an explanation tells less and
-less; what decides is how a change looked, and after it the errors of the model. The branch in place 0 leads: it has the jump bank.
+less; what decides is how a change looked, and after it the errors of the model. The branch in place 0 leads: it has the jump bank, and
+what that bank finds becomes branches of it, each with its jump in state, covariance and cross-covariance, exactly.
 """
 
 from __future__ import annotations
@@ -18,12 +19,16 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch.core import Array
+from rotorwatch.default import bank, evidence
+from rotorwatch.default.hypotheses import Hypotheses
 
 PLACES = 4
 RESOLVE_S, TEMPER = 3.0, 0.3
 OUT = -7.0  # log weight relative to the leader's at which a branch is dropped
 AHEAD = 2.3  # nats by which another must be better before it leads: ten times likelier
 NEVER = -1e3
+LEARN_LOSS_S = 6.0  # a new loss is refined this long; after that only a new jump changes it
+OVER = 0.02  # a loss that turns out smaller is none
 
 
 class Branches(NamedTuple):
@@ -47,15 +52,15 @@ def init(s: Array, P: Array, n: int) -> Branches:
     K = PLACES
     none = np.zeros((K, n))
     return Branches(
-        np.tile(s, (K, 1)),
-        np.tile(P, (K, 1, 1)),
-        np.where(np.arange(K) == 0, 0.0, NEVER),
-        np.zeros((K, n), bool),
-        none,
-        none,
-        none,
-        np.zeros(K),
-        np.float64(1e3),
+        s=np.tile(s, (K, 1)),
+        P=np.tile(P, (K, 1, 1)),
+        weight=np.where(np.arange(K) == 0, 0.0, NEVER),
+        active=np.zeros((K, n), bool),
+        learning=none,
+        theta_var=none,
+        theta_mean=none,
+        onset=np.zeros(K),
+        age=np.float64(1e3),
     )
 
 
@@ -78,18 +83,13 @@ def lead(branches: Branches) -> tuple[Branches, Array]:
 
     best = jnp.argmax(branches.weight)
     change = branches.weight[best] > AHEAD
-    order = jnp.eye(PLACES)
-    here = (jnp.arange(PLACES) == best).astype(float)
-    swapped = order - jnp.outer(order[0] - here, order[0] - here)
-    turn = jnp.where(change, swapped, order)
+    first, here = jnp.arange(PLACES) == 0, jnp.arange(PLACES) == best
+    swapped = jnp.eye(PLACES) - jnp.outer(first * 1.0 - here, first * 1.0 - here)
+    turn = jnp.where(change, swapped, jnp.eye(PLACES))
 
     def moved(a):
-        flat = a.reshape(PLACES, -1)
-        return (
-            (turn @ flat.astype(float)).reshape(a.shape).astype(a.dtype)
-            if a.dtype != bool
-            else ((turn @ flat.astype(float)).reshape(a.shape) > 0.5)
-        )
+        there = (turn @ a.reshape(PLACES, -1).astype(float)).reshape(a.shape)
+        return there > 0.5 if a.dtype == bool else there
 
     new = Branches(*[moved(a) if getattr(a, "ndim", 0) else a for a in branches])
     return new._replace(weight=jnp.where(new.weight > 0.5 * NEVER, new.weight - new.weight[0], NEVER)), change
@@ -101,3 +101,64 @@ def shares(branches: Branches):
 
     p = jnp.exp(branches.weight)
     return p / p.sum()
+
+
+def born(
+    branches: Branches, hyp: Hypotheses, told: bank.Bank, found: evidence.Evidence, first, alarm, absorbed
+) -> Branches:
+    """What may have happened becomes branches of the one that leads: the likeliest disturbance and the likeliest faults. Hypothesis
+    `first` leads where it is announced, the disturbance where something was absorbed; else all stays."""
+    import jax
+    import jax.numpy as jnp
+
+    def made(branches):
+        fault = jnp.asarray(hyp.fault)
+        left, chosen, h = jnp.where(fault, found.log_odds, -jnp.inf), [], first
+        none = jnp.argmax(jnp.where(fault, -jnp.inf, found.log_odds))
+        for _ in range(PLACES - 1):
+            chosen.append((h, found.log_odds[h]))
+            left = jnp.where(jnp.arange(left.size) == h, -jnp.inf, left)
+            h = jnp.argmax(left)
+        chosen.append((none, jnp.logaddexp(found.other, found.far)))
+        turn = jnp.where(alarm, jnp.arange(PLACES), PLACES - 1 - jnp.arange(PLACES))
+        which, weight = (jnp.stack(part)[turn] for part in zip(*chosen))
+        # The first place leads; nobody else may be ahead from the start.
+        weight = jnp.minimum(weight - weight[0], AHEAD)
+        # The odds against disturbances are what an announcement is made by; they are not asked again. Without one, and where no rotor
+        # is weak, nothing but a disturbance may lead.
+        doubt = alarm | branches.active[0].any()
+        barred = jnp.where(alarm, which == none, ~doubt & (which != none))
+        weight = jnp.where(barred | (weight <= OUT), NEVER, weight)
+        child = jax.vmap(lambda h: _child(branches, hyp, told, found, h))(which)
+        return child._replace(weight=weight, age=jnp.where(doubt, 0.0, branches.age))
+
+    return jax.lax.cond(alarm | absorbed, made, lambda same: same, branches)
+
+
+def _child(branches: Branches, hyp: Hypotheses, told: bank.Bank, found: evidence.Evidence, h) -> Branches:
+    """The leader with the jump of hypothesis h: exactly what an augmented filter with this jump would hold."""
+    import jax.numpy as jnp
+
+    n_x, n = branches.s.shape[1] - hyp.n, hyp.n
+    jump = evidence.jump(hyp, told, found, h)
+    M, _, _ = bank.pick(told, jump.slot)
+    s, P = branches.s[0] + M @ jump.size, branches.P[0] + M @ jump.cov @ M.T
+    theta, sd = s[n_x:], jnp.sqrt(jnp.maximum(jnp.diagonal(P)[n_x:], 0.0))
+    taken_back = (jump.each.sum(axis=0) < 0) & (theta < jnp.maximum(OVER, 2.0 * sd))
+    off = jump.rotors & (jnp.asarray(hyp.well)[h] | taken_back)
+    for i in range(n):  # a rotor that is well again: what if its loss were known to be none
+        column = P[:, n_x + i]
+        variance = jnp.maximum(column[n_x + i], 1e-12)
+        s = jnp.where(off[i], s - column * (s[n_x + i] / variance), s)
+        P = jnp.where(off[i], P - column[:, None] * column[None, :] / variance, P)
+    return Branches(
+        s=s,
+        P=0.5 * (P + P.T),
+        weight=branches.weight[0],
+        active=(branches.active[0] | jump.rotors) & ~off,
+        learning=jnp.where(off, 0.0, jnp.where(jump.rotors, LEARN_LOSS_S, branches.learning[0])),
+        theta_var=jnp.where(off, 0.0, branches.theta_var[0]),
+        theta_mean=jnp.where(jump.rotors, s[n_x:], branches.theta_mean[0]),
+        onset=jnp.where(jump.rotors.any(), jump.since, branches.onset[0]),
+        age=jnp.zeros(()),
+    )

@@ -42,11 +42,17 @@ def kept(out) -> Kept:
     import jax.numpy as jnp
 
     e, d = out.estimate, out.decision
-    return Kept(
-        out.theta, out.theta_sd, e.innovation, jnp.diagonal(e.innovation_cov), d.log_odds, d.statistic, d.best, d.onset,
-        out.probability, out.announced, out.since, out.active, out.share, out.detectable,
-        e.x[:AXIS_STATES].reshape(4, -1)[:, :3].sum(axis=1), *out.opposite,
-    )  # fmt: skip
+    same = {name: getattr(out, name) for name in Kept._fields if hasattr(out, name)}
+    told = {name: getattr(d, name) for name in ("log_odds", "statistic", "best", "onset")}
+    own = dict(
+        innovation=e.innovation,
+        innovation_var=jnp.diagonal(e.innovation_cov),
+        biases=e.x[:AXIS_STATES].reshape(4, -1)[:, :3].sum(axis=1),
+        opposite=out.opposite.pair,
+        opposite_onset=out.opposite.onset,
+        opposite_loss=out.opposite.loss,
+    )
+    return Kept(**{**same, **told, **own})
 
 
 # One for each length of ticks that `ticks.tick_length` gives; functions of this module, so that their native code can be kept.

@@ -215,7 +215,7 @@ def campaign(
         used += 1
         plan = [(r, loss) for r in range(1, len(vehicle.rotors) + 1) for loss in losses for _ in range(repeats)]
         for j, (rotor, loss) in enumerate(plan):
-            onset = _draw(room, rng)
+            onset = draw(room, rng)
             faulty = inject(flight, vehicle, rotor, loss, onset)
             found, _ = _judge(faulty, vehicle, air)
             limit = max(faulty.facts["injected"]["at_limit"])
@@ -247,7 +247,7 @@ def _judge(flight: Flight, vehicle: Vehicle, air) -> tuple[tuple[Event, ...], fl
     return found, float((table.mode == JUDGE).sum() * table.dt)
 
 
-def _draw(room: list[tuple[float, float]], rng: np.random.Generator) -> float:
+def draw(room: list[tuple[float, float]], rng: np.random.Generator) -> float:
     """A time, uniform over the intervals."""
     lengths = np.array([b - a for a, b in room])
     k = rng.choice(len(room), p=lengths / lengths.sum())

@@ -24,17 +24,15 @@ import math
 import os
 import re
 import tempfile
-import tomllib
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from rotorwatch.errors import VehicleError
+from rotorwatch import files
+from rotorwatch.errors import ConfigError, VehicleError
 from rotorwatch.flight.vehicle import Rotor, ThrustCurve, Vehicle
 
-MAX_BYTES = 10_000_000
 SPINS = {"ccw": 1, "cw": -1, 1: 1, -1: -1, 0: 0}
 KNOWN = {"name", "rotors", "curve", "mixer", "lag_s", "identified", "source", "assumptions", "extra"}
 
@@ -42,14 +40,9 @@ KNOWN = {"name", "rotors", "curve", "mixer", "lag_s", "identified", "source", "a
 def read(path: str | os.PathLike) -> Vehicle:
     """The vehicle described in a TOML file. Raises VehicleError naming the field that is missing or wrong."""
     try:
-        if Path(path).stat().st_size > MAX_BYTES:
-            raise VehicleError(f"{path} is too large for a vehicle file; give the TOML file that `calibrate` wrote.")
-        with open(path, "rb") as file:
-            table = tomllib.load(file)
-    except OSError as error:
-        raise VehicleError(f"Cannot read the vehicle file {path}: {error.strerror or error}.") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise VehicleError(f"The vehicle file {path} is not valid TOML: {error}.") from error
+        table, _ = files.toml(path, "vehicle file")
+    except ConfigError as error:
+        raise VehicleError(str(error)) from error
     try:
         return from_table(table)
     except VehicleError as error:

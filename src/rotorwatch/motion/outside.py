@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from rotorwatch.diagnosis import Event
@@ -41,6 +43,11 @@ def falls(table: Ticks, air) -> tuple[tuple[float, float], ...]:
 def explains(overridden: tuple[Event, ...], event: Event) -> bool:
     """Does a loss begin while an output is overridden? Then it is the override, or what that does to the others."""
     return any(o.onset_s - 1.0 <= event.onset_s <= (np.inf if o.end_s is None else o.end_s) + 1.0 for o in overridden)
+
+
+def unexplained(losses: Iterable[Event], overridden: tuple[Event, ...]) -> tuple[Event, ...]:
+    """The losses that no overridden output explains."""
+    return tuple(e for e in losses if not explains(overridden, e))
 
 
 def contacts(table: Ticks, air) -> tuple[Event, ...]:

@@ -75,7 +75,7 @@ class Threshold:
         v = B @ estimate.theta[: hyp.n]
         away = v - carry.level
         logbf, jump = self.evidence(away, carry.scatter)
-        fault, weight = jnp.asarray(hyp.fault & (np.array(hyp.kinds) != "recovery")), jnp.log(jnp.asarray(hyp.weight))
+        fault, weight = jnp.asarray(hyp.fault & ~hyp.well), jnp.log(jnp.asarray(hyp.weight))
         log_odds = logbf + weight
         best = jnp.argmax(jnp.where(fault, log_odds, -jnp.inf)).astype(jnp.int32)
         pick = (jnp.arange(jump.shape[0]) == best).astype(float)
@@ -116,6 +116,13 @@ class Threshold:
         Phi = jnp.concatenate([jnp.asarray(self.B), jnp.eye(4)], axis=1)
         C, z = Phi.T @ (w[:, None] * Phi), Phi.T @ (w * away)
         logbf, jump = hypotheses.log_bayes_factors(
-            self.hyp, C[None], z[None], jnp.zeros(n), jnp.ones(n), jnp.ones(4), jnp.zeros((1, n)), jnp.zeros(n)
+            self.hyp,
+            C[None],
+            z[None],
+            jnp.zeros(n),
+            jnp.ones(n),
+            jnp.ones(4),
+            jnp.zeros((1, n)),
+            jnp.full((1, 4), 1e-12),
         )
         return logbf[0], jump[0]

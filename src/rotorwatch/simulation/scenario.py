@@ -25,12 +25,11 @@ from __future__ import annotations
 
 import math
 import os
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
-from rotorwatch import airframes
+from rotorwatch import airframes, files
 from rotorwatch.errors import ConfigError
 from rotorwatch.simulation import faults, trajectories
 
@@ -211,15 +210,7 @@ class Scenario:
 
 def read(path: str | os.PathLike) -> Scenario:
     """The scenario in a TOML file. Raises ConfigError with one sentence that names the field."""
-    try:
-        with open(path, "rb") as file:
-            if os.fstat(file.fileno()).st_size > MAX_BYTES:
-                raise ConfigError(f"{path} is too large for a scenario.")
-            table = tomllib.load(file)
-    except OSError as error:
-        raise ConfigError(f"Cannot read the scenario {path}: {error.strerror or error}.") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise ConfigError(f"The scenario {path} is not valid TOML: {error}.") from error
+    table, _ = files.toml(path, "scenario", MAX_BYTES)
     try:
         return from_table({"name": os.path.splitext(os.path.basename(os.fspath(path)))[0], **table})
     except ConfigError as error:

@@ -387,11 +387,11 @@ def _first_alarms(table: Ticks, vehicle: Vehicle, out) -> dict[float, float | No
 
 def _crossed(table: Ticks, out, shift: float) -> np.ndarray:
     """(T,) bool: the recorded evidence for a fault is above the shifted threshold."""
-    from rotorwatch.default import estimator
+    from rotorwatch.default import announcement
 
     hyp = hypotheses.make(out.theta.shape[1])
     evidence = np.logaddexp.reduce(out.log_odds[:, hyp.fault], axis=1)
-    return (evidence > estimator.threshold(hyp, table.dt) + shift) & (table.mode == JUDGE)
+    return (evidence > announcement.threshold(hyp, table.dt) + shift) & (table.mode == JUDGE)
 
 
 def _announced(table: Ticks, vehicle: Vehicle, shift: float) -> np.ndarray:

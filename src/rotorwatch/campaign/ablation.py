@@ -1,0 +1,430 @@
+"""What each constant of the default method is worth: left out, halved and doubled, over a fixed set of flights.
+
+The set: simulated flights of a plan, flights in which several things happen (sequences.py), losses put into real healthy flights, and
+surrogates of those. Every variant judges the same flights as the method as it is, so that what counts is the difference: of n states,
+b are right only with the variant and c only without it, and
+
+    difference = (b - c) / n,        sd = sqrt(b + c - (b - c)^2 / n) / n          (McNemar's, for shares of the same things)
+
+A constant is any number in capitals in a file of `rotorwatch.default` (OFF says which value leaves it out). Where a step's mathematics
+use it, it is a parameter of one compiled program; where it shapes the program or its start, the program is built anew.
+"""
+
+from __future__ import annotations
+
+import ast
+import functools
+import itertools
+import json
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import ExitStack, contextmanager, nullcontext
+from dataclasses import dataclass
+from importlib import import_module
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rotorwatch import airframes, default, logs
+from rotorwatch.campaign import batch, sequences
+from rotorwatch.campaign.plan import Plan
+from rotorwatch.compiling.run import chosen, run_built
+from rotorwatch.default import events, hypotheses, program
+from rotorwatch.diagnosis import Event
+from rotorwatch.errors import ConfigError
+from rotorwatch.experiments import inject
+from rotorwatch.experiments.studies import false_alarms
+from rotorwatch.motion import outside
+from rotorwatch.motion.airborne import airborne
+from rotorwatch.motion.ticks import JUDGE, READY_S, Ticks, observe
+
+# Files of the method's step, and those that read its ticks.
+FILES = (
+    "plant", "noise", "caution", "kalman", "bank", "hypotheses", "evidence", "announcement", "plausibility", "opposite", "posterior",
+    "events",
+)  # fmt: skip
+# Names, counts and what follows from others: nothing to be chosen.
+GIVEN = {
+    "plant.PER_AXIS", "plant.SIDEWAYS", "plant.AXIS_STATES", "plant.B1", "plant.B2", "plant.B3", "plant.GAIN", "plant.DAMPING",
+    "announcement.FALSE_ALARM_PERIOD_S", "bank.SLOTS", "bank.STRIDES", "noise.LAGS", "hypotheses.DISTURBANCES",
+    "kalman.BIASES", "posterior.NEVER", "posterior.PLACES", "evidence.NOTHING",
+}  # fmt: skip
+BIG = 1e6
+"""Value that leaves a constant's part out of the method; constants that are not here have none."""
+OFF: dict[str, float] = {
+    "noise.CLIP": BIG, "noise.GROWTH_WEIGHT": 0.0, "caution.GARROTE": 0.0, "caution.GAIN_ERROR": 0.0, "caution.DAMPING_ERROR": 0.0,
+    "caution.LAG_ERROR_S": 0.0, "caution.SNAPSHOT": 0.0, "caution.BURST_POWER": 0.0, "caution.GUST_SHARE": 0.0,
+    "caution.FAR_ERROR": 0.0, "caution.AT_LIMIT": BIG, "kalman.OUTLIER": BIG, "kalman.MOVING": BIG, "kalman.THETA_WALK": 0.0,
+    "hypotheses.SLOP": 0.0, "hypotheses.FAR_SHARE": 1e-30, "evidence.KNOWN_BONUS": 0.0, "evidence.SECOND_NATS": 0.0,
+    "evidence.TRUST": 1e12, "evidence.DEAD": 2.0, "announcement.COMPETITOR_ODDS": 1.0, "announcement.EDGE": 2.0,
+    "announcement.PERSIST_S": 0.0, "announcement.CERTAIN_NATS": BIG, "announcement.SETTLE_S": 0.0, "announcement.FREEZE_S": 0.0,
+    "plausibility.ASKED_SHARE": -BIG, "plausibility.MISSING_SLACK": BIG, "plausibility.SECOND": 0.0, "plausibility.LIMIT_S": 1e-3,
+    "plausibility.CHANGE": 0.0, "plausibility.CHANGE_GONE": 0.0, "opposite.OPPOSITE_NATS": -BIG, "posterior.TEMPER": 0.0,
+    "posterior.AHEAD": BIG, "posterior.OVER": -1.0, "events.HIDDEN": BIG, "events.CREDIBLE": 1.1, "events.MODEL_SD": 0.0,
+    "events.MODEL_SHARE": 0.0, "events.COAXIAL_SHARE": 0.0, "plant.SIDE_SD": 1e-6, "plant.SHARE_SD": 1e-6,
+}  # fmt: skip
+WORDS = ("off", "half", "double")
+SOON_S = 10.0  # a fault that is announced within so much counts as found
+FAULT = 0.05  # a change of loss that counts as one
+
+
+def constants() -> dict[str, Any]:
+    """ "file.NAME" -> value of every constant of the method that somebody chose."""
+    found = {}
+    for file in FILES:
+        path = Path(default.__file__).parent / f"{file}.py"
+        module = import_module(f"rotorwatch.default.{file}")
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if not isinstance(node, ast.Assign):
+                continue
+            for target in node.targets:
+                for name in target.elts if isinstance(target, ast.Tuple) else [target]:
+                    key, value = f"{file}.{getattr(name, 'id', '')}", getattr(module, getattr(name, "id", ""), None)
+                    number = isinstance(value, int | float | np.ndarray | tuple | dict) and not isinstance(value, bool)
+                    if key.split(".")[1].isupper() and number and key not in GIVEN and _numbers(value):
+                        found[key] = value
+    return dict(sorted(found.items()))
+
+
+def _numbers(value: Any) -> bool:
+    items = value.values() if isinstance(value, dict) else np.ravel(value)
+    return all(isinstance(v, int | float | np.number) for v in items)
+
+
+def _scaled(value: Any, factor: float) -> Any:
+    if isinstance(value, dict):
+        return {k: v * factor for k, v in value.items()}
+    return tuple(v * factor for v in value) if isinstance(value, tuple) else value * factor
+
+
+def variants(only: Sequence[str] = (), words: Sequence[str] = WORDS) -> dict[str, dict[str, Any]]:
+    """Name of a variant -> the constants it changes; "as it is" first. only: beginnings of names; words: which of WORDS. Each kind of
+    hypothesis has a weight of its own; of those only their ratios count. Raises ConfigError when no name fits."""
+    known = constants()
+    made: dict[str, dict[str, Any]] = {"as it is": {}}
+    for name, value in known.items():
+        if only and not any(name.startswith(o) for o in only):
+            continue
+        parts = (
+            {f"{name}[{k}]": {k: v} for k, v in value.items() if k != "single"}
+            if isinstance(value, dict)
+            else {name: None}
+        )
+        for label, part in parts.items():
+            for word, factor in (("half", 0.5), ("double", 2.0)):
+                if word not in words:
+                    continue
+                now = {**value, **_scaled(part, factor)} if part else _scaled(value, factor)
+                made[f"{label} {word}"] = {name: now}
+            if label in OFF and "off" in words:
+                off = OFF[label]
+                made[f"{label} off"] = {name: tuple(off for _ in value) if isinstance(value, tuple) else off}
+    if only and len(made) == 1:
+        raise ConfigError(f"No constant's name begins with {' or '.join(only)}; they are {', '.join(known)}.")
+    return made
+
+
+@contextmanager
+def changed(values: Mapping[str, Any]) -> Iterator[None]:
+    """The method with other constants, while this lasts."""
+    with ExitStack() as stack:
+        for key, value in values.items():
+            file, name = key.split(".")
+            module = import_module(f"rotorwatch.default.{file}")
+            stack.callback(setattr, module, name, getattr(module, name))
+            setattr(module, name, value)
+        yield
+
+
+class Tuned:
+    """The default estimator with constants given as parameters: in effect while it is built, started and traced."""
+
+    def __init__(self, dt: float, parameters: Mapping[str, Any], values: Mapping[str, Any]):
+        self.values = values
+        self.inner = program.builder(dt)(parameters)
+
+    def init(self):
+        """As the estimator's."""
+        return self.inner.init()
+
+    def step(self, carry, u, y, valid):
+        """As the estimator's."""
+        with changed(self.values):
+            return self.inner.step(carry, u, y, valid)
+
+
+# Constants that shape the program, its start or its hypotheses.
+BUILT_IN = frozenset({
+    "announcement.GATES", "announcement.PERSIST_S", "announcement.SUSPICIOUS_PERIOD_S", "bank.BUILD_UP_S", "hypotheses.WEIGHT",
+    "plant.TAU",
+})  # fmt: skip
+
+
+def tuned(p):
+    """Build for `run_built`: the default estimator with its constants among the parameters. One for each length of ticks."""
+    return Tuned(0.1, {k: v for k, v in p.items() if k != "constants"}, p["constants"])
+
+
+def tuned_fast(p):
+    """The same for ticks of 0.05 s."""
+    return Tuned(0.05, {k: v for k, v in p.items() if k != "constants"}, p["constants"])
+
+
+BUILDS = {0.1: tuned, 0.05: tuned_fast}
+
+
+def judge(table: Ticks, B: np.ndarray, values: Mapping[str, Any]) -> program.Kept:
+    """The ticks of the method with other constants; those of BUILT_IN need a program of their own."""
+    own = {k: v for k, v in values.items() if k in BUILT_IN}
+    with changed(values):
+        passed = {
+            k: np.asarray(v, float) for k, v in constants().items() if k not in BUILT_IN and not isinstance(v, dict)
+        }
+        given, rows = {**program.parameters(B), "constants": passed}, program.inputs(table, B)
+        backend = chosen(None, "auto")
+        if not own:
+            return run_built(BUILDS[table.dt], given, *rows, program.kept, backend=backend)[1]
+        key = (table.dt, B.shape[1], "lower" in given, json.dumps(own, default=repr))
+        if key not in _BUILT:
+            _BUILT[key] = functools.partial(BUILDS[table.dt])
+        return run_built(_BUILT[key], given, *rows, program.kept, backend=backend)[1]
+
+
+_BUILT: dict[tuple, Callable] = {}
+
+
+@dataclass(frozen=True)
+class Case:
+    """One flight, ready to be judged. kind: which part of the set it is of. theta (T, n): true losses at its ticks; lost_s: when it
+    crashed, or None; overrides: outputs that part from the mixer."""
+
+    kind: str
+    ticks: Ticks
+    B: np.ndarray
+    theta: np.ndarray
+    lost_s: float | None = None
+    overrides: tuple[Event, ...] = ()
+
+
+def _flown(kind: str, plan: Plan | sequences.Sequences, numbers: Sequence[int]) -> list[Case]:
+    flights = batch.fly(plan, numbers, sequences.WIDTH)
+    return [Case(kind, f.ticks, f.vehicle.effectiveness(), f.theta, f.lost_s, f.overrides) for f in flights]
+
+
+def _injected(path: str, losses: Sequence[float], seed: int) -> list[Case]:
+    """A loss of each rotor and each size in one healthy flight, and the flight as it is."""
+    flight = logs.read(path)
+    vehicle, air, rng = airframes.identify(flight), airborne(flight), np.random.default_rng(seed)
+    B, plain = vehicle.effectiveness(), observe(flight, vehicle, air, READY_S)
+    if plain is None:
+        return []
+    n = B.shape[1]
+    cases = [Case("real, healthy", plain, B, np.zeros((len(plain.time), n)))]
+    room = [(a + READY_S + inject.AFTER_READY_S, b - inject.BEFORE_END_S) for a, b in air]
+    room = [(a, b) for a, b in room if b > a]
+    for rotor, loss in itertools.product(range(1, n + 1), losses) if room else ():
+        onset = inject.draw(room, rng)
+        table = observe(inject.inject(flight, vehicle, rotor, loss, onset), vehicle, air, READY_S)
+        if table is not None:
+            cases.append(Case("real, injected", table, B, (table.time >= onset)[:, None] * loss * np.eye(n)[rotor - 1]))
+    return cases
+
+
+def _surrogates(path: str, hours: float, seed: int) -> list[Case]:
+    flight = logs.read(path)
+    vehicle = airframes.identify(flight)
+    try:
+        source = false_alarms.source(flight, vehicle)
+    except ConfigError:
+        return []  # too short
+    B, rng, cases, flown = vehicle.effectiveness(), np.random.default_rng(seed), [], 0.0
+    while flown < hours:
+        table = false_alarms.surrogate(source, rng)
+        cases.append(Case("surrogate", table, B, np.zeros((len(table.time), B.shape[1]))))
+        flown += (table.mode == JUDGE).sum() * table.dt / 3600.0
+    return cases
+
+
+def outcomes(case: Case, kept: program.Kept) -> dict[str, Any]:
+    """What became of one flight: states (see sequences.py); false: announcements of rotors none of which is weak; hours judged; delays
+    of faults, None where not found soon; errors of the losses of weak rotors in right states, and whether their intervals held them."""
+    table, theta = case.ticks, case.theta
+    found = events.read(kept, table, hypotheses.make(case.B.shape[1]), case.B)
+    found = outside.unexplained(found, case.overrides)
+    said: list[tuple[float, str]] = [(s.at, s.outcome) for s in sequences.states(case, found)]
+
+    def weak_at(t: float) -> set[int]:
+        near = (table.time > t - SOON_S) & (table.time <= t + 1.0)
+        return {int(i) + 1 for i in np.flatnonzero((theta[near] > sequences.WEAK).any(axis=0))}
+
+    false = sum(not (set(itertools.chain(e.rotors, *e.alternatives)) & weak_at(e.detected_s)) for e in found)
+    delays = []
+    rises = np.argwhere(np.diff(theta, axis=0) > FAULT)
+    for k, rotor in rises:
+        onset = float(table.time[k + 1])
+        if table.mode[k + 1] != JUDGE or (case.lost_s is not None and case.lost_s < onset + 1.0):
+            continue
+        times = [e.detected_s - onset for e in found if rotor + 1 in e.rotors and onset - 1.0 <= e.detected_s]
+        delays.append(min((t for t in times if t <= SOON_S), default=None))
+    errors, held = [], []
+    for at, outcome in said:
+        if outcome != "right":
+            continue
+        k = min(int(np.searchsorted(table.time, at)), len(theta) - 1)
+        for e in found:
+            if e.onset_s <= at and (e.end_s is None or e.end_s > at):
+                for rotor in e.rotors:
+                    truth, guess = float(theta[k, rotor - 1]), float(kept.theta[k, rotor - 1])
+                    sd = float(events.sd_of(kept.theta[k], kept.theta_sd[k], case.B)[rotor - 1])
+                    errors.append(guess - truth)
+                    held.append(abs(guess - truth) <= 1.96 * sd)
+    hours = float((table.mode == JUDGE).sum() * table.dt / 3600.0)
+    return {"kind": case.kind, "states": [o for _, o in said], "false": false, "hours": hours, "delays": delays, "errors": errors,
+            "held": held}  # fmt: skip
+
+
+def _part(work: tuple) -> list[dict[str, list[dict]]]:
+    """Of every flight of one part of the set, what became of it under every variant."""
+    make, given, asked = work
+    cases = make(*given)
+    rows: list[dict[str, Any]] = [{} for _ in cases]
+    plain = [judge(case.ticks, case.B, {}) for case in cases]
+    for name, values in asked.items():
+        reading = all(key.startswith("events.") for key in values)  # the ticks stay as they are
+        for row, case, same in zip(rows, cases, plain):
+            kept = same if reading else judge(case.ticks, case.B, values)
+            with changed(values):
+                row[name] = outcomes(case, kept)
+    return rows
+
+
+def run(
+    plan: Plan,
+    paths: Sequence[str] = (),
+    flights: int = 96,
+    hours: float = 1.0,
+    losses: Sequence[float] = (0.2, 0.3),
+    only: Sequence[str] = (),
+    words: Sequence[str] = WORDS,
+    jobs: int | None = None,
+    progress: Callable | None = None,
+) -> dict[str, Any]:
+    """Judge the set under every variant: {"set", "variants": name -> measures, "differences": name -> from the method as it is}.
+
+    plan: simulated flights; as many of it as of sequences, `flights` in all. paths: healthy logs, for losses put into them and `hours` of
+    surrogates. only, words: see `variants`. progress: called as progress(share, text). Raises ConfigError, LogError.
+    """
+    asked = variants(only, words)
+    seeds = range(len(paths))
+    parts: list[tuple] = [(_injected, (str(p), tuple(losses), s), asked) for p, s in zip(paths, seeds)]
+    parts += [(_surrogates, (str(p), hours / len(paths), s), asked) for p, s in zip(paths, seeds)]
+    series = sequences.Sequences()
+    for kind, source in (("campaign", plan), ("sequences", series)):
+        cells = len(source.cells)
+        for cell in range(cells):
+            numbers = range(cell, flights // 2, cells)
+            parts += [(_flown, (kind, source, numbers[k : k + 4]), asked) for k in range(0, len(numbers), 4)]
+    rows: list[dict[str, Any]] = []
+    jobs = min(jobs or os.cpu_count() or 1, len(parts))
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) if jobs > 1 else nullcontext() as pool:
+        for done, found in enumerate(pool.map(_part, parts) if pool else map(_part, parts), start=1):
+            rows += found
+            if progress:
+                progress(done / len(parts), "judging")
+    if not rows:
+        raise ConfigError("No flight could be judged: give more flights, or healthy logs of more than half a minute.")
+    kinds = list(dict.fromkeys(next(iter(row.values()))["kind"] for row in rows))
+    return {
+        "set": {kind: sum(row["as it is"]["kind"] == kind for row in rows) for kind in kinds},
+        "variants": {name: measures([row[name] for row in rows]) for name in asked},
+        "differences": {
+            name: differences([row["as it is"] for row in rows], [row[name] for row in rows])
+            for name in asked
+            if asked[name]
+        },
+    }
+
+
+def measures(found: Sequence[dict[str, Any]]) -> dict[str, float | None]:
+    """right, wrong: shares of states (ambiguous with the truth is right); found: share of faults; delay_s: median; rms: error of losses;
+    coverage: of their intervals; false_per_h: announcements of rotors that are not weak."""
+    states = [o for f in found for o in f["states"]]
+    delays = [d for f in found for d in f["delays"]]
+    seen = [d for d in delays if d is not None]
+    errors, held = ([v for f in found for v in f[key]] for key in ("errors", "held"))
+    hours = sum(f["hours"] for f in found)
+    return {
+        "right": float(np.mean([o in ("right", "ambiguous") for o in states])) if states else None,
+        "wrong": float(np.mean([o == "wrong" for o in states])) if states else None,
+        "found": len(seen) / len(delays) if delays else None,
+        "delay_s": float(np.median(seen)) if seen else None,
+        "rms": float(np.sqrt(np.mean(np.square(errors)))) if errors else None,
+        "coverage": float(np.mean(held)) if held else None,
+        "false_per_h": sum(f["false"] for f in found) / hours if hours else None,
+    }
+
+
+def differences(before: Sequence[dict[str, Any]], after: Sequence[dict[str, Any]]) -> dict[str, dict[str, float]]:
+    """Paired differences of what is counted, after less before, with their standard deviation: right and wrong states, faults found, and
+    false announcements (per flight)."""
+    pairs = list(zip(before, after))
+    right = [
+        (a in ("right", "ambiguous"), b in ("right", "ambiguous"))
+        for p, q in pairs
+        for a, b in zip(p["states"], q["states"])
+    ]
+    wrong = [(a == "wrong", b == "wrong") for p, q in pairs for a, b in zip(p["states"], q["states"])]
+    found = [(a is not None, b is not None) for p, q in pairs for a, b in zip(p["delays"], q["delays"])]
+    false = [(p["false"], q["false"]) for p, q in pairs]
+    told = {"right": right, "wrong": wrong, "found": found, "false": false}
+    return {name: _paired(rows) for name, rows in told.items() if rows}
+
+
+def _paired(rows: Sequence[tuple]) -> dict[str, float]:
+    change = np.array([float(b) - float(a) for a, b in rows])
+    return {
+        "difference": float(change.mean()),
+        "sd": float(change.std() / np.sqrt(len(change))),
+        "changed": int((change != 0).sum()),
+    }
+
+
+def markdown(result: Mapping[str, Any]) -> str:
+    """The table, a constant a line: what changes when it is left out, halved, doubled."""
+    base = result["variants"]["as it is"]
+
+    def percent(v):
+        return "-" if v is None else f"{100 * v:.1f} %"
+
+    lines = [
+        "set: " + ", ".join(f"{count} flights {kind}" for kind, count in result["set"].items()),
+        f"as it is: {percent(base['right'])} of the states right, {percent(base['wrong'])} wrong and sure, {percent(base['found'])} of "
+        f"the faults found, median delay {base['delay_s'] or 0:.2f} s, error {base['rms'] or 0:.3f}, coverage {percent(base['coverage'])}, "
+        f"{base['false_per_h'] or 0:.2f} false announcements an hour",
+        "",
+        "| constant | variant | right | wrong | found | false alarms | delay s | error | coverage |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    for name, now in result["variants"].items():
+        if name == "as it is":
+            continue
+        d = result["differences"][name]
+        constant, _, variant = name.rpartition(" ")
+
+        false = d.get("false", {"changed": 0})
+        total = 0 if not false["changed"] else round(false["difference"] * sum(result["set"].values()))
+        lines.append(
+            f"| `{constant}` | {variant} | {_points(d, 'right')} | {_points(d, 'wrong')} | {_points(d, 'found')} | {total:+d} | "
+            f"{now['delay_s'] or 0:.2f} | {now['rms'] or 0:.3f} | {100 * (now['coverage'] or 0):.0f} % |"
+        )
+    return "\n".join(lines)
+
+
+def _points(told: Mapping[str, Any], key: str) -> str:
+    v = told.get(key)
+    if v is None:
+        return "-"
+    return "0" if not v["changed"] else f"{100 * v['difference']:+.1f} ± {196 * v['sd']:.1f}"

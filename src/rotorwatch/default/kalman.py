@@ -1,0 +1,98 @@
+"""The Kalman filter of one explanation: the plant's state x and the losses theta of the rotors that it says are weak.
+
+    s = [x; theta],   s <- A s,   P <- A P A' + Q            Q: noise.py; theta walks while it is refined
+    nu = y_a - h_a s,   S = h_a P h_a' + R_a,   s <- s + K nu          one axis a after the other: R is diagonal
+
+K is the Kalman gain times the share that each state may learn (caution.py); the covariance update holds for any gain (Joseph). A loss
+is refined for `posterior.LEARN_LOSS_S`, then taken as known, so that errors of the model cannot wear it away.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rotorwatch.default import noise, posterior
+from rotorwatch.default.plant import B1, B2, B3, PER_AXIS
+from rotorwatch.default.posterior import Branches
+
+# A loss that has been refined long enough is not yet known if it still grows: has left its mean over MOVING_S by MOVING, and by its own
+# uncertainty.
+MOVING, MOVING_S = 0.01, 2.0
+THETA_WALK = 0.02**2  # 1/s, while it is refined
+OUTLIER = 6.0  # standard deviations that an innovation counts at most
+BIASES = np.array([a * PER_AXIS + b for a in range(4) for b in (B1, B2, B3)])
+
+
+def restart(branches: Branches, P0, begins, hop) -> Branches:
+    """Where `begins`, biases are open again, with P0 (n_x, n_x): after a contact a loss that was known stays; with a new `hop` the vehicle
+    starts anew, and only what it is like stays known. Either ends the competition of explanations."""
+    import jax.numpy as jnp
+
+    n_s, n_x = branches.s.shape[1], len(P0)
+    keep = jnp.ones(n_s).at[BIASES].set(0.0).at[n_x:].set(0.0)
+    rows = np.ix_(BIASES, BIASES)
+    opened = jnp.zeros((n_s, n_s)).at[rows].set(jnp.asarray(P0)[rows])
+    alone = jnp.where(jnp.arange(posterior.PLACES) == 0, 0.0, posterior.NEVER)
+    return branches._replace(
+        s=jnp.where(hop, branches.s * keep, branches.s),
+        P=jnp.where(hop, branches.P * keep[:, None] * keep[None, :], branches.P) + jnp.where(begins, opened, 0.0),
+        active=branches.active & ~hop,
+        learning=jnp.where(hop, 0.0, branches.learning),
+        theta_var=jnp.where(hop, 0.0, branches.theta_var),
+        weight=jnp.where(begins, alone, branches.weight),
+    )
+
+
+def predict(branches: Branches, decay, variances, doubt, flying, dt: float) -> Branches:
+    """One tick ahead. decay (n_x,): of the plant's states; variances (4, 4) of the noise model; doubt: by how much errors have been larger
+    than that. A loss that has been refined long enough is taken as known, its variance is remembered; one that is none is over."""
+    import jax
+    import jax.numpy as jnp
+
+    n_x = len(decay)
+    A = np.concatenate([decay, np.ones(branches.s.shape[1] - n_x)])
+    q_x = jnp.where(flying, noise.process_variance(variances, dt), 0.0)
+    q_x = jnp.concatenate([q_x, jnp.zeros(n_x - q_x.size)])
+
+    def one(s, P, active, learning, theta_var, theta_mean):
+        theta = s[n_x:]
+        mean = theta_mean + (theta - theta_mean) * (dt / MOVING_S)
+        var = doubt * jnp.diagonal(P)[n_x:]
+        finished = (learning > 0) & (learning <= dt)
+        moving = finished & (jnp.abs(theta - mean) > jnp.maximum(MOVING, jnp.sqrt(jnp.maximum(var, 0.0))))
+        finished &= ~moving
+        known = jnp.concatenate([jnp.ones(n_x), jnp.where(finished, 0.0, 1.0)])
+        P = P * known[:, None] * known[None, :]
+        learning = jnp.where(moving, MOVING_S, jnp.maximum(learning - dt, 0.0))
+        Q = jnp.diag(jnp.concatenate([q_x, (learning > 0) * THETA_WALK * dt]))
+        over = finished & (theta < posterior.OVER)
+        s = s * jnp.concatenate([jnp.ones(n_x), jnp.where(over, 0.0, 1.0)])
+        theta_var = jnp.where(over, 0.0, jnp.where(finished, var, theta_var))
+        return A * s, A[:, None] * P * A[None, :] + Q, active & ~over, learning, theta_var, mean
+
+    parts = ("s", "P", "active", "learning", "theta_var", "theta_mean")
+    ahead = jax.vmap(one)(*(getattr(branches, name) for name in parts))
+    return branches._replace(**dict(zip(parts, ahead)))
+
+
+def update(s, P, rows, y, valid, R, teach):
+    """One tick's wrench y (4,) where valid (4,), of rows (4, n_s) and noise variances R (4,); teach (n_s,): share of the gain that each
+    state gets. -> s, P, gains (4, n_s), innovations (4,), variances (4,)."""
+    import jax.numpy as jnp
+
+    gains, innovations, variances = [], [], []
+    for a in range(4):
+        h = rows[a]
+        nu = y[a] - h @ s
+        Ph = P @ h
+        S = h @ Ph + R[a]
+        S = jnp.maximum(S, nu * nu / OUTLIER**2)
+        nu = jnp.where(valid[a], nu, 0.0)
+        K = Ph * jnp.where(valid[a], 1.0 / S, 0.0) * teach
+        s = s + K * nu
+        P = P - K[:, None] * Ph[None, :] - Ph[:, None] * K[None, :]
+        P = P + jnp.where(valid[a], S, 0.0) * K[:, None] * K[None, :]
+        gains.append(K)
+        innovations.append(nu)
+        variances.append(S)
+    return s, 0.5 * (P + P.T), jnp.stack(gains), jnp.stack(innovations), jnp.stack(variances)
