@@ -70,6 +70,7 @@ NAMED: dict[str, tuple[str, ...]] = {
     "logs/series.py": ("logs_px4", "logs_table", "dataflash"),
     "logs/sdlog2.py": ("logs_sdlog2",),
     "report/*.py": ("report",),
+    "estimators/__init__.py": ("architecture",),
     "estimators/akf.py": ("axkf",),
     "estimators/adaptive_ekf.py": ("axkf",),
     "estimators/ekf.py": ("axkf",),
@@ -81,7 +82,12 @@ NAMED: dict[str, tuple[str, ...]] = {
     "estimators/mh*.py": ("lyapunov_mhe",),
     "default/estimator.py": ("default_estimator",),
     "default/bank.py": ("default_estimator",),
-    "default/plant.py": ("coaxial_share",),
+    "default/evidence.py": ("default_estimator",),
+    "default/kalman.py": ("default_estimator",),
+    "default/announcement.py": ("default_estimator",),
+    "default/opposite.py": ("default_estimator",),
+    "default/posterior.py": ("default_estimator",),
+    "default/program.py": ("coaxial_share",),
 }
 
 # Of what Cosmic Ray can do, changes that programmers make: one opposite for each operator, not all eleven.
@@ -145,11 +151,13 @@ def tests_of(file: str) -> tuple[str, ...]:
 
 
 def parts() -> dict[str, tuple[str, ...]]:
-    """Part -> its files, below src/rotorwatch."""
-    return {
-        part: tuple(sorted(str(f.relative_to(ROOT / SOURCE)) for p in patterns for f in (ROOT / SOURCE).glob(p)))
-        for part, (patterns, _) in PARTS.items()
-    }
+    """Part -> its files, below src/rotorwatch, but for rooms that hold no code."""
+    found = {}
+    for part, (patterns, _) in PARTS.items():
+        files = sorted(f for pattern in patterns for f in (ROOT / SOURCE).glob(pattern))
+        files = [f for f in files if len(ast.parse(f.read_text(encoding="utf-8")).body) > 1]
+        found[part] = tuple(str(f.relative_to(ROOT / SOURCE)) for f in files)
+    return found
 
 
 def left_out(source: str) -> list[tuple[tuple[int, int], tuple[int, int]]]:
@@ -207,32 +215,39 @@ def changed(source: str, operator: str, occurrence: int) -> str | None:
     return None if same else text
 
 
+def ranked(part: str, seed: int) -> list[tuple[bytes, str, str, int, int]]:
+    """(digest, file, operator, occurrence, line) of all that can be planted in a part, in the order in which they are drawn. Of a
+    number's two neighbours only one is there."""
+    found = []
+    for file in parts()[part]:
+        source = (ROOT / SOURCE / file).read_text(encoding="utf-8")
+        lines, seen = source.splitlines(), Counter()
+        for operator, occurrence, line in places(source):
+            text = lines[line - 1].strip()
+            seen[operator, text] += 1
+            digest = hashlib.sha256(f"{seed} {file} {operator} {text} {seen[operator, text]}".encode()).digest()
+            if operator != "NumberReplacer" or digest[-1] % 2 == 0:
+                found.append((digest, file, operator, occurrence, line))
+    return sorted(found)
+
+
 def draw(sample: int, seed: int) -> list[Mutant]:
-    """The sample: each part has its share of it. Of a number's two neighbours only one can be drawn."""
-    chosen = []
-    for part, files in parts().items():
-        ranked = []
-        for file in files:
-            source = (ROOT / SOURCE / file).read_text(encoding="utf-8")
-            lines, seen = source.splitlines(), Counter()
-            for operator, occurrence, line in places(source):
-                text = lines[line - 1].strip()
-                seen[operator, text] += 1
-                digest = hashlib.sha256(f"{seed} {file} {operator} {text} {seen[operator, text]}".encode()).digest()
-                if operator != "NumberReplacer" or digest[-1] % 2 == 0:
-                    ranked.append((digest, file, operator, occurrence, line))
-        kept: list[Mutant] = []
-        for _, file, operator, occurrence, line in sorted(ranked):
-            if len(kept) == round(sample * PARTS[part][1]):
+    """The sample: each part has its share of it."""
+    chosen: dict[tuple[str, ...], Mutant] = {}
+    for part, (_, share) in PARTS.items():
+        left = round(sample * share)
+        for _, file, operator, occurrence, line in ranked(part, seed):
+            if not left:
                 break
             source = (ROOT / SOURCE / file).read_text(encoding="utf-8")
             new = changed(source, operator, occurrence)
             if new is None:
                 continue
-            pair = next((a, b) for a, b in zip(source.splitlines(), new.splitlines()) if a != b)
-            kept.append(Mutant(part, file, line, operator, occurrence, pair[0].strip(), pair[1].strip()))
-        chosen += kept
-    return chosen
+            before, after = next((a, b) for a, b in zip(source.splitlines(), new.splitlines()) if a != b)
+            one = Mutant(part, file, line, operator, occurrence, before.strip(), after.strip())
+            if one.key not in chosen:
+                chosen[one.key], left = one, left - 1
+    return list(chosen.values())
 
 
 def by_hand() -> list[Mutant]:

@@ -373,11 +373,42 @@ def test_overrides_of_a_log_that_stops_are_those_known_by_then(end):
 
 def test_a_mixer_has_to_pass_twenty_comparisons_before_it_accuses():
     """An output that is off from the first second on: nothing has been compared by then, and what comes later does not count."""
-    flight, vehicle, _ = hover(duration=20.0)
-    for start, accused in ((1.5, False), (6.0, True)):
-        motors = with_output(flight, 2, start, 1560.0)
-        found = allocation.overrides(motors.until(start + 2.0), vehicle, ((0.0, start + 2.0),))
+    flight, vehicle, _ = hover()
+    for start, accused in ((1.0, False), (6.0, True)):
+        found = allocation.overrides(with_output(flight, 2, start, 1560.0, end=start + 2.5), vehicle, ((0.0, 30.0),))
         assert bool([o for o in found if o.reason.startswith("output 2 was at 1560")]) == accused
+
+
+def later(flight, by=0.007):
+    """The flight with its outputs logged between the controller's samples."""
+    motors = replace(flight["motors"], time=flight["motors"].time + by)
+    return replace(flight, signals={**flight.signals, "motors": motors})
+
+
+def test_an_override_is_known_when_the_later_of_its_two_control_samples_has_come():
+    """Live, up to the very moment of detection: a millisecond sooner nobody could have known."""
+    flight, vehicle, _ = hover()
+    motors = flight["motors"]
+    driven = np.where(motors.time >= 15.0, 1550 + 60 * np.sin(5 * motors.time), motors.values[:, 2])  # never at rest
+    motors = replace(motors, values=np.column_stack([*motors.values[:, :2].T, driven, motors.values[:, 3]]))
+    flight = later(replace(flight, signals={**flight.signals, "motors": motors}))
+    (found,) = allocation.overrides(flight, vehicle, ((1.0, 30.0),))
+    assert found.detected in flight["control"].time and found.detected > found.onset
+    for moment, known in ((found.detected + 1e-6, True), (found.detected - 1e-3, False)):
+        assert bool(allocation.overrides(flight.until(moment), vehicle, ((1.0, moment),))) == known
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_a_sample_is_judged_by_what_was_known_before_it(known):
+    """What is asked of the outputs comes from the weights of the sample before, not from its own or a later one's."""
+    flight, vehicle, _ = hover(duration=8.0)
+    check = allocation.compare(flight, vehicle if known else replace(vehicle, mixer=None))
+    at = np.searchsorted(flight["control"].time, check.time)
+    inputs = np.column_stack([flight["control"].values[at], np.ones(at.size)])
+    before = np.concatenate([check.weights[:1], check.weights[:-1]])
+    np.testing.assert_allclose(check.asked, np.einsum("tc,tcr->tr", inputs, before), rtol=1e-12)
+    np.testing.assert_allclose(check.deviation, check.demand - np.clip(check.asked, 0.0, check.top), atol=1e-15)
+    assert np.abs(check.weights[1:] - check.weights[:-1]).max() > 1e-6
 
 
 def test_the_last_value_known_is_held_and_none_that_comes_later():

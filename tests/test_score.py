@@ -7,7 +7,7 @@ import pytest
 
 from rotorwatch import airframes
 from rotorwatch.campaign import score
-from rotorwatch.default.estimator import PERSIST_S
+from rotorwatch.default.announcement import PERSIST_S
 from rotorwatch.diagnosis import Event
 from rotorwatch.experiments import limits
 from rotorwatch.motion.ticks import JUDGE, LEARN
