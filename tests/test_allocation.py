@@ -306,3 +306,185 @@ def test_torque_alone_tells_less():
     effect = airframes.named("ardupilot-octa-plus").effectiveness()
     with_thrust, torque = (set(allocation.ambiguous_sets(b)) for b in (effect, effect[:3]))
     assert with_thrust < torque
+
+
+def compared(gain, duration=120.0, rate=10.0):
+    """Gains that a quad's mixer is believed to have at each of its comparisons, where the true one is gain(time)."""
+    mixer = airframes.named("ardupilot-quad-x").mixer
+    time = np.arange(0.0, duration, 1.0 / rate)
+    rng = np.random.default_rng(2)
+    inputs = np.column_stack([0.03 * rng.standard_normal((time.size, 3)), np.full(time.size, 0.4), np.ones(time.size)])
+    asked = inputs[:, :4] @ mixer.T
+    weights = allocation._learn_gain(time, inputs, np.reshape(gain(time), (-1, 1)) * asked, mixer)
+    assert weights.shape == (time.size, 5, 4) and not weights[:, 4].any()
+    return time, weights[:, 3, 0] / mixer[0, 3], (asked**2).sum(axis=1)
+
+
+def test_the_mixers_gain_is_an_average_that_forgets_over_twenty_seconds():
+    """Thinner air is a larger gain: against the weighted means written out, and 63 % of the way after one memory."""
+    time, found, power = compared(lambda t: np.where(t < 60.0, 1.0, 1.1))
+    true = np.where(time < 60.0, 1.0, 1.1)
+    for k in (0, 300, 599, 700, 799, 1199):
+        fades = np.exp((time[: k + 1] - time[k]) / allocation.GAIN_MEMORY_S) * power[: k + 1]
+        assert found[k] == pytest.approx((fades * true[: k + 1]).sum() / fades.sum(), rel=1e-9)
+    after = np.searchsorted(time, 60.0 + allocation.GAIN_MEMORY_S)
+    assert (found[after] - 1.0) / 0.1 == pytest.approx(1.0 - np.exp(-1.0), abs=0.05)
+
+
+def test_samples_that_no_gain_explains_teach_no_gain():
+    """Between usable samples the last gain holds; before the first it is one."""
+    time, found, _ = compared(lambda t: np.where((t < 10.0) | (t > 50.0), 1.9, 1.2))
+    assert (found[time < 10.0] == 1.0).all()
+    np.testing.assert_allclose(found[time >= 10.0], 1.2, rtol=1e-9)
+    _, first, _ = compared(lambda t: np.where(t == 0.0, 1.2, 1.9), duration=5.0)
+    np.testing.assert_allclose(first, 1.2, rtol=1e-9)
+
+
+def test_an_unknown_mixer_is_least_squares_of_what_came_before():
+    """Against the batch solution with the same prior: unit variance of each weight, throttle one for one."""
+    mixer = airframes.named("ardupilot-quad-x").mixer
+    rng = np.random.default_rng(3)
+    inputs = np.column_stack([0.05 * rng.standard_normal((60, 3)), rng.uniform(0.3, 0.5, 60), np.ones(60)])
+    thrust = inputs[:, :4] @ mixer.T + 0.002 * rng.standard_normal((60, 4))
+    thrust[7, 2], thrust[9, 1] = 0.01, 0.99  # at rest and at its limit: not usable
+    weights = allocation._learn_mixer(np.arange(60.0), inputs, thrust, np.ones((60, 1)))
+    use = np.setdiff1d(np.arange(60), [7, 9])
+    prior = np.zeros((5, 4))
+    prior[3] = 1.0
+    for k in (0, 7, 20, 59):
+        rows = use[use <= k]
+        A = inputs[rows].T @ inputs[rows] / allocation.NOISE_SD**2 + np.eye(5)
+        wanted = np.linalg.solve(A, inputs[rows].T @ thrust[rows] / allocation.NOISE_SD**2 + prior)
+        np.testing.assert_allclose(weights[k], wanted, atol=1e-6)
+
+
+@pytest.mark.parametrize("end", [12.6, 15.6, 16.05])
+def test_overrides_of_a_log_that_stops_are_those_known_by_then(end):
+    """A live observer: what comes later neither finds an override sooner nor takes one back."""
+    flight, vehicle, _ = hover()
+    flight = with_output(with_output(flight, 2, 12.0, 1000.0, end=14.0), 3, 15.0, 1000.0)
+    whole = allocation.overrides(flight, vehicle, ((1.0, 30.0),))
+    cut = allocation.overrides(flight.until(end), vehicle, ((1.0, end),))
+    assert [(o.rotor, o.kind, o.onset, o.detected) for o in cut] == [
+        (o.rotor, o.kind, o.onset, o.detected) for o in whole if o.detected < end
+    ]
+    assert [o.rotor for o in whole] == [2, 3] and len(cut) == (1 if end < 15.0 else 2)
+
+
+def test_a_mixer_has_to_pass_twenty_comparisons_before_it_accuses():
+    """An output that is off from the first second on: nothing has been compared by then, and what comes later does not count."""
+    flight, vehicle, _ = hover()
+    for start, accused in ((1.0, False), (6.0, True)):
+        found = allocation.overrides(with_output(flight, 2, start, 1560.0, end=start + 2.5), vehicle, ((0.0, 30.0),))
+        assert bool([o for o in found if o.reason.startswith("output 2 was at 1560")]) == accused
+
+
+def later(flight, by=0.007):
+    """The flight with its outputs logged between the controller's samples."""
+    motors = replace(flight["motors"], time=flight["motors"].time + by)
+    return replace(flight, signals={**flight.signals, "motors": motors})
+
+
+def test_an_override_is_known_when_the_later_of_its_two_control_samples_has_come():
+    """Live, up to the very moment of detection: a millisecond sooner nobody could have known."""
+    flight, vehicle, _ = hover()
+    motors = flight["motors"]
+    driven = np.where(motors.time >= 15.0, 1550 + 60 * np.sin(5 * motors.time), motors.values[:, 2])  # never at rest
+    motors = replace(motors, values=np.column_stack([*motors.values[:, :2].T, driven, motors.values[:, 3]]))
+    flight = later(replace(flight, signals={**flight.signals, "motors": motors}))
+    (found,) = allocation.overrides(flight, vehicle, ((1.0, 30.0),))
+    assert found.detected in flight["control"].time and found.detected > found.onset
+    for moment, known in ((found.detected + 1e-6, True), (found.detected - 1e-3, False)):
+        assert bool(allocation.overrides(flight.until(moment), vehicle, ((1.0, moment),))) == known
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_a_sample_is_judged_by_what_was_known_before_it(known):
+    """What is asked of the outputs comes from the weights of the sample before, not from its own or a later one's."""
+    flight, vehicle, _ = hover(duration=8.0)
+    check = allocation.compare(flight, vehicle if known else replace(vehicle, mixer=None))
+    at = np.searchsorted(flight["control"].time, check.time)
+    inputs = np.column_stack([flight["control"].values[at], np.ones(at.size)])
+    before = np.concatenate([check.weights[:1], check.weights[:-1]])
+    np.testing.assert_allclose(check.asked, np.einsum("tc,tcr->tr", inputs, before), rtol=1e-12)
+    np.testing.assert_allclose(check.deviation, check.demand - np.clip(check.asked, 0.0, check.top), atol=1e-15)
+    assert np.abs(check.weights[1:] - check.weights[:-1]).max() > 1e-6
+
+
+def test_the_last_value_known_is_held_and_none_that_comes_later():
+    time, values = np.array([1.0, 2.0, 4.0]), np.array([10.0, 20.0, 40.0])
+    at = np.array([0.5, 1.0, 1.5, 2.0, 3.999, 4.0, 9.0])
+    assert allocation.hold(time, values, at, before=-1.0).tolist() == [-1.0, 10.0, 10.0, 20.0, 20.0, 40.0, 40.0]
+    table = np.column_stack([values, -values])
+    assert allocation.hold(time, table, at, before=7.0)[[0, 1, 4]].tolist() == [
+        [7.0, 7.0],
+        [10.0, -10.0],
+        [20.0, -20.0],
+    ]
+    assert allocation.hold(time[:0], values[:0], at, before=3.0).tolist() == [3.0] * 7
+    assert allocation.hold(time[:0], table[:0], at[:2]).tolist() == [[0.0, 0.0]] * 2
+
+
+def test_spans_hold_their_start_and_not_their_end():
+    assert allocation.within(np.array([0.9, 1.0, 1.5, 2.0, 3.0]), ((1.0, 2.0), (3.0, 4.0))).tolist() == [
+        False, True, True, False, True,
+    ]  # fmt: skip
+    assert not allocation.within(np.arange(3.0), ()).any()
+
+
+def test_before_any_output_is_logged_no_thrust_is_known():
+    flight, vehicle, _ = hover()
+    late = replace(flight, signals={**flight.signals, "motors": flight["motors"].between(5.0, 99.0)})
+    best = allocation.rotor_thrusts(late, vehicle)
+    assert not best.valid[best.time < 4.9].any() and best.valid[best.time > 6.0].all()
+
+
+def test_outputs_alone_say_which_was_off_or_did_not_move_and_until_when():
+    """Without a controller's outputs. Off is below the minimum; at the minimum again it is not back, in flight it is."""
+    flight, vehicle, _ = hover()
+    bare = replace(flight, signals={k: v for k, v in flight.signals.items() if k != "control"})
+    low = vehicle.curve.u_min
+    off = with_output(with_output(bare, 2, 12.0, low - 50.0, end=16.0), 2, 16.0, low, end=19.0)
+    (found,) = allocation.overrides(off, vehicle, ((1.0, 30.0),))
+    assert (found.rotor, found.kind, found.asked) == (2, "off", None)
+    assert found.reason == f"output 2 was off at {low - 50.0:.4g} while all others flew on"
+    assert found.onset == pytest.approx(12.0) and 12.2 < found.detected < 12.8
+    assert found.end == pytest.approx(19.0, abs=0.15)
+    (stuck,) = allocation.overrides(with_output(bare, 3, 12.0, end=16.0), vehicle, ((1.0, 30.0),))
+    assert (stuck.rotor, stuck.kind) == (3, "stuck") and stuck.reason.startswith("output 3 did not move at ")
+    assert stuck.onset == pytest.approx(12.0, abs=0.15) and stuck.detected - stuck.onset > allocation.SILENT_S
+    assert stuck.end == pytest.approx(16.0, abs=0.15)
+
+
+def test_an_output_is_accused_with_what_is_left_under_the_share_of_yaw_that_suits_it_best():
+    """A mixer that has given up half of its yaw, and output 2 off by 0.2: of the shares under which the others agree, the least is left."""
+    yaw = 0.15 * np.array([1.0, 1.0, -1.0, -1.0, 1.0, -1.0])
+    asked = 0.5 + yaw + 0.01 * np.arange(6)
+    demand = asked - 0.5 * yaw + 0.2 * np.eye(6)[1]
+    left = []
+    for share in allocation.GIVEN_UP:
+        off = demand - (asked - share * yaw)
+        others = np.delete(off, 1)
+        if np.sum(np.abs(others - np.median(others)) < allocation.PART) > allocation.AGREEING * 5:
+            left.append(off[1] - np.median(others))
+    assert len(left) > 1 and min(left, key=abs) != left[-1]
+    rows = np.zeros((2, 1))
+    check = allocation.Comparison(
+        rows[0], rows[1], demand[None], asked[None], np.ones((1, 1)), yaw[None], np.array([False]), (demand - asked)[None],
+        np.zeros((1, 5, 6)), np.ones((1, 6), bool),
+    )  # fmt: skip
+    alone = allocation._alone(check, np.ones((1, 6), bool))[0]
+    assert (
+        alone[1] == pytest.approx(min(left, key=abs), abs=1e-9)
+        and np.nanmax(np.abs(np.delete(alone, 1))) < allocation.PART
+    )
+    granted = allocation._alone(replace(check, yaw_granted=np.array([True])), np.ones((1, 6), bool))[0]
+    assert not np.isfinite(granted).all() or np.abs(granted).max() > 0.2  # all of the yaw was to be had
+
+
+def test_a_median_is_of_what_is_known():
+    nan = np.nan
+    values = np.array(
+        [[3.0, 1.0, 2.0, nan], [4.0, nan, 1.0, nan], [1.0, 2.0, 4.0, 8.0], [nan, 5.0, nan, nan], [nan] * 4]
+    )
+    np.testing.assert_array_equal(allocation._median(values), [2.0, 2.5, 3.0, nan, nan])

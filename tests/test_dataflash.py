@@ -9,7 +9,7 @@ import pytest
 from rotorwatch.errors import LogError
 from rotorwatch.logs import dataflash
 from rotorwatch.logs.dataflash_binary import CODES, BinaryLog
-from rotorwatch.logs.dataflash_clock import make_clock
+from rotorwatch.logs.dataflash_clock import LOOK_BACK, make_clock
 
 STRUCT = dict(a="64s", b="b", B="B", h="h", H="H", i="i", I="I", q="q", Q="Q", g="e", f="f", d="d", M="B") | dict(
     n="4s", N="16s", Z="64s", c="h", C="H", e="i", E="I", L="i"
@@ -400,7 +400,7 @@ def test_a_log_without_flight_or_of_another_kind_is_refused():
 def test_progress_runs_to_the_end():
     seen = []
     dataflash.read(old_log(), "x.bin", seen.append)
-    assert seen == sorted(seen) and seen[-1] == 1.0
+    assert seen == sorted(seen) and seen[0] == 0.5 and seen[-1] == 1.0  # half of the work is finding records
 
 
 @pytest.mark.parametrize("wrap", [memoryview, bytearray])
@@ -422,3 +422,55 @@ def test_a_vehicle_whose_outputs_are_passed_through_is_not_judged():
     diagnosis = diagnose(WILD / "on-its-side-1.bin.xz")
     assert diagnosis.verdict == "inconclusive" and not diagnosis.events
     assert any("SERVO1_FUNCTION" in w for w in diagnosis.warnings)
+
+
+@pytest.mark.parametrize("lead", [0, 1, 3])
+def test_a_good_stretch_is_found_again_behind_more_garbage_than_is_looked_at_one_by_one(lead):
+    """Seconds of sound stamps, then more single wild ones than LOOK_BACK, then sound ones again: both parts are kept."""
+    sound = 1e6 * (100 + 0.01 * np.arange(600))
+    wild = 1e12 * (9 + np.arange(LOOK_BACK + 9) % 7 + 0.1 * np.arange(LOOK_BACK + 9))
+    stamps = np.concatenate([wild[:lead], sound[:300], wild[lead:], sound[300:]])
+    clock = make_clock(stamps)
+    good = np.concatenate(
+        [np.full(lead, False), np.full(300, True), np.full(wild.size - lead, False), np.full(300, True)]
+    )
+    np.testing.assert_array_equal(clock.good, good)
+    assert clock.end == pytest.approx(5.99) and clock.start_us == 100e6 and clock.jumps == ()
+
+
+@pytest.mark.parametrize("count", [9, 10])
+def test_rates_in_centidegrees_are_told_by_the_gyro_from_ten_samples_on(count):
+    log = Writer()
+    log.define(*IMU)
+    log.define(*RATE)
+    for k in range(max(count, 12)):
+        us, turn = 1_000_000 + 20_000 * k, 0.005 + 0.001 * k
+        log.add("IMU", us, 0, turn, 0.0, 0.0, 0.0, 0.0, -9.8)
+        if k < count:
+            log.add("RATE", us, 0.0, np.degrees(turn) * 100.0, 0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.4, 0.4)
+    rates = dataflash.read(log.data, "made.bin")["rates"]
+    assert rates.values[3, 0] == pytest.approx(0.008 * (1.0 if count == 10 else 100.0), rel=1e-5)
+
+
+@pytest.mark.parametrize("raw", [True, False])
+def test_small_controller_outputs_are_raw_or_not_as_the_motors_move(raw):
+    """A calm flight of old firmware asks for 60 of 4500: by size alone that would be sixty times full output."""
+    log = Writer()
+    log.parameters(FRAME_CLASS=1, **{f"SERVO{n}_FUNCTION": 32 + n for n in range(1, 5)})
+    log.define(*RCOU)
+    log.define(*RATE)
+    for k in range(40):
+        us, roll = 1_000_000 + 20_000 * k, 60.0 / 4500.0 * (-1) ** k
+        # A quad's mixer makes of it half as much of the motors' 1000 us, one side up and the other down.
+        log.add(
+            "RCOU", us, *pwm(**{f"o{n}": 1500 + round(500 * roll) * (1 if n in (2, 3) else -1) for n in range(1, 5)})
+        )
+        out = roll * (4500.0 if raw else 1.0)
+        log.add("RATE", us + 10, 0.0, 0.0, out, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.4, 0.4)
+    control = dataflash.read(log.data, "made.bin")["control"]
+    assert control.values[10, 0] == pytest.approx(60.0 / 4500.0, rel=1e-5)
+
+
+def test_a_log_without_any_time_has_a_clock_that_stands_at_nothing():
+    clock = make_clock(np.full(4, np.nan))
+    assert (clock.end, clock.start_us, clock.warnings) == (0.0, 0.0, ()) and clock.good.all() and not clock.time.any()

@@ -166,3 +166,19 @@ def test_a_real_log_of_3_0_without_motors_says_so():
     assert flight.firmware.startswith("ArduCopter V3.0.1") and 150 < flight.duration < 200
     with pytest.raises(VehicleError, match="MOT"):
         airframes.identify(flight)
+
+
+def test_a_gps_whose_clock_mostly_stands_still_keeps_no_time():
+    """Less than half of its steps are of a moving clock: then the ten records a second of the loop do."""
+    for moving, source in ((0.7, "GPS"), (0.3, "ten records")):
+        log = Writer()
+        log.define("MOT", "hhhh", "Mot1,Mot2,Mot3,Mot4")
+        log.define(*GPS)
+        stamp = 1000
+        for k in range(200):
+            log.add("MOT", 1500, 1500, 1500, 1500)
+            if k % 2 == 0:
+                stamp += 200 if (k // 2) % 10 < 10 * moving else 0
+                log.add("GPS", 3, stamp, 1700, 9, 1, 0, 0, 0, 0, 0, 0)
+        read = dataflash.read(log.data, "old.bin")
+        assert any("rebuilt from" in w and source in w for w in read.warnings), (moving, read.warnings)

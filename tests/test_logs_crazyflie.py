@@ -145,3 +145,22 @@ def test_recognised_by_content_only():
 def test_the_check_sum_of_a_real_log_holds():
     data = lzma.decompress(next(FLIGHTS.glob("normal*E9*.xz")).read_bytes())
     assert not [w for w in crazyflie.read(data, "x").warnings if "sum" in w]
+
+
+def test_a_battery_in_millivolts_goes_before_one_in_volts():
+    flight = crazyflie.read(usd([(*ROW, 3900)] * 9, [*VARIABLES, ("pm.vbatMV", "H")]), "x.usd")
+    assert flight["battery"].values[0, 0] == pytest.approx(3.9)
+
+
+def test_angles_in_degrees_turn_as_the_firmware_says():
+    """Roll right and nose up as they are, yaw the other way round; without pitch it is taken as none."""
+    names = ("roll", "pitch", "yaw")
+    for angles, axis in (((90.0, 0.0, 0.0), 1), ((0.0, 90.0, 0.0), 2), ((0.0, 0.0, -90.0), 3)):
+        variables = [*VARIABLES, *((f"stateEstimate.{n}", "f") for n in names)]
+        q = crazyflie.read(usd([(*ROW, *angles)] * 9, variables), "x.usd")["attitude"].values[0]
+        assert q[0] == pytest.approx(np.sqrt(0.5)) and q[axis] == pytest.approx(np.sqrt(0.5))
+    flight = crazyflie.read(
+        usd([(*ROW, 0.0, -90.0)] * 9, [*VARIABLES, ("stateEstimate.roll", "f"), ("stateEstimate.yaw", "f")]), "x.usd"
+    )
+    assert flight["attitude"].values[0] == pytest.approx([np.sqrt(0.5), 0, 0, np.sqrt(0.5)])
+    assert any("pitch was not logged" in w for w in flight.warnings)

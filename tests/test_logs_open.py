@@ -109,6 +109,7 @@ def test_a_decompression_bomb_is_refused(tmp_path):
     path.write_bytes(lzma.compress(bytes(5 << 20)))
     with pytest.raises(LogError, match="unfolds to more than 1 MB"):
         container.open_log(path, limit=1 << 20)
+    assert len(container.open_log(path, limit=5 << 20)[0]) == 5 << 20  # just as much is none
 
 
 @pytest.mark.parametrize(

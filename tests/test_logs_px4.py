@@ -2,6 +2,7 @@
 
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -377,3 +378,34 @@ def test_time_set_back_never_gives_a_negative_step():
 def test_a_jump_of_years_keeps_the_longer_side():
     t = np.r_[np.arange(90) / 10.0, 1e9 + np.arange(10) / 10.0]
     assert series.steady(t).tolist() == list(range(90))
+
+
+def test_a_message_of_as_many_fields_as_are_allowed_is_read_and_one_more_is_damage():
+    """Fields of nested messages count as often as they are in it."""
+
+    def check(inner, outer):
+        inner = SimpleNamespace(fields=[("float", 0, f"f{k}") for k in range(inner)])
+        formats = {"in": inner, "out": SimpleNamespace(fields=[("in", outer, "x"), ("uint64_t", 0, "timestamp")])}
+        ulog._check_definitions(SimpleNamespace(message_formats=formats))
+
+    most = ulog._MOST_FIELDS
+    check(3, (most - 1) // 3)
+    with pytest.raises(LogError, match="definitions"):
+        check(3, (most - 1) // 3 + 1)
+
+
+def test_progress_of_reading_is_told():
+    seen = []
+    file = ulog._File(bytes(300_000), seen.append)
+    while file.read(1000):
+        pass
+    assert seen == sorted(seen) and 0.5 < seen[0] < 1.0 and seen[-1] == 1.0
+
+
+@pytest.mark.parametrize(
+    "volts, amps, valid", [(0.0, 3.0, [False, True]), (15.8, -1.0, [True, False]), (15.8, 0.0, [True, True])]
+)
+def test_a_battery_that_is_not_measured_is_not_known(volts, amps, valid):
+    fields = {"voltage_v": np.full(20, volts), "current_a": np.full(20, amps)}
+    battery = px4_topics.signals(topics(battery_status=fields), {})[0]["battery"]
+    assert battery.valid[0].tolist() == valid

@@ -209,3 +209,18 @@ def test_damage_anywhere_is_read_or_refused(tmp_path):
             assert "\n" not in str(error)
             outcomes.append(None)
     assert True in outcomes and False not in outcomes
+
+
+def test_one_column_is_a_battery_without_current_and_a_throttle_without_anything():
+    flight = from_arrays(columns(voltage_V=np.full(100, 12.0), throttle=np.full(100, 0.4)))
+    assert flight["throttle"].values.shape == (100, 1) and flight["throttle"].valid.all()
+    assert flight["battery"].values[0, 0] == 12.0 and flight["battery"].valid[:, 0].all()
+    assert not flight["battery"].valid[:, 1].any()
+
+
+def test_times_count_from_the_first_row():
+    later = columns()
+    later["time_s"] = later["time_s"] + 1234.5
+    flight = from_arrays(later)
+    assert flight["gyro"].time[:3] == pytest.approx([0.0, 0.01, 0.02]) and flight.start_us == 1_234_500_000
+    assert flight.duration == pytest.approx(0.99, abs=0.011)

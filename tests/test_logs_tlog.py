@@ -214,3 +214,82 @@ def test_a_plane_is_read_and_named_but_a_multirotor_beside_it_goes_first():
         airframes.identify(plane)
     both = Writer().add("heartbeat", 1, 3, 0x81, 4, 4, 3, system=9).flight(kind=2)
     assert read(both).facts["mav_type"] == 2
+
+
+def global_position(log, ms, **more):
+    """GLOBAL_POSITION_INT: relative_alt in mm, velocities in cm/s."""
+    f = {"lat": 0, "lon": 0, "alt": 500_000, "relative_alt": 0, "vx": 0, "vy": 0, "vz": 0, "hdg": 0} | more
+    log.add("global_position_int", ms, *f.values())
+
+
+def test_units_of_what_is_sent_in_whole_numbers():
+    """Raw rates in mrad/s, accelerations in thousandths of g, cm/s, mm above ground, mV, 0.01 A, percent."""
+    log = Writer()
+    log.add("heartbeat", 2, 3, 0x81, 4, 4, 3)
+    for k in range(20):
+        ms = 5000 + 20 * k
+        log.add("raw_imu", ms * 1000, 500, -250, 1000, 1500, -250, 125, 0, 0, 0)
+        log.add("servo_output_raw", ms * 1000, 0, 1500, 1501, 1502, 1503, 0, 0, 0, 0)
+        global_position(log, ms, relative_alt=12_500, vx=150, vy=-250, vz=75)
+        log.add("sys_status", 0, 0, 0, 500, 15_800, 1_234, 80, 0, 0, 0, 0, 0, 0)
+        log.add("vfr_hud", 0.0, 0.0, 90, 65, 0.0, 0.0)
+    flight = read(log)
+    assert flight["gyro"].values[3] == pytest.approx([1.5, -0.25, 0.125])
+    assert flight["accel"].values[3] == pytest.approx(np.array([0.5, -0.25, 1.0]) * 9.80665)
+    assert flight["velocity"].values[3] == pytest.approx([1.5, -2.5, 0.75])
+    assert flight["position"].values[3, 2] == pytest.approx(-12.5) and not flight["position"].valid[:, :2].any()
+    assert flight["battery"].values[3] == pytest.approx([15.8, 12.34])
+    assert flight["throttle"].values[3] == pytest.approx([0.65])
+    assert flight["gyro"].time[3] == pytest.approx(0.06)
+
+
+def test_a_battery_that_is_not_measured_is_not_known():
+    """0 and 65535 mV, and -1 for the current."""
+    log = Writer().flight(samples=3)
+    for volts, amps in ((0, 100), (65_535, 100), (12_000, -1), (12_000, 0)):
+        log.add("sys_status", 0, 0, 0, 500, volts, amps, 80, 0, 0, 0, 0, 0, 0)
+    battery = read(log)["battery"]
+    assert battery.valid.tolist() == [[False, True], [False, True], [True, False], [True, True]]
+
+
+def test_the_start_in_utc_is_what_the_autopilot_says_else_when_the_ground_station_heard_it():
+    log = Writer().flight(samples=40)
+    heard = read(log).facts["utc_start"]
+    assert heard.startswith("2023-11-14T22:13:2")  # the stamps of the file begin at 1.7e9 s
+    for k in range(8):
+        log.add("system_time", 1_600_000_000_000_000 + 1_000_000 * k, 5000 + 1000 * k)
+    assert read(log).facts["utc_start"] == "2020-09-13T12:26:40.000Z"
+
+
+def test_arming_modes_and_landing_become_messages():
+    log = Writer()
+    for armed, mode in ((0, 5), (0x80, 5), (0x80, 9), (0, 9)):
+        log.flight(samples=3)
+        log.add("heartbeat", 2, 3, 1 | armed, mode, 4, 3)
+        log.add("extended_sys_state", 0, 2 if armed else 1)
+        log.add("statustext", 3 if armed else 6, b"words")
+    said = [(m.kind, m.text, m.value) for m in read(log).messages]
+    states = [m[1:] for m in said if m[0] == "armed"]
+    assert states == [("armed", 1.0), ("disarmed", 0.0), ("armed", 1.0), ("disarmed", 0.0)]
+    assert [m[1] for m in said if m[0] == "mode"] == [
+        "mode 4",
+        "mode 5",
+        "mode 4",
+        "mode 5",
+        "mode 4",
+        "mode 9",
+        "mode 4",
+        "mode 9",
+    ]
+    assert [m[1] for m in said if m[0] == "landed"] == ["landed", "in the air", "landed"]
+    assert [m[0] for m in said if m[1] == "words"] == ["text", "error", "error", "text"]
+
+
+def test_a_head_that_ends_where_the_second_frame_would_begin_is_believed():
+    data = Writer().flight(samples=5).data
+    first = 8 + 12 + data[9]
+    for more in (7, 8, 9):
+        assert tlog.sniff(data[: first + more], "")
+    wrong = bytearray(data[: first + 40])
+    wrong[first + 8] = 0
+    assert not tlog.sniff(bytes(wrong), "")

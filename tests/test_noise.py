@@ -134,3 +134,25 @@ def test_process_noise_keeps_the_disturbances_as_large_as_they_are():
         np.testing.assert_allclose(q[:, component] / (1 - keep), variances[1 + component], rtol=1e-9)
     np.testing.assert_allclose(q[:, 2], variances[3] * DT, rtol=1e-12)
     assert np.all(q[:, 3:] == 0.0)  # gains and damping do not walk
+
+
+def test_sums_of_squared_differences_forget_over_a_minute():
+    """Against the sums written out, lag by lag: what counts fades with MEMORY_S, is clipped, and long lags count for less."""
+    e = signal(np.full((4, 4), 1e-4), 300)
+    e[250:] += 0.5
+    ok = np.ones(e.shape, bool)
+    ok[100:120, 1] = False
+    states = learn(e, ok, prior_weight=3.0)
+    start = noise.init(DT, prior_weight=3.0)
+    weight, total, fade = start.weight.copy(), start.total.copy(), np.exp(-DT / noise.MEMORY_S)
+    for k in range(300):
+        for row, lag in enumerate(noise.LAGS):
+            if k < lag:
+                continue
+            both = ok[k] & ok[k - lag]
+            square = np.minimum(0.5 * (e[k] - e[k - lag]) ** 2, noise.CLIP * total[row] / weight[row])
+            weight[row] = np.where(both, weight[row] * fade + 1.0 / lag, weight[row])
+            total[row] = np.where(both, total[row] * fade + square / lag, total[row])
+    np.testing.assert_allclose(states.weight[-1], weight, rtol=1e-9)
+    np.testing.assert_allclose(states.total[-1], total, rtol=1e-9)
+    assert noise.MEMORY_S == 60.0 and 1.0 / (1.0 - fade) == pytest.approx(noise.MEMORY_S / DT, rel=1e-3)

@@ -220,3 +220,18 @@ def test_every_bit_of_a_whole_parameter_that_makes_it_no_whole_number_is_seen():
     bits = np.float32(34.0).view(np.uint32) ^ (np.uint32(1) << np.arange(32, dtype=np.uint32))
     believed = [v for v in bits.view(np.float32).tolist() if parameter_ranges.possible("SERVO1_FUNCTION", v)]
     assert len(believed) <= 7  # those that are other whole numbers
+
+
+def test_what_no_diagnosis_would_notice_is_left_alone():
+    """A lone value counts from its signal's floor on; floors are sizes, and every signal that is judged on has one."""
+    assert all(0.0 < floor for floor in plausible.FLOORS.values())
+    for name, columns in (("battery", ("voltage", "current")), ("accel", ("x", "y", "z"))):
+        for times_floor, wild in ((0.5, 0), (5.0, 1)):
+            values = (
+                10.0
+                + np.zeros((200, len(columns)))
+                + 1e-4 * np.random.default_rng(1).standard_normal((200, len(columns)))
+            )
+            values[100, 0] += times_floor * plausible.FLOORS[name]
+            flight = plausible.checked(Flight("t", "t", {name: Signal(times(200), values, columns, "1")}, 20.0))
+            assert (~flight[name].valid).any(axis=1).sum() == wild, (name, times_floor)

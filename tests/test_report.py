@@ -343,3 +343,246 @@ def test_the_faulty_rotor_has_one_colour_everywhere(fault):
         r for r in figures.plots(fault)["loss"].renderers if r.name == "rotor 3" and hasattr(r.glyph, "line_width")
     )
     assert line.glyph.line_color == colours.FAULT
+
+
+# What a picture holds
+
+
+@pytest.fixture(scope="module")
+def pictures():
+    return figures.plots(hexa_diagnosis())
+
+
+def rendered(renderable, width=120):
+    from rich.console import Console
+
+    screen = Console(width=width, color_system=None, highlight=False, emoji=False, markup=False)
+    with screen.capture() as out:
+        screen.print(renderable)
+    return out.get()
+
+
+def test_plots_begin_and_end_with_the_flight_and_are_in_percent(pictures):
+    trace = hexa_trace()
+    for p in pictures.values():
+        assert (p.x_range.start, p.x_range.end) == (trace.time[0], trace.time[-1])
+    data = next(r for r in pictures["loss"].renderers if r.name == "rotor 3").data_source.data
+    late = data["time"] > 40.0
+    assert np.nanmedian(data["loss3"][late]) == pytest.approx(37.0, abs=1.0)
+    assert np.nanmedian(data["command3"][late]) == pytest.approx(58.0, abs=1.0)
+    flying, ground = (data["time"] >= 4.2) & (data["time"] <= 57.8), (data["time"] < 3.8) | (data["time"] > 58.2)
+    assert np.isnan(data["loss3"][ground]).all() and np.isfinite(data["loss3"][flying]).all()
+    assert (data["low3"][flying] <= data["loss3"][flying]).all() and (
+        data["loss3"][flying] <= data["high3"][flying]
+    ).all()
+    assert data["roll_band"][flying] == pytest.approx(2 * 0.006) and data["roll_bottom"][flying] == pytest.approx(
+        -2 * 0.006
+    )
+
+
+def test_one_line_of_each_plot_answers_the_pointer(pictures):
+    from bokeh.models import HoverTool
+
+    for name in ("loss", "command", "evidence", "roll", "angle_yaw"):
+        (line,) = pictures[name].select_one(HoverTool).renderers
+        assert line in pictures[name].renderers
+    assert pictures["command"].select_one(HoverTool).renderers[0].name == "rotor 1"
+    assert pictures["evidence"].select_one(HoverTool).renderers[0].name == "odds 0"
+
+
+def test_the_axis_of_evidence_holds_what_speaks_for_a_fault_and_as_much_against(pictures):
+    """How unlikely the wrong explanations are is of no interest: never further down than up."""
+    trace, axis = hexa_trace(), pictures["evidence"].y_range
+    top = max(float(np.max(odds)) for odds in trace.evidence.values())
+    assert axis.end == pytest.approx(1.08 * max(top, 1.5 * trace.threshold)) and -axis.end <= axis.start < 0.0
+    worse = replace(trace, evidence={**trace.evidence, "common mode": np.full(trace.time.size, -500.0)})
+    odds = figures.plots(hexa_diagnosis(trace=worse))["evidence"].y_range
+    assert odds.start == -odds.end
+
+
+def test_a_hypothesis_of_one_rotor_has_its_colour_and_no_other_has():
+    looks = colours.looks(hexa_diagnosis())
+    assert figures._look("rotor 3", 1, looks) == {"color": colours.FAULT, "line_dash": looks[3][1]}
+    for name in ("rotors 1+3", "axis 3", "rotor x", "rotor 9", "common mode"):
+        assert figures._look(name, 1, looks) == {"color": colours.INK, "line_dash": "dashed"}
+
+
+def test_rotors_that_nothing_is_known_against_have_the_palette_in_order(healthy):
+    looks = colours.looks(healthy, 20)
+    assert [looks[k][0] for k in range(1, 9)] == list(colours.OTHERS) and {looks[k][1] for k in range(1, 9)} == {
+        "solid"
+    }
+    assert looks[9] == (colours.OTHERS[0], "dashed") and len(set(looks.values())) == 20
+    assert colours.of_event(event()) == colours.FAULT and colours.of_event(event(kind="contact")) == colours.INK
+    assert colours.of_event(event(alternatives=((1,),))) == colours.SUSPECT
+
+
+def test_the_lane_shows_modes_as_spans_and_what_was_said_as_marks(pictures):
+    trace = hexa_trace()
+    drawn = {r.name: r.data_source.data for r in pictures["lane"].renderers}
+    modes, said = drawn["modes"], drawn["messages"]
+    assert list(zip(modes["left"], modes["right"])) == [(4.0, 40.0), (40.0, float(trace.time[-1]))]
+    assert (
+        modes["text"] == ["LOITER: 4.0 to 40.0 s", f"LAND: 40.0 to {trace.time[-1]:.1f} s"]
+        and len(set(modes["fill"])) == 2
+    )
+    assert sorted(said["time"]) == [3.5, 33.0]
+    assert said["text"][0] == "33.0 s, error: crash check" and said["fill"] == ["#c1121f", colours.INK]
+    assert figures.plots(hexa_diagnosis(trace=replace(trace, messages=()))).get("lane") is None
+
+
+def test_headings_stand_above_plots_that_are_there(fault, pictures):
+    divs = {name: f"<i>{name}</i>" for name in pictures}
+    shown = re.findall(r"<h2>(.*?)</h2>", html._plots(fault, divs))
+    assert shown == ["Loss of each rotor over the flight", *(title for _, title, _ in html.PLOTS)]
+    few = {name: div for name, div in divs.items() if name not in ("evidence", "lane") and not name.startswith("angle")}
+    text = html._plots(fault, few)
+    assert (
+        re.findall(r"<h2>(.*?)</h2>", text) == [shown[0], "Motor commands", "Residuals"]
+        and 'id="plot-lane"' not in text
+    )
+    assert all(f'id="plot-{name}"><i>{name}</i>' in text for name in few) and html._plots(fault, {}) == ""
+    own, none = html._embed({})
+    assert none == {} and own.count("<script") == 1 and len(own) < 30_000  # without plots no library
+    assert "(4)" in html._messages(fault) and html._messages(replace(fault, trace=None)) == ""
+
+
+def test_the_main_event_is_pointed_out_among_several_only(fault):
+    two = hexa_diagnosis(events=(event(), event(rotors=(5,), onset_s=40.0, detected_s=40.5)))
+    assert "main event" not in html._events(fault) and html._events(two).count("main event") == 1
+    assert "(main)" not in text_of(fault) and text_of(two).count("(main)") == 1
+
+
+# Words of the tables
+
+
+def test_what_is_known_of_the_frame(fault):
+    assert report.frame(fault) == "ardupilot-hexa-x, 6 rotors"
+    assert report.frame(replace(fault, flight={"rotors": 4})) == "4 rotors"
+    assert report.frame(replace(fault, flight={"frame": "hexa"})) == "hexa"
+    assert report.frame(replace(fault, flight={})) == "unknown frame"
+
+
+@pytest.mark.parametrize(
+    "state, loss, interval",
+    [
+        (RotorState(1, 0.374, (0.33, 0.41), "degraded"), "37.4 %", "33–41 %"),
+        (RotorState(1, 0.0, (0.0, 1.0), "unobservable"), "?", ""),
+        (RotorState(1, 0.0, (0.0, 0.5), "suspect"), "?", "0–50 %"),
+        (RotorState(1, 0.2, (0.0, 0.5), "suspect"), "20.0 %", "0–50 %"),
+        (RotorState(1, 0.0, (0.0, 1.0), "healthy", "", (-0.01, 0.04)), "none seen", "changed by at most 4 %"),
+        (RotorState(1, 0.01, (0.0, 0.03), "healthy", "", (-0.01, 0.04), "healthy"), "1.0 %", "0–3 %"),
+    ],
+)
+def test_a_rotor_in_words(state, loss, interval):
+    assert (report.rotor_loss(state), report.rotor_interval(state)) == (loss, interval)
+
+
+def whole(**more):
+    """A comparison with three healthy flights."""
+    facts = {
+        "verdict": "fault", "reason": "rotor 3 lost thrust", "flights": 3, "loss": [0.0, 0.02, 0.3, 0.0, 0.0, 0.05],
+        "interval": [(0.0, 0.05)] * 2 + [(0.2, 0.4)] + [(0.0, 0.1)] * 3, "shift": [0.1, -0.02, 0.0], "shift_sd": [0.02, 0.02, 0.01],
+        "causes": [{"rotors": [3], "probability": 0.9}, {"kind": "centre_of_mass", "probability": 0.06},
+                   {"rotors": [1], "probability": 0.04}], "common": 0.1,
+    }  # fmt: skip
+    return hexa_diagnosis(whole_flight=facts | more)
+
+
+def test_the_comparison_with_healthy_flights_in_words():
+    rows = dict(report.whole_flight(whole()))
+    assert (
+        rows["answer"] == "fault found: rotor 3 lost thrust"
+        and rows["compared with"] == "3 healthy flights of this build"
+    )
+    assert rows["what explains the difference"] == "rotor 3 (front left) 90 %; a shifted centre of mass 6 %"
+    assert rows["all rotors together"].startswith("11 % more command")
+    assert dict(report.whole_flight(whole(common=-0.1)))["all rotors together"].startswith("10 % less command")
+    assert dict(report.whole_flight(whole(flights=1)))["compared with"] == "1 healthy flight of this build"
+    assert "all rotors together" not in dict(report.whole_flight(whole(verdict="inconclusive")))
+    assert report.whole_flight(hexa_diagnosis()) == []
+
+
+def test_the_drawing_of_the_comparison_has_its_dots_where_the_numbers_are():
+    """A row for each rotor and axis: bar from low to high, dot at the value; on one scale, whose zero line is where 0 is."""
+    drawn = drawing.baseline(whole())
+    losses, balance = drawn.split("<figure>")[1:]
+    span = drawing.WIDTH - drawing.LEFT - 60
+    dots = [float(x) for x in re.findall(r'class="dot" cx="([\d.]+)"', losses)]
+    assert dots == pytest.approx([drawing.LEFT + span * v / 0.4 for v in (0.0, 0.02, 0.3, 0.0, 0.0, 0.05)], abs=0.06)
+    bars = re.findall(r'class="band" x1="([\d.]+)" y1="\d+" x2="([\d.]+)"', losses)
+    assert [float(v) for v in bars[2]] == pytest.approx([drawing.LEFT + span / 2, drawing.LEFT + span], abs=0.06)
+    assert f'class="zero" x1="{drawing.LEFT:.1f}"' in losses and re.findall(r">(\d+ %)<", losses)[2] == "30 %"
+    middle = drawing.LEFT + span / 2
+    assert f'class="zero" x1="{middle:.1f}"' in balance
+    dots = [float(x) for x in re.findall(r'class="dot" cx="([\d.]+)"', balance)]
+    assert dots[0] > middle + 1 > middle > dots[1] and dots[2] == pytest.approx(middle, abs=0.06)
+    for left, right in re.findall(r'class="band" x1="([\d.]+)" y1="\d+" x2="([\d.]+)"', balance):
+        assert float(left) + float(right) == pytest.approx(2 * middle, abs=0.2) and float(left) < middle
+    assert dots[0] == pytest.approx(drawing.LEFT + span, abs=0.06)  # the furthest is at the end
+
+
+@pytest.mark.parametrize(
+    "change", [{"verdict": "inconclusive"}, {"verdict": None}, {"loss": []}, {"interval": None}, {"loss": [0.1] * 4}]
+)
+def test_a_comparison_that_says_nothing_of_every_rotor_is_not_drawn(change):
+    assert drawing.baseline(whole(**change)) == "" and drawing.baseline(hexa_diagnosis()) == ""
+
+
+def test_the_airframe_fits_its_frame(fault):
+    drawn = drawing.airframe(fault)
+    left, top, width, height = map(float, re.search(r'viewBox="([-\d. ]+)"', drawn).group(1).split())
+    for x, y in re.findall(r"translate\((-?[\d.]+) (-?[\d.]+)\)", drawn):
+        assert left + 30 < float(x) < left + width - 30 and top + 30 < float(y) < top + height - 30
+    assert (left + width / 2, width) == (pytest.approx(0.0), pytest.approx(height - 14))
+
+
+def info_of(**more):
+    return {
+        "name": "a.bin", "format": "F", "firmware": "ArduCopter V4", "autopilot": "ArduPilot", "frame": "", "vehicle_type": "hexarotor",
+        "rotors": 6, "duration_s": 60.04, "airborne_s": [(4.0, 58.0)], "parameters": 3, "ready": True, "missing": [], "warnings": [],
+        "messages": [], "signals": [{"name": "gyro", "rate_hz": 100.0, "unit": "rad/s", "frame": "body", "valid": 0.999, "source": "IMU"}],
+    } | more  # fmt: skip
+
+
+def test_what_info_says_of_a_log():
+    text = rendered(terminal.info(info_of()))
+    for words in (
+        "hexarotor",
+        "ArduPilot ArduCopter V4",
+        "4.0 to 58.0 s",
+        "60.0 s",
+        "99 %",
+        "100 Hz",
+        "what a diagnosis needs",
+    ):
+        assert words in text, words
+    bad = rendered(terminal.info(info_of(frame="hexa X", autopilot="ArduCopter", ready=False, airborne_s=[], rotors=0)))
+    for words in ("hexa X", "cannot be diagnosed", "never found airborne", "no commands found"):
+        assert words in bad, words
+    assert "hexarotor" not in bad and "ArduCopter ArduCopter" not in bad
+    assert "unknown" in rendered(terminal.info(info_of(vehicle_type="")))
+
+
+def test_failures_of_the_fuzzer_are_in_colour_and_counted():
+    result = {"log": "a.bin", "mutations": 40, "seed": 1, "outcomes": {"read": 39, "FAILED": 1}, "failures": [
+        {"number": 7, "mutation": "cut", "what": "boom"}]}  # fmt: skip
+    table = terminal.fuzz(result).renderables[1]
+    styles = {cell.plain: cell.style for cell in table.columns[0].cells}
+    assert styles == {"read": "", "FAILED": terminal.STYLES["error"]}
+    fine = terminal.fuzz({**result, "outcomes": {"read": 40, "FAILED": 0}, "failures": []}).renderables[1]
+    assert {cell.style for cell in fine.columns[0].cells} == {""}
+    assert "97.5 %" in rendered(terminal.fuzz(result)) and "FAILED number 7 (cut): boom" in rendered(
+        terminal.fuzz(result)
+    )
+
+
+def test_a_note_stands_beside_its_word_where_there_is_room():
+    notes = terminal.Notes([("warning", "first"), ("assumed", "second one")])
+    assert [line.split() for line in rendered(notes, 60).splitlines()] == [
+        ["warning", "first"],
+        ["assumed", "second", "one"],
+    ]
+    assert rendered(notes, 59).splitlines() == ["warning: first", "assumed: second one"]
+    long = terminal.Notes([("warning", "x" * 60)])
+    assert rendered(long, 69).startswith("warning  x") and rendered(long, 68).startswith("warning: ")

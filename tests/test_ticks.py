@@ -1,5 +1,7 @@
 """From uneven samples to ticks: means and slopes are exact, and nothing of a tick was measured after it."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -171,3 +173,115 @@ def test_without_gyro_or_accelerometer_the_rest_is_still_judged_and_said():
     assert table.valid[flying, :3].all() and not table.valid[:, 3].any()
     assert len(table.notes) == 2 and "angular rate" in table.notes[0] and "accelerometer" in table.notes[1]
     assert not np.abs(table.rate_dot).any() and np.all(table.load == 1.0)
+
+
+def test_the_slope_is_what_the_ends_of_the_window_differ_by():
+    """An eighth of the window at each end: a spike between them, or outside the window, does not turn the vehicle."""
+    time = np.arange(0.0, 1.0, 0.001)
+    centre, half = np.array([0.5]), 0.1
+    for at, felt in ((0.5, 0), (0.44, 0), (0.56, 0), (0.39, 0), (0.61, 0), (0.41, -1), (0.59, 1)):
+        values = np.where(np.abs(time - at) < 5e-4, 1.0, 0.0)
+        _, slope, covered = ticks._window(Signal(time, values, ("x",), "rad/s"), centre, half)
+        assert covered.all() and np.sign(np.round(slope[0, 0], 12)) == felt, at
+        if felt:  # a spike 1 ms wide in a mean over 25 ms, over the distance of the means
+            assert abs(slope[0, 0]) == pytest.approx(0.001 / 0.025 / (2 * half - 0.025), rel=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_long_gaps_cost_no_ticks_but_at_their_ends(seed):
+    """Against sets: every tick of the log, and of a gap of more than twice `most` the `most` that touch it on either side."""
+    rng = np.random.default_rng(seed)
+    at = np.sort(np.concatenate([[0], rng.integers(0, 40, 9), rng.integers(90, 130, 9), [131, 148, 170, 1000]]))
+    most = 10
+    wanted = set()
+    for a, b in itertools.pairwise(at):
+        near = range(a, b + 1) if b - a <= 2 * most else (*range(a, a + most), *range(b - most, b + 1))
+        wanted |= set(near)
+    assert ticks._filled(at, most).tolist() == sorted(wanted)
+    assert ticks._filled(np.array([-3, 2]), 5).tolist() == [0, 1, 2]
+
+
+@pytest.mark.parametrize("axis, rate, upset", [(0, 5.9, False), (0, 6.1, True), (1, -6.1, True), (2, 9.0, False)])
+def test_a_vehicle_tumbles_from_six_radians_a_second_of_roll_or_pitch_on(axis, rate, upset):
+    flight, thrust = log()
+    gyro = flight["gyro"]
+    turned = np.where((gyro.time > 6.0)[:, None], rate * np.eye(3)[axis], 0.0)
+    table = make(
+        Flight("t", "t", {**flight.signals, "gyro": Signal(gyro.time, turned, gyro.columns, "rad/s")}, END), thrust
+    )
+    assert table.upset[table.time > 6.5].all() == upset == table.upset.any()
+
+
+@pytest.mark.parametrize("lasts, gone", [(0.15, False), (0.8, True)])
+def test_who_has_tumbled_for_long_does_not_hover_again_in_this_hop(lasts, gone):
+    flight, thrust = log()
+    gyro = flight["gyro"]
+    turned = np.where(((gyro.time > 7.0) & (gyro.time < 7.0 + lasts))[:, None], [9.0, 0.0, 0.0], 0.0)
+    table = make(
+        Flight("t", "t", {**flight.signals, "gyro": Signal(gyro.time, turned, gyro.columns, "rad/s")}, END), thrust
+    )
+    later = (table.time > 8.2) & (table.mode > ticks.GROUND)
+    assert table.upset[later].all() == gone == table.upset[later].any() and not table.upset[table.time < 6.9].any()
+    assert table.valid[later].any() != gone
+
+
+def test_rotors_without_yaw_torque_are_not_judged_by_yaw():
+    flight, thrust = log()
+    flat = B * [[1.0], [1.0], [0.0], [1.0]]
+    valid = ticks.make(flight, thrust, flat, AIR, 3.0).valid
+    both = make(flight, thrust).valid
+    assert not valid[:, 2].any() and both[:, 2].any()
+    np.testing.assert_array_equal(valid[:, [0, 1, 3]], both[:, [0, 1, 3]])
+
+
+def test_fast_commands_have_ticks_on_whole_multiples_and_slow_ones_in_their_middle():
+    for rate in (40.0, 200.0):
+        flight, thrust = log(rate)
+        table = make(flight, thrust, dt=0.05)
+        begin = (table.time - ticks.LAG_S - 0.025) / 0.05 - 0.5
+        np.testing.assert_allclose(begin, np.round(begin), atol=1e-6)
+    time = 0.037 + np.arange(0, END, 0.1)
+    slow = Signal(time, np.full((time.size, 4), 0.4), ("r1", "r2", "r3", "r4"), "1")
+    table = make(Flight("t", "t", {**flight.signals, "motors": slow}, END), slow)
+    end = table.time - ticks.LAG_S - 0.05
+    assert table.dt == 0.1 and table.seen[table.mode > ticks.GROUND].all()
+    np.testing.assert_allclose((end - time[0]) % 0.1, 0.05, atol=1e-6)
+
+
+def test_commands_of_nothing_are_no_hover():
+    """Rotors that spin up late: what the vehicle hovers at is the median of the commands there were."""
+    flight, thrust = log()
+    values = np.where((thrust.time < 2.7)[:, None], 0.0, thrust.values)
+    late = Signal(thrust.time, values, thrust.columns, "1")
+    table = make(Flight("t", "t", {**flight.signals, "motors": late}, END), late)
+    assert table.hover[-1] == pytest.approx(thrust.between(2.7, 3.0).values.mean(), rel=0.02)
+
+
+def test_blind_time_is_at_least_thirty_ticks():
+    assert ticks.ready_after(8.0, 0.05) == 8.0 and ticks.ready_after(3.0, 0.5) == ticks.READY_TICKS * 0.5 == 15.0
+    rates = (0.3, 1.9, 4.6, 8.1, 19.1)
+    assert [ticks.tick_length(rate) for rate in rates] == [1.0, 0.5, 0.2, 0.1, 0.05]
+
+
+def test_after_a_contact_the_trim_is_learned_from_controlled_flight_alone():
+    """So many ticks of it: outputs off their limits, turning slowly; a contact of an earlier hop is forgotten."""
+    T, count = 60, 5
+    contact, restart, fresh = np.zeros(T, bool), np.zeros(T, bool), np.ones(T, bool)
+    contact[10:12], restart[0], restart[40] = True, True, True
+    thrust, hover, rate = np.ones((T, 4)), np.full(T, 0.4), np.zeros((T, 3))
+    thrust[14:16, 2], rate[17] = 2.3, [0.0, 2.5, 0.0]  # 0.92 of full thrust; 2.5 rad/s
+    fresh[18] = False
+    learning = ticks._learning_again(contact, restart, thrust, hover, rate, fresh, count)
+    assert np.flatnonzero(learning).tolist() == list(range(10, 20))
+    contact[39] = True
+    assert not ticks._learning_again(contact, restart, thrust, hover, rate, fresh, count)[40:].any()
+    assert not ticks._learning_again(contact & False, restart, thrust, hover, rate, fresh, count).any()
+
+
+def test_learning_is_neither_on_the_ground_nor_judged():
+    """The estimator tells them apart by size, half-way between; what is learned from has to be measured."""
+    assert ticks.GROUND < ticks.LEARN - 0.5 < ticks.JUDGE - 1.0
+    flight, thrust = log()
+    table = make(flight, thrust)
+    learning = (table.time >= 2.0 + ticks.SETTLE_S) & (table.time < 5.0)
+    assert learning.sum() > 30 and table.valid[learning].all()

@@ -1,0 +1,90 @@
+"""A shift that two opposite rotors explain as well as a disturbance: each condition by itself."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from rotorwatch import airframes
+from rotorwatch.default import bank, hypotheses, opposite
+from rotorwatch.default.opposite import OPPOSITE_LOSS, OPPOSITE_NATS, OPPOSITE_S, SHARP_NATS
+
+DT, LIMIT, PAIR, SLOT = 0.05, 14.0, (0, 1), 5
+HEXA, QUAD = (airframes.named(f"ardupilot-{f}").effectiveness() for f in ("hexa-x", "quad-x"))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def float64():
+    from rotorwatch.backend import jax
+
+    jax()
+
+
+def suspect(
+    B=HEXA,
+    fit=20.0,
+    sudden=20.0,
+    gradual=10.0,
+    loss=0.2,
+    pair=PAIR,
+    slot=SLOT,
+    calm=True,
+    lasted=OPPOSITE_S - DT,
+    live=True,
+):
+    """Evidence in which a pair at a sudden onset, and disturbances at sudden and gradual ones, have so many nats."""
+    n = B.shape[1]
+    hyp, jumps = hypotheses.make(n), bank.Jumps(np.eye(20 + n)[:, : n + 4], DT)
+    W = jumps.stride.size
+    log_bf, nu = np.full((W, len(hyp.names)), 1.0), np.zeros((W, int(hyp.fault.sum()), 2))
+    h = hyp.rotors.index(pair)
+    log_bf[slot, h], nu[slot, h] = fit, loss
+    log_bf[0, ~hyp.fault], log_bf[np.flatnonzero(jumps.slow)[3], -1] = sudden, gradual
+    found = SimpleNamespace(log_bf=log_bf, nu=nu, live=np.arange(W) != slot if not live else np.ones(W, bool))
+    told = SimpleNamespace(age=np.arange(W, dtype=np.int32))
+    out, since = opposite.suspect(hyp, jumps, told, found, B, np.bool_(calm), LIMIT, lasted, DT)
+    return out, float(since), h
+
+
+def test_it_is_said_once_after_half_a_second_with_its_onset_and_losses():
+    out, since, h = suspect()
+    assert int(out.pair) == h and since == pytest.approx(OPPOSITE_S)
+    assert float(out.onset) == SLOT + 1.0 and np.asarray(out.loss) == pytest.approx([0.2, 0.2])
+    for lasted in (OPPOSITE_S - 2 * DT - 1e-9, OPPOSITE_S + 1e-9):
+        out, since, _ = suspect(lasted=lasted)
+        assert int(out.pair) == -1 and since == pytest.approx(lasted + DT)
+
+
+@pytest.mark.parametrize(
+    "within, beyond",
+    [
+        (dict(fit=LIMIT + 0.1, sudden=15.0, gradual=9.0), dict(fit=LIMIT - 0.1, sudden=15.0, gradual=9.0)),
+        (dict(sudden=20.0 + OPPOSITE_NATS - 0.1), dict(sudden=20.0 + OPPOSITE_NATS + 0.1)),
+        (dict(gradual=20.0 - SHARP_NATS - 0.1), dict(gradual=20.0 - SHARP_NATS + 0.1)),
+        (dict(loss=OPPOSITE_LOSS + 1e-6), dict(loss=OPPOSITE_LOSS - 1e-6)),
+        (dict(loss=(0.2, 0.2)), dict(loss=(0.2, 0.0))),
+        ({}, dict(calm=False)),
+        ({}, dict(live=False)),
+        ({}, dict(pair=(0, 2))),
+        ({}, dict(slot=-3)),
+    ],
+    ids=["limit", "disturbance", "gradual", "size", "both", "calm", "unused", "torque", "slow"],
+)
+def test_it_is_suspected_while_all_this_holds(within, beyond):
+    out, since, h = suspect(**within)
+    assert int(out.pair) == h and since > 0.0
+    out, since, _ = suspect(**beyond)
+    assert int(out.pair) == -1 and since == 0.0
+
+
+def test_a_quads_pairs_are_told_apart_by_their_yaw():
+    assert suspect(QUAD, pair=(0, 1))[1] == 0.0
+
+
+def test_pairs_without_torque_are_those_that_stand_opposite():
+    hyp = hypotheses.make(6)
+    free = np.asarray(opposite.torque_free(hyp, HEXA))
+    places = HEXA[:2] / HEXA[3]
+    for k, (i, j) in enumerate(hyp.pairs):
+        assert free[k] == (np.abs(places[:, i] + places[:, j]).max() < 0.05)
+    assert free.sum() == 3

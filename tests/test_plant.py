@@ -1,0 +1,128 @@
+"""The default method's plant: its equation term by term, what any multirotor is like, and which rotors are lower ones."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from rotorwatch import airframes
+from rotorwatch.default import plant
+from rotorwatch.default.plant import AXIS_STATES, B3, DAMPING, GAIN, PER_AXIS, SHARE_SD, SIDEWAYS, TAU, WrenchBalance
+
+QUAD, Y6 = (airframes.named(f"ardupilot-{name}").effectiveness() for name in ("quad-x", "y6"))
+RNG = np.random.default_rng(5)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def float64():
+    from rotorwatch.backend import jax
+
+    jax()
+
+
+def table(n, count=3, side=True):
+    """Ticks of random motion."""
+    return SimpleNamespace(
+        thrust=RNG.uniform(0.5, 1.5, (count, n)), rate_dot=RNG.normal(0, 3, (count, 3)), rate=RNG.normal(0, 1, (count, 3)),
+        load=RNG.uniform(0.8, 1.2, count), hover=RNG.uniform(0.3, 0.5, count), side=RNG.normal(0, 1, (count, 2)) if side else None,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("side", [True, False])
+def test_the_commanded_wrench_is_what_the_motion_needs_and_what_is_lost(side):
+    """y_a = G_a m_a + c_a r_a + l f_a + b1_a + b2_a + b3_a + sum_i B_ai T_i theta_i, written out."""
+    ticks, system = table(4, side=side), WrenchBalance(QUAD)
+    u, x, theta = system.pack(ticks), RNG.normal(0, 1, 20), RNG.uniform(0, 0.5, 4)
+    assert u.shape == (3, system.n_u)
+    state = x.reshape(4, PER_AXIS)
+    for k in range(3):
+        motion = [*ticks.rate_dot[k], 4 * ticks.load[k]]
+        forward, right = ticks.side[k] if side else (0.0, 0.0)
+        push = [-right, forward, 0.0, 0.0]
+        turning = [*ticks.rate[k], 0.0]
+        for a in range(4):
+            damped = state[a, DAMPING] * turning[a] + x[SIDEWAYS] * push[a]
+            wanted = state[a, GAIN] * motion[a] + damped + state[a, :3].sum() + (QUAD[a] * ticks.thrust[k]) @ theta
+            assert np.asarray(system.h(x, u[k], theta))[a] == pytest.approx(wanted)
+        assert u[k, -1] == pytest.approx(1.0 / ticks.hover[k])
+
+
+def test_lower_rotors_give_more_and_all_give_less():
+    """The share is one more state; the hover command, all rotors at 1, carries the same weight whatever it is."""
+    lower = plant.lower_rotors(Y6)
+    system = WrenchBalance(Y6, lower=lower)
+    u, share = system.pack(table(6))[0], 0.1
+    x = np.append(np.zeros(AXIS_STATES), share)
+    more = lower - (Y6[3] * lower).mean()
+    assert np.asarray(system.h(x, u, np.zeros(6))) == pytest.approx(-share * Y6 @ (more * u[:6]))
+    assert Y6[3] @ more == pytest.approx(0.0, abs=1e-9)
+    assert np.asarray(system.H(u, x)) == pytest.approx(Y6 * u[:6] * (1.0 + share * more))
+    assert np.asarray(system.H(u)) == pytest.approx(Y6 * u[:6])
+    assert system.n_x == 21 == len(system.x_names) == len(system.x0) and WrenchBalance(QUAD).n_x == 20 == len(
+        WrenchBalance(QUAD).x_names
+    )
+    assert system.x_names[-1] == "lower rotors' share" and system.x_names[SIDEWAYS] == "side force"
+    assert (
+        (system.x0[-1], system.P0[-1, -1]) == (0.0, SHARE_SD**2)
+        and not system.P0[-1, :-1].any()
+        and not system.P0[:-1, -1].any()
+    )
+    known = WrenchBalance(Y6, lower=lower, share=np.array([0.05, 0.001]))
+    assert (known.x0[-1], known.P0[-1, -1]) == (0.05, 0.001)
+
+
+def test_a_traced_prior_is_widened_as_one_in_numpy_is():
+    import jax.numpy as jnp
+
+    (mean, P), share = plant.any_multirotor(6), np.array([0.05, 0.001])
+    for one, other in zip(plant._with_share(mean, P, share), plant._with_share(*map(jnp.asarray, (mean, P, share)))):
+        np.testing.assert_array_equal(one, np.asarray(other))
+
+
+@pytest.mark.parametrize("B, prior", [(QUAD, None), (Y6, plant.lower_rotors(Y6))])
+def test_disturbances_fade_and_the_rest_stays(B, prior):
+    """b1 and b2 with their time constants; a dt that is traced gives the same."""
+    import jax.numpy as jnp
+
+    system = WrenchBalance(B, lower=prior)
+    left = system.decay(0.3)
+    assert left[:AXIS_STATES].reshape(4, PER_AXIS) == pytest.approx(
+        np.tile([np.exp(-0.3 / TAU[0]), np.exp(-0.3 / TAU[1]), 1, 1, 1], (4, 1))
+    )
+    assert (left[AXIS_STATES:] == 1.0).all() and left.size == system.n_x
+    assert np.asarray(system.decay(jnp.asarray(0.3))) == pytest.approx(left)
+    assert np.asarray(system.f(np.full(system.n_x, 2.0), None, None, 0.3)) == pytest.approx(2.0 * left)
+
+
+def test_what_any_multirotor_is_like():
+    """Damping is a rate times the gain, both uncertain and independent: moments of the product, against draws."""
+    n, draws = 6, 400_000
+    mean, P = plant.any_multirotor(n)
+    rng = np.random.default_rng(0)
+    for axis in range(3):
+        gain = rng.normal(n * plant.GAIN_MEAN[axis], n * plant.GAIN_SD[axis], draws)
+        both = np.stack([gain, gain * rng.normal(plant.DAMPING_RATE, plant.DAMPING_RATE_SD, draws)])
+        rows = axis * PER_AXIS + np.array([GAIN, DAMPING])
+        assert mean[rows] == pytest.approx(both.mean(axis=1), rel=0.02)
+        assert P[np.ix_(rows, rows)] == pytest.approx(np.cov(both), rel=0.03)
+        assert P[axis * PER_AXIS + B3, axis * PER_AXIS + B3] == plant.BIAS_SD[axis] ** 2
+    thrust = 3 * PER_AXIS + GAIN
+    assert (mean[thrust], P[thrust, thrust]) == (1.0, plant.GAIN_SD[3] ** 2)
+    assert (mean[SIDEWAYS], P[SIDEWAYS, SIDEWAYS]) == pytest.approx((n * plant.SIDE, (n * plant.SIDE_SD) ** 2))
+    assert np.linalg.eigvalsh(P).min() >= -1e-12 and (P == P.T).all()
+    assert plant.usual_gains(n) == pytest.approx([*(n * plant.GAIN_MEAN[:3]), 1.0])
+    assert np.count_nonzero(P - np.diag(np.diag(P))) == 6  # each angular gain with its damping, nothing else
+
+
+def test_lower_rotors_are_the_weaker_ones_at_one_place():
+    arms = {"y6": ((1, 5), (2, 3), (4, 6)), "octaquad-x": ((1, 6), (2, 5), (3, 8), (4, 7))}
+    for name, pairs in arms.items():
+        B = airframes.named(f"ardupilot-{name}").effectiveness()
+        lower = plant.lower_rotors(B)
+        for pair in pairs:
+            weaker = min(pair, key=lambda r: B[3, r - 1])
+            assert [lower[r - 1] for r in pair] == [float(r == weaker) for r in pair]
+    for name in ("quad-x", "hexa-x", "octa-x"):
+        assert plant.lower_rotors(airframes.named(f"ardupilot-{name}").effectiveness()) is None
+    even = Y6 / Y6[3]
+    assert plant.lower_rotors(even) is None  # rotors of equal strength have no lower one

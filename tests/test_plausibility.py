@@ -1,0 +1,185 @@
+"""May this jump be a loss? Each gate by itself, at its limit, and how what is missing is followed."""
+
+import numpy as np
+import pytest
+
+from rotorwatch.default import plausibility
+from rotorwatch.default.caution import AT_LIMIT, BELIEVED
+from rotorwatch.default.plausibility import (
+    ASKED_MOST,
+    ASKED_SHARE,
+    ASKED_SLACK,
+    CHANGE,
+    CHANGE_GONE,
+    FAST_S,
+    GONE,
+    HEAVE_S,
+    LIMIT_S,
+    MISSING_SLACK,
+    SECOND,
+    SLOW_S,
+    SMALLEST,
+    Missing,
+)
+
+N, DT = 4, 0.1
+NOTHING = np.zeros(N)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def float64():
+    from rotorwatch.backend import jax
+
+    jax()
+
+
+def missing(fast=1.0, slow=0.0, limit=NOTHING):
+    return Missing(np.float64(fast), np.float64(slow), np.float64(0.0), np.asarray(limit, float))
+
+
+def jump(*rotors):
+    """(2, n): rotor (1-based) and size of one or two."""
+    out = np.zeros((2, N))
+    for place, (rotor, size) in enumerate(rotors):
+        out[place, rotor - 1] = size
+    return out
+
+
+def possible(
+    what,
+    rise=1.0,
+    now=None,
+    before=None,
+    measured=True,
+    active=(),
+    theta=NOTHING,
+    rough=(0.0, 0.0, 0.0, 0.0),
+    smooth=1.0,
+):
+    known = np.isin(np.arange(1, N + 1), active)
+    return bool(
+        plausibility.plausible(
+            what, np.full(N, smooth), np.full(N, rise), now or missing(), before or missing(), measured, known,
+            np.asarray(theta, float), np.asarray(rough, float),
+        )
+    )  # fmt: skip
+
+
+def test_a_loss_that_is_asked_for_and_missing_is_possible():
+    assert possible(jump((2, 0.3))) and possible(jump((2, 0.3), (4, 0.2)))
+
+
+def test_the_smallest_loss():
+    assert not possible(jump((2, SMALLEST - 1e-6))) and possible(jump((2, SMALLEST + 1e-6)))
+
+
+@pytest.mark.parametrize("size, smooth", [(0.3, 1.0), (0.3, 0.6), (0.9, 1.0)])
+def test_more_has_to_be_asked_of_a_rotor_that_gives_less(size, smooth):
+    """A quarter of what is missing, of no more than ASKED_MOST, less the slack; of every rotor that is named."""
+    least = ASKED_SHARE * min(size, ASKED_MOST) * smooth - ASKED_SLACK
+    assert possible(jump((2, size)), rise=least + 1e-6, smooth=smooth)
+    assert not possible(jump((2, size)), rise=least - 1e-6, smooth=smooth)
+    rises = np.array([1.0, 1.0, 1.0, least - 1e-6])
+    assert not possible(jump((1, size), (4, size)), rise=rises, smooth=smooth)
+    assert possible(jump((1, -0.3)), rise=-9.0)  # one that gives more again
+
+
+def test_a_rough_flight_leaves_a_lone_rotor_more_slack_and_two_none():
+    """Torque's standard deviation over the rotors; two at once have to show as they would in calm air."""
+    rough = (0.3**2, 0.4**2, 1.2**2, 0.0)
+    swing = 1.3 / N
+    least = ASKED_SHARE * 0.3 - swing
+    assert swing > ASKED_SLACK
+    assert possible(jump((2, 0.3)), rise=least + 1e-6, rough=rough)
+    assert not possible(jump((2, 0.3)), rise=least - 1e-6, rough=rough)
+    calm = ASKED_SHARE * 0.3 - ASKED_SLACK
+    assert not possible(jump((2, 0.3), (4, 0.3)), rise=calm - 1e-6, rough=rough)
+    assert possible(jump((2, 0.3), (4, 0.3)), rise=calm + 1e-6, rough=rough)
+
+
+@pytest.mark.parametrize("rough, slack", [(0.0, MISSING_SLACK), (0.4**2, 0.4)])
+def test_thrust_that_rotors_no_longer_give_is_missing(rough, slack):
+    """A quarter of it, less the slack or the roughness of thrust; against what was missing before; where thrust is measured."""
+    least = ASKED_SHARE * 0.9 * 2.0 - slack
+    for before in (0.0, 0.3):
+        for more, answer in ((1e-6, True), (-1e-6, False)):
+            now = missing(fast=before + least + more, slow=9.0)
+            one = jump((2, 0.9))
+            assert (
+                possible(one, now=now, before=missing(slow=before), rough=(0, 0, 0, rough), smooth=2.0, rise=9.0)
+                is answer
+            )
+            assert possible(one, now=now, before=missing(slow=before), measured=False, rise=9.0, smooth=2.0)
+    assert possible(jump((2, -0.3)), now=missing(fast=-9.0))  # what gives more again lacks nothing
+
+
+def test_a_jump_beyond_all_lacks_no_more_than_all():
+    least = ASKED_SHARE * 1.0 * 2.0 - MISSING_SLACK
+    assert possible(jump((2, 1.5)), now=missing(fast=least + 1e-6), smooth=2.0, rise=9.0)
+
+
+def test_what_a_limit_explains_is_no_loss():
+    """Of the rotor at its limit only; a rotor that is known to be weak is asked no more."""
+    limit = np.array([0.0, 0.2, 0.0, 0.0])
+    assert not possible(jump((2, 0.19)), now=missing(limit=limit)) and possible(
+        jump((2, 0.21)), now=missing(limit=limit)
+    )
+    assert possible(jump((3, 0.19)), now=missing(limit=limit))
+    assert possible(jump((2, 0.19)), now=missing(limit=limit), active=(2,))
+    assert possible(jump((2, -0.19)), now=missing(limit=limit), active=(2,))
+
+
+@pytest.mark.parametrize("theta, least", [(0.5, CHANGE), (GONE + 0.01, CHANGE_GONE)])
+def test_a_known_loss_wanders_and_only_a_step_in_it_is_news(theta, least):
+    known = dict(active=(2,), theta=[0.0, theta, 0.0, 0.0])
+    for sign in (1.0, -1.0):
+        assert possible(jump((2, sign * (least + 1e-6))), **known)
+        assert not possible(jump((2, sign * (least - 1e-6))), **known)
+    assert possible(jump((2, least - 0.005), (4, 0.3)), **known)  # another rotor is news
+
+
+def test_a_small_second_loss_is_more_likely_an_error_in_the_size_of_the_first():
+    assert not possible(jump((4, SECOND - 1e-6)), active=(2,)) and possible(jump((4, SECOND + 1e-6)), active=(2,))
+    assert possible(jump((4, SECOND - 1e-6)))
+    assert possible(jump((2, 0.05), (4, SECOND + 1e-6)), active=(2,))
+
+
+def followed(rows, start=None):
+    """(missing, load, share, valid, restart) tick by tick."""
+    state = start or plausibility.init(N)
+    for what, load, share, valid, restart in rows:
+        state = plausibility.follow(state, what, load, np.full(N, share), valid, restart, DT)
+    return state
+
+
+def test_what_is_missing_is_averaged_over_half_a_second_and_six():
+    """First order: after its time constant 63 % of a step; what is not measured takes nothing from the slow one."""
+    begun = [(0.0, 1.0, 0.5, True, True)]
+    for name, tau in (("fast", FAST_S), ("slow", SLOW_S)):
+        ticks = round(tau / DT)
+        part = float(getattr(followed(begun + [(2.0, 1.0, 0.5, True, False)] * ticks), name))
+        assert part == pytest.approx(2.0 * (1.0 - (1.0 - DT / tau) ** ticks)) and 1.2 < part < 1.4
+    blind = followed([(5.0, 1.0, 0.5, False, False)] * 30, missing(fast=1.0, slow=0.4))
+    assert float(blind.slow) == pytest.approx(0.4) and float(blind.fast) == pytest.approx(0.4, abs=0.03)
+    anew = followed([(3.0, 1.4, 0.95, True, True)], missing(fast=1.0, slow=0.4, limit=np.ones(N)))
+    assert float(anew.fast) == float(anew.slow) == 3.0 and float(anew.heave) == pytest.approx(0.4)
+    assert anew.limit == pytest.approx(1.0 - BELIEVED / 0.95)
+
+
+@pytest.mark.parametrize("load", [0.5, 1.5])
+def test_a_push_up_or_down_is_remembered_for_eight_seconds(load):
+    push = [(0.0, load, 0.5, True, False)]
+    assert float(followed(push).heave) == pytest.approx(0.5)
+    quiet = [(0.0, 1.0, 0.5, True, False)] * round(HEAVE_S / DT)
+    assert float(followed(push + quiet).heave) == pytest.approx(0.5 * np.exp(-1.0))
+    assert float(followed([(0.0, load, 0.5, False, False)]).heave) == 0.0
+
+
+def test_a_rotor_near_its_limit_may_lack_what_it_is_commanded_beyond_what_is_believed():
+    """None up to BELIEVED, all beyond it from AT_LIMIT on, in between in proportion; remembered for two seconds."""
+    for share, near in ((BELIEVED, 0.0), (0.5 * (BELIEVED + AT_LIMIT), 0.5), (AT_LIMIT, 1.0), (1.0, 1.0), (0.2, 0.0)):
+        found = followed([(0.0, 1.0, share, True, False)]).limit
+        assert found == pytest.approx(near * max(0.0, 1.0 - BELIEVED / share))
+    quiet = [(0.0, 1.0, 0.3, True, False)] * round(LIMIT_S / DT)
+    after = followed([(0.0, 1.0, 1.0, True, False), *quiet]).limit
+    assert after == pytest.approx((1.0 - BELIEVED) * np.exp(-1.0))
