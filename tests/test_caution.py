@@ -77,7 +77,7 @@ def test_the_calm_level_follows_motion_and_forgets_it():
     memory = settled()
     motion = 0.2 * np.sqrt(memory.level)
     after, _ = look(memory, inputs(motion=motion[:3], rates=motion[3:]))
-    part = DT / plant.USUAL_S
+    part = DT / caution.LEVEL_MEMORY_S
     assert np.asarray(after.level) == pytest.approx(memory.level + part * (0.04 - 1.0) * memory.level)
     loud, _ = look(memory, inputs(motion=(50.0,) * 3, rates=(9.0,) * 3))
     assert np.asarray(loud.level) == pytest.approx(memory.level * (1.0 + 5.0 * part))
@@ -97,7 +97,7 @@ def test_a_rotors_jitter_is_smoothed_and_its_steps_are_not():
         assert np.asarray(seen.rise) == pytest.approx(passes * step, abs=1e-12)
         assert np.asarray(memory.thrust) == pytest.approx(EVEN - 1.0 + step * DT / plant.ANSWER_S)
         assert np.asarray(memory.trim) == pytest.approx(EVEN - 1.0 + step * DT / plant.USUAL_S)
-        wanted = level**2 * (1.0 + DT / plant.USUAL_S * (min(times**2, 6.0) - 1.0))
+        wanted = level**2 * (1.0 + DT / caution.LEVEL_MEMORY_S * (min(times**2, 6.0) - 1.0))
         assert np.asarray(memory.thrust_level) == pytest.approx(wanted)
     assert np.asarray(seen.u)[N:] == pytest.approx(inputs()[N:])
     assert np.asarray(look(settled([5.0, -0.9, 0.0, 0.1]), inputs(EVEN))[1].u)[:N].min() >= 0.0

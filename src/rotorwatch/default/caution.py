@@ -16,6 +16,7 @@ from rotorwatch.default import noise, plant
 from rotorwatch.default.plant import AXIS_STATES, DAMPING, GAIN, PER_AXIS
 
 GARROTE = 2.5  # how many times its calm level motion must reach to stand out
+LEVEL_MEMORY_S = 10.0
 # Share by which the motion model may be wrong for a moment, and how many ticks such an error lasts.
 GAIN_ERROR, DAMPING_ERROR = (0.25, 0.25, 0.35, 0.15), 0.3
 ERROR_TICKS = 4.0
@@ -91,7 +92,7 @@ def look(memory: Memory, u, y, valid, flying, restart, x, variances, n: int, dt:
     shrink = jnp.minimum(
         shrink, jnp.maximum(0.0, 1.0 - GUST_SHARE**2 * jnp.tile(gusts, 2) / jnp.maximum(needs**2, 1e-12))
     )
-    fade = jnp.where(flying & valid[0], dt / plant.USUAL_S, 0.0)
+    fade = jnp.where(flying & valid[0], dt / LEVEL_MEMORY_S, 0.0)
     level = memory.level + fade * (jnp.minimum(motion**2, 6.0 * memory.level) - memory.level)
     one = jnp.ones(1)
     teach = jnp.ones((4, PER_AXIS)).at[:, GAIN].set(jnp.concatenate([shrink[:3], one]))
@@ -106,7 +107,7 @@ def look(memory: Memory, u, y, valid, flying, restart, x, variances, n: int, dt:
     away = part - before
     stands_out = jnp.maximum(0.0, 1.0 - GARROTE**2 * memory.thrust_level / jnp.maximum(away**2, 1e-12)) * away
     trim = jnp.where(restart, part, memory.trim)
-    fade = jnp.where(flying & valid[0] & ~restart, dt / plant.USUAL_S, 0.0)
+    fade = jnp.where(flying & valid[0] & ~restart, dt / LEVEL_MEMORY_S, 0.0)
     thrust_level = memory.thrust_level + fade * (jnp.minimum(away**2, 6.0 * memory.thrust_level) - memory.thrust_level)
     smooth = jnp.maximum(collective + before + stands_out, 0.0)
 

@@ -19,6 +19,7 @@ CREDIBLE = 0.03  # a rotor set with less probability than this is not named
 CERTAIN_OPPOSITE = 0.99  # the same for a pair of opposite rotors: only manoeuvres tell it from the others
 # What the model itself is uncertain of: the thrust curve away from the operating point, equal rotors.
 MODEL_SD, MODEL_SHARE = 0.004, 0.02
+HIDDEN = 20.0  # times that the data alone must prefer a pair of opposite rotors to be named
 COAXIAL_SHARE = 0.06  # ... how the thrust of a coaxial arm divides: half of what the lower rotors' share may be off by
 
 
@@ -56,14 +57,14 @@ def hidden_pairs(shares: dict, partners: dict) -> tuple[tuple[int, ...], ...]:
     """Pairs that only their rarity, not the data, rules out against a single rotor: it and the one opposite.
 
     Losses on opposite rotors cancel in roll and pitch; gusts hide the rest in yaw and thrust. When the data favour such
-    a pair clearly once prior weights are taken out, a small single loss must not be claimed.
+    a pair by more than HIDDEN once prior weights are taken out, a small single loss must not be claimed.
     """
     best = next(iter(shares), ())
     if len(best) != 1:
         return ()
     rarity = hypotheses.WEIGHT["single"] / hypotheses.WEIGHT["pair"]
     pairs = [tuple(sorted((best[0], j))) for j in partners.get(best[0], ())]
-    return tuple(p for p in pairs if shares.get(p, 0.0) * rarity > np.exp(hypotheses.CLEAR) * shares[best])
+    return tuple(p for p in pairs if shares.get(p, 0.0) * rarity > HIDDEN * shares[best])
 
 
 def opposite_shares(hyp: Hypotheses, log_odds: np.ndarray, partners: dict) -> dict[tuple[int, ...], float]:

@@ -17,7 +17,7 @@ import numpy as np
 # Nats by which one explanation has to be better than another before that counts: ten times likelier.
 CLEAR = float(np.log(10.0))
 # Losses: so large that the rotor is as good as gone; so small that it is none.
-GONE, NONE = 0.8, 0.02
+GONE, NONE = 0.8, 0.015
 LOSS_WIDTH, SMALL_WIDTH = 0.3, 0.06
 # Share by which what a loss does to roll, pitch, yaw and thrust may differ from geometry: inflow and battery change thrust, and
 # in moving air rotors that no longer match in speed drag the vehicle round.
