@@ -132,7 +132,8 @@ def test_rows_add_up():
     assert empty["loss_rmse"] is None and empty["right"] is None
 
 
-def test_a_method_and_the_default_in_one_table(quads):
+def test_a_method_and_the_default_in_one_table(quads, monkeypatch):
+    monkeypatch.setattr(study, "STEPS", 256)
     result = study.compare(quads, ["default", "ekf"])
     rows = result["groups"]["simulated quad-x"]
     assert set(rows) == {"default", "ekf"} and result["failed"] == {}

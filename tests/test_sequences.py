@@ -136,8 +136,9 @@ def test_every_flight_is_a_valid_scenario_with_what_its_kind_says():
     assert len(kinds) == len(set(sequences.KINDS)) * len(sequences.FRAMES)
 
 
-def test_two_flights_are_flown_judged_and_scored():
-    result = sequences.run(2)
+def test_two_flights_are_flown_judged_and_scored(monkeypatch):
+    monkeypatch.setattr(sequences, "WIDTH", 1)
+    result = sequences.run(2, jobs=1)
     rows = result["states"]
     assert {r["flight"] for r in rows} == {0, 1} and all(r["frame"] == "quad-x" for r in rows)
     plan = sequences.Sequences()
