@@ -1,6 +1,11 @@
-"""Fixtures that several test files share: a fabricated but complete diagnosis, as the diagnoser would make it."""
+"""What all tests share: how JAX compiles for them, and a fabricated but complete diagnosis, as the diagnoser would make it."""
 
+import importlib.util
+import mmap
+import os
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,6 +14,33 @@ from rotorwatch import airframes
 from rotorwatch.answer import places
 from rotorwatch.answer.conclusion import conclude
 from rotorwatch.diagnosis import Diagnosis, Event, Trace
+
+
+def _quick_flags():
+    """XLA's switches for programs that are compiled in a fifth of the time; a test runs them over a few hundred rows only.
+
+    The second switch is not known to every release, and XLA ends the process at one that it does not know.
+    """
+    home = importlib.util.find_spec("jaxlib").submodule_search_locations[0]
+    flags = ["--xla_backend_optimization_level=0"]
+    for library in Path(home).glob("*.so"):
+        with library.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as text:
+            if text.find(b"xla_cpu_use_fusion_emitters") >= 0:
+                flags.append("--xla_cpu_use_fusion_emitters=false")
+                break
+    return " ".join(flags)
+
+
+# Before JAX is imported; processes that tests start inherit it.
+os.environ.setdefault("XLA_FLAGS", _quick_flags())
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _compiled_programs_go():
+    """A loaded program holds some 20 memory maps, of which a process may have 65,530: beyond that JAX dies without a word."""
+    yield
+    if "jax" in sys.modules:
+        sys.modules["jax"].clear_caches()
 
 
 def hexa_trace(duration=60.0, rate=50.0, rotors=6, onset=31.2, detected=31.56, loss=0.37, seed=1):

@@ -5,20 +5,18 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rotorwatch.default import announcement, hypotheses
+from rotorwatch.default import announcement, hypotheses, noise
 from rotorwatch.default.announcement import (
     ABSORB_S,
     CERTAIN_NATS,
-    COMPETITOR_ODDS,
     EDGE,
-    FREEZE_S,
-    SUSPICIOUS_PERIOD_S,
-    UNDECIDED,
     Standing,
 )
+from rotorwatch.default.hypotheses import CLEAR
+from rotorwatch.default.plant import USUAL_S
 
 HYP, DT, LIMIT, REACH = hypotheses.make(4), 0.05, 14.0, 64.0
-MUCH = np.log(COMPETITOR_ODDS)
+MUCH = UNDECIDED = CLEAR
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -114,16 +112,16 @@ def test_what_has_certainly_happened_for_a_second_is_absorbed():
 
 def test_noise_is_not_learned_from_a_growing_suspicion_but_not_for_ever():
     """Four seconds of it; as long a calm makes up for it."""
-    limit = announcement.threshold(HYP, DT, SUSPICIOUS_PERIOD_S)
+    limit = announcement.threshold(HYP, DT, noise.MEMORY_S)
     standing, waited, learns = announcement.init(), 0, False
     while not learns:
         standing, learns = announcement.suspicion(standing, SimpleNamespace(fault=np.float64(limit + 0.1)), HYP, DT)
         waited += 1
-    assert waited == pytest.approx(FREEZE_S / DT, abs=1.5)
+    assert waited == pytest.approx(USUAL_S / DT, abs=1.5)
     for _ in range(200):
         standing, learns = announcement.suspicion(standing, SimpleNamespace(fault=np.float64(limit + 0.1)), HYP, DT)
-    assert learns and standing.frozen == pytest.approx(2.0 * FREEZE_S)
-    for left in (2.0 * FREEZE_S - DT, 2.0 * FREEZE_S - 2 * DT):
+    assert learns and standing.frozen == pytest.approx(2.0 * USUAL_S)
+    for left in (2.0 * USUAL_S - DT, 2.0 * USUAL_S - 2 * DT):
         standing, learns = announcement.suspicion(standing, SimpleNamespace(fault=np.float64(limit - 0.1)), HYP, DT)
         assert learns and standing.frozen == pytest.approx(left)
     calm, learns = announcement.suspicion(announcement.init(), SimpleNamespace(fault=np.float64(limit - 0.1)), HYP, DT)

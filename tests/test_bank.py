@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from rotorwatch.default import bank
-from rotorwatch.default.bank import BUILD_UP_S, SLOTS, STRIDES
+from rotorwatch.default.bank import SLOTS, STRIDES
+from rotorwatch.default.plant import ANSWER_S
 
 DT, N_S, Q, TICKS = 0.05, 5, 3, 70
 
@@ -65,7 +66,7 @@ def test_recent_onsets_are_dense_and_older_ones_sparse(run):
         for k in (5, 6, 20, TICKS - 1):
             onsets = [t for t in range(6, k + 1) if t % stride == 0][-SLOTS:]
             assert sorted(k - states.age[k, part][states.age[k, part] >= 0]) == onsets
-    assert jumps.reach == SLOTS * max(STRIDES[0.05]) and jumps.decay == pytest.approx(np.exp(-DT / BUILD_UP_S))
+    assert jumps.reach == SLOTS * max(STRIDES[0.05]) and jumps.decay == pytest.approx(np.exp(-DT / ANSWER_S))
     assert bank.Jumps(np.eye(3), 0.2).stride.tolist() == np.repeat(STRIDES[0.1], SLOTS).tolist()
 
 
@@ -73,7 +74,7 @@ def test_losses_that_build_up_are_there_after_a_while(run):
     """All shares of a gradual jump add up to one, 63 % of them within its time constant."""
     jumps = run[0]
     shares = (1 - jumps.decay) * jumps.decay ** np.arange(400)
-    assert shares.sum() == pytest.approx(1.0) and shares[: round(BUILD_UP_S / DT)].sum() == pytest.approx(
+    assert shares.sum() == pytest.approx(1.0) and shares[: round(ANSWER_S / DT)].sum() == pytest.approx(
         1 - np.exp(-1.0)
     )
 

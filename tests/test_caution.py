@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes
-from rotorwatch.default import caution
+from rotorwatch.default import caution, noise, plant
 from rotorwatch.default.plant import AXIS_STATES, DAMPING, DAMPING_RATE, GAIN, GAIN_MEAN, PER_AXIS, any_multirotor
 
 N, DT = 4, 0.05
@@ -64,7 +64,7 @@ def test_motion_that_gusts_have_made_teaches_less():
     gusts[1], gusts[2], gusts[3] = 0.02**2, 0.03**2, 0.01**2
     motion = np.array([12.0, 12.0, 12.0])
     _, seen = look(settled(), inputs(motion=motion, rates=motion), variances=gusts)
-    variance = 0.02**2 + 0.03**2 + caution.GUST_S * 0.01**2
+    variance = 0.02**2 + 0.03**2 + plant.TAU[1] * 0.01**2
     needs = N * GAIN_MEAN[:3] * motion
     for shares, force, level in zip(taught(seen), (needs, DAMPING_RATE * needs), (0.3, 0.05)):
         garrote = 1.0 - caution.GUST_SHARE**2 * variance / force**2
@@ -77,7 +77,7 @@ def test_the_calm_level_follows_motion_and_forgets_it():
     memory = settled()
     motion = 0.2 * np.sqrt(memory.level)
     after, _ = look(memory, inputs(motion=motion[:3], rates=motion[3:]))
-    part = DT / caution.LEVEL_MEMORY_S
+    part = DT / plant.USUAL_S
     assert np.asarray(after.level) == pytest.approx(memory.level + part * (0.04 - 1.0) * memory.level)
     loud, _ = look(memory, inputs(motion=(50.0,) * 3, rates=(9.0,) * 3))
     assert np.asarray(loud.level) == pytest.approx(memory.level * (1.0 + 5.0 * part))
@@ -95,9 +95,9 @@ def test_a_rotors_jitter_is_smoothed_and_its_steps_are_not():
         assert np.asarray(seen.u)[:N] == pytest.approx(EVEN + 0.07 + passes * step)
         assert seen.collective == pytest.approx(1.07)
         assert np.asarray(seen.rise) == pytest.approx(passes * step, abs=1e-12)
-        assert np.asarray(memory.thrust) == pytest.approx(EVEN - 1.0 + step * DT / caution.THRUST_MEMORY_S)
-        assert np.asarray(memory.trim) == pytest.approx(EVEN - 1.0 + step * DT / caution.TRIM_MEMORY_S)
-        wanted = level**2 * (1.0 + DT / caution.LEVEL_MEMORY_S * (min(times**2, 6.0) - 1.0))
+        assert np.asarray(memory.thrust) == pytest.approx(EVEN - 1.0 + step * DT / plant.ANSWER_S)
+        assert np.asarray(memory.trim) == pytest.approx(EVEN - 1.0 + step * DT / plant.USUAL_S)
+        wanted = level**2 * (1.0 + DT / plant.USUAL_S * (min(times**2, 6.0) - 1.0))
         assert np.asarray(memory.thrust_level) == pytest.approx(wanted)
     assert np.asarray(seen.u)[N:] == pytest.approx(inputs()[N:])
     assert np.asarray(look(settled([5.0, -0.9, 0.0, 0.1]), inputs(EVEN))[1].u)[:N].min() >= 0.0
@@ -121,7 +121,7 @@ def test_far_from_hover_is_counted_beyond_three_tenths(thrust, load, far):
     """Of the usual thrust, and of gravity; the usual follows in five seconds."""
     memory, seen = look(settled(np.ones(N)), inputs(np.full(N, thrust), load=load))
     assert seen.far == pytest.approx(far)
-    assert memory.collective == pytest.approx(1.0 + (thrust - 1.0) * DT / caution.FAR_MEMORY_S)
+    assert memory.collective == pytest.approx(1.0 + (thrust - 1.0) * DT / plant.USUAL_S)
 
 
 def remembered(innovations, variance=1.0, ok=YES, start=None):
@@ -137,7 +137,7 @@ def test_bursts_are_remembered_for_three_seconds():
     part = 1.0 - (1.0 - DT / caution.BURST_MEMORY_S) ** 20
     assert np.asarray(loud.burst) == pytest.approx(1.0 + part * (1.5**2 - 1.0))
     assert np.asarray(remembered([100.0]).burst) == pytest.approx(
-        1.0 + DT / caution.BURST_MEMORY_S * (caution.BURST_CLIP - 1.0)
+        1.0 + DT / caution.BURST_MEMORY_S * (noise.CLIP - 1.0)
     )
     quiet = remembered([0.0] * 20, start=loud)
     assert np.asarray(quiet.burst) == pytest.approx(np.asarray(loud.burst) * (1.0 - part))
@@ -151,20 +151,18 @@ def test_innovations_that_lean_to_one_side_are_remembered_for_half_a_minute():
     memory, lean, lasting = caution.init(N), 0.0, 1.0
     for e in [1.0, 0.5, 1.5, 0.0, 2.0] * 6:
         memory = caution.remember(memory, np.full(4, e), np.ones(4), YES, DT)
-        lean += DT / caution.LEAN_S * (e - lean)
+        lean += DT / plant.TAU[1] * (e - lean)
         lasting += (
-            DT
-            / caution.LASTING_MEMORY_S
-            * (min(lean**2 * (2.0 * caution.LEAN_S / DT - 1.0), caution.BURST_CLIP) - lasting)
+            DT / caution.LASTING_MEMORY_S * (min(lean**2 * (2.0 * plant.TAU[1] / DT - 1.0), noise.CLIP) - lasting)
         )
     assert np.asarray(memory.lean) == pytest.approx(lean) and np.asarray(memory.lasting) == pytest.approx(lasting)
-    assert 1.0 < lasting < caution.BURST_CLIP
+    assert 1.0 < lasting < noise.CLIP
     white = np.random.default_rng(0).standard_normal(4000)
     mean, squares = 0.0, []
     for e in white:
-        mean += DT / caution.LEAN_S * (e - mean)
+        mean += DT / plant.TAU[1] * (e - mean)
         squares.append(mean**2)
-    assert np.mean(squares[200:]) * (2.0 * caution.LEAN_S / DT - 1.0) == pytest.approx(1.0, abs=0.25)
+    assert np.mean(squares[200:]) * (2.0 * plant.TAU[1] / DT - 1.0) == pytest.approx(1.0, abs=0.25)
 
 
 def test_evidence_counts_less_while_innovations_are_larger_than_the_model_expects():

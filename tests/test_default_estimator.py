@@ -17,7 +17,7 @@ from rotorwatch.default import announcement, caution, hypotheses, kalman, noise,
 from rotorwatch.default import bank as onsets
 from rotorwatch.default.estimator import JumpBank
 from rotorwatch.default.hypotheses import LOSS_WIDTH
-from rotorwatch.default.plant import B3, GAIN, PER_AXIS, SIDEWAYS, WrenchBalance
+from rotorwatch.default.plant import ANSWER_S, B3, GAIN, PER_AXIS, SIDEWAYS, WrenchBalance
 from rotorwatch.motion.ticks import GROUND, JUDGE, LEARN
 
 DT = 0.05
@@ -133,8 +133,8 @@ def tick(method, u, y, noises, mean, P, G=None, walk=0.0):
 
 def shares_of(slow):
     """What part of a jump enters how long after its onset."""
-    build_up = 1.0 - np.exp(-DT / onsets.BUILD_UP_S)
-    return lambda since: build_up * np.exp(-since * DT / onsets.BUILD_UP_S) if slow else float(since == 0)
+    build_up = 1.0 - np.exp(-DT / ANSWER_S)
+    return lambda since: build_up * np.exp(-since * DT / ANSWER_S) if slow else float(since == 0)
 
 
 @pytest.fixture(scope="module")
@@ -145,7 +145,7 @@ def quad():
         patch.setattr(kalman, "OUTLIER", 1e9)
         patch.setattr(caution, "LAG_ERROR_S", 0.0)
         patch.setattr(caution, "SNAPSHOT", 0.0)
-        patch.setattr(caution, "BURST_POWER", 0.0)
+        patch.setattr(caution, "calm", lambda memory: np.ones(4))
         patch.setattr(hypotheses, "SLOP", (0.0,) * 4)
         patch.setattr(posterior, "OUT", -400.0)
         method = make("ardupilot-quad-x", yaw_known=True)
@@ -267,7 +267,7 @@ def test_the_better_explanation_takes_the_lead_and_the_bank_starts_anew(quad):
     leads = out.active[:, 0, 2]
     j = int(np.argmax(leads))
     assert j > 0 and leads[j:].all() and not leads[:j].any() and not out.announced[: j + 1].any()
-    assert carries.branches.weight[j - 1, 1] <= posterior.AHEAD
+    assert carries.branches.weight[j - 1, 1] <= hypotheses.CLEAR
     assert (carries.bank.age[j] == -1).all() and (carries.bank.age[j - 1] >= 0).any()
     assert out.theta[j - 1].max() == 0.0
     assert out.theta[j:, 2] == pytest.approx(0.05, abs=0.02)

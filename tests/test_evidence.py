@@ -6,8 +6,8 @@ from scipy.special import logsumexp
 
 from rotorwatch import airframes
 from rotorwatch.default import bank, evidence, hypotheses
-from rotorwatch.default.evidence import DEAD, KNOWN_BONUS, NOTHING, SECOND_NATS, TRUST
-from rotorwatch.default.hypotheses import FAR, FAR_SHARE, LOSS_WIDTH, WEIGHT
+from rotorwatch.default.evidence import NOTHING, TRUST
+from rotorwatch.default.hypotheses import CLEAR, FAR, FAR_SHARE, GONE, LOSS_WIDTH, WEIGHT
 
 N, N_X, DT = 4, 20, 0.05
 HYP = hypotheses.make(N)
@@ -55,7 +55,7 @@ def expected(found, bank_, theta=(0.0,) * N, active=()):
         mine = all(known[i] for i in who)
         prior = np.log(WEIGHT[kind])
         if kind != "disturbance":
-            prior += KNOWN_BONUS if mine else -SECOND_NATS if known.any() else 0.0
+            prior += CLEAR if mine else -CLEAR if known.any() else 0.0
         out[h] = logsumexp(np.asarray(found.log_bf)[live, h] + np.log(JUMPS.stride[live]) + prior)
     return out
 
@@ -137,7 +137,7 @@ def test_slots_that_are_not_in_use_say_nothing():
 
 
 def test_beside_a_rotor_that_is_gone_only_itself_is_judged():
-    for loss, alone in ((DEAD + 0.01, True), (DEAD - 0.01, False)):
+    for loss, alone in ((GONE + 0.01, True), (GONE - 0.01, False)):
         odds = np.asarray(gather(told(), (0.0, loss, 0.0, 0.0), (2,)).log_odds)
         for h in FAULTS:
             others = set(HYP.rotors[h]) - {1}

@@ -129,7 +129,7 @@ def test_a_single_rotor_with_slop_is_weighed_as_the_integral_over_loss_and_axes(
 @pytest.mark.parametrize("ended, back", [(0.3, 0.3), (0.3, 0.2), (0.05, 0.05), (0.3, 0.0)])
 def test_a_recovery_is_weighed_as_the_integral_around_the_known_loss(ended, back, reach):
     """A loss of size `ended` was known; the data show a jump back of `back`, the prior is about -ended."""
-    n, sd = 4, float(np.hypot(hypotheses.RECOVERY_SD[0], hypotheses.RECOVERY_SD[1] * ended))
+    n, sd = 4, float(np.hypot(hypotheses.NONE, hypotheses.RECOVERY_SHARE * ended))
     C, z = quad_evidence(loss=-back, sd=0.05)
     gone = np.zeros((1, n))
     gone[0, 0] = -ended

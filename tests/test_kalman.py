@@ -5,8 +5,9 @@ import pytest
 
 from rotorwatch import airframes
 from rotorwatch.default import kalman, noise, posterior
+from rotorwatch.default.hypotheses import NONE
 from rotorwatch.default.plant import B1, B2, B3, PER_AXIS, WrenchBalance
-from rotorwatch.default.posterior import NEVER, OVER, PLACES
+from rotorwatch.default.posterior import NEVER, PLACES
 
 N, N_X, DT = 4, 20, 0.05
 SYSTEM = WrenchBalance(airframes.named("ardupilot-quad-x").effectiveness())
@@ -107,8 +108,8 @@ def test_a_loss_that_has_been_refined_is_known_its_variance_remembered():
     """At the end of its time: no more cross terms, no walk, the variance as it was, times the doubt. Others go on."""
     learning = np.tile([DT, 3.0, 0.0, DT], (PLACES, 1))
     b = branches(learning=learning, P=1e-6 * branches().P)
-    b.s[:, N_X:] = [0.2, 0.2, 0.2, OVER - 0.001]
-    b.theta_mean[:, 3] = OVER - 0.001
+    b.s[:, N_X:] = [0.2, 0.2, 0.2, NONE - 0.001]
+    b.theta_mean[:, 3] = NONE - 0.001
     after = predict(b, doubt=2.0)
     P = np.asarray(after.P)
     assert not P[:, N_X, :].any() and not P[:, :, N_X].any() and P[:, N_X + 1, N_X + 1].all() and P[:, N_X + 1, 0].all()
@@ -122,10 +123,10 @@ def test_a_loss_that_has_been_refined_is_known_its_variance_remembered():
 
 
 @pytest.mark.parametrize(
-    "away, sd, moving", [(0.02, 1e-3, True), (0.005, 1e-3, False), (0.02, 0.05, False), (-0.02, 1e-3, True)]
+    "away, sd, moving", [(0.02, 1e-3, True), (0.0005, 1e-3, False), (0.02, 0.05, False), (-0.02, 1e-3, True)]
 )
 def test_a_loss_that_still_moves_is_refined_further(away, sd, moving):
-    """It has left its mean of two seconds by a hundredth, and by its own uncertainty."""
+    """It has left its mean of two seconds by its own uncertainty."""
     b = branches(learning=np.full((PLACES, N), DT), P=np.tile(sd**2 * np.eye(N_X + N), (PLACES, 1, 1)))
     b.s[:, N_X:] = 0.2 + away / (1.0 - DT / kalman.MOVING_S)
     after = predict(b)

@@ -24,6 +24,7 @@ DT, TICKS = 0.02, 220
 TAKE_OFF, READY, ONSET = 5, 80, 110
 GAPS = (slice(50, 60), slice(95, 103), slice(130, 150))  # no measurement at all
 BLIND_AXIS = slice(65, 75)  # only the thrust axis is missing
+LONG = 6  # the tick whose length is looked at
 LOSS = 0.3
 FORBIDDEN = {"while", "sort", "lu", "qr", "geqrf", "eigh", "eig", "svd", "pure_callback", "io_callback"}
 
@@ -145,6 +146,26 @@ class Case:
     def usual(self):
         return self.over(*self.flight())
 
+    @functools.cached_property
+    def together(self):
+        """Stacked estimates of the `flights` side by side, compiled at once; with the length of each step where a step takes one."""
+        columns = [np.stack(column) for column in zip(*self.flights, strict=True)]
+        return jax.tree.map(np.asarray, jax.jit(jax.vmap(self.run))(*columns))
+
+    @functools.cached_property
+    def flights(self):
+        """(u, y, valid), and dt but on the default's own plant: the usual flight, another, and two without a gap but for the tick
+        LONG, which is short in one and long in the other."""
+        found = [self.flight(), self.flight(2, 0.0)]
+        if self.own_plant:
+            return found
+        u, y, valid = self.flight()
+        valid = np.ones_like(valid)
+        valid[LONG] = False
+        alone = np.arange(TICKS) == LONG
+        lengths = [np.full(TICKS, self.dt)] * 2 + [np.where(alone, k * self.dt, self.dt) for k in (0.5, 5.0)]
+        return [(*table, dt) for table, dt in zip([*found, (u, y, valid), (u, y, valid)], lengths, strict=True)]
+
 
 def published():
     return {name: kind for name, kind in discovery.estimators().items() if name != "default"}
@@ -254,10 +275,8 @@ def nothing_is_learned_where_nothing_is_measured(case):
 
 
 def many_flights_at_once_are_the_same_as_one_by_one(case):
-    flights = [case.flight(), case.flight(2, 0.0)]
-    together = jax.jit(jax.vmap(case.run))(*(np.stack(column) for column in zip(*flights, strict=True)))
-    for k, table in enumerate(flights):
-        assert_same(case.over(*table), [leaf[k] for leaf in together], rtol=1e-6, atol=1e-9)
+    for k, table in enumerate(case.flights[:2]):
+        assert_same(case.over(*table[:3]), [leaf[k] for leaf in case.together], rtol=1e-6, atol=1e-9)
 
 
 def compiled_is_the_same_as_not(case):
@@ -400,17 +419,11 @@ def on_linear_plants_it_is_the_kalman_filter(kind):
     np.testing.assert_allclose(got.innovation_cov[measured], wanted[5][measured], rtol=1e-8, atol=1e-10)
 
 
-def the_length_of_a_step_counts(kind):
+def the_length_of_a_step_counts(case):
     """No dt is the constructor's; and a long step without measurements ends elsewhere, and no surer, than a short one."""
-    case = Case(kind, rates_quad)
-    u, y, _ = case.flight()
-    step = jax.jit(case.estimator.step)
-    carry, all_valid, none_valid = case.estimator.init(), np.ones(4, bool), np.zeros(4, bool)
-    for k in range(6):
-        carry, _ = step(carry, u[k], y[k], all_valid, DT)
-    usual, same = step(carry, u[8], y[8], all_valid), step(carry, u[8], y[8], all_valid, DT)
-    assert_same(estimate_of(usual[1]), estimate_of(same[1]), rtol=1e-9, atol=1e-12)
-    short, long = (estimate_of(step(carry, u[8], y[8], none_valid, dt)[1]) for dt in (0.5 * DT, 5 * DT))
+    same, _, short, long = (Estimate(*(leaf[k] for leaf in case.together)) for k in range(4))
+    assert_same(case.usual, same, rtol=1e-6, atol=1e-9)
+    short, long = (Estimate(*(leaf[LONG] for leaf in flight)) for flight in (short, long))
     assert np.abs(long.x - short.x).max() > 1e-3
     assert np.trace(long.x_cov) > np.trace(short.x_cov)
     assert np.trace(long.theta_cov) >= np.trace(short.theta_cov)
@@ -429,7 +442,7 @@ def test_on_linear_plants_it_is_the_kalman_filter(name):
 
 @pytest.mark.parametrize("name", published())
 def test_the_length_of_a_step_counts(name):
-    the_length_of_a_step_counts(discovery.estimator(name))
+    the_length_of_a_step_counts(case_of(name, rates_quad))
 
 
 @pytest.mark.parametrize("name", published())
@@ -541,8 +554,9 @@ def test_planted_losses_out_of_range_are_caught():
 def test_planted_errors_of_the_filter_are_caught(law, change):
     if law is the_length_of_a_step_counts and change is _trusts_too_much:
         pytest.skip("a wrong covariance, but steps count")
+    kind = mistaken(change)
     with pytest.raises(AssertionError):
-        law(mistaken(change))
+        law(Case(kind, rates_quad) if law is the_length_of_a_step_counts else kind)
 
 
 # The default method on its own plant.

@@ -7,7 +7,8 @@ import pytest
 
 from rotorwatch import airframes
 from rotorwatch.default import bank, hypotheses, opposite
-from rotorwatch.default.opposite import OPPOSITE_LOSS, OPPOSITE_NATS, OPPOSITE_S, SHARP_NATS
+from rotorwatch.default.hypotheses import CLEAR, NONE
+from rotorwatch.default.plant import ANSWER_S
 
 DT, LIMIT, PAIR, SLOT = 0.05, 14.0, (0, 1), 5
 HEXA, QUAD = (airframes.named(f"ardupilot-{f}").effectiveness() for f in ("hexa-x", "quad-x"))
@@ -29,7 +30,7 @@ def suspect(
     pair=PAIR,
     slot=SLOT,
     calm=True,
-    lasted=OPPOSITE_S - DT,
+    lasted=ANSWER_S - DT,
     live=True,
 ):
     """Evidence in which a pair at a sudden onset, and disturbances at sudden and gradual ones, have so many nats."""
@@ -48,9 +49,9 @@ def suspect(
 
 def test_it_is_said_once_after_half_a_second_with_its_onset_and_losses():
     out, since, h = suspect()
-    assert int(out.pair) == h and since == pytest.approx(OPPOSITE_S)
+    assert int(out.pair) == h and since == pytest.approx(ANSWER_S)
     assert float(out.onset) == SLOT + 1.0 and np.asarray(out.loss) == pytest.approx([0.2, 0.2])
-    for lasted in (OPPOSITE_S - 2 * DT - 1e-9, OPPOSITE_S + 1e-9):
+    for lasted in (ANSWER_S - 2 * DT - 1e-9, ANSWER_S + 1e-9):
         out, since, _ = suspect(lasted=lasted)
         assert int(out.pair) == -1 and since == pytest.approx(lasted + DT)
 
@@ -59,9 +60,9 @@ def test_it_is_said_once_after_half_a_second_with_its_onset_and_losses():
     "within, beyond",
     [
         (dict(fit=LIMIT + 0.1, sudden=15.0, gradual=9.0), dict(fit=LIMIT - 0.1, sudden=15.0, gradual=9.0)),
-        (dict(sudden=20.0 + OPPOSITE_NATS - 0.1), dict(sudden=20.0 + OPPOSITE_NATS + 0.1)),
-        (dict(gradual=20.0 - SHARP_NATS - 0.1), dict(gradual=20.0 - SHARP_NATS + 0.1)),
-        (dict(loss=OPPOSITE_LOSS + 1e-6), dict(loss=OPPOSITE_LOSS - 1e-6)),
+        (dict(sudden=20.0 + 2.0 * CLEAR - 0.1), dict(sudden=20.0 + 2.0 * CLEAR + 0.1)),
+        (dict(gradual=20.0 - CLEAR - 0.1), dict(gradual=20.0 - CLEAR + 0.1)),
+        (dict(loss=NONE + 1e-6), dict(loss=NONE - 1e-6)),
         (dict(loss=(0.2, 0.2)), dict(loss=(0.2, 0.0))),
         ({}, dict(calm=False)),
         ({}, dict(live=False)),

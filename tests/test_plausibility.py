@@ -5,20 +5,17 @@ import pytest
 
 from rotorwatch.default import plausibility
 from rotorwatch.default.caution import AT_LIMIT, BELIEVED
+from rotorwatch.default.hypotheses import GONE, NONE
+from rotorwatch.default.plant import ANSWER_S, USUAL_S
 from rotorwatch.default.plausibility import (
     ASKED_MOST,
     ASKED_SHARE,
     ASKED_SLACK,
     CHANGE,
     CHANGE_GONE,
-    FAST_S,
-    GONE,
-    HEAVE_S,
     LIMIT_S,
     MISSING_SLACK,
     SECOND,
-    SLOW_S,
-    SMALLEST,
     Missing,
 )
 
@@ -70,7 +67,7 @@ def test_a_loss_that_is_asked_for_and_missing_is_possible():
 
 
 def test_the_smallest_loss():
-    assert not possible(jump((2, SMALLEST - 1e-6))) and possible(jump((2, SMALLEST + 1e-6)))
+    assert not possible(jump((2, NONE - 1e-6))) and possible(jump((2, NONE + 1e-6)))
 
 
 @pytest.mark.parametrize("size, smooth", [(0.3, 1.0), (0.3, 0.6), (0.9, 1.0)])
@@ -155,7 +152,7 @@ def followed(rows, start=None):
 def test_what_is_missing_is_averaged_over_half_a_second_and_six():
     """First order: after its time constant 63 % of a step; what is not measured takes nothing from the slow one."""
     begun = [(0.0, 1.0, 0.5, True, True)]
-    for name, tau in (("fast", FAST_S), ("slow", SLOW_S)):
+    for name, tau in (("fast", ANSWER_S), ("slow", USUAL_S)):
         ticks = round(tau / DT)
         part = float(getattr(followed(begun + [(2.0, 1.0, 0.5, True, False)] * ticks), name))
         assert part == pytest.approx(2.0 * (1.0 - (1.0 - DT / tau) ** ticks)) and 1.2 < part < 1.4
@@ -170,7 +167,7 @@ def test_what_is_missing_is_averaged_over_half_a_second_and_six():
 def test_a_push_up_or_down_is_remembered_for_eight_seconds(load):
     push = [(0.0, load, 0.5, True, False)]
     assert float(followed(push).heave) == pytest.approx(0.5)
-    quiet = [(0.0, 1.0, 0.5, True, False)] * round(HEAVE_S / DT)
+    quiet = [(0.0, 1.0, 0.5, True, False)] * round(USUAL_S / DT)
     assert float(followed(push + quiet).heave) == pytest.approx(0.5 * np.exp(-1.0))
     assert float(followed([(0.0, load, 0.5, False, False)]).heave) == 0.0
 

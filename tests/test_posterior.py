@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rotorwatch.default import posterior
-from rotorwatch.default.posterior import AHEAD, NEVER, OUT, PLACES, RESOLVE_S, TEMPER
+from rotorwatch.default.hypotheses import CLEAR
+from rotorwatch.default.posterior import NEVER, OUT, PLACES, RESOLVE_S, TEMPER
 
 DT, N, STATES = 0.05, 6, 9
 
@@ -100,7 +101,7 @@ def test_the_best_leads_once_it_is_far_enough_ahead_and_nothing_is_lost(others, 
     after, changed = posterior.lead(before)
     best = int(np.argmax(weights))
     order = list(range(PLACES))
-    if weights[best] > AHEAD:
+    if weights[best] > CLEAR:
         order[0], order[best] = order[best], order[0]
     assert bool(changed) == (order != list(range(PLACES)))
     for name in ("s", "P", "active", "learning", "theta_var", "theta_mean", "onset"):
@@ -113,7 +114,7 @@ def test_the_best_leads_once_it_is_far_enough_ahead_and_nothing_is_lost(others, 
     assert after.age == before.age
 
 
-@given(st.lists(st.floats(OUT, AHEAD), min_size=3, max_size=3), st.integers(0, 7))
+@given(st.lists(st.floats(OUT, CLEAR), min_size=3, max_size=3), st.integers(0, 7))
 @settings(max_examples=40, deadline=None)
 def test_shares_are_probabilities_of_what_is_left(others, absent):
     weights = np.array([0.0, *[NEVER if absent >> i & 1 else w for i, w in enumerate(others)]])

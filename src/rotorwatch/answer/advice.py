@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from rotorwatch.answer.wording import listed, rotors, seconds, sentence
-from rotorwatch.default.events import GONE
+from rotorwatch.default.hypotheses import GONE
 from rotorwatch.diagnosis import Event, RotorState
 
 BASELINE = (

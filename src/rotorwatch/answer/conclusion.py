@@ -24,7 +24,7 @@ from rotorwatch.answer.wording import (
     seconds,
     sentence,
 )
-from rotorwatch.default.events import GONE
+from rotorwatch.default.hypotheses import GONE
 from rotorwatch.default.leftover import Leftover
 from rotorwatch.diagnosis import Event, RotorState
 

@@ -6,7 +6,8 @@ b are right only with the variant and c only without it, and
 
     difference = (b - c) / n,        sd = sqrt(b + c - (b - c)^2 / n) / n          (McNemar's, for shares of the same things)
 
-A constant is any number in capitals in a file of `rotorwatch.default` (OFF says which value leaves it out). Where a step's mathematics
+A constant is any number in capitals in a file of `rotorwatch.default`; constants.py says what each means, and which value leaves
+it out. Where a step's mathematics
 use it, it is a parameter of one compiled program; where it shapes the program or its start, the program is built anew.
 """
 
@@ -30,6 +31,7 @@ import numpy as np
 
 from rotorwatch import airframes, default, logs
 from rotorwatch.campaign import batch, sequences
+from rotorwatch.campaign.constants import TABLE
 from rotorwatch.campaign.plan import Plan
 from rotorwatch.compiling.run import chosen, run_built
 from rotorwatch.default import events, hypotheses, program
@@ -51,20 +53,6 @@ GIVEN = {
     "plant.PER_AXIS", "plant.SIDEWAYS", "plant.AXIS_STATES", "plant.B1", "plant.B2", "plant.B3", "plant.GAIN", "plant.DAMPING",
     "announcement.FALSE_ALARM_PERIOD_S", "bank.SLOTS", "bank.STRIDES", "noise.LAGS", "hypotheses.DISTURBANCES",
     "kalman.BIASES", "posterior.NEVER", "posterior.PLACES", "evidence.NOTHING",
-}  # fmt: skip
-BIG = 1e6
-"""Value that leaves a constant's part out of the method; constants that are not here have none."""
-OFF: dict[str, float] = {
-    "noise.CLIP": BIG, "noise.GROWTH_WEIGHT": 0.0, "caution.GARROTE": 0.0, "caution.GAIN_ERROR": 0.0, "caution.DAMPING_ERROR": 0.0,
-    "caution.LAG_ERROR_S": 0.0, "caution.SNAPSHOT": 0.0, "caution.BURST_POWER": 0.0, "caution.GUST_SHARE": 0.0,
-    "caution.FAR_ERROR": 0.0, "caution.AT_LIMIT": BIG, "kalman.OUTLIER": BIG, "kalman.MOVING": BIG, "kalman.THETA_WALK": 0.0,
-    "hypotheses.SLOP": 0.0, "hypotheses.FAR_SHARE": 1e-30, "evidence.KNOWN_BONUS": 0.0, "evidence.SECOND_NATS": 0.0,
-    "evidence.TRUST": 1e12, "evidence.DEAD": 2.0, "announcement.COMPETITOR_ODDS": 1.0, "announcement.EDGE": 2.0,
-    "announcement.PERSIST_S": 0.0, "announcement.CERTAIN_NATS": BIG, "announcement.SETTLE_S": 0.0, "announcement.FREEZE_S": 0.0,
-    "plausibility.ASKED_SHARE": -BIG, "plausibility.MISSING_SLACK": BIG, "plausibility.SECOND": 0.0, "plausibility.LIMIT_S": 1e-3,
-    "plausibility.CHANGE": 0.0, "plausibility.CHANGE_GONE": 0.0, "opposite.OPPOSITE_NATS": -BIG, "posterior.TEMPER": 0.0,
-    "posterior.AHEAD": BIG, "posterior.OVER": -1.0, "events.HIDDEN": BIG, "events.CREDIBLE": 1.1, "events.MODEL_SD": 0.0,
-    "events.MODEL_SHARE": 0.0, "events.COAXIAL_SHARE": 0.0, "plant.SIDE_SD": 1e-6, "plant.SHARE_SD": 1e-6,
 }  # fmt: skip
 WORDS = ("off", "half", "double")
 SOON_S = 10.0  # a fault that is announced within so much counts as found
@@ -117,10 +105,10 @@ def variants(only: Sequence[str] = (), words: Sequence[str] = WORDS) -> dict[str
             for word, factor in (("half", 0.5), ("double", 2.0)):
                 if word not in words:
                     continue
-                now = {**value, **_scaled(part, factor)} if part else _scaled(value, factor)
+                now = _scaled(value, factor) if part is None else {**value, **_scaled(part, factor)}
                 made[f"{label} {word}"] = {name: now}
-            if label in OFF and "off" in words:
-                off = OFF[label]
+            off = TABLE[label].off
+            if off is not None and "off" in words:
                 made[f"{label} off"] = {name: tuple(off for _ in value) if isinstance(value, tuple) else off}
     if only and len(made) == 1:
         raise ConfigError(f"No constant's name begins with {' or '.join(only)}; they are {', '.join(known)}.")
@@ -158,8 +146,7 @@ class Tuned:
 
 # Constants that shape the program, its start or its hypotheses.
 BUILT_IN = frozenset({
-    "announcement.GATES", "announcement.PERSIST_S", "announcement.SUSPICIOUS_PERIOD_S", "bank.BUILD_UP_S", "hypotheses.WEIGHT",
-    "plant.TAU",
+    "announcement.GATES", "announcement.PERSIST_S", "hypotheses.WEIGHT", "plant.ANSWER_S", "plant.TAU",
 })  # fmt: skip
 
 

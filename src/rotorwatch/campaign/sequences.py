@@ -19,7 +19,7 @@ from concurrent.futures import ProcessPoolExecutor
 from contextlib import nullcontext
 from dataclasses import dataclass
 from multiprocessing import get_context
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -29,7 +29,7 @@ from rotorwatch.default import events, hypotheses
 from rotorwatch.diagnosis import Event
 from rotorwatch.errors import ConfigError
 from rotorwatch.motion import outside
-from rotorwatch.motion.ticks import JUDGE
+from rotorwatch.motion.ticks import JUDGE, Ticks
 from rotorwatch.simulation import scenario
 from rotorwatch.simulation.scenario import Scenario
 
@@ -144,7 +144,18 @@ def outcome(truth: Sequence[int], named: Sequence[Sequence[int]]) -> str:
     return "wrong" if len(sets) == 1 else "other"
 
 
-def states(f: batch.Flown, found: Sequence[Event]) -> list[State]:
+class Truth(Protocol):
+    """A flight of which all is known: its ticks, true losses theta (T, n) at them, and when it crashed, or None."""
+
+    @property
+    def ticks(self) -> Ticks: ...
+    @property
+    def theta(self) -> np.ndarray: ...
+    @property
+    def lost_s(self) -> float | None: ...
+
+
+def states(f: Truth, found: Sequence[Event]) -> list[State]:
     """All states of a flight, up to its crash."""
     time, judged = f.ticks.time, f.ticks.mode == JUDGE
     weak = f.theta > WEAK

@@ -2,7 +2,7 @@
 
 A fault is announced when the Shiryaev-Roberts statistic, the evidence of all faults at any onset, passes a threshold. Without a fault its
 mean time to do so is at least the threshold (in ticks, over the sum of prior weights; Pollak, Ann. Statist. 13, 1985): the stated
-false-alarm rate is the threshold. Evidence only ranks what it was asked about, so the fault must also be COMPETITOR_ODDS likelier than
+false-alarm rate is the threshold. Evidence only ranks what it was asked about, so the fault must also be ten times (CLEAR) likelier than
 any disturbance, for PERSIST_S, at an onset within the bank's reach, and possible at all (plausibility.py).
 """
 
@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch.core import Array
-from rotorwatch.default import bank
+from rotorwatch.default import bank, hypotheses, noise, plant
 from rotorwatch.default.evidence import Evidence, Jump
 from rotorwatch.default.hypotheses import Hypotheses
 
@@ -21,12 +21,9 @@ FALSE_ALARM_PERIOD_S = 10 * 3600.0  # promised: no more than one in so long
 # Of the statistic's own false alarms - as rare, on surrogates of real noise, as its threshold says - odds, persistence and plausibility
 # let pass at most this share: none of 6 there, and 1 of 81 with a threshold 4 nats lower.
 GATES = 0.15
-COMPETITOR_ODDS = 10.0  # how much likelier than any disturbance a fault must be
 PERSIST_S = 0.15
 EDGE = 0.9  # of the bank's reach
-ABSORB_S, CERTAIN_NATS, UNDECIDED = 1.0, 16.0, 3.0
-SUSPICIOUS_PERIOD_S = 60.0  # noise is not learned while there is more evidence than chance would bring in a minute
-FREEZE_S = 4.0
+ABSORB_S, CERTAIN_NATS = 1.0, 16.0
 SETTLE_S = 1.5  # after a jump, before noise is learned again
 
 
@@ -73,14 +70,14 @@ def decide(
     # One rotor's direction may be met by chance, by a disturbance such as this flight has not seen yet.
     lone = best.rotors.sum() < 2
     other = jnp.where(lone, jnp.logaddexp(found.other, found.far), found.other)
-    statistic = jnp.minimum(found.fault - limit, found.fault - other - jnp.log(COMPETITOR_ODDS))
+    statistic = jnp.minimum(found.fault - limit, found.fault - other - hypotheses.CLEAR)
     # The most probable onset at the edge of the bank speaks of a drift that began before it, not of a jump.
     possible &= best.since < EDGE * onsets.reach
     above = jnp.where(judge & (statistic > 0.0) & possible, standing.above + 1, 0)
     alarm = above >= max(2, round(PERSIST_S / dt))
     # What certainly happened is explained, whatever it was; where nothing is known to be wrong, only what is no fault.
     certain = jnp.maximum(found.other, found.fault) > CERTAIN_NATS
-    certain &= (found.other > found.fault + UNDECIDED) | weak
+    certain &= (found.other > found.fault + hypotheses.CLEAR) | weak
     sure_s = jnp.where(judge & ~alarm & certain, standing.sure_s + dt, 0.0)
     absorbed = sure_s >= ABSORB_S
     above = jnp.where(alarm, 0, above).astype(jnp.int32)
@@ -90,9 +87,10 @@ def decide(
 
 
 def suspicion(standing: Standing, found: Evidence, hyp: Hypotheses, dt: float) -> tuple[Standing, Array]:
-    """Noise is not learned from a growing suspicion, but not for ever: whether it may be learned at this tick."""
+    """Noise is not learned while there is more evidence than chance would bring in its memory, but not for ever: whether it may be learned
+    at this tick."""
     import jax.numpy as jnp
 
-    suspicious = found.fault > threshold(hyp, dt, SUSPICIOUS_PERIOD_S)
+    suspicious = found.fault > threshold(hyp, dt, 1.0) + jnp.log(noise.MEMORY_S)
     frozen = jnp.where(suspicious, standing.frozen + dt, jnp.maximum(standing.frozen - dt, 0.0))
-    return standing._replace(frozen=jnp.minimum(frozen, 2.0 * FREEZE_S)), ~suspicious | (frozen > FREEZE_S)
+    return standing._replace(frozen=jnp.minimum(frozen, 2.0 * plant.USUAL_S)), ~suspicious | (frozen > plant.USUAL_S)

@@ -16,10 +16,10 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch.core import Array
+from rotorwatch.default import plant
 
 SLOTS = 16  # of each group
 STRIDES = {0.05: (1, 2, 4), 0.1: (1, 5, 3)}  # ticks between the slots of a group
-BUILD_UP_S = 0.5
 
 
 class Bank(NamedTuple):
@@ -44,7 +44,7 @@ class Jumps:
         self.place = np.tile(np.arange(SLOTS), len(strides))
         # The last group holds losses that build up, as a controller reveals them.
         self.slow = np.repeat((*[False] * (len(strides) - 1), True), SLOTS)
-        self.decay = float(np.exp(-dt / BUILD_UP_S))
+        self.decay = float(np.exp(-dt / plant.ANSWER_S))
 
     def init(self) -> Bank:
         """All slots unused."""

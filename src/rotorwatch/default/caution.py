@@ -12,12 +12,10 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch.core import Array
-from rotorwatch.default import plant
+from rotorwatch.default import noise, plant
 from rotorwatch.default.plant import AXIS_STATES, DAMPING, GAIN, PER_AXIS
 
 GARROTE = 2.5  # how many times its calm level motion must reach to stand out
-LEVEL_MEMORY_S = 10.0
-THRUST_MEMORY_S, TRIM_MEMORY_S = 0.5, 6.0
 # Share by which the motion model may be wrong for a moment, and how many ticks such an error lasts.
 GAIN_ERROR, DAMPING_ERROR = (0.25, 0.25, 0.35, 0.15), 0.3
 ERROR_TICKS = 4.0
@@ -25,10 +23,10 @@ LAG_ERROR_S, SNAPSHOT = (
     0.015,
     0.15,
 )  # the second: share of a step that a single slow command may be off by, within its tick
-BURST_MEMORY_S, BURST_CLIP, BURST_POWER = 3.0, 6.0, 1.0
-LEAN_S, LASTING_MEMORY_S = 1.0, 30.0
-GUST_S, GUST_SHARE, LEAST_GAIN = 1.0, 2.0, 0.3
-FAR, FAR_ERROR, FAR_MEMORY_S = 0.3, 0.5, 5.0
+BURST_MEMORY_S = 3.0
+LASTING_MEMORY_S = 30.0
+GUST_SHARE, LEAST_GAIN = 2.0, 0.3
+FAR, FAR_ERROR = 0.3, 0.5
 # Shares of full thrust: up to the first a rotor gives what it is commanded; from the second on it is at its limit and may give only the
 # first: batteries sag, speed controllers and simulated motors reach their end early.
 BELIEVED, AT_LIMIT = 0.6, 0.9
@@ -88,12 +86,12 @@ def look(memory: Memory, u, y, valid, flying, restart, x, variances, n: int, dt:
     shrink = jnp.maximum(0.0, 1.0 - GARROTE**2 * memory.level / jnp.maximum(motion**2, 1e-12))
     # Motion that gusts have made teaches what the gusts did, not what the vehicle is: it has to need more than they give.
     gain = jnp.maximum(x[:AXIS_STATES].reshape(4, PER_AXIS)[:3, GAIN], LEAST_GAIN * n * plant.GAIN_MEAN[:3])
-    gusts = (variances[1] + variances[2] + variances[3] * GUST_S)[:3]
+    gusts = (variances[1] + variances[2] + variances[3] * plant.TAU[1])[:3]
     needs = jnp.concatenate([gain * motion[:3], plant.DAMPING_RATE * gain * motion[3:]])
     shrink = jnp.minimum(
         shrink, jnp.maximum(0.0, 1.0 - GUST_SHARE**2 * jnp.tile(gusts, 2) / jnp.maximum(needs**2, 1e-12))
     )
-    fade = jnp.where(flying & valid[0], dt / LEVEL_MEMORY_S, 0.0)
+    fade = jnp.where(flying & valid[0], dt / plant.USUAL_S, 0.0)
     level = memory.level + fade * (jnp.minimum(motion**2, 6.0 * memory.level) - memory.level)
     one = jnp.ones(1)
     teach = jnp.ones((4, PER_AXIS)).at[:, GAIN].set(jnp.concatenate([shrink[:3], one]))
@@ -108,7 +106,7 @@ def look(memory: Memory, u, y, valid, flying, restart, x, variances, n: int, dt:
     away = part - before
     stands_out = jnp.maximum(0.0, 1.0 - GARROTE**2 * memory.thrust_level / jnp.maximum(away**2, 1e-12)) * away
     trim = jnp.where(restart, part, memory.trim)
-    fade = jnp.where(flying & valid[0] & ~restart, dt / LEVEL_MEMORY_S, 0.0)
+    fade = jnp.where(flying & valid[0] & ~restart, dt / plant.USUAL_S, 0.0)
     thrust_level = memory.thrust_level + fade * (jnp.minimum(away**2, 6.0 * memory.thrust_level) - memory.thrust_level)
     smooth = jnp.maximum(collective + before + stands_out, 0.0)
 
@@ -117,10 +115,10 @@ def look(memory: Memory, u, y, valid, flying, restart, x, variances, n: int, dt:
     far = jnp.maximum(jnp.abs(collective - usual) - FAR, 0.0) + jnp.maximum(jnp.abs(u[n + 3] / n - 1.0) - FAR, 0.0)
     new = Memory(
         level,
-        before + away * jnp.minimum(dt / THRUST_MEMORY_S, 1.0),
+        before + away * jnp.minimum(dt / plant.ANSWER_S, 1.0),
         thrust_level,
-        trim + (part - trim) * (dt / TRIM_MEMORY_S),
-        usual + (collective - usual) * (dt / FAR_MEMORY_S),
+        trim + (part - trim) * (dt / plant.USUAL_S),
+        usual + (collective - usual) * (dt / plant.USUAL_S),
         jnp.where(valid, y, memory.y),
         jnp.where(restart, 1.0, memory.burst),
         jnp.where(restart, 0.0, memory.lean),
@@ -134,7 +132,7 @@ def calm(memory: Memory):
     """(4,) weight of this tick's evidence: below 1 while innovations are larger than the noise model expects (gusts come in bursts)."""
     import jax.numpy as jnp
 
-    return 1.0 / jnp.maximum(jnp.maximum(memory.burst, memory.lasting), 1.0) ** BURST_POWER
+    return 1.0 / jnp.maximum(jnp.maximum(memory.burst, memory.lasting), 1.0)
 
 
 def remember(memory: Memory, innovation, variance, ok, dt: float) -> Memory:
@@ -142,11 +140,11 @@ def remember(memory: Memory, innovation, variance, ok, dt: float) -> Memory:
     import jax.numpy as jnp
 
     size = innovation / jnp.sqrt(variance)
-    burst = jnp.minimum(size**2, BURST_CLIP)
+    burst = jnp.minimum(size**2, noise.CLIP)
     fade = jnp.where(ok, dt, 0.0)
-    lean = memory.lean + fade / LEAN_S * (size - memory.lean)
-    # White innovations would give a mean over LEAN_S this variance.
-    lasting = jnp.minimum(lean**2 * (2.0 * LEAN_S / dt - 1.0), BURST_CLIP)
+    lean = memory.lean + fade / plant.TAU[1] * (size - memory.lean)
+    # White innovations would give a mean over plant.TAU[1] this variance.
+    lasting = jnp.minimum(lean**2 * (2.0 * plant.TAU[1] / dt - 1.0), noise.CLIP)
     return memory._replace(
         burst=memory.burst + fade / BURST_MEMORY_S * (burst - memory.burst),
         lean=lean,

@@ -9,20 +9,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rotorwatch.default.hypotheses import WEIGHT as hypotheses_weight
+from rotorwatch.default import hypotheses
 from rotorwatch.default.hypotheses import Hypotheses
 from rotorwatch.default.plant import lower_rotors
 from rotorwatch.diagnosis import Event
 from rotorwatch.motion.ticks import JUDGE, Ticks
 
 CREDIBLE = 0.03  # a rotor set with less probability than this is not named
-CERTAIN = 0.9  # below this the answer is ambiguous
 CERTAIN_OPPOSITE = 0.99  # the same for a pair of opposite rotors: only manoeuvres tell it from the others
 # What the model itself is uncertain of: the thrust curve away from the operating point, equal rotors.
 MODEL_SD, MODEL_SHARE = 0.004, 0.02
 COAXIAL_SHARE = 0.06  # ... how the thrust of a coaxial arm divides: half of what the lower rotors' share may be off by
-GONE = 0.8
-HIDDEN = 20.0
 
 
 @dataclass(eq=False)
@@ -59,14 +56,14 @@ def hidden_pairs(shares: dict, partners: dict) -> tuple[tuple[int, ...], ...]:
     """Pairs that only their rarity, not the data, rules out against a single rotor: it and the one opposite.
 
     Losses on opposite rotors cancel in roll and pitch; gusts hide the rest in yaw and thrust. When the data favour such
-    a pair by more than HIDDEN once prior weights are taken out, a small single loss must not be claimed.
+    a pair clearly once prior weights are taken out, a small single loss must not be claimed.
     """
     best = next(iter(shares), ())
     if len(best) != 1:
         return ()
-    rarity = hypotheses_weight["single"] / hypotheses_weight["pair"]
+    rarity = hypotheses.WEIGHT["single"] / hypotheses.WEIGHT["pair"]
     pairs = [tuple(sorted((best[0], j))) for j in partners.get(best[0], ())]
-    return tuple(p for p in pairs if shares.get(p, 0.0) * rarity > HIDDEN * shares[best])
+    return tuple(p for p in pairs if shares.get(p, 0.0) * rarity > np.exp(hypotheses.CLEAR) * shares[best])
 
 
 def opposite_shares(hyp: Hypotheses, log_odds: np.ndarray, partners: dict) -> dict[tuple[int, ...], float]:
@@ -182,7 +179,11 @@ def _event(record: Record, out, ticks: Ticks, final: int, partners: dict, B) -> 
     paired = len(rotors) == 2 and rotors[1] in partners.get(rotors[0], ()) and len(partners) > 4
     others = [s for s, p in shares.items() if s and (p >= CREDIBLE or record.loss) and set(s) != set(rotors)]
     hidden = hidden_pairs(record.data, partners) if not record.loss else ()
-    unsure = own < (CERTAIN_OPPOSITE if paired else CERTAIN) or bool(hidden) or bool(record.loss)
+    unsure = (
+        own < (CERTAIN_OPPOSITE if paired else 1.0 / (1.0 + np.exp(-hypotheses.CLEAR)))
+        or bool(hidden)
+        or bool(record.loss)
+    )
     if paired and unsure:  # all that only a manoeuvre could tell apart
         torque_free = {tuple(sorted((i, j))) for i, js in partners.items() for j in js}
         others += [s for s in sorted(torque_free) if s not in others and set(s) != set(rotors)]

@@ -16,10 +16,8 @@ from rotorwatch.core import Array
 from rotorwatch.default import bank, hypotheses, noise
 from rotorwatch.default.hypotheses import Hypotheses
 
-KNOWN_BONUS, SECOND_NATS = 2.0, 3.0  # nats: a rotor that has failed is likely to change again, another one less so
 DISTURBANCE_SCALE, DISTURBANCE_RANGE = 3.0, (0.03, 1.0)
 TRUST = 3000.0  # nats
-DEAD = 0.8
 NOTHING = -50.0  # nats, of what cannot be
 
 
@@ -79,11 +77,12 @@ def gather(hyp: Hypotheses, onsets: bank.Jumps, told: bank.Bank, theta, active, 
     per_slot = log_bf + stride[:, None] + jnp.log(jnp.asarray(hyp.weight))[None, :]
     far = far + stride[:, None] + jnp.log(hypotheses.FAR_SHARE * hypotheses.WEIGHT["disturbance"])
     # With a rotor gone the vehicle flies at its limits: only that rotor itself is still judged.
-    dead, members = active & (theta > DEAD), jnp.asarray(hyp.pick.sum(axis=1))
+    dead, members = active & (theta > hypotheses.GONE), jnp.asarray(hyp.pick.sum(axis=1))
     known = members @ (~active).astype(float) < 0.5
     barred = (dead.any() & (members @ (~dead).astype(float) > 0.5)) | (jnp.asarray(hyp.well) & ~known)
     fault = jnp.asarray(hyp.fault)
-    prior = jnp.where(known, KNOWN_BONUS, jnp.where(active.any(), -SECOND_NATS, 0.0))
+    # A rotor that has failed is likely to change again, another one less so.
+    prior = jnp.where(known, hypotheses.CLEAR, jnp.where(active.any(), -hypotheses.CLEAR, 0.0))
     per_slot = jnp.where(barred & fault, 2.0 * NOTHING, per_slot + jnp.where(fault, prior, 0.0))
     top = per_slot.max(0)
     odds = top + jnp.log(jnp.exp(per_slot - top[None]).sum(0))

@@ -14,6 +14,10 @@ from itertools import combinations
 
 import numpy as np
 
+# Nats by which one explanation has to be better than another before that counts: ten times likelier.
+CLEAR = float(np.log(10.0))
+# Losses: so large that the rotor is as good as gone; so small that it is none.
+GONE, NONE = 0.8, 0.02
 LOSS_WIDTH, SMALL_WIDTH = 0.3, 0.06
 # Share by which what a loss does to roll, pitch, yaw and thrust may differ from geometry: inflow and battery change thrust, and
 # in moving air rotors that no longer match in speed drag the vehicle round.
@@ -22,8 +26,8 @@ SLOP = (0.1, 0.1, 0.4, 0.3)
 FAR_SHARE, FAR = 0.2, 4.0
 # Prior weights: how often each kind of jump happens, relative to one particular rotor failing. Disturbances are common.
 WEIGHT = {"single": 1.0, "pair": 1e-4, "recovery": 1.0, "disturbance": 3.0}
-# By how much a loss that ends may differ from what it was thought to be, and by what share of it.
-RECOVERY_SD = (0.02, 0.3)
+# By what share of it a loss that ends may differ from what it was thought to be.
+RECOVERY_SHARE = 0.3
 # Disturbances: which of roll, pitch, yaw, thrust they touch.
 DISTURBANCES = ((0,), (1,), (2,), (3,), (0, 3), (1, 3), (2, 3), (0, 1, 2), (0, 1, 2, 3))
 
@@ -156,7 +160,7 @@ def recovery_sd(gone):
     """Standard deviation of the jump `gone` that ends a loss."""
     import jax.numpy as jnp
 
-    return jnp.hypot(RECOVERY_SD[0], RECOVERY_SD[1] * gone)
+    return jnp.hypot(NONE, RECOVERY_SHARE * gone)
 
 
 def disturbances(hyp: Hypotheses, C, z, width):

@@ -4,20 +4,19 @@
     nu = y_a - h_a s,   S = h_a P h_a' + R_a,   s <- s + K nu          one axis a after the other: R is diagonal
 
 K is the Kalman gain times the share that each state may learn (caution.py); the covariance update holds for any gain (Joseph). A loss
-is refined for `posterior.LEARN_LOSS_S`, then taken as known, so that errors of the model cannot wear it away.
+is refined for USUAL_S, then taken as known, so that errors of the model cannot wear it away.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from rotorwatch.default import noise, posterior
+from rotorwatch.default import hypotheses, noise, posterior
 from rotorwatch.default.plant import B1, B2, B3, PER_AXIS
 from rotorwatch.default.posterior import Branches
 
-# A loss that has been refined long enough is not yet known if it still grows: has left its mean over MOVING_S by MOVING, and by its own
-# uncertainty.
-MOVING, MOVING_S = 0.01, 2.0
+# A loss that has been refined long enough is not yet known if it still grows: has left its mean over so long by its own uncertainty.
+MOVING_S = 2.0
 THETA_WALK = 0.02**2  # 1/s, while it is refined
 OUTLIER = 6.0  # standard deviations that an innovation counts at most
 BIASES = np.array([a * PER_AXIS + b for a in range(4) for b in (B1, B2, B3)])
@@ -59,13 +58,13 @@ def predict(branches: Branches, decay, variances, doubt, flying, dt: float) -> B
         mean = theta_mean + (theta - theta_mean) * (dt / MOVING_S)
         var = doubt * jnp.diagonal(P)[n_x:]
         finished = (learning > 0) & (learning <= dt)
-        moving = finished & (jnp.abs(theta - mean) > jnp.maximum(MOVING, jnp.sqrt(jnp.maximum(var, 0.0))))
+        moving = finished & (jnp.abs(theta - mean) > jnp.sqrt(jnp.maximum(var, 0.0)))
         finished &= ~moving
         known = jnp.concatenate([jnp.ones(n_x), jnp.where(finished, 0.0, 1.0)])
         P = P * known[:, None] * known[None, :]
         learning = jnp.where(moving, MOVING_S, jnp.maximum(learning - dt, 0.0))
         Q = jnp.diag(jnp.concatenate([q_x, (learning > 0) * THETA_WALK * dt]))
-        over = finished & (theta < posterior.OVER)
+        over = finished & (theta < hypotheses.NONE)
         s = s * jnp.concatenate([jnp.ones(n_x), jnp.where(over, 0.0, 1.0)])
         theta_var = jnp.where(over, 0.0, jnp.where(finished, var, theta_var))
         return A * s, A[:, None] * P * A[None, :] + Q, active & ~over, learning, theta_var, mean

@@ -13,18 +13,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rotorwatch.default import hypotheses, plant
 from rotorwatch.default.hypotheses import Hypotheses
 from rotorwatch.diagnosis import Event
 from rotorwatch.motion.ticks import JUDGE, Ticks
 
 LASTS_S = 1.0
-RIVAL = np.log(10.0)  # nats: a disturbance so much likelier explains the motion instead
-ALIKE = np.log(10.0)  # nats: rotor sets so much less likely than the best are named with it
 TRIM_S = 2.0  # over which the trim before and after it was learned afresh is averaged
 # By how much the commanded wrench of trim is uncertain, in hover thrusts of one rotor, and how much of its change a rotor must explain.
 TRIM_SD = np.array([0.05, 0.05, 0.15, 0.2])
 LEAST_TRIM, UNEXPLAINED = 0.2, 0.5
-SETTLED_S = 6.0  # after an announcement its loss is still being refined, and so is what it leaves over
 
 
 @dataclass(frozen=True)
@@ -40,7 +38,7 @@ def find(
     out, table: Ticks, hyp: Hypotheses, limit: float, events: Sequence[Event], B: np.ndarray | None = None
 ) -> tuple[Leftover, ...]:
     """Spells of at least LASTS_S, after the first event, in which faults of other rotors than the known ones have more evidence than
-    `limit` [nats] and no disturbance explains them better by RIVAL; and, with B (4, n), trims that were learned afresh and changed as a
+    `limit` [nats] and no disturbance explains them clearly better; and, with B (4, n), trims that were learned afresh and changed as a
     rotor's loss would change them. out: the estimator's stacked outputs."""
     known = [e for e in events if e.kind in ("loss_of_effectiveness", "output_override")]
     if not known:
@@ -49,19 +47,19 @@ def find(
     fault = np.asarray(hyp.fault)
     odds = np.asarray(out.log_odds)
     best_fault, best_other = odds[:, fault].max(axis=1), odds[:, ~fault].max(axis=1)
-    over = (best_fault > limit) & (best_fault > best_other - RIVAL)
+    over = (best_fault > limit) & (best_fault > best_other - hypotheses.CLEAR)
     over &= (table.mode == JUDGE) & ~table.upset & (time > min(e.detected_s for e in known))
     for e in known:
         for mark in (e.detected_s, e.end_s):
             if mark is not None:
-                over &= ~((time >= mark - 0.5) & (time <= mark + SETTLED_S))
+                over &= ~((time >= mark - 0.5) & (time <= mark + plant.USUAL_S))
         over &= ~((time >= e.onset_s) & (time <= e.detected_s))
     for e in events:
         if e.kind == "contact":  # what a knock leaves behind speaks of the knock
             last = max(e.detected_s, e.end_s or 0.0)
-            over &= ~((time >= e.onset_s - 0.5) & (time <= last + SETTLED_S))
+            over &= ~((time >= e.onset_s - 0.5) & (time <= last + plant.USUAL_S))
     members = np.array([[i in who for i in range(n)] for who in hyp.rotors])
-    near = (odds > best_fault[:, None] - ALIKE) & fault
+    near = (odds > best_fault[:, None] - hypotheses.CLEAR) & fault
     edges = np.flatnonzero(np.diff(np.concatenate([[False], over, [False]]).astype(int)))
     found = []
     for a, b in zip(edges[::2], edges[1::2]):

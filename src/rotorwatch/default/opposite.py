@@ -9,12 +9,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from rotorwatch.core import Array
-from rotorwatch.default import bank, evidence
+from rotorwatch.default import bank, evidence, hypotheses, plant
 from rotorwatch.default.hypotheses import Hypotheses
 
-# A disturbance that opposite rotors explain as well, within OPPOSITE_NATS, and that came at once: SHARP_NATS likelier than one that
-# builds up; for so long.
-OPPOSITE_NATS, SHARP_NATS, OPPOSITE_S, OPPOSITE_LOSS = 5.0, 2.0, 0.5, 0.03
 # rad/s of yaw, above which its drag is known too badly for that; and load factor away from 1
 TURNING, HEAVING = 0.15, 0.2
 
@@ -36,15 +33,21 @@ def suspect(
 
     n, pairs = hyp.n, slice(hyp.n, hyp.n + len(hyp.pairs))
     slow = jnp.asarray(onsets.slow)
-    real = (found.nu[:, pairs] > OPPOSITE_LOSS).all(axis=2)
+    real = (found.nu[:, pairs] > hypotheses.NONE).all(axis=2)
     usable = ~slow[:, None] & torque_free(hyp, B)[None, :] & real & found.live[:, None]
     fit = jnp.where(usable, found.log_bf[:, pairs], evidence.NOTHING)
     free_fit = jnp.where(found.live[:, None], found.log_bf[:, ~hyp.fault], evidence.NOTHING)
     best, gradual, sudden = fit.max(), free_fit[onsets.slow].max(), free_fit[~onsets.slow].max()
     # A quadrotor's pairs can be told apart by their yaw: there the fault hypotheses say all there is to say.
-    now = calm & (n >= 6) & (best > limit) & (best > sudden - OPPOSITE_NATS) & (best > gradual + SHARP_NATS)
+    now = (
+        calm
+        & (n >= 6)
+        & (best > limit)
+        & (best > sudden - 2.0 * hypotheses.CLEAR)
+        & (best > gradual + hypotheses.CLEAR)
+    )
     since = jnp.where(now, lasted + dt, 0.0)
-    news = (since >= OPPOSITE_S) & (lasted < OPPOSITE_S)
+    news = (since >= plant.ANSWER_S) & (lasted < plant.ANSWER_S)
     pair = jnp.argmax(fit.max(axis=0))
     slot = jnp.argmax(fit[:, pair])
     which = jnp.where(news, n + pair, -1).astype(jnp.int32)

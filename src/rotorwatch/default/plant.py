@@ -38,6 +38,8 @@ SHARE_SD = (
     0.12  # of a lower rotor's thrust, relative to what its share in B says: 75 to 95 % and more of the upper one's
 )
 AXIS_STATES = 4 * PER_AXIS
+# Times [s] that all parts share: by when a controller has answered what happened; over which what is usual is averaged.
+ANSWER_S, USUAL_S = 0.5, 6.0
 
 
 class WrenchBalance:

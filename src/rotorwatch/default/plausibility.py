@@ -10,23 +10,20 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch.core import Array
-from rotorwatch.default import caution
+from rotorwatch.default import caution, hypotheses, plant
 
-SMALLEST = 0.015  # loss that is worth an event
 # Both may be off by a standard deviation of this flight's disturbances, and by as much as the slack in calm air.
 ASKED_SHARE, ASKED_SLACK, ASKED_MOST = 0.25, 0.05, 0.35
 MISSING_SLACK = 0.15  # hover thrusts of one rotor
-FAST_S, SLOW_S = 0.5, 6.0
-HEAVE_S = 8.0  # how long a push up or down is remembered
 SECOND = 0.1
 LIMIT_S = 2.0  # how long it is remembered that a rotor was at its limit
 # A loss that is known wanders with the operating point and the weather: only a step in it is news.
-CHANGE, CHANGE_GONE, GONE = 0.03, 0.3, 0.8
+CHANGE, CHANGE_GONE = 0.03, 0.3
 
 
 class Missing(NamedTuple):
-    """Commanded thrust that the accelerometer does not see, hover thrusts of one rotor: over FAST_S and over SLOW_S. heave: how far the
-    load factor was from 1, lately. limit (n,): share of its thrust that a rotor near its limit may have lacked, lately."""
+    """Commanded thrust that the accelerometer does not see, hover thrusts of one rotor: fast, over ANSWER_S; slow, over USUAL_S. heave:
+    how far the load factor was from 1, lately. limit (n,): share of its thrust that a rotor near its limit may have lacked, lately."""
 
     fast: Array
     slow: Array
@@ -49,9 +46,9 @@ def follow(state: Missing, missing, load, share, valid, restart, dt: float) -> M
     near = jnp.clip((share - caution.BELIEVED) / (caution.AT_LIMIT - caution.BELIEVED), 0.0, 1.0)
     lacks = near * (1.0 - caution.BELIEVED / jnp.maximum(share, caution.BELIEVED))
     return Missing(
-        jnp.where(restart, missing, state.fast + (missing - state.fast) * jnp.minimum(dt / FAST_S, 1.0)),
-        jnp.where(restart, missing, state.slow + (missing - state.slow) * (dt / SLOW_S)),
-        jnp.where(restart, push, jnp.maximum(push, state.heave * jnp.exp(-dt / HEAVE_S))),
+        jnp.where(restart, missing, state.fast + (missing - state.fast) * jnp.minimum(dt / plant.ANSWER_S, 1.0)),
+        jnp.where(restart, missing, state.slow + (missing - state.slow) * (dt / plant.USUAL_S)),
+        jnp.where(restart, push, jnp.maximum(push, state.heave * jnp.exp(-dt / plant.USUAL_S))),
         jnp.where(restart, lacks, jnp.maximum(lacks, state.limit * jnp.exp(-dt / LIMIT_S))),
     )
 
@@ -69,7 +66,7 @@ def plausible(jump, smooth, rise, now: Missing, before: Missing, thrust_valid, a
     n, rough = smooth.shape[0], jnp.where((jump != 0.0).any(axis=1).all(), 0.0, rough)
     swing = jnp.sqrt(rough[:3].sum()) / n
     asked = jnp.minimum(jump, ASKED_MOST) * smooth
-    ok = (jnp.abs(jump).max() > SMALLEST) & jnp.where(
+    ok = (jnp.abs(jump).max() > hypotheses.NONE) & jnp.where(
         jump > 0, rise > ASKED_SHARE * asked - jnp.maximum(ASKED_SLACK, swing), True
     ).all()
     # ... and what the rotors no longer give must be missing from the thrust.
@@ -80,7 +77,7 @@ def plausible(jump, smooth, rise, now: Missing, before: Missing, thrust_valid, a
     told = (jump > 0) & ~active[None, :]
     ok &= jnp.where(told & (now.limit > 0)[None, :], jump > now.limit[None, :], True).all()
     known = active[None, :] & (jump != 0.0)
-    least = jnp.where(theta > GONE, CHANGE_GONE, CHANGE)
+    least = jnp.where(theta > hypotheses.GONE, CHANGE_GONE, CHANGE)
     ok &= ~known.any() | (known & (jnp.abs(jump) > least)).any() | (another_of(jump, active)).any()
     # A second rotor failing is rare: small second losses are more likely errors in the size of the first.
     another = active.any() & another_of(jump, active).any()

@@ -19,16 +19,13 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch.core import Array
-from rotorwatch.default import bank, evidence
+from rotorwatch.default import bank, evidence, hypotheses, plant
 from rotorwatch.default.hypotheses import Hypotheses
 
 PLACES = 4
 RESOLVE_S, TEMPER = 3.0, 0.3
 OUT = -7.0  # log weight relative to the leader's at which a branch is dropped
-AHEAD = 2.3  # nats by which another must be better before it leads: ten times likelier
 NEVER = -1e3
-LEARN_LOSS_S = 6.0  # a new loss is refined this long; after that only a new jump changes it
-OVER = 0.02  # a loss that turns out smaller is none
 
 
 class Branches(NamedTuple):
@@ -82,7 +79,7 @@ def lead(branches: Branches) -> tuple[Branches, Array]:
     import jax.numpy as jnp
 
     best = jnp.argmax(branches.weight)
-    change = branches.weight[best] > AHEAD
+    change = branches.weight[best] > hypotheses.CLEAR
     first, here = jnp.arange(PLACES) == 0, jnp.arange(PLACES) == best
     swapped = jnp.eye(PLACES) - jnp.outer(first * 1.0 - here, first * 1.0 - here)
     turn = jnp.where(change, swapped, jnp.eye(PLACES))
@@ -123,7 +120,7 @@ def born(
         turn = jnp.where(alarm, jnp.arange(PLACES), PLACES - 1 - jnp.arange(PLACES))
         which, weight = (jnp.stack(part)[turn] for part in zip(*chosen))
         # The first place leads; nobody else may be ahead from the start.
-        weight = jnp.minimum(weight - weight[0], AHEAD)
+        weight = jnp.minimum(weight - weight[0], hypotheses.CLEAR)
         # The odds against disturbances are what an announcement is made by; they are not asked again. Without one, and where no rotor
         # is weak, nothing but a disturbance may lead.
         doubt = alarm | branches.active[0].any()
@@ -144,7 +141,7 @@ def _child(branches: Branches, hyp: Hypotheses, told: bank.Bank, found: evidence
     M, _, _ = bank.pick(told, jump.slot)
     s, P = branches.s[0] + M @ jump.size, branches.P[0] + M @ jump.cov @ M.T
     theta, sd = s[n_x:], jnp.sqrt(jnp.maximum(jnp.diagonal(P)[n_x:], 0.0))
-    taken_back = (jump.each.sum(axis=0) < 0) & (theta < jnp.maximum(OVER, 2.0 * sd))
+    taken_back = (jump.each.sum(axis=0) < 0) & (theta < jnp.maximum(hypotheses.NONE, 2.0 * sd))
     off = jump.rotors & (jnp.asarray(hyp.well)[h] | taken_back)
     for i in range(n):  # a rotor that is well again: what if its loss were known to be none
         column = P[:, n_x + i]
@@ -156,7 +153,7 @@ def _child(branches: Branches, hyp: Hypotheses, told: bank.Bank, found: evidence
         P=0.5 * (P + P.T),
         weight=branches.weight[0],
         active=(branches.active[0] | jump.rotors) & ~off,
-        learning=jnp.where(off, 0.0, jnp.where(jump.rotors, LEARN_LOSS_S, branches.learning[0])),
+        learning=jnp.where(off, 0.0, jnp.where(jump.rotors, plant.USUAL_S, branches.learning[0])),
         theta_var=jnp.where(off, 0.0, branches.theta_var[0]),
         theta_mean=jnp.where(jump.rotors, s[n_x:], branches.theta_mean[0]),
         onset=jnp.where(jump.rotors.any(), jump.since, branches.onset[0]),

@@ -1,0 +1,105 @@
+"""Draw docs/methods/default-parts.svg: `python docs/make_default_picture.py LOG`, a healthy flight into which a loss is put (matplotlib).
+
+Every part of the default method at work: what its step holds and says, tick by tick.
+"""
+
+import sys
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("svg")
+import matplotlib.pyplot as plt
+import numpy as np
+
+import rotorwatch as rw
+from rotorwatch import airframes
+from rotorwatch.backend import jax as load_jax
+from rotorwatch.default import caution, hypotheses, program
+from rotorwatch.default.plant import AXES
+from rotorwatch.experiments.inject import inject
+from rotorwatch.motion.airborne import airborne
+from rotorwatch.motion.ticks import READY_S, observe
+
+ROTOR, LOSS, ONSET = 2, 0.35, 45.0
+OUT = Path(__file__).parent / "methods" / "default-parts.svg"
+
+
+def main(log: str) -> None:
+    """The picture, of one log."""
+    flight = rw.read(log)
+    vehicle, air = airframes.identify(flight), airborne(flight)
+    start = air[0][0]
+    table = observe(inject(flight, vehicle, ROTOR, LOSS, start + ONSET), vehicle, air, READY_S)
+    B = vehicle.effectiveness()
+    seen = steps(table, B)
+    t, hyp = table.time - start, hypotheses.make(B.shape[1])
+    some = (t > 2) & (t < ONSET + 20)
+    plt.rcParams.update({"svg.hashsalt": "default-parts", "svg.fonttype": "none", "font.size": 8})
+    figure, axes = plt.subplots(7, 1, figsize=(9, 13), sharex=True, layout="constrained")
+    plant, noise, trust, bank, said, after, size = axes
+
+    for a in (0, 2, 3):
+        plant.plot(t[some], seen["y"][some, a] - seen["y"][some, a].mean(), lw=0.6, color=f"C{a}", label=AXES[a])
+        plant.plot(
+            t[some], (seen["y"] - seen["innovation"])[some, a] - seen["y"][some, a].mean(), "k", lw=0.5, alpha=0.6
+        )
+    plant.set(
+        ylabel="hover thrusts",
+        title="plant and filter: commanded wrench (colour), and what the filter expected (black)",
+    )
+    for j, name in enumerate(("white", "0.25 s", "1 s", "drift, per root s")):
+        noise.plot(t[some], np.sqrt(seen["variances"][some, j, 1]), label=name)
+    noise.set(yscale="log", ylabel="sd, hover thrusts", title="noise: pitch, learned from differences of the residual")
+    for a in range(4):
+        trust.plot(t[some], seen["calm"][some, a], color=f"C{a}", label=AXES[a])
+    trust.set(ylim=(0, 1.05), ylabel="weight", title="caution: what a tick's evidence counts")
+    for i in range(B.shape[1]):
+        bank.plot(t[some], seen["odds"][some, i], label=f"rotor {i + 1}")
+    other = seen["odds"][:, ~hyp.fault].max(axis=1)
+    bank.plot(t[some], other[some], "k--", lw=0.8, label="best disturbance")
+    bank.set(
+        ylim=(-10, None),
+        ylabel="nats",
+        title="bank, hypotheses and evidence: for a jump at any time since the last explanation",
+    )
+    said.plot(t[some], seen["statistic"][some], label="statistic, over the threshold")
+    said.fill_between(t[some], 0, 1, where=~seen["plausible"][some], transform=said.get_xaxis_transform(), color="0.9",
+                      label="best one is not possible")  # fmt: skip
+    said.axhline(0, color="k", lw=0.5)
+    said.set(ylabel="nats", title="announcement and plausibility")
+    for k in range(seen["share"].shape[1]):
+        after.plot(t[some], seen["share"][some, k], label=("leads", "second", "third", "fourth")[k])
+    after.set(ylim=(-0.02, 1.05), ylabel="probability", title="posterior: explanations after the announcement")
+    for i in range(B.shape[1]):
+        theta, sd = seen["theta"][some, i], seen["theta_sd"][some, i]
+        size.plot(t[some], theta, color=f"C{i}", label=f"rotor {i + 1}")
+        size.fill_between(t[some], theta - 1.96 * sd, theta + 1.96 * sd, color=f"C{i}", alpha=0.2, lw=0)
+    size.plot([2, ONSET, ONSET, ONSET + 20], [0, 0, LOSS, LOSS], "k:", lw=1, label=f"true loss of rotor {ROTOR}")
+    size.set(ylim=(-0.02, 0.6), ylabel="loss", xlabel="s after take-off", title="what is said")
+    for a in axes:
+        a.axvline(ONSET, color="0.5", lw=0.6, ls=":")
+        a.legend(loc="upper left", fontsize=7, ncols=3)
+    figure.savefig(OUT, metadata={"Date": None})
+
+
+def steps(table, B) -> dict[str, np.ndarray]:
+    """What the step holds and says at every tick."""
+    jax = load_jax()
+    estimator = program.builder(table.dt)(program.parameters(B))
+
+    def tick(carry, row):
+        carry, out = estimator.step(carry, *row)
+        kept = {
+            "y": row[1], "innovation": out.estimate.innovation, "variances": carry.noise.variances,
+            "calm": caution.calm(carry.caution), "odds": out.decision.log_odds, "statistic": out.decision.statistic,
+            "plausible": out.plausible, "share": out.share, "theta": out.theta, "theta_sd": out.theta_sd,
+        }  # fmt: skip
+        return carry, kept
+
+    run = jax.jit(lambda rows: jax.lax.scan(tick, estimator.init(), rows)[1])
+    return {k: np.asarray(v) for k, v in run(program.inputs(table, B)).items()}
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])

@@ -1,0 +1,193 @@
+"""Ablation: every constant is in the table, one changed by parameter is the one changed in its file, and differences are paired."""
+
+import numpy as np
+import pytest
+
+from rotorwatch import cli
+from rotorwatch.backend import jax as load_jax
+from rotorwatch.campaign import ablation
+from rotorwatch.campaign.constants import TABLE
+from rotorwatch.default import caution, hypotheses, kalman, program
+from rotorwatch.errors import ConfigError
+from rotorwatch.motion.ticks import JUDGE, LEARN, Ticks
+
+DT = 0.1
+
+
+def hover(loss=0.0, count=160, n=4, onset=100) -> Ticks:
+    """Ticks of a quad in hover, with noise; from `onset` on rotor 1 lacks `loss` and the controller has asked for more."""
+    rng = np.random.default_rng(3)
+    B = np.array([[-1, 1, 1, -1], [1, -1, 1, -1], [1, 1, -1, -1], [1, 1, 1, 1.0]])
+    time = DT * np.arange(count)
+    missing = (np.arange(count) >= onset)[:, None] * loss * B[:, 0]
+    thrust = np.ones((count, n)) + missing @ np.linalg.pinv(B).T
+    wrench = thrust @ B.T + 0.02 * rng.standard_normal((count, 4))
+    still = np.zeros((count, 3))
+    return Ticks(
+        time, time - DT, thrust, wrench, still, still, np.ones(count), np.ones((count, 4), bool),
+        np.where(time < 6.0, LEARN, JUDGE).astype(np.int32), np.arange(count) == 0, np.full(count, 0.4), DT, np.zeros(count, bool),
+        side=np.zeros((count, 2)),
+    )  # fmt: skip
+
+
+B = np.array([[-1, 1, 1, -1], [1, -1, 1, -1], [1, 1, -1, -1], [1, 1, 1, 1.0]])
+
+
+def test_the_table_names_every_constant_and_no_other():
+    names = set()
+    for name, value in ablation.constants().items():
+        names |= {f"{name}[{k}]" for k in value if k != "single"} if isinstance(value, dict) else {name}
+    assert names == set(TABLE)
+    assert all(line.unit and line.meaning for line in TABLE.values())
+
+
+def test_variants_are_half_double_and_off():
+    found = ablation.variants(["caution.GAIN_ERROR", "hypotheses.WEIGHT", "plant.USUAL_S"])
+    assert found["as it is"] == {}
+    assert found["caution.GAIN_ERROR half"] == {"caution.GAIN_ERROR": tuple(0.5 * v for v in caution.GAIN_ERROR)}
+    assert found["caution.GAIN_ERROR off"] == {"caution.GAIN_ERROR": (0.0,) * 4}
+    pair = found["hypotheses.WEIGHT[pair] double"]["hypotheses.WEIGHT"]
+    assert pair == {**hypotheses.WEIGHT, "pair": 2 * hypotheses.WEIGHT["pair"]}
+    assert "plant.USUAL_S double" in found and "plant.USUAL_S off" not in found
+    assert "hypotheses.WEIGHT[single] half" not in found  # only ratios count
+    assert list(ablation.variants(["plant.USUAL_S"], ["half"])) == ["as it is", "plant.USUAL_S half"]
+    with pytest.raises(ConfigError, match="No constant's name begins with nothing"):
+        ablation.variants(["nothing"])
+
+
+def test_constants_are_changed_only_for_a_while():
+    before = kalman.OUTLIER
+    with pytest.raises(RuntimeError), ablation.changed({"kalman.OUTLIER": 2.0}):
+        assert kalman.OUTLIER == 2.0
+        raise RuntimeError
+    assert before == kalman.OUTLIER
+
+
+def test_constants_as_parameters_are_the_constants():
+    """One compiled program with its constants as parameters gives what a program with other constants in its files gives."""
+    jax = load_jax()
+    table, other = (
+        hover(0.3),
+        {"kalman.OUTLIER": 2.0, "evidence.TRUST": 30.0, "plant.GAIN_MEAN": np.array([0.01, 0.01, 0.3, 0.0])},
+    )
+    rows = program.inputs(table, B)
+
+    def over(estimator, start):
+        def tick(carry, row):
+            carry, out = estimator.step(carry, *row)
+            return carry, (out.theta, out.decision.log_odds)
+
+        return jax.lax.scan(tick, start, rows)[1]
+
+    @jax.jit
+    def compiled(p, start):
+        return over(ablation.tuned(p), start)
+
+    def tuned(constants, parameters):
+        given = {**parameters, "constants": constants}
+        return compiled(given, ablation.tuned(given).init())
+
+    def passed():
+        return {k: np.asarray(v, float) for k, v in ablation.constants().items() if k not in ablation.BUILT_IN}
+
+    usual = jax.tree.map(np.asarray, tuned(passed(), program.parameters(B)))
+    with ablation.changed(other):
+        changed = jax.tree.map(np.asarray, tuned(passed(), program.parameters(B)))
+        plain = program.builder(DT)(program.parameters(B))
+        own = jax.tree.map(np.asarray, jax.jit(lambda start: over(plain, start))(plain.init()))
+    np.testing.assert_allclose(changed[0], own[0], rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(changed[1], own[1], rtol=1e-7, atol=1e-7)
+    assert np.abs(changed[1] - usual[1]).max() > 1.0
+
+
+def flight(states, false=0, delays=(), errors=(), held=(), hours=0.5):
+    return {"kind": "campaign", "states": states, "false": false, "hours": hours, "delays": list(delays), "errors": list(errors),
+            "held": list(held)}  # fmt: skip
+
+
+def test_measures_are_shares_of_states_faults_and_hours():
+    found = ablation.measures([
+        flight(["right", "wrong"], 1, [0.5, None], [0.03, -0.04], [True, False]), flight(["ambiguous", "missed"], 0, [1.5]),
+    ])  # fmt: skip
+    assert found["right"] == 0.5 and found["wrong"] == 0.25 and found["found"] == pytest.approx(2 / 3)
+    assert found["delay_s"] == 1.0 and found["rms"] == pytest.approx(np.sqrt((9 + 16) / 2) / 100)
+    assert found["coverage"] == 0.5 and found["false_per_h"] == 1.0
+    assert set(ablation.measures([flight([])]).values()) == {None, 0.0}
+
+
+def test_differences_are_of_the_same_states():
+    """b states right only after, c only before: (b - c) / n, with McNemar's deviation; what changes both ways is seen."""
+    before = [flight(["right", "right", "missed", "missed", "wrong"])]
+    after = [flight(["right", "missed", "ambiguous", "right", "wrong"], 2)]
+    told = ablation.differences(before, after)
+    b, c, n = 2, 1, 5
+    assert told["right"]["difference"] == pytest.approx((b - c) / n) and told["right"]["changed"] == b + c
+    assert told["right"]["sd"] == pytest.approx(np.sqrt(b + c - (b - c) ** 2 / n) / n)
+    assert told["wrong"]["changed"] == 0 and told["false"]["difference"] == 2.0
+
+
+def test_a_fault_is_found_late_or_never_and_an_event_without_one_is_false():
+    """The judge's own books, on ticks whose answer is put in by hand."""
+    table = hover(count=400)
+    case = ablation.Case("campaign", table, B, (table.time >= 20.0)[:, None] * np.array([0.3, 0.0, 0.0, 0.0]))
+    quiet = ablation.outcomes(case, made(table, rotor=None))
+    assert quiet["states"] == ["right", "missed"] and quiet["delays"] == [None] and quiet["false"] == 0
+    told = ablation.outcomes(case, made(table, rotor=0, at=21.0, theta=0.31))
+    assert (
+        told["states"] == ["right", "right"]
+        and told["delays"] == [pytest.approx(1.0, abs=0.11)]
+        and told["held"] == [True]
+    )
+    assert told["errors"] == [pytest.approx(0.01)]
+    wrong = ablation.outcomes(case, made(table, rotor=2, at=10.0, theta=0.2))
+    assert wrong["false"] == 1 and wrong["states"][0] == "wrong" and wrong["delays"] == [None]
+
+
+def made(table, rotor, at=0.0, theta=0.0) -> program.Kept:
+    """What the estimator would have left had it announced a rotor's loss at a time."""
+    T, hyp = len(table.time), hypotheses.make(4)
+    k = round(at / DT)
+    on = np.arange(T) >= k
+    sizes = dict(
+        theta=4, theta_sd=4, log_odds=len(hyp.names), probability=len(hyp.names), share=4, detectable=4, biases=4
+    )
+    sizes |= dict(innovation=4, innovation_var=4, opposite_loss=2)
+    shape = {name: (size,) for name, size in sizes.items()}
+    kept = program.Kept(**{name: np.zeros((T, *shape.get(name, ()))) for name in program.Kept._fields})
+    kept = kept._replace(announced=np.zeros(T, bool), active=np.zeros((T, 4, 4), bool), opposite=np.full(T, -1))
+    kept.share[:, 0] = 1.0
+    kept.theta_sd[:] = 0.02
+    if rotor is not None:
+        kept.announced[k] = True
+        kept.active[on, 0, rotor] = True
+        kept.theta[on, rotor] = theta
+        kept.since[:] = np.maximum(np.arange(T) - k + 5, 0)
+        kept.probability[k, rotor] = 1.0
+    return kept
+
+
+def test_the_command_refuses_what_it_cannot_do(tmp_path, capsys):
+    plan = tmp_path / "plan.toml"
+    plan.write_text('[scenario]\nduration_s = 40.0\n[scenario.airframe]\nframe = "quad-x"\n')
+    for options, said in (
+        (["--variants", "tenfold"], "give some of off, half, double"),
+        (["--only", "nothing"], "No constant's name begins with nothing"),
+    ):
+        with pytest.raises(SystemExit) as stop:
+            cli.main(["ablate", str(plan), *options, "--quiet"])
+        assert stop.value.code == 2 and said in " ".join(capsys.readouterr().err.split())
+
+
+def test_the_table_says_what_changed():
+    row = {"right": 0.5, "wrong": 0.0, "found": 1.0, "delay_s": 0.4, "rms": 0.01, "coverage": 0.9, "false_per_h": 0.0}
+    told = {"right": {"difference": -0.1, "sd": 0.02, "changed": 3}, "wrong": {"difference": 0.0, "sd": 0.0, "changed": 0},
+            "false": {"difference": 0.5, "sd": 0.1, "changed": 1}}  # fmt: skip
+    result = {
+        "set": {"campaign": 4},
+        "variants": {"as it is": row, "kalman.OUTLIER off": row},
+        "differences": {"kalman.OUTLIER off": told},
+    }
+    text = ablation.markdown(result)
+    assert "50.0 % of the states right" in text
+    (line,) = [line for line in text.splitlines() if "OUTLIER" in line]
+    assert line.startswith("| `kalman.OUTLIER` | off | -10.0 ± 3.9 | 0 | - | +2 |")
