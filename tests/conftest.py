@@ -143,6 +143,17 @@ def hexa_diagnosis(events=None, whole_flight=None, doubts=(), leftover=(), judge
     return replace(whole, **changes)
 
 
+def against_healthy(**more):
+    """The answer to a hexa whose rotor 3 is weaker than in three healthy flights. more: of that comparison."""
+    facts = {
+        "verdict": "fault", "reason": "rotor 3 lost thrust", "flights": 3, "loss": [0.0, 0.02, 0.3, 0.0, 0.0, 0.05],
+        "interval": [(0.0, 0.05)] * 2 + [(0.2, 0.4)] + [(0.0, 0.1)] * 3, "shift": [0.1, -0.02, 0.0], "shift_sd": [0.02, 0.02, 0.01],
+        "causes": [{"rotors": [3], "probability": 0.9}, {"kind": "centre_of_mass", "probability": 0.06},
+                   {"rotors": [1], "probability": 0.04}], "common": 0.1,
+    }  # fmt: skip
+    return hexa_diagnosis(whole_flight=facts | more)
+
+
 @pytest.fixture
 def fault():
     return hexa_diagnosis()

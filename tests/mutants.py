@@ -5,8 +5,8 @@ the seed, the file, the line's text and the change: the same seed draws the same
 those written down in mutants_by_hand.toml. Each is tried in a copy of the repository, with the tests that are named for the file
 (`tests_of`), until the first of them fails.
 
-Found is written to docs/mutants.csv, a row for each error; the column `explanation` is written by hand and kept. docs/mutants.md says
-what came of it. A campaign, not a test: half an hour on two cores. Nothing here touches the working tree but docs/mutants.csv.
+Found is written to docs/mutants.csv, a row for each error; the column `explanation` is written by hand and kept. The tables of
+docs/mutants.md are made of it. A campaign, not a test: about an hour on two cores. Nothing else of the working tree is touched.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from queue import SimpleQueue
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = Path("src") / "rotorwatch"
-TABLE = Path("docs") / "mutants.csv"
+TABLE, PAGE = Path("docs") / "mutants.csv", Path("docs") / "mutants.md"
 BY_HAND, HAND = Path(__file__).with_name("mutants_by_hand.toml"), "by hand"
 
 # Parts of the package, their files, and the share of the sample that each gets.
@@ -69,6 +69,12 @@ NAMED: dict[str, tuple[str, ...]] = {
     "logs/ulog*.py": ("logs_px4",),
     "logs/series.py": ("logs_px4", "logs_table", "dataflash"),
     "logs/sdlog2.py": ("logs_sdlog2",),
+    "report/__init__.py": ("words",),
+    "report/lane.py": ("figures",),
+    "report/colours.py": ("figures",),
+    "report/html.py": ("figures", "words"),
+    "report/terminal.py": ("words",),
+    "report/research_tables.py": ("cli_research",),
     "report/*.py": ("report",),
     "estimators/__init__.py": ("architecture",),
     "estimators/akf.py": ("axkf",),
@@ -336,8 +342,9 @@ class Copy:
         return replace(mutant, outcome=outcome, test=test)
 
 
-def campaign(mutants: Sequence[Mutant], jobs: int, limit_s: float) -> Iterator[Mutant]:
-    """Every mutant with its outcome, as they come; raises SystemExit when the tests fail without any error planted."""
+def campaign(mutants: Sequence[Mutant], jobs: int, limit_s: float, unchecked: bool = False) -> Iterator[Mutant]:
+    """Every mutant with its outcome, as they come; raises SystemExit when the tests fail without any error planted (not tried where
+    `unchecked`)."""
     FORKS.set_forkserver_preload(PRELOADED)
     with tempfile.TemporaryDirectory(prefix="mutants-") as folder, ThreadPoolExecutor(jobs) as pool:
         free: SimpleQueue[Copy] = SimpleQueue()
@@ -361,7 +368,8 @@ def campaign(mutants: Sequence[Mutant], jobs: int, limit_s: float) -> Iterator[M
             finally:
                 free.put(copy)
 
-        for tests, failed in pool.map(healthy, dict.fromkeys(tests_of(m.file) for m in mutants)):
+        groups = () if unchecked else dict.fromkeys(tests_of(m.file) for m in mutants)
+        for tests, failed in pool.map(healthy, groups):
             if failed or not tests:
                 sys.exit(f"Tests fail before any error is planted: {failed or 'there are none'}.")
         yield from pool.map(judged, mutants)
@@ -399,6 +407,29 @@ def figures(mutants: Sequence[Mutant]) -> str:
     return "\n".join(lines)
 
 
+def survivors(mutants: Sequence[Mutant]) -> str:
+    """A Markdown table of those that survived, and why."""
+    left = [m for m in mutants if m.outcome == SURVIVED]
+    if not left:
+        return "None."
+
+    def code(text: str) -> str:
+        return f"`{text}`".replace("|", "\\|")
+
+    rows = [f"| {m.file}:{m.line} | {code(m.before)} | {code(m.after)} | {m.explanation} |" for m in left]
+    return "\n".join(["| where | the line | with the error | why it survived |", "|---|---|---|---|", *rows])
+
+
+def show(path: Path, mutants: Sequence[Mutant]) -> None:
+    """The tables of the page, each between its marks, made anew."""
+    text = path.read_text(encoding="utf-8")
+    for name, table in (("figures", figures(mutants)), ("survivors", survivors(mutants))):
+        begin, end = f"<!-- {name} -->\n", f"\n<!-- end of {name} -->"
+        head, _, rest = text.partition(begin)
+        text = head + begin + table + end + rest.partition(end)[2]
+    path.write_text(text, encoding="utf-8")
+
+
 def main() -> None:
     """Draw, plant, try, write."""
     asked = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -415,7 +446,9 @@ def main() -> None:
         "--survivors", action="store_true", help="only those that the table says have survived, and new ones"
     )
     asked.add_argument("--resume", action="store_true", help="only those that the table does not have yet")
+    asked.add_argument("--unchecked", action="store_true", help="the tests are known to pass without any error")
     asked.add_argument("--list", action="store_true", help="print the sample and plant nothing")
+    asked.add_argument("--show", action="store_true", help="make the tables of the page anew and plant nothing")
     given = asked.parse_args()
     everything, before = [*draw(given.sample, given.seed), *by_hand()], {m.key: m for m in read(ROOT / TABLE)}
     drawn = [m for m in everything if m.part in given.only or any(fnmatch.fnmatch(m.file, p) for p in given.only)]
@@ -423,18 +456,23 @@ def main() -> None:
         drawn = [m for m in drawn if m.key not in before or before[m.key].outcome == SURVIVED]
     if given.resume:
         drawn = [m for m in drawn if m.key not in before]
+    if given.show:
+        show(ROOT / PAGE, list(before.values()))
+        return
     if given.list:
         print("\n".join(f"{m.file}:{m.line} {m.operator}\n    {m.before}\n    {m.after}" for m in drawn))
         return
     table = {m.key: replace(before[m.key], line=m.line) for m in everything if m.key in before}
     begun = time.perf_counter()
-    for k, mutant in enumerate(campaign(drawn, given.jobs, given.limit), start=1):
+    for k, mutant in enumerate(campaign(drawn, given.jobs, given.limit, given.unchecked), start=1):
         known = before.get(mutant.key)
         kept = replace(mutant, explanation=known.explanation if known and mutant.outcome == SURVIVED else "")
         table[mutant.key] = kept
         print(f"{k}/{len(drawn)} {kept.outcome} {kept.file}:{kept.line} {kept.after}  [{kept.test}]", flush=True)
         write(ROOT / TABLE, table.values())
-    print(f"{len(drawn)} in {(time.perf_counter() - begun) / 60:.0f} min\n\n{figures(list(table.values()))}")
+    found = read(ROOT / TABLE)
+    show(ROOT / PAGE, found)
+    print(f"{len(drawn)} in {(time.perf_counter() - begun) / 60:.0f} min\n\n{figures(found)}")
 
 
 if __name__ == "__main__":

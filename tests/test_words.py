@@ -1,0 +1,59 @@
+"""The words of the report: frame, rotors, the comparison with healthy flights."""
+
+from dataclasses import replace
+
+import pytest
+
+from conftest import against_healthy, hexa_diagnosis
+from rotorwatch import report
+from rotorwatch.diagnosis import RotorState
+from rotorwatch.report import html
+from test_report import text_of
+
+
+def event(**changes):
+    return replace(hexa_diagnosis().events[0], **changes)
+
+
+def test_the_main_event_is_pointed_out_among_several_only(fault):
+    two = hexa_diagnosis(events=(event(), event(rotors=(5,), onset_s=40.0, detected_s=40.5)))
+    assert "main event" not in html._events(fault) and html._events(two).count("main event") == 1
+    assert "(main)" not in text_of(fault) and text_of(two).count("(main)") == 1
+
+
+def test_what_is_known_of_the_frame(fault):
+    assert report.frame(fault) == "ardupilot-hexa-x, 6 rotors"
+    assert report.frame(replace(fault, flight={"rotors": 4})) == "4 rotors"
+    assert report.frame(replace(fault, flight={"frame": "hexa"})) == "hexa"
+    assert report.frame(replace(fault, flight={})) == "unknown frame"
+
+
+@pytest.mark.parametrize(
+    "state, loss, interval",
+    [
+        (RotorState(1, 0.374, (0.33, 0.41), "degraded"), "37.4 %", "33–41 %"),
+        (RotorState(1, 0.0, (0.0, 1.0), "unobservable"), "?", ""),
+        (RotorState(1, 0.0, (0.0, 0.5), "suspect"), "?", "0–50 %"),
+        (RotorState(1, 0.2, (0.0, 0.5), "suspect"), "20.0 %", "0–50 %"),
+        (RotorState(1, 0.0, (0.0, 1.0), "healthy", "", (-0.01, 0.04)), "none seen", "changed by at most 4 %"),
+        (RotorState(1, 0.01, (0.0, 0.03), "healthy", "", (-0.01, 0.04), "healthy"), "1.0 %", "0–3 %"),
+    ],
+)
+def test_a_rotor_in_words(state, loss, interval):
+    assert (report.rotor_loss(state), report.rotor_interval(state)) == (loss, interval)
+
+
+def test_the_comparison_with_healthy_flights_in_words():
+    rows = dict(report.whole_flight(against_healthy()))
+    assert (
+        rows["answer"] == "fault found: rotor 3 lost thrust"
+        and rows["compared with"] == "3 healthy flights of this build"
+    )
+    assert rows["what explains the difference"] == "rotor 3 (front left) 90 %; a shifted centre of mass 6 %"
+    assert rows["all rotors together"].startswith("11 % more command")
+    assert dict(report.whole_flight(against_healthy(common=-0.1)))["all rotors together"].startswith(
+        "10 % less command"
+    )
+    assert dict(report.whole_flight(against_healthy(flights=1)))["compared with"] == "1 healthy flight of this build"
+    assert "all rotors together" not in dict(report.whole_flight(against_healthy(verdict="inconclusive")))
+    assert report.whole_flight(hexa_diagnosis()) == []
