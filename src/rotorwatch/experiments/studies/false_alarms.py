@@ -420,5 +420,5 @@ SHIFTED = {0.05: _build_fast, 0.1: _build_slow}
 
 def _shifted(bank, p):
     """The default estimator with a threshold p["shift"] nats higher: one compiled program for all of them."""
-    bank.log_threshold = bank.log_threshold + p["shift"]
+    bank.limit = bank.limit + p["shift"]
     return bank
