@@ -5,11 +5,17 @@ import os
 import shutil
 import subprocess
 import sys
+import warnings
 
 import numpy as np
 import pytest
 
+from rotorwatch import airframes
 from rotorwatch.cli import SAMPLES
+from rotorwatch.compiling.run import run
+from rotorwatch.errors import BackendWarning
+from rotorwatch.estimators.ekf import EKF
+from rotorwatch.systems.rate_dynamics import RateDynamics
 
 SAMPLE = SAMPLES / "hexax_m3_mul0.80_square_wind.bin.xz"
 COMMAND = [sys.executable, "-m", "rotorwatch.cli", "diagnose", str(SAMPLE), "--json"]
@@ -65,9 +71,17 @@ def test_the_command_uses_native_code_of_itself_and_then_needs_no_jax():
     assert json.loads(done.stdout)["verdict"] == "fault"
 
 
-def test_without_a_compiler_jax_runs_and_one_line_says_so_when_native_code_was_asked_for():
+def test_without_a_compiler_jax_runs_and_says_so_only_when_native_code_was_asked_for(monkeypatch):
+    monkeypatch.setenv("CC", "nonesuch")
+    method, table = EKF(RateDynamics.of(airframes.paper("niermeyer-hexa")), 0.01), (np.full((5, 6), 0.3), np.zeros((5, 4)))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        run(method, *table, backend="auto")
+    with pytest.warns(BackendWarning, match=r"no C compiler \(nonesuch\).*JAX runs instead"):
+        run(method, *table, backend="native")
+
+
+def test_the_command_says_in_one_line_that_there_is_no_compiler():
     line = "rotorwatch: There is no C compiler (nonesuch): install gcc or clang, or set CC. JAX runs instead."
     answer, err = said(CC="nonesuch", ROTORWATCH_BACKEND="native")
     assert answer["verdict"] == "fault" and err.count(line) == 1
-    answer, err = said(CC="nonesuch", ROTORWATCH_BACKEND="auto")
-    assert answer["verdict"] == "fault" and "compiler" not in err

@@ -31,8 +31,12 @@ def test_links_lead_somewhere():
         assert (PAGE.parent / target).exists(), target
 
 
-def test_the_table_is_made_where_the_marks_are():
+def test_the_table_is_made_where_the_marks_are(monkeypatch):
     make = maker()
+    plants = make.plants()
+    monkeypatch.setattr(make, "plants", lambda: {k: plants[k] for k in ("rate_dynamics", "rigid_body")})
+    kinds = {k: discovery.estimator(k) for k in ("default", "ekf", "lyapunov")}
+    monkeypatch.setattr(discovery, "estimators", lambda: kinds)
     page = f"before\n{make.START}stale row\n{make.END}after\n"
     filled = make.filled(page)
     assert filled.startswith("before\n") and filled.endswith("after\n") and "stale row" not in filled
