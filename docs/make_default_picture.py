@@ -31,6 +31,8 @@ def main(log: str) -> None:
     vehicle, air = airframes.identify(flight), airborne(flight)
     start = air[0][0]
     table = observe(inject(flight, vehicle, ROTOR, LOSS, start + ONSET), vehicle, air, READY_S)
+    if table is None:
+        raise SystemExit(f"{log} shows no flight.")
     B = vehicle.effectiveness()
     seen = steps(table, B)
     t, hyp = table.time - start, hypotheses.make(B.shape[1])

@@ -88,6 +88,10 @@ def _scaled(value: Any, factor: float) -> Any:
     return tuple(v * factor for v in value) if isinstance(value, tuple) else value * factor
 
 
+def _with(value: Any, part: Any) -> Any:
+    return {**value, **part}
+
+
 def variants(only: Sequence[str] = (), words: Sequence[str] = WORDS) -> dict[str, dict[str, Any]]:
     """Name of a variant -> the constants it changes; "as it is" first. only: beginnings of names; words: which of WORDS. Each kind of
     hypothesis has a weight of its own; of those only their ratios count. Raises ConfigError when no name fits."""
@@ -105,7 +109,7 @@ def variants(only: Sequence[str] = (), words: Sequence[str] = WORDS) -> dict[str
             for word, factor in (("half", 0.5), ("double", 2.0)):
                 if word not in words:
                     continue
-                now = _scaled(value, factor) if part is None else {**value, **_scaled(part, factor)}
+                now = _scaled(value, factor) if part is None else _with(value, _scaled(part, factor))
                 made[f"{label} {word}"] = {name: now}
             off = TABLE[label].off
             if off is not None and "off" in words:
