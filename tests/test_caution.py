@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes
-from rotorwatch.default import caution, noise, plant
+from rotorwatch.default import caution, plant
 from rotorwatch.default.plant import AXIS_STATES, DAMPING, DAMPING_RATE, GAIN, GAIN_MEAN, PER_AXIS, any_multirotor
 
 N, DT = 4, 0.05
@@ -137,7 +137,7 @@ def test_bursts_are_remembered_for_three_seconds():
     part = 1.0 - (1.0 - DT / caution.BURST_MEMORY_S) ** 20
     assert np.asarray(loud.burst) == pytest.approx(1.0 + part * (1.5**2 - 1.0))
     assert np.asarray(remembered([100.0]).burst) == pytest.approx(
-        1.0 + DT / caution.BURST_MEMORY_S * (noise.CLIP - 1.0)
+        1.0 + DT / caution.BURST_MEMORY_S * (caution.BURST_CLIP - 1.0)
     )
     quiet = remembered([0.0] * 20, start=loud)
     assert np.asarray(quiet.burst) == pytest.approx(np.asarray(loud.burst) * (1.0 - part))
@@ -153,10 +153,12 @@ def test_innovations_that_lean_to_one_side_are_remembered_for_half_a_minute():
         memory = caution.remember(memory, np.full(4, e), np.ones(4), YES, DT)
         lean += DT / plant.TAU[1] * (e - lean)
         lasting += (
-            DT / caution.LASTING_MEMORY_S * (min(lean**2 * (2.0 * plant.TAU[1] / DT - 1.0), noise.CLIP) - lasting)
+            DT
+            / caution.LASTING_MEMORY_S
+            * (min(lean**2 * (2.0 * plant.TAU[1] / DT - 1.0), caution.BURST_CLIP) - lasting)
         )
     assert np.asarray(memory.lean) == pytest.approx(lean) and np.asarray(memory.lasting) == pytest.approx(lasting)
-    assert 1.0 < lasting < noise.CLIP
+    assert 1.0 < lasting < caution.BURST_CLIP
     white = np.random.default_rng(0).standard_normal(4000)
     mean, squares = 0.0, []
     for e in white:

@@ -43,6 +43,7 @@ TABLE: dict[str, Constant] = {
     "caution.LAG_ERROR_S": Constant("s", "by so much a command's time may be off", 0.0),
     "caution.SNAPSHOT": Constant("1", "share of a step that one slow command may be off by within its tick", 0.0),
     "caution.BURST_MEMORY_S": Constant("s", "over which innovations are compared with the noise model"),
+    "caution.BURST_CLIP": Constant("1", "a square counts in that at most so many times what the model expects"),
     "caution.LASTING_MEMORY_S": Constant("s", "the same for innovations that lean to one side"),
     "caution.GUST_SHARE": Constant("1", "motion teaches gains only above so many times what gusts do", 0.0),
     "caution.LEAST_GAIN": Constant("1", "share of the usual gain that motion takes at least"),

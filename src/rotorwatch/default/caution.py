@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch.core import Array
-from rotorwatch.default import noise, plant
+from rotorwatch.default import plant
 from rotorwatch.default.plant import AXIS_STATES, DAMPING, GAIN, PER_AXIS
 
 GARROTE = 2.5  # how many times its calm level motion must reach to stand out
@@ -24,7 +24,7 @@ LAG_ERROR_S, SNAPSHOT = (
     0.015,
     0.15,
 )  # the second: share of a step that a single slow command may be off by, within its tick
-BURST_MEMORY_S = 3.0
+BURST_MEMORY_S, BURST_CLIP = 3.0, 6.0
 LASTING_MEMORY_S = 30.0
 GUST_SHARE, LEAST_GAIN = 2.0, 0.3
 FAR, FAR_ERROR = 0.3, 0.5
@@ -141,11 +141,11 @@ def remember(memory: Memory, innovation, variance, ok, dt: float) -> Memory:
     import jax.numpy as jnp
 
     size = innovation / jnp.sqrt(variance)
-    burst = jnp.minimum(size**2, noise.CLIP)
+    burst = jnp.minimum(size**2, BURST_CLIP)
     fade = jnp.where(ok, dt, 0.0)
     lean = memory.lean + fade / plant.TAU[1] * (size - memory.lean)
     # White innovations would give a mean over plant.TAU[1] this variance.
-    lasting = jnp.minimum(lean**2 * (2.0 * plant.TAU[1] / dt - 1.0), noise.CLIP)
+    lasting = jnp.minimum(lean**2 * (2.0 * plant.TAU[1] / dt - 1.0), BURST_CLIP)
     return memory._replace(
         burst=memory.burst + fade / BURST_MEMORY_S * (burst - memory.burst),
         lean=lean,
