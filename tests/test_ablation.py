@@ -68,7 +68,7 @@ def test_constants_as_parameters_are_the_constants():
     jax = load_jax()
     table, other = (
         hover(0.3),
-        {"kalman.OUTLIER": 2.0, "evidence.TRUST": 30.0, "plant.GAIN_MEAN": np.array([0.01, 0.01, 0.3, 0.0])},
+        {"kalman.OUTLIER": 2.0, "plant.GAIN_MEAN": np.array([0.01, 0.01, 0.3, 0.0])},
     )
     rows = program.inputs(table, B)
 

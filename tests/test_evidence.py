@@ -6,7 +6,7 @@ from scipy.special import logsumexp
 
 from rotorwatch import airframes
 from rotorwatch.default import bank, evidence, hypotheses
-from rotorwatch.default.evidence import NOTHING, TRUST
+from rotorwatch.default.evidence import NOTHING
 from rotorwatch.default.hypotheses import CLEAR, FAR, FAR_SHARE, GONE, LOSS_WIDTH, WEIGHT
 
 N, N_X, DT = 4, 20, 0.05
@@ -101,29 +101,11 @@ def test_disturbances_larger_than_this_flights_are_a_fifth_of_them():
         np.asarray(found.width) == pytest.approx(np.clip(3.0 * sd, 0.03, 1.0)) and np.asarray(found.width).min() > 0.03
     )
     wide = np.asarray(hypotheses.disturbances(HYP, bank_.C, bank_.z, FAR * found.width))
-    share = TRUST / (TRUST + float(hypotheses_top(bank_, found)))
     live = np.asarray(bank_.age) >= 0
-    wanted = logsumexp((share * wide + np.log(JUMPS.stride)[:, None])[live]) + np.log(FAR_SHARE * WEIGHT["disturbance"])
+    wanted = logsumexp((wide + np.log(JUMPS.stride)[:, None])[live]) + np.log(FAR_SHARE * WEIGHT["disturbance"])
     assert found.far == pytest.approx(wanted, rel=1e-9)
     assert np.asarray(gather(bank_, variances=1e-12 * CALM).width) == pytest.approx(np.full(4, 0.03))
     assert np.asarray(gather(bank_, variances=1e6 * CALM).width) == pytest.approx(np.ones(4))
-
-
-def hypotheses_top(bank_, found):
-    """The largest Bayes factor before it is held back."""
-    raw, _ = hypotheses.log_bayes_factors(
-        HYP, bank_.C, bank_.z, np.zeros(N), np.ones(N), found.width, np.zeros((len(bank_.age), N)), found.slop
-    )
-    return np.maximum(np.asarray(raw).max(), 0.0)
-
-
-def test_overwhelming_evidence_is_held_back():
-    """b TRUST / (TRUST + b): a thousand nats count as three quarters of that, and no order is changed."""
-    strong = told(strength=2e5)
-    found = gather(strong)
-    top = hypotheses_top(strong, found)
-    assert top > 1000.0
-    assert np.asarray(found.log_bf).max() == pytest.approx(top * TRUST / (TRUST + top), rel=1e-6)
 
 
 def test_slots_that_are_not_in_use_say_nothing():

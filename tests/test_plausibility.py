@@ -5,17 +5,14 @@ import pytest
 
 from rotorwatch.default import plausibility
 from rotorwatch.default.caution import AT_LIMIT, BELIEVED
-from rotorwatch.default.hypotheses import GONE, NONE
+from rotorwatch.default.hypotheses import NONE
 from rotorwatch.default.plant import ANSWER_S, USUAL_S
 from rotorwatch.default.plausibility import (
     ASKED_MOST,
     ASKED_SHARE,
     ASKED_SLACK,
-    CHANGE,
-    CHANGE_GONE,
     LIMIT_S,
     MISSING_SLACK,
-    SECOND,
     Missing,
 )
 
@@ -49,7 +46,6 @@ def possible(
     before=None,
     measured=True,
     active=(),
-    theta=NOTHING,
     rough=(0.0, 0.0, 0.0, 0.0),
     smooth=1.0,
 ):
@@ -57,7 +53,7 @@ def possible(
     return bool(
         plausibility.plausible(
             what, np.full(N, smooth), np.full(N, rise), now or missing(), before or missing(), measured, known,
-            np.asarray(theta, float), np.asarray(rough, float),
+            np.asarray(rough, float),
         )
     )  # fmt: skip
 
@@ -124,21 +120,6 @@ def test_what_a_limit_explains_is_no_loss():
     assert possible(jump((3, 0.19)), now=missing(limit=limit))
     assert possible(jump((2, 0.19)), now=missing(limit=limit), active=(2,))
     assert possible(jump((2, -0.19)), now=missing(limit=limit), active=(2,))
-
-
-@pytest.mark.parametrize("theta, least", [(0.5, CHANGE), (GONE + 0.01, CHANGE_GONE)])
-def test_a_known_loss_wanders_and_only_a_step_in_it_is_news(theta, least):
-    known = dict(active=(2,), theta=[0.0, theta, 0.0, 0.0])
-    for sign in (1.0, -1.0):
-        assert possible(jump((2, sign * (least + 1e-6))), **known)
-        assert not possible(jump((2, sign * (least - 1e-6))), **known)
-    assert possible(jump((2, least - 0.005), (4, 0.3)), **known)  # another rotor is news
-
-
-def test_a_small_second_loss_is_more_likely_an_error_in_the_size_of_the_first():
-    assert not possible(jump((4, SECOND - 1e-6)), active=(2,)) and possible(jump((4, SECOND + 1e-6)), active=(2,))
-    assert possible(jump((4, SECOND - 1e-6)))
-    assert possible(jump((2, 0.05), (4, SECOND + 1e-6)), active=(2,))
 
 
 def followed(rows, start=None):

@@ -150,7 +150,7 @@ class Tuned:
 
 # Constants that shape the program, its start or its hypotheses.
 BUILT_IN = frozenset({
-    "announcement.GATES", "announcement.PERSIST_S", "hypotheses.WEIGHT", "plant.ANSWER_S", "plant.TAU",
+    "announcement.GATES", "hypotheses.WEIGHT", "plant.ANSWER_S", "plant.TAU",
 })  # fmt: skip
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from rotorwatch.campaign.plan import Plan
 from rotorwatch.default import events
-from rotorwatch.default.announcement import PERSIST_S
+from rotorwatch.default.announcement import TICKS
 from rotorwatch.diagnosis import Event
 from rotorwatch.experiments import limits
 from rotorwatch.motion.ticks import JUDGE
@@ -141,12 +141,11 @@ def _compared(f) -> int:
 
 def _peaks(f, statistic: np.ndarray, onset: float | None) -> dict[str, float]:
     """Largest statistic that lasted as long as an announcement needs, in healthy time and in windows after the onset."""
-    width = max(2, round(PERSIST_S / f.ticks.dt))
     low = np.where(f.ticks.mode == JUDGE, statistic, NOTHING)
     lasting = low.copy()
-    for k in range(1, width):
+    for k in range(1, TICKS):
         lasting[k:] = np.minimum(lasting[k:], low[:-k])
-    lasting[: width - 1] = NOTHING
+    lasting[: TICKS - 1] = NOTHING
     time, start = f.ticks.time, np.inf if onset is None else onset
 
     def peak(where):

@@ -159,11 +159,9 @@ class JumpBank:
         best = evidence.jump(hyp, told, found, first)
         rough = noise.spread(variances)
         possible = plausibility.plausible(
-            best.each, seen.u[:n], seen.rise, missing, carry.missing, valid[3], active, theta, rough
+            best.each, seen.u[:n], seen.rise, missing, carry.missing, valid[3], active, rough
         )
-        standing, said = announcement.decide(
-            carry.standing, found, best, self.jumps, self.limit, possible, active.any(), judge, dt
-        )
+        standing, said = announcement.decide(carry.standing, found, best, self.limit, possible, active.any(), judge, dt)
         steady = (jnp.abs(seen.u[n + 6]) < opposite.TURNING) & (missing.heave < opposite.HEAVING)
         free = judge & ~said.alarm & steady & ~active.any()
         pair, opposite_s = opposite.suspect(
@@ -174,7 +172,7 @@ class JumpBank:
 
         # The noise learns from what the calm parts leave over, biases included.
         standing, quiet = announcement.suspicion(standing, found, hyp, dt)
-        learns = quiet & (branches.age > announcement.SETTLE_S) & flying
+        learns = quiet & flying
         left = left + (rows[:, :n_x] * jnp.asarray(np.isin(np.arange(n_x), kalman.BIASES), float)) @ x
         noises = noise.step(carry.noise, left, valid & learns, variances[0] / R, dt)
 

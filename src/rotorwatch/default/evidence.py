@@ -17,7 +17,6 @@ from rotorwatch.default import bank, hypotheses, noise
 from rotorwatch.default.hypotheses import Hypotheses
 
 DISTURBANCE_SCALE, DISTURBANCE_RANGE = 3.0, (0.03, 1.0)
-TRUST = 3000.0  # nats
 NOTHING = -50.0  # nats, of what cannot be
 
 
@@ -70,9 +69,7 @@ def gather(hyp: Hypotheses, onsets: bank.Jumps, told: bank.Bank, theta, active, 
     slop = hypotheses.slop(told.C, told.z, lo, hi, reach)
     log_bf, nu = hypotheses.log_bayes_factors(hyp, told.C, told.z, lo, hi, width, gone, slop)
     far = hypotheses.disturbances(hyp, told.C, told.z, hypotheses.FAR * width)
-    # The model is right to a few percent: overwhelming evidence must not hang on its last decimals.
-    share = TRUST / (TRUST + jnp.maximum(log_bf.max(), 0.0))
-    log_bf, far = (jnp.where(live[:, None], share * b, NOTHING) for b in (log_bf, far))
+    log_bf, far = (jnp.where(live[:, None], b, NOTHING) for b in (log_bf, far))
     stride = jnp.log(jnp.asarray(onsets.stride, float))
     per_slot = log_bf + stride[:, None] + jnp.log(jnp.asarray(hyp.weight))[None, :]
     far = far + stride[:, None] + jnp.log(hypotheses.FAR_SHARE * hypotheses.WEIGHT["disturbance"])

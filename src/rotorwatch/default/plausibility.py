@@ -15,10 +15,7 @@ from rotorwatch.default import caution, hypotheses, plant
 # Both may be off by a standard deviation of this flight's disturbances, and by as much as the slack in calm air.
 ASKED_SHARE, ASKED_SLACK, ASKED_MOST = 0.25, 0.05, 0.35
 MISSING_SLACK = 0.15  # hover thrusts of one rotor
-SECOND = 0.1
 LIMIT_S = 2.0  # how long it is remembered that a rotor was at its limit
-# A loss that is known wanders with the operating point and the weather: only a step in it is news.
-CHANGE, CHANGE_GONE = 0.03, 0.3
 
 
 class Missing(NamedTuple):
@@ -53,10 +50,10 @@ def follow(state: Missing, missing, load, share, valid, restart, dt: float) -> M
     )
 
 
-def plausible(jump, smooth, rise, now: Missing, before: Missing, thrust_valid, active, theta, rough):
+def plausible(jump, smooth, rise, now: Missing, before: Missing, thrust_valid, active, rough):
     """bool: may the jump (2, n; two rotors at most, 0 elsewhere) be a loss?
 
-    smooth (n,): thrust of each rotor; rise (n,): what is asked above trim. active (n,): rotors already known to be weak, by theta (n,).
+    smooth (n,): thrust of each rotor; rise (n,): what is asked above trim. active (n,): rotors already known to be weak.
     rough (4,): variance of this flight's disturbances.
     """
     import jax.numpy as jnp
@@ -75,16 +72,4 @@ def plausible(jump, smooth, rise, now: Missing, before: Missing, thrust_valid, a
     ok &= ~thrust_valid | (lost <= 0.0) | (now.fast - before.slow > ASKED_SHARE * lost - slack)
     # ... and not because a rotor at its limit gives no more.
     told = (jump > 0) & ~active[None, :]
-    ok &= jnp.where(told & (now.limit > 0)[None, :], jump > now.limit[None, :], True).all()
-    known = active[None, :] & (jump != 0.0)
-    least = jnp.where(theta > hypotheses.GONE, CHANGE_GONE, CHANGE)
-    ok &= ~known.any() | (known & (jnp.abs(jump) > least)).any() | (another_of(jump, active)).any()
-    # A second rotor failing is rare: small second losses are more likely errors in the size of the first.
-    another = active.any() & another_of(jump, active).any()
-    size = jnp.where(active[None, :], 1.0, jump)
-    return ok & (~another | jnp.where(jump > 0, size > SECOND, True).all())
-
-
-def another_of(jump, active):
-    """(2, n) bool: jumps of rotors that are not known to be weak yet."""
-    return jump * (~active)[None, :] > 0
+    return ok & jnp.where(told, jump > now.limit[None, :], True).all()
