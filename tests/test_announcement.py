@@ -9,13 +9,14 @@ from rotorwatch.default import announcement, hypotheses, noise
 from rotorwatch.default.announcement import (
     ABSORB_S,
     CERTAIN_NATS,
+    EDGE,
     TICKS,
     Standing,
 )
 from rotorwatch.default.hypotheses import CLEAR
 from rotorwatch.default.plant import USUAL_S
 
-HYP, DT, LIMIT = hypotheses.make(4), 0.05, 14.0
+HYP, DT, LIMIT, REACH = hypotheses.make(4), 0.05, 14.0, 64.0
 MUCH = UNDECIDED = CLEAR
 
 
@@ -35,6 +36,7 @@ def decide(
         standing or announcement.init(),
         found,
         best,
+        SimpleNamespace(reach=REACH),
         LIMIT,
         np.bool_(possible),
         np.bool_(weak),
@@ -74,11 +76,12 @@ def test_disturbances_such_as_this_flight_has_not_seen_are_asked_about_for_one_r
     assert ticks_until_alarm(fault=30.0, other=30.0, rotors=(1, 3)) is None
 
 
-@pytest.mark.parametrize("blocked", [{"possible": False}, {"judge": False}])
-def test_what_cannot_be_or_is_not_judged_is_not_announced(blocked):
+@pytest.mark.parametrize("blocked", [{"possible": False}, {"judge": False}, {"since": EDGE * REACH}])
+def test_what_cannot_be_is_not_judged_or_began_before_the_bank_is_not_announced(blocked):
     assert ticks_until_alarm(fault=30.0, **blocked) is None
     standing, _ = decide(fault=30.0)
     assert standing.above == 1 and decide(standing, fault=30.0, **blocked)[0].above == 0
+    assert ticks_until_alarm(fault=30.0, since=EDGE * REACH - 1.0) is not None
 
 
 def ticks_until_absorbed(**more):

@@ -66,7 +66,7 @@ def test_recent_onsets_are_dense_and_older_ones_sparse(run):
         for k in (5, 6, 20, TICKS - 1):
             onsets = [t for t in range(6, k + 1) if t % stride == 0][-SLOTS:]
             assert sorted(k - states.age[k, part][states.age[k, part] >= 0]) == onsets
-    assert jumps.decay == pytest.approx(np.exp(-DT / ANSWER_S))
+    assert jumps.reach == SLOTS * max(STRIDES[0.05]) and jumps.decay == pytest.approx(np.exp(-DT / ANSWER_S))
     assert bank.Jumps(np.eye(3), 0.2).stride.tolist() == np.repeat(STRIDES[0.1], SLOTS).tolist()
 
 

@@ -3,7 +3,7 @@
 A fault is announced when the Shiryaev-Roberts statistic, the evidence of all faults at any onset, passes a threshold. Without a fault its
 mean time to do so is at least the threshold (in ticks, over the sum of prior weights; Pollak, Ann. Statist. 13, 1985): the stated
 false-alarm rate is the threshold. Evidence only ranks what it was asked about, so the fault must also be ten times (CLEAR) likelier than
-any disturbance, at two ticks in a row, and possible at all (plausibility.py).
+any disturbance, at two ticks in a row, at an onset within the bank's reach, and possible at all (plausibility.py).
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch.core import Array
-from rotorwatch.default import hypotheses, noise, plant
+from rotorwatch.default import bank, hypotheses, noise, plant
 from rotorwatch.default.evidence import Evidence, Jump
 from rotorwatch.default.hypotheses import Hypotheses
 
@@ -22,6 +22,7 @@ FALSE_ALARM_PERIOD_S = 10 * 3600.0  # promised: no more than one in so long
 # let pass at most this share: none of 6 there, and 1 of 81 with a threshold 4 nats lower.
 GATES = 0.15
 TICKS = 2  # in a row for which all conditions hold
+EDGE = 0.9  # of the bank's reach
 ABSORB_S, CERTAIN_NATS = 1.0, 16.0
 
 
@@ -59,7 +60,7 @@ def threshold(hyp: Hypotheses, dt: float, period_s: float | None = None) -> floa
 
 
 def decide(
-    standing: Standing, found: Evidence, best: Jump, limit: float, possible, weak, judge, dt: float
+    standing: Standing, found: Evidence, best: Jump, onsets: bank.Jumps, limit: float, possible, weak, judge, dt: float
 ) -> tuple[Standing, Said]:
     """One tick. best: jump of the likeliest fault; limit: its `threshold`; possible, judge, weak: may it be true, is the flight judged,
     is a rotor known to be weak."""
@@ -69,6 +70,8 @@ def decide(
     lone = best.rotors.sum() < 2
     other = jnp.where(lone, jnp.logaddexp(found.other, found.far), found.other)
     statistic = jnp.minimum(found.fault - limit, found.fault - other - hypotheses.CLEAR)
+    # The most probable onset at the edge of the bank speaks of a drift that began before it, not of a jump.
+    possible &= best.since < EDGE * onsets.reach
     above = jnp.where(judge & (statistic > 0.0) & possible, standing.above + 1, 0)
     alarm = above >= TICKS
     # What certainly happened is explained, whatever it was; where nothing is known to be wrong, only what is no fault.

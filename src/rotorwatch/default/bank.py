@@ -40,6 +40,7 @@ class Jumps:
         strides = STRIDES[0.05 if dt < 0.08 else 0.1]
         self.directions = directions
         self.stride = np.repeat(strides, SLOTS)
+        self.reach = float(SLOTS * max(strides))  # ticks
         self.place = np.tile(np.arange(SLOTS), len(strides))
         # The last group holds losses that build up, as a controller reveals them.
         self.slow = np.repeat((*[False] * (len(strides) - 1), True), SLOTS)

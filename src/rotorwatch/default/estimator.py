@@ -161,7 +161,9 @@ class JumpBank:
         possible = plausibility.plausible(
             best.each, seen.u[:n], seen.rise, missing, carry.missing, valid[3], active, rough
         )
-        standing, said = announcement.decide(carry.standing, found, best, self.limit, possible, active.any(), judge, dt)
+        standing, said = announcement.decide(
+            carry.standing, found, best, self.jumps, self.limit, possible, active.any(), judge, dt
+        )
         steady = (jnp.abs(seen.u[n + 6]) < opposite.TURNING) & (missing.heave < opposite.HEAVING)
         free = judge & ~said.alarm & steady & ~active.any()
         pair, opposite_s = opposite.suspect(

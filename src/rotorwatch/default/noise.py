@@ -16,11 +16,13 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch.core import Array
+from rotorwatch.default import plant
 from rotorwatch.default.plant import PER_AXIS, TAU, fading
 
 LAGS = (1, 2, 4, 8, 16, 32, 64)  # ticks
 MEMORY_S = 60.0  # how long a squared difference counts
 CLIP = 5.0  # a squared difference counts at most this many times the present mean: a fault must not look like noise
+GROWTH_WEIGHT = 0.05
 # Per axis floor of the white variance, in hover thrusts: one PWM step of a few rotors.
 FLOOR = 0.0008**2
 
@@ -75,7 +77,11 @@ def step(state: NoiseState, e, ok, trust, dt: float) -> NoiseState:
     forget = jnp.exp(-dt / MEMORY_S) ** both
     weight = state.weight * forget + both * share
     total = state.total * forget + both * share * square
+    # Long lags have few samples at first: until then suppose that variance grows with the lag, as disturbances do.
     D = total / weight
+    D = (total + GROWTH_WEIGHT * D[:1] * (1.0 + jnp.array(LAGS, float)[:, None] * dt / plant.ANSWER_S)) / (
+        weight + GROWTH_WEIGHT
+    )
     certain = jnp.minimum(weight, 5.0)
     v = state.variances / state.safety
     for _ in range(3):
