@@ -239,6 +239,21 @@ def test_the_rules_slope_is_the_derivative_of_its_criterion():
     np.testing.assert_allclose(slope, jax.grad(J)(Q), rtol=1e-9)
 
 
+def test_mit_rule_waits_for_a_window_of_measured_steps():
+    """Not of measurements: with six channels it does not begin six times earlier. Steps without any do not count, nor do they
+    push what was measured out of the window."""
+    how = mit_rule.Adaptation(eta=0.5, window=10)
+    adapt = jax.jit(lambda state, valid: mit_rule.adapt(state, np.eye(6), np.eye(6), np.full(6, 3.0), valid, 0.02, how))
+    for every in (1, 3):
+        state, begun = mit_rule.init(6, 6, how), []
+        for k in range(12 * every):
+            valid = np.full(6, k % every == every - 1)
+            valid[1:3] = False  # some channels are always missing
+            state = adapt(state, valid)
+            begun.append(bool(np.abs(state.log_q).max() > 0))
+        assert begun.index(True) + 1 == 10 * every
+
+
 def test_mit_rule_matches_the_innovations():
     rng = np.random.default_rng(0)
     how = mit_rule.Adaptation(eta=0.5, window=50)
