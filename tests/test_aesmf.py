@@ -199,6 +199,40 @@ def test_the_helicopters_remainder_is_held_and_tighter_than_by_the_box():
     assert (3 * e < np.asarray(box.hi - box.lo) / 2).all()
 
 
+def direction_let_loose(function, centre, lo, hi):
+    """The plain way to bound 1/2 d' Hess d: through every operation with d an interval, which counts it at each anew."""
+
+    def curvature(z, d):
+        return 0.5 * jax.jvp(lambda point: jax.jvp(function, (point,), (d,))[1], (z,), (d,))[1]
+
+    return interval.evaluate(curvature, interval.Interval(lo, hi), interval.Interval(lo - centre, hi - centre))
+
+
+@pytest.mark.parametrize(
+    ("plant", "ratio", "sampled"), [("helicopter", (1.15, 2.3), 3.2), ("pendulum", (1.75, 1.85), 1.5)]
+)
+def test_interval_hessians_hold_the_remainder_and_are_tighter_than_a_direction_let_loose(plant, ratio, sampled):
+    """ratio: least and largest gain over the components; sampled: at most this times as wide as what 20,000 points span."""
+    rng = np.random.default_rng(3)
+    if plant == "helicopter":
+        function, centre, reach = helicopter_step, np.zeros(14), np.repeat([0.02, 0.01, 0.2, 0.1], [3, 3, 4, 4])
+    else:
+        system, centre, reach = small_systems.Pendulum(), np.array([0.3, 0.0, 0.0]), np.array([0.1, 0.1, 0.3])
+        function = lambda z: system.f(z[:2], np.ones(1), z[2:], 0.05)[1:]  # noqa: E731  the rate: the angle's row is linear
+    # A box that is not symmetric about the point, and random points and corners of it.
+    lo, hi = centre - reach, centre + 0.8 * reach
+    d = rng.uniform(lo, hi, (20_000, len(centre)))
+    d[::2] = np.where(d[::2] > centre, hi, lo)
+    value, J = function(centre), np.asarray(jax.jacfwd(function)(centre))
+    rest = np.asarray(jax.jit(jax.vmap(function))(d) - value) - (d - centre) @ J.T
+    found = interval.second_order_remainder(function, centre, lo, hi)
+    assert (rest >= np.asarray(found.lo) - 1e-12).all() and (rest <= np.asarray(found.hi) + 1e-12).all()
+    width, plain = np.asarray(found.hi - found.lo), direction_let_loose(function, centre, lo, hi)
+    gain = np.asarray(plain.hi - plain.lo) / width
+    assert ratio[0] < gain.min() and gain.max() < ratio[1], gain
+    assert (width < sampled * np.ptp(rest, axis=0)).all(), width / np.ptp(rest, axis=0)
+
+
 # Guaranteed containment.
 
 
