@@ -23,10 +23,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rotorwatch import checks
-from rotorwatch.backend import jax as load_jax
 from rotorwatch.core import Array, Estimate
 from rotorwatch.errors import ConfigError
-from rotorwatch.maths import ellipsoid, interval, taylor
+from rotorwatch.maths import ellipsoid, interval, plant, taylor
 from rotorwatch.maths.small import blocks, product
 
 UNBOUNDED = 1e6  # half-width taken for a remainder that interval arithmetic cannot bound: in effect "anything"
@@ -113,7 +112,8 @@ class SetMembership:
 
     def __post_init__(self):
         system, form, bound = self.system, self.form, self.bound
-        self.dt = float(checks.positive("dt", self.dt))
+        plant.checked(type(self).__name__, system, self.dt)
+        self.dt = float(self.dt)
         n_x, n_theta = system.n_x, system.n_theta
         self.n = n_x + n_theta
         checks.positive("bound", bound)
@@ -148,11 +148,9 @@ class SetMembership:
             raise ConfigError("theta_range must be (low, high) with low not above high.")
         if self.weights is None:
             self.weights = np.repeat([1e-3, 1.0], [n_x, n_theta]) if self.cut == "trace" else np.ones(self.n)
-        checks.covariance("P0", system.P0, n_x)
         self.theta_prior = np.diag(reach**2)
         self.prior = self.near_prior = blocks(np.asarray(bound**2 * np.asarray(system.P0)), self.theta_prior)
         self.apart = blocks(np.full((n_x, n_x), APART[0]), np.full((n_theta, n_theta), APART[1]))
-        load_jax()
         if form == "ud":
             self.prior = ellipsoid.factored(self.prior)
 
