@@ -238,11 +238,14 @@ def test_interval_hessians_hold_the_remainder_and_are_tighter_than_a_direction_l
 
 @pytest.mark.parametrize("mode", small_systems.RIGOROUS[:5], ids=str)
 def test_the_truth_never_escapes(mode):
-    assert small_systems.escapes(small_systems.Pendulum(), 40, **mode) == 0
+    """Nor while theta drifts; at 8 per second a step moves it by more than the small sets are wide."""
+    for drift in (0.0, small_systems.DRIFT, 8.0):
+        assert small_systems.escapes(small_systems.Pendulum(), 40, drift=(drift, drift), **mode) == 0, drift
 
 
 def test_nor_from_an_oscillator():
-    assert small_systems.escapes(small_systems.VanDerPol(), 40) == 0
+    for drift in (0.0, small_systems.DRIFT):
+        assert small_systems.escapes(small_systems.VanDerPol(), 40, drift=(drift, drift)) == 0
 
 
 @pytest.mark.parametrize("name", small_systems.MUTATIONS)

@@ -86,7 +86,7 @@ class SetMembership:
     dt: s. bound: noise bounds and the start's half-widths in standard deviations of the plant's Q, R and P0, wider where
     several numbers share one bound, so that all are left as rarely; or given
     directly: process (n_x,) semi-axes of one step, measurement (n_y,). theta_centre, theta_reach: centre and semi-axes of
-    the losses at the start and after a restart; theta_drift: loss per second that a loss may change by; theta_range: (low, high)
+    the losses at the start and after a restart; theta_drift: semi-axes, loss per second that a loss may change by; theta_range: (low, high)
     known limits (default 0 and 1 when each theta belongs to an input). form: joint, where one ellipsoid bounds all
     errors; batch, the source's way of that; scalar, where each error is bounded alone; or ud, the same on factors. cut: how
     much a measurement weighs (`ellipsoid.strip_cut`; default trace, source for batch and ud). remainder: taylor, interval, or none,
@@ -133,7 +133,7 @@ class SetMembership:
         for label, m in (("process", n_x), ("measurement", system.n_y), ("weights", self.n)):
             if getattr(self, label) is not None:
                 setattr(self, label, checks.positive(label, checks.shape(label, getattr(self, label), m)))
-        drift = np.broadcast_to(checks.finite("theta_drift", self.theta_drift), (n_theta,))
+        drift = checks.finite("theta_drift", self.theta_drift) * np.ones(n_theta)
         self.theta_drift = checks.between("theta_drift", drift, 0.0, np.inf)
         centre = np.zeros(n_theta) if self.theta_centre is None else self.theta_centre
         centre = checks.shape("theta_centre", centre, n_theta)
@@ -305,7 +305,8 @@ class SetMembership:
         return ellipsoid.unfactored(shape) if self.form == "ud" else shape
 
     def Q0(self, dt):
-        """(n, n) shape that bounds one step's noise before it is adapted. theta moves by theta_drift dt at most."""
+        """(n, n) shape that bounds one step's noise before it is adapted: of x and of theta, each on its own bound at the same time,
+        so it is a sum of two sets and not one ellipsoid with both as semi-axes."""
         from jax import numpy as jnp
 
         Q = (
@@ -313,7 +314,8 @@ class SetMembership:
             if self.process is None
             else jnp.diag(jnp.asarray(self.process) ** 2)
         )
-        return blocks(Q, self._walk(dt), jnp)
+        still, unmoved = jnp.zeros((self.n_x, self.n_x)), jnp.zeros((self.system.n_theta,) * 2)
+        return ellipsoid.minkowski(blocks(Q, unmoved, jnp), blocks(still, self._walk(dt), jnp), self.weights)[0]
 
     def _walk(self, dt):
         from jax import numpy as jnp
