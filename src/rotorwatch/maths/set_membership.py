@@ -229,7 +229,7 @@ class SetMembership:
         n_x, n, system = self.n_x, self.n, self.system
         start = jnp.concatenate([carry.near[:n_x], jnp.asarray(self.theta_centre)])
         S = self.apart * blocks(carry.near_shape[:n_x, :n_x], jnp.asarray(self.theta_prior), jnp)
-        Q, bound = self.Q0(dt), self._error_bound(u, "joint")
+        Q, bound = self.noise(dt, jnp.ones(self.n)), self._error_bound(u, "joint")
         weights = jnp.asarray(RESTART_WEIGHTS)
 
         def both(point):
@@ -304,9 +304,9 @@ class SetMembership:
         """P (n, n) of the carried shape."""
         return ellipsoid.unfactored(shape) if self.form == "ud" else shape
 
-    def Q0(self, dt):
-        """(n, n) shape that bounds one step's noise before it is adapted: of x and of theta, each on its own bound at the same time,
-        so it is a sum of two sets and not one ellipsoid with both as semi-axes."""
+    def noise(self, dt, q):
+        """(n, n) shape that bounds one step's noise, factors q (n,) on its diagonal. x's noise and theta's drift may be on their
+        bounds at the same time, so it is a sum of two sets and not one ellipsoid with both as semi-axes."""
         from jax import numpy as jnp
 
         Q = (
@@ -315,7 +315,9 @@ class SetMembership:
             else jnp.diag(jnp.asarray(self.process) ** 2)
         )
         still, unmoved = jnp.zeros((self.n_x, self.n_x)), jnp.zeros((self.system.n_theta,) * 2)
-        return ellipsoid.minkowski(blocks(Q, unmoved, jnp), blocks(still, self._walk(dt), jnp), self.weights)[0]
+        root = jnp.sqrt(q)
+        parts = (part * root * root[:, None] for part in (blocks(Q, unmoved, jnp), blocks(still, self._walk(dt), jnp)))
+        return ellipsoid.minkowski(*parts, self.weights)[0]
 
     def _walk(self, dt):
         from jax import numpy as jnp
@@ -344,7 +346,6 @@ class SetMembership:
         def f(point):
             return system.f(point[:n_x], u, point[n_x:], dt)
 
-        root = jnp.sqrt(carry.q)
         if self.form == "joint":
             point, around = carry.near, self.apart * carry.near_shape
         else:
@@ -358,7 +359,7 @@ class SetMembership:
             moved = product(G, G.T)
         else:
             G, moved = Phi, product(product(Phi, carry.shape), Phi.T)
-        return self._summed(z, G, moved, half, self.Q0(dt) * root * root[:, None], Phi)
+        return self._summed(z, G, moved, half, self.noise(dt, carry.q), Phi)
 
     def _summed(self, z, G, moved, half, Q, Phi) -> Ahead:
         """The shares of noise and remainder."""
