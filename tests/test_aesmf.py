@@ -199,16 +199,53 @@ def test_the_helicopters_remainder_is_held_and_tighter_than_by_the_box():
     assert (3 * e < np.asarray(box.hi - box.lo) / 2).all()
 
 
+def direction_let_loose(function, centre, lo, hi):
+    """The plain way to bound 1/2 d' Hess d: through every operation with d an interval, which counts it at each anew."""
+
+    def curvature(z, d):
+        return 0.5 * jax.jvp(lambda point: jax.jvp(function, (point,), (d,))[1], (z,), (d,))[1]
+
+    return interval.evaluate(curvature, interval.Interval(lo, hi), interval.Interval(lo - centre, hi - centre))
+
+
+@pytest.mark.parametrize(
+    ("plant", "ratio", "sampled"), [("helicopter", (1.15, 2.3), 3.2), ("pendulum", (1.75, 1.85), 1.5)]
+)
+def test_interval_hessians_hold_the_remainder_and_are_tighter_than_a_direction_let_loose(plant, ratio, sampled):
+    """ratio: least and largest gain over the components; sampled: at most this times as wide as what 20,000 points span."""
+    rng = np.random.default_rng(3)
+    if plant == "helicopter":
+        function, centre, reach = helicopter_step, np.zeros(14), np.repeat([0.02, 0.01, 0.2, 0.1], [3, 3, 4, 4])
+    else:
+        system, centre, reach = small_systems.Pendulum(), np.array([0.3, 0.0, 0.0]), np.array([0.1, 0.1, 0.3])
+        function = lambda z: system.f(z[:2], np.ones(1), z[2:], 0.05)[1:]  # noqa: E731  the rate: the angle's row is linear
+    # A box that is not symmetric about the point, and random points and corners of it.
+    lo, hi = centre - reach, centre + 0.8 * reach
+    d = rng.uniform(lo, hi, (20_000, len(centre)))
+    d[::2] = np.where(d[::2] > centre, hi, lo)
+    value, J = function(centre), np.asarray(jax.jacfwd(function)(centre))
+    rest = np.asarray(jax.jit(jax.vmap(function))(d) - value) - (d - centre) @ J.T
+    found = interval.second_order_remainder(function, centre, lo, hi)
+    assert (rest >= np.asarray(found.lo) - 1e-12).all() and (rest <= np.asarray(found.hi) + 1e-12).all()
+    width, plain = np.asarray(found.hi - found.lo), direction_let_loose(function, centre, lo, hi)
+    gain = np.asarray(plain.hi - plain.lo) / width
+    assert ratio[0] < gain.min() and gain.max() < ratio[1], gain
+    assert (width < sampled * np.ptp(rest, axis=0)).all(), width / np.ptp(rest, axis=0)
+
+
 # Guaranteed containment.
 
 
 @pytest.mark.parametrize("mode", small_systems.RIGOROUS[:5], ids=str)
 def test_the_truth_never_escapes(mode):
-    assert small_systems.escapes(small_systems.Pendulum(), 40, **mode) == 0
+    """Nor while theta drifts; at 8 per second a step moves it by more than the small sets are wide."""
+    for drift in (0.0, small_systems.DRIFT, 8.0):
+        assert small_systems.escapes(small_systems.Pendulum(), 40, drift=(drift, drift), **mode) == 0, drift
 
 
 def test_nor_from_an_oscillator():
-    assert small_systems.escapes(small_systems.VanDerPol(), 40) == 0
+    for drift in (0.0, small_systems.DRIFT):
+        assert small_systems.escapes(small_systems.VanDerPol(), 40, drift=(drift, drift)) == 0
 
 
 @pytest.mark.parametrize("name", small_systems.MUTATIONS)
@@ -237,6 +274,21 @@ def test_the_rules_slope_is_the_derivative_of_its_criterion():
 
     slope, _ = gradient(Cutting(Phi, H, e, P, R, 1 / (b * (1 - b_Q))), mu)
     np.testing.assert_allclose(slope, jax.grad(J)(Q), rtol=1e-9)
+
+
+def test_mit_rule_waits_for_a_window_of_measured_steps():
+    """Not of measurements: with six channels it does not begin six times earlier. Steps without any do not count, nor do they
+    push what was measured out of the window."""
+    how = mit_rule.Adaptation(eta=0.5, window=10)
+    adapt = jax.jit(lambda state, valid: mit_rule.adapt(state, np.eye(6), np.eye(6), np.full(6, 3.0), valid, 0.02, how))
+    for every in (1, 3):
+        state, begun = mit_rule.init(6, 6, how), []
+        for k in range(12 * every):
+            valid = np.full(6, k % every == every - 1)
+            valid[1:3] = False  # some channels are always missing
+            state = adapt(state, valid)
+            begun.append(bool(np.abs(state.log_q).max() > 0))
+        assert begun.index(True) + 1 == 10 * every
 
 
 def test_mit_rule_matches_the_innovations():

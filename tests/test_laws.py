@@ -22,6 +22,7 @@ from rotorwatch.motion.ticks import GROUND, JUDGE, LEARN
 from rotorwatch.systems.rate_dynamics import RateDynamics
 
 DT, TICKS = 0.02, 220
+THETA_VAR = 0.1  # of the losses on the linear plant: much of what an innovation is made of
 TAKE_OFF, READY, ONSET = 5, 80, 110
 GAPS = (slice(50, 60), slice(95, 103), slice(130, 150))  # no measurement at all
 BLIND_AXIS = slice(65, 75)  # only the thrust axis is missing
@@ -59,20 +60,29 @@ def gaps():
 
 
 @functools.cache
-def flown(make, seed=0, loss=0.0):
-    """(u, y, valid, x) of a flight on rotational dynamics with the noise the plant says: hover, rates damped by the pilot, every
-    rotor excited; rotor 2 loses `loss` at ONSET."""
-    rng = np.random.default_rng(seed)
+def plant_of(make):
+    """(plant, its f, its h), compiled once for all flights."""
     system = make()
+    return system, jax.jit(system.f), jax.jit(system.h)
+
+
+@functools.cache
+def flown(make, seed=0, loss=0.0, spread=0.0):
+    """(u, y, valid, x) of a flight on rotational dynamics with the noise the plant says: hover, rates damped by the pilot, every
+    rotor excited; rotor 2 loses `loss` at ONSET. spread: size of the losses that all rotors have from the start."""
+    rng = np.random.default_rng(seed)
+    system, f, h = plant_of(make)
     n = system.n_u
     B = np.vstack([system.B_tau, system.B_T])
     hover = np.linalg.pinv(B) @ np.array([0, 0, 0, system.m * 9.80665])
     share = np.linalg.pinv(B)[:, :3] @ np.diag(np.diag(system.J)) * 8.0
     root = np.linalg.cholesky(np.asarray(system.Q(DT)))
-    f, h = jax.jit(system.f), jax.jit(system.h)
+    first = spread * np.abs(
+        np.random.default_rng(100 + seed).standard_normal(n)
+    )  # none below 0: some methods know that
     x, rows = np.asarray(system.x0) + 0.1 * rng.standard_normal(3), []
     for k in range(TICKS):
-        theta = np.where(np.arange(n) == 1, loss * (k >= ONSET), 0.0)
+        theta = first + np.where(np.arange(n) == 1, loss * (k >= ONSET), 0.0)
         wiggle = 0.05 * hover * np.sin(0.9 * k * DT * 2 * np.pi + np.arange(n))
         u = np.clip(hover + wiggle - share @ x, 0.05 * hover, 3.0 * hover)
         x = np.asarray(f(x, u, theta, DT)) + root @ rng.standard_normal(3)
@@ -309,6 +319,46 @@ def errors_are_as_large_as_the_covariance_says(case):
         assert 0.75 * case.system.n_x < np.mean(nees) < 1.3 * case.system.n_x, nees
 
 
+def innovations_are_as_large_as_their_covariance_says(case):
+    """The normalised innovation squared (NIS) of flights whose losses are drawn from the prior is the number of measurements in
+    the mean. Fixed gains and bounds may expect more than comes, never less."""
+    if case.own_plant:
+        return  # its noise model is learned in flight
+    nis = []
+    for seed in (10, 11, 12):
+        u, y, valid, _ = flown(case.make, seed, spread=0.1)
+        estimate = case.over(u, y, valid)
+        whole = valid.all(axis=1) & (estimate.status == 0) & (np.arange(TICKS) > 1)
+        e, S = estimate.innovation[whole], estimate.innovation_cov[whole]
+        nis.append(np.einsum("ti,tij,tj->t", e, np.linalg.inv(S), e).mean() / case.system.n_y)
+    assert 0.02 < np.mean(nis) < 1.15, nis
+    if case.kind.name not in NO_POSTERIOR:
+        assert np.mean(nis) > 0.8, nis
+
+
+def a_loss_is_found(case):
+    """Half of it soon, at the end its size, in the right rotor and in no other; of a set, that it holds a loss and no longer none."""
+    size, onset = case.usual.theta, slice(ONSET, None)
+    if case.kind.name in SETS:
+        if case.make is rates_hexa:
+            return  # six losses by four measurements stay wider than the loss for as long as such a flight lasts
+        reach = np.sqrt(np.diagonal(case.usual.theta_cov, axis1=1, axis2=2))
+        truth = np.where(np.arange(size.shape[1]) == 1, LOSS, 0.0)
+        assert (np.abs(size[-1] - truth) <= reach[-1]).all()
+        low = size - reach
+        assert low[:ONSET].max() < 0 and (low[ONSET:, 1] > 0).any() and (np.delete(low, 1, axis=1) < 0).all()
+        return
+    half = np.flatnonzero(size[onset, 1] > LOSS / 2)
+    assert np.abs(size[READY:ONSET]).max() < 0.1
+    assert half.size and half[0] * case.dt < 1.1, half[:1]
+    last = size[-10:].mean(axis=0)
+    assert last.argmax() == 1 and abs(last[1] - LOSS) < 0.15, last
+
+
+SETS = ("esmf", "aesmf")
+NO_POSTERIOR = (*SETS, "lyapunov", "mh_lyapunov", "intermediate")  # bounds; covariances of observers with fixed gains
+
+
 LAWS = [
     shapes_and_kinds_are_the_documented_ones,
     everything_stays_finite,
@@ -320,6 +370,8 @@ LAWS = [
     covariances_are_symmetric_and_not_negative,
     nothing_is_learned_where_nothing_is_measured,
     errors_are_as_large_as_the_covariance_says,
+    innovations_are_as_large_as_their_covariance_says,
+    a_loss_is_found,
 ]
 # Compiled once more each. Left to ROTORWATCH_FULL_LAW=1: esmf, all of whose step aesmf has, and the default, which
 # test_campaign_flights compares side by side and one by one, and which nobody runs uncompiled: that is 900 programs of one operation.
@@ -396,11 +448,28 @@ def kalman(system, x, P, walk, table):
         yield x[:n], P[:n, :n], x[n:], P[n:, n:], e, S
 
 
+def linear_flights(count=200, seed=7):
+    """y (count, T, 3) of flights over the inputs and steps of `linear_table`; states and losses are drawn from the prior."""
+    u, _, _, steps = linear_table()
+    plant, rng = Linear(), np.random.default_rng(seed)
+    x = plant.x0 + rng.standard_normal((count, 3)) * np.sqrt(np.diag(plant.P0))
+    theta, rows = np.sqrt(THETA_VAR) * rng.standard_normal((count, 2)), []
+    for now, dt in zip(u, steps, strict=True):
+        push = now * (1.0 - theta)
+        x = x @ plant.A(dt).T + dt * push @ plant.B.T + rng.standard_normal((count, 3)) * np.sqrt(np.diag(plant.Q(dt)))
+        rows.append(x @ plant.C.T + push @ plant.D.T + rng.standard_normal((count, 3)) * np.sqrt(plant.R(now)))
+    return np.stack(rows, axis=1)
+
+
 @functools.cache
 def over_linear(kind):
-    """The method on the linear plant with steps of different length: stacked estimates."""
+    """The method on the linear plant with steps of different length: stacked estimates of `linear_table`, and of `linear_flights`."""
     case = Case(kind, Linear)
-    return jax.tree.map(np.asarray, jax.jit(lambda *t: case.run(*t))(*linear_table()))
+    if "theta_var" in inspect.signature(kind).parameters:
+        case.estimator = kind(case.system, DT, theta_var=THETA_VAR)
+    u, y, valid, dt = linear_table()
+    many = jax.jit(jax.vmap(case.run, (None, 0, None, None)))(u, np.concatenate([y[None], linear_flights()]), valid, dt)
+    return tuple(Estimate(*(np.asarray(leaf[part]) for leaf in many)) for part in (0, slice(1, None)))
 
 
 def on_linear_plants_it_is_the_kalman_filter(kind):
@@ -409,7 +478,7 @@ def on_linear_plants_it_is_the_kalman_filter(kind):
     The prior and the walk of the losses are the method's own: the first two steps, without measurements, show them.
     """
     table = linear_table()
-    got = over_linear(kind)
+    got, _ = over_linear(kind)
     dt = table[3]
     walk = (got.theta_cov[1] - got.theta_cov[0]) / dt[1]
     P = np.zeros((5, 5))
@@ -420,6 +489,16 @@ def on_linear_plants_it_is_the_kalman_filter(kind):
         np.testing.assert_allclose(a, b, rtol=1e-8, atol=1e-10, err_msg=name)
     measured = table[2].any(axis=1)
     np.testing.assert_allclose(got.innovation_cov[measured], wanted[5][measured], rtol=1e-8, atol=1e-10)
+
+
+def on_linear_plants_the_innovations_are_what_they_are_said_to_be(kind):
+    """Each measurement's innovation squared over its variance is 1 in the mean of flights from the prior, from the first step on."""
+    _, flights = over_linear(kind)
+    valid = linear_table()[2]
+    share = flights.innovation**2 / np.diagonal(flights.innovation_cov, axis1=2, axis2=3)
+    for part in (slice(0, 15), slice(15, None)):
+        mean = [share[:, part][:, valid[part, i], i].mean() for i in range(3)]
+        np.testing.assert_allclose(mean, 1.0, atol=0.12, err_msg=str(part))
 
 
 def the_length_of_a_step_counts(case):
@@ -441,6 +520,11 @@ def test_not_kalman_says_why_in_a_sentence(name):
 @pytest.mark.parametrize("name", [name for name, kind in published().items() if not kind.not_kalman])
 def test_on_linear_plants_it_is_the_kalman_filter(name):
     on_linear_plants_it_is_the_kalman_filter(discovery.estimator(name))
+
+
+@pytest.mark.parametrize("name", [n for n in published() if n not in (*NO_POSTERIOR, "mhe")])  # mhe has no theta_var
+def test_on_linear_plants_the_innovations_are_what_they_are_said_to_be(name):
+    on_linear_plants_the_innovations_are_what_they_are_said_to_be(discovery.estimator(name))
 
 
 @pytest.mark.parametrize("name", [name for name, _ in SLOW_CASES if name != "default"])
@@ -527,6 +611,11 @@ PLANTED = [
     (covariances_are_symmetric_and_not_negative, altered(theta_cov=lambda e: e.theta_cov - 1e-3 * np.eye(4))),
     (nothing_is_learned_where_nothing_is_measured, mistaken(_learns_in_gaps)),
     (errors_are_as_large_as_the_covariance_says, altered(x_cov=lambda e: 0.2 * e.x_cov)),
+    (innovations_are_as_large_as_their_covariance_says, altered(innovation_cov=lambda e: 1.5 * e.innovation_cov)),
+    (innovations_are_as_large_as_their_covariance_says, altered(innovation_cov=lambda e: 0.7 * e.innovation_cov)),
+    (a_loss_is_found, altered(theta=lambda e: 0.0 * e.theta)),
+    (a_loss_is_found, altered(theta=lambda e: 0.45 * e.theta)),
+    (a_loss_is_found, altered(theta=lambda e: e.theta[::-1])),
     (many_flights_at_once_are_the_same_as_one_by_one, altered(x=lambda e: _lonely(e.x))),
     (compiled_is_the_same_as_not, mistaken(_knows_it_is_compiled)),
 ]
@@ -538,6 +627,12 @@ PLANTED = [
 def test_a_planted_error_is_caught(law, kind):
     with pytest.raises(AssertionError):
         law(Case(kind, rates_quad))
+
+
+def test_planted_innovations_that_forget_the_losses_are_caught():
+    kind = altered(innovation_cov=lambda e: e.innovation_cov - 0.1 * np.diag([0.0, 0.0, 0.03]))
+    with pytest.raises(AssertionError):
+        on_linear_plants_the_innovations_are_what_they_are_said_to_be(kind)
 
 
 def test_planted_foresight_is_caught():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import os
+import sys
 from pathlib import Path
 
 
@@ -16,11 +17,18 @@ def cache_folder() -> Path:
 
 @functools.cache
 def jax():
-    """The jax module in float64 with a persistent compilation cache; imported on first use, because it takes 0.5 s."""
+    """The jax module in float64 with a persistent compilation cache; imported on first use, because it takes 0.5 s.
+
+    Every plant and every estimator asks for it when it is made, so that nothing of theirs is traced in float32.
+    """
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+    loaded = "jax" in sys.modules
     import jax
 
-    jax.config.update("jax_enable_x64", True)
+    if not jax.config.read("jax_enable_x64"):
+        jax.config.update("jax_enable_x64", True)
+        if loaded:  # what was traced before is float32, and would be mixed into what comes now
+            jax.clear_caches()
     try:
         folder = cache_folder() / "jax"
         folder.mkdir(parents=True, exist_ok=True)

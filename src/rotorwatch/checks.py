@@ -63,9 +63,14 @@ def has(system: Any, method: str, *parts: str, why: str = "") -> None:
     """Nothing when the plant offers all these parts; else says that the method is not defined for it, and why."""
     missing = [part for part in parts if not hasattr(system, part)]
     if missing:
-        kind = getattr(system, "name", type(system).__name__)
+        kind = plant_name(system)
         reason = f" ({why})" if why else ""
         raise ConfigError(f"{method} is not defined for the plant {kind}: it needs {', '.join(missing)}{reason}.")
+
+
+def plant_name(system: Any) -> str:
+    """The plant's own name, else that of its class."""
+    return str(getattr(system, "name", None) or type(system).__name__)
 
 
 def library(name: str, what: str) -> Any:

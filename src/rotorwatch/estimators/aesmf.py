@@ -51,7 +51,7 @@ class AESMF(SetMembership):
         from jax import numpy as jnp
 
         slope, delta = gradient(cutting, self.mu)
-        slope = slope * jnp.diagonal(self.Q0(dt)) * q  # d/d ln q_i
+        slope = slope * jnp.diagonal(self.noise(dt, q))  # d/d ln q_i
         if self.additive:
             new = q - self.eta * dt * slope / jnp.maximum(q, self.floor)
         else:

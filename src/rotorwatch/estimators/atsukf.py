@@ -17,7 +17,7 @@ from rotorwatch import checks
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.core import Array, Estimate
 from rotorwatch.errors import ConfigError
-from rotorwatch.maths import two_stage, unscented
+from rotorwatch.maths import plant, two_stage, unscented
 
 
 class Window(NamedTuple):
@@ -70,8 +70,7 @@ class ATSUKF:
         exceeds this (0.2 is a good value; None: no gate, as in the paper). clip: keep actuators' losses in [0, 1]. alpha, beta,
         kappa: where the points lie, `unscented.weights`. Raises ConfigError.
         """
-        checks.has(system, "atsukf", "f", "h", "Q", "R")
-        self.system, self.dt = system, checks.positive("dt", dt)
+        self.system, self.dt = plant.checked("atsukf", system, dt), dt
         n = system.n_theta
         self.theta_walk = two_stage.loss_covariance("theta_walk", theta_walk, n)
         self.theta_var = two_stage.loss_covariance("theta_var", theta_var, n)

@@ -9,10 +9,9 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from rotorwatch import checks
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.core import Array, Estimate
-from rotorwatch.maths import linearise, mit_rule, two_stage, unscented
+from rotorwatch.maths import linearise, mit_rule, plant, two_stage, unscented
 
 
 class Carry(NamedTuple):
@@ -45,8 +44,7 @@ class AUKF:
         """dt: step [s]. theta_walk: variance a loss gains per second [1/s] before adaptation; theta_var: variance at the
         start; each a number for all, one for each (n_theta,), or a covariance. eta: rate of adaptation [1/s]; window: steps
         that innovations are averaged over. alpha, beta, kappa: `unscented.weights`. Raises ConfigError."""
-        checks.has(system, "The adaptive unscented Kalman filter", "f", "h", "Q", "R", "x0", "P0")
-        self.system, self.dt = system, checks.positive("dt", dt)
+        self.system, self.dt = plant.checked("The adaptive unscented Kalman filter", system, dt), dt
         n = system.n_theta
         self.theta_walk = two_stage.loss_covariance("theta_walk", theta_walk, n)
         self.theta_var = two_stage.loss_covariance("theta_var", theta_var, n)

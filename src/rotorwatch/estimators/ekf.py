@@ -13,9 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rotorwatch import checks
 from rotorwatch.core import Array, Estimate
-from rotorwatch.maths import linearise, mit_rule
+from rotorwatch.maths import linearise, mit_rule, plant
 
 
 class Carry(NamedTuple):
@@ -38,12 +37,10 @@ class EKF:
         """dt: s. theta_walk: variance that a loss gains per second [1/s]; theta_var: variance of the losses at the start;
         both a number or one per theta. adaptation: lets the process noise follow the innovations by the MIT rule, which makes
         this the adaptive EKF (AEKF) of Qi et al. 2015. Raises ConfigError for wrong values."""
-        checks.has(system, "The extended Kalman filter", "f", "h", "Q", "R", "x0", "P0")
-        self.system, self.dt = system, checks.positive("dt", dt)
+        self.system, self.dt = plant.checked("The extended Kalman filter", system, dt), dt
         n = system.n_theta
         self.theta_walk = linearise.variances("theta_walk", theta_walk, n)
         self.theta_var = linearise.variances("theta_var", theta_var, n)
-        checks.shape("P0", system.P0, system.n_x, system.n_x)
         self.adaptation = None if adaptation is None else mit_rule.check(adaptation)
 
     def init(self) -> Carry:

@@ -22,7 +22,7 @@ from rotorwatch.backend import jax as load_jax
 from rotorwatch.core import Array, Estimate
 from rotorwatch.errors import ConfigError
 from rotorwatch.maths import intermediate_design as design
-from rotorwatch.maths import linearise
+from rotorwatch.maths import linearise, plant
 from rotorwatch.maths.faulty_allocation import CHANNELS, LeastSquares, Sparse, Temporal
 
 GAINS = {"exact": design.exact_gains, "euler": design.euler_gains}
@@ -89,8 +89,7 @@ class Intermediate:
         drift_sd: how far a loss walks in a second; loss_sd: how large losses are; both for covariances. sparsity: chi-squared
         that one more faulty rotor must earn. Raises ConfigError for wrong values and where faults cannot be measured.
         """
-        checks.has(system, "The intermediate observer", "f", "h", "Q", "R", "x0", "P0")
-        self.system, self.dt = system, checks.positive("dt", dt)
+        self.system, self.dt = plant.checked("The intermediate observer", system, dt), dt
         self.alpha = checks.positive("alpha", alpha)
         self.lp, self.lv = (
             checks.positive("position_rate", position_rate),
@@ -102,7 +101,6 @@ class Intermediate:
         self.gains, self.matched = GAINS[discretisation], matched
         if discretisation == "euler" and checks.concrete((dt, alpha, velocity_rate)):
             _stable(float(velocity_rate), float(alpha), float(dt))
-        checks.shape("P0", system.P0, system.n_x, system.n_x)
         self.scale = self._yaw(checks.positive("yaw_gain", yaw_gain))
         with (
             load_jax().ensure_compile_time_eval()
@@ -237,7 +235,9 @@ class Intermediate:
         self.feels = _acts(D)  # (n_y,) where a measurement feels losses at once
         self.channel = jnp.concatenate([self.driven > 0, self.feels])
         if checks.concrete(self.channel) and not self.channel.any():
-            raise ConfigError(f"The intermediate observer finds no loss that does anything in the plant {system.name}.")
+            raise ConfigError(
+                f"The intermediate observer finds no loss that does anything in the plant {checks.plant_name(system)}."
+            )
         C = jnp.where(self.feels[:, None], 0.0, H)
         eye = np.eye(system.n_x)
         information = C.T @ C
@@ -282,7 +282,7 @@ class Intermediate:
         here = np.array([name == "r" for name in getattr(self.system, "x_names", ())] or [False] * self.system.n_x)
         if checks.concrete(yaw_gain) and yaw_gain != 1.0 and not here.any():
             raise ConfigError(
-                f"yaw_gain is for plants with a yaw rate called r; the plant {self.system.name} has none."
+                f"yaw_gain is for plants with a yaw rate called r; the plant {checks.plant_name(self.system)} has none."
             )
         return jnp.concatenate([jnp.where(here, yaw_gain, 1.0), jnp.ones(self.system.n_y)])
 

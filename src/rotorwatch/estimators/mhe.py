@@ -19,7 +19,7 @@ from rotorwatch import checks
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.core import Estimate
 from rotorwatch.errors import ConfigError
-from rotorwatch.maths import bounded
+from rotorwatch.maths import bounded, plant
 
 FLOOR = 1e-9  # process noise of states that have none, as a share of P0 in a second: keeps Q invertible
 REST = 1e-4  # share of the walk's variance that a rotor at rest keeps, for the same reason
@@ -95,7 +95,7 @@ class MHE:
         for name, value, least in (("nodes", nodes, 2), ("iterations", iterations, 1), ("active_set", active_set, 1)):
             if int(value) != value or value < least:
                 raise ConfigError(f"{name} must be a whole number of at least {least}, not {value}.")
-        self.system, self.dt = system, checks.positive("dt", dt)
+        self.system, self.dt = plant.checked("The moving-horizon estimator", system, dt), dt
         self.intervals, self.m = int(nodes) - 1, max(1, round(checks.positive("node_s", node_s) / dt))
         self.iterations, self.passes = int(iterations), int(active_set)
         self.theta_sd, self.walk = checks.positive("theta_sd", theta_sd), checks.positive("walk", walk)

@@ -7,9 +7,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from rotorwatch import checks
 from rotorwatch.core import Estimate
-from rotorwatch.maths import two_stage, unscented
+from rotorwatch.maths import plant, two_stage, unscented
 
 
 class TSUKF:
@@ -25,8 +24,7 @@ class TSUKF:
         number for all, one for each (n_theta,), or a covariance. clip: keep actuators' losses in [0, 1]. alpha, beta, kappa:
         where the points lie, `unscented.weights`. Raises ConfigError.
         """
-        checks.has(system, "tsukf", "f", "h", "Q", "R")
-        self.system, self.dt = system, checks.positive("dt", dt)
+        self.system, self.dt = plant.checked("tsukf", system, dt), dt
         n = system.n_theta
         self.theta_walk = two_stage.loss_covariance("theta_walk", theta_walk, n)
         self.theta_var = two_stage.loss_covariance("theta_var", theta_var, n)

@@ -10,10 +10,9 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from rotorwatch import checks
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.core import Array, Estimate
-from rotorwatch.maths import two_stage, unscented
+from rotorwatch.maths import plant, two_stage, unscented
 
 
 class Carry(NamedTuple):
@@ -36,8 +35,7 @@ class UKF:
         number for all, one for each (n_theta,), or a covariance. clip: keep actuators' losses in [0, 1]. alpha, beta, kappa:
         where the points lie, `unscented.weights`. Raises ConfigError.
         """
-        checks.has(system, "ukf", "f", "h", "Q", "R")
-        self.system, self.dt = system, checks.positive("dt", dt)
+        self.system, self.dt = plant.checked("ukf", system, dt), dt
         n = system.n_theta
         self.theta_walk = two_stage.loss_covariance("theta_walk", theta_walk, n)
         self.theta_var = two_stage.loss_covariance("theta_var", theta_var, n)

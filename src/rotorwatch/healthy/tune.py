@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import discovery, files
+from rotorwatch import checks, discovery, files
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
 from rotorwatch.healthy import baselines
@@ -145,7 +145,7 @@ def fit(
     notes = _at_bounds(factors, system, walk)
     if not best.fun < first:
         notes.append("The fit found nothing better than the tuning it started from.")
-    return Fit(name, system.name, dt, tuning, -first, -float(best.fun), notes=tuple(notes))
+    return Fit(name, checks.plant_name(system), dt, tuning, -first, -float(best.fun), notes=tuple(notes))
 
 
 def tune(

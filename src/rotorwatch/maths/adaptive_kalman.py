@@ -25,7 +25,7 @@ import numpy as np
 
 from rotorwatch import checks
 from rotorwatch.core import Array, Estimate
-from rotorwatch.maths import linearise
+from rotorwatch.maths import linearise, plant
 
 ROUNDING = 2e-15  # of the largest variance
 
@@ -51,14 +51,13 @@ class Tuning(NamedTuple):
 
 def tuning(system, dt, forgetting, theta_var, s_max) -> Tuning:
     """The tuning, checked; raises ConfigError. s_max None: without bound."""
-    checks.has(system, "The adaptive Kalman filter", "f", "h", "Q", "R", "x0", "P0")
-    checks.shape("P0", system.P0, system.n_x, system.n_x)
+    plant.checked("The adaptive Kalman filter", system, dt)
     checks.between("forgetting", forgetting, 0.6, 1.0)  # below, the bound of S overshoots
     theta_var = linearise.variances("theta_var", theta_var, system.n_theta)
     bound = np.inf if s_max is None else checks.positive("s_max", s_max)
     if s_max is not None and checks.concrete((theta_var, s_max)):
         checks.between("theta_var", theta_var, 0.0, s_max)
-    return Tuning(checks.positive("dt", dt), forgetting, bound, theta_var)
+    return Tuning(dt, forgetting, bound, theta_var)
 
 
 def init(system, tuned: Tuning) -> State:

@@ -11,6 +11,8 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
 
@@ -36,18 +38,32 @@ def evaluate(function, *arguments):
 def second_order_remainder(function, centre, lo, hi):
     """Interval of function(z) - function(centre) - J (z - centre) over all z in the box [lo, hi], J the Jacobian at the centre.
 
-    Lagrange: it is half the second derivative in the direction d = z - centre somewhere between, 1/2 d' Hess d. The point and
-    the direction are let loose over the box, so it holds for every z there. function: (n,) -> (m,); all (n,).
+    Lagrange: it is 1/2 d' Hess d with d = z - centre, the Hessian at some point on the way to z. Each of its elements is bounded
+    over the box by interval arithmetic, and 1/2 sum_ij Hess_ij d_i d_j is summed term by term, with d_i^2 for a square. So d is
+    let loose once for each pair, not at each of the plant's operations. function: (n,) -> (m,), smooth over the box: a kink has no
+    second derivative and is not seen (`taylor` bounds it); all (n,).
     """
-    from jax import jvp
+    from jax import jvp, vmap
     from jax import numpy as jnp
 
-    def curvature(z, d):
-        return 0.5 * jvp(lambda point: jvp(function, (point,), (d,))[1], (z,), (d,))[1]
+    n = centre.shape[0]
+    i, j = np.triu_indices(n)
+
+    def second_derivatives(z):
+        """(n (n + 1) / 2, m): of every pair of directions."""
+        unit = np.eye(n)
+        return vmap(lambda a, b: jvp(lambda point: jvp(function, (point,), (a,))[1], (z,), (b,))[1])(unit[i], unit[j])
 
     lo, hi = jnp.minimum(lo, centre), jnp.maximum(hi, centre)  # the way there belongs to the box
-    found = evaluate(curvature, Interval(lo, hi), Interval(lo - centre, hi - centre))
-    return found if isinstance(found, Interval) else Interval(jnp.asarray(found), jnp.asarray(found))
+    H = _ends(evaluate(second_derivatives, Interval(lo, hi)))
+    low, high = lo - centre, hi - centre
+    products = _multiply(None, Interval(low[i], high[i]), Interval(low[j], high[j]))
+    pairs = Interval(  # half of a square, and the whole of two equal products
+        jnp.where(i == j, 0.0, products.lo),
+        jnp.where(i == j, 0.5 * jnp.maximum(low[i] ** 2, high[i] ** 2), products.hi),
+    )
+    terms = _multiply(None, H, Interval(pairs.lo[:, None], pairs.hi[:, None]))
+    return Interval(terms.lo.sum(0), terms.hi.sum(0))
 
 
 def _run(jaxpr, consts, arguments) -> list:

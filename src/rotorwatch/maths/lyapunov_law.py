@@ -20,7 +20,7 @@ import numpy as np
 from rotorwatch import checks
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
-from rotorwatch.maths import bounded
+from rotorwatch.maths import bounded, plant
 
 TINY = 1e-12
 
@@ -46,7 +46,7 @@ class Law:
         [1/s]. bounds: least and largest loss. hold: share of u_nominal below which a rotor's theta rests. u_nominal (n_u,)."""
         jax = load_jax()
         jnp = jax.numpy
-        self.system, self.dt = system, checks.positive("dt", dt)
+        self.system, self.dt = plant.checked(method, system, dt), dt
         for name, value in (("rate", rate), ("bandwidth", bandwidth)):
             checks.positive(name, value)
         checks.between("direct_rate", direct_rate, 0.0, 1.0 / dt)
@@ -59,14 +59,15 @@ class Law:
             jnp.asarray(system.x0, float), jnp.asarray(self.u_nominal, float), jnp.zeros(system.n_theta), dt
         )
         if checks.concrete(at.C):
+            name = checks.plant_name(system)
             if np.linalg.matrix_rank(np.asarray(at.C)) < system.n_x:
                 raise ConfigError(
-                    f"{method} is not defined for the plant {system.name}: it needs every state measured, because the law "
+                    f"{method} is not defined for the plant {name}: it needs every state measured, because the law "
                     "compares states with their measurements."
                 )
             if not np.abs(at.G).max() > 0:
                 raise ConfigError(
-                    f"{method} is not defined for the plant {system.name}: its theta does not move the states at u_nominal."
+                    f"{method} is not defined for the plant {name}: its theta does not move the states at u_nominal."
                 )
         size = jnp.sum(at.G**2, axis=1)
         self.M = jnp.where(size > TINY, 1.0 / jnp.maximum(size, TINY), 1.0)

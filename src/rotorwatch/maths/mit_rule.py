@@ -20,15 +20,15 @@ LARGEST_STEP, SMALLEST, LARGEST = 0.5, 1e-4, 1e4
 
 
 class Adaptation(NamedTuple):
-    """How fast (eta, 1/s) and over how many steps innovations are averaged."""
+    """How fast (eta, 1/s), and over how many measured steps innovations are averaged: before there are so many, nothing adapts."""
 
     eta: float = 0.5
     window: int = 50
 
 
 class MitState(NamedTuple):
-    """log_q (n,): logarithms of the factors on Q's diagonal; e, seen (window, n_y): the last innovations, and which were
-    measured (1) or not (0)."""
+    """log_q (n,): logarithms of the factors on Q's diagonal; e, seen (window, n_y): innovations of the last steps in
+    which anything was measured, and which were (1) or not (0)."""
 
     log_q: Array
     e: Array
@@ -61,14 +61,14 @@ def adapt(state: MitState, H: Array, S: Array, e: Array, valid: Array, dt, adapt
     """After a step with innovation e (n_y,), its expected covariance S, and H (n_y, n) = dy/dz."""
     from jax import numpy as jnp
 
-    now = jnp.where(valid, 1.0, 0.0)
-    e_all = jnp.concatenate([state.e[1:], jnp.where(valid, e, 0.0)[None]])
-    seen = jnp.concatenate([state.seen[1:], now[None]])
+    some, now = valid.any(), jnp.where(valid, 1.0, 0.0)
+    e_all = jnp.where(some, jnp.concatenate([state.e[1:], jnp.where(valid, e, 0.0)[None]]), state.e)
+    seen = jnp.where(some, jnp.concatenate([state.seen[1:], now[None]]), state.seen)
     count = seen.T @ seen
     dS = jnp.where(count > 0, e_all.T @ e_all / jnp.maximum(count, 1.0) - S, 0.0)
     wanted = (H * (dS @ H)).sum(0)
     expected = (H * (S @ H)).sum(0)
     rate = jnp.where(expected > 0, wanted / jnp.where(expected > 0, expected, 1.0), 0.0)
-    full = valid.any() * (seen.sum() >= adaptation.window)  # not from the first few alone
+    full = some & seen[0].any()  # not from the first few alone
     step = jnp.clip(2 * adaptation.eta * dt * rate, -LARGEST_STEP, LARGEST_STEP) * full
     return MitState(jnp.clip(state.log_q + step, jnp.log(SMALLEST), jnp.log(LARGEST)), e_all, seen)

@@ -23,10 +23,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rotorwatch import checks
-from rotorwatch.backend import jax as load_jax
 from rotorwatch.core import Array, Estimate
 from rotorwatch.errors import ConfigError
-from rotorwatch.maths import ellipsoid, interval, taylor
+from rotorwatch.maths import ellipsoid, interval, plant, taylor
 from rotorwatch.maths.small import blocks, product
 
 UNBOUNDED = 1e6  # half-width taken for a remainder that interval arithmetic cannot bound: in effect "anything"
@@ -87,7 +86,7 @@ class SetMembership:
     dt: s. bound: noise bounds and the start's half-widths in standard deviations of the plant's Q, R and P0, wider where
     several numbers share one bound, so that all are left as rarely; or given
     directly: process (n_x,) semi-axes of one step, measurement (n_y,). theta_centre, theta_reach: centre and semi-axes of
-    the losses at the start and after a restart; theta_drift: loss per second that a loss may change by; theta_range: (low, high)
+    the losses at the start and after a restart; theta_drift: semi-axes, loss per second that a loss may change by; theta_range: (low, high)
     known limits (default 0 and 1 when each theta belongs to an input). form: joint, where one ellipsoid bounds all
     errors; batch, the source's way of that; scalar, where each error is bounded alone; or ud, the same on factors. cut: how
     much a measurement weighs (`ellipsoid.strip_cut`; default trace, source for batch and ud). remainder: taylor, interval, or none,
@@ -113,7 +112,8 @@ class SetMembership:
 
     def __post_init__(self):
         system, form, bound = self.system, self.form, self.bound
-        self.dt = float(checks.positive("dt", self.dt))
+        plant.checked(type(self).__name__, system, self.dt)
+        self.dt = float(self.dt)
         n_x, n_theta = system.n_x, system.n_theta
         self.n = n_x + n_theta
         checks.positive("bound", bound)
@@ -133,7 +133,7 @@ class SetMembership:
         for label, m in (("process", n_x), ("measurement", system.n_y), ("weights", self.n)):
             if getattr(self, label) is not None:
                 setattr(self, label, checks.positive(label, checks.shape(label, getattr(self, label), m)))
-        drift = np.broadcast_to(checks.finite("theta_drift", self.theta_drift), (n_theta,))
+        drift = checks.finite("theta_drift", self.theta_drift) * np.ones(n_theta)
         self.theta_drift = checks.between("theta_drift", drift, 0.0, np.inf)
         centre = np.zeros(n_theta) if self.theta_centre is None else self.theta_centre
         centre = checks.shape("theta_centre", centre, n_theta)
@@ -148,11 +148,9 @@ class SetMembership:
             raise ConfigError("theta_range must be (low, high) with low not above high.")
         if self.weights is None:
             self.weights = np.repeat([1e-3, 1.0], [n_x, n_theta]) if self.cut == "trace" else np.ones(self.n)
-        checks.covariance("P0", system.P0, n_x)
         self.theta_prior = np.diag(reach**2)
         self.prior = self.near_prior = blocks(np.asarray(bound**2 * np.asarray(system.P0)), self.theta_prior)
         self.apart = blocks(np.full((n_x, n_x), APART[0]), np.full((n_theta, n_theta), APART[1]))
-        load_jax()
         if form == "ud":
             self.prior = ellipsoid.factored(self.prior)
 
@@ -231,7 +229,7 @@ class SetMembership:
         n_x, n, system = self.n_x, self.n, self.system
         start = jnp.concatenate([carry.near[:n_x], jnp.asarray(self.theta_centre)])
         S = self.apart * blocks(carry.near_shape[:n_x, :n_x], jnp.asarray(self.theta_prior), jnp)
-        Q, bound = self.Q0(dt), self._error_bound(u, "joint")
+        Q, bound = self.noise(dt, jnp.ones(self.n)), self._error_bound(u, "joint")
         weights = jnp.asarray(RESTART_WEIGHTS)
 
         def both(point):
@@ -306,8 +304,9 @@ class SetMembership:
         """P (n, n) of the carried shape."""
         return ellipsoid.unfactored(shape) if self.form == "ud" else shape
 
-    def Q0(self, dt):
-        """(n, n) shape that bounds one step's noise before it is adapted. theta moves by theta_drift dt at most."""
+    def noise(self, dt, q):
+        """(n, n) shape that bounds one step's noise, factors q (n,) on its diagonal. x's noise and theta's drift may be on their
+        bounds at the same time, so it is a sum of two sets and not one ellipsoid with both as semi-axes."""
         from jax import numpy as jnp
 
         Q = (
@@ -315,7 +314,10 @@ class SetMembership:
             if self.process is None
             else jnp.diag(jnp.asarray(self.process) ** 2)
         )
-        return blocks(Q, self._walk(dt), jnp)
+        still, unmoved = jnp.zeros((self.n_x, self.n_x)), jnp.zeros((self.system.n_theta,) * 2)
+        root = jnp.sqrt(q)
+        parts = (part * root * root[:, None] for part in (blocks(Q, unmoved, jnp), blocks(still, self._walk(dt), jnp)))
+        return ellipsoid.minkowski(*parts, self.weights)[0]
 
     def _walk(self, dt):
         from jax import numpy as jnp
@@ -344,7 +346,6 @@ class SetMembership:
         def f(point):
             return system.f(point[:n_x], u, point[n_x:], dt)
 
-        root = jnp.sqrt(carry.q)
         if self.form == "joint":
             point, around = carry.near, self.apart * carry.near_shape
         else:
@@ -358,7 +359,7 @@ class SetMembership:
             moved = product(G, G.T)
         else:
             G, moved = Phi, product(product(Phi, carry.shape), Phi.T)
-        return self._summed(z, G, moved, half, self.Q0(dt) * root * root[:, None], Phi)
+        return self._summed(z, G, moved, half, self.noise(dt, carry.q), Phi)
 
     def _summed(self, z, G, moved, half, Q, Phi) -> Ahead:
         """The shares of noise and remainder."""

@@ -24,6 +24,7 @@ from rotorwatch.default.plant import usual_gains
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.maths import bounded
+from rotorwatch.maths import plant as plants
 from rotorwatch.motion.allocation import ambiguous_sets
 from rotorwatch.systems.rate_dynamics import G, RateDynamics
 
@@ -188,7 +189,7 @@ def observability(subject: Vehicle | str | Any, x=None, u=None, progress=None) -
         Alike(one, other, _separation(seen, one, other, information)) for one, other in ambiguous_sets(seen[:, :rotors])
     )
     return Observability(
-        name, system.n_x + system.n_theta, tuple(system.theta_names), (cases[0], cases[1]), alike, hidden
+        name, system.n_x + system.n_theta, plants.theta_names(system), (cases[0], cases[1]), alike, hidden
     )
 
 
@@ -208,7 +209,7 @@ def plant(subject) -> tuple[str, Any]:
         B = subject.effectiveness()
         n = B.shape[1]
         return subject.name, RateDynamics(np.diag(usual_gains(n)[:3]), B[:3], B[3], n / G)
-    return getattr(subject, "name", type(subject).__name__), subject
+    return checks.plant_name(subject), subject
 
 
 # Exact observability
@@ -234,7 +235,7 @@ def lie_matrices(system, x, u, theta, orders: int, scaled: bool = True) -> np.nd
             return np.asarray(jax.jit(jax.vmap(matrix))(both, jnp.asarray(u, float)))
         except NotImplementedError:  # Taylor mode does not know one of the plant's operations
             continue
-    raise ConfigError(f"The plant {system.name} cannot be differentiated.")
+    raise ConfigError(f"The plant {checks.plant_name(system)} cannot be differentiated.")
 
 
 def vector_field(system, x, u, theta):

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from rotorwatch import checks
+from rotorwatch.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
 
 G = 9.80665
@@ -83,6 +84,7 @@ class Helicopter:
         """airframe: a helicopter's file, such as airframes.paper("ruav-40kg"). process_sd: of velocities [m/s] and rates
         [rad/s], that a step of 0.02 s adds; velocity_sd, rate_sd: of one measurement. stops: whether an actuator stops at 0 and 1;
         without, it is eq. (6) alone, for who knows that none is reached. Raises ConfigError."""
+        load_jax()  # nothing of the plant may be traced before float64 is on
         missing = [part for part in (*PARTS, "main", "tail") if part not in airframe]
         missing += [f"{r}.{part}" for r in ("main", "tail") for part in ROTOR if part not in airframe.get(r, ())]
         if missing:

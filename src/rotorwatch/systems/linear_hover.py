@@ -15,6 +15,7 @@ from __future__ import annotations
 import numpy as np
 
 from rotorwatch import checks
+from rotorwatch.backend import jax as load_jax
 
 G = 9.80665
 
@@ -37,6 +38,7 @@ class LinearHover:
         gravity [m/s^2]; measured_sd (8,): of one sample; walk (4,): disturbance accelerations as white noise [rad/s^2, m/s^2
         per square root of Hz]. u_unit: what u is in, for labels. Raises ConfigError for wrong shapes and values.
         """
+        load_jax()  # nothing of the plant may be traced before float64 is on
         n = np.shape(B)[1] if np.ndim(B) == 2 else 0
         self.B = checks.finite("B", checks.shape("B", B, 4, n))
         self.gravity = checks.finite("gravity", gravity)

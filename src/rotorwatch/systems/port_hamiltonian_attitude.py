@@ -15,6 +15,7 @@ from __future__ import annotations
 import numpy as np
 
 from rotorwatch import checks
+from rotorwatch.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
 from rotorwatch.maths import inertia
 
@@ -53,6 +54,7 @@ class PortHamiltonianAttitude:
         per second, a number or (6,); measurement_var [rad^2]: a number or (3,). x0 (6,), P0 (6, 6): where
         estimators start, default 0 and the identity. Raises ConfigError.
         """
+        load_jax()  # nothing of the plant may be traced before float64 is on
         self.J = checks.covariance("J", J, 3, definite=True)
         self.B = np.eye(3) if B is None else checks.finite("B", B)
         if np.ndim(self.B) != 2 or np.shape(self.B)[0] != 3:

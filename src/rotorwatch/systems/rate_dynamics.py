@@ -15,6 +15,7 @@ from __future__ import annotations
 import numpy as np
 
 from rotorwatch import checks
+from rotorwatch.backend import jax as load_jax
 from rotorwatch.maths import inertia
 
 G = 9.80665
@@ -40,6 +41,7 @@ class RateDynamics:
         lever times a second's square root). damping (3,): diagonal of D. Raises ConfigError for wrong shapes or an inertia that
         is not positive definite.
         """
+        load_jax()  # nothing of the plant may be traced before float64 is on
         n = np.shape(B_T)[0]
         checks.shape("B_tau", B_tau, 3, n)
         self.J = checks.covariance("J", J, 3, definite=True)

@@ -14,6 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from rotorwatch import checks
+from rotorwatch.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
 from rotorwatch.maths import inertia
 
@@ -49,6 +50,7 @@ class RigidBody:
         process noise, growth of each state's variance [unit^2/s]. x0 (12,), P0 (12, 12): where an estimator starts (at the
         origin, give or take one unit). Raises ConfigError for wrong shapes, names or an inertia that is not positive definite.
         """
+        load_jax()  # nothing of the plant may be traced before float64 is on
         n = np.shape(B_T)[0]
         self.J = checks.covariance("J", J, 3, definite=True)
         self.J_inverse = inertia.inverse(self.J)

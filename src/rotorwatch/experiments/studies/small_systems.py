@@ -1,7 +1,8 @@
 """Small plants with the nastiest noise that bounds allow: does a set-membership filter's set ever lose the truth?
 
 At each step the noise lies on the bound's surface and pushes the truth away from the set's centre as the ellipsoid measures it,
-w = Q p / sqrt(p'Qp) with p = P^-1 (z - a); measurement errors lie on their bound, away from the truth or at random.
+w = Q p / sqrt(p'Qp) with p = P^-1 (z - a); measurement errors lie on their bound, away from the truth or at random. theta stays,
+or moves away from the set's centre as fast as the filter is told that it may.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from rotorwatch.backend import jax as load_jax
 from rotorwatch.estimators.esmf import ESMF
 
 DT, STEPS = 0.05, 150
+DRIFT = 0.1  # loss per second
 
 
 class VanDerPol:
@@ -71,24 +73,32 @@ RIGOROUS: tuple[dict[str, Any], ...] = (
     {"form": "batch", "remainder": "interval", "remainder_box": "volume"},
     {"form": "ud"},
 )
-MUTATIONS: dict[str, dict[str, Any]] = {"no_remainder": {"remainder": "none"}, "quarter_Q": {"process": 0.25}}
+MUTATIONS: dict[str, dict[str, Any]] = {
+    "no_remainder": {"remainder": "none"},
+    "quarter_Q": {"process": 0.25},
+    "no_drift": {"drift": (DRIFT, 0.0)},
+}
 
 
-def escapes(system, seeds: int, process=1.0, **changes) -> int:
-    """Number of steps in which the truth lies outside the set, over all seeds. process: the filter's bound of the noise in true
-    ones; changes: its other keywords."""
+def escapes(system, seeds: int, process=1.0, drift=(0.0, 0.0), **changes) -> int:
+    """Number of steps in which the truth lies outside the set, or outside one of the small sets of x and of theta, over all seeds.
+
+    process: the filter's bound of the noise in true ones; drift: of theta, and the filter's bound of it [1/s]; changes: its
+    other keywords.
+    """
     rng = np.random.default_rng(0)
     first = rng.standard_normal((seeds, 3))
     first /= np.linalg.norm(first, axis=1, keepdims=True) * 1.0001
     noise = rng.uniform(-1, 1, (seeds, STEPS, 4))
     noise[..., 1] = rng.uniform(size=(seeds, STEPS))
     drive = np.sin(0.17 * np.arange(STEPS))[None, :, None] * rng.uniform(0.5, 1.0, (seeds, 1, 1))
-    return int(np.asarray(_program(type(system), tuple(changes.items()))(first, noise, drive, process)).sum())
+    program = _program(type(system), tuple(changes.items()))
+    return int(np.asarray(program(first, noise, drive, process, *drift)).sum())
 
 
 @functools.cache
 def _program(kind, changes):
-    """Of (first, noise, drive, process): (seeds, STEPS) whether the truth is outside; one for a plant and a filter's mode."""
+    """Of (first, noise, drive, process, drift, allowed): (seeds, STEPS) whether the truth is outside; one for a plant and a mode."""
     jax = load_jax()
     jnp, lax = jax.numpy, jax.lax
     system = kind()
@@ -98,8 +108,12 @@ def _program(kind, changes):
         scale = 1.0 / jnp.sqrt(jnp.diagonal(P))
         return scale * jnp.linalg.solve(P * scale * scale[:, None], scale * d)
 
-    def one(first, noise, drive, process):
-        tight = ESMF(system, DT, **options(system, process=process * system.process, **dict(changes)))
+    def outside(d, P):
+        return ~((d @ outward(P, d)) <= 1 + 1e-6)
+
+    def one(first, noise, drive, process, drift, allowed):
+        known = options(system, process=process * system.process, theta_drift=allowed, **dict(changes))
+        tight = ESMF(system, DT, **known)
         carry = tight.init()
         z = carry.z + jnp.sqrt(jnp.diagonal(tight.unfactored(jnp.asarray(carry.shape)))) * first
 
@@ -110,22 +124,28 @@ def _program(kind, changes):
             p = outward(tight.unfactored(carry.shape), z - carry.z)[:2]
             p = jnp.where(noise[1] > 0.3, p, noise[2:])  # mostly adversarial, sometimes anywhere on the bound
             w = Q @ p / jnp.maximum(jnp.sqrt(p @ Q @ p), 1e-12)
-            z = jnp.concatenate([moved + w, z[2:]])
+            theta = jnp.clip(z[2:] + drift * DT * jnp.where(z[2:] < carry.near[2:], -1.0, 1.0), -1.0, 1.0)
+            z = jnp.concatenate([moved + w, theta])
             away = jnp.where(noise[1] > 0.6, jnp.sign(z[0] - carry.z[0]), jnp.sign(noise[0]))
             y = system.h(z[:2], u, z[2:]) + away * jnp.asarray(system.measurement)
             carry, _ = tight.step(carry, u, y, jnp.ones(1, bool))
-            d = z - carry.z
-            out = ~((d @ outward(tight.unfactored(carry.shape), d)) <= 1 + 1e-6)
-            return (carry, z), out
+            near, P = z - carry.near, carry.near_shape
+            out = outside(z - carry.z, tight.unfactored(carry.shape))
+            return (carry, z), out | outside(near[:2], P[:2, :2]) | outside(near[2:], P[2:, 2:])
 
         return lax.scan(step, (carry, z), (noise, drive))[1]
 
-    return jax.jit(jax.vmap(one, (0, 0, 0, None)))
+    return jax.jit(jax.vmap(one, (0, 0, 0, None, None, None)))
 
 
 def adversarial_escapes(seeds: int) -> int:
     """Of all rigorous modes together, on both plants: the guarantee says 0."""
-    return sum(escapes(system, seeds, **mode) for system in (VanDerPol(), Pendulum()) for mode in RIGOROUS)
+    return sum(
+        escapes(system, seeds, drift=drift, **mode)
+        for system in (VanDerPol(), Pendulum())
+        for mode in RIGOROUS
+        for drift in ((0.0, 0.0), (DRIFT, DRIFT))
+    )
 
 
 def mutation_escapes(seeds: int) -> dict[str, int]:

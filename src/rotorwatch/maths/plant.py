@@ -1,0 +1,46 @@
+"""What is asked of a plant before a method is made for it: its parts, their shapes and its noise; and what its losses are called."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from rotorwatch import checks
+from rotorwatch.backend import jax as load_jax
+from rotorwatch.errors import ConfigError
+
+SIZES, PARTS = ("n_x", "n_u", "n_theta", "n_y"), ("f", "h", "Q", "R", "x0", "P0")
+
+
+def checked(method: str, system: Any, dt: Any) -> Any:
+    """The plant, unchanged, when `method` can be made for it in steps of dt seconds: every estimator's constructor asks here.
+
+    R (n_y,) has to be variances: of independent measurements, one after the other is taken in. Raises ConfigError for missing
+    parts, wrong shapes, a Q or P0 that is no covariance and an R that is not n_y numbers of at least 0.
+    """
+    load_jax()  # before anything of the plant is traced: it switches float64 on
+    checks.has(system, method, *PARTS, *SIZES)
+    checks.positive("dt", dt)
+    name = checks.plant_name(system)
+    checks.finite(f"x0 of the plant {name}", checks.shape(f"x0 of the plant {name}", system.x0, system.n_x))
+    checks.covariance(f"P0 of the plant {name}", system.P0, system.n_x)
+    checks.covariance(f"Q of the plant {name}", system.Q(dt), system.n_x)
+    variances, label = system.R(np.ones(system.n_u)), f"R of the plant {name}"
+    if np.shape(variances) == (system.n_y, system.n_y):
+        raise ConfigError(
+            f"{label} is a matrix; it must be the variances ({system.n_y},) of independent measurements. Where noises belong together, "
+            "multiply y and h by the inverse of the Cholesky factor of their covariance: R is ones then."
+        )
+    checks.finite(label, checks.shape(label, variances, system.n_y))
+    if checks.concrete(variances) and (least := float(np.min(np.asarray(variances, float), initial=np.inf))) < 0:
+        raise ConfigError(f"{label} holds {least:g}; it must be variances, which are not negative.")
+    return system
+
+
+def theta_names(system: Any) -> tuple[str, ...]:
+    """(n_theta,) the plant's own names of its losses, else loss_1, loss_2 .. and, for what it adds to them, theta_5 .."""
+    given = getattr(system, "theta_names", None)
+    if given is not None:
+        return tuple(given)
+    return tuple(f"{'loss' if i < system.n_u else 'theta'}_{i + 1}" for i in range(system.n_theta))
