@@ -72,7 +72,8 @@ def test_one_loss_with_its_times_its_size_and_how_sure_it_is():
     assert event.onset_s == pytest.approx(ticks.command_time[96])
     assert event.end_s is None and event.loss == (0.3,)
     lower, upper = event.interval[0]
-    assert 0.3 - 2.5 * 0.015 < lower < 0.3 - 1.96 * 0.01 and 0.3 + 1.96 * 0.01 < upper < 0.3 + 2.5 * 0.015
+    sd = float(events.sd_of(np.array(0.3), np.array(0.01)))
+    assert 0.02 < sd < 0.03 and (lower, upper) == pytest.approx((0.3 - 1.96 * sd, 0.3 + 1.96 * sd))
     assert event.probability == pytest.approx(0.98)
     assert "rotor 3" in event.reason
 
@@ -256,6 +257,18 @@ def test_an_announcement_at_the_very_end_is_kept():
     out.theta[k, 1] = 0.3
     (event,) = events.read(out, ticks, HYP)
     assert event.rotors == (2,) and event.detected_s == ticks.time[k] and event.loss == (0.3,)
+
+
+@pytest.mark.parametrize("theta", [0.0, 0.1, 0.4, 0.8, 0.97])
+def test_a_thrust_curve_that_is_off_is_within_the_interval(theta):
+    """A rotor that lost theta and carries its share of the weight in hover, seen through a curve whose slope is off by k."""
+    k = events.CURVE_SHARE
+    thrust = 1.0 / (1.0 - theta)  # what the log's curve makes of its command
+    true = 1.0 - 1.0 / (thrust + k * thrust * (thrust - 1.0))
+    assert float(events.sd_of(np.array(theta), np.array(0.0))) == pytest.approx(
+        np.hypot(events.MODEL_SD, true - theta), rel=1e-9
+    )
+    assert float(events.sd_of(np.array(1.0), np.array(0.0))) == pytest.approx(events.MODEL_SD, rel=1e-3)  # gone is gone
 
 
 def test_intervals_stay_within_a_loss():

@@ -17,8 +17,9 @@ from rotorwatch.motion.ticks import JUDGE, Ticks
 
 CREDIBLE = 0.03  # a rotor set with less probability than this is not named
 CERTAIN_OPPOSITE = 0.99  # the same for a pair of opposite rotors: only manoeuvres tell it from the others
-# What the model itself is uncertain of: the thrust curve away from the operating point, equal rotors.
-MODEL_SD, MODEL_SHARE = 0.004, 0.02
+MODEL_SD = 0.004  # rotors that are not equal
+# By what share the thrust curve may be steeper or flatter in hover than the log says: an expo of 0.65 that is 0.12 off.
+CURVE_SHARE = 0.08
 HIDDEN = 20.0  # times that the data alone must prefer a pair of opposite rotors to be named
 COAXIAL_SHARE = 0.06  # ... how the thrust of a coaxial arm divides: half of what the lower rotors' share may be off by
 
@@ -160,10 +161,14 @@ def _parted(record: Record, gone: tuple[int, ...]) -> Record:
 
 
 def sd_of(theta: np.ndarray, sd: np.ndarray, B: np.ndarray | None = None) -> np.ndarray:
-    """Standard deviation of a loss with what the model of a vehicle with effectiveness B (4, n) is uncertain of."""
+    """Standard deviation of a loss with what the model of a vehicle with effectiveness B (4, n) is uncertain of.
+
+    A rotor that makes up for theta is commanded T = 1 / (1 - theta), and gives T (1 + k (T - 1)) where the curve's slope is off by a
+    share k: the loss then is k theta (1 - theta) / (1 - theta + k theta) larger.
+    """
     coaxial = B is not None and lower_rotors(B) is not None
-    share = np.hypot(MODEL_SHARE, COAXIAL_SHARE) if coaxial else MODEL_SHARE
-    return np.sqrt(sd**2 + MODEL_SD**2 + (share * theta) ** 2)
+    k, left = np.hypot(CURVE_SHARE, COAXIAL_SHARE) if coaxial else CURVE_SHARE, np.clip(1.0 - theta, 1e-9, 1.0)
+    return np.sqrt(sd**2 + MODEL_SD**2 + (k * theta * left / (left + k * theta)) ** 2)
 
 
 def _event(record: Record, out, ticks: Ticks, final: int, partners: dict, B) -> Event:
