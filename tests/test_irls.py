@@ -84,8 +84,13 @@ def test_outliers_do_not_count(weights):
 
 @pytest.mark.parametrize(
     ("wrong", "says"),
-    [({"window_s": 0.0}, "window_s"), ({"weights": "cauchy"}, "huber, tukey"), ({"iterations": 0}, "iterations"), ({"constant": -1.0}, "constant")],
-)  # fmt: skip
+    [
+        ({"window_s": 0.0}, "window_s"),
+        ({"weights": "cauchy"}, "huber, tukey"),
+        ({"iterations": 0}, "iterations"),
+        ({"constant": -1.0}, "constant"),
+    ],
+)
 def test_wrong_values_are_named(wrong, says):
     with pytest.raises(ConfigError, match=says):
         IRLS(rates_quad(), DT, **wrong)
