@@ -47,3 +47,34 @@ class Regression:
         K = np.array([self.left[j] * valid[np.abs(self.left[j]) > 1e-9].all() for j in range(3)])
         self.P = (np.eye(3) - K @ PLANT.C) @ self.P @ (np.eye(3) - K @ PLANT.C).T + K @ np.diag(R) @ K.T
         self.sensitivity = self.sensitivity - K @ self.Omega
+
+
+class Felt(Linear):
+    """The plant of the laws with an accelerometer: the last measurement is moved by theta alone."""
+
+    name, n_y = "felt", 4
+    C = np.array([[1.0, 0.0, 0.2], [0.0, 1.0, 0.0], [0.3, 0.0, 1.0], [0.0, 0.0, 0.0]])
+    D = np.array([[0.0, 0.0], [0.0, 0.0], [0.0, 0.0], [0.7, -0.9]])
+
+    def R(self, u):
+        return np.array([1e-2, 2e-2, 1.5e-2, 3e-2])
+
+
+FELT = Felt()
+
+
+def felt_table(T=40, seed=0):
+    """(u, y, valid, dt) for it: random, with gaps and steps of different length."""
+    rng = np.random.default_rng(seed)
+    valid = rng.random((T, 4)) < 0.8
+    valid[[0, 1, 20, 21]] = False
+    return rng.normal(1, 0.3, (T, 2)), rng.normal(0, 1, (T, 4)), valid, rng.uniform(0.5, 1.5, T) * 0.02
+
+
+def flight(theta, T, dt=0.02):
+    """(u, y, valid) of that plant without any noise, with constant inputs and losses theta (2,)."""
+    u, x, y = np.array([1.2, 0.8]), FELT.x0, np.empty((T, 4))
+    for k in range(T):
+        x = FELT.A(dt) @ x + dt * FELT.B @ (u * (1.0 - theta))
+        y[k] = FELT.C @ x + FELT.D @ (u * (1.0 - theta))
+    return np.tile(u, (T, 1)), y, np.ones((T, 4), bool)
