@@ -349,3 +349,22 @@ NOT_A_PLANT = SimpleNamespace(name="nothing", x0=np.zeros(2))
 def test_bad_configuration_gets_one_sentence(build, sentence):
     with pytest.raises(ConfigError, match=sentence):
         build()
+
+
+def test_the_papers_tuning_sees_the_papers_losses_with_the_default_bound():
+    """Its Q and R are tuning: with them a bound of the losses' variance at 1 hid both losses altogether."""
+    from rotorwatch import airframes
+    from rotorwatch.experiments.studies import rot_flights as flights
+    from rotorwatch.maths import observer_gain
+    from rotorwatch.systems.port_hamiltonian_attitude import PortHamiltonianAttitude
+
+    airframe = airframes.paper("rot-hexa")
+    plant = PortHamiltonianAttitude.of(airframe, suspects=flights.MOTORS)
+    u, theta = flights.thrusts(), flights.losses()
+    y = flights.fly(plant.J, PortHamiltonianAttitude.of(airframe).B, u, theta)[:, :3]
+    found = {}
+    for name, more in (("default", {}), ("bound of 1", {"s_max": 1.0})):
+        method = AXKF(plant, flights.DT, gain=observer_gain.printed(), forgetting=0.995, theta_var=0.001, **more)
+        found[name] = run(method, u, y)[1].theta[-1]
+    np.testing.assert_allclose(found["default"], flights.LOSSES, rtol=0.01)
+    assert np.abs(found["bound of 1"]).max() < 1e-3

@@ -39,6 +39,7 @@ _HOMES = {
     "compare": "experiments.studies.compare",
     "reproduce": "experiments.studies.reproduction",
     "simulate": "simulation",
+    "simulate_system": "simulation.any_system",
     "Flight": "flight",
     "Message": "flight",
     "Signal": "flight",
@@ -87,6 +88,7 @@ if TYPE_CHECKING:
     from rotorwatch.motion.airborne import airborne as airborne
     from rotorwatch.published.observability import observability as observability
     from rotorwatch.simulation import simulate as simulate
+    from rotorwatch.simulation.any_system import simulate_system as simulate_system
 
 
 class _Verb(ModuleType):

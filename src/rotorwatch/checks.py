@@ -83,6 +83,77 @@ def library(name: str, what: str) -> Any:
         raise ConfigError(f"{what} needs {package}, which is not installed: pip install {package}.") from None
 
 
+def plant(system: Any, dt: float = 0.01) -> Any:
+    """system, unchanged, when it is a plant (`core.System`) whose parts fit together: sizes, x0, P0, and shapes of f, h, Q and R.
+
+    The functions are traced, not run. Raises ConfigError with one sentence that names the part and the shape it must have, also where NumPy
+    or Python's float() is called on a value that has none yet.
+    """
+    kind = getattr(system, "name", type(system).__name__)
+    has(system, "rotorwatch", "name", "n_x", "n_u", "n_theta", "n_y", "x0", "P0", "f", "h", "Q", "R")
+    for size in ("n_x", "n_u", "n_theta", "n_y"):
+        value = getattr(system, size)
+        if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < (size in ("n_x", "n_y")):
+            raise ConfigError(f"{size} of the plant {kind} must be a whole number, not {value!r}.")
+    n_x, n_u, n_theta, n_y = system.n_x, system.n_u, system.n_theta, system.n_y
+    shape(f"x0 of the plant {kind}", system.x0, n_x)
+    shape(f"P0 of the plant {kind}", system.P0, n_x, n_x)
+    x, u, theta, h = ((n_x,), (n_u,), (n_theta,), ())
+    for part, arguments, expected in (
+        ("f", (x, u, theta, h), (n_x,)),
+        ("h", (x, u, theta), (n_y,)),
+        ("Q", (h,), (n_x, n_x)),
+        ("R", (u,), (n_y,)),
+    ):
+        found = _traced(f"{part} of the plant {kind}", getattr(system, part), arguments)
+        if found != expected:
+            raise ConfigError(f"{part} of the plant {kind} must return an array of the shape {expected}, not {found}.")
+    return positive("dt", dt) and system
+
+
+def controller(u: Any, system: Any) -> None:
+    """Raise ConfigError unless u(t, y) can be traced and returns (n_u,)."""
+    found = _traced("u(t, y)", u, ((), (system.n_y,)))
+    if found != (system.n_u,):
+        raise ConfigError(f"u(t, y) must return an array of the shape {(system.n_u,)}, not {found}.")
+
+
+def _traced(name: str, function: Any, arguments: tuple[tuple[int, ...], ...]) -> tuple[int, ...]:
+    """The shape of what a function returns for arrays of these shapes. Raises ConfigError where it cannot be traced."""
+    from rotorwatch.backend import jax as load_jax
+
+    jax = load_jax()
+    empty = [jax.ShapeDtypeStruct(size, np.float64) for size in arguments]
+    try:
+        found = jax.eval_shape(function, *empty)
+        return tuple(found.shape)
+    except jax.errors.JAXTypeError as why:
+        raise ConfigError(untraceable(name, why)) from why
+    except ConfigError:
+        raise
+    except Exception as why:  # whatever a stranger's function raises
+        reason = " ".join(f"{type(why).__name__}: {why}".split())[:200]
+        raise ConfigError(f"{name} fails for arguments of the shapes {arguments}: {reason.rstrip('.')}.") from why
+
+
+def untraceable(name: str, why: BaseException) -> str:
+    """One sentence for JAX's error about a value that has none yet: NumPy, float(), bool() or `if` on it. Names the line."""
+    return (
+        f"{name} asks for the number behind a value that is known only at run time{_where(why)}: use jax.numpy instead of numpy or "
+        "math there, and jnp.where instead of `if`."
+    )
+
+
+def _where(why: BaseException) -> str:
+    """The innermost line outside of the libraries, as " (file, line)"."""
+    import traceback
+
+    frames = traceback.extract_tb(why.__traceback__)
+    own = [f for f in frames if "site-packages" not in f.filename and "/rotorwatch/" not in f.filename]
+    inside = own or [f for f in frames if "/rotorwatch/" in f.filename and not f.filename.endswith("checks.py")]
+    return f" ({inside[-1].filename.rpartition('/')[2]}, line {inside[-1].lineno})" if inside else ""
+
+
 def concrete(value: Any) -> bool:
     """Whether the value is known now: not a tracer inside a compiled program."""
     import sys

@@ -19,9 +19,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from rotorwatch import __version__
-from rotorwatch.commands import campaign, export, research, simulate, tune
+from rotorwatch.commands import benchmark, campaign, export, research, simulate, tune
 from rotorwatch.commands.tools import LOG, OUT, common, debug, label, progress, say, shares, show
-from rotorwatch.errors import BackendWarning, ConfigError, RotorwatchError
+from rotorwatch.errors import BackendWarning, ConfigError, PluginWarning, RotorwatchError
 
 if TYPE_CHECKING:
     from rotorwatch.diagnosis import Diagnosis
@@ -38,7 +38,8 @@ def main(argv: list[str] | None = None) -> None:
         cli.main(prog_name="rotorwatch")
     if not os.environ.get("ROTORWATCH_DEBUG"):
         warnings.simplefilter("ignore")  # those of numerical libraries; a flight's are part of the answer
-        warnings.filterwarnings("once", category=BackendWarning)
+        for kind in (BackendWarning, PluginWarning):
+            warnings.filterwarnings("once", category=kind)
         warnings.showwarning = lambda message, *where, **more: say(str(message))
     for stream in (sys.stdout, sys.stderr):
         if isinstance(
@@ -419,6 +420,7 @@ tune.register(cli)
 simulate.register(cli)
 export.register(cli)
 campaign.register(cli)
+benchmark.register(cli)
 
 
 if __name__ == "__main__":

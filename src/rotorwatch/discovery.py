@@ -1,41 +1,118 @@
-"""What plug-ins there are: every module of a room is looked at, and nothing lists them by hand.
+"""What plug-ins there are: every module of a room is looked at, and nothing lists them by hand; and what other packages offer.
 
-Names that start with an underscore, and classes that a module merely imports, do not count.
+Names that start with an underscore, and classes that a module merely imports, do not count. A class can also be named as
+`package.module:Class` wherever a name is asked for.
 """
 
 from __future__ import annotations
 
 import inspect
-from typing import Any
+import sys
+import warnings
+from importlib import metadata
+from typing import Any, NamedTuple
 
-from rotorwatch.errors import ConfigError
+from rotorwatch import __version__, plugins
+from rotorwatch.errors import ConfigError, PluginWarning
 from rotorwatch.plugins import modules
+
+ESTIMATOR, SYSTEM = ("name", "init", "step"), ("name", "f", "h")
+
+
+class Source(NamedTuple):
+    """Where a method comes from: the package and its version, and the class as `module:Class`."""
+
+    package: str
+    version: str
+    path: str
 
 
 def estimators() -> dict[str, type]:
-    """Name -> class of every estimator (`core.Estimator`: name, init, step) in `rotorwatch.estimators`, and the default one."""
-    return _classes(("rotorwatch.estimators", "rotorwatch.default"), ("name", "init", "step"))
+    """Name -> class of every estimator (`core.Estimator`: name, init, step) in `rotorwatch.estimators`, the default one, and those that
+    other packages offer as entry points `rotorwatch.estimators`; one that is broken is left out, with a PluginWarning."""
+    return _with_offered("rotorwatch.estimators", _own_estimators(), ESTIMATOR)
 
 
 def systems() -> dict[str, type]:
-    """Name -> class of every plant (`core.System`: name, f, h) in `rotorwatch.systems`, and the default estimator's."""
-    return _classes(("rotorwatch.systems", "rotorwatch.default"), ("name", "f", "h"))
+    """Name -> class of every plant (`core.System`: name, f, h) in `rotorwatch.systems`, the default estimator's, and those that other
+    packages offer as entry points `rotorwatch.systems`."""
+    return _with_offered("rotorwatch.systems", _own_systems(), SYSTEM)
 
 
 def system(name: str) -> type:
-    """The plant class of that name. Raises ConfigError that lists the known ones."""
-    known = systems()
-    if name not in known:
-        raise ConfigError(f"There is no plant called {name!r}; known are {', '.join(known)}.")
-    return known[name]
+    """The plant class of that name, or of `package.module:Class`. Raises ConfigError that lists the known ones."""
+    return _named("rotorwatch.systems", name, _own_systems, SYSTEM)
 
 
 def estimator(name: str) -> type:
-    """The estimator class of that name. Raises ConfigError that lists the known ones."""
-    known = estimators()
-    if name not in known:
-        raise ConfigError(f"There is no estimator called {name!r}; known are {', '.join(known)}.")
-    return known[name]
+    """The estimator class of that name, or of `package.module:Class`. Raises ConfigError that lists the known ones."""
+    return _named("rotorwatch.estimators", name, _own_estimators, ESTIMATOR)
+
+
+def names() -> list[str]:
+    """Names of all estimators, those of other packages included, which are not loaded for that."""
+    return sorted({*_own_estimators(), *plugins.offered("rotorwatch.estimators")})
+
+
+def source(found: Any) -> Source:
+    """Where a class or a module comes from. A package that is not installed has no version."""
+    module = getattr(found, "__module__", None) or found.__name__
+    path = f"{module}:{found.__qualname__}" if inspect.isclass(found) else module
+    top = module.partition(".")[0]
+    if top == "rotorwatch":
+        return Source("rotorwatch", __version__, path)
+    for name in metadata.packages_distributions().get(top, ()):
+        return Source(name, metadata.version(name), path)
+    for group in plugins.GROUPS:  # a package that is only on the path, with its metadata beside it
+        for entry in plugins.offered(group).values():
+            if entry.module.partition(".")[0] == top and entry.dist is not None:
+                return Source(entry.dist.name, entry.dist.version, path)
+    return Source(top, "", path)
+
+
+def about(found: Any) -> str:
+    """What a plug-in says of itself: the first sentence of its module, or of its class where the module says nothing."""
+    own = found if not inspect.isclass(found) else sys.modules.get(found.__module__)
+    text = getattr(own, "__doc__", None) or found.__doc__ or ""
+    return " ".join(text.split("\n\n")[0].split()).rstrip(".")
+
+
+def _own_estimators() -> dict[str, type]:
+    return _classes(("rotorwatch.estimators", "rotorwatch.default"), ESTIMATOR)
+
+
+def _own_systems() -> dict[str, type]:
+    return _classes(("rotorwatch.systems", "rotorwatch.default"), SYSTEM)
+
+
+def _named(group: str, name: str, own: Any, parts: tuple[str, ...]) -> type:
+    kind = plugins.GROUPS[group]
+    if ":" in name:
+        return plugins.imported(name, parts, kind)
+    found = own()
+    if name in found:
+        return found[name]
+    offered = plugins.offered(group)
+    if name in offered:  # only this one is loaded: another package that is broken is no concern of who asks for it
+        return plugins.load(offered[name], parts)
+    known = ", ".join(sorted({*found, *offered}))
+    raise ConfigError(f"There is no {kind} called {name!r}; known are {known}.")
+
+
+def _with_offered(group: str, found: dict[str, type], parts: tuple[str, ...]) -> dict[str, type]:
+    """Our own and those of other packages; ours stay what they are."""
+    found = dict(found)
+    for name, entry in plugins.offered(group).items():
+        kind = plugins.GROUPS[group]
+        if name in found:
+            sentence = f"The {kind} {name} of the package {plugins.package(entry)} is not used: rotorwatch has one of that name."
+            warnings.warn(sentence, PluginWarning, stacklevel=3)
+            continue
+        try:
+            found[name] = plugins.load(entry, parts)
+        except ConfigError as why:
+            warnings.warn(str(why), PluginWarning, stacklevel=3)
+    return dict(sorted(found.items()))
 
 
 def _classes(rooms: tuple[str, ...], parts: tuple[str, ...]) -> dict[str, type]:

@@ -19,3 +19,7 @@ class ConfigError(RotorwatchError):
 
 class BackendWarning(RuntimeWarning):
     """Native code cannot be had, or not be kept; one sentence says why and what happens instead."""
+
+
+class PluginWarning(RuntimeWarning):
+    """A plug-in of another package is not used; one sentence says which and why."""

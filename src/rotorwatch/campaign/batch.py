@@ -8,7 +8,8 @@ in one compiled scan.
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
@@ -90,12 +91,18 @@ def judge(plan: Plan, flights: Sequence[int], size: int) -> list[dict]:
     """Rows of results (score.py), one per flight and method. All flights must be of one cell; `size`: width that the batch is
     filled up to, always the same, so that a flight's result does not depend on who it flew with."""
     flown = fly(plan, flights, size)
-    if not flown:
-        return []
+    return rows(plan, flown, size) if flown else []
+
+
+def rows(
+    plan: Plan, flown: Sequence[Flown], size: int, failed: Callable[[str, Exception], None] | None = None
+) -> list[dict]:
+    """Rows of results of flights that have the same geometry and length of a tick. failed: told of a published estimator or a rule that
+    raises, which then has no rows; None: it raises."""
     B = flown[0].vehicle.effectiveness()
     if any(not np.array_equal(f.vehicle.effectiveness(), B) for f in flown):
         raise ConfigError("flights of one batch must have the same geometry; name the frame by a choice.")
-    hyp, rows = hypotheses.make(B.shape[1]), []
+    hyp, found = hypotheses.make(B.shape[1]), []
     bounds = _bounds(flown, B, size)
     published = [name for name in plan.estimators if name != "default"]
 
@@ -106,20 +113,33 @@ def judge(plan: Plan, flights: Sequence[int], size: int) -> list[dict]:
     if "default" in plan.estimators:
         for f, bound, out in zip(flown, bounds, by_default(flown, B, size), strict=True):
             statistic = np.where(out.plausible, out.kept.statistic, score.NOTHING)
-            rows.append(row("default", f, out.kept, statistic, bound))
+            found.append(row("default", f, out.kept, statistic, bound))
     if published:
         tables = [f.ticks for f in flown]
         hops = methods.learn(tables, B, _taught(flown, B, size))
         for name in published:
-            found = methods.judge(name, tables, hops, B, size, tuple(d.tuning for d in plan.decisions))
-            for decision, kept in zip(plan.decisions, found, strict=True):
-                label = decision.label(name)
-                rows += [row(label, f, k, k.statistic, b) for f, k, b in zip(flown, kept, bounds, strict=True)]
+            with _told(name, failed):
+                judged = methods.judge(name, tables, hops, B, size, tuple(d.tuning for d in plan.decisions))
+                for decision, kept in zip(plan.decisions, judged, strict=True):
+                    label = decision.label(name)
+                    found += [row(label, f, k, k.statistic, b) for f, k, b in zip(flown, kept, bounds, strict=True)]
     rules = {m.name: m for m in detectors.modules() if m.name in plan.detectors}
     for name in plan.detectors:
-        for f, bound in zip(flown, bounds, strict=True):
-            rows.append(score.rule(name, f, rules[name].detect(f.flight, f.vehicle, f.air), bound, plan))
-    return rows
+        with _told(name, failed):
+            seen = [rules[name].detect(f.flight, f.vehicle, f.air) for f in flown]
+            found += [score.rule(name, f, s, bound, plan) for f, s, bound in zip(flown, seen, bounds, strict=True)]
+    return found
+
+
+@contextmanager
+def _told(name: str, failed: Callable[[str, Exception], None] | None) -> Iterator[None]:
+    """What a method raises inside goes to `failed`, where there is one."""
+    try:
+        yield
+    except Exception as why:
+        if failed is None:
+            raise
+        failed(name, why)
 
 
 class Flights(Protocol):
@@ -248,12 +268,14 @@ def _stepped(flown: Sequence[Flown], B: np.ndarray, size: int, tables: list, lea
 
 def _bounds(flown: Sequence[Flown], B: np.ndarray, size: int) -> list[np.ndarray | None]:
     """(T,) information on the loss of the broken rotor (limits.py) for each flight in which one rotor loses thrust at once, else None."""
-    clear = [score.clear_fault(f.scenario) for f in flown]
+    clear = [score.clear_fault(f.scenario) if np.isfinite(f.theta).all() else None for f in flown]
     if not any(clear):
         return [None] * len(flown)
     u, y, valid = methods.stacked([_table(f.ticks, B) for f in flown], size)
     length = u.shape[1]
-    theta = np.stack([np.concatenate([f.theta, np.zeros((length - len(f.theta), B.shape[1]))]) for f in flown])
+    theta = np.stack(
+        [np.concatenate([np.nan_to_num(f.theta), np.zeros((length - len(f.theta), B.shape[1]))]) for f in flown]
+    )
     rotor = [c["rotor"] - 1 if c else 0 for c in clear]
     onset = [np.searchsorted(f.ticks.command_time + LAG_S, c["onset_s"]) if c else length for f, c in zip(flown, clear)]
     more = size - len(flown)

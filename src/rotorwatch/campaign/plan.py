@@ -144,7 +144,7 @@ def from_table(table: Mapping[str, Any], text: str = "") -> Plan:
     seed = whole("seed", given["seed"], 0, 2**31 - 1)
     healthy = number("healthy", given["healthy"], 0.0, 1.0)
     period = number("false_alarm_period_h", given["false_alarm_period_h"], 0.01, 1e6)
-    estimators = _names("estimators", given["estimators"], tuple(discovery.estimators()))
+    estimators = _estimators(given["estimators"])
     rules = _names("detectors", given["detectors"], tuple(m.name for m in detectors.modules()))
     if not estimators and not rules:
         raise ConfigError("estimators and detectors are both empty; name at least one of either.")
@@ -338,6 +338,14 @@ def drawn(table: Mapping[str, Any], rng: np.random.Generator) -> dict[str, Any]:
         else:
             found[key] = drawn(value, rng) if isinstance(value, Mapping) else value
     return found
+
+
+def _estimators(values: Any) -> tuple[str, ...]:
+    """Names of estimators, checked; a class may be named as package.module:Class."""
+    classes = [v for v in values if isinstance(v, str) and ":" in v] if isinstance(values, (list, tuple)) else []
+    for text in classes:
+        discovery.estimator(text)
+    return _names("estimators", values, (*discovery.estimators(), *classes))
 
 
 def _names(name: str, values: Any, known: tuple[str, ...]) -> tuple[str, ...]:

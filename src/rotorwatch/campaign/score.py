@@ -22,6 +22,24 @@ from rotorwatch.simulation.scenario import Scenario
 EARLY_S = 0.3  # an event this long before the onset is still the fault's: ticks are windows
 EVALUATE_S = 10.0
 WINDOWS_S = (1.0, 2.0, 5.0, 10.0)
+RISE_S = (
+    *(k / 10 for k in range(1, 10)),
+    1.0,
+    *(k / 10 for k in range(12, 20, 2)),
+    2.0,
+    2.5,
+    3.0,
+    3.5,
+    4.0,
+    4.5,
+    5.0,
+    6.0,
+    7.0,
+    8.0,
+    9.0,
+    10.0,
+)
+"""Windows in which the largest statistic is kept: from these follows the delay at any threshold."""
 NOTHING = -50.0  # statistic where there is none
 
 COLUMNS: dict[str, tuple[str, str]] = {
@@ -52,7 +70,7 @@ COLUMNS: dict[str, tuple[str, str]] = {
     "lower": ("double", "its 95 % interval"),
     "upper": ("double", "its 95 % interval"),
     "peak": ("double", "largest lasting statistic in healthy time"),
-    **{f"peak_{s:g}s": ("double", f"largest lasting statistic within {s:g} s of the onset") for s in WINDOWS_S},
+    **{f"peak_{s:g}s": ("double", f"largest lasting statistic within {s:g} s of the onset") for s in RISE_S},
     "bound_sd": ("double", "posterior Cramer-Rao bound: least standard deviation of the estimate"),
     "bound_delay_s": ("double", "least mean delay at the plan's false-alarm rate"),
 }
@@ -153,5 +171,5 @@ def _peaks(f, statistic: np.ndarray, onset: float | None) -> dict[str, float]:
 
     found = {"peak": peak(time < start - EARLY_S)}
     if onset is not None:
-        found |= {f"peak_{s:g}s": peak((time >= start - EARLY_S) & (time <= start + s)) for s in WINDOWS_S}
+        found |= {f"peak_{s:g}s": peak((time >= start - EARLY_S) & (time <= start + s)) for s in RISE_S}
     return found

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch.campaign.score import WINDOWS_S
+from rotorwatch.campaign.score import COLUMNS, NOTHING, RISE_S, WINDOWS_S
 from rotorwatch.errors import ConfigError
 
 Z = 1.959963984540054
@@ -34,10 +34,10 @@ def summarise(table: Any, name: str = "") -> dict[str, Any]:
     """
     if table.num_rows == 0:
         raise ConfigError("There is no flight in this campaign's table.")
-    columns = {key: _array(table[key]) for key in table.column_names}
+    columns = arrays(table)
     methods = {}
     for method in sorted(set(columns["method"])):
-        mine = {key: values[columns["method"] == method] for key, values in columns.items()}
+        mine = of_method(columns, method)
         labels = _labels(mine)
         methods[method] = {
             "overall": measures(mine),
@@ -48,6 +48,69 @@ def summarise(table: Any, name: str = "") -> dict[str, Any]:
     one = columns["method"] == columns["method"][0]
     hours = float(columns["healthy_s"][one].sum() / 3600.0)
     return {"name": name, "flights": int(one.sum()), "healthy_h": hours, "methods": methods}
+
+
+def arrays(table: Any) -> dict[str, np.ndarray]:
+    """The columns of a pyarrow table as NumPy arrays (`column`)."""
+    return {key: column(table[key].to_pylist(), COLUMNS[key][0]) for key in table.column_names}
+
+
+def of_method(columns: dict[str, np.ndarray], method: str) -> dict[str, np.ndarray]:
+    """The rows of one method."""
+    return {key: values[columns["method"] == method] for key, values in columns.items()}
+
+
+def at_rate(d: dict[str, np.ndarray], false_alarms_h: float, within_s: float = 10.0) -> dict[str, Any]:
+    """What a method finds when its threshold is set on healthy time: {"threshold", "false_alarms_h", "detected", "delay_s"}.
+
+    The threshold [nats above the one in use] is the lowest at which at most `false_alarms_h` an hour are left, the first of each
+    flight; a method without a statistic keeps its own (threshold None). detected: share of clear faults within `within_s` (one of
+    score.RISE_S), delay_s: median of those, read from score.RISE_S. Intervals: bootstrap of flights, the threshold set anew in each; for
+    the share Wilson's where that is wider. None where nothing can be said: without healthy time, or without a clear fault.
+    """
+    clear, hours = d["clear"].astype(bool), float(d["healthy_s"].sum() / 3600.0)
+    if not np.isfinite(d["peak"]).any():
+        with np.errstate(invalid="ignore"):
+            found = clear & (d["delay_s"] <= within_s)
+        own = rate(int(d["false_alarms"].sum()), hours)
+        delays = boot(d["delay_s"][found].astype(float), np.median)
+        return {"threshold": None, "false_alarms_h": own, "detected": share(found[clear]), "delay_s": delays}
+    if hours <= 0.0 or not clear.any():
+        return {"threshold": None, "false_alarms_h": None, "detected": None, "delay_s": None}
+    grid = [s for s in RISE_S if s <= within_s]
+    rise = np.stack([d[f"peak_{s:g}s"] for s in grid], axis=1)
+
+    def found_in(rows: np.ndarray) -> tuple[float, np.ndarray]:
+        """The threshold of some flights, and the delays of the clear faults in them, inf for those not found."""
+        least = _threshold(d["peak"][rows], false_alarms_h * float(d["healthy_s"][rows].sum() / 3600.0))
+        over = rise[rows][clear[rows]] > least
+        return least, np.where(over.any(axis=1), np.array(grid)[over.argmax(axis=1)], np.inf)
+
+    everyone = np.arange(len(clear))
+    least, delays = found_in(everyone)
+    rng, shares, medians = np.random.default_rng(len(clear)), [], []
+    for _ in range(RESAMPLES):
+        again = found_in(rng.integers(len(clear), size=len(clear)))[1]
+        some = again[np.isfinite(again)]
+        shares += [float(np.mean(np.isfinite(again)))] if again.size else []
+        medians += [float(np.median(some))] if some.size else []
+    detected, hits = share(np.isfinite(delays)), delays[np.isfinite(delays)]
+    assert detected is not None
+    low, high = np.quantile(shares, (0.025, 0.975))
+    detected |= {"low": min(detected["low"], float(low)), "high": max(detected["high"], float(high))}
+    delay = None
+    if hits.size:
+        low, high = np.quantile(medians, (0.025, 0.975))
+        middle = float(np.median(hits))
+        delay = {"value": middle, "low": min(float(low), middle), "high": max(float(high), middle), "n": int(hits.size)}
+    alarms = rate(int((d["peak"] > least).sum()), hours)
+    return {"threshold": least, "false_alarms_h": alarms, "detected": detected, "delay_s": delay}
+
+
+def _threshold(peaks: np.ndarray, allowed: float) -> float:
+    """The lowest threshold that at most so many of the peaks exceed."""
+    most = int(allowed)
+    return float(np.sort(peaks)[::-1][most]) if most < len(peaks) else NOTHING
 
 
 def measures(d: dict[str, np.ndarray]) -> dict[str, Any]:
@@ -219,13 +282,13 @@ def _loss_error(d: dict[str, np.ndarray]) -> list[dict]:
     return points
 
 
-def _array(column: Any) -> np.ndarray:
-    """A column as NumPy: numbers as floats with NaN for what is missing, else objects."""
-    import pyarrow as pa
-
-    if pa.types.is_floating(column.type) or pa.types.is_integer(column.type):
-        return np.array([np.nan if v is None else v for v in column.to_pylist()], float)
-    return np.array(column.to_pylist(), object)
+def column(values: list, kind: str) -> np.ndarray:
+    """A column of score.COLUMNS as NumPy: numbers as floats with NaN for what is missing, else objects."""
+    if kind in ("double", "int64"):
+        return np.array([np.nan if v is None else v for v in values], float)
+    found = np.empty(len(values), object)
+    found[:] = values
+    return found
 
 
 def markdown(summary: dict[str, Any]) -> str:

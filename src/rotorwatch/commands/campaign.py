@@ -43,7 +43,7 @@ def campaign(plan, flights, jobs, out, as_json, quiet) -> None:
     files.folder(out, "--out")
     if not quiet:
         say(f"{len(asked.cells)} kinds of flights, {len(asked.methods)} methods, {batch.where()}")
-    with _progress(quiet) as tell:
+    with flying(quiet) as tell:
         table = campaigns.run(asked, flights, out, jobs, tell)
     summary = campaigns.summarise(table, asked.name)
     Folder(out).finish(table, summary)
@@ -105,7 +105,7 @@ def ablate(plan, logs, flights, hours, only, variants, jobs, as_json, quiet) -> 
 
 
 @contextmanager
-def _progress(quiet: bool) -> Iterator:
+def flying(quiet: bool) -> Iterator:
     """A bar with flights per second and the time left on a terminal; a line now and then elsewhere. Yields work.Tell."""
     if quiet:
         yield None

@@ -14,7 +14,7 @@ from typing import Any
 
 import click
 
-from rotorwatch.errors import BackendWarning, ConfigError
+from rotorwatch.errors import BackendWarning, ConfigError, PluginWarning
 
 MOST_INPUT = 4 << 30  # bytes taken from standard input or a pipe
 _spool: list[str] = []  # the folder in which what came through a pipe lies, once there is one
@@ -101,7 +101,8 @@ def debug(context: click.Context, parameter: click.Parameter, on: bool) -> None:
 def _hush(context: click.Context, parameter: click.Parameter, on: bool) -> bool:
     """Callback of --quiet: not even the warning that native code cannot be had."""
     if on:
-        warnings.filterwarnings("ignore", category=BackendWarning)
+        for kind in (BackendWarning, PluginWarning):
+            warnings.filterwarnings("ignore", category=kind)
     return on
 
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import functools
+import inspect
 import os
 import warnings
 from collections.abc import Callable
 
 import numpy as np
 
+from rotorwatch import checks
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.compiling import native
 from rotorwatch.errors import BackendWarning, ConfigError
@@ -50,43 +52,93 @@ def everything(out):
 
 
 def run(
-    estimator, u, y, valid=None, select: Callable = everything, progress=None, carry=None, backend: str | None = None
+    estimator,
+    u,
+    y,
+    valid=None,
+    select: Callable = everything,
+    progress=None,
+    carry=None,
+    backend: str | None = None,
+    dt=None,
 ):
     """Step one estimator over T rows: u (T, n_u), y (T, n_y), valid (T, n_y) bool (None: all of y that is finite).
+
+    A row's u is held over its step, and its y is measured at the end of that step: the first y belongs one step after x0. dt: s, one
+    number or (T,), the length of each row's step, for estimators whose `step` takes it; None: what the estimator was made for.
 
     Returns (last carry, stacked outputs of `step`, or of `select` of each), as NumPy arrays. Compiled once for the estimator
     object: run the same object again for further flights. progress: called with the finished share, 0..1. carry: where an
     earlier run ended, to go on from there. backend: "jax", or "native": C, built once by the system's compiler and kept
     (docs/export.md), without a compiler JAX, after a BackendWarning; "auto": the same without one; None: what
-    $ROTORWATCH_BACKEND says, else "jax". Raises ConfigError for tables of the wrong shape.
+    $ROTORWATCH_BACKEND says, else "jax". Raises ConfigError for tables of the wrong shape or type, and for a plant or a method whose parts
+    do not fit together.
     """
-    u, y = np.asarray(u, float), np.asarray(y, float)
+    u, y = _floats("u", u), _floats("y", y)
     valid = np.isfinite(y) if valid is None else np.asarray(valid, bool)
     system = getattr(estimator, "system", None)
-    rows = len(u)
+    rows = len(u) if u.ndim else 0
     for name, table, width in (("u", u, getattr(system, "n_u", None)), ("y", y, getattr(system, "n_y", None))):
         if table.ndim != 2 or len(table) != rows or (width is not None and table.shape[1] != width):
             wanted = f"({rows}, {width if width is not None else 'n'})"
             raise ConfigError(f"{name} must have the shape {wanted}, a row per time step, not {table.shape}.")
     if valid.shape != y.shape:
         raise ConfigError(f"valid must have the shape of y, {y.shape}, not {valid.shape}.")
-    return run_built(_Same(estimator), (), u, y, valid, select, progress, carry, backend)
+    timed = dt is not None
+    if timed:
+        if "dt" not in inspect.signature(estimator.step).parameters:
+            name = getattr(estimator, "name", type(estimator).__name__)
+            raise ConfigError(f"{name} takes no dt: it runs in steps of the length that it was made for.")
+        seconds = checks.positive("dt", _floats("dt", dt))
+        if seconds.shape not in ((), (rows,)):
+            raise ConfigError(f"dt must be one number or have the shape ({rows},), not {seconds.shape}.")
+        u = np.column_stack([u, np.broadcast_to(seconds, rows)])
+    try:
+        return run_built(_Same(estimator, timed), (), u, y, valid, select, progress, carry, backend)
+    except (TypeError, ValueError, AttributeError, IndexError) as why:  # JAX's errors are TypeErrors
+        if system is not None and not isinstance(why, ConfigError):
+            checks.plant(system)
+        if isinstance(why, load_jax().errors.JAXTypeError):
+            name = getattr(estimator, "name", type(estimator).__name__)
+            raise ConfigError(checks.untraceable(f"step of {name}", why)) from why
+        raise
+
+
+def _floats(name: str, values) -> np.ndarray:
+    try:
+        return np.asarray(values, float)
+    except (TypeError, ValueError):
+        raise ConfigError(f"{name} must be a table of numbers with rows of one length.") from None
 
 
 class _Same:
-    """A build function that always returns the one estimator; equal for the same object, so that it is compiled once."""
+    """A build function that always returns the one estimator; equal for the same object, so that it is compiled once. timed: u has a last
+    column that says how long the row's step is."""
+
+    def __init__(self, estimator, timed: bool = False):
+        self.estimator, self.timed = estimator, timed
+
+    def __call__(self, _):
+        return _Timed(self.estimator) if self.timed else self.estimator
+
+    def __hash__(self):
+        return hash((id(self.estimator), self.timed))
+
+    def __eq__(self, other):
+        return isinstance(other, _Same) and other.estimator is self.estimator and other.timed == self.timed
+
+
+class _Timed:
+    """An estimator whose u has a last column: the length of the row's step [s]."""
 
     def __init__(self, estimator):
         self.estimator = estimator
 
-    def __call__(self, _):
-        return self.estimator
+    def init(self):
+        return self.estimator.init()
 
-    def __hash__(self):
-        return id(self.estimator)
-
-    def __eq__(self, other):
-        return isinstance(other, _Same) and other.estimator is self.estimator
+    def step(self, carry, u, y, valid):
+        return self.estimator.step(carry, u[:-1], y, valid, u[-1])
 
 
 @functools.lru_cache(maxsize=32)

@@ -2,27 +2,44 @@
 
 A module here offers ``name``, ``autopilot`` (whose check it is, as `Flight.autopilot` names it) and
 ``detect(flight, vehicle, airborne) -> tuple[dict, ...]`` with a dict per finding: detector, rotor (1-based), time_s and reason (one
-sentence). Adding a detector is adding a file.
+sentence). Adding a detector is adding a file, or an entry point `rotorwatch.detectors` of another package: a module or an object with the
+same three.
 """
 
 from __future__ import annotations
 
 import importlib
 import pkgutil
-from types import ModuleType
+import warnings
 from typing import Any
 
+from rotorwatch import plugins
+from rotorwatch.errors import ConfigError, PluginWarning
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
 
+PARTS = ("name", "autopilot", "detect")
 
-def modules() -> tuple[ModuleType, ...]:
-    """The detectors found in this folder, by name."""
-    found = [importlib.import_module(f"{__name__}.{info.name}") for info in pkgutil.iter_modules(__path__)]
+
+def modules() -> tuple[Any, ...]:
+    """The detectors found in this folder and those that other packages offer, by name; one that is broken is left out, with a
+    PluginWarning."""
+    found: list[Any] = [importlib.import_module(f"{__name__}.{info.name}") for info in pkgutil.iter_modules(__path__)]
+    for entry in plugins.offered("rotorwatch.detectors").values():
+        try:
+            detector = plugins.load(entry, PARTS)
+            if detector.name in (known.name for known in found):
+                sentence = (
+                    f"The detector {entry.name} of the package {plugins.package(entry)} is not used: its name is taken."
+                )
+                raise ConfigError(sentence)
+            found.append(detector)
+        except ConfigError as why:
+            warnings.warn(str(why), PluginWarning, stacklevel=2)
     return tuple(sorted(found, key=lambda module: module.name))
 
 
-def of(autopilot: str) -> tuple[ModuleType, ...]:
+def of(autopilot: str) -> tuple[Any, ...]:
     """The checks that this autopilot itself makes; none for one that no module is of."""
     return tuple(module for module in modules() if module.autopilot.lower() == autopilot.lower())
 

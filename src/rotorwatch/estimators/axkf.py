@@ -17,6 +17,10 @@ from rotorwatch import checks
 from rotorwatch.core import Array, Estimate
 from rotorwatch.maths import adaptive_kalman, linearise, observer_gain
 
+S_MAX = 1e8
+"""Keeps the digits of a loss that nothing excites, and stands in no loss's way: the paper's Q and R are tuning, with which a loss that is
+measured well ends at a variance of 2e6."""
+
 
 class Carry(NamedTuple):
     """state: of the recursion. z (n_x,): the observer's state. correction (n_x,): what the last measurement adds to it."""
@@ -36,7 +40,7 @@ class AXKF:
     )
 
     def __init__(
-        self, system, dt: float, *, gain=None, forgetting=0.995, theta_var=0.01, s_max: float | None = 1.0, z0=None
+        self, system, dt: float, *, gain=None, forgetting=0.995, theta_var=0.01, s_max: float | None = S_MAX, z0=None
     ):
         """dt: s. gain: (n_x, n_y) of the observer, for steps of dt; default: the stationary Kalman gain at x0, and others are
         made by `rotorwatch.maths.observer_gain`. forgetting: lambda of one step, 0.6 to 1; theta_var: variance of the losses at

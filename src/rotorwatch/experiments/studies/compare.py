@@ -120,6 +120,11 @@ def _theta(out):
 
 def microseconds(name: str, scenes: Sequence[Scene]) -> float:
     """Microseconds of one step over a table of STEPS rows, compiled before, best of three; of the scene with the fewest rotors."""
+    return min(timings(name, scenes, 3))
+
+
+def timings(name: str, scenes: Sequence[Scene], repeats: int) -> list[float]:
+    """The same, every one of so many repeats; NaN for a published method where no scene has a hop to be judged."""
     scene = min(scenes, key=lambda s: s.B.shape[1])
     if name == "default":
         table, B = scene.ticks, scene.B
@@ -127,13 +132,13 @@ def microseconds(name: str, scenes: Sequence[Scene]) -> float:
         u, y, valid = program.inputs(table, B)
         u[:, -1] = 0.0  # a flight repeated is no new flight
         rows = _repeated(u, y, valid)
-        return _best(lambda: run_built(build, parameters, *rows, select=program.kept))
+        return _timed(lambda: run_built(build, parameters, *rows, select=program.kept), repeats)
     if not scene.hops:
-        return float("nan")
+        return [float("nan")] * repeats
     hop = scene.hops[0]
     estimator = published.method(name, hop.system, hop.dt)
     rows = _repeated(hop.u, hop.y, hop.valid)
-    return _best(lambda: run(estimator, *rows, select=_theta))
+    return _timed(lambda: run(estimator, *rows, select=_theta), repeats)
 
 
 def _repeated(u, y, valid) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -141,14 +146,14 @@ def _repeated(u, y, valid) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return u[rows], y[rows], valid[rows]
 
 
-def _best(go: Callable) -> float:
+def _timed(go: Callable, repeats: int) -> list[float]:
     go()
     times = []
-    for _ in range(3):
+    for _ in range(repeats):
         began = time.perf_counter()
         go()
-        times.append(time.perf_counter() - began)
-    return 1e6 * min(times) / STEPS
+        times.append(1e6 * (time.perf_counter() - began) / STEPS)
+    return times
 
 
 def cell(key: str, value: Any) -> str:

@@ -1,0 +1,1 @@
+"""Two estimators for rotorwatch from outside of it."""
