@@ -316,8 +316,10 @@ class SetMembership:
         )
         still, unmoved = jnp.zeros((self.n_x, self.n_x)), jnp.zeros((self.system.n_theta,) * 2)
         root = jnp.sqrt(q)
-        parts = (part * root * root[:, None] for part in (blocks(Q, unmoved, jnp), blocks(still, self._walk(dt), jnp)))
-        return ellipsoid.minkowski(*parts, self.weights)[0]
+        noise, drift = (
+            part * root * root[:, None] for part in (blocks(Q, unmoved, jnp), blocks(still, self._walk(dt), jnp))
+        )
+        return ellipsoid.minkowski(noise, drift, self.weights)[0]
 
     def _walk(self, dt):
         from jax import numpy as jnp
