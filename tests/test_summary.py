@@ -1,7 +1,6 @@
 """The campaign's statistics against other implementations and numbers from the literature."""
 
 import numpy as np
-import pyarrow
 import pytest
 from scipy import stats
 
