@@ -118,6 +118,17 @@ def test_a_plant_that_does_not_fit_is_one_sentence(parts, says):
         assert "\n" not in str(why.value)
 
 
+@pytest.mark.parametrize("kind", ["AXKF", "AdaptiveEKF", "UKF", "ATSUKF", "MHE"])
+def test_methods_that_look_at_the_plant_when_they_are_made_say_the_same(kind):
+    def tried(plant):
+        return rw.run(getattr(rw.estimators, kind)(plant, 0.01), inputs(5), np.zeros((5, 2)))
+
+    with pytest.raises(ConfigError, match="f of the plant slider asks for the number"):
+        tried(changed(f=lambda self, x, u, theta, dt: x + np.asarray(u) * math.sin(x[0])))
+    with pytest.raises(ConfigError, match=r"x0 of the plant slider must have the shape \(2,\), not \(3,\)"):
+        tried(changed(x0=np.zeros(3)))
+
+
 def test_an_estimator_over_such_a_plant_says_the_same():
     bad = changed(f=lambda self, x, u, theta, dt: x + np.asarray(u))
     with pytest.raises(ConfigError, match="f of the plant slider asks for the number"):

@@ -1,7 +1,6 @@
 """The campaign's statistics against other implementations and numbers from the literature."""
 
 import numpy as np
-import pyarrow
 import pytest
 from scipy import stats
 
@@ -149,5 +148,5 @@ def test_losses_are_sorted_by_size():
 
 
 def test_missing_numbers_are_nan_and_missing_words_none():
-    made = summary._array(pyarrow.chunked_array([[1, None, 3]])), summary._array(pyarrow.chunked_array([["a", None]]))
+    made = summary.column([1, None, 3], "int64"), summary.column(["a", None], "string")
     assert np.isnan(made[0][1]) and made[0].dtype == float and made[1].tolist() == ["a", None]

@@ -66,6 +66,8 @@ def has(system: Any, method: str, *parts: str, why: str = "") -> None:
         kind = plant_name(system)
         reason = f" ({why})" if why else ""
         raise ConfigError(f"{method} is not defined for the plant {kind}: it needs {', '.join(missing)}{reason}.")
+    if "x0" in parts and hasattr(system, "n_x"):
+        shape(f"x0 of the plant {getattr(system, 'name', type(system).__name__)}", system.x0, system.n_x)
 
 
 def plant_name(system: Any) -> str:

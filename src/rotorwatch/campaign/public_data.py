@@ -121,8 +121,13 @@ def judge(
     rows = []
     for flights in groups.values():
         size = 1 << (len(flights) - 1).bit_length()
-        rows += batch.rows(plan, flights, size, failed)
-    return rows, left_out
+        try:
+            rows += batch.rows(plan, flights, size, failed)
+        except (
+            RotorwatchError
+        ) as why:  # what concerns these flights, whatever the method: commands too slow to learn from, say
+            left_out += [[data.logs[f.number][0].relative_to(data.folder).as_posix(), str(why)] for f in flights]
+    return rows, sorted(left_out)
 
 
 def _flown(number: int, path: Path, entry: Entry) -> Flown:

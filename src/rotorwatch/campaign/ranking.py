@@ -136,6 +136,12 @@ def _rule(ranked: dict[str, Any]) -> str:
     )
 
 
+def _logs(one: dict[str, Any]) -> str:
+    """How many logs of a data set there are, and how many could not be judged."""
+    gone = f", {len(one['left_out'])} of them left out" if one["left_out"] else ""
+    return f"{one['logs']} {'log' if one['logs'] == 1 else 'logs'}{gone}"
+
+
 def table(ranked: dict[str, Any]) -> Any:
     """The ranking for a terminal."""
     from rich.console import Group
@@ -156,8 +162,7 @@ def table(ranked: dict[str, Any]) -> Any:
 
     parts = [*part(_title(ranked), ranked), Text(_rule(ranked), style="dim")]
     for one in ranked["data"]:
-        judged = f", {len(one['left_out'])} of them left out" if one["left_out"] else ""
-        parts += [Text(""), *part(f"Data set {one['name']}: {one['logs']} logs{judged}", one)]
+        parts += [Text(""), *part(f"Data set {one['name']}: {_logs(one)}", one)]
     return Group(*parts)
 
 
@@ -170,9 +175,7 @@ def write_page(ranked: dict[str, Any], path: str | os.PathLike) -> None:
         _html(ranked),
     ]
     for one in ranked["data"]:
-        parts.append(
-            f"<h2>Data set {escape(one['name'])}</h2><p>{one['logs']} logs, {len(one['left_out'])} left out.</p>{_html(one)}"
-        )
+        parts.append(f"<h2>Data set {escape(one['name'])}</h2><p>{_logs(one)}.</p>{_html(one)}")
         rows = "".join(f"<li>{escape(log)}: {escape(why)}</li>" for log, why in one["left_out"])
         parts.append(f"<details><summary>Left out</summary><ul>{rows}</ul></details>" if rows else "")
     where = "".join(f"<li>{escape(name)}: {escape(machine)}</li>" for name, machine in ranked["machines"].items())

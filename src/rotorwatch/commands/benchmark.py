@@ -84,8 +84,9 @@ def benchmark(what, methods, more, data, jobs, out, rank, listing, as_json, quie
             results = benchmarks.run(asked, names, out, jobs, sets, tell, None if quiet else say)
     except KeyboardInterrupt:
         if benchmarks.parts_of(out).is_dir():
+            kept = benchmarks.parts_of(out)
             say(
-                f"finished flights are kept in {benchmarks.parts_of(out)}: the same command goes on from there; nothing else is lost"
+                f"finished flights are kept in {kept}: the same command goes on from there; those in the making are lost"
             )
         raise
     if as_json:

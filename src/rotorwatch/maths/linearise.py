@@ -26,16 +26,16 @@ class Linear(NamedTuple):
 
 def transition(system, x, u, theta, dt) -> Linear:
     """f, F and Phi: the plant's step of dt seconds about (x, theta)."""
-    return _linear(lambda x, theta: system.f(x, u, theta, dt), x, theta)
+    return _linear(lambda x, theta: system.f(x, u, theta, dt), x, theta, "f", system)
 
 
 def measurement(system, x, u, theta) -> Linear:
     """h, C and D: the plant's measurement about (x, theta)."""
-    return _linear(lambda x, theta: system.h(x, u, theta), x, theta)
+    return _linear(lambda x, theta: system.h(x, u, theta), x, theta, "h", system)
 
 
-def _linear(g, x, theta) -> Linear:
-    """One pass of forward differentiation in all directions."""
+def _linear(g, x, theta, part: str, system) -> Linear:
+    """One pass of forward differentiation in all directions. Raises ConfigError for a plant that calls NumPy on what has no value yet."""
     from rotorwatch.backend import jax as load_jax
 
     jax = load_jax()
@@ -45,7 +45,11 @@ def _linear(g, x, theta) -> Linear:
         value = g(s[:n], s[n:])
         return value, value
 
-    slope, value = jax.jacfwd(both, has_aux=True)(jnp.concatenate([x, theta]))
+    try:
+        slope, value = jax.jacfwd(both, has_aux=True)(jnp.concatenate([x, theta]))
+    except (jax.errors.TracerArrayConversionError, jax.errors.ConcretizationTypeError) as why:
+        name = getattr(system, "name", type(system).__name__)
+        raise ConfigError(checks.untraceable(f"{part} of the plant {name}", why)) from why
     return Linear(value, slope[:, :n], slope[:, n:])
 
 
