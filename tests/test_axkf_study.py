@@ -74,6 +74,35 @@ def test_claims_say_what_holds(result):
     assert theorem.verdict == "not reproduced" and "+1.474" in theorem.measured
 
 
+@pytest.mark.parametrize(
+    "claim, now, other, then",
+    [
+        ("momenta converge more slowly", "partly", {"observer_p_error": 0.05}, "holds"),
+        ("momenta converge more slowly", "partly", {"p_error": 0.5}, "not reproduced"),
+        ("Without the fault term", "partly", {"p_error_without_fault_term": 0.5}, "holds"),
+        ("Without the fault term", "partly", {"observer_p_error_without_fault_term": 0.01}, "not reproduced"),
+        ("robust to process", "partly", {"noise_printed_R_std": 0.01}, "holds"),
+        ("robust to process", "partly", {"noise_4e5_std": 0.1}, "not reproduced"),
+        ("recursion stays bounded", "not reproduced", {"s11_final": 1e3}, "holds"),
+        ("body torques as the input", "partly", {"virtual_multiplicative_final": 0.1}, "holds"),
+        ("body torques as the input", "partly", {"virtual_additive_error": 1.0}, "not reproduced"),
+    ],
+)
+def test_verdicts_follow_from_the_figures(result, claim, now, other, then):
+    """Each of them turns when its figure does. Errors of momenta are given as shares of these."""
+    scaled = {k: v * np.abs(result.figures["p_final"]) if "p_error" in k else v * np.ones(3) for k, v in other.items()}
+    given = {
+        k: v[:2] if k.startswith("noise") else v if "p_error" in k or k.endswith("final") else v[0]
+        for k, v in scaled.items()
+    }
+    given = {k: float(v[0]) if k == "s11_final" else v for k, v in given.items()}
+
+    def verdict(figures):
+        return next(c.verdict for c in study._claims(figures) if claim in c.claim)
+
+    assert verdict(result.figures) == now and verdict({**result.figures, **given}) == then
+
+
 def test_figures_can_be_drawn(result, tmp_path):
     drawn = study.figures(result)
     assert {"fig4_faults", "fig7_momenta", "fig9_momenta_without_fault_term", "wrong_starts"} <= set(drawn)

@@ -264,7 +264,7 @@ def claims(numbers: dict) -> tuple[Claim, ...]:
             "Effectiveness above one is allowed for uncertain coefficients.",
             "up to 1.2 here",
             f"mean RMSE {mean['proximal_flush']:.3f}; {capped:.3f} with a cap of 1.02",
-            "partly",
+            "holds" if mean["proximal_flush"] <= capped else "partly",
             "A tight cap makes losses without an opposite pair unique, even in hover, but needs calibrated coefficients.",
         ),
     )
