@@ -103,8 +103,8 @@ def filtered(
         s, P, fit = _update(s, P, H, e, R, valid)
         return Updated(s, P, e, S, fit)
 
-    faulty = np.arange(d.shape[0]) > 0
-    return jax.vmap(one)(jnp.asarray(d), s, P, jnp.where(faulty, walk, 0.0))
+    d = jnp.asarray(d)
+    return jax.vmap(one)(d, s, P, jnp.where((d != 0.0).any(axis=1), walk, 0.0))
 
 
 def _update(s, P, H, e, R, valid):
