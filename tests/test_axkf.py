@@ -189,7 +189,7 @@ def test_planted_errors_break_these_laws(monkeypatch, table, module, function, e
 def test_on_a_linear_plant_the_observer_does_not_matter(table):
     """Whatever it does: the prediction of an affine plant is the same about any point."""
     usual = run(AdaptiveEKF(Linear(), DT), *table)[1]
-    out = run(AXKF(Linear(), DT, gain=np.full((3, 2), 0.2), z0=np.full(3, 5.0)), *table)[1]
+    out = run(AXKF(Linear(), DT, gain=np.full((3, 2), 0.2), z0=np.full(3, 5.0), s_max=1.0), *table)[1]
     for a, b in zip(usual, out, strict=True):
         np.testing.assert_allclose(a, b, atol=1e-10)
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from rotorwatch import checks
 from rotorwatch.backend import jax as load_jax
-from rotorwatch.maths import multiple_model
+from rotorwatch.maths import multiple_model, plant
 from rotorwatch.maths.multiple_model import Bank, Output
 
 
@@ -33,9 +33,7 @@ class IMM:
         """dt: s. theta_walk: variance that the loss of a faulty mode gains per second [1/s]; theta_var: variance of a loss that
         has just begun. healthy_s, weak_s: mean time for which the vehicle stays healthy, and a rotor weak [s]. common: one mode more,
         in which all rotors lose alike. Raises ConfigError for wrong values."""
-        checks.has(system, "The interacting multiple model", "f", "h", "Q", "R", "x0", "P0")
-        self.system, self.dt = system, checks.positive("dt", dt)
-        checks.shape("P0", system.P0, system.n_x, system.n_x)
+        self.system, self.dt = plant.checked("The interacting multiple model", system, dt), dt
         for name, value in (("theta_walk", theta_walk), ("theta_var", theta_var)):
             checks.between(name, checks.shape(name, value), 0.0, np.inf)
         self.theta_walk, self.theta_var = theta_walk, theta_var

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from rotorwatch import checks
-from rotorwatch.maths import multiple_model
+from rotorwatch.maths import multiple_model, plant
 from rotorwatch.maths.multiple_model import Bank, Output
 
 
@@ -27,9 +27,7 @@ class MMAE:
     def __init__(self, system, dt: float, *, theta_walk=1e-2, theta_var=0.1, floor: float = 1e-3, common: bool = True):
         """dt: s. theta_walk: variance that the loss of a faulty mode gains per second [1/s]; theta_var: its variance at the start.
         floor: least probability of a mode. common: one mode more, in which all rotors lose alike. Raises ConfigError."""
-        checks.has(system, "Multiple-model adaptive estimation", "f", "h", "Q", "R", "x0", "P0")
-        self.system, self.dt = system, checks.positive("dt", dt)
-        checks.shape("P0", system.P0, system.n_x, system.n_x)
+        self.system, self.dt = plant.checked("Multiple-model adaptive estimation", system, dt), dt
         for name, value in (("theta_walk", theta_walk), ("theta_var", theta_var)):
             checks.between(name, checks.shape(name, value), 0.0, np.inf)
         self.theta_walk, self.theta_var = theta_walk, theta_var

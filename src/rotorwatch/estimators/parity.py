@@ -20,7 +20,7 @@ import numpy as np
 from rotorwatch import checks
 from rotorwatch.core import Array, Estimate
 from rotorwatch.errors import ConfigError
-from rotorwatch.maths import bounded, linearise
+from rotorwatch.maths import bounded, linearise, plant
 
 
 class Carry(NamedTuple):
@@ -55,9 +55,7 @@ class Parity:
         """dt: s. window_s: length of the window [s]. theta_var: variance of the losses before any measurement, a number or one per
         theta. walk: of a loss in a second, by which a theta that is held grows older. u_nominal (n_u,): input of the design (default:
         hover). Raises ConfigError for wrong values, and where the window is too short to see the state."""
-        checks.has(system, "The parity space", "f", "h", "Q", "R", "x0", "P0")
-        self.system, self.dt = system, checks.positive("dt", dt)
-        checks.shape("P0", system.P0, system.n_x, system.n_x)
+        self.system, self.dt = plant.checked("The parity space", system, dt), dt
         self.theta_var = checks.positive("theta_var", linearise.variances("theta_var", theta_var, system.n_theta))
         self.walk = checks.between("walk", walk, 0.0, np.inf)
         self.N = max(2, round(checks.positive("window_s", window_s) / dt))

@@ -21,7 +21,7 @@ import numpy as np
 from rotorwatch import checks
 from rotorwatch.core import Array, Estimate
 from rotorwatch.errors import ConfigError
-from rotorwatch.maths import counter_random, multiple_model
+from rotorwatch.maths import counter_random, multiple_model, plant
 
 
 class Carry(NamedTuple):
@@ -66,9 +66,7 @@ class RBPF:
         faulty mode gains per second [1/s]; theta_var: variance of a loss that has just begun. healthy_s, weak_s: mean time for which
         the vehicle stays healthy, and a rotor weak [s]. common: one mode more, in which all rotors lose alike. seed: of the random
         numbers, a whole number. Raises ConfigError for wrong values."""
-        checks.has(system, "The Rao-Blackwellised particle filter", "f", "h", "Q", "R", "x0", "P0")
-        self.system, self.dt = system, checks.positive("dt", dt)
-        checks.shape("P0", system.P0, system.n_x, system.n_x)
+        self.system, self.dt = plant.checked("The Rao-Blackwellised particle filter", system, dt), dt
         for name, value, least in (("particles", particles, 2), ("seed", seed, 0)):
             if int(value) != value or not least <= value < 2**30:
                 raise ConfigError(f"{name} must be a whole number from {least} on, not {value}.")

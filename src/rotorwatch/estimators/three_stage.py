@@ -27,7 +27,7 @@ import numpy as np
 from rotorwatch import checks
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.core import Array, Estimate
-from rotorwatch.maths import bounded, linearise, unscented
+from rotorwatch.maths import bounded, linearise, plant, unscented
 
 
 class Carry(NamedTuple):
@@ -75,8 +75,7 @@ class ThreeStage:
         """dt: s. theta_walk: variance that a loss gains per second [1/s]; theta_var: its variance at the start; both a number or one
         per theta. disturbance_share: standard deviation of the disturbance, as a share of what the full loss of one rotor does at
         u_nominal (n_u,; default: hover); disturbance_s: its correlation time [s]. Raises ConfigError for wrong values."""
-        checks.has(system, "The three-stage Kalman filter", "f", "h", "Q", "R", "x0", "P0")
-        self.system, self.dt = system, checks.positive("dt", dt)
+        self.system, self.dt = plant.checked("The three-stage Kalman filter", system, dt), dt
         self.theta_walk = linearise.variances("theta_walk", theta_walk, system.n_theta)
         self.theta_var = linearise.variances("theta_var", theta_var, system.n_theta)
         checks.shape("P0", system.P0, system.n_x, system.n_x)

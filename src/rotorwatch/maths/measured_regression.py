@@ -24,7 +24,7 @@ import numpy as np
 from rotorwatch import checks
 from rotorwatch.core import Array, Estimate
 from rotorwatch.errors import ConfigError
-from rotorwatch.maths import linearise
+from rotorwatch.maths import linearise, plant
 
 TINY = 1e-12
 
@@ -58,9 +58,7 @@ def check(method: str, system: Any, dt: Any) -> Any:
     """dt, where the plant offers what is needed and all its states are measured. Raises ConfigError elsewhere."""
     import jax.numpy as jnp
 
-    checks.has(system, method, "f", "h", "Q", "R", "x0", "P0")
-    checks.positive("dt", dt)
-    checks.shape("P0", system.P0, system.n_x, system.n_x)
+    plant.checked(method, system, dt)
     u, theta = jnp.ones(system.n_u), jnp.zeros(system.n_theta)
     C = linearise.measurement(system, jnp.asarray(system.x0, float), u, theta).by_x
     if checks.concrete(C) and np.linalg.matrix_rank(np.asarray(C)) < system.n_x:
