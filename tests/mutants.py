@@ -80,6 +80,8 @@ NAMED: dict[str, tuple[str, ...]] = {
     "estimators/akf.py": ("axkf",),
     "estimators/adaptive_ekf.py": ("axkf",),
     "estimators/ekf.py": ("axkf",),
+    "estimators/imm.py": ("multiple_model",),
+    "estimators/mmae.py": ("multiple_model",),
     "estimators/aukf.py": ("atsukf",),
     "estimators/ukf.py": ("atsukf",),
     "estimators/tsukf.py": ("atsukf",),
