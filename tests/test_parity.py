@@ -1,5 +1,6 @@
 """Parity space: against the least-squares fit of the window; no state moves its residual, and every gap stops it."""
 
+import jax
 import numpy as np
 import pytest
 
@@ -130,3 +131,15 @@ def test_wrong_values_are_named():
     plant = RigidBody(np.eye(3), np.ones((3, 4)), np.ones(4), 1.0, measured=("roll", "pitch", "yaw"))
     with pytest.raises(ConfigError, match="never measured"):
         Parity(plant, DT)
+
+
+def test_a_plant_without_values_is_refused_in_a_sentence():
+    """As when a tuning is searched: the design needs numbers."""
+
+    def made(noise):
+        plant = rates_quad()
+        plant.gyro_sd = noise
+        return Parity(plant, DT).V.sum()
+
+    with pytest.raises(ConfigError, match="cannot be tuned"):
+        jax.jit(made)(0.01)

@@ -146,9 +146,17 @@ class Parity:
         system, N, dt = self.system, self.N, self.dt
         x0, none = jnp.asarray(system.x0, float), jnp.zeros(system.n_theta)
         u = jnp.asarray(u, float)
-        F = np.asarray(linearise.transition(system, x0, u, none, dt).by_x)
-        C = np.asarray(linearise.measurement(system, x0, u, none).by_x)
-        Q, R = np.asarray(system.Q(dt)), np.asarray(system.R(u))
+        found = (
+            linearise.transition(system, x0, u, none, dt).by_x,
+            linearise.measurement(system, x0, u, none).by_x,
+            system.Q(dt),
+            system.R(u),
+        )
+        if not checks.concrete(found):
+            raise ConfigError(
+                "The parity space is designed for one plant with numbers in it; it cannot be tuned, nor compiled for many plants."
+            )
+        F, C, Q, R = (np.asarray(part) for part in found)
         n_x, n_y = system.n_x, system.n_y
         powers = [np.eye(n_x)]
         for _ in range(N):
