@@ -1,0 +1,57 @@
+"""How the moving-horizon study compares: over seeds, with intervals, flight by flight."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from rotorwatch.experiments.studies import reproduce_lyapunov_mhe as study
+
+SHAPE = (len(study.PATHS), len(study.FAULTS), 10)
+
+
+def errors(rng, gain):
+    """(paths, faults, seeds) of every estimator; the moving horizon's are `gain` better, seed by seed, give or take a little."""
+    base = 0.05 + 0.02 * rng.random(SHAPE)
+    found = {name: base.copy() for name in study.ESTIMATORS}
+    for name in study.MOVING:
+        found[name] = base - gain + 1e-3 * rng.standard_normal(SHAPE)
+    return found
+
+
+@pytest.mark.parametrize("gain, counted", [(0.01, "better"), (-0.01, "worse")])
+def test_differences_that_hold_for_every_seed_count_in_every_case(gain, counted):
+    found = study.compared(errors(np.random.default_rng(0), gain))
+    assert found["cases"] == 12 and found[counted] == 12 and found["better"] + found["worse"] == 12
+
+
+def test_differences_within_their_interval_do_not_count():
+    """About one in twenty counts by chance."""
+    rng = np.random.default_rng(1)
+    counted = sum(sum(study.compared(errors(rng, 0.0))[k] for k in ("better", "worse")) for _ in range(50))
+    assert 10 <= counted <= 55  # of 600; 30 expected
+
+
+def test_the_interval_is_students():
+    values = np.random.default_rng(2).random(10)
+    low, high = stats.ttest_1samp(values, 0.0).confidence_interval(0.95)
+    assert study.spread(values) == pytest.approx((high - low) / 2)
+    assert study.spread(values[:1]) is None
+    assert study.together(np.array([3.0, 4.0])) == pytest.approx(np.sqrt(12.5))
+
+
+def numbers(better, worse):
+    rmse = {f: {e: dict.fromkeys(study.PATHS, 0.05) for e in study.ESTIMATORS} for f in study.FAULTS}
+    return {
+        "rmse": rmse, "rmse_disturbed": rmse, "rmse_capped": {f: dict.fromkeys(study.PATHS, 0.04) for f in study.FAULTS},
+        "moving_horizon": {"calm": {"better": better, "worse": worse, "cases": 12}, "disturbed": {"better": 0, "worse": 0, "cases": 0}},
+        "microseconds_per_step": dict.fromkeys(study.ESTIMATORS, 1.0), "qobs_rank_flight": 9, "qobs_rank_hover": 6, "qobs_gap": 9.0,
+        "sensitivity_ratio": [200.0] * 3, "sensitivity_ratio_thrust": 200.0, "mhe_vs_nlp": 1e-8,
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "better, worse, verdict", [(9, 0, "holds"), (9, 2, "partly"), (6, 0, "partly"), (2, 3, "not reproduced")]
+)
+def test_the_verdict_on_the_moving_horizon_follows_from_the_cases(better, worse, verdict):
+    claim = next(c for c in study.claims(numbers(better, worse)) if c.claim.startswith("The moving horizon makes"))
+    assert claim.verdict == verdict and f"clearly better in {better}, worse in {worse} of 12" in claim.measured
