@@ -455,3 +455,12 @@ def test_torque_free_pairs_are_opposite_rotors():
     bank, B = make("ardupilot-hexa-x").bank, airframes.named("ardupilot-hexa-x").effectiveness()
     free = [k for k, (i, j) in enumerate(bank.hyp.pairs) if np.abs(B[:2, i] + B[:2, j]).max() < 0.05]
     assert len(free) == 3 and np.flatnonzero(np.asarray(opposite.torque_free(bank.hyp, B))).tolist() == free
+
+
+def test_the_noise_learns_from_what_is_left_with_the_biases_in_it():
+    """A steady push of 0.3 hover thrusts in roll stays in the residual, although the filter's biases take it."""
+    _, carries = make("ardupilot-quad-x").over(*hover(bias=[(0, 5, 0.3)], scale=0.3))
+    ring, ok = carries.noise.ring[-1, :, 0], carries.noise.ring_ok[-1, :, 0]
+    assert ok.sum() > 30 and ring[ok].mean() == pytest.approx(0.3, abs=0.05)
+    biases = carries.branches.s[-1, 0, :3]
+    assert biases.sum() == pytest.approx(0.3, abs=0.05)

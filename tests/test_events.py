@@ -138,6 +138,41 @@ def test_what_cannot_be_told_apart_is_listed():
     assert "3+4" in event.reason
 
 
+def test_a_pair_of_opposite_rotors_has_to_be_surer_than_another():
+    """Only a manoeuvre tells a hexarotor's opposite pairs apart: 95 % names any other pair, but not these."""
+    hexa = airframes.named("ardupilot-hexa-x").effectiveness()
+    hyp, partners = hypotheses.make(6), events.opposites(hexa)
+    opposite = (0, partners[0][0])
+    for pair in (opposite, next((0, j) for j in range(1, 6) if j not in partners[0])):
+        out = silence()
+        out.theta, out.theta_sd = np.zeros((COUNT, 6)), np.full((COUNT, 6), 0.01)
+        out.active = np.zeros((COUNT, PLACES, 6), bool)
+        out.probability = out.log_odds = np.zeros((COUNT, len(hyp.names)))
+        announce(out, 100, {pair: 0.95, (1,): 0.05}, age=3)
+        out.theta[100:, list(pair)] = 0.2
+        (event,) = events.read(out, table(), hyp, hexa)
+        assert bool(event.alternatives) == (pair == opposite)
+
+
+def test_a_rare_pair_hides_behind_one_rotor_only_where_the_data_prefer_it():
+    """Prior weights taken out: a pair is ten thousand times rarer than a rotor, and has to be twenty times as likely by the data."""
+    partners = {0: (2,), 2: (0,)}
+    assert events.hidden_pairs({(0,): 0.99, (0, 2): 0.003}, partners) == ((0, 2),)
+    assert events.hidden_pairs({(0,): 0.99, (0, 2): 0.001}, partners) == ()
+    assert events.hidden_pairs({(0, 2): 0.9, (0,): 0.1}, partners) == ()
+
+
+def test_a_loss_that_is_over_is_as_large_as_it_mostly_was_by_its_first_rotor():
+    out = silence()
+    announce(out, 100, {(0, 1): 1.0}, age=3)
+    announce(out, 200, {(): 1.0}, age=3)
+    out.theta[100:200, 0] = 0.3
+    out.theta[150:151, 0] = 0.31  # the second rotor is at its own middle elsewhere
+    out.theta[100:200, 1] = np.linspace(0.1, 0.5, 100)
+    (event,) = events.read(out, table(), HYP)
+    assert event.end_s is not None and event.loss == pytest.approx((0.3, 0.1), abs=0.01)
+
+
 def test_beside_a_known_loss_only_the_new_rotors_are_alternatives():
     out = silence()
     announce(out, 50, {(0,): 1.0}, age=3)
