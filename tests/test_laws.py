@@ -349,13 +349,14 @@ def a_loss_is_found(case):
         assert low[:ONSET].max() < 0 and (low[ONSET:, 1] > 0).any() and (np.delete(low, 1, axis=1) < 0).all()
         return
     half = np.flatnonzero(size[onset, 1] > LOSS / 2)
-    assert np.abs(size[READY:ONSET]).max() < 0.15
+    assert np.abs(size[READY:ONSET]).max() < RESTLESS.get(case.kind.name, 0.1)
     assert half.size and half[0] * case.dt < 1.1, half[:1]
     last = size[-10:].mean(axis=0)
     assert last.argmax() == 1 and abs(last[1] - LOSS) < 0.15, last
 
 
 SETS = ("esmf", "aesmf")
+RESTLESS = {"rls": 0.15}  # its window is short: .12 before any loss, six of them by four measurements
 # Bounds; covariances of observers with fixed gains.
 NO_POSTERIOR = (*SETS, "lyapunov", "mh_lyapunov", "intermediate", "thau", "sliding_mode")
 ONE_AT_A_TIME = ("imm", "mmae", "rbpf")  # flights whose rotors are all a little weak are not what they expect

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from rotorwatch import checks
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.maths import multiple_model, plant
 from rotorwatch.maths.multiple_model import Bank, Output
@@ -34,14 +33,9 @@ class IMM:
         has just begun. healthy_s, weak_s: mean time for which the vehicle stays healthy, and a rotor weak [s]. common: one mode more,
         in which all rotors lose alike. Raises ConfigError for wrong values."""
         self.system, self.dt = plant.checked("The interacting multiple model", system, dt), dt
-        for name, value in (("theta_walk", theta_walk), ("theta_var", theta_var)):
-            checks.between(name, checks.shape(name, value), 0.0, np.inf)
-        self.theta_walk, self.theta_var = theta_walk, theta_var
+        self.theta_walk, self.theta_var = multiple_model.tuning(theta_walk, theta_var)
         self.directions = multiple_model.directions(system, common)
-        modes = len(self.directions)
-        self.stay_s = np.where(
-            np.arange(modes) > 0, checks.positive("weak_s", weak_s), checks.positive("healthy_s", healthy_s)
-        )
+        self.stay_s = multiple_model.stay(len(self.directions), healthy_s, weak_s)
 
     def init(self) -> Bank:
         """The plant's start, healthy for certain."""

@@ -28,9 +28,7 @@ class MMAE:
         """dt: s. theta_walk: variance that the loss of a faulty mode gains per second [1/s]; theta_var: its variance at the start.
         floor: least probability of a mode. common: one mode more, in which all rotors lose alike. Raises ConfigError."""
         self.system, self.dt = plant.checked("Multiple-model adaptive estimation", system, dt), dt
-        for name, value in (("theta_walk", theta_walk), ("theta_var", theta_var)):
-            checks.between(name, checks.shape(name, value), 0.0, np.inf)
-        self.theta_walk, self.theta_var = theta_walk, theta_var
+        self.theta_walk, self.theta_var = multiple_model.tuning(theta_walk, theta_var)
         self.directions = multiple_model.directions(system, common)
         self.floor = checks.between("floor", checks.positive("floor", floor), 0.0, 0.5 / len(self.directions))
 

@@ -72,14 +72,9 @@ class RBPF:
                 raise ConfigError(f"{name} must be a whole number from {least} on, not {value}.")
         self.N, self.seed = int(particles), int(seed)
         self.jump = checks.between("jump", checks.positive("jump", jump), 0.0, 0.9)
-        for name, value in (("theta_walk", theta_walk), ("theta_var", theta_var)):
-            checks.between(name, checks.shape(name, value), 0.0, np.inf)
-        self.theta_walk, self.theta_var = theta_walk, theta_var
+        self.theta_walk, self.theta_var = multiple_model.tuning(theta_walk, theta_var)
         self.directions = multiple_model.directions(system, common)
-        modes = len(self.directions)
-        self.stay_s = np.where(
-            np.arange(modes) > 0, checks.positive("weak_s", weak_s), checks.positive("healthy_s", healthy_s)
-        )
+        self.stay_s = multiple_model.stay(len(self.directions), healthy_s, weak_s)
 
     def init(self) -> Carry:
         """The plant's start, healthy for certain."""

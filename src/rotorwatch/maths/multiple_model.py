@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from rotorwatch import checks
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.core import Array, Estimate
 from rotorwatch.maths import linearise
@@ -58,6 +59,18 @@ class _Along:
 
     def h(self, x, u, loss):
         return self.system.h(x, u, self.d * loss[0])
+
+
+def tuning(theta_walk, theta_var):
+    """Both as given, where they are one number of at least 0 each. Raises ConfigError."""
+    for name, value in (("theta_walk", theta_walk), ("theta_var", theta_var)):
+        checks.between(name, checks.shape(name, value), 0.0, np.inf)
+    return theta_walk, theta_var
+
+
+def stay(modes: int, healthy_s, weak_s) -> np.ndarray:
+    """(modes,) mean time in each [s]: healthy first, then one weak rotor after the other. Raises ConfigError."""
+    return np.where(np.arange(modes) > 0, checks.positive("weak_s", weak_s), checks.positive("healthy_s", healthy_s))
 
 
 def directions(system: Any, common: bool) -> np.ndarray:

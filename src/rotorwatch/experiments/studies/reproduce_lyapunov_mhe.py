@@ -61,7 +61,7 @@ def reproduce(seeds: int = SEEDS, literal: tuple[str, ...] = (), progress=None) 
     tell(0.2, "flights")
     options: dict[str, Any] = {"hold": 0.0} if "no-hold" in literal else {}
     errors: dict[str, dict[str, np.ndarray]] = {weather: {} for weather in WEATHER}
-    cost, traces, flown, capped = {}, {}, {}, None
+    cost, traces, flown = {}, {}, {}
     for w, (weather, torque_sd) in enumerate(WEATHER.items()):
         flown[weather] = fly(table, seeds, torque_sd)
         for k, (name, (kind, tuning)) in enumerate(ESTIMATORS.items()):
