@@ -117,7 +117,7 @@ def _from(row: dict[str, Any]) -> str:
     return f"{row['package']} {row['version']}".strip()
 
 
-def _mark(row: dict[str, Any]) -> str:
+def mark(row: dict[str, Any]) -> str:
     if row["over"]:
         return "over"
     return f"{row['place']}{'=' if row['like_first'] and row['place'] > 1 else ''}"
@@ -155,7 +155,7 @@ def table(ranked: dict[str, Any]) -> Any:
         heads = ["", "method", "from", *COLUMNS.values(), *(["file"] if several else [])]
         rows = []
         for row in found["rows"]:
-            cells = [_mark(row), row["name"], _from(row), *(cell(key, row["scores"].get(key)) for key in COLUMNS)]
+            cells = [mark(row), row["name"], _from(row), *(cell(key, row["scores"].get(key)) for key in COLUMNS)]
             rows.append([Text(c) for c in [*cells, *([row["file"]] if several else [])]])
         shown: list[Any] = [Fitted(title, heads, rows, right=range(3, 3 + len(COLUMNS)), wide=(2,))]
         return shown + [Text(f"{entry['name']}: {entry['failed']}") for entry in found["failed"]]
@@ -195,7 +195,7 @@ def _html(found: dict[str, Any]) -> str:
         name = f'<b title="{escape(row["path"])}">{escape(row["name"])}</b><br><small>{escape(row["about"])}</small>'
         cells = "".join(f"<td>{escape(cell(key, row['scores'].get(key)))}</td>" for key in COLUMNS)
         body.append(
-            f'<tr><td>{_mark(row)}</td><td class="l">{name}</td><td class="l">{escape(_from(row))}</td>'
+            f'<tr><td>{mark(row)}</td><td class="l">{name}</td><td class="l">{escape(_from(row))}</td>'
             f'<td class="l">{_bar(row["scores"]["detected"])}</td>{cells}<td>{escape(row["file"])}</td></tr>'
         )
     failed = "".join(f"<li>{escape(e['name'])}: {escape(e['failed'])}</li>" for e in found["failed"])

@@ -89,8 +89,14 @@ def _embed(plots: Mapping[str, Any]) -> tuple[str, dict[str, str]]:
     own = f"<script>{_own('page.js')}</script>"
     if not plots:
         return own, {}
+    from bokeh.document import Document
     from bokeh.embed import components
     from bokeh.resources import Resources
+
+    document = Document()
+    with document.models.freeze():  # all plots at once: they share their data, which is searched anew for each otherwise
+        for plot in plots.values():
+            document.add_root(plot)
 
     # Only the core library: no widgets, no tables, no GL, no MathJax.
     library = Resources(mode="inline", components=["bokeh"]).render_js()
