@@ -46,8 +46,13 @@ def table(ranked: dict) -> str:
     """One frame's ranking in Markdown."""
     plan, rows = ranked["plan"], ranked["rows"]
     scores = rows[0]["scores"]
-    count = f"{plan['flights']} flights, {scores['clear_faults']:.0f} clear faults, {scores['healthy_h']:.1f} healthy hours"
-    lines = [f"\n## {plan['name'].removeprefix('comparison-')}\n", f"{count}; {'; '.join(ranked['machines'].values())}.\n"]
+    count = (
+        f"{plan['flights']} flights, {scores['clear_faults']:.0f} clear faults, {scores['healthy_h']:.1f} healthy hours"
+    )
+    lines = [
+        f"\n## {plan['name'].removeprefix('comparison-')}\n",
+        f"{count}; {'; '.join(ranked['machines'].values())}.\n",
+    ]
     lines += [f"| | method | {' | '.join(COLUMNS.values())} |", "|---" * (len(COLUMNS) + 2) + "|"]
     for row in rows:
         cells = (ranking.cell(key, row["scores"].get(key)) for key in COLUMNS)

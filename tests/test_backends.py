@@ -1,5 +1,6 @@
 """A diagnosis by native code and by JAX: the same answer, and one line where native code cannot be had."""
 
+import functools
 import json
 import os
 import shutil
@@ -12,9 +13,12 @@ import pytest
 
 from rotorwatch import airframes
 from rotorwatch.cli import SAMPLES
+from rotorwatch.compiling import native
 from rotorwatch.compiling.run import run
 from rotorwatch.errors import BackendWarning
 from rotorwatch.estimators.ekf import EKF
+from rotorwatch.experiments.studies.compare_flights import _scene, simulate
+from rotorwatch.published import published
 from rotorwatch.systems.rate_dynamics import RateDynamics
 
 SAMPLE = SAMPLES / "hexax_m3_mul0.80_square_wind.bin.xz"
@@ -88,3 +92,30 @@ def test_the_command_says_in_one_line_that_there_is_no_compiler():
     line = "rotorwatch: There is no C compiler (nonesuch): install gcc or clang, or set CC. JAX runs instead."
     answer, err = said(CC="nonesuch", ROTORWATCH_BACKEND="native")
     assert answer["verdict"] == "fault" and err.count(line) == 1
+
+
+@needs_compiler
+def test_a_published_method_is_built_once_and_says_what_jax_says(monkeypatch):
+    """Native code of a method is known by name and arguments; a stranger's, whose source may change, never is."""
+    build = published._builder("ekf", 0.05, ())
+    assert native._named(build) == native._named(published._builder.__wrapped__("ekf", 0.05, ()))
+    assert native._named(build) != native._named(published._builder("ekf", 0.1, ()))
+    assert native._named(published._builder("test_backends:Strange", 0.05, ())) is None
+    assert native._named(functools.partial(published._watched, "ekf", 0.05, np.ones(2))) is None
+
+    vehicle = airframes.named("ardupilot-quad-x")
+    flight = simulate(vehicle, [0.4], [1], [20.0], np.random.default_rng(3))[0]
+    table = _scene("one", flight, vehicle, ()).ticks
+    seen = {}
+    for backend in ("native", "jax"):
+        monkeypatch.setenv("ROTORWATCH_BACKEND", backend)
+        seen[backend] = published.judge("ekf", table, vehicle.effectiveness())
+    assert np.ptp(seen["jax"].theta[:, 1]) > 0.3
+    np.testing.assert_allclose(seen["native"].theta, seen["jax"].theta, atol=1e-8)
+    assert (seen["native"].announced == seen["jax"].announced).all()
+
+
+class Strange(EKF):
+    """A method of another package."""
+
+    name = "strange"

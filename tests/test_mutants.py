@@ -35,9 +35,7 @@ def test_the_table_tells_every_survivor_apart():
         assert row.outcome in (mutants.CAUGHT, mutants.SURVIVED) and bool(row.test) == (row.outcome == mutants.CAUGHT)
         assert row.explanation if row.outcome == mutants.SURVIVED else not row.explanation, row
         assert (
-            row.part == mutants.HAND
-            or row.file in parts[row.part]
-            or not (ROOT / mutants.SOURCE / row.file).exists()
+            row.part == mutants.HAND or row.file in parts[row.part] or not (ROOT / mutants.SOURCE / row.file).exists()
         )
     with (ROOT / mutants.TABLE).open(encoding="utf-8", newline="") as file:
         assert tuple(next(csv.reader(file))) == mutants.FIELDS

@@ -285,7 +285,13 @@ def _package() -> str:
 
 
 def _named(function: Callable) -> str | None:
-    """A function's full name when it is one of this package's own, found again by that name."""
+    """A function's full name when it is one of this package's own, found again by that name; of a partial one with its arguments."""
+    if isinstance(function, functools.partial):
+        inner = _named(function.func)
+        try:
+            return inner and inner + json.dumps(function.args)
+        except TypeError:
+            return None
     module, name = getattr(function, "__module__", ""), getattr(function, "__qualname__", "<")
     return f"{module}:{name}" if module.startswith("rotorwatch.") and "<" not in name else None
 

@@ -177,7 +177,9 @@ def run_built(
             library = _library(build, select, parameters, (u.shape[1], y.shape[1]))
             start = build(parameters).init() if carry is None else carry
             return native.run(library, parameters, start, u, y, valid, progress)
-        except native.Unavailable as why:
+        except ConfigError as why:  # without a compiler, or a method that cannot be C
+            if backend == "native" and not isinstance(why, native.Unavailable):
+                raise
             if backend == "native":
                 warnings.warn(f"{why} JAX runs instead.", BackendWarning, stacklevel=3)
     jax = load_jax()

@@ -17,7 +17,7 @@ import numpy as np
 
 from rotorwatch import discovery
 from rotorwatch.backend import jax as load_jax
-from rotorwatch.compiling.run import run, run_built
+from rotorwatch.compiling.run import chosen, run, run_built
 from rotorwatch.default import hypotheses
 from rotorwatch.default.events import MODEL_SD, rotor_sets
 from rotorwatch.default.posterior import PLACES
@@ -140,31 +140,36 @@ def seen(out: Output) -> Seen:
     )  # fmt: skip
 
 
+def _watched(name: str, dt: float, keywords: tuple, p: dict) -> Watched:
+    tuning = Tuning(p.get("q"), p.get("r"), dict(keywords))
+    return Watched(method(name, log_plant.plant(p["plant"]), dt, tuning), decide.Threshold(p["B"]), dt)
+
+
 @functools.lru_cache(maxsize=64)
 def _builder(name: str, dt: float, keywords: tuple) -> Callable:
     """build(parameters) for run_built: one compiled program for every flight with as many rotors."""
-
-    def build(p):
-        tuning = Tuning(p.get("q"), p.get("r"), dict(keywords))
-        return Watched(method(name, log_plant.plant(p["plant"]), dt, tuning), decide.Threshold(p["B"]), dt)
-
-    return build
+    build = functools.partial(_watched, name, dt, keywords)
+    if discovery.source(discovery.estimator(name)).package == "rotorwatch":
+        return build
+    return lambda p: build(
+        p
+    )  # without a name: a stranger's source may change, and native code be kept that is not its own
 
 
 def run_hop(name: str, hop: LogPlant, B: np.ndarray, tuning: Tuning | None = None, progress=None) -> Seen:
-    """The method over one hop: stacked `Seen`."""
+    """The method over one hop: stacked `Seen`. Native code where there is a compiler: XLA takes four times as long to build it."""
     tuning = tuning or Tuning()
     parameters: dict[str, Any] = {"plant": hop.parameters, "B": B}
     parameters |= {k: np.asarray(v) for k, v in (("q", tuning.q), ("r", tuning.r)) if v is not None}
-    build = _builder(name, hop.dt, tuple(sorted(tuning.keywords.items())))
+    build, backend = _builder(name, hop.dt, tuple(sorted(tuning.keywords.items()))), chosen(None, "auto")
     watched = build(parameters)  # with values: what is wrong with the configuration is said here
     try:
-        return run_built(build, parameters, hop.u, hop.y, hop.valid, seen, progress)[1]
+        return run_built(build, parameters, hop.u, hop.y, hop.valid, seen, progress, backend=backend)[1]
     except (
         load_jax().errors.JAXTypeError,
         ConfigError,
     ):  # design work that needs values: compiled for this flight alone
-        return run(watched, hop.u, hop.y, hop.valid, seen, progress)[1]
+        return run(watched, hop.u, hop.y, hop.valid, seen, progress, backend=backend)[1]
 
 
 def judge(

@@ -94,7 +94,9 @@ def _embed(plots: Mapping[str, Any]) -> tuple[str, dict[str, str]]:
     from bokeh.resources import Resources
 
     document = Document()
-    with document.models.freeze():  # all plots at once: they share their data, which is searched anew for each otherwise
+    with (
+        document.models.freeze()
+    ):  # all plots at once: they share their data, which is searched anew for each otherwise
         for plot in plots.values():
             document.add_root(plot)
 
