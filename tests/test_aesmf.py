@@ -276,6 +276,20 @@ def test_the_rules_slope_is_the_derivative_of_its_criterion():
     np.testing.assert_allclose(slope, jax.grad(J)(Q), rtol=1e-9)
 
 
+@pytest.mark.parametrize("additive", [False, True])
+def test_the_rule_goes_down_its_slope_at_its_rate(additive):
+    """A step of eta dt times the slope per ln q, or (additive) that over q: towards less of its criterion."""
+    rng = np.random.default_rng(1)
+    made = AESMF(HELICOPTER, 0.02, eta=1e3, ceiling=9.0, additive=additive)
+    n, m, dt = HELICOPTER.n_x + HELICOPTER.n_theta, HELICOPTER.n_y, 0.04
+    q = rng.uniform(1.0, 2.0, n)
+    cutting = Cutting(np.eye(n), rng.standard_normal((m, n)), np.full(m, 1e-3), spd(rng, n), np.eye(m), 1.0)
+    step = 1e3 * dt * np.asarray(gradient(cutting, made.mu)[0]) * np.diagonal(np.asarray(made.noise(dt, q)))
+    found = np.asarray(made.adapt(q, cutting, None, dt))
+    assert np.abs(step).max() > 1e-6
+    np.testing.assert_allclose(found, q - step / q if additive else q * np.exp(-step), rtol=1e-12)
+
+
 def test_mit_rule_waits_for_a_window_of_measured_steps():
     """Not of measurements: with six channels it does not begin six times earlier. Steps without any do not count, nor do they
     push what was measured out of the window."""

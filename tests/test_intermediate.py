@@ -142,6 +142,17 @@ def test_a_channel_is_a_second_order_filter_of_its_fault(alpha):
     np.testing.assert_allclose(fault / (2.0 * theta * u[0, 0]), 1.0 - left.real, atol=0.01)
 
 
+def test_variances_of_a_channel_are_those_of_its_recursion():
+    """lag <- (1 - k1)(lag + dt fault + noise), fault <- fault - k2 (lag + dt fault + noise): against the 2x2 covariance equation."""
+    k1, k2, dt, q, drift = 0.3, 1.7, 0.25, 0.02, 0.003
+    A = np.array([[1.0 - k1, (1.0 - k1) * dt], [-k2, 1.0 - k2 * dt]])
+    enters = np.array([1.0 - k1, -k2])
+    P = np.array([[0.5, 0.2], [0.2, 0.8]])
+    want = A @ P @ A.T + q * np.outer(enters, enters) + np.diag([0.0, drift])
+    found = intermediate._block(np.array([P[0, 0], P[0, 1], P[1, 1]]), k1, k2, dt, q, drift)
+    np.testing.assert_allclose(found, [want[0, 0], want[0, 1], want[1, 1]], rtol=1e-12)
+
+
 def test_rates_place_a_double_pole():
     alpha, lv = design.rates(0.4, 0.1)
     assert lv == pytest.approx(4 * alpha)

@@ -112,6 +112,18 @@ def test_proximal_pull_only_lowers_the_lyapunov_function(seed):
     assert (estimate - truth) @ moved <= -moved @ moved + 1e-9
 
 
+def test_the_proximal_pull_scatters_as_its_spread_says():
+    """The free minimum (A + anchor I)^-1 (Phi' z + anchor theta) of windows whose noise has the information A."""
+    rng = np.random.default_rng(2)
+    made = MHLyapunov(hexa(), DT)
+    Phi, theta = rng.standard_normal((9, 6)), np.full(6, 0.2)
+    A = Phi.T @ Phi
+    target, pull, spread = map(np.asarray, made.pull_of(A, A @ theta, theta))
+    to_target = np.linalg.solve(A + made.anchor * np.eye(6), Phi.T)  # of the noise in z
+    np.testing.assert_allclose(spread, made.proximal_rate**2 * to_target @ to_target.T, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(target - pull @ theta, 0.0, atol=1e-9)  # nothing pulls at the truth
+
+
 @given(st.integers(0, 10_000))
 @settings(max_examples=15, deadline=None)
 def test_quadratic_programs_are_exact(seed):
