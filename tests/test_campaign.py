@@ -365,7 +365,7 @@ def test_folders_of_other_campaigns_are_refused(tmp_path, monkeypatch):
     with pytest.raises(ConfigError, match=r"begun with rotorwatch .* this is 9.9"):
         work.run(plan, 2, tmp_path / "a", 1, judge=quick)
     monkeypatch.undo()
-    monkeypatch.setattr(work.batch, "engine", lambda: "other")
+    monkeypatch.setattr(work.methods, "engine", lambda: "other")
     with pytest.raises(ConfigError, match=r"begun with (native|jax) code, here is other"):
         work.run(plan, 2, tmp_path / "a", 1, judge=quick)
     monkeypatch.undo()

@@ -83,10 +83,10 @@ def test_as_diagnose_judges_the_log(plan, rows):
 
 def test_native_code_and_jax_judge_alike(plan, rows, monkeypatch):
     """One flight after the other as C, or all side by side in JAX: the same events, numbers to rounding."""
-    if batch.engine() != "native":
+    if methods.engine() != "native":
         pytest.skip("no C compiler, or $ROTORWATCH_BACKEND is not native: the rows are not of native code")
     monkeypatch.setenv("ROTORWATCH_BACKEND", "jax")
-    assert batch.engine() == "jax"
+    assert methods.engine() == "jax"
     for one, other in zip(rows, batch.judge(plan, range(WIDTH), WIDTH), strict=True):
         for key, value in one.items():
             same = value == other[key] or value == pytest.approx(other[key], rel=1e-5, abs=1e-5)
@@ -95,11 +95,11 @@ def test_native_code_and_jax_judge_alike(plan, rows, monkeypatch):
 
 def test_no_compiler_no_native_code(monkeypatch):
     def missing():
-        raise batch.native.Unavailable("none")
+        raise methods.native.Unavailable("none")
 
-    monkeypatch.setattr(batch.native, "compiler", missing)
+    monkeypatch.setattr(methods.native, "compiler", missing)
     monkeypatch.delenv("ROTORWATCH_BACKEND", raising=False)
-    assert batch.engine() == "jax"
+    assert methods.engine() == "jax"
 
 
 def test_published_methods_are_judged_as_alone(plan, rows):
@@ -214,16 +214,17 @@ def test_the_width_follows_the_device(monkeypatch):
             return [self]
 
     monkeypatch.setattr(batch, "load_jax", Device)
+    monkeypatch.setattr(methods, "load_jax", Device)
     monkeypatch.setattr(backend, "jax", Device)
     assert batch.width() == batch.CPU_WIDTH and work._processes(3) == 3 and work._processes() >= 1
     monkeypatch.setenv("ROTORWATCH_BACKEND", "jax")
     assert batch.where() == "on the processor, 32 flights side by side"
     monkeypatch.delenv("ROTORWATCH_BACKEND")
-    monkeypatch.setattr(batch.native, "compiler", lambda: "cc")
-    assert batch.where() == "on the processor, 32 flights side by side, estimator as native code"
+    monkeypatch.setattr(methods.native, "compiler", lambda: "cc")
+    assert batch.where() == "on the processor, 32 flights side by side, estimators as native code"
     monkeypatch.setattr(Device, "kind", "gpu")
     assert batch.width() == batch.ACCELERATOR_WIDTH and work._processes(3) == work._processes() == 1
-    assert batch.where() == "on 1 x NVIDIA H200, 1024 flights side by side" and batch.engine() == "jax"
+    assert batch.where() == "on 1 x NVIDIA H200, 1024 flights side by side" and methods.engine() == "jax"
 
 
 def test_as_many_at_once_as_fit_the_cache(monkeypatch):

@@ -19,8 +19,7 @@ from rotorwatch import airframes, detectors
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.campaign import methods, score
 from rotorwatch.campaign.plan import Plan
-from rotorwatch.compiling import native
-from rotorwatch.compiling.run import chosen, run_built
+from rotorwatch.compiling.run import run_built
 from rotorwatch.default import events, hypotheses, program
 from rotorwatch.diagnosis import Event
 from rotorwatch.errors import ConfigError
@@ -49,19 +48,7 @@ def where() -> str:
     jax = load_jax()
     kind, devices = jax.default_backend(), jax.devices()
     name = "the processor" if kind == "cpu" else f"{len(devices)} x {devices[0].device_kind}"
-    return f"on {name}, {width()} flights side by side{', estimator as native code' if engine() == 'native' else ''}"
-
-
-def engine() -> str:
-    """What steps the default estimator: "native" code, flight by flight, on a processor with a C compiler, as in `diagnose`; else "jax",
-    flights side by side. $ROTORWATCH_BACKEND=jax says so, too. Results of the two differ in their last digits."""
-    if load_jax().default_backend() != "cpu" or chosen(None, "auto") == "jax":
-        return "jax"
-    try:
-        native.compiler()
-    except native.Unavailable:
-        return "jax"
-    return "native"
+    return f"on {name}, {width()} flights side by side{', estimators as native code' if methods.engine() == 'native' else ''}"
 
 
 @dataclass(frozen=True)
@@ -251,7 +238,7 @@ def _stepped(flown: Sequence[Flown], B: np.ndarray, size: int, tables: list, lea
     last of its table where it matters."""
     build = program.builder(flown[0].ticks.dt)
     tree, parameters = load_jax().tree, program.parameters(B)
-    if engine() == "native":
+    if methods.engine() == "native":
         ran = [run_built(build, parameters, u, y, ok, _judged, backend="native") for u, y, ok in tables]
         return [(out, (carry.s, carry.noise.variances)) for carry, out in ran]
     rows, carry, found = methods.stacked(tables, size), build(parameters).init(), []

@@ -1,20 +1,22 @@
 """Published estimators over all flights of a batch side by side, each with every decision of the plan behind it.
 
 What `published.judge` does flight by flight - the hop's plant, the method, the threshold of published/decide.py - is done here in one
-compiled scan: the estimator is stepped once, and as many thresholds as the plan names look at it. Methods whose design needs
-values (linear matrix inequalities, eigenvalues) cannot be built inside a program; they run flight by flight.
+compiled loop: the estimator is stepped once, and as many thresholds as the plan names look at it. On a processor with a C compiler that
+is native code, which is built once for a method and a number of rotors; on an accelerator a scan over flights side by side. Methods whose
+design needs values (linear matrix inequalities, eigenvalues) cannot be built inside a program; they run flight by flight.
 """
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
 from rotorwatch.backend import jax as load_jax
-from rotorwatch.compiling.run import run
+from rotorwatch.compiling import native
+from rotorwatch.compiling.run import chosen, run, run_built
 from rotorwatch.default import hypotheses, program
 from rotorwatch.default.plant import PER_AXIS
 from rotorwatch.errors import ConfigError
@@ -27,6 +29,18 @@ TICK_BLOCK = 100
 CACHE_BYTES = 2_500_000
 """Of the estimators' states that a processor keeps at hand: larger batches are slower, not faster."""
 Decisions = tuple[tuple[tuple[str, float], ...], ...]
+
+
+def engine() -> str:
+    """What steps estimators: "native" code, flight by flight, on a processor with a C compiler, as in `diagnose`; else "jax",
+    flights side by side. $ROTORWATCH_BACKEND=jax says so, too. Results of the two differ in their last digits."""
+    if load_jax().default_backend() != "cpu" or chosen(None, "auto") == "jax":
+        return "jax"
+    try:
+        native.compiler()
+    except native.Unavailable:
+        return "jax"
+    return "native"
 
 
 def side_by_side(carry: Any, size: int) -> int:
@@ -80,6 +94,12 @@ def _built(name: str, dt: float, decisions: Decisions, p: dict) -> Decided:
     return Decided(published.method(name, log_plant.plant(p["plant"]), dt), thresholds, dt)
 
 
+@functools.lru_cache(maxsize=64)
+def _builder(name: str, dt: float, decisions: Decisions) -> Callable:
+    """build(parameters) for run_built."""
+    return published.known(functools.partial(_built, name, dt, decisions), name)
+
+
 @functools.lru_cache(maxsize=32)
 def _program(name: str, dt: float, decisions: Decisions):
     """Compiled: parameters of the plants and tables (flights first), B -> stacked `published.Seen`, one per decision."""
@@ -103,28 +123,33 @@ def run_hops(name: str, found: Sequence[LogPlant], B: np.ndarray, size: int, dec
     size: width that the batch is filled up to, so that a hop's result does not depend on which it runs with.
     """
     jax = load_jax()
-    tree, dt = jax.tree, found[0].dt
-    example = _built(name, dt, decisions, {"plant": found[0].parameters, "B": B})  # with values: says what is wrong
-    step = side_by_side(example.init(), size)
+    name_dt = name, found[0].dt, decisions
+    example = _built(*name_dt, {"plant": found[0].parameters, "B": B})  # with values: says what is wrong
+    try:
+        if engine() == "native":
+            build = _builder(*name_dt)
+            given = [{"plant": hop.parameters, "B": B} for hop in found]
+            ran = [run_built(build, p, h.u, h.y, h.valid, _keep, backend="native") for h, p in zip(found, given)]
+            return [out for _, out in ran]
+        return _side_by_side(_program(*name_dt), side_by_side(example.init(), size), found, B, size)
+    except (jax.errors.JAXTypeError, ConfigError):  # design work that needs values: compiled for each flight alone
+        alone = [_built(*name_dt, {"plant": hop.parameters, "B": B}) for hop in found]
+        return [run(one, hop.u, hop.y, hop.valid, _keep)[1] for one, hop in zip(alone, found, strict=True)]
+
+
+def _side_by_side(program, step: int, found: Sequence[LogPlant], B: np.ndarray, size: int) -> list[tuple]:
+    """What a `_program` keeps of each hop, `step` of them at once."""
+    tree, results = load_jax().tree, []
     rows = stacked([(hop.u, hop.y, hop.valid) for hop in found], size)
     plants = [hop.parameters for hop in found]
     plants += [plants[-1]] * (size - len(plants))
     plants = tree.map(lambda *leaves: np.stack([np.asarray(leaf, float) for leaf in leaves]), *plants)
-    results = []
-    try:
-        for start in range(0, len(found), step):
-            part = slice(start, start + step)
-            out = _program(name, dt, decisions)(
-                tree.map(lambda a, part=part: a[part], plants), B, *(a[part] for a in rows)
-            )
-            out = tree.map(np.asarray, out)
-            for k, hop in enumerate(found[part]):
-                results.append(tree.map(lambda a, k=k, hop=hop: a[k, : len(hop.u)], out))
-    except (jax.errors.JAXTypeError, ConfigError):  # design work that needs values: compiled for each flight alone
-        results = [
-            run(_built(name, dt, decisions, {"plant": hop.parameters, "B": B}), hop.u, hop.y, hop.valid, _keep)[1]
-            for hop in found
-        ]
+    for start in range(0, len(found), step):
+        part = slice(start, start + step)
+        out = program(tree.map(lambda a, part=part: a[part], plants), B, *(a[part] for a in rows))
+        out = tree.map(np.asarray, out)
+        lengths = [len(hop.u) for hop in found[part]]
+        results += [tree.map(lambda a, k=k, n=n: a[k, :n], out) for k, n in enumerate(lengths)]
     return results
 
 

@@ -13,7 +13,7 @@ from multiprocessing import connection, get_context, parent_process
 from typing import Any
 
 from rotorwatch import __version__
-from rotorwatch.campaign import batch
+from rotorwatch.campaign import batch, methods
 from rotorwatch.campaign.plan import Plan
 from rotorwatch.campaign.store import Folder, Work
 from rotorwatch.errors import ConfigError, RotorwatchError
@@ -42,7 +42,7 @@ def run(
         raise ConfigError(f"jobs must be at least 1, not {jobs}.")
     place = Folder(folder)
     with place.locked():
-        width = place.open(plan, batch.width(), __version__, batch.engine())
+        width = place.open(plan, batch.width(), __version__, methods.engine())
         todo = place.missing(flights, len(plan.cells), width)
         left = sum(w.last - w.first for w in todo)
         tell = _Telling(flights, flights - left, progress)

@@ -148,12 +148,12 @@ def _watched(name: str, dt: float, keywords: tuple, p: dict) -> Watched:
 @functools.lru_cache(maxsize=64)
 def _builder(name: str, dt: float, keywords: tuple) -> Callable:
     """build(parameters) for run_built: one compiled program for every flight with as many rotors."""
-    build = functools.partial(_watched, name, dt, keywords)
-    if discovery.source(discovery.estimator(name)).package == "rotorwatch":
-        return build
-    return lambda p: build(
-        p
-    )  # without a name: a stranger's source may change, and native code be kept that is not its own
+    return known(functools.partial(_watched, name, dt, keywords), name)
+
+
+def known(build: functools.partial, name: str) -> Callable:
+    """The builder of a method, as native code is kept under its name; one of another package has none, because its source may change."""
+    return build if discovery.source(discovery.estimator(name)).package == "rotorwatch" else lambda p: build(p)
 
 
 def run_hop(name: str, hop: LogPlant, B: np.ndarray, tuning: Tuning | None = None, progress=None) -> Seen:

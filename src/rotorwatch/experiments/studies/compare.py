@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from rotorwatch import discovery
-from rotorwatch.compiling.run import run, run_built
+from rotorwatch.compiling.run import chosen, run, run_built
 from rotorwatch.default import events, hypotheses, program
 from rotorwatch.errors import ConfigError
 from rotorwatch.experiments.studies.compare_flights import Scene
@@ -132,13 +132,15 @@ def timings(name: str, scenes: Sequence[Scene], repeats: int) -> list[float]:
         u, y, valid = program.inputs(table, B)
         u[:, -1] = 0.0  # a flight repeated is no new flight
         rows = _repeated(u, y, valid)
-        return _timed(lambda: run_built(build, parameters, *rows, select=program.kept), repeats)
+        return _timed(
+            lambda: run_built(build, parameters, *rows, select=program.kept, backend=chosen(None, "auto")), repeats
+        )
     if not scene.hops:
         return [float("nan")] * repeats
     hop = scene.hops[0]
     estimator = published.method(name, hop.system, hop.dt)
     rows = _repeated(hop.u, hop.y, hop.valid)
-    return _timed(lambda: run(estimator, *rows, select=_theta), repeats)
+    return _timed(lambda: run(estimator, *rows, select=_theta, backend=chosen(None, "auto")), repeats)
 
 
 def _repeated(u, y, valid) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
