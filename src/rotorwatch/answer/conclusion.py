@@ -279,7 +279,7 @@ def _state(seen: Seen, rotor: int, verdict: str) -> RotorState:
         clear = status not in ("unobservable", "suspect")
         shown = since if since is not None and from_takeoff == "not judged" else (low, high)
         trend = seen.trends[rotor - 1] if clear and seen.trends else None
-        grade = health.UNGRADED if status == "unobservable" else health.grade(*shown, trend)
+        grade = health.UNGRADED if status == "unobservable" else health.grade(shown[0], shown[1], trend)
         return RotorState(rotor, float(loss), (low, high), status, place, since, from_takeoff, note, grade, trend)
 
     if verdict == "inconclusive":

@@ -84,13 +84,14 @@ def trends(out, table: Ticks, B: np.ndarray, found: Sequence[Event]) -> tuple[Tr
     found_rows = _per_rotor(d, sd, columns, weak)
     span = float(time[0]), float(time[-1])
     return tuple(
-        None if row is None else _trend(*row, minutes, span, weak[i], float(known[i]), float(scatter[i]))
+        None if row is None else _trend(row, minutes, span, weak[i], float(known[i]), float(scatter[i]))
         for i, row in enumerate(found_rows)
     )
 
 
-def _trend(s, reach, word, minutes, span, weak, known, scatter) -> Trend:
+def _trend(row, minutes: float, span, weak: bool, known: float, scatter: float) -> Trend:
     """The trend of a rotor: growth s a minute with its reach, of which `known` is in the estimated loss; a loss changes by 1 at most."""
+    s, reach, word = row
     low, high = max(s - reach, -1.0 / minutes), min(s + reach, 1.0 / minutes)
     if not weak:
         high = max(high, 0.0)  # who has lost nothing cannot win it back
@@ -101,7 +102,7 @@ def _trend(s, reach, word, minutes, span, weak, known, scatter) -> Trend:
     if word == "no trend":  # weather that hides a growth would have to mirror it: no more is there than shows
         most = min(most, max(s, 0.0) * minutes + 2.0 * scatter)
     beyond = max(low * minutes - known, 0.0), max(most - max(known, 0.0), 0.0)
-    return Trend(float(min(max(s, low), high)), (float(low), float(high)), *span, word, beyond)
+    return Trend(float(min(max(s, low), high)), (float(low), float(high)), span[0], span[1], word, beyond)
 
 
 def _settled(table: Ticks, found: Sequence[Event]) -> float:
