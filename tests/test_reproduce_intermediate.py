@@ -139,7 +139,7 @@ def test_positions_and_what_of_them_depends_on_gains_that_are_not_printed(result
     off = np.array(result.figures["position"]["scenario_2"]["off_m"])[:, 0]
     assert (np.diff(off[:, 0]) > 0).all()  # the slower the controller, the further
     assert off[0, 0] == pytest.approx(0.14, abs=0.02) and off[-1, 0] == pytest.approx(0.6, abs=0.05)
-    assert claim(result, "Scenario 1 and 2").verdict == claim(result, "Scenario 3").verdict == "partly"
+    assert claim(result, "Scenarios 1 and 2").verdict == claim(result, "Scenario 3").verdict == "partly"
     fall = np.array(result.figures["position"]["scenario_4"]["off_m"])[0, 0]
     assert fall[:2].max() < 1e-9 and fall[2] == pytest.approx(0.4, abs=0.03)
     assert claim(result, "Scenario 4").verdict == "holds"

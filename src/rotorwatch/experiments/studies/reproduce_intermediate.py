@@ -470,7 +470,7 @@ def _off_claims(position: dict) -> list[Claim]:
         reached = returned and abs(size[1][near] / size[0] - 1.0) < ALIKE
         claims.append(
             Claim(
-                f"Scenario {'1 and 2' if name == 'scenario_2' else name[-1]}: the vehicle is pushed off its place, and comes back",
+                f"Scenario{'s 1 and 2' if name == 'scenario_2' else ' ' + name[-1]}: the vehicle is pushed off its place, and comes back",
                 "x, y: " + "; ".join(f"{_cm(x)}, {_cm(y)}" for x, y in wanted) + " cm",
                 f"{_pairs(off[0])} cm under the controller of the flights above; {_pairs(off[near])} cm with one "
                 f"{position['stiffness'][near]:g} times as fast; back within {100 * position[name]['back_m'][0]:.2g} cm",
@@ -487,7 +487,7 @@ def _off_claims(position: dict) -> list[Claim]:
             "0.4 m",
             f"sideways {aside:.1e} m, drop {off[2]:.2f} m",
             "holds" if met and aside < 0.01 else "partly" if met or aside < 0.01 else "not reproduced",
-            "The drop is that of the assumed height controller, whose gains were chosen before for these flights.",
+            "The drop depends on the gains of the height controller, which are assumed, too: those of the flights above.",
         )
     )
     return claims
