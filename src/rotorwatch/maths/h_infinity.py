@@ -8,7 +8,7 @@ Synthesis: with V = x' X^-1 x and Y = K X, the bounded real lemma is linear in X
 
 and, for a controller that is sampled each dt seconds (forward differences),
 
-    [s^2 X, (X + dt (A_i X + B_i Y))'; X + dt (A_i X + B_i Y), X] > 0,   s <= 1   at every vertex i.
+    [s^2 X, (X + dt (A_i X + B_i Y))'; X + dt (A_i X + B_i Y), X] > 0,   s just below 1   at every vertex i.
 
 Both are convex in (A_i, B_i): one X for all vertices proves stability and the level g at every point of their convex hull, also while
 the point moves. Sources: Boyd, El Ghaoui, Feron and Balakrishnan, Linear Matrix Inequalities in System and Control Theory, SIAM 1994,
@@ -33,7 +33,7 @@ from rotorwatch import checks
 from rotorwatch.errors import ConfigError
 
 ON_AXIS = 1e-8  # a real part below this share of the largest eigenvalue counts as none
-MARGIN = 1e-9  # a quadratic form whose largest eigenvalue is not below minus this much, relative to its size, is not negative
+SAMPLED = 1.0 - 1e-4  # sqrt(V) falls to this share a sample, or lower: the solver has to leave room for rounding
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,8 @@ def state_feedback(A, B, E, C, D, *, dt: float | None = None, scale=None, slack:
 
     A (k, n, n) or (n, n), B (k, n, m) or (n, m): vertices. E (n, n_w), C (n_z, n), D (n_z, m): disturbance and what shall stay small. dt
     [s]: the controller is sampled, and must be stable so, by forward differences; None: it is not. scale (n,): size of each state, for
-    conditioning. slack: how much above the least level, as a share, may be given away for a small X^-1 (and with it, small gains).
+    conditioning. slack: how much above the least level, as a share, may be given away for the least level in the vertices' middle: else
+    a vertex that no controller can help leaves everything else undecided.
     Raises ConfigError when no controller stabilises all vertices with one quadratic Lyapunov function, and when the eigenvalues of what
     the solver returned do not confirm it.
     """
@@ -127,36 +128,39 @@ def state_feedback(A, B, E, C, D, *, dt: float | None = None, scale=None, slack:
         checks.finite(label, checks.shape(label, value, *shape))
     checks.finite("A", A)
     checks.finite("B", B)
+    for i, (one_a, one_b) in enumerate(zip(A, B, strict=True)):
+        if (stuck := _not_stabilisable(one_a, one_b)) is not None:
+            raise ConfigError(
+                f"These are bounds that exclude every controller: at vertex {i + 1} of {count} no feedback can move the eigenvalue "
+                f"{stuck:.3g} of A; narrower bounds are needed, above all where an actuator's gain may be zero."
+            )
     T = np.ones(n) if scale is None else checks.positive("scale", checks.shape("scale", scale, n)) * np.ones(n)
     a, b, e, c = A * T / T[:, None], B / T[:, None], E / T[:, None], C * T
     X, Y, g = cp.Variable((n, n), symmetric=True), cp.Variable((m, n)), cp.Variable()
     n_w, n_z = E.shape[1], len(C)
-    out = c @ X + D @ Y
+    out, none = c @ X + D @ Y, np.zeros((n_w, n_z))
+
+    def lemma(moved, g):
+        blocks = [[moved + moved.T, e, out.T], [e.T, -g * np.eye(n_w), none], [out, none.T, -g * np.eye(n_z)]]
+        return cp.bmat(blocks) << 0
+
     limits: list = [X >> 1e-6 * np.eye(n)]
     for one_a, one_b in zip(a, b, strict=True):
         moved = one_a @ X + one_b @ Y
-        limits.append(
-            cp.bmat(
-                [
-                    [moved + moved.T, e, out.T],
-                    [e.T, -g * np.eye(n_w), np.zeros((n_w, n_z))],
-                    [out, np.zeros((n_z, n_w)), -g * np.eye(n_z)],
-                ]
-            )
-            << 0
-        )
+        limits.append(lemma(moved, g))
         if dt is not None:
             stepped = X + dt * moved
-            limits.append(cp.bmat([[X, stepped.T], [stepped, X]]) >> 0)
+            limits.append(cp.bmat([[SAMPLED**2 * X, stepped.T], [stepped, X]]) >> 0)
     if not _solved(cp.Problem(cp.Minimize(g), limits)) or X.value is None:
         raise ConfigError(
             "These are bounds that exclude every controller: no state feedback makes one quadratic Lyapunov function fall at all "
             f"{count} vertices; narrower bounds are needed, above all where an actuator's gain may be zero."
         )
-    if slack > 0:
-        loose = cp.Problem(cp.Minimize(cp.norm(Y, "fro")), [*limits, g <= (1.0 + slack) * float(g.value)])
-        kept = np.asarray(X.value), np.asarray(Y.value)
-        if not _solved(loose) or X.value is None:
+    if slack > 0 and count > 1:
+        kept, middle = (np.asarray(X.value), np.asarray(Y.value)), cp.Variable()
+        in_middle = lemma(a.mean(axis=0) @ X + b.mean(axis=0) @ Y, middle)
+        second = cp.Problem(cp.Minimize(middle), [*limits, in_middle, g <= (1.0 + slack) * float(g.value)])
+        if not _solved(second) or X.value is None:
             X.value, Y.value = kept
     X_ = 0.5 * (np.asarray(X.value) + np.asarray(X.value).T)
     K = np.linalg.solve(X_, np.asarray(Y.value).T).T / T
@@ -198,6 +202,16 @@ def contraction(steps, X) -> float:
     """Largest factor on sqrt(V) in one step x+ = S x, over all S (k, n, n): below 1, the sampled hull is stable."""
     inverse = np.linalg.inv(np.linalg.cholesky(np.asarray(X, float)))
     return float(np.linalg.norm(inverse @ np.asarray(steps, float) @ np.linalg.inv(inverse), 2, axis=(1, 2)).max())
+
+
+def _not_stabilisable(A, B) -> complex | None:
+    """An eigenvalue not left of the imaginary axis that B does not reach (Popov, Belevitch, Hautus), or None."""
+    size = np.linalg.norm(A, 2) + np.linalg.norm(B, 2)
+    for value in np.linalg.eigvals(A):
+        pencil = np.hstack([A - value * np.eye(len(A)), B])
+        if value.real >= -1e-9 * size and np.linalg.svd(pencil, compute_uv=False)[-1] <= 1e-9 * size:
+            return value
+    return None
 
 
 def _level(A, E, C, X) -> float:

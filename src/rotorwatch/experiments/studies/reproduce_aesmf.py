@@ -11,7 +11,13 @@ import numpy as np
 
 from rotorwatch import checks
 from rotorwatch.backend import jax as load_jax
-from rotorwatch.experiments.studies import ruav_filters, ruav_flight
+from rotorwatch.experiments.studies import (
+    ruav_filters,
+    ruav_flight,
+    ruav_flight_test,
+    ruav_identification,
+    ruav_linearisation,
+)
 from rotorwatch.experiments.studies.reproduction import Claim, Reproduction, check_literal
 from rotorwatch.experiments.studies.ruav_filters import TOO_WIDE, filters
 from rotorwatch.experiments.studies.ruav_flight import DT, FAULT_S
@@ -24,6 +30,7 @@ LITERAL = {
     "additive": "rule (39) as a step on q itself instead of its logarithm",
 }
 SEEDS = 4
+NEEDS = ("cvxpy",)
 SETTLE_S = 2.0  # statistics start this long after the fault
 LABELS = {
     "esmf": "ESMF",
@@ -36,7 +43,10 @@ LABELS = {
 
 
 def reproduce(seeds: int = SEEDS, literal: tuple[str, ...] = (), progress=None) -> Reproduction:
-    """All filters over `seeds` flights, and the guarantee on small systems. progress: called with the finished share."""
+    """All filters over `seeds` flights, the guarantee on small systems, the flight test, and how the model is identified and flown.
+
+    progress: called with the finished share.
+    """
     import sys
 
     literal = check_literal(sys.modules[__name__], literal)
@@ -46,18 +56,24 @@ def reproduce(seeds: int = SEEDS, literal: tuple[str, ...] = (), progress=None) 
     made, results, series = filters(ruav_flight.plant(stops=False), literal), {}, {}
     for k, (name, estimator) in enumerate(made.items()):
         if progress:
-            progress(k / (len(made) + 2))
+            progress(k / (len(made) + 4))
         results[name], series[name] = _judged(estimator, flights)
     escapes = adversarial_escapes(seeds=40)  # the same number below, and the programs are the same
     if progress:
-        progress((len(made) + 1) / (len(made) + 2))
+        progress((len(made) + 1) / (len(made) + 4))
     mutants = mutation_escapes(seeds=40)
     keys = tuple(key for key in results["esmf"] if key != "restarts")
     figures: dict[str, Any] = {key: {name: results[name][key] for name in made} for key in keys}
     figures["restarts_per_flight"] = {name: results[name]["restarts"] for name in made}
     figures |= {"adversarial_escapes": escapes, "mutation_escapes": mutants}
     series["truth"] = flights.theta[0]
-    return Reproduction(PAPER, TITLE, _claims(figures), figures, literal, seeds, series)
+    claims = _claims(figures)
+    figures["flight_test"], flown = ruav_flight_test.flight_test()
+    figures["identification"] = ruav_identification.numbers(ruav_identification.identify())
+    figures["feedback_linearisation"] = ruav_linearisation.numbers(ruav_linearisation.flight())
+    claims += ruav_flight_test.claims(figures["flight_test"]) + ruav_identification.claims(figures["identification"])
+    claims += ruav_linearisation.claims(figures["feedback_linearisation"])
+    return Reproduction(PAPER, TITLE, claims, figures, literal, seeds, series | flown)
 
 
 def _judged(estimator, flights) -> tuple[dict, dict]:
@@ -180,4 +196,4 @@ def figures(result: Reproduction) -> dict:
     axes[0, 0].legend(fontsize="small")
     for axis in axes[1]:
         axis.set_xlabel("s")
-    return {"aesmf-bounds": figure}
+    return {"aesmf-bounds": figure, **ruav_flight_test.figures(result.series["flight_test"])}
