@@ -119,16 +119,18 @@ class Designs:
         return self.made[key]
 
 
-def trim_command(trim, low, high, displacement):
-    """(4,) the command that puts the actuators to trim, as far as the middles of gamma's bounds (low, high) and of delta's say."""
-    g, h = 0.5 * (low + high), np.maximum(0.5 * (high - low), SURE)
-    return trim + g * (trim - g * trim - displacement) / (g**2 + h**2)
+def trim_command(trim, gain, half, displacement):
+    """(4,) the command that puts the actuators to trim, as far as the middle of gamma's bounds (gain), their half-width and delta's middle
+    say so. The middles belong together - gamma and delta are known best where they are flown - so gain is not to be clipped."""
+    sure = np.maximum(half, SURE)
+    return trim + gain * (trim - gain * trim - displacement) / (gain**2 + sure**2)
 
 
-def position_loop(pos, heading, velocity, integral):
+def position_loop(pos, heading, velocity, turning, integral):
     """((roll, pitch, turn rate, climb command) asked for, new integral (3,)): PI on velocity inside P on position.
 
-    pos (3,): north, east, down [m] off the place to be; velocity (3,): body axes, near level.
+    pos (3,): north, east, down [m] off the place to be; velocity (3,): body axes, near level; turning: yaw rate [rad/s], by which body axes
+    turn away under the velocity.
     """
     from jax import numpy as jnp
 
@@ -137,6 +139,6 @@ def position_loop(pos, heading, velocity, integral):
     error = jnp.clip(-POSITION * body, -SPEED, SPEED) - velocity
     integral = integral + DT * error
     push = VELOCITY * error + VELOCITY_I * integral
-    roll = ATTITUDE[0] + jnp.clip(push[1] / G, -TILT, TILT)
-    pitch = ATTITUDE[1] - jnp.clip(push[0] / G, -TILT, TILT)
+    roll = ATTITUDE[0] + jnp.clip((push[1] + turning * velocity[0]) / G, -TILT, TILT)
+    pitch = ATTITUDE[1] - jnp.clip((push[0] - turning * velocity[1]) / G, -TILT, TILT)
     return roll, pitch, jnp.clip(-HEADING * heading, -TURN, TURN), push[2], integral

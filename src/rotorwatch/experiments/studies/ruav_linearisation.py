@@ -48,7 +48,7 @@ def flight(estimator=None, seed: int = 0):
         def step(state, row):
             x, attitude, place, heading, theta, w, y, integral, filtered, gain, half, displaced = state
             push, error, dither, now = row
-            roll, pitch, turn, climb, integral = ruav_control.position_loop(place, heading, y[:3], integral)
+            roll, pitch, turn, climb, integral = ruav_control.position_loop(place, heading, y[:3], y[5], integral)
             nu = jnp.concatenate(
                 [
                     CLIMB * climb[None],
