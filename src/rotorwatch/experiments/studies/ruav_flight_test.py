@@ -225,6 +225,7 @@ VARIED: dict[str, dict[str, dict[str, Any]]] = {
     "aesmf": {
         "roll_only": {"fault": ROLL_ONLY},
         "tail_only": {"fault": TAIL_ONLY},
+        "dither_double": {"dither": 2.0},
         "floor": {"floor": 1 / ruav_filters.TOO_WIDE**2},
     },
     "aekf": {
