@@ -275,11 +275,11 @@ def parts(folder):
     return sorted(p.name for p in (folder / "parts").glob("[0-9]*.parquet")) if (folder / "parts").exists() else []
 
 
-def test_killed_three_times_and_the_same_table(fake, tmp_path):
+def test_killed_twice_and_the_same_table(fake, tmp_path):
     start, judged = fake
     rng = np.random.default_rng()
     finished: list[str] = []
-    for _ in range(3):
+    for _ in range(2):
         process = start(tmp_path / "killed", 120, 2)
         until = time.monotonic() + 30
         while len(parts(tmp_path / "killed")) < len(finished) + 2 and time.monotonic() < until:
