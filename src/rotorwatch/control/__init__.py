@@ -2,6 +2,7 @@
 
     box.py          the exact least squares problem over a box, in a fixed number of turns
     allocation.py   demands (thrust, roll, pitch, yaw) -> commands of the rotors, by what is believed of each rotor
+    airframe.py     the numbers of a vehicle that its control is designed from
     attainable.py   every thrust and moment that a vehicle can still give, exactly
     spinning.py     hover while turning, where it is impossible otherwise, and the feedback that holds it
 
