@@ -199,6 +199,15 @@ class Turning(NamedTuple):
     f: Array
 
 
+def feedback(hover: Hover, gains: Gains, f, omega, down, lift):
+    """u (n,) of the regulator: hover's commands times `lift`, corrected. f (n,): thrust shares that the rotors have reached. All of it may be
+    traced."""
+    jnp = load_jax().numpy
+    base = hover.u * lift
+    errors = jnp.concatenate([omega - hover.omega, gains.across @ (down - hover.down), f - base])
+    return jnp.clip(base - gains.K @ errors, 0.0, 1.0)
+
+
 class SpinningHover:
     """Holds a relaxed hover: `init() -> state`, `step(state, omega, down, lift) -> (state, u)`, both pure and made for C as estimators are."""
 
@@ -224,9 +233,5 @@ class SpinningHover:
     def step(self, state: Turning, omega, down, lift=1.0) -> tuple[Turning, Array]:
         """Commands (n,), shares of full thrust. omega (3,): body rates [rad/s]. down (3,): the direction, in body axes, that
         the body is to turn about: gravity's to stay in place, tilted from it to accelerate. lift: thrust asked, 1 carries the weight."""
-        jnp = load_jax().numpy
-        hover, gains = self.hover, self.gains
-        base = hover.u * lift
-        errors = jnp.concatenate([omega - hover.omega, gains.across @ (down - hover.down), state.f - base])
-        u = jnp.clip(base - gains.K @ errors, 0.0, 1.0)
+        u = feedback(self.hover, self.gains, state.f, omega, down, lift)
         return Turning(u + (state.f - u) * self.keep), u
