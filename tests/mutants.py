@@ -80,6 +80,8 @@ NAMED: dict[str, tuple[str, ...]] = {
     "estimators/akf.py": ("axkf",),
     "estimators/adaptive_ekf.py": ("axkf",),
     "estimators/ekf.py": ("axkf",),
+    "estimators/aekf.py": ("aesmf",),
+    "maths/augmented_ekf.py": ("axkf", "aesmf"),
     "estimators/imm.py": ("multiple_model",),
     "estimators/mmae.py": ("multiple_model",),
     "estimators/aukf.py": ("atsukf",),

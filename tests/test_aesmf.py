@@ -9,9 +9,9 @@ from rotorwatch import airframes
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.compiling.run import run
 from rotorwatch.errors import ConfigError
+from rotorwatch.estimators.aekf import AEKF
 from rotorwatch.estimators.aesmf import AESMF, gradient
 from rotorwatch.estimators.aukf import AUKF
-from rotorwatch.estimators.ekf import EKF
 from rotorwatch.estimators.esmf import ESMF
 from rotorwatch.experiments.studies import ruav_flight, small_systems
 from rotorwatch.maths import ellipsoid, interval, mit_rule, small, taylor
@@ -335,10 +335,10 @@ def test_a_jammed_actuator_does_not_follow():
         np.testing.assert_allclose(out, [0.5, 0.15, 0.5, 0.5])
 
 
-@pytest.mark.parametrize("kind", [AESMF, AUKF, EKF])
+@pytest.mark.parametrize("kind", [AESMF, AUKF, AEKF])
 def test_gaps_do_no_harm(kind):
     plant = small_systems.Pendulum()  # a set-membership filter of the helicopter takes half a minute to compile
-    estimator = kind(plant, 0.02, **({"adaptation": mit_rule.Adaptation()} if kind is EKF else {}))
+    estimator = kind(plant, 0.02)
     u, y = np.ones((60, 1)), np.zeros((60, 1))
     y[20:40] = np.nan
     _, out = run(estimator, u, y)

@@ -247,6 +247,17 @@ def test_a_published_method_finds_the_rotor(quad):
     assert (out.theta[quad[0].mode != JUDGE] == 0).all()
 
 
+def test_what_is_missing_is_written_down_whole(quad):
+    """Losses shown and biases together are what the method says is missing: trends are read from it, announced or not."""
+    ticks, B = quad
+    out, (event,) = losses_of("ekf", quad)
+    missing = out.biases + (ticks.thrust * out.theta) @ B.T
+    judged = ticks.mode == JUDGE
+    for part, loss in ((judged & (ticks.time < 17.0), 0.0), (judged & (ticks.time > event.detected_s + 3.0), 0.35)):
+        wanted = loss * ticks.thrust[part, 2].mean() * B[:, 2]
+        np.testing.assert_allclose(missing[part].mean(axis=0)[:2], wanted[:2], atol=0.06)
+
+
 def test_design_work_that_needs_values_is_compiled_for_the_flight(quad, monkeypatch):
     class Designed(EKF):
         name = "designed"

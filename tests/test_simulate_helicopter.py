@@ -381,7 +381,7 @@ def test_other_endings_are_refused(tmp_path):
 
 
 def test_every_method_for_two_unknowns_an_actuator_can_be_named():
-    for name in ("ekf", "ukf", "adaptive_ekf", "aukf", "esmf", "aesmf"):
+    for name in ("ekf", "ukf", "adaptive_ekf", "aekf", "aukf", "esmf", "aesmf"):
         assert helicopter_log.method(name, "ruav-40kg", 0.02).system.n_theta == 8
     for name, says in (("nonsense", "no estimator called"), ("default", "made for multirotors; name a published one")):
         with pytest.raises(ConfigError, match=says):

@@ -9,7 +9,7 @@ from os import PathLike
 import numpy as np
 
 from rotorwatch import detectors, discovery
-from rotorwatch.answer import conclusion, places, traces
+from rotorwatch.answer import conclusion, health, places, traces
 from rotorwatch.default import events, hypotheses, leftover
 from rotorwatch.default.announcement import threshold
 from rotorwatch.default.program import estimate
@@ -130,7 +130,7 @@ def diagnose(
     spells = leftover.find(out, table, hyp, limit, found, B)
     end = conclusion.conclude(
         found, whole, len(craft.rotors), hidden=_hidden(out, table), judged_s=float(judged.sum() * table.dt), places=names,
-        doubts=doubts, leftover=spells, hops=air,
+        doubts=doubts, leftover=spells, hops=air, trends=() if doubts else health.trends(out, table, B, found),
     )  # fmt: skip
     shift = out.biases[judged, 3]
     common = (

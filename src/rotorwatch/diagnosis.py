@@ -14,13 +14,30 @@ EXIT_CODES = {"healthy": 0, "fault": 1, "ambiguous": 3, "inconclusive": 3}
 
 
 @dataclass(frozen=True)
+class Trend:
+    """How a rotor's loss changes. per_minute: share of its thrust, more lost is positive; interval: 95 %, for all rotors at once.
+
+    start_s, end_s: the flight it is of, since the last event. word: growing, shrinking, no trend where the interval holds 0, or unclear
+    where something drifts that no single rotor explains. beyond: what has grown by the end and is in no loss, between these shares.
+    """
+
+    per_minute: float
+    interval: tuple[float, float]
+    start_s: float
+    end_s: float
+    word: str
+    beyond: tuple[float, float] = (0.0, 0.0)
+
+
+@dataclass(frozen=True)
 class RotorState:
     """A rotor at the end of the judged flight. rotor: 1-based. loss: 0 healthy .. 1 dead.
 
     interval: 95 %, over all explanations; what could be there unseen where nothing was found. status: healthy, degraded (lost some),
     failed (lost most), suspect (one of several explanations, or evidence that no event explains) or unobservable. place: in words.
     since_takeoff: 95 % interval of the change since take-off, where that was judged. from_takeoff: not judged, healthy, suspect or
-    damaged. note: what happened to it, in a few words.
+    damaged. note: what happened to it, in a few words. grade: of the interval of the loss, or of its change since take-off where no more
+    was judged: healthy, worn, degraded, critical, failed, two of them, or not judged. trend: None where nothing can be said of it.
     """
 
     rotor: int
@@ -31,6 +48,8 @@ class RotorState:
     since_takeoff: tuple[float, float] | None = None
     from_takeoff: str = "not judged"
     note: str = ""
+    grade: str = "not judged"
+    trend: Trend | None = None
 
 
 @dataclass(frozen=True)
@@ -132,6 +151,8 @@ class Diagnosis:
                     "since_takeoff": _round(r.since_takeoff),
                     "from_takeoff": r.from_takeoff,
                     "note": r.note,
+                    "grade": r.grade,
+                    "trend": None if r.trend is None else _round(vars(r.trend)),
                 }
                 for r in self.rotors
             ],

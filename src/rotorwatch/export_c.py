@@ -34,7 +34,8 @@ PAPERS = {
     "tsukf": ("rigid_body", "uaf-02e", 0.01), "atsukf": ("rigid_body", "uaf-02e", 0.01),
     "akf": ("port_hamiltonian_attitude", "rot-hexa", 0.001), "axkf": ("port_hamiltonian_attitude", "rot-hexa", 0.001),
     "intermediate": ("linear_hover", "f450", 0.01), "esmf": ("helicopter", "ruav-40kg", 0.02),
-    "aesmf": ("helicopter", "ruav-40kg", 0.02), "adaptive_ekf": ("helicopter", "ruav-40kg", 0.02),
+    "aesmf": ("helicopter", "ruav-40kg", 0.02), "aekf": ("helicopter", "ruav-40kg", 0.02),
+    "adaptive_ekf": ("helicopter", "ruav-40kg", 0.02),
 }  # fmt: skip
 LOG_DT, FRAME = 0.05, "ardupilot-quad-x"
 STATUS = "0 ok, 1 not ready, 2 no valid measurement"

@@ -2,6 +2,7 @@
 
 wording.py      the words for numbers, rotors and events
 places.py       where a rotor sits, in words
+health.py       grade of every rotor's loss, and its trend
 conclusion.py   verdict, reason, headline, main event, state of every rotor
 advice.py       what to do next
 traces.py       what a picture of the flight needs

@@ -75,6 +75,12 @@ def of(
         for e in events
         if e.kind in MOTORS
     ]
+    out += [
+        f"Look at {rotors([s.rotor], places)} before the next flight: its loss grew all the time, as a bearing, a hot motor or a propeller "
+        "that comes loose does."
+        for s in states
+        if s.trend and s.trend.word == "growing" and s.status == "healthy"
+    ]
     contacts = [e for e in events if e.kind == "contact"]
     if contacts:
         out.append(

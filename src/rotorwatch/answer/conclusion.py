@@ -11,11 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch.answer import advice
+from rotorwatch.answer import advice, health
 from rotorwatch.answer.wording import (
     candidates,
     cause,
     explanations,
+    grows,
     interval,
     listed,
     losses,
@@ -26,7 +27,7 @@ from rotorwatch.answer.wording import (
 )
 from rotorwatch.default.hypotheses import GONE
 from rotorwatch.default.leftover import Leftover
-from rotorwatch.diagnosis import Event, RotorState
+from rotorwatch.diagnosis import Event, RotorState, Trend
 
 LOSS, OVERRIDE, CONTACT = "loss_of_effectiveness", "output_override", "contact"
 # Of ESC telemetry, without a loss: what they say of a rotor.
@@ -61,7 +62,8 @@ class Conclusion:
 @dataclass(frozen=True)
 class Seen:
     """What there is to conclude from. n rotors; places: where each is, in words. hidden (n,): loss that could have gone unseen in
-    flight, None when nothing was judged. whole: against healthy flights, or None. hops: ((take-off, landing), ...) s."""
+    flight, None when nothing was judged. whole: against healthy flights, or None. hops: ((take-off, landing), ...) s. trends: of each
+    rotor, or empty."""
 
     events: tuple[Event, ...]
     whole: Mapping[str, Any] | None
@@ -71,6 +73,7 @@ class Seen:
     leftover: tuple[Leftover, ...]
     places: tuple[str, ...]
     hops: tuple[tuple[float, float], ...]
+    trends: tuple[Trend | None, ...] = ()
 
     @property
     def losses(self) -> list[Event]:
@@ -99,12 +102,14 @@ def conclude(
     leftover: Sequence[Leftover] = (),
     places: Sequence[str] = (),
     hops: Sequence[tuple[float, float]] = (),
+    trends: Sequence[Trend | None] = (),
 ) -> Conclusion:
     """The answer to a flight of n rotors.
 
     events: what was found. whole: `WholeFlight.to_dict()`, or None without healthy flights to compare with. hidden (n,): largest loss of
     each rotor that could have gone unseen since take-off. judged_s: seconds of flight judged. doubts: sentences on why the log may not
     show what flew; with any, nothing is concluded from its outputs. leftover: evidence that no event explains. places: `places.names`.
+    trends: `health.trends`, shown of rotors that are no suspects.
     """
     if doubts:
         shown = tuple(e for e in events if e.kind not in (LOSS, OVERRIDE, *MOTOR_NOTICES))
@@ -112,8 +117,9 @@ def conclude(
         return _concluded(seen, "inconclusive", doubts[0], "This log cannot say.", None, doubts)
     judged = judged_s >= LEAST_S and hidden is not None
     seen = Seen(
-        tuple(events), whole, n, hidden if judged else None, judged_s, tuple(leftover), tuple(places), tuple(hops)
-    )
+        tuple(events), whole, n, hidden if judged else None, judged_s, tuple(leftover), tuple(places), tuple(hops),
+        tuple(trends),
+    )  # fmt: skip
     main = main_event(seen.events)
     verdict, reason = _verdict(seen, main)
     return _concluded(seen, verdict, reason, _headline(seen, verdict, main), main, ())
@@ -165,7 +171,8 @@ def _verdict(seen: Seen, main: int | None) -> tuple[str, str]:
         said = [f"{rotors(s.rotors)} from {seconds(s.start_s)} to {seconds(s.end_s)}" for s in seen.leftover]
         return "ambiguous", f"there is evidence against {listed(said)} that no event explains."
     scope = "and none from take-off on, compared with its healthy flights" if whole else "after take-off"
-    return "healthy", f"no rotor lost effectiveness in {seen.judged_s:.0f} s of judged flight, {scope}."
+    slow = "".join(f"; but slowly {rotors([k])} {grows(t)}" for k, t in _growing(seen))
+    return "healthy", f"no rotor lost effectiveness in {seen.judged_s:.0f} s of judged flight, {scope}{slow}."
 
 
 def _what_happened(seen: Seen, event: Event) -> str:
@@ -203,7 +210,10 @@ def _headline(seen: Seen, verdict: str, main: int | None) -> str:
         said = "No rotor lost thrust after take-off."
     if verdict == "healthy" and knocks:
         said = f"No rotor lost thrust in the {seen.judged_s:.0f} s that were judged."
-    parts = [said] + ([] if seen.compared else [UNJUDGED])
+    if verdict == "healthy" and _growing(seen):
+        said = "No rotor lost thrust at once."
+    parts = [said] + [sentence(f"{rotors([k], seen.places)} {grows(t)}.") for k, t in _growing(seen)]
+    parts += [] if seen.compared else [UNJUDGED]
     if knocks:  # after each the trim is learned afresh, with whatever it broke
         when = f"the knock at {knocks[0]}" if len(knocks) == 1 else f"{len(knocks)} knocks, the first at {knocks[0]},"
         parts.append(f"What {when} broke was not judged.")
@@ -212,6 +222,13 @@ def _headline(seen: Seen, verdict: str, main: int | None) -> str:
         said = listed([MOTOR_NOTICES[e.kind] for e in own])
         parts.append(sentence(f"{rotors([rotor], seen.places)} {said}, since {seconds(min(e.onset_s for e in own))}."))
     return " ".join(parts)
+
+
+def _growing(seen: Seen) -> list[tuple[int, Trend]]:
+    """Rotors whose loss grows, of those that are no suspects: (number, trend)."""
+    open_ = {r for s in seen.leftover for r in s.rotors}
+    open_ |= {r for e in seen.losses if e.alternatives for who in explanations(e) for r in who}
+    return [(k, t) for k, t in enumerate(seen.trends, start=1) if t and t.word == "growing" and k not in open_]
 
 
 def _notices(seen: Seen) -> list[Event]:
@@ -259,7 +276,11 @@ def _state(seen: Seen, rotor: int, verdict: str) -> RotorState:
 
     def state(loss, bounds, status, note="", since=None):
         low, high = float(bounds[0]), float(bounds[1])
-        return RotorState(rotor, float(loss), (low, high), status, place, since, from_takeoff, note)
+        clear = status not in ("unobservable", "suspect")
+        shown = since if since is not None and from_takeoff == "not judged" else (low, high)
+        trend = seen.trends[rotor - 1] if clear and seen.trends else None
+        grade = health.UNGRADED if status == "unobservable" else health.grade(shown[0], shown[1], trend)
+        return RotorState(rotor, float(loss), (low, high), status, place, since, from_takeoff, note, grade, trend)
 
     if verdict == "inconclusive":
         from_takeoff = "not judged"

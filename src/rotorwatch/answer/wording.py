@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from rotorwatch.diagnosis import Event
+from rotorwatch.default.hypotheses import GONE
+from rotorwatch.diagnosis import Event, Trend
 
 KINDS = {
     "loss_of_effectiveness": "loss of effectiveness",
@@ -18,6 +19,11 @@ KINDS = {
 }
 CAUSES = {"propeller": "propeller", "motor_or_esc": "motor or ESC", "bearing": "bearing"}
 VERDICTS = {"healthy": "Healthy", "fault": "Fault found", "ambiguous": "Ambiguous", "inconclusive": "Inconclusive"}
+
+# Grade of health, and the loss from which it holds. 5 %: propellers and motors of one build differ by as much. 20 %: the rotor turns 12 %
+# faster for the same thrust, which controllers hardly notice below. 50 %: of a vehicle with twice its weight in thrust, the rotor no
+# longer carries its own share at full command. Above GONE it carries next to nothing: the status "failed" as well.
+SCALE = (("healthy", 0.0), ("worn", 0.05), ("degraded", 0.20), ("critical", 0.50), ("failed", GONE))
 
 
 def percent(share: float, digits: int = 0) -> str:
@@ -69,6 +75,17 @@ def candidates(event: Event, places: Sequence[str] = ()) -> str:
 def losses(event: Event) -> str:
     """'37 % (33–41 %)', one per rotor, in the order of the rotors."""
     return ", ".join(f"{percent(v)} ({interval(*i)})" for v, i in zip(event.loss, event.interval, strict=False))
+
+
+def grows(trend: Trend) -> str:
+    """'loses 7.3 % (5.5 to 9.1 %) more of its thrust every minute'."""
+    return f"loses {rate(trend.per_minute)} ({rate(trend.interval[0])[:-2]} to {rate(trend.interval[1])}) more of its thrust every minute"
+
+
+def rate(share: float) -> str:
+    """A change a minute: '0.12 %', '7.3 %', '60 %'."""
+    size = abs(100 * share)
+    return percent(share, 0 if size >= 20 else 1 if size >= 1 else 2)
 
 
 def sentence(text: str) -> str:

@@ -9,75 +9,16 @@ linear plant with Gaussian noise it is the optimal estimator; every other method
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
-import numpy as np
-
-from rotorwatch.core import Array, Estimate
-from rotorwatch.maths import linearise, mit_rule, plant
+from rotorwatch.maths.augmented_ekf import AugmentedEKF
 
 
-class Carry(NamedTuple):
-    """s = [x; theta] (n_x + n_theta,) and its covariance P. mit: the adaptation of Q, or an empty tuple without one."""
-
-    s: Array
-    P: Array
-    mit: mit_rule.MitState | tuple = ()
-
-
-class EKF:
+class EKF(AugmentedEKF):
     """Augmented extended Kalman filter on any plant that can be differentiated."""
 
     name = "ekf"
     not_kalman = ""
 
-    def __init__(
-        self, system, dt: float, *, theta_walk=1e-3, theta_var=0.01, adaptation: mit_rule.Adaptation | None = None
-    ):
+    def __init__(self, system, dt: float, *, theta_walk=1e-3, theta_var=0.01):
         """dt: s. theta_walk: variance that a loss gains per second [1/s]; theta_var: variance of the losses at the start;
-        both a number or one per theta. adaptation: lets the process noise follow the innovations by the MIT rule, which makes
-        this the adaptive EKF (AEKF) of Qi et al. 2015. Raises ConfigError for wrong values."""
-        self.system, self.dt = plant.checked("The extended Kalman filter", system, dt), dt
-        n = system.n_theta
-        self.theta_walk = linearise.variances("theta_walk", theta_walk, n)
-        self.theta_var = linearise.variances("theta_var", theta_var, n)
-        self.adaptation = None if adaptation is None else mit_rule.check(adaptation)
-
-    def init(self) -> Carry:
-        """The plant's start, no loss."""
-        import jax.numpy as jnp
-        from jax.scipy.linalg import block_diag
-
-        s = jnp.concatenate([jnp.asarray(self.system.x0, float), jnp.zeros(self.system.n_theta)])
-        P = block_diag(jnp.asarray(self.system.P0, float), jnp.diag(self.theta_var))
-        return Carry(s, P, mit_rule.init(len(s), self.system.n_y, self.adaptation) if self.adaptation else ())
-
-    def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Estimate]:
-        """Predict over dt with input u (n_u,), then update with y (n_y,) where valid."""
-        import jax.numpy as jnp
-
-        system, n_x = self.system, self.system.n_x
-        dt = self.dt if dt is None else dt
-        x, theta, P = carry.s[:n_x], carry.s[n_x:], carry.P
-        x, F, Phi = linearise.transition(system, x, u, theta, dt)
-        P = self._predicted(P, F, Phi, dt, carry.mit)
-        y_, C, D = linearise.measurement(system, x, u, theta)
-        H, R = jnp.concatenate([C, D], axis=1), system.R(u)
-        e = jnp.where(valid, y - y_, 0.0)
-        S = H @ P @ H.T + jnp.diag(R)
-        s, P = linearise.update(jnp.concatenate([x, theta]), P, H, e, R, valid)
-        estimate = Estimate(s[:n_x], P[:n_x, :n_x], s[n_x:], P[n_x:, n_x:], e, 0.5 * (S + S.T), linearise.status(valid))
-        mit = carry.mit
-        if self.adaptation and isinstance(mit, mit_rule.MitState):
-            mit = mit_rule.adapt(mit, H, S, e, valid, dt, self.adaptation)
-        return Carry(s, P, mit), estimate
-
-    def _predicted(self, P, F, Phi, dt, mit):
-        """A P A' + noise, block by block: A = [F Phi; 0 I]."""
-        import jax.numpy as jnp
-
-        n_x, n = self.system.n_x, self.system.n_theta
-        A = jnp.concatenate([jnp.concatenate([F, Phi], axis=1), jnp.asarray(np.eye(n_x + n)[n_x:])])
-        P = A @ P @ A.T
-        Q = jnp.zeros_like(P).at[:n_x, :n_x].set(self.system.Q(dt)).at[n_x:, n_x:].set(jnp.diag(self.theta_walk) * dt)
-        return P + (mit_rule.scaled(Q, mit) if self.adaptation else Q)
+        both a number or one per theta. Raises ConfigError for wrong values."""
+        super().__init__(system, dt, theta_walk=theta_walk, theta_var=theta_var)

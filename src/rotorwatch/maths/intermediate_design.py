@@ -41,6 +41,14 @@ class Synthesis(NamedTuple):
     largest: float
 
 
+class Bound(NamedTuple):
+    """dV/dt <= -sigma |e|^2 + eta, and the radius within which the errors e = (e_x, e_tau) end, NaN where sigma is not positive."""
+
+    sigma: float
+    eta: float
+    radius: float
+
+
 def matrices(A, B, C, E, G, L, alpha) -> Matrices:
     """The observer of eqs. (11)-(14) as one linear system."""
     S = alpha * E.T
@@ -60,6 +68,19 @@ def sigma(A, C, E, N, L, alpha, epsilon, mu) -> np.ndarray:
     one_one = A - L @ C + (A - L @ C).T + 2 * alpha * E @ E.T + N @ N.T / epsilon
     one_two = E - mu * alpha * A.T @ E - mu * alpha**2 * E @ E.T @ E
     return np.block([[one_one, one_two], [one_two.T, mu * _free_of_gain(E, N, alpha, epsilon)]])
+
+
+def bound(A, C, E, N, L, alpha, epsilon, mu, disturbance: float, fault_rate: float) -> Bound:
+    """The ultimate bound of Theorem 1, for |xi| <= disturbance and |df/dt| <= fault_rate.
+
+    V = e_x' e_x + mu e_tau' e_tau falls wherever |e|^2 > eta / sigma, so that |e| ends within sqrt(eta / sigma) times the root of the
+    ratio of V's largest and smallest weight.
+    """
+    sigma_min = float(-np.linalg.eigvalsh(sigma(A, C, E, N, L, alpha, epsilon, mu)).max())
+    eta = epsilon * (1.0 + mu * alpha) * disturbance**2 + mu * epsilon * fault_rate**2
+    if sigma_min <= 0.0:
+        return Bound(sigma_min, eta, float("nan"))
+    return Bound(sigma_min, eta, float(np.sqrt(eta / sigma_min * max(1.0, mu) / min(1.0, mu))))
 
 
 def feasible(alpha, epsilon, lp, lv) -> bool:

@@ -184,7 +184,7 @@ def judge(
     """What a published method leaves behind on every tick of a flight, in the default estimator's form.
 
     hops: of `log_plant.hops`, when they are known already. Ticks outside the judged hops hold zeros. biases: the missing
-    wrench that counts as usual. log_odds: of `hypotheses.make(n)`. Raises ConfigError for an unknown method and slow logs.
+    wrench beside that of the losses shown. log_odds: of `hypotheses.make(n)`. Raises ConfigError for an unknown method and slow logs.
     """
     discovery.estimator(name)
     hyp = hypotheses.make(B.shape[1])
@@ -246,7 +246,7 @@ def write_down(out: Kept, seen: Seen, hop: LogPlant, hyp: hypotheses.Hypotheses,
         announced, active, onset, out.probability[rows], hyp
     )
     out.detectable[rows] = np.maximum(decide.SIGMAS / np.sqrt(own), decide.LEAST) / 1.96
-    out.biases[rows] = seen.level
+    out.biases[rows] = (hop.u * (seen.theta[:, :n] - shown)) @ B.T
 
 
 def _follow(seen: Seen, hyp: hypotheses.Hypotheses, dt: float):

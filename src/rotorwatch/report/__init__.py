@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from datetime import datetime, timedelta
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from rotorwatch.answer.wording import (
     KINDS,
+    SCALE,
     VERDICTS,
     candidates,
     interval,
@@ -18,6 +20,7 @@ from rotorwatch.answer.wording import (
     losses,
     percent,
     probability,
+    rate,
     rotors,
     seconds,
     sentence,
@@ -33,6 +36,8 @@ __all__ = [
     "day",
     "event_rows",
     "frame",
+    "health",
+    "health_scale",
     "interval",
     "kind",
     "listed",
@@ -131,6 +136,37 @@ def scope(diagnosis: Diagnosis) -> str:
             )
         return "Losses compared with the healthy flights of this build, with 95 % intervals."
     return ""
+
+
+def health(diagnosis: Diagnosis) -> list[tuple[str, str, str, str]]:
+    """The grade and the trend of every rotor, in words: (rotor, where, grade, trend); empty where nothing was judged."""
+    if all(r.status == "unobservable" for r in diagnosis.rotors):
+        return []
+    return [(str(r.rotor), r.place, r.grade, _trend(r)) for r in diagnosis.rotors]
+
+
+def _trend(state: RotorState) -> str:
+    t = state.trend
+    if t is None:
+        return "not judged"
+    ends = f"{rate(t.interval[0])[:-2]} to {rate(t.interval[1])} a minute"
+    return (
+        f"{t.word}: {rate(t.per_minute)} a minute ({ends})"
+        if t.word in ("growing", "shrinking")
+        else f"{t.word} ({ends})"
+    )
+
+
+def health_scale(diagnosis: Diagnosis) -> str:
+    """What the grades mean, and of which part of the flight the trends are."""
+    steps = [f"{name} below {percent(least)}" for (name, _), (_, least) in pairwise(SCALE)]
+    spans = {(r.trend.start_s, r.trend.end_s) for r in diagnosis.rotors if r.trend}
+    of = (
+        f" Trends: growth of the loss from {seconds(min(spans)[0])} to {seconds(min(spans)[1])}, 95 % intervals."
+        if spans
+        else ""
+    )
+    return f"Grades of the loss: {', '.join(steps)}, else {SCALE[-1][0]}.{of}"
 
 
 def event_rows(event: Event, diagnosis: Diagnosis) -> dict[str, str]:

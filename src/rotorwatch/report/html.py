@@ -56,6 +56,7 @@ def page(diagnosis: Diagnosis) -> str:
         '<main id="report">',
         _verdict(diagnosis),
         _overview(diagnosis),
+        _health(diagnosis),
         _events(diagnosis),
         _baseline(diagnosis),
         _plots(diagnosis, divs),
@@ -154,6 +155,15 @@ def _overview(diagnosis: Diagnosis) -> str:
         f'{_facts(entries)}<div class="top"><div><h2>{escape(report.rotors_title(diagnosis))}</h2>'
         f"<p>{_text(report.scope(diagnosis))}</p>{table}</div>{drawing.airframe(diagnosis)}</div>"
     )
+
+
+def _health(diagnosis: Diagnosis) -> str:
+    rows = "".join(_row(row) for row in report.health(diagnosis))
+    if not rows:
+        return ""
+    head = _row(("rotor", "where", "grade", "trend (95 % interval)"), cell="th")
+    table = f'<div class="scroll"><table class="health"><thead>{head}</thead><tbody>{rows}</tbody></table></div>'
+    return f"<h2>Health of every rotor</h2><p>{_text(report.health_scale(diagnosis))}</p>{table}"
 
 
 def _rotor(r: RotorState, tint: str) -> str:

@@ -42,7 +42,7 @@ def console(stderr: bool = False) -> Console:
 
 def diagnosis(result: Diagnosis) -> RenderableType:
     """The whole answer for one flight."""
-    parts: list[RenderableType] = [_heading(result), Text(), _rotors(result)]
+    parts: list[RenderableType] = [_heading(result), Text(), _rotors(result), *_health(result)]
     parts += [Text(), _events(result)] if result.events else []
     parts += _mentions(result)
     rows = report.comparison(result)
@@ -170,6 +170,14 @@ def _rotors(result: Diagnosis) -> RenderableType:
     notes = [f"Rotor {r.rotor}: {r.note}." for r in result.rotors if r.note]
     notes += [report.scope(result)] if report.scope(result) else []
     return Group(*parts, *(Padding(Text(note), (0, 0, 0, 1)) for note in notes))
+
+
+def _health(result: Diagnosis) -> list[RenderableType]:
+    rows = [[Text(cell) for cell in (number, *rest)] for number, _, *rest in report.health(result)]
+    if not rows:
+        return []
+    table = Fitted("Health", ("rotor", "grade", "trend (95 %)"), rows, right=(0,), wide=(2,), short=(0,))
+    return [Text(), table, Padding(Text(report.health_scale(result)), (0, 0, 0, 1))]
 
 
 def _events(result: Diagnosis) -> RenderableType:

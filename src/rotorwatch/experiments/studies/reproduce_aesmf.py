@@ -1,7 +1,6 @@
 """Set-membership filters against adaptive Kalman filters on a helicopter whose tail is jammed and whose roll loses 60 %.
 
-Every filter gets the same flights (`ruav_flight`), the same bounds and the same restart after a measurement it cannot explain.
-Kalman filters take a third of each bound for a standard deviation and claim three of them.
+Every filter gets the same flights (`ruav_flight`), the same bounds and the same restart (`ruav_filters`).
 """
 
 from __future__ import annotations
@@ -12,15 +11,17 @@ import numpy as np
 
 from rotorwatch import checks
 from rotorwatch.backend import jax as load_jax
-from rotorwatch.estimators.aesmf import AESMF
-from rotorwatch.estimators.aukf import AUKF
-from rotorwatch.estimators.ekf import EKF
-from rotorwatch.estimators.esmf import ESMF
-from rotorwatch.experiments.studies import ruav_flight
+from rotorwatch.experiments.studies import (
+    ruav_filters,
+    ruav_flight,
+    ruav_flight_test,
+    ruav_identification,
+    ruav_linearisation,
+)
 from rotorwatch.experiments.studies.reproduction import Claim, Reproduction, check_literal
-from rotorwatch.experiments.studies.ruav_flight import DT, FAULT_S, MEASUREMENT, PROCESS
+from rotorwatch.experiments.studies.ruav_filters import TOO_WIDE, filters
+from rotorwatch.experiments.studies.ruav_flight import DT, FAULT_S
 from rotorwatch.experiments.studies.small_systems import adversarial_escapes, mutation_escapes
-from rotorwatch.maths.mit_rule import Adaptation
 
 PAPER = "aesmf"
 TITLE = "Qi, Song, Dai, Han and Wang 2015, Adaptive ESMF for actuator fault detection of a rotorcraft UAV"
@@ -29,10 +30,8 @@ LITERAL = {
     "additive": "rule (39) as a step on q itself instead of its logarithm",
 }
 SEEDS = 4
-SETTLE_S, TOO_WIDE = 2.0, 3.0  # statistics start this long after the fault; Q of the filters in true semi-axes
-CENTRE, REACH = np.repeat([0.5, 0.0], 4), np.repeat([1.0, 0.5], 4)
-START_REACH = np.repeat([0.05, 0.02], 4)
-RANGE = (np.repeat([0.0, -0.25], 4), np.repeat([1.0, 0.25], 4))
+NEEDS = ("cvxpy",)
+SETTLE_S = 2.0  # statistics start this long after the fault
 LABELS = {
     "esmf": "ESMF",
     "aesmf": "GD-ESMF",
@@ -43,34 +42,11 @@ LABELS = {
 }
 
 
-def filters(system, literal=()) -> dict[str, Any]:
-    """Name -> estimator, with the bounds of the experiment."""
-    bounds: dict[str, Any] = {
-        "process": TOO_WIDE * PROCESS[:6],
-        "measurement": MEASUREMENT,
-        "theta_drift": TOO_WIDE * PROCESS[6:] / DT,
-        "theta_centre": CENTRE,
-        "theta_reach": REACH,
-        "theta_range": RANGE,
-        "remainder_box": "paper" if "box" in literal else "trace",
-    }
-    rule: dict[str, Any] = {"additive": "additive" in literal}
-    walk = (TOO_WIDE * PROCESS[6:] / 3) ** 2 / DT
-    kalman: dict[str, Any] = {"theta_walk": walk, "theta_var": (START_REACH / 3) ** 2}
-    kalman_plant = ruav_flight.plant()
-    kalman_plant.process_sd = TOO_WIDE * PROCESS[[0, 3]] / 3
-    return {
-        "esmf": ESMF(system, DT, **bounds),
-        "aesmf": AESMF(system, DT, **bounds, **rule),
-        "aesmf_floor": AESMF(system, DT, **bounds, **rule, floor=1 / TOO_WIDE**2),
-        "aekf": EKF(kalman_plant, DT, **kalman, adaptation=Adaptation()),
-        "aukf": AUKF(kalman_plant, DT, **kalman),
-        "ekf": EKF(kalman_plant, DT, **kalman),
-    }
-
-
 def reproduce(seeds: int = SEEDS, literal: tuple[str, ...] = (), progress=None) -> Reproduction:
-    """All filters over `seeds` flights, and the guarantee on small systems. progress: called with the finished share."""
+    """All filters over `seeds` flights, the guarantee on small systems, the flight test, and how the model is identified and flown.
+
+    progress: called with the finished share.
+    """
     import sys
 
     literal = check_literal(sys.modules[__name__], literal)
@@ -80,58 +56,42 @@ def reproduce(seeds: int = SEEDS, literal: tuple[str, ...] = (), progress=None) 
     made, results, series = filters(ruav_flight.plant(stops=False), literal), {}, {}
     for k, (name, estimator) in enumerate(made.items()):
         if progress:
-            progress(k / (len(made) + 2))
+            progress(k / (len(made) + 4))
         results[name], series[name] = _judged(estimator, flights)
     escapes = adversarial_escapes(seeds=40)  # the same number below, and the programs are the same
     if progress:
-        progress((len(made) + 1) / (len(made) + 2))
+        progress((len(made) + 1) / (len(made) + 4))
     mutants = mutation_escapes(seeds=40)
     keys = tuple(key for key in results["esmf"] if key != "restarts")
     figures: dict[str, Any] = {key: {name: results[name][key] for name in made} for key in keys}
     figures["restarts_per_flight"] = {name: results[name]["restarts"] for name in made}
     figures |= {"adversarial_escapes": escapes, "mutation_escapes": mutants}
     series["truth"] = flights.theta[0]
-    return Reproduction(PAPER, TITLE, _claims(figures), figures, literal, seeds, series)
+    claims = _claims(figures)
+    figures["flight_test"], flown = ruav_flight_test.flight_test()
+    figures["identification"] = ruav_identification.numbers(ruav_identification.identify())
+    figures["feedback_linearisation"] = ruav_linearisation.numbers(ruav_linearisation.flight())
+    claims += ruav_flight_test.claims(figures["flight_test"]) + ruav_identification.claims(figures["identification"])
+    claims += ruav_linearisation.claims(figures["feedback_linearisation"])
+    return Reproduction(PAPER, TITLE, claims, figures, literal, seeds, series | flown)
 
 
 def _judged(estimator, flights) -> tuple[dict, dict]:
     """Statistics of one filter over all flights, and one flight's bounds for the picture."""
     jax = load_jax()
-    jnp, lax = jax.numpy, jax.lax
-    kalman = isinstance(estimator, EKF | AUKF)
-    start = estimator.init()
-    n_x, widen = 6, 9.0 if kalman else 1.0
-    if not kalman:
-        P = np.diag(np.concatenate([np.repeat([0.03, 0.006], 3), START_REACH]) ** 2)
-        start = start._replace(z=np.zeros(14), shape=P)
-    wide = np.diag((REACH / 3) ** 2)
-
-    def again(carry):
-        """A Kalman filter's losses as uncertain as the prior, after an innovation outside all that three deviations allow."""
-        z, P = carry[:2]
-        P = jnp.zeros_like(P).at[:n_x, :n_x].set(4 * P[:n_x, :n_x]).at[n_x:, n_x:].set(wide)
-        return carry._replace(**dict(zip(carry._fields, (z, P), strict=False)))
+    start = ruav_filters.start(estimator)
 
     def step(state, row):
-        carry, count = state
-        new, out = estimator.step(carry, *row, jnp.ones(6, bool))
-        if kalman:
-            R = estimator.system.R(row[0])
-            g = jnp.maximum(jnp.diagonal(out.innovation_cov) - R, 0.0)
-            lost = (jnp.abs(out.innovation) > 3 * (jnp.sqrt(g) + jnp.sqrt(R))).any()
-            new, out = lax.cond(lost, lambda: estimator.step(again(carry), *row, jnp.ones(6, bool)), lambda: (new, out))
-            count = count + lost
-            z, P = new[0], new[1]
-        else:
-            count, z, P = new.restarts, new.z, estimator.unfactored(new.shape)
-        return (new, count), (z, widen * P, count, new.q if not kalman else jnp.ones(()))
+        state, z, P = ruav_filters.step(estimator, state, *row)
+        q = jax.numpy.ones(()) if ruav_filters.is_kalman(estimator) else state[0].q
+        return state, (z, P, state[1], q)
 
     def over(u, y):
-        return lax.scan(step, (start, jnp.zeros((), jnp.int32)), (u, y))[1]
+        return jax.lax.scan(step, start, (u, y))[1]
 
     z, P, count, q = (
         np.asarray(part)
-        for part in jax.jit(lambda *table: lax.map(lambda one: over(*one), table))(flights.u, flights.y)
+        for part in jax.jit(lambda *table: jax.lax.map(lambda one: over(*one), table))(flights.u, flights.y)
     )
     fault, late, last = (round(s / DT) for s in (FAULT_S, FAULT_S + SETTLE_S, ruav_flight.SECONDS - 5.0))
     truth = np.concatenate([flights.x, flights.theta], axis=-1)
@@ -236,4 +196,4 @@ def figures(result: Reproduction) -> dict:
     axes[0, 0].legend(fontsize="small")
     for axis in axes[1]:
         axis.set_xlabel("s")
-    return {"aesmf-bounds": figure}
+    return {"aesmf-bounds": figure, **ruav_flight_test.figures(result.series["flight_test"])}

@@ -1,0 +1,143 @@
+"""The health of every rotor: a grade of its loss, and whether and how fast the loss grows.
+
+Grades are of the 95 % interval of the loss, not of its middle: one that reaches over two grades gets both, over more none. The trend is of
+the wrench that the commands give and the motion does not show, per hover thrust, on roll, pitch and yaw,
+
+    z = (b + B T theta) / mean T,      growth of rotor i's loss by s a minute:  dz/dt = s B_i T_i / mean T
+
+b, theta: biases and losses as estimated, T: thrusts commanded; dividing by the mean takes a sagging battery out, and thrust itself, which
+battery and air move for all rotors alike, is not asked. The slopes d of z and their variances are those of `maths/trend.py`, over block
+means since the last event, take-off or knock: a step is no trend. For each rotor s is weighted least squares on d. A drift is a rotor's
+when it is along that rotor's direction, and along no other's; wind and a shifting load point anywhere, and what is no single rotor's is
+"unclear". Intervals are for all rotors at once (Scheffe): with d within its 95 % ellipsoid about 0, none shows a trend.
+
+Source of the aim: Zhang, Zhang, Li, Qin and Xu, ATSUKF-based actuator health assessment method for quad-copter unmanned aerial vehicles,
+Drones 7 (2023) 12, section 2.2: a loss of 0 is healthy, of 1 failed, anything between partly degraded; it prints no scale between them.
+Intervals: H. Scheffe, A method for judging all contrasts in the analysis of variance, Biometrika 40 (1953) 87-104.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from rotorwatch.answer.wording import SCALE
+from rotorwatch.default.plant import USUAL_S
+from rotorwatch.diagnosis import Event, Trend
+from rotorwatch.maths import trend as line
+from rotorwatch.motion.ticks import JUDGE, Ticks
+
+UNGRADED = "not judged"
+LEAST_S = 30.0  # of flight, below which no trend is looked for
+BLOCKS = 40  # at most
+ALIKE = 0.95  # cosine of the drifts of two rotors, above which a growing loss of one says nothing of the other
+CHI2_3, CHI2_2 = 7.815, 5.991  # 95 % of chi-squared with 3 and 2 degrees of freedom
+
+
+def grade(low: float, high: float, trend: Trend | None = None) -> str:
+    """'worn' of a loss between low and high; 'healthy to worn' where it may be either, 'not judged' where it may be more. trend: adds what
+    has grown since and is in no loss yet."""
+    more = trend.beyond if trend else (0.0, 0.0)
+    ends = (min(max(bound + extra, 0.0), 1.0) for bound, extra in zip((low, high), more))
+    first, last = (sum(loss >= least for _, least in SCALE) - 1 for loss in ends)
+    names = [name for name, _ in SCALE[first : last + 1]]
+    return names[0] if len(names) == 1 else f"{names[0]} to {names[1]}" if len(names) == 2 else UNGRADED
+
+
+def trends(out, table: Ticks, B: np.ndarray, found: Sequence[Event]) -> tuple[Trend | None, ...]:
+    """The trend of each rotor's loss since the last event; None where nothing can be said of it.
+
+    out: the estimator's stacked outputs (theta (T, n), biases (T, 4)); B (4, n): effectiveness; found: events of the flight.
+    """
+    nothing = (None,) * B.shape[1]
+    use = (table.mode == JUDGE) & table.valid[:, :3].all(axis=1) & ~table.upset
+    use &= table.time >= _settled(table, found)
+    rows = np.flatnonzero(use)
+    if rows.size < line.LEAST or table.time[rows[-1]] - table.time[rows[0]] < LEAST_S:
+        return nothing
+    time, T = table.time[rows], table.thrust[rows]
+    wrench = (out.biases[rows] + (T * out.theta[rows]) @ B.T)[:, :3]
+    count = int(min(BLOCKS, rows.size // 2))
+    step = (time[-1] - time[0] + table.dt) / count
+    block = np.minimum(((time - time[0]) / step).astype(int), count - 1)
+    size = np.bincount(block, minlength=count)
+    some = size >= 0.5 * size.max()
+    if some.sum() < line.LEAST:
+        return nothing
+
+    def mean(values):
+        return np.bincount(block, values, minlength=count)[some] / size[some]
+
+    usual = mean(T.mean(axis=1))
+    when, minutes = (mean(time) - time[0]) / 60.0, float(time[-1] - time[0]) / 60.0
+    z = np.column_stack([mean(w) / usual for w in wrench.T])
+    slopes = [line.slope(when, values, step / 60.0) for values in z.T]
+    theta, early = out.theta[rows], slice(0, max(1, rows.size // 4))
+    # A rotor that makes up for theta is commanded T = c / (1 - theta), and T theta grows by T^2 / c times what theta does.
+    need = np.maximum((T[early] * (1.0 - theta[early])).mean(axis=0), 0.05)
+    columns = B[:3] * (T.mean(axis=0) ** 2 / need / T.mean())
+    d, sd = np.array([s.slope for s in slopes]), np.array([s.sd for s in slopes])
+    left = (z - z.mean(axis=0) - np.outer(when - when.mean(), d)) / sd
+    scatter = (left @ (columns / sd[:, None])).std(axis=0) / ((columns / sd[:, None]) ** 2).sum(axis=0)
+    weak, known = (theta > 0.0).any(axis=0), theta[-1] - theta[0]
+    found_rows = _per_rotor(d, sd, columns, weak)
+    span = float(time[0]), float(time[-1])
+    return tuple(
+        None if row is None else _trend(row, minutes, span, weak[i], float(known[i]), float(scatter[i]))
+        for i, row in enumerate(found_rows)
+    )
+
+
+def _trend(row, minutes: float, span, weak: bool, known: float, scatter: float) -> Trend:
+    """The trend of a rotor: growth s a minute with its reach, of which `known` is in the estimated loss; a loss changes by 1 at most."""
+    s, reach, word = row
+    low, high = max(s - reach, -1.0 / minutes), min(s + reach, 1.0 / minutes)
+    if not weak:
+        high = max(high, 0.0)  # who has lost nothing cannot win it back
+    word = word or ("growing" if low > 0.0 else "shrinking" if high < 0.0 else "no trend")
+    if word == "unclear":
+        low, high = min(low, 0.0), max(high, 0.0)
+    most = high * minutes
+    if word == "no trend":  # weather that hides a growth would have to mirror it: no more is there than shows
+        most = min(most, max(s, 0.0) * minutes + 2.0 * scatter)
+    beyond = max(low * minutes - known, 0.0), max(most - max(known, 0.0), 0.0)
+    return Trend(float(min(max(s, low), high)), (float(low), float(high)), span[0], span[1], word, beyond)
+
+
+def _settled(table: Ticks, found: Sequence[Event]) -> float:
+    """The time from which no step, no landing and no knock lies in the data."""
+    marks = [t for e in found for t in (e.detected_s, e.end_s) if t is not None]
+    judged = np.flatnonzero(table.mode == JUDGE)
+    for k in np.flatnonzero((table.mode[1:] == JUDGE) & (table.mode[:-1] != JUDGE)) + 1:
+        marks.append(float(table.time[k]))
+    marks.append(float(table.time[judged[0]]) if judged.size else 0.0)
+    last = float(table.time[judged[-1]]) if judged.size else 0.0
+    return max(t for t in marks if t <= last or t == marks[-1]) + USUAL_S
+
+
+def _per_rotor(d: np.ndarray, sd: np.ndarray, columns: np.ndarray, weak: np.ndarray) -> list:
+    """(growth, reach of its interval, word or None) of each rotor, or None where nothing can be said, for a drift d (3,) with deviations
+    sd. columns (3, n): drift by growth of 1; weak (n,): rotors that have lost something, and can win it back."""
+    y, A = d / sd, columns / sd[:, None]
+    information = np.maximum((A**2).sum(axis=0), 1e-12)
+    alone = A.T @ y / information
+    reach = np.sqrt(CHI2_3 / information)
+    if y @ y <= CHI2_3:
+        return [(s, r, None) for s, r in zip(alone, reach)]
+    rest = ((y[:, None] - A * alone) ** 2).sum(axis=0)
+    mine = np.flatnonzero((rest < CHI2_2) & ((alone > 0.0) | weak))
+    if mine.size != 1:
+        return [(s, r, "unclear") for s, r in zip(alone, reach)]
+    i, out = int(mine[0]), []
+    for j in range(len(alone)):
+        alike = abs(A[:, i] @ A[:, j]) / np.sqrt(information[i] * information[j])
+        if j == i:
+            out.append((alone[i], reach[i], None))
+        elif alike > ALIKE:
+            out.append(None)
+        else:
+            pair = A[:, [i, j]]
+            covariance = np.linalg.inv(pair.T @ pair)
+            out.append(((covariance @ pair.T @ y)[1], np.sqrt(CHI2_3 * covariance[1, 1]), None))
+    return out
