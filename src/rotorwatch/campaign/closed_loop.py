@@ -18,8 +18,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rotorwatch.backend import jax as load_jax
 from rotorwatch import discovery
+from rotorwatch.backend import jax as load_jax
 from rotorwatch.campaign import batch, methods, summary, work
 from rotorwatch.campaign import plan as plans
 from rotorwatch.campaign.plan import Plan
@@ -36,8 +36,12 @@ from rotorwatch.simulation.scenario import Scenario
 
 NOBODY, TRUTH = "nobody", "truth"
 ENTRIES = 8  # beliefs that a flight may act on, one after the other
-MOVED = 0.05  # a belief is acted on when a rotor's effectiveness is this far from what was acted on before
+MOVED = 0.1  # a belief is acted on when a rotor's effectiveness is this far from what was acted on before
 REFRESH_S = 0.5  # ... and no sooner after that
+IDLE, IDLE_S = (
+    0.3,
+    1.0,
+)  # of its hover thrust, on average over so long: a rotor that is used less does not show what it has lost
 DELAY_S = 0.1  # from an estimate to commands that follow it
 ROOM = 0.02  # of a channel's authority: with less left at hover the vehicle has to turn
 TURNED = np.cos(np.radians(100.0))
@@ -158,6 +162,8 @@ def run(
     Raises ConfigError.
     """
     asked = plan if isinstance(plan, Plan) else plans.read(plan)
+    if not drivers:
+        raise ConfigError("Name at least one driver: nobody, truth, or an estimator.")
     for driver in drivers:
         if driver not in (NOBODY, TRUTH):
             discovery.estimator(driver)
@@ -200,6 +206,38 @@ def measures(rows: Sequence[dict], truth: Mapping[int, bool]) -> dict[str, Any]:
         **{key: median(key) for key in ("first_s", "recovered_s", "tilt_deg", "off_m")},
         "by_frame": {f: survived([r for r in faulty if r["frame"] == f]) for f in sorted({r["frame"] for r in rows})},
     }  # fmt: skip
+
+
+def markdown(result: dict[str, Any]) -> str:
+    """The drivers side by side, and survival by frame."""
+
+    def cell(value: Any, how: str) -> str:
+        if value is None:
+            return "-"
+        times = 100.0 if how == "%" else 1.0
+        low, middle, high = (times * value[k] for k in ("low", "value", "high"))
+        digits = 0 if how == "%" else 2
+        return f"{middle:.{digits}f}{' %' if how == '%' else ''} ({low:.{digits}f} to {high:.{digits}f})"
+
+    found = result["drivers"]
+    lines = {
+        "faulty, healthy flights": lambda m: f"{m['faulty']}, {m['healthy']}",
+        "survived": lambda m: cell(m["survived"], "%"),
+        "... of those that the truth saves": lambda m: cell(m["of_possible"], "%"),
+        "healthy flights lost": lambda m: str(m["lost_healthy"]),
+        "acted falsely, flights an hour": lambda m: cell(m["false_h"], ""),
+        "first acted on the broken rotors": lambda m: cell(m["right"], "%"),
+        "first acted after, s": lambda m: cell(m["first_s"], ""),
+        "on track again after, s": lambda m: cell(m["recovered_s"], ""),
+        "largest tilt, degrees": lambda m: cell(m["tilt_deg"], ""),
+        "largest distance from the track, m": lambda m: cell(m["off_m"], ""),
+    }
+    frames = sorted({f for m in found.values() for f in m["by_frame"]})
+    text = [f"| {result['plan']}, {result['flights']} flights | {' | '.join(found)} |", "|---" * (1 + len(found)) + "|"]
+    text += [f"| {name} | {' | '.join(line(m) for m in found.values())} |" for name, line in lines.items()]
+    for f in frames:
+        text.append(f"| survived, {f} | {' | '.join(cell(m['by_frame'].get(f), '%') for m in found.values())} |")
+    return "\n".join(text) + "\n"
 
 
 def _flown(craft, first: Scenario, plans: list, made: list, size: int) -> list[Any]:
@@ -272,6 +310,11 @@ def _next(scenario: Scenario, ticks, out: program.Kept, made: list[reconfigured.
     apart = np.where(weak, 2.0 * out.theta_sd, 0.0)
     since = ticks.time + DELAY_S
     before, last = (made[-1].mean, float(made[-1].since)) if made else (np.ones(weak.shape[1]), -np.inf)
+    # Allocation that leaves a rotor alone hides its loss: that it has recovered is believed when it is used again.
+    idle = np.cumsum(ticks.thrust, axis=0)
+    n = max(1, round(IDLE_S / ticks.dt))
+    idle = (idle - np.concatenate([np.zeros_like(idle[:n]), idle[:-n]])) / n < IDLE
+    mean = np.where(idle, np.minimum(mean, before), mean)
     due = (np.abs(mean - before).max(axis=1) > MOVED) & (since > last + REFRESH_S) & (ticks.mode > LEARN)
     if not due.any():
         return None
