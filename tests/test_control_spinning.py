@@ -2,10 +2,10 @@
 
 import ctypes
 
-import exporting
 import numpy as np
 import pytest
 
+import exporting
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.compiling.c99.project import Field, make
 from rotorwatch.control import spinning

@@ -18,7 +18,7 @@ from rotorwatch.backend import jax as load_jax
 
 # Of 100,000 demands on vehicles of up to twelve rotors none took more than 17 (docs/control.md).
 TURNS = 24
-CLOSE = 1e-11  # of b: F is zero
+CLOSE = 1e-9  # a whole step; no step
 
 
 def solve(A, b, c, d, turns: int = TURNS):
@@ -43,13 +43,13 @@ def solve_counting(A, b, c, d, turns: int = TURNS):
         r, t, taken, _ = now
         F = r + A @ jnp.clip(t, 0.0, 1.0) - b
         step = -_solve_small(curvature((side(t) == 0).astype(t.dtype)), F)
-        length = _search(t, step @ over_d, d, step @ (r - b), step @ step)
+        rate = step @ over_d
+        length = _search(t, rate, d, step @ (r - b), step @ step)
         r = r + length * step
         new = c + r @ over_d
-        # A whole step that ends on the piece it was worked out on is the end; so is a gradient of zero.
-        F = r + A @ jnp.clip(new, 0.0, 1.0) - b
-        same = (side(new) == side(t)).all() & (jnp.abs(length - 1.0) < 1e-9)
-        return r, new, taken + 1, same | (jnp.abs(F).max() <= CLOSE * (1.0 + jnp.abs(b).max()))
+        # A whole step that ends on the piece it was worked out on is the end; so is one that moves nothing (an element just at a bound).
+        same = (side(new) == side(t)).all() & (jnp.abs(length - 1.0) < CLOSE)
+        return r, new, taken + 1, same | (jnp.abs(rate) <= CLOSE * jnp.maximum(jnp.abs(t), 1.0)).all()
 
     def body(_, now):
         return jax.lax.cond(now[3], lambda now: now, turn, now)
