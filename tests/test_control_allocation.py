@@ -43,6 +43,12 @@ ORACLE = [
 ]
 
 
+@pytest.fixture(scope="module")
+def one(compiled):
+    """A quadrotor's step on an estimate, compiled for one demand."""
+    return jax.jit(compiled(QUAD)[0].step)
+
+
 @pytest.mark.parametrize("frame, by, count", ORACLE)
 def test_commands_are_those_of_an_independent_solver(compiled, frame, by, count):
     row = study.compare(frame, count, by, seed=1, run=compiled(frame, by)[1])
@@ -160,23 +166,20 @@ def test_between_two_suspects_both_are_leant_on_less(compiled):
     np.testing.assert_allclose(step([0.0, 0.0]), step([1.0, 1.0]), atol=0.2)  # no weights: the mean
 
 
-def test_commands_stay_where_a_demand_is_no_number(compiled):
-    allocator, _ = compiled(QUAD)
-    state, out = allocator.step(allocator.init(), [2.0, 0.1, 0.0, 0.0], believed(np.ones(4)))
+def test_commands_stay_where_a_demand_is_no_number(one):
+    state, out = one(allocation.Held(np.zeros(4)), np.array([2.0, 0.1, 0.0, 0.0]), believed(np.ones(4)))
     for demand, e in (([np.nan, 0, 0, 0], np.ones(4)), ([2.0, 0, 0, 0], [1, np.inf, 1, 1])):
-        kept, held = allocator.step(state, demand, believed(e))
+        kept, held = one(state, np.array(demand), believed(e))
         assert held.status == allocation.HELD and held.granted.tolist() == [0.0] * 4
         np.testing.assert_array_equal(held.u, out.u)
         np.testing.assert_array_equal(kept.u, out.u)
 
 
-def test_a_batch_is_the_same_as_one_by_one(compiled):
-    allocator, run = compiled(QUAD)
+def test_a_batch_is_the_same_as_one_by_one(compiled, one):
     given = study.problems(QUAD, 20, 3)
-    u = run(given.demand, given.belief)[0].u
-    one = jax.jit(lambda demand, belief: allocator.step(allocator.init(), demand, belief)[1].u)
+    u = compiled(QUAD)[1](given.demand, given.belief)[0].u
     for k in range(20):
-        alone = one(given.demand[k], Belief(*(leaf[k] for leaf in given.belief)))
+        alone = one(allocation.Held(np.zeros(4)), given.demand[k], Belief(*(leaf[k] for leaf in given.belief)))[1].u
         np.testing.assert_allclose(u[k], alone, atol=1e-10)
 
 

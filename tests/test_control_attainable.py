@@ -12,8 +12,10 @@ FRAMES = ("quad-x", "hexa-plus", "octa-x", "octaquad-x", "y6-b", "dodecahexa-x",
 
 
 def furthest(B, start, direction):
-    """The largest t with start + t direction = B u, by a linear programme."""
+    """The largest t with start + t direction = B u, by a linear programme; -inf where start is no B u."""
     n = B.shape[1]
+    if linprog(np.zeros(n), A_eq=B, b_eq=start, bounds=(0, 1)).status != 0:
+        return -np.inf
     lp = linprog(
         np.append(np.zeros(n), -1.0), A_eq=np.column_stack([B, -np.asarray(direction)]), b_eq=start,
         bounds=[(0, 1)] * n + [(0, None)],

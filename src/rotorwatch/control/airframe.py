@@ -31,8 +31,11 @@ class Airframe(NamedTuple):
     @classmethod
     def of(cls, craft: Any) -> Airframe:
         """The same of anything that has these numbers as attributes, such as `rotorwatch.simulation.dynamics.Craft`."""
-        values = {name: np.asarray(getattr(craft, name), float) for name in cls._fields}
-        return cls(**{name: float(v) if v.ndim == 0 else v for name, v in values.items()})
+        values: dict[str, Any] = {}
+        for name in cls._fields:
+            value = np.asarray(getattr(craft, name), float)
+            values[name] = value if value.ndim else float(value)
+        return cls(**values)
 
     @property
     def B(self) -> np.ndarray:

@@ -137,6 +137,10 @@ class Allocator:
 
     def step(self, state: Held, demand, belief: Belief) -> tuple[Held, Allocation]:
         """Commands for demand (4,): thrust, roll, pitch, yaw in the units of B (thrust up positive)."""
+        return self.step_counting(state, demand, belief)[:2]
+
+    def step_counting(self, state: Held, demand, belief: Belief) -> tuple[Held, Allocation, Array]:
+        """`step`, and the turns of `box` that it took, int32; 0 where it is solved otherwise."""
         jnp = load_jax().numpy
         demand = jnp.asarray(demand, float)
         usable = jnp.isfinite(demand).all()
@@ -148,11 +152,12 @@ class Allocator:
         lower, upper = jnp.minimum(lower, mean), jnp.maximum(upper, mean)
         b = self.scale * demand
         if self.method == "pseudo-inverse":
-            u = self._desaturated(self.C * mean, b)
+            u, turns = self._desaturated(self.C * mean, b), jnp.int32(0)
         elif self.by == "posterior":
-            u = self._between(b, jnp.clip(belief.candidates, 0.0, 1.0), jnp.maximum(belief.weights, 0.0), mean)
+            candidates, weights = jnp.clip(belief.candidates, 0.0, 1.0), jnp.maximum(belief.weights, 0.0)
+            u, turns = self._between(b, candidates, weights, mean), jnp.int32(0)
         else:
-            u = box.solve(*self.problem(b, mean, lower, upper))
+            u, turns = box.solve_counting(*self.problem(b, mean, lower, upper))
         u = jnp.where(usable, u, state.u)
         wrench = self.B @ (mean * u)
         error = demand - wrench
@@ -162,7 +167,7 @@ class Allocator:
         worst = jnp.maximum(jnp.abs(error - up @ more - down @ less), jnp.abs(error + up @ less + down @ more))
         granted = (jnp.abs(error) <= GRANTED * self.size) & usable
         status = jnp.where(usable, OK, HELD).astype(jnp.int32)
-        return Held(u), Allocation(u, wrench, error, worst, granted.astype(float), status)
+        return Held(u), Allocation(u, wrench, error, worst, granted.astype(float), status), turns
 
     def problem(self, b, mean, lower, upper):
         """(A, b, c, d) of `box.solve` for a scaled demand b (4,) and effectiveness (n,)."""

@@ -33,7 +33,7 @@ class Planes(NamedTuple):
     flat: np.ndarray
 
     def reach(self, start, direction) -> float:
-        """The largest t >= 0 for which start + t direction lies in Z; -inf where start does not, inf never for a direction that is not 0."""
+        """The largest t >= 0 for which start + t direction lies in Z; -inf where start itself does not. direction is not 0."""
         start, direction = np.asarray(start, float), np.asarray(direction, float)
         scale = SAME * max(np.abs(self.limits).max(initial=0.0), 1e-300)
         if (np.abs(self.flat @ start) > scale).any() or (self.normals @ start > self.limits + scale).any():
@@ -55,7 +55,7 @@ class Planes(NamedTuple):
 
 
 def planes(B) -> Planes:
-    """The planes of Z = {B u: 0 <= u <= 1}, B (m, n). Raises ConfigError for B with NaN or with too many columns to try all sets of them."""
+    """The planes of Z = {B u: 0 <= u <= 1}, B (m, n). Raises ConfigError for NaN and for too many columns to try all sets."""
     B = checks.finite("B", np.asarray(B, float))
     m = B.shape[0]
     columns = B[:, np.abs(B).max(axis=0) > 0.0]
@@ -99,8 +99,8 @@ class Margins(NamedTuple):
 
 
 def margins(B, weight: float, size=None, free_yaw: bool = False) -> Margins:
-    """Margins of a vehicle with B (4, n): thrust, roll, pitch, yaw moment at full command, losses applied. size (4,): what depth counts as 1
-    of each channel, default: half of what all rotors of B give. free_yaw: the yaw moment may be whatever comes out; it is then NaN.
+    """Margins of a vehicle with B (4, n): thrust, roll, pitch, yaw moment at full command, losses applied. size (4,): what depth counts
+    as 1 of each channel, default: half of what all rotors of B give. free_yaw: the yaw moment may be whatever comes out; it is then NaN.
     Margins of moments are 0, and -inf where hover cannot be held at all."""
     B = np.asarray(B, float)
     half = np.abs(B).sum(axis=1) / 2.0 if size is None else np.asarray(size, float)

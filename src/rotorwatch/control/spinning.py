@@ -30,7 +30,8 @@ from rotorwatch.errors import ConfigError
 G0 = 9.80665
 RATE_MOST = 35.0  # rad/s: gyros of autopilots measure 2,000 degrees a second
 COMMANDS = (0.02, 0.95)  # what is left to control with
-STARTS = (0.0, 3.0, 8.0, 16.0, 25.0)  # rad/s
+STARTS = (0.0, 12.0, 4.0, 22.0)  # rad/s
+ITERATIONS = 60
 BARRIER = 0.02  # how much distance from the limits counts against power
 BALANCED = 1e-8  # of the weight
 DEAD = 1e-3  # a rotor with less effectiveness is not used
@@ -124,16 +125,19 @@ def relaxed_hover(airframe: Airframe, effectiveness) -> Hover | None:
     lost = lost / max(float(np.linalg.norm(lost)), 1e-9)
     # The yaw moment of the rotors that are left turns it.
     way = float(np.sign(np.sum(airframe.spin[alive])) or 1.0)
-    best, found = np.inf, None
+    best, found, same = np.inf, None, 0
     for rate in STARTS:
         for side in (0.3, -0.3) if rate else (0.0,):
+            if same:  # found twice
+                break
             start = np.r_[np.full(k, level), np.r_[side * lost, way] * rate / RATE_UNIT]
             done = minimize(
                 lambda z: tuple(np.asarray(part) for part in cost(z)), start, jac=True, method="SLSQP", bounds=limits,
-                constraints=constraint, options={"maxiter": 150, "ftol": 1e-12},
+                constraints=constraint, options={"maxiter": ITERATIONS, "ftol": 1e-12},
             )  # fmt: skip
             omega = done.x[-3:] * RATE_UNIT
             balanced = np.abs(constraint["fun"](done.x)).max() < BALANCED and np.linalg.norm(omega) <= RATE_MOST
+            same += balanced and abs(done.fun - best) < 1e-6
             if balanced and done.fun < best - 1e-9:
                 u, length = np.zeros(len(e)), float(np.linalg.norm(omega))
                 u[alive] = done.x[:-3]
@@ -189,7 +193,7 @@ def design(airframe: Airframe, hover: Hover) -> Gains | None:
     if not np.isfinite(K_alive).all() or slowest < SLOWEST:
         return None
     K = np.zeros((n, 5 + n))
-    K[np.ix_(alive, [*range(5), *(5 + alive)])] = K_alive
+    K[np.ix_(alive, np.append(np.arange(5), 5 + alive))] = K_alive
     return Gains(K, across, slowest)
 
 
@@ -209,7 +213,7 @@ def feedback(hover: Hover, gains: Gains, f, omega, down, lift):
 
 
 class SpinningHover:
-    """Holds a relaxed hover: `init() -> state`, `step(state, omega, down, lift) -> (state, u)`, both pure and made for C as estimators are."""
+    """Holds a relaxed hover: `init() -> state`, `step(state, omega, down, lift) -> (state, u)`, both pure, and C like estimators."""
 
     name = "spinning_hover"
 

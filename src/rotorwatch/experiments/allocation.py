@@ -15,7 +15,7 @@ import numpy as np
 
 from rotorwatch import airframes
 from rotorwatch.backend import jax as load_jax
-from rotorwatch.control import allocation, box
+from rotorwatch.control import allocation
 from rotorwatch.control.allocation import Allocator, Belief
 
 MOST = 12  # rotors
@@ -104,8 +104,7 @@ def solver(allocator: Allocator):
     jax = load_jax()
 
     def one(demand, belief):
-        out = allocator.step(allocator.init(), demand, belief)[1]
-        return out, box.solve_counting(*allocator.problem(allocator.scale * demand, *belief[:3]))[1]
+        return allocator.step_counting(allocator.init(), demand, belief)[1:]
 
     return jax.jit(jax.vmap(one))
 
