@@ -122,7 +122,7 @@ def test_a_quad_that_cannot_hover_still_turns_and_stays():
 
 
 def test_the_feedback_is_the_hovers_own():
-    s, numbers, _ = planned()
+    s, _, _ = planned()
     entry = closed_loop._entry(s, 0.0, *[np.array([1.0, 0.4, 1.0, 1.0])] * 3)
     hover, gains = entry.hover, entry.gains
     u = spinning.feedback(hover, gains, hover.u, hover.omega, hover.down, 1.0)

@@ -114,10 +114,10 @@ def fly(flown: batch.Flights, flights: Sequence[int], driver: str = "default", b
         if not any(new):
             break
         again = [k for k, found in enumerate(new) if found]
-        for k in again:
-            made[k].append(new[k])
-        found = _flown(craft, scenarios[0], [plans[k] for k in again], [made[k] for k in again], size)
-        for k, record in zip(again, found, strict=True):
+        for entries, found in zip(made, new, strict=True):
+            entries += [found] if found else []
+        flown_again = _flown(craft, scenarios[0], [plans[k] for k in again], [made[k] for k in again], size)
+        for k, record in zip(again, flown_again, strict=True):
             records[k] = record
     every = zip(flights, scenarios, plans, records, made, strict=True)
     return [_outcome(number, s, p, record, entries) for number, s, p, record, entries in every]
@@ -285,9 +285,9 @@ def _beliefs(driver: str, flights, scenarios, plans, records, made) -> list[reco
     """The next entry of each flight, or None."""
     seen = [batch.look(*row) for row in zip(flights, scenarios, plans, records, strict=True)]
     here = [k for k, f in enumerate(seen) if f is not None]
-    if not here:
+    flown = [f for f in seen if f is not None]
+    if not flown:
         return [None] * len(seen)
-    flown = [seen[k] for k in here]
     B = flown[0].vehicle.effectiveness()
     if driver == "default":
         kept = [out.kept for out in batch.by_default(flown, B, len(flown))]

@@ -35,8 +35,8 @@ def run(
     """Fly and judge flights 0..flights-1 of the plan, except those that the folder already holds; returns the table of all.
 
     jobs: processes, default one per processor; never more than one where JAX has an accelerator. progress(done, flights, flights a second):
-    at the start and after every part. judge: what makes rows of flights (batch.judge), columns: of its rows. Raises ConfigError for a folder of another
-    plan, or one that is in use.
+    at the start and after every part. judge: what makes rows of flights (batch.judge), columns: of its rows. Raises
+    ConfigError for a folder of another plan, or one that is in use.
     """
     if flights < 1:
         raise ConfigError(f"flights must be at least 1, not {flights}.")

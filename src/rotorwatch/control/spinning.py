@@ -204,8 +204,8 @@ class Turning(NamedTuple):
 
 
 def feedback(hover: Hover, gains: Gains, f, omega, down, lift):
-    """u (n,) of the regulator: hover's commands times `lift`, corrected. f (n,): thrust shares that the rotors have reached. All of it may be
-    traced."""
+    """u (n,) of the regulator: hover's commands times `lift`, corrected. f (n,): thrust shares that the rotors have reached. All
+    of it may be traced."""
     jnp = load_jax().numpy
     base = hover.u * lift
     errors = jnp.concatenate([omega - hover.omega, gains.across @ (down - hover.down), f - base])

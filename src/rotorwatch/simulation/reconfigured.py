@@ -4,7 +4,8 @@ What is believed, and from when on, is a `Schedule` of a few entries; `closed_lo
 entry the vehicle flies as any other. From then on
 
     turning 0    the autopilot's demands (throttle, roll, pitch, yaw) go through `control.allocation`
-    turning 1    where full control of hover is lost: `control.spinning` holds a turning hover; thrust and tilt still follow the position loop
+    turning 1    where full control of hover is lost: `control.spinning` holds a turning hover; thrust and
+                 tilt still follow the position loop
 """
 
 from __future__ import annotations
@@ -40,14 +41,13 @@ def entry(n: int, since: float = np.inf, mean=None, lower=None, upper=None, hove
     """An entry; without arguments one that never begins. hover, gains: for a vehicle that has to turn."""
     mean = np.ones(n) if mean is None else np.asarray(mean, float)
     turns = hover is not None and gains is not None
-    if not turns:
-        down = np.array([0.0, 0.0, 1.0])
-        hover = spinning.Hover(np.zeros(n), np.zeros(3), down, np.zeros(n))
+    if hover is None or gains is None:
+        hover = spinning.Hover(np.zeros(n), np.zeros(3), np.array([0.0, 0.0, 1.0]), np.zeros(n))
         gains = spinning.Gains(np.zeros((n, 5 + n)), np.zeros((2, 3)), 0.0)
     return Entry(
         np.array(since), mean, mean if lower is None else np.asarray(lower, float),
         mean if upper is None else np.asarray(upper, float), np.array(float(turns)), hover,
-        gains._replace(slowest=np.array(gains.slowest)),
+        gains,
     )  # fmt: skip
 
 
