@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rotorwatch import cli
-from rotorwatch.campaign import closed_loop, plan
+from rotorwatch.campaign import batch, closed_loop, plan, store
 from rotorwatch.control import spinning
 from rotorwatch.control.allocation import rows
 from rotorwatch.errors import ConfigError
@@ -38,7 +38,7 @@ profile = "fast"
 kind = "complete loss"
 onset_s = 20.0
 """
-WIDTH = 4
+WIDTH, DRIVERS = 4, ("nobody", "truth", "default")
 
 
 @pytest.fixture
@@ -60,21 +60,32 @@ def asked(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def outcomes(asked):
-    return {d: closed_loop.fly(asked[1], range(WIDTH), d) for d in ("nobody", "truth", "default")}
+def folder(asked, tmp_path_factory):
+    """What the drivers made of the plan's first flights."""
+    out = tmp_path_factory.mktemp("flown") / "out"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(batch, "CPU_WIDTH", WIDTH)
+        closed_loop.run(asked[0], DRIVERS, out, WIDTH, jobs=1)
+    return out
 
 
-def test_a_hexa_without_a_rotor_falls_unless_somebody_notices(outcomes):
+def test_a_hexa_without_a_rotor_falls_unless_somebody_notices(folder):
+    rows = store.Folder(folder).table().to_pylist()
+
+    def of(driver, faulty):
+        return [r for r in rows if r["method"] == driver and r["faulty"] == faulty]
+
     def survived(driver, faulty):
-        return [o.survived for o in outcomes[driver] if o.faulty == faulty]
+        return [r["survived"] for r in of(driver, faulty)]
 
     assert len(survived("nobody", True)) >= 2 and not any(survived("nobody", True))
     assert all(survived("truth", True)) and all(survived("default", True))
     assert len(survived("nobody", False)) >= 1 and all(survived("nobody", False) + survived("default", False))
-    assert all(o.first_s == pytest.approx(closed_loop.DELAY_S) for o in outcomes["truth"] if o.faulty)
-    for o in outcomes["default"]:
-        assert not o.false and (not o.faulty or 0.0 < o.first_s < 2.0) and (o.beliefs == 0 or o.faulty)
-    assert any(o.right and o.recovered_s is not None for o in outcomes["default"] if o.faulty)
+    assert all(r["first_s"] == pytest.approx(closed_loop.DELAY_S) for r in of("truth", True))
+    for r in of("default", True):
+        assert not r["false"] and 0.0 < r["first_s"] < 2.0
+    assert all(r["beliefs"] == 0 and not r["false"] for r in of("default", False))
+    assert any(r["right"] and r["recovered_s"] is not None for r in of("default", True))
 
 
 def planned(**changes):
@@ -129,31 +140,18 @@ def test_the_feedback_is_the_hovers_own():
     np.testing.assert_allclose(u, hover.u, atol=1e-12)
 
 
-def test_the_command_goes_on_and_says_who_survives(asked, tmp_path, outcomes, run):
-    out = tmp_path / "flown"
-    arguments = [
-        "closed-loop",
-        str(asked[0]),
-        "--flights",
-        "4",
-        "--drivers",
-        "nobody,truth",
-        "--jobs",
-        "1",
-        "-o",
-        str(out),
-    ]
+def test_the_command_goes_on_and_says_who_survives(asked, folder, run):
+    """With all parts there nothing is flown again."""
+    before = {p.name: p.stat().st_mtime_ns for p in (folder / "parts").iterdir()}
+    arguments = ["closed-loop", asked[0], "--flights", WIDTH, "--drivers", ",".join(DRIVERS), "--jobs", 1, "-o", folder]
     code, text = run(*arguments, "--json")
     assert code == 0, text
-    result = json.loads(text)
-    faulty = sum(o.faulty for o in outcomes["truth"][:4])
-    assert result["drivers"]["nobody"]["survived"]["value"] == 0.0 and result["drivers"]["nobody"]["faulty"] == faulty
-    assert result["drivers"]["truth"]["of_possible"]["value"] == 1.0
+    found = json.loads(text)["drivers"]
+    assert found["nobody"]["survived"]["value"] == 0.0 and found["truth"]["of_possible"]["value"] == 1.0
+    assert found["default"]["of_possible"]["n"] == found["truth"]["survived"]["n"] == found["nobody"]["faulty"]
     code, text = run(*arguments)
     assert code == 0 and "survived, hexa-x | 0 % (0 to " in text
-    assert sorted(p.name for p in out.iterdir() if not p.name.startswith(".")) == [
-        "campaign.json", "flights.parquet", "parts", "plan.toml", "summary.json"
-    ]  # fmt: skip
+    assert before == {p.name: p.stat().st_mtime_ns for p in (folder / "parts").iterdir()}
 
 
 def test_bad_requests_are_one_sentence(asked, tmp_path):
