@@ -31,6 +31,7 @@ _VERBS = {
     "inject": "experiments.inject",
     "observability": "published.observability",
     "run": "compiling.run",
+    "survive": "survive",
     "tune": "healthy.tune",
 }
 # Other names: where each one lives.
@@ -89,6 +90,7 @@ if TYPE_CHECKING:
     from rotorwatch.published.observability import observability as observability
     from rotorwatch.simulation import simulate as simulate
     from rotorwatch.simulation.any_system import simulate_system as simulate_system
+    from rotorwatch.survive import survive as survive
 
 
 class _Verb(ModuleType):

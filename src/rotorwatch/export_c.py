@@ -3,6 +3,7 @@
 rw.export_c("ukf", "out")                                  on the airframe of the method's paper
 rw.export_c("ekf", "out", vehicle=vehicle_file.read("mine.toml"))   # of rotorwatch.flight
 rw.export_c(MyEstimator(my_system, 0.01), "out", name="mine")
+rw.export_c.export_allocator("out", vehicle="ardupilot-hexa-x", by="bounds")
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import numpy as np
 from rotorwatch import airframes, checks, discovery
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.compiling.c99.project import Field, Program, make
+from rotorwatch.control import allocation
 from rotorwatch.default import noise
 from rotorwatch.default.plant import DAMPING, GAIN, PER_AXIS, WrenchBalance
 from rotorwatch.default.program import parameters as balance_parameters
@@ -96,19 +98,112 @@ def export_c(
     if not re.match(r"[A-Za-z]", identifier):
         raise ConfigError(f"{called!r} cannot be the name of a C function: begin it with a letter.")
     program = program_of(method, identifier, variable_dt)
-    folder = Path(out)
+    return _written(program, Path(out), _example(program, method))
+
+
+def _written(program: Program, folder: Path, example: str) -> Exported:
     folder.mkdir(parents=True, exist_ok=True)
     texts = {
-        f"{identifier}.h": program.header,
-        f"{identifier}.c": program.source,
-        "example.c": _example(program, method),
-        "CMakeLists.txt": _cmake(identifier),
+        f"{program.name}.h": program.header,
+        f"{program.name}.c": program.source,
+        "example.c": example,
+        "CMakeLists.txt": _cmake(program.name),
     }
     for file, text in texts.items():
         (folder / file).write_text(text, encoding="utf-8")
     bytes_ = sum(f.size * {"f": 8, "i": 4, "l": 8, "b": 1}[f.kind] for f in program.state)
     files = tuple(folder / file for file in texts)
-    return Exported(identifier, folder, files, bytes_, program.workspace_bytes, program.digest)
+    return Exported(program.name, folder, files, bytes_, program.workspace_bytes, program.digest)
+
+
+def export_allocator(
+    out: str | Path,
+    *,
+    vehicle: Vehicle | str = FRAME,
+    by: str = "estimate",
+    method: str = "bounded",
+    candidates: int = 3,
+    allocator: allocation.Allocator | None = None,
+    name: str = "allocator",
+) -> Exported:
+    """Write a C99 project of the control allocation of a vehicle (`control.allocation.Allocator`) into the folder `out`.
+
+    vehicle: a `Vehicle` or an airframe's name; thrusts and moments are then in its own units, largest lever and mean full thrust 1.
+    allocator: your own one, in newtons. by, method: what drives it and how. candidates: rows of the belief's table of candidates, for
+    by="posterior". Raises ConfigError.
+    """
+    if not re.fullmatch(r"[A-Za-z]\w*", name):
+        raise ConfigError(f"{name!r} cannot be the name of a C function: begin it with a letter.")
+    if candidates < 1:
+        raise ConfigError(f"candidates must be at least 1, not {candidates}.")
+    if allocator is None:
+        craft = airframes.named(vehicle) if isinstance(vehicle, str) else vehicle
+        allocator = allocation.Allocator(allocation.rows(craft), by=by, method=method)
+    program = allocator_program(allocator, name, candidates)
+    return _written(program, Path(out), _allocator_example(program, allocator))
+
+
+def allocator_program(allocator: allocation.Allocator, identifier: str, candidates: int = 3) -> Program:
+    """The C of an allocator. Its step takes what drives it only: candidates and weights, or mean, lower and upper."""
+    n, between = allocator.n, allocator.by == "posterior"
+    share = "effectiveness: 1 healthy, 0 dead"
+    inputs = [
+        Field("demand", "f", (4,), "thrust (up), roll, pitch, yaw moment"),
+        Field("mean", "f", (n,), share),
+        Field("lower", "f", (n,), f"least {share}"),
+        Field("upper", "f", (n,), f"largest {share}"),
+        Field("candidates", "f", (candidates, n), f"a row for each set of weak rotors; {share}"),
+        Field("weights", "f", (candidates,), "how likely each candidate is; they need not add up to 1"),
+    ]
+    inputs = inputs if between else inputs[:4]
+    notes = {
+        "u": "commands, shares of full thrust", "wrench": "what they should give", "error": "demand minus wrench",
+        "worst": "largest |error| within the bounds", "granted": "1 where the error is nothing, else 0",
+        "status": "0 ok, 1 demand or belief were no numbers: the last commands stay",
+    }  # fmt: skip
+
+    def step(_, carry, demand, mean, lower, upper, sets=None, weights=None):
+        jnp = load_jax().numpy
+        if not between:
+            sets, weights = mean[None], jnp.ones(1)
+        return allocator.step(carry, demand, allocation.Belief(mean, lower, upper, sets, weights))
+
+    about = f"Control allocation for {n} rotors, {allocator.method}, driven by {allocator.by}."
+    return make(identifier, step, lambda _: allocator.init(), tuple(inputs), (), notes, about)
+
+
+def _allocator_example(program: Program, allocator: allocation.Allocator) -> str:
+    """A main that asks for half the thrust of a vehicle whose first rotor is dead, and prints the commands."""
+    n, name = allocator.n, program.name
+    e = np.where(np.arange(n) == 0, 0.0, 1.0)
+    values = {"demand": [allocator.size[0], 0, 0, 0], "mean": e, "lower": e, "upper": e}
+    values |= {f.name: np.tile(e, f.shape[0]) for f in program.inputs if f.name == "candidates"}
+    values |= {f.name: np.ones(f.size) for f in program.inputs if f.name == "weights"}
+    rows = []
+    for f in program.inputs:
+        numbers = ", ".join(f"(rw_real){float(v)!r}" for v in np.ravel(values[f.name]))
+        rows.append(f"    static const {f.declared} = {{{numbers}}};")
+    return f"""/* Half of full thrust with a dead rotor. */
+#include "{name}.h"
+
+#include <stdio.h>
+
+int main(void)
+{{
+{chr(10).join(rows)}
+    static {name}_state state;
+    static {name}_workspace work;
+    static {name}_out out;
+
+    {name}_init(&state, &work);
+    {name}_step(&state, {", ".join(f.name for f in program.inputs)}, &out, &work);
+    printf("status %d, commands", (int)out.status);
+    for (int k = 0; k < {n}; ++k)
+        printf(" %.6f", (double)out.u[k]);
+    printf("\\n");
+    return 0;
+}}
+"""
 
 
 def prepare(name: str, vehicle: Vehicle | str | None = None, dt: float | None = None) -> Any:

@@ -103,7 +103,7 @@ def rows(
             found.append(row("default", f, out.kept, statistic, bound))
     if published:
         tables = [f.ticks for f in flown]
-        hops = methods.learn(tables, B, _taught(flown, B, size))
+        hops = methods.learn(tables, B, taught(flown, B, size))
         for name in published:
             with _told(name, failed):
                 judged = methods.judge(name, tables, hops, B, size, tuple(d.tuning for d in plan.decisions))
@@ -144,25 +144,26 @@ def fly(plan: Flights, flights: Sequence[int], size: int) -> list[Flown]:
     filled, first = [*plans, *[plans[-1]] * (size - len(plans))], scenarios[0]
     records = fly_many(MULTIROTOR, stack(filled), first.duration_s, first.rate_hz, first.record_hz, _needed)
     records = load_jax().tree.map(np.asarray, records)
-    found = []
-    for k, (number, scenario) in enumerate(zip(flights, scenarios, strict=True)):
-        record = one(records, k)
-        flight = logbook.flight(scenario, plans[k], record)
-        vehicle = airframes.identify(flight)
-        air = airborne(flight)
-        table = observe(flight, vehicle, air, READY_S)
-        if table is None:
-            continue
-        # A tick's motion is a lag after its commands: that is when a loss shows in it.
-        at = np.clip(np.searchsorted(record.time, table.command_time + LAG_S), 0, len(record.time) - 1)
-        lost = np.flatnonzero(record.flies < 0.5)
-        found.append(
-            Flown(
-                number, scenario, flight, vehicle, air, table, record.theta[at],
-                float(record.time[lost[0]]) if lost.size else None, outside.overrides(flight, vehicle, air, table),
-            )
-        )  # fmt: skip
-    return found
+    flown = (one(records, k) for k in range(len(scenarios)))
+    found = [look(*row) for row in zip(flights, scenarios, plans, flown, strict=True)]
+    return [f for f in found if f is not None]
+
+
+def look(number: int, scenario: Scenario, plan: Any, record: Any) -> Flown | None:
+    """A simulated flight as `diagnose` looks at a log; None when it never took off."""
+    flight = logbook.flight(scenario, plan, record)
+    vehicle = airframes.identify(flight)
+    air = airborne(flight)
+    table = observe(flight, vehicle, air, READY_S)
+    if table is None:
+        return None
+    # A tick's motion is a lag after its commands: that is when a loss shows in it.
+    at = np.clip(np.searchsorted(record.time, table.command_time + LAG_S), 0, len(record.time) - 1)
+    lost = np.flatnonzero(record.flies < 0.5)
+    return Flown(
+        number, scenario, flight, vehicle, air, table, record.theta[at],
+        float(record.time[lost[0]]) if lost.size else None, outside.overrides(flight, vehicle, air, table),
+    )  # fmt: skip
 
 
 def _planned(number: int, scenario: Scenario) -> Any:
@@ -224,7 +225,7 @@ def by_default(flown: Sequence[Flown], B: np.ndarray, size: int) -> list[Judged]
     return [out for out, _ in _stepped(flown, B, size, [_table(f.ticks, B) for f in flown], never)]
 
 
-def _taught(flown: Sequence[Flown], B: np.ndarray, size: int) -> list[tuple | None]:
+def taught(flown: Sequence[Flown], B: np.ndarray, size: int) -> list[tuple | None]:
     """State and noise variances of the default estimator after the learning time of each flight of one hop; None for others."""
     spans = [methods.learning(f.ticks) for f in flown]
     rows = [_table(f.ticks, B, span or slice(1)) for f, span in zip(flown, spans, strict=True)]

@@ -14,7 +14,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -54,10 +54,10 @@ def parquet() -> Any:
 
 
 class Folder:
-    """One campaign's results."""
+    """One campaign's results. columns: name -> (kind, meaning) of its table."""
 
-    def __init__(self, path: str | os.PathLike):
-        self.path = Path(path)
+    def __init__(self, path: str | os.PathLike, columns: Mapping[str, tuple[str, str]] = COLUMNS):
+        self.path, self.columns = Path(path), columns
         self.parts = self.path / "parts"
 
     def open(self, plan: Plan, width: int, version: str, engine: str) -> int:
@@ -121,7 +121,7 @@ class Folder:
     def write(self, work: Work, rows: Sequence[dict]) -> None:
         """Keep a finished part."""
         pa = parquet()
-        schema = pa.schema([(name, getattr(pa, _TYPES[kind])()) for name, (kind, _) in COLUMNS.items()])
+        schema = pa.schema([(name, getattr(pa, _TYPES[kind])()) for name, (kind, _) in self.columns.items()])
         table = pa.Table.from_pylist(list(rows), schema=schema)
         hidden = self.parts / f".{work.name}.{os.getpid()}"
         pa.parquet.write_table(table, hidden)

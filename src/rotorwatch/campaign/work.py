@@ -8,13 +8,14 @@ from __future__ import annotations
 import os
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from multiprocessing import connection, get_context, parent_process
 from typing import Any
 
 from rotorwatch import __version__
 from rotorwatch.campaign import batch, methods
 from rotorwatch.campaign.plan import Plan
+from rotorwatch.campaign.score import COLUMNS
 from rotorwatch.campaign.store import Folder, Work
 from rotorwatch.errors import ConfigError, RotorwatchError
 
@@ -29,18 +30,19 @@ def run(
     jobs: int | None = None,
     progress: Tell | None = None,
     judge: Judge = batch.judge,
+    columns: Mapping[str, tuple[str, str]] = COLUMNS,
 ) -> Any:
     """Fly and judge flights 0..flights-1 of the plan, except those that the folder already holds; returns the table of all.
 
     jobs: processes, default one per processor; never more than one where JAX has an accelerator. progress(done, flights, flights a second):
-    at the start and after every part. judge: what makes rows of flights (batch.judge). Raises ConfigError for a folder of another
-    plan, or one that is in use.
+    at the start and after every part. judge: what makes rows of flights (batch.judge), columns: of its rows. Raises
+    ConfigError for a folder of another plan, or one that is in use.
     """
     if flights < 1:
         raise ConfigError(f"flights must be at least 1, not {flights}.")
     if jobs is not None and jobs < 1:
         raise ConfigError(f"jobs must be at least 1, not {jobs}.")
-    place = Folder(folder)
+    place = Folder(folder, columns)
     with place.locked():
         width = place.open(plan, batch.width(), __version__, methods.engine())
         todo = place.missing(flights, len(plan.cells), width)
@@ -90,7 +92,7 @@ def _spread(plan: Plan, folder: Folder, todo: list[Work], width: int, jobs: int,
     try:
         for _ in range(jobs):
             ours, theirs = context.Pipe()
-            process = context.Process(target=_serve, args=(theirs, plan, folder.path, width, judge), daemon=True)
+            process = context.Process(target=_serve, args=(theirs, plan, folder, width, judge), daemon=True)
             process.start()
             theirs.close()
             workers[ours] = process
@@ -117,12 +119,11 @@ def _spread(plan: Plan, folder: Folder, todo: list[Work], width: int, jobs: int,
             process.terminate()
 
 
-def _serve(pipe, plan: Plan, path, width: int, judge: Judge) -> None:
+def _serve(pipe, plan: Plan, folder: Folder, width: int, judge: Judge) -> None:
     """A worker: parts in, words that they are done out. Ends at once when the process that started it does."""
     parent = parent_process()
     assert parent is not None
     threading.Thread(target=_follow, args=(parent.sentinel,), daemon=True).start()
-    folder = Folder(path)
     while (work := pipe.recv()) is not None:
         error = None
         try:

@@ -15,6 +15,7 @@ def register(group: click.Group) -> None:
     group.add_command(campaign)
     group.add_command(sequences)
     group.add_command(ablate)
+    group.add_command(closed_loop)
 
 
 @click.command(short_help="Judge thousands of simulated flights.")
@@ -102,6 +103,46 @@ def ablate(plan, logs, flights, hours, only, variants, jobs, as_json, quiet) -> 
     with progress(quiet) as tell:
         result = ablation.run(asked, logs, flights, hours, only=names, words=words, jobs=jobs, progress=tell)
     click.echo(json.dumps(result, indent=1, allow_nan=False) if as_json else ablation.markdown(result))
+
+
+@click.command(short_help="Does the vehicle stay up when an estimator drives the allocation?")
+@click.argument("plan", type=LOG)
+@click.option("--flights", type=click.IntRange(1, 1_000_000), default=200, show_default=True, help="How many.")
+@click.option(
+    "--drivers",
+    default="nobody,truth,default",
+    show_default=True,
+    metavar="A,B,...",
+    help="What drives the allocation: nobody, truth, or estimators.",
+)
+@click.option(
+    "--by",
+    type=click.Choice(["estimate", "bounds"]),
+    default="estimate",
+    show_default=True,
+    help="Of what is believed: the mean, or the worst case within its interval.",
+)
+@click.option("--jobs", type=click.IntRange(1, 256), help="Processes; default: one per processor.")
+@click.option("-o", "--out", required=True, type=OUT, metavar="DIR", help="Folder of the results.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@common
+def closed_loop(plan, flights, drivers, by, jobs, out, as_json, quiet) -> None:
+    """Fly the flights of PLAN (TOML, docs/control.md) with every driver: what it believes of the rotors becomes the allocation while the
+    vehicle flies. Prints who survives, how soon, and what was done for nothing. The same command again goes on where it was stopped."""
+    import json
+
+    from rotorwatch import files
+    from rotorwatch.campaign import closed_loop as study
+    from rotorwatch.campaign import plan as plans
+
+    asked = plans.read(plan)
+    files.folder(out, "--out")
+    names = [name for part in drivers.split(",") if (name := part.strip())]
+    with flying(quiet) as tell:
+        result = study.run(asked, names, out, flights, jobs, by, tell)
+    click.echo(json.dumps(result, indent=1, allow_nan=False) if as_json else study.markdown(result), nl=as_json)
+    if not quiet:
+        say(f"table and summary written to {out}")
 
 
 @contextmanager

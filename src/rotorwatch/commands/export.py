@@ -1,4 +1,4 @@
-"""The command that makes C of an estimator."""
+"""The command that makes C of an estimator or of the control allocation."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from rotorwatch.commands.tools import OUT, common, say
+from rotorwatch.errors import ConfigError
 
 
 def register(group: click.Group) -> None:
@@ -14,9 +15,10 @@ def register(group: click.Group) -> None:
     group.add_command(export_c)
 
 
-@click.command("export-c", short_help="Write an estimator as C99.")
+@click.command("export-c", short_help="Write an estimator or the control allocation as C99.")
+@click.option("--estimator", metavar="NAME", help="Estimator to export; `default-filter`: the default's filter.")
 @click.option(
-    "--estimator", required=True, metavar="NAME", help="Estimator to export; `default-filter`: the default's filter."
+    "--allocator", metavar="WAY", help="Export the control allocation: estimate, bounds, posterior or pseudo-inverse."
 )
 @click.option(
     "--vehicle", metavar="FILE|NAME", help="Vehicle file (TOML) or an airframe's name; default: the method's paper's."
@@ -25,17 +27,30 @@ def register(group: click.Group) -> None:
 @click.option("--dt", type=click.FloatRange(0, min_open=True), metavar="S", help="Length of a step.")
 @click.option("--variable-dt", is_flag=True, help="Let the step take its length as an argument.")
 @common
-def export_c(estimator, vehicle, out, dt, variable_dt, quiet) -> None:
-    """Write an estimator as a C99 project that needs nothing but libm: header, source, example, CMakeLists (docs/export.md)."""
+def export_c(estimator, allocator, vehicle, out, dt, variable_dt, quiet) -> None:
+    """Write an estimator, or the control allocation (docs/control.md), as a C99 project that needs nothing but libm: header, source,
+    example, CMakeLists (docs/export.md)."""
     from rotorwatch import files
+    from rotorwatch.export_c import FRAME, export_allocator
     from rotorwatch.export_c import export_c as run
     from rotorwatch.flight import vehicle_file
 
+    if (estimator is None) == (allocator is None):
+        raise ConfigError("Say what to export: give either --estimator NAME or --allocator WAY.")
+    if allocator is not None and (dt is not None or variable_dt):
+        raise ConfigError("The control allocation has no length of a step: leave --dt and --variable-dt out.")
+    if allocator not in (None, "estimate", "bounds", "posterior", "pseudo-inverse"):
+        raise ConfigError(f"--allocator {allocator}: give estimate, bounds, posterior or pseudo-inverse.")
     files.folder(out, "--out")
     craft = vehicle
     if vehicle is not None and (Path(vehicle).suffix == ".toml" or Path(vehicle).exists()):
         craft = vehicle_file.read(vehicle)
-    made = run(estimator, out, vehicle=craft, dt=dt, variable_dt=variable_dt)
+    if allocator is None:
+        made = run(estimator, out, vehicle=craft, dt=dt, variable_dt=variable_dt)
+    else:
+        plain = allocator == "pseudo-inverse"
+        by, method = ("estimate", allocator) if plain else (allocator, "bounded")
+        made = export_allocator(out, vehicle=craft or FRAME, by=by, method=method)
     click.echo("\n".join(str(path) for path in made.files))
     if not quiet:
         say(

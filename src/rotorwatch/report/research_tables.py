@@ -46,3 +46,29 @@ def observability(result) -> RenderableType:
             sets.add_row(report.rotors(pair.one), report.rotors(pair.other), f"{pair.separation:.1f} sd")
         parts += [Text(), sets]
     return Group(*parts)
+
+
+def survival(result) -> RenderableType:
+    """What is left after the loss of one and of two rotors, cases that are alike in one row; result as from `rotorwatch.survive`."""
+    rows = listing(
+        "", "rotors", "loss", "then", "T / W", "roll", "pitch", "yaw", "wind", "turns", right=(3, 4, 5, 6, 7, 8)
+    )
+    for column in rows.columns[1:]:
+        column.no_wrap = True
+    alike: dict[tuple[str, ...], list[str]] = {}
+    for case in (result.healthy, *result.cases):
+        loss = report.percent(case.loss, 0) if case.rotors else "-"
+        moments = [_or_dash(x, ".2g") for x in (case.roll, case.pitch, case.yaw)]
+        last = (_or_dash(case.wind, ".0f"), _or_dash(case.rate, ".1f"))
+        # The number of rotors keeps singles and pairs apart.
+        shown = (str(len(case.rotors)), loss, case.verdict, f"{case.lift:.2f}", *moments, *last)
+        alike.setdefault(shown, []).append("+".join(map(str, case.rotors)) or "none")
+    for shown, sets in alike.items():
+        rows.add_row(", ".join(sets), *shown[1:])
+    units = "T / W: largest thrust over weight. Moments left at hover [N m], wind that can be held [m/s], turning there [rad/s]."
+    notes = [Text(sentence, style="dim") for sentence in (units, *result.assumptions)]
+    return Group(Text(result.name, style="bold"), rows, Text(result.summary), *notes)
+
+
+def _or_dash(value: float | None, form: str) -> str:
+    return "-" if value is None else f"{value:{form}}"

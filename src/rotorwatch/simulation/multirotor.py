@@ -30,7 +30,7 @@ class Battery(NamedTuple):
 
 
 class Plan(NamedTuple):
-    """One flight as numbers: everything that a compiled program needs. seed: integer."""
+    """One flight as numbers: everything that a compiled program needs. seed: integer; schedule: of `reconfigured`, else nothing."""
 
     craft: dynamics.Craft
     pilot: control.Autopilot
@@ -40,11 +40,13 @@ class Plan(NamedTuple):
     battery: Battery
     sensors: Sensors
     seed: Array
+    schedule: Any = ()
 
 
 class Drives(NamedTuple):
     """What turns the n rotors. w (n,): speeds as shares of full, phase (n,): turns; drawn: charge used [A s]; sag: battery voltage as a
-    share of full, believed: what the autopilot knows of it; held (n,): last sound commands."""
+    share of full, believed: what the autopilot knows of it; held (n,): last sound commands; f (n,), of `reconfigured` only: thrust shares
+    that the rotors should have reached."""
 
     w: Array
     phase: Array
@@ -52,6 +54,7 @@ class Drives(NamedTuple):
     sag: Array
     believed: Array
     held: Array
+    f: Any = ()
 
 
 class Supply(NamedTuple):
@@ -136,7 +139,7 @@ class Multirotor:
         craft, pilot = plan.craft, plan.pilot
         target, (lift, compensated, lift_max) = now.target, now.more
         turning, wish, loops = control.inner(pilot, target, body.q, gyro, loops, lift, dt)
-        demand, free = control.mix(pilot.mixer, turning, target.throttle)
+        demand, free, own = self.mixed(plan, now, t, body, gyro, turning, own, dt)
         command = jnp.minimum(control.drive(pilot.expo, lift_max * demand) / compensated, 1.0) * jnp.where(
             lift > 0, 1.0, 0.0
         )
@@ -156,6 +159,10 @@ class Multirotor:
         lost = 1.0 - (1.0 - theta) * jnp.where(told > 0.0, (share / jnp.maximum(told, 1e-9)) ** 2, kept)
         last = (demand, command, asked, wish, jnp.where(share < told, lost, theta), s, theta, friction, 1.0 - undriven)
         return body, loops._replace(free=free), own._replace(w=w, phase=phase, held=held), force, last
+
+    def mixed(self, plan: Plan, now: Moment, t, body: Body, gyro, turning, own: Any, dt: float) -> tuple:
+        """Thrust demands (n,) of control `turning` (3,), whether all of it was granted (1 or 0), and the aircraft's own state."""
+        return *control.mix(plan.pilot.mixer, turning, now.target.throttle), own
 
     def end(self, plan: Plan, now: Moment, before: State, after: State, seen, last, dt: float) -> tuple[State, Record]:
         """The battery, and whether the vehicle lies on the ground."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -126,7 +127,7 @@ def plan(scenario: Scenario) -> Plan:
     """The scenario's numbers. Raises ConfigError for frames that do not exist or vehicles that cannot fly."""
     known = vehicle(scenario)
     bare = _bare(scenario, known)
-    full_speed = scenario.airframe["rotor_speed_rad_s"] or TIP_SPEED / bare.radius
+    full_speed = _full_speed(scenario, bare)
     return Plan(
         craft=_craft(scenario, bare, full_speed),
         pilot=_pilot(scenario, known, bare),
@@ -139,13 +140,31 @@ def plan(scenario: Scenario) -> Plan:
     )
 
 
-def _bare(scenario: Scenario, craft: Vehicle) -> Bare:
-    """What a paper says of its airframe, else what the scenario asks for or what is usual."""
+def craft(scenario: Scenario, known: Vehicle | None = None) -> dynamics.Craft:
+    """The physical vehicle of a scenario. known: another geometry than that of the scenario's frame, brought to its arm_m, with the rotors'
+    own shares of thrust. Raises ConfigError."""
+    if known is None:
+        bare = _bare(scenario, vehicle(scenario))
+    else:
+        arm = scenario.airframe["arm_m"] / max(np.hypot(r.x, r.y) for r in known.rotors)
+        rotors = tuple(replace(r, x=r.x * arm, y=r.y * arm) for r in known.rotors)
+        bare = _bare(scenario, replace(known, rotors=rotors), np.array([r.share for r in rotors]))
+    return _craft(scenario, bare, _full_speed(scenario, bare))
+
+
+def _full_speed(scenario: Scenario, bare: Bare) -> float:
+    """rad/s."""
+    return scenario.airframe["rotor_speed_rad_s"] or TIP_SPEED / bare.radius
+
+
+def _bare(scenario: Scenario, craft: Vehicle, shares: np.ndarray | None = None) -> Bare:
+    """What a paper says of its airframe, else what the scenario asks for or what is usual. shares (n,): of thrust, instead of the
+    scenario's `lower_rotor`."""
     a, known = scenario.airframe, _paper(scenario.airframe["frame"])
     x, y, spin = (np.array([getattr(r, k) for r in craft.rotors], float) for k in ("x", "y", "spin"))
     arm = float(np.hypot(x, y).max())
     mass = float(known["mass"]) if known else a["mass_kg"]
-    share = np.array([a["lower_rotor"] if r.lower else 1.0 for r in craft.rotors])
+    share = np.array([a["lower_rotor"] if r.lower else 1.0 for r in craft.rotors]) if shares is None else shares
     if known:
         thrust_max = np.full(len(x), float(known["thrust_max"]))
     else:

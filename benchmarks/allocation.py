@@ -1,0 +1,172 @@
+"""How exact is the allocation, and how long does a step of it take as native code and on a Cortex-M7?
+
+python benchmarks/allocation.py exact                 100,000 demands on every frame against SciPy, three ways of belief
+python benchmarks/allocation.py exact --demands 1000
+python benchmarks/allocation.py time                  native code of this computer, one step after the other
+python benchmarks/allocation.py instructions          emulated Cortex-M7; needs arm-none-eabi-gcc and qemu-system-arm
+"""
+
+from __future__ import annotations
+
+import argparse
+import ctypes
+import subprocess
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from rotorwatch.compiling import native
+from rotorwatch.control.allocation import DRIVEN_BY, Allocator
+from rotorwatch.experiments import allocation
+from rotorwatch.export_c import allocator_program
+
+FRAMES = ("ardupilot-quad-x", "ardupilot-hexa-x", "ardupilot-octa-x", "ardupilot-dodecahexa-x")
+WAYS = (*(("bounded", by) for by in DRIVEN_BY), ("pseudo-inverse", "estimate"))
+ROWS, REPEATS = 2000, 7
+CORE = Path(__file__).resolve().parents[1] / "embedded" / "cortex-m7"
+CHIP = ("-mcpu=cortex-m7", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv5-d16", "-std=c99", "-O2")
+STEPS, TICK = 64, 40  # demands; instructions a tick of the emulated clock
+MAIN = """
+#include "allocator.h"
+#include <stdio.h>
+#define SYSTICK ((volatile uint32_t *)0xE000E010u)
+static allocator_state state;
+static allocator_workspace work;
+static allocator_out out;
+{tables}
+int main(void)
+{{
+    allocator_init(&state, &work);
+    SYSTICK[1] = 0xFFFFFF;
+    for (int k = 0; k < {steps}; ++k) {{
+        SYSTICK[2] = 0;
+        SYSTICK[0] = 5;
+        for (int again = 0; again < {again}; ++again)
+            allocator_step(&state, {arguments}, &out, &work);
+        printf("%lu\\n", (unsigned long)(0xFFFFFFu - SYSTICK[2]));
+    }}
+    return 0;
+}}
+"""
+
+
+def arguments(program, given: allocation.Problems, rows: int) -> list[np.ndarray]:
+    """The step's inputs in its order, a row per demand."""
+    known = {"demand": given.demand, **given.belief._asdict()}
+    return [np.ascontiguousarray(known[f.name][:rows], float) for f in program.inputs]
+
+
+def exact(demands: int) -> None:
+    print("| rotors | driven by | demands | worst difference | commands at 0 or 1 | most turns of 24 |")
+    print("|---|---|---|---|---|---|")
+    for by in DRIVEN_BY:
+        rows = allocation.study(demands, by)
+        for n in sorted({row.rotors for row in rows}):
+            some = [row for row in rows if row.rotors == n]
+            turns = max((row.turns for row in some if row.turns is not None), default="-")
+            share = np.mean([row.bounded for row in some])
+            worst, count = max(row.worst for row in some), sum(row.demands for row in some)
+            print(f"| {n} | {by} | {count:,} | {worst:.1e} | {share:.0%} | {turns} |", flush=True)
+
+
+def timed() -> None:
+    print("| frame | method | mean us | 99th percentile us | longest us |")
+    print("|---|---|---|---|---|")
+    for frame in FRAMES:
+        given = allocation.problems(frame, ROWS)
+        for method, by in WAYS:
+            program = allocator_program(Allocator(given.B, by=by, method=method), "allocator", allocation.SETS)
+            library = ctypes.CDLL(str(native.build(program.header, program.source, "allocator")))
+            columns = arguments(program, given, ROWS)
+            state, out, work = np.zeros(64), np.zeros((ROWS, 64)), np.zeros(program.workspace_bytes // 8 + 8)
+
+            def each(count, again, run=library.allocator_run, columns=columns, state=state, out=out, work=work):
+                """us of a step for every demand by itself, the fastest of `again` runs of `count` equal steps."""
+                best = np.full(ROWS, np.inf)
+                for k in range(ROWS):
+                    same = [np.repeat(column[k : k + 1], count, axis=0) for column in columns]
+                    pointers = [ctypes.c_void_p(a.ctypes.data) for a in (state, *same, out, work)]
+                    for _ in range(again):
+                        begin = time.perf_counter()
+                        run(ctypes.c_int32(count), *pointers)
+                        best[k] = min(best[k], (time.perf_counter() - begin) / count * 1e6)
+                return best
+
+            us = each(30, REPEATS)
+            name = method if method == "pseudo-inverse" else f"bounded, {by}"
+            print(f"| {frame} | {name} | {us.mean():.2f} | {np.quantile(us, 0.99):.2f} | {us.max():.2f} |", flush=True)
+
+
+def instructions() -> None:
+    """Of the hardest among 2,000 demands, those with most turns, and of usual ones."""
+    print("| frame | method | precision | thousand instructions, mean | most | text kB | workspace kB |")
+    print("|---|---|---|---|---|---|---|")
+    for frame in FRAMES:
+        given = allocation.problems(frame, ROWS)
+        for method, by in WAYS:
+            allocator = Allocator(given.B, by=by, method=method)
+            program = allocator_program(allocator, "allocator", allocation.SETS)
+            turns = np.asarray(allocation.solver(Allocator(given.B, by="bounds" if by == "bounds" else "estimate"))(
+                given.demand, given.belief)[1])  # fmt: skip
+            chosen = np.r_[np.argsort(-turns, kind="stable")[: STEPS // 2], np.arange(STEPS // 2)]
+            columns = [column[chosen] for column in arguments(program, given, ROWS)]
+            for single in (False, True):
+                counts, text = _counted(program, columns, single)
+                last = counts[STEPS // 2 :].mean()
+                size = program.workspace_bytes / (2e3 if single else 1e3)
+                name = method if method == "pseudo-inverse" else f"bounded, {by}"
+                word = "single" if single else "double"
+                print(
+                    f"| {frame} | {name} | {word} | {last / 1e3:.1f} | {counts.max() / 1e3:.1f} | {text / 1e3:.1f} | {size:.1f} |",
+                    flush=True,
+                )
+
+
+def _counted(program, columns, single: bool) -> tuple[np.ndarray, int]:
+    """(instructions of a step for each row, bytes of code)."""
+    again, rows = 10, len(columns[0])
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        (folder / "allocator.h").write_text(program.header)
+        (folder / "allocator.c").write_text(program.source)
+        tables, names = [], []
+        for field, column in zip(program.inputs, columns, strict=True):
+            values = ", ".join(repr(float(v)) for v in column.ravel())
+            tables.append(f"static const rw_real {field.name}[] = {{{values}}};")
+            names.append(f"{field.name} + {field.size} * k")
+        main = MAIN.format(tables="\n".join(tables), steps=rows, again=again, arguments=", ".join(names))
+        (folder / "count.c").write_text(main)
+        flags = [*CHIP, *(["-DROTORWATCH_FLOAT"] if single else [])]
+        elf = str(folder / "m7.elf")
+        sources = [str(folder / "allocator.c"), str(folder / "count.c"), str(CORE / "startup.c")]
+        link = ["--specs=rdimon.specs", "-T", str(CORE / "an500.ld"), "-lm"]
+        subprocess.run(["arm-none-eabi-gcc", *flags, *sources, *link, "-o", elf], check=True)
+        subprocess.run(["arm-none-eabi-gcc", *flags, "-c", sources[0], "-o", str(folder / "one.o")], check=True)
+        board = [
+            "qemu-system-arm",
+            "-M",
+            "mps2-an500",
+            "-nographic",
+            "-semihosting",
+            "-icount",
+            "shift=0",
+            "-kernel",
+            elf,
+        ]
+        said = subprocess.run(board, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=300, check=True)
+        size = subprocess.run(["arm-none-eabi-size", str(folder / "one.o")], capture_output=True, text=True, check=True)
+    return np.array(said.stdout.split(), float) * TICK / again, int(size.stdout.splitlines()[1].split()[0])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", choices=("exact", "time", "instructions"))
+    parser.add_argument("--demands", type=int, default=100_000)
+    given = parser.parse_args()
+    {"exact": lambda: exact(given.demands), "time": timed, "instructions": instructions}[given.what]()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,352 @@
+"""Does the vehicle stay up? Flights in which an estimator drives the allocation, against knowing the truth and against doing nothing.
+
+    from rotorwatch.campaign import closed_loop
+    result = closed_loop.run("plans/survival.toml", ["nobody", "truth", "default"], "survival", flights=2000)
+
+What an estimator says at a time t depends on the log up to t only, and up to its first word a reconfigured flight is the flight as it would
+have been anyhow. So a flight is flown as it is, the estimator judges its log, its first belief is entered in the flight's schedule
+(simulation/reconfigured.py), the flight is flown again, and so on, belief by belief: what came before stays the same to the last bit,
+and the estimators are those of `rotorwatch diagnose`, not copies of them.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from rotorwatch import discovery
+from rotorwatch.backend import jax as load_jax
+from rotorwatch.campaign import batch, methods, summary, work
+from rotorwatch.campaign import plan as plans
+from rotorwatch.campaign.plan import Plan
+from rotorwatch.campaign.store import Folder
+from rotorwatch.control import attainable, spinning
+from rotorwatch.control.airframe import Airframe
+from rotorwatch.control.allocation import rows
+from rotorwatch.default import program
+from rotorwatch.errors import ConfigError
+from rotorwatch.motion.ticks import LEARN
+from rotorwatch.simulation import loop, one, prepare, reconfigured, trajectories
+from rotorwatch.simulation.rigid import G0
+from rotorwatch.simulation.scenario import Scenario
+
+NOBODY, TRUTH = "nobody", "truth"
+ENTRIES = 8  # beliefs that a flight may act on, one after the other
+MOVED = 0.1  # a belief is acted on when a rotor's effectiveness is this far from what was acted on before
+REFRESH_S = 0.5  # ... and no sooner after that
+IDLE, IDLE_S = (
+    0.3,
+    1.0,
+)  # of its hover thrust, on average over so long: a rotor that is used less does not show what it has lost
+DELAY_S = 0.1  # from an estimate to commands that follow it
+ROOM = 0.02  # of a channel's authority: with less left at hover the vehicle has to turn
+TURNED = np.cos(np.radians(100.0))
+TRACK_M, TRACK_DEG = 2.0, 20.0  # recovered: nearer than this to where it should be, and not leaning more
+
+
+COLUMNS: dict[str, tuple[str, str]] = {
+    "flight": ("int64", "number of the flight: with the plan's seed it says everything"),
+    "method": ("string", "what drove the allocation: nobody, truth, or an estimator"),
+    "frame": ("string", "airframe"),
+    "rotors": ("int64", "how many"),
+    "broken": ("int64", "how many of them broke"),
+    "loss": ("double", "the largest loss"),
+    "wind_m_s": ("double", "mean wind 6 m above ground"),
+    "faulty": ("bool", "whether a rotor broke"),
+    "onset_s": ("double", "when the first did"),
+    "healthy_s": ("double", "flight time before that, or all of it"),
+    "survived": ("bool", "it neither touched the ground nor turned over"),
+    "lost_s": ("double", "when it did"),
+    "beliefs": ("int64", "how many beliefs it acted on"),
+    "first_s": ("double", "when it first did, after the onset"),
+    "false": ("bool", "it acted on something before the onset, or on rotors of which none is broken"),
+    "right": ("bool", "the rotors first acted on are those broken"),
+    "turning": ("bool", "it held a turning hover"),
+    "tilt_deg": ("double", "largest tilt after the onset"),
+    "off_m": ("double", "largest distance from where it should be after the onset"),
+    "recovered_s": ("double", "from the onset until it tracks again for good, empty when it does not"),
+}
+
+
+class Outcome(NamedTuple):
+    """What became of one flight. flight: its number; faulty: whether a rotor broke; onset_s; survived: it neither touched the ground nor
+    turned over; lost_s: when it did; beliefs: how many it acted on; first_s: when it first did, after the onset (before, in healthy
+    flights: after the take-off); false: it acted on something before the onset, or on rotors of which none is broken; right: the rotors
+    first acted on are those broken; turning: it held a turning hover; tilt_deg, off_m: largest tilt and distance from where it should
+    be after the onset; recovered_s: from the onset until it tracks again for good, None when it does not."""
+
+    flight: int
+    faulty: bool
+    onset_s: float
+    survived: bool
+    lost_s: float | None
+    beliefs: int
+    first_s: float | None
+    false: bool
+    right: bool
+    turning: bool
+    tilt_deg: float
+    off_m: float
+    recovered_s: float | None
+
+
+def fly(flown: batch.Flights, flights: Sequence[int], driver: str = "default", by: str = "estimate") -> list[Outcome]:
+    """The flights with a driver: "nobody", "truth", or an estimator's name. All must be of one cell of a plan (one frame). by: what drives
+    the allocation, "estimate" or "bounds". Raises ConfigError."""
+    scenarios = [flown.flight(k) for k in flights]
+    for s in scenarios:
+        if s.trajectory["land"]:
+            raise ConfigError("closed loop flights end in the air: set land = false in [scenario.trajectory].")
+    plans = [prepare.plan(s) for s in scenarios]
+    B = rows(prepare.vehicle(scenarios[0]))
+    craft = reconfigured.Reconfigured(B, by)
+    n, size = B.shape[1], len(plans)
+    made: list[list[reconfigured.Entry]] = [[] for _ in plans]
+    if driver == TRUTH:
+        made = [_true(s, n) for s in scenarios]
+    records = _flown(craft, scenarios[0], plans, made, size)
+    for _ in range(ENTRIES if driver not in (NOBODY, TRUTH) else 0):
+        new = _beliefs(driver, flights, scenarios, plans, records, made)
+        if not any(new):
+            break
+        again = [k for k, found in enumerate(new) if found]
+        for entries, found in zip(made, new, strict=True):
+            entries += [found] if found else []
+        flown_again = _flown(craft, scenarios[0], [plans[k] for k in again], [made[k] for k in again], size)
+        for k, record in zip(again, flown_again, strict=True):
+            records[k] = record
+    every = zip(flights, scenarios, plans, records, made, strict=True)
+    return [_outcome(number, s, p, record, entries) for number, s, p, record, entries in every]
+
+
+class Judge(NamedTuple):
+    """Makes rows of flights (`work.Judge`): one for each driver."""
+
+    drivers: tuple[str, ...]
+    by: str = "estimate"
+
+    def __call__(self, plan: Plan, flights: Sequence[int], size: int) -> list[dict]:
+        filled = [*flights, *[flights[-1]] * (size - len(flights))]  # one program for all parts
+        found = []
+        for driver in self.drivers:
+            for outcome in fly(plan, filled, driver, self.by)[: len(flights)]:
+                asked = plan.flight(outcome.flight)
+                losses = [1.0 if f["kind"] == "complete loss" else f["strength"] for f in asked.faults]
+                end = outcome.onset_s if outcome.faulty else asked.duration_s
+                found.append(
+                    {
+                        "method": driver, "frame": asked.airframe["frame"], "rotors": plan.rotors[outcome.flight % len(plan.cells)],
+                        "broken": len(losses), "loss": max(losses, default=0.0), "wind_m_s": asked.wind["speed_m_s"],
+                        "healthy_s": min(end, outcome.lost_s or end), **outcome._asdict(),
+                    }
+                )  # fmt: skip
+        return found
+
+
+def run(
+    plan: str | os.PathLike | Plan,
+    drivers: Sequence[str] = (NOBODY, TRUTH, "default"),
+    out: str | os.PathLike = "closed-loop",
+    flights: int = 200,
+    jobs: int | None = None,
+    by: str = "estimate",
+    progress: work.Tell | None = None,
+) -> dict[str, Any]:
+    """Fly a plan's flights with every driver: {"plan", "flights", "drivers": {driver: measures}}, also in out/summary.json.
+
+    Finished parts are kept in the folder `out`: the same call goes on where it was stopped. Measures (`measures`) have 95 % intervals.
+    Raises ConfigError.
+    """
+    asked = plan if isinstance(plan, Plan) else plans.read(plan)
+    if not drivers:
+        raise ConfigError("Name at least one driver: nobody, truth, or an estimator.")
+    for driver in drivers:
+        if driver not in (NOBODY, TRUTH):
+            discovery.estimator(driver)
+    if by not in ("estimate", "bounds"):
+        raise ConfigError(f"by must be estimate or bounds, not {by}.")
+    entered = replace(asked, text=f"{asked.text}\n# closed loop: {', '.join(drivers)}; by {by}\n")
+    table = work.run(entered, flights, out, jobs, progress, Judge(tuple(drivers), by), COLUMNS)
+    rows = table.to_pylist()
+    truth = {r["flight"]: r["survived"] for r in rows if r["method"] == TRUTH}
+    result = {
+        "plan": asked.name,
+        "flights": flights,
+        "by": by,
+        "drivers": {d: measures([r for r in rows if r["method"] == d], truth) for d in drivers},
+    }
+    Folder(out, COLUMNS).finish(table, result)
+    return result
+
+
+def measures(rows: Sequence[dict], truth: Mapping[int, bool]) -> dict[str, Any]:
+    """Of one driver's rows. survived: share of faulty flights; of_possible: share of those that knowing the truth saves; lost_healthy:
+    flights without a fault that were lost; false_h: flights in which it acted falsely, per healthy hour; healthy_h; first_s, recovered_s,
+    tilt_deg, off_m: medians of faulty flights; by_frame: survived, by frame."""
+    faulty = [r for r in rows if r["faulty"]]
+    healthy = [r for r in rows if not r["faulty"]]
+    possible = [r for r in faulty if truth.get(r["flight"])]
+
+    def survived(some: Sequence[dict]) -> dict[str, float] | None:
+        return summary.share(np.array([r["survived"] for r in some], bool))
+
+    def median(key: str) -> dict[str, float] | None:
+        return summary.boot(np.array([r[key] for r in faulty if r[key] is not None], float), np.median)
+
+    hours = sum(r["healthy_s"] for r in rows) / 3600.0
+    return {
+        "faulty": len(faulty), "healthy": len(healthy), "survived": survived(faulty), "of_possible": survived(possible),
+        "lost_healthy": sum(not r["survived"] for r in healthy), "healthy_h": hours,
+        "false_h": summary.rate(sum(r["false"] for r in rows), hours),
+        "right": summary.share(np.array([r["right"] for r in faulty if r["beliefs"]], bool)),
+        **{key: median(key) for key in ("first_s", "recovered_s", "tilt_deg", "off_m")},
+        "by_frame": {f: survived([r for r in faulty if r["frame"] == f]) for f in sorted({r["frame"] for r in rows})},
+    }  # fmt: skip
+
+
+def markdown(result: dict[str, Any]) -> str:
+    """The drivers side by side, and survival by frame."""
+
+    def cell(value: Any, how: str) -> str:
+        if value is None:
+            return "-"
+        times = 100.0 if how == "%" else 1.0
+        low, middle, high = (times * value[k] for k in ("low", "value", "high"))
+        digits = 0 if how == "%" else 2
+        return f"{middle:.{digits}f}{' %' if how == '%' else ''} ({low:.{digits}f} to {high:.{digits}f})"
+
+    found = result["drivers"]
+    lines = {
+        "faulty, healthy flights": lambda m: f"{m['faulty']}, {m['healthy']}",
+        "survived": lambda m: cell(m["survived"], "%"),
+        "... of those that the truth saves": lambda m: cell(m["of_possible"], "%"),
+        "healthy flights lost": lambda m: str(m["lost_healthy"]),
+        "acted falsely, flights an hour": lambda m: cell(m["false_h"], ""),
+        "first acted on the broken rotors": lambda m: cell(m["right"], "%"),
+        "first acted after, s": lambda m: cell(m["first_s"], ""),
+        "on track again after, s": lambda m: cell(m["recovered_s"], ""),
+        "largest tilt, degrees": lambda m: cell(m["tilt_deg"], ""),
+        "largest distance from the track, m": lambda m: cell(m["off_m"], ""),
+    }
+    frames = sorted({f for m in found.values() for f in m["by_frame"]})
+    text = [f"| {result['plan']}, {result['flights']} flights | {' | '.join(found)} |", "|---" * (1 + len(found)) + "|"]
+    text += [f"| {name} | {' | '.join(line(m) for m in found.values())} |" for name, line in lines.items()]
+    for f in frames:
+        text.append(f"| survived, {f} | {' | '.join(cell(m['by_frame'].get(f), '%') for m in found.values())} |")
+    return "\n".join(text) + "\n"
+
+
+def _flown(craft, first: Scenario, plans: list, made: list, size: int) -> list[Any]:
+    """The records of plans with these entries; filled up to `size`, so that one program serves every turn."""
+    ready = [
+        p._replace(schedule=reconfigured.schedule(p.craft.x.shape[0], m, ENTRIES))
+        for p, m in zip(plans, made, strict=True)
+    ]
+    ready += [ready[-1]] * (size - len(ready))
+    records = loop.fly_many(craft, loop.stack(ready), first.duration_s, first.rate_hz, first.record_hz, _kept)
+    records = load_jax().tree.map(np.asarray, records)
+    return [one(records, k) for k in range(len(plans))]
+
+
+def _kept(record):
+    """What a log and the outcome need of a record."""
+    return record._replace(omega=(), rates_asked=(), q_asked=(), wind=())
+
+
+def _true(scenario: Scenario, n: int) -> list[reconfigured.Entry]:
+    """Entries of somebody who knows every lasting loss, DELAY_S after it began."""
+    e, made = np.ones(n), []
+    for fault in sorted(scenario.faults, key=lambda f: f["onset_s"]):
+        if fault["kind"] not in ("loss", "complete loss"):
+            raise ConfigError(f"closed loop flights know losses and complete losses, not {fault['kind']}.")
+        e = e.copy()
+        e[fault["rotor"] - 1] = 0.0 if fault["kind"] == "complete loss" else 1.0 - fault["strength"]
+        made.append(_entry(scenario, fault["onset_s"] + DELAY_S, e, e, e))
+    return made
+
+
+def _entry(scenario: Scenario, since: float, mean, lower, upper) -> reconfigured.Entry:
+    """What is done from `since` on with that belief: allocation, or a turning hover where full control of hover is lost."""
+    bare = replace(scenario, airframe={**scenario.airframe, "payload_kg": 0.0})  # the autopilot knows of no payload
+    frame = Airframe.of(prepare.plan(bare).craft)
+    half = np.abs(frame.B).sum(axis=1) / 2.0
+    hover = gains = None
+    if attainable.margins(frame.B * mean, frame.mass * G0, half).depth < ROOM:
+        hover = spinning.relaxed_hover(frame, mean)
+        gains = spinning.design(frame, hover) if hover else None
+    return reconfigured.entry(len(mean), since, mean, lower, upper, hover if gains else None, gains)
+
+
+def _beliefs(driver: str, flights, scenarios, plans, records, made) -> list[reconfigured.Entry | None]:
+    """The next entry of each flight, or None."""
+    seen = [batch.look(*row) for row in zip(flights, scenarios, plans, records, strict=True)]
+    here = [k for k, f in enumerate(seen) if f is not None]
+    flown = [f for f in seen if f is not None]
+    if not flown:
+        return [None] * len(seen)
+    B = flown[0].vehicle.effectiveness()
+    if driver == "default":
+        kept = [out.kept for out in batch.by_default(flown, B, len(flown))]
+    else:
+        tables = [f.ticks for f in flown]
+        hops = methods.learn(tables, B, batch.taught(flown, B, len(flown)))
+        kept = methods.judge(driver, tables, hops, B, len(flown), ((),))[0]
+    found: list[reconfigured.Entry | None] = [None] * len(seen)
+    for k, f, out in zip(here, flown, kept, strict=True):
+        found[k] = _next(scenarios[k], f.ticks, out, made[k])
+    return found
+
+
+def _next(scenario: Scenario, ticks, out: program.Kept, made: list[reconfigured.Entry]) -> reconfigured.Entry | None:
+    """The first belief after the last entry that is far enough from it."""
+    if len(made) == ENTRIES:
+        return None
+    weak = np.asarray(out.active[:, 0], bool)
+    mean = np.where(weak, 1.0 - np.clip(out.theta, 0.0, 1.0), 1.0)
+    apart = np.where(weak, 2.0 * out.theta_sd, 0.0)
+    since = ticks.time + DELAY_S
+    before, last = (made[-1].mean, float(made[-1].since)) if made else (np.ones(weak.shape[1]), -np.inf)
+    # Allocation that leaves a rotor alone hides its loss: that it has recovered is believed when it is used again.
+    idle = np.cumsum(ticks.thrust, axis=0)
+    n = max(1, round(IDLE_S / ticks.dt))
+    idle = (idle - np.concatenate([np.zeros_like(idle[:n]), idle[:-n]])) / n < IDLE
+    mean = np.where(idle, np.minimum(mean, before), mean)
+    due = (np.abs(mean - before).max(axis=1) > MOVED) & (since > last + REFRESH_S) & (ticks.mode > LEARN)
+    if not due.any():
+        return None
+    k = int(np.argmax(due))
+    low, high = np.clip(mean[k] - apart[k], 0.0, 1.0), np.clip(mean[k] + apart[k], 0.0, 1.0)
+    return _entry(scenario, float(since[k]), mean[k], low, high)
+
+
+def _outcome(number: int, scenario: Scenario, plan, record, made: list[reconfigured.Entry]) -> Outcome:
+    faults = scenario.faults
+    onset = min((f["onset_s"] for f in faults), default=float(plan.way.take_off))
+    broken = {f["rotor"] - 1 for f in faults}
+    time, height = record.time, -record.p[:, 2]
+    upright = 1.0 - 2.0 * (record.q[:, 1] ** 2 + record.q[:, 2] ** 2)
+    flying = np.maximum.accumulate(height > 1.0)
+    down = flying & ((height < 0.15) | (upright < TURNED) | (record.flies < 0.5))
+    lost = float(time[np.argmax(down)]) if down.any() else None
+    ask = np.asarray(trajectories.table(plan.way, len(time), float(time[1] - time[0])).p)
+    off = np.linalg.norm(record.p - ask, axis=1)
+    tilt = np.degrees(np.arccos(np.clip(upright, -1.0, 1.0)))
+    late = flying & (time > onset)
+    astray = np.flatnonzero(late & ((off > TRACK_M) | (tilt > TRACK_DEG)))
+    recovered = None
+    if lost is None and (not astray.size or astray[-1] < len(time) - 1):
+        recovered = float(time[astray[-1]] - onset) if astray.size else 0.0
+    # What came too late, after the crash, was never acted on.
+    acted = [m for m in made if lost is None or m.since < lost]
+    who = set(np.flatnonzero(acted[0].mean < 1.0 - MOVED).tolist()) if acted else set()
+    return Outcome(
+        number, bool(faults), onset, lost is None, lost, len(acted),
+        float(acted[0].since) - onset if acted else None,
+        bool(acted) and (float(acted[0].since) < onset or not who & broken if faults else True),
+        bool(acted) and who == broken, any(m.turning > 0.5 for m in acted),
+        float(tilt[late].max(initial=0.0)), float(off[late].max(initial=0.0)), recovered,
+    )  # fmt: skip

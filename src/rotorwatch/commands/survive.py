@@ -1,0 +1,62 @@
+"""The command that says what a vehicle survives."""
+
+from __future__ import annotations
+
+import click
+
+from rotorwatch.commands.tools import OUT, common, progress, say, show
+from rotorwatch.errors import ConfigError
+
+PICTURES = (".svg", ".png", ".pdf")
+
+
+def register(group: click.Group) -> None:
+    """Add the command of this module to the command line."""
+    group.add_command(survive)
+
+
+@click.command(short_help="What a vehicle survives: losses of one and two rotors.")
+@click.option(
+    "--vehicle",
+    required=True,
+    metavar="FILE|NAME",
+    help="Vehicle file (TOML), or an airframe's name (docs/airframes.md).",
+)
+@click.option("--loss", default="1", show_default=True, metavar="X,...", help="Sizes of the losses; 1 is a total loss.")
+@click.option("--mass", type=float, metavar="KG", help="Mass; default: what the vehicle file says.")
+@click.option("--thrust-to-weight", type=float, metavar="X", help="Full thrust over weight; default: the same.")
+@click.option("--arm", type=float, metavar="M", help="Centre to the outermost rotor; default: the same.")
+@click.option("--figure", type=OUT, metavar="OUT.svg", help="Draw it.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@common
+def survive(vehicle, loss, mass, thrust_to_weight, arm, figure, as_json, quiet) -> None:
+    """Say what is left after the loss of any rotor and of any two: full control, hover without yaw, hover only while spinning, or none; how
+    much thrust and moment, and what wind it holds."""
+    from rotorwatch import checks, files
+    from rotorwatch.survive import survive as run
+
+    try:
+        sizes = tuple(float(x) for x in loss.split(","))
+    except ValueError:
+        raise ConfigError(f"--loss {loss}: give numbers with commas, as in 0.3,0.6,1.") from None
+    if figure:
+        files.writable(figure, "--figure")
+        if figure.suffix.lower() not in PICTURES:
+            raise ConfigError(
+                f"--figure {figure}: give a name that ends in {', '.join(PICTURES[:-1])} or {PICTURES[-1]}."
+            )
+        checks.library("matplotlib.figure", "A figure")
+    with progress(quiet) as tell:
+        result = run(
+            vehicle, loss=sizes, mass_kg=mass, thrust_to_weight=thrust_to_weight, arm_m=arm, progress=tell
+        )  # fmt: skip
+        if figure:
+            result.figure(figure)
+    if as_json:
+        click.echo(result.to_json())
+    else:
+        from rotorwatch.report import research_tables
+
+        show(lambda _: research_tables.survival(result))
+    if figure and not quiet:
+        say(f"figure written to {figure}")

@@ -1,0 +1,11 @@
+"""From a diagnosis to staying in the air: which commands still do what is asked when rotors are weak or gone.
+
+    box.py          the exact least squares problem over a box, in a fixed number of turns
+    allocation.py   demands (thrust, roll, pitch, yaw) -> commands of the rotors, by what is believed of each rotor
+    airframe.py     the numbers of a vehicle that its control is designed from
+    attainable.py   every thrust and moment that a vehicle can still give, exactly
+    spinning.py     hover while turning, where it is impossible otherwise, and the feedback that holds it
+
+Everything that runs in flight is a pure step of fixed shapes, as estimators are: it runs under `scan` and `vmap` and can be
+exported to C. What is worked out on the ground (attainable sets, gains) is NumPy and SciPy. See docs/control.md.
+"""

@@ -1,0 +1,106 @@
+"""A multirotor whose commands follow what is believed of its rotors, instead of the autopilot's fixed mixer.
+
+What is believed, and from when on, is a `Schedule` of a few entries; `closed_loop` writes it from what an estimator said. Up to the first
+entry the vehicle flies as any other. From then on
+
+    turning 0    the autopilot's demands (throttle, roll, pitch, yaw) go through `control.allocation`
+    turning 1    where full control of hover is lost: `control.spinning` holds a turning hover; thrust and
+                 tilt still follow the position loop
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from rotorwatch.backend import jax as load_jax
+from rotorwatch.control import spinning
+from rotorwatch.control.allocation import Allocator, Belief
+from rotorwatch.simulation import control, rotation
+from rotorwatch.simulation.multirotor import Drives, Multirotor, Plan
+
+Array = Any
+LEAN = 0.25  # rad: how far from upright a turning vehicle is asked to tilt
+
+
+class Entry(NamedTuple):
+    """What is believed from `since` [s] on. mean, lower, upper (n,): effectiveness of each rotor; turning: 0 or 1; hover and gains: of
+    `spinning`, zeros where they are not used."""
+
+    since: Array
+    mean: Array
+    lower: Array
+    upper: Array
+    turning: Array
+    hover: spinning.Hover
+    gains: spinning.Gains
+
+
+def entry(n: int, since: float = np.inf, mean=None, lower=None, upper=None, hover=None, gains=None) -> Entry:
+    """An entry; without arguments one that never begins. hover, gains: for a vehicle that has to turn."""
+    mean = np.ones(n) if mean is None else np.asarray(mean, float)
+    turns = hover is not None and gains is not None
+    if hover is None or gains is None:
+        hover = spinning.Hover(np.zeros(n), np.zeros(3), np.array([0.0, 0.0, 1.0]), np.zeros(n))
+        gains = spinning.Gains(np.zeros((n, 5 + n)), np.zeros((2, 3)), 0.0)
+    return Entry(
+        np.array(since), mean, mean if lower is None else np.asarray(lower, float),
+        mean if upper is None else np.asarray(upper, float), np.array(float(turns)), hover,
+        gains,
+    )  # fmt: skip
+
+
+def schedule(n: int, entries: list[Entry], size: int) -> Entry:
+    """`size` entries stacked along a first axis, the last of them never beginning."""
+    filled = [*entries, *[entry(n)] * (size - len(entries))]
+    return load_jax().tree.map(lambda *leaves: np.stack([np.asarray(leaf, float) for leaf in leaves]), *filled)
+
+
+class Reconfigured(Multirotor):
+    """The `loop.Aircraft` of vehicles of one frame that follow a `Plan` with a schedule. Equal for the same frame and rule."""
+
+    def __init__(self, B: np.ndarray, by: str = "estimate", method: str = "bounded"):
+        """B (4, n): thrust, roll, pitch, yaw of each rotor (`control.allocation.rows`), healthy; by, method: of the `Allocator`."""
+        self.allocator = Allocator(B, by=by, method=method)
+        self._key = (np.asarray(B, float).tobytes(), by, method)
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Reconfigured) and other._key == self._key
+
+    def start(self, plan: Plan) -> tuple:
+        """As any multirotor."""
+        body, accel, drives = super().start(plan)
+        return body, accel, drives._replace(f=drives.w)
+
+    def mixed(self, plan: Plan, now, t, body, gyro, turning, own: Drives, dt: float) -> tuple:
+        """The mixer's answer, the allocator's or the turning hover's, as the schedule says."""
+        jax = load_jax()
+        jnp, pilot, throttle = jax.numpy, plan.pilot, now.target.throttle
+        healthy, free = control.mix(pilot.mixer, turning, throttle)
+        begun = plan.schedule.since <= t
+        k = jnp.maximum(begun.sum() - 1, 0)
+        one = jax.tree.map(lambda a: a[k], plan.schedule)
+        wanted = self.allocator.B @ (throttle + pilot.mixer[:, :3] @ turning)
+        belief = Belief(one.mean, one.lower, one.upper, one.mean[None], jnp.ones(1))
+        given = self.allocator.step(self.allocator.init(), wanted, belief)[1]
+        granted = given.granted[:3].min()
+
+        # Down, as the position loop wants it, in body axes, no further from the hover's than LEAN.
+        R, wish = rotation.axes(body.q), rotation.axes(now.target.q)
+        down = rotation.to_body(R, jnp.stack([wish[0][2], wish[1][2], wish[2][2]]))
+        level = rotation.to_body(R, jnp.asarray([0.0, 0.0, 1.0], down.dtype))
+        apart = down - level
+        apart = apart * jnp.minimum(1.0, LEAN / jnp.maximum(jnp.sqrt((apart * apart).sum()), 1e-6))
+        lift = throttle / pilot.hover / jnp.maximum(one.hover.down[2], 0.3)
+        spun = spinning.feedback(one.hover, one.gains, own.f, gyro, level + apart, jnp.clip(lift, 0.5, 1.5))
+
+        turns = one.turning > 0.5
+        ours = jnp.where(turns, spun, given.u)
+        demand = jnp.where(begun[0], ours, healthy)
+        free = jnp.where(begun[0], jnp.where(turns, 0.0, granted), free)
+        fade = jnp.exp(-dt / plan.craft.lag)
+        return demand, free, own._replace(f=demand + (own.f - demand) * fade)

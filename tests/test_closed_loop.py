@@ -1,0 +1,176 @@
+"""Flights in which what is believed of the rotors drives the allocation: they stay up where they would not, and nothing is foreseen."""
+
+import json
+
+import numpy as np
+import pytest
+
+from rotorwatch import cli
+from rotorwatch.campaign import batch, closed_loop, plan, store
+from rotorwatch.control import spinning
+from rotorwatch.control.allocation import rows
+from rotorwatch.errors import ConfigError
+from rotorwatch.simulation import loop, one, prepare, reconfigured, scenario
+from rotorwatch.simulation.multirotor import MULTIROTOR
+
+pytest.importorskip("pyarrow")
+
+PLAN = """
+name = "small"
+seed = 5
+healthy = 0.25
+estimators = ["default"]
+detectors = []
+[scenario]
+duration_s = 28.0
+rate_hz = 200
+[scenario.airframe]
+frame = "hexa-x"
+thrust_to_weight = 2.2
+[scenario.trajectory]
+altitude_m = 5.0
+land = false
+[scenario.wind]
+speed_m_s = 2.0
+[scenario.logging]
+profile = "fast"
+[[faults]]
+kind = "complete loss"
+onset_s = 20.0
+"""
+WIDTH, DRIVERS = 4, ("nobody", "truth", "default")
+
+
+@pytest.fixture
+def run(capsys):
+    def call(*argv):
+        with pytest.raises(SystemExit) as leave:
+            cli.main([str(a) for a in argv])
+        out, err = capsys.readouterr()
+        return leave.value.code, out if leave.value.code == 0 else err
+
+    return call
+
+
+@pytest.fixture(scope="module")
+def asked(tmp_path_factory):
+    path = tmp_path_factory.mktemp("plan") / "small.toml"
+    path.write_text(PLAN)
+    return path, plan.read(path)
+
+
+@pytest.fixture(scope="module")
+def folder(asked, tmp_path_factory):
+    """What the drivers made of the plan's first flights."""
+    out = tmp_path_factory.mktemp("flown") / "out"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(batch, "CPU_WIDTH", WIDTH)
+        closed_loop.run(asked[0], DRIVERS, out, WIDTH, jobs=1)
+    return out
+
+
+def test_a_hexa_without_a_rotor_falls_unless_somebody_notices(folder):
+    rows = store.Folder(folder).table().to_pylist()
+
+    def of(driver, faulty):
+        return [r for r in rows if r["method"] == driver and r["faulty"] == faulty]
+
+    def survived(driver, faulty):
+        return [r["survived"] for r in of(driver, faulty)]
+
+    assert len(survived("nobody", True)) >= 2 and not any(survived("nobody", True))
+    assert all(survived("truth", True)) and all(survived("default", True))
+    assert len(survived("nobody", False)) >= 1 and all(survived("nobody", False) + survived("default", False))
+    assert all(r["first_s"] == pytest.approx(closed_loop.DELAY_S) for r in of("truth", True))
+    for r in of("default", True):
+        assert not r["false"] and 0.0 < r["first_s"] < 2.0
+    assert all(r["beliefs"] == 0 and not r["false"] for r in of("default", False))
+    assert any(r["right"] and r["recovered_s"] is not None for r in of("default", True))
+
+
+def planned(**changes):
+    asked = {
+        "seed": 3, "duration_s": 20.0, "rate_hz": 200, "airframe": {"frame": "quad-x", "thrust_to_weight": 2.0},
+        "trajectory": {"land": False, "altitude_m": 6.0}, "wind": {"speed_m_s": 1.0},
+        "faults": [{"kind": "loss", "rotor": 2, "onset_s": 14.0, "strength": 0.6}],
+    }  # fmt: skip
+    s = scenario.from_table({**asked, **changes})
+    return s, prepare.plan(s), rows(prepare.vehicle(s))
+
+
+def flown(aircraft, s, numbers):
+    return one(loop.fly_many(aircraft, loop.stack([numbers]), s.duration_s, s.rate_hz, s.record_hz), 0)
+
+
+def test_nothing_changes_before_the_first_belief():
+    """To the last bit the flight of the autopilot alone, as long as no entry has begun."""
+    s, numbers, B = planned()
+    craft = reconfigured.Reconfigured(B)
+    never = flown(craft, s, numbers._replace(schedule=reconfigured.schedule(4, [], 2)))
+    plain = flown(MULTIROTOR, s, numbers)
+    np.testing.assert_allclose(never.p, plain.p, atol=1e-9)
+    entry = reconfigured.entry(4, 10.0, [0.8, 1.0, 1.0, 1.0])
+    later = flown(craft, s, numbers._replace(schedule=reconfigured.schedule(4, [entry], 2)))
+    before = later.time < 10.0
+    for name in ("p", "q", "command", "accel"):
+        assert (getattr(later, name)[before] == getattr(never, name)[before]).all(), name
+    assert np.abs(later.command[~before] - never.command[~before]).max() > 0.01
+
+
+def test_a_quad_that_cannot_hover_still_turns_and_stays():
+    """60 % of a rotor at twice the weight: while it turns it holds its place, and without that it comes down."""
+    s, numbers, B = planned()
+    craft = reconfigured.Reconfigured(B)
+    e = np.array([1.0, 0.4, 1.0, 1.0])
+    entry = closed_loop._entry(s, 14.2, e, e, e)
+    assert entry.turning == 1.0
+    for entries, stays in (([entry], True), ([], False)):
+        record = flown(craft, s, numbers._replace(schedule=reconfigured.schedule(4, entries, 2)))
+        late = record.time > 14.0
+        assert ((-record.p[late, 2]).min() > 5.0) == stays
+        if stays:
+            assert np.abs(record.omega[late][-1, 2]) > 3.0 and np.hypot(*(record.p[-1, :2])) < 3.0
+
+
+def test_the_feedback_is_the_hovers_own():
+    s, _, _ = planned()
+    entry = closed_loop._entry(s, 0.0, *[np.array([1.0, 0.4, 1.0, 1.0])] * 3)
+    hover, gains = entry.hover, entry.gains
+    u = spinning.feedback(hover, gains, hover.u, hover.omega, hover.down, 1.0)
+    np.testing.assert_allclose(u, hover.u, atol=1e-12)
+
+
+def test_the_command_goes_on_and_says_who_survives(asked, folder, run):
+    """With all parts there nothing is flown again."""
+    before = {p.name: p.stat().st_mtime_ns for p in (folder / "parts").iterdir()}
+    arguments = ["closed-loop", asked[0], "--flights", WIDTH, "--drivers", ",".join(DRIVERS), "--jobs", 1, "-o", folder]
+    code, text = run(*arguments, "--json")
+    assert code == 0, text
+    found = json.loads(text)["drivers"]
+    assert found["nobody"]["survived"]["value"] == 0.0 and found["truth"]["of_possible"]["value"] == 1.0
+    assert found["default"]["of_possible"]["n"] == found["truth"]["survived"]["n"] == found["nobody"]["faulty"]
+    code, text = run(*arguments)
+    assert code == 0 and "survived, hexa-x | 0 % (0 to " in text
+    assert before == {p.name: p.stat().st_mtime_ns for p in (folder / "parts").iterdir()}
+
+
+def test_bad_requests_are_one_sentence(asked, tmp_path):
+    with pytest.raises(ConfigError, match="land = false"):
+        closed_loop.fly(
+            plan.read(_written(tmp_path, PLAN.replace("land = false", "land = true").replace("28.0", "60.0"))),
+            range(2),
+            "nobody",
+        )
+    with pytest.raises(ConfigError, match="nonesuch"):
+        closed_loop.run(asked[1], ["nonesuch"], tmp_path / "x", 2)
+    with pytest.raises(ConfigError, match="at least one driver"):
+        closed_loop.run(asked[1], [], tmp_path / "x", 2)
+    stuck = PLAN.replace('"complete loss"', '"stuck"')
+    with pytest.raises(ConfigError, match="losses and complete losses, not stuck"):
+        closed_loop.fly(plan.read(_written(tmp_path, stuck)), range(2), "truth")
+
+
+def _written(folder, text):
+    path = folder / "plan.toml"
+    path.write_text(text)
+    return path
