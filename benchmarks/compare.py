@@ -1,6 +1,6 @@
 """Makes docs/comparison.md: all methods on the same simulated flights, a table for each frame.
 
-    python benchmarks/compare.py [--jobs 2] [--out FOLDER] [--methods NAME,NAME]
+    python benchmarks/compare.py [--jobs 2] [--out FOLDER] [--methods NAME,NAME --name -more]
 
 Runs `rotorwatch benchmark` on the plans in benchmarks/comparison. Results files are kept in --out: frames that have one are not
 flown again, and a run that was interrupted goes on where it was.
@@ -65,16 +65,19 @@ def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__)
     arguments.add_argument("--jobs", type=int)
     arguments.add_argument("--methods", default="all")
+    arguments.add_argument(
+        "--name", default="", help="of a run of other methods, such as -new: its rows join those that are kept"
+    )
     arguments.add_argument("--out", type=Path, default=Path(tempfile.gettempdir()) / "rotorwatch-comparison")
     asked = arguments.parse_args()
     asked.out.mkdir(parents=True, exist_ok=True)
     pages = []
     for frame in FRAMES:
-        out = asked.out / f"{frame}.json"
+        out = asked.out / f"{frame}{asked.name}.json"
         if not out.exists():
             plan = ROOT / "benchmarks" / "comparison" / f"{frame}.toml"
             benchmark.run(plan, asked.methods.split(","), out, asked.jobs, tell=print)
-        pages.append(table(ranking.rank([out])))
+        pages.append(table(ranking.rank(sorted(asked.out.glob(f"{frame}*.json")))))
     PAGE.write_text(HEAD + "".join(pages), encoding="utf-8")
 
 
