@@ -43,7 +43,9 @@ IDLE, IDLE_S = (
     1.0,
 )  # of its hover thrust, on average over so long: a rotor that is used less does not show what it has lost
 DELAY_S = 0.1  # from an estimate to commands that follow it
-ROOM = 0.02  # of a channel's authority: with less left at hover the vehicle has to turn
+ROOM = (
+    0.1  # of a channel's authority: with less left at hover, if losses are as large as they may be, the vehicle turns
+)
 TURNED = np.cos(np.radians(100.0))
 TRACK_M, TRACK_DEG = 2.0, 20.0  # recovered: nearer than this to where it should be, and not leaning more
 
@@ -275,7 +277,7 @@ def _entry(scenario: Scenario, since: float, mean, lower, upper) -> reconfigured
     frame = Airframe.of(prepare.plan(bare).craft)
     half = np.abs(frame.B).sum(axis=1) / 2.0
     hover = gains = None
-    if attainable.margins(frame.B * mean, frame.mass * G0, half).depth < ROOM:
+    if attainable.margins(frame.B * lower, frame.mass * G0, half).depth < ROOM:
         hover = spinning.relaxed_hover(frame, mean)
         gains = spinning.design(frame, hover) if hover else None
     return reconfigured.entry(len(mean), since, mean, lower, upper, hover if gains else None, gains)

@@ -137,7 +137,7 @@ class Multirotor:
         """Inner loops, mixer, faults, rotors and body."""
         jnp = load_jax().numpy
         craft, pilot = plan.craft, plan.pilot
-        target, (lift, compensated, lift_max) = now.target, now.more
+        target, (lift, compensated, lift_max) = self.aimed(plan, now, t, body), now.more
         turning, wish, loops = control.inner(pilot, target, body.q, gyro, loops, lift, dt)
         demand, free, own = self.mixed(plan, now, t, body, gyro, turning, own, dt)
         command = jnp.minimum(control.drive(pilot.expo, lift_max * demand) / compensated, 1.0) * jnp.where(
@@ -159,6 +159,10 @@ class Multirotor:
         lost = 1.0 - (1.0 - theta) * jnp.where(told > 0.0, (share / jnp.maximum(told, 1e-9)) ** 2, kept)
         last = (demand, command, asked, wish, jnp.where(share < told, lost, theta), s, theta, friction, 1.0 - undriven)
         return body, loops._replace(free=free), own._replace(w=w, phase=phase, held=held), force, last
+
+    def aimed(self, plan: Plan, now: Moment, t, body: Body) -> control.Target:
+        """What the inner loops aim at from here."""
+        return now.target
 
     def mixed(self, plan: Plan, now: Moment, t, body: Body, gyro, turning, own: Any, dt: float) -> tuple:
         """Thrust demands (n,) of control `turning` (3,), whether all of it was granted (1 or 0), and the aircraft's own state."""

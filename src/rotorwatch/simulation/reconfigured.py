@@ -21,6 +21,7 @@ from rotorwatch.simulation import control, rotation
 from rotorwatch.simulation.multirotor import Drives, Multirotor, Plan
 
 Array = Any
+TURN = 0.3  # rad
 LEAN = 0.25  # rad: how far from upright a turning vehicle is asked to tilt
 
 
@@ -75,6 +76,24 @@ class Reconfigured(Multirotor):
         """As any multirotor."""
         body, accel, drives = super().start(plan)
         return body, accel, drives._replace(f=drives.w)
+
+    def aimed(self, plan: Plan, now, t, body) -> control.Target:
+        """From the first entry on the way to the tilt asked for is the shortest, whatever the heading, and no more than TURN of heading at
+        a time: where yaw is given up its error must not turn into roll and pitch (reduced attitude)."""
+        jnp, target = load_jax().numpy, now.target
+        here, there = rotation.axes(body.q), rotation.axes(target.q)
+        a, b = (
+            jnp.stack([R[0][2], R[1][2], R[2][2]]) for R in (here, there)
+        )  # body z in the world: now, and asked for
+        cross = jnp.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+        dot = (a * b).sum(axis=0)
+        half = jnp.concatenate([jnp.maximum(1.0 + dot, 1e-3)[None], cross])
+        level = rotation.multiply(rotation.unit(half), body.q)
+        left = rotation.multiply(rotation.conjugate(level), target.q)  # about body z
+        angle = 2.0 * jnp.arctan2(jnp.where(left[0] < 0.0, -left[3], left[3]), jnp.abs(left[0]))
+        q = rotation.multiply(level, rotation.heading(jnp.clip(angle, -TURN, TURN)))
+        begun = plan.schedule.since[0] <= t
+        return target._replace(q=jnp.where(begun, q, target.q))
 
     def mixed(self, plan: Plan, now, t, body, gyro, turning, own: Drives, dt: float) -> tuple:
         """The mixer's answer, the allocator's or the turning hover's, as the schedule says."""
