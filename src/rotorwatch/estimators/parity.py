@@ -152,26 +152,37 @@ class Parity:
             system.Q(dt),
             system.R(u),
         )
-        if not checks.concrete(found):
-            raise ConfigError(
-                "The parity space is designed for one plant with numbers in it; it cannot be tuned, nor compiled for many plants."
-            )
-        F, C, Q, R = (np.asarray(part) for part in found)
+        values = checks.concrete(found)
+        xp = np if values else jnp  # with a plant's values by NumPy; where they are a program's parameters, inside it
+        F, C, Q, R = (xp.asarray(part) for part in found)
         n_x, n_y = system.n_x, system.n_y
-        powers = [np.eye(n_x)]
+        powers = [xp.eye(n_x)]
         for _ in range(N):
             powers.append(F @ powers[-1])
-        seen = np.concatenate([C @ powers[k] for k in range(1, N + 1)])
-        if np.linalg.matrix_rank(seen / np.maximum(np.abs(seen).max(axis=0), 1e-300)) < n_x:
+        seen = xp.concatenate([C @ powers[k] for k in range(1, N + 1)])
+        if values and np.linalg.matrix_rank(seen / np.maximum(np.abs(seen).max(axis=0), 1e-300)) < n_x:
             raise ConfigError(
                 f"The parity space of the plant {system.name} needs a window in which every state shows; {N} steps are too few, "
                 "or a state is never measured."
             )
-        T = np.zeros((N * n_y, N * n_x))  # of each step's process noise
-        for k in range(N):
-            for j in range(k + 1):
-                T[k * n_y : (k + 1) * n_y, j * n_x : (j + 1) * n_x] = C @ powers[k - j]
-        Sigma = T @ np.kron(np.eye(N), Q) @ T.T + np.diag(np.tile(R, N))
-        blind = np.linalg.svd(seen.T)[2][n_x:]
-        root = np.linalg.cholesky(blind @ Sigma @ blind.T)
-        self.F, self.C, self.V = F, C, np.linalg.solve(root, blind)
+        none = xp.zeros((n_y, n_x))
+        rows = [[C @ powers[k - j] if j <= k else none for j in range(N)] for k in range(N)]
+        T = xp.concatenate([xp.concatenate(row, axis=1) for row in rows])  # of each step's process noise
+        Sigma = T @ xp.kron(xp.eye(N), Q) @ T.T + xp.diag(xp.tile(R, N))
+        V = self._whitener(xp.linalg.cholesky(0.5 * (Sigma + Sigma.T)))
+        W = V @ seen
+        for k in range(n_x):  # Householder's reflections: what they leave below the first n_x rows of W is zero
+            v = xp.where(np.arange(N * n_y) >= k, W[:, k], 0.0)
+            size = xp.sqrt(v @ v)
+            v = v + xp.where(v[k] < 0.0, -size, size) * np.eye(N * n_y)[k]
+            twice = 2.0 / (v @ v)
+            W, V = W - twice * xp.outer(v, v @ W), V - twice * xp.outer(v, v @ V)
+        self.F, self.C, self.V = F, C, V[n_x:]
+
+    def _whitener(self, root):
+        """The inverse of a lower triangular matrix."""
+        if isinstance(root, np.ndarray):
+            return np.linalg.solve(root, np.eye(len(root)))
+        import jax
+
+        return jax.scipy.linalg.solve_triangular(root, np.eye(root.shape[0]), lower=True)
