@@ -160,7 +160,8 @@ def share(flags: np.ndarray) -> dict[str, float] | None:
     p = float(np.mean(flags.astype(float)))
     middle = (p + Z * Z / (2 * n)) / (1 + Z * Z / n)
     half = Z / (1 + Z * Z / n) * np.sqrt(p * (1 - p) / n + Z * Z / (4 * n * n))
-    return {"value": p, "low": max(0.0, float(middle - half)), "high": min(1.0, float(middle + half)), "n": n}
+    low, high = max(0.0, float(middle - half)), min(1.0, float(middle + half))
+    return {"value": p, "low": min(low, p), "high": max(high, p), "n": n}  # rounding may leave none, or all, outside
 
 
 def boot(values: np.ndarray, statistic: Callable) -> dict[str, float] | None:
