@@ -118,7 +118,7 @@ def walk(diagnosis, flown=True):
             views.faults.append(f"{path}: nobody has said how it is shown")
         elif FIELDS[path] is not None:
             FIELDS[path](views, value)
-    for check in (verdict, main_event, headline, rotors, events, advice, page, plots, one_line):
+    for check in (verdict, main_event, headline, rotors, health, events, advice, page, plots, one_line):
         check(views)
     return views.faults
 
@@ -222,6 +222,28 @@ def headline(views):
         for text in (said, d["reason"]):
             views.expect(report.losses(event) in text, f"the loss of the main event is not in: {text}")
         views.expect((main["end_s"] is None) == ("until" not in said), "headline and main event differ on the end")
+
+
+def health(views):
+    """Every rotor's grade and trend stand on the page and in the terminal, where anything was judged; a word fits its interval."""
+    states_ = views.json["rotors"]
+    judged = any(r["status"] != "unobservable" for r in states_)
+    for r in states_ if judged else ():
+        me = f"rotor {r['rotor']}"
+        views.shown(r["grade"], f"the grade of {me}")
+        views.expect(r["status"] != "failed" or "healthy" not in r["grade"], f"{me} failed and is graded {r['grade']}")
+        trend = r["trend"]
+        if trend is None:
+            continue
+        views.shown(trend["word"], f"the trend of {me}")
+        low, high = trend["interval"]
+        views.expect(low <= trend["per_minute"] <= high, f"the trend of {me} lies outside its interval")
+        sign = {"growing": low > 0, "shrinking": high < 0}.get(trend["word"])
+        views.expect(sign is not False, f"the trend of {me} is {trend['word']} with {low} to {high}")
+        for end in (trend["interval"][0], trend["interval"][1]):
+            views.shown(report.rate(end).split()[0], f"the trend's interval of {me}", screen=False)
+        for at in (trend["start_s"], trend["end_s"]):
+            views.shown(report.seconds(at), f"the span of the trend of {me}", screen=False)
 
 
 def rotors(views):
@@ -453,6 +475,14 @@ FIELDS = {
     "rotors[].status": SHOWN,
     "rotors[].since_takeoff": SHOWN,
     "rotors[].from_takeoff": SHOWN,
+    "rotors[].grade": SHOWN,
+    "rotors[].trend": SHOWN,
+    "rotors[].trend.per_minute": SHOWN,
+    "rotors[].trend.interval": SHOWN,
+    "rotors[].trend.start_s": SHOWN,
+    "rotors[].trend.end_s": SHOWN,
+    "rotors[].trend.word": SHOWN,
+    "rotors[].trend.beyond": HIDDEN,
     "rotors[].note": lambda views, value: value and views.shown(value[1:], "a rotor's note"),
     "events": SHOWN,
     "events[].kind": SHOWN,

@@ -493,7 +493,9 @@ def test_two_methods_of_another_package_are_tried_and_ranked_by_the_real_command
         return done
 
     shorter = (ROOT / "src/rotorwatch/campaign/benchmark_plans/quick.toml").read_text()
-    (tmp_path / "plan.toml").write_text(shorter.replace("flights = 64", "flights = 24"))
+    (tmp_path / "plan.toml").write_text(
+        shorter.replace("flights = 64", "flights = 24").replace('name = "quick"', 'name = "shorter"')
+    )
     names = "fixed_gain,residual_cusum"
     command("plan.toml", "--methods", names, "--method", "beside:Quick", "-o", "two.json", "--jobs", "1")
     results = results_file.read(tmp_path / "two.json")
