@@ -106,7 +106,8 @@ class Reconfigured(Multirotor):
         wanted = self.allocator.B @ (throttle + pilot.mixer[:, :3] @ turning)
         belief = Belief(one.mean, one.lower, one.upper, one.mean[None], jnp.ones(1))
         given = self.allocator.step(self.allocator.init(), wanted, belief)[1]
-        granted = given.granted[1:3].min()  # a throttle or yaw that is not had must not stop what holds the vehicle level
+        # A throttle or yaw that is not had must not stop what holds the vehicle level.
+        granted = given.granted[1:3].min()
 
         # Down, as the position loop wants it, in body axes, no further from the hover's than LEAN.
         R, wish = rotation.axes(body.q), rotation.axes(now.target.q)
