@@ -6,10 +6,9 @@ from pathlib import Path
 
 import click
 
-from rotorwatch.commands.tools import OUT, common, progress, say, show
+from rotorwatch.commands.tools import OUT, common, drawable, progress, say, show
 from rotorwatch.errors import ConfigError
 
-PICTURES = (".svg", ".png", ".pdf")
 FIGURES = "Draw the paper's figures again, as SVG files in this folder."
 
 
@@ -31,16 +30,10 @@ def register(group: click.Group) -> None:
 @common
 def observability(vehicle, figure, as_json, quiet) -> None:
     """Say which losses of which rotors can be told apart on this airframe, in hover and in a manoeuvre."""
-    from rotorwatch import checks, files
     from rotorwatch.published.observability import observability as run
 
     if figure:
-        files.writable(figure, "--figure")
-        if figure.suffix.lower() not in PICTURES:
-            raise ConfigError(
-                f"--figure {figure}: give a name that ends in {', '.join(PICTURES[:-1])} or {PICTURES[-1]}."
-            )
-        checks.library("matplotlib.figure", "A figure")
+        drawable(figure)
     with progress(quiet) as tell:
         result = run(_vehicle(vehicle), progress=tell)
         if figure:

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import click
 
-from rotorwatch.commands.tools import OUT, common, progress, say, show
+from rotorwatch.commands.tools import OUT, common, drawable, progress, say, show
 from rotorwatch.errors import ConfigError
-
-PICTURES = (".svg", ".png", ".pdf")
 
 
 def register(group: click.Group) -> None:
@@ -32,7 +30,6 @@ def register(group: click.Group) -> None:
 def survive(vehicle, loss, mass, thrust_to_weight, arm, figure, as_json, quiet) -> None:
     """Say what is left after the loss of any rotor and of any two: full control, hover without yaw, hover only while spinning, or none; how
     much thrust and moment, and what wind it holds."""
-    from rotorwatch import checks, files
     from rotorwatch.survive import survive as run
 
     try:
@@ -40,12 +37,7 @@ def survive(vehicle, loss, mass, thrust_to_weight, arm, figure, as_json, quiet) 
     except ValueError:
         raise ConfigError(f"--loss {loss}: give numbers with commas, as in 0.3,0.6,1.") from None
     if figure:
-        files.writable(figure, "--figure")
-        if figure.suffix.lower() not in PICTURES:
-            raise ConfigError(
-                f"--figure {figure}: give a name that ends in {', '.join(PICTURES[:-1])} or {PICTURES[-1]}."
-            )
-        checks.library("matplotlib.figure", "A figure")
+        drawable(figure)
     with progress(quiet) as tell:
         result = run(
             vehicle, loss=sizes, mass_kg=mass, thrust_to_weight=thrust_to_weight, arm_m=arm, progress=tell

@@ -16,6 +16,7 @@ import click
 
 from rotorwatch.errors import BackendWarning, ConfigError, PluginWarning
 
+PICTURES = (".svg", ".png", ".pdf")
 MOST_INPUT = 4 << 30  # bytes taken from standard input or a pipe
 _spool: list[str] = []  # the folder in which what came through a pipe lies, once there is one
 
@@ -168,3 +169,13 @@ def progress(quiet: bool) -> Iterator[Callable | None]:
             bar.update(task, completed=min(max(float(share), 0.0), 1.0), description=text or None)
 
         yield tell
+
+
+def drawable(figure: Path) -> None:
+    """Before the work: that --figure can be drawn. Raises ConfigError."""
+    from rotorwatch import checks, files
+
+    files.writable(figure, "--figure")
+    if figure.suffix.lower() not in PICTURES:
+        raise ConfigError(f"--figure {figure}: give a name that ends in {', '.join(PICTURES[:-1])} or {PICTURES[-1]}.")
+    checks.library("matplotlib.figure", "A figure")
