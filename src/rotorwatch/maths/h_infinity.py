@@ -24,13 +24,13 @@ Control, Signals, and Systems 2 (1989) 207; `bounded_real` solves the lemma's in
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 
 import numpy as np
 
 from rotorwatch import checks
 from rotorwatch.errors import ConfigError
+from rotorwatch.maths import matrix_inequality
 
 ON_AXIS = 1e-8  # a real part below this share of the largest eigenvalue counts as none
 SAMPLED = 1.0 - 1e-4  # sqrt(V) falls to this share a sample, or lower: the solver has to leave room for rounding
@@ -90,7 +90,7 @@ def bisection(A, E, C, F=None, tolerance: float = 1e-9) -> float:
 
 def bounded_real(A, E, C, F=None) -> float:
     """The norm as the least level of the bounded real lemma, a linear matrix inequality. Raises ConfigError when the solver finds none."""
-    cp = checks.library("cvxpy", "Solving a matrix inequality")
+    cp = matrix_inequality.library()
     A, E, C, F = _system(A, E, C, F)
     n, n_w, n_z = len(A), E.shape[1], len(C)
     P, g = cp.Variable((n, n), symmetric=True), cp.Variable()
@@ -101,7 +101,7 @@ def bounded_real(A, E, C, F=None) -> float:
             [C, F, -g * np.eye(n_z)],
         ]
     )
-    if not _solved(cp.Problem(cp.Minimize(g), [whole << 0, P >> 0])) or g.value is None:
+    if not matrix_inequality.solved(cp.Problem(cp.Minimize(g), [whole << 0, P >> 0])) or g.value is None:
         raise ConfigError(
             "The solver finds no level of the bounded real lemma; is the system stable, and are its states well scaled?"
         )
@@ -118,7 +118,7 @@ def state_feedback(A, B, E, C, D, *, dt: float | None = None, scale=None, slack:
     Raises ConfigError when no controller stabilises all vertices with one quadratic Lyapunov function, and when the eigenvalues of what
     the solver returned do not confirm it.
     """
-    cp = checks.library("cvxpy", "Solving a matrix inequality")
+    cp = matrix_inequality.library()
     A, B = (np.asarray(part, float) for part in (A, B))
     A, B = A if A.ndim == 3 else A[None], B if B.ndim == 3 else B[None]
     count, n, m = max(len(A), len(B)), A.shape[-1], B.shape[-1]
@@ -151,7 +151,7 @@ def state_feedback(A, B, E, C, D, *, dt: float | None = None, scale=None, slack:
         if dt is not None:
             stepped = X + dt * moved
             limits.append(cp.bmat([[SAMPLED**2 * X, stepped.T], [stepped, X]]) >> 0)
-    if not _solved(cp.Problem(cp.Minimize(g), limits)) or X.value is None:
+    if not matrix_inequality.solved(cp.Problem(cp.Minimize(g), limits)) or X.value is None:
         raise ConfigError(
             "These are bounds that exclude every controller: no state feedback makes one quadratic Lyapunov function fall at all "
             f"{count} vertices; narrower bounds are needed, above all where an actuator's gain may be zero."
@@ -160,7 +160,7 @@ def state_feedback(A, B, E, C, D, *, dt: float | None = None, scale=None, slack:
         kept, middle = (np.asarray(X.value), np.asarray(Y.value)), cp.Variable()
         in_middle = lemma(a.mean(axis=0) @ X + b.mean(axis=0) @ Y, middle)
         second = cp.Problem(cp.Minimize(middle), [*limits, in_middle, g <= (1.0 + slack) * float(g.value)])
-        if not _solved(second) or X.value is None:
+        if not matrix_inequality.solved(second) or X.value is None:
             X.value, Y.value = kept
     X_ = 0.5 * (np.asarray(X.value) + np.asarray(X.value).T)
     K = np.linalg.solve(X_, np.asarray(Y.value).T).T / T
@@ -263,15 +263,3 @@ def _crosses(A, E, C, F, g) -> bool:
     M = np.block([[left, E @ inverse @ E.T], [-C.T @ (np.eye(len(C)) + F @ inverse @ F.T) @ C, -left.T]])
     values = np.linalg.eigvals(M)
     return bool((np.abs(values.real) < ON_AXIS * np.abs(values).max()).any())
-
-
-def _solved(problem) -> bool:
-    """Whether the solver found an answer; its accuracy is judged afterwards."""
-    cp = checks.library("cvxpy", "Solving a matrix inequality")
-    try:
-        with warnings.catch_warnings():  # "may be inaccurate": what comes back is checked by its eigenvalues
-            warnings.simplefilter("ignore", UserWarning)
-            problem.solve(solver=cp.CLARABEL)
-    except cp.SolverError:
-        return False
-    return problem.status in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE)

@@ -17,7 +17,7 @@ import numpy as np
 from rotorwatch import checks
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
-from rotorwatch.maths import linearise
+from rotorwatch.maths import linearise, matrix_inequality
 
 DOUBLINGS = 30  # of the Riccati recursion: 2^30 steps are forever
 
@@ -104,7 +104,7 @@ def common_lyapunov(F, C, decay: float, *, scale=None) -> Contraction:
     C (m, n). scale (n,): size of each state, for conditioning and for what "small gain" means. Raises ConfigError when no gain
     reaches the decay, or when the eigenvalues of what the solver returns do not confirm it.
     """
-    cp = _cvxpy()
+    cp = matrix_inequality.library()
     F, C = np.atleast_3d(np.asarray(F, float)), np.asarray(C, float)
     n, m = C.shape[1], C.shape[0]
     checks.shape("F", F, len(F), n, n)
@@ -117,7 +117,7 @@ def common_lyapunov(F, C, decay: float, *, scale=None) -> Contraction:
         X = G @ one - Y @ seen
         limits.append(cp.bmat([[decay**2 * G, X.T], [X, G]]) >> 0)
     problem = cp.Problem(cp.Minimize(t), limits)
-    if not _solved(problem):
+    if not matrix_inequality.solved(problem):
         raise ConfigError(f"No observer gain makes all {len(F)} Jacobians contract by {decay:g} a step; ask for less.")
     G_ = _symmetric(_value(G))
     L = np.linalg.solve(G_, _value(Y))
@@ -170,14 +170,14 @@ def theorem_1_best(A, C, constants: Lipschitz) -> tuple[float, np.ndarray, np.nd
 
     Below zero: feasible, and L = G^-1 Y is a gain. Not below zero (to about 1e-7): no gain satisfies the theorem.
     """
-    cp = _cvxpy()
+    cp = matrix_inequality.library()
     A, C = np.asarray(A, float), np.asarray(C, float)
     n, m = C.shape[1], C.shape[0]
     G, Y = cp.Variable((n, n), symmetric=True), cp.Variable((n, m))
     eps, t = cp.Variable(2, nonneg=True), cp.Variable()
     blocks = _theorem_1(G @ A - Y @ C, G, np.eye(n), np.zeros((n, n)), constants, eps[0], eps[1])
     limits: list = [cp.bmat(blocks) << t * np.eye(3 * n), G >> 1e-6 * np.eye(n), cp.trace(G) == n]
-    if not _solved(cp.Problem(cp.Minimize(t), limits)):
+    if not matrix_inequality.solved(cp.Problem(cp.Minimize(t), limits)):
         raise ConfigError("The solver finds no answer to Theorem 1's inequality; scale the states better.")
     G_, Y_, (eps_1, eps_2) = _symmetric(_value(G)), _value(Y), np.maximum(_value(eps), 0.0).tolist()
     return theorem_1(A, C, G_, Y_, constants, eps_1, eps_2), G_, Y_, eps_1, eps_2
@@ -205,25 +205,6 @@ def _F(system, points, u, dt):
     jax = load_jax()
     u, theta = np.zeros(system.n_u) if u is None else np.asarray(u, float), np.zeros(system.n_theta)
     return jax.jit(jax.vmap(lambda x: linearise.transition(system, x, u, theta, dt).by_x))(points)
-
-
-def _cvxpy():
-    """The solver's modelling library; in the extra `research`."""
-    return checks.library("cvxpy", "Solving a matrix inequality")
-
-
-def _solved(problem) -> bool:
-    """Whether the problem has a solution."""
-    import warnings
-
-    cp = _cvxpy()
-    try:
-        with warnings.catch_warnings():  # "may be inaccurate": what comes back is checked by its eigenvalues
-            warnings.simplefilter("ignore", UserWarning)
-            problem.solve(solver=cp.CLARABEL)
-    except cp.SolverError:
-        return False
-    return problem.status in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE)
 
 
 def _value(variable) -> np.ndarray:
