@@ -8,6 +8,7 @@ import pytest
 import rotorwatch
 from rotorwatch import backend, campaign
 from rotorwatch.campaign import batch, methods, score, work
+from rotorwatch.compiling import native, run
 from rotorwatch.motion.ticks import LEARN
 from rotorwatch.published import log_plant, published
 from rotorwatch.simulation import simulate
@@ -95,9 +96,9 @@ def test_native_code_and_jax_judge_alike(plan, rows, monkeypatch):
 
 def test_no_compiler_no_native_code(monkeypatch):
     def missing():
-        raise methods.native.Unavailable("none")
+        raise native.Unavailable("none")
 
-    monkeypatch.setattr(methods.native, "compiler", missing)
+    monkeypatch.setattr(native, "compiler", missing)
     monkeypatch.delenv("ROTORWATCH_BACKEND", raising=False)
     assert methods.engine() == "jax"
 
@@ -214,13 +215,13 @@ def test_the_width_follows_the_device(monkeypatch):
             return [self]
 
     monkeypatch.setattr(batch, "load_jax", Device)
-    monkeypatch.setattr(methods, "load_jax", Device)
+    monkeypatch.setattr(run, "load_jax", Device)
     monkeypatch.setattr(backend, "jax", Device)
     assert batch.width() == batch.CPU_WIDTH and work._processes(3) == 3 and work._processes() >= 1
     monkeypatch.setenv("ROTORWATCH_BACKEND", "jax")
     assert batch.where() == "on the processor, 32 flights side by side"
     monkeypatch.delenv("ROTORWATCH_BACKEND")
-    monkeypatch.setattr(methods.native, "compiler", lambda: "cc")
+    monkeypatch.setattr(native, "compiler", lambda: "cc")
     assert batch.where() == "on the processor, 32 flights side by side, estimators as native code"
     monkeypatch.setattr(Device, "kind", "gpu")
     assert batch.width() == batch.ACCELERATOR_WIDTH and work._processes(3) == work._processes() == 1
@@ -239,5 +240,5 @@ def test_as_many_at_once_as_fit_the_cache(monkeypatch):
         def default_backend(self):
             return "gpu"
 
-    monkeypatch.setattr(methods, "load_jax", Device)
+    monkeypatch.setattr(run, "load_jax", Device)
     assert methods.side_by_side(large, 1024) == 1024

@@ -516,6 +516,23 @@ def test_batch_is_one_by_one_and_seeds_repeat():
     assert np.abs(other.wind - again.wind).max() > 0.1
 
 
+@pytest.mark.parametrize("backend", ["auto", "jax"])
+def test_each_flight_is_the_batchs(backend, monkeypatch):
+    """As native code where there is a compiler, and without."""
+    monkeypatch.setenv("ROTORWATCH_BACKEND", backend)
+    flights, records = fleet()
+    numbers = [plan(flights[k]) for k in (2, 1)]
+    found = loop.fly_each(MULTIROTOR, numbers, DURATION, select=batch_keeps, size=len(flights))
+    for k, record in zip((2, 1), found, strict=True):
+        assert record.p.shape == records[k].p.shape and record.omega == ()
+        for name in ("time", "p", "q", "rates", "accel", "command", "theta", "volts", "flies"):
+            assert np.allclose(getattr(record, name), getattr(records[k], name), rtol=0, atol=1e-7), name
+
+
+def batch_keeps(record):
+    return record._replace(omega=())
+
+
 def test_single_precision_flies_the_same_way():
     flights, records = fleet()
     plans = loop.stack([plan(f) for f in flights[:2]])

@@ -29,9 +29,9 @@ from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.motion import outside
 from rotorwatch.motion.airborne import airborne
 from rotorwatch.motion.ticks import GROUND, LAG_S, READY_S, Ticks, observe
-from rotorwatch.simulation import logbook, one
+from rotorwatch.simulation import logbook
 from rotorwatch.simulation import plan as flight_plan
-from rotorwatch.simulation.loop import fly_many, stack
+from rotorwatch.simulation.loop import fly_each
 from rotorwatch.simulation.multirotor import MULTIROTOR
 from rotorwatch.simulation.scenario import Scenario
 
@@ -141,11 +141,9 @@ def fly(plan: Flights, flights: Sequence[int], size: int) -> list[Flown]:
     """Simulate the flights and look at them as `diagnose` looks at a log. Flights that never take off are left out."""
     scenarios = [plan.flight(k) for k in flights]
     plans = [_planned(k, scenario) for k, scenario in zip(flights, scenarios, strict=True)]
-    filled, first = [*plans, *[plans[-1]] * (size - len(plans))], scenarios[0]
-    records = fly_many(MULTIROTOR, stack(filled), first.duration_s, first.rate_hz, first.record_hz, _needed)
-    records = load_jax().tree.map(np.asarray, records)
-    flown = (one(records, k) for k in range(len(scenarios)))
-    found = [look(*row) for row in zip(flights, scenarios, plans, flown, strict=True)]
+    first = scenarios[0]
+    records = fly_each(MULTIROTOR, plans, first.duration_s, first.rate_hz, first.record_hz, _needed, size)
+    found = [look(*row) for row in zip(flights, scenarios, plans, records, strict=True)]
     return [f for f in found if f is not None]
 
 

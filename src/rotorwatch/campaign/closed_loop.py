@@ -11,6 +11,7 @@ and the estimators are those of `rotorwatch diagnose`, not copies of them.
 
 from __future__ import annotations
 
+import functools
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -30,7 +31,7 @@ from rotorwatch.control.allocation import rows
 from rotorwatch.default import program
 from rotorwatch.errors import ConfigError
 from rotorwatch.motion.ticks import LEARN
-from rotorwatch.simulation import loop, one, prepare, reconfigured, trajectories
+from rotorwatch.simulation import loop, prepare, reconfigured, trajectories
 from rotorwatch.simulation.rigid import G0
 from rotorwatch.simulation.scenario import Scenario
 
@@ -38,14 +39,11 @@ NOBODY, TRUTH = "nobody", "truth"
 ENTRIES = 8  # beliefs that a flight may act on, one after the other
 MOVED = 0.1  # a belief is acted on when a rotor's effectiveness is this far from what was acted on before
 REFRESH_S = 0.5  # ... and no sooner after that
-IDLE, IDLE_S = (
-    0.3,
-    1.0,
-)  # of its hover thrust, on average over so long: a rotor that is used less does not show what it has lost
+# Of its hover thrust, on average over so long: a rotor that is used less does not show what it has lost.
+IDLE, IDLE_S = 0.3, 1.0
 DELAY_S = 0.1  # from an estimate to commands that follow it
-ROOM = (
-    0.1  # of a channel's authority: with less left at hover, if losses are as large as they may be, the vehicle turns
-)
+# Of a channel's authority: with less left at hover, if losses are as large as they may be, the vehicle turns.
+ROOM = 0.1
 TURNED = np.cos(np.radians(100.0))
 TRACK_M, TRACK_DEG = 2.0, 20.0  # recovered: nearer than this to where it should be, and not leaning more
 
@@ -110,16 +108,19 @@ def fly(flown: batch.Flights, flights: Sequence[int], driver: str = "default", b
     made: list[list[reconfigured.Entry]] = [[] for _ in plans]
     if driver == TRUTH:
         made = [_true(s, n) for s in scenarios]
-    records = _flown(craft, scenarios[0], plans, made, size)
-    for _ in range(ENTRIES if driver not in (NOBODY, TRUTH) else 0):
-        new = _beliefs(driver, flights, scenarios, plans, records, made)
-        if not any(new):
+    first, records = scenarios[0], _flown(craft, scenarios[0], plans, made, size)
+    open_, turns = list(range(size)), ENTRIES if driver not in (NOBODY, TRUTH) else 0
+    for _ in range(turns):
+        # A flight without a new belief stays as it is, and so does what the estimator says of it.
+        here = [[row[k] for k in open_] for row in (flights, scenarios, plans, records, made)]
+        new = [(k, found) for k, found in zip(open_, _beliefs(driver, *here, size), strict=True) if found]
+        if not new:
             break
-        again = [k for k, found in enumerate(new) if found]
-        for entries, found in zip(made, new, strict=True):
-            entries += [found] if found else []
-        flown_again = _flown(craft, scenarios[0], [plans[k] for k in again], [made[k] for k in again], size)
-        for k, record in zip(again, flown_again, strict=True):
+        open_ = [k for k, _ in new]
+        for k, found in new:
+            made[k].append(found)
+        again = _flown(craft, first, [plans[k] for k in open_], [made[k] for k in open_], size)
+        for k, record in zip(open_, again, strict=True):
             records[k] = record
     every = zip(flights, scenarios, plans, records, made, strict=True)
     return [_outcome(number, s, p, record, entries) for number, s, p, record, entries in every]
@@ -243,15 +244,10 @@ def markdown(result: dict[str, Any]) -> str:
 
 
 def _flown(craft, first: Scenario, plans: list, made: list, size: int) -> list[Any]:
-    """The records of plans with these entries; filled up to `size`, so that one program serves every turn."""
-    ready = [
-        p._replace(schedule=reconfigured.schedule(p.craft.x.shape[0], m, ENTRIES))
-        for p, m in zip(plans, made, strict=True)
-    ]
-    ready += [ready[-1]] * (size - len(ready))
-    records = loop.fly_many(craft, loop.stack(ready), first.duration_s, first.rate_hz, first.record_hz, _kept)
-    records = load_jax().tree.map(np.asarray, records)
-    return [one(records, k) for k in range(len(plans))]
+    """The records of plans with these entries."""
+    n = craft.allocator.B.shape[1]
+    ready = [p._replace(schedule=reconfigured.schedule(n, m, ENTRIES)) for p, m in zip(plans, made, strict=True)]
+    return loop.fly_each(craft, ready, first.duration_s, first.rate_hz, first.record_hz, _kept, size)
 
 
 def _kept(record):
@@ -283,7 +279,7 @@ def _entry(scenario: Scenario, since: float, mean, lower, upper) -> reconfigured
     return reconfigured.entry(len(mean), since, mean, lower, upper, hover if gains else None, gains)
 
 
-def _beliefs(driver: str, flights, scenarios, plans, records, made) -> list[reconfigured.Entry | None]:
+def _beliefs(driver: str, flights, scenarios, plans, records, made, size: int) -> list[reconfigured.Entry | None]:
     """The next entry of each flight, or None."""
     seen = [batch.look(*row) for row in zip(flights, scenarios, plans, records, strict=True)]
     here = [k for k, f in enumerate(seen) if f is not None]
@@ -292,11 +288,11 @@ def _beliefs(driver: str, flights, scenarios, plans, records, made) -> list[reco
         return [None] * len(seen)
     B = flown[0].vehicle.effectiveness()
     if driver == "default":
-        kept = [out.kept for out in batch.by_default(flown, B, len(flown))]
+        kept = [out.kept for out in batch.by_default(flown, B, size)]
     else:
         tables = [f.ticks for f in flown]
-        hops = methods.learn(tables, B, batch.taught(flown, B, len(flown)))
-        kept = methods.judge(driver, tables, hops, B, len(flown), ((),))[0]
+        hops = methods.learn(tables, B, batch.taught(flown, B, size))
+        kept = methods.judge(driver, tables, hops, B, size, ((),))[0]
     found: list[reconfigured.Entry | None] = [None] * len(seen)
     for k, f, out in zip(here, flown, kept, strict=True):
         found[k] = _next(scenarios[k], f.ticks, out, made[k])
@@ -325,6 +321,12 @@ def _next(scenario: Scenario, ticks, out: program.Kept, made: list[reconfigured.
     return _entry(scenario, float(since[k]), mean[k], low, high)
 
 
+@functools.cache
+def _asked():
+    """`trajectories.table`, compiled."""
+    return load_jax().jit(trajectories.table, static_argnums=(1, 2))
+
+
 def _outcome(number: int, scenario: Scenario, plan, record, made: list[reconfigured.Entry]) -> Outcome:
     faults = scenario.faults
     onset = min((f["onset_s"] for f in faults), default=float(plan.way.take_off))
@@ -334,7 +336,7 @@ def _outcome(number: int, scenario: Scenario, plan, record, made: list[reconfigu
     flying = np.maximum.accumulate(height > 1.0)
     down = flying & ((height < 0.15) | (upright < TURNED) | (record.flies < 0.5))
     lost = float(time[np.argmax(down)]) if down.any() else None
-    ask = np.asarray(trajectories.table(plan.way, len(time), float(time[1] - time[0])).p)
+    ask = np.asarray(_asked()(plan.way, len(time), float(time[1] - time[0])).p)
     off = np.linalg.norm(record.p - ask, axis=1)
     tilt = np.degrees(np.arccos(np.clip(upright, -1.0, 1.0)))
     late = flying & (time > onset)

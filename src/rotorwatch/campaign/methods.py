@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 
 from rotorwatch.backend import jax as load_jax
-from rotorwatch.compiling import native
-from rotorwatch.compiling.run import chosen, run, run_built
+from rotorwatch.compiling.run import engine, run, run_built
 from rotorwatch.default import hypotheses, program
 from rotorwatch.default.plant import PER_AXIS
 from rotorwatch.errors import ConfigError
@@ -29,18 +28,6 @@ TICK_BLOCK = 100
 CACHE_BYTES = 2_500_000
 """Of the estimators' states that a processor keeps at hand: larger batches are slower, not faster."""
 Decisions = tuple[tuple[tuple[str, float], ...], ...]
-
-
-def engine() -> str:
-    """What steps estimators: "native" code, flight by flight, on a processor with a C compiler, as in `diagnose`; else "jax",
-    flights side by side. $ROTORWATCH_BACKEND=jax says so, too. Results of the two differ in their last digits."""
-    if load_jax().default_backend() != "cpu" or chosen(None, "auto") == "jax":
-        return "jax"
-    try:
-        native.compiler()
-    except native.Unavailable:
-        return "jax"
-    return "native"
 
 
 def side_by_side(carry: Any, size: int) -> int:

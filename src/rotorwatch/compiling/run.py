@@ -27,6 +27,18 @@ def chosen(backend: str | None, usual: str) -> str:
     return backend
 
 
+def engine() -> str:
+    """What steps many of them: "native" code, one by one, on a processor with a C compiler; else "jax", side by side.
+    $ROTORWATCH_BACKEND=jax says so, too. Results of the two differ in their last digits."""
+    if load_jax().default_backend() != "cpu" or chosen(None, "auto") == "jax":
+        return "jax"
+    try:
+        native.compiler()
+    except native.Unavailable:
+        return "jax"
+    return "native"
+
+
 @functools.lru_cache(maxsize=32)
 def _program(build: Callable, select: Callable):
     jax = load_jax()

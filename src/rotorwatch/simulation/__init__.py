@@ -63,7 +63,7 @@ def simulate(scenario: Scenario) -> Any:
     if scenario.helicopter:
         return helicopter.simulate(scenario)
     numbers = plan(scenario)
-    record = loop.fly(MULTIROTOR, numbers, scenario.duration_s, scenario.rate_hz, scenario.record_hz)
+    record = loop.fly_each(MULTIROTOR, [numbers], scenario.duration_s, scenario.rate_hz, scenario.record_hz)[0]
     return Simulated(scenario, numbers, record)
 
 

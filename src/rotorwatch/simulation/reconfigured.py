@@ -64,6 +64,7 @@ class Reconfigured(Multirotor):
     def __init__(self, B: np.ndarray, by: str = "estimate", method: str = "bounded"):
         """B (4, n): thrust, roll, pitch, yaw of each rotor (`control.allocation.rows`), healthy; by, method: of the `Allocator`."""
         self.allocator = Allocator(B, by=by, method=method)
+        self.made = (np.asarray(B, float).tolist(), by, method)
         self._key = (np.asarray(B, float).tobytes(), by, method)
 
     def __hash__(self) -> int:
