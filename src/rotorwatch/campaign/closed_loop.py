@@ -45,6 +45,7 @@ DELAY_S = 0.1  # from an estimate to commands that follow it
 # Of a channel's authority: with less left at hover, if losses are as large as they may be, the vehicle turns.
 ROOM = 0.1
 TURNED = np.cos(np.radians(100.0))
+ABLE_M = 5.0  # a vehicle that strays further than this before anything has happened is not up to that wind
 TRACK_M, TRACK_DEG = 2.0, 20.0  # recovered: nearer than this to where it should be, and not leaning more
 
 
@@ -58,6 +59,7 @@ COLUMNS: dict[str, tuple[str, str]] = {
     "wind_m_s": ("double", "mean wind 6 m above ground"),
     "faulty": ("bool", "whether a rotor broke"),
     "onset_s": ("double", "when the first did"),
+    "able": ("bool", "healthy and undisturbed by any belief it keeps to its track in that wind"),
     "healthy_s": ("double", "flight time before that, or all of it"),
     "survived": ("bool", "it neither touched the ground nor turned over"),
     "lost_s": ("double", "when it did"),
@@ -73,15 +75,17 @@ COLUMNS: dict[str, tuple[str, str]] = {
 
 
 class Outcome(NamedTuple):
-    """What became of one flight. flight: its number; faulty: whether a rotor broke; onset_s; survived: it neither touched the ground nor
-    turned over; lost_s: when it did; beliefs: how many it acted on; first_s: when it first did, after the onset (before, in healthy
-    flights: after the take-off); false: it acted on something before the onset, or on rotors of which none is broken; right: the rotors
-    first acted on are those broken; turning: it held a turning hover; tilt_deg, off_m: largest tilt and distance from where it should
-    be after the onset; recovered_s: from the onset until it tracks again for good, None when it does not."""
+    """What became of one flight. flight: its number; faulty: whether a rotor broke; onset_s; able: healthy, and before any belief, it kept
+    to its track within ABLE_M in that wind; survived: it neither touched the ground nor turned over; lost_s: when it did; beliefs: how
+    many it acted on; first_s: when it first did, after the onset (before, in healthy flights: after the take-off); false: it acted on
+    something before the onset, or on rotors of which none is broken; right: the rotors first acted on are those broken; turning: it
+    held a turning hover; tilt_deg, off_m: largest tilt and distance from where it should be after the onset; recovered_s: from the onset
+    until it tracks again for good, None when it does not."""
 
     flight: int
     faulty: bool
     onset_s: float
+    able: bool
     survived: bool
     lost_s: float | None
     beliefs: int
@@ -109,6 +113,7 @@ def fly(flown: batch.Flights, flights: Sequence[int], driver: str = "default", b
     if driver == TRUTH:
         made = [_true(s, n) for s in scenarios]
     first, records = scenarios[0], _flown(craft, scenarios[0], plans, made, size)
+    able = [_able(*row) for row in zip(scenarios, plans, records, strict=True)]
     open_, turns = list(range(size)), ENTRIES if driver not in (NOBODY, TRUTH) else 0
     for _ in range(turns):
         # A flight without a new belief stays as it is, and so does what the estimator says of it.
@@ -122,8 +127,8 @@ def fly(flown: batch.Flights, flights: Sequence[int], driver: str = "default", b
         again = _flown(craft, first, [plans[k] for k in open_], [made[k] for k in open_], size)
         for k, record in zip(open_, again, strict=True):
             records[k] = record
-    every = zip(flights, scenarios, plans, records, made, strict=True)
-    return [_outcome(number, s, p, record, entries) for number, s, p, record, entries in every]
+    every = zip(flights, scenarios, plans, records, made, able, strict=True)
+    return [_outcome(*row) for row in every]
 
 
 class Judge(NamedTuple):
@@ -175,24 +180,31 @@ def run(
     entered = replace(asked, text=f"{asked.text}\n# closed loop: {', '.join(drivers)}; by {by}\n")
     table = work.run(entered, flights, out, jobs, progress, Judge(tuple(drivers), by), COLUMNS)
     rows = table.to_pylist()
-    truth = {r["flight"]: r["survived"] for r in rows if r["method"] == TRUTH}
+    lost = {d: {r["flight"]: r["lost_s"] for r in rows if r["method"] == d} for d in (TRUTH, NOBODY)}
     result = {
         "plan": asked.name,
         "flights": flights,
         "by": by,
-        "drivers": {d: measures([r for r in rows if r["method"] == d], truth) for d in drivers},
+        "drivers": {d: measures([r for r in rows if r["method"] == d], lost[TRUTH], lost[NOBODY]) for d in drivers},
     }
     Folder(out, COLUMNS).finish(table, result)
     return result
 
 
-def measures(rows: Sequence[dict], truth: Mapping[int, bool]) -> dict[str, Any]:
-    """Of one driver's rows. survived: share of faulty flights; of_possible: share of those that knowing the truth saves; lost_healthy:
-    flights without a fault that were lost; false_h: flights in which it acted falsely, per healthy hour; healthy_h; first_s, recovered_s,
-    tilt_deg, off_m: medians of faulty flights; by_frame: survived, by frame."""
+def measures(
+    rows: Sequence[dict], truth: Mapping[int, float | None], nobody: Mapping[int, float | None]
+) -> dict[str, Any]:
+    """Of one driver's rows; truth, nobody: when each flight was lost with those drivers (None: never). survived: share of faulty flights;
+    of_possible: share of those that knowing the truth saves, of_able: of those among them whose vehicle, healthy, keeps to its track;
+    lost_healthy: flights without a fault that were lost; false_h: flights in which it acted falsely, per healthy hour; lost_false: how many
+    of those were lost, and not (or later) with nobody, lost_false_able: of able vehicles; healthy_h; first_s, recovered_s, tilt_deg,
+    off_m: medians of faulty flights; by_frame: survived, by frame."""
     faulty = [r for r in rows if r["faulty"]]
     healthy = [r for r in rows if not r["faulty"]]
-    possible = [r for r in faulty if truth.get(r["flight"])]
+    possible = [r for r in faulty if r["flight"] in truth and truth[r["flight"]] is None]
+    harmed = [
+        r for r in rows if r["false"] and r["lost_s"] is not None and r["lost_s"] < (nobody.get(r["flight"]) or np.inf)
+    ]
 
     def survived(some: Sequence[dict]) -> dict[str, float] | None:
         return summary.share(np.array([r["survived"] for r in some], bool))
@@ -203,7 +215,9 @@ def measures(rows: Sequence[dict], truth: Mapping[int, bool]) -> dict[str, Any]:
     hours = sum(r["healthy_s"] for r in rows) / 3600.0
     return {
         "faulty": len(faulty), "healthy": len(healthy), "survived": survived(faulty), "of_possible": survived(possible),
+        "of_able": survived([r for r in possible if r["able"]]), "able": sum(r["able"] for r in rows),
         "lost_healthy": sum(not r["survived"] for r in healthy), "healthy_h": hours,
+        "lost_false": len(harmed), "lost_false_able": sum(r["able"] for r in harmed),
         "false_h": summary.rate(sum(r["false"] for r in rows), hours),
         "right": summary.share(np.array([r["right"] for r in faulty if r["beliefs"]], bool)),
         **{key: median(key) for key in ("first_s", "recovered_s", "tilt_deg", "off_m")},
@@ -227,8 +241,11 @@ def markdown(result: dict[str, Any]) -> str:
         "faulty, healthy flights": lambda m: f"{m['faulty']}, {m['healthy']}",
         "survived": lambda m: cell(m["survived"], "%"),
         "... of those that the truth saves": lambda m: cell(m["of_possible"], "%"),
+        "... and whose vehicle, healthy, keeps to its track": lambda m: cell(m["of_able"], "%"),
         "healthy flights lost": lambda m: str(m["lost_healthy"]),
+        "healthy hours": lambda m: f"{m['healthy_h']:.1f}",
         "acted falsely, flights an hour": lambda m: cell(m["false_h"], ""),
+        "lost by that, of able vehicles": lambda m: f"{m['lost_false']}, {m['lost_false_able']}",
         "first acted on the broken rotors": lambda m: cell(m["right"], "%"),
         "first acted after, s": lambda m: cell(m["first_s"], ""),
         "on track again after, s": lambda m: cell(m["recovered_s"], ""),
@@ -327,17 +344,32 @@ def _asked():
     return load_jax().jit(trajectories.table, static_argnums=(1, 2))
 
 
-def _outcome(number: int, scenario: Scenario, plan, record, made: list[reconfigured.Entry]) -> Outcome:
+def _off(plan, record) -> np.ndarray:
+    """(T,) distance from where the vehicle should be [m]."""
+    return np.linalg.norm(record.p - np.asarray(_asked()(plan.way, len(record.time), float(record.time[0])).p), axis=1)
+
+
+def _flying(record) -> np.ndarray:
+    """(T,) whether it has left the ground."""
+    return np.maximum.accumulate(-record.p[:, 2] > 1.0)
+
+
+def _able(scenario: Scenario, plan, record) -> bool:
+    """Of a flight without beliefs so far."""
+    until = min((f["onset_s"] for f in scenario.faults), default=np.inf)
+    return bool(_off(plan, record)[_flying(record) & (record.time < until)].max(initial=0.0) < ABLE_M)
+
+
+def _outcome(number: int, scenario: Scenario, plan, record, made: list[reconfigured.Entry], able: bool) -> Outcome:
     faults = scenario.faults
     onset = min((f["onset_s"] for f in faults), default=float(plan.way.take_off))
     broken = {f["rotor"] - 1 for f in faults}
     time, height = record.time, -record.p[:, 2]
     upright = 1.0 - 2.0 * (record.q[:, 1] ** 2 + record.q[:, 2] ** 2)
-    flying = np.maximum.accumulate(height > 1.0)
+    flying = _flying(record)
     down = flying & ((height < 0.15) | (upright < TURNED) | (record.flies < 0.5))
     lost = float(time[np.argmax(down)]) if down.any() else None
-    ask = np.asarray(_asked()(plan.way, len(time), float(time[1] - time[0])).p)
-    off = np.linalg.norm(record.p - ask, axis=1)
+    off = _off(plan, record)
     tilt = np.degrees(np.arccos(np.clip(upright, -1.0, 1.0)))
     late = flying & (time > onset)
     astray = np.flatnonzero(late & ((off > TRACK_M) | (tilt > TRACK_DEG)))
@@ -348,7 +380,7 @@ def _outcome(number: int, scenario: Scenario, plan, record, made: list[reconfigu
     acted = [m for m in made if lost is None or m.since < lost]
     who = set(np.flatnonzero(acted[0].mean < 1.0 - MOVED).tolist()) if acted else set()
     return Outcome(
-        number, bool(faults), onset, lost is None, lost, len(acted),
+        number, bool(faults), onset, able, lost is None, lost, len(acted),
         float(acted[0].since) - onset if acted else None,
         bool(acted) and (float(acted[0].since) < onset or not who & broken if faults else True),
         bool(acted) and who == broken, any(m.turning > 0.5 for m in acted),
