@@ -51,11 +51,11 @@ class Aircraft(Protocol):
     """What flies: hashable, because a program is compiled for each. Plans are pytrees of numbers with wind, faults, sensors and seed.
 
     noise_kind: what standard normal numbers are drawn as. Thousands of multirotors at once draw single precision, half the memory.
-    made: what an equal one is made of, numbers, strings and lists: native code is kept under it.
+    made: what an equal one is made of, numbers, strings and lists: native code is kept under it; None where it cannot be native code.
     """
 
     noise_kind: Any
-    made: tuple
+    made: tuple | None
 
     def start(self, plan) -> tuple[Body, Array, Any]:
         """(body, specific force (3,) [m/s^2], own state) at time 0."""
@@ -207,7 +207,7 @@ class Ticks:
         return tick(self.aircraft, self.plan, carry, t, jax.tree.unflatten(tree, asked), noise, self.dt, self.steps)
 
 
-def _ticks(kind: str, made: list, dt: float, steps: int, plan) -> Ticks:
+def _ticks(kind: str, made: tuple, dt: float, steps: int, plan) -> Ticks:
     module, _, name = kind.partition(":")
     return Ticks(getattr(import_module(module), name)(*made), plan, dt, steps)
 
@@ -241,7 +241,7 @@ def fly_each(
     several times as fast as side by side; else by `fly_many`, filled up to `size` flights, so that one program serves all numbers
     of flights up to that. The two differ in their last digits. Raises ConfigError."""
     jax = load_jax()
-    if compiled.engine() != "native":
+    if aircraft.made is None or compiled.engine() != "native":
         filled = stack([*plans, *[plans[-1]] * ((size or len(plans)) - len(plans))])
         many = jax.tree.map(np.asarray, fly_many(aircraft, filled, duration, rate_hz, record_hz, select))
         return [jax.tree.map(lambda a, k=k: a[..., k], many) for k in range(len(plans))]

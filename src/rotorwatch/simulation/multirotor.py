@@ -105,7 +105,7 @@ class Multirotor:
     """The `loop.Aircraft` of every frame with rotors; plans: `Plan`."""
 
     noise_kind = np.float32
-    made: tuple = ()
+    made: tuple | None = ()
 
     def start(self, plan: Plan) -> tuple[Body, Array, Drives]:
         """Standing on the ground, motors off, battery full."""
