@@ -107,7 +107,7 @@ class HelicopterAircraft:
 
     frame: str
     noise_kind = np.float64
-    made = None
+    made: tuple | None = None
 
     def start(self, plan: Plan) -> tuple[Body, Array, Actuators]:
         """In trimmed hover of the nominal vehicle at the working height."""
