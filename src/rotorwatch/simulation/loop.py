@@ -51,11 +51,14 @@ class Aircraft(Protocol):
     """What flies: hashable, because a program is compiled for each. Plans are pytrees of numbers with wind, faults, sensors and seed.
 
     noise_kind: what standard normal numbers are drawn as. Thousands of multirotors at once draw single precision, half the memory.
-    made: what an equal one is made of, numbers, strings and lists: native code is kept under it; None where it cannot be native code.
     """
 
     noise_kind: Any
-    made: tuple | None
+
+    @property
+    def made(self) -> tuple | None:
+        """What an equal one is made of, numbers, strings and lists: native code is kept under it; None where it cannot be native code."""
+        ...
 
     def start(self, plan) -> tuple[Body, Array, Any]:
         """(body, specific force (3,) [m/s^2], own state) at time 0."""
