@@ -1,6 +1,7 @@
 """The research commands from outside: `rotorwatch reproduce` and `rotorwatch observability`."""
 
 import json
+from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 
 import pytest
@@ -48,13 +49,20 @@ def test_table_of_claims(run):
         assert words in out
 
 
-def test_json_of_one_is_an_object_and_of_all_a_list(run):
+def test_json_of_one_is_an_object(run):
     code, out, _ = run("reproduce", "axkf", "--json", "--seeds", 2, "--literal", "sign")
     one = json.loads(out)
     assert code == 0 and one["paper"] == "axkf" and one["seeds"] == 2 and one["literal"] == ["sign"]
     assert one["figures"] == {"p": None} and one["claims"][0]["verdict"] == "holds"
-    code, out, _ = run("reproduce", "all", "--json")
-    assert code == 0 and [item["paper"] for item in json.loads(out)] == ["axkf", "aesmf"]
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_all_papers_keep_their_order(run, monkeypatch, jobs):
+    monkeypatch.setattr(reproduction, "ProcessPoolExecutor", lambda jobs, mp_context: ThreadPoolExecutor(jobs))
+    code, out, _ = run("reproduce", "all", "--json", "--jobs", jobs, "--seeds", 3)
+    found = json.loads(out)
+    assert code == 0 and [item["paper"] for item in found] == ["axkf", "aesmf"]
+    assert [item["seeds"] for item in found] == [3, 3]
 
 
 def test_figures_are_written_and_named(run, tmp_path):

@@ -65,9 +65,10 @@ def _vehicle(name: str):
     "--literal", multiple=True, metavar="NAME", help="Read this erratum as the paper prints it, to see what it does."
 )
 @click.option("--figures", type=OUT, metavar="DIR", help=FIGURES)
+@click.option("--jobs", type=click.IntRange(1, 256), help="Processes, for `all`; default: one per processor.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON; for `all` a list.")
 @common
-def reproduce(paper, seeds, literal, figures, as_json, quiet) -> None:
+def reproduce(paper, seeds, literal, figures, jobs, as_json, quiet) -> None:
     """Run the experiments of PAPER (or of `all`): each claim beside what comes out here, a verdict, and why."""
     from rotorwatch import checks, files
     from rotorwatch.experiments.studies import reproduction
@@ -82,10 +83,13 @@ def reproduce(paper, seeds, literal, figures, as_json, quiet) -> None:
     for module in modules:
         reproduction.check_literal(module, literal)
         reproduction.check_libraries(module)
+    together = reproduction.reproduce_many([m.PAPER for m in modules], seeds, jobs) if paper == "all" else None
     results = []
-    for module in modules:
+    for done, module in enumerate(modules):
         with progress(quiet) as tell:
-            result = reproduction.reproduce(module.PAPER, seeds, literal, tell)
+            if together and tell:
+                tell(done / len(modules), f"waiting for {module.PAPER}")
+            result = next(together) if together else reproduction.reproduce(module.PAPER, seeds, literal, tell)
         results.append(result)
         if not as_json:
             from rotorwatch.report import research_tables
