@@ -12,7 +12,7 @@ and the estimators are those of `rotorwatch diagnose`, not copies of them.
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -96,16 +96,22 @@ class Outcome(NamedTuple):
     recovered_s: float | None
 
 
-def fly(flown: batch.Flights, flights: Sequence[int], driver: str = "default", by: str = "estimate") -> list[Outcome]:
+def fly(
+    flown: batch.Flights,
+    flights: Sequence[int],
+    driver: str = "default",
+    by: str = "estimate",
+    aircraft: Callable[[np.ndarray, str], reconfigured.Reconfigured] = reconfigured.Reconfigured,
+) -> list[Outcome]:
     """The flights with a driver: "nobody", "truth", or an estimator's name. All must be of one cell of a plan (one frame). by: what drives
-    the allocation, "estimate" or "bounds". Raises ConfigError."""
+    the allocation, "estimate" or "bounds". aircraft(B, by): what flies. Raises ConfigError."""
     scenarios = [flown.flight(k) for k in flights]
     for s in scenarios:
         if s.trajectory["land"]:
             raise ConfigError("closed loop flights end in the air: set land = false in [scenario.trajectory].")
     plans = [prepare.plan(s) for s in scenarios]
     B = rows(prepare.vehicle(scenarios[0]))
-    craft = reconfigured.Reconfigured(B, by)
+    craft = aircraft(B, by)
     n, size = B.shape[1], len(plans)
     made: list[list[reconfigured.Entry]] = [[] for _ in plans]
     if driver == TRUTH:

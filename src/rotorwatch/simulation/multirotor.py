@@ -152,7 +152,7 @@ class Multirotor:
         # Where nothing rubs the speed is what was told, to the last bit.
         share = jnp.where(friction > 0.0, motor.slowed(told, theta, friction), told) * jnp.sqrt(kept)
         lag = craft.lag * (1.0 + (faults.SPIN_DOWN - 1.0) * undriven)
-        body, w, force = dynamics.step(craft, body, own.w, share, lag, now.air, theta, dt)
+        body, w, force = self.moved(plan, body, own.w, share, lag, now.air, theta, dt)
         phase = own.phase + 0.5 * (own.w + w) * plan.sensors.full_turns * dt
         phase = phase - jnp.floor(phase)
         asked = jnp.concatenate([turning, target.throttle[None]])
@@ -167,6 +167,11 @@ class Multirotor:
     def mixed(self, plan: Plan, now: Moment, t, body: Body, gyro, turning, own: Any, dt: float) -> tuple:
         """Thrust demands (n,) of control `turning` (3,), whether all of it was granted (1 or 0), and the aircraft's own state."""
         return *control.mix(plan.pilot.mixer, turning, now.target.throttle), own
+
+    def moved(self, plan: Plan, body: Body, w, share, lag, air: Air, theta, dt: float) -> tuple:
+        """Body, rotor speeds (n,) and mean specific force (3,) after a step of dt: `dynamics.step`. Another model of the vehicle's motion
+        takes its place here."""
+        return dynamics.step(plan.craft, body, w, share, lag, air, theta, dt)
 
     def end(self, plan: Plan, now: Moment, before: State, after: State, seen, last, dt: float) -> tuple[State, Record]:
         """The battery, and whether the vehicle lies on the ground."""

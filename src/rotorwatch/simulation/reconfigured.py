@@ -70,7 +70,7 @@ class Reconfigured(Multirotor):
         return hash(self._key)
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Reconfigured) and other._key == self._key
+        return type(other) is type(self) and other._key == self._key
 
     def start(self, plan: Plan) -> tuple:
         """As any multirotor."""
