@@ -101,7 +101,7 @@ class Steps:
             self.known[who] = Vehicle(*craft), {}
         vehicle, steps = self.known[who]
         if now not in steps:
-            steps[now] = vehicle.step(*state, dt)
+            steps[now] = vehicle.step(*state, dt=dt)
             self.made += 1
         return steps[now]
 
