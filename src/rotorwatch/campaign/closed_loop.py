@@ -26,7 +26,7 @@ from rotorwatch.campaign.plan import Plan
 from rotorwatch.campaign.store import Folder
 from rotorwatch.control import attainable, spinning
 from rotorwatch.control.airframe import Airframe
-from rotorwatch.control.allocation import rows
+from rotorwatch.control.allocation import DRIVEN_BY, rows
 from rotorwatch.default import program
 from rotorwatch.errors import ConfigError
 from rotorwatch.motion.ticks import LEARN
@@ -104,7 +104,8 @@ def fly(
     aircraft: Callable[[np.ndarray, str], reconfigured.Reconfigured] = reconfigured.Reconfigured,
 ) -> list[Outcome]:
     """The flights with a driver: "nobody", "truth", or an estimator's name. All must be of one cell of a plan (one frame). by: what drives
-    the allocation, "estimate" or "bounds". aircraft(B, by): what flies. Raises ConfigError."""
+    the allocation, "estimate", "bounds" or "posterior". aircraft(B, by): what flies. Raises ConfigError."""
+    _explains(driver, by)
     scenarios = [flown.flight(k) for k in flights]
     for s in scenarios:
         if s.trajectory["land"]:
@@ -118,7 +119,7 @@ def fly(
         made = [_true(s, n) for s in scenarios]
     records = _flown(craft, scenarios[0], plans, made, size)
     for _ in range(ENTRIES if driver not in (NOBODY, TRUTH) else 0):
-        new = _beliefs(driver, flights, scenarios, plans, records, made)
+        new = _beliefs(driver, flights, scenarios, plans, records, made, by)
         if not any(new):
             break
         again = [k for k, found in enumerate(new) if found]
@@ -175,8 +176,10 @@ def run(
     for driver in drivers:
         if driver not in (NOBODY, TRUTH):
             discovery.estimator(driver)
-    if by not in ("estimate", "bounds"):
-        raise ConfigError(f"by must be estimate or bounds, not {by}.")
+    if by not in DRIVEN_BY:
+        raise ConfigError(f"by must be one of {', '.join(DRIVEN_BY)}, not {by}.")
+    for driver in drivers:
+        _explains(driver, by)
     entered = replace(asked, text=f"{asked.text}\n# closed loop: {', '.join(drivers)}; by {by}\n")
     table = work.run(entered, flights, out, jobs, progress, Judge(tuple(drivers), by), COLUMNS)
     rows = table.to_pylist()
@@ -277,7 +280,15 @@ def _true(scenario: Scenario, n: int) -> list[reconfigured.Entry]:
     return made
 
 
-def _entry(scenario: Scenario, since: float, mean, lower, upper) -> reconfigured.Entry:
+def _explains(driver: str, by: str) -> None:
+    """Refuse what has no explanations side by side."""
+    if by == "posterior" and driver not in (NOBODY, TRUTH, "default"):
+        raise ConfigError(
+            f"{driver} has one explanation at a time: with the allocation driven by a posterior name nobody, truth or default."
+        )
+
+
+def _entry(scenario: Scenario, since: float, mean, lower, upper, candidates=None, weights=None) -> reconfigured.Entry:
     """What is done from `since` on with that belief: allocation, or a turning hover where full control of hover is lost."""
     bare = replace(scenario, airframe={**scenario.airframe, "payload_kg": 0.0})  # the autopilot knows of no payload
     frame = Airframe.of(prepare.plan(bare).craft)
@@ -286,10 +297,11 @@ def _entry(scenario: Scenario, since: float, mean, lower, upper) -> reconfigured
     if attainable.margins(frame.B * lower, frame.mass * G0, half).depth < ROOM:
         hover = spinning.relaxed_hover(frame, mean)
         gains = spinning.design(frame, hover) if hover else None
-    return reconfigured.entry(len(mean), since, mean, lower, upper, hover if gains else None, gains)
+    held = hover if gains else None
+    return reconfigured.entry(len(mean), since, mean, lower, upper, held, gains, candidates, weights)
 
 
-def _beliefs(driver: str, flights, scenarios, plans, records, made) -> list[reconfigured.Entry | None]:
+def _beliefs(driver: str, flights, scenarios, plans, records, made, by: str) -> list[reconfigured.Entry | None]:
     """The next entry of each flight, or None."""
     seen = [batch.look(*row) for row in zip(flights, scenarios, plans, records, strict=True)]
     here = [k for k, f in enumerate(seen) if f is not None]
@@ -305,11 +317,13 @@ def _beliefs(driver: str, flights, scenarios, plans, records, made) -> list[reco
         kept = methods.judge(driver, tables, hops, B, len(flown), ((),))[0]
     found: list[reconfigured.Entry | None] = [None] * len(seen)
     for k, f, out in zip(here, flown, kept, strict=True):
-        found[k] = _next(scenarios[k], f.ticks, out, made[k])
+        found[k] = _next(scenarios[k], f.ticks, out, made[k], by)
     return found
 
 
-def _next(scenario: Scenario, ticks, out: program.Kept, made: list[reconfigured.Entry]) -> reconfigured.Entry | None:
+def _next(
+    scenario: Scenario, ticks, out: program.Kept, made: list[reconfigured.Entry], by: str
+) -> reconfigured.Entry | None:
     """The first belief after the last entry that is far enough from it."""
     if len(made) == ENTRIES:
         return None
@@ -323,12 +337,22 @@ def _next(scenario: Scenario, ticks, out: program.Kept, made: list[reconfigured.
     n = max(1, round(IDLE_S / ticks.dt))
     idle = (idle - np.concatenate([np.zeros_like(idle[:n]), idle[:-n]])) / n < IDLE
     mean = np.where(idle, np.minimum(mean, before), mean)
-    due = (np.abs(mean - before).max(axis=1) > MOVED) & (since > last + REFRESH_S) & (ticks.mode > LEARN)
+    candidates = weights = None
+    expected, awaited = mean, before
+    if by == "posterior":  # what counts is what the explanations expect together
+        candidates, weights = np.where(out.active > 0, 1.0 - out.each, 1.0), np.asarray(out.share)
+        awaited = made[-1].weights @ made[-1].candidates if made else before
+        expected = np.einsum("tk,tkn->tn", weights, candidates)
+        stays = idle & (expected > awaited)
+        expected = np.where(stays, awaited, expected)
+        candidates = np.where(stays[:, None], awaited, candidates)
+    due = (np.abs(expected - awaited).max(axis=1) > MOVED) & (since > last + REFRESH_S) & (ticks.mode > LEARN)
     if not due.any():
         return None
     k = int(np.argmax(due))
     low, high = np.clip(mean[k] - apart[k], 0.0, 1.0), np.clip(mean[k] + apart[k], 0.0, 1.0)
-    return _entry(scenario, float(since[k]), mean[k], low, high)
+    others = (candidates[k], weights[k]) if candidates is not None and weights is not None else ()
+    return _entry(scenario, float(since[k]), mean[k], low, high, *others)
 
 
 def _outcome(number: int, scenario: Scenario, plan, record, made: list[reconfigured.Entry]) -> Outcome:
