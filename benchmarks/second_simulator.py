@@ -28,6 +28,10 @@ from rotorwatch.simulation.scenario import Scenario
 
 RATE_HZ = 200.0
 HEIGHT = 0.5  # m
+TOLERANCE = {
+    "rtol": 1e-3,
+    "atol": 1e-3,
+}  # of one step, in metres, m/s, rad/s and quaternions; of rotor speeds 0.1 % of themselves
 FULL = 1000.0  # rad/s: any number does, RotorPy's coefficients go with it
 FLIP = np.array(
     [1.0, -1.0, -1.0]
@@ -64,7 +68,14 @@ class Vehicle:
 
         pace = FULL * self.share * np.sqrt(1.0 - theta)
         start = np.concatenate([FLIP * p, FLIP * v, FLIP * q[1:], q[:1], FLIP * omega, FLIP * wind, pace * w])
-        moved = solve_ivp(lambda t, s: self.model._s_dot_fn(t, s, pace * told), (0.0, dt), start, first_step=dt)
+        moved = solve_ivp(
+            lambda t, s: self.model._s_dot_fn(t, s, pace * told),
+            (0.0, dt),
+            start,
+            method="RK23",
+            first_step=dt,
+            **TOLERANCE,
+        )
         end = moved.y[:, -1]
         q_new = np.r_[end[9], FLIP * end[6:9]]
         q_new = q_new / np.linalg.norm(q_new)
