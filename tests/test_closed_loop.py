@@ -141,9 +141,9 @@ def test_all_explanations_drive_the_allocation():
     e[0, 1], e[1, 2] = 0.6, 0.7
     weights = np.array([0.7, 0.3, 0.0, 0.0])
     made = closed_loop._entry(s, 11.0, e[0], e[0], e[0], e, weights)
-    schedule = reconfigured.schedule(6, [made], 1)
+    schedule = reconfigured.schedule(4, [made], 1)
     craft = reconfigured.Reconfigured(rows(prepare.vehicle(s)), "posterior")
-    now = loop.Moment(control.Target(np.array([1.0, 0, 0, 0]), 0.0, 0.3), None)
+    now = SimpleNamespace(target=control.Target(np.array([1.0, 0, 0, 0]), 0.0, 0.3))
     body, _, own = craft.start(numbers)
     demand, free = craft.mixed(numbers._replace(schedule=schedule), now, 12.0, body, np.zeros(3), np.zeros(3), own)
     wanted = craft.allocator.B @ np.full(4, 0.3)
@@ -170,15 +170,16 @@ def test_explanations_become_entries():
     out.each[100:, 0, 0], out.each[100:, 1, 1], out.theta[100:, 0] = 0.2, 0.3, 0.2
     out.share[100:] = [0.6, 0.4, 0, 0]
     made = closed_loop._next(s, ticks, out, [], "posterior")
-    assert made.since == pytest.approx(15.0 + closed_loop.DELAY_S)
+    assert made is not None and made.since == pytest.approx(15.0 + closed_loop.DELAY_S)
     np.testing.assert_allclose(made.candidates[:2], [[0.8, 1, 1, 1], [1, 0.7, 1, 1]])
     np.testing.assert_allclose(made.weights, [0.6, 0.4, 0, 0])
     assert closed_loop._next(s, ticks, out, [made], "posterior") is None
     out.share[200:] = [1.0, 0, 0, 0]  # decided: rotor 2 is well, by 0.12
     later = closed_loop._next(s, ticks, out, [made], "posterior")
-    assert later.since == pytest.approx(20.0 + closed_loop.DELAY_S) and later.weights[1] == 0.0
+    assert later is not None and later.since == pytest.approx(20.0 + closed_loop.DELAY_S) and later.weights[1] == 0.0
     # By the estimate that is nothing new: the first explanation is the same.
     alone = closed_loop._next(s, ticks, out, [], "estimate")
+    assert alone is not None
     np.testing.assert_allclose(alone.candidates, np.tile([0.8, 1, 1, 1], (4, 1)))
     assert closed_loop._next(s, ticks, out, [alone], "estimate") is None
     # A rotor that is left alone shows nothing: what was expected of it stays.
