@@ -2,6 +2,7 @@
 
 import json
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -143,7 +144,7 @@ def test_all_explanations_drive_the_allocation():
     made = closed_loop._entry(s, 11.0, e[0], e[0], e[0], e, weights)
     schedule = reconfigured.schedule(4, [made], 1)
     craft = reconfigured.Reconfigured(rows(prepare.vehicle(s)), "posterior")
-    now = SimpleNamespace(target=control.Target(np.array([1.0, 0, 0, 0]), 0.0, 0.3))
+    now: Any = SimpleNamespace(target=control.Target(np.array([1.0, 0, 0, 0]), 0.0, 0.3))
     body, _, own = craft.start(numbers)
     demand, free = craft.mixed(numbers._replace(schedule=schedule), now, 12.0, body, np.zeros(3), np.zeros(3), own)
     wanted = craft.allocator.B @ np.full(4, 0.3)
