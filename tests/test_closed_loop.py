@@ -1,6 +1,8 @@
 """Flights in which what is believed of the rotors drives the allocation: they stay up where they would not, and nothing is foreseen."""
 
 import json
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,9 +10,10 @@ import pytest
 from rotorwatch import cli
 from rotorwatch.campaign import batch, closed_loop, plan, store
 from rotorwatch.control import spinning
-from rotorwatch.control.allocation import rows
+from rotorwatch.control.allocation import believed, rows
+from rotorwatch.default import posterior, program
 from rotorwatch.errors import ConfigError
-from rotorwatch.simulation import loop, one, prepare, reconfigured, scenario
+from rotorwatch.simulation import control, loop, one, prepare, reconfigured, scenario
 from rotorwatch.simulation.multirotor import MULTIROTOR
 
 pytest.importorskip("pyarrow")
@@ -132,6 +135,59 @@ def test_a_quad_that_cannot_hover_still_turns_and_stays():
             assert np.abs(record.omega[late][-1, 2]) > 3.0 and np.hypot(*(record.p[-1, :2])) < 3.0
 
 
+def test_all_explanations_drive_the_allocation():
+    """While two rotors may be the one that is gone, commands suit both with their weights; by the estimate they suit the first only."""
+    s, numbers, _ = planned(faults=[])
+    e = np.ones((reconfigured.PLACES, 4))
+    e[0, 1], e[1, 2] = 0.6, 0.7
+    weights = np.array([0.7, 0.3, 0.0, 0.0])
+    made = closed_loop._entry(s, 11.0, e[0], e[0], e[0], e, weights)
+    schedule = reconfigured.schedule(4, [made], 1)
+    craft = reconfigured.Reconfigured(rows(prepare.vehicle(s)), "posterior")
+    now: Any = SimpleNamespace(target=control.Target(np.array([1.0, 0, 0, 0]), 0.0, 0.3))
+    body, _, own = craft.start(numbers)
+    demand, free = craft.mixed(numbers._replace(schedule=schedule), now, 12.0, body, np.zeros(3), np.zeros(3), own)
+    wanted = craft.allocator.B @ np.full(4, 0.3)
+    belief = believed(weights @ e, candidates=e, weights=weights)
+    asked = craft.allocator.step(craft.allocator.init(), wanted, belief)[1]
+    np.testing.assert_allclose(demand, asked.u, atol=1e-9)
+    assert np.asarray(asked.error)[1:3] != pytest.approx(0.0, abs=1e-4) and free == 1.0
+    np.testing.assert_allclose(craft.effectiveness(numbers._replace(schedule=schedule), 12.0), weights @ e)
+    assert (np.asarray(craft.effectiveness(numbers._replace(schedule=schedule), 10.0)) == 1.0).all()
+
+
+def test_explanations_become_entries():
+    """The default diagnosis holds as many as an entry; what is expected of the rotors decides when one is entered."""
+    assert reconfigured.PLACES == posterior.PLACES
+    s, _, _ = planned(faults=[])
+    T = 400
+    ticks = SimpleNamespace(time=10.0 + 0.05 * np.arange(T), dt=0.05, thrust=np.ones((T, 4)), mode=np.full(T, 2.0))
+    out = program.Kept(*[None] * len(program.Kept._fields))._replace(
+        active=np.zeros((T, 4, 4), bool), each=np.zeros((T, 4, 4)), share=np.tile([1.0, 0, 0, 0], (T, 1)),
+        theta=np.zeros((T, 4)), theta_sd=np.zeros((T, 4)),
+    )  # fmt: skip
+    assert closed_loop._next(s, ticks, out, [], "posterior") is None
+    out.active[100:, 0, 0] = out.active[100:, 1, 1] = True
+    out.each[100:, 0, 0], out.each[100:, 1, 1], out.theta[100:, 0] = 0.2, 0.3, 0.2
+    out.share[100:] = [0.6, 0.4, 0, 0]
+    made = closed_loop._next(s, ticks, out, [], "posterior")
+    assert made is not None and made.since == pytest.approx(15.0 + closed_loop.DELAY_S)
+    np.testing.assert_allclose(made.candidates[:2], [[0.8, 1, 1, 1], [1, 0.7, 1, 1]])
+    np.testing.assert_allclose(made.weights, [0.6, 0.4, 0, 0])
+    assert closed_loop._next(s, ticks, out, [made], "posterior") is None
+    out.share[200:] = [1.0, 0, 0, 0]  # decided: rotor 2 is well, by 0.12
+    later = closed_loop._next(s, ticks, out, [made], "posterior")
+    assert later is not None and later.since == pytest.approx(20.0 + closed_loop.DELAY_S) and later.weights[1] == 0.0
+    # By the estimate that is nothing new: the first explanation is the same.
+    alone = closed_loop._next(s, ticks, out, [], "estimate")
+    assert alone is not None
+    np.testing.assert_allclose(alone.candidates, np.tile([0.8, 1, 1, 1], (4, 1)))
+    assert closed_loop._next(s, ticks, out, [alone], "estimate") is None
+    # A rotor that is left alone shows nothing: what was expected of it stays.
+    ticks.thrust[150:, 1] = 0.0
+    assert closed_loop._next(s, ticks, out, [made], "posterior") is None
+
+
 def test_the_feedback_is_the_hovers_own():
     s, _, _ = planned()
     entry = closed_loop._entry(s, 0.0, *[np.array([1.0, 0.4, 1.0, 1.0])] * 3)
@@ -165,6 +221,10 @@ def test_bad_requests_are_one_sentence(asked, tmp_path):
         closed_loop.run(asked[1], ["nonesuch"], tmp_path / "x", 2)
     with pytest.raises(ConfigError, match="at least one driver"):
         closed_loop.run(asked[1], [], tmp_path / "x", 2)
+    with pytest.raises(ConfigError, match="by must be one of estimate, bounds, posterior, not guess"):
+        closed_loop.run(asked[1], ["default"], tmp_path / "x", 2, by="guess")
+    with pytest.raises(ConfigError, match="ekf has one explanation at a time"):
+        closed_loop.run(asked[1], ["truth", "ekf"], tmp_path / "x", 2, by="posterior")
     stuck = PLAN.replace('"complete loss"', '"stuck"')
     with pytest.raises(ConfigError, match="losses and complete losses, not stuck"):
         closed_loop.fly(plan.read(_written(tmp_path, stuck)), range(2), "truth")

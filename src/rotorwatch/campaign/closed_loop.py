@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import functools
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -27,7 +27,7 @@ from rotorwatch.campaign.plan import Plan
 from rotorwatch.campaign.store import Folder
 from rotorwatch.control import attainable, spinning
 from rotorwatch.control.airframe import Airframe
-from rotorwatch.control.allocation import rows
+from rotorwatch.control.allocation import DRIVEN_BY, rows
 from rotorwatch.default import program
 from rotorwatch.errors import ConfigError
 from rotorwatch.motion.ticks import LEARN
@@ -98,16 +98,23 @@ class Outcome(NamedTuple):
     recovered_s: float | None
 
 
-def fly(flown: batch.Flights, flights: Sequence[int], driver: str = "default", by: str = "estimate") -> list[Outcome]:
+def fly(
+    flown: batch.Flights,
+    flights: Sequence[int],
+    driver: str = "default",
+    by: str = "estimate",
+    aircraft: Callable[[np.ndarray, str], reconfigured.Reconfigured] = reconfigured.Reconfigured,
+) -> list[Outcome]:
     """The flights with a driver: "nobody", "truth", or an estimator's name. All must be of one cell of a plan (one frame). by: what drives
-    the allocation, "estimate" or "bounds". Raises ConfigError."""
+    the allocation, "estimate", "bounds" or "posterior". aircraft(B, by): what flies. Raises ConfigError."""
+    _explains(driver, by)
     scenarios = [flown.flight(k) for k in flights]
     for s in scenarios:
         if s.trajectory["land"]:
             raise ConfigError("closed loop flights end in the air: set land = false in [scenario.trajectory].")
     plans = [prepare.plan(s) for s in scenarios]
     B = rows(prepare.vehicle(scenarios[0]))
-    craft = reconfigured.Reconfigured(B, by)
+    craft = aircraft(B, by)
     n, size = B.shape[1], len(plans)
     made: list[list[reconfigured.Entry]] = [[] for _ in plans]
     if driver == TRUTH:
@@ -118,7 +125,7 @@ def fly(flown: batch.Flights, flights: Sequence[int], driver: str = "default", b
     for _ in range(turns):
         # A flight without a new belief stays as it is, and so does what the estimator says of it.
         here = [[row[k] for k in open_] for row in (flights, scenarios, plans, records, made)]
-        new = [(k, found) for k, found in zip(open_, _beliefs(driver, *here, size), strict=True) if found]
+        new = [(k, found) for k, found in zip(open_, _beliefs(driver, *here, by, size), strict=True) if found]
         if not new:
             break
         open_ = [k for k, _ in new]
@@ -175,8 +182,10 @@ def run(
     for driver in drivers:
         if driver not in (NOBODY, TRUTH):
             discovery.estimator(driver)
-    if by not in ("estimate", "bounds"):
-        raise ConfigError(f"by must be estimate or bounds, not {by}.")
+    if by not in DRIVEN_BY:
+        raise ConfigError(f"by must be one of {', '.join(DRIVEN_BY)}, not {by}.")
+    for driver in drivers:
+        _explains(driver, by)
     entered = replace(asked, text=f"{asked.text}\n# closed loop: {', '.join(drivers)}; by {by}\n")
     table = work.run(entered, flights, out, jobs, progress, Judge(tuple(drivers), by), COLUMNS)
     rows = table.to_pylist()
@@ -284,7 +293,15 @@ def _true(scenario: Scenario, n: int) -> list[reconfigured.Entry]:
     return made
 
 
-def _entry(scenario: Scenario, since: float, mean, lower, upper) -> reconfigured.Entry:
+def _explains(driver: str, by: str) -> None:
+    """Refuse what has no explanations side by side."""
+    if by == "posterior" and driver not in (NOBODY, TRUTH, "default"):
+        raise ConfigError(
+            f"{driver} has one explanation at a time: with the allocation driven by a posterior name nobody, truth or default."
+        )
+
+
+def _entry(scenario: Scenario, since: float, mean, lower, upper, candidates=None, weights=None) -> reconfigured.Entry:
     """What is done from `since` on with that belief: allocation, or a turning hover where full control of hover is lost."""
     bare = replace(scenario, airframe={**scenario.airframe, "payload_kg": 0.0})  # the autopilot knows of no payload
     frame = Airframe.of(prepare.plan(bare).craft)
@@ -293,10 +310,13 @@ def _entry(scenario: Scenario, since: float, mean, lower, upper) -> reconfigured
     if attainable.margins(frame.B * lower, frame.mass * G0, half).depth < ROOM:
         hover = spinning.relaxed_hover(frame, mean)
         gains = spinning.design(frame, hover) if hover else None
-    return reconfigured.entry(len(mean), since, mean, lower, upper, hover if gains else None, gains)
+    held = hover if gains else None
+    return reconfigured.entry(len(mean), since, mean, lower, upper, held, gains, candidates, weights)
 
 
-def _beliefs(driver: str, flights, scenarios, plans, records, made, size: int) -> list[reconfigured.Entry | None]:
+def _beliefs(
+    driver: str, flights, scenarios, plans, records, made, by: str, size: int
+) -> list[reconfigured.Entry | None]:
     """The next entry of each flight, or None."""
     seen = [batch.look(*row) for row in zip(flights, scenarios, plans, records, strict=True)]
     here = [k for k, f in enumerate(seen) if f is not None]
@@ -312,11 +332,13 @@ def _beliefs(driver: str, flights, scenarios, plans, records, made, size: int) -
         kept = methods.judge(driver, tables, hops, B, size, ((),))[0]
     found: list[reconfigured.Entry | None] = [None] * len(seen)
     for k, f, out in zip(here, flown, kept, strict=True):
-        found[k] = _next(scenarios[k], f.ticks, out, made[k])
+        found[k] = _next(scenarios[k], f.ticks, out, made[k], by)
     return found
 
 
-def _next(scenario: Scenario, ticks, out: program.Kept, made: list[reconfigured.Entry]) -> reconfigured.Entry | None:
+def _next(
+    scenario: Scenario, ticks, out: program.Kept, made: list[reconfigured.Entry], by: str
+) -> reconfigured.Entry | None:
     """The first belief after the last entry that is far enough from it."""
     if len(made) == ENTRIES:
         return None
@@ -330,12 +352,22 @@ def _next(scenario: Scenario, ticks, out: program.Kept, made: list[reconfigured.
     n = max(1, round(IDLE_S / ticks.dt))
     idle = (idle - np.concatenate([np.zeros_like(idle[:n]), idle[:-n]])) / n < IDLE
     mean = np.where(idle, np.minimum(mean, before), mean)
-    due = (np.abs(mean - before).max(axis=1) > MOVED) & (since > last + REFRESH_S) & (ticks.mode > LEARN)
+    candidates = weights = None
+    expected, awaited = mean, before
+    if by == "posterior":  # what counts is what the explanations expect together
+        candidates, weights = np.where(out.active > 0, 1.0 - out.each, 1.0), np.asarray(out.share)
+        awaited = made[-1].weights @ made[-1].candidates if made else before
+        expected = np.einsum("tk,tkn->tn", weights, candidates)
+        stays = idle & (expected > awaited)
+        expected = np.where(stays, awaited, expected)
+        candidates = np.where(stays[:, None], awaited, candidates)
+    due = (np.abs(expected - awaited).max(axis=1) > MOVED) & (since > last + REFRESH_S) & (ticks.mode > LEARN)
     if not due.any():
         return None
     k = int(np.argmax(due))
     low, high = np.clip(mean[k] - apart[k], 0.0, 1.0), np.clip(mean[k] + apart[k], 0.0, 1.0)
-    return _entry(scenario, float(since[k]), mean[k], low, high)
+    others = (candidates[k], weights[k]) if candidates is not None and weights is not None else ()
+    return _entry(scenario, float(since[k]), mean[k], low, high, *others)
 
 
 @functools.cache

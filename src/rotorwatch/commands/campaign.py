@@ -117,10 +117,10 @@ def ablate(plan, logs, flights, hours, only, variants, jobs, as_json, quiet) -> 
 )
 @click.option(
     "--by",
-    type=click.Choice(["estimate", "bounds"]),
+    type=click.Choice(["estimate", "bounds", "posterior"]),
     default="estimate",
     show_default=True,
-    help="Of what is believed: the mean, or the worst case within its interval.",
+    help="Of what is believed: the mean, the worst case within its interval, or all explanations with their weights.",
 )
 @click.option("--jobs", type=click.IntRange(1, 256), help="Processes; default: one per processor.")
 @click.option("-o", "--out", required=True, type=OUT, metavar="DIR", help="Folder of the results.")

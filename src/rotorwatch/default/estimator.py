@@ -55,7 +55,8 @@ class Carry(NamedTuple):
 
 class Output(NamedTuple):
     """What one tick leaves behind, beside the Estimate and the Decision. announced: explanations were made at this tick; since: ticks
-    since the last jump of a rotor in the one that leads; active (K, n), share (K,): their rotors and probabilities, the leader first."""
+    since the last jump of a rotor in the one that leads; active, each (K, n), share (K,): their rotors, losses and probabilities, the
+    leader first."""
 
     estimate: Estimate
     decision: Decision
@@ -65,6 +66,7 @@ class Output(NamedTuple):
     announced: Array
     since: Array
     active: Array
+    each: Array
     share: Array
     detectable: Array
     plausible: Array
@@ -195,6 +197,7 @@ class JumpBank:
             announced=said.alarm | (said.absorbed & active.any()),
             since=branches.onset[0],
             active=branches.active,
+            each=jnp.clip(branches.s[:, n_x:], 0.0, 1.0),
             share=posterior.shares(branches),
             detectable=evidence.detectable(told, found),
             plausible=said.possible,

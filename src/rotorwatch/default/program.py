@@ -29,6 +29,7 @@ class Kept(NamedTuple):
     announced: Array
     since: Array
     active: Array
+    each: Array
     share: Array
     detectable: Array
     biases: Array

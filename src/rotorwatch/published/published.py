@@ -199,7 +199,7 @@ def nothing(T: int, hyp: hypotheses.Hypotheses) -> Kept:
     n, n_h = hyp.n, len(hyp.names)
     numbers = {
         "theta": (n,), "theta_sd": (n,), "innovation": (4,), "biases": (4,), "onset": (), "since": (), "share": (PLACES,),
-        "opposite_onset": (), "opposite_loss": (2,),
+        "each": (PLACES, n), "opposite_onset": (), "opposite_loss": (2,),
     }  # fmt: skip
     flags = {"announced": (), "active": (PLACES, n)}
     filled = {k: np.zeros((T, *size)) for k, size in numbers.items()} | {

@@ -26,7 +26,8 @@ class Autopilot(NamedTuple):
 
     position [1/s], velocity [1/s], velocity_i [1/s^2], attitude (3,) [1/s], rate_p (3,) [mixer units per rad/s], rate_i, rate_d;
     speed_most, climb_most [m/s], tilt_most [rad], turn_most (3,) [rad/s]; gyro_cut [rad/s] corner of the gyro filter; expo of the
-    thrust curve it believes in; compensates 0 or 1: divides the battery's sag out of its commands.
+    thrust curve it believes in; compensates 0 or 1: divides the battery's sag out of its commands. inversion: of `incremental`, what flies
+    instead of the rate loop's gains where it says so.
     """
 
     mixer: Array
@@ -45,6 +46,7 @@ class Autopilot(NamedTuple):
     gyro_cut: Array
     expo: Array
     compensates: Array
+    inversion: Any = ()
 
 
 class Target(NamedTuple):

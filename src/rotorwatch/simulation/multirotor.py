@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rotorwatch.backend import jax as load_jax
-from rotorwatch.simulation import control, dynamics, faults, motor, rotation, trajectories, wind
+from rotorwatch.simulation import control, dynamics, faults, incremental, motor, rotation, trajectories, wind
 from rotorwatch.simulation.loop import Moment, State
 from rotorwatch.simulation.rigid import G0, Air, Body
 from rotorwatch.simulation.sensors import Sensors
@@ -45,8 +45,8 @@ class Plan(NamedTuple):
 
 class Drives(NamedTuple):
     """What turns the n rotors. w (n,): speeds as shares of full, phase (n,): turns; drawn: charge used [A s]; sag: battery voltage as a
-    share of full, believed: what the autopilot knows of it; held (n,): last sound commands; f (n,), of `reconfigured` only: thrust shares
-    that the rotors should have reached."""
+    share of full, believed: what the autopilot knows of it; held (n,): last sound commands; f (n,): thrust shares that the rotors should
+    have reached; memory: of `incremental`."""
 
     w: Array
     phase: Array
@@ -54,7 +54,8 @@ class Drives(NamedTuple):
     sag: Array
     believed: Array
     held: Array
-    f: Any = ()
+    f: Array
+    memory: incremental.Memory
 
 
 class Supply(NamedTuple):
@@ -115,7 +116,7 @@ class Multirotor:
         none, rotors = jnp.zeros(3, kind), jnp.zeros(n, kind)
         body = Body(jnp.stack([zero, zero, zero + 0.01]), none, rotation.heading(plan.way.yaw).astype(kind), none)
         accel = jnp.stack([zero, zero, zero - G0])
-        return body, accel, Drives(rotors, rotors, zero, one, one, rotors)
+        return body, accel, Drives(rotors, rotors, zero, one, one, rotors, rotors, incremental.rest(n, kind))
 
     def reference(self, plan: Plan, ticks: int, dt: float) -> trajectories.Reference:
         """Take-off, the manoeuvre and the landing."""
@@ -140,7 +141,13 @@ class Multirotor:
         craft, pilot = plan.craft, plan.pilot
         target, (lift, compensated, lift_max) = self.aimed(plan, now, t, body), now.more
         turning, wish, loops = control.inner(pilot, target, body.q, gyro, loops, lift, dt)
-        demand, free, own = self.mixed(plan, now, t, body, gyro, turning, own, dt)
+        known, e = pilot.inversion, self.effectiveness(plan, t)
+        miss, cut = wish - loops.gyro, pilot.gyro_cut
+        change, memory = incremental.control(known, own.memory, miss, gyro, own.f, e, lift, cut, dt)
+        turning = jnp.where(known.used > 0.5, change, turning)
+        demand, free = self.mixed(plan, now, t, body, gyro, turning, own)
+        reached = demand + (own.f - demand) * jnp.exp(-dt / craft.lag)
+        own = own._replace(f=reached, memory=memory._replace(demand=demand))
         command = jnp.minimum(control.drive(pilot.expo, lift_max * demand) / compensated, 1.0) * jnp.where(
             lift > 0, 1.0, 0.0
         )
@@ -153,7 +160,7 @@ class Multirotor:
         # Where nothing rubs the speed is what was told, to the last bit.
         share = jnp.where(friction > 0.0, motor.slowed(told, theta, friction), told) * jnp.sqrt(kept)
         lag = craft.lag * (1.0 + (faults.SPIN_DOWN - 1.0) * undriven)
-        body, w, force = dynamics.step(craft, body, own.w, share, lag, now.air, theta, dt)
+        body, w, force = self.moved(plan, body, own.w, share, lag, now.air, theta, dt)
         phase = own.phase + 0.5 * (own.w + w) * plan.sensors.full_turns * dt
         phase = phase - jnp.floor(phase)
         asked = jnp.concatenate([turning, target.throttle[None]])
@@ -165,9 +172,18 @@ class Multirotor:
         """What the inner loops aim at from here."""
         return now.target
 
-    def mixed(self, plan: Plan, now: Moment, t, body: Body, gyro, turning, own: Any, dt: float) -> tuple:
-        """Thrust demands (n,) of control `turning` (3,), whether all of it was granted (1 or 0), and the aircraft's own state."""
-        return *control.mix(plan.pilot.mixer, turning, now.target.throttle), own
+    def effectiveness(self, plan: Plan, t):
+        """What the autopilot believes is left of each rotor (n,)."""
+        return 1.0 + 0.0 * plan.craft.x
+
+    def mixed(self, plan: Plan, now: Moment, t, body: Body, gyro, turning, own: Any) -> tuple:
+        """Thrust demands (n,) of control `turning` (3,), and whether all of it was granted (1 or 0)."""
+        return control.mix(plan.pilot.mixer, turning, now.target.throttle)
+
+    def moved(self, plan: Plan, body: Body, w, share, lag, air: Air, theta, dt: float) -> tuple:
+        """Body, rotor speeds (n,) and mean specific force (3,) after a step of dt: `dynamics.step`. Another model of the vehicle's motion
+        takes its place here."""
+        return dynamics.step(plan.craft, body, w, share, lag, air, theta, dt)
 
     def end(self, plan: Plan, now: Moment, before: State, after: State, seen, last, dt: float) -> tuple[State, Record]:
         """The battery, and whether the vehicle lies on the ground."""

@@ -13,7 +13,7 @@ from rotorwatch import airframes
 from rotorwatch.airframes import ardupilot, px4
 from rotorwatch.errors import ConfigError, VehicleError
 from rotorwatch.flight.vehicle import Rotor, ThrustCurve, Vehicle
-from rotorwatch.simulation import control, dynamics, faults, trajectories, wind
+from rotorwatch.simulation import control, dynamics, faults, incremental, trajectories, wind
 from rotorwatch.simulation.multirotor import Battery, Plan
 from rotorwatch.simulation.rigid import G0
 from rotorwatch.simulation.scenario import Scenario, brief
@@ -130,7 +130,7 @@ def plan(scenario: Scenario) -> Plan:
     full_speed = _full_speed(scenario, bare)
     return Plan(
         craft=_craft(scenario, bare, full_speed),
-        pilot=_pilot(scenario, known, bare),
+        pilot=_pilot(scenario, known, bare, full_speed),
         way=_up_and_down(scenario),
         wind=air(scenario, bare.arm),
         faults=broken(scenario, len(bare.x)),
@@ -175,17 +175,28 @@ def _bare(scenario: Scenario, craft: Vehicle, shares: np.ndarray | None = None) 
     return Bare(x, y, spin, thrust_max, mass, _inertia(a, known, mass, arm), arm, radius, drag_ratio, hover)
 
 
-def _pilot(scenario: Scenario, known: Vehicle, bare: Bare) -> control.Autopilot:
-    """An autopilot tuned for the vehicle without payload, with the thrust curve that it believes in."""
+def _pilot(scenario: Scenario, known: Vehicle, bare: Bare, full_speed: float) -> control.Autopilot:
+    """An autopilot tuned for the vehicle without payload, with the thrust curve that it believes in. full_speed [rad/s] of the rotors."""
     a, mixer = scenario.airframe, known.mixer
     assert mixer is not None
     B_tau = np.stack([-bare.y, bare.x, bare.drag_ratio * bare.spin])
-    return control.tune(
+    pilot = control.tune(
         *(mixer, B_tau, np.diag(bare.J), bare.thrust_max, bare.hover, a["lag_s"]),
         gyro_hz=scenario.sensors["gyro_filter_hz"],
         expo=a["expo"] if a["believed_expo"] is None else a["believed_expo"],
         compensates=float(a_compensates(scenario)),
     )
+    # Momentum goes with speed, thrust and its drag with speed squared: what a change of thrust at hover is worth in both.
+    momentum = _rotor_inertia(scenario, bare) * full_speed / (2.0 * np.sqrt(bare.hover))
+    lead = momentum / (bare.drag_ratio * bare.thrust_max.mean())
+    about = (mixer, B_tau, np.diag(bare.J), bare.thrust_max, 3.0 * pilot.attitude, lead, a["lag_s"])
+    return pilot._replace(inversion=incremental.tune(scenario.control == "indi", *about))
+
+
+def _rotor_inertia(scenario: Scenario, bare: Bare) -> float:
+    """kg m^2 of one rotor about its axis."""
+    asked = scenario.airframe["rotor_inertia_kg_m2"]
+    return 0.015 * bare.mass / len(bare.x) * (2.0 * bare.radius) ** 2 / 12.0 if asked is None else asked
 
 
 def _craft(scenario: Scenario, bare: Bare, full_speed: float) -> dynamics.Craft:
@@ -200,8 +211,6 @@ def _craft(scenario: Scenario, bare: Bare, full_speed: float) -> dynamics.Craft:
     slope = (
         each / induced / np.sqrt(bare.hover)
     )  # N s/m at full speed: hover thrust over induced velocity, at hover speed
-    inertia = a["rotor_inertia_kg_m2"]
-    inertia = 0.015 * bare.mass / n * (2.0 * bare.radius) ** 2 / 12.0 if inertia is None else inertia
     return dynamics.Craft(
         mass=np.array(total),
         J=J,
@@ -214,7 +223,7 @@ def _craft(scenario: Scenario, bare: Bare, full_speed: float) -> dynamics.Craft:
         drag_ratio=np.array(bare.drag_ratio),
         expo=np.array(a["expo"]),
         lag=np.array(a["lag_s"]),
-        rotor_momentum=np.array(inertia * full_speed),
+        rotor_momentum=np.array(_rotor_inertia(scenario, bare) * full_speed),
         k_d=np.array(0.1 * slope * a["rotor_drag"]),
         k_z=np.array(0.4 * slope * a["inflow"]),
         drag=a["body_drag"] * 0.01 * bare.mass * np.array([1.0, 1.0, 2.0]),

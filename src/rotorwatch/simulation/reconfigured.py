@@ -21,34 +21,50 @@ from rotorwatch.simulation import control, rotation
 from rotorwatch.simulation.multirotor import Drives, Multirotor, Plan
 
 Array = Any
+PLACES = 4  # explanations of the default diagnosis
 TURN = 0.3  # rad
 LEAN = 0.25  # rad: how far from upright a turning vehicle is asked to tilt
 
 
 class Entry(NamedTuple):
-    """What is believed from `since` [s] on. mean, lower, upper (n,): effectiveness of each rotor; turning: 0 or 1; hover and gains: of
-    `spinning`, zeros where they are not used."""
+    """What is believed from `since` [s] on. mean, lower, upper (n,): effectiveness of each rotor; candidates (PLACES, n) with weights
+    (PLACES,): what it may be, and how likely that is; turning: 0 or 1; hover and gains: of `spinning`, zeros where they are not used."""
 
     since: Array
     mean: Array
     lower: Array
     upper: Array
+    candidates: Array
+    weights: Array
     turning: Array
     hover: spinning.Hover
     gains: spinning.Gains
 
 
-def entry(n: int, since: float = np.inf, mean=None, lower=None, upper=None, hover=None, gains=None) -> Entry:
-    """An entry; without arguments one that never begins. hover, gains: for a vehicle that has to turn."""
+def entry(
+    n: int,
+    since: float = np.inf,
+    mean=None,
+    lower=None,
+    upper=None,
+    hover=None,
+    gains=None,
+    candidates=None,
+    weights=None,
+) -> Entry:
+    """An entry; without arguments one that never begins. hover, gains: for a vehicle that has to turn. candidates, weights: default to the
+    mean alone."""
     mean = np.ones(n) if mean is None else np.asarray(mean, float)
+    if candidates is None or weights is None:
+        candidates, weights = np.tile(mean, (PLACES, 1)), np.arange(PLACES) == 0
     turns = hover is not None and gains is not None
     if hover is None or gains is None:
         hover = spinning.Hover(np.zeros(n), np.zeros(3), np.array([0.0, 0.0, 1.0]), np.zeros(n))
         gains = spinning.Gains(np.zeros((n, 5 + n)), np.zeros((2, 3)), 0.0)
     return Entry(
         np.array(since), mean, mean if lower is None else np.asarray(lower, float),
-        mean if upper is None else np.asarray(upper, float), np.array(float(turns)), hover,
-        gains,
+        mean if upper is None else np.asarray(upper, float), np.asarray(candidates, float), np.asarray(weights, float),
+        np.array(float(turns)), hover, gains,
     )  # fmt: skip
 
 
@@ -71,12 +87,7 @@ class Reconfigured(Multirotor):
         return hash(self._key)
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Reconfigured) and other._key == self._key
-
-    def start(self, plan: Plan) -> tuple:
-        """As any multirotor."""
-        body, accel, drives = super().start(plan)
-        return body, accel, drives._replace(f=drives.w)
+        return type(other) is type(self) and other._key == self._key
 
     def aimed(self, plan: Plan, now, t, body) -> control.Target:
         """From the first entry on the way to the tilt asked for is the shortest, whatever the heading, and no more than TURN of heading at
@@ -96,19 +107,28 @@ class Reconfigured(Multirotor):
         begun = plan.schedule.since[0] <= t
         return target._replace(q=jnp.where(begun, q, target.q))
 
-    def mixed(self, plan: Plan, now, t, body, gyro, turning, own: Drives, dt: float) -> tuple:
+    def effectiveness(self, plan: Plan, t):
+        """What the entry that holds expects."""
+        jnp = load_jax().numpy
+        return jnp.where(plan.schedule.since[0] <= t, self._expected(_entry_at(plan.schedule, t)), 1.0)
+
+    def _expected(self, entry: Entry):
+        """(n,) the mean, or that of the candidates."""
+        return entry.weights @ entry.candidates if self.allocator.by == "posterior" else entry.mean
+
+    def mixed(self, plan: Plan, now, t, body, gyro, turning, own: Drives) -> tuple:
         """The mixer's answer, the allocator's or the turning hover's, as the schedule says."""
-        jax = load_jax()
-        jnp, pilot, throttle = jax.numpy, plan.pilot, now.target.throttle
+        jnp, pilot, throttle = load_jax().numpy, plan.pilot, now.target.throttle
         healthy, free = control.mix(pilot.mixer, turning, throttle)
-        begun = plan.schedule.since <= t
-        k = jnp.maximum(begun.sum() - 1, 0)
-        one = jax.tree.map(lambda a: a[k], plan.schedule)
+        begun, one = plan.schedule.since[0] <= t, _entry_at(plan.schedule, t)
         wanted = self.allocator.B @ (throttle + pilot.mixer[:, :3] @ turning)
-        belief = Belief(one.mean, one.lower, one.upper, one.mean[None], jnp.ones(1))
+        belief = Belief(self._expected(one), one.lower, one.upper, one.candidates, one.weights)
         given = self.allocator.step(self.allocator.init(), wanted, belief)[1]
         # A throttle or yaw that is not had must not stop what holds the vehicle level.
         granted = given.granted[1:3].min()
+        if self.allocator.by != "estimate":
+            # What is in doubt is met half way on purpose, and the integrators make up for the rest as long as no command is at a limit.
+            granted = jnp.maximum(granted, ((given.u > 0.0) & (given.u < 1.0)).all().astype(granted.dtype))
 
         # Down, as the position loop wants it, in body axes, no further from the hover's than LEAN.
         R, wish = rotation.axes(body.q), rotation.axes(now.target.q)
@@ -121,7 +141,10 @@ class Reconfigured(Multirotor):
 
         turns = one.turning > 0.5
         ours = jnp.where(turns, spun, given.u)
-        demand = jnp.where(begun[0], ours, healthy)
-        free = jnp.where(begun[0], jnp.where(turns, 0.0, granted), free)
-        fade = jnp.exp(-dt / plan.craft.lag)
-        return demand, free, own._replace(f=demand + (own.f - demand) * fade)
+        return jnp.where(begun, ours, healthy), jnp.where(begun, jnp.where(turns, 0.0, granted), free)
+
+
+def _entry_at(schedule: Entry, t) -> Entry:
+    """The last entry that has begun, or the first."""
+    k = load_jax().numpy.maximum((schedule.since <= t).sum() - 1, 0)
+    return load_jax().tree.map(lambda a: a[k], schedule)

@@ -4,6 +4,7 @@
     duration_s = 60.0
     seed = 7
     autopilot = "ardupilot"           # or "px4": whose frame numbering, mixer and log
+    control = "pid"                   # or "indi"
 
     [airframe]
     frame = "hexa-x"                  # docs/airframes.md; or a paper's airframe
@@ -35,6 +36,7 @@ from rotorwatch.simulation import faults, trajectories
 
 MAX_BYTES = 1_000_000
 AUTOPILOTS = ("ardupilot", "px4")
+CONTROLS = ("pid", "indi")
 PROFILES = ("default", "fast", "full")
 ACTUATORS = ("collective", "tail", "longitudinal", "lateral")
 RECORD_HZ = {
@@ -62,6 +64,7 @@ FIELDS: dict[str, dict[str, Field]] = {
         "duration_s": Field(60.0, 5.0, 7200.0, "length of the flight"),
         "seed": Field(0, 0, 2**31 - 1, "same seed, same flight"),
         "autopilot": Field("ardupilot", choices=AUTOPILOTS, about="frame numbering, mixer and log"),
+        "control": Field("pid", choices=CONTROLS, about="rate loop: gains and integrators, or increments (INDI)"),
         "rate_hz": Field(400.0, 200.0, 1000.0, "Runge-Kutta steps and inner control loop"),
     },
     "airframe": {
@@ -174,6 +177,7 @@ class Scenario:
     duration_s: float
     seed: int
     autopilot: str
+    control: str
     rate_hz: float
     airframe: Mapping[str, Any]
     trajectory: Mapping[str, Any]
