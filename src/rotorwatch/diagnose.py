@@ -10,7 +10,7 @@ import numpy as np
 
 from rotorwatch import detectors, discovery
 from rotorwatch.answer import conclusion, health, places, traces
-from rotorwatch.default import events, hypotheses, leftover
+from rotorwatch.default import asked, events, hypotheses, leftover
 from rotorwatch.default.announcement import threshold
 from rotorwatch.default.program import estimate
 from rotorwatch.diagnosis import Diagnosis
@@ -105,15 +105,19 @@ def diagnose(
 
     tell(0.3, "preparing the estimator (built the first time)")
     if estimator == "default":
-        _, out = estimate(table, B, dynamics, estimating)
+        carry, out = estimate(table, B, dynamics, estimating)
         limit = threshold(hypotheses.make(len(craft.rotors)), table.dt)
     else:
+        carry = None
         out = published.judge(estimator, table, B, dynamics, tuning, estimating)
         assumptions += published.notes(estimator)
         limit = 0.5 * decide.SIGMAS**2
     lap("estimate_s")
     hyp = hypotheses.make(len(craft.rotors))
     losses = events.read(out, table, hyp, B)
+    if carry is not None:
+        losses, settled = asked.settle(losses, carry, table, B)
+        assumptions += settled
     overrides = outside.overrides(flight, craft, air, table)
     losses = outside.unexplained(losses, overrides)
     contacts = outside.contacts(table, air)

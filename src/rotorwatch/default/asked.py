@@ -1,0 +1,363 @@
+"""What an excitation of the commands says of events that are ambiguous without it.
+
+Commands in the null space of the geometry (control/excitation.py) move nothing while all rotors are well; a flight in which they were
+excited is an experiment. What the motion does not show of the commanded wrench, e = y - G m - c r - l f (plant.py), then holds
+
+    e_a(t) = sum_i phi_ai(t) theta_i + noise,        phi_ai = B_ai q_i,        q: the part of the thrusts that nobody needed
+
+q is what the thrusts (n,) have in ker B, less what follows from the commanded wrench (mixers that are no pseudo-inverse have such a
+part at all times). It is chosen by whoever asks, independently of gusts and of the controller's answers to them: unlike the
+evidence of a jump, which grows old while errors of the model go on (posterior.py), this evidence is worth all that it says. With the noise
+as it was learned, Sigma_a (excitation.py), the information and vector of theta are
+
+    J = sum_a phi_a' Sigma_a^-1 phi_a,        z = sum_a phi_a' Sigma_a^-1 e_a
+
+and the evidence of a set S of weak rotors is that of a Gaussian: their losses have the mean m that explains what lacks in hover, all
+others are as unlike as healthy rotors are (sd UNLIKE), W the diagonal of the variances:
+
+    log BF_S = m' z - m' J m / 2 + (z - J m)' (J + W^-1)^-1 (z - J m) / 2 - log det(1 + W J) / 2
+
+times the probability that the losses of S are above 0, over what it was before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+
+from rotorwatch.control import excitation
+from rotorwatch.default import hypotheses
+from rotorwatch.default.caution import AT_LIMIT
+from rotorwatch.default.events import sd_of
+from rotorwatch.default.plant import AXIS_STATES, DAMPING, GAIN, PER_AXIS, SIDEWAYS, TAU, WrenchBalance, lower_rotors
+from rotorwatch.diagnosis import Event
+from rotorwatch.motion.ticks import JUDGE, Ticks
+
+LEAST = 0.05  # hover thrusts of one rotor, off the mixer's own way of making a wrench: an excitation, no rounding
+SHORTEST_S, APART_S, ASIDE_S = 0.5, 1.0, 1.0  # of an excitation; between two; of flight looked at before and after
+HOVER_S = 3.0  # over which hover's commands are averaged
+LONGEST = 400  # ticks looked at together
+CERTAIN = 0.99  # probability from which on a set is named
+UNLIKE = 0.03  # by what share healthy rotors differ in what a command changes
+LOSS_SD = 0.05  # of what hover says of a loss, besides RECOVERY_SHARE of it
+OTHER = 1e-2  # prior weight for each rotor of a set that no event names
+CONTAINS = 0.1  # ... of one that contains another that it named: the smaller says it all
+DELAYS_S = (0.0, 0.02, 0.04, 0.07, 0.1)  # of a rotor behind what the ticks take for granted
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What one excitation said. start, end [s]. J (D, n, n), z (D, n): information on the losses, for each of DELAYS_S."""
+
+    start: float
+    end: float
+    J: np.ndarray
+    z: np.ndarray
+
+
+def find(s: np.ndarray, variances: np.ndarray, table: Ticks, B: np.ndarray) -> tuple[Asked, ...]:
+    """The excitations of a flight, in order. s (n_s,): state of the default estimator at the end, variances (4, 4) of its noise; table:
+    its ticks; B (4, n)."""
+    N = excitation.null_space(B)
+    full = table.thrust * table.hover[:, None]
+    usable = (table.mode == JUDGE) & table.valid.all(axis=1) & (full < AT_LIMIT).all(axis=1) & (full > 0.0).all(axis=1)
+    if not N.shape[1] or usable.sum() * table.dt < 2.0 * ASIDE_S:
+        return ()
+    q = _unneeded(table, N, usable)
+    spans = _spans(table, usable & (np.abs(q).max(axis=1) > LEAST))
+    left, extra = _left(s, table, B)
+    noise = excitation.Noise(variances, np.array(TAU))
+    found = []
+    for a, b in spans:
+        near = (table.time > table.time[a] - ASIDE_S) & (table.time < table.time[b] + ASIDE_S) & usable
+        rows = np.flatnonzero(near)[:LONGEST]
+        if rows.size * table.dt < SHORTEST_S:
+            continue
+        found.append(_asked(rows, (float(table.command_time[a]), float(table.time[b])), left, q, extra, noise, table, B))
+    return tuple(found)
+
+
+def _unneeded(table: Ticks, N: np.ndarray, usable: np.ndarray) -> np.ndarray:
+    """q (T, n): thrusts in the null space, less what the commanded wrench says of them (twice: at first with excitations in it)."""
+    own = table.thrust @ N
+    inputs = np.column_stack([table.wrench, np.ones(len(own))])
+    calm = usable
+    for _ in range(2):
+        if calm.sum() < 4 * inputs.shape[1]:
+            break
+        K = np.linalg.lstsq(inputs[calm], own[calm], rcond=None)[0]
+        q = (own - inputs @ K) @ N.T
+        calm = usable & (np.abs(q).max(axis=1) < 0.5 * LEAST)
+    else:
+        return q
+    return (own - np.median(own[usable], axis=0)) @ N.T
+
+
+def _spans(table: Ticks, asked: np.ndarray) -> list[tuple[int, int]]:
+    """First and last ticks of spells that are no more than APART_S apart and last SHORTEST_S."""
+    ticks = np.flatnonzero(asked)
+    if not ticks.size:
+        return []
+    breaks = np.flatnonzero(np.diff(table.time[ticks]) > APART_S)
+    starts, ends = ticks[np.r_[0, breaks + 1]], ticks[np.r_[breaks, ticks.size - 1]]
+    return [(int(a), int(b)) for a, b in zip(starts, ends) if table.time[b] - table.time[a] >= SHORTEST_S]
+
+
+def _left(s: np.ndarray, table: Ticks, B: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    """e (T, 4), and on coaxial frames what the lower rotors' share does to B q: (n,) by how much each gives more."""
+    n = B.shape[1]
+    lower = lower_rotors(B)
+    system = WrenchBalance(B, lower=lower)
+    u = system.pack(table)
+    x = np.asarray(s)[: system.n_x]
+    parts = x[:AXIS_STATES].reshape(4, PER_AXIS)
+    rates = np.column_stack([u[:, n + 4 : n + 7], np.zeros(len(u))])
+    motion = u[:, n : n + 4] * parts[:, GAIN] + rates * np.append(parts[:3, DAMPING], 0.0)
+    motion[:, :2] += np.column_stack([-u[:, n + 8], u[:, n + 7]]) * x[SIDEWAYS]
+    if lower is None:
+        return table.wrench - motion, None
+    more = lower - (B[3] * lower).mean()
+    return table.wrench * 1.0 + x[-1] * (u[:, :n] * more) @ B.T - motion, more
+
+
+def _asked(rows, span, left, q, more, noise, table: Ticks, B: np.ndarray) -> Asked:
+    """The information of one excitation, seen at ticks `rows`."""
+    n, time = B.shape[1], table.time
+    length = rows[-1] - rows[0] + 1
+    here = rows - rows[0]
+    J, z = [], []
+    whiten = [np.linalg.cholesky(excitation.covariance(noise, a, length, table.dt)[np.ix_(here, here)]) for a in range(4)]
+    for delay in DELAYS_S:
+        late = np.column_stack([np.interp(time[rows] - delay, time, q[:, i]) for i in range(n)])
+        total_J, total_z = np.zeros((n, n)), np.zeros(n)
+        for a in range(4):
+            columns = [B[a] * late, left[rows, a : a + 1]]
+            if more is not None:  # how much more the lower rotors give is not known
+                columns.append((late @ (B[a] * more))[:, None])
+            white = np.linalg.solve(whiten[a], np.column_stack(columns))
+            phi, e, rest = white[:, :n], white[:, n], white[:, n + 1 :]
+            scale = max(1.0, _unexplained(np.column_stack([phi, rest]), e))
+            own, told = phi.T @ phi, phi.T @ e
+            for r in rest.T:
+                share = phi.T @ r / (r @ r + 1.0 / COAXIAL_SD**2)
+                own, told = own - np.outer(share, r @ phi), told - share * (r @ e)
+            total_J, total_z = total_J + own / scale, total_z + told / scale
+        J.append(total_J)
+        z.append(total_z)
+    return Asked(*span, np.stack(J), np.stack(z))
+
+
+COAXIAL_SD = 0.05  # of the lower rotors' share, once the flight has taught it
+
+
+def _unexplained(phi: np.ndarray, e: np.ndarray) -> float:
+    """Mean square of what is left of e (T,) after its best fit by phi (T, k): one, where the noise is what it was."""
+    fit = phi @ np.linalg.lstsq(phi, e, rcond=1e-6)[0]
+    return float(((e - fit) ** 2).sum() / max(len(e) - min(phi.shape), 1))
+
+
+class Prior(NamedTuple):
+    """Losses of the rotors of a set, before the excitation: mean (n,) and sd (n,), others 0 and UNLIKE."""
+
+    mean: np.ndarray
+    sd: np.ndarray
+
+
+def prior(rotors: Sequence[int], n: int, losses: np.ndarray | None = None) -> Prior:
+    """Of a set (0-based) that anybody might name, or of one whose losses (n,) hover has told."""
+    own = np.isin(np.arange(n), list(rotors))
+    if losses is None:
+        return Prior(np.zeros(n), np.where(own, hypotheses.LOSS_WIDTH, UNLIKE))
+    spread = hypotheses.RECOVERY_SHARE * np.max(losses, initial=0.0) + LOSS_SD
+    return Prior(np.where(own, losses, 0.0), np.where(own, spread, UNLIKE))
+
+
+def evidence(asked: Sequence[Asked], rotors: Sequence[int], before: Prior) -> tuple[float, np.ndarray, np.ndarray]:
+    """Log evidence that these rotors (0-based) are weak, against none; and mean (n,) and covariance (n, n) of all losses then."""
+    n, own = len(before.mean), list(rotors)
+    J = sum(one.J for one in asked)
+    z = sum(one.z for one in asked)
+    total, base, mean, cov = [], [], [], []
+    none = np.full(n, UNLIKE)
+    for own_J, own_z in zip(J, z, strict=True):
+        log, m, P = _gaussian(own_J, own_z, before.mean, before.sd)
+        above = _positive(m[own], P[np.ix_(own, own)])
+        above /= _positive(before.mean[own], np.diag(before.sd[own] ** 2))
+        total.append(log + np.log(max(above, 1e-300)))
+        base.append(_gaussian(own_J, own_z, np.zeros(n), none)[0])
+        mean.append(m)
+        cov.append(P)
+    k = int(np.argmax(total))
+    return float(np.logaddexp.reduce(total) - np.logaddexp.reduce(base)), mean[k], cov[k]
+
+
+def _positive(mean: np.ndarray, cov: np.ndarray) -> float:
+    """Probability that all of one or two Gaussian numbers, mean (k,) and cov (k, k), are above 0."""
+    from scipy.special import ndtr
+
+    sd = np.sqrt(np.diag(cov))
+    if not len(mean):
+        return 1.0
+    if len(mean) == 1:
+        return float(ndtr(mean[0] / sd[0]))
+    x = np.linspace(max(0.0, mean[0] - 8.0 * sd[0]), max(0.0, mean[0]) + 8.0 * sd[0], 401)
+    density = np.exp(-0.5 * ((x - mean[0]) / sd[0]) ** 2) / (sd[0] * np.sqrt(2.0 * np.pi))
+    slope = cov[0, 1] / cov[0, 0]
+    rest = np.sqrt(max(cov[1, 1] - slope * cov[0, 1], 1e-18))
+    return float(np.trapezoid(density * ndtr((mean[1] + slope * (x - mean[0])) / rest), x))
+
+
+def _gaussian(J: np.ndarray, z: np.ndarray, mean: np.ndarray, sd: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+    """Log evidence of losses that are Gaussian, mean (n,) and sd (n,), against losses of exactly 0; and their posterior."""
+    A = np.eye(len(z)) + sd[:, None] * J * sd[None, :]
+    y = sd * (z - J @ mean)
+    x = np.linalg.solve(A, y)
+    log = mean @ z - 0.5 * mean @ J @ mean + 0.5 * y @ x - 0.5 * np.linalg.slogdet(A)[1]
+    return float(log), mean + sd * x, sd[:, None] * np.linalg.inv(A) * sd[None, :]
+
+
+def shares(asked: Sequence[Asked], named: dict[tuple[int, ...], np.ndarray], n: int) -> dict[tuple[int, ...], float]:
+    """Probability of each set of weak rotors (0-based; (): none): of those named, with the losses (n,) that hover gives them, of all single
+    rotors and of all pairs."""
+    logs = {(): 0.0}
+    for who in (*combinations(range(n), 1), *combinations(range(n), 2)):
+        logs[who] = len(who) * np.log(OTHER) + evidence(asked, who, prior(who, n))[0]
+    for who, losses in named.items():
+        weight = CONTAINS if any(set(other) < set(who) for other in named) else 1.0
+        logs[who] = np.logaddexp(logs.get(who, -np.inf), np.log(weight) + evidence(asked, who, prior(who, n, losses))[0])
+    top = max(logs.values())
+    weights = {who: float(np.exp(v - top)) for who, v in logs.items()}
+    total = sum(weights.values())
+    return {who: w / total for who, w in sorted(weights.items(), key=lambda item: -item[1])}
+
+
+def candidates(event: Event, B: np.ndarray) -> dict[tuple[int, ...], np.ndarray]:
+    """The sets of rotors (0-based) that may explain an event, each with the losses (n,) with which it does so in hover: what lacks of thrust
+    and moment, by non-negative least squares. B (4, n)."""
+    from scipy.optimize import nnls
+
+    n = B.shape[1]
+    lacking = B[:, [r - 1 for r in event.rotors]] @ np.array(event.loss)
+    found = {}
+    for who in (event.rotors, *event.alternatives):
+        own = sorted(r - 1 for r in who)
+        losses = np.zeros(n)
+        losses[own] = np.minimum(nnls(B[:, own], lacking)[0], 1.0)
+        found[tuple(own)] = losses
+    return found
+
+
+class Question(NamedTuple):
+    """What an excitation is designed from, as a log has shown it. candidates: sets of rotors (0-based; (): none) and their losses (n,);
+    hover (n,): commands, shares of full thrust; noise and gain (3,) as in `excitation.design`; dt [s] of a tick."""
+
+    candidates: dict[tuple[int, ...], np.ndarray]
+    hover: np.ndarray
+    noise: excitation.Noise
+    gain: np.ndarray
+    dt: float
+
+
+def question(event: Event, carry, table: Ticks, B: np.ndarray) -> Question:
+    """What to ask of an event that several sets of rotors explain, or none. carry: of the default estimator after the ticks of `table`."""
+    flying = table.mode == JUDGE
+    late = flying & (table.time > table.time[flying][-1] - HOVER_S)
+    hover = (table.thrust * table.hover[:, None])[late].mean(axis=0)
+    gain = np.asarray(carry.s)[:AXIS_STATES].reshape(4, PER_AXIS)[:3, GAIN]
+    found = candidates(event, B) | {(): np.zeros(B.shape[1])}
+    return Question(found, hover, excitation.Noise(np.asarray(carry.noise.variances), np.array(TAU)), gain, table.dt)
+
+
+def settle(events: Sequence[Event], carry, table: Ticks, B: np.ndarray) -> tuple[tuple[Event, ...], tuple[str, ...]]:
+    """The events of a flight with what its excitations say of them: ambiguous ones are settled where an excitation after them says which
+    rotors it was, and losses that nothing else has shown are added; and sentences on what it says no rotor made. Without an excitation the
+    events are what they were. carry: of the default estimator, after the last tick."""
+    asked = find(np.asarray(carry.s), np.asarray(carry.noise.variances), table, B)
+    if not asked:
+        return tuple(events), ()
+    kept, notes = [], []
+    for e in events:
+        later = [q for q in asked if q.start > e.onset_s and (e.end_s is None or q.end < e.end_s)]
+        if e.kind != "loss_of_effectiveness" or not e.alternatives or not later:
+            kept.append(e)
+            continue
+        settled, note = _settled(e, later, B)
+        kept += [settled] if settled else []
+        notes += [note] if note else []
+    if not kept:
+        found, note = _unseen(asked, B)
+        kept += [found] if found and not notes else []
+        notes += [note] if note and not notes else []
+    return tuple(kept), tuple(notes)
+
+
+def _unseen(asked: Sequence[Asked], B: np.ndarray) -> tuple[Event | None, str]:
+    """The loss that only the excitations show, if there is one; else what could have gone unseen by them."""
+    n = B.shape[1]
+    found = shares(asked, {}, n)
+    best, share = next(iter(found.items()))
+    when = _when(asked)
+    if not best:
+        well = f"the excitation of the commands from {when} was answered as by a vehicle whose rotors are all well"
+        return None, well if share > CERTAIN else ""
+    _, mean, cov = evidence(asked, best, prior(best, n))
+    loss, bounds = _losses(best, mean, cov, B)
+    if share < CERTAIN or min(low for low, _ in bounds) < UNLIKE:
+        return None, ""
+    who = tuple(k + 1 for k in best)
+    reason = (
+        f"the excitation of the commands from {when} was answered as only weak rotors {' and '.join(map(str, who))} answer it; since when "
+        "they are weak, it does not say"
+    )
+    extra = {"asked": _told(asked, found)}
+    start, end = asked[0].start, asked[-1].end
+    return Event("loss_of_effectiveness", who, start, end, None, loss, bounds, share, (), reason, extra), ""
+
+
+def _when(asked: Sequence[Asked]) -> str:
+    return f"{asked[0].start:.1f} to {asked[-1].end:.1f} s"
+
+
+def _told(asked: Sequence[Asked], found: dict[tuple[int, ...], float]) -> dict:
+    """For an event's `extra`: when it was asked, and the probabilities of the sets that are left."""
+    left = {"+".join(str(k + 1) for k in who) or "none": round(p, 6) for who, p in found.items() if p > 1e-3}
+    return {"start_s": asked[0].start, "end_s": asked[-1].end, "probability": left}
+
+
+def _losses(who: tuple[int, ...], mean: np.ndarray, cov: np.ndarray, B: np.ndarray) -> tuple[tuple, tuple]:
+    """Losses of the rotors `who` (0-based) and their 95 % intervals."""
+    own = list(who)
+    loss = np.clip(mean[own], 0.0, 1.0)
+    sd = sd_of(loss, np.sqrt(np.diag(cov)[own]), B)
+    bounds = tuple((max(0.0, float(v - 1.96 * s)), min(1.0, float(v + 1.96 * s))) for v, s in zip(loss, sd, strict=True))
+    return tuple(float(v) for v in loss), bounds
+
+
+def _settled(event: Event, asked: Sequence[Asked], B: np.ndarray) -> tuple[Event | None, str]:
+    named = candidates(event, B)
+    n = B.shape[1]
+    found = shares(asked, named, n)
+    best, share = next(iter(found.items()))
+    when, extra = _when(asked), {**event.extra, "asked": _told(asked, found)}
+    if share < CERTAIN or (best and best not in named):
+        return replace(event, extra=extra), ""
+    if not best:
+        return None, (
+            f"a shift of thrust at {event.onset_s:.1f} s might have been rotors {'+'.join(map(str, event.rotors))} or others; the "
+            f"excitation of the commands from {when} was answered as by a vehicle whose rotors are all well"
+        )
+    _, mean, cov = evidence(asked, best, prior(best, n, named[best]))
+    loss, bounds = _losses(best, mean, cov, B)
+    who = tuple(k + 1 for k in best)
+    names = " and ".join(map(str, who))
+    reason = (
+        f"commands and motion changed at {event.onset_s:.1f} s as if rotors had lost thrust, and the excitation of the commands from {when} "
+        f"was answered as only weak rotors {names} answer it"
+    )
+    return replace(
+        event, rotors=who, loss=loss, interval=bounds, probability=share, alternatives=(), reason=reason, extra=extra
+    ), ""
