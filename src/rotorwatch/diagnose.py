@@ -105,18 +105,17 @@ def diagnose(
 
     tell(0.3, "preparing the estimator (built the first time)")
     if estimator == "default":
-        carry, out = estimate(table, B, dynamics, estimating)
+        _, out = estimate(table, B, dynamics, estimating)
         limit = threshold(hypotheses.make(len(craft.rotors)), table.dt)
     else:
-        carry = None
         out = published.judge(estimator, table, B, dynamics, tuning, estimating)
         assumptions += published.notes(estimator)
         limit = 0.5 * decide.SIGMAS**2
     lap("estimate_s")
     hyp = hypotheses.make(len(craft.rotors))
     losses = events.read(out, table, hyp, B)
-    if carry is not None:
-        losses, settled = asked.settle(losses, carry, table, B)
+    if estimator == "default":
+        losses, settled = asked.settle(losses, table, B, dynamics)
         assumptions += settled
     overrides = outside.overrides(flight, craft, air, table)
     losses = outside.unexplained(losses, overrides)

@@ -11,6 +11,7 @@ last bit. Healthy flights are excited as well, as if somebody wondered.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -28,19 +29,24 @@ from rotorwatch.errors import ConfigError
 from rotorwatch.motion.airborne import airborne
 from rotorwatch.motion.allocation import ambiguous_sets
 from rotorwatch.motion.ticks import READY_S, observe
-from rotorwatch.simulation import logbook, loop, one, prepare, rotation, scenario
+from rotorwatch.simulation import logbook, loop, one, prepare, scenario
 from rotorwatch.simulation.excited import EXCITED
 from rotorwatch.simulation.scenario import Scenario
 
 FRAMES = ("hexa-x", "hexa-plus", "octa-x", "octa-plus")
 ONSET_S, WAITS_S, ENDS_S = 16.0, 1.0, 14.0  # of the loss; from the answer to the excitation; from the loss to the end
 WITHIN_S = 3.0
+WIDTH = 16  # flights side by side
+WORST = 0.5  # loss that somebody who suspects nothing reckons with
+LOSSES, LARGER = (0.15, 0.45), (0.3, 0.7)
+WINDS_M_S = 4.0
 HEALTHY = 0.25  # share of flights
 
 
 @dataclass(frozen=True)
 class Row:
-    """One flight. broken: its weak rotors, none of a healthy one; loss: of each. before, after: verdict without and with the excitation;
+    """One flight. broken: its weak rotors, none of a healthy one; loss: of each. before: what the default method's events come to without
+    the excitation, after: verdict of the diagnosis with it;
     named: the rotors named after it. right: these are the broken ones; wrong: others are named. asked: it was excited. length_s, amplitude
     (share of full thrust): of the excitation; turned_deg: by how much it moved the attitude; needed_s: how long the information bound asks
     for, None where WITHIN_S do not do."""
@@ -64,18 +70,24 @@ class Row:
     needed: float | None
 
 
-def families(B: np.ndarray) -> tuple[tuple[int, ...], ...]:
+@functools.cache
+def _alike(frame: str) -> tuple:
+    return ambiguous_sets(airframes.named(f"px4-{frame}").effectiveness())
+
+
+def families(frame: str) -> tuple[tuple[int, ...], ...]:
     """Sets of two rotors (1-based) that have the same effect as another set."""
-    return tuple(sorted({s for both in ambiguous_sets(B) for s in both if len(s) == 2}))
+    return tuple(sorted({s for both in _alike(frame) for s in both if len(s) == 2}))
 
 
 def draw(flight: int, frame: str, seed: int) -> Scenario:
-    """The scenario of a flight: vehicles from 0.8 to 8 kg, winds up to 5 m/s, losses from 15 to 45 % of two rotors alike."""
+    """The scenario of a flight: vehicles from 0.8 to 8 kg, winds up to WINDS_M_S, LOSSES of two rotors alike; LARGER ones
+    where many pairs have the same effect, of which smaller losses are not noticed."""
     rng = np.random.default_rng([seed, flight])
     mass = float(np.exp(rng.uniform(np.log(0.8), np.log(8.0))))
-    pairs = families(airframes.named(f"px4-{frame}").effectiveness())
+    pairs = families(frame)
     who = pairs[rng.integers(len(pairs))] if rng.uniform() >= HEALTHY else ()
-    loss = round(float(rng.uniform(0.15, 0.45)), 3)
+    loss = round(float(rng.uniform(*(LOSSES if len(pairs) < 4 else LARGER))), 3)
     return scenario.from_table(
         {
             "name": f"asked {flight}", "duration_s": ONSET_S + ENDS_S, "seed": int(rng.integers(2**31 - 1)), "rate_hz": 200.0,
@@ -85,7 +97,7 @@ def draw(flight: int, frame: str, seed: int) -> Scenario:
                 "thrust_to_weight": float(rng.uniform(1.9, 2.6)), "lag_s": float(rng.uniform(0.02, 0.05)),
             },
             "trajectory": {"altitude_m": 5.0, "land": False},
-            "wind": {"speed_m_s": float(rng.uniform(0.0, 5.0)), "from_deg": float(rng.uniform(-180.0, 180.0))},
+            "wind": {"speed_m_s": float(rng.uniform(0.0, WINDS_M_S)), "from_deg": float(rng.uniform(-180.0, 180.0))},
             "logging": {"profile": "fast"},
             "faults": [{"kind": "loss", "rotor": r, "onset_s": ONSET_S, "strength": loss} for r in who],
         }
@@ -124,12 +136,14 @@ def asking(question: asked.Question, within_s: float = WITHIN_S, limits: excitat
         return excitation.design(*give, length_s=within_s)
 
 
-def wondering(carry, table, B: np.ndarray, limits: excitation.Limits | None = None) -> excitation.Design:
-    """What somebody asks who suspects nothing: is it one of the pairs that nothing else shows, or none? For WITHIN_S."""
-    pairs = families(B)
+def wondering(frame: str, carry, table, B: np.ndarray, limits: excitation.Limits | None = None) -> excitation.Design:
+    """What somebody asks who suspects nothing: is it one of a few pairs that hover does not tell apart, or none? For WITHIN_S."""
+    alike = _alike(frame)
+    first = next(one for one, _ in alike if len(one) == 2)
+    pairs = [first, *(other for one, other in alike if one == first and len(other) == 2)]
     event = Event("loss_of_effectiveness", pairs[0], 0.0, 0.0, None, (0.3, 0.3), ((0.0, 0.6),) * 2, 0.5)
     question = asked.question(event, carry, table, B)
-    losses = [np.where(np.isin(np.arange(B.shape[1]) + 1, who), 0.3, 0.0) for who in pairs]
+    losses = [np.where(np.isin(np.arange(B.shape[1]) + 1, who), WORST, 0.0) for who in pairs]
     given = (B, [*losses, np.zeros(B.shape[1])], question.hover, question.noise, question.gain, question.dt, limits)
     return excitation.design(*given, length_s=WITHIN_S)
 
@@ -147,30 +161,36 @@ def batch(frame: str, flights: Sequence[int], seed: int, limits: excitation.Limi
     before = fly(scenarios, [excitation.none(n)] * len(scenarios))
     answers, designs, signals = [], [], []
     for s, (_, flight) in zip(scenarios, before, strict=True):
-        answers.append(diagnose(flight))
+        table, carry, B, losses = judged(flight)
+        unsure = [e for e in losses if e.alternatives]
+        sure = [e for e in losses if not e.alternatives]
+        answers.append("fault" if sure else "ambiguous" if unsure else "healthy")
         made, start = None, ONSET_S + 4.0
-        if answers[-1].verdict != "fault":
-            table, carry, B, losses = judged(flight)
-            unsure = [e for e in losses if e.alternatives and e.kind == "loss_of_effectiveness"]
+        if not sure:
             if unsure:
                 start = max(e.detected_s for e in unsure) + WAITS_S
                 made = asking(asked.question(unsure[0], carry, table, B), limits=limits, B=B)
-            else:
-                made = wondering(carry, table, B, limits)
+            elif n == 6 or not s.faults:
+                made = wondering(frame, carry, table, B, limits)
         designs.append(made)
         signals.append(excitation.none(n) if made is None else made.signal._replace(start=np.array(start)))
     after = fly(scenarios, signals)
     rows = []
-    for k, s, old, (was, _), (record, flight), made in zip(flights, scenarios, answers, before, after, designs, strict=True):
-        new = old if made is None else diagnose(flight)
+    for k, s, old, (was, _), (record, flight), made in zip(
+        flights, scenarios, answers, before, after, designs, strict=True
+    ):
         broken = tuple(sorted(f["rotor"] for f in s.faults))
-        sure = [e for e in new.events if e.kind in ("loss_of_effectiveness", "output_override") and not e.alternatives]
-        named = tuple(sorted({r for e in sure for r in e.rotors}))
+        new, named = old, ()
+        if made is not None:
+            answer = diagnose(flight)
+            kinds = ("loss_of_effectiveness", "output_override")
+            sure = [e for e in answer.events if e.kind in kinds and not e.alternatives]
+            new, named = answer.verdict, tuple(sorted({r for e in sure for r in e.rotors}))
         rows.append(
             Row(
                 k, frame, float(s.airframe["mass_kg"]), float(s.wind["speed_m_s"]), broken,
-                float(s.faults[0]["strength"]) if broken else 0.0, old.verdict, new.verdict, named, made is not None,
-                new.verdict == ("fault" if broken else "healthy") and named == broken, bool(named) and named != broken,
+                float(s.faults[0]["strength"]) if broken else 0.0, old, new, named, made is not None,
+                new == ("fault" if broken else "healthy") and named == broken, bool(named) and named != broken,
                 None if made is None else float(made.signal.length),
                 None if made is None else float((np.abs(made.signal.first) + np.abs(made.signal.second)).max()),
                 None if made is None else turned(was, record),
@@ -179,3 +199,94 @@ def batch(frame: str, flights: Sequence[int], seed: int, limits: excitation.Limi
             )
         )  # fmt: skip
     return rows
+
+
+def run(
+    flights: int = 120,
+    frames: Sequence[str] = FRAMES,
+    seed: int = 1,
+    limits: excitation.Limits | None = None,
+    progress: Callable[[float, str], None] | None = None,
+) -> dict[str, Any]:
+    """That many flights, frames in turn: {"flights", "seed", "measures" (`measures`), "by_frame", "rows"}. Raises ConfigError."""
+    unknown = [f for f in frames if f not in FRAMES]
+    if unknown or not frames:
+        raise ConfigError(f"frames must be some of {', '.join(FRAMES)}, not {', '.join(unknown) or 'none'}.")
+    if flights < 1:
+        raise ConfigError(f"flights must be at least 1, not {flights}.")
+    rows: list[Row] = []
+    for k, frame in enumerate(frames):
+        mine = range(k, flights, len(frames))
+        for start in range(0, len(mine), WIDTH):
+            part = mine[start : start + WIDTH]
+            filled = [*part, *[part[-1]] * (WIDTH - len(part))] if len(mine) > WIDTH else list(part)
+            rows += batch(frame, filled, seed, limits)[: len(part)]
+            if progress:
+                progress(len(rows) / flights, f"{frame}")
+    each = {frame: measures([r for r in rows if r.frame == frame]) for frame in frames}
+    return {
+        "flights": flights, "seed": seed, "measures": measures(rows), "by_frame": each, "rows": [asdict(r) for r in rows],
+    }  # fmt: skip
+
+
+def measures(rows: Sequence[Row]) -> dict[str, Any]:
+    """Shares with 95 % intervals. ambiguous: faulty flights that are ambiguous as they are; resolved: of these, the broken rotors are named
+    and no others after the excitation; within: the same within WITHIN_S of excitation that turns the vehicle by less than one degree;
+    wrong: others are named. noticed: of flights without an answer, those that have one after it that holds the truth. false: healthy flights
+    whose excitation led to an answer. length_s, turned_deg: medians and largest."""
+    faulty, healthy = [r for r in rows if r.broken], [r for r in rows if not r.broken]
+    open_ = [r for r in faulty if r.before == "ambiguous" and r.asked]
+    silent = [r for r in faulty if r.before == "healthy" and r.asked]
+
+    def share(values: list[bool]) -> dict[str, float] | None:
+        return summary.share(np.array(values, bool)) if values else None
+
+    def small(r: Row) -> bool:
+        return bool(
+            r.right and r.length_s and r.length_s <= WITHIN_S + 1e-9 and r.turned_deg is not None and r.turned_deg < 1.0
+        )
+
+    def spread(values: list[float]) -> dict[str, float] | None:
+        return {"median": float(np.median(values)), "largest": float(np.max(values))} if values else None
+
+    return {
+        "faulty": len(faulty), "healthy": len(healthy), "ambiguous": len(open_), "unnoticed": len(silent),
+        "fault_before": sum(r.before == "fault" for r in faulty),
+        "resolved": share([r.right for r in open_]), "within": share([small(r) for r in open_]),
+        "wrong": share([r.wrong for r in open_]), "noticed": share([r.after != "healthy" for r in silent]),
+        "noticed_wrong": share([r.wrong for r in silent]),
+        "false": share([r.after != r.before or r.wrong for r in healthy]),
+        "length_s": spread([r.length_s for r in open_ if r.length_s]),
+        "turned_deg": spread([r.turned_deg for r in rows if r.turned_deg is not None and r.before != "fault"]),
+    }  # fmt: skip
+
+
+def markdown(result: dict[str, Any]) -> str:
+    """The measures, all flights and frame by frame."""
+
+    def cell(value: dict[str, float] | None) -> str:
+        if value is None:
+            return "-"
+        low, middle, high = (100.0 * value[k] for k in ("low", "value", "high"))
+        return f"{middle:.0f} % ({low:.0f} to {high:.0f})"
+
+    def pair(value: dict[str, float] | None, digits: int) -> str:
+        return "-" if value is None else f"{value['median']:.{digits}f}, {value['largest']:.{digits}f}"
+
+    lines: dict[str, Callable[[dict], str]] = {
+        "faulty, healthy flights": lambda m: f"{m['faulty']}, {m['healthy']}",
+        "ambiguous without an excitation": lambda m: str(m["ambiguous"]),
+        "... of these resolved by it": lambda m: cell(m["resolved"]),
+        f"... within {WITHIN_S:g} s and 1 degree": lambda m: cell(m["within"]),
+        "... wrong rotors named": lambda m: cell(m["wrong"]),
+        "unnoticed without, asked anyway": lambda m: str(m["unnoticed"]),
+        "... noticed by it": lambda m: cell(m["noticed"]),
+        "... wrong rotors named then": lambda m: cell(m["noticed_wrong"]),
+        "healthy flights, answer changed by it": lambda m: cell(m["false"]),
+        "length of the excitation, s: median, longest": lambda m: pair(m["length_s"], 1),
+        "turn by it, degrees: median, largest": lambda m: pair(m["turned_deg"], 2),
+    }
+    columns = {"all": result["measures"], **result["by_frame"]}
+    text = [f"| {result['flights']} flights | {' | '.join(columns)} |", "|---" * (1 + len(columns)) + "|"]
+    text += [f"| {name} | {' | '.join(line(m) for m in columns.values())} |" for name, line in lines.items()]
+    return "\n".join(text) + "\n"

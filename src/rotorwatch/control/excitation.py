@@ -5,16 +5,17 @@ healthy vehicle they do nothing. Rotors with losses theta answer with the wrench
 
     -B diag(theta) N c(t)                                                                            (1)
 
-which a diagnosis sees, and which depends on *which* rotors are weak even where hover does not: hover shows B theta, the thrust
-channel of (1) alone shows N' theta (its row of B is all ones), and together they are all of theta.
+which depends on *which* rotors are weak even where hover does not. Hover shows B theta; as every rotor gives thrust, the thrust
+of (1) shows N' theta; the two together are all of theta: what hover leaves open, the thrust channel tells, and no gain of the vehicle
+has to be known for it, because thrust over weight is the load factor.
 
 The excitation is two waves in the null space, c(t) = w(t) (c1 sin 2 pi t / P + c2 sin 3 pi t / P), faded in and out by w over half a
 period. Their frequencies differ, so that a rotor which follows later than thought does not make one direction look like the other,
 as it would with sine and cosine. What it tells about two candidates (losses theta_A, theta_B) is the information between them,
 
-    I = sum_a  phi_a' Sigma_a^-1 phi_a,     phi_a(t) = [B diag(theta_A - theta_B) N c(t)]_a          (2)
+    I = phi' Sigma^-1 phi,        phi(t) = B_T diag(theta_A - theta_B) N c(t)                         (2)
 
-over channels a, with Sigma_a the covariance of the noise along the ticks (`Noise`): the squared distance of two Gaussian
+with B_T the thrust row and Sigma the covariance of the noise along the ticks (`Noise`): the squared distance of two Gaussian
 hypotheses. Their log-likelihood ratio has the mean I / 2 and the variance I under the one that is true; no test can do better
 (Neyman and Pearson 1933). `design` maximises the smallest I within what commands and attitude allow; this is the max-min
 problem of auxiliary signals (Campbell and Nikoukhah, Auxiliary Signal Design for Failure Detection, 2004).
@@ -32,7 +33,6 @@ from rotorwatch.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
 
 Array = Any
-CHANNELS = ("roll", "pitch", "yaw", "thrust")
 FLAT = 1e-9  # of the largest singular value: what counts as no effect
 PERIODS = (0.4, 0.5, 0.6, 0.8, 1.0, 1.25, 1.6, 2.0)  # s
 TICKS = 5.0  # in a period, at least
@@ -59,9 +59,9 @@ class Signal(NamedTuple):
 
 
 class Noise(NamedTuple):
-    """What the commanded wrench less the motion varies by without any loss, in hover thrusts of one rotor, by channel (roll, pitch,
-    yaw, thrust). variances (4 components, 4 channels): white from tick to tick; two disturbances of time constants tau (2,) [s]; a random
-    walk, per second. As the default diagnosis learns it (default/noise.py)."""
+    """What the commanded thrust less the load factor varies by without any loss, in hover thrusts of one rotor. variances (4,): white from
+    tick to tick; two disturbances of time constants tau (2,) [s]; a random walk, per second. As the default diagnosis learns them
+    (default/noise.py)."""
 
     variances: Array
     tau: Array
@@ -128,38 +128,26 @@ def answer(B: Array, theta: Array, c: Array) -> np.ndarray:
     return -np.asarray(B, float) @ (np.asarray(theta, float) * np.asarray(c, float))
 
 
-def covariance(noise: Noise, channel: int, ticks: int, dt: float) -> np.ndarray:
-    """Sigma_a (T, T) of the noise in one channel over T ticks, its level unknown."""
-    white, first, second, walk = np.asarray(noise.variances, float)[:, channel]
+def covariance(noise: Noise, ticks: int, dt: float) -> np.ndarray:
+    """Sigma (T, T) of the noise over T ticks, its level unknown."""
+    white, first, second, walk = np.asarray(noise.variances, float)
     t = dt * np.arange(ticks)
     apart = np.abs(t[:, None] - t[None, :])
-    slow, fast = noise.tau[1], noise.tau[0]
-    both = first * np.exp(-apart / fast) + second * np.exp(-apart / slow)
+    both = first * np.exp(-apart / noise.tau[0]) + second * np.exp(-apart / noise.tau[1])
     return white * np.eye(ticks) + both + walk * np.minimum(t[:, None], t[None, :]) + OPEN * (white + first + second)
 
 
-def whitened(noise: Noise, series: Array, dt: float) -> np.ndarray:
-    """(4, T, m): series (T, m), what each would be in each channel with white noise of variance one in it, causal."""
-    series = np.asarray(series, float)
-    return _whiteners(noise, len(series), dt) @ series
+def information(noise: Noise, difference: Array, dt: float) -> np.ndarray:
+    """(T,) information I between two candidates up to each tick, equation (2), from the difference (T,) of the thrusts that they expect
+    [hover thrusts]. A choice between two equally likely ones is wrong with the probability Phi(-sqrt(I) / 2)."""
+    return np.cumsum((_whitener(noise, len(difference), dt) @ np.asarray(difference, float)) ** 2)
 
 
-def _whiteners(noise: Noise, ticks: int, dt: float) -> np.ndarray:
-    """(4, T, T): inverse Cholesky factors of the channels' covariances."""
+def _whitener(noise: Noise, ticks: int, dt: float) -> np.ndarray:
+    """(T, T): inverse Cholesky factor of the covariance."""
     from scipy.linalg import solve_triangular
 
-    eye = np.eye(ticks)
-    return np.stack(
-        [solve_triangular(np.linalg.cholesky(covariance(noise, a, ticks, dt)), eye, lower=True) for a in range(4)]
-    )
-
-
-def information(noise: Noise, difference: Array, dt: float) -> np.ndarray:
-    """(T,) information I between two candidates up to each tick, equation (2), from the difference (T, 4) of the wrenches that they
-    expect [hover thrusts]. The posterior odds of two equally likely ones are wrong with the probability Phi(-sqrt(I) / 2)."""
-    difference = np.asarray(difference, float)
-    told = sum(whitened(noise, difference[:, [a]], dt)[a, :, 0] ** 2 for a in range(4))
-    return np.cumsum(told)
+    return solve_triangular(np.linalg.cholesky(covariance(noise, ticks, dt)), np.eye(ticks), lower=True)
 
 
 def needed(candidates: int, probability: float = 0.99, power: float = 0.99) -> float:
@@ -187,7 +175,7 @@ def design(
     """The excitation that tells the candidates apart soonest.
 
     B (4, n): roll, pitch, yaw, thrust of each rotor per hover thrust (`Vehicle.effectiveness`); candidates: losses (n,) of each; hover
-    (n,): commands in hover, shares of full thrust, each of which counts as its rotor's hover thrust; noise in hover thrusts; gain (3,):
+    (n,): commands in hover, shares of full thrust, whose mean is a hover thrust; noise: in hover thrusts; gain (3,):
     hover thrusts per rad/s^2 of roll, pitch, yaw; dt [s]: a tick of the diagnosis; lag [s] of a rotor. longest_s: no longer than that; length_s: exactly so
     long instead. Raises ConfigError with one sentence where nothing can be asked: no null space, no room, candidates that it cannot tell
     apart, or not in that time.
@@ -210,7 +198,7 @@ def design(
         )
     pairs = np.array([(i, j) for i in range(len(thetas)) for j in range(i)])
     unit = hover.mean()
-    seen = np.stack([B @ ((thetas[i] - thetas[j])[:, None] * N) / unit for i, j in pairs])  # (m, 4, k) per share of thrust
+    seen = np.stack([(B[3] * (thetas[i] - thetas[j])) @ N / unit for i, j in pairs])  # (m, k) per share of thrust
     size = np.abs(thetas).max(initial=1e-12)
     blind = [tuple(p) for p, A in zip(pairs, seen, strict=True) if np.abs(A).max() * unit < 1e-6 * size]
     if blind:
@@ -227,7 +215,7 @@ def design(
     longest = length_s if length_s is not None else longest_s
     turned = np.stack([B[:3] @ (theta[:, None] * N) / unit / gain[:, None] for theta in thetas])  # rad/s^2 per share
     ticks = max(2, round(longest / dt))
-    whiten = _whiteners(noise, ticks, dt)
+    whiten = _whitener(noise, ticks, dt)
     found: list[Design] = []
     for period in PERIODS:
         if period < TICKS * FASTER * dt or 2.0 * period > longest:
@@ -281,7 +269,8 @@ def _why_blind(thetas, N, pair) -> str:
             "moment no others can make up for."
         )
     return (
-        f"The null space cannot tell {one} from {other}: with these losses every excitation is answered by the same thrust and moment."
+        f"The null space cannot tell {one} from {other}: their losses differ in a thrust and moment only, which hover shows, and answer "
+        "every excitation alike."
     )
 
 
@@ -310,23 +299,23 @@ def _passed(period: float, dt: float, lag: float) -> np.ndarray:
 
 
 def _kernel(whiten, period, length, dt, lag, ticks) -> np.ndarray:
-    """K (4, 2, 2): information per unit of the two waves, squared, in each channel over `length` seconds."""
+    """K (2, 2): information per unit of the two waves, squared, over `length` seconds."""
     t = dt * (np.arange(ticks) + 0.5)
     waves = np.stack(_waves(np.minimum(t, length), period, length), axis=1) * (t <= length)[:, None]
     white = whiten @ (waves * _passed(period, dt, lag))
-    return white.transpose(0, 2, 1) @ white
+    return white.T @ white
 
 
 def _directions(seen, K, turned, reach, N, room) -> np.ndarray:
     """D (k, 2): null space directions of the two waves, that have the largest smallest information within the limits.
 
-    seen (m, 4, k): wrench per share of thrust of each pair; K (4, 2, 2); turned (c, 3, k): rad/s^2 per share of thrust, over the allowed
+    seen (m, k): thrust per share of thrust of each pair; K (2, 2); turned (c, 3, k): rad/s^2 per share of thrust, over the allowed
     turn; reach (2,): `_turn`; N (n, k); room (n,). Where waves are at their largest together is the worst; all is quadratic in D: sequential quadratic programming of  max t,  I_p(D) >= t,  limits_j(D) <= 1.
     """
     from scipy.optimize import minimize
 
     k = N.shape[1]
-    gains = [sum(np.kron(K[a], np.outer(A[a], A[a])) for a in range(4)) for A in seen]
+    gains = [np.kron(K, np.outer(A, A)) for A in seen]
     walls = []
     for signs in SIGNS:
         both, turns = np.outer(signs, signs), np.outer(reach * signs, reach * signs)
@@ -377,15 +366,14 @@ def _whole(directions, period, longest, length_s, dt, lag, whiten, seen, D, enou
         lengths = [length_s]
     else:
         lengths = list(0.5 * period * np.arange(4, int(longest / (0.5 * period) + 1e-9) + 1))
-    ticks = whiten.shape[1]
-    parts = np.einsum("pak,kw->paw", seen, D)
+    ticks = len(whiten)
+    parts = (seen @ D).T
     t = dt * (np.arange(ticks) + 0.5)
 
     def told_by(length):
         waves = np.stack(_waves(np.minimum(t, length), period, length), axis=1) * (t <= length)[:, None]
         waves = waves * _passed(period, dt, lag)
-        total = ((whiten @ waves @ parts.transpose(1, 2, 0)) ** 2).sum(axis=0)
-        return np.cumsum(total, axis=0)[: max(1, int(np.ceil(length / dt)))]
+        return np.cumsum((whiten @ waves @ parts) ** 2, axis=0)[: max(1, int(np.ceil(length / dt)))]
 
     low, high = 0, len(lengths) - 1
     if high < 0:

@@ -1,16 +1,16 @@
 """What an excitation of the commands says of events that are ambiguous without it.
 
 Commands in the null space of the geometry (control/excitation.py) move nothing while all rotors are well; a flight in which they were
-excited is an experiment. What the motion does not show of the commanded wrench, e = y - G m - c r - l f (plant.py), then holds
+excited is an experiment. The commanded thrust that the motion does not show, e = y - G m of the thrust channel (plant.py), then holds
 
-    e_a(t) = sum_i phi_ai(t) theta_i + noise,        phi_ai = B_ai q_i,        q: the part of the thrusts that nobody needed
+    e(t) = sum_i phi_i(t) theta_i + noise,        phi_i = B_i q_i,        q: the part of the thrusts that nobody needed
 
 q is what the thrusts (n,) have in ker B, less what follows from the commanded wrench (mixers that are no pseudo-inverse have such a
 part at all times). It is chosen by whoever asks, independently of gusts and of the controller's answers to them: unlike the
 evidence of a jump, which grows old while errors of the model go on (posterior.py), this evidence is worth all that it says. With the noise
-as it was learned, Sigma_a (excitation.py), the information and vector of theta are
+as it was learned before, Sigma, the information and vector of theta are
 
-    J = sum_a phi_a' Sigma_a^-1 phi_a,        z = sum_a phi_a' Sigma_a^-1 e_a
+    J = phi' Sigma^-1 phi,        z = phi' Sigma^-1 e
 
 and the evidence of a set S of weak rotors is that of a Gaussian: their losses have the mean m that explains what lacks in hover, all
 others are as unlike as healthy rotors are (sd UNLIKE), W the diagonal of the variances:
@@ -23,7 +23,7 @@ times the probability that the losses of S are above 0, over what it was before.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from itertools import combinations
 from typing import NamedTuple
 
@@ -32,8 +32,9 @@ import numpy as np
 from rotorwatch.control import excitation
 from rotorwatch.default import hypotheses
 from rotorwatch.default.caution import AT_LIMIT
-from rotorwatch.default.events import sd_of
-from rotorwatch.default.plant import AXIS_STATES, DAMPING, GAIN, PER_AXIS, SIDEWAYS, TAU, WrenchBalance, lower_rotors
+from rotorwatch.default.events import CREDIBLE, sd_of
+from rotorwatch.default.plant import AXIS_STATES, GAIN, PER_AXIS, TAU, lower_rotors
+from rotorwatch.default.program import estimate
 from rotorwatch.diagnosis import Event
 from rotorwatch.motion.ticks import JUDGE, Ticks
 
@@ -44,8 +45,9 @@ LONGEST = 400  # ticks looked at together
 CERTAIN = 0.99  # probability from which on a set is named
 UNLIKE = 0.03  # by what share healthy rotors differ in what a command changes
 LOSS_SD = 0.05  # of what hover says of a loss, besides RECOVERY_SHARE of it
-OTHER = 1e-2  # prior weight for each rotor of a set that no event names
+OTHER = 1e-4  # prior weight of a set that no event names, relative to one that is named and to none
 CONTAINS = 0.1  # ... of one that contains another that it named: the smaller says it all
+AFTER_S = 2.0  # for which an excitation still shows in the evidence of jumps
 DELAYS_S = (0.0, 0.02, 0.04, 0.07, 0.1)  # of a rotor behind what the ticks take for granted
 
 
@@ -59,26 +61,36 @@ class Asked:
     z: np.ndarray
 
 
-def find(s: np.ndarray, variances: np.ndarray, table: Ticks, B: np.ndarray) -> tuple[Asked, ...]:
-    """The excitations of a flight, in order. s (n_s,): state of the default estimator at the end, variances (4, 4) of its noise; table:
-    its ticks; B (4, n)."""
+def find(table: Ticks, B: np.ndarray, dynamics=None) -> tuple[Asked, ...]:
+    """The excitations of a flight, in order. table: its ticks; B (4, n); dynamics: what healthy flights have taught of the vehicle.
+
+    What the vehicle is like, and how noisy, is what the default estimator knew when the first of them began: answers of weak rotors would
+    teach it gains that are none."""
     N = excitation.null_space(B)
     full = table.thrust * table.hover[:, None]
-    usable = (table.mode == JUDGE) & table.valid.all(axis=1) & (full < AT_LIMIT).all(axis=1) & (full > 0.0).all(axis=1)
+    usable = (table.mode == JUDGE) & table.valid[:, 3] & (full < AT_LIMIT).all(axis=1) & (full > 0.0).all(axis=1)
     if not N.shape[1] or usable.sum() * table.dt < 2.0 * ASIDE_S:
         return ()
     q = _unneeded(table, N, usable)
     spans = _spans(table, usable & (np.abs(q).max(axis=1) > LEAST))
-    left, extra = _left(s, table, B)
-    noise = excitation.Noise(variances, np.array(TAU))
+    if not spans:
+        return ()
+    carry, _ = estimate(until(table, spans[0][0]), B, dynamics)
+    model = _model(carry, table, B)
     found = []
     for a, b in spans:
         near = (table.time > table.time[a] - ASIDE_S) & (table.time < table.time[b] + ASIDE_S) & usable
         rows = np.flatnonzero(near)[:LONGEST]
-        if rows.size * table.dt < SHORTEST_S:
-            continue
-        found.append(_asked(rows, (float(table.command_time[a]), float(table.time[b])), left, q, extra, noise, table, B))
+        if rows.size * table.dt >= SHORTEST_S:
+            span = float(table.command_time[a]), float(table.time[b])
+            found.append(_asked(rows, span, q, model, table, B))
     return tuple(found)
+
+
+def until(table: Ticks, k: int) -> Ticks:
+    """The ticks before tick k."""
+    whole = {f.name: getattr(table, f.name) for f in fields(table)}
+    return replace(table, **{name: v[:k] for name, v in whole.items() if isinstance(v, np.ndarray)})
 
 
 def _unneeded(table: Ticks, N: np.ndarray, usable: np.ndarray) -> np.ndarray:
@@ -107,51 +119,43 @@ def _spans(table: Ticks, asked: np.ndarray) -> list[tuple[int, int]]:
     return [(int(a), int(b)) for a, b in zip(starts, ends) if table.time[b] - table.time[a] >= SHORTEST_S]
 
 
-def _left(s: np.ndarray, table: Ticks, B: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
-    """e (T, 4), and on coaxial frames what the lower rotors' share does to B q: (n,) by how much each gives more."""
-    n = B.shape[1]
-    lower = lower_rotors(B)
-    system = WrenchBalance(B, lower=lower)
-    u = system.pack(table)
-    x = np.asarray(s)[: system.n_x]
-    parts = x[:AXIS_STATES].reshape(4, PER_AXIS)
-    rates = np.column_stack([u[:, n + 4 : n + 7], np.zeros(len(u))])
-    motion = u[:, n : n + 4] * parts[:, GAIN] + rates * np.append(parts[:3, DAMPING], 0.0)
-    motion[:, :2] += np.column_stack([-u[:, n + 8], u[:, n + 7]]) * x[SIDEWAYS]
-    if lower is None:
-        return table.wrench - motion, None
-    more = lower - (B[3] * lower).mean()
-    return table.wrench * 1.0 + x[-1] * (u[:, :n] * more) @ B.T - motion, more
+class _Model(NamedTuple):
+    """left (T,): e; more (T, n): q times this is what the lower rotors of coaxial arms add, per unit of the share of which nobody knows
+    more than its standard deviation sd; noise."""
+
+    left: np.ndarray
+    more: np.ndarray
+    sd: float
+    noise: excitation.Noise
 
 
-def _asked(rows, span, left, q, more, noise, table: Ticks, B: np.ndarray) -> Asked:
+def _model(carry, table: Ticks, B: np.ndarray) -> _Model:
+    """e with the gain and, on coaxial frames, the lower rotors' share of `carry`."""
+    n, lower = B.shape[1], lower_rotors(B)
+    s, P = np.asarray(carry.s), np.asarray(carry.P)
+    left = table.wrench[:, 3] - s[3 * PER_AXIS + GAIN] * n * table.load
+    more, sd = np.zeros(n), 0.0
+    if lower is not None:
+        more = B[3] * (lower - (B[3] * lower).mean())
+        left, sd = left + s[AXIS_STATES] * (table.thrust @ more), float(np.sqrt(P[AXIS_STATES, AXIS_STATES]))
+    return _Model(left, more, sd, excitation.Noise(np.asarray(carry.noise.variances)[:, 3], np.array(TAU)))
+
+
+def _asked(rows, span, q, model: _Model, table: Ticks, B: np.ndarray) -> Asked:
     """The information of one excitation, seen at ticks `rows`."""
-    n, time = B.shape[1], table.time
-    length = rows[-1] - rows[0] + 1
-    here = rows - rows[0]
+    n, time, here = B.shape[1], table.time, rows - rows[0]
     J, z = [], []
-    whiten = [np.linalg.cholesky(excitation.covariance(noise, a, length, table.dt)[np.ix_(here, here)]) for a in range(4)]
+    whiten = np.linalg.cholesky(excitation.covariance(model.noise, here[-1] + 1, table.dt)[np.ix_(here, here)])
     for delay in DELAYS_S:
         late = np.column_stack([np.interp(time[rows] - delay, time, q[:, i]) for i in range(n)])
-        total_J, total_z = np.zeros((n, n)), np.zeros(n)
-        for a in range(4):
-            columns = [B[a] * late, left[rows, a : a + 1]]
-            if more is not None:  # how much more the lower rotors give is not known
-                columns.append((late @ (B[a] * more))[:, None])
-            white = np.linalg.solve(whiten[a], np.column_stack(columns))
-            phi, e, rest = white[:, :n], white[:, n], white[:, n + 1 :]
-            scale = max(1.0, _unexplained(np.column_stack([phi, rest]), e))
-            own, told = phi.T @ phi, phi.T @ e
-            for r in rest.T:
-                share = phi.T @ r / (r @ r + 1.0 / COAXIAL_SD**2)
-                own, told = own - np.outer(share, r @ phi), told - share * (r @ e)
-            total_J, total_z = total_J + own / scale, total_z + told / scale
-        J.append(total_J)
-        z.append(total_z)
+        white = np.linalg.solve(whiten, np.column_stack([B[3] * late, late @ model.more * model.sd, model.left[rows]]))
+        phi, share, e = white[:, :n], white[:, n], white[:, n + 1]
+        scale = max(1.0, _unexplained(white[:, : n + 1], e))
+        # The lower rotors' share is integrated out; its prior is of variance one here.
+        known = share / (scale + share @ share)
+        J.append((phi.T @ phi - np.outer(phi.T @ share, known @ phi)) / scale)
+        z.append((phi.T @ e - phi.T @ share * (known @ e)) / scale)
     return Asked(*span, np.stack(J), np.stack(z))
-
-
-COAXIAL_SD = 0.05  # of the lower rotors' share, once the flight has taught it
 
 
 def _unexplained(phi: np.ndarray, e: np.ndarray) -> float:
@@ -225,10 +229,12 @@ def shares(asked: Sequence[Asked], named: dict[tuple[int, ...], np.ndarray], n: 
     rotors and of all pairs."""
     logs = {(): 0.0}
     for who in (*combinations(range(n), 1), *combinations(range(n), 2)):
-        logs[who] = len(who) * np.log(OTHER) + evidence(asked, who, prior(who, n))[0]
+        logs[who] = np.log(OTHER) + evidence(asked, who, prior(who, n))[0]
     for who, losses in named.items():
         weight = CONTAINS if any(set(other) < set(who) for other in named) else 1.0
-        logs[who] = np.logaddexp(logs.get(who, -np.inf), np.log(weight) + evidence(asked, who, prior(who, n, losses))[0])
+        logs[who] = np.logaddexp(
+            logs.get(who, -np.inf), np.log(weight) + evidence(asked, who, prior(who, n, losses))[0]
+        )
     top = max(logs.values())
     weights = {who: float(np.exp(v - top)) for who, v in logs.items()}
     total = sum(weights.values())
@@ -247,7 +253,8 @@ def candidates(event: Event, B: np.ndarray) -> dict[tuple[int, ...], np.ndarray]
         own = sorted(r - 1 for r in who)
         losses = np.zeros(n)
         losses[own] = np.minimum(nnls(B[:, own], lacking)[0], 1.0)
-        found[tuple(own)] = losses
+        if who is event.rotors or losses.max() > hypotheses.NONE:  # what explains nothing in hover is no candidate
+            found[tuple(own)] = losses
     return found
 
 
@@ -269,22 +276,29 @@ def question(event: Event, carry, table: Ticks, B: np.ndarray) -> Question:
     hover = (table.thrust * table.hover[:, None])[late].mean(axis=0)
     gain = np.asarray(carry.s)[:AXIS_STATES].reshape(4, PER_AXIS)[:3, GAIN]
     found = candidates(event, B) | {(): np.zeros(B.shape[1])}
-    return Question(found, hover, excitation.Noise(np.asarray(carry.noise.variances), np.array(TAU)), gain, table.dt)
+    return Question(
+        found, hover, excitation.Noise(np.asarray(carry.noise.variances)[:, 3], np.array(TAU)), gain, table.dt
+    )
 
 
-def settle(events: Sequence[Event], carry, table: Ticks, B: np.ndarray) -> tuple[tuple[Event, ...], tuple[str, ...]]:
-    """The events of a flight with what its excitations say of them: ambiguous ones are settled where an excitation after them says which
-    rotors it was, and losses that nothing else has shown are added; and sentences on what it says no rotor made. Without an excitation the
-    events are what they were. carry: of the default estimator, after the last tick."""
-    asked = find(np.asarray(carry.s), np.asarray(carry.noise.variances), table, B)
+def settle(
+    events: Sequence[Event], table: Ticks, B: np.ndarray, dynamics=None
+) -> tuple[tuple[Event, ...], tuple[str, ...]]:
+    """The losses of a flight with what its excitations say of them: ambiguous ones are settled where an excitation after them says which
+    rotors it was, so are those that were announced while one was going on (weak rotors answer it by what looks like jumps of others), and
+    losses that nothing else has shown are added; and sentences on what it says no rotor made. Without an excitation the events are what
+    they were. table, B, dynamics: as for `find`."""
+    asked = find(table, B, dynamics)
     if not asked:
         return tuple(events), ()
     kept, notes = [], []
     for e in events:
+        during = [q for q in asked if q.start < e.detected_s < q.end + AFTER_S]
         later = [q for q in asked if q.start > e.onset_s and (e.end_s is None or q.end < e.end_s)]
-        if e.kind != "loss_of_effectiveness" or not e.alternatives or not later:
+        if not during and (not e.alternatives or not later):
             kept.append(e)
             continue
+        later = later or during
         settled, note = _settled(e, later, B)
         kept += [settled] if settled else []
         notes += [note] if note else []
@@ -293,6 +307,21 @@ def settle(events: Sequence[Event], carry, table: Ticks, B: np.ndarray) -> tuple
         kept += [found] if found and not notes else []
         notes += [note] if note and not notes else []
     return tuple(kept), tuple(notes)
+
+
+def _unsure(event: Event, found: dict[tuple[int, ...], float], extra: dict) -> Event:
+    """The event with all sets named that are left, those of the event first: it stays, or becomes, ambiguous."""
+    if event.alternatives:
+        return replace(event, extra=extra)
+    own = tuple(sorted(event.rotors))
+    left = [tuple(k + 1 for k in who) for who, p in found.items() if who and p >= CREDIBLE]
+    others = tuple(who for who in left if who != own)
+    names = ", ".join("+".join(map(str, who)) for who in others)
+    reason = (
+        f"while the commands were excited they and the motion changed as if rotor {' and '.join(map(str, event.rotors))} had lost thrust, "
+        f"but {names} would look the same"
+    )
+    return replace(event, alternatives=others, reason=reason, extra=extra) if others else replace(event, extra=extra)
 
 
 def _unseen(asked: Sequence[Asked], B: np.ndarray) -> tuple[Event | None, str]:
@@ -306,16 +335,15 @@ def _unseen(asked: Sequence[Asked], B: np.ndarray) -> tuple[Event | None, str]:
         return None, well if share > CERTAIN else ""
     _, mean, cov = evidence(asked, best, prior(best, n))
     loss, bounds = _losses(best, mean, cov, B)
-    if share < CERTAIN or min(low for low, _ in bounds) < UNLIKE:
+    if found[()] > 1.0 - CERTAIN or max(low for low, _ in bounds) < UNLIKE:
         return None, ""
+    others = tuple(tuple(k + 1 for k in who) for who, p in found.items() if who != best and p >= CREDIBLE)
     who = tuple(k + 1 for k in best)
-    reason = (
-        f"the excitation of the commands from {when} was answered as only weak rotors {' and '.join(map(str, who))} answer it; since when "
-        "they are weak, it does not say"
-    )
+    reason = f"the excitation of the commands from {when} was answered as by a vehicle whose rotor {' and '.join(map(str, who))} is weak"
+    reason += f", but {', '.join('+'.join(map(str, o)) for o in others)} would look the same" if others else ""
     extra = {"asked": _told(asked, found)}
     start, end = asked[0].start, asked[-1].end
-    return Event("loss_of_effectiveness", who, start, end, None, loss, bounds, share, (), reason, extra), ""
+    return Event("loss_of_effectiveness", who, start, end, None, loss, bounds, share, others, reason, extra), ""
 
 
 def _when(asked: Sequence[Asked]) -> str:
@@ -333,7 +361,9 @@ def _losses(who: tuple[int, ...], mean: np.ndarray, cov: np.ndarray, B: np.ndarr
     own = list(who)
     loss = np.clip(mean[own], 0.0, 1.0)
     sd = sd_of(loss, np.sqrt(np.diag(cov)[own]), B)
-    bounds = tuple((max(0.0, float(v - 1.96 * s)), min(1.0, float(v + 1.96 * s))) for v, s in zip(loss, sd, strict=True))
+    bounds = tuple(
+        (max(0.0, float(v - 1.96 * s)), min(1.0, float(v + 1.96 * s))) for v, s in zip(loss, sd, strict=True)
+    )
     return tuple(float(v) for v in loss), bounds
 
 
@@ -343,14 +373,14 @@ def _settled(event: Event, asked: Sequence[Asked], B: np.ndarray) -> tuple[Event
     found = shares(asked, named, n)
     best, share = next(iter(found.items()))
     when, extra = _when(asked), {**event.extra, "asked": _told(asked, found)}
-    if share < CERTAIN or (best and best not in named):
-        return replace(event, extra=extra), ""
+    if share < CERTAIN:
+        return _unsure(event, found, extra), ""
     if not best:
         return None, (
             f"a shift of thrust at {event.onset_s:.1f} s might have been rotors {'+'.join(map(str, event.rotors))} or others; the "
             f"excitation of the commands from {when} was answered as by a vehicle whose rotors are all well"
         )
-    _, mean, cov = evidence(asked, best, prior(best, n, named[best]))
+    _, mean, cov = evidence(asked, best, prior(best, n, named.get(best)))
     loss, bounds = _losses(best, mean, cov, B)
     who = tuple(k + 1 for k in best)
     names = " and ".join(map(str, who))
