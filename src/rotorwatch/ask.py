@@ -71,8 +71,8 @@ class Asking:
         what = "tells these candidates apart" if enough else "does not yet tell these candidates apart for sure"
         return (
             f"An excitation of {float(signal.length):.2f} s, periods of {float(signal.period):.2f} and "
-            f"{float(signal.period) / excitation.FASTER:.2f} s, commands changed by up to {self.amplitude.max():.1%} of full thrust, {what} "
-            f"and turns the vehicle by up to {np.degrees(self.design.tilt.max()):.2f} degrees; a healthy one does not move."
+            f"{float(signal.period) / excitation.FASTER:.2f} s, commands changed by up to {self.amplitude.max():.1%} of full thrust, "
+            f"{what} and turns the vehicle by up to {np.degrees(self.design.tilt.max()):.2f} degrees; a healthy one does not move."
         )
 
     def commands(self, rate_hz: float = 100.0) -> tuple[np.ndarray, np.ndarray]:
@@ -226,6 +226,9 @@ def _of_log(subject: Any, vehicle: Vehicle | None) -> tuple[str, np.ndarray, ask
     B = craft.effectiveness()
     carry, out = estimate(table, B)
     unsure = [e for e in events.read(out, table, hypotheses.make(B.shape[1]), B) if e.alternatives]
-    if not unsure:
-        raise ConfigError("The diagnosis of this log names no alternatives: there is nothing to ask.")
-    return craft.name, B, asked.question(unsure[-1], carry, table, B)
+    sets = asked.candidates(unsure[-1], B) if unsure else asked.suspects(carry, out, table, B)
+    if not sets:
+        raise ConfigError(
+            "The diagnosis of this log names no alternatives, and its trim has not changed: there is nothing to ask."
+        )
+    return craft.name, B, asked.question(sets, carry, table, B)

@@ -118,34 +118,39 @@ def _kept(record):
     return record._replace(omega=(), rates_asked=(), q_asked=(), wind=())
 
 
-def judged(flight: Any) -> tuple[Any, Any, np.ndarray, tuple[Event, ...]]:
-    """(ticks, last carry, B, losses) of the default estimator, before excitations are looked at."""
+def judged(flight: Any, end_s: float = np.inf) -> tuple[Any, Any, Any, np.ndarray, tuple[Event, ...]]:
+    """(ticks, last carry, outputs, B, losses) of the default estimator up to end_s, before excitations are looked at."""
     vehicle = airframes.identify(flight)
     air = airborne(flight)
     table, B = observe(flight, vehicle, air, READY_S), vehicle.effectiveness()
+    table = asked.until(table, int(np.searchsorted(table.time, end_s)))
     carry, out = program.estimate(table, B)
-    return table, carry, B, events.read(out, table, hypotheses.make(B.shape[1]), B)
+    return table, carry, out, B, events.read(out, table, hypotheses.make(B.shape[1]), B)
 
 
-def asking(question: asked.Question, within_s: float = WITHIN_S, limits: excitation.Limits | None = None, B=None):
-    """The design that answers it soonest within that time; where that is too short, the one that tells most in it."""
+def asking(question: asked.Question, limits: excitation.Limits | None, B: np.ndarray, exactly: bool = False):
+    """The design that answers it soonest within WITHIN_S; where that is too short, or `exactly`, the one that tells most in WITHIN_S.
+    None where the null space cannot tell the candidates apart."""
     give = (B, list(question.candidates.values()), question.hover, question.noise, question.gain, question.dt, limits)
-    try:
-        return excitation.design(*give, longest_s=within_s)
-    except ConfigError:
-        return excitation.design(*give, length_s=within_s)
+    for way in ({"length_s": WITHIN_S},) if exactly else ({"longest_s": WITHIN_S}, {"length_s": WITHIN_S}):
+        try:
+            return excitation.design(*give, **way)
+        except ConfigError:
+            continue
+    return None
 
 
-def wondering(frame: str, carry, table, B: np.ndarray, limits: excitation.Limits | None = None) -> excitation.Design:
-    """What somebody asks who suspects nothing: is it one of a few pairs that hover does not tell apart, or none? For WITHIN_S."""
-    alike = _alike(frame)
-    first = next(one for one, _ in alike if len(one) == 2)
-    pairs = [first, *(other for one, other in alike if one == first and len(other) == 2)]
-    event = Event("loss_of_effectiveness", pairs[0], 0.0, 0.0, None, (0.3, 0.3), ((0.0, 0.6),) * 2, 0.5)
-    question = asked.question(event, carry, table, B)
-    losses = [np.where(np.isin(np.arange(B.shape[1]) + 1, who), WORST, 0.0) for who in pairs]
-    given = (B, [*losses, np.zeros(B.shape[1])], question.hover, question.noise, question.gain, question.dt, limits)
-    return excitation.design(*given, length_s=WITHIN_S)
+def wondering(frame: str, carry, out, table, B: np.ndarray, limits: excitation.Limits | None = None):
+    """What somebody asks to whom nothing was announced: which of the sets that explain a change of trim, else which of a few pairs that
+    hover does not tell apart, or none? For WITHIN_S."""
+    sets = asked.suspects(carry, out, table, B)
+    if not sets:
+        alike = _alike(frame)
+        first = next(one for one, _ in alike if len(one) == 2)
+        for who in (first, *(other for one, other in alike if one == first and len(other) == 2)):
+            own = tuple(k - 1 for k in who)
+            sets[own] = np.where(np.isin(np.arange(B.shape[1]), own), WORST, 0.0)
+    return asking(asked.question(sets, carry, table, B), limits=limits, B=B, exactly=True)
 
 
 def turned(one_: Any, other: Any) -> float:
@@ -160,8 +165,8 @@ def batch(frame: str, flights: Sequence[int], seed: int, limits: excitation.Limi
     n = airframes.named(f"px4-{frame}").effectiveness().shape[1]
     before = fly(scenarios, [excitation.none(n)] * len(scenarios))
     answers, designs, signals = [], [], []
-    for s, (_, flight) in zip(scenarios, before, strict=True):
-        table, carry, B, losses = judged(flight)
+    for _, flight in before:
+        table, carry, out, B, losses = judged(flight)
         unsure = [e for e in losses if e.alternatives]
         sure = [e for e in losses if not e.alternatives]
         answers.append("fault" if sure else "ambiguous" if unsure else "healthy")
@@ -169,9 +174,10 @@ def batch(frame: str, flights: Sequence[int], seed: int, limits: excitation.Limi
         if not sure:
             if unsure:
                 start = max(e.detected_s for e in unsure) + WAITS_S
-                made = asking(asked.question(unsure[0], carry, table, B), limits=limits, B=B)
-            elif n == 6 or not s.faults:
-                made = wondering(frame, carry, table, B, limits)
+                made = asking(asked.question(asked.candidates(unsure[0], B), carry, table, B), limits=limits, B=B)
+            else:
+                table, carry, out, B, _ = judged(flight, start)
+                made = wondering(frame, carry, out, table, B, limits)
         designs.append(made)
         signals.append(excitation.none(n) if made is None else made.signal._replace(start=np.array(start)))
     after = fly(scenarios, signals)
@@ -230,9 +236,9 @@ def run(
 
 
 def measures(rows: Sequence[Row]) -> dict[str, Any]:
-    """Shares with 95 % intervals. ambiguous: faulty flights that are ambiguous as they are; resolved: of these, the broken rotors are named
-    and no others after the excitation; within: the same within WITHIN_S of excitation that turns the vehicle by less than one degree;
-    wrong: others are named. noticed: of flights without an answer, those that have one after it that holds the truth. false: healthy flights
+    """Shares with 95 % intervals. ambiguous: faulty flights that are ambiguous as they are; resolved: of these, the broken rotors are
+    named and no others after the excitation; within: the same within WITHIN_S of excitation that turns the vehicle by less than one degree;
+    wrong: others are named. noticed: of flights without an answer, those that have one after it. false: healthy flights
     whose excitation led to an answer. length_s, turned_deg: medians and largest."""
     faulty, healthy = [r for r in rows if r.broken], [r for r in rows if not r.broken]
     open_ = [r for r in faulty if r.before == "ambiguous" and r.asked]

@@ -174,9 +174,9 @@ def design(
 ) -> Design:
     """The excitation that tells the candidates apart soonest.
 
-    B (4, n): roll, pitch, yaw, thrust of each rotor per hover thrust (`Vehicle.effectiveness`); candidates: losses (n,) of each; hover
-    (n,): commands in hover, shares of full thrust, whose mean is a hover thrust; noise: in hover thrusts; gain (3,):
-    hover thrusts per rad/s^2 of roll, pitch, yaw; dt [s]: a tick of the diagnosis; lag [s] of a rotor. longest_s: no longer than that; length_s: exactly so
+    B (4, n): roll, pitch, yaw, thrust of each rotor (`Vehicle.effectiveness`); candidates: losses (n,) of each; hover
+    (n,): commands in hover, shares of full thrust, whose mean is a hover thrust; noise: in hover thrusts; gain (3,): hover thrusts per
+    rad/s^2 of roll, pitch, yaw; dt [s]: a tick of the diagnosis; lag [s] of a rotor. longest_s: no longer than that; length_s: exactly so
     long instead. Raises ConfigError with one sentence where nothing can be asked: no null space, no room, candidates that it cannot tell
     apart, or not in that time.
     """
@@ -310,7 +310,8 @@ def _directions(seen, K, turned, reach, N, room) -> np.ndarray:
     """D (k, 2): null space directions of the two waves, that have the largest smallest information within the limits.
 
     seen (m, k): thrust per share of thrust of each pair; K (2, 2); turned (c, 3, k): rad/s^2 per share of thrust, over the allowed
-    turn; reach (2,): `_turn`; N (n, k); room (n,). Where waves are at their largest together is the worst; all is quadratic in D: sequential quadratic programming of  max t,  I_p(D) >= t,  limits_j(D) <= 1.
+    turn; reach (2,): `_turn`; N (n, k); room (n,). Where waves are at their largest together is the worst; all is quadratic in D, and
+    sequential quadratic programming finds  max t,  I_p(D) >= t,  limits_j(D) <= 1.
     """
     from scipy.optimize import minimize
 

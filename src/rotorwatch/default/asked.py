@@ -33,6 +33,8 @@ from rotorwatch.control import excitation
 from rotorwatch.default import hypotheses
 from rotorwatch.default.caution import AT_LIMIT
 from rotorwatch.default.events import CREDIBLE, sd_of
+from rotorwatch.default.leftover import TRIM_S, TRIM_SD
+from rotorwatch.default.noise import spread
 from rotorwatch.default.plant import AXIS_STATES, GAIN, PER_AXIS, TAU, lower_rotors
 from rotorwatch.default.program import estimate
 from rotorwatch.diagnosis import Event
@@ -45,6 +47,8 @@ LONGEST = 400  # ticks looked at together
 CERTAIN = 0.99  # probability from which on a set is named
 UNLIKE = 0.03  # by what share healthy rotors differ in what a command changes
 LOSS_SD = 0.05  # of what hover says of a loss, besides RECOVERY_SHARE of it
+EXPLAINED = 4.0  # standard deviations of trim that a set of rotors may leave unexplained to be suspected
+SUSPECT = 0.1  # ... and the smallest loss in it
 OTHER = 1e-4  # prior weight of a set that no event names, relative to one that is named and to none
 CONTAINS = 0.1  # ... of one that contains another that it named: the smaller says it all
 AFTER_S = 2.0  # for which an excitation still shows in the evidence of jumps
@@ -61,8 +65,9 @@ class Asked:
     z: np.ndarray
 
 
-def find(table: Ticks, B: np.ndarray, dynamics=None) -> tuple[Asked, ...]:
-    """The excitations of a flight, in order. table: its ticks; B (4, n); dynamics: what healthy flights have taught of the vehicle.
+def find(table: Ticks, B: np.ndarray, dynamics=None) -> tuple[tuple[Asked, ...], Asked | None]:
+    """The excitations of a flight, in order, and `trim` before the first of them. table: its ticks; B (4, n); dynamics: what healthy
+    flights have taught of the vehicle.
 
     What the vehicle is like, and how noisy, is what the default estimator knew when the first of them began: answers of weak rotors would
     teach it gains that are none."""
@@ -70,12 +75,13 @@ def find(table: Ticks, B: np.ndarray, dynamics=None) -> tuple[Asked, ...]:
     full = table.thrust * table.hover[:, None]
     usable = (table.mode == JUDGE) & table.valid[:, 3] & (full < AT_LIMIT).all(axis=1) & (full > 0.0).all(axis=1)
     if not N.shape[1] or usable.sum() * table.dt < 2.0 * ASIDE_S:
-        return ()
+        return (), None
     q = _unneeded(table, N, usable)
     spans = _spans(table, usable & (np.abs(q).max(axis=1) > LEAST))
     if not spans:
-        return ()
-    carry, _ = estimate(until(table, spans[0][0]), B, dynamics)
+        return (), None
+    before = until(table, spans[0][0])
+    carry, out = estimate(before, B, dynamics)
     model = _model(carry, table, B)
     found = []
     for a, b in spans:
@@ -84,7 +90,46 @@ def find(table: Ticks, B: np.ndarray, dynamics=None) -> tuple[Asked, ...]:
         if rows.size * table.dt >= SHORTEST_S:
             span = float(table.command_time[a]), float(table.time[b])
             found.append(_asked(rows, span, q, model, table, B))
-    return tuple(found)
+    return tuple(found), trim(carry, out, before, B)
+
+
+def trim(carry, out, table: Ticks, B: np.ndarray) -> Asked | None:
+    """What the wrench of trim has changed by since the flight was first judged, as information on losses that began since then; its
+    uncertainty is that of what a loss leaves behind, and of how much this flight's disturbances wander. None where it was not judged."""
+    lacking, sd = shift(carry, out, table)
+    if lacking is None:
+        return None
+    J, z = (B.T / sd**2) @ B, (B.T / sd**2) @ lacking
+    D = len(DELAYS_S)
+    return Asked(float(table.time[0]), float(table.time[-1]), np.tile(J, (D, 1, 1)), np.tile(z, (D, 1)))
+
+
+def shift(carry, out, table: Ticks) -> tuple[np.ndarray | None, np.ndarray]:
+    """By how much the commanded wrench of trim (4,) has grown since the hop was first judged, and its standard deviation (4,)."""
+    sd = np.sqrt(TRIM_SD**2 + np.asarray(spread(np.asarray(carry.noise.variances))))
+    starts = np.flatnonzero(table.restart)
+    judged = (table.mode == JUDGE) & (np.arange(len(table.time)) >= (starts[-1] if starts.size else 0))
+    time, biases = table.time[judged], np.asarray(out.biases)[judged]
+    if time.size == 0 or time[-1] - time[0] < 2.0 * TRIM_S:
+        return None, sd
+    return biases[time > time[-1] - TRIM_S].mean(axis=0) - biases[time < time[0] + TRIM_S].mean(axis=0), sd
+
+
+def suspects(carry, out, table: Ticks, B: np.ndarray) -> dict[tuple[int, ...], np.ndarray]:
+    """Single rotors and pairs (0-based) whose losses (n,) explain by how much trim has changed, whatever was announced."""
+    from scipy.optimize import nnls
+
+    lacking, sd = shift(carry, out, table)
+    n, found = B.shape[1], {}
+    if lacking is None:
+        return found
+    for who in (*combinations(range(n), 1), *combinations(range(n), 2)):
+        losses = np.zeros(n)
+        losses[list(who)], left = nnls(B[:, who] / sd[:, None], lacking / sd)
+        least = losses[list(who)].min()
+        if left < EXPLAINED and SUSPECT < least and losses.max() <= 1.0:
+            found[who] = losses
+    return found
 
 
 def until(table: Ticks, k: int) -> Ticks:
@@ -224,12 +269,16 @@ def _gaussian(J: np.ndarray, z: np.ndarray, mean: np.ndarray, sd: np.ndarray) ->
     return float(log), mean + sd * x, sd[:, None] * np.linalg.inv(A) * sd[None, :]
 
 
-def shares(asked: Sequence[Asked], named: dict[tuple[int, ...], np.ndarray], n: int) -> dict[tuple[int, ...], float]:
+def shares(
+    asked: Sequence[Asked], named: dict[tuple[int, ...], np.ndarray], n: int, before: Asked | None = None
+) -> dict[tuple[int, ...], float]:
     """Probability of each set of weak rotors (0-based; (): none): of those named, with the losses (n,) that hover gives them, of all single
-    rotors and of all pairs."""
+    rotors and of all pairs. before: the trim, which a loss since then has changed and an older one has not."""
     logs = {(): 0.0}
     for who in (*combinations(range(n), 1), *combinations(range(n), 2)):
-        logs[who] = np.log(OTHER) + evidence(asked, who, prior(who, n))[0]
+        old = evidence(asked, who, prior(who, n))[0]
+        new = evidence([*asked, before], who, prior(who, n))[0] if before else old
+        logs[who] = np.log(OTHER) + np.logaddexp(old, new) - np.log(2.0)
     for who, losses in named.items():
         weight = CONTAINS if any(set(other) < set(who) for other in named) else 1.0
         logs[who] = np.logaddexp(
@@ -242,8 +291,8 @@ def shares(asked: Sequence[Asked], named: dict[tuple[int, ...], np.ndarray], n: 
 
 
 def candidates(event: Event, B: np.ndarray) -> dict[tuple[int, ...], np.ndarray]:
-    """The sets of rotors (0-based) that may explain an event, each with the losses (n,) with which it does so in hover: what lacks of thrust
-    and moment, by non-negative least squares. B (4, n)."""
+    """The sets of rotors (0-based) that may explain an event, each with the losses (n,) with which it does so in hover: what lacks of
+    thrust and moment, by non-negative least squares. B (4, n)."""
     from scipy.optimize import nnls
 
     n = B.shape[1]
@@ -269,13 +318,13 @@ class Question(NamedTuple):
     dt: float
 
 
-def question(event: Event, carry, table: Ticks, B: np.ndarray) -> Question:
-    """What to ask of an event that several sets of rotors explain, or none. carry: of the default estimator after the ticks of `table`."""
+def question(sets: dict[tuple[int, ...], np.ndarray], carry, table: Ticks, B: np.ndarray) -> Question:
+    """What to ask of sets of rotors (`candidates` or `suspects`), or none. carry: of the default estimator after the ticks of `table`."""
     flying = table.mode == JUDGE
     late = flying & (table.time > table.time[flying][-1] - HOVER_S)
     hover = (table.thrust * table.hover[:, None])[late].mean(axis=0)
     gain = np.asarray(carry.s)[:AXIS_STATES].reshape(4, PER_AXIS)[:3, GAIN]
-    found = candidates(event, B) | {(): np.zeros(B.shape[1])}
+    found = {**sets, (): np.zeros(B.shape[1])}
     return Question(
         found, hover, excitation.Noise(np.asarray(carry.noise.variances)[:, 3], np.array(TAU)), gain, table.dt
     )
@@ -288,7 +337,7 @@ def settle(
     rotors it was, so are those that were announced while one was going on (weak rotors answer it by what looks like jumps of others), and
     losses that nothing else has shown are added; and sentences on what it says no rotor made. Without an excitation the events are what
     they were. table, B, dynamics: as for `find`."""
-    asked = find(table, B, dynamics)
+    asked, before = find(table, B, dynamics)
     if not asked:
         return tuple(events), ()
     kept, notes = [], []
@@ -303,7 +352,7 @@ def settle(
         kept += [settled] if settled else []
         notes += [note] if note else []
     if not kept:
-        found, note = _unseen(asked, B)
+        found, note = _unseen(asked, before, B)
         kept += [found] if found and not notes else []
         notes += [note] if note and not notes else []
     return tuple(kept), tuple(notes)
@@ -324,16 +373,18 @@ def _unsure(event: Event, found: dict[tuple[int, ...], float], extra: dict) -> E
     return replace(event, alternatives=others, reason=reason, extra=extra) if others else replace(event, extra=extra)
 
 
-def _unseen(asked: Sequence[Asked], B: np.ndarray) -> tuple[Event | None, str]:
-    """The loss that only the excitations show, if there is one; else what could have gone unseen by them."""
+def _unseen(asked: Sequence[Asked], before: Asked | None, B: np.ndarray) -> tuple[Event | None, str]:
+    """The loss that only the excitations show, if there is one, since the flight was judged (then the trim `before` has changed as well) or
+    from before; else, if so, that there is none."""
     n = B.shape[1]
-    found = shares(asked, {}, n)
+    found = shares(asked, {}, n, before)
     best, share = next(iter(found.items()))
     when = _when(asked)
     if not best:
         well = f"the excitation of the commands from {when} was answered as by a vehicle whose rotors are all well"
         return None, well if share > CERTAIN else ""
-    _, mean, cov = evidence(asked, best, prior(best, n))
+    whole = [asked, *([[*asked, before]] if before else [])]
+    _, mean, cov = max((evidence(told, best, prior(best, n)) for told in whole), key=lambda one: one[0])
     loss, bounds = _losses(best, mean, cov, B)
     if found[()] > 1.0 - CERTAIN or max(low for low, _ in bounds) < UNLIKE:
         return None, ""
@@ -385,8 +436,8 @@ def _settled(event: Event, asked: Sequence[Asked], B: np.ndarray) -> tuple[Event
     who = tuple(k + 1 for k in best)
     names = " and ".join(map(str, who))
     reason = (
-        f"commands and motion changed at {event.onset_s:.1f} s as if rotors had lost thrust, and the excitation of the commands from {when} "
-        f"was answered as only weak rotors {names} answer it"
+        f"commands and motion changed at {event.onset_s:.1f} s as if rotors had lost thrust, and the excitation of the commands "
+        f"from {when} was answered as only weak rotors {names} answer it"
     )
     return replace(
         event, rotors=who, loss=loss, interval=bounds, probability=share, alternatives=(), reason=reason, extra=extra
