@@ -162,7 +162,7 @@ def test_a_healthy_vehicle_stays_healthy_and_does_not_move(flown):
 
 def test_without_an_excitation_nothing_changes(flown):
     table, _, _, B_, losses = asking.judged(flown[0][1])
-    assert asked.find(table, B_) == ((), None)
+    assert asked.find(table, B_) == ((), None, ())
     assert asked.settle(losses, table, B_) == (losses, ())
 
 

@@ -123,6 +123,8 @@ def judged(flight: Any, end_s: float = np.inf) -> tuple[Any, Any, Any, np.ndarra
     vehicle = airframes.identify(flight)
     air = airborne(flight)
     table, B = observe(flight, vehicle, air, READY_S), vehicle.effectiveness()
+    if table is None:
+        raise ConfigError("This flight never took off, so nothing can be asked of it.")
     table = asked.until(table, int(np.searchsorted(table.time, end_s)))
     carry, out = program.estimate(table, B)
     return table, carry, out, B, events.read(out, table, hypotheses.make(B.shape[1]), B)

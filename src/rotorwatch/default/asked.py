@@ -32,7 +32,7 @@ import numpy as np
 from rotorwatch.control import excitation
 from rotorwatch.default import hypotheses
 from rotorwatch.default.caution import AT_LIMIT
-from rotorwatch.default.events import CREDIBLE, sd_of
+from rotorwatch.default.events import CREDIBLE, read, sd_of
 from rotorwatch.default.leftover import TRIM_S, TRIM_SD
 from rotorwatch.default.noise import spread
 from rotorwatch.default.plant import AXIS_STATES, GAIN, PER_AXIS, TAU, lower_rotors
@@ -65,9 +65,9 @@ class Asked:
     z: np.ndarray
 
 
-def find(table: Ticks, B: np.ndarray, dynamics=None) -> tuple[tuple[Asked, ...], Asked | None]:
-    """The excitations of a flight, in order, and `trim` before the first of them. table: its ticks; B (4, n); dynamics: what healthy
-    flights have taught of the vehicle.
+def find(table: Ticks, B: np.ndarray, dynamics=None) -> tuple[tuple[Asked, ...], Asked | None, tuple[Event, ...]]:
+    """The excitations of a flight, in order; `trim` before the first of them; and the losses known by then. table: its ticks; B (4, n);
+    dynamics: what healthy flights have taught of the vehicle.
 
     What the vehicle is like, and how noisy, is what the default estimator knew when the first of them began: answers of weak rotors would
     teach it gains that are none."""
@@ -75,11 +75,11 @@ def find(table: Ticks, B: np.ndarray, dynamics=None) -> tuple[tuple[Asked, ...],
     full = table.thrust * table.hover[:, None]
     usable = (table.mode == JUDGE) & table.valid[:, 3] & (full < AT_LIMIT).all(axis=1) & (full > 0.0).all(axis=1)
     if not N.shape[1] or usable.sum() * table.dt < 2.0 * ASIDE_S:
-        return (), None
+        return (), None, ()
     q = _unneeded(table, N, usable)
     spans = _spans(table, usable & (np.abs(q).max(axis=1) > LEAST))
     if not spans:
-        return (), None
+        return (), None, ()
     before = until(table, spans[0][0])
     carry, out = estimate(before, B, dynamics)
     model = _model(carry, table, B)
@@ -90,7 +90,7 @@ def find(table: Ticks, B: np.ndarray, dynamics=None) -> tuple[tuple[Asked, ...],
         if rows.size * table.dt >= SHORTEST_S:
             span = float(table.command_time[a]), float(table.time[b])
             found.append(_asked(rows, span, q, model, table, B))
-    return tuple(found), trim(carry, out, before, B)
+    return tuple(found), trim(carry, out, before, B), read(out, before, hypotheses.make(B.shape[1]), B)
 
 
 def trim(carry, out, table: Ticks, B: np.ndarray) -> Asked | None:
@@ -142,16 +142,14 @@ def _unneeded(table: Ticks, N: np.ndarray, usable: np.ndarray) -> np.ndarray:
     """q (T, n): thrusts in the null space, less what the commanded wrench says of them (twice: at first with excitations in it)."""
     own = table.thrust @ N
     inputs = np.column_stack([table.wrench, np.ones(len(own))])
-    calm = usable
+    calm, q = usable, (own - np.median(own[usable], axis=0)) @ N.T
     for _ in range(2):
         if calm.sum() < 4 * inputs.shape[1]:
             break
         K = np.linalg.lstsq(inputs[calm], own[calm], rcond=None)[0]
         q = (own - inputs @ K) @ N.T
         calm = usable & (np.abs(q).max(axis=1) < 0.5 * LEAST)
-    else:
-        return q
-    return (own - np.median(own[usable], axis=0)) @ N.T
+    return q
 
 
 def _spans(table: Ticks, asked: np.ndarray) -> list[tuple[int, int]]:
@@ -200,7 +198,7 @@ def _asked(rows, span, q, model: _Model, table: Ticks, B: np.ndarray) -> Asked:
         known = share / (scale + share @ share)
         J.append((phi.T @ phi - np.outer(phi.T @ share, known @ phi)) / scale)
         z.append((phi.T @ e - phi.T @ share * (known @ e)) / scale)
-    return Asked(*span, np.stack(J), np.stack(z))
+    return Asked(span[0], span[1], np.stack(J), np.stack(z))
 
 
 def _unexplained(phi: np.ndarray, e: np.ndarray) -> float:
@@ -228,8 +226,7 @@ def prior(rotors: Sequence[int], n: int, losses: np.ndarray | None = None) -> Pr
 def evidence(asked: Sequence[Asked], rotors: Sequence[int], before: Prior) -> tuple[float, np.ndarray, np.ndarray]:
     """Log evidence that these rotors (0-based) are weak, against none; and mean (n,) and covariance (n, n) of all losses then."""
     n, own = len(before.mean), list(rotors)
-    J = sum(one.J for one in asked)
-    z = sum(one.z for one in asked)
+    J, z = (np.sum([getattr(one, name) for one in asked], axis=0) for name in ("J", "z"))
     total, base, mean, cov = [], [], [], []
     none = np.full(n, UNLIKE)
     for own_J, own_z in zip(J, z, strict=True):
@@ -274,7 +271,7 @@ def shares(
 ) -> dict[tuple[int, ...], float]:
     """Probability of each set of weak rotors (0-based; (): none): of those named, with the losses (n,) that hover gives them, of all single
     rotors and of all pairs. before: the trim, which a loss since then has changed and an older one has not."""
-    logs = {(): 0.0}
+    logs: dict[tuple[int, ...], float] = {(): 0.0}
     for who in (*combinations(range(n), 1), *combinations(range(n), 2)):
         old = evidence(asked, who, prior(who, n))[0]
         new = evidence([*asked, before], who, prior(who, n))[0] if before else old
@@ -337,11 +334,16 @@ def settle(
     rotors it was, so are those that were announced while one was going on (weak rotors answer it by what looks like jumps of others), and
     losses that nothing else has shown are added; and sentences on what it says no rotor made. Without an excitation the events are what
     they were. table, B, dynamics: as for `find`."""
-    asked, before = find(table, B, dynamics)
+    asked, before, known = find(table, B, dynamics)
     if not asked:
         return tuple(events), ()
+    open_ = {e.detected_s: e for e in known if e.alternatives}
     kept, notes = [], []
     for e in events:
+        if not e.alternatives and e.detected_s in open_ and e.end_s is None:
+            e = open_[
+                e.detected_s
+            ]  # what has become of its explanations since is what the excitation did to their weights
         during = [q for q in asked if q.start < e.detected_s < q.end + AFTER_S]
         later = [q for q in asked if q.start > e.onset_s and (e.end_s is None or q.end < e.end_s)]
         if not during and (not e.alternatives or not later):
