@@ -22,6 +22,7 @@ __version__ = "0.1.0"
 # Verbs: functions that live in a module of the same name (rotorwatch/diagnose.py holds diagnose), each in its room.
 _VERBS = {
     "airborne": "motion.airborne",
+    "ask": "ask",
     "calibrate": "healthy.calibrate",
     "diagnose": "diagnose",
     "export_c": "export_c",
@@ -60,6 +61,7 @@ _HOMES = {
 __all__ = ["__version__", "read", *_VERBS, *(n for n in _HOMES if n != "read")]
 
 if TYPE_CHECKING:
+    from rotorwatch.ask import ask as ask
     from rotorwatch.compiling.run import run as run
     from rotorwatch.diagnose import diagnose as diagnose
     from rotorwatch.diagnosis import Diagnosis as Diagnosis

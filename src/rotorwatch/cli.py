@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from rotorwatch import __version__
-from rotorwatch.commands import benchmark, campaign, export, research, simulate, survive, tune
+from rotorwatch.commands import ask, benchmark, campaign, export, research, simulate, survive, tune
 from rotorwatch.commands.tools import LOG, OUT, common, debug, label, progress, say, shares, show
 from rotorwatch.errors import BackendWarning, ConfigError, PluginWarning, RotorwatchError
 
@@ -416,6 +416,7 @@ def _read(path: Path, tell: Callable | None) -> Any:
 
 
 research.register(cli)
+ask.register(cli)
 tune.register(cli)
 simulate.register(cli)
 export.register(cli)

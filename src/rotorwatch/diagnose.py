@@ -10,7 +10,7 @@ import numpy as np
 
 from rotorwatch import detectors, discovery
 from rotorwatch.answer import conclusion, health, places, traces
-from rotorwatch.default import events, hypotheses, leftover
+from rotorwatch.default import asked, events, hypotheses, leftover
 from rotorwatch.default.announcement import threshold
 from rotorwatch.default.program import estimate
 from rotorwatch.diagnosis import Diagnosis
@@ -114,6 +114,9 @@ def diagnose(
     lap("estimate_s")
     hyp = hypotheses.make(len(craft.rotors))
     losses = events.read(out, table, hyp, B)
+    if estimator == "default":
+        losses, settled = asked.settle(losses, table, B, dynamics)
+        assumptions += settled
     overrides = outside.overrides(flight, craft, air, table)
     losses = outside.unexplained(losses, overrides)
     contacts = outside.contacts(table, air)

@@ -4,6 +4,7 @@
     allocation.py   demands (thrust, roll, pitch, yaw) -> commands of the rotors, by what is believed of each rotor
     airframe.py     the numbers of a vehicle that its control is designed from
     attainable.py   every thrust and moment that a vehicle can still give, exactly
+    excitation.py   a small excitation that moves nothing, unless rotors are weak: which ones?
     spinning.py     hover while turning, where it is impossible otherwise, and the feedback that holds it
 
 Everything that runs in flight is a pure step of fixed shapes, as estimators are: it runs under `scan` and `vmap` and can be

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
 from rich.console import Group, RenderableType
 from rich.text import Text
 
@@ -67,6 +68,21 @@ def survival(result) -> RenderableType:
         rows.add_row(", ".join(sets), *shown[1:])
     units = "T / W: largest thrust over weight. Moments left at hover [N m], wind that can be held [m/s], turning there [rad/s]."
     notes = [Text(sentence, style="dim") for sentence in (units, *result.assumptions)]
+    return Group(Text(result.name, style="bold"), rows, Text(result.summary), *notes)
+
+
+def asking(result) -> RenderableType:
+    """The candidates, what the excitation does to each and how far apart it brings them; result as from `rotorwatch.ask`."""
+    rows = listing("", "weak rotors", "loss", "turns it by", "lifts it by", "apart from the next", right=(1, 2, 3, 4))
+    turn, lift = np.degrees(result.design.tilt), 1e3 * result.design.heave
+    for k, who in enumerate(result.candidates):
+        loss = ", ".join(report.percent(result.losses[k][r - 1], 0) for r in who) or "-"
+        name = "+".join(map(str, who)) or "none"
+        rows.add_row(name, loss, f"{turn[k]:.2f} deg", f"{lift[k]:.1f} mm", f"{result.separation[k]:.1f} sd")
+    each = ", ".join(f"{k + 1}: {report.percent(a, 1)}" for k, a in enumerate(result.amplitude))
+    notes = [
+        Text(s, style="dim") for s in (f"Largest change of each command, of full thrust: {each}.", *result.assumptions)
+    ]
     return Group(Text(result.name, style="bold"), rows, Text(result.summary), *notes)
 
 

@@ -1,0 +1,300 @@
+"""Is a vehicle that is asked told apart? Flights with losses that are ambiguous, without and with an excitation of their commands.
+
+    from rotorwatch.campaign import asking
+    result = asking.run(flights=120)
+    print(asking.markdown(result))
+
+Every flight is flown and diagnosed as it is. Where the answer is `ambiguous` the log says what to ask (`default.asked.question`), the
+excitation is designed from that (`control.excitation`), and the flight is flown again with it: up to its start it is the same to the
+last bit. Healthy flights are excited as well, as if somebody wondered.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from rotorwatch import airframes
+from rotorwatch.backend import jax as load_jax
+from rotorwatch.campaign import summary
+from rotorwatch.control import excitation
+from rotorwatch.default import asked, events, hypotheses, program
+from rotorwatch.diagnose import diagnose
+from rotorwatch.diagnosis import Event
+from rotorwatch.errors import ConfigError
+from rotorwatch.motion.airborne import airborne
+from rotorwatch.motion.allocation import ambiguous_sets
+from rotorwatch.motion.ticks import READY_S, observe
+from rotorwatch.simulation import logbook, loop, one, prepare, scenario
+from rotorwatch.simulation.excited import EXCITED
+from rotorwatch.simulation.scenario import Scenario
+
+FRAMES = ("hexa-x", "hexa-plus", "octa-x", "octa-plus")
+ONSET_S, WAITS_S, ENDS_S = 16.0, 1.0, 14.0  # of the loss; from the answer to the excitation; from the loss to the end
+WITHIN_S = 3.0
+WIDTH = 16  # flights side by side
+WORST = 0.5  # loss that somebody who suspects nothing reckons with
+LOSSES, LARGER = (0.15, 0.45), (0.3, 0.7)
+WINDS_M_S = 4.0
+HEALTHY = 0.25  # share of flights
+
+
+@dataclass(frozen=True)
+class Row:
+    """One flight. broken: its weak rotors, none of a healthy one; loss: of each. before: what the default method's events come to without
+    the excitation, after: verdict of the diagnosis with it;
+    named: the rotors named after it. right: these are the broken ones; wrong: others are named. asked: it was excited. length_s, amplitude
+    (share of full thrust): of the excitation; turned_deg: by how much it moved the attitude; needed_s: how long the information bound asks
+    for, None where WITHIN_S do not do."""
+
+    flight: int
+    frame: str
+    mass_kg: float
+    wind_m_s: float
+    broken: tuple[int, ...]
+    loss: float
+    before: str
+    after: str
+    named: tuple[int, ...]
+    asked: bool
+    right: bool
+    wrong: bool
+    length_s: float | None
+    amplitude: float | None
+    turned_deg: float | None
+    information: float | None
+    needed: float | None
+
+
+@functools.cache
+def _alike(frame: str) -> tuple:
+    return ambiguous_sets(airframes.named(f"px4-{frame}").effectiveness())
+
+
+def families(frame: str) -> tuple[tuple[int, ...], ...]:
+    """Sets of two rotors (1-based) that have the same effect as another set."""
+    return tuple(sorted({s for both in _alike(frame) for s in both if len(s) == 2}))
+
+
+def draw(flight: int, frame: str, seed: int) -> Scenario:
+    """The scenario of a flight: vehicles from 0.8 to 8 kg, winds up to WINDS_M_S, LOSSES of two rotors alike; LARGER ones
+    where many pairs have the same effect, of which smaller losses are not noticed."""
+    rng = np.random.default_rng([seed, flight])
+    mass = float(np.exp(rng.uniform(np.log(0.8), np.log(8.0))))
+    pairs = families(frame)
+    who = pairs[rng.integers(len(pairs))] if rng.uniform() >= HEALTHY else ()
+    loss = round(float(rng.uniform(*(LOSSES if len(pairs) < 4 else LARGER))), 3)
+    return scenario.from_table(
+        {
+            "name": f"asked {flight}", "duration_s": ONSET_S + ENDS_S, "seed": int(rng.integers(2**31 - 1)), "rate_hz": 200.0,
+            "autopilot": "px4",
+            "airframe": {
+                "frame": frame, "mass_kg": mass, "arm_m": 0.3 * (mass / 2.0) ** (1.0 / 3.0),
+                "thrust_to_weight": float(rng.uniform(1.9, 2.6)), "lag_s": float(rng.uniform(0.02, 0.05)),
+            },
+            "trajectory": {"altitude_m": 5.0, "land": False},
+            "wind": {"speed_m_s": float(rng.uniform(0.0, WINDS_M_S)), "from_deg": float(rng.uniform(-180.0, 180.0))},
+            "logging": {"profile": "fast"},
+            "faults": [{"kind": "loss", "rotor": r, "onset_s": ONSET_S, "strength": loss} for r in who],
+        }
+    )  # fmt: skip
+
+
+def fly(scenarios: Sequence[Scenario], signals: Sequence[excitation.Signal]) -> list[tuple[Any, Any]]:
+    """(record, flight as logged) of each; equal numbers of rotors, rates and durations."""
+    plans = [prepare.plan(s)._replace(schedule=signal) for s, signal in zip(scenarios, signals, strict=True)]
+    first = scenarios[0]
+    records = loop.fly_many(EXCITED, loop.stack(plans), first.duration_s, first.rate_hz, first.record_hz, _kept)
+    records = load_jax().tree.map(np.asarray, records)
+    flown = [one(records, k) for k in range(len(plans))]
+    return [(r, logbook.flight(s, p, r)) for s, p, r in zip(scenarios, plans, flown, strict=True)]
+
+
+def _kept(record):
+    return record._replace(omega=(), rates_asked=(), q_asked=(), wind=())
+
+
+def judged(flight: Any, end_s: float = np.inf) -> tuple[Any, Any, Any, np.ndarray, tuple[Event, ...]]:
+    """(ticks, last carry, outputs, B, losses) of the default estimator up to end_s, before excitations are looked at."""
+    vehicle = airframes.identify(flight)
+    air = airborne(flight)
+    table, B = observe(flight, vehicle, air, READY_S), vehicle.effectiveness()
+    if table is None:
+        raise ConfigError("This flight never took off, so nothing can be asked of it.")
+    table = asked.until(table, int(np.searchsorted(table.time, end_s)))
+    carry, out = program.estimate(table, B)
+    return table, carry, out, B, events.read(out, table, hypotheses.make(B.shape[1]), B)
+
+
+def asking(question: asked.Question, limits: excitation.Limits | None, B: np.ndarray, exactly: bool = False):
+    """The design that answers it soonest within WITHIN_S; where that is too short, or `exactly`, the one that tells most in WITHIN_S.
+    None where the null space cannot tell the candidates apart."""
+    give = (B, list(question.candidates.values()), question.hover, question.noise, question.gain, question.dt, limits)
+    for way in ({"length_s": WITHIN_S},) if exactly else ({"longest_s": WITHIN_S}, {"length_s": WITHIN_S}):
+        try:
+            return excitation.design(*give, **way)
+        except ConfigError:
+            continue
+    return None
+
+
+def wondering(frame: str, carry, out, table, B: np.ndarray, limits: excitation.Limits | None = None):
+    """What somebody asks to whom nothing was announced: which of the sets that explain a change of trim, else which of a few pairs that
+    hover does not tell apart, or none? For WITHIN_S."""
+    sets = asked.suspects(carry, out, table, B)
+    if not sets:
+        alike = _alike(frame)
+        first = next(one for one, _ in alike if len(one) == 2)
+        for who in (first, *(other for one, other in alike if one == first and len(other) == 2)):
+            own = tuple(k - 1 for k in who)
+            sets[own] = np.where(np.isin(np.arange(B.shape[1]), own), WORST, 0.0)
+    return asking(asked.question(sets, carry, table, B), limits=limits, B=B, exactly=True)
+
+
+def turned(one_: Any, other: Any) -> float:
+    """Largest angle [degrees] between the attitudes of two records."""
+    dot = np.abs((one_.q * other.q).sum(axis=1))
+    return float(np.degrees(2.0 * np.arccos(np.clip(dot, 0.0, 1.0))).max())
+
+
+def batch(frame: str, flights: Sequence[int], seed: int, limits: excitation.Limits | None = None) -> list[Row]:
+    """The rows of flights of one frame."""
+    scenarios = [draw(k, frame, seed) for k in flights]
+    n = airframes.named(f"px4-{frame}").effectiveness().shape[1]
+    before = fly(scenarios, [excitation.none(n)] * len(scenarios))
+    answers, designs, signals = [], [], []
+    for _, flight in before:
+        table, carry, out, B, losses = judged(flight)
+        unsure = [e for e in losses if e.alternatives]
+        sure = [e for e in losses if not e.alternatives]
+        answers.append("fault" if sure else "ambiguous" if unsure else "healthy")
+        made, start = None, ONSET_S + 4.0
+        if not sure:
+            if unsure:
+                start = max(e.detected_s for e in unsure) + WAITS_S
+                made = asking(asked.question(asked.candidates(unsure[0], B), carry, table, B), limits=limits, B=B)
+            else:
+                table, carry, out, B, _ = judged(flight, start)
+                made = wondering(frame, carry, out, table, B, limits)
+        designs.append(made)
+        signals.append(excitation.none(n) if made is None else made.signal._replace(start=np.array(start)))
+    after = fly(scenarios, signals)
+    rows = []
+    for k, s, old, (was, _), (record, flight), made in zip(
+        flights, scenarios, answers, before, after, designs, strict=True
+    ):
+        broken = tuple(sorted(f["rotor"] for f in s.faults))
+        new, named = old, ()
+        if made is not None:
+            answer = diagnose(flight)
+            kinds = ("loss_of_effectiveness", "output_override")
+            sure = [e for e in answer.events if e.kind in kinds and not e.alternatives]
+            new, named = answer.verdict, tuple(sorted({r for e in sure for r in e.rotors}))
+        rows.append(
+            Row(
+                k, frame, float(s.airframe["mass_kg"]), float(s.wind["speed_m_s"]), broken,
+                float(s.faults[0]["strength"]) if broken else 0.0, old, new, named, made is not None,
+                new == ("fault" if broken else "healthy") and named == broken, bool(named) and named != broken,
+                None if made is None else float(made.signal.length),
+                None if made is None else float((np.abs(made.signal.first) + np.abs(made.signal.second)).max()),
+                None if made is None else turned(was, record),
+                None if made is None else float(made.information.min()),
+                None if made is None else made.needed,
+            )
+        )  # fmt: skip
+    return rows
+
+
+def run(
+    flights: int = 120,
+    frames: Sequence[str] = FRAMES,
+    seed: int = 1,
+    limits: excitation.Limits | None = None,
+    progress: Callable[[float, str], None] | None = None,
+) -> dict[str, Any]:
+    """That many flights, frames in turn: {"flights", "seed", "measures" (`measures`), "by_frame", "rows"}. Raises ConfigError."""
+    unknown = [f for f in frames if f not in FRAMES]
+    if unknown or not frames:
+        raise ConfigError(f"frames must be some of {', '.join(FRAMES)}, not {', '.join(unknown) or 'none'}.")
+    if flights < 1:
+        raise ConfigError(f"flights must be at least 1, not {flights}.")
+    rows: list[Row] = []
+    for k, frame in enumerate(frames):
+        mine = range(k, flights, len(frames))
+        for start in range(0, len(mine), WIDTH):
+            part = mine[start : start + WIDTH]
+            filled = [*part, *[part[-1]] * (WIDTH - len(part))] if len(mine) > WIDTH else list(part)
+            rows += batch(frame, filled, seed, limits)[: len(part)]
+            if progress:
+                progress(len(rows) / flights, f"{frame}")
+    each = {frame: measures([r for r in rows if r.frame == frame]) for frame in frames}
+    return {
+        "flights": flights, "seed": seed, "measures": measures(rows), "by_frame": each, "rows": [asdict(r) for r in rows],
+    }  # fmt: skip
+
+
+def measures(rows: Sequence[Row]) -> dict[str, Any]:
+    """Shares with 95 % intervals. ambiguous: faulty flights that are ambiguous as they are; resolved: of these, the broken rotors are
+    named and no others after the excitation; within: the same within WITHIN_S of excitation that turns the vehicle by less than one degree;
+    wrong: others are named. noticed: of flights without an answer, those that have one after it. false: healthy flights
+    whose excitation led to an answer. length_s, turned_deg: medians and largest."""
+    faulty, healthy = [r for r in rows if r.broken], [r for r in rows if not r.broken]
+    open_ = [r for r in faulty if r.before == "ambiguous" and r.asked]
+    silent = [r for r in faulty if r.before == "healthy" and r.asked]
+
+    def share(values: list[bool]) -> dict[str, float] | None:
+        return summary.share(np.array(values, bool)) if values else None
+
+    def small(r: Row) -> bool:
+        return bool(
+            r.right and r.length_s and r.length_s <= WITHIN_S + 1e-9 and r.turned_deg is not None and r.turned_deg < 1.0
+        )
+
+    def spread(values: list[float]) -> dict[str, float] | None:
+        return {"median": float(np.median(values)), "largest": float(np.max(values))} if values else None
+
+    return {
+        "faulty": len(faulty), "healthy": len(healthy), "ambiguous": len(open_), "unnoticed": len(silent),
+        "fault_before": sum(r.before == "fault" for r in faulty),
+        "resolved": share([r.right for r in open_]), "within": share([small(r) for r in open_]),
+        "wrong": share([r.wrong for r in open_]), "noticed": share([r.after != "healthy" for r in silent]),
+        "noticed_wrong": share([r.wrong for r in silent]),
+        "false": share([r.after != r.before or r.wrong for r in healthy]),
+        "length_s": spread([r.length_s for r in open_ if r.length_s]),
+        "turned_deg": spread([r.turned_deg for r in rows if r.turned_deg is not None and r.before != "fault"]),
+    }  # fmt: skip
+
+
+def markdown(result: dict[str, Any]) -> str:
+    """The measures, all flights and frame by frame."""
+
+    def cell(value: dict[str, float] | None) -> str:
+        if value is None:
+            return "-"
+        low, middle, high = (100.0 * value[k] for k in ("low", "value", "high"))
+        return f"{middle:.0f} % ({low:.0f} to {high:.0f})"
+
+    def pair(value: dict[str, float] | None, digits: int) -> str:
+        return "-" if value is None else f"{value['median']:.{digits}f}, {value['largest']:.{digits}f}"
+
+    lines: dict[str, Callable[[dict], str]] = {
+        "faulty, healthy flights": lambda m: f"{m['faulty']}, {m['healthy']}",
+        "ambiguous without an excitation": lambda m: str(m["ambiguous"]),
+        "... of these resolved by it": lambda m: cell(m["resolved"]),
+        f"... within {WITHIN_S:g} s and 1 degree": lambda m: cell(m["within"]),
+        "... wrong rotors named": lambda m: cell(m["wrong"]),
+        "unnoticed without, asked anyway": lambda m: str(m["unnoticed"]),
+        "... noticed by it": lambda m: cell(m["noticed"]),
+        "... wrong rotors named then": lambda m: cell(m["noticed_wrong"]),
+        "healthy flights, answer changed by it": lambda m: cell(m["false"]),
+        "length of the excitation, s: median, longest": lambda m: pair(m["length_s"], 1),
+        "turn by it, degrees: median, largest": lambda m: pair(m["turned_deg"], 2),
+    }
+    columns = {"all": result["measures"], **result["by_frame"]}
+    text = [f"| {result['flights']} flights | {' | '.join(columns)} |", "|---" * (1 + len(columns)) + "|"]
+    text += [f"| {name} | {' | '.join(line(m) for m in columns.values())} |" for name, line in lines.items()]
+    return "\n".join(text) + "\n"

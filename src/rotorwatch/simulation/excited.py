@@ -1,0 +1,24 @@
+"""A multirotor whose commands carry a question on top of the mixer's answer: a small excitation in the null space of its geometry.
+
+The excitation (`control.excitation`) is added after the mixer, where an autopilot would add it, and cut at the commands' limits; what
+the rotors are told is what the log holds. A plan's `schedule` is the `control.excitation.Signal`.
+"""
+
+from __future__ import annotations
+
+from rotorwatch.backend import jax as load_jax
+from rotorwatch.control import excitation
+from rotorwatch.simulation.multirotor import Drives, Multirotor, Plan
+
+
+class Excited(Multirotor):
+    """The `loop.Aircraft` of every frame whose plan has an excitation in its schedule; one that never begins changes nothing."""
+
+    def mixed(self, plan: Plan, now, t, body, gyro, turning, own: Drives, dt: float) -> tuple:
+        """The mixer's demands with the excitation at time t added to them."""
+        demand, free, own = super().mixed(plan, now, t, body, gyro, turning, own, dt)
+        more = excitation.at(plan.schedule, t)
+        return load_jax().numpy.clip(demand + more, 0.0, 1.0), free, own
+
+
+EXCITED = Excited()

@@ -1,0 +1,174 @@
+"""What the answer of a vehicle to an excitation says: of Gaussian data whose truth is known, and of flights in the simulator."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rotorwatch import airframes, diagnose
+from rotorwatch.campaign import asking
+from rotorwatch.control import excitation
+from rotorwatch.default import asked
+from rotorwatch.default.plant import TAU
+from rotorwatch.diagnosis import Event
+
+B = airframes.named("px4-hexa-x").effectiveness()
+N = excitation.null_space(B)
+PAIRS = {(0, 1): (1, 2), (2, 3): (3, 4), (4, 5): (5, 6)}
+NAMED = {who: np.where(np.isin(np.arange(6), who), 0.3, 0.0) for who in PAIRS}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def float64():
+    from rotorwatch.backend import jax
+
+    jax()
+
+
+def told(theta, seed=0, sd=0.015, trim=False):
+    """Information of the size that three seconds give, along the null space (with trim: along all else), of losses theta (6,)."""
+    rng = np.random.default_rng(seed)
+    A = (B / np.linalg.norm(B, axis=1, keepdims=True)) if trim else N.T
+    J, noise = A.T @ A / sd**2, A.T @ rng.standard_normal(len(A)) / sd
+    D = len(asked.DELAYS_S)
+    return asked.Asked(30.0, 32.0, np.tile(J, (D, 1, 1)), np.tile(J @ theta + noise, (D, 1)))
+
+
+@pytest.mark.parametrize("who", [(), *PAIRS])
+def test_the_true_pair_is_named_and_its_losses_are(who):
+    theta = np.where(np.isin(np.arange(6), who), 0.25, 0.0)
+    for seed in range(5):
+        one = told(theta, seed)
+        found = asked.shares([one], NAMED, 6)
+        assert next(iter(found)) == who and found[who] > asked.CERTAIN
+        assert sum(found.values()) == pytest.approx(1.0)
+        if who:
+            _, mean, cov = asked.evidence([one], who, asked.prior(who, 6, NAMED[who]))
+            apart = np.abs(mean - theta)[list(who)] / np.sqrt(np.diag(cov))[list(who)]
+            assert apart.max() < 4.0
+
+
+def test_probabilities_are_honest():
+    """Of answers whose truth is drawn from what is supposed, those that are neither clear nor open are right as often as they say."""
+    rng, right, said = np.random.default_rng(2), [], []
+    sets = [(), *PAIRS]
+    priors = {who: asked.prior(who, 6, NAMED[who]) for who in PAIRS}
+    for seed in range(300):
+        who = sets[rng.integers(4)]
+        mean, sd = priors.get(who, asked.prior((), 6))
+        theta = mean + sd * rng.standard_normal(6)
+        one = told(np.where(mean > 0.0, np.abs(theta), theta), seed, sd=0.15)
+        one = replace(one, J=one.J[:1], z=one.z[:1])
+        logs = np.array([0.0, *(asked.evidence([one], k, priors[k])[0] for k in PAIRS)])
+        share = np.exp(logs - np.logaddexp.reduce(logs))
+        if 0.5 < share.max() < 0.95:
+            right.append(sets[int(share.argmax())] == who)
+            said.append(share.max())
+    assert len(said) > 50
+    assert np.mean(right) == pytest.approx(np.mean(said), abs=3.0 * 0.5 / np.sqrt(len(said)))
+
+
+def test_negative_losses_are_none():
+    """What would be explained by rotors that give more than before is no loss of theirs."""
+    theta = np.where(np.isin(np.arange(6), (0, 1)), -0.2, 0.0)
+    found = asked.shares([told(theta)], NAMED, 6)
+    assert found[(0, 1)] < 1e-3
+
+
+def test_a_loss_since_the_flight_began_changes_trim_and_an_older_one_does_not():
+    theta = np.where(np.isin(np.arange(6), (2,)), 0.4, 0.0)
+    nothing = told(np.zeros(6), 1, 0.05, trim=True)
+    new = asked.shares([told(theta)], {}, 6, told(theta, 1, 0.05, trim=True))
+    assert next(iter(new)) == (2,) and all(2 in who for who, p in new.items() if p > 0.03)
+    old = asked.shares([told(theta)], {}, 6, nothing)
+    # The pair that half of it each would answer as.
+    assert {(2,), (3,), (2, 3)} >= {who for who, p in old.items() if p > 0.2} and old[()] < 0.01
+
+
+def test_candidates_lack_the_same_in_hover():
+    event = Event(
+        "loss_of_effectiveness", (1, 2), 20.0, 21.0, None, (0.3, 0.3), ((0.1, 0.5),) * 2, 0.4, ((3, 4), (5, 6))
+    )
+    found = asked.candidates(event, B)
+    for losses in found.values():
+        assert B @ losses == pytest.approx(B @ found[(0, 1)], abs=1e-9)
+
+
+def test_the_information_of_ticks_finds_the_losses_and_the_lag():
+    """e made of a known loss, with a rotor lag that nobody told: within its own uncertainty, at about the right delay."""
+    rng, dt, T = np.random.default_rng(4), 0.05, 100
+    time = dt * np.arange(T)
+    q = (np.outer(np.sin(2 * np.pi * time / 0.5), N[:, 0]) + np.outer(np.sin(3 * np.pi * time / 0.5), N[:, 1])) * 0.5
+    theta = np.array([0.3, 0.25, 0.0, 0.0, 0.0, 0.0])
+    delay = 0.04
+    late = np.column_stack([np.interp(time - delay, time, q[:, i]) for i in range(6)])
+    e = 0.4 + late @ (B[3] * theta) + 0.02 * rng.standard_normal(T)
+    noise = excitation.Noise(np.array([0.02**2, 0.0, 0.0, 1e-6]), np.array(TAU))
+    model = asked._Model(e, np.zeros(6), 0.0, noise)
+    table = type("Table", (), {"time": time, "dt": dt})
+    one = asked._asked(np.arange(2, T), (0.0, 5.0), q, model, table, B)
+    best = [asked._gaussian(J, z, np.zeros(6), np.full(6, 0.3))[0] for J, z in zip(one.J, one.z, strict=True)]
+    assert asked.DELAYS_S[int(np.argmax(best))] == delay
+    found = asked.shares([one], NAMED, 6)
+    assert next(iter(found)) == (0, 1)
+    k = int(np.argmax(best))
+    seen = np.linalg.pinv(N.T @ one.J[k] @ N) @ (N.T @ one.z[k])
+    assert seen == pytest.approx(N.T @ theta, abs=0.03)
+
+
+def scenario(who, loss, wind=1.0):
+    base = asking.draw(3, "hexa-x", 7)
+    fault = {
+        "kind": "loss",
+        "strength": loss,
+        "onset_s": asking.ONSET_S,
+        "end_s": None,
+        "ramp_s": 0.0,
+        "period_s": None,
+    }
+    rows = tuple({**fault, "rotor": r, "level": None, "duty": 0.5, "vibration": 6.0} for r in who)
+    return replace(base, faults=rows, wind={**base.wind, "speed_m_s": wind})
+
+
+@pytest.fixture(scope="module")
+def flown():
+    """A pair of opposite rotors, and none: as they are, and excited from 21 s on."""
+    scenarios = [scenario((3, 4), 0.35), scenario((), 0.0)]
+    sets = [np.where(np.isin(np.arange(6), who), 0.3, 0.0) for who in (*PAIRS, ())]
+    noise = excitation.Noise(np.array([0.025**2, 0.0, 0.02**2, 0.2**2]), np.array(TAU))
+    made = excitation.design(B, sets, np.full(6, 0.45), noise, np.array([0.03, 0.03, 0.8]), 0.05, length_s=2.0)
+    asks = made.signal._replace(start=np.array(21.0))
+    four = [*scenarios, *scenarios]
+    return asking.fly(four, [excitation.none(6)] * 2 + [asks] * 2)
+
+
+def test_a_pair_that_is_ambiguous_is_named_once_it_is_asked(flown):
+    before, after = diagnose(flown[0][1]), diagnose(flown[2][1])
+    assert before.verdict == "ambiguous" and (3, 4) in {before.events[0].rotors, *before.events[0].alternatives}
+    assert after.verdict == "fault" and [e.rotors for e in after.events] == [(3, 4)]
+    event = after.events[0]
+    assert not event.alternatives and event.probability > 0.99 and "excitation" in event.reason
+    assert all(low < 0.35 < high for low, high in event.interval)
+    assert event.extra["asked"]["start_s"] == pytest.approx(21.0, abs=0.3)
+    assert asking.turned(flown[0][0], flown[2][0]) < 1.0
+
+
+def test_a_healthy_vehicle_stays_healthy_and_does_not_move(flown):
+    answer = diagnose(flown[3][1])
+    assert answer.verdict == "healthy" and not answer.events
+    assert any("rotors are all well" in a for a in answer.assumptions)
+    assert asking.turned(flown[1][0], flown[3][0]) < 0.2
+
+
+def test_without_an_excitation_nothing_changes(flown):
+    table, _, _, B_, losses = asking.judged(flown[0][1])
+    assert asked.find(table, B_) == ((), None, ())
+    assert asked.settle(losses, table, B_) == (losses, ())
+
+
+def test_a_log_says_what_to_ask(flown):
+    from rotorwatch.ask import ask
+
+    found = ask(flown[0][1])
+    assert set(found.candidates) == {(1, 2), (3, 4), (5, 6), ()}
+    assert found.design.information.min() >= found.design.needed and found.design.signal.length <= 10.0
