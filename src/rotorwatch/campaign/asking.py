@@ -19,7 +19,6 @@ from typing import Any
 import numpy as np
 
 from rotorwatch import airframes
-from rotorwatch.backend import jax as load_jax
 from rotorwatch.campaign import summary
 from rotorwatch.control import excitation
 from rotorwatch.default import asked, events, hypotheses, program
@@ -29,7 +28,7 @@ from rotorwatch.errors import ConfigError
 from rotorwatch.motion.airborne import airborne
 from rotorwatch.motion.allocation import ambiguous_sets
 from rotorwatch.motion.ticks import READY_S, observe
-from rotorwatch.simulation import logbook, loop, one, prepare, scenario
+from rotorwatch.simulation import logbook, loop, prepare, scenario
 from rotorwatch.simulation.excited import EXCITED
 from rotorwatch.simulation.scenario import Scenario
 
@@ -108,9 +107,7 @@ def fly(scenarios: Sequence[Scenario], signals: Sequence[excitation.Signal]) -> 
     """(record, flight as logged) of each; equal numbers of rotors, rates and durations."""
     plans = [prepare.plan(s)._replace(schedule=signal) for s, signal in zip(scenarios, signals, strict=True)]
     first = scenarios[0]
-    records = loop.fly_many(EXCITED, loop.stack(plans), first.duration_s, first.rate_hz, first.record_hz, _kept)
-    records = load_jax().tree.map(np.asarray, records)
-    flown = [one(records, k) for k in range(len(plans))]
+    flown = loop.fly_each(EXCITED, plans, first.duration_s, first.rate_hz, first.record_hz, _kept)
     return [(r, logbook.flight(s, p, r)) for s, p, r in zip(scenarios, plans, flown, strict=True)]
 
 

@@ -41,14 +41,12 @@ def find(
     `limit` [nats] and no disturbance explains them clearly better; and, with B (4, n), trims that were learned afresh and changed as a
     rotor's loss would change them. out: the estimator's stacked outputs."""
     known = [e for e in events if e.kind in ("loss_of_effectiveness", "output_override")]
-    if not known:
-        return ()
     time, n = table.time, out.theta.shape[1]
     fault = np.asarray(hyp.fault)
     odds = np.asarray(out.log_odds)
     best_fault, best_other = odds[:, fault].max(axis=1), odds[:, ~fault].max(axis=1)
     over = (best_fault > limit) & (best_fault > best_other - hypotheses.CLEAR)
-    over &= (table.mode == JUDGE) & ~table.upset & (time > min(e.detected_s for e in known))
+    over &= (table.mode == JUDGE) & ~table.upset & (time > min((e.detected_s for e in known), default=-np.inf))
     for e in known:
         for mark in (e.detected_s, e.end_s):
             if mark is not None:
@@ -87,7 +85,12 @@ def _trims(biases: np.ndarray, table: Ticks, known: Sequence[Event], B: np.ndarr
     for a in stops:
         later = np.flatnonzero(judging[a + 1 :])
         b = a + 1 + (later[0] if later.size else 0)
-        if not later.size or table.restart[a + 1 : b + 1].any() or time[a] < min(e.detected_s for e in known):
+        if (
+            not later.size
+            or table.restart[a + 1 : b + 1].any()
+            or not known
+            or time[a] < min(e.detected_s for e in known)
+        ):
             continue
         before = judging & (time > time[a] - TRIM_S) & (time <= time[a])
         after = judging & (time >= time[b]) & (time < time[b] + TRIM_S)

@@ -14,11 +14,10 @@ from rotorwatch.simulation.multirotor import Drives, Multirotor, Plan
 class Excited(Multirotor):
     """The `loop.Aircraft` of every frame whose plan has an excitation in its schedule; one that never begins changes nothing."""
 
-    def mixed(self, plan: Plan, now, t, body, gyro, turning, own: Drives, dt: float) -> tuple:
+    def mixed(self, plan: Plan, now, t, body, gyro, turning, own: Drives) -> tuple:
         """The mixer's demands with the excitation at time t added to them."""
-        demand, free, own = super().mixed(plan, now, t, body, gyro, turning, own, dt)
-        more = excitation.at(plan.schedule, t)
-        return load_jax().numpy.clip(demand + more, 0.0, 1.0), free, own
+        demand, free = super().mixed(plan, now, t, body, gyro, turning, own)
+        return load_jax().numpy.clip(demand + excitation.at(plan.schedule, t), 0.0, 1.0), free
 
 
 EXCITED = Excited()
