@@ -324,6 +324,22 @@ def prepared(build_estimator: Callable, select: Callable, parameters, sizes: tup
     return Library(library, layout)
 
 
+class Session:
+    """A library run over rows as they come. state: the struct it has come to; not for two threads at once."""
+
+    def __init__(self, library: Library, parameters, carry):
+        layout = library.layout
+        self._library = library
+        self._packed = library.pack(layout.parameters, library.parameter_type, flattened(parameters))
+        self.state = library.pack(layout.state, library.state_type, flattened(carry))
+
+    def run(self, u, y, valid) -> Any:
+        """Outputs of the rows, stacked."""
+        u, y = (np.ascontiguousarray(a, float) for a in (u, y))
+        out = self._library.run(self.state, self._packed, u, y, np.ascontiguousarray(valid, bool))
+        return rebuilt(self._library.layout.out_like, out)
+
+
 def run(library: Library, parameters, carry, u, y, valid, progress=None):
     """(last carry, stacked outputs) of an estimator over rows, as `run.run_built` returns them."""
     layout = library.layout

@@ -1,0 +1,150 @@
+"""One vehicle while it is watched: what is known of it, its stream of samples, and the judge of its ticks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from rotorwatch import airframes
+from rotorwatch.default import events
+from rotorwatch.diagnosis import Event
+from rotorwatch.flight import Flight, Message, Signal
+from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.live.judge import Judge
+from rotorwatch.live.stream import Piece, Stream
+from rotorwatch.motion.ticks import JUDGE, LEARN, READY_KNOWN_S, READY_S
+
+
+class Session:
+    """A vehicle from the first sample on. vehicle: None until there are motor outputs to say what it is."""
+
+    def __init__(self, about: Flight, vehicle: Vehicle | None = None):
+        """about: what is known of the flight besides its signals: parameters, autopilot, facts. vehicle: None to identify it by these."""
+        self.about, self.vehicle = about, vehicle
+        self._judge: Judge | None = None
+        self._dynamics = (vehicle.identified or {}).get("dynamics") if vehicle is not None else None
+        self._known = bool(self._dynamics)
+        self._stream: Stream | None = None
+        self._early: list[tuple[Mapping[str, Signal], tuple[Message, ...]]] = []
+        self._spans: tuple[tuple[float, float], ...] = ()
+        self.now = -np.inf
+
+    def add(self, signals: Mapping[str, Signal], messages: Iterable[Message] = ()) -> None:
+        """More of the flight, in time order. Raises VehicleError when the airframe cannot be identified."""
+        self.now = max([self.now, *(float(s.time[-1]) for s in signals.values() if len(s))])
+        if self._stream is not None:
+            self._stream.add(signals, messages)
+            return
+        self._early.append((signals, tuple(messages)))
+        motors = next((s["motors"] for s, _ in self._early if "motors" in s), None)
+        if motors is None:
+            del self._early[:-500]
+            return
+        if self.vehicle is None:
+            self.vehicle = airframes.identify(replace(self.about, signals={"motors": motors}))
+        else:
+            airframes.check(self.vehicle, replace(self.about, signals={"motors": motors}))
+        self._open()
+        early, self._early = self._early, []
+        for more in early:
+            self._stream_of().add(*more)
+
+    def _stream_of(self) -> Stream:
+        assert self._stream is not None
+        return self._stream
+
+    def _open(self) -> None:
+        assert self.vehicle is not None
+        ready_s = READY_KNOWN_S if self._dynamics and "gyro" in self.about.facts.get("signals", ("gyro",)) else READY_S
+        self._stream, self._judge = Stream(self.about, self.vehicle, ready_s), None
+
+    def advance(self, complete: float | None = None) -> bool:
+        """Judge what has become known; whether there was anything. complete: as for `Stream.advance`."""
+        stream = self._stream
+        if stream is None:
+            return False
+        piece = stream.advance(complete)
+        if piece is None or stream.plan is None:
+            return False
+        if self._dynamics and self._dynamics.get("dt") != stream.plan.dt:
+            self._dynamics = None  # the noise of healthy flights at another rate is not this one's
+            return self._again(stream.window.flight(-np.inf), complete)
+        flight = stream.replanned()
+        if flight is not None:
+            return self._again(flight, complete)
+        return self._judged(piece)
+
+    def _again(self, flight: Flight, complete: float | None) -> bool:
+        """Begin anew with what is kept."""
+        self._open()
+        self._stream_of().add(flight.signals, flight.messages)
+        return self.advance(complete)
+
+    def _judged(self, piece: Piece) -> bool:
+        stream = self._stream_of()
+        assert self.vehicle is not None and stream.plan is not None
+        if self._judge is None:
+            self._judge = Judge(self.vehicle, stream.plan, self._dynamics)
+        self._judge.plan, self._spans = stream.plan, piece.spans
+        self._judge.on(piece)
+        return piece.sensed is not None
+
+    def finish(self, duration: float) -> None:
+        """The flight has ended, after `duration` s."""
+        if self._stream is None or self._stream.plan is None:
+            return
+        piece = self._stream.finish(duration)
+        if piece is not None:
+            self._judged(piece)
+
+    def events(self) -> tuple[Event, ...]:
+        """All that has happened, as it looks now."""
+        return () if self._judge is None else self._judge.events()
+
+    @property
+    def flying(self) -> bool:
+        return bool(self._spans) and self._spans[-1][1] == np.inf
+
+    @property
+    def said(self) -> int:
+        """Grows when there may be other events."""
+        return 0 if self._judge is None else self._judge.said
+
+    def losses(self) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+        """(loss, lower, upper), each (n,): of every rotor at the last tick; None before there is one."""
+        if self._judge is None or self._judge.now is None:
+            return None
+        table, out = self._judge.now
+        loss = np.asarray(out.theta[-1])
+        sd = events.sd_of(loss, np.asarray(out.theta_sd[-1]), self._judge.B)
+        unseen = 1.96 * np.asarray(out.detectable[-1]) if table.mode[-1] == JUDGE else np.ones_like(loss)
+        spread = np.where(loss > 0, 1.96 * sd, unseen)
+        return loss, np.clip(loss - spread, 0.0, 1.0), np.clip(loss + spread, 0.0, 1.0)
+
+    def blind(self) -> str:
+        """Why nothing can be judged right now, in a few words; empty when it is judged."""
+        if self._stream is None:
+            return "no motor outputs yet"
+        if self._stream.plan is None or self._judge is None:
+            return "waiting for data"
+        if not self.flying:
+            return "on the ground"
+        if self._judge.now is None:
+            return "taking off"
+        table, _ = self._judge.now
+        if self.now - table.time[-1] > 2.0:
+            return "motor outputs stopped"
+        if table.upset[-1]:
+            return "upset"
+        if table.mode[-1] == LEARN:
+            if self._judge.contact_s > self._spans[-1][0]:
+                return "learning after a knock"
+            left = self._spans[-1][0] + self._judge.plan.ready_s - table.time[-1]
+            return f"learning, {max(left, 0.0):.0f} s left"
+        if table.mode[-1] != JUDGE:
+            return "taking off"
+        if not table.valid[-1, :3].any():
+            return "no angular rates"
+        return "" if table.valid[-1, 3] else "thrust: no accelerometer"
