@@ -11,7 +11,7 @@ from rotorwatch.diagnosis import Event
 from rotorwatch.errors import ConfigError
 from rotorwatch.experiments import inject
 from rotorwatch.flight import Flight, Signal
-from rotorwatch.motion import airborne, allocation
+from rotorwatch.motion import airborne, allocation, departures
 
 ONSET = 10.0
 FLIGHTS = Path(__file__).resolve().parents[1] / ".." / "shared" / "flights"

@@ -210,7 +210,9 @@ class Steps:
     `state` is what it has come to. It can be kept, and be set again to go on from there.
     """
 
-    def __init__(self, build: Callable, parameters, select: Callable, sizes: tuple[int, int], backend: str | None = None):
+    def __init__(
+        self, build: Callable, parameters, select: Callable, sizes: tuple[int, int], backend: str | None = None
+    ):
         """Arguments as for `run_built`; sizes: of u and y. The program is compiled here, if it is not yet."""
         self._parameters, self._program, self._library = parameters, None, None
         if chosen(backend, "auto") != "jax":

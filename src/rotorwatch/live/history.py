@@ -103,7 +103,7 @@ class History:
         return self._columns[name][: self.end - self.first] if name in self._columns else np.empty(0)
 
     def settle(self, sure: int, hyp: Hypotheses, B: np.ndarray) -> tuple[Event, ...]:
-        """Drop what is not needed any more; the events of hops that are over for good. sure: ticks before this one will not be taken back."""
+        """Drop what is not needed any more; the events of hops that are over for good. sure: ticks before this will not be taken back."""
         over = [k for k in self._restarts if self.first < k < sure]
         if over:
             done = self.events(hyp, B, over[-1] + 1)

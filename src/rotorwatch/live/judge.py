@@ -7,7 +7,7 @@ that nothing on the ground is read as a fault. For that the last seconds are kep
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,7 @@ from rotorwatch.motion import outside, ticks
 from rotorwatch.motion.airborne import CONFIRM_S
 from rotorwatch.motion.allocation import Comparison, Spans
 from rotorwatch.motion.departures import Watch
-from rotorwatch.motion.ticks import SETTLE_S, Past, Plan, Sensed, Ticks
+from rotorwatch.motion.ticks import JUDGE, SETTLE_S, Past, Plan, Sensed, Ticks
 
 KEEP_EVERY_S, TAKE_BACK_S = 1.0, CONFIRM_S + 3.0
 
@@ -59,12 +59,14 @@ class Logged:
         return len(self.thrust)
 
     def __getitem__(self, part: slice) -> Logged:
-        m = self.motors
-        return Logged(replace(m, time=m.time[part], values=m.values[part], valid=m.valid[part]), self.thrust[part])
+        return Logged(self.motors.part(part), self.thrust[part])
 
     def __add__(self, later: Logged) -> Logged:
-        pairs = {name: np.concatenate([getattr(self.motors, name), getattr(later.motors, name)]) for name in ("time", "values", "valid")}
-        return Logged(replace(self.motors, **pairs), np.concatenate([self.thrust, later.thrust]))
+        both = ((getattr(self.motors, name), getattr(later.motors, name)) for name in ("time", "values", "valid"))
+        return Logged(
+            self.motors.with_arrays(*(np.concatenate(pair) for pair in both)),
+            np.concatenate([self.thrust, later.thrust]),
+        )
 
     @property
     def time(self) -> np.ndarray:
@@ -106,7 +108,7 @@ class Kept:
 
 
 class Judge:
-    """One vehicle, tick by tick. now: the last tick and what was made of it, a `Ticks` and the estimator's outputs of some rows, or None."""
+    """One vehicle, tick by tick. now: the last ticks, and the estimator's outputs of these rows; None before there are any."""
 
     def __init__(self, vehicle: Vehicle, plan: Plan, dynamics=None):
         self.vehicle, self.plan = vehicle, plan
@@ -119,10 +121,11 @@ class Judge:
         self._history = History(plan.dt)
         self._tapes = (Tape(), Tape(), Tape())  # Sensed, Compared, Logged
         self._spans: Spans = ()
-        self._time = -np.inf
+        self._time = self._air_s = -np.inf
         self._done: tuple[Event, ...] = ()
         self._fallen: dict[float, tuple[tuple[float, float], ...]] = {}
         self.now: tuple[Ticks, Any] | None = None
+        self.judged = False
         self._kept = [self._keep()]
 
     def on(self, piece: Piece) -> None:
@@ -134,7 +137,9 @@ class Judge:
         if changed <= self._time:
             self._take_back(changed)
         self._judge_ticks()
-        self._judge_outputs(piece.air_s)
+        if piece.air_s > self._air_s:
+            self._judge_outputs(piece.air_s)
+            self._air_s = piece.air_s
         if self._time - self._kept[-1].time >= KEEP_EVERY_S:
             self._kept.append(self._keep())
             while len(self._kept) > 2 and self._kept[1].time < self._time - TAKE_BACK_S:
@@ -211,6 +216,7 @@ class Judge:
         self._history.add(table, out)
         self._time = max(self._time, float(table.time[-1]))
         self.now = table, out
+        self.judged |= bool((table.mode == JUDGE).any())
 
     def _judge_outputs(self, known_s: float) -> None:
         """Outputs against the mixer, up to when it is known whether the vehicle flies."""

@@ -104,6 +104,11 @@ class Session:
         return () if self._judge is None else self._judge.events()
 
     @property
+    def judged(self) -> bool:
+        """Whether any tick has been judged."""
+        return self._judge is not None and self._judge.judged
+
+    @property
     def flying(self) -> bool:
         return bool(self._spans) and self._spans[-1][1] == np.inf
 

@@ -21,6 +21,7 @@ from rotorwatch.motion.contact import Shaken
 from rotorwatch.motion.ticks import Plan, Sensed
 
 LATE_S = 0.9  # a signal that is this much behind the others is not waited for; less than the second after lift-off that nobody judges
+AIR_S = 0.2  # nor does anybody ask at once whether the vehicle flies
 FIRST, FIRST_S, LEAST = 64, 20.0, 20  # commands from which a flight is planned, or so long and so many
 BACK_S = 2.0
 COMMANDS = ("motors", "lift", "battery")
@@ -46,7 +47,8 @@ class Stream:
 
     def __init__(self, about: Flight, vehicle: Vehicle, ready_s: float):
         """about: what is known of the flight besides its signals. ready_s: blind time after lift-off."""
-        self.window, self.vehicle, self.plan = Window(about), vehicle, None
+        self.window, self.vehicle = Window(about), vehicle
+        self.plan: Plan | None = None
         self._ready_s, self._air = ready_s, Airborne()
         self._learned, self._shaken, self._checks = Learned(), Shaken(), None
         self._mixing, self._planned_aloft = False, False
@@ -70,10 +72,11 @@ class Stream:
         if self.plan is None and not self._begin(now):
             self.window.forget(now - 60.0)
             return None
-        self._follow_air(now, complete if end is None else end)
+        self._follow_air(now, complete if end is None else end, end)
         check, command = self._compare()
-        motors, thrust = self._log(now if complete is None else complete)
-        self._rebuild(motors, thrust, now if complete is None else complete, check)
+        until = now if complete is None else complete
+        motors, thrust = self._log(until)
+        self._rebuild(motors, thrust, until, check)
         sensed = self._sense(now, complete)
         self._forget(now)
         return Piece(self._air.spans(), self._air.now, sensed, check, command, motors, thrust)
@@ -114,13 +117,13 @@ class Stream:
         self.plan = ticks.plan(flight, thrust, self._ready_s)
         return True
 
-    def _follow_air(self, now: float, complete: float | None) -> None:
+    def _follow_air(self, now: float, complete: float | None, end: float | None) -> None:
         until = now if complete is None else complete
         if complete is None:
             for name in ("motors", "accel", "gyro", "velocity"):
                 if name in self.window.names:
                     until = min(until, max(self.window.newest(name), now - LATE_S))
-        if until <= self._air.now:
+        if until < self._air.now + (AIR_S if end is None else 0.0):
             return
         time, command = commands(self.window.flight(self._air.now, ("motors",)))
         given = slice(max(np.searchsorted(time, self._air.now, "right") - 1, 0), np.searchsorted(time, until, "right"))
@@ -137,12 +140,16 @@ class Stream:
         known = control.time[control.valid.all(axis=1)]
         if not len(known):
             return None, None
-        new = slice(np.searchsorted(motors.time, self._compared, "right"), np.searchsorted(motors.time, known[-1], "right"))
+        new = slice(
+            np.searchsorted(motors.time, self._compared, "right"), np.searchsorted(motors.time, known[-1], "right")
+        )
         if new.start >= new.stop:
             return None, None
-        part = _part(motors, new)
+        part = motors.part(new)
         self._compared = float(part.time[-1])
-        check = allocation.compare(replace(flight, signals={**flight.signals, "motors": part}), self.vehicle, self._learned)
+        check = allocation.compare(
+            replace(flight, signals={**flight.signals, "motors": part}), self.vehicle, self._learned
+        )
         if not len(check.time):
             return None, None
         return check, allocation.hold(part.time, part.values, check.time)
@@ -156,12 +163,14 @@ class Stream:
         new = slice(np.searchsorted(time, self._logged, "right"), np.searchsorted(time, until, "right"))
         if new.start >= new.stop:
             return None, None
-        motors = _part(flight["motors"], new)
+        motors = flight["motors"].part(new)
         self._logged = float(motors.time[-1])
         thrust = allocation.motor_thrusts(replace(flight, signals={**flight.signals, "motors": motors}), self.vehicle)
         return motors, thrust.values
 
-    def _rebuild(self, motors: Signal | None, thrust: np.ndarray | None, until: float, check: Comparison | None) -> None:
+    def _rebuild(
+        self, motors: Signal | None, thrust: np.ndarray | None, until: float, check: Comparison | None
+    ) -> None:
         """The thrusts that ticks are made of."""
         if not self._mixing:
             if motors is not None and thrust is not None:
@@ -176,7 +185,7 @@ class Stream:
         new = slice(np.searchsorted(time, self._rebuilt, "right"), np.searchsorted(time, until, "right"))
         if new.start >= new.stop:
             return
-        control = _part(flight["control"], new)
+        control = flight["control"].part(new)
         piece = replace(flight, signals={**flight.signals, "control": control})
         logged = allocation.motor_thrusts(piece, self.vehicle)
         self._extend(allocation.better(logged, allocation.rebuilt(piece, self.vehicle, self._checks)))
@@ -225,7 +234,3 @@ class Stream:
         self.window.forget(before)
         if self._thrust is not None:
             self._thrust.forget(before)
-
-
-def _part(signal: Signal, part: slice) -> Signal:
-    return replace(signal, time=signal.time[part], values=signal.values[part], valid=signal.valid[part])

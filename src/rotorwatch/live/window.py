@@ -61,10 +61,7 @@ class Growing:
         old = int(np.searchsorted(self.time, start))
         known = np.flatnonzero(self._valid[self._first : self._first + old].any(axis=1))
         part = slice(self._first + (int(known[-1]) if known.size else max(old - 1, 0)), self._end)
-        like = self._like
-        return Signal(
-            self._time[part], self._values[part], like.columns, like.unit, like.frame, like.source, self._valid[part]
-        )  # fmt: skip
+        return self._like.with_arrays(self._time[part], self._values[part], self._valid[part])
 
 
 class Window:

@@ -170,18 +170,19 @@ class Airborne:
         self.now = -np.inf
         self.closed: list[tuple[float, float]] = []
         self._monitor, self._start, self._tick = Monitor(), None, None
+        self._start: float | None
         self._last = -np.inf  # the last motor command
 
     def intervals(self) -> tuple[tuple[float, float], ...]:
         """As `airborne` gives them: one that still lasts ends with the last motor command."""
-        return (*self.closed, *([(self._start, self._last)] if self._flying() else []))
+        return (*self.closed, *self._open())
 
     def spans(self) -> tuple[tuple[float, float], ...]:
         """The same, but one that still lasts has no end."""
         return (*self.closed, *([(self._start, np.inf)] if self._start is not None else []))
 
-    def _flying(self) -> bool:
-        return self._start is not None and self._last > self._start
+    def _open(self) -> list[tuple[float, float]]:
+        return [(self._start, self._last)] if self._start is not None and self._last > self._start else []
 
     def on(self, flight: Flight, time: np.ndarray, command: np.ndarray, until: float) -> None:
         """Go on to `until` s. time, command (n,): motor commands up to then, from the last one before `now` on. flight: all that was
@@ -202,8 +203,7 @@ class Airborne:
     def _finish(self, flight, time, command) -> None:
         """A stretch of motor commands that a long gap ends."""
         self._walk(flight, time, command, float(time[-1]) + GAP_S)
-        if self._flying():
-            self.closed.append((self._start, self._last))
+        self.closed += self._open()
         self._monitor, self._start, self._tick = Monitor(), None, None
 
     def _walk(self, flight, time, command, end: float) -> None:

@@ -137,6 +137,11 @@ class Runs:
         self._open: Override | None = None
         self._over: list[Override] = []
 
+    @property
+    def busy(self) -> bool:
+        """In a spell, or in what may become one."""
+        return self._open is not None or self._onset is not None
+
     def found(self) -> list[Override]:
         """All so far; the last may still last."""
         return [*self._over, *([self._open] if self._open else [])]
@@ -162,6 +167,7 @@ class Runs:
                     k += 1
                     continue
                 self._open, self._well = told(k, self._onset, self._low, self._high), None
+            assert self._open is not None
             self._well = (time[k] if self._well is None else self._well) if back[k] else None
             if self._well is not None and time[k] - self._well >= BACK_S:
                 self._over.append(replace(self._open, end=float(self._well)))
@@ -312,6 +318,10 @@ class _Silence:
         inside = aloft & np.all(motors.valid, axis=1)
         stills = np.stack([self._still[j].on(time, motors.values[:, j]) for j in range(n)], axis=1)
         resting = (time[:, None] - stills > SILENT_S) & inside[:, None]
+        low_ones = (motors.values <= low + 0.01 * span) & inside[:, None]
+        if not (resting.any() or low_ones.any() or any(runs.busy for ways in self._runs for runs in ways)):
+            self._moved(time, thrust, np.empty(0, int))
+            return
         moved = self._moved(time, thrust, np.flatnonzero(resting.any(axis=1)))
         for k in range(n):
             others, command = np.delete(thrust, k, axis=1), motors.values[:, k]

@@ -13,6 +13,7 @@ in the air and then kept for that hop. All frames body FRD.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -137,19 +138,20 @@ def _window(signal: Signal, centre: np.ndarray, half: float, period: float | Non
         [np.zeros((1, values.shape[1])), np.cumsum(0.5 * (values[1:] + values[:-1]) * step, axis=0)]
     )
 
-    def area(t):
-        i = np.clip(np.searchsorted(time, t, "right") - 1, 0, time.size - 2)
-        s = np.clip((t - time[i]) / (time[i + 1] - time[i]), 0.0, 1.0)[:, None]
-        width = (time[i + 1] - time[i])[:, None]
-        return integral[i] + width * (values[i] * s + 0.5 * (values[i + 1] - values[i]) * s * s)
-
-    def mean(a, b):
-        return (area(b) - area(a)) / (b - a)[:, None]
-
     end = half * 0.25
     lo, hi = centre - half, centre + half
-    middle = mean(lo, hi)
-    slope = (mean(hi - end, hi) - mean(lo, lo + end)) / (2.0 * half - end)
+    t = np.concatenate([lo, lo + end, hi - end, hi])
+    i = np.minimum(np.maximum(np.searchsorted(time, t, "right") - 1, 0), time.size - 2)
+    width = (time[i + 1] - time[i])[:, None]
+    s = np.minimum(np.maximum((t - time[i])[:, None] / width, 0.0), 1.0)
+    area = integral[i] + width * (values[i] * s + 0.5 * (values[i + 1] - values[i]) * s * s)
+    first, start, last, stop = np.split(area, 4)
+
+    def mean(a, b, length):
+        return (b - a) / length[:, None]
+
+    middle = mean(first, stop, hi - lo)
+    slope = (mean(last, stop, hi - (hi - end)) - mean(first, start, (lo + end) - lo)) / (2.0 * half - end)
     gap = np.searchsorted(time, hi, "right") - np.searchsorted(time, lo, "left")
     period = _period(signal) if period is None else period
     least = max(1, int(half / period * 0.8)) if period > 0.0 else 1
@@ -262,11 +264,13 @@ class Sensed:
         return len(self.time)
 
     def __getitem__(self, part: slice) -> Sensed:
-        return Sensed(*[None if x is None else x[part] for x in vars(self).values()])
+        columns: list[Any] = [None if x is None else x[part] for x in vars(self).values()]
+        return Sensed(*columns)
 
     def __add__(self, later: Sensed) -> Sensed:
         pairs = zip(vars(self).values(), vars(later).values())
-        return Sensed(*[None if a is None or b is None else np.concatenate([a, b]) for a, b in pairs])
+        columns: list[Any] = [None if a is None or b is None else np.concatenate([a, b]) for a, b in pairs]
+        return Sensed(*columns)
 
 
 def sense(flight: Flight, thrust: Signal, hi: np.ndarray, plan: Plan, shaken: Shaken | None = None) -> Sensed:
@@ -401,11 +405,11 @@ def assemble(
     units = mean / scale[:, None]
     wrench = units @ B.T
     fresh = some & seen.rate_ok & (seen.load_ok | (seen.push is None)) & (mode > GROUND)
-    rows = (time, seen.push, seen.load, seen.shake, units, wrench[:, :3], seen.rate_dot, fresh)
+    rows: tuple[Any, ...] = (time, seen.push, seen.load, seen.shake, units, wrench[:, :3], seen.rate_dot, fresh)
     if past.recent:
         rows = tuple(None if b is None else np.concatenate([a, b]) for a, b in zip(past.recent, rows))
     known = len(rows[0]) - count
-    contact, contacts, hit = struck(*rows, dt, known, past.contacts, past.hit)
+    contact, contacts, hit = struck(*rows, dt=dt, known=known, before=past.contacts, last=past.hit)
     learned = _learned_again(contact, restart, units, scale, rate, fresh, past.learned)
     mode[(mode == JUDGE) & (learned < round(plan.ready_s / dt))] = LEARN
     valid &= (~upset & ~contact & (mode > GROUND))[:, None]

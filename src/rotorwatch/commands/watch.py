@@ -1,0 +1,100 @@
+"""The command that judges vehicles while they fly."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import click
+
+from rotorwatch.commands.tools import LOG, common, label, progress, say
+from rotorwatch.errors import ConfigError
+
+FAULT, NOTHING = 1, 3
+
+
+def register(group: click.Group) -> None:
+    """Add the command of this module to the command line."""
+    group.add_command(watch)
+
+
+@click.command(short_help="Judge vehicles while they fly.")
+@click.argument("endpoints", nargs=-1, required=True, metavar="ENDPOINT...")
+@click.option(
+    "--speed", default="1", show_default=True, metavar="N|max", help="Of a replayed log: times real time, or max."
+)
+@click.option("--vehicle", type=LOG, metavar="FILE", help="Vehicle file (TOML) of all vehicles that are watched.")
+@click.option("--jsonl", is_flag=True, help="Alerts as JSON lines on standard output (docs/watch.md), no picture.")
+@common
+def watch(endpoints, speed, vehicle, jsonl, quiet) -> None:
+    """Judge vehicles while they fly. ENDPOINT: a recorded log, replayed in real time.
+
+    Exit code, once all endpoints have ended: 0 no event, 1 a fault was found, 3 nothing could be judged, 2 error.
+    """
+    from rotorwatch.live.watch import watch as run
+
+    rate = _speed(speed)
+    known = _vehicle(vehicle)
+    tell = _lines if jsonl else _sentences(quiet)
+    sources = [_source(endpoint, tell, known, rate, quiet) for endpoint in endpoints]
+    run(sources)
+    raise click.exceptions.Exit(_code([v for source in sources for v in source.vehicles]))
+
+
+def _speed(text: str) -> float:
+    try:
+        speed = math.inf if text == "max" else float(text)
+    except ValueError:
+        speed = math.nan
+    if not speed > 0.0:
+        raise ConfigError(f"--speed {text}: give a number above 0, or max.")
+    return speed
+
+
+def _vehicle(path: Path | None) -> Any:
+    from rotorwatch.flight.vehicle_file import read
+
+    return read(path) if path else None
+
+
+def _source(endpoint: str, tell, known, speed: float, quiet: bool) -> Any:
+    from rotorwatch.live.replay import Replay
+    from rotorwatch.live.watched import Watched
+    from rotorwatch.logs import read
+
+    path = LOG.convert(endpoint, None, None)
+    if not path.exists():
+        raise ConfigError(f"{endpoint}: no such log; give a log file.")
+    with progress(quiet) as report:
+        flight = read(path, report)
+    return Replay(flight, Watched(label(path.name), tell, known), speed)
+
+
+def _lines(alert: dict) -> None:
+    """Alerts for programs."""
+    click.echo(json.dumps(alert, allow_nan=False))
+
+
+def _sentences(quiet: bool):
+    """Alerts for people, where no picture can be drawn."""
+
+    def tell(alert: dict) -> None:
+        if alert["type"] == "event":
+            event, what = alert["event"], alert["state"]
+            click.echo(
+                f"{alert['vehicle']}: {what}: {event['kind'].replace('_', ' ')} at {event['onset_s']:.1f} s; {event['reason']}"
+            )
+        elif not quiet and alert["type"] != "vehicle":
+            say(f"{alert['vehicle']}: {alert['text']}")
+
+    return tell
+
+
+def _code(vehicles) -> int:
+    if any(e.kind in ("loss_of_effectiveness", "output_override") for v in vehicles for e in v.events):
+        return FAULT
+    return (
+        NOTHING if not vehicles or any(v.trouble or v.session is None or not v.session.judged for v in vehicles) else 0
+    )
