@@ -465,7 +465,7 @@ def test_an_output_is_accused_with_what_is_left_under_the_share_of_yaw_that_suit
     for share in departures.GIVEN_UP:
         off = demand - (asked - share * yaw)
         others = np.delete(off, 1)
-        if np.sum(np.abs(others - np.median(others)) < allocation.PART) > allocation.AGREEING * 5:
+        if np.sum(np.abs(others - np.median(others)) < allocation.PART) > departures.AGREEING * 5:
             left.append(off[1] - np.median(others))
     assert len(left) > 1 and min(left, key=abs) != left[-1]
     rows = np.zeros((2, 1))

@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from rotorwatch.commands.tools import LOG, common, label, progress, say
+from rotorwatch.commands.tools import LOG, OUT, common, label, progress, say
 from rotorwatch.errors import ConfigError
 
 FAULT, NOTHING = 1, 3
@@ -26,20 +26,44 @@ def register(group: click.Group) -> None:
     "--speed", default="1", show_default=True, metavar="N|max", help="Of a replayed log: times real time, or max."
 )
 @click.option("--vehicle", type=LOG, metavar="FILE", help="Vehicle file (TOML) of all vehicles that are watched.")
+@click.option("--record", type=OUT, metavar="DIR", help="Record every link in this folder, as telemetry logs (.tlog).")
+@click.option("--listen-only", is_flag=True, help="Send nothing: neither ask for parameters nor for rates.")
+@click.option("--seconds", type=float, default=math.inf, metavar="S", help="Stop after so long.")
+@click.option(
+    "--patience",
+    type=float,
+    default=30.0,
+    show_default=True,
+    metavar="S",
+    help="Wait so long for a first vehicle on a link.",
+)
 @click.option("--jsonl", is_flag=True, help="Alerts as JSON lines on standard output (docs/watch.md), no picture.")
 @common
-def watch(endpoints, speed, vehicle, jsonl, quiet) -> None:
-    """Judge vehicles while they fly. ENDPOINT: a recorded log, replayed in real time.
+def watch(endpoints, speed, vehicle, record, listen_only, seconds, patience, jsonl, quiet) -> None:
+    """Judge vehicles while they fly. ENDPOINT: udp:PORT, udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, serial:DEVICE:BAUD, or a
+    recorded log, which is replayed in real time.
 
     Exit code, once all endpoints have ended: 0 no event, 1 a fault was found, 3 nothing could be judged, 2 error.
     """
+    from rotorwatch.live.endpoint import is_endpoint, open_endpoint
+    from rotorwatch.live.link import Link
     from rotorwatch.live.watch import watch as run
 
     rate = _speed(speed)
     known = _vehicle(vehicle)
     tell = _lines if jsonl else _sentences(quiet)
-    sources = [_source(endpoint, tell, known, rate, quiet) for endpoint in endpoints]
-    run(sources)
+    sources: list[Any] = []
+    try:
+        for endpoint in endpoints:
+            if is_endpoint(endpoint):
+                sources.append(Link(open_endpoint(endpoint), tell, known, record, not listen_only, patience))
+            else:
+                sources.append(_replay(endpoint, tell, known, rate, quiet))
+    except BaseException:
+        for source in sources:
+            source.leave()
+        raise
+    run(sources, None, seconds)
     raise click.exceptions.Exit(_code([v for source in sources for v in source.vehicles]))
 
 
@@ -59,14 +83,15 @@ def _vehicle(path: Path | None) -> Any:
     return read(path) if path else None
 
 
-def _source(endpoint: str, tell, known, speed: float, quiet: bool) -> Any:
+def _replay(endpoint: str, tell, known, speed: float, quiet: bool) -> Any:
+    from rotorwatch.live.endpoint import KINDS
     from rotorwatch.live.replay import Replay
     from rotorwatch.live.watched import Watched
     from rotorwatch.logs import read
 
     path = LOG.convert(endpoint, None, None)
     if not path.exists():
-        raise ConfigError(f"{endpoint}: no such log; give a log file.")
+        raise ConfigError(f"{endpoint}: no such log; give a log file, or an endpoint: {KINDS}.")
     with progress(quiet) as report:
         flight = read(path, report)
     return Replay(flight, Watched(label(path.name), tell, known), speed)

@@ -30,7 +30,7 @@ class Replay:
     def vehicles(self) -> tuple[Watched, ...]:
         return (self.watched,)
 
-    def poll(self) -> bool:
+    def poll(self, wait_s: float = 0.05) -> bool:
         """Give the next piece when its time has come; False when there is none left."""
         if self._before > self._end:
             return False
@@ -38,8 +38,8 @@ class Replay:
         if np.isfinite(self._speed):
             ahead = (now - self._first) / self._speed - (time.monotonic() - self._began)
             if ahead > 0.0:
-                time.sleep(min(ahead, 0.05))
-                if ahead > 0.05:
+                time.sleep(min(ahead, wait_s))
+                if ahead > wait_s:
                     return True
         signals = {name: s.between(self._before, now) for name, s in self._flight.signals.items()}
         messages = [m for m in self._flight.messages if self._before <= m.time < now]
@@ -51,3 +51,8 @@ class Replay:
         if now > self._end:
             self.watched.finish(self._flight.duration)
         return True
+
+    def leave(self) -> None:
+        """Nothing is to be given back."""
+        if self._before <= self._end:
+            self.watched.finish()

@@ -91,6 +91,11 @@ class Session:
         self._judge.on(piece)
         return piece.sensed is not None
 
+    @property
+    def due_s(self) -> float:
+        """The vehicle's time from which there may be something to judge."""
+        return -np.inf if self._stream is None else self._stream.due_s
+
     def finish(self, duration: float) -> None:
         """The flight has ended, after `duration` s."""
         if self._stream is None or self._stream.plan is None:

@@ -81,6 +81,14 @@ class Stream:
         self._forget(now)
         return Piece(self._air.spans(), self._air.now, sensed, check, command, motors, thrust)
 
+    @property
+    def due_s(self) -> float:
+        """Time from which there may be another tick: nothing need be asked for before."""
+        if self.plan is None:
+            return self.window.now + AIR_S
+        waits = self._waiting[0] if self._waiting.size else self._last + 1
+        return min(float(self.plan.first + self.plan.dt * waits) + self.plan.lag_s, self.window.now + AIR_S)
+
     def replanned(self) -> Flight | None:
         """At the first lift-off: the flight that is kept, when its rates are not those that it was planned by, so that it must be begun
         anew; None when all is well."""
