@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -51,7 +53,7 @@ def watch(endpoints, speed, vehicle, record, listen_only, seconds, patience, jso
 
     rate = _speed(speed)
     known = _vehicle(vehicle)
-    tell = _lines if jsonl else _sentences(quiet)
+    tell = _lines if jsonl else (lambda alert: None) if _screen() else _sentences(quiet)
     sources: list[Any] = []
     try:
         for endpoint in endpoints:
@@ -63,8 +65,31 @@ def watch(endpoints, speed, vehicle, record, listen_only, seconds, patience, jso
         for source in sources:
             source.leave()
         raise
-    run(sources, None, seconds)
+    if jsonl or not _screen():
+        run(sources, None, seconds)
+    else:
+        _drawn(lambda show: run(sources, show, seconds))
     raise click.exceptions.Exit(_code([v for source in sources for v in source.vehicles]))
+
+
+def _screen() -> bool:
+    """Whether a picture can be drawn on standard output."""
+    return (
+        sys.stdout is not None
+        and sys.stdout.isatty()
+        and os.environ.get("TERM", "").lower() not in ("dumb", "unknown", "")
+    )
+
+
+def _drawn(run) -> None:
+    """Run with a picture of all vehicles that is drawn again and again."""
+    from rich.live import Live
+
+    from rotorwatch.live.view import table
+    from rotorwatch.report import terminal
+
+    with Live(console=terminal.console(), auto_refresh=False, vertical_overflow="crop") as picture:
+        run(lambda sources: picture.update(table(sources), refresh=True))
 
 
 def _speed(text: str) -> float:

@@ -197,9 +197,9 @@ class Link:
     def vehicles(self) -> tuple[Watched, ...]:
         return tuple(heard.watched for heard in self._heard.values())
 
-    @property
-    def heard(self) -> tuple[Heard, ...]:
-        return tuple(self._heard.values())
+    def shown(self) -> list[tuple[Watched, str]]:
+        """Each vehicle with what is not known of it yet."""
+        return [(heard.watched, heard.waits_for()) for heard in self._heard.values()]
 
     def _open(self, folder: Path):
         name = re.sub(r"[^A-Za-z0-9]+", "-", self.endpoint.name).strip("-")

@@ -52,6 +52,10 @@ class Replay:
             self.watched.finish(self._flight.duration)
         return True
 
+    def shown(self) -> list[tuple[Watched, str]]:
+        """The vehicle; all is known of it."""
+        return [(self.watched, "")]
+
     def leave(self) -> None:
         """Nothing is to be given back."""
         if self._before <= self._end:

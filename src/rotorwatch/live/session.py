@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
@@ -17,6 +18,35 @@ from rotorwatch.live.stream import Piece, Stream
 from rotorwatch.motion.ticks import JUDGE, LEARN, READY_KNOWN_S, READY_S
 
 
+_ONE = threading.Lock()
+
+
+class Building:
+    """A judge that is made in a thread of its own."""
+
+    def __init__(self, *about):
+        self._made: list[Judge | BaseException] = []
+        self._thread = threading.Thread(target=self._make, args=about)
+        self._thread.start()
+
+    def _make(self, *about) -> None:
+        try:
+            with _ONE:  # the second of a kind finds what the first has built
+                self._made.append(Judge(*about))
+        except BaseException as why:  # raised again where it is asked for
+            self._made.append(why)
+
+    def judge(self, wait: bool) -> Judge | None:
+        """The judge; None when it is not ready yet."""
+        self._thread.join(None if wait else 0.0)
+        if self._thread.is_alive():
+            return None
+        (made,) = self._made
+        if isinstance(made, BaseException):
+            raise made
+        return made
+
+
 class Session:
     """A vehicle from the first sample on. vehicle: None until there are motor outputs to say what it is."""
 
@@ -24,6 +54,8 @@ class Session:
         """about: what is known of the flight besides its signals: parameters, autopilot, facts. vehicle: None to identify it by these."""
         self.about, self.vehicle = about, vehicle
         self._judge: Judge | None = None
+        self._building: Building | None = None
+        self._pieces: list[Piece] = []
         self._dynamics = (vehicle.identified or {}).get("dynamics") if vehicle is not None else None
         self._known = bool(self._dynamics)
         self._stream: Stream | None = None
@@ -59,6 +91,7 @@ class Session:
         assert self.vehicle is not None
         ready_s = READY_KNOWN_S if self._dynamics and "gyro" in self.about.facts.get("signals", ("gyro",)) else READY_S
         self._stream, self._judge = Stream(self.about, self.vehicle, ready_s), None
+        self._building, self._pieces = None, []
 
     def advance(self, complete: float | None = None) -> bool:
         """Judge what has become known; whether there was anything. complete: as for `Stream.advance`."""
@@ -74,7 +107,7 @@ class Session:
         flight = stream.replanned()
         if flight is not None:
             return self._again(flight, complete)
-        return self._judged(piece)
+        return self._judged(piece, complete is not None)
 
     def _again(self, flight: Flight, complete: float | None) -> bool:
         """Begin anew with what is kept."""
@@ -82,14 +115,24 @@ class Session:
         self._stream_of().add(flight.signals, flight.messages)
         return self.advance(complete)
 
-    def _judged(self, piece: Piece) -> bool:
+    def _judged(self, piece: Piece, wait: bool) -> bool:
+        """Give a piece to the judge. Where native code is built for the first time that takes seconds, in which a link must be read:
+        unless told to `wait`, pieces are put by until it is there."""
         stream = self._stream_of()
         assert self.vehicle is not None and stream.plan is not None
+        self._spans = piece.spans
+        self._pieces.append(piece)
         if self._judge is None:
-            self._judge = Judge(self.vehicle, stream.plan, self._dynamics)
-        self._judge.plan, self._spans = stream.plan, piece.spans
-        self._judge.on(piece)
-        return piece.sensed is not None
+            if self._building is None:
+                self._building = Building(self.vehicle, stream.plan, self._dynamics)
+            self._judge = self._building.judge(wait)
+            if self._judge is None:
+                return False
+        self._judge.plan = stream.plan
+        pieces, self._pieces = self._pieces, []
+        for one in pieces:
+            self._judge.on(one)
+        return any(one.sensed is not None for one in pieces)
 
     @property
     def due_s(self) -> float:
@@ -102,7 +145,7 @@ class Session:
             return
         piece = self._stream.finish(duration)
         if piece is not None:
-            self._judged(piece)
+            self._judged(piece, True)
 
     def events(self) -> tuple[Event, ...]:
         """All that has happened, as it looks now."""
@@ -137,8 +180,10 @@ class Session:
         """Why nothing can be judged right now, in a few words; empty when it is judged."""
         if self._stream is None:
             return "no motor outputs yet"
-        if self._stream.plan is None or self._judge is None:
+        if self._stream.plan is None:
             return "waiting for data"
+        if self._judge is None:
+            return "building the estimator, the first time only"
         if not self.flying:
             return "on the ground"
         if self._judge.now is None:

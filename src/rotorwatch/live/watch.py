@@ -24,6 +24,10 @@ class Source(Protocol):
         """Take what has come, waiting for it so long at most; False when there will be no more."""
         ...
 
+    def shown(self) -> Sequence[tuple[Watched, str]]:
+        """Each vehicle with what is not known of it yet."""
+        ...
+
     def leave(self) -> None:
         """Watched no longer."""
         ...
