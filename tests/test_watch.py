@@ -1,13 +1,16 @@
 """A flight given piece by piece is judged as it is in one piece: the law of `rotorwatch watch`."""
 
+import io
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.console import Console
 from tests.conftest import hexa_event
 
 from rotorwatch import airframes, cli, diagnose, logs
+from rotorwatch.live import view
 from rotorwatch.live.changes import Changes
 from rotorwatch.live.replay import Replay
 from rotorwatch.live.stream import Stream
@@ -196,3 +199,37 @@ def test_changes_are_told_once():
     assert (again.what, again.number) == ("announced", 2)
     (last,) = changes.of([hexa_event(loss=(0.371,))], final=True)
     assert last.what == "final"
+
+
+def watched_with(events, **known):
+    watched = Watched("udp:14550/1", lambda alert: None)
+    watched.changes.of(events)
+    for name, value in known.items():
+        setattr(watched.health, name, value)
+    return watched
+
+
+def test_the_view_says_what_is_wrong_first():
+    fault = view.line(watched_with([hexa_event()]))
+    assert fault.state == "FAULT" and fault.link == "good"
+    assert fault.events == ("rotor 3 lost 37 % (33–41 %) since 31.2 s (0 s ago)",)
+    maybe = view.line(watched_with([hexa_event(alternatives=((4,),))]))
+    assert maybe.state == "MAYBE" and maybe.events[0].endswith("; or 4")
+    over = view.line(watched_with([hexa_event(end_s=40.0)], lost=5, taken=95, reboots=1), "parameters, 40 %")
+    assert (over.state, over.blind) == ("GROUND", "waiting for parameters, 40 %")
+    assert over.link == "5.0 % lost, 1 reboots" and over.events[0].endswith(", over at 40.0 s")
+    silent = view.line(watched_with([], heard=-100.0))
+    assert silent.state == "SILENT" and "silent for" in silent.link
+    knock = hexa_event(kind="contact", rotors=(), loss=(), interval=(), end_s=31.2)
+    assert view.line(watched_with([knock])).events == ("knock or contact at 31.2 s (0 s ago)",)
+
+
+def test_the_view_fits_a_narrow_terminal():
+    class Source:
+        def shown(self):
+            return [(watched_with([hexa_event()]), "")]
+
+    screen = Console(width=60, color_system=None, file=io.StringIO())
+    screen.print(view.table([Source()]))
+    said = screen.file.getvalue()
+    assert "FAULT" in said and "rotor 3 lost 37 %" in said and max(map(len, said.splitlines())) <= 60

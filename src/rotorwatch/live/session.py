@@ -17,7 +17,6 @@ from rotorwatch.live.judge import Judge
 from rotorwatch.live.stream import Piece, Stream
 from rotorwatch.motion.ticks import JUDGE, LEARN, READY_KNOWN_S, READY_S
 
-
 _ONE = threading.Lock()
 
 
