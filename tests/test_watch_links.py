@@ -11,7 +11,7 @@ from tests.mavlink_vehicle import Autopilot, messages
 
 from rotorwatch import cli, diagnose, logs
 from rotorwatch.errors import LinkError
-from rotorwatch.live import endpoint, talk
+from rotorwatch.live import endpoint, mavlink, talk
 from rotorwatch.live.clock import Clock, Restarted
 from rotorwatch.live.link import Link
 
@@ -258,6 +258,28 @@ def test_random_datagrams_are_ignored_and_counted():
         wire.put(bytes(data), peer=k % 5)
         link.poll(0.0)
     assert link.damaged > 100 and link.vehicles == () and wire.sent == []
+
+
+def test_wild_values_in_sound_frames_end_nothing(flight):
+    """Any bits in the payloads of any message that is read, among those of a flight: told at most, and judged on."""
+    rng = np.random.default_rng(5)
+    link, wire, autopilot, _alerts, data = linked(flight, seconds=14.0)
+    seeds = {m.msgname: m.crc_extra for m in talk.messages().mavlink_map.values()}
+    known = [
+        (k, v) for k, v in mavlink.layouts().items() if v.name in seeds and v.name not in ("HEARTBEAT", "PARAM_VALUE")
+    ]
+
+    def mangled(piece):
+        identity, layout = known[rng.integers(len(known))]
+        head = bytes((layout.kind.itemsize, 0, 0, rng.integers(256), 1, 1)) + identity.to_bytes(3, "little")
+        body = head + rng.bytes(layout.kind.itemsize)
+        check = talk.messages().x25crc(body + bytes([seeds[layout.name]])).crc
+        return [*piece, b"\xfd" + body + check.to_bytes(2, "little")]
+
+    sent_over(link, wire, of(autopilot, data), mangled)
+    (watched,) = link.vehicles
+    assert watched.trouble == "" and watched.session is not None and watched.session.now > 5.0
+    link.leave()
 
 
 @pytest.mark.parametrize(

@@ -137,7 +137,7 @@ def _sentences(quiet: bool):
                 f"{alert['vehicle']}: {what}: {event['kind'].replace('_', ' ')} at {event['onset_s']:.1f} s; {event['reason']}"
             )
         elif not quiet and alert["type"] != "vehicle":
-            say(f"{alert['vehicle']}: {alert['text']}")
+            say(alert["text"] if alert["vehicle"] in alert["text"] else f"{alert['vehicle']}: {alert['text']}")
 
     return tell
 

@@ -120,7 +120,7 @@ class Heard:
         if self._link.talks:
             self._parameters.step(now, self._send)
             self._identity.step(now, self._send)
-            if now - self._first > HELLO_S:
+            if now - self._first > HELLO_S and not self._rates.done:
                 self._rates.step(now, self._send, self.messages.heard_hz())
         if self._parameters.complete and not self._parameters.kept:
             self._parameters.kept = True

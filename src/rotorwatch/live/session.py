@@ -56,7 +56,7 @@ class Session:
         self._building: Building | None = None
         self._pieces: list[Piece] = []
         self._dynamics = (vehicle.identified or {}).get("dynamics") if vehicle is not None else None
-        self._known = bool(self._dynamics)
+        self._ready_s = READY_KNOWN_S if self._dynamics else READY_S
         self._stream: Stream | None = None
         self._early: list[tuple[Mapping[str, Signal], tuple[Message, ...]]] = []
         self._spans: tuple[tuple[float, float], ...] = ()
@@ -88,8 +88,7 @@ class Session:
 
     def _open(self) -> None:
         assert self.vehicle is not None
-        ready_s = READY_KNOWN_S if self._dynamics and "gyro" in self.about.facts.get("signals", ("gyro",)) else READY_S
-        self._stream, self._judge = Stream(self.about, self.vehicle, ready_s), None
+        self._stream, self._judge = Stream(self.about, self.vehicle, self._ready_s), None
         self._building, self._pieces = None, []
 
     def advance(self, complete: float | None = None) -> bool:
@@ -102,6 +101,8 @@ class Session:
             return False
         if self._dynamics and self._dynamics.get("dt") != stream.plan.dt:
             self._dynamics = None  # the noise of healthy flights at another rate is not this one's
+        if self._ready_s < READY_S and not (self._dynamics and stream.plan.gyro == "gyro"):
+            self._ready_s = READY_S
             return self._again(stream.window.flight(-np.inf), complete)
         flight = stream.replanned()
         if flight is not None:

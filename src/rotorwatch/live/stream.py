@@ -22,6 +22,7 @@ from rotorwatch.motion.ticks import Plan, Sensed
 
 LATE_S = 0.9  # a signal that is this much behind the others is not waited for; less than the second after lift-off that nobody judges
 AIR_S = 0.2  # nor does anybody ask at once whether the vehicle flies
+FORGET_S = 1.0  # between two clearings of what is not needed any more
 FIRST, FIRST_S, LEAST = 64, 20.0, 20  # commands from which a flight is planned, or so long and so many
 BACK_S = 2.0
 COMMANDS = ("motors", "lift", "battery")
@@ -54,6 +55,7 @@ class Stream:
         self._mixing, self._planned_aloft = False, False
         self._thrust: Growing | None = None
         self._compared = self._rebuilt = self._logged = -np.inf  # up to when
+        self._forgot = -np.inf
         self._last, self._waiting = -1, np.empty(0, np.int64)
 
     def add(self, signals: Mapping[str, Signal], messages: Iterable[Message] = ()) -> None:
@@ -78,7 +80,8 @@ class Stream:
         motors, thrust = self._log(until)
         self._rebuild(motors, thrust, until, check)
         sensed = self._sense(now, complete)
-        self._forget(now)
+        if now > self._forgot + FORGET_S:
+            self._forget(now)
         return Piece(self._air.spans(), self._air.now, sensed, check, command, motors, thrust)
 
     @property
@@ -87,7 +90,10 @@ class Stream:
         if self.plan is None:
             return self.window.now + AIR_S
         waits = self._waiting[0] if self._waiting.size else self._last + 1
-        return min(float(self.plan.first + self.plan.dt * waits) + self.plan.lag_s, self.window.now + AIR_S)
+        known = (
+            float(self.plan.first + self.plan.dt * waits) + self.plan.lag_s + max(self.plan.half.values(), default=0.0)
+        )
+        return min(known, self.window.now + AIR_S)
 
     def replanned(self) -> Flight | None:
         """At the first lift-off: the flight that is kept, when its rates are not those that it was planned by, so that it must be begun
@@ -235,6 +241,7 @@ class Stream:
         return sensed
 
     def _forget(self, now: float) -> None:
+        self._forgot = now
         assert self.plan is not None
         waiting = self.plan.ends(self._waiting[:1])
         oldest = min([now, self._air.now, self._logged, *waiting.tolist()])

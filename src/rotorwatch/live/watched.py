@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
@@ -63,15 +64,29 @@ class Watched:
             if known is None and self.session.vehicle is not None:
                 frame = self.session.vehicle
                 self._tell({"type": "vehicle", "vehicle": self.name, "frame": frame.name, "rotors": len(frame.rotors)})
-        except RotorwatchError as why:
-            self.trouble = str(why)
-            self.say(self.trouble, "error")
+        except Exception as why:
+            self._fail(why)
+
+    def _fail(self, why: Exception) -> None:
+        if os.environ.get("ROTORWATCH_DEBUG"):
+            raise why
+        text = " ".join(f"{type(why).__name__}: {why}".split())[:200]
+        self.trouble = (
+            str(why)
+            if isinstance(why, RotorwatchError)
+            else f"an error in rotorwatch itself ({text}); please report it"
+        )
+        self.say(self.trouble, "error")
 
     def advance(self, complete: float | None = None) -> bool:
         """Judge what has come; whether there was a tick."""
         if self.session is None or self.trouble:
             return False
-        stepped = self.session.advance(complete)
+        try:
+            stepped = self.session.advance(complete)
+        except Exception as why:  # of one vehicle; the others are watched on
+            self._fail(why)
+            return False
         said = self.session.said
         if said != self._said or ((said or self.changes.now) and self.session.now - self._looked > LOOK_S):
             self._look()
