@@ -10,7 +10,7 @@ import pytest
 from rotorwatch import airframes, logs
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.vehicle import ThrustCurve
-from rotorwatch.motion import allocation
+from rotorwatch.motion import allocation, departures
 
 FLIGHTS = Path(__file__).resolve().parents[2] / "shared" / "flights"
 needs_flights = pytest.mark.skipif(not FLIGHTS.is_dir(), reason="the shared test flights are not beside the repository")
@@ -193,7 +193,7 @@ HEALTHY_OUTPUTS = [
 def test_no_output_is_accused_where_all_follow(path):
     """Losses of effectiveness, a total loss with outputs at both limits, take-offs, landings."""
     flight = read(path)
-    assert allocation.overrides(flight, airframes.identify(flight), spans(flight)) == ()
+    assert departures.overrides(flight, airframes.identify(flight), spans(flight)) == ()
 
 
 INJECTED = [
@@ -216,16 +216,16 @@ INJECTED = [
 def test_an_injected_override_is_found_live(path, rotor, start, value, kind, within):
     flight = with_output(read(path), rotor, start, value)
     vehicle, airborne = airframes.identify(flight), spans(read(path))
-    found = allocation.overrides(flight, vehicle, airborne)
+    found = departures.overrides(flight, vehicle, airborne)
     assert [(o.rotor, o.kind) for o in found] == [(rotor, kind)]
     assert start < found[0].detected < start + within
     assert abs(found[0].onset - start) < 0.35
     assert f"output {rotor}" in found[0].reason
     end = found[0].detected + 0.2
-    cut = allocation.overrides(flight.until(end), vehicle, tuple((a, min(b, end)) for a, b in airborne if a < end))
+    cut = departures.overrides(flight.until(end), vehicle, tuple((a, min(b, end)) for a, b in airborne if a < end))
     assert [(o.rotor, o.kind, o.detected) for o in cut] == [(rotor, kind, found[0].detected)]
     before = found[0].detected - 0.01
-    assert allocation.overrides(flight.until(before), vehicle, airborne) == ()
+    assert departures.overrides(flight.until(before), vehicle, airborne) == ()
 
 
 def test_an_output_that_is_driven_by_something_else():
@@ -235,7 +235,7 @@ def test_an_output_that_is_driven_by_something_else():
     on = motors.time >= 15.0
     values[on, 2] = 1550 + 60 * np.sin(5 * motors.time[on])
     flight = replace(flight, signals={**flight.signals, "motors": replace(motors, values=values)})
-    found = allocation.overrides(flight, vehicle, ((1.0, 30.0),))
+    found = departures.overrides(flight, vehicle, ((1.0, 30.0),))
     assert [(o.rotor, o.kind, o.end) for o in found] == [(3, "overridden", None)]
 
 
@@ -252,27 +252,27 @@ def test_outputs_that_give_way_to_a_limit_are_not_stuck():
     command[calm] = command[np.argmax(on[::5])]
     motors = replace(flight["motors"], values=command)
     signals = {**flight.signals, "motors": motors, "control": replace(flight["control"], values=control)}
-    assert allocation.overrides(replace(flight, signals=signals), vehicle, ((1.0, 30.0),)) == ()
+    assert departures.overrides(replace(flight, signals=signals), vehicle, ((1.0, 30.0),)) == ()
 
 
 def test_an_override_that_ends():
     flight, vehicle, _ = hover()
     flight = with_output(flight, 4, 12.0, 1000.0, end=16.0)
-    (found,) = allocation.overrides(flight, vehicle, ((1.0, 30.0),))
+    (found,) = departures.overrides(flight, vehicle, ((1.0, 30.0),))
     assert found.kind == "off" and found.end == pytest.approx(16.0, abs=0.25)
 
 
 def test_a_mixer_that_never_fitted_accuses_nobody():
     flight, vehicle, _ = hover()
     wrong = replace(vehicle, mixer=airframes.named("ardupilot-quad-plus").mixer)
-    assert allocation.overrides(flight, wrong, ((1.0, 30.0),)) == ()
+    assert departures.overrides(flight, wrong, ((1.0, 30.0),)) == ()
 
 
 def test_flights_without_commands_have_no_overrides():
     flight, vehicle, _ = hover()
     empty = Signal(np.zeros(0), np.zeros((0, 4)), flight["motors"].columns, "us")
     for signals in ({}, {"motors": empty}, {"motors": empty, "control": flight["control"]}):
-        assert allocation.overrides(replace(flight, signals=signals), vehicle, ((0.0, 9.0),)) == ()
+        assert departures.overrides(replace(flight, signals=signals), vehicle, ((0.0, 9.0),)) == ()
     lonely = replace(flight, signals={**flight.signals, "control": flight["control"].between(0.0, 0.03)})
     assert (
         allocation.mixed_thrusts(lonely, vehicle) is None or not allocation.mixed_thrusts(lonely, vehicle).valid.any()
@@ -363,8 +363,8 @@ def test_overrides_of_a_log_that_stops_are_those_known_by_then(end):
     """A live observer: what comes later neither finds an override sooner nor takes one back."""
     flight, vehicle, _ = hover()
     flight = with_output(with_output(flight, 2, 12.0, 1000.0, end=14.0), 3, 15.0, 1000.0)
-    whole = allocation.overrides(flight, vehicle, ((1.0, 30.0),))
-    cut = allocation.overrides(flight.until(end), vehicle, ((1.0, end),))
+    whole = departures.overrides(flight, vehicle, ((1.0, 30.0),))
+    cut = departures.overrides(flight.until(end), vehicle, ((1.0, end),))
     assert [(o.rotor, o.kind, o.onset, o.detected) for o in cut] == [
         (o.rotor, o.kind, o.onset, o.detected) for o in whole if o.detected < end
     ]
@@ -375,7 +375,7 @@ def test_a_mixer_has_to_pass_twenty_comparisons_before_it_accuses():
     """An output that is off from the first second on: nothing has been compared by then, and what comes later does not count."""
     flight, vehicle, _ = hover()
     for start, accused in ((1.0, False), (6.0, True)):
-        found = allocation.overrides(with_output(flight, 2, start, 1560.0, end=start + 2.5), vehicle, ((0.0, 30.0),))
+        found = departures.overrides(with_output(flight, 2, start, 1560.0, end=start + 2.5), vehicle, ((0.0, 30.0),))
         assert bool([o for o in found if o.reason.startswith("output 2 was at 1560")]) == accused
 
 
@@ -392,10 +392,10 @@ def test_an_override_is_known_when_the_later_of_its_two_control_samples_has_come
     driven = np.where(motors.time >= 15.0, 1550 + 60 * np.sin(5 * motors.time), motors.values[:, 2])  # never at rest
     motors = replace(motors, values=np.column_stack([*motors.values[:, :2].T, driven, motors.values[:, 3]]))
     flight = later(replace(flight, signals={**flight.signals, "motors": motors}))
-    (found,) = allocation.overrides(flight, vehicle, ((1.0, 30.0),))
+    (found,) = departures.overrides(flight, vehicle, ((1.0, 30.0),))
     assert found.detected in flight["control"].time and found.detected > found.onset
     for moment, known in ((found.detected + 1e-6, True), (found.detected - 1e-3, False)):
-        assert bool(allocation.overrides(flight.until(moment), vehicle, ((1.0, moment),))) == known
+        assert bool(departures.overrides(flight.until(moment), vehicle, ((1.0, moment),))) == known
 
 
 @pytest.mark.parametrize("known", [True, False])
@@ -445,14 +445,14 @@ def test_outputs_alone_say_which_was_off_or_did_not_move_and_until_when():
     bare = replace(flight, signals={k: v for k, v in flight.signals.items() if k != "control"})
     low = vehicle.curve.u_min
     off = with_output(with_output(bare, 2, 12.0, low - 50.0, end=16.0), 2, 16.0, low, end=19.0)
-    (found,) = allocation.overrides(off, vehicle, ((1.0, 30.0),))
+    (found,) = departures.overrides(off, vehicle, ((1.0, 30.0),))
     assert (found.rotor, found.kind, found.asked) == (2, "off", None)
     assert found.reason == f"output 2 was off at {low - 50.0:.4g} while all others flew on"
     assert found.onset == pytest.approx(12.0) and 12.2 < found.detected < 12.8
     assert found.end == pytest.approx(19.0, abs=0.15)
-    (stuck,) = allocation.overrides(with_output(bare, 3, 12.0, end=16.0), vehicle, ((1.0, 30.0),))
+    (stuck,) = departures.overrides(with_output(bare, 3, 12.0, end=16.0), vehicle, ((1.0, 30.0),))
     assert (stuck.rotor, stuck.kind) == (3, "stuck") and stuck.reason.startswith("output 3 did not move at ")
-    assert stuck.onset == pytest.approx(12.0, abs=0.15) and stuck.detected - stuck.onset > allocation.SILENT_S
+    assert stuck.onset == pytest.approx(12.0, abs=0.15) and stuck.detected - stuck.onset > departures.SILENT_S
     assert stuck.end == pytest.approx(16.0, abs=0.15)
 
 
@@ -462,10 +462,10 @@ def test_an_output_is_accused_with_what_is_left_under_the_share_of_yaw_that_suit
     asked = 0.5 + yaw + 0.01 * np.arange(6)
     demand = asked - 0.5 * yaw + 0.2 * np.eye(6)[1]
     left = []
-    for share in allocation.GIVEN_UP:
+    for share in departures.GIVEN_UP:
         off = demand - (asked - share * yaw)
         others = np.delete(off, 1)
-        if np.sum(np.abs(others - np.median(others)) < allocation.PART) > allocation.AGREEING * 5:
+        if np.sum(np.abs(others - np.median(others)) < allocation.PART) > departures.AGREEING * 5:
             left.append(off[1] - np.median(others))
     assert len(left) > 1 and min(left, key=abs) != left[-1]
     rows = np.zeros((2, 1))
@@ -473,12 +473,12 @@ def test_an_output_is_accused_with_what_is_left_under_the_share_of_yaw_that_suit
         rows[0], rows[1], demand[None], asked[None], np.ones((1, 1)), yaw[None], np.array([False]), (demand - asked)[None],
         np.zeros((1, 5, 6)), np.ones((1, 6), bool),
     )  # fmt: skip
-    alone = allocation._alone(check, np.ones((1, 6), bool))[0]
+    alone = departures._alone(check, np.ones((1, 6), bool))[0]
     assert (
         alone[1] == pytest.approx(min(left, key=abs), abs=1e-9)
         and np.nanmax(np.abs(np.delete(alone, 1))) < allocation.PART
     )
-    granted = allocation._alone(replace(check, yaw_granted=np.array([True])), np.ones((1, 6), bool))[0]
+    granted = departures._alone(replace(check, yaw_granted=np.array([True])), np.ones((1, 6), bool))[0]
     assert not np.isfinite(granted).all() or np.abs(granted).max() > 0.2  # all of the yaw was to be had
 
 
@@ -487,4 +487,4 @@ def test_a_median_is_of_what_is_known():
     values = np.array(
         [[3.0, 1.0, 2.0, nan], [4.0, nan, 1.0, nan], [1.0, 2.0, 4.0, 8.0], [nan, 5.0, nan, nan], [nan] * 4]
     )
-    np.testing.assert_array_equal(allocation._median(values), [2.0, 2.5, 3.0, nan, nan])
+    np.testing.assert_array_equal(departures._median(values), [2.0, 2.5, 3.0, nan, nan])

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from rotorwatch import __version__
-from rotorwatch.commands import ask, benchmark, campaign, export, research, simulate, survive, tune
+from rotorwatch.commands import ask, benchmark, campaign, export, research, simulate, survive, tune, watch
 from rotorwatch.commands.tools import LOG, OUT, common, debug, label, progress, say, shares, show
 from rotorwatch.errors import BackendWarning, ConfigError, PluginWarning, RotorwatchError
 
@@ -423,6 +423,7 @@ export.register(cli)
 survive.register(cli)
 campaign.register(cli)
 benchmark.register(cli)
+watch.register(cli)
 
 
 if __name__ == "__main__":

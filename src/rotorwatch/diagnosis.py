@@ -73,6 +73,22 @@ class Event:
     reason: str = ""
     extra: Mapping[str, Any] = field(default_factory=dict)
 
+    def to_dict(self) -> dict:
+        """The documented JSON structure of an event (docs/json.md)."""
+        return {
+            "kind": self.kind,
+            "rotors": list(self.rotors),
+            "alternatives": [list(a) for a in self.alternatives],
+            "onset_s": _round(self.onset_s),
+            "detected_s": _round(self.detected_s),
+            "end_s": _round(self.end_s),
+            "loss": _round(self.loss),
+            "interval": _round(self.interval),
+            "probability": _round(self.probability),
+            "reason": self.reason,
+            **{key: _round(value) for key, value in self.extra.items()},
+        }
+
 
 @dataclass(frozen=True)
 class Trace:
@@ -156,22 +172,7 @@ class Diagnosis:
                 }
                 for r in self.rotors
             ],
-            "events": [
-                {
-                    "kind": e.kind,
-                    "rotors": list(e.rotors),
-                    "alternatives": [list(a) for a in e.alternatives],
-                    "onset_s": _round(e.onset_s),
-                    "detected_s": _round(e.detected_s),
-                    "end_s": _round(e.end_s),
-                    "loss": _round(e.loss),
-                    "interval": _round(e.interval),
-                    "probability": _round(e.probability),
-                    "reason": e.reason,
-                    **{key: _round(value) for key, value in e.extra.items()},
-                }
-                for e in self.events
-            ],
+            "events": [e.to_dict() for e in self.events],
             "common_mode": _round(dict(self.common_mode)),
             "whole_flight": _round(self.whole_flight),
             "baseline": self.baseline,

@@ -17,6 +17,10 @@ class ConfigError(RotorwatchError):
     """A call's arguments do not fit together."""
 
 
+class LinkError(RotorwatchError):
+    """An endpoint cannot be opened, or no vehicle is heard on it."""
+
+
 class BackendWarning(RuntimeWarning):
     """Native code cannot be had, or not be kept; one sentence says why and what happens instead."""
 

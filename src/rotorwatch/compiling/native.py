@@ -167,10 +167,10 @@ class Library:
             for name, kind, shape in self.layout.state
         ]
 
-    def run(self, state: np.ndarray, parameters, u, y, valid, progress=None) -> list[np.ndarray]:
-        """Step over rows; changes `state`, returns the outputs' leaves, stacked: views of one table, which is never copied."""
+    def run(self, state: np.ndarray, parameters, u, y, valid, progress=None, room=None) -> list[np.ndarray]:
+        """Step over rows; changes `state` (and `room`); returns the outputs' leaves, stacked: views of one table, which is never copied."""
         fields, rows = self.layout.out, len(u)
-        out, room = np.empty(rows, self.out_type), self.room()
+        out, room = np.empty(rows, self.out_type), self.room() if room is None else room
         between = [_address(parameters)] if self.layout.parameters else []
         for first in range(0, rows, ROWS):
             part = slice(first, first + ROWS)
@@ -322,6 +322,22 @@ def prepared(build_estimator: Callable, select: Callable, parameters, sizes: tup
     part.write_text(json.dumps({"library": str(library), "layout": layout}))
     os.replace(part, note)
     return Library(library, layout)
+
+
+class Session:
+    """A library run over rows as they come. state: the struct it has come to; not for two threads at once."""
+
+    def __init__(self, library: Library, parameters, carry):
+        layout = library.layout
+        self._library, self._room = library, library.room()
+        self._packed = library.pack(layout.parameters, library.parameter_type, flattened(parameters))
+        self.state = library.pack(layout.state, library.state_type, flattened(carry))
+
+    def run(self, u, y, valid) -> Any:
+        """Outputs of the rows, stacked."""
+        u, y = (np.ascontiguousarray(a, float) for a in (u, y))
+        out = self._library.run(self.state, self._packed, u, y, np.ascontiguousarray(valid, bool), room=self._room)
+        return rebuilt(self._library.layout.out_like, out)
 
 
 def run(library: Library, parameters, carry, u, y, valid, progress=None):

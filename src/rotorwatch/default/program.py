@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rotorwatch.compiling.run import chosen, run_built
+from rotorwatch.compiling.run import Steps, chosen, run_built
 from rotorwatch.core import Array
 from rotorwatch.default.plant import AXIS_STATES
 from rotorwatch.errors import ConfigError
@@ -141,3 +141,8 @@ def estimate(table: Ticks, B: np.ndarray, dynamics=None, progress=None, keep=kep
     """
     build, backend = builder(table.dt), chosen(None, "auto")
     return run_built(build, parameters(B, dynamics), *inputs(table, B), keep, progress, backend=backend)
+
+
+def steps(dt: float, B: np.ndarray, dynamics=None) -> Steps:
+    """The default estimator for ticks of dt seconds, gone on with as ticks come; `inputs` makes its rows. Raises ConfigError."""
+    return Steps(builder(dt), parameters(B, dynamics), kept, (B.shape[1] + 12, 4))

@@ -80,8 +80,17 @@ class Signal:
 
     def between(self, start: float, end: float) -> Signal:
         """The samples with start <= time < end."""
-        part = slice(*np.searchsorted(self.time, [start, end]))
-        return replace(self, time=self.time[part], values=self.values[part], valid=self.valid[part])
+        return self.part(slice(*np.searchsorted(self.time, [start, end])))
+
+    def part(self, rows: slice) -> Signal:
+        """Some of the samples, as views."""
+        return self.with_arrays(self.time[rows], self.values[rows], self.valid[rows])
+
+    def with_arrays(self, time: np.ndarray, values: np.ndarray, valid: np.ndarray) -> Signal:
+        """The same signal with other samples: arrays that are as those of a Signal are, which is not checked."""
+        new = object.__new__(Signal)
+        new.__dict__.update(self.__dict__, time=time, values=values, valid=valid)
+        return new
 
 
 @dataclass(frozen=True)

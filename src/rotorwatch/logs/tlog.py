@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Protocol
+
 import numpy as np
 
 from rotorwatch.errors import LogError
-from rotorwatch.flight import Flight, Message
+from rotorwatch.flight import Flight, Message, Signal
 from rotorwatch.flight.vehicle_kind import OTHERS
 from rotorwatch.logs import mavlink_esc, mavlink_frames, parameter_ranges, series, wall_clock
 from rotorwatch.logs.dataflash_clock import make_clock
@@ -44,7 +47,7 @@ def read(data, name: str, progress=None) -> Flight:
     """
     log = _Log(data, progress)
     signals, facts = _signals(log)
-    parameters, changes = _parameters(log)
+    parameters, changes = parameters_of(log)
     end = series.end_of(signals)
     return Flight(
         format=FORMAT,
@@ -55,23 +58,27 @@ def read(data, name: str, progress=None) -> Flight:
         vehicle_type=MAV_TYPES.get(log.vehicle, ("", 0))[0],
         parameters=parameters,
         parameter_changes=tuple(changes),
-        messages=tuple(sorted((m for m in _messages(log) if m.time <= end + 1), key=lambda m: m.time)),
+        messages=tuple(sorted((m for m in messages_of(log) if m.time <= end + 1), key=lambda m: m.time)),
         warnings=tuple(log.notes),
         start_us=int(log.start_us),
         facts={**facts, "mav_type": log.vehicle, "clock_jumps": log.clock_jumps, "utc_start": _utc_start(log)},
     )
 
 
+def layouts() -> dict:
+    """Message name -> its class in pymavlink's dialect: of all that are read."""
+    from pymavlink.dialects.v20 import ardupilotmega
+
+    known = {layout.msgname: layout for layout in (*mavlink_esc.LAYOUTS, *ardupilotmega.mavlink_map.values())}
+    clocked = {n for n, c in known.items() if {"time_boot_ms", "time_usec"} & set(c.fieldnames)}
+    return {n: known[n] for n in (clocked | _UNTIMED & known.keys()) - _SIMULATOR}
+
+
 class _Log:
     """One vehicle's messages: `get(name)` -> (time s, structured array). notes: sentences on what was damaged."""
 
     def __init__(self, data, progress):
-        from pymavlink.dialects.v20 import ardupilotmega
-
-        known = (*mavlink_esc.LAYOUTS, *ardupilotmega.mavlink_map.values())
-        layouts = {layout.msgname: layout for layout in known}
-        clocked = {n for n, c in layouts.items() if {"time_boot_ms", "time_usec"} & set(c.fieldnames)}
-        self.layouts = {n: layouts[n] for n in (clocked | _UNTIMED & layouts.keys()) - _SIMULATOR}
+        self.layouts = layouts()
         self.notes: list[str] = []
         self.frames = mavlink_frames.Frames(data, (c.id for c in self.layouts.values()), progress)
         if self.frames.skipped:
@@ -105,7 +112,7 @@ class _Log:
             if not table.size:
                 continue
             self.tables[name] = table, order
-            stamp = _boot_us(table)
+            stamp = boot_us(table)
             if stamp is None:
                 continue
             if "time_usec" in (table.dtype.names or ()) and table.dtype["time_usec"].itemsize == 4:
@@ -143,7 +150,7 @@ class _Log:
         """Index into the known clock times of the latest one before each place in the file (the first, before any)."""
         return np.clip(np.searchsorted(self._place, order) - 1, 0, None)
 
-    def get(self, name, *fields):
+    def get(self, name):
         """(time s (n,), table) of a message, or None. Messages without a clock get the latest time before them."""
         if name not in self.tables:
             return None
@@ -158,14 +165,8 @@ class _Log:
         """(n,) time s of each sound frame of a message that has a clock, NaN where it does not say."""
         return (self._stamps[name] - self.start_us) * 1e-6
 
-    def signal(self, kind, name, fields, scale=1.0):
-        found = self.get(name)
-        if found is None:
-            return None
-        return series.make(kind, found[0], _columns(found[1], fields) * scale, name, self.notes)
 
-
-def _boot_us(table):
+def boot_us(table):
     """(n,) us since the autopilot's start, NaN where unknown; None for a message without a clock."""
     names = table.dtype.names
     if "time_boot_ms" in names:
@@ -181,72 +182,107 @@ def _columns(table, fields) -> np.ndarray:
     return np.stack([table[f].astype(float) for f in fields], axis=1)
 
 
-def _signals(log: _Log) -> tuple[dict, dict]:
-    axes, turns = ("xgyro", "ygyro", "zgyro"), ("rollspeed", "pitchspeed", "yawspeed")
-    push = ("xacc", "yacc", "zacc")
-    imus = ("SCALED_IMU", "RAW_IMU", "SCALED_IMU2", "SCALED_IMU3")
-    rates = series.fastest(*(log.signal("rates", n, turns) for n in ("ATTITUDE", "ATTITUDE_QUATERNION")))
-    motors, facts = _motors(log)
-    found = {
-        "motors": motors,
+# Signals of which several messages may tell: the fastest counts. Of the others the first one that there is.
+FASTEST = ("gyro", "rates", "accel", "attitude")
+AXES, TURNS, PUSH = ("xgyro", "ygyro", "zgyro"), ("rollspeed", "pitchspeed", "yawspeed"), ("xacc", "yacc", "zacc")
+IMUS = ("SCALED_IMU", "RAW_IMU", "SCALED_IMU2", "SCALED_IMU3")
+ATTITUDES = ("ATTITUDE", "ATTITUDE_QUATERNION")
+
+
+class Messages(Protocol):
+    """Messages of one vehicle, of a file or of a link. notes: sentences on what was damaged."""
+
+    autopilot: str
+    vehicle: int
+    notes: list[str]
+
+    def get(self, name: str) -> tuple[np.ndarray, np.ndarray] | None:
+        """(time s (n,), table) of a message, or None."""
+        ...
+
+
+def readings(log: Messages, outputs: tuple[int, ...]) -> dict[str, tuple[Signal | None, ...]]:
+    """All that the messages say of each signal, in order of preference; `source` of each is the message. outputs: of `rotor_outputs`."""
+
+    def of(kind, name, fields, scale=1.0):
+        found = log.get(name)
+        return (
+            None if found is None else series.make(kind, found[0], _columns(found[1], fields) * scale, name, log.notes)
+        )
+
+    return {
+        "motors": (_motors(log, outputs),),
         # Raw rates come in steps of 1 mrad/s, so at equal speed the attitude message's finer ones are preferred.
-        "gyro": series.fastest(
-            log.signal("gyro", "HIGHRES_IMU", axes), rates, *(log.signal("gyro", n, axes, 1e-3) for n in imus)
+        "gyro": (
+            of("gyro", "HIGHRES_IMU", AXES),
+            *(of("rates", name, TURNS) for name in ATTITUDES),
+            *(of("gyro", name, AXES, 1e-3) for name in IMUS),
         ),
-        "rates": rates,
-        "accel": series.fastest(
-            log.signal("accel", "HIGHRES_IMU", push), *(log.signal("accel", n, push, _MG) for n in imus)
+        "rates": tuple(of("rates", name, TURNS) for name in ATTITUDES),
+        "accel": (of("accel", "HIGHRES_IMU", PUSH), *(of("accel", name, PUSH, _MG) for name in IMUS)),
+        "attitude": _attitudes(log),
+        "attitude_wanted": (_attitude_wanted(log),),
+        "velocity": (
+            of("velocity", "LOCAL_POSITION_NED", ("vx", "vy", "vz")),
+            of("velocity", "GLOBAL_POSITION_INT", ("vx", "vy", "vz"), 0.01),
         ),
-        "attitude": _attitude(log),
-        "attitude_wanted": _attitude_wanted(log),
-        "velocity": log.signal("velocity", "LOCAL_POSITION_NED", ("vx", "vy", "vz"))
-        or log.signal("velocity", "GLOBAL_POSITION_INT", ("vx", "vy", "vz"), 0.01),
-        "position": log.signal("position", "LOCAL_POSITION_NED", ("x", "y", "z")) or _height(log),
-        "throttle": log.signal("throttle", "VFR_HUD", ("throttle",), 0.01),
-        "battery": _battery(log),
-        "esc": mavlink_esc.read(log.get, facts.get("outputs", ()), log.notes),
+        "position": (of("position", "LOCAL_POSITION_NED", ("x", "y", "z")), _height(log)),
+        "throttle": (of("throttle", "VFR_HUD", ("throttle",), 0.01),),
+        "battery": (_battery(log),),
     }
+
+
+def _signals(log: _Log) -> tuple[dict, dict]:
+    outputs = rotor_outputs(log, parameters_of(log)[0])
+    found: dict[str, Signal | None] = {}
+    for name, options in readings(log, outputs).items():
+        there = [signal for signal in options if signal is not None]
+        found[name] = series.fastest(*there) if name in FASTEST else (there or [None])[0]
+    facts = {"motors_topic": "SERVO_OUTPUT_RAW", "outputs": outputs} if found["motors"] is not None else {}
+    found["esc"] = mavlink_esc.read(log.get, facts.get("outputs", ()), log.notes)
     return {k: v for k, v in found.items() if v is not None}, facts
 
 
-def _motors(log: _Log):
-    """Rotor commands from SERVO_OUTPUT_RAW: outputs by SERVOn_FUNCTION where the log has them, else the first ones."""
-    found = log.get("SERVO_OUTPUT_RAW")
+def rotor_outputs(log: Messages, parameters: Mapping[str, float]) -> tuple[int, ...]:
+    """Servo output of each rotor, from 1: by SERVOn_FUNCTION where that is known, else the first ones; empty for an unknown vehicle."""
     count = MAV_TYPES.get(log.vehicle, ("", 0))[1]
-    if found is None:
-        return None, {}
-    time, table = found
-    main = table["port"] == 0
-    time, table = time[main], table[main]
-    outputs = list(range(1, count + 1))
-    functions, _ = _parameters(log)
     mapped = {}
     for n in range(1, 17):
-        function = int(functions.get(f"SERVO{n}_FUNCTION", 0))
+        function = int(parameters.get(f"SERVO{n}_FUNCTION", 0))
         if 33 <= function <= 40 or 82 <= function <= 85:
             mapped[function - 32 if function <= 40 else function - 73] = n
     if mapped and sorted(mapped) == list(range(1, len(mapped) + 1)) and len(mapped) >= count:
-        outputs = [mapped[k] for k in sorted(mapped)]
+        return tuple(mapped[k] for k in sorted(mapped))
+    return tuple(range(1, count + 1))
+
+
+def _motors(log: Messages, outputs: tuple[int, ...]) -> Signal | None:
+    """Rotor commands from SERVO_OUTPUT_RAW."""
+    found = log.get("SERVO_OUTPUT_RAW")
+    if found is None:
+        return None
+    time, table = found
+    main = table["port"] == 0
+    time, table = time[main], table[main]
     if not outputs or not time.size:
-        return None, {}
+        return None
     values = _columns(table, [f"servo{n}_raw" for n in outputs])
-    motors = series.motors(time, values, "us", "SERVO_OUTPUT_RAW", log.notes, values > 0)  # 0: not driven yet
-    return motors, {"motors_topic": "SERVO_OUTPUT_RAW", "outputs": tuple(outputs)}
+    return series.motors(time, values, "us", "SERVO_OUTPUT_RAW", log.notes, values > 0)  # 0: not driven yet
 
 
-def _attitude(log: _Log):
+def _attitudes(log: Messages) -> tuple[Signal | None, ...]:
     angles, quaternions = log.get("ATTITUDE"), log.get("ATTITUDE_QUATERNION")
-    candidates = []
+    first = second = None
     if angles is not None:
         q = series.quaternion(*(angles[1][a].astype(float) for a in ("roll", "pitch", "yaw")))
-        candidates.append(series.make("attitude", angles[0], q, "ATTITUDE", log.notes))
+        first = series.make("attitude", angles[0], q, "ATTITUDE", log.notes)
     if quaternions is not None:
         q, fine = series.unit_quaternion(_columns(quaternions[1], ("q1", "q2", "q3", "q4")))
-        candidates.append(series.make("attitude", quaternions[0], q, "ATTITUDE_QUATERNION", log.notes, fine))
-    return series.fastest(*candidates)
+        second = series.make("attitude", quaternions[0], q, "ATTITUDE_QUATERNION", log.notes, fine)
+    return first, second
 
 
-def _attitude_wanted(log: _Log):
+def _attitude_wanted(log: Messages):
     found = log.get("ATTITUDE_TARGET")
     if found is None:
         return None
@@ -265,7 +301,7 @@ def _utc_start(log: _Log) -> str | None:
     return said
 
 
-def _height(log: _Log):
+def _height(log: Messages):
     """Position with only its height, from GLOBAL_POSITION_INT."""
     found = log.get("GLOBAL_POSITION_INT")
     if found is None:
@@ -275,7 +311,7 @@ def _height(log: _Log):
     return series.make("position", found[0], values, "GLOBAL_POSITION_INT", log.notes)
 
 
-def _battery(log: _Log):
+def _battery(log: Messages):
     found = log.get("SYS_STATUS")
     if found is None:
         return None
@@ -286,7 +322,7 @@ def _battery(log: _Log):
     )
 
 
-def _parameters(log: _Log):
+def parameters_of(log: Messages):
     """(parameters, changes) from PARAM_VALUE, but for the simulator's: SIM_* can give a fault away."""
     values, changes = {}, []
     found = log.get("PARAM_VALUE")
@@ -306,7 +342,7 @@ def _parameters(log: _Log):
     return values, changes
 
 
-def _messages(log: _Log) -> list[Message]:
+def messages_of(log: Messages) -> list[Message]:
     out = []
     beats = log.get("HEARTBEAT")
     if beats is not None:

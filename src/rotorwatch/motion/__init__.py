@@ -1,7 +1,8 @@
 """Commands and the motion that they caused: what is made of a flight before any estimator sees it. Causal throughout.
 
 airborne.py     when it was in the air
-allocation.py   commands to the thrust of each rotor; rotors that cannot be told apart; outputs that leave the mixer
+allocation.py   commands to the thrust of each rotor; rotors that cannot be told apart
+departures.py   outputs that leave the mixer
 contact.py      knocks: motion that no rotor can make
 ticks.py        one uniform table of all that
 outside.py      events that need no estimator: outputs that part from the mixer, knocks

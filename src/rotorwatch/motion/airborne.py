@@ -155,40 +155,86 @@ def airborne(flight: Flight) -> tuple[tuple[float, float], ...]:
     """
     if not flight.has("motors"):
         return ()
-    motors = flight["motors"]
-    known = np.asarray(motors.valid).any(axis=1)
-    time, command = motors.time[known], _command(flight)[known]
+    time, command = commands(flight)
     if time.size < 2:
         return ()
-    intervals: list[tuple[float, float]] = []
-    pieces = np.split(np.arange(time.size), np.flatnonzero(np.diff(time) > GAP_S) + 1)
-    for piece in pieces:
-        # Past the last command, too: many logs stop with the motors, and say "landed" just after.
-        end = min(time[piece[-1]] + GAP_S, max(flight.duration, time[piece[-1]]))
-        intervals += _walk(flight, time[piece], command[piece], end)
-    return tuple(intervals)
+    follow = Airborne()
+    follow.on(flight, time, command, max(flight.duration, float(time[-1])))
+    return follow.intervals()
 
 
-def _walk(flight, time, command, end) -> list[tuple[float, float]]:
-    """Intervals within one stretch of motor commands without a long gap; the walk goes on to `end`."""
-    ticks = np.arange(np.ceil(time[0] / TICK_S), np.floor(end / TICK_S) + 1) * TICK_S
-    force, upward, turning, struck = _carried(flight, ticks)
-    climb, speed = _motion(flight, ticks)
-    landed, armed = (_state(flight, kind, ticks) for kind in ("landed", "armed"))
-    held = command[np.clip(np.searchsorted(time, ticks, side="right") - 1, 0, None)]
-    columns = (a.tolist() for a in (held, climb, speed, force, upward, turning))
-    monitor, intervals, start = Monitor(), [], None
-    for t, senses in zip(ticks.tolist(), zip(*columns, struck, landed, armed)):
-        flying = monitor.step(t, Senses(*senses))
-        if flying and start is None:
-            start = t
-        elif not flying and start is not None:
-            if min(monitor.since, time[-1]) > start:
-                intervals.append((start, min(monitor.since, float(time[-1]))))
-            start = None
-    if start is not None and time[-1] > start:
-        intervals.append((start, float(time[-1])))
-    return intervals
+class Airborne:
+    """When one vehicle was in the air, as its samples come. `now`: time up to which that is known [s]."""
+
+    def __init__(self):
+        self.now = -np.inf
+        self.closed: list[tuple[float, float]] = []
+        self._monitor, self._start, self._tick = Monitor(), None, None
+        self._start: float | None
+        self._last = -np.inf  # the last motor command
+
+    def intervals(self) -> tuple[tuple[float, float], ...]:
+        """As `airborne` gives them: one that still lasts ends with the last motor command."""
+        return (*self.closed, *self._open())
+
+    def spans(self) -> tuple[tuple[float, float], ...]:
+        """The same, but one that still lasts has no end."""
+        return (*self.closed, *([(self._start, np.inf)] if self._start is not None else []))
+
+    def _open(self) -> list[tuple[float, float]]:
+        return [(self._start, self._last)] if self._start is not None and self._last > self._start else []
+
+    def on(self, flight: Flight, time: np.ndarray, command: np.ndarray, until: float) -> None:
+        """Go on to `until` s. time, command (n,): motor commands up to then, from the last one before `now` on. flight: all that was
+        logged, or a window of it that reaches two seconds further back."""
+        pieces = np.split(np.arange(time.size), np.flatnonzero(np.diff(time) > GAP_S) + 1)
+        for number, piece in enumerate(pieces, 1):
+            when, what = time[piece], command[piece]
+            if self._tick is None and when[-1] <= self._last:
+                continue  # a stretch that is over
+            self._last = max(self._last, float(when[-1]))
+            # Past the last command, too: many logs stop with the motors, and say "landed" just after.
+            if number == len(pieces) and until <= self._last + GAP_S:
+                self._walk(flight, when, what, until)
+            else:
+                self._finish(flight, when, what)
+        self.now = max(self.now, until)
+
+    def _finish(self, flight, time, command) -> None:
+        """A stretch of motor commands that a long gap ends."""
+        self._walk(flight, time, command, float(time[-1]) + GAP_S)
+        self.closed += self._open()
+        self._monitor, self._start, self._tick = Monitor(), None, None
+
+    def _walk(self, flight, time, command, end: float) -> None:
+        """Go on within one stretch of motor commands without a long gap."""
+        first = np.ceil(time[0] / TICK_S) if self._tick is None else self._tick
+        numbers = np.arange(first, np.floor(end / TICK_S) + 1)
+        if not numbers.size:
+            return
+        self._tick = numbers[-1] + 1
+        ticks = numbers * TICK_S
+        force, upward, turning, struck = _carried(flight, ticks)
+        climb, speed = _motion(flight, ticks)
+        landed, armed = (_state(flight, kind, ticks) for kind in ("landed", "armed"))
+        held = command[np.clip(np.searchsorted(time, ticks, side="right") - 1, 0, None)]
+        columns = (a.tolist() for a in (held, climb, speed, force, upward, turning))
+        monitor = self._monitor
+        for t, senses in zip(ticks.tolist(), zip(*columns, struck, landed, armed)):
+            flying = monitor.step(t, Senses(*senses))
+            if flying and self._start is None:
+                self._start = t
+            elif not flying and self._start is not None:
+                if min(monitor.since, self._last) > self._start:
+                    self.closed.append((self._start, min(monitor.since, self._last)))
+                self._start = None
+
+
+def commands(flight: Flight) -> tuple[np.ndarray, np.ndarray]:
+    """Times (n,) s at which motor commands are known, and the commands as shares of their range (n,)."""
+    motors = flight["motors"]
+    known = np.asarray(motors.valid).any(axis=1)
+    return motors.time[known], _command(flight)[known]
 
 
 def _command(flight: Flight) -> np.ndarray:

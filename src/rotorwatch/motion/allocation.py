@@ -24,16 +24,8 @@ from rotorwatch.flight.vehicle import ThrustCurve, Vehicle
 Spans = tuple[tuple[float, float], ...]
 PART = 0.05  # share of full thrust by which rebuilt and logged thrust may differ before the rebuilt one is not trusted
 FLYING = 0.05  # share of full thrust above which a rotor does enough for a comparison
-PART_STILL = 0.015  # the same for an output that does not move at all
 GAIN_MEMORY_S = 20.0  # air density changes with height, slowly
 PAIR_WITHIN_S = 0.15  # a command further than this from any control sample has no partner
-PROVEN = 20  # comparisons a mixer must have passed before it can accuse an output
-GIVEN_UP = np.linspace(0.0, 1.0, 11)  # shares of yaw that a mixer at its limits may give up
-UNEXPLAINED = 0.25  # share of what outputs part by that a mixer may leave unexplained before it is not believed
-AGREEING = 0.7  # share of the other outputs that must agree on what is common to all before one can be accused
-CONFIRM_S, CONFIRM_SAMPLES = 0.25, 3  # how long an output must differ
-STUCK_S = 1.0  # an output that does not move for this long while it should have, whatever limits the others, is stuck
-SILENT_S = 0.5  # an output that does not move for this long while all others do is stuck
 NOISE_SD = 0.004  # rounding to 1 us, and the controller moving between its own log lines and those of the outputs
 
 
@@ -75,7 +67,11 @@ def hold(time: np.ndarray, values: np.ndarray, at: np.ndarray, before: float = 0
 
 def rotor_thrusts(flight: Flight, vehicle: Vehicle) -> Signal:
     """The better of the two: `mixed_thrusts` where it can be trusted, the last `motor_thrusts` elsewhere."""
-    logged, mixed = motor_thrusts(flight, vehicle), mixed_thrusts(flight, vehicle)
+    return better(motor_thrusts(flight, vehicle), mixed_thrusts(flight, vehicle))
+
+
+def better(logged: Signal, mixed: Signal | None) -> Signal:
+    """The rebuilt thrusts where they can be trusted, the last logged ones elsewhere."""
     if mixed is None:
         return logged
     held = hold(logged.time, logged.values, mixed.time)
@@ -92,10 +88,17 @@ def mixed_thrusts(flight: Flight, vehicle: Vehicle) -> Signal | None:
     their limits, yaw beyond the mixer's headroom, and any rotor whose last logged command differed by more than 0.05 of
     full thrust (thrust boost, spool-up, an output that is overridden).
     """
-    if not flight.has("control", "motors") or flight["control"].rate_hz < 1.5 * flight["motors"].rate_hz:
-        return None
+    return rebuilt(flight, vehicle, compare(flight, vehicle)) if faster_control(flight) else None
+
+
+def faster_control(flight: Flight) -> bool:
+    """Is the rate controller's output logged so much faster than the rotors' commands that these are worth rebuilding from it?"""
+    return flight.has("control", "motors") and flight["control"].rate_hz >= 1.5 * flight["motors"].rate_hz
+
+
+def rebuilt(flight: Flight, vehicle: Vehicle, check: Comparison) -> Signal | None:
+    """`mixed_thrusts` with a comparison that has been made."""
     control = flight["control"]
-    check = compare(flight, vehicle)
     step = np.searchsorted(check.known, control.time, side="right") - 1  # last comparison finished by then
     regressors = np.column_stack([control.values, np.ones(len(control))])
     if not len(check.time):
@@ -137,10 +140,33 @@ class Comparison:
     weights: np.ndarray
     trusted: np.ndarray
 
+    def __getitem__(self, part: slice) -> Comparison:
+        return Comparison(*[x[part] for x in vars(self).values()])
 
-def compare(flight: Flight, vehicle: Vehicle) -> Comparison:
+    def __add__(self, later: Comparison) -> Comparison:
+        return Comparison(*[np.concatenate(both) for both in zip(vars(self).values(), vars(later).values())])
+
+
+@dataclass
+class Learned:
+    """What comparisons leave to those that follow. above, below, last: of `_learn_gain`'s average, and its gain; now, spread: of
+    `_learn_mixer`; prior (5, n), good (n,): weights of the last comparison, and whether it fitted."""
+
+    above: float = 0.0
+    below: float = 0.0
+    last: float = 0.0
+    gain: float = 1.0
+    now: np.ndarray | None = None
+    spread: np.ndarray | None = None
+    prior: np.ndarray | None = None
+    good: np.ndarray | None = None
+
+
+def compare(flight: Flight, vehicle: Vehicle, learned: Learned | None = None) -> Comparison:
     """Hold the rebuilt demands against the logged ones, learning the mixer's gain (or, for a mixer that is not known,
-    all of its factors) on the way. Needs signals ``motors`` and ``control``."""
+    all of its factors) on the way. Needs signals ``motors`` and ``control``. learned: by earlier pieces of the same flight, which this
+    goes on with; their motor samples must not be in this one, and each of its own must have a later control sample."""
+    learned = Learned() if learned is None else learned
     logged, control, believed = flight["motors"], flight["control"], believed_curve(vehicle)
     ok = np.all(control.valid, axis=1)
     when, what = control.time[ok], control.values[ok]
@@ -165,15 +191,18 @@ def compare(flight: Flight, vehicle: Vehicle) -> Comparison:
     inputs = np.column_stack([(1.0 - share) * what[before] + share * what[after], np.ones(len(time))])
     top = believed(np.asarray(believed.u_max), battery)
     if vehicle.mixer is None:
-        weights = _learn_mixer(time, inputs, demand, top)
+        weights = _learn_mixer(time, inputs, demand, top, learned)
     else:
-        weights = _learn_gain(time, inputs, demand, vehicle.mixer)
+        weights = _learn_gain(time, inputs, demand, vehicle.mixer, learned)
     # Each sample is judged by what was known before it.
-    prior = np.concatenate([weights[:1], weights[:-1]])
+    prior = np.concatenate([weights[:1] if learned.prior is None else learned.prior[None], weights[:-1]])[: len(time)]
     rebuilt = np.einsum("tc,tcr->tr", inputs, prior)
     deviation = demand - np.clip(rebuilt, 0.0, top)
     good = np.abs(deviation) < PART
-    trusted = good & np.concatenate([np.zeros_like(good[:1]), good[:-1]])
+    earlier = np.zeros_like(good[:1]) if learned.good is None else learned.good[None]
+    trusted = good & np.concatenate([earlier, good[:-1]])[: len(time)]
+    if len(time):
+        learned.prior, learned.good = weights[-1], good[-1]
     known = np.maximum(time, when[after]) if len(time) else time
     yaw = inputs[:, 2:3] * prior[:, 2]
     granted = yaw_granted(flight, vehicle, inputs)
@@ -210,7 +239,7 @@ def drive(expo: float, thrust: np.ndarray) -> np.ndarray:
     return (np.sqrt((1.0 - expo) ** 2 + 4.0 * expo * thrust) - (1.0 - expo)) / (2.0 * expo)
 
 
-def _learn_gain(time, inputs, thrust, mixer) -> np.ndarray:
+def _learn_gain(time, inputs, thrust, mixer, learned: Learned | None = None) -> np.ndarray:
     """Weights (m, 5, n) of a known mixer: only a common gain (air density) is unknown; forgetting average."""
     demand = inputs[:, :4] @ mixer.T
     power = np.sum(demand * demand, axis=1)
@@ -220,90 +249,38 @@ def _learn_gain(time, inputs, thrust, mixer) -> np.ndarray:
     apart = np.max(np.abs(thrust - own[:, None] * demand), axis=1)
     usable = (thrust.min(axis=1) > FLYING) & (apart < PART) & (own > 0.6) & (own < 1.7)
     gains = np.ones(len(time))
-    above, below, last = 0.0, 0.0, 0.0
+    past = Learned() if learned is None else learned
+    known, above, below, last = past.gain, past.above, past.below, past.last
     for k in np.flatnonzero(usable):
         fade = np.exp((last - time[k]) / GAIN_MEMORY_S)
         above, below, last = above * fade + product[k], below * fade + power[k], time[k]
-        gains[k] = above / below
+        past.gain = gains[k] = above / below
+    past.above, past.below, past.last = above, below, last
     # Between usable samples the last gain holds.
     held = np.maximum.accumulate(np.where(usable, np.arange(len(time)), -1))
-    gains = np.where(held >= 0, gains[np.maximum(held, 0)], 1.0)
+    gains = np.where(held >= 0, gains[np.maximum(held, 0)], known)
     base = np.concatenate([mixer.T, np.zeros((1, mixer.shape[0]))])
     return gains[:, None, None] * base
 
 
-def _learn_mixer(time, inputs, thrust, top) -> np.ndarray:
+def _learn_mixer(time, inputs, thrust, top, learned: Learned | None = None) -> np.ndarray:
     """Weights (m, 5, n) of a mixer that is not known: recursive least squares of the thrusts on the control inputs."""
     size, rotors = inputs.shape[1], thrust.shape[1]
     usable = np.all((thrust > FLYING) & (thrust < 0.95 * top), axis=1)
     weights = np.zeros((len(time), size, rotors))
-    now = np.zeros((size, rotors))
-    now[3] = 1.0
-    spread = np.eye(size)
+    past = Learned() if learned is None else learned
+    now, spread = past.now, past.spread
+    if now is None or spread is None:
+        now, spread = np.zeros((size, rotors)), np.eye(size)
+        now[3] = 1.0
     for k, x in enumerate(inputs):
         if usable[k]:
             gain = spread @ x / (x @ spread @ x + NOISE_SD**2)
             now = now + np.outer(gain, thrust[k] - x @ now)
             spread = spread - np.outer(gain, x @ spread)
         weights[k] = now
+    past.now, past.spread = now, spread
     return weights
-
-
-@dataclass(frozen=True)
-class Override:
-    """An output that no longer follows the mixer.
-
-    rotor: 1-based. kind: stuck, off or overridden. Times in s, end None while it lasts. reason: one sentence. asked: share of full
-    thrust that the mixer asked for when it was noticed; None where the log does not say what the mixer asked for.
-    """
-
-    rotor: int
-    kind: str
-    onset: float
-    detected: float
-    end: float | None
-    reason: str
-    asked: float | None = None
-
-
-def overrides(flight: Flight, vehicle: Vehicle, airborne: Spans) -> tuple[Override, ...]:
-    """Outputs that stopped following the mixer in flight: stuck at a value, off, or driven by something else.
-
-    airborne: ((start, end), ...) in s. With a ``control`` signal that the mixer is seen to follow, an output counts
-    when it differs by more than 0.05 of full thrust (and six times the usual difference) for 0.25 s while no rotor is
-    near its limits; limits explain neither an output below its minimum nor one that rests though it is asked to
-    move against the others. Without it, only outputs that are off, or constant for 0.5 s while all others move, are found. Loss of
-    effectiveness never shows here: the commands are what is compared. Causal: `detected` is when a live observer would have known.
-    """
-    if not flight.has("motors"):
-        return ()
-    found: list[Override] = []
-    if flight.has("control"):
-        found += _departures(flight, vehicle, airborne)
-    found += _silent(flight, vehicle, airborne)
-    return tuple(o for o in _earliest(found) if not _balances(o, found, vehicle))
-
-
-def _balances(one: Override, found: list[Override], vehicle: Vehicle) -> bool:
-    """Does an output rest only because the one opposite it has been lost? What flies on balances its torque that way."""
-    if one.kind != "off" or one.asked is not None:
-        return False
-    B = vehicle.effectiveness()[:2]
-    return any(
-        o.onset < one.onset
-        and (o.end is None or one.onset < o.end)
-        and np.abs(B[:, o.rotor - 1] + B[:, one.rotor - 1]).max() < 0.1
-        for o in found
-    )
-
-
-def _earliest(found: list[Override]) -> tuple[Override, ...]:
-    """Of overrides of one rotor that overlap in time, the one detected first."""
-    kept: list[Override] = []
-    for one in sorted(found, key=lambda o: (o.detected, o.rotor)):
-        if not any(o.rotor == one.rotor and (o.end is None or one.onset < o.end) for o in kept):
-            kept.append(one)
-    return tuple(kept)
 
 
 def within(time: np.ndarray, spans: Spans) -> np.ndarray:
@@ -312,185 +289,6 @@ def within(time: np.ndarray, spans: Spans) -> np.ndarray:
     for start, end in spans:
         inside |= (time >= start) & (time < end)
     return inside
-
-
-def _departures(flight: Flight, vehicle: Vehicle, airborne: Spans) -> list[Override]:
-    """Overrides found by comparing each output with what the mixer asks of it."""
-    check = compare(flight, vehicle)
-    if len(check.time) < 3:
-        return []
-    command = hold(flight["motors"].time, flight["motors"].values, check.time)
-    low, span = vehicle.curve.u_min, vehicle.curve.u_max - vehicle.curve.u_min
-    flying = within(check.time, airborne) & (np.median(check.demand, axis=1) > FLYING)
-    interior = (command > low + 0.01 * span) & (command < low + 0.99 * span)
-    alone = np.where(
-        command >= low + 0.99 * span, 0.0, _alone(check, interior)
-    )  # full thrust is what a mixer at its limits asks for
-    # How well the mixer has explained the outputs so far; a mixer that never did says nothing about single outputs.
-    far = np.abs(alone)
-    good = flying & np.all(far < PART, axis=1)
-    past = np.concatenate([[0], np.cumsum(good)[:-1]])
-    compared = np.concatenate([[0], np.cumsum(flying & np.isfinite(alone).all(axis=1))[:-1]])
-    power = np.concatenate([[0.0], np.cumsum(np.where(good[:, None], far**2, 0.0).max(axis=1))[:-1]])
-    proven = (past >= PROVEN) & (past > 0.7 * compared) & _turns_as_asked(check, good)
-    usual = 6.0 * np.sqrt(power / np.maximum(past, 1))
-    limit, still_limit = np.maximum(PART, usual), np.maximum(PART_STILL, usual)
-    own = check.asked - check.asked.mean(axis=1, keepdims=True)
-    found = []
-    for k in range(command.shape[1]):
-        still = _since_moved(check.time, command[:, k], span / 400.0)
-        off = (command[:, k] < low - 0.01 * span) & (check.asked[:, k] > 2 * FLYING)
-        frozen = (check.time - still > 0.5) & interior[:, k]
-        # At a limit the mixer takes from all others what it has too much, and in calm air they may rest: stuck is what does not
-        # stir at all while it should have moved against them.
-        rest = _since_moved(check.time, command[:, k], 1e-9)
-        moved = np.abs(own[:, k] - own[np.searchsorted(check.time, rest), k]) > PART
-        dead = (check.time - rest > STUCK_S) & interior[:, k] & moved & (np.abs(check.deviation[:, k]) > limit)
-        wrong = proven & flying & ((far[:, k] > limit) | off | dead | (frozen & (far[:, k] > still_limit)))
-        back = (np.abs(check.deviation[:, k]) < PART) & ~frozen
-        for onset, seen, end in _runs(check.time, wrong, back | ~flying, CONFIRM_S, CONFIRM_SAMPLES):
-            kind = "overridden"
-            if np.all(command[onset : seen + 1, k] <= low + span / 400.0):
-                kind = "off"
-            elif np.ptp(command[onset : seen + 1, k]) <= span / 400.0 and interior[seen, k]:
-                kind = "stuck"
-            start = min(still[seen], check.time[onset]) if kind == "stuck" else check.time[onset]
-            asked = np.clip(check.asked[seen, k], 0.0, check.top[seen, 0])
-            reason = (
-                f"output {k + 1} was at {command[seen, k]:.4g} while the mixer asked for {asked:.0%} "
-                f"of full thrust and got {check.demand[seen, k]:.0%}"
-            )
-            until = None if end is None else float(check.time[end])
-            found.append(Override(k + 1, kind, float(start), float(check.known[seen]), until, reason, float(asked)))
-    return found
-
-
-def _turns_as_asked(check: Comparison, good: np.ndarray) -> np.ndarray:
-    """(m,) bool: in the samples before that fitted, outputs parted from each other as they were asked to. A mixer that has the throttle
-    right but another scale of roll, pitch and yaw fits as well, while nothing turns."""
-    asked, got = (x - x.mean(axis=1, keepdims=True) for x in (check.asked, check.demand))
-
-    def so_far(x):
-        return np.concatenate([[0.0], np.cumsum(np.where(good, x.sum(axis=1), 0.0))[:-1]])
-
-    unexplained, all_ = so_far((got - asked) ** 2), so_far(got**2 + NOISE_SD**2)
-    return unexplained < UNEXPLAINED * all_
-
-
-def _alone(check: Comparison, interior: np.ndarray) -> np.ndarray:
-    """(m, n) by how much each output parts from the mixer by itself; NaN where nothing can be said.
-
-    Where not all that is asked can be had, a mixer gives up throttle, for all outputs alike, and yaw, a share of it. Outputs that this
-    explains are nobody's fault, nor are outputs that are all off by the same amount (a gain). An output is accused with what is left of
-    its departure under the share of yaw that suits it best, of those under which the others agree. Where even throttle and yaw are not
-    enough, each mixer has its own way to give up tilt: nothing is said. interior (m, n): away from the limits.
-    """
-    alone, agreed = _against_others(check.demand, check.asked, check.top, interior)
-    odd = np.flatnonzero(~(np.abs(alone) < PART).all(axis=1) & ~check.yaw_granted)
-    best = np.where(agreed[odd], alone[odd], np.nan)
-    for share in GIVEN_UP:
-        asked = check.asked[odd] - share * check.yaw[odd]
-        off, agree = _against_others(check.demand[odd], asked, check.top[odd], interior[odd])
-        best = np.where(agree & ~(np.abs(off) > np.abs(best)), off, best)
-    alone[odd] = best
-    possible = np.ptp(check.asked, axis=1) < 0.97 * check.top[:, 0]
-    return np.where(possible[:, None], alone, np.nan)
-
-
-def _against_others(demand, asked, top, interior) -> tuple[np.ndarray, np.ndarray]:
-    """(m, n) departure of each output from what is asked and what the others have in common, within the limits; and whether they agree."""
-    apart, alone, agreed = (
-        np.where(interior, demand - asked, np.nan),
-        np.empty(demand.shape),
-        np.empty(demand.shape, bool),
-    )
-    for k in range(demand.shape[1]):
-        rest = np.arange(demand.shape[1]) != k
-        off = demand - np.clip(asked + _median(apart[:, rest])[:, None], 0.0, top)
-        agreed[:, k] = np.sum(np.abs(off[:, rest]) < PART, axis=1) > AGREEING * rest.sum()
-        alone[:, k] = np.where(agreed[:, k], off[:, k], np.nan)
-    return alone, agreed
-
-
-def _median(values: np.ndarray) -> np.ndarray:
-    """(m,) median of the finite values (m, k) of each row; NaN with fewer than two."""
-    count = np.isfinite(values).sum(axis=1)
-    ordered = np.sort(values, axis=1)  # NaN last
-    rows, middle = np.arange(len(values)), np.maximum(count - 1, 0)
-    return np.where(count < 2, np.nan, 0.5 * (ordered[rows, middle // 2] + ordered[rows, (middle + 1) // 2]))
-
-
-def _silent(flight: Flight, vehicle: Vehicle, airborne: Spans) -> list[Override]:
-    """Overrides that the outputs alone give away: one is off, or constant, while all others fly and move."""
-    motors, thrust = flight["motors"], motor_thrusts(flight, vehicle).values
-    low, span = vehicle.curve.u_min, vehicle.curve.u_max - vehicle.curve.u_min
-    time, inside = motors.time, within(motors.time, airborne) & np.all(motors.valid, axis=1)
-    window = np.searchsorted(time, time - SILENT_S, side="left")
-    stills = np.stack([_since_moved(time, motors.values[:, j], 1e-9) for j in range(thrust.shape[1])], axis=1)
-    resting = (time[:, None] - stills > SILENT_S) & inside[:, None]
-    moved = np.zeros_like(thrust)  # range over the last SILENT_S, where it matters: while any output rests
-    for i in np.flatnonzero(resting.any(axis=1)):
-        moved[i] = np.ptp(thrust[window[i] : i + 1], axis=0)
-    found = []
-    for k in range(thrust.shape[1]):
-        others, command = np.delete(thrust, k, axis=1), motors.values[:, k]
-        still = stills[:, k]
-        interior = (command > low + 0.02 * span) & (command < low + 0.98 * span)
-        moving = np.min(np.delete(moved, k, axis=1), axis=1) > 0.03
-        stuck = resting[:, k] & interior & moving
-        # Below the minimum: no mixer asks for that. At the minimum, where outputs have nothing below it: no quad flies
-        # on with a rotor at rest and the others off their limits (with more rotors, one opposite a dead one rests).
-        flown = inside & (np.median(others, axis=1) > 2 * FLYING)
-        below = flown & (command < low - 0.01 * span)
-        idle = flown & (command <= low + 0.002 * span) & np.all((others > FLYING) & (others < 0.99), axis=1)
-        idle &= others.shape[1] == 3 and bool(vehicle.extra.get("rests_at_minimum", False))
-        ways = ((stuck, "stuck", 0.0, 1), (below, "off", 0.3, 3), (idle & (time - still > 1.0), "off", 0.0, 1))
-        for wrong, kind, hold_s, samples in ways:
-            back = (time - still < 0.2) if kind == "stuck" else (command > low + 0.01 * span)
-            for onset, seen, end in _runs(time, wrong, back | ~inside, hold_s, samples):
-                start = still[seen] if samples == 1 else time[onset]
-                what = "did not move" if kind == "stuck" else "was off"
-                reason = f"output {k + 1} {what} at {command[seen]:.4g} while all others flew on"
-                until = None if end is None else float(time[end])
-                found.append(Override(k + 1, kind, float(start), float(time[seen]), until, reason))
-    return found
-
-
-def _runs(time, wrong, back, hold_s: float, samples: int):
-    """(onset, confirmed, end or None) indices of the spells of `wrong`.
-
-    Confirmed after `hold_s` and `samples` in a row, ended when `back` holds for 0.5 s.
-    """
-    k, n = 0, len(time)
-    flags = np.flatnonzero(wrong)
-    while k < n:
-        later = flags[np.searchsorted(flags, k) :]
-        if not len(later):
-            return
-        onset = k = int(later[0])
-        while k < n and wrong[k] and (time[k] - time[onset] < hold_s or k - onset + 1 < samples):
-            k += 1
-        if k == n or not wrong[k]:
-            k += 1
-            continue
-        seen, since = k, None
-        while k < n:
-            since = (k if since is None else since) if back[k] else None
-            if since is not None and time[k] - time[since] >= 0.5:
-                break
-            k += 1
-        yield onset, seen, (since if k < n else None)
-
-
-def _since_moved(time: np.ndarray, values: np.ndarray, tolerance: float) -> np.ndarray:
-    """For each sample the time since which the value has stayed within `tolerance` of where it settled."""
-    start = np.empty(len(time))
-    anchor, since = np.inf, 0.0
-    for k, value in enumerate(values.tolist()):
-        if abs(value - anchor) > tolerance:
-            anchor, since = value, time[k]
-        start[k] = since
-    return start
 
 
 def ambiguous_sets(effectiveness: np.ndarray, size: int = 2) -> tuple[tuple[tuple[int, ...], tuple[int, ...]], ...]:

@@ -31,22 +31,38 @@ class Contact:
     what: str
 
 
+@dataclass
+class Shaken:
+    """What `vibration` goes on with: sum and number of the squares so far, and the time of the last sample in it."""
+
+    total: float = 0.0
+    count: int = 0
+    time: float = -np.inf
+
+
+def look_back(dt: float) -> int:
+    """Ticks before one that it is held against."""
+    return max(2, round(BEFORE_S / dt))
+
+
 def struck(
-    time, side, load, shake, thrust, torque, rate_dot, fresh, dt: float
-) -> tuple[np.ndarray, tuple[Contact, ...]]:
-    """(T,) bool, ticks in which something outside pushed the vehicle, and the contacts they belong to.
+    time, side, load, shake, thrust, torque, rate_dot, fresh, dt: float, known: int = 0, before: tuple[Contact, ...] = (),
+    last: float = -np.inf,
+) -> tuple[np.ndarray, tuple[Contact, ...], float]:  # fmt: skip
+    """(T - known,) bool, ticks in which something outside pushed the vehicle, the contacts they belong to, and the time of the last.
 
     side (T, 2): sideways specific force [m/s^2], mean of the tick; load (T,): specific force up / g; shake (T,): `vibration` so far. All
     None without accelerometer.
     thrust (T, n), torque (T, 3): commanded, in hover thrusts; rate_dot (T, 3) rad/s^2; fresh (T,) bool: in the air, all of them known.
-    Causal: a tick is judged by itself and the half second before it.
+    known: of the first so many ticks it has been said before, which gave the contacts `before`, the last at `last`; they only are what
+    the others are held against. Causal: a tick is judged by itself and the half second before it.
     """
     n = thrust.shape[1]
     turned = _unexplained(torque, rate_dot, n) - np.sort(thrust, axis=1)[:, -2:].sum(axis=1)[:, None]
     turned = np.where(fresh, turned.max(axis=1), 0.0)
     kinds = [(turned, 0.0, "hover thrusts of one rotor", "turned it")]
     if side is not None:
-        back = max(2, round(BEFORE_S / dt))
+        back = look_back(dt)
         pushed = np.linalg.norm(_since(side, fresh, back), axis=1) / G0
         # More lift than before, and not because the motors, cut, still turn.
         lifted = _since(np.column_stack([load, load - thrust.mean(axis=1)]), fresh, back).min(axis=1)
@@ -57,20 +73,29 @@ def struck(
         kinds += [(lifted, np.maximum(UPWARD, SHAKES * shake / G0), "g", "pushed it upwards")]
     excess = np.stack([size - limit for size, limit, _, _ in kinds])
     hit = np.asarray(np.any(excess > 0.0, axis=0))
-    return hit, _contacts(time, hit, excess, kinds)
+    hit[:known] = False
+    contacts, last = _contacts(time, hit, excess, kinds, before, last)
+    return hit[known:], contacts, last
 
 
-def vibration(time, force, at) -> np.ndarray:
+def vibration(time, force, at, shaken: Shaken | None = None) -> np.ndarray:
     """(T,) root mean square of what force (m, 3) [m/s^2], sampled at `time` (m,), has been away from its mean over the half second
-    before, up to each of the times `at`; what knocks add is cut off."""
-    if len(time) < 2:
-        return np.zeros(len(at))
+    before, up to each of the times `at` (non-decreasing); what knocks add is cut off. shaken: what came before, which this goes on with."""
+    shaken = Shaken() if shaken is None else shaken
+    if len(time) < 2 or not len(at):
+        return np.full(len(at), np.sqrt(shaken.total / shaken.count) if shaken.count else 0.0)
     total = np.concatenate([np.zeros((1, force.shape[1])), np.cumsum(force, axis=0)])
     now, first = np.arange(len(time)), np.searchsorted(time, time - BEFORE_S)
     mean = (total[now] - total[first]) / np.maximum(now - first, 1)[:, None]
     square = np.where(now > first, np.minimum(((force - mean) ** 2).sum(axis=1), G0**2), 0.0)
-    so_far = np.cumsum(square) / np.arange(1, len(square) + 1)
-    return np.sqrt(so_far[np.clip(np.searchsorted(time, at, "right") - 1, 0, len(so_far) - 1)])
+    new = slice(np.searchsorted(time, shaken.time, "right"), max(np.searchsorted(time, at[-1], "right"), 1))
+    when = time[new]
+    so_far = shaken.total + np.concatenate([[0.0], np.cumsum(square[new])])
+    counts = shaken.count + np.arange(len(so_far))
+    index = np.clip(np.searchsorted(when, at, "right"), 1 if not shaken.count else 0, len(when))
+    shaken.total, shaken.count = float(so_far[-1]), int(counts[-1])
+    shaken.time = float(when[-1]) if len(when) else shaken.time
+    return np.sqrt(so_far[index] / np.maximum(counts[index], 1))
 
 
 def _unexplained(torque, rate_dot, n: int) -> np.ndarray:
@@ -89,10 +114,9 @@ def _since(value, fresh, back: int) -> np.ndarray:
     return np.where(usable[:, None], value - (total[now] - total[first]) / back, 0.0)
 
 
-def _contacts(time, hit, excess, kinds) -> tuple[Contact, ...]:
-    """Ticks close together are one contact, as large as its largest tick."""
-    found: list[Contact] = []
-    last = -np.inf
+def _contacts(time, hit, excess, kinds, before, last: float) -> tuple[tuple[Contact, ...], float]:
+    """Ticks close together are one contact, as large as its largest tick; and the time of the last one."""
+    found: list[Contact] = list(before)
     for k in np.flatnonzero(hit):
         size, _, unit, what = kinds[int(np.argmax(excess[:, k]))]
         one = Contact(float(time[k]), float(size[k]), unit, what)
@@ -100,5 +124,5 @@ def _contacts(time, hit, excess, kinds) -> tuple[Contact, ...]:
             found.append(one)
         elif one.unit == found[-1].unit and one.size > found[-1].size:
             found[-1] = Contact(found[-1].time, one.size, unit, what)
-        last = time[k]
-    return tuple(found)
+        last = float(time[k])
+    return tuple(found), last

@@ -13,13 +13,14 @@ in the air and then kept for that hop. All frames body FRD.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.motion import allocation
-from rotorwatch.motion.contact import G0, Contact, struck, vibration
+from rotorwatch.motion.contact import G0, Contact, Shaken, look_back, struck, vibration
 
 LAG_S = 0.02
 SIDE_S = 0.5  # side forces are averaged over: they change as slowly as speed and wind, and vibration is louder
@@ -111,11 +112,19 @@ def _bin_mean(signal: Signal, edges_lo: np.ndarray, edges_hi: np.ndarray):
     return (total[hi] - total[lo]) / safe[:, None], (when[hi] - when[lo]) / safe, some
 
 
-def _window(signal: Signal, centre: np.ndarray, half: float):
+def _period(signal: Signal) -> float:
+    """Usual time between two samples that are known, s; NaN with fewer than two."""
+    time = signal.time[signal.valid.all(axis=1)]
+    steps = np.diff(time)
+    return float(np.median(steps[steps > 0])) if (steps > 0).any() else np.nan
+
+
+def _window(signal: Signal, centre: np.ndarray, half: float, period: float | None = None):
     """Mean (T, k) and slope (T, k) of a signal over [centre - half, centre + half], linear between samples; and coverage.
 
     The mean comes from the exact integral of the linear interpolation. The slope is the difference of two short means
-    around the ends, which keeps single-sample noise out when the signal is much faster than the window.
+    around the ends, which keeps single-sample noise out when the signal is much faster than the window. period: usual time between
+    two samples [s]; None: what this piece of the signal shows.
     """
     ok = signal.valid.all(axis=1)
     time, values = signal.time[ok], signal.values[ok]
@@ -129,37 +138,39 @@ def _window(signal: Signal, centre: np.ndarray, half: float):
         [np.zeros((1, values.shape[1])), np.cumsum(0.5 * (values[1:] + values[:-1]) * step, axis=0)]
     )
 
-    def area(t):
-        i = np.clip(np.searchsorted(time, t, "right") - 1, 0, time.size - 2)
-        s = np.clip((t - time[i]) / (time[i + 1] - time[i]), 0.0, 1.0)[:, None]
-        width = (time[i + 1] - time[i])[:, None]
-        return integral[i] + width * (values[i] * s + 0.5 * (values[i + 1] - values[i]) * s * s)
-
-    def mean(a, b):
-        return (area(b) - area(a)) / (b - a)[:, None]
-
     end = half * 0.25
     lo, hi = centre - half, centre + half
-    middle = mean(lo, hi)
-    slope = (mean(hi - end, hi) - mean(lo, lo + end)) / (2.0 * half - end)
+    t = np.concatenate([lo, lo + end, hi - end, hi])
+    i = np.minimum(np.maximum(np.searchsorted(time, t, "right") - 1, 0), time.size - 2)
+    width = (time[i + 1] - time[i])[:, None]
+    s = np.minimum(np.maximum((t - time[i])[:, None] / width, 0.0), 1.0)
+    area = integral[i] + width * (values[i] * s + 0.5 * (values[i + 1] - values[i]) * s * s)
+    first, start, last, stop = np.split(area, 4)
+
+    def mean(a, b, length):
+        return (b - a) / length[:, None]
+
+    middle = mean(first, stop, hi - lo)
+    slope = (mean(last, stop, hi - (hi - end)) - mean(first, start, (lo + end) - lo)) / (2.0 * half - end)
     gap = np.searchsorted(time, hi, "right") - np.searchsorted(time, lo, "left")
-    period = float(np.median(np.diff(time)))
-    covered = (lo >= time[0]) & (hi <= time[-1] + 1e-9) & (gap >= max(1, int(half / period * 0.8)))
+    period = _period(signal) if period is None else period
+    least = max(1, int(half / period * 0.8)) if period > 0.0 else 1
+    covered = (lo >= time[0]) & (hi <= time[-1] + 1e-9) & (gap >= least)
     return middle, slope, covered
 
 
-def _learning_again(contact, restart, thrust, hover, rate, fresh, count: int) -> np.ndarray:
-    """(T,) bool: fewer than `count` ticks of controlled flight since the last contact of the hop. A vehicle that spins or has outputs
-    near their limits is not what its trim can be learned from."""
+def _learned_again(contact, restart, thrust, hover, rate, fresh, before: float) -> np.ndarray:
+    """(T,) ticks of controlled flight since the last contact of the hop, infinite without one. A vehicle that spins or has outputs
+    near their limits is not what its trim can be learned from. before: the same at the tick before the first."""
     controlled = (
         fresh
         & ((thrust * hover[:, None]).max(axis=1) < CONTROLLED_SHARE)
         & (np.abs(rate).max(axis=1) < CONTROLLED_RATE)
     )
     since = np.cumsum(controlled)
-    last = np.maximum.accumulate(np.where(contact, np.arange(len(since)), -1))
-    hop = np.maximum.accumulate(np.where(restart, np.arange(len(since)), 0))
-    return (last >= hop) & (last >= 0) & (since - since[np.maximum(last, 0)] < count)
+    last, hop = (np.maximum.accumulate(np.where(x, np.arange(len(since)), -1)) for x in (contact, restart))
+    earlier = np.where(hop < 0, before + since, np.inf)
+    return np.where((last >= hop) & (last >= 0), since - since[np.maximum(last, 0)], earlier)
 
 
 def _span(motion: Signal, commands: Signal, dt: float) -> float:
@@ -169,6 +180,148 @@ def _span(motion: Signal, commands: Signal, dt: float) -> float:
     return 0.5 * min(dt, max(SHORTEST_S, 1.5 / max(motion.rate_hz, 1e-3)))
 
 
+@dataclass(frozen=True)
+class Plan:
+    """How a flight is cut into ticks: what its sampling rates decide, once for all of it.
+
+    dt: length of a tick; ready_s: blind time after lift-off; lag_s; first: end of the first tick [all s]. gyro: signal that tells angular
+    rates, or None. accel: the log has one. half: signal -> half of the time it is averaged over; period: signal -> usual time between
+    samples [s]. notes: sentences on what the log lacks.
+    """
+
+    dt: float
+    ready_s: float
+    lag_s: float
+    first: float
+    gyro: str | None
+    accel: bool
+    half: dict[str, float]
+    period: dict[str, float]
+    notes: tuple[str, ...]
+
+    def numbers(self, time: np.ndarray, last: int = -1) -> np.ndarray:
+        """Running numbers of the ticks that commands at `time` (non-decreasing, s) complete, after the tick `last`."""
+        at = ((time - self.first) / self.dt).astype(np.int64)
+        if last < 0:
+            return _filled(at, round(GAP_S / self.dt))
+        filled = _filled(np.concatenate([[last], np.maximum(at, last)]), round(GAP_S / self.dt))
+        return filled[filled > last]
+
+    def ends(self, numbers: np.ndarray) -> np.ndarray:
+        """Time at which the last command counts, of ticks by their numbers."""
+        return self.first + self.dt * numbers
+
+
+def plan(flight: Flight, thrust: Signal, ready_s: float, lag_s: float = LAG_S, dt: float | None = None) -> Plan:
+    """The plan of a flight with these commands; see `make`."""
+    dt = tick_length(thrust.rate_hz) if dt is None else dt
+    ready_s, half = ready_after(ready_s, dt), dt / 2.0
+    notes = []
+    if dt > SHORTEST_S / 2.0:
+        notes.append(
+            f"motor outputs at {thrust.rate_hz:.1f} Hz are judged every {dt:g} s, after {ready_s:.0f} s of learning: losses are found "
+            "late, and short or small ones not at all"
+        )
+    # Slow commands are snapshots: put them in the middle of their ticks so that jitter never empties one.
+    turns = np.exp(2j * np.pi * thrust.time[:64] / dt)  # the first seconds decide, so that a longer log changes nothing
+    phase = float(np.angle(turns.mean()) / (2.0 * np.pi) % 1.0 * dt) if thrust.rate_hz < 1.5 / dt else 0.0
+    gyro = "gyro" if flight.has("gyro") else "rates" if flight.has("rates") else None
+    if gyro is None:
+        notes.append("no angular rate in the log: torque is judged from commands alone, as in steady hover")
+    if not flight.has("accel"):
+        notes.append("no accelerometer in the log: thrust is not judged, only torque")
+    motion = [name for name in (gyro, "accel" if flight.has("accel") else None) if name]
+    return Plan(
+        dt, ready_s, lag_s, float(np.floor((thrust.time[0] - phase) / dt) * dt + phase + half), gyro, flight.has("accel"),
+        {name: _span(flight[name], thrust, dt) for name in motion}, {name: _period(flight[name]) for name in motion}, tuple(notes),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Sensed:
+    """What was commanded and measured in T ticks, whether in the air or not: a tick needs no other, and nothing logged after it.
+
+    time, when (T,) s as in `Ticks`; share (T, n): mean share of full thrust; some (T,) bool: commands in it; rate, rate_dot, load, side as
+    in `Ticks`; push (T, 2): side force of the tick alone; rate_ok, load_ok (T,) bool; shake (T,): vibration so far [m/s^2]; level (T,):
+    cosine of the tilt. push, side and shake are None without an accelerometer.
+    """
+
+    time: np.ndarray
+    when: np.ndarray
+    share: np.ndarray
+    some: np.ndarray
+    rate: np.ndarray
+    rate_dot: np.ndarray
+    rate_ok: np.ndarray
+    load: np.ndarray
+    load_ok: np.ndarray
+    level: np.ndarray
+    push: np.ndarray | None = None
+    side: np.ndarray | None = None
+    shake: np.ndarray | None = None
+
+    def __len__(self):
+        return len(self.time)
+
+    def __getitem__(self, part: slice) -> Sensed:
+        columns: list[Any] = [None if x is None else x[part] for x in vars(self).values()]
+        return Sensed(*columns)
+
+    def __add__(self, later: Sensed) -> Sensed:
+        pairs = zip(vars(self).values(), vars(later).values())
+        columns: list[Any] = [None if a is None or b is None else np.concatenate([a, b]) for a, b in pairs]
+        return Sensed(*columns)
+
+
+def sense(flight: Flight, thrust: Signal, hi: np.ndarray, plan: Plan, shaken: Shaken | None = None) -> Sensed:
+    """The ticks that end at `hi` (T,) s. flight, thrust: all of a flight, or a window of it that reaches two seconds further back than the
+    ticks, and then what was shaken before it, which this goes on with."""
+    dt, half, count = plan.dt, plan.dt / 2.0, hi.size
+    time = hi + plan.lag_s + half
+    mean, when, some = _bin_mean(thrust, hi - dt, hi)
+    when = np.where(some, when, hi - half)
+    centre = when + plan.lag_s
+    zeros3 = np.zeros((count, 3))
+
+    def window(name):
+        return _window(flight[name], centre, plan.half[name], plan.period[name])
+
+    rate, rate_dot, gyro_ok = window(plan.gyro) if plan.gyro else (zeros3, zeros3, np.ones(count, bool))
+    side = push = shake = None
+    load, accel_ok = np.ones(count), np.zeros(count, bool)
+    if plan.accel:
+        accel = flight["accel"]
+        force, _, accel_ok = window("accel")
+        load, push = -force[:, 2] / G0, force[:, :2]
+        whole = accel.valid.all(axis=1)
+        shake = vibration(accel.time[whole], accel.values[whole], centre - half, shaken)
+        side, _, side_ok = _window(accel, centre + half - 0.5 * SIDE_S, 0.5 * SIDE_S, plan.period["accel"])
+        side = np.where(side_ok[:, None], side[:, :2], 0.0)
+    level = np.ones(count)
+    if "attitude" in flight.signals and len(flight["attitude"]):
+        q = flight["attitude"]
+        i = np.clip(np.searchsorted(q.time, time, "right") - 1, 0, len(q) - 1)
+        _, x, y, _ = q.values[i].T
+        level = 1.0 - 2.0 * (x * x + y * y)
+    return Sensed(time, when, mean, some, rate, rate_dot, gyro_ok, load, accel_ok, level, push, side, shake)
+
+
+@dataclass(frozen=True)
+class Past:
+    """What ticks leave to those that follow. hop: start of the hop the last one was in [s]; hover: its share of full thrust in hover; gone:
+    the vehicle has tumbled in it; learned: `_learned_again`. upset (w,), recent: raw rows of the last ticks (for `struck`); contacts
+    so far, and the time of the last."""
+
+    hop: float
+    hover: float
+    gone: bool
+    learned: float
+    upset: np.ndarray
+    recent: tuple
+    contacts: tuple[Contact, ...]
+    hit: float
+
+
 def observe(flight: Flight, vehicle: Vehicle, air, ready_s: float) -> Ticks | None:
     """Ticks of a flight, or None when it shows no motor commands in the air."""
     if not flight.has("motors") or not air:
@@ -176,8 +329,12 @@ def observe(flight: Flight, vehicle: Vehicle, air, ready_s: float) -> Ticks | No
     thrust = allocation.rotor_thrusts(flight, vehicle)
     if len(thrust) < 20:
         return None
-    hover = (vehicle.identified or {}).get("hover")
-    return make(flight, thrust, vehicle.effectiveness(), air, ready_s, hover=hover)
+    return make(flight, thrust, vehicle.effectiveness(), air, ready_s, hover=known_hover(vehicle))
+
+
+def known_hover(vehicle: Vehicle) -> float | None:
+    """Share of full thrust that carries the vehicle, where healthy flights have told."""
+    return (vehicle.identified or {}).get("hover")
 
 
 def make(
@@ -194,113 +351,85 @@ def make(
 
     hover: share of full thrust that carries the vehicle, when a vehicle file or baseline knows it.
     """
-    dt = tick_length(thrust.rate_hz) if dt is None else dt
-    ready_s, half = ready_after(ready_s, dt), dt / 2.0
-    notes = []
-    if dt > SHORTEST_S / 2.0:
-        notes.append(
-            f"motor outputs at {thrust.rate_hz:.1f} Hz are judged every {dt:g} s, after {ready_s:.0f} s of learning: losses are found "
-            "late, and short or small ones not at all"
-        )
-    # Slow commands are snapshots: put them in the middle of their ticks so that jitter never empties one.
-    turns = np.exp(2j * np.pi * thrust.time[:64] / dt)  # the first seconds decide, so that a longer log changes nothing
-    phase = float(np.angle(turns.mean()) / (2.0 * np.pi) % 1.0 * dt) if thrust.rate_hz < 1.5 / dt else 0.0
-    first = np.floor((thrust.time[0] - phase) / dt) * dt + phase + half
-    hi = first + dt * _filled(((thrust.time - first) / dt).astype(np.int64), round(GAP_S / dt))
-    count = hi.size
-    time = hi + lag_s + half
-    mean, when, some = _bin_mean(thrust, hi - dt, hi)
-    when = np.where(some, when, hi - half)
-    centre = when + lag_s
-    zeros3 = np.zeros((count, 3))
-    gyro_name = "gyro" if flight.has("gyro") else "rates" if flight.has("rates") else None
-    if gyro_name:
-        rate, rate_dot, gyro_ok = _window(flight[gyro_name], centre, _span(flight[gyro_name], thrust, dt))
-    else:
-        rate, rate_dot, gyro_ok = zeros3, zeros3, np.ones(count, bool)
-        notes.append("no angular rate in the log: torque is judged from commands alone, as in steady hover")
-    if flight.has("accel"):
-        force, _, accel_ok = _window(flight["accel"], centre, _span(flight["accel"], thrust, dt))
-        load, push = -force[:, 2] / G0, force[:, :2]
-        whole = flight["accel"].valid.all(axis=1)
-        shake = vibration(flight["accel"].time[whole], flight["accel"].values[whole], centre - half)
-        side, _, side_ok = _window(flight["accel"], centre + half - 0.5 * SIDE_S, 0.5 * SIDE_S)
-        side = np.where(side_ok[:, None], side[:, :2], 0.0)
-    else:
-        side = push = shake = None
-        load, accel_ok = np.ones(count), np.zeros(count, bool)
-        notes.append("no accelerometer in the log: thrust is not judged, only torque")
+    how = plan(flight, thrust, ready_s, lag_s, dt)
+    seen = sense(flight, thrust, how.ends(how.numbers(thrust.time)), how)
+    return assemble(seen, how, B, airborne, hover)[0]
 
+
+def assemble(
+    seen: Sensed,
+    plan: Plan,
+    B: np.ndarray,
+    airborne: tuple[tuple[float, float], ...],
+    hover: float | None = None,
+    past: Past | None = None,
+) -> tuple[Ticks, Past]:
+    """Ticks from what was sensed in them and when the vehicle was in the air; in one piece, or piece by piece with the past of each.
+
+    A piece must not end in the first second of a hop: what carries the vehicle is learned from all of it.
+    """
+    dt, time, when, some, mean, rate = plan.dt, seen.time, seen.when, seen.some, seen.share, seen.rate
+    count, width = len(seen), max(2, round(0.3 / dt))
+    if past is None:
+        past = Past(-np.inf, hover or 1.0, False, np.inf, np.zeros(width - 1, bool), (), (), -np.inf)
     valid = np.empty((count, 4), bool)
-    valid[:, :3] = (some & gyro_ok)[:, None]
+    valid[:, :3] = (some & seen.rate_ok)[:, None]
     valid[:, 2] &= bool(
         np.abs(B[2]).max() > 0.0
     )  # rotors that make no yaw torque explain none: a servo yaws a tricopter
-    valid[:, 3] = some & accel_ok
+    valid[:, 3] = some & seen.load_ok
     mode = np.zeros(count, np.int32)
     restart = np.zeros(count, bool)
-    scale = np.full(count, hover or 1.0)
-    tilt = np.ones(count)
-    if flight.has("attitude"):
-        q = flight["attitude"]
-        i = np.clip(np.searchsorted(q.time, time, "right") - 1, 0, len(q) - 1)
-        _, x, y, _ = q.values[i].T
-        tilt = 1.0 - 2.0 * (x * x + y * y)
-    upset = (np.abs(rate[:, :2]).max(axis=1, initial=0.0) > UPSET_RATE) | (tilt < UPSET_TILT)
+    scale = np.full(count, past.hover)
+    upset = (np.abs(rate[:, :2]).max(axis=1, initial=0.0) > UPSET_RATE) | (seen.level < UPSET_TILT)
+    hop, gone, tumbling = past.hop, past.gone, np.concatenate([past.upset, np.zeros(count, bool)])
     for start, end in airborne:
         inside = (time >= start + SETTLE_S) & (when <= end)
         if not inside.any():
             continue
-        settle = (when >= start) & (when < start + SETTLE_S) & some & (mean.sum(axis=1) > 0)
-        if hover is None:
-            first_load = np.where(accel_ok[settle], np.clip(load[settle], 0.5, 2.0), 1.0)
-            level = (
-                float(np.median(mean[settle].mean(axis=1) / first_load))
-                if settle.any()
-                else float(np.median(mean[inside][:10]))
-            )
-        else:
-            level = hover
+        level = past.hover
+        if start != hop:
+            hop, gone = start, False
+            level = hover if hover is not None else _hover(seen, inside, start)
+            restart[np.flatnonzero(inside)[0]] = True
+            tumbling[: width - 1] = False
         scale[time >= start] = max(level, 0.02)
-        mode[inside] = np.where(time[inside] >= start + ready_s, JUDGE, LEARN)
-        restart[np.flatnonzero(inside)[0]] = True
+        mode[inside] = np.where(time[inside] >= start + plan.ready_s, JUDGE, LEARN)
         # Once tumbling, never hovering again in this hop: what follows is a fall, not evidence.
-        fall = np.flatnonzero(inside & upset)
-        if fall.size:
-            since = (time >= time[fall[0]]) & inside
-            long_upset = (
-                np.convolve(upset & inside, np.ones(max(2, round(0.3 / dt))), "full")[:count]
-                >= max(2, round(0.3 / dt)) - 0.5
-            )
-            begin = np.flatnonzero(long_upset & since)
-            if begin.size:
-                gone = (np.arange(count) >= begin[0]) & inside
-                upset = upset | gone
-    thrust_units = mean / scale[:, None]
-    wrench = thrust_units @ B.T
-    fresh = some & gyro_ok & (accel_ok | (push is None)) & (mode > GROUND)
-    contact, contacts = struck(time, push, load, shake, thrust_units, wrench[:, :3], rate_dot, fresh, dt)
-    mode[(mode == JUDGE) & _learning_again(contact, restart, thrust_units, scale, rate, fresh, round(ready_s / dt))] = (
-        LEARN
-    )
+        tumbling[width - 1 :] = upset & inside
+        long_upset = np.convolve(tumbling, np.ones(width), "full")[width - 1 : width - 1 + count] >= width - 0.5
+        begin = np.flatnonzero(long_upset & inside)
+        first = 0 if gone else begin[0] if begin.size else count
+        gone = first < count
+        upset = upset | ((np.arange(count) >= first) & inside)
+    units = mean / scale[:, None]
+    wrench = units @ B.T
+    fresh = some & seen.rate_ok & (seen.load_ok | (seen.push is None)) & (mode > GROUND)
+    rows: tuple[Any, ...] = (time, seen.push, seen.load, seen.shake, units, wrench[:, :3], seen.rate_dot, fresh)
+    if past.recent:
+        rows = tuple(None if b is None else np.concatenate([a, b]) for a, b in zip(past.recent, rows))
+    known = len(rows[0]) - count
+    contact, contacts, hit = struck(*rows, dt=dt, known=known, before=past.contacts, last=past.hit)
+    learned = _learned_again(contact, restart, units, scale, rate, fresh, past.learned)
+    mode[(mode == JUDGE) & (learned < round(plan.ready_s / dt))] = LEARN
     valid &= (~upset & ~contact & (mode > GROUND))[:, None]
-    return Ticks(
-        time,
-        when,
-        thrust_units,
-        wrench,
-        rate,
-        rate_dot,
-        load,
-        valid,
-        mode,
-        restart,
-        scale,
-        dt,
-        upset,
-        tuple(notes),
-        side,
-        contact,
-        contacts,
-        some,
-    )
+    side = seen.side
+    table = Ticks(
+        time, when, units, wrench, rate, seen.rate_dot, seen.load, valid, mode, restart, scale, dt, upset,
+        plan.notes, side, contact, contacts, some,
+    )  # fmt: skip
+    if not count:
+        return table, past
+    recent = tuple(None if x is None else x[-(look_back(dt) + 1) :] for x in rows)
+    return table, Past(
+        hop, float(scale[-1]), gone, float(learned[-1]), tumbling[count:], recent, contacts, hit
+    )  # fmt: skip
+
+
+def _hover(seen: Sensed, inside: np.ndarray, start: float) -> float:
+    """Share of full thrust that carries the vehicle, from the first second after `start`."""
+    settle = (seen.when >= start) & (seen.when < start + SETTLE_S) & seen.some & (seen.share.sum(axis=1) > 0)
+    if not settle.any():
+        return float(np.median(seen.share[inside][:10]))
+    load = np.where(seen.load_ok[settle], np.clip(seen.load[settle], 0.5, 2.0), 1.0)
+    return float(np.median(seen.share[settle].mean(axis=1) / load))

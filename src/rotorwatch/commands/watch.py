@@ -1,0 +1,150 @@
+"""The command that judges vehicles while they fly."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+
+from rotorwatch.commands.tools import LOG, OUT, common, label, progress, say
+from rotorwatch.errors import ConfigError
+
+FAULT, NOTHING = 1, 3
+
+
+def register(group: click.Group) -> None:
+    """Add the command of this module to the command line."""
+    group.add_command(watch)
+
+
+@click.command(short_help="Judge vehicles while they fly.")
+@click.argument("endpoints", nargs=-1, required=True, metavar="ENDPOINT...")
+@click.option(
+    "--speed", default="1", show_default=True, metavar="N|max", help="Of a replayed log: times real time, or max."
+)
+@click.option("--vehicle", type=LOG, metavar="FILE", help="Vehicle file (TOML) of all vehicles that are watched.")
+@click.option("--record", type=OUT, metavar="DIR", help="Record every link in this folder, as telemetry logs (.tlog).")
+@click.option("--listen-only", is_flag=True, help="Send nothing: neither ask for parameters nor for rates.")
+@click.option("--seconds", type=float, default=math.inf, metavar="S", help="Stop after so long.")
+@click.option(
+    "--patience",
+    type=float,
+    default=30.0,
+    show_default=True,
+    metavar="S",
+    help="Wait so long for a first vehicle on a link.",
+)
+@click.option("--jsonl", is_flag=True, help="Alerts as JSON lines on standard output (docs/watch.md), no picture.")
+@common
+def watch(endpoints, speed, vehicle, record, listen_only, seconds, patience, jsonl, quiet) -> None:
+    """Judge vehicles while they fly. ENDPOINT: udp:PORT, udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, serial:DEVICE:BAUD, or a
+    recorded log, which is replayed in real time.
+
+    Exit code, once all endpoints have ended: 0 no event, 1 a fault was found, 3 nothing could be judged, 2 error.
+    """
+    from rotorwatch.live.endpoint import is_endpoint, open_endpoint
+    from rotorwatch.live.link import Link
+    from rotorwatch.live.watch import watch as run
+
+    rate = _speed(speed)
+    known = _vehicle(vehicle)
+    tell = _lines if jsonl else (lambda alert: None) if _screen() else _sentences(quiet)
+    sources: list[Any] = []
+    try:
+        for endpoint in endpoints:
+            if is_endpoint(endpoint):
+                sources.append(Link(open_endpoint(endpoint), tell, known, record, not listen_only, patience))
+            else:
+                sources.append(_replay(endpoint, tell, known, rate, quiet))
+    except BaseException:
+        for source in sources:
+            source.leave()
+        raise
+    if jsonl or not _screen():
+        run(sources, None, seconds)
+    else:
+        _drawn(lambda show: run(sources, show, seconds))
+    raise click.exceptions.Exit(_code([v for source in sources for v in source.vehicles]))
+
+
+def _screen() -> bool:
+    """Whether a picture can be drawn on standard output."""
+    return (
+        sys.stdout is not None
+        and sys.stdout.isatty()
+        and os.environ.get("TERM", "").lower() not in ("dumb", "unknown", "")
+    )
+
+
+def _drawn(run) -> None:
+    """Run with a picture of all vehicles that is drawn again and again."""
+    from rich.live import Live
+
+    from rotorwatch.live.view import table
+    from rotorwatch.report import terminal
+
+    with Live(console=terminal.console(), auto_refresh=False, vertical_overflow="crop") as picture:
+        run(lambda sources: picture.update(table(sources), refresh=True))
+
+
+def _speed(text: str) -> float:
+    try:
+        speed = math.inf if text == "max" else float(text)
+    except ValueError:
+        speed = math.nan
+    if not speed > 0.0:
+        raise ConfigError(f"--speed {text}: give a number above 0, or max.")
+    return speed
+
+
+def _vehicle(path: Path | None) -> Any:
+    from rotorwatch.flight.vehicle_file import read
+
+    return read(path) if path else None
+
+
+def _replay(endpoint: str, tell, known, speed: float, quiet: bool) -> Any:
+    from rotorwatch.live.endpoint import KINDS
+    from rotorwatch.live.replay import Replay
+    from rotorwatch.live.watched import Watched
+    from rotorwatch.logs import read
+
+    path = LOG.convert(endpoint, None, None)
+    if not path.exists():
+        raise ConfigError(f"{endpoint}: no such log; give a log file, or an endpoint: {KINDS}.")
+    with progress(quiet) as report:
+        flight = read(path, report)
+    return Replay(flight, Watched(label(path.name), tell, known), speed)
+
+
+def _lines(alert: dict) -> None:
+    """Alerts for programs."""
+    click.echo(json.dumps(alert, allow_nan=False))
+
+
+def _sentences(quiet: bool):
+    """Alerts for people, where no picture can be drawn."""
+
+    def tell(alert: dict) -> None:
+        if alert["type"] == "event":
+            event, what = alert["event"], alert["state"]
+            click.echo(
+                f"{alert['vehicle']}: {what}: {event['kind'].replace('_', ' ')} at {event['onset_s']:.1f} s; {event['reason']}"
+            )
+        elif not quiet and alert["type"] != "vehicle":
+            say(alert["text"] if alert["vehicle"] in alert["text"] else f"{alert['vehicle']}: {alert['text']}")
+
+    return tell
+
+
+def _code(vehicles) -> int:
+    if any(e.kind in ("loss_of_effectiveness", "output_override") for v in vehicles for e in v.events):
+        return FAULT
+    return (
+        NOTHING if not vehicles or any(v.trouble or v.session is None or not v.session.judged for v in vehicles) else 0
+    )

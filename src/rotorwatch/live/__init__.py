@@ -1,0 +1,18 @@
+"""Judging vehicles while they fly. Data flows one way, from bytes to alerts.
+
+endpoint.py   bytes of UDP, TCP and serial ports
+clock.py      a vehicle's own time
+mavlink.py    frames to samples
+talk.py       what is asked of a vehicle: parameters, rates, who it is
+link.py       one endpoint: its frames by vehicle, recorded
+replay.py     a recorded flight instead of a link
+window.py     the last seconds of a vehicle's signals
+stream.py     samples to ticks: the front end of a diagnosis, piece by piece
+history.py    the ticks that events are made of
+judge.py      ticks to events, and what is taken back when a landing is certain
+session.py    one vehicle's stream and judge
+changes.py    what is new about the events
+watched.py    one vehicle, what was told of it, and the health of its link
+watch.py      all vehicles of all endpoints, in one loop
+view.py       them in a terminal
+"""

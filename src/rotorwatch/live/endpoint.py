@@ -1,0 +1,255 @@
+"""Where MAVLink comes from: UDP, TCP, a serial port. Each gives bytes with the peer that sent them, and takes bytes back."""
+
+from __future__ import annotations
+
+import os
+import select
+import socket
+import time
+from typing import Any
+
+from rotorwatch.errors import LinkError
+
+AGAIN_S = 1.0  # between two attempts to connect again
+MOST = 65536
+KINDS = "udp:PORT, udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT or serial:DEVICE:BAUD"
+
+
+def is_endpoint(text: str) -> bool:
+    """Whether a text is meant as an endpoint, not as a file."""
+    return text.split(":", 1)[0].lower() in ("udp", "udpin", "udpout", "tcp", "serial") and ":" in text
+
+
+def open_endpoint(text: str) -> Endpoint:
+    """The endpoint that a text names. Raises LinkError with one sentence."""
+    kind, _, rest = text.partition(":")
+    if kind.lower() == "serial":
+        device, _, baud = rest.rpartition(":")
+        if not device or not baud.isdigit():
+            raise LinkError(f"{text}: name the device and its speed, as in serial:/dev/ttyUSB0:57600.")
+        return Serial(text, device, int(baud))
+    host, _, port = rest.rpartition(":")
+    if not port.isdigit() or not 0 < int(port) < 65536:
+        raise LinkError(f"{text}: this is no endpoint; give {KINDS}.")
+    if kind.lower() == "tcp":
+        return Tcp(text, host or "127.0.0.1", int(port))
+    return Udp(text, host, int(port), listens=kind.lower() != "udpout")
+
+
+class Endpoint:
+    """One endpoint. name: as the user gave it. open: bytes can come."""
+
+    slow = False  # so slow that not much may be asked for
+
+    def __init__(self, name: str):
+        self.name, self.open, self._tried = name, False, -AGAIN_S
+
+    def fileno(self) -> int:
+        """For `select`."""
+        raise NotImplementedError
+
+    def receive(self, wait_s: float = 0.0) -> list[tuple[Any, bytes]]:
+        """(peer, bytes) of all that has come; waits for it so long at most."""
+        if not self.open:
+            time.sleep(wait_s)
+            return []
+        return self._read() if select.select([self], [], [], wait_s)[0] else []
+
+    def _read(self) -> list[tuple[Any, bytes]]:
+        raise NotImplementedError
+
+    def send(self, data: bytes, peer: Any = None) -> None:
+        """To one peer, or to all that have been heard. What cannot be sent is lost, as on any link."""
+        raise NotImplementedError
+
+    def close(self) -> None:
+        self.open = False
+
+    def again(self) -> None:
+        """Try to open it again when it has been closed by the other side."""
+
+
+class Udp(Endpoint):
+    def __init__(self, name: str, host: str, port: int, listens: bool):
+        super().__init__(name)
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
+        self._peers: dict[Any, float] = {}
+        try:
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 21)
+            if listens:
+                self._socket.bind((host, port))
+            else:
+                self._socket.connect((host, port))
+                self._peers[None] = 0.0
+        except OSError as why:
+            self._socket.close()
+            raise LinkError(
+                f"{name} cannot be opened ({why.strerror or why}); is another program using this port?"
+            ) from why
+        self.open = True
+
+    def fileno(self) -> int:
+        return self._socket.fileno()
+
+    def _read(self) -> list[tuple[Any, bytes]]:
+        found = []
+        for _ in range(500):
+            try:
+                data, peer = self._socket.recvfrom(MOST)
+            except (BlockingIOError, InterruptedError):
+                break
+            except OSError:  # the other side has no one listening: said by its computer
+                continue
+            if None not in self._peers:
+                self._peers[peer] = time.monotonic()
+            found.append((peer, data))
+        return found
+
+    def send(self, data: bytes, peer: Any = None) -> None:
+        for to in list(self._peers) if peer is None or None in self._peers else [peer]:
+            try:
+                if to is None:
+                    self._socket.send(data)
+                elif self._peers.get(to, 0.0) > time.monotonic() - 60.0:
+                    self._socket.sendto(data, to)
+                else:
+                    self._peers.pop(to, None)
+            except OSError:
+                pass
+
+    def close(self) -> None:
+        super().close()
+        self._socket.close()
+
+
+class Tcp(Endpoint):
+    def __init__(self, name: str, host: str, port: int):
+        super().__init__(name)
+        self._address, self._socket = (host, port), None
+        try:
+            self._connect(5.0)
+        except OSError as why:
+            raise LinkError(f"{name} cannot be reached ({why.strerror or why}); is the other side listening?") from why
+
+    def _connect(self, wait_s: float) -> None:
+        self._socket = socket.create_connection(self._address, wait_s)
+        self._socket.setblocking(False)
+        self.open = True
+
+    def fileno(self) -> int:
+        return -1 if self._socket is None else self._socket.fileno()
+
+    def _read(self) -> list[tuple[Any, bytes]]:
+        if self._socket is None:
+            return []
+        try:
+            data = self._socket.recv(MOST)
+        except (BlockingIOError, InterruptedError):
+            return []
+        except OSError:
+            data = b""
+        if not data:
+            self.close()
+            return []
+        return [(self._address, data)]
+
+    def send(self, data: bytes, peer: Any = None) -> None:
+        if self._socket is not None:
+            try:
+                self._socket.send(data)
+            except OSError:
+                pass
+
+    def close(self) -> None:
+        super().close()
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
+
+    def again(self) -> None:
+        if self.open or time.monotonic() - self._tried < AGAIN_S:
+            return
+        self._tried = time.monotonic()
+        try:
+            self._connect(0.05)
+        except OSError:
+            pass
+
+
+class Serial(Endpoint):
+    slow = True
+
+    def __init__(self, name: str, device: str, baud: int):
+        super().__init__(name)
+        self._device, self._baud, self._file = device, baud, -1
+        try:
+            self._connect()
+        except FileNotFoundError:
+            raise LinkError(f"{device}: there is no such device; is it plugged in?") from None
+        except PermissionError:
+            raise LinkError(
+                f"{device} may not be opened; join the group that owns it (often dialout) and log in again."
+            ) from None
+        except OSError as why:
+            raise LinkError(f"{device} cannot be opened as a serial port ({why.strerror or why}).") from why
+
+    def _connect(self) -> None:
+        try:
+            import termios
+            import tty
+        except ImportError:
+            raise LinkError(
+                "Serial ports can be watched on Linux and macOS only; forward the link to UDP and give udp:PORT."
+            ) from None
+        speed = getattr(termios, f"B{self._baud}", None)
+        if speed is None:
+            raise LinkError(
+                f"{self.name}: {self._baud} is no speed that this computer's serial ports have; 57600 and 115200 are usual."
+            )
+        file = os.open(self._device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        try:
+            tty.setraw(file)
+            mode = termios.tcgetattr(file)
+            mode[2] |= termios.CLOCAL | termios.CREAD
+            mode[4] = mode[5] = speed
+            termios.tcsetattr(file, termios.TCSANOW, mode)
+        except (termios.error, OSError) as why:
+            os.close(file)
+            raise OSError(0, "it is no terminal device") from why
+        self._file, self.open = file, True
+
+    def fileno(self) -> int:
+        return self._file
+
+    def _read(self) -> list[tuple[Any, bytes]]:
+        try:
+            data = os.read(self._file, MOST)
+        except (BlockingIOError, InterruptedError):
+            return []
+        except OSError:
+            data = b""
+        if not data:
+            self.close()
+            return []
+        return [(self._device, data)]
+
+    def send(self, data: bytes, peer: Any = None) -> None:
+        try:
+            os.write(self._file, data)
+        except OSError:
+            pass
+
+    def close(self) -> None:
+        super().close()
+        if self._file >= 0:
+            os.close(self._file)
+            self._file = -1
+
+    def again(self) -> None:
+        if not self.open and time.monotonic() - self._tried >= AGAIN_S:
+            self._tried = time.monotonic()
+            try:
+                self._connect()
+            except OSError:
+                pass

@@ -1,0 +1,128 @@
+"""What of the estimator's ticks events are made of, kept for as long as they may still be.
+
+A healthy flight keeps two minutes. From the first announcement on all of a hop is kept, up to MOST ticks; then its events stay as they are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from rotorwatch.default import events
+from rotorwatch.default.hypotheses import Hypotheses
+from rotorwatch.diagnosis import Event
+from rotorwatch.motion.ticks import Ticks
+
+QUIET, MOST = 2400, 72_000
+TICK = ("time", "command_time", "mode", "restart", "upset")
+OUT = ("theta", "theta_sd", "announced", "since", "active", "share", "opposite", "opposite_onset", "opposite_loss")
+RARE = ("probability", "log_odds")  # asked for only where something was announced
+
+
+@dataclass
+class _Rows:
+    """Columns by name."""
+
+    dt: float
+    columns: dict[str, Any]
+
+    def __getattr__(self, name: str):
+        try:
+            return self.columns[name]
+        except KeyError:
+            raise AttributeError(name) from None
+
+
+class _Rare:
+    """Rows of a table of which few are kept, by their running numbers."""
+
+    def __init__(self, first: int, rows: dict[int, np.ndarray]):
+        self._first, self._rows = first, rows
+
+    def __getitem__(self, k) -> np.ndarray:
+        return self._rows[self._first + int(k)]
+
+
+class History:
+    """The ticks since `first` (running number); `end` is one past the last."""
+
+    def __init__(self, dt: float):
+        self._dt, self.first, self.end = dt, 0, 0
+        self._columns: dict[str, np.ndarray] = {}
+        self._rare: dict[str, dict[int, np.ndarray]] = {name: {} for name in RARE}
+        self._said: list[int] = []  # ticks at which something was announced or suspected
+        self._restarts: list[int] = []
+
+    def add(self, table: Ticks, out) -> None:
+        """More ticks with what the estimator made of them."""
+        count = len(table.time)
+        rows = {name: np.asarray(getattr(table, name)) for name in TICK}
+        rows |= {name: np.asarray(getattr(out, name)) for name in OUT}
+        used = self.end - self.first
+        for name, new in rows.items():
+            column = self._columns.get(name)
+            if column is None or used + count > len(column):
+                room = np.empty((max(1024, 2 * (used + count)), *new.shape[1:]), new.dtype)
+                if column is not None:
+                    room[:used] = column[:used]
+                column = self._columns[name] = room
+            column[used : used + count] = new
+        told = rows["announced"].astype(bool) | (rows["opposite"] >= 0)
+        for k in np.flatnonzero(told).tolist():
+            self._said.append(self.end + k)
+            for name in RARE:
+                self._rare[name][self.end + k] = np.array(getattr(out, name)[k])
+        self._restarts += (self.end + np.flatnonzero(table.restart)).tolist()
+        self.end += count
+
+    @property
+    def said(self) -> int:
+        """How often something was announced or suspected in these ticks."""
+        return len(self._said)
+
+    def cut(self, end: int) -> None:
+        """Forget the ticks from `end` on."""
+        self.end = max(end, self.first)
+        self._said = [k for k in self._said if k < self.end]
+        self._restarts = [k for k in self._restarts if k < self.end]
+
+    def events(self, hyp: Hypotheses, B: np.ndarray, end: int | None = None) -> tuple[Event, ...]:
+        """Events of the ticks that are kept, or of those before `end`."""
+        end = self.end if end is None else end
+        if not any(k < end for k in self._said):
+            return ()
+        columns = {name: column[: end - self.first] for name, column in self._columns.items()}
+        rare = {name: _Rare(self.first, rows) for name, rows in self._rare.items()}
+        rows: Any = _Rows(self._dt, {**columns, **rare})
+        return events.read(rows, rows, hyp, B)
+
+    def column(self, name: str) -> np.ndarray:
+        """A column of the ticks that are kept."""
+        return self._columns[name][: self.end - self.first] if name in self._columns else np.empty(0)
+
+    def settle(self, sure: int, hyp: Hypotheses, B: np.ndarray) -> tuple[Event, ...]:
+        """Drop what is not needed any more; the events of hops that are over for good. sure: ticks before this will not be taken back."""
+        over = [k for k in self._restarts if self.first < k < sure]
+        if over:
+            done = self.events(hyp, B, over[-1] + 1)
+            self._drop(over[-1])
+            return done
+        if not self._said and self.end - self.first > 2 * QUIET:
+            self._drop(min(sure, self.end - QUIET))
+        elif self.end - self.first > MOST and sure - self.first > MOST // 2:
+            done = self.events(hyp, B)
+            self._drop(sure)
+            return done
+        return ()
+
+    def _drop(self, first: int) -> None:
+        for name, column in self._columns.items():
+            self._columns[name] = column[first - self.first : self.end - self.first].copy()
+        self.first = first
+        self._said = [k for k in self._said if k >= first]
+        self._restarts = [k for k in self._restarts if k >= first]
+        for rows in self._rare.values():
+            for k in [k for k in rows if k < first]:
+                del rows[k]

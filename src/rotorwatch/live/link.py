@@ -1,0 +1,300 @@
+"""One endpoint: its frames told apart by vehicle, recorded, and turned into samples; and what is asked of each vehicle."""
+
+from __future__ import annotations
+
+import re
+import time
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from rotorwatch import files
+from rotorwatch.errors import LinkError
+from rotorwatch.flight import Flight
+from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.flight.vehicle_kind import OTHERS
+from rotorwatch.live import mavlink, talk
+from rotorwatch.live.clock import Restarted
+from rotorwatch.live.endpoint import Endpoint
+from rotorwatch.live.watched import Tell, Watched
+from rotorwatch.logs.px4_topics import MAV_TYPES
+from rotorwatch.logs.tlog import FORMAT
+
+BEAT_S, HELLO_S = 1.0, 0.5
+SILENT_S = 3.0
+NO_AUTOPILOT, ON_BOARD, GROUND = 8, 18, 6
+COMMAND_ACK, MESSAGE_INTERVAL = 77, 244
+
+
+class Heard:
+    """One vehicle on a link. watched: what is made of its samples."""
+
+    def __init__(self, watched: Watched, key: tuple[int, int], autopilot: str, kind: int, link: Link, peer: Any):
+        self.watched, self._key, self._link, self.peer = watched, key, link, peer
+        self.messages = mavlink.Messages(autopilot, kind)
+        self._parameters, self._identity = talk.Parameters(*key), talk.Identity(*key)
+        self._rates = talk.Rates(*key, autopilot, link.endpoint.slow)
+        self._begun: dict[str, float] | None = None
+        self._outputs: tuple[int, ...] = ()
+        self._sequence: int | None = None
+        self._silent = False
+        self._first = time.monotonic()
+
+    def counted(self, sequence: int) -> bool:
+        """Whether a frame with this running number is new."""
+        health, last = self.watched.health, self._sequence
+        step = 1 if last is None else (sequence - last) % 256
+        if step == 0 or step > 128:
+            health.twice += 1
+            return step != 0
+        health.lost += step - 1
+        health.taken += 1
+        self._sequence = sequence
+        return True
+
+    def on(self, identity: int, frame: bytes, arrival: float) -> None:
+        """One frame of the autopilot."""
+        self.watched.health.heard = arrival
+        if self._silent:
+            self._silent = False
+            self.watched.say("the vehicle is heard again")
+        layout = mavlink.layouts().get(identity)
+        if layout is None:
+            self._answer(identity, frame)
+            return
+        try:
+            self.messages.add(layout, frame, arrival)
+        except Restarted as why:
+            self._restart(why.reboot)
+            self.messages.add(layout, frame, arrival)
+        if layout.name == "PARAM_VALUE":
+            row = mavlink.row(frame, layout)
+            self._parameters.took(int(row["param_index"]), int(row["param_count"]), arrival)
+
+    def _answer(self, identity: int, frame: bytes) -> None:
+        said = mavlink.decoded(identity, frame)
+        if said is None:
+            return
+        if identity == COMMAND_ACK:
+            self._rates.answered(said["command"], said["result"])
+        elif identity == MESSAGE_INTERVAL:
+            self._rates.interval(said["message_id"], said["interval_us"])
+        elif identity == talk.VERSION_ID:
+            self._identity.took(said["uid"], said["uid2"], said["flight_sw_version"], self.messages.autopilot)
+
+    def _restart(self, reboot: bool) -> None:
+        """Its clock began anew: another flight."""
+        self.watched.finish()
+        health = self.watched.health
+        health.reboots, health.jumps = health.reboots + reboot, health.jumps + (not reboot)
+        self.watched.say(
+            "the vehicle has rebooted; it is watched anew"
+            if reboot
+            else "the vehicle's clock was set; it is watched anew"
+        )
+        messages = mavlink.Messages(self.messages.autopilot, self.messages.vehicle)
+        messages.inherit(self.messages)
+        self.messages, self._sequence = messages, None
+        self._rates = talk.Rates(*self._key, messages.autopilot, self._link.endpoint.slow)
+        if self._begun is not None:
+            self._begin(self._begun)
+
+    def step(self, now: float) -> None:
+        """Judge what has come, and ask for what is missing."""
+        if now - self.watched.health.heard > SILENT_S and not self._silent:
+            self._silent = True
+            self.watched.say(f"nothing has been heard for {SILENT_S:.0f} s")
+        self._know(now)
+        if self._begun is None or self.messages.clock.start is None:
+            return
+        session = self.watched.session
+        if session is None or not self.messages.pending or self.messages.clock.now < session.due_s:
+            return
+        signals, messages = self.messages.take(self._outputs, session.flying)
+        if signals or messages:
+            self.watched.add(signals, messages)
+            self.watched.advance()
+
+    def _know(self, now: float) -> None:
+        """Parameters, from the vehicle or kept from earlier; when they are there, it is watched."""
+        if self._link.talks:
+            self._parameters.step(now, self._send)
+            self._identity.step(now, self._send)
+            if now - self._first > HELLO_S and not self._rates.done:
+                self._rates.step(now, self._send, self.messages.heard_hz())
+        if self._parameters.complete and not self._parameters.kept:
+            self._parameters.kept = True
+            there = self.messages.parameters()
+            if self._identity.key:
+                talk.keep(self._identity.key, there)
+            session = self.watched.session
+            if self._begun is None or (there != self._begun and not (session is not None and session.flying)):
+                self._begin(there)
+            return
+        if self._begun is not None:
+            return
+        there = talk.cached(self._identity.key) if self._identity.key else {}
+        if not there and (self._parameters.given_up or self._link.known is not None or not self._link.talks):
+            there = self.messages.parameters()
+            if (
+                not mavlink.known(there, self.messages.autopilot)
+                and self._link.known is None
+                and not self._parameters.given_up
+            ):
+                return
+        if there or self._link.known is not None or self._parameters.given_up:
+            self._begin(there)
+
+    def _begin(self, parameters: dict[str, float]) -> None:
+        self._begun = parameters
+        facts = mavlink.facts(self.messages, parameters)
+        self._outputs = facts["outputs"]
+        self.watched.begin(
+            Flight(
+                FORMAT, self.messages.autopilot, {}, 0.0, vehicle_type=MAV_TYPES.get(self.messages.vehicle, ("", 0))[0],
+                parameters=parameters, name=self.watched.name, facts=facts,
+            )
+        )  # fmt: skip
+
+    def _send(self, message: Any) -> None:
+        self._link.send(message, self.peer)
+
+    def waits_for(self) -> str:
+        """What is not known of it yet, in a few words."""
+        if self._begun is not None:
+            return ""
+        return f"parameters, {self._parameters.share:.0%}" if self._parameters.count else "parameters"
+
+    def leave(self) -> None:
+        """Give back what was asked for; the last word on each event."""
+        if self._link.talks:
+            self._rates.give_back(self._send)
+        self.watched.finish()
+
+
+class Link:
+    """An endpoint that is watched. known: the vehicle, where a file says it. talks: it may ask the vehicle for what it needs."""
+
+    def __init__(
+        self, endpoint: Endpoint, tell: Tell, known: Vehicle | None = None, record: Path | None = None, talks: bool = True,
+        patience_s: float = 30.0,
+    ):  # fmt: skip
+        """record: folder to record in. patience_s: how long to wait for a first vehicle. Raises ConfigError for a folder that cannot be
+        written."""
+        self.endpoint, self.known, self.talks = endpoint, known, talks
+        self._tell, self._patience_s = tell, patience_s
+        self._parsers: dict[Any, Any] = {}
+        self._heard: dict[tuple[int, int], Heard] = {}
+        self._refused: set[int] = set()
+        self.damaged = self.frames = 0
+        self._began, self._beat = time.monotonic(), 0.0
+        self._pack = talk.messages().MAVLink(None, srcSystem=talk.SYSTEM, srcComponent=talk.COMPONENT)
+        self._first_version = False
+        self._file = self._open(record) if record is not None else None
+        self.trouble = ""
+
+    @property
+    def vehicles(self) -> tuple[Watched, ...]:
+        return tuple(heard.watched for heard in self._heard.values())
+
+    def shown(self) -> list[tuple[Watched, str]]:
+        """Each vehicle with what is not known of it yet."""
+        return [(heard.watched, heard.waits_for()) for heard in self._heard.values()]
+
+    def _open(self, folder: Path):
+        name = re.sub(r"[^A-Za-z0-9]+", "-", self.endpoint.name).strip("-")
+        path = folder / f"{name}-{datetime.now(UTC):%Y%m%dT%H%M%S}.tlog"
+        return open(files.writable(path, "--record", make=True), "wb")
+
+    def poll(self, wait_s: float) -> bool:
+        """Take what has come."""
+        for peer, data in self.endpoint.receive(wait_s):
+            self._take(peer, data)
+        now = time.monotonic()
+        if not self.endpoint.open:
+            self._parsers.clear()
+            self.endpoint.again()
+        if self.talks and now - self._beat > BEAT_S:
+            self._beat = now
+            self.send(talk.heartbeat())
+            if self._file is not None:
+                self._file.flush()
+        for heard in self._heard.values():
+            heard.step(now)
+        if not self._heard and now - self._began > self._patience_s:
+            others = (
+                f" (only {', '.join(sorted(OTHERS.get(k, 'something unknown') for k in self._refused))})"
+                if self._refused
+                else ""
+            )
+            raise LinkError(
+                f"{self.endpoint.name}: no heartbeat of a multirotor has come within {self._patience_s:.0f} s{others}; "
+                "check the address, and that the vehicle is on and sends here."
+            )
+        return True
+
+    def send(self, message: Any, peer: Any = None) -> None:
+        """A message to one peer, or to all."""
+        self.endpoint.send(message.pack(self._pack, force_mavlink1=self._first_version), peer)
+        self._pack.seq = (self._pack.seq + 1) % 256
+
+    def _take(self, peer: Any, data: bytes) -> None:
+        parser = self._parsers.get(peer)
+        if parser is None:
+            parser = self._parsers[peer] = mavlink.Frames()
+            if len(self._parsers) > 200:
+                del self._parsers[next(iter(self._parsers))]
+        arrival, stamp = time.monotonic(), int(time.time() * 1e6)
+        for frame in parser.on(data):
+            self.frames += 1
+            if self._file is not None:
+                self._file.write(stamp.to_bytes(8, "big") + frame)
+            self._dispatch(peer, frame, arrival)
+        self.damaged = sum(p.damaged for p in self._parsers.values())
+
+    def _dispatch(self, peer: Any, frame: bytes, arrival: float) -> None:
+        sequence, system, component, identity = mavlink.header(frame)
+        heard = self._heard.get((system, component))
+        if heard is None:
+            if identity == 0:
+                self._meet(peer, frame, system, component)
+            return
+        heard.peer = peer
+        if heard.counted(sequence):
+            heard.on(identity, frame, arrival)
+
+    def _meet(self, peer: Any, frame: bytes, system: int, component: int) -> None:
+        """A heartbeat of someone new."""
+        beat = mavlink.row(frame, mavlink.layouts()[0])
+        autopilot, kind = int(beat["autopilot"]), int(beat["type"])
+        if autopilot == NO_AUTOPILOT:
+            return
+        if kind not in MAV_TYPES:
+            if kind not in self._refused:
+                self._refused.add(kind)
+                what = OTHERS.get(kind, f"of an unknown kind (MAV_TYPE {kind})")
+                self._tell(
+                    {
+                        "type": "notice",
+                        "vehicle": self._name(system, component),
+                        "text": f"this is {what}; only multirotors are judged",
+                    }
+                )
+            return
+        self._first_version = frame[0] == 0xFE
+        name = self._name(system, component)
+        words = mavlink.AUTOPILOTS.get(autopilot, f"MAVLink autopilot {autopilot}")
+        watched = Watched(name, self._tell, self.known)
+        self._heard[system, component] = Heard(watched, (system, component), words, kind, self, peer)
+        watched.say(f"{words}, {MAV_TYPES[kind][0]}")
+
+    def _name(self, system: int, component: int) -> str:
+        return f"{self.endpoint.name}/{system}" + (f".{component}" if component != 1 else "")
+
+    def leave(self) -> None:
+        """Give back what was asked for, and close."""
+        for heard in self._heard.values():
+            heard.leave()
+        if self._file is not None:
+            self._file.close()
+        self.endpoint.close()

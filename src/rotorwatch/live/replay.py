@@ -1,0 +1,62 @@
+"""A recorded flight given piece by piece, as fast as it was flown, faster, or as fast as it is judged."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import numpy as np
+
+from rotorwatch.flight import Flight
+from rotorwatch.live.watched import Watched
+
+STEP_S, FAST_STEP_S = 0.05, 1.0
+
+
+class Replay:
+    """One log. speed: times as fast as it was flown; infinite: as fast as possible."""
+
+    def __init__(self, flight: Flight, watched: Watched, speed: float = np.inf):
+        times = [s.time for s in flight.signals.values() if len(s)]
+        self._now = min((float(t[0]) for t in times), default=0.0)
+        self._end = max((float(t[-1]) for t in times), default=0.0)
+        self._flight, self.watched, self._speed = flight, watched, speed
+        self._first, self._began = self._now, time.monotonic()
+        self._step = FAST_STEP_S if np.isinf(speed) else STEP_S * max(1.0, min(speed, FAST_STEP_S / STEP_S))
+        self._before = -np.inf
+        watched.begin(replace(flight, signals={}, messages=()))
+
+    @property
+    def vehicles(self) -> tuple[Watched, ...]:
+        return (self.watched,)
+
+    def poll(self, wait_s: float = 0.05) -> bool:
+        """Give the next piece when its time has come; False when there is none left."""
+        if self._before > self._end:
+            return False
+        now = self._now + self._step
+        if np.isfinite(self._speed):
+            ahead = (now - self._first) / self._speed - (time.monotonic() - self._began)
+            if ahead > 0.0:
+                time.sleep(min(ahead, wait_s))
+                if ahead > wait_s:
+                    return True
+        signals = {name: s.between(self._before, now) for name, s in self._flight.signals.items()}
+        messages = [m for m in self._flight.messages if self._before <= m.time < now]
+        self.watched.health.heard = time.monotonic()
+        self.watched.health.taken += sum(len(s) for s in signals.values())
+        self.watched.add({name: s for name, s in signals.items() if len(s)}, messages)
+        self.watched.advance(float(np.nextafter(now, -np.inf)))
+        self._now = self._before = now
+        if now > self._end:
+            self.watched.finish(self._flight.duration)
+        return True
+
+    def shown(self) -> list[tuple[Watched, str]]:
+        """The vehicle; all is known of it."""
+        return [(self.watched, "")]
+
+    def leave(self) -> None:
+        """Nothing is to be given back."""
+        if self._before <= self._end:
+            self.watched.finish()

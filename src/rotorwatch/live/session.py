@@ -1,0 +1,205 @@
+"""One vehicle while it is watched: what is known of it, its stream of samples, and the judge of its ticks."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from rotorwatch import airframes
+from rotorwatch.default import events
+from rotorwatch.diagnosis import Event
+from rotorwatch.flight import Flight, Message, Signal
+from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.live.judge import Judge
+from rotorwatch.live.stream import Piece, Stream
+from rotorwatch.motion.ticks import JUDGE, LEARN, READY_KNOWN_S, READY_S
+
+_ONE = threading.Lock()
+
+
+class Building:
+    """A judge that is made in a thread of its own."""
+
+    def __init__(self, *about):
+        self._made: list[Judge | BaseException] = []
+        self._thread = threading.Thread(target=self._make, args=about)
+        self._thread.start()
+
+    def _make(self, *about) -> None:
+        try:
+            with _ONE:  # the second of a kind finds what the first has built
+                self._made.append(Judge(*about))
+        except BaseException as why:  # raised again where it is asked for
+            self._made.append(why)
+
+    def judge(self, wait: bool) -> Judge | None:
+        """The judge; None when it is not ready yet."""
+        self._thread.join(None if wait else 0.0)
+        if self._thread.is_alive():
+            return None
+        (made,) = self._made
+        if isinstance(made, BaseException):
+            raise made
+        return made
+
+
+class Session:
+    """A vehicle from the first sample on. vehicle: None until there are motor outputs to say what it is."""
+
+    def __init__(self, about: Flight, vehicle: Vehicle | None = None):
+        """about: what is known of the flight besides its signals: parameters, autopilot, facts. vehicle: None to identify it by these."""
+        self.about, self.vehicle = about, vehicle
+        self._judge: Judge | None = None
+        self._building: Building | None = None
+        self._pieces: list[Piece] = []
+        self._dynamics = (vehicle.identified or {}).get("dynamics") if vehicle is not None else None
+        self._ready_s = READY_KNOWN_S if self._dynamics else READY_S
+        self._stream: Stream | None = None
+        self._early: list[tuple[Mapping[str, Signal], tuple[Message, ...]]] = []
+        self._spans: tuple[tuple[float, float], ...] = ()
+        self.now = -np.inf
+
+    def add(self, signals: Mapping[str, Signal], messages: Iterable[Message] = ()) -> None:
+        """More of the flight, in time order. Raises VehicleError when the airframe cannot be identified."""
+        self.now = max([self.now, *(float(s.time[-1]) for s in signals.values() if len(s))])
+        if self._stream is not None:
+            self._stream.add(signals, messages)
+            return
+        self._early.append((signals, tuple(messages)))
+        motors = next((s["motors"] for s, _ in self._early if "motors" in s), None)
+        if motors is None:
+            del self._early[:-500]
+            return
+        if self.vehicle is None:
+            self.vehicle = airframes.identify(replace(self.about, signals={"motors": motors}))
+        else:
+            airframes.check(self.vehicle, replace(self.about, signals={"motors": motors}))
+        self._open()
+        early, self._early = self._early, []
+        for more in early:
+            self._stream_of().add(*more)
+
+    def _stream_of(self) -> Stream:
+        assert self._stream is not None
+        return self._stream
+
+    def _open(self) -> None:
+        assert self.vehicle is not None
+        self._stream, self._judge = Stream(self.about, self.vehicle, self._ready_s), None
+        self._building, self._pieces = None, []
+
+    def advance(self, complete: float | None = None) -> bool:
+        """Judge what has become known; whether there was anything. complete: as for `Stream.advance`."""
+        stream = self._stream
+        if stream is None:
+            return False
+        piece = stream.advance(complete)
+        if piece is None or stream.plan is None:
+            return False
+        if self._dynamics and self._dynamics.get("dt") != stream.plan.dt:
+            self._dynamics = None  # the noise of healthy flights at another rate is not this one's
+        if self._ready_s < READY_S and not (self._dynamics and stream.plan.gyro == "gyro"):
+            self._ready_s = READY_S
+            return self._again(stream.window.flight(-np.inf), complete)
+        flight = stream.replanned()
+        if flight is not None:
+            return self._again(flight, complete)
+        return self._judged(piece, complete is not None)
+
+    def _again(self, flight: Flight, complete: float | None) -> bool:
+        """Begin anew with what is kept."""
+        self._open()
+        self._stream_of().add(flight.signals, flight.messages)
+        return self.advance(complete)
+
+    def _judged(self, piece: Piece, wait: bool) -> bool:
+        """Give a piece to the judge. Where native code is built for the first time that takes seconds, in which a link must be read:
+        unless told to `wait`, pieces are put by until it is there."""
+        stream = self._stream_of()
+        assert self.vehicle is not None and stream.plan is not None
+        self._spans = piece.spans
+        self._pieces.append(piece)
+        if self._judge is None:
+            if self._building is None:
+                self._building = Building(self.vehicle, stream.plan, self._dynamics)
+            self._judge = self._building.judge(wait)
+            if self._judge is None:
+                return False
+        self._judge.plan = stream.plan
+        pieces, self._pieces = self._pieces, []
+        for one in pieces:
+            self._judge.on(one)
+        return any(one.sensed is not None for one in pieces)
+
+    @property
+    def due_s(self) -> float:
+        """The vehicle's time from which there may be something to judge."""
+        return -np.inf if self._stream is None else self._stream.due_s
+
+    def finish(self, duration: float) -> None:
+        """The flight has ended, after `duration` s."""
+        if self._stream is None or self._stream.plan is None:
+            return
+        piece = self._stream.finish(duration)
+        if piece is not None:
+            self._judged(piece, True)
+
+    def events(self) -> tuple[Event, ...]:
+        """All that has happened, as it looks now."""
+        return () if self._judge is None else self._judge.events()
+
+    @property
+    def judged(self) -> bool:
+        """Whether any tick has been judged."""
+        return self._judge is not None and self._judge.judged
+
+    @property
+    def flying(self) -> bool:
+        return bool(self._spans) and self._spans[-1][1] == np.inf
+
+    @property
+    def said(self) -> int:
+        """Grows when there may be other events."""
+        return 0 if self._judge is None else self._judge.said
+
+    def losses(self) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+        """(loss, lower, upper), each (n,): of every rotor at the last tick; None before there is one."""
+        if self._judge is None or self._judge.now is None:
+            return None
+        table, out = self._judge.now
+        loss = np.asarray(out.theta[-1])
+        sd = events.sd_of(loss, np.asarray(out.theta_sd[-1]), self._judge.B)
+        unseen = 1.96 * np.asarray(out.detectable[-1]) if table.mode[-1] == JUDGE else np.ones_like(loss)
+        spread = np.where(loss > 0, 1.96 * sd, unseen)
+        return loss, np.clip(loss - spread, 0.0, 1.0), np.clip(loss + spread, 0.0, 1.0)
+
+    def blind(self) -> str:
+        """Why nothing can be judged right now, in a few words; empty when it is judged."""
+        if self._stream is None:
+            return "no motor outputs yet"
+        if self._stream.plan is None:
+            return "waiting for data"
+        if self._judge is None:
+            return "building the estimator, the first time only"
+        if not self.flying:
+            return "on the ground"
+        if self._judge.now is None:
+            return "taking off"
+        table, _ = self._judge.now
+        if self.now - table.time[-1] > 2.0:
+            return "motor outputs stopped"
+        if table.upset[-1]:
+            return "upset"
+        if table.mode[-1] == LEARN:
+            if self._judge.contact_s > self._spans[-1][0]:
+                return "learning after a knock"
+            left = self._spans[-1][0] + self._judge.plan.ready_s - table.time[-1]
+            return f"learning, {max(left, 0.0):.0f} s left"
+        if table.mode[-1] != JUDGE:
+            return "taking off"
+        if not table.valid[-1, :3].any():
+            return "no angular rates"
+        return "" if table.valid[-1, 3] else "thrust: no accelerometer"

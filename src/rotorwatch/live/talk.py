@@ -1,0 +1,205 @@
+"""What is said to a vehicle: asking for parameters, for rates, and for who it is. Nothing here commands it.
+
+Parameter protocol: https://mavlink.io/en/services/parameter.html; rates: https://mavlink.io/en/mavgen_notes/message_intervals.html.
+The watcher calls itself an onboard computer of system 254, so that no autopilot takes it for its ground station.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from rotorwatch.backend import cache_folder
+
+SYSTEM, COMPONENT = 254, 191
+REQUEST_MESSAGE, SET_INTERVAL, GET_INTERVAL = 512, 511, 510
+VERSION_ID = 148
+LIST_S, MISSING_S, AT_ONCE, ROUNDS = 3.0, 0.7, 12, 40
+ACK_S, TRIES = 0.7, 3
+FAST = {"SERVO_OUTPUT_RAW": 50.0, "ATTITUDE": 50.0, "IMU": 50.0}
+SLOW = {"SERVO_OUTPUT_RAW": 20.0, "ATTITUDE": 25.0, "IMU": 25.0}
+BESIDES = {"LOCAL_POSITION_NED": 5.0, "EXTENDED_SYS_STATE": 2.0, "SYS_STATUS": 2.0}
+IDS = {
+    **{"SERVO_OUTPUT_RAW": 36, "ATTITUDE": 30, "RAW_IMU": 27, "HIGHRES_IMU": 105, "LOCAL_POSITION_NED": 32},
+    **{"EXTENDED_SYS_STATE": 245, "SYS_STATUS": 1},
+}
+STREAMS = {"IMU": 1, "SYS_STATUS": 2, "SERVO_OUTPUT_RAW": 3, "LOCAL_POSITION_NED": 6, "ATTITUDE": 10}
+
+Send = Callable[[Any], None]
+
+
+def messages() -> Any:
+    """pymavlink's dialect."""
+    from pymavlink.dialects.v20 import ardupilotmega
+
+    return ardupilotmega
+
+
+def heartbeat() -> Any:
+    """What keeps links open that only answer to those who speak."""
+    return messages().MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3)
+
+
+class Parameters:
+    """All parameters of one vehicle, asked for until they are there. complete: they are; given_up: they will not come;
+    kept: they have been made use of."""
+
+    def __init__(self, system: int, component: int):
+        self._to, self._next, self._round = (system, component), 0.0, 0
+        self._there: set[int] = set()
+        self.count = 0
+        self.given_up = self.kept = False
+
+    @property
+    def complete(self) -> bool:
+        return self.count > 0 and len(self._there) >= self.count
+
+    @property
+    def share(self) -> float:
+        """How many of them have come."""
+        return len(self._there) / self.count if self.count else 0.0
+
+    def took(self, index: int, count: int, now: float) -> None:
+        """One has come. An index of 65535 is one that was set, not asked for."""
+        if index < count < 65535:
+            self.count = count
+            if index not in self._there:
+                self._there.add(index)
+                self._next, self._round = now + MISSING_S, 0
+
+    def step(self, now: float, send: Send) -> None:
+        """Ask for what is missing when nothing has come for a while."""
+        if self.complete or self.given_up or now < self._next:
+            return
+        self._round += 1
+        if self._round > ROUNDS:
+            self.given_up = True
+            return
+        if not self.count:
+            send(messages().MAVLink_param_request_list_message(*self._to))
+            self._next = now + LIST_S
+            return
+        missing = [k for k in range(self.count) if k not in self._there]
+        for k in missing[:AT_ONCE]:
+            send(messages().MAVLink_param_request_read_message(*self._to, b"", k))
+        self._next = now + MISSING_S
+
+
+class Identity:
+    """Which vehicle and firmware it is. key: for the cache of its parameters; None as long as that is not known."""
+
+    def __init__(self, system: int, component: int):
+        self._to, self._asked, self._next = (system, component), 0, 0.0
+        self.key: str | None = None
+
+    def took(self, uid: int, uid2: bytes, version: int, autopilot: str) -> None:
+        who = bytes(uid2).hex().strip("0") or (f"{uid:x}" if uid else "")
+        if who and version:
+            self.key = f"{autopilot}-{who}-{version:08x}"
+
+    def step(self, now: float, send: Send) -> None:
+        if self.key is None and self._asked < TRIES and now >= self._next:
+            self._asked, self._next = self._asked + 1, now + ACK_S
+            send(messages().MAVLink_command_long_message(*self._to, REQUEST_MESSAGE, 0, VERSION_ID, 0, 0, 0, 0, 0, 0))
+
+
+class Rates:
+    """The rates one vehicle is asked for, one after the other, and how they were before."""
+
+    def __init__(self, system: int, component: int, autopilot: str, slow: bool):
+        imu = "HIGHRES_IMU" if autopilot == "PX4" else "RAW_IMU"
+        wanted = {**(SLOW if slow else FAST), **BESIDES}
+        self._to, self._imu = (system, component), imu
+        self._left = [(imu if name == "IMU" else name, hz) for name, hz in wanted.items()]
+        self._tries, self._next, self._asked = 0, 0.0, False
+        self._before: dict[int, int] = {}
+        self._set: list[int] = []
+        self._streams: dict[int, int] = {}
+        self._all = dict(self._left)
+
+    @property
+    def done(self) -> bool:
+        return not self._left
+
+    def interval(self, message: int, us: int) -> None:
+        """The vehicle says how often it sends a message."""
+        if message not in self._set:
+            self._before[message] = us
+
+    def answered(self, command: int, result: int) -> None:
+        """The vehicle has answered a command."""
+        if command == SET_INTERVAL and self._left and self._asked:
+            if result == 0:
+                self._set.append(IDS[self._left[0][0]])
+                self._after()
+            elif result != 5:  # 5: in progress
+                self._after(skip=False)
+
+    def _after(self, skip: bool = True) -> None:
+        if not skip and not self._set:  # it does not know the command at all
+            self._tries = TRIES
+            return
+        del self._left[0]
+        self._tries, self._next, self._asked = 0, 0.0, False
+
+    def step(self, now: float, send: Send, seen_hz: Mapping[str, float]) -> None:
+        """Ask, and ask again where nothing is answered; without any answer by the old streams. seen_hz: rates that come already."""
+        while self._left and seen_hz.get(self._left[0][0], 0.0) >= 0.8 * self._left[0][1] and not self._asked:
+            self._after()
+        if not self._left or now < self._next:
+            return
+        name, hz = self._left[0]
+        if self._tries >= TRIES:
+            if self._set:  # this one it does not know
+                self._after()
+            else:
+                self._by_streams(send, seen_hz)
+            return
+        first = not self._tries
+        self._tries, self._next, self._asked = self._tries + 1, now + ACK_S, True
+        if first:
+            send(self._command(GET_INTERVAL, IDS[name], 0))
+        send(self._command(SET_INTERVAL, IDS[name], 1e6 / hz))
+
+    def _command(self, command: int, message: int, interval: float):
+        return messages().MAVLink_command_long_message(*self._to, command, 0, message, interval, 0, 0, 0, 0, 0)
+
+    def _by_streams(self, send: Send, seen_hz: Mapping[str, float]) -> None:
+        for name, hz in self._all.items():
+            stream = STREAMS.get("IMU" if name == self._imu else name)
+            if stream is not None:
+                self._streams[stream] = round(seen_hz.get(name, 0.0))
+                send(messages().MAVLink_request_data_stream_message(*self._to, stream, round(hz), 1))
+        self._left = []
+
+    def give_back(self, send: Send) -> None:
+        """Everything as often as before; where that is not known, as often as usual."""
+        for message in self._set:
+            before = self._before.get(message, 0)
+            send(self._command(SET_INTERVAL, message, before if before else 0))
+        for stream, hz in self._streams.items():
+            send(messages().MAVLink_request_data_stream_message(*self._to, stream, max(hz, 1), 1 if hz else 0))
+        self._set, self._streams, self._left = [], {}, []
+
+
+def cached(key: str) -> dict[str, float]:
+    """The parameters kept of a vehicle with its firmware; empty without any."""
+    try:
+        found = json.loads((cache_folder() / "parameters" / f"{key}.json").read_text("utf-8"))
+        return {str(name): float(value) for name, value in found.items()}
+    except (OSError, ValueError, AttributeError, TypeError):
+        return {}
+
+
+def keep(key: str, parameters: Mapping[str, float]) -> None:
+    """Keep the parameters of a vehicle; where that cannot be written, they are asked for again."""
+    folder = cache_folder() / "parameters"
+    part = folder / f".{key}.{os.getpid()}"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        part.write_text(json.dumps(dict(parameters)), "utf-8")
+        os.replace(part, folder / f"{key}.json")
+    except OSError:
+        pass

@@ -1,0 +1,123 @@
+"""All vehicles in a terminal, read at arm's length: what is wrong first, then each rotor, the link, and what is not seen."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from rotorwatch.answer.wording import KINDS, interval, percent, rotors
+from rotorwatch.diagnosis import Event
+from rotorwatch.live.watch import Source
+from rotorwatch.live.watched import Watched
+
+BAR = " ▁▂▃▄▅▆▇█"
+SILENT_S = 3.0
+FAULTS = ("loss_of_effectiveness", "output_override")
+SHOWN = 3  # events of a vehicle, the newest
+STYLES = {
+    "FAULT": "bold white on red",
+    "MAYBE": "bold black on yellow",
+    "OK": "bold green",
+    "SILENT": "bold yellow",
+    "ERROR": "bold red",
+}
+
+
+@dataclass(frozen=True)
+class Line:
+    """One vehicle in words. state: FAULT, MAYBE, OK, GROUND, BLIND, SILENT or ERROR. rotors: (number, loss, style) of each."""
+
+    name: str
+    state: str
+    rotors: tuple[tuple[int, float, str], ...]
+    events: tuple[str, ...]
+    link: str
+    blind: str
+
+
+def line(watched: Watched, waits_for: str = "") -> Line:
+    """What there is to say of a vehicle right now."""
+    session, health = watched.session, watched.health
+    silence = time.monotonic() - health.heard
+    known = None if session is None else session.losses()
+    faults = [e for e in watched.events if e.kind in FAULTS]
+    lasting = [e for e in faults if e.end_s is None]
+    blind = watched.trouble or (
+        f"waiting for {waits_for}" if waits_for else "not known yet" if session is None else session.blind()
+    )
+    if watched.trouble:
+        state = "ERROR"
+    elif any(not e.alternatives for e in lasting):
+        state = "FAULT"
+    elif lasting:
+        state = "MAYBE"
+    elif silence > SILENT_S:
+        state = "SILENT"
+    elif session is not None and session.flying:
+        state = "BLIND" if blind and not blind.startswith("thrust") else "OK"
+    else:
+        state = "GROUND"
+    named = {r for e in lasting for r in e.rotors}
+    bars = ()
+    if known is not None:
+        bars = tuple((k + 1, float(loss), "bold red" if k + 1 in named else "") for k, loss in enumerate(known[0]))
+    now = 0.0 if session is None else session.now
+    told = tuple(words(e, now) for e in sorted(watched.events, key=lambda e: -e.detected_s)[:SHOWN])
+    return Line(watched.name, state, bars, told, _link(health, silence), blind)
+
+
+def words(event: Event, now: float) -> str:
+    """What happened, and when."""
+    ago = f"{event.onset_s:.1f} s ({max(now - event.onset_s, 0.0):.0f} s ago)"
+    over = "" if event.end_s is None or event.kind == "contact" else f", over at {event.end_s:.1f} s"
+    if event.kind != "loss_of_effectiveness":
+        who = f" of {rotors(event.rotors)}" if event.rotors else ""
+        return f"{KINDS[event.kind]}{who} at {ago}{over}"
+    how_much = ", ".join(f"{percent(loss)} ({interval(*bounds)})" for loss, bounds in zip(event.loss, event.interval))
+    others = f"; or {' or '.join('+'.join(map(str, a)) for a in event.alternatives)}" if event.alternatives else ""
+    return f"{rotors(event.rotors)} lost {how_much} since {ago}{over}{others}"
+
+
+def _link(health, silence: float) -> str:
+    parts = [f"silent for {silence:.0f} s"] if silence > SILENT_S else []
+    if health.loss >= 0.0005:
+        parts.append(f"{percent(health.loss, 1)} lost")
+    for count, what in (
+        (health.twice, "twice or late"),
+        (health.damaged, "damaged"),
+        (health.reboots, "reboots"),
+        (health.jumps, "clock jumps"),
+    ):
+        if count:
+            parts.append(f"{count} {what}")
+    return ", ".join(parts) or "good"
+
+
+def table(sources: Sequence[Source]) -> Any:
+    """All vehicles of all sources, as Rich draws them."""
+    from rich.console import Group
+    from rich.padding import Padding
+    from rich.text import Text
+
+    parts: list[Any] = []
+    for source in sources:
+        for watched, waits_for in source.shown():
+            shown = line(watched, waits_for)
+            head = Text(f" {shown.state:<6} ", STYLES.get(shown.state, "bold"))
+            head.append(f" {shown.name}  ", "bold default on default")
+            for number, loss, style in shown.rotors:
+                bar = BAR[min(round(loss * (len(BAR) - 1)), len(BAR) - 1)]
+                head.append(f" {number}", style or "default not bold on default")
+                head.append(f"{bar}", style or "default not bold on default")
+                head.append(f"{percent(loss):>5}" if loss >= 0.01 else "    –", style or "default not bold on default")
+            parts.append(head)
+            parts += [Padding(Text(event), (0, 0, 0, 9)) for event in shown.events]
+            parts.append(
+                Padding(
+                    Text(f"link: {shown.link}" + (f"; blind: {shown.blind}" if shown.blind else ""), "dim"),
+                    (0, 0, 0, 9),
+                )
+            )
+    return Group(*parts) if parts else Text("nothing has been heard yet")

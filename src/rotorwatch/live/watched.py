@@ -1,0 +1,122 @@
+"""One vehicle that is watched: its session, what has been told of it, and how its link is."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from rotorwatch.diagnosis import Event
+from rotorwatch.errors import RotorwatchError
+from rotorwatch.flight import Flight, Message, Signal
+from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.live.changes import WITHDRAWN, Change, Changes
+from rotorwatch.live.session import Session
+
+Tell = Callable[[dict], None]
+LOOK_S = 0.5  # of the vehicle's time, between two looks at events that are known
+
+
+@dataclass
+class Health:
+    """How a link does: messages taken, lost (by their running numbers), seen twice or out of order, damaged; reboots and clock jumps of the
+    vehicle; when it was last heard (monotonic, s)."""
+
+    taken: int = 0
+    lost: int = 0
+    twice: int = 0
+    damaged: int = 0
+    reboots: int = 0
+    jumps: int = 0
+    heard: float = field(default_factory=time.monotonic)
+
+    @property
+    def loss(self) -> float:
+        """Share of messages lost."""
+        return self.lost / max(self.lost + self.taken, 1)
+
+
+class Watched:
+    """A vehicle by its name. tell: called with each alert, a dict (docs/watch.md)."""
+
+    def __init__(self, name: str, tell: Tell, vehicle: Vehicle | None = None):
+        self.name, self.health, self.trouble, self.notice = name, Health(), "", ""
+        self._tell, self._given = tell, vehicle
+        self.session: Session | None = None
+        self.changes = Changes()
+        self._looked, self._said = -np.inf, 0
+
+    def begin(self, about: Flight) -> None:
+        """A flight begins: what is known of it besides its signals."""
+        self.session, self.changes, self.trouble = Session(about, self._given), Changes(), ""
+        self._looked, self._said = -np.inf, 0
+
+    def add(self, signals: Mapping[str, Signal], messages: Iterable[Message] = ()) -> None:
+        """More of the flight, in time order."""
+        if self.session is None or self.trouble:
+            return
+        try:
+            known = self.session.vehicle
+            self.session.add(signals, messages)
+            if known is None and self.session.vehicle is not None:
+                frame = self.session.vehicle
+                self._tell({"type": "vehicle", "vehicle": self.name, "frame": frame.name, "rotors": len(frame.rotors)})
+        except Exception as why:
+            self._fail(why)
+
+    def _fail(self, why: Exception) -> None:
+        if os.environ.get("ROTORWATCH_DEBUG"):
+            raise why
+        text = " ".join(f"{type(why).__name__}: {why}".split())[:200]
+        self.trouble = (
+            str(why)
+            if isinstance(why, RotorwatchError)
+            else f"an error in rotorwatch itself ({text}); please report it"
+        )
+        self.say(self.trouble, "error")
+
+    def advance(self, complete: float | None = None) -> bool:
+        """Judge what has come; whether there was a tick."""
+        if self.session is None or self.trouble:
+            return False
+        try:
+            stepped = self.session.advance(complete)
+        except Exception as why:  # of one vehicle; the others are watched on
+            self._fail(why)
+            return False
+        said = self.session.said
+        if said != self._said or ((said or self.changes.now) and self.session.now - self._looked > LOOK_S):
+            self._look()
+        return stepped
+
+    def finish(self, duration: float | None = None) -> None:
+        """The flight has ended: the last word on each event."""
+        if self.session is None or self.trouble:
+            return
+        self.session.finish(self.session.now if duration is None else duration)
+        self._look(final=True)
+
+    @property
+    def events(self) -> tuple[Event, ...]:
+        """All that has been told and holds."""
+        return tuple(self.changes.now.values())
+
+    def _look(self, final: bool = False) -> None:
+        assert self.session is not None
+        self._said, self._looked = self.session.said, self.session.now
+        for change in self.changes.of(self.session.events(), final):
+            self._alert(change)
+
+    def _alert(self, change: Change) -> None:
+        alert = {"type": "event", "vehicle": self.name, "number": change.number, "state": change.what}
+        self._tell({**alert, "event": change.event.to_dict()})
+        if change.what == WITHDRAWN:
+            self.notice = "an event was taken back: it began with the landing, or the data favour another explanation"
+
+    def say(self, text: str, kind: str = "notice") -> None:
+        """A sentence on the link or the vehicle."""
+        self.notice = text
+        self._tell({"type": kind, "vehicle": self.name, "text": text})
