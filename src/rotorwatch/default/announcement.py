@@ -66,9 +66,10 @@ def decide(
     is a rotor known to be weak."""
     import jax.numpy as jnp
 
-    # One rotor's direction may be met by chance, by a disturbance such as this flight has not seen yet.
-    lone = best.rotors.sum() < 2
-    other = jnp.where(lone, jnp.logaddexp(found.other, found.far), found.other)
+    # Beside a weak rotor the vehicle moves as it has not before, and one more rotor's direction may be met by chance. Of a first loss the
+    # flight's own disturbances are asked alone: with larger ones a rotor that is lost in wind went unannounced until the vehicle fell.
+    again = weak & (best.rotors.sum() < 2)
+    other = jnp.where(again, jnp.logaddexp(found.other, found.far), found.other)
     statistic = jnp.minimum(found.fault - limit, found.fault - other - hypotheses.CLEAR)
     # The most probable onset at the edge of the bank speaks of a drift that began before it, not of a jump.
     possible &= best.since < EDGE * onsets.reach

@@ -22,7 +22,7 @@ LOSS_WIDTH, SMALL_WIDTH = 0.3, 0.06
 # Share by which what a loss does to roll, pitch, yaw and thrust may differ from geometry: inflow and battery change thrust, and
 # in moving air rotors that no longer match in speed drag the vehicle round.
 SLOP = (0.1, 0.1, 0.4, 0.3)
-# A calm flight does not show what a manoeuvre or a gust can do: this share of disturbances is so many times their usual size.
+# A flight does not show what a vehicle with a weak rotor will do: this share of disturbances is so many times their usual size then.
 FAR_SHARE, FAR = 0.2, 4.0
 # Prior weights: how often each kind of jump happens, relative to one particular rotor failing. Disturbances are common.
 WEIGHT = {"single": 1.0, "pair": 1e-4, "recovery": 1.0, "disturbance": 3.0}
