@@ -240,5 +240,5 @@ def test_as_many_at_once_as_fit_the_cache(monkeypatch):
         def default_backend(self):
             return "gpu"
 
-    monkeypatch.setattr(run, "load_jax", Device)
+    monkeypatch.setattr(methods, "load_jax", Device)
     assert methods.side_by_side(large, 1024) == 1024
