@@ -21,14 +21,14 @@ from rotorwatch import campaign
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.campaign import batch
 from rotorwatch.campaign.plan import Plan
-from rotorwatch.simulation import loop, prepare
+from rotorwatch.simulation import logbook, loop, prepare
 from rotorwatch.simulation.multirotor import MULTIROTOR
 
 PHASES = {
     "flights simulated, logged, turned into ticks": "fly",
     "bounds": "_bounds",
-    "default estimator": "_default",
-    "learning for published ones": "_taught",
+    "default estimator": "by_default",
+    "learning for published ones": "taught",
 }
 
 
@@ -80,7 +80,7 @@ def simulated(plan: Plan, cell: int, width: int, repeats: int) -> dict[str, floa
         for _ in range(1 + repeats):  # the first one compiles
             began = time.perf_counter()
             jax.block_until_ready(
-                loop.fly_many(MULTIROTOR, numbers, one.duration_s, one.rate_hz, one.record_hz, batch._needed)
+                loop.fly_many(MULTIROTOR, numbers, one.duration_s, one.rate_hz, one.record_hz, logbook.needed)
             )
             spent.append(time.perf_counter() - began)
         found[name] = min(spent[1:])

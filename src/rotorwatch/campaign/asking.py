@@ -107,12 +107,8 @@ def fly(scenarios: Sequence[Scenario], signals: Sequence[excitation.Signal]) -> 
     """(record, flight as logged) of each; equal numbers of rotors, rates and durations."""
     plans = [prepare.plan(s)._replace(schedule=signal) for s, signal in zip(scenarios, signals, strict=True)]
     first = scenarios[0]
-    flown = loop.fly_each(EXCITED, plans, first.duration_s, first.rate_hz, first.record_hz, _kept)
+    flown = loop.fly_each(EXCITED, plans, first.duration_s, first.rate_hz, first.record_hz, logbook.needed)
     return [(r, logbook.flight(s, p, r)) for s, p, r in zip(scenarios, plans, flown, strict=True)]
-
-
-def _kept(record):
-    return record._replace(omega=(), rates_asked=(), q_asked=(), wind=())
 
 
 def judged(flight: Any, end_s: float = np.inf) -> tuple[Any, Any, Any, np.ndarray, tuple[Event, ...]]:

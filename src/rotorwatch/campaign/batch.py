@@ -142,7 +142,7 @@ def fly(plan: Flights, flights: Sequence[int], size: int) -> list[Flown]:
     scenarios = [plan.flight(k) for k in flights]
     plans = [_planned(k, scenario) for k, scenario in zip(flights, scenarios, strict=True)]
     first = scenarios[0]
-    records = fly_each(MULTIROTOR, plans, first.duration_s, first.rate_hz, first.record_hz, _needed, size)
+    records = fly_each(MULTIROTOR, plans, first.duration_s, first.rate_hz, first.record_hz, logbook.needed, size)
     found = [look(*row) for row in zip(flights, scenarios, plans, records, strict=True)]
     return [f for f in found if f is not None]
 
@@ -175,11 +175,6 @@ def _planned(number: int, scenario: Scenario) -> Any:
 def _all_events(f: Flown, losses: Sequence[Event]) -> tuple[Event, ...]:
     """Losses, and outputs that do not follow the mixer, as `diagnose` puts them together."""
     return tuple(sorted((*outside.unexplained(losses, f.overrides), *f.overrides), key=lambda e: e.detected_s))
-
-
-def _needed(record):
-    """What a log and the truth need of a record: much less memory than all of it."""
-    return record._replace(omega=(), rates_asked=(), q_asked=(), wind=())
 
 
 def _table(table: Ticks, B: np.ndarray, rows: slice = slice(None)) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

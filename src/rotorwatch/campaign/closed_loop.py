@@ -31,7 +31,7 @@ from rotorwatch.control.allocation import DRIVEN_BY, rows
 from rotorwatch.default import program
 from rotorwatch.errors import ConfigError
 from rotorwatch.motion.ticks import LEARN
-from rotorwatch.simulation import loop, prepare, reconfigured, trajectories
+from rotorwatch.simulation import logbook, loop, prepare, reconfigured, trajectories
 from rotorwatch.simulation.rigid import G0
 from rotorwatch.simulation.scenario import Scenario
 
@@ -273,12 +273,7 @@ def _flown(craft, first: Scenario, plans: list, made: list, size: int) -> list[A
     """The records of plans with these entries."""
     n = craft.allocator.B.shape[1]
     ready = [p._replace(schedule=reconfigured.schedule(n, m, ENTRIES)) for p, m in zip(plans, made, strict=True)]
-    return loop.fly_each(craft, ready, first.duration_s, first.rate_hz, first.record_hz, _kept, size)
-
-
-def _kept(record):
-    """What a log and the outcome need of a record."""
-    return record._replace(omega=(), rates_asked=(), q_asked=(), wind=())
+    return loop.fly_each(craft, ready, first.duration_s, first.rate_hz, first.record_hz, logbook.needed, size)
 
 
 def _true(scenario: Scenario, n: int) -> list[reconfigured.Entry]:

@@ -123,7 +123,42 @@ class Udp(Endpoint):
         self._socket.close()
 
 
-class Tcp(Endpoint):
+class Stream(Endpoint):
+    """An endpoint that is connected, and connected again when it was lost: bytes of one peer, one after the other."""
+
+    def _connect(self, wait_s: float) -> None:
+        """Connect, waiting so long at most. Raises OSError."""
+        raise NotImplementedError
+
+    def _received(self) -> tuple[Any, bytes]:
+        """The peer, and what has come from it: nothing when it is gone."""
+        raise NotImplementedError
+
+    def _read(self) -> list[tuple[Any, bytes]]:
+        if self.fileno() < 0:
+            return []
+        try:
+            peer, data = self._received()
+        except (BlockingIOError, InterruptedError):
+            return []
+        except OSError:
+            peer, data = None, b""
+        if not data:
+            self.close()
+            return []
+        return [(peer, data)]
+
+    def again(self) -> None:
+        if self.open or time.monotonic() - self._tried < AGAIN_S:
+            return
+        self._tried = time.monotonic()
+        try:
+            self._connect(0.05)
+        except OSError:
+            pass
+
+
+class Tcp(Stream):
     def __init__(self, name: str, host: str, port: int):
         super().__init__(name)
         self._address, self._socket = (host, port), None
@@ -140,19 +175,9 @@ class Tcp(Endpoint):
     def fileno(self) -> int:
         return -1 if self._socket is None else self._socket.fileno()
 
-    def _read(self) -> list[tuple[Any, bytes]]:
-        if self._socket is None:
-            return []
-        try:
-            data = self._socket.recv(MOST)
-        except (BlockingIOError, InterruptedError):
-            return []
-        except OSError:
-            data = b""
-        if not data:
-            self.close()
-            return []
-        return [(self._address, data)]
+    def _received(self) -> tuple[Any, bytes]:
+        assert self._socket is not None
+        return self._address, self._socket.recv(MOST)
 
     def send(self, data: bytes, peer: Any = None) -> None:
         if self._socket is not None:
@@ -167,24 +192,15 @@ class Tcp(Endpoint):
             self._socket.close()
             self._socket = None
 
-    def again(self) -> None:
-        if self.open or time.monotonic() - self._tried < AGAIN_S:
-            return
-        self._tried = time.monotonic()
-        try:
-            self._connect(0.05)
-        except OSError:
-            pass
 
-
-class Serial(Endpoint):
+class Serial(Stream):
     slow = True
 
     def __init__(self, name: str, device: str, baud: int):
         super().__init__(name)
         self._device, self._baud, self._file = device, baud, -1
         try:
-            self._connect()
+            self._connect(0.0)
         except FileNotFoundError:
             raise LinkError(f"{device}: there is no such device; is it plugged in?") from None
         except PermissionError:
@@ -194,7 +210,7 @@ class Serial(Endpoint):
         except OSError as why:
             raise LinkError(f"{device} cannot be opened as a serial port ({why.strerror or why}).") from why
 
-    def _connect(self) -> None:
+    def _connect(self, wait_s: float) -> None:
         try:
             import termios
             import tty
@@ -222,17 +238,8 @@ class Serial(Endpoint):
     def fileno(self) -> int:
         return self._file
 
-    def _read(self) -> list[tuple[Any, bytes]]:
-        try:
-            data = os.read(self._file, MOST)
-        except (BlockingIOError, InterruptedError):
-            return []
-        except OSError:
-            data = b""
-        if not data:
-            self.close()
-            return []
-        return [(self._device, data)]
+    def _received(self) -> tuple[Any, bytes]:
+        return self._device, os.read(self._file, MOST)
 
     def send(self, data: bytes, peer: Any = None) -> None:
         try:
@@ -245,11 +252,3 @@ class Serial(Endpoint):
         if self._file >= 0:
             os.close(self._file)
             self._file = -1
-
-    def again(self) -> None:
-        if not self.open and time.monotonic() - self._tried >= AGAIN_S:
-            self._tried = time.monotonic()
-            try:
-                self._connect()
-            except OSError:
-                pass

@@ -60,6 +60,11 @@ IDLE = 0.1  # ArduPilot's MOT_SPIN_ARM
 MAV_TYPE = {4: 2, 6: 13, 8: 14, 12: 29, 10: 35}
 
 
+def needed(record: Any) -> Any:
+    """What a log and the truth need of a record: much less memory than all of it."""
+    return record._replace(omega=(), rates_asked=(), q_asked=(), wind=())
+
+
 def flight(scenario: Scenario, plan: Plan, record: Record) -> Flight:
     """The flight as its log tells it. record: of `loop.fly` of a multirotor, recorded `scenario.record_hz` times a second."""
     craft = vehicle(scenario)
