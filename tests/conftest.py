@@ -162,3 +162,17 @@ def fault():
 @pytest.fixture
 def healthy():
     return hexa_diagnosis(events=(), warnings=())
+
+
+@pytest.fixture
+def run(capsys):
+    """run(*arguments) of the real command line: (exit code, output, errors)."""
+    from rotorwatch import cli
+
+    def call(*argv):
+        with pytest.raises(SystemExit) as leave:
+            cli.main([str(a) for a in argv])
+        out, err = capsys.readouterr()
+        return leave.value.code, out, err
+
+    return call

@@ -6,20 +6,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from rotorwatch import cli
 from rotorwatch.experiments.studies import reproduction
 from rotorwatch.experiments.studies.reproduction import Claim, Reproduction
-
-
-@pytest.fixture
-def run(capsys):
-    def call(*argv):
-        with pytest.raises(SystemExit) as leave:
-            cli.main([str(a) for a in argv])
-        out, err = capsys.readouterr()
-        return leave.value.code, out, err
-
-    return call
 
 
 class Drawing:

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rotorwatch import cli
 from rotorwatch.campaign import batch, closed_loop, plan, store
 from rotorwatch.control import spinning
 from rotorwatch.control.allocation import believed, rows
@@ -45,12 +44,12 @@ WIDTH, DRIVERS = 4, ("nobody", "truth", "default")
 
 
 @pytest.fixture
-def run(capsys):
+def run(run):
+    """What is said: output, or the error."""
+
     def call(*argv):
-        with pytest.raises(SystemExit) as leave:
-            cli.main([str(a) for a in argv])
-        out, err = capsys.readouterr()
-        return leave.value.code, out if leave.value.code == 0 else err
+        code, out, err = run(*argv)
+        return code, out if code == 0 else err
 
     return call
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from rotorwatch import airframes, cli
+from rotorwatch import airframes
 from rotorwatch.ask import ask
 from rotorwatch.control import excitation
 from rotorwatch.control.excitation import Limits, Noise, Signal
@@ -199,12 +199,12 @@ def test_the_picture_and_numbers_of_a_question():
 
 
 @pytest.fixture
-def run(capsys):
+def run(run):
+    """What is said: output, or the error."""
+
     def call(*argv):
-        with pytest.raises(SystemExit) as leave:
-            cli.main([str(a) for a in argv])
-        out, err = capsys.readouterr()
-        return leave.value.code, out if leave.value.code == 0 else err
+        code, out, err = run(*argv)
+        return code, out if code == 0 else err
 
     return call
 

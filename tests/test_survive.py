@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import linprog
 
 import rotorwatch as rw
-from rotorwatch import airframes, cli
+from rotorwatch import airframes
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.errors import VehicleError
 from rotorwatch.flight import vehicle_file
@@ -24,17 +24,6 @@ USUAL = {"mass_kg": 2.0, "thrust_to_weight": 2.2, "arm_m": 0.3}
 @pytest.fixture(scope="module")
 def quad():
     return rw.survive(QUAD)
-
-
-@pytest.fixture
-def run(capsys):
-    def call(*argv):
-        with pytest.raises(SystemExit) as leave:
-            cli.main([str(a) for a in argv])
-        out, err = capsys.readouterr()
-        return leave.value.code, out, err
-
-    return call
 
 
 def test_a_quadrotor_only_spins_without_a_rotor_or_two_opposite_ones(quad):
