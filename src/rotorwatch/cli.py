@@ -21,7 +21,7 @@ import click
 from rotorwatch import __version__
 from rotorwatch.commands import ask, benchmark, campaign, export, research, simulate, survive, tune, watch
 from rotorwatch.commands.tools import LOG, OUT, common, debug, label, progress, say, shares, show
-from rotorwatch.errors import BackendWarning, ConfigError, PluginWarning, RotorwatchError
+from rotorwatch.errors import BackendWarning, ConfigError, PluginWarning, RotorwatchError, lacking
 
 if TYPE_CHECKING:
     from rotorwatch.diagnosis import Diagnosis
@@ -81,6 +81,8 @@ def explain(why: Exception) -> str:
         traceback.print_exc()
     if isinstance(why, RotorwatchError):
         return str(why)
+    if said := lacking(why):
+        return said
     if isinstance(why, OSError) and why.filename:
         return f"{why.filename}: {why.strerror}."
     if isinstance(why, OSError) and why.errno:
