@@ -16,11 +16,13 @@ from rotorwatch.flight.vehicle_kind import OTHERS
 from rotorwatch.live import mavlink, talk
 from rotorwatch.live.clock import Restarted
 from rotorwatch.live.endpoint import Endpoint
+from rotorwatch.live.frames import Frames
 from rotorwatch.live.watched import Tell, Watched
 from rotorwatch.logs.px4_topics import MAV_TYPES
 from rotorwatch.logs.tlog import FORMAT
 
 BEAT_S, HELLO_S = 1.0, 0.5
+ALL_S = 0.05  # between two looks at vehicles of which nothing has come
 SILENT_S = 3.0
 NO_AUTOPILOT, ON_BOARD, GROUND = 8, 18, 6
 COMMAND_ACK, MESSAGE_INTERVAL = 77, 244
@@ -108,7 +110,7 @@ class Heard:
         if self._begun is None or self.messages.clock.start is None:
             return
         session = self.watched.session
-        if session is None or not self.messages.pending or self.messages.clock.now < session.due_s:
+        if session is None or not self.messages.pending or not self.messages.reached(session.due_s):
             return
         signals, messages = self.messages.take(self._outputs, session.flying)
         if signals or messages:
@@ -185,6 +187,8 @@ class Link:
         self._tell, self._patience_s = tell, patience_s
         self._parsers: dict[Any, Any] = {}
         self._heard: dict[tuple[int, int], Heard] = {}
+        self._fresh: dict[Heard, None] = {}  # those that something has come of since they were judged
+        self._stepped = 0.0
         self._refused: set[int] = set()
         self.damaged = self.frames = 0
         self._began, self._beat = time.monotonic(), 0.0
@@ -208,9 +212,12 @@ class Link:
 
     def poll(self, wait_s: float) -> bool:
         """Take what has come."""
-        for peer, data in self.endpoint.receive(wait_s):
+        received = self.endpoint.receive(wait_s)
+        for peer, data in received:
             self._take(peer, data)
         now = time.monotonic()
+        if not received or now - self._stepped > ALL_S:
+            self._stepped, self._fresh = now, dict.fromkeys(self._heard.values())
         if not self.endpoint.open:
             self._parsers.clear()
             self.endpoint.again()
@@ -219,8 +226,9 @@ class Link:
             self.send(talk.heartbeat())
             if self._file is not None:
                 self._file.flush()
-        for heard in self._heard.values():
+        for heard in self._fresh:
             heard.step(now)
+        self._fresh = {}
         if not self._heard and now - self._began > self._patience_s:
             others = (
                 f" (only {', '.join(sorted(OTHERS.get(k, 'something unknown') for k in self._refused))})"
@@ -241,7 +249,7 @@ class Link:
     def _take(self, peer: Any, data: bytes) -> None:
         parser = self._parsers.get(peer)
         if parser is None:
-            parser = self._parsers[peer] = mavlink.Frames()
+            parser = self._parsers[peer] = Frames()
             if len(self._parsers) > 200:
                 del self._parsers[next(iter(self._parsers))]
         arrival, stamp = time.monotonic(), int(time.time() * 1e6)
@@ -260,6 +268,7 @@ class Link:
                 self._meet(peer, frame, system, component)
             return
         heard.peer = peer
+        self._fresh[heard] = None
         if heard.counted(sequence):
             heard.on(identity, frame, arrival)
 
