@@ -193,6 +193,7 @@ class Link:
         self.damaged = self.frames = 0
         self._began, self._beat = time.monotonic(), 0.0
         self._pack = talk.messages().MAVLink(None, srcSystem=talk.SYSTEM, srcComponent=talk.COMPONENT)
+        self._tellers: dict[int, Any] = {}
         self._first_version = False
         self._file = self._open(record) if record is not None else None
         self.trouble = ""
@@ -245,6 +246,22 @@ class Link:
         """A message to one peer, or to all."""
         self.endpoint.send(message.pack(self._pack, force_mavlink1=self._first_version), peer)
         self._pack.seq = (self._pack.seq + 1) % 256
+
+    def tell(self, name: str, message: Any) -> None:
+        """Something said to all who listen, as by an onboard computer of the vehicle of this name."""
+        system = next((key[0] for key, heard in self._heard.items() if heard.watched.name == name), None)
+        if system is None or not self.talks:
+            return
+        pack = self._tellers.get(system)
+        if pack is None:
+            pack = self._tellers[system] = talk.messages().MAVLink(None, srcSystem=system, srcComponent=talk.COMPONENT)
+        self.endpoint.send(message.pack(pack, force_mavlink1=self._first_version))
+        pack.seq = (pack.seq + 1) % 256
+
+    def boot_ms(self, name: str) -> int:
+        """The vehicle's own time, as its messages tell it."""
+        clock = next((heard.messages.clock for heard in self._heard.values() if heard.watched.name == name), None)
+        return 0 if clock is None or clock.start is None else int(clock.start * 1e-3 + clock.now * 1e3) % 2**32
 
     def _take(self, peer: Any, data: bytes) -> None:
         parser = self._parsers.get(peer)
