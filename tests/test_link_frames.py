@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from rotorwatch.live import frames
+from rotorwatch.live import frames, senders
 from rotorwatch.live.clock import Restarted
 from rotorwatch.live.mavlink import Messages, layouts
 from rotorwatch.logs import tlog
@@ -159,3 +159,31 @@ def test_a_tick_waits_for_all_it_is_made_of_but_not_for_long():
     link.take()
     link.put(attitude(1450))
     assert link.messages.reached(0.3)
+
+
+def numbered(senders, numbers):
+    """How often there seemed to be several senders of frames with these running numbers."""
+    seen = 0
+    for number in numbers:
+        senders.on(int(number) % 256)
+        seen += senders.several
+    return seen
+
+
+@pytest.mark.parametrize("offset", [60, 128, 200])
+@pytest.mark.parametrize("batch", [1, 4])
+def test_two_senders_of_one_id_are_seen_and_their_end_too(offset, batch):
+    several = senders.Senders()
+    both = [n for k in range(0, 1000, batch) for start in (k, k + offset) for n in range(start, start + batch)]
+    assert numbered(several, both) > 0.8 * len(both) and several.several
+    assert numbered(several, range(1000, 1600)) < 250 and not several.several
+
+
+def test_what_a_bad_link_does_to_one_sender_is_not_taken_for_two():
+    rng = np.random.default_rng(6)
+    order = np.argsort(np.arange(20_000) + rng.uniform(0, 9, 20_000) * (rng.random(20_000) < 0.2))
+    kept = order[rng.random(order.size) > 0.3]
+    for start in rng.integers(0, 20_000, 40):  # cuts of up to 3 s
+        kept = kept[(kept < start) | (kept > start + rng.integers(450))]
+    odd = rng.random(kept.size) < 0.1
+    assert numbered(senders.Senders(), np.where(odd, rng.integers(0, 256, kept.size), kept)) == 0
