@@ -77,8 +77,9 @@ def drawn(rng) -> Faults:
 
 
 @cache
-def base(number: int) -> tuple[tuple[tuple[float, bytes], ...], dict[str, float], int]:
-    """((time s, frame), ...) of a flight with its parameters and kind of vehicle."""
+def base(number: int, second: bool = False) -> tuple[tuple[tuple[float, bytes], ...], dict[str, float], int]:
+    """((time s, frame), ...) of a flight with its parameters and kind of vehicle. second: it was switched on at another time, and its
+    running numbers are others."""
     frame, trajectory, wind, fault = FLIGHTS[number]
     faults = [] if fault is None else [{"kind": "loss", "rotor": fault[0], "onset_s": ONSET_S, "strength": fault[1]}]
     table = {
@@ -86,8 +87,10 @@ def base(number: int) -> tuple[tuple[tuple[float, bytes], ...], dict[str, float]
         "wind": {"speed_m_s": wind}, "logging": {"profile": "fast"}, "faults": faults,
     }  # fmt: skip
     flight = simulate(scenario.from_table(table)).flight
-    autopilot = Autopilot({})
-    said = messages(flight, kind=KINDS[frame])
+    autopilot, boot_s = Autopilot({}), 30.0
+    if second:
+        autopilot._pack.seq, boot_s = 90 + 11 * number, 30.0 + (-5.0, -0.7, 0.2, 0.8, 4.0, 60.0)[number % 6]
+    said = messages(flight, kind=KINDS[frame], boot_s=boot_s)
     parameters = {
         n: v for n, v in flight.parameters.items() if n.startswith(("FRAME", "MOT_", "SERVO")) and len(n) <= 16
     }
@@ -171,7 +174,7 @@ def flown(seed: int, number: int, faults: Faults | None = None) -> dict:
     frames, parameters, kind = base(which)
     datagrams = arriving(frames, faults, rng)
     if faults.second:
-        other = base(int((which + 1 + rng.integers(len(FLIGHTS) - 1)) % len(FLIGHTS)))[0]
+        other = base(int((which + 1 + rng.integers(len(FLIGHTS) - 1)) % len(FLIGHTS)), True)[0]
         peer = "a" if faults.second == "here" else "b"
         late = float(rng.uniform(8.0, 30.0))
         more = [(at, peer, data) for at, _, data in arriving(other, faults, rng) if at > late]
@@ -247,7 +250,7 @@ def main() -> int:
         link = datagrams(given.datagrams, given.seed)
         print(f"{link.damaged} damaged, {link.frames} sound; vehicles {[v.name for v in link.vehicles]}")
     for k in range(len(FLIGHTS) if given.flights else 0):
-        base(k)  # before the processes are forked
+        base(k), base(k, True)  # before the processes are forked
     numbers = range(given.first, given.first + given.flights)
     with ProcessPoolExecutor(given.jobs, get_context("fork")) as pool:
         for done, result in enumerate(pool.map(partial(flown, given.seed), numbers, chunksize=4), 1):
