@@ -207,6 +207,8 @@ def test_a_bag_without_motor_commands_says_what_to_record(px4, tmp_path):
     rows = [r for r in px4[1] if "actuator" not in r[0] and "setpoint" not in r[0]]
     flight = rw.read(ros2_bags.write(tmp_path / "flight", rows))
     assert any("dds_topics.yaml" in w for w in flight.warnings) and not flight.has("motors")
+    needed = [gap for gap in rw.info(flight)["missing"] if gap["signal"] == "motors"]
+    assert len(needed) == 1 and "docs/foxglove.md" in needed[0]["setting"]
 
 
 def test_of_several_vehicles_the_one_with_motors_is_read(px4, tmp_path):

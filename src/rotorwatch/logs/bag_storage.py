@@ -12,13 +12,14 @@ from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from rotorwatch import optional
 from rotorwatch.errors import ConfigError, LogError
 
 MCAP = b"\x89MCAP0\r\n"
 SQLITE = b"SQLite format 3\0"
 ZSTD = b"\x28\xb5\x2f\xfd"
+NEEDED_BY = "Reading this bag"
 TELL = 2000  # messages between two reports of progress
-EXTRA = "pip install 'rotorwatch[ros]'"
 
 
 @dataclass
@@ -59,20 +60,11 @@ class Bag:
 
 
 def _unpacked(data: bytes) -> bytes:
-    zstandard = _library("zstandard")
+    zstandard = optional.library("zstandard", NEEDED_BY)
     try:
         return zstandard.ZstdDecompressor().decompress(data, max_output_size=1 << 24)
     except zstandard.ZstdError:
         return b""
-
-
-def _library(name: str):
-    from importlib import import_module
-
-    try:
-        return import_module(name)
-    except ImportError:
-        raise ConfigError(f"Reading this bag needs the package {name.partition('.')[0]}: {EXTRA}.") from None
 
 
 def read_mcap(data, bag: Bag, progress=None) -> None:
@@ -80,8 +72,8 @@ def read_mcap(data, bag: Bag, progress=None) -> None:
 
     Its index is not used: it is the end of the file, which a recording that was interrupted does not have.
     """
-    records = _library("mcap.records")
-    reader = _library("mcap.stream_reader")
+    records = optional.library("mcap.records", NEEDED_BY)
+    reader = optional.library("mcap.stream_reader", NEEDED_BY)
     stream = data if hasattr(data, "seek") else io.BytesIO(data)
     stream.seek(0)
     schemas: dict[int, tuple[str, str, str]] = {}
