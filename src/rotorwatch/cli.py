@@ -20,7 +20,7 @@ import click
 
 from rotorwatch import __version__
 from rotorwatch.commands import ask, benchmark, campaign, export, research, simulate, survive, tune, watch
-from rotorwatch.commands.tools import LOG, OUT, common, debug, label, progress, say, shares, show
+from rotorwatch.commands.tools import LOG, OUT, common, debug, label, progress, say, shares, show, spread
 from rotorwatch.errors import BackendWarning, ConfigError, PluginWarning, RotorwatchError
 
 if TYPE_CHECKING:
@@ -319,15 +319,16 @@ def demo(report, quiet) -> None:
     help="Injections per flight, rotor and loss.",
 )
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Seed of the random onsets.")
+@spread
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @common
-def inject(logs, losses, repeats, seed, as_json, quiet) -> None:
+def inject(logs, losses, repeats, seed, jobs, scheduler, as_json, quiet) -> None:
     """Inject losses into healthy flights and count what the diagnosis finds of them."""
     from rotorwatch.experiments.inject import campaign
 
     wanted = shares("--loss", losses)
     with progress(quiet) as tell:
-        result = campaign(logs, wanted, repeats, seed, tell)
+        result = campaign(logs, wanted, repeats, seed, tell, jobs, scheduler)
     if as_json:
         import json
 
@@ -355,15 +356,16 @@ def _by_loss(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
 @click.argument("logs", nargs=-1, required=True, type=LOG, metavar="LOG...")
 @click.option("--hours", default=20.0, show_default=True, type=float, help="Flight hours to simulate, over all logs.")
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Seed of the surrogate flights.")
+@spread
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @common
-def false_alarms(logs, hours, seed, as_json, quiet) -> None:
+def false_alarms(logs, hours, seed, jobs, scheduler, as_json, quiet) -> None:
     """Judge surrogate flights with the noise of healthy LOGs, and count the false alarms per flight hour."""
     from rotorwatch.experiments.studies.false_alarms import describe
     from rotorwatch.experiments.studies.false_alarms import false_alarms as run
 
     with progress(quiet) as tell:
-        result = run([_read(path, tell) for path in logs], hours, seed, tell)
+        result = run(logs, hours, seed, tell, jobs=jobs, scheduler=scheduler)
     if as_json:
         import json
 

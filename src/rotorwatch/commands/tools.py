@@ -118,6 +118,15 @@ def common(command: Callable) -> Callable:
     return quiet(tracebacks(command))
 
 
+def spread(command: Callable) -> Callable:
+    """Options of commands that do many things: how many processes, or which cluster."""
+    jobs = click.option("--jobs", type=click.IntRange(1, 256), help="Processes; default: one per processor.")
+    scheduler = click.option(
+        "--scheduler", metavar="tcp://HOST:PORT", help="Let the workers of this Dask scheduler do it (docs/cluster.md)."
+    )
+    return jobs(scheduler(command))
+
+
 def shares(option: str, text: str) -> tuple[float, ...]:
     """Losses given with commas. Raises ConfigError unless each is above 0 and below 1."""
     try:
