@@ -53,10 +53,10 @@ def fake(monkeypatch, tmp_path):
         told = f"{len(baseline)} baseline, vehicle {getattr(vehicle, 'name', None)}, estimator {estimator}"
         return hexa_diagnosis(verdict=verdict, flight=flight, baseline=told)
 
-    for name, function in (("logs", read), ("diagnose", diagnose)):
-        module = ModuleType(f"rotorwatch.{name}")
-        setattr(module, function.__name__, function)
-        monkeypatch.setitem(sys.modules, module.__name__, module)
+    module = ModuleType("rotorwatch.diagnose")
+    module.diagnose = diagnose
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    monkeypatch.setattr(rotorwatch.logs, "read", read)
     for name in ("healthy", "fault", "ambiguous", "inconclusive", "broken", "bug", "healthy-2"):
         (tmp_path / f"{name}.bin").write_bytes(b"x")
     monkeypatch.chdir(tmp_path)

@@ -85,17 +85,6 @@ def library(name: str, what: str) -> Any:
         raise ConfigError(f"{what} needs {package}, which is not installed: pip install {package}.") from None
 
 
-def extra(name: str, what: str, group: str) -> Any:
-    """The library of that name, imported; the extra `group` of rotorwatch brings it. Raises ConfigError where it is not there."""
-    try:
-        return importlib.import_module(name)
-    except ImportError:
-        package = name.partition(".")[0]
-        raise ConfigError(
-            f"{what} needs {package}, which is not installed: pip install 'rotorwatch[{group}]'."
-        ) from None
-
-
 def plant(system: Any, dt: float = 0.01) -> Any:
     """system, unchanged, when it is a plant (`core.System`) whose parts fit together: sizes, x0, P0, and shapes of f, h, Q and R.
 

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-
 import click
 
-from rotorwatch.commands.tools import LOG, OUT, common, live, progress, say, spread
+from rotorwatch.commands.tools import LOG, OUT, common, counting, progress, say, spread
 
 
 def register(group: click.Group) -> None:
@@ -147,37 +144,6 @@ def closed_loop(plan, flights, drivers, by, jobs, scheduler, out, as_json, quiet
         say(f"table and summary written to {out}")
 
 
-@contextmanager
-def flying(quiet: bool) -> Iterator:
-    """A bar with flights per second and the time left on a terminal; a line now and then elsewhere. Yields work.Tell."""
-    if quiet:
-        yield None
-    elif not live():
-        yield _lines()
-    else:
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-        from rotorwatch.report import terminal
-
-        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-        with Progress(*columns, console=terminal.console(stderr=True), transient=True) as bar:
-            task = bar.add_task("flying", total=None)
-
-            def tell(done: int, flights: int, speed: float) -> None:
-                text = f"{speed:.1f} flights/s" if speed else "flying"
-                bar.update(task, completed=done, total=flights, description=text)
-
-            yield tell
-
-
-def _lines():
-    shown = [0]
-
-    def tell(done: int, flights: int, speed: float) -> None:
-        tenth = 10 * done // flights
-        if speed and tenth > shown[0]:
-            shown[0] = tenth
-            left = (flights - done) / speed
-            say(f"{done} of {flights} flights, {speed:.1f} a second, {left:.0f} s left")
-
-    return tell
+def flying(quiet: bool):
+    """How far the flights have come. Yields work.Tell."""
+    return counting(quiet, "flights")

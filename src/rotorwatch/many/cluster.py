@@ -36,7 +36,7 @@ def address(scheduler: str) -> str:
     """The scheduler's address. Raises ConfigError where it is none, or Dask is not installed."""
     if not re.fullmatch(r"(tcp|tls|ws|wss|ucx)://[^\s/]+:\d+/?", scheduler):
         raise ConfigError(f"scheduler {scheduler}: give the address of a Dask scheduler, as in tcp://HOST:8786.")
-    checks.extra("distributed", "A scheduler", "cluster")
+    checks.library("distributed", "A scheduler")
     return scheduler
 
 
