@@ -187,7 +187,7 @@ class Diagnosis:
 
     @classmethod
     def from_dict(cls, found: Mapping[str, Any]) -> Diagnosis:
-        """What `to_dict` gave, as a Diagnosis again: without the trace, numbers as they were rounded. Raises ConfigError for another schema."""
+        """What `to_dict` gave as a Diagnosis again, without the trace, numbers as rounded. Raises ConfigError for another schema."""
         if found.get("schema") != SCHEMA:
             raise ConfigError(f"This answer has the schema {found.get('schema')}, not {SCHEMA}; judge the log again.")
         rotors = [{**r, "trend": None if r["trend"] is None else Trend(**_tuples(r["trend"]))} for r in found["rotors"]]

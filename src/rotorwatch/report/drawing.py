@@ -36,7 +36,7 @@ def airframe(diagnosis: Diagnosis) -> str:
 
 
 def layout(rotors: Sequence[Rotor]) -> tuple[np.ndarray, float, float]:
-    """Where the rotors are in the picture, nose up: centres (n, 2), x to the right and y down; radius of a disc; half the picture's width."""
+    """Where the rotors are in the picture, nose up: centres (n, 2), x to the right, y down; radius of a disc; half the picture's width."""
     xy = np.array([(r.y, -r.x) for r in rotors], float)
     reach = max(float(np.hypot(*xy.T).max()), 1e-9)
     xy *= 100 / reach
