@@ -39,9 +39,10 @@ def serve(
 
     endpoints: those of `rotorwatch watch`, or recorded logs, replayed `speed` times as fast as flown. host: to listen on; any but a
     loopback address needs a token of at least 16 letters (default: the environment variable ROTORWATCH_TOKEN). port: 0 for any that is
-    free. store: of the fleet, a SQLite file or a URL. max_upload [MB], max_seconds [s] and max_memory [MB] hold for each uploaded log; jobs:
-    logs judged at once. vehicle: a Vehicle, or a vehicle file, of all that are watched; record: folder to record links in; listen_only:
-    nothing is sent to vehicles. ready: called with the page's address once it can be opened. Raises RotorwatchError, all of them before that.
+    free. store: of the fleet, a SQLite file or a URL. max_upload [MB], max_seconds [s] and max_memory [MB] hold for each uploaded log;
+    jobs: logs judged at once. vehicle: a Vehicle, or a vehicle file, of all that are watched; record: folder to record links in;
+    listen_only: nothing is sent to vehicles. ready: called with the page's address once it can be opened; every RotorwatchError is raised
+    before that.
     """
     try:
         import starlette  # noqa: F401

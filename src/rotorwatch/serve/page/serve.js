@@ -5,7 +5,11 @@ import * as live from "./live.js";
 
 const stream = new EventSource("/api/live");
 const on = (kind, what) => stream.addEventListener(kind, (event) => what(JSON.parse(event.data)));
-on("state", live.state);
+let times = 0;
+on("state", (data) => {
+  live.state(data);
+  if (times++) flights.refresh(); // the server is another one, or much was missed
+});
 on("tick", live.tick);
 on("begun", live.begun);
 on("said", live.said);
