@@ -19,7 +19,19 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from rotorwatch import __version__, optional
-from rotorwatch.commands import ask, benchmark, campaign, export, research, several, simulate, survive, tune, watch
+from rotorwatch.commands import (
+    ask,
+    benchmark,
+    campaign,
+    export,
+    research,
+    serve,
+    several,
+    simulate,
+    survive,
+    tune,
+    watch,
+)
 from rotorwatch.commands.tools import LOG, LOGS, OUT, common, debug, progress, say, shares, show, spread
 from rotorwatch.errors import BackendWarning, ConfigError, PluginWarning, RotorwatchError
 
@@ -444,6 +456,7 @@ survive.register(cli)
 campaign.register(cli)
 benchmark.register(cli)
 watch.register(cli)
+serve.register(cli)
 
 
 if __name__ == "__main__":

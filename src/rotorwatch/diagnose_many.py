@@ -78,9 +78,10 @@ def diagnose_many(
     paths: logs, folders with all that is in them, quoted patterns, and addresses (s3://, http://, file:// ..), where fsspec is
     installed. They may come from a generator: no more logs are taken than are worked on. vehicle, baseline, estimator, tuning: as for
     `diagnose`, for all logs. jobs, scheduler: as for `many.run`; by default a process per processor, fewer for few logs. The workers of
-    a cluster have to find the same paths. pages: make HTML reports, too; recordings: MCAP files. hashed: size and SHA-256 of each log's content. known: full path
-    -> what it was when it had its answer; those that did not change are not judged again. Raises ConfigError, VehicleError or LogError
-    where no log can be judged: a folder without logs, a wrong vehicle or baseline, a scheduler that does not answer.
+    a cluster have to find the same paths. pages: make HTML reports, too; recordings: MCAP files. hashed: size and SHA-256 of each log's
+    content. known: full path -> what it was when it had its answer; those that did not change are not judged again. Raises ConfigError,
+    VehicleError or LogError where no log can be judged: a folder without logs, a wrong vehicle or baseline, a scheduler that does not
+    answer.
     """
     known = known or {}
     craft = _vehicle(vehicle)
