@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from rotorwatch import __version__
-from rotorwatch.commands import ask, benchmark, campaign, export, research, serve, simulate, survive, tune, watch
+from rotorwatch.commands import ask, benchmark, campaign, export, fleet, research, serve, simulate, survive, tune, watch
 from rotorwatch.commands.tools import LOG, OUT, common, debug, label, progress, say, shares, show
 from rotorwatch.errors import BackendWarning, ConfigError, PluginWarning, RotorwatchError
 
@@ -424,6 +424,7 @@ survive.register(cli)
 campaign.register(cli)
 benchmark.register(cli)
 watch.register(cli)
+fleet.register(cli)
 serve.register(cli)
 
 

@@ -93,13 +93,15 @@ services = sa.Table(
     sa.Column("after", sa.Integer, nullable=False),
 )
 
-# What all flights together say of an aircraft, as it was last worked out. seen: how many flights the store held then.
+# What all flights together say of an aircraft, as it was last worked out. seen: how many flights and services the store held then.
+# points: what a picture needs of every flight; it lies apart because it is long.
 standings = sa.Table(
     "standings",
     metadata,
     sa.Column("aircraft", sa.Text, sa.ForeignKey("aircraft.key"), primary_key=True),
     sa.Column("seen", sa.Integer, nullable=False),
     sa.Column("standing", sa.Text, nullable=False),
+    sa.Column("points", sa.Text, nullable=False),
 )
 
 
