@@ -25,6 +25,7 @@ _VERBS = {
     "ask": "ask",
     "calibrate": "healthy.calibrate",
     "diagnose": "diagnose",
+    "diagnose_many": "diagnose_many",
     "export_c": "export_c",
     "fuzz": "experiments.fuzz",
     "fuzz_framed": "experiments.fuzz_framed",
@@ -65,6 +66,7 @@ if TYPE_CHECKING:
     from rotorwatch.ask import ask as ask
     from rotorwatch.compiling.run import run as run
     from rotorwatch.diagnose import diagnose as diagnose
+    from rotorwatch.diagnose_many import diagnose_many as diagnose_many
     from rotorwatch.diagnosis import Diagnosis as Diagnosis
     from rotorwatch.diagnosis import Event as Event
     from rotorwatch.diagnosis import RotorState as RotorState

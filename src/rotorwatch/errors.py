@@ -21,6 +21,21 @@ class LinkError(RotorwatchError):
     """An endpoint cannot be opened, or no vehicle is heard on it."""
 
 
+class WorkerError(RotorwatchError):
+    """A process that did a part of the work ended, or a cluster cannot go on with it. how: how a process ended."""
+
+    def __init__(self, text: str, how: str = ""):
+        super().__init__(text, how)
+        self.text, self.how = text, how
+
+    def __str__(self) -> str:
+        return self.text
+
+
+class WorkerWarning(RuntimeWarning):
+    """A cluster waits for workers, or a connection to it was lost and is made anew; one sentence says which."""
+
+
 class BackendWarning(RuntimeWarning):
     """Native code cannot be had, or not be kept; one sentence says why and what happens instead."""
 

@@ -6,8 +6,9 @@ import contextlib
 import os
 import signal
 import time
-from collections.abc import Callable, Sequence
-from multiprocessing import connection, get_context
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -21,43 +22,33 @@ class Failed(RotorwatchError):
     """A job has come to no answer; the text says why in a few words: beyond its time, the process died, or an error in it."""
 
 
-class _TooLong(BaseException):
-    """Raised by the worker's own clock; no except clause of a reader swallows it."""
+class TooLong(BaseException):
+    """Raised by the process' own clock; no except clause of a reader swallows it. The text says how long."""
 
 
-def _work(pipe, job: Callable[[Any], Any], timeout_s: float, memory_mb: int, loads: Sequence[str]) -> None:
-    """A worker: says that it is ready, then what to do in, (answer, why there is none) out, until the pipe closes."""
-    _limit_memory(memory_mb, loads)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides when to stop
+@contextmanager
+def within(seconds: float) -> Iterator[None]:
+    """Raises TooLong inside when it takes longer, where the system can: in the main thread of a process, on POSIX."""
 
     def too_long(*_):
-        raise _TooLong
+        raise TooLong(f"took longer than {seconds:g} s")
 
-    if hasattr(signal, "SIGALRM"):
-        signal.signal(signal.SIGALRM, too_long)
-    with contextlib.suppress(EOFError, OSError):
-        pipe.send("ready")
-        while True:
-            what = pipe.recv()
-            try:
-                if hasattr(signal, "setitimer"):
-                    signal.setitimer(signal.ITIMER_REAL, timeout_s)
-                answer = job(what), ""
-            except _TooLong:
-                answer = None, f"took longer than {timeout_s:g} s"
-            except Exception as why:  # of one job; the worker goes on
-                answer = None, f"{type(why).__name__}: {why}"[:300]
-            finally:
-                if hasattr(signal, "setitimer"):
-                    signal.setitimer(signal.ITIMER_REAL, 0.0)
-            pipe.send(answer)
+    if not hasattr(signal, "setitimer"):
+        yield
+        return
+    signal.signal(signal.SIGALRM, too_long)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
 
 
-def _limit_memory(memory_mb: int, loads: Sequence[str]) -> None:
-    """Cap the address space at what the process has plus memory_mb, where the system can."""
+def cap_memory(memory_mb: int, loads: Sequence[str] = ()) -> None:
+    """Cap the address space of this process at what it has plus memory_mb, where the system can. loads: modules that do not count."""
     from importlib import import_module
 
-    for name in loads:  # before measuring, so that libraries do not count
+    for name in loads:  # before measuring
         with contextlib.suppress(ImportError):
             import_module(name)
     with contextlib.suppress(ImportError, OSError, ValueError):
@@ -66,6 +57,24 @@ def _limit_memory(memory_mb: int, loads: Sequence[str]) -> None:
         have = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
         most = have + memory_mb * 2**20
         resource.setrlimit(resource.RLIMIT_AS, (most, most))
+
+
+def _work(pipe, job: Callable[[Any], Any], timeout_s: float, memory_mb: int, loads: Sequence[str]) -> None:
+    """A worker: says that it is ready, then what to do in, (answer, why there is none) out, until the pipe closes."""
+    cap_memory(memory_mb, loads)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides when to stop
+    with contextlib.suppress(EOFError, OSError):
+        pipe.send("ready")
+        while True:
+            what = pipe.recv()
+            try:
+                with within(timeout_s):
+                    answer = job(what), ""
+            except TooLong as why:
+                answer = None, str(why)
+            except Exception as why:  # of one job; the worker goes on
+                answer = None, f"{type(why).__name__}: {why}"[:300]
+            pipe.send(answer)
 
 
 class Worker:
@@ -118,10 +127,3 @@ class Worker:
         self.process.kill()
         self.process.join()
         self.pipe.close()
-
-
-def first(workers: Sequence[Worker]) -> list[Worker]:
-    """Those that have an answer or have used up their time, waiting until there is one."""
-    wait = max(0.0, min(w.deadline for w in workers) - time.monotonic())
-    ready = connection.wait([w.pipe for w in workers], wait)
-    return [w for w in workers if w.pipe in ready or time.monotonic() > w.deadline]

@@ -5,22 +5,25 @@ Every mutation follows from (seed, number) alone, so a failure can be repeated b
 
 from __future__ import annotations
 
+import functools
 import gzip
 import lzma
 import os
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from rotorwatch import limited
-from rotorwatch.errors import ConfigError, RotorwatchError
+from rotorwatch import limited, many
+from rotorwatch.errors import ConfigError, RotorwatchError, WorkerError
 
 OUTCOMES = ("read", "read with warnings", "rejected with a sentence", "FAILED")
 KEPT_FAILURES = 20
+GRACE_S = 30.0  # beyond a mutation's own time limit: then the worker does not come back and is killed
 
 
 def fuzz(
@@ -44,7 +47,7 @@ def fuzz(
     if jobs == 0:
         results = here(task, mutations)
     else:
-        results = pool(task, mutations, jobs or os.cpu_count() or 1, memory_mb)
+        results = pool(task, mutations, jobs, memory_mb)
     outcomes: dict[str, int] = dict.fromkeys(OUTCOMES, 0)
     failures, judged = [], 0
     for done, (number, outcome, what, was_judged) in enumerate(results, 1):
@@ -186,47 +189,36 @@ def here(task: Mutations, mutations: int):
             yield number, *task.attempt(number, folder), task.judged(number)
 
 
-class _Job:
-    """What a worker does: the mutation of a number. Copies go to a folder of its own."""
+@dataclass(frozen=True)
+class _Limited:
+    """One mutation after the other, in a worker: copies go to a folder of its own below `root`."""
 
-    def __init__(self, task: Mutations, folder: str):
-        self._task, self._folder = task, folder
+    task: Mutations
+    root: str
+
+    @cached_property
+    def folder(self) -> str:
+        return tempfile.mkdtemp(dir=self.root)
 
     def __call__(self, number: int) -> tuple[str, Any]:
-        return self._task.attempt(number, self._folder)
-
-
-def pool(task: Mutations, mutations: int, jobs: int, memory_mb: int):
-    """Results from worker processes, in the order they come. A worker that dies or hangs is replaced."""
-    todo = iter(range(mutations))
-    busy: list[limited.Worker] = []
-    with tempfile.TemporaryDirectory(prefix="rotorwatch-fuzz-") as root:
-
-        def worker() -> limited.Worker:
-            job = _Job(task, tempfile.mkdtemp(dir=root))
-            return limited.Worker(job, task.timeout_s, memory_mb, ("rotorwatch.logs", "rotorwatch.diagnose"))
-
         try:
-            busy += [worker() for _ in range(min(jobs, mutations))]
-            for one, number in zip(busy, todo):
-                one.give(number)
-            while busy:
-                for one in limited.first(busy):
-                    number = one.busy
-                    try:
-                        result = one.take()
-                    except limited.Failed as why:
-                        result = "FAILED", str(why)
-                    following = next(todo, None)
-                    if following is None or not one.alive:
-                        one.stop()
-                        busy.remove(one)
-                    if following is not None:
-                        if one not in busy:
-                            one = worker()
-                            busy.append(one)
-                        one.give(following)
-                    yield number, *result, task.judged(number)
-        finally:
-            for one in busy:
-                one.stop()
+            with limited.within(self.task.timeout_s):
+                return self.task.attempt(number, self.folder)
+        except limited.TooLong as why:
+            return "FAILED", str(why)
+
+
+def pool(task: Mutations, mutations: int, jobs: int | None, memory_mb: int):
+    """Results from worker processes, in the order they come. A worker that dies or hangs is replaced."""
+    limit_s = task.timeout_s + GRACE_S
+    with tempfile.TemporaryDirectory(prefix="rotorwatch-fuzz-") as root:
+        prepare = functools.partial(limited.cap_memory, memory_mb, ("rotorwatch.logs", "rotorwatch.diagnose"))
+        work = many.run(_Limited(task, root), range(mutations), jobs, limit_s=limit_s, tries=1, prepare=prepare)
+        for done in work:
+            if isinstance(done.error, WorkerError):
+                hung = done.error.how.startswith("hung")
+                what = f"hung for {task.timeout_s:g} s and more" if hung else f"the process {done.error.how}"
+                result = "FAILED", what
+            else:
+                result = done.result()
+            yield done.index, *result, task.judged(done.index)
