@@ -32,15 +32,15 @@ TOKEN = "a-token-of-enough-letters"
 HERE = "http://127.0.0.1:8000"
 
 
-def guarded(tmp_path, token="", limits=Limits(), host="127.0.0.1"):
+def guarded(tmp_path, token="", most=2 << 20, host="127.0.0.1"):
     flights = Flights(str(tmp_path / "fleet.db"))
-    return application(live.Feed(), flights, limits, host, token), flights
+    return application(live.Feed(), flights, Limits(most=most), host, token), flights
 
 
 @pytest.fixture(scope="module")
 def served(tmp_path_factory):
     """A client of a server that judges what it is sent, small logs only."""
-    app, flights = guarded(tmp_path_factory.mktemp("served"), limits=Limits(most=2 << 20))
+    app, flights = guarded(tmp_path_factory.mktemp("served"))
     with TestClient(app, HERE) as client:
         yield client, flights
 
@@ -168,8 +168,8 @@ def test_every_answer_binds_the_browser(served, path):
 
 @pytest.mark.parametrize(
     "path",
-    ["/static/../app.py", "/static/..%2fapp.py", "/static/%2e%2e/app.py", "/static//etc/passwd", "/flights/..%2f..%2ffleet.db", "/flights/x",
-     "/flights/" + 63 * "0" + "A", "/api/flights/..", "/incoming/"],
+    ["/static/../app.py", "/static/..%2fapp.py", "/static/%2e%2e/app.py", "/static//etc/passwd", "/flights/..%2f..%2ffleet.db",
+     "/flights/x", "/flights/" + 63 * "0" + "A", "/api/flights/..", "/incoming/"],
 )  # fmt: skip
 def test_there_are_no_paths(served, path):
     answer = served[0].get(path)

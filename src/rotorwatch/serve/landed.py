@@ -52,7 +52,13 @@ def answer(name: str, session: Session, rows: Sequence[tuple], hop: tuple[float,
     events = [e for e in session.events() if start <= e.detected_s <= end + SETTLED_S]
     names = places.names(vehicle.rotors)
     end_of = conclusion.conclude(
-        events, None, len(vehicle.rotors), hidden=hidden, judged_s=float(steps[steps < GAP_S].sum()), places=names, hops=(hop,)
+        events,
+        None,
+        len(vehicle.rotors),
+        hidden=hidden,
+        judged_s=float(steps[steps < GAP_S].sum()),
+        places=names,
+        hops=(hop,),
     )
     began = datetime.fromtimestamp(time.time() - session.now, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
     return Diagnosis(

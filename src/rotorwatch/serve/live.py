@@ -230,8 +230,8 @@ class Guarded:
 
 
 class Feed:
-    """All endpoints, watched from `start` to `stop`; hub: tells the pages of them. ended: called with each flight that was heard over a link
-    and has ended; it must not wait."""
+    """All endpoints, watched from `start` to `stop`; hub: tells the pages of them. ended: called with each flight that was heard over a
+    link and has ended; it must not wait."""
 
     def __init__(self, ended: Callable[[Entry], None] = lambda entry: None):
         self.ended = ended
