@@ -43,6 +43,7 @@ _HOMES = {
     "reproduce": "experiments.studies.reproduction",
     "simulate": "simulation",
     "simulate_system": "simulation.any_system",
+    "serve": "serve.server",
     "Flight": "flight",
     "Message": "flight",
     "Signal": "flight",
@@ -92,6 +93,7 @@ if TYPE_CHECKING:
     from rotorwatch.logs import read as read
     from rotorwatch.motion.airborne import airborne as airborne
     from rotorwatch.published.observability import observability as observability
+    from rotorwatch.serve.server import serve as serve
     from rotorwatch.simulation import simulate as simulate
     from rotorwatch.simulation.any_system import simulate_system as simulate_system
     from rotorwatch.survive import survive as survive

@@ -18,8 +18,20 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from rotorwatch import __version__
-from rotorwatch.commands import ask, benchmark, campaign, export, research, several, simulate, survive, tune, watch
+from rotorwatch import __version__, optional
+from rotorwatch.commands import (
+    ask,
+    benchmark,
+    campaign,
+    export,
+    research,
+    serve,
+    several,
+    simulate,
+    survive,
+    tune,
+    watch,
+)
 from rotorwatch.commands.tools import LOG, LOGS, OUT, common, debug, progress, say, shares, show, spread
 from rotorwatch.errors import BackendWarning, ConfigError, PluginWarning, RotorwatchError
 
@@ -114,6 +126,12 @@ def cli() -> None:
 )
 @click.option("--html", type=OUT, metavar="DIR", help="Write a page for each log, and one that lists them.")
 @click.option(
+    "--mcap",
+    type=OUT,
+    metavar="OUT.mcap",
+    help="Write an MCAP file for Foxglove or PlotJuggler; for several logs as --report.",
+)
+@click.option(
     "--json", "as_json", is_flag=True, help="Print JSON (docs/json.md): an object, or a list for several logs."
 )
 @click.option("--jsonl", is_flag=True, help="Print JSON lines: one for each log, as soon as it is judged.")
@@ -131,6 +149,7 @@ def diagnose(
     tuning,
     report,
     html,
+    mcap,
     as_json,
     jsonl,
     out,
@@ -139,8 +158,8 @@ def diagnose(
     scheduler,
     quiet,
 ) -> None:
-    """Judge each LOG: PX4 .ulg, ArduPilot .bin/.log, MAVLink .tlog, CSV, also .xz and .gz; - is standard input. A folder
-    stands for all logs in it; also quoted patterns, and addresses such as s3://BUCKET/FOLDER/ (docs/cluster.md).
+    """Judge each LOG: PX4 .ulg, ArduPilot .bin/.log, MAVLink .tlog, ROS 2 bag, CSV, also .xz and .gz; - is standard input. A
+    folder stands for all logs in it; also quoted patterns, and addresses such as s3://BUCKET/FOLDER/ (docs/cluster.md).
 
     Exit code: 0 healthy, 1 fault found, 3 inconclusive or ambiguous only, 2 error; of several logs the worst.
     """
@@ -155,13 +174,15 @@ def diagnose(
     found = gathering.Gathered(logs)
     if many:
         logs = tuple(found)
-    pages = report_paths(logs, report)
+    pages, recordings = report_paths(logs, report), report_paths(logs, mcap, "--mcap", ".mcap")
+    if recordings:
+        optional.library("mcap", "--mcap")
     if many:
         asked = several.Asked(
             logs, found.others, {"vehicle": vehicle, "baseline": baselines, "estimator": estimator,
             "tuning": _tuning(tuning, estimator) if tuning else None}, jobs, scheduler, as_json, jsonl,
             files.writable(out, "--out", make=True) if out else None, resume, files.folder(html, "--html") if html else None,
-            pages, quiet,
+            pages, recordings, quiet,
         )  # fmt: skip
         context.exit(several.diagnose(asked, several.settings(estimator, vehicle, tuning, *baselines), explain))
     known = read_vehicle(vehicle) if vehicle else None
@@ -184,11 +205,14 @@ def diagnose(
     result = judge(logs[0])
     if pages:
         result.to_html(pages[0])
+    if recordings:
+        result.to_mcap(recordings[0])
     if as_json:
         click.echo(result.to_json())
     else:
         show(lambda terminal: terminal.diagnosis(result))
         _report_written(pages[0] if pages else None, quiet)
+        _report_written(recordings[0] if recordings else None, quiet, "MCAP file")
     context.exit(result.exit_code)
 
 
@@ -205,7 +229,9 @@ def _tuning(path: Path, estimator: str):
     return read(path, estimator)
 
 
-def report_paths(logs: tuple[Any, ...], out: Path | None) -> list[Path]:
+def report_paths(
+    logs: tuple[Any, ...], out: Path | None, option: str = "--report", ending: str = ".html"
+) -> list[Path]:
     """Where each log's page goes: OUT, OUT/NAME.html in a folder, or OUT with {name} filled in; never one twice."""
     from rotorwatch import files
 
@@ -213,10 +239,10 @@ def report_paths(logs: tuple[Any, ...], out: Path | None) -> list[Path]:
         return []
     several = len(logs) > 1
     if "{name}" not in str(out) and (out.is_dir() or (several and not out.suffix)):
-        out = out / "{name}.html"
+        out = out / f"{{name}}{ending}"
     if several and "{name}" not in str(out):
         raise ConfigError(
-            f"--report {out} names one page for {len(logs)} logs; give a folder, or a name with {{name}} in it."
+            f"{option} {out} names one file for {len(logs)} logs; give a folder, or a name with {{name}} in it."
         )
     pages: list[Path] = []
     for log in logs:
@@ -227,12 +253,12 @@ def report_paths(logs: tuple[Any, ...], out: Path | None) -> list[Path]:
             n += 1
             page = Path(str(out).replace("{name}", f"{stem}-{n}"))
         pages.append(page)
-    return [files.writable(page, "--report", make=True) for page in pages]
+    return [files.writable(page, option, make=True) for page in pages]
 
 
-def _report_written(page: Path | None, quiet: bool) -> None:
+def _report_written(page: Path | None, quiet: bool, what: str = "report") -> None:
     if page and not quiet:
-        say(f"report written to {page}")
+        say(f"{what} written to {page}")
 
 
 @cli.command(short_help="Learn a vehicle file from healthy flights.")
@@ -430,6 +456,7 @@ survive.register(cli)
 campaign.register(cli)
 benchmark.register(cli)
 watch.register(cli)
+serve.register(cli)
 
 
 if __name__ == "__main__":

@@ -35,7 +35,7 @@ class Known:
 class Answer:
     """What became of one log. index: its place among the logs; path: its full path, or its address. diagnosis: without the trace; None
     where there is an error. size, sha256: of the content, where it was asked for. page: the HTML report, where it was asked for.
-    unchanged: it is as it was known, and was not judged again."""
+    recording: the MCAP file, likewise. unchanged: it is as it was known, and was not judged again."""
 
     index: int
     path: str
@@ -44,6 +44,7 @@ class Answer:
     size: int | None = None
     sha256: str | None = None
     page: str | None = None
+    recording: bytes | None = None
     unchanged: bool = False
 
     @property
@@ -68,6 +69,7 @@ def diagnose_many(
     jobs: int | None = None,
     scheduler: str | None = None,
     pages: bool = False,
+    recordings: bool = False,
     hashed: bool = False,
     known: Mapping[str, Known] | None = None,
 ) -> Iterator[Answer]:
@@ -76,9 +78,10 @@ def diagnose_many(
     paths: logs, folders with all that is in them, quoted patterns, and addresses (s3://, http://, file:// ..), where fsspec is
     installed. They may come from a generator: no more logs are taken than are worked on. vehicle, baseline, estimator, tuning: as for
     `diagnose`, for all logs. jobs, scheduler: as for `many.run`; by default a process per processor, fewer for few logs. The workers of
-    a cluster have to find the same paths. pages: make HTML reports, too. hashed: size and SHA-256 of each log's content. known: full path
-    -> what it was when it had its answer; those that did not change are not judged again. Raises ConfigError, VehicleError or LogError
-    where no log can be judged: a folder without logs, a wrong vehicle or baseline, a scheduler that does not answer.
+    a cluster have to find the same paths. pages: make HTML reports, too; recordings: MCAP files. hashed: size and SHA-256 of each log's
+    content. known: full path -> what it was when it had its answer; those that did not change are not judged again. Raises ConfigError,
+    VehicleError or LogError where no log can be judged: a folder without logs, a wrong vehicle or baseline, a scheduler that does not
+    answer.
     """
     known = known or {}
     craft = _vehicle(vehicle)
@@ -86,7 +89,7 @@ def diagnose_many(
         if not isinstance(given, Flight):
             read(given)  # an error in it would be every log's
     healthy = tuple(given if isinstance(given, Flight) else _named(given, scheduler) for given in baseline)
-    judge = _Judge(craft, healthy, estimator, tuning, pages, hashed)
+    judge = _Judge(craft, healthy, estimator, tuning, pages, recordings, hashed)
     if isinstance(paths, Sequence):
         paths = list(gathering.Gathered(paths))
         if jobs is None and scheduler is None:
@@ -142,6 +145,7 @@ class _Judge:
     estimator: str
     tuning: Any
     pages: bool
+    recordings: bool
     hashed: bool
 
     @cached_property
@@ -166,12 +170,16 @@ class _Judge:
             if gathering.is_address(path) and here is not None:
                 why = type(why)(str(why).replace(str(here), path))  # nobody knows the copy's name
             return Answer(0, path, error=why, size=size, sha256=sha256)
-        page = None
+        page = recording = None
         if self.pages:
             from rotorwatch.report import html
 
             page = html.page(found)
-        return Answer(0, path, replace(found, trace=None), size=size, sha256=sha256, page=page)
+        if self.recordings:
+            from rotorwatch.report import mcap_file
+
+            recording = mcap_file.content(found)
+        return Answer(0, path, replace(found, trace=None), size=size, sha256=sha256, page=page, recording=recording)
 
     def judged(self, path: Path) -> Diagnosis:
         from rotorwatch.diagnose import diagnose

@@ -42,3 +42,7 @@ class BackendWarning(RuntimeWarning):
 
 class PluginWarning(RuntimeWarning):
     """A plug-in of another package is not used; one sentence says which and why."""
+
+
+class StoreError(RotorwatchError):
+    """The store of a fleet cannot be opened, read or written, or does not hold what is asked for."""

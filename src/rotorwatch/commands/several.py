@@ -38,6 +38,7 @@ class Asked:
     resume: bool
     html: Path | None
     pages: Sequence[Path]
+    recordings: Sequence[Path]
     quiet: bool
 
 
@@ -89,7 +90,7 @@ def diagnose(asked: Asked, how: str, explain: Callable[[Exception], str]) -> int
 
         answers = diagnose_many(
             asked.logs, **asked.judging, jobs=asked.jobs, scheduler=asked.scheduler,
-            pages=bool(asked.html or asked.pages), hashed=asked.jsonl, known=known,
+            pages=bool(asked.html or asked.pages), recordings=bool(asked.recordings), hashed=asked.jsonl, known=known,
         )  # fmt: skip
         try:
             for done, answer in enumerate(answers, start=1):
@@ -121,6 +122,8 @@ def _show(asked: Asked, rows: Any, listed: list[dict[str, Any]]) -> None:
         say(f"pages written to {asked.html / 'index.html'}")
     elif asked.pages:
         say(f"report written to {asked.pages[0].parent}")
+    if asked.recordings:
+        say(f"MCAP files written to {asked.recordings[0].parent}")
 
 
 def _page(asked: Asked, path: str) -> str | None:
@@ -133,9 +136,12 @@ def _page(asked: Asked, path: str) -> str | None:
 
 
 def _write_page(asked: Asked, answer: Any) -> str | None:
-    """Write the page of an answer; returns its name below --html."""
+    """Write the page and the MCAP file of an answer; returns the page's name below --html."""
     from rotorwatch import files
 
+    if answer.recording is not None:
+        with files.replacing(asked.recordings[answer.index]) as unfinished:
+            Path(unfinished).write_bytes(answer.recording)
     if answer.page is None:
         return None
     name = _page(asked, answer.path)

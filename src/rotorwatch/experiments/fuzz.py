@@ -5,12 +5,10 @@ Every mutation follows from (seed, number) alone, so a failure can be repeated b
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import gzip
 import lzma
 import os
-import signal
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import many
+from rotorwatch import limited, many
 from rotorwatch.errors import ConfigError, RotorwatchError, WorkerError
 
 OUTCOMES = ("read", "read with warnings", "rejected with a sentence", "FAILED")
@@ -191,14 +189,6 @@ def here(task: Mutations, mutations: int):
             yield number, *task.attempt(number, folder), task.judged(number)
 
 
-class _TooLong(BaseException):
-    """Raised by the worker's own clock; no except clause of a reader swallows it."""
-
-
-def _too_long(*_: Any) -> None:
-    raise _TooLong
-
-
 @dataclass(frozen=True)
 class _Limited:
     """One mutation after the other, in a worker: copies go to a folder of its own below `root`."""
@@ -211,40 +201,20 @@ class _Limited:
         return tempfile.mkdtemp(dir=self.root)
 
     def __call__(self, number: int) -> tuple[str, Any]:
-        timed = hasattr(signal, "setitimer")
         try:
-            if timed:
-                signal.signal(signal.SIGALRM, _too_long)
-                signal.setitimer(signal.ITIMER_REAL, self.task.timeout_s)
-            return self.task.attempt(number, self.folder)
-        except _TooLong:
-            return "FAILED", f"took longer than {self.task.timeout_s:g} s"
-        finally:
-            if timed:
-                signal.setitimer(signal.ITIMER_REAL, 0.0)
-
-
-def _limit_memory(memory_mb: int) -> None:
-    """Cap the address space at what the process has plus memory_mb, where the system can."""
-    from importlib import import_module
-
-    for name in ("rotorwatch.logs", "rotorwatch.diagnose"):  # before measuring, so that libraries do not count
-        with contextlib.suppress(ImportError):
-            import_module(name)
-    with contextlib.suppress(ImportError, OSError, ValueError):
-        import resource
-
-        have = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
-        most = have + memory_mb * 2**20
-        resource.setrlimit(resource.RLIMIT_AS, (most, most))
+            with limited.within(self.task.timeout_s):
+                return self.task.attempt(number, self.folder)
+        except limited.TooLong as why:
+            return "FAILED", str(why)
 
 
 def pool(task: Mutations, mutations: int, jobs: int | None, memory_mb: int):
     """Results from worker processes, in the order they come. A worker that dies or hangs is replaced."""
     limit_s = task.timeout_s + GRACE_S
     with tempfile.TemporaryDirectory(prefix="rotorwatch-fuzz-") as root:
-        limited, prepare = _Limited(task, root), functools.partial(_limit_memory, memory_mb)
-        for done in many.run(limited, range(mutations), jobs, limit_s=limit_s, tries=1, prepare=prepare):
+        prepare = functools.partial(limited.cap_memory, memory_mb, ("rotorwatch.logs", "rotorwatch.diagnose"))
+        work = many.run(_Limited(task, root), range(mutations), jobs, limit_s=limit_s, tries=1, prepare=prepare)
+        for done in work:
             if isinstance(done.error, WorkerError):
                 hung = done.error.how.startswith("hung")
                 what = f"hung for {task.timeout_s:g} s and more" if hung else f"the process {done.error.how}"
