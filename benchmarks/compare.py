@@ -1,9 +1,9 @@
-"""Makes docs/comparison.md: all methods on the same simulated flights, a table for each frame.
+"""Makes docs/comparison.md: all methods on the same simulated flights, a table for each frame, and which of them keep a vehicle up.
 
-    python benchmarks/compare.py [--jobs 2] [--out FOLDER] [--methods NAME,NAME --name -more]
+    python benchmarks/compare.py [--jobs 2] [--frames quad-x] [--out FOLDER] [--methods NAME,NAME --name -more]
 
-Runs `rotorwatch benchmark` on the plans in benchmarks/comparison. Results files are kept in --out: frames that have one are not
-flown again, and a run that was interrupted goes on where it was.
+Runs `rotorwatch benchmark` on the plans in benchmarks/comparison, and `rotorwatch closed-loop plans/survival-methods.toml`. Results are
+kept in --out: what is there is not flown again, and a run that was interrupted goes on where it was.
 """
 
 from __future__ import annotations
@@ -12,11 +12,13 @@ import argparse
 import tempfile
 from pathlib import Path
 
-from rotorwatch.campaign import benchmark, ranking
+from rotorwatch import discovery
+from rotorwatch.campaign import benchmark, closed_loop, ranking
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "comparison.md"
 FRAMES = ("quad-x", "hexa-x", "octa-x")
+UP_PLAN, UP_FLIGHTS = ROOT / "plans" / "survival-methods.toml", 240
 COLUMNS = {**ranking.COLUMNS, "own_detected": "found at its own threshold"}
 HEAD = """# Comparison
 
@@ -34,6 +36,8 @@ with `rotorwatch benchmark benchmarks/comparison/hexa-x.toml --method my_file:Mi
   loss. Both are of the losses that were announced: read them beside the last column.
 - **own alarms/h**: false alarms at the method's own threshold.
 - **us a step**: microseconds of one step of a quad in a compiled loop.
+- **stays up**: when what the method believes becomes the allocation while the vehicle flies: share of vehicles that stay in the air, of
+  those that knowing the truth would keep there ([other flights](#does-the-vehicle-stay-up)).
 - `=`: not told apart from the first by these flights. `over`: a rule without a threshold, with more false alarms than 2 an hour.
 
 What each of the scores means in detail, and their limits: [benchmark](benchmark.md#scores). Flights: 50 s of hover, squares,
@@ -42,21 +46,60 @@ rotor from 5 % to all.
 """
 
 
-def table(ranked: dict) -> str:
-    """One frame's ranking in Markdown."""
+UP = """
+## Does the vehicle stay up
+
+{flights} flights of `{plan}` ([closed loop](control.md#closed-loop)): quad X and hexa X, losses of 10 % to all of one rotor or two,
+wind to 9 m/s. What each method believes drives the allocation; `nobody` keeps the autopilot's own mixer, `truth` knows every loss 0.1 s
+after it began. Acted falsely: before the loss, on a healthy flight, or on rotors of which none is broken; lost by it: and not so without.
+
+"""
+UP_COLUMNS = ("driver", "stays up, of those that the truth saves", "quad X", "hexa X", "survived, of all faulty",
+              "acted falsely, flights an hour", "lost by it", "first acted on the broken rotors", "first acted after, s")  # fmt: skip
+
+
+def percent(share: dict | None) -> str:
+    """A share with its interval."""
+    return (
+        "-"
+        if share is None
+        else "{:.0f} % ({:.0f} to {:.0f})".format(*(100 * share[k] for k in ("value", "low", "high")))
+    )
+
+
+def number(value: dict | None) -> str:
+    """A number with its interval."""
+    return "-" if value is None else "{:.2f} ({:.2f} to {:.2f})".format(*(value[k] for k in ("value", "low", "high")))
+
+
+def staying_up(found: dict) -> str:
+    """The closed loop in Markdown, the best first."""
+    lines = [f"| {' | '.join(UP_COLUMNS)} |", "|---" * len(UP_COLUMNS) + "|"]
+    for name, m in sorted(found["drivers"].items(), key=lambda row: -row[1]["of_possible"]["value"]):
+        frames = [percent(m["possible_by_frame"][f]) for f in ("quad-x", "hexa-x")]
+        cells = [f"`{name}`", percent(m["of_possible"]), *frames, percent(m["survived"]), number(m["false_h"]), str(m["lost_false"]),
+                 percent(m["right"]), number(m["first_s"])]  # fmt: skip
+        lines.append(f"| {' | '.join(cells)} |")
+    return UP.format(flights=found["flights"], plan=UP_PLAN.relative_to(ROOT)) + "\n".join(lines) + "\n"
+
+
+def table(ranked: dict, up: dict) -> str:
+    """One frame's ranking in Markdown; up: what the closed loop found."""
+    frame = ranked["plan"]["name"].removeprefix("comparison-")
     plan, rows = ranked["plan"], ranked["rows"]
     scores = rows[0]["scores"]
     count = (
         f"{plan['flights']} flights, {scores['clear_faults']:.0f} clear faults, {scores['healthy_h']:.1f} healthy hours"
     )
     lines = [
-        f"\n## {plan['name'].removeprefix('comparison-')}\n",
+        f"\n## {frame}\n",
         f"{count}; {'; '.join(ranked['machines'].values())}.\n",
     ]
-    lines += [f"| | method | {' | '.join(COLUMNS.values())} |", "|---" * (len(COLUMNS) + 2) + "|"]
+    lines += [f"| | method | {' | '.join(COLUMNS.values())} | stays up |", "|---" * (len(COLUMNS) + 3) + "|"]
     for row in rows:
         cells = (ranking.cell(key, row["scores"].get(key)) for key in COLUMNS)
-        lines.append(f"| {ranking.mark(row)} | `{row['name']}` | {' | '.join(cells)} |")
+        stays = percent(up["drivers"].get(row["name"], {}).get("possible_by_frame", {}).get(frame))
+        lines.append(f"| {ranking.mark(row)} | `{row['name']}` | {' | '.join(cells)} | {stays} |")
     return "\n".join(lines + [f"\nNot run: `{e['name']}`: {e['failed']}" for e in ranked["failed"]]) + "\n"
 
 
@@ -64,6 +107,7 @@ def main() -> None:
     """Fly what is missing, write the page."""
     arguments = argparse.ArgumentParser(description=__doc__)
     arguments.add_argument("--jobs", type=int)
+    arguments.add_argument("--frames", default=",".join(FRAMES), help="whose tables are made")
     arguments.add_argument("--methods", default="all")
     arguments.add_argument(
         "--name", default="", help="of a run of other methods, such as -new: its rows join those that are kept"
@@ -71,14 +115,16 @@ def main() -> None:
     arguments.add_argument("--out", type=Path, default=Path(tempfile.gettempdir()) / "rotorwatch-comparison")
     asked = arguments.parse_args()
     asked.out.mkdir(parents=True, exist_ok=True)
+    drivers = [closed_loop.NOBODY, closed_loop.TRUTH, "default", *sorted(set(discovery.estimators()) - {"default"})]
+    up = closed_loop.run(UP_PLAN, drivers, asked.out / "closed-loop", UP_FLIGHTS, asked.jobs)
     pages = []
-    for frame in FRAMES:
+    for frame in asked.frames.split(","):
         out = asked.out / f"{frame}{asked.name}.json"
         if not out.exists():
             plan = ROOT / "benchmarks" / "comparison" / f"{frame}.toml"
             benchmark.run(plan, asked.methods.split(","), out, asked.jobs, tell=print)
-        pages.append(table(ranking.rank(sorted(asked.out.glob(f"{frame}*.json")))))
-    PAGE.write_text(HEAD + "".join(pages), encoding="utf-8")
+        pages.append(table(ranking.rank(sorted(asked.out.glob(f"{frame}*.json"))), up))
+    PAGE.write_text(HEAD + "".join(pages) + staying_up(up), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -25,6 +25,16 @@ def test_normal():
     x = np.linspace(-30.0, 10.0, 81)
     np.testing.assert_allclose(tails.normal_cdf(x), special.ndtr(x), rtol=1e-12)
     assert isinstance(float(tails.normal_cdf(0.3)), float)
+    far = np.concatenate([-np.geomspace(1e-3, 1e4, 60), np.geomspace(1e-3, 30.0, 20)])
+    np.testing.assert_allclose(tails.log_normal_cdf(far), special.log_ndtr(far), rtol=1e-11, atol=1e-300)
+
+
+@pytest.mark.parametrize("low", [-40.0, -3.0, 0.0, 2.0, 25.0])
+@pytest.mark.parametrize("share", [0.025, 0.5, 0.975])
+def test_quantiles_above_a_limit(low, share):
+    assert tails.normal_quantile(share, low) == pytest.approx(
+        float(stats.truncnorm.ppf(share, low, np.inf)), rel=1e-9, abs=1e-9
+    )
 
 
 @pytest.mark.parametrize("columns", [1, 2, 3, 4, 6])

@@ -5,12 +5,12 @@ Inside a compiled program arrays have no values yet; there only shapes can be ch
 
 from __future__ import annotations
 
-import importlib
 from typing import Any
 
 import numpy as np
 
 from rotorwatch.errors import ConfigError
+from rotorwatch.optional import library as library
 
 
 def shape(name: str, value: Any, *expected: int) -> Any:
@@ -73,16 +73,6 @@ def has(system: Any, method: str, *parts: str, why: str = "") -> None:
 def plant_name(system: Any) -> str:
     """The plant's own name, else that of its class."""
     return str(getattr(system, "name", None) or type(system).__name__)
-
-
-def library(name: str, what: str) -> Any:
-    """The library of that name, imported. Raises ConfigError that says how to install it, where it is not: what needs it."""
-    try:
-        importlib.import_module(name.partition(".")[0])  # a part of it may be loaded already
-        return importlib.import_module(name)
-    except ImportError:
-        package = name.partition(".")[0]
-        raise ConfigError(f"{what} needs {package}, which is not installed: pip install {package}.") from None
 
 
 def plant(system: Any, dt: float = 0.01) -> Any:

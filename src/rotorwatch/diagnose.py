@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable
 from os import PathLike
+from typing import Any
 
 import numpy as np
 
@@ -33,7 +34,7 @@ def diagnose(
     flight: Flight | str | PathLike,
     vehicle: Vehicle | str | PathLike | None = None,
     baseline: Given | Iterable[Given] = (),
-    estimator: str = "default",
+    estimator: Any = "default",
     progress: Callable | None = None,
     tuning: Tuning | None = None,
 ) -> Diagnosis:
@@ -42,7 +43,8 @@ def diagnose(
     flight: a Flight or a log file. vehicle: a Vehicle or its file; identified from the log when None. baseline: healthy
     flights of the same build, which make damage that was there from take-off judgeable and shorten the blind time; one of them, or many.
     Those that are not healthy or not of this build are set aside, and `warnings` say so (healthy/baselines.py).
-    estimator: the default method, or a published one by name; tuning: of a published one (`rotorwatch.tune`).
+    estimator: the default method, or another one by name, as a class, or as an instance, whose keywords are kept (`discovery.estimator`);
+    tuning: of a published one (`rotorwatch.tune`).
     progress: called as progress(share, text). Raises LogError, VehicleError or ConfigError with one sentence.
     """
     began = time.perf_counter()
@@ -52,7 +54,9 @@ def diagnose(
     def lap(name):
         timing[name] = time.perf_counter() - began - sum(timing.values())
 
-    if estimator != "default":
+    own = isinstance(estimator, str) and estimator == "default"
+    if not own:
+        estimator = estimator if isinstance(estimator, str) else discovery.estimator(estimator)
         discovery.estimator(estimator)
     elif tuning is not None:
         raise ConfigError(
@@ -104,17 +108,17 @@ def diagnose(
         tell(0.3 + 0.6 * share, "estimating")
 
     tell(0.3, "preparing the estimator (built the first time)")
-    if estimator == "default":
+    if own:
         _, out = estimate(table, B, dynamics, estimating)
         limit = threshold(hypotheses.make(len(craft.rotors)), table.dt)
     else:
         out = published.judge(estimator, table, B, dynamics, tuning, estimating)
-        assumptions += published.notes(estimator)
+        assumptions += published.notes(discovery.title(estimator))
         limit = 0.5 * decide.SIGMAS**2
     lap("estimate_s")
     hyp = hypotheses.make(len(craft.rotors))
     losses = events.read(out, table, hyp, B)
-    if estimator == "default":
+    if own:
         losses, settled = asked.settle(losses, table, B, dynamics)
         assumptions += settled
     overrides = outside.overrides(flight, craft, air, table)
@@ -144,7 +148,7 @@ def diagnose(
     tell(1.0, "done")
     timing["total_s"] = time.perf_counter() - began
     return _answer(
-        end, facts, common, source, assumptions, warnings, timing, estimator=estimator, comparison=comparison,
+        end, facts, common, source, assumptions, warnings, timing, estimator=discovery.title(estimator), comparison=comparison,
         whole_flight=whole, trace=traces.make(flight, out, table, hyp, B, air, ready_s, limit, end.events, spells),
     )  # fmt: skip
 

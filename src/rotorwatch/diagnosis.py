@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
+
+from rotorwatch import optional
+from rotorwatch.errors import ConfigError
 
 SCHEMA = 2
 EXIT_CODES = {"healthy": 0, "fault": 1, "ambiguous": 3, "inconclusive": 3}
@@ -115,6 +118,22 @@ class Trace:
     wanted: np.ndarray | None = None
     messages: tuple[tuple[float, str, str], ...] = ()
 
+    def to_pandas(self):
+        """A pandas DataFrame, a row for each tick, its index the time [s]: columns `loss_1`, `lower_1`, `upper_1`, `command_1` and so on
+        for each rotor, `residual_roll` and so on with their `residual_sd_...`, and the evidence by hypothesis. Raises ConfigError where
+        pandas is not installed."""
+        columns = {f"{name}_{k + 1}": getattr(self, name)[:, k]
+                   for k in range(self.loss.shape[1]) for name in ("loss", "lower", "upper", "command")}  # fmt: skip
+        for k, axis in enumerate(("roll", "pitch", "yaw", "thrust")):
+            columns |= {f"residual_{axis}": self.residual[:, k], f"residual_sd_{axis}": self.residual_sd[:, k]}
+        columns |= {f"evidence_{name}": values for name, values in self.evidence.items()}
+        pd = optional.library("pandas", "to_pandas")
+        return pd.DataFrame(columns, index=pd.Index(self.time, name="time_s"))
+
+    def __repr__(self) -> str:
+        span = f", {self.time[0]:.1f} to {self.time[-1]:.1f} s" if len(self.time) else ""
+        return f"<Trace: {len(self.time)} ticks of {self.loss.shape[1]} rotors{span}>"
+
 
 @dataclass(frozen=True)
 class Diagnosis:
@@ -183,6 +202,36 @@ class Diagnosis:
             "timing": _round(dict(self.timing)),
         }
 
+    @classmethod
+    def from_dict(cls, found: Mapping[str, Any]) -> Diagnosis:
+        """What `to_dict` gave as a Diagnosis again, without the trace, numbers as rounded. Raises ConfigError for another schema."""
+        if found.get("schema") != SCHEMA:
+            raise ConfigError(f"This answer has the schema {found.get('schema')}, not {SCHEMA}; judge the log again.")
+        rotors = [{**r, "trend": None if r["trend"] is None else Trend(**_tuples(r["trend"]))} for r in found["rotors"]]
+        names = {f.name for f in fields(Event)}
+        events = [
+            {**{k: v for k, v in e.items() if k in names}, "extra": {k: v for k, v in e.items() if k not in names}}
+            for e in found["events"]
+        ]
+        return cls(
+            flight=found["flight"],
+            verdict=found["verdict"],
+            reason=found["reason"],
+            rotors=tuple(RotorState(**_tuples(r)) for r in rotors),
+            events=tuple(Event(**_tuples(e)) for e in events),
+            common_mode=found["common_mode"],
+            baseline=found["baseline"],
+            assumptions=tuple(found["assumptions"]),
+            warnings=tuple(found["warnings"]),
+            timing=found.get("timing", {}),
+            estimator=found["estimator"],
+            comparison=tuple(found["comparison"]),
+            whole_flight=found["whole_flight"],
+            headline=found["headline"],
+            main=found["main_event"],
+            advice=tuple(found["advice"]),
+        )
+
     def to_json(self, indent: int | None = 1) -> str:
         """`to_dict` as JSON text; never NaN or Infinity."""
         return json.dumps(self.to_dict(), indent=indent, allow_nan=False)
@@ -192,6 +241,46 @@ class Diagnosis:
         from rotorwatch.report.html import write
 
         write(self, path)
+
+    def to_mcap(self, path) -> None:
+        """Write the diagnosis as an MCAP file, for Foxglove and PlotJuggler, to `path` (atomically). Raises ConfigError where the package
+        mcap is not installed."""
+        from rotorwatch.report.mcap_file import write
+
+        write(self, path)
+
+    def to_pandas(self):
+        """The rotors as a pandas DataFrame, a row each: the fields of `RotorState`, intervals as two columns (`lower`, `upper`,
+        `since_takeoff_lower`, `since_takeoff_upper`). Raises ConfigError where pandas is not installed."""
+        rows = []
+        for r in self.rotors:
+            change = r.since_takeoff or (None, None)
+            rows.append(
+                {
+                    "rotor": r.rotor, "place": r.place, "status": r.status, "loss": r.loss, "lower": r.interval[0], "upper": r.interval[1],
+                    "since_takeoff_lower": change[0], "since_takeoff_upper": change[1], "from_takeoff": r.from_takeoff, "grade": r.grade,
+                    "trend_per_minute": r.trend.per_minute if r.trend else None, "trend": r.trend.word if r.trend else None, "note": r.note,
+                }
+            )  # fmt: skip
+        table = optional.library("pandas", "to_pandas").DataFrame(rows)
+        return table.set_index("rotor") if rows else table
+
+    def __repr__(self) -> str:
+        return f"<Diagnosis of {self.flight.get('name') or 'a flight'}: {self.verdict}. {self.headline or self.reason}>"
+
+    def _repr_html_(self) -> str:
+        from rotorwatch.report import notebook
+
+        return notebook.page(self)
+
+
+def _tuples(fields_of: Mapping[str, Any]) -> dict[str, Any]:
+    """Lists, also lists of them, as tuples; but not what is free-form."""
+
+    def tuples(value: Any) -> Any:
+        return tuple(map(tuples, value)) if isinstance(value, list) else value
+
+    return {name: value if name == "extra" else tuples(value) for name, value in fields_of.items()}
 
 
 def _round(value, digits: int = 4):

@@ -6,6 +6,7 @@ Names that start with an underscore, and classes that a module merely imports, d
 
 from __future__ import annotations
 
+import functools
 import inspect
 import sys
 import warnings
@@ -44,9 +45,50 @@ def system(name: str) -> type:
     return _named("rotorwatch.systems", name, _own_systems, SYSTEM)
 
 
-def estimator(name: str) -> type:
-    """The estimator class of that name, or of `package.module:Class`. Raises ConfigError that lists the known ones."""
-    return _named("rotorwatch.estimators", name, _own_estimators, ESTIMATOR)
+def estimator(given: Any) -> Any:
+    """What makes the estimator asked for: kind(system, dt) with `name`, `init` and `step`.
+
+    given: a name, or `package.module:Class`; a class; a `functools.partial` of one with keywords; or an instance, of whose class another
+    one is made with the same keywords, which it must keep as attributes of these names. Raises ConfigError that lists the known ones, or
+    says what the thing that was given lacks.
+    """
+    if isinstance(given, str):
+        return _named("rotorwatch.estimators", given, _own_estimators, ESTIMATOR)
+    kind = given.func if isinstance(given, functools.partial) else given if inspect.isclass(given) else type(given)
+    missing = [part for part in ESTIMATOR if not hasattr(kind, part)]
+    if missing:
+        raise ConfigError(
+            f"{kind.__name__} is no estimator, it has no {missing[0]}: give a name, or a class (or an instance) with name, init and step."
+        )
+    return (
+        given
+        if inspect.isclass(given) or isinstance(given, functools.partial)
+        else functools.partial(kind, **_keywords(given))
+    )
+
+
+def title(given: Any) -> str:
+    """The name of an estimator that is given as for `estimator`."""
+    if isinstance(given, str):
+        return given
+    kind = estimator(given)
+    made: Any = kind.func if isinstance(kind, functools.partial) else kind
+    return str(made.name)
+
+
+def _keywords(instance: Any) -> dict[str, Any]:
+    """The keywords that an instance was made with, beyond system and dt, as its attributes say."""
+    found = {}
+    for name, parameter in list(inspect.signature(type(instance)).parameters.items())[2:]:
+        if parameter.kind in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):
+            continue
+        if not hasattr(instance, name):
+            raise ConfigError(
+                f"{type(instance).__name__} does not keep its keyword {name} as an attribute, so that no other one like it can be made: "
+                f"give the class, or functools.partial({type(instance).__name__}, {name}=...)."
+            )
+        found[name] = getattr(instance, name)
+    return found
 
 
 def names() -> list[str]:

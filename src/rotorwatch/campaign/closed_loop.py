@@ -170,11 +170,12 @@ def run(
     jobs: int | None = None,
     by: str = "estimate",
     progress: work.Tell | None = None,
+    scheduler: str | None = None,
 ) -> dict[str, Any]:
     """Fly a plan's flights with every driver: {"plan", "flights", "drivers": {driver: measures}}, also in out/summary.json.
 
     Finished parts are kept in the folder `out`: the same call goes on where it was stopped. Measures (`measures`) have 95 % intervals.
-    Raises ConfigError.
+    jobs, scheduler: as for `work.run`. Raises ConfigError.
     """
     asked = plan if isinstance(plan, Plan) else plans.read(plan)
     if not drivers:
@@ -187,7 +188,7 @@ def run(
     for driver in drivers:
         _explains(driver, by)
     entered = replace(asked, text=f"{asked.text}\n# closed loop: {', '.join(drivers)}; by {by}\n")
-    table = work.run(entered, flights, out, jobs, progress, Judge(tuple(drivers), by), COLUMNS)
+    table = work.run(entered, flights, out, jobs, progress, Judge(tuple(drivers), by), COLUMNS, scheduler)
     rows = table.to_pylist()
     lost = {d: {r["flight"]: r["lost_s"] for r in rows if r["method"] == d} for d in (TRUTH, NOBODY)}
     result = {
@@ -207,7 +208,7 @@ def measures(
     of_possible: share of those that knowing the truth saves, of_able: of those among them whose vehicle, healthy, keeps to its track;
     lost_healthy: flights without a fault that were lost; false_h: flights in which it acted falsely, per healthy hour; lost_false: how many
     of those were lost, and not (or later) with nobody, lost_false_able: of able vehicles; healthy_h; first_s, recovered_s, tilt_deg,
-    off_m: medians of faulty flights; by_frame: survived, by frame."""
+    off_m: medians of faulty flights; by_frame, possible_by_frame: survived and of_possible, by frame."""
     faulty = [r for r in rows if r["faulty"]]
     healthy = [r for r in rows if not r["faulty"]]
     possible = [r for r in faulty if r["flight"] in truth and truth[r["flight"]] is None]
@@ -221,7 +222,7 @@ def measures(
     def median(key: str) -> dict[str, float] | None:
         return summary.boot(np.array([r[key] for r in faulty if r[key] is not None], float), np.median)
 
-    hours = sum(r["healthy_s"] for r in rows) / 3600.0
+    hours, frames = sum(r["healthy_s"] for r in rows) / 3600.0, sorted({r["frame"] for r in rows})
     return {
         "faulty": len(faulty), "healthy": len(healthy), "survived": survived(faulty), "of_possible": survived(possible),
         "of_able": survived([r for r in possible if r["able"]]), "able": sum(r["able"] for r in rows),
@@ -230,7 +231,8 @@ def measures(
         "false_h": summary.rate(sum(r["false"] for r in rows), hours),
         "right": summary.share(np.array([r["right"] for r in faulty if r["beliefs"]], bool)),
         **{key: median(key) for key in ("first_s", "recovered_s", "tilt_deg", "off_m")},
-        "by_frame": {f: survived([r for r in faulty if r["frame"] == f]) for f in sorted({r["frame"] for r in rows})},
+        "by_frame": {f: survived([r for r in faulty if r["frame"] == f]) for f in frames},
+        "possible_by_frame": {f: survived([r for r in possible if r["frame"] == f]) for f in frames},
     }  # fmt: skip
 
 

@@ -4,6 +4,7 @@ flight.py         signals, messages and parameters of a log
 vehicle_kind.py   what a log is of, when it is no multirotor
 vehicle.py        rotors, thrust curve, mixer, and what was learned of them
 vehicle_file.py   the same as a TOML file
+notebook.py       a flight as notebooks show it
 """
 
 from rotorwatch.flight.flight import Flight, Message, Signal

@@ -33,6 +33,9 @@ from typing import Any
 
 import numpy as np
 
+from rotorwatch import optional
+from rotorwatch.errors import ConfigError
+
 
 @dataclass(frozen=True)
 class Signal:
@@ -77,6 +80,17 @@ class Signal:
             return 0.0
         step = float(np.median(np.diff(self.time)))
         return 1.0 / step if step > 0 else 0.0
+
+    def to_pandas(self):
+        """A pandas DataFrame: a column each, the time [s] as its index, NaN where the log had no usable number. Raises ConfigError
+        where pandas is not installed."""
+        pd = optional.library("pandas", "to_pandas")
+        values = np.where(self.valid, self.values, np.nan)
+        return pd.DataFrame(values, columns=list(self.columns), index=pd.Index(self.time, name="time_s"))
+
+    def __repr__(self) -> str:
+        frame = f", {self.frame}" if self.frame else ""
+        return f"<Signal {' '.join(self.columns)} [{self.unit}{frame}]: {len(self)} samples, {self.rate_hz:.1f} Hz>"
 
     def between(self, start: float, end: float) -> Signal:
         """The samples with start <= time < end."""
@@ -140,6 +154,41 @@ class Flight:
     def rotor_count(self) -> int:
         """Number of rotors the log shows commands for; 0 when it shows none."""
         return self.signals["motors"].values.shape[1] if "motors" in self.signals else 0
+
+    def to_pandas(self, name: str):
+        """A signal as a pandas DataFrame (`Signal.to_pandas`). Raises ConfigError for a signal that the log does not hold."""
+        if name not in self.signals:
+            raise ConfigError(
+                f"{self.name or 'the flight'} has no signal {name}; it has {', '.join(sorted(self.signals)) or 'none'}."
+            )
+        return self.signals[name].to_pandas()
+
+    def to_dict(self) -> dict[str, Any]:
+        """What the log is, as plain data: everything but the samples, of which columns, unit, frame, source, count and rate are told."""
+        signals = {
+            name: {
+                "columns": list(s.columns), "unit": s.unit, "frame": s.frame, "source": s.source, "samples": len(s),
+                "rate_hz": round(s.rate_hz, 3),
+            }
+            for name, s in self.signals.items()
+        }  # fmt: skip
+        return {
+            "name": self.name, "format": self.format, "autopilot": self.autopilot, "firmware": self.firmware,
+            "vehicle_type": self.vehicle_type, "duration_s": self.duration, "start_us": self.start_us, "facts": dict(self.facts),
+            "parameters": {k: float(v) for k, v in self.parameters.items()}, "signals": signals,
+            "messages": [{"time_s": m.time, "kind": m.kind, "text": m.text, "value": m.value} for m in self.messages],
+            "warnings": list(self.warnings),
+        }  # fmt: skip
+
+    def __repr__(self) -> str:
+        about = " ".join(text for text in (self.autopilot, self.firmware) if text) or self.format
+        held = ", ".join(sorted(self.signals)) or "no signals"
+        return f"<Flight {self.name or 'without a name'}: {about}, {self.duration:.1f} s, {held}>"
+
+    def _repr_html_(self) -> str:
+        from rotorwatch.flight import notebook
+
+        return notebook.page(self)
 
     def until(self, end: float) -> Flight:
         """The same flight as if the log had stopped at ``end`` seconds: what a live observer would have had."""

@@ -15,11 +15,32 @@ import math
 import numpy as np
 
 MOST_TERMS, ENOUGH, TINY = 10_000, 1e-15, 1e-300
+FAR = 30.0
 
 
 def normal_cdf(x):
     """P(z < x) of standard normal z, for each x."""
     return 0.5 * np.vectorize(math.erfc, otypes=[float])(-np.asarray(x, float) / math.sqrt(2.0))
+
+
+def log_normal_cdf(x):
+    """Its logarithm, also where it is too small for a number: there by the asymptotic series (Abramowitz & Stegun, 26.2.12)."""
+    x = np.asarray(x, float)
+    far = np.minimum(x, -FAR)
+    w = far**-2
+    series = np.log1p(-w * (1.0 - 3.0 * w * (1.0 - 5.0 * w * (1.0 - 7.0 * w))))
+    below = -0.5 * far**2 - np.log(-far) - 0.5 * math.log(2.0 * math.pi) + series
+    return np.where(x < -FAR, below, np.log(np.maximum(normal_cdf(x), TINY)))
+
+
+def normal_quantile(share: float, low: float) -> float:
+    """z that this share of standard normal numbers above `low` is below."""
+    wanted = math.log1p(-share) + float(log_normal_cdf(-low))
+    left, right = low, max(low, 0.0) + 40.0
+    while right - left > 1e-13 * max(1.0, abs(left)):
+        middle = 0.5 * (left + right)
+        left, right = (middle, right) if float(log_normal_cdf(-middle)) > wanted else (left, middle)
+    return 0.5 * (left + right)
 
 
 def beta_share(a: float, b: float, x: float) -> float:

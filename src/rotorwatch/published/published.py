@@ -66,14 +66,15 @@ class Scaled:
         return self._r * self._system.R(u)
 
 
-def method(name: str, system, dt: float, tuning: Tuning | None = None):
-    """The estimator of that name on a plant. Raises ConfigError for an unknown name or keyword, or a plant it is not defined for."""
+def method(name: Any, system, dt: float, tuning: Tuning | None = None):
+    """The estimator asked for (`discovery.estimator`) on a plant. Raises ConfigError for an unknown name or keyword, or a plant it is not
+    defined for."""
     kind = discovery.estimator(name)
     tuning = tuning or Tuning()
-    known = inspect.signature(kind.__init__).parameters
+    known = inspect.signature(kind).parameters
     for keyword in tuning.keywords:
         if keyword not in known:
-            raise ConfigError(f"{name} has no tuning called {keyword!r}.")
+            raise ConfigError(f"{discovery.title(name)} has no tuning called {keyword!r}.")
     if tuning.q is not None or tuning.r is not None:
         system = Scaled(system, tuning.q, tuning.r)
     return kind(system, dt, **tuning.keywords)
@@ -140,23 +141,25 @@ def seen(out: Output) -> Seen:
     )  # fmt: skip
 
 
-def _watched(name: str, dt: float, keywords: tuple, p: dict) -> Watched:
+def _watched(name: Any, dt: float, keywords: tuple, p: dict) -> Watched:
     tuning = Tuning(p.get("q"), p.get("r"), dict(keywords))
     return Watched(method(name, log_plant.plant(p["plant"]), dt, tuning), decide.Threshold(p["B"]), dt)
 
 
 @functools.lru_cache(maxsize=64)
-def _builder(name: str, dt: float, keywords: tuple) -> Callable:
+def _builder(name: Any, dt: float, keywords: tuple) -> Callable:
     """build(parameters) for run_built: one compiled program for every flight with as many rotors."""
     return known(functools.partial(_watched, name, dt, keywords), name)
 
 
-def known(build: functools.partial, name: str) -> Callable:
-    """The builder of a method, as native code is kept under its name; one of another package has none, because its source may change."""
-    return build if discovery.source(discovery.estimator(name)).package == "rotorwatch" else lambda p: build(p)
+def known(build: functools.partial, name: Any) -> Callable:
+    """The builder of a method, as native code is kept under its name; one of another package, or given as an object, has none, because
+    its source may change."""
+    ours = isinstance(name, str) and discovery.source(discovery.estimator(name)).package == "rotorwatch"
+    return build if ours else lambda p: build(p)
 
 
-def run_hop(name: str, hop: LogPlant, B: np.ndarray, tuning: Tuning | None = None, progress=None) -> Seen:
+def run_hop(name: Any, hop: LogPlant, B: np.ndarray, tuning: Tuning | None = None, progress=None) -> Seen:
     """The method over one hop: stacked `Seen`. Native code where there is a compiler: XLA takes four times as long to build it."""
     tuning = tuning or Tuning()
     parameters: dict[str, Any] = {"plant": hop.parameters, "B": B}
@@ -173,7 +176,7 @@ def run_hop(name: str, hop: LogPlant, B: np.ndarray, tuning: Tuning | None = Non
 
 
 def judge(
-    name: str,
+    name: Any,
     table: Ticks,
     B: np.ndarray,
     dynamics: dict | None = None,

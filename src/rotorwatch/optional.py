@@ -1,0 +1,18 @@
+"""Libraries that only some of what rotorwatch does needs: imported where they are, one sentence where they are not."""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+from rotorwatch.errors import ConfigError
+
+
+def library(name: str, what: str) -> Any:
+    """The library of that name, imported. Raises ConfigError that says how to install it, where it is not: what needs it."""
+    try:
+        importlib.import_module(name.partition(".")[0])  # a part of it may be loaded already
+        return importlib.import_module(name)
+    except ImportError:
+        package = name.partition(".")[0]
+        raise ConfigError(f"{what} needs {package}, which is not installed: pip install {package}.") from None
