@@ -204,9 +204,7 @@ def test_flights_are_judged_without_jax_scipy_and_a_compiler(folder, tmp_path):
     assert json.loads(done.stdout)["verdict"] == "fault" and page.stat().st_size > 100_000
 
 
-@pytest.mark.parametrize(
-    "arguments", [["info", str(SAMPLE)], ["--help"], ["diagnose", "--help"], ["watch", "--help"], ["estimators"]]
-)
+@pytest.mark.parametrize("arguments", [["info", str(SAMPLE)], ["--help"], ["diagnose", "--help"], ["watch", "--help"]])
 def test_other_commands_need_neither(arguments, tmp_path):
     done = without(tmp_path, *arguments)
     assert done.returncode == 0, done.stderr
