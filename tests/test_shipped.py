@@ -222,7 +222,7 @@ def test_without_native_code_one_sentence_says_what_is_missing(tmp_path):
     done = without(tmp_path, "diagnose", str(SAMPLE), CC="nonesuch")
     (line,) = done.stderr.strip().splitlines()
     assert done.returncode == 2 and "JAX" in line and "pip install" in line
-    done = without(tmp_path, "survive", "ardupilot-quad-x")
+    done = without(tmp_path, "survive", "--vehicle", "ardupilot-quad-x", "--quiet")
     (line,) = done.stderr.strip().splitlines()
     assert done.returncode == 2 and "pip install" in line and "please report" not in line
 
