@@ -24,6 +24,7 @@ from rotorwatch.commands import (
     benchmark,
     campaign,
     export,
+    fleet,
     research,
     serve,
     several,
@@ -456,6 +457,7 @@ survive.register(cli)
 campaign.register(cli)
 benchmark.register(cli)
 watch.register(cli)
+fleet.register(cli)
 serve.register(cli)
 
 
