@@ -189,7 +189,8 @@ class Card {
       mark(row, "class", status);
       row.style.setProperty("--rotor", v.looks[k][0]);
       say(row.children[2], text);
-      say(row.children[3], judged ? `${(100 * v.losses[1][k]).toFixed(0)}–${percent(v.losses[2][k])}` : "");
+      const [lower, upper] = judged ? [v.losses[1][k], v.losses[2][k]] : [0, 0];
+      say(row.children[3], !judged ? "" : upper < 0.005 ? `below ${percent(0.01)}` : `${(100 * lower).toFixed(0)}–${percent(upper)}`);
       if (status !== "healthy") words.push(`rotor ${r.rotor}: ${status === "degraded" ? `lost ${text}` : status}`);
     });
     say(this.maptitle, `Airframe from above: ${this.frame.name}${words.length ? `; ${words.join(", ")}` : ""}`);
