@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import unquote, urlsplit
 
-from rotorwatch import checks, logs
+from rotorwatch import logs, optional
 from rotorwatch.errors import ConfigError, LogError
 from rotorwatch.logs import container
 
@@ -150,7 +150,7 @@ def _is_log(path: Path) -> bool:
 
 
 def _fsspec(address: str) -> Any:
-    return checks.library("fsspec", f"Reading {address}")
+    return optional.library("fsspec", f"Reading {address}")
 
 
 def _unreadable(address: str, why: Exception) -> str:

@@ -282,6 +282,7 @@ def _standing(one: History, series: Series, found: Found, sisters: int, named: l
 
 
 def _rotor(one: History, series: Series, found: Found, i: int, named: bool) -> dict:
+    n = len(found.now)
     mine = [k for k, a in enumerate(found.atoms) if a.rotor == i]
     since = series.cuts(i)[-2]
     live = [k for k in mine if found.atoms[k].start >= since]
@@ -306,8 +307,8 @@ def _rotor(one: History, series: Series, found: Found, i: int, named: bool) -> d
         "rotor": i + 1,
         "status": status,
         "named": bool(named and sure),
-        "loss": _round(_loss(max(e, 0.0))),
-        "interval": [_round(_loss(max(low, 0.0))), _round(_loss(max(high, 0.0)))],
+        "loss": _round(explain.loss(max(e, 0.0), n)),
+        "interval": [_round(explain.loss(max(v, 0.0), n)) for v in (low, high)],
         "evidence": _round(float(found.evidence[i])),
         "candidates": sorted({c + 1 for k in unsure for c, p in found.candidates[k].items() if p > TELLS and c >= 0}),
         "or_centre_of_mass": any(found.candidates[k].get(-1, 0.0) > TELLS for k in unsure),
@@ -347,7 +348,9 @@ def _change(one: History, found: Found, k: int) -> dict:
 
 def _size(atom: Any, value: float, found: Found) -> float:
     """A step as a loss (a gain below 0); wear as loss per hour."""
-    return value if atom.kind == WORN else _loss(value) if value > 0.0 else -_loss(-value)
+    n = len(found.now)
+    sign = 1.0 if value > 0.0 else -1.0
+    return value if atom.kind == WORN else sign * explain.loss(abs(value), n)
 
 
 def _headline(table: Mapping) -> str:
@@ -377,20 +380,16 @@ def _outlook(p: Mapping) -> str:
 
 def _points(one: History, found: Found) -> dict:
     """Of every flight: hash, utc, hours in the air when it ended, whether it was used, each rotor's loss by it alone and its deviation."""
+    n = len(found.now)
     return {
         "hash": [r["hash"] for r in one.rows],
         "utc": [r["utc"] for r in one.rows],
         "hours": [_round(v) for v in one.ended],
         "used": [bool(u) for u in one.use],
-        "loss": [[_round(_loss(v)) for v in row] if use else None for row, use in zip(found.own, one.use)],
+        "loss": [[_round(explain.loss(v, n)) for v in row] if use else None for row, use in zip(found.own, one.use)],
         "sd": [[_round(v) for v in row] for row in found.own_sd],
-        "explained": [[_round(_loss(v)) for v in row] for row in found.e],
+        "explained": [[_round(explain.loss(v, n)) for v in row] for row in found.e],
     }
-
-
-def _loss(e: Any) -> Any:
-    """theta from e = theta / (1 - theta); slightly below 0 for estimates that scatter about 0."""
-    return e / (1.0 + np.maximum(e, -0.5))
 
 
 def _round(value: Any) -> Any:

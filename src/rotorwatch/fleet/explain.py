@@ -2,7 +2,7 @@
 
 Of flight k there is the wrench w_k (roll, pitch, yaw) that its commands ask for in steady hover, as a share of the thrust
 (healthy/whole_flight.py), with the wind's part taken out. A rotor that gives 1 - theta of its thrust is commanded 1 / (1 - theta) as
-much, so that with e = theta / (1 - theta)
+much, of a sum that grows by it, so that with e = theta / (1 - (1 - s_i) theta)
 
     w_k = mu + sum_i g_i e_i(k) + c(k) + noise_k,      g_i = s_i (B_i - mu): s_i the rotor's share of the thrust, B_i its column,
 
@@ -31,7 +31,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -120,6 +120,11 @@ class Found:
     level_covariance: np.ndarray
     rest: np.ndarray
     weight: np.ndarray
+
+
+def loss(e: Any, n: int) -> Any:
+    """theta of rotors whose commands stand out by e, of n that share the thrust alike; below 0 for estimates that scatter about 0."""
+    return e / (1.0 + (1.0 - 1.0 / n) * np.maximum(e, -0.5))
 
 
 def explain(series: Series) -> Found:
@@ -441,11 +446,12 @@ def lines(series: Series, found: Found, rotor: int) -> Lines | None:
         hours = float(last[at])
         e, part = float(last @ fit.beta), float(hours * fit.beta[at])
         # In the loss itself wear is a line, not in the extra command.
-        to_loss = 1.0 / (1.0 + max(e, 0.0)) ** 2
+        n = series.G.shape[1]
+        slope = (1.0 + (1.0 - 1.0 / n) * max(e, 0.0)) ** -2
         J = np.stack([last, np.eye(len(last))[at]])
-        covariances.append(J @ fit.covariance @ J.T * to_loss**2)
-        now.append(e / (1.0 + max(e, 0.0)))
-        growth.append((e / (1.0 + max(e, 0.0)) - (e - part) / (1.0 + max(e - part, 0.0))) / hours)
+        covariances.append(J @ fit.covariance @ J.T * slope**2)
+        now.append(float(loss(e, n)))
+        growth.append(float(loss(e, n) - loss(e - part, n)) / hours)
         weight.append(p[k])
     total = np.array(weight) / np.sum(weight)
     return Lines(total, np.array(now), np.array(growth), np.array(covariances))

@@ -19,6 +19,7 @@ import numpy as np
 
 LIMIT = 0.10  # loss
 COVERED = 0.90
+Z = 1.6448536  # its ends, in standard deviations
 FAR = 20.0  # times what was flown so far: nothing is said beyond
 SURE_SD = 1.96
 

@@ -509,7 +509,8 @@ class Store:
 def _engine(sa: Any, url: str, lite: bool) -> Any:
     try:
         if not lite:
-            return sa.create_engine(url, connect_args={"connect_timeout": 10, "application_name": "rotorwatch"})
+            args = {"connect_timeout": 10, "application_name": "rotorwatch"}
+            return sa.create_engine(url, connect_args=args, pool_pre_ping=True)
         engine = sa.create_engine(url, connect_args={"timeout": WAIT_S})
     except ImportError:
         raise ConfigError('A store in PostgreSQL needs psycopg: pip install "rotorwatch[postgres]".') from None
