@@ -126,7 +126,7 @@ class Card {
     const lasting = v.events.filter((e) => e.kind !== "other");
     say(this.sentence, lasting.length ? capital(lasting.map((e) => e.text).join("; ")) : v.blind ? capital(v.blind) : "All rotors give the thrust that they are asked for.");
     const heard = v.counts.taken ? `, ${v.counts.taken.toLocaleString("en")} ${v.now === null ? "messages" : `messages or samples, ${v.now.toFixed(0)} s`}` : "";
-    say(this.link, `Link: ${v.link}${heard}${lasting.length && v.blind ? `; blind: ${v.blind}` : ""}${v.notice ? `; ${v.notice}` : ""}`);
+    say(this.link, `Link: ${v.link}${heard}${lasting.length && v.blind ? `; blind: ${v.blind}` : ""}${v.esc ? `; ${v.esc}` : ""}${v.notice ? `; ${v.notice}` : ""}`);
     this.rotors(v);
     this.happened(v);
     this.bands(v);
