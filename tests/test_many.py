@@ -1,6 +1,7 @@
 """Many things by one way: in line, in processes that may die, and by a real Dask cluster whose parts are killed."""
 
 import os
+import pickle
 import signal
 import socket
 import subprocess
@@ -254,6 +255,5 @@ def test_a_scheduler_that_does_not_answer_is_told(monkeypatch):
 
 
 def test_workers_of_another_version_are_refused():
-    import cloudpickle
-
-    assert "has rotorwatch" in str(cluster.pickle.loads(cluster._do(cloudpickle.dumps(number), None, "9.9"))[1])
+    said = cluster._do(pickle.dumps(number), None, "9.9")
+    assert "has rotorwatch" in str(pickle.loads(said)[1])
