@@ -20,10 +20,10 @@ POLL_S = 2.0
 
 @dataclass(frozen=True)
 class Told:
-    """What became of a file. state: added, known (its content is in the store), no log (in a folder), or failed. verdict, text: of the
-    flight, or why not. aircraft: its name, "" when nothing tells."""
+    """What became of a log. state: added, known (its content is in the store), or failed. verdict, text: of the flight, or why not.
+    aircraft: its name, "" when nothing tells."""
 
-    path: Path
+    path: Path | str
     state: str
     verdict: str = ""
     text: str = ""
@@ -38,9 +38,9 @@ def add(
     tell: Callable[[Told], None] = lambda told: None,
     progress: Callable | None = None,
 ) -> tuple[list[Told], int]:
-    """Add all logs that are new to the store, one transaction each: files, folders, patterns and addresses (`gathering`). aircraft: a name for
-    the flights, in place of what the logs say. tell: called with each log's fate. Returns those, and how many files in folders were no logs.
-    Standings are not worked out (`assess.refresh`). Raises ConfigError, and StoreError, after which the same call goes on."""
+    """Add all logs that are new to the store, one transaction each: files, folders, patterns and addresses (`gathering`). aircraft: a
+    name for the flights, in place of what the logs say. tell: called with each log's fate. Returns those, and how many files in folders
+    were no logs. Standings are not worked out (`assess.refresh`). Raises ConfigError, and StoreError, after which the same call goes on."""
     gathered = Gathered(given)
     found = [_one(store, log, aircraft, vehicle, tell, progress) for log in gathered]
     return found, gathered.others
@@ -80,8 +80,8 @@ def follow(
     poll_s: float = POLL_S,
     stop: Callable[[], bool] = lambda: False,
 ) -> None:
-    """Add logs as they come into folders, until `stop`. A file is taken when its size and time have not changed from one look to the next. When
-    the store cannot be reached, `trouble` is told once, and it is tried again at every look."""
+    """Add logs as they come into folders, until `stop`. A file is taken when its size and time have not changed from one look to the
+    next. When the store cannot be reached, `trouble` is told once, and it is tried again at every look."""
     folders = [Path(f) for f in folders]
     seen: dict[Path, tuple[int, int]] = {}
     settled: dict[Path, tuple[int, int]] = {}
