@@ -24,6 +24,7 @@ from rotorwatch.commands import (
     benchmark,
     campaign,
     export,
+    fleet,
     research,
     serve,
     several,
@@ -457,6 +458,7 @@ survive.register(cli)
 campaign.register(cli)
 benchmark.register(cli)
 watch.register(cli)
+fleet.register(cli)
 serve.register(cli)
 
 

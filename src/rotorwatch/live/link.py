@@ -261,16 +261,19 @@ class Link:
             heard.step(now)
         self._fresh = {}
         if not self._heard and now - self._began > self._patience_s:
-            others = (
-                f" (only {', '.join(sorted(OTHERS.get(k, 'something unknown') for k in self._refused))})"
-                if self._refused
-                else ""
-            )
-            raise LinkError(
-                f"{self.endpoint.name}: no heartbeat of a multirotor has come within {self._patience_s:.0f} s{others}; "
-                "check the address, and that the vehicle is on and sends here."
-            )
+            raise LinkError(self._nobody())
         return True
+
+    def _nobody(self) -> str:
+        """Why no vehicle is watched."""
+        if self.damaged and not self.frames:
+            slow = "is the speed right, and " if self.endpoint.slow else ""
+            return f"{self.endpoint.name}: bytes come, but none of them are MAVLink; {slow}is it MAVLink that is sent here?"
+        others = ", ".join(sorted(OTHERS.get(k, "something unknown") for k in self._refused))
+        return (
+            f"{self.endpoint.name}: no heartbeat of a multirotor has come within {self._patience_s:.0f} s"
+            f"{f' (only {others})' if others else ''}; check the address, and that the vehicle is on and sends here."
+        )
 
     def send(self, message: Any, peer: Any = None) -> None:
         """A message to one peer, or to all."""

@@ -166,6 +166,11 @@ class Session:
         return bool(self._spans) and self._spans[-1][1] == np.inf
 
     @property
+    def spans(self) -> tuple[tuple[float, float], ...]:
+        """(start, end) [s] of each flight so far; infinite end: it flies."""
+        return self._spans
+
+    @property
     def said(self) -> int:
         """Grows when there may be other events."""
         return 0 if self._judge is None else self._judge.said
