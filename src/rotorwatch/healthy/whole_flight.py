@@ -432,7 +432,12 @@ def _mean_share(healthy) -> np.ndarray:
 
 def prior_covariance(vehicle: Vehicle) -> np.ndarray:
     """(3, 3) covariance of w between healthy flights before any was seen: what ROTOR_SD and CENTRE_SD make of it."""
-    B = vehicle.effectiveness()[:3] / len(vehicle.rotors)
+    return spread(vehicle.effectiveness())
+
+
+def spread(effectiveness: np.ndarray) -> np.ndarray:
+    """The same from the vehicle's B (4, n)."""
+    B = effectiveness[:3] / effectiveness.shape[1]
     return ROTOR_SD**2 * B @ B.T + np.diag([CENTRE_SD**2, CENTRE_SD**2, 1e-8])
 
 

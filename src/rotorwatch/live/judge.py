@@ -88,7 +88,7 @@ class Tape:
         """The rows that have not been read, or None."""
         if self._rows is None or self.at - self._first >= len(self._rows):
             return None
-        return self._rows[self.at - self._first :]
+        return self._rows[self.at - self._first :] if self.at > self._first else self._rows
 
     def forget(self, before: int) -> None:
         if self._rows is not None and before > self._first:
@@ -125,7 +125,7 @@ class Judge:
         self._done: tuple[Event, ...] = ()
         self._fallen: dict[float, tuple[tuple[float, float], ...]] = {}
         self.now: tuple[Ticks, Any] | None = None
-        self.judged = False
+        self.ticks = 0  # that were judged, those that were taken back and judged again twice
         self._kept = [self._keep()]
 
     def on(self, piece: Piece) -> None:
@@ -209,14 +209,14 @@ class Judge:
                 count = int(np.searchsorted(sensed.time, start))
         if not count:
             return
-        sensed = sensed[:count]
+        sensed = sensed if count == len(sensed) else sensed[:count]
         self._tapes[0].at += count
         table, self._past = ticks.assemble(sensed, self.plan, self.B, self._spans, self._hover, self._past)
         out = self._steps.run(*program.inputs(table, self.B))
         self._history.add(table, out)
         self._time = max(self._time, float(table.time[-1]))
         self.now = table, out
-        self.judged |= bool((table.mode == JUDGE).any())
+        self.ticks += int(np.count_nonzero(table.mode == JUDGE))
 
     def _judge_outputs(self, known_s: float) -> None:
         """Outputs against the mixer, up to when it is known whether the vehicle flies."""

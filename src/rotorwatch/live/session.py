@@ -154,7 +154,12 @@ class Session:
     @property
     def judged(self) -> bool:
         """Whether any tick has been judged."""
-        return self._judge is not None and self._judge.judged
+        return self.ticks > 0
+
+    @property
+    def ticks(self) -> int:
+        """Ticks that have been judged."""
+        return 0 if self._judge is None else self._judge.ticks
 
     @property
     def limits(self) -> str:
@@ -165,6 +170,11 @@ class Session:
     @property
     def flying(self) -> bool:
         return bool(self._spans) and self._spans[-1][1] == np.inf
+
+    @property
+    def spans(self) -> tuple[tuple[float, float], ...]:
+        """(start, end) [s] of each flight so far; infinite end: it flies."""
+        return self._spans
 
     @property
     def said(self) -> int:
