@@ -8,7 +8,6 @@ import pytest
 
 from rotorwatch import diagnose
 from rotorwatch.default import announcement
-from rotorwatch.default.program import BUILDERS
 from rotorwatch.live.replay import Replay
 from rotorwatch.live.watched import Watched
 from rotorwatch.motion import ticks
@@ -51,7 +50,7 @@ def thinned(flight, hz):
 @pytest.mark.parametrize("rate", [0.3, 1.0, 1.79, 1.8, 4.4, 4.5, 7.9, 8.0, 18.9, 19.0, 400.0])
 def test_every_rate_has_ticks_that_the_estimator_has(rate):
     length = ticks.tick_length(rate)
-    assert length in BUILDERS and (length == 1.0 or rate * length > 0.75)
+    assert length in ticks.TICKS_S and (length == 1.0 or rate * length > 0.75)
 
 
 @pytest.mark.parametrize("hz, within", [(5.0, 2.0), (2.0, 4.0), (1.1, 8.0)])

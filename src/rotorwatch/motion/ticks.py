@@ -71,6 +71,7 @@ class Ticks:
 
 # Ticks in s, and the rate of commands in Hz from which on nearly all of them hold one.
 LENGTHS = ((0.05, 19.0), (0.1, 8.0), (0.2, 4.5), (0.5, 1.8), (1.0, 0.0))
+TICKS_S = tuple(length for length, _ in LENGTHS)
 SHORTEST_S = (
     0.2  # a snapshot of the commands is compared with motion over so long, or with a sample and a half of the gyro
 )
