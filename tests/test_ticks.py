@@ -181,7 +181,7 @@ def test_the_slope_is_what_the_ends_of_the_window_differ_by():
     centre, half = np.array([0.5]), 0.1
     for at, felt in ((0.5, 0), (0.44, 0), (0.56, 0), (0.39, 0), (0.61, 0), (0.41, -1), (0.59, 1)):
         values = np.where(np.abs(time - at) < 5e-4, 1.0, 0.0)
-        _, slope, covered = ticks._window(Signal(time, values, ("x",), "rad/s"), centre, half)
+        _, slope, covered = ticks._Course(Signal(time, values, ("x",), "rad/s")).over(centre, half)
         assert covered.all() and np.sign(np.round(slope[0, 0], 12)) == felt, at
         if felt:  # a spike 1 ms wide in a mean over 25 ms, over the distance of the means
             assert abs(slope[0, 0]) == pytest.approx(0.001 / 0.025 / (2 * half - 0.025), rel=1e-6)

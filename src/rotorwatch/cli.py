@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from rotorwatch import __version__
+from rotorwatch import __version__, optional
 from rotorwatch.commands import ask, benchmark, campaign, export, research, simulate, survive, tune, watch
 from rotorwatch.commands.tools import LOG, OUT, common, debug, label, progress, say, shares, show
 from rotorwatch.errors import BackendWarning, ConfigError, PluginWarning, RotorwatchError
@@ -115,18 +115,26 @@ def cli() -> None:
     "--report", type=OUT, metavar="OUT.html", help="Write an HTML page; for several logs a folder or {name}.html."
 )
 @click.option(
+    "--mcap",
+    type=OUT,
+    metavar="OUT.mcap",
+    help="Write an MCAP file for Foxglove or PlotJuggler; for several logs as --report.",
+)
+@click.option(
     "--json", "as_json", is_flag=True, help="Print JSON (docs/json.md): an object, or a list for several logs."
 )
 @common
 @click.pass_context
-def diagnose(context, logs, baselines, vehicle, estimator, tuning, report, as_json, quiet) -> None:
-    """Judge each LOG: PX4 .ulg, ArduPilot .bin/.log, MAVLink .tlog, CSV, also .xz and .gz; - is standard input.
+def diagnose(context, logs, baselines, vehicle, estimator, tuning, report, mcap, as_json, quiet) -> None:
+    """Judge each LOG: PX4 .ulg, ArduPilot .bin/.log, MAVLink .tlog, ROS 2 bag, CSV, also .xz and .gz; - is standard input.
 
     Exit code: 0 healthy, 1 fault found, 3 inconclusive or ambiguous only, 2 error.
     """
     from rotorwatch.flight.vehicle_file import read as read_vehicle
 
-    pages = report_paths(logs, report)
+    pages, recordings = report_paths(logs, report), report_paths(logs, mcap, "--mcap", ".mcap")
+    if recordings:
+        optional.library("mcap", "--mcap")
     known = read_vehicle(vehicle) if vehicle else None
     tuned = _tuning(tuning, estimator) if tuning else None
     with progress(quiet) as tell:
@@ -140,9 +148,12 @@ def diagnose(context, logs, baselines, vehicle, estimator, tuning, report, as_js
             flight = _read(path, tell)
             read_s = time.perf_counter() - began
             found = run(flight, vehicle=known, baseline=healthy, estimator=estimator, progress=tell, tuning=tuned)
-        return replace(
+        found = replace(
             found, timing={**found.timing, "read_s": read_s, "total_s": found.timing.get("total_s", 0.0) + read_s}
         )
+        if recordings:
+            found.to_mcap(recordings[logs.index(path)])
+        return found
 
     if len(logs) == 1:
         result = judge(logs[0])
@@ -153,6 +164,7 @@ def diagnose(context, logs, baselines, vehicle, estimator, tuning, report, as_js
         else:
             show(lambda terminal: terminal.diagnosis(result))
             _report_written(pages[0] if pages else None, quiet)
+            _report_written(recordings[0] if recordings else None, quiet, "MCAP file")
         context.exit(result.exit_code)
     context.exit(_several(logs, judge, pages, as_json, quiet))
 
@@ -200,7 +212,9 @@ def _several(logs: tuple[Path, ...], judge: Callable, pages: list[Path], as_json
     return next(code for code in SEVERITY if code in codes)
 
 
-def report_paths(logs: tuple[Path, ...], out: Path | None) -> list[Path]:
+def report_paths(
+    logs: tuple[Path, ...], out: Path | None, option: str = "--report", ending: str = ".html"
+) -> list[Path]:
     """Where each log's page goes: OUT, OUT/NAME.html in a folder, or OUT with {name} filled in; never one twice."""
     from rotorwatch import files
 
@@ -208,10 +222,10 @@ def report_paths(logs: tuple[Path, ...], out: Path | None) -> list[Path]:
         return []
     several = len(logs) > 1
     if "{name}" not in str(out) and (out.is_dir() or (several and not out.suffix)):
-        out = out / "{name}.html"
+        out = out / f"{{name}}{ending}"
     if several and "{name}" not in str(out):
         raise ConfigError(
-            f"--report {out} names one page for {len(logs)} logs; give a folder, or a name with {{name}} in it."
+            f"{option} {out} names one file for {len(logs)} logs; give a folder, or a name with {{name}} in it."
         )
     pages: list[Path] = []
     for log in logs:
@@ -221,12 +235,12 @@ def report_paths(logs: tuple[Path, ...], out: Path | None) -> list[Path]:
             n += 1
             page = Path(str(out).replace("{name}", f"{stem}-{n}"))
         pages.append(page)
-    return [files.writable(page, "--report", make=True) for page in pages]
+    return [files.writable(page, option, make=True) for page in pages]
 
 
-def _report_written(page: Path | None, quiet: bool) -> None:
+def _report_written(page: Path | None, quiet: bool, what: str = "report") -> None:
     if page and not quiet:
-        say(f"report written to {page}")
+        say(f"{what} written to {page}")
 
 
 @cli.command(short_help="Learn a vehicle file from healthy flights.")

@@ -219,6 +219,13 @@ class Diagnosis:
 
         write(self, path)
 
+    def to_mcap(self, path) -> None:
+        """Write the diagnosis as an MCAP file, for Foxglove and PlotJuggler, to `path` (atomically). Raises ConfigError where the package
+        mcap is not installed."""
+        from rotorwatch.report.mcap_file import write
+
+        write(self, path)
+
     def to_pandas(self):
         """The rotors as a pandas DataFrame, a row each: the fields of `RotorState`, intervals as two columns (`lower`, `upper`,
         `since_takeoff_lower`, `since_takeoff_upper`). Raises ConfigError where pandas is not installed."""

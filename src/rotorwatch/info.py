@@ -41,6 +41,7 @@ _PX4 = {
 }
 _CRAZYFLIE = {"gyro": "Add gyro.x, gyro.y and gyro.z to config.txt on the memory card."}
 _TELEMETRY = "Telemetry may not carry it; use the log that the autopilot wrote itself (.bin or .ulg)."
+_BAG = "Record its topic, and have the autopilot send it (docs/foxglove.md), or use the log that the autopilot wrote itself."
 _FASTER = {
     "ardupilot": {
         "motors": "Set LOG_BITMASK bit 0 (RATE at loop rate, value 1): the commands are rebuilt from it.",
@@ -159,7 +160,7 @@ def _airborne(flight: Flight) -> list[list[float]]:
 
 def _missing(flight: Flight, frame: str, stop: Obstacle | None) -> list[dict]:
     """Gaps, the one that prevents a diagnosis first. A signal counts as there with two valid samples."""
-    telemetry = "tlog" in flight.format.lower()
+    telemetry = {"MAVLink tlog": _TELEMETRY, "ROS 2 bag": _BAG}.get(flight.format)
     settings = {"ardupilot": _ARDUPILOT, "px4": _PX4, "crazyflie": _CRAZYFLIE}.get(_family(flight), {})
     gaps = []
     for name, why in _WHY.items():
@@ -167,7 +168,7 @@ def _missing(flight: Flight, frame: str, stop: Obstacle | None) -> list[dict]:
             continue
         if name == "lift" and _family(flight) != "ardupilot":
             continue
-        setting = _TELEMETRY if telemetry else settings.get(name, f"Log it, or give a table with the signal '{name}'.")
+        setting = telemetry or settings.get(name, f"Log it, or give a table with the signal '{name}'.")
         gaps.append(_gap(name, why, setting, name == "motors"))
     faster = {} if telemetry else _FASTER.get(_family(flight), {})
     for name, setting in faster.items():

@@ -39,9 +39,16 @@ def register(group: click.Group) -> None:
     metavar="S",
     help="Wait so long for a first vehicle on a link.",
 )
+@click.option("--webhook", metavar="URL", help="POST every alert as JSON to this address.")
+@click.option("--metrics", metavar="[HOST:]PORT", help="Metrics for Prometheus, at http://HOST:PORT/metrics.")
+@click.option(
+    "--tell-ground", is_flag=True, help="Tell the vehicles' ground stations, as STATUSTEXT and NAMED_VALUE_FLOAT."
+)
 @click.option("--jsonl", is_flag=True, help="Alerts as JSON lines on standard output (docs/watch.md), no picture.")
 @common
-def watch(endpoints, speed, vehicle, record, listen_only, seconds, patience, jsonl, quiet) -> None:
+def watch(
+    endpoints, speed, vehicle, record, listen_only, seconds, patience, webhook, metrics, tell_ground, jsonl, quiet
+) -> None:
     """Judge vehicles while they fly. ENDPOINT: udp:PORT, udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, serial:DEVICE:BAUD, or a
     recorded log, which is replayed in real time.
 
@@ -53,8 +60,15 @@ def watch(endpoints, speed, vehicle, record, listen_only, seconds, patience, jso
 
     rate = _speed(speed)
     known = _vehicle(vehicle)
-    tell = _lines if jsonl else (lambda alert: None) if _screen() else _sentences(quiet)
+    shown = _lines if jsonl else (lambda alert: None) if _screen() else _sentences(quiet)
     sources: list[Any] = []
+    outlets = _outlets(webhook, metrics, tell_ground, listen_only, shown)
+
+    def tell(alert: dict) -> None:
+        shown(alert)
+        for outlet in outlets:
+            outlet.take(alert)
+
     try:
         for endpoint in endpoints:
             if is_endpoint(endpoint):
@@ -62,14 +76,39 @@ def watch(endpoints, speed, vehicle, record, listen_only, seconds, patience, jso
             else:
                 sources.append(_replay(endpoint, tell, known, rate, quiet))
     except BaseException:
-        for source in sources:
-            source.leave()
+        for left in (*sources, *outlets):
+            left.leave()
         raise
     if jsonl or not _screen():
-        run(sources, None, seconds)
+        run(sources, None, seconds, outlets)
     else:
-        _drawn(lambda show: run(sources, show, seconds))
+        _drawn(lambda show: run(sources, show, seconds, outlets))
     raise click.exceptions.Exit(_code([v for source in sources for v in source.vehicles]))
+
+
+def _outlets(webhook: str | None, metrics: str | None, tell_ground: bool, listen_only: bool, shown) -> list[Any]:
+    """Where alerts go besides the screen."""
+    if tell_ground and listen_only:
+        raise ConfigError("--tell-ground sends and --listen-only forbids it; leave out one of them.")
+    outlets: list[Any] = []
+    try:
+        if metrics is not None:
+            from rotorwatch.live.metrics import Metrics
+
+            outlets.append(Metrics(metrics))
+        if webhook is not None:
+            from rotorwatch.live.webhook import Webhook
+
+            outlets.append(Webhook(webhook, lambda text: shown({"type": "notice", "vehicle": "webhook", "text": text})))
+        if tell_ground:
+            from rotorwatch.live.ground import Ground
+
+            outlets.append(Ground())
+    except BaseException:
+        for outlet in outlets:
+            outlet.leave()
+        raise
+    return outlets
 
 
 def _screen() -> bool:

@@ -125,7 +125,7 @@ class Judge:
         self._done: tuple[Event, ...] = ()
         self._fallen: dict[float, tuple[tuple[float, float], ...]] = {}
         self.now: tuple[Ticks, Any] | None = None
-        self.judged = False
+        self.ticks = 0  # that were judged, those that were taken back and judged again twice
         self._kept = [self._keep()]
 
     def on(self, piece: Piece) -> None:
@@ -216,7 +216,7 @@ class Judge:
         self._history.add(table, out)
         self._time = max(self._time, float(table.time[-1]))
         self.now = table, out
-        self.judged |= bool((table.mode == JUDGE).any())
+        self.ticks += int(np.count_nonzero(table.mode == JUDGE))
 
     def _judge_outputs(self, known_s: float) -> None:
         """Outputs against the mixer, up to when it is known whether the vehicle flies."""

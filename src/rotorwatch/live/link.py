@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import time
+from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -16,12 +17,22 @@ from rotorwatch.flight.vehicle_kind import OTHERS
 from rotorwatch.live import mavlink, talk
 from rotorwatch.live.clock import Restarted
 from rotorwatch.live.endpoint import Endpoint
+from rotorwatch.live.frames import Frames
+from rotorwatch.live.senders import Senders
 from rotorwatch.live.watched import Tell, Watched
 from rotorwatch.logs.px4_topics import MAV_TYPES
 from rotorwatch.logs.tlog import FORMAT
 
 BEAT_S, HELLO_S = 1.0, 0.5
+ALL_S = 0.05  # between two looks at vehicles of which nothing has come
 SILENT_S = 3.0
+TREND, MIXED, UNMIXED = (
+    0.02,
+    0.3,
+    0.1,
+)  # weight of a frame; share of frames whose number goes back with two senders, and with one
+ONE_ID = "give each vehicle an id of its own (SYSID_THISMAV, MAV_SYS_ID)"
+TWO_SENDERS = f"two vehicles seem to send with the same id: {ONE_ID}"
 NO_AUTOPILOT, ON_BOARD, GROUND = 8, 18, 6
 COMMAND_ACK, MESSAGE_INTERVAL = 77, 244
 
@@ -37,13 +48,15 @@ class Heard:
         self._begun: dict[str, float] | None = None
         self._outputs: tuple[int, ...] = ()
         self._sequence: int | None = None
-        self._silent = False
-        self._first = time.monotonic()
+        self._silent = self._mixed = False
+        self._senders = Senders()
+        self._first = link.clock()
 
     def counted(self, sequence: int) -> bool:
         """Whether a frame with this running number is new."""
         health, last = self.watched.health, self._sequence
         step = 1 if last is None else (sequence - last) % 256
+        self._senders.on(sequence)
         if step == 0 or step > 128:
             health.twice += 1
             return step != 0
@@ -52,9 +65,22 @@ class Heard:
         self._sequence = sequence
         return True
 
+    def _told_apart(self) -> bool:
+        """Whether all frames are of one sender: nothing can be judged of what two send together."""
+        if self._senders.several and not self._mixed:
+            self.watched.say(f"{TWO_SENDERS}; nothing is judged until only one is left", "error")
+            self.watched.session = None
+        elif self._mixed and not self._senders.several:
+            self.watched.say("only one vehicle is heard with this id again; it is watched anew")
+            self._anew()
+        self._mixed = self._senders.several
+        return not self._mixed
+
     def on(self, identity: int, frame: bytes, arrival: float) -> None:
         """One frame of the autopilot."""
         self.watched.health.heard = arrival
+        if not self._told_apart():
+            return
         if self._silent:
             self._silent = False
             self.watched.say("the vehicle is heard again")
@@ -92,6 +118,9 @@ class Heard:
             if reboot
             else "the vehicle's clock was set; it is watched anew"
         )
+        self._anew()
+
+    def _anew(self) -> None:
         messages = mavlink.Messages(self.messages.autopilot, self.messages.vehicle)
         messages.inherit(self.messages)
         self.messages, self._sequence = messages, None
@@ -104,11 +133,13 @@ class Heard:
         if now - self.watched.health.heard > SILENT_S and not self._silent:
             self._silent = True
             self.watched.say(f"nothing has been heard for {SILENT_S:.0f} s")
+        if self._mixed:
+            return
         self._know(now)
         if self._begun is None or self.messages.clock.start is None:
             return
         session = self.watched.session
-        if session is None or not self.messages.pending or self.messages.clock.now < session.due_s:
+        if session is None or not self.messages.pending or not self.messages.reached(session.due_s):
             return
         signals, messages = self.messages.take(self._outputs, session.flying)
         if signals or messages:
@@ -177,18 +208,22 @@ class Link:
 
     def __init__(
         self, endpoint: Endpoint, tell: Tell, known: Vehicle | None = None, record: Path | None = None, talks: bool = True,
-        patience_s: float = 30.0,
+        patience_s: float = 30.0, clock: Callable[[], float] = time.monotonic,
     ):  # fmt: skip
-        """record: folder to record in. patience_s: how long to wait for a first vehicle. Raises ConfigError for a folder that cannot be
-        written."""
+        """record: folder to record in. patience_s: how long to wait for a first vehicle. clock: time of arrival [s]. Raises ConfigError
+        for a folder that cannot be written."""
+        self.clock = clock
         self.endpoint, self.known, self.talks = endpoint, known, talks
         self._tell, self._patience_s = tell, patience_s
         self._parsers: dict[Any, Any] = {}
         self._heard: dict[tuple[int, int], Heard] = {}
+        self._fresh: dict[Heard, None] = {}  # those that something has come of since they were judged
+        self._stepped = 0.0
         self._refused: set[int] = set()
         self.damaged = self.frames = 0
-        self._began, self._beat = time.monotonic(), 0.0
+        self._began, self._beat = clock(), 0.0
         self._pack = talk.messages().MAVLink(None, srcSystem=talk.SYSTEM, srcComponent=talk.COMPONENT)
+        self._tellers: dict[int, Any] = {}
         self._first_version = False
         self._file = self._open(record) if record is not None else None
         self.trouble = ""
@@ -208,9 +243,12 @@ class Link:
 
     def poll(self, wait_s: float) -> bool:
         """Take what has come."""
-        for peer, data in self.endpoint.receive(wait_s):
+        received = self.endpoint.receive(wait_s)
+        for peer, data in received:
             self._take(peer, data)
-        now = time.monotonic()
+        now = self.clock()
+        if not received or now - self._stepped > ALL_S:
+            self._stepped, self._fresh = now, dict.fromkeys(self._heard.values())
         if not self.endpoint.open:
             self._parsers.clear()
             self.endpoint.again()
@@ -219,8 +257,9 @@ class Link:
             self.send(talk.heartbeat())
             if self._file is not None:
                 self._file.flush()
-        for heard in self._heard.values():
+        for heard in self._fresh:
             heard.step(now)
+        self._fresh = {}
         if not self._heard and now - self._began > self._patience_s:
             others = (
                 f" (only {', '.join(sorted(OTHERS.get(k, 'something unknown') for k in self._refused))})"
@@ -238,13 +277,29 @@ class Link:
         self.endpoint.send(message.pack(self._pack, force_mavlink1=self._first_version), peer)
         self._pack.seq = (self._pack.seq + 1) % 256
 
+    def tell(self, name: str, message: Any) -> None:
+        """Something said to all who listen, as by an onboard computer of the vehicle of this name."""
+        system = next((key[0] for key, heard in self._heard.items() if heard.watched.name == name), None)
+        if system is None or not self.talks:
+            return
+        pack = self._tellers.get(system)
+        if pack is None:
+            pack = self._tellers[system] = talk.messages().MAVLink(None, srcSystem=system, srcComponent=talk.COMPONENT)
+        self.endpoint.send(message.pack(pack, force_mavlink1=self._first_version))
+        pack.seq = (pack.seq + 1) % 256
+
+    def boot_ms(self, name: str) -> int:
+        """The vehicle's own time, as its messages tell it."""
+        clock = next((heard.messages.clock for heard in self._heard.values() if heard.watched.name == name), None)
+        return 0 if clock is None or clock.start is None else int(clock.start * 1e-3 + clock.now * 1e3) % 2**32
+
     def _take(self, peer: Any, data: bytes) -> None:
         parser = self._parsers.get(peer)
         if parser is None:
-            parser = self._parsers[peer] = mavlink.Frames()
+            parser = self._parsers[peer] = Frames()
             if len(self._parsers) > 200:
                 del self._parsers[next(iter(self._parsers))]
-        arrival, stamp = time.monotonic(), int(time.time() * 1e6)
+        arrival, stamp = self.clock(), int(time.time() * 1e6)
         for frame in parser.on(data):
             self.frames += 1
             if self._file is not None:
@@ -259,9 +314,22 @@ class Link:
             if identity == 0:
                 self._meet(peer, frame, system, component)
             return
-        heard.peer = peer
+        if heard.peer != peer and not self._followed(heard, peer, arrival):
+            return
+        self._fresh[heard] = None
         if heard.counted(sequence):
             heard.on(identity, frame, arrival)
+
+    def _followed(self, heard: Heard, peer: Any, arrival: float) -> bool:
+        """Whether a vehicle is now heard through another peer. While its own still sends, what the other one sends under its id is another
+        copy of it, or another vehicle: left out."""
+        if arrival - heard.watched.health.heard > SILENT_S:
+            heard.peer = peer
+            return True
+        if not heard.watched.health.others:
+            heard.watched.say(f"it is heard from a second address too, which is left out; {ONE_ID}")
+        heard.watched.health.others += 1
+        return False
 
     def _meet(self, peer: Any, frame: bytes, system: int, component: int) -> None:
         """A heartbeat of someone new."""
@@ -285,6 +353,7 @@ class Link:
         name = self._name(system, component)
         words = mavlink.AUTOPILOTS.get(autopilot, f"MAVLink autopilot {autopilot}")
         watched = Watched(name, self._tell, self.known)
+        watched.health.heard = self.clock()
         self._heard[system, component] = Heard(watched, (system, component), words, kind, self, peer)
         watched.say(f"{words}, {MAV_TYPES[kind][0]}")
 

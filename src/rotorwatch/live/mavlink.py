@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -17,16 +19,21 @@ AUTOPILOTS = {3: "ArduPilot", 12: "PX4"}
 UNKNOWN_S = 2.0  # a message that tells of a signal and falls silent for so long gives way to another one
 RATE_S = 3.0  # over which rates are counted
 MOST_ROWS = 5000  # of a message, before its vehicle is known well enough to judge it
-SIGNALS = ("motors", "gyro", "rates", "accel", "attitude", "velocity", "battery")
+SIGNALS = ("motors", "gyro", "accel", "attitude", "velocity", "battery")
+TICK = ("motors", "gyro", "accel")
+WAIT_S = 0.1  # for what a tick is made of, before it is looked whether it can be made without
 
 
 @dataclass(frozen=True)
 class Layout:
-    """A message as it is on the wire: name, type of its payload, seed of its check sum, and where its stamp is."""
+    """A message as it is on the wire: name, type of its payload; how its stamp is read and where it is (None without one), the us of its
+    unit, and whether it is of 32 bits only."""
 
     name: str
     kind: np.dtype
-    stamp: str
+    stamp: struct.Struct | None
+    offset: int
+    scale: float
     short: bool
 
 
@@ -36,9 +43,15 @@ def layouts() -> dict[int, Layout]:
     found = {}
     for name, message in tlog.layouts().items():
         kind = mavlink_frames.payload_type(message)
-        fields = kind.names or ()
-        stamp = "time_boot_ms" if "time_boot_ms" in fields else "time_usec" if "time_usec" in fields else ""
-        found[message.id] = Layout(name, kind, stamp, stamp == "time_usec" and kind[stamp].itemsize == 4)
+        fields: dict[str, Any] = dict(kind.fields or {})
+        stamp = next((n for n in ("time_boot_ms", "time_usec") if n in fields), None)
+        if stamp is None:
+            found[message.id] = Layout(name, kind, None, 0, 1.0, False)
+            continue
+        size, offset = fields[stamp][0].itemsize, fields[stamp][1]
+        reads = struct.Struct("<I" if size == 4 else "<Q")
+        scale = 1e3 if stamp == "time_boot_ms" else 1.0
+        found[message.id] = Layout(name, kind, reads, offset, scale, stamp == "time_usec" and size == 4)
     return found
 
 
@@ -47,11 +60,16 @@ def _kinds() -> dict[str, np.dtype]:
     return {layout.name: layout.kind for layout in layouts().values()}
 
 
+@cache
+def _parts() -> dict[str, str]:
+    """Message -> the field that says which part of the vehicle it is of: several messages have the same stamp."""
+    return {name: part for name, kind in _kinds().items() for part in ("port", "index") if part in (kind.names or ())}
+
+
 def payload(frame: bytes, size: int) -> bytes:
     """The payload of a frame, filled with zeros that MAVLink 2 cuts off, or cut, to `size` bytes."""
     head = 10 if frame[0] == 0xFD else 6
-    body = bytes(frame[head : head + min(frame[1], size)])
-    return body + bytes(size - len(body))
+    return frame[head : head + min(frame[1], size)].ljust(size, b"\0")
 
 
 def row(frame: bytes, layout: Layout) -> np.void:
@@ -82,34 +100,6 @@ def decoded(identity: int, frame: bytes) -> dict[str, Any] | None:
     return {name: values[name].tobytes() if values[name].ndim else values[name].item() for name in kind.names or ()}
 
 
-class Frames:
-    """Frames out of bytes, by pymavlink. damaged: how often bytes were no frame."""
-
-    def __init__(self):
-        from pymavlink.dialects.v20 import ardupilotmega
-
-        self._parser = ardupilotmega.MAVLink(None)
-        self._parser.robust_parsing = True
-        self.damaged = 0
-
-    def on(self, data: bytes) -> list[bytes]:
-        """The sound frames that these bytes complete."""
-        found = []
-        try:
-            messages = self._parser.parse_buffer(data) or []
-        except Exception:  # whatever comes from a network must not end the watch
-            self.damaged += 1
-            return found
-        for message in messages:
-            if message.get_type() == "BAD_DATA":
-                self.damaged += 1
-                continue
-            frame = bytes(message.get_msgbuf())
-            if len(frame) >= 8 and frame[0] in (0xFD, 0xFE):
-                found.append(frame)
-        return found
-
-
 class Messages:
     """What one vehicle has sent since the last `take`; parameters are kept. See `tlog.Messages`."""
 
@@ -117,13 +107,15 @@ class Messages:
         self.autopilot, self.vehicle, self.notes = autopilot, vehicle, []
         self.clock = Clock()
         self.late = 0
-        self._rows: dict[str, list[tuple[float, bytes]]] = {}
+        self._rows: dict[str, tuple[list[float], list[bytes]]] = {}
+        self._tables: dict[str, tuple[np.ndarray, np.ndarray] | None] = {}  # of the rows since the last `take`
         self._parameters: dict[bytes, tuple[float, bytes]] = {}
-        self._last: dict[tuple[str, str], float] = {}
+        self._newest: dict[tuple[str, int], float] = {}  # stamp of the last message taken of each part
+        self._counts: dict[str, deque[float]] = {}
         self._source: dict[str, str] = {}
-        self._counts: dict[tuple[str, str], list[float]] = {}
+        self._told: dict[str, float] = {}  # when the source of a signal last told something usable
         self._states: dict[str, float] = {}
-        self._seen: dict[str, list[float]] = {}  # when the last messages arrived
+        self._seen: dict[str, deque[float]] = {}  # when the last messages arrived
 
     def inherit(self, earlier: Messages) -> None:
         """Parameters outlast a reboot."""
@@ -134,6 +126,20 @@ class Messages:
         """Whether anything has come since the last `take`."""
         return bool(self._rows)
 
+    def reached(self, time: float) -> bool:
+        """Whether all that a tick is made of has come up to `time` s; what is missing is not waited for longer than WAIT_S."""
+        now = self.clock.now
+        if now < time:
+            return False
+        if now >= time + WAIT_S:
+            return True
+        for name in TICK:
+            source = self._source.get(name)
+            rows = self._rows.get(source or "")
+            if source is not None and (rows is None or rows[0][-1] < time):
+                return False
+        return True
+
     def heard_hz(self) -> dict[str, float]:
         """Message -> how often it arrives."""
         last = max((seen[-1] for seen in self._seen.values() if seen), default=0.0)
@@ -142,10 +148,9 @@ class Messages:
     def add(self, layout: Layout, frame: bytes, arrival: float) -> None:
         """One frame. Raises clock.Restarted."""
         body = payload(frame, layout.kind.itemsize)
-        if layout.stamp:
-            scale = 1e3 if layout.stamp == "time_boot_ms" else 1.0
+        if layout.stamp is not None:
             time = self.clock.take(
-                float(np.frombuffer(body, layout.kind)[0][layout.stamp]) * scale, arrival, layout.short
+                layout.stamp.unpack_from(body, layout.offset)[0] * layout.scale, arrival, layout.short
             )
             if time is None:
                 return
@@ -154,21 +159,63 @@ class Messages:
         if layout.name == "PARAM_VALUE":
             self._parameters[bytes(np.frombuffer(body, layout.kind)[0]["param_id"])] = (time, body)
             return
-        seen = self._seen.setdefault(layout.name, [])
+        seen = self._seen.get(layout.name)
+        if seen is None:
+            seen = self._seen[layout.name] = deque(maxlen=200)
         seen.append(arrival)
-        del seen[:-200]
-        rows = self._rows.setdefault(layout.name, [])
-        rows.append((time, body))
-        del rows[:-MOST_ROWS]
+        rows = self._rows.get(layout.name)
+        if rows is None:
+            rows = self._rows[layout.name] = ([], [])
+        rows[0].append(time)
+        rows[1].append(body)
+        if len(rows[0]) > MOST_ROWS:
+            del rows[0][0], rows[1][0]
 
     def get(self, name: str) -> tuple[np.ndarray, np.ndarray] | None:
-        """(time s (n,), table) of what has come of a message, in time order, each stamp once; or None."""
-        rows = list(self._parameters.values()) if name == "PARAM_VALUE" else self._rows.get(name)
-        if not rows:
+        """(time s (n,), table) of what has come of a message, in time order, each stamp once; or None. What is older than the last message
+        that was taken is late and left out."""
+        if name == "PARAM_VALUE":
+            rows = list(self._parameters.values())
+            if not rows:
+                return None
+            table = np.frombuffer(b"".join(body for _, body in rows), _kinds()[name])
+            return np.array([time for time, _ in rows]), table
+        if name not in self._rows:
             return None
-        time, table = np.array([t for t, _ in rows]), np.frombuffer(b"".join(body for _, body in rows), _kinds()[name])
+        if name not in self._tables:
+            self._tables[name] = self._table(name)
+        return self._tables[name]
+
+    def _table(self, name: str) -> tuple[np.ndarray, np.ndarray] | None:
+        times, bodies = self._rows[name]
+        time, table = np.array(times), np.frombuffer(b"".join(bodies), _kinds()[name])
+        if name in tlog.UNTIMED:  # these have the time of what came before them, several the same
+            return time, table
+        part = _parts().get(name)
+        numbers = [0] if part is None else sorted(set(table[part].tolist()))
+        if len(numbers) == 1:
+            return self._once(name, numbers[0], time, table)
+        found = [self._once(name, n, time[table[part] == n], table[table[part] == n]) for n in numbers]
+        kept = [one for one in found if one is not None]
+        if not kept:
+            return None
+        time, table = (np.concatenate(columns) for columns in zip(*kept))
         order = np.argsort(time, kind="stable")
         return time[order], table[order]
+
+    def _once(self, name: str, part: int, time: np.ndarray, table: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+        """Rows in time order, each stamp once, and only those after the last one that was taken."""
+        last = self._newest.get((name, part), -np.inf)
+        if not (time[0] > last and (time.size == 1 or (time[1:] > time[:-1]).all())):  # seldom
+            order = np.argsort(time, kind="stable")
+            time, table = time[order], table[order]
+            keep = (time > last) & (np.diff(time, prepend=-np.inf) > 0)
+            self.late += int(np.count_nonzero(~keep))
+            if not keep.any():
+                return None
+            time, table = time[keep], table[keep]
+        self._newest[name, part] = float(time[-1])
+        return time, table
 
     def parameters(self) -> dict[str, float]:
         """All that have come so far, by name."""
@@ -177,45 +224,45 @@ class Messages:
     def take(self, outputs: tuple[int, ...], aloft: bool) -> tuple[dict[str, Signal], list[Message]]:
         """New samples of each signal and what the autopilot said, and forget them. outputs: servo output of each rotor; aloft: in flight
         the message that tells of a signal is changed only when it falls silent."""
+        now = self.clock.now
+        there = [name for name in self._rows if self.get(name) is not None]
+        for name in there:
+            count = self._counts.setdefault(name, deque())
+            count.extend(self._rows[name][0])
+            while count and count[0] < now - RATE_S:
+                count.popleft()
         signals: dict[str, Signal] = {}
-        for name, options in tlog.readings(self, outputs).items():
-            fresh = {s.source: self._fresh(name, s) for s in options if s is not None}
-            chosen = self._chosen(name, [s for s in fresh if len(fresh[s])], aloft) if name in SIGNALS else ""
-            if chosen in fresh and len(fresh[chosen]):
-                signals[name] = fresh[chosen]
+        options = tlog.readings(outputs)
+        for name in SIGNALS:
+            heard = [reading for reading in options[name] if reading.source in there]
+            for reading in self._order(name, heard, aloft) if heard else ():
+                made = reading.make(self)
+                if made is not None:
+                    signals[name] = made
+                    self._source[name], self._told[name] = reading.source, now
+                    break
         messages = [m for m in tlog.messages_of(self) if self._new(m)]
         self._rows.clear()
+        self._tables.clear()
         self.notes.clear()
         return signals, messages
 
-    def _fresh(self, name: str, signal: Signal) -> Signal:
-        """The samples that are newer than those that came before."""
-        key, time = (name, signal.source), signal.time
-        last = self._last.get(key, -np.inf)
-        keep = (time > last) & (np.diff(time, prepend=-np.inf) > 0)
-        self.late += int(np.count_nonzero(~keep))
-        if keep.any():
-            self._last[key] = float(time[keep][-1])
-            count = self._counts.setdefault(key, [])
-            count += time[keep].tolist()
-            del count[: int(np.searchsorted(count, self.clock.now - RATE_S))]
-        return signal.with_arrays(time[keep], signal.values[keep], signal.valid[keep])
+    def _order(self, name: str, heard: list[tlog.Reading], aloft: bool) -> list[tlog.Reading]:
+        """Which of the messages that have come is to tell of a signal, and which instead when it says nothing usable: the fastest, in order
+        of preference."""
+        source = self._source.get(name)
+        silent = source is None or self.clock.now - self._told[name] > UNKNOWN_S
+        own = [reading for reading in heard if reading.source == source]
+        if not silent and (aloft or name not in tlog.FASTEST or len(heard) == len(own)):
+            return own
+        best = None if silent else source
+        for reading in heard:
+            if best is None or self._count(reading.source) > 1.5 * self._count(best) + 10:
+                best = reading.source
+        return sorted(heard, key=lambda reading: reading.source != best)
 
-    def _chosen(self, name: str, heard: list[str], aloft: bool) -> str:
-        """The message that tells of a signal: the fastest, in order of preference."""
-        now, source = self.clock.now, self._source.get(name)
-        silent = source is None or now - self._last.get((name, source), -np.inf) > UNKNOWN_S
-        if not silent and (aloft or name not in tlog.FASTEST):
-            return source or ""
-        best, rate = source if not silent else None, 0.0
-        rate = len(self._counts.get((name, best), ())) if best else 0
-        for other in heard:
-            count = len(self._counts.get((name, other), ()))
-            if best is None or count > 1.5 * rate + 10:
-                best, rate = other, count
-        if best is not None:
-            self._source[name] = best
-        return best or ""
+    def _count(self, source: str) -> int:
+        return len(self._counts.get(source, ()))
 
     def _new(self, message: Message) -> bool:
         """States are told again and again; only what is new counts."""
@@ -225,17 +272,11 @@ class Messages:
         self._states[message.kind] = message.value
         return told
 
-    def rate_hz(self, name: str) -> float:
-        """How often a signal came lately."""
-        source = self._source.get(name)
-        count = self._counts.get((name, source), []) if source else []
-        return len([t for t in count if t > self.clock.now - RATE_S]) / RATE_S
-
 
 def facts(messages: Messages, parameters: Mapping[str, float]) -> dict[str, Any]:
     """Facts of a flight, as `logs.tlog` gives them."""
     outputs = tlog.rotor_outputs(messages, parameters)
-    return {"mav_type": messages.vehicle, "clock_jumps": [], "outputs": outputs, "motors_topic": "SERVO_OUTPUT_RAW"}
+    return {"mav_type": messages.vehicle, "clock_jumps": [], "outputs": outputs, "motors_topic": tlog.MOTORS}
 
 
 def known(parameters: Mapping[str, float], autopilot: str) -> bool:

@@ -154,7 +154,12 @@ class Session:
     @property
     def judged(self) -> bool:
         """Whether any tick has been judged."""
-        return self._judge is not None and self._judge.judged
+        return self.ticks > 0
+
+    @property
+    def ticks(self) -> int:
+        """Ticks that have been judged."""
+        return 0 if self._judge is None else self._judge.ticks
 
     @property
     def flying(self) -> bool:

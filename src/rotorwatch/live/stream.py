@@ -188,7 +188,7 @@ class Stream:
         """The thrusts that ticks are made of."""
         if not self._mixing:
             if motors is not None and thrust is not None:
-                self._extend(replace(motors, values=thrust, unit="1"))
+                self._extend(motors.with_arrays(motors.time, thrust, motors.valid))
             return
         if check is not None:
             self._checks = check if self._checks is None else self._checks + check

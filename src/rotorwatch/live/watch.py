@@ -9,7 +9,7 @@ from typing import Protocol
 
 from rotorwatch.live.watched import Watched
 
-SHOW_S, WAIT_S = 0.25, 0.005
+SHOW_S, WAIT_S, STEP_S = 0.25, 0.005, 0.05
 
 
 class Source(Protocol):
@@ -33,21 +33,46 @@ class Source(Protocol):
         ...
 
 
+class Outlet(Protocol):
+    """Something that alerts go to besides standard output."""
+
+    def take(self, alert: dict) -> None:
+        """One alert; must not wait."""
+        ...
+
+    def step(self, sources: Sequence[Source]) -> None:
+        """Called by the loop again and again; must not wait."""
+        ...
+
+    def leave(self) -> None:
+        """Nothing will come after."""
+        ...
+
+
 def watch(
-    sources: Sequence[Source], show: Callable[[Sequence[Source]], None] | None = None, seconds: float = math.inf
-) -> None:
-    """Watch until all sources have ended, for so many seconds, or until interrupted. show: called with them a few times a second."""
-    alive, shown, began = list(sources), 0.0, time.monotonic()
+    sources: Sequence[Source], show: Callable[[Sequence[Source]], None] | None = None, seconds: float = math.inf,
+    outlets: Sequence[Outlet] = (),
+) -> None:  # fmt: skip
+    """Watch until all sources have ended, for so many seconds, or until interrupted. show: called with them a few times a second.
+    outlets: get the loop's turns; alerts come to them by the sources' `tell`."""
+    alive, shown, stepped, began = list(sources), 0.0, 0.0, time.monotonic()
     try:
         while alive and time.monotonic() - began < seconds:
             alive = [source for source in alive if source.poll(WAIT_S / len(alive))]
-            if show is not None and time.monotonic() - shown > SHOW_S:
+            now = time.monotonic()
+            if outlets and now - stepped > STEP_S:
+                stepped = now
+                for outlet in outlets:
+                    outlet.step(sources)
+            if show is not None and now - shown > SHOW_S:
                 show(sources)
-                shown = time.monotonic()
+                shown = now
     except KeyboardInterrupt:
         pass
     finally:
         for source in sources:
             source.leave()
+        for outlet in outlets:
+            outlet.leave()
         if show is not None:
             show(sources)

@@ -23,7 +23,7 @@ LOOK_S = 0.5  # of the vehicle's time, between two looks at events that are know
 @dataclass
 class Health:
     """How a link does: messages taken, lost (by their running numbers), seen twice or out of order, damaged; reboots and clock jumps of the
-    vehicle; when it was last heard (monotonic, s)."""
+    vehicle; frames with its id from elsewhere, left out; when it was last heard (monotonic, s)."""
 
     taken: int = 0
     lost: int = 0
@@ -31,6 +31,7 @@ class Health:
     damaged: int = 0
     reboots: int = 0
     jumps: int = 0
+    others: int = 0
     heard: float = field(default_factory=time.monotonic)
 
     @property

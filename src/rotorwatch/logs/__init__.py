@@ -59,7 +59,7 @@ def offered() -> dict[str, tuple[Any, Any]]:
 def read(path, progress=None) -> Flight:
     """Read a flight log of any known format, compressed (.xz, .gz, .bz2) or not.
 
-    path: a file, or a folder of ulog2csv tables. progress: called with the finished share, 0..1.
+    path: a file, or a folder: a ROS 2 bag or ulog2csv tables. progress: called with the finished share, 0..1.
     Raises LogError with one sentence when there is no flight to be read; damage that leaves something is in `warnings`.
     """
     from rotorwatch.logs.container import open_log
@@ -69,7 +69,7 @@ def read(path, progress=None) -> Flight:
         own = next((m for m in formats() if hasattr(m, "sniff_folder") and m.sniff_folder(path)), None)
         module: Any = own or _theirs("sniff_folder", path)
         if module is None:
-            raise LogError(f"{path}: a folder without ulog2csv tables; give the log file itself")
+            raise LogError(f"{path}: a folder without ulog2csv tables or a ROS 2 bag; give the log file itself")
         return _checked(lambda: module.read_folder(path, progress), module, path, ())
     data, name, warnings = open_log(path, progress)
     module = recognise(bytes(data[:HEAD]), name)

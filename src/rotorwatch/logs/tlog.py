@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cache
 from typing import Protocol
 
 import numpy as np
@@ -20,7 +22,7 @@ _AUTOPILOTS = {3: "ArduPilot", 12: "PX4"}
 _NO_AUTOPILOT = 8
 _ARMED = 0x80  # HEARTBEAT.base_mode
 _SIMULATOR = {"SIMSTATE", "SIM_STATE", "HIL_STATE", "HIL_STATE_QUATERNION"}  # hold the simulator's truth: never decoded
-_UNTIMED = {
+UNTIMED = {
     *{"HEARTBEAT", "SYS_STATUS", "BATTERY_STATUS", "VFR_HUD", "STATUSTEXT", "PARAM_VALUE", "EXTENDED_SYS_STATE"},
     *mavlink_esc.TELEMETRY,
 }
@@ -71,7 +73,7 @@ def layouts() -> dict:
 
     known = {layout.msgname: layout for layout in (*mavlink_esc.LAYOUTS, *ardupilotmega.mavlink_map.values())}
     clocked = {n for n, c in known.items() if {"time_boot_ms", "time_usec"} & set(c.fieldnames)}
-    return {n: known[n] for n in (clocked | _UNTIMED & known.keys()) - _SIMULATOR}
+    return {n: known[n] for n in (clocked | UNTIMED & known.keys()) - _SIMULATOR}
 
 
 class _Log:
@@ -179,11 +181,13 @@ def boot_us(table):
 
 
 def _columns(table, fields) -> np.ndarray:
-    return np.stack([table[f].astype(float) for f in fields], axis=1)
+    return np.array([table[f] for f in fields], float).T
 
 
 # Signals of which several messages may tell: the fastest counts. Of the others the first one that there is.
-FASTEST = ("gyro", "rates", "accel", "attitude")
+FASTEST = ("motors", "gyro", "rates", "accel", "attitude")
+MOTORS = "SERVO_OUTPUT_RAW"
+BANK = 16  # outputs of each of its ports
 AXES, TURNS, PUSH = ("xgyro", "ygyro", "zgyro"), ("rollspeed", "pitchspeed", "yawspeed"), ("xacc", "yacc", "zacc")
 IMUS = ("SCALED_IMU", "RAW_IMU", "SCALED_IMU2", "SCALED_IMU3")
 ATTITUDES = ("ATTITUDE", "ATTITUDE_QUATERNION")
@@ -201,17 +205,33 @@ class Messages(Protocol):
         ...
 
 
-def readings(log: Messages, outputs: tuple[int, ...]) -> dict[str, tuple[Signal | None, ...]]:
-    """All that the messages say of each signal, in order of preference; `source` of each is the message. outputs: of `rotor_outputs`."""
+@dataclass(frozen=True)
+class Reading:
+    """One message that tells of a signal. make(log): the signal, or None where the log has nothing usable of it."""
+
+    source: str
+    make: Callable[[Messages], Signal | None]
+
+
+@cache
+def readings(outputs: tuple[int, ...]) -> dict[str, tuple[Reading, ...]]:
+    """Signal -> the messages that tell of it, in order of preference: of a file and of a link. outputs: of `rotor_outputs`."""
 
     def of(kind, name, fields, scale=1.0):
-        found = log.get(name)
-        return (
-            None if found is None else series.make(kind, found[0], _columns(found[1], fields) * scale, name, log.notes)
-        )
+        def make(log: Messages) -> Signal | None:
+            found = log.get(name)
+            if found is None:
+                return None
+            values = _columns(found[1], fields)
+            return series.make(kind, found[0], values if scale == 1.0 else values * scale, name, log.notes)
+
+        return Reading(name, make)
 
     return {
-        "motors": (_motors(log, outputs),),
+        "motors": (
+            Reading("SERVO_OUTPUT_RAW", lambda log: _motors(log, outputs)),
+            Reading("ACTUATOR_OUTPUT_STATUS", lambda log: _actuators(log, outputs)),
+        ),
         # Raw rates come in steps of 1 mrad/s, so at equal speed the attitude message's finer ones are preferred.
         "gyro": (
             of("gyro", "HIGHRES_IMU", AXES),
@@ -220,25 +240,28 @@ def readings(log: Messages, outputs: tuple[int, ...]) -> dict[str, tuple[Signal 
         ),
         "rates": tuple(of("rates", name, TURNS) for name in ATTITUDES),
         "accel": (of("accel", "HIGHRES_IMU", PUSH), *(of("accel", name, PUSH, _MG) for name in IMUS)),
-        "attitude": _attitudes(log),
-        "attitude_wanted": (_attitude_wanted(log),),
+        "attitude": (Reading("ATTITUDE", _angles), Reading("ATTITUDE_QUATERNION", _quaternions)),
+        "attitude_wanted": (Reading("ATTITUDE_TARGET", _attitude_wanted),),
         "velocity": (
             of("velocity", "LOCAL_POSITION_NED", ("vx", "vy", "vz")),
             of("velocity", "GLOBAL_POSITION_INT", ("vx", "vy", "vz"), 0.01),
         ),
-        "position": (of("position", "LOCAL_POSITION_NED", ("x", "y", "z")), _height(log)),
+        "position": (
+            of("position", "LOCAL_POSITION_NED", ("x", "y", "z")),
+            Reading("GLOBAL_POSITION_INT", _height),
+        ),
         "throttle": (of("throttle", "VFR_HUD", ("throttle",), 0.01),),
-        "battery": (_battery(log),),
+        "battery": (Reading("SYS_STATUS", _battery), Reading("BATTERY_STATUS", _cells)),
     }
 
 
 def _signals(log: _Log) -> tuple[dict, dict]:
     outputs = rotor_outputs(log, parameters_of(log)[0])
     found: dict[str, Signal | None] = {}
-    for name, options in readings(log, outputs).items():
-        there = [signal for signal in options if signal is not None]
+    for name, options in readings(outputs).items():
+        there = [signal for option in options if (signal := option.make(log)) is not None]
         found[name] = series.fastest(*there) if name in FASTEST else (there or [None])[0]
-    facts = {"motors_topic": "SERVO_OUTPUT_RAW", "outputs": outputs} if found["motors"] is not None else {}
+    facts = {"motors_topic": MOTORS, "outputs": outputs} if found["motors"] is not None else {}
     found["esc"] = mavlink_esc.read(log.get, facts.get("outputs", ()), log.notes)
     return {k: v for k, v in found.items() if v is not None}, facts
 
@@ -247,7 +270,7 @@ def rotor_outputs(log: Messages, parameters: Mapping[str, float]) -> tuple[int, 
     """Servo output of each rotor, from 1: by SERVOn_FUNCTION where that is known, else the first ones; empty for an unknown vehicle."""
     count = MAV_TYPES.get(log.vehicle, ("", 0))[1]
     mapped = {}
-    for n in range(1, 17):
+    for n in range(1, 33):
         function = int(parameters.get(f"SERVO{n}_FUNCTION", 0))
         if 33 <= function <= 40 or 82 <= function <= 85:
             mapped[function - 32 if function <= 40 else function - 73] = n
@@ -257,29 +280,47 @@ def rotor_outputs(log: Messages, parameters: Mapping[str, float]) -> tuple[int, 
 
 
 def _motors(log: Messages, outputs: tuple[int, ...]) -> Signal | None:
-    """Rotor commands from SERVO_OUTPUT_RAW."""
+    """Rotor commands from SERVO_OUTPUT_RAW: outputs 1 to 16 are on port 0, 17 to 32 on port 1."""
     found = log.get("SERVO_OUTPUT_RAW")
+    if found is None or not outputs:
+        return None
+    bank = int(min(outputs) > BANK)
+    if max(outputs) > BANK * (bank + 1):
+        log.notes.append(f"{MOTORS}: rotors on both banks of outputs (port 0 and 1) are not read")
+        return None
+    own = found[1]["port"] == bank
+    time, table = found[0][own], found[1][own]
+    if not time.size:
+        return None
+    values = _columns(table, [f"servo{n - BANK * bank}_raw" for n in outputs])
+    return series.motors(time, values, "us", MOTORS, log.notes, values > 0)  # 0: not driven yet
+
+
+def _actuators(log: Messages, outputs: tuple[int, ...]) -> Signal | None:
+    """Rotor commands from ACTUATOR_OUTPUT_STATUS, in the units of SERVO_OUTPUT_RAW."""
+    found = log.get("ACTUATOR_OUTPUT_STATUS")
+    if found is None or not outputs:
+        return None
+    values = found[1]["actuator"][:, [n - 1 for n in outputs]].astype(float)
+    with np.errstate(invalid="ignore"):
+        driven = (values > 0) & (np.array(outputs) <= found[1]["active"][:, None])
+    return series.motors(found[0], values, "us", "ACTUATOR_OUTPUT_STATUS", log.notes, driven)
+
+
+def _angles(log: Messages) -> Signal | None:
+    found = log.get("ATTITUDE")
     if found is None:
         return None
-    time, table = found
-    main = table["port"] == 0
-    time, table = time[main], table[main]
-    if not outputs or not time.size:
+    q = series.quaternion(*(found[1][a].astype(float) for a in ("roll", "pitch", "yaw")))
+    return series.make("attitude", found[0], q, "ATTITUDE", log.notes)
+
+
+def _quaternions(log: Messages) -> Signal | None:
+    found = log.get("ATTITUDE_QUATERNION")
+    if found is None:
         return None
-    values = _columns(table, [f"servo{n}_raw" for n in outputs])
-    return series.motors(time, values, "us", "SERVO_OUTPUT_RAW", log.notes, values > 0)  # 0: not driven yet
-
-
-def _attitudes(log: Messages) -> tuple[Signal | None, ...]:
-    angles, quaternions = log.get("ATTITUDE"), log.get("ATTITUDE_QUATERNION")
-    first = second = None
-    if angles is not None:
-        q = series.quaternion(*(angles[1][a].astype(float) for a in ("roll", "pitch", "yaw")))
-        first = series.make("attitude", angles[0], q, "ATTITUDE", log.notes)
-    if quaternions is not None:
-        q, fine = series.unit_quaternion(_columns(quaternions[1], ("q1", "q2", "q3", "q4")))
-        second = series.make("attitude", quaternions[0], q, "ATTITUDE_QUATERNION", log.notes, fine)
-    return first, second
+    q, fine = series.unit_quaternion(_columns(found[1], ("q1", "q2", "q3", "q4")))
+    return series.make("attitude", found[0], q, "ATTITUDE_QUATERNION", log.notes, fine)
 
 
 def _attitude_wanted(log: Messages):
@@ -320,6 +361,21 @@ def _battery(log: Messages):
     return series.make(
         "battery", found[0], np.column_stack([volt * 1e-3, ampere * 1e-2]), "SYS_STATUS", log.notes, fine
     )
+
+
+def _cells(log: Messages):
+    """The first battery by its cells."""
+    found = log.get("BATTERY_STATUS")
+    if found is None:
+        return None
+    first = found[1]["id"] == 0
+    time, table = found[0][first], found[1][first]
+    cells = table["voltages"].astype(float)
+    there = (cells > 0) & (cells < 65535)
+    volt, ampere = np.where(there, cells, 0.0).sum(axis=1), table["current_battery"].astype(float)
+    fine = np.column_stack([there.any(axis=1), ampere >= 0])
+    values = np.column_stack([volt * 1e-3, ampere * 1e-2])
+    return series.make("battery", time, values, "BATTERY_STATUS", log.notes, fine)
 
 
 def parameters_of(log: Messages):

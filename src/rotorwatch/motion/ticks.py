@@ -87,14 +87,16 @@ def ready_after(ready_s: float, dt: float) -> float:
     return max(ready_s, READY_TICKS * dt)
 
 
-def _filled(at: np.ndarray, most: int) -> np.ndarray:
-    """The ticks `at` (non-decreasing) and those between them, but of each gap only the first and last `most`.
+def _filled(at: np.ndarray, most: int, first: int = 0) -> np.ndarray:
+    """The ticks `at` (non-decreasing) and those between them and from `first` on, but of each gap only the first and last `most`.
 
     Nothing flies in a longer gap, and days of it cost nothing.
     """
-    at = np.maximum(at, 0)
+    at = np.maximum(at, first)
+    if at[-1] - first <= 2 * most:
+        return np.arange(first, at[-1] + 1)
     gaps = np.flatnonzero(np.diff(at) > 2 * most)
-    begin = np.r_[0, at[gaps + 1] - most]
+    begin = np.r_[first, at[gaps + 1] - most]
     end = np.r_[at[gaps] + most, at[-1] + 1]
     return np.concatenate([np.arange(a, b) for a, b in zip(begin, end)])
 
@@ -119,44 +121,50 @@ def _period(signal: Signal) -> float:
     return float(np.median(steps[steps > 0])) if (steps > 0).any() else np.nan
 
 
-def _window(signal: Signal, centre: np.ndarray, half: float, period: float | None = None):
-    """Mean (T, k) and slope (T, k) of a signal over [centre - half, centre + half], linear between samples; and coverage.
+class _Course:
+    """A signal between its samples, as straight lines: for means over many windows of it."""
 
-    The mean comes from the exact integral of the linear interpolation. The slope is the difference of two short means
-    around the ends, which keeps single-sample noise out when the signal is much faster than the window. period: usual time between
-    two samples [s]; None: what this piece of the signal shows.
-    """
-    ok = signal.valid.all(axis=1)
-    time, values = signal.time[ok], signal.values[ok]
-    if time.size < 2:
-        shape = (centre.size, signal.values.shape[1])
-        return np.zeros(shape), np.zeros(shape), np.zeros(centre.size, bool)
-    keep = np.concatenate([[True], np.diff(time) > 0])
-    time, values = time[keep], values[keep]
-    step = np.diff(time)[:, None]
-    integral = np.concatenate(
-        [np.zeros((1, values.shape[1])), np.cumsum(0.5 * (values[1:] + values[:-1]) * step, axis=0)]
-    )
+    def __init__(self, signal: Signal, period: float | None = None):
+        """period: usual time between two samples [s]; None: what this piece of the signal shows."""
+        ok = signal.valid.all(axis=1)
+        time, values = (signal.time, signal.values) if ok.all() else (signal.time[ok], signal.values[ok])
+        step = time[1:] - time[:-1]
+        if not (step > 0).all():
+            keep = np.concatenate([[True], step > 0])
+            time, values = time[keep], values[keep]
+            step = time[1:] - time[:-1]
+        self._time, self._values, self._step = time, values, step
+        self._integral = np.zeros(values.shape)
+        np.cumsum(0.5 * (values[1:] + values[:-1]) * step[:, None], axis=0, out=self._integral[1:])
+        self._period = _period(signal) if period is None else period
 
-    end = half * 0.25
-    lo, hi = centre - half, centre + half
-    t = np.concatenate([lo, lo + end, hi - end, hi])
-    i = np.minimum(np.maximum(np.searchsorted(time, t, "right") - 1, 0), time.size - 2)
-    width = (time[i + 1] - time[i])[:, None]
-    s = np.minimum(np.maximum((t - time[i])[:, None] / width, 0.0), 1.0)
-    area = integral[i] + width * (values[i] * s + 0.5 * (values[i + 1] - values[i]) * s * s)
-    first, start, last, stop = np.split(area, 4)
+    def over(self, centre: np.ndarray, half: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Mean (T, k) and slope (T, k) over [centre - half, centre + half], and whether there are enough samples in it (T,).
 
-    def mean(a, b, length):
-        return (b - a) / length[:, None]
-
-    middle = mean(first, stop, hi - lo)
-    slope = (mean(last, stop, hi - (hi - end)) - mean(first, start, (lo + end) - lo)) / (2.0 * half - end)
-    gap = np.searchsorted(time, hi, "right") - np.searchsorted(time, lo, "left")
-    period = _period(signal) if period is None else period
-    least = max(1, int(half / period * 0.8)) if period > 0.0 else 1
-    covered = (lo >= time[0]) & (hi <= time[-1] + 1e-9) & (gap >= least)
-    return middle, slope, covered
+        The mean comes from the exact integral of the linear interpolation. The slope is the difference of two short means
+        around the ends, which keeps single-sample noise out when the signal is much faster than the window.
+        """
+        time, values, count = self._time, self._values, centre.size
+        if time.size < 2:
+            shape = (count, values.shape[1])
+            return np.zeros(shape), np.zeros(shape), np.zeros(count, bool)
+        end = half * 0.25
+        lo, hi = centre - half, centre + half
+        t = np.concatenate([lo, lo + end, hi - end, hi])
+        i = np.minimum(np.maximum(time.searchsorted(t, "right") - 1, 0), time.size - 2)
+        width = self._step[i][:, None]
+        s = np.minimum(np.maximum((t - time[i])[:, None] / width, 0.0), 1.0)
+        left = values[i]
+        area = self._integral[i] + width * (left * s + 0.5 * (values[i + 1] - left) * s * s)
+        first, start, last, stop = area.reshape(4, count, values.shape[1])
+        middle = (stop - first) / (hi - lo)[:, None]
+        slope = ((stop - last) / (hi - (hi - end))[:, None] - (start - first) / ((lo + end) - lo)[:, None]) / (
+            2.0 * half - end
+        )
+        gap = time.searchsorted(hi, "right") - time.searchsorted(lo, "left")
+        least = max(1, int(half / self._period * 0.8)) if self._period > 0.0 else 1
+        covered = (lo >= time[0]) & (hi <= time[-1] + 1e-9) & (gap >= least)
+        return middle, slope, covered
 
 
 def _learned_again(contact, restart, thrust, hover, rate, fresh, before: float) -> np.ndarray:
@@ -204,7 +212,7 @@ class Plan:
         at = ((time - self.first) / self.dt).astype(np.int64)
         if last < 0:
             return _filled(at, round(GAP_S / self.dt))
-        filled = _filled(np.concatenate([[last], np.maximum(at, last)]), round(GAP_S / self.dt))
+        filled = _filled(np.concatenate([[last], np.maximum(at, last)]), round(GAP_S / self.dt), last)
         return filled[filled > last]
 
     def ends(self, numbers: np.ndarray) -> np.ndarray:
@@ -283,19 +291,20 @@ def sense(flight: Flight, thrust: Signal, hi: np.ndarray, plan: Plan, shaken: Sh
     centre = when + plan.lag_s
     zeros3 = np.zeros((count, 3))
 
-    def window(name):
-        return _window(flight[name], centre, plan.half[name], plan.period[name])
-
-    rate, rate_dot, gyro_ok = window(plan.gyro) if plan.gyro else (zeros3, zeros3, np.ones(count, bool))
+    rate, rate_dot, gyro_ok = zeros3, zeros3, np.ones(count, bool)
+    if plan.gyro:
+        turning = _Course(flight[plan.gyro], plan.period[plan.gyro])
+        rate, rate_dot, gyro_ok = turning.over(centre, plan.half[plan.gyro])
     side = push = shake = None
     load, accel_ok = np.ones(count), np.zeros(count, bool)
     if plan.accel:
         accel = flight["accel"]
-        force, _, accel_ok = window("accel")
+        course = _Course(accel, plan.period["accel"])
+        force, _, accel_ok = course.over(centre, plan.half["accel"])
         load, push = -force[:, 2] / G0, force[:, :2]
         whole = accel.valid.all(axis=1)
         shake = vibration(accel.time[whole], accel.values[whole], centre - half, shaken)
-        side, _, side_ok = _window(accel, centre + half - 0.5 * SIDE_S, 0.5 * SIDE_S, plan.period["accel"])
+        side, _, side_ok = course.over(centre + half - 0.5 * SIDE_S, 0.5 * SIDE_S)
         side = np.where(side_ok[:, None], side[:, :2], 0.0)
     level = np.ones(count)
     if "attitude" in flight.signals and len(flight["attitude"]):
@@ -397,9 +406,14 @@ def assemble(
         mode[inside] = np.where(time[inside] >= start + plan.ready_s, JUDGE, LEARN)
         # Once tumbling, never hovering again in this hop: what follows is a fall, not evidence.
         tumbling[width - 1 :] = upset & inside
+        if gone:
+            upset = upset | inside
+            continue
+        if not tumbling.any():
+            continue
         long_upset = np.convolve(tumbling, np.ones(width), "full")[width - 1 : width - 1 + count] >= width - 0.5
         begin = np.flatnonzero(long_upset & inside)
-        first = 0 if gone else begin[0] if begin.size else count
+        first = begin[0] if begin.size else count
         gone = first < count
         upset = upset | ((np.arange(count) >= first) & inside)
     units = mean / scale[:, None]

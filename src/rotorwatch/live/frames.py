@@ -1,0 +1,101 @@
+"""Bytes of a link -> sound MAVLink frames. Frame format and check sum: https://mavlink.io/en/guide/serialization.html
+
+pymavlink's parser makes an object of every message, which costs more than all that is done with it later; here a frame stays bytes.
+"""
+
+from __future__ import annotations
+
+from binascii import crc_hqx
+from functools import cache
+
+V1, V2 = 0xFE, 0xFD
+SIGNED = 0x01
+MOST = 280  # bytes of the longest frame
+
+# MAVLink's check sum, CRC-16/MCRF4XX, takes bits from the low end; the one of the standard library takes them from the high end.
+_TURNED = bytes(int(f"{k:08b}"[::-1], 2) for k in range(256))
+
+
+def sums(frame: bytes, extra: int) -> bytes:
+    """The two bytes of check sum that belong at the end of a frame. frame: without them, magic byte included; extra: its message's seed."""
+    crc = crc_hqx(frame[1:].translate(_TURNED) + _TURNED[extra : extra + 1], 0xFFFF)
+    return bytes((_TURNED[crc >> 8], _TURNED[crc & 0xFF]))
+
+
+@cache
+def seeds() -> dict[int, int]:
+    """Message id -> seed of its check sum, of all messages that are known."""
+    from pymavlink.dialects.v20 import ardupilotmega
+
+    from rotorwatch.logs import mavlink_esc
+
+    return {c.id: c.crc_extra for c in (*mavlink_esc.LAYOUTS, *ardupilotmega.mavlink_map.values())}
+
+
+class Frames:
+    """The frames in the bytes of one peer, however these are cut. damaged: stretches that were no sound frame; unknown: whole frames of
+    messages that nobody here knows, so that their sums cannot be checked."""
+
+    def __init__(self):
+        self._left = b""
+        self._seeds = seeds()
+        self._skipping = False
+        self.damaged = self.unknown = 0
+
+    def on(self, data: bytes) -> list[bytes]:
+        """The sound frames that these bytes complete."""
+        data, self._skipping = self._left + data if self._left else data, False
+        found, at, size = [], 0, len(data)
+        while at < size:
+            length, sound = self._frame(data, at, size)
+            if sound:
+                found.append(data[at : at + length])
+                self._skipping = False
+            elif not length and size - at < MOST:
+                break  # the rest of it is still to come
+            elif length <= 0:
+                # Only this byte is given up: a sound frame may begin within what looked like a long one.
+                self.damaged += not self._skipping
+                self._skipping, length = True, _next(data, at + 1, size) - at
+            at += length
+        self._left = data[at:] if at < size else b""
+        return found
+
+    def _frame(self, data: bytes, at: int, size: int) -> tuple[int, bool]:
+        """(length, whether it is sound) of the frame that begins here: 0 where bytes are missing, -1 where none begins."""
+        magic = data[at]
+        if magic == V2:
+            if at + 12 > size:
+                return 0, False
+            flags = data[at + 2]
+            if flags & ~SIGNED:
+                return -1, False
+            identity = int.from_bytes(data[at + 7 : at + 10], "little")
+            end = at + 10 + data[at + 1]
+            whole = end + 15 if flags else end + 2
+        elif magic == V1:
+            if at + 8 > size:
+                return 0, False
+            identity, end = data[at + 5], at + 6 + data[at + 1]
+            whole = end + 2
+        else:
+            return -1, False
+        if whole > size:
+            return 0, False
+        seed = self._seeds.get(identity)
+        if seed is None:
+            if not self._skipping and (whole == size or data[whole] in (V1, V2)):
+                self.unknown += 1
+                self._skipping = (
+                    True  # not damaged, but what is in it is looked through all the same: it may be a chance
+                )
+            return -1, False
+        if sums(data[at:end], seed) != data[end : end + 2]:
+            return -1, False
+        return whole - at, True
+
+
+def _next(data: bytes, at: int, size: int) -> int:
+    """Where the next frame may begin."""
+    places = [p for p in (data.find(V1, at), data.find(V2, at)) if p >= 0]
+    return min(places, default=size)

@@ -1,0 +1,153 @@
+"""Alerts told to a vehicle's ground stations, over its own link: STATUSTEXT in plain words, and NAMED_VALUE_FLOAT of each rotor's loss.
+
+Both messages only tell; nothing here commands a vehicle. They come from an onboard computer of the vehicle's own system, as from a
+companion computer, so that routers pass them on and ground stations show them with the vehicle's other words.
+STATUSTEXT, NAMED_VALUE_FLOAT: https://mavlink.io/en/messages/common.html
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+from rotorwatch.live.changes import WITHDRAWN
+from rotorwatch.live.link import Link
+from rotorwatch.live.watch import Source
+
+MOST = 50  # characters of a text
+CRITICAL, WARNING, NOTICE = 2, 4, 5  # MAV_SEVERITY
+PAUSE_S = 2.0  # between two texts of one vehicle
+A_MINUTE = 10  # texts of one vehicle in a minute
+STEP = 0.1  # by which a loss must move to be told again: half of what is worth an alert elsewhere would fill a pilot's screen
+SLOW_S, FAST_S = 5.0, 1.0  # between two values of a rotor, on serial ports and elsewhere
+WORDS = {"output_override": "output overridden", "contact": "knock or contact"}
+
+
+@dataclass
+class _Vehicle:
+    """said: event -> (rotors, alternatives, over, losses) as told last; waiting: event -> the latest alert."""
+
+    said: dict[int, tuple] = field(default_factory=dict)
+    waiting: dict[int, dict] = field(default_factory=dict)
+    texts: list[float] = field(default_factory=list)  # when they were sent
+    values: float = -math.inf
+
+
+class Ground:
+    """Tells the ground stations of all vehicles that are watched over links."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic):
+        """clock: s, of any origin."""
+        self._clock = clock
+        self._vehicles: dict[str, _Vehicle] = {}
+
+    def take(self, alert: dict) -> None:
+        """One alert. Only the latest of each event waits, so that what changes fast is said once."""
+        if alert["type"] == "vehicle":  # a flight begins: its events are numbered anew
+            self._vehicles[alert["vehicle"]] = _Vehicle(texts=self._of(alert["vehicle"]).texts)
+        elif alert["type"] == "event":
+            self._of(alert["vehicle"]).waiting[alert["number"]] = alert
+
+    def _of(self, name: str) -> _Vehicle:
+        return self._vehicles.setdefault(name, _Vehicle())
+
+    def step(self, sources: Sequence[Source]) -> None:
+        """Say what is due."""
+        now = self._clock()
+        for source in sources:
+            if not isinstance(source, Link):
+                continue
+            for watched in source.vehicles:
+                vehicle = self._of(watched.name)
+                if vehicle.waiting:
+                    self._texts(source, watched.name, vehicle, now)
+                every = SLOW_S if source.endpoint.slow else FAST_S
+                if now - vehicle.values >= every and watched.session is not None and watched.session.flying:
+                    known = watched.session.losses()
+                    if known is not None:
+                        vehicle.values = now
+                        for number, loss in enumerate(known[0].tolist(), 1):
+                            source.tell(watched.name, value(source.boot_ms(watched.name), number, loss))
+
+    def leave(self) -> None:
+        """What waits is not said any more: the link is closing."""
+
+    def _texts(self, link: Link, name: str, vehicle: _Vehicle, now: float) -> None:
+        vehicle.texts = [t for t in vehicle.texts if t > now - 60.0]
+        for number, alert in list(vehicle.waiting.items()):
+            if not _worth(vehicle.said.get(number), alert):
+                del vehicle.waiting[number]
+        if not vehicle.waiting or len(vehicle.texts) >= A_MINUTE:
+            return
+        if vehicle.texts and now - vehicle.texts[-1] < PAUSE_S:
+            return
+        number, alert = min(vehicle.waiting.items(), key=lambda item: (severity(item[1]), item[0]))
+        del vehicle.waiting[number]
+        vehicle.said[number] = _gist(alert)
+        vehicle.texts.append(now)
+        link.tell(name, text(alert))
+
+
+def _gist(alert: dict) -> tuple:
+    event = alert["event"]
+    over = event["kind"] != "contact" and event["end_s"] is not None
+    return (
+        tuple(event["rotors"]), tuple(map(tuple, event["alternatives"])), over, alert["state"] == WITHDRAWN, tuple(event["loss"]),
+    )  # fmt: skip
+
+
+def _worth(said: tuple | None, alert: dict) -> bool:
+    """Whether it is worth a text: something new, or a loss that has moved by STEP since it was told."""
+    new = _gist(alert)
+    if said is None:
+        return not new[3]  # taken back before it was said
+    if said[:4] != new[:4]:
+        return True
+    return any(abs(a - b) >= STEP for a, b in zip(said[4], new[4]))
+
+
+def severity(alert: dict) -> int:
+    """A lasting fault is critical, one of several explanations a warning, what is over or taken back a notice."""
+    event = alert["event"]
+    if alert["state"] == WITHDRAWN or event["kind"] not in ("loss_of_effectiveness", "output_override"):
+        return NOTICE
+    if event["end_s"] is not None:
+        return NOTICE
+    return WARNING if event["alternatives"] else CRITICAL
+
+
+def words(alert: dict) -> str:
+    """At most MOST characters of plain ASCII."""
+    event, numbers = alert["event"], alert["event"]["rotors"]
+    who = f"rotor{'s' if len(numbers) > 1 else ''} {'+'.join(map(str, numbers))}" if numbers else ""
+    if event["kind"] == "loss_of_effectiveness":
+        what = f"{who} lost {'/'.join(f'{100 * loss:.0f}' for loss in event['loss'])} %"
+        if len(event["interval"]) == 1:
+            what += f" ({100 * event['interval'][0][0]:.0f}-{100 * event['interval'][0][1]:.0f})"
+    else:
+        what = f"{who} {WORDS.get(event['kind'], event['kind'].replace('_', ' '))}".strip()
+    if alert["state"] == WITHDRAWN:
+        what += " taken back"
+    elif event["kind"] != "contact" and event["end_s"] is not None:
+        what += " is over"
+    what = f"rotorwatch: {what}"
+    if event["alternatives"] and event["end_s"] is None and alert["state"] != WITHDRAWN:
+        others = " or " + ",".join("+".join(map(str, a)) for a in event["alternatives"])
+        what += others if len(what + others) <= MOST else " or others"
+    return what.encode("ascii", "replace").decode()[:MOST]
+
+
+def text(alert: dict):
+    """The STATUSTEXT of an alert."""
+    from pymavlink.dialects.v20 import ardupilotmega
+
+    return ardupilotmega.MAVLink_statustext_message(severity(alert), words(alert).encode())
+
+
+def value(boot_ms: int, rotor: int, loss: float):
+    """The NAMED_VALUE_FLOAT of a rotor's loss, 0 to 1."""
+    from pymavlink.dialects.v20 import ardupilotmega
+
+    return ardupilotmega.MAVLink_named_value_float_message(boot_ms, f"rw_loss{rotor}".encode(), loss)

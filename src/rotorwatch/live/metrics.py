@@ -1,0 +1,137 @@
+"""What is known of each vehicle, for Prometheus: https://prometheus.io/docs/instrumenting/exposition_formats/
+
+The loop leaves a picture of all vehicles once a second; a scrape, in a thread of its own, only reads the last one.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from rotorwatch.errors import ConfigError
+from rotorwatch.live import view
+from rotorwatch.live.watch import Source
+from rotorwatch.live.watched import Watched
+
+EVERY_S = 1.0
+STATES = ("FAULT", "MAYBE", "OK", "GROUND", "BLIND", "SILENT", "ERROR")
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One vehicle at one moment. rotors: (loss, lower, upper) of each; heard: when the last message came (monotonic, s)."""
+
+    name: str
+    state: str
+    rotors: tuple[tuple[float, float, float], ...]
+    events: dict[str, int]
+    ticks: int
+    taken: int
+    lost: int
+    heard: float
+
+
+def picture(watched: Watched, waits_for: str = "") -> Picture:
+    """What there is to say of a vehicle right now."""
+    known = None if watched.session is None else watched.session.losses()
+    rotors = () if known is None else tuple(zip(*(column.tolist() for column in known)))
+    events: dict[str, int] = {}
+    for event in watched.events:
+        events[event.kind] = events.get(event.kind, 0) + 1
+    ticks = 0 if watched.session is None else watched.session.ticks
+    health = watched.health
+    state = view.line(watched, waits_for).state
+    return Picture(watched.name, state, rotors, events, ticks, health.taken, health.lost, health.heard)
+
+
+class Metrics:
+    """A page of metrics at http://HOST:PORT/metrics."""
+
+    def __init__(self, where: str):
+        """where: [HOST:]PORT; without a host only this computer can read it. Raises ConfigError."""
+        host, _, port = where.rpartition(":")
+        if not port.isdigit() or int(port) > 65535:
+            raise ConfigError(f"--metrics {where}: give a port, or HOST:PORT, as in 9110 or 0.0.0.0:9110.")
+        prometheus = _client()
+        registry = prometheus.CollectorRegistry()
+        registry.register(self)
+        self._pictures: tuple[Picture, ...] = ()
+        self._taken = 0.0
+        try:
+            self._server, self._thread = prometheus.start_http_server(
+                int(port), host.strip("[]") or "127.0.0.1", registry
+            )
+        except OSError as why:
+            raise ConfigError(
+                f"--metrics {where} cannot be opened ({why.strerror or why}); is another program using this port?"
+            ) from why
+        self.port: int = self._server.server_port
+
+    def take(self, alert: dict) -> None:
+        """Alerts are counted by the events that hold."""
+
+    def step(self, sources: Sequence[Source]) -> None:
+        """Leave a picture of all vehicles, when it is time for one."""
+        now = time.monotonic()
+        if now - self._taken >= EVERY_S:
+            self._taken = now
+            self._pictures = tuple(picture(*pair) for source in sources for pair in source.shown())
+
+    def leave(self) -> None:
+        self._server.shutdown()
+        self._server.server_close()
+        self._thread.join(2.0)
+
+    def describe(self) -> list[Any]:
+        """Nothing is asked for at registration."""
+        return []
+
+    def collect(self) -> Iterator[Any]:
+        """The metrics of the last picture."""
+        from prometheus_client.core import CounterMetricFamily as Counter
+        from prometheus_client.core import GaugeMetricFamily as Gauge
+
+        now, pictures, by_name = time.monotonic(), self._pictures, ["vehicle"]
+        state = Gauge(
+            "rotorwatch_state", "1 for the state a vehicle is in, 0 for the others.", labels=["vehicle", "state"]
+        )
+        columns = [
+            Gauge(f"rotorwatch_rotor_loss{part}", text, labels=["vehicle", "rotor"])
+            for part, text in (
+                ("", "Share of its effectiveness that a rotor has lost."),
+                ("_lower", "Lower end of the 95 % interval of the loss."),
+                ("_upper", "Upper end of the 95 % interval of the loss."),
+            )
+        ]
+        events = Gauge("rotorwatch_events", "Events that were told and hold.", labels=["vehicle", "kind"])
+        ticks = Counter("rotorwatch_ticks_judged", "Ticks that were judged.", labels=by_name)
+        taken = Counter("rotorwatch_messages", "Messages that came.", labels=by_name)
+        lost = Counter("rotorwatch_messages_lost", "Messages missing by their running numbers.", labels=by_name)
+        share = Gauge("rotorwatch_link_loss", "Share of the messages that were lost on the link.", labels=by_name)
+        age = Gauge("rotorwatch_message_age_seconds", "Time since the last message.", labels=by_name)
+        for one in pictures:
+            for name in STATES:
+                state.add_metric([one.name, name], float(one.state == name))
+            for number, bounds in enumerate(one.rotors, 1):
+                for column, value in zip(columns, bounds):
+                    column.add_metric([one.name, str(number)], value)
+            for kind, count in one.events.items():
+                events.add_metric([one.name, kind], count)
+            ticks.add_metric([one.name], one.ticks)
+            taken.add_metric([one.name], one.taken)
+            lost.add_metric([one.name], one.lost)
+            share.add_metric([one.name], one.lost / max(one.lost + one.taken, 1))
+            age.add_metric([one.name], max(now - one.heard, 0.0))
+        yield from (state, *columns, events, ticks, taken, lost, share, age)
+
+
+def _client() -> Any:
+    try:
+        import prometheus_client
+    except ImportError:
+        raise ConfigError(
+            "--metrics needs prometheus-client, which is not installed: pip install 'rotorwatch[metrics]'."
+        ) from None
+    return prometheus_client

@@ -1,0 +1,189 @@
+"""Frames out of the bytes of a link, and what the less usual messages say of a signal."""
+
+import numpy as np
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from rotorwatch.live import frames, senders
+from rotorwatch.live.clock import Restarted
+from rotorwatch.live.mavlink import Messages, layouts
+from rotorwatch.logs import tlog
+
+
+def packed(count, rng, second=True, signed=False):
+    """Frames of random values, as pymavlink writes them."""
+    pack = mavlink.MAVLink(None, srcSystem=7, srcComponent=1)
+    if signed:
+        pack.signing.secret_key, pack.signing.sign_outgoing, pack.signing.link_id = b"x" * 32, True, 1
+    out = []
+    for k in range(count):
+        message = mavlink.MAVLink_attitude_message(1000 + k, *rng.normal(size=6).tolist())
+        out.append(bytes(message.pack(pack, force_mavlink1=not second)))
+        pack.seq = (pack.seq + 1) % 256
+    return out
+
+
+@pytest.mark.parametrize("second, signed", [(True, False), (False, False), (True, True)])
+def test_frames_come_out_of_pieces_of_any_length(second, signed):
+    rng = np.random.default_rng(1)
+    wanted, found, parser = packed(200, rng, second, signed), [], frames.Frames()
+    data, at = b"".join(wanted), 0
+    while at < len(data):
+        size = int(rng.integers(1, 90))
+        found += parser.on(data[at : at + size])
+        at += size
+    assert found == wanted and parser.damaged == 0
+
+
+def test_no_sound_frame_is_lost_to_damage_before_it():
+    """Bytes that look like the head of a long frame, frames cut off and frames with a wrong byte: all others are found."""
+    rng = np.random.default_rng(2)
+    parser, wanted, found = frames.Frames(), packed(300, rng), []
+    for k, frame in enumerate(wanted):
+        found += parser.on(frame)
+        kind = k % 4
+        if kind == 0:
+            found += parser.on(bytes((0xFD, 255, 0, 0)) + rng.bytes(3))
+        elif kind == 1:
+            found += parser.on(frame[: int(rng.integers(1, len(frame) - 1))])
+        elif kind == 2:
+            wrong = bytearray(frame)
+            wrong[int(rng.integers(1, len(frame)))] ^= 1 << int(rng.integers(8))
+            found += parser.on(bytes(wrong))
+    found += parser.on(bytes(600))
+    assert found == wanted and 100 < parser.damaged
+
+
+def test_the_sums_are_those_of_pymavlink():
+    rng = np.random.default_rng(3)
+    for _ in range(200):
+        body, extra = b"\xfd" + rng.bytes(int(rng.integers(1, 270))), int(rng.integers(256))
+        crc = mavlink.x25crc(body[1:] + bytes([extra])).crc
+        assert frames.sums(body, extra) == crc.to_bytes(2, "little")
+
+
+def test_whole_frames_of_unknown_messages_are_passed_over():
+    parser, (frame, other) = frames.Frames(), packed(2, np.random.default_rng(4))
+    strange = bytes((0xFD, 9, 0, 0, 0, 1, 1, 0xEE, 0xEE, 0xEE)) + bytes(11)
+    assert parser.on(frame + strange + other) == [frame, other]
+    assert (parser.unknown, parser.damaged) == (1, 0)
+
+
+class Link:
+    """Messages of one vehicle, put in as they would arrive."""
+
+    def __init__(self, autopilot="ArduPilot"):
+        self.messages, self._pack, self._now = Messages(autopilot, 2), mavlink.MAVLink(None, srcSystem=1), 0.0
+        self._by_name = {layout.name: layout for layout in layouts().values()}
+
+    def put(self, message):
+        self._now += 0.001
+        try:
+            self.messages.add(self._by_name[message.get_type()], bytes(message.pack(self._pack)), self._now)
+        except Restarted:
+            raise AssertionError("no clock began anew here") from None
+
+    def take(self, outputs=(1, 2, 3, 4), aloft=False):
+        return self.messages.take(outputs, aloft)[0]
+
+
+def servo(us, values, port=0):
+    return mavlink.MAVLink_servo_output_raw_message(us, port, *(list(values) + [0] * 16)[:16])
+
+
+def attitude(ms):
+    return mavlink.MAVLink_attitude_message(ms, 0.0, 0.0, 0.0, 0.1, 0.2, 0.3)
+
+
+def test_outputs_of_both_banks():
+    """Outputs 9 to 16 are in the message's extension, 17 to 32 in the one of port 1; a rotor never takes another bank's values."""
+    link = Link()
+    link.put(attitude(1000))
+    for k in range(5):
+        link.put(servo(1_000_000 + 20_000 * k, range(1001, 1017)))
+        link.put(servo(1_000_000 + 20_000 * k, range(1101, 1117), port=1))
+    first, second = link.messages, tlog.readings((17, 18, 19, 32))["motors"][0].make(link.messages)
+    assert second is not None and second.values[0].tolist() == [1101.0, 1102.0, 1103.0, 1116.0]
+    assert link.take((9, 10, 11, 16))["motors"].values[0].tolist() == [1009.0, 1010.0, 1011.0, 1016.0]
+    link.put(servo(2_000_000, range(1001, 1017)))
+    assert tlog.readings((9, 17))["motors"][0].make(first) is None and any("both banks" in n for n in first.notes)
+    mapped = {f"SERVO{16 + k}_FUNCTION": 32.0 + k for k in range(1, 5)}
+    assert tlog.rotor_outputs(first, mapped) == (17, 18, 19, 20)
+
+
+def test_the_faster_message_tells_of_the_outputs():
+    link = Link("PX4")
+    link.put(attitude(1000))
+    for k in range(300):
+        us = 1_000_000 + 20_000 * k
+        link.put(mavlink.MAVLink_actuator_output_status_message(us, 4, [1500.0 + k % 7] * 4 + [0.0] * 28))
+        if not k % 25:
+            link.put(servo(us, [1400] * 4))
+    taken = link.take()["motors"]
+    assert taken.source == "ACTUATOR_OUTPUT_STATUS" and len(taken) == 300 and taken.valid.all()
+    link.put(mavlink.MAVLink_actuator_output_status_message(8_000_000, 3, [1500.0] * 4 + [0.0] * 28))
+    assert link.take()["motors"].valid.tolist() == [[True, True, True, False]]
+
+
+def test_a_battery_by_its_cells_where_nothing_else_tells():
+    link = Link()
+    link.put(attitude(1000))
+    cells = [4000, 4100, 3900] + [65535] * 7
+    link.put(mavlink.MAVLink_battery_status_message(0, 0, 0, 2000, cells, 1234, -1, -1, 50))
+    link.put(mavlink.MAVLink_battery_status_message(1, 0, 0, 2000, [1000] * 10, 1234, -1, -1, 50))
+    assert link.take()["battery"].values.tolist() == [[12.0, 12.34]]
+
+
+def test_a_source_that_says_nothing_usable_gives_way():
+    """HIGHRES_IMU without numbers in it: rates come from the attitude, at once."""
+    link, nothing = Link("PX4"), float("nan")
+    for k in range(50):
+        link.put(mavlink.MAVLink_highres_imu_message(1_000_000 + 20_000 * k, *[nothing] * 13, 63))
+        link.put(attitude(1000 + 20 * k))
+    assert link.take()["gyro"].source == "ATTITUDE"
+
+
+def test_a_tick_waits_for_all_it_is_made_of_but_not_for_long():
+    link = Link()
+    imu = mavlink.MAVLink_raw_imu_message
+    for k in range(10):
+        link.put(attitude(1000 + 20 * k))
+        link.put(servo(1_000_000 + 20_000 * k, [1500] * 4))
+        link.put(imu(1_000_000 + 20_000 * k, 0, 0, -1000, 0, 0, 0, 0, 0, 0))
+    link.take()
+    link.put(attitude(1200))
+    link.put(servo(1_200_000, [1500] * 4))
+    assert not link.messages.reached(0.199)
+    link.put(imu(1_200_000, 0, 0, -1000, 0, 0, 0, 0, 0, 0))
+    assert link.messages.reached(0.199) and not link.messages.reached(0.3)
+    link.take()
+    link.put(attitude(1450))
+    assert link.messages.reached(0.3)
+
+
+def numbered(senders, numbers):
+    """How often there seemed to be several senders of frames with these running numbers."""
+    seen = 0
+    for number in numbers:
+        senders.on(int(number) % 256)
+        seen += senders.several
+    return seen
+
+
+@pytest.mark.parametrize("offset", [60, 128, 200])
+@pytest.mark.parametrize("batch", [1, 4])
+def test_two_senders_of_one_id_are_seen_and_their_end_too(offset, batch):
+    several = senders.Senders()
+    both = [n for k in range(0, 1000, batch) for start in (k, k + offset) for n in range(start, start + batch)]
+    assert numbered(several, both) > 0.8 * len(both) and several.several
+    assert numbered(several, range(1000, 1600)) < 250 and not several.several
+
+
+def test_what_a_bad_link_does_to_one_sender_is_not_taken_for_two():
+    rng = np.random.default_rng(6)
+    order = np.argsort(np.arange(20_000) + rng.uniform(0, 9, 20_000) * (rng.random(20_000) < 0.2))
+    kept = order[rng.random(order.size) > 0.3]
+    for start in rng.integers(0, 20_000, 40):  # cuts of up to 3 s
+        kept = kept[(kept < start) | (kept > start + rng.integers(450))]
+    odd = rng.random(kept.size) < 0.1
+    assert numbered(senders.Senders(), np.where(odd, rng.integers(0, 256, kept.size), kept)) == 0

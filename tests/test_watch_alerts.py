@@ -1,0 +1,325 @@
+"""Alerts that go further than the screen: to a web address, to Prometheus, to ground stations."""
+
+import json
+import math
+import socket
+import threading
+import time
+import urllib.request
+from http.server import BaseHTTPRequestHandler, HTTPServer
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from tests.conftest import hexa_event
+
+from rotorwatch import cli
+from rotorwatch.errors import ConfigError
+from rotorwatch.live import endpoint, ground, metrics, webhook
+from rotorwatch.live.link import Link
+from rotorwatch.live.watched import Watched
+
+
+class Server:
+    """An HTTP server in a thread that answers with `codes`, one after the other, then 200."""
+
+    def __init__(self, codes=()):
+        self.got, self.asked, waiting = [], 0, list(codes)
+        server = self
+
+        class Answer(BaseHTTPRequestHandler):
+            def do_POST(self):
+                body = self.rfile.read(int(self.headers["Content-Length"]))
+                server.asked += 1
+                code = waiting.pop(0) if waiting else 200
+                if code == 200:
+                    server.got.append(json.loads(body))
+                self.send_response(code)
+                self.send_header("Location", "http://127.0.0.1:9/elsewhere")
+                self.end_headers()
+
+            def log_message(self, *_):
+                pass
+
+        self._server = HTTPServer(("127.0.0.1", 0), Answer)
+        self.url = f"http://127.0.0.1:{self._server.server_port}/alerts"
+        self._thread = threading.Thread(target=self._server.serve_forever, daemon=True)
+        self._thread.start()
+
+    def close(self):
+        self._server.shutdown()
+        self._server.server_close()
+
+
+@pytest.fixture
+def served():
+    made = []
+
+    def make(*codes):
+        made.append(Server(codes))
+        return made[-1]
+
+    yield make
+    for server in made:
+        server.close()
+
+
+def until(true, most_s=20.0):
+    began = time.monotonic()
+    while not true() and time.monotonic() - began < most_s:
+        time.sleep(0.005)
+    assert true()
+
+
+def test_what_fails_is_sent_again_and_nothing_is_lost_or_doubled(served):
+    server, told = served(500, 503, 429), []
+    hook = webhook.Webhook(server.url, told.append, pause_s=0.01)
+    alerts = [{"type": "notice", "vehicle": "a", "text": str(k)} for k in range(20)]
+    for alert in alerts:
+        hook.take(alert)
+    until(lambda: hook.sent == 20)
+    hook.leave()
+    assert server.got == alerts and server.asked == 23
+    assert len(told) == 2 and "does not take alerts (500" in told[0] and "takes alerts again" in told[1]
+
+
+def test_what_is_refused_for_good_is_said_once_and_holds_nothing_up(served):
+    server, told = served(404, 301, 200), []
+    hook = webhook.Webhook(server.url, told.append)
+    for k in range(3):
+        hook.take({"number": k})
+    until(lambda: hook.sent == 1)
+    hook.leave()
+    assert server.got == [{"number": 2}] and hook.refused == 2
+    assert len(told) == 1 and "refuses alerts (404" in told[0]
+
+
+def test_an_address_that_nobody_answers_costs_the_oldest_alerts_only(monkeypatch):
+    monkeypatch.setattr(webhook, "MOST", 10)
+    monkeypatch.setattr(webhook, "LAST_S", 0.1)
+    told = []
+    hook = webhook.Webhook("http://127.0.0.1:9/", told.append)
+    for k in range(50):
+        hook.take({"number": k})
+    assert hook.dropped == 40
+    hook.leave()
+    assert "could not be sent" in told[-1] and "10 alerts" in told[-1]
+
+
+@pytest.mark.parametrize("url", ["alerts.example", "ftp://example/", "http://"])
+def test_what_is_no_address_is_said(url):
+    with pytest.raises(ConfigError, match="begins with http:// or https://"):
+        webhook.Webhook(url)
+
+
+def flying(name="udp:14550/1", losses=(0.0, 0.0, 0.371, 0.0, 0.0, 0.0), events=()):
+    """A vehicle that is being judged, as far as outlets see one."""
+    watched = Watched(name, lambda alert: None)
+    loss = np.array(losses)
+    watched.session = SimpleNamespace(
+        losses=lambda: (loss, np.clip(loss - 0.05, 0, 1), loss + 0.05), flying=True, ticks=123, blind=lambda: "", now=40.0
+    )  # fmt: skip
+    watched.health.taken, watched.health.lost = 95, 5
+    watched.changes.of(events)
+    return watched
+
+
+def source(*watched):
+    return SimpleNamespace(shown=lambda: [(w, "") for w in watched], vehicles=watched)
+
+
+def scraped(page):
+    with urllib.request.urlopen(f"http://127.0.0.1:{page.port}/metrics") as answer:
+        lines = answer.read().decode().splitlines()
+    return dict(line.rsplit(" ", 1) for line in lines if not line.startswith("#"))
+
+
+def test_a_scrape_says_what_is_known_of_each_vehicle():
+    page = metrics.Metrics("0")
+    try:
+        assert scraped(page) == {}
+        page.step([source(flying(events=[hexa_event()]), flying('odd"name\\\n', losses=(0.0,) * 4))])
+        said = scraped(page)
+    finally:
+        page.leave()
+    who = 'vehicle="udp:14550/1"'
+    assert float(said[f'rotorwatch_rotor_loss{{rotor="3",{who}}}']) == pytest.approx(0.371)
+    assert float(said[f'rotorwatch_rotor_loss_upper{{rotor="3",{who}}}']) == pytest.approx(0.421)
+    assert said[f'rotorwatch_state{{state="FAULT",{who}}}'] == "1.0"
+    assert said[f'rotorwatch_state{{state="OK",{who}}}'] == "0.0"
+    assert said[f"rotorwatch_ticks_judged_total{{{who}}}"] == "123.0"
+    assert said[f"rotorwatch_messages_lost_total{{{who}}}"] == "5.0"
+    assert float(said[f"rotorwatch_link_loss{{{who}}}"]) == pytest.approx(0.05)
+    assert 0.0 <= float(said[f"rotorwatch_message_age_seconds{{{who}}}"]) < 60.0
+    assert said[f'rotorwatch_events{{kind="loss_of_effectiveness",{who}}}'] == "1.0"
+    assert 'rotorwatch_state{state="OK",vehicle="odd\\"name\\\\\\n"}' in said
+
+
+def test_a_page_that_cannot_be_opened_is_said():
+    with pytest.raises(ConfigError, match="give a port, or HOST:PORT"):
+        metrics.Metrics("everywhere")
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        with pytest.raises(ConfigError, match="is another program using this port"):
+            metrics.Metrics(str(taken.getsockname()[1]))
+
+
+class Wire(endpoint.Endpoint):
+    def __init__(self):
+        super().__init__("udp:14550")
+        self.open, self.sent, self._parse = True, [], mavlink.MAVLink(None)
+        self.queue = []
+
+    def receive(self, wait_s=0.0):
+        queue, self.queue = self.queue, []
+        return queue
+
+    def send(self, data, peer=None):
+        self.sent += self._parse.parse_buffer(data) or []
+
+
+@pytest.fixture
+def told():
+    """(ground, link, wire, the clock's time in a list): one vehicle of system 7 on a link, in flight."""
+    now = [1000.0]
+    wire = Wire()
+    link = Link(wire, lambda alert: None, patience_s=math.inf)
+    pack = mavlink.MAVLink(None, srcSystem=7, srcComponent=1)
+    wire.queue = [("a", mavlink.MAVLink_heartbeat_message(13, 3, 0x80, 0, 4, 3).pack(pack))]
+    link.poll(0.0)
+    (watched,) = link.vehicles
+    watched.session = flying().session
+    wire.sent.clear()
+    return ground.Ground(lambda: now[0]), link, wire, now
+
+
+def alert(number=1, state="announced", **event):
+    return {
+        "type": "event",
+        "vehicle": "udp:14550/7",
+        "number": number,
+        "state": state,
+        "event": hexa_event(**event).to_dict(),
+    }
+
+
+def texts(wire):
+    return [(m.severity, m.text) for m in wire.sent if m.get_type() == "STATUSTEXT"]
+
+
+def test_a_fault_is_told_in_plain_words_and_again_only_when_it_has_changed_much(told):
+    outlet, link, wire, now = told
+
+    def step(*alerts, wait=30.0):
+        for one in alerts:
+            outlet.take(one)
+        wire.sent.clear()
+        now[0] += wait
+        outlet.step([link])
+        return texts(wire)
+
+    assert step(alert()) == [(ground.CRITICAL, "rotorwatch: rotor 3 lost 37 % (33-41)")]
+    assert step() == []
+    assert step(alert(state="changed", loss=(0.41,))) == []
+    assert step(alert(state="changed", loss=(0.48,))) == [(ground.CRITICAL, "rotorwatch: rotor 3 lost 48 % (33-41)")]
+    assert step(alert(state="changed", loss=(0.40,))) == []
+    assert step(alert(state="changed", alternatives=((4,),))) == [
+        (ground.WARNING, "rotorwatch: rotor 3 lost 37 % (33-41) or 4")
+    ]
+    assert step(alert(state="changed", end_s=40.0)) == [
+        (ground.NOTICE, "rotorwatch: rotor 3 lost 37 % (33-41) is over")
+    ]
+    assert step(alert(state="withdrawn")) == [(ground.NOTICE, "rotorwatch: rotor 3 lost 37 % (33-41) taken back")]
+    assert step(alert(number=2), alert(number=2, state="withdrawn")) == []  # gone before it was said
+
+
+def test_texts_are_few_and_the_worst_comes_first(told):
+    outlet, link, wire, now = told
+    outlet.take(alert(number=1, kind="contact", rotors=(), loss=(), interval=(), end_s=31.2))
+    outlet.take(alert(number=2))
+    outlet.step([link])
+    outlet.step([link])
+    assert texts(wire) == [(ground.CRITICAL, "rotorwatch: rotor 3 lost 37 % (33-41)")]
+    now[0] += ground.PAUSE_S
+    outlet.step([link])
+    assert texts(wire)[1:] == [(ground.NOTICE, "rotorwatch: knock or contact")]
+    wire.sent.clear()
+    for k in range(600):  # a minute of an event that never rests
+        outlet.take(alert(number=2, state="changed", loss=(0.2 if k % 2 else 0.8,)))
+        now[0] += 0.1
+        outlet.step([link])
+    assert len(texts(wire)) <= ground.A_MINUTE
+
+
+def test_values_of_each_rotor_come_once_a_second_and_nothing_is_a_command(told):
+    outlet, link, wire, now = told
+    outlet.take(alert())
+    for _ in range(100):
+        now[0] += 0.1
+        outlet.step([link])
+    values = [m for m in wire.sent if m.get_type() == "NAMED_VALUE_FLOAT"]
+    assert 9 * 6 <= len(values) <= 11 * 6 and {m.name for m in values} == {f"rw_loss{k}" for k in range(1, 7)}
+    assert next(m.value for m in values if m.name == "rw_loss3") == pytest.approx(0.371)
+    assert {m.get_type() for m in wire.sent} == {"NAMED_VALUE_FLOAT", "STATUSTEXT"}
+    assert {(m.get_srcSystem(), m.get_srcComponent()) for m in wire.sent} == {(7, 191)}
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+@pytest.mark.parametrize("kind", ["loss_of_effectiveness", "output_override", "torque_bias"])
+def test_words_fit_one_message(count, kind):
+    event = hexa_event(
+        kind=kind, rotors=tuple(range(10, 10 + count)), loss=(1.0,) * count, interval=((0.99, 1.0),) * count,
+        alternatives=((11, 12), (7, 8, 9)),
+    )  # fmt: skip
+    for state in ("announced", "withdrawn"):
+        said = ground.words({"type": "event", "state": state, "event": event.to_dict()})
+        assert said.isascii() and len(said) <= 50 and "10" in said
+
+
+def test_a_second_client_sees_the_text(told):
+    """Over UDP: a vehicle and a ground station on one port; the station hears what the watcher tells."""
+    outlet, _, _, _ = told
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    link = Link(endpoint.open_endpoint(f"udpin:127.0.0.1:{port}"), lambda alert: None)
+    vehicle, station = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
+    with vehicle, station:
+        for sock, message, who in (
+            (vehicle, mavlink.MAVLink_heartbeat_message(13, 3, 0x80, 0, 4, 3), 7),
+            (station, mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3), 255),
+        ):
+            sock.sendto(message.pack(mavlink.MAVLink(None, srcSystem=who, srcComponent=1)), ("127.0.0.1", port))
+        station.settimeout(0.02)
+        seen, parse = [], mavlink.MAVLink(None)
+
+        def heard():
+            link.poll(0.005)
+            if link.vehicles and not seen:
+                name = link.vehicles[0].name
+                outlet.take({**alert(), "vehicle": name})
+                outlet.step([link])
+            try:
+                seen.extend(m for m in parse.parse_buffer(station.recv(2048)) or [] if m.get_type() == "STATUSTEXT")
+            except OSError:
+                pass
+            return bool(seen)
+
+        until(heard)
+    link.leave()
+    assert seen[0].text == "rotorwatch: rotor 3 lost 37 % (33-41)" and seen[0].get_srcSystem() == 7
+
+
+@pytest.mark.parametrize(
+    "options, says",
+    [
+        (["--tell-ground", "--listen-only"], "leave out one of them"),
+        (["--webhook", "nowhere"], "begins with http"),
+        (["--metrics", "x"], "give a port"),
+    ],
+)
+def test_options_that_cannot_be_are_said_in_a_sentence(options, says, capsys):
+    with pytest.raises(SystemExit) as left:
+        cli.main(["watch", "udp:14550", *options])
+    said = capsys.readouterr().err
+    assert left.value.code == 2 and says in said and "Traceback" not in said
