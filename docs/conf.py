@@ -37,16 +37,26 @@ pygments_style = "friendly"
 _LINK = re.compile(r"\]\(([^)#\s]+\.md)(?:#[^)]*)?\)")
 
 
+# Pages below another one than the page of contents.
+BELOW = {
+    "docs/methods/index": sorted(f"/docs/methods/{p.stem}" for p in HERE.glob("methods/*.md") if p.stem != "index"),
+    "docs/plug-ins": sorted(f"/examples/{p.parent.name}/README" for p in HERE.parent.glob("examples/*/README.md")),
+}
+
+
 def navigation(text: str, folder: str) -> str:
     """The page of contents with a table of contents below each heading, of the pages that are linked to there."""
-    parts = re.split(r"(?m)^(?=## )", text)
-    made = [parts[0]]
-    for part in parts[1:]:
-        heading = part.splitlines()[0].removeprefix("## ")
+    made = []
+    for part in re.split(r"(?m)^(?=## )", text):
+        caption = part.splitlines()[0].lstrip("# ") if part.startswith("## ") else "Start"
         pages = list(dict.fromkeys(_document(link, folder) for link in _LINK.findall(part)))
-        tree = "\n".join([f":caption: {heading}", ":hidden:", "", *pages])
-        made.append(f"{part.rstrip()}\n\n```{{toctree}}\n{tree}\n```\n\n")
+        made.append(f"{part.rstrip()}\n\n{_tree(pages, caption)}\n")
     return "".join(made)
+
+
+def _tree(pages: list[str], caption: str = "") -> str:
+    options = [f":caption: {caption}"] if caption else []
+    return "\n".join(["```{toctree}", *options, ":hidden:", "", *pages, "```", ""])
 
 
 def _document(link: str, folder: str) -> str:
@@ -63,6 +73,8 @@ def _document(link: str, folder: str) -> str:
 def _read(app, docname: str, source: list[str]) -> None:
     if docname == root_doc:
         source[0] = navigation(source[0], "docs")
+    elif docname in BELOW:
+        source[0] += "\n" + _tree(BELOW[docname])
     elif docname == "docs/api":
         source[0] += "\n" + make_api.page()
 
