@@ -14,7 +14,8 @@ from typing import Any, NamedTuple
 
 import rotorwatch as rw
 
-_NAMES = r"\w+(?: \([^)]*\))?(?:(?:, | and )\w+(?: \([^)]*\))?)*"
+_NAME = r"\w+(?: (?:\([^)]*\)|\[[^\]]*\]))?"  # with its shape or unit
+_NAMES = rf"{_NAME}(?:(?:, | and ){_NAME})*"
 _START = re.compile(rf"(?:^|(?<=[.;)] ))({_NAMES}): ")
 
 
@@ -62,14 +63,14 @@ def explained(text: str, names: list[str]) -> dict[str, str]:
         for match, end in zip(starts, ends):
             says = re.split(r"(?<=[.;)]) (?=Raises |Returns )", line[match.end() : end])[0].strip().rstrip(";")
             for name in _of(match.group(1)):
-                shape = re.search(rf"\b{name} (\([^)]*\))", match.group(1))
+                shape = re.search(rf"\b{name} (\([^)]*\)|\[[^\]]*\])", match.group(1))
                 found.setdefault(name, f"{shape.group(1)} {says}" if shape else says)
     return found
 
 
 def _of(names: str) -> set[str]:
     """The names in "a (n,), b and c"."""
-    return set(re.split(r", | and ", re.sub(r" \([^)]*\)", "", names)))
+    return set(re.split(r", | and ", re.sub(r" (?:\([^)]*\)|\[[^\]]*\])", "", names)))
 
 
 def unexplained() -> list[str]:

@@ -3,6 +3,7 @@
 import importlib.util
 import mmap
 import os
+import shutil
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -176,3 +177,14 @@ def run(capsys):
         return leave.value.code, out, err
 
     return call
+
+
+@pytest.fixture(scope="session")
+def chromium():
+    """The browser that pages are tested in."""
+    found = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if found is None and os.environ.get("CI"):
+        pytest.fail("no Chromium found; pages must be checked in a browser here (apt-get install chromium)")
+    if found is None:
+        pytest.skip("no Chromium found (apt-get install chromium)")
+    return found

@@ -1,9 +1,7 @@
 """The report in a real browser: it draws, zooms, prints no error and asks the network for nothing."""
 
 import json
-import os
 import re
-import shutil
 import subprocess
 
 import pytest
@@ -47,16 +45,6 @@ PROBE = """
 
 ANGLES = ["roll", "pitch", "yaw"]
 NAMES = ["loss", "lane", "command", "evidence", *(f"angle_{a}" for a in ANGLES), *ANGLES, "thrust"]
-
-
-@pytest.fixture(scope="module")
-def chromium():
-    found = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-    if found is None and os.environ.get("CI"):
-        pytest.fail("no Chromium found; the report must be checked in a browser here (apt-get install chromium)")
-    if found is None:
-        pytest.skip("no Chromium found (apt-get install chromium)")
-    return found
 
 
 @pytest.fixture(scope="module")

@@ -53,10 +53,10 @@ def fake(monkeypatch, tmp_path):
         told = f"{len(baseline)} baseline, vehicle {getattr(vehicle, 'name', None)}, estimator {estimator}"
         return hexa_diagnosis(verdict=verdict, flight=flight, baseline=told)
 
-    for name, function in (("logs", read), ("diagnose", diagnose)):
-        module = ModuleType(f"rotorwatch.{name}")
-        setattr(module, function.__name__, function)
-        monkeypatch.setitem(sys.modules, module.__name__, module)
+    module = ModuleType("rotorwatch.diagnose")
+    module.diagnose = diagnose
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    monkeypatch.setattr(rotorwatch.logs, "read", read)
     for name in ("healthy", "fault", "ambiguous", "inconclusive", "broken", "bug", "healthy-2"):
         (tmp_path / f"{name}.bin").write_bytes(b"x")
     monkeypatch.chdir(tmp_path)
@@ -232,16 +232,16 @@ def test_inject_hands_its_options_to_the_campaign(fake, run, monkeypatch):
     asked = []
     module = ModuleType("rotorwatch.experiments.inject")
 
-    def campaign(paths, losses, repeats, seed, progress):
-        asked.append(([p.name for p in paths], losses, repeats, seed))
+    def campaign(paths, losses, repeats, seed, progress, jobs, scheduler):
+        asked.append(([p.name for p in paths], losses, repeats, seed, jobs, scheduler))
         return {"table": [{"loss": 0.2, "injections": 8, "detected": 0.5, "delay_s": 1.25}], "false_alarms": 0}
 
     module.campaign = campaign
     monkeypatch.setitem(sys.modules, "rotorwatch.experiments.inject", module)
-    argv = ("inject", "healthy.bin", "--loss", "0.2,0.9", "--repeats", "2", "--seed", "9")
+    argv = ("inject", "healthy.bin", "--loss", "0.2,0.9", "--repeats", "2", "--seed", "9", "--jobs", "2")
     code, out, _ = run(*argv, "--json")
     assert code == 0 and json.loads(out)["false_alarms"] == 0
-    assert asked == [(["healthy.bin"], (0.2, 0.9), 2, 9)]
+    assert asked == [(["healthy.bin"], (0.2, 0.9), 2, 9, 2, None)]
     _, out, _ = run(*argv)
     assert "20 %" in out and "50 %" in out and "1.25 s" in out
     for wrong in ("0.2;0.3", "0", "1", "nan", ""):

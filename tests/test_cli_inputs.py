@@ -68,7 +68,7 @@ def test_what_never_ends_is_no_log(fake, run, typed, monkeypatch):  # noqa: F811
 @pytest.mark.parametrize("given", ["https://logs.px4.io/x.ulg", "http://a/b.bin", "s3://bucket/x.bin"])
 def test_an_address_is_no_file(fake, run, given):  # noqa: F811
     for argv in (
-        ("diagnose", given),
+        ("info", given),
         ("diagnose", "fault.bin", "--baseline", given),
         ("diagnose", "fault.bin", "--report", given),
     ):

@@ -1,13 +1,14 @@
 """The research commands from outside: `rotorwatch reproduce` and `rotorwatch observability`."""
 
 import json
-from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 
 import pytest
 
+from rotorwatch import many
 from rotorwatch.experiments.studies import reproduction
 from rotorwatch.experiments.studies.reproduction import Claim, Reproduction
+from rotorwatch.many import processes
 
 
 class Drawing:
@@ -46,7 +47,10 @@ def test_json_of_one_is_an_object(run):
 
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_all_papers_keep_their_order(run, monkeypatch, jobs):
-    monkeypatch.setattr(reproduction, "ProcessPoolExecutor", lambda jobs, mp_context: ThreadPoolExecutor(jobs))
+    def last_first(function, tasks, *_):
+        return (many.Done(task.index, function(task.item)) for task in reversed(list(tasks)))
+
+    monkeypatch.setattr(processes, "run", last_first)
     code, out, _ = run("reproduce", "all", "--json", "--jobs", jobs, "--seeds", 3)
     found = json.loads(out)
     assert code == 0 and [item["paper"] for item in found] == ["axkf", "aesmf"]

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rotorwatch import limited
 from rotorwatch.errors import ConfigError
 from rotorwatch.experiments import fuzz
 
@@ -69,7 +70,7 @@ class Evil(fuzz.Mutations):
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="limits of memory and time are Linux's")
 def test_workers_that_die_hang_or_eat_memory_are_found_and_replaced(monkeypatch):
-    monkeypatch.setattr(fuzz, "GRACE_S", 1.0)
+    monkeypatch.setattr(limited, "GRACE_S", 1.0)
     results = list(fuzz.pool(Evil(DATA, "a.bin", 0, 0.0, 1.0), 12, 2, 500))
     assert sorted(number for number, *_ in results) == list(range(12))
     failed = {number: what for number, outcome, what, _ in results if outcome == "FAILED"}

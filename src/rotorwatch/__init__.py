@@ -25,6 +25,7 @@ _VERBS = {
     "ask": "ask",
     "calibrate": "healthy.calibrate",
     "diagnose": "diagnose",
+    "diagnose_many": "diagnose_many",
     "export_c": "export_c",
     "fuzz": "experiments.fuzz",
     "fuzz_framed": "experiments.fuzz_framed",
@@ -42,6 +43,7 @@ _HOMES = {
     "reproduce": "experiments.studies.reproduction",
     "simulate": "simulation",
     "simulate_system": "simulation.any_system",
+    "serve": "serve.server",
     "Flight": "flight",
     "Message": "flight",
     "Signal": "flight",
@@ -64,6 +66,7 @@ if TYPE_CHECKING:
     from rotorwatch.ask import ask as ask
     from rotorwatch.compiling.run import run as run
     from rotorwatch.diagnose import diagnose as diagnose
+    from rotorwatch.diagnose_many import diagnose_many as diagnose_many
     from rotorwatch.diagnosis import Diagnosis as Diagnosis
     from rotorwatch.diagnosis import Event as Event
     from rotorwatch.diagnosis import RotorState as RotorState
@@ -90,6 +93,7 @@ if TYPE_CHECKING:
     from rotorwatch.logs import read as read
     from rotorwatch.motion.airborne import airborne as airborne
     from rotorwatch.published.observability import observability as observability
+    from rotorwatch.serve.server import serve as serve
     from rotorwatch.simulation import simulate as simulate
     from rotorwatch.simulation.any_system import simulate_system as simulate_system
     from rotorwatch.survive import survive as survive

@@ -19,16 +19,26 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from rotorwatch import __version__, optional
-from rotorwatch.commands import ask, benchmark, campaign, export, research, simulate, survive, tune, watch
-from rotorwatch.commands.tools import LOG, OUT, common, debug, label, progress, say, shares, show
+from rotorwatch.commands import (
+    ask,
+    benchmark,
+    campaign,
+    export,
+    research,
+    serve,
+    several,
+    simulate,
+    survive,
+    tune,
+    watch,
+)
+from rotorwatch.commands.tools import LOG, LOGS, OUT, common, debug, progress, say, shares, show, spread
 from rotorwatch.errors import BackendWarning, ConfigError, PluginWarning, RotorwatchError
 
 if TYPE_CHECKING:
     from rotorwatch.diagnosis import Diagnosis
 
 ERROR, INTERRUPTED, BROKEN_PIPE = 2, 130, 141
-# Of several logs the most severe answer is the exit code: error, fault, undecided, healthy.
-SEVERITY = (2, 1, 3, 0)
 SAMPLES = Path(__file__).parent / "samples"
 
 
@@ -102,7 +112,7 @@ def cli() -> None:
 
 
 @cli.command(short_help="Judge flights: verdict, rotors, events.")
-@click.argument("logs", nargs=-1, required=True, type=LOG, metavar="LOG...")
+@click.argument("logs", nargs=-1, required=True, type=LOGS, metavar="LOG...")
 @click.option(
     "--baseline", "baselines", multiple=True, type=LOG, metavar="LOG", help="A healthy flight of the same build."
 )
@@ -114,6 +124,7 @@ def cli() -> None:
 @click.option(
     "--report", type=OUT, metavar="OUT.html", help="Write an HTML page; for several logs a folder or {name}.html."
 )
+@click.option("--html", type=OUT, metavar="DIR", help="Write a page for each log, and one that lists them.")
 @click.option(
     "--mcap",
     type=OUT,
@@ -123,24 +134,63 @@ def cli() -> None:
 @click.option(
     "--json", "as_json", is_flag=True, help="Print JSON (docs/json.md): an object, or a list for several logs."
 )
+@click.option("--jsonl", is_flag=True, help="Print JSON lines: one for each log, as soon as it is judged.")
+@click.option("-o", "--out", type=OUT, metavar="FILE", help="With --jsonl: the file that lines are added to.")
+@click.option("--resume", is_flag=True, help="Go on with FILE: logs that have a line and did not change are left out.")
+@spread
 @common
 @click.pass_context
-def diagnose(context, logs, baselines, vehicle, estimator, tuning, report, mcap, as_json, quiet) -> None:
-    """Judge each LOG: PX4 .ulg, ArduPilot .bin/.log, MAVLink .tlog, ROS 2 bag, CSV, also .xz and .gz; - is standard input.
+def diagnose(
+    context,
+    logs,
+    baselines,
+    vehicle,
+    estimator,
+    tuning,
+    report,
+    html,
+    mcap,
+    as_json,
+    jsonl,
+    out,
+    resume,
+    jobs,
+    scheduler,
+    quiet,
+) -> None:
+    """Judge each LOG: PX4 .ulg, ArduPilot .bin/.log, MAVLink .tlog, ROS 2 bag, CSV, also .xz and .gz; - is standard input. A
+    folder stands for all logs in it; also quoted patterns, and addresses such as s3://BUCKET/FOLDER/ (docs/cluster.md).
 
-    Exit code: 0 healthy, 1 fault found, 3 inconclusive or ambiguous only, 2 error.
+    Exit code: 0 healthy, 1 fault found, 3 inconclusive or ambiguous only, 2 error; of several logs the worst.
     """
+    from rotorwatch import files, gathering
     from rotorwatch.flight.vehicle_file import read as read_vehicle
 
+    if as_json and jsonl:
+        raise ConfigError("--json and --jsonl are two ways to say the same; give one.")
+    if (out or resume) and not (jsonl and out):
+        raise ConfigError("--out and --resume belong to --jsonl: write --jsonl -o FILE, and --resume to go on with it.")
+    many = len(logs) > 1 or bool(jsonl or html or scheduler) or gathering.is_several(logs[0])
+    found = gathering.Gathered(logs)
+    if many:
+        logs = tuple(found)
     pages, recordings = report_paths(logs, report), report_paths(logs, mcap, "--mcap", ".mcap")
     if recordings:
         optional.library("mcap", "--mcap")
+    if many:
+        asked = several.Asked(
+            logs, found.others, {"vehicle": vehicle, "baseline": baselines, "estimator": estimator,
+            "tuning": _tuning(tuning, estimator) if tuning else None}, jobs, scheduler, as_json, jsonl,
+            files.writable(out, "--out", make=True) if out else None, resume, files.folder(html, "--html") if html else None,
+            pages, recordings, quiet,
+        )  # fmt: skip
+        context.exit(several.diagnose(asked, several.settings(estimator, vehicle, tuning, *baselines), explain))
     known = read_vehicle(vehicle) if vehicle else None
     tuned = _tuning(tuning, estimator) if tuning else None
     with progress(quiet) as tell:
         healthy = tuple(_candidate(_read(path, tell), known) for path in baselines)
 
-    def judge(path: Path) -> Diagnosis:
+    def judge(path: Any) -> Diagnosis:
         from rotorwatch.diagnose import diagnose as run
 
         began = time.perf_counter()
@@ -148,25 +198,22 @@ def diagnose(context, logs, baselines, vehicle, estimator, tuning, report, mcap,
             flight = _read(path, tell)
             read_s = time.perf_counter() - began
             found = run(flight, vehicle=known, baseline=healthy, estimator=estimator, progress=tell, tuning=tuned)
-        found = replace(
+        return replace(
             found, timing={**found.timing, "read_s": read_s, "total_s": found.timing.get("total_s", 0.0) + read_s}
         )
-        if recordings:
-            found.to_mcap(recordings[logs.index(path)])
-        return found
 
-    if len(logs) == 1:
-        result = judge(logs[0])
-        if pages:
-            result.to_html(pages[0])
-        if as_json:
-            click.echo(result.to_json())
-        else:
-            show(lambda terminal: terminal.diagnosis(result))
-            _report_written(pages[0] if pages else None, quiet)
-            _report_written(recordings[0] if recordings else None, quiet, "MCAP file")
-        context.exit(result.exit_code)
-    context.exit(_several(logs, judge, pages, as_json, quiet))
+    result = judge(logs[0])
+    if pages:
+        result.to_html(pages[0])
+    if recordings:
+        result.to_mcap(recordings[0])
+    if as_json:
+        click.echo(result.to_json())
+    else:
+        show(lambda terminal: terminal.diagnosis(result))
+        _report_written(pages[0] if pages else None, quiet)
+        _report_written(recordings[0] if recordings else None, quiet, "MCAP file")
+    context.exit(result.exit_code)
 
 
 def _candidate(flight: Any, vehicle: Any) -> Any:
@@ -182,38 +229,8 @@ def _tuning(path: Path, estimator: str):
     return read(path, estimator)
 
 
-def _several(logs: tuple[Path, ...], judge: Callable, pages: list[Path], as_json: bool, quiet: bool) -> int:
-    """One line (or one item of a JSON list) per log. A log that fails does not stop the others."""
-    from rotorwatch.diagnosis import SCHEMA
-
-    codes, items = [], []
-    for i, path in enumerate(logs):
-        try:
-            result = judge(path)
-            if pages:
-                result.to_html(pages[i])
-            codes.append(result.exit_code)
-            items.append(result.to_dict())
-            if not as_json:
-                show(lambda terminal, p=path, r=result: terminal.line(label(p), r))
-        except Exception as why:  # explain() tells ours from unexpected ones
-            sentence, name = explain(why), label(path)
-            say(f"{name}: {sentence}" if name not in sentence else sentence)
-            codes.append(ERROR)
-            items.append({"schema": SCHEMA, "flight": {"name": name}, "error": sentence})
-            if not as_json:
-                show(lambda terminal, n=name: terminal.error_line(n, "see the message"))
-    if as_json:
-        import json
-
-        click.echo(json.dumps(items, indent=1, allow_nan=False))
-    elif pages:
-        _report_written(pages[0].parent, quiet)
-    return next(code for code in SEVERITY if code in codes)
-
-
 def report_paths(
-    logs: tuple[Path, ...], out: Path | None, option: str = "--report", ending: str = ".html"
+    logs: tuple[Any, ...], out: Path | None, option: str = "--report", ending: str = ".html"
 ) -> list[Path]:
     """Where each log's page goes: OUT, OUT/NAME.html in a folder, or OUT with {name} filled in; never one twice."""
     from rotorwatch import files
@@ -229,7 +246,8 @@ def report_paths(
         )
     pages: list[Path] = []
     for log in logs:
-        stem = log.name.removesuffix(".xz").removesuffix(".gz").rpartition(".")[0] or log.name
+        name = log.name if isinstance(log, Path) else log.rstrip("/").rpartition("/")[2]
+        stem = name.removesuffix(".xz").removesuffix(".gz").rpartition(".")[0] or name
         page, n = Path(str(out).replace("{name}", stem)), 1
         while page in pages:
             n += 1
@@ -333,15 +351,16 @@ def demo(report, quiet) -> None:
     help="Injections per flight, rotor and loss.",
 )
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Seed of the random onsets.")
+@spread
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @common
-def inject(logs, losses, repeats, seed, as_json, quiet) -> None:
+def inject(logs, losses, repeats, seed, jobs, scheduler, as_json, quiet) -> None:
     """Inject losses into healthy flights and count what the diagnosis finds of them."""
     from rotorwatch.experiments.inject import campaign
 
     wanted = shares("--loss", losses)
     with progress(quiet) as tell:
-        result = campaign(logs, wanted, repeats, seed, tell)
+        result = campaign(logs, wanted, repeats, seed, tell, jobs, scheduler)
     if as_json:
         import json
 
@@ -369,15 +388,16 @@ def _by_loss(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
 @click.argument("logs", nargs=-1, required=True, type=LOG, metavar="LOG...")
 @click.option("--hours", default=20.0, show_default=True, type=float, help="Flight hours to simulate, over all logs.")
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Seed of the surrogate flights.")
+@spread
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @common
-def false_alarms(logs, hours, seed, as_json, quiet) -> None:
+def false_alarms(logs, hours, seed, jobs, scheduler, as_json, quiet) -> None:
     """Judge surrogate flights with the noise of healthy LOGs, and count the false alarms per flight hour."""
     from rotorwatch.experiments.studies.false_alarms import describe
     from rotorwatch.experiments.studies.false_alarms import false_alarms as run
 
     with progress(quiet) as tell:
-        result = run([_read(path, tell) for path in logs], hours, seed, tell)
+        result = run(logs, hours, seed, tell, jobs=jobs, scheduler=scheduler)
     if as_json:
         import json
 
@@ -421,12 +441,10 @@ def fuzz(context, log, mutations, seed, jobs, framed, damages, share, as_json, q
     context.exit(1 if result["failures"] else 0)
 
 
-def _read(path: Path, tell: Callable | None) -> Any:
-    from rotorwatch.logs import read
+def _read(path: Any, tell: Callable | None) -> Any:
+    from rotorwatch.diagnose_many import read
 
-    if not path.exists():
-        raise ConfigError(f"{path}: no such file.")
-    return read(path, progress=tell)
+    return read(path, tell)
 
 
 research.register(cli)
@@ -438,6 +456,7 @@ survive.register(cli)
 campaign.register(cli)
 benchmark.register(cli)
 watch.register(cli)
+serve.register(cli)
 
 
 if __name__ == "__main__":

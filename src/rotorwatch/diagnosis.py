@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
 
 from rotorwatch import optional
+from rotorwatch.errors import ConfigError
 
 SCHEMA = 2
 EXIT_CODES = {"healthy": 0, "fault": 1, "ambiguous": 3, "inconclusive": 3}
@@ -209,6 +210,36 @@ class Diagnosis:
             "timing": _round(dict(self.timing)),
         }
 
+    @classmethod
+    def from_dict(cls, found: Mapping[str, Any]) -> Diagnosis:
+        """What `to_dict` gave as a Diagnosis again, without the trace, numbers as rounded. Raises ConfigError for another schema."""
+        if found.get("schema") != SCHEMA:
+            raise ConfigError(f"This answer has the schema {found.get('schema')}, not {SCHEMA}; judge the log again.")
+        rotors = [{**r, "trend": None if r["trend"] is None else Trend(**_tuples(r["trend"]))} for r in found["rotors"]]
+        names = {f.name for f in fields(Event)}
+        events = [
+            {**{k: v for k, v in e.items() if k in names}, "extra": {k: v for k, v in e.items() if k not in names}}
+            for e in found["events"]
+        ]
+        return cls(
+            flight=found["flight"],
+            verdict=found["verdict"],
+            reason=found["reason"],
+            rotors=tuple(RotorState(**_tuples(r)) for r in rotors),
+            events=tuple(Event(**_tuples(e)) for e in events),
+            common_mode=found["common_mode"],
+            baseline=found["baseline"],
+            assumptions=tuple(found["assumptions"]),
+            warnings=tuple(found["warnings"]),
+            timing=found["timing"],
+            estimator=found["estimator"],
+            comparison=tuple(found["comparison"]),
+            whole_flight=found["whole_flight"],
+            headline=found["headline"],
+            main=found["main_event"],
+            advice=tuple(found["advice"]),
+        )
+
     def to_json(self, indent: int | None = 1) -> str:
         """`to_dict` as JSON text; never NaN or Infinity."""
         return json.dumps(self.to_dict(), indent=indent, allow_nan=False)
@@ -249,6 +280,15 @@ class Diagnosis:
         from rotorwatch.report import notebook
 
         return notebook.page(self)
+
+
+def _tuples(fields_of: Mapping[str, Any]) -> dict[str, Any]:
+    """Lists, also lists of them, as tuples; but not what is free-form."""
+
+    def tuples(value: Any) -> Any:
+        return tuple(map(tuples, value)) if isinstance(value, list) else value
+
+    return {name: value if name == "extra" else tuples(value) for name, value in fields_of.items()}
 
 
 def _round(value, digits: int = 4):

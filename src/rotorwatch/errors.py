@@ -21,9 +21,28 @@ class LinkError(RotorwatchError):
     """An endpoint cannot be opened, or no vehicle is heard on it."""
 
 
+class WorkerError(RotorwatchError):
+    """A process that did a part of the work ended, or a cluster cannot go on with it. how: how a process ended."""
+
+    def __init__(self, text: str, how: str = ""):
+        super().__init__(text, how)
+        self.text, self.how = text, how
+
+    def __str__(self) -> str:
+        return self.text
+
+
+class WorkerWarning(RuntimeWarning):
+    """A cluster waits for workers, or a connection to it was lost and is made anew; one sentence says which."""
+
+
 class BackendWarning(RuntimeWarning):
     """Native code cannot be had, or not be kept; one sentence says why and what happens instead."""
 
 
 class PluginWarning(RuntimeWarning):
     """A plug-in of another package is not used; one sentence says which and why."""
+
+
+class StoreError(RotorwatchError):
+    """The store of a fleet cannot be opened, read or written, or does not hold what is asked for."""

@@ -17,19 +17,16 @@ import ast
 import functools
 import itertools
 import json
-import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from contextlib import ExitStack, contextmanager, nullcontext
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from importlib import import_module
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from rotorwatch import airframes, default, logs
+from rotorwatch import airframes, default, logs, many
 from rotorwatch.campaign import batch, sequences
 from rotorwatch.campaign.constants import TABLE
 from rotorwatch.campaign.plan import Plan
@@ -302,11 +299,13 @@ def run(
     words: Sequence[str] = WORDS,
     jobs: int | None = None,
     progress: Callable | None = None,
+    scheduler: str | None = None,
 ) -> dict[str, Any]:
     """Judge the set under every variant: {"set", "variants": name -> measures, "differences": name -> from the method as it is}.
 
     plan: simulated flights; as many of it as of sequences, `flights` in all. paths: healthy logs, for losses put into them and `hours` of
-    surrogates. only, words: see `variants`. progress: called as progress(share, text). Raises ConfigError, LogError.
+    surrogates. only, words: see `variants`. progress: called as progress(share, text). jobs, scheduler: as for
+    `many.run`. Raises ConfigError, LogError.
     """
     asked = variants(only, words)
     seeds = range(len(paths))
@@ -319,12 +318,13 @@ def run(
             numbers = range(cell, flights // 2, cells)
             parts += [(_flown, (kind, source, numbers[k : k + 4]), asked) for k in range(0, len(numbers), 4)]
     rows: list[dict[str, Any]] = []
-    jobs = min(jobs or os.cpu_count() or 1, len(parts))
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) if jobs > 1 else nullcontext() as pool:
-        for done, found in enumerate(pool.map(_part, parts) if pool else map(_part, parts), start=1):
-            rows += found
-            if progress:
-                progress(done / len(parts), "judging")
+
+    def told(done: int) -> None:
+        if progress:
+            progress(done / len(parts), "judging")
+
+    for found in many.ordered(_part, parts, jobs, scheduler, told):
+        rows += found
     if not rows:
         raise ConfigError("No flight could be judged: give more flights, or healthy logs of more than half a minute.")
     kinds = list(dict.fromkeys(next(iter(row.values()))["kind"] for row in rows))

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import airframes
+from rotorwatch import airframes, many
 from rotorwatch.campaign import summary
 from rotorwatch.control import excitation
 from rotorwatch.default import asked, events, hypotheses, program
@@ -208,26 +208,38 @@ def run(
     seed: int = 1,
     limits: excitation.Limits | None = None,
     progress: Callable[[float, str], None] | None = None,
+    jobs: int | None = 1,
+    scheduler: str | None = None,
 ) -> dict[str, Any]:
-    """That many flights, frames in turn: {"flights", "seed", "measures" (`measures`), "by_frame", "rows"}. Raises ConfigError."""
+    """That many flights, frames in turn: {"flights", "seed", "measures" (`measures`), "by_frame", "rows"}. jobs, scheduler: as for
+    `many.run`. Raises ConfigError."""
     unknown = [f for f in frames if f not in FRAMES]
     if unknown or not frames:
         raise ConfigError(f"frames must be some of {', '.join(FRAMES)}, not {', '.join(unknown) or 'none'}.")
     if flights < 1:
         raise ConfigError(f"flights must be at least 1, not {flights}.")
-    rows: list[Row] = []
+    parts = []
     for k, frame in enumerate(frames):
         mine = range(k, flights, len(frames))
         for start in range(0, len(mine), WIDTH):
             part = mine[start : start + WIDTH]
             filled = [*part, *[part[-1]] * (WIDTH - len(part))] if len(mine) > WIDTH else list(part)
-            rows += batch(frame, filled, seed, limits)[: len(part)]
-            if progress:
-                progress(len(rows) / flights, f"{frame}")
+            parts.append((frame, filled, len(part), seed, limits))
+
+    def told(done: int) -> None:
+        if progress:
+            progress(done / len(parts), "flying")
+
+    rows = [row for found in many.ordered(_part, parts, jobs, scheduler, told) for row in found]
     each = {frame: measures([r for r in rows if r.frame == frame]) for frame in frames}
     return {
         "flights": flights, "seed": seed, "measures": measures(rows), "by_frame": each, "rows": [asdict(r) for r in rows],
     }  # fmt: skip
+
+
+def _part(work: tuple[str, list[int], int, int, excitation.Limits | None]) -> list[Row]:
+    frame, filled, count, seed, limits = work
+    return batch(frame, filled, seed, limits)[:count]
 
 
 def measures(rows: Sequence[Row]) -> dict[str, Any]:

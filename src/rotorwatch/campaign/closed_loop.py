@@ -170,11 +170,12 @@ def run(
     jobs: int | None = None,
     by: str = "estimate",
     progress: work.Tell | None = None,
+    scheduler: str | None = None,
 ) -> dict[str, Any]:
     """Fly a plan's flights with every driver: {"plan", "flights", "drivers": {driver: measures}}, also in out/summary.json.
 
     Finished parts are kept in the folder `out`: the same call goes on where it was stopped. Measures (`measures`) have 95 % intervals.
-    Raises ConfigError.
+    jobs, scheduler: as for `work.run`. Raises ConfigError.
     """
     asked = plan if isinstance(plan, Plan) else plans.read(plan)
     if not drivers:
@@ -187,7 +188,7 @@ def run(
     for driver in drivers:
         _explains(driver, by)
     entered = replace(asked, text=f"{asked.text}\n# closed loop: {', '.join(drivers)}; by {by}\n")
-    table = work.run(entered, flights, out, jobs, progress, Judge(tuple(drivers), by), COLUMNS)
+    table = work.run(entered, flights, out, jobs, progress, Judge(tuple(drivers), by), COLUMNS, scheduler)
     rows = table.to_pylist()
     lost = {d: {r["flight"]: r["lost_s"] for r in rows if r["method"] == d} for d in (TRUTH, NOBODY)}
     result = {

@@ -13,16 +13,13 @@ Second faults, recoveries, changes of size, intermittent faults, pairs at once, 
 from __future__ import annotations
 
 import itertools
-import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from contextlib import nullcontext
 from dataclasses import dataclass
-from multiprocessing import get_context
 from typing import Any, Protocol
 
 import numpy as np
 
+from rotorwatch import many
 from rotorwatch.campaign import batch, summary
 from rotorwatch.campaign.plan import Cell, drawn
 from rotorwatch.default import events, hypotheses
@@ -182,11 +179,15 @@ def states(f: Truth, found: Sequence[Event]) -> list[State]:
 
 
 def run(
-    flights: int = 300, seed: int = 31, jobs: int | None = None, progress: Callable | None = None
+    flights: int = 300,
+    seed: int = 31,
+    jobs: int | None = None,
+    progress: Callable | None = None,
+    scheduler: str | None = None,
 ) -> dict[str, Any]:
     """Fly, judge and score: {"flights", "seed", "table": rows with all states, by kind and by frame, "states": all of them}.
 
-    jobs: processes, default one per processor. progress: called as progress(share, text). Raises ConfigError.
+    jobs, scheduler: as for `many.run`. progress: called as progress(share, text). Raises ConfigError.
     """
     if flights < 1:
         raise ConfigError(f"flights must be at least 1, not {flights}.")
@@ -198,12 +199,13 @@ def run(
         for start in range(cell, flights, cells * WIDTH)
     ]
     rows: list[dict[str, Any]] = []
-    jobs = min(jobs or os.cpu_count() or 1, len(parts))
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) if jobs > 1 else nullcontext() as pool:
-        for done, found in enumerate(pool.map(_part, parts) if pool else map(_part, parts), start=1):
-            rows += found
-            if progress:
-                progress(done / len(parts), "flying")
+
+    def told(done: int) -> None:
+        if progress:
+            progress(done / len(parts), "flying")
+
+    for found in many.ordered(_part, parts, jobs, scheduler, told):
+        rows += found
     rows.sort(key=lambda row: (row["flight"], row["at"]))
     return {"flights": flights, "seed": seed, "table": table(rows), "states": rows}
 

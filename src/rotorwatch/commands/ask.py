@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from rotorwatch.commands.tools import OUT, common, drawable, progress, say, show
+from rotorwatch.commands.tools import OUT, common, drawable, progress, say, show, spread
 from rotorwatch.errors import ConfigError
 
 
@@ -93,9 +93,10 @@ def _sets(text: str | None) -> list[tuple[int, ...]] | None:
 @click.option("--flights", type=click.IntRange(1, 100_000), default=96, show_default=True, help="How many.")
 @click.option("--frames", default="hexa-x,hexa-plus,octa-x,octa-plus", show_default=True, help="Airframes, in turn.")
 @click.option("--seed", type=click.IntRange(0), default=1, show_default=True, help="Same seed, same flights.")
+@spread
 @click.option("--json", "as_json", is_flag=True, help="Print JSON: measures and every flight.")
 @common
-def ask_flights(flights, frames, seed, as_json, quiet) -> None:
+def ask_flights(flights, frames, seed, jobs, scheduler, as_json, quiet) -> None:
     """Fly pairs of rotors that lose thrust in the simulator; where the diagnosis is ambiguous, ask and diagnose again. Says how often that
     names the broken rotors, with 95 % intervals (docs/control.md)."""
     import json
@@ -103,5 +104,6 @@ def ask_flights(flights, frames, seed, as_json, quiet) -> None:
     from rotorwatch.campaign import asking
 
     with progress(quiet) as tell:
-        result = asking.run(flights, [f for f in frames.split(",") if f], seed, progress=tell)
+        wanted = [f for f in frames.split(",") if f]
+        result = asking.run(flights, wanted, seed, progress=tell, jobs=jobs, scheduler=scheduler)
     click.echo(json.dumps(result, indent=1, allow_nan=False) if as_json else asking.markdown(result))

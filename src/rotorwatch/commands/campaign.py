@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-
 import click
 
-from rotorwatch.commands.tools import LOG, OUT, common, live, progress, say
+from rotorwatch.commands.tools import LOG, OUT, common, counting, progress, say, spread
 
 
 def register(group: click.Group) -> None:
@@ -23,11 +20,11 @@ def register(group: click.Group) -> None:
 @click.option(
     "--flights", type=click.IntRange(1, 10_000_000), default=1000, show_default=True, help="How many, with those done."
 )
-@click.option("--jobs", type=click.IntRange(1, 256), help="Processes; default: one per processor.")
+@spread
 @click.option("-o", "--out", required=True, type=OUT, metavar="DIR", help="Folder of the results.")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
 @common
-def campaign(plan, flights, jobs, out, as_json, quiet) -> None:
+def campaign(plan, flights, jobs, scheduler, out, as_json, quiet) -> None:
     """Fly PLAN (TOML, docs/campaigns.md): random flights, simulated, judged by the plan's estimators and detectors. The same command
     again goes on where it was stopped; more --flights add to what is there.
 
@@ -45,7 +42,7 @@ def campaign(plan, flights, jobs, out, as_json, quiet) -> None:
     if not quiet:
         say(f"{len(asked.cells)} kinds of flights, {len(asked.methods)} methods, {batch.where()}")
     with flying(quiet) as tell:
-        table = campaigns.run(asked, flights, out, jobs, tell)
+        table = campaigns.run(asked, flights, out, jobs, tell, scheduler=scheduler)
     summary = campaigns.summarise(table, asked.name)
     Folder(out).finish(table, summary)
     page.write(summary, out / "index.html")
@@ -57,10 +54,10 @@ def campaign(plan, flights, jobs, out, as_json, quiet) -> None:
 @click.command(short_help="Judge simulated flights with several faults.")
 @click.option("--flights", type=click.IntRange(1, 100_000), default=300, show_default=True, help="How many.")
 @click.option("--seed", type=click.IntRange(0, 2**31 - 1), default=31, show_default=True, help="Of the flights.")
-@click.option("--jobs", type=click.IntRange(1, 256), help="Processes; default: one per processor.")
+@spread
 @click.option("--json", "as_json", is_flag=True, help="Print JSON: the table and every state.")
 @common
-def sequences(flights, seed, jobs, as_json, quiet) -> None:
+def sequences(flights, seed, jobs, scheduler, as_json, quiet) -> None:
     """Fly flights in which rotors fail one after the other, together, recover, change or come and go (docs/experiments.md), and say how
     often the state of all rotors is known."""
     import json
@@ -68,7 +65,7 @@ def sequences(flights, seed, jobs, as_json, quiet) -> None:
     from rotorwatch.campaign import sequences as study
 
     with progress(quiet) as tell:
-        result = study.run(flights, seed, jobs, tell)
+        result = study.run(flights, seed, jobs, tell, scheduler)
     click.echo(json.dumps(result, indent=1, allow_nan=False) if as_json else study.describe(result))
 
 
@@ -85,10 +82,10 @@ def sequences(flights, seed, jobs, as_json, quiet) -> None:
     "--only", default="", metavar="NAMES", help="Constants whose names begin so, such as caution.,noise.CLIP."
 )
 @click.option("--variants", default="off,half,double", show_default=True, help="How they are changed.")
-@click.option("--jobs", type=click.IntRange(1, 256), help="Processes; default: one per processor.")
+@spread
 @click.option("--json", "as_json", is_flag=True, help="Print JSON: measures and differences of every variant.")
 @common
-def ablate(plan, logs, flights, hours, only, variants, jobs, as_json, quiet) -> None:
+def ablate(plan, logs, flights, hours, only, variants, jobs, scheduler, as_json, quiet) -> None:
     """Leave out, halve and double every constant of the default method over a fixed set: flights of PLAN, flights with several faults,
     losses put into healthy LOGS, and surrogates of those. Prints what changes, with intervals (docs/ablation.md)."""
     import json
@@ -101,7 +98,9 @@ def ablate(plan, logs, flights, hours, only, variants, jobs, as_json, quiet) -> 
     if set(words) - set(ablation.WORDS) or not words:
         raise click.UsageError(f"--variants {variants}: give some of {', '.join(ablation.WORDS)}.")
     with progress(quiet) as tell:
-        result = ablation.run(asked, logs, flights, hours, only=names, words=words, jobs=jobs, progress=tell)
+        result = ablation.run(
+            asked, logs, flights, hours, only=names, words=words, jobs=jobs, progress=tell, scheduler=scheduler
+        )
     click.echo(json.dumps(result, indent=1, allow_nan=False) if as_json else ablation.markdown(result))
 
 
@@ -122,11 +121,11 @@ def ablate(plan, logs, flights, hours, only, variants, jobs, as_json, quiet) -> 
     show_default=True,
     help="Of what is believed: the mean, the worst case within its interval, or all explanations with their weights.",
 )
-@click.option("--jobs", type=click.IntRange(1, 256), help="Processes; default: one per processor.")
+@spread
 @click.option("-o", "--out", required=True, type=OUT, metavar="DIR", help="Folder of the results.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @common
-def closed_loop(plan, flights, drivers, by, jobs, out, as_json, quiet) -> None:
+def closed_loop(plan, flights, drivers, by, jobs, scheduler, out, as_json, quiet) -> None:
     """Fly the flights of PLAN (TOML, docs/control.md) with every driver: what it believes of the rotors becomes the allocation while the
     vehicle flies. Prints who survives, how soon, and what was done for nothing. The same command again goes on where it was stopped."""
     import json
@@ -139,43 +138,12 @@ def closed_loop(plan, flights, drivers, by, jobs, out, as_json, quiet) -> None:
     files.folder(out, "--out")
     names = [name for part in drivers.split(",") if (name := part.strip())]
     with flying(quiet) as tell:
-        result = study.run(asked, names, out, flights, jobs, by, tell)
+        result = study.run(asked, names, out, flights, jobs, by, tell, scheduler)
     click.echo(json.dumps(result, indent=1, allow_nan=False) if as_json else study.markdown(result), nl=as_json)
     if not quiet:
         say(f"table and summary written to {out}")
 
 
-@contextmanager
-def flying(quiet: bool) -> Iterator:
-    """A bar with flights per second and the time left on a terminal; a line now and then elsewhere. Yields work.Tell."""
-    if quiet:
-        yield None
-    elif not live():
-        yield _lines()
-    else:
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-        from rotorwatch.report import terminal
-
-        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-        with Progress(*columns, console=terminal.console(stderr=True), transient=True) as bar:
-            task = bar.add_task("flying", total=None)
-
-            def tell(done: int, flights: int, speed: float) -> None:
-                text = f"{speed:.1f} flights/s" if speed else "flying"
-                bar.update(task, completed=done, total=flights, description=text)
-
-            yield tell
-
-
-def _lines():
-    shown = [0]
-
-    def tell(done: int, flights: int, speed: float) -> None:
-        tenth = 10 * done // flights
-        if speed and tenth > shown[0]:
-            shown[0] = tenth
-            left = (flights - done) / speed
-            say(f"{done} of {flights} flights, {speed:.1f} a second, {left:.0f} s left")
-
-    return tell
+def flying(quiet: bool):
+    """How far the flights have come. Yields work.Tell."""
+    return counting(quiet, "flights")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from rotorwatch.commands.tools import OUT, common, drawable, progress, say, show
+from rotorwatch.commands.tools import OUT, common, drawable, progress, say, show, spread
 from rotorwatch.errors import ConfigError
 
 FIGURES = "Draw the paper's figures again, as SVG files in this folder."
@@ -65,10 +65,10 @@ def _vehicle(name: str):
     "--literal", multiple=True, metavar="NAME", help="Read this erratum as the paper prints it, to see what it does."
 )
 @click.option("--figures", type=OUT, metavar="DIR", help=FIGURES)
-@click.option("--jobs", type=click.IntRange(1, 256), help="Processes, for `all`; default: one per processor.")
+@spread
 @click.option("--json", "as_json", is_flag=True, help="Print JSON; for `all` a list.")
 @common
-def reproduce(paper, seeds, literal, figures, jobs, as_json, quiet) -> None:
+def reproduce(paper, seeds, literal, figures, jobs, scheduler, as_json, quiet) -> None:
     """Run the experiments of PAPER (or of `all`): each claim beside what comes out here, a verdict, and why."""
     from rotorwatch import checks, files
     from rotorwatch.experiments.studies import reproduction
@@ -83,7 +83,9 @@ def reproduce(paper, seeds, literal, figures, jobs, as_json, quiet) -> None:
     for module in modules:
         reproduction.check_literal(module, literal)
         reproduction.check_libraries(module)
-    together = reproduction.reproduce_many([m.PAPER for m in modules], seeds, jobs) if paper == "all" else None
+    together = (
+        reproduction.reproduce_many([m.PAPER for m in modules], seeds, jobs, scheduler) if paper == "all" else None
+    )
     results = []
     for done, module in enumerate(modules):
         with progress(quiet) as tell:

@@ -6,6 +6,7 @@ import os
 import re
 import stat
 import sys
+import time
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -17,6 +18,8 @@ import click
 from rotorwatch.errors import BackendWarning, ConfigError, PluginWarning
 
 PICTURES = (".svg", ".png", ".pdf")
+ADDRESS = re.compile(r"[a-z][a-z0-9+.-]+://", re.IGNORECASE)
+LINE_S = 2.0  # between two lines that say how far a count has come
 MOST_INPUT = 4 << 30  # bytes taken from standard input or a pipe
 _spool: list[str] = []  # the folder in which what came through a pipe lies, once there is one
 
@@ -49,6 +52,15 @@ class Log(click.ParamType):
         return path
 
 
+class Logs(Log):
+    """A log, or what stands for several: a folder, a pattern, an address. Paths, addresses and patterns as texts."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        if isinstance(value, str) and ADDRESS.match(value) and not Path(value).exists():
+            return value
+        return super().convert(value, param, ctx)
+
+
 def _standard_input() -> Path:
     if sys.stdin is None or sys.stdin.isatty():
         raise ConfigError(
@@ -78,7 +90,7 @@ def _kept(stream: Any, name: str) -> Path:
     return path
 
 
-LOG = Log()
+LOG, LOGS = Log(), Logs()
 OUT = click.Path(path_type=Path)
 
 
@@ -118,6 +130,15 @@ def common(command: Callable) -> Callable:
     return quiet(tracebacks(command))
 
 
+def spread(command: Callable) -> Callable:
+    """Options of commands that do many things: how many processes, or which cluster."""
+    jobs = click.option("--jobs", type=click.IntRange(1, 256), help="Processes; default: one per processor.")
+    scheduler = click.option(
+        "--scheduler", metavar="tcp://HOST:PORT", help="Let the workers of this Dask scheduler do it (docs/cluster.md)."
+    )
+    return jobs(scheduler(command))
+
+
 def shares(option: str, text: str) -> tuple[float, ...]:
     """Losses given with commas. Raises ConfigError unless each is above 0 and below 1."""
     try:
@@ -137,10 +158,10 @@ def show(table: Callable[[Any], Any]) -> None:
 
     screen = terminal.console()
     if screen.is_terminal:
-        screen.print(table(terminal))
+        screen.print(table(terminal), crop=False)
         return
     with screen.capture() as text:  # rich pads lines to the table's width; a file does not need that
-        screen.print(table(terminal))
+        screen.print(table(terminal), crop=False)  # a path on a line of its own may be longer than that
     click.echo("\n".join(line.rstrip() for line in text.get().splitlines()))
 
 
@@ -169,6 +190,57 @@ def progress(quiet: bool) -> Iterator[Callable | None]:
             bar.update(task, completed=min(max(float(share), 0.0), 1.0), description=text or None)
 
         yield tell
+
+
+class Counting:
+    """How far a count has come, where no bar can move: a line now and then on standard error. Called with done, all, how many a second."""
+
+    def __init__(self, what: str):
+        self.what, self.tenth, self.said = what, 0, time.monotonic()
+
+    def __call__(self, done: int, total: int, speed: float) -> None:
+        tenth = 10 * done // total
+        if speed and tenth > self.tenth and time.monotonic() - self.said > LINE_S:
+            self.tenth, self.said = tenth, time.monotonic()
+            say(f"{done} of {total} {self.what}, {speed:.1f} a second, {(total - done) / speed:.0f} s left")
+
+    def show(self, line: Any) -> None:
+        """A line of its own on standard error."""
+        from rotorwatch.report import terminal
+
+        terminal.console(stderr=True).print(line, soft_wrap=True)
+
+
+class _CountingBar(Counting):
+    """The same as a bar, with the time left."""
+
+    def __init__(self, what: str, bar: Any):
+        super().__init__(what)
+        self.bar, self.task = bar, bar.add_task(what, total=None)
+
+    def __call__(self, done: int, total: int, speed: float) -> None:
+        text = f"{speed:.1f} {self.what}/s" if speed else self.what
+        self.bar.update(self.task, completed=done, total=total, description=text)
+
+    def show(self, line: Any) -> None:
+        self.bar.console.print(line, soft_wrap=True)
+
+
+@contextmanager
+def counting(quiet: bool, what: str) -> Iterator[Counting | None]:
+    """A bar with so many `what` a second and the time left on a terminal; a line now and then elsewhere; None when quiet."""
+    if quiet:
+        yield None
+    elif not live():
+        yield Counting(what)
+    else:
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+        from rotorwatch.report import terminal
+
+        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+        with Progress(*columns, console=terminal.console(stderr=True), transient=True) as bar:
+            yield _CountingBar(what, bar)
 
 
 def drawable(figure: Path) -> None:

@@ -5,26 +5,24 @@ Every mutation follows from (seed, number) alone, so a failure can be repeated b
 
 from __future__ import annotations
 
-import contextlib
+import functools
 import gzip
 import lzma
 import os
-import signal
 import tempfile
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from multiprocessing import connection, get_context
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from rotorwatch.errors import ConfigError, RotorwatchError
+from rotorwatch import limited, many
+from rotorwatch.errors import ConfigError, RotorwatchError, WorkerError
 
 OUTCOMES = ("read", "read with warnings", "rejected with a sentence", "FAILED")
 KEPT_FAILURES = 20
-START_S = 120.0  # for a worker to load what it needs
 GRACE_S = 30.0  # beyond a mutation's own time limit: then the worker does not come back and is killed
 
 
@@ -51,7 +49,7 @@ def fuzz(
     if jobs == 0:
         results = here(task, mutations)
     else:
-        results = pool(task, mutations, jobs or os.cpu_count() or 1, memory_mb)
+        results = pool(task, mutations, jobs, memory_mb)
     outcomes: dict[str, int] = dict.fromkeys(OUTCOMES, 0)
     failures, judged = [], 0
     for done, (number, outcome, what, was_judged) in enumerate(results, 1):
@@ -193,121 +191,36 @@ def here(task: Mutations, mutations: int):
             yield number, *task.attempt(number, folder), task.judged(number)
 
 
-class _TooLong(BaseException):
-    """Raised by the worker's own clock; no except clause of a reader swallows it."""
+@dataclass(frozen=True)
+class _Limited:
+    """One mutation after the other, in a worker: copies go to a folder of its own below `root`."""
+
+    task: Mutations
+    root: str
+
+    @cached_property
+    def folder(self) -> str:
+        return tempfile.mkdtemp(dir=self.root)
+
+    def __call__(self, number: int) -> tuple[str, Any]:
+        try:
+            with limited.within(self.task.timeout_s):
+                return self.task.attempt(number, self.folder)
+        except limited.TooLong as why:
+            return "FAILED", str(why)
 
 
-def _work(pipe, task: Mutations, folder: str, memory_mb: int) -> None:
-    """A worker: says that it is ready, then numbers in, outcomes out, until the pipe closes. Copies go to `folder`."""
-    _limit_memory(memory_mb)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides when to stop
-
-    def too_long(*_):
-        raise _TooLong
-
-    if hasattr(signal, "SIGALRM"):
-        signal.signal(signal.SIGALRM, too_long)
-    with contextlib.suppress(EOFError, OSError):
-        pipe.send("ready")
-        while True:
-            number = pipe.recv()
-            try:
-                if hasattr(signal, "setitimer"):
-                    signal.setitimer(signal.ITIMER_REAL, task.timeout_s)
-                result = task.attempt(number, folder)
-            except _TooLong:
-                result = "FAILED", f"took longer than {task.timeout_s:g} s"
-            finally:
-                if hasattr(signal, "setitimer"):
-                    signal.setitimer(signal.ITIMER_REAL, 0.0)
-            pipe.send((number, *result, task.judged(number)))
-
-
-def _limit_memory(memory_mb: int) -> None:
-    """Cap the address space at what the process has plus memory_mb, where the system can."""
-    from importlib import import_module
-
-    for name in ("rotorwatch.logs", "rotorwatch.diagnose"):  # before measuring, so that libraries do not count
-        with contextlib.suppress(ImportError):
-            import_module(name)
-    with contextlib.suppress(ImportError, OSError, ValueError):
-        import resource
-
-        have = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
-        most = have + memory_mb * 2**20
-        resource.setrlimit(resource.RLIMIT_AS, (most, most))
-
-
-class _Worker:
-    """One worker process, its pipe, and the mutation it is busy with."""
-
-    def __init__(self, context: Any, task: Mutations, root: str, memory_mb: int):
-        self.pipe, theirs = context.Pipe()
-        args = (theirs, task, tempfile.mkdtemp(dir=root), memory_mb)
-        self.process = context.Process(target=_work, args=args, daemon=True)
-        self.process.start()
-        theirs.close()
-        self.number, self.deadline, self.ready = -1, np.inf, False
-
-    def give(self, number: int, limit_s: float) -> None:
-        """Hand over a mutation; its time begins when the worker has started."""
-        if not self.ready:
-            try:
-                self.ready = self.pipe.poll(START_S) and bool(self.pipe.recv())
-            except (EOFError, OSError):
-                pass
-            if not self.ready:
-                raise ConfigError("A worker process does not start; is there enough memory? Try --jobs 1.")
-        self.number, self.deadline = number, time.monotonic() + limit_s
-        self.pipe.send(number)
-
-    def stop(self) -> None:
-        self.process.kill()
-        self.process.join()
-        self.pipe.close()
-
-
-def pool(task: Mutations, mutations: int, jobs: int, memory_mb: int):
+def pool(task: Mutations, mutations: int, jobs: int | None, memory_mb: int):
     """Results from worker processes, in the order they come. A worker that dies or hangs is replaced."""
-    context = get_context("spawn")  # a fork would inherit locks of numerical libraries
-    grace = task.timeout_s + GRACE_S
-    todo = iter(range(mutations))
-    busy: list[_Worker] = []
+    limit_s = task.timeout_s + GRACE_S
     with tempfile.TemporaryDirectory(prefix="rotorwatch-fuzz-") as root:
-        try:
-            busy += [_Worker(context, task, root, memory_mb) for _ in range(min(jobs, mutations))]
-            for worker, number in zip(busy, todo):
-                worker.give(number, grace)
-            while busy:
-                wait = max(0.0, min(w.deadline for w in busy) - time.monotonic())
-                ready = connection.wait([w.pipe for w in busy], wait)
-                for worker in [w for w in busy if w.pipe in ready or time.monotonic() > w.deadline]:
-                    result = _collect(worker, task, worker.pipe in ready)
-                    number = next(todo, None)
-                    if number is None or not worker.process.is_alive():
-                        worker.stop()
-                        busy.remove(worker)
-                    if number is not None:
-                        if worker not in busy:
-                            worker = _Worker(context, task, root, memory_mb)
-                            busy.append(worker)
-                        worker.give(number, grace)
-                    yield result
-        finally:
-            for worker in busy:
-                worker.stop()
-
-
-def _collect(worker: _Worker, task: Mutations, ready: bool) -> tuple[int, str, str, bool]:
-    """The worker's result, or what became of it."""
-    if ready:
-        try:
-            return worker.pipe.recv()
-        except (EOFError, OSError):
-            worker.process.join()
-            what = f"the process died (exit code {worker.process.exitcode})"
-    else:
-        what = f"hung for {task.timeout_s:g} s and more"
-        worker.process.kill()
-        worker.process.join()
-    return worker.number, "FAILED", what, task.judged(worker.number)
+        prepare = functools.partial(limited.cap_memory, memory_mb, ("rotorwatch.logs", "rotorwatch.diagnose"))
+        work = many.run(_Limited(task, root), range(mutations), jobs, limit_s=limit_s, tries=1, prepare=prepare)
+        for done in work:
+            if isinstance(done.error, WorkerError):
+                hung = done.error.how.startswith("hung")
+                what = f"hung for {task.timeout_s:g} s and more" if hung else f"the process {done.error.how}"
+                result = "FAILED", what
+            else:
+                result = done.result()
+            yield done.index, *result, task.judged(done.index)

@@ -54,7 +54,7 @@ def fuzz_framed(
     if jobs == 0:
         results = here(task, total)
     else:
-        results = pool(task, total, jobs or os.cpu_count() or 1, memory_mb)
+        results = pool(task, total, jobs, memory_mb)
     table: dict[str, dict[str, int]] = {kind: dict.fromkeys(OUTCOMES, 0) for kind in KINDS}
     failures, slowest = [], 0.0
     for done, (number, outcome, what, _) in enumerate(results, 1):

@@ -12,14 +12,15 @@ moves the vehicle until the controller has made up for it, which is easier to se
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from os import PathLike
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from rotorwatch import airframes, logs
+from rotorwatch import airframes, logs, many
 from rotorwatch.default import events, hypotheses, program
 from rotorwatch.diagnosis import Event
 from rotorwatch.errors import ConfigError
@@ -31,6 +32,7 @@ from rotorwatch.motion.ticks import JUDGE, READY_KNOWN_S, READY_S, observe
 
 RESPONSE_S = 0.7  # how fast rate and attitude controllers of real quads make up for a loss
 AFTER_READY_S, BEFORE_END_S = 3.0, 12.0  # where onsets may lie within a flight
+PART = 6  # injections done at a time by one process
 
 
 def inject(
@@ -174,6 +176,8 @@ def campaign(
     repeats: int = 3,
     seed: int = 0,
     progress: Callable | None = None,
+    jobs: int | None = 1,
+    scheduler: str | None = None,
 ) -> dict[str, Any]:
     """Inject every loss into every rotor of every healthy flight, `repeats` times each, and count what is found.
 
@@ -188,7 +192,8 @@ def campaign(
     flights    number of flights long enough for an injection
     trials     one entry for each injection
 
-    progress: called as progress(share, text). Raises LogError, VehicleError or ConfigError with one sentence.
+    progress: called as progress(share, text). jobs, scheduler: as for `many.run`; the answer is the same. Raises LogError, VehicleError
+    or ConfigError with one sentence.
     """
     if not paths:
         raise ConfigError("Give at least one healthy flight to put losses into.")
@@ -198,43 +203,86 @@ def campaign(
         raise ConfigError(f"repeats {repeats}: give 1 or more.")
     tell = progress or (lambda share, text="": None)
     rng = np.random.default_rng(seed)
-    trials: list[dict] = []
-    healthy = {"flights": 0, "hours": 0.0, "false_alarms": 0}
-    used = 0
-    for i, path in enumerate(paths):
-        flight = path if isinstance(path, Flight) else logs.read(path)
-        vehicle = airframes.identify(flight)
-        air = airborne(flight)
-        found, judged_s = _judge(flight, vehicle, air)
-        healthy["flights"] += 1
-        healthy["hours"] += judged_s / 3600.0
-        healthy["false_alarms"] += len(found)
-        ready_s = READY_KNOWN_S if vehicle.identified else READY_S
-        room = [(start + ready_s + AFTER_READY_S, end - BEFORE_END_S) for start, end in air]
-        room = [(a, b) for a, b in room if b > a]
-        if not room:
-            continue
-        used += 1
-        plan = [(r, loss) for r in range(1, len(vehicle.rotors) + 1) for loss in losses for _ in range(repeats)]
-        for j, (rotor, loss) in enumerate(plan):
-            onset = draw(room, rng)
-            faulty = inject(flight, vehicle, rotor, loss, onset)
-            found, _ = _judge(faulty, vehicle, air)
-            limit = max(faulty.facts["injected"]["at_limit"])
-            trials.append(
-                {
-                    "flight": flight.name,
-                    "rotor": rotor,
-                    "loss": loss,
-                    **_outcome(found, rotor, loss, onset),
-                    "at_limit": limit,
-                }
-            )
-            tell((i + (j + 1) / len(plan)) / len(paths), flight.name)
+    sources = [path if isinstance(path, Flight) else str(path) for path in paths]
+    surveys = list(
+        many.ordered(_survey, sources, jobs, scheduler, lambda n: tell(0.05 * n / len(sources), "healthy flights"))
+    )
+    # Onsets are drawn here, in the order of the flights: who works on what, and how many do, changes nothing.
+    parts: list[tuple] = []
+    for source, survey in zip(sources, surveys, strict=True):
+        plan = [
+            (r, loss) for r in range(1, survey.rotors + 1) for loss in losses for _ in range(repeats) if survey.room
+        ]
+        drawn = [(rotor, loss, draw(survey.room, rng)) for rotor, loss in plan]
+        parts += [(source, drawn[k : k + PART]) for k in range(0, len(drawn), PART)]
+    trials = [
+        trial
+        for found in many.ordered(
+            _trials, parts, jobs, scheduler, lambda n: tell(0.05 + 0.95 * n / len(parts), "injecting")
+        )
+        for trial in found
+    ]
     if not trials:
         raise ConfigError("No flight is long enough: losses need 23 s in the air without a baseline.")
+    healthy = {
+        "flights": len(surveys),
+        "hours": sum(s.judged_s for s in surveys) / 3600.0,
+        "false_alarms": sum(s.alarms for s in surveys),
+    }
     table = [_row(loss, [t for t in trials if t["loss"] == loss]) for loss in losses]
-    return {"table": table, "healthy": healthy, "flights": used, "seed": seed, "trials": trials}
+    return {
+        "table": table, "healthy": healthy, "flights": sum(bool(s.room) for s in surveys), "seed": seed, "trials": trials,
+    }  # fmt: skip
+
+
+class _Survey(NamedTuple):
+    """A healthy flight: where onsets may lie in it, how long it was judged, and how many false alarms it has."""
+
+    rotors: int
+    room: list[tuple[float, float]]
+    judged_s: float
+    alarms: int
+
+
+def _survey(source: Flight | str) -> _Survey:
+    flight, vehicle, air = _flown(source)
+    found, judged_s = _judge(flight, vehicle, air)
+    ready_s = READY_KNOWN_S if vehicle.identified else READY_S
+    room = [(start + ready_s + AFTER_READY_S, end - BEFORE_END_S) for start, end in air]
+    return _Survey(len(vehicle.rotors), [(a, b) for a, b in room if b > a], judged_s, len(found))
+
+
+def _trials(part: tuple[Flight | str, list[tuple[int, float, float]]]) -> list[dict]:
+    """What became of injections (rotor, loss, onset) into one flight."""
+    flight, vehicle, air = _flown(part[0])
+    trials = []
+    for rotor, loss, onset in part[1]:
+        faulty = inject(flight, vehicle, rotor, loss, onset)
+        found, _ = _judge(faulty, vehicle, air)
+        limit = max(faulty.facts["injected"]["at_limit"])
+        trials.append(
+            {
+                "flight": flight.name,
+                "rotor": rotor,
+                "loss": loss,
+                **_outcome(found, rotor, loss, onset),
+                "at_limit": limit,
+            }
+        )
+    return trials
+
+
+def _flown(source: Flight | str) -> tuple[Flight, Vehicle, Any]:
+    """A flight, its vehicle, and when it was in the air; a log is read once for the parts that follow each other."""
+    if isinstance(source, str):
+        return _read(source)
+    return source, airframes.identify(source), airborne(source)
+
+
+@functools.lru_cache(maxsize=1)
+def _read(path: str) -> tuple[Flight, Vehicle, Any]:
+    flight = logs.read(path)
+    return flight, airframes.identify(flight), airborne(flight)
 
 
 def _judge(flight: Flight, vehicle: Vehicle, air) -> tuple[tuple[Event, ...], float]:

@@ -68,9 +68,9 @@ def line(watched: Watched, waits_for: str = "") -> Line:
     return Line(watched.name, state, bars, told, _link(health, silence), blind)
 
 
-def words(event: Event, now: float) -> str:
-    """What happened, and when."""
-    ago = f"{event.onset_s:.1f} s ({max(now - event.onset_s, 0.0):.0f} s ago)"
+def words(event: Event, now: float | None = None) -> str:
+    """What happened, and when; how long ago, when `now` says what time it is."""
+    ago = f"{event.onset_s:.1f} s" + ("" if now is None else f" ({max(now - event.onset_s, 0.0):.0f} s ago)")
     over = "" if event.end_s is None or event.kind == "contact" else f", over at {event.end_s:.1f} s"
     if event.kind != "loss_of_effectiveness":
         who = f" of {rotors(event.rotors)}" if event.rotors else ""

@@ -13,7 +13,7 @@ from rotorwatch.errors import LogError
 LIMIT = 4 << 30
 """Bytes a compressed log may unfold to at most."""
 
-_CHUNK = 1 << 20
+_CHUNK, _HEAD = 1 << 20, 1 << 16
 _MAGIC = {
     b"\xfd7zXZ\x00": (".xz", lzma.LZMADecompressor),
     b"\x1f\x8b": (".gz", lambda: _Gzip()),
@@ -70,6 +70,21 @@ def open_log(path: Path, progress=None, limit: int = LIMIT):
         raise LogError(f"{path}: no such file or folder") from None
     except (OSError, ValueError) as error:
         raise LogError(f"{path}: cannot be opened ({error})") from None
+
+
+def head(path: Path, count: int) -> tuple[bytes, str]:
+    """The first `count` bytes of what a log file holds, unpacked, and its name without the compression suffix; no bytes where it cannot
+    be opened or unpacked."""
+    try:
+        with path.open("rb") as file:
+            data = file.read(_HEAD)
+        for magic, (suffix, decoder) in _MAGIC.items():
+            if data.startswith(magic):
+                name = path.name[: -len(suffix)] if path.name.lower().endswith(suffix) else path.name
+                return decoder().decompress(data, count), name
+    except (OSError, ValueError, EOFError, lzma.LZMAError, zlib.error):
+        return b"", path.name
+    return data[:count], path.name
 
 
 def _unfold(file, size, decoder, path, progress, limit):

@@ -156,11 +156,11 @@ def outputs_at_rest(case: Case) -> str | None:
     starts = np.concatenate([[0], np.flatnonzero(moved) + 1])
     ends = np.concatenate([starts[1:], [time.size]]) - 1
     span = 0.02 * (curve.u_max - curve.u_min)
-    for a, b in zip(starts, ends):
+    long_enough = (ends - starts >= 4) & (time[ends] - time[starts] >= STILL_S)
+    for a, b in zip(starts[long_enough], ends[long_enough]):
         seconds = float(time[b] - time[a])
         # Motors that are off, or all at their limits, may well rest.
-        driven = ((values[a] > curve.u_min + span) & (values[a] < curve.u_max - span)).mean() > 0.5
-        if b - a < 4 or seconds < STILL_S or not driven:
+        if ((values[a] > curve.u_min + span) & (values[a] < curve.u_max - span)).mean() <= 0.5:
             continue
         angle = _angle(case.flight, float(time[a]), float(time[b]))
         long = seconds > STILL_LONG_S and b - a >= STILL_SAMPLES and angle > STILL_LONG_RAD
@@ -224,10 +224,15 @@ def _coherence(case: Case, axis: int) -> Coherence | None:
     command, motion = np.clip(command, -3 * usual[0], 3 * usual[0]), np.clip(motion, -3 * usual[1], 3 * usual[1])
     lags = range(0, max(2, round(0.3 / table.dt)))
 
-    def best(shift: int) -> float:
-        return max(_correlation(np.roll(command, shift + lag), motion) for lag in lags)
+    count = len(command)
+    around = np.concatenate([command, command])  # shifted round by s: from count - s on, without a copy
+    sizes = max(np.sqrt((command @ command) * (motion @ motion)), 1e-12)
 
-    step = len(command) // (SHIFTS + 2)
+    def best(shift: int) -> float:
+        starts = (count - (shift + lag) % count for lag in lags)
+        return max(float(around[start : start + count] @ motion / sizes) for start in starts)
+
+    step = count // (SHIFTS + 2)
     if step * table.dt < 0.5:
         return None
     elsewhere = np.array([best(step * (k + 1)) for k in range(SHIFTS)])
@@ -238,10 +243,6 @@ def _coherence(case: Case, axis: int) -> Coherence | None:
         LEAST_GAIN * table.thrust.shape[1] * usual[1],
         usual[0],
     )
-
-
-def _correlation(a: np.ndarray, b: np.ndarray) -> float:
-    return float(a @ b / max(np.sqrt((a @ a) * (b @ b)), 1e-12))
 
 
 def _without_trim(x: np.ndarray, width: int) -> np.ndarray:

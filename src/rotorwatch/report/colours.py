@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
+
 from rotorwatch.diagnosis import Diagnosis, Event
 
 # Okabe and Ito's palette and neighbours, which colour-blind readers can tell apart: vermilion for what is broken, orange for what is
@@ -37,10 +39,14 @@ def suspects(diagnosis: Diagnosis) -> list[int]:
 
 def looks(diagnosis: Diagnosis, count: int = 0) -> dict[int, tuple[str, str]]:
     """(colour, dash) of each rotor, 1-based; count: of rotors at least, where the diagnosis does not list them all."""
-    bad, open_ = faulty(diagnosis), suspects(diagnosis)
-    numbers = sorted({*(r.rotor for r in diagnosis.rotors), *range(1, count + 1)})
+    numbers = {*(r.rotor for r in diagnosis.rotors), *range(1, count + 1)}
+    return chosen(numbers, faulty(diagnosis), suspects(diagnosis))
+
+
+def chosen(numbers: Iterable[int], bad: Sequence[int], open_: Sequence[int] = ()) -> dict[int, tuple[str, str]]:
+    """(colour, dash) of each rotor, 1-based. bad: those that are named faulty; open_: those that are suspected."""
     out = {}
-    for k in numbers:
+    for k in sorted(numbers):
         for group, tint in ((bad, FAULT), (open_, SUSPECT)):
             if k in group:
                 out[k] = tint, DASHES[group.index(k) % len(DASHES)]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from html import escape
 
 import numpy as np
@@ -19,16 +19,7 @@ def airframe(diagnosis: Diagnosis) -> str:
     places, looks = geometry(diagnosis), colours.looks(diagnosis)
     if not states or len(places) != len(states):
         return ""
-    xy = np.array([(r.y, -r.x) for r in places], float)
-    reach = max(float(np.hypot(*xy.T).max()), 1e-9)
-    xy *= 100 / reach
-    gaps = np.hypot(*(xy[:, None] - xy[None]).transpose(2, 0, 1)) + 1e9 * np.eye(len(xy))
-    for k in range(len(xy)):  # coaxial pairs: the second one is drawn further out
-        if gaps[k, :k].size and gaps[k, :k].min() < 1:
-            xy[k] *= 1.55
-    gaps = np.hypot(*(xy[:, None] - xy[None]).transpose(2, 0, 1)) + 1e9 * np.eye(len(xy))
-    radius = float(np.clip(0.46 * gaps.min(), 16, 40))
-    half = float(np.abs(xy).max()) + radius + 8
+    xy, radius, half = layout(places)
     named = f"Airframe from above: {report.frame(diagnosis)}"
     parts = [
         f'<svg class="airframe" viewBox="{-half:.0f} {-half - 14:.0f} {2 * half:.0f} {2 * half + 14:.0f}" role="img" '
@@ -42,6 +33,20 @@ def airframe(diagnosis: Diagnosis) -> str:
     for (x, y), place, state in zip(xy, places, states, strict=True):
         parts.append(_rotor(float(x), float(y), radius, place, state, looks[state.rotor][0]))
     return "".join(parts) + "</svg>"
+
+
+def layout(rotors: Sequence[Rotor]) -> tuple[np.ndarray, float, float]:
+    """Where the rotors are in the picture, nose up: centres (n, 2), x to the right, y down; radius of a disc; half the picture's width."""
+    xy = np.array([(r.y, -r.x) for r in rotors], float)
+    reach = max(float(np.hypot(*xy.T).max()), 1e-9)
+    xy *= 100 / reach
+    gaps = np.hypot(*(xy[:, None] - xy[None]).transpose(2, 0, 1)) + 1e9 * np.eye(len(xy))
+    for k in range(len(xy)):  # coaxial pairs: the second one is drawn further out
+        if gaps[k, :k].size and gaps[k, :k].min() < 1:
+            xy[k] *= 1.55
+    gaps = np.hypot(*(xy[:, None] - xy[None]).transpose(2, 0, 1)) + 1e9 * np.eye(len(xy))
+    radius = float(np.clip(0.46 * gaps.min(), 16, 40))
+    return xy, radius, float(np.abs(xy).max()) + radius + 8
 
 
 def _rotor(x: float, y: float, radius: float, place: Rotor, state, tint: str) -> str:

@@ -15,6 +15,7 @@ A value that is not known is left out. MCAP: https://mcap.dev/spec; foxglove.Log
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import re
@@ -43,34 +44,42 @@ def write(diagnosis: Diagnosis, path: str | os.PathLike) -> None:
 
     Times are the log's: UTC where the log says it, else since the autopilot's start, else since the first record.
     """
-    writer_of = optional.library("mcap.writer", "Writing an MCAP file")
     target = files.writable(path, "The MCAP file")
+    whole = content(diagnosis)
+    with files.replacing(target) as temporary:
+        temporary.write_bytes(whole)
+
+
+def content(diagnosis: Diagnosis) -> bytes:
+    """The same as bytes."""
+    writer_of = optional.library("mcap.writer", "Writing an MCAP file")
     clock, start_ns = _clock(diagnosis)
-    with files.replacing(target) as temporary, temporary.open("wb") as file:
-        writer = writer_of.Writer(file)
-        writer.start(profile="", library=f"{NAME} {__version__}")
-        channels: dict[str, int] = {}
-        series = {} if diagnosis.trace is None else _series(diagnosis.trace)
-        for time, topic, text in sorted(_rows(diagnosis), key=lambda row: row[0]):
-            if topic not in channels:
-                schema = _schema(topic, text, series[topic][0] if topic in series else None)
-                number = writer.register_schema(schema["title"], "jsonschema", json.dumps(schema).encode())
-                channels[topic] = writer.register_channel(topic, "json", number)
-            stamp = max(0, start_ns + round(time * 1e9))
-            if topic == LOG:
-                seconds, nanos = divmod(stamp, 10**9)
-                text = f'{{"timestamp":{{"sec":{seconds},"nsec":{nanos}}},{text[1:]}'
-            writer.add_message(channels[topic], stamp, text.encode(), stamp)
-        answer = diagnosis.to_json().encode()
-        writer.add_attachment(start_ns, start_ns, "diagnosis.json", "application/json", answer)
-        facts = {
-            "log": diagnosis.flight.get("name"),
-            "verdict": diagnosis.verdict,
-            "headline": diagnosis.headline,
-            "clock": CLOCKS[clock],
-        }
-        writer.add_metadata(NAME, {key: str(value or "") for key, value in facts.items()})
-        writer.finish()
+    file = io.BytesIO()
+    writer = writer_of.Writer(file)
+    writer.start(profile="", library=f"{NAME} {__version__}")
+    channels: dict[str, int] = {}
+    series = {} if diagnosis.trace is None else _series(diagnosis.trace)
+    for time, topic, text in sorted(_rows(diagnosis), key=lambda row: row[0]):
+        if topic not in channels:
+            schema = _schema(topic, text, series[topic][0] if topic in series else None)
+            number = writer.register_schema(schema["title"], "jsonschema", json.dumps(schema).encode())
+            channels[topic] = writer.register_channel(topic, "json", number)
+        stamp = max(0, start_ns + round(time * 1e9))
+        if topic == LOG:
+            seconds, nanos = divmod(stamp, 10**9)
+            text = f'{{"timestamp":{{"sec":{seconds},"nsec":{nanos}}},{text[1:]}'
+        writer.add_message(channels[topic], stamp, text.encode(), stamp)
+    answer = diagnosis.to_json().encode()
+    writer.add_attachment(start_ns, start_ns, "diagnosis.json", "application/json", answer)
+    facts = {
+        "log": diagnosis.flight.get("name"),
+        "verdict": diagnosis.verdict,
+        "headline": diagnosis.headline,
+        "clock": CLOCKS[clock],
+    }
+    writer.add_metadata(NAME, {key: str(value or "") for key, value in facts.items()})
+    writer.finish()
+    return file.getvalue()
 
 
 def _clock(diagnosis: Diagnosis) -> tuple[str, int]:

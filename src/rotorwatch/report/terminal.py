@@ -5,7 +5,7 @@ Where a table does not fit, its rows become lines: no word and no number is cut.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from rich import box
@@ -17,6 +17,7 @@ from rich.text import Text
 from rotorwatch import report
 from rotorwatch.diagnosis import Diagnosis
 from rotorwatch.report import plain, words
+from rotorwatch.report.overview import Row
 
 STYLES = {
     "healthy": "bold green",
@@ -56,6 +57,36 @@ def line(name: str, result: Diagnosis) -> Text:
     """One flight of several on one line."""
     text = Text(f"{report.VERDICTS[result.verdict].lower():<13}", style=STYLES[result.verdict])
     return text.append(f"{name}  {result.headline}", style="default not bold")
+
+
+def overview(title: str, rows: Sequence[Row]) -> RenderableType:
+    """Several flights, a line each."""
+    return _Overview(title, rows)
+
+
+class _Overview:
+    """A table where there is room for paths as they are; else three lines for each flight, with the path on a line of its own."""
+
+    def __init__(self, title: str, rows: Sequence[Row]):
+        self.title, self.rows = title, rows
+
+    def __rich_console__(self, console: Console, options):
+        head = ("verdict", "log", "aircraft", "when", "what")
+        cells = [
+            [Text(row.verdict, style=STYLES[row.verdict]), *map(Text, (row.path, row.aircraft, row.when, row.headline))]
+            for row in self.rows
+        ]
+        needed = 24 + sum(max((cell[k].cell_len for cell in cells), default=0) + 3 for k in range(4))
+        if needed <= options.max_width:
+            yield Fitted(self.title, head, cells, wide=(-1,))
+            return
+        yield Text(self.title, style="bold")
+        for row in self.rows:
+            first = Text(f"{row.verdict:<13}", style=STYLES[row.verdict], no_wrap=True, overflow="ignore")
+            yield first.append(row.path, style="default not bold")
+            facts = " · ".join(text for text in (row.aircraft, row.when) if text)
+            for text in filter(None, (facts, row.headline)):
+                yield Padding(Text(text, style="dim" if text == facts else ""), (0, 0, 0, 13))
 
 
 def error_line(name: str, sentence: str) -> Text:

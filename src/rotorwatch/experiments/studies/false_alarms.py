@@ -18,14 +18,15 @@ its yaw mirrored (on a quad, all other mirror images are one of these two with t
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from os import PathLike
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from rotorwatch import airframes, logs
+from rotorwatch import airframes, logs, many
 from rotorwatch.compiling.run import CHUNK, chosen, run_built
 from rotorwatch.default import events, hypotheses, program
 from rotorwatch.errors import ConfigError
@@ -242,6 +243,8 @@ def false_alarms(
     seed: int = 0,
     progress: Callable | None = None,
     flight_s: float = FLIGHT_S,
+    jobs: int | None = 1,
+    scheduler: str | None = None,
 ) -> dict[str, Any]:
     """Judge `hours` of surrogate flights of healthy ones with the default diagnoser, and count its false alarms.
 
@@ -255,59 +258,102 @@ def false_alarms(
                 quantiles of the largest evidence in 5 s [nats above the threshold], up to the first alarm of a flight
     alarms      what was announced: flight, which surrogate (or as flown), time, rotors, loss
 
-    progress: called as progress(share, text). Raises LogError, VehicleError or ConfigError with one sentence.
+    progress: called as progress(share, text). jobs, scheduler: as for `many.run`, one healthy flight at a time; the answer is the same.
+    Raises LogError, VehicleError or ConfigError with one sentence.
     """
     if not paths:
         raise ConfigError("Give at least one healthy flight to make surrogates from.")
     if not (np.isfinite(hours) and hours > 0):
         raise ConfigError(f"hours {hours:g}: give how many flight hours to simulate, above 0.")
-    tell = progress or (lambda share, text="": None)
-    rows, alarms = [], []
-    flown = {"flights": 0, "hours": 0.0, "alarms": 0}
-    evidence: dict[str, list[float]] = {"surrogates": [], "flown": []}
-    firsts = {shift: [0, 0.0] for shift in SHIFTS}
-    for i, path in enumerate(paths):
-        flight = path if isinstance(path, Flight) else logs.read(path)
-        origin = source(flight, airframes.identify(flight))
-        rng = np.random.default_rng([seed, i])
-        row = {"flight": flight.name, "flights": 0, "hours": 0.0, "alarms": 0}
-        while row["hours"] < hours / len(paths):
-            table = surrogate(origin, rng, flight_s)
-            found, out = _judge(table, origin.vehicle)
-            judged_h = _hours(table)
-            row = {
-                **row,
-                "flights": row["flights"] + 1,
-                "hours": row["hours"] + judged_h,
-                "alarms": row["alarms"] + len(found),
-            }
-            alarms += [_line(flight.name, f"surrogate {row['flights']}", e) for e in found]
-            evidence["surrogates"] += _peaks(out, table.mode == JUDGE, table.dt)
-            for shift, first in _first_alarms(table, origin.vehicle, out).items():
-                firsts[shift][0] += first is not None
-                firsts[shift][1] += judged_h if first is None else max(0.0, first) / 3600.0
-            tell((i + min(1.0, row["hours"] * len(paths) / hours)) / len(paths), flight.name)
-        rows.append({**row, **_rate(row["alarms"], row["hours"])})
-        for image, signs in IMAGES.items():
-            table = mirrored(origin.table, origin.vehicle, signs)
-            found, out = _judge(table, origin.vehicle)
-            inside = np.zeros(len(table.time), bool)
-            inside[origin.part] = True
-            evidence["flown"] += _peaks(out, inside, table.dt)
-            flown["flights"] += 1
-            flown["hours"] += _hours(table)
-            flown["alarms"] += len(found)
-            alarms += [_line(flight.name, image, e) for e in found]
+    one = functools.partial(_surrogates, hours=hours / len(paths), seed=seed, flight_s=flight_s)
+    sources = [path if isinstance(path, Flight) else str(path) for path in paths]
+    several = jobs != 1 or scheduler is not None
+
+    def told(finished: int) -> None:
+        if progress and several:
+            progress(finished / len(paths), "judging surrogates")
+
+    def tell(i: int, share: float, name: str) -> None:
+        if progress:
+            progress((i + share) / len(paths), name)
+
+    if not several:  # here, the way through each flight can be told
+        parts = [one((i, source), tell=functools.partial(tell, i)) for i, source in enumerate(sources)]
+    else:
+        parts = list(many.ordered(one, list(enumerate(sources)), jobs, scheduler, told))
+    firsts = {
+        shift: (sum(p.firsts[shift][0] for p in parts), sum(p.firsts[shift][1] for p in parts)) for shift in SHIFTS
+    }
+    evidence = {kind: [v for p in parts for v in p.evidence[kind]] for kind in ("surrogates", "flown")}
+    rows = [p.row for p in parts]
     total = {k: sum(r[k] for r in rows) for k in ("flights", "hours", "alarms")}
+    flown = {k: sum(p.flown[k] for p in parts) for k in ("flights", "hours", "alarms")}
     return {
         "table": rows,
         "total": {**total, **_rate(total["alarms"], total["hours"]), "promised": PROMISED_PER_HOUR},
         "thresholds": [{"shift": s, "first_alarms": k, "hours": h, **_rate(k, h)} for s, (k, h) in firsts.items()],
         "flown": {**flown, **_rate(flown["alarms"], flown["hours"])},
         "evidence": {k: [float(q) for q in np.quantile(v, QUANTILES)] for k, v in evidence.items()},
-        "alarms": alarms,
+        "alarms": [alarm for p in parts for alarm in p.alarms],
         "seed": seed,
     }
+
+
+class _Part(NamedTuple):
+    """What surrogates of one healthy flight come to, and the flight itself. firsts: shift -> (first alarms, hours up to them)."""
+
+    row: dict[str, Any]
+    flown: dict[str, Any]
+    firsts: dict[float, tuple[int, float]]
+    evidence: dict[str, list[float]]
+    alarms: list[dict[str, Any]]
+
+
+def _surrogates(
+    numbered: tuple[int, Flight | str],
+    hours: float,
+    seed: int,
+    flight_s: float,
+    tell: Callable[[float, str], None] | None = None,
+) -> _Part:
+    """`hours` of surrogates of one flight; its number and the seed make the random numbers. tell: called with the finished share, name."""
+    i, path = numbered
+    flight = path if isinstance(path, Flight) else logs.read(path)
+    origin = source(flight, airframes.identify(flight))
+    rng = np.random.default_rng([seed, i])
+    firsts: dict[float, tuple[int, float]] = dict.fromkeys(SHIFTS, (0, 0.0))
+    evidence: dict[str, list[float]] = {"surrogates": [], "flown": []}
+    row, alarms = {"flight": flight.name, "flights": 0, "hours": 0.0, "alarms": 0}, []
+    while row["hours"] < hours:
+        table = surrogate(origin, rng, flight_s)
+        found, out = _judge(table, origin.vehicle)
+        judged_h = _hours(table)
+        row = {
+            **row,
+            "flights": row["flights"] + 1,
+            "hours": row["hours"] + judged_h,
+            "alarms": row["alarms"] + len(found),
+        }
+        alarms += [_line(flight.name, f"surrogate {row['flights']}", e) for e in found]
+        evidence["surrogates"] += _peaks(out, table.mode == JUDGE, table.dt)
+        for shift, first in _first_alarms(table, origin.vehicle, out).items():
+            count, upto = firsts[shift]
+            upto += judged_h if first is None else max(0.0, first) / 3600.0
+            firsts[shift] = count + (first is not None), upto
+        if tell:
+            tell(min(1.0, row["hours"] / hours), flight.name)
+    flown = {"flights": 0, "hours": 0.0, "alarms": 0}
+    for image, signs in IMAGES.items():
+        table = mirrored(origin.table, origin.vehicle, signs)
+        found, out = _judge(table, origin.vehicle)
+        inside = np.zeros(len(table.time), bool)
+        inside[origin.part] = True
+        evidence["flown"] += _peaks(out, inside, table.dt)
+        flown["flights"] += 1
+        flown["hours"] += _hours(table)
+        flown["alarms"] += len(found)
+        alarms += [_line(flight.name, image, e) for e in found]
+    return _Part({**row, **_rate(row["alarms"], row["hours"])}, flown, firsts, evidence, alarms)
 
 
 def describe(result: dict[str, Any]) -> str:

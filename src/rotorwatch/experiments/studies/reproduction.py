@@ -14,21 +14,19 @@ and is found by looking into this folder.
 
 from __future__ import annotations
 
+import functools
 import importlib
 import json
 import math
-import os
 import pkgutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
-from multiprocessing import get_context
 from types import ModuleType
 from typing import Any, Literal
 
 import numpy as np
 
-from rotorwatch import checks
+from rotorwatch import checks, many
 from rotorwatch.errors import ConfigError
 
 Verdict = Literal["holds", "partly", "not reproduced"]
@@ -102,14 +100,11 @@ def reproduce(
     return module.reproduce(module.SEEDS if seeds is None else seeds, check_literal(module, literal), progress)
 
 
-def reproduce_many(papers: Sequence[str], seeds: int | None = None, jobs: int | None = None) -> Iterator[Reproduction]:
-    """`reproduce` of each of several papers, in this order, in `jobs` processes (None: one per processor)."""
-    jobs = min(jobs or os.cpu_count() or 1, len(papers))
-    if jobs < 2:
-        yield from (reproduce(paper, seeds) for paper in papers)
-        return
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        yield from pool.map(reproduce, papers, [seeds] * len(papers))
+def reproduce_many(
+    papers: Sequence[str], seeds: int | None = None, jobs: int | None = None, scheduler: str | None = None
+) -> Iterator[Reproduction]:
+    """`reproduce` of each of several papers, in this order. jobs, scheduler: as for `many.run`."""
+    return many.ordered(functools.partial(reproduce, seeds=seeds), papers, jobs, scheduler)
 
 
 def check_libraries(module: ModuleType) -> None:

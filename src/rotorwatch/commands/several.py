@@ -1,0 +1,230 @@
+"""`rotorwatch diagnose` over several logs: lines and pages as the answers come, at the end a table, worst first."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any
+
+import click
+
+from rotorwatch import __version__
+from rotorwatch.commands.tools import counting, label, say, show
+from rotorwatch.errors import ConfigError
+
+# Of several logs the most severe answer is the exit code: error, fault, undecided, healthy.
+SEVERITY = (2, 1, 3, 0)
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What `diagnose` was asked for. logs: those found; others: how many files were none; settings: how they are judged (`settings`)."""
+
+    logs: Sequence[Any]
+    others: int
+    judging: dict[str, Any]
+    jobs: int | None
+    scheduler: str | None
+    as_json: bool
+    jsonl: bool
+    out: Path | None
+    resume: bool
+    html: Path | None
+    pages: Sequence[Path]
+    recordings: Sequence[Path]
+    quiet: bool
+
+
+def settings(estimator: str, *given: Path | None) -> str:
+    """A short name of all that the answers depend on but the logs: this version, the estimator, and files."""
+    digest = hashlib.sha256(f"{__version__}\0{estimator}".encode())
+    for path in given:
+        digest.update(b"\0" + (path.read_bytes() if path and path.is_file() else b"-"))
+    return digest.hexdigest()[:12]
+
+
+def diagnose(asked: Asked, how: str, explain: Callable[[Exception], str]) -> int:
+    """Judge them all; returns the exit code. how: of `settings`; explain: makes a sentence of an exception. Whatever ends it, what has been
+    answered is shown."""
+    from rotorwatch.diagnose_many import Answer, diagnose_many
+    from rotorwatch.report import overview
+
+    if asked.others and not asked.quiet:
+        say(f"{asked.others} other {'file is' if asked.others == 1 else 'files are'} no flight logs and left out.")
+    rows, codes, listed = overview.Rows(), set(), {}
+    with _lines(asked, how) as lines, counting(asked.quiet, "logs") as tell:
+        known = {path: line.known for path, line in lines.there.items() if line.known}
+        began, total = time.monotonic(), len(asked.logs)
+
+        def keep(answer: Answer) -> None:
+            if answer.unchanged:
+                line = lines.there[answer.path]
+                codes.add(line.code)
+                rows.add(overview.row(label(answer.path), line.answer, _page(asked, answer.path)))
+                return
+            if answer.error is not None:
+                text = explain(answer.error)
+                name = label(asked.logs[answer.index])
+                sentence = text if name in text or label(answer.path) in text else f"{name}: {text}"
+                found = {**answer.to_dict(), "flight": {"name": name}, "error": text}
+                say(sentence)
+            else:
+                found = answer.to_dict()
+            codes.add(answer.exit_code)
+            page = _write_page(asked, answer)
+            lines.write(answer, found)
+            if asked.as_json:
+                listed[answer.index] = found
+            rows.add(overview.row(label(answer.path), found, page))
+            if tell and answer.diagnosis is not None and not (asked.as_json or lines.streams):
+                from rotorwatch.report import terminal
+
+                tell.show(terminal.line(label(asked.logs[answer.index]), answer.diagnosis))
+
+        answers = diagnose_many(
+            asked.logs, **asked.judging, jobs=asked.jobs, scheduler=asked.scheduler,
+            pages=bool(asked.html or asked.pages), recordings=bool(asked.recordings), hashed=asked.jsonl, known=known,
+        )  # fmt: skip
+        try:
+            for done, answer in enumerate(answers, start=1):
+                keep(answer)
+                if tell:
+                    tell(done, total, done / max(time.monotonic() - began, 1e-9))
+        finally:
+            with suppress(ValueError):
+                answers.close()  # type: ignore[attr-defined]
+            _show(asked, rows, [listed[k] for k in sorted(listed)])
+    return next((code for code in SEVERITY if code in codes), 0)
+
+
+def _show(asked: Asked, rows: Any, listed: list[dict[str, Any]]) -> None:
+    """What stands at the end."""
+    from rotorwatch.report import overview
+
+    if asked.as_json:
+        click.echo(json.dumps(listed, indent=1, allow_nan=False))
+    elif not asked.jsonl:
+        show(lambda terminal: terminal.overview(rows.title(), rows.worst()))
+    if asked.html:
+        overview.write(rows, asked.html / "index.html")
+    if asked.quiet:
+        return
+    if asked.jsonl and asked.out:
+        say(f"{rows.title()}; answers written to {asked.out}")
+    if asked.html:
+        say(f"pages written to {asked.html / 'index.html'}")
+    elif asked.pages:
+        say(f"report written to {asked.pages[0].parent}")
+    if asked.recordings:
+        say(f"MCAP files written to {asked.recordings[0].parent}")
+
+
+def _page(asked: Asked, path: str) -> str | None:
+    """The file name of a log's page below --html: its own name, and what tells it from others of that name."""
+    if not asked.html:
+        return None
+    name = path.rstrip("/").rpartition("/")[2]
+    stem = name.removesuffix(".xz").removesuffix(".gz").removesuffix(".bz2").rpartition(".")[0] or name
+    return f"{label(stem)}-{hashlib.sha256(os.fsencode(path)).hexdigest()[:8]}.html"
+
+
+def _write_page(asked: Asked, answer: Any) -> str | None:
+    """Write the page and the MCAP file of an answer; returns the page's name below --html."""
+    from rotorwatch import files
+
+    if answer.recording is not None:
+        with files.replacing(asked.recordings[answer.index]) as unfinished:
+            Path(unfinished).write_bytes(answer.recording)
+    if answer.page is None:
+        return None
+    name = _page(asked, answer.path)
+    goals = ([asked.html / name] if asked.html and name else []) + ([asked.pages[answer.index]] if asked.pages else [])
+    for goal in goals:
+        with files.replacing(goal) as unfinished:
+            Path(unfinished).write_text(answer.page, encoding="utf-8")
+    return name
+
+
+# JSON lines
+
+
+@dataclass(frozen=True)
+class _Line:
+    """A line that is there already. known: None where it has to be made again."""
+
+    code: int
+    answer: dict[str, Any]
+    known: Any
+
+
+class _Lines:
+    """Where lines go, if anywhere, and those that are there."""
+
+    def __init__(self, out: IO[bytes] | None, how: str, there: dict[str, _Line]):
+        self.out, self.how, self.there = out, how, there
+        self.streams = out is not None
+
+    def write(self, answer: Any, found: dict[str, Any]) -> None:
+        """One line, whole, at once: killing this loses no more than the line in the making."""
+        if self.out is None:
+            return
+        about = {
+            "path": label(answer.path),
+            "exit_code": answer.exit_code,
+            "size": answer.size,
+            "sha256": answer.sha256,
+        }
+        line = json.dumps({**about, "settings": self.how, **found}, allow_nan=False)
+        self.out.write(line.encode() + b"\n")
+        self.out.flush()
+
+
+@contextmanager
+def _lines(asked: Asked, how: str) -> Iterator[_Lines]:
+    if not asked.jsonl:
+        yield _Lines(None, how, {})
+    elif asked.out is None:
+        yield _Lines(getattr(sys.stdout, "buffer", sys.stdout), how, {})  # type: ignore[arg-type]
+    else:
+        there = _there(asked, how)
+        with asked.out.open("ab") as file:
+            yield _Lines(file, how, there)
+
+
+def _there(asked: Asked, how: str) -> dict[str, _Line]:
+    """The lines of the file that --resume goes on with, by path; a last line that was cut off is taken away. Raises ConfigError."""
+    from rotorwatch.diagnose_many import Known
+
+    out = asked.out
+    assert out is not None
+    if not out.exists() or not out.stat().st_size:
+        return {}
+    if not asked.resume:
+        raise ConfigError(f"{out} is there already: go on with it by --resume, delete it, or give another name.")
+    there, whole = {}, 0
+    with out.open("rb") as file:
+        for number, text in enumerate(file, start=1):
+            if not text.endswith(b"\n"):
+                break
+            try:
+                line = json.loads(text)
+                path, code, size, sha256 = (line[key] for key in ("path", "exit_code", "size", "sha256"))
+                made = line["settings"]
+            except (ValueError, TypeError, KeyError):
+                raise ConfigError(f"{out}: line {number} is no answer of rotorwatch; give another file.") from None
+            if made != how:
+                raise ConfigError(
+                    f"{out} was made by another version, or with another estimator, vehicle or baseline; give another file."
+                )
+            answer = {key: value for key, value in line.items() if key not in ("path", "exit_code", "size", "sha256")}
+            there[path] = _Line(code, answer, None if sha256 is None else Known(size, sha256))
+            whole += len(text)
+    os.truncate(out, whole)
+    return there

@@ -1,0 +1,160 @@
+"""Which logs a call is about: files, folders with all that is in them, patterns, and addresses that fsspec knows (the extra `cluster`)."""
+
+from __future__ import annotations
+
+import glob
+import os
+import re
+import tempfile
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote, urlsplit
+
+from rotorwatch import checks, logs
+from rotorwatch.errors import ConfigError, LogError
+from rotorwatch.logs import container
+
+ADDRESS = re.compile(r"[a-z][a-z0-9+.-]+://", re.IGNORECASE)
+PATTERN = re.compile(r"[*?\[]")
+TABLES = (".csv", ".parquet")
+"""Names that many files have which are no flights: their content has to say that they are."""
+NAMES = re.compile(r"\.(bin|log|ulg|tlog|usd|px4log|csv|parquet)(\.xz|\.gz|\.bz2)?$", re.IGNORECASE)
+"""Of logs behind an address, which are not looked into before their turn."""
+BLOCK = 1 << 20
+
+
+def is_address(given: Any) -> bool:
+    """Whether this is the address of a log or of several (s3://, http://, file:// ..), not a path."""
+    return isinstance(given, str) and ADDRESS.match(given) is not None and not os.path.exists(given)
+
+
+def is_several(given: Any) -> bool:
+    """Whether this stands for any number of logs: a folder that is no log itself, a pattern, or an address that is one of these."""
+    if is_address(given):
+        return given.endswith("/") or "*" in given
+    path = Path(given)
+    if path.is_dir():
+        return not _is_log(path)
+    return not path.exists() and PATTERN.search(str(given)) is not None
+
+
+class Gathered:
+    """The logs of a call, each once, in the order found: files by name as they are given, what is in folders and fits patterns when it is
+    recognised as a log. `others`: how many files in those were not, counted while this is iterated over."""
+
+    def __init__(self, given: Iterable[str | os.PathLike]):
+        self.given, self.others = given, 0
+
+    def __iter__(self) -> Iterator[str | Path]:
+        """Raises ConfigError for a folder, a pattern or an address without logs."""
+        seen: set[str] = set()
+        self.others = 0
+        for given in self.given:
+            count = 0
+            for log in self._of(given):
+                count += 1
+                if (name := full(log)) not in seen:
+                    seen.add(name)
+                    yield log
+            if not count:
+                what = "holds no flight log" if is_address(given) or Path(given).is_dir() else "fits no flight log"
+                raise ConfigError(f"{given} {what}; give a log, a folder or a pattern.")
+
+    def _of(self, given: str | os.PathLike) -> Iterator[str | Path]:
+        if not is_several(given):
+            yield str(given) if is_address(given) else Path(given)
+        elif is_address(given):
+            yield from self._behind(str(given))
+        elif Path(given).is_dir():
+            yield from self._inside(Path(given))
+        else:
+            for name in sorted(glob.glob(str(given), recursive=True)):
+                path = Path(name)
+                if not path.is_dir() or _is_log(path):
+                    yield from self._kept(path)
+
+    def _inside(self, folder: Path) -> Iterator[Path]:
+        if _is_log(folder):
+            yield folder
+            return
+        entries = sorted(folder.iterdir(), key=lambda path: path.name)
+        for path in entries:
+            if path.name.startswith("."):
+                continue
+            if path.is_dir():
+                if not path.is_symlink():  # a link may lead back here
+                    yield from self._inside(path)
+            else:
+                yield from self._kept(path)
+
+    def _kept(self, path: Path) -> Iterator[Path]:
+        if _is_log(path):
+            yield path
+        else:
+            self.others += 1
+
+    def _behind(self, address: str) -> Iterator[str]:
+        fsspec = _fsspec(address)
+        try:
+            system, path = fsspec.core.url_to_fs(address)
+            found = system.glob(path) if "*" in path else system.find(path)
+        except Exception as why:  # every store has errors of its own
+            raise ConfigError(_unreadable(address, why)) from why
+        for name in sorted(found):
+            if NAMES.search(name.split("?")[0]):
+                yield system.unstrip_protocol(name)
+            else:
+                self.others += 1
+
+
+def full(log: str | os.PathLike) -> str:
+    """The log's name wherever one is: its address, or its absolute path."""
+    return str(log) if is_address(log) else os.path.abspath(log)
+
+
+@contextmanager
+def fetched(log: str | os.PathLike) -> Iterator[Path]:
+    """The log as a file here: itself, or what its address holds, in a folder that goes afterwards. Raises LogError."""
+    if not is_address(log):
+        yield Path(log)
+        return
+    address = str(log)
+    if address.lower().startswith("file://"):
+        yield Path(unquote(urlsplit(address).path))
+        return
+    fsspec = _fsspec(address)
+    with tempfile.TemporaryDirectory(prefix="rotorwatch-") as folder:
+        path = Path(folder) / (unquote(urlsplit(address).path).rstrip("/").rpartition("/")[2] or "log")
+        try:
+            with fsspec.open(address, "rb") as source, path.open("wb") as file:
+                while block := source.read(BLOCK):
+                    file.write(block)
+        except Exception as why:
+            raise LogError(_unreadable(address, why)) from why
+        yield path
+
+
+def _is_log(path: Path) -> bool:
+    """Whether a reader knows it, by its content; by its name only where that is not one of any table."""
+    if path.is_dir():
+        try:
+            return any(m.sniff_folder(path) for m in logs.formats() if hasattr(m, "sniff_folder"))
+        except OSError:
+            return False
+    if not path.is_file():
+        return False
+    data, name = container.head(path, logs.HEAD)
+    return bool(data) and logs.recognise(data, "" if name.lower().endswith(TABLES) else name) is not None
+
+
+def _fsspec(address: str) -> Any:
+    return checks.library("fsspec", f"Reading {address}")
+
+
+def _unreadable(address: str, why: Exception) -> str:
+    if isinstance(why, FileNotFoundError):
+        return f"{address}: nothing is there."
+    text = " ".join(f"{type(why).__name__}: {why}".split())[:200].rstrip(".")
+    return f"{address}: cannot be read ({text})."

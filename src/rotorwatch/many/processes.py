@@ -1,0 +1,195 @@
+"""Work for processes of this computer: each takes the next item when it has finished one.
+
+They are spawned, not forked, because a fork inherits locks of numerical libraries; they do one thing at a time, in one thread, because
+there are as many of them as processors; and they end with the process that started them, however that ends.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import signal
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from multiprocessing import connection, get_context, parent_process
+from typing import Any
+
+from rotorwatch.errors import WorkerError
+from rotorwatch.many.done import Done, Task, attempt, packed, portable
+
+START_S, GONE_S = 120.0, 10.0
+"""For a process to load what it needs, and to be gone after its pipe."""
+ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NPROC")
+"""Variables that say how many threads numerical libraries use; the last one is XLA's."""
+READY = b"ready"
+
+
+def run(
+    function: Callable,
+    tasks: Iterator[Task],
+    jobs: int,
+    limit_s: float | None,
+    tries: int,
+    prepare: Callable | None,
+) -> Iterator[Done]:
+    """As `spread.run`. One item at a time in each process: what is in flight is as much as there are processes."""
+    work = pickle.dumps((function, prepare))
+    again: deque[Task] = deque()
+    team: list[_Worker] = []
+    never_started = 0
+    try:
+        while True:
+            while len(team) < jobs and (task := again.popleft() if again else next(tasks, None)) is not None:
+                team.append(_Worker(work, task, limit_s))
+            if not team:
+                return
+            finished: list[Done] = []
+            for worker in _heard(team):
+                said, task = worker.hear(), worker.task
+                if said == READY:
+                    never_started = 0
+                    worker.begin()
+                    continue
+                if said is None:  # it died or hangs
+                    team.remove(worker)
+                    how = worker.ended()
+                    if not worker.ready:
+                        never_started += 1
+                        if never_started > 1:
+                            raise WorkerError(
+                                f"A process that is to do the work {how} while starting: is there enough memory? In a script of your own, "
+                                'start the work below `if __name__ == "__main__":`.'
+                            )
+                        again.append(task)
+                    elif task.tries + 1 < tries:
+                        again.append(replace(task, tries=task.tries + 1))
+                    else:
+                        times = f" {tries} times" if tries > 1 else ""
+                        error = WorkerError(f"the process {how}{times} (too little memory?)", how)
+                        finished.append(Done(task.index, None, error))
+                    continue
+                try:
+                    value, error = pickle.loads(said)
+                except Exception as why:
+                    value, error = None, RuntimeError(f"A result cannot be unpacked ({type(why).__name__}: {why}).")
+                if not worker.ready:  # the function itself cannot be loaded there
+                    raise error
+                finished.append(Done(task.index, value, error))
+                following = again.popleft() if again else next(tasks, None)
+                if following is None:
+                    team.remove(worker)
+                    worker.dismiss()
+                else:
+                    worker.task = following
+                    worker.begin()
+            yield from finished  # after everybody has got something to do
+    finally:
+        for worker in team:
+            worker.stop()
+
+
+def _heard(team: list[_Worker]) -> list[_Worker]:
+    """Those that have something to say, have died, or are beyond their limit; waits for one."""
+    deadline = min(worker.deadline for worker in team)
+    ready = connection.wait(
+        [w.pipe for w in team], None if deadline == float("inf") else max(0.0, deadline - time.monotonic())
+    )
+    now = time.monotonic()
+    return [w for w in team if w.pipe in ready or now > w.deadline]
+
+
+class _Worker:
+    """A process, our end of its pipe, and the task that it is busy with."""
+
+    def __init__(self, work: bytes, task: Task, limit_s: float | None):
+        context = get_context("spawn")
+        self.task, self.limit_s, self.ready, self.hung = task, limit_s, False, False
+        self.pipe, theirs = context.Pipe()
+        self.process = context.Process(target=_serve, args=(theirs, work), daemon=True)
+        with _one_thread():
+            self.process.start()
+        theirs.close()
+        self.deadline = time.monotonic() + START_S
+
+    def begin(self) -> None:
+        """Send the task; its time begins."""
+        self.ready = True
+        self.deadline = float("inf") if self.limit_s is None else time.monotonic() + self.limit_s
+        try:
+            self.pipe.send_bytes(pickle.dumps(self.task.item))
+        except OSError:
+            pass  # it is dead, as the next look at it will show
+
+    def hear(self) -> bytes | None:
+        """What it says; None when it has died or is beyond its limit."""
+        self.hung = not self.pipe.poll()
+        try:
+            return None if self.hung else self.pipe.recv_bytes()
+        except (EOFError, OSError):
+            return None
+
+    def ended(self) -> str:
+        """How it ended that had nothing to say: "died (exit code ..)" or "hung for .. s and more"."""
+        if not self.hung:
+            self.process.join(GONE_S)  # its pipe is closed, its exit code not known yet
+        self.stop()
+        limit_s = self.limit_s or 0.0 if self.ready else START_S
+        return f"hung for {limit_s:g} s and more" if self.hung else f"died (exit code {self.process.exitcode})"
+
+    def stop(self) -> None:
+        """End it now."""
+        self.process.kill()
+        self.process.join()
+        self.pipe.close()
+
+    def dismiss(self) -> None:
+        """There is nothing more to do for it."""
+        self.pipe.close()
+        self.process.join()
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """What is started meanwhile computes in one thread, unless the user's environment says otherwise."""
+    ours = [name for name in ONE_THREAD if name not in os.environ]
+    os.environ.update(dict.fromkeys(ours, "1"))
+    try:
+        yield
+    finally:
+        for name in ours:
+            os.environ.pop(name, None)
+
+
+def _serve(pipe: Any, work: bytes) -> None:
+    """A process: says that it is ready, then items in, packed results out, until the pipe closes."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # who started it decides when to stop
+    parent = parent_process()
+    assert parent is not None
+    threading.Thread(target=_follow, args=(parent.sentinel,), daemon=True).start()
+    try:
+        function, prepare = pickle.loads(work)
+        if prepare is not None:
+            prepare()
+    except Exception as why:
+        pipe.send_bytes(packed(None, portable(why)))
+        return
+
+    def do(item: bytes) -> Any:
+        return function(pickle.loads(item))
+
+    try:
+        pipe.send_bytes(READY)
+        while True:
+            pipe.send_bytes(packed(*attempt(do, pipe.recv_bytes())))
+    except (EOFError, OSError):
+        pass
+
+
+def _follow(sentinel: Any) -> None:
+    """End at once when the process that started this one has ended."""
+    connection.wait([sentinel])
+    os._exit(1)

@@ -1,0 +1,94 @@
+"""The same function over many items: in this process, in several, or on a cluster."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any
+
+from rotorwatch.errors import ConfigError
+from rotorwatch.many.done import Done, Task, attempt
+
+TRIES = 2
+"""How often an item is begun when workers die of it."""
+
+
+def processors() -> int:
+    """How many processors this process may use."""
+    try:
+        return len(os.sched_getaffinity(0))
+    except AttributeError:  # only some systems have it
+        return os.cpu_count() or 1
+
+
+def run(
+    function: Callable[[Any], Any],
+    items: Iterable[Any],
+    jobs: int | None = None,
+    scheduler: str | None = None,
+    limit_s: float | None = None,
+    tries: int = TRIES,
+    prepare: Callable[[], Any] | None = None,
+) -> Iterator[Done]:
+    """function(item) of every item: a `Done` for each, as they finish, in any order.
+
+    Items are taken one by one when there is room for them, so that they may come from a generator that never ends; results are
+    not kept. An exception of the function is the item's `error` and stops nothing. jobs: processes, one per processor by default;
+    1: here, in line. scheduler: the address of a Dask scheduler (tcp://HOST:PORT), whose workers do it instead. Function, items and
+    values have to be picklable then, and the function's module importable.
+
+    A process that dies is replaced; its item is begun `tries` times in all, then its error is a WorkerError. On a cluster the scheduler
+    decides how often (docs/cluster.md). limit_s: seconds for an item, after which its process is killed; prepare(): called once in each
+    process before its first item; both make processes even of one job, and there is neither on a cluster. When the iterator is closed,
+    or left by an exception (Ctrl-C), all work ends. Raises ConfigError for arguments that do not fit together and for a scheduler that
+    does not answer, WorkerError where processes do not start.
+    """
+    if jobs is not None and jobs < 1:
+        raise ConfigError(f"jobs must be at least 1, not {jobs}.")
+    if scheduler is not None:
+        if jobs is not None:
+            raise ConfigError(
+                "Give jobs or a scheduler, not both: a cluster has as many workers as are connected to it."
+            )
+        if limit_s is not None or prepare is not None:
+            raise ConfigError("Limits of time and memory hold in processes of this computer only, not on a cluster.")
+        from rotorwatch.many import cluster
+
+        return cluster.run(function, _tasks(items), cluster.address(scheduler))
+    if isinstance(items, Sequence):
+        jobs = min(jobs or processors(), max(1, len(items)))
+    jobs = jobs or processors()
+    if jobs == 1 and limit_s is None and prepare is None:
+        return _here(function, items)
+    from rotorwatch.many import processes
+
+    return processes.run(function, _tasks(items), jobs, limit_s, tries, prepare)
+
+
+def ordered(
+    function: Callable[[Any], Any],
+    items: Sequence[Any],
+    jobs: int | None = None,
+    scheduler: str | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> Iterator[Any]:
+    """The values of all items in their order, as soon as it is their turn; those that come early are kept until then. Arguments as for
+    `run`; progress: called with the number of finished items. Raises the first error that comes."""
+    early: dict[int, Any] = {}
+    following = 0
+    for finished, done in enumerate(run(function, items, jobs, scheduler), start=1):
+        early[done.index] = done.result()
+        if progress:
+            progress(finished)
+        while following in early:
+            yield early.pop(following)
+            following += 1
+
+
+def _tasks(items: Iterable[Any]) -> Iterator[Task]:
+    return (Task(index, item) for index, item in enumerate(items))
+
+
+def _here(function: Callable, items: Iterable[Any]) -> Iterator[Done]:
+    for index, item in enumerate(items):
+        yield Done(index, *attempt(function, item))

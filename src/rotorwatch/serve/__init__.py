@@ -1,0 +1,16 @@
+"""One page for vehicles while they fly and for flights afterwards (docs/serve.md).
+
+names.py      names of uploaded files, made harmless
+security.py   who may ask: token, host, origin; what a browser may do with the answers
+hub.py        numbered messages to all open pages
+live.py       the watch loop, and what the page shows of it
+flights.py    the list of flights: the fleet's store, and a page for each
+uploads.py    logs that are sent here, judged in processes with limits
+pages.py      the files of the page (folder page/)
+app.py        the routes
+server.py     all of it on a port
+"""
+
+from rotorwatch.serve.server import serve
+
+__all__ = ["serve"]

@@ -1,0 +1,171 @@
+"""The routes: the page and its files, the stream of what is watched, the list of flights, their reports, and uploads."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from contextlib import asynccontextmanager
+from typing import Any
+
+from starlette.applications import Starlette
+from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect, Request
+from starlette.responses import HTMLResponse, JSONResponse, Response, StreamingResponse
+from starlette.routing import Route
+
+from rotorwatch import __version__
+from rotorwatch.errors import RotorwatchError
+from rotorwatch.report.html import POLICY as REPORT_POLICY
+from rotorwatch.serve import pages
+from rotorwatch.serve.flights import DIGEST, Flights
+from rotorwatch.serve.live import Feed
+from rotorwatch.serve.security import Guard, refused
+from rotorwatch.serve.uploads import Limits, Refused, Uploads
+
+MOST_ROWS = 200  # of one answer
+NAME = "x-rotorwatch-name"  # header with an upload's name; no page of another site may send it
+
+
+def application(feed: Feed, flights: Flights, limits: Limits, host: str, token: str) -> Any:
+    """The ASGI application. feed: started and stopped with it."""
+
+    @asynccontextmanager
+    async def lifespan(_: Starlette):
+        app.state.uploads = uploads = Uploads(flights, limits, lambda row: feed.hub.publish("flight", row))
+        uploads.start()
+        feed.start()
+        try:
+            yield
+        finally:
+            await asyncio.to_thread(feed.stop)
+            uploads.stop()
+
+    routes = [
+        Route("/", _index),
+        Route("/static/{name}", _file),
+        Route("/favicon.ico", _icon),
+        Route("/flights/{digest}", _report),
+        Route("/api/about", _about),
+        Route("/api/live", _live),
+        Route("/api/flights", _list),
+        Route("/api/flights", _upload, methods=["POST"]),
+        Route("/api/flights/{digest}", _flight),
+    ]
+    failures: dict[Any, Any] = {
+        HTTPException: _failed,
+        Refused: _not_taken,
+        RotorwatchError: _no_answer,
+        Exception: _broken,
+    }
+    app = Starlette(routes=routes, lifespan=lifespan, exception_handlers=failures)
+    app.state.feed, app.state.flights, app.state.limits = feed, flights, limits
+    return Guard(app, host, token)
+
+
+async def _index(_: Request) -> Response:
+    return HTMLResponse(pages.index())
+
+
+async def _file(request: Request) -> Response:
+    found = pages.file(request.path_params["name"])
+    if found is None:
+        raise HTTPException(404)
+    return Response(found[0], media_type=found[1], headers={"Cache-Control": "no-cache"})
+
+
+async def _icon(_: Request) -> Response:
+    return Response((pages.file("icon.svg") or (b"",))[0], media_type="image/svg+xml")
+
+
+async def _about(request: Request) -> Response:
+    return JSONResponse({"version": __version__, "most": request.app.state.limits.most})
+
+
+async def _live(request: Request) -> Response:
+    after = request.headers.get("last-event-id", "")
+    return StreamingResponse(request.app.state.feed.hub.follow(after), media_type="text/event-stream")
+
+
+async def _list(request: Request) -> Response:
+    ask = request.query_params
+    limit, offset = (
+        _number(ask.get("limit", "50"), "limit", MOST_ROWS),
+        _number(ask.get("offset", "0"), "offset", 10**9),
+    )
+    return JSONResponse(
+        await asyncio.to_thread(request.app.state.flights.rows, ask.get("search", "")[:200], limit, offset)
+    )
+
+
+def _number(text: str, name: str, most: int) -> int:
+    if not text.isascii() or not text.isdecimal() or len(text) > 10:
+        raise HTTPException(400, f"{name} must be a whole number from 0 on.")
+    return min(int(text), most)
+
+
+async def _upload(request: Request) -> Response:
+    name = request.headers.get(NAME)
+    if not name:
+        raise HTTPException(400, "The header X-Rotorwatch-Name with the name of the log is missing.")
+    length = request.headers.get("content-length")
+    sent = request.stream()
+    try:
+        row, new = await request.app.state.uploads.take(name, int(length) if length else None, sent)
+    except ClientDisconnect:
+        return Response(status_code=499)
+    return JSONResponse(row, 201 if new else 200)
+
+
+async def _flight(request: Request) -> Response:
+    found = await asyncio.to_thread(request.app.state.flights.diagnosis, _digest(request))
+    if found is None:
+        raise HTTPException(404, "No such flight is known here.")
+    return JSONResponse(found)
+
+
+async def _report(request: Request) -> Response:
+    text = await asyncio.to_thread(request.app.state.flights.report, _digest(request))
+    if text is None:
+        raise HTTPException(404, "No such flight is known here.")
+    back = '<body>\n<nav class="masthead" aria-label="rotorwatch"><a href="/">All flights</a></nav>\n'
+    # Its scripts are inline; in a sandbox they are of no origin, so that they could ask this server for nothing.
+    policy = f"{REPORT_POLICY}; frame-ancestors 'none'; base-uri 'none'; form-action 'none'; sandbox allow-scripts allow-downloads"
+    return HTMLResponse(text.replace("<body>\n", back, 1), headers={"Content-Security-Policy": policy})
+
+
+def _digest(request: Request) -> str:
+    digest = request.path_params["digest"]
+    if not DIGEST.fullmatch(digest):
+        raise HTTPException(404, "No such flight is known here.")
+    return digest
+
+
+async def _failed(request: Request, why: Exception) -> Response:
+    assert isinstance(why, HTTPException)
+    standard = {404: "There is no such page here.", 405: "This address does not take such a request."}
+    text = (
+        why.detail
+        if why.detail and why.detail.endswith(".")
+        else standard.get(why.status_code, "This request cannot be answered.")
+    )
+    answer = refused(request, why.status_code, text)
+    answer.headers.update(why.headers or {})
+    return answer
+
+
+async def _not_taken(request: Request, why: Exception) -> Response:
+    assert isinstance(why, Refused)
+    return refused(request, why.code, str(why))
+
+
+async def _no_answer(request: Request, why: Exception) -> Response:
+    return refused(request, 503, str(why))
+
+
+async def _broken(request: Request, why: Exception) -> Response:
+    if os.environ.get("ROTORWATCH_DEBUG"):
+        import traceback
+
+        traceback.print_exception(why)
+    text = " ".join(f"{type(why).__name__}: {why}".split())[:200]
+    return refused(request, 500, f"An error in rotorwatch itself ({text}); please report it.")

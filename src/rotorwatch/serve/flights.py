@@ -1,0 +1,74 @@
+"""The list of flights: rows of the fleet's store, and beside it a folder with the page of each flight."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+from rotorwatch import files
+from rotorwatch.diagnosis import Diagnosis
+from rotorwatch.fleet.store import Entry, Store, default_url
+from rotorwatch.report.html import page
+
+DIGEST = re.compile("[0-9a-f]{64}")
+SHOWN = ("hash", "name", "utc", "verdict", "headline", "frame", "duration_s", "aircraft_name")
+
+
+class Flights:
+    """The store, and where pages lie. url: as for `Store`. Raises StoreError or ConfigError where they cannot be had."""
+
+    def __init__(self, url: str | None = None):
+        self._store = Store(url)
+        lies = Path(self._store.label if self._store.url.startswith("sqlite") else default_url())
+        self._beside = lies.parent / f"{lies.stem}-pages"
+        files.folder(self._beside, "--store")
+
+    def folder(self, name: str) -> Path:
+        """A folder of that name beside the store, made when it is missing."""
+        return files.folder(self._beside / name, "--store")
+
+    def page(self, digest: str) -> Path:
+        """Where the page of a flight lies, or will."""
+        return self._beside / f"{digest}.html"
+
+    def rows(self, search: str, limit: int, offset: int) -> dict[str, Any]:
+        """{total, flights}: the newest first. search: words that must all be found."""
+        found = self._store.flights(search=search, limit=limit, offset=offset)
+        return {"total": self._store.count(search=search), "flights": [_shown(row) for row in found]}
+
+    def row(self, digest: str) -> dict[str, Any] | None:
+        """One flight; None when it is not known."""
+        found = self._store.flight(digest)
+        return None if found is None else _shown(found)
+
+    def keep(self, entry: Entry) -> dict[str, Any]:
+        """Put a flight into the store, once; its row there."""
+        self._store.add(entry)
+        found = self.row(entry.hash)
+        assert found is not None
+        return found
+
+    def diagnosis(self, digest: str) -> dict[str, Any] | None:
+        """What is known of a flight, as docs/json.md has it."""
+        found = self._store.flight(digest)
+        return None if found is None else found["diagnosis"]
+
+    def report(self, digest: str) -> str | None:
+        """The page of a flight: as it was written, or, where a flight came into the store another way, made of what is stored, without the
+        plots."""
+        found = self.diagnosis(digest)
+        if found is None:
+            return None
+        try:
+            return self.page(digest).read_text(encoding="utf-8")
+        except OSError:
+            return page(Diagnosis.from_dict(found))
+
+    def close(self) -> None:
+        """Let go of the store."""
+        self._store.close()
+
+
+def _shown(row: dict[str, Any]) -> dict[str, Any]:
+    return {name: row.get(name) for name in SHOWN}

@@ -1,0 +1,28 @@
+"""Names that come from elsewhere, made harmless: shown as text, and never a path."""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from urllib.parse import unquote_to_bytes
+
+MOST = 200  # letters of a name
+
+
+def shown(given: str) -> str:
+    """The name of an uploaded file as people may see it: the last part of a path, without signs that control a terminal, turn the
+    direction of writing around or are no letters at all. given: percent-encoded UTF-8, as it stands in a header."""
+    text = unquote_to_bytes(given[: 20 * MOST]).decode("utf-8", "replace")
+    last = re.split(r"[/\\]", text)[-1]
+    plain = "".join(
+        c for c in last if unicodedata.category(c)[0] != "C" and unicodedata.category(c) not in ("Zl", "Zp")
+    )
+    plain = " ".join(plain.split())
+    if not plain.strip(". "):
+        return "flight"
+    return plain if len(plain) <= MOST else f"{plain[: MOST - 30]}…{plain[-29:]}"
+
+
+def on_disk(name: str) -> str:
+    """A file name for it: its ending is kept, because some formats are known by it."""
+    return "log-" + re.sub(r"[^A-Za-z0-9._]+", "_", name)[-60:]

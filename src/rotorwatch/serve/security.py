@@ -1,0 +1,172 @@
+"""Who may ask for what: the token, the host that is named, where a request comes from, and what a browser may do with the answers."""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import ipaddress
+import socket
+from urllib.parse import parse_qs, urlencode, urlsplit
+
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.requests import Request
+from starlette.responses import HTMLResponse, JSONResponse, RedirectResponse, Response
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from rotorwatch.errors import ConfigError
+
+# The page runs its own files and nothing else: nothing inline, nothing of another host, in nobody's frame.
+POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; form-action 'self'; "
+    "base-uri 'none'; frame-ancestors 'none'"
+)
+LEAST = 16  # letters of a token: nobody guesses one of them over a network
+MOST_FORM = 4096  # bytes of the form that asks for the token
+OPEN = ("/static/page.css", "/static/serve.css")  # the form that asks for the token looks like the page
+
+
+def loopback(host: str) -> bool:
+    """Whether only this computer can reach that address."""
+    if host.lower() == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+def checked(host: str, token: str) -> str:
+    """The token, if it will do for a server on that host. Raises ConfigError."""
+    if token and (len(token) < LEAST or not token.isascii() or not token.isprintable()):
+        raise ConfigError(
+            f"--token: give at least {LEAST} plain letters and digits, for instance what `openssl rand -hex 16` prints."
+        )
+    if not token and not loopback(host):
+        raise ConfigError(
+            f"--host {host}: other computers can reach this address; give a token that they must know (--token, or the environment "
+            "variable ROTORWATCH_TOKEN), or leave --host away."
+        )
+    return token
+
+
+class Guard:
+    """Around the whole application. host: that it listens on; token: empty where none is asked for."""
+
+    def __init__(self, app: ASGIApp, host: str, token: str):
+        self._app, self._token = app, token
+        self._names = {"localhost", host.lower(), socket.gethostname().lower(), f"{socket.gethostname().lower()}.local"}
+        self._secret = hmac.new(token.encode(), b"rotorwatch page", hashlib.sha256).hexdigest()
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+
+        async def guarded(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                headers = MutableHeaders(scope=message)
+                headers.setdefault("Content-Security-Policy", POLICY)
+                headers.setdefault("Cache-Control", "no-store")
+                headers["X-Content-Type-Options"] = "nosniff"
+                headers["X-Frame-Options"] = "DENY"
+                headers["Referrer-Policy"] = "same-origin"
+                headers["Cross-Origin-Resource-Policy"] = "same-origin"
+                headers["Cross-Origin-Opener-Policy"] = "same-origin"
+            await send(message)
+
+        answer = await self._refusal(Request(scope, receive))
+        await (answer or self._app)(scope, receive, guarded)
+
+    async def _refusal(self, request: Request) -> Response | None:
+        """What is answered instead, or None for a request that may pass."""
+        headers = request.headers
+        if len(headers.getlist("host")) != 1 or not self._known(headers["host"]):
+            return refused(
+                request,
+                421,
+                "This address is not this server's; open it by the name or the address it was started with.",
+            )
+        if request.method not in ("GET", "HEAD") and not _from_here(headers):
+            return refused(request, 403, "This came from the page of another site; open rotorwatch's own page.")
+        if not self._token:
+            return RedirectResponse("/", 303) if request.url.path == "/login" else None
+        if request.url.path == "/login" and request.method == "POST":
+            return await self._login(request)
+        if self._may(request) or request.url.path in OPEN:
+            return None
+        given = request.query_params.get("token")
+        if given is not None and request.method == "GET" and self._same(given):
+            rest = [(k, v) for k, v in request.query_params.multi_items() if k != "token"]
+            return self._let_in(request, request.url.path + ("?" + urlencode(rest) if rest else ""))
+        wrong = given is not None or "authorization" in headers
+        return refused(
+            request,
+            401,
+            f"{'This token is wrong' if wrong else 'A token is needed'}: give the one that rotorwatch was started with.",
+        )
+
+    def _known(self, host: str) -> bool:
+        """An address, or a name of this computer. Any other name has been turned towards us by somebody else's name server."""
+        try:
+            name = urlsplit(f"//{host}").hostname or ""
+            urlsplit(f"//{host}").port  # noqa: B018 - raises for what is no port
+        except ValueError:
+            return False
+        if any(c in host for c in "/\\@?# \t"):
+            return False
+        try:
+            ipaddress.ip_address(name)
+        except ValueError:
+            return name in self._names
+        return True
+
+    def _same(self, given: str) -> bool:
+        return hmac.compare_digest(given.encode("utf-8", "replace"), self._token.encode())
+
+    def _may(self, request: Request) -> bool:
+        kind, _, given = request.headers.get("authorization", "").partition(" ")
+        if kind.lower() == "bearer":
+            return self._same(given.strip())
+        return hmac.compare_digest(
+            request.cookies.get(_cookie(request), "").encode("utf-8", "replace"), self._secret.encode()
+        )
+
+    async def _login(self, request: Request) -> Response:
+        body = b""
+        async for piece in request.stream():
+            body += piece
+            if len(body) > MOST_FORM:
+                return refused(request, 413, "This is too long for a token.")
+        given = parse_qs(body.decode("utf-8", "replace")).get("token", [""])[0].strip()
+        if not self._same(given):
+            return refused(request, 401, "This token is wrong: give the one that rotorwatch was started with.")
+        return self._let_in(request, "/")
+
+    def _let_in(self, request: Request, path: str) -> Response:
+        answer = RedirectResponse("/" + path.lstrip("/\\"), 303)
+        answer.set_cookie(
+            _cookie(request), self._secret, httponly=True, samesite="strict", secure=request.url.scheme == "https"
+        )
+        return answer
+
+
+def _cookie(request: Request) -> str:
+    """Browsers give cookies to all ports of a host."""
+    return f"rotorwatch-{request.url.port or 80}"
+
+
+def _from_here(headers: Headers) -> bool:
+    """Whether a request that changes something was not made by the page of another site."""
+    origin = headers.get("origin")
+    if headers.get("sec-fetch-site", "same-origin") not in ("same-origin", "none"):
+        return False
+    return origin is None or urlsplit(origin).netloc.lower() == headers.get("host", "").lower()
+
+
+def refused(request: Request, code: int, why: str) -> Response:
+    """An answer with one sentence: JSON for programs, a page for people, with a form where a token is asked for."""
+    if request.url.path.startswith("/api/") or request.method not in ("GET", "HEAD", "POST") or code == 413:
+        return JSONResponse({"error": why}, code)
+    from rotorwatch.serve.pages import message
+
+    return HTMLResponse(message(why, code == 401), code)

@@ -1,0 +1,163 @@
+"""The server: everything is opened and checked before the first page is given out."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import socket
+import threading
+from collections.abc import Callable, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from rotorwatch import checks
+from rotorwatch.errors import ConfigError
+
+GIVE_UP_S = 2  # for connections that do not end by themselves when the server is stopped
+MOST_CONNECTIONS = 256
+
+
+def serve(
+    endpoints: Sequence[str] = (),
+    host: str = "127.0.0.1",
+    port: int = 8000,
+    token: str | None = None,
+    store: str | os.PathLike | None = None,
+    max_upload: float = 512.0,
+    speed: float = 1.0,
+    vehicle: Any = None,
+    record: str | os.PathLike | None = None,
+    listen_only: bool = False,
+    max_seconds: float = 120.0,
+    max_memory: int = 4000,
+    jobs: int = 1,
+    ready: Callable[[str], None] | None = None,
+) -> None:
+    """Serve the page until interrupted: vehicles at `endpoints` while they fly, uploaded logs, and the list of flights.
+
+    endpoints: those of `rotorwatch watch`, or recorded logs. speed: recorded logs are replayed so many times as fast as flown. host: to
+    listen on; any but a loopback address needs a token. token: 16 letters or more; default: the environment variable ROTORWATCH_TOKEN.
+    port: 0 for any that is free. store: of the fleet, a SQLite file or a URL. max_upload [MB], max_seconds [s], max_memory [MB]: limits
+    of each uploaded log; jobs: logs judged at once. vehicle: a Vehicle, or a vehicle file, of all that are watched; record: folder to
+    record links in; listen_only: nothing is sent to vehicles. ready: called with the page's address once it can be opened; every
+    RotorwatchError is raised before that.
+    """
+    try:
+        import starlette  # noqa: F401
+        import uvicorn  # noqa: F401
+    except ImportError:
+        raise ConfigError('The page needs Starlette and uvicorn: pip install "rotorwatch[serve]".') from None
+    from rotorwatch.serve import security
+    from rotorwatch.serve.app import application
+    from rotorwatch.serve.flights import Flights
+    from rotorwatch.serve.live import Feed
+    from rotorwatch.serve.uploads import Limits
+
+    known = security.checked(host, os.environ.get("ROTORWATCH_TOKEN", "") if token is None else token)
+    most = int(checks.positive("max_upload", max_upload) * 2**20)
+    limits = Limits(
+        most, checks.positive("max_seconds", max_seconds), checks.positive("max_memory", max_memory), max(int(jobs), 1)
+    )
+    listening = listen(host, port)
+    feed = Feed()
+    try:
+        flights = Flights(None if store is None else os.fspath(store))
+        craft = _vehicle(vehicle)
+        for endpoint in endpoints:
+            feed.open(os.fspath(endpoint), craft, speed, None if record is None else Path(record), listen_only)
+        address = f"http://{_shown(host)}:{listening.getsockname()[1]}/"
+        _run(
+            application(feed, flights, limits, host, known), feed, listening, lambda: ready(address) if ready else None
+        )
+        flights.close()
+    finally:
+        feed.stop()
+        listening.close()
+
+
+def listen(host: str, port: int) -> socket.socket:
+    """A socket that listens there. Raises ConfigError with a sentence, so for a port in use."""
+    try:
+        family, kind, proto, _, address = socket.getaddrinfo(
+            host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
+        )[0]
+    except OSError as why:
+        raise ConfigError(f"--host {host}: this is no address of this computer ({why.strerror or why}).") from None
+    sock = socket.socket(family, kind, proto)
+    try:
+        if os.name == "posix":
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        sock.bind(address)
+        sock.listen(128)
+    except (OSError, OverflowError) as why:
+        sock.close()
+        import errno
+
+        reason = getattr(why, "errno", None)
+        if reason == errno.EADDRINUSE:
+            raise ConfigError(
+                f"--port {port}: another program uses this port; stop it, or give another port (0: any)."
+            ) from None
+        if reason == errno.EACCES:
+            raise ConfigError(
+                f"--port {port}: ports below 1024 are the system's; give a higher one, such as 8000."
+            ) from None
+        raise ConfigError(
+            f"--host {host} --port {port}: cannot listen there ({getattr(why, 'strerror', None) or why})."
+        ) from None
+    return sock
+
+
+def _run(app: Any, feed: Any, listening: socket.socket, ready: Callable[[], None]) -> None:
+    import uvicorn
+
+    class Server(uvicorn.Server):
+        """Says when it is ready, and lets the pages' streams end when it is stopped."""
+
+        async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+            await super().startup(sockets)
+            if self.started:
+                ready()
+
+        @contextmanager
+        def capture_signals(self):
+            """Being stopped is how this ends: no signal is raised again afterwards."""
+            if threading.current_thread() is not threading.main_thread():
+                yield
+                return
+            before = {sig: signal.signal(sig, self.handle_exit) for sig in (signal.SIGINT, signal.SIGTERM)}
+            try:
+                yield
+            finally:
+                for sig, handler in before.items():
+                    signal.signal(sig, handler)
+
+        def handle_exit(self, sig: int, frame: Any) -> None:
+            feed.hub.close()
+            super().handle_exit(sig, frame)
+
+    config = uvicorn.Config(
+        app, log_level="critical", access_log=False, server_header=False, proxy_headers=False, ws="none", http="h11",
+        lifespan="on", timeout_graceful_shutdown=GIVE_UP_S, limit_concurrency=MOST_CONNECTIONS,
+    )  # fmt: skip
+    server = Server(config)
+    asyncio.run(server.serve([listening]))
+    if not server.started:
+        raise ConfigError("The server did not start; run it with --debug to see why.")
+
+
+def _vehicle(vehicle: Any) -> Any:
+    if isinstance(vehicle, (str, os.PathLike)):
+        from rotorwatch.flight.vehicle_file import read
+
+        return read(vehicle)
+    return vehicle
+
+
+def _shown(host: str) -> str:
+    """The host as it stands in an address; where all addresses are listened on, this computer's name."""
+    if host in ("0.0.0.0", "::", ""):
+        return socket.gethostname()
+    return f"[{host}]" if ":" in host else host

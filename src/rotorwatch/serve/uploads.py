@@ -1,0 +1,263 @@
+"""Logs that are sent here: taken within bounds of size and time, judged in processes of their own, and kept as flights."""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import json
+import shutil
+import tempfile
+import time
+from collections.abc import AsyncIterator, Callable
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from rotorwatch import limited
+from rotorwatch.errors import ConfigError, RotorwatchError
+from rotorwatch.fleet.store import Entry
+from rotorwatch.serve import names
+from rotorwatch.serve.flights import Flights
+
+IDLE_S, MOST_S = 30.0, 900.0  # without a byte; for the whole of an upload
+DRAIN_S = 10.0  # what is too large is read on for so long, that the answer is seen and not a broken connection
+RECEIVING, WAITING = 8, 50  # uploads that are taken at once; those that wait for being judged
+LOADS = ("rotorwatch.logs", "rotorwatch.diagnose", "rotorwatch.report.html", "bokeh.embed")
+
+
+class Refused(RotorwatchError):
+    """An upload that is not taken. code: of the HTTP answer."""
+
+    def __init__(self, code: int, why: str):
+        super().__init__(why)
+        self.code = code
+
+
+@dataclass(frozen=True)
+class Limits:
+    """most: bytes of an upload; judge_s and memory_mb: for one log; jobs: logs judged at once."""
+
+    most: int = 512 << 20
+    judge_s: float = 120.0
+    memory_mb: int = 4000
+    jobs: int = 1
+
+
+@dataclass(frozen=True)
+class Log:
+    """An upload that is complete. path: alone in a folder of its own; digest: SHA-256 of its bytes."""
+
+    path: Path
+    name: str
+    digest: str
+    size: int
+
+
+def judge(what: tuple[Log, str]) -> Entry | str:
+    """What a worker does with (log, path of the page): writes the page, returns the flight for the store, or why there is none."""
+    from rotorwatch import __version__
+    from rotorwatch.diagnose import diagnose
+    from rotorwatch.logs import read
+    from rotorwatch.report.html import write
+
+    log, page = what
+    try:
+        flight = replace(read(log.path), name=log.name)
+        found = diagnose(flight)
+        write(found, page)
+    except RotorwatchError as why:
+        return str(why).replace(str(log.path), log.name).replace(log.path.name, log.name)
+    air = found.flight.get("hops") or []
+    return Entry(
+        log.digest, log.name, log.name, log.size, utc=found.flight.get("utc_start"), clock_us=flight.start_us,
+        duration_s=flight.duration, airborne_s=sum(b - a for a, b in air), autopilot=flight.autopilot, firmware=flight.firmware,
+        frame=str(found.flight.get("frame", "")), rotors=len(found.rotors), verdict=found.verdict, headline=found.headline,
+        version=__version__, diagnosis=found.to_dict(),
+    )  # fmt: skip
+
+
+class Uploads:
+    """Where logs go. told: called with each flight that is new, once it is kept."""
+
+    def __init__(self, flights: Flights, limits: Limits, told: Callable[[dict[str, Any]], None]):
+        """Raises ConfigError where the folder for uploads cannot be written to."""
+        self.limits, self._flights, self._told = limits, flights, told
+        self._incoming = flights.folder("incoming")
+        self._run, self._lock = _own(self._incoming)
+        self._receiving = 0
+        self._judging: dict[str, asyncio.Task[dict[str, Any]]] = {}
+        self._turn = asyncio.Semaphore(limits.jobs)
+        self._idle: list[limited.Worker] = []
+        self._all: list[limited.Worker] = []
+
+    def start(self) -> None:
+        """Make a worker ready, and judge what was complete when an earlier server was killed."""
+        self._idle.append(self._worker())
+        for log in _left(self._incoming, self._run):
+            self._begin(log)
+
+    def stop(self) -> None:
+        """End what is at work; what was not judged is there for the next start."""
+        for worker in self._all:
+            worker.stop()
+
+    async def take(
+        self, given_name: str, length: int | None, body: AsyncIterator[bytes]
+    ) -> tuple[dict[str, Any], bool]:
+        """(the flight of an upload, whether it is new). given_name: percent-encoded. length: as announced. Raises Refused."""
+        name, most = names.shown(given_name), self.limits.most
+        if length is not None and length > most:
+            await _drain(body)
+            raise Refused(413, _too_large(name, most))
+        if self._receiving >= RECEIVING or len(self._judging) >= WAITING:
+            await _drain(body)
+            raise Refused(503, "Too many logs have been sent at once; try again in a minute.")
+        self._receiving += 1
+        try:
+            log = await self._receive(name, body)
+        finally:
+            self._receiving -= 1
+        known = await asyncio.to_thread(self._flights.row, log.digest)
+        if known is not None:
+            shutil.rmtree(log.path.parent, ignore_errors=True)
+            return known, False
+        return await asyncio.shield(self._begin(log)), True
+
+    async def _receive(self, name: str, body: AsyncIterator[bytes]) -> Log:
+        """The whole of a body in a file."""
+        try:
+            folder = Path(tempfile.mkdtemp(dir=self._run))
+            path, size, digest = folder / names.on_disk(name), 0, hashlib.sha256()
+            try:
+                end = time.monotonic() + MOST_S
+                with path.open("wb") as file:
+                    while piece := await asyncio.wait_for(
+                        anext(body, b""), min(IDLE_S, max(end - time.monotonic(), 0.0))
+                    ):
+                        size += len(piece)
+                        if size > self.limits.most:
+                            await _drain(body)
+                            raise Refused(413, _too_large(name, self.limits.most))
+                        file.write(piece)
+                        digest.update(piece)
+                if not size:
+                    raise Refused(400, f"{name}: the file is empty; copy the log from the vehicle again.")
+                about = {"name": name, "file": path.name, "digest": digest.hexdigest(), "size": size}
+                (folder / "complete.json").write_text(json.dumps(about))
+            except BaseException:
+                shutil.rmtree(folder, ignore_errors=True)
+                raise
+        except TimeoutError:
+            raise Refused(
+                408, f"{name}: the upload was too slow and was given up; try again on a better connection."
+            ) from None
+        except OSError as why:
+            raise Refused(
+                507, f"{name}: the upload cannot be kept ({why.strerror or why}); make room on the server's disk."
+            ) from None
+        return Log(path, name, digest.hexdigest(), size)
+
+    def _begin(self, log: Log) -> asyncio.Task[dict[str, Any]]:
+        """Judge it, once for all who have sent it."""
+        task = self._judging.get(log.digest)
+        if task is not None:
+            shutil.rmtree(log.path.parent, ignore_errors=True)
+            return task
+        task = self._judging[log.digest] = asyncio.create_task(self._judge(log))
+        task.add_done_callback(lambda done: (self._judging.pop(log.digest, None), done.cancelled() or done.exception()))
+        return task
+
+    async def _judge(self, log: Log) -> dict[str, Any]:
+        """The flight, kept in the store before anybody is told of it. Raises Refused for what is no flight."""
+        async with self._turn:
+            try:
+                found = await asyncio.to_thread(self._answer, log)
+                if isinstance(found, str):
+                    raise Refused(422, found)
+                row = await asyncio.to_thread(self._flights.keep, found)
+            finally:
+                shutil.rmtree(log.path.parent, ignore_errors=True)
+        self._told(row)
+        return row
+
+    def _answer(self, log: Log) -> Entry | str:
+        """What a worker says of it."""
+        worker = self._idle.pop() if self._idle else self._worker()
+        try:
+            worker.give((log, str(self._flights.page(log.digest))))
+            return worker.take()
+        except limited.Failed as why:
+            raise Refused(422, f"{log.name}: {self._sentence(str(why))}") from None
+        except (OSError, ConfigError) as why:
+            worker.stop()
+            raise Refused(503, f"{log.name}: the process that judges logs does not run ({why}); try again.") from None
+        finally:
+            if worker.alive:
+                self._idle.append(worker)
+            else:
+                self._all.remove(worker)
+
+    def _sentence(self, why: str) -> str:
+        if why.startswith(("took longer", "hung")):
+            return f"judging it took longer than {self.limits.judge_s:g} s and was given up; try `rotorwatch diagnose`."
+        if why.startswith(("MemoryError", "the process died")):
+            return f"judging it needed more than {self.limits.memory_mb} MB of memory and was given up; try `rotorwatch diagnose`."
+        return f"an error in rotorwatch itself ({why}); please report it."
+
+    def _worker(self) -> limited.Worker:
+        worker = limited.Worker(judge, self.limits.judge_s, self.limits.memory_mb, LOADS)
+        self._all.append(worker)
+        return worker
+
+
+def _too_large(name: str, most: int) -> str:
+    return f"{name}: this is more than the {most / 2**20:g} MB that are taken here; start the server with a larger --max-upload."
+
+
+async def _drain(body: AsyncIterator[bytes]) -> None:
+    """Read on for a while without keeping anything."""
+    with suppress(TimeoutError):
+        async with asyncio.timeout(DRAIN_S):
+            async for _ in body:
+                pass
+
+
+def _own(incoming: Path) -> tuple[Path, Any]:
+    """A folder for the uploads of this run, and the lock that says that it is in use."""
+    run = Path(tempfile.mkdtemp(dir=incoming, prefix="run-"))
+    lock = (run / "lock").open("wb")
+    _locked(lock)
+    return run, lock
+
+
+def _locked(file: Any) -> bool:
+    """Whether the lock could be had; where the system has none, it could not."""
+    try:
+        import fcntl
+
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except (ImportError, OSError):
+        return False
+    return True
+
+
+def _left(incoming: Path, own: Path) -> list[Log]:
+    """What servers that were killed had received and not judged, moved to the folder of this run; the rest of theirs is removed."""
+    found = []
+    for run in incoming.glob("run-*"):
+        if run == own:
+            continue
+        with suppress(OSError), (run / "lock").open("ab") as lock:
+            if not _locked(lock):
+                continue
+            for note in run.glob("*/complete.json"):
+                with suppress(OSError, ValueError, KeyError, TypeError):
+                    about = json.loads(note.read_text())
+                    folder = own / note.parent.name
+                    note.parent.rename(folder)
+                    found.append(
+                        Log(folder / Path(about["file"]).name, about["name"], about["digest"], int(about["size"]))
+                    )
+            shutil.rmtree(run, ignore_errors=True)
+    return found

@@ -1,0 +1,218 @@
+"""The served page in a real browser: live vehicles, uploads, two tabs, a reload in the middle, a server that is killed, accessibility."""
+
+import os
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+from rotorwatch import cli
+
+sync_api = pytest.importorskip("playwright.sync_api", reason="no playwright (pip install -e '.[test]')")
+SAMPLES = Path(cli.__file__).parent / "samples"
+HEXA, QUAD = SAMPLES / "hexax_m3_mul0.80_square_wind.bin.xz", SAMPLES / "quadx_healthy_hover.bin.xz"
+HOSTILE = "<img src=x onerror=alert(1)>\u202e.bin"
+DRAWN = "article[data-state=FAULT] .bands .line[d^=M]"
+TOKEN = "a-token-of-enough-letters"
+
+
+class Server:
+    """A server in a process of its own."""
+
+    def __init__(self, store):
+        self.store, self.port, self.process, self.address = store, 0, None, ""
+
+    def start(self, *arguments):
+        command = [
+            sys.executable,
+            "-m",
+            "rotorwatch.cli",
+            "serve",
+            "--port",
+            str(self.port),
+            "--store",
+            str(self.store),
+        ]
+        environment = {k: v for k, v in os.environ.items() if not k.startswith("ROTORWATCH_")}
+        self.process = subprocess.Popen(
+            [*command, *map(str, arguments)], stdout=subprocess.PIPE, text=True, env=environment
+        )
+        self.address = self.process.stdout.readline().strip()
+        assert self.address.startswith("http://127.0.0.1:"), "the server did not start"
+        self.port = int(self.address.rstrip("/").rpartition(":")[2])
+
+    def kill(self):
+        self.process.kill()
+        self.process.wait()
+        self.process.stdout.close()
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """A server that replays two flights."""
+    server = Server(tmp_path_factory.mktemp("serve") / "fleet.db")
+    server.start("--speed", "8", HEXA, QUAD)
+    yield server
+    server.kill()
+
+
+@pytest.fixture(scope="module")
+def browser(chromium):
+    arguments = ["--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--disable-background-networking"]
+    with sync_api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=chromium, args=arguments)
+        yield browser
+        browser.close()
+
+
+class Tab:
+    """An open page. wrong: what the browser complained of; hosts: whom it asked."""
+
+    def __init__(self, browser, address, **looks):
+        self.page = browser.new_context(**looks).new_page()
+        self.wrong, self.hosts = [], set()
+        self.page.on("console", lambda m: self.wrong.append(m.text) if m.type in ("error", "warning") else None)
+        self.page.on("pageerror", lambda e: self.wrong.append(str(e)))
+        self.page.on("dialog", lambda d: (self.wrong.append(d.message), d.dismiss()))
+        self.page.on("request", lambda r: self.hosts.add(r.url.split("/")[2]))
+        self.page.goto(address)
+
+    def points(self):
+        """How many points the first rotor's line has."""
+        return self.page.evaluate(
+            "(document.querySelector('.bands .line')?.getAttribute('d') ?? '').split(/[ML]/).length - 1"
+        )
+
+    def violations(self):
+        """What axe-core finds: (rule, elements)."""
+        script = Path(find_spec("axe_playwright_python").submodule_search_locations[0], "axe.min.js").read_text()
+        self.page.context.new_cdp_session(self.page).send("Runtime.evaluate", {"expression": script})
+        return [(v["id"], [n["target"] for n in v["nodes"]]) for v in self.page.evaluate("axe.run()")["violations"]]
+
+    def overflow(self):
+        return self.page.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth")
+
+
+@pytest.fixture(scope="module")
+def tab(site, browser):
+    return Tab(browser, site.address, viewport={"width": 1200, "height": 900})
+
+
+@pytest.fixture(scope="module")
+def other(site, browser):
+    return Tab(browser, site.address, viewport={"width": 390, "height": 844}, color_scheme="dark")
+
+
+def test_a_live_fault_is_shown_and_a_reload_loses_nothing(tab):
+    page = tab.page
+    page.wait_for_selector(DRAWN, timeout=60_000, state="attached")
+    assert page.locator("article").count() == 2 and page.locator("#overview a").count() == 2
+    card = page.locator("article[data-state=FAULT]")
+    assert "Rotor 3 lost" in card.locator(".sentence").inner_text()
+    assert "degraded" in card.locator("g.rotor").nth(2).get_attribute("class")
+    assert "rotor 3: lost" in card.locator("svg.airframe title").text_content()
+    assert "fault" in page.locator("#alarm").text_content(), "a screen reader is told"
+    before = tab.points()
+    page.reload()
+    page.wait_for_selector(DRAWN, state="attached")
+    assert tab.points() >= before > 20, "the band from before the reload is there again"
+
+
+def test_a_second_tab_shows_the_same(tab, other):
+    other.page.wait_for_selector(DRAWN, state="attached")
+    assert other.points() > 20
+    assert other.page.locator("article h3").all_inner_texts() == tab.page.locator("article h3").all_inner_texts()
+
+
+def test_uploads_good_bad_and_hostile(tab, other):
+    page = tab.page
+    files = [
+        {"name": HOSTILE, "mimeType": "", "buffer": b"this is no log"},
+        {"name": QUAD.name, "mimeType": "", "buffer": QUAD.read_bytes()},
+    ]
+    page.set_input_files("#choose", files)
+    page.wait_for_selector("#uploads li.refused")
+    refused = page.locator("#uploads li.refused").inner_text()
+    assert "not a flight log of a known kind" in refused and "<img src=x" in refused
+    page.wait_for_selector("#uploads li.healthy", timeout=60_000)
+    assert page.locator("#uploads img").count() == 0
+    for one in (tab, other):  # the second tab without being asked
+        one.page.wait_for_selector("#list tbody tr")
+        assert QUAD.name in one.page.locator("#list tbody").inner_text()
+    page.fill("#search", "nothing of this name")
+    page.wait_for_selector("text=No flight has all these words.")
+    page.fill("#search", "QUAD healthy")
+    page.wait_for_selector("text=1 flight found")
+    assert [w for w in tab.wrong if "status of 422" not in w] == []
+
+
+@pytest.mark.parametrize("looks", ["light", "dark"])
+def test_nobody_is_locked_out(tab, other, looks):
+    """axe-core, with vehicles, an upload and a list on the page; wide and light, narrow and dark."""
+    one = {"light": tab, "dark": other}[looks]
+    one.page.evaluate("document.getElementById('said').open = true")
+    assert one.violations() == []
+    assert one.overflow() <= 0
+
+
+def test_everything_is_reached_by_keyboard(tab):
+    page = tab.page
+    page.focus(".skip")
+    reached = []
+    for _ in range(30):
+        page.keyboard.press("Tab")
+        seen = page.evaluate("""() => {
+            const e = document.activeElement, around = e.closest('.button') ?? e, look = getComputedStyle(around);
+            return [e.id || e.getAttribute('href') || e.tagName, look.outlineStyle !== 'none' || e.classList.contains('skip')];
+        }""")
+        if seen[0] in ("BODY", reached[0] if reached else ""):
+            break
+        reached.append(seen[0])
+        assert seen[1], f"{seen[0]} does not show that it has the focus"
+    wanted = {"#flights", "#live", "#vehicle-1", "#vehicle-2", "choose", "choose-folder", "search"}
+    assert wanted <= set(reached) and any(r.startswith("/flights/") for r in reached), reached
+
+
+def test_the_report_opens_in_its_sandbox(tab, site, browser):
+    link = tab.page.locator("#list tbody a").first
+    report = Tab(browser, site.address.rstrip("/") + link.get_attribute("href"))
+    report.page.wait_for_function("document.documentElement.dataset.plots > 0")
+    assert report.page.evaluate("self.origin") == "null"
+    assert report.page.evaluate("fetch('/api/flights').then(() => 'let in', () => 'refused')") == "refused"
+    report.page.click("text=All flights")
+    report.page.wait_for_selector("#list tbody tr")
+
+
+def test_a_killed_server_loses_no_flight_and_pages_come_back(tab, other, site):
+    site.kill()
+    for one in (tab, other):
+        one.page.wait_for_selector("body.lost")
+    site.start()
+    for one in (tab, other):
+        one.page.wait_for_selector("body:not(.lost)", timeout=20_000)
+        one.page.wait_for_selector("text=No vehicle is watched")
+        assert one.page.locator("article").count() == 0
+        one.page.wait_for_selector("#list tbody tr")
+        assert QUAD.name in one.page.locator("#list tbody").inner_text()
+    assert tab.hosts == other.hosts == {f"127.0.0.1:{site.port}"}, "nobody else is asked"
+    assert tab.violations() == []
+
+
+def test_a_page_opens_with_the_token(site, browser, tmp_path):
+    guarded = Server(tmp_path / "fleet.db")
+    guarded.start("--token", TOKEN)
+    try:
+        tab = Tab(browser, guarded.address)
+        assert tab.violations() == []
+        tab.page.fill("#token", "not the one that is wanted")
+        tab.page.click("button")
+        tab.page.wait_for_selector("text=This token is wrong")
+        tab.page.fill("#token", TOKEN)
+        tab.page.click("button")
+        tab.page.wait_for_selector("text=No vehicle is watched")
+        tab.page.wait_for_selector("text=No flight yet")
+        assert TOKEN not in tab.page.url and [w for w in tab.wrong if "status of 401" not in w] == []
+    finally:
+        guarded.kill()

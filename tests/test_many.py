@@ -1,0 +1,259 @@
+"""Many things by one way: in line, in processes that may die, and by a real Dask cluster whose parts are killed."""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections import Counter
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from rotorwatch import many
+from rotorwatch.errors import ConfigError, LogError, WorkerError
+from rotorwatch.many import cluster, processes
+
+ROOT = Path(__file__).parents[1]
+
+
+class Unfriendly(Exception):
+    """Cannot be packed: it is made of more than its text."""
+
+    def __init__(self, a, b):
+        super().__init__(f"{a} and {b}")
+
+
+def work(item):
+    """What an item asks for; notes in a file that it was begun."""
+    folder, what, number = item
+    with open(Path(folder) / "begun.txt", "a") as file:
+        file.write(f"{number}\n")
+    if what == "error":
+        raise LogError(f"{number}: no log")
+    if what == "unfriendly":
+        raise Unfriendly(number, "more")
+    if what == "die once" and not (once := Path(folder) / f"died-{number}").exists():
+        once.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    if what == "die":
+        os._exit(7)
+    if what == "hang":
+        time.sleep(60)
+    if what == "slow":
+        time.sleep(0.1)
+    return lambda: None if what == "unpackable" else number
+
+
+def number(item):
+    return work(item)() if item[1] != "unpackable" else work(item)
+
+
+def begun(folder):
+    path = Path(folder) / "begun.txt"
+    return Counter(int(line) for line in path.read_text().split()) if path.exists() else Counter()
+
+
+def answers(done):
+    return {d.index: d.value if d.error is None else type(d.error).__name__ for d in done}
+
+
+# Processes of this computer
+
+
+def test_what_dies_is_begun_again_and_errors_are_kept(tmp_path):
+    kinds = ["fine"] * 12
+    kinds[3], kinds[4], kinds[5], kinds[6], kinds[9] = "error", "die once", "die", "unfriendly", "unpackable"
+    found = list(many.run(number, [(tmp_path, kind, k) for k, kind in enumerate(kinds)], jobs=2))
+    assert sorted(d.index for d in found) == list(range(12))
+    wanted = {k: k for k in range(12)} | {3: "LogError", 5: "WorkerError", 6: "RuntimeError", 9: "RuntimeError"}
+    assert answers(found) == wanted
+    errors = {d.index: d.error for d in found if d.error}
+    assert str(errors[3]) == "3: no log" and str(errors[6]) == "Unfriendly: 6 and more"
+    assert "exit code 7) 2 times" in str(errors[5]) and errors[5].how == "died (exit code 7)"
+    assert "in work" in errors[6].__notes__[0]  # where it happened
+    assert begun(tmp_path) == Counter(dict.fromkeys(range(12), 1) | {4: 2, 5: 2})
+
+
+@settings(max_examples=4, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.lists(st.sampled_from(["fine", "error", "die once"]), min_size=2, max_size=9))
+def test_jobs_change_no_answer(tmp_path_factory, kinds):
+    several, one = tmp_path_factory.mktemp("several"), tmp_path_factory.mktemp("one")
+    alone = [("fine" if kind == "die once" else kind) for kind in kinds]
+    expected = answers(many.run(number, [(one, kind, k) for k, kind in enumerate(alone)], jobs=1))
+    assert answers(many.run(number, [(several, kind, k) for k, kind in enumerate(kinds)], jobs=2)) == expected
+
+
+def test_items_are_taken_when_there_is_room(tmp_path):
+    taken = []
+
+    def endless():
+        k = 0
+        while True:
+            taken.append(k)
+            yield tmp_path, "fine", k
+            k += 1
+
+    results = many.run(number, endless(), jobs=2)
+    seen = [next(results).index for _ in range(20)]
+    assert len(set(seen)) == 20 and len(taken) <= 24
+    results.close()
+    assert sum(begun(tmp_path).values()) <= len(taken)
+
+
+def test_order_is_kept_where_it_is_asked_for(tmp_path):
+    told = []
+    items = [(tmp_path, "slow" if k == 0 else "fine", k) for k in range(8)]
+    assert list(many.ordered(number, items, jobs=2, progress=told.append)) == list(range(8))
+    assert told == list(range(1, 9))
+    with pytest.raises(LogError, match="1: no log"):
+        list(many.ordered(number, [(tmp_path, "fine", 0), (tmp_path, "error", 1)], jobs=1))
+
+
+def test_limits_and_preparation_hold_in_processes(tmp_path):
+    items = [(tmp_path, "hang" if k == 1 else "fine", k) for k in range(3)]
+    found = {d.index: d for d in many.run(number, items, 1, limit_s=1.0, tries=1)}
+    assert found[1].error.how == "hung for 1 s and more" and found[2].value == 2
+    with pytest.raises(ZeroDivisionError):
+        list(many.run(number, items, 1, prepare=fails))
+
+
+def fails():
+    return 1 / 0
+
+
+def test_processes_that_do_not_start_are_told(monkeypatch, tmp_path):
+    monkeypatch.setattr(processes, "_serve", os._exit)  # called with a pipe, it ends at once
+    with pytest.raises(WorkerError, match=r"while starting.*__main__"):
+        list(many.run(number, [(tmp_path, "fine", k) for k in range(3)], jobs=2))
+
+
+SCRIPT = """
+import sys, time
+from pathlib import Path
+from rotorwatch import many
+
+def slow(k):
+    time.sleep(0.05)
+    with open(sys.argv[1], "a") as file:
+        file.write(f"{k}\\n")
+    return k
+
+if __name__ == "__main__":
+    for done in many.run(slow, range(10**9), 2):
+        print(done.value, flush=True)
+"""
+
+
+@pytest.mark.parametrize("blow", [signal.SIGINT, signal.SIGKILL])
+def test_no_process_outlives_the_one_that_started_it(tmp_path, blow):
+    script, noted = tmp_path / "endless.py", tmp_path / "done.txt"
+    script.write_text(SCRIPT)
+    environment = {**os.environ, "PYTHONPATH": str(ROOT / "src")}
+    process = subprocess.Popen(
+        [sys.executable, script, noted], env=environment, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    )
+    shown = [process.stdout.readline() for _ in range(3)]
+    process.send_signal(blow)
+    process.stdout.close()
+    process.wait(20)
+    time.sleep(0.2)
+    before = noted.read_text()
+    time.sleep(0.3)
+    assert all(shown) and noted.read_text() == before
+
+
+@pytest.mark.parametrize(
+    ("given_", "says"),
+    [
+        ({"jobs": 0}, "jobs must be at least 1"),
+        ({"jobs": 2, "scheduler": "tcp://a:1"}, "not both"),
+        ({"scheduler": "here"}, "give the address of a Dask scheduler"),
+        ({"scheduler": "tcp://a:1", "limit_s": 1.0}, "not on a cluster"),
+    ],
+)
+def test_arguments_that_do_not_fit_are_refused(given_, says):
+    with pytest.raises(ConfigError, match=says):
+        many.run(number, [], **given_)
+
+
+def test_without_dask_one_sentence(monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(ConfigError, match="pip install distributed"):
+        many.run(number, [], scheduler="tcp://127.0.0.1:8786")
+
+
+# A cluster
+
+
+@pytest.fixture(scope="module")
+def start():
+    """Start the scheduler (first) or a worker: start("scheduler") -> process. All of them end with the module."""
+    pytest.importorskip("distributed")
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    here, started = f"tcp://127.0.0.1:{port}", []
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT / "src"), str(ROOT / "tests")])}
+
+    def go(what):
+        command = [sys.executable, "-m", f"distributed.cli.dask_{what}"]
+        if what == "scheduler":
+            command += ["--host", "127.0.0.1", "--port", str(port), "--no-dashboard"]
+        else:
+            command += [here, "--nthreads", "1", "--no-nanny", "--no-dashboard"]
+        started.append(subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL))
+        return started[-1]
+
+    go.address = here
+    yield go
+    for process in started:
+        process.kill()
+        process.wait()
+
+
+def test_a_cluster_that_loses_workers_and_its_scheduler(start, tmp_path):
+    """One worker is killed after the third answer, the scheduler after the tenth; new ones come. Every item has one answer."""
+    boss, hands = start("scheduler"), [start("worker"), start("worker")]
+    kinds = ["slow"] * 24
+    kinds[2], kinds[4] = "error", "unfriendly"
+    items = [(str(tmp_path), kind, k) for k, kind in enumerate(kinds)]
+    found = []
+    with pytest.warns(match="scheduler at .* was lost"):
+        for done in many.run(number, items, scheduler=start.address):
+            found.append(done)
+            if len(found) == 3:
+                hands[0].kill()
+                hands.append(start("worker"))
+            if len(found) == 10:
+                boss.kill()
+                boss.wait()
+                boss, hands = start("scheduler"), [start("worker"), start("worker")]
+    assert sorted(d.index for d in found) == list(range(24))
+    assert answers(found) == {k: k for k in range(24)} | {2: "LogError", 4: "RuntimeError"}
+    assert max(begun(tmp_path).values()) <= 3  # in flight when something was killed, else once
+    assert sum(begun(tmp_path).values()) <= 24 + 1 + cluster.LEAST
+
+
+def test_an_item_that_kills_every_worker_is_given_up(monkeypatch):
+    class KilledWorker(Exception):
+        pass
+
+    assert isinstance(cluster._error(KilledWorker()), WorkerError)
+    assert "need the same Python" in str(cluster._error(ImportError("no module")))
+
+
+def test_a_scheduler_that_does_not_answer_is_told(monkeypatch):
+    pytest.importorskip("distributed")
+    monkeypatch.setattr(cluster, "ANSWER_S", 0.2)
+    with pytest.raises(ConfigError, match=r"No Dask scheduler answers at tcp://127\.0\.0\.1:1"):
+        list(many.run(number, [(".", "fine", 0)], scheduler="tcp://127.0.0.1:1"))
+
+
+def test_workers_of_another_version_are_refused():
+    import cloudpickle
+
+    assert "has rotorwatch" in str(cluster.pickle.loads(cluster._do(cloudpickle.dumps(number), None, "9.9"))[1])

@@ -1,0 +1,437 @@
+"""The served page without a browser: who may ask for what, uploads of every kind, the list of flights, and what pages are told."""
+
+import asyncio
+import json
+import lzma
+import math
+import socket
+from pathlib import Path
+from urllib.parse import quote
+
+import numpy as np
+import pytest
+from starlette.testclient import TestClient
+from tests import misbehaving
+from tests.conftest import hexa_diagnosis
+
+from rotorwatch import cli
+from rotorwatch.diagnosis import Diagnosis
+from rotorwatch.errors import ConfigError, LinkError
+from rotorwatch.live.watched import Watched
+from rotorwatch.report.html import page
+from rotorwatch.serve import live, names, security, server, uploads
+from rotorwatch.serve.app import application
+from rotorwatch.serve.flights import Flights
+from rotorwatch.serve.hub import KEPT, Hub
+from rotorwatch.serve.uploads import Limits, Refused, Uploads
+
+SAMPLE = Path(cli.__file__).parent / "samples" / "quadx_healthy_hover.bin.xz"
+TOKEN = "a-token-of-enough-letters"
+HERE = "http://127.0.0.1:8000"
+
+
+def guarded(tmp_path, token="", limits=Limits(), host="127.0.0.1"):
+    flights = Flights(str(tmp_path / "fleet.db"))
+    return application(live.Feed(), flights, limits, host, token), flights
+
+
+@pytest.fixture(scope="module")
+def served(tmp_path_factory):
+    """A client of a server that judges what it is sent, small logs only."""
+    app, flights = guarded(tmp_path_factory.mktemp("served"), limits=Limits(most=2 << 20))
+    with TestClient(app, HERE) as client:
+        yield client, flights
+
+
+@pytest.fixture
+def closed(tmp_path):
+    """A client of a server that wants a token; it is not started, so that nothing is judged."""
+    return TestClient(guarded(tmp_path, TOKEN)[0], HERE, follow_redirects=False)
+
+
+def send(client, name, data, **headers):
+    return client.post("/api/flights", content=data, headers={"X-Rotorwatch-Name": quote(name, safe=""), **headers})
+
+
+# Names
+
+
+@pytest.mark.parametrize(
+    ("given", "shown"),
+    [
+        ("flight.bin", "flight.bin"),
+        ("../../etc/passwd", "passwd"),
+        ("..\\..\\boot.ini", "boot.ini"),
+        ("C:\\logs\\7.bin", "7.bin"),
+        ("..", "flight"),
+        ("/", "flight"),
+        ("%00%0d%0aSet-Cookie: x", "Set-Cookie: x"),
+        ("a\u202egol.nib", "agol.nib"),
+        ("<img src=x onerror=alert(1)>.bin", "<img src=x onerror=alert(1)>.bin"),
+        ("%ff%fe.bin", "\ufffd\ufffd.bin"),
+        ("  vol   été.ulg ", "vol été.ulg"),
+    ],
+)
+def test_names_are_made_harmless(given, shown):
+    assert names.shown(given if "%" in given else quote(given, safe="")) == shown
+    on_disk = names.on_disk(shown)
+    assert on_disk.startswith("log-") and on_disk.isascii() and not set(on_disk) & set("/\\<> \0")
+
+
+def test_long_names_keep_their_ending():
+    name = names.shown("x" * 5000 + ".bin.xz")
+    assert len(name) <= names.MOST and names.shown("x" * 300 + ".bin.xz").endswith(".bin.xz")
+    assert names.on_disk(names.shown("x" * 300 + ".bin.xz")).endswith(".bin.xz")
+
+
+# Who may ask
+
+
+def test_other_computers_need_a_token():
+    assert security.checked("127.0.0.1", "") == security.checked("::1", "") == security.checked("localhost", "") == ""
+    for host in ("0.0.0.0", "192.168.1.5", "::", "example.org"):
+        with pytest.raises(ConfigError, match=r"--token"):
+            security.checked(host, "")
+        assert security.checked(host, TOKEN) == TOKEN
+    for weak in ("short", "with a newline \n in it", "ümlaut-of-enough-letters"):
+        with pytest.raises(ConfigError, match="at least 16"):
+            security.checked("127.0.0.1", weak)
+
+
+@pytest.mark.parametrize("path", ["/", "/api/flights", "/api/live", "/flights/" + 64 * "0", "/static/serve.js"])
+def test_only_this_servers_names_are_answered(served, path):
+    """A page of another site whose name is turned to this address would be of the same origin."""
+    client, _ = served
+    for host in (
+        "evil.example",
+        "evil.example:8000",
+        "127.0.0.1.evil.example",
+        "",
+        "localhost@evil.example",
+        "127.0.0.1:x",
+        "[::1",
+    ):
+        answer = client.get(path, headers={"Host": host})
+        assert answer.status_code == 421 and "address" in answer.text
+    if path != "/api/live":
+        for host in ("localhost:8000", "127.0.0.1", "[::1]:8000", socket.gethostname()):
+            assert client.get(path, headers={"Host": host}).status_code != 421
+
+
+def test_other_sites_cannot_send(served):
+    client, _ = served
+    for headers in (
+        {"Origin": "http://evil.example"},
+        {"Origin": "null"},
+        {"Sec-Fetch-Site": "cross-site"},
+        {"Origin": "http://127.0.0.1:9"},
+    ):
+        answer = send(client, "a.bin", b"x", **headers)
+        assert answer.status_code == 403 and "another site" in answer.json()["error"]
+
+
+def test_without_the_token_there_is_only_the_form(closed):
+    for path in ("/", "/api/flights", "/api/live", "/static/serve.js", "/flights/" + 64 * "0", "/nothing"):
+        answer = closed.get(path)
+        assert answer.status_code == 401 and "token" in answer.text.lower()
+        assert closed.get(path, headers={"Authorization": "Bearer wrong"}).status_code == 401
+        assert closed.get(path, params={"token": "wrong-but-of-enough-letters"}).status_code == 401
+        assert closed.get(path, headers={"Cookie": "rotorwatch-8000=wrong"}).status_code == 401
+    assert 'type="password"' in closed.get("/").text and "script" not in closed.get("/").text
+    assert send(closed, "a.bin", b"x").status_code == 401
+    assert closed.get("/static/page.css").status_code == 200
+
+
+def test_the_token_opens(closed):
+    assert closed.get("/api/flights", headers={"Authorization": f"Bearer {TOKEN}"}).status_code == 200
+    assert closed.post("/login", data={"token": "wrong-but-of-enough-letters"}).status_code == 401
+    assert closed.post("/login", content=b"x" * 9000).status_code == 413
+    for let_in in (closed.get("/", params={"token": TOKEN, "a": "b"}), closed.post("/login", data={"token": TOKEN})):
+        assert let_in.status_code == 303 and TOKEN not in str(let_in.headers)
+        cookie = let_in.headers["set-cookie"].lower()
+        assert "httponly" in cookie and "samesite=strict" in cookie
+    assert closed.get("/").status_code == 200, "the cookie is kept by the client"
+    closed.cookies.clear()
+    away = closed.get(HERE + "//evil.example/", params={"token": TOKEN})
+    assert away.headers["location"].startswith("/") and not away.headers["location"].startswith("//")
+
+
+@pytest.mark.parametrize("path", ["/", "/static/live.js", "/api/flights", "/nothing", "/flights/x", "/favicon.ico"])
+def test_every_answer_binds_the_browser(served, path):
+    headers = served[0].get(path).headers
+    policy = headers["content-security-policy"]
+    assert "default-src 'none'" in policy and "frame-ancestors 'none'" in policy and "unsafe" not in policy
+    assert headers["x-content-type-options"] == "nosniff" and headers["x-frame-options"] == "DENY"
+
+
+@pytest.mark.parametrize(
+    "path",
+    ["/static/../app.py", "/static/..%2fapp.py", "/static/%2e%2e/app.py", "/static//etc/passwd", "/flights/..%2f..%2ffleet.db", "/flights/x",
+     "/flights/" + 63 * "0" + "A", "/api/flights/..", "/incoming/"],
+)  # fmt: skip
+def test_there_are_no_paths(served, path):
+    answer = served[0].get(path)
+    assert answer.status_code == 404 and "rotorwatch.serve" not in answer.text
+    assert "There is no such page" in answer.text or "No such flight" in answer.text
+
+
+def test_odd_questions_get_a_sentence(served):
+    client, _ = served
+    for ask in ("limit=x", "limit=-1", "offset=1e9", "limit=99999999999999999999"):
+        assert "whole number" in client.get(f"/api/flights?{ask}").json()["error"]
+    assert client.put("/api/flights").status_code == client.delete("/").status_code == 405
+    assert "header" in client.post("/api/flights", content=b"x").json()["error"]
+
+
+# Uploads
+
+
+def test_a_log_is_judged_and_kept(served):
+    client, flights = served
+    hostile = '"><script>alert(1)</script>'
+    answer = send(client, hostile + ".bin.xz", SAMPLE.read_bytes())
+    row = answer.json()
+    assert answer.status_code == 201, row
+    assert row["verdict"] == "healthy" and row["frame"] == "ardupilot-quad-x"
+    name = "script>.bin.xz"  # what is left of it behind the last slash
+    assert row["name"] == name
+
+    again = send(client, "renamed.bin.xz", SAMPLE.read_bytes())
+    assert again.status_code == 200 and again.json() == row
+    assert client.get("/api/flights", params={"search": "quad HEALTHY"}).json() == {"total": 1, "flights": [row]}
+    assert client.get("/api/flights", params={"search": "hexa"}).json() == {"total": 0, "flights": []}
+    assert client.get(f"/api/flights/{row['hash']}").json()["flight"]["name"] == name
+
+    report = client.get(f"/flights/{row['hash']}")
+    assert "sandbox allow-scripts" in report.headers["content-security-policy"]
+    assert "default-src 'none'" in report.headers["content-security-policy"]
+    assert "script&gt;.bin.xz" in report.text and "<b>script>" not in report.text and 'href="/"' in report.text
+
+    flights.page(row["hash"]).unlink()  # as of a flight that came into the store another way
+    assert "script&gt;.bin.xz" in client.get(f"/flights/{row['hash']}").text
+    assert not [p for p in flights.folder("incoming").glob("run-*/*") if p.name != "lock"], "no upload is left behind"
+
+
+BROKEN = {
+    "notes.txt": (b"Dear diary, today I flew.\n" * 50, 422, "not a flight log"),
+    "empty.bin": (b"", 400, "is empty"),
+    "bomb.bin.xz": (lzma.compress(bytes(400 << 20), preset=0), 422, "unfolds to more"),
+    "short.bin": (lzma.decompress(SAMPLE.read_bytes())[:3000], 422, "holds no flight"),
+    "big.bin": (bytes((2 << 20) + 1), 413, "--max-upload"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_what_is_no_flight_gets_one_sentence(served, name):
+    client, flights = served
+    data, code, sentence = BROKEN[name]
+    before = client.get("/api/flights").json()["total"]
+    without_length = [] if len(data) > 30_000 and code != 413 else [iter([data[:1000], data[1000:]])]
+    for given in (data, *without_length):
+        answer = send(client, name, given)
+        text = answer.json()["error"]
+        assert answer.status_code == code and sentence in text and text.startswith(name), text
+        assert str(flights.folder("incoming")) not in text and "log-" not in text and "Traceback" not in text
+    assert client.get("/api/flights").json()["total"] == before
+
+
+def test_a_truncated_log_is_read_as_far_as_it_goes(served):
+    answer = send(served[0], "cut.bin.xz", SAMPLE.read_bytes()[:300_000])
+    assert answer.status_code == 201 and answer.json()["duration_s"] > 10.0
+    found = served[0].get(f"/api/flights/{answer.json()['hash']}").json()
+    assert any("ends early" in warning for warning in found["warnings"])
+
+
+async def body(*pieces, pause=0.0):
+    for piece in pieces:
+        await asyncio.sleep(pause)
+        yield piece
+
+
+def take(flights, limits, *pieces, pause=0.0, told=None):
+    async def run():
+        here = Uploads(flights, limits, told or (lambda row: None))
+        try:
+            return await here.take("a.bin", None, body(*pieces, pause=pause))
+        finally:
+            here.stop()
+
+    return asyncio.run(run())
+
+
+def test_a_slow_upload_is_given_up(tmp_path, monkeypatch):
+    monkeypatch.setattr(uploads, "IDLE_S", 0.02)
+    flights = Flights(str(tmp_path / "fleet.db"))
+    with pytest.raises(Refused, match="too slow") as why:
+        take(flights, Limits(), b"a", b"b", pause=5.0)
+    assert why.value.code == 408
+    assert not list(flights.folder("incoming").glob("run-*/*/*"))
+
+
+@pytest.mark.parametrize(("job", "limits", "sentence"), [
+    (misbehaving.endless, Limits(judge_s=0.2), "longer than 0.2 s"),
+    (misbehaving.greedy, Limits(memory_mb=500), "more than 500 MB of memory"),
+])  # fmt: skip
+def test_a_log_that_takes_too_much_is_given_up(tmp_path, monkeypatch, job, limits, sentence):
+    monkeypatch.setattr(uploads, "judge", job)
+    monkeypatch.setattr(uploads, "LOADS", ())
+    with pytest.raises(Refused, match=sentence) as why:
+        take(Flights(str(tmp_path / "fleet.db")), limits, b"a")
+    assert why.value.code == 422 and str(why.value).startswith("a.bin: ")
+
+
+def test_what_a_killed_server_had_received_is_judged_by_the_next(tmp_path):
+    flights = Flights(str(tmp_path / "fleet.db"))
+    killed = flights.folder("incoming") / "run-killed" / "one"
+    killed.mkdir(parents=True)
+    (killed / "log-a.bin").write_bytes(b"x")
+    (killed / "complete.json").write_text(
+        json.dumps({"name": "a.bin", "file": "../log-a.bin", "digest": 64 * "0", "size": 1})
+    )
+    (killed.parent / "half").mkdir()
+    (killed.parent / "half" / "log-b.bin").write_bytes(b"x")
+    (killed.parent / "lock").touch()
+    own, lock = uploads._own(flights.folder("incoming"))
+    other, _held = uploads._own(flights.folder("incoming"))  # of a server that runs
+    (log,) = uploads._left(flights.folder("incoming"), own)
+    assert log.path == own / "one" / "log-a.bin" and log.path.read_bytes() == b"x" and log.name == "a.bin"
+    assert not killed.parent.exists() and other.exists()
+    lock.close()
+
+
+# The answer from its JSON
+
+
+def test_an_answer_is_made_of_its_json_again():
+    told = hexa_diagnosis().to_dict()
+    again = Diagnosis.from_dict(json.loads(json.dumps(told)))
+    assert again.to_json() == json.dumps(told, indent=1)
+    assert "rotor 3" in page(again)
+    with pytest.raises(ConfigError, match="judge the log again"):
+        Diagnosis.from_dict({**told, "schema": 1})
+
+
+# What pages are told
+
+
+def frames(text):
+    """(identity, kind, data) of each event of a stream."""
+    found = []
+    for block in text.split("\n\n"):
+        lines = dict(line.split(": ", 1) for line in block.splitlines() if ": " in line and not line.startswith(":"))
+        if "event" in lines:
+            found.append((lines["id"], lines["event"], json.loads(lines["data"])))
+    return found
+
+
+def told(hub, after=""):
+    """What somebody hears at once who comes with the identity of the last message that he has."""
+
+    async def run():
+        text, stream = "", hub.follow(after)
+        try:
+            while True:
+                text += await asyncio.wait_for(anext(stream), 0.05)
+        except TimeoutError:
+            pass
+        await stream.aclose()
+        return text
+
+    return frames(asyncio.run(run()))
+
+
+def test_who_comes_back_hears_what_he_missed_and_no_more():
+    hub = Hub(lambda: {"all": True})
+    for number in range(5):
+        hub.publish("tick", number)
+    ((last, kind, data),) = told(hub)
+    assert (kind, data) == ("state", {"all": True})
+    hub.publish("tick", 5)
+    hub.publish("tick", 6)
+    assert [(kind, data) for _, kind, data in told(hub, last)] == [("tick", 5), ("tick", 6)]
+    for stale in ("elsewhere-3", "x", last + "9" * 12, last.split("-")[0] + "-"):
+        assert [kind for _, kind, _ in told(hub, stale)] == ["state"]
+    for number in range(KEPT + 1):
+        hub.publish("tick", number)
+    assert [kind for _, kind, _ in told(hub, last)] == ["state"], "too much was missed"
+
+
+def test_a_stream_ends_when_the_server_does():
+    async def run():
+        hub = Hub(dict)
+        stream = hub.follow()
+        await anext(stream), await anext(stream)
+        asyncio.get_running_loop().call_later(0.01, hub.close)
+        return [text async for text in stream]
+
+    assert asyncio.run(asyncio.wait_for(run(), 5.0)) == []
+
+
+def test_a_long_flight_stays_in_view():
+    band, one = live.Band(), (np.zeros(4), np.zeros(4), np.full(4, 0.1))
+    for k in range(20_000):
+        band.add(0.2 * k, None if 500 < k < 510 else one)
+    times = [row[0] for row in band.rows]
+    assert len(band.rows) < 2 * live.POINTS and times[0] == 0.0 and times[-1] > 3990.0
+    assert sum(len(row) == 1 for row in band.rows) == 1, "one gap where nothing was judged"
+
+
+class Failing:
+    """A source that breaks."""
+
+    def __init__(self, why):
+        self.vehicles, self._why = (Watched("v", lambda alert: None),), why
+
+    def poll(self, wait_s):
+        raise self._why
+
+    def shown(self):
+        return [(self.vehicles[0], "parameters")]
+
+    def leave(self):
+        raise self._why
+
+
+@pytest.mark.parametrize("why", [LinkError("the cable is out."), ValueError("bug")])
+def test_a_source_that_breaks_takes_nothing_with_it(why):
+    feed = live.Feed()
+    feed._sources = [live.Guarded("serial:x:1", Failing(why), feed)]
+    feed.start()
+    feed._thread.join(10)
+    feed.stop()
+    state = feed.state()
+    text = state["endpoints"][0]["text"]
+    assert str(why) in text and text.endswith((".", "report it"))
+    assert state["said"][-1]["text"] == text and state["vehicles"][0]["blind"] == "waiting for parameters"
+    json.dumps(state, allow_nan=False)
+
+
+# The command
+
+
+def test_bad_beginnings_are_one_sentence(run, tmp_path):
+    taken = server.listen("127.0.0.1", 0)
+    port = taken.getsockname()[1]
+    store = ("--store", tmp_path / "fleet.db")
+    for arguments, sentence in (
+        (("--port", port), "another program uses this port"),
+        (("--host", "0.0.0.0"), "--token"),
+        (("--token", "short"), "at least 16"),
+        (("--token", TOKEN, "--host", "no.such.host.invalid"), "no address of this computer"),
+        (("--port", 0, "missing.bin"), "no such log"),
+        (("--port", 0, "udp:99999"), "no endpoint"),
+        (("--port", 0, "--max-upload", -1), "above zero"),
+        (("--port", 0, "--speed", "fast"), "above 0, or max"),
+        (("--port", 0, "--store", tmp_path), "is a folder"),
+    ):
+        code, out, err = run("serve", *store, *arguments)
+        assert code == 2 and out == "" and sentence in err and len(err.strip().splitlines()) == 1, (arguments, err)
+    taken.close()
+
+
+def test_the_names_of_the_api_are_those_of_the_command():
+    import inspect
+
+    options = {p.name for p in cli.cli.commands["serve"].params} - {"quiet", "debug"}
+    assert options - {"help"} == set(inspect.signature(server.serve).parameters) - {"ready"}
+    assert math.isfinite(inspect.signature(server.serve).parameters["max_upload"].default)
