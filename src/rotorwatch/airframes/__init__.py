@@ -11,7 +11,6 @@ from __future__ import annotations
 import importlib
 import math
 import pkgutil
-import tomllib
 from collections.abc import Iterator
 from importlib import resources
 from types import ModuleType
@@ -21,6 +20,7 @@ from rotorwatch import plugins
 from rotorwatch.errors import VehicleError
 from rotorwatch.flight import Flight, vehicle_kind
 from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.optional import tomllib
 
 KINDS = {2: "quad", 15: "tri", 13: "hexa", 14: "octa", 29: "dodecahexa", 35: "deca"}  # MAVLink MAV_TYPE
 WORDS = {

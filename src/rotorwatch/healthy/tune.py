@@ -14,7 +14,6 @@ Works for every estimator that says innovation and innovation_cov.
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from os import PathLike
@@ -26,6 +25,7 @@ from rotorwatch import checks, discovery, files
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
 from rotorwatch.healthy import baselines
+from rotorwatch.optional import tomllib
 from rotorwatch.published import log_plant, published
 from rotorwatch.published.log_plant import LogPlant
 from rotorwatch.published.published import Scaled, Tuning
