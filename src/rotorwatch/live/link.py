@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Callable
-from datetime import UTC, datetime
+from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
@@ -244,7 +244,7 @@ class Link:
 
     def _open(self, folder: Path):
         name = re.sub(r"[^A-Za-z0-9]+", "-", self.endpoint.name).strip("-")
-        path = folder / f"{name}-{datetime.now(UTC):%Y%m%dT%H%M%S}.tlog"
+        path = folder / f"{name}-{datetime.now(timezone.utc):%Y%m%dT%H%M%S}.tlog"
         return open(files.writable(path, "--record", make=True), "wb")
 
     def poll(self, wait_s: float) -> bool:
