@@ -103,6 +103,8 @@ class Gathered:
         except Exception as why:  # every store has errors of its own
             raise ConfigError(_unreadable(address, why)) from why
         for name in sorted(found):
+            if name.rpartition("/")[2].startswith("."):
+                continue
             if NAMES.search(name.split("?")[0]):
                 yield system.unstrip_protocol(name)
             else:
