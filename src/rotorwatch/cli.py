@@ -34,7 +34,7 @@ from rotorwatch.commands import (
     watch,
 )
 from rotorwatch.commands.tools import LOG, LOGS, OUT, common, debug, progress, say, shares, show, spread
-from rotorwatch.errors import BackendWarning, ConfigError, PluginWarning, RotorwatchError, WorkerWarning
+from rotorwatch.errors import BackendWarning, ConfigError, PluginWarning, RotorwatchError, WorkerWarning, lacking
 
 if TYPE_CHECKING:
     from rotorwatch.diagnosis import Diagnosis
@@ -93,6 +93,8 @@ def explain(why: Exception) -> str:
         traceback.print_exc()
     if isinstance(why, RotorwatchError):
         return str(why)
+    if said := lacking(why):
+        return said
     if isinstance(why, OSError) and why.filename:
         return f"{why.filename}: {why.strerror}."
     if isinstance(why, OSError) and why.errno:

@@ -38,6 +38,7 @@ import numpy as np
 from rotorwatch.fleet import scatter
 from rotorwatch.fleet.prognosis import Lines
 from rotorwatch.healthy.whole_flight import CENTRE_RHO_SD, RHO_SD, ROTOR_SD, SHIFT_SD
+from rotorwatch.maths.tails import log_normal_cdf, normal_quantile
 
 LOSS_SD = 0.15  # of e by a step, or by wear at the end of the history
 STEPS, WEAR, CENTRES = 0.3, 0.3, 0.3  # how many an aircraft's history has of each, before it is looked at
@@ -294,28 +295,24 @@ def _through(d: np.ndarray, covariance: np.ndarray) -> np.ndarray:
 
 def _log_factor(num: np.ndarray, information: np.ndarray, tau: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Log Bayes factors of a coefficient with a half-normal prior of scale tau: above 0, and below 0."""
-    from scipy.special import log_ndtr
-
     information = np.maximum(information, 0.0)
     total = information + tau**-2
     both = 0.5 * num**2 / total - 0.5 * np.log(total * tau**2)
     z = num / np.sqrt(total)
-    return both + np.log(2.0) + log_ndtr(z), both + np.log(2.0) + log_ndtr(-z)
+    return both + np.log(2.0) + log_normal_cdf(z), both + np.log(2.0) + log_normal_cdf(-z)
 
 
 def _classes(fit: _Fit) -> tuple[np.ndarray, list[Atom]]:
     """Log odds of a loss or gain of each rotor and, last, of the centre (n + 1,), summed over flights; and the best atom of each."""
-    from scipy.special import logsumexp
-
     steps, wear, centre, gains = fit.odds()
     n = len(steps)
     rows, best = [], []
     for i in range(n):
         own = {STEP: np.logaddexp(steps[i], gains[i]), WORN: wear[i]}
-        rows.append(logsumexp([v for one in own.values() for v in one]))
+        rows.append(np.logaddexp.reduce([v for one in own.values() for v in one]))
         kind = max(own, key=lambda k: own[k].max())
         best.append(Atom(kind, i, int(np.argmax(own[kind]))))
-    rows.append(logsumexp(centre))
+    rows.append(np.logaddexp.reduce(centre))
     best.append(Atom(CENTRE, -1, int(np.argmax(centre))))
     return np.array(rows), best
 
@@ -406,21 +403,19 @@ def _single(fit: _Fit, e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _hidden(fit: _Fit) -> np.ndarray:
     """(n,) upper 97.5 % bound of e at the last flight, of wear since the first flight or the last service that the evidence does not
     show."""
-    from scipy.stats import truncnorm
-
     s = fit.series
     out = np.zeros(s.G.shape[1])
     for i in range(len(out)):
         start = s.cuts(i)[-2]
         atom = Atom(WORN, i, min(start, len(s.y) - 1))
-        if any(a.rotor == i for a in fit.atoms):
+        if any(a.rotor == i and a.start >= start for a in fit.atoms):
             continue
         p = s.profile(atom)
         column = (p[:, None] * fit.g[:, :, i]).reshape(-1)
         D = fit.D.reshape(column.size, -1)
         information = column @ column - (column @ D) @ fit.covariance @ (D.T @ column) + fit.precision(atom)
         mean, sd = float(column @ fit.left.reshape(-1)) / information, information**-0.5
-        out[i] = (mean + sd * float(truncnorm.ppf(0.975, -mean / sd, np.inf))) * p[-1]  # a loss is not below 0
+        out[i] = (mean + sd * normal_quantile(0.975, -mean / sd)) * p[-1]  # a loss is not below 0
     return out
 
 

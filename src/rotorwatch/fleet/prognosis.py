@@ -17,6 +17,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rotorwatch.maths.tails import normal_cdf
+
 LIMIT = 0.10  # loss
 COVERED = 0.90
 Z = 1.6448536  # its ends, in standard deviations
@@ -60,8 +62,6 @@ class Prognosis:
 
 def foresee(lines: Lines | None, flown: float) -> Prognosis:
     """lines: of a rotor that wears, None of one that does not. flown: hours in the air so far."""
-    from scipy.special import ndtr
-
     if lines is None:
         return Prognosis("no trend")
     w = lines.weight
@@ -77,7 +77,7 @@ def foresee(lines: Lines | None, flown: float) -> Prognosis:
     v = lines.covariance
     variance = v[:, 0, 0, None] + 2.0 * t * v[:, 0, 1, None] + t**2 * v[:, 1, 1, None]
     z = (lines.now[:, None] + lines.growth[:, None] * t - LIMIT) / np.sqrt(np.maximum(variance, 1e-18))
-    reached = np.maximum.accumulate(w @ ndtr(z))
+    reached = np.maximum.accumulate(w @ normal_cdf(z))
     low, middle, high = (
         float(t[np.argmax(reached >= q)]) if reached[-1] >= q else None
         for q in (0.5 - COVERED / 2, 0.5, 0.5 + COVERED / 2)

@@ -35,6 +35,7 @@ from rotorwatch import airframes
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.maths.tails import f_tail
 
 AFTER_TAKE_OFF_S, BEFORE_LANDING_S = 3.0, 1.0
 BLOCK_S = 1.0
@@ -377,9 +378,7 @@ def rarity(flight: Features, others: Sequence[Features], vehicle: Vehicle) -> fl
 
 def _tail(x: np.ndarray, scale: np.ndarray, dof: float) -> float:
     """Hotelling: x' scale^-1 x / d follows F(d, dof) when x (d,) has a t distribution with that scale matrix."""
-    from scipy.stats import f
-
-    return float(f.sf(x @ np.linalg.solve(scale, x) / len(x), len(x), dof))
+    return f_tail(float(x @ np.linalg.solve(scale, x)) / len(x), len(x), dof)
 
 
 def _seldom(p_value: float, flights: int) -> str:
