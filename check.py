@@ -1,6 +1,6 @@
 """Everything that can be checked without running rotorwatch: `python check.py`, in an environment with the test extra.
 
-Style and layout (ruff), types (pyright), who imports whom (import-linter). All of them run, whatever fails; the exit
+Style and layout (ruff), types (pyright), who imports whom (import-linter), spelling (codespell). All of them run, whatever fails; the exit
 code is 1 when any did.
 """
 
@@ -13,11 +13,14 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent
 TOOLS = Path(sys.executable).parent  # not resolved: the environment's own, not its interpreter's
 
+SPELLED = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "docs", "src", "examples", "benchmarks")
+
 COMMANDS = (
     (sys.executable, "-m", "ruff", "check", "--output-format", "concise"),
     (sys.executable, "-m", "ruff", "format", "--check", "--output-format", "concise"),
     (sys.executable, "-m", "pyright", "--pythonpath", sys.executable),
     (str(TOOLS / "lint-imports"), "--no-cache"),
+    (str(TOOLS / "codespell"), *SPELLED),
 )
 
 

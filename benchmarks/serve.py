@@ -53,9 +53,11 @@ def main() -> None:
             for sample in sorted(SAMPLES.glob("*.xz")):
                 send(address, sample)
             for log in asked.logs:
+                before = cpu(server.pid)
                 took, answer = send(address, log)
                 print(
-                    f"{log.name}, {log.stat().st_size / 1e6:.0f} MB, {answer['duration_s']:.0f} s of flight: answered in {took:.1f} s"
+                    f"{log.name}, {log.stat().st_size / 1e6:.0f} MB, {answer['duration_s']:.0f} s of flight: answered in {took:.1f} s, "
+                    f"{cpu(server.pid) - before:.1f} s of it computing (load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores)"
                 )
         finally:
             server.terminate()
@@ -95,6 +97,20 @@ def send(address: str, log: Path) -> tuple[float, dict]:
     if answer.status not in (200, 201):
         raise SystemExit(text.decode())
     return took, json.loads(text)
+
+
+def cpu(server: int) -> float:
+    """Seconds that the server and its processes have computed (Linux)."""
+    family, total = {server}, 0.0
+    for stat in sorted(Path("/proc").glob("[0-9]*/stat"), key=lambda p: int(p.parent.name)):
+        try:
+            fields = stat.read_text().rpartition(") ")[2].split()
+        except OSError:
+            continue
+        if int(stat.parent.name) in family or int(fields[1]) in family:
+            family.add(int(stat.parent.name))
+            total += (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+    return total
 
 
 if __name__ == "__main__":

@@ -25,13 +25,14 @@ import signal
 import sys
 import tempfile
 import time
-import tomllib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from queue import SimpleQueue
+
+import tomllib
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = Path("src") / "rotorwatch"

@@ -6,7 +6,6 @@ import os
 import shutil
 import subprocess
 import sys
-import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +15,7 @@ from click.testing import CliRunner
 from rotorwatch import cli
 from rotorwatch.campaign import batch, benchmark, benchmark_plan, public_data, ranking, results_file, score, summary
 from rotorwatch.errors import ConfigError
+from rotorwatch.optional import tomllib
 
 pytest.importorskip("pyarrow")
 ROOT = Path(__file__).resolve().parents[1]

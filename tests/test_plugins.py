@@ -4,8 +4,8 @@ import warnings
 
 import pytest
 
-from rotorwatch import campaign, detectors, discovery
-from rotorwatch.errors import ConfigError, PluginWarning
+from rotorwatch import airframes, campaign, detectors, discovery, logs
+from rotorwatch.errors import ConfigError, LogError, PluginWarning
 
 GOOD = """
 class Own:
@@ -29,6 +29,33 @@ class Rule:
 class Half:
     name = "half"
     def init(self): ...
+
+class Log:
+    FORMAT = "own log"
+    @staticmethod
+    def sniff(head, name):
+        return head.startswith(b"OWN")
+    @staticmethod
+    def read(data, name, progress=None):
+        import numpy as np
+        from rotorwatch.flight import Flight, Signal
+        motors = Signal(np.arange(3.0), np.ones((3, 4)), ("r1", "r2", "r3", "r4"), "1")
+        return Flight("own log", "Own", {"motors": motors}, 2.0)
+
+class Broken(Log):
+    FORMAT = "broken log"
+    sniff = staticmethod(lambda head, name: 1 / 0)
+
+class Frame:
+    @staticmethod
+    def identify(flight):
+        if flight.autopilot == "Own":
+            return Frame.NAMES["own-quad"]()
+    NAMES = {"own-quad": lambda: __import__("dataclasses").replace(
+        __import__("rotorwatch").airframes.named("crazyflie"), name="own-quad")}
+
+class Wrong:
+    identify = staticmethod(lambda flight: "a quadrotor" if flight.autopilot == "Own" else None)
 """
 
 
@@ -127,3 +154,52 @@ def test_a_class_that_cannot_be_named(package, name, says):
 def test_what_a_method_says_of_itself():
     assert discovery.about(discovery.estimator("adaptive_ekf")).startswith("Adaptive extended Kalman filter: Zhang's")
     assert discovery.source(discovery.estimator("ekf")).path == "rotorwatch.estimators.ekf:EKF"
+
+
+def test_a_log_format_and_an_airframe_of_another_package_are_used(package, tmp_path):
+    package({"rotorwatch.logs": {"x": "elsewhere:Log"}, "rotorwatch.airframes": {"y": "elsewhere:Frame"}})
+    (tmp_path / "a.log").write_bytes(b"OWN 1")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        flight = logs.read(tmp_path / "a.log")
+        assert flight.format == "own log" and flight.name == "a.log"
+        assert airframes.identify(flight).name == airframes.named("own-quad").name == "own-quad"
+        assert "own-quad" in airframes.names() and "crazyflie" in airframes.names()
+        (tmp_path / "b.log").write_bytes(b"nobody's")
+        with pytest.raises(LogError, match=r"known are .*own log"):
+            logs.read(tmp_path / "b.log")
+
+
+def test_a_broken_format_or_airframe_of_another_package_stops_nothing(package, tmp_path):
+    package(
+        {
+            "rotorwatch.logs": {"a": "elsewhere:Broken", "b": "elsewhere:Missing", "c": "elsewhere:Log", "d": "elsewhere:Rule"},
+            "rotorwatch.airframes": {"a": "elsewhere:Wrong", "b": "elsewhere:Frame"},
+        }
+    )  # fmt: skip
+    (tmp_path / "a.log").write_bytes(b"OWN 1")
+    with pytest.warns(PluginWarning) as said:
+        flight = logs.read(tmp_path / "a.log")
+        vehicle = airframes.identify(flight)
+    assert flight.format == "own log" and vehicle.name == "own-quad"
+    texts = " ".join(str(w.message) for w in said)
+    assert texts.count("of the package elsewhere 1.2") == len(said) and "\n" not in texts
+    for part in ("a of the package elsewhere 1.2 is passed over: its sniff failed (ZeroDivisionError", "cannot be loaded",
+                 "lacks FORMAT", "str is no Vehicle"):  # fmt: skip
+        assert part in texts
+
+
+def test_a_format_of_ours_stays_ours(package):
+    ulog = next(m for m in logs.formats() if m.__name__.endswith(".ulog"))
+    source = GOOD.replace('FORMAT = "own log"', f"FORMAT = {ulog.FORMAT!r}")
+    package({"rotorwatch.logs": {"x": "elsewhere:Log"}}, source)
+    with pytest.warns(PluginWarning, match="its FORMAT is taken"):
+        assert ulog.FORMAT not in logs.offered()
+
+
+def test_a_reader_of_another_package_that_gives_no_flight(package, tmp_path):
+    package({"rotorwatch.logs": {"x": "elsewhere:Log"}}, GOOD.replace("return Flight(", "return dict(").replace('"own log", "Own", {', "a={"
+            ).replace("}, 2.0)", "})"))  # fmt: skip
+    (tmp_path / "a.log").write_bytes(b"OWN 1")
+    with pytest.raises(LogError, match="gave no Flight"):
+        logs.read(tmp_path / "a.log")

@@ -148,7 +148,7 @@ def ask(
     """The excitation that tells apart soonest which of several sets of rotors is weak.
 
     subject: a `Vehicle`, a vehicle file, the name of an airframe, or a `Flight` or log file whose answer is ambiguous: then candidates,
-    hover, gains and noise are the log's (vehicle: its airframe, if the log does not say). candidates: sets of rotors, 1-based; (): none
+    hover, gains and noise are the log's. vehicle: its airframe, if the log does not say. candidates: sets of rotors, 1-based; (): none
     is weak. loss: of each rotor of them, or of those of each candidate; hover: share of full thrust; arm_m: centre to the outermost rotor,
     which says how far the vehicle turns; tick_s: how often outputs are logged, 0.05 at most. within_s: no longer than that; tilt_deg:
     largest turn; amplitude: largest change of a command, share of full thrust. Raises LogError, VehicleError, ConfigError.

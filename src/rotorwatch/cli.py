@@ -34,7 +34,7 @@ from rotorwatch.commands import (
     watch,
 )
 from rotorwatch.commands.tools import LOG, LOGS, OUT, common, debug, progress, say, shares, show, spread
-from rotorwatch.errors import BackendWarning, ConfigError, PluginWarning, RotorwatchError, lacking
+from rotorwatch.errors import BackendWarning, ConfigError, PluginWarning, RotorwatchError, WorkerWarning, lacking
 
 if TYPE_CHECKING:
     from rotorwatch.diagnosis import Diagnosis
@@ -51,6 +51,7 @@ def main(argv: list[str] | None = None) -> None:
         warnings.simplefilter("ignore")  # those of numerical libraries; a flight's are part of the answer
         for kind in (BackendWarning, PluginWarning):
             warnings.filterwarnings("once", category=kind)
+        warnings.filterwarnings("always", category=WorkerWarning)
         warnings.showwarning = lambda message, *where, **more: say(str(message))
     for stream in (sys.stdout, sys.stderr):
         if isinstance(

@@ -57,11 +57,13 @@ class RotorState:
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happened in flight. Times in s from the first record of the log; end_s None while it lasts.
+    """Something that happened in flight. Times in s from the first record of the log.
 
-    kind: loss_of_effectiveness, output_override, contact, common_mode, torque_bias. rotors: 1-based; loss and interval follow
-    their order. alternatives: other rotor sets that explain the data as well. probability: of these rotors, given the data.
-    reason: one sentence. history: (time, loss...) rows of the causal estimate, for plots.
+    onset_s: when it began. detected_s: when that could be said. end_s: when it ended; None while it lasts.
+    kind: loss_of_effectiveness, output_override, contact, common_mode, torque_bias. rotors: 1-based. loss: of each of them, 0 to 1.
+    interval: (low, high) of each loss, 95 %. alternatives: other rotor sets that explain the data as well. probability: of these
+    rotors, given the data. reason: one sentence. extra: what only some kinds have. history: (time, loss...) rows of the causal
+    estimate, for plots.
     """
 
     kind: str
@@ -97,10 +99,11 @@ class Event:
 class Trace:
     """What a picture of the flight needs, on the diagnoser's own ticks (T of them, n rotors).
 
-    time (T,); loss, lower, upper (T, n); residual, residual_sd (T, 4) in hover-thrust units: roll, pitch, yaw, thrust;
-    command (T, n) share of full thrust, NaN where none is logged; evidence: hypothesis name -> (T,) log10 odds against healthy;
-    blind: ((start, end, why), ...) when the diagnoser could not judge; airborne: ((start, end), ...). attitude, wanted (T, 3): roll,
-    pitch, yaw in degrees, as flown and as asked for, or None; messages: ((time, kind, text), ...), kinds as in `flight.Message`.
+    time (T,): s. loss, lower, upper (T, n): estimate and its 95 % interval. residual, residual_sd (T, 4): in hover-thrust units, roll,
+    pitch, yaw, thrust. command (T, n): share of full thrust, NaN where none is logged. threshold: of the evidence, log10 odds.
+    evidence: hypothesis name -> (T,) log10 odds against healthy; blind: ((start, end, why), ...) when the diagnoser could not judge;
+    airborne: ((start, end), ...). attitude, wanted (T, 3): roll, pitch, yaw in degrees, as flown and as asked for, or None; messages:
+    ((time, kind, text), ...), kinds as in `flight.Message`.
     """
 
     time: np.ndarray
@@ -137,10 +140,15 @@ class Trace:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Everything `rotorwatch diagnose` says. verdict: healthy, fault, ambiguous or inconclusive; reason: why, one sentence.
+    """Everything `rotorwatch diagnose` says.
 
+    verdict: healthy, fault, ambiguous or inconclusive. reason: why, one sentence.
     headline: the same for a pilot; main: index into events of the one that matters, or None; advice: what to do next. These, rotors and
     events are made in one place: conclusion.conclude.
+    flight: what was judged (docs/json.md). rotors: the state of each at the end. events: in time order. common_mode: what all rotors
+    have together. baseline: what it was compared with. assumptions, warnings: sentences. timing: s of each step of the work. estimator:
+    the method's name. comparison: what the autopilot's own checks found. whole_flight: damage from take-off, where it was judged. trace:
+    what a picture needs.
     """
 
     flight: Mapping[str, Any]

@@ -85,12 +85,12 @@ def export_c(
     variable_dt: bool = False,
     name: str | None = None,
 ) -> Exported:
-    """Write a C99 project of an estimator into the folder `out`.
+    """Write a C99 project of an estimator into a folder.
 
     estimator: a name (`discovery.estimators`, or "default-filter": the default diagnoser's filter without its bank of
-    hypotheses), or an estimator object. vehicle: what `calibrate` learned, an airframe's or a paper's name; None: the method's own
-    paper's. dt: s, length of a step. variable_dt: the step takes dt as an argument. name: of files and functions. Raises ConfigError for
-    unknown names, and c99.lower.Refused, with the line it comes from, for what cannot be C.
+    hypotheses), or an estimator object. out: the folder, made where it is missing. vehicle: what `calibrate` learned, an airframe's or
+    a paper's name; None: the method's own paper's. dt: s, length of a step. variable_dt: the step takes dt as an argument. name: of
+    files and functions. Raises ConfigError for unknown names, and c99.lower.Refused, with the line it comes from, for what cannot be C.
     """
     method = prepare(estimator, vehicle, dt) if isinstance(estimator, str) else estimator
     called = name or (estimator if isinstance(estimator, str) else getattr(method, "name", "estimator"))

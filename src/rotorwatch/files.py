@@ -5,13 +5,13 @@ from __future__ import annotations
 import os
 import re
 import tempfile
-import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from rotorwatch.errors import ConfigError
+from rotorwatch.optional import tomllib
 
 ADDRESS = re.compile(r"[a-z][a-z0-9+.-]*:/{1,2}[^/]", re.IGNORECASE)  # a Path has lost one of two slashes
 

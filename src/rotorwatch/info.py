@@ -69,7 +69,9 @@ _SIGNAL = {"trust": "log"}  # what is missing, for reasons that are no signal's 
 def info(flight: Flight) -> dict:
     """What `rotorwatch info --json` prints. Times in s from the first record of the log.
 
-    schema, name, format, autopilot, firmware, vehicle_type, frame, rotors, duration_s; parameters: how many;
+    flight: as `rotorwatch.read` gives it.
+
+    Returns schema, name, format, autopilot, firmware, vehicle_type, frame, rotors, duration_s; parameters: how many;
     airborne_s: [[start, end]]; signals: [{name, rate_hz, samples, columns, unit, frame, source, valid (share), start_s,
     end_s}]; messages, the notable ones: [{time_s, kind, text}]; ready: whether `diagnose` judges it;
     missing: [{signal, why, setting, needed}]; warnings. docs/json.md has more on each.

@@ -3,9 +3,15 @@
 from __future__ import annotations
 
 import importlib
+import sys
 from typing import Any
 
 from rotorwatch.errors import ConfigError
+
+if sys.version_info >= (3, 11):
+    import tomllib as tomllib
+else:  # the same, as a package
+    import tomli as tomllib  # noqa: F401  # pyright: ignore[reportMissingImports]
 
 
 def library(name: str, what: str) -> Any:

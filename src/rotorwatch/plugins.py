@@ -1,26 +1,34 @@
 """Looking for plug-ins: in a room of this package, whose modules nothing lists by hand; in other installed packages, which name theirs
 as entry points; and by `module:Class`.
 
-A package hands in an estimator, a plant or a detector by three lines of its pyproject.toml (docs/your-own-method.md):
+A package hands in an estimator, a plant, a detector, a log format or an airframe by three lines of its pyproject.toml
+(docs/your-own-method.md, docs/plug-ins.md):
 
     [project.entry-points."rotorwatch.estimators"]
     fixed_gain = "two_methods.fixed_gain:FixedGain"
 
-The name on the left is the plug-in's own `name`.
+The name on the left is the plug-in's own `name`; formats and airframes have none, so that any name will do for them.
 """
 
 from __future__ import annotations
 
 import importlib
 import pkgutil
-from collections.abc import Iterator
+import warnings
+from collections.abc import Callable, Iterator
 from importlib import metadata
 from types import ModuleType
 from typing import Any
 
-from rotorwatch.errors import ConfigError
+from rotorwatch.errors import ConfigError, PluginWarning
 
-GROUPS = {"rotorwatch.estimators": "estimator", "rotorwatch.systems": "plant", "rotorwatch.detectors": "detector"}
+GROUPS = {
+    "rotorwatch.estimators": "estimator",
+    "rotorwatch.systems": "plant",
+    "rotorwatch.detectors": "detector",
+    "rotorwatch.logs": "log format",
+    "rotorwatch.airframes": "airframe",
+}
 
 
 def modules(package: str) -> Iterator[ModuleType]:
@@ -53,9 +61,36 @@ def offered(group: str) -> dict[str, metadata.EntryPoint]:
     return dict(sorted(found.items()))
 
 
+def others(
+    group: str, parts: tuple[str, ...], refuse: Callable[[Any], str] = lambda found: ""
+) -> Iterator[tuple[metadata.EntryPoint, Any]]:
+    """Every plug-in of a group of GROUPS that other packages offer, loaded, with its entry point; one that is broken is left out, with a
+    PluginWarning that names its package. refuse: says why one is not used ("its name is taken"), "" for one that is."""
+    for entry in offered(group).values():
+        try:
+            found = load(entry, parts)
+            if why := refuse(found):
+                raise ConfigError(
+                    f"The {GROUPS[group]} {entry.name} of the package {package(entry)} is not used: {why}."
+                )
+        except ConfigError as why:
+            warnings.warn(str(why), PluginWarning, stacklevel=3)
+            continue
+        yield entry, found
+
+
+def failed(entry: metadata.EntryPoint, what: str, why: BaseException) -> None:
+    """Warn, by a PluginWarning, that a plug-in of another package raised. what: what it was asked for."""
+    kind = GROUPS.get(entry.group, "plug-in")
+    sentence = (
+        f"The {kind} {entry.name} of the package {package(entry)} is passed over: its {what} failed ({brief(why)})."
+    )
+    warnings.warn(sentence, PluginWarning, stacklevel=3)
+
+
 def load(entry: metadata.EntryPoint, parts: tuple[str, ...]) -> Any:
     """The class or module that an entry point names. Raises ConfigError, one sentence that names the package, when it cannot be loaded,
-    lacks one of `parts`, or has another `name` than the entry point."""
+    lacks one of `parts`, or has another `name` than the entry point where `parts` asks for a name."""
     kind = GROUPS.get(entry.group, "plug-in")
     whose = f"The {kind} {entry.name} of the package {package(entry)}"
     try:
@@ -63,7 +98,7 @@ def load(entry: metadata.EntryPoint, parts: tuple[str, ...]) -> Any:
     except Exception as why:  # a stranger's module may raise anything
         raise ConfigError(f"{whose} cannot be loaded ({brief(why)}): mend that package or uninstall it.") from why
     _complete(whose, found, parts)
-    if found.name != entry.name:
+    if "name" in parts and found.name != entry.name:
         raise ConfigError(f"{whose} calls itself {found.name!r}: its entry point must have the same name.")
     return found
 
@@ -89,7 +124,9 @@ def imported(text: str, parts: tuple[str, ...], kind: str) -> Any:
 def _complete(whose: str, found: Any, parts: tuple[str, ...]) -> None:
     missing = [part for part in parts if not hasattr(found, part)]
     if missing:
-        raise ConfigError(f"{whose} lacks {', '.join(missing)}: see docs/your-own-method.md for what it must have.")
+        raise ConfigError(f"{whose} lacks {', '.join(missing)}: see docs/plug-ins.md for what it must have.")
+    if "name" not in parts:
+        return
     if not isinstance(found.name, str) or not found.name:
         raise ConfigError(f"{whose} must have a text as its name, not {found.name!r}.")
 

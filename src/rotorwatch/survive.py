@@ -176,7 +176,8 @@ def survive(
 
     vehicle: a `Vehicle`, a vehicle file, or the name of an airframe or of a paper's airframe. loss: sizes of losses, above 0 to 1;
     two weak rotors lose the same. mass_kg, thrust_to_weight (full thrust over weight), arm_m (centre to the outermost rotor): instead
-    of what the vehicle says, in its file under [extra], with the names of docs/simulation.md. Raises VehicleError, ConfigError.
+    of what the vehicle says, in its file under [extra], with the names of docs/simulation.md. progress: called with the finished share.
+    Raises VehicleError, ConfigError.
     """
     sizes = tuple(dict.fromkeys(float(x) for x in loss))
     if not sizes or not all(0.0 < x <= 1.0 for x in sizes):

@@ -2,7 +2,8 @@
 
 A module here offers ``identify(flight) -> Vehicle | None`` (None: not mine, or the log says too little) and may
 offer ``NAMES``, name -> function without arguments that builds the `Vehicle` with default settings. Adding an autopilot
-is adding a file.
+is adding a file, or an entry point `rotorwatch.airframes` of another package: a module or an object with the same parts (docs/plug-ins.md),
+which is asked when no module here knows the flight.
 """
 
 from __future__ import annotations
@@ -10,13 +11,16 @@ from __future__ import annotations
 import importlib
 import math
 import pkgutil
-import tomllib
+from collections.abc import Iterator
 from importlib import resources
 from types import ModuleType
+from typing import Any
 
+from rotorwatch import plugins
 from rotorwatch.errors import VehicleError
 from rotorwatch.flight import Flight, vehicle_kind
 from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.optional import tomllib
 
 KINDS = {2: "quad", 15: "tri", 13: "hexa", 14: "octa", 29: "dodecahexa", 35: "deca"}  # MAVLink MAV_TYPE
 WORDS = {
@@ -36,6 +40,11 @@ def modules() -> tuple[ModuleType, ...]:
     return tuple(sorted(found, key=lambda module: module.__name__))
 
 
+def offered() -> tuple[tuple[Any, Any], ...]:
+    """(entry point, airframes) of what other installed packages offer, by name; one that is broken is left out, with a PluginWarning."""
+    return tuple(plugins.others(__name__, ("identify",)))
+
+
 def identify(flight: Flight) -> Vehicle:
     """The airframe of a flight.
 
@@ -44,11 +53,11 @@ def identify(flight: Flight) -> Vehicle:
     """
     if other := vehicle_kind.refusal(flight):
         raise VehicleError(other)
-    for module in modules():
-        vehicle = module.identify(flight)
-        if vehicle is not None:
-            check(vehicle, flight)
-            return vehicle
+    own = (module.identify(flight) for module in modules())
+    vehicle = next((found for found in own if found is not None), None) or _theirs(flight)
+    if vehicle is not None:
+        check(vehicle, flight)
+        return vehicle
     raise VehicleError(
         f"{flight.name or 'The log'} does not say which airframe flew ({_missing(flight)}); "
         "describe it in a vehicle file and give that with --vehicle FILE."
@@ -66,17 +75,40 @@ def check(vehicle: Vehicle, flight: Flight) -> None:
 
 def names() -> tuple[str, ...]:
     """Names of all airframes that `named` can build."""
-    return tuple(sorted(name for module in modules() for name in getattr(module, "NAMES", {})))
+    return tuple(sorted({name for module in _all() for name in getattr(module, "NAMES", {})}))
 
 
 def named(name: str) -> Vehicle:
     """The airframe of that name with its autopilot's default settings. Raises VehicleError for an unknown name."""
-    for module in modules():
+    for module in _all():
         build = getattr(module, "NAMES", {}).get(name)
         if build is not None:
             return build()
     close = [n for n in names() if name.lower() in n] or [n for n in names() if n.endswith("-quad-x")]
     raise VehicleError(f"There is no airframe called {name!r}; close ones are {', '.join(close[:8])}.")
+
+
+def _all() -> Iterator[Any]:
+    """Ours, then those of other packages, which are not loaded unless asked for."""
+    yield from modules()
+    yield from (found for _, found in offered())
+
+
+def _theirs(flight: Flight) -> Vehicle | None:
+    """The vehicle that the airframes of another package make of a flight; one that raises is passed over, with a warning."""
+    for entry, found in offered():
+        try:
+            vehicle = found.identify(flight)
+            if vehicle is not None and not isinstance(vehicle, Vehicle):
+                raise TypeError(f"{type(vehicle).__name__} is no Vehicle")
+        except VehicleError:  # it knows the vehicle, and says why it cannot be judged
+            raise
+        except Exception as why:  # a stranger's module may raise anything
+            plugins.failed(entry, "identify", why)
+        else:
+            if vehicle is not None:
+                return vehicle
+    return None
 
 
 def paper(name: str) -> dict:

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import tomllib
 from pathlib import Path
 from typing import NamedTuple
 
@@ -23,6 +22,7 @@ from rotorwatch.campaign import plan as plans
 from rotorwatch.campaign.plan import Plan
 from rotorwatch.campaign.score import RISE_S
 from rotorwatch.errors import ConfigError
+from rotorwatch.optional import tomllib
 from rotorwatch.simulation.scenario import number, plain, whole
 
 SHIPPED = Path(__file__).parent / "benchmark_plans"

@@ -57,14 +57,14 @@ def add(context, logs, aircraft, vehicle, follow, url, quiet) -> None:
         raise ConfigError("--follow watches folders; give at least one.")
     with _open(url) as store:
         with progress(quiet or not live()) as tell:
-            told = run.add(store, logs, aircraft, known, _teller(quiet), tell)
+            told, others = run.add(store, logs, aircraft, known, _teller(), tell)
             if any(a["stale"] for a in store.aircraft()):
                 assess.refresh(store, tell)
-        count = {state: sum(t.state == state for t in told) for state in ("added", "known", "no log", "failed")}
+        count = {state: sum(t.state == state for t in told) for state in ("added", "known", "failed")}
         if not quiet:
             parts = [f"{count['added']} added"]
             parts += [f"{count['known']} known already"] if count["known"] else []
-            parts += [f"{count['no log']} files that are no logs"] if count["no log"] else []
+            parts += [f"{others} files that are no logs"] if others else []
             parts += [f"{count['failed']} could not be judged"] if count["failed"] else []
             say(f"{', '.join(parts)}; {store.count()} flights in {store.label}")
             lost = sum(t.state == "added" and not t.aircraft for t in told)
@@ -75,15 +75,15 @@ def add(context, logs, aircraft, vehicle, follow, url, quiet) -> None:
         if follow:
             if not quiet:
                 say(f"watching {', '.join(map(str, folders))}; Ctrl-C ends it")
-            run.follow(store, folders, aircraft, known, _teller(quiet, known=False), say)
+            run.follow(store, folders, aircraft, known, _teller(), say)
     context.exit(FAILED if count["failed"] else ADDED)
 
 
-def _teller(quiet: bool, known: bool = True):
+def _teller():
     def tell(told) -> None:
-        name = label(told.path.name)
+        name = label(Path(told.path).name)
         if told.state == "failed":
-            say(told.text if told.path.name in told.text else f"{name}: {told.text}")
+            say(told.text if name in told.text else f"{name}: {told.text}")
         elif told.state == "added":
             click.echo(f"{told.verdict:<13}{told.aircraft or '(no aircraft)'}  {name}  {told.text}")
 

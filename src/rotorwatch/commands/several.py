@@ -67,7 +67,7 @@ def diagnose(asked: Asked, how: str, explain: Callable[[Exception], str]) -> int
             if answer.unchanged:
                 line = lines.there[answer.path]
                 codes.add(line.code)
-                rows.add(overview.row(label(answer.path), line.answer, _page(asked, answer.path)))
+                rows.add(line.row)
                 return
             if answer.error is not None:
                 text = explain(answer.error)
@@ -100,7 +100,8 @@ def diagnose(asked: Asked, how: str, explain: Callable[[Exception], str]) -> int
         finally:
             with suppress(ValueError):
                 answers.close()  # type: ignore[attr-defined]
-            _show(asked, rows, [listed[k] for k in sorted(listed)])
+            if codes:
+                _show(asked, rows, [listed[k] for k in sorted(listed)])
     return next((code for code in SEVERITY if code in codes), 0)
 
 
@@ -155,12 +156,18 @@ def _write_page(asked: Asked, answer: Any) -> str | None:
 # JSON lines
 
 
+def _recorded(path: str) -> str:
+    """A path as a line holds it: what came through a pipe by its name; bytes that are no text as JSON's escapes."""
+    shown = label(path)
+    return path if shown == path.encode("utf-8", "backslashreplace").decode() else shown
+
+
 @dataclass(frozen=True)
 class _Line:
     """A line that is there already. known: None where it has to be made again."""
 
     code: int
-    answer: dict[str, Any]
+    row: Any
     known: Any
 
 
@@ -176,7 +183,7 @@ class _Lines:
         if self.out is None:
             return
         about = {
-            "path": label(answer.path),
+            "path": _recorded(answer.path),
             "exit_code": answer.exit_code,
             "size": answer.size,
             "sha256": answer.sha256,
@@ -201,6 +208,7 @@ def _lines(asked: Asked, how: str) -> Iterator[_Lines]:
 def _there(asked: Asked, how: str) -> dict[str, _Line]:
     """The lines of the file that --resume goes on with, by path; a last line that was cut off is taken away. Raises ConfigError."""
     from rotorwatch.diagnose_many import Known
+    from rotorwatch.report import overview
 
     out = asked.out
     assert out is not None
@@ -224,7 +232,8 @@ def _there(asked: Asked, how: str) -> dict[str, _Line]:
                     f"{out} was made by another version, or with another estimator, vehicle or baseline; give another file."
                 )
             answer = {key: value for key, value in line.items() if key not in ("path", "exit_code", "size", "sha256")}
-            there[path] = _Line(code, answer, None if sha256 is None else Known(size, sha256))
+            shown = overview.row(label(path), answer, _page(asked, path))
+            there[path] = _Line(code, shown, None if sha256 is None else Known(size, sha256))
             whole += len(text)
     os.truncate(out, whole)
     return there

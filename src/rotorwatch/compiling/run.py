@@ -75,17 +75,19 @@ def run(
     backend: str | None = None,
     dt=None,
 ):
-    """Step one estimator over T rows: u (T, n_u), y (T, n_y), valid (T, n_y) bool (None: all of y that is finite).
+    """Step one estimator over T rows.
 
+    estimator: an object with `init` and `step`. u (T, n_u): inputs. y (T, n_y): measurements. valid (T, n_y): bool; None: all of y that
+    is finite.
     A row's u is held over its step, and its y is measured at the end of that step: the first y belongs one step after x0. dt: s, one
     number or (T,), the length of each row's step, for estimators whose `step` takes it; None: what the estimator was made for.
 
-    Returns (last carry, stacked outputs of `step`, or of `select` of each), as NumPy arrays. Compiled once for the estimator
-    object: run the same object again for further flights. progress: called with the finished share, 0..1. carry: where an
-    earlier run ended, to go on from there. backend: "jax", or "native": C, built once by the system's compiler and kept
-    (docs/export.md), without a compiler JAX, after a BackendWarning; "auto": the same without one; None: what
-    $ROTORWATCH_BACKEND says, else "jax". Raises ConfigError for tables of the wrong shape or type, and for a plant or a method whose parts
-    do not fit together.
+    select: what to keep of each output, as a function; None: all of it. Returns (last carry, stacked outputs), as NumPy arrays.
+    Compiled once for the estimator object: run the same object again for further flights. progress: called with the finished share,
+    0..1. carry: where an earlier run ended, to go on from there. backend: "jax", or "native": C, built once by the system's compiler
+    and kept (docs/export.md), without a compiler JAX, after a BackendWarning; "auto": the same without one; None: what
+    $ROTORWATCH_BACKEND says, else "jax". Raises ConfigError for tables of the wrong shape or type, and for a plant or a method whose
+    parts do not fit together.
     """
     u, y = _floats("u", u), _floats("y", y)
     valid = np.isfinite(y) if valid is None else np.asarray(valid, bool)

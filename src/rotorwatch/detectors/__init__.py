@@ -10,11 +10,9 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
-import warnings
 from typing import Any
 
 from rotorwatch import plugins
-from rotorwatch.errors import ConfigError, PluginWarning
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
 
@@ -25,17 +23,9 @@ def modules() -> tuple[Any, ...]:
     """The detectors found in this folder and those that other packages offer, by name; one that is broken is left out, with a
     PluginWarning."""
     found: list[Any] = [importlib.import_module(f"{__name__}.{info.name}") for info in pkgutil.iter_modules(__path__)]
-    for entry in plugins.offered("rotorwatch.detectors").values():
-        try:
-            detector = plugins.load(entry, PARTS)
-            if detector.name in (known.name for known in found):
-                sentence = (
-                    f"The detector {entry.name} of the package {plugins.package(entry)} is not used: its name is taken."
-                )
-                raise ConfigError(sentence)
-            found.append(detector)
-        except ConfigError as why:
-            warnings.warn(str(why), PluginWarning, stacklevel=2)
+    taken = {known.name for known in found}
+    others = plugins.others(__name__, PARTS, lambda rule: "its name is taken" if rule.name in taken else "")
+    found += [rule for _, rule in others]
     return tuple(sorted(found, key=lambda module: module.name))
 
 

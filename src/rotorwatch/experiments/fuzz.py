@@ -38,10 +38,12 @@ def fuzz(
 ) -> dict:
     """Read `mutations` damaged copies of the log at `path`, diagnose the share `diagnosed` of them.
 
+    path: a log file of any known format. mutations: how many copies. seed: of the random damage. diagnosed: share, 0 to 1, that is
+    not only read but judged. progress: called with the finished share.
     jobs: worker processes (default: one per processor); 0 does everything in this process, without limits.
-    timeout_s and memory_mb (beyond what a worker starts with) hold for each mutation. Returns log, seed, mutations,
-    diagnosed (count), outcomes ({outcome: count}, see OUTCOMES) and failures ([{number, mutation, what}], first 20).
-    An outcome is FAILED for any exception other than a RotorwatchError, for a crash, and beyond a limit.
+    timeout_s: seconds that one mutation may take; memory_mb: MB that one may take beyond what a worker starts with. Returns log, seed,
+    mutations, diagnosed (count), outcomes ({outcome: count}, see OUTCOMES) and failures ([{number, mutation, what}], first 20). An
+    outcome is FAILED for any exception other than a RotorwatchError, for a crash, and beyond a limit.
     """
     task = Mutations(load(path), Path(path).name.removesuffix(".xz").removesuffix(".gz"), seed, diagnosed, timeout_s)
     if jobs == 0:

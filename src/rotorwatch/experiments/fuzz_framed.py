@@ -38,7 +38,8 @@ def fuzz_framed(
 ) -> dict:
     """Diagnose `damages` damaged copies of the log at `path` for each kind of damage; compare with the intact log's answer.
 
-    share: of the records that are damaged in each copy. jobs, timeout_s, memory_mb: as in `fuzz.fuzz`. Returns log, seed,
+    path: a log file whose framing is known. damages: copies of each kind. seed: of the random damage. progress: called with the finished
+    share. share: of the records that are damaged in each copy. jobs, timeout_s, memory_mb: as in `fuzz.fuzz`. Returns log, seed,
     share, damages, verdict and rotors of the intact log, table ({kind: {outcome: count}}, see OUTCOMES), slowest_s, and
     failures ([{number, kind, outcome, what}]) with all that must not be. Raises ConfigError for formats without framing
     that is known, LogError when the intact log cannot be judged.

@@ -45,6 +45,8 @@ def inject(
 ) -> Flight:
     """The flight as it would look had `rotors` (1-based) lost `loss` (0..1, one for all or one each) at `onset` s.
 
+    flight: a healthy one. vehicle: its airframe. rotors: 1-based. loss: 0 to 1, one for all or
+    one each. onset: s from the log's first record. response_s: time constant with which the motors follow [s].
     Signals ``motors`` and ``control`` are rewritten after the onset, everything else stays. Where a command would
     exceed its limit it is cut off there, and a warning of the flight says how often: this flight could not have flown
     on like that. ``facts["injected"]`` holds what was done. Raises ConfigError for rotors, losses or times that the

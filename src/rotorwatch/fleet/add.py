@@ -2,64 +2,32 @@
 
 from __future__ import annotations
 
-import glob
+import stat
 import time
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from rotorwatch import __version__
-from rotorwatch.errors import ConfigError, LogError, RotorwatchError, StoreError
+from rotorwatch.errors import RotorwatchError, StoreError
 from rotorwatch.fleet import assess, judge
 from rotorwatch.fleet.store import Store, digest
 from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.gathering import Gathered, fetched, full, is_log
 
 POLL_S = 2.0
-HEAD = 4096
 
 
 @dataclass(frozen=True)
 class Told:
-    """What became of a file. state: added, known (its content is in the store), no log (in a folder), or failed. verdict, text: of the
-    flight, or why not. aircraft: its name, "" when nothing tells."""
+    """What became of a log. state: added, known (its content is in the store), or failed. verdict, text: of the flight, or why not.
+    aircraft: its name, "" when nothing tells."""
 
-    path: Path
+    path: Path | str
     state: str
     verdict: str = ""
     text: str = ""
     aircraft: str = ""
-
-
-def collect(given: Iterable[Path | str]) -> Iterator[tuple[Path, bool]]:
-    """Files in a fixed order, and whether each was named itself: files as given, folders with all that is below, patterns such as *.bin.
-    Raises ConfigError for what is not there."""
-    for one in given:
-        path = Path(one)
-        if path.is_dir():
-            for found in sorted(path.rglob("*")):
-                hidden = any(part.startswith(".") for part in found.relative_to(path).parts)
-                if found.is_file() and not hidden:
-                    yield found, False
-        elif path.exists():
-            yield path, True
-        else:
-            matches = sorted(glob.glob(str(one), recursive=True))
-            if not matches:
-                raise ConfigError(f"{one}: there is no such file, folder or pattern with a match.")
-            for match in matches:
-                yield from collect([match])
-
-
-def is_log(path: Path) -> bool:
-    """Whether a file looks like a flight log, by its first bytes and its name."""
-    from rotorwatch import logs
-    from rotorwatch.logs.container import open_log
-
-    try:
-        data, name, _ = open_log(path, None)
-        return logs.recognise(bytes(data[:HEAD]), name) is not None
-    except (LogError, OSError, EOFError):
-        return False
 
 
 def add(
@@ -69,42 +37,37 @@ def add(
     vehicle: Vehicle | None = None,
     tell: Callable[[Told], None] = lambda told: None,
     progress: Callable | None = None,
-) -> list[Told]:
-    """Add all logs that are new to the store, one transaction each. aircraft: a name for the flights, in place of what the logs say.
-    tell: called with each file's fate. Standings are not worked out (`assess.refresh`). Raises StoreError, after which the same call goes
-    on."""
-    return [
-        told for path, named in collect(given) if (told := _one(store, path, named, aircraft, vehicle, tell, progress))
-    ]
+) -> tuple[list[Told], int]:
+    """Add all logs that are new to the store, one transaction each: files, folders, patterns and addresses (`gathering`). aircraft: a
+    name for the flights, in place of what the logs say. tell: called with each log's fate. Returns those, and how many files in folders
+    were no logs. Standings are not worked out (`assess.refresh`). Raises ConfigError, and StoreError, after which the same call goes on."""
+    gathered = Gathered(given)
+    found = [_one(store, log, aircraft, vehicle, tell, progress) for log in gathered]
+    return found, gathered.others
 
 
-def _one(store: Store, path: Path, named: bool, aircraft: str, vehicle: Vehicle | None, tell, progress) -> Told:
-    told = _added(store, path, named, aircraft, vehicle, progress)
+def _one(store: Store, log: Path | str, aircraft: str, vehicle: Vehicle | None, tell, progress) -> Told:
+    try:
+        with fetched(log) as path:
+            told = _added(store, log, path, aircraft, vehicle, progress)
+    except StoreError:
+        raise
+    except RotorwatchError as why:
+        told = Told(log, "failed", text=str(why))
+    except OSError as why:
+        told = Told(log, "failed", text=f"{log}: {why.strerror or why}.")
     tell(told)
     return told
 
 
-def _added(store: Store, path: Path, named: bool, aircraft: str, vehicle: Vehicle | None, progress) -> Told:
-    try:
-        mark = digest(path)
-    except OSError as why:
-        return Told(path, "failed", text=f"{path}: {why.strerror or why}.")
-    if store.has(mark):
-        return Told(path, "known")
-    if not named and not is_log(path):
-        return Told(path, "no log")
-    try:
-        entry = judge.entry(path, aircraft, vehicle, progress)
-    except (StoreError, KeyboardInterrupt):
-        raise
-    except RotorwatchError as why:
-        return Told(path, "failed", text=str(why))
-    except OSError as why:
-        return Told(path, "failed", text=f"{path}: {why.strerror or why}.")
+def _added(store: Store, log: Path | str, path: Path, aircraft: str, vehicle: Vehicle | None, progress) -> Told:
+    if store.has(digest(path)):
+        return Told(log, "known")
+    entry = replace(judge.entry(path, aircraft, vehicle, progress), path=full(log))
     if not store.add(entry):
-        return Told(path, "known")
+        return Told(log, "known")
     whose = store.find(entry.identity)["name"] if entry.identity else ""
-    return Told(path, "added", entry.verdict, entry.headline, whose)
+    return Told(log, "added", entry.verdict, entry.headline, whose)
 
 
 def follow(
@@ -126,19 +89,13 @@ def follow(
     while not stop():
         new = False
         try:
-            for path, _ in collect(folders):
-                try:
-                    state = path.stat()
-                except OSError:
-                    continue
-                mark = state.st_size, state.st_mtime_ns
-                if settled.get(path) == mark:
-                    continue
-                if seen.get(path) == mark:
-                    new |= _one(store, path, False, aircraft, vehicle, tell, None).state == "added"
+            for path, mark in _files(folders):
+                if settled.get(path) != mark and seen.get(path) == mark:
+                    if is_log(path):
+                        new |= _one(store, path, aircraft, vehicle, tell, None).state == "added"
                     settled[path] = mark
                 seen[path] = mark
-            if new:
+            if new or unwell:
                 assess.refresh(store)
             unwell = ""
         except StoreError as why:
@@ -146,6 +103,18 @@ def follow(
                 trouble(str(why))
             unwell = str(why)
         time.sleep(poll_s)
+
+
+def _files(folders: Iterable[Path]) -> Iterator[tuple[Path, tuple[int, int]]]:
+    """All files of folders and those below, but hidden ones, with size and time."""
+    for folder in folders:
+        for path in sorted(folder.rglob("*")):
+            try:
+                state = path.stat()
+            except OSError:  # gone since
+                continue
+            if stat.S_ISREG(state.st_mode) and not any(part.startswith(".") for part in path.relative_to(folder).parts):
+                yield path, (state.st_size, state.st_mtime_ns)
 
 
 @dataclass(frozen=True)
@@ -175,10 +144,12 @@ def rejudge(
         before = row["verdict"], row["headline"]
         lost = ""
         try:
-            if digest(row["path"]) != row["hash"]:
+            with fetched(row["path"]) as path:
+                same = digest(path) == row["hash"]
+                entry = judge.entry(path) if same else None
+            if entry is None:
                 lost = f"{row['path']} has another content now."
             else:
-                entry = judge.entry(row["path"])
                 store.judge_again(entry)
                 count += 1
                 if (entry.verdict, entry.headline) != before:

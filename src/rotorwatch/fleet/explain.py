@@ -408,7 +408,7 @@ def _hidden(fit: _Fit) -> np.ndarray:
     for i in range(len(out)):
         start = s.cuts(i)[-2]
         atom = Atom(WORN, i, min(start, len(s.y) - 1))
-        if any(a.rotor == i for a in fit.atoms):
+        if any(a.rotor == i and a.start >= start for a in fit.atoms):
             continue
         p = s.profile(atom)
         column = (p[:, None] * fit.g[:, :, i]).reshape(-1)

@@ -60,11 +60,14 @@ class Entry:
 
 
 def digest(path: str | os.PathLike) -> str:
-    """SHA-256 of a file's bytes, hexadecimal. Raises OSError."""
+    """SHA-256 of a log's bytes, hexadecimal; of a log that is a folder, of its files' names and bytes in order. Raises OSError."""
     found = hashlib.sha256()
-    with open(path, "rb") as file:
-        while block := file.read(CHUNK):
-            found.update(block)
+    for file in sorted(Path(path).iterdir()) if Path(path).is_dir() else [Path(path)]:
+        if Path(path).is_dir():
+            found.update(f"{file.name}\n{file.stat().st_size}\n".encode("utf-8", "surrogateescape"))
+        with open(file, "rb") as data:
+            while block := data.read(CHUNK):
+                found.update(block)
     return found.hexdigest()
 
 

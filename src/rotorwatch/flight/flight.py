@@ -43,6 +43,7 @@ class Signal:
 
     time: (n,) s since the first record of the log, non-decreasing. values: (n, k), finite everywhere.
     valid: (n, k) bool; False where the log had no usable number; left out, or (n,), it is completed to that.
+    columns: names of the k columns. unit: of all of them, or one for each, separated by commas. frame: "FRD", "NED" or "" for none.
     source: the log's own name for it.
     """
 
@@ -111,7 +112,8 @@ class Signal:
 class Message:
     """A text or state change the autopilot logged.
 
-    kind: 'text', 'error', 'event', 'mode', 'armed', 'landed' or 'dropout'.
+    time: s from the first record. kind: 'text', 'error', 'event', 'mode', 'armed', 'landed' or 'dropout'. text: as logged, or in words.
+    value: the number behind it, where there is one.
     """
 
     time: float
@@ -124,6 +126,9 @@ class Message:
 class Flight:
     """Everything read from one log.
 
+    format: what the log's format is called. autopilot: "ArduPilot", "PX4" or another name; "" when the log does not say. duration: s.
+    firmware: its version as logged. vehicle_type: the log's own word. name: of the file. start_us: time stamp of the first record, by
+    the clock of the autopilot [us]. facts: what else a reader found and later steps use.
     signals: canonical name -> Signal (module docstring). parameters: the autopilot's, never the simulator's
     (``SIM_*``). parameter_changes: (time s, name, value) after the start. messages: in time order. warnings: sentences
     about what was damaged, missing or assumed while reading.

@@ -10,7 +10,9 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Rotor:
-    """One rotor. x forward, y right [arm lengths, or m]; spin +1 counter-clockwise seen from above, -1 clockwise; share: thrust
+    """One rotor.
+
+    x: forward; y: to the right [both in arm lengths, or m]; spin: +1 counter-clockwise seen from above, -1 clockwise; share: thrust
     it gives compared with the vehicle's other rotors at the same command; lower: it works in the wash of a rotor above it.
 
     A counter-clockwise propeller turns the body clockwise: positive yaw torque in FRD.
@@ -60,8 +62,9 @@ class ThrustCurve:
 
         f(a) = (1 - expo) a V + expo (a V)^2
 
-    u_min, u_max are in the unit of the ``motors`` signal (us, or 1). ArduPilot: MOT_THST_EXPO and the PWM of
-    MOT_SPIN_MIN / MOT_SPIN_MAX; PX4: THR_MDL_FAC. ``known`` is False when expo is an assumption.
+    u_min, u_max: commands of no and of full thrust, in the unit of the ``motors`` signal (us, or 1); ArduPilot's PWM of
+    MOT_SPIN_MIN and MOT_SPIN_MAX. expo: 0 for a straight line to 1 for a parabola; ArduPilot's MOT_THST_EXPO, PX4's THR_MDL_FAC.
+    known: False when expo is an assumption.
     """
 
     u_min: float
@@ -78,6 +81,8 @@ class ThrustCurve:
 class Vehicle:
     """Geometry, mixer and thrust curve of one airframe.
 
+    name: of the airframe. rotors: in the autopilot's order. curve: command to thrust. lag_s: time constant of a motor [s]. source: where
+    this is from. extra: what only some vehicles need (docs/simulation.md).
     mixer: (n, 4) factors (roll, pitch, yaw, throttle) with which the autopilot turns its rate controller's output
     into rotor thrusts, or None when unknown. identified: gains learned from healthy flights (see calibrate), or None.
     assumptions: sentences on what was not in the log and had to be assumed.

@@ -14,7 +14,6 @@ Works for every estimator that says innovation and innovation_cov.
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from os import PathLike
@@ -26,6 +25,7 @@ from rotorwatch import checks, discovery, files
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
 from rotorwatch.healthy import baselines
+from rotorwatch.optional import tomllib
 from rotorwatch.published import log_plant, published
 from rotorwatch.published.log_plant import LogPlant
 from rotorwatch.published.published import Scaled, Tuning
@@ -156,6 +156,8 @@ def tune(
 ) -> Fit:
     """`fit` the named estimator to healthy logs of one build, and check it on what it was not fitted to.
 
+    logs: healthy flights of one build, or their files. estimator: the name of a published method. rounds: of the fit at most.
+    progress: called with the finished share.
     Logs that are not healthy or not of one build are set aside (`baselines.healthy`). Of two flights and more the last is kept back for the
     check, of a single long one its last quarter. Fit.notes say what was set aside, which factors ended at their bounds, and whether
     what was kept back became less likely. Raises LogError, VehicleError or ConfigError with one sentence.

@@ -44,7 +44,7 @@ def layouts() -> dict[int, Layout]:
     found = {}
     for name, message in tlog.layouts().items():
         kind = mavlink_frames.payload_type(message)
-        fields: dict[str, Any] = dict(kind.fields or {})
+        fields: Any = kind.fields or {}
         stamp = next((n for n in ("time_boot_ms", "time_usec") if n in fields), None)
         if stamp is None:
             found[message.id] = Layout(name, kind, None, 0, 1.0, False)

@@ -162,6 +162,12 @@ class Session:
         return 0 if self._judge is None else self._judge.ticks
 
     @property
+    def limits(self) -> str:
+        """What cannot be seen at the rate of this link, a sentence; empty where that is no limit, or not known yet."""
+        plan = None if self._stream is None else self._stream.plan
+        return next((note for note in plan.notes if "are judged every" in note), "") if plan is not None else ""
+
+    @property
     def flying(self) -> bool:
         return bool(self._spans) and self._spans[-1][1] == np.inf
 

@@ -50,7 +50,7 @@ class Watched:
         self.session: Session | None = None
         self.rotors = Rotors()
         self.changes = Changes()
-        self._looked, self._said = -np.inf, 0
+        self._looked, self._said, self._limits = -np.inf, 0, ""
 
     def begin(self, about: Flight) -> None:
         """A flight begins: what is known of it besides its signals."""
@@ -93,6 +93,10 @@ class Watched:
         except Exception as why:  # of one vehicle; the others are watched on
             self._fail(why)
             return False
+        if stepped and self.session.flying and self.session.limits != self._limits:
+            self._limits = self.session.limits
+            if self._limits:
+                self.say(self._limits)
         said = self.session.said
         if said != self._said or ((said or self.changes.now) and self.session.now - self._looked > LOOK_S):
             self._look()

@@ -6,6 +6,9 @@
 
 A format that is a folder of tables has sniff_folder(path) and read_folder(path, progress=None) besides or instead.
 progress, where given, is called with the finished share, 0..1.
+
+Another package may hand in a module or an object with the same parts, as an entry point `rotorwatch.logs` (docs/plug-ins.md).
+It is asked when no format of ours knows the file.
 """
 
 from __future__ import annotations
@@ -15,21 +18,42 @@ import pkgutil
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
+from rotorwatch import plugins
 from rotorwatch.errors import LogError, RotorwatchError
 from rotorwatch.flight import Flight
 from rotorwatch.logs import plausible
 
 HEAD = 4096
 """Bytes that sniff sees."""
+FILE_PARTS, FOLDER_PARTS = ("sniff", "read"), ("sniff_folder", "read_folder")
 
 
 @cache
 def formats() -> tuple:
-    """The modules of all log formats, by name."""
+    """The modules of all log formats of this package, by name."""
     names = sorted(m.name for m in pkgutil.iter_modules(__path__))
     modules = (importlib.import_module(f"{__name__}.{name}") for name in names)
     return tuple(m for m in modules if hasattr(m, "FORMAT"))
+
+
+def offered() -> dict[str, tuple[Any, Any]]:
+    """FORMAT -> (entry point, format) of what other installed packages offer; one that is broken, or whose FORMAT is taken, is left out
+    with a PluginWarning."""
+
+    def refuse(found) -> str:
+        whole = any(all(hasattr(found, part) for part in pair) for pair in (FILE_PARTS, FOLDER_PARTS))
+        taken = found.FORMAT in {m.FORMAT for m in formats()}
+        return (
+            "its FORMAT is taken"
+            if taken
+            else ""
+            if whole
+            else "it needs sniff and read, or sniff_folder and read_folder"
+        )
+
+    return {found.FORMAT: (entry, found) for entry, found in plugins.others(__name__, ("FORMAT",), refuse)}
 
 
 def read(path, progress=None) -> Flight:
@@ -42,22 +66,38 @@ def read(path, progress=None) -> Flight:
 
     path = Path(path)
     if path.is_dir():
-        module = next((m for m in formats() if hasattr(m, "sniff_folder") and m.sniff_folder(path)), None)
+        own = next((m for m in formats() if hasattr(m, "sniff_folder") and m.sniff_folder(path)), None)
+        module: Any = own or _theirs("sniff_folder", path)
         if module is None:
             raise LogError(f"{path}: a folder without ulog2csv tables or a ROS 2 bag; give the log file itself")
         return _checked(lambda: module.read_folder(path, progress), module, path, ())
     data, name, warnings = open_log(path, progress)
     module = recognise(bytes(data[:HEAD]), name)
     if module is None:
-        known = ", ".join(sorted(m.FORMAT for m in formats()))
+        known = ", ".join(sorted({*(m.FORMAT for m in formats()), *offered()}))
         raise LogError(f"{path}: not a flight log of a known kind; known are {known}")
     return _checked(lambda: module.read(data, name, progress), module, path, warnings)
 
 
-def recognise(head: bytes, name: str):
-    """The format module for a file that starts with `head`: by content, failing that by `name`; None when unknown."""
-    files = [m for m in formats() if hasattr(m, "sniff")]
-    return next((m for m in files if m.sniff(head, "")), None) or next((m for m in files if m.sniff(head, name)), None)
+def recognise(head: bytes, name: str) -> Any:
+    """The format for a file that starts with `head`: by content, failing that by `name`; None when unknown. Ours are asked first."""
+    files: list[Any] = [m for m in formats() if hasattr(m, "sniff")]
+    for said in ("", name):
+        found = next((m for m in files if m.sniff(head, said)), None) or _theirs("sniff", head, said)
+        if found is not None:
+            return found
+    return None
+
+
+def _theirs(part: str, *asked) -> Any:
+    """The format of another package whose `sniff` or `sniff_folder` says yes, or None; one that raises is passed over, with a warning."""
+    for entry, found in offered().values():
+        try:
+            if hasattr(found, part) and getattr(found, part)(*asked):
+                return found
+        except Exception as why:  # a stranger's module may raise anything
+            plugins.failed(entry, part, why)
+    return None
 
 
 def _checked(job, module, path, warnings) -> Flight:
@@ -69,6 +109,10 @@ def _checked(job, module, path, warnings) -> Flight:
         raise LogError(text if path.name in text else f"{path}: {text}") from error
     except (Exception, RecursionError) as error:
         raise LogError(f"{path}: this {module.FORMAT} is too damaged to be read ({type(error).__name__})") from error
+    if not isinstance(flight, Flight):
+        raise LogError(
+            f"{path}: the reader of {module.FORMAT} gave no Flight; mend or uninstall the package that it is from"
+        )
     if not any(len(s) >= 2 for s in flight.signals.values()):
         raise LogError(f"{path}: this {module.FORMAT} holds no flight data; was logging switched on?")
     name = path.name.encode("utf-8", "backslashreplace").decode()  # file names may hold bytes that are no text

@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime, timedelta
+from datetime import datetime, timedelta, timezone
 
 import numpy as np
 
-GPS_EPOCH = datetime(1980, 1, 6, tzinfo=UTC)
+GPS_EPOCH = datetime(1980, 1, 6, tzinfo=timezone.utc)
 WEEK_S = 604_800.0
 # GPS time has no leap seconds: so many it is ahead of UTC from that day on (IERS Bulletin C).
 LEAP = (
-    (datetime(2006, 1, 1, tzinfo=UTC), 14),
-    (datetime(2009, 1, 1, tzinfo=UTC), 15),
-    (datetime(2012, 7, 1, tzinfo=UTC), 16),
-    (datetime(2015, 7, 1, tzinfo=UTC), 17),
-    (datetime(2017, 1, 1, tzinfo=UTC), 18),
+    (datetime(2006, 1, 1, tzinfo=timezone.utc), 14),
+    (datetime(2009, 1, 1, tzinfo=timezone.utc), 15),
+    (datetime(2012, 7, 1, tzinfo=timezone.utc), 16),
+    (datetime(2015, 7, 1, tzinfo=timezone.utc), 17),
+    (datetime(2017, 1, 1, tzinfo=timezone.utc), 18),
 )
-EARLIEST, LATEST = datetime(2008, 1, 1, tzinfo=UTC).timestamp(), datetime(2100, 1, 1, tzinfo=UTC).timestamp()
+EARLIEST, LATEST = (
+    datetime(2008, 1, 1, tzinfo=timezone.utc).timestamp(),
+    datetime(2100, 1, 1, tzinfo=timezone.utc).timestamp(),
+)
 AGREE_S = 2.0  # most samples agree on the start so well, or none is believed
 
 
@@ -45,5 +48,5 @@ def start(time, unix) -> str | None:
 
 def stamp(unix: float) -> str:
     """s since 1970 -> '2026-11-22T14:03:27.120Z'."""
-    moment = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(seconds=unix)
+    moment = datetime(1970, 1, 1, tzinfo=timezone.utc) + timedelta(seconds=unix)
     return moment.isoformat(timespec="milliseconds").replace("+00:00", "Z")

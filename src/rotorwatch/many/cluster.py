@@ -7,6 +7,7 @@ elsewhere by the scheduler; when the scheduler itself is lost, all that is in fl
 
 from __future__ import annotations
 
+import asyncio
 import functools
 import itertools
 import logging
@@ -101,7 +102,7 @@ def _connected(scheduler: str, patience_s: float) -> Any:
     while True:
         try:
             return distributed.Client(scheduler, timeout=ANSWER_S, set_as_default=False, name="rotorwatch")
-        except (OSError, TimeoutError) as why:
+        except (OSError, asyncio.TimeoutError) as why:
             if time.monotonic() > until:
                 raise ConfigError(
                     f"No Dask scheduler answers at {scheduler}: start one with `dask scheduler`, or check the address. What is "
@@ -122,7 +123,7 @@ class _Room:
         if now - self.counted > COUNT_S:
             try:
                 self.workers = sum(self.client.nthreads().values())
-            except (OSError, TimeoutError, ValueError, AttributeError):  # lost, as its tasks will tell
+            except (OSError, asyncio.TimeoutError, ValueError, AttributeError):  # lost, as its tasks will tell
                 pass
             self.counted = now
             if self.workers:

@@ -60,5 +60,5 @@ def portable(why: Exception) -> Exception:
     except Exception:
         why = RuntimeError(f"{type(why).__name__}: {why}")
     if not isinstance(why, RotorwatchError):
-        why.add_note(where)
+        why.__notes__ = [*getattr(why, "__notes__", ()), where]  # add_note is not in Python 3.10
     return why

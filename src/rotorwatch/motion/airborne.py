@@ -150,6 +150,7 @@ def _blend(old: float, new: float, constant: float) -> float:
 def airborne(flight: Flight) -> tuple[tuple[float, float], ...]:
     """Intervals (start s, end s) in the air, in time order; empty without motor commands.
 
+    flight: needs `motors`; landings, velocity and position are used where the log has them.
     A flight that the log does not see end, ends with the last motor command. Starts are when lift-off is certain, late
     rather than early (a few tenths of a second); ends are where the landing or crash began to show.
     """

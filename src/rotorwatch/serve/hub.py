@@ -63,7 +63,7 @@ class Hub:
                     continue
                 try:
                     await asyncio.wait_for(bell.wait(), BEAT_S)
-                except TimeoutError:
+                except asyncio.TimeoutError:
                     yield ": \n\n"
         finally:
             self._bells.discard(bell)

@@ -31,6 +31,7 @@ from rotorwatch.serve.landed import Landings
 STEP_S = 0.2  # between two points of a band, of the vehicle's time, until there are too many
 POINTS = 600  # of a band; when there are twice as many every second one goes, so that the whole flight stays in view
 SAID = 100  # sentences that are kept
+LAST_WORD_S = 60.0  # for what was heard and is not judged yet, when the server is stopped
 EVENTS = 30  # of a vehicle that are shown, the newest
 
 
@@ -160,6 +161,7 @@ class Shown:
             "blind": line.blind,
             "notice": self.watched.notice,
             "link": line.link,
+            "esc": line.esc,
             "counts": {
                 name: getattr(health, name) for name in ("taken", "lost", "twice", "damaged", "reboots", "jumps")
             },
@@ -226,6 +228,8 @@ class Guarded:
         """What the page says of the endpoint."""
         count = len(self.vehicles)
         state = "has ended" if self.ended else "is watched" if count else "waits for a vehicle"
+        if isinstance(self.source, Link) and self.source.damaged and not self.source.frames:
+            state = "bytes come, but none of them are MAVLink"
         return {"name": self.name, "text": self.trouble or state}
 
 
@@ -262,7 +266,7 @@ class Feed:
             return
         self.stopped = True
         if self._thread is not None:
-            self._thread.join(5.0)
+            self._thread.join(LAST_WORD_S)
         else:
             for source in self._sources:
                 source.leave()

@@ -37,12 +37,12 @@ def serve(
 ) -> None:
     """Serve the page until interrupted: vehicles at `endpoints` while they fly, uploaded logs, and the list of flights.
 
-    endpoints: those of `rotorwatch watch`, or recorded logs, replayed `speed` times as fast as flown. host: to listen on; any but a
-    loopback address needs a token of at least 16 letters (default: the environment variable ROTORWATCH_TOKEN). port: 0 for any that is
-    free. store: of the fleet, a SQLite file or a URL. max_upload [MB], max_seconds [s] and max_memory [MB] hold for each uploaded log;
-    jobs: logs judged at once. vehicle: a Vehicle, or a vehicle file, of all that are watched; record: folder to record links in;
-    listen_only: nothing is sent to vehicles. ready: called with the page's address once it can be opened; every RotorwatchError is raised
-    before that.
+    endpoints: those of `rotorwatch watch`, or recorded logs. speed: recorded logs are replayed so many times as fast as flown. host: to
+    listen on; any but a loopback address needs a token. token: 16 letters or more; default: the environment variable ROTORWATCH_TOKEN.
+    port: 0 for any that is free. store: of the fleet, a SQLite file or a URL. max_upload [MB], max_seconds [s], max_memory [MB]: limits
+    of each uploaded log; jobs: logs judged at once. vehicle: a Vehicle, or a vehicle file, of all that are watched; record: folder to
+    record links in; listen_only: nothing is sent to vehicles. ready: called with the page's address once it can be opened; every
+    RotorwatchError is raised before that.
     """
     try:
         import starlette  # noqa: F401

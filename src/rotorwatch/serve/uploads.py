@@ -142,7 +142,7 @@ class Uploads:
             except BaseException:
                 shutil.rmtree(folder, ignore_errors=True)
                 raise
-        except TimeoutError:
+        except asyncio.TimeoutError:
             raise Refused(
                 408, f"{name}: the upload was too slow and was given up; try again on a better connection."
             ) from None
@@ -211,10 +211,13 @@ def _too_large(name: str, most: int) -> str:
 
 async def _drain(body: AsyncIterator[bytes]) -> None:
     """Read on for a while without keeping anything."""
-    with suppress(TimeoutError):
-        async with asyncio.timeout(DRAIN_S):
-            async for _ in body:
-                pass
+
+    async def rest() -> None:
+        async for _ in body:
+            pass
+
+    with suppress(asyncio.TimeoutError):  # not the built-in one in Python 3.10
+        await asyncio.wait_for(rest(), DRAIN_S)
 
 
 def _own(incoming: Path) -> tuple[Path, Any]:

@@ -58,8 +58,11 @@ class Simulated:
 
 
 def simulate(scenario: Scenario) -> Any:
-    """Fly one scenario: a `Simulated`, or a `helicopter.SimulatedHelicopter`. Raises ConfigError with one sentence for a vehicle that
-    cannot fly."""
+    """Fly one scenario: a `Simulated`, or a `helicopter.SimulatedHelicopter`.
+
+    scenario: what to fly (`simulation.scenario.Scenario`, docs/simulation.md). Raises ConfigError with one sentence for a vehicle that
+    cannot fly.
+    """
     if scenario.helicopter:
         return helicopter.simulate(scenario)
     numbers = plan(scenario)

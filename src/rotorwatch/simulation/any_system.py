@@ -39,13 +39,13 @@ def simulate_system(
     seed: int | None = 0,
     noise: bool = True,
 ) -> Simulation:
-    """Let a plant (`core.System`) move for T steps.
+    """Let a plant move for T steps.
 
-    u (T, n_u): inputs, each held over its step, in the plant's units; or a controller u(t, y) -> (n_u,), written with jax.numpy, that is
-    given the time and what was measured last, for as many `steps` as are asked for. theta: losses of effectiveness, 0 healthy to 1 dead:
-    one number, (n_theta,) or (T, n_theta). dt: s, one number or (T,). x0 (n_x,): the true start (default: the plant's x0). seed: of the
-    noise, with the plant's own Q and R; noise False: none. Raises ConfigError for wrong shapes, for a plant whose parts do not fit,
-    and for a motion that ends in infinity.
+    system: the plant (`core.System`). u (T, n_u): inputs, each held over its step, in the plant's units; or a controller u(t, y) ->
+    (n_u,), written with jax.numpy, that is given the time and what was measured last, for as many steps as are asked for. steps: how
+    many, where u is a controller. theta: losses of effectiveness, 0 healthy to 1 dead: one number, (n_theta,) or (T, n_theta). dt: s,
+    one number or (T,). x0 (n_x,): the true start (default: the plant's x0). seed: of the noise, with the plant's own Q and R. noise:
+    False for none. Raises ConfigError for wrong shapes, for a plant whose parts do not fit, and for a motion that ends in infinity.
     """
     jax = load_jax()
     jnp = jax.numpy

@@ -35,7 +35,8 @@ COLUMNS = ("flights", "faults", "loss_rmse", "delay_s", "right", "named", "false
 def compare(scenes: Sequence[Scene], names: Sequence[str] = (), progress: Callable | None = None) -> dict[str, Any]:
     """{"groups": {group: {estimator: measures}}, "us_per_step": {estimator: float}, "failed": {estimator: sentence}}.
 
-    names: estimators, all of them when empty. Raises ConfigError for an unknown one, or no flights.
+    scenes: groups of flights, as `compare_flights` makes them. names: estimators, all of them when empty. progress: called with the
+    finished share. Raises ConfigError for an unknown one, or no flights.
     """
     if not scenes:
         raise ConfigError("There is no flight to compare estimators on.")

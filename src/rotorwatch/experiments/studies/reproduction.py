@@ -90,9 +90,10 @@ def study(paper: str) -> ModuleType:
 def reproduce(
     paper: str, seeds: int | None = None, literal: tuple[str, ...] = (), progress: Callable | None = None
 ) -> Reproduction:
-    """Run the experiments of a paper (names: `studies`): seeds None: the study's own number; literal: errata read as printed.
+    """Run the experiments of a paper.
 
-    Raises ConfigError for an unknown paper or literal reading.
+    paper: its name (`studies` lists them). seeds: how many repetitions; None: the study's own number. literal: errata read as printed.
+    progress: called with the finished share. Raises ConfigError for an unknown paper or literal reading.
     """
     module = study(paper)
     check_libraries(module)
