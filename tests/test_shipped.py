@@ -214,7 +214,7 @@ def test_other_commands_need_neither(arguments, tmp_path):
 def test_healthy_flights_teach_without_either(folder, tmp_path):
     healthy = SAMPLES / "quadx_healthy_hover.bin.xz"
     done = without(folder, "calibrate", str(healthy), "-o", str(tmp_path / "v.toml"), CC="nonesuch")
-    if "no native code for such a vehicle" not in done.stderr:  # where only hexarotors were built
+    if "no native code for such a vehicle" not in done.stderr.lower():  # where only hexarotors were built
         assert done.returncode == 0, done.stderr
 
 
