@@ -1,0 +1,195 @@
+"""What releases are made of: package files, image, compose file, workflows, action, citation, recipe and lock files fit the project.
+
+`tools/release.py` and `tools/image_steps.py` do the rest by hand: they build and install, which takes minutes.
+"""
+
+import os
+import re
+import runpy
+import shlex
+import shutil
+import stat
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from rotorwatch import cli
+from rotorwatch.optional import tomllib
+
+ROOT = Path(__file__).resolve().parents[1]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
+IMAGE = runpy.run_path(str(ROOT / "tools" / "image_steps.py"))
+DOCKERFILE = IMAGE["steps"]((ROOT / "Dockerfile").read_text())
+
+
+def understood(words):
+    """The command line takes these words: command and options exist."""
+    command, *arguments = words
+    cli.cli.commands[command].make_context(command, list(arguments))
+
+
+def test_the_version_is_one():
+    version = PROJECT["version"]
+    assert re.search(rf"^version: {re.escape(version)}$", (ROOT / "CITATION.cff").read_text(), re.MULTILINE)
+    assert f'version = "{version}"' in (ROOT / "conda" / "meta.yaml").read_text()
+    images = set(re.findall(r"image: rotorwatch:(\S+)", (ROOT / "compose.yaml").read_text()))
+    assert images == {version}
+
+
+def test_the_recipe_has_the_packages_that_the_project_needs():
+    run = (ROOT / "conda" / "meta.yaml").read_text().split("  run:\n")[1].split("\ntest:")[0]
+    named = {line.split()[1]: "".join(line.split()[2:]) for line in run.splitlines() if line.strip()}
+    python = named.pop("python")
+    assert set(python.split(",")) == set(PROJECT["requires-python"].split(","))
+    for requirement in PROJECT["dependencies"]:
+        name, least = re.match(r"([\w-]+)(>=[\d.]+)", requirement).groups()
+        assert named.pop(name) == least, name
+    assert not named
+
+
+@pytest.mark.parametrize(
+    ("lock", "extras"), [("development", ("test", "docs", "release")), ("image", ("serve", "postgres", "cluster"))]
+)
+def test_lock_files_have_every_package_with_hashes_and_no_index(lock, extras):
+    text = (ROOT / "lock" / f"{lock}.txt").read_text()
+    assert not re.search(r"https?://|--index|--find-links|file:", text)
+    pinned = re.split(r"(?m)^(?=[a-z0-9])", text)[1:]
+    assert all("--hash=sha256:" in entry and "==" in entry for entry in pinned)
+    names = {re.match(r"[\w.-]+", entry).group().lower().replace("_", "-") for entry in pinned}
+    wanted = [*PROJECT["dependencies"], *(r for extra in extras for r in PROJECT["optional-dependencies"][extra])]
+    for requirement in wanted:
+        if "python_version <" not in requirement:
+            assert re.match(r"[\w-]+", requirement).group().lower() in names, f"make the lock file anew: {requirement}"
+
+
+def test_every_file_that_the_image_copies_is_there():
+    ignored = (ROOT / ".dockerignore").read_text().splitlines()
+    for word, rest in DOCKERFILE:
+        if word == "COPY" and not rest.startswith("--from"):
+            for source in shlex.split(rest)[:-1]:
+                assert (ROOT / source).exists() and f"!{source}" in ignored, source
+
+
+def test_the_steps_of_the_image_are_commands(tmp_path):
+    for word, rest in DOCKERFILE:
+        if word == "RUN":
+            moved = IMAGE["moved"](rest, tmp_path)
+            assert subprocess.run(["sh", "-nc", moved], check=False).returncode == 0
+            assert (
+                not re.search(r"(?<![\w}])/(?:opt|data|src)\b", moved.replace(str(tmp_path), ""))
+                or str(tmp_path) in moved
+            )
+    assert [word for word, _ in DOCKERFILE].count("FROM") == 2
+    assert any(word == "USER" and rest.isdigit() and rest != "0" for word, rest in DOCKERFILE)
+
+
+def test_copies_land_where_the_image_has_them(tmp_path):
+    IMAGE["copy"]("lock/image.txt lock/image.txt", tmp_path / "src", tmp_path)
+    IMAGE["copy"]("pyproject.toml README.md ./", tmp_path / "src", tmp_path)
+    IMAGE["copy"]("tools tools", tmp_path / "src", tmp_path)
+    assert (tmp_path / "src/lock/image.txt").exists() and (tmp_path / "src/README.md").exists()
+    assert (tmp_path / "src/tools/image_steps.py").exists()
+
+
+@pytest.mark.skipif(
+    not shutil.which("hadolint", path=f"{Path(sys.executable).parent}:{os.environ['PATH']}"), reason="no hadolint"
+)
+def test_the_dockerfile_is_linted():
+    tool = shutil.which("hadolint", path=f"{Path(sys.executable).parent}:{os.environ['PATH']}")
+    done = subprocess.run([tool, "--no-color", "Dockerfile"], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout
+
+
+def test_the_compose_file_asks_for_commands_that_exist():
+    yaml = pytest.importorskip("yaml")
+    services = yaml.safe_load((ROOT / "compose.yaml").read_text())["services"]
+    assert set(services) == {"serve", "database", "scheduler", "worker"}
+    words = [re.sub(r"\$\{(\w+)[^}]*\}", r"\1", word) for word in services["serve"]["command"]]
+    assert words[0] == "serve"
+    understood(words)
+    for name, service in services.items():
+        assert set(service.get("depends_on", ())) <= set(services), name
+        secrets = [v for v in service.get("environment", {}).values() if "PASSWORD" in v or "TOKEN" in v]
+        assert all(":?" in secret for secret in secrets), f"{name} would start without a secret"
+
+
+def test_scripts_that_workflows_name_are_there():
+    for file in (*WORKFLOWS, ROOT / "action.yml"):
+        text = file.read_text()
+        for path in re.findall(r"(?:python |/)((?:tools|lock|docs)/[\w./-]+|check\.py)", text):
+            assert (ROOT / path).exists(), f"{file.name}: {path}"
+        for script in re.findall(r"run: (.*)", text):
+            assert "${{" not in script, f"{file.name}: an input inside a script could be a command"
+
+
+@pytest.fixture
+def judge(tmp_path):
+    """judge(exit code of rotorwatch, **environment) -> what tools/action/judge.sh does, with a rotorwatch that only answers."""
+
+    def run(code, **environment):
+        (tmp_path / "bin").mkdir(exist_ok=True)
+        tool = tmp_path / "bin" / "rotorwatch"
+        answer = '{"path": "logs/a|b.bin", "verdict": "fault", "headline": "Rotor 3 <b>lost</b> 36 %."}'
+        tool.write_text(f"#!/bin/sh\nprintf '%s\\n' \"$@\" > said.txt\necho '{answer}' > \"$4\"\nexit {code}\n")
+        tool.chmod(tool.stat().st_mode | stat.S_IEXEC)
+        clean = {k: v for k, v in os.environ.items() if not k.startswith("GITHUB_")}
+        path = f"{tmp_path / 'bin'}:{Path(sys.executable).parent}:{os.environ['PATH']}"
+        return subprocess.run(
+            ["bash", ROOT / "tools" / "action" / "judge.sh"], cwd=tmp_path, env={**clean, "PATH": path, **environment},
+            capture_output=True, text=True,
+        )  # fmt: skip
+
+    return run
+
+
+@pytest.mark.parametrize(
+    ("code", "fail_on", "leaves"),
+    [
+        (0, "fault", 0),
+        (1, "fault", 1),
+        (3, "fault", 0),
+        (3, "undecided", 1),
+        (1, "never", 0),
+        (2, "never", 2),
+        (0, "x", 2),
+    ],
+)
+def test_the_action_fails_when_it_is_asked_to(judge, code, fail_on, leaves):
+    assert judge(code, LOGS="a.bin", FAIL_ON=fail_on).returncode == leaves
+
+
+def test_the_action_hands_on_what_it_was_given(judge, tmp_path):
+    logs = "my logs/a.bin\n$(touch stolen)\n-x.bin\n"
+    done = judge(1, LOGS=logs, VEHICLE="v.toml", BASELINE="h1.bin\nh2.bin", REPORTS="r", GITHUB_OUTPUT="out.txt")
+    words = (tmp_path / "said.txt").read_text().splitlines()
+    assert words[words.index("--") + 1 :] == ["my logs/a.bin", "$(touch stolen)", "-x.bin"]
+    assert words[:6] == ["diagnose", "--jsonl", "--out", "r/verdicts.jsonl", "--html", "r"]
+    assert words[6:12] == ["--vehicle", "v.toml", "--baseline", "h1.bin", "--baseline", "h2.bin"]
+    understood([*words[:6], "--", "a.bin"])
+    assert not (tmp_path / "stolen").exists()
+    assert "exit-code=1" in (tmp_path / "out.txt").read_text()
+    assert "| a\\|b.bin | fault | Rotor 3 &lt;b&gt;lost&lt;/b&gt; 36 %. |" in done.stdout
+
+
+def test_the_action_judges_the_logs_that_a_pull_request_changes(judge, tmp_path):
+    git = ["git", "-c", "user.name=x", "-c", "user.email=x@example.org"]
+
+    def commit(*names):
+        for name in names:
+            (tmp_path / name).write_text(name)
+        subprocess.run(["git", "add", *names], cwd=tmp_path, check=True)
+        subprocess.run([*git, "commit", "-qm", "x"], cwd=tmp_path, check=True)
+        return subprocess.run(
+            ["git", "rev-parse", "HEAD"], cwd=tmp_path, check=True, capture_output=True, text=True
+        ).stdout.strip()
+
+    subprocess.run(["git", "init", "-q"], cwd=tmp_path, check=True)
+    base = commit("old.bin")
+    commit("readme.txt")
+    assert "no flight logs" in judge(1, BASE_SHA=base).stdout
+    commit("new flight.ulg")
+    assert judge(1, BASE_SHA=base).returncode == 1
+    assert (tmp_path / "said.txt").read_text().splitlines()[-1] == "./new flight.ulg"

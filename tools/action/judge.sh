@@ -1,0 +1,62 @@
+#!/usr/bin/env bash
+# Judges logs for action.yml. Reads LOGS, VEHICLE, BASELINE, FAIL_ON, REPORTS and BASE_SHA from the environment; writes pages and
+# verdicts.jsonl into REPORTS, a table into the job's summary, and leaves with 1 when FAIL_ON says so, with 2 after an error.
+set -uo pipefail
+
+say() { printf '%s\n' "$*"; }
+reports=${REPORTS:-rotorwatch-reports}
+fail_on=${FAIL_ON:-fault}
+case $fail_on in
+    fault | undecided | never) ;;
+    *) say "::error::fail-on is '$fail_on': write fault, undecided or never."; exit 2 ;;
+esac
+
+logs=()
+if [ -n "${LOGS:-}" ]; then
+    while IFS= read -r line; do
+        [ -n "$line" ] && logs+=("$line")
+    done <<<"$LOGS"
+elif [ -n "${BASE_SHA:-}" ]; then
+    # Only what looks like a log: a pull request also changes other files.
+    while IFS= read -r -d '' file; do
+        case $file in
+            *.bin | *.log | *.ulg | *.tlog | *.mcap | *.bin.xz | *.bin.gz | *.ulg.xz | *.ulg.gz | *.tlog.xz | *.tlog.gz)
+                [ -f "$file" ] && logs+=("./$file") ;;
+        esac
+    done < <(git diff -z --name-only --diff-filter=AMR "$BASE_SHA" HEAD)
+    if [ ${#logs[@]} -eq 0 ]; then
+        say "This pull request changes no flight logs."
+        [ -n "${GITHUB_OUTPUT:-}" ] && say "exit-code=0" >>"$GITHUB_OUTPUT"
+        exit 0
+    fi
+else
+    say "::error::No logs are named: give the input 'logs', or run on pull_request."
+    exit 2
+fi
+
+options=()
+[ -n "${VEHICLE:-}" ] && options+=(--vehicle "$VEHICLE")
+while IFS= read -r line; do
+    [ -n "$line" ] && options+=(--baseline "$line")
+done <<<"${BASELINE:-}"
+
+mkdir -p "$reports"
+rm -f "$reports/verdicts.jsonl"
+rotorwatch diagnose --jsonl --out "$reports/verdicts.jsonl" --html "$reports" ${options[@]+"${options[@]}"} -- "${logs[@]}"
+code=$?
+
+if [ -n "${GITHUB_OUTPUT:-}" ]; then
+    say "verdicts=$reports/verdicts.jsonl" >>"$GITHUB_OUTPUT"
+    say "exit-code=$code" >>"$GITHUB_OUTPUT"
+fi
+if [ -f "$reports/verdicts.jsonl" ]; then
+    table=$(python "$(dirname "$0")/summary.py" "$reports/verdicts.jsonl")
+    if [ -n "${GITHUB_STEP_SUMMARY:-}" ]; then say "$table" >>"$GITHUB_STEP_SUMMARY"; else say "$table"; fi
+fi
+
+case $fail_on:$code in
+    *:2) exit 2 ;;
+    fault:1 | undecided:1 | undecided:3) exit 1 ;;
+    *:0 | *:1 | *:3) exit 0 ;;
+    *) exit 2 ;;
+esac

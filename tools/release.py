@@ -1,0 +1,108 @@
+"""Makes a release and checks it: `python tools/release.py`, in an environment with the extra `release`.
+
+Checks the files for services by their schemas, builds sdist and wheel twice and compares them, has them checked by twine, installs the
+wheel into an empty environment, judges the sample flights there, and writes the list of what was installed (SBOM, CycloneDX) and check
+sums. All goes to dist/. Nothing is uploaded.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import venv
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+# Schema that check-jsonschema has in itself: files.
+SCHEMAS = {
+    "github-actions": ("action.yml",),
+    "github-workflows": tuple(str(path) for path in sorted((ROOT / ".github" / "workflows").glob("*.yml"))),
+    "compose-spec": ("compose.yaml",),
+    "citation-file-format": ("CITATION.cff",),
+}
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Every step; the exit code is 1 as soon as one fails."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, default=ROOT / "dist", help="folder of the results")
+    parser.add_argument(
+        "--no-isolation", action="store_true", help="build with the packages that are here, without a network"
+    )
+    parser.add_argument("--no-install", action="store_true", help="neither install the wheel nor list what it brings")
+    options = parser.parse_args(argv)
+    os.environ.setdefault("SOURCE_DATE_EPOCH", _run("git", "log", "-1", "--format=%ct").strip())
+    for schema, files in SCHEMAS.items():
+        _run(sys.executable, "-m", "check_jsonschema", "--builtin-schema", f"vendor.{schema}", *files)
+    _run("hadolint", str(ROOT / "Dockerfile"))
+    _say("action, workflows, compose file, citation and Dockerfile are as their schemas and rules ask")
+    with tempfile.TemporaryDirectory() as scratch:
+        first, second = Path(scratch, "first"), Path(scratch, "second")
+        for folder in (first, second):
+            build(folder, options.no_isolation)
+        sums = digests(first)
+        if sums != digests(second):
+            print(f"two builds differ: {sums} and {digests(second)}", file=sys.stderr)
+            return 1
+        _say(f"built twice, alike: {', '.join(sums)}")
+        print(_run(sys.executable, "-m", "twine", "check", "--strict", *map(str, sorted(first.iterdir()))))
+        (wheel,) = first.glob("*.whl")
+        if not options.no_install:
+            try_wheel(wheel, Path(scratch, "environment"), first)
+        options.out.mkdir(parents=True, exist_ok=True)
+        for file in sorted(first.iterdir()):
+            shutil.copy2(file, options.out)
+    lines = [f"{digest}  {name}\n" for name, digest in digests(options.out).items() if name != "SHA256SUMS"]
+    (options.out / "SHA256SUMS").write_text("".join(lines))
+    print("".join(lines), end="")
+    return 0
+
+
+def build(folder: Path, no_isolation: bool = False) -> None:
+    """sdist and wheel into the folder, the wheel from the sdist, as an index would serve it."""
+    words = ["--no-isolation"] if no_isolation else []
+    _run(sys.executable, "-m", "build", "--outdir", str(folder), *words, str(ROOT))
+
+
+def try_wheel(wheel: Path, environment: Path, out: Path) -> None:
+    """Install the wheel into an empty environment, judge the sample flights with it, and write the SBOM of that environment to `out`."""
+    venv.create(environment, with_pip=True)
+    python = str(environment / "bin" / "python")
+    _run(python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", str(wheel))
+    _run(python, "-m", "pip", "check")
+    said = _run(str(environment / "bin" / "rotorwatch"), "demo", cwd=environment)
+    if "FAULT FOUND" not in said or "HEALTHY" not in said:
+        raise SystemExit(f"the installed wheel does not judge the sample flights as it should:\n{said}")
+    _say("installed into an empty environment; the sample flights are judged")
+    bom = out / f"{wheel.name.split('-')[0]}-{wheel.name.split('-')[1]}.cdx.json"
+    words = ["environment", "--output-reproducible", "--output-format", "JSON", "--output-file", str(bom), python]
+    _run(sys.executable, "-m", "cyclonedx_py", *words)
+    _say(f"SBOM: {bom.name}")
+
+
+def digests(folder: Path) -> dict[str, str]:
+    """Name of each file -> SHA-256."""
+    return {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in sorted(folder.iterdir())}
+
+
+def _run(*words: str, cwd: Path = ROOT) -> str:
+    """What a command prints. Ends the program with its error output when it fails."""
+    clean = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    clean["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{clean['PATH']}"
+    done = subprocess.run(words, cwd=cwd, env=clean, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise SystemExit(f"{' '.join(words)} failed:\n{done.stdout}\n{done.stderr}")
+    return done.stdout
+
+
+def _say(text: str) -> None:
+    print(f"== {text}", flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
