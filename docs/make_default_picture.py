@@ -88,7 +88,7 @@ def main(log: str) -> None:
 def steps(table, B) -> dict[str, np.ndarray]:
     """What the step holds and says at every tick."""
     jax = load_jax()
-    estimator = program.builder(table.dt)(program.parameters(B))
+    estimator = program.estimator(program.parameters(B, table.dt))
 
     def tick(carry, row):
         carry, out = estimator.step(carry, *row)

@@ -1,6 +1,7 @@
 """Draw the pictures of the documentation: `python docs/make_pictures.py`. Needs Chromium.
 
-docs/report.png is the top of the demo's HTML report, as a browser shows it.
+docs/report.png is the top of the demo's HTML report, as a browser shows it; docs/serve.png the page of `rotorwatch serve` in the middle of
+the same flight, with both samples in its list (extra `test`, for Playwright).
 """
 
 from __future__ import annotations
@@ -30,7 +31,8 @@ def main() -> int:
         page = Path(folder) / "report.html"
         diagnose(SAMPLES / FAULTY).to_html(page)
         shoot(browser, page, DOCS / "report.png")
-    print(f"wrote {DOCS / 'report.png'}")
+        serve(browser, Path(folder), DOCS / "serve.png")
+    print(f"wrote {DOCS / 'report.png'} and {DOCS / 'serve.png'}")
     return 0
 
 
@@ -40,6 +42,40 @@ def shoot(browser: str, page: Path, picture: Path) -> None:
     options += [f"--user-data-dir={page.parent / 'profile'}", f"--window-size={WIDTH},{HEIGHT}"]
     options += ["--virtual-time-budget=10000", f"--screenshot={picture}", page.as_uri()]
     subprocess.run([browser, *options], check=True, capture_output=True, timeout=120)
+
+
+def serve(browser: str, folder: Path, picture: Path) -> None:
+    """Write a PNG of the served page while the faulty sample is replayed."""
+    from playwright.sync_api import sync_playwright
+
+    command = [
+        sys.executable,
+        "-m",
+        "rotorwatch.cli",
+        "serve",
+        "--port",
+        "0",
+        "--store",
+        str(folder / "fleet.db"),
+        "-q",
+    ]
+    server = subprocess.Popen([*command, "--speed", "6", str(SAMPLES / FAULTY)], stdout=subprocess.PIPE, text=True)
+    assert server.stdout is not None
+    try:
+        with sync_playwright() as playwright:
+            window = playwright.chromium.launch(executable_path=browser, args=["--no-sandbox", "--disable-gpu"])
+            page = window.new_page(viewport={"width": WIDTH, "height": HEIGHT - 110})
+            page.goto(server.stdout.readline().strip())
+            page.set_input_files("#choose", sorted(SAMPLES.glob("*.bin.xz")))
+            page.locator("#list tbody tr").nth(1).wait_for(timeout=120_000)
+            page.reload()
+            page.wait_for_selector("article[data-state=FAULT]", timeout=120_000)
+            page.wait_for_timeout(5000)
+            page.screenshot(path=picture)
+            window.close()
+    finally:
+        server.terminate()
+        server.wait()
 
 
 if __name__ == "__main__":

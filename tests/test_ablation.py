@@ -90,10 +90,10 @@ def test_constants_as_parameters_are_the_constants():
     def passed():
         return {k: np.asarray(v, float) for k, v in ablation.constants().items() if k not in ablation.BUILT_IN}
 
-    usual = jax.tree.map(np.asarray, tuned(passed(), program.parameters(B)))
+    usual = jax.tree.map(np.asarray, tuned(passed(), program.parameters(B, DT)))
     with ablation.changed(other):
-        changed = jax.tree.map(np.asarray, tuned(passed(), program.parameters(B)))
-        plain = program.builder(DT)(program.parameters(B))
+        changed = jax.tree.map(np.asarray, tuned(passed(), program.parameters(B, DT)))
+        plain = program.estimator(program.parameters(B, DT))
         own = jax.tree.map(np.asarray, jax.jit(lambda start: over(plain, start))(plain.init()))
     np.testing.assert_allclose(changed[0], own[0], rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(changed[1], own[1], rtol=1e-7, atol=1e-7)

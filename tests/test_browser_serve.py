@@ -178,7 +178,7 @@ def test_everything_is_reached_by_keyboard(tab):
 def test_the_report_opens_in_its_sandbox(tab, site, browser):
     link = tab.page.locator("#list tbody a").first
     report = Tab(browser, site.address.rstrip("/") + link.get_attribute("href"))
-    report.page.wait_for_function("document.documentElement.dataset.plots > 0")
+    report.page.wait_for_selector("html[data-plots]")
     assert report.page.evaluate("self.origin") == "null"
     assert report.page.evaluate("fetch('/api/flights').then(() => 'let in', () => 'refused')") == "refused"
     report.page.click("text=All flights")

@@ -137,7 +137,7 @@ def test_baselines_and_estimator_reach_the_diagnoser(fake, run):
         (("broken.bin",), "broken.bin: not a flight log."),
         (("fault.bin", "--baseline", "broken.bin"), "broken.bin: not a flight log."),
         (("bug.bin",), "please report it"),
-        (("fault.bin", "healthy.bin", "--report", "one.html"), "one page for 2 logs"),
+        (("fault.bin", "healthy.bin", "--report", "one.html"), "one file for 2 logs"),
         (("fault.bin", "--report", "healthy.bin/x.html"), "healthy.bin"),
     ],
 )

@@ -10,7 +10,7 @@ import pytest
 import exporting
 from rotorwatch import airframes
 from rotorwatch.backend import jax as load_jax
-from rotorwatch.compiling import native
+from rotorwatch.compiling import toolchain
 from rotorwatch.control import allocation, box
 from rotorwatch.control.allocation import Allocator, Belief, believed
 from rotorwatch.errors import ConfigError
@@ -212,7 +212,7 @@ def test_an_exported_project_runs(tmp_path):
     made = export_allocator(tmp_path, vehicle=QUAD)
     here = str(tmp_path / "example")
     sources = [str(tmp_path / "allocator.c"), str(tmp_path / "example.c")]
-    subprocess.run([native.compiler(), "-std=c99", *sources, "-lm", "-o", here], check=True)
+    subprocess.run([toolchain.compiler(), "-std=c99", *sources, "-lm", "-o", here], check=True)
     said = subprocess.run([here], capture_output=True, text=True, check=True).stdout
     assert said.startswith("status 0, commands 0.000000") and made.workspace_bytes < 4000
 

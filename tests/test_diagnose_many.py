@@ -4,7 +4,10 @@ import json
 import lzma
 import re
 import sys
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from threading import Thread
 
 import pytest
 
@@ -89,6 +92,28 @@ def test_logs_behind_addresses(folder):
                 pass
     finally:
         memory.rm("/flights", recursive=True)
+
+
+def test_logs_on_a_web_server(folder):
+    pytest.importorskip("aiohttp")
+
+    class Quiet(SimpleHTTPRequestHandler):
+        def log_message(self, *_):
+            pass
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=folder)) as server:
+        Thread(target=server.serve_forever, daemon=True).start()
+        here = f"http://127.0.0.1:{server.server_port}"
+        found = gathering.Gathered([f"{here}/", f"{here}/a.bin"])
+        assert list(found) == [
+            f"{here}/{n}" for n in ("a.bin", "b.bin.xz", "deep/down/c.bin", "empty.bin", "truth.csv")
+        ]
+        with gathering.fetched(f"{here}/b.bin.xz") as copy:
+            assert copy.name == "b.bin.xz" and copy.read_bytes() == (folder / "b.bin.xz").read_bytes()
+        with pytest.raises(LogError, match=r"none\.bin: nothing is there"):
+            with gathering.fetched(f"{here}/none.bin"):
+                pass
+        server.shutdown()
 
 
 def test_without_fsspec_one_sentence(fake, run, monkeypatch):  # noqa: F811
@@ -198,6 +223,24 @@ def test_what_does_not_fit_is_told_before_the_work(fake, run, argv, says):  # no
     Path("other.jsonl").write_text(json.dumps(line) + "\n")
     code, out, err = run("diagnose", "fault.bin", "healthy.bin", *argv)
     assert (code, out) == (2, "") and says in err and err.count("\n") == 1
+
+
+def test_names_that_are_no_text_are_gone_on_with_too(fake, run, monkeypatch):  # noqa: F811
+    name = b"fault-\xff.bin".decode(errors="surrogateescape")
+    Path(name).write_bytes(b"x")
+    argv = ("diagnose", name, "healthy.bin", "--jsonl", "-o", "out.jsonl")
+    run(*argv)
+    monkeypatch.setattr(rotorwatch.logs, "read", None)
+    assert run(*argv, "--resume")[0] == 1 and len(Path("out.jsonl").read_text().splitlines()) == 2
+
+
+def test_nothing_is_shown_where_nothing_was_answered(fake, run, monkeypatch):  # noqa: F811
+    from rotorwatch.many import cluster
+
+    pytest.importorskip("distributed")
+    monkeypatch.setattr(cluster, "ANSWER_S", 0.2)
+    code, out, err = run("diagnose", "fault.bin", "healthy.bin", "--scheduler", "tcp://127.0.0.1:1")
+    assert (code, out) == (2, "") and err.startswith("rotorwatch: No Dask scheduler answers") and err.count("\n") == 1
 
 
 def test_what_was_answered_stays_when_the_call_is_interrupted(fake, run, monkeypatch, plain_pages):  # noqa: F811

@@ -16,7 +16,7 @@ import rotorwatch as rw
 from exporting import STRICT, address, jax, library, room, struct
 from rotorwatch import airframes
 from rotorwatch.cli import cli
-from rotorwatch.compiling import native
+from rotorwatch.compiling import native, toolchain
 from rotorwatch.compiling.c99.lower import Refused
 from rotorwatch.compiling.c99.project import Field, make
 from rotorwatch.compiling.run import run
@@ -268,10 +268,10 @@ def cache(tmp_path, monkeypatch):
     """A cache of its own, and a fresh mind."""
     monkeypatch.setenv("ROTORWATCH_CACHE", str(tmp_path / "cache"))
     monkeypatch.delenv("ROTORWATCH_BACKEND", raising=False)
-    native._machine.cache_clear()
-    native._temporary.cache_clear()
+    toolchain.machine.cache_clear()
+    toolchain._temporary.cache_clear()
     yield tmp_path / "cache" / "native"
-    native._machine.cache_clear()
+    toolchain.machine.cache_clear()
 
 
 def small(walk=1e-3):

@@ -4,11 +4,12 @@ import json
 
 import pytest
 
-pytest.importorskip("sqlalchemy")
 from postgres_server import Server
 from rotorwatch.errors import ConfigError, StoreError
 from rotorwatch.fleet import Entry, Store, default_url
 from rotorwatch.fleet import store as module
+
+pytest.importorskip("sqlalchemy")
 
 
 @pytest.fixture(scope="module")
@@ -149,13 +150,17 @@ def test_an_older_store_is_brought_up_to_date(url, monkeypatch):
     with Store(url) as old:
         old.add(entry(1))
         with pytest.raises(StoreError):
-            old.set_standings({}, 1)  # has no such table
+            old.set_standings({}, {}, 1)  # has no such table
     monkeypatch.setattr(t, "STEPS", steps)
     with Store(url) as new:
         assert new.count() == 1
         key = new.aircraft()[0]["key"]
-        new.set_standings({key: {"rotors": []}}, 1)
-        assert new.standing(key) == {"rotors": []} and not new.aircraft()[0]["stale"]
+        new.set_standings({key: {"rotors": []}}, {key: {"hours": [1.0]}}, 1)
+        assert (
+            new.standing(key) == {"rotors": []}
+            and new.points(key) == {"hours": [1.0]}
+            and not new.aircraft()[0]["stale"]
+        )
     monkeypatch.setattr(t, "STEPS", steps[:1])
     with pytest.raises(StoreError, match="update rotorwatch"):
         Store(url)

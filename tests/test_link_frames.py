@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from rotorwatch.live import frames, senders
+from rotorwatch.live import frames, rotors, senders
 from rotorwatch.live.clock import Restarted
 from rotorwatch.live.mavlink import Messages, layouts
 from rotorwatch.logs import tlog
@@ -187,3 +187,30 @@ def test_what_a_bad_link_does_to_one_sender_is_not_taken_for_two():
         kept = kept[(kept < start) | (kept > start + rng.integers(450))]
     odd = rng.random(kept.size) < 0.1
     assert numbered(senders.Senders(), np.where(odd, rng.integers(0, 256, kept.size), kept)) == 0
+
+
+def test_a_rotor_that_stands_is_said_by_its_esc():
+    """ArduPilot's telemetry over a link: speeds are known, a rotor that stands in the air is said once, and that it turns again."""
+    link, seen, said = Link(), rotors.Rotors(), []
+
+    def fly(seconds, rpm, flying=True):
+        for _ in range(int(seconds * 10)):
+            link.now_ms = getattr(link, "now_ms", 1000) + 100
+            link.put(attitude(link.now_ms))
+            link.put(servo(link.now_ms * 1000, [1500] * 4))
+            link.put(
+                mavlink.MAVLink_esc_telemetry_1_to_4_message([30] * 4, [1600] * 4, [500] * 4, [0] * 4, rpm, [1] * 4)
+            )
+            taken = link.take()
+            said.extend(seen.on(taken.get("esc"), taken.get("motors"), flying))
+
+    fly(2.0, [0] * 4, flying=False)
+    fly(10.0, [5000, 5100, 5200, 5300])
+    assert said == [] and seen.words() == "ESC 5000 5100 5200 5300 rpm"
+    fly(3.0, [5000, 5100, 0, 5300])
+    assert [(rotor, "stands" in text) for rotor, text in said] == [(3, True)]
+    fly(4.0, [5000, 5100, 5200, 5300])
+    assert [(rotor, "turns again" in text) for rotor, text in said[1:]] == [(3, True)]
+    said.clear()
+    fly(3.0, [0] * 4)  # all of them: the motors were switched off, or the telemetry is gone
+    assert said == []

@@ -16,9 +16,11 @@ from tests.conftest import hexa_diagnosis
 
 from rotorwatch import cli
 from rotorwatch.diagnosis import Diagnosis
-from rotorwatch.errors import ConfigError, LinkError
+from rotorwatch.errors import ConfigError, LinkError, StoreError
+from rotorwatch.fleet.store import Entry
 from rotorwatch.live.watched import Watched
 from rotorwatch.report.html import page
+from rotorwatch.serve import flights as flights_of
 from rotorwatch.serve import live, names, security, server, uploads
 from rotorwatch.serve.app import application
 from rotorwatch.serve.flights import Flights
@@ -30,15 +32,15 @@ TOKEN = "a-token-of-enough-letters"
 HERE = "http://127.0.0.1:8000"
 
 
-def guarded(tmp_path, token="", limits=Limits(), host="127.0.0.1"):
+def guarded(tmp_path, token="", most=2 << 20, host="127.0.0.1"):
     flights = Flights(str(tmp_path / "fleet.db"))
-    return application(live.Feed(), flights, limits, host, token), flights
+    return application(live.Feed(), flights, Limits(most=most), host, token), flights
 
 
 @pytest.fixture(scope="module")
 def served(tmp_path_factory):
     """A client of a server that judges what it is sent, small logs only."""
-    app, flights = guarded(tmp_path_factory.mktemp("served"), limits=Limits(most=2 << 20))
+    app, flights = guarded(tmp_path_factory.mktemp("served"))
     with TestClient(app, HERE) as client:
         yield client, flights
 
@@ -166,8 +168,8 @@ def test_every_answer_binds_the_browser(served, path):
 
 @pytest.mark.parametrize(
     "path",
-    ["/static/../app.py", "/static/..%2fapp.py", "/static/%2e%2e/app.py", "/static//etc/passwd", "/flights/..%2f..%2ffleet.db", "/flights/x",
-     "/flights/" + 63 * "0" + "A", "/api/flights/..", "/incoming/"],
+    ["/static/../app.py", "/static/..%2fapp.py", "/static/%2e%2e/app.py", "/static//etc/passwd", "/flights/..%2f..%2ffleet.db",
+     "/flights/x", "/flights/" + 63 * "0" + "A", "/api/flights/..", "/incoming/"],
 )  # fmt: skip
 def test_there_are_no_paths(served, path):
     answer = served[0].get(path)
@@ -435,3 +437,44 @@ def test_the_names_of_the_api_are_those_of_the_command():
     options = {p.name for p in cli.cli.commands["serve"].params} - {"quiet", "debug"}
     assert options - {"help"} == set(inspect.signature(server.serve).parameters) - {"ready"}
     assert math.isfinite(inspect.signature(server.serve).parameters["max_upload"].default)
+
+
+def test_a_flight_heard_over_a_link_is_listed_when_it_has_ended(tmp_path):
+    """As heard from a log here: which source it is makes no difference to what is judged."""
+    flights, rows = Flights(str(tmp_path / "fleet.db")), []
+    keeper = flights.keeper(rows.append, pytest.fail)
+    feed = live.Feed(keeper.keep)
+    feed.open(str(SAMPLE.with_name("hexax_m3_mul0.80_square_wind.bin.xz")), None, math.inf, None, True)
+    feed._sources[0].lists = True
+    feed.start()
+    feed._thread.join(120)
+    feed.stop()
+    keeper.stop()
+    (row,) = rows
+    assert row["verdict"] == "fault" and "rotor 3" in row["headline"].lower() and row["frame"] == "ardupilot-hexa-x"
+    found = Diagnosis.from_dict(flights.diagnosis(row["hash"]))
+    assert found.rotors[2].status == "degraded" and found.events[found.main].rotors == (3,)
+    assert "while it flew" in found.assumptions[-1] and "rotor 3" in flights.report(row["hash"])
+    state = feed.state()["vehicles"][0]
+    assert state["named"] == [3] and state["looks"][2][0] == live.colours.FAULT and len(state["points"]) > 50
+
+
+def test_a_store_that_cannot_be_reached_is_tried_again(tmp_path, monkeypatch):
+    class Gone:
+        def __init__(self):
+            self.times = 0
+
+        def keep(self, entry):
+            self.times += 1
+            if self.times == 1:
+                raise StoreError("The database cannot be reached.")
+            return {"hash": entry.hash}
+
+    monkeypatch.setattr(flights_of, "AGAIN_S", 0.01)
+    rows, said = [], []
+    keeper = flights_of.Keeper(Gone(), rows.append, said.append)
+    keeper.keep(Entry("0" * 64, "", "udp:1/1", 0))
+    while not rows:
+        keeper._thread.join(0.01)
+    keeper.stop()
+    assert rows == [{"hash": "0" * 64}] and "udp:1/1 is not in the list yet" in said[0]

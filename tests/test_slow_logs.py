@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from rotorwatch import diagnose
-from rotorwatch.default.program import BUILDERS
+from rotorwatch.default import announcement
+from rotorwatch.live.replay import Replay
+from rotorwatch.live.watched import Watched
 from rotorwatch.motion import ticks
 from rotorwatch.simulation import scenario, simulate
 
@@ -48,7 +50,7 @@ def thinned(flight, hz):
 @pytest.mark.parametrize("rate", [0.3, 1.0, 1.79, 1.8, 4.4, 4.5, 7.9, 8.0, 18.9, 19.0, 400.0])
 def test_every_rate_has_ticks_that_the_estimator_has(rate):
     length = ticks.tick_length(rate)
-    assert length in BUILDERS and (length == 1.0 or rate * length > 0.75)
+    assert length in ticks.TICKS_S and (length == 1.0 or rate * length > 0.75)
 
 
 @pytest.mark.parametrize("hz, within", [(5.0, 2.0), (2.0, 4.0), (1.1, 8.0)])
@@ -65,3 +67,21 @@ def test_a_loss_is_found_and_named(hz, within):
 def test_a_healthy_flight_stays_healthy(hz):
     answer = diagnose(thinned(flown(0.0), hz))
     assert answer.verdict == "healthy" and not answer.events
+
+
+@pytest.mark.parametrize("hz, length", [(1.1, 1.0)])
+def test_a_slow_link_is_judged_while_it_flies_and_says_what_cannot_be_seen(hz, length):
+    flight, told = thinned(flown(0.4), hz), []
+    replay = Replay(flight, Watched("one", told.append))
+    while replay.poll():
+        pass
+    (limit,) = [alert["text"] for alert in told if alert["type"] == "notice"]
+    assert f"judged every {length:g} s" in limit and f"shows in 2 of these, {2 * length:g} s" in limit
+    assert limit in diagnose(flight).assumptions
+    (event,) = [alert["event"] for alert in told if alert["type"] == "event" and alert["state"] == "final"]
+    assert event["rotors"] == [3] and 70.0 < event["detected_s"] < 78.0
+
+
+def test_a_fast_link_has_no_such_limit():
+    assert [ticks.slow(hz, ticks.tick_length(hz), 8.0) for hz in (50.0, 20.0, 10.0)] == [""] * 3
+    assert ticks.EARLIEST_TICKS == announcement.TICKS

@@ -1,5 +1,6 @@
 """Links: what a vehicle sends over MAVLink is judged as its recording is, and nothing that a link does to it ends the watch."""
 
+import os
 import socket
 import threading
 import time
@@ -308,6 +309,23 @@ def test_a_port_in_use_and_a_silent_link_are_said(capsys):
     with pytest.raises(SystemExit) as left:
         cli.main(["watch", f"udpin:127.0.0.1:{port}", "--patience", "0.2", "--jsonl"])
     assert left.value.code == 2 and "no heartbeat of a multirotor" in capsys.readouterr().err
+
+
+def test_a_serial_port_of_the_wrong_speed_is_said():
+    """What is read at the wrong speed is bytes without a frame."""
+    pty = pytest.importorskip("pty")
+    other, own = pty.openpty()
+    name = f"serial:{os.ttyname(own)}:57600"
+    link = Link(endpoint.open_endpoint(name), lambda alert: None, patience_s=0.2)
+    rng = np.random.default_rng(0)
+    with pytest.raises(LinkError, match="none of them are MAVLink; is the speed right"):
+        for _ in range(1000):
+            os.write(other, rng.bytes(100))
+            link.poll(0.0)
+            time.sleep(0.002)
+    link.leave()
+    os.close(other)
+    os.close(own)
 
 
 def test_a_plane_is_refused_in_words():

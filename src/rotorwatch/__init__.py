@@ -107,7 +107,14 @@ class _Verb(ModuleType):
         return getattr(self, self.__name__.rpartition(".")[2])
 
     def __call__(self, *args, **kwargs):
-        return self.__wrapped__(*args, **kwargs)
+        try:
+            return self.__wrapped__(*args, **kwargs)
+        except ModuleNotFoundError as why:
+            from rotorwatch.errors import ConfigError, lacking
+
+            if said := lacking(why):
+                raise ConfigError(said) from why
+            raise
 
 
 class _Package(ModuleType):

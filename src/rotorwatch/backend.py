@@ -7,6 +7,8 @@ import os
 import sys
 from pathlib import Path
 
+from rotorwatch.errors import ConfigError
+
 
 def cache_folder() -> Path:
     """Where compiled programs are kept: $ROTORWATCH_CACHE, else $XDG_CACHE_HOME/rotorwatch, else ~/.cache/rotorwatch."""
@@ -23,7 +25,10 @@ def jax():
     """
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     loaded = "jax" in sys.modules
-    import jax
+    try:
+        import jax
+    except ModuleNotFoundError:
+        raise ConfigError("This needs JAX, which is not installed: pip install jax.") from None
 
     if not jax.config.read("jax_enable_x64"):
         jax.config.update("jax_enable_x64", True)

@@ -24,6 +24,7 @@ from rotorwatch.commands import (
     benchmark,
     campaign,
     export,
+    fleet,
     research,
     serve,
     several,
@@ -33,7 +34,7 @@ from rotorwatch.commands import (
     watch,
 )
 from rotorwatch.commands.tools import LOG, LOGS, OUT, common, debug, progress, say, shares, show, spread
-from rotorwatch.errors import BackendWarning, ConfigError, PluginWarning, RotorwatchError
+from rotorwatch.errors import BackendWarning, ConfigError, PluginWarning, RotorwatchError, WorkerWarning, lacking
 
 if TYPE_CHECKING:
     from rotorwatch.diagnosis import Diagnosis
@@ -50,6 +51,7 @@ def main(argv: list[str] | None = None) -> None:
         warnings.simplefilter("ignore")  # those of numerical libraries; a flight's are part of the answer
         for kind in (BackendWarning, PluginWarning):
             warnings.filterwarnings("once", category=kind)
+        warnings.filterwarnings("always", category=WorkerWarning)
         warnings.showwarning = lambda message, *where, **more: say(str(message))
     for stream in (sys.stdout, sys.stderr):
         if isinstance(
@@ -91,6 +93,8 @@ def explain(why: Exception) -> str:
         traceback.print_exc()
     if isinstance(why, RotorwatchError):
         return str(why)
+    if said := lacking(why):
+        return said
     if isinstance(why, OSError) and why.filename:
         return f"{why.filename}: {why.strerror}."
     if isinstance(why, OSError) and why.errno:
@@ -456,6 +460,7 @@ survive.register(cli)
 campaign.register(cli)
 benchmark.register(cli)
 watch.register(cli)
+fleet.register(cli)
 serve.register(cli)
 
 

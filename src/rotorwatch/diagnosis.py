@@ -231,7 +231,7 @@ class Diagnosis:
             baseline=found["baseline"],
             assumptions=tuple(found["assumptions"]),
             warnings=tuple(found["warnings"]),
-            timing=found["timing"],
+            timing=found.get("timing", {}),
             estimator=found["estimator"],
             comparison=tuple(found["comparison"]),
             whole_flight=found["whole_flight"],

@@ -46,3 +46,15 @@ class PluginWarning(RuntimeWarning):
 
 class StoreError(RotorwatchError):
     """The store of a fleet cannot be opened, read or written, or does not hold what is asked for."""
+
+
+# Packages of the extra `research`, as they are imported.
+RESEARCH = ("jax", "jaxlib", "scipy", "cvxpy", "matplotlib")
+
+
+def lacking(why: BaseException) -> str | None:
+    """One sentence where an exception says that a package of the extra `research` is not installed, else None."""
+    name = (getattr(why, "name", None) or "").split(".")[0]
+    if not isinstance(why, ModuleNotFoundError) or name not in RESEARCH:
+        return None
+    return f"This needs {name}, which is not installed: pip install {name}."

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import unquote, urlsplit
 
-from rotorwatch import checks, logs
+from rotorwatch import logs, optional
 from rotorwatch.errors import ConfigError, LogError
 from rotorwatch.logs import container
 
@@ -36,7 +36,7 @@ def is_several(given: Any) -> bool:
         return given.endswith("/") or "*" in given
     path = Path(given)
     if path.is_dir():
-        return not _is_log(path)
+        return not is_log(path)
     return not path.exists() and PATTERN.search(str(given)) is not None
 
 
@@ -72,11 +72,11 @@ class Gathered:
         else:
             for name in sorted(glob.glob(str(given), recursive=True)):
                 path = Path(name)
-                if not path.is_dir() or _is_log(path):
+                if not path.is_dir() or is_log(path):
                     yield from self._kept(path)
 
     def _inside(self, folder: Path) -> Iterator[Path]:
-        if _is_log(folder):
+        if is_log(folder):
             yield folder
             return
         entries = sorted(folder.iterdir(), key=lambda path: path.name)
@@ -90,7 +90,7 @@ class Gathered:
                 yield from self._kept(path)
 
     def _kept(self, path: Path) -> Iterator[Path]:
-        if _is_log(path):
+        if is_log(path):
             yield path
         else:
             self.others += 1
@@ -103,6 +103,8 @@ class Gathered:
         except Exception as why:  # every store has errors of its own
             raise ConfigError(_unreadable(address, why)) from why
         for name in sorted(found):
+            if name.rpartition("/")[2].startswith("."):
+                continue
             if NAMES.search(name.split("?")[0]):
                 yield system.unstrip_protocol(name)
             else:
@@ -136,7 +138,7 @@ def fetched(log: str | os.PathLike) -> Iterator[Path]:
         yield path
 
 
-def _is_log(path: Path) -> bool:
+def is_log(path: Path) -> bool:
     """Whether a reader knows it, by its content; by its name only where that is not one of any table."""
     if path.is_dir():
         try:
@@ -150,7 +152,7 @@ def _is_log(path: Path) -> bool:
 
 
 def _fsspec(address: str) -> Any:
-    return checks.library("fsspec", f"Reading {address}")
+    return optional.library("fsspec", f"Reading {address}")
 
 
 def _unreadable(address: str, why: Exception) -> str:

@@ -48,7 +48,7 @@ FILES = (
 # Names, counts and what follows from others: nothing to be chosen.
 GIVEN = {
     "plant.PER_AXIS", "plant.SIDEWAYS", "plant.AXIS_STATES", "plant.B1", "plant.B2", "plant.B3", "plant.GAIN", "plant.DAMPING",
-    "announcement.FALSE_ALARM_PERIOD_S", "bank.SLOTS", "bank.STRIDES", "noise.LAGS", "hypotheses.DISTURBANCES",
+    "announcement.FALSE_ALARM_PERIOD_S", "bank.SLOTS", "bank.STRIDES", "bank.SLOW_S", "noise.LAGS", "hypotheses.DISTURBANCES",
     "kalman.BIASES", "posterior.NEVER", "posterior.PLACES", "evidence.NOTHING",
 }  # fmt: skip
 WORDS = ("off", "half", "double")
@@ -131,9 +131,9 @@ def changed(values: Mapping[str, Any]) -> Iterator[None]:
 class Tuned:
     """The default estimator with constants given as parameters: in effect while it is built, started and traced."""
 
-    def __init__(self, dt: float, parameters: Mapping[str, Any], values: Mapping[str, Any]):
+    def __init__(self, parameters: Mapping[str, Any], values: Mapping[str, Any]):
         self.values = values
-        self.inner = program.builder(dt)(parameters)
+        self.inner = program.estimator(parameters)
 
     def init(self):
         """As the estimator's."""
@@ -152,16 +152,8 @@ BUILT_IN = frozenset({
 
 
 def tuned(p):
-    """Build for `run_built`: the default estimator with its constants among the parameters. One for each length of ticks."""
-    return Tuned(0.1, {k: v for k, v in p.items() if k != "constants"}, p["constants"])
-
-
-def tuned_fast(p):
-    """The same for ticks of 0.05 s."""
-    return Tuned(0.05, {k: v for k, v in p.items() if k != "constants"}, p["constants"])
-
-
-BUILDS = {0.1: tuned, 0.05: tuned_fast}
+    """Build for `run_built`: the default estimator with its constants among the parameters."""
+    return Tuned({k: v for k, v in p.items() if k != "constants"}, p["constants"])
 
 
 def judge(table: Ticks, B: np.ndarray, values: Mapping[str, Any]) -> program.Kept:
@@ -171,13 +163,13 @@ def judge(table: Ticks, B: np.ndarray, values: Mapping[str, Any]) -> program.Kep
         passed = {
             k: np.asarray(v, float) for k, v in constants().items() if k not in BUILT_IN and not isinstance(v, dict)
         }
-        given, rows = {**program.parameters(B), "constants": passed}, program.inputs(table, B)
+        given, rows = {**program.parameters(B, table.dt), "constants": passed}, program.inputs(table, B)
         backend = chosen(None, "auto")
         if not own:
-            return run_built(BUILDS[table.dt], given, *rows, program.kept, backend=backend)[1]
-        key = (table.dt, B.shape[1], "lower" in given, json.dumps(own, default=repr))
+            return run_built(tuned, given, *rows, program.kept, backend=backend)[1]
+        key = (B.shape[1], "lower" in given, json.dumps(own, default=repr))
         if key not in _BUILT:
-            _BUILT[key] = functools.partial(BUILDS[table.dt])
+            _BUILT[key] = functools.partial(tuned)
         return run_built(_BUILT[key], given, *rows, program.kept, backend=backend)[1]
 
 

@@ -230,8 +230,8 @@ def taught(flown: Sequence[Flown], B: np.ndarray, size: int) -> list[tuple | Non
 def _stepped(flown: Sequence[Flown], B: np.ndarray, size: int, tables: list, learned: np.ndarray) -> list[tuple]:
     """The default estimator over tables of the flights: for each its `Judged`, and its state and noise after row `learned`, which is the
     last of its table where it matters."""
-    build = program.builder(flown[0].ticks.dt)
-    tree, parameters = load_jax().tree, program.parameters(B)
+    build = program.estimator
+    tree, parameters = load_jax().tree, program.parameters(B, flown[0].ticks.dt)
     if methods.engine() == "native":
         ran = [run_built(build, parameters, u, y, ok, _judged, backend="native") for u, y, ok in tables]
         return [(out, (carry.s, carry.noise.variances)) for carry, out in ran]

@@ -100,7 +100,8 @@ def diagnose(asked: Asked, how: str, explain: Callable[[Exception], str]) -> int
         finally:
             with suppress(ValueError):
                 answers.close()  # type: ignore[attr-defined]
-            _show(asked, rows, [listed[k] for k in sorted(listed)])
+            if codes:
+                _show(asked, rows, [listed[k] for k in sorted(listed)])
     return next((code for code in SEVERITY if code in codes), 0)
 
 
@@ -155,6 +156,12 @@ def _write_page(asked: Asked, answer: Any) -> str | None:
 # JSON lines
 
 
+def _recorded(path: str) -> str:
+    """A path as a line holds it: what came through a pipe by its name; bytes that are no text as JSON's escapes."""
+    shown = label(path)
+    return path if shown == path.encode("utf-8", "backslashreplace").decode() else shown
+
+
 @dataclass(frozen=True)
 class _Line:
     """A line that is there already. known: None where it has to be made again."""
@@ -176,7 +183,7 @@ class _Lines:
         if self.out is None:
             return
         about = {
-            "path": label(answer.path),
+            "path": _recorded(answer.path),
             "exit_code": answer.exit_code,
             "size": answer.size,
             "sha256": answer.sha256,

@@ -15,11 +15,11 @@ from typing import Any
 
 import click
 
-from rotorwatch.errors import BackendWarning, ConfigError, PluginWarning
+from rotorwatch.errors import BackendWarning, ConfigError, PluginWarning, WorkerWarning
 
 PICTURES = (".svg", ".png", ".pdf")
 ADDRESS = re.compile(r"[a-z][a-z0-9+.-]+://", re.IGNORECASE)
-LINE_S = 2.0  # between two lines that say how far a count has come
+LINE_S, FEW = 2.0, 10  # between two lines that say how far a count has come; of fewer there are none
 MOST_INPUT = 4 << 30  # bytes taken from standard input or a pipe
 _spool: list[str] = []  # the folder in which what came through a pipe lies, once there is one
 
@@ -114,7 +114,7 @@ def debug(context: click.Context, parameter: click.Parameter, on: bool) -> None:
 def _hush(context: click.Context, parameter: click.Parameter, on: bool) -> bool:
     """Callback of --quiet: not even the warning that native code cannot be had."""
     if on:
-        for kind in (BackendWarning, PluginWarning):
+        for kind in (BackendWarning, PluginWarning, WorkerWarning):
             warnings.filterwarnings("ignore", category=kind)
     return on
 
@@ -200,7 +200,7 @@ class Counting:
 
     def __call__(self, done: int, total: int, speed: float) -> None:
         tenth = 10 * done // total
-        if speed and tenth > self.tenth and time.monotonic() - self.said > LINE_S:
+        if total >= FEW and speed and tenth > self.tenth and time.monotonic() - self.said > LINE_S:
             self.tenth, self.said = tenth, time.monotonic()
             say(f"{done} of {total} {self.what}, {speed:.1f} a second, {(total - done) / speed:.0f} s left")
 

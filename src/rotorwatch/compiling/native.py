@@ -13,11 +13,9 @@ import hashlib
 import json
 import os
 import platform
-import shlex
 import shutil
 import subprocess
 import tempfile
-import warnings
 from collections.abc import Callable
 from importlib import import_module, metadata
 from pathlib import Path
@@ -25,21 +23,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rotorwatch.backend import cache_folder
-from rotorwatch.errors import BackendWarning, ConfigError
+from rotorwatch.compiling import shipped, toolchain
+from rotorwatch.compiling.toolchain import FLAGS, QUICK, VECTORS, Unavailable, Unmakeable
 
-# Vector code of this processor; errno and signals of floating point are nobody's business here, NaN and signed zeros are.
-FLAGS = ("-std=c99", "-march=native", "-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math", "-fPIC", "-shared")
-# With glibc this macro only declares that sin, cos, exp and their like come as vectors too, and gcc then calls those in loops.
-VECTORS = ("-D__FAST_MATH__", "-lmvec")
 # Characters of source above which only what pays is optimised: the default diagnoser builds in 10 s instead of 50 s, and runs as fast.
-BIG, QUICK = 80_000, ("-O1", "-ftree-loop-vectorize")
+BIG = 80_000
 ROWS = 512  # run in one go, between two words on progress
 TYPES = {"f": np.float64, "i": np.int32, "l": np.int64, "b": np.bool_}
-
-
-class Unavailable(ConfigError):
-    """No native code on this computer; the sentence says why."""
 
 
 class Layout(NamedTuple):
@@ -55,56 +45,14 @@ class Layout(NamedTuple):
     out_like: Any
 
 
-def compiler() -> str:
-    """The C compiler: $CC, else cc, gcc or clang. Raises Unavailable."""
-    wanted = [os.environ["CC"]] if os.environ.get("CC") else ["cc", "gcc", "clang"]
-    for name in wanted:
-        found = shutil.which(shlex.split(name)[0])
-        if found:
-            return found
-    raise Unavailable(f"There is no C compiler ({', '.join(wanted)}): install gcc or clang, or set CC.")
-
-
-@functools.cache
-def _machine() -> str:
-    """The compiler and the processor, so that a cache shared by computers holds a build for each."""
-    cc = Path(compiler())
-    about = cc.resolve().stat()
-    try:
-        info = Path("/proc/cpuinfo").read_text().split("\n\n")[0].splitlines()
-        cpu = "".join(line for line in info if line.startswith(("model name", "flags", "Features", "CPU part")))
-    except OSError:
-        cpu = platform.processor()
-    return f"{cc} {about.st_size} {about.st_mtime_ns} {platform.machine()} {cpu}"
-
-
-def _folder() -> Path:
-    """Where libraries are kept; a folder for this process only where the cache cannot be written."""
-    folder = cache_folder() / "native"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        if os.access(folder, os.W_OK):
-            return folder
-    except OSError:
-        pass
-    return _temporary(folder)
-
-
-@functools.cache
-def _temporary(wanted: Path) -> Path:
-    warnings.warn(
-        f"{wanted} cannot be written: native code is built anew in every process.", BackendWarning, stacklevel=4
-    )
-    return Path(tempfile.mkdtemp(prefix="rotorwatch-"))
-
-
-def build(header: str, source: str, name: str) -> Path:
-    """The shared library of a program, built unless it is there already. Raises Unavailable with what the compiler says."""
-    cc = compiler()
-    flags = (*(QUICK if len(source) > BIG else ("-O3",)), *FLAGS)
+def build(header: str, source: str, name: str, march: str = "native") -> Path:
+    """The shared library of a program, built unless it is there already. march: processor that it is for, the compiler's word; empty: the
+    least that the compiler knows. Raises Unavailable with what the compiler says."""
+    cc = toolchain.compiler()
+    flags = (*(QUICK if len(source) > BIG else ("-O3",)), *FLAGS, *([f"-march={march}"] if march else []))
     vectors = VECTORS if platform.machine() == "x86_64" and platform.libc_ver()[0] == "glibc" else ()
-    key = hashlib.sha256("\0".join([header, source, *flags, *vectors, _machine()]).encode()).hexdigest()[:32]
-    goal = _folder() / f"{name}-{key}.so"
+    key = hashlib.sha256("\0".join([header, source, *flags, *vectors, toolchain.machine()]).encode()).hexdigest()[:32]
+    goal = toolchain.folder() / f"{name}-{key}.so"
     if goal.exists():
         return goal
     with tempfile.TemporaryDirectory() as scratch:
@@ -267,6 +215,11 @@ def _made(make_estimator: Callable, select: Callable, parameters, sizes: tuple[i
     return program, Layout(name, p, s, o, program.workspace_bytes, described(carry), described(out))
 
 
+def exported(build_estimator: Callable, select: Callable, parameters, sizes: tuple[int, int]):
+    """(program, layout) of what `prepared` would make: traced, not built."""
+    return _made(build_estimator, select, parameters, sizes, "estimator")
+
+
 def traced(estimator, parameters, select: Callable | None = None, sizes: tuple[int, int] | None = None) -> Library:
     """The library of an estimator object: traced every time, built once."""
     sizes = sizes or (getattr(estimator, "n_u", estimator.system.n_u), estimator.system.n_y)
@@ -278,7 +231,13 @@ def traced(estimator, parameters, select: Callable | None = None, sizes: tuple[i
 def _package() -> str:
     """A hash of rotorwatch's own sources and of what traces them."""
     home = Path(__file__).parents[1]
-    digest = hashlib.sha256(metadata.version("jax").encode())
+    try:
+        digest = hashlib.sha256(metadata.version("jax").encode())
+    except metadata.PackageNotFoundError:
+        why = shipped.why_not()
+        raise Unmakeable(
+            f"{why[0].upper()}{why[1:]}, and JAX, which would make some, is not installed: pip install jax."
+        ) from None
     for path in sorted(home.rglob("*.py")):
         digest.update(str(path.relative_to(home)).encode() + b"\0" + path.read_bytes() + b"\0")
     return digest.hexdigest()
@@ -301,15 +260,25 @@ def _loaded(path: str, layout: str) -> Library:
     return Library(Path(path), Layout(*json.loads(layout)))
 
 
-def prepared(build_estimator: Callable, select: Callable, parameters, sizes: tuple[int, int]) -> Library:
-    """The library of build_estimator(parameters): without tracing when the same functions of the same package were met before."""
+def known_by(build_estimator: Callable, select: Callable, parameters, sizes: tuple[int, int]) -> str | None:
+    """What the program of build_estimator(parameters) is known by (`shipped.key`); None where a function is not this package's own."""
     names = (_named(build_estimator), _named(select))
-    if None in names:
+    shapes = [(np.shape(leaf), str(np.asarray(leaf).dtype)) for leaf in flattened(parameters)]
+    return None if None in names else shipped.key(names, shapes, described(parameters), sizes)
+
+
+def prepared(build_estimator: Callable, select: Callable, parameters, sizes: tuple[int, int]) -> Library:
+    """The library of build_estimator(parameters): without tracing when it came with the package (shipped.py), or when the same functions
+    of the same package were met before. Raises Unavailable where it has to be made and cannot be."""
+    known_as = known_by(build_estimator, select, parameters, sizes)
+    if known_as is None:
         program, layout = _made(build_estimator, select, parameters, sizes, "estimator")
         return Library(build(program.header, program.source, "estimator"), layout)
-    shapes = [(np.shape(leaf), str(np.asarray(leaf).dtype)) for leaf in flattened(parameters)]
-    about = json.dumps([_package(), names, shapes, described(parameters), sizes, _machine(), QUICK, FLAGS, VECTORS])
-    note = _folder() / f"known-{hashlib.sha256(about.encode()).hexdigest()[:32]}.json"
+    came_with = shipped.find(known_as)
+    if came_with is not None:
+        return _loaded(str(came_with[0]), json.dumps(came_with[1]))
+    about = json.dumps([_package(), known_as, toolchain.machine(), QUICK, FLAGS, VECTORS])
+    note = toolchain.folder() / f"known-{hashlib.sha256(about.encode()).hexdigest()[:32]}.json"
     try:
         known = json.loads(note.read_text())
         if Path(known["library"]).exists():

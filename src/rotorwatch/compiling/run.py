@@ -13,7 +13,7 @@ import numpy as np
 
 from rotorwatch import checks
 from rotorwatch.backend import jax as load_jax
-from rotorwatch.compiling import native
+from rotorwatch.compiling import native, toolchain
 from rotorwatch.errors import BackendWarning, ConfigError
 
 CHUNK = 1024
@@ -34,7 +34,7 @@ def engine() -> str:
     if load_jax().default_backend() != "cpu" or chosen(None, "auto") == "jax":
         return "jax"
     try:
-        native.compiler()
+        toolchain.compiler()
     except native.Unavailable:
         return "jax"
     return "native"
@@ -192,6 +192,8 @@ def run_built(
             library = _library(build, select, parameters, (u.shape[1], y.shape[1]))
             start = build(parameters).init() if carry is None else carry
             return native.run(library, parameters, start, u, y, valid, progress)
+        except native.Unmakeable:
+            raise
         except ConfigError as why:  # without a compiler, or a method that cannot be C
             if backend == "native" and not isinstance(why, native.Unavailable):
                 raise
@@ -232,6 +234,8 @@ class Steps:
         if chosen(backend, "auto") != "jax":
             try:
                 self._library = _library(build, select, parameters, sizes)
+            except native.Unmakeable:
+                raise
             except ConfigError:  # without a compiler: JAX
                 pass
         carry = build(parameters).init()

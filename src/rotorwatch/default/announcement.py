@@ -50,17 +50,17 @@ def init() -> Standing:
     return Standing(np.int32(0), np.float64(0), np.float64(0))
 
 
-def threshold(hyp: Hypotheses, dt: float, period_s: float | None = None) -> float:
+def threshold(hyp: Hypotheses, dt, period_s: float | None = None):
     """Log of the Shiryaev-Roberts threshold: the mean time to a false alarm, in ticks, is at least its value over the sum
     of the fault hypotheses' prior weights (about the number of rotors), as far as the noise is what the model says. period_s: that
     time in s; None: as promised, gates included."""
     period_s = GATES * FALSE_ALARM_PERIOD_S if period_s is None else period_s
     new = hyp.fault & ~hyp.well
-    return float(np.log(period_s / dt * hyp.weight[new].sum()))
+    return plant.arrays(dt).log(period_s / dt * hyp.weight[new].sum())
 
 
 def decide(
-    standing: Standing, found: Evidence, best: Jump, onsets: bank.Jumps, limit: float, possible, weak, judge, dt: float
+    standing: Standing, found: Evidence, best: Jump, onsets: bank.Jumps, limit: float, possible, weak, judge, dt
 ) -> tuple[Standing, Said]:
     """One tick. best: jump of the likeliest fault; limit: its `threshold`; possible, judge, weak: may it be true, is the flight judged,
     is a rotor known to be weak."""
@@ -86,7 +86,7 @@ def decide(
     )
 
 
-def suspicion(standing: Standing, found: Evidence, hyp: Hypotheses, dt: float) -> tuple[Standing, Array]:
+def suspicion(standing: Standing, found: Evidence, hyp: Hypotheses, dt) -> tuple[Standing, Array]:
     """Noise is not learned while there is more evidence than chance would bring in its memory, but not for ever: whether it may be learned
     at this tick."""
     import jax.numpy as jnp

@@ -38,6 +38,8 @@ from rotorwatch.default.noise import spread
 from rotorwatch.default.plant import AXIS_STATES, GAIN, PER_AXIS, TAU, lower_rotors
 from rotorwatch.default.program import estimate
 from rotorwatch.diagnosis import Event
+from rotorwatch.maths.nonnegative import least_squares
+from rotorwatch.maths.tails import normal_cdf
 from rotorwatch.motion.ticks import JUDGE, Ticks
 
 LEAST = 0.05  # hover thrusts of one rotor, off the mixer's own way of making a wrench: an excitation, no rounding
@@ -117,15 +119,13 @@ def shift(carry, out, table: Ticks) -> tuple[np.ndarray | None, np.ndarray]:
 
 def suspects(carry, out, table: Ticks, B: np.ndarray) -> dict[tuple[int, ...], np.ndarray]:
     """Single rotors and pairs (0-based) whose losses (n,) explain by how much trim has changed, whatever was announced."""
-    from scipy.optimize import nnls
-
     lacking, sd = shift(carry, out, table)
     n, found = B.shape[1], {}
     if lacking is None:
         return found
     for who in (*combinations(range(n), 1), *combinations(range(n), 2)):
         losses = np.zeros(n)
-        losses[list(who)], left = nnls(B[:, who] / sd[:, None], lacking / sd)
+        losses[list(who)], left = least_squares(B[:, who] / sd[:, None], lacking / sd)
         least = losses[list(who)].min()
         if left < EXPLAINED and SUSPECT < least and losses.max() <= 1.0:
             found[who] = losses
@@ -243,18 +243,16 @@ def evidence(asked: Sequence[Asked], rotors: Sequence[int], before: Prior) -> tu
 
 def _positive(mean: np.ndarray, cov: np.ndarray) -> float:
     """Probability that all of one or two Gaussian numbers, mean (k,) and cov (k, k), are above 0."""
-    from scipy.special import ndtr
-
     sd = np.sqrt(np.diag(cov))
     if not len(mean):
         return 1.0
     if len(mean) == 1:
-        return float(ndtr(mean[0] / sd[0]))
+        return float(normal_cdf(mean[0] / sd[0]))
     x = np.linspace(max(0.0, mean[0] - 8.0 * sd[0]), max(0.0, mean[0]) + 8.0 * sd[0], 401)
     density = np.exp(-0.5 * ((x - mean[0]) / sd[0]) ** 2) / (sd[0] * np.sqrt(2.0 * np.pi))
     slope = cov[0, 1] / cov[0, 0]
     rest = np.sqrt(max(cov[1, 1] - slope * cov[0, 1], 1e-18))
-    return float(np.trapezoid(density * ndtr((mean[1] + slope * (x - mean[0])) / rest), x))
+    return float(np.trapezoid(density * normal_cdf((mean[1] + slope * (x - mean[0])) / rest), x))
 
 
 def _gaussian(J: np.ndarray, z: np.ndarray, mean: np.ndarray, sd: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
@@ -290,15 +288,13 @@ def shares(
 def candidates(event: Event, B: np.ndarray) -> dict[tuple[int, ...], np.ndarray]:
     """The sets of rotors (0-based) that may explain an event, each with the losses (n,) with which it does so in hover: what lacks of
     thrust and moment, by non-negative least squares. B (4, n)."""
-    from scipy.optimize import nnls
-
     n = B.shape[1]
     lacking = B[:, [r - 1 for r in event.rotors]] @ np.array(event.loss)
     found = {}
     for who in (event.rotors, *event.alternatives):
         own = sorted(r - 1 for r in who)
         losses = np.zeros(n)
-        losses[own] = np.minimum(nnls(B[:, own], lacking)[0], 1.0)
+        losses[own] = np.minimum(least_squares(B[:, own], lacking)[0], 1.0)
         if who is event.rotors or losses.max() > hypotheses.NONE:  # what explains nothing in hover is no candidate
             found[tuple(own)] = losses
     return found

@@ -19,7 +19,8 @@ from rotorwatch.core import Array
 from rotorwatch.default import plant
 
 SLOTS = 16  # of each group
-STRIDES = {0.05: (1, 2, 4), 0.1: (1, 5, 3)}  # ticks between the slots of a group
+STRIDES = {0.05: (1, 2, 4), 0.1: (1, 5, 3)}  # ticks between the slots of a group: for short ticks, and from SLOW_S on
+SLOW_S = 0.08
 
 
 class Bank(NamedTuple):
@@ -34,17 +35,19 @@ class Bank(NamedTuple):
 
 
 class Jumps:
-    """directions (n_s, q): what a unit jump in each direction does to the state. dt: tick length in s."""
+    """directions (n_s, q): what a unit jump in each direction does to the state. dt: tick length in s, a number or traced."""
 
-    def __init__(self, directions: np.ndarray, dt: float):
-        strides = STRIDES[0.05 if dt < 0.08 else 0.1]
+    def __init__(self, directions: np.ndarray, dt):
+        numpy, (short, long) = plant.arrays(dt), (np.array(strides) for strides in STRIDES.values())
+        slow, groups = dt >= SLOW_S, len(short)
         self.directions = directions
-        self.stride = np.repeat(strides, SLOTS)
-        self.reach = float(SLOTS * max(strides))  # ticks
-        self.place = np.tile(np.arange(SLOTS), len(strides))
+        self.stride = numpy.where(slow, np.repeat(long, SLOTS), np.repeat(short, SLOTS))
+        self.log_stride = numpy.where(slow, np.log(np.repeat(long, SLOTS)), np.log(np.repeat(short, SLOTS)))
+        self.reach = numpy.where(slow, float(SLOTS * long.max()), float(SLOTS * short.max()))  # ticks
+        self.place = np.tile(np.arange(SLOTS), groups)
         # The last group holds losses that build up, as a controller reveals them.
-        self.slow = np.repeat((*[False] * (len(strides) - 1), True), SLOTS)
-        self.decay = float(np.exp(-dt / plant.ANSWER_S))
+        self.slow = np.repeat((*[False] * (groups - 1), True), SLOTS)
+        self.decay = numpy.exp(-dt / plant.ANSWER_S)
 
     def init(self) -> Bank:
         """All slots unused."""

@@ -74,7 +74,7 @@ def init(n: int) -> Memory:
     )
 
 
-def look(memory: Memory, u, y, valid, flying, restart, x, variances, n: int, dt: float) -> tuple[Memory, Look]:
+def look(memory: Memory, u, y, valid, flying, restart, x, variances, n: int, dt) -> tuple[Memory, Look]:
     """One tick's inputs u (n + 10,) as `WrenchBalance.pack` lays them out, judged against what was usual.
 
     x (n_x,): state; variances (4, 4) of the noise model.
@@ -136,7 +136,7 @@ def calm(memory: Memory):
     return 1.0 / jnp.maximum(jnp.maximum(memory.burst, memory.lasting), 1.0)
 
 
-def remember(memory: Memory, innovation, variance, ok, dt: float) -> Memory:
+def remember(memory: Memory, innovation, variance, ok, dt) -> Memory:
     """One tick's innovations (4,) of given variance (4,) where ok (4,), for `calm`."""
     import jax.numpy as jnp
 
@@ -153,7 +153,7 @@ def remember(memory: Memory, innovation, variance, ok, dt: float) -> Memory:
     )
 
 
-def model_error(memory: Memory, seen: Look, x, y, white, B, n: int, dt: float):
+def model_error(memory: Memory, seen: Look, x, y, white, B, n: int, dt):
     """(4,) variance by which the plant's model may be wrong at this tick; x (n_x,) state, white (4,) noise variance, B (4, n)."""
     import jax.numpy as jnp
 

@@ -23,6 +23,7 @@ from rotorwatch.default import (
     kalman,
     noise,
     opposite,
+    plant,
     plausibility,
     posterior,
 )
@@ -74,15 +75,15 @@ class Output(NamedTuple):
 
 
 class JumpBank:
-    """system: a WrenchBalance. dt: tick length in s. The last two inputs in u are mode (GROUND, LEARN, JUDGE) and restart: 1 at
-    the first tick of a hop, AGAIN at a contact."""
+    """system: a WrenchBalance. dt: tick length in s, a number or traced. The last two inputs in u are mode (GROUND, LEARN, JUDGE) and
+    restart: 1 at the first tick of a hop, AGAIN at a contact."""
 
     name = "default"
     not_kalman = "a loss enters its state only once it is announced, and its noise is learned on the way"
 
-    def __init__(self, system, dt: float = 0.05, noise_prior=None):
+    def __init__(self, system, dt=0.05, noise_prior=None):
         """noise_prior: (variances (4, 4), weight) learned from healthy flights, or None."""
-        self.system, self.dt, self.noise_prior = system, float(dt), noise_prior
+        self.system, self.dt, self.noise_prior = system, dt, noise_prior
         self.n, self.n_x, self.n_s = system.n_theta, system.n_x, system.n_x + system.n_theta
         self.hyp = hypotheses.make(self.n)
         self.limit = announcement.threshold(self.hyp, dt)
@@ -124,7 +125,7 @@ class JumpBank:
         branches = kalman.restart(carry.branches, system.P0, restart, hop)
         doubt = (1.0 / caution.calm(carry.caution)).mean()
         branches = kalman.predict(branches, system.decay(dt), variances, doubt, flying, dt)
-        A = np.concatenate([system.decay(dt), np.ones(n)])
+        A = plant.arrays(dt).concatenate([system.decay(dt), np.ones(n)])
         onsets = self.jumps.advance(carry.bank, A, judge, judge & ~restart)
 
         # How far this tick's inputs and the model can be believed.

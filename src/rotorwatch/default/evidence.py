@@ -70,7 +70,7 @@ def gather(hyp: Hypotheses, onsets: bank.Jumps, told: bank.Bank, theta, active, 
     log_bf, nu = hypotheses.log_bayes_factors(hyp, told.C, told.z, lo, hi, width, gone, slop)
     far = hypotheses.disturbances(hyp, told.C, told.z, hypotheses.FAR * width)
     log_bf, far = (jnp.where(live[:, None], b, NOTHING) for b in (log_bf, far))
-    stride = jnp.log(jnp.asarray(onsets.stride, float))
+    stride = jnp.asarray(onsets.log_stride)
     per_slot = log_bf + stride[:, None] + jnp.log(jnp.asarray(hyp.weight))[None, :]
     far = far + stride[:, None] + jnp.log(hypotheses.FAR_SHARE * hypotheses.WEIGHT["disturbance"])
     # With a rotor gone the vehicle flies at its limits: only that rotor itself is still judged.

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rotorwatch.default import hypotheses, noise, posterior
+from rotorwatch.default import hypotheses, noise, plant, posterior
 from rotorwatch.default.plant import B1, B2, B3, PER_AXIS
 from rotorwatch.default.posterior import Branches
 
@@ -42,14 +42,14 @@ def restart(branches: Branches, P0, begins, hop) -> Branches:
     )
 
 
-def predict(branches: Branches, decay, variances, doubt, flying, dt: float) -> Branches:
+def predict(branches: Branches, decay, variances, doubt, flying, dt) -> Branches:
     """One tick ahead. decay (n_x,): of the plant's states; variances (4, 4) of the noise model; doubt: by how much errors have been larger
     than that. A loss that has been refined long enough is taken as known, its variance is remembered; one that is none is over."""
     import jax
     import jax.numpy as jnp
 
     n_x = len(decay)
-    A = np.concatenate([decay, np.ones(branches.s.shape[1] - n_x)])
+    A = plant.arrays(dt).concatenate([decay, np.ones(branches.s.shape[1] - n_x)])
     q_x = jnp.where(flying, noise.process_variance(variances, dt), 0.0)
     q_x = jnp.concatenate([q_x, jnp.zeros(n_x - q_x.size)])
 

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from rotorwatch.default.plant import AXIS_STATES, DAMPING, GAIN, PER_AXIS, WrenchBalance, lower_rotors
-from rotorwatch.default.program import BUILDERS, estimate
-from rotorwatch.motion.ticks import JUDGE, Ticks
+from rotorwatch.default.program import estimate
+from rotorwatch.motion.ticks import JUDGE, TICKS_S, Ticks
 
 FLIGHTS_DIFFER = 0.25
 LEARNED_WEIGHT = 2.0  # samples a lag that the noise of healthy flights counts for
@@ -26,7 +26,7 @@ def learn(tables: Sequence[Ticks], B: np.ndarray) -> dict | None:
     rows = (np.arange(4)[:, None] * PER_AXIS + np.array([GAIN, DAMPING])).reshape(-1)
     means, precisions, noises, shares = [], [], [], []
     for table in tables:
-        if (table.mode == JUDGE).sum() * table.dt < 10.0 or table.dt not in BUILDERS:
+        if (table.mode == JUDGE).sum() * table.dt < 10.0 or table.dt not in TICKS_S:
             continue
         carry, _ = estimate(table, B)
         means.append(np.asarray(carry.s)[rows])

@@ -42,13 +42,13 @@ class NoiseState(NamedTuple):
     safety: Array
 
 
-def basis(dt: float) -> np.ndarray:
+def basis(dt):
     """(7, 4): D at each lag for a unit of each variance."""
-    lag = np.array(LAGS) * dt
-    return np.stack([np.ones_like(lag), *(1.0 - np.exp(-lag / t) for t in TAU), lag / 2.0], axis=1)
+    numpy, lag = plant.arrays(dt), np.array(LAGS) * dt
+    return numpy.stack([np.ones(len(LAGS)), *(1.0 - numpy.exp(-lag / t) for t in TAU), lag / 2.0], axis=1)
 
 
-def init(dt: float, prior_variances=GENERIC, prior_weight=GENERIC_WEIGHT) -> NoiseState:
+def init(dt, prior_variances=GENERIC, prior_weight=GENERIC_WEIGHT) -> NoiseState:
     """prior_variances (4 components, 4 axes), of healthy flights or generic, count like prior_weight samples a lag."""
     D = basis(dt) @ prior_variances
     weight = np.full((len(LAGS), 4), prior_weight)
@@ -62,7 +62,7 @@ def init(dt: float, prior_variances=GENERIC, prior_weight=GENERIC_WEIGHT) -> Noi
     )
 
 
-def step(state: NoiseState, e, ok, trust, dt: float) -> NoiseState:
+def step(state: NoiseState, e, ok, trust, dt) -> NoiseState:
     """Add one residual e (4,) where ok (4,); trust (4,) in 0..1 discounts manoeuvring ticks."""
     import jax.numpy as jnp
 
@@ -97,7 +97,7 @@ def step(state: NoiseState, e, ok, trust, dt: float) -> NoiseState:
     return NoiseState(ring, ring_ok, weight, total, v * safety, safety)
 
 
-def process_variance(variances, dt: float):
+def process_variance(variances, dt):
     """(20,) process noise variances a tick that keep b1 and b2 stationary and let b3 walk; variances (4 components, 4 axes)."""
     import jax.numpy as jnp
 

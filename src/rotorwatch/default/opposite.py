@@ -25,7 +25,7 @@ class Opposite(NamedTuple):
 
 
 def suspect(
-    hyp: Hypotheses, onsets: bank.Jumps, told: bank.Bank, found: evidence.Evidence, B, calm, limit, lasted, dt: float
+    hyp: Hypotheses, onsets: bank.Jumps, told: bank.Bank, found: evidence.Evidence, B, calm, limit, lasted, dt
 ) -> tuple[Opposite, Array]:
     """B (4, n): effectiveness; calm: steady flight of which nothing is known but a disturbance; limit: nats that a fault needs; lasted:
     seconds for which it has been so, returned with this tick added."""

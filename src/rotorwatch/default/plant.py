@@ -114,21 +114,23 @@ class WrenchBalance:
 
     def decay(self, dt):
         """(n_x,) diagonal of the state transition: constant for a dt that is known, traced for one that is not."""
-        left, more = fading(dt), np.ones(self.n_x - AXIS_STATES)
-        if isinstance(left, np.ndarray):
-            return np.concatenate([np.tile([*left, 1.0, 1.0, 1.0], 4), more])
-        from jax import numpy as jnp
+        numpy, left = arrays(dt), fading(dt)
+        row = numpy.concatenate([left, np.ones(PER_AXIS - 2)])
+        return numpy.concatenate([numpy.tile(row, 4), np.ones(self.n_x - AXIS_STATES)])
 
-        return jnp.concatenate([jnp.tile(jnp.stack([*left, 1.0, 1.0, 1.0]), 4), more])
+
+def arrays(dt):
+    """The module that computes with dt: NumPy for a number that is known, jax.numpy for one that is traced."""
+    if isinstance(dt, int | float | np.ndarray | np.generic):
+        return np
+    from jax import numpy as jnp
+
+    return jnp
 
 
 def fading(dt):
     """(2,) share of b1 and b2 that is left after dt seconds: constant for a dt that is known, traced for one that is not."""
-    if isinstance(dt, (int, float)):
-        return np.exp(-dt / np.array(TAU))
-    from jax import numpy as jnp
-
-    return jnp.exp(-dt / jnp.array(TAU))
+    return arrays(dt).exp(-dt / np.array(TAU))
 
 
 def any_multirotor(n: int) -> tuple[np.ndarray, np.ndarray]:

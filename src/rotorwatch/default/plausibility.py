@@ -33,7 +33,7 @@ def init(n: int) -> Missing:
     return Missing(np.float64(0.0), np.float64(0.0), np.float64(0.0), np.zeros(n))
 
 
-def follow(state: Missing, missing, load, share, valid, restart, dt: float) -> Missing:
+def follow(state: Missing, missing, load, share, valid, restart, dt) -> Missing:
     """One tick on. missing: commanded thrust minus load factor times its gain, where `valid`; load: that factor. share (n,): of full
     thrust that each rotor is commanded."""
     import jax.numpy as jnp

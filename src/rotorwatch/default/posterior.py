@@ -61,7 +61,7 @@ def init(s: Array, P: Array, n: int) -> Branches:
     )
 
 
-def weigh(branches: Branches, innovation, variance, valid, calm, counts, dt: float) -> Branches:
+def weigh(branches: Branches, innovation, variance, valid, calm, counts, dt) -> Branches:
     """One tick's innovations (K, 4) of variance (K, 4) where valid (4,); calm (4,): their weight; counts: whether they do at all."""
     import jax.numpy as jnp
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -11,7 +10,7 @@ from rotorwatch.compiling.run import Steps, chosen, run_built
 from rotorwatch.core import Array
 from rotorwatch.default.plant import AXIS_STATES
 from rotorwatch.errors import ConfigError
-from rotorwatch.motion.ticks import AGAIN, Ticks
+from rotorwatch.motion.ticks import AGAIN, TICKS_S, Ticks
 
 
 class Kept(NamedTuple):
@@ -56,51 +55,14 @@ def kept(out) -> Kept:
     return Kept(**{**same, **told, **own})
 
 
-# One for each length of ticks that `ticks.tick_length` gives; functions of this module, so that their native code can be kept.
-def _every_50_ms(p):
-    return _estimator(p, 0.05)
-
-
-def _every_100_ms(p):
-    return _estimator(p, 0.1)
-
-
-def _every_200_ms(p):
-    return _estimator(p, 0.2)
-
-
-def _every_500_ms(p):
-    return _estimator(p, 0.5)
-
-
-def _every_second(p):
-    return _estimator(p, 1.0)
-
-
-def _estimator(p, dt):
+def estimator(p):
+    """The default estimator of `parameters`. A function of this module, so that its native code can be known: one program serves every
+    vehicle with as many rotors, whatever the length of its ticks."""
     from rotorwatch.default.estimator import JumpBank
     from rotorwatch.default.plant import WrenchBalance
 
     system = WrenchBalance(p["B"], (p["x0"], p["P0"]), p.get("lower"), p.get("share"))
-    return JumpBank(system, dt, (p["noise"], p["noise_weight"]))
-
-
-BUILDERS: dict[float, Callable] = {
-    0.05: _every_50_ms,
-    0.1: _every_100_ms,
-    0.2: _every_200_ms,
-    0.5: _every_500_ms,
-    1.0: _every_second,
-}
-
-
-def builder(dt: float) -> Callable:
-    """build(parameters) of the estimator for ticks of dt seconds, the same function every time. Raises ConfigError for other ticks."""
-    if dt not in BUILDERS:
-        raise ConfigError(
-            f"the default estimator has no ticks of {dt:g} s; it has {', '.join(f'{t:g}' for t in BUILDERS)}."
-        )
-    return BUILDERS[dt]
+    return JumpBank(system, p["dt"], (p["noise"], p["noise_weight"]))
 
 
 def inputs(table: Ticks, B: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -111,21 +73,24 @@ def inputs(table: Ticks, B: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndar
     return np.column_stack([WrenchBalance(B).pack(table), table.mode, again]), table.wrench, table.valid
 
 
-def parameters(B: np.ndarray, dynamics=None) -> dict:
-    """The arrays the estimator is built from: geometry B (4, n), and what `learn` found or any multirotor is like; on coaxial frames
-    which rotors are the lower ones, and what is known of their share."""
+def parameters(B: np.ndarray, dt: float, dynamics=None) -> dict:
+    """The arrays the estimator is built from: geometry B (4, n), length of a tick dt [s], and what `learn` found or any multirotor is
+    like; on coaxial frames which rotors are the lower ones, and what is known of their share. Raises ConfigError for other ticks."""
     from rotorwatch.default import noise
     from rotorwatch.default.plant import SHARE_SD, WrenchBalance, lower_rotors
 
     lower, coaxial = lower_rotors(B), {}
     if lower is not None:
         coaxial = {"lower": lower, "share": np.array((dynamics or {}).get("share", [0.0, SHARE_SD**2]), float)}
+    if dt not in TICKS_S:
+        known = ", ".join(f"{t:g}" for t in TICKS_S)
+        raise ConfigError(f"The default estimator has no ticks of {dt:g} s; it has {known}.")
+    given = {"B": B, "dt": np.array(dt), **coaxial}
     if dynamics:
-        return {"B": B, **coaxial, **{k: np.array(dynamics[k], float) for k in ("x0", "P0", "noise", "noise_weight")}}
+        return {**given, **{k: np.array(dynamics[k], float) for k in ("x0", "P0", "noise", "noise_weight")}}
     system = WrenchBalance(B)
     return {
-        "B": B,
-        **coaxial,
+        **given,
         "x0": system.x0,
         "P0": system.P0,
         "noise": noise.GENERIC,
@@ -139,10 +104,10 @@ def estimate(table: Ticks, B: np.ndarray, dynamics=None, progress=None, keep=kep
     As native code where there is a C compiler, which is several times as fast and needs no JAX once it is built; $ROTORWATCH_BACKEND
     says otherwise.
     """
-    build, backend = builder(table.dt), chosen(None, "auto")
-    return run_built(build, parameters(B, dynamics), *inputs(table, B), keep, progress, backend=backend)
+    given, backend = parameters(B, table.dt, dynamics), chosen(None, "auto")
+    return run_built(estimator, given, *inputs(table, B), keep, progress, backend=backend)
 
 
 def steps(dt: float, B: np.ndarray, dynamics=None) -> Steps:
     """The default estimator for ticks of dt seconds, gone on with as ticks come; `inputs` makes its rows. Raises ConfigError."""
-    return Steps(builder(dt), parameters(B, dynamics), kept, (B.shape[1] + 12, 4))
+    return Steps(estimator, parameters(B, dt, dynamics), kept, (B.shape[1] + 12, 4))

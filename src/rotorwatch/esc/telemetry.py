@@ -14,6 +14,7 @@ import numpy as np
 
 from rotorwatch.answer.wording import rotors, seconds
 from rotorwatch.flight import Flight, Signal
+from rotorwatch.maths.nonnegative import best_total
 from rotorwatch.motion import allocation
 
 BIN_S = 0.5
@@ -220,8 +221,6 @@ def _correlation(a: np.ndarray, b: np.ndarray) -> float:
 
 def _mixed_up(bins: Binned) -> bool:
     """Whether speeds follow the commands in another order than their numbers say."""
-    from scipy.optimize import linear_sum_assignment
-
     # A rotor that stands, or has just stopped, follows no command.
     usual = np.quantile(np.where(bins.known, bins.power, 0.0), 0.75, axis=0)
     fine = (bins.known & (bins.thrust > LEAST_SHARE) & (bins.power > ORDINARY * usual)).all(axis=1)
@@ -233,7 +232,7 @@ def _mixed_up(bins: Binned) -> bool:
     w, f = (c - c.mean(axis=1, keepdims=True) for c in changes)
     fits = np.array([[_correlation(a, b) for b in f.T] for a in w.T])
     own = float(np.mean(np.diag(fits)))
-    best = float(fits[linear_sum_assignment(-fits)].mean())
+    best = best_total(fits) / len(fits)
     return best > ORDER_FIT and best > own + ORDER_BETTER
 
 

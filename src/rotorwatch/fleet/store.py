@@ -32,8 +32,8 @@ class Entry:
     """A judged flight as it goes into the store.
 
     hash: SHA-256 of the log's bytes, hexadecimal. identity: what tells its aircraft apart, or "" when nothing does; called: the name that
-    an aircraft not known yet gets. utc: of second 0, ISO 8601, or None; clock_us: the log's own clock then; count: the autopilot's number of
-    the flight, or None. build: alike for aircraft that can be compared. diagnosis: as `Diagnosis.to_dict`; trim: how it hovered, or {}.
+    an aircraft not known yet gets. utc: of second 0, ISO 8601, or None; clock_us: the log's own clock then; count: the autopilot's number
+    of the flight, or None. build: alike for aircraft that can be compared. diagnosis: as `Diagnosis.to_dict`; trim: how it hovered, or {}.
     """
 
     hash: str
@@ -60,11 +60,14 @@ class Entry:
 
 
 def digest(path: str | os.PathLike) -> str:
-    """SHA-256 of a file's bytes, hexadecimal. Raises OSError."""
+    """SHA-256 of a log's bytes, hexadecimal; of a log that is a folder, of its files' names and bytes in order. Raises OSError."""
     found = hashlib.sha256()
-    with open(path, "rb") as file:
-        while block := file.read(CHUNK):
-            found.update(block)
+    for file in sorted(Path(path).iterdir()) if Path(path).is_dir() else [Path(path)]:
+        if Path(path).is_dir():
+            found.update(f"{file.name}\n{file.stat().st_size}\n".encode("utf-8", "surrogateescape"))
+        with open(file, "rb") as data:
+            while block := data.read(CHUNK):
+                found.update(block)
     return found.hexdigest()
 
 
@@ -147,6 +150,7 @@ class Store:
                 t.diagnoses.update().where(t.diagnoses.c.hash == entry.hash).values(diagnosis=_json(entry.diagnosis))
             )
             connection.execute(t.trims.update().where(t.trims.c.hash == entry.hash).values(trim=_json(entry.trim)))
+            connection.execute(t.standings.update().values(seen=-1))
 
     def _aircraft_of(self, connection: Any, identity: str, called: str) -> str | None:
         """The key of the aircraft with that identity, made when it is new; None without one."""
@@ -212,12 +216,36 @@ class Store:
             connection.execute(t.services.insert().values(**row))
         return row
 
-    def set_standings(self, found: Mapping[str, Mapping], seen: int) -> None:
-        """Keep what was worked out of the aircraft (key -> plain data), in place of what was. seen: flights in the store then."""
+    def merge(self, aircraft: str, other: str) -> None:
+        """Make two aircraft one: what was of `other` is of `aircraft` from now on (an autopilot was exchanged, say)."""
+        t, sa = self._t, self._sa
+        with self._said(), self._writing() as connection:
+            kept, gone = self._find(connection, aircraft)["key"], self._find(connection, other)["key"]
+            if kept == gone:
+                raise ConfigError(f"{aircraft} and {other} are one aircraft already.")
+            for table in (t.flights, t.identities):
+                connection.execute(table.update().where(table.c.aircraft == gone).values(aircraft=kept))
+            last = connection.execute(
+                sa.select(sa.func.max(t.services.c.number)).where(t.services.c.aircraft == kept)
+            ).scalar()
+            connection.execute(
+                t.services.update()
+                .where(t.services.c.aircraft == gone)
+                .values(aircraft=kept, number=t.services.c.number + (last or 0))
+            )
+            connection.execute(t.standings.delete())
+            connection.execute(t.aircraft.delete().where(t.aircraft.c.key == gone))
+
+    def set_standings(self, found: Mapping[str, Mapping], points: Mapping[str, Mapping], seen: int) -> None:
+        """Keep what was worked out of the aircraft (key -> plain data), in place of what was. points: what a picture needs; seen: `state`
+        of the store that it was worked out of."""
         t = self._t
         with self._said(), self._writing() as connection:
             connection.execute(t.standings.delete())
-            rows = [{"aircraft": key, "seen": seen, "standing": _json(one)} for key, one in sorted(found.items())]
+            rows = [
+                {"aircraft": key, "seen": seen, "standing": _json(one), "points": _json(points.get(key, {}))}
+                for key, one in sorted(found.items())
+            ]
             if rows:
                 connection.execute(t.standings.insert(), rows)
 
@@ -292,7 +320,7 @@ class Store:
         t, sa = self._t, self._sa
         f = t.flights.c
         with self._said(), self._engine.connect() as connection:
-            total = connection.execute(sa.select(sa.func.count()).select_from(t.flights)).scalar()
+            total = self._state(connection)
             rows = connection.execute(
                 sa.select(t.aircraft.c.key, t.aircraft.c.name).order_by(t.aircraft.c.ordinal)
             ).all()
@@ -329,7 +357,8 @@ class Store:
                 sa.select(t.identities.c.identity, t.identities.c.aircraft).order_by(t.identities.c.identity)
             ):
                 known.setdefault(key, []).append(identity)
-            standing = {row.aircraft: row for row in connection.execute(sa.select(t.standings))}
+            ask = sa.select(t.standings.c.aircraft, t.standings.c.seen, t.standings.c.standing)
+            standing = {row.aircraft: row for row in connection.execute(ask)}
         found = []
         for key, name in rows:
             one, kind, said = sums.get(key), kinds.get(key), standing.get(key)
@@ -378,7 +407,9 @@ class Store:
                     f.ordinal,
                     f.aircraft,
                     f.utc,
+                    f.clock_us,
                     f.count,
+                    f.airborne_s,
                     f.rotors,
                     f.frame,
                     f.build,
@@ -404,6 +435,19 @@ class Store:
             text = connection.execute(sa.select(t.standings.c.standing).where(t.standings.c.aircraft == key)).scalar()
         return json.loads(text) if text else None
 
+    def points(self, aircraft: str) -> dict:
+        """What a picture of an aircraft needs of every flight (assess.py); empty when nothing was worked out."""
+        t, sa = self._t, self._sa
+        with self._said(), self._engine.connect() as connection:
+            key = self._find(connection, aircraft)["key"]
+            text = connection.execute(sa.select(t.standings.c.points).where(t.standings.c.aircraft == key)).scalar()
+        return json.loads(text) if text else {}
+
+    def state(self) -> int:
+        """How many flights and services there are: standings that saw another number are out of date."""
+        with self._said(), self._engine.connect() as connection:
+            return self._state(connection)
+
     def rows(self, table: str) -> Iterator[dict]:
         """All rows of a table by its name, in the order of its primary key, as they are kept: for exports and comparisons."""
         of = self._t.metadata.tables[table]
@@ -422,6 +466,11 @@ class Store:
             named = sa.select(t.aircraft.c.key).where(sa.func.lower(t.aircraft.c.name).contains(word, autoescape=True))
             where.append(t.flights.c.words.contains(word, autoescape=True) | t.flights.c.aircraft.in_(named))
         return where
+
+    def _state(self, connection: Any) -> int:
+        t, sa = self._t, self._sa
+        ask = (sa.select(sa.func.count()).select_from(table) for table in (t.flights, t.services))
+        return sum(int(connection.execute(one).scalar()) for one in ask)
 
     def _find(self, connection: Any, aircraft: str) -> dict:
         t, sa = self._t, self._sa
@@ -463,7 +512,8 @@ class Store:
 def _engine(sa: Any, url: str, lite: bool) -> Any:
     try:
         if not lite:
-            return sa.create_engine(url, connect_args={"connect_timeout": 10, "application_name": "rotorwatch"})
+            args = {"connect_timeout": 10, "application_name": "rotorwatch"}
+            return sa.create_engine(url, connect_args=args, pool_pre_ping=True)
         engine = sa.create_engine(url, connect_args={"timeout": WAIT_S})
     except ImportError:
         raise ConfigError('A store in PostgreSQL needs psycopg: pip install "rotorwatch[postgres]".') from None

@@ -62,7 +62,8 @@ flights = sa.Table(
     sa.Column("version", sa.Text, nullable=False),
     # What a search looks through, in lower case.
     sa.Column("words", sa.Text, nullable=False),
-    sa.Index("flights_of_aircraft", "aircraft", "utc", "ordinal"),
+    # With airborne_s, so that sums over an aircraft read the index alone.
+    sa.Index("flights_of_aircraft", "aircraft", "utc", "ordinal", "airborne_s"),
     sa.Index("flights_in_time", "utc", "ordinal"),
     sa.Index("flights_verdicts", "aircraft", "verdict"),
 )
@@ -93,13 +94,15 @@ services = sa.Table(
     sa.Column("after", sa.Integer, nullable=False),
 )
 
-# What all flights together say of an aircraft, as it was last worked out. seen: how many flights the store held then.
+# What all flights together say of an aircraft, as it was last worked out. seen: how many flights and services the store held then.
+# points: what a picture needs of every flight; it lies apart because it is long.
 standings = sa.Table(
     "standings",
     metadata,
     sa.Column("aircraft", sa.Text, sa.ForeignKey("aircraft.key"), primary_key=True),
     sa.Column("seen", sa.Integer, nullable=False),
     sa.Column("standing", sa.Text, nullable=False),
+    sa.Column("points", sa.Text, nullable=False),
 )
 
 

@@ -35,6 +35,7 @@ from rotorwatch import airframes
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.maths.tails import f_tail
 
 AFTER_TAKE_OFF_S, BEFORE_LANDING_S = 3.0, 1.0
 BLOCK_S = 1.0
@@ -377,9 +378,7 @@ def rarity(flight: Features, others: Sequence[Features], vehicle: Vehicle) -> fl
 
 def _tail(x: np.ndarray, scale: np.ndarray, dof: float) -> float:
     """Hotelling: x' scale^-1 x / d follows F(d, dof) when x (d,) has a t distribution with that scale matrix."""
-    from scipy.stats import f
-
-    return float(f.sf(x @ np.linalg.solve(scale, x) / len(x), len(x), dof))
+    return f_tail(float(x @ np.linalg.solve(scale, x)) / len(x), len(x), dof)
 
 
 def _seldom(p_value: float, flights: int) -> str:
@@ -432,7 +431,12 @@ def _mean_share(healthy) -> np.ndarray:
 
 def prior_covariance(vehicle: Vehicle) -> np.ndarray:
     """(3, 3) covariance of w between healthy flights before any was seen: what ROTOR_SD and CENTRE_SD make of it."""
-    B = vehicle.effectiveness()[:3] / len(vehicle.rotors)
+    return spread(vehicle.effectiveness())
+
+
+def spread(effectiveness: np.ndarray) -> np.ndarray:
+    """The same from the vehicle's B (4, n)."""
+    B = effectiveness[:3] / effectiveness.shape[1]
     return ROTOR_SD**2 * B @ B.T + np.diag([CENTRE_SD**2, CENTRE_SD**2, 1e-8])
 
 

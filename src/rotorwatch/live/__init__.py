@@ -1,6 +1,8 @@
 """Judging vehicles while they fly. Data flows one way, from bytes to alerts.
 
 endpoint.py   bytes of UDP, TCP and serial ports
+frames.py     bytes to sound MAVLink frames
+senders.py    how many send under one id
 clock.py      a vehicle's own time
 mavlink.py    frames to samples
 talk.py       what is asked of a vehicle: parameters, rates, who it is
@@ -11,8 +13,12 @@ stream.py     samples to ticks: the front end of a diagnosis, piece by piece
 history.py    the ticks that events are made of
 judge.py      ticks to events, and what is taken back when a landing is certain
 session.py    one vehicle's stream and judge
+rotors.py     what ESC telemetry says of a vehicle that flies
 changes.py    what is new about the events
 watched.py    one vehicle, what was told of it, and the health of its link
 watch.py      all vehicles of all endpoints, in one loop
 view.py       them in a terminal
+webhook.py    alerts to a web address
+metrics.py    what is known of each vehicle, for Prometheus
+ground.py     alerts told to ground stations
 """

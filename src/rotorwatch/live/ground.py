@@ -49,6 +49,8 @@ class Ground:
             self._vehicles[alert["vehicle"]] = _Vehicle(texts=self._of(alert["vehicle"]).texts)
         elif alert["type"] == "event":
             self._of(alert["vehicle"]).waiting[alert["number"]] = alert
+        elif alert["type"] == "notice" and "rotor" in alert:  # of its ESC; numbers of events begin with 1
+            self._of(alert["vehicle"]).waiting[-alert["rotor"]] = alert
 
     def _of(self, name: str) -> _Vehicle:
         return self._vehicles.setdefault(name, _Vehicle())
@@ -91,6 +93,8 @@ class Ground:
 
 
 def _gist(alert: dict) -> tuple:
+    if alert["type"] == "notice":
+        return (alert["text"],), (), False, False, ()
     event = alert["event"]
     over = event["kind"] != "contact" and event["end_s"] is not None
     return (
@@ -110,6 +114,8 @@ def _worth(said: tuple | None, alert: dict) -> bool:
 
 def severity(alert: dict) -> int:
     """A lasting fault is critical, one of several explanations a warning, what is over or taken back a notice."""
+    if alert["type"] == "notice":
+        return CRITICAL if "stands" in alert["text"] else NOTICE
     event = alert["event"]
     if alert["state"] == WITHDRAWN or event["kind"] not in ("loss_of_effectiveness", "output_override"):
         return NOTICE
@@ -120,6 +126,8 @@ def severity(alert: dict) -> int:
 
 def words(alert: dict) -> str:
     """At most MOST characters of plain ASCII."""
+    if alert["type"] == "notice":
+        return f"rotorwatch: ESC: rotor {alert['rotor']} {'stands' if 'stands' in alert['text'] else 'turns again'}"
     event, numbers = alert["event"], alert["event"]["rotors"]
     who = f"rotor{'s' if len(numbers) > 1 else ''} {'+'.join(map(str, numbers))}" if numbers else ""
     if event["kind"] == "loss_of_effectiveness":

@@ -88,7 +88,7 @@ class Tape:
         """The rows that have not been read, or None."""
         if self._rows is None or self.at - self._first >= len(self._rows):
             return None
-        return self._rows[self.at - self._first :]
+        return self._rows[self.at - self._first :] if self.at > self._first else self._rows
 
     def forget(self, before: int) -> None:
         if self._rows is not None and before > self._first:
@@ -209,7 +209,7 @@ class Judge:
                 count = int(np.searchsorted(sensed.time, start))
         if not count:
             return
-        sensed = sensed[:count]
+        sensed = sensed if count == len(sensed) else sensed[:count]
         self._tapes[0].at += count
         table, self._past = ticks.assemble(sensed, self.plan, self.B, self._spans, self._hover, self._past)
         out = self._steps.run(*program.inputs(table, self.B))

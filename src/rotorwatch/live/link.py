@@ -26,6 +26,7 @@ from rotorwatch.logs.tlog import FORMAT
 BEAT_S, HELLO_S = 1.0, 0.5
 ALL_S = 0.05  # between two looks at vehicles of which nothing has come
 SILENT_S = 3.0
+PEERS = 200  # whose unfinished frames are kept
 TREND, MIXED, UNMIXED = (
     0.02,
     0.3,
@@ -220,13 +221,18 @@ class Link:
         self._fresh: dict[Heard, None] = {}  # those that something has come of since they were judged
         self._stepped = 0.0
         self._refused: set[int] = set()
-        self.damaged = self.frames = 0
+        self.frames = self._damaged_before = 0
         self._began, self._beat = clock(), 0.0
         self._pack = talk.messages().MAVLink(None, srcSystem=talk.SYSTEM, srcComponent=talk.COMPONENT)
         self._tellers: dict[int, Any] = {}
         self._first_version = False
         self._file = self._open(record) if record is not None else None
         self.trouble = ""
+
+    @property
+    def damaged(self) -> int:
+        """Stretches of bytes that were no sound frame."""
+        return self._damaged_before + sum(parser.damaged for parser in self._parsers.values())
 
     @property
     def vehicles(self) -> tuple[Watched, ...]:
@@ -250,6 +256,7 @@ class Link:
         if not received or now - self._stepped > ALL_S:
             self._stepped, self._fresh = now, dict.fromkeys(self._heard.values())
         if not self.endpoint.open:
+            self._damaged_before = self.damaged
             self._parsers.clear()
             self.endpoint.again()
         if self.talks and now - self._beat > BEAT_S:
@@ -261,16 +268,19 @@ class Link:
             heard.step(now)
         self._fresh = {}
         if not self._heard and now - self._began > self._patience_s:
-            others = (
-                f" (only {', '.join(sorted(OTHERS.get(k, 'something unknown') for k in self._refused))})"
-                if self._refused
-                else ""
-            )
-            raise LinkError(
-                f"{self.endpoint.name}: no heartbeat of a multirotor has come within {self._patience_s:.0f} s{others}; "
-                "check the address, and that the vehicle is on and sends here."
-            )
+            raise LinkError(self._nobody())
         return True
+
+    def _nobody(self) -> str:
+        """Why no vehicle is watched."""
+        if self.damaged and not self.frames:
+            slow = "is the speed right, and " if self.endpoint.slow else ""
+            return f"{self.endpoint.name}: bytes come, but none of them are MAVLink; {slow}is it MAVLink that is sent here?"
+        others = ", ".join(sorted(OTHERS.get(k, "something unknown") for k in self._refused))
+        return (
+            f"{self.endpoint.name}: no heartbeat of a multirotor has come within {self._patience_s:.0f} s"
+            f"{f' (only {others})' if others else ''}; check the address, and that the vehicle is on and sends here."
+        )
 
     def send(self, message: Any, peer: Any = None) -> None:
         """A message to one peer, or to all."""
@@ -297,15 +307,14 @@ class Link:
         parser = self._parsers.get(peer)
         if parser is None:
             parser = self._parsers[peer] = Frames()
-            if len(self._parsers) > 200:
-                del self._parsers[next(iter(self._parsers))]
+            if len(self._parsers) > PEERS:
+                self._damaged_before += self._parsers.pop(next(iter(self._parsers))).damaged
         arrival, stamp = self.clock(), int(time.time() * 1e6)
         for frame in parser.on(data):
             self.frames += 1
             if self._file is not None:
                 self._file.write(stamp.to_bytes(8, "big") + frame)
             self._dispatch(peer, frame, arrival)
-        self.damaged = sum(p.damaged for p in self._parsers.values())
 
     def _dispatch(self, peer: Any, frame: bytes, arrival: float) -> None:
         sequence, system, component, identity = mavlink.header(frame)

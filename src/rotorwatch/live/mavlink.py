@@ -13,7 +13,7 @@ import numpy as np
 
 from rotorwatch.flight import Message, Signal
 from rotorwatch.live.clock import Clock
-from rotorwatch.logs import mavlink_frames, tlog
+from rotorwatch.logs import mavlink_esc, mavlink_frames, tlog
 
 AUTOPILOTS = {3: "ArduPilot", 12: "PX4"}
 UNKNOWN_S = 2.0  # a message that tells of a signal and falls silent for so long gives way to another one
@@ -21,6 +21,7 @@ RATE_S = 3.0  # over which rates are counted
 MOST_ROWS = 5000  # of a message, before its vehicle is known well enough to judge it
 SIGNALS = ("motors", "gyro", "accel", "attitude", "velocity", "battery")
 TICK = ("motors", "gyro", "accel")
+ESC = {mavlink_esc.STATUS, *mavlink_esc.TELEMETRY}
 WAIT_S = 0.1  # for what a tick is made of, before it is looked whether it can be made without
 
 
@@ -43,7 +44,7 @@ def layouts() -> dict[int, Layout]:
     found = {}
     for name, message in tlog.layouts().items():
         kind = mavlink_frames.payload_type(message)
-        fields: dict[str, Any] = dict(kind.fields or {})
+        fields: Any = kind.fields or {}
         stamp = next((n for n in ("time_boot_ms", "time_usec") if n in fields), None)
         if stamp is None:
             found[message.id] = Layout(name, kind, None, 0, 1.0, False)
@@ -241,6 +242,10 @@ class Messages:
                     signals[name] = made
                     self._source[name], self._told[name] = reading.source, now
                     break
+        if not ESC.isdisjoint(there):
+            esc = mavlink_esc.read(self.get, outputs, self.notes)
+            if esc is not None:
+                signals["esc"] = esc
         messages = [m for m in tlog.messages_of(self) if self._new(m)]
         self._rows.clear()
         self._tables.clear()

@@ -14,6 +14,7 @@ from rotorwatch.errors import ConfigError
 from rotorwatch.live import view
 from rotorwatch.live.watch import Source
 from rotorwatch.live.watched import Watched
+from rotorwatch.optional import library
 
 EVERY_S = 1.0
 STATES = ("FAULT", "MAYBE", "OK", "GROUND", "BLIND", "SILENT", "ERROR")
@@ -54,7 +55,7 @@ class Metrics:
         host, _, port = where.rpartition(":")
         if not port.isdigit() or int(port) > 65535:
             raise ConfigError(f"--metrics {where}: give a port, or HOST:PORT, as in 9110 or 0.0.0.0:9110.")
-        prometheus = _client()
+        prometheus = library("prometheus_client", "--metrics")
         registry = prometheus.CollectorRegistry()
         registry.register(self)
         self._pictures: tuple[Picture, ...] = ()
@@ -125,13 +126,3 @@ class Metrics:
             share.add_metric([one.name], one.lost / max(one.lost + one.taken, 1))
             age.add_metric([one.name], max(now - one.heard, 0.0))
         yield from (state, *columns, events, ticks, taken, lost, share, age)
-
-
-def _client() -> Any:
-    try:
-        import prometheus_client
-    except ImportError:
-        raise ConfigError(
-            "--metrics needs prometheus-client, which is not installed: pip install 'rotorwatch[metrics]'."
-        ) from None
-    return prometheus_client

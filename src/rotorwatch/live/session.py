@@ -162,8 +162,19 @@ class Session:
         return 0 if self._judge is None else self._judge.ticks
 
     @property
+    def limits(self) -> str:
+        """What cannot be seen at the rate of this link, a sentence; empty where that is no limit, or not known yet."""
+        plan = None if self._stream is None else self._stream.plan
+        return next((note for note in plan.notes if "are judged every" in note), "") if plan is not None else ""
+
+    @property
     def flying(self) -> bool:
         return bool(self._spans) and self._spans[-1][1] == np.inf
+
+    @property
+    def spans(self) -> tuple[tuple[float, float], ...]:
+        """(start, end) [s] of each flight so far; infinite end: it flies."""
+        return self._spans
 
     @property
     def said(self) -> int:

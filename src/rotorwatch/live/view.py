@@ -35,6 +35,7 @@ class Line:
     events: tuple[str, ...]
     link: str
     blind: str
+    esc: str = ""
 
 
 def line(watched: Watched, waits_for: str = "") -> Line:
@@ -65,7 +66,7 @@ def line(watched: Watched, waits_for: str = "") -> Line:
         bars = tuple((k + 1, float(loss), "bold red" if k + 1 in named else "") for k, loss in enumerate(known[0]))
     now = 0.0 if session is None else session.now
     told = tuple(words(e, now) for e in sorted(watched.events, key=lambda e: -e.detected_s)[:SHOWN])
-    return Line(watched.name, state, bars, told, _link(health, silence), blind)
+    return Line(watched.name, state, bars, told, _link(health, silence), blind, watched.rotors.words())
 
 
 def words(event: Event, now: float | None = None) -> str:
@@ -95,6 +96,14 @@ def _link(health, silence: float) -> str:
     return ", ".join(parts) or "good"
 
 
+def _besides(shown: Line) -> list[str]:
+    return [
+        f"link: {shown.link}",
+        *([f"blind: {shown.blind}"] if shown.blind else []),
+        *([shown.esc] if shown.esc else []),
+    ]
+
+
 def table(sources: Sequence[Source]) -> Any:
     """All vehicles of all sources, as Rich draws them."""
     from rich.console import Group
@@ -116,7 +125,7 @@ def table(sources: Sequence[Source]) -> Any:
             parts += [Padding(Text(event), (0, 0, 0, 9)) for event in shown.events]
             parts.append(
                 Padding(
-                    Text(f"link: {shown.link}" + (f"; blind: {shown.blind}" if shown.blind else ""), "dim"),
+                    Text("; ".join(_besides(shown)), "dim"),
                     (0, 0, 0, 9),
                 )
             )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -55,6 +56,8 @@ def watch(
 ) -> None:  # fmt: skip
     """Watch until all sources have ended, for so many seconds, or until interrupted. show: called with them a few times a second.
     outlets: get the loop's turns; alerts come to them by the sources' `tell`."""
+    gc.collect()
+    gc.freeze()  # what is loaded stays: looking through it for garbage again and again would stop the judging for tenths of a second
     alive, shown, stepped, began = list(sources), 0.0, 0.0, time.monotonic()
     try:
         while alive and time.monotonic() - began < seconds:
@@ -70,6 +73,7 @@ def watch(
     except KeyboardInterrupt:
         pass
     finally:
+        gc.unfreeze()
         for source in sources:
             source.leave()
         for outlet in outlets:

@@ -14,6 +14,7 @@ from rotorwatch.errors import RotorwatchError
 from rotorwatch.flight import Flight, Message, Signal
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.live.changes import WITHDRAWN, Change, Changes
+from rotorwatch.live.rotors import Rotors
 from rotorwatch.live.session import Session
 
 Tell = Callable[[dict], None]
@@ -47,12 +48,14 @@ class Watched:
         self.name, self.health, self.trouble, self.notice = name, Health(), "", ""
         self._tell, self._given = tell, vehicle
         self.session: Session | None = None
+        self.rotors = Rotors()
         self.changes = Changes()
-        self._looked, self._said = -np.inf, 0
+        self._looked, self._said, self._limits = -np.inf, 0, ""
 
     def begin(self, about: Flight) -> None:
         """A flight begins: what is known of it besides its signals."""
         self.session, self.changes, self.trouble = Session(about, self._given), Changes(), ""
+        self.rotors = Rotors()
         self._looked, self._said = -np.inf, 0
 
     def add(self, signals: Mapping[str, Signal], messages: Iterable[Message] = ()) -> None:
@@ -62,6 +65,8 @@ class Watched:
         try:
             known = self.session.vehicle
             self.session.add(signals, messages)
+            for rotor, text in self.rotors.on(signals.get("esc"), signals.get("motors"), self.session.flying):
+                self.say(text, rotor=rotor)
             if known is None and self.session.vehicle is not None:
                 frame = self.session.vehicle
                 self._tell({"type": "vehicle", "vehicle": self.name, "frame": frame.name, "rotors": len(frame.rotors)})
@@ -88,6 +93,10 @@ class Watched:
         except Exception as why:  # of one vehicle; the others are watched on
             self._fail(why)
             return False
+        if stepped and self.session.flying and self.session.limits != self._limits:
+            self._limits = self.session.limits
+            if self._limits:
+                self.say(self._limits)
         said = self.session.said
         if said != self._said or ((said or self.changes.now) and self.session.now - self._looked > LOOK_S):
             self._look()
@@ -117,7 +126,7 @@ class Watched:
         if change.what == WITHDRAWN:
             self.notice = "an event was taken back: it began with the landing, or the data favour another explanation"
 
-    def say(self, text: str, kind: str = "notice") -> None:
-        """A sentence on the link or the vehicle."""
+    def say(self, text: str, kind: str = "notice", **more: int) -> None:
+        """A sentence on the link or the vehicle. more: fields of the alert beside it."""
         self.notice = text
-        self._tell({"type": kind, "vehicle": self.name, "text": text})
+        self._tell({"type": kind, "vehicle": self.name, "text": text, **more})

@@ -14,6 +14,8 @@ from rotorwatch.flight import Signal
 G = 9.80665
 """Standard gravity, m/s^2."""
 
+LARGEST = np.finfo(np.float64).max
+
 DAY_S = 86_400.0
 """A gap longer than this is a damaged time stamp, not a pause between two flights."""
 
@@ -60,8 +62,8 @@ def build(time, values, columns, unit, frame, source, limit, notes, valid=None) 
     if values.ndim == 1:
         values = values[:, None]
     with np.errstate(invalid="ignore"):
-        fine = np.isfinite(values) & (np.abs(values) <= limit)
-        wild = int(np.count_nonzero(np.isfinite(values) & ~fine))
+        fine = np.abs(values) <= min(limit, LARGEST)
+        wild = 0 if fine.all() else int(np.count_nonzero(np.isfinite(values) & ~fine))
     if wild:
         notes.append(f"{source}: {wild} impossible value{'s' if wild > 1 else ''} ignored")
     if valid is not None:
@@ -73,6 +75,8 @@ def build(time, values, columns, unit, frame, source, limit, notes, valid=None) 
         notes.append(f"{source}: {lost} dropped because their time is impossible or runs backwards")
     if keep.size == 0 or not fine[keep].any():
         return None
+    if keep.size == time.size and fine.all():
+        return Signal(time, values, columns, unit, frame, source, fine)
     return Signal(time[keep], np.where(fine, values, 0.0)[keep], columns, unit, frame, source, fine[keep])
 
 

@@ -64,8 +64,15 @@ def read(data, name: str, progress=None) -> Flight:
         messages=tuple(sorted((m for m in messages if m.time <= end + 1), key=lambda m: m.time)),
         warnings=tuple(warnings),
         start_us=start,
-        facts=facts,
+        facts={**facts, **_board(log)},
     )
+
+
+def _board(log) -> dict:
+    """sys_uuid and ver_hw of the autopilot's board, where the log names them."""
+    info = getattr(log, "msg_info_dict", {})
+    texts = {key: info.get(key) for key in ("sys_uuid", "ver_hw")}
+    return {key: text for key, text in texts.items() if isinstance(text, str) and text.strip("0 ")}
 
 
 def _pyulog(ulog, file, **options):

@@ -21,7 +21,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from rotorwatch import __version__, checks
+from rotorwatch import __version__, optional
 from rotorwatch.errors import ConfigError, WorkerError, WorkerWarning
 from rotorwatch.many.done import Done, Task, attempt, packed
 
@@ -37,17 +37,17 @@ def address(scheduler: str) -> str:
     """The scheduler's address. Raises ConfigError where it is none, or Dask is not installed."""
     if not re.fullmatch(r"(tcp|tls|ws|wss|ucx)://[^\s/]+:\d+/?", scheduler):
         raise ConfigError(f"scheduler {scheduler}: give the address of a Dask scheduler, as in tcp://HOST:8786.")
-    checks.library("distributed", "A scheduler")
+    optional.library("distributed", "A scheduler")
     return scheduler
 
 
 def run(function: Callable, tasks: Iterator[Task], scheduler: str) -> Iterator[Done]:
     """As `spread.run`, by the workers of this scheduler."""
-    import cloudpickle
     import distributed
+    from distributed.protocol import pickle as dask_pickle
 
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what goes wrong is told here, in one sentence
-    work = cloudpickle.dumps(function)
+    work = dask_pickle.dumps(function)  # functions of scripts, too, which plain pickle cannot send to other programs
     name, turns = f"rotorwatch-{uuid.uuid4().hex[:12]}", itertools.count()
     again: deque[Task] = deque()
     flying: dict[str, tuple[Any, Task]] = {}

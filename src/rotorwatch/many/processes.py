@@ -11,6 +11,7 @@ import pickle
 import signal
 import threading
 import time
+import warnings
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -167,6 +168,8 @@ def _one_thread() -> Iterator[None]:
 def _serve(pipe: Any, work: bytes) -> None:
     """A process: says that it is ready, then items in, packed results out, until the pipe closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # who started it decides when to stop
+    if not os.environ.get("ROTORWATCH_DEBUG"):
+        warnings.simplefilter("ignore")  # of numerical libraries; each process would say the same
     parent = parent_process()
     assert parent is not None
     threading.Thread(target=_follow, args=(parent.sentinel,), daemon=True).start()

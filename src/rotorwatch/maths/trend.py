@@ -13,11 +13,12 @@ Bayesian inference for variance components using only error contrasts, Biometrik
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from rotorwatch.errors import ConfigError
+from rotorwatch.maths.tails import student_cdf
 
 # q, and its prior: what wanders is believed to unless the data say otherwise, as a walk taken for white noise makes false trends.
 WHITE = (0.0, 0.25, 1.0, 4.0, 16.0, 64.0, 256.0, 1024.0)
@@ -41,9 +42,6 @@ class Slope(NamedTuple):
 
 def slope(time: np.ndarray, values: np.ndarray, step: float) -> Slope:
     """Slope of values (N,) at time (N,), means over blocks of length `step`, gaps allowed. Raises ConfigError for fewer than LEAST."""
-    from scipy.optimize import brentq
-    from scipy.stats import t as student
-
     time, y = np.asarray(time, float), np.asarray(values, float)
     N = y.size
     if N < LEAST:
@@ -67,8 +65,13 @@ def slope(time: np.ndarray, values: np.ndarray, step: float) -> Slope:
 
     def quantile(share):
         low, high = (mean - 1e3 * spread).min(), (mean + 1e3 * spread).max()
-        found: Any = brentq(lambda at: float(weight @ student.cdf((at - mean) / spread, N - 2)) - share, low, high)
-        return float(found)
+        while high - low > 1e-12 * max(abs(low), abs(high)):
+            middle = 0.5 * (low + high)
+            if middle in (low, high):
+                break
+            below = sum(w * student_cdf((middle - m) / s, N - 2) for w, m, s in zip(weight, mean, spread, strict=True))
+            low, high = (middle, high) if below < share else (low, middle)
+        return float(0.5 * (low + high))
 
     tail = 0.5 * (1.0 - COVERED)
     return Slope(float(weight @ mean), quantile(tail), quantile(1.0 - tail))

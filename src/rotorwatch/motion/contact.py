@@ -57,7 +57,13 @@ def struck(
     known: of the first so many ticks it has been said before, which gave the contacts `before`, the last at `last`; they only are what
     the others are held against. Causal: a tick is judged by itself and the half second before it.
     """
-    n = thrust.shape[1]
+    n, new = thrust.shape[1], slice(known, None)
+    turns = np.abs(rate_dot).max(axis=1)
+    turns = np.maximum(turns, np.concatenate([[0.0], turns[:-1]])) > TURNS
+    if not turns[new].any():  # nearly always; below, every kind of knock but the first asks for that
+        spun = _unexplained(torque[new], rate_dot[new], n) - np.sort(thrust[new], axis=1)[:, -2:].sum(axis=1)[:, None]
+        if not (fresh[new] & (spun.max(axis=1) > 0.0)).any():
+            return np.zeros(len(turns) - known, bool), before, last
     turned = _unexplained(torque, rate_dot, n) - np.sort(thrust, axis=1)[:, -2:].sum(axis=1)[:, None]
     turned = np.where(fresh, turned.max(axis=1), 0.0)
     kinds = [(turned, 0.0, "hover thrusts of one rotor", "turned it")]
@@ -66,8 +72,6 @@ def struck(
         pushed = np.linalg.norm(_since(side, fresh, back), axis=1) / G0
         # More lift than before, and not because the motors, cut, still turn.
         lifted = _since(np.column_stack([load, load - thrust.mean(axis=1)]), fresh, back).min(axis=1)
-        turns = np.abs(rate_dot).max(axis=1)
-        turns = np.maximum(turns, np.concatenate([[0.0], turns[:-1]])) > TURNS
         pushed, lifted = np.where(turns, pushed, 0.0), np.where(turns, lifted, 0.0)
         kinds += [(pushed, np.maximum(SIDEWAYS, SHAKES * shake / G0), "g", "pushed it sideways")]
         kinds += [(lifted, np.maximum(UPWARD, SHAKES * shake / G0), "g", "pushed it upwards")]

@@ -71,15 +71,27 @@ class Ticks:
 
 # Ticks in s, and the rate of commands in Hz from which on nearly all of them hold one.
 LENGTHS = ((0.05, 19.0), (0.1, 8.0), (0.2, 4.5), (0.5, 1.8), (1.0, 0.0))
+TICKS_S = tuple(length for length, _ in LENGTHS)
 SHORTEST_S = (
     0.2  # a snapshot of the commands is compared with motion over so long, or with a sample and a half of the gyro
 )
+EARLIEST_TICKS = 2  # that an announcement takes: default/announcement.py
 READY_TICKS = 30  # from which the noise is learned
 
 
 def tick_length(rate_hz: float) -> float:
     """Length of a tick in s for commands at that rate: 0.05 s from 19 Hz on, 1 s for the slowest."""
     return next(length for length, least in LENGTHS if rate_hz >= least)
+
+
+def slow(rate_hz: float, dt: float, ready_s: float) -> str:
+    """What cannot be seen at slow ticks, a sentence; empty where they are not slow."""
+    if dt <= SHORTEST_S / 2.0:
+        return ""
+    return (
+        f"motor outputs at {rate_hz:.1f} Hz are judged every {dt:g} s, after {ready_s:.0f} s of learning: a loss is announced when it "
+        f"shows in {EARLIEST_TICKS} of these, {EARLIEST_TICKS * dt:g} s; one that ends sooner is not seen, and a small one may stay unseen"
+    )
 
 
 def ready_after(ready_s: float, dt: float) -> float:
@@ -225,11 +237,8 @@ def plan(flight: Flight, thrust: Signal, ready_s: float, lag_s: float = LAG_S, d
     dt = tick_length(thrust.rate_hz) if dt is None else dt
     ready_s, half = ready_after(ready_s, dt), dt / 2.0
     notes = []
-    if dt > SHORTEST_S / 2.0:
-        notes.append(
-            f"motor outputs at {thrust.rate_hz:.1f} Hz are judged every {dt:g} s, after {ready_s:.0f} s of learning: losses are found "
-            "late, and short or small ones not at all"
-        )
+    if limit := slow(thrust.rate_hz, dt, ready_s):
+        notes.append(limit)
     # Slow commands are snapshots: put them in the middle of their ticks so that jitter never empties one.
     turns = np.exp(2j * np.pi * thrust.time[:64] / dt)  # the first seconds decide, so that a longer log changes nothing
     phase = float(np.angle(turns.mean()) / (2.0 * np.pi) % 1.0 * dt) if thrust.rate_hz < 1.5 / dt else 0.0

@@ -29,15 +29,21 @@ NAME = "x-rotorwatch-name"  # header with an upload's name; no page of another s
 def application(feed: Feed, flights: Flights, limits: Limits, host: str, token: str) -> Any:
     """The ASGI application. feed: started and stopped with it."""
 
+    def tell(row: dict[str, Any]) -> None:
+        feed.hub.publish("flight", row)
+
     @asynccontextmanager
     async def lifespan(_: Starlette):
-        app.state.uploads = uploads = Uploads(flights, limits, lambda row: feed.hub.publish("flight", row))
+        app.state.uploads = uploads = Uploads(flights, limits, tell)
         uploads.start()
+        keeper = flights.keeper(tell, lambda text: feed.tell({"type": "error", "vehicle": "list", "text": text}))
+        feed.ended = keeper.keep
         feed.start()
         try:
             yield
         finally:
             await asyncio.to_thread(feed.stop)
+            await asyncio.to_thread(keeper.stop)
             uploads.stop()
 
     routes = [

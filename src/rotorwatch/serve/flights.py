@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import queue
 import re
+import threading
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from rotorwatch import files
 from rotorwatch.diagnosis import Diagnosis
+from rotorwatch.errors import RotorwatchError
 from rotorwatch.fleet.store import Entry, Store, default_url
 from rotorwatch.report.html import page
 
+AGAIN_S = 30.0  # between two attempts to reach a store
 DIGEST = re.compile("[0-9a-f]{64}")
 SHOWN = ("hash", "name", "utc", "verdict", "headline", "frame", "duration_s", "aircraft_name")
 
@@ -49,6 +54,10 @@ class Flights:
         assert found is not None
         return found
 
+    def keeper(self, told: Callable[[dict[str, Any]], None], trouble: Callable[[str], None]) -> Keeper:
+        """Something that keeps flights without being waited for. told: called with the row of each; trouble: with a sentence."""
+        return Keeper(self, told, trouble)
+
     def diagnosis(self, digest: str) -> dict[str, Any] | None:
         """What is known of a flight, as docs/json.md has it."""
         found = self._store.flight(digest)
@@ -68,6 +77,38 @@ class Flights:
     def close(self) -> None:
         """Let go of the store."""
         self._store.close()
+
+
+class Keeper:
+    """A thread that puts flights into the store, and goes on trying while the store cannot be reached."""
+
+    def __init__(self, flights: Flights, told: Callable[[dict[str, Any]], None], trouble: Callable[[str], None]):
+        self._flights, self._told, self._trouble = flights, told, trouble
+        self._queue: queue.SimpleQueue[Entry | None] = queue.SimpleQueue()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._leaving = threading.Event()
+        self._thread.start()
+
+    def keep(self, entry: Entry) -> None:
+        """Keep a flight soon."""
+        self._queue.put(entry)
+
+    def stop(self) -> None:
+        """When what was given is kept; what a store that cannot be reached does not take now is lost, which was said."""
+        self._leaving.set()
+        self._queue.put(None)
+        self._thread.join(60.0)
+
+    def _run(self) -> None:
+        while (entry := self._queue.get()) is not None:
+            while True:
+                try:
+                    self._told(self._flights.keep(entry))
+                    break
+                except RotorwatchError as why:
+                    self._trouble(f"The flight of {entry.name} is not in the list yet: {why}")
+                    if self._leaving.wait(AGAIN_S):
+                        break
 
 
 def _shown(row: dict[str, Any]) -> dict[str, Any]:

@@ -7,7 +7,7 @@ import os
 import threading
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ import numpy as np
 
 from rotorwatch.answer import places
 from rotorwatch.errors import ConfigError, RotorwatchError
+from rotorwatch.fleet.store import Entry
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.live import view
 from rotorwatch.live.endpoint import KINDS, is_endpoint, open_endpoint
@@ -23,11 +24,14 @@ from rotorwatch.live.replay import Replay
 from rotorwatch.live.watch import Source, watch
 from rotorwatch.live.watched import Tell, Watched
 from rotorwatch.report import colours, drawing
+from rotorwatch.serve import landed
 from rotorwatch.serve.hub import Hub
+from rotorwatch.serve.landed import Landings
 
 STEP_S = 0.2  # between two points of a band, of the vehicle's time, until there are too many
 POINTS = 600  # of a band; when there are twice as many every second one goes, so that the whole flight stays in view
 SAID = 100  # sentences that are kept
+LAST_WORD_S = 60.0  # for what was heard and is not judged yet, when the server is stopped
 EVENTS = 30  # of a vehicle that are shown, the newest
 
 
@@ -76,7 +80,7 @@ class Shown:
 
     def __init__(self, key: int, watched: Watched):
         self.key, self.watched = key, watched
-        self.band = Band()
+        self.band, self._landings = Band(), Landings()
         self.frame: dict[str, Any] | None = None
         self._fresh: list[tuple] = []
         self._due = False
@@ -84,12 +88,25 @@ class Shown:
         self._session: Any = None
         self._sampled = -np.inf
 
+    def over(self, all_is_over: bool = False) -> list[Entry]:
+        """Flights that have ended since this was asked last, for the list. all_is_over: nothing more will be heard of this session."""
+        session = self._session
+        if session is None or session.vehicle is None:
+            return []
+        hops = self._landings.over(session, all_is_over)
+        return [landed.entry(session, landed.answer(self.watched.name, session, self.band.rows, hop)) for hop in hops]
+
+    @property
+    def another(self) -> bool:
+        """Whether another flight has begun that `sample` has not seen yet."""
+        return self.watched.session is not self._session
+
     def sample(self) -> bool:
         """Keep the losses of this moment when there are new ones; whether this is another flight than before."""
         session = self.watched.session
-        another = session is not self._session
+        another = self.another
         if another:
-            self._session, self.band, self._fresh = session, Band(), []
+            self._session, self.band, self._fresh, self._landings = session, Band(), [], Landings()
             self.frame, self._judged, self._sampled = None, None, -np.inf
         if session is None or session.now - self._sampled < STEP_S:
             return another
@@ -144,6 +161,7 @@ class Shown:
             "blind": line.blind,
             "notice": self.watched.notice,
             "link": line.link,
+            "esc": line.esc,
             "counts": {
                 name: getattr(health, name) for name in ("taken", "lost", "twice", "damaged", "reboots", "jumps")
             },
@@ -169,6 +187,7 @@ class Guarded:
     def __init__(self, name: str, source: Source, feed: Feed):
         self.name, self.source, self._feed = name, source, feed
         self.ended, self.trouble = False, ""
+        self.lists = isinstance(source, Link)  # a log that is replayed can be dropped into the list
 
     @property
     def vehicles(self) -> Sequence[Watched]:
@@ -191,6 +210,7 @@ class Guarded:
             self.source.leave()
         except Exception as why:
             self._fail(why)
+        self._feed.sample(self, all_is_over=True)
 
     def _fail(self, why: Exception) -> None:
         if os.environ.get("ROTORWATCH_DEBUG"):
@@ -208,13 +228,17 @@ class Guarded:
         """What the page says of the endpoint."""
         count = len(self.vehicles)
         state = "has ended" if self.ended else "is watched" if count else "waits for a vehicle"
+        if isinstance(self.source, Link) and self.source.damaged and not self.source.frames:
+            state = "bytes come, but none of them are MAVLink"
         return {"name": self.name, "text": self.trouble or state}
 
 
 class Feed:
-    """All endpoints, watched from `start` to `stop`; hub: tells the pages of them."""
+    """All endpoints, watched from `start` to `stop`; hub: tells the pages of them. ended: called with each flight that was heard over a
+    link and has ended; it must not wait."""
 
-    def __init__(self):
+    def __init__(self, ended: Callable[[Entry], None] = lambda entry: None):
+        self.ended = ended
         self.hub = Hub(self.state)
         self.stopped = False
         self._sources: list[Guarded] = []
@@ -242,7 +266,7 @@ class Feed:
             return
         self.stopped = True
         if self._thread is not None:
-            self._thread.join(5.0)
+            self._thread.join(LAST_WORD_S)
         else:
             for source in self._sources:
                 source.leave()
@@ -262,13 +286,16 @@ class Feed:
             self._said.append(line)
             self.hub.publish("said", line)
 
-    def sample(self, source: Guarded) -> None:
-        """Keep what is drawn over time of its vehicles."""
+    def sample(self, source: Guarded, all_is_over: bool = False) -> None:
+        """Keep what is drawn over time of its vehicles, and the flights of links that have ended."""
         with self.hub.lock:
             for watched in source.vehicles:
                 shown = self._shown.get(id(watched))
                 if shown is None:
                     shown = self._shown[id(watched)] = Shown(len(self._shown) + 1, watched)
+                if source.lists:
+                    for entry in shown.over(all_is_over or shown.another):
+                        self.ended(entry)
                 if shown.sample():
                     self.hub.publish("begun", {"key": shown.key})
 

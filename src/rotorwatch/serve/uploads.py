@@ -23,7 +23,7 @@ from rotorwatch.serve.flights import Flights
 IDLE_S, MOST_S = 30.0, 900.0  # without a byte; for the whole of an upload
 DRAIN_S = 10.0  # what is too large is read on for so long, that the answer is seen and not a broken connection
 RECEIVING, WAITING = 8, 50  # uploads that are taken at once; those that wait for being judged
-LOADS = ("rotorwatch.logs", "rotorwatch.diagnose", "rotorwatch.report.html", "bokeh.embed")
+LOADS = ("rotorwatch.fleet.judge", "rotorwatch.diagnose", "rotorwatch.report.html", "bokeh.embed")
 
 
 class Refused(RotorwatchError):
@@ -56,8 +56,8 @@ class Log:
 
 def judge(what: tuple[Log, str]) -> Entry | str:
     """What a worker does with (log, path of the page): writes the page, returns the flight for the store, or why there is none."""
-    from rotorwatch import __version__
     from rotorwatch.diagnose import diagnose
+    from rotorwatch.fleet.judge import of_flight
     from rotorwatch.logs import read
     from rotorwatch.report.html import write
 
@@ -66,15 +66,9 @@ def judge(what: tuple[Log, str]) -> Entry | str:
         flight = replace(read(log.path), name=log.name)
         found = diagnose(flight)
         write(found, page)
+        return of_flight(flight, log.digest, log.name, log.size, diagnosed=found.to_dict())
     except RotorwatchError as why:
         return str(why).replace(str(log.path), log.name).replace(log.path.name, log.name)
-    air = found.flight.get("hops") or []
-    return Entry(
-        log.digest, log.name, log.name, log.size, utc=found.flight.get("utc_start"), clock_us=flight.start_us,
-        duration_s=flight.duration, airborne_s=sum(b - a for a, b in air), autopilot=flight.autopilot, firmware=flight.firmware,
-        frame=str(found.flight.get("frame", "")), rotors=len(found.rotors), verdict=found.verdict, headline=found.headline,
-        version=__version__, diagnosis=found.to_dict(),
-    )  # fmt: skip
 
 
 class Uploads:

@@ -129,7 +129,7 @@ def timings(name: str, scenes: Sequence[Scene], repeats: int) -> list[float]:
     scene = min(scenes, key=lambda s: s.B.shape[1])
     if name == "default":
         table, B = scene.ticks, scene.B
-        build, parameters = program.builder(table.dt), program.parameters(B)
+        build, parameters = program.estimator, program.parameters(B, table.dt)
         u, y, valid = program.inputs(table, B)
         u[:, -1] = 0.0  # a flight repeated is no new flight
         rows = _repeated(u, y, valid)

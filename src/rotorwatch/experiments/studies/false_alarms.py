@@ -443,28 +443,18 @@ def _crossed(table: Ticks, out, shift: float) -> np.ndarray:
 def _announced(table: Ticks, vehicle: Vehicle, shift: float) -> np.ndarray:
     """(T,) bool: announcements with the threshold `shift` nats higher."""
     B = vehicle.effectiveness()
-    known = program.parameters(B, (vehicle.identified or {}).get("dynamics"))
+    known = program.parameters(B, table.dt, (vehicle.identified or {}).get("dynamics"))
     given = {**known, "shift": np.array(shift)}
     rows, backend = program.inputs(table, B), chosen(None, "auto")
-    return run_built(SHIFTED[table.dt], given, *rows, _keep_announced, backend=backend)[1]
+    return run_built(_shifted, given, *rows, _keep_announced, backend=backend)[1]
 
 
 def _keep_announced(out):
     return out.announced
 
 
-def _build_fast(p):
-    return _shifted(program.builder(0.05)(p), p)
-
-
-def _build_slow(p):
-    return _shifted(program.builder(0.1)(p), p)
-
-
-SHIFTED = {0.05: _build_fast, 0.1: _build_slow}
-
-
-def _shifted(bank, p):
+def _shifted(p):
     """The default estimator with a threshold p["shift"] nats higher: one compiled program for all of them."""
+    bank = program.estimator(p)
     bank.limit = bank.limit + p["shift"]
     return bank

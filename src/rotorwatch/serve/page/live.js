@@ -126,7 +126,7 @@ class Card {
     const lasting = v.events.filter((e) => e.kind !== "other");
     say(this.sentence, lasting.length ? capital(lasting.map((e) => e.text).join("; ")) : v.blind ? capital(v.blind) : "All rotors give the thrust that they are asked for.");
     const heard = v.counts.taken ? `, ${v.counts.taken.toLocaleString("en")} ${v.now === null ? "messages" : `messages or samples, ${v.now.toFixed(0)} s`}` : "";
-    say(this.link, `Link: ${v.link}${heard}${lasting.length && v.blind ? `; blind: ${v.blind}` : ""}${v.notice ? `; ${v.notice}` : ""}`);
+    say(this.link, `Link: ${v.link}${heard}${lasting.length && v.blind ? `; blind: ${v.blind}` : ""}${v.esc ? `; ${v.esc}` : ""}${v.notice ? `; ${v.notice}` : ""}`);
     this.rotors(v);
     this.happened(v);
     this.bands(v);
@@ -189,7 +189,8 @@ class Card {
       mark(row, "class", status);
       row.style.setProperty("--rotor", v.looks[k][0]);
       say(row.children[2], text);
-      say(row.children[3], judged ? `${(100 * v.losses[1][k]).toFixed(0)}–${percent(v.losses[2][k])}` : "");
+      const [lower, upper] = judged ? [v.losses[1][k], v.losses[2][k]] : [0, 0];
+      say(row.children[3], !judged ? "" : upper < 0.005 ? `below ${percent(0.01)}` : `${(100 * lower).toFixed(0)}–${percent(upper)}`);
       if (status !== "healthy") words.push(`rotor ${r.rotor}: ${status === "degraded" ? `lost ${text}` : status}`);
     });
     say(this.maptitle, `Airframe from above: ${this.frame.name}${words.length ? `; ${words.join(", ")}` : ""}`);

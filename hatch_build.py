@@ -1,0 +1,84 @@
+"""The build of the package: native code of the default method goes into the wheel, so that JAX is not needed to run it.
+
+`pip install .` and `pip install -e .` build for this computer, or take what they built of the same sources before; without a C compiler the
+package comes without native code, and JAX (the extra `research`) does the work. Environment: ROTORWATCH_SHIP=portable builds for every
+processor of this kind (wheels that are given away), ROTORWATCH_SHIP=none builds nothing.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import sysconfig
+import tempfile
+from pathlib import Path
+
+from hatchling.builders.hooks.plugin.interface import BuildHookInterface
+
+TRACING = ["numpy>=1.26", "jax>=0.4.35"]
+HERE = Path("rotorwatch") / "compiling" / "built"
+
+
+class ShippedCode(BuildHookInterface):
+    """Hatchling's hook; see the file."""
+
+    PLUGIN_NAME = "custom"
+
+    @property
+    def portable(self) -> bool:
+        return os.environ.get("ROTORWATCH_SHIP") == "portable"
+
+    def dependencies(self) -> list[str]:
+        """What tracing needs, unless nothing has to be traced."""
+        return TRACING if self._missing() else []
+
+    def _missing(self) -> bool:
+        """Whether something has to be built, and can be."""
+        if os.environ.get("ROTORWATCH_SHIP") == "none":
+            return False
+        sys.path.insert(0, str(Path(self.root) / "src"))
+        try:
+            from rotorwatch.compiling import shipped, toolchain
+            from rotorwatch.default import shipping
+
+            return not (shipping.kept(self.portable) / shipped.INDEX).exists()
+        except toolchain.Unavailable:
+            return False
+        finally:
+            sys.path.pop(0)
+
+    def initialize(self, version: str, build_data: dict) -> None:
+        """Build, and add the result to the wheel; of an editable installation put it beside the sources."""
+        if self.target_name != "wheel" or os.environ.get("ROTORWATCH_SHIP") == "none":
+            return
+        self._folder = Path(tempfile.mkdtemp(prefix="rotorwatch-ship-"))
+        options = ["--portable"] if self.portable else []
+        done = subprocess.run(
+            [sys.executable, "-m", "rotorwatch.default.shipping", str(self._folder / "built"), *options],
+            env={**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(self.root) / "src"), *sys.path])},
+            capture_output=True, text=True, check=False,
+        )  # fmt: skip
+        if done.returncode:
+            said = (done.stdout.strip() or done.stderr.strip() or "nothing said").splitlines()[-1]
+            self.app.display_warning(
+                f"No native code in this package ({said}) The extra research brings JAX, which runs instead."
+            )
+            return
+        if version == "editable":
+            beside = Path(self.root) / "src" / HERE
+            shutil.rmtree(beside, ignore_errors=True)
+            shutil.copytree(self._folder / "built", beside)
+            return
+        for path in sorted((self._folder / "built").iterdir()):
+            build_data["force_include"][str(path)] = str(HERE / path.name)
+        build_data["pure_python"] = False
+        # Nothing in it depends on the version of Python.
+        build_data["tag"] = f"py3-none-{sysconfig.get_platform().replace('-', '_').replace('.', '_')}"
+
+    def finalize(self, version: str, build_data: dict, artifact_path: str) -> None:
+        """What was built has been copied."""
+        folder = getattr(self, "_folder", None)
+        if folder:
+            shutil.rmtree(folder, ignore_errors=True)

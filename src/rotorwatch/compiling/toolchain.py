@@ -1,0 +1,82 @@
+"""What makes native code on this computer: the C compiler, its flags, the processor, and the folder where results are kept.
+
+Python's own library is enough for this file: the build of the package asks it before anything is installed.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import os
+import platform
+import shlex
+import shutil
+import tempfile
+import warnings
+from pathlib import Path
+
+from rotorwatch.backend import cache_folder
+from rotorwatch.errors import BackendWarning, ConfigError
+
+# Vector code of this processor; errno and signals of floating point are nobody's business here, NaN and signed zeros are.
+FLAGS = ("-std=c99", "-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math", "-fPIC", "-shared")
+# With glibc this macro only declares that sin, cos, exp and their like come as vectors too, and gcc then calls those in loops.
+VECTORS = ("-D__FAST_MATH__", "-lmvec")
+QUICK = ("-O1", "-ftree-loop-vectorize")  # for large programs
+
+
+class Unavailable(ConfigError):
+    """No native code on this computer; the sentence says why."""
+
+
+class Unmakeable(Unavailable):
+    """None came with the package, and JAX is not there to make any; the sentence says what to do."""
+
+
+def compiler() -> str:
+    """The C compiler: $CC, else cc, gcc or clang. Raises Unavailable."""
+    wanted = [os.environ["CC"]] if os.environ.get("CC") else ["cc", "gcc", "clang"]
+    for name in wanted:
+        found = shutil.which(shlex.split(name)[0])
+        if found:
+            return found
+    raise Unavailable(f"There is no C compiler ({', '.join(wanted)}): install gcc or clang, or set CC.")
+
+
+@functools.cache
+def machine() -> str:
+    """The compiler and the processor, so that a cache shared by computers holds a build for each."""
+    cc = Path(compiler())
+    about = cc.resolve().stat()
+    try:
+        info = Path("/proc/cpuinfo").read_text().split("\n\n")[0].splitlines()
+        cpu = "".join(line for line in info if line.startswith(("model name", "flags", "Features", "CPU part")))
+    except OSError:
+        cpu = platform.processor()
+    return f"{cc} {about.st_size} {about.st_mtime_ns} {platform.machine()} {cpu}"
+
+
+def kept_under(name: str, about: str) -> Path:
+    """A place in the cache for what is made of `about` by this compiler for this processor. Raises Unavailable without a compiler."""
+    said = "\0".join([about, machine(), *QUICK, *FLAGS, *VECTORS])
+    return folder() / f"{name}-{hashlib.sha256(said.encode()).hexdigest()[:32]}"
+
+
+def folder() -> Path:
+    """Where libraries are kept; a folder for this process only where the cache cannot be written."""
+    place = cache_folder() / "native"
+    try:
+        place.mkdir(parents=True, exist_ok=True)
+        if os.access(place, os.W_OK):
+            return place
+    except OSError:
+        pass
+    return _temporary(place)
+
+
+@functools.cache
+def _temporary(wanted: Path) -> Path:
+    warnings.warn(
+        f"{wanted} cannot be written: native code is built anew in every process.", BackendWarning, stacklevel=4
+    )
+    return Path(tempfile.mkdtemp(prefix="rotorwatch-"))

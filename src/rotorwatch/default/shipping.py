@@ -1,0 +1,140 @@
+"""The default estimator built for whoever installs rotorwatch: `python -m rotorwatch.default.shipping FOLDER`.
+
+The build of the package calls it (hatch_build.py). One program for each number of rotors, coaxial or not, whatever the length of ticks;
+each traced in a process of its own, as many at once as there are processors. What was built of the same definition by the same compiler
+is taken from the cache. What asks the cache (`kept`) needs nothing but Python.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import sys
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+from typing import NamedTuple
+
+from rotorwatch import backend
+from rotorwatch.compiling import shipped, toolchain
+from rotorwatch.errors import RotorwatchError
+
+
+class Frame(NamedTuple):
+    """Vehicles with one program."""
+
+    rotors: int
+    coaxial: bool = False
+
+    @property
+    def name(self) -> str:
+        """Of its files."""
+        return f"rotors-{self.rotors}{'-coaxial' if self.coaxial else ''}"
+
+
+# What takes longest to build comes first.
+FRAMES = (
+    Frame(12, True), Frame(12), Frame(10), Frame(8, True), Frame(8), Frame(7), Frame(6, True), Frame(6), Frame(5), Frame(4, True),
+    Frame(4), Frame(3),
+)  # fmt: skip
+# What the programs are traced from: modules with all that they import, and such of which only the file counts.
+ROOTS = ("rotorwatch.default.estimator", "rotorwatch.compiling.c99.project")
+ALONE = (
+    "rotorwatch.default.program",
+    "rotorwatch.compiling.native",
+    "rotorwatch.compiling.shipped",
+    "rotorwatch.compiling.toolchain",
+)
+
+
+def definition() -> dict:
+    """{"files", "digest"}: what the programs are made of, and its hash."""
+    files = shipped.files_of(ROOTS, ALONE)
+    return {"files": files, "digest": shipped.digest(files)}
+
+
+def example(frame: Frame) -> tuple[dict, tuple[int, int]]:
+    """(parameters, sizes of u and y) of such a vehicle: only their shapes matter."""
+    import numpy as np
+
+    from rotorwatch.default.plant import any_multirotor
+
+    n = frame.rotors
+    mean, P = any_multirotor(n)
+    coaxial = {"lower": np.zeros(n), "share": np.zeros(2)} if frame.coaxial else {}
+    arrays = {"B": np.ones((4, n)), "dt": np.array(1.0), **coaxial, "x0": mean, "P0": P}
+    return {**arrays, "noise": np.ones((4, 4)), "noise_weight": np.array(1.0)}, (n + 12, 4)
+
+
+def levels(portable: bool) -> tuple[str, ...]:
+    """Levels of processors to build for: all that this kind of computer has, or the best that this one runs."""
+    runs = shipped.levels()
+    return tuple(shipped.LEVELS) if portable and runs[0] != shipped.BASELINE else runs[:1]
+
+
+def built(frame: Frame, marches: Sequence[str], folder: Path) -> tuple[str, dict]:
+    """(key, entry of the index) of one program, its libraries written into the folder. Raises toolchain.Unavailable."""
+    from rotorwatch.compiling import native
+    from rotorwatch.default import program
+
+    parameters, sizes = example(frame)
+    made, layout = native.exported(program.estimator, program.kept, parameters, sizes)
+    libraries = {}
+    for march in marches:
+        libraries[march] = f"{frame.name}{march and '-' + march}.so"
+        shutil.copyfile(native.build(made.header, made.source, "estimator", march), folder / libraries[march])
+    known = native.known_by(program.estimator, program.kept, parameters, sizes)
+    assert known is not None
+    return known, {"frame": frame.name, "libraries": libraries, "layout": layout, "source": made.digest}
+
+
+def ship(folder: Path, frames: Sequence[Frame] = FRAMES, portable: bool = False) -> None:
+    """Build the programs of `frames` into a folder, as `shipped.find` reads it. portable: for every processor of this kind, not this
+    computer's alone. Raises toolchain.Unavailable without a compiler."""
+    compiler, marches, about = toolchain.compiler(), levels(portable), definition()
+    folder.mkdir(parents=True, exist_ok=True)
+    for old in folder.iterdir():
+        old.unlink()
+    workers = min(len(frames), os.cpu_count() or 1)
+    if workers == 1:
+        programs = dict(built(frame, marches, folder) for frame in frames)
+    else:
+        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+            programs = dict(pool.map(built, frames, [marches] * len(frames), [folder] * len(frames)))
+    jax = backend.jax()
+    index = {
+        "definition": about,
+        "target": shipped.target(),
+        "made_with": f"JAX {jax.__version__}, {Path(compiler).resolve().name}",
+        "programs": programs,
+    }
+    (folder / shipped.INDEX).write_text(json.dumps(index, indent=1) + "\n", encoding="utf-8")
+
+
+def kept(portable: bool) -> Path:
+    """Where the cache keeps what `ship` makes of this definition with this compiler on this computer. Raises toolchain.Unavailable."""
+    return toolchain.kept_under("shipped", json.dumps([definition()["digest"], portable, FRAMES]))
+
+
+def main(arguments: Sequence[str]) -> int:
+    """FOLDER [--portable]: build, or take from the cache. 3, with one sentence, where this computer cannot."""
+    folder, portable = Path(arguments[0]), "--portable" in arguments[1:]
+    try:
+        cache = kept(portable)
+        if not (cache / shipped.INDEX).exists():
+            part = cache.with_suffix(f".{os.getpid()}")
+            ship(part, portable=portable)
+            shutil.rmtree(cache, ignore_errors=True)
+            os.replace(part, cache)
+        shutil.rmtree(folder, ignore_errors=True)
+        shutil.copytree(cache, folder)
+    except (RotorwatchError, ModuleNotFoundError) as why:
+        print(why)
+        return 3
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,400 @@
+"""What all flights of a store say of every aircraft and rotor: its standing, in plain data.
+
+Aircraft of one build teach each other how much a healthy flight scatters, how wind pushes their trim, and what level a healthy sister has.
+A flight teaches nothing when rotorwatch itself calls it faulty or ambiguous, does not believe its log, or saw a rotor at its limit: it is
+shown, and named among those left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from rotorwatch.fleet import explain, false_discovery, prognosis, scatter
+from rotorwatch.fleet.explain import CENTRE, STEP, WORN, Found, Series
+from rotorwatch.fleet.store import Store
+from rotorwatch.healthy.whole_flight import LIMITED, SLOPE_BETWEEN_SD, spread
+
+TAUGHT_BY = ("healthy", "inconclusive")
+SISTERS = 2  # others of the build, from which on they are compared with
+BETWEEN = 2.0  # aircraft of a build differ by so many times what flights of one do, before any was seen
+LAGS = 3  # flights, over which what is left may hang together
+# Of Student's t: how much less a flight says than its scale suggests.
+INFLATION = (scatter.NU + 5.0) / (scatter.NU + 3.0)
+TELLS = 0.05  # probability from which another explanation is worth a word
+
+
+@dataclass(frozen=True)
+class History:
+    """An aircraft's flights in order. rows: as `Store.trims` yields them. left_out (K,): why a flight is not used, or "". ended (K,): hours
+    in the air when it ended. services: (index of the next flight, rotor 0-based or -1, row)."""
+
+    key: str
+    rows: tuple[Mapping, ...]
+    left_out: tuple[str, ...]
+    ended: np.ndarray
+    services: tuple[tuple[int, int, Mapping], ...]
+
+    @property
+    def use(self) -> np.ndarray:
+        """(K,) bool."""
+        return np.array([not why for why in self.left_out], bool)
+
+
+def assess(store: Store, progress: Callable | None = None) -> tuple[dict[str, dict], dict[str, dict]]:
+    """Standing of every aircraft, and the points of its picture, by key. Nothing is written."""
+    rows: dict[str, list[dict]] = {}
+    for row in store.trims():
+        rows.setdefault(row["aircraft"], []).append(row)
+    services: dict[str, list[dict]] = {}
+    for one in store.services():
+        services.setdefault(one["aircraft"], []).append(one)
+    return standings(rows, services, progress)
+
+
+def refresh(store: Store, progress: Callable | None = None) -> None:
+    """Work out all standings and keep them, in one transaction."""
+    seen = store.state()
+    found, points = assess(store, progress)
+    store.set_standings(found, points, seen)
+
+
+def standings(
+    rows: Mapping[str, Sequence[Mapping]], services: Mapping[str, Sequence[Mapping]], progress: Callable | None = None
+) -> tuple[dict[str, dict], dict[str, dict]]:
+    """As `assess`, from flights (key of the aircraft -> rows) and services alone."""
+    histories = [history(key, list(rows[key]), services.get(key, ())) for key in sorted(rows)]
+    builds: dict[str, list[History]] = {}
+    for one in histories:
+        builds.setdefault(_build(one), []).append(one)
+    explained: dict[str, tuple[History, Series, Found, int]] = {}
+    done = 0
+    for build in sorted(builds):
+        for one, series, found, sisters in _of_one_build(builds[build]):
+            explained[one.key] = (one, series, found, sisters)
+            done += 1
+            if progress:
+                progress(done / len(histories), "comparing")
+    keys = sorted(explained)
+    evidence = np.concatenate([explained[key][2].evidence for key in keys] or [np.zeros(0)])
+    names = iter(false_discovery.named(evidence).tolist())
+    found, points = {}, {}
+    for one in histories:
+        if one.key not in explained:
+            found[one.key] = _unknown(one)
+    for key in keys:
+        one, series, what, sisters = explained[key]
+        found[key] = _standing(one, series, what, sisters, [next(names) for _ in what.evidence])
+        points[key] = _points(one, what)
+    return found, points
+
+
+def history(key: str, rows: list, services: Iterable[Mapping]) -> History:
+    """Flights put in order: by time where all have one, else by the autopilot's count, else as they were added; one without a time stays
+    where it was added among those that have one."""
+    if all(r["utc"] for r in rows):
+        rows = sorted(rows, key=lambda r: (r["utc"], r["ordinal"]))
+    elif not any(r["utc"] for r in rows) and all(r["count"] is not None for r in rows):
+        rows = sorted(rows, key=lambda r: (r["count"], r["clock_us"], r["ordinal"]))
+    else:
+        last, timed = "", []
+        for r in sorted(rows, key=lambda r: r["ordinal"]):
+            last = r["utc"] or last
+            timed.append((last, r["ordinal"], r))
+        rows = [r for *_, r in sorted(timed, key=lambda x: x[:2])]
+    n = max((r["rotors"] for r in rows), default=0)
+    left_out = tuple(_why_not(r, n) for r in rows)
+    ended = np.cumsum([max(float(r["airborne_s"]), 1.0) / 3600.0 for r in rows])
+    cuts = tuple(
+        sorted(((_place(rows, s), int(s["rotor"]) - 1, s) for s in services), key=lambda c: (c[0], c[2]["number"]))
+    )
+    return History(key, tuple(rows), left_out, ended, cuts)
+
+
+def _place(rows: Sequence[Mapping], service: Mapping) -> int:
+    """Index of the first flight after a service."""
+    if service["utc"] and any(r["utc"] for r in rows):
+        return sum(1 for r in rows if (r["utc"] or "") < service["utc"])
+    return sum(1 for r in rows if r["ordinal"] <= service["after"])
+
+
+def _why_not(row: Mapping, rotors: int) -> str:
+    if row["verdict"] not in TAUGHT_BY:
+        return f"judged {row['verdict']} by itself"
+    if not row["trim"]:
+        return "too little steady hover"
+    if row["trim"]["doubt"]:
+        return "its log contradicts itself"
+    if len(row["trim"]["share"]) != rotors:
+        return "of another number of rotors"
+    if max(row["trim"]["limited"]) > LIMITED:
+        return "a rotor was at its limit"
+    return ""
+
+
+def _build(one: History) -> str:
+    """That of most of its flights."""
+    all_of_them = [r["build"] for r in one.rows]
+    return max(sorted(set(all_of_them)), key=all_of_them.count)
+
+
+# One build
+
+
+def _of_one_build(histories: list[History]) -> list[tuple[History, Series, Found, int]]:
+    """Every aircraft of a build that has a flight to go by, explained."""
+    known = [one for one in histories if one.use.any()]
+    if not known:
+        return []
+    trims = [[r["trim"] for r, u in zip(one.rows, one.use) if u] for one in known]
+    slope, slope_variance = _wind(t for one in trims for t in one)
+    tables = [_table(one, slope, slope_variance) for one in known]
+    B = np.median([t["effectiveness"] for one in trims for t in one], axis=0)
+    share = np.mean([np.array(t["share"]) / np.sum(t["share"]) for one in trims for t in one], axis=0)
+    G = share * (B[:3] - (B[:3] @ share)[:, None])
+    prior = spread(B)
+    rows = [scatter.differences(y[one.use]) for one, (y, _) in zip(known, tables)]
+    noise = [c[one.use][1:-1] for one, (_, c) in zip(known, tables)]
+    together = scatter.scale(np.concatenate(rows), np.concatenate(noise), prior)
+    series = []
+    for one, (y, c), r, v in zip(known, tables, rows, noise):
+        between = scatter.scale(r, v, together)
+        starts = one.ended - np.diff(one.ended, prepend=0.0)
+        cuts = tuple((k, rotor) for k, rotor, _ in one.services if k < len(y))
+        series.append(Series(y, (between + c) * INFLATION, starts, G, one.use, cuts))
+    first = [explain.explain(s) for s in series]
+    longer = _hanging_together([f.rest[s.use] for f, s in zip(first, series)])
+    series = [replace(s, noise=s.noise * longer) for s in series]
+    out = []
+    for k, (one, s) in enumerate(zip(known, series)):
+        others = [f for j, f in enumerate(first) if j != k]
+        if len(others) >= SISTERS:
+            s = _with_sisters(s, others, prior)
+        out.append((one, s, explain.explain(s), len(others)))
+    return out
+
+
+def _wind(trims: Iterable[Mapping]) -> tuple[np.ndarray, np.ndarray]:
+    """(2,) slopes of roll and pitch on the crosswise force that all flights share, and the variance of one flight's own, of which
+    SLOPE_BETWEEN_SD counts for as many flights as an assumed scatter does."""
+    all_of_them = list(trims)
+    own = np.square([t["slope_sd"] for t in all_of_them])
+    slopes = np.array([t["slope"] for t in all_of_them])
+    between = np.full(2, SLOPE_BETWEEN_SD**2)
+    middle = np.zeros(2)
+    for _ in range(5):
+        w = 1.0 / (own + between)
+        middle = (w * slopes).sum(axis=0) / w.sum(axis=0)
+        # Each flight's slope counts by how well it is known; clipped, as a few are far off.
+        worth = between / (own + between)
+        beyond = np.minimum(np.square(slopes - middle), 9.0 * (own + between)) - own
+        seen = (worth**2 * beyond).sum(axis=0) / np.maximum((worth**2).sum(axis=0), 1e-9)
+        count = worth.sum(axis=0)
+        prior = scatter.PRIOR_FLIGHTS * SLOPE_BETWEEN_SD**2
+        between = np.maximum((prior + count * seen) / (scatter.PRIOR_FLIGHTS + count), 1e-4)
+    return middle, between
+
+
+def _table(one: History, slope: np.ndarray, slope_variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """y (K, 3), wind taken out, and its own covariance (K, 3, 3); what does not count is the median of what does."""
+    K = len(one.rows)
+    y, c = np.zeros((K, 3)), np.tile(np.eye(3) * 1e-6, (K, 1, 1))
+    for k, (row, use) in enumerate(zip(one.rows, one.use)):
+        if use:
+            t = row["trim"]
+            fx, fy = t["force"]
+            y[k] = np.array(t["wrench"]) - [slope[0] * fy, slope[1] * fx, 0.0]
+            c[k] = np.array(t["covariance"]) + np.diag([slope_variance[0] * fy**2, slope_variance[1] * fx**2, 0.0])
+    y[~one.use] = np.median(y[one.use], axis=0)
+    return y, c
+
+
+def _hanging_together(rest: Sequence[np.ndarray]) -> float:
+    """How much less than independent ones flights say that follow each other: 1 + 2 sum of the autocorrelation of what is left, of all."""
+    rows = [np.clip(r - np.median(r, axis=0), -3.0, 3.0) for r in rest if len(r) > 2 * LAGS + 2]
+    if not rows:
+        return 1.0
+    power = np.concatenate([r.ravel() ** 2 for r in rows]).mean()
+    total = sum(np.concatenate([(r[lag:] * r[:-lag]).ravel() for r in rows]).mean() for lag in range(1, LAGS + 1))
+    return float(np.clip(1.0 + 2.0 * total / max(power, 1e-12), 1.0, 1.0 + 2.0 * LAGS))
+
+
+def _with_sisters(series: Series, others: Sequence[Found], prior: np.ndarray) -> Series:
+    """The level that a healthy aircraft of the build has, by its sisters, weighed down where they differ much themselves."""
+    levels = np.array([f.level for f in others])
+    within = np.array([f.level_covariance for f in others])
+    middle, between = np.median(levels, axis=0), BETWEEN**2 * prior
+    for _ in range(5):
+        between = scatter.scale(levels - middle, within, BETWEEN**2 * prior)
+        u = scatter.weights(levels - middle, between + within)
+        middle = (u[:, None] * levels).sum(axis=0) / u.sum()
+    return replace(series, level=middle, level_covariance=INFLATION * between * (1.0 + 1.0 / len(others)))
+
+
+# In plain data
+
+
+def _unknown(one: History) -> dict:
+    """An aircraft of which no flight can be used."""
+    n = max((r["rotors"] for r in one.rows), default=0)
+    rotors = [
+        {
+            "rotor": i + 1,
+            "status": "unknown",
+            "loss": 0.0,
+            "interval": [0.0, 1.0],
+            "evidence": 0.0,
+            "named": False,
+            "prognosis": None,
+        }
+        for i in range(n)
+    ]
+    headline = "No flight with enough steady hover to judge its rotors over time."
+    return _frame(one, 0) | {"headline": headline, "worst": 0.0, "rotors": rotors, "changes": []}
+
+
+def _frame(one: History, sisters: int) -> dict:
+    return {
+        "flights": len(one.rows),
+        "used": int(one.use.sum()),
+        "hours": round(float(one.ended[-1]), 4) if len(one.ended) else 0.0,
+        "build": _build(one),
+        "sisters": sisters,
+        "left_out": [
+            {"hash": r["hash"], "name": r["name"], "why": why} for r, why in zip(one.rows, one.left_out) if why
+        ],
+        "services": [
+            {"before_flight": k + 1, "rotor": r + 1, "what": s["what"], "utc": s["utc"] or None}
+            for k, r, s in one.services
+        ],
+    }
+
+
+def _standing(one: History, series: Series, found: Found, sisters: int, named: list[bool]) -> dict:
+    rotors = [_rotor(one, series, found, i, named[i]) for i in range(len(found.now))]
+    changes = [_change(one, found, k) for k in range(len(found.atoms))]
+    rank = max(float(found.evidence[i]) for i in range(len(rotors)))
+    table = _frame(one, sisters) | {"worst": _round(rank), "rotors": rotors, "changes": changes}
+    return table | {"headline": _headline(table)}
+
+
+def _rotor(one: History, series: Series, found: Found, i: int, named: bool) -> dict:
+    n = len(found.now)
+    mine = [k for k, a in enumerate(found.atoms) if a.rotor == i]
+    since = series.cuts(i)[-2]
+    live = [k for k in mine if found.atoms[k].start >= since]
+    e, sd = float(found.now[i]), float(found.now_sd[i])
+    unsure = [k for k in mine if found.candidates[k].get(i, 0.0) < explain.SURE]
+    sure = len(mine) > len(unsure)
+    status = "healthy"
+    if mine and not (sure and named):
+        status = "suspect"
+    elif mine:
+        lost = any(found.atoms[k].kind == STEP and float(found.coefficients[k][0]) > 0.0 for k in live)
+        worn = any(found.atoms[k].kind == WORN for k in live)
+        status = "damaged" if lost else "worn" if worn else "restored"
+        if live and e < 1.96 * sd:
+            status = "restored"
+    low, high = (e - 1.96 * sd, e + 1.96 * sd) if live else (0.0, float(found.hidden[i]))
+    if any(
+        k >= len(one.rows) and r in (i, -1) for k, r, _ in one.services
+    ):  # since the last flight: what it is now, no flight has shown
+        status, e, low, high = "serviced", 0.0, 0.0, 0.0
+    return {
+        "rotor": i + 1,
+        "status": status,
+        "named": bool(named and sure),
+        "loss": _round(explain.loss(max(e, 0.0), n)),
+        "interval": [_round(explain.loss(max(v, 0.0), n)) for v in (low, high)],
+        "evidence": _round(float(found.evidence[i])),
+        "candidates": sorted({c + 1 for k in unsure for c, p in found.candidates[k].items() if p > TELLS and c >= 0}),
+        "or_centre_of_mass": any(found.candidates[k].get(-1, 0.0) > TELLS for k in unsure),
+        "prognosis": _prognosis(one, series, found, i),
+    }
+
+
+def _prognosis(one: History, series: Series, found: Found, i: int) -> dict:
+    said = prognosis.foresee(explain.lines(series, found, i), float(one.ended[-1]))
+    table = {k: _round(v) for k, v in said.to_dict().items()}
+    mean = float(one.ended[-1]) / len(one.rows)
+    table["flights_left"] = None if said.hours is None else int(np.ceil(said.hours / mean))
+    return table
+
+
+def _change(one: History, found: Found, k: int) -> dict:
+    atom, value = found.atoms[k], found.coefficients[k]
+    first, last = found.when[k]
+    row = one.rows[atom.start]
+    kind = {CENTRE: "centre of mass", WORN: "wear", STEP: "loss" if float(value[0]) > 0.0 else "gain"}[atom.kind]
+    shares = sorted(found.candidates[k].items(), key=lambda c: -c[1])
+    return {
+        "kind": kind,
+        "rotor": atom.rotor + 1 if atom.rotor >= 0 else None,
+        "flight": atom.start + 1,
+        "between": [first + 1, last + 1],
+        "hash": row["hash"],
+        "name": row["name"],
+        "utc": row["utc"],
+        "from_the_first": atom.start == 0,
+        "size": [_round(float(v)) for v in value]
+        if atom.kind == CENTRE
+        else _round(_size(atom, float(value[0]), found)),
+        "candidates": [{"rotor": r + 1 if r >= 0 else None, "probability": _round(p)} for r, p in shares],
+    }
+
+
+def _size(atom: Any, value: float, found: Found) -> float:
+    """A step as a loss (a gain below 0); wear as loss per hour."""
+    n = len(found.now)
+    sign = 1.0 if value > 0.0 else -1.0
+    return value if atom.kind == WORN else sign * explain.loss(abs(value), n)
+
+
+def _headline(table: Mapping) -> str:
+    said = []
+    for r in table["rotors"]:
+        if r["status"] in ("worn", "damaged"):
+            own = [c for c in table["changes"] if c["rotor"] == r["rotor"] and c["kind"] in ("wear", "loss")]
+            since = f" since flight {own[-1]['flight']}" if own and not own[-1]["from_the_first"] else ""
+            low, high = (100 * x for x in r["interval"])
+            text = f"Rotor {r['rotor']} is {r['status']}{since}: {100 * r['loss']:.0f} % of its thrust lost ({low:.0f} to {high:.0f} %)"
+            said.append(text + _outlook(r["prognosis"]) + ".")
+        elif r["status"] == "suspect":
+            others = [str(c) for c in r["candidates"] if c != r["rotor"]]
+            more = [*(f"rotor {c}" for c in others), *(["a shifted centre of mass"] if r["or_centre_of_mass"] else [])]
+            else_ = ", or it is " + " or ".join(more) if more else ", but not beyond doubt"
+            said.append(f"Rotor {r['rotor']} may have lost thrust{else_}.")
+    return " ".join(said) or "No rotor has lost thrust over its flights."
+
+
+def _outlook(p: Mapping) -> str:
+    if p["word"] != "growing" or p["hours_left"] is None:
+        return ""
+    low, high = p["hours_left_interval"]
+    until = f"{low:.1f} to {high:.1f} h" if high is not None else f"{low:.1f} h or later"
+    return f"; {100 * p['limit']:.0f} % in about {p['hours_left']:.1f} h in the air ({until})"
+
+
+def _points(one: History, found: Found) -> dict:
+    """Of every flight: hash, utc, hours in the air when it ended, whether it was used, each rotor's loss by it alone and its deviation."""
+    n = len(found.now)
+    return {
+        "hash": [r["hash"] for r in one.rows],
+        "utc": [r["utc"] for r in one.rows],
+        "hours": [_round(v) for v in one.ended],
+        "used": [bool(u) for u in one.use],
+        "loss": [[_round(explain.loss(v, n)) for v in row] if use else None for row, use in zip(found.own, one.use)],
+        "sd": [[_round(v) for v in row] for row in found.own_sd],
+        "explained": [[_round(explain.loss(v, n)) for v in row] for row in found.e],
+    }
+
+
+def _round(value: Any) -> Any:
+    if isinstance(value, (list, tuple)):
+        return [_round(v) for v in value]
+    if value is None or isinstance(value, (str, bool, int)):
+        return value
+    return float(f"{float(value):.5g}")

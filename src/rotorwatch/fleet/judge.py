@@ -1,0 +1,93 @@
+"""A log file judged: what the store keeps of it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+from rotorwatch import __version__, airframes
+from rotorwatch.fleet import identity
+from rotorwatch.fleet.store import Entry, digest
+from rotorwatch.flight import Flight
+from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.healthy import whole_flight
+from rotorwatch.motion import trust
+from rotorwatch.motion.airborne import airborne
+from rotorwatch.motion.ticks import READY_S, observe
+
+FEATURELESS: dict = {}
+
+
+def entry(
+    path: str | os.PathLike, aircraft: str = "", vehicle: Vehicle | None = None, progress: Callable | None = None
+) -> Entry:
+    """Read and judge a log. aircraft: a name to use in place of what the log says. Raises LogError, VehicleError or ConfigError."""
+    from rotorwatch import logs
+
+    hash = digest(path)
+    flight = logs.read(path, (lambda share: progress(0.3 * share, "reading")) if progress else None)
+    return of_flight(flight, hash, os.path.abspath(path), Path(path).stat().st_size, aircraft, vehicle, progress)
+
+
+def of_flight(
+    flight: Flight, hash: str, path: str, size: int, aircraft: str = "", vehicle: Vehicle | None = None, progress: Callable | None = None,
+    diagnosed: dict | None = None,
+) -> Entry:  # fmt: skip
+    """The same of a flight that was read. diagnosed: its diagnosis, where that was made elsewhere."""
+    craft = vehicle or airframes.identify(flight)
+    airframes.check(craft, flight)
+    if diagnosed is None:
+        from rotorwatch.diagnose import diagnose
+
+        diagnosed = diagnose(flight, vehicle=craft, progress=progress).to_dict()
+    diagnosed = {k: v for k, v in diagnosed.items() if k != "timing"}  # the only thing that differs from run to run
+    who = identity.Identity(f"name {aircraft}", aircraft, "name") if aircraft else identity.identify(flight)
+    air = airborne(flight) if flight.has("motors") else ()
+    return Entry(
+        hash=hash,
+        path=path,
+        name=flight.name,
+        size=size,
+        identity=who.text,
+        called=who.called,
+        utc=flight.facts.get("utc_start"),
+        clock_us=int(flight.start_us),
+        count=identity.count(flight),
+        duration_s=float(flight.duration),
+        airborne_s=float(sum(b - a for a, b in air)),
+        autopilot=flight.autopilot,
+        firmware=flight.firmware,
+        frame=craft.name,
+        rotors=len(craft.rotors),
+        build=identity.build(craft),
+        verdict=str(diagnosed["verdict"]),
+        headline=str(diagnosed["headline"]),
+        version=__version__,
+        diagnosis=diagnosed,
+        trim=trim(flight, craft, air),
+    )
+
+
+def trim(flight: Flight, craft: Vehicle, air) -> dict:
+    """How the flight hovered, for histories: whole_flight.Features, the effectiveness B (4 x n) and `doubt`, why its log is not believed;
+    empty when there is too little steady hover."""
+    found = whole_flight.features(flight, craft, air)
+    if not found.usable:
+        return FEATURELESS
+    table = observe(flight, craft, air, READY_S)
+    doubts = trust.doubts(flight, craft, air, table) if table is not None else ("it shows no flight",)
+    table_of = found.to_dict() | {"name": ""}
+    return _short(table_of) | {
+        "effectiveness": _short(craft.effectiveness().tolist()),
+        "doubt": doubts[0] if doubts else "",
+    }
+
+
+def _short(value):
+    """Numbers with seven digits: enough, and the same on every processor in most cases."""
+    if isinstance(value, dict):
+        return {k: _short(v) for k, v in value.items()}
+    if isinstance(value, list):
+        return [_short(v) for v in value]
+    return float(f"{value:.7g}") if isinstance(value, float) else value

@@ -1,0 +1,145 @@
+"""A fleet as pages: one that lists all aircraft, and one for each with its rotors' losses over the flights, drawn as SVG. No network
+needed."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from html import escape
+from pathlib import Path
+
+from rotorwatch import files
+from rotorwatch.fleet.store import Store
+
+WIDTH, HEIGHT, LEFT, TOP, BOTTOM = 860, 120, 46, 8, 20
+WORST = {"damaged": 0, "worn": 1, "suspect": 2}
+STYLE = """
+:root { color-scheme: light dark; --line: #8886; --bad: #c0392b; --doubt: #b7791f; --good: #2f7d4f; }
+body { font: 15px/1.5 system-ui, sans-serif; max-width: 60rem; margin: 2rem auto; padding: 0 1rem; }
+table { border-collapse: collapse; width: 100%; } th, td { text-align: left; padding: .3rem .6rem; border-bottom: 1px solid var(--line); }
+td.n, th.n { text-align: right; font-variant-numeric: tabular-nums; }
+svg { width: 100%; height: auto; display: block; } svg text { font: 11px system-ui, sans-serif; fill: currentColor; }
+.worn, .damaged { color: var(--bad); font-weight: 600; } .suspect { color: var(--doubt); font-weight: 600; } .healthy { color:
+var(--good); } .lead { font-size: 1.15rem; }
+"""
+
+
+def write(store: Store, folder: str | Path) -> list[Path]:
+    """Write FOLDER/index.html and FOLDER/aircraft-KEY.html; returns the paths, index first. Raises ConfigError when they cannot be
+    written."""
+    folder = files.folder(folder, "--out")
+    aircraft = sorted(store.aircraft(), key=_rank)
+    made = [_put(folder / "index.html", _index(aircraft))]
+    services = store.services()
+    for a in aircraft:
+        own = [s for s in services if s["aircraft"] == a["key"]]
+        made.append(_put(folder / _file(a), _aircraft(a, store.points(a["key"]), own)))
+    return made
+
+
+def _rank(a: Mapping) -> tuple:
+    standing = a["standing"] or {}
+    return (
+        min((WORST.get(r["status"], 9) for r in standing.get("rotors", ())), default=9),
+        -(standing.get("worst") or 0.0),
+        a["name"],
+    )
+
+
+def _file(a: Mapping) -> str:
+    return f"aircraft-{re.sub('[^0-9a-f]', '', a['key'])}.html"
+
+
+def _put(path: Path, text: str) -> Path:
+    with files.replacing(path) as hidden:
+        hidden.write_text(text, encoding="utf-8")
+    return path
+
+
+def _page(title: str, body: str) -> str:
+    head = f'<meta charset="utf-8"><meta name="viewport" content="width=device-width"><title>{escape(title)}</title><style>{STYLE}</style>'
+    return f'<!doctype html><html lang="en"><head>{head}</head><body><main><h1>{escape(title)}</h1>{body}</main></body></html>\n'
+
+
+def _index(aircraft: Sequence[Mapping]) -> str:
+    rows = []
+    for a in aircraft:
+        said = a["standing"]["headline"] if a["standing"] else "Not worked out yet."
+        states = {r["status"] for r in (a["standing"] or {}).get("rotors", ())}
+        kind = next((k for k in ("damaged", "worn", "suspect") if k in states), "healthy")
+        rows.append(
+            f'<tr><td><a href="{_file(a)}">{escape(a["name"])}</a></td><td class="n">{a["flights"]}</td>'
+            f'<td class="n">{a["airborne_s"] / 3600:.1f}</td><td>{escape((a["last"] or "-")[:10])}</td>'
+            f'<td class="{kind}">{escape(said)}</td></tr>'
+        )
+    head = '<tr><th>aircraft</th><th class="n">flights</th><th class="n">hours</th><th>last flight</th><th>how its rotors stand</th></tr>'
+    return _page("Fleet", f"<table><thead>{head}</thead><tbody>{''.join(rows)}</tbody></table>")
+
+
+def _aircraft(a: Mapping, points: Mapping, services: Sequence[Mapping]) -> str:
+    standing = a["standing"]
+    about = f"{a['flights']} flights, {a['airborne_s'] / 3600:.1f} h in the air. {a['build']}. Known by {'; '.join(a['identities'])}."
+    body = [f'<p><a href="index.html">The fleet</a></p><p>{escape(about)}</p>']
+    if standing is None or not points:
+        said = standing["headline"] if standing else "Not worked out yet."
+        return _page(a["name"], body[0] + f'<p class="lead">{escape(said)}</p>')
+    body.append(f'<p class="lead">{escape(standing["headline"])}</p>')
+    for i, r in enumerate(standing["rotors"]):
+        low, high = r["interval"]
+        body.append(
+            f'<h2>Rotor {r["rotor"]}: <span class="{escape(r["status"])}">{escape(r["status"])}</span></h2>'
+            f"<p>{100 * r['loss']:.1f} % lost, 95 % between {100 * low:.1f} and {100 * high:.1f} %.</p>"
+        )
+        body.append(
+            _drawn(
+                r["rotor"],
+                [row[i] if row else None for row in points["loss"]],
+                [e[i] for e in points["explained"]],
+                standing,
+            )
+        )
+    lines = [f"<li>{escape(_service(s))}</li>" for s in services]
+    body.append(f"<h2>Maintenance</h2><ul>{''.join(lines)}</ul>" if lines else "")
+    left = "".join(f"<li>{escape(o['name'])}: {escape(o['why'])}</li>" for o in standing["left_out"])
+    body.append(
+        f"<p>{standing['used']} of {standing['flights']} flights were used.</p>" + (f"<ul>{left}</ul>" if left else "")
+    )
+    return _page(a["name"], "".join(body))
+
+
+def _service(s: Mapping) -> str:
+    what = f"rotor {s['rotor']}" if s["rotor"] else "all rotors"
+    return f"{(s['utc'] or 'after flight ' + str(s['after']) + ' of the store')[:16].replace('T', ' ')}: {what}, {s['what']}"
+
+
+def _drawn(rotor: int, loss: Sequence[float | None], line: Sequence[float], standing: Mapping) -> str:
+    """Single flights as dots, what is made of them as a line, services as dashed lines."""
+    K = len(loss)
+    top = max(0.12, *(x for x in loss if x is not None), *line)
+    bottom = min(-0.04, *(x for x in loss if x is not None), *line)
+
+    def at(k: float, v: float) -> str:
+        x = LEFT + (WIDTH - LEFT - 8) * (k + 0.5) / K
+        return f"{x:.1f},{TOP + (HEIGHT - TOP - BOTTOM) * (top - v) / (top - bottom):.1f}"
+
+    parts = []
+    for v in (0.0, 0.1):
+        x, y = at(-0.5, v).split(",")
+        parts.append(
+            f'<line x1="{x}" y1="{y}" x2="{WIDTH - 8}" y2="{y}" stroke="#8886"/><text x="4" y="{float(y) + 4:.1f}">{100 * v:.0f} %</text>'
+        )
+    for s in standing["services"]:
+        if s["rotor"] in (0, rotor):
+            x = at(s["before_flight"] - 1.5, 0.0).split(",")[0]
+            parts.append(
+                f'<line x1="{x}" y1="{TOP}" x2="{x}" y2="{HEIGHT - BOTTOM}" stroke="currentColor" stroke-dasharray="3 3"/>'
+            )
+    dots = (at(k, v).split(",") for k, v in enumerate(loss) if v is not None)
+    parts += [f'<circle cx="{x}" cy="{y}" r="2" fill="#4a7ebb" fill-opacity=".7"/>' for x, y in dots]
+    parts.append(
+        f'<polyline points="{" ".join(at(k, v) for k, v in enumerate(line))}" fill="none" stroke="#c0392b" stroke-width="1.5"/>'
+    )
+    parts.append(
+        f'<text x="{LEFT}" y="{HEIGHT - 4}">flight 1</text><text x="{WIDTH - 8}" y="{HEIGHT - 4}" text-anchor="end">flight {K}</text>'
+    )
+    return f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="Loss of rotor {rotor} over the flights">{"".join(parts)}</svg>'

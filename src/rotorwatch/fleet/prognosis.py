@@ -1,0 +1,87 @@
+"""When the loss of a rotor that wears will reach a limit.
+
+Since which flight it wears is not known exactly, so each possible beginning k has its line: the loss now and its growth, jointly normal,
+and the probability that it is this one (`explain.lines`). The limit is reached before time t with the probability
+
+    P(t) = sum_k p_k Phi((l_k + s_k t - LIMIT) / sd_k(t)),      sd_k(t)^2 = var l + 2 t cov(l, s) + t^2 var s
+
+whose quantiles are the interval. For one line that is Fieller's. `maths/trend.py` is not asked: it is for errors that wander within a
+flight, and would give up a trend that a hundred separate flights show. What hangs together between flights is in their noise already.
+
+Source: E. C. Fieller, Some problems in interval estimation, Journal of the Royal Statistical Society B 16 (1954) 175-185.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rotorwatch.maths.tails import normal_cdf
+
+LIMIT = 0.10  # loss
+COVERED = 0.90
+Z = 1.6448536  # its ends, in standard deviations
+FAR = 20.0  # times what was flown so far: nothing is said beyond
+SURE_SD = 1.96
+
+
+@dataclass(frozen=True)
+class Lines:
+    """Possible lines of a rotor's loss. weight (m,): sum 1. now, growth (m,): loss at the last flight, and per hour in the air. covariance
+    (m, 2, 2): of the two."""
+
+    weight: np.ndarray
+    now: np.ndarray
+    growth: np.ndarray
+    covariance: np.ndarray
+
+
+@dataclass(frozen=True)
+class Prognosis:
+    """word: growing, reached or no trend. growth, growth_interval: loss per hour in the air, 95 %. hours: in the air from the last flight
+    until LIMIT, as likely before as after; interval: COVERED, its end None when beyond what can be said."""
+
+    word: str
+    growth: float = 0.0
+    growth_interval: tuple[float, float] = (0.0, 0.0)
+    hours: float | None = None
+    interval: tuple[float, float | None] | None = None
+
+    def to_dict(self) -> dict:
+        """Plain data."""
+        return {
+            "word": self.word,
+            "loss_per_hour": self.growth,
+            "loss_per_hour_interval": list(self.growth_interval),
+            "limit": LIMIT,
+            "hours_left": self.hours,
+            "hours_left_interval": list(self.interval) if self.interval else None,
+        }
+
+
+def foresee(lines: Lines | None, flown: float) -> Prognosis:
+    """lines: of a rotor that wears, None of one that does not. flown: hours in the air so far."""
+    if lines is None:
+        return Prognosis("no trend")
+    w = lines.weight
+    growth = float(w @ lines.growth)
+    sd = float(np.sqrt(w @ (lines.covariance[:, 1, 1] + (lines.growth - growth) ** 2)))
+    bounds = (growth - SURE_SD * sd, growth + SURE_SD * sd)
+    if float(w @ lines.now) >= LIMIT:
+        return Prognosis("reached", growth, bounds, 0.0, (0.0, 0.0))
+    if bounds[0] <= 0.0:
+        return Prognosis("no trend", growth, bounds)
+    # Evenly in ratio, so that near and far are told equally well.
+    t = np.concatenate([[0.0], np.geomspace(1e-4, 1.0, 4000)]) * FAR * flown
+    v = lines.covariance
+    variance = v[:, 0, 0, None] + 2.0 * t * v[:, 0, 1, None] + t**2 * v[:, 1, 1, None]
+    z = (lines.now[:, None] + lines.growth[:, None] * t - LIMIT) / np.sqrt(np.maximum(variance, 1e-18))
+    reached = np.maximum.accumulate(w @ normal_cdf(z))
+    low, middle, high = (
+        float(t[np.argmax(reached >= q)]) if reached[-1] >= q else None
+        for q in (0.5 - COVERED / 2, 0.5, 0.5 + COVERED / 2)
+    )
+    if low is None or middle is None:
+        return Prognosis("no trend", growth, bounds)
+    return Prognosis("growing", growth, bounds, middle, (low, high))

@@ -1,0 +1,80 @@
+"""How much healthy flights of an aircraft differ from one another, learned from the flights themselves, some of which are not healthy.
+
+What is learned is the scatter of single flights about what changes slowly or seldom: of the difference of each flight from the middle of
+its neighbours. Wear is the same for both, and a step shows in one or two differences of many. Only the half of the differences that lie
+closest together give the shape (the minimum covariance determinant), and the median of all gives the size, so that up to half of them may
+be steps. Single flights that stand out (a hung weight, a storm) are weighed down later: noise has Student's t distribution with NU degrees
+of freedom.
+
+Sources: P. J. Rousseeuw and K. Van Driessen, A fast algorithm for the minimum covariance determinant estimator, Technometrics 41 (1999)
+212-223; K. L. Lange, R. J. A. Little and J. M. G. Taylor, Robust statistical modeling using the t distribution, Journal of the American
+Statistical Association 84 (1989) 881-896, for the weights.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+NU = 5.0
+PRIOR_FLIGHTS = 10.0  # that the assumed scatter counts for in a fleet, and the fleet's for an aircraft of it
+ROUNDS = 30
+MEDIAN = {
+    3: 2.7214
+}  # of the squared distance of rows of d from t with NU degrees of freedom: d times the median of F(d, NU)
+# A difference from the mean of two neighbours scatters by this much more than a flight does.
+OF_TWO = 1.5
+
+
+def differences(y: np.ndarray) -> np.ndarray:
+    """(K - 2, d): every flight but the first and last less the mean of its neighbours, as large as a single flight's own scatter is."""
+    return (y[1:-1] - 0.5 * (y[:-2] + y[2:])) / np.sqrt(OF_TWO)
+
+
+def scale(rows: np.ndarray, within: np.ndarray, prior: np.ndarray) -> np.ndarray:
+    """(d, d): scale matrix of Student's t for `rows` (m, d), centred, of which `within` (m, d, d) is known noise of the single rows.
+
+    prior (d, d) counts for PRIOR_FLIGHTS rows. The known noise is taken out on average only, and never more than leaves a tenth of the
+    prior.
+    """
+    m, d = rows.shape
+    if not m:
+        return prior
+    known = np.median(within, axis=0)
+    start = prior + known
+    found = start
+    half = m // 2 + 1
+    for _ in range(ROUNDS):
+        core = rows[np.argsort(_distance(rows, found), kind="stable")[:half]]
+        shape = (PRIOR_FLIGHTS * start + core.T @ core) / (PRIOR_FLIGHTS + len(core))
+        size = float(np.median(_distance(rows, shape))) / MEDIAN[d]
+        found = (PRIOR_FLIGHTS * start + 0.5 * m * size * shape) / (PRIOR_FLIGHTS + 0.5 * m)
+    found = found - known
+    values, axes = np.linalg.eigh(0.5 * (found + found.T))
+    return (axes * np.maximum(values, 0.1 * np.linalg.eigvalsh(prior).min())) @ axes.T
+
+
+def _distance(rows: np.ndarray, scales: np.ndarray) -> np.ndarray:
+    """(m,) squared Mahalanobis distance of each row (m, d) under scales (d, d) or (m, d, d)."""
+    m, d = rows.shape
+    return np.einsum("ki,ki->k", rows, np.linalg.solve(np.broadcast_to(scales, (m, d, d)), rows[..., None])[..., 0])
+
+
+def weights(rows: np.ndarray, scales: np.ndarray) -> np.ndarray:
+    """(m,) weight of each row (m, d) under scales (d, d) or (m, d, d): about 1 for usual ones, small for those that stand out."""
+    d = rows.shape[1]
+    return (NU + d) / (NU + _distance(rows, scales))
+
+
+def alone(y: np.ndarray, noise: np.ndarray) -> np.ndarray:
+    """(K,) weight of each flight before anything is explained: 1 where one of the two before or after it agrees, small where none does.
+    A flight that stands alone stands out; the sides of a step, and what wears, do not. y (K, d), noise (K, d, d)."""
+    K, d = y.shape
+    least = np.full(K, np.inf)
+    for off in (1, 2):
+        if off >= K:
+            break
+        far = _distance(y[off:] - y[:-off], noise[off:] + noise[:-off])
+        least[off:] = np.minimum(least[off:], far)
+        least[:-off] = np.minimum(least[:-off], far)
+    least = np.where(np.isfinite(least), least, 0.0)
+    return np.minimum((NU + d) / (NU + least), 1.0)

@@ -1,0 +1,84 @@
+"""What ESC telemetry says of a vehicle that flies: how fast its rotors turn, and that one stands though it is told to turn.
+
+The rule of `esc.gone` as far as it needs nothing of what comes later: a rotor below STANDS of its usual speed in REPORTS reports in a row,
+told more than TOLD of its usual command, while two others turn. What the vehicle's motion says of the same rotor is judged beside it.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+from rotorwatch.answer.wording import rotors
+from rotorwatch.esc.gone import OTHERS_TURN, REPORTS, STANDS, TOLD
+from rotorwatch.flight import Signal
+from rotorwatch.logs.esc_columns import RPM
+
+KEPT, LEAST = 300, 20  # reports that tell what is usual
+AGAIN_S = 2.0  # of turning before a rotor that stood is said to turn again
+
+
+class Rotors:
+    """The rotors of one vehicle. speed (n,): as last reported [rad/s], NaN where not; None without telemetry."""
+
+    def __init__(self):
+        self.speed: np.ndarray | None = None
+        self._speeds: deque[np.ndarray] = deque(maxlen=KEPT)
+        self._asked: deque[np.ndarray] = deque(maxlen=KEPT)
+        self._bad = np.zeros(0, int)
+        self._turned: dict[int, float] = {}  # rotor that stands, from 0 -> since when it turns again
+        self._command: np.ndarray | None = None
+
+    def on(self, esc: Signal | None, motors: Signal | None, flying: bool) -> list[tuple[int, str]]:
+        """More telemetry, and the commands that came with it: (rotor, sentence) of what is new."""
+        if motors is not None and len(motors):
+            self._command = np.where(motors.valid[-1], motors.values[-1], 0.0)
+        if esc is None or not len(esc) or self._command is None:
+            return []
+        found, count = [], sum(name.startswith("speed") for name in esc.columns)
+        speeds = np.where(esc.valid[:, :count], esc.values[:, :count], np.nan)
+        for time, speed in zip(esc.time.tolist(), speeds):
+            found += self._report(time, speed, flying)
+        return found
+
+    def _report(self, time: float, speed: np.ndarray, flying: bool) -> list[tuple[int, str]]:
+        known = np.isfinite(speed)
+        if self.speed is None or self.speed.size != speed.size:
+            self.speed, self._bad = speed.copy(), np.zeros(speed.size, int)
+            self._speeds.clear()
+            self._asked.clear()
+        self.speed = np.where(known, speed, self.speed)
+        command = self._command
+        if not flying or command is None or command.size != speed.size:
+            self._bad[:] = 0
+            return []
+        usual = asked = np.zeros(speed.size)
+        if len(self._speeds) >= LEAST:
+            usual = np.nan_to_num(np.nanmedian(np.array(self._speeds), axis=0)) if known.any() else usual
+            asked = np.median(np.array(self._asked), axis=0)
+        turning = np.sort(np.where(usual > 0.0, self.speed / np.maximum(usual, 1e-9), 0.0))
+        others = turning.size > 2 and turning[-2] > OTHERS_TURN
+        stands = known & (usual > 0.0) & (self.speed < STANDS * usual) & (command > TOLD * asked) & others
+        self._bad = np.where(known, np.where(stands, self._bad + 1, 0), self._bad)
+        found = []
+        for k in np.flatnonzero(self._bad >= REPORTS).tolist():
+            if k not in self._turned:
+                found.append((k + 1, f"the ESC of {rotors([k + 1])} reports that it stands, at {time:.1f} s"))
+            self._turned[k] = np.inf
+        for k, since in list(self._turned.items()):
+            if known[k] and not stands[k] and self.speed[k] > OTHERS_TURN * usual[k] > 0.0:
+                self._turned[k] = min(since, time)
+                if time - self._turned[k] >= AGAIN_S:
+                    del self._turned[k]
+                    found.append((k + 1, f"the ESC of {rotors([k + 1])} reports that it turns again, at {time:.1f} s"))
+        if not self._bad.any() and known.any():
+            self._speeds.append(np.where(known, speed, np.nan))
+            self._asked.append(command)
+        return found
+
+    def words(self) -> str:
+        """Speeds in turns a minute."""
+        if self.speed is None:
+            return ""
+        return "ESC " + " ".join("–" if np.isnan(s) else f"{s / RPM:.0f}" for s in self.speed.tolist()) + " rpm"

@@ -1,0 +1,91 @@
+"""A flight that was watched and has ended: the answer of the live judge, as it goes into the list of flights."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from collections.abc import Sequence
+from datetime import UTC, datetime
+
+import numpy as np
+
+from rotorwatch import __version__
+from rotorwatch.answer import conclusion, places
+from rotorwatch.diagnosis import Diagnosis
+from rotorwatch.fleet import identity
+from rotorwatch.fleet.store import Entry
+from rotorwatch.live.session import Session
+
+LEAST_S = 5.0  # in the air: less is a test of the motors
+SETTLED_S = 5.0  # after a landing: until then what was judged may be taken back
+GAP_S = 1.0  # between two points of a band; more is a gap, in which nothing was judged
+
+
+class Landings:
+    """Which flights of a vehicle have ended and are not listed yet."""
+
+    def __init__(self):
+        self._listed: list[float] = []
+
+    def over(self, session: Session, all_is_over: bool) -> list[tuple[float, float]]:
+        """(start, end) [s] of each that is new. all_is_over: nothing more will be heard of this session."""
+        found = []
+        for start, end in session.spans:
+            end = min(end, session.now)
+            sure = all_is_over or (end < session.now - SETTLED_S and np.isfinite(end))
+            if sure and end - start >= LEAST_S and not any(abs(start - known) < LEAST_S for known in self._listed):
+                self._listed.append(start)
+                found.append((start, end))
+        return found
+
+
+def answer(name: str, session: Session, rows: Sequence[tuple], hop: tuple[float, float]) -> Diagnosis:
+    """What the live judge found in one flight. rows: of its band (`live.Band`). hop: (start, end) [s]."""
+    assert session.vehicle is not None
+    start, end = hop
+    vehicle, about = session.vehicle, session.about
+    judged = [row for row in rows if len(row) > 1 and start <= row[0] <= end]
+    steps = np.diff([row[0] for row in judged])
+    unseen = [np.where(np.asarray(row[1]) > 0.0, np.nan, row[3]) for row in judged]
+    hidden = np.nan_to_num(np.nanmedian([np.ones(len(vehicle.rotors)), *unseen][len(unseen) > 0 :], axis=0), nan=1.0)
+    events = [e for e in session.events() if start <= e.detected_s <= end + SETTLED_S]
+    names = places.names(vehicle.rotors)
+    end_of = conclusion.conclude(
+        events,
+        None,
+        len(vehicle.rotors),
+        hidden=hidden,
+        judged_s=float(steps[steps < GAP_S].sum()),
+        places=names,
+        hops=(hop,),
+    )
+    began = datetime.fromtimestamp(time.time() - session.now, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+    return Diagnosis(
+        flight={
+            "name": name, "format": about.format, "autopilot": about.autopilot, "firmware": about.firmware, "frame": vehicle.name,
+            "geometry": [{"x": r.x, "y": r.y, "spin": r.spin} for r in vehicle.rotors], "rotors": len(vehicle.rotors),
+            "duration_s": round(end - start, 3), "boot_s": None, "utc_start": began,
+            "airborne_s": [round(start, 3), round(end, 3)], "hops": [[round(start, 3), round(end, 3)]], "profile": "judged while it flew",
+        },
+        verdict=end_of.verdict, reason=end_of.reason, rotors=end_of.rotors, events=end_of.events, common_mode={},
+        baseline="the flight's own first healthy part",
+        assumptions=(
+            *vehicle.assumptions,
+            "judged while it flew, from what came over the link: a log of the vehicle itself holds more, and is judged as a whole",
+        ),
+        warnings=(), timing={}, headline=end_of.headline, main=end_of.main, advice=end_of.advice,
+    )  # fmt: skip
+
+
+def entry(session: Session, found: Diagnosis) -> Entry:
+    """The same for the store. There is no log: the hash is that of the answer."""
+    told = {k: v for k, v in found.to_dict().items() if k != "timing"}
+    who = identity.identify(session.about)
+    name, start, end = str(found.flight["name"]), *found.flight["airborne_s"]
+    return Entry(
+        hash=hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest(), path="", name=name, size=0,
+        identity=who.text, called=who.called, utc=found.flight["utc_start"], duration_s=end - start, airborne_s=end - start,
+        autopilot=session.about.autopilot, firmware=session.about.firmware, frame=str(found.flight["frame"]), rotors=len(found.rotors),
+        verdict=found.verdict, headline=found.headline, version=__version__, diagnosis=told,
+    )  # fmt: skip

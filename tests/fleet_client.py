@@ -1,0 +1,30 @@
+"""A client of a store that says on standard output what it has added; run as a program with the store's URL, and killed in tests."""
+
+from __future__ import annotations
+
+import sys
+
+from rotorwatch.fleet import Entry, Store
+
+FLIGHTS = 60
+
+
+def entry(k: int) -> Entry:
+    """A fabricated flight of one of seven aircraft."""
+    return Entry(
+        hash=f"{k:064x}", path=f"/logs/{k}", name=f"{k}.bin", size=k, identity=f"serial {k % 7}", called=f"quad {k % 7}",
+        utc=f"2026-01-01T10:{k:02d}:00.000Z", frame="quad X", rotors=4, verdict="healthy", headline="Nothing.", version="1",
+        diagnosis={"text": "x" * 2000}, trim={"wrench": [0.1 * k, 1 / 3]},
+    )  # fmt: skip
+
+
+def fill(store: Store, say: bool = False) -> None:
+    """Add all flights."""
+    for k in range(FLIGHTS):
+        if store.add(entry(k)) and say:
+            print(k, flush=True)
+
+
+if __name__ == "__main__":
+    with Store(sys.argv[1]) as store:
+        fill(store, say=True)

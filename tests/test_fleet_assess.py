@@ -1,0 +1,151 @@
+"""From the flights of a store to where each aircraft stands: order, what teaches nothing, services, sisters, one budget of false names."""
+
+import numpy as np
+import pytest
+
+from fleet_history import SD, columns, row, wrench
+from rotorwatch.fleet import assess
+
+
+def flights(theta, seed=0, aircraft="A", **more):
+    K, n = theta.shape
+    rng = np.random.default_rng(seed)
+    w = wrench(columns(n), theta) + rng.standard_normal((K, 3)) * SD
+    return [row(k, w[k], n, aircraft, **more) for k in range(K)]
+
+
+def losses(K, n, rotor=0, values=0.0):
+    theta = np.zeros((K, n))
+    theta[:, rotor] = values
+    return theta
+
+
+def after(K, k, size):
+    return np.where(np.arange(K) >= k, size, 0.0)
+
+
+def test_a_damaged_rotor_in_plain_words():
+    found, points = assess.standings({"A": flights(losses(40, 4, 2, after(40, 25, 0.2)))}, {})
+    one = found["A"]
+    assert one["headline"].startswith("Rotor 3 is damaged since flight 26: ")
+    (change,) = one["changes"]
+    assert (change["kind"], change["rotor"], change["flight"]) == ("loss", 3, 26)
+    assert change["size"] == pytest.approx(0.2, abs=0.03) and change["hash"] == f"{25:064x}"
+    third = one["rotors"][2]
+    assert third["status"] == "damaged" and third["named"] and third["interval"][0] < 0.2 < third["interval"][1]
+    assert [r["status"] for r in one["rotors"] if r["rotor"] != 3] == ["healthy"] * 3
+    assert np.shape(points["A"]["loss"]) == (40, 4)
+    assert np.mean(points["A"]["loss"], axis=0)[2] > 0.05
+
+
+def test_what_is_said_does_not_hang_on_the_order_of_rows():
+    rows = flights(losses(30, 4, 2, after(30, 20, 0.2)))
+    assert assess.standings({"A": rows}, {}) == assess.standings({"A": rows[::-1]}, {})
+
+
+def test_faulty_flights_are_shown_and_teach_nothing():
+    rows = flights(losses(40, 4))
+    for k in range(10, 25):
+        rows[k] |= {"verdict": "fault" if k % 2 else "ambiguous"}
+        rows[k]["trim"]["wrench"] = [0.3, -0.2, 0.1]
+    rows[30]["trim"]["doubt"] = "the log contradicts itself"
+    rows[31]["trim"]["limited"] = [0.0, 0.5, 0.0, 0.0]
+    rows[32] |= {"trim": {}}
+    rows[33]["trim"]["share"] = [0.4] * 6
+    found, points = assess.standings({"A": rows}, {})
+    one = found["A"]
+    assert (one["used"], one["flights"]) == (21, 40)
+    assert {o["why"] for o in one["left_out"]} == {
+        "judged fault by itself", "judged ambiguous by itself", "its log contradicts itself", "a rotor was at its limit",
+        "too little steady hover", "of another number of rotors",
+    }  # fmt: skip
+    assert not one["changes"] and points["A"]["loss"][12] is None and not points["A"]["used"][12]
+
+
+def test_an_aircraft_without_a_usable_flight_is_not_judged():
+    rows = flights(losses(5, 4))
+    for r in rows:
+        r["trim"] = {}
+    found, points = assess.standings({"A": rows}, {})
+    assert found["A"]["used"] == 0 and not points
+    assert {r["status"] for r in found["A"]["rotors"]} == {"unknown"} and "steady hover" in found["A"]["headline"]
+
+
+@pytest.mark.parametrize("clock", ["utc", "count", "added"])
+def test_flights_are_put_in_order_by_what_the_logs_have(clock):
+    rows = flights(losses(12, 4))
+    for k, r in enumerate(rows):
+        r["ordinal"] = k + 1 if clock == "added" else 12 - k
+        r["count"] = k + 5 if clock == "count" else None
+        r["utc"] = r["utc"] if clock == "utc" else None
+    one = assess.history("A", rows[::-1], ())
+    assert [r["hash"] for r in one.rows] == [f"{k:064x}" for k in range(12)]
+
+
+def test_a_flight_without_a_time_stays_where_it_was_added():
+    rows = flights(losses(6, 4))
+    rows[3]["utc"] = None
+    one = assess.history("A", rows[::-1], ())
+    assert [r["ordinal"] for r in one.rows] == [1, 2, 3, 4, 5, 6]
+
+
+def service(rotor, utc=None, after=0, number=1):
+    return {"aircraft": "A", "number": number, "rotor": rotor, "what": "new propeller", "utc": utc, "after": after}
+
+
+@pytest.mark.parametrize(
+    "given", [service(3, utc="2026-01-21T00:00:00.000Z"), service(3, after=20), service(0, after=20)]
+)
+def test_a_service_makes_a_rotor_new(given):
+    rows = flights(losses(40, 4, 2, np.where(np.arange(40) < 20, np.linspace(0.0, 0.3, 40), 0.0)), seed=1)
+    found, _ = assess.standings({"A": rows}, {"A": [given]})
+    third = found["A"]["rotors"][2]
+    assert third["status"] == "restored" and third["loss"] == 0.0
+    assert found["A"]["services"][0]["before_flight"] == 21
+    assert found["A"]["headline"] == "No rotor has lost thrust over its flights."
+
+
+def test_after_a_service_that_no_flight_followed():
+    rows = flights(losses(30, 4, 2, np.linspace(0.0, 0.2, 30)), seed=1)
+    found, _ = assess.standings({"A": rows}, {"A": [service(3, after=30)]})
+    assert found["A"]["rotors"][2]["status"] == "serviced" and found["A"]["rotors"][2]["loss"] == 0.0
+
+
+def test_sisters_of_a_build_show_what_was_there_from_the_first_flight():
+    rows = {f"A{k}": flights(losses(15, 4, 1, 0.3 if k == 3 else 0.0), seed=10 + k, aircraft=f"A{k}") for k in range(6)}
+    found, _ = assess.standings(rows, {})
+    assert [key for key, one in found.items() if any(r["named"] for r in one["rotors"])] == ["A3"]
+    assert (
+        found["A3"]["rotors"][1]["named"]
+        and found["A3"]["changes"][0]["from_the_first"]
+        and found["A3"]["sisters"] == 5
+    )
+    # Of another build there is nobody to compare with.
+    for r in rows["A3"]:
+        r["build"] = "another"
+    found, _ = assess.standings(rows, {})
+    assert found["A3"]["sisters"] == 0 and not found["A3"]["changes"]
+
+
+def test_wind_is_taken_out():
+    rng = np.random.default_rng(3)
+    rows = flights(losses(40, 4), seed=3)
+    for r in rows:
+        fx, fy = 0.1 * rng.standard_normal(2)
+        t = r["trim"]
+        t["force"], t["slope"], t["slope_sd"] = [fx, fy], [1.5, -1.2], [0.05, 0.05]
+        t["wrench"] = [t["wrench"][0] + 1.5 * fy, t["wrench"][1] - 1.2 * fx, t["wrench"][2]]
+    one = assess.history("A", rows, ())
+    slope, between = assess._wind([r["trim"] for r in rows])
+    assert slope == pytest.approx([1.5, -1.2], abs=0.05) and (between < 0.16).all()
+    y, _ = assess._table(one, slope, between)
+    assert (y[:, :2].std(axis=0) < 2 * SD[:2]).all()
+
+
+def test_aircraft_of_healthy_fleets_are_left_alone():
+    rows = {
+        f"A{k}": flights(losses(30, 4 if k % 2 else 6), seed=50 + k, aircraft=f"A{k}", build=str(k % 2))
+        for k in range(12)
+    }
+    found, _ = assess.standings(rows, {})
+    assert not any(r["named"] for one in found.values() for r in one["rotors"])

@@ -1,0 +1,116 @@
+"""What breaks off in the middle: a killed client, a full disk, a database that goes away. The tables end up as if nothing had happened."""
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from fleet_client import FLIGHTS, entry, fill
+from postgres_server import Server
+from rotorwatch.errors import StoreError
+from rotorwatch.fleet import Store
+
+sa = pytest.importorskip("sqlalchemy")
+KILLS = 3
+CLIENT = Path(__file__).parent / "fleet_client.py"
+
+
+def tables(url: str) -> dict:
+    with Store(url) as store:
+        return {name: list(store.rows(name)) for name in store._t.metadata.tables}
+
+
+@pytest.fixture(scope="module")
+def server():
+    pytest.importorskip("psycopg")
+    server = Server()
+    yield server
+    server.close()
+
+
+@pytest.fixture(params=["sqlite", "postgresql"])
+def urls(request, tmp_path):
+    if request.param == "sqlite":
+        return str(tmp_path / "one.db"), str(tmp_path / "two.db")
+    server = request.getfixturevalue("server")
+    return server.url(), server.url()
+
+
+@pytest.mark.skipif(os.name != "posix", reason="kills by signal")
+def test_killed_at_random_moments(urls):
+    whole, killed = urls
+    with Store(whole) as store:
+        fill(store)
+    chance = random.Random(5)
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    counts = []
+    for _ in range(KILLS):
+        client = subprocess.Popen([sys.executable, CLIENT, killed], env=environment, stdout=subprocess.PIPE)
+        assert client.stdout is not None
+        for _ in range(chance.randint(3, 18)):
+            client.stdout.readline()
+        time.sleep(chance.uniform(0.0, 0.01))
+        client.send_signal(signal.SIGKILL)
+        client.wait()
+        client.stdout.close()
+        with Store(killed) as store:
+            counts.append(store.count())
+    assert 0 < counts[0] < counts[1] < counts[2] < FLIGHTS
+    with Store(killed) as store:
+        fill(store)
+    assert tables(killed) == tables(whole)
+
+
+def test_a_full_disk(tmp_path):
+    url = str(tmp_path / "full.db")
+    with Store(url) as store:
+        store.add(entry(0))
+
+        @sa.event.listens_for(store._engine, "begin")
+        def full(connection):
+            pages = connection.exec_driver_sql("PRAGMA page_count").scalar()
+            connection.exec_driver_sql(f"PRAGMA max_page_count = {pages}")
+
+        with pytest.raises(StoreError, match=r"disk of the store .* full.*run the same command again") as why:
+            fill(store)
+        assert "\n" not in str(why.value)
+        done = store.count()
+        assert 0 < done < FLIGHTS
+        sa.event.remove(store._engine, "begin", full)
+        with store._engine.connect() as connection:
+            connection.exec_driver_sql("PRAGMA max_page_count = 1073741823")
+    with Store(url) as store:
+        fill(store)
+    with Store(tmp_path / "whole.db") as store:
+        fill(store)
+    assert tables(url) == tables(str(tmp_path / "whole.db"))
+
+
+def test_a_database_that_goes_away(server):
+    whole, url = server.url(), server.url()
+    with Store(whole) as store:
+        fill(store)
+    with Store(url) as store:
+        for k in range(20):
+            store.add(entry(k))
+        server.stop(signal.SIGQUIT)  # as in a crash
+        with pytest.raises(StoreError, match="cannot be reached") as why:
+            store.add(entry(20))
+        assert "\n" not in str(why.value)
+        server.start()
+        fill(store)
+    assert tables(url) == tables(whole)
+
+
+def test_another_writer_is_waited_for_and_then_named(tmp_path, monkeypatch):
+    from rotorwatch.fleet import store as module
+
+    monkeypatch.setattr(module, "WAIT_S", 0.05)
+    with Store(tmp_path / "busy.db") as one, Store(tmp_path / "busy.db") as other, one._writing():
+        with pytest.raises(StoreError, match="busy"):
+            other.add(entry(1))

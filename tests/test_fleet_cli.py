@@ -1,0 +1,217 @@
+"""`rotorwatch fleet` from the command line: logs in, aircraft told apart, maintenance, pages and tables out."""
+
+import json
+import lzma
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import rotorwatch
+from conftest import hexa_diagnosis
+from fleet_history import columns, wrench
+from rotorwatch.fleet import Store, add, identity
+from rotorwatch.flight import Flight, Message
+
+pytest.importorskip("sqlalchemy")
+
+SAMPLE = lzma.decompress((Path(rotorwatch.__file__).parent / "samples" / "quadx_healthy_hover.bin.xz").read_bytes())
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    """The diagnosis of a flight by itself is tested elsewhere: here it is a fabricated one."""
+    import rotorwatch.diagnose as module
+
+    said = {"verdict": "healthy"}
+    monkeypatch.setattr(
+        module,
+        "diagnose",
+        lambda flight, **more: replace(hexa_diagnosis(events=(), warnings=()), verdict=said["verdict"]),
+    )
+    return said
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Three logs of one aircraft that differ in their last byte, one in a folder below, and a file that is no log."""
+    (tmp_path / "logs" / "below").mkdir(parents=True)
+    for k, name in enumerate(("a.bin", "b.bin", "below/c.bin")):
+        (tmp_path / "logs" / name).write_bytes(SAMPLE + bytes([k]))
+    (tmp_path / "logs" / "notes.txt").write_text("no log")
+    return tmp_path / "logs"
+
+
+@pytest.fixture
+def call(run, tmp_path):
+    def call(*words):
+        return run("fleet", *words, "--store", tmp_path / "fleet.db")
+
+    return call
+
+
+def test_a_folder_is_added_once(call, folder, quick, tmp_path):
+    code, out, err = call("add", folder)
+    assert code == 0 and out.count("healthy") == 3
+    assert "3 added, 1 files that are no logs; 3 flights in" in err
+    shutil.copy(folder / "a.bin", folder / "copy of a.bin")
+    code, out, err = call("add", folder, folder / "a.bin")
+    assert code == 0 and not out and "0 added, 4 known already" in err
+    with Store(tmp_path / "fleet.db") as store:
+        (one,) = store.aircraft()
+        assert one["flights"] == 3 and not one["stale"]
+        trim = store.flight(store.flights()[0]["hash"])["trim"]
+        assert np.shape(trim["effectiveness"]) == (4, 4) and trim["blocks"] > 5
+
+
+def test_what_cannot_be_judged_is_said_and_the_rest_added(call, folder, quick):
+    (folder / "broken.bin").write_bytes(SAMPLE[:200])
+    code, out, err = call("add", folder / "broken.bin", folder / "a.bin")
+    assert code == 2 and out.count("healthy") == 1 and "broken.bin" in err and "1 added, 1 could not be judged" in err
+    code, _, err = call("add", folder / "nothing*.bin")
+    assert code == 2 and "fits no flight log" in err
+
+
+def test_aircraft_are_listed_shown_renamed_and_serviced(call, folder, quick):
+    call("add", folder, "--aircraft", "quad 7")
+    code, out, _ = call("list")
+    assert code == 0 and "quad 7" in out and "No rotor has lost" in " ".join(out.split())
+    code, out, _ = call("list", "--flights", "--json")
+    rows = json.loads(out)
+    assert code == 0 and rows["total"] == 3 and {r["aircraft_name"] for r in rows["flights"]} == {"quad 7"}
+    code, out, _ = call(
+        "service", "quad 7", "new propeller", "--rotor", "3", "--after", rows["flights"][1]["hash"][:10]
+    )
+    assert code == 0 and out.startswith("quad 7: rotor 3, new propeller")
+    code, _, err = call("service", "quad 7", "new propeller", "--at", "yesterday")
+    assert code == 2 and "2026-05-01" in err
+    code, out, _ = call("show", "QUAD 7")
+    assert code == 0 and "service before flight 3: rotor 3, new propeller" in out and "3 of 3 flights were used" in out
+    assert call("rename", "quad 7", "quad 8")[0] == 0
+    code, out, _ = call("show", "name quad 7", "--json")
+    assert code == 0 and json.loads(out)["name"] == "quad 8" and len(json.loads(out)["points"]["loss"]) == 3
+    code, _, err = call("show", "quad 9")
+    assert code == 2 and "did you mean quad 8" in err
+
+
+def test_two_are_made_one(call, folder, quick):
+    call("add", folder / "a.bin", "--aircraft", "one")
+    call("add", folder / "b.bin", "--aircraft", "two")
+    assert call("merge", "one", "two")[0] == 0
+    call("add", folder / "below" / "c.bin", "--aircraft", "two")
+    code, out, _ = call("list", "--json")
+    (only,) = json.loads(out)["aircraft"]
+    assert code == 0 and only["flights"] == 3 and only["identities"] == ["name one", "name two"]
+
+
+def test_judging_again_says_what_changed(call, folder, quick, tmp_path):
+    call("add", folder)
+    assert "0 judged again" in call("rejudge")[1]
+    quick["verdict"] = "ambiguous"
+    (folder / "b.bin").unlink()
+    (folder / "below" / "c.bin").write_bytes(SAMPLE + b"other")
+    code, out, _ = call("rejudge", "--all")
+    assert code == 0 and "a.bin  healthy -> ambiguous" in out and "1 judged again, 1 changed" in out
+    assert "kept as it was" in out and "has another content now" in out
+    with Store(tmp_path / "fleet.db") as store:
+        assert sorted(r["verdict"] for r in store.flights()) == ["ambiguous", "healthy", "healthy"]
+
+
+def test_pages_and_tables(call, folder, quick, tmp_path):
+    call("add", folder, "--aircraft", "<b>quad</b>")
+    code, out, _ = call("report", "-o", tmp_path / "pages")
+    assert code == 0 and "2 pages" in out
+    index = (tmp_path / "pages" / "index.html").read_text()
+    assert "&lt;b&gt;quad" in index and "<b>quad" not in index
+    (page,) = (tmp_path / "pages").glob("aircraft-*.html")
+    text = page.read_text()
+    assert text.count("<svg") == 4 and page.name in index and "http" not in text
+    parquet = pytest.importorskip("pyarrow.parquet")
+    code, out, _ = call("export", "-o", tmp_path / "tables")
+    assert code == 0 and len(out.split()) == 4
+    rows = {
+        name: parquet.read_table(tmp_path / "tables" / f"{name}.parquet")
+        for name in ("flights", "aircraft", "rotors", "services")
+    }
+    assert [rows[k].num_rows for k in rows] == [3, 1, 4, 0]
+    assert rows["rotors"]["status"].to_pylist() == ["healthy"] * 4
+
+
+def test_a_store_that_is_not_there_is_said(call):
+    for words in (("list",), ("show", "x"), ("report", "-o", "pages")):
+        code, _, err = call(*words)
+        assert code == 2 and "fleet add" in err
+
+
+def test_logs_are_added_as_they_come(folder, quick, tmp_path):
+    told, looks = [], iter(range(6))
+
+    def stop():
+        look = next(looks)
+        if look == 2:
+            (folder / "new.bin").write_bytes(SAMPLE + b"new")
+        return look == 5
+
+    with Store(tmp_path / "fleet.db") as store:
+        add.follow(store, [folder], tell=told.append, poll_s=0.0, stop=stop)
+        assert [Path(t.path).name for t in told if t.state == "added"] == ["a.bin", "b.bin", "c.bin", "new.bin"]
+        assert store.count() == 4 and not store.aircraft()[0]["stale"]
+
+
+def a_flight(texts=(), parameters=None, **facts):
+    said = tuple(Message(0.0, "text", text) for text in texts)
+    return Flight("log", "ArduPilot", {}, 1.0, messages=said, parameters=parameters or {}, facts=facts)
+
+
+def test_whose_flight_it_is():
+    board = identity.identify(a_flight(["ArduCopter V4.5.7", "CubeOrange 003A0026 3131510D 34393334"]))
+    assert board == ("serial CubeOrange 003A00263131510D34393334", "CubeOrange-3334", "serial number")
+    px4 = identity.identify(a_flight(sys_uuid="000200000000373833333430510a002c001f", ver_hw="PX4_FMU_V5"))
+    assert px4.called == "PX4_FMU_V5-001f" and px4.by == "serial number"
+    measured = {"INS_ACCOFFS_X": 0.0312345, "INS_ACCOFFS_Y": -0.0123456, "INS_ACCOFFS_Z": 0.4565432}
+    one, same = (identity.identify(a_flight(parameters=measured)) for _ in range(2))
+    other = identity.identify(a_flight(parameters=measured | {"INS_ACCOFFS_Z": 0.4565433}))
+    assert one == same != other and one.by == "calibration"
+    assert identity.identify(a_flight(parameters=dict.fromkeys(measured, 0.001))).text == ""  # as delivered
+    assert identity.identify(a_flight()).text == ""
+    machine = "3d1219c7c4c5404aaa1f6d2a48adfda4"
+    two = {identity.identify(a_flight([machine], {"MAV_SYSID": k})).text for k in (1.0, 2.0)}
+    assert len(two) == 2  # simulators on one machine
+    assert identity.count(a_flight(parameters={"STAT_BOOTCNT": 12.0})) == 12 and identity.count(a_flight()) is None
+
+
+def test_a_fleet_is_flown_and_scored(monkeypatch, tmp_path, run):
+    """The stories and their score; the flights are made of numbers here, not flown."""
+    from rotorwatch.fleet import synthetic
+    from rotorwatch.fleet.store import Entry
+
+    def fly(story, number, flights, seed):
+        rng = np.random.default_rng([seed, number])
+        n = 4 if story.frame.startswith("quad") else 6
+        for k in range(flights):
+            theta = np.zeros((1, n))
+            if story.rotor >= 0:
+                theta[0, story.rotor] = story.loss(k, flights)
+            w = wrench(columns(n), theta)[0] + 0.006 * rng.standard_normal(3)
+            yield story, k, n, w + ([0.02, 0.02, 0.0] if story.kind == "battery moved" and k >= story.start else 0.0)
+
+    def of_flight(flown, hash, path, size):
+        from fleet_history import row
+
+        story, k, n, w = flown
+        table = row(k, w, n)
+        known = {key: table[key] for key in ("utc", "airborne_s", "rotors", "verdict", "trim")}
+        return Entry(
+            hash=hash, path=path, name=path, size=size, identity=f"serial {story.name}", build=story.frame, **known
+        )
+
+    monkeypatch.setattr(synthetic, "fly", fly)
+    monkeypatch.setattr(synthetic.judge, "of_flight", of_flight)
+    code, out, _ = run("fleet", "simulate", "-o", tmp_path / "sim", "--aircraft", 10, "--flights", 30, "--json")
+    found = json.loads(out)
+    assert code == 0 and found["flights"] == 300 and found["weak"] >= 2
+    assert found["auc"] > 0.95 and found["right"] == 1.0 and found["false"] == 0.0
+    again = run("fleet", "simulate", "-o", tmp_path / "sim", "--aircraft", 10, "--flights", 30, "--json")
+    assert again[:2] == (0, out)

@@ -1,0 +1,240 @@
+"""Native code that comes with the package: only of this definition, only for this computer, and enough to judge flights without JAX."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rotorwatch import airframes
+from rotorwatch.cli import SAMPLES
+from rotorwatch.compiling import native, shipped, toolchain
+from rotorwatch.compiling.run import run_built
+from rotorwatch.default import program, shipping
+from rotorwatch.default.plant import lower_rotors
+from rotorwatch.motion.ticks import JUDGE, TICKS_S
+
+SAMPLE = SAMPLES / "hexax_m3_mul0.80_square_wind.bin.xz"
+FRAME = shipping.Frame(6)
+
+needs_compiler = pytest.mark.skipif(
+    not any(map(shutil.which, ("cc", "gcc", "clang"))), reason="needs a C compiler: install gcc or clang"
+)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """What a build of the package makes, for hexarotors; the one that came with this installation, if it is of this definition."""
+    if shipped.find(key()):
+        return shipped.FOLDER
+    made = tmp_path_factory.mktemp("built")
+    shipping.ship(made, [FRAME])
+    return made
+
+
+def key(frame=FRAME):
+    return native.known_by(program.estimator, program.kept, *shipping.example(frame))
+
+
+def copied(folder, to):
+    shutil.copytree(folder, to)
+    return to
+
+
+def test_an_example_is_known_as_vehicles_are():
+    """Every frame that rotorwatch knows has a program, whatever its ticks and whatever healthy flights have taught."""
+    known = {key(frame) for frame in shipping.FRAMES}
+    assert len(known) == len(shipping.FRAMES)
+    for name in (
+        "ardupilot-quad-x",
+        "ardupilot-tri",
+        "ardupilot-y6",
+        "ardupilot-deca-x",
+        "ardupilot-dodecahexa-x",
+        "ardupilot-quad-y4",
+    ):
+        B = airframes.named(name).effectiveness()
+        n = B.shape[1]
+        assert shipping.Frame(n, lower_rotors(B) is not None) in shipping.FRAMES
+        usual = program.parameters(B, TICKS_S[-1])
+        learned = {k: np.asarray(usual[k]).tolist() for k in ("x0", "P0", "noise", "noise_weight")}
+        for given in (usual, program.parameters(B, TICKS_S[1], learned)):
+            assert native.known_by(program.estimator, program.kept, given, (n + 12, 4)) in known
+
+
+def test_the_definition_is_what_the_step_imports_and_nothing_else():
+    files = shipping.definition()["files"]
+    assert {
+        "default/estimator.py",
+        "default/bank.py",
+        "default/program.py",
+        "motion/ticks.py",
+        "compiling/c99/emit.py",
+    } <= set(files)
+    assert not [f for f in files if f.startswith(("logs/", "report/", "answer/", "flight/", "live/"))]
+    traced = """
+import sys, numpy as np
+from rotorwatch.default import program, shipping
+parameters, _ = shipping.example(shipping.Frame(3))
+program.estimator(parameters).init()
+import rotorwatch.default.estimator
+rooms = ("rotorwatch.default.", "rotorwatch.compiling.c99.")
+print("\\n".join(m.__file__ for name, m in sys.modules.items() if name.startswith(rooms)))
+"""
+    done = subprocess.run([sys.executable, "-c", traced], capture_output=True, text=True, check=True)
+    used = {Path(line).relative_to(shipped.HOME).as_posix() for line in done.stdout.splitlines()}
+    assert used - set(files) <= {"default/shipping.py"}
+
+
+@needs_compiler
+def test_shipped_code_says_what_the_definition_says(folder):
+    """The numbers, against JAX running the definition itself."""
+    rng = np.random.default_rng(2)
+    B = airframes.named("ardupilot-hexa-x").effectiveness()
+    T, n = 400, 6
+    thrust = 1.0 + 0.05 * rng.normal(size=(T, n))
+    loss = np.where(np.arange(T)[:, None] > 250, [0.0, 0.3, 0.0, 0.0, 0.0, 0.0], 0.0)
+    u = np.column_stack([
+        thrust, 0.3 * rng.normal(size=(T, 3)), n + 0.1 * rng.normal(size=T), 0.1 * rng.normal(size=(T, 3)),
+        0.2 * rng.normal(size=(T, 2)), np.full(T, 2.0), np.full(T, float(JUDGE)), np.zeros(T),
+    ])  # fmt: skip
+    y = thrust @ B.T + (thrust * loss) @ B.T + 0.02 * rng.normal(size=(T, 4))
+    found = shipped.find(key(), folder)
+    assert found is not None
+    library = native.Library(found[0], native.Layout(*json.loads(json.dumps(found[1]))))
+    for dt in (TICKS_S[0], TICKS_S[2]):
+        parameters, valid = program.parameters(B, dt), np.ones((T, 4), bool)
+        own = native.run(library, parameters, program.estimator(parameters).init(), u, y, valid)[1]
+        said = run_built(program.estimator, parameters, u, y, valid, program.kept, backend="jax")[1]
+        assert own.announced.any() == said.announced.any()
+        np.testing.assert_allclose(own.theta, said.theta, atol=1e-8)
+        np.testing.assert_allclose(own.log_odds, said.log_odds, rtol=1e-7, atol=1e-7)
+
+
+@needs_compiler
+def test_code_of_another_definition_or_computer_never_runs(folder, tmp_path, monkeypatch):
+    def reread(change):
+        place = copied(folder, tmp_path / str(len(list(tmp_path.iterdir()))))
+        told = json.loads((place / shipped.INDEX).read_text())
+        change(told, place)
+        (place / shipped.INDEX).write_text(json.dumps(told))
+        return place
+
+    assert shipped.find(key(), reread(lambda told, _: None))
+    other = reread(lambda told, _: told["definition"].update(digest="0" * 64))
+    assert shipped.find(key(), other) is None and "another version of the method" in shipped.why_not(other)
+    other = reread(lambda told, _: told.update(target="plan9 vax"))
+    assert shipped.find(key(), other) is None and "plan9 vax" in shipped.why_not(other)
+    gone = reread(lambda told, place: [path.unlink() for path in place.glob("*.so")])
+    assert shipped.find(key(), gone) is None
+    (gone / shipped.INDEX).write_text("{")
+    shipped._index.cache_clear()
+    assert shipped.find(key(), gone) is None and "damaged" in shipped.why_not(gone)
+    assert shipped.find(key(), tmp_path / "nowhere") is None and "without native code" in shipped.why_not(
+        tmp_path / "nowhere"
+    )
+    # A file of the definition has changed.
+    place = reread(lambda told, _: None)
+    home = copied(shipped.HOME / "default", tmp_path / "home" / "default").parent
+    for name in shipping.definition()["files"]:
+        (home / name).parent.mkdir(parents=True, exist_ok=True)
+        (home / name).write_bytes((shipped.HOME / name).read_bytes())
+    monkeypatch.setattr(shipped, "HOME", home)
+    assert shipped.find(key(), place)
+    shipped._index.cache_clear()
+    (home / "default" / "bank.py").write_text((home / "default" / "bank.py").read_text() + "SLOTS = 15\n")
+    assert shipped.find(key(), place) is None
+
+
+def test_a_processor_gets_what_it_runs(tmp_path, monkeypatch):
+    about = {"files": ["errors.py"], "digest": shipped.digest(["errors.py"])}
+    libraries = {"x86-64-v3": "fast.so", "x86-64": "any.so"}
+    index = {"definition": about, "target": shipped.target(), "programs": {"a": {"libraries": libraries, "layout": []}}}
+    (tmp_path / shipped.INDEX).write_text(json.dumps(index))
+    for name in libraries.values():
+        (tmp_path / name).touch()
+    for levels, expected in ((("x86-64-v3", "x86-64"), "fast.so"), (("x86-64",), "any.so"), (("",), None)):
+        monkeypatch.setattr(shipped, "levels", lambda levels=levels: levels)
+        found = shipped.find("a", tmp_path)
+        assert (found and found[0].name) == expected
+
+
+# What refuses to be imported, as if it were not installed; and the place of the native code.
+WITHOUT = """
+import sys
+from pathlib import Path
+class Refused:
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] in {"jax", "jaxlib", "scipy"}:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+sys.meta_path.insert(0, Refused())
+from importlib import metadata
+real = metadata.version
+def version(name):
+    if name in ("jax", "scipy"):
+        raise metadata.PackageNotFoundError(name)
+    return real(name)
+metadata.version = version
+from rotorwatch.compiling import shipped
+place = Path(sys.argv.pop(1))
+find, why_not = shipped.find, shipped.why_not
+shipped.find, shipped.why_not = (lambda wanted: find(wanted, place)), (lambda: why_not(place))
+from rotorwatch import cli
+cli.main(sys.argv[1:])
+"""
+
+
+def without(place, *arguments, **env):
+    environment = {k: v for k, v in os.environ.items() if k != "ROTORWATCH_BACKEND"}
+    return subprocess.run(
+        [sys.executable, "-c", WITHOUT, str(place), *arguments],
+        capture_output=True, text=True, check=False, env={**environment, **env},
+    )  # fmt: skip
+
+
+@needs_compiler
+def test_flights_are_judged_without_jax_scipy_and_a_compiler(folder, tmp_path):
+    page = tmp_path / "page.html"
+    done = without(folder, "diagnose", str(SAMPLE), "--json", "--report", str(page), CC="nonesuch")
+    assert done.returncode == 1, done.stderr
+    assert json.loads(done.stdout)["verdict"] == "fault" and page.stat().st_size > 100_000
+
+
+@pytest.mark.parametrize(
+    "arguments", [["info", str(SAMPLE)], ["--help"], ["diagnose", "--help"], ["watch", "--help"], ["estimators"]]
+)
+def test_other_commands_need_neither(arguments, tmp_path):
+    done = without(tmp_path, *arguments)
+    assert done.returncode == 0, done.stderr
+
+
+@needs_compiler
+def test_healthy_flights_teach_without_either(folder, tmp_path):
+    healthy = SAMPLES / "quadx_healthy_hover.bin.xz"
+    done = without(folder, "calibrate", str(healthy), "-o", str(tmp_path / "v.toml"), CC="nonesuch")
+    if "no native code for such a vehicle" not in done.stderr:  # where only hexarotors were built
+        assert done.returncode == 0, done.stderr
+
+
+def test_without_native_code_one_sentence_says_what_is_missing(tmp_path):
+    done = without(tmp_path, "diagnose", str(SAMPLE), CC="nonesuch")
+    (line,) = done.stderr.strip().splitlines()
+    assert done.returncode == 2 and "JAX" in line and "pip install" in line
+    done = without(tmp_path, "survive", "ardupilot-quad-x")
+    (line,) = done.stderr.strip().splitlines()
+    assert done.returncode == 2 and "pip install" in line and "please report" not in line
+
+
+def test_asking_the_cache_needs_nothing_but_python(tmp_path):
+    """The build of the package asks before anything is installed."""
+    code = "import sys; from rotorwatch.default import shipping; print(shipping.kept(False)); print('numpy' in sys.modules)"
+    env = {"PYTHONPATH": str(shipped.HOME.parent), "ROTORWATCH_CACHE": str(tmp_path), "PATH": os.environ["PATH"]}
+    done = subprocess.run([sys.executable, "-S", "-c", code], capture_output=True, text=True, check=False, env=env)
+    if "no C compiler" in done.stderr:
+        pytest.skip("needs a C compiler")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[1] == "False" and toolchain.folder()
