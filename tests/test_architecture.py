@@ -36,6 +36,7 @@ FORBIDDEN = (
     ("detectors/thrust_loss.py", "rotorwatch.detectors.esc_current", "Detectors do not"),
     ("airframes/crazyflie.py", "rotorwatch.airframes.ardupilot", "Airframes do not"),
     ("logs/ulog.py", "rotorwatch.logs.tlog", "Log formats do not"),
+    ("serve/hub.py", "rotorwatch.serve.live", "Inside the served"),
     ("flight/vehicle.py", "jax", "The nouns"),
 )
 

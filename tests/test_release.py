@@ -39,6 +39,16 @@ def test_the_version_is_one():
     assert images == {version}
 
 
+def test_nothing_is_used_that_the_oldest_python_lacks():
+    """Of the standard library: what rotorwatch itself once used of Python 3.11."""
+    later = re.compile(
+        r"^\s*(?:import tomllib$|from datetime import .*\bUTC\b)|\.add_note\(|asyncio\.timeout\(", re.MULTILINE
+    )
+    assert PROJECT["requires-python"].startswith(">=3.10")
+    for path in (ROOT / "src").rglob("*.py"):
+        assert path.name == "optional.py" or not later.search(path.read_text()), path
+
+
 def test_the_recipe_has_the_packages_that_the_project_needs():
     run = (ROOT / "conda" / "meta.yaml").read_text().split("  run:\n")[1].split("\ntest:")[0]
     named = {line.split()[1]: "".join(line.split()[2:]) for line in run.splitlines() if line.strip()}

@@ -67,7 +67,7 @@ def diagnose(asked: Asked, how: str, explain: Callable[[Exception], str]) -> int
             if answer.unchanged:
                 line = lines.there[answer.path]
                 codes.add(line.code)
-                rows.add(overview.row(label(answer.path), line.answer, _page(asked, answer.path)))
+                rows.add(line.row)
                 return
             if answer.error is not None:
                 text = explain(answer.error)
@@ -167,7 +167,7 @@ class _Line:
     """A line that is there already. known: None where it has to be made again."""
 
     code: int
-    answer: dict[str, Any]
+    row: Any
     known: Any
 
 
@@ -208,6 +208,7 @@ def _lines(asked: Asked, how: str) -> Iterator[_Lines]:
 def _there(asked: Asked, how: str) -> dict[str, _Line]:
     """The lines of the file that --resume goes on with, by path; a last line that was cut off is taken away. Raises ConfigError."""
     from rotorwatch.diagnose_many import Known
+    from rotorwatch.report import overview
 
     out = asked.out
     assert out is not None
@@ -231,7 +232,8 @@ def _there(asked: Asked, how: str) -> dict[str, _Line]:
                     f"{out} was made by another version, or with another estimator, vehicle or baseline; give another file."
                 )
             answer = {key: value for key, value in line.items() if key not in ("path", "exit_code", "size", "sha256")}
-            there[path] = _Line(code, answer, None if sha256 is None else Known(size, sha256))
+            shown = overview.row(label(path), answer, _page(asked, path))
+            there[path] = _Line(code, shown, None if sha256 is None else Known(size, sha256))
             whole += len(text)
     os.truncate(out, whole)
     return there

@@ -22,7 +22,8 @@ POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inli
 STYLE = """
 .tools { margin: 18px 0 8px; } .tools input { font: inherit; width: 100%; max-width: 420px; padding: 6px 10px; color: inherit;
   background: var(--card); border: 1px solid var(--line); border-radius: 8px; }
-td.path { overflow-wrap: anywhere; } td.word { color: var(--tint); font-weight: 650; white-space: nowrap; } .error { --tint: var(--fault); }
+td.path { overflow-wrap: anywhere; min-width: 300px; }
+td.word { color: var(--tint); font-weight: 650; white-space: nowrap; } .error { --tint: var(--fault); }
 td.when { white-space: nowrap; font-variant-numeric: tabular-nums; } a { color: inherit; }
 """
 SCRIPT = """

@@ -6,6 +6,7 @@ hub.py        numbered messages to all open pages
 live.py       the watch loop, and what the page shows of it
 landed.py     a watched flight that has ended, as it goes into the list
 flights.py    the list of flights: the fleet's store, and a page for each
+landed.py     a flight that was watched and has ended, for the list
 uploads.py    logs that are sent here, judged in processes with limits
 pages.py      the files of the page (folder page/)
 app.py        the routes
