@@ -24,6 +24,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -191,8 +192,9 @@ def workers(given: argparse.Namespace) -> None:
                 began = time.perf_counter()
                 with suppress(TimeoutError):  # then with those that have come
                     client.wait_for_workers(each * given.processes, timeout=given.patience)
+                there: Any = client.nthreads()
                 print(
-                    f"{len(client.nthreads())} of {each * given.processes} workers are there after {time.perf_counter() - began:.0f} s"
+                    f"{len(there)} of {each * given.processes} workers are there after {time.perf_counter() - began:.0f} s"
                 )
             for tasks in (given.workers, 4 * given.workers, 10 * given.workers):
                 spent = timed(drain(tasks, scheduler=dask.address))

@@ -60,7 +60,7 @@ def threshold(hyp: Hypotheses, dt, period_s: float | None = None):
 
 
 def decide(
-    standing: Standing, found: Evidence, best: Jump, onsets: bank.Jumps, limit: float, possible, weak, judge, dt
+    standing: Standing, found: Evidence, best: Jump, onsets: bank.Jumps, limit, possible, weak, judge, dt
 ) -> tuple[Standing, Said]:
     """One tick. best: jump of the likeliest fault; limit: its `threshold`; possible, judge, weak: may it be true, is the flight judged,
     is a rotor known to be weak."""
