@@ -1,13 +1,16 @@
 # rotorwatch with its web page, the PostgreSQL driver and a Dask client. Build: docker build -t rotorwatch .
-# Packages are those of lock/image.txt, each checked by its hash.
-FROM python:3.13-slim-bookworm AS build
+# Packages are those of the lock files, each checked by its hash. The first stage has a C compiler and JAX, which make the native code.
+FROM python:3.13-bookworm AS build
 WORKDIR /src
-COPY lock/image.txt lock/image.txt
+COPY lock/build.txt lock/image.txt lock/
+RUN python -m venv /opt/build && \
+    /opt/build/bin/pip install --no-cache-dir --require-hashes --only-binary :all: -r lock/build.txt
 RUN python -m venv /opt/rotorwatch && \
     /opt/rotorwatch/bin/pip install --no-cache-dir --require-hashes --only-binary :all: -r lock/image.txt
-COPY pyproject.toml README.md LICENSE CHANGELOG.md ./
+COPY pyproject.toml hatch_build.py README.md LICENSE ./
 COPY src src
-RUN /opt/rotorwatch/bin/pip install --no-cache-dir --no-deps . && \
+RUN ROTORWATCH_SHIP=portable /opt/build/bin/pip wheel --no-deps --no-build-isolation --wheel-dir /opt/wheels . && \
+    /opt/rotorwatch/bin/pip install --no-cache-dir --no-deps --no-index --find-links /opt/wheels rotorwatch && \
     /opt/rotorwatch/bin/rotorwatch --version
 
 FROM python:3.13-slim-bookworm

@@ -1,14 +1,15 @@
 """Makes a release and checks it: `python tools/release.py`, in an environment with the extra `release`.
 
-Checks the files for services by their schemas, builds sdist and wheel twice and compares them, has them checked by twine, installs the
-wheel into an empty environment, judges the sample flights there, and writes the list of what was installed (SBOM, CycloneDX) and check
-sums. All goes to dist/. Nothing is uploaded.
+Checks the files for services by their schemas, builds the sdist, the pure wheel and the wheel with native code of this computer's kind
+twice and compares them, has them checked by twine, installs the native wheel into an empty environment, judges the sample flights there,
+and writes the list of what was installed (SBOM, CycloneDX) and check sums. All goes to dist/. Nothing is uploaded.
 """
 
 from __future__ import annotations
 
 import argparse
 import hashlib
+import json
 import os
 import shutil
 import subprocess
@@ -34,6 +35,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument(
         "--no-isolation", action="store_true", help="build with the packages that are here, without a network"
     )
+    parser.add_argument("--pure", action="store_true", help="no wheel with native code")
     parser.add_argument("--no-install", action="store_true", help="neither install the wheel nor list what it brings")
     options = parser.parse_args(argv)
     os.environ.setdefault("SOURCE_DATE_EPOCH", _run("git", "log", "-1", "--format=%ct").strip())
@@ -44,16 +46,16 @@ def main(argv: list[str] | None = None) -> int:
     with tempfile.TemporaryDirectory() as scratch:
         first, second = Path(scratch, "first"), Path(scratch, "second")
         for folder in (first, second):
-            build(folder, options.no_isolation)
+            build(folder, options.no_isolation, options.pure)
         sums = digests(first)
         if sums != digests(second):
             print(f"two builds differ: {sums} and {digests(second)}", file=sys.stderr)
             return 1
         _say(f"built twice, alike: {', '.join(sums)}")
         print(_run(sys.executable, "-m", "twine", "check", "--strict", *map(str, sorted(first.iterdir()))))
-        (wheel,) = first.glob("*.whl")
-        if not options.no_install:
-            try_wheel(wheel, Path(scratch, "environment"), first)
+        native = [wheel for wheel in first.glob("*.whl") if "-any." not in wheel.name]
+        if not options.no_install and native:
+            try_wheel(native[0], Path(scratch, "environment"), first)
         options.out.mkdir(parents=True, exist_ok=True)
         for file in sorted(first.iterdir()):
             shutil.copy2(file, options.out)
@@ -63,10 +65,19 @@ def main(argv: list[str] | None = None) -> int:
     return 0
 
 
-def build(folder: Path, no_isolation: bool = False) -> None:
-    """sdist and wheel into the folder, the wheel from the sdist, as an index would serve it."""
-    words = ["--no-isolation"] if no_isolation else []
-    _run(sys.executable, "-m", "build", "--outdir", str(folder), *words, str(ROOT))
+def build(folder: Path, no_isolation: bool = False, pure: bool = False) -> None:
+    """sdist and pure wheel, made of the sdist, into the folder; then the wheel with native code, as a manylinux wheel."""
+    words = [sys.executable, "-m", "build", *(["--no-isolation"] if no_isolation else [])]
+    _run(*words, "--outdir", str(folder), str(ROOT), ROTORWATCH_SHIP="none")
+    if pure:
+        return
+    made = folder / "native"
+    _run(*words, "--wheel", "--outdir", str(made), str(ROOT), ROTORWATCH_SHIP="portable")
+    (wheel,) = made.glob("*.whl")
+    if "-any." in wheel.name:
+        raise SystemExit("no native code was built: it needs a C compiler and JAX. --pure goes without.")
+    _run(sys.executable, "-m", "auditwheel", "repair", "--wheel-dir", str(folder), str(wheel))
+    shutil.rmtree(made)
 
 
 def try_wheel(wheel: Path, environment: Path, out: Path) -> None:
@@ -82,7 +93,13 @@ def try_wheel(wheel: Path, environment: Path, out: Path) -> None:
     bom = out / f"{wheel.name.split('-')[0]}-{wheel.name.split('-')[1]}.cdx.json"
     words = ["environment", "--output-reproducible", "--output-format", "JSON", "--output-file", str(bom), python]
     _run(sys.executable, "-m", "cyclonedx_py", *words)
-    _say(f"SBOM: {bom.name}")
+    found = json.loads(bom.read_text(encoding="utf-8"))
+    for component in found["components"]:  # a path of this computer says nothing elsewhere
+        component["externalReferences"] = [
+            r for r in component.get("externalReferences", ()) if not r["url"].startswith("file:")
+        ]
+    bom.write_text(json.dumps(found, indent=2, sort_keys=True) + "\n", encoding="utf-8")
+    _say(f"SBOM: {bom.name}, {len(found['components'])} packages")
 
 
 def digests(folder: Path) -> dict[str, str]:
@@ -90,9 +107,10 @@ def digests(folder: Path) -> dict[str, str]:
     return {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in sorted(folder.iterdir())}
 
 
-def _run(*words: str, cwd: Path = ROOT) -> str:
+def _run(*words: str, cwd: Path = ROOT, **environment: str) -> str:
     """What a command prints. Ends the program with its error output when it fails."""
     clean = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    clean |= environment
     clean["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{clean['PATH']}"
     done = subprocess.run(words, cwd=cwd, env=clean, capture_output=True, text=True, check=False)
     if done.returncode:

@@ -110,7 +110,7 @@ def diagnose(
     tell(0.3, "preparing the estimator (built the first time)")
     if own:
         _, out = estimate(table, B, dynamics, estimating)
-        limit = threshold(hypotheses.make(len(craft.rotors)), table.dt)
+        limit = float(threshold(hypotheses.make(len(craft.rotors)), table.dt))
     else:
         out = published.judge(estimator, table, B, dynamics, tuning, estimating)
         assumptions += published.notes(discovery.title(estimator))

@@ -239,7 +239,7 @@ def prepare(name: str, vehicle: Vehicle | str | None = None, dt: float | None = 
 
 def _learned(vehicle: Vehicle) -> dict:
     """Geometry, and what healthy flights taught or any multirotor is like."""
-    return balance_parameters(vehicle.effectiveness(), (vehicle.identified or {}).get("dynamics"))
+    return balance_parameters(vehicle.effectiveness(), LOG_DT, (vehicle.identified or {}).get("dynamics"))
 
 
 def _balance(name: str, vehicle: Vehicle, dt: float | None):

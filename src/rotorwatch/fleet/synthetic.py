@@ -15,7 +15,7 @@ import hashlib
 import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime, timedelta
+from datetime import datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +36,7 @@ WIND = 6.0  # m/s at most
 PAYLOAD = (0.05, 0.3)  # kg of 2
 PLACE_SD = 0.01  # m, of payloads; arms are 0.3 m
 BATTERY = 0.012  # m, that the whole mass is off by after the battery was moved
-FIRST = datetime(2026, 1, 1, 8, tzinfo=UTC)
+FIRST = datetime(2026, 1, 1, 8, tzinfo=timezone.utc)
 STORE, TRUTH = "fleet.db", "truth.json"
 BATCH = 40
 

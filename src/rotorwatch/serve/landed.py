@@ -6,7 +6,7 @@ import hashlib
 import json
 import time
 from collections.abc import Sequence
-from datetime import UTC, datetime
+from datetime import datetime, timezone
 
 import numpy as np
 
@@ -60,7 +60,7 @@ def answer(name: str, session: Session, rows: Sequence[tuple], hop: tuple[float,
         places=names,
         hops=(hop,),
     )
-    began = datetime.fromtimestamp(time.time() - session.now, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+    began = datetime.fromtimestamp(time.time() - session.now, timezone.utc).strftime("%Y-%m-%dT%H:%M:%SZ")
     return Diagnosis(
         flight={
             "name": name, "format": about.format, "autopilot": about.autopilot, "firmware": about.firmware, "frame": vehicle.name,
