@@ -204,9 +204,7 @@ def test_flights_are_judged_without_jax_scipy_and_a_compiler(folder, tmp_path):
     assert json.loads(done.stdout)["verdict"] == "fault" and page.stat().st_size > 100_000
 
 
-@pytest.mark.parametrize(
-    "arguments", [["info", str(SAMPLE)], ["--help"], ["diagnose", "--help"], ["watch", "--help"], ["estimators"]]
-)
+@pytest.mark.parametrize("arguments", [["info", str(SAMPLE)], ["--help"], ["diagnose", "--help"], ["watch", "--help"]])
 def test_other_commands_need_neither(arguments, tmp_path):
     done = without(tmp_path, *arguments)
     assert done.returncode == 0, done.stderr
@@ -216,7 +214,7 @@ def test_other_commands_need_neither(arguments, tmp_path):
 def test_healthy_flights_teach_without_either(folder, tmp_path):
     healthy = SAMPLES / "quadx_healthy_hover.bin.xz"
     done = without(folder, "calibrate", str(healthy), "-o", str(tmp_path / "v.toml"), CC="nonesuch")
-    if "no native code for such a vehicle" not in done.stderr:  # where only hexarotors were built
+    if "no native code for such a vehicle" not in done.stderr.lower():  # where only hexarotors were built
         assert done.returncode == 0, done.stderr
 
 
@@ -224,7 +222,7 @@ def test_without_native_code_one_sentence_says_what_is_missing(tmp_path):
     done = without(tmp_path, "diagnose", str(SAMPLE), CC="nonesuch")
     (line,) = done.stderr.strip().splitlines()
     assert done.returncode == 2 and "JAX" in line and "pip install" in line
-    done = without(tmp_path, "survive", "ardupilot-quad-x")
+    done = without(tmp_path, "survive", "--vehicle", "ardupilot-quad-x", "--quiet")
     (line,) = done.stderr.strip().splitlines()
     assert done.returncode == 2 and "pip install" in line and "please report" not in line
 

@@ -23,7 +23,7 @@ def test_f(above, below):
 
 def test_normal():
     x = np.linspace(-30.0, 10.0, 81)
-    np.testing.assert_allclose(tails.normal_cdf(x), special.ndtr(x), rtol=1e-12)
+    np.testing.assert_allclose(tails.normal_cdf(x), special.ndtr(x), rtol=1e-11)
     assert isinstance(float(tails.normal_cdf(0.3)), float)
     far = np.concatenate([-np.geomspace(1e-3, 1e4, 60), np.geomspace(1e-3, 30.0, 20)])
     np.testing.assert_allclose(tails.log_normal_cdf(far), special.log_ndtr(far), rtol=1e-11, atol=1e-300)

@@ -29,6 +29,8 @@ LEVELS: dict[str, tuple[str, ...]] = {
     "x86-64": (),
 }
 BASELINE = ""
+# Names that programs do not hold: the package's version, and what is raised.
+NOTHING = ("__init__.py", "errors.py")
 
 
 def target() -> str:
@@ -59,8 +61,10 @@ def files_of(roots: Iterable[str], alone: Iterable[str]) -> list[str]:
             continue
         followed.add(path)
         for module, constants in _imports(path):
+            if module.relative_to(HOME).as_posix() in NOTHING:
+                continue
             found.add(module)
-            if not constants and module != HOME / "__init__.py":
+            if not constants:
                 waiting.append(module)
     return sorted(path.relative_to(HOME).as_posix() for path in found | followed)
 

@@ -30,7 +30,8 @@ def log_normal_cdf(x):
     w = far**-2
     series = np.log1p(-w * (1.0 - 3.0 * w * (1.0 - 5.0 * w * (1.0 - 7.0 * w))))
     below = -0.5 * far**2 - np.log(-far) - 0.5 * math.log(2.0 * math.pi) + series
-    return np.where(x < -FAR, below, np.log(np.maximum(normal_cdf(x), TINY)))
+    near = np.where(x > 0.0, np.log1p(-normal_cdf(-np.abs(x))), np.log(np.maximum(normal_cdf(x), TINY)))
+    return np.where(x < -FAR, below, near)
 
 
 def normal_quantile(share: float, low: float) -> float:
@@ -68,7 +69,7 @@ def beta_share(a: float, b: float, x: float) -> float:
 def student_cdf(x: float, dof: float) -> float:
     """P(t < x) of Student's t with dof degrees of freedom."""
     square = x * x
-    if square < dof:  # near 0 the other end of the same function keeps all digits
+    if square < min(dof, 1.0):  # near 0 the other end of the same function keeps all digits
         tail = 0.5 - 0.5 * beta_share(0.5, 0.5 * dof, square / (dof + square))
     else:
         tail = 0.5 * beta_share(0.5 * dof, 0.5, dof / (dof + square))
