@@ -10,7 +10,7 @@ RUN python -m venv /opt/rotorwatch && \
 COPY pyproject.toml hatch_build.py README.md LICENSE ./
 COPY src src
 RUN ROTORWATCH_SHIP=portable /opt/build/bin/pip wheel --no-deps --no-build-isolation --wheel-dir /opt/wheels . && \
-    /opt/rotorwatch/bin/pip install --no-cache-dir --no-deps --no-index --find-links /opt/wheels rotorwatch && \
+    /opt/rotorwatch/bin/pip install --no-cache-dir --no-deps --no-index /opt/wheels/rotorwatch-*-linux_*.whl && \
     /opt/rotorwatch/bin/rotorwatch --version
 
 FROM python:3.13-slim-bookworm
