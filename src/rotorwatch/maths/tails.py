@@ -76,6 +76,12 @@ def student_cdf(x: float, dof: float) -> float:
     return tail if x < 0.0 else 1.0 - tail
 
 
+def student_density(x, dof: float):
+    """Density of Student's t with dof degrees of freedom, at each x."""
+    size = math.lgamma(0.5 * (dof + 1.0)) - math.lgamma(0.5 * dof) - 0.5 * math.log(dof * math.pi)
+    return np.exp(size - 0.5 * (dof + 1.0) * np.log1p(np.square(x) / dof))
+
+
 def f_tail(x: float, above: float, below: float) -> float:
     """P(F > x) of F with `above` and `below` degrees of freedom, x >= 0."""
     return beta_share(0.5 * below, 0.5 * above, below / (below + above * x))

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch.errors import ConfigError
-from rotorwatch.maths.tails import student_cdf
+from rotorwatch.maths.tails import student_cdf, student_density
 
 # q, and its prior: what wanders is believed to unless the data say otherwise, as a walk taken for white noise makes false trends.
 WHITE = (0.0, 0.25, 1.0, 4.0, 16.0, 64.0, 256.0, 1024.0)
@@ -65,13 +65,16 @@ def slope(time: np.ndarray, values: np.ndarray, step: float) -> Slope:
 
     def quantile(share):
         low, high = (mean - 1e3 * spread).min(), (mean + 1e3 * spread).max()
-        while high - low > 1e-12 * max(abs(low), abs(high)):
-            middle = 0.5 * (low + high)
-            if middle in (low, high):
-                break
-            below = sum(w * student_cdf((middle - m) / s, N - 2) for w, m, s in zip(weight, mean, spread, strict=True))
-            low, high = (middle, high) if below < share else (low, middle)
-        return float(0.5 * (low + high))
+        at = float(weight @ mean)
+        while True:  # Newton's steps, halves where one would leave the bracket
+            z = (at - mean) / spread
+            below = float(weight @ [student_cdf(v, N - 2) for v in z])
+            low, high = (at, high) if below < share else (low, at)
+            step = (share - below) / float((weight / spread) @ student_density(z, N - 2))
+            after = at + step if low < at + step < high else 0.5 * (low + high)
+            if abs(after - at) <= 1e-10 * (spread.min() + abs(at)) or after in (low, high):
+                return float(after)
+            at = after
 
     tail = 0.5 * (1.0 - COVERED)
     return Slope(float(weight @ mean), quantile(tail), quantile(1.0 - tail))
