@@ -90,6 +90,7 @@ OPS = [
     lambda p, r: matrix(p, r)[1:4, ::2],
     lambda p, r: jnp.concatenate([vector(p, r)[:2], vector(p, r)[2:]]),
     lambda p, r: jnp.stack([vector(p, r), vector(p, r)], axis=int(r.integers(2))),
+    lambda p, r: jnp.concatenate(jnp.unstack(matrix(p, r), axis=int(r.integers(2)))[::-1])[:3] * 0.5,
     lambda p, r: matrix(p, r).T.reshape(-1)[:12].reshape(4, 3),
     lambda p, r: jnp.pad(vector(p, r), (1, 2))[: N + 2],
     lambda p, r: jnp.roll(vector(p, r), int(r.integers(N))),

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from rotorwatch import files
-from rotorwatch.errors import ConfigError
+from rotorwatch import files, optional
 from rotorwatch.fleet.store import Store
 
 PART = 10_000
@@ -13,11 +12,7 @@ PART = 10_000
 
 def export(store: Store, folder: str | Path) -> list[Path]:
     """Write FOLDER/flights.parquet, aircraft.parquet, rotors.parquet and services.parquet, each in one step; returns the paths."""
-    try:
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-    except ImportError:
-        raise ConfigError('Parquet files need pyarrow: pip install "rotorwatch[parquet]".') from None
+    pa, pq = (optional.library(name, "A Parquet file") for name in ("pyarrow", "pyarrow.parquet"))
     folder = files.folder(folder, "--out")
     name, text, whole, real = pa.field, pa.string(), pa.int64(), pa.float64()
     kinds = {

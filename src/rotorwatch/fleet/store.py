@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from rotorwatch import optional
 from rotorwatch.errors import ConfigError, StoreError
 
 WAIT_S = 30.0  # for another writer
@@ -90,12 +91,9 @@ class Store:
     `default_url`. make: whether a file that is not there is made. Raises StoreError, or ConfigError for an address that is none."""
 
     def __init__(self, url: str | os.PathLike | None = None, make: bool = True):
-        try:
-            import sqlalchemy as sa
+        sa = optional.library("sqlalchemy", "A store of flights")
+        from rotorwatch.fleet import tables
 
-            from rotorwatch.fleet import tables
-        except ImportError:
-            raise ConfigError('A store of flights needs SQLAlchemy: pip install "rotorwatch[fleet]".') from None
         self._sa, self._t = sa, tables
         self.url, self.label = _address(url)
         self._lite = self.url.startswith("sqlite")
@@ -516,7 +514,9 @@ def _engine(sa: Any, url: str, lite: bool) -> Any:
             return sa.create_engine(url, connect_args=args, pool_pre_ping=True)
         engine = sa.create_engine(url, connect_args={"timeout": WAIT_S})
     except ImportError:
-        raise ConfigError('A store in PostgreSQL needs psycopg: pip install "rotorwatch[postgres]".') from None
+        raise ConfigError(
+            'A store in PostgreSQL needs psycopg, which is not installed: pip install "psycopg[binary]".'
+        ) from None
 
     # SQLite's Python driver would begin transactions late and leave tables out of them: they are begun here, at once for writers.
     @sa.event.listens_for(engine, "connect")

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from rotorwatch import checks
+from rotorwatch import checks, optional
 from rotorwatch.errors import ConfigError
 
 GIVE_UP_S = 2  # for connections that do not end by themselves when the server is stopped
@@ -44,11 +44,8 @@ def serve(
     record links in; listen_only: nothing is sent to vehicles. ready: called with the page's address once it can be opened; every
     RotorwatchError is raised before that.
     """
-    try:
-        import starlette  # noqa: F401
-        import uvicorn  # noqa: F401
-    except ImportError:
-        raise ConfigError('The page needs Starlette and uvicorn: pip install "rotorwatch[serve]".') from None
+    for name in ("starlette", "uvicorn"):
+        optional.library(name, "The page")
     from rotorwatch.serve import security
     from rotorwatch.serve.app import application
     from rotorwatch.serve.flights import Flights

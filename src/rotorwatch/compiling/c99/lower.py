@@ -191,6 +191,15 @@ def _split(graph, x, params, outvars):
     return out
 
 
+def _unstack(graph, x, params, outvars):
+    axis, out = params["axis"], []
+    for at, var in enumerate(outvars):
+        start = [at if k == axis else 0 for k in range(len(x[0].shape))]
+        stop = [at + 1 if k == axis else n for k, n in enumerate(x[0].shape)]
+        out.append(graph.reshaped(graph.sliced(x[0], start, stop), var.aval.shape))
+    return out
+
+
 def _reshape(graph, x, params, outvars):
     return graph.reshaped(x[0], outvars[0].aval.shape)
 
@@ -487,7 +496,8 @@ SPECIAL = {
     "add": _add, "add_any": _add,
     "convert_element_type": _convert, "integer_pow": _integer_pow, "pow": _pow, "round": _round, "select_n": _select, "clamp": _clamp,
     "broadcast_in_dim": _broadcast, "slice": _slice, "split": _split, "reshape": _reshape, "squeeze": _reshape,
-    "expand_dims": _reshape, "stack": _stack, "pad": _pad, "tile": _tile, "iota": _iota, "gather": _gather, "dynamic_slice": _dynamic_slice,
+    "expand_dims": _reshape, "stack": _stack, "unstack": _unstack,
+    "pad": _pad, "tile": _tile, "iota": _iota, "gather": _gather, "dynamic_slice": _dynamic_slice,
     "dynamic_update_slice": _dynamic_update_slice, "scatter": _scatter("set"),
     "transpose": lambda graph, x, params, outvars: graph.transposed(x[0], params["permutation"]),
     "rev": lambda graph, x, params, outvars: graph.reversed(x[0], params["dimensions"]),
