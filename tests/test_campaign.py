@@ -561,7 +561,9 @@ def test_an_empty_table_is_refused():
 def test_the_command(tmp_path, monkeypatch):
     monkeypatch.setattr(work.batch, "width", lambda: 4)
     monkeypatch.setattr(
-        campaign, "run", lambda *a: work.run(*a, judge=lambda *b: made([broken(flight=k) for k in b[1]]).to_pylist())
+        campaign,
+        "run",
+        lambda *a, **k: work.run(*a, judge=lambda *b: made([broken(flight=k) for k in b[1]]).to_pylist(), **k),
     )
     command = ["campaign", str(written(tmp_path)), "--flights", "9", "--jobs", "1", "-o", str(tmp_path / "out")]
     done = CliRunner().invoke(cli.cli, command, catch_exceptions=False)

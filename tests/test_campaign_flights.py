@@ -8,7 +8,7 @@ import pytest
 import rotorwatch
 from rotorwatch import backend, campaign
 from rotorwatch.campaign import batch, methods, score, work
-from rotorwatch.compiling import native, run
+from rotorwatch.compiling import run, toolchain
 from rotorwatch.motion.ticks import LEARN
 from rotorwatch.published import log_plant, published
 from rotorwatch.simulation import simulate
@@ -96,9 +96,9 @@ def test_native_code_and_jax_judge_alike(plan, rows, monkeypatch):
 
 def test_no_compiler_no_native_code(monkeypatch):
     def missing():
-        raise native.Unavailable("none")
+        raise toolchain.Unavailable("none")
 
-    monkeypatch.setattr(native, "compiler", missing)
+    monkeypatch.setattr(toolchain, "compiler", missing)
     monkeypatch.delenv("ROTORWATCH_BACKEND", raising=False)
     assert methods.engine() == "jax"
 
@@ -221,7 +221,7 @@ def test_the_width_follows_the_device(monkeypatch):
     monkeypatch.setenv("ROTORWATCH_BACKEND", "jax")
     assert batch.where() == "on the processor, 32 flights side by side"
     monkeypatch.delenv("ROTORWATCH_BACKEND")
-    monkeypatch.setattr(native, "compiler", lambda: "cc")
+    monkeypatch.setattr(toolchain, "compiler", lambda: "cc")
     assert batch.where() == "on the processor, 32 flights side by side, estimators as native code"
     monkeypatch.setattr(Device, "kind", "gpu")
     assert batch.width() == batch.ACCELERATOR_WIDTH and work._processes(3) == work._processes() == 1
