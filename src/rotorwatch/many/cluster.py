@@ -19,6 +19,7 @@ import uuid
 import warnings
 from collections import deque
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from typing import Any
 
 from rotorwatch import __version__, optional
@@ -87,11 +88,11 @@ def run(function: Callable, tasks: Iterator[Task], scheduler: str) -> Iterator[D
                 )
                 again.extend(task for _, task in flying.values())
                 flying.clear()
-                client.close(timeout=1)
+                _close(client, 1.0)
                 client = None
     finally:
         if client is not None:
-            client.close(timeout=ANSWER_S)
+            _close(client, ANSWER_S)
 
 
 def _connected(scheduler: str, patience_s: float) -> Any:
@@ -111,6 +112,12 @@ def _connected(scheduler: str, patience_s: float) -> Any:
             time.sleep(0.5)
 
 
+def _close(client: Any, timeout: float) -> None:
+    """Leave the scheduler. A client whose scheduler is lost may be connecting again meanwhile, which then fails: that is no concern."""
+    with suppress(OSError, asyncio.TimeoutError, RuntimeError):
+        client.close(timeout=timeout)
+
+
 class _Room:
     """How many items may be in flight; workers are counted now and then, and missed when there are none for long."""
 
@@ -123,7 +130,7 @@ class _Room:
         if now - self.counted > COUNT_S:
             try:
                 self.workers = sum(self.client.nthreads().values())
-            except (OSError, asyncio.TimeoutError, ValueError, AttributeError):  # lost, as its tasks will tell
+            except (OSError, asyncio.TimeoutError, RuntimeError, ValueError, AttributeError):  # lost, as its tasks will tell
                 pass
             self.counted = now
             if self.workers:
