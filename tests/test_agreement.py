@@ -63,7 +63,7 @@ def test_simulated_flights(frame):
     answers.append(rw.diagnose(flights[1].until(12.0)))  # hardly judged
     assert {a.verdict for a in answers} >= {"healthy", "fault", "inconclusive"}
     plotted = [
-        a if k % 4 == 1 else replace(a, trace=None) for k, a in enumerate(answers)
+        a if k in (1, 5) else replace(a, trace=None) for k, a in enumerate(answers)
     ]  # pages without plots are made faster
     assert {f"{k}: {fault}" for k, a in enumerate(plotted) for fault in walk(a)} == set()
 
@@ -174,7 +174,7 @@ def small(diagnosis, plotted=True):
 def test_any_events(part):
     seeds = range(25 * part, 25 * part + 25)
     assert {
-        f"{seed}: {fault}" for seed in seeds for fault in walk(small(random_answer(seed), seed % 10 == 0), flown=False)
+        f"{seed}: {fault}" for seed in seeds for fault in walk(small(random_answer(seed), seed % 25 == 0), flown=False)
     } == set()
 
 
