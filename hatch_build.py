@@ -1,7 +1,7 @@
 """The build of the package: native code of the default method goes into the wheel, so that JAX is not needed to run it.
 
 `pip install .` and `pip install -e .` build for this computer, or take what they built of the same sources before; without a C compiler the
-package comes without native code, and JAX (the extra `research`) does the work. Environment: ROTORWATCH_SHIP=portable builds for every
+package comes without native code and needs JAX and SciPy, which do the work instead. Environment: ROTORWATCH_SHIP=portable builds for every
 processor of this kind (wheels that are given away), ROTORWATCH_SHIP=none builds nothing.
 """
 
@@ -18,6 +18,8 @@ from pathlib import Path
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 TRACING = ["numpy>=1.26", "jax>=0.4.35"]
+# What runs where there is no native code; also in the extra `research`.
+INSTEAD = ["jax>=0.4.35", "scipy>=1.11"]
 HERE = Path("rotorwatch") / "compiling" / "built"
 
 
@@ -51,7 +53,10 @@ class ShippedCode(BuildHookInterface):
 
     def initialize(self, version: str, build_data: dict) -> None:
         """Build, and add the result to the wheel; of an editable installation put it beside the sources."""
-        if self.target_name != "wheel" or os.environ.get("ROTORWATCH_SHIP") == "none":
+        if self.target_name != "wheel":
+            return
+        if os.environ.get("ROTORWATCH_SHIP") == "none":
+            build_data["dependencies"] = [*build_data.get("dependencies", ()), *INSTEAD]
             return
         self._folder = Path(tempfile.mkdtemp(prefix="rotorwatch-ship-"))
         options = ["--portable"] if self.portable else []
@@ -62,9 +67,8 @@ class ShippedCode(BuildHookInterface):
         )  # fmt: skip
         if done.returncode:
             said = (done.stdout.strip() or done.stderr.strip() or "nothing said").splitlines()[-1]
-            self.app.display_warning(
-                f"No native code in this package ({said}) The extra research brings JAX, which runs instead."
-            )
+            self.app.display_warning(f"No native code in this package ({said}) It needs JAX and SciPy instead.")
+            build_data["dependencies"] = [*build_data.get("dependencies", ()), *INSTEAD]
             return
         if version == "editable":
             beside = Path(self.root) / "src" / HERE

@@ -5,6 +5,7 @@ import os
 import shutil
 import subprocess
 import sys
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -166,6 +167,7 @@ def test_a_processor_gets_what_it_runs(tmp_path, monkeypatch):
 # What refuses to be imported, as if it were not installed; and the place of the native code.
 WITHOUT = """
 import sys
+import zipfile
 from pathlib import Path
 class Refused:
     def find_spec(self, name, path=None, target=None):
@@ -236,3 +238,33 @@ def test_asking_the_cache_needs_nothing_but_python(tmp_path):
         pytest.skip("needs a C compiler")
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines()[1] == "False" and toolchain.folder()
+
+
+def test_a_package_without_native_code_brings_jax(tmp_path):
+    """On a computer without a compiler `pip install .` still gives something that runs."""
+    root = Path(__file__).parents[1]
+    environment = {k: v for k, v in os.environ.items() if k not in ("CC", "ROTORWATCH_SHIP")} | {"PATH": str(tmp_path)}
+    line = [
+        sys.executable,
+        "-m",
+        "pip",
+        "wheel",
+        "-q",
+        "--no-deps",
+        "--no-build-isolation",
+        "-w",
+        str(tmp_path),
+        str(root),
+    ]
+    subprocess.run(line, env=environment, check=True, capture_output=True)
+    (wheel,) = tmp_path.glob("*-py3-none-any.whl")
+    with zipfile.ZipFile(wheel) as parts:
+        names = parts.namelist()
+        metadata = parts.read(next(name for name in names if name.endswith("METADATA"))).decode()
+    assert not [name for name in names if "compiling/built" in name]
+    needed = {
+        line.split()[1].split(">")[0]
+        for line in metadata.splitlines()
+        if line.startswith("Requires-Dist") and ";" not in line
+    }
+    assert {"jax", "scipy", "numpy"} <= needed
