@@ -130,8 +130,8 @@ class _Room:
         if now - self.counted > COUNT_S:
             try:
                 self.workers = sum(self.client.nthreads().values())
-            except (OSError, asyncio.TimeoutError, RuntimeError, ValueError, AttributeError):  # lost, as its tasks will tell
-                pass
+            except (OSError, asyncio.TimeoutError, RuntimeError, ValueError, AttributeError):
+                pass  # lost, as its tasks will tell
             self.counted = now
             if self.workers:
                 self.seen = now
