@@ -23,7 +23,6 @@ from rotorwatch.errors import ConfigError, RotorwatchError, WorkerError
 
 OUTCOMES = ("read", "read with warnings", "rejected with a sentence", "FAILED")
 KEPT_FAILURES = 20
-GRACE_S = 30.0  # beyond a mutation's own time limit: then the worker does not come back and is killed
 
 
 def fuzz(
@@ -212,7 +211,7 @@ class _Limited:
 
 def pool(task: Mutations, mutations: int, jobs: int | None, memory_mb: int):
     """Results from worker processes, in the order they come. A worker that dies or hangs is replaced."""
-    limit_s = task.timeout_s + GRACE_S
+    limit_s = task.timeout_s + limited.GRACE_S
     with tempfile.TemporaryDirectory(prefix="rotorwatch-fuzz-") as root:
         prepare = functools.partial(limited.cap_memory, memory_mb, ("rotorwatch.logs", "rotorwatch.diagnose"))
         work = many.run(_Limited(task, root), range(mutations), jobs, limit_s=limit_s, tries=1, prepare=prepare)
