@@ -44,6 +44,17 @@ def _compiled_programs_go():
         sys.modules["jax"].clear_caches()
 
 
+@pytest.fixture(scope="module")
+def server():
+    """A PostgreSQL server of the tests' own (postgres_server.py)."""
+    pytest.importorskip("psycopg")
+    from postgres_server import Server
+
+    server = Server()
+    yield server
+    server.close()
+
+
 def hexa_trace(duration=60.0, rate=50.0, rotors=6, onset=31.2, detected=31.56, loss=0.37, seed=1):
     """A hovering hexa whose rotor 3 weakens at `onset`; noise as on a calm day."""
     rng = np.random.default_rng(seed)

@@ -11,7 +11,6 @@ from pathlib import Path
 import pytest
 
 from fleet_client import FLIGHTS, entry, fill
-from postgres_server import Server
 from rotorwatch.errors import StoreError
 from rotorwatch.fleet import Store
 
@@ -23,14 +22,6 @@ CLIENT = Path(__file__).parent / "fleet_client.py"
 def tables(url: str) -> dict:
     with Store(url) as store:
         return {name: list(store.rows(name)) for name in store._t.metadata.tables}
-
-
-@pytest.fixture(scope="module")
-def server():
-    pytest.importorskip("psycopg")
-    server = Server()
-    yield server
-    server.close()
 
 
 @pytest.fixture(params=["sqlite", "postgresql"])

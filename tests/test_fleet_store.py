@@ -4,20 +4,11 @@ import json
 
 import pytest
 
-from postgres_server import Server
 from rotorwatch.errors import ConfigError, StoreError
 from rotorwatch.fleet import Entry, Store, default_url
 from rotorwatch.fleet import store as module
 
 pytest.importorskip("sqlalchemy")
-
-
-@pytest.fixture(scope="module")
-def server():
-    pytest.importorskip("psycopg")
-    server = Server()
-    yield server
-    server.close()
 
 
 @pytest.fixture(params=["sqlite", "postgresql"])

@@ -41,6 +41,16 @@ class Health:
         return self.lost / max(self.lost + self.taken, 1)
 
 
+def trouble(why: Exception) -> str:
+    """One sentence for what ended the watching; raised again under $ROTORWATCH_DEBUG."""
+    if os.environ.get("ROTORWATCH_DEBUG"):
+        raise why
+    if isinstance(why, RotorwatchError):
+        return str(why)
+    text = " ".join(f"{type(why).__name__}: {why}".split())[:200]
+    return f"an error in rotorwatch itself ({text}); please report it"
+
+
 class Watched:
     """A vehicle by its name. tell: called with each alert, a dict (docs/watch.md)."""
 
@@ -74,14 +84,7 @@ class Watched:
             self._fail(why)
 
     def _fail(self, why: Exception) -> None:
-        if os.environ.get("ROTORWATCH_DEBUG"):
-            raise why
-        text = " ".join(f"{type(why).__name__}: {why}".split())[:200]
-        self.trouble = (
-            str(why)
-            if isinstance(why, RotorwatchError)
-            else f"an error in rotorwatch itself ({text}); please report it"
-        )
+        self.trouble = trouble(why)
         self.say(self.trouble, "error")
 
     def advance(self, complete: float | None = None) -> bool:

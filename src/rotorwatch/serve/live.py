@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import threading
 import time
 from collections import deque
@@ -14,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from rotorwatch.answer import places
-from rotorwatch.errors import ConfigError, RotorwatchError
+from rotorwatch.errors import ConfigError
 from rotorwatch.fleet.store import Entry
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.live import view
@@ -22,7 +21,7 @@ from rotorwatch.live.endpoint import KINDS, is_endpoint, open_endpoint
 from rotorwatch.live.link import Link
 from rotorwatch.live.replay import Replay
 from rotorwatch.live.watch import Source, watch
-from rotorwatch.live.watched import Tell, Watched
+from rotorwatch.live.watched import Tell, Watched, trouble
 from rotorwatch.report import colours, drawing
 from rotorwatch.serve import landed
 from rotorwatch.serve.hub import Hub
@@ -213,14 +212,7 @@ class Guarded:
         self._feed.sample(self, all_is_over=True)
 
     def _fail(self, why: Exception) -> None:
-        if os.environ.get("ROTORWATCH_DEBUG"):
-            raise why
-        text = " ".join(f"{type(why).__name__}: {why}".split())[:200]
-        self.trouble = (
-            str(why)
-            if isinstance(why, RotorwatchError)
-            else f"an error in rotorwatch itself ({text}); please report it"
-        )
+        self.trouble = trouble(why)
         self.ended = True
         self._feed.tell({"type": "error", "vehicle": self.name, "text": self.trouble})
 
