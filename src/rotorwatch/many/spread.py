@@ -65,6 +65,26 @@ def run(
     return processes.run(function, _tasks(items), jobs, limit_s, tries, prepare)
 
 
+def in_order(
+    function: Callable[[Any], Any],
+    items: Iterable[Any],
+    jobs: int | None = None,
+    scheduler: str | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> Iterator[Done]:
+    """A `Done` of every item in their order, as soon as it is its turn; those that come early are kept until then. Arguments as for
+    `run`; progress: called with the number of finished items."""
+    early: dict[int, Done] = {}
+    following = 0
+    for finished, done in enumerate(run(function, items, jobs, scheduler), start=1):
+        early[done.index] = done
+        if progress:
+            progress(finished)
+        while following in early:
+            yield early.pop(following)
+            following += 1
+
+
 def ordered(
     function: Callable[[Any], Any],
     items: Sequence[Any],
@@ -72,17 +92,8 @@ def ordered(
     scheduler: str | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> Iterator[Any]:
-    """The values of all items in their order, as soon as it is their turn; those that come early are kept until then. Arguments as for
-    `run`; progress: called with the number of finished items. Raises the first error that comes."""
-    early: dict[int, Any] = {}
-    following = 0
-    for finished, done in enumerate(run(function, items, jobs, scheduler), start=1):
-        early[done.index] = done.result()
-        if progress:
-            progress(finished)
-        while following in early:
-            yield early.pop(following)
-            following += 1
+    """The values of all items in their order; as `in_order`. Raises the first error when it is its turn."""
+    return (done.result() for done in in_order(function, items, jobs, scheduler, progress))
 
 
 def _tasks(items: Iterable[Any]) -> Iterator[Task]:
