@@ -1,0 +1,64 @@
+"""Parts of the C library on board, compiled as firmware compiles them, and run over rows of doubles."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import rotorwatch
+
+SOURCES = Path(rotorwatch.__file__).parent / "embedded_c"
+DRIVERS = Path(__file__).parent / "embedded_c"
+STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wshadow", "-Werror")
+LASTS = 1e300
+
+
+def config(n: int, dt: float = 0.05, output_hz: int = 50) -> str:
+    """rw_config.h of a vehicle with n rotors."""
+    hypotheses = 2 * n + n * (n - 1) // 2 + 9
+    settings = {
+        "ROTORS": n,
+        "PLACES": 4,
+        "HYPOTHESES": hypotheses,
+        "TICK_S": dt,
+        "REACH": 64,
+        "OPPOSITE_PAIRS": max(1, n // 2),
+    }
+    settings |= {"OUTPUT_HZ": output_hz, "OVERRIDES": 64}
+    return "".join(f"#define RW_{name} {value}\n" for name, value in settings.items())
+
+
+def compilers() -> list[str]:
+    """C compilers of this computer; skips without one."""
+    found = [name for name in ("gcc", "clang") if shutil.which(name)]
+    if not found:
+        pytest.skip("no C compiler")
+    return found
+
+
+class Part:
+    """driver: file in tests/embedded_c; sources: of the library. Compiled once for each precision, with sanitizers."""
+
+    def __init__(self, folder: Path, driver: str, sources: tuple[str, ...], n: int, dt: float = 0.05):
+        self._programs = {}
+        (folder / "rw_config.h").write_text(config(n, dt))
+        include = [f"-I{folder}", f"-I{SOURCES}"]
+        files = [str(DRIVERS / driver), *(str(SOURCES / name) for name in sources)]
+        checks = ["-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+        for precision, flags in {"double": [], "float": ["-DROTORWATCH_FLOAT"]}.items():
+            program = folder / precision
+            command = [compilers()[0], *STRICT, *checks, *flags, *include, *files, "-lm", "-o", str(program)]
+            subprocess.run(command, check=True)
+            self._programs[precision] = program
+
+    def run(self, rows: list[np.ndarray], precision: str) -> list[list[list[float]]]:
+        """What was printed, block by block, in numbers."""
+        data = np.concatenate([np.ravel(row).astype(float) for row in rows]).tobytes()
+        done = subprocess.run([str(self._programs[precision])], input=data, capture_output=True, check=False)
+        assert done.returncode == 0, done.stderr.decode()[-2000:]
+        blocks = done.stdout.decode().split("found\n")[1:]
+        return [[[float(x) for x in line.split()] for line in block.splitlines()] for block in blocks]
