@@ -27,6 +27,7 @@ def made_up(rate, outputs, mixer, seed):
     """A flight whose outputs follow a mixer, with gaps, values that are not valid, limits, and one output that gets stuck."""
     rng = np.random.default_rng(seed)
     vehicle = airframes.named("ardupilot-quad-x")
+    assert vehicle.mixer is not None
     vehicle = replace(vehicle, extra={**vehicle.extra, "mixer_expo": 0.3} if rng.random() < 0.5 else vehicle.extra)
     duration = 40.0
     # Whole microseconds, and never the same time twice: at the same time either may have come first.
@@ -51,7 +52,12 @@ def made_up(rate, outputs, mixer, seed):
     signals = {
         "motors": Signal(out, command, COLUMNS, "us", valid=np.repeat(rng.random((len(out), 1)) < 0.99, N, axis=1)),
         "control": Signal(when, control, ("roll", "pitch", "yaw", "thrust"), "1", valid=np.repeat(valid, 4, axis=1)),
-        "lift": Signal([0.0, 15.0], [[1.0, 0.97, 1.0], [1.0, 0.95, 1.0]], ("lift_max", "voltage_ratio", "limit"), "1"),
+        "lift": Signal(
+            np.array([0.0, 15.0]),
+            np.array([[1.0, 0.97, 1.0], [1.0, 0.95, 1.0]]),
+            ("lift_max", "voltage_ratio", "limit"),
+            "1",
+        ),
     }
     return Flight("made", "ArduPilot", signals, duration), vehicle if mixer else replace(vehicle, mixer=None)
 
@@ -96,6 +102,7 @@ def test_comparisons_and_rebuilt_thrusts_are_those_of_python(part, rate, outputs
     theirs = np.column_stack([*theirs, check.demand, check.asked, check.yaw, check.deviation])
     assert ours == pytest.approx(theirs, abs=1e-9)
     mixed = allocation.rebuilt(flight, vehicle, check)
+    assert mixed is not None
     usable = mixed.valid.any(axis=1)
     ours = np.array(found["thrust"])
     assert ours[:, 0] == pytest.approx(mixed.time[usable], abs=1e-12) and len(ours) > 200
