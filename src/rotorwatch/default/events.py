@@ -204,7 +204,7 @@ def _event(record: Record, out, ticks: Ticks, final: int, partners: dict, B) -> 
     own = shares.get(tuple(sorted(rotors)), max(shares.values(), default=0.0))
     paired = len(rotors) == 2 and rotors[1] in partners.get(rotors[0], ()) and len(partners) > 4
     others = [s for s, p in shares.items() if s and (p >= CREDIBLE or record.loss) and set(s) != set(rotors)]
-    hidden = hidden_pairs(record.data, partners) if not record.loss else ()
+    hidden = () if record.loss else tuple(p for p in hidden_pairs(record.data, partners) if set(p) != set(rotors))
     unsure = (
         own < (CERTAIN_OPPOSITE if paired else 1.0 / (1.0 + np.exp(-hypotheses.CLEAR)))
         or bool(hidden)

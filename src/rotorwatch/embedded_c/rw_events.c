@@ -208,6 +208,10 @@ static void onsets_now(rw_events *s, const rw_found *found, rw_time now)
     for (int p = 0; p < RW_PLACES; p++) {
         const int32_t tick = jumped(s, found->onsets[p]);
         int32_t before;
+        if (tick == s->first && tick < reach) { /* nothing has jumped in this flight */
+            made[p] = (rw_onset){s->first_onset, tick, tick - 1};
+            continue;
+        }
         if (tick < reach || (tick < s->tick - RW_REACH && s->announced)) {
             made[p] = s->announced ? nearest(s->onsets, tick) : (rw_onset){command_time(s, reach), reach, reach - 1};
             continue;
@@ -467,7 +471,7 @@ static void told(const rw_record *r, const rw_events *s, const rw_vehicle *v, rw
 {
     const int first = lowest(r->rotors);
     const bool paired = N > 4 && two(r->rotors) && without(r->rotors, BIT(first)) == (without(r->rotors, BIT(first)) & opposite_of(v, first));
-    bool own = false;
+    bool own = false, hidden = false;
     rw_real most = 0;
     memset(e, 0, sizeof *e);
     e->kind = RW_LOSS_OF_EFFECTIVENESS;
@@ -494,7 +498,8 @@ static void told(const rw_record *r, const rw_events *s, const rw_vehicle *v, rw
         if (r->share[i] > most) most = r->share[i];
     }
     if (!own) e->probability = most;
-    if (!r->suspicion && !r->hiding && e->probability >= (paired ? CERTAIN_OPPOSITE : CLEAR_SHARE)) return;
+    for (int j = 0; j < N && !r->suspicion; j++) hidden |= (r->hiding & BIT(j)) && (rw_rotors)(BIT(j) | BIT(r->hider)) != r->rotors;
+    if (!r->suspicion && !hidden && e->probability >= (paired ? CERTAIN_OPPOSITE : CLEAR_SHARE)) return;
     for (int j = 0; j < N && !r->suspicion; j++) {
         if (r->hiding & BIT(j)) name(e, (rw_rotors)(BIT(j) | BIT(r->hider)));
     }
