@@ -12,7 +12,8 @@ from rotorwatch.default import bank, events
 
 FOLDER = Path(rotorwatch.__file__).parent / "embedded_c"
 WARNINGS = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wdouble-promotion", "-Wshadow", "-Werror")
-SANITIZERS = ("-fsanitize=undefined", "-fno-sanitize-recover=all")
+# Without their library: what is undefined, or beyond an array, ends the process.
+SANITIZERS = ("-fsanitize=undefined,bounds", "-fsanitize-undefined-trap-on-error")
 
 
 def config(B, dt=0.05, output_hz=50):
@@ -35,7 +36,7 @@ def library(folder, sources, driver, B, single=False, compiler="gcc", **settings
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "rw_config.h").write_text(config(B, **settings))
     (folder / "driver.c").write_text(driver)
-    flags = [*WARNINGS, *SANITIZERS, "-O1", "-fPIC", "-shared", *(["-DROTORWATCH_FLOAT"] if single else [])]
+    flags = [*WARNINGS, *(SANITIZERS if compiler == "gcc" else ()), "-O1", "-fPIC", "-shared", *(["-DROTORWATCH_FLOAT"] if single else [])]
     files = [*(str(FOLDER / name) for name in sources), str(folder / "driver.c")]
     target = folder / "onboard.so"
     command = [found, *flags, f"-I{folder}", f"-I{FOLDER}", *files, "-lm", "-o", str(target)]

@@ -1,12 +1,11 @@
 """Losses as the C on board writes them down, tick by tick: those that default/events.py reads from the same ticks."""
 
-import ctypes
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from onboard_c import doubles, library
 
+from onboard_c import doubles, library
 from rotorwatch import airframes
 from rotorwatch.default import events, hypotheses
 from rotorwatch.default.plant import lower_rotors
@@ -84,7 +83,6 @@ int told(int count, const double *effectiveness, int coaxial, const double *rows
 }
 """
 FRAMES = {name: airframes.named(f"ardupilot-{name}").effectiveness() for name in ("quad-x", "hexa-x", "octaquad-x")}
-WORDS = {(frame, single): None for frame in FRAMES for single in (False, True)}
 
 
 @pytest.fixture(scope="module")
@@ -92,12 +90,12 @@ def built(tmp_path_factory):
     """The C of a frame, double or single."""
     known = {}
 
-    def of(frame, single=False):
-        if (frame, single) not in known:
-            known[frame, single] = library(
-                tmp_path_factory.mktemp("events"), ["rw_events.c"], DRIVER, FRAMES[frame], single
-            )
-        return known[frame, single]
+    def of(frame, single=False, compiler="gcc"):
+        what = frame, single, compiler
+        if what not in known:
+            folder = tmp_path_factory.mktemp("events")
+            known[what] = library(folder, ["rw_events.c"], DRIVER, FRAMES[frame], single, compiler)
+        return known[what]
 
     return of
 
@@ -124,7 +122,10 @@ def mask(rotors):
 
 def in_python(out, ticks, B, count):
     """The same of default/events.py."""
-    cut = lambda columns: SimpleNamespace(**{k: v[:count] if np.ndim(v) else v for k, v in vars(columns).items()})
+
+    def cut(columns):
+        return SimpleNamespace(**{k: v[:count] if np.ndim(v) else v for k, v in vars(columns).items()})
+
     rows = []
     for e in events.read(cut(out), cut(ticks), hypotheses.make(B.shape[1]), B):
         row = np.zeros(ROW)
@@ -207,7 +208,7 @@ def flight(B, seed, count=420, dt=0.05):
 def test_every_event_at_every_moment_is_what_python_says(built, frame):
     """Flights of anything an estimator may say: the same events after any number of ticks, in double precision."""
     B, seen = FRAMES[frame], 0
-    for seed in range(40):
+    for seed in range(20):
         out, ticks = flight(B, seed)
         for count in (*np.random.default_rng(seed).integers(20, 420, 5).tolist(), 420):
             wanted = in_python(out, ticks, B, count)
@@ -217,4 +218,45 @@ def test_every_event_at_every_moment_is_what_python_says(built, frame):
             assert got.shape == wanted.shape, (seed, count)
             np.testing.assert_allclose(got, wanted, rtol=1e-9, atol=1e-9, err_msg=f"{seed}, {count} ticks")
             seen += len(wanted)
-    assert seen > 200
+    assert seen > 100
+
+
+def test_single_precision_tells_the_same_events(built):
+    """Times are double in both: the same; shares and losses to six digits."""
+    B = FRAMES["quad-x"]
+    for seed in range(20):
+        out, ticks = flight(B, seed)
+        got, wanted = (in_c(built("quad-x", single), out, ticks, B, 420) for single in (True, False))
+        assert got.shape == wanted.shape
+        exact = [1, 4, *range(17, ROW)]  # detected, rotors, alternatives
+        np.testing.assert_array_equal(got[:, exact], wanted[:, exact])
+        np.testing.assert_allclose(got, wanted, rtol=2e-6, atol=2e-6)
+
+
+def test_another_compiler_agrees(built):
+    B = FRAMES["quad-x"]
+    out, ticks = flight(B, 1)
+    np.testing.assert_array_equal(
+        in_c(built("quad-x", compiler="clang"), out, ticks, B, 420), in_c(built("quad-x"), out, ticks, B, 420)
+    )
+
+
+def test_of_more_losses_than_there_is_room_for_the_last_are_kept(built):
+    """Forty losses that end and come again, of which twelve are kept: the last ones, as they are."""
+    B, count = FRAMES["quad-x"], 900
+    out, ticks = flight(B, 3, count)
+    out.announced[:], out.active[:], out.opposite[:] = False, False, -1
+    ticks.mode[:], ticks.restart[:] = JUDGE, np.arange(count) == 0
+    for k in range(20, count, 10):
+        out.announced[k] = True
+        out.since[k:] = 3 + np.arange(count - k)
+        out.onsets[k:] = out.since[k:, None]
+        out.active[k:, 0, 1], out.share[k:] = k % 20 == 0, np.eye(PLACES)[0]
+    wanted, got = in_python(out, ticks, B, count), in_c(built("quad-x"), out, ticks, B, count)
+    assert len(wanted) == 44 and len(got) == 12
+    np.testing.assert_allclose(got, wanted[-12:], rtol=1e-9)
+
+
+def test_it_is_small(built):
+    """Of a quadrotor in single precision: what the whole diagnoser may take on board is 32 kB."""
+    assert built("quad-x", single=True).bytes() < 6000

@@ -167,8 +167,8 @@ def _parted(record: Record, gone: tuple[int, ...]) -> Record:
 
 
 def _usual(record: Record, theta: np.ndarray, mode: np.ndarray) -> int:
-    """The tick whose estimate of `theta` (T,) is what a loss that is over was for most of its time: the middle one of ESTIMATES of its
-    judged ticks at most, each a power of two of them after the one before."""
+    """The tick whose estimate of `theta` (T,) is what a loss that is over was for most of its time: the middle one (of two, the smaller) of
+    ESTIMATES of its judged ticks at most, each a power of two of them after the one before."""
     seen = record.known + np.flatnonzero(mode[record.known : record.told] == JUDGE)
     if not seen.size:
         return record.last
@@ -178,7 +178,7 @@ def _usual(record: Record, theta: np.ndarray, mode: np.ndarray) -> int:
     seen = seen[::step]
     seen = seen[seen <= max(record.last, seen[0])]
     course = theta[seen]
-    return int(seen[np.argmin(np.abs(course - np.median(course)))])
+    return int(seen[np.argmax(course == np.sort(course)[(course.size - 1) // 2])])
 
 
 def sd_of(theta: np.ndarray, sd: np.ndarray, B: np.ndarray | None = None) -> np.ndarray:

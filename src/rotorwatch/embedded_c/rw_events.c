@@ -138,11 +138,11 @@ static void pushed(rw_course *c, int32_t tick, rw_real theta, rw_real sd)
     c->seen++;
 }
 
-/* What a loss that is over was for most of its time: where the first of its rotors was nearest to its median up to the tick `last`. */
+/* What a loss that is over was for most of its time: where the first of its rotors was at its median up to the tick `last`. */
 static void usual(rw_record *r, const rw_course *courses, int32_t last)
 {
     const rw_course *const first = &courses[lowest(r->rotors)];
-    rw_real ordered[RW_ESTIMATES], median, least = 0;
+    rw_real ordered[RW_ESTIMATES];
     int count = 0, best = 0;
     for (int i = 0; i < first->kept && (i == 0 || first->tick[i] <= last); i++) {
         int j = count++;
@@ -150,14 +150,7 @@ static void usual(rw_record *r, const rw_course *courses, int32_t last)
         ordered[j] = first->theta[i];
     }
     if (count == 0) return;
-    median = count % 2 ? ordered[count / 2] : R(0.5) * (ordered[count / 2 - 1] + ordered[count / 2]);
-    for (int i = 0; i < count; i++) {
-        const rw_real apart = magnitude(first->theta[i] - median);
-        if (i == 0 || apart < least) {
-            least = apart;
-            best = i;
-        }
-    }
+    while (first->theta[best] < ordered[(count - 1) / 2] || first->theta[best] > ordered[(count - 1) / 2]) best++;
     for (int k = 0, place = 0; k < N && place < RW_TOGETHER; k++) {
         if (r->rotors & BIT(k)) {
             r->loss[place] = courses[k].theta[best];
@@ -186,7 +179,7 @@ static rw_time command_time(const rw_events *s, int32_t tick)
 /* The tick of a jump `since` ticks ago, not before this flight. */
 static int32_t jumped(const rw_events *s, rw_real since)
 {
-    const int32_t tick = since < R(1e9) ? s->tick - (int32_t)(since + R(0.5)) : s->first;
+    const int32_t tick = since >= 0 && since < R(1e9) ? s->tick - (int32_t)(since + R(0.5)) : s->first;
     return tick > s->first ? tick : s->first;
 }
 
