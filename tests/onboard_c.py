@@ -9,6 +9,7 @@ import pytest
 
 import rotorwatch
 from rotorwatch.default import bank, events
+from rotorwatch.motion.contact import look_back
 
 FOLDER = Path(rotorwatch.__file__).parent / "embedded_c"
 WARNINGS = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wdouble-promotion", "-Wshadow", "-Werror")
@@ -23,7 +24,7 @@ def config(B, dt=0.05, output_hz=50):
     pairs = sum(map(len, events.opposites(B).values())) // 2
     values = {
         "ROTORS": n, "PLACES": 4, "HYPOTHESES": 2 * n + n * (n - 1) // 2 + 9, "TICK_S": dt, "OUTPUT_HZ": output_hz,
-        "REACH": bank.SLOTS * stride, "OPPOSITE_PAIRS": max(1, pairs),
+        "REACH": bank.SLOTS * stride, "OPPOSITE_PAIRS": max(1, pairs), "TICKS_BEFORE": look_back(dt),
     }  # fmt: skip
     return "".join(f"#define RW_{name} {value}\n" for name, value in values.items())
 
@@ -36,7 +37,14 @@ def library(folder, sources, driver, B, single=False, compiler="gcc", **settings
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "rw_config.h").write_text(config(B, **settings))
     (folder / "driver.c").write_text(driver)
-    flags = [*WARNINGS, *(SANITIZERS if compiler == "gcc" else ()), "-O1", "-fPIC", "-shared", *(["-DROTORWATCH_FLOAT"] if single else [])]
+    flags = [
+        *WARNINGS,
+        *(SANITIZERS if compiler == "gcc" else ()),
+        "-O1",
+        "-fPIC",
+        "-shared",
+        *(["-DROTORWATCH_FLOAT"] if single else []),
+    ]
     files = [*(str(FOLDER / name) for name in sources), str(folder / "driver.c")]
     target = folder / "onboard.so"
     command = [found, *flags, f"-I{folder}", f"-I{FOLDER}", *files, "-lm", "-o", str(target)]

@@ -8,6 +8,7 @@
      RW_HYPOTHESES      of the estimator, see rw_found
      RW_TICK_S          length of a tick, s
      RW_REACH           ticks that the estimator's bank looks back
+     RW_TICKS_BEFORE    ticks in half a second
      RW_OPPOSITE_PAIRS  pairs of rotors whose roll and pitch torques cancel, at least 1
      RW_OUTPUT_HZ       the fastest rate at which outputs are fed, Hz */
 #ifndef RW_TYPES_H
