@@ -28,7 +28,14 @@ def config(n: int, dt: float = 0.05, output_hz: int = 50) -> str:
         "REACH": 64,
         "OPPOSITE_PAIRS": max(1, n // 2),
     }
-    settings |= {"OUTPUT_HZ": output_hz, "OVERRIDES": 64, "CONTACTS": 16, "EVENTS": 40}
+    settings |= {
+        "OUTPUT_HZ": output_hz,
+        "OVERRIDES": 64,
+        "CONTACTS": 16,
+        "EVENTS": 40,
+        "PENDING": 64,
+        "MIXER_UNKNOWN": 1,
+    }
     return "".join(f"#define RW_{name} {value}\n" for name, value in settings.items())
 
 
@@ -63,3 +70,14 @@ class Part:
         done = subprocess.run([str(self._program(precision))], input=data, capture_output=True, check=False)
         assert done.returncode == 0, done.stderr.decode()[-2000:]
         return [block.splitlines() for block in done.stdout.decode().split("found\n")[1:]]
+
+
+def vehicle_row(vehicle, air, headroom: float = 0.2) -> list[float]:
+    """The vehicle and when it flew, as drive_mixer.c reads them."""
+    curve, n = vehicle.curve, len(vehicle.rotors)
+    known = vehicle.mixer is not None
+    mixer = vehicle.mixer if known else np.zeros((n, 4))
+    expo = vehicle.extra.get("mixer_expo", curve.expo)
+    rests = bool(vehicle.extra.get("rests_at_minimum", False))
+    numbers = [curve.u_min, curve.u_max, curve.expo, expo, headroom, known, rests, len(air), *np.ravel(air)]
+    return [*np.ravel(vehicle.effectiveness()), *np.ravel(mixer), *map(float, numbers)]

@@ -1,6 +1,7 @@
 """Outputs against the mixer in C: what motion/departures.py finds, sample by sample, in double to the last digits, in float the same."""
 
 import subprocess
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -29,7 +30,7 @@ def flown(n, seed):
     """A flight of n rotors whose outputs get stuck, stop, and part from the mixer: vehicle, comparison, outputs, aloft."""
     rng = np.random.default_rng(seed)
     vehicle = airframes.named(FRAMES[n])
-    vehicle.extra["rests_at_minimum"] = bool(rng.integers(2))
+    vehicle = replace(vehicle, extra={**vehicle.extra, "rests_at_minimum": bool(rng.integers(2))})
     low, span = vehicle.curve.u_min, vehicle.curve.u_max - vehicle.curve.u_min
     m, rate = 1200, 20.0
     time = 3.0 + np.cumsum(rng.uniform(0.7, 1.3, m)) / rate

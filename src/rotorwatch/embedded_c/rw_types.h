@@ -70,7 +70,12 @@ enum rw_verdict {
 /* What is known of the vehicle; const, it may stay in flash. */
 typedef struct {
     rw_real effectiveness[RW_AXES][RW_ROTORS]; /* wrench of each rotor's hover thrust, largest lever 1 (Vehicle.effectiveness) */
+    rw_real mixer[RW_ROTORS][4];               /* thrust of each rotor for roll, pitch, yaw, throttle of the rate controller */
     rw_real u_min, u_max;                      /* output without thrust, and with full thrust, in the outputs' unit */
+    rw_real expo;                              /* thrust curve: (1 - expo) a + expo a^2, a the share of [u_min, u_max] */
+    rw_real mixer_expo;                        /* the same as the autopilot's mixer believes it */
+    rw_real yaw_headroom;                      /* yaw that the mixer always grants (MOT_YAW_HEADROOM / 1000) */
+    bool mixer_known;                          /* mixer holds; else its factors are learned */
     bool coaxial;                              /* rotors in pairs on one arm, one below the other */
     bool rests_at_minimum;                     /* outputs never go below u_min: one at rest there is off (PX4) */
 } rw_vehicle;
