@@ -162,6 +162,17 @@ def test_a_rare_pair_hides_behind_one_rotor_only_where_the_data_prefer_it():
     assert events.hidden_pairs({(0, 2): 0.9, (0,): 0.1}, partners) == ()
 
 
+def test_a_pair_is_not_its_own_alternative():
+    """When it was announced the data did not rule the pair out; later the pair leads, and is sure."""
+    out, opposite = silence(), events.opposites(QUAD)[0][0]
+    announce(out, 100, {(0,): 0.9, (0, opposite): 0.1}, age=3)
+    out.probability[100, HYP.rotors.index((0,))] = 0.99
+    out.probability[100, HYP.rotors.index((0, opposite))] = 0.01
+    explain(out, 150, {(0, opposite): 0.97, (0,): 0.03}, age=53)
+    (event,) = events.read(out, table(), HYP, QUAD)
+    assert event.rotors == (1, opposite + 1) and event.alternatives == ()
+
+
 def test_a_loss_that_is_over_is_as_large_as_it_mostly_was_by_its_first_rotor():
     out = silence()
     announce(out, 100, {(0, 1): 1.0}, age=3)
@@ -325,6 +336,19 @@ def test_opposite_rotors_that_were_suspected_are_found_when_they_were(rotor):
     (event,) = events.read(out, ticks, HYP, QUAD)
     assert event.rotors == (rotor + 1,) and event.loss == (0.3,)
     assert event.detected_s == ticks.time[80] and event.onset_s == pytest.approx(ticks.command_time[70])
+
+
+def test_a_later_suspicion_changes_nothing_that_was_said_before():
+    out, ticks = silence(), table()
+    suspect(out, 80, age=10)
+    announce(out, 120, {(0,): 1.0}, age=3)
+    announce(out, 160, {(): 1.0}, age=3)
+    out.theta[120:160, 0] = 0.3
+    (before,) = events.read(out, ticks, HYP, QUAD)
+    suspect(out, 220, age=10)
+    after, _ = events.read(out, ticks, HYP, QUAD)
+    assert (after.rotors, after.onset_s, after.detected_s) == (before.rotors, before.onset_s, before.detected_s)
+    assert before.loss == (0.3,)  # before it was announced nothing was estimated of it
 
 
 def test_opposite_rotors_that_stay_a_suspicion_may_be_any_such_pair():

@@ -22,19 +22,24 @@ MODEL_SD = 0.004  # rotors that are not equal
 CURVE_SHARE = 0.08
 HIDDEN = 20.0  # times that the data alone must prefer a pair of opposite rotors to be named
 COAXIAL_SHARE = 0.06  # ... how the thrust of a coaxial arm divides: half of what the lower rotors' share may be off by
+# Estimates, evenly spaced, that say what a loss was that is over: so few can be kept on board as they come.
+ESTIMATES = 16
 
 
 @dataclass(eq=False)
 class Record:
     """One loss: rotors (0-based) that failed together and, as far as they did, ended together. shares: probability of each set of rotors
-    that may have failed instead; data: the same as the data alone had it when it was announced; last: tick of its last estimate."""
+    that may have failed instead; data: the same as the data alone had it when it was announced; known, last: ticks of its first and last
+    estimate; told: tick at which its end was known."""
 
     onset: float
     announced: int
     rotors: tuple[int, ...]
     shares: dict[tuple[int, ...], float]
     data: dict[tuple[int, ...], float]
+    known: int
     last: int
+    told: int = 0
     end: float | None = None
     loss: tuple[float, ...] = ()  # of opposite rotors that share a shift of thrust; the others' is in the estimates
 
@@ -101,7 +106,7 @@ def read(out, ticks: Ticks, hyp: Hypotheses, B: np.ndarray | None = None) -> tup
                     records.append(_parted(record, gone))
                     record = records[-1]
                 before_it = int(np.searchsorted(ticks.time, onset)) - 1  # the last estimate that knew nothing of it
-                record.end, record.last = onset, max(record.announced, before_it)
+                record.end, record.told, record.last = onset, k, max(record.announced, before_it)
                 for r in gone:
                     del open_[r]
             new = tuple(sorted(now - before))
@@ -114,9 +119,10 @@ def read(out, ticks: Ticks, hyp: Hypotheses, B: np.ndarray | None = None) -> tup
                 shares = {who: share / sum(shares.values()) for who, share in shares.items()}
                 same = (out.active[k : stop + 1, 0] == out.active[stop, 0]).all(axis=1)
                 found = k + int(np.flatnonzero(~same)[-1]) + 1 if not same.all() else k
-                record = Record(onset, found, new, shares, rotor_sets(hyp, out.probability[k]), last)
-                for suspect in suspected[-1:]:  # what opposite rotors were suspected of is now known
-                    if suspect in records and suspect.announced < k and set(new) <= set().union(*suspect.shares):
+                record = Record(onset, found, new, shares, rotor_sets(hyp, out.probability[k]), found, last)
+                # What opposite rotors were suspected of is now known.
+                for suspect in [s for s in suspected if s.announced < k][-1:]:
+                    if suspect in records and set(new) <= set().union(*suspect.shares):
                         record.onset, record.announced = suspect.onset, suspect.announced
                         records.remove(suspect)
                 records.append(record)
@@ -124,7 +130,7 @@ def read(out, ticks: Ticks, hyp: Hypotheses, B: np.ndarray | None = None) -> tup
             before = now
         if last < len(ticks.time) - 1 and ticks.restart[last + 1 :].any():  # what lasted until the landing
             for record in dict.fromkeys(open_.values()):
-                record.end = float(ticks.time[last])
+                record.end, record.told = float(ticks.time[last]), last + 1
     judged = np.flatnonzero(ticks.mode == JUDGE)
     final = int(judged[-1]) if judged.size else len(ticks.time) - 1
     return tuple(_event(r, out, ticks, final, partners, B) for r in sorted(records, key=lambda r: r.announced))
@@ -148,7 +154,7 @@ def _suspected(out, ticks: Ticks, hyp: Hypotheses, partners: dict, first: int, l
         onset = float(ticks.command_time[max(first, k - round(float(out.opposite_onset[k])))])
         shares = opposite_shares(hyp, out.log_odds[k], partners)
         share = float(np.mean(out.opposite_loss[k]))  # only their sum shows
-        found.append(Record(onset, k, hyp.rotors[out.opposite[k]], shares, shares, k, None, (share, share)))
+        found.append(Record(onset, k, hyp.rotors[out.opposite[k]], shares, shares, k, k, loss=(share, share)))
     return found
 
 
@@ -157,7 +163,22 @@ def _parted(record: Record, gone: tuple[int, ...]) -> Record:
     record.rotors = tuple(r for r in record.rotors if r not in gone)
     record.shares = {record.rotors: 1.0}
     record.data = {}
-    return Record(record.onset, record.announced, gone, {gone: 1.0}, {}, record.last)
+    return Record(record.onset, record.announced, gone, {gone: 1.0}, {}, record.known, record.last)
+
+
+def _usual(record: Record, theta: np.ndarray, mode: np.ndarray) -> int:
+    """The tick whose estimate of `theta` (T,) is what a loss that is over was for most of its time: the middle one (of two, the smaller) of
+    ESTIMATES of its judged ticks at most, each a power of two of them after the one before."""
+    seen = record.known + np.flatnonzero(mode[record.known : record.told] == JUDGE)
+    if not seen.size:
+        return record.last
+    step = 1
+    while seen.size > ESTIMATES * step:
+        step *= 2
+    seen = seen[::step]
+    seen = seen[seen <= max(record.last, seen[0])]
+    course = theta[seen]
+    return int(seen[np.argmax(course == np.sort(course)[(course.size - 1) // 2])])
 
 
 def sd_of(theta: np.ndarray, sd: np.ndarray, B: np.ndarray | None = None) -> np.ndarray:
@@ -174,8 +195,7 @@ def sd_of(theta: np.ndarray, sd: np.ndarray, B: np.ndarray | None = None) -> np.
 def _event(record: Record, out, ticks: Ticks, final: int, partners: dict, B) -> Event:
     k = min(record.last, final)
     if record.end is not None and not record.loss:  # a loss that is over: what it was for most of its time
-        course = out.theta[record.announced : k + 1, record.rotors[0]]
-        k = record.announced + int(np.argmin(np.abs(course - np.median(course))))
+        k = _usual(record, out.theta[:, record.rotors[0]], ticks.mode)
     rotors = record.rotors
     loss = np.array(record.loss) if record.loss else out.theta[k, list(rotors)]
     # Of a shared shift each rotor may hold anything from nothing to all.
@@ -184,7 +204,7 @@ def _event(record: Record, out, ticks: Ticks, final: int, partners: dict, B) -> 
     own = shares.get(tuple(sorted(rotors)), max(shares.values(), default=0.0))
     paired = len(rotors) == 2 and rotors[1] in partners.get(rotors[0], ()) and len(partners) > 4
     others = [s for s, p in shares.items() if s and (p >= CREDIBLE or record.loss) and set(s) != set(rotors)]
-    hidden = hidden_pairs(record.data, partners) if not record.loss else ()
+    hidden = () if record.loss else tuple(p for p in hidden_pairs(record.data, partners) if set(p) != set(rotors))
     unsure = (
         own < (CERTAIN_OPPOSITE if paired else 1.0 / (1.0 + np.exp(-hypotheses.CLEAR)))
         or bool(hidden)

@@ -141,7 +141,12 @@ enum rw_verdict rw_report_verdict(const rw_event *events, int count, bool judged
 }
 
 /* Number of rotors in a set, two at most: those that have a loss of their own. */
-static int losses_of(const rw_event *e) { return e->rotors == 0 ? 0 : (e->rotors & (e->rotors - 1u)) ? 2 : 1; }
+static int losses_of(const rw_event *e)
+{
+    int count = 0;
+    for (int k = 0; k < RW_ROTORS && count < RW_TOGETHER; k++) count += (e->rotors >> k) & 1;
+    return count;
+}
 
 /* Is it of this kind, and, where there are sure ones, sure? */
 static bool counts(const rw_event *e, int kind, bool sure) { return e->kind == kind && !(sure && e->alternative_count); }

@@ -62,9 +62,10 @@ int rw_text_words(const rw_news *news, char *text)
     if (e->kind == RW_LOSS_OF_EFFECTIVENESS) {
         add(&w, "lost ");
         percent(&w, e->loss[0]);
-        if (several(e->rotors)) {
+        for (int k = 0, place = 0; k < RW_ROTORS; k++) {
+            if (!((e->rotors >> k) & 1) || place++ == 0 || place > RW_TOGETHER) continue;
             add(&w, "/");
-            percent(&w, e->loss[1]);
+            percent(&w, e->loss[place - 1]);
         }
         add(&w, " %");
         if (!several(e->rotors)) {

@@ -8,6 +8,7 @@
      RW_HYPOTHESES      of the estimator, see rw_found
      RW_TICK_S          length of a tick, s
      RW_REACH           ticks that the estimator's bank looks back
+     RW_TICKS_BEFORE    ticks in half a second
      RW_OPPOSITE_PAIRS  pairs of rotors whose roll and pitch torques cancel, at least 1
      RW_OUTPUT_HZ       the fastest rate at which outputs are fed, Hz
      RW_MOTION_HZ       the same of gyro and accelerometer */
@@ -111,14 +112,21 @@ typedef struct {
 /* Sets of rotors that an event names beside its own at most. */
 #define RW_ALTERNATIVES (RW_PLACES + 2 + RW_OPPOSITE_PAIRS)
 
-/* One event. loss, lower, upper are of the rotors of the set in their order, two at most. */
+/* Rotors that one announcement names at most. */
+#if RW_ROTORS < 4
+#define RW_TOGETHER RW_ROTORS
+#else
+#define RW_TOGETHER 4
+#endif
+
+/* One event. loss, lower, upper are of the rotors of the set in their order. */
 typedef struct {
     rw_time onset;        /* s, when it began */
     rw_time detected;     /* s, when that was known */
     rw_time end;          /* s, RW_LASTS while it lasts */
-    rw_real loss[2];      /* of effectiveness, 0 to 1 */
-    rw_real lower[2];     /* 95 % interval */
-    rw_real upper[2];
+    rw_real loss[RW_TOGETHER];      /* of effectiveness, 0 to 1 */
+    rw_real lower[RW_TOGETHER];     /* 95 % interval */
+    rw_real upper[RW_TOGETHER];
     rw_real probability;  /* of this set of rotors */
     rw_real size;         /* of a contact: g, or hover thrusts of one rotor where it turned the vehicle */
     rw_rotors rotors;     /* 0 of a contact */

@@ -1,0 +1,57 @@
+"""The C files that go on board, compiled for a vehicle as a library that ctypes calls."""
+
+import ctypes
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+import rotorwatch
+from rotorwatch.default import bank, events
+from rotorwatch.motion.contact import look_back
+
+FOLDER = Path(rotorwatch.__file__).parent / "embedded_c"
+WARNINGS = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wdouble-promotion", "-Wshadow", "-Werror")
+# Without their library: what is undefined, or beyond an array, ends the process.
+SANITIZERS = ("-fsanitize=undefined,bounds", "-fsanitize-undefined-trap-on-error")
+
+
+def config(B, dt=0.05, output_hz=50):
+    """rw_config.h of a vehicle of effectiveness B (4, n)."""
+    n = B.shape[1]
+    stride = max(bank.STRIDES[0.1 if dt >= bank.SLOW_S else 0.05])
+    pairs = sum(map(len, events.opposites(B).values())) // 2
+    values = {
+        "ROTORS": n, "PLACES": 4, "HYPOTHESES": 2 * n + n * (n - 1) // 2 + 9, "TICK_S": dt, "OUTPUT_HZ": output_hz,
+        "REACH": bank.SLOTS * stride, "OPPOSITE_PAIRS": max(1, pairs), "TICKS_BEFORE": look_back(dt),
+    }  # fmt: skip
+    return "".join(f"#define RW_{name} {value}\n" for name, value in values.items())
+
+
+def library(folder, sources, driver, B, single=False, compiler="gcc", **settings):
+    """The named sources and a driver, as a library. Skips where there is no such compiler."""
+    found = shutil.which(compiler)
+    if found is None:
+        pytest.skip(f"{compiler} is not installed")
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "rw_config.h").write_text(config(B, **settings))
+    (folder / "driver.c").write_text(driver)
+    flags = [
+        *WARNINGS,
+        *(SANITIZERS if compiler == "gcc" else ()),
+        "-O1",
+        "-fPIC",
+        "-shared",
+        *(["-DROTORWATCH_FLOAT"] if single else []),
+    ]
+    files = [*(str(FOLDER / name) for name in sources), str(folder / "driver.c")]
+    target = folder / "onboard.so"
+    command = [found, *flags, f"-I{folder}", f"-I{FOLDER}", *files, "-lm", "-o", str(target)]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return ctypes.CDLL(str(target))
+
+
+def doubles(array):
+    return array.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
