@@ -1,0 +1,97 @@
+/* The whole: samples in, events out. Which rotor lost effectiveness, how much, since when, how sure.
+
+   Feed every sample in the order of its time, of all kinds together, then ask. Feeding a sample of time t says that all older ones have
+   come. What is said of a moment is final but for what rw_changes tells as changed or withdrawn: ticks that may still turn out to lie on
+   the ground (a descent on little thrust, a knock) wait until that is known, up to some seconds, and are judged then.
+
+     static rw_diagnoser d;
+     rw_diagnoser_init(&d, &rw_vehicle_default, &rw_plan_default);
+     rw_diagnoser_gyro(&d, t, rate, true); ... rw_diagnoser_outputs(&d, t, output, all, 1);
+     int n = rw_diagnoser_poll(&d, news);
+
+   Nothing is allocated and nothing global changes: any number of them can run at once. A poll takes at most RW_QUEUE ticks' time, one tick's
+   in steady flight. */
+#ifndef RW_DIAGNOSER_H
+#define RW_DIAGNOSER_H
+
+#include "rw_airborne.h"
+#include "rw_departures.h"
+#include "rw_estimator.h"
+#include "rw_events.h"
+#include "rw_mixer.h"
+#include "rw_report.h"
+#include "rw_sense.h"
+#include "rw_ticks.h"
+#include "rw_types.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* Ticks that may wait: of rw_config.h, 6 s. */
+#ifndef RW_QUEUE
+#error "RW_QUEUE must be 6 s in ticks"
+#endif
+
+typedef struct {
+    const rw_vehicle *vehicle;
+    const rw_plan *plan;
+    rw_airborne air;
+    rw_mixer mixer;
+    rw_departures departures, sure; /* sure: as they were when the doubt about the landing began */
+    rw_sense sense;
+    rw_ticks ticks;
+    rw_sensed queue[RW_QUEUE];      /* ring */
+    rw_events events;
+    rw_report report;
+    rw_changes changes;
+    rw_event listed[RW_EVENTS], gone[RW_EVENTS];
+    rw_estimator_state estimator;
+    rw_estimator_out out;
+    rw_estimator_workspace work;
+    rw_time start;                  /* s, of the flight that goes on, RW_LASTS on the ground */
+    rw_time before_start, before_end; /* of the flight before */
+    rw_time newest;                 /* s, mean time of the commands of the last tick that came */
+    rw_real thrust[RW_ROTORS];      /* the last outputs as shares of full thrust */
+    rw_real battery;                /* voltage as a share of full */
+    rw_rotors known;                /* of these outputs */
+    int16_t first, count;           /* of the queue */
+    uint8_t event_count;
+    bool doubting, judged;
+} rw_diagnoser;
+
+/* v and p must outlive d. */
+void rw_diagnoser_init(rw_diagnoser *d, const rw_vehicle *v, const rw_plan *p);
+
+/* Angular rate [3], rad/s; specific force [3], m/s^2, -9.8 along z at rest; both body FRD. */
+void rw_diagnoser_gyro(rw_diagnoser *d, rw_time time, const rw_real *rate, bool valid);
+void rw_diagnoser_accel(rw_diagnoser *d, rw_time time, const rw_real *force, bool valid);
+
+/* Outputs [n] to the motors in the unit of rw_vehicle.u_min, u_max; known: mask of those that are valid. */
+void rw_diagnoser_outputs(rw_diagnoser *d, rw_time time, const rw_real *output, rw_rotors known);
+
+/* What the rate controller asks of the mixer [RW_CONTROLS], where it is known: roll, pitch, yaw, throttle. */
+void rw_diagnoser_control(rw_diagnoser *d, rw_time time, const rw_real *control, bool valid);
+
+/* Where they are known: filtered battery voltage as a share of full; attitude [4], body to world, scalar first; climb rate and horizontal
+   speed, m/s; whether the autopilot says landed, armed: 1 or 0, -1: nothing new. */
+void rw_diagnoser_battery(rw_diagnoser *d, rw_time time, rw_real ratio);
+void rw_diagnoser_attitude(rw_diagnoser *d, rw_time time, const rw_real *q);
+void rw_diagnoser_velocity(rw_diagnoser *d, rw_time time, rw_real climb, rw_real speed);
+void rw_diagnoser_state(rw_diagnoser *d, rw_time time, int landed, int armed);
+
+/* All samples up to `time` s have come and nothing comes after them: the end of a log. */
+void rw_diagnoser_finish(rw_diagnoser *d, rw_time time);
+
+/* What is new since the last poll, into news[2 * RW_EVENTS]; returns how many. Its events stay until the next poll. */
+int rw_diagnoser_poll(rw_diagnoser *d, rw_news *news);
+
+/* After a poll: all events, and what can be said. */
+int rw_diagnoser_events(const rw_diagnoser *d, const rw_event **events);
+enum rw_verdict rw_diagnoser_verdict(const rw_diagnoser *d);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif

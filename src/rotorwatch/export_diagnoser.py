@@ -1,0 +1,201 @@
+"""The whole default diagnoser as a C99 library for a flight controller: gate, ticks, estimator, decisions, events.
+
+    rw.export_c.export_diagnoser("out", vehicle="mine.toml", prefix="rotor")
+
+The front end and the events are C sources of this package (embedded_c); the estimator between them is made of its traced step, for this
+vehicle; rw_config.h and rw_config.c hold the vehicle and the rates.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from rotorwatch import airframes, checks
+from rotorwatch.compiling.c99.project import Field, Program, make
+from rotorwatch.core import Array
+from rotorwatch.default import bank, events, posterior
+from rotorwatch.default.plant import WrenchBalance, lower_rotors
+from rotorwatch.default.program import parameters
+from rotorwatch.errors import ConfigError
+from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.motion import ticks
+from rotorwatch.motion.contact import look_back
+
+SOURCES = Path(__file__).parent / "embedded_c"
+ESTIMATOR = "rw_estimator"
+QUEUE_S = 6.0  # ticks that wait: airborne.CONFIRM_S, and room
+YAW_HEADROOM = 200.0  # MOT_YAW_HEADROOM, ArduPilot's default, of 1000
+
+
+class Found(NamedTuple):
+    """What the events are made of: the estimator's outputs of a tick; onsets (places,): of the explanations, after the step."""
+
+    theta: Array
+    theta_sd: Array
+    active: Array
+    share: Array
+    probability: Array
+    log_odds: Array
+    since: Array
+    onsets: Array
+    opposite: Array
+    opposite_onset: Array
+    opposite_loss: Array
+    announced: Array
+
+
+def estimator_program(vehicle: Vehicle, dt: float) -> Program:
+    """The C of the default estimator for one vehicle and one length of ticks."""
+    from rotorwatch.default.estimator import JumpBank
+
+    p = parameters(vehicle.effectiveness(), dt, (vehicle.identified or {}).get("dynamics"))
+    system = WrenchBalance(p["B"], (p["x0"], p["P0"]), p.get("lower"), p.get("share"))
+    method = JumpBank(system, dt, (p["noise"], p["noise_weight"]))
+    inputs = (
+        Field("u", "f", (system.n_u + 2,), "inputs of a tick, of rw_ticks_make"),
+        Field("y", "f", (system.n_y,), "commanded roll, pitch, yaw torque, thrust [hover thrusts of one rotor]"),
+        Field("valid", "b", (system.n_y,), "which of y counts"),
+    )
+
+    def step(_, carry, u, y, valid):
+        carry, out = method.step(carry, u, y, valid)
+        own = {name: getattr(out, name) for name in Found._fields if hasattr(out, name)}
+        own |= {"log_odds": out.decision.log_odds, "onsets": carry.branches.onset, "opposite": out.opposite.pair}
+        return carry, Found(**own, opposite_onset=out.opposite.onset, opposite_loss=out.opposite.loss)
+
+    about = f"The default estimator for {len(vehicle.rotors)} rotors, a step of {dt:g} s."
+    return make(ESTIMATOR, step, lambda _: method.init(), inputs, (), {}, about)
+
+
+def config(vehicle: Vehicle, dt: float, output_hz: float, gyro_hz: float, accel_hz: float) -> str:
+    """rw_config.h."""
+    B, n = vehicle.effectiveness(), len(vehicle.rotors)
+    pairs = sum(map(len, events.opposites(B).values())) // 2
+    values = {
+        "ROTORS": n, "PLACES": posterior.PLACES, "HYPOTHESES": 2 * n + n * (n - 1) // 2 + 9, "TICK_S": dt,
+        "REACH": bank.SLOTS * max(bank.STRIDES[0.1 if dt >= bank.SLOW_S else 0.05]), "OPPOSITE_PAIRS": max(1, pairs),
+        "TICKS_BEFORE": look_back(dt), "QUEUE": round(QUEUE_S / dt), "OUTPUT_HZ": int(np.ceil(output_hz)),
+        "GYRO_HZ": int(np.ceil(gyro_hz)), "ACCEL_HZ": int(np.ceil(accel_hz)), "MOTION_HZ": int(np.ceil(max(gyro_hz, accel_hz))),
+        "MIXER_UNKNOWN": int(vehicle.mixer is None),
+    }  # fmt: skip
+    lines = [f"#define RW_{name} {value}" for name, value in values.items()]
+    head = "/* Vehicle and rates of this library. Made by `rotorwatch export-c --diagnoser`; not to be edited. */"
+    return "\n".join([head, "#ifndef RW_CONFIG_H", "#define RW_CONFIG_H", *lines, "#endif", ""])
+
+
+def vehicle_table(vehicle: Vehicle, output: tuple[float, float], yaw_headroom: float = YAW_HEADROOM) -> dict[str, Any]:
+    """The members of rw_vehicle. output: ends of the outputs' range as the autopilot counts it, in their unit."""
+    n, curve = len(vehicle.rotors), vehicle.curve
+    return {
+        "effectiveness": vehicle.effectiveness(),
+        "mixer": np.zeros((n, 4)) if vehicle.mixer is None else np.asarray(vehicle.mixer, float),
+        "u_min": curve.u_min, "u_max": curve.u_max, "output_low": output[0], "output_high": output[1],
+        "expo": curve.expo, "mixer_expo": float(vehicle.extra.get("mixer_expo", curve.expo)),
+        "yaw_headroom": float(np.clip(yaw_headroom, 100.0, 500.0) / 1000.0),
+        "mixer_known": vehicle.mixer is not None,
+        "coaxial": lower_rotors(vehicle.effectiveness()) is not None,
+        "rests_at_minimum": bool(vehicle.extra.get("rests_at_minimum", False)),
+    }  # fmt: skip
+
+
+def plan_table(plan: ticks.Plan, hover: float | None, rebuilt: bool) -> dict[str, Any]:
+    """The members of rw_plan. hover: share of full thrust that carries the vehicle, where healthy flights told; rebuilt: thrusts come from
+    the rate controller's output, which is fed faster than the outputs."""
+
+    def least(half: float, period: float) -> int:
+        return max(1, int(half / period * 0.8)) if period > 0.0 else 1
+
+    gyro, accel = plan.gyro or "", "accel"
+    known = {name: (plan.half.get(name, plan.dt / 2.0), plan.period.get(name, np.nan)) for name in (gyro, accel)}
+    return {
+        "dt": plan.dt, "lag": plan.lag_s, "phase": (plan.first - plan.dt / 2.0) % plan.dt, "ready": plan.ready_s,
+        "hover": hover or 0.0, "gyro_half": known[gyro][0], "accel_half": known[accel][0], "gyro_least": least(*known[gyro]),
+        "accel_least": least(*known[accel]), "side_least": least(0.5 * ticks.SIDE_S, known[accel][1]),
+        "gyro": plan.gyro is not None, "accel": plan.accel, "rebuilt": rebuilt,
+    }  # fmt: skip
+
+
+def usual_plan(rate_hz: float, control_hz: float, gyro_hz: float, accel_hz: float, known: bool) -> ticks.Plan:
+    """A plan for outputs, controller, gyro and accelerometer at these rates; known: healthy flights have told the noise."""
+    dt = ticks.tick_length(max(rate_hz, control_hz))
+    half = dt / 2.0
+    ready_s = ticks.ready_after(ticks.READY_KNOWN_S if known else ticks.READY_S, dt)
+    periods = {"gyro": 1.0 / gyro_hz, "accel": 1.0 / accel_hz}
+    return ticks.Plan(dt, ready_s, ticks.LAG_S, half, "gyro", True, dict.fromkeys(periods, half), periods, ())
+
+
+def text_of(table: dict[str, Any], kind: str, name: str) -> str:
+    """A const struct in C."""
+
+    def value(x: Any) -> str:
+        if isinstance(x, np.ndarray):
+            return "{" + ", ".join(value(part) for part in x) + "}"
+        if isinstance(x, bool | np.bool_):
+            return "true" if x else "false"
+        if isinstance(x, int | np.integer):
+            return str(int(x))
+        return f"(rw_time){float(x)!r}" if kind == "rw_plan" else f"(rw_real){float(x)!r}"
+
+    members = "".join(f"    .{key} = {value(x)},\n" for key, x in table.items())
+    return f"const {kind} {name} = {{\n{members}}};\n"
+
+
+def files(vehicle: Vehicle, plan: ticks.Plan, rates: tuple[float, float, float], tables: tuple[dict, dict]) -> dict[str, str]:
+    """File name -> text of the library. rates: of outputs, gyro and accelerometer [Hz]; tables: of `vehicle_table`, `plan_table`."""
+    program = estimator_program(vehicle, plan.dt)
+    texts = {path.name: path.read_text(encoding="utf-8") for path in sorted(SOURCES.glob("*.[ch]"))}
+    texts |= {f"{ESTIMATOR}.h": program.header, f"{ESTIMATOR}.c": program.source}
+    texts["rw_config.h"] = config(vehicle, plan.dt, *rates)
+    made = [text_of(tables[0], "rw_vehicle", "rw_vehicle_default"), text_of(tables[1], "rw_plan", "rw_plan_default")]
+    texts["rw_config.c"] = '#include "rw_diagnoser.h"\n\n' + "\n".join(made)
+    return texts
+
+
+def prefixed(texts: dict[str, str], prefix: str) -> dict[str, str]:
+    """The same with all names that begin with rw_ or RW_ begun with another prefix."""
+
+    def renamed(text: str) -> str:
+        text = re.sub(r"\brw_", f"{prefix}_", text)
+        return re.sub(r"\bRW_", f"{prefix.upper()}_", text)
+
+    return {renamed(name): renamed(text) for name, text in texts.items()}
+
+
+def export_diagnoser(
+    out: str | Path,
+    *,
+    vehicle: Vehicle | str = "ardupilot-quad-x",
+    rate_hz: float = 50.0,
+    control_hz: float = 0.0,
+    gyro_hz: float = 100.0,
+    accel_hz: float = 100.0,
+    prefix: str = "rw",
+) -> tuple[Path, ...]:
+    """Write the library into the folder `out`, which is made where it is missing; the files that were written.
+
+    vehicle: what `calibrate` learned, or an airframe's name. rate_hz: of the outputs that are fed; control_hz: of the rate controller's
+    output, when it is fed and faster; gyro_hz, accel_hz: of the averaged samples. prefix: of all names. Raises ConfigError.
+    """
+    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9]*", prefix):
+        raise ConfigError(f"{prefix!r} cannot begin the names of C functions: give letters and digits.")
+    for name, hz in (("rate_hz", rate_hz), ("gyro_hz", gyro_hz), ("accel_hz", accel_hz)):
+        checks.positive(name, hz)
+    craft = airframes.named(vehicle) if isinstance(vehicle, str) else vehicle
+    known = craft.identified or {}
+    plan = usual_plan(rate_hz, control_hz, gyro_hz, accel_hz, bool(known.get("dynamics")))
+    if plan.dt > ticks.SHORTEST_S / 2.0:
+        raise ConfigError(f"Outputs at {rate_hz:g} Hz are too slow for on board: feed them at 8 Hz or more.")
+    unit = (1000.0, 2000.0) if craft.curve.u_max > 2.0 else (0.0, 1.0)
+    tables = vehicle_table(craft, unit), plan_table(plan, known.get("hover"), control_hz >= 1.5 * rate_hz)
+    texts = files(craft, plan, (rate_hz, gyro_hz, accel_hz), tables)
+    folder = Path(out)
+    folder.mkdir(parents=True, exist_ok=True)
+    written = []
+    for name, text in prefixed(texts, prefix).items() if prefix != "rw" else texts.items():
+        (folder / name).write_text(text, encoding="utf-8")
+        written.append(folder / name)
+    return tuple(written)
