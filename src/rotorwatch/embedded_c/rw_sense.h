@@ -28,11 +28,13 @@ typedef struct {
     rw_time dt;             /* s, length of a tick */
     rw_time lag;            /* s, by which motion follows commands */
     rw_time phase;          /* s, of the ticks' ends; 0 but for commands as slow as ticks */
+    rw_time ready;          /* s after lift-off, before which nothing is judged */
     rw_time gyro_half;      /* s, half of the time over which it is averaged */
     rw_time accel_half;
     int16_t gyro_least;     /* samples in that time, below which it is not known */
     int16_t accel_least;
     int16_t side_least;     /* the same of half a second of the accelerometer */
+    rw_real hover;          /* share of full thrust that carries the vehicle, where healthy flights have told, else 0 */
     bool gyro, accel;       /* there is one */
 } rw_plan;
 
