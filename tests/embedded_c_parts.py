@@ -28,14 +28,8 @@ def config(n: int, dt: float = 0.05, output_hz: int = 50) -> str:
         "REACH": 64,
         "OPPOSITE_PAIRS": max(1, n // 2),
     }
-    settings |= {
-        "OUTPUT_HZ": output_hz,
-        "OVERRIDES": 64,
-        "CONTACTS": 16,
-        "EVENTS": 40,
-        "PENDING": 64,
-        "MIXER_UNKNOWN": 1,
-    }
+    settings |= {"OUTPUT_HZ": output_hz, "OVERRIDES": 64, "CONTACTS": 16, "EVENTS": 40, "PENDING": 64}
+    settings |= {"MIXER_UNKNOWN": 1, "FLIGHTS": 64, "MOTION_HZ": 2000}
     return "".join(f"#define RW_{name} {value}\n" for name, value in settings.items())
 
 

@@ -25,7 +25,7 @@ static void show(const char *name, const rw_real *values)
     for (int k = 0; k < N; k++) printf(" %.17g", (double)values[k]);
 }
 
-static double spans[16][2];
+static double spans[256][2];
 static int span_count;
 
 static bool aloft(rw_time time)

@@ -10,7 +10,8 @@
      RW_REACH           ticks that the estimator's bank looks back
      RW_TICKS_BEFORE    ticks in half a second
      RW_OPPOSITE_PAIRS  pairs of rotors whose roll and pitch torques cancel, at least 1
-     RW_OUTPUT_HZ       the fastest rate at which outputs are fed, Hz */
+     RW_OUTPUT_HZ       the fastest rate at which outputs are fed, Hz
+     RW_MOTION_HZ       the same of gyro and accelerometer */
 #ifndef RW_TYPES_H
 #define RW_TYPES_H
 
@@ -72,6 +73,7 @@ typedef struct {
     rw_real effectiveness[RW_AXES][RW_ROTORS]; /* wrench of each rotor's hover thrust, largest lever 1 (Vehicle.effectiveness) */
     rw_real mixer[RW_ROTORS][4];               /* thrust of each rotor for roll, pitch, yaw, throttle of the rate controller */
     rw_real u_min, u_max;                      /* output without thrust, and with full thrust, in the outputs' unit */
+    rw_real output_low, output_high;           /* ends of the outputs' range, as the autopilot counts it: 0 and 1, or us */
     rw_real expo;                              /* thrust curve: (1 - expo) a + expo a^2, a the share of [u_min, u_max] */
     rw_real mixer_expo;                        /* the same as the autopilot's mixer believes it */
     rw_real yaw_headroom;                      /* yaw that the mixer always grants (MOT_YAW_HEADROOM / 1000) */
