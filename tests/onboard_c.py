@@ -17,8 +17,8 @@ WARNINGS = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wdou
 SANITIZERS = ("-fsanitize=undefined,bounds", "-fsanitize-undefined-trap-on-error")
 
 
-def config(B, dt=0.05, output_hz=50):
-    """rw_config.h of a vehicle of effectiveness B (4, n)."""
+def config(B, dt=0.05, output_hz=50, **more):
+    """rw_config.h of a vehicle of effectiveness B (4, n); more: settings by name."""
     n = B.shape[1]
     stride = max(bank.STRIDES[0.1 if dt >= bank.SLOW_S else 0.05])
     pairs = sum(map(len, events.opposites(B).values())) // 2
@@ -26,7 +26,11 @@ def config(B, dt=0.05, output_hz=50):
         "ROTORS": n, "PLACES": 4, "HYPOTHESES": 2 * n + n * (n - 1) // 2 + 9, "TICK_S": dt, "OUTPUT_HZ": output_hz,
         "REACH": bank.SLOTS * stride, "OPPOSITE_PAIRS": max(1, pairs), "TICKS_BEFORE": look_back(dt),
     }  # fmt: skip
-    return "".join(f"#define RW_{name} {value}\n" for name, value in values.items())
+    return "".join(f"#define RW_{name} {value}\n" for name, value in {**values, **more}.items())
+
+
+def doubles(array):
+    return array.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
 
 
 def library(folder, sources, driver, B, single=False, compiler="gcc", **settings):
@@ -51,7 +55,3 @@ def library(folder, sources, driver, B, single=False, compiler="gcc", **settings
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     return ctypes.CDLL(str(target))
-
-
-def doubles(array):
-    return array.ctypes.data_as(ctypes.POINTER(ctypes.c_double))

@@ -4,7 +4,9 @@
 class AP_InertialSensor {
 public:
     Vector3f get_accel() const;
+    Vector3f get_gyro() const;
     bool get_accel_health() const;
+    bool get_gyro_health() const;
 };
 namespace AP
 {

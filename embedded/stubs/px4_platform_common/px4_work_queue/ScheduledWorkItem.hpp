@@ -8,6 +8,7 @@ struct wq_config_t {
 namespace wq_configurations
 {
 static constexpr wq_config_t nav_and_controllers{"wq:nav_and_controllers"};
+static constexpr wq_config_t lp_default{"wq:lp_default"};
 }
 class ScheduledWorkItem
 {
@@ -17,5 +18,7 @@ public:
 
 protected:
 	virtual void Run() = 0;
+	void ScheduleOnInterval(unsigned) {}
+	void ScheduleClear() {}
 };
 }

@@ -1,0 +1,231 @@
+/* See RotorWatchDiagnoser.hpp. Everything is a member of the object: nothing is allocated while flying. MIT. */
+#include "RotorWatchDiagnoser.hpp"
+
+#include <math.h>
+
+static rw_time seconds(hrt_abstime us)
+{
+	return 1e-6 * static_cast<rw_time>(us);
+}
+
+static uint64_t microseconds(rw_time s)
+{
+	return s < RW_LASTS && s > 0.0 ? static_cast<uint64_t>(s * 1e6) : 0;
+}
+
+RotorWatchDiagnoser::RotorWatchDiagnoser() : ModuleParams(nullptr), ScheduledWorkItem("rotorwatch", px4::wq_configurations::lp_default)
+{
+	rw_diagnoser_init(&_diagnoser, &rw_vehicle_default);
+}
+
+RotorWatchDiagnoser::~RotorWatchDiagnoser()
+{
+	ScheduleClear();
+}
+
+bool RotorWatchDiagnoser::init()
+{
+	if (!_param_rotw_en.get()) {
+		return false;
+	}
+
+	ScheduleOnInterval(INTERVAL_US);
+	return true;
+}
+
+void RotorWatchDiagnoser::Run()
+{
+	if (should_exit()) {
+		ScheduleClear();
+		exit_and_cleanup();
+		return;
+	}
+
+	feed();
+
+	const hrt_abstime now = hrt_absolute_time();
+	const int count = rw_diagnoser_poll(&_diagnoser, seconds(now), _news);
+
+	for (int i = 0; i < count; i++) {
+		tell(_news[i]);
+		publish(_news[i].event, _news[i].kind, _news[i].number);
+	}
+
+	if (count > 0 || now - _published >= PUBLISH_US) {
+		const rw_event *events = nullptr;
+		const int known = rw_diagnoser_events(&_diagnoser, &events);
+		const int best = rw_report_main(events, known);
+		publish(best < 0 ? nullptr : &events[best], rotorwatch_verdict_s::NEWS_NONE, 0);
+		_published = now;
+	}
+}
+
+void RotorWatchDiagnoser::feed()
+{
+	vehicle_land_detected_s landed{};
+
+	if (_landed.update(&landed)) {
+		rw_diagnoser_state(&_diagnoser, seconds(landed.timestamp), landed.landed ? 1 : 0, -1);
+	}
+
+	actuator_armed_s armed{};
+
+	if (_armed.update(&armed)) {
+		rw_diagnoser_state(&_diagnoser, seconds(armed.timestamp), -1, armed.armed ? 1 : 0);
+	}
+
+	actuator_motors_s motors{};
+
+	if (_motors.update(&motors)) {
+		rw_real output[RW_ROTORS];
+
+		for (int k = 0; k < RW_ROTORS; k++) {
+			output[k] = motors.control[k] > 0.f ? motors.control[k] : 0.f; // NaN: not armed
+		}
+
+		rw_diagnoser_outputs(&_diagnoser, seconds(motors.timestamp), output, rw_real(1));
+	}
+
+	vehicle_angular_velocity_s rates{};
+
+	if (_rates.update(&rates)) {
+		const rw_real rate[3] = {rates.xyz[0], rates.xyz[1], rates.xyz[2]};
+		rw_diagnoser_gyro(&_diagnoser, seconds(rates.timestamp_sample), rate);
+	}
+
+	vehicle_acceleration_s acceleration{};
+
+	if (_acceleration.update(&acceleration)) {
+		const rw_real force[3] = {acceleration.xyz[0], acceleration.xyz[1], acceleration.xyz[2]};
+		rw_diagnoser_accel(&_diagnoser, seconds(acceleration.timestamp), force);
+	}
+
+	vehicle_attitude_s attitude{};
+
+	if (_attitude.update(&attitude)) {
+		const rw_real q[4] = {attitude.q[0], attitude.q[1], attitude.q[2], attitude.q[3]};
+		rw_diagnoser_attitude(&_diagnoser, seconds(attitude.timestamp), q);
+	}
+
+	vehicle_local_position_s position{};
+
+	if (_position.update(&position)) {
+		const rw_real climb = position.v_z_valid ? -position.vz : rw_real(NAN);
+		const rw_real speed = position.v_xy_valid ? sqrtf(position.vx * position.vx + position.vy * position.vy) : rw_real(NAN);
+		rw_diagnoser_velocity(&_diagnoser, seconds(position.timestamp), climb, speed);
+	}
+}
+
+void RotorWatchDiagnoser::tell(const rw_news &news)
+{
+	char text[RW_TEXT];
+	const int severity = rw_text_severity(&news);
+	rw_text_words(&news, text);
+
+	if (severity > _param_rotw_text.get()) {
+		return;
+	}
+
+	if (severity == RW_CRITICAL) {
+		mavlink_log_critical(&_mavlink_log_pub, "%s", text);
+
+	} else if (severity == RW_WARNING) {
+		mavlink_log_warning(&_mavlink_log_pub, "%s", text);
+
+	} else {
+		mavlink_log_info(&_mavlink_log_pub, "%s", text);
+	}
+}
+
+void RotorWatchDiagnoser::publish(const rw_event *event, uint8_t news, uint16_t number)
+{
+	rotorwatch_verdict_s said{};
+	said.timestamp = hrt_absolute_time();
+	said.verdict = static_cast<uint8_t>(rw_diagnoser_verdict(&_diagnoser));
+	said.kind = rotorwatch_verdict_s::KIND_NONE;
+	said.news = news;
+	said.number = number;
+
+	if (event != nullptr) {
+		said.kind = event->kind;
+		said.rotors = event->rotors;
+
+		for (int i = 0; i < 4 && i < event->alternative_count; i++) {
+			said.alternatives[i] = event->alternatives[i];
+		}
+
+		said.onset = microseconds(event->onset);
+		said.detected = microseconds(event->detected);
+		said.end = microseconds(event->end);
+		said.loss = static_cast<float>(event->loss[0]);
+		said.loss_lower = static_cast<float>(event->lower[0]);
+		said.loss_upper = static_cast<float>(event->upper[0]);
+		said.probability = static_cast<float>(event->probability);
+	}
+
+	const rw_real *loss = rw_diagnoser_loss(&_diagnoser);
+
+	for (int k = 0; k < 12; k++) {
+		said.rotor_loss[k] = k < RW_ROTORS ? static_cast<float>(loss[k]) : NAN;
+	}
+
+	_verdict.publish(said);
+}
+
+int RotorWatchDiagnoser::print_status()
+{
+	PX4_INFO("%s", rw_text_verdict(rw_diagnoser_verdict(&_diagnoser)));
+	const rw_real *loss = rw_diagnoser_loss(&_diagnoser);
+
+	for (int k = 0; k < RW_ROTORS; k++) {
+		PX4_INFO("rotor %d: loss %.0f %%", k + 1, 100.0 * static_cast<double>(loss[k]));
+	}
+
+	return 0;
+}
+
+int RotorWatchDiagnoser::task_spawn(int, char *[])
+{
+	RotorWatchDiagnoser *instance = new RotorWatchDiagnoser();
+
+	if (instance == nullptr) {
+		PX4_ERR("no memory for the diagnoser");
+		return PX4_ERROR;
+	}
+
+	_object.store(instance);
+	_task_id = task_id_is_work_queue;
+
+	if (instance->init()) {
+		return PX4_OK;
+	}
+
+	PX4_INFO("not started: ROTW_EN is 0");
+	delete instance;
+	_object.store(nullptr);
+	_task_id = -1;
+	return PX4_ERROR;
+}
+
+int RotorWatchDiagnoser::custom_command(int, char *[])
+{
+	return print_usage("unknown command");
+}
+
+int RotorWatchDiagnoser::print_usage(const char *reason)
+{
+	if (reason != nullptr) {
+		PX4_WARN("%s\n", reason);
+	}
+
+	PRINT_MODULE_DESCRIPTION("Tells which rotor has lost effectiveness, how much, since when and how sure.");
+	PRINT_MODULE_USAGE_NAME("rotorwatch", "system");
+	PRINT_MODULE_USAGE_COMMAND("start");
+	PRINT_MODULE_USAGE_DEFAULT_COMMANDS();
+	return 0;
+}
+
+extern "C" __EXPORT int rotorwatch_main(int argc, char *argv[])
+{
+	return RotorWatchDiagnoser::main(argc, argv);
+}

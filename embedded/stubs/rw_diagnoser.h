@@ -1,0 +1,27 @@
+/* What the autopilots' shells call of the exported library, to compile them against. MIT. */
+#ifndef RW_DIAGNOSER_H
+#define RW_DIAGNOSER_H
+#include "rw_report.h"
+#ifdef __cplusplus
+extern "C" {
+#endif
+typedef struct {
+    char state[1024];
+} rw_diagnoser;
+extern const rw_vehicle rw_vehicle_default;
+void rw_diagnoser_init(rw_diagnoser *d, const rw_vehicle *v);
+void rw_diagnoser_gyro(rw_diagnoser *d, rw_time time, const rw_real *rate);
+void rw_diagnoser_accel(rw_diagnoser *d, rw_time time, const rw_real *force);
+void rw_diagnoser_attitude(rw_diagnoser *d, rw_time time, const rw_real *q);
+void rw_diagnoser_velocity(rw_diagnoser *d, rw_time time, rw_real climb, rw_real speed);
+void rw_diagnoser_outputs(rw_diagnoser *d, rw_time time, const rw_real *output, rw_real battery);
+void rw_diagnoser_control(rw_diagnoser *d, rw_time time, const rw_real *control);
+void rw_diagnoser_state(rw_diagnoser *d, rw_time time, int landed, int armed);
+int rw_diagnoser_poll(rw_diagnoser *d, rw_time time, rw_news *news);
+enum rw_verdict rw_diagnoser_verdict(const rw_diagnoser *d);
+int rw_diagnoser_events(const rw_diagnoser *d, const rw_event **events);
+const rw_real *rw_diagnoser_loss(const rw_diagnoser *d);
+#ifdef __cplusplus
+}
+#endif
+#endif

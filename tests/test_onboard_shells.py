@@ -1,0 +1,80 @@
+"""Modules of autopilots around the whole diagnoser: they compile against stubs of the autopilots' headers, and their messages add up."""
+
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from embedded_c_parts import SOURCES, config
+
+EMBEDDED = Path(__file__).resolve().parents[1] / "embedded"
+PX4 = EMBEDDED / "px4" / "diagnoser"
+SHELLS = {
+    "px4": PX4 / "RotorWatchDiagnoser.cpp",
+    "ardupilot": EMBEDDED / "ardupilot" / "AP_RotorDiagnosis" / "AP_RotorDiagnosis.cpp",
+}
+TYPES = {"uint8": "uint8_t", "uint16": "uint16_t", "uint64": "uint64_t", "float32": "float"}
+
+
+def message():
+    """Constants and fields of the uORB message: (type, name, value or None, how many)."""
+    found = []
+    for line in (PX4 / "msg" / "RotorwatchVerdict.msg").read_text().splitlines():
+        line = line.partition("#")[0].strip()
+        if not line:
+            continue
+        match = re.fullmatch(r"(\w+?)(?:\[(\d+)\])? (\w+)(?:\s*=\s*(\d+))?", line)
+        assert match and match[1] in TYPES, line
+        found.append((match[1], match[3], match[4], match[2]))
+    return found
+
+
+def topic():
+    """The header that PX4 makes of it."""
+    lines = ["#pragma once", "#include <cstdint>", "struct rotorwatch_verdict_s {"]
+    for kind, name, value, many in message():
+        if value is not None:
+            lines.append(f"\tstatic constexpr {TYPES[kind]} {name} = {value};")
+        else:
+            lines.append(f"\t{TYPES[kind]} {name}{f'[{many}]' if many else ''};")
+    return "\n".join([*lines, "};", ""])
+
+
+@pytest.mark.parametrize("rotors", [4, 8])
+@pytest.mark.parametrize("autopilot", SHELLS)
+def test_shells_compile(autopilot, rotors, tmp_path):
+    compiler = shutil.which("g++")
+    if compiler is None:
+        pytest.skip("g++ is not installed")
+    (tmp_path / "rw_config.h").write_text(config(rotors))
+    (tmp_path / "uORB" / "topics").mkdir(parents=True)
+    (tmp_path / "uORB" / "topics" / "rotorwatch_verdict.h").write_text(topic())
+    include = [f"-I{folder}" for folder in (tmp_path, SOURCES, EMBEDDED / "stubs")]
+    flags = ["-std=c++14", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-DROTORWATCH_FLOAT", "-fsyntax-only"]
+    subprocess.run([compiler, *flags, *include, str(SHELLS[autopilot])], check=True)
+
+
+def enum(name):
+    """Members of an enum of the library's headers."""
+    text = "".join(path.read_text() for path in sorted(SOURCES.glob("rw_*.h")))
+    body = re.sub(r"/\*.*?\*/", "", re.search(rf"enum {name} \{{(.*?)\}}", text, re.S)[1], flags=re.S)
+    return {key.strip(): int(value) for key, value in (item.split("=") for item in body.split(",") if item.strip())}
+
+
+@pytest.mark.parametrize(
+    ("prefix", "name"), [("VERDICT_", "rw_verdict"), ("KIND_", "rw_kind"), ("NEWS_", "rw_news_kind")]
+)
+def test_numbers_of_the_message_are_those_of_the_library(prefix, name):
+    said = {key: int(value) for _, key, value, _ in message() if value is not None and key.startswith(prefix)}
+    said.pop(f"{prefix}NONE", None)
+    assert {f"RW_{key.removeprefix(prefix)}": value for key, value in said.items()} == enum(name)
+
+
+def test_log_records_have_a_format_for_every_label():
+    text = SHELLS["ardupilot"].read_text()
+    records = re.findall(r'Write\("(\w{4})", "([\w,]+)", "(\w+)"', text)
+    assert [name for name, _, _ in records] == ["RWLS", "RWEV"]
+    for _, labels, formats in records:
+        assert len(labels.split(",")) == len(formats) and len(labels) <= 64
