@@ -131,16 +131,17 @@ def usual_plan(rate_hz: float, control_hz: float, gyro_hz: float, accel_hz: floa
 def text_of(table: dict[str, Any], kind: str, name: str) -> str:
     """A const struct in C."""
 
-    def value(x: Any) -> str:
+    def value(x: Any, real: str) -> str:
         if isinstance(x, np.ndarray):
-            return "{" + ", ".join(value(part) for part in x) + "}"
+            return "{" + ", ".join(value(part, real) for part in x) + "}"
         if isinstance(x, bool | np.bool_):
             return "true" if x else "false"
         if isinstance(x, int | np.integer):
             return str(int(x))
-        return f"(rw_time){float(x)!r}" if kind == "rw_plan" else f"(rw_real){float(x)!r}"
+        return f"({real}){float(x)!r}"
 
-    members = "".join(f"    .{key} = {value(x)},\n" for key, x in table.items())
+    reals = {key: "rw_time" if kind == "rw_plan" and key != "hover" else "rw_real" for key in table}
+    members = "".join(f"    .{key} = {value(x, reals[key])},\n" for key, x in table.items())
     return f"const {kind} {name} = {{\n{members}}};\n"
 
 

@@ -60,6 +60,10 @@ typedef struct {
     bool doubting, judged;
 } rw_diagnoser;
 
+/* Of rw_config.c: the vehicle and the rates that the library was exported for. */
+extern const rw_vehicle rw_vehicle_default;
+extern const rw_plan rw_plan_default;
+
 /* v and p must outlive d. */
 void rw_diagnoser_init(rw_diagnoser *d, const rw_vehicle *v, const rw_plan *p);
 

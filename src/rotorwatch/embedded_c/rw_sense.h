@@ -36,6 +36,7 @@ typedef struct {
     int16_t side_least;     /* the same of half a second of the accelerometer */
     rw_real hover;          /* share of full thrust that carries the vehicle, where healthy flights have told, else 0 */
     bool gyro, accel;       /* there is one */
+    bool rebuilt;           /* thrusts come from the rate controller's output, which is fed faster than the outputs */
 } rw_plan;
 
 /* A tick as it was sensed. */

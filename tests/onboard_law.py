@@ -1,0 +1,172 @@
+"""Logs through the C library of the whole diagnoser: its events, to be held against those of `diagnose`."""
+
+import ctypes
+import subprocess
+from dataclasses import dataclass
+
+import numpy as np
+
+from rotorwatch import airframes, export_diagnoser
+from rotorwatch.motion import allocation, ticks
+from rotorwatch.motion.airborne import airborne
+
+OUTPUTS, ACCEL, GYRO, VELOCITY, STATE, CONTROL, ATTITUDE, BATTERY = range(8)
+FIRST = {BATTERY: 0, STATE: 1, ATTITUDE: 2, VELOCITY: 3, GYRO: 4, ACCEL: 5, OUTPUTS: 6, CONTROL: 7}  # of the same time
+WARNINGS = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror")
+WIDTH = 24
+DRIVER = """#include "rw_diagnoser.h"
+#define WIDTH 24
+static rw_diagnoser d;
+static rw_news news[2 * RW_EVENTS];
+static void told(rw_real *to, const double *from, int n) { for (int k = 0; k < n; k++) to[k] = (rw_real)from[k]; }
+int sizes(int what);
+int sizes(int what) { return what == 0 ? (int)sizeof d : what == 1 ? (int)sizeof d.estimator : (int)sizeof d.work; }
+int drive(int rows, const double *table, double until, double *found, int most);
+int drive(int rows, const double *table, double until, double *found, int most)
+{
+    rw_diagnoser_init(&d, &rw_vehicle_default, &rw_plan_default);
+    for (int i = 0; i < rows; i++) {
+        const double *row = table + (long)i * WIDTH, t = row[1];
+        rw_real x[RW_ROTORS > 4 ? RW_ROTORS : 4];
+        const bool ok = row[2] > 0.5;
+        told(x, row + 3, row[0] < 0.5 ? RW_ROTORS : 4);
+        switch ((int)row[0]) {
+        case 0: rw_diagnoser_outputs(&d, t, x, (rw_rotors)row[2]); break;
+        case 1: rw_diagnoser_accel(&d, t, x, ok); break;
+        case 2: rw_diagnoser_gyro(&d, t, x, ok); break;
+        case 3: rw_diagnoser_velocity(&d, t, x[0], x[1]); break;
+        case 4: rw_diagnoser_state(&d, t, (int)row[3], (int)row[4]); break;
+        case 5: rw_diagnoser_control(&d, t, x, ok); break;
+        case 6: rw_diagnoser_attitude(&d, t, x); break;
+        default: rw_diagnoser_battery(&d, t, x[0]); break;
+        }
+        if (i % 50 == 0) rw_diagnoser_poll(&d, news);
+    }
+    rw_diagnoser_finish(&d, until);
+    rw_diagnoser_poll(&d, news);
+    const rw_event *events;
+    const int count = rw_diagnoser_events(&d, &events);
+    for (int k = 0; k < count && k < most; k++) {
+        double *row = found + k * WIDTH;
+        row[0] = events[k].kind; row[1] = events[k].onset; row[2] = events[k].detected; row[3] = events[k].end;
+        row[4] = events[k].rotors; row[5] = (double)events[k].loss[0]; row[6] = (double)events[k].lower[0];
+        row[7] = (double)events[k].upper[0]; row[8] = (double)events[k].size; row[9] = events[k].alternative_count;
+        for (int a = 0; a < events[k].alternative_count && a < 12; a++) row[10 + a] = events[k].alternatives[a];
+    }
+    found[most * WIDTH] = (double)rw_diagnoser_verdict(&d);
+    return count;
+}
+"""
+
+
+@dataclass(frozen=True)
+class Flown:
+    """A flight as the library gets it: rows of samples in time order (kind, time, valid, values), and how it is cut into ticks."""
+
+    table: np.ndarray
+    until: float
+    texts: dict
+
+
+def table(flight, craft) -> np.ndarray:
+    """(m, WIDTH) all samples that the library takes, in time order."""
+    n, rows = len(craft.rotors), []
+
+    def add(kind, time, valid, values):
+        block = np.zeros((len(time), WIDTH))
+        block[:, 0], block[:, 1], block[:, 2] = kind, time, valid
+        block[:, 3 : 3 + values.shape[1]] = np.nan_to_num(values)
+        rows.append(block)
+
+    motors = flight["motors"]
+    add(OUTPUTS, motors.time, np.asarray(motors.valid) @ (1 << np.arange(n)), motors.values)
+    gyro = "gyro" if flight.has("gyro") else "rates"
+    for kind, name in ((ACCEL, "accel"), (GYRO, gyro), (CONTROL, "control")):
+        if flight.has(name):
+            signal = flight[name]
+            add(kind, signal.time, np.asarray(signal.valid).all(axis=1), signal.values[:, :4])
+    if flight.has("velocity"):
+        v = flight["velocity"]
+        value = np.where(v.valid, v.values, np.nan)
+        block = np.zeros((len(v), WIDTH))
+        block[:, 0], block[:, 1], block[:, 3], block[:, 4] = VELOCITY, v.time, -value[:, 2], np.hypot(value[:, 0], value[:, 1])
+        rows.append(block)
+    if flight.has("attitude"):
+        q = flight["attitude"]
+        add(ATTITUDE, q.time, 1.0, q.values)
+    full, lift = craft.extra.get("full_voltage"), flight.signals.get("lift")
+    if full and flight.has("battery"):
+        b = flight["battery"]
+        ok = b.valid[:, 0] & (b.values[:, 0] > 0.5 * full)
+        add(BATTERY, b.time[ok], 1.0, b.values[ok, :1] / full)
+    elif lift is not None and "voltage_ratio" in lift.columns:
+        k = lift.columns.index("voltage_ratio")
+        ok = lift.valid[:, k] & (lift.values[:, k] > 0.3)
+        add(BATTERY, lift.time[ok], 1.0, lift.values[ok, k : k + 1])
+    for m in flight.messages:
+        if m.kind in ("landed", "armed"):
+            said = float(m.value > 0.5)
+            pair = (said, -1.0) if m.kind == "landed" else (-1.0, said)
+            add(STATE, np.array([m.time]), 1.0, np.array([pair]))
+    every = np.concatenate(rows)
+    return every[np.lexsort(([FIRST[int(k)] for k in every[:, 0]], every[:, 1]))]
+
+
+def output_range(flight) -> tuple[float, float]:
+    """Ends of the outputs' range, as airborne.py takes them."""
+    if flight["motors"].unit != "us":
+        return 0.0, 1.0
+    given, known = flight.facts.get, flight.parameters.get
+    return given("pwm_min") or known("MOT_PWM_MIN") or 1000.0, given("pwm_max") or known("MOT_PWM_MAX") or 2000.0
+
+
+def flown(flight) -> Flown:
+    """The flight, and the library for its vehicle and its rates."""
+    craft = airframes.identify(flight)
+    dynamics = (craft.identified or {}).get("dynamics")
+    ready_s = ticks.READY_KNOWN_S if dynamics and flight.has("gyro") else ticks.READY_S
+    mixed = allocation.mixed_thrusts(flight, craft)
+    thrust = allocation.better(allocation.motor_thrusts(flight, craft), mixed)
+    plan = ticks.plan(flight, thrust, ready_s)
+    rates = [fastest(flight, name) for name in ("motors", "gyro" if flight.has("gyro") else "rates", "accel")]
+    headroom = flight.parameters.get("MOT_YAW_HEADROOM", export_diagnoser.YAW_HEADROOM)
+    tables = (
+        export_diagnoser.vehicle_table(craft, output_range(flight), headroom),
+        export_diagnoser.plan_table(plan, ticks.known_hover(craft), mixed is not None),
+    )
+    last = flight["motors"].time[np.asarray(flight["motors"].valid).any(axis=1)][-1]
+    texts = export_diagnoser.files(craft, plan, (rates[0], rates[1], rates[2]), tables)
+    return Flown(table(flight, craft), max(flight.duration, float(last)), texts)
+
+
+def fastest(flight, name) -> float:
+    """The most samples in any half second, a second."""
+    if not flight.has(name):
+        return 50.0
+    time = flight[name].time
+    return 2.0 * max(10, int((np.searchsorted(time, time + 0.5) - np.arange(len(time))).max())) + 2.0
+
+
+def events_in_c(folder, what: Flown, single=False, compiler="cc"):
+    """(events as rows: kind, onset, detected, end, rotors, loss, lower, upper, size, alternatives ..., verdict, sizes in bytes)."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, text in (what.texts | {"driver.c": DRIVER}).items():
+        (folder / name).write_text(text)
+    sources = [str(folder / name) for name in what.texts if name.endswith(".c")]
+    flags = [*WARNINGS, "-O1", "-fPIC", "-shared", *(["-DROTORWATCH_FLOAT"] if single else [])]
+    target = folder / "law.so"
+    command = [compiler, *flags, f"-I{folder}", *sources, str(folder / "driver.c"), "-lm", "-o", str(target)]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr[:3000]
+    library = ctypes.CDLL(str(target))
+    most, samples = 64, np.ascontiguousarray(what.table)
+    found = np.zeros((most + 1) * WIDTH)
+    pointer = ctypes.POINTER(ctypes.c_double)
+    count = library.drive(
+        len(samples), samples.ctypes.data_as(pointer), ctypes.c_double(what.until), found.ctypes.data_as(pointer), most
+    )
+    return found.reshape(-1, WIDTH)[:count], int(found[most * WIDTH]), [library.sizes(k) for k in range(3)]
+
+
+def in_the_air(flight):
+    return airborne(flight)
