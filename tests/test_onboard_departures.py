@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from embedded_c_parts import LASTS, SOURCES, STRICT, Part, compilers, config
+from embedded_c_parts import LASTS, SOURCES, STRICT, STUBS, Part, compilers, config
 from rotorwatch import airframes
 from rotorwatch.flight import Signal
 from rotorwatch.motion.allocation import Comparison
@@ -141,5 +141,11 @@ def test_no_warning_whatever_the_number_of_rotors(tmp_path, n, precision):
     (tmp_path / "rw_config.h").write_text(config(n))
     for compiler in compilers():
         for source in sorted(SOURCES.glob("rw_*.c")):
-            command = [compiler, *STRICT, *precision, "-fsyntax-only", f"-I{tmp_path}", f"-I{SOURCES}", str(source)]
-            subprocess.run(command, check=True)
+            command = [
+                compiler,
+                *STRICT,
+                *precision,
+                "-fsyntax-only",
+                *(f"-I{folder}" for folder in (tmp_path, SOURCES, STUBS)),
+            ]
+            subprocess.run([*command, str(source)], check=True)
