@@ -44,7 +44,7 @@ def of_flight(
         k: v for k, v in found.to_dict().items() if k != "timing"
     }  # the only thing that differs from run to run
     who = identity.Identity(f"name {aircraft}", aircraft, "name") if aircraft else identity.identify(flight)
-    air = airborne(flight) if flight.has("motors") else ()
+    air = found.trace.airborne if found.trace is not None else airborne(flight)
     return Entry(
         hash=hash,
         path=path,
