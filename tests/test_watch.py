@@ -2,6 +2,7 @@
 
 import io
 import json
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from tests.conftest import hexa_event
 from rotorwatch import airframes, cli, diagnose, logs
 from rotorwatch.live import view
 from rotorwatch.live.changes import Changes
+from rotorwatch.live.judge import Tape
 from rotorwatch.live.replay import Replay
 from rotorwatch.live.stream import Stream
 from rotorwatch.live.watched import Watched
@@ -141,6 +143,43 @@ def splits(sensed, spans):
     for start, _ in spans:
         allowed &= (sensed.time < start) | (sensed.when >= start + ticks.SETTLE_S)
     return [int(k) for k in np.flatnonzero(allowed)[5::37]]
+
+
+def test_a_tape_is_read_from_anywhere_that_is_kept():
+    """Rows come in pieces, are read once, may be read again from an earlier place, and are forgotten in whole pieces only."""
+    rng, tape, rows, forgotten = np.random.default_rng(5), Tape(), np.arange(400.0).reshape(-1, 1), 0
+    written = 0
+    while written < len(rows):
+        more = int(rng.integers(0, 6))
+        tape.add(Rows(rows[written : written + more]))
+        written = min(written + more, len(rows))
+        if rng.random() < 0.2:
+            tape.at = int(rng.integers(forgotten, written + 1))
+        left = tape.left()
+        assert (left is None) == (tape.at == written)
+        if left is not None:
+            np.testing.assert_array_equal(left.rows, rows[tape.at : written])
+            tape.at += int(rng.integers(0, len(left) + 1))
+        if rng.random() < 0.2:
+            forgotten = int(rng.integers(forgotten, tape.at + 1))
+            tape.forget(forgotten)
+    assert sum(map(len, tape._pieces)) < written - forgotten + 6
+
+
+@dataclass
+class Rows:
+    """As `motion.ticks.Sensed`: added and cut."""
+
+    rows: np.ndarray
+
+    def __len__(self):
+        return len(self.rows)
+
+    def __getitem__(self, part):
+        return Rows(self.rows[part])
+
+    def __add__(self, later):
+        return Rows(np.concatenate([self.rows, later.rows]))
 
 
 def test_memory_does_not_grow_with_the_flight():
