@@ -194,6 +194,8 @@ class _Course:
 def _learned_again(contact, restart, thrust, hover, rate, fresh, before: float) -> np.ndarray:
     """(T,) ticks of controlled flight since the last contact of the hop, infinite without one. A vehicle that spins or has outputs
     near their limits is not what its trim can be learned from. before: the same at the tick before the first."""
+    if not contact.any() and before == np.inf:  # the rule
+        return np.full(len(contact), np.inf)
     controlled = (
         fresh
         & ((thrust * hover[:, None]).max(axis=1) < CONTROLLED_SHARE)
