@@ -138,7 +138,7 @@ def starts(path: str, times: int) -> None:
 
 
 def stream(path: str, port: int, ready, go) -> None:
-    """One vehicle in the air that sends its parameters again and again, twice a second."""
+    """One vehicle in the air that sends a heartbeat and its parameters ten times a second."""
     frames, greeting = packed(path, 1, 30.0)
     sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     ready.set()
@@ -146,7 +146,7 @@ def stream(path: str, port: int, ready, go) -> None:
     began = time.monotonic()
     for step, said in enumerate(frames):
         time.sleep(max(0.0, began + step / 50.0 - time.monotonic()))
-        for frame in [*(greeting[0] if step % 25 == 0 else ()), *said]:
+        for frame in [*(greeting[0] if step % 5 == 0 else ()), *said]:
             sock.sendto(frame, ("127.0.0.1", port))
 
 
