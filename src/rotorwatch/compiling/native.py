@@ -51,7 +51,7 @@ def build(header: str, source: str, name: str, march: str = "native") -> Path:
     least that the compiler knows. Raises Unavailable with what the compiler says."""
     cc = toolchain.compiler()
     flags = (*(QUICK if len(source) > BIG else ("-O3",)), *FLAGS, *([f"-march={march}"] if march else []))
-    vectors = VECTORS if platform.machine() == "x86_64" and platform.libc_ver()[0] == "glibc" else ()
+    vectors = VECTORS if toolchain.processor() == "x86_64" and platform.libc_ver()[0] == "glibc" else ()
     key = hashlib.sha256("\0".join([header, source, *flags, *vectors, toolchain.machine()]).encode()).hexdigest()[:32]
     goal = toolchain.folder() / f"{name}-{key}.so"
     if goal.exists():
