@@ -316,6 +316,19 @@ void rw_departures_logged(rw_departures *s, const rw_vehicle *v, rw_time time, c
     }
 }
 
+void rw_departures_landed(rw_departures *s, rw_time compared, rw_time logged)
+{
+    for (int way = 0; way < RW_WAYS; way++) {
+        const rw_time since = way == RW_WAY_MIXER ? compared : logged;
+        for (int k = 0; k < N; k++) {
+            rw_run *run = &s->runs[way][k];
+            if (since >= RW_LASTS) continue;
+            if (run->open < 0) run->onset = RW_LASTS;
+            else if (since < run->well) run->well = since;
+        }
+    }
+}
+
 static bool before(const rw_override *a, const rw_override *b)
 {
     if (a->detected < b->detected || b->detected < a->detected) return a->detected < b->detected;

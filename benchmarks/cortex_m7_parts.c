@@ -1,0 +1,150 @@
+/* What the parts of the diagnoser on board take on a Cortex-M7, in instructions: the largest call of each in twenty seconds of flight with
+   an announcement a second, outputs that part from the mixer, and knocks. Prints a line for each part. MIT. */
+#include <stdio.h>
+#include <string.h>
+
+#include "rw_airborne.h"
+#include "rw_departures.h"
+#include "rw_events.h"
+#include "rw_mixer.h"
+#include "rw_report.h"
+#include "rw_sense.h"
+#include "rw_ticks.h"
+
+#define SYSTICK ((volatile uint32_t *)0xE000E010u)
+#define N RW_ROTORS
+
+enum { AIRBORNE, MIXER, DEPARTURES, SENSE, TICKS, EVENTS, LIST, REPORT, PARTS };
+static const char *const NAMES[PARTS] = {"airborne", "mixer", "departures", "sense", "ticks", "events", "losses", "report"};
+static uint32_t most[PARTS];
+
+#define COUNTED(part, call) \
+    do { \
+        const uint32_t before = SYSTICK[2]; \
+        call; \
+        const uint32_t taken = (before - SYSTICK[2]) & 0xFFFFFFu; \
+        if (taken > most[part]) most[part] = taken; \
+    } while (0)
+
+static rw_airborne air;
+static rw_mixer mixer;
+static rw_departures departures;
+static rw_sense sense;
+static rw_ticks ticks;
+static rw_events events;
+static rw_report report;
+static rw_changes changes;
+
+/* From -1 to 1, anything. */
+static rw_real noise(void)
+{
+    static uint32_t state = 12345u;
+    state = state * 1664525u + 1013904223u;
+    return (rw_real)(state >> 8) / (rw_real)8388608.0 - 1;
+}
+
+static void explained(int k, rw_found *found)
+{
+    static rw_real theta[N], sd[N], share[RW_PLACES], onsets[RW_PLACES], odds[RW_HYPOTHESES];
+    static bool active[RW_PLACES * N];
+    for (int i = 0; i < N; i++) {
+        theta[i] = (rw_real)0.3 + (rw_real)0.01 * noise();
+        sd[i] = (rw_real)0.02;
+    }
+    for (int i = 0; i < RW_HYPOTHESES; i++) odds[i] = (rw_real)0.05;
+    if (k % 20 == 0) {
+        for (int p = 0; p < RW_PLACES; p++) {
+            for (int i = 0; i < N; i++) active[p * N + i] = noise() > 0;
+            share[p] = (rw_real)(1.0 / RW_PLACES);
+        }
+    }
+    for (int p = 0; p < RW_PLACES; p++) onsets[p] = (rw_real)(k % 20 + 20 + p);
+    found->theta = theta;
+    found->theta_sd = sd;
+    found->active = active;
+    found->share = share;
+    found->probability = found->log_odds = odds;
+    found->onsets = onsets;
+    found->since = onsets[0];
+    found->opposite = -1;
+    found->opposite_onset = 0;
+    found->announced = k % 20 == 0 && k > 200;
+}
+
+int main(void)
+{
+    static rw_vehicle v;
+    static rw_event losses[RW_RECORDS], list[RW_EVENTS], gone[RW_EVENTS];
+    static rw_override overrides[RW_OVERRIDES];
+    static rw_comparison compared[RW_PENDING];
+    static rw_news news[2 * RW_EVENTS];
+    rw_plan p = {.dt = RW_TICK_S, .lag = 0.02, .ready = 3, .gyro_half = RW_TICK_S / 2, .accel_half = RW_TICK_S / 2, .gyro_least = 1,
+                 .accel_least = 1, .side_least = 5, .gyro = true, .accel = true};
+    v.u_max = v.output_high = 1;
+    v.yaw_headroom = (rw_real)0.2;
+    v.mixer_known = true;
+    for (int i = 0; i < N; i++) {
+        v.effectiveness[RW_ROLL][i] = i % 2 ? 1 : -1;
+        v.effectiveness[RW_PITCH][i] = i / 2 % 2 ? 1 : -1;
+        v.effectiveness[RW_YAW][i] = i % 2 ? (rw_real)0.1 : (rw_real)-0.1;
+        v.effectiveness[RW_THRUST][i] = v.mixer[i][3] = 1;
+        for (int a = 0; a < 3; a++) v.mixer[i][a] = (rw_real)0.5 * v.effectiveness[a][i];
+    }
+    rw_airborne_init(&air);
+    rw_mixer_init(&mixer);
+    rw_departures_init(&departures);
+    rw_sense_init(&sense);
+    rw_ticks_init(&ticks);
+    rw_events_init(&events);
+    rw_report_init(&report);
+    rw_changes_init(&changes);
+    SYSTICK[1] = 0xFFFFFF;
+    SYSTICK[2] = 0;
+    SYSTICK[0] = 5;
+    for (int sample = 0, k = 0; sample < 2000; sample++) {
+        const rw_time t = 10 + 0.01 * sample;
+        const rw_real force[3] = {noise(), noise(), (rw_real)-9.8 + noise()}, rate[3] = {noise(), noise(), noise()};
+        rw_sensed row;
+        COUNTED(SENSE, rw_sense_accel(&sense, t, force));
+        rw_sense_gyro(&sense, t, rate);
+        rw_airborne_accel(&air, t, force, true);
+        rw_airborne_gyro(&air, t, rate, true);
+        if (sample % 2 == 0) {
+            const rw_real control[RW_CONTROLS] = {(rw_real)0.1 * noise(), (rw_real)0.1 * noise(), (rw_real)0.1 * noise(), (rw_real)0.5};
+            rw_real output[N];
+            int count = 0;
+            for (int i = 0; i < N; i++) output[i] = (rw_real)0.5 + (rw_real)0.1 * noise();
+            if (sample / 200 % 2) output[sample / 400 % N] = (rw_real)0.5;
+            rw_airborne_outputs(&air, &v, t, output, (rw_rotors)((1u << N) - 1u));
+            COUNTED(MIXER, count = rw_mixer_outputs(&mixer, &v, t, output, true, 1, compared));
+            for (int i = 0; i < count; i++) COUNTED(DEPARTURES, rw_departures_compared(&departures, &v, &compared[i], true));
+            COUNTED(MIXER, count = rw_mixer_control(&mixer, &v, t, control, true, compared));
+            for (int i = 0; i < count; i++) COUNTED(DEPARTURES, rw_departures_compared(&departures, &v, &compared[i], true));
+            COUNTED(DEPARTURES, rw_departures_logged(&departures, &v, t, output, output, true, true));
+            rw_sense_thrust(&sense, &p, t, output, true);
+        }
+        COUNTED(AIRBORNE, rw_airborne_until(&air, t));
+        for (;; k++) {
+            bool more = false;
+            rw_made made;
+            rw_found found;
+            int loss_count = 0, override_count, count = 0;
+            COUNTED(SENSE, more = rw_sense_next(&sense, &p, t, &row));
+            if (!more) break;
+            if (k < 20) rw_ticks_settle(&ticks, &row, 10);
+            COUNTED(TICKS, rw_ticks_make(&ticks, &v, &p, &row, k < 22 ? RW_LASTS : 10, &made));
+            explained(k, &found);
+            COUNTED(EVENTS, rw_events_tick(&events, &v, &made.tick, &found));
+            COUNTED(LIST, loss_count = rw_events_losses(&events, &v, losses));
+            rw_report_tick(&report, &made.tick);
+            COUNTED(REPORT, {
+                override_count = rw_departures_found(&departures, &v, overrides);
+                count = rw_report_events(&report, losses, loss_count, overrides, override_count, list);
+                rw_changes_of(&changes, list, count, t - 6, gone, news);
+            });
+        }
+    }
+    for (int part = 0; part < PARTS; part++) printf("%s %lu\n", NAMES[part], (unsigned long)most[part]);
+    printf("seen %d %d\n", rw_events_losses(&events, &v, losses), rw_departures_found(&departures, &v, overrides));
+    return 0;
+}

@@ -1,0 +1,99 @@
+"""What do the parts of the diagnoser on board, all but its estimator, take on a Cortex-M7?
+
+    python benchmarks/cortex_m7_parts.py
+
+A row for each part, of a quadrotor and a hexarotor, in single and in double precision: code with tables in flash, what it remembers, the
+deepest stack of one of its functions, and the instructions of its largest call in twenty seconds of flight with all that can happen in it.
+Needs arm-none-eabi-gcc and qemu-system-arm. -Os. QEMU counts instructions, not cycles, forty at a time; a Cortex-M7 takes one to two
+cycles for each.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import tempfile
+from pathlib import Path
+
+import rotorwatch
+
+HERE = Path(__file__).resolve().parent
+CORE = HERE.parent / "embedded" / "cortex-m7"
+SOURCES = Path(rotorwatch.__file__).parent / "embedded_c"
+CHIP = ("-mcpu=cortex-m7", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv5-d16", "-std=c99", "-Os", "-fstack-usage")
+BOARD = ("qemu-system-arm", "-M", "mps2-an500", "-nographic", "-semihosting", "-icount", "shift=0", "-kernel")
+TICK = 40  # instructions a tick of its clock
+# Part -> its struct and what it is for.
+PARTS = {
+    "airborne": ("rw_airborne", "is it in the air?"),
+    "mixer": ("rw_mixer", "outputs against the rate controller"),
+    "departures": ("rw_departures", "outputs that part from the mixer"),
+    "sense": ("rw_sense", "samples to ticks"),
+    "ticks": ("rw_ticks", "ticks to the estimator's inputs"),
+    "contact": ("rw_contact", "knocks; state and calls are within ticks"),
+    "events": ("rw_events", "losses"),
+    "report": ("rw_report", "one list of events"),
+    "text": ("rw_changes", "what is new, in words"),
+}
+
+
+def config(n: int) -> str:
+    """rw_config.h of n rotors, ticks of 0.05 s, motion at 100 Hz and outputs at 50 Hz."""
+    settings = {
+        "ROTORS": n, "PLACES": 4, "HYPOTHESES": 2 * n + n * (n - 1) // 2 + 9, "TICK_S": 0.05, "OUTPUT_HZ": 50, "REACH": 64,
+        "OPPOSITE_PAIRS": n // 2, "TICKS_BEFORE": 10, "GYRO_HZ": 100, "ACCEL_HZ": 100, "MOTION_HZ": 100,
+    }  # fmt: skip
+    return "".join(f"#define RW_{name} {value}\n" for name, value in settings.items())
+
+
+def run(command, **options) -> str:
+    return subprocess.run(
+        [str(c) for c in command], stdin=subprocess.DEVNULL, capture_output=True, text=True, check=True, **options
+    ).stdout
+
+
+def measured(n: int, single: bool) -> dict[str, tuple[int, int, int, int]]:
+    """Part -> code, state, stack in bytes, instructions."""
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        (folder / "rw_config.h").write_text(config(n))
+        flags = [*CHIP, f"-I{folder}", f"-I{SOURCES}", *(["-DROTORWATCH_FLOAT"] if single else [])]
+        files = [SOURCES / f"rw_{part}.c" for part in PARTS]
+        link = [CORE / "startup.c", "--specs=rdimon.specs", "-T", CORE / "an500.ld", "-lm"]
+        run(
+            ["arm-none-eabi-gcc", *flags, *files, HERE / "cortex_m7_parts.c", *link, "-o", folder / "m7.elf"],
+            cwd=folder,
+        )
+        said = run([*BOARD, folder / "m7.elf"], timeout=120)
+        calls = {part: int(count) * TICK for part, count in (line.split()[:2] for line in said.splitlines())}
+        calls["events"] = calls["events"] + calls["losses"]
+        found = {}
+        for part, (struct, _) in PARTS.items():
+            header = "rw_report" if part == "text" else f"rw_{part}"
+            (folder / "size.c").write_text(f'#include "{header}.h"\nchar state[sizeof({struct})];\n')
+            run(["arm-none-eabi-gcc", *flags, "-c", folder / "size.c", "-o", folder / "size.o"], cwd=folder)
+            run(["arm-none-eabi-gcc", *flags, "-c", SOURCES / f"rw_{part}.c", "-o", folder / "part.o"], cwd=folder)
+            code = int(run(["arm-none-eabi-size", folder / "part.o"]).splitlines()[1].split()[0])
+            symbols = run(["arm-none-eabi-nm", "-S", folder / "size.o"]).splitlines()
+            state = next(int(line.split()[1], 16) for line in symbols if line.endswith(" state"))
+            stack = max(int(line.split("\t")[1]) for line in (folder / "part.su").read_text().splitlines())
+            found[part] = code, state, stack, calls.get(part, 0)
+        return found
+
+
+def main() -> None:
+    for n, name in ((4, "quadrotor"), (6, "hexarotor")):
+        for single in (True, False):
+            print(f"\n{name}, {'single' if single else 'double'} precision\n")
+            print("| part | | code, bytes | state, bytes | stack, bytes | thousand instructions, largest call |")
+            print("|---|---|---|---|---|---|")
+            rows = measured(n, single)
+            for part, (code, state, stack, count) in rows.items():
+                calls = f"{count / 1e3:.1f}" if count else ""
+                print(f"| {part} | {PARTS[part][1]} | {code} | {state} | {stack} | {calls} |")
+            own = [row for part, row in rows.items() if part != "contact"]  # its state is within that of ticks
+            code, state = sum(row[0] for row in rows.values()), sum(row[1] for row in own)
+            print(f"| all | | {code} | {state} | | |")
+
+
+if __name__ == "__main__":
+    main()
