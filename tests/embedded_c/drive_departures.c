@@ -1,5 +1,6 @@
 /* Rows of doubles from stdin to rw_departures; what was found, asked for by rows of kind 2, to stdout. The first row is the vehicle.
-   kind 0: a comparison; 1: outputs; 2: print; 3: keep what there is; 4: take back what came since, with the times of rw_departures_landed. */
+   kind 0: a comparison; 1: outputs; 2: print; 3: keep what there is; 4: take back what came since, with the times of
+   rw_departures_landed. */
 #include <stdio.h>
 #include <stdlib.h>
 

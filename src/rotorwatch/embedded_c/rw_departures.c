@@ -67,9 +67,10 @@ static int8_t room(rw_departures *s)
     return (int8_t)oldest;
 }
 
-/* One sample of one way to find a spell: is it wrong, is it well, the output. A spell is confirmed after hold_s and `samples` in a row, and over
-   when all has been well for BACK_S. Returns its place when it is confirmed at this sample, else -1. */
-static int follow(rw_departures *s, int way, int k, rw_time time, bool wrong, bool back, rw_real output, rw_time hold_s, int samples)
+/* One sample of one way to find a spell: is it wrong, is it well, the output. A spell is confirmed after hold_s and `samples` in a row, and
+   over when all has been well for BACK_S. Returns its place when it is confirmed at this sample, else -1. */
+static int follow(rw_departures *s, int way, int k, rw_time time, bool wrong, bool back, rw_real output, rw_time hold_s,
+                  int samples)
 {
     rw_run *run = &s->runs[way][k];
     int confirmed = -1;
