@@ -3,6 +3,7 @@
 #include <string.h>
 
 static const rw_time SETTLE_S = 1.0; /* of motion/ticks.py: the first second of a flight gives the hover command */
+static const rw_time SETTLED_S = 60.0; /* what ended so long ago is not taken back any more */
 static const rw_time LYING_S = 0.5, BLOW_S = 3.0; /* of motion/airborne.py: by how much an end may lie before what showed it */
 
 void rw_diagnoser_init(rw_diagnoser *d, const rw_vehicle *v, const rw_plan *p)
@@ -19,7 +20,7 @@ void rw_diagnoser_init(rw_diagnoser *d, const rw_vehicle *v, const rw_plan *p)
     rw_report_init(&d->report);
     rw_changes_init(&d->changes);
     rw_estimator_init(&d->estimator, &d->work);
-    d->start = d->before_start = RW_LASTS;
+    d->start = d->before_start = d->compared = d->logged = RW_LASTS;
     d->before_end = d->newest = -RW_LASTS;
     d->battery = 1;
 }
@@ -71,22 +72,42 @@ static void judge(rw_diagnoser *d, const rw_sensed *row)
     d->judged = d->judged || made.tick.mode == RW_JUDGE;
 }
 
+/* The tick that has waited longest. */
+static void next(rw_diagnoser *d)
+{
+    judge(d, &d->queue[d->first]);
+    d->first = (int16_t)((d->first + 1) % RW_QUEUE);
+    d->count--;
+}
+
 /* Ticks of which it is known whether they lie in the air. sure: of all of them it is. */
 static void work_off(rw_diagnoser *d, rw_time now, bool sure)
 {
     const rw_time from = doubt(d, now);
     while (d->count) {
         const rw_sensed *row = &d->queue[d->first];
-        const bool flying = d->start < RW_LASTS && row->when > d->start;
-        if (!sure && flying) {
-            if (row->when > from || row->when > d->air.last) return;
+        if (!sure && d->start < RW_LASTS) {
+            if (row->when > d->start && (row->when > from || row->when > d->air.last)) return;
             /* What carries the vehicle is learned from all ticks of the first second. */
-            if (row->time >= d->start + SETTLE_S && d->newest < d->start + SETTLE_S) return;
+            if (row->time >= d->start && d->newest < d->start + SETTLE_S) return;
         }
-        judge(d, row);
-        d->first = (int16_t)((d->first + 1) % RW_QUEUE);
-        d->count--;
+        next(d);
     }
+}
+
+/* The flight that went on has ended at `end` s: the ticks that wait are certain now. */
+static void landed(rw_diagnoser *d, rw_time end)
+{
+    d->before_start = d->start;
+    d->before_end = end;
+    d->start = RW_LASTS;
+    work_off(d, end, true);
+    rw_report_landed(&d->report, end);
+    if (d->doubting) {
+        d->departures = d->sure;
+        rw_departures_landed(&d->departures, d->compared, d->logged);
+    }
+    d->doubting = false;
 }
 
 static void landed_or_lifted(rw_diagnoser *d)
@@ -94,75 +115,75 @@ static void landed_or_lifted(rw_diagnoser *d)
     const rw_airborne *a = &d->air;
     if (a->start == d->start) return;
     if (d->start < RW_LASTS) {
-        d->before_start = d->start;
-        d->before_end = d->start;
-        if (a->flight_count && a->flights[a->flight_count - 1].start <= d->start) d->before_end = rw_airborne_end(a, a->flight_count - 1);
-        rw_report_landed(&d->report, d->before_end);
-        if (d->doubting) d->departures = d->sure;
-        d->doubting = false;
+        const bool kept = a->flight_count && a->flights[a->flight_count - 1].start <= d->start;
+        landed(d, kept ? rw_airborne_end(a, a->flight_count - 1) : d->start);
     }
     d->start = a->start;
 }
 
-/* After a sample of time `now` has been told to the gate. */
-static void go_on(rw_diagnoser *d, rw_time now, bool sure)
+/* Ticks that have become known, into the queue. */
+static void take(rw_diagnoser *d, rw_time now)
 {
     rw_sensed row;
-    landed_or_lifted(d);
-    if (doubt(d, now) < RW_LASTS) {
-        if (!d->doubting) d->sure = d->departures;
-        d->doubting = true;
-    } else d->doubting = false;
     while (rw_sense_next(&d->sense, d->plan, now, &row)) {
-        if (d->count == RW_QUEUE) { /* cannot be: no doubt lasts that long; never lose a tick for it */
-            judge(d, &d->queue[d->first]);
-            d->first = (int16_t)((d->first + 1) % RW_QUEUE);
-            d->count--;
-        }
+        if (d->count == RW_QUEUE) next(d); /* no doubt lasts that long; never lose a tick for it */
         if (d->start < RW_LASTS && row.when >= d->start && row.when < d->start + SETTLE_S) rw_ticks_settle(&d->ticks, &row, d->start);
         d->newest = row.when;
         d->queue[(d->first + d->count) % RW_QUEUE] = row;
         d->count++;
-        if (sure) work_off(d, now, true);
     }
-    work_off(d, now, sure);
+}
+
+/* After a sample of time `now` has been told to the gate. */
+static void go_on(rw_diagnoser *d, rw_time now)
+{
+    landed_or_lifted(d);
+    if (doubt(d, now) < RW_LASTS) {
+        if (!d->doubting) {
+            d->sure = d->departures;
+            d->compared = d->logged = RW_LASTS;
+        }
+        d->doubting = true;
+    } else d->doubting = false;
+    take(d, now);
+    work_off(d, now, false);
 }
 
 void rw_diagnoser_gyro(rw_diagnoser *d, rw_time time, const rw_real *rate, bool valid)
 {
     rw_airborne_gyro(&d->air, time, rate, valid);
-    go_on(d, time, false);
+    go_on(d, time);
     if (valid) rw_sense_gyro(&d->sense, time, rate);
 }
 
 void rw_diagnoser_accel(rw_diagnoser *d, rw_time time, const rw_real *force, bool valid)
 {
     rw_airborne_accel(&d->air, time, force, valid);
-    go_on(d, time, false);
+    go_on(d, time);
     if (valid) rw_sense_accel(&d->sense, time, force);
 }
 
 void rw_diagnoser_velocity(rw_diagnoser *d, rw_time time, rw_real climb, rw_real speed)
 {
     rw_airborne_velocity(&d->air, time, climb, speed);
-    go_on(d, time, false);
+    go_on(d, time);
 }
 
 void rw_diagnoser_state(rw_diagnoser *d, rw_time time, int landed, int armed)
 {
     rw_airborne_state(&d->air, time, landed, armed);
-    go_on(d, time, false);
+    go_on(d, time);
 }
 
 void rw_diagnoser_attitude(rw_diagnoser *d, rw_time time, const rw_real *q)
 {
-    go_on(d, time, false);
+    go_on(d, time);
     rw_sense_level(&d->sense, time, 1 - 2 * (q[1] * q[1] + q[2] * q[2]));
 }
 
 void rw_diagnoser_battery(rw_diagnoser *d, rw_time time, rw_real ratio)
 {
-    go_on(d, time, false);
+    go_on(d, time);
     d->battery = ratio;
 }
 
@@ -172,17 +193,24 @@ static bool aloft(const rw_diagnoser *d, rw_time time)
            (d->before_start < RW_LASTS && time >= d->before_start && time < d->before_end);
 }
 
+static void compare(rw_diagnoser *d, const rw_comparison *c)
+{
+    rw_departures_compared(&d->departures, d->vehicle, c, aloft(d, c->time));
+    if (c->time < d->compared) d->compared = c->time;
+}
+
 void rw_diagnoser_outputs(rw_diagnoser *d, rw_time time, const rw_real *output, rw_rotors known)
 {
     const rw_vehicle *v = d->vehicle;
     const bool all = known == (rw_rotors)((1u << RW_ROTORS) - 1u);
     rw_comparison c;
     rw_airborne_outputs(&d->air, v, time, output, known);
-    go_on(d, time, false);
+    go_on(d, time);
     for (int k = 0; k < RW_ROTORS; k++) d->thrust[k] = rw_mixer_curve(v, output[k], d->battery);
     d->known = known;
-    if (rw_mixer_outputs(&d->mixer, v, time, output, all, d->battery, &c)) rw_departures_compared(&d->departures, v, &c, aloft(d, c.time));
+    if (rw_mixer_outputs(&d->mixer, v, time, output, all, d->battery, &c)) compare(d, &c);
     rw_departures_logged(&d->departures, v, time, output, d->thrust, all, aloft(d, time));
+    if (time < d->logged) d->logged = time;
     if (!d->plan->rebuilt) rw_sense_thrust(&d->sense, d->plan, time, d->thrust, all);
 }
 
@@ -192,9 +220,9 @@ void rw_diagnoser_control(rw_diagnoser *d, rw_time time, const rw_real *control,
     rw_comparison made[RW_PENDING];
     rw_real thrust[RW_ROTORS];
     bool ok[RW_ROTORS], all = true;
-    go_on(d, time, false);
+    go_on(d, time);
     const int count = rw_mixer_control(&d->mixer, v, time, control, valid, made);
-    for (int i = 0; i < count; i++) rw_departures_compared(&d->departures, v, &made[i], aloft(d, made[i].time));
+    for (int i = 0; i < count; i++) compare(d, &made[i]);
     if (!d->plan->rebuilt) return;
     rw_mixer_thrust(&d->mixer, v, time, control, valid, d->battery, thrust, ok);
     for (int k = 0; k < RW_ROTORS; k++) {
@@ -208,13 +236,13 @@ void rw_diagnoser_finish(rw_diagnoser *d, rw_time time)
 {
     rw_airborne_until(&d->air, time);
     landed_or_lifted(d);
+    d->doubting = false;
+    take(d, RW_LASTS);
     if (d->start < RW_LASTS) { /* it flies as long as there are outputs */
-        d->before_start = d->start;
-        d->before_end = d->air.last;
-        d->start = d->air.start = RW_LASTS;
-        rw_report_landed(&d->report, d->before_end);
+        d->air.start = RW_LASTS;
+        landed(d, d->air.last);
     }
-    go_on(d, RW_LASTS, true);
+    work_off(d, time, true);
 }
 
 int rw_diagnoser_poll(rw_diagnoser *d, rw_news *news)
@@ -224,7 +252,7 @@ int rw_diagnoser_poll(rw_diagnoser *d, rw_news *news)
     const int lost = rw_events_losses(&d->events, d->vehicle, losses);
     const int departed = rw_departures_found(&d->departures, d->vehicle, overrides);
     d->event_count = (uint8_t)rw_report_events(&d->report, losses, lost, overrides, departed, d->listed);
-    return rw_changes_of(&d->changes, d->listed, d->event_count, d->newest, d->gone, news);
+    return rw_changes_of(&d->changes, d->listed, d->event_count, d->newest - SETTLED_S, d->gone, news);
 }
 
 int rw_diagnoser_events(const rw_diagnoser *d, const rw_event **events)

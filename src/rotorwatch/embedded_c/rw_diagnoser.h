@@ -51,6 +51,7 @@ typedef struct {
     rw_estimator_workspace work;
     rw_time start;                  /* s, of the flight that goes on, RW_LASTS on the ground */
     rw_time before_start, before_end; /* of the flight before */
+    rw_time compared, logged;       /* s, first comparison and first outputs since the doubt began, RW_LASTS without */
     rw_time newest;                 /* s, mean time of the commands of the last tick that came */
     rw_real thrust[RW_ROTORS];      /* the last outputs as shares of full thrust */
     rw_real battery;                /* voltage as a share of full */
