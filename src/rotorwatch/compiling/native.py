@@ -273,9 +273,14 @@ def _shapes(parameters) -> list[tuple[tuple[int, ...], str]]:
 
 
 @functools.lru_cache(maxsize=32)
-def _nameless(build_estimator: Callable, select: Callable, example: _Example, sizes: tuple[int, int]) -> Library:
-    """The library of functions that are known in this process only: traced once, whatever the parameters' values are."""
-    program, layout = _made(build_estimator, select, example.values, sizes, "estimator")
+def _nameless(build_estimator: Callable, select: Callable, example: _Example, sizes: tuple[int, int]):
+    """The library of functions that are known in this process only, or why it cannot be C: traced once, whatever the parameters' values."""
+    from rotorwatch.compiling.c99.lower import Refused
+
+    try:
+        program, layout = _made(build_estimator, select, example.values, sizes, "estimator")
+    except Refused as why:
+        return why.with_traceback(None)
     return Library(build(program.header, program.source, "estimator"), layout)
 
 
@@ -296,7 +301,10 @@ def prepared(build_estimator: Callable, select: Callable, parameters, sizes: tup
     cannot be."""
     known_as = known_by(build_estimator, select, parameters, sizes)
     if known_as is None:
-        return _nameless(build_estimator, select, _Example(parameters), sizes)
+        found = _nameless(build_estimator, select, _Example(parameters), sizes)
+        if isinstance(found, Library):
+            return found
+        raise found
     came_with = shipped.find(known_as)
     if came_with is not None:
         return _loaded(str(came_with[0]), json.dumps(came_with[1]))

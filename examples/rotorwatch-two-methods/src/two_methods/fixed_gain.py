@@ -39,7 +39,7 @@ def _stationary():
         P = P - gain(P, H, R) @ H @ P
         return 0.5 * (P + P.T)
 
-    @jax.jit
+    @functools.partial(jax.jit, static_argnames="rounds")
     def stationary(A, H, Q, R, start, rounds):
         def turn(_, P):
             P = A @ updated(P, H, R) @ A.T + Q
