@@ -27,10 +27,12 @@ COMMANDS = (
 def main() -> int:
     """Run every check in the repository's root; 0 when all pass."""
     failed = []
-    for command in COMMANDS:
+    text = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
+    running = [subprocess.Popen(command, cwd=ROOT, **text) for command in COMMANDS]  # side by side: types take longest
+    for command, process in zip(COMMANDS, running, strict=True):
         name = " ".join(Path(part).name if part == command[0] else part for part in command)
-        print(f"== {name}", flush=True)
-        if subprocess.run(command, cwd=ROOT, check=False).returncode:
+        print(f"== {name}\n{process.communicate()[0]}", end="", flush=True)
+        if process.returncode:
             failed.append(name)
     print("\n".join(f"FAILED: {name}" for name in failed) if failed else "all checks passed")
     return 1 if failed else 0

@@ -2,12 +2,15 @@
 
 `pip install .` and `pip install -e .` build for this computer, or take what they built of the same sources before; without a C compiler the
 package comes without native code and needs JAX and SciPy, which do the work instead. Environment: ROTORWATCH_SHIP=portable builds for every
-processor of this kind (wheels that are given away), ROTORWATCH_SHIP=none builds nothing.
+processor of this kind (wheels that are given away), ROTORWATCH_SHIP=none builds nothing. CC: the compiler; a cross compiler makes a wheel
+for its kind of processor.
 """
 
 from __future__ import annotations
 
+import json
 import os
+import platform
 import shutil
 import subprocess
 import sys
@@ -79,7 +82,11 @@ class ShippedCode(BuildHookInterface):
             build_data["force_include"][str(path)] = str(HERE / path.name)
         build_data["pure_python"] = False
         # Nothing in it depends on the version of Python.
-        build_data["tag"] = f"py3-none-{sysconfig.get_platform().replace('-', '_').replace('.', '_')}"
+        index = json.loads((self._folder / "built" / "index.json").read_text(encoding="utf-8"))
+        kind = sysconfig.get_platform()
+        if (built_for := index["target"].split()[1]) != platform.machine().lower():  # by a cross compiler
+            kind = kind.replace(platform.machine(), built_for)
+        build_data["tag"] = f"py3-none-{kind.replace('-', '_').replace('.', '_')}"
 
     def finalize(self, version: str, build_data: dict, artifact_path: str) -> None:
         """What was built has been copied."""

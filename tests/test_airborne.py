@@ -151,6 +151,24 @@ def test_falling_with_motors_off_is_still_in_the_air():
     assert len(airborne(landed)) >= 1 and airborne(landed)[0][1] == pytest.approx(25, abs=0.2)
 
 
+def test_sinking_on_little_command_is_no_landing():
+    # Five seconds down at 2 m/s on half of what hover takes, as light vehicles with large rotors do; then up again, and a landing.
+    flight = made_up([(10.0, 50.0)])
+    time = flight["motors"].time
+    down = (time > 20.0) & (time < 25.0)
+    motors, velocity = flight["motors"].values.copy(), flight["velocity"].values.copy()
+    motors[down] = 0.25
+    velocity[np.interp(flight["velocity"].time, time, down) > 0.5, 2] = 2.0
+    signals = dict(flight.signals)
+    for name, values in (("motors", motors), ("velocity", velocity)):
+        signals[name] = signals[name].with_arrays(signals[name].time, values, signals[name].valid)
+    assert len(airborne(replace(flight, signals=signals))) == 1
+    still = velocity.copy()
+    still[:, 2] = np.where(still[:, 2] == 2.0, 0.0, still[:, 2])
+    signals["velocity"] = signals["velocity"].with_arrays(signals["velocity"].time, still, signals["velocity"].valid)
+    assert len(airborne(replace(flight, signals=signals))) == 2  # the same without sinking: it stood on the ground
+
+
 def test_lying_upside_down_ends_the_flight_at_the_crash():
     flight = made_up([(10, 59.9)])
     force = flight["accel"].values.copy()

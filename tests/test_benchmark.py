@@ -494,7 +494,7 @@ def test_two_methods_of_another_package_are_tried_and_ranked_by_the_real_command
 
     shorter = (ROOT / "src/rotorwatch/campaign/benchmark_plans/quick.toml").read_text()
     (tmp_path / "plan.toml").write_text(
-        shorter.replace("flights = 64", "flights = 12").replace('name = "quick"', 'name = "shorter"')
+        shorter.replace("flights = 64", "flights = 7").replace('name = "quick"', 'name = "shorter"')
     )
     names = "fixed_gain,residual_cusum"
     command("plan.toml", "--methods", names, "--method", "beside:Quick", "-o", "two.json", "--jobs", "1")
@@ -505,7 +505,7 @@ def test_two_methods_of_another_package_are_tried_and_ranked_by_the_real_command
     assert (found["quick_gain"]["package"], found["quick_gain"]["path"]) == ("beside", "beside:Quick")
     for method in found.values():
         scores = method["scores"]
-        assert scores["flights"] == 12 and scores["clear_faults"] > 3 and scores["us_per_step"]["value"] > 0.0
+        assert scores["flights"] == 7 and scores["clear_faults"] > 1 and scores["us_per_step"]["value"] > 0.0
         assert scores["detected"]["value"] > 0.3 and scores["right"]["value"] > 0.2, method["name"]  # of few flights
     shown = command("--rank", "two.json", "-o", "page.html").stdout
     assert all(name in shown for name in found)

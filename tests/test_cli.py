@@ -232,16 +232,16 @@ def test_inject_hands_its_options_to_the_campaign(fake, run, monkeypatch):
     asked = []
     module = ModuleType("rotorwatch.experiments.inject")
 
-    def campaign(paths, losses, repeats, seed, progress, jobs, scheduler):
-        asked.append(([p.name for p in paths], losses, repeats, seed, jobs, scheduler))
+    def campaign(paths, losses, repeats, seed, progress, jobs, scheduler, keep):
+        asked.append(([p.name for p in paths], losses, repeats, seed, jobs, scheduler, keep))
         return {"table": [{"loss": 0.2, "injections": 8, "detected": 0.5, "delay_s": 1.25}], "false_alarms": 0}
 
     module.campaign = campaign
     monkeypatch.setitem(sys.modules, "rotorwatch.experiments.inject", module)
-    argv = ("inject", "healthy.bin", "--loss", "0.2,0.9", "--repeats", "2", "--seed", "9", "--jobs", "2")
+    argv = ("inject", "healthy.bin", "--loss", "0.2,0.9", "--repeats", "2", "--seed", "9", "--jobs", "2", "--keep", "k")
     code, out, _ = run(*argv, "--json")
     assert code == 0 and json.loads(out)["false_alarms"] == 0
-    assert asked == [(["healthy.bin"], (0.2, 0.9), 2, 9, 2, None)]
+    assert asked == [(["healthy.bin"], (0.2, 0.9), 2, 9, 2, None, Path("k"))]
     _, out, _ = run(*argv)
     assert "20 %" in out and "50 %" in out and "1.25 s" in out
     for wrong in ("0.2;0.3", "0", "1", "nan", ""):

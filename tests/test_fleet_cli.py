@@ -74,6 +74,20 @@ def test_what_cannot_be_judged_is_said_and_the_rest_added(call, folder, quick):
     assert code == 2 and "fits no flight log" in err
 
 
+def test_processes_make_the_same_store(folder, tmp_path):
+    (folder / "broken.bin").write_bytes(SAMPLE[:200])
+    shutil.copy(folder / "a.bin", folder / "copy of a.bin")
+    kept, fates = [], []
+    for jobs in (1, 2):
+        with Store(tmp_path / f"{jobs}.db") as store:
+            told, others = add.add(store, [folder], jobs=jobs)
+            fates.append(sorted((str(t.path), t.state, t.aircraft) for t in told))
+            kept.append([store.flight(row["hash"]) for row in store.flights(newest_first=False)])
+            assert others == 1
+    assert [state for _, state, _ in fates[0]] == ["added", "added", "added", "failed", "known"]
+    assert fates[0] == fates[1] and kept[0] == kept[1] and len(kept[0]) == 3
+
+
 def test_aircraft_are_listed_shown_renamed_and_serviced(call, folder, quick):
     call("add", folder, "--aircraft", "quad 7")
     code, out, _ = call("list")

@@ -11,6 +11,7 @@ from collections import Counter
 from contextlib import suppress
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -18,6 +19,7 @@ from hypothesis import strategies as st
 from rotorwatch import many
 from rotorwatch.errors import ConfigError, LogError, WorkerError
 from rotorwatch.many import cluster, processes
+from rotorwatch.many.kept import Kept
 
 ROOT = Path(__file__).parents[1]
 
@@ -57,6 +59,49 @@ def number(item):
 def begun(folder):
     path = Path(folder) / "begun.txt"
     return Counter(int(line) for line in path.read_text().split()) if path.exists() else Counter()
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_what_is_kept_is_not_done_again(tmp_path, jobs):
+    keep = tmp_path / "kept"
+    items = [(str(tmp_path), "fine", k) for k in range(6)] + [(str(tmp_path), "error", 6)]
+    got = []
+    with pytest.raises(LogError, match="6: no log"):
+        for value in many.ordered(number, items, jobs, keep=keep):
+            got.append(value)
+    assert got == list(range(6)) and begun(tmp_path) == Counter(range(7))
+    shares = []
+    fine = [*items[:6], (str(tmp_path), "fine", 7)]
+    assert list(many.ordered(number, fine, jobs, keep=keep, progress=shares.append)) == [*range(6), 7]
+    assert begun(tmp_path) == Counter([*range(7), 7]) and shares == list(range(1, 8))
+    assert list(many.ordered(number, fine, jobs, keep=keep)) == [*range(6), 7]
+    assert begun(tmp_path)[7] == 1
+
+
+def test_what_is_kept_belongs_to_one_function_one_item_and_one_file(tmp_path):
+    log = tmp_path / "a.log"
+    log.write_text("one")
+    keep = tmp_path / "kept"
+
+    def kept(function, item):
+        return Kept(keep, function).load(item)
+
+    store = Kept(keep, number)
+    store.save((str(log), "fine", 1), {"value": np.arange(3.0)})
+    assert np.array_equal(kept(number, (str(log), "fine", 1))[0]["value"], np.arange(3.0))
+    assert kept(work, (str(log), "fine", 1)) is None and kept(number, (str(log), "fine", 2)) is None
+    place = store.place((str(log), "fine", 1))
+    place.write_bytes(pickle.dumps(os.system))  # a file that would run something, a torn one, and none
+    assert kept(number, (str(log), "fine", 1)) is None
+    place.write_bytes(b"torn")
+    assert kept(number, (str(log), "fine", 1)) is None
+    store.save((str(log), "fine", 1), None)
+    assert kept(number, (str(log), "fine", 1)) == (None,)
+    log.write_text("another")
+    assert kept(number, (str(log), "fine", 1)) is None
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ConfigError, match="is a file, not a folder"):
+        next(many.ordered(number, [1], 1, keep=tmp_path / "file"))
 
 
 def answers(done):

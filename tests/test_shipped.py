@@ -268,3 +268,17 @@ def test_a_package_without_native_code_brings_jax(tmp_path):
         if line.startswith("Requires-Dist") and ";" not in line
     }
     assert {"jax", "scipy", "numpy"} <= needed
+
+
+def test_a_cross_compiler_builds_for_its_own_kind_of_processor(tmp_path, monkeypatch):
+    fake = tmp_path / "aarch64-linux-gnu-gcc"
+    fake.write_text("#!/bin/sh\necho aarch64-linux-gnu\n")
+    fake.chmod(0o755)
+    toolchain.processor.cache_clear()
+    monkeypatch.setenv("CC", str(fake))
+    try:
+        assert toolchain.processor() == "aarch64"
+        assert shipping.levels(portable=True) == shipping.levels(portable=False) == (shipped.BASELINE,)
+        assert shipped.target(toolchain.processor()) == f"{sys.platform} aarch64" != shipped.target()
+    finally:
+        toolchain.processor.cache_clear()

@@ -33,7 +33,7 @@ from rotorwatch.commands import (
     tune,
     watch,
 )
-from rotorwatch.commands.tools import LOG, LOGS, OUT, common, debug, progress, say, shares, show, spread
+from rotorwatch.commands.tools import LOG, LOGS, OUT, common, debug, kept, progress, say, shares, show, spread
 from rotorwatch.errors import BackendWarning, ConfigError, PluginWarning, RotorwatchError, WorkerWarning, lacking
 
 if TYPE_CHECKING:
@@ -356,15 +356,16 @@ def demo(report, quiet) -> None:
 )
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Seed of the random onsets.")
 @spread
+@kept
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @common
-def inject(logs, losses, repeats, seed, jobs, scheduler, as_json, quiet) -> None:
+def inject(logs, losses, repeats, seed, jobs, scheduler, keep, as_json, quiet) -> None:
     """Inject losses into healthy flights and count what the diagnosis finds of them."""
     from rotorwatch.experiments.inject import campaign
 
     wanted = shares("--loss", losses)
     with progress(quiet) as tell:
-        result = campaign(logs, wanted, repeats, seed, tell, jobs, scheduler)
+        result = campaign(logs, wanted, repeats, seed, tell, jobs, scheduler, keep)
     if as_json:
         import json
 
@@ -393,15 +394,16 @@ def _by_loss(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
 @click.option("--hours", default=20.0, show_default=True, type=float, help="Flight hours to simulate, over all logs.")
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Seed of the surrogate flights.")
 @spread
+@kept
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @common
-def false_alarms(logs, hours, seed, jobs, scheduler, as_json, quiet) -> None:
+def false_alarms(logs, hours, seed, jobs, scheduler, keep, as_json, quiet) -> None:
     """Judge surrogate flights with the noise of healthy LOGs, and count the false alarms per flight hour."""
     from rotorwatch.experiments.studies.false_alarms import describe
     from rotorwatch.experiments.studies.false_alarms import false_alarms as run
 
     with progress(quiet) as tell:
-        result = run(logs, hours, seed, tell, jobs=jobs, scheduler=scheduler)
+        result = run(logs, hours, seed, tell, jobs=jobs, scheduler=scheduler, keep=keep)
     if as_json:
         import json
 

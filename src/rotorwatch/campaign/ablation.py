@@ -21,6 +21,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from importlib import import_module
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -292,12 +293,13 @@ def run(
     jobs: int | None = None,
     progress: Callable | None = None,
     scheduler: str | None = None,
+    keep: str | PathLike | None = None,
 ) -> dict[str, Any]:
     """Judge the set under every variant: {"set", "variants": name -> measures, "differences": name -> from the method as it is}.
 
     plan: simulated flights; as many of it as of sequences, `flights` in all. paths: healthy logs, for losses put into them and `hours` of
     surrogates. only, words: see `variants`. progress: called as progress(share, text). jobs, scheduler: as for
-    `many.run`. Raises ConfigError, LogError.
+    `many.run`. keep: a folder for what is finished, from which the same call goes on. Raises ConfigError, LogError.
     """
     asked = variants(only, words)
     seeds = range(len(paths))
@@ -315,7 +317,7 @@ def run(
         if progress:
             progress(done / len(parts), "judging")
 
-    for found in many.ordered(_part, parts, jobs, scheduler, told):
+    for found in many.ordered(_part, parts, jobs, scheduler, told, keep):
         rows += found
     if not rows:
         raise ConfigError("No flight could be judged: give more flights, or healthy logs of more than half a minute.")

@@ -14,6 +14,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from os import PathLike
 from typing import Any
 
 import numpy as np
@@ -210,9 +211,10 @@ def run(
     progress: Callable[[float, str], None] | None = None,
     jobs: int | None = 1,
     scheduler: str | None = None,
+    keep: str | PathLike | None = None,
 ) -> dict[str, Any]:
     """That many flights, frames in turn: {"flights", "seed", "measures" (`measures`), "by_frame", "rows"}. jobs, scheduler: as for
-    `many.run`. Raises ConfigError."""
+    `many.run`. keep: a folder for what is finished, from which the same call goes on. Raises ConfigError."""
     unknown = [f for f in frames if f not in FRAMES]
     if unknown or not frames:
         raise ConfigError(f"frames must be some of {', '.join(FRAMES)}, not {', '.join(unknown) or 'none'}.")
@@ -230,7 +232,7 @@ def run(
         if progress:
             progress(done / len(parts), "flying")
 
-    rows = [row for found in many.ordered(_part, parts, jobs, scheduler, told) for row in found]
+    rows = [row for found in many.ordered(_part, parts, jobs, scheduler, told, keep) for row in found]
     each = {frame: measures([r for r in rows if r.frame == frame]) for frame in frames}
     return {
         "flights": flights, "seed": seed, "measures": measures(rows), "by_frame": each, "rows": [asdict(r) for r in rows],

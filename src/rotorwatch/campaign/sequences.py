@@ -15,6 +15,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from os import PathLike
 from typing import Any, Protocol
 
 import numpy as np
@@ -184,10 +185,12 @@ def run(
     jobs: int | None = None,
     progress: Callable | None = None,
     scheduler: str | None = None,
+    keep: str | PathLike | None = None,
 ) -> dict[str, Any]:
     """Fly, judge and score: {"flights", "seed", "table": rows with all states, by kind and by frame, "states": all of them}.
 
-    jobs, scheduler: as for `many.run`. progress: called as progress(share, text). Raises ConfigError.
+    jobs, scheduler: as for `many.run`. progress: called as progress(share, text). keep: a folder for what is finished, from
+    which the same call goes on. Raises ConfigError.
     """
     if flights < 1:
         raise ConfigError(f"flights must be at least 1, not {flights}.")
@@ -204,7 +207,7 @@ def run(
         if progress:
             progress(done / len(parts), "flying")
 
-    for found in many.ordered(_part, parts, jobs, scheduler, told):
+    for found in many.ordered(_part, parts, jobs, scheduler, told, keep):
         rows += found
     rows.sort(key=lambda row: (row["flight"], row["at"]))
     return {"flights": flights, "seed": seed, "table": table(rows), "states": rows}

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from rotorwatch.commands.tools import OUT, common, drawable, progress, say, show, spread
+from rotorwatch.commands.tools import OUT, common, drawable, kept, progress, say, show, spread
 from rotorwatch.errors import ConfigError
 
 
@@ -94,9 +94,10 @@ def _sets(text: str | None) -> list[tuple[int, ...]] | None:
 @click.option("--frames", default="hexa-x,hexa-plus,octa-x,octa-plus", show_default=True, help="Airframes, in turn.")
 @click.option("--seed", type=click.IntRange(0), default=1, show_default=True, help="Same seed, same flights.")
 @spread
+@kept
 @click.option("--json", "as_json", is_flag=True, help="Print JSON: measures and every flight.")
 @common
-def ask_flights(flights, frames, seed, jobs, scheduler, as_json, quiet) -> None:
+def ask_flights(flights, frames, seed, jobs, scheduler, keep, as_json, quiet) -> None:
     """Fly pairs of rotors that lose thrust in the simulator; where the diagnosis is ambiguous, ask and diagnose again. Says how often that
     names the broken rotors, with 95 % intervals (docs/control.md)."""
     import json
@@ -105,5 +106,5 @@ def ask_flights(flights, frames, seed, jobs, scheduler, as_json, quiet) -> None:
 
     with progress(quiet) as tell:
         wanted = [f for f in frames.split(",") if f]
-        result = asking.run(flights, wanted, seed, progress=tell, jobs=jobs, scheduler=scheduler)
+        result = asking.run(flights, wanted, seed, progress=tell, jobs=jobs, scheduler=scheduler, keep=keep)
     click.echo(json.dumps(result, indent=1, allow_nan=False) if as_json else asking.markdown(result))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from rotorwatch.commands.tools import LOG, OUT, common, counting, progress, say, spread
+from rotorwatch.commands.tools import LOG, OUT, common, counting, kept, progress, say, spread
 
 
 def register(group: click.Group) -> None:
@@ -55,9 +55,10 @@ def campaign(plan, flights, jobs, scheduler, out, as_json, quiet) -> None:
 @click.option("--flights", type=click.IntRange(1, 100_000), default=300, show_default=True, help="How many.")
 @click.option("--seed", type=click.IntRange(0, 2**31 - 1), default=31, show_default=True, help="Of the flights.")
 @spread
+@kept
 @click.option("--json", "as_json", is_flag=True, help="Print JSON: the table and every state.")
 @common
-def sequences(flights, seed, jobs, scheduler, as_json, quiet) -> None:
+def sequences(flights, seed, jobs, scheduler, keep, as_json, quiet) -> None:
     """Fly flights in which rotors fail one after the other, together, recover, change or come and go (docs/experiments.md), and say how
     often the state of all rotors is known."""
     import json
@@ -65,7 +66,7 @@ def sequences(flights, seed, jobs, scheduler, as_json, quiet) -> None:
     from rotorwatch.campaign import sequences as study
 
     with progress(quiet) as tell:
-        result = study.run(flights, seed, jobs, tell, scheduler)
+        result = study.run(flights, seed, jobs, tell, scheduler, keep)
     click.echo(json.dumps(result, indent=1, allow_nan=False) if as_json else study.describe(result))
 
 
@@ -83,9 +84,10 @@ def sequences(flights, seed, jobs, scheduler, as_json, quiet) -> None:
 )
 @click.option("--variants", default="off,half,double", show_default=True, help="How they are changed.")
 @spread
+@kept
 @click.option("--json", "as_json", is_flag=True, help="Print JSON: measures and differences of every variant.")
 @common
-def ablate(plan, logs, flights, hours, only, variants, jobs, scheduler, as_json, quiet) -> None:
+def ablate(plan, logs, flights, hours, only, variants, jobs, scheduler, keep, as_json, quiet) -> None:
     """Leave out, halve and double every constant of the default method over a fixed set: flights of PLAN, flights with several faults,
     losses put into healthy LOGS, and surrogates of those. Prints what changes, with intervals (docs/ablation.md)."""
     import json
@@ -99,7 +101,16 @@ def ablate(plan, logs, flights, hours, only, variants, jobs, scheduler, as_json,
         raise click.UsageError(f"--variants {variants}: give some of {', '.join(ablation.WORDS)}.")
     with progress(quiet) as tell:
         result = ablation.run(
-            asked, logs, flights, hours, only=names, words=words, jobs=jobs, progress=tell, scheduler=scheduler
+            asked,
+            logs,
+            flights,
+            hours,
+            only=names,
+            words=words,
+            jobs=jobs,
+            progress=tell,
+            scheduler=scheduler,
+            keep=keep,
         )
     click.echo(json.dumps(result, indent=1, allow_nan=False) if as_json else ablation.markdown(result))
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from rotorwatch.commands.tools import LOG, OUT, common, label, live, progress, say, show
+from rotorwatch.commands.tools import LOG, OUT, common, label, live, progress, say, show, spread
 from rotorwatch.errors import ConfigError
 
 ADDED, FAILED = 0, 2
@@ -40,10 +40,11 @@ def fleet() -> None:
 @click.option("--aircraft", default="", metavar="NAME", help="Whose flights they are, for logs that do not say.")
 @click.option("--vehicle", type=LOG, metavar="FILE", help="Vehicle file (TOML), for logs that do not name their frame.")
 @click.option("--follow", is_flag=True, help="Then watch the folders and add logs as they come, until interrupted.")
+@spread
 @STORE
 @common
 @click.pass_context
-def add(context, logs, aircraft, vehicle, follow, url, quiet) -> None:
+def add(context, logs, aircraft, vehicle, follow, jobs, scheduler, url, quiet) -> None:
     """Judge every LOG, and all logs in every DIR, that the store does not know yet (by content), and work out where each aircraft stands.
 
     Broken off, even by a lost database, it goes on where it was when called again. Exit code: 0, or 2 when a log could not be read.
@@ -57,7 +58,7 @@ def add(context, logs, aircraft, vehicle, follow, url, quiet) -> None:
         raise ConfigError("--follow watches folders; give at least one.")
     with _open(url) as store:
         with progress(quiet or not live()) as tell:
-            told, others = run.add(store, logs, aircraft, known, _teller(), tell)
+            told, others = run.add(store, logs, aircraft, known, _teller(), tell, jobs, scheduler)
             if any(a["stale"] for a in store.aircraft()):
                 assess.refresh(store, tell)
         count = {state: sum(t.state == state for t in told) for state in ("added", "known", "failed")}
@@ -326,10 +327,11 @@ def assess(url, quiet) -> None:
 @fleet.command(short_help="Judge flights again with this version, and say what changed.")
 @click.option("--all", "every", is_flag=True, help="Also those that this version has judged.")
 @click.option("--aircraft", metavar="NAME", help="Only of this aircraft.")
+@spread
 @STORE
 @JSON
 @common
-def rejudge(every, aircraft, url, as_json, quiet) -> None:
+def rejudge(every, aircraft, jobs, scheduler, url, as_json, quiet) -> None:
     """Judge the store's flights again from their logs, where those still lie, and say what changed."""
     from dataclasses import asdict
 
@@ -338,7 +340,7 @@ def rejudge(every, aircraft, url, as_json, quiet) -> None:
 
     with _open(url, make=False) as store:
         with progress(quiet) as tell:
-            count, changes = run.rejudge(store, every, aircraft, tell)
+            count, changes = run.rejudge(store, every, aircraft, tell, jobs, scheduler)
             assess.refresh(store, tell)
     if as_json:
         click.echo(json.dumps({"judged": count, "changes": [asdict(c) for c in changes]}, indent=1))

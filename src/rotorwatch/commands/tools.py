@@ -139,6 +139,12 @@ def spread(command: Callable) -> Callable:
     return jobs(scheduler(command))
 
 
+def kept(command: Callable) -> Callable:
+    """The option of long work that goes on where it was broken off."""
+    text = "Keep in DIR what is finished; the same call goes on from it."
+    return click.option("--keep", type=click.Path(path_type=Path, file_okay=False), metavar="DIR", help=text)(command)
+
+
 def shares(option: str, text: str) -> tuple[float, ...]:
     """Losses given with commas. Raises ConfigError unless each is above 0 and below 1."""
     try:

@@ -33,9 +33,9 @@ BASELINE = ""
 NOTHING = ("__init__.py", "errors.py")
 
 
-def target() -> str:
-    """The kind of computer that code is for: operating system and processor."""
-    return f"{sys.platform} {platform.machine().lower()}"
+def target(processor: str = "") -> str:
+    """The kind of computer that code is for: operating system and processor, by default this one's."""
+    return f"{sys.platform} {(processor or platform.machine()).lower()}"
 
 
 def levels() -> tuple[str, ...]:

@@ -11,6 +11,7 @@ import os
 import platform
 import shlex
 import shutil
+import subprocess
 import tempfile
 import warnings
 from pathlib import Path
@@ -41,6 +42,16 @@ def compiler() -> str:
         if found:
             return found
     raise Unavailable(f"There is no C compiler ({', '.join(wanted)}): install gcc or clang, or set CC.")
+
+
+@functools.cache
+def processor() -> str:
+    """The kind of processor that the compiler builds for, as in `platform.machine()`: another one than this computer's when it is a cross
+    compiler (CC=aarch64-linux-gnu-gcc). Raises Unavailable without a compiler."""
+    done = subprocess.run([compiler(), "-dumpmachine"], capture_output=True, text=True, check=False)
+    said = done.stdout.strip().partition("-")[0]
+    same = not said or done.returncode or {said, platform.machine().lower()} == {"x86_64", "amd64"}
+    return platform.machine() if same else said
 
 
 @functools.cache

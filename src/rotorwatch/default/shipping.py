@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import os
+import platform
 import shutil
 import sys
 from collections.abc import Sequence
@@ -70,6 +71,8 @@ def example(frame: Frame) -> tuple[dict, tuple[int, int]]:
 
 def levels(portable: bool) -> tuple[str, ...]:
     """Levels of processors to build for: all that this kind of computer has, or the best that this one runs."""
+    if toolchain.processor() != platform.machine():  # for another computer: all levels that its kind has
+        return tuple(shipped.LEVELS) if toolchain.processor() == "x86_64" else (shipped.BASELINE,)
     runs = shipped.levels()
     return tuple(shipped.LEVELS) if portable and runs[0] != shipped.BASELINE else runs[:1]
 
@@ -106,7 +109,7 @@ def ship(folder: Path, frames: Sequence[Frame] = FRAMES, portable: bool = False)
     jax = backend.jax()
     index = {
         "definition": about,
-        "target": shipped.target(),
+        "target": shipped.target(toolchain.processor()),
         "made_with": f"JAX {jax.__version__}, {Path(compiler).resolve().name}",
         "programs": programs,
     }

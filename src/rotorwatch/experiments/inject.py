@@ -178,6 +178,7 @@ def campaign(
     progress: Callable | None = None,
     jobs: int | None = 1,
     scheduler: str | None = None,
+    keep: str | PathLike | None = None,
 ) -> dict[str, Any]:
     """Inject every loss into every rotor of every healthy flight, `repeats` times each, and count what is found.
 
@@ -192,7 +193,8 @@ def campaign(
     flights    number of flights long enough for an injection
     trials     one entry for each injection
 
-    progress: called as progress(share, text). jobs, scheduler: as for `many.run`; the answer is the same. Raises LogError, VehicleError
+    progress: called as progress(share, text). jobs, scheduler: as for `many.run`; the answer is the same. keep: a
+    folder for what is finished, from which the same call goes on; for logs given by path. Raises LogError, VehicleError
     or ConfigError with one sentence.
     """
     if not paths:
@@ -205,7 +207,9 @@ def campaign(
     rng = np.random.default_rng(seed)
     sources = [path if isinstance(path, Flight) else str(path) for path in paths]
     surveys = list(
-        many.ordered(_survey, sources, jobs, scheduler, lambda n: tell(0.05 * n / len(sources), "healthy flights"))
+        many.ordered(
+            _survey, sources, jobs, scheduler, lambda n: tell(0.05 * n / len(sources), "healthy flights"), keep
+        )
     )
     # Onsets are drawn here, in the order of the flights: who works on what, and how many do, changes nothing.
     parts: list[tuple] = []
@@ -218,7 +222,7 @@ def campaign(
     trials = [
         trial
         for found in many.ordered(
-            _trials, parts, jobs, scheduler, lambda n: tell(0.05 + 0.95 * n / len(parts), "injecting")
+            _trials, parts, jobs, scheduler, lambda n: tell(0.05 + 0.95 * n / len(parts), "injecting"), keep
         )
         for trial in found
     ]

@@ -5,13 +5,15 @@ from __future__ import annotations
 import stat
 import time
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from rotorwatch import __version__
-from rotorwatch.errors import RotorwatchError, StoreError
+from rotorwatch import __version__, many
+from rotorwatch.diagnose_many import EACH
+from rotorwatch.errors import LogError, RotorwatchError, StoreError
 from rotorwatch.fleet import assess, judge
-from rotorwatch.fleet.store import Store, digest
+from rotorwatch.fleet.store import Entry, Store, digest
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.gathering import Gathered, fetched, full, is_log
 
@@ -37,33 +39,82 @@ def add(
     vehicle: Vehicle | None = None,
     tell: Callable[[Told], None] = lambda told: None,
     progress: Callable | None = None,
+    jobs: int | None = None,
+    scheduler: str | None = None,
 ) -> tuple[list[Told], int]:
     """Add all logs that are new to the store, one transaction each: files, folders, patterns and addresses (`gathering`). aircraft: a
-    name for the flights, in place of what the logs say. tell: called with each log's fate. Returns those, and how many files in folders
-    were no logs. Standings are not worked out (`assess.refresh`). Raises ConfigError, and StoreError, after which the same call goes on."""
+    name for the flights, in place of what the logs say. tell: called with each log's fate; progress: as progress(share, text). jobs,
+    scheduler: as for `many.run`, by default a process per processor, fewer for few logs; the store is the same, because this process
+    alone writes it, in the order of the logs. Returns the fates, and how many files in folders were no logs. Standings are not worked out
+    (`assess.refresh`). Raises ConfigError, and StoreError, after which the same call goes on."""
     gathered = Gathered(given)
-    found = [_one(store, log, aircraft, vehicle, tell, progress) for log in gathered]
-    return found, gathered.others
+    logs = list(gathered)
+    if jobs is None and scheduler is None:
+        jobs = max(1, min(many.processors(), len(logs) // EACH))
+    fates: list[Told] = []
+    new: list[Path | str] = []
+
+    def fate(told: Told) -> None:
+        fates.append(told)
+        tell(told)
+        if progress:
+            progress(len(fates) / len(logs), "judging")
+
+    def unknown() -> Iterator[str]:
+        for log in logs:
+            told = _before(store, log)
+            if told is None:
+                new.append(log)
+                yield full(log) if scheduler else str(log)
+            else:
+                fate(told)
+
+    for done in many.in_order(_Judge(aircraft, vehicle), unknown(), jobs, scheduler):
+        log = new[done.index]
+        _expected(done.error)
+        fate(Told(log, "failed", text=str(done.error)) if done.error else _added(store, log, done.value))
+    return fates, gathered.others
 
 
-def _one(store: Store, log: Path | str, aircraft: str, vehicle: Vehicle | None, tell, progress) -> Told:
+@dataclass(frozen=True)
+class _Judge:
+    """What is done with a log, wherever that is."""
+
+    aircraft: str
+    vehicle: Vehicle | None
+
+    def __call__(self, log: str) -> Entry:
+        with fetched(log) as path, _readable(log):
+            return replace(judge.entry(path, self.aircraft, self.vehicle), path=full(log))
+
+
+@contextmanager
+def _readable(log: Path | str) -> Iterator[None]:
+    """What the system says against a log, in a sentence."""
     try:
-        with fetched(log) as path:
-            told = _added(store, log, path, aircraft, vehicle, progress)
+        yield
+    except OSError as why:
+        raise LogError(f"{log}: {why.strerror or why}.") from why
+
+
+def _expected(error: Exception | None) -> None:
+    """Raises what no log is to blame for."""
+    if error is not None and not isinstance(error, RotorwatchError):
+        raise error
+
+
+def _before(store: Store, log: Path | str) -> Told | None:
+    """What becomes of a log without being judged; None: nothing."""
+    try:
+        with fetched(log) as path, _readable(log):
+            return Told(log, "known") if store.has(digest(path)) else None
     except StoreError:
         raise
     except RotorwatchError as why:
-        told = Told(log, "failed", text=str(why))
-    except OSError as why:
-        told = Told(log, "failed", text=f"{log}: {why.strerror or why}.")
-    tell(told)
-    return told
+        return Told(log, "failed", text=str(why))
 
 
-def _added(store: Store, log: Path | str, path: Path, aircraft: str, vehicle: Vehicle | None, progress) -> Told:
-    if store.has(digest(path)):
-        return Told(log, "known")
-    entry = replace(judge.entry(path, aircraft, vehicle, progress), path=full(log))
+def _added(store: Store, log: Path | str, entry: Entry) -> Told:
     if not store.add(entry):
         return Told(log, "known")
     whose = store.find(entry.identity)["name"] if entry.identity else ""
@@ -92,7 +143,8 @@ def follow(
             for path, mark in _files(folders):
                 if settled.get(path) != mark and seen.get(path) == mark:
                     if is_log(path):
-                        new |= _one(store, path, aircraft, vehicle, tell, None).state == "added"
+                        told, _ = add(store, [path], aircraft, vehicle, tell, jobs=1)
+                        new |= told[0].state == "added"
                     settled[path] = mark
                 seen[path] = mark
             if new or unwell:
@@ -130,46 +182,41 @@ class Change:
 
 
 def rejudge(
-    store: Store, every: bool = False, aircraft: str | None = None, progress: Callable | None = None
+    store: Store,
+    every: bool = False,
+    aircraft: str | None = None,
+    progress: Callable | None = None,
+    jobs: int | None = None,
+    scheduler: str | None = None,
 ) -> tuple[int, list[Change]]:
     """Judge flights again that another version of rotorwatch has judged; every: all of them. Returns how many were, and what changed; a
-    log that is gone or has another content keeps its judgement, and is among them."""
+    log that is gone or has another content keeps its judgement, and is among them. jobs, scheduler: as for `add`."""
     rows = [
         r
         for r in store.flights(aircraft=aircraft, limit=None, newest_first=False)
         if every or r["version"] != __version__
     ]
+    if jobs is None and scheduler is None:
+        jobs = max(1, min(many.processors(), len(rows) // EACH))
     changes, count = [], 0
-    for k, row in enumerate(rows):
-        before = row["verdict"], row["headline"]
-        lost = ""
-        try:
-            with fetched(row["path"]) as path:
-                same = digest(path) == row["hash"]
-                entry = judge.entry(path) if same else None
-            if entry is None:
-                lost = f"{row['path']} has another content now."
-            else:
-                store.judge_again(entry)
-                count += 1
-                if (entry.verdict, entry.headline) != before:
-                    changes.append(
-                        Change(
-                            row["hash"],
-                            row["name"],
-                            row["aircraft_name"] or "",
-                            before,
-                            (entry.verdict, entry.headline),
-                        )
-                    )
-        except OSError as why:
-            lost = f"{row['path']}: {why.strerror or why}."
-        except StoreError:
-            raise
-        except RotorwatchError as why:
-            lost = str(why)
-        if lost:
-            changes.append(Change(row["hash"], row["name"], row["aircraft_name"] or "", before, before, lost))
-        if progress:
-            progress((k + 1) / len(rows), "judging again")
+    told = (lambda n: progress(n / len(rows), "judging again")) if progress else None
+    for done in many.in_order(_again, [(r["path"], r["hash"]) for r in rows], jobs, scheduler, told):
+        row = rows[done.index]
+        _expected(done.error)
+        before = after = row["verdict"], row["headline"]
+        if done.error is None:
+            store.judge_again(done.value)
+            count += 1
+            after = done.value.verdict, done.value.headline
+        if done.error is not None or after != before:
+            lost = str(done.error) if done.error else ""
+            changes.append(Change(row["hash"], row["name"], row["aircraft_name"] or "", before, after, lost))
     return count, changes
+
+
+def _again(known: tuple[str, str]) -> Entry:
+    path, hash = known
+    with fetched(path) as here, _readable(path):
+        if digest(here) != hash:
+            raise LogError(f"{path} has another content now.")
+        return judge.entry(here)

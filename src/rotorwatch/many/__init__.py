@@ -1,12 +1,13 @@
 """One way to do many things: the same function over many items, here, in processes of this computer, or on a Dask cluster.
 
-spread.py      `run` and `ordered`: what everybody calls; they choose between the three
+spread.py      `run`, `in_order`, `ordered`: what everybody calls; they choose between the three
+kept.py        values of finished items in a folder, for a call that is broken off
 done.py        what comes back, and errors that travel
 processes.py   processes of this computer, by the standard library alone
 cluster.py     the workers of a Dask scheduler (the extra `cluster`)
 """
 
 from rotorwatch.many.done import Done
-from rotorwatch.many.spread import ordered, processors, run
+from rotorwatch.many.spread import in_order, ordered, processors, run
 
-__all__ = ["Done", "ordered", "processors", "run"]
+__all__ = ["Done", "in_order", "ordered", "processors", "run"]

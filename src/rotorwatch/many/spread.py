@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 from rotorwatch.errors import ConfigError
 from rotorwatch.many.done import Done, Task, attempt
+from rotorwatch.many.kept import Kept
 
 TRIES = 2
 """How often an item is begun when workers die of it."""
@@ -65,24 +67,57 @@ def run(
     return processes.run(function, _tasks(items), jobs, limit_s, tries, prepare)
 
 
+def in_order(
+    function: Callable[[Any], Any],
+    items: Iterable[Any],
+    jobs: int | None = None,
+    scheduler: str | None = None,
+    progress: Callable[[int], None] | None = None,
+    keep: str | os.PathLike | None = None,
+) -> Iterator[Done]:
+    """A `Done` of every item in their order, as soon as it is its turn; those that come early are kept until then. Arguments as for
+    `run`; progress: called with the number of finished items. keep: a folder for values, of which the same call takes what is there
+    (kept.py); ConfigError where it cannot be written."""
+    early: dict[int, Done] = {}
+    following = 0
+    for finished, done in enumerate(_results(function, items, jobs, scheduler, keep), start=1):
+        early[done.index] = done
+        if progress:
+            progress(finished)
+        while following in early:
+            yield early.pop(following)
+            following += 1
+
+
+def _results(function: Callable, items: Iterable[Any], jobs, scheduler, keep) -> Iterator[Done]:
+    """As `run`; what was kept comes first."""
+    if keep is None:
+        yield from run(function, items, jobs, scheduler)
+        return
+    items, store, left = list(items), Kept(keep, function), []
+    for k, item in enumerate(items):
+        value = store.load(item)
+        if value is None:
+            left.append(k)
+        else:
+            yield Done(k, *value)
+    for done in run(function, [items[k] for k in left], jobs, scheduler) if left else ():
+        k = left[done.index]
+        if done.error is None:
+            store.save(items[k], done.value)
+        yield replace(done, index=k)
+
+
 def ordered(
     function: Callable[[Any], Any],
     items: Sequence[Any],
     jobs: int | None = None,
     scheduler: str | None = None,
     progress: Callable[[int], None] | None = None,
+    keep: str | os.PathLike | None = None,
 ) -> Iterator[Any]:
-    """The values of all items in their order, as soon as it is their turn; those that come early are kept until then. Arguments as for
-    `run`; progress: called with the number of finished items. Raises the first error that comes."""
-    early: dict[int, Any] = {}
-    following = 0
-    for finished, done in enumerate(run(function, items, jobs, scheduler), start=1):
-        early[done.index] = done.result()
-        if progress:
-            progress(finished)
-        while following in early:
-            yield early.pop(following)
-            following += 1
+    """The values of all items in their order; as `in_order`. Raises the first error when it is its turn."""
+    return (done.result() for done in in_order(function, items, jobs, scheduler, progress, keep))
 
 
 def _tasks(items: Iterable[Any]) -> Iterator[Task]:

@@ -29,6 +29,7 @@ _RISE = 0.08  # command above idle, share of the range, below which nothing flie
 _HIGH, _HIGH_RISE = 0.25, 0.10  # command, and its rise above idle, that by themselves mean flight once they last
 _HIGH_S, _HIGH_BLIND_S = 5.0, 1.0  # ... this long, with and without a velocity that could tell
 _CLIMB, _SPEED = 0.25, 1.0  # m/s
+_SINKING = 1.0  # m/s down: the ground is not there yet, however little the rotors are asked for
 _HEIGHT = 0.2  # m gained since the command became high
 _LOW = 0.65  # part of the way from idle to hover below which the rotors do not carry the vehicle
 _LOW_S = 1.5
@@ -63,7 +64,7 @@ class Monitor:
     """Follows one vehicle tick by tick: `step` says whether it flies. `since`: when the present state began, s.
 
     Start: the command is well above idle and the vehicle climbs or moves; or the command is high for long.
-    End: the command stays low while the vehicle does not fall, at once where the autopilot says landed or disarmed; or
+    End: the command stays low while the vehicle neither falls nor sinks fast, at once where the autopilot says landed or disarmed; or
     something other than the rotors carries the vehicle: it lies on the ground tilted or upside down.
     """
 
@@ -117,7 +118,7 @@ class Monitor:
 
     def _in_the_air(self, time, now):
         low = now.command < self.floor + _LOW * (self.hover - self.floor)
-        self.low_since = _since(self.low_since, low, time)
+        self.low_since = _since(self.low_since, low and not now.climb < -_SINKING, time)
         if not low:
             self.hover = _blend(self.hover, now.command, _HOVER_S)
         if now.struck:
@@ -125,8 +126,8 @@ class Monitor:
             self.last_blow = time
         end = None
         if low and (now.landed is True or now.armed is False):
-            end = self.low_since
-        elif low and not now.force < _FALLING and time - self.low_since >= _LOW_S:
+            end = time if self.low_since is None else self.low_since
+        elif self.low_since is not None and not now.force < _FALLING and time - self.low_since >= _LOW_S:
             end = self.low_since
         elif self.lying_since is not None and time - self.lying_since >= _LYING_S:
             end = self.lying_since - _WINDOW_S

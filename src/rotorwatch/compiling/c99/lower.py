@@ -145,6 +145,12 @@ def _integer_pow(graph, x, params, outvars):
     return graph.elementwise("div", one, out, kind=out.kind) if params["y"] < 0 else out
 
 
+def _one_minus_square(graph, x, params, outvars):
+    """1 - x^2: what JAX from 0.12 on makes of the derivative of tanh."""
+    one = graph.broadcast(graph.const(np.ones((), NUMPY[x[0].kind])), x[0].shape, ())
+    return graph.elementwise("sub", one, graph.elementwise("square", x[0], kind=x[0].kind), kind=x[0].kind)
+
+
 def _pow(graph, x, params, outvars):
     return graph.elementwise("pow", x[0], graph.elementwise("to_f", x[1], kind="f"), kind="f")
 
@@ -494,7 +500,8 @@ def _free(outputs, regions) -> tuple[Node, ...]:
 
 SPECIAL = {
     "add": _add, "add_any": _add,
-    "convert_element_type": _convert, "integer_pow": _integer_pow, "pow": _pow, "round": _round, "select_n": _select, "clamp": _clamp,
+    "convert_element_type": _convert, "integer_pow": _integer_pow, "one_minus_square": _one_minus_square, "pow": _pow,
+    "round": _round, "select_n": _select, "clamp": _clamp,
     "broadcast_in_dim": _broadcast, "slice": _slice, "split": _split, "reshape": _reshape, "squeeze": _reshape,
     "expand_dims": _reshape, "stack": _stack, "unstack": _unstack,
     "pad": _pad, "tile": _tile, "iota": _iota, "gather": _gather, "dynamic_slice": _dynamic_slice,

@@ -245,6 +245,7 @@ def false_alarms(
     flight_s: float = FLIGHT_S,
     jobs: int | None = 1,
     scheduler: str | None = None,
+    keep: str | PathLike | None = None,
 ) -> dict[str, Any]:
     """Judge `hours` of surrogate flights of healthy ones with the default diagnoser, and count its false alarms.
 
@@ -259,6 +260,7 @@ def false_alarms(
     alarms      what was announced: flight, which surrogate (or as flown), time, rotors, loss
 
     progress: called as progress(share, text). jobs, scheduler: as for `many.run`, one healthy flight at a time; the answer is the same.
+    keep: a folder for what is finished, from which the same call goes on; for logs given by path.
     Raises LogError, VehicleError or ConfigError with one sentence.
     """
     if not paths:
@@ -267,7 +269,7 @@ def false_alarms(
         raise ConfigError(f"hours {hours:g}: give how many flight hours to simulate, above 0.")
     one = functools.partial(_surrogates, hours=hours / len(paths), seed=seed, flight_s=flight_s)
     sources = [path if isinstance(path, Flight) else str(path) for path in paths]
-    several = jobs != 1 or scheduler is not None
+    several = jobs != 1 or scheduler is not None or keep is not None
 
     def told(finished: int) -> None:
         if progress and several:
@@ -280,7 +282,7 @@ def false_alarms(
     if not several:  # here, the way through each flight can be told
         parts = [one((i, source), tell=functools.partial(tell, i)) for i, source in enumerate(sources)]
     else:
-        parts = list(many.ordered(one, list(enumerate(sources)), jobs, scheduler, told))
+        parts = list(many.ordered(one, list(enumerate(sources)), jobs, scheduler, told, keep))
     firsts = {
         shift: (sum(p.firsts[shift][0] for p in parts), sum(p.firsts[shift][1] for p in parts)) for shift in SHIFTS
     }
