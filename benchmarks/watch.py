@@ -1,9 +1,13 @@
 """How long from a datagram to a published estimate: vehicles over UDP in real time, watched by one process.
 
     python benchmarks/watch.py FLIGHT.bin --vehicles 20 --seconds 60
+    python benchmarks/watch.py FLIGHT.bin --starts 5
 
 The vehicles run in a process of their own, each with SERVO_OUTPUT_RAW, ATTITUDE and RAW_IMU at 50 Hz. Latency: from the sending of the
 datagram that completes a tick to the estimate of that tick, whatever it waited for in between.
+
+--starts: how long the command takes from its start to the first tick of a vehicle that is in the air and whose parameters come at once,
+so many times. That tick learns the noise: what is judged follows after the blind time, which is physics and no machinery.
 """
 
 from __future__ import annotations
@@ -12,36 +16,39 @@ import argparse
 import gc
 import multiprocessing
 import socket
+import statistics
+import subprocess
+import sys
 import time
 
 import numpy as np
 
 
-def fly(path: str, port: int, vehicles: int, seconds: float, ready, sent) -> None:
-    """Send all vehicles' messages in real time, from a flight's middle on."""
+def packed(path: str, vehicles: int, seconds: float) -> tuple[list[list[bytes]], list[list[bytes]]]:
+    """(the frames that are sent together, vehicle after vehicle, 50 times a second; heartbeat and parameters of each vehicle)."""
     from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
     from rotorwatch import logs
 
     flight = logs.read(path)
-    sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    sock.connect(("127.0.0.1", port))
     packs = [mavlink.MAVLink(None, srcSystem=k + 1, srcComponent=1) for k in range(vehicles)]
     wanted = sorted(
         (n, v) for n, v in flight.parameters.items() if n.startswith(("FRAME", "MOT_", "SERVO")) and len(n) <= 16
     )
 
-    def send(k, message):
-        sock.send(message.pack(packs[k]))
+    def frame(k, message):
+        made = message.pack(packs[k])
         packs[k].seq = (packs[k].seq + 1) % 256
+        return made
 
-    for k in range(vehicles):
-        send(k, mavlink.MAVLink_heartbeat_message(2, 3, 0x80, 0, 4, 3))
-        for i, (name, value) in enumerate(wanted):
-            send(k, mavlink.MAVLink_param_value_message(name.encode(), float(value), 9, len(wanted), i))
-        time.sleep(0.05)
+    beat = mavlink.MAVLink_heartbeat_message(2, 3, 0x80, 0, 4, 3)
+    known = [
+        mavlink.MAVLink_param_value_message(name.encode(), float(value), 9, len(wanted), i)
+        for i, (name, value) in enumerate(wanted)
+    ]
+    greetings = [[frame(k, message) for message in (beat, *known)] for k in range(vehicles)]
     motors, gyro, accel = flight["motors"], flight["gyro"], flight["accel"]
-    packed = []  # beforehand: packing takes more than all the rest
+    frames = []  # beforehand: packing takes more than all the rest
     for step in range(int(seconds * 50)):
         t = motors.time[0] + step / 50.0
         at = [min(np.searchsorted(s.time, t), len(s) - 1) for s in (motors, gyro, accel)]
@@ -53,26 +60,94 @@ def fly(path: str, port: int, vehicles: int, seconds: float, ready, sent) -> Non
             mavlink.MAVLink_servo_output_raw_message(us, 0, *(pwm + [0] * 8)[:8]),
             mavlink.MAVLink_attitude_message(us // 1000, 0.0, 0.0, 0.0, *map(float, rate)),
             mavlink.MAVLink_raw_imu_message(us, *imu),
+            *([beat] if step % 50 == 0 else ()),
         ]
-        if step % 50 == 0:
-            said.append(mavlink.MAVLink_heartbeat_message(2, 3, 0x80, 0, 4, 3))
-        for k in range(vehicles):
-            frames = []
-            for message in said:
-                frames.append(message.pack(packs[k]))
-                packs[k].seq = (packs[k].seq + 1) % 256
-            packed.append(frames)
+        frames += [[frame(k, message) for message in said] for k in range(vehicles)]
+    return frames, greetings
+
+
+def fly(path: str, port: int, vehicles: int, seconds: float, ready, sent) -> None:
+    """Send all vehicles' messages in real time."""
+    frames, greetings = packed(path, vehicles, seconds)
+    sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    sock.connect(("127.0.0.1", port))
+    for greeting in greetings:
+        for frame in greeting:
+            sock.send(frame)
+        time.sleep(0.05)
     ready.set()
     began = time.monotonic()
     # Each vehicle was switched on at another time: their ticks do not end together.
     due = [(step / 50.0 + 0.1 * k / vehicles) for step in range(int(seconds * 50)) for k in range(vehicles)]
     for number in np.argsort(due, kind="stable").tolist():
-        frames, wait = packed[number], began + due[number] - time.monotonic()
+        wait = began + due[number] - time.monotonic()
         if wait > 0.0:
             time.sleep(wait)
         sent[number] = time.monotonic()
-        for frame in frames:
+        for frame in frames[number]:
             sock.send(frame)
+
+
+def free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+# The command as it is; a thread waits until what makes the ticks has been loaded, and then for the first of them.
+FIRST_TICK = """
+import os, sys, threading, time
+
+def look():
+    while not hasattr(watched := sys.modules.get("rotorwatch.live.watched"), "Watched"):
+        time.sleep(0.002)
+    advance = watched.Watched.advance
+
+    def first(self, complete=None):
+        if advance(self, complete):
+            print(time.monotonic(), flush=True)
+            os._exit(0)
+        return False
+
+    watched.Watched.advance = first
+
+threading.Thread(target=look, daemon=True).start()
+from rotorwatch.cli import main
+main(["watch", sys.argv[1], "--listen-only", "--jsonl", "--seconds", "20"])
+"""
+
+
+def starts(path: str, times: int) -> None:
+    """How long the command takes to the first tick."""
+    took = []
+    for _ in range(times):
+        port = free_port()
+        ready, go = multiprocessing.Event(), multiprocessing.Event()
+        process = multiprocessing.Process(target=stream, args=(path, port, ready, go), daemon=True)
+        process.start()
+        ready.wait()
+        began = time.monotonic()
+        go.set()
+        command = [sys.executable, "-c", FIRST_TICK, f"udpin:127.0.0.1:{port}"]
+        said = subprocess.run(command, capture_output=True, text=True, check=False).stdout.split()
+        process.kill()
+        took.append(float(said[-1]) - began)
+    print(
+        f"from the start to the first tick: median {statistics.median(took):.2f} s, longest {max(took):.2f} s of {times}"
+    )
+
+
+def stream(path: str, port: int, ready, go) -> None:
+    """One vehicle in the air that sends a heartbeat and its parameters ten times a second."""
+    frames, greeting = packed(path, 1, 30.0)
+    sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    ready.set()
+    go.wait()
+    began = time.monotonic()
+    for step, said in enumerate(frames):
+        time.sleep(max(0.0, began + step / 50.0 - time.monotonic()))
+        for frame in [*(greeting[0] if step % 5 == 0 else ()), *said]:
+            sock.sendto(frame, ("127.0.0.1", port))
 
 
 def main() -> None:
@@ -80,16 +155,18 @@ def main() -> None:
     parser.add_argument("flight")
     parser.add_argument("--vehicles", type=int, default=20)
     parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--starts", type=int, default=0)
     given = parser.parse_args()
+    if given.starts:
+        starts(given.flight, given.starts)
+        return
     from rotorwatch import airframes
     from rotorwatch.default import program
     from rotorwatch.live import endpoint, link
 
     program.steps(0.05, airframes.named("ardupilot-quad-x").effectiveness())  # built beforehand
 
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = free_port()
     watched = link.Link(endpoint.open_endpoint(f"udpin:127.0.0.1:{port}"), lambda alert: None, talks=False)
     ready = multiprocessing.Event()
     sent = multiprocessing.Array("d", int(given.seconds * 50) * given.vehicles, lock=False)

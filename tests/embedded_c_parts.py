@@ -13,7 +13,8 @@ import rotorwatch
 
 SOURCES = Path(rotorwatch.__file__).parent / "embedded_c"
 DRIVERS = Path(__file__).parent / "embedded_c"
-STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wshadow", "-Werror")
+STUBS = Path(__file__).resolve().parents[1] / "embedded" / "stubs"  # of what the export generates
+STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wdouble-promotion", "-Wshadow", "-Werror")
 LASTS = 1e300
 
 
@@ -29,7 +30,7 @@ def config(n: int, dt: float = 0.05, output_hz: int = 50) -> str:
         "OPPOSITE_PAIRS": max(1, n // 2),
     }
     settings |= {"OUTPUT_HZ": output_hz, "OVERRIDES": 64, "CONTACTS": 16, "EVENTS": 40, "PENDING": 64}
-    settings |= {"MIXER_UNKNOWN": 1, "FLIGHTS": 64, "MOTION_HZ": 2000}
+    settings |= {"MIXER_UNKNOWN": 1, "FLIGHTS": 64, "MOTION_HZ": 2000, "TICKS_BEFORE": 10, "QUEUE": 120}
     return "".join(f"#define RW_{name} {value}\n" for name, value in settings.items())
 
 

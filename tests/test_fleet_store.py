@@ -1,12 +1,18 @@
 """The store of a fleet, in SQLite and in a real PostgreSQL: once by content, all or nothing, and older stores brought up to date."""
 
 import json
+from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
+import rotorwatch
+from rotorwatch import diagnose, logs
 from rotorwatch.errors import ConfigError, StoreError
-from rotorwatch.fleet import Entry, Store, default_url
+from rotorwatch.fleet import Entry, Store, default_url, judge
 from rotorwatch.fleet import store as module
+
+SAMPLES = Path(rotorwatch.__file__).parent / "samples"
 
 pytest.importorskip("sqlalchemy")
 
@@ -214,3 +220,14 @@ def test_exports_are_plain(url):
     with Store(url) as store:
         store.add(entry(1))
         assert json.dumps(tables(store))
+
+
+def test_a_flight_is_kept_as_it_was_diagnosed():
+    """A diagnosis made elsewhere is taken as it is, its doubts with it: nothing is judged twice."""
+    flight = logs.read(SAMPLES / "quadx_healthy_hover.bin.xz")
+    found = diagnose(flight)
+    assert judge.of_flight(flight, "h", "p", 1, found=found) == judge.of_flight(flight, "h", "p", 1)
+    doubted = judge.of_flight(
+        flight, "h", "p", 1, found=replace(found, doubts=("Another vehicle flew.", "So it seems."))
+    )
+    assert doubted.trim["doubt"] == "Another vehicle flew."

@@ -39,12 +39,12 @@ def ends_of_range(flight):
 def rows(flight):
     """All samples in time order, and at last how long the log is."""
     motors = flight["motors"]
-    masks = np.asarray(motors.valid) @ (1 << np.arange(motors.values.shape[1]))
+    masks = np.asarray(np.asarray(motors.valid) @ (1 << np.arange(motors.values.shape[1])))
     found = [[0.0, t, m, *u] for t, m, u in zip(motors.time, masks, motors.values)]
     for kind, name in ((1.0, "accel"), (2.0, "gyro")):
         if flight.has(name):
             signal = flight[name]
-            whole = np.asarray(signal.valid).all(axis=1)
+            whole = np.asarray(np.asarray(signal.valid).all(axis=1))
             found += [[kind, t, ok, *x] for t, ok, x in zip(signal.time, whole, signal.values)]
     if flight.has("velocity"):
         velocity = flight["velocity"]

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from embedded_c_parts import LASTS, SOURCES, STRICT, Part, compilers, config
+from embedded_c_parts import LASTS, SOURCES, STRICT, STUBS, Part, compilers, config
 from rotorwatch import airframes
 from rotorwatch.flight import Signal
 from rotorwatch.motion.allocation import Comparison
@@ -135,11 +135,48 @@ def test_single_precision_finds_the_same(parts):
     assert same >= 11  # a value on its limit may fall to either side
 
 
+def test_a_landing_that_is_known_later_ends_what_lasted(parts):
+    """Samples after the landing are judged as flown, taken back when the landing is known, and not fed again."""
+    told = 0
+    for seed in range(6):
+        vehicle, check, motors, aloft = flown(4, seed)
+        landed, known = 600, 640
+        aloft[landed:] = False
+        b = vehicle.effectiveness()
+        rows = [b, [vehicle.curve.u_min, vehicle.curve.u_max, vehicle.extra["rests_at_minimum"]]]
+        for i in range(len(check.time)):
+            if i == landed:
+                rows.append([3.0])
+            if i == known:
+                rows.append([4.0, check.time[landed], motors.time[landed]])
+            flying = aloft[i] or landed <= i < known
+            c = (check.demand[i], check.asked[i], check.yaw[i], check.deviation[i], motors.values[i])
+            rows.append(
+                [0.0, check.time[i], check.known[i], flying, check.yaw_granted[i], check.top[i, 0], *np.concatenate(c)]
+            )
+            rows.append([1.0, motors.time[i], motors.valid[i].all(), flying, *motors.values[i], *check.demand[i]])
+        said = parts[4].run([*rows, [2.0]], "double")[0]
+        watch, air = Watch(vehicle), spans(check.time, aloft)
+        watch.compared(check, motors.values, air)
+        watch.logged(motors, check.demand, air)
+        theirs = [(o.rotor - 1, o.onset, LASTS if o.end is None else o.end) for o in watch.found()]
+        ours = [tuple(map(float, line.split())) for line in said]
+        assert [(o[0], o[2], o[4]) for o in ours] == theirs, seed
+        told += sum(abs(end - check.time[landed]) < 1e-9 for _, _, end in theirs)
+    assert told
+
+
 @pytest.mark.parametrize("precision", [(), ("-DROTORWATCH_FLOAT",)])
 @pytest.mark.parametrize("n", [3, 8, 12])
 def test_no_warning_whatever_the_number_of_rotors(tmp_path, n, precision):
     (tmp_path / "rw_config.h").write_text(config(n))
     for compiler in compilers():
         for source in sorted(SOURCES.glob("rw_*.c")):
-            command = [compiler, *STRICT, *precision, "-fsyntax-only", f"-I{tmp_path}", f"-I{SOURCES}", str(source)]
-            subprocess.run(command, check=True)
+            command = [
+                compiler,
+                *STRICT,
+                *precision,
+                "-fsyntax-only",
+                *(f"-I{folder}" for folder in (tmp_path, SOURCES, STUBS)),
+            ]
+            subprocess.run([*command, str(source)], check=True)

@@ -27,7 +27,8 @@ def made_up(rate, outputs, mixer, seed):
     """A flight whose outputs follow a mixer, with gaps, values that are not valid, limits, and one output that gets stuck."""
     rng = np.random.default_rng(seed)
     vehicle = airframes.named("ardupilot-quad-x")
-    assert vehicle.mixer is not None
+    factors = vehicle.mixer
+    assert factors is not None
     vehicle = replace(vehicle, extra={**vehicle.extra, "mixer_expo": 0.3} if rng.random() < 0.5 else vehicle.extra)
     duration = 40.0
     # Whole microseconds, and never the same time twice: at the same time either may have come first.
@@ -44,7 +45,7 @@ def made_up(rate, outputs, mixer, seed):
         return control
 
     control = controls(when) + 0.002 * rng.standard_normal((len(when), 4))
-    demand = np.clip(1.06 * controls(out) @ vehicle.mixer.T, 0.0, 1.0)
+    demand = np.clip(1.06 * controls(out) @ factors.T, 0.0, 1.0)
     curve = allocation.believed_curve(vehicle)
     command = curve.u_min + (curve.u_max - curve.u_min) * allocation.drive(curve.expo, demand) / 0.95
     command[out > 30.0, 1] = command[np.argmax(out > 30.0), 1]

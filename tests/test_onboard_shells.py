@@ -59,7 +59,9 @@ def test_shells_compile(autopilot, rotors, tmp_path):
 def enum(name):
     """Members of an enum of the library's headers."""
     text = "".join(path.read_text() for path in sorted(SOURCES.glob("rw_*.h")))
-    body = re.sub(r"/\*.*?\*/", "", re.search(rf"enum {name} \{{(.*?)\}}", text, re.S)[1], flags=re.S)
+    found = re.search(rf"enum {name} \{{(.*?)\}}", text, re.S)
+    assert found
+    body = re.sub(r"/\*.*?\*/", "", found[1], flags=re.S)
     return {key.strip(): int(value) for key, value in (item.split("=") for item in body.split(",") if item.strip())}
 
 

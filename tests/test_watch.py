@@ -2,6 +2,7 @@
 
 import io
 import json
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from tests.conftest import hexa_event
 from rotorwatch import airframes, cli, diagnose, logs
 from rotorwatch.live import view
 from rotorwatch.live.changes import Changes
+from rotorwatch.live.judge import Tape
 from rotorwatch.live.replay import Replay
 from rotorwatch.live.stream import Stream
 from rotorwatch.live.watched import Watched
@@ -143,6 +145,43 @@ def splits(sensed, spans):
     return [int(k) for k in np.flatnonzero(allowed)[5::37]]
 
 
+def test_a_tape_is_read_from_anywhere_that_is_kept():
+    """Rows come in pieces, are read once, may be read again from an earlier place, and are forgotten in whole pieces only."""
+    rng, tape, rows, forgotten = np.random.default_rng(5), Tape(), np.arange(400.0).reshape(-1, 1), 0
+    written = 0
+    while written < len(rows):
+        more = int(rng.integers(0, 6))
+        tape.add(Rows(rows[written : written + more]))
+        written = min(written + more, len(rows))
+        if rng.random() < 0.2:
+            tape.at = int(rng.integers(forgotten, written + 1))
+        left = tape.left()
+        assert (left is None) == (tape.at == written)
+        if left is not None:
+            np.testing.assert_array_equal(left.rows, rows[tape.at : written])
+            tape.at += int(rng.integers(0, len(left) + 1))
+        if rng.random() < 0.2:
+            forgotten = int(rng.integers(forgotten, tape.at + 1))
+            tape.forget(forgotten)
+    assert sum(map(len, tape._pieces)) < written - forgotten + 6
+
+
+@dataclass
+class Rows:
+    """As `motion.ticks.Sensed`: added and cut."""
+
+    rows: np.ndarray
+
+    def __len__(self):
+        return len(self.rows)
+
+    def __getitem__(self, part):
+        return Rows(self.rows[part])
+
+    def __add__(self, later):
+        return Rows(np.concatenate([self.rows, later.rows]))
+
+
 def test_memory_does_not_grow_with_the_flight():
     """What is kept at the end is what was kept after twenty seconds, of samples, ticks and what can be taken back."""
     flight = flight_of("ardupilot-sitl/quadx_m3_mul0.85_tlog.tlog.xz").until(100.0)
@@ -153,7 +192,7 @@ def test_memory_does_not_grow_with_the_flight():
             kept = [
                 sum(len(s) for s in stream.window._signals.values()),
                 len(judge._kept),
-                *(len(t._rows or ()) for t in judge._tapes),
+                *(sum(map(len, t._pieces)) for t in judge._tapes),
             ]
             sizes.append(kept)
     assert len(sizes) > 80

@@ -2,6 +2,8 @@
 
 import os
 import socket
+import subprocess
+import sys
 import threading
 import time
 from pathlib import Path
@@ -309,6 +311,21 @@ def test_a_port_in_use_and_a_silent_link_are_said(capsys):
     with pytest.raises(SystemExit) as left:
         cli.main(["watch", f"udpin:127.0.0.1:{port}", "--patience", "0.2", "--jsonl"])
     assert left.value.code == 2 and "no heartbeat of a multirotor" in capsys.readouterr().err
+
+
+def test_an_endpoint_is_open_before_what_takes_long_is_loaded():
+    """What a vehicle sends while Python still loads is waiting in the socket then."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", 0))
+        port = taken.getsockname()[1]
+        program = (
+            "import sys\nfrom rotorwatch import cli\n"
+            f"try: cli.main(['watch', 'udpin:127.0.0.1:{port}'])\n"
+            "except SystemExit: print(sorted({'numpy', 'pymavlink'} & sys.modules.keys()))"
+        )
+        done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert "is another program using this port" in done.stderr
+    assert done.stdout.strip() == "[]"
 
 
 def test_a_serial_port_of_the_wrong_speed_is_said():

@@ -99,8 +99,9 @@ def diagnose(
             else "the log shows no flight: the vehicle never took off"
         )
         timing["total_s"] = time.perf_counter() - began
-        end = conclusion.conclude((), None, len(craft.rotors), doubts=(f"{why}; nothing can be judged.",), places=names)
-        return _answer(end, facts, {}, source, assumptions, warnings, timing)
+        doubts = (f"{why}; nothing can be judged.",)
+        end = conclusion.conclude((), None, len(craft.rotors), doubts=doubts, places=names)
+        return _answer(end, facts, {}, source, assumptions, warnings, timing, doubts=doubts)
     assumptions += table.notes
     B = craft.effectiveness()
 
@@ -149,7 +150,7 @@ def diagnose(
     timing["total_s"] = time.perf_counter() - began
     return _answer(
         end, facts, common, source, assumptions, warnings, timing, estimator=discovery.title(estimator), comparison=comparison,
-        whole_flight=whole, trace=traces.make(flight, out, table, hyp, B, air, ready_s, limit, end.events, spells),
+        whole_flight=whole, doubts=doubts, trace=traces.make(flight, out, table, hyp, B, air, ready_s, limit, end.events, spells),
     )  # fmt: skip
 
 

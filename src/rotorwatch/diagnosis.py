@@ -148,7 +148,7 @@ class Diagnosis:
     flight: what was judged (docs/json.md). rotors: the state of each at the end. events: in time order. common_mode: what all rotors
     have together. baseline: what it was compared with. assumptions, warnings: sentences. timing: s of each step of the work. estimator:
     the method's name. comparison: what the autopilot's own checks found. whole_flight: damage from take-off, where it was judged. trace:
-    what a picture needs.
+    what a picture needs. doubts: why the log may not be what flew, a sentence each (the first is the reason then).
     """
 
     flight: Mapping[str, Any]
@@ -168,6 +168,7 @@ class Diagnosis:
     headline: str = ""
     main: int | None = None
     advice: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
 
     @property
     def exit_code(self) -> int:

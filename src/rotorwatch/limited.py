@@ -16,6 +16,8 @@ from rotorwatch.errors import ConfigError, RotorwatchError
 
 START_S = 120.0  # for a worker to load what it needs
 GRACE_S = 30.0  # beyond a job's own time limit: then the worker does not come back and is killed
+ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NPROC")
+"""Variables that say how many threads numerical libraries use; the last one is XLA's."""
 
 
 class Failed(RotorwatchError):
@@ -42,6 +44,18 @@ def within(seconds: float) -> Iterator[None]:
         yield
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """What is started meanwhile computes in one thread, unless the user's environment says otherwise."""
+    ours = [name for name in ONE_THREAD if name not in os.environ]
+    os.environ.update(dict.fromkeys(ours, "1"))
+    try:
+        yield
+    finally:
+        for name in ours:
+            os.environ.pop(name, None)
 
 
 def cap_memory(memory_mb: int, loads: Sequence[str] = ()) -> None:
@@ -87,7 +101,8 @@ class Worker:
         self.pipe, theirs = context.Pipe()
         self._timeout_s = timeout_s
         self.process = context.Process(target=_work, args=(theirs, job, timeout_s, memory_mb, loads), daemon=True)
-        self.process.start()
+        with one_thread():
+            self.process.start()
         theirs.close()
         self.busy: Any = None
         self.deadline, self._ready = float("inf"), False

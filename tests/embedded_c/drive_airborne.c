@@ -1,4 +1,4 @@
-/* Rows of doubles from stdin to rw_airborne: first the ends of the outputs' range. kind 0: outputs (with a mask of what was logged); 1: accel;
+/* Rows of doubles from stdin to rw_airborne: first the ends of the outputs' range. kind 0: outputs (with a mask); 1: accel;
    2: gyro; 3: velocity; 4: the autopilot's word; 5: all up to then has come. Prints the flights. */
 #include <stdio.h>
 #include <stdlib.h>

@@ -1,5 +1,6 @@
 /* Rows of doubles from stdin to rw_departures; what was found, asked for by rows of kind 2, to stdout. The first row is the vehicle.
-   kind 0: a comparison; 1: outputs; 2: print. */
+   kind 0: a comparison; 1: outputs; 2: print; 3: keep what there is; 4: take back what came since, with the times of
+   rw_departures_landed. */
 #include <stdio.h>
 #include <stdlib.h>
 
@@ -25,7 +26,7 @@ static double one(void)
 
 int main(void)
 {
-    static rw_departures state;
+    static rw_departures state, kept;
     rw_vehicle vehicle;
     double kind;
     take(&vehicle.effectiveness[0][0], RW_AXES * N);
@@ -54,6 +55,12 @@ int main(void)
             take(output, N);
             take(thrust, N);
             rw_departures_logged(&state, &vehicle, time, output, thrust, valid, aloft);
+        } else if (kind > 3.5) {
+            const double compared = one(), logged = one();
+            state = kept;
+            rw_departures_landed(&state, compared, logged);
+        } else if (kind > 2.5) {
+            kept = state;
         } else {
             rw_override found[RW_OVERRIDES];
             const int count = rw_departures_found(&state, &vehicle, found);

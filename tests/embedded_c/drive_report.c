@@ -1,5 +1,5 @@
-/* Rows of doubles from stdin to rw_report, rw_changes and rw_text. kind 0: a tick; 1: landed; 2: a contact; 3: what has happened so far, with
-   losses and overrides as they are then: prints events, verdict, the main one, and news with their texts. */
+/* Rows of doubles from stdin to rw_report, rw_changes and rw_text. kind 0: a tick; 1: landed; 2: a contact; 3: what has happened so far,
+   with losses and overrides as they are then: prints events, verdict, the main one, and news with their texts. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>

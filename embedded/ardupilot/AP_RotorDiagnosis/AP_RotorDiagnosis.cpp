@@ -31,7 +31,7 @@ AP_RotorDiagnosis::AP_RotorDiagnosis()
 
 void AP_RotorDiagnosis::init()
 {
-    rw_diagnoser_init(&_diagnoser, &rw_vehicle_default);
+    rw_diagnoser_init(&_diagnoser, &rw_vehicle_default, &rw_plan_default);
 }
 
 void AP_RotorDiagnosis::update(bool landed, bool armed, float voltage_ratio, const float *control)
@@ -42,7 +42,7 @@ void AP_RotorDiagnosis::update(bool landed, bool armed, float voltage_ratio, con
     const uint64_t now_us = AP_HAL::micros64();
     feed(now_us, landed, armed, voltage_ratio, control);
 
-    const int count = rw_diagnoser_poll(&_diagnoser, 1e-6 * double(now_us), _news);
+    const int count = rw_diagnoser_poll(&_diagnoser, _news);
     for (int i = 0; i < count; i++) {
         tell(_news[i], now_us);
     }
@@ -59,31 +59,30 @@ void AP_RotorDiagnosis::feed(uint64_t now_us, bool landed, bool armed, float vol
     const rw_time now = 1e-6 * double(now_us);
     rw_diagnoser_state(&_diagnoser, now, landed ? 1 : 0, armed ? 1 : 0);
 
+    rw_diagnoser_battery(&_diagnoser, now, rw_real(voltage_ratio));
+
     rw_real output[RW_ROTORS];
-    bool known = true;
+    rw_rotors known = 0;
     for (uint8_t k = 0; k < RW_ROTORS; k++) {
         uint16_t pwm = 0;
-        known = SRV_Channels::get_output_pwm(SRV_Channels::get_motor_function(k), pwm) && known;
+        if (SRV_Channels::get_output_pwm(SRV_Channels::get_motor_function(k), pwm)) {
+            known = rw_rotors(known | (1u << k));
+        }
         output[k] = rw_real(pwm);
     }
-    if (known) {
-        rw_diagnoser_outputs(&_diagnoser, now, output, rw_real(voltage_ratio));
-    }
+    rw_diagnoser_outputs(&_diagnoser, now, output, known);
     if (control != nullptr) {
         const rw_real asked[4] = {control[0], control[1], control[2], control[3]};
-        rw_diagnoser_control(&_diagnoser, now, asked);
+        rw_diagnoser_control(&_diagnoser, now, asked, true);
     }
 
-    if (AP::ins().get_gyro_health()) {
-        const Vector3f gyro = AP::ins().get_gyro();
-        const rw_real rate[3] = {gyro.x, gyro.y, gyro.z};
-        rw_diagnoser_gyro(&_diagnoser, now, rate);
-    }
-    if (AP::ins().get_accel_health()) {
-        const Vector3f accel = AP::ins().get_accel();
-        const rw_real force[3] = {accel.x, accel.y, accel.z};
-        rw_diagnoser_accel(&_diagnoser, now, force);
-    }
+    const Vector3f gyro = AP::ins().get_gyro();
+    const rw_real rate[3] = {gyro.x, gyro.y, gyro.z};
+    rw_diagnoser_gyro(&_diagnoser, now, rate, AP::ins().get_gyro_health());
+
+    const Vector3f accel = AP::ins().get_accel();
+    const rw_real force[3] = {accel.x, accel.y, accel.z};
+    rw_diagnoser_accel(&_diagnoser, now, force, AP::ins().get_accel_health());
 
     Quaternion quat {};
     if (AP::ahrs().get_quaternion(quat)) {
@@ -114,5 +113,5 @@ void AP_RotorDiagnosis::tell(const rw_news &news, uint64_t now_us) const
 
 float AP_RotorDiagnosis::loss(uint8_t rotor) const
 {
-    return rotor < RW_ROTORS ? float(rw_diagnoser_loss(&_diagnoser)[rotor]) : 0.0f;
+    return rotor < RW_ROTORS ? float(_diagnoser.out.theta[rotor]) : 0.0f;
 }

@@ -15,7 +15,7 @@ static uint64_t microseconds(rw_time s)
 
 RotorWatchDiagnoser::RotorWatchDiagnoser() : ModuleParams(nullptr), ScheduledWorkItem("rotorwatch", px4::wq_configurations::lp_default)
 {
-	rw_diagnoser_init(&_diagnoser, &rw_vehicle_default);
+	rw_diagnoser_init(&_diagnoser, &rw_vehicle_default, &rw_plan_default);
 }
 
 RotorWatchDiagnoser::~RotorWatchDiagnoser()
@@ -44,7 +44,7 @@ void RotorWatchDiagnoser::Run()
 	feed();
 
 	const hrt_abstime now = hrt_absolute_time();
-	const int count = rw_diagnoser_poll(&_diagnoser, seconds(now), _news);
+	const int count = rw_diagnoser_poll(&_diagnoser, _news);
 
 	for (int i = 0; i < count; i++) {
 		tell(_news[i]);
@@ -62,57 +62,101 @@ void RotorWatchDiagnoser::Run()
 
 void RotorWatchDiagnoser::feed()
 {
-	vehicle_land_detected_s landed{};
+	// What is new of each topic, in the order of its time: topics come when they are published, up to some milliseconds late.
+	enum Kind { LANDED, ARMED, MOTORS, POSITION, ATTITUDE, RATES, ACCELERATION, KINDS };
 
-	if (_landed.update(&landed)) {
-		rw_diagnoser_state(&_diagnoser, seconds(landed.timestamp), landed.landed ? 1 : 0, -1);
-	}
+	struct {
+		hrt_abstime time;
+		Kind kind;
+	} samples[KINDS];
 
-	actuator_armed_s armed{};
+	int count = 0;
 
-	if (_armed.update(&armed)) {
-		rw_diagnoser_state(&_diagnoser, seconds(armed.timestamp), -1, armed.armed ? 1 : 0);
-	}
+	const auto put = [&](hrt_abstime time, Kind kind) {
+		int at = count++;
 
-	actuator_motors_s motors{};
-
-	if (_motors.update(&motors)) {
-		rw_real output[RW_ROTORS];
-
-		for (int k = 0; k < RW_ROTORS; k++) {
-			output[k] = motors.control[k] > 0.f ? motors.control[k] : 0.f; // NaN: not armed
+		for (; at > 0 && samples[at - 1].time > time; at--) {
+			samples[at] = samples[at - 1];
 		}
 
-		rw_diagnoser_outputs(&_diagnoser, seconds(motors.timestamp), output, rw_real(1));
-	}
+		samples[at].time = time;
+		samples[at].kind = kind;
+	};
 
+	vehicle_land_detected_s landed{};
+	actuator_armed_s armed{};
+	actuator_motors_s motors{};
+	vehicle_local_position_s position{};
+	vehicle_attitude_s attitude{};
 	vehicle_angular_velocity_s rates{};
-
-	if (_rates.update(&rates)) {
-		const rw_real rate[3] = {rates.xyz[0], rates.xyz[1], rates.xyz[2]};
-		rw_diagnoser_gyro(&_diagnoser, seconds(rates.timestamp_sample), rate);
-	}
-
 	vehicle_acceleration_s acceleration{};
 
-	if (_acceleration.update(&acceleration)) {
-		const rw_real force[3] = {acceleration.xyz[0], acceleration.xyz[1], acceleration.xyz[2]};
-		rw_diagnoser_accel(&_diagnoser, seconds(acceleration.timestamp), force);
-	}
+	if (_landed.update(&landed)) { put(landed.timestamp, LANDED); }
 
-	vehicle_attitude_s attitude{};
+	if (_armed.update(&armed)) { put(armed.timestamp, ARMED); }
 
-	if (_attitude.update(&attitude)) {
-		const rw_real q[4] = {attitude.q[0], attitude.q[1], attitude.q[2], attitude.q[3]};
-		rw_diagnoser_attitude(&_diagnoser, seconds(attitude.timestamp), q);
-	}
+	if (_motors.update(&motors)) { put(motors.timestamp, MOTORS); }
 
-	vehicle_local_position_s position{};
+	if (_position.update(&position)) { put(position.timestamp, POSITION); }
 
-	if (_position.update(&position)) {
-		const rw_real climb = position.v_z_valid ? -position.vz : rw_real(NAN);
-		const rw_real speed = position.v_xy_valid ? sqrtf(position.vx * position.vx + position.vy * position.vy) : rw_real(NAN);
-		rw_diagnoser_velocity(&_diagnoser, seconds(position.timestamp), climb, speed);
+	if (_attitude.update(&attitude)) { put(attitude.timestamp, ATTITUDE); }
+
+	if (_rates.update(&rates)) { put(rates.timestamp_sample, RATES); }
+
+	if (_acceleration.update(&acceleration)) { put(acceleration.timestamp, ACCELERATION); }
+
+	for (int i = 0; i < count; i++) {
+		_fed = samples[i].time > _fed ? samples[i].time : _fed;
+		const rw_time time = seconds(_fed);
+
+		switch (samples[i].kind) {
+		case LANDED:
+			rw_diagnoser_state(&_diagnoser, time, landed.landed ? 1 : 0, -1);
+			break;
+
+		case ARMED:
+			rw_diagnoser_state(&_diagnoser, time, -1, armed.armed ? 1 : 0);
+			break;
+
+		case MOTORS: {
+				rw_real output[RW_ROTORS];
+
+				for (int k = 0; k < RW_ROTORS; k++) {
+					output[k] = motors.control[k] > 0.f ? motors.control[k] : 0.f; // NaN: not armed
+				}
+
+				rw_diagnoser_outputs(&_diagnoser, time, output, ALL);
+				break;
+			}
+
+		case POSITION: {
+				const rw_real climb = position.v_z_valid ? -position.vz : rw_real(NAN);
+				const float squared = position.vx * position.vx + position.vy * position.vy;
+				rw_diagnoser_velocity(&_diagnoser, time, climb, position.v_xy_valid ? sqrtf(squared) : rw_real(NAN));
+				break;
+			}
+
+		case ATTITUDE: {
+				const rw_real q[4] = {attitude.q[0], attitude.q[1], attitude.q[2], attitude.q[3]};
+				rw_diagnoser_attitude(&_diagnoser, time, q);
+				break;
+			}
+
+		case RATES: {
+				const rw_real rate[3] = {rates.xyz[0], rates.xyz[1], rates.xyz[2]};
+				rw_diagnoser_gyro(&_diagnoser, time, rate, true);
+				break;
+			}
+
+		case ACCELERATION: {
+				const rw_real force[3] = {acceleration.xyz[0], acceleration.xyz[1], acceleration.xyz[2]};
+				rw_diagnoser_accel(&_diagnoser, time, force, true);
+				break;
+			}
+
+		case KINDS:
+			break;
+		}
 	}
 }
 
@@ -163,10 +207,8 @@ void RotorWatchDiagnoser::publish(const rw_event *event, uint8_t news, uint16_t 
 		said.probability = static_cast<float>(event->probability);
 	}
 
-	const rw_real *loss = rw_diagnoser_loss(&_diagnoser);
-
 	for (int k = 0; k < 12; k++) {
-		said.rotor_loss[k] = k < RW_ROTORS ? static_cast<float>(loss[k]) : NAN;
+		said.rotor_loss[k] = k < RW_ROTORS ? static_cast<float>(_diagnoser.out.theta[k]) : NAN;
 	}
 
 	_verdict.publish(said);
@@ -175,10 +217,8 @@ void RotorWatchDiagnoser::publish(const rw_event *event, uint8_t news, uint16_t 
 int RotorWatchDiagnoser::print_status()
 {
 	PX4_INFO("%s", rw_text_verdict(rw_diagnoser_verdict(&_diagnoser)));
-	const rw_real *loss = rw_diagnoser_loss(&_diagnoser);
-
 	for (int k = 0; k < RW_ROTORS; k++) {
-		PX4_INFO("rotor %d: loss %.0f %%", k + 1, 100.0 * static_cast<double>(loss[k]));
+		PX4_INFO("rotor %d: loss %.0f %%", k + 1, 100.0 * static_cast<double>(_diagnoser.out.theta[k]));
 	}
 
 	return 0;

@@ -42,6 +42,7 @@ public:
 private:
 	static constexpr unsigned INTERVAL_US = 1000000u / RW_MOTION_HZ;
 	static constexpr unsigned PUBLISH_US = 200000u;
+	static constexpr rw_rotors ALL = static_cast<rw_rotors>((1u << RW_ROTORS) - 1u);
 
 	void Run() override;
 	void feed();
@@ -61,6 +62,7 @@ private:
 	rw_diagnoser _diagnoser{};
 	rw_news _news[2 * RW_EVENTS] {};
 	hrt_abstime _published{0};
+	hrt_abstime _fed{0}; // time of the newest sample that was fed
 
 	DEFINE_PARAMETERS(
 		(ParamBool<px4::params::ROTW_EN>) _param_rotw_en,

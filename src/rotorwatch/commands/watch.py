@@ -55,6 +55,12 @@ def watch(
     Exit code, once all endpoints have ended: 0 no event, 1 a fault was found, 3 nothing could be judged, 2 error.
     """
     from rotorwatch.live.endpoint import is_endpoint, open_endpoint
+
+    # Before anything that takes long is loaded: what vehicles send meanwhile is there then.
+    opened = {}
+    for endpoint in filter(is_endpoint, endpoints):
+        opened[endpoint] = open_endpoint(endpoint)
+        click.get_current_context().call_on_close(opened[endpoint].close)
     from rotorwatch.live.link import Link
     from rotorwatch.live.watch import watch as run
 
@@ -71,8 +77,8 @@ def watch(
 
     try:
         for endpoint in endpoints:
-            if is_endpoint(endpoint):
-                sources.append(Link(open_endpoint(endpoint), tell, known, record, not listen_only, patience))
+            if endpoint in opened:
+                sources.append(Link(opened[endpoint], tell, known, record, not listen_only, patience))
             else:
                 sources.append(_replay(endpoint, tell, known, rate, quiet))
     except BaseException:

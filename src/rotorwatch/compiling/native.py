@@ -10,13 +10,14 @@ from __future__ import annotations
 import ctypes
 import functools
 import hashlib
+import itertools
 import json
 import os
 import platform
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from importlib import import_module, metadata
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -91,8 +92,8 @@ class Library:
             library = ctypes.CDLL(str(path))
         except OSError as why:
             raise Unavailable(f"{path} cannot be loaded ({why}); delete it and try again.") from None
-        self._run, self.step = (getattr(library, f"{layout.name}_{verb}") for verb in ("run", "step"))
-        self._run.restype = self.step.restype = None
+        self.call, self.step = (getattr(library, f"{layout.name}_{verb}") for verb in ("run", "step"))
+        self.call.restype = self.step.restype = None
         self.state_type, self.out_type = _dtype(layout.state), _dtype(layout.out)
         self.parameter_type = _dtype(layout.parameters)
 
@@ -117,17 +118,24 @@ class Library:
 
     def run(self, state: np.ndarray, parameters, u, y, valid, progress=None, room=None) -> list[np.ndarray]:
         """Step over rows; changes `state` (and `room`); returns the outputs' leaves, stacked: views of one table, which is never copied."""
-        fields, rows = self.layout.out, len(u)
+        rows = len(u)
         out, room = np.empty(rows, self.out_type), self.room() if room is None else room
         between = [_address(parameters)] if self.layout.parameters else []
         for first in range(0, rows, ROWS):
             part = slice(first, first + ROWS)
             given = [_address(a[part]) for a in (u, y, valid)]
             count = min(ROWS, rows - first)
-            self._run(ctypes.c_int32(count), _address(state), *between, *given, _address(out[part]), _address(room))
+            self.call(ctypes.c_int32(count), _address(state), *between, *given, _address(out[part]), _address(room))
             if progress:
                 progress(min(1.0, (first + ROWS) / rows))
-        return [out[name] if 0 not in shape else np.zeros((rows, *shape), TYPES[kind]) for name, kind, shape in fields]
+        return self.columns(out)
+
+    def columns(self, out: np.ndarray) -> list[np.ndarray]:
+        """The leaves of outputs: views of the table of rows."""
+        return [
+            out[name] if 0 not in shape else np.zeros((len(out), *shape), TYPES[kind])
+            for name, kind, shape in self.layout.out
+        ]
 
 
 class Live:
@@ -169,21 +177,31 @@ def described(tree: Any) -> Any:
 
 def rebuilt(like: Any, leaves) -> Any:
     """The tree that `described` describes, with new leaves in the same order."""
-    flat = iter(leaves)
+    return builder(like)(leaves)
 
-    def one(node):
+
+def builder(like: Any) -> Callable[[Iterable], Any]:
+    """What makes such trees of leaves, again and again."""
+
+    def one(node) -> Callable[[Iterator], Any]:
         if node == 0:
-            return next(flat)
+            return next
         if "none" in node:
-            return None
+            return lambda flat: None
         if "dict" in node:
-            return {k: one(v) for k, v in node["dict"].items()}
+            parts = {k: one(v) for k, v in node["dict"].items()}
+            return lambda flat: {k: part(flat) for k, part in parts.items()}
         module, _, name = node["kind"].partition(":")
         kind: Any = functools.reduce(getattr, name.split("."), import_module(module))
         items = [one(item) for item in node["items"]]
-        return kind(*items) if hasattr(kind, "_fields") else kind(items)
+        if not hasattr(kind, "_fields"):
+            return lambda flat: kind(item(flat) for item in items)
+        if all(item is next for item in items):
+            return lambda flat: kind._make(itertools.islice(flat, len(items)))
+        return lambda flat: kind(*(item(flat) for item in items))
 
-    return one(like)
+    make = one(like)
+    return lambda leaves: make(iter(leaves))
 
 
 def flattened(tree: Any) -> list:
@@ -301,12 +319,16 @@ class Session:
         self._library, self._room = library, library.room()
         self._packed = library.pack(layout.parameters, library.parameter_type, flattened(parameters))
         self.state = library.pack(layout.state, library.state_type, flattened(carry))
+        self._between = [_address(a) for a in (self.state, self._packed)[: 1 + bool(layout.parameters)]]
+        self._work = _address(self._room)
+        self._make = builder(layout.out_like)
 
     def run(self, u, y, valid) -> Any:
         """Outputs of the rows, stacked."""
-        u, y = (np.ascontiguousarray(a, float) for a in (u, y))
-        out = self._library.run(self.state, self._packed, u, y, np.ascontiguousarray(valid, bool), room=self._room)
-        return rebuilt(self._library.layout.out_like, out)
+        given = [np.ascontiguousarray(u, float), np.ascontiguousarray(y, float), np.ascontiguousarray(valid, bool)]
+        out, call = np.empty(len(u), self._library.out_type), self._library.call
+        call(ctypes.c_int32(len(u)), *self._between, *(_address(a) for a in given), _address(out), self._work)
+        return self._make(self._library.columns(out))
 
 
 def run(library: Library, parameters, carry, u, y, valid, progress=None):

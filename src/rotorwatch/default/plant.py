@@ -15,6 +15,8 @@ one more state: y_a - ... - s (dB/ds T)_a, with B kept such that hover takes the
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 
 TAU = (0.25, 1.0)  # s
@@ -57,9 +59,25 @@ class WrenchBalance:
         self.n_theta = B.shape[1]
         self.n_u = self.n_theta + 10
         self.n_x = AXIS_STATES + (lower is not None)
-        self.x0, self.P0 = any_multirotor(self.n_theta) if prior is None else prior
-        if lower is not None:
-            self.x0, self.P0 = _with_share(self.x0, self.P0, np.array([0.0, SHARE_SD**2]) if share is None else share)
+        self._given, self._share = prior, share
+
+    @cached_property
+    def prior(self):
+        """(mean (n_x,), covariance (n_x, n_x)) of the state before anything is known; made when it is asked for, as `pack` needs none."""
+        mean, P = any_multirotor(self.n_theta) if self._given is None else self._given
+        if self.lower is None:
+            return mean, P
+        return _with_share(mean, P, np.array([0.0, SHARE_SD**2]) if self._share is None else self._share)
+
+    @property
+    def x0(self):
+        """Mean of `prior`."""
+        return self.prior[0]
+
+    @property
+    def P0(self):
+        """Covariance of `prior`."""
+        return self.prior[1]
 
     @property
     def x_names(self) -> tuple[str, ...]:

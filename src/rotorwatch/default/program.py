@@ -70,7 +70,8 @@ def inputs(table: Ticks, B: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndar
     from rotorwatch.default.plant import WrenchBalance
 
     again = table.restart if table.contact is None else np.where(table.contact, AGAIN, table.restart)
-    return np.column_stack([WrenchBalance(B).pack(table), table.mode, again]), table.wrench, table.valid
+    u = np.concatenate([WrenchBalance(B).pack(table), table.mode[:, None], again[:, None]], axis=1)
+    return u, table.wrench, table.valid
 
 
 def parameters(B: np.ndarray, dt: float, dynamics=None) -> dict:

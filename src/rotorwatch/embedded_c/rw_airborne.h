@@ -1,4 +1,4 @@
-/* When the vehicle is in the air, from motor outputs, motion and the autopilot's own words: a walk over ticks of 0.05 s that only looks back.
+/* When the vehicle is in the air, from outputs, motion and the autopilot's own words: a walk over ticks of 0.05 s that only looks back.
 
    Start: the command is well above idle and the vehicle climbs or moves; or the command is high for long. End: the command stays low while
    the vehicle neither falls nor sinks fast, at once where the autopilot says landed or disarmed; or something other than the rotors

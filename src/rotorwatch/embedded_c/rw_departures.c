@@ -67,9 +67,10 @@ static int8_t room(rw_departures *s)
     return (int8_t)oldest;
 }
 
-/* One sample of one way to find a spell: is it wrong, is it well, the output. A spell is confirmed after hold_s and `samples` in a row, and over
-   when all has been well for BACK_S. Returns its place when it is confirmed at this sample, else -1. */
-static int follow(rw_departures *s, int way, int k, rw_time time, bool wrong, bool back, rw_real output, rw_time hold_s, int samples)
+/* One sample of one way to find a spell: is it wrong, is it well, the output. A spell is confirmed after hold_s and `samples` in a row, and
+   over when all has been well for BACK_S. Returns its place when it is confirmed at this sample, else -1. */
+static int follow(rw_departures *s, int way, int k, rw_time time, bool wrong, bool back, rw_real output, rw_time hold_s,
+                  int samples)
 {
     rw_run *run = &s->runs[way][k];
     int confirmed = -1;
@@ -312,6 +313,19 @@ void rw_departures_logged(rw_departures *s, const rw_vehicle *v, rw_time time, c
             o->asked = -1;
             o->rotor = (uint8_t)k;
             o->way = (uint8_t)way;
+        }
+    }
+}
+
+void rw_departures_landed(rw_departures *s, rw_time compared, rw_time logged)
+{
+    for (int way = 0; way < RW_WAYS; way++) {
+        const rw_time since = way == RW_WAY_MIXER ? compared : logged;
+        for (int k = 0; k < N; k++) {
+            rw_run *run = &s->runs[way][k];
+            if (since >= RW_LASTS) continue;
+            if (run->open < 0) run->onset = RW_LASTS;
+            else if (since < run->well) run->well = since;
         }
     }
 }

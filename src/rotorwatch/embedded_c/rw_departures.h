@@ -82,6 +82,10 @@ void rw_departures_compared(rw_departures *s, const rw_vehicle *v, const rw_comp
 void rw_departures_logged(rw_departures *s, const rw_vehicle *v, rw_time time, const rw_real *output, const rw_real *thrust, bool valid,
                           bool aloft);
 
+/* The vehicle was on the ground already at the samples that were taken back: times in s of the first comparison and of the first outputs
+   among them, RW_LASTS without. What lasted until then ends there, as it would have had that been known. */
+void rw_departures_landed(rw_departures *s, rw_time compared, rw_time logged);
+
 /* The overrides so far, in the order in which they were noticed, into out[RW_OVERRIDES]; returns how many. */
 int rw_departures_found(const rw_departures *s, const rw_vehicle *v, rw_override *out);
 

@@ -71,7 +71,8 @@ static bool grants_yaw(const rw_vehicle *v, const rw_real *control)
     for (int k = 0; k < N; k++) {
         const rw_real factor = v->mixer[k][RW_CONTROL_YAW];
         if (!(magnitude(factor) > (rw_real)1e-9)) continue;
-        const rw_real tilt = control[RW_CONTROL_ROLL] * v->mixer[k][RW_CONTROL_ROLL] + control[RW_CONTROL_PITCH] * v->mixer[k][RW_CONTROL_PITCH];
+        const rw_real tilt =
+            control[RW_CONTROL_ROLL] * v->mixer[k][RW_CONTROL_ROLL] + control[RW_CONTROL_PITCH] * v->mixer[k][RW_CONTROL_PITCH];
         const rw_real level = clipped(control[RW_CONTROL_THROTTLE], 0, (rw_real)0.5) + tilt;
         const rw_real room = (control[RW_CONTROL_YAW] * factor > 0 ? 1 - level : level) / magnitude(factor);
         if (!bounded || room < least) least = room;

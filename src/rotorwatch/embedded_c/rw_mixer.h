@@ -53,7 +53,8 @@ rw_real rw_mixer_curve(const rw_vehicle *v, rw_real u, rw_real battery);
 void rw_mixer_init(rw_mixer *m);
 
 /* Outputs [n] at `time` s. Returns how many comparisons are made, 0 or 1, in out. */
-int rw_mixer_outputs(rw_mixer *m, const rw_vehicle *v, rw_time time, const rw_real *output, bool valid, rw_real battery, rw_comparison *out);
+int rw_mixer_outputs(rw_mixer *m, const rw_vehicle *v, rw_time time, const rw_real *output, bool valid, rw_real battery,
+                     rw_comparison *out);
 
 /* The rate controller's output [RW_CONTROLS] at `time` s. Returns how many comparisons are made, in out[RW_PENDING]. */
 int rw_mixer_control(rw_mixer *m, const rw_vehicle *v, rw_time time, const rw_real *control, bool valid, rw_comparison *out);

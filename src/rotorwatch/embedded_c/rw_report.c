@@ -175,7 +175,8 @@ int rw_report_main(const rw_event *events, int count)
     for (int i = 0; i < count; i++) {
         const rw_event *e = &events[i];
         if (counts(e, RW_OUTPUT_OVERRIDE, sure) && e->onset < first && (override < 0 || e->onset < events[override].onset)) override = i;
-        if (counts(e, RW_LOSS_OF_EFFECTIVENESS, sure) && largest(e) >= LARGE * most && e->onset <= first + TOGETHER_S && largest(e) > size) {
+        const bool together = largest(e) >= LARGE * most && e->onset <= first + TOGETHER_S;
+        if (counts(e, RW_LOSS_OF_EFFECTIVENESS, sure) && together && largest(e) > size) {
             loss = i;
             size = largest(e);
         }

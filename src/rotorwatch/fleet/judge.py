@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from rotorwatch import __version__, airframes
+from rotorwatch.diagnosis import Diagnosis
 from rotorwatch.fleet import identity
 from rotorwatch.fleet.store import Entry, digest
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.healthy import whole_flight
-from rotorwatch.motion import trust
 from rotorwatch.motion.airborne import airborne
-from rotorwatch.motion.ticks import READY_S, observe
 
 FEATURELESS: dict = {}
 
@@ -32,18 +31,20 @@ def entry(
 
 def of_flight(
     flight: Flight, hash: str, path: str, size: int, aircraft: str = "", vehicle: Vehicle | None = None, progress: Callable | None = None,
-    diagnosed: dict | None = None,
+    found: Diagnosis | None = None,
 ) -> Entry:  # fmt: skip
-    """The same of a flight that was read. diagnosed: its diagnosis, where that was made elsewhere."""
+    """The same of a flight that was read. found: its diagnosis, where that was made elsewhere."""
     craft = vehicle or airframes.identify(flight)
     airframes.check(craft, flight)
-    if diagnosed is None:
+    if found is None:
         from rotorwatch.diagnose import diagnose
 
-        diagnosed = diagnose(flight, vehicle=craft, progress=progress).to_dict()
-    diagnosed = {k: v for k, v in diagnosed.items() if k != "timing"}  # the only thing that differs from run to run
+        found = diagnose(flight, vehicle=craft, progress=progress)
+    diagnosed = {
+        k: v for k, v in found.to_dict().items() if k != "timing"
+    }  # the only thing that differs from run to run
     who = identity.Identity(f"name {aircraft}", aircraft, "name") if aircraft else identity.identify(flight)
-    air = airborne(flight) if flight.has("motors") else ()
+    air = found.trace.airborne if found.trace is not None else airborne(flight)
     return Entry(
         hash=hash,
         path=path,
@@ -65,18 +66,16 @@ def of_flight(
         headline=str(diagnosed["headline"]),
         version=__version__,
         diagnosis=diagnosed,
-        trim=trim(flight, craft, air),
+        trim=trim(flight, craft, air, found.doubts),
     )
 
 
-def trim(flight: Flight, craft: Vehicle, air) -> dict:
-    """How the flight hovered, for histories: whole_flight.Features, the effectiveness B (4 x n) and `doubt`, why its log is not believed;
-    empty when there is too little steady hover."""
+def trim(flight: Flight, craft: Vehicle, air, doubts: Sequence[str]) -> dict:
+    """How the flight hovered, for histories: whole_flight.Features, the effectiveness B (4 x n) and `doubt`, the first reason why its
+    log is not believed; empty when there is too little steady hover."""
     found = whole_flight.features(flight, craft, air)
     if not found.usable:
         return FEATURELESS
-    table = observe(flight, craft, air, READY_S)
-    doubts = trust.doubts(flight, craft, air, table) if table is not None else ("it shows no flight",)
     table_of = found.to_dict() | {"name": ""}
     return _short(table_of) | {
         "effectiveness": _short(craft.effectiveness().tolist()),

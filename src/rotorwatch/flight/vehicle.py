@@ -73,7 +73,7 @@ class ThrustCurve:
     known: bool = True
 
     def __call__(self, u: np.ndarray, battery: np.ndarray | float = 1.0) -> np.ndarray:
-        a = np.clip((u - self.u_min) / (self.u_max - self.u_min), 0.0, 1.0) * battery
+        a = np.minimum(np.maximum((u - self.u_min) / (self.u_max - self.u_min), 0.0), 1.0) * battery
         return (1.0 - self.expo) * a + self.expo * a * a
 
 

@@ -16,6 +16,7 @@ from rotorwatch.diagnosis import Event
 from rotorwatch.motion.ticks import Ticks
 
 QUIET, MOST = 2400, 72_000
+FRESH = 50  # pieces that are put into the columns at once
 TICK = ("time", "command_time", "mode", "restart", "upset")
 OUT = ("theta", "theta_sd", "announced", "since", "active", "share", "opposite", "opposite_onset", "opposite_loss")
 RARE = ("probability", "log_odds")  # asked for only where something was announced
@@ -51,6 +52,7 @@ class History:
     def __init__(self, dt: float):
         self._dt, self.first, self.end = dt, 0, 0
         self._columns: dict[str, np.ndarray] = {}
+        self._fresh: list[dict[str, np.ndarray]] = []  # the last of them, not yet in the columns
         self._rare: dict[str, dict[int, np.ndarray]] = {name: {} for name in RARE}
         self._said: list[int] = []  # ticks at which something was announced or suspected
         self._restarts: list[int] = []
@@ -58,24 +60,33 @@ class History:
     def add(self, table: Ticks, out) -> None:
         """More ticks with what the estimator made of them."""
         count = len(table.time)
-        rows = {name: np.asarray(getattr(table, name)) for name in TICK}
-        rows |= {name: np.asarray(getattr(out, name)) for name in OUT}
-        used = self.end - self.first
-        for name, new in rows.items():
-            column = self._columns.get(name)
-            if column is None or used + count > len(column):
-                room = np.empty((max(1024, 2 * (used + count)), *new.shape[1:]), new.dtype)
+        self._fresh.append(
+            {name: getattr(table, name) for name in TICK} | {name: np.asarray(getattr(out, name)) for name in OUT}
+        )
+        told = np.asarray(out.announced, bool) | (np.asarray(out.opposite) >= 0)
+        if told.any():
+            for k in np.flatnonzero(told).tolist():
+                self._said.append(self.end + k)
+                for name in RARE:
+                    self._rare[name][self.end + k] = np.array(getattr(out, name)[k])
+        if table.restart.any():
+            self._restarts += (self.end + np.flatnonzero(table.restart)).tolist()
+        self.end += count
+        if len(self._fresh) >= FRESH:
+            self._join()
+
+    def _join(self) -> None:
+        """The ticks that came since the last time, put into the columns: many at once, as one after the other takes longer."""
+        fresh, self._fresh = self._fresh, []
+        for name in fresh[0] if fresh else ():
+            new = np.concatenate([rows[name] for rows in fresh])
+            column, used = self._columns.get(name), self.end - self.first - len(new)
+            if column is None or used + len(new) > len(column):
+                room = np.empty((max(1024, 2 * (used + len(new))), *new.shape[1:]), new.dtype)
                 if column is not None:
                     room[:used] = column[:used]
                 column = self._columns[name] = room
-            column[used : used + count] = new
-        told = rows["announced"].astype(bool) | (rows["opposite"] >= 0)
-        for k in np.flatnonzero(told).tolist():
-            self._said.append(self.end + k)
-            for name in RARE:
-                self._rare[name][self.end + k] = np.array(getattr(out, name)[k])
-        self._restarts += (self.end + np.flatnonzero(table.restart)).tolist()
-        self.end += count
+            column[used : used + len(new)] = new
 
     @property
     def said(self) -> int:
@@ -84,6 +95,7 @@ class History:
 
     def cut(self, end: int) -> None:
         """Forget the ticks from `end` on."""
+        self._join()
         self.end = max(end, self.first)
         self._said = [k for k in self._said if k < self.end]
         self._restarts = [k for k in self._restarts if k < self.end]
@@ -93,6 +105,7 @@ class History:
         end = self.end if end is None else end
         if not any(k < end for k in self._said):
             return ()
+        self._join()
         columns = {name: column[: end - self.first] for name, column in self._columns.items()}
         rare = {name: _Rare(self.first, rows) for name, rows in self._rare.items()}
         rows: Any = _Rows(self._dt, {**columns, **rare})
@@ -100,6 +113,7 @@ class History:
 
     def column(self, name: str) -> np.ndarray:
         """A column of the ticks that are kept."""
+        self._join()
         return self._columns[name][: self.end - self.first] if name in self._columns else np.empty(0)
 
     def settle(self, sure: int, hyp: Hypotheses, B: np.ndarray) -> tuple[Event, ...]:
@@ -118,6 +132,7 @@ class History:
         return ()
 
     def _drop(self, first: int) -> None:
+        self._join()
         for name, column in self._columns.items():
             self._columns[name] = column[first - self.first : self.end - self.first].copy()
         self.first = first

@@ -6,7 +6,8 @@ that nothing on the ground is read as a fault. For that the last seconds are kep
 
 from __future__ import annotations
 
-import copy
+import functools
+import operator
 from dataclasses import dataclass
 from typing import Any
 
@@ -74,25 +75,34 @@ class Logged:
 
 
 class Tape:
-    """Rows as they came, of which the last are kept; `at`: running number of the next one to be read."""
+    """Rows as they came, of which the last are kept; `at`: running number of the next one to be read.
+
+    They stay in the pieces in which they came: to join all that is kept with every new one would take longer than to judge it.
+    """
 
     def __init__(self):
-        self._rows: Any = None
-        self._first = self.at = 0
+        self._pieces: list[Any] = []
+        self._first = self._end = self.at = 0
 
     def add(self, more) -> None:
         if more is not None and len(more):
-            self._rows = more if self._rows is None else self._rows + more
+            self._pieces.append(more)
+            self._end += len(more)
 
     def left(self):
         """The rows that have not been read, or None."""
-        if self._rows is None or self.at - self._first >= len(self._rows):
+        if self.at >= self._end:
             return None
-        return self._rows[self.at - self._first :] if self.at > self._first else self._rows
+        first, place = self._end, len(self._pieces)
+        while first > self.at:
+            place -= 1
+            first -= len(self._pieces[place])
+        left = functools.reduce(operator.add, self._pieces[place:])
+        return left[self.at - first :] if self.at > first else left
 
     def forget(self, before: int) -> None:
-        if self._rows is not None and before > self._first:
-            self._rows, self._first = self._rows[before - self._first :], before
+        while self._pieces and self._first + len(self._pieces[0]) <= before:
+            self._first += len(self._pieces.pop(0))
 
 
 @dataclass(frozen=True)
@@ -104,7 +114,7 @@ class Kept:
     places: tuple[int, ...]
     past: Past | None
     state: Any
-    watch: Watch
+    watch: bytes
 
 
 class Judge:
@@ -181,16 +191,15 @@ class Judge:
 
     def _keep(self) -> Kept:
         places = tuple(tape.at for tape in self._tapes)
-        return Kept(
-            self._time, self._history.end, places, self._past, self._steps.state, copy.deepcopy(self._watch)
-        )  # fmt: skip
+        return Kept(self._time, self._history.end, places, self._past, self._steps.state, self._watch.kept())
 
     def _take_back(self, since: float) -> None:
         """Everything as it was before `since`."""
         while len(self._kept) > 1 and self._kept[-1].time >= since:
             del self._kept[-1]
         kept = self._kept[-1]
-        self._time, self._past, self._watch = kept.time, kept.past, copy.deepcopy(kept.watch)
+        self._time, self._past = kept.time, kept.past
+        self._watch.again(kept.watch)
         self._steps.state = kept.state
         self._history.cut(kept.number)
         for tape, place in zip(self._tapes, kept.places):

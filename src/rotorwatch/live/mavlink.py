@@ -226,7 +226,7 @@ class Messages:
         """New samples of each signal and what the autopilot said, and forget them. outputs: servo output of each rotor; aloft: in flight
         the message that tells of a signal is changed only when it falls silent."""
         now = self.clock.now
-        there = [name for name in self._rows if self.get(name) is not None]
+        there = {name for name in self._rows if self.get(name) is not None}
         for name in there:
             count = self._counts.setdefault(name, deque())
             count.extend(self._rows[name][0])

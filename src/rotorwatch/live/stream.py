@@ -13,7 +13,7 @@ import numpy as np
 
 from rotorwatch.flight import Flight, Message, Signal
 from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch.live.window import KEPT_S, Growing, Window
+from rotorwatch.live.window import KEPT_S, Growing, Window, copied
 from rotorwatch.motion import allocation, ticks
 from rotorwatch.motion.airborne import Airborne, commands
 from rotorwatch.motion.allocation import Comparison, Learned, Spans
@@ -162,7 +162,7 @@ class Stream:
         part = motors.part(new)
         self._compared = float(part.time[-1])
         check = allocation.compare(
-            replace(flight, signals={**flight.signals, "motors": part}), self.vehicle, self._learned
+            copied(flight, signals={**flight.signals, "motors": part}), self.vehicle, self._learned
         )
         if not len(check.time):
             return None, None
@@ -179,7 +179,7 @@ class Stream:
             return None, None
         motors = flight["motors"].part(new)
         self._logged = float(motors.time[-1])
-        thrust = allocation.motor_thrusts(replace(flight, signals={**flight.signals, "motors": motors}), self.vehicle)
+        thrust = allocation.motor_thrusts(copied(flight, signals={**flight.signals, "motors": motors}), self.vehicle)
         return motors, thrust.values
 
     def _rebuild(
@@ -200,7 +200,7 @@ class Stream:
         if new.start >= new.stop:
             return
         control = flight["control"].part(new)
-        piece = replace(flight, signals={**flight.signals, "control": control})
+        piece = copied(flight, signals={**flight.signals, "control": control})
         logged = allocation.motor_thrusts(piece, self.vehicle)
         self._extend(allocation.better(logged, allocation.rebuilt(piece, self.vehicle, self._checks)))
         self._rebuilt = float(control.time[-1])

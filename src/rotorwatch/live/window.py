@@ -73,7 +73,7 @@ class Growing:
         return self._first + int(known[-1]) if known.size else last
 
 
-def _copied(flight: Flight, **changed) -> Flight:
+def copied(flight: Flight, **changed) -> Flight:
     """As `dataclasses.replace`, which takes ten times as long, several times a tick."""
     new = object.__new__(Flight)
     new.__dict__.update(flight.__dict__, **changed)
@@ -87,6 +87,7 @@ class Window:
         self.about = replace(about, signals={}, messages=())
         self._signals: dict[str, Growing] = {}
         self._messages: list[Message] = []
+        self.now = -np.inf  # time of the newest sample of any signal
 
     def add(self, signals: Mapping[str, Signal], messages: Iterable[Message] = ()) -> None:
         """More of a flight, in time order."""
@@ -96,17 +97,13 @@ class Window:
                 if growing is None:
                     growing = self._signals[name] = Growing(signal)
                 growing.add(signal)
+                self.now = max(self.now, growing.newest)
         self._messages += [m for m in messages if m.kind in STATES]
 
     def newest(self, name: str) -> float:
         """Time of the newest sample of a signal; minus infinity without one."""
         growing = self._signals.get(name)
         return -np.inf if growing is None else growing.newest
-
-    @property
-    def now(self) -> float:
-        """Time of the newest sample of any signal."""
-        return max((growing.newest for growing in self._signals.values()), default=-np.inf)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -116,7 +113,7 @@ class Window:
         """A flight of what is kept, from the last samples before `start` on; names: of the signals in it (None: all)."""
         names = self._signals if names is None else [name for name in names if name in self._signals]
         signals = {name: self._signals[name].since(start) for name in names}
-        return _copied(self.about, signals=signals, duration=max(self.now, 0.0), messages=tuple(self._messages))
+        return copied(self.about, signals=signals, duration=max(self.now, 0.0), messages=tuple(self._messages))
 
     def forget(self, before: float) -> None:
         """Drop what is older, but for the last known sample of each signal and the last word of each kind."""

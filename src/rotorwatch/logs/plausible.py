@@ -170,17 +170,36 @@ def _size(time, values, valid, floor: float) -> np.ndarray:
 def _alone(t: np.ndarray, x: np.ndarray, floor: float) -> np.ndarray:
     """(n,) as `_size`, of one column without gaps in validity."""
     near = FAR * max(float(np.median(np.diff(t))), 1e-6)
-    rough = np.abs(_residual(t, x, 1, 1, np.inf)[0])
+    r, apart = _residual(t, x, 1, 1)
+    rough = np.abs(r)
 
-    def far(before: int, after: int) -> np.ndarray:
-        r, apart = _residual(t, x, before, after, near)
-        size = np.zeros(x.size)
-        at = np.flatnonzero((np.abs(r) > floor) & (np.abs(r) > AGREE * apart))
-        size[at] = np.abs(r[at]) / np.maximum(SCALES * _scale(rough, at), max(floor, TINY))
-        return np.where(size > 1.0, size, 0.0)
+    def far(at: np.ndarray, before: int, after: int, r: np.ndarray, apart: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Those of the samples `at` that are lone, and how far off; r, apart: `_residual` at these."""
+        r = np.abs(r)
+        some = (r > floor) & (r > AGREE * apart)
+        at, r = at[some], r[some]
+        some = (t[at] - t[at - before] <= near * before) & (t[at + after] - t[at] <= near * after)
+        at, r = at[some], r[some]
+        some = r > np.maximum(
+            SCALES * _around(rough, at), max(floor, TINY)
+        )  # few are, and the other scale takes longer
+        at, r = at[some], r[some]
+        size = r / np.maximum(SCALES * _scale(rough, at), max(floor, TINY))
+        return at[size > 1.0], size[size > 1.0]
 
-    pair = np.minimum(far(1, 2)[:-1], far(2, 1)[1:])
-    return np.maximum(far(1, 1), np.maximum(np.append(pair, 0.0), np.append(0.0, pair)))
+    size = np.zeros(x.size)
+    inner = np.flatnonzero((rough > floor) & (rough > AGREE * apart))
+    at, off = far(inner, 1, 1, r[inner], apart[inner])
+    size[at] = off
+    # Two in a row: the first is held against the samples one before and two after it, the second the other way round.
+    r, apart = _residual(t, x, 1, 2)
+    inner = np.flatnonzero((np.abs(r) > floor) & (np.abs(r) > AGREE * apart))
+    first, off = far(inner, 1, 2, r[inner], apart[inner])
+    second, other = far(first + 1, 2, 1, *_residual(t, x, 2, 1, first + 1))
+    pair = np.minimum(off[np.isin(first + 1, second)], other)
+    for at in (second - 1, second):
+        size[at] = np.maximum(size[at], pair)
+    return size
 
 
 def _support(time, values, valid, size, floor: float, at, own) -> np.ndarray:
@@ -189,12 +208,18 @@ def _support(time, values, valid, size, floor: float, at, own) -> np.ndarray:
     Against the line between their neighbours where those are valid and not lone themselves; what is not valid does not jump.
     """
     support = np.zeros(at.size)
+    # Nothing but what is near the samples is looked at; `_scale` reaches furthest.
+    begins = np.bincount(np.maximum(at - BEFORE - 1, 0), minlength=len(time) + 1)
+    begins -= np.bincount(np.minimum(at + BEFORE + 2, len(time)), minlength=len(time) + 1)
+    near = np.cumsum(begins[:-1]) > 0
+    there, inner = np.flatnonzero(near), np.flatnonzero(near[:-2] & near[1:-1] & near[2:]) + 1
+    calm, r = np.zeros(len(time)), np.zeros(len(time))
     for k in range(values.shape[1]):
         good = valid[:, k] & (size[:, k] == 0.0)
         if good.any():
-            calm = np.interp(time, time[good], values[good, k])
-            r = _residual(time, calm, 1, 1, np.inf)[0]
-            jump = np.abs(r + np.where(valid[:, k], values[:, k] - calm, 0.0))[at]
+            calm[there] = np.interp(time[there], time[good], values[good, k])
+            r[inner] = _residual(time, calm, 1, 1, inner)[0]
+            jump = np.abs(r[at] + np.where(valid[at, k], values[at, k] - calm[at], 0.0))
             jump /= np.maximum(SCALES * _scale(np.abs(r), at), max(floor, TINY))
             support = np.maximum(support, np.where(own == k, 0.0, jump))
     return support
@@ -205,35 +230,41 @@ def _nearest(time: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     return np.searchsorted(0.5 * (time[1:] + time[:-1]), wanted)
 
 
-def _residual(t, x, before: int, after: int, near: float) -> tuple[np.ndarray, np.ndarray]:
-    """(r, D): of each sample against the line from the one `before` steps before it to the one `after` steps after it.
+def _residual(t, x, before: int, after: int, at: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """(r, D): of each sample (or of those `at`) against the line from the one `before` steps before it to the one `after` steps after it.
 
-    r is 0 where one of the two is missing or further away than `near` s for each step.
+    r is 0 where one of the two is missing, which must not be so of those `at`.
     """
-    r, apart = np.zeros(x.size), np.zeros(x.size)
-    a, b = slice(0, x.size - before - after), slice(before + after, x.size)
-    middle = slice(before, x.size - after)
-    width = np.maximum(t[b] - t[a], 1e-9)
+    a, b, middle = slice(0, x.size - before - after), slice(before + after, x.size), slice(before, x.size - after)
+    if at is not None:
+        a, b, middle = at - before, at + after, at
+    xa, xb, xi, ta = x[a], x[b], x[middle], t[a]
     with np.errstate(over="ignore", invalid="ignore"):
-        apart[middle] = np.abs(x[b] - x[a])
-        r[middle] = x[middle] - x[a] - (x[b] - x[a]) * np.clip((t[middle] - t[a]) / width, 0.0, 1.0)
-    far = (t[middle] - t[a] > near * before) | (t[b] - t[middle] > near * after)
-    r[middle][far] = 0.0
-    return r, apart
+        step = xb - xa
+        r = xi - xa - step * np.clip((t[middle] - ta) / np.maximum(t[b] - ta, 1e-9), 0.0, 1.0)
+        apart = np.abs(step)
+    if at is not None:
+        return r, apart
+    return np.pad(r, (before, after)), np.pad(apart, (before, after))
 
 
 def _scale(rough: np.ndarray, at: np.ndarray) -> np.ndarray:
     """How large a residual is usual at the samples `at`: the larger of what was before and what is around."""
+    before = np.median(_those(rough, at, np.arange(-BEFORE, -2)), axis=1)
+    return np.maximum(_around(rough, at), before)
+
+
+def _around(rough: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """How large a residual is usual around the samples `at`."""
     around = np.concatenate([np.arange(-AHEAD, -2), np.arange(3, AHEAD + 1)])
-    before = np.arange(-BEFORE, -2)
+    return np.partition(_those(rough, at, around), around.size // 2, axis=1)[:, around.size // 2]
 
-    def those(offsets: np.ndarray) -> np.ndarray:
-        index = at[:, None] + offsets
-        inside = (index >= 1) & (index <= rough.size - 2)  # the first and the last sample have no residual
-        return rough[np.clip(np.where(inside, index, at[:, None] - offsets), 1, rough.size - 2)]
 
-    here = np.partition(those(around), around.size // 2, axis=1)[:, around.size // 2]
-    return np.maximum(here, np.median(those(before), axis=1))
+def _those(rough: np.ndarray, at: np.ndarray, offsets: np.ndarray) -> np.ndarray:
+    """(m, k) residuals at these offsets from the samples `at`, on the other side of them where there are none."""
+    index = at[:, None] + offsets
+    inside = (index >= 1) & (index <= rough.size - 2)  # the first and the last sample have no residual
+    return rough[np.clip(np.where(inside, index, at[:, None] - offsets), 1, rough.size - 2)]
 
 
 def _floor(name: str, signal: Signal) -> float:

@@ -14,18 +14,16 @@ import time
 import warnings
 from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from multiprocessing import connection, get_context, parent_process
 from typing import Any
 
 from rotorwatch.errors import WorkerError
+from rotorwatch.limited import one_thread
 from rotorwatch.many.done import Done, Task, attempt, packed, portable
 
 START_S, GONE_S = 120.0, 10.0
 """For a process to load what it needs, and to be gone after its pipe."""
-ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NPROC")
-"""Variables that say how many threads numerical libraries use; the last one is XLA's."""
 READY = b"ready"
 
 
@@ -111,7 +109,7 @@ class _Worker:
         self.task, self.limit_s, self.ready, self.hung = task, limit_s, False, False
         self.pipe, theirs = context.Pipe()
         self.process = context.Process(target=_serve, args=(theirs, work), daemon=True)
-        with _one_thread():
+        with one_thread():
             self.process.start()
         theirs.close()
         self.deadline = time.monotonic() + START_S
@@ -151,18 +149,6 @@ class _Worker:
         """There is nothing more to do for it."""
         self.pipe.close()
         self.process.join()
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """What is started meanwhile computes in one thread, unless the user's environment says otherwise."""
-    ours = [name for name in ONE_THREAD if name not in os.environ]
-    os.environ.update(dict.fromkeys(ours, "1"))
-    try:
-        yield
-    finally:
-        for name in ours:
-            os.environ.pop(name, None)
 
 
 def _serve(pipe: Any, work: bytes) -> None:

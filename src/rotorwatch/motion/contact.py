@@ -88,15 +88,16 @@ def vibration(time, force, at, shaken: Shaken | None = None) -> np.ndarray:
     shaken = Shaken() if shaken is None else shaken
     if len(time) < 2 or not len(at):
         return np.full(len(at), np.sqrt(shaken.total / shaken.count) if shaken.count else 0.0)
-    total = np.concatenate([np.zeros((1, force.shape[1])), np.cumsum(force, axis=0)])
-    now, first = np.arange(len(time)), np.searchsorted(time, time - BEFORE_S)
-    mean = (total[now] - total[first]) / np.maximum(now - first, 1)[:, None]
-    square = np.where(now > first, np.minimum(((force - mean) ** 2).sum(axis=1), G0**2), 0.0)
-    new = slice(np.searchsorted(time, shaken.time, "right"), max(np.searchsorted(time, at[-1], "right"), 1))
+    total = np.zeros((len(time) + 1, force.shape[1]))
+    np.cumsum(force, axis=0, out=total[1:])
+    new = slice(time.searchsorted(shaken.time, "right"), max(time.searchsorted(at[-1], "right"), 1))
     when = time[new]
-    so_far = shaken.total + np.concatenate([[0.0], np.cumsum(square[new])])
+    now, first = np.arange(len(time))[new], time.searchsorted(when - BEFORE_S)
+    mean = (total[now] - total[first]) / np.maximum(now - first, 1)[:, None]
+    square = np.where(now > first, np.minimum(((force[new] - mean) ** 2).sum(axis=1), G0**2), 0.0)
+    so_far = shaken.total + np.concatenate([[0.0], np.cumsum(square)])
     counts = shaken.count + np.arange(len(so_far))
-    index = np.clip(np.searchsorted(when, at, "right"), 1 if not shaken.count else 0, len(when))
+    index = np.minimum(np.maximum(when.searchsorted(at, "right"), 1 if not shaken.count else 0), len(when))
     shaken.total, shaken.count = float(so_far[-1]), int(counts[-1])
     shaken.time = float(when[-1]) if len(when) else shaken.time
     return np.sqrt(so_far[index] / np.maximum(counts[index], 1))

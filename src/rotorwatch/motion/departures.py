@@ -6,6 +6,7 @@ the commands are what is compared.
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -80,6 +81,14 @@ class Watch:
         """Go on with outputs as they are logged; thrust (m, n): their thrusts."""
         if len(motors):
             self._silent.on(motors, thrust, within(motors.time, airborne))
+
+    def kept(self) -> bytes:
+        """What it has come to, for `again`. As bytes: hundreds of small objects every second would be what garbage is looked for in."""
+        return pickle.dumps((self._departed, self._silent), pickle.HIGHEST_PROTOCOL)
+
+    def again(self, kept: bytes) -> None:
+        """Go on from where it was `kept`."""
+        self._departed, self._silent = pickle.loads(kept)
 
     def found(self) -> tuple[Override, ...]:
         """All overrides so far; the end of one that lasts is None."""
@@ -319,16 +328,19 @@ class _Silence:
         stills = np.stack([self._still[j].on(time, motors.values[:, j]) for j in range(n)], axis=1)
         resting = (time[:, None] - stills > SILENT_S) & inside[:, None]
         low_ones = (motors.values <= low + 0.01 * span) & inside[:, None]
-        if not (resting.any() or low_ones.any() or any(runs.busy for ways in self._runs for runs in ways)):
-            self._moved(time, thrust, np.empty(0, int))
-            return
         moved = self._moved(time, thrust, np.flatnonzero(resting.any(axis=1)))
+        # Of each rotor: the least that another one has moved.
+        least = np.where(
+            moved <= moved.min(axis=1)[:, None], np.sort(moved, axis=1)[:, 1:2], moved.min(axis=1)[:, None]
+        )
+        left_behind = resting & (least > 0.03)
+        if not (left_behind.any() or low_ones.any() or any(runs.busy for ways in self._runs for runs in ways)):
+            return
         for k in range(n):
             others, command = np.delete(thrust, k, axis=1), motors.values[:, k]
             still = stills[:, k]
             interior = (command > low + 0.02 * span) & (command < low + 0.98 * span)
-            moving = np.min(np.delete(moved, k, axis=1), axis=1) > 0.03
-            stuck = resting[:, k] & interior & moving
+            stuck = left_behind[:, k] & interior
             # Below the minimum: no mixer asks for that. At the minimum, where outputs have nothing below it: no quad flies
             # on with a rotor at rest and the others off their limits (with more rotors, one opposite a dead one rests).
             flown = inside & (np.median(others, axis=1) > 2 * FLYING)

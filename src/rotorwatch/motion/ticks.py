@@ -113,13 +113,21 @@ def _filled(at: np.ndarray, most: int, first: int = 0) -> np.ndarray:
     return np.concatenate([np.arange(a, b) for a, b in zip(begin, end)])
 
 
+def _known(signal: Signal) -> tuple[np.ndarray, np.ndarray]:
+    """(time, values) of the samples of which all is known."""
+    if signal.valid.all():  # the rule
+        return signal.time, signal.values
+    ok = signal.valid.all(axis=1)
+    return signal.time[ok], signal.values[ok]
+
+
 def _bin_mean(signal: Signal, edges_lo: np.ndarray, edges_hi: np.ndarray):
     """Mean of valid samples with lo < time <= hi, their mean time and whether there is any: (T, k), (T,), (T,)."""
-    ok = signal.valid.all(axis=1)
-    time, values = signal.time[ok], signal.values[ok]
-    total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
-    when = np.concatenate([[0.0], np.cumsum(time)])
-    lo, hi = np.searchsorted(time, edges_lo, "right"), np.searchsorted(time, edges_hi, "right")
+    time, values = _known(signal)
+    total, when = np.zeros((time.size + 1, values.shape[1])), np.zeros(time.size + 1)
+    np.cumsum(values, axis=0, out=total[1:])
+    np.cumsum(time, out=when[1:])
+    lo, hi = time.searchsorted(edges_lo, "right"), time.searchsorted(edges_hi, "right")
     count = hi - lo
     some = count > 0
     safe = np.maximum(count, 1)
@@ -137,9 +145,8 @@ class _Course:
     """A signal between its samples, as straight lines: for means over many windows of it."""
 
     def __init__(self, signal: Signal, period: float | None = None):
-        """period: usual time between two samples [s]; None: what this piece of the signal shows."""
-        ok = signal.valid.all(axis=1)
-        time, values = (signal.time, signal.values) if ok.all() else (signal.time[ok], signal.values[ok])
+        """period: usual time between two samples [s]; None: what this piece of the signal shows. known: `_known` of it."""
+        self.known = time, values = _known(signal)
         step = time[1:] - time[:-1]
         if not (step > 0).all():
             keep = np.concatenate([[True], step > 0])
@@ -150,38 +157,45 @@ class _Course:
         np.cumsum(0.5 * (values[1:] + values[:-1]) * step[:, None], axis=0, out=self._integral[1:])
         self._period = _period(signal) if period is None else period
 
-    def over(self, centre: np.ndarray, half: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Mean (T, k) and slope (T, k) over [centre - half, centre + half], and whether there are enough samples in it (T,).
+    def over(self, centre: np.ndarray, half: float, slope: bool = True) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Mean (T, k) and slope (T, k; 0 unless asked for) over [centre - half, centre + half], and whether there are enough samples
+        in it (T,).
 
         The mean comes from the exact integral of the linear interpolation. The slope is the difference of two short means
         around the ends, which keeps single-sample noise out when the signal is much faster than the window.
         """
         time, values, count = self._time, self._values, centre.size
+        shape = (count, values.shape[1])
         if time.size < 2:
-            shape = (count, values.shape[1])
             return np.zeros(shape), np.zeros(shape), np.zeros(count, bool)
         end = half * 0.25
         lo, hi = centre - half, centre + half
-        t = np.concatenate([lo, lo + end, hi - end, hi])
-        i = np.minimum(np.maximum(time.searchsorted(t, "right") - 1, 0), time.size - 2)
+        t = np.concatenate([lo, hi, lo + end, hi - end] if slope else [lo, hi])
+        after = time.searchsorted(t, "right")
+        i = np.minimum(np.maximum(after - 1, 0), time.size - 2)
         width = self._step[i][:, None]
         s = np.minimum(np.maximum((t - time[i])[:, None] / width, 0.0), 1.0)
         left = values[i]
         area = self._integral[i] + width * (left * s + 0.5 * (values[i + 1] - left) * s * s)
-        first, start, last, stop = area.reshape(4, count, values.shape[1])
+        first, stop = area[:count], area[count : 2 * count]
         middle = (stop - first) / (hi - lo)[:, None]
-        slope = ((stop - last) / (hi - (hi - end))[:, None] - (start - first) / ((lo + end) - lo)[:, None]) / (
-            2.0 * half - end
-        )
-        gap = time.searchsorted(hi, "right") - time.searchsorted(lo, "left")
+        rise = np.zeros(shape)
+        if slope:
+            start, last = area[2 * count : 3 * count], area[3 * count :]
+            rise = ((stop - last) / (hi - (hi - end))[:, None] - (start - first) / ((lo + end) - lo)[:, None]) / (
+                2.0 * half - end
+            )
+        gap = after[count : 2 * count] - time.searchsorted(lo, "left")
         least = max(1, int(half / self._period * 0.8)) if self._period > 0.0 else 1
         covered = (lo >= time[0]) & (hi <= time[-1] + 1e-9) & (gap >= least)
-        return middle, slope, covered
+        return middle, rise, covered
 
 
 def _learned_again(contact, restart, thrust, hover, rate, fresh, before: float) -> np.ndarray:
     """(T,) ticks of controlled flight since the last contact of the hop, infinite without one. A vehicle that spins or has outputs
     near their limits is not what its trim can be learned from. before: the same at the tick before the first."""
+    if not contact.any() and before == np.inf:  # the rule
+        return np.full(len(contact), np.inf)
     controlled = (
         fresh
         & ((thrust * hover[:, None]).max(axis=1) < CONTROLLED_SHARE)
@@ -309,16 +323,15 @@ def sense(flight: Flight, thrust: Signal, hi: np.ndarray, plan: Plan, shaken: Sh
     if plan.accel:
         accel = flight["accel"]
         course = _Course(accel, plan.period["accel"])
-        force, _, accel_ok = course.over(centre, plan.half["accel"])
+        force, _, accel_ok = course.over(centre, plan.half["accel"], slope=False)
         load, push = -force[:, 2] / G0, force[:, :2]
-        whole = accel.valid.all(axis=1)
-        shake = vibration(accel.time[whole], accel.values[whole], centre - half, shaken)
-        side, _, side_ok = course.over(centre + half - 0.5 * SIDE_S, 0.5 * SIDE_S)
+        shake = vibration(*course.known, centre - half, shaken)
+        side, _, side_ok = course.over(centre + half - 0.5 * SIDE_S, 0.5 * SIDE_S, slope=False)
         side = np.where(side_ok[:, None], side[:, :2], 0.0)
     level = np.ones(count)
     if "attitude" in flight.signals and len(flight["attitude"]):
         q = flight["attitude"]
-        i = np.clip(np.searchsorted(q.time, time, "right") - 1, 0, len(q) - 1)
+        i = np.minimum(np.maximum(q.time.searchsorted(time, "right") - 1, 0), len(q) - 1)
         _, x, y, _ = q.values[i].T
         level = 1.0 - 2.0 * (x * x + y * y)
     return Sensed(time, when, mean, some, rate, rate_dot, gyro_ok, load, accel_ok, level, push, side, shake)

@@ -225,12 +225,12 @@ def _coherence(case: Case, axis: int) -> Coherence | None:
     lags = range(0, max(2, round(0.3 / table.dt)))
 
     count = len(command)
-    around = np.concatenate([command, command])  # shifted round by s: from count - s on, without a copy
-    sizes = max(np.sqrt((command @ command) * (motion @ motion)), 1e-12)
+    sizes = max(np.sqrt(np.sum(command * command) * np.sum(motion * motion)), 1e-12)
+    # At every shift at once, going round; not products of one shift after the other, which BLAS would spread over busy processors.
+    alike_at = np.fft.irfft(np.fft.rfft(motion) * np.conj(np.fft.rfft(command)), count) / sizes
 
     def best(shift: int) -> float:
-        starts = (count - (shift + lag) % count for lag in lags)
-        return max(float(around[start : start + count] @ motion / sizes) for start in starts)
+        return float(alike_at[(shift + np.asarray(lags)) % count].max())
 
     step = count // (SHIFTS + 2)
     if step * table.dt < 0.5:

@@ -66,7 +66,7 @@ def judge(what: tuple[Log, str]) -> Entry | str:
         flight = replace(read(log.path), name=log.name)
         found = diagnose(flight)
         write(found, page)
-        return of_flight(flight, log.digest, log.name, log.size, diagnosed=found.to_dict())
+        return of_flight(flight, log.digest, log.name, log.size, found=found)
     except RotorwatchError as why:
         return str(why).replace(str(log.path), log.name).replace(log.path.name, log.name)
 
