@@ -14,7 +14,7 @@ import pytest
 from rotorwatch import airframes
 from rotorwatch.cli import SAMPLES
 from rotorwatch.compiling import native
-from rotorwatch.compiling.run import run
+from rotorwatch.compiling.run import run, run_built
 from rotorwatch.errors import BackendWarning
 from rotorwatch.estimators.ekf import EKF
 from rotorwatch.experiments.studies.compare_flights import _scene, simulate
@@ -116,6 +116,51 @@ def test_a_published_method_is_built_once_and_says_what_jax_says(monkeypatch):
     assert np.ptp(seen["jax"].theta[:, 1]) > 0.3
     np.testing.assert_allclose(seen["native"].theta, seen["jax"].theta, atol=1e-8)
     assert (seen["native"].announced == seen["jax"].announced).all()
+
+
+class Turning:
+    """x' = gain x + u; refused as C with a loop whose end depends on data."""
+
+    def __init__(self, gain, endless):
+        self.gain, self.endless = gain, endless
+
+    def init(self):
+        return np.zeros(2)
+
+    def step(self, carry, u, y, valid):
+        import jax
+
+        x = self.gain * carry + u
+        if self.endless:
+            x = jax.lax.while_loop(lambda x: x[0] > 1.0, lambda x: 0.5 * x, x)
+        return x, x
+
+
+@needs_compiler
+@pytest.mark.parametrize("endless", [False, True])
+def test_a_strangers_method_is_traced_once_for_all_vehicles(monkeypatch, endless):
+    """Its functions are known in this process only; one that cannot be C is refused once, and one JAX program serves all."""
+    made, programs, counts = [], [], []
+    trace = native._made
+    monkeypatch.setattr(native, "_made", lambda *given: made.append(1) or trace(*given))
+
+    def build(parameters):
+        programs.append(1)
+        return Turning(parameters["gain"], endless)
+
+    u, y = np.full((30, 2), 0.6), np.zeros((30, 1))
+    for gain in (0.5, 0.8):
+        _, x = run_built(build, {"gain": gain}, u, y, np.isfinite(y), carry=np.zeros(2), backend="auto")
+        want = np.zeros(2)
+        for row in x:
+            want = gain * want + 0.6
+            while endless and want[0] > 1.0:
+                want = 0.5 * want
+            np.testing.assert_allclose(row, want, rtol=1e-12)
+        counts.append(len(programs))
+    assert len(made) == 1 and counts[0] == counts[1]
+    run_built(build, {"gain": np.full(2, 0.5)}, u, y, np.isfinite(y), carry=np.zeros(2), backend="auto")
+    assert len(made) == 2  # another shape
 
 
 class Strange(EKF):

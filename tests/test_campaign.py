@@ -280,7 +280,7 @@ def test_killed_twice_and_the_same_table(fake, tmp_path):
     rng = np.random.default_rng()
     finished: list[str] = []
     for _ in range(2):
-        process = start(tmp_path / "killed", 120, 2)
+        process = start(tmp_path / "killed", 80, 2)
         until = time.monotonic() + 30
         while len(parts(tmp_path / "killed")) < len(finished) + 2 and time.monotonic() < until:
             time.sleep(0.01)
@@ -293,21 +293,21 @@ def test_killed_twice_and_the_same_table(fake, tmp_path):
         time.sleep(0.3)
         assert len(judged()) == before, "workers outlive a killed campaign"
         now = parts(tmp_path / "killed")
-        assert set(finished) <= set(now) and len(now) < 30
+        assert set(finished) <= set(now) and len(now) < 20
         finished = now
     kept = {k for name in finished for k in numbers(name)}
     before = len(judged())
-    for folder, flights, jobs in (("killed", 120, 2), ("whole", 120, 1)):
+    for folder, flights, jobs in (("killed", 80, 2), ("whole", 80, 1)):
         process = start(tmp_path / folder, flights, jobs)
         assert process.wait(60) == 0, process.stderr.read()
         process.stderr.close()
         if folder == "killed":
             again = judged()[before:]
-            assert not kept & set(again) and len(again) == len(set(again)) == 120 - len(
+            assert not kept & set(again) and len(again) == len(set(again)) == 80 - len(
                 kept
             )  # nothing twice, nothing lost
     killed, whole = (store.Folder(tmp_path / name).table() for name in ("killed", "whole"))
-    assert killed.num_rows == 120 and killed.equals(whole)
+    assert killed.num_rows == 80 and killed.equals(whole)
 
 
 def numbers(name):

@@ -163,6 +163,44 @@ def test_random_programs_say_the_same_in_c(seed, tmp_path):
             np.testing.assert_allclose(state[f.name], leaf, rtol=1e-9, atol=1e-11, err_msg=f.name)
 
 
+CHANGES = [
+    lambda m, o, x, r: 0.9 * m + x[:, None] * 0.1,
+    lambda m, o, x, r: m - (m @ x)[:, None] * x[None, :] * 0.05,
+    lambda m, o, x, r: jnp.where(x[0] > 0.0, m, 0.5 * m + 0.1),
+    lambda m, o, x, r: m + 0.1 * m.mean(),
+    lambda m, o, x, r: 0.5 * m + 0.1 * m[:, ::-1],
+    lambda m, o, x, r: 0.6 * m + 0.3 * m.T,
+    lambda m, o, x, r: 0.5 * m + 0.4 * o[r.integers(len(o))],  # what it has been before
+    lambda m, o, x, r: 0.5 * m + 0.4 * o[0] * x[None, :],
+]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_matrix_that_is_changed_many_times(seed, tmp_path):
+    """Where nobody reads what it was before it is changed where it is; else it is not."""
+    size = 16
+
+    def step(_, carry, x):
+        rng, m, known = np.random.default_rng(seed), carry[0], [carry[0]]
+        for _ in range(12):
+            # Of the first program nobody reads what was before.
+            m = CHANGES[rng.integers(4 if seed == 0 else len(CHANGES))](m, known, x, rng)
+            known.append(m)
+        return (m,), m.sum()
+
+    program = make("changed", step, lambda _: (jnp.ones((size, size)) * 0.3,), (Field("x", "f", (size,)),))
+    if seed == 0:
+        assert program.workspace_bytes < 8 * size * size
+    lib, rng, carry = library(program, tmp_path, "-O2"), np.random.default_rng(seed), (jnp.ones((size, size)) * 0.3,)
+    state, out, keep = np.zeros((), struct(program.state)), np.zeros((), struct(program.out)), room(program)
+    lib.changed_init(address(state), address(keep))
+    for _ in range(3):
+        x = rng.standard_normal(size)
+        carry, _ = step((), carry, x)
+        lib.changed_step(address(state), address(x), address(out), address(keep))
+        np.testing.assert_allclose(state[program.state[0].name], carry[0], rtol=1e-9, atol=1e-11)
+
+
 # What cannot be exported.
 
 REFUSED = {

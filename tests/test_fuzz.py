@@ -71,11 +71,11 @@ class Evil(fuzz.Mutations):
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="limits of memory and time are Linux's")
 def test_workers_that_die_hang_or_eat_memory_are_found_and_replaced(monkeypatch):
     monkeypatch.setattr(limited, "GRACE_S", 1.0)
-    results = list(fuzz.pool(Evil(DATA, "a.bin", 0, 0.0, 1.0), 12, 2, 500))
-    assert sorted(number for number, *_ in results) == list(range(12))
+    results = list(fuzz.pool(Evil(DATA, "a.bin", 0, 0.0, 0.3), 8, 2, 500))
+    assert sorted(number for number, *_ in results) == list(range(8))
     failed = {number: what for number, outcome, what, _ in results if outcome == "FAILED"}
     assert sorted(failed) == [1, 2, 3, 4]
-    assert failed[1] == "the process died (exit code 7)" and failed[2] == "took longer than 1 s"
+    assert failed[1] == "the process died (exit code 7)" and failed[2] == "took longer than 0.3 s"
     assert failed[3].startswith("hung") and failed[4] == "MemoryError"
 
 

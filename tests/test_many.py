@@ -172,6 +172,27 @@ def fails():
     return 1 / 0
 
 
+def test_one_process_is_asked_one_thing_after_another():
+    worker = processes.Worker(pickle.dumps((abs, None)), 5.0)
+    try:
+        assert worker.ask(-3) == 3
+        with pytest.raises(TypeError):
+            worker.ask("three")
+        assert worker.alive and worker.ask(-4) == 4
+    finally:
+        worker.stop()
+
+
+@pytest.mark.parametrize(
+    ("function", "item", "says"), [(os._exit, 7, r"exit code 7"), (time.sleep, 60, "hung for 0.1 s")]
+)
+def test_a_process_that_dies_or_hangs_over_a_question_is_gone(function, item, says):
+    worker = processes.Worker(pickle.dumps((function, None)), 0.1)
+    with pytest.raises(WorkerError, match=says):
+        worker.ask(item)
+    assert worker.ready and not worker.alive
+
+
 def test_processes_that_do_not_start_are_told(monkeypatch, tmp_path):
     monkeypatch.setattr(processes, "_serve", os._exit)  # called with a pipe, it ends at once
     with pytest.raises(WorkerError, match=r"while starting.*__main__"):

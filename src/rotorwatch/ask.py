@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import airframes, checks, files, logs
+from rotorwatch import airframes, checks, files, logs, optional
 from rotorwatch.control import excitation
 from rotorwatch.control.excitation import Design, Limits, Noise
 from rotorwatch.default import asked, events, hypotheses
@@ -104,7 +104,7 @@ class Asking:
     def figure(self, path: str | os.PathLike | None = None):
         """What is added to each command, the thrust with which each candidate answers, and how the information grows; written to `path`
         (SVG, PNG, PDF) when given. Raises ConfigError without matplotlib."""
-        Figure = checks.library("matplotlib.figure", "A figure").Figure
+        Figure = optional.library("matplotlib.figure", "A figure").Figure
         picture = Figure(figsize=(11, 3.4), layout="constrained")
         left, middle, right = picture.subplots(1, 3)
         time, added = self.commands()

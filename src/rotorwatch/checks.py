@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from rotorwatch.errors import ConfigError
-from rotorwatch.optional import library as library
 
 
 def shape(name: str, value: Any, *expected: int) -> Any:

@@ -103,13 +103,19 @@ def source(found: Any) -> Source:
     top = module.partition(".")[0]
     if top == "rotorwatch":
         return Source("rotorwatch", __version__, path)
-    for name in metadata.packages_distributions().get(top, ()):
+    for name in _distributions(top, tuple(sys.path)):
         return Source(name, metadata.version(name), path)
     for group in plugins.GROUPS:  # a package that is only on the path, with its metadata beside it
         for entry in plugins.offered(group).values():
             if entry.module.partition(".")[0] == top and entry.dist is not None:
                 return Source(entry.dist.name, entry.dist.version, path)
     return Source(top, "", path)
+
+
+@functools.cache
+def _distributions(top: str, _path: tuple[str, ...]) -> list[str]:
+    """Names of the installed packages that bring a module of that name; all that is installed is read for it, which takes a second."""
+    return metadata.packages_distributions().get(top, [])
 
 
 def about(found: Any) -> str:

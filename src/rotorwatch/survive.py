@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import airframes, checks, files
+from rotorwatch import airframes, checks, files, optional
 from rotorwatch.control import attainable, spinning
 from rotorwatch.control.airframe import Airframe
 from rotorwatch.control.attainable import Planes
@@ -125,8 +125,8 @@ class Survival:
     def figure(self, path: str | os.PathLike | None = None):
         """Verdicts of every one and two rotors lost (the largest loss asked for), and the roll and pitch moments left at hover after each
         single one; written to `path` (SVG, PNG, PDF) when given. Raises ConfigError without matplotlib."""
-        Figure = checks.library("matplotlib.figure", "A figure").Figure
-        colour = checks.library("matplotlib.colors", "A figure").to_rgb
+        Figure = optional.library("matplotlib.figure", "A figure").Figure
+        colour = optional.library("matplotlib.colors", "A figure").to_rgb
         picture = Figure(figsize=(9.5, 4.4), layout="constrained")
         left, right = picture.subplots(1, 2)
         n, loss = self.rotors, max(self.losses)

@@ -116,7 +116,7 @@ def run_hops(name: str, found: Sequence[LogPlant], B: np.ndarray, size: int, dec
         if engine() == "native":
             build = _builder(*name_dt)
             given = [{"plant": hop.parameters, "B": B} for hop in found]
-            ran = [run_built(build, p, h.u, h.y, h.valid, _keep, backend="native") for h, p in zip(found, given)]
+            ran = [run_built(build, p, h.u, h.y, h.valid, _keep, backend="auto") for h, p in zip(found, given)]
             return [out for _, out in ran]
         return _side_by_side(_program(*name_dt), side_by_side(example.init(), size), found, B, size)
     except (jax.errors.JAXTypeError, ConfigError):  # design work that needs values: compiled for each flight alone

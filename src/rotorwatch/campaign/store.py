@@ -19,7 +19,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from rotorwatch import checks
+from rotorwatch import optional
 from rotorwatch.campaign.plan import Plan
 from rotorwatch.campaign.score import COLUMNS
 from rotorwatch.errors import ConfigError
@@ -47,7 +47,7 @@ class Work(NamedTuple):
 
 def parquet() -> Any:
     """pyarrow with its parquet module. Raises ConfigError where it is not installed."""
-    checks.library("pyarrow.parquet", "A campaign, which keeps its results as Parquet,")
+    optional.library("pyarrow.parquet", "A campaign, which keeps its results as Parquet,")
     import pyarrow
 
     return pyarrow

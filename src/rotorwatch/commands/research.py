@@ -70,7 +70,7 @@ def _vehicle(name: str):
 @common
 def reproduce(paper, seeds, literal, figures, jobs, scheduler, as_json, quiet) -> None:
     """Run the experiments of PAPER (or of `all`): each claim beside what comes out here, a verdict, and why."""
-    from rotorwatch import checks, files
+    from rotorwatch import files, optional
     from rotorwatch.experiments.studies import reproduction
 
     known = reproduction.studies()
@@ -79,7 +79,7 @@ def reproduce(paper, seeds, literal, figures, jobs, scheduler, as_json, quiet) -
         raise ConfigError(f"--literal belongs to one paper; name it instead of `all`: {', '.join(known)}.")
     if figures:
         files.folder(figures, "--figures")
-        checks.library("matplotlib.figure", "A figure")
+        optional.library("matplotlib.figure", "A figure")
     for module in modules:
         reproduction.check_literal(module, literal)
         reproduction.check_libraries(module)

@@ -251,9 +251,9 @@ def counting(quiet: bool, what: str) -> Iterator[Counting | None]:
 
 def drawable(figure: Path) -> None:
     """Before the work: that --figure can be drawn. Raises ConfigError."""
-    from rotorwatch import checks, files
+    from rotorwatch import files, optional
 
     files.writable(figure, "--figure")
     if figure.suffix.lower() not in PICTURES:
         raise ConfigError(f"--figure {figure}: give a name that ends in {', '.join(PICTURES[:-1])} or {PICTURES[-1]}.")
-    checks.library("matplotlib.figure", "A figure")
+    optional.library("matplotlib.figure", "A figure")

@@ -273,6 +273,35 @@ def _named(function: Callable) -> str | None:
     return f"{module}:{name}" if module.startswith("rotorwatch.") and "<" not in name else None
 
 
+class _Example:
+    """Parameters that stand for all of their names, shapes and types: equal where those are."""
+
+    def __init__(self, values: Any):
+        self.values, self._shapes = values, json.dumps([described(values), _shapes(values)])
+
+    def __hash__(self):
+        return hash(self._shapes)
+
+    def __eq__(self, other):
+        return isinstance(other, _Example) and other._shapes == self._shapes
+
+
+def _shapes(parameters) -> list[tuple[tuple[int, ...], str]]:
+    return [(np.shape(leaf), str(np.asarray(leaf).dtype)) for leaf in flattened(parameters)]
+
+
+@functools.lru_cache(maxsize=32)
+def _nameless(build_estimator: Callable, select: Callable, example: _Example, sizes: tuple[int, int]):
+    """The library of functions that are known in this process only, or why it cannot be C: traced once, whatever the parameters' values."""
+    from rotorwatch.compiling.c99.lower import Refused
+
+    try:
+        program, layout = _made(build_estimator, select, example.values, sizes, "estimator")
+    except Refused as why:
+        return why.with_traceback(None)
+    return Library(build(program.header, program.source, "estimator"), layout)
+
+
 @functools.lru_cache(maxsize=8)
 def _loaded(path: str, layout: str) -> Library:
     return Library(Path(path), Layout(*json.loads(layout)))
@@ -281,17 +310,19 @@ def _loaded(path: str, layout: str) -> Library:
 def known_by(build_estimator: Callable, select: Callable, parameters, sizes: tuple[int, int]) -> str | None:
     """What the program of build_estimator(parameters) is known by (`shipped.key`); None where a function is not this package's own."""
     names = (_named(build_estimator), _named(select))
-    shapes = [(np.shape(leaf), str(np.asarray(leaf).dtype)) for leaf in flattened(parameters)]
-    return None if None in names else shipped.key(names, shapes, described(parameters), sizes)
+    return None if None in names else shipped.key(names, _shapes(parameters), described(parameters), sizes)
 
 
 def prepared(build_estimator: Callable, select: Callable, parameters, sizes: tuple[int, int]) -> Library:
     """The library of build_estimator(parameters): without tracing when it came with the package (shipped.py), or when the same functions
-    of the same package were met before. Raises Unavailable where it has to be made and cannot be."""
+    of the same package, or in this process the same functions of any, were met before. Raises Unavailable where it has to be made and
+    cannot be."""
     known_as = known_by(build_estimator, select, parameters, sizes)
     if known_as is None:
-        program, layout = _made(build_estimator, select, parameters, sizes, "estimator")
-        return Library(build(program.header, program.source, "estimator"), layout)
+        found = _nameless(build_estimator, select, _Example(parameters), sizes)
+        if isinstance(found, Library):
+            return found
+        raise found
     came_with = shipped.find(known_as)
     if came_with is not None:
         return _loaded(str(came_with[0]), json.dumps(came_with[1]))

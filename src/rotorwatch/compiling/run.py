@@ -156,18 +156,6 @@ class _Timed:
         return self.estimator.step(carry, u[:-1], y, valid, u[-1])
 
 
-@functools.lru_cache(maxsize=32)
-def _traced(same: _Same, select: Callable, sizes: tuple[int, int]):
-    return native.prepared(same, select, (), sizes)
-
-
-def _library(build: Callable, select: Callable, parameters, sizes: tuple[int, int]):
-    """The native code, made once for an estimator object."""
-    if isinstance(build, _Same):
-        return _traced(build, select, sizes)
-    return native.prepared(build, select, parameters, sizes)
-
-
 def run_built(
     build: Callable,
     parameters,
@@ -189,7 +177,7 @@ def run_built(
     backend = chosen(backend, "jax")
     if backend != "jax":
         try:
-            library = _library(build, select, parameters, (u.shape[1], y.shape[1]))
+            library = native.prepared(build, select, parameters, (u.shape[1], y.shape[1]))
             start = build(parameters).init() if carry is None else carry
             return native.run(library, parameters, start, u, y, valid, progress)
         except native.Unmakeable:
@@ -233,7 +221,7 @@ class Steps:
         self._parameters, self._program, self._library = parameters, None, None
         if chosen(backend, "auto") != "jax":
             try:
-                self._library = _library(build, select, parameters, sizes)
+                self._library = native.prepared(build, select, parameters, sizes)
             except native.Unmakeable:
                 raise
             except ConfigError:  # without a compiler: JAX

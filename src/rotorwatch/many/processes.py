@@ -14,16 +14,18 @@ import time
 import warnings
 from collections import deque
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from multiprocessing import connection, get_context, parent_process
 from typing import Any
 
 from rotorwatch.errors import WorkerError
-from rotorwatch.limited import one_thread
 from rotorwatch.many.done import Done, Task, attempt, packed, portable
 
 START_S, GONE_S = 120.0, 10.0
 """For a process to load what it needs, and to be gone after its pipe."""
+ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NPROC")
+"""Variables that say how many threads numerical libraries use; the last one is XLA's."""
 READY = b"ready"
 
 
@@ -38,12 +40,12 @@ def run(
     """As `spread.run`. One item at a time in each process: what is in flight is as much as there are processes."""
     work = pickle.dumps((function, prepare))
     again: deque[Task] = deque()
-    team: list[_Worker] = []
+    team: list[Worker] = []
     never_started = 0
     try:
         while True:
             while len(team) < jobs and (task := again.popleft() if again else next(tasks, None)) is not None:
-                team.append(_Worker(work, task, limit_s))
+                team.append(Worker(work, limit_s, task))
             if not team:
                 return
             finished: list[Done] = []
@@ -71,11 +73,8 @@ def run(
                         error = WorkerError(f"the process {how}{times} (too little memory?)", how)
                         finished.append(Done(task.index, None, error))
                     continue
-                try:
-                    value, error = pickle.loads(said)
-                except Exception as why:
-                    value, error = None, RuntimeError(f"A result cannot be unpacked ({type(why).__name__}: {why}).")
-                if not worker.ready:  # the function itself cannot be loaded there
+                value, error = _unpacked(said)
+                if error is not None and not worker.ready:  # the function itself cannot be loaded there
                     raise error
                 finished.append(Done(task.index, value, error))
                 following = again.popleft() if again else next(tasks, None)
@@ -91,7 +90,7 @@ def run(
             worker.stop()
 
 
-def _heard(team: list[_Worker]) -> list[_Worker]:
+def _heard(team: list[Worker]) -> list[Worker]:
     """Those that have something to say, have died, or are beyond their limit; waits for one."""
     deadline = min(worker.deadline for worker in team)
     ready = connection.wait(
@@ -101,18 +100,55 @@ def _heard(team: list[_Worker]) -> list[_Worker]:
     return [w for w in team if w.pipe in ready or now > w.deadline]
 
 
-class _Worker:
+def _unpacked(said: bytes) -> tuple[Any, Exception | None]:
+    try:
+        return pickle.loads(said)
+    except Exception as why:
+        return None, RuntimeError(f"A result cannot be unpacked ({type(why).__name__}: {why}).")
+
+
+NOTHING = Task(0, None)
+
+
+class Worker:
     """A process, our end of its pipe, and the task that it is busy with."""
 
-    def __init__(self, work: bytes, task: Task, limit_s: float | None):
+    def __init__(self, work: bytes, limit_s: float | None, task: Task = NOTHING):
+        """work: (function, prepare), packed. limit_s: for one item."""
         context = get_context("spawn")
         self.task, self.limit_s, self.ready, self.hung = task, limit_s, False, False
         self.pipe, theirs = context.Pipe()
         self.process = context.Process(target=_serve, args=(theirs, work), daemon=True)
-        with one_thread():
+        with _one_thread():
             self.process.start()
         theirs.close()
         self.deadline = time.monotonic() + START_S
+
+    def ask(self, item: Any) -> Any:
+        """function(item), waited for. Raises what the function raises; WorkerError when the process dies or hangs: it is gone then."""
+        self.task = Task(0, item)
+        value, error = None, None
+        if not self.ready:
+            said = self._answer("while starting")
+            if said != READY:
+                self.stop()
+                error = _unpacked(said)[1]
+        if error is None:
+            self.begin()
+            value, error = _unpacked(self._answer())
+        return Done(0, value, error).result()
+
+    def _answer(self, when: str = "") -> bytes:
+        _heard([self])
+        said = self.hear()
+        if said is None:
+            how = self.ended()
+            raise WorkerError(f"the process {how} {when}".rstrip(), how)
+        return said
+
+    @property
+    def alive(self) -> bool:
+        return self.process.is_alive()
 
     def begin(self) -> None:
         """Send the task; its time begins."""
@@ -149,6 +185,18 @@ class _Worker:
         """There is nothing more to do for it."""
         self.pipe.close()
         self.process.join()
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """What is started meanwhile computes in one thread, unless the user's environment says otherwise."""
+    ours = [name for name in ONE_THREAD if name not in os.environ]
+    os.environ.update(dict.fromkeys(ours, "1"))
+    try:
+        yield
+    finally:
+        for name in ours:
+            os.environ.pop(name, None)
 
 
 def _serve(pipe: Any, work: bytes) -> None:

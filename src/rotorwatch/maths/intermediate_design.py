@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rotorwatch import checks
+from rotorwatch import checks, optional
 from rotorwatch.errors import ConfigError
 
 MARGIN = 1e-7  # eigenvalues above minus this much, relative to the largest, do not count as negative
@@ -108,7 +108,7 @@ def synthesize(A, C, E, N, alpha, epsilon, solver: str = "CLARABEL") -> Synthesi
             f"The matrix inequality has no solution for alpha = {alpha:g}, epsilon = {epsilon:g}: Sigma_22 has the eigenvalue "
             f"{worst:.3g} mu whatever L is; choose epsilon above (1 + alpha) / (2 alpha)."
         )
-    cp = checks.library("cvxpy", "Solving the matrix inequality")
+    cp = optional.library("cvxpy", "Solving the matrix inequality")
     L, mu = cp.Variable((n_x, C.shape[0])), cp.Variable()
     one_one = A - L @ C + (A - L @ C).T + 2 * alpha * E @ E.T + N @ N.T / epsilon
     one_two = E - mu * (alpha * A.T @ E + alpha**2 * E @ E.T @ E)

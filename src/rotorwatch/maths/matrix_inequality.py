@@ -5,12 +5,12 @@ from __future__ import annotations
 import warnings
 from typing import Any
 
-from rotorwatch import checks
+from rotorwatch import optional
 
 
 def library() -> Any:
     """CVXPY. Raises ConfigError where it is not installed."""
-    return checks.library("cvxpy", "Solving a matrix inequality")
+    return optional.library("cvxpy", "Solving a matrix inequality")
 
 
 def solved(problem: Any) -> bool:

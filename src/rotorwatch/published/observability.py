@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import airframes, checks, files
+from rotorwatch import airframes, checks, files, optional
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.default.plant import usual_gains
 from rotorwatch.errors import ConfigError
@@ -118,7 +118,7 @@ class Observability:
         """Singular values along the manoeuvre, and how well each loss is known; written to `path` (SVG, PNG) when given.
 
         Raises ConfigError without matplotlib."""
-        Figure = checks.library("matplotlib.figure", "A figure").Figure
+        Figure = optional.library("matplotlib.figure", "A figure").Figure
         picture = Figure(figsize=(9, 3.6), layout="constrained")
         left, right = picture.subplots(1, 2)
         hover, moving = self.cases

@@ -167,7 +167,7 @@ def run_hop(name: Any, hop: LogPlant, B: np.ndarray, tuning: Tuning | None = Non
     build, backend = _builder(name, hop.dt, tuple(sorted(tuning.keywords.items()))), chosen(None, "auto")
     watched = build(parameters)  # with values: what is wrong with the configuration is said here
     try:
-        return run_built(build, parameters, hop.u, hop.y, hop.valid, seen, progress, backend=backend)[1]
+        return run_built(build, parameters, hop.u, hop.y, hop.valid, seen, progress, watched.init(), backend)[1]
     except (
         load_jax().errors.JAXTypeError,
         ConfigError,

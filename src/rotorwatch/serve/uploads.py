@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import functools
 import hashlib
 import json
+import pickle
 import shutil
 import tempfile
 import time
@@ -15,8 +17,9 @@ from pathlib import Path
 from typing import Any
 
 from rotorwatch import limited
-from rotorwatch.errors import ConfigError, RotorwatchError
+from rotorwatch.errors import RotorwatchError, WorkerError
 from rotorwatch.fleet.store import Entry
+from rotorwatch.many.processes import Worker
 from rotorwatch.serve import names
 from rotorwatch.serve.flights import Flights
 
@@ -71,6 +74,21 @@ def judge(what: tuple[Log, str]) -> Entry | str:
         return str(why).replace(str(log.path), log.name).replace(log.path.name, log.name)
 
 
+@dataclass(frozen=True)
+class _Limited:
+    """A job within a time that the process looks after itself."""
+
+    job: Callable[[Any], Any]
+    timeout_s: float
+
+    def __call__(self, what: Any) -> Any:
+        try:
+            with limited.within(self.timeout_s):
+                return self.job(what)
+        except limited.TooLong as why:
+            raise WorkerError(str(why), "took too long") from None
+
+
 class Uploads:
     """Where logs go. told: called with each flight that is new, once it is kept."""
 
@@ -82,8 +100,8 @@ class Uploads:
         self._receiving = 0
         self._judging: dict[str, asyncio.Task[dict[str, Any]]] = {}
         self._turn = asyncio.Semaphore(limits.jobs)
-        self._idle: list[limited.Worker] = []
-        self._all: list[limited.Worker] = []
+        self._idle: list[Worker] = []
+        self._all: list[Worker] = []
 
     def start(self) -> None:
         """Make a worker ready, and judge what was complete when an earlier server was killed."""
@@ -179,28 +197,31 @@ class Uploads:
         """What a worker says of it."""
         worker = self._idle.pop() if self._idle else self._worker()
         try:
-            worker.give((log, str(self._flights.page(log.digest))))
-            return worker.take()
-        except limited.Failed as why:
-            raise Refused(422, f"{log.name}: {self._sentence(str(why))}") from None
-        except (OSError, ConfigError) as why:
-            worker.stop()
-            raise Refused(503, f"{log.name}: the process that judges logs does not run ({why}); try again.") from None
+            return worker.ask((log, str(self._flights.page(log.digest))))
+        except Exception as why:
+            if not worker.ready or not (worker.alive or isinstance(why, WorkerError)):  # or the server stops
+                raise Refused(
+                    503, f"{log.name}: the process that judges logs does not run ({why}); try again."
+                ) from None
+            raise Refused(422, f"{log.name}: {self._sentence(why)}") from None
         finally:
             if worker.alive:
                 self._idle.append(worker)
             else:
                 self._all.remove(worker)
 
-    def _sentence(self, why: str) -> str:
-        if why.startswith(("took longer", "hung")):
+    def _sentence(self, why: Exception) -> str:
+        how = why.how if isinstance(why, WorkerError) else ""
+        if how.startswith(("took too long", "hung")):
             return f"judging it took longer than {self.limits.judge_s:g} s and was given up; try `rotorwatch diagnose`."
-        if why.startswith(("MemoryError", "the process died")):
+        if isinstance(why, MemoryError) or how.startswith("died"):
             return f"judging it needed more than {self.limits.memory_mb} MB of memory and was given up; try `rotorwatch diagnose`."
-        return f"an error in rotorwatch itself ({why}); please report it."
+        return f"an error in rotorwatch itself ({type(why).__name__}: {why}); please report it."
 
-    def _worker(self) -> limited.Worker:
-        worker = limited.Worker(judge, self.limits.judge_s, self.limits.memory_mb, LOADS)
+    def _worker(self) -> Worker:
+        prepare = functools.partial(limited.cap_memory, self.limits.memory_mb, LOADS)
+        work = pickle.dumps((_Limited(judge, self.limits.judge_s), prepare))
+        worker = Worker(work, self.limits.judge_s + limited.GRACE_S)
         self._all.append(worker)
         return worker
 

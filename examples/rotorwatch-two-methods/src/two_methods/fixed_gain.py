@@ -8,6 +8,7 @@ Luenberger observer with the gain of Kalman's stationary filter, as in any textb
 
 from __future__ import annotations
 
+import functools
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,6 +25,32 @@ class State(NamedTuple):
     theta: Any
 
 
+@functools.cache
+def _stationary():
+    """Gain, covariance of the innovation and covariance after the update that the Riccati recursion comes to; compiled once for all plants
+    of a size: the matrices are arguments, not constants."""
+    import jax
+    import jax.numpy as jnp
+
+    def gain(P, H, R):
+        return jnp.linalg.solve(H @ P @ H.T + R, H @ P).T
+
+    def updated(P, H, R):
+        P = P - gain(P, H, R) @ H @ P
+        return 0.5 * (P + P.T)
+
+    @functools.partial(jax.jit, static_argnames="rounds")
+    def stationary(A, H, Q, R, start, rounds):
+        def turn(_, P):
+            P = A @ updated(P, H, R) @ A.T + Q
+            return 0.5 * (P + P.T)
+
+        P = jax.lax.fori_loop(0, rounds, turn, start)
+        return gain(P, H, R), H @ P @ H.T + R, updated(P, H, R)
+
+    return stationary
+
+
 class FixedGain:
     """A constant gain on any plant that can be differentiated."""
 
@@ -33,7 +60,6 @@ class FixedGain:
     def __init__(self, system, dt: float, *, theta_walk: float = 1e-3, u0=None, rounds: int = 400):
         """dt: s. theta_walk: variance that a loss gains per second [1/s]. u0 (n_u,): input about which the gain is made; default: 1 for
         each rotor, which is hover on the plants of logs. rounds: of the Riccati recursion. Raises ConfigError for wrong values."""
-        import jax
         import jax.numpy as jnp
 
         checks.has(system, "The fixed-gain observer", "f", "h", "Q", "R", "x0", "P0")
@@ -54,19 +80,8 @@ class FixedGain:
             .set(theta_walk * dt * jnp.eye(n))
         )
 
-        def gain(P):
-            return jnp.linalg.solve(H @ P @ H.T + R, H @ P).T
-
-        def turn(_, P):
-            P = P - gain(P) @ H @ P
-            P = A @ P @ A.T + Q
-            return 0.5 * (P + P.T)
-
         start = jnp.zeros_like(Q).at[:n_x, :n_x].set(jnp.asarray(system.P0)).at[n_x:, n_x:].set(0.01 * jnp.eye(n))
-        P = jax.lax.fori_loop(0, rounds, turn, start)
-        self.K, self.S = gain(P), H @ P @ H.T + R
-        P = P - self.K @ H @ P
-        self.P = 0.5 * (P + P.T)
+        self.K, self.S, self.P = _stationary()(A, H, Q, R, start, rounds)
 
     def init(self) -> State:
         """The plant's start, no loss."""

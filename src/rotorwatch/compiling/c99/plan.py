@@ -219,13 +219,13 @@ class Plan:
             if node.op == "result":
                 self.results.setdefault(node.args[0].index, []).append(node)
         wanted: dict[str, list[tuple[int, int, int, Node]]] = {}
-        for node in self.nodes:
+        for node in reversed(self.nodes):  # what goes into an output takes along what it is made of
             if node.op in ("view", "alias", "const", "scan", "cond", "param"):
                 continue
             if node.index not in self.stored or self.local(node):
                 continue
             begin = self.start[node.args[0].index if node.op == "result" else node.index]
-            if self._placed_in_output(node, begin):
+            if node.index in self.place or self._placed_in_output(node, begin):
                 continue
             wanted.setdefault(node.kind, []).append((node.size, begin, self.last.get(node.index, begin + 1), node))
         for node in self.nodes:  # a loop's carry is its result; one that nobody reads needs storage all the same
@@ -250,10 +250,68 @@ class Plan:
             return False
         for out, (place, also_input) in zip(self.outputs, self.targets):
             root = out.args[0] if out.op == "alias" else out
-            if root is node and (also_input is None or self.last.get(also_input.index, 0) < begin) and not place.plain:
+            if root is node and not place.plain and self._free(node, begin, also_input):
                 self.place[node.index] = place
+                self._in_place(node, place, also_input)
                 return True
         return False
+
+    def _in_place(self, node: Node, place: Place, also_input: Node | None) -> None:
+        """What `node` is made of element by element, and nobody reads later, is computed where `node` goes, too; and what that is made of.
+
+        An element is read before the same one is written. A step that changes a large matrix a little, several times, needs no second one.
+        """
+        while node.op in ELEMENTWISE:
+            kept = [x for x in self._same_elements(node) if self.last.get(x.index, 0) == self.end[node.index]]
+            usable = [x for x in kept if self._may_go(x, node, also_input)]
+            if not usable:
+                return
+            node = usable[0]
+            self.place[node.index] = place
+
+    def _may_go(self, x: Node, reader: Node, also_input: Node | None) -> bool:
+        """Whether x can be where its reader is: nobody then reads what is there before x is written."""
+        if (
+            x.index not in self.stored
+            or x.op == "result"
+            or x.op not in ELEMENTWISE
+            or x.region is not self.top
+            or self.local(x)
+        ):
+            return False
+        if (
+            x.kind != reader.kind
+            or x.index in self.place
+            or x.index in self.into
+            or any(x is out for out in self.outputs)
+        ):
+            return False
+        return self._free(x, self.start[x.index], also_input)
+
+    def _free(self, node: Node, begin: int, also_input: Node | None) -> bool:
+        """Whether nobody reads an input any more when `node` is written there, but `node` itself, element by element."""
+        if also_input is None:
+            return True
+        last = self.last.get(also_input.index, 0)
+        if last < begin:
+            return True
+        own = node.op in ELEMENTWISE and last == self.end.get(node.index)
+        return own and any(x is also_input for x in self._same_elements(node))
+
+    def _same_elements(self, node: Node) -> list[Node]:
+        """Stored values, and parameters, of which element i is all that element i of an element-wise node reads."""
+        alike: dict[int, Node] = {}
+        other: set[int] = set()
+        todo = list(node.args)
+        while todo:
+            x = todo.pop()
+            if x.shape == node.shape and x.op in ELEMENTWISE and x.index not in self.stored:
+                todo += x.args
+            elif x.shape == node.shape and (x.index in self.stored or x.op == "param"):
+                alike[x.index] = x
+            else:
+                other.update(leaf.index for leaf in self.leaves(x))
+        return [x for k, x in alike.items() if k not in other]
 
     def _packed(self, kind: str, blocks) -> int:
         """First fit, largest first. Returns the number of elements."""

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import checks
+from rotorwatch import checks, optional
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.experiments.studies import (
     ruav_filters,
@@ -169,7 +169,7 @@ def _claims(figures) -> tuple[Claim, ...]:
 
 def figures(result: Reproduction) -> dict:
     """The paper's figure of bounds, for the coefficients of roll and tail."""
-    Figure = checks.library("matplotlib.figure", "A figure").Figure
+    Figure = optional.library("matplotlib.figure", "A figure").Figure
     figure = Figure(figsize=(9, 6), layout="constrained")
     axes = figure.subplots(2, 2, sharex=True)
     truth = result.series["truth"]

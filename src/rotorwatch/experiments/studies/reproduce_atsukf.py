@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import airframes, checks
+from rotorwatch import airframes, optional
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.compiling.run import run
 from rotorwatch.estimators.atsukf import ATSUKF
@@ -348,7 +348,7 @@ def claims(figures: dict) -> tuple[Claim, ...]:
 
 def figures(result: Reproduction) -> dict[str, Any]:
     """Figures 3 to 8 of the paper: losses found in both scenarios, and what noise beyond R does. Needs matplotlib."""
-    Figure = checks.library("matplotlib.figure", "A figure").Figure
+    Figure = optional.library("matplotlib.figure", "A figure").Figure
     t, series = result.series["t"], result.series
     colours = {"tsukf": "#c44e52", "atsukf": "#2a6f97"}
     drawn = {}

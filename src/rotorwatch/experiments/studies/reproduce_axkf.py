@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rotorwatch import airframes, checks
+from rotorwatch import airframes, optional
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.estimators.adaptive_ekf import AdaptiveEKF
 from rotorwatch.estimators.axkf import AXKF, Carry
@@ -476,7 +476,7 @@ def _shares(shares: dict[str, float]) -> str:
 
 def figures(result: Reproduction) -> dict:
     """The paper's figures 3, 4 and 6 to 9, and all six losses."""
-    checks.library("matplotlib", "A figure").use("agg")
+    optional.library("matplotlib", "A figure").use("agg")
     series = result.series
     rows, t = slice(None, None, KEEP), series["time"][::KEEP]
     two, without, six = series["two"], series["no_fault_term"], series["six"]

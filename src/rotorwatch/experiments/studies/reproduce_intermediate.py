@@ -11,7 +11,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from rotorwatch import airframes, checks
+from rotorwatch import airframes, optional
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
 from rotorwatch.estimators.intermediate import Intermediate
@@ -533,7 +533,7 @@ def _list(values) -> str:
 
 def figures(result: Reproduction) -> dict:
     """The paper's figures of losses and channel faults, as matplotlib figures."""
-    Figure = checks.library("matplotlib.figure", "A figure").Figure
+    Figure = optional.library("matplotlib.figure", "A figure").Figure
     series, out = result.series, {}
     units = ("p, rad/s²", "q, rad/s²", "r, rad/s²", "down, m/s²")
     losses = Figure(figsize=(8, 5), layout="constrained")

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 import rotorwatch.published.observability as observability
-from rotorwatch import airframes, checks
+from rotorwatch import airframes, optional
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.estimators.lyapunov import Lyapunov
 from rotorwatch.estimators.mh_lyapunov import MHLyapunov
@@ -315,7 +315,7 @@ def claims(numbers: dict) -> tuple[Claim, ...]:
 
 def figures(result: Reproduction) -> dict:
     """The paper's figures 1 and 2, and the estimates on the figure-eight. Raises ConfigError without matplotlib."""
-    Figure = checks.library("matplotlib.figure", "A figure").Figure
+    Figure = optional.library("matplotlib.figure", "A figure").Figure
     s = result.series
     one = Figure(figsize=(7, 3.2), layout="constrained")
     axis = one.subplots()

@@ -26,7 +26,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from rotorwatch import checks, many
+from rotorwatch import many, optional
 from rotorwatch.errors import ConfigError
 
 Verdict = Literal["holds", "partly", "not reproduced"]
@@ -110,7 +110,7 @@ def reproduce_many(
 def check_libraries(module: ModuleType) -> None:
     """Raise ConfigError when the study needs a library that is not installed; NEEDS of a study names those that not everybody has."""
     for name in getattr(module, "NEEDS", ()):
-        checks.library(name, f"The study {module.PAPER}")
+        optional.library(name, f"The study {module.PAPER}")
 
 
 def check_literal(module: ModuleType, literal: tuple[str, ...]) -> tuple[str, ...]:

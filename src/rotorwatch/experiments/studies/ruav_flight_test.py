@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rotorwatch import checks
+from rotorwatch import optional
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.experiments.studies import ruav_control, ruav_filters, ruav_flight
 from rotorwatch.experiments.studies.reproduction import Claim
@@ -356,7 +356,7 @@ def _rates(values) -> str:
 
 def figures(flown: dict) -> dict:
     """Figures 7 to 9 of the paper: tracking in hover, attitude rates, bounds of the coefficients."""
-    Figure = checks.library("matplotlib.figure", "A figure").Figure
+    Figure = optional.library("matplotlib.figure", "A figure").Figure
     names = {"aekf": "AEKF", "aesmf": "GD-ESMF"}
     steps = {name: one.begin + np.arange(len(one.x)) for name, one in flown.items()}
     hover = Figure(figsize=(9, 5), layout="constrained")

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rotorwatch import checks
+from rotorwatch import optional
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight
 from rotorwatch.logs import memory
@@ -59,7 +59,7 @@ def write(scenario: Scenario, plan: Plan, record: Record, path: Path) -> None:
     """Write the table as .csv or .parquet. Raises ConfigError for other endings."""
     found = columns(scenario, plan, record)
     if path.suffix.lower() == ".parquet":
-        parquet = checks.library("pyarrow.parquet", "Parquet")
+        parquet = optional.library("pyarrow.parquet", "Parquet")
         import pyarrow
 
         parquet.write_table(pyarrow.table(found), path)
