@@ -8,12 +8,11 @@ import numpy as np
 
 from rotorwatch import airframes, export_diagnoser
 from rotorwatch.motion import allocation, ticks
-from rotorwatch.motion.airborne import airborne
 
 OUTPUTS, ACCEL, GYRO, VELOCITY, STATE, CONTROL, ATTITUDE, BATTERY = range(8)
 FIRST = {BATTERY: 0, STATE: 1, ATTITUDE: 2, VELOCITY: 3, GYRO: 4, ACCEL: 5, OUTPUTS: 6, CONTROL: 7}  # of the same time
 WARNINGS = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror")
-WIDTH = 24
+WIDTH, LASTS = 24, 1e300
 DRIVER = """#include "rw_diagnoser.h"
 #define WIDTH 24
 static rw_diagnoser d;
@@ -89,7 +88,12 @@ def table(flight, craft) -> np.ndarray:
         v = flight["velocity"]
         value = np.where(v.valid, v.values, np.nan)
         block = np.zeros((len(v), WIDTH))
-        block[:, 0], block[:, 1], block[:, 3], block[:, 4] = VELOCITY, v.time, -value[:, 2], np.hypot(value[:, 0], value[:, 1])
+        block[:, 0], block[:, 1], block[:, 3], block[:, 4] = (
+            VELOCITY,
+            v.time,
+            -value[:, 2],
+            np.hypot(value[:, 0], value[:, 1]),
+        )
         rows.append(block)
     if flight.has("attitude"):
         q = flight["attitude"]
@@ -166,7 +170,3 @@ def events_in_c(folder, what: Flown, single=False, compiler="cc"):
         len(samples), samples.ctypes.data_as(pointer), ctypes.c_double(what.until), found.ctypes.data_as(pointer), most
     )
     return found.reshape(-1, WIDTH)[:count], int(found[most * WIDTH]), [library.sizes(k) for k in range(3)]
-
-
-def in_the_air(flight):
-    return airborne(flight)

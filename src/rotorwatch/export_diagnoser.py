@@ -145,7 +145,9 @@ def text_of(table: dict[str, Any], kind: str, name: str) -> str:
     return f"const {kind} {name} = {{\n{members}}};\n"
 
 
-def files(vehicle: Vehicle, plan: ticks.Plan, rates: tuple[float, float, float], tables: tuple[dict, dict]) -> dict[str, str]:
+def files(
+    vehicle: Vehicle, plan: ticks.Plan, rates: tuple[float, float, float], tables: tuple[dict, dict]
+) -> dict[str, str]:
     """File name -> text of the library. rates: of outputs, gyro and accelerometer [Hz]; tables: of `vehicle_table`, `plan_table`."""
     program = estimator_program(vehicle, plan.dt)
     texts = {path.name: path.read_text(encoding="utf-8") for path in sorted(SOURCES.glob("*.[ch]"))}

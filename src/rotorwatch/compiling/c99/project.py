@@ -187,15 +187,22 @@ def _own(graph: Graph, node: Node) -> Node:
 
 
 def _table(node: Node) -> str:
-    numbers = [literal(v, node.kind) for v in node.data.reshape(-1).tolist()]
-    if node.kind == "f":  # shorter to read, and the same: an initialiser converts by itself
-        numbers = [n[2:-1] if n.startswith("R(") else n for n in numbers]
+    values = node.data.reshape(-1).tolist()
+    numbers = [literal(v, node.kind) for v in values]
+    if node.kind == "f":  # shorter to read where single precision holds the same number
+        numbers = [n[2:-1] if n.startswith("R(") and _short(v) else n for n, v in zip(numbers, values, strict=True)]
     head = f"static const {TYPES[node.kind]} c{node.index}[{node.size}] = {{"
     return (
         "\n".join([head, *_wrapped(numbers), "};"])
         if len(head) + 22 * len(numbers) > WIDTH
         else head + ", ".join(numbers) + "};"
     )
+
+
+def _short(value: float) -> bool:
+    """Whether an initialiser may hold the number as it is, in single precision too, without a warning."""
+    with np.errstate(over="ignore"):
+        return float(np.float32(value)) == value
 
 
 def _wrapped(words: list[str], indent: str = "    ") -> list[str]:

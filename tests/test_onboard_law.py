@@ -1,0 +1,89 @@
+"""The law of the library on board: fed the raw signals of a log it gives the events of `diagnose`, at the same ticks.
+
+A quad and a hexarotor in every run; every log of ../shared/flights with ROTORWATCH_FULL_LAW=1.
+"""
+
+import os
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from onboard_law import LASTS, events_in_c, flown
+from rotorwatch import logs
+from rotorwatch.cli import SAMPLES
+from rotorwatch.diagnose import diagnose
+from rotorwatch.errors import RotorwatchError
+from rotorwatch.export_diagnoser import export_diagnoser
+
+FLIGHTS = Path(__file__).parents[2] / "shared" / "flights"
+FULL = bool(os.environ.get("ROTORWATCH_FULL_LAW"))
+KINDS = {"loss_of_effectiveness": 0, "output_override": 1, "contact": 2}
+VERDICTS = {"healthy": 1, "fault": 2, "ambiguous": 3}
+COMPILER = next((name for name in ("gcc", "clang", "cc") if shutil.which(name)), None)
+needs_compiler = pytest.mark.skipif(COMPILER is None, reason="needs a C compiler: install gcc or clang")
+
+
+def every_log():
+    """All that `diagnose` reads and identifies."""
+    found = [
+        p for p in sorted(FLIGHTS.rglob("*")) if p.is_file() and p.suffix in (".xz", ".bin", ".ulg", ".tlog", ".csv")
+    ]
+    return [
+        p
+        for p in [*found, FLIGHTS / "px4-ulogassessment"]
+        if "ulogassessment/" not in p.as_posix() and "truth" not in p.name
+    ]
+
+
+def mask(rotors):
+    return sum(1 << (r - 1) for r in rotors)
+
+
+def same(flight, folder, single):
+    """Events of the library are those of Python. Returns how many."""
+    told = diagnose(flight)
+    found, verdict, _ = events_in_c(folder, flown(flight), single, COMPILER)
+    step = 0.051 if single else 1e-9
+    assert len(found) == len(told.events)
+    for row, event in zip(found, told.events, strict=True):
+        assert (row[0], row[4]) == (KINDS[event.kind], mask(event.rotors))
+        times = [event.onset_s, event.detected_s, LASTS if event.end_s is None else event.end_s]
+        np.testing.assert_allclose(row[1:4], times, rtol=0, atol=step)
+        assert {int(a) for a in row[10 : 10 + int(row[9])]} == {mask(a) for a in event.alternatives}
+        if event.kind == "loss_of_effectiveness":
+            numbers = (event.loss[0], *event.interval[0])
+            np.testing.assert_allclose(row[5:8], numbers, rtol=0, atol=0.02 if single else 1e-6)
+    if told.verdict in VERDICTS and (told.events or told.verdict == "healthy"):
+        assert verdict == VERDICTS[told.verdict]
+    return len(found)
+
+
+@needs_compiler
+@pytest.mark.parametrize("name", ["quadx_healthy_hover.bin.xz", "hexax_m3_mul0.80_square_wind.bin.xz"])
+def test_samples_have_the_same_events_on_board(name, tmp_path):
+    flight = logs.read(SAMPLES / name)
+    assert same(flight, tmp_path / "double", False) == same(flight, tmp_path / "single", True) == ("hexa" in name)
+
+
+@needs_compiler
+@pytest.mark.skipif(not FULL, reason="every log: set ROTORWATCH_FULL_LAW=1")
+@pytest.mark.parametrize("single", [False, True])
+@pytest.mark.parametrize("path", every_log() if FULL else [], ids=lambda p: p.name)
+def test_every_log_has_the_same_events_on_board(path, single, tmp_path):
+    try:
+        flight = logs.read(path)
+        what = flown(flight)
+    except (RotorwatchError, IndexError, KeyError) as why:
+        pytest.skip(f"no flight that can be fed: {why}")
+    assert len(what.table)
+    same(flight, tmp_path, single)
+
+
+def test_the_library_has_the_prefix_that_was_asked_for(tmp_path):
+    written = export_diagnoser(tmp_path / "lib", vehicle="px4-quad-x", prefix="mine")
+    text = "\n".join(path.read_text() for path in written)
+    assert {p.name for p in written} >= {"mine_diagnoser.h", "mine_config.c", "mine_estimator.c", "mine_types.h"}
+    assert not re.search(r"\b(rw|RW)_", text) and "mine_diagnoser_init" in text
