@@ -42,10 +42,9 @@ def mask(rotors):
     return sum(1 << (r - 1) for r in rotors)
 
 
-def same(flight, folder, single):
+def same(told, what, folder, single):
     """Events of the library are those of Python. Returns how many."""
-    told = diagnose(flight)
-    found, verdict, _ = events_in_c(folder, flown(flight), single, COMPILER)
+    found, verdict, _ = events_in_c(folder, what, single, COMPILER)
     step = 0.051 if single else 1e-9
     assert len(found) == len(told.events)
     for row, event in zip(found, told.events, strict=True):
@@ -65,7 +64,10 @@ def same(flight, folder, single):
 @pytest.mark.parametrize("name", ["quadx_healthy_hover.bin.xz", "hexax_m3_mul0.80_square_wind.bin.xz"])
 def test_samples_have_the_same_events_on_board(name, tmp_path):
     flight = logs.read(SAMPLES / name)
-    assert same(flight, tmp_path / "double", False) == same(flight, tmp_path / "single", True) == ("hexa" in name)
+    told, what = diagnose(flight), flown(flight)
+    assert (
+        same(told, what, tmp_path / "double", False) == same(told, what, tmp_path / "single", True) == ("hexa" in name)
+    )
 
 
 @needs_compiler
@@ -79,7 +81,7 @@ def test_every_log_has_the_same_events_on_board(path, single, tmp_path):
     except (RotorwatchError, IndexError, KeyError) as why:
         pytest.skip(f"no flight that can be fed: {why}")
     assert len(what.table)
-    same(flight, tmp_path, single)
+    same(diagnose(flight), what, tmp_path, single)
 
 
 def test_the_library_has_the_prefix_that_was_asked_for(tmp_path):
@@ -87,3 +89,19 @@ def test_the_library_has_the_prefix_that_was_asked_for(tmp_path):
     text = "\n".join(path.read_text() for path in written)
     assert {p.name for p in written} >= {"mine_diagnoser.h", "mine_config.c", "mine_estimator.c", "mine_types.h"}
     assert not re.search(r"\b(rw|RW)_", text) and "mine_diagnoser_init" in text
+
+
+def test_the_command_writes_it_and_refuses_what_does_not_fit(run, tmp_path):
+    code, out, _ = run("export-c", "--diagnoser", "--vehicle", "px4-quad-x", "--rate-hz", "100", "-o", tmp_path / "out")
+    assert (
+        code == 0 and "rw_diagnoser.c" in out and "#define RW_TICK_S 0.05" in (tmp_path / "out/rw_config.h").read_text()
+    )
+    for words, said in (
+        (("--diagnoser", "--estimator", "ekf"), "give one of"),
+        (("--estimator", "ekf", "--prefix", "x"), "belong to --diagnoser"),
+        (("--diagnoser", "--dt", "0.1"), "leave --dt"),
+        (("--diagnoser", "--rate-hz", "2"), "too slow for on board"),
+        (("--diagnoser", "--prefix", "1x"), "cannot begin the names"),
+    ):
+        code, _, err = run("export-c", *words, "-o", tmp_path / "other")
+        assert code == 2 and said in err

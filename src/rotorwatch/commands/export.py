@@ -20,23 +20,42 @@ def register(group: click.Group) -> None:
 @click.option(
     "--allocator", metavar="WAY", help="Export the control allocation: estimate, bounds, posterior or pseudo-inverse."
 )
+@click.option("--diagnoser", is_flag=True, help="Export the whole default diagnosis: samples in, events out.")
 @click.option(
     "--vehicle", metavar="FILE|NAME", help="Vehicle file (TOML) or an airframe's name; default: the method's paper's."
 )
 @click.option("-o", "--out", required=True, type=OUT, metavar="DIR", help="Folder to write into.")
 @click.option("--dt", type=click.FloatRange(0, min_open=True), metavar="S", help="Length of a step.")
 @click.option("--variable-dt", is_flag=True, help="Let the step take its length as an argument.")
+@click.option(
+    "--rate-hz", type=click.FloatRange(0, min_open=True), metavar="HZ", help="Of the diagnoser: rate of outputs [50]."
+)
+@click.option(
+    "--control-hz", type=click.FloatRange(0), metavar="HZ", help="... of the rate controller's output, if fed."
+)
+@click.option(
+    "--sensor-hz", type=click.FloatRange(0, min_open=True), metavar="HZ", help="... of gyro and accelerometer [100]."
+)
+@click.option("--prefix", metavar="NAME", help="... what its names begin with [rw].")
 @common
-def export_c(estimator, allocator, vehicle, out, dt, variable_dt, quiet) -> None:
-    """Write an estimator, or the control allocation (docs/control.md), as a C99 project that needs nothing but libm: header, source,
-    example, CMakeLists (docs/export.md)."""
+def export_c(
+    estimator, allocator, diagnoser, vehicle, out, dt, variable_dt, rate_hz, control_hz, sensor_hz, prefix, quiet
+) -> None:
+    """Write an estimator, the control allocation (docs/control.md), or the whole diagnosis, as C99 that needs nothing but libm
+    (docs/export.md)."""
     from rotorwatch import files
     from rotorwatch.export_c import FRAME, export_allocator
     from rotorwatch.export_c import export_c as run
     from rotorwatch.flight import vehicle_file
 
-    if (estimator is None) == (allocator is None):
-        raise ConfigError("Say what to export: give either --estimator NAME or --allocator WAY.")
+    if (estimator is not None) + (allocator is not None) + diagnoser != 1:
+        raise ConfigError("Say what to export: give one of --estimator NAME, --allocator WAY and --diagnoser.")
+    own = {"rate_hz": rate_hz, "control_hz": control_hz, "gyro_hz": sensor_hz, "accel_hz": sensor_hz, "prefix": prefix}
+    own = {key: value for key, value in own.items() if value is not None}
+    if own and not diagnoser:
+        raise ConfigError("--rate-hz, --control-hz, --sensor-hz and --prefix belong to --diagnoser.")
+    if diagnoser and (dt is not None or variable_dt):
+        raise ConfigError("The diagnoser's ticks follow from --rate-hz: leave --dt and --variable-dt out.")
     if allocator is not None and (dt is not None or variable_dt):
         raise ConfigError("The control allocation has no length of a step: leave --dt and --variable-dt out.")
     if allocator not in (None, "estimate", "bounds", "posterior", "pseudo-inverse"):
@@ -45,6 +64,12 @@ def export_c(estimator, allocator, vehicle, out, dt, variable_dt, quiet) -> None
     craft = vehicle
     if vehicle is not None and (Path(vehicle).suffix == ".toml" or Path(vehicle).exists()):
         craft = vehicle_file.read(vehicle)
+    if diagnoser:
+        from rotorwatch.export_diagnoser import export_diagnoser
+
+        written = export_diagnoser(out, **own, **({"vehicle": craft} if craft is not None else {}))
+        click.echo("\n".join(str(path) for path in written))
+        return
     if allocator is None:
         made = run(estimator, out, vehicle=craft, dt=dt, variable_dt=variable_dt)
     else:
