@@ -17,9 +17,10 @@ DRIVER = """#include "rw_diagnoser.h"
 #define WIDTH 24
 static rw_diagnoser d;
 static rw_news news[2 * RW_EVENTS];
+static int burst; /* most ticks that one call in flight took from those that waited */
 static void told(rw_real *to, const double *from, int n) { for (int k = 0; k < n; k++) to[k] = (rw_real)from[k]; }
 int sizes(int what);
-int sizes(int what) { return what == 0 ? (int)sizeof d : what == 1 ? (int)sizeof d.estimator : (int)sizeof d.work; }
+int sizes(int what) { return what == 0 ? (int)sizeof d : what == 1 ? (int)sizeof d.estimator : what == 2 ? (int)sizeof d.work : burst; }
 int drive(int rows, const double *table, double until, double *found, int most);
 int drive(int rows, const double *table, double until, double *found, int most)
 {
@@ -27,7 +28,8 @@ int drive(int rows, const double *table, double until, double *found, int most)
     for (int i = 0; i < rows; i++) {
         const double *row = table + (long)i * WIDTH, t = row[1];
         rw_real x[RW_ROTORS > 4 ? RW_ROTORS : 4];
-        const bool ok = row[2] > 0.5;
+        const bool ok = row[2] > 0.5, flew = d.start < RW_LASTS;
+        const int waited = d.count;
         told(x, row + 3, row[0] < 0.5 ? RW_ROTORS : 4);
         switch ((int)row[0]) {
         case 0: rw_diagnoser_outputs(&d, t, x, (rw_rotors)row[2]); break;
@@ -39,6 +41,7 @@ int drive(int rows, const double *table, double until, double *found, int most)
         case 6: rw_diagnoser_attitude(&d, t, x); break;
         default: rw_diagnoser_battery(&d, t, x[0]); break;
         }
+        if (flew && d.start < RW_LASTS && waited - d.count > burst) burst = waited - d.count;
         if (i % 50 == 0) rw_diagnoser_poll(&d, news);
     }
     rw_diagnoser_finish(&d, until);
@@ -152,7 +155,10 @@ def fastest(flight, name) -> float:
 
 
 def events_in_c(folder, what: Flown, single=False, compiler="cc"):
-    """(events as rows: kind, onset, detected, end, rotors, loss, lower, upper, size, alternatives ..., verdict, sizes in bytes)."""
+    """(events, verdict, numbers).
+
+    Events as rows: kind, onset, detected, end, rotors, loss, lower, upper, size, alternatives. Numbers: bytes of the whole, of the
+    estimator's state and of its workspace; the most ticks that a call in flight worked off."""
     folder.mkdir(parents=True, exist_ok=True)
     for name, text in (what.texts | {"driver.c": DRIVER}).items():
         (folder / name).write_text(text)
@@ -169,4 +175,4 @@ def events_in_c(folder, what: Flown, single=False, compiler="cc"):
     count = library.drive(
         len(samples), samples.ctypes.data_as(pointer), ctypes.c_double(what.until), found.ctypes.data_as(pointer), most
     )
-    return found.reshape(-1, WIDTH)[:count], int(found[most * WIDTH]), [library.sizes(k) for k in range(3)]
+    return found.reshape(-1, WIDTH)[:count], int(found[most * WIDTH]), [library.sizes(k) for k in range(4)]

@@ -80,11 +80,12 @@ static void next(rw_diagnoser *d)
     d->count--;
 }
 
-/* Ticks of which it is known whether they lie in the air. sure: of all of them it is. */
+/* Ticks of which it is known whether they lie in the air. sure: of all of them it is; else at most RW_BURST, so that no call in flight keeps
+   the processor for all the ticks that have waited. One that is left for the next call is judged the same there. */
 static void work_off(rw_diagnoser *d, rw_time now, bool sure)
 {
     const rw_time from = doubt(d, now);
-    while (d->count) {
+    for (int done = 0; d->count && (sure || done < RW_BURST); done++) {
         const rw_sensed *row = &d->queue[d->first];
         if (!sure && d->start < RW_LASTS) {
             if (row->when > d->start && (row->when > from || row->when > d->air.last)) return;

@@ -9,8 +9,9 @@
      rw_diagnoser_gyro(&d, t, rate, true); ... rw_diagnoser_outputs(&d, t, output, all, 1);
      int n = rw_diagnoser_poll(&d, news);
 
-   Nothing is allocated and nothing global changes: any number of them can run at once. A poll takes at most RW_QUEUE ticks' time, one tick's
-   in steady flight. */
+   Nothing is allocated and nothing global changes: any number of them can run at once. The work is done where samples are fed, not in the
+   poll: in steady flight one call of each tick's length takes a step of the estimator, the others none. When ticks have waited, a call
+   takes at most RW_BURST steps as long as the vehicle flies; the call that learns of the landing takes all that wait, at most RW_QUEUE. */
 #ifndef RW_DIAGNOSER_H
 #define RW_DIAGNOSER_H
 
@@ -31,6 +32,11 @@ extern "C" {
 /* Ticks that may wait: of rw_config.h, 6 s. */
 #ifndef RW_QUEUE
 #error "RW_QUEUE must be 6 s in ticks"
+#endif
+
+/* Steps of the estimator in one call in flight: samples come several times as often as ticks, so that what waits is soon worked off. */
+#ifndef RW_BURST
+#define RW_BURST 2
 #endif
 
 typedef struct {
