@@ -1,6 +1,7 @@
 """How many instructions does a step take on a Cortex-M7, and how much code and workspace?
 
-    python benchmarks/cortex_m7.py
+    python benchmarks/cortex_m7.py                  # three filters
+    python benchmarks/cortex_m7.py --diagnoser      # the whole diagnoser: a tick of its estimator, all of its code and memory
 
 Needs arm-none-eabi-gcc and qemu-system-arm. Single precision, -Os. QEMU counts instructions, not cycles (-icount: one per nanosecond
 of its clock, which SysTick tells at 25 MHz): a Cortex-M7 takes one to two cycles for each.
@@ -9,12 +10,14 @@ of its clock, which SysTick tells at 25 MHz): a Cortex-M7 takes one to two cycle
 from __future__ import annotations
 
 import subprocess
+import sys
 import tempfile
 from pathlib import Path
 
 from contenders import METHODS, estimator
 
 from rotorwatch.export_c import export_c
+from rotorwatch.export_diagnoser import export_diagnoser
 
 CORE = Path(__file__).resolve().parents[1] / "embedded" / "cortex-m7"
 CHIP = ("-mcpu=cortex-m7", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv5-d16", "-std=c99", "-DROTORWATCH_FLOAT", "-Os")
@@ -44,39 +47,85 @@ int main(void)
 """
 
 
-def main() -> None:
+# A tick that is judged, with all that an announcement takes: the step has no branches that it could skip.
+DIAGNOSER = """
+#include "rw_diagnoser.h"
+#include <stdio.h>
+#define SYSTICK ((volatile uint32_t *)0xE000E010u)
+static rw_diagnoser d;
+int main(void)
+{{
+    static rw_real u[RW_INPUTS], y[4];
+    static const bool valid[4] = {{true, true, true, true}};
+    rw_diagnoser_init(&d, &rw_vehicle_default, &rw_plan_default);
+    for (int k = 0; k < RW_ROTORS; ++k) u[k] = 1;
+    u[RW_U_LOAD] = y[3] = RW_ROTORS;
+    u[RW_U_FULL] = 2;
+    u[RW_U_MODE] = RW_JUDGE;
+    for (int k = 0; k < 60; ++k) rw_estimator_step(&d.estimator, u, y, valid, &d.out, &d.work);
+    SYSTICK[1] = 0xFFFFFF;
+    SYSTICK[2] = 0;
+    SYSTICK[0] = 5;
+    for (int k = 0; k < {steps}; ++k) rw_estimator_step(&d.estimator, u, y, valid, &d.out, &d.work);
+    printf("%lu %lu %lu %lu\\n", (unsigned long)(0xFFFFFFu - SYSTICK[2]), (unsigned long)sizeof d,
+           (unsigned long)sizeof d.estimator, (unsigned long)sizeof d.work);
+    return 0;
+}}
+"""
+
+
+def on_the_chip(folder: Path, chip: tuple[str, ...]) -> list[int]:
+    """What a folder's sources print on the emulated board."""
+    elf = str(folder / "m7.elf")
+    sources = [*map(str, sorted(folder.glob("*.c"))), str(CORE / "startup.c")]
+    link = ["--specs=rdimon.specs", "-T", str(CORE / "an500.ld"), "-lm"]
+    subprocess.run(["arm-none-eabi-gcc", *chip, *sources, *link, "-o", elf], check=True)
+    board = ["qemu-system-arm", "-M", "mps2-an500", "-nographic", "-semihosting", "-icount", "shift=0", "-kernel", elf]
+    said = subprocess.run(board, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=120, check=True)
+    return [int(word) for word in said.stdout.split()]
+
+
+def code_bytes(folder: Path, chip: tuple[str, ...], names: list[str]) -> int:
+    """Code and tables of sources of the folder."""
+    for name in names:
+        subprocess.run(["arm-none-eabi-gcc", *chip, "-c", name, "-o", f"{name}.o"], check=True, cwd=folder)
+    size = subprocess.run(
+        ["arm-none-eabi-size", *(f"{name}.o" for name in names)], capture_output=True, text=True, check=True, cwd=folder
+    )
+    return sum(int(line.split()[0]) for line in size.stdout.splitlines()[1:])
+
+
+def filters() -> None:
+    """A row for each of three filters."""
     print("| method | thousand instructions a step | text kB | workspace kB |")
     print("|---|---|---|---|")
     for name in METHODS[:3]:
         with tempfile.TemporaryDirectory() as scratch:
-            folder, elf = Path(scratch), str(Path(scratch) / "m7.elf")
+            folder = Path(scratch)
             made = export_c(estimator(name), folder)
-            (folder / "count.c").write_text(MAIN.format(name=name, steps=STEPS))
-            sources = [str(folder / f"{name}.c"), str(folder / "count.c"), str(CORE / "startup.c")]
-            link = ["--specs=rdimon.specs", "-T", str(CORE / "an500.ld"), "-lm"]
-            subprocess.run(["arm-none-eabi-gcc", *CHIP, *sources, *link, "-o", elf], check=True)
-            subprocess.run(["arm-none-eabi-gcc", *CHIP, "-c", sources[0], "-o", str(folder / "one.o")], check=True)
-            board = [
-                "qemu-system-arm",
-                "-M",
-                "mps2-an500",
-                "-nographic",
-                "-semihosting",
-                "-icount",
-                "shift=0",
-                "-kernel",
-                elf,
-            ]
-            said = subprocess.run(
-                board, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=60, check=True
-            )
-            size = subprocess.run(
-                ["arm-none-eabi-size", str(folder / "one.o")], capture_output=True, text=True, check=True
-            )
-            count = int(said.stdout) * TICK / STEPS
-            text = int(size.stdout.splitlines()[1].split()[0])
+            (folder / "example.c").write_text(MAIN.format(name=name, steps=STEPS))
+            count = on_the_chip(folder, CHIP)[0] * TICK / STEPS
+            text = code_bytes(folder, CHIP, [f"{name}.c"])
             print(f"| {name} | {count / 1e3:.0f} | {text / 1e3:.1f} | {made.workspace_bytes / 2e3:.1f} |")
 
 
+def diagnoser() -> None:
+    """A row for each vehicle and precision."""
+    print(
+        "| vehicle | precision | million instructions a tick | code kB | memory kB | estimator's state kB | its workspace kB |"
+    )
+    print("|---|---|---|---|---|---|---|")
+    for vehicle in ("ardupilot-quad-x", "ardupilot-hexa-x"):
+        for precision, chip in (("single", CHIP), ("double", tuple(f for f in CHIP if "FLOAT" not in f))):
+            with tempfile.TemporaryDirectory() as scratch:
+                folder = Path(scratch)
+                written = export_diagnoser(folder, vehicle=vehicle)
+                (folder / "count.c").write_text(DIAGNOSER.format(steps=STEPS))
+                count, *sizes = on_the_chip(folder, chip)
+                text = code_bytes(folder, chip, [path.name for path in written if path.suffix == ".c"])
+                row = [f"{count * TICK / STEPS / 1e6:.2f}", *(f"{n / 1e3:.0f}" for n in (text, *sizes))]
+                print(f"| {vehicle} | {precision} | {' | '.join(row)} |")
+
+
 if __name__ == "__main__":
-    main()
+    diagnoser() if "--diagnoser" in sys.argv[1:] else filters()

@@ -429,7 +429,11 @@ def _cond(graph, x, params, outvars):
 
 
 def _scan(graph, x, params, outvars):
-    n_consts, n_carry, body = params["num_consts"], params["num_carry"], params["jaxpr"]
+    if "num_consts" in params:
+        n_consts, n_carry = params["num_consts"], params["num_carry"]
+    else:  # JAX from 0.12 on: trees of constants, carry and rows
+        n_consts, n_carry, _ = (len(part) for part in params["ft_in"].unpack())
+    body = params["jaxpr"]
     consts, inits, xs = x[:n_consts], x[n_consts : n_consts + n_carry], x[n_consts + n_carry :]
     region = Region(_deepest(x))
     carry = tuple(graph.param(a.shape, a.kind, ("carry", k), region) for k, a in enumerate(inits))
