@@ -45,7 +45,7 @@ def mask(rotors):
 
 def same(told, what, folder, single):
     """Events of the library are those of Python. Returns how many."""
-    found, verdict, _ = events_in_c(folder, what, single, COMPILER)
+    found, verdict, _ = events_in_c(folder, what, single, COMPILER or "cc")
     step = 0.051 if single else 1e-9
     assert len(found) == len(told.events)
     for row, event in zip(found, told.events, strict=True):
