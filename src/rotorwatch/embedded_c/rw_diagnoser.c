@@ -1,5 +1,6 @@
 #include "rw_diagnoser.h"
 
+#include <math.h>
 #include <string.h>
 
 static const rw_time SETTLE_S = 1.0; /* of motion/ticks.py: the first second of a flight gives the hover command */
@@ -150,8 +151,17 @@ static void go_on(rw_diagnoser *d, rw_time now)
     work_off(d, now, false);
 }
 
+/* One number that is none would stay in the estimates for ever: such a sample counts as not valid. */
+static bool numbers(const rw_real *x, int count)
+{
+    for (int k = 0; k < count; k++)
+        if (!isfinite(x[k])) return false;
+    return true;
+}
+
 void rw_diagnoser_gyro(rw_diagnoser *d, rw_time time, const rw_real *rate, bool valid)
 {
+    valid = valid && numbers(rate, 3);
     rw_airborne_gyro(&d->air, time, rate, valid);
     go_on(d, time);
     if (valid) rw_sense_gyro(&d->sense, time, rate);
@@ -159,6 +169,7 @@ void rw_diagnoser_gyro(rw_diagnoser *d, rw_time time, const rw_real *rate, bool 
 
 void rw_diagnoser_accel(rw_diagnoser *d, rw_time time, const rw_real *force, bool valid)
 {
+    valid = valid && numbers(force, 3);
     rw_airborne_accel(&d->air, time, force, valid);
     go_on(d, time);
     if (valid) rw_sense_accel(&d->sense, time, force);
@@ -179,13 +190,13 @@ void rw_diagnoser_state(rw_diagnoser *d, rw_time time, int landed, int armed)
 void rw_diagnoser_attitude(rw_diagnoser *d, rw_time time, const rw_real *q)
 {
     go_on(d, time);
-    rw_sense_level(&d->sense, time, 1 - 2 * (q[1] * q[1] + q[2] * q[2]));
+    if (numbers(q, 4)) rw_sense_level(&d->sense, time, 1 - 2 * (q[1] * q[1] + q[2] * q[2]));
 }
 
 void rw_diagnoser_battery(rw_diagnoser *d, rw_time time, rw_real ratio)
 {
     go_on(d, time);
-    d->battery = ratio;
+    if (numbers(&ratio, 1)) d->battery = ratio;
 }
 
 static bool aloft(const rw_diagnoser *d, rw_time time)
@@ -203,6 +214,8 @@ static void compare(rw_diagnoser *d, const rw_comparison *c)
 void rw_diagnoser_outputs(rw_diagnoser *d, rw_time time, const rw_real *output, rw_rotors known)
 {
     const rw_vehicle *v = d->vehicle;
+    for (int k = 0; k < RW_ROTORS; k++)
+        if (!isfinite(output[k])) known = (rw_rotors)(known & ~(1u << k));
     const bool all = known == (rw_rotors)((1u << RW_ROTORS) - 1u);
     rw_comparison c;
     rw_airborne_outputs(&d->air, v, time, output, known);
@@ -221,6 +234,7 @@ void rw_diagnoser_control(rw_diagnoser *d, rw_time time, const rw_real *control,
     rw_comparison made[RW_PENDING];
     rw_real thrust[RW_ROTORS];
     bool ok[RW_ROTORS], all = true;
+    valid = valid && numbers(control, 4);
     go_on(d, time);
     const int count = rw_mixer_control(&d->mixer, v, time, control, valid, made);
     for (int i = 0; i < count; i++) compare(d, &made[i]);

@@ -74,6 +74,9 @@ extern const rw_plan rw_plan_default;
 /* v and p must outlive d. */
 void rw_diagnoser_init(rw_diagnoser *d, const rw_vehicle *v, const rw_plan *p);
 
+/* Times of all feeds: seconds of one steady clock, such as that since boot, never that of the day; call them in the order of time.
+   A sample with a number that is not finite counts as not valid, but for the velocity: NaN there says that it is not known. */
+
 /* Angular rate [3], rad/s; specific force [3], m/s^2, -9.8 along z at rest; both body FRD. */
 void rw_diagnoser_gyro(rw_diagnoser *d, rw_time time, const rw_real *rate, bool valid);
 void rw_diagnoser_accel(rw_diagnoser *d, rw_time time, const rw_real *force, bool valid);

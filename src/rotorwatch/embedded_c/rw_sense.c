@@ -8,6 +8,7 @@
 static const double G0 = 9.80665;
 static const rw_time HALF_SECOND = 0.5; /* side forces are averaged over, and vibration is held against */
 static const rw_time LATE_S = 0.9, GAP_S = 2.0;
+static const double MOST_TICKS = 1e9; /* numbers of ticks stay in 32 bits: a clock that jumped farther is not followed */
 static const rw_time NO_COMMAND_S = 0.2; /* after a tick: there was none in it; the motion is kept for longer */
 
 static int place(const rw_ring *r, int k, int size) { return (r->first + k) % size; }
@@ -81,6 +82,7 @@ void rw_sense_thrust(rw_sense *s, const rw_plan *p, rw_time time, const rw_real 
         s->begun = true;
         s->origin = whole_below((time - p->phase) / p->dt) * p->dt + p->phase + 0.5 * p->dt;
     }
+    if (!(time - s->origin < MOST_TICKS * p->dt && time - s->origin > -MOST_TICKS * p->dt)) return;
     at = (int32_t)((time - s->origin) / p->dt);
     if (at < s->commanded) at = s->commanded;
     for (int32_t k = at > 0 ? at - 1 : 0; ok && k <= at + 1; k++) {
