@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -50,7 +51,13 @@ def export_c(
 
     if (estimator is not None) + (allocator is not None) + diagnoser != 1:
         raise ConfigError("Say what to export: give one of --estimator NAME, --allocator WAY and --diagnoser.")
-    own = {"rate_hz": rate_hz, "control_hz": control_hz, "gyro_hz": sensor_hz, "accel_hz": sensor_hz, "prefix": prefix}
+    own: dict[str, Any] = {
+        "rate_hz": rate_hz,
+        "control_hz": control_hz,
+        "gyro_hz": sensor_hz,
+        "accel_hz": sensor_hz,
+        "prefix": prefix,
+    }
     own = {key: value for key, value in own.items() if value is not None}
     if own and not diagnoser:
         raise ConfigError("--rate-hz, --control-hz, --sensor-hz and --prefix belong to --diagnoser.")
@@ -67,7 +74,7 @@ def export_c(
     if diagnoser:
         from rotorwatch.export_diagnoser import export_diagnoser
 
-        written = export_diagnoser(out, **own, **({"vehicle": craft} if craft is not None else {}))
+        written = export_diagnoser(out, vehicle=craft or FRAME, **own)
         click.echo("\n".join(str(path) for path in written))
         return
     if allocator is None:
