@@ -93,4 +93,5 @@ TABLE: dict[str, Constant] = {
     "events.MODEL_SD": Constant("loss", "error of the model in any loss", 0.0),
     "events.CURVE_SHARE": Constant("1", "share by which the thrust curve's slope in hover may be off", 0.0),
     "events.COAXIAL_SHARE": Constant("1", "the same on coaxial frames", 0.0),
+    "events.ESTIMATES": Constant("1", "estimates that say what a loss was that is over"),
 }
