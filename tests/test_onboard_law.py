@@ -78,9 +78,9 @@ def test_samples_have_the_same_events_on_board(name, tmp_path):
     flight = logs.read(SAMPLES / name)
     told, what = diagnose(flight), flown(flight)
     what = replace(what, table=with_broken_samples(what.table))
-    assert (
-        same(told, what, tmp_path / "double", False) == same(told, what, tmp_path / "single", True) == ("hexa" in name)
-    )
+    assert same(told, what, tmp_path / "double", False) == ("hexa" in name)
+    if FULL or told.events:
+        assert same(told, what, tmp_path / "single", True) == len(told.events)
 
 
 @needs_compiler
