@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 
 import rotorwatch
-from rotorwatch.default import bank, events
-from rotorwatch.motion.contact import look_back
+from rotorwatch.export_diagnoser import settings
 
 FOLDER = Path(rotorwatch.__file__).parent / "embedded_c"
 WARNINGS = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wdouble-promotion", "-Wshadow", "-Werror")
@@ -19,14 +18,8 @@ SANITIZERS = ("-fsanitize=undefined,bounds", "-fsanitize-undefined-trap-on-error
 
 def config(B, dt=0.05, output_hz=50, **more):
     """rw_config.h of a vehicle of effectiveness B (4, n); more: settings by name."""
-    n = B.shape[1]
-    stride = max(bank.STRIDES[0.1 if dt >= bank.SLOW_S else 0.05])
-    pairs = sum(map(len, events.opposites(B).values())) // 2
-    values = {
-        "ROTORS": n, "PLACES": 4, "HYPOTHESES": 2 * n + n * (n - 1) // 2 + 9, "TICK_S": dt, "OUTPUT_HZ": output_hz,
-        "REACH": bank.SLOTS * stride, "OPPOSITE_PAIRS": max(1, pairs), "TICKS_BEFORE": look_back(dt),
-    }  # fmt: skip
-    return "".join(f"#define RW_{name} {value}\n" for name, value in {**values, **more}.items())
+    values = settings(B, dt) | {"OUTPUT_HZ": output_hz, **more}
+    return "".join(f"#define RW_{name} {value}\n" for name, value in values.items())
 
 
 def doubles(array):

@@ -8,6 +8,7 @@ import numpy as np
 
 from rotorwatch import airframes, export_diagnoser
 from rotorwatch.motion import allocation, ticks
+from rotorwatch.motion.airborne import output_range
 
 OUTPUTS, ACCEL, GYRO, VELOCITY, STATE, CONTROL, ATTITUDE, BATTERY = range(8)
 FIRST = {BATTERY: 0, STATE: 1, ATTITUDE: 2, VELOCITY: 3, GYRO: 4, ACCEL: 5, OUTPUTS: 6, CONTROL: 7}  # of the same time
@@ -119,14 +120,6 @@ def table(flight, craft) -> np.ndarray:
     return every[np.lexsort(([FIRST[int(k)] for k in every[:, 0]], every[:, 1]))]
 
 
-def output_range(flight) -> tuple[float, float]:
-    """Ends of the outputs' range, as airborne.py takes them."""
-    if flight["motors"].unit != "us":
-        return 0.0, 1.0
-    given, known = flight.facts.get, flight.parameters.get
-    return given("pwm_min") or known("MOT_PWM_MIN") or 1000.0, given("pwm_max") or known("MOT_PWM_MAX") or 2000.0
-
-
 def flown(flight) -> Flown:
     """The flight, and the library for its vehicle and its rates."""
     craft = airframes.identify(flight)
@@ -136,7 +129,7 @@ def flown(flight) -> Flown:
     thrust = allocation.better(allocation.motor_thrusts(flight, craft), mixed)
     plan = ticks.plan(flight, thrust, ready_s)
     rates = [fastest(flight, name) for name in ("motors", "gyro" if flight.has("gyro") else "rates", "accel")]
-    headroom = flight.parameters.get("MOT_YAW_HEADROOM", export_diagnoser.YAW_HEADROOM)
+    headroom = flight.parameters.get("MOT_YAW_HEADROOM", allocation.YAW_HEADROOM)
     tables = (
         export_diagnoser.vehicle_table(craft, output_range(flight), headroom),
         export_diagnoser.plan_table(plan, ticks.known_hover(craft), mixed is not None),

@@ -8,7 +8,7 @@ import pytest
 from embedded_c_parts import Part
 from rotorwatch import logs
 from rotorwatch.flight import Flight, Message, Signal
-from rotorwatch.motion.airborne import airborne
+from rotorwatch.motion.airborne import airborne, output_range
 
 FLIGHTS = Path(__file__).resolve().parents[2] / "shared" / "flights"
 needs_flights = pytest.mark.skipif(not FLIGHTS.is_dir(), reason="the shared test flights are not beside the repository")
@@ -23,17 +23,6 @@ ALL = (
 @pytest.fixture(scope="module")
 def part(tmp_path_factory):
     return Part(tmp_path_factory.mktemp("airborne"), "drive_airborne.c", ("rw_airborne.c",), N)
-
-
-def ends_of_range(flight):
-    """Of the outputs, as airborne.py takes them."""
-    if flight["motors"].unit != "us":
-        return 0.0, 1.0
-    low, high = (
-        flight.facts.get(f"pwm_{e}") or flight.parameters.get(f"MOT_PWM_{e.upper()}") or usual
-        for e, usual in (("min", 1000.0), ("max", 2000.0))
-    )
-    return low, high
 
 
 def rows(flight):
@@ -56,7 +45,7 @@ def rows(flight):
             found.append([4.0, m.time, 1.0, *((said, -1.0) if m.kind == "landed" else (-1.0, said))])
     found.sort(key=lambda row: row[1])
     last = motors.time[np.asarray(motors.valid).any(axis=1)][-1]
-    return [list(ends_of_range(flight)), *found, [5.0, max(flight.duration, float(last)), 1.0]]
+    return [list(output_range(flight)), *found, [5.0, max(flight.duration, float(last)), 1.0]]
 
 
 def flights_of(part, flight, precision="double"):

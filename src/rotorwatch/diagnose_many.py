@@ -19,8 +19,6 @@ from rotorwatch.flight.vehicle import Vehicle
 
 ERROR = 2
 """Exit code of a log without an answer."""
-EACH = 4
-"""Logs that make it worth while to start one more process."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +91,7 @@ def diagnose_many(
     if isinstance(paths, Sequence):
         paths = list(gathering.Gathered(paths))
         if jobs is None and scheduler is None:
-            jobs = max(1, min(many.processors(), len(paths) // EACH))
+            jobs = many.worthwhile(len(paths))
     else:
         paths = gathering.Gathered(paths)
     names: dict[int, str] = {}

@@ -22,13 +22,12 @@ from rotorwatch.default.plant import WrenchBalance, lower_rotors
 from rotorwatch.default.program import parameters
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch.motion import ticks
+from rotorwatch.motion import allocation, ticks
 from rotorwatch.motion.contact import look_back
 
 SOURCES = Path(__file__).parent / "embedded_c"
 ESTIMATOR = "rw_estimator"
 QUEUE_S = 6.0  # ticks that wait: airborne.CONFIRM_S, and room
-YAW_HEADROOM = 200.0  # MOT_YAW_HEADROOM, ArduPilot's default, of 1000
 
 
 class Found(NamedTuple):
@@ -71,23 +70,30 @@ def estimator_program(vehicle: Vehicle, dt: float) -> Program:
     return make(ESTIMATOR, step, lambda _: method.init(), inputs, (), {}, about)
 
 
-def config(vehicle: Vehicle, dt: float, output_hz: float, gyro_hz: float, accel_hz: float) -> str:
-    """rw_config.h."""
-    B, n = vehicle.effectiveness(), len(vehicle.rotors)
+def settings(B: np.ndarray, dt: float) -> dict[str, Any]:
+    """What rw_config.h says of the effectiveness B (4, n) and the length of a tick."""
+    n = B.shape[1]
     pairs = sum(map(len, events.opposites(B).values())) // 2
-    values = {
+    return {
         "ROTORS": n, "PLACES": posterior.PLACES, "HYPOTHESES": 2 * n + n * (n - 1) // 2 + 9, "TICK_S": dt,
         "REACH": bank.SLOTS * max(bank.STRIDES[0.1 if dt >= bank.SLOW_S else 0.05]), "OPPOSITE_PAIRS": max(1, pairs),
-        "TICKS_BEFORE": look_back(dt), "QUEUE": round(QUEUE_S / dt), "OUTPUT_HZ": int(np.ceil(output_hz)),
-        "GYRO_HZ": int(np.ceil(gyro_hz)), "ACCEL_HZ": int(np.ceil(accel_hz)), "MOTION_HZ": int(np.ceil(max(gyro_hz, accel_hz))),
-        "MIXER_UNKNOWN": int(vehicle.mixer is None),
+        "TICKS_BEFORE": look_back(dt), "QUEUE": round(QUEUE_S / dt),
     }  # fmt: skip
+
+
+def config(vehicle: Vehicle, dt: float, output_hz: float, gyro_hz: float, accel_hz: float) -> str:
+    """rw_config.h."""
+    rates = {"OUTPUT_HZ": output_hz, "GYRO_HZ": gyro_hz, "ACCEL_HZ": accel_hz, "MOTION_HZ": max(gyro_hz, accel_hz)}
+    values = settings(vehicle.effectiveness(), dt) | {name: int(np.ceil(hz)) for name, hz in rates.items()}
+    values["MIXER_UNKNOWN"] = int(vehicle.mixer is None)
     lines = [f"#define RW_{name} {value}" for name, value in values.items()]
     head = "/* Vehicle and rates of this library. Made by `rotorwatch export-c --diagnoser`; not to be edited. */"
     return "\n".join([head, "#ifndef RW_CONFIG_H", "#define RW_CONFIG_H", *lines, "#endif", ""])
 
 
-def vehicle_table(vehicle: Vehicle, output: tuple[float, float], yaw_headroom: float = YAW_HEADROOM) -> dict[str, Any]:
+def vehicle_table(
+    vehicle: Vehicle, output: tuple[float, float], yaw_headroom: float = allocation.YAW_HEADROOM
+) -> dict[str, Any]:
     """The members of rw_vehicle. output: ends of the outputs' range as the autopilot counts it, in their unit."""
     n, curve = len(vehicle.rotors), vehicle.curve
     return {
@@ -95,7 +101,7 @@ def vehicle_table(vehicle: Vehicle, output: tuple[float, float], yaw_headroom: f
         "mixer": np.zeros((n, 4)) if vehicle.mixer is None else np.asarray(vehicle.mixer, float),
         "u_min": curve.u_min, "u_max": curve.u_max, "output_low": output[0], "output_high": output[1],
         "expo": curve.expo, "mixer_expo": float(vehicle.extra.get("mixer_expo", curve.expo)),
-        "yaw_headroom": float(np.clip(yaw_headroom, 100.0, 500.0) / 1000.0),
+        "yaw_headroom": allocation.yaw_always(yaw_headroom),
         "mixer_known": vehicle.mixer is not None,
         "coaxial": lower_rotors(vehicle.effectiveness()) is not None,
         "rests_at_minimum": bool(vehicle.extra.get("rests_at_minimum", False)),
@@ -105,16 +111,12 @@ def vehicle_table(vehicle: Vehicle, output: tuple[float, float], yaw_headroom: f
 def plan_table(plan: ticks.Plan, hover: float | None, rebuilt: bool) -> dict[str, Any]:
     """The members of rw_plan. hover: share of full thrust that carries the vehicle, where healthy flights told; rebuilt: thrusts come from
     the rate controller's output, which is fed faster than the outputs."""
-
-    def least(half: float, period: float) -> int:
-        return max(1, int(half / period * 0.8)) if period > 0.0 else 1
-
     gyro, accel = plan.gyro or "", "accel"
     known = {name: (plan.half.get(name, plan.dt / 2.0), plan.period.get(name, np.nan)) for name in (gyro, accel)}
     return {
         "dt": plan.dt, "lag": plan.lag_s, "phase": (plan.first - plan.dt / 2.0) % plan.dt, "ready": plan.ready_s,
-        "hover": hover or 0.0, "gyro_half": known[gyro][0], "accel_half": known[accel][0], "gyro_least": least(*known[gyro]),
-        "accel_least": least(*known[accel]), "side_least": least(0.5 * ticks.SIDE_S, known[accel][1]),
+        "hover": hover or 0.0, "gyro_half": known[gyro][0], "accel_half": known[accel][0], "gyro_least": ticks.samples_in(*known[gyro]),
+        "accel_least": ticks.samples_in(*known[accel]), "side_least": ticks.samples_in(0.5 * ticks.SIDE_S, known[accel][1]),
         "gyro": plan.gyro is not None, "accel": plan.accel, "rebuilt": rebuilt,
     }  # fmt: skip
 

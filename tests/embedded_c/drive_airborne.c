@@ -1,22 +1,10 @@
 /* Rows of doubles from stdin to rw_airborne: first the ends of the outputs' range. kind 0: outputs (with a mask); 1: accel;
    2: gyro; 3: velocity; 4: the autopilot's word; 5: all up to then has come. Prints the flights. */
 #include <stdio.h>
-#include <stdlib.h>
 #include <string.h>
 
+#include "rows.h"
 #include "rw_airborne.h"
-
-static double one(void)
-{
-    double value;
-    if (fread(&value, sizeof value, 1, stdin) != 1) exit(1);
-    return value;
-}
-
-static void take(rw_real *to, int count)
-{
-    for (int i = 0; i < count; i++) to[i] = (rw_real)one();
-}
 
 int main(void)
 {

@@ -1,23 +1,11 @@
 /* Rows of doubles from stdin to rw_mixer and rw_departures. The first row is the vehicle and when it flew. kind 0: outputs; 1: the rate
    controller's. Prints each comparison and each rebuilt thrust as it is made, and at the end the overrides. */
 #include <stdio.h>
-#include <stdlib.h>
 
+#include "rows.h"
 #include "rw_mixer.h"
 
 #define N RW_ROTORS
-
-static double one(void)
-{
-    double value;
-    if (fread(&value, sizeof value, 1, stdin) != 1) exit(1);
-    return value;
-}
-
-static void take(rw_real *to, int count)
-{
-    for (int i = 0; i < count; i++) to[i] = (rw_real)one();
-}
 
 static void show(const char *name, const rw_real *values)
 {

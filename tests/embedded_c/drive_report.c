@@ -4,14 +4,8 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "rows.h"
 #include "rw_text.h"
-
-static double one(void)
-{
-    double value;
-    if (fread(&value, sizeof value, 1, stdin) != 1) exit(1);
-    return value;
-}
 
 static rw_report report;
 static rw_changes changes;

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from rotorwatch import __version__, many
-from rotorwatch.diagnose_many import EACH
 from rotorwatch.errors import LogError, RotorwatchError, StoreError
 from rotorwatch.fleet import assess, judge
 from rotorwatch.fleet.store import Entry, Store, digest
@@ -50,7 +49,7 @@ def add(
     gathered = Gathered(given)
     logs = list(gathered)
     if jobs is None and scheduler is None:
-        jobs = max(1, min(many.processors(), len(logs) // EACH))
+        jobs = many.worthwhile(len(logs))
     fates: list[Told] = []
     new: list[Path | str] = []
 
@@ -197,7 +196,7 @@ def rejudge(
         if every or r["version"] != __version__
     ]
     if jobs is None and scheduler is None:
-        jobs = max(1, min(many.processors(), len(rows) // EACH))
+        jobs = many.worthwhile(len(rows))
     changes, count = [], 0
     told = (lambda n: progress(n / len(rows), "judging again")) if progress else None
     for done in many.in_order(_again, [(r["path"], r["hash"]) for r in rows], jobs, scheduler, told):

@@ -8,6 +8,6 @@ cluster.py     the workers of a Dask scheduler (the extra `cluster`)
 """
 
 from rotorwatch.many.done import Done
-from rotorwatch.many.spread import in_order, ordered, processors, run
+from rotorwatch.many.spread import in_order, ordered, processors, run, worthwhile
 
-__all__ = ["Done", "in_order", "ordered", "processors", "run"]
+__all__ = ["Done", "in_order", "ordered", "processors", "run", "worthwhile"]

@@ -11,6 +11,8 @@ from rotorwatch.errors import ConfigError
 from rotorwatch.many.done import Done, Task, attempt
 from rotorwatch.many.kept import Kept
 
+EACH = 4
+"""Logs that make it worth while to start one more process."""
 TRIES = 2
 """How often an item is begun when workers die of it."""
 
@@ -21,6 +23,11 @@ def processors() -> int:
         return len(os.sched_getaffinity(0))
     except AttributeError:  # only some systems have it
         return os.cpu_count() or 1
+
+
+def worthwhile(count: int) -> int:
+    """Processes that judging so many logs is worth: one more for every EACH of them, as many as there are processors at most."""
+    return max(1, min(processors(), count // EACH))
 
 
 def run(

@@ -244,14 +244,18 @@ def _command(flight: Flight) -> np.ndarray:
 
     Root mean square: thrust grows with the square, and rotors that fly on beside one that rests carry the vehicle all the same.
     """
-    motors = flight["motors"]
-    low, high = 0.0, 1.0
-    if motors.unit == "us":
-        low = flight.facts.get("pwm_min") or flight.parameters.get("MOT_PWM_MIN") or 1000.0
-        high = flight.facts.get("pwm_max") or flight.parameters.get("MOT_PWM_MAX") or 2000.0
+    motors, (low, high) = flight["motors"], output_range(flight)
     valid = np.asarray(motors.valid)
     share = np.where(valid, np.clip((motors.values - low) / max(high - low, 1e-6), 0.0, 1.0), 0.0)
     return np.sqrt((share**2).sum(axis=1) / np.maximum(valid.sum(axis=1), 1))
+
+
+def output_range(flight: Flight) -> tuple[float, float]:
+    """Ends of the outputs' range as the autopilot counts it, in their unit."""
+    if flight["motors"].unit != "us":
+        return 0.0, 1.0
+    low = flight.facts.get("pwm_min") or flight.parameters.get("MOT_PWM_MIN") or 1000.0
+    return low, flight.facts.get("pwm_max") or flight.parameters.get("MOT_PWM_MAX") or 2000.0
 
 
 def _motion(flight, ticks) -> tuple[np.ndarray, np.ndarray]:

@@ -26,6 +26,7 @@ PART = 0.05  # share of full thrust by which rebuilt and logged thrust may diffe
 FLYING = 0.05  # share of full thrust above which a rotor does enough for a comparison
 GAIN_MEMORY_S = 20.0  # air density changes with height, slowly
 PAIR_WITHIN_S = 0.15  # a command further than this from any control sample has no partner
+YAW_HEADROOM = 200.0  # MOT_YAW_HEADROOM where nothing tells: ArduPilot's default
 NOISE_SD = 0.004  # rounding to 1 us, and the controller moving between its own log lines and those of the outputs
 
 
@@ -216,7 +217,7 @@ def yaw_granted(flight: Flight, vehicle: Vehicle, control: np.ndarray) -> np.nda
     never below MOT_YAW_HEADROOM (default 200 of 1000).
     """
     yaw = np.abs(control[:, 2])
-    always = np.clip(np.nan_to_num(flight.parameters.get("MOT_YAW_HEADROOM", 200.0), nan=200.0), 100.0, 500.0) / 1000.0
+    always = yaw_always(flight.parameters.get("MOT_YAW_HEADROOM", YAW_HEADROOM))
     if vehicle.mixer is None:
         return yaw < always
     turning = np.abs(vehicle.mixer[:, 2]) > 1e-9
@@ -225,6 +226,11 @@ def yaw_granted(flight: Flight, vehicle: Vehicle, control: np.ndarray) -> np.nda
     up = control[:, 2:3] * factors[:, 2] > 0
     room = np.where(up, 1.0 - level, level) / np.abs(factors[:, 2])
     return yaw < np.maximum(always, 0.95 * room.min(axis=1, initial=np.inf))
+
+
+def yaw_always(headroom: float = YAW_HEADROOM) -> float:
+    """Yaw that ArduPilot's mixer grants whatever else is asked: its parameter MOT_YAW_HEADROOM, in thousandths, within its limits."""
+    return float(np.clip(np.nan_to_num(headroom, nan=YAW_HEADROOM), 100.0, 500.0)) / 1000.0
 
 
 def believed_curve(vehicle: Vehicle) -> ThrustCurve:

@@ -141,6 +141,11 @@ def _period(signal: Signal) -> float:
     return float(np.median(steps[steps > 0])) if (steps > 0).any() else np.nan
 
 
+def samples_in(half: float, period: float) -> int:
+    """How many samples a window of twice `half` s needs at least, of a signal with so many s between two; NaN: not known."""
+    return max(1, int(half / period * 0.8)) if period > 0.0 else 1
+
+
 class _Course:
     """A signal between its samples, as straight lines: for means over many windows of it."""
 
@@ -186,7 +191,7 @@ class _Course:
                 2.0 * half - end
             )
         gap = after[count : 2 * count] - time.searchsorted(lo, "left")
-        least = max(1, int(half / self._period * 0.8)) if self._period > 0.0 else 1
+        least = samples_in(half, self._period)
         covered = (lo >= time[0]) & (hi <= time[-1] + 1e-9) & (gap >= least)
         return middle, rise, covered
 
