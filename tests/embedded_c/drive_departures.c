@@ -4,7 +4,6 @@
 #include <stdio.h>
 #include <stdlib.h>
 
-#include "rows.h"
 #include "rw_departures.h"
 
 #define N RW_ROTORS
@@ -16,6 +15,13 @@ static void take(rw_real *to, int count)
         if (fread(&value, sizeof value, 1, stdin) != 1) exit(1);
         to[i] = (rw_real)value;
     }
+}
+
+static double one(void)
+{
+    double value;
+    if (fread(&value, sizeof value, 1, stdin) != 1) exit(1);
+    return value;
 }
 
 int main(void)
