@@ -137,6 +137,27 @@ def test_the_table_of_ticks_is_the_same_tick_for_tick(name):
     assert [(c.time, c.what) for c in parts[-1].contacts] == [(c.time, c.what) for c in table.contacts]
 
 
+def test_a_tick_is_judged_with_the_sample_that_completes_it():
+    """On a link that stamps whole milliseconds the end of a tick and a sample are often one moment, but two sums of floating-point
+    numbers: the tick must not wait for the next sample, 20 ms later."""
+    flight = flight_of("quadx_healthy_hover.bin.xz")
+    grid = np.arange(20_000, 40_000_000, 20_000) * 1e-6
+    held = {}
+    for name in ("motors", "gyro", "accel"):
+        signal = flight[name]
+        at = np.minimum(np.searchsorted(signal.time, signal.time[0] + grid), len(signal) - 1)
+        held[name] = signal.with_arrays(grid, signal.values[at], signal.valid[at])
+    stream, waited = Stream(flight, airframes.identify(flight), READY_S), []
+    for k, now in enumerate(grid):
+        stream.add({name: signal.part(slice(k, k + 1)) for name, signal in held.items()})
+        due, piece = stream.due_s, stream.advance()
+        if piece is not None and piece.sensed is not None and k > 100:
+            assert due <= now
+            waited.append(now - piece.sensed.time[-1])  # `time`: when all is known of the tick
+    assert len(waited) > 100
+    assert max(waited) < 0.02 - 1e-6
+
+
 def splits(sensed, spans):
     """Places where a table may be cut: anywhere but in the first second of a hop."""
     allowed = np.ones(len(sensed), bool)

@@ -25,6 +25,7 @@ AIR_S = 0.2  # nor does anybody ask at once whether the vehicle flies
 FORGET_S = 1.0  # between two clearings of what is not needed any more
 FIRST, FIRST_S, LEAST = 64, 20.0, 20  # commands from which a flight is planned, or so long and so many
 BACK_S = 2.0
+SUM_S = 1e-9  # by which two sums of the same times may differ: a tick does not wait for the next sample because of that
 COMMANDS = ("motors", "lift", "battery")
 CHANGED = 1.2  # factor by which a rate must change to be another one
 
@@ -93,7 +94,7 @@ class Stream:
         known = (
             float(self.plan.first + self.plan.dt * waits) + self.plan.lag_s + max(self.plan.half.values(), default=0.0)
         )
-        return min(known, self.window.now + AIR_S)
+        return min(known - SUM_S, self.window.now + AIR_S)
 
     def replanned(self) -> Flight | None:
         """At the first lift-off: the flight that is kept, when its rates are not those that it was planned by, so that it must be begun
@@ -228,7 +229,7 @@ class Stream:
         ready = np.ones(hi.size, bool) if complete is None else end <= complete
         for name, half in plan.half.items():
             # Motion is averaged around a lag after its commands, and these are at the latest at the end of the tick.
-            known = hi + plan.lag_s + half <= window.newest(name)
+            known = hi + plan.lag_s + half <= window.newest(name) + SUM_S
             ready &= known | (now - end > LATE_S) | (complete == np.inf)
         count = int(np.argmin(ready)) if not ready.all() else hi.size
         if not count:
