@@ -5,12 +5,14 @@ python benchmarks/many.py throughput [LOG]    copies of a log by one process and
 python benchmarks/many.py calls LOG ...       these logs in one call, against a call for each; when the first answer is there
 python benchmarks/many.py workers             a real scheduler with as many workers as asked for, which do nothing
 python benchmarks/many.py kills [LOG]         `kill -9` of workers, scheduler and client at random moments: the same answers?
+python benchmarks/many.py kills --store postgresql DIR     the same for a fleet's store that the logs of a folder are added to
 """
 
 from __future__ import annotations
 
 import argparse
 import asyncio
+import itertools
 import json
 import os
 import random
@@ -219,19 +221,16 @@ def host(given: argparse.Namespace) -> None:
 
 
 def kills(given: argparse.Namespace) -> None:
-    """Judge copies of a log on a cluster of which parts are killed; compare with the answers of an undisturbed call."""
+    """Judge logs on a cluster of which parts are killed; compare with what an undisturbed call leaves."""
     rng = random.Random(given.seed)
-    with tempfile.TemporaryDirectory() as name, cluster(2) as dask:
-        folder = Path(name)
-        (folder / "logs").mkdir()
-        copies(given.log, folder / "logs", given.copies)
-        whole, count, rounds, killed = folder / "whole.jsonl", 0, 0, {"worker": 0, "scheduler": 0, "client": 0}
-        subprocess.run([*COMMAND, folder / "logs", "--jsonl", "-o", whole, "-q", "--jobs", "2"], check=False)
-        wanted = table(whole)
-        assert len(wanted) == given.copies
+    with tempfile.TemporaryDirectory() as name, cluster(2) as dask, outcomes(given, Path(name)) as outcome:
+        count, rounds, killed = 0, 0, {"worker": 0, "scheduler": 0, "client": 0}
+        whole, command, read = outcome()
+        subprocess.run([*command, "--jobs", "2"], check=False)
+        wanted = read(whole)
         while count < given.kills:
-            out, rounds = folder / f"round-{rounds}.jsonl", rounds + 1
-            command = [*COMMAND, folder / "logs", "--jsonl", "-o", out, "--resume", "-q", "--scheduler", dask.address]
+            out, command, read = outcome()
+            command, rounds = [*command, "--scheduler", dask.address], rounds + 1
             client = subprocess.Popen(command, stderr=subprocess.DEVNULL)
             while True:
                 try:
@@ -251,15 +250,64 @@ def kills(given: argparse.Namespace) -> None:
                 dask.mend()
                 if client.poll() is not None:  # the same command goes on
                     client = subprocess.Popen(command, stderr=subprocess.DEVNULL)
-            found = table(out)
-            lines = len(out.read_text().splitlines())
-            same = found == wanted and lines == given.copies
+            same = read(out) == wanted
             print(
-                f"round {rounds}: {count} kills so far ({killed}), {lines} lines, {'the same' if same else 'DIFFERENT'}",
+                f"round {rounds}: {count} kills so far ({killed}), {len(wanted)} rows, {'the same' if same else 'DIFFERENT'}",
                 flush=True,
             )
             if not same:
                 raise SystemExit(1)
+
+
+@contextmanager
+def outcomes(given: argparse.Namespace, folder: Path) -> Iterator[Callable[[], tuple]]:
+    """What gives, each time it is called: (where to, the command that writes there, how that is read)."""
+    logs = given.log
+    if not logs.is_dir():
+        logs = folder / "logs"
+        logs.mkdir()
+        copies(given.log, logs, given.copies)
+    if given.store is None:
+        numbers = itertools.count()
+
+        def lines():
+            out = folder / f"{next(numbers)}.jsonl"
+            return out, [*COMMAND, logs, "--jsonl", "-o", out, "--resume", "-q"], table
+
+        yield lines
+        return
+    with stores(given.store, folder) as fresh:
+
+        def store():
+            url = fresh()
+            return url, [*COMMAND[:-1], "fleet", "add", logs, "--store", url, "-q"], tables
+
+        yield store
+
+
+@contextmanager
+def stores(kind: str, folder: Path) -> Iterator[Callable[[], str]]:
+    """What gives the URL of an empty store each time it is called."""
+    if kind == "sqlite":
+        numbers = itertools.count()
+        yield lambda: str(folder / f"{next(numbers)}.db")
+        return
+    sys.path.insert(0, str(Path(__file__).parents[1]))
+    from tests.postgres_server import Server
+
+    server = Server()
+    try:
+        yield server.url
+    finally:
+        server.close()
+
+
+def tables(url: str) -> list:
+    """All rows of a store."""
+    from rotorwatch.fleet import Store
+
+    with Store(url) as store:
+        return [(name, row) for name in store._t.metadata.tables for row in store.rows(name)]
 
 
 def table(path: Path) -> list[str]:
@@ -292,8 +340,9 @@ def main() -> None:
     one.add_argument("count", type=int)
     one.set_defaults(go=host)
     one = kinds.add_parser("kills")
-    one.add_argument("log", nargs="?", type=Path, default=SAMPLE)
+    one.add_argument("log", nargs="?", type=Path, default=SAMPLE, help="copied so many times, or a folder of logs")
     one.add_argument("--copies", type=int, default=30)
+    one.add_argument("--store", choices=["sqlite", "postgresql"], help="add to the store of a fleet")
     one.add_argument("--kills", type=int, default=200)
     one.add_argument("--least", type=float, default=0.5, help="seconds between two kills, at least")
     one.add_argument("--most", type=float, default=8.0)

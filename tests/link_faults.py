@@ -137,14 +137,14 @@ class Wire(Endpoint):
         pass
 
 
-def watched(datagrams, parameters, kind):
-    """(alerts, link) of a link over which these datagrams come."""
+def watched(datagrams, parameters, kind, record=None):
+    """(alerts, link) of a link over which these datagrams come; record: folder to record in."""
     now, alerts, wire = [0.0], [], Wire()
 
     def tell(alert):
         alerts.append({**alert, "at": now[0] - 1.0})
 
-    link = Link(wire, tell, talks=False, patience_s=math.inf, clock=lambda: now[0])
+    link = Link(wire, tell, talks=False, record=record, patience_s=math.inf, clock=lambda: now[0])
     greeting = Autopilot(parameters)
     wire.queue.append(("a", greeting.packed(mavlink.MAVLink_heartbeat_message(kind, 3, 0x80, 0, 4, 3))))
     link.poll(0.0)

@@ -9,7 +9,7 @@ G = 9.80665
 QUAD, ARDUPILOT = 2, 3
 
 
-def messages(flight, seconds=np.inf, boot_s=30.0, kind=QUAD):
+def messages(flight, seconds=np.inf, boot_s=30.0, kind=QUAD, outputs_hz=25.0, motion_hz=50.0):
     """[(time s, message)] of a flight in time order."""
     out = []
 
@@ -20,14 +20,14 @@ def messages(flight, seconds=np.inf, boot_s=30.0, kind=QUAD):
         return int((t + boot_s) * 1e3)
 
     motors, gyro, accel, attitude = (flight[n] for n in ("motors", "gyro", "accel", "attitude"))
-    for t, row in thin(motors, 25.0):
+    for t, row in thin(motors, outputs_hz):
         pwm = [round(v) for v in row] + [0] * (16 - len(row))
         say(t, lambda t=t, p=pwm: mavlink.MAVLink_servo_output_raw_message(int((t + boot_s) * 1e6) % 2**32, 0, *p))
-    for t, row in thin(accel, 50.0):
+    for t, row in thin(accel, motion_hz):
         at = gyro.values[np.searchsorted(gyro.time, t, "right") - 1]
         values = [int(v) for v in (*np.round(row / G * 1e3), *np.round(at * 1e3))]
         say(t, lambda t=t, v=values: mavlink.MAVLink_raw_imu_message(int((t + boot_s) * 1e6), *v, 0, 0, 0))
-    for t, (w, x, y, z) in thin(attitude, 50.0):
+    for t, (w, x, y, z) in thin(attitude, motion_hz):
         at = gyro.values[np.searchsorted(gyro.time, t, "right") - 1]
         angles = (
             np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y)), np.arcsin(np.clip(2 * (w * y - z * x), -1, 1)),

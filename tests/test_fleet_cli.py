@@ -66,6 +66,13 @@ def test_a_folder_is_added_once(call, folder, quick, tmp_path):
         assert np.shape(trim["effectiveness"]) == (4, 4) and trim["blocks"] > 5
 
 
+def test_a_store_among_its_logs_is_no_log(folder, quick, run):
+    """`fleet simulate --logs` writes both into one folder; SQLite files that are no bags are passed over."""
+    for wanted in ("3 added", "0 added"):
+        code, _, err = run("fleet", "add", folder, "--store", folder / "fleet.db")
+        assert code == 0 and wanted in err and "bag" not in err
+
+
 def test_what_cannot_be_judged_is_said_and_the_rest_added(call, folder, quick):
     (folder / "broken.bin").write_bytes(SAMPLE[:200])
     code, out, err = call("add", folder / "broken.bin", folder / "a.bin")

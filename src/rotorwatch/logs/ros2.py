@@ -27,8 +27,10 @@ _OWN = "/rotorwatch/"  # topics of a diagnosis, which this program writes
 
 
 def sniff(head: bytes, name: str) -> bool:
-    """True for an MCAP file and for an SQLite database; never by name."""
-    return head.startswith((bag_storage.MCAP, bag_storage.SQLITE))
+    """True for an MCAP file and for an SQLite database with topics, or named as bags are: other programs keep theirs in SQLite, too."""
+    if head.startswith(bag_storage.SQLITE):
+        return b"topics" in head or name.lower().endswith(".db3")
+    return head.startswith(bag_storage.MCAP)
 
 
 def read(data, name: str, progress=None) -> Flight:
