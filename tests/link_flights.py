@@ -31,7 +31,7 @@ TRUTH = {  # shared/flights/truth.csv
     "hexax_m3_mul0.80_square_wind": (3,), "octa_healthy_circle_wind": (), "octa_m7_mul0.70_square_wind": (7,),
     "quadx_healthy_hover": (), "quadx_m1_mul0.90_hover": (1,), "quadx_m2_mul0.80_hover_wind": (2,), "quadx_m3_mul0.85_tlog": (3,),
 }  # fmt: skip
-FRAMES = {"quad-x": 2, "hexa-x": 13, "octaquad-x": 14, "y6b": 13}  # with their MAV_TYPE
+FRAMES = {"quad-x": 2, "hexa-x": 13, "octaquad-x": 14, "y6-b": 13}  # with their MAV_TYPE
 SIMULATED = tuple(
     (frame, way, weak)
     for frame in FRAMES

@@ -25,7 +25,7 @@ def messages(flight, seconds=np.inf, boot_s=30.0, kind=QUAD, outputs_hz=25.0, mo
         say(t, lambda t=t, p=pwm: mavlink.MAVLink_servo_output_raw_message(int((t + boot_s) * 1e6) % 2**32, 0, *p))
     for t, row in thin(accel, motion_hz):
         at = gyro.values[np.searchsorted(gyro.time, t, "right") - 1]
-        values = [int(v) for v in (*np.round(row / G * 1e3), *np.round(at * 1e3))]
+        values = [int(v) for v in np.clip(np.round([*row / G * 1e3, *at * 1e3]), -32768, 32767)]
         say(t, lambda t=t, v=values: mavlink.MAVLink_raw_imu_message(int((t + boot_s) * 1e6), *v, 0, 0, 0))
     for t, (w, x, y, z) in thin(attitude, motion_hz):
         at = gyro.values[np.searchsorted(gyro.time, t, "right") - 1]

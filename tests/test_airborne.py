@@ -189,6 +189,14 @@ def test_a_gap_in_the_commands_separates_flights():
     assert len(found) == 2 and found[0][1] == pytest.approx(25, abs=0.1) and found[1][0] == pytest.approx(32, abs=0.2)
 
 
+def test_a_short_gap_is_no_landing():
+    """A link or a disk that stops for 3 s in the air: what was learned before holds after it."""
+    flight = made_up([(10, 50)])
+    short = {name: signal.with_arrays(*(a[(signal.time < 25) | (signal.time > 28)] for a in (signal.time, signal.values, signal.valid)))
+             for name, signal in flight.signals.items()}  # fmt: skip
+    assert len(airborne(replace(flight, signals=short))) == 1
+
+
 def test_missing_commands_are_held():
     flight = made_up([(10, 50)])
     valid = flight["motors"].valid.copy()

@@ -12,7 +12,7 @@ import rotorwatch as rw
 from rotorwatch.errors import ConfigError
 from rotorwatch.experiments import damage
 from rotorwatch.experiments.fuzz_framed import KINDS, OUTCOMES, Task, fuzz_framed
-from rotorwatch.logs import mavlink_frames, series
+from rotorwatch.logs import mavlink_frames, mavlink_messages, series
 from rotorwatch.logs.dataflash_binary import BinaryLog
 from rotorwatch.logs.dataflash_clock import make_clock
 from rotorwatch.report import terminal
@@ -209,9 +209,7 @@ def test_check_sums_of_a_telemetry_log_are_made_right():
         pytest.skip("the flight logs for tests are not here (../shared/flights)")
     data = lzma.open(TLOG).read()[:200_000]
     damaged = damage.damaged(data, damage.records(data, "a.tlog"), "bit flips", 0.2, np.random.default_rng(1))
-    from pymavlink.dialects.v20 import ardupilotmega
-
-    layouts = {c.id: c for c in ardupilotmega.mavlink_map.values()}
+    layouts = mavlink_messages.by_id()
     for bytes_ in (data, damaged):
         frames = mavlink_frames.Frames(bytes_, layouts)
         whole = sum(len(places) for places, _ in frames.found.values())

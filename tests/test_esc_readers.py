@@ -6,11 +6,13 @@ import struct
 import numpy as np
 import pytest
 
-from rotorwatch.logs import dataflash, esc_columns, mavlink_esc, mavlink_frames, memory, px4_topics, tlog
+from rotorwatch.logs import dataflash, esc_columns, mavlink_frames, mavlink_messages, memory, px4_topics, tlog
 from test_dataflash import RCOU, pwm
 from test_dataflash import Writer as DataFlash
 from test_logs_px4 import topics
 from test_logs_tlog import Writer as Telemetry
+
+INFO, STATUS = (mavlink_messages.by_name()[name] for name in ("ESC_INFO", "ESC_STATUS"))
 
 RPM = np.pi / 30.0
 ESC_OF_EACH_AGE = {
@@ -148,9 +150,9 @@ def test_mavlink_telemetry_of_ardupilot(reverse):
 
 def frame(layout, *fields):
     """A record of a telemetry log: stamp, MAVLink 2 header, payload without its last zeros, check sum. pymavlink lacks these messages."""
-    payload = layout.unpacker.pack(*fields).rstrip(b"\0")
+    payload = struct.pack(layout.form, *fields).rstrip(b"\0")
     body = struct.pack("<BBBBBB", len(payload), 0, 0, 0, 1, 1) + layout.id.to_bytes(3, "little") + payload
-    check_sum = mavlink_frames.checksum(np.frombuffer(body, np.uint8)[None], layout.crc_extra)[0]
+    check_sum = mavlink_frames.checksum(np.frombuffer(body, np.uint8)[None], layout.seed)[0]
     return struct.pack(">Q", 1_700_000_000_000_000) + b"\xfd" + body + struct.pack("<H", check_sum)
 
 
@@ -165,14 +167,14 @@ def test_the_seeds_of_check_sums_follow_from_the_definitions():
         "f": "float",
         "B": "uint8_t",
     }
-    for layout in mavlink_esc.LAYOUTS:
-        text = f"{layout.msgname} ".encode()
+    for layout in (INFO, STATUS):
+        text = f"{layout.name} ".encode()
         for name, (count, code) in zip(
-            layout.ordered_fieldnames, re.findall(r"(\d*)([A-Za-z])", layout.unpacker.format), strict=True
+            layout.fields, re.findall(r"(\d*)([A-Za-z])", layout.form), strict=True
         ):
             text += f"{kinds[code]} {name} ".encode() + (bytes([int(count)]) if count else b"")
         crc = int(mavlink_frames.checksum(np.frombuffer(text[:-1], np.uint8)[None], text[-1])[0])
-        assert (crc & 0xFF) ^ (crc >> 8) == layout.crc_extra, layout.msgname
+        assert (crc & 0xFF) ^ (crc >> 8) == layout.seed, layout.name
 
 
 def test_mavlink_status_of_px4():
@@ -183,8 +185,8 @@ def test_mavlink_status_of_px4():
         for first in (0, 4):
             number = first + np.arange(4)
             info = (us, *[0] * 4, k, *[0] * 4, 4250, 4250, 32767, 4250, first, 6, 4, 63)
-            log.data += frame(mavlink_esc.LAYOUTS[0], *info)
-            log.data += frame(mavlink_esc.LAYOUTS[1], us, *(6000 + number), *[15.5] * 4, *(4.0 + number), first)
+            log.data += frame(INFO, *info)
+            log.data += frame(STATUS, us, *(6000 + number), *[15.5] * 4, *(4.0 + number), first)
     esc = tlog.read(log.data, "x.tlog")["esc"]
     k = np.arange(6)
     assert esc.columns[5] == "speed6" and len(esc.columns) == 24

@@ -1,5 +1,10 @@
 """Frames out of the bytes of a link, and what the less usual messages say of a signal."""
 
+import json
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -7,7 +12,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from rotorwatch.live import frames, rotors, senders
 from rotorwatch.live.clock import Restarted
 from rotorwatch.live.mavlink import Messages, layouts
-from rotorwatch.logs import tlog
+from rotorwatch.logs import mavlink_messages, tlog
 
 
 def packed(count, rng, second=True, signed=False):
@@ -214,3 +219,51 @@ def test_a_rotor_that_stands_is_said_by_its_esc():
     said.clear()
     fly(3.0, [0] * 4)  # all of them: the motors were switched off, or the telemetry is gone
     assert said == []
+
+
+SENT = (
+    ("HEARTBEAT", {"type": 18, "autopilot": 8, "system_status": 4, "mavlink_version": 3}),
+    ("PARAM_REQUEST_LIST", {"target_system": 7, "target_component": 1}),
+    ("PARAM_REQUEST_READ", {"target_system": 7, "target_component": 1, "param_id": b"MOT_SPIN_MIN", "param_index": -1}),
+    ("COMMAND_LONG", {"target_system": 7, "target_component": 1, "command": 511, "param1": 36.0, "param2": 20000.0}),
+    ("REQUEST_DATA_STREAM", {"target_system": 7, "req_stream_id": 3, "req_message_rate": 50, "start_stop": 1}),
+    ("STATUSTEXT", {"severity": 2, "text": b"rotorwatch: rotor 3 lost 37 % (33-41)"}),
+    ("NAMED_VALUE_FLOAT", {"time_boot_ms": 70_000, "name": b"rw_loss3", "value": 0.37}),
+    ("GPS_STATUS", {"satellites_visible": 2, "satellite_prn": [*range(20)]}),
+)
+
+
+@pytest.mark.parametrize("first_version", [False, True])
+@pytest.mark.parametrize("name, values", SENT)
+def test_what_is_sent_is_what_pymavlink_reads_and_writes(name, values, first_version):
+    sender, parser = frames.Sender(254, 191), mavlink.MAVLink(None)
+    pack = mavlink.MAVLink(None, srcSystem=254, srcComponent=191)
+    for _ in range(300):  # more than running numbers there are
+        frame = sender.frame(frames.outgoing(name, **values), first_version)
+        (message,) = parser.parse_buffer(frame)
+        assert message.get_type() == name and message.get_seq() == pack.seq
+        for field, value in values.items():
+            wanted = value.decode() if isinstance(value, bytes) else pytest.approx(value)
+            assert getattr(message, field) == wanted
+        assert frame == message.pack(pack, force_mavlink1=first_version)
+        pack.seq = (pack.seq + 1) % 256
+
+
+def test_a_field_that_a_message_does_not_have_is_refused():
+    with pytest.raises(TypeError, match="HEARTBEAT has no field kind"):
+        frames.outgoing("HEARTBEAT", kind=2)
+
+
+def test_the_table_of_messages_is_that_of_pymavlink():
+    """tools/mavlink_messages.py writes it; after pymavlink has new messages: again."""
+    tool = Path(__file__).parents[1] / "tools" / "mavlink_messages.py"
+    said = subprocess.run(
+        [sys.executable, "-c", f"import runpy; print(runpy.run_path({str(tool)!r})['text'](), end='')"],
+        capture_output=True, text=True, check=True,
+    ).stdout  # fmt: skip
+    table = json.loads((Path(mavlink_messages.__file__).with_suffix(".json")).read_text("utf-8"))
+    theirs = json.loads(said)
+    # A later pymavlink may know more, and may extend messages at their ends; ids, seeds and what is there do not change.
+    for name, (number, seed, form, fields) in table.items():
+        assert theirs[name][:2] == [number, seed] and theirs[name][2].startswith(form), name
+        assert theirs[name][3][: len(fields)] == fields, name

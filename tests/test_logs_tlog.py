@@ -9,7 +9,7 @@ import pytest
 
 from rotorwatch import logs
 from rotorwatch.errors import LogError
-from rotorwatch.logs import mavlink_frames, tlog
+from rotorwatch.logs import mavlink_frames, mavlink_messages, tlog
 
 FLIGHTS = Path(__file__).parents[2] / "shared" / "flights"
 LOG = FLIGHTS / "ardupilot-sitl" / "quadx_m3_mul0.85_tlog.tlog.xz"
@@ -53,8 +53,8 @@ def test_every_wanted_field_equals_pymavlinks():
     from pymavlink.dialects.v20 import ardupilotmega
 
     data = lzma.decompress(LOG.read_bytes())[:600_000]
-    layouts = {c.msgname: c for c in ardupilotmega.mavlink_map.values()}
-    frames = mavlink_frames.Frames(data, (c.id for c in layouts.values()))
+    layouts = mavlink_messages.by_name()
+    frames = mavlink_frames.Frames(data, mavlink_messages.by_id())
     parser = ardupilotmega.MAVLink(None)
     parser.robust_parsing = True
     theirs: dict[str, list] = {}

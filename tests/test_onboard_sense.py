@@ -139,7 +139,7 @@ def test_commands_that_stop_for_long_leave_ticks_out(tmp_path):
     signals = {}
     for name, signal in flight.signals.items():
         middle = signal.time[0] + 20.0
-        gap = (signal.time > middle) & (signal.time < middle + 9.0) & np.isin(name, ("motors", "control"))
+        gap = (signal.time > middle) & (signal.time < middle + 13.0) & np.isin(name, ("motors", "control"))
         signals[name] = signal.with_arrays(signal.time[~gap], signal.values[~gap], signal.valid[~gap])
     wanted, got, _ = compared(tmp_path, replace(flight, signals=signals), vehicle)
     assert np.diff(wanted[:, 0]).max() > 4.0

@@ -3,7 +3,7 @@
 #include <math.h>
 #include <string.h>
 
-static const rw_time TICK_S = 0.05, GAP_S = 2.0, WINDOW_S = 0.5, FRESH_S = 1.0;
+static const rw_time TICK_S = 0.05, GAP_S = 4.0, WINDOW_S = 0.5, FRESH_S = 1.0;
 static const rw_real G0 = (rw_real)9.80665;
 static const rw_real IDLE_S = 2, HOVER_S = 5;                    /* time constants of the idle command, and of that in the air */
 static const rw_real RISE = (rw_real)0.08;                       /* command above idle below which nothing flies */

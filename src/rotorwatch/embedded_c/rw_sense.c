@@ -7,7 +7,7 @@
 
 static const double G0 = 9.80665;
 static const rw_time HALF_SECOND = 0.5; /* side forces are averaged over, and vibration is held against */
-static const rw_time LATE_S = 0.9, GAP_S = 2.0;
+static const rw_time LATE_S = 0.9, GAP_S = 4.0;
 static const double MOST_TICKS = 1e9; /* numbers of ticks stay in 32 bits: a clock that jumped farther is not followed */
 static const rw_time NO_COMMAND_S = 0.2; /* after a tick: there was none in it; the motion is kept for longer */
 

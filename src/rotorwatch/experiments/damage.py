@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rotorwatch.errors import ConfigError
-from rotorwatch.logs import dataflash, mavlink_frames, tlog, ulog
+from rotorwatch.logs import dataflash, mavlink_frames, mavlink_messages, tlog, ulog
 from rotorwatch.logs.dataflash_binary import BinaryLog
 
 SWAP_WITHIN = 10  # records: how far a swapped record moves, as buffers that are written out of order move it
@@ -128,9 +128,7 @@ def _ulog(data: bytes) -> Records:
 
 def _tlog(data: bytes) -> Records:
     """Messages of all kinds that the dialect knows, with the autopilot's own stamp where they begin with one."""
-    from pymavlink.dialects.v20 import ardupilotmega
-
-    layouts = {layout.id: layout for layout in ardupilotmega.mavlink_map.values()}
+    layouts = mavlink_messages.by_id()
     frames = mavlink_frames.Frames(data, layouts)
     rows, extras = [], []
     for (_, _, message), (starts, _) in frames.found.items():
@@ -143,7 +141,7 @@ def _tlog(data: bytes) -> Records:
             signed = 13 if data[start] == 0xFD and data[start + 2] & 1 else 0
             known = size if offset + size <= data[start + 1] else 0  # MAVLink 2 cuts zeros off the end
             rows.append((start - 8, body_end + 2 + signed, start + head, body_end, start + head + offset, known))
-            extras.append(layouts[message].crc_extra)
+            extras.append(layouts[message].seed)
     order = np.argsort([r[0] for r in rows], kind="stable")
     table, extra = np.array(rows, np.int64).reshape(-1, 6)[order], np.array(extras)[order]
 

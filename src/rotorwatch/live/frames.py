@@ -1,4 +1,4 @@
-"""Bytes of a link -> sound MAVLink frames. Frame format and check sum: https://mavlink.io/en/guide/serialization.html
+"""Bytes of a link -> sound MAVLink frames, and messages -> frames. Frame format and check sum: https://mavlink.io/en/guide/serialization.html
 
 pymavlink's parser makes an object of every message, which costs more than all that is done with it later; here a frame stays bytes.
 """
@@ -7,6 +7,9 @@ from __future__ import annotations
 
 from binascii import crc_hqx
 from functools import cache
+from typing import NamedTuple
+
+from rotorwatch.logs import mavlink_messages
 
 V1, V2 = 0xFE, 0xFD
 SIGNED = 0x01
@@ -25,11 +28,7 @@ def sums(frame: bytes, extra: int) -> bytes:
 @cache
 def seeds() -> dict[int, int]:
     """Message id -> seed of its check sum, of all messages that are known."""
-    from pymavlink.dialects.v20 import ardupilotmega
-
-    from rotorwatch.logs import mavlink_esc
-
-    return {c.id: c.crc_extra for c in (*mavlink_esc.LAYOUTS, *ardupilotmega.mavlink_map.values())}
+    return {number: message.seed for number, message in mavlink_messages.by_id().items()}
 
 
 class Frames:
@@ -99,3 +98,33 @@ def _next(data: bytes, at: int, size: int) -> int:
     """Where the next frame may begin."""
     places = [p for p in (data.find(V1, at), data.find(V2, at)) if p >= 0]
     return min(places, default=size)
+
+
+class Outgoing(NamedTuple):
+    """A message that is to be sent: its name, and its payload."""
+
+    name: str
+    payload: bytes
+
+
+def outgoing(name: str, /, **values) -> Outgoing:
+    """A message with these values; fields that are left out are 0."""
+    return Outgoing(name, mavlink_messages.by_name()[name].payload(**values))
+
+
+class Sender:
+    """What makes frames of messages, with running numbers of its own."""
+
+    def __init__(self, system: int, component: int):
+        self._who, self._sequence = (system, component), 0
+
+    def frame(self, message: Outgoing, first_version: bool = False) -> bytes:
+        """The next frame, of MAVLink 2 or 1."""
+        about, payload = mavlink_messages.by_name()[message.name], message.payload
+        if first_version:
+            head = bytes((V1, len(payload), self._sequence, *self._who, about.id))
+        else:
+            payload = payload.rstrip(b"\0") or b"\0"
+            head = bytes((V2, len(payload), 0, 0, self._sequence, *self._who)) + about.id.to_bytes(3, "little")
+        self._sequence = (self._sequence + 1) % 256
+        return head + payload + sums(head + payload, about.seed)

@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from rotorwatch.live.changes import WITHDRAWN
+from rotorwatch.live.frames import Outgoing, outgoing
 from rotorwatch.live.link import Link
 from rotorwatch.live.watch import Source
 
@@ -147,15 +148,11 @@ def words(alert: dict) -> str:
     return what.encode("ascii", "replace").decode()[:MOST]
 
 
-def text(alert: dict):
+def text(alert: dict) -> Outgoing:
     """The STATUSTEXT of an alert."""
-    from pymavlink.dialects.v20 import ardupilotmega
-
-    return ardupilotmega.MAVLink_statustext_message(severity(alert), words(alert).encode())
+    return outgoing("STATUSTEXT", severity=severity(alert), text=words(alert).encode())
 
 
-def value(boot_ms: int, rotor: int, loss: float):
+def value(boot_ms: int, rotor: int, loss: float) -> Outgoing:
     """The NAMED_VALUE_FLOAT of a rotor's loss, 0 to 1."""
-    from pymavlink.dialects.v20 import ardupilotmega
-
-    return ardupilotmega.MAVLink_named_value_float_message(boot_ms, f"rw_loss{rotor}".encode(), loss)
+    return outgoing("NAMED_VALUE_FLOAT", time_boot_ms=boot_ms, name=f"rw_loss{rotor}".encode(), value=loss)

@@ -17,7 +17,7 @@ from rotorwatch.flight.vehicle_kind import OTHERS
 from rotorwatch.live import mavlink, talk
 from rotorwatch.live.clock import Restarted
 from rotorwatch.live.endpoint import Endpoint
-from rotorwatch.live.frames import Frames
+from rotorwatch.live.frames import Frames, Outgoing, Sender
 from rotorwatch.live.senders import Senders
 from rotorwatch.live.watched import Tell, Watched
 from rotorwatch.logs.px4_topics import MAV_TYPES
@@ -188,7 +188,7 @@ class Heard:
             )
         )  # fmt: skip
 
-    def _send(self, message: Any) -> None:
+    def _send(self, message: Outgoing) -> None:
         self._link.send(message, self.peer)
 
     def waits_for(self) -> str:
@@ -223,8 +223,8 @@ class Link:
         self._refused: set[int] = set()
         self.frames = self._damaged_before = 0
         self._began, self._beat = clock(), 0.0
-        self._pack = talk.messages().MAVLink(None, srcSystem=talk.SYSTEM, srcComponent=talk.COMPONENT)
-        self._tellers: dict[int, Any] = {}
+        self._sender = Sender(talk.SYSTEM, talk.COMPONENT)
+        self._tellers: dict[int, Sender] = {}
         self._first_version = False
         self._file = self._open(record) if record is not None else None
         self.trouble = ""
@@ -282,21 +282,17 @@ class Link:
             f"{f' (only {others})' if others else ''}; check the address, and that the vehicle is on and sends here."
         )
 
-    def send(self, message: Any, peer: Any = None) -> None:
+    def send(self, message: Outgoing, peer: Any = None) -> None:
         """A message to one peer, or to all."""
-        self.endpoint.send(message.pack(self._pack, force_mavlink1=self._first_version), peer)
-        self._pack.seq = (self._pack.seq + 1) % 256
+        self.endpoint.send(self._sender.frame(message, self._first_version), peer)
 
-    def tell(self, name: str, message: Any) -> None:
+    def tell(self, name: str, message: Outgoing) -> None:
         """Something said to all who listen, as by an onboard computer of the vehicle of this name."""
         system = next((key[0] for key, heard in self._heard.items() if heard.watched.name == name), None)
         if system is None or not self.talks:
             return
-        pack = self._tellers.get(system)
-        if pack is None:
-            pack = self._tellers[system] = talk.messages().MAVLink(None, srcSystem=system, srcComponent=talk.COMPONENT)
-        self.endpoint.send(message.pack(pack, force_mavlink1=self._first_version))
-        pack.seq = (pack.seq + 1) % 256
+        sender = self._tellers.setdefault(system, Sender(system, talk.COMPONENT))
+        self.endpoint.send(sender.frame(message, self._first_version))
 
     def boot_ms(self, name: str) -> int:
         """The vehicle's own time, as its messages tell it."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from rotorwatch.flight import Message, Signal
 from rotorwatch.live.clock import Clock
-from rotorwatch.logs import mavlink_esc, mavlink_frames, tlog
+from rotorwatch.logs import mavlink_esc, mavlink_frames, mavlink_messages, tlog
 
 AUTOPILOTS = {3: "ArduPilot", 12: "PX4"}
 UNKNOWN_S = 2.0  # a message that tells of a signal and falls silent for so long gives way to another one
@@ -87,9 +87,7 @@ def header(frame: bytes) -> tuple[int, int, int, int]:
 
 @cache
 def _answers() -> dict[int, np.dtype]:
-    from pymavlink.dialects.v20 import ardupilotmega
-
-    return {i: mavlink_frames.payload_type(ardupilotmega.mavlink_map[i]) for i in (77, 148, 244)}
+    return {i: mavlink_frames.payload_type(mavlink_messages.by_id()[i]) for i in (77, 148, 244)}
 
 
 def decoded(identity: int, frame: bytes) -> dict[str, Any] | None:

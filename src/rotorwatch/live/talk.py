@@ -9,9 +9,9 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable, Mapping
-from typing import Any
 
 from rotorwatch.backend import cache_folder
+from rotorwatch.live.frames import Outgoing, outgoing
 
 SYSTEM, COMPONENT = 254, 191
 REQUEST_MESSAGE, SET_INTERVAL, GET_INTERVAL = 512, 511, 510
@@ -27,19 +27,16 @@ IDS = {
 }
 STREAMS = {"IMU": 1, "SYS_STATUS": 2, "SERVO_OUTPUT_RAW": 3, "LOCAL_POSITION_NED": 6, "ATTITUDE": 10}
 
-Send = Callable[[Any], None]
+Send = Callable[[Outgoing], None]
 
 
-def messages() -> Any:
-    """pymavlink's dialect."""
-    from pymavlink.dialects.v20 import ardupilotmega
-
-    return ardupilotmega
+def heartbeat() -> Outgoing:
+    """What keeps links open that only answer to those who speak: an onboard computer (18) without an autopilot (8), active (4)."""
+    return outgoing("HEARTBEAT", type=18, autopilot=8, system_status=4, mavlink_version=3)
 
 
-def heartbeat() -> Any:
-    """What keeps links open that only answer to those who speak."""
-    return messages().MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3)
+def _to(system: int, component: int) -> dict[str, int]:
+    return {"target_system": system, "target_component": component}
 
 
 class Parameters:
@@ -47,7 +44,7 @@ class Parameters:
     kept: they have been made use of."""
 
     def __init__(self, system: int, component: int):
-        self._to, self._next, self._round = (system, component), 0.0, 0
+        self._to, self._next, self._round = _to(system, component), 0.0, 0
         self._there: set[int] = set()
         self.count = 0
         self.given_up = self.kept = False
@@ -78,12 +75,12 @@ class Parameters:
             self.given_up = True
             return
         if not self.count:
-            send(messages().MAVLink_param_request_list_message(*self._to))
+            send(outgoing("PARAM_REQUEST_LIST", **self._to))
             self._next = now + LIST_S
             return
         missing = [k for k in range(self.count) if k not in self._there]
         for k in missing[:AT_ONCE]:
-            send(messages().MAVLink_param_request_read_message(*self._to, b"", k))
+            send(outgoing("PARAM_REQUEST_READ", **self._to, param_index=k))
         self._next = now + MISSING_S
 
 
@@ -91,7 +88,7 @@ class Identity:
     """Which vehicle and firmware it is. key: for the cache of its parameters; None as long as that is not known."""
 
     def __init__(self, system: int, component: int):
-        self._to, self._asked, self._next = (system, component), 0, 0.0
+        self._to, self._asked, self._next = _to(system, component), 0, 0.0
         self.key: str | None = None
 
     def took(self, uid: int, uid2: bytes, version: int, autopilot: str) -> None:
@@ -102,7 +99,7 @@ class Identity:
     def step(self, now: float, send: Send) -> None:
         if self.key is None and self._asked < TRIES and now >= self._next:
             self._asked, self._next = self._asked + 1, now + ACK_S
-            send(messages().MAVLink_command_long_message(*self._to, REQUEST_MESSAGE, 0, VERSION_ID, 0, 0, 0, 0, 0, 0))
+            send(outgoing("COMMAND_LONG", **self._to, command=REQUEST_MESSAGE, param1=VERSION_ID))
 
 
 class Rates:
@@ -111,7 +108,7 @@ class Rates:
     def __init__(self, system: int, component: int, autopilot: str, slow: bool):
         imu = "HIGHRES_IMU" if autopilot == "PX4" else "RAW_IMU"
         wanted = {**(SLOW if slow else FAST), **BESIDES}
-        self._to, self._imu = (system, component), imu
+        self._to, self._imu = _to(system, component), imu
         self._left = [(imu if name == "IMU" else name, hz) for name, hz in wanted.items()]
         self._tries, self._next, self._asked = 0, 0.0, False
         self._before: dict[int, int] = {}
@@ -163,15 +160,19 @@ class Rates:
             send(self._command(GET_INTERVAL, IDS[name], 0))
         send(self._command(SET_INTERVAL, IDS[name], 1e6 / hz))
 
-    def _command(self, command: int, message: int, interval: float):
-        return messages().MAVLink_command_long_message(*self._to, command, 0, message, interval, 0, 0, 0, 0, 0)
+    def _command(self, command: int, message: int, interval: float) -> Outgoing:
+        return outgoing("COMMAND_LONG", **self._to, command=command, param1=message, param2=interval)
+
+    def _stream(self, stream: int, hz: int, start: bool) -> Outgoing:
+        asked = {"req_stream_id": stream, "req_message_rate": hz, "start_stop": start}
+        return outgoing("REQUEST_DATA_STREAM", **self._to, **asked)
 
     def _by_streams(self, send: Send, seen_hz: Mapping[str, float]) -> None:
         for name, hz in self._all.items():
             stream = STREAMS.get("IMU" if name == self._imu else name)
             if stream is not None:
                 self._streams[stream] = round(seen_hz.get(name, 0.0))
-                send(messages().MAVLink_request_data_stream_message(*self._to, stream, round(hz), 1))
+                send(self._stream(stream, round(hz), True))
         self._left = []
 
     def give_back(self, send: Send) -> None:
@@ -180,7 +181,7 @@ class Rates:
             before = self._before.get(message, 0)
             send(self._command(SET_INTERVAL, message, before if before else 0))
         for stream, hz in self._streams.items():
-            send(messages().MAVLink_request_data_stream_message(*self._to, stream, max(hz, 1), 1 if hz else 0))
+            send(self._stream(stream, max(hz, 1), hz > 0))
         self._set, self._streams, self._left = [], {}, []
 
 

@@ -10,9 +10,7 @@ order of the motors. https://mavlink.io/en/messages/common.html#ESC_STATUS, http
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -22,30 +20,6 @@ from rotorwatch.logs import esc_columns
 TELEMETRY = tuple(f"ESC_TELEMETRY_{n}_TO_{n + 3}" for n in range(1, 33, 4))
 STATUS, INFO = "ESC_STATUS", "ESC_INFO"
 NO_TEMPERATURE = 32767
-
-
-@dataclass(frozen=True)
-class Layout:
-    """A message that pymavlink's dialects do not have, described as their classes are."""
-
-    msgname: str
-    id: int
-    crc_extra: int
-    unpacker: struct.Struct
-    ordered_fieldnames: tuple[str, ...]
-
-    @property
-    def fieldnames(self) -> tuple[str, ...]:
-        return self.ordered_fieldnames
-
-
-LAYOUTS = (
-    Layout(INFO, 290, 251, struct.Struct("<Q4IH4H4hBBBB"), (
-        *("time_usec", "error_count", "counter", "failure_flags", "temperature", "index", "count", "connection_type", "info"),
-    )),
-    Layout(STATUS, 291, 10, struct.Struct("<Q4i4f4fB"), ("time_usec", "rpm", "voltage", "current", "index")),
-)  # fmt: skip
-"""MAVLink's common messages; the check sums' seeds follow from names and types as MAVLink's serialization guide has it."""
 
 
 def read(get: Callable, outputs: Sequence[int], notes: list[str]) -> Signal | None:

@@ -1,7 +1,7 @@
 """MAVLink frames from a telemetry log, decoded a message type at a time.
 
-A telemetry log repeats: time of receipt (8 bytes, big endian, us since 1970), then one MAVLink 1 or 2 frame. Layouts
-come from pymavlink's dialect; its own reader takes message after message, at about 2 MB/s.
+A telemetry log repeats: time of receipt (8 bytes, big endian, us since 1970), then one MAVLink 1 or 2 frame. pymavlink's reader takes
+message after message, at about 2 MB/s.
 Frame format and check sum: https://mavlink.io/en/guide/serialization.html
 """
 
@@ -10,6 +10,8 @@ from __future__ import annotations
 from array import array
 
 import numpy as np
+
+from rotorwatch.logs.mavlink_messages import Message, parts
 
 _STAMP = 8
 _V1, _V2 = 0xFE, 0xFD
@@ -60,10 +62,10 @@ class Frames:
                 progress(0.5 + 0.4 * at / size)
         self.count = count
 
-    def decode(self, source: int, component: int, layout) -> tuple[np.ndarray, np.ndarray]:
+    def decode(self, source: int, component: int, layout: Message) -> tuple[np.ndarray, np.ndarray]:
         """All sound messages of one type: (structured array, (n,) running number of the frame in the file).
 
-        layout: the message's class in a pymavlink dialect. Frames whose check sum is wrong are left out.
+        Frames whose check sum is wrong are left out.
         """
         starts, order = (np.array(a, np.int64) for a in self.found.get((source, component, layout.id), ((), ())))
         kind = payload_type(layout)
@@ -77,11 +79,11 @@ class Frames:
             same = np.flatnonzero((header == head) & (length == n))
             block = self._bytes[starts[same, None] + np.arange(head + n + 2)]
             said = block[:, -2].astype(np.int64) | block[:, -1].astype(np.int64) << 8
-            sound[same] = said == checksum(block[:, 1:-2], layout.crc_extra)
+            sound[same] = said == checksum(block[:, 1:-2], layout.seed)
             payload[same, : min(n, kind.itemsize)] = block[:, head : head + min(n, kind.itemsize)]
         return payload[sound].view(kind)[:, 0], order[sound]
 
-    def received(self, source: int, component: int, layout) -> np.ndarray:
+    def received(self, source: int, component: int, layout: Message) -> np.ndarray:
         """(n,) s since 1970 at which the ground station received each frame of one type, sound or not."""
         starts = np.array(self.found.get((source, component, layout.id), ((),))[0], np.int64)
         stamps = self._bytes[starts[:, None] - _STAMP + np.arange(_STAMP)]
@@ -94,22 +96,12 @@ def _next_magic(data, at: int) -> int:
     return min(places, default=len(data))
 
 
-def payload_type(layout) -> np.dtype:
+def payload_type(layout: Message) -> np.dtype:
     """numpy type of a message's payload as it is on the wire."""
     codes = {"b": "i1", "B": "u1", "h": "<i2", "H": "<u2", "i": "<i4", "I": "<u4", "q": "<i8", "Q": "<u8"}
     codes |= {"f": "<f4", "d": "<f8", "c": "S1"}
     fields = []
-    text = layout.unpacker.format
-    text = (text.decode() if isinstance(text, bytes) else text).lstrip("<")
-    parts, number = [], ""
-    for c in text:
-        if c.isdigit():
-            number += c
-        else:
-            parts.append((c, int(number or 1)))
-            number = ""
-    # One part a field: "3H" is an array, "16s" a text. Repeated single codes are fields of their own.
-    for name, (code, n) in zip(layout.ordered_fieldnames, parts, strict=True):
+    for name, (code, n) in zip(layout.fields, parts(layout.form), strict=True):
         if code == "s":
             fields.append((name, f"S{n}"))
         else:

@@ -12,7 +12,7 @@ import numpy as np
 from rotorwatch.errors import LogError
 from rotorwatch.flight import Flight, Message, Signal
 from rotorwatch.flight.vehicle_kind import OTHERS
-from rotorwatch.logs import mavlink_esc, mavlink_frames, parameter_ranges, series, wall_clock
+from rotorwatch.logs import mavlink_esc, mavlink_frames, mavlink_messages, parameter_ranges, series, wall_clock
 from rotorwatch.logs.dataflash_clock import make_clock
 from rotorwatch.logs.px4_topics import MAV_TYPES
 
@@ -67,12 +67,10 @@ def read(data, name: str, progress=None) -> Flight:
     )
 
 
-def layouts() -> dict:
-    """Message name -> its class in pymavlink's dialect: of all that are read."""
-    from pymavlink.dialects.v20 import ardupilotmega
-
-    known = {layout.msgname: layout for layout in (*mavlink_esc.LAYOUTS, *ardupilotmega.mavlink_map.values())}
-    clocked = {n for n, c in known.items() if {"time_boot_ms", "time_usec"} & set(c.fieldnames)}
+def layouts() -> dict[str, mavlink_messages.Message]:
+    """All messages that are read, by name."""
+    known = mavlink_messages.by_name()
+    clocked = {n for n, c in known.items() if {"time_boot_ms", "time_usec"} & set(c.fields)}
     return {n: known[n] for n in (clocked | UNTIMED & known.keys()) - _SIMULATOR}
 
 

@@ -24,7 +24,7 @@ from rotorwatch.motion.contact import G0, Contact, Shaken, look_back, struck, vi
 
 LAG_S = 0.02
 SIDE_S = 0.5  # side forces are averaged over: they change as slowly as speed and wind, and vibration is louder
-GAP_S = 2.0  # without any command: a flight ends there, see airborne.py
+GAP_S = 4.0  # without any command: a flight ends there, see airborne.py
 SETTLE_S = 1.0  # after lift-off: the first second gives the hover command and is not judged
 UPSET_RATE = 6.0  # rad/s of roll or pitch rate: the vehicle tumbles, hover physics is over
 UPSET_TILT = np.cos(np.radians(65.0))
