@@ -179,6 +179,8 @@ def diagnose(
     if many:
         logs = tuple(found)
     pages, recordings = report_paths(logs, report), report_paths(logs, mcap, "--mcap", ".mcap")
+    if pages or html:
+        optional.library("bokeh", "--report" if pages else "--html")
     if recordings:
         optional.library("mcap", "--mcap")
     if many:
@@ -318,6 +320,8 @@ def demo(report, quiet) -> None:
     if not samples:
         raise ConfigError("This installation has no sample flights; reinstall rotorwatch.")
     page = report_paths((samples[-1],), report)
+    if page:
+        optional.library("bokeh", "--report")
     for sample in samples:
         with progress(quiet) as tell:
             result = run(_read(sample, tell), progress=tell)

@@ -246,7 +246,7 @@ class Diagnosis:
         return json.dumps(self.to_dict(), indent=indent, allow_nan=False)
 
     def to_html(self, path) -> None:
-        """Write the self-contained HTML report to `path` (atomically)."""
+        """Write the self-contained HTML report to `path` (atomically). Raises ConfigError where Bokeh is not installed."""
         from rotorwatch.report.html import write
 
         write(self, path)

@@ -11,7 +11,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from rotorwatch import __version__, report
+from rotorwatch import __version__, optional, report
 from rotorwatch.diagnosis import Diagnosis, RotorState
 from rotorwatch.errors import ConfigError
 from rotorwatch.report import colours, drawing, figures, words
@@ -47,7 +47,8 @@ def write(diagnosis: Diagnosis, path: str | os.PathLike) -> None:
 
 
 def page(diagnosis: Diagnosis) -> str:
-    """The page's HTML text."""
+    """The page's HTML text. Raises ConfigError without Bokeh."""
+    optional.library("bokeh", "An HTML report")
     title = str(diagnosis.flight.get("name") or "flight")
     plots = figures.plots(diagnosis)
     scripts, divs = _embed(plots)
