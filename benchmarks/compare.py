@@ -22,36 +22,45 @@ UP_PLAN, UP_FLIGHTS = ROOT / "plans" / "survival-methods.toml", 240
 COLUMNS = {**ranking.COLUMNS, "own_detected": "found at its own threshold"}
 HEAD = """# Comparison
 
-Every method on the same simulated flights, the default diagnosis among them, with 95 % intervals. Published methods run with their
-defaults on rotational dynamics learned from each flight's first seconds ([methods](methods/index.md)); the default on its own plant.
-Events are read from all of them the same way. The tables are made by `python benchmarks/compare.py`; a method of yours flies the same
-with `rotorwatch benchmark benchmarks/comparison/hexa-x.toml --method my_file:Mine -o mine.json`, and your own logs with
-`rotorwatch compare healthy1.bin healthy2.bin --losses 0.2,0.4`.
+The tables compare every method on the same simulated flights, with 95 % intervals. The default diagnosis is one of the methods. Published
+methods run with their defaults on rotational dynamics learned from each flight's first seconds ([methods](methods/index.md)). The default
+runs on its own plant. rotorwatch reads the events of all methods in the same way.
 
-- **found**: clear faults that are found within 10 s, with each method's threshold set so that 2 false alarms are left in an hour of
-  healthy flight. Which rotor is named does not count here. **delay**: median, at the same threshold.
+- `python benchmarks/compare.py` makes the tables.
+- `rotorwatch benchmark benchmarks/comparison/hexa-x.toml --method my_file:Mine -o mine.json` runs your own method on the same flights.
+- `rotorwatch compare healthy1.bin healthy2.bin --losses 0.2,0.4` runs the methods on your own logs.
+
+The columns:
+
+- **found**: share of clear faults that are found within 10 s. Each method's threshold leaves 2 false alarms in an hour of healthy flight.
+  The named rotor does not count here.
+- **delay**: median delay at the same threshold.
 - **right rotor**: share of clear faults whose first event names that rotor alone, at the method's own threshold. On a hexarotor opposite
-  rotors look alike at first: naming both counts as not right.
-- **size error**: RMS error of announced losses ten seconds after the onset; **coverage**: share of those whose 95 % interval holds the
-  loss. Both are of the losses that were announced: read them beside the last column.
+  rotors look alike at first. An event that names both rotors counts as not right.
+- **size error**: RMS error of announced losses ten seconds after the onset.
+- **coverage**: share of announced losses whose 95 % interval holds the loss. Size error and coverage cover announced losses only: compare
+  them with the column "found at its own threshold".
 - **own alarms/h**: false alarms at the method's own threshold.
 - **us a step**: microseconds of one step of a quad in a compiled loop.
-- **stays up**: when what the method believes becomes the allocation while the vehicle flies: share of vehicles that stay in the air, of
-  those that knowing the truth would keep there ([other flights](#does-the-vehicle-stay-up)).
-- `=`: not told apart from the first by these flights. `over`: a rule without a threshold, with more false alarms than 2 an hour.
+- **stays up**: the losses that the method estimates drive the allocation while the vehicle flies. The share is of vehicles that stay in
+  the air, among those that the truth would keep in the air ([other flights](#does-the-vehicle-stay-up)).
+- `=`: these flights do not tell the method apart from the first. `over`: a rule without a threshold, with more false alarms than 2 an hour.
 
-What each of the scores means in detail, and their limits: [benchmark](benchmark.md#scores). Flights: 50 s of hover, squares,
-figures of eight, climbs and turns, wind to 8 m/s, .8 to 8 kg, logs of ArduPilot and PX4 at their fast rates; 60 % with a loss of one
-rotor from 5 % to all.
+[Benchmark](benchmark.md#scores) explains the scores and their limits. The flights are 50 s of hover, squares, figures of eight, climbs and
+turns, with wind to 8 m/s and vehicles of .8 to 8 kg. The logs are of ArduPilot and PX4 at their fast rates. 60 % of the flights have a
+loss of one rotor from 5 % to all.
 """
 
 
 UP = """
 ## Does the vehicle stay up
 
-{flights} flights of `{plan}` ([closed loop](control.md#closed-loop)): quad X and hexa X, losses of 10 % to all of one rotor or two,
-wind to 9 m/s. What each method believes drives the allocation; `nobody` keeps the autopilot's own mixer, `truth` knows every loss 0.1 s
-after it began. Acted falsely: before the loss, on a healthy flight, or on rotors of which none is broken; lost by it: and not so without.
+The table is for {flights} flights of `{plan}` ([closed loop](control.md#closed-loop)): quad X and hexa X, losses of 10 % to all of one rotor
+or two, wind to 9 m/s. The losses that each method estimates drive the allocation. `nobody` keeps the autopilot's own mixer. `truth` knows
+every loss 0.1 s after its onset.
+
+- **acted falsely**: the method acted before the loss, on a healthy flight, or on healthy rotors only.
+- **lost by it**: vehicles that crashed after a false action, and did not crash (or crashed later) with `nobody`.
 
 """
 UP_COLUMNS = ("driver", "stays up, of those that the truth saves", "quad X", "hexa X", "survived, of all faulty",
