@@ -55,8 +55,8 @@ loss of one rotor from 5 % to all.
 UP = """
 ## Does the vehicle stay up
 
-The table is for {flights} flights of `{plan}` ([closed loop](control.md#closed-loop)): quad X and hexa X, losses of 10 % to all of one rotor
-or two, wind to 9 m/s. The losses that each method estimates drive the allocation. `nobody` keeps the autopilot's own mixer. `truth` knows
+The table is for {flights} flights of `{plan}` ([closed loop](control.md#closed-loop)): quad X and hexa X, losses of 10 % to all of one
+rotor or two, wind to 9 m/s. The losses that each method estimates drive the allocation. `nobody` keeps the autopilot's own mixer. `truth` knows
 every loss 0.1 s after its onset.
 
 - **acted falsely**: the method acted before the loss, on a healthy flight, or on healthy rotors only.

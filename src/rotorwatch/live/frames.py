@@ -1,4 +1,4 @@
-"""Bytes of a link -> sound MAVLink frames, and messages -> frames. Frame format and check sum: https://mavlink.io/en/guide/serialization.html
+"""Bytes of a link -> sound MAVLink frames, and messages -> frames: https://mavlink.io/en/guide/serialization.html
 
 pymavlink's parser makes an object of every message, which costs more than all that is done with it later; here a frame stays bytes.
 """

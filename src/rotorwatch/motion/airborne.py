@@ -18,8 +18,8 @@ from rotorwatch.flight import Flight, Signal
 
 TICK_S = 0.05
 GAP_S = 4.0
-"""A longer gap in the motor commands ends a flight: another may follow it in the same file. A shorter one (a link that is cut, a disk that is
-busy) does not: learned anew after it, a loss from before would count as healthy."""
+"""A longer gap in the motor commands ends a flight: another may follow it in the same file. A shorter one (a link that is cut, a busy disk)
+does not: learned anew after it, a loss from before would count as healthy."""
 CONFIRM_S = 4.5
 """The end of an interval is certain at most this long after it, mostly within 1.5 s."""
 

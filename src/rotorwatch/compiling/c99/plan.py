@@ -16,6 +16,7 @@ from rotorwatch.compiling.c99.operations import CHEAP, ELEMENTWISE
 
 WORKSPACE = {"f": "w", "i": "wi", "l": "wl", "b": "wb"}  # its members by the kind of value
 ALIGNMENT = 4  # elements: vector loads of neighbours
+LARGE = 1024  # elements, from which on room counts for more than the few per cent of time that writing over what is read costs
 
 
 class Place(NamedTuple):
@@ -261,7 +262,7 @@ class Plan:
 
         An element is read before the same one is written. A step that changes a large matrix a little, several times, needs no second one.
         """
-        while node.op in ELEMENTWISE:
+        while node.op in ELEMENTWISE and node.size >= LARGE:
             kept = [x for x in self._same_elements(node) if self.last.get(x.index, 0) == self.end[node.index]]
             usable = [x for x in kept if self._may_go(x, node, also_input)]
             if not usable:
@@ -295,6 +296,8 @@ class Plan:
         last = self.last.get(also_input.index, 0)
         if last < begin:
             return True
+        if node.size < LARGE:
+            return False
         own = node.op in ELEMENTWISE and last == self.end.get(node.index)
         return own and any(x is also_input for x in self._same_elements(node))
 
