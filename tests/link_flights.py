@@ -82,12 +82,12 @@ def compared(which, link: str) -> dict:
     last = {a["number"]: a for a in alerts if a["type"] == "event"}
     told = [a["event"] for a in last.values() if a["state"] != "withdrawn"]
     own = diagnose(flight).to_dict()["events"]
-    announced = [a for a in alerts if a["type"] == "event" and a["state"] == "announced" and a["event"]["kind"] in ALARMS]
+    announced = [
+        a for a in alerts if a["type"] == "event" and a["state"] == "announced" and a["event"]["kind"] in ALARMS
+    ]
     known = [e["detected_s"] for e in recording if e["kind"] in ALARMS]
     late = announced[0]["at"] - first - min(known) if announced and known else None
-    sets = [
-        [s for s in (e["rotors"], *e["alternatives"]) if s] for e in told if e["kind"] in ALARMS
-    ]
+    sets = [[s for s in (e["rotors"], *e["alternatives"]) if s] for e in told if e["kind"] in ALARMS]
     wrong = any(not any(set(s) <= set(weak) for s in named) for named in sets)
     return {
         "flight": which, "link": link, "weak": weak, "watch": rotors_of(told), "own": rotors_of(own), "recording": rotors_of(recording),

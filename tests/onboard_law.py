@@ -157,7 +157,15 @@ def events_in_c(folder, what: Flown, single=False, compiler="cc"):
         (folder / name).write_text(text)
     sources = [str(folder / name) for name in what.texts if name.endswith(".c")]
     # More contacts than a library keeps on board: a log of the ground has many.
-    flags = [*WARNINGS, "-O1", "-fPIC", "-shared", "-DRW_CONTACTS=32", "-DRW_EVENTS=40", *(["-DROTORWATCH_FLOAT"] if single else [])]
+    flags = [
+        *WARNINGS,
+        "-O1",
+        "-fPIC",
+        "-shared",
+        "-DRW_CONTACTS=32",
+        "-DRW_EVENTS=40",
+        *(["-DROTORWATCH_FLOAT"] if single else []),
+    ]
     target = folder / "law.so"
     command = [compiler, *flags, f"-I{folder}", *sources, str(folder / "driver.c"), "-lm", "-o", str(target)]
     done = subprocess.run(command, capture_output=True, text=True)

@@ -169,9 +169,7 @@ def test_the_seeds_of_check_sums_follow_from_the_definitions():
     }
     for layout in (INFO, STATUS):
         text = f"{layout.name} ".encode()
-        for name, (count, code) in zip(
-            layout.fields, re.findall(r"(\d*)([A-Za-z])", layout.form), strict=True
-        ):
+        for name, (count, code) in zip(layout.fields, re.findall(r"(\d*)([A-Za-z])", layout.form), strict=True):
             text += f"{kinds[code]} {name} ".encode() + (bytes([int(count)]) if count else b"")
         crc = int(mavlink_frames.checksum(np.frombuffer(text[:-1], np.uint8)[None], text[-1])[0])
         assert (crc & 0xFF) ^ (crc >> 8) == layout.seed, layout.name
