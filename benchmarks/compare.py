@@ -56,8 +56,8 @@ UP = """
 ## Does the vehicle stay up
 
 The table is for {flights} flights of `{plan}` ([closed loop](control.md#closed-loop)): quad X and hexa X, losses of 10 % to all of one
-rotor or two, wind to 9 m/s. The losses that each method estimates drive the allocation. `nobody` keeps the autopilot's own mixer. `truth` knows
-every loss 0.1 s after its onset.
+rotor or two, wind to 9 m/s. The losses that each method estimates drive the allocation. `nobody` keeps the autopilot's own mixer. `truth`
+knows every loss 0.1 s after its onset.
 
 - **acted falsely**: the method acted before the loss, on a healthy flight, or on healthy rotors only.
 - **lost by it**: vehicles that crashed after a false action, and did not crash (or crashed later) with `nobody`.
