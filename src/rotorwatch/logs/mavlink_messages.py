@@ -51,7 +51,7 @@ def parts(form: str) -> list[tuple[str, int]]:
 def by_name() -> dict[str, Message]:
     """All messages, by name."""
     table = json.loads(Path(__file__).with_suffix(".json").read_text("utf-8"))
-    return {name: Message(name, *numbers, tuple(fields)) for name, (*numbers, fields) in table.items()}
+    return {name: Message(name, id, seed, form, tuple(fields)) for name, (id, seed, form, fields) in table.items()}
 
 
 @cache
