@@ -64,6 +64,7 @@ NAMED: dict[str, tuple[str, ...]] = {
     "logs/memory.py": ("logs_table",),
     "logs/*esc*.py": ("esc_readers",),
     "logs/mavlink_frames.py": ("logs_tlog",),
+    "logs/mavlink_messages.py": ("link_frames", "logs_tlog"),
     "logs/tlog.py": ("logs_tlog", "esc_readers"),
     "logs/parameter_ranges.py": ("plausible", "damaged_logs"),
     "logs/px4_*.py": ("logs_px4",),

@@ -177,8 +177,8 @@ CHANGES = [
 
 @pytest.mark.parametrize("seed", range(4))
 def test_a_matrix_that_is_changed_many_times(seed, tmp_path):
-    """Where nobody reads what it was before it is changed where it is; else it is not."""
-    size = 16
+    """Where nobody reads what it was before, a large one is changed where it is; else it is not."""
+    size = 32
 
     def step(_, carry, x):
         rng, m, known = np.random.default_rng(seed), carry[0], [carry[0]]
