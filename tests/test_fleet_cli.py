@@ -4,7 +4,10 @@ import json
 import lzma
 import shutil
 from dataclasses import replace
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from threading import Thread
 
 import numpy as np
 import pytest
@@ -71,6 +74,30 @@ def test_a_store_among_its_logs_is_no_log(folder, quick, run):
     for wanted in ("3 added", "0 added"):
         code, _, err = run("fleet", "add", folder, "--store", folder / "fleet.db")
         assert code == 0 and wanted in err and "bag" not in err
+
+
+def test_a_log_behind_an_address_is_fetched_once(folder, quick, call):
+    """A new one by who judges it; a known one to see whether it has changed. A copy at another address is known, too."""
+    asked = []
+
+    class Served(SimpleHTTPRequestHandler):
+        def do_GET(self):
+            asked.append(self.path)
+            super().do_GET()
+
+        def log_message(self, *_):
+            pass
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), partial(Served, directory=folder)) as server:
+        Thread(target=server.serve_forever, daemon=True).start()
+        where = f"http://127.0.0.1:{server.server_port}"
+        code, _, err = call("add", f"{where}/a.bin", "--jobs", "1")
+        assert code == 0 and "1 added" in err and asked == ["/a.bin"]
+        assert "0 added, 1 known already" in call("add", f"{where}/a.bin", "--jobs", "1")[2]
+        assert asked == ["/a.bin"] * 2
+        shutil.copy(folder / "a.bin", folder / "copy.bin")
+        assert "0 added, 1 known already" in call("add", f"{where}/copy.bin", "--jobs", "1")[2]
+        server.shutdown()
 
 
 def test_what_cannot_be_judged_is_said_and_the_rest_added(call, folder, quick):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import stat
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Set
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,7 +14,7 @@ from rotorwatch.errors import LogError, RotorwatchError, StoreError
 from rotorwatch.fleet import assess, judge
 from rotorwatch.fleet.store import Entry, Store, digest
 from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch.gathering import Gathered, fetched, full, is_log
+from rotorwatch.gathering import Gathered, fetched, full, is_address, is_log
 
 POLL_S = 2.0
 
@@ -59,9 +59,11 @@ def add(
         if progress:
             progress(len(fates) / len(logs), "judging")
 
+    paths = store.paths() if any(map(is_address, logs)) else set()
+
     def unknown() -> Iterator[str]:
         for log in logs:
-            told = _before(store, log)
+            told = _before(store, log, paths)
             if told is None:
                 new.append(log)
                 yield full(log) if scheduler else str(log)
@@ -102,8 +104,11 @@ def _expected(error: Exception | None) -> None:
         raise error
 
 
-def _before(store: Store, log: Path | str) -> Told | None:
-    """What becomes of a log without being judged; None: nothing."""
+def _before(store: Store, log: Path | str, paths: Set[str]) -> Told | None:
+    """What becomes of a log without being judged; None: nothing. A log behind an address that is not among `paths`, those in the store, is
+    fetched once, by who judges it."""
+    if is_address(log) and full(log) not in paths:
+        return None
     try:
         with fetched(log) as path, _readable(log):
             return Told(log, "known") if store.has(digest(path)) else None

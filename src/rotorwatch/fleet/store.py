@@ -312,6 +312,12 @@ class Store:
         with self._said(), self._engine.connect() as connection:
             return bool(connection.execute(sa.select(t.flights.c.hash).where(t.flights.c.hash == hash)).first())
 
+    def paths(self) -> set[str]:
+        """Paths and addresses of all logs in the store."""
+        t, sa = self._t, self._sa
+        with self._said(), self._engine.connect() as connection:
+            return set(connection.execute(sa.select(t.flights.c.path)).scalars())
+
     def aircraft(self) -> list[dict]:
         """All aircraft in the order in which they came: key, name, identities, flights, first and last utc (or None), frame, rotors, build,
         airborne_s, verdicts (how many of each), standing (or None; `stale` when flights came since)."""
