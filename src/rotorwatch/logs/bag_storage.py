@@ -7,16 +7,19 @@ from __future__ import annotations
 
 import io
 import sqlite3
+import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import closing
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from rotorwatch import optional
 from rotorwatch.errors import ConfigError, LogError
 
 MCAP = b"\x89MCAP0\r\n"
 SQLITE = b"SQLite format 3\0"
+IN_MEMORY = hasattr(sqlite3.Connection, "deserialize")  # from Python 3.11 on
 ZSTD = b"\x28\xb5\x2f\xfd"
 NEEDED_BY = "Reading this bag"
 TELL = 2000  # messages between two reports of progress
@@ -124,15 +127,27 @@ def read_mcap(data, bag: Bag, progress=None) -> None:
         )
 
 
+@contextmanager
+def _opened(source: Path | bytes) -> Iterator[sqlite3.Connection]:
+    """The database in a file, or in these bytes."""
+    with ExitStack() as stack:
+        place: Any = source
+        if not isinstance(source, Path) and not IN_MEMORY:
+            place = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="rotorwatch-"))) / "bag.db3"
+            place.write_bytes(source)
+        if isinstance(place, Path):
+            base = sqlite3.connect(f"{place.resolve().as_uri()}?mode=ro&immutable=1", uri=True)
+        else:
+            base = sqlite3.connect(":memory:")
+            base.deserialize(place)
+        stack.enter_context(closing(base))
+        base.text_factory = lambda text: text.decode("utf-8", "replace")
+        yield base
+
+
 def read_sqlite(source: Path | bytes, bag: Bag, progress=None) -> None:
     """Put the messages of a .db3 file, a path or its bytes, into the bag."""
-    if isinstance(source, Path):
-        base = sqlite3.connect(f"{source.resolve().as_uri()}?mode=ro&immutable=1", uri=True)
-    else:
-        base = sqlite3.connect(":memory:")
-        base.deserialize(source)
-    base.text_factory = lambda text: text.decode("utf-8", "replace")
-    with closing(base):
+    with _opened(source) as base:
         definitions = dict(
             _rows(
                 base,
