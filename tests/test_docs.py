@@ -212,3 +212,21 @@ def test_index_lists_every_page():
     index = (ROOT / "docs" / "index.md").read_text()
     for page in (ROOT / "docs").glob("*.md"):
         assert page.name == "index.md" or f"]({page.name})" in index, page.name
+
+
+def test_the_list_of_places_that_use_jax_is_complete():
+    source = ROOT / "src" / "rotorwatch"
+    uses = re.compile(r"^\s*(import jax\b|from jax\b|from rotorwatch\.backend import .*\bjax\b)", re.MULTILINE)
+    found = {
+        path.relative_to(source).parts[0].removesuffix(".py")
+        for path in source.rglob("*.py")
+        if uses.search(path.read_text())
+    }
+    part = (ROOT / "docs" / "architecture.md").read_text().split("### Where JAX is used")[1].split("\n## ")[0]
+    named = {
+        name
+        for line in part.splitlines()
+        if line.startswith("| `")
+        for name in re.findall(r"`(\w+)`", line.split("|")[1])
+    }
+    assert found == named
