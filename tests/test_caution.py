@@ -204,3 +204,14 @@ def test_a_step_of_the_commands_is_felt_a_little_sooner_or_later(dt, share):
     wanted = share * np.array([0.2 - 0.04, 0.4 - 0.04, 0.0, 0.0])
     assert found == pytest.approx(caution.ERROR_TICKS * wanted**2)
     assert caution.LAG_ERROR_S == 0.015
+
+
+def test_a_tick_without_commands_changes_nothing_that_is_usual():
+    """In a gap of the log thrusts are 0: taken for usual, the hover after it would count as far from hover for many seconds."""
+    memory = settled()
+    for _ in range(60):
+        memory, _ = look(memory, inputs(thrust=np.zeros(N)), valid=NO)
+    for name in ("thrust", "trim", "collective", "level", "thrust_level"):
+        np.testing.assert_array_equal(getattr(memory, name), getattr(settled(), name))
+    _, seen = look(memory, inputs())
+    assert float(seen.far) == 0.0

@@ -26,6 +26,17 @@ def test_a_bad_link_raises_no_false_alarm_and_names_no_wrong_rotor(number, fault
     assert result["outcome"] == wanted, result
 
 
+def test_a_loss_that_begins_within_cuts_is_named():
+    """A cut every few seconds, and the loss in one of them: the rotor alone, not the pair that only misses thrust."""
+    number = 654
+    assert any(start < link_faults.ONSET_S < start + length for start, length in drawn_of(number).cuts)
+    assert flown(0, number)["outcome"] == "found"
+
+
+def drawn_of(number):
+    return link_faults.drawn(np.random.default_rng((0, number)))
+
+
 def test_random_and_mutated_datagrams_are_counted_and_the_flight_is_judged():
     link = link_faults.datagrams(3000)
     (vehicle,) = link.vehicles

@@ -114,12 +114,14 @@ def look(memory: Memory, u, y, valid, flying, restart, x, variances, n: int, dt)
     # Punch-outs, drops and knocks: far from hover the thrust curve and the lag are no longer known well.
     usual = jnp.where(restart, collective, memory.collective)
     far = jnp.maximum(jnp.abs(collective - usual) - FAR, 0.0) + jnp.maximum(jnp.abs(u[n + 3] / n - 1.0) - FAR, 0.0)
+    # A tick without commands (a gap in the log, a link that was cut) says nothing of what is usual.
+    past = jnp.where(valid[0], dt, 0.0)
     new = Memory(
         level,
-        before + away * jnp.minimum(dt / plant.ANSWER_S, 1.0),
+        before + away * jnp.minimum(past / plant.ANSWER_S, 1.0),
         thrust_level,
-        trim + (part - trim) * (dt / plant.USUAL_S),
-        usual + (collective - usual) * (dt / plant.USUAL_S),
+        trim + (part - trim) * (past / plant.USUAL_S),
+        usual + (collective - usual) * (past / plant.USUAL_S),
         jnp.where(valid, y, memory.y),
         jnp.where(restart, 1.0, memory.burst),
         jnp.where(restart, 0.0, memory.lean),
