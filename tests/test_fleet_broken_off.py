@@ -62,7 +62,7 @@ def test_a_full_disk(tmp_path):
     with Store(url) as store:
         store.add(entry(0))
 
-        @sa.event.listens_for(store._engine, "begin")
+        @sa.event.listens_for(store._database.engine, "begin")
         def full(connection):
             pages = connection.exec_driver_sql("PRAGMA page_count").scalar()
             connection.exec_driver_sql(f"PRAGMA max_page_count = {pages}")
@@ -72,8 +72,8 @@ def test_a_full_disk(tmp_path):
         assert "\n" not in str(why.value)
         done = store.count()
         assert 0 < done < FLIGHTS
-        sa.event.remove(store._engine, "begin", full)
-        with store._engine.connect() as connection:
+        sa.event.remove(store._database.engine, "begin", full)
+        with store._database.engine.connect() as connection:
             connection.exec_driver_sql("PRAGMA max_page_count = 1073741823")
     with Store(url) as store:
         fill(store)
@@ -99,9 +99,9 @@ def test_a_database_that_goes_away(server):
 
 
 def test_another_writer_is_waited_for_and_then_named(tmp_path, monkeypatch):
-    from rotorwatch.fleet import store as module
+    from rotorwatch.fleet import database as module
 
     monkeypatch.setattr(module, "WAIT_S", 0.05)
-    with Store(tmp_path / "busy.db") as one, Store(tmp_path / "busy.db") as other, one._writing():
+    with Store(tmp_path / "busy.db") as one, Store(tmp_path / "busy.db") as other, one._database.writing():
         with pytest.raises(StoreError, match="busy"):
             other.add(entry(1))

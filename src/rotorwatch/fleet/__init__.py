@@ -3,7 +3,9 @@
 identity.py         whose flight is it? what a log holds that tells its aircraft apart
 judge.py            a log judged: what the store keeps of it
 tables.py           the tables, and how an older store becomes one of today
-store.py            SQLite or PostgreSQL: everything that is written or read goes through here
+address.py          where the store lies
+database.py         SQLite or PostgreSQL: its transactions, and its errors as sentences
+store.py            what is kept of flights and aircraft: everything that is written or read goes through here
 add.py              logs into the store, once or as they come; its flights judged again
 scatter.py          how much healthy flights differ
 explain.py          what changed in an aircraft: wear, damage, shifted weights, each with its evidence
@@ -16,6 +18,7 @@ synthetic.py        a simulated fleet with known truth
 score.py            what the store says against the truth
 """
 
-from rotorwatch.fleet.store import Entry, Store, default_url
+from rotorwatch.fleet.address import default_url
+from rotorwatch.fleet.store import Entry, Store
 
 __all__ = ["Entry", "Store", "default_url"]

@@ -1,7 +1,5 @@
-"""The store of a fleet: SQLite in a file, or PostgreSQL by URL. Every write is one transaction, so it is there whole or not at all.
-
-Errors of the database come out as StoreError with one sentence; what was committed before stays, and the same command goes on from there.
-"""
+"""The store of a fleet: flights, their aircraft, maintenance, and where every aircraft stands. Everything that is written or read goes
+through here; every write is one transaction, so it is there whole or not at all."""
 
 from __future__ import annotations
 
@@ -9,9 +7,7 @@ import hashlib
 import json
 import os
 import re
-import sys
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -19,9 +15,7 @@ from typing import Any
 from rotorwatch import optional
 from rotorwatch.errors import ConfigError, StoreError
 
-WAIT_S = 30.0  # for another writer
 CHUNK = 1 << 20
-LOCK = 7_306_117  # of PostgreSQL's advisory locks: one writer at a time, so that flights are numbered without gaps
 SHOWN = (
     "hash", "ordinal", "path", "name", "size", "aircraft", "identity", "utc", "clock_us", "count", "duration_s",
     "airborne_s", "autopilot", "firmware", "frame", "rotors", "build", "verdict", "headline", "version",
@@ -72,47 +66,24 @@ def digest(path: str | os.PathLike) -> str:
     return found.hexdigest()
 
 
-def default_url() -> str:
-    """ROTORWATCH_STORE, or a SQLite file in the user's folder of data, where the platform wants such."""
-    if given := os.environ.get("ROTORWATCH_STORE"):
-        return given
-    home = Path.home()
-    if sys.platform == "win32":
-        folder = Path(os.environ.get("LOCALAPPDATA") or home / "AppData" / "Local")
-    elif sys.platform == "darwin":
-        folder = home / "Library" / "Application Support"
-    else:
-        folder = Path(os.environ.get("XDG_DATA_HOME") or home / ".local" / "share")
-    return str(folder / "rotorwatch" / "fleet.db")
-
-
 class Store:
     """A store, opened; made or brought up to date where needed. url: a file name (SQLite), sqlite:///FILE or postgresql://...; None:
     `default_url`. make: whether a file that is not there is made. Raises StoreError, or ConfigError for an address that is none."""
 
     def __init__(self, url: str | os.PathLike | None = None, make: bool = True):
-        sa = optional.library("sqlalchemy", "A store of flights")
+        self._sa = optional.library("sqlalchemy", "A store of flights")
         from rotorwatch.fleet import tables
+        from rotorwatch.fleet.database import Database
 
-        self._sa, self._t = sa, tables
-        self.url, self.label = _address(url)
-        self._lite = self.url.startswith("sqlite")
-        file = Path(self.label) if self._lite else None
-        if file is not None and not file.exists():
-            if not make:
-                raise StoreError(f"There is no store {file} yet; `rotorwatch fleet add` makes it.")
-            try:
-                file.parent.mkdir(parents=True, exist_ok=True)
-            except OSError as why:
-                raise StoreError(f"The store {file} cannot be made: {why.strerror or why}.") from None
-        with self._said():
-            self._engine = _engine(sa, self.url, self._lite)
-            with self._writing() as connection:
-                tables.upgrade(connection)
+        self._t = tables
+        self._database = Database(url, make)
+        self.url, self.label = self._database.url, self._database.label
+        with self._database.writing() as connection:
+            tables.upgrade(connection)
 
     def close(self) -> None:
         """Let go of the database."""
-        self._engine.dispose()
+        self._database.close()
 
     def __enter__(self) -> Store:
         return self
@@ -125,7 +96,7 @@ class Store:
     def add(self, entry: Entry) -> bool:
         """Put a flight into the store, and its aircraft when it is the first of it; False when the same log is there already."""
         t, sa = self._t, self._sa
-        with self._said(), self._writing() as connection:
+        with self._database.writing() as connection:
             if connection.execute(sa.select(t.flights.c.hash).where(t.flights.c.hash == entry.hash)).first():
                 return False
             last = connection.execute(sa.select(sa.func.max(t.flights.c.ordinal))).scalar()
@@ -140,7 +111,7 @@ class Store:
         """Replace the judgement of a flight that is there; its place, its path and its aircraft stay. Raises StoreError when it is not."""
         t = self._t
         row = {k: v for k, v in _row(entry).items() if k not in ("hash", "path", "name", "size", "identity")}
-        with self._said(), self._writing() as connection:
+        with self._database.writing() as connection:
             done = connection.execute(t.flights.update().where(t.flights.c.hash == entry.hash).values(**row))
             if not done.rowcount:
                 raise StoreError(f"The store holds no flight {entry.hash[:12]}.")
@@ -179,7 +150,7 @@ class Store:
         name = _text(name).strip()
         if not name:
             raise ConfigError("An aircraft needs a name that is not empty.")
-        with self._said(), self._writing() as connection:
+        with self._database.writing() as connection:
             key = self._find(connection, aircraft)["key"]
             other = connection.execute(
                 sa.select(t.aircraft.c.key).where(t.aircraft.c.name == name, t.aircraft.c.key != key)
@@ -192,7 +163,7 @@ class Store:
         """Note maintenance: rotor 1-based, 0 the whole aircraft. utc: when, ISO 8601; after: the number (`ordinal`) of the last flight
         before it. Without both: after the last flight in the store. Returns the row."""
         t, sa = self._t, self._sa
-        with self._said(), self._writing() as connection:
+        with self._database.writing() as connection:
             found = self._find(connection, aircraft)
             rotors = connection.execute(
                 sa.select(sa.func.max(t.flights.c.rotors)).where(t.flights.c.aircraft == found["key"])
@@ -217,7 +188,7 @@ class Store:
     def merge(self, aircraft: str, other: str) -> None:
         """Make two aircraft one: what was of `other` is of `aircraft` from now on (an autopilot was exchanged, say)."""
         t, sa = self._t, self._sa
-        with self._said(), self._writing() as connection:
+        with self._database.writing() as connection:
             kept, gone = self._find(connection, aircraft)["key"], self._find(connection, other)["key"]
             if kept == gone:
                 raise ConfigError(f"{aircraft} and {other} are one aircraft already.")
@@ -238,7 +209,7 @@ class Store:
         """Keep what was worked out of the aircraft (key -> plain data), in place of what was. points: what a picture needs; seen: `state`
         of the store that it was worked out of."""
         t = self._t
-        with self._said(), self._writing() as connection:
+        with self._database.writing() as connection:
             connection.execute(t.standings.delete())
             rows = [
                 {"aircraft": key, "seen": seen, "standing": _json(one), "points": _json(points.get(key, {}))}
@@ -260,7 +231,7 @@ class Store:
         """Flights, the newest first (those without a time last): the columns of SHOWN and `aircraft_name`. search: words that must all be
         found in name, path, headline, verdict, frame, firmware or the aircraft's name. aircraft: its key or name."""
         t, sa = self._t, self._sa
-        with self._said(), self._engine.connect() as connection:
+        with self._database.reading() as connection:
             where = self._where(connection, search, aircraft)
             order = (t.flights.c.utc, t.flights.c.ordinal)
             ask = (
@@ -276,7 +247,7 @@ class Store:
     def count(self, search: str = "", aircraft: str | None = None) -> int:
         """How many flights `flights` would find."""
         t, sa = self._t, self._sa
-        with self._said(), self._engine.connect() as connection:
+        with self._database.reading() as connection:
             where = self._where(connection, search, aircraft)
             return int(connection.execute(sa.select(sa.func.count()).select_from(t.flights).where(*where)).scalar())
 
@@ -286,7 +257,7 @@ class Store:
         t, sa = self._t, self._sa
         if not re.fullmatch(r"[0-9a-f]{6,64}", hash):
             return None
-        with self._said(), self._engine.connect() as connection:
+        with self._database.reading() as connection:
             ask = (
                 sa.select(
                     *(t.flights.c[name] for name in SHOWN),
@@ -309,13 +280,13 @@ class Store:
     def has(self, hash: str) -> bool:
         """Whether a log with these bytes is in the store."""
         t, sa = self._t, self._sa
-        with self._said(), self._engine.connect() as connection:
+        with self._database.reading() as connection:
             return bool(connection.execute(sa.select(t.flights.c.hash).where(t.flights.c.hash == hash)).first())
 
     def paths(self) -> set[str]:
         """Paths and addresses of all logs in the store."""
         t, sa = self._t, self._sa
-        with self._said(), self._engine.connect() as connection:
+        with self._database.reading() as connection:
             return set(connection.execute(sa.select(t.flights.c.path)).scalars())
 
     def aircraft(self) -> list[dict]:
@@ -323,7 +294,7 @@ class Store:
         airborne_s, verdicts (how many of each), standing (or None; `stale` when flights came since)."""
         t, sa = self._t, self._sa
         f = t.flights.c
-        with self._said(), self._engine.connect() as connection:
+        with self._database.reading() as connection:
             total = self._state(connection)
             rows = connection.execute(
                 sa.select(t.aircraft.c.key, t.aircraft.c.name).order_by(t.aircraft.c.ordinal)
@@ -388,13 +359,13 @@ class Store:
 
     def find(self, aircraft: str) -> dict:
         """key and name of an aircraft by key, name or identity. Raises StoreError with the names that come near."""
-        with self._said(), self._engine.connect() as connection:
+        with self._database.reading() as connection:
             return self._find(connection, aircraft)
 
     def services(self, aircraft: str | None = None) -> list[dict]:
         """Maintenance in the order in which it was noted: aircraft (key), number, rotor (0: all), what, utc or None, after."""
         t, sa = self._t, self._sa
-        with self._said(), self._engine.connect() as connection:
+        with self._database.reading() as connection:
             ask = sa.select(t.services).order_by(t.services.c.aircraft, t.services.c.number)
             if aircraft is not None:
                 ask = ask.where(t.services.c.aircraft == self._find(connection, aircraft)["key"])
@@ -404,7 +375,7 @@ class Store:
         """Every flight of an aircraft that is known, in the order in which they were added, with `trim`: what histories are made of."""
         t, sa = self._t, self._sa
         f = t.flights.c
-        with self._said(), self._engine.connect() as connection:
+        with self._database.reading() as connection:
             ask = (
                 sa.select(
                     f.hash,
@@ -434,7 +405,7 @@ class Store:
     def standing(self, aircraft: str) -> dict | None:
         """What was last worked out of an aircraft; None when nothing was."""
         t, sa = self._t, self._sa
-        with self._said(), self._engine.connect() as connection:
+        with self._database.reading() as connection:
             key = self._find(connection, aircraft)["key"]
             text = connection.execute(sa.select(t.standings.c.standing).where(t.standings.c.aircraft == key)).scalar()
         return json.loads(text) if text else None
@@ -442,20 +413,20 @@ class Store:
     def points(self, aircraft: str) -> dict:
         """What a picture of an aircraft needs of every flight (assess.py); empty when nothing was worked out."""
         t, sa = self._t, self._sa
-        with self._said(), self._engine.connect() as connection:
+        with self._database.reading() as connection:
             key = self._find(connection, aircraft)["key"]
             text = connection.execute(sa.select(t.standings.c.points).where(t.standings.c.aircraft == key)).scalar()
         return json.loads(text) if text else {}
 
     def state(self) -> int:
         """How many flights and services there are: standings that saw another number are out of date."""
-        with self._said(), self._engine.connect() as connection:
+        with self._database.reading() as connection:
             return self._state(connection)
 
     def rows(self, table: str) -> Iterator[dict]:
         """All rows of a table by its name, in the order of its primary key, as they are kept: for exports and comparisons."""
         of = self._t.metadata.tables[table]
-        with self._said(), self._engine.connect() as connection:
+        with self._database.reading() as connection:
             for row in connection.execute(self._sa.select(of).order_by(*of.primary_key.columns)):
                 yield dict(row._mapping)
 
@@ -495,87 +466,6 @@ class Store:
         near = difflib.get_close_matches(wanted, names, 3, 0.4)
         hint = f"; did you mean {' or '.join(near)}?" if near else "; `rotorwatch fleet list` names them."
         raise StoreError(f"The store knows no aircraft {wanted}{hint}")
-
-    @contextmanager
-    def _writing(self) -> Iterator[Any]:
-        """A connection in a transaction that no other writer is beside of; committed at the end, else rolled back."""
-        with self._engine.connect().execution_options(rotorwatch_write=True) as connection, connection.begin():
-            if not self._lite:
-                connection.execute(self._sa.text(f"SELECT pg_advisory_xact_lock({LOCK})"))
-            yield connection
-
-    @contextmanager
-    def _said(self) -> Iterator[None]:
-        """Errors of the database as one sentence."""
-        try:
-            yield
-        except self._sa.exc.SQLAlchemyError as why:
-            raise StoreError(_sentence(why, self.label, self._lite)) from None
-
-
-def _engine(sa: Any, url: str, lite: bool) -> Any:
-    try:
-        if not lite:
-            args = {"connect_timeout": 10, "application_name": "rotorwatch"}
-            return sa.create_engine(url, connect_args=args, pool_pre_ping=True)
-        engine = sa.create_engine(url, connect_args={"timeout": WAIT_S})
-    except ImportError:
-        raise ConfigError(
-            'A store in PostgreSQL needs psycopg, which is not installed: pip install "psycopg[binary]".'
-        ) from None
-
-    # SQLite's Python driver would begin transactions late and leave tables out of them: they are begun here, at once for writers.
-    @sa.event.listens_for(engine, "connect")
-    def connected(connection: Any, record: Any) -> None:
-        connection.isolation_level = None
-        cursor = connection.cursor()
-        for pragma in ("foreign_keys=ON", "journal_mode=WAL", "synchronous=FULL"):
-            cursor.execute(f"PRAGMA {pragma}")
-        cursor.close()
-
-    @sa.event.listens_for(engine, "begin")
-    def begun(connection: Any) -> None:
-        write = connection.get_execution_options().get("rotorwatch_write")
-        connection.exec_driver_sql("BEGIN IMMEDIATE" if write else "BEGIN")
-
-    return engine
-
-
-def _address(url: str | os.PathLike | None) -> tuple[str, str]:
-    """(SQLAlchemy's URL, what to call it in sentences: the file, or the URL without its password)."""
-    text = os.fspath(url) if url is not None else default_url()
-    if re.match(r"postgres(ql)?(\+\w+)?://", text):
-        rest = text.partition("://")[2]
-        return f"postgresql+psycopg://{rest}", re.sub(r"//[^/@]*@", "//", f"postgresql://{rest}")
-    if text.startswith("sqlite:///"):
-        text = text.removeprefix("sqlite:///")
-    elif "://" in text:
-        raise ConfigError(f"{text} is no store; give a file name or postgresql://USER@HOST/DATABASE.")
-    if not text:
-        raise ConfigError("An empty name was given for the store; give a file name or postgresql://USER@HOST/DATABASE.")
-    path = Path(text).expanduser()
-    if path.is_dir():
-        raise ConfigError(f"The store {path} is a folder; give a file name.")
-    return f"sqlite:///{path}", str(path)
-
-
-def _sentence(why: Exception, label: str, lite: bool) -> str:
-    text = " ".join(str(getattr(why, "orig", None) or why).split())
-    low = text.lower()
-    again = "Nothing was half-written; run the same command again afterwards."
-    if "disk is full" in low or "no space left" in low or "disk i/o error" in low:
-        return f"The disk of the store {label} is full or broken: make room. {again}"
-    if "locked" in low:
-        return f"Another program has kept the store {label} busy for {WAIT_S:.0f} s: wait for it or stop it. {again}"
-    if "not a database" in low or "malformed" in low:
-        return f"{label} is no store of rotorwatch, or is damaged; give another file, or put a copy back."
-    if "readonly" in low or "read-only" in low:
-        return f"The store {label} cannot be written to; see to the rights of its file and folder."
-    if "unable to open" in low:
-        return f"The store {label} cannot be opened; see to its folder and rights."
-    if not lite and ("connect" in low or "server" in low or "terminat" in low or "shutting down" in low):
-        return f"The database {label} cannot be reached ({text[:120]}): see that it runs. {again}"
-    return f"The store {label} failed ({text[:160]}). {again}"
 
 
 def _row(entry: Entry) -> dict:

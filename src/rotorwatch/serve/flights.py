@@ -12,7 +12,8 @@ from typing import Any
 from rotorwatch import files
 from rotorwatch.diagnosis import Diagnosis
 from rotorwatch.errors import RotorwatchError
-from rotorwatch.fleet.store import Entry, Store, default_url
+from rotorwatch.fleet.address import default_url
+from rotorwatch.fleet.store import Entry, Store
 from rotorwatch.report.html import page
 
 AGAIN_S = 30.0  # between two attempts to reach a store

@@ -1,0 +1,42 @@
+"""Where a store lies: a file name or a URL."""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+from pathlib import Path
+
+from rotorwatch.errors import ConfigError
+
+
+def default_url() -> str:
+    """ROTORWATCH_STORE, or a SQLite file in the user's folder of data, where the platform wants such."""
+    if given := os.environ.get("ROTORWATCH_STORE"):
+        return given
+    home = Path.home()
+    if sys.platform == "win32":
+        folder = Path(os.environ.get("LOCALAPPDATA") or home / "AppData" / "Local")
+    elif sys.platform == "darwin":
+        folder = home / "Library" / "Application Support"
+    else:
+        folder = Path(os.environ.get("XDG_DATA_HOME") or home / ".local" / "share")
+    return str(folder / "rotorwatch" / "fleet.db")
+
+
+def resolve(url: str | os.PathLike | None) -> tuple[str, str]:
+    """(SQLAlchemy's URL, what to call it in sentences: the file, or the URL without its password)."""
+    text = os.fspath(url) if url is not None else default_url()
+    if re.match(r"postgres(ql)?(\+\w+)?://", text):
+        rest = text.partition("://")[2]
+        return f"postgresql+psycopg://{rest}", re.sub(r"//[^/@]*@", "//", f"postgresql://{rest}")
+    if text.startswith("sqlite:///"):
+        text = text.removeprefix("sqlite:///")
+    elif "://" in text:
+        raise ConfigError(f"{text} is no store; give a file name or postgresql://USER@HOST/DATABASE.")
+    if not text:
+        raise ConfigError("An empty name was given for the store; give a file name or postgresql://USER@HOST/DATABASE.")
+    path = Path(text).expanduser()
+    if path.is_dir():
+        raise ConfigError(f"The store {path} is a folder; give a file name.")
+    return f"sqlite:///{path}", str(path)

@@ -1,0 +1,116 @@
+"""The database under a store: SQLite in a file, or PostgreSQL by URL; its transactions, and its errors as one sentence each.
+
+What was committed before an error stays, and the same command goes on from there.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import sqlalchemy as sa
+
+from rotorwatch.errors import ConfigError, StoreError
+from rotorwatch.fleet.address import resolve
+
+WAIT_S = 30.0  # for another writer
+LOCK = 7_306_117  # of PostgreSQL's advisory locks: one writer at a time, so that flights are numbered without gaps
+
+
+class Database:
+    """A database, opened. url: as `Store`; make: whether a file that is not there is made. Raises StoreError, or ConfigError for an
+    address that is none."""
+
+    def __init__(self, url: str | os.PathLike | None, make: bool):
+        self.url, self.label = resolve(url)
+        self._lite = self.url.startswith("sqlite")
+        file = Path(self.label) if self._lite else None
+        if file is not None and not file.exists():
+            if not make:
+                raise StoreError(f"There is no store {file} yet; `rotorwatch fleet add` makes it.")
+            try:
+                file.parent.mkdir(parents=True, exist_ok=True)
+            except OSError as why:
+                raise StoreError(f"The store {file} cannot be made: {why.strerror or why}.") from None
+        with self._said():
+            self.engine = _engine(self.url, self._lite)
+
+    def close(self) -> None:
+        """Let go of it."""
+        self.engine.dispose()
+
+    @contextmanager
+    def reading(self) -> Iterator[Any]:
+        """A connection that only reads."""
+        with self._said(), self.engine.connect() as connection:
+            yield connection
+
+    @contextmanager
+    def writing(self) -> Iterator[Any]:
+        """A connection in a transaction that no other writer is beside of; committed at the end, else rolled back."""
+        with (
+            self._said(),
+            self.engine.connect().execution_options(rotorwatch_write=True) as connection,
+            connection.begin(),
+        ):
+            if not self._lite:
+                connection.execute(sa.text(f"SELECT pg_advisory_xact_lock({LOCK})"))
+            yield connection
+
+    @contextmanager
+    def _said(self) -> Iterator[None]:
+        """Errors of the database as one sentence."""
+        try:
+            yield
+        except sa.exc.SQLAlchemyError as why:
+            raise StoreError(_sentence(why, self.label, self._lite)) from None
+
+
+def _engine(url: str, lite: bool) -> sa.Engine:
+    try:
+        if not lite:
+            args = {"connect_timeout": 10, "application_name": "rotorwatch"}
+            return sa.create_engine(url, connect_args=args, pool_pre_ping=True)
+        engine = sa.create_engine(url, connect_args={"timeout": WAIT_S})
+    except ImportError:
+        raise ConfigError(
+            'A store in PostgreSQL needs psycopg, which is not installed: pip install "psycopg[binary]".'
+        ) from None
+
+    # SQLite's Python driver would begin transactions late and leave tables out of them: they are begun here, at once for writers.
+    @sa.event.listens_for(engine, "connect")
+    def connected(connection: Any, record: Any) -> None:
+        connection.isolation_level = None
+        cursor = connection.cursor()
+        for pragma in ("foreign_keys=ON", "journal_mode=WAL", "synchronous=FULL"):
+            cursor.execute(f"PRAGMA {pragma}")
+        cursor.close()
+
+    @sa.event.listens_for(engine, "begin")
+    def begun(connection: Any) -> None:
+        write = connection.get_execution_options().get("rotorwatch_write")
+        connection.exec_driver_sql("BEGIN IMMEDIATE" if write else "BEGIN")
+
+    return engine
+
+
+def _sentence(why: Exception, label: str, lite: bool) -> str:
+    text = " ".join(str(getattr(why, "orig", None) or why).split())
+    low = text.lower()
+    again = "Nothing was half-written; run the same command again afterwards."
+    if "disk is full" in low or "no space left" in low or "disk i/o error" in low:
+        return f"The disk of the store {label} is full or broken: make room. {again}"
+    if "locked" in low:
+        return f"Another program has kept the store {label} busy for {WAIT_S:.0f} s: wait for it or stop it. {again}"
+    if "not a database" in low or "malformed" in low:
+        return f"{label} is no store of rotorwatch, or is damaged; give another file, or put a copy back."
+    if "readonly" in low or "read-only" in low:
+        return f"The store {label} cannot be written to; see to the rights of its file and folder."
+    if "unable to open" in low:
+        return f"The store {label} cannot be opened; see to its folder and rights."
+    if not lite and ("connect" in low or "server" in low or "terminat" in low or "shutting down" in low):
+        return f"The database {label} cannot be reached ({text[:120]}): see that it runs. {again}"
+    return f"The store {label} failed ({text[:160]}). {again}"
