@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import importlib.util
+from collections.abc import Callable
 
 import numpy as np
 from contenders import DT, estimator, plant
@@ -21,11 +22,9 @@ def functions(compiled: bool) -> dict:
     if compiled:
         import numba  # pyright: ignore[reportMissingImports]
 
-        jit = numba.njit
+        jit: Callable = numba.njit
     else:
-
-        def jit(function):
-            return function
+        jit: Callable = lambda function: function  # noqa: E731
 
     p = plant()
     J, J_inverse, B_tau, B_T = (np.ascontiguousarray(a, float) for a in (p.J, p.J_inverse, p.B_tau, p.B_T))

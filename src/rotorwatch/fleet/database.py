@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import sqlalchemy as sa
+from sqlalchemy import event, exc
 
 from rotorwatch.errors import ConfigError, StoreError
 from rotorwatch.fleet.address import resolve
@@ -65,7 +66,7 @@ class Database:
         """Errors of the database as one sentence."""
         try:
             yield
-        except sa.exc.SQLAlchemyError as why:
+        except exc.SQLAlchemyError as why:
             raise StoreError(_sentence(why, self.label, self._lite)) from None
 
 
@@ -81,7 +82,7 @@ def _engine(url: str, lite: bool) -> sa.Engine:
         ) from None
 
     # SQLite's Python driver would begin transactions late and leave tables out of them: they are begun here, at once for writers.
-    @sa.event.listens_for(engine, "connect")
+    @event.listens_for(engine, "connect")
     def connected(connection: Any, record: Any) -> None:
         connection.isolation_level = None
         cursor = connection.cursor()
@@ -89,7 +90,7 @@ def _engine(url: str, lite: bool) -> sa.Engine:
             cursor.execute(f"PRAGMA {pragma}")
         cursor.close()
 
-    @sa.event.listens_for(engine, "begin")
+    @event.listens_for(engine, "begin")
     def begun(connection: Any) -> None:
         write = connection.get_execution_options().get("rotorwatch_write")
         connection.exec_driver_sql("BEGIN IMMEDIATE" if write else "BEGIN")
