@@ -118,6 +118,7 @@ OPS = [
     lambda p, r: jnp.clip(vector(p, r), -0.2, floats(p, r).max()) ** 3 + jnp.isfinite(vector(p, r)),
     lambda p, r: jnp.any(vector(p, r) > 0.3, axis=0) * vector(p, r) + jnp.all(matrix(p, r) < 9, axis=1),
     lambda p, r: jnp.round(vector(p, r) * 10) * 0.1 + jnp.floor(vector(p, r)) + jnp.arctan2(vector(p, r), 2.0),
+    lambda p, r: tame(jax.device_put(vector(p, r)) * 0.8),  # jnp.asarray of JAX 0.6 makes these of constants
 ]  # fmt: skip
 
 

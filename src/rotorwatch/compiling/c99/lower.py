@@ -19,7 +19,7 @@ CALLS = {
     "jit", "pjit", "closed_call", "core_call", "custom_jvp_call", "custom_vjp_call", "custom_vjp_call_jaxpr", "remat", "remat2",
     "checkpoint", "custom_lin",
 }  # fmt: skip
-SAME = {"copy", "copy_p", "stop_gradient", "reduce_precision", "optimization_barrier", "pvary"}
+SAME = {"copy", "copy_p", "device_put", "stop_gradient", "reduce_precision", "optimization_barrier", "pvary"}
 RENAMED = {"add_any": "add"}
 _FACTORS = "factor with cholesky and cho_solve, or do it once in __init__"
 ADVICE = {
