@@ -142,6 +142,8 @@ class Heard:
         session = self.watched.session
         if session is None or not self.messages.pending or not self.messages.reached(session.due_s):
             return
+        if self._senders.suspected:
+            return  # what two vehicles send together is no vehicle's: it waits until that is decided
         signals, messages = self.messages.take(self._outputs, session.flying)
         if signals or messages:
             self.watched.add(signals, messages)

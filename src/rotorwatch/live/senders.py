@@ -4,21 +4,20 @@ from __future__ import annotations
 
 NEAR = 24  # frames: what is lost or late within a row; a longer gap begins another one
 TREND = 0.02  # weight of a frame in its row's share
-SECOND, GONE, FORGOTTEN = (
-    0.25,
-    0.05,
-    0.01,
-)  # share of the second row from which there are two senders; below which there is one again
+# Share of the second row from which there are two senders; below which there is one again; below which a row is over.
+SECOND, GONE, FORGOTTEN = 0.25, 0.05, 0.01
 SURE = 150  # frames for which that must hold: after a gap the old row fades within a third of it
+RETURNS = 4  # after a gap no row goes on that was left, but for a frame that was late: there and back
 
 
 class Senders:
-    """several: more than one sends."""
+    """several: more than one sends. suspected: it looks like it, or looked like it a moment ago, and is not decided."""
 
     def __init__(self):
         self._rows: list[list[float]] = []  # [last number, share of the frames]
-        self._spell = 0
-        self.several = False
+        self._latest: list[float] = []
+        self._spell = self._returns = 0
+        self.several = self.suspected = False
 
     def on(self, number: int) -> None:
         """One frame more, with its running number (0 to 255)."""
@@ -27,16 +26,20 @@ class Senders:
         if own is None or _apart(own[0], number) > NEAR:
             own = [number, 0.0 if rows else 1.0]
             rows.append(own)
-        elif (number - own[0]) % 256 <= NEAR:
+            self._latest = own
+        elif 0 < (number - own[0]) % 256 <= NEAR:
             own[0] = number
+            self._returns += own is not self._latest
+            self._latest = own
         if len(rows) == 1:
-            self.several = False
+            self._returns, self.several, self.suspected = 0, False, False
             return
         for row in rows:
             row[1] += TREND * ((row is own) - row[1])
         second = sorted(row[1] for row in rows)[-2]
         self._spell = self._spell + 1 if second > SECOND else 0
         self.several = second > GONE if self.several else self._spell > SURE
+        self.suspected = second > GONE and self._returns >= RETURNS
         self._rows = [row for row in rows if row is own or row[1] > FORGOTTEN]
 
 
