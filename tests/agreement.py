@@ -506,6 +506,7 @@ FIELDS = {
     "common_mode.thrust_shift": lambda views, value: views.shown(
         report.common_mode(views.diagnosis), "what all rotors share"
     ),
+    "common_mode.interval": HIDDEN,
     "common_mode.unit": HIDDEN,
     "whole_flight": SHOWN,
     "whole_flight.verdict": lambda views, value: views.shown(

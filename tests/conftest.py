@@ -149,7 +149,7 @@ def hexa_diagnosis(events=None, whole_flight=None, doubts=(), leftover=(), judge
         reason=end.reason,
         rotors=end.rotors,
         events=end.events,
-        common_mode={"thrust_shift": 0.01, "unit": "hover thrusts of one rotor"},
+        common_mode={"thrust_shift": 0.01, "interval": [-0.02, 0.04], "unit": "hover thrusts of one rotor"},
         baseline="the first 8 s of this flight",
         assumptions=("Thrust curve: MOT_THST_EXPO 0.65.", "Mass and inertia unknown: gains identified in flight."),
         warnings=("The log ends in the air.",),

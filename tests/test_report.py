@@ -333,11 +333,18 @@ def test_moments_on_the_autopilots_clock_and_in_utc(fault):
 
 
 @pytest.mark.parametrize(
-    ("shift", "words"), [(0.01, "the same thrust"), (0.6, "10 % more thrust"), (-0.6, "10 % less thrust")]
+    ("shift", "half", "words"),
+    [
+        (0.01, 0.02, "the same thrust at the end as at the beginning, within 2 %"),
+        (0.3, 0.6, "the same thrust at the end as at the beginning, within 15 %"),
+        (0.3, 3.0, "varied too much"),
+        (0.6, 0.06, "10 % more thrust at the end than at the beginning (95 % interval 9 % to 11 %)"),
+        (-0.6, 0.06, "10 % less thrust at the end than at the beginning (95 % interval 9 % to 11 %)"),
+    ],
 )
-def test_common_mode_in_words(fault, shift, words):
-    said = report.common_mode(replace(fault, common_mode={"thrust_shift": shift, "unit": "hover thrusts of one rotor"}))
-    assert words in said
+def test_common_mode_in_words(fault, shift, half, words):
+    there = {"thrust_shift": shift, "interval": [shift - half, shift + half], "unit": "hover thrusts of one rotor"}
+    assert words in report.common_mode(replace(fault, common_mode=there))
 
 
 def test_the_faulty_rotor_has_one_colour_everywhere(fault, page):

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from rotorwatch import detectors, discovery
-from rotorwatch.answer import conclusion, health, places, traces
+from rotorwatch.answer import common_mode, conclusion, health, places, traces
 from rotorwatch.default import asked, events, hypotheses, leftover
 from rotorwatch.default.announcement import threshold
 from rotorwatch.default.program import estimate
@@ -140,12 +140,7 @@ def diagnose(
         found, whole, len(craft.rotors), hidden=_hidden(out, table), judged_s=float(judged.sum() * table.dt), places=names,
         doubts=doubts, leftover=spells, hops=air, trends=() if doubts else health.trends(out, table, B, found),
     )  # fmt: skip
-    shift = out.biases[judged, 3]
-    common = (
-        {"thrust_shift": float(np.median(shift[-20:]) - np.median(shift[:20])), "unit": "hover thrusts of one rotor"}
-        if judged.any() and not doubts
-        else {}
-    )
+    common = {} if doubts else common_mode.thrust_shift(out.biases[judged, 3])
     tell(1.0, "done")
     timing["total_s"] = time.perf_counter() - began
     return _answer(

@@ -5,5 +5,6 @@ places.py       where a rotor sits, in words
 health.py       grade of every rotor's loss, and its trend
 conclusion.py   verdict, reason, headline, main event, state of every rotor
 advice.py       what to do next
+common_mode.py  how much more thrust all rotors together need at the end
 traces.py       what a picture of the flight needs
 """

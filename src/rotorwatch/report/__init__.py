@@ -199,21 +199,29 @@ def common_mode(diagnosis: Diagnosis) -> str:
     shift = facts.get("thrust_shift")
     if shift is None:
         return plain(facts) if facts else ""
-    share = float(shift) / max(1, len(diagnosis.rotors))
-    if abs(share) < SMALL_SHIFT:
-        return f"All rotors together were asked for the same thrust at the end as at the beginning, within {percent(SMALL_SHIFT)}."
+    count = max(1, len(diagnosis.rotors))
+    share, low, high = (float(x) / count for x in (shift, *facts.get("interval", (shift, shift))))
+    within = max(abs(low), abs(high))
+    if low <= 0.0 <= high or within < SMALL_SHIFT:
+        if within > VARIED:
+            return "The thrust of all rotors together varied too much in this flight to compare its end with its beginning."
+        return (
+            "All rotors together were asked for the same thrust at the end as at the beginning, "
+            f"within {percent(max(within, SMALL_SHIFT))}."
+        )
     more, why = (
         ("more", "a tired battery, more weight or thinner air, or a loss that all rotors share")
         if share > 0
         else ("less", "a lighter vehicle, denser air or a fresher battery")
     )
     return (
-        f"For the same motion all rotors together were asked for {percent(abs(share))} {more} thrust at the end than at the beginning: "
-        f"{why}. No single rotor is meant."
+        f"For the same motion all rotors together were asked for {percent(abs(share))} {more} thrust at the end than at the beginning "
+        f"(95 % interval {percent(min(abs(low), abs(high)))} to {percent(within)}): {why}. No single rotor is meant."
     )
 
 
 SMALL_SHIFT = 0.02
+VARIED = 0.2  # share of the thrust from which "the same" would say nothing
 
 
 def whole_flight(diagnosis: Diagnosis) -> list[tuple[str, str]]:

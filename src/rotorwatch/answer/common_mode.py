@@ -1,0 +1,34 @@
+"""What all rotors share: how much more thrust they are asked for together at the end of a flight than at its beginning."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+BLOCKS = 5  # in each third of the flight
+T_8 = 2.306  # Student's t, 95 %, of 2 BLOCKS - 2 degrees of freedom
+LEAST = 4  # ticks in a block
+
+
+def thrust_shift(collective: np.ndarray) -> dict[str, Any]:
+    """Change of the collective thrust that the same motion needs, from the first third of the judged time to the last third.
+
+    collective (T,): thrust [hover thrusts of one rotor] at each judged tick beyond what the motion explains. Each third is cut into
+    blocks; the medians of its blocks are compared by Student's t-test with equal variances, so that a landing or a climb, which is in one
+    block, widens the interval and does not pass for a change. Empty where there are too few ticks.
+    """
+    third = len(collective) // 3
+    if third < BLOCKS * LEAST:
+        return {}
+    first, last = (
+        np.array([np.median(block) for block in np.array_split(part, BLOCKS)])
+        for part in (collective[:third], collective[-third:])
+    )
+    shift = last.mean() - first.mean()
+    half = T_8 * np.sqrt((first.var(ddof=1) + last.var(ddof=1)) / BLOCKS)
+    return {
+        "thrust_shift": float(shift),
+        "interval": [float(shift - half), float(shift + half)],
+        "unit": "hover thrusts of one rotor",
+    }
