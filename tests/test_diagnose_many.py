@@ -315,7 +315,7 @@ def test_rows_are_counted_and_the_worst_are_kept(monkeypatch):
 @pytest.mark.parametrize(
     ("facts", "main", "says"),
     [
-        ({"utc_start": "2026-11-21T07:40:36.5+00:00", "boot_s": 3.0}, 0, "2026-11-21 07:41:07 UTC"),
+        ({"utc_start": "2026-11-21T07:40:36.500Z", "boot_s": 3.0}, 0, "2026-11-21 07:41:07 UTC"),
         ({"utc_start": "2026-11-21T07:40:36Z"}, None, "2026-11-21 07:40:36 UTC"),
         ({"boot_s": 3.0}, 0, "34.20 s since boot"),
         ({}, 0, "31.20 s"),

@@ -194,7 +194,11 @@ def test_everything_imported_is_declared():
     """No library is used that only happens to be installed by another one."""
     project = PROJECT["project"]
     declared = [*project["dependencies"], *itertools.chain(*project["optional-dependencies"].values())]
-    known = {re.match(r"[\w-]+", r).group().lower() for r in declared} | set(sys.stdlib_module_names) | {"rotorwatch"}
+    known = (
+        {re.match(r"[\w-]+", r).group().lower() for r in declared}
+        | set(sys.stdlib_module_names)
+        | {"rotorwatch", "tomllib"}
+    )
     for path in sorted((ROOT / "src").rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text())):
             names = [a.name for a in node.names] if isinstance(node, ast.Import) else []

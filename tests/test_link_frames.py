@@ -166,12 +166,12 @@ def test_a_tick_waits_for_all_it_is_made_of_but_not_for_long():
     assert link.messages.reached(0.3)
 
 
-def numbered(senders, numbers):
-    """How often there seemed to be several senders of frames with these running numbers."""
+def numbered(senders, numbers, what="several"):
+    """After how many of the frames with these running numbers there seemed to be several senders."""
     seen = 0
     for number in numbers:
         senders.on(int(number) % 256)
-        seen += senders.several
+        seen += getattr(senders, what)
     return seen
 
 
@@ -184,6 +184,18 @@ def test_two_senders_of_one_id_are_seen_and_their_end_too(offset, batch):
     assert numbered(several, range(1000, 1600)) < 250 and not several.several
 
 
+@pytest.mark.parametrize("offset", [60, 128, 200])
+def test_a_second_sender_is_suspected_at_once(offset):
+    """Nothing is announced of what two send together, from the first moments on."""
+    one = senders.Senders()
+    assert numbered(one, range(500), "suspected") == 0
+    both = [n for k in range(500, 570) for n in (k, k + offset)]
+    assert numbered(one, both, "suspected") > len(both) - 40
+    assert not one.several, "this takes longer"
+    numbered(one, range(570, 900))
+    assert not one.suspected
+
+
 def test_what_a_bad_link_does_to_one_sender_is_not_taken_for_two():
     rng = np.random.default_rng(6)
     order = np.argsort(np.arange(20_000) + rng.uniform(0, 9, 20_000) * (rng.random(20_000) < 0.2))
@@ -192,6 +204,7 @@ def test_what_a_bad_link_does_to_one_sender_is_not_taken_for_two():
         kept = kept[(kept < start) | (kept > start + rng.integers(450))]
     odd = rng.random(kept.size) < 0.1
     assert numbered(senders.Senders(), np.where(odd, rng.integers(0, 256, kept.size), kept)) == 0
+    assert numbered(senders.Senders(), kept, "suspected") < 0.01 * kept.size
 
 
 def test_a_rotor_that_stands_is_said_by_its_esc():

@@ -334,7 +334,7 @@ def told(hub, after=""):
         try:
             while True:
                 text += await asyncio.wait_for(anext(stream), 0.05)
-        except TimeoutError:
+        except asyncio.TimeoutError:  # not the built-in one in Python 3.10
             pass
         await stream.aclose()
         return text

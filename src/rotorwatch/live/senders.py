@@ -7,16 +7,18 @@ TREND = 0.02  # weight of a frame in its row's share
 # Share of the second row from which there are two senders; below which there is one again; below which a row is over.
 SECOND, GONE, FORGOTTEN = 0.25, 0.05, 0.01
 SURE = 150  # frames for which that must hold: after a gap the old row fades within a third of it
-RETURNS = 4  # after a gap no row goes on that was left, but for a frame that was late: there and back
+RETURNS = (
+    0.1  # share of frames that go on with the row that was left: two senders take turns, after a gap nobody goes back
+)
 
 
 class Senders:
-    """several: more than one sends. suspected: it looks like it, or looked like it a moment ago, and is not decided."""
+    """several: more than one sends. suspected: it looks like it."""
 
     def __init__(self):
         self._rows: list[list[float]] = []  # [last number, share of the frames]
         self._latest: list[float] = []
-        self._spell = self._returns = 0
+        self._spell, self._returns = 0, 0.0
         self.several = self.suspected = False
 
     def on(self, number: int) -> None:
@@ -26,20 +28,22 @@ class Senders:
         if own is None or _apart(own[0], number) > NEAR:
             own = [number, 0.0 if rows else 1.0]
             rows.append(own)
-            self._latest = own
-        elif 0 < (number - own[0]) % 256 <= NEAR:
-            own[0] = number
-            self._returns += own is not self._latest
-            self._latest = own
+            went_back = False
+        else:
+            went_back = own is not self._latest
+            if (number - own[0]) % 256 <= NEAR:
+                own[0] = number
+        self._latest = own
+        self._returns += TREND * (went_back - self._returns)
         if len(rows) == 1:
-            self._returns, self.several, self.suspected = 0, False, False
+            self.several = self.suspected = False
             return
         for row in rows:
             row[1] += TREND * ((row is own) - row[1])
         second = sorted(row[1] for row in rows)[-2]
         self._spell = self._spell + 1 if second > SECOND else 0
         self.several = second > GONE if self.several else self._spell > SURE
-        self.suspected = second > GONE and self._returns >= RETURNS
+        self.suspected = self._spell > 0 and self._returns > RETURNS
         self._rows = [row for row in rows if row is own or row[1] > FORGOTTEN]
 
 
