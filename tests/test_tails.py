@@ -13,6 +13,12 @@ def test_student(dof):
     np.testing.assert_allclose([tails.student_cdf(v, dof) for v in x], stats.t.cdf(x, dof), rtol=1e-10, atol=1e-300)
 
 
+@pytest.mark.parametrize("dof", [1.0, 6.0, 40.0])
+@pytest.mark.parametrize("share", [0.001, 0.4, 0.975])
+def test_student_quantile(share, dof):
+    assert tails.student_quantile(share, dof) == pytest.approx(stats.t.ppf(share, dof), rel=1e-9)
+
+
 @pytest.mark.parametrize("above, below", [(1, 1.0), (4, 3.5), (8, 40.0), (3, 2000.0)])
 def test_f(above, below):
     x = np.concatenate([[0.0], np.geomspace(1e-6, 1e4, 30)])

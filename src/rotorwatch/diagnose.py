@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from rotorwatch import detectors, discovery
-from rotorwatch.answer import common_mode, conclusion, health, places, traces
+from rotorwatch.answer import common_mode, conclusion, health, places, traces, unseen
 from rotorwatch.default import asked, events, hypotheses, leftover
 from rotorwatch.default.announcement import threshold
 from rotorwatch.default.program import estimate
@@ -137,7 +137,7 @@ def diagnose(
     judged = (table.mode == JUDGE) & table.valid.any(axis=1)
     spells = leftover.find(out, table, hyp, limit, found, B)
     end = conclusion.conclude(
-        found, whole, len(craft.rotors), hidden=_hidden(out, table), judged_s=float(judged.sum() * table.dt), places=names,
+        found, whole, len(craft.rotors), hidden=_hidden(out, table, B), judged_s=float(judged.sum() * table.dt), places=names,
         doubts=doubts, leftover=spells, hops=air, trends=() if doubts else health.trends(out, table, B, found),
     )  # fmt: skip
     common = {} if doubts else common_mode.thrust_shift(out.biases[judged, 3])
@@ -207,9 +207,10 @@ def _whole_flight(flight: Flight, vehicle: Vehicle, air):
     return whole_flight.judge(features, [whole_flight.Features.from_dict(f) for f in stored], vehicle).to_dict()
 
 
-def _hidden(out, table: Ticks) -> np.ndarray:
-    """(n,) largest loss of each rotor that could have gone unseen in flight."""
+def _hidden(out, table: Ticks, B: np.ndarray) -> np.ndarray:
+    """(n,) largest loss of each rotor that could have gone unseen in flight: too small to be measured, or taken for a disturbance."""
     judged = table.mode == JUDGE
     if not judged.any():
         return np.ones(out.theta.shape[1])
-    return np.minimum(1.0, 1.96 * np.median(out.detectable[judged], axis=0) + events.MODEL_SD)
+    measured = 1.96 * np.median(out.detectable[judged], axis=0)
+    return np.minimum(1.0, np.maximum(measured, unseen.losses(out.biases, table, B)) + events.MODEL_SD)

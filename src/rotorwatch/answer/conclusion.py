@@ -172,7 +172,8 @@ def _verdict(seen: Seen, main: int | None) -> tuple[str, str]:
         return "ambiguous", f"there is evidence against {listed(said)} that no event explains."
     scope = "and none from take-off on, compared with its healthy flights" if whole else "after take-off"
     slow = "".join(f"; but slowly {rotors([k])} {grows(t)}" for k, t in _growing(seen))
-    return "healthy", f"no rotor lost effectiveness in {seen.judged_s:.0f} s of judged flight, {scope}{slow}."
+    unseen = f"a loss of up to {percent(float(np.max(seen.hidden)))} of one rotor could have gone unseen"
+    return "healthy", f"no rotor lost effectiveness in {seen.judged_s:.0f} s of judged flight, {scope}{slow}; {unseen}."
 
 
 def _what_happened(seen: Seen, event: Event) -> str:

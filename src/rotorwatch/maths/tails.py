@@ -76,6 +76,19 @@ def student_cdf(x: float, dof: float) -> float:
     return tail if x < 0.0 else 1.0 - tail
 
 
+def student_quantile(share: float, dof: float) -> float:
+    """x with student_cdf(x, dof) = share; 0 < share < 1."""
+    low, high = -1.0, 1.0
+    while student_cdf(low, dof) > share:
+        low *= 2.0
+    while student_cdf(high, dof) < share:
+        high *= 2.0
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if student_cdf(middle, dof) < share else (low, middle)
+    return 0.5 * (low + high)
+
+
 def student_density(x, dof: float):
     """Density of Student's t with dof degrees of freedom, at each x."""
     size = math.lgamma(0.5 * (dof + 1.0)) - math.lgamma(0.5 * dof) - 0.5 * math.log(dof * math.pi)
