@@ -89,4 +89,5 @@ def test_a_loss_that_wind_hides_is_within_the_bound():
             since = found.rotors[rotor - 1].since_takeoff
             assert since is not None and since[1] > loss, (seed, since)
             assert "could have gone unseen" in found.reason
+            assert found.trace is not None and found.trace.upper[:, rotor - 1].max() >= since[1]
     assert missed, "all of these are announced now: take others, or this tests nothing"

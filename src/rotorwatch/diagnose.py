@@ -145,7 +145,8 @@ def diagnose(
     timing["total_s"] = time.perf_counter() - began
     return _answer(
         end, facts, common, source, assumptions, warnings, timing, estimator=discovery.title(estimator), comparison=comparison,
-        whole_flight=whole, doubts=doubts, trace=traces.make(flight, out, table, hyp, B, air, ready_s, limit, end.events, spells),
+        whole_flight=whole, doubts=doubts,
+        trace=traces.make(flight, out, table, hyp, B, air, ready_s, limit, end.events, spells, end.rotors),
     )  # fmt: skip
 
 
