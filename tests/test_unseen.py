@@ -4,9 +4,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy import stats
 
 import rotorwatch as rw
 from rotorwatch.answer import unseen
+from rotorwatch.live.replay import Replay
+from rotorwatch.live.watched import Watched
 from rotorwatch.motion.ticks import JUDGE
 from rotorwatch.simulation import scenario, simulate
 
@@ -91,3 +94,71 @@ def test_a_loss_that_wind_hides_is_within_the_bound():
             assert "could have gone unseen" in found.reason
             assert found.trace is not None and found.trace.upper[:, rotor - 1].max() >= since[1]
     assert missed, "all of these are announced now: take others, or this tests nothing"
+
+
+def part(table, rows):
+    return SimpleNamespace(
+        mode=table.mode[rows], valid=table.valid[rows], upset=table.upset[rows], time=table.time[rows], dt=table.dt,
+        thrust=table.thrust[rows],
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("step", [1, 7, 600])
+def test_pieces_give_the_bounds_of_the_whole(step):
+    biases, table = flown(loss=0.2)
+    seen = unseen.Unseen(B, DT)
+    for k in range(0, len(biases), step):
+        seen.add(biases[k : k + step], part(table, slice(k, k + step)))
+        if k % 50 == 0:
+            seen.losses()  # asking changes nothing
+    np.testing.assert_allclose(seen.losses(), unseen.losses(biases, table, B), rtol=1e-12)
+
+
+def test_a_day_of_flight_takes_no_more_room_than_minutes():
+    biases, table = flown(seconds=1200.0, loss=0.2, onset_s=600.0)
+    seen = unseen.Unseen(B, DT)
+    for k in range(len(biases)):
+        seen.add(biases[k : k + 1], part(table, slice(k, k + 1)))
+        assert len(seen._rows) <= unseen.ROWS and len(seen._new) <= unseen.ROWS + 1
+    assert 0.2 <= seen.losses()[0] < 0.3
+
+
+def test_the_best_step_is_that_of_a_plain_search():
+    """The sums that are written out, done by loops over onsets and rotors."""
+    biases, table = flown(loss=0.1, noise=0.08)
+    z, N = biases[:, :3].reshape(30, 20, 3).mean(axis=1), 30
+    onsets = range(unseen.SPELL, N - unseen.SPELL + 1)
+    rest = {k: np.concatenate([z[:k] - z[:k].mean(axis=0), z[k:] - z[k:].mean(axis=0)]) for k in onsets}
+    left = min(rest.values(), key=lambda e: np.prod((e**2).sum(axis=0)))
+    r = (left[1:] * left[:-1]).sum(axis=0) / (left**2).sum(axis=0)
+    r = np.clip(r + (1 + 3 * r) / N, 0.0, unseen.CORRELATED)
+    sd = np.sqrt((left**2).sum(axis=0) / (N - 2) * (1 + r) / (1 - r))
+    expected = np.zeros(4)
+    for k in onsets:
+        step, spread = z[k:].mean(axis=0) - z[:k].mean(axis=0), sd * np.sqrt(1 / k + 1 / (N - k))
+        for i in range(4):
+            A, y = B[:3, i] / spread, step / spread
+            loss, own = A @ y / (A @ A), 1 / np.sqrt(A @ A)
+            expected[i] = max(expected[i], max(loss, 0.0) + stats.t.ppf(0.975, N - 2) * own)
+    np.testing.assert_allclose(unseen.losses(biases, table, B), np.minimum(expected, 1.0), rtol=1e-9)
+
+
+def test_a_live_vehicle_is_bounded_as_its_log_is():
+    """What `watch` shows of a healthy rotor in the air is what `diagnose` says of the same flight, but for the landing."""
+    table = {"duration_s": 60.0, "seed": 3, "airframe": {"frame": "quad-x"}, "wind": {"speed_m_s": 5.0}}
+    flight = simulate(scenario.from_table(table)).flight
+    asked = {}
+
+    def tell(_alert):
+        pass
+
+    replay = Replay(flight, Watched("one", tell))
+    while replay.poll():
+        session = replay.watched.session
+        if session is not None and session.flying and not session.blind() and (known := session.losses()) is not None:
+            asked[session.now] = known[2]
+    upper = asked[max(t for t in asked if t < 55.0)]
+    whole = [r.since_takeoff[1] for r in rw.diagnose(flight).rotors]
+    np.testing.assert_allclose(upper, whole, rtol=0.5, atol=0.01)
+    early = asked[min(t for t in asked if t > 14.0)]
+    assert (early > 0.5 * upper).all(), "little is known at first"

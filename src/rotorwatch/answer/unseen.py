@@ -18,6 +18,8 @@ autocorrelation, Biometrika 41 (1954) 403-404, for the (1 + 3 r) / N by which r 
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from rotorwatch.maths.tails import student_quantile
@@ -27,47 +29,78 @@ STEP_S = 2.0  # length of a block; a longer one hides the scatter of wind, a sho
 BLOCKS = 8, 200  # at least, so that short flights have shorter ones, and at most
 SPELL = 3  # blocks before and after an onset
 CORRELATED = 0.9  # at most
+ROWS = 2048  # that are kept of a flight; of longer ones a row is the sum of several ticks
 
 
 def losses(biases: np.ndarray, table: Ticks, B: np.ndarray) -> np.ndarray:
-    """Upper bound (n,) of what each rotor can have lost since judging began, beyond what was announced; 1 where too little was judged.
+    """The bounds of a whole flight, as `Unseen.losses`. biases (T, 4): as estimated, at the ticks of `table`; B (4, n): effectiveness."""
+    seen = Unseen(B, table.dt)
+    seen.add(biases, table)
+    return seen.losses()
 
-    biases (T, 4): as estimated, at the ticks of `table`; B (4, n): effectiveness.
-    """
-    use = (table.mode == JUDGE) & table.valid[:, :3].all(axis=1) & ~table.upset
-    n, rows = B.shape[1], np.flatnonzero(use)
-    if rows.size < 2 * BLOCKS[0]:
-        return np.ones(n)
-    T = table.thrust[rows]
-    N = int(np.clip(rows.size * table.dt / STEP_S, *BLOCKS))
-    starts = np.arange(N) * rows.size // N
-    size = np.diff(starts, append=rows.size)[:, None]
 
-    def mean(values):
-        return np.add.reduceat(values, starts) / size
+class Unseen:
+    """The bounds of a flight that goes on; what is kept of it does not grow. B (4, n): effectiveness; dt: length of a tick, s."""
 
-    usual = mean(T).mean(axis=1, keepdims=True)
-    z, share = mean(biases[rows, :3]) / usual, mean(T) / usual
-    onsets = range(SPELL, N - SPELL + 1)
+    def __init__(self, B: np.ndarray, dt: float):
+        self._B, self._dt, self._each = B, dt, 1
+        self._rows = np.empty((0, 3 + B.shape[1]))  # sums over `_each` ticks: biases of roll, pitch and yaw, thrusts
+        self._new: list[np.ndarray] = []  # ticks that are in no row yet
+
+    def add(self, biases: np.ndarray, table: Ticks) -> None:
+        """More ticks, with the biases (T, 4) that were estimated at them."""
+        use = (table.mode == JUDGE) & table.valid[:, :3].all(axis=1) & ~table.upset
+        if use.any():
+            self._new.append(np.concatenate([biases[use, :3], table.thrust[use]], axis=1))
+        if len(self._new) > ROWS:
+            self._join()
+
+    def _join(self) -> None:
+        if not self._new:
+            return
+        ticks = np.concatenate(self._new)
+        while True:
+            whole = len(ticks) // self._each * self._each
+            added = ticks[:whole].reshape(-1, self._each, ticks.shape[1]).sum(axis=1)
+            if len(self._rows) + len(added) <= ROWS:
+                break
+            pairs = len(self._rows) // 2  # of an odd number the last row is given up: it is half of a new one
+            self._rows = self._rows[: 2 * pairs].reshape(pairs, 2, ticks.shape[1]).sum(axis=1)
+            self._each *= 2
+        self._rows = np.concatenate([self._rows, added])
+        self._new = [ticks[whole:]] if whole < len(ticks) else []
+
+    def losses(self) -> np.ndarray:
+        """Upper bound (n,) of what each rotor can have lost since judging began and was not announced; 1 where too little was judged."""
+        self._join()
+        rows, n = self._rows, self._B.shape[1]
+        if len(rows) < 2 * BLOCKS[0]:
+            return np.ones(n)
+        N = int(np.clip(len(rows) * self._each * self._dt / STEP_S, *BLOCKS))
+        sums = np.add.reduceat(rows, np.arange(N) * len(rows) // N)
+        usual = sums[:, 3:].mean(axis=1, keepdims=True)
+        return _bounds(sums[:, :3] / usual, sums[:, 3:] / usual, self._B)
+
+
+def _bounds(z: np.ndarray, share: np.ndarray, B: np.ndarray) -> np.ndarray:
+    """Bounds (n,) from z (N, 3) and T / mean T (N, n) of N blocks."""
+    N = len(z)
+    k = np.arange(SPELL, N - SPELL + 1)[:, None]  # blocks before the onset
+    sums, shares = z.cumsum(axis=0), share.cumsum(axis=0)
+    before, after = sums[k[:, 0] - 1] / k, (sums[-1] - sums[k[:, 0] - 1]) / (N - k)
     # The scatter is that about the step that explains most: about any other one, the step itself would count as scatter.
-    left = min((_left(z, k) for k in onsets), key=lambda e: np.log(_squares(e)).sum())
-    r = (left[1:] * left[:-1]).sum(axis=0) / _squares(left)
+    squares = np.maximum((z**2).sum(axis=0) - k * before**2 - (N - k) * after**2, 1e-12)
+    best = int(np.log(squares).sum(axis=1).argmin())
+    left = z - np.where(np.arange(N)[:, None] < k[best], before[best], after[best])
+    r = (left[1:] * left[:-1]).sum(axis=0) / squares[best]
     r = np.clip(r + (1.0 + 3.0 * r) / N, 0.0, CORRELATED)
-    variance = _squares(left) / (N - 2) * (1.0 + r) / (1.0 - r)
-    reach, found = student_quantile(0.975, N - 2), np.zeros(n)
-    for k in onsets:
-        weight = 1.0 / (variance * (1.0 / k + 1.0 / (N - k)))
-        columns = B[:3] * share[k:].mean(axis=0)
-        information = np.maximum(weight @ columns**2, 1e-12)
-        loss = weight * (z[k:].mean(axis=0) - z[:k].mean(axis=0)) @ columns / information
-        found = np.maximum(found, np.maximum(loss, 0.0) + reach / np.sqrt(information))
-    return np.minimum(found, 1.0)
+    weight = (N - 2) / squares[best] * (1.0 - r) / (1.0 + r) / (1.0 / k + 1.0 / (N - k))
+    columns = B[:3] * ((shares[-1] - shares[k[:, 0] - 1]) / (N - k))[:, None, :]
+    information = np.maximum(np.einsum("ka,kai->ki", weight, columns**2), 1e-12)
+    loss = np.einsum("ka,kai->ki", weight * (after - before), columns) / information
+    return np.minimum((np.maximum(loss, 0.0) + _reach(N - 2) / np.sqrt(information)).max(axis=0), 1.0)
 
 
-def _left(z: np.ndarray, k: int) -> np.ndarray:
-    """What is left of z (N, 3) about its means before and after block k."""
-    return np.concatenate([z[:k] - z[:k].mean(axis=0), z[k:] - z[k:].mean(axis=0)])
-
-
-def _squares(left: np.ndarray) -> np.ndarray:
-    return np.maximum((left**2).sum(axis=0), 1e-12)
+@lru_cache
+def _reach(dof: int) -> float:
+    return student_quantile(0.975, dof)

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from rotorwatch.answer.unseen import Unseen
 from rotorwatch.default import hypotheses, program
 from rotorwatch.diagnosis import Event
 from rotorwatch.flight import Signal
@@ -135,6 +136,7 @@ class Judge:
         self._done: tuple[Event, ...] = ()
         self._fallen: dict[float, tuple[tuple[float, float], ...]] = {}
         self.now: tuple[Ticks, Any] | None = None
+        self.unseen = Unseen(self.B, plan.dt)
         self.ticks = 0  # that were judged, those that were taken back and judged again twice
         self._kept = [self._keep()]
 
@@ -225,6 +227,7 @@ class Judge:
         self._history.add(table, out)
         self._time = max(self._time, float(table.time[-1]))
         self.now = table, out
+        self.unseen.add(np.asarray(out.biases), table)
         self.ticks += int(np.count_nonzero(table.mode == JUDGE))
 
     def _judge_outputs(self, known_s: float) -> None:

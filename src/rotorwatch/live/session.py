@@ -188,7 +188,9 @@ class Session:
         table, out = self._judge.now
         loss = np.asarray(out.theta[-1])
         sd = events.sd_of(loss, np.asarray(out.theta_sd[-1]), self._judge.B)
-        unseen = 1.96 * np.asarray(out.detectable[-1]) if table.mode[-1] == JUDGE else np.ones_like(loss)
+        judged = table.mode[-1] == JUDGE
+        measured = 1.96 * np.asarray(out.detectable[-1])
+        unseen = np.maximum(measured, self._judge.unseen.losses()) if judged else np.ones_like(loss)
         spread = np.where(loss > 0, 1.96 * sd, unseen)
         return loss, np.clip(loss - spread, 0.0, 1.0), np.clip(loss + spread, 0.0, 1.0)
 
