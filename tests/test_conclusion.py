@@ -103,6 +103,15 @@ def test_what_became_of_a_loss_after_landing_is_not_known():
     assert "until the landing at 49.90 s" in end.headline and not any("came back" in step for step in end.advice)
 
 
+@pytest.mark.parametrize(("hidden", "told"), [(0.04, False), (0.19, False), (0.21, True), (1.0, True)])
+def test_a_pilot_reads_how_large_a_loss_could_have_gone_unseen_where_it_is_large(hidden, told):
+    from rotorwatch.answer.conclusion import conclude
+
+    end = conclude((), None, 6, hidden=[hidden] * 6, judged_s=60.0)
+    said = f"oss of up to {100 * hidden:.0f} % of one rotor could have gone unseen"
+    assert end.verdict == "healthy" and said in end.reason and (said in end.headline) == told
+
+
 def test_evidence_that_no_event_explains_makes_its_rotors_suspect_and_is_said():
     diagnosis = hexa_diagnosis(leftover=(Leftover((5,), 40.0, 44.0),))
     assert statuses(diagnosis)[5] == "suspect" and diagnosis.rotors[4].interval == (0.0, 1.0)

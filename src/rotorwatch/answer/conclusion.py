@@ -13,6 +13,7 @@ import numpy as np
 
 from rotorwatch.answer import advice, health
 from rotorwatch.answer.wording import (
+    SCALE,
     candidates,
     cause,
     explanations,
@@ -172,7 +173,7 @@ def _verdict(seen: Seen, main: int | None) -> tuple[str, str]:
         return "ambiguous", f"there is evidence against {listed(said)} that no event explains."
     scope = "and none from take-off on, compared with its healthy flights" if whole else "after take-off"
     slow = "".join(f"; but slowly {rotors([k])} {grows(t)}" for k, t in _growing(seen))
-    unseen = f"a loss of up to {percent(float(np.max(seen.hidden)))} of one rotor could have gone unseen"
+    unseen = f"a loss of up to {percent(_unseen(seen))} of one rotor could have gone unseen"
     return "healthy", f"no rotor lost effectiveness in {seen.judged_s:.0f} s of judged flight, {scope}{slow}; {unseen}."
 
 
@@ -213,7 +214,10 @@ def _headline(seen: Seen, verdict: str, main: int | None) -> str:
         said = f"No rotor lost thrust in the {seen.judged_s:.0f} s that were judged."
     if verdict == "healthy" and _growing(seen):
         said = "No rotor lost thrust at once."
-    parts = [said] + [sentence(f"{rotors([k], seen.places)} {grows(t)}.") for k, t in _growing(seen)]
+    parts = [said]
+    if verdict == "healthy" and _unseen(seen) >= dict(SCALE)["degraded"]:
+        parts.append(f"A loss of up to {percent(_unseen(seen))} of one rotor could have gone unseen.")
+    parts += [sentence(f"{rotors([k], seen.places)} {grows(t)}.") for k, t in _growing(seen)]
     parts += [] if seen.compared else [UNJUDGED]
     if knocks:  # after each the trim is learned afresh, with whatever it broke
         when = f"the knock at {knocks[0]}" if len(knocks) == 1 else f"{len(knocks)} knocks, the first at {knocks[0]},"
@@ -223,6 +227,11 @@ def _headline(seen: Seen, verdict: str, main: int | None) -> str:
         said = listed([MOTOR_NOTICES[e.kind] for e in own])
         parts.append(sentence(f"{rotors([rotor], seen.places)} {said}, since {seconds(min(e.onset_s for e in own))}."))
     return " ".join(parts)
+
+
+def _unseen(seen: Seen) -> float:
+    """The largest loss of any rotor that can lie in the flight without having been announced."""
+    return float(np.max(seen.hidden)) if seen.hidden is not None else 1.0
 
 
 def _growing(seen: Seen) -> list[tuple[int, Trend]]:
