@@ -47,8 +47,9 @@ def answer(name: str, session: Session, rows: Sequence[tuple], hop: tuple[float,
     vehicle, about = session.vehicle, session.about
     judged = [row for row in rows if len(row) > 1 and start <= row[0] <= end]
     steps = np.diff([row[0] for row in judged])
-    unseen = [np.where(np.asarray(row[1]) > 0.0, np.nan, row[3]) for row in judged]
-    hidden = np.nan_to_num(np.nanmedian([np.ones(len(vehicle.rotors)), *unseen][len(unseen) > 0 :], axis=0), nan=1.0)
+    hidden = np.ones(len(vehicle.rotors))
+    for row in judged:  # the bound of a healthy rotor is of all that was flown until then
+        hidden = np.where(np.asarray(row[1]) > 0.0, hidden, row[3])
     events = [e for e in session.events() if start <= e.detected_s <= end + SETTLED_S]
     names = places.names(vehicle.rotors)
     end_of = conclusion.conclude(
