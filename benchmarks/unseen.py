@@ -11,13 +11,11 @@ from __future__ import annotations
 import argparse
 import itertools
 import math
-import os
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 
 import numpy as np
 
 import rotorwatch as rw
+from rotorwatch.many import spread
 from rotorwatch.simulation import scenario, simulate
 
 FRAMES = {"quad-x": 4, "hexa-x": 6, "hexa-plus": 6, "y6-b": 6, "octa-x": 8}
@@ -29,10 +27,8 @@ def flown(number: int) -> tuple[float, float, str, tuple[float, ...], int]:
     """(loss or 0, wind m/s, verdict, upper bounds of the rotors, the rotor) of a flight."""
     rng = np.random.default_rng(number)
     frame, trajectory = str(rng.choice(list(FRAMES))), str(rng.choice(TRAJECTORIES))
-    wind, loss = (
-        float(rng.uniform(WINDS[0], WINDS[-1])),
-        math.exp(rng.uniform(math.log(LOSSES[0]), math.log(LOSSES[-1]))),
-    )
+    wind = float(rng.uniform(WINDS[0], WINDS[-1]))
+    loss = math.exp(rng.uniform(math.log(LOSSES[0]), math.log(LOSSES[-1])))
     rotor, onset = int(rng.integers(1, FRAMES[frame] + 1)), float(rng.uniform(20.0, 50.0))
     profile = str(rng.choice(["default", "fast"]))
     if rng.random() < 0.25:
@@ -51,10 +47,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--flights", type=int, default=600)
     parser.add_argument("--first", type=int, default=10_000)
-    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--jobs", type=int, default=spread.processors())
     given = parser.parse_args()
-    with ProcessPoolExecutor(given.jobs, get_context("spawn")) as pool:
-        rows = list(pool.map(flown, range(given.first, given.first + given.flights), chunksize=10))
+    numbers = range(given.first, given.first + given.flights)
+    rows = [done.result() for done in spread.run(flown, numbers, given.jobs)]
     print("| loss | flights | not announced | of these beyond the bound |\n|---|---|---|---|")
     for low, high in (*itertools.pairwise(LOSSES), (LOSSES[0], LOSSES[-1])):
         there = [row for row in rows if low <= row[0] < high]

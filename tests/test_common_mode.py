@@ -6,11 +6,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from rotorwatch.answer.common_mode import BLOCKS, T_8, thrust_shift
+from rotorwatch.answer.common_mode import BLOCKS, thrust_shift
+from rotorwatch.maths.tails import student_quantile
 
 
 def test_the_quantile_is_students():
-    assert pytest.approx(stats.t.ppf(0.975, 2 * BLOCKS - 2), abs=5e-4) == T_8
+    assert pytest.approx(stats.t.ppf(0.975, 2 * BLOCKS - 2), abs=5e-4) == student_quantile(0.975, 2 * BLOCKS - 2)
 
 
 @given(st.floats(-2.0, 2.0), st.integers(0, 1000))

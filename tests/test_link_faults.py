@@ -33,6 +33,12 @@ def test_a_loss_that_begins_within_cuts_is_named():
     assert flown(0, number)["outcome"] == "found"
 
 
+def test_nothing_is_told_of_a_second_vehicle_with_the_same_id():
+    """It comes in at 28.8 s with a loss of rotor 2, which is no loss of this vehicle's."""
+    assert drawn_of(997).second == "here"
+    assert flown(0, 997)["outcome"] == "found"
+
+
 def drawn_of(number):
     return link_faults.drawn(np.random.default_rng((0, number)))
 

@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from rotorwatch.maths.tails import student_quantile
+
 BLOCKS = 5  # in each third of the flight
-T_8 = 2.306  # Student's t, 95 %, of 2 BLOCKS - 2 degrees of freedom
 LEAST = 4  # ticks in a block
 
 
@@ -26,7 +27,7 @@ def thrust_shift(collective: np.ndarray) -> dict[str, Any]:
         for part in (collective[:third], collective[-third:])
     )
     shift = last.mean() - first.mean()
-    half = T_8 * np.sqrt((first.var(ddof=1) + last.var(ddof=1)) / BLOCKS)
+    half = student_quantile(0.975, 2 * BLOCKS - 2) * np.sqrt((first.var(ddof=1) + last.var(ddof=1)) / BLOCKS)
     return {
         "thrust_shift": float(shift),
         "interval": [float(shift - half), float(shift + half)],

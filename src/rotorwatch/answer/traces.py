@@ -22,18 +22,8 @@ KINDS = ("mode", "armed", "landed", "error", "event", "text", "dropout")
 
 
 def make(
-    flight: Flight,
-    out,
-    table: Ticks,
-    hyp: Hypotheses,
-    B,
-    air,
-    ready_s: float,
-    limit: float,
-    found=(),
-    spells=(),
-    states=(),
-) -> Trace:
+    flight: Flight, out, table: Ticks, hyp: Hypotheses, B, air, ready_s: float, limit: float, found=(), spells=(), states=()
+) -> Trace:  # fmt: skip
     """The Trace of a judged flight. out: the estimator's stacked outputs; limit: its threshold in nats; B (4, n):
     effectiveness; found: events; spells: of evidence that no event explains (`leftover`); states: of the rotors at the end."""
     judging = table.mode == JUDGE
@@ -54,10 +44,8 @@ def make(
         blind.append((spell.start_s, spell.end_s, f"evidence against {rotors(spell.rotors)} that no event explains"))
     lower, upper = np.clip(out.theta - spread, 0, 1), np.clip(out.theta + spread, 0, 1)
     _open(lower, upper, table.time, found, spells)
-    for k, state in enumerate(states):
-        if (
-            state.since_takeoff is not None and not (out.theta[:, k] > 0.0).any()
-        ):  # what can have gone unseen, as the rotor table says
+    for k, state in enumerate(states):  # what can have gone unseen, as the rotor table says
+        if state.since_takeoff is not None and not (out.theta[:, k] > 0.0).any():
             upper[judging, k] = np.maximum(upper[judging, k], state.since_takeoff[1])
     time, seen = table.time, np.ones(table.time.size, bool) if table.seen is None else table.seen
     measured = np.any(table.valid, axis=1, keepdims=True)

@@ -18,8 +18,6 @@ autocorrelation, Biometrika 41 (1954) 403-404, for the (1 + 3 r) / N by which r 
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import numpy as np
 
 from rotorwatch.maths.tails import student_quantile
@@ -98,9 +96,4 @@ def _bounds(z: np.ndarray, share: np.ndarray, B: np.ndarray) -> np.ndarray:
     columns = B[:3] * ((shares[-1] - shares[k[:, 0] - 1]) / (N - k))[:, None, :]
     information = np.maximum(np.einsum("ka,kai->ki", weight, columns**2), 1e-12)
     loss = np.einsum("ka,kai->ki", weight * (after - before), columns) / information
-    return np.minimum((np.maximum(loss, 0.0) + _reach(N - 2) / np.sqrt(information)).max(axis=0), 1.0)
-
-
-@lru_cache
-def _reach(dof: int) -> float:
-    return student_quantile(0.975, dof)
+    return np.minimum((np.maximum(loss, 0.0) + student_quantile(0.975, N - 2) / np.sqrt(information)).max(axis=0), 1.0)

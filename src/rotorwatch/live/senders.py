@@ -7,9 +7,8 @@ TREND = 0.02  # weight of a frame in its row's share
 # Share of the second row from which there are two senders; below which there is one again; below which a row is over.
 SECOND, GONE, FORGOTTEN = 0.25, 0.05, 0.01
 SURE = 150  # frames for which that must hold: after a gap the old row fades within a third of it
-RETURNS = (
-    0.1  # share of frames that go on with the row that was left: two senders take turns, after a gap nobody goes back
-)
+# Share of frames that go on with the row that was left: two senders take turns, after a gap nobody goes back.
+RETURNS = 0.1
 
 
 class Senders:

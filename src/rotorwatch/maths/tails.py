@@ -10,6 +10,7 @@ modified Lentz method.
 
 from __future__ import annotations
 
+import functools
 import math
 
 import numpy as np
@@ -76,6 +77,7 @@ def student_cdf(x: float, dof: float) -> float:
     return tail if x < 0.0 else 1.0 - tail
 
 
+@functools.lru_cache
 def student_quantile(share: float, dof: float) -> float:
     """x with student_cdf(x, dof) = share; 0 < share < 1."""
     low, high = -1.0, 1.0
