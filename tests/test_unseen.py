@@ -11,6 +11,7 @@ from rotorwatch.answer import unseen
 from rotorwatch.live.replay import Replay
 from rotorwatch.live.watched import Watched
 from rotorwatch.motion.ticks import JUDGE
+from rotorwatch.serve import landed
 from rotorwatch.simulation import scenario, simulate
 
 B = np.array([[-1.0, 1.0, 1.0, -1.0], [1.0, -1.0, 1.0, -1.0], [0.1, 0.1, -0.1, -0.1], [1.0, 1.0, 1.0, 1.0]])
@@ -147,7 +148,7 @@ def test_a_live_vehicle_is_bounded_as_its_log_is():
     """What `watch` shows of a healthy rotor in the air is what `diagnose` says of the same flight, but for the landing."""
     table = {"duration_s": 60.0, "seed": 3, "airframe": {"frame": "quad-x"}, "wind": {"speed_m_s": 5.0}}
     flight = simulate(scenario.from_table(table)).flight
-    asked = {}
+    asked, rows = {}, []
 
     def tell(_alert):
         pass
@@ -157,8 +158,14 @@ def test_a_live_vehicle_is_bounded_as_its_log_is():
         session = replay.watched.session
         if session is not None and session.flying and not session.blind() and (known := session.losses()) is not None:
             asked[session.now] = known[2]
+            rows.append((session.now, *known))
     upper = asked[max(t for t in asked if t < 55.0)]
     whole = [r.since_takeoff[1] for r in rw.diagnose(flight).rotors]
     np.testing.assert_allclose(upper, whole, rtol=0.5, atol=0.01)
     early = asked[min(t for t in asked if t > 14.0)]
     assert (early > 0.5 * upper).all(), "little is known at first"
+    session = replay.watched.session
+    assert session is not None
+    listed = landed.answer("one", session, rows, session.spans[0])
+    assert listed.verdict == "healthy"
+    np.testing.assert_allclose([r.since_takeoff[1] for r in listed.rotors], rows[-1][3])
