@@ -26,6 +26,7 @@ from rotorwatch.motion.airborne import airborne
 from rotorwatch.motion.ticks import JUDGE, READY_KNOWN_S, READY_S, Ticks, observe
 from rotorwatch.published import decide, published
 from rotorwatch.published.published import Tuning
+from rotorwatch.upset import find as upset
 
 LONGEST_UP_US = 1e14  # a start later than that counts from 1970, not from the autopilot's boot
 
@@ -72,6 +73,8 @@ def diagnose(
     # Without a gyro every take-off swing looks like a torque that is missing: no short blind time then.
     ready_s = READY_KNOWN_S if dynamics and flight.has("gyro") else READY_S
     air = airborne(flight) if flight.has("motors") else ()
+    upsets = upset.judged(flight, craft, air)
+    air = upset.until_impact(flight, air, upsets)
     table = observe(flight, craft, air, ready_s)
     warnings = [*flight.warnings, *told]
     assumptions = list(craft.assumptions)
@@ -100,7 +103,8 @@ def diagnose(
         )
         timing["total_s"] = time.perf_counter() - began
         doubts = (f"{why}; nothing can be judged.",)
-        end = conclusion.conclude((), None, len(craft.rotors), doubts=doubts, places=names)
+        found = upset.events(upsets, (), len(craft.rotors))
+        end = conclusion.conclude(found, None, len(craft.rotors), doubts=() if found else doubts, places=names)
         return _answer(end, facts, {}, source, assumptions, warnings, timing, doubts=doubts)
     assumptions += table.notes
     B = craft.effectiveness()
@@ -125,7 +129,7 @@ def diagnose(
     overrides = outside.overrides(flight, craft, air, table)
     losses = outside.unexplained(losses, overrides)
     contacts = outside.contacts(table, air)
-    found = tuple(sorted((*losses, *overrides, *contacts), key=lambda e: e.detected_s))
+    found = upset.events(upsets, (*losses, *overrides, *contacts), len(craft.rotors))
     heard = witness.hear(flight, craft, air, table, found)
     found = heard.events
     warnings += heard.warnings

@@ -44,11 +44,13 @@ def of(
     if doubts:
         out += [sentence(d) for d in doubts[1:]]
         out.append("Log the outputs that reach the motors; `rotorwatch info LOG` says what a log holds and lacks.")
-    elif verdict == "inconclusive":
+    elif verdict == "inconclusive" and (event is None or event.kind != "loss_of_control"):
         out.append(
             "Fly at least 20 s in the air; `rotorwatch info LOG` says what this log holds and what to log next time."
         )
-    if event is not None and event.kind == "output_override" and not event.alternatives:
+    if event is not None and event.kind in ("motor_order", "loss_of_control"):
+        out += _upset(event)
+    elif event is not None and event.kind == "output_override" and not event.alternatives:
         out.append(
             f"Do not fly again before it is clear why the output of {rotors(event.rotors, places)} left the mixer: output functions and "
             "passthrough, motor test, failsafe, a second controller."
@@ -89,6 +91,32 @@ def of(
     if verdict != "inconclusive" and not whole:
         out.append(BASELINE)
     return tuple(out)
+
+
+CAUSES = {
+    "disarmed": "Find out who or what stopped the motors: the switch, a failsafe, the arming checks; the log's messages say which.",
+    "knock": "Look the vehicle over for damage, and fly away from what it touched.",
+    "controller": "Look at sensors, vibration, calibration, the estimator's messages and the pilot's inputs around that time.",
+    "saturated": "The vehicle had no thrust left: take weight off, charge the battery, wait for less wind, or fit stronger motors.",
+    "power": "Look at the battery, its connectors and wires, and the power module.",
+    "unknown": "Look at everything that moves or carries current before the next flight; log faster: `rotorwatch info LOG` says how.",
+    "rotor": "Look at propellers, motors and ESCs before the next flight.",
+}
+
+
+def _upset(event: Event) -> list[str]:
+    """What to do about motors in the wrong order, or about a loss of control that no certain rotor caused."""
+    if event.kind == "loss_of_control":
+        return [CAUSES.get(event.extra.get("cause", ""), CAUSES["unknown"])]
+    if not event.rotors:
+        return [
+            "Do not fly before each motor's direction and its propeller have been checked against the frame's drawing: motor test."
+        ]
+    i, j = event.rotors
+    return [
+        f"Do not fly before the motor test has shown which motor answers to which output: swap the outputs of motors {i} and {j} "
+        f"(ArduPilot: SERVO{i}_FUNCTION and SERVO{j}_FUNCTION; PX4: the actuator page), or their wires."
+    ]
 
 
 def _parts(event: Event, stays: bool) -> str:

@@ -6,7 +6,7 @@ Every view - terminal, page, JSON - shows what is said here and adds nothing, so
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -31,11 +31,21 @@ from rotorwatch.default.leftover import Leftover
 from rotorwatch.diagnosis import Event, RotorState, Trend
 
 LOSS, OVERRIDE, CONTACT = "loss_of_effectiveness", "output_override", "contact"
+LOST, ORDER = "loss_of_control", "motor_order"
+ACCUSES = (LOSS, OVERRIDE, ORDER)
 # Of ESC telemetry, without a loss: what they say of a rotor.
 MOTOR_NOTICES = {
     "slow_motor": "turns slower than told",
     "high_current": "draws more current than before",
     "low_current": "draws less current than before",
+}
+# Causes of a loss of control that clear the rotors, in words that follow "when".
+NOT_A_ROTOR = {
+    "disarmed": "the motors were stopped in the air",
+    "knock": "something struck the vehicle",
+    "controller": "the vehicle left what was wanted though it did what it was told: a sensor, an estimate or the pilot was wrong",
+    "saturated": "they had no more to give",
+    "power": "the power failed",
 }
 LEAST_S = 3.0  # of judged flight, below which nothing is said of healthy rotors
 LARGE = 0.5  # of the largest loss: what counts when the first one is looked for
@@ -83,7 +93,12 @@ class Seen:
     @property
     def sure(self) -> list[Event]:
         """Losses and overrides that name one set of rotors."""
-        return [e for e in self.events if e.kind in (LOSS, OVERRIDE) and not e.alternatives]
+        return [e for e in self.events if e.kind in ACCUSES and not e.alternatives]
+
+    @property
+    def lost(self) -> Event | None:
+        """The first time that the vehicle left control."""
+        return next((e for e in self.events if e.kind == LOST), None)
 
     @property
     def compared(self) -> Mapping[str, Any] | None:
@@ -113,7 +128,7 @@ def conclude(
     trends: `health.trends`, shown of rotors that are no suspects.
     """
     if doubts:
-        shown = tuple(e for e in events if e.kind not in (LOSS, OVERRIDE, *MOTOR_NOTICES))
+        shown = tuple(e for e in events if e.kind not in (*ACCUSES, *MOTOR_NOTICES))
         seen = Seen(shown, None, n, None, judged_s, (), tuple(places), tuple(hops))
         return _concluded(seen, "inconclusive", doubts[0], "This log cannot say.", None, doubts)
     judged = judged_s >= LEAST_S and hidden is not None
@@ -135,11 +150,12 @@ def _concluded(seen: Seen, verdict, reason, headline, main, doubts) -> Conclusio
 
 def main_event(events: Sequence[Event]) -> int | None:
     """Index of the event that matters: sure ones before ambiguous ones; the first that is large, or an override that came before it
-    (one that comes after is what a falling vehicle's controller does); of losses that began together the largest."""
-    order = [i for i, e in enumerate(events) if e.kind in (LOSS, OVERRIDE)]
+    (one that comes after is what a falling vehicle's controller does); of losses that began together the largest. Where no rotor is
+    accused, the loss of control."""
+    order = [i for i, e in enumerate(events) if e.kind in ACCUSES]
     order = [i for i in order if not events[i].alternatives] or order
     if not order:
-        return None
+        return next((i for i, e in enumerate(events) if e.kind == LOST), None)
     size = {i: max(events[i].loss, default=0.0) for i in order if events[i].kind == LOSS}
     large = [i for i in size if size[i] >= LARGE * max(size.values())]
     first = min((events[i].onset_s for i in large), default=np.inf)
@@ -155,6 +171,8 @@ def main_event(events: Sequence[Event]) -> int | None:
 def _verdict(seen: Seen, main: int | None) -> tuple[str, str]:
     event = None if main is None else seen.events[main]
     whole = seen.compared
+    if event is not None and event.kind == LOST:
+        return "ambiguous" if event.alternatives else "inconclusive", f"{event.reason}. {_cleared(seen, event)}"
     if event is not None and not event.alternatives:
         return "fault", _what_happened(seen, event) + _and_more(seen, event) + _open(seen) + "."
     if whole and whole["verdict"] == "fault":
@@ -179,11 +197,22 @@ def _verdict(seen: Seen, main: int | None) -> tuple[str, str]:
 
 def _what_happened(seen: Seen, event: Event) -> str:
     why = event.reason.strip().removesuffix(".")
-    if event.kind == OVERRIDE:
+    if event.kind in (OVERRIDE, ORDER):
         return why
     until = _until(seen, event, ", until")
     what = f"{rotors(event.rotors)} lost {losses(event)} of its effectiveness at {seconds(event.onset_s)}{until}"
     return f"{what}: {why}" if why else what
+
+
+def _cleared(seen: Seen, lost: Event) -> str:
+    """What a loss of control that no rotor caused says of the rotors, a sentence."""
+    when = min((t for t in lost.extra.get("worked_until_s", ()) if t is not None), default=None)
+    until = "" if when is None else f" until {seconds(when)}"
+    if lost.extra.get("cause") in NOT_A_ROTOR:
+        return f"Not a rotor: all {seen.n} did what they were told{until}, when {NOT_A_ROTOR[lost.extra['cause']]}."
+    if lost.alternatives:
+        return f"It may have been {candidates(replace(lost, rotors=lost.alternatives[0]), seen.places)}, or something else."
+    return f"No rotor is accused: as far as the log shows, all {seen.n} did what they were told{until}."
 
 
 def _until(seen: Seen, event: Event, word: str) -> str:
@@ -193,7 +222,7 @@ def _until(seen: Seen, event: Event, word: str) -> str:
 
 
 def _and_more(seen: Seen, main: Event) -> str:
-    rest = [e for e in seen.events if e is not main and e.kind in (LOSS, OVERRIDE)]
+    rest = [e for e in seen.events if e is not main and e.kind in ACCUSES]
     return f"; {len(rest)} more event{'s' if len(rest) > 1 else ''} in this flight" if rest else ""
 
 
@@ -204,6 +233,9 @@ def _open(seen: Seen) -> str:
 
 def _headline(seen: Seen, verdict: str, main: int | None) -> str:
     """One or two short sentences that a pilot understands."""
+    event = None if main is None else seen.events[main]
+    if event is not None and event.kind == LOST:
+        return f"The vehicle left control at {seconds(event.onset_s)}. {_cleared(seen, event)}"
     if verdict == "inconclusive":
         return "This log cannot say."
     knocks = [seconds(e.onset_s) for e in seen.events if e.kind == CONTACT]
@@ -215,10 +247,12 @@ def _headline(seen: Seen, verdict: str, main: int | None) -> str:
     if verdict == "healthy" and _growing(seen):
         said = "No rotor lost thrust at once."
     parts = [said]
+    if seen.lost is not None:
+        parts.append(f"The vehicle left control at {seconds(seen.lost.onset_s)}.")
     if verdict == "healthy" and _unseen(seen) >= dict(SCALE)["degraded"]:
         parts.append(f"A loss of up to {percent(_unseen(seen))} of one rotor could have gone unseen.")
     parts += [sentence(f"{rotors([k], seen.places)} {grows(t)}.") for k, t in _growing(seen)]
-    parts += [] if seen.compared else [UNJUDGED]
+    parts += [] if seen.compared or seen.lost is not None else [UNJUDGED]
     if knocks:  # after each the trim is learned afresh, with whatever it broke
         when = f"the knock at {knocks[0]}" if len(knocks) == 1 else f"{len(knocks)} knocks, the first at {knocks[0]},"
         parts.append(f"What {when} broke was not judged.")
@@ -257,11 +291,15 @@ def _matter(seen: Seen, verdict: str, main: int | None) -> str:
         return "Something is wrong, but the log cannot say which rotor."
     if event.alternatives:
         return f"Something lost thrust at {seconds(event.onset_s)}: {candidates(event, seen.places)}."
-    more = sum(e.kind in (LOSS, OVERRIDE) for e in seen.events) - 1
+    more = sum(e.kind in ACCUSES for e in seen.events) - 1
     again = f" (the first of {more + 1} events)" if more and event is seen.events[0] else ""
     again = again or (f" (one of {more + 1} events)" if more else "")
     until = _until(seen, event, " until")
     who = rotors(event.rotors, seen.places)
+    if event.kind == ORDER:
+        if not event.rotors:
+            return "The vehicle yaws against its commands: propellers or motors turn the wrong way round."
+        return f"The outputs of motors {listed([str(r) for r in event.rotors])} go to each other's motor."
     if event.kind == OVERRIDE:
         return f"The output of {who} stopped following the mixer at {seconds(event.onset_s)}{until}{again}."
     return f"{sentence(who)} lost {losses(event)} of thrust at {seconds(event.onset_s)}{until}{cause(event)}{again}."
@@ -281,6 +319,8 @@ def _state(seen: Seen, rotor: int, verdict: str) -> RotorState:
     landed = [e for e in claims if e.end_s is not None and _landed(seen, e.end_s)]
     over = [e for e in claims if e.end_s is not None and e not in landed]
     stuck = [e for e in seen.events if e.kind == OVERRIDE and rotor in e.rotors]
+    wrong = [e for e in seen.events if e.kind == ORDER and rotor in e.rotors]
+    lost = seen.lost
     stuck_now = [e for e in stuck if e.end_s is None or _landed(seen, e.end_s)]
     spells = [s for s in seen.leftover if rotor in s.rotors]
 
@@ -328,6 +368,12 @@ def _state(seen: Seen, rotor: int, verdict: str) -> RotorState:
     for s in spells:
         reasons.append(f"evidence against it from {seconds(s.start_s)} to {seconds(s.end_s)} that no event explains")
         high = 1.0
+    for e in wrong:
+        reasons.append(f"its output seems to go to motor {next(r for r in e.rotors if r != rotor)}")
+        high = 1.0
+    if lost is not None and not claims and any(rotor in who for who in lost.alternatives):
+        reasons.append(f"may be why control was lost at {seconds(lost.onset_s)}")
+        high = 1.0
     if from_takeoff == "suspect":
         assert whole
         reasons.append("may have been weaker than on healthy flights")
@@ -344,6 +390,9 @@ def _state(seen: Seen, rotor: int, verdict: str) -> RotorState:
         for e in stuck
         if e not in stuck_now
     ]
+    worked = lost.extra.get("worked_until_s", ()) if lost is not None else ()
+    if rotor <= len(worked) and worked[rotor - 1] is not None:
+        notes.append(f"seen to work until {seconds(worked[rotor - 1])}")
     notes += [f"{MOTOR_NOTICES[e.kind]} since {seconds(e.onset_s)}" for e in _notices(seen) if rotor in e.rotors]
     if whole:
         high = 1.0 - (1.0 - since[1]) * (1.0 - float(whole["interval"][rotor - 1][1]))

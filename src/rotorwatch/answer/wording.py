@@ -13,6 +13,8 @@ KINDS = {
     "contact": "knock or contact",
     "common_mode": "common mode",
     "torque_bias": "torque bias",
+    "loss_of_control": "loss of control",
+    "motor_order": "motors in the wrong order",
     "slow_motor": "motor slower than told",
     "high_current": "motor draws more current",
     "low_current": "motor draws less current",

@@ -1,0 +1,136 @@
+"""The balance of torques and of thrust at any attitude: how well does a set of commands explain the motion of a vehicle that tumbles?
+
+For each axis a of roll, pitch and yaw, in the body frame,
+
+    w_a + b_a = J_a (dr_a/dt + g_a) + D_a r_a + e,        w = B T
+
+w: torque of the thrusts T (n,) that the rotors give (hover thrust of one rotor = 1); r: rates; g: what the gyroscopic terms of a flat body
+add, (q r, -p r, 0) k; J, D, b: inertia, damping and offset, of which signs and sizes of any multirotor are known: inertia is never
+negative, so that motion against the torque speaks against the commands, however wrong the gains may be. For the thrust
+
+    sum T - m load = e
+
+with the load factor and the number of hover thrusts m that carry the vehicle. It holds while tumbling as well as in hover, other than the
+small-angle hover physics of `default`. The noise e is that of models: thrust is off by a share, a rotor near its limit gives less (never
+nothing), commands that are logged slowly are snapshots. A share of all ticks says nothing at all (a blow, a damaged sample).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+# For each rotor: inertia and its scatter in hover thrusts per rad/s^2, as in `default.plant`, but positive for certain.
+INERTIA, INERTIA_SD, LEAST = (
+    np.array([0.006, 0.006, 0.13]),
+    np.array([0.006, 0.006, 0.1]),
+    np.array([0.001, 0.001, 0.02]),
+)
+DAMPING_SD = np.array([0.03, 0.03, 0.2])  # hover thrusts per rad/s and rotor
+FLAT = 0.8  # (Jz - Jy) / Jx of a vehicle that is nearly flat; 1 for a plate
+# Standard deviations: hover thrusts of one rotor; share of each rotor's thrust; of a command that changes, of its step within the tick; of
+# damping and gyroscopic terms; of the whole thrust, which air that flows along the axis changes; of the load factor, by drag.
+FLOOR, THRUST_SHARE, STEP_SHARE, MOTION_SHARE, LOAD_SHARE, LOAD_FLOOR = 0.1, 0.12, 0.5, 0.4, 0.3, 0.2
+BELIEVED, AT_LIMIT, LIMIT_LACKS = 0.6, 0.95, 0.4  # shares of full thrust; at its limit a rotor may give so much less
+OUTLIERS, OUTLIER_SD = 0.05, 4.0
+TEMPER = 0.5  # errors of models last longer than a tick: each counts as half a sample
+TURNS = 12  # of the coordinate descent
+
+
+@dataclass(frozen=True)
+class Window:
+    """K ticks: time (K,); thrust (K, n) commanded, in hover thrusts; full (float): a rotor's largest thrust; rate, rate_dot (K, 3); load
+    (K,); torque_ok, load_ok (K,) bool; before, after (K, n): commands of the ticks beside."""
+
+    time: np.ndarray
+    thrust: np.ndarray
+    full: float
+    rate: np.ndarray
+    rate_dot: np.ndarray
+    load: np.ndarray
+    torque_ok: np.ndarray
+    load_ok: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+
+
+@dataclass(frozen=True)
+class Offset:
+    """b of each axis: mean (3,) and standard deviation (3,) [hover thrusts]."""
+
+    mean: np.ndarray
+    sd: np.ndarray
+
+
+@dataclass(frozen=True)
+class Fit:
+    """log_evidence (H,); residual (H, K, 4) in standard deviations."""
+
+    log_evidence: np.ndarray
+    residual: np.ndarray
+
+
+def noise_variance(window: Window, B: np.ndarray) -> np.ndarray:
+    """(K, 4) variance of e that depends on commands alone. B (4, n)."""
+    T = window.thrust
+    change = 0.5 * (np.abs(window.after - T) + np.abs(T - window.before))
+    near = np.clip((T / window.full - BELIEVED) / (AT_LIMIT - BELIEVED), 0.0, 1.0)
+    each = (THRUST_SHARE * T) ** 2 + (STEP_SHARE * change) ** 2 + (LIMIT_LACKS * near * T) ** 2
+    variance = FLOOR**2 + each @ (B**2).T
+    variance[:, 3] += (LOAD_SHARE * T.sum(axis=1)) ** 2 + (LOAD_FLOOR * B.shape[1]) ** 2
+    return variance
+
+
+def fit(window: Window, wrench: np.ndarray, B: np.ndarray, offset: Offset) -> Fit:
+    """How well H courses of the wrench (H, K, 4) explain the motion.
+
+    Per axis the most probable (J, D, b) by reweighted coordinate descent, of all courses at once; the evidence is the mixture's likelihood
+    there, times the prior.
+    """
+    n = B.shape[1]
+    H, K, _ = wrench.shape
+    base = noise_variance(window, B)
+    r = window.rate
+    spin = FLAT * np.stack([r[:, 1] * r[:, 2], -r[:, 0] * r[:, 2], np.zeros(K)], axis=1)
+    turn = window.rate_dot + spin
+    mean = np.concatenate([(n * INERTIA)[:, None], np.zeros((3, 1)), offset.mean[:, None]], axis=1)
+    sd = np.concatenate([(n * INERTIA_SD)[:, None], (n * DAMPING_SD)[:, None], offset.sd[:, None]], axis=1)
+    low = np.concatenate([(n * LEAST)[:, None], np.zeros((3, 1)), np.full((3, 1), -np.inf)], axis=1)
+    X = np.stack([turn, r, -np.ones((K, 3))], axis=2)  # (K, 3 axes, 3 parameters)
+    p = np.broadcast_to(mean, (H, 3, 3)).copy()
+    ok = window.torque_ok[None, :, None]
+    share = np.full((H, K, 3), 1.0)
+    y = wrench[:, :, :3]
+    variance = np.broadcast_to(base[None, :, :3], (H, K, 3))
+    for _ in range(TURNS):
+        weight = np.where(ok, share / variance, 0.0)
+        for j in range(3):
+            rest = y - np.einsum("kaj,haj->hka", X, p) + X[None, :, :, j] * p[:, None, :, j]
+            top = (weight * X[None, :, :, j] * rest).sum(axis=1) + mean[:, j] / sd[:, j] ** 2
+            below = (weight * X[None, :, :, j] ** 2).sum(axis=1) + 1.0 / sd[:, j] ** 2
+            p[:, :, j] = np.maximum(top / below, low[:, j])
+        moved = (
+            (p[:, None, :, 0] * spin[None]) ** 2
+            + (p[:, None, :, 1] * r[None]) ** 2
+            + (0.3 * p[:, None, :, 0] * turn[None]) ** 2
+        )
+        variance = base[None, :, :3] + MOTION_SHARE**2 * moved
+        e = y - np.einsum("kaj,haj->hka", X, p)
+        inside, outside = _normal(e, variance), _normal(e, OUTLIER_SD**2 + variance)
+        share = 1.0 / (1.0 + OUTLIERS / (1.0 - OUTLIERS) * np.exp(np.clip(outside - inside, -50.0, 50.0)))
+    torque = np.logaddexp(np.log(1.0 - OUTLIERS) + inside, np.log(OUTLIERS) + outside)
+    total = TEMPER * np.where(ok, torque, 0.0).sum(axis=(1, 2))
+    total -= 0.5 * (((p - mean) / sd) ** 2).sum(axis=(1, 2))
+    push = wrench[:, :, 3] - n * window.load[None]
+    spread = np.broadcast_to(base[None, :, 3], (H, K))
+    lift = np.logaddexp(
+        np.log(1.0 - OUTLIERS) + _normal(push, spread), np.log(OUTLIERS) + _normal(push, (n * OUTLIER_SD) ** 2)
+    )
+    total += TEMPER * np.where(window.load_ok[None], lift, 0.0).sum(axis=1)
+    residual = np.concatenate([e / np.sqrt(variance), (push / np.sqrt(spread))[:, :, None]], axis=2)
+    return Fit(total, residual)
+
+
+def _normal(e: np.ndarray, variance) -> np.ndarray:
+    return -0.5 * (e**2 / variance + np.log(2.0 * np.pi * variance))

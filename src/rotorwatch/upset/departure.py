@@ -1,0 +1,267 @@
+"""When a vehicle left control: its attitude or rates part from what was wanted, and do not come back; or it falls without thrust.
+
+Wanted is what the autopilot asked for: the direction of thrust (attitude_wanted), which aerobatics turn as well, or, where there is none,
+the rates (rates_wanted). Where a log has neither, only a vehicle on its head is out of control.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rotorwatch.flight import Flight, Signal
+from rotorwatch.motion.airborne import commands, output_range
+
+# Degrees between the actual direction of thrust and any that was wanted lately, and for how long. Healthy vehicles of public logs,
+# aerobatics and gusts of 18 m/s included, stay below 20 degrees, but for half a second of 57 in one manual flight.
+APART_DEG, LASTS_S = 40.0, 0.4
+GONE_S = 1.2  # control that is back sooner was not lost: a knock or a hard turn that the vehicle mastered
+SPINS = 20.0  # rad/s of yaw, faster than anybody asks for
+ANSWERS_S = 0.6  # within which a vehicle under control has the attitude that was wanted
+RATE_APART = 6.0  # rad/s of roll or pitch between the wanted and the actual rate
+OVER_DEG = 100.0  # of tilt, which nobody has asked for where nothing says what was wanted
+BACK_DEG, BACK_S = 15.0, 2.0  # closer than that for so long: control has come back
+FRESH_S = 0.5  # a wanted attitude that is older is none
+FALLS, FALLS_S = 0.35, 0.25  # load factor [g] below which a vehicle falls, with outputs at rest for so long
+REST = 0.015  # share of the range up to which an output is at rest
+POWERED = 0.1  # share of the range of commands
+HITS_G = 2.0  # g from the side or from above, twice as much from below: no rotor pushes so; the ground does, or another thing
+HIT_S = 0.2  # a blow so soon after the wanted attitude was left made it leave
+LOW_M = 1.5  # above the place of take-off or rest: a blow there is the ground's
+FAST_M_S, STAYS_M_S = 2.0, 0.3  # down before a blow, any way after it: a vehicle that fell to the ground
+G0 = 9.80665
+
+
+@dataclass(frozen=True)
+class Departure:
+    """onset: when the vehicle began to leave what was wanted; lost: when that was certain; end: when control came back, else None; impact:
+    of the ground or what it fell on, None where none was seen [all s]. what: in words. falls: outputs came to rest in the air."""
+
+    onset: float
+    lost: float
+    end: float | None
+    impact: float | None
+    what: str
+    falls: bool = False
+
+
+def thrust_axis(q: np.ndarray) -> np.ndarray:
+    """(n, 3) body z axis in the world, of quaternions (n, 4) body to world."""
+    w, x, y, z = q.T
+    return np.stack([2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)], axis=1)
+
+
+def held(signal: Signal, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The last sample of all columns before each time, and how old it is [s]; infinitely old where there is none."""
+    ok = signal.valid.all(axis=1)
+    time, values = signal.time[ok], signal.values[ok]
+    if not time.size:
+        return np.zeros((at.size, values.shape[1])), np.full(at.size, np.inf)
+    k = np.searchsorted(time, at, side="right") - 1
+    age = np.where(k >= 0, at - time[np.maximum(k, 0)], np.inf)
+    return values[np.maximum(k, 0)], age
+
+
+def apart(flight: Flight) -> tuple[np.ndarray, np.ndarray, str]:
+    """Times (m,) s, angle (m,) in degrees by which the direction of thrust differs from what was wanted, and what that is, in words.
+
+    NaN where it is not known. A difference of rates counts as the angle that it makes within LASTS_S.
+    """
+    if flight.has("attitude"):
+        attitude = flight["attitude"]
+        ok = attitude.valid.all(axis=1)
+        time, axis = attitude.time[ok], thrust_axis(attitude.values[ok])
+        angle, words = np.full(time.size, np.nan), "tilted {:.0f} degrees away from what was wanted"
+        if flight.has("attitude_wanted"):
+            angle = _angle(flight["attitude_wanted"], time, axis)
+        if flight.has("rates_wanted"):
+            both = np.isnan(angle) & _known_rates(flight, time)
+            angle = np.where(both, np.degrees(_rate_error(flight, time)) / np.degrees(RATE_APART) * APART_DEG, angle)
+        if np.isnan(angle).all():
+            tilt = np.degrees(np.arccos(np.clip(axis[:, 2], -1.0, 1.0)))
+            angle, words = np.where(tilt > OVER_DEG, tilt, 0.0), "tilted by {:.0f} degrees"
+        return time, np.where(_spins(flight, time), np.fmax(angle, 90.0), angle), words
+    return np.empty(0), np.empty(0), ""
+
+
+def _angle(wanted: Signal, time: np.ndarray, axis: np.ndarray) -> np.ndarray:
+    """(m,) degrees between the direction of thrust (m, 3) and the nearest of those wanted in the last ANSWERS_S: a vehicle that follows
+    what it is asked follows it late. NaN where nothing fresh was wanted."""
+    least, fresh = np.full(time.size, -1.0), held(wanted, time)[1] <= FRESH_S
+    for back in np.linspace(0.0, ANSWERS_S, 7):
+        was, age = held(wanted, time - back)
+        cosine = (axis * thrust_axis(was)).sum(axis=1)
+        least = np.where(age <= FRESH_S, np.maximum(least, cosine), least)
+    return np.where(fresh, np.degrees(np.arccos(np.clip(least, -1.0, 1.0))), np.nan)
+
+
+def _known_rates(flight: Flight, time: np.ndarray) -> np.ndarray:
+    if not flight.has("gyro", "rates_wanted"):
+        return np.zeros(time.size, bool)
+    return held(flight["rates_wanted"], time)[1] <= FRESH_S
+
+
+def _rate_error(flight: Flight, time: np.ndarray) -> np.ndarray:
+    """(m,) rad/s of roll and pitch between the wanted and the actual rate."""
+    rates, wanted = held(flight["gyro"], time)[0], held(flight["rates_wanted"], time)[0]
+    return np.linalg.norm((rates - wanted)[:, :2], axis=1)
+
+
+def _spins(flight: Flight, time: np.ndarray) -> np.ndarray:
+    """(m,) bool: the vehicle turns about its vertical axis faster than anybody asks for."""
+    if not flight.has("gyro"):
+        return np.zeros(time.size, bool)
+    rate, age = held(flight["gyro"], time)
+    return (np.abs(rate[:, 2]) > SPINS) & (age <= FRESH_S)
+
+
+def find(flight: Flight, air) -> tuple[Departure, ...]:
+    """The departures of a flight, one at most in each of the intervals `air` ((start, end), ...) s in which it was in the air."""
+    time, angle, words = apart(flight)
+    found = []
+    for start, end in air or _powered(flight):
+        spans = [d for d in (_leaves(flight, time, angle, words, start, end), _falls(flight, start, end)) if d]
+        if spans:
+            found.append(min(spans, key=lambda d: d.onset))
+    return tuple(found)
+
+
+def _powered(flight: Flight) -> list[tuple[float, float]]:
+    """Spans in which the motors of a vehicle that never flew were asked for something: it may have turned over on the ground."""
+    if not flight.has("motors"):
+        return []
+    time, share = commands(flight)
+    on = np.concatenate([[False], share > POWERED, [False]])
+    starts, stops = np.flatnonzero(on[1:] & ~on[:-1]), np.flatnonzero(~on[1:] & on[:-1]) - 1
+    return [(float(time[a]), float(time[b])) for a, b in zip(starts, stops) if time[b] - time[a] > LASTS_S]
+
+
+def _leaves(flight, time, angle, words, start, end) -> Departure | None:
+    inside = np.flatnonzero((time >= start) & (time <= end + LASTS_S) & np.isfinite(angle))
+    if inside.size < 3:
+        return None
+    t, a = time[inside], angle[inside]
+    out = a > APART_DEG
+    for k in np.flatnonzero(out & ~np.concatenate([[False], out[:-1]])):
+        if t[k] > end:
+            return None
+        onset, back = _began(t, a, k), _back(t, a, k)
+        impact = hit(flight, onset, end + 30.0 if back is None else back)
+        lasts = (t[-1] if back is None else back) - t[k]
+        if impact is not None and _ground(flight, impact, onset, start, end):
+            return None
+        if lasts < (GONE_S if impact is None or impact - onset <= HIT_S else LASTS_S):
+            continue
+        certain = np.flatnonzero(out[k:] & (t[k:] - t[k] >= LASTS_S))
+        lost = float(t[k + certain[0]]) if certain.size else float(min(t[k] + LASTS_S, t[-1]))
+        largest = float(a[k:][t[k:] <= (lost + 1.0 if back is None else back)].max())
+        return Departure(onset, lost, back, impact, words.format(largest))
+    return None
+
+
+def _began(t: np.ndarray, a: np.ndarray, k: int) -> float:
+    """When the angle that passes APART_DEG at k began to grow: the last sample that was as close as is usual in this flight."""
+    calm = a[: max(k - 5, 1)]
+    usual = max(2.0, 3.0 * float(np.median(calm))) if calm.size > 5 else 2.0
+    close = np.flatnonzero(a[:k] <= min(usual, 0.5 * APART_DEG))
+    return float(t[close[-1]] if close.size else t[0])
+
+
+def _back(t: np.ndarray, a: np.ndarray, k: int) -> float | None:
+    """When control came back: the begin of BACK_S within BACK_DEG; None where the flight ends before."""
+    since = None
+    for when, fine in zip(t[k:], a[k:] < BACK_DEG):
+        since = (since if since is not None else when) if fine else None
+        if since is not None and when - since >= BACK_S:
+            return float(since)
+    return None
+
+
+def _falls(flight: Flight, start: float, end: float) -> Departure | None:
+    """Outputs that come to rest while nothing carries the vehicle."""
+    if not flight.has("motors", "accel"):
+        return None
+    motors, (low, high) = flight["motors"], output_range(flight)
+    share = np.where(motors.valid, (motors.values - low) / max(high - low, 1e-6), 0.0).max(axis=1)
+    accel = flight["accel"]
+    ok = accel.valid.all(axis=1)
+    time, force = accel.time[ok], np.linalg.norm(accel.values[ok], axis=1) / G0
+    near = (time >= start) & (time <= end + 5.0)
+    time, force = time[near], force[near]
+    if not time.size or not motors.time.size:
+        return None
+    k = np.searchsorted(motors.time, time, side="right") - 1
+    rest = (share[np.maximum(k, 0)] < REST) & (k >= 0)
+    falling = (force < FALLS) & rest
+    since = None
+    for when, down in zip(time, falling):
+        since = (since if since is not None else when) if down else None
+        if since is not None and when - since >= FALLS_S:
+            quiet = motors.time[(share < REST) & (motors.time <= when) & (motors.time > since - 1.0)]
+            onset = float(min(since, quiet[0])) if quiet.size else float(since)
+            return Departure(
+                onset, float(when), None, hit(flight, float(when), end + 30.0), "falling without thrust", True
+            )
+    return None
+
+
+def hit(flight: Flight, start: float, end: float) -> float | None:
+    """The first time after `start` [s] at which a force acts that no rotor makes; None where there is none, or no accelerometer."""
+    if not flight.has("accel"):
+        return None
+    accel = flight["accel"]
+    part = accel.between(start, end)
+    force = np.where(part.valid, part.values, 0.0) / G0
+    blow = (np.hypot(force[:, 0], force[:, 1]) > HITS_G) | (force[:, 2] > HITS_G) | (-force[:, 2] > 2.0 * HITS_G)
+    when = part.time[blow]
+    return float(when[0]) if when.size else None
+
+
+def until_impact(flight: Flight, air, left: tuple[Departure, ...]) -> tuple[tuple[float, float], ...]:
+    """The intervals `air` ((start, end), ...) s, each cut where the vehicle fell to the ground: what outputs and motion do after that says
+    nothing of its rotors."""
+    cut = []
+    for start, end in air:
+        ends = [
+            d.impact for d in left if d.impact is not None and start <= d.onset <= end and d.impact - d.onset > HIT_S
+        ]
+        down = _struck_ground(flight, start, end)
+        ends += [down] if down is not None else []
+        cut.append((start, min([end, *ends])))
+    return tuple(cut)
+
+
+def _struck_ground(flight: Flight, start: float, end: float) -> float | None:
+    """When the vehicle came down fast and stayed where it hit, whatever its motors did then; None where it did not."""
+    if not flight.has("velocity"):
+        return None
+    velocity = flight["velocity"].between(start, end + 2.0)
+    down, when = velocity.values[:, 2], velocity.time
+    if not velocity.valid.all() or when.size < 3:
+        return None
+    at = start + 1.0
+    while (blow := hit(flight, at, end)) is not None:
+        before = (when > blow - 0.5) & (when < blow)
+        after = (when > blow + 2.0) & (when < blow + 5.0)
+        still = after.sum() > 2 and when[-1] > blow + 4.0 and np.abs(velocity.values[after]).max() < STAYS_M_S
+        if before.any() and down[before].max() > FAST_M_S and still:
+            return blow
+        at = blow + 0.5
+    return None
+
+
+def height(flight: Flight, at: float, ground: float) -> float | None:
+    """m above where the vehicle was at `ground` [s]; None where it is not logged."""
+    if not flight.has("position"):
+        return None
+    (now, then), age = held(flight["position"], np.array([at, ground]))
+    return float(then[2] - now[2]) if (age < 2.0).all() else None
+
+
+def _ground(flight, impact, onset, start, end) -> bool:
+    """Did the vehicle leave what was wanted because it touched the ground? Then it is a landing, or tips over after one."""
+    if impact - onset > HIT_S or end - onset > 3.0:
+        return False
+    above = height(flight, onset, start)
+    return end - onset < 1.0 if above is None else above < LOW_M

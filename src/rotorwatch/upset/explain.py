@@ -1,0 +1,105 @@
+"""What the rotors of a vehicle did around the moment it left control: every explanation at every onset, by the balance (`balance`).
+
+Explanations: all rotors gave what they were told; one of them lost a share theta from a tick on; all of them did alike (battery); something
+turned the vehicle from outside (a torque that lasts); two outputs went to each other's motor; yaw works the wrong way round. Sizes and
+onsets are summed over a grid, with the prior of each.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from rotorwatch.upset.balance import Fit, Offset, Window, fit
+
+SIZES = np.array([0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0])
+# How often each kind of explanation is met, of vehicles that left control.
+PRIOR = {"healthy": 0.4, "rotor": 0.4, "common": 0.05, "outside": 0.1}
+ORDER = {"healthy": 0.25, "rotor": 0.35, "common": 0.02, "outside": 0.08, "order": 0.25, "yaw": 0.05}
+OUTSIDE_SD = 1.0  # hover thrusts of one rotor, of a torque from outside that lasts
+CHUNK = 256  # courses that are fitted at once
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """One kind of explanation, summed over sizes and onsets. kind: healthy, rotor, common, outside, order or yaw; rotors (0-based); log:
+    of its evidence with its prior; onset: most probable [s]; size: mean loss, low, high: its 95 % interval; residual (K, 4) of the best."""
+
+    kind: str
+    rotors: tuple[int, ...]
+    log: float
+    onset: float
+    size: float
+    low: float
+    high: float
+    residual: np.ndarray
+
+
+def explain(
+    window: Window, B: np.ndarray, offset: Offset, onsets: np.ndarray, orders: bool
+) -> tuple[tuple[Explanation, ...], np.ndarray]:
+    """All explanations, the most probable first, and their probabilities.
+
+    B (4, n); onsets: indices of the ticks at which something may have begun; orders: whether outputs may go to the wrong motors (at the
+    first take-off: later it would have shown).
+    """
+    n, K = B.shape[1], window.time.size
+    healthy = window.thrust @ B.T
+    courses: list[np.ndarray] = []
+    labels: list[tuple[str, tuple[int, ...], int, float]] = []
+    prior = ORDER if orders else PRIOR
+
+    def add(kind, rotors, onset, size, wrench):
+        courses.append(wrench)
+        labels.append((kind, rotors, onset, size))
+
+    add("healthy", (), 0, 0.0, healthy)
+    for k in onsets:
+        since = (np.arange(K) >= k)[:, None]
+        for size in SIZES:
+            for i in range(n):
+                lost = np.zeros(n)
+                lost[i] = size
+                add("rotor", (i,), k, size, np.where(since, (window.thrust * (1.0 - lost)) @ B.T, healthy))
+            if size <= 0.9:
+                add("common", (), k, size, np.where(since, (1.0 - size) * healthy, healthy))
+        for a in range(3):
+            for push in (-1.5, -0.6, 0.6, 1.5):
+                shifted = healthy.copy()
+                shifted[:, a] += np.where(since[:, 0], push * OUTSIDE_SD, 0.0)
+                add("outside", (), k, push, shifted)
+    if orders:
+        for i, j in combinations(range(n), 2):
+            swapped = window.thrust.copy()
+            swapped[:, [i, j]] = swapped[:, [j, i]]
+            add("order", (i, j), 0, 0.0, swapped @ B.T)
+        add("yaw", (), 0, 0.0, healthy * np.array([1.0, 1.0, -1.0, 1.0]))
+    fits = [fit(window, np.stack(courses[c : c + CHUNK]), B, offset) for c in range(0, len(courses), CHUNK)]
+    log = np.concatenate([f.log_evidence for f in fits])
+    found = [
+        _summed(kind, rotors, prior, labels, log, fits, window) for kind, rotors in dict.fromkeys(x[:2] for x in labels)
+    ]
+    found.sort(key=lambda e: -e.log)
+    weight = np.exp(np.array([e.log for e in found]) - found[0].log)
+    return tuple(found), weight / weight.sum()
+
+
+def _summed(kind, rotors, prior, labels, log, fits: list[Fit], window: Window) -> Explanation:
+    mine = np.array([k for k, x in enumerate(labels) if x[0] == kind and x[1] == rotors])
+    kinds = len({x[1] for x in labels if x[0] == kind})
+    top = float(log[mine].max())
+    weight = np.exp(log[mine] - top)
+    evidence = top + float(np.log(weight.mean())) + float(np.log(prior[kind] / kinds))
+    weight = weight / weight.sum()
+    best = int(mine[np.argmax(weight)])
+    sizes = np.array([labels[k][3] for k in mine])
+    mean = float(weight @ sizes)
+    sd = float(np.sqrt(weight @ (sizes - mean) ** 2 + (0.5 * (SIZES[1] - SIZES[0])) ** 2))
+    onsets = np.array([labels[k][2] for k in mine])
+    when = window.time[onsets[np.argmax(weight)]]
+    residual = fits[best // CHUNK].residual[best % CHUNK]
+    return Explanation(
+        kind, rotors, evidence, float(when), mean, max(0.0, mean - 1.96 * sd), min(1.0, mean + 1.96 * sd), residual
+    )

@@ -1,0 +1,367 @@
+"""The loss of control of a flight, its cause, and the rotors that were to blame or were not, as events."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rotorwatch.diagnosis import Event
+from rotorwatch.flight import Flight
+from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.motion import allocation, ticks
+from rotorwatch.motion.contact import LEAST_GAIN
+from rotorwatch.motion.ticks import Sensed
+from rotorwatch.upset.balance import INERTIA, Offset, Window
+from rotorwatch.upset import departure
+from rotorwatch.upset.departure import HIT_S, Departure, held, thrust_axis
+from rotorwatch.upset.explain import Explanation, explain
+
+BEFORE_S, AFTER_S = 2.0, 3.0  # of the upset that are looked at, at most
+EARLIER_S, LATER_S = 0.7, 0.3  # of its onset at which a cause may have begun
+CALM_S = 0.4  # of flight under control before, from which the offset of the torques is known
+CALM_SD, UNKNOWN_SD = 0.1, 0.25
+FIRST_S = 3.0  # after lift-off: what is wrong now was wrong on the ground
+STIRS = 2.0, 0.2  # rad/s^2, rad/s: a vehicle that has moved
+MOST_TICKS = 60
+HOVER_PARAMETERS = ("MOT_THST_HOVER", "MPC_THR_HOVER")
+USUAL_HOVER = 0.35
+
+LOSS = "loss_of_effectiveness"
+SURE, CREDIBLE = 0.9, 0.03  # probabilities: a cause that is named alone; one that is named at all
+FITS = 1.3  # standard deviations, root mean square: beyond, even the best explanation does not explain the motion
+STRAYS, STRAYS_THRUST = 3.0, 1.5  # standard deviations of torque and of thrust: the motion leaves the commands
+JOINS_S = 0.5  # a departure that began earlier in the residuals is the same
+KNOCK_S = 0.3
+SAME_S = 1.5  # a loss announced in flight so near to the onset is the one that is judged here
+DISARMED_S = 1.0
+SAG = 0.85  # share of the usual voltage below which the power fails
+LIMIT, LIMIT_SHARE = 0.97, 0.5  # of full thrust; of the last second before the onset in which an output was there
+LEVEL_DEG = 40.0
+
+
+@dataclass(frozen=True)
+class Judged:
+    """What is said of one departure. cause; explanations with their probabilities, () where the log shows too little; window; onset [s];
+    evidence: sentences."""
+
+    left: Departure
+    cause: str
+    found: tuple[Explanation, ...]
+    probability: np.ndarray
+    window: Window | None
+    onset: float
+    evidence: tuple[str, ...]
+
+
+def judged(flight: Flight, vehicle: Vehicle, air) -> tuple[Judged, ...]:
+    """Every departure of a flight with its cause. air: intervals ((start, end), ...) s in the air."""
+    return tuple(judge(flight, vehicle, air, left) for left in departure.find(flight, air))
+
+
+def events(found: Sequence[Judged], known: Sequence[Event], n: int) -> tuple[Event, ...]:
+    """The events `known` of a flight of n rotors with those of its departures.
+
+    What was announced after control had been lost, by a method that believes in hover, gives way.
+    """
+    out = list(known)
+    for one in found:
+        out = _merged(out, one, n)
+    return tuple(sorted(out, key=lambda e: e.detected_s))
+
+
+def judge(flight: Flight, vehicle: Vehicle, air, left: Departure) -> Judged:
+    """The cause of one departure."""
+    start = next((a for a, b in air if a - 1.0 <= left.onset <= b + 1.0), left.onset)
+    got = window_of(flight, vehicle, left, start)
+    if got is None:
+        return Judged(left, "disarmed" if left.falls else "unknown", (), np.empty(0), None, left.onset, ())
+    window, offset, onsets, took_off = got
+    found, probability = explain(window, vehicle.effectiveness(), offset, onsets, took_off)
+    healthy = next(e for e in found if e.kind == "healthy")
+    onset = left.onset if left.falls else _strays(window, healthy.residual, left.onset)
+    cause, evidence = _cause(flight, vehicle, left, found, probability, window, onset)
+    return Judged(left, cause, found, probability, window, onset, evidence)
+
+
+def _cause(
+    flight, vehicle, left: Departure, found, probability, window: Window, onset: float
+) -> tuple[str, tuple[str, ...]]:
+    """The cause of a departure, and the sentences that speak for it."""
+    if left.falls:
+        said = any(m.kind == "armed" and not m.value and abs(m.time - left.onset) < DISARMED_S for m in flight.messages)
+        return "disarmed", (
+            "all outputs went to rest in the air" + (", and the autopilot says disarmed" if said else ""),
+        )
+    best, p = found[0], float(probability[0])
+    rms = np.sqrt((best.residual[:, :3] ** 2).mean(axis=0))
+    fits = bool((rms < FITS).all())
+    rotor = sum(float(q) for e, q in zip(found, probability) if e.kind == "rotor")
+    if rotor > SURE and fits:
+        return "rotor", (f"the motion is what {_names(found, probability)} without its thrust would make it",)
+    if best.kind in ("order", "yaw") and p > SURE and fits:
+        return "motor_order", ("the first movement went against the commands",)
+    if _struck(window, vehicle.effectiveness(), onset) or (left.impact is not None and left.impact - onset <= HIT_S):
+        return "knock", ("something outside pushed the vehicle harder than its rotors can",)
+    if _sagged(flight, onset):
+        return "power", ("the battery's voltage collapsed",)
+    early = (window.time > onset - 1.0) & (window.time <= onset)
+    limit = (window.thrust[early] > LIMIT * window.full).any(axis=1)
+    if best.kind == "healthy" and p > SURE and early.any() and limit.mean() > LIMIT_SHARE:
+        return "saturated", ("outputs had been at their limits before control was lost",)
+    torque = next(e for e in found if e.kind == "healthy").residual[window.time <= left.onset, :3]
+    turned = torque.size > 0 and float(np.sqrt((torque**2).mean())) < 1.0
+    if (best.kind == "healthy" and p > SURE and fits) or (
+        best.kind == "common" and turned and _level(flight, left, onset)
+    ):
+        return "controller", (
+            "all rotors turned the vehicle as they were told, so it was told wrong: by a sensor, an estimate or the pilot",
+        )
+    return "unknown", ()
+
+
+def _struck(window: Window, B: np.ndarray, onset: float) -> bool:
+    """Did the vehicle turn, as control was lost, as the loss of no two of its rotors could turn it? Sizes as for knocks in flight."""
+    n, torque = B.shape[1], (window.thrust @ B.T)[:, :3]
+    near = np.abs(window.time - onset) <= KNOCK_S
+    with_it = np.maximum(np.sign(window.rate_dot) * torque, 0.0)
+    most = np.sort(np.maximum(window.thrust, window.before), axis=1)[:, -2:].sum(axis=1)
+    beyond = (LEAST_GAIN * n * np.abs(window.rate_dot) - with_it).max(axis=1) - most
+    return bool((beyond[near & window.torque_ok] > 0.0).any())
+
+
+def _names(found, probability) -> str:
+    who = [e.rotors[0] + 1 for e, p in zip(found, probability) if e.kind == "rotor" and p >= CREDIBLE]
+    return "rotor " + " or ".join(str(r) for r in who)
+
+
+def _sagged(flight: Flight, onset: float) -> bool:
+    if not flight.has("battery"):
+        return False
+    battery = flight["battery"]
+    volts = np.where(battery.valid[:, 0], battery.values[:, 0], np.nan)
+    usual, now = volts[(battery.time < onset - 3.0)], volts[np.abs(battery.time - onset) < 1.5]
+    if np.isfinite(usual).sum() < 3 or not np.isfinite(now).any():
+        return False
+    return float(np.nanmin(now)) < SAG * float(np.nanmedian(usual))
+
+
+def _level(flight: Flight, left: Departure, onset: float) -> bool:
+    """Did the autopilot believe that the vehicle was upright while it left?"""
+    if not flight.has("attitude"):
+        return False
+    q, age = held(flight["attitude"], np.linspace(onset, left.onset, 5))
+    return bool((age < 1.0).all() and (thrust_axis(q)[:, 2] > np.cos(np.radians(LEVEL_DEG))).all())
+
+
+def _strays(window: Window, residual: np.ndarray, onset: float) -> float:
+    """When the motion began to leave the commands, of a departure that showed at `onset` [s]."""
+    far = (np.abs(residual[:, :3]) > STRAYS).any(axis=1) | (np.abs(residual[:, 3]) > STRAYS_THRUST)
+    first = onset
+    for k in np.flatnonzero(far & (window.time < onset))[::-1]:
+        if first - window.time[k] > JOINS_S:
+            break
+        first = float(window.time[k])
+    return first
+
+
+def _weak(events_, left: Departure) -> Event | None:
+    """The largest loss that had been known for long when control was lost."""
+    before = [
+        e
+        for e in events_
+        if e.kind == "loss_of_effectiveness" and not e.alternatives and e.onset_s < left.onset - SAME_S
+        and (e.end_s is None or e.end_s > left.onset)
+    ]  # fmt: skip
+    return max(before, key=lambda e: max(e.loss), default=None)
+
+
+def _merged(events_: list[Event], judged: Judged, n: int) -> list[Event]:
+    """The events with that of the departure and of the rotors it accuses, less those that it explains."""
+    left, window = judged.left, judged.window
+    weak = _weak(events_, left)
+    if weak is not None and judged.cause in ("rotor", "saturated", "unknown"):
+        judged = replace(
+            judged, cause="rotor", found=(), evidence=(f"{_who(weak.rotors)} had been weak since {weak.onset_s:.1f} s",)
+        )
+        return [*events_, _lost(judged, n, weak.rotors, (), left.lost)]
+    decided = left.lost if window is None else float(window.time[-1])
+    rotors = [(e, float(p)) for e, p in zip(judged.found, judged.probability) if e.kind == "rotor" and p >= CREDIBLE]
+    whole = [p for e, p in zip(judged.found, judged.probability) if e.kind == "common" and p >= CREDIBLE]
+    others = tuple((e.rotors[0] + 1,) for e, _ in rotors[1:]) + ((tuple(range(1, n + 1)),) if whole else ())
+    accused = bool(rotors) and judged.cause in ("rotor", "unknown") and judged.found[0].kind == "rotor"
+    rotor = (rotors[0][0].rotors[0] + 1,) if accused else ()
+    kept, same = [], None
+    for e in events_:
+        late = e.onset_s > left.onset - SAME_S and e.kind in (LOSS, "output_override") and bool(judged.found)
+        if late and e.kind == LOSS and e.rotors == rotor and same is None:
+            same = e
+        elif not late or (e.kind == "output_override" and e.onset_s <= left.onset):
+            kept.append(e)
+    if accused:
+        best, p = rotors[0]
+        others = () if p > SURE and judged.cause == "rotor" else others
+        kept.append(_loss(best, p, others, decided, judged) if same is None or others != same.alternatives else same)
+        kept.append(_lost(judged, n, rotor, others, decided))
+    elif judged.cause == "motor_order":
+        kept.append(_order(judged.found[0], float(judged.probability[0]), decided))
+        kept.append(_lost(judged, n, tuple(r + 1 for r in judged.found[0].rotors), (), decided))
+    else:
+        kept.append(
+            _lost(
+                judged,
+                n,
+                (),
+                tuple((e.rotors[0] + 1,) for e, _ in rotors) if judged.cause == "unknown" else (),
+                decided,
+            )
+        )
+    return kept
+
+
+def _who(rotors: Sequence[int]) -> str:
+    return ("rotor " if len(rotors) == 1 else "rotors ") + " and ".join(map(str, rotors))
+
+
+def _loss(best: Explanation, p: float, others, decided: float, judged: Judged) -> Event:
+    rotor = best.rotors[0] + 1
+    reason = (
+        f"from {min(best.onset, judged.left.onset):.1f} s on the vehicle turned as without the thrust of rotor {rotor}, which was commanded "
+        f"{'to give its all' if best.size > 0.5 else 'more and more'}"
+    )
+    if others:
+        reason += ", but " + ", ".join("+".join(map(str, o)) for o in others) + " may have failed instead"
+    return Event(
+        LOSS, (rotor,), min(best.onset, judged.left.onset), decided, None, (best.size,), ((max(best.low, 0.01), best.high),), p, others, reason,
+        {"live": False, "loss_2s": [best.size]},
+    )  # fmt: skip
+
+
+def _order(best: Explanation, p: float, decided: float) -> Event:
+    if best.kind == "yaw":
+        reason = "the vehicle yawed against its commands from the first movement on: propellers or motors turn the wrong way round"
+        return Event(
+            "motor_order", (), best.onset, decided, None, (), (), p, (), reason, {"live": False, "yaw_reversed": True}
+        )
+    i, j = (r + 1 for r in best.rotors)
+    reason = f"from the first movement on the vehicle turned as if the outputs of motors {i} and {j} went to each other's motor"
+    return Event("motor_order", (i, j), best.onset, decided, None, (), (), p, (), reason, {"live": False})
+
+
+CAUSES = {
+    "rotor": "a rotor lost its thrust",
+    "motor_order": "motors are connected in the wrong order",
+    "disarmed": "the motors were stopped in the air",
+    "knock": "something struck the vehicle",
+    "controller": "the vehicle did what it was told, and was told wrong",
+    "saturated": "the rotors had no more to give",
+    "power": "the power failed",
+    "unknown": "why is not known",
+}
+
+
+def _lost(judged: Judged, n: int, blamed, others, decided: float) -> Event:
+    left = judged.left
+    fell = left.impact is not None and left.impact - judged.onset > HIT_S
+    end = left.impact if fell else left.end
+    worked = _worked(judged, n, blamed, others, decided)
+    reason = f"the vehicle left control at {judged.onset:.1f} s, {left.what}: {CAUSES[judged.cause]}"
+    p = (
+        float(sum(judged.probability[k] for k, e in enumerate(judged.found) if e.kind == "rotor"))
+        if judged.cause == "rotor" and judged.found
+        else 1.0
+    )
+    return Event(
+        "loss_of_control", tuple(blamed), judged.onset, left.lost, end, (), (), p, others, reason,
+        {
+            "cause": judged.cause, "live": True, "worked_until_s": worked, "impact_s": left.impact if fell else None,
+            "evidence": list(judged.evidence),
+        },
+    )  # fmt: skip
+
+
+def _worked(judged: Judged, n: int, blamed, others, decided: float) -> list[float | None]:
+    """Until when each rotor was seen to work [s]; None where that is not known."""
+    suspects = {r for who in others for r in who}
+    if not judged.found:
+        return [None if r in blamed or r in suspects else judged.onset for r in range(1, n + 1)]
+    if judged.cause == "motor_order":
+        return [None if r in blamed else decided for r in range(1, n + 1)]
+    if judged.left.impact is not None and judged.left.impact > judged.onset:
+        decided = min(decided, judged.left.impact)
+    until = decided if judged.cause in ("rotor", "controller", "saturated") else judged.onset
+    start = judged.found[0].onset if judged.found[0].kind == "rotor" else judged.onset
+    return [start if r in blamed else judged.onset if r in suspects else until for r in range(1, n + 1)]
+
+
+def until_impact(flight: Flight, air, found: Sequence[Judged]) -> tuple[tuple[float, float], ...]:
+    """`departure.until_impact` for departures whose onset has been judged."""
+    return departure.until_impact(flight, air, tuple(replace(j.left, onset=min(j.onset, j.left.onset)) for j in found))
+
+
+def window_of(
+    flight: Flight, vehicle: Vehicle, left: Departure, start: float
+) -> tuple[Window, Offset, np.ndarray, bool] | None:
+    """The ticks around an upset, the torques' offset before it, indices of the ticks at which its cause may have begun, and whether it came
+    with the take-off; None where the log shows no commands or rates there. start: of the flight [s]."""
+    first, last = left.onset - BEFORE_S, min(left.lost + AFTER_S, np.inf if left.end is None else left.end)
+    if left.impact is not None and left.impact > left.onset + HIT_S:
+        last = min(last, left.impact)
+    part = replace(flight, signals={k: s.between(first - 3.0, last + 1.0) for k, s in flight.signals.items()})
+    if not part.has("motors") or not (part.has("gyro") or part.has("rates")):
+        return None
+    thrust = allocation.rotor_thrusts(part, vehicle)
+    if len(thrust) < 4:
+        return None
+    how = ticks.plan(part, thrust, 0.0)
+    seen = ticks.sense(part, thrust, how.ends(how.numbers(thrust.time)), how)
+    took_off = left.onset - start < FIRST_S
+    hover = _hover(flight, seen, vehicle, left.onset, took_off)
+    stirs = (np.abs(seen.rate_dot).max(axis=1) > STIRS[0]) | (np.abs(seen.rate).max(axis=1) > STIRS[1])
+    stirs &= seen.rate_ok & (seen.share.max(axis=1) > 0.05) & (seen.time > start - FIRST_S)
+    began = float(seen.time[np.argmax(stirs)]) - how.dt if took_off and stirs.any() else first
+    inside = np.flatnonzero((seen.time >= max(first, began)) & (seen.time <= last + how.lag_s) & seen.some)[
+        -MOST_TICKS:
+    ]
+    if inside.size < 3:
+        return None
+    T = seen.share / hover
+    window = Window(
+        seen.time[inside], T[inside], 1.0 / hover, seen.rate[inside], seen.rate_dot[inside], seen.load[inside], seen.rate_ok[inside],
+        seen.load_ok[inside], T[np.maximum(inside - 1, 0)], T[np.minimum(inside + 1, len(seen) - 1)],
+    )  # fmt: skip
+    causes = np.flatnonzero((window.time >= left.onset - EARLIER_S) & (window.time <= left.onset + LATER_S))
+    onsets = np.union1d([0], causes) if took_off or not causes.size else causes
+    return window, _offset(window, vehicle.effectiveness(), left.onset - EARLIER_S, took_off), onsets, took_off
+
+
+def _hover(flight: Flight, seen: Sensed, vehicle: Vehicle, until: float, took_off: bool) -> float:
+    """Mean share of full thrust that carries the vehicle: as healthy flights told, of the ticks before `until` [s] at which about one g was
+    carried, or as the autopilot has learned it."""
+    known = ticks.known_hover(vehicle)
+    if known:
+        return known
+    mean = seen.share.mean(axis=1)
+    load = np.where(seen.load_ok, seen.load, 1.0)
+    carried = (
+        seen.some
+        & (mean > 0.02)
+        & (np.abs(seen.rate).max(axis=1) < 1.0)
+        & (load > 0.7)
+        & (load < 1.6)
+        & (seen.time < until)
+    )
+    if not took_off and carried.any():
+        return float(np.clip(np.median(mean[carried] / load[carried]), 0.05, 1.0))
+    learned = [flight.parameters[name] for name in HOVER_PARAMETERS if 0.05 < flight.parameters.get(name, 0.0) < 0.8]
+    return float(learned[0]) if learned else USUAL_HOVER
+
+
+def _offset(window: Window, B: np.ndarray, until: float, took_off: bool) -> Offset:
+    """Torques that the vehicle is commanded in calm flight before `until` [s]: trim."""
+    calm = np.flatnonzero((window.time < until) & window.torque_ok)
+    if took_off or calm.size < 2 or window.time[calm[-1]] - window.time[calm[0]] < CALM_S:
+        return Offset(np.zeros(3), np.full(3, UNKNOWN_SD))
+    w = (window.thrust @ B.T)[calm, :3] - B.shape[1] * INERTIA * window.rate_dot[calm]
+    return Offset(-np.median(w, axis=0), CALM_SD + 0.5 * w.std(axis=0))
