@@ -167,13 +167,14 @@ class JumpBank:
         standing, said = announcement.decide(
             carry.standing, found, best, self.jumps, self.limit, possible, active.any(), judge, dt
         )
-        steady = (jnp.abs(seen.u[n + 6]) < opposite.TURNING) & (missing.heave < opposite.HEAVING)
-        free = judge & ~said.alarm & steady & ~active.any()
+        free = judge & ~said.alarm & (jnp.abs(seen.u[n + 6]) < opposite.TURNING) & ~active.any()
         pair, opposite_s = opposite.suspect(
-            hyp, self.jumps, told, found, system.B, free, self.limit, carry.opposite_s, dt
+            hyp, self.jumps, told, found, system.B, free, missing.heave, self.limit, carry.opposite_s, dt
         )
-        branches = posterior.born(branches, hyp, told, found, first, said.alarm, said.absorbed)
-        onsets = bank.forget(onsets, said.alarm | said.absorbed)
+        # What opposite rotors may have done is said once; the filter goes on as after a step of its axes.
+        absorbed = said.absorbed | (pair.pair >= 0)
+        branches = posterior.born(branches, hyp, told, found, first, said.alarm, absorbed)
+        onsets = bank.forget(onsets, said.alarm | absorbed)
 
         # The noise learns from what the calm parts leave over, biases included.
         standing, quiet = announcement.suspicion(standing, found, hyp, dt)
