@@ -171,10 +171,13 @@ class JumpBank:
         pair, opposite_s = opposite.suspect(
             hyp, self.jumps, told, found, system.B, free, missing.heave, self.limit, carry.opposite_s, dt
         )
-        # What opposite rotors may have done is said once; the filter goes on as after a step of its axes.
-        absorbed = said.absorbed | (pair.pair >= 0)
-        branches = posterior.born(branches, hyp, told, found, first, said.alarm, absorbed)
-        onsets = bank.forget(onsets, said.alarm | absorbed)
+        # Opposite rotors are announced as any other fault; only which pair it is the others of its kind contest.
+        shared = pair.pair >= 0
+        first, alarm = jnp.where(shared, pair.pair, first), said.alarm | shared
+        alike = jnp.where(shared & opposite.contested(hyp, system.B), -np.log(hypotheses.WEIGHT["pair"]), 0.0)
+        found_alike = found._replace(log_odds=found.log_odds + alike)
+        branches = posterior.born(branches, hyp, told, found_alike, first, alarm, said.absorbed)
+        onsets = bank.forget(onsets, alarm | said.absorbed)
 
         # The noise learns from what the calm parts leave over, biases included.
         standing, quiet = announcement.suspicion(standing, found, hyp, dt)
@@ -196,12 +199,12 @@ class JumpBank:
             probability=found.probability,
             theta=shown,
             theta_sd=jnp.sqrt(jnp.maximum(shown_var, 0.0)),
-            announced=said.alarm | (said.absorbed & active.any()),
+            announced=alarm | (said.absorbed & active.any()),
             since=branches.onset[0],
             active=branches.active,
             each=jnp.clip(branches.s[:, n_x:], 0.0, 1.0),
             share=posterior.shares(branches),
             detectable=evidence.detectable(told, found),
             plausible=said.possible,
-            opposite=pair,
+            opposite=pair._replace(pair=jnp.int32(-1)),
         )

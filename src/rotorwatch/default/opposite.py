@@ -82,3 +82,11 @@ def torque_free(hyp: Hypotheses, B):
 
     (i, j), B = hyp.pairs.T, jnp.asarray(B)
     return jnp.abs(B[:2, i] + B[:2, j]).max(axis=0) < 0.05
+
+
+def contested(hyp: Hypotheses, B):
+    """(n_h,) bool: the hypotheses that are such a pair. B (4, n)."""
+    import jax.numpy as jnp
+
+    free = torque_free(hyp, B)
+    return jnp.concatenate([jnp.zeros(hyp.n, bool), free, jnp.zeros(len(hyp.names) - hyp.n - free.size, bool)])
