@@ -161,8 +161,9 @@ class JumpBank:
         first = jnp.argmax(found.probability)
         best = evidence.jump(hyp, told, found, first)
         rough = noise.spread(variances)
+        coupling = plausibility.asked_of(system.B)
         possible = plausibility.plausible(
-            best.each, seen.u[:n], seen.rise, missing, carry.missing, valid[3], active, rough
+            best.each, seen.u[:n], seen.rise, missing, carry.missing, valid[3], active, rough, coupling
         )
         standing, said = announcement.decide(
             carry.standing, found, best, self.jumps, self.limit, possible, active.any(), judge, dt

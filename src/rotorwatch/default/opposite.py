@@ -54,7 +54,7 @@ def suspect(
         & (n >= 6)
         & (best > limit)
         & (best > sudden - 2.0 * hypotheses.CLEAR)
-        & (best > gradual + hypotheses.CLEAR)
+        & (best > gradual)
     )
     since = jnp.where(now, lasted + dt, 0.0)
     news = (since >= plant.ANSWER_S) & (lasted < plant.ANSWER_S)
