@@ -53,7 +53,7 @@ def possible(
     return bool(
         plausibility.plausible(
             what, np.full(N, smooth), np.full(N, rise), now or missing(), before or missing(), measured, known,
-            np.asarray(rough, float),
+            np.asarray(rough, float), np.eye(N),
         )
     )  # fmt: skip
 

@@ -175,9 +175,10 @@ class JumpBank:
         # Opposite rotors are announced as any other fault; only which pair it is the others of its kind contest.
         shared = pair.pair >= 0
         first, alarm = jnp.where(shared, pair.pair, first), said.alarm | shared
-        alike = jnp.where(shared & opposite.contested(hyp, system.B), -np.log(hypotheses.WEIGHT["pair"]), 0.0)
-        found_alike = found._replace(log_odds=found.log_odds + alike)
-        branches = posterior.born(branches, hyp, told, found_alike, first, alarm, said.absorbed)
+        alike = opposite.contested(hyp, system.B)
+        rare = jnp.where(shared & alike, np.log(hypotheses.WEIGHT["pair"]), 0.0)
+        even = found._replace(log_odds=found.log_odds - rare)
+        branches = posterior.born(branches, hyp, told, even, alike, first, alarm, said.absorbed)
         onsets = bank.forget(onsets, alarm | said.absorbed)
 
         # The noise learns from what the calm parts leave over, biases included.
@@ -189,7 +190,8 @@ class JumpBank:
         after = Carry(branches, noises, onsets, memory, missing, standing, opposite_s)
         shown = jnp.clip(after.s[n_x:], 0.0, 1.0)
         # The filter believes its noise model; where innovations have been larger or longer than that, so is the error.
-        shown_var = branches.theta_var[0] + (1.0 / calm).mean() * jnp.diagonal(after.P)[n_x:]
+        unsure = opposite.common(shown, branches.alike[0])
+        shown_var = (unsure / 1.96) ** 2 + branches.theta_var[0] + (1.0 / calm).mean() * jnp.diagonal(after.P)[n_x:]
         status = jnp.where(~flying, 1, jnp.where(valid.any(), 0, 2)).astype(jnp.int32)
         estimate = Estimate(
             after.s[:n_x], after.P[:n_x, :n_x], shown, after.P[n_x:, n_x:], innovation[0], jnp.diag(variance[0]), status

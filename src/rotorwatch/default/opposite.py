@@ -85,8 +85,15 @@ def torque_free(hyp: Hypotheses, B):
 
 
 def contested(hyp: Hypotheses, B):
-    """(n_h,) bool: the hypotheses that are such a pair. B (4, n)."""
+    """(n_h,) bool: the hypotheses that are such a pair, of a vehicle on which there are several. B (4, n)."""
     import jax.numpy as jnp
 
-    free = torque_free(hyp, B)
+    free = torque_free(hyp, B) & (hyp.n >= 6)
     return jnp.concatenate([jnp.zeros(hyp.n, bool), free, jnp.zeros(len(hyp.names) - hyp.n - free.size, bool)])
+
+
+def common(theta, alike):
+    """(n,): what rotors `alike` (n,) with losses theta (n,) lack alike: it may be theirs, or that of any other such pair."""
+    import jax.numpy as jnp
+
+    return jnp.where(alike, jnp.where(alike, theta, 1.0).min(), 0.0)
