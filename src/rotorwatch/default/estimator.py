@@ -176,8 +176,9 @@ class JumpBank:
         shared = pair.pair >= 0
         first, alarm = jnp.where(shared, pair.pair, first), said.alarm | shared
         alike = opposite.contested(hyp, system.B)
-        rare = jnp.where(shared & alike, np.log(hypotheses.WEIGHT["pair"]), 0.0)
-        even = found._replace(log_odds=found.log_odds - rare)
+        mine = jnp.where(jnp.arange(alike.size) == first, found.log_odds, -jnp.inf).max()
+        other = jnp.maximum(found.log_odds, mine + posterior.ALIKE)
+        even = found._replace(log_odds=jnp.where(alike & (alike[first]), other, found.log_odds))
         branches = posterior.born(branches, hyp, told, even, alike, first, alarm, said.absorbed)
         onsets = bank.forget(onsets, alarm | said.absorbed)
 

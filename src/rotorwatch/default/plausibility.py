@@ -53,7 +53,8 @@ def follow(state: Missing, missing, load, share, valid, restart, dt) -> Missing:
 def asked_of(B):
     """(n, n): by what share of it a loss of rotor j raises what is asked of rotor i, above the mean of all, where its own loss counts 1.
 
-    A controller makes up for the wrench B x that is missing with the least change of thrusts, B' (B B')^-1 B x."""
+    A controller makes up for the wrench B x that is missing with the least change of thrusts, B' (B B')^-1 B x. Of opposite rotors each
+    has to rise by itself: where they lose the same neither does, and only steady flight can tell (opposite.py)."""
     import jax.numpy as jnp
 
     B = jnp.asarray(B)
@@ -61,7 +62,8 @@ def asked_of(B):
     L = hypotheses.cholesky((B @ B.T)[None])
     half = hypotheses.forward(jnp.broadcast_to(L, (n, *L.shape[1:])), B.T)
     answer = half @ half.T - 1.0 / n
-    return answer / jnp.maximum(jnp.diagonal(answer)[:, None], 1e-9)
+    against = jnp.abs(B[:2, :, None] + B[:2, None, :]).max(axis=0) < 0.05
+    return jnp.where(against, 0.0, answer / jnp.maximum(jnp.diagonal(answer)[:, None], 1e-9))
 
 
 def plausible(jump, smooth, rise, now: Missing, before: Missing, thrust_valid, active, rough, coupling):
@@ -73,7 +75,7 @@ def plausible(jump, smooth, rise, now: Missing, before: Missing, thrust_valid, a
     import jax.numpy as jnp
 
     # A controller asks more of a rotor that gives less: a candidate whose command has fallen instead is none. Of two rotors it asks what
-    # geometry leaves of that: of opposite ones that lose the same, no more than of all others.
+    # geometry leaves of that.
     # Two rotors at once are rare: they have to show as they would in calm air.
     n, rough = smooth.shape[0], jnp.where((jump != 0.0).any(axis=1).all(), 0.0, rough)
     swing = jnp.sqrt(rough[:3].sum()) / n

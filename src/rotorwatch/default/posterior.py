@@ -32,7 +32,8 @@ NEVER = -1e3
 class Branches(NamedTuple):
     """K = PLACES explanations, the leader first. s (K, n_s), P (K, n_s, n_s); weight (K,): log, 0 for the leader, NEVER where there is
     none; active (K, n): weak rotors; learning (K, n): seconds their losses are still refined; theta_var, theta_mean (K, n): variance
-    after that, and mean lately; alike (K, n): found together as a pair that others look like; onset (K,): ticks since its last jump of a rotor; age: s since then."""
+    after that, and mean lately; alike (K, n): found together as a pair that others look like;
+    onset (K,): ticks since its last jump of a rotor; age: s since then."""
 
     s: Array
     P: Array
@@ -108,9 +109,9 @@ def shares(branches: Branches):
 def born(
     branches: Branches, hyp: Hypotheses, told: bank.Bank, found: evidence.Evidence, alike, first, alarm, absorbed
 ) -> Branches:
-    """What may have happened becomes branches of the one that leads: the likeliest disturbance and the likeliest faults. alike (n_h,): pairs
-    that others look like. Hypothesis
-    `first` leads where it is announced, the disturbance where something was absorbed; else all stays."""
+    """What may have happened becomes branches of the one that leads: the likeliest disturbance and the likeliest faults. alike
+    (n_h,): pairs that others look like. Hypothesis `first` leads where it is announced, the disturbance where something was
+    absorbed; else all stays."""
     import jax
     import jax.numpy as jnp
 
