@@ -7,7 +7,7 @@ import pytest
 
 from rotorwatch import airframes
 from rotorwatch.default import bank, hypotheses, opposite
-from rotorwatch.default.hypotheses import CLEAR, NONE
+from rotorwatch.default.hypotheses import CLEAR, LOSS_WIDTH, NONE, SMALL_WIDTH
 from rotorwatch.default.plant import ANSWER_S
 
 DT, LIMIT, PAIR, SLOT = 0.05, 14.0, (0, 1), 5
@@ -21,12 +21,28 @@ def float64():
     jax()
 
 
+def of_one_loss(n, pair, fit, loss):
+    """C, z of which a loss of both rotors is the most probable size, and has so many nats."""
+    C, z, c = 1e-3 * np.eye(n + 4), np.zeros(n + 4), 1.0
+    for _ in range(200):  # nats = z nu / 2 - log(own w^2) / 2, less what the narrow half of the prior adds
+        own = c + 1.0 / LOSS_WIDTH**2
+        parts = []
+        for width in (SMALL_WIDTH, LOSS_WIDTH):
+            each = c + 1.0 / width**2
+            nu = min(max(own * loss / each, 0.0), 1.0)
+            parts.append(own * loss * nu - 0.5 * each * nu**2 - 0.5 * np.log(each * width**2))
+        c *= np.exp(0.1 * (fit - (np.logaddexp(*parts) - np.log(2.0))) / max(fit, 1.0))
+    C[pair, pair], z[list(pair)] = 0.5 * c, 0.5 * own * loss
+    return C, z
+
+
 def suspect(
     B=HEXA,
     fit=20.0,
     sudden=20.0,
     gradual=10.0,
     loss=0.2,
+    heave=0.0,
     pair=PAIR,
     slot=SLOT,
     calm=True,
@@ -37,13 +53,14 @@ def suspect(
     n = B.shape[1]
     hyp, jumps = hypotheses.make(n), bank.Jumps(np.eye(20 + n)[:, : n + 4], DT)
     W = jumps.stride.size
-    log_bf, nu = np.full((W, len(hyp.names)), 1.0), np.zeros((W, int(hyp.fault.sum()), 2))
+    log_bf = np.full((W, len(hyp.names)), 1.0)
+    C, z = np.tile(1e-3 * np.eye(n + 4), (W, 1, 1)), np.zeros((W, n + 4))
+    C[slot], z[slot] = of_one_loss(n, pair, fit, loss)
     h = hyp.rotors.index(pair)
-    log_bf[slot, h], nu[slot, h] = fit, loss
     log_bf[0, ~hyp.fault], log_bf[np.flatnonzero(jumps.slow)[3], -1] = sudden, gradual
-    found = SimpleNamespace(log_bf=log_bf, nu=nu, live=np.arange(W) != slot if not live else np.ones(W, bool))
-    told = SimpleNamespace(age=np.arange(W, dtype=np.int32))
-    out, since = opposite.suspect(hyp, jumps, told, found, B, np.bool_(calm), LIMIT, lasted, DT)
+    found = SimpleNamespace(log_bf=log_bf, live=np.arange(W) != slot if not live else np.ones(W, bool))
+    told = SimpleNamespace(age=np.arange(W, dtype=np.int32), C=C, z=z)
+    out, since = opposite.suspect(hyp, jumps, told, found, B, np.bool_(calm), heave, LIMIT, lasted, DT)
     return out, float(since), h
 
 
@@ -61,15 +78,15 @@ def test_it_is_said_once_after_half_a_second_with_its_onset_and_losses():
     [
         (dict(fit=LIMIT + 0.1, sudden=15.0, gradual=9.0), dict(fit=LIMIT - 0.1, sudden=15.0, gradual=9.0)),
         (dict(sudden=20.0 + 2.0 * CLEAR - 0.1), dict(sudden=20.0 + 2.0 * CLEAR + 0.1)),
-        (dict(gradual=20.0 - CLEAR - 0.1), dict(gradual=20.0 - CLEAR + 0.1)),
+        (dict(gradual=19.9), dict(gradual=20.1)),
         (dict(loss=NONE + 1e-6), dict(loss=NONE - 1e-6)),
-        (dict(loss=(0.2, 0.2)), dict(loss=(0.2, 0.0))),
+        (dict(heave=0.2 + 0.4 / 6 - 1e-3), dict(heave=0.2 + 0.4 / 6 + 1e-3)),
         ({}, dict(calm=False)),
         ({}, dict(live=False)),
         ({}, dict(pair=(0, 2))),
         ({}, dict(slot=-3)),
     ],
-    ids=["limit", "disturbance", "gradual", "size", "both", "calm", "unused", "torque", "slow"],
+    ids=["limit", "disturbance", "gradual", "size", "heave", "calm", "unused", "torque", "slow"],
 )
 def test_it_is_suspected_while_all_this_holds(within, beyond):
     out, since, h = suspect(**within)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from rotorwatch import airframes
 from rotorwatch.default import plausibility
 from rotorwatch.default.caution import AT_LIMIT, BELIEVED
 from rotorwatch.default.hypotheses import NONE
@@ -53,7 +54,7 @@ def possible(
     return bool(
         plausibility.plausible(
             what, np.full(N, smooth), np.full(N, rise), now or missing(), before or missing(), measured, known,
-            np.asarray(rough, float),
+            np.asarray(rough, float), np.eye(N),
         )
     )  # fmt: skip
 
@@ -161,3 +162,12 @@ def test_a_rotor_near_its_limit_may_lack_what_it_is_commanded_beyond_what_is_bel
     quiet = [(0.0, 1.0, 0.3, True, False)] * round(LIMIT_S / DT)
     after = followed([(0.0, 1.0, 1.0, True, False), *quiet]).limit
     assert after == pytest.approx((1.0 - BELIEVED) * np.exp(-1.0))
+
+
+def test_what_is_asked_of_two_rotors_follows_from_geometry():
+    """A rotor alone: its own loss; of a neighbour what the least change of thrusts gives; of opposite ones each its own."""
+    hexa = airframes.named("ardupilot-hexa-x").effectiveness()
+    coupling, answer = np.asarray(plausibility.asked_of(hexa)), np.linalg.pinv(hexa) @ hexa - 1 / 6
+    assert np.diagonal(coupling) == pytest.approx(np.ones(6))
+    assert coupling @ [0.3, 0.3, 0, 0, 0, 0] == pytest.approx([0.3, 0.3, *(coupling[2:, :2].sum(axis=1) * 0.3)])
+    assert (coupling @ [0.3, 0, 0.3, 0, 0, 0])[0] == pytest.approx((answer @ [0.3, 0, 0.3, 0, 0, 0])[0] / answer[0, 0])

@@ -87,6 +87,7 @@ TABLE: dict[str, Constant] = {
     "posterior.RESOLVE_S": Constant("s", "in which explanations are told apart"),
     "posterior.TEMPER": Constant("1", "weight of the evidence that does it: their errors are those of one model", 0.0),
     "posterior.OUT": Constant("nats", "at which an explanation is dropped"),
+    "posterior.ALIKE": Constant("nats", "log weight below which a pair that looks like the leading one does not fall"),
     "events.CREDIBLE": Constant("1", "probability of a rotor set that is named", 1.1),
     "events.CERTAIN_OPPOSITE": Constant("1", "probability below which opposite rotors are ambiguous"),
     "events.HIDDEN": Constant("1", "times that the data alone must prefer a pair of opposite rotors to be named", BIG),

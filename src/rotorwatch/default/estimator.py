@@ -161,19 +161,26 @@ class JumpBank:
         first = jnp.argmax(found.probability)
         best = evidence.jump(hyp, told, found, first)
         rough = noise.spread(variances)
+        coupling = plausibility.asked_of(system.B)
         possible = plausibility.plausible(
-            best.each, seen.u[:n], seen.rise, missing, carry.missing, valid[3], active, rough
+            best.each, seen.u[:n], seen.rise, missing, carry.missing, valid[3], active, rough, coupling
         )
         standing, said = announcement.decide(
             carry.standing, found, best, self.jumps, self.limit, possible, active.any(), judge, dt
         )
-        steady = (jnp.abs(seen.u[n + 6]) < opposite.TURNING) & (missing.heave < opposite.HEAVING)
-        free = judge & ~said.alarm & steady & ~active.any()
+        free = judge & ~said.alarm & (jnp.abs(seen.u[n + 6]) < opposite.TURNING) & ~active.any()
         pair, opposite_s = opposite.suspect(
-            hyp, self.jumps, told, found, system.B, free, self.limit, carry.opposite_s, dt
+            hyp, self.jumps, told, found, system.B, free, missing.heave, self.limit, carry.opposite_s, dt
         )
-        branches = posterior.born(branches, hyp, told, found, first, said.alarm, said.absorbed)
-        onsets = bank.forget(onsets, said.alarm | said.absorbed)
+        # Opposite rotors are announced as any other fault; only which pair it is the others of its kind contest.
+        shared = pair.pair >= 0
+        first, alarm = jnp.where(shared, pair.pair, first), said.alarm | shared
+        alike = opposite.contested(hyp, system.B)
+        mine = jnp.where(jnp.arange(alike.size) == first, found.log_odds, -jnp.inf).max()
+        other = jnp.maximum(found.log_odds, mine + posterior.ALIKE)
+        even = found._replace(log_odds=jnp.where(alike & (alike[first]), other, found.log_odds))
+        branches = posterior.born(branches, hyp, told, even, alike, first, alarm, said.absorbed)
+        onsets = bank.forget(onsets, alarm | said.absorbed)
 
         # The noise learns from what the calm parts leave over, biases included.
         standing, quiet = announcement.suspicion(standing, found, hyp, dt)
@@ -184,7 +191,8 @@ class JumpBank:
         after = Carry(branches, noises, onsets, memory, missing, standing, opposite_s)
         shown = jnp.clip(after.s[n_x:], 0.0, 1.0)
         # The filter believes its noise model; where innovations have been larger or longer than that, so is the error.
-        shown_var = branches.theta_var[0] + (1.0 / calm).mean() * jnp.diagonal(after.P)[n_x:]
+        unsure = opposite.common(shown, branches.alike[0])
+        shown_var = (unsure / 1.96) ** 2 + branches.theta_var[0] + (1.0 / calm).mean() * jnp.diagonal(after.P)[n_x:]
         status = jnp.where(~flying, 1, jnp.where(valid.any(), 0, 2)).astype(jnp.int32)
         estimate = Estimate(
             after.s[:n_x], after.P[:n_x, :n_x], shown, after.P[n_x:, n_x:], innovation[0], jnp.diag(variance[0]), status
@@ -195,12 +203,12 @@ class JumpBank:
             probability=found.probability,
             theta=shown,
             theta_sd=jnp.sqrt(jnp.maximum(shown_var, 0.0)),
-            announced=said.alarm | (said.absorbed & active.any()),
+            announced=alarm | (said.absorbed & active.any()),
             since=branches.onset[0],
             active=branches.active,
             each=jnp.clip(branches.s[:, n_x:], 0.0, 1.0),
             share=posterior.shares(branches),
             detectable=evidence.detectable(told, found),
             plausible=said.possible,
-            opposite=pair,
+            opposite=pair._replace(pair=jnp.int32(-1)),
         )

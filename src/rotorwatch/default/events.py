@@ -222,7 +222,7 @@ def _event(record: Record, out, ticks: Ticks, final: int, partners: dict, B) -> 
             f"commands and motion changed at {record.onset:.1f} s as if rotor {names} had lost thrust, but "
             + ", ".join("+".join(map(str, a)) for a in alternatives)
             + " would look the same"
-            + (", and so would a sudden drop of battery voltage or more weight" if record.loss else "")
+            + (", and so would a sudden drop of battery voltage or more weight" if record.loss or paired else "")
         )
     else:
         reason = (

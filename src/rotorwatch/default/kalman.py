@@ -38,6 +38,7 @@ def restart(branches: Branches, P0, begins, hop) -> Branches:
         active=branches.active & ~hop,
         learning=jnp.where(hop, 0.0, branches.learning),
         theta_var=jnp.where(hop, 0.0, branches.theta_var),
+        alike=branches.alike & ~hop,
         weight=jnp.where(begins, alone, branches.weight),
     )
 

@@ -1,18 +1,25 @@
 """A sudden shift that is a disturbance, or else a pair of opposite rotors that explains it as well.
 
 Torques of opposite rotors cancel in roll and pitch, so that the shift left in thrust (and yaw) is what battery, payload or a gust make,
-too - but those do not come within a tick. Only steady flight can tell: who climbs, drops or turns changes the air that all rotors meet.
+too - but those do not come within a tick. Which of the pairs it is, and how they share the loss, motion does not say: what is asked is one
+loss nu that both rotors of a pair have. With C (q, q) and z (q,) of the bank and d = e_i + e_j its log Bayes factor against "no jump" is
+that of a single rotor with information d'C d and vector d'z (hypotheses.py): one number, as the step of an axis is, and not two, of which
+one would be paid for but never seen.
+
+Only steady flight can tell: who climbs, drops or turns changes the air that all rotors meet.
 """
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
+
 from rotorwatch.core import Array
 from rotorwatch.default import bank, evidence, hypotheses, plant
 from rotorwatch.default.hypotheses import Hypotheses
 
-# rad/s of yaw, above which its drag is known too badly for that; and load factor away from 1
+# rad/s of yaw, above which its drag is known too badly for that; and load factor away from 1, beyond what the loss itself takes off
 TURNING, HEAVING = 0.15, 0.2
 
 
@@ -25,33 +32,48 @@ class Opposite(NamedTuple):
 
 
 def suspect(
-    hyp: Hypotheses, onsets: bank.Jumps, told: bank.Bank, found: evidence.Evidence, B, calm, limit, lasted, dt
+    hyp: Hypotheses, onsets: bank.Jumps, told: bank.Bank, found: evidence.Evidence, B, calm, heave, limit, lasted, dt
 ) -> tuple[Opposite, Array]:
-    """B (4, n): effectiveness; calm: steady flight of which nothing is known but a disturbance; limit: nats that a fault needs; lasted:
-    seconds for which it has been so, returned with this tick added."""
+    """B (4, n): effectiveness; calm: flight without turns of which nothing is known but a disturbance; heave: how far the load factor was
+    from 1; limit: nats that a fault needs; lasted: seconds for which it has been so, returned with this tick added."""
     import jax.numpy as jnp
 
-    n, pairs = hyp.n, slice(hyp.n, hyp.n + len(hyp.pairs))
-    slow = jnp.asarray(onsets.slow)
-    real = (found.nu[:, pairs] > hypotheses.NONE).all(axis=2)
-    usable = ~slow[:, None] & torque_free(hyp, B)[None, :] & real & found.live[:, None]
-    fit = jnp.where(usable, found.log_bf[:, pairs], evidence.NOTHING)
+    n, slow = hyp.n, jnp.asarray(onsets.slow)
+    log_bf, nu = shared(hyp, told.C, told.z)
+    usable = ~slow[:, None] & torque_free(hyp, B)[None, :] & (nu > hypotheses.NONE) & found.live[:, None]
+    fit = jnp.where(usable, log_bf, evidence.NOTHING)
     free_fit = jnp.where(found.live[:, None], found.log_bf[:, ~hyp.fault], evidence.NOTHING)
     best, gradual, sudden = fit.max(), free_fit[onsets.slow].max(), free_fit[~onsets.slow].max()
+    pair = jnp.argmax(fit.max(axis=0))
+    slot = jnp.argmax(fit[:, pair])
+    loss = nu[slot, pair]
     # A quadrotor's pairs can be told apart by their yaw: there the fault hypotheses say all there is to say.
     now = (
         calm
+        & (heave < HEAVING + 2.0 * loss / n)
         & (n >= 6)
         & (best > limit)
         & (best > sudden - 2.0 * hypotheses.CLEAR)
-        & (best > gradual + hypotheses.CLEAR)
+        & (best > gradual)
     )
     since = jnp.where(now, lasted + dt, 0.0)
     news = (since >= plant.ANSWER_S) & (lasted < plant.ANSWER_S)
-    pair = jnp.argmax(fit.max(axis=0))
-    slot = jnp.argmax(fit[:, pair])
     which = jnp.where(news, n + pair, -1).astype(jnp.int32)
-    return Opposite(which, told.age[slot].astype(float) + 1.0, found.nu[slot, n + pair]), since
+    return Opposite(which, told.age[slot].astype(float) + 1.0, jnp.stack([loss, loss])), since
+
+
+def shared(hyp: Hypotheses, C, z):
+    """Log Bayes factors (W, n_pairs) of one loss that both rotors of a pair have, and its most probable size (W, n_pairs)."""
+    import jax.numpy as jnp
+
+    i, j = hyp.pairs.T
+    c, z = C[:, i, i] + C[:, j, j] + 2.0 * C[:, i, j], z[:, i] + z[:, j]
+    parts, nu = [], z
+    for width in (hypotheses.SMALL_WIDTH, hypotheses.LOSS_WIDTH):
+        own = c + 1.0 / width**2
+        nu = jnp.clip(z / own, 0.0, 1.0)
+        parts.append(z * nu - 0.5 * own * nu**2 - 0.5 * jnp.log(own * width**2))
+    return jnp.logaddexp(*parts) - np.log(2.0), nu
 
 
 def torque_free(hyp: Hypotheses, B):
@@ -60,3 +82,18 @@ def torque_free(hyp: Hypotheses, B):
 
     (i, j), B = hyp.pairs.T, jnp.asarray(B)
     return jnp.abs(B[:2, i] + B[:2, j]).max(axis=0) < 0.05
+
+
+def contested(hyp: Hypotheses, B):
+    """(n_h,) bool: the hypotheses that are such a pair, of a vehicle on which there are several. B (4, n)."""
+    import jax.numpy as jnp
+
+    free = torque_free(hyp, B) & (hyp.n >= 6)
+    return jnp.concatenate([jnp.zeros(hyp.n, bool), free, jnp.zeros(len(hyp.names) - hyp.n - free.size, bool)])
+
+
+def common(theta, alike):
+    """(n,): what rotors `alike` (n,) with losses theta (n,) lack alike: it may be theirs, or that of any other such pair."""
+    import jax.numpy as jnp
+
+    return jnp.where(alike, jnp.where(alike, theta, 1.0).min(), 0.0)

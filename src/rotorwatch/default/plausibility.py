@@ -50,19 +50,36 @@ def follow(state: Missing, missing, load, share, valid, restart, dt) -> Missing:
     )
 
 
-def plausible(jump, smooth, rise, now: Missing, before: Missing, thrust_valid, active, rough):
-    """bool: may the jump (2, n; two rotors at most, 0 elsewhere) be a loss?
+def asked_of(B):
+    """(n, n): by what share of it a loss of rotor j raises what is asked of rotor i, above the mean of all, where its own loss counts 1.
+
+    A controller makes up for the wrench B x that is missing with the least change of thrusts, B' (B B')^-1 B x. Of opposite rotors each
+    has to rise by itself: where they lose the same neither does, and only steady flight can tell (opposite.py)."""
+    import jax.numpy as jnp
+
+    B = jnp.asarray(B)
+    n = B.shape[1]
+    L = hypotheses.cholesky((B @ B.T)[None])
+    half = hypotheses.forward(jnp.broadcast_to(L, (n, *L.shape[1:])), B.T)
+    answer = half @ half.T - 1.0 / n
+    against = jnp.abs(B[:2, :, None] + B[:2, None, :]).max(axis=0) < 0.05
+    return jnp.where(against, 0.0, answer / jnp.maximum(jnp.diagonal(answer)[:, None], 1e-9))
+
+
+def plausible(jump, smooth, rise, now: Missing, before: Missing, thrust_valid, active, rough, coupling):
+    """bool: may the jump (2, n; two rotors at most, 0 elsewhere) be a loss? coupling (n, n): `asked_of`.
 
     smooth (n,): thrust of each rotor; rise (n,): what is asked above trim. active (n,): rotors already known to be weak.
     rough (4,): variance of this flight's disturbances.
     """
     import jax.numpy as jnp
 
-    # A controller asks more of a rotor that gives less: a candidate whose command has fallen instead is none.
+    # A controller asks more of a rotor that gives less: a candidate whose command has fallen instead is none. Of two rotors it asks what
+    # geometry leaves of that.
     # Two rotors at once are rare: they have to show as they would in calm air.
     n, rough = smooth.shape[0], jnp.where((jump != 0.0).any(axis=1).all(), 0.0, rough)
     swing = jnp.sqrt(rough[:3].sum()) / n
-    asked = jnp.minimum(jump, ASKED_MOST) * smooth
+    asked = coupling @ (jnp.minimum(jump, ASKED_MOST).sum(axis=0) * smooth)
     ok = (jnp.abs(jump).max() > hypotheses.NONE) & jnp.where(
         jump > 0, rise > ASKED_SHARE * asked - jnp.maximum(ASKED_SLACK, swing), True
     ).all()

@@ -25,13 +25,15 @@ from rotorwatch.default.hypotheses import Hypotheses
 PLACES = 4
 RESOLVE_S, TEMPER = 3.0, 0.3
 OUT = -7.0  # log weight relative to the leader's at which a branch is dropped
+ALIKE = -3.0  # the same, below which a pair that looks like the leading one does not fall: a twentieth
 NEVER = -1e3
 
 
 class Branches(NamedTuple):
     """K = PLACES explanations, the leader first. s (K, n_s), P (K, n_s, n_s); weight (K,): log, 0 for the leader, NEVER where there is
     none; active (K, n): weak rotors; learning (K, n): seconds their losses are still refined; theta_var, theta_mean (K, n): variance
-    after that, and mean lately; onset (K,): ticks since its last jump of a rotor; age: s since then."""
+    after that, and mean lately; alike (K, n): found together as a pair that others look like;
+    onset (K,): ticks since its last jump of a rotor; age: s since then."""
 
     s: Array
     P: Array
@@ -40,6 +42,7 @@ class Branches(NamedTuple):
     learning: Array
     theta_var: Array
     theta_mean: Array
+    alike: Array
     onset: Array
     age: Array
 
@@ -56,6 +59,7 @@ def init(s: Array, P: Array, n: int) -> Branches:
         learning=none,
         theta_var=none,
         theta_mean=none,
+        alike=np.zeros((K, n), bool),
         onset=np.zeros(K),
         age=np.float64(1e3),
     )
@@ -70,6 +74,8 @@ def weigh(branches: Branches, innovation, variance, valid, calm, counts, dt) -> 
     share = jnp.where(counts, TEMPER * jnp.exp(-branches.age / RESOLVE_S), 0.0)
     weight = branches.weight + share * (fit @ told)
     weight = weight - weight[0]
+    # How rotors differ in hover is not known well enough to drop one of several pairs that look the same.
+    weight = jnp.where(branches.alike.any(axis=1) & branches.alike[0].any(), jnp.maximum(weight, ALIKE), weight)
     weight = jnp.where((branches.weight > 0.5 * NEVER) & (weight > OUT), weight, NEVER)
     return branches._replace(weight=weight, onset=branches.onset + 1.0, age=branches.age + dt)
 
@@ -101,10 +107,11 @@ def shares(branches: Branches):
 
 
 def born(
-    branches: Branches, hyp: Hypotheses, told: bank.Bank, found: evidence.Evidence, first, alarm, absorbed
+    branches: Branches, hyp: Hypotheses, told: bank.Bank, found: evidence.Evidence, alike, first, alarm, absorbed
 ) -> Branches:
-    """What may have happened becomes branches of the one that leads: the likeliest disturbance and the likeliest faults. Hypothesis
-    `first` leads where it is announced, the disturbance where something was absorbed; else all stays."""
+    """What may have happened becomes branches of the one that leads: the likeliest disturbance and the likeliest faults. alike
+    (n_h,): pairs that others look like. Hypothesis `first` leads where it is announced, the disturbance where something was
+    absorbed; else all stays."""
     import jax
     import jax.numpy as jnp
 
@@ -126,13 +133,13 @@ def born(
         doubt = alarm | branches.active[0].any()
         barred = jnp.where(alarm, which == none, ~doubt & (which != none))
         weight = jnp.where(barred | (weight <= OUT), NEVER, weight)
-        child = jax.vmap(lambda h: _child(branches, hyp, told, found, h))(which)
+        child = jax.vmap(lambda h: _child(branches, hyp, told, found, alike, h))(which)
         return child._replace(weight=weight, age=jnp.where(doubt, 0.0, branches.age))
 
     return jax.lax.cond(alarm | absorbed, made, lambda same: same, branches)
 
 
-def _child(branches: Branches, hyp: Hypotheses, told: bank.Bank, found: evidence.Evidence, h) -> Branches:
+def _child(branches: Branches, hyp: Hypotheses, told: bank.Bank, found: evidence.Evidence, alike, h) -> Branches:
     """The leader with the jump of hypothesis h: exactly what an augmented filter with this jump would hold."""
     import jax.numpy as jnp
 
@@ -156,6 +163,7 @@ def _child(branches: Branches, hyp: Hypotheses, told: bank.Bank, found: evidence
         learning=jnp.where(off, 0.0, jnp.where(jump.rotors, plant.USUAL_S, branches.learning[0])),
         theta_var=jnp.where(off, 0.0, branches.theta_var[0]),
         theta_mean=jnp.where(jump.rotors, s[n_x:], branches.theta_mean[0]),
+        alike=(branches.alike[0] | (jump.rotors & jnp.asarray(alike)[h])) & ~off.any(),
         onset=jnp.where(jump.rotors.any(), jump.since, branches.onset[0]),
         age=jnp.zeros(()),
     )
