@@ -33,15 +33,17 @@ FLAT = 0.8  # (Jz - Jy) / Jx of a vehicle that is nearly flat; 1 for a plate
 # damping and gyroscopic terms; of the whole thrust, which air that flows along the axis changes; of the load factor, by drag.
 FLOOR, THRUST_SHARE, STEP_SHARE, MOTION_SHARE, LOAD_SHARE, LOAD_FLOOR = 0.1, 0.12, 0.5, 0.4, 0.3, 0.2
 BELIEVED, AT_LIMIT, LIMIT_LACKS = 0.6, 0.95, 0.4  # shares of full thrust; at its limit a rotor may give so much less
+STRANGE_S = 1.0  # after the onset: the longer a vehicle tumbles, the stranger is the air that its rotors meet
 OUTLIERS, OUTLIER_SD = 0.05, 4.0
-TEMPER = 0.5  # errors of models last longer than a tick: each counts as half a sample
+ERROR_S = 0.15  # that errors of the model last: ticks that are closer count as so much less
 TURNS = 12  # of the coordinate descent
 
 
 @dataclass(frozen=True)
 class Window:
     """K ticks: time (K,); thrust (K, n) commanded, in hover thrusts; full (float): a rotor's largest thrust; rate, rate_dot (K, 3); load
-    (K,); torque_ok, load_ok (K,) bool; before, after (K, n): commands of the ticks beside."""
+    (K,); torque_ok (K, 3), load_ok (K,) bool; before, after (K, n): commands of the ticks beside; onset: when control began
+    to be lost [s]."""
 
     time: np.ndarray
     thrust: np.ndarray
@@ -53,6 +55,7 @@ class Window:
     load_ok: np.ndarray
     before: np.ndarray
     after: np.ndarray
+    onset: float = np.inf
 
 
 @dataclass(frozen=True)
@@ -78,6 +81,7 @@ def noise_variance(window: Window, B: np.ndarray) -> np.ndarray:
     near = np.clip((T / window.full - BELIEVED) / (AT_LIMIT - BELIEVED), 0.0, 1.0)
     each = (THRUST_SHARE * T) ** 2 + (STEP_SHARE * change) ** 2 + (LIMIT_LACKS * near * T) ** 2
     variance = FLOOR**2 + each @ (B**2).T
+    variance *= (1.0 + (np.maximum(window.time - window.onset, 0.0) / STRANGE_S) ** 2)[:, None]
     variance[:, 3] += (LOAD_SHARE * T.sum(axis=1)) ** 2 + (LOAD_FLOOR * B.shape[1]) ** 2
     return variance
 
@@ -99,7 +103,7 @@ def fit(window: Window, wrench: np.ndarray, B: np.ndarray, offset: Offset) -> Fi
     low = np.concatenate([(n * LEAST)[:, None], np.zeros((3, 1)), np.full((3, 1), -np.inf)], axis=1)
     X = np.stack([turn, r, -np.ones((K, 3))], axis=2)  # (K, 3 axes, 3 parameters)
     p = np.broadcast_to(mean, (H, 3, 3)).copy()
-    ok = window.torque_ok[None, :, None]
+    ok = window.torque_ok[None]
     share = np.full((H, K, 3), 1.0)
     y = wrench[:, :, :3]
     variance = np.broadcast_to(base[None, :, :3], (H, K, 3))
@@ -120,14 +124,16 @@ def fit(window: Window, wrench: np.ndarray, B: np.ndarray, offset: Offset) -> Fi
         inside, outside = _normal(e, variance), _normal(e, OUTLIER_SD**2 + variance)
         share = 1.0 / (1.0 + OUTLIERS / (1.0 - OUTLIERS) * np.exp(np.clip(outside - inside, -50.0, 50.0)))
     torque = np.logaddexp(np.log(1.0 - OUTLIERS) + inside, np.log(OUTLIERS) + outside)
-    total = TEMPER * np.where(ok, torque, 0.0).sum(axis=(1, 2))
+    steps = np.diff(window.time)
+    weight_of = min(1.0, float(np.median(steps)) / ERROR_S) if steps.size else 1.0
+    total = weight_of * np.where(ok, torque, 0.0).sum(axis=(1, 2))
     total -= 0.5 * (((p - mean) / sd) ** 2).sum(axis=(1, 2))
     push = wrench[:, :, 3] - n * window.load[None]
     spread = np.broadcast_to(base[None, :, 3], (H, K))
     lift = np.logaddexp(
         np.log(1.0 - OUTLIERS) + _normal(push, spread), np.log(OUTLIERS) + _normal(push, (n * OUTLIER_SD) ** 2)
     )
-    total += TEMPER * np.where(window.load_ok[None], lift, 0.0).sum(axis=1)
+    total += weight_of * np.where(window.load_ok[None], lift, 0.0).sum(axis=1)
     residual = np.concatenate([e / np.sqrt(variance), (push / np.sqrt(spread))[:, :, None]], axis=2)
     return Fit(total, residual)
 

@@ -16,8 +16,8 @@ from rotorwatch.upset.balance import Fit, Offset, Window, fit
 
 SIZES = np.array([0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0])
 # How often each kind of explanation is met, of vehicles that left control.
-PRIOR = {"healthy": 0.4, "rotor": 0.4, "common": 0.05, "outside": 0.1}
-ORDER = {"healthy": 0.25, "rotor": 0.35, "common": 0.02, "outside": 0.08, "order": 0.25, "yaw": 0.05}
+PRIOR = {"healthy": 0.4, "rotor": 0.4, "common": 0.005, "outside": 0.1}
+ORDER = {"healthy": 0.25, "rotor": 0.35, "common": 0.005, "outside": 0.08, "order": 0.25, "yaw": 0.05}
 OUTSIDE_SD = 1.0  # hover thrusts of one rotor, of a torque from outside that lasts
 CHUNK = 256  # courses that are fitted at once
 

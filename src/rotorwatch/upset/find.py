@@ -24,11 +24,12 @@ CALM_S = 0.4  # of flight under control before, from which the offset of the tor
 CALM_SD, UNKNOWN_SD = 0.1, 0.25
 FIRST_S = 3.0  # after lift-off: what is wrong now was wrong on the ground
 STIRS = 2.0, 0.2  # rad/s^2, rad/s: a vehicle that has moved
+PINNED = 3.0  # rad/s: the ranges of gyros end above
 MOST_TICKS = 60
 HOVER_PARAMETERS = ("MOT_THST_HOVER", "MPC_THR_HOVER")
 USUAL_HOVER = 0.35
 
-LOSS = "loss_of_effectiveness"
+LOSS, OVERRIDE = "loss_of_effectiveness", "output_override"
 SURE, CREDIBLE = 0.9, 0.03  # probabilities: a cause that is named alone; one that is named at all
 FITS = 1.3  # standard deviations, root mean square: beyond, even the best explanation does not explain the motion
 STRAYS, STRAYS_THRUST = 3.0, 1.5  # standard deviations of torque and of thrust: the motion leaves the commands
@@ -110,8 +111,9 @@ def _cause(
     limit = (window.thrust[early] > LIMIT * window.full).any(axis=1)
     if best.kind == "healthy" and p > SURE and early.any() and limit.mean() > LIMIT_SHARE:
         return "saturated", ("outputs had been at their limits before control was lost",)
-    torque = next(e for e in found if e.kind == "healthy").residual[window.time <= left.onset, :3]
-    turned = torque.size > 0 and float(np.sqrt((torque**2).mean())) < 1.0
+    flying = window.time < (np.inf if left.impact is None else left.impact)
+    torque = next(e for e in found if e.kind == "healthy").residual[flying, :3]
+    turned = torque.size > 0 and bool((np.sqrt((torque**2).mean(axis=0)) < 1.0).all())
     if (best.kind == "healthy" and p > SURE and fits) or (
         best.kind == "common" and turned and _level(flight, left, onset)
     ):
@@ -128,7 +130,7 @@ def _struck(window: Window, B: np.ndarray, onset: float) -> bool:
     with_it = np.maximum(np.sign(window.rate_dot) * torque, 0.0)
     most = np.sort(np.maximum(window.thrust, window.before), axis=1)[:, -2:].sum(axis=1)
     beyond = (LEAST_GAIN * n * np.abs(window.rate_dot) - with_it).max(axis=1) - most
-    return bool((beyond[near & window.torque_ok] > 0.0).any())
+    return bool((beyond[near & window.torque_ok.all(axis=1)] > 0.0).any())
 
 
 def _names(found, probability) -> str:
@@ -177,6 +179,12 @@ def _weak(events_, left: Departure) -> Event | None:
     return max(before, key=lambda e: max(e.loss), default=None)
 
 
+def _told(events_, left: Departure) -> Event | None:
+    """The loss that was announced in flight as control was lost."""
+    near = [e for e in events_ if e.kind == LOSS and abs(e.onset_s - left.onset) < SAME_S and e.detected_s <= left.lost]
+    return near[0] if near else None
+
+
 def _merged(events_: list[Event], judged: Judged, n: int) -> list[Event]:
     """The events with that of the departure and of the rotors it accuses, less those that it explains."""
     left, window = judged.left, judged.window
@@ -186,6 +194,11 @@ def _merged(events_: list[Event], judged: Judged, n: int) -> list[Event]:
             judged, cause="rotor", found=(), evidence=(f"{_who(weak.rotors)} had been weak since {weak.onset_s:.1f} s",)
         )
         return [*events_, _lost(judged, n, weak.rotors, (), left.lost)]
+    told = _told(events_, left)
+    cleared = judged.found and judged.found[0].kind == "healthy" and judged.probability[0] > SURE
+    if told is not None and judged.cause in ("controller", "saturated", "unknown") and not cleared:
+        judged = replace(judged, cause="rotor", found=(), evidence=(told.reason,))
+        return [*events_, _lost(judged, n, told.rotors, told.alternatives, left.lost)]
     decided = left.lost if window is None else float(window.time[-1])
     rotors = [(e, float(p)) for e, p in zip(judged.found, judged.probability) if e.kind == "rotor" and p >= CREDIBLE]
     whole = [p for e, p in zip(judged.found, judged.probability) if e.kind == "common" and p >= CREDIBLE]
@@ -194,11 +207,15 @@ def _merged(events_: list[Event], judged: Judged, n: int) -> list[Event]:
     rotor = (rotors[0][0].rotors[0] + 1,) if accused else ()
     kept, same = [], None
     for e in events_:
-        late = e.onset_s > left.onset - SAME_S and e.kind in (LOSS, "output_override") and bool(judged.found)
+        late = e.onset_s > left.onset - SAME_S and e.kind in (LOSS, OVERRIDE) and bool(judged.found)
         if late and e.kind == LOSS and e.rotors == rotor and same is None:
             same = e
-        elif not late or (e.kind == "output_override" and e.onset_s <= left.onset):
+        elif not late or (e.kind == OVERRIDE and e.onset_s <= left.lost):
             kept.append(e)
+    held = [e for e in kept if e.kind == OVERRIDE and left.onset - SAME_S < e.onset_s <= left.lost]
+    if held and judged.cause not in ("rotor", "motor_order"):  # what the mixer did not ask for is the cause
+        judged = replace(judged, cause="rotor", evidence=(held[0].reason,))
+        return [*kept, _lost(replace(judged, found=()), n, held[0].rotors, (), decided)]
     if accused:
         best, p = rotors[0]
         others = () if p > SURE and judged.cause == "rotor" else others
@@ -321,19 +338,26 @@ def window_of(
     stirs = (np.abs(seen.rate_dot).max(axis=1) > STIRS[0]) | (np.abs(seen.rate).max(axis=1) > STIRS[1])
     stirs &= seen.rate_ok & (seen.share.max(axis=1) > 0.05) & (seen.time > start - FIRST_S)
     began = float(seen.time[np.argmax(stirs)]) - how.dt if took_off and stirs.any() else first
-    inside = np.flatnonzero((seen.time >= max(first, began)) & (seen.time <= last + how.lag_s) & seen.some)[
-        -MOST_TICKS:
-    ]
+    first = max(first, began, left.onset - MOST_TICKS * how.dt / 3.0)
+    inside = np.flatnonzero((seen.time >= first) & (seen.time <= last + how.lag_s) & seen.some)[:MOST_TICKS]
     if inside.size < 3:
         return None
     T = seen.share / hover
     window = Window(
-        seen.time[inside], T[inside], 1.0 / hover, seen.rate[inside], seen.rate_dot[inside], seen.load[inside], seen.rate_ok[inside],
-        seen.load_ok[inside], T[np.maximum(inside - 1, 0)], T[np.minimum(inside + 1, len(seen) - 1)],
+        seen.time[inside], T[inside], 1.0 / hover, seen.rate[inside], seen.rate_dot[inside], seen.load[inside],
+        seen.rate_ok[inside, None] & ~_pinned(seen.rate[inside], seen.rate_dot[inside]), seen.load_ok[inside],
+        T[np.maximum(inside - 1, 0)], T[np.minimum(inside + 1, len(seen) - 1)], left.onset,
     )  # fmt: skip
     causes = np.flatnonzero((window.time >= left.onset - EARLIER_S) & (window.time <= left.onset + LATER_S))
     onsets = np.union1d([0], causes) if took_off or not causes.size else causes
     return window, _offset(window, vehicle.effectiveness(), left.onset - EARLIER_S, took_off), onsets, took_off
+
+
+def _pinned(rate: np.ndarray, rate_dot: np.ndarray) -> np.ndarray:
+    """(K, 3) bool: a gyro at the end of its range, where it tells no acceleration."""
+    most = np.abs(rate).max(axis=0)
+    there = (np.abs(rate) > 0.97 * most) & (np.abs(rate_dot) < STIRS[0]) & (most > PINNED)
+    return there & (there.sum(axis=0) >= 4)
 
 
 def _hover(flight: Flight, seen: Sensed, vehicle: Vehicle, until: float, took_off: bool) -> float:
@@ -360,7 +384,7 @@ def _hover(flight: Flight, seen: Sensed, vehicle: Vehicle, until: float, took_of
 
 def _offset(window: Window, B: np.ndarray, until: float, took_off: bool) -> Offset:
     """Torques that the vehicle is commanded in calm flight before `until` [s]: trim."""
-    calm = np.flatnonzero((window.time < until) & window.torque_ok)
+    calm = np.flatnonzero((window.time < until) & window.torque_ok.all(axis=1))
     if took_off or calm.size < 2 or window.time[calm[-1]] - window.time[calm[0]] < CALM_S:
         return Offset(np.zeros(3), np.full(3, UNKNOWN_SD))
     w = (window.thrust @ B.T)[calm, :3] - B.shape[1] * INERTIA * window.rate_dot[calm]
