@@ -31,7 +31,7 @@ DAMPING_SD = np.array([0.03, 0.03, 0.2])  # hover thrusts per rad/s and rotor
 FLAT = 0.8  # (Jz - Jy) / Jx of a vehicle that is nearly flat; 1 for a plate
 # Standard deviations: hover thrusts of one rotor; share of each rotor's thrust; of a command that changes, of its step within the tick; of
 # damping and gyroscopic terms; of the whole thrust, which air that flows along the axis changes; of the load factor, by drag.
-FLOOR, THRUST_SHARE, STEP_SHARE, MOTION_SHARE, LOAD_SHARE, LOAD_FLOOR = 0.1, 0.12, 0.5, 0.4, 0.3, 0.2
+FLOOR, THRUST_SHARE, STEP_SHARE, MOTION_SHARE, LOAD_SHARE, LOAD_FLOOR = 0.1, 0.12, 0.5, 0.4, 0.15, 0.15
 BELIEVED, AT_LIMIT, LIMIT_LACKS = 0.6, 0.95, 0.4  # shares of full thrust; at its limit a rotor may give so much less
 STRANGE_S = 1.0  # after the onset: the longer a vehicle tumbles, the stranger is the air that its rotors meet
 OUTLIERS, OUTLIER_SD = 0.05, 4.0
@@ -81,8 +81,9 @@ def noise_variance(window: Window, B: np.ndarray) -> np.ndarray:
     near = np.clip((T / window.full - BELIEVED) / (AT_LIMIT - BELIEVED), 0.0, 1.0)
     each = (THRUST_SHARE * T) ** 2 + (STEP_SHARE * change) ** 2 + (LIMIT_LACKS * near * T) ** 2
     variance = FLOOR**2 + each @ (B**2).T
+    whole = T.sum(axis=1) + STEP_SHARE / LOAD_SHARE * change.sum(axis=1)
+    variance[:, 3] += (LOAD_SHARE * whole) ** 2 + (LOAD_FLOOR * B.shape[1]) ** 2
     variance *= (1.0 + (np.maximum(window.time - window.onset, 0.0) / STRANGE_S) ** 2)[:, None]
-    variance[:, 3] += (LOAD_SHARE * T.sum(axis=1)) ** 2 + (LOAD_FLOOR * B.shape[1]) ** 2
     return variance
 
 

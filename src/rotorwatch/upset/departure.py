@@ -6,7 +6,7 @@ the rates (rates_wanted). Where a log has neither, only a vehicle on its head is
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,6 +24,7 @@ OVER_DEG = 100.0  # of tilt, which nobody has asked for where nothing says what 
 BACK_DEG, BACK_S = 15.0, 2.0  # closer than that for so long: control has come back
 FRESH_S = 0.5  # a wanted attitude that is older is none
 FALLS, FALLS_S = 0.35, 0.25  # load factor [g] below which a vehicle falls, with outputs at rest for so long
+SINKS_M_S, NEARLY_FULL = 4.0, 0.85  # down, at so much of all outputs' range
 REST = 0.015  # share of the range up to which an output is at rest
 POWERED = 0.1  # share of the range of commands
 HITS_G = 2.0  # g from the side or from above, twice as much from below: no rotor pushes so; the ground does, or another thing
@@ -121,7 +122,15 @@ def find(flight: Flight, air) -> tuple[Departure, ...]:
     time, angle, words = apart(flight)
     found = []
     for start, end in air or _powered(flight):
-        spans = [d for d in (_leaves(flight, time, angle, words, start, end), _falls(flight, start, end)) if d]
+        spans = [
+            d
+            for d in (
+                _leaves(flight, time, angle, words, start, end),
+                _falls(flight, start, end),
+                _sinks(flight, start, end),
+            )
+            if d
+        ]
         if spans:
             found.append(min(spans, key=lambda d: d.onset))
     return tuple(found)
@@ -182,8 +191,7 @@ def _falls(flight: Flight, start: float, end: float) -> Departure | None:
     """Outputs that come to rest while nothing carries the vehicle."""
     if not flight.has("motors", "accel"):
         return None
-    motors, (low, high) = flight["motors"], output_range(flight)
-    share = np.where(motors.valid, (motors.values - low) / max(high - low, 1e-6), 0.0).max(axis=1)
+    motors, share = flight["motors"], _shares(flight).max(axis=1)
     accel = flight["accel"]
     ok = accel.valid.all(axis=1)
     time, force = accel.time[ok], np.linalg.norm(accel.values[ok], axis=1) / G0
@@ -204,6 +212,38 @@ def _falls(flight: Flight, start: float, end: float) -> Departure | None:
                 onset, float(when), None, hit(flight, float(when), end + 30.0), "falling without thrust", True
             )
     return None
+
+
+def _sinks(flight: Flight, start: float, end: float) -> Departure | None:
+    """A vehicle that falls while its rotors are asked for nearly all they have."""
+    if not flight.has("motors", "velocity"):
+        return None
+    velocity = flight["velocity"]
+    inside = (velocity.time >= start) & (velocity.time <= end) & velocity.valid.all(axis=1)
+    time, down = velocity.time[inside], velocity.values[inside, 2]
+    share, age = held(replace(flight["motors"], values=_shares(flight)), time)
+    full = (share.mean(axis=1) > NEARLY_FULL) & (age <= FRESH_S)
+    since = None
+    for when, falling in zip(time, full & (down > SINKS_M_S)):
+        since = (since if since is not None else when) if falling else None
+        if since is not None and when - since >= LASTS_S:
+            slow = np.flatnonzero((time < since) & (down < 0.2 * SINKS_M_S))
+            onset = float(time[slow[-1]]) if slow.size else float(since)
+            return Departure(
+                onset,
+                float(when),
+                None,
+                hit(flight, float(when), end + 30.0),
+                f"sinking at {down[time == when][0]:.0f} m/s though nearly full thrust was commanded",
+            )
+    return None
+
+
+def _shares(flight: Flight) -> np.ndarray:
+    """(n, rotors) commands as shares of their range; 0 where there is none."""
+    low, high = output_range(flight)
+    motors = flight["motors"]
+    return np.where(motors.valid, np.clip((motors.values - low) / max(high - low, 1e-6), 0.0, 1.0), 0.0)
 
 
 def hit(flight: Flight, start: float, end: float) -> float | None:
@@ -257,6 +297,12 @@ def height(flight: Flight, at: float, ground: float) -> float | None:
         return None
     (now, then), age = held(flight["position"], np.array([at, ground]))
     return float(then[2] - now[2]) if (age < 2.0).all() else None
+
+
+def low(flight: Flight, at: float, start: float) -> bool:
+    """Is the vehicle, as far as is known, no higher than LOW_M above where it took off?"""
+    above = height(flight, at, start)
+    return above is not None and above < LOW_M
 
 
 def _ground(flight, impact, onset, start, end) -> bool:

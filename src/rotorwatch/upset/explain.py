@@ -16,8 +16,10 @@ from rotorwatch.upset.balance import Fit, Offset, Window, fit
 
 SIZES = np.array([0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0])
 # How often each kind of explanation is met, of vehicles that left control.
-PRIOR = {"healthy": 0.4, "rotor": 0.4, "common": 0.005, "outside": 0.1}
-ORDER = {"healthy": 0.25, "rotor": 0.35, "common": 0.005, "outside": 0.08, "order": 0.25, "yaw": 0.05}
+PRIOR = {"healthy": 0.4, "rotor": 0.4, "outside": 0.1}
+ORDER = {"healthy": 0.25, "rotor": 0.35, "outside": 0.08, "order": 0.25, "yaw": 0.05}
+# That all rotors fail alike: where the battery's voltage was steady, where it is not logged, where it collapsed.
+COMMON = {False: 0.0005, None: 0.005, True: 0.3}
 OUTSIDE_SD = 1.0  # hover thrusts of one rotor, of a torque from outside that lasts
 CHUNK = 256  # courses that are fitted at once
 
@@ -38,18 +40,18 @@ class Explanation:
 
 
 def explain(
-    window: Window, B: np.ndarray, offset: Offset, onsets: np.ndarray, orders: bool
+    window: Window, B: np.ndarray, offset: Offset, onsets: np.ndarray, orders: bool, sagged: bool | None = None
 ) -> tuple[tuple[Explanation, ...], np.ndarray]:
     """All explanations, the most probable first, and their probabilities.
 
     B (4, n); onsets: indices of the ticks at which something may have begun; orders: whether outputs may go to the wrong motors (at the
-    first take-off: later it would have shown).
+    first take-off: later it would have shown); sagged: whether the battery's voltage collapsed, None where that is not known.
     """
     n, K = B.shape[1], window.time.size
     healthy = window.thrust @ B.T
     courses: list[np.ndarray] = []
     labels: list[tuple[str, tuple[int, ...], int, float]] = []
-    prior = ORDER if orders else PRIOR
+    prior = {**(ORDER if orders else PRIOR), "common": COMMON[sagged]}
 
     def add(kind, rotors, onset, size, wrench):
         courses.append(wrench)

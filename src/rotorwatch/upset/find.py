@@ -13,8 +13,8 @@ from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.motion import allocation, ticks
 from rotorwatch.motion.contact import LEAST_GAIN
 from rotorwatch.motion.ticks import Sensed
-from rotorwatch.upset.balance import INERTIA, Offset, Window
 from rotorwatch.upset import departure
+from rotorwatch.upset.balance import INERTIA, Offset, Window
 from rotorwatch.upset.departure import HIT_S, Departure, held, thrust_axis
 from rotorwatch.upset.explain import Explanation, explain
 
@@ -24,6 +24,7 @@ CALM_S = 0.4  # of flight under control before, from which the offset of the tor
 CALM_SD, UNKNOWN_SD = 0.1, 0.25
 FIRST_S = 3.0  # after lift-off: what is wrong now was wrong on the ground
 STIRS = 2.0, 0.2  # rad/s^2, rad/s: a vehicle that has moved
+LIES = 0.15, 1.5  # rad/s, rad/s^2: below both for three ticks, a vehicle that has turned over lies on the ground
 PINNED = 3.0  # rad/s: the ranges of gyros end above
 MOST_TICKS = 60
 HOVER_PARAMETERS = ("MOT_THST_HOVER", "MPC_THR_HOVER")
@@ -79,15 +80,15 @@ def judge(flight: Flight, vehicle: Vehicle, air, left: Departure) -> Judged:
     if got is None:
         return Judged(left, "disarmed" if left.falls else "unknown", (), np.empty(0), None, left.onset, ())
     window, offset, onsets, took_off = got
-    found, probability = explain(window, vehicle.effectiveness(), offset, onsets, took_off)
+    found, probability = explain(window, vehicle.effectiveness(), offset, onsets, took_off, _sagged(flight, left.onset))
     healthy = next(e for e in found if e.kind == "healthy")
     onset = left.onset if left.falls else _strays(window, healthy.residual, left.onset)
-    cause, evidence = _cause(flight, vehicle, left, found, probability, window, onset)
+    cause, evidence = _cause(flight, vehicle, start, left, found, probability, window, onset)
     return Judged(left, cause, found, probability, window, onset, evidence)
 
 
 def _cause(
-    flight, vehicle, left: Departure, found, probability, window: Window, onset: float
+    flight, vehicle, start: float, left: Departure, found, probability, window: Window, onset: float
 ) -> tuple[str, tuple[str, ...]]:
     """The cause of a departure, and the sentences that speak for it."""
     if left.falls:
@@ -103,7 +104,8 @@ def _cause(
         return "rotor", (f"the motion is what {_names(found, probability)} without its thrust would make it",)
     if best.kind in ("order", "yaw") and p > SURE and fits:
         return "motor_order", ("the first movement went against the commands",)
-    if _struck(window, vehicle.effectiveness(), onset) or (left.impact is not None and left.impact - onset <= HIT_S):
+    blow = left.impact is not None and left.impact - onset <= HIT_S and not departure.low(flight, onset, start)
+    if _struck(window, vehicle.effectiveness(), onset) or blow:
         return "knock", ("something outside pushed the vehicle harder than its rotors can",)
     if _sagged(flight, onset):
         return "power", ("the battery's voltage collapsed",)
@@ -113,9 +115,9 @@ def _cause(
         return "saturated", ("outputs had been at their limits before control was lost",)
     flying = window.time < (np.inf if left.impact is None else left.impact)
     torque = next(e for e in found if e.kind == "healthy").residual[flying, :3]
-    turned = torque.size > 0 and bool((np.sqrt((torque**2).mean(axis=0)) < 1.0).all())
-    if (best.kind == "healthy" and p > SURE and fits) or (
-        best.kind == "common" and turned and _level(flight, left, onset)
+    turned = left.onset - start > FIRST_S and torque.size > 0 and bool((np.sqrt((torque**2).mean(axis=0)) < 1.0).all())
+    if (best.kind == "healthy" and p > SURE and fits and turned) or (
+        best.kind == "common" and rotor < 1.0 - SURE and turned and _level(flight, left, onset)
     ):
         return "controller", (
             "all rotors turned the vehicle as they were told, so it was told wrong: by a sensor, an estimate or the pilot",
@@ -138,14 +140,15 @@ def _names(found, probability) -> str:
     return "rotor " + " or ".join(str(r) for r in who)
 
 
-def _sagged(flight: Flight, onset: float) -> bool:
+def _sagged(flight: Flight, onset: float) -> bool | None:
+    """Did the battery's voltage collapse as control was lost? None where it is not known."""
     if not flight.has("battery"):
-        return False
+        return None
     battery = flight["battery"]
     volts = np.where(battery.valid[:, 0], battery.values[:, 0], np.nan)
-    usual, now = volts[(battery.time < onset - 3.0)], volts[np.abs(battery.time - onset) < 1.5]
-    if np.isfinite(usual).sum() < 3 or not np.isfinite(now).any():
-        return False
+    usual, now = volts[battery.time < onset - 1.0], volts[np.abs(battery.time - onset) < 1.5]
+    if np.isfinite(usual).sum() < 3 or not np.isfinite(now).any() or np.nanmedian(usual) <= 0.0:
+        return None
     return float(np.nanmin(now)) < SAG * float(np.nanmedian(usual))
 
 
@@ -203,7 +206,8 @@ def _merged(events_: list[Event], judged: Judged, n: int) -> list[Event]:
     rotors = [(e, float(p)) for e, p in zip(judged.found, judged.probability) if e.kind == "rotor" and p >= CREDIBLE]
     whole = [p for e, p in zip(judged.found, judged.probability) if e.kind == "common" and p >= CREDIBLE]
     others = tuple((e.rotors[0] + 1,) for e, _ in rotors[1:]) + ((tuple(range(1, n + 1)),) if whole else ())
-    accused = bool(rotors) and judged.cause in ("rotor", "unknown") and judged.found[0].kind == "rotor"
+    blame = sum(p for _, p in rotors)
+    accused = (judged.cause == "rotor" and bool(rotors)) or (judged.cause == "unknown" and blame > 1.0 - SURE)
     rotor = (rotors[0][0].rotors[0] + 1,) if accused else ()
     kept, same = [], None
     for e in events_:
@@ -338,6 +342,10 @@ def window_of(
     stirs = (np.abs(seen.rate_dot).max(axis=1) > STIRS[0]) | (np.abs(seen.rate).max(axis=1) > STIRS[1])
     stirs &= seen.rate_ok & (seen.share.max(axis=1) > 0.05) & (seen.time > start - FIRST_S)
     began = float(seen.time[np.argmax(stirs)]) - how.dt if took_off and stirs.any() else first
+    still = (np.abs(seen.rate).max(axis=1) < LIES[0]) & (np.abs(seen.rate_dot).max(axis=1) < LIES[1]) & seen.rate_ok
+    still &= seen.time > left.onset + LATER_S
+    lies = np.flatnonzero(still[2:] & still[1:-1] & still[:-2])
+    last = min(last, float(seen.time[lies[0]])) if lies.size else last
     first = max(first, began, left.onset - MOST_TICKS * how.dt / 3.0)
     inside = np.flatnonzero((seen.time >= first) & (seen.time <= last + how.lag_s) & seen.some)[:MOST_TICKS]
     if inside.size < 3:
