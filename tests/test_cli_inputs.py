@@ -170,13 +170,30 @@ def test_a_file_is_there_whole_or_not_at_all(tmp_path):
         pass
 
 
+FULL = "rotorwatch: Reading or writing failed: No space left on device.\n"
+
+
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
-def test_a_full_disk_is_said_and_is_no_verdict():
-    with open("/dev/full", "wb") as full:
-        done = subprocess.run(
-            [sys.executable, "-m", "rotorwatch.cli", "info", str(SAMPLE)], stdout=full, stderr=subprocess.PIPE
-        )
-    assert done.returncode == 2 and done.stderr == b"rotorwatch: Reading or writing failed: No space left on device.\n"
+@pytest.mark.parametrize(
+    "words, where, code, err",
+    [
+        (("info", SAMPLE), ">/dev/full", 2, FULL),  # the command returns
+        (("--version",), ">/dev/full", 2, FULL),  # it leaves by itself
+        (("survive", "--help"), ">/dev/full", 2, FULL),
+        (("no-such-command",), "2>/dev/full", 2, ""),
+        (("info", "no-such.bin"), "2>/dev/full", 2, ""),
+        (("info", SAMPLE), ">/dev/full 2>&1", 2, ""),
+        (("info", SAMPLE), ">&-", 0, ""),  # nobody wants the answer: the exit code is one, too
+        (("--version",), ">&-", 0, ""),
+        (("info", "no-such.bin"), "2>&-", 2, ""),
+        (("info", "no-such.bin"), "<&- >&- 2>&-", 2, ""),
+    ],
+)
+def test_an_answer_that_cannot_be_written_is_an_error_and_no_verdict(words, where, code, err):
+    """A shell opens and closes the streams, as users have it. The output is buffered: what waits is tried again when Python ends."""
+    command = [sys.executable, "-m", "rotorwatch.cli", *map(str, words)]
+    done = subprocess.run(["sh", "-c", f'"$@" {where}', "sh", *command], capture_output=True, text=True, timeout=120)
+    assert (done.returncode, done.stdout, done.stderr) == (code, "", err)
 
 
 # Other words
