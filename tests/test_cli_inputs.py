@@ -151,6 +151,14 @@ def test_a_study_says_first_what_it_needs(fake, run, monkeypatch):  # noqa: F811
     assert code == 2 and "The study axkf needs cvxpy, which is not installed: pip install cvxpy." in err
 
 
+def test_the_benchmark_of_steps_says_which_extras_it_needs():
+    text = "import sys, runpy; sys.modules['jax'] = None; sys.path.insert(0, 'benchmarks'); runpy.run_path('benchmarks/run.py')"
+    root = Path(__file__).parents[1]
+    done = subprocess.run([sys.executable, "-c", text], cwd=root, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 1 and done.stderr.count("\n") == 1
+    assert "the extras `benchmark` and `research`" in done.stderr
+
+
 def test_no_hint_names_a_package_that_is_not_published():
     root = Path(cli.__file__).parent
     assert [p for p in root.rglob("*.py") if "rotorwatch[" in p.read_text(encoding="utf-8")] == []

@@ -66,7 +66,10 @@ def test_patterns_and_names_and_each_log_once(folder, monkeypatch):
     monkeypatch.chdir(folder)
     found = gathering.Gathered(["a.bin", "missing.bin", "**/*.bin", folder / "a.bin", "notes.txt"])
     # What is named is taken as it is: whoever reads it says what is wrong.
-    assert list(map(str, found)) == ["a.bin", "missing.bin", "deep/down/c.bin", "empty.bin", "notes.txt"] and found.others == 0
+    assert (
+        list(map(str, found)) == ["a.bin", "missing.bin", "deep/down/c.bin", "empty.bin", "notes.txt"]
+        and found.others == 0
+    )
     for given, says in (("*.nothing", "fits no flight log"), ("deep/none", None)):
         if says:
             with pytest.raises(ConfigError, match=says):

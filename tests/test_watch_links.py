@@ -13,12 +13,14 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega
 from tests.mavlink_vehicle import ARDUPILOT, HEXA, QUAD, Autopilot, messages
 
+from conftest import hexa_event
 from rotorwatch import airframes, cli, diagnose, logs
 from rotorwatch.errors import LinkError
 from rotorwatch.live import endpoint, mavlink, talk
 from rotorwatch.live.clock import Clock, Restarted
 from rotorwatch.live.frames import Sender
 from rotorwatch.live.link import Link
+from rotorwatch.live.watched import Watched
 from rotorwatch.logs import mavlink_messages
 
 SAMPLES = Path(cli.__file__).parent / "samples"
@@ -249,7 +251,9 @@ class Late(Autopilot):
     sends = False
 
     def _value(self, k):
-        return super()._value(k) if self.sends else ardupilotmega.MAVLink_heartbeat_message(QUAD, ARDUPILOT, 0x80, 0, 4, 3)
+        return (
+            super()._value(k) if self.sends else ardupilotmega.MAVLink_heartbeat_message(QUAD, ARDUPILOT, 0x80, 0, 4, 3)
+        )
 
 
 KEY = "ArduPilot-4d-04050700"
@@ -308,6 +312,15 @@ def test_parameters_kept_of_a_vehicle_are_used_until_its_own_have_come_and_nothi
     assert talk.cached(KEY) == own
     assert session.flying and watched.session is session and not any("kept" in a.get("text", "") for a in alerts)
     link.leave()
+
+
+def test_what_was_told_of_another_vehicle_is_taken_back():
+    alerts = []
+    watched = Watched("udp:14550/1", alerts.append)
+    for change in watched.changes.of((hexa_event(),)):
+        watched._alert(change)
+    watched.withdraw()
+    assert [alert["state"] for alert in alerts] == ["announced", "withdrawn"] and watched.events == ()
 
 
 def test_of_a_vehicle_that_contradicts_itself_is_not_spoken_as_of_a_log():

@@ -55,7 +55,7 @@ def main(argv: list[str] | None = None) -> None:
         warnings.showwarning = lambda message, *where, **more: say(str(message))
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:  # closed by the shell (>&-): nobody wants it
-            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))
         stream = getattr(sys, name)
         if isinstance(
             stream, io.TextIOWrapper

@@ -167,7 +167,9 @@ class Heard:
                 self._begin(there)
             elif there != self._begun and self._airframe(there) != self._airframe(self._begun):
                 self.watched.withdraw()
-                self.watched.say("its parameters are not those kept of it: another vehicle, or changed; it is watched anew")
+                self.watched.say(
+                    "its parameters are not those kept of it: another vehicle, or changed; it is watched anew"
+                )
                 self._begin(there)
             return
         if self._begun is not None:
