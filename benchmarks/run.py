@@ -2,16 +2,17 @@
 
     python benchmarks/run.py [--json OUT] [--cpu] [--rounds 5] [--steps 60000] [--flights ../shared/flights]
 
-Needs the extra `benchmark` and a C++ compiler. The plant has 16 states, losses included; UKF, EKF, TSUKF and MHE are the registered
-estimators with their defaults. The C++ in floor/ is compiled here, into a temporary folder. Nothing is timed before all contenders
-have said the same to 1e-9 (relative to the largest value of each output). Contenders take turns; medians of the rounds, and of the
-rounds' ratios. Slow ones step over fewer rows. --cpu counts processor time where the wall clock would count other work on the
+Needs the extras `benchmark` and `research` and a C++ compiler. The plant has 16 states, losses included; UKF, EKF, TSUKF and MHE are
+the registered estimators with their defaults. The C++ in floor/ is compiled here, into a temporary folder. Nothing is timed before all
+contenders have said the same to 1e-9 (relative to the largest value of each output). Contenders take turns; medians of the rounds, and
+of the rounds' ratios. Slow ones step over fewer rows. --cpu counts processor time where the wall clock would count other work on the
 machine too: for one flight, and for batches, where it is divided by the cores.
 """
 
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import json
 import os
 import platform
@@ -25,6 +26,10 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 
+if importlib.util.find_spec("jax") is None:
+    raise SystemExit(
+        'JAX is missing: install the extras `benchmark` and `research`: pip install -e ".[benchmark,research]"'
+    )
 os.environ.setdefault("XLA_FLAGS", f"--xla_force_host_platform_device_count={os.cpu_count()}")  # before JAX is imported
 
 import numpy as np

@@ -6,7 +6,7 @@ import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 G = 9.80665
-QUAD, ARDUPILOT = 2, 3
+QUAD, HEXA, ARDUPILOT = 2, 13, 3
 
 
 def messages(flight, seconds=np.inf, boot_s=30.0, kind=QUAD, outputs_hz=25.0, motion_hz=50.0):

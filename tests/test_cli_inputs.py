@@ -151,6 +151,14 @@ def test_a_study_says_first_what_it_needs(fake, run, monkeypatch):  # noqa: F811
     assert code == 2 and "The study axkf needs cvxpy, which is not installed: pip install cvxpy." in err
 
 
+def test_the_benchmark_of_steps_says_which_extras_it_needs():
+    text = "import sys, runpy; sys.modules['jax'] = None; sys.path.insert(0, 'benchmarks'); runpy.run_path('benchmarks/run.py')"
+    root = Path(__file__).parents[1]
+    done = subprocess.run([sys.executable, "-c", text], cwd=root, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 1 and done.stderr.count("\n") == 1
+    assert "the extras `benchmark` and `research`" in done.stderr
+
+
 def test_no_hint_names_a_package_that_is_not_published():
     root = Path(cli.__file__).parent
     assert [p for p in root.rglob("*.py") if "rotorwatch[" in p.read_text(encoding="utf-8")] == []
@@ -170,13 +178,30 @@ def test_a_file_is_there_whole_or_not_at_all(tmp_path):
         pass
 
 
+FULL = "rotorwatch: Reading or writing failed: No space left on device.\n"
+
+
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
-def test_a_full_disk_is_said_and_is_no_verdict():
-    with open("/dev/full", "wb") as full:
-        done = subprocess.run(
-            [sys.executable, "-m", "rotorwatch.cli", "info", str(SAMPLE)], stdout=full, stderr=subprocess.PIPE
-        )
-    assert done.returncode == 2 and done.stderr == b"rotorwatch: Reading or writing failed: No space left on device.\n"
+@pytest.mark.parametrize(
+    "words, where, code, err",
+    [
+        (("info", SAMPLE), ">/dev/full", 2, FULL),  # the command returns
+        (("--version",), ">/dev/full", 2, FULL),  # it leaves by itself
+        (("survive", "--help"), ">/dev/full", 2, FULL),
+        (("no-such-command",), "2>/dev/full", 2, ""),
+        (("info", "no-such.bin"), "2>/dev/full", 2, ""),
+        (("info", SAMPLE), ">/dev/full 2>&1", 2, ""),
+        (("info", SAMPLE), ">&-", 0, ""),  # nobody wants the answer: the exit code is one, too
+        (("--version",), ">&-", 0, ""),
+        (("info", "no-such.bin"), "2>&-", 2, ""),
+        (("info", "no-such.bin"), "<&- >&- 2>&-", 2, ""),
+    ],
+)
+def test_an_answer_that_cannot_be_written_is_an_error_and_no_verdict(words, where, code, err):
+    """A shell opens and closes the streams, as users have it. The output is buffered: what waits is tried again when Python ends."""
+    command = [sys.executable, "-m", "rotorwatch.cli", *map(str, words)]
+    done = subprocess.run(["sh", "-c", f'"$@" {where}', "sh", *command], capture_output=True, text=True, timeout=120)
+    assert (done.returncode, done.stdout, done.stderr) == (code, "", err)
 
 
 # Other words

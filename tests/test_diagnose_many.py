@@ -45,15 +45,31 @@ def names(found, folder):
 
 def test_a_folder_stands_for_the_logs_in_it(folder):
     found = gathering.Gathered([folder])
-    assert names(found, folder) == ["a.bin", "b.bin.xz", "deep/down/c.bin", "deep/not-named-as-one"]
-    assert found.others == 3
+    assert names(found, folder) == ["a.bin", "b.bin.xz", "deep/down/c.bin", "deep/not-named-as-one", "empty.bin"]
+    assert found.others == 2
+
+
+def test_a_log_in_a_folder_that_cannot_be_read_is_an_error_and_not_left_out(folder):
+    """A name that only logs have says that it is one, and was worth keeping; what is wrong is said by whoever reads it."""
+    for name in ("broken.ulg", "broken.TLOG", "broken.bin.xz"):
+        (folder / name).write_bytes(b"\0" * 64)
+    broken = {"broken.ulg", "broken.TLOG", "broken.bin.xz", "empty.bin"}
+    answers = {Path(a.path).name: a for a in rotorwatch.diagnose_many([folder / "*.*"], jobs=1) if a.path}
+    assert {name for name, a in answers.items() if a.exit_code == 2 and name in str(a.error)} >= broken
+    (folder / "only").mkdir()
+    (folder / "only" / "broken.ulg").write_bytes(b"\0" * 64)
+    (answer,) = rotorwatch.diagnose_many([folder / "only"], jobs=1)
+    assert answer.exit_code == 2 and "not a flight log" in str(answer.error)
 
 
 def test_patterns_and_names_and_each_log_once(folder, monkeypatch):
     monkeypatch.chdir(folder)
     found = gathering.Gathered(["a.bin", "missing.bin", "**/*.bin", folder / "a.bin", "notes.txt"])
     # What is named is taken as it is: whoever reads it says what is wrong.
-    assert list(map(str, found)) == ["a.bin", "missing.bin", "deep/down/c.bin", "notes.txt"] and found.others == 1
+    assert (
+        list(map(str, found)) == ["a.bin", "missing.bin", "deep/down/c.bin", "empty.bin", "notes.txt"]
+        and found.others == 0
+    )
     for given, says in (("*.nothing", "fits no flight log"), ("deep/none", None)):
         if says:
             with pytest.raises(ConfigError, match=says):

@@ -11,14 +11,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega
-from tests.mavlink_vehicle import Autopilot, messages
+from tests.mavlink_vehicle import ARDUPILOT, HEXA, QUAD, Autopilot, messages
 
-from rotorwatch import cli, diagnose, logs
+from conftest import hexa_event
+from rotorwatch import airframes, cli, diagnose, logs
 from rotorwatch.errors import LinkError
 from rotorwatch.live import endpoint, mavlink, talk
 from rotorwatch.live.clock import Clock, Restarted
 from rotorwatch.live.frames import Sender
 from rotorwatch.live.link import Link
+from rotorwatch.live.watched import Watched
 from rotorwatch.logs import mavlink_messages
 
 SAMPLES = Path(cli.__file__).parent / "samples"
@@ -241,6 +243,94 @@ def test_kept_parameters_are_used_at_once():
     who = talk.Identity(1, 1)
     who.took(77, bytes(18), 0x04050700, "ArduPilot")
     assert who.key == "ArduPilot-4d-04050700"
+
+
+class Late(Autopilot):
+    """One that says who it is, but sends its parameters only when told to."""
+
+    sends = False
+
+    def _value(self, k):
+        return (
+            super()._value(k) if self.sends else ardupilotmega.MAVLink_heartbeat_message(QUAD, ARDUPILOT, 0x80, 0, 4, 3)
+        )
+
+
+KEY = "ArduPilot-4d-04050700"
+QUAD_PLUS = {"FRAME_CLASS": 1.0, "FRAME_TYPE": 0.0} | {f"SERVO{k}_FUNCTION": 32.0 + k for k in range(1, 5)}
+SAMPLE = {QUAD: "quadx_healthy_hover.bin.xz", HEXA: "hexax_m3_mul0.80_square_wind.bin.xz"}
+
+
+def introduced(parameters, data, autopilot=Autopilot):
+    """A link on which a vehicle has been met and may be watched: (link, wire, autopilot, alerts)."""
+    alerts, autopilot = [], autopilot(parameters)
+    wire = Wire([autopilot])
+    link = Link(wire, alerts.append)
+    wire.put(autopilot.packed(beat(data)))
+    for _ in range(50):
+        link.poll(0.0)
+        time.sleep(0.002)
+    return link, wire, autopilot, alerts
+
+
+@pytest.mark.parametrize("kind", [HEXA, QUAD])
+def test_parameters_kept_of_another_vehicle_give_way_to_its_own(kind):
+    """Simulated vehicles all have one id. A quad's parameters do not fit a hexa; those of a quad + fit a quad X until its own have come."""
+    flight = logs.read(SAMPLES / SAMPLE[kind]).until(25.0)
+    own, data = relevant(flight.parameters), messages(flight, kind=kind)
+    talk.keep(KEY, QUAD_PLUS)
+    link, wire, autopilot, alerts = introduced(own, data, Late)
+    (watched,) = link.vehicles
+    assert (watched.session is None) == (kind == HEXA)
+    half = len(data) // 2
+    sent_over(link, wire, of(autopilot, data[:half]))
+    assert kind == HEXA or (watched.session.flying and watched.session.vehicle.name == "ardupilot-quad-plus")
+    autopilot.sends = True
+    for _ in range(200):
+        link.poll(0.0)
+        time.sleep(0.002)
+    sent_over(link, wire, of(autopilot, data[half:]))
+    assert [a["text"] for a in alerts if a["type"] == "error"] == [] and watched.trouble == ""
+    assert watched.session.vehicle.name == airframes.identify(flight).name and talk.cached(KEY) == own
+    (said,) = [a["text"] for a in alerts if "kept" in a.get("text", "")]
+    assert "another vehicle" in said
+    link.leave()
+
+
+def test_parameters_kept_of_a_vehicle_are_used_until_its_own_have_come_and_nothing_is_said_of_it():
+    flight = logs.read(SAMPLES / SAMPLE[QUAD]).until(15.0)
+    own, data = relevant(flight.parameters), messages(flight)
+    talk.keep(KEY, own | {"MOT_SPIN_ARM": 0.11})  # changed since, which changes nothing here
+    link, wire, autopilot, alerts = introduced(own, data, Late)
+    (watched,) = link.vehicles
+    sent_over(link, wire, of(autopilot, data[: len(data) // 2]))
+    session = watched.session
+    autopilot.sends = True
+    for _ in range(200):
+        link.poll(0.0)
+        time.sleep(0.002)
+    assert talk.cached(KEY) == own
+    assert session.flying and watched.session is session and not any("kept" in a.get("text", "") for a in alerts)
+    link.leave()
+
+
+def test_what_was_told_of_another_vehicle_is_taken_back():
+    alerts = []
+    watched = Watched("udp:14550/1", alerts.append)
+    for change in watched.changes.of((hexa_event(),)):
+        watched._alert(change)
+    watched.withdraw()
+    assert [alert["state"] for alert in alerts] == ["announced", "withdrawn"] and watched.events == ()
+
+
+def test_of_a_vehicle_that_contradicts_itself_is_not_spoken_as_of_a_log():
+    flight = logs.read(SAMPLES / SAMPLE[HEXA]).until(6.0)
+    data = messages(flight, kind=HEXA)
+    link, wire, autopilot, alerts = introduced(QUAD_PLUS, data)
+    sent_over(link, wire, of(autopilot, data))
+    (text,) = [a["text"] for a in alerts if a["type"] == "error"]
+    assert "udp:14550/1 commands 6 rotors but the frame" in text and "log" not in text
+    link.leave()
 
 
 def test_the_clock_is_the_vehicles_and_one_wrong_stamp_is_no_reboot():

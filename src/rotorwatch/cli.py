@@ -53,36 +53,53 @@ def main(argv: list[str] | None = None) -> None:
             warnings.filterwarnings("once", category=kind)
         warnings.filterwarnings("always", category=WorkerWarning)
         warnings.showwarning = lambda message, *where, **more: say(str(message))
-    for stream in (sys.stdout, sys.stderr):
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:  # closed by the shell (>&-): nobody wants it
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))
+        stream = getattr(sys, name)
         if isinstance(
             stream, io.TextIOWrapper
         ):  # a name or a sign that the terminal does not know must not end the answer
             stream.reconfigure(errors="backslashreplace")
-    code = 0
     try:
-        # Not cli.main: it leaves with 1 when a pipe breaks, which here says "fault found".
-        with cli.make_context("rotorwatch", sys.argv[1:] if argv is None else list(argv)) as context:
-            cli.invoke(context)
+        code = _run(sys.argv[1:] if argv is None else list(argv))
+    except OSError as why:  # nor can it be said what went wrong
+        code = BROKEN_PIPE if isinstance(why, BrokenPipeError) else ERROR
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except OSError:
+            # What could not be written is tried again when the interpreter ends, which then complains and ends with 120.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+    sys.exit(code)
+
+
+def _run(argv: list[str]) -> int:
+    """Do what is asked, and write all of it; returns the exit code. Raises OSError where standard error cannot be written to."""
+    try:
+        try:
+            # Not cli.main: it leaves with 1 when a pipe breaks, which here says "fault found".
+            with cli.make_context("rotorwatch", argv) as context:
+                cli.invoke(context)
+            code = 0
+        except click.exceptions.Exit as leave:
+            code = leave.exit_code
         sys.stdout.flush()
-    except click.exceptions.Exit as leave:
-        code = leave.exit_code
-    except BrokenPipeError:
-        # The reader (head, less) has seen enough; keep the interpreter from complaining at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        code = BROKEN_PIPE
+        return code
+    except BrokenPipeError:  # the reader (head, less) has seen enough
+        return BROKEN_PIPE
     except (KeyboardInterrupt, click.Abort):
         say("interrupted")
-        code = INTERRUPTED
+        return INTERRUPTED
     except click.ClickException as why:
         why.show()
-        code = why.exit_code
         argument = next((a for a in sys.argv[1:] if a.startswith("-") and Path(a).is_file()), None)
         if isinstance(why, click.NoSuchOption) and argument:
             say(f"the file {argument} begins with a dash: write ./{argument}")
+        return why.exit_code
     except Exception as why:
         say(explain(why))
-        code = ERROR
-    sys.exit(code)
+        return ERROR
 
 
 def explain(why: Exception) -> str:

@@ -22,6 +22,8 @@ TABLES = (".csv", ".parquet")
 """Names that many files have which are no flights: their content has to say that they are."""
 NAMES = re.compile(r"\.(bin|log|ulg|tlog|usd|px4log|csv|parquet)(\.xz|\.gz|\.bz2)?$", re.IGNORECASE)
 """Of logs behind an address, which are not looked into before their turn."""
+MEANT = re.compile(r"\.(bin|ulg|tlog)(\.xz|\.gz|\.bz2)?$", re.IGNORECASE)
+"""Of files that are meant as logs: one that cannot be read was a flight, and is not passed over."""
 BLOCK = 1 << 20
 
 
@@ -42,7 +44,7 @@ def is_several(given: Any) -> bool:
 
 class Gathered:
     """The logs of a call, each once, in the order found: files by name as they are given, what is in folders and fits patterns when it is
-    recognised as a log. `others`: how many files in those were not, counted while this is iterated over."""
+    named or recognised as a log. `others`: how many files in those were not, counted while this is iterated over."""
 
     def __init__(self, given: Iterable[str | os.PathLike]):
         self.given, self.others = given, 0
@@ -90,7 +92,7 @@ class Gathered:
                 yield from self._kept(path)
 
     def _kept(self, path: Path) -> Iterator[Path]:
-        if is_log(path):
+        if MEANT.search(path.name) or is_log(path):
             yield path
         else:
             self.others += 1

@@ -171,7 +171,7 @@ def identify(flight: Flight) -> Vehicle | None:
             )
     else:
         return None
-    vehicle = build(frame, curve(flight, notes), source=f"{source} in the log", assumptions=tuple(notes))
+    vehicle = build(frame, curve(flight, notes), source=source, assumptions=tuple(notes))
     # What the tilted rear motor must give more is not in the mixer's factors.
     return replace(vehicle, mixer=None, assumptions=(*notes, TRI_NOTE)) if frame == "tri" else vehicle
 

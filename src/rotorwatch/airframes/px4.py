@@ -51,7 +51,7 @@ def identify(flight: Flight) -> Vehicle | None:
     notes: list[str] = []
     rotors = _rotors_from_parameters(flight, notes)
     if rotors is not None:
-        name, source = f"px4-{len(rotors)}-rotors", "CA_ROTOR parameters in the log"
+        name, source = f"px4-{len(rotors)}-rotors", "CA_ROTOR parameters"
     else:
         frame, source = _frame(flight, notes)
         if frame is None:
@@ -153,13 +153,13 @@ def _frame(flight: Flight, notes: list[str]) -> tuple[str | None, str]:
     if frame is not None:
         if start in SINGLE and start > 10000:
             notes.append(f"SYS_AUTOSTART {start} is a quad of wide X shape: taken as a square X.")
-        return frame, f"SYS_AUTOSTART {start} in the log"
+        return frame, f"SYS_AUTOSTART {start}"
     if airframes.kind(flight) == "tri":
-        return "tri", "vehicle type in the log"
+        return "tri", "vehicle type"
     guess = f"{airframes.kind(flight)}-x"
     if guess in FRAMES:
         notes.append(f"The log only names its vehicle type: frame {guess} assumed.")
-        return guess, "vehicle type in the log"
+        return guess, "vehicle type"
     frame = {4: "quad-x", 6: "hexa-x", 8: "octa-x"}.get(flight.rotor_count)
     if frame is not None:
         notes.append(f"The log has no frame parameters: frame {frame} assumed for {flight.rotor_count} motor outputs.")

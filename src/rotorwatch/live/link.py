@@ -9,8 +9,8 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
-from rotorwatch import files
-from rotorwatch.errors import LinkError
+from rotorwatch import airframes, files
+from rotorwatch.errors import LinkError, VehicleError
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.flight.vehicle_kind import OTHERS
@@ -47,6 +47,7 @@ class Heard:
         self._parameters, self._identity = talk.Parameters(*key), talk.Identity(*key)
         self._rates = talk.Rates(*key, autopilot, link.endpoint.slow)
         self._begun: dict[str, float] | None = None
+        self._unfit = False  # the parameters kept of it
         self._outputs: tuple[int, ...] = ()
         self._sequence: int | None = None
         self._silent = self._mixed = False
@@ -164,10 +165,19 @@ class Heard:
             session = self.watched.session
             if self._begun is None or (there != self._begun and not (session is not None and session.flying)):
                 self._begin(there)
+            elif there != self._begun and self._airframe(there) != self._airframe(self._begun):
+                self.watched.withdraw()
+                self.watched.say(
+                    "its parameters are not those kept of it: another vehicle, or changed; it is watched anew"
+                )
+                self._begin(there)
             return
         if self._begun is not None:
             return
-        there = talk.cached(self._identity.key) if self._identity.key else {}
+        there = talk.cached(self._identity.key) if self._identity.key and not self._unfit else {}
+        if there and self._airframe(there) is None:
+            self._unfit, there = True, {}
+            self.watched.say("the parameters kept of it do not fit it: those of another vehicle; its own are asked for")
         if not there and (self._parameters.given_up or self._link.known is not None or not self._link.talks):
             there = self.messages.parameters()
             if (
@@ -181,14 +191,29 @@ class Heard:
 
     def _begin(self, parameters: dict[str, float]) -> None:
         self._begun = parameters
-        facts = mavlink.facts(self.messages, parameters)
-        self._outputs = facts["outputs"]
-        self.watched.begin(
-            Flight(
-                FORMAT, self.messages.autopilot, {}, 0.0, vehicle_type=MAV_TYPES.get(self.messages.vehicle, ("", 0))[0],
-                parameters=parameters, name=self.watched.name, facts=facts,
-            )
+        about = self._about(parameters)
+        self._outputs = about.facts["outputs"]
+        self.watched.begin(about)
+
+    def _about(self, parameters: dict[str, float]) -> Flight:
+        """What is known of a flight with these parameters besides its signals."""
+        return Flight(
+            FORMAT, self.messages.autopilot, {}, 0.0, vehicle_type=MAV_TYPES.get(self.messages.vehicle, ("", 0))[0],
+            parameters=parameters, name=self.watched.name, facts=mavlink.facts(self.messages, parameters),
         )  # fmt: skip
+
+    def _airframe(self, parameters: dict[str, float]) -> tuple | None:
+        """All by which these parameters decide how the vehicle is judged; None where they do not fit what it says of itself."""
+        about, vehicle = self._about(parameters), self._link.known
+        outputs = about.facts["outputs"]
+        if vehicle is None:
+            try:
+                vehicle = airframes.identify(about)
+            except VehicleError:
+                return None
+            if len(vehicle.rotors) != len(outputs):
+                return None
+        return outputs, vehicle.rotors, vehicle.curve
 
     def _send(self, message: Outgoing) -> None:
         self._link.send(message, self.peer)

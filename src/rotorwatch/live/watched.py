@@ -112,6 +112,11 @@ class Watched:
         self.session.finish(self.session.now if duration is None else duration)
         self._look(final=True)
 
+    def withdraw(self) -> None:
+        """Take back what was told of this flight: it was judged as another vehicle's."""
+        for change in self.changes.of(()):
+            self._alert(change)
+
     @property
     def events(self) -> tuple[Event, ...]:
         """All that has been told and holds."""
