@@ -9,6 +9,8 @@ motors     r1 .. rN                        us or 1  command sent to rotor k, in 
 control    roll pitch yaw thrust           1        output of the rate controller, before the mixer (body FRD)
 gyro       x y z                           rad/s    angular rate, body FRD
 rates      x y z                           rad/s    angular rate the rate controller used (filtered), body FRD
+rates_     x y z                           rad/s    angular rate that the rate controller was asked for, body FRD (name: rates_wanted)
+wanted
 accel      x y z                           m/s^2    specific force, body FRD (about -9.8 on z in hover)
 attitude   w x y z                         1        quaternion body FRD -> world NED, scalar first
 attitude_  w x y z                         1        attitude the controller was asked for, likewise (name: attitude_wanted)

@@ -115,6 +115,7 @@ def signals(topics: Topics, parameters) -> tuple[dict, dict]:
         ),
         "attitude": _attitude(topics, "attitude", "vehicle_attitude", "q"),
         "attitude_wanted": _attitude(topics, "attitude_wanted", "vehicle_attitude_setpoint", "q_d"),
+        "rates_wanted": topics.signal("rates_wanted", "vehicle_rates_setpoint", ["roll", "pitch", "yaw"]),
         "velocity": topics.signal(
             "velocity", "vehicle_local_position", ["vx", "vy", "vz"], valid=["v_xy_valid", "v_xy_valid", "v_z_valid"]
         ),

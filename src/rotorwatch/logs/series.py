@@ -28,6 +28,7 @@ SHAPES = {
     "control": (("roll", "pitch", "yaw", "thrust"), "1", "FRD", 10.0),
     "gyro": (("x", "y", "z"), "rad/s", "FRD", 100.0),
     "rates": (("x", "y", "z"), "rad/s", "FRD", 100.0),
+    "rates_wanted": (("x", "y", "z"), "rad/s", "FRD", 100.0),
     "accel": (("x", "y", "z"), "m/s^2", "FRD", 1000.0),
     "attitude": (("w", "x", "y", "z"), "1", "FRD->NED", 1.1),
     "attitude_wanted": (("w", "x", "y", "z"), "1", "FRD->NED", 1.1),

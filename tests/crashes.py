@@ -1,0 +1,104 @@
+"""Crashes by the hundred, judged and counted: `python -m tests.crashes --flights 300 --stays 300 [--jobs 2]`.
+
+Frames, kinds of crashes, and rates at which outputs are logged are drawn by the seed. What truly happened is the model's (`tumbling.fly`).
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import Counter, defaultdict
+from concurrent.futures import ProcessPoolExecutor
+
+import numpy as np
+from tests import tumbling
+
+from rotorwatch import airframes, diagnose
+
+FRAMES = ("quad-x", "quad-plus", "hexa-x", "hexa-plus", "octa-x", "octaquad-x", "y6b")
+RATES = (5.0, 10.0, 50.0, 400.0)
+RIGHT_CAUSE = {
+    "swapped": "motor_order",
+    "disarmed": "disarmed",
+    "gyro": "controller",
+    "knock": "knock",
+    "power": "power",
+}
+
+
+def judged(task: tuple[str, str, int, float]) -> tuple[str, float, str, bool]:
+    """(case, rate, answer, lost) of one flight: the answer is right, candidates, wrong, healthy, unknown, missed, or claimed, stays."""
+    frame, case, seed, rate = task
+    flight, truth = tumbling.fly(frame, case, seed, rate)
+    answer = diagnose(flight, airframes.named(f"ardupilot-{frame}"))
+    return case, rate, verdict_of(answer, truth), truth.lost
+
+
+def verdict_of(answer, truth: tumbling.Truth) -> str:
+    """How an answer stands to what happened."""
+    lost = [e for e in answer.events if e.kind == "loss_of_control"]
+    losses = [e for e in answer.events if e.kind == "loss_of_effectiveness"]
+    if truth.case in tumbling.STAYS:
+        return "claimed" if lost else "stays"
+    sure = {r for e in losses if not e.alternatives for r in e.rotors}
+    named = {r for e in losses for who in (e.rotors, *e.alternatives) for r in who}
+    cause = lost[0].extra["cause"] if lost else ""
+    order = [e for e in answer.events if e.kind == "motor_order"]
+    if truth.case not in RIGHT_CAUSE:
+        right = set(truth.rotors)
+        if sure - right or order or cause in RIGHT_CAUSE.values():
+            return "wrong"
+        if sure == right:
+            return "right"
+        if named & right:
+            return "candidates"
+    else:
+        if sure or (order and set(order[0].rotors) != set(truth.rotors)):
+            return "wrong"
+        if cause == RIGHT_CAUSE[truth.case]:
+            return "right"
+        if cause not in ("", "unknown"):
+            return "wrong"
+        if named & set(truth.rotors):
+            return "candidates"
+    if answer.verdict == "healthy":
+        return "healthy" if truth.lost else "stayed up"
+    return "unknown" if lost else "missed"
+
+
+def tasks(flights: int, cases, seed: int) -> list[tuple[str, str, int, float]]:
+    """`flights` draws, each case in turn."""
+    rng = np.random.default_rng(seed)
+    return [
+        (
+            str(rng.choice(FRAMES)),
+            cases[k % len(cases)],
+            int(rng.integers(2**31)),
+            float(RATES[(k // len(cases)) % len(RATES)]),
+        )
+        for k in range(flights)
+    ]
+
+
+def main() -> None:
+    """Fly, judge, count, print."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--flights", type=int, default=300)
+    parser.add_argument("--stays", type=int, default=300)
+    parser.add_argument("--seed", type=int, default=7)
+    parser.add_argument("--jobs", type=int, default=2)
+    given = parser.parse_args()
+    work = tasks(given.flights, tumbling.CRASHES, given.seed) + tasks(given.stays, tumbling.STAYS, given.seed + 1)
+    found = defaultdict(Counter)
+
+    with ProcessPoolExecutor(given.jobs) as pool:
+        for number, (case, rate, answer, _) in enumerate(pool.map(judged, work, chunksize=4), start=1):
+            found[case][answer] += 1
+            found[f"{rate:g} Hz" if case in tumbling.CRASHES else f"{rate:g} Hz, stays"][answer] += 1
+            print(f"\r{number} of {len(work)}", end="", flush=True)
+    print()
+    for row, counts in found.items():
+        print(f"| {row} | {sum(counts.values())} | " + ", ".join(f"{k} {v}" for k, v in counts.most_common()) + " |")
+
+
+if __name__ == "__main__":
+    main()
