@@ -58,8 +58,11 @@ def towards(axis: np.ndarray) -> np.ndarray:
     return q / norm if norm > 1e-6 else np.array([0.0, 1.0, 0.0, 0.0])
 
 
-def fly(frame: str, case: str, seed: int, log_hz: float = 10.0, duration: float = 26.0) -> tuple[Flight, Truth]:
-    """One flight of an ArduPilot frame ("quad-x") and what truly happened. log_hz: of the outputs."""
+def fly(
+    frame: str, case: str, seed: int, log_hz: float = 10.0, duration: float = 26.0, later: float = 17.0
+) -> tuple[Flight, Truth]:
+    """One flight of an ArduPilot frame ("quad-x") and what truly happened. log_hz: of the outputs; later: when what happens in
+    cruise or hover begins [s]."""
     rng = np.random.default_rng(seed)
     vehicle = airframes.named(f"ardupilot-{frame}")
     B = vehicle.effectiveness()
@@ -69,14 +72,14 @@ def fly(frame: str, case: str, seed: int, log_hz: float = 10.0, duration: float 
     full, lag, drag = rng.uniform(1.9, 2.8), rng.uniform(0.025, 0.06), rng.uniform(0.05, 0.3)
     mix = np.linalg.pinv(B)
     begins = {
-        "hover": 17.0,
-        "cruise": 18.0,
+        "hover": later,
+        "cruise": later + 1.0,
         "climb": LIFT_S + 2.5,
         "early": LIFT_S + rng.uniform(3.0, 7.0),
         "take-off": 0.0,
         "swapped": 0.0,
     }
-    begins_s = begins.get(case, 17.0)
+    begins_s = begins.get(case, later)
     who = tuple(int(r) for r in rng.choice(n, 2, replace=False))
     wind = rng.uniform(0.0, 4.0) * np.array([np.cos(t := rng.uniform(0, 6.3)), np.sin(t), 0.0])
     push = rng.choice([-1.0, 1.0], 3) * rng.uniform(0.7, 1.2, 3) * np.array([25.0, 25.0, 6.0])
@@ -95,7 +98,7 @@ def fly(frame: str, case: str, seed: int, log_hz: float = 10.0, duration: float 
         # What is wanted.
         climb = 0.0 if t < LIFT_S else 10.0
         goal = np.array([5.0 * np.sin(0.5 * max(t - 10.0, 0.0)) if case == "cruise" else 0.0, 0.0, -climb])
-        landing = case == "hard landing" and t > 17.0
+        landing = case == "hard landing" and t > later
         R = rotation(q)
         Rb = rotation(believed)
         ask = 1.2 * (goal - p) - 1.8 * v

@@ -215,14 +215,15 @@ def _falls(flight: Flight, start: float, end: float) -> Departure | None:
 
 
 def _sinks(flight: Flight, start: float, end: float) -> Departure | None:
-    """A vehicle that falls while its rotors are asked for nearly all they have."""
-    if not flight.has("motors", "velocity"):
+    """A vehicle that sinks fast, and goes on to, while its rotors are asked for nearly all they have."""
+    if not flight.has("motors", "velocity", "accel"):
         return None
     velocity = flight["velocity"]
     inside = (velocity.time >= start) & (velocity.time <= end) & velocity.valid.all(axis=1)
     time, down = velocity.time[inside], velocity.values[inside, 2]
     share, age = held(replace(flight["motors"], values=_shares(flight)), time)
-    full = (share.mean(axis=1) > NEARLY_FULL) & (age <= FRESH_S)
+    push, known = held(flight["accel"], time)
+    full = (share.mean(axis=1) > NEARLY_FULL) & (age <= FRESH_S) & (-push[:, 2] < G0) & (known <= FRESH_S)
     since = None
     for when, falling in zip(time, full & (down > SINKS_M_S)):
         since = (since if since is not None else when) if falling else None

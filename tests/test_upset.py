@@ -1,0 +1,164 @@
+"""Vehicles that left control: when, why, and which rotor; by a model of their own (tumbling.py), closed forms, and the shared logs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rotorwatch import airframes, diagnose
+from rotorwatch.diagnosis import Event
+from rotorwatch.flight import Flight, Signal
+from rotorwatch.upset import departure, find
+from rotorwatch.upset.balance import INERTIA, Offset, Window, fit
+from rotorwatch.upset.explain import explain
+from tests import tumbling
+
+QUAD = airframes.named("ardupilot-quad-x")
+B = QUAD.effectiveness()
+
+
+def answer(frame: str, case: str, seed: int, rate: float = 10.0, duration: float = 13.0, later: float = 9.0):
+    flight, truth = tumbling.fly(frame, case, seed, rate, duration, later)
+    return diagnose(flight, airframes.named(f"ardupilot-{frame}")), truth
+
+
+def of(diagnosis, kind: str) -> list[Event]:
+    return [e for e in diagnosis.events if e.kind == kind]
+
+
+@pytest.mark.parametrize(("frame", "seed", "rate"), [("quad-x", 1, 10.0), ("quad-plus", 3, 50.0), ("quad-x", 5, 5.0)])
+def test_the_rotor_that_stopped_in_a_climb_is_named(frame, seed, rate):
+    diagnosis, truth = answer(frame, "climb", seed, rate, 11.0)
+    lost = of(diagnosis, "loss_of_control")
+    assert truth.lost
+    assert len(lost) == 1
+    assert abs(lost[0].onset_s - truth.begins_s) < 1.5
+    losses = of(diagnosis, "loss_of_effectiveness")
+    named = {r for e in losses for who in (e.rotors, *e.alternatives) for r in who}
+    sure = {r for e in losses if not e.alternatives for r in e.rotors}
+    assert truth.rotors[0] in named
+    assert sure <= set(truth.rotors)
+    assert diagnosis.verdict in ("fault", "ambiguous")
+
+
+def test_a_rotor_found_afterwards_says_so_and_the_others_worked():
+    diagnosis, truth = answer("quad-x", "climb", 1, 50.0, 11.0)
+    (loss,) = of(diagnosis, "loss_of_effectiveness")
+    (lost,) = of(diagnosis, "loss_of_control")
+    assert loss.rotors == truth.rotors
+    assert loss.extra["live"] is False
+    assert loss.detected_s > truth.lost_s
+    assert loss.interval[0][0] > 0.0
+    assert lost.extra["cause"] == "rotor"
+    worked = lost.extra["worked_until_s"]
+    assert all(t > worked[truth.rotors[0] - 1] for k, t in enumerate(worked, start=1) if k not in truth.rotors)
+
+
+def test_swapped_outputs_turn_the_vehicle_over_at_take_off():
+    diagnosis, truth = answer("quad-x", "swapped", 0, duration=8.0)
+    (order,) = of(diagnosis, "motor_order")
+    assert set(order.rotors) == set(truth.rotors)
+    assert diagnosis.verdict == "fault"
+    assert "motor test" in " ".join(diagnosis.advice)
+    assert not of(diagnosis, "loss_of_effectiveness")
+
+
+@pytest.mark.parametrize(("case", "cause"), [("disarmed", "disarmed"), ("power", "power"), ("gyro", "controller")])
+def test_what_was_no_rotor_is_said(case, cause):
+    diagnosis, truth = answer("quad-x", case, 0, duration=15.0)
+    (lost,) = of(diagnosis, "loss_of_control")
+    assert lost.extra["cause"] == cause
+    assert abs(lost.onset_s - truth.begins_s) < 1.5
+    assert not of(diagnosis, "loss_of_effectiveness")
+    assert diagnosis.verdict != "healthy"
+    assert "Not a rotor" in diagnosis.headline
+
+
+@pytest.mark.parametrize("case", tumbling.STAYS)
+def test_no_loss_of_control_is_claimed(case):
+    flight, _ = tumbling.fly("quad-x", case, 4, duration=20.0, later=14.0)
+    air = [(3.7, 19.0)]
+    assert departure.find(flight, air) == ()
+
+
+def still(duration: float = 10.0, hz: float = 10.0) -> Flight:
+    """A vehicle that hovers level."""
+    time = np.arange(0.0, duration, 1.0 / hz)
+    level = Signal(time, np.tile([1.0, 0, 0, 0], (time.size, 1)), ("w", "x", "y", "z"), "1", "FRD->NED")
+    return Flight("model", "ArduPilot", {"attitude": level, "attitude_wanted": level}, duration)
+
+
+def rolled(flight: Flight, name: str, start: float, end: float, degrees: float) -> Flight:
+    """The flight with a roll of so many degrees in one signal, from start to end."""
+    signal = flight[name]
+    half = np.radians(degrees) / 2.0
+    q = np.where(
+        ((signal.time >= start) & (signal.time < end))[:, None], [np.cos(half), np.sin(half), 0, 0], signal.values
+    )
+    return replace(flight, signals={**flight.signals, name: replace(signal, values=q)})
+
+
+def test_control_that_comes_back_at_once_was_not_lost():
+    assert departure.find(rolled(still(), "attitude", 5.0, 5.7, 80.0), [(0.0, 10.0)]) == ()
+
+
+def test_control_that_does_not_come_back_was_lost():
+    (left,) = departure.find(rolled(still(), "attitude", 5.0, 10.0, 80.0), [(0.0, 10.0)])
+    assert left.onset == pytest.approx(4.9, abs=0.11)
+    assert left.end is None
+
+
+def test_a_vehicle_that_follows_late_what_was_wanted_is_under_control():
+    flight = rolled(rolled(still(), "attitude_wanted", 5.0, 7.0, 80.0), "attitude", 5.4, 7.4, 80.0)
+    assert departure.find(flight, [(0.0, 10.0)]) == ()
+
+
+def window(T: np.ndarray, rate_dot: np.ndarray, load: np.ndarray | None = None) -> Window:
+    K = len(T)
+    ok = np.ones(K, bool)
+    load = T.mean(axis=1) if load is None else load
+    return Window(np.arange(K) * 0.1, T, 2.5, np.zeros((K, 3)), rate_dot, load, np.ones((K, 3), bool), ok, T, T)
+
+
+def test_motion_against_the_torque_speaks_against_the_commands_however_wrong_the_gain():
+    T = np.ones((8, 4)) + np.where(np.arange(8)[:, None] >= 4, [0.5, -0.5, 0.0, 0.0], 0.0)
+    with_it = (T @ B.T)[:, :3] / (4 * INERTIA)
+    offset = Offset(np.zeros(3), np.full(3, 0.1))
+    for scale in (0.5, 1.0, 2.0):
+        along = fit(window(T, scale * with_it), (T @ B.T)[None], B, offset).log_evidence[0]
+        against = fit(window(T, -scale * with_it), (T @ B.T)[None], B, offset).log_evidence[0]
+        assert along > against + 5.0
+
+
+@pytest.mark.parametrize("rotor", range(4))
+def test_each_rotor_is_told_from_the_others(rotor):
+    rng = np.random.default_rng(rotor)
+    T = np.clip(1.0 + rng.normal(0.0, 0.3, (14, 4)), 0.1, 2.0)
+    given = T.copy()
+    given[6:, rotor] = 0.0
+    rate_dot = (given @ B.T)[:, :3] / (4 * INERTIA)
+    found, probability = explain(
+        window(T, rate_dot, given.mean(axis=1)), B, Offset(np.zeros(3), np.full(3, 0.1)), np.arange(4, 9), False
+    )
+    assert found[0].kind == "rotor"
+    assert found[0].rotors == (rotor,)
+    assert probability[0] > 0.9
+    assert found[0].size > 0.8
+
+
+def test_rotors_that_do_as_told_are_cleared():
+    rng = np.random.default_rng(9)
+    T = np.clip(1.0 + rng.normal(0.0, 0.3, (14, 4)), 0.1, 2.0)
+    rate_dot = (T @ B.T)[:, :3] / (4 * INERTIA)
+    found, probability = explain(window(T, rate_dot), B, Offset(np.zeros(3), np.full(3, 0.1)), np.arange(4, 9), False)
+    assert found[0].kind == "healthy"
+    assert sum(p for e, p in zip(found, probability) if e.kind == "rotor") < 0.1
+
+
+def test_after_the_impact_nothing_is_judged():
+    flight, truth = tumbling.fly("quad-x", "climb", 1, 50.0, 11.0)
+    upsets = find.judged(flight, QUAD, [(3.7, 11.0)])
+    ((_, end),) = find.until_impact(flight, [(3.7, 11.0)], upsets)
+    assert truth.lost_s < end < 10.0
