@@ -11,7 +11,7 @@ import numpy as np
 
 from rotorwatch import detectors, discovery
 from rotorwatch.answer import common_mode, conclusion, health, places, traces, unseen
-from rotorwatch.default import asked, events, hypotheses, leftover
+from rotorwatch.default import asked, events, hindsight, hypotheses, leftover
 from rotorwatch.default.announcement import threshold
 from rotorwatch.default.program import estimate
 from rotorwatch.diagnosis import Diagnosis
@@ -109,8 +109,9 @@ def diagnose(
         tell(0.3 + 0.6 * share, "estimating")
 
     tell(0.3, "preparing the estimator (built the first time)")
+    last = None
     if own:
-        _, out = estimate(table, B, dynamics, estimating)
+        last, out = estimate(table, B, dynamics, estimating)
         limit = float(threshold(hypotheses.make(len(craft.rotors)), table.dt))
     else:
         out = published.judge(estimator, table, B, dynamics, tuning, estimating)
@@ -122,6 +123,8 @@ def diagnose(
     if own:
         losses, settled = asked.settle(losses, table, B, dynamics)
         assumptions += settled
+    if last is not None and not known:  # healthy flights would have told what happened in the blind time
+        losses = hindsight.join(losses, hindsight.find(last, table, hyp, B))
     overrides = outside.overrides(flight, craft, air, table)
     losses = outside.unexplained(losses, overrides)
     contacts = outside.contacts(table, air)

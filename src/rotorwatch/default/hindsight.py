@@ -1,0 +1,91 @@
+"""Losses in the blind time after take-off, found afterwards: a flight tells its gains and noise, and with these its start is judged again.
+
+The estimator learns a vehicle's trim, gains and noise in the blind time and so takes a rotor that fails there as normal. After the flight
+gains and noise are known. The same estimator then runs again over the first seconds of each hop, judging from the end of the first second in
+the air on, with the biases open as for any multirotor. Nothing else differs: a loss announced there is an event by the same rules.
+
+Two conditions are physics. What a knock broke looks like any loss, and motion after it is the knock's: the second look ends there, and where
+the vehicle is upset. And a loss lasts: one that is over again before the second look ends was a gust, or the ground that was left. A hop that
+hovers at less than half of the command of another stands on the ground.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import fields, replace
+
+import numpy as np
+
+from rotorwatch.default import events
+from rotorwatch.default.hypotheses import Hypotheses
+from rotorwatch.default.learning import LEARNED_WEIGHT
+from rotorwatch.default.plant import AXIS_STATES, DAMPING, GAIN, PER_AXIS, any_multirotor, lower_rotors
+from rotorwatch.default.program import estimate
+from rotorwatch.diagnosis import Event
+from rotorwatch.motion.ticks import GROUND, JUDGE, LEARN, Ticks
+
+LOOK_S = 7.0  # beyond the blind time: a loss just before its end is announced in it, and has lasted
+LEAST = 0.05  # of a loss, by its interval: after few seconds the trim of a healthy rotor is not known better
+STANDS = 0.5  # of the hover command of another hop: so much weight is not dropped in flight
+
+
+def learned(carry, B: np.ndarray) -> dict:
+    """`program.parameters`' dynamics of one flight, from the last carry of its own pass: gains, damping and noise as it ends; biases open."""
+    rows = (np.arange(4)[:, None] * PER_AXIS + np.array([GAIN, DAMPING])).reshape(-1)
+    s, P = np.asarray(carry.s), np.asarray(carry.P)
+    x0, P0 = (a.copy() for a in any_multirotor(B.shape[1]))
+    x0[rows] = s[rows]
+    P0[rows], P0[:, rows] = 0.0, 0.0
+    P0[rows[:, None], rows] = P[rows[:, None], rows]
+    known = {"x0": x0, "P0": P0, "noise": np.asarray(carry.noise.variances), "noise_weight": LEARNED_WEIGHT}
+    if lower_rotors(B) is not None:
+        known["share"] = [float(s[AXIS_STATES]), float(P[AXIS_STATES, AXIS_STATES])]
+    return known
+
+
+def beginnings(ticks: Ticks) -> Ticks | None:
+    """The first ticks of each hop, all of them judged: its blind time and LOOK_S more, up to a knock or an upset. A hop that has no tick after
+    its blind time is left out: nothing shows that what happened in it lasted. None when there is none."""
+    first = np.flatnonzero(ticks.restart)
+    stops = ticks.upset if ticks.contact is None else ticks.upset | ticks.contact
+    keep = np.zeros(len(ticks.time), bool)
+    for start, end in zip(first, [*first[1:], len(ticks.time)]):
+        flying = np.flatnonzero(ticks.mode[start:end] > GROUND) + start
+        blind = np.flatnonzero(ticks.mode[flying] != LEARN)
+        if not blind.size or ticks.hover[start] < STANDS * ticks.hover[first].max():
+            continue
+        look = flying[ticks.time[flying] < ticks.time[flying[blind[0]]] + LOOK_S]
+        stopped = np.flatnonzero(stops[look])
+        if stopped.size and stopped[0] <= blind[0]:
+            continue
+        keep[look[: stopped[0]] if stopped.size else look] = True
+    if not keep.any():
+        return None
+    cut = {f.name: value[keep] for f in fields(ticks) if isinstance(value := getattr(ticks, f.name), np.ndarray)}
+    return replace(ticks, **{**cut, "mode": np.full(int(keep.sum()), JUDGE, np.int32)})
+
+
+def find(carry, ticks: Ticks, hyp: Hypotheses, B: np.ndarray) -> tuple[Event, ...]:
+    """Losses that began in the blind time of a hop and last; `detected_s` is the end of what was looked at again, `live` is False.
+
+    carry: the last of the flight's own pass over `ticks`; B (4, n): effectiveness."""
+    again = beginnings(ticks)
+    if again is None:
+        return ()
+    _, out = estimate(again, B, learned(carry, B))
+    starts = again.time[again.restart]
+    ends = np.append(again.time[np.flatnonzero(again.restart)[1:] - 1], again.time[-1])
+    found = []
+    for event in events.read(out, again, hyp, B):
+        hop = max(int(np.searchsorted(starts, event.detected_s, "right")) - 1, 0)
+        later = ticks.time[(ticks.mode == JUDGE) & (ticks.time >= starts[hop])]
+        least = max(low for low, _ in event.interval)
+        if event.end_s is None and event.onset_s < later[0] and (least > LEAST or event.alternatives):
+            found.append(replace(event, detected_s=float(ends[hop]), extra={**event.extra, "live": False}))
+    return tuple(found)
+
+
+def join(losses: Sequence[Event], early: Sequence[Event]) -> tuple[Event, ...]:
+    """Both, in the order of time, without what a live observer was told already: a loss of the same rotors that began at the same time."""
+    new = [e for e in early if not any(set(e.rotors) & set(f.rotors) and f.onset_s <= e.detected_s for f in losses)]
+    return tuple(sorted((*losses, *new), key=lambda e: e.detected_s))
