@@ -17,6 +17,7 @@ from dataclasses import fields, replace
 import numpy as np
 
 from rotorwatch.default import events
+from rotorwatch.default.announcement import threshold
 from rotorwatch.default.hypotheses import Hypotheses
 from rotorwatch.default.learning import LEARNED_WEIGHT
 from rotorwatch.default.plant import AXIS_STATES, DAMPING, GAIN, PER_AXIS, any_multirotor, lower_rotors
@@ -46,23 +47,44 @@ def learned(carry, B: np.ndarray) -> dict:
 def beginnings(ticks: Ticks) -> Ticks | None:
     """The first ticks of each hop, all of them judged: its blind time and LOOK_S more, up to a knock or an upset. A hop that has no tick after
     its blind time is left out: nothing shows that what happened in it lasted. None when there is none."""
-    first = np.flatnonzero(ticks.restart)
     stops = ticks.upset if ticks.contact is None else ticks.upset | ticks.contact
     keep = np.zeros(len(ticks.time), bool)
+    for flying, blind in _hops(ticks):
+        look = flying[ticks.time[flying] < ticks.time[flying[blind]] + LOOK_S]
+        stopped = np.flatnonzero(stops[look])
+        if not stopped.size or stopped[0] > blind:
+            keep[look[: stopped[0]] if stopped.size else look] = True
+    return _cut(ticks, keep, ticks.restart, JUDGE)
+
+
+def rest(ticks: Ticks) -> Ticks | None:
+    """All ticks after the blind times, as one that is learned from; None when there is none."""
+    keep, restart = np.zeros(len(ticks.time), bool), np.zeros(len(ticks.time), bool)
+    for flying, blind in _hops(ticks):
+        keep[flying[blind:]] = True
+        restart[flying[blind]] = True
+    return _cut(ticks, keep, restart, LEARN)
+
+
+def _hops(ticks: Ticks) -> list[tuple[np.ndarray, int]]:
+    """(ticks in the air, how many of them are blind) of every hop that is one and goes on after its blind time."""
+    first = np.flatnonzero(ticks.restart)
+    found = []
     for start, end in zip(first, [*first[1:], len(ticks.time)]):
         flying = np.flatnonzero(ticks.mode[start:end] > GROUND) + start
-        blind = np.flatnonzero(ticks.mode[flying] != LEARN)
-        if not blind.size or ticks.hover[start] < STANDS * ticks.hover[first].max():
-            continue
-        look = flying[ticks.time[flying] < ticks.time[flying[blind[0]]] + LOOK_S]
-        stopped = np.flatnonzero(stops[look])
-        if stopped.size and stopped[0] <= blind[0]:
-            continue
-        keep[look[: stopped[0]] if stopped.size else look] = True
+        seen = np.flatnonzero(ticks.mode[flying] != LEARN)
+        if seen.size and ticks.hover[start] >= STANDS * ticks.hover[first].max():
+            found.append((flying, int(seen[0])))
+    return found
+
+
+def _cut(ticks: Ticks, keep: np.ndarray, restart: np.ndarray, mode: int) -> Ticks | None:
+    """The ticks `keep` (T,), all of one mode; None when there is none."""
     if not keep.any():
         return None
-    cut = {f.name: value[keep] for f in fields(ticks) if isinstance(value := getattr(ticks, f.name), np.ndarray)}
-    return replace(ticks, **{**cut, "mode": np.full(int(keep.sum()), JUDGE, np.int32)})
+    table = replace(ticks, restart=restart, mode=np.full(len(ticks.time), mode, np.int32))
+    cut = {f.name: value[keep] for f in fields(table) if isinstance(value := getattr(table, f.name), np.ndarray)}
+    return replace(table, **cut)
 
 
 def find(carry, ticks: Ticks, hyp: Hypotheses, B: np.ndarray) -> tuple[Event, ...]:
@@ -73,6 +95,11 @@ def find(carry, ticks: Ticks, hyp: Hypotheses, B: np.ndarray) -> tuple[Event, ..
     if again is None:
         return ()
     _, out = estimate(again, B, learned(carry, B))
+    suspicious = float(out.log_odds[:, hyp.fault].max()) > threshold(hyp, ticks.dt)
+    if suspicious and not out.announced.any():
+        # A loss in the blind time is in the noise that was learned there, as disturbances that would explain it.
+        later, _ = estimate(rest(ticks) or again, B)
+        _, out = estimate(again, B, learned(later, B))
     starts = again.time[again.restart]
     ends = np.append(again.time[np.flatnonzero(again.restart)[1:] - 1], again.time[-1])
     found = []
@@ -86,6 +113,7 @@ def find(carry, ticks: Ticks, hyp: Hypotheses, B: np.ndarray) -> tuple[Event, ..
 
 
 def join(losses: Sequence[Event], early: Sequence[Event]) -> tuple[Event, ...]:
-    """Both, in the order of time, without what a live observer was told already: a loss of the same rotors that began at the same time."""
-    new = [e for e in early if not any(set(e.rotors) & set(f.rotors) and f.onset_s <= e.detected_s for f in losses)]
-    return tuple(sorted((*losses, *new), key=lambda e: e.detected_s))
+    """Both, in the order of time. Where a loss that was announced in flight names a rotor of an early one while that was looked for, the
+    early one tells when it began and its size; what the first look saw was its rest."""
+    kept = [e for e in losses if not any(set(e.rotors) & set(f.rotors) and e.onset_s <= f.detected_s for f in early)]
+    return tuple(sorted((*kept, *early), key=lambda e: e.detected_s))
