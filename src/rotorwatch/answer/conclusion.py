@@ -44,6 +44,9 @@ CREDIBLE = 0.05  # causes of a whole flight's difference that are less probable 
 LANDED_S = 1.5
 UNJUDGED = "Damage from take-off was not judged."
 INVISIBLE = (0.0, 1.0)
+LOPSIDED = (
+    "may have been weak from take-off on"  # of any build's vehicles: a note on a rotor of which nothing else is known
+)
 
 
 @dataclass(frozen=True)
@@ -63,7 +66,8 @@ class Conclusion:
 @dataclass(frozen=True)
 class Seen:
     """What there is to conclude from. n rotors; places: where each is, in words. hidden (n,): loss that could have gone unseen in
-    flight, None when nothing was judged. whole: against healthy flights, or None; population: against healthy vehicles of any build. hops: ((take-off, landing), ...) s. trends: of each
+    flight, None when nothing was judged. whole: against healthy flights, or None; population: the same against healthy vehicles of
+    any build. hops: ((take-off, landing), ...) s. trends: of each
     rotor, or empty."""
 
     events: tuple[Event, ...]
@@ -181,7 +185,9 @@ def _verdict(seen: Seen, main: int | None) -> tuple[str, str]:
         return "ambiguous", f"there is evidence against {listed(said)} that no event explains."
     scope = "and none from take-off on, compared with its healthy flights" if whole else "after take-off"
     if seen.bound is not None:
-        scope = f"and none more than {percent(seen.bound)} from take-off on, compared with healthy vehicles of any build"
+        scope = (
+            f"and none more than {percent(seen.bound)} from take-off on, compared with healthy vehicles of any build"
+        )
     slow = "".join(f"; but slowly {rotors([k])} {grows(t)}" for k, t in _growing(seen))
     unseen = f"a loss of up to {percent(_unseen(seen))} of one rotor could have gone unseen"
     return "healthy", f"no rotor lost effectiveness in {seen.judged_s:.0f} s of judged flight, {scope}{slow}; {unseen}."
@@ -348,7 +354,7 @@ def _state(seen: Seen, rotor: int, verdict: str) -> RotorState:
         high = 1.0
     if from_takeoff == "suspect":
         assert whole
-        reasons.append("may have been weaker than on healthy flights" if seen.whole else "may have been weak from take-off on")
+        reasons.append("may have been weaker than on healthy flights" if seen.whole else LOPSIDED)
         loss, high = max(loss, whole["loss"][rotor - 1]), max(high, whole["interval"][rotor - 1][1])
     if reasons:
         return state(loss, (0.0, max(high, loss)), "suspect", "; ".join(reasons))

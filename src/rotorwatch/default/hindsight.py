@@ -1,12 +1,12 @@
 """Losses in the blind time after take-off, found afterwards: a flight tells its gains and noise, and with these its start is judged again.
 
-The estimator learns a vehicle's trim, gains and noise in the blind time and so takes a rotor that fails there as normal. After the flight
-gains and noise are known. The same estimator then runs again over the first seconds of each hop, judging from the end of the first second in
-the air on, with the biases open as for any multirotor. Nothing else differs: a loss announced there is an event by the same rules.
+The estimator learns a vehicle's trim, gains and noise in the blind time and so takes a rotor that fails there as normal. After the
+flight gains and noise are known. The same estimator then runs again over the first seconds of each hop, judging from the end of the first
+second in the air on, with the biases open as for any multirotor. Nothing else differs: a loss announced there is an event like any.
 
-Two conditions are physics. What a knock broke looks like any loss, and motion after it is the knock's: the second look ends there, and where
-the vehicle is upset. And a loss lasts: one that is over again before the second look ends was a gust, or the ground that was left. A hop that
-hovers at less than half of the command of another stands on the ground.
+Three conditions are physics. What a knock broke looks like any loss, and motion after it is the knock's: the second look ends there, and
+where the vehicle is upset. A loss lasts: one that is over again before the second look ends was a gust, or the ground that was left. And a
+hop that hovers at less than half of the command of another stands on the ground.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ STANDS = 0.5  # of the hover command of another hop: so much weight is not dropp
 
 
 def learned(carry, B: np.ndarray) -> dict:
-    """`program.parameters`' dynamics of one flight, from the last carry of its own pass: gains, damping and noise as it ends; biases open."""
+    """`program.parameters`' dynamics of one flight, from the last carry of its own pass: its gains, damping and noise; biases open."""
     rows = (np.arange(4)[:, None] * PER_AXIS + np.array([GAIN, DAMPING])).reshape(-1)
     s, P = np.asarray(carry.s), np.asarray(carry.P)
     x0, P0 = (a.copy() for a in any_multirotor(B.shape[1]))
@@ -45,8 +45,8 @@ def learned(carry, B: np.ndarray) -> dict:
 
 
 def beginnings(ticks: Ticks) -> Ticks | None:
-    """The first ticks of each hop, all of them judged: its blind time and LOOK_S more, up to a knock or an upset. A hop that has no tick after
-    its blind time is left out: nothing shows that what happened in it lasted. None when there is none."""
+    """The first ticks of each hop, all of them judged: its blind time and LOOK_S more, up to a knock or an upset. A hop that has no tick
+    after its blind time is left out: nothing shows that what happened in it lasted. None when there is none."""
     stops = ticks.upset if ticks.contact is None else ticks.upset | ticks.contact
     keep = np.zeros(len(ticks.time), bool)
     for flying, blind in _hops(ticks):

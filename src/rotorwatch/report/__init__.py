@@ -106,7 +106,11 @@ def rotor_loss(state: RotorState) -> str:
         return "?"
     if state.status == "suspect" and state.loss == 0.0:
         return "?"
-    return "none seen" if state.status == "healthy" and state.from_takeoff in ("not judged", "bounded") else percent(state.loss, 1)
+    return (
+        "none seen"
+        if state.status == "healthy" and state.from_takeoff in ("not judged", "bounded")
+        else percent(state.loss, 1)
+    )
 
 
 def rotor_interval(state: RotorState) -> str:
