@@ -204,9 +204,7 @@ def headline(views):
     d, said = views.json, views.json["headline"]
     unjudged = bool(d["rotors"]) and {r["from_takeoff"] for r in d["rotors"]} == {"not judged"}
     hidden = "Damage from take-off was not judged" in said
-    views.expect(
-        hidden == (unjudged and d["verdict"] != "inconclusive"), "the headline and the rotors differ on take-off"
-    )
+    views.expect(hidden == (unjudged and d["verdict"] == "healthy"), "the headline and the rotors differ on take-off")
     if d["main_event"] is None or (d["verdict"] == "fault" and d["events"][d["main_event"]]["alternatives"]):
         return
     main = d["events"][d["main_event"]]
@@ -301,6 +299,10 @@ def rotors(views):
         if r["status"] == "healthy":
             expect(r["since_takeoff"] is not None, f"{me}: no word on what could have hidden")
             expect(all(e["end_s"] is not None for e in claims), f"{me} although something about it lasts")
+            expect(
+                r["from_takeoff"] != "bounded" or not whole,
+                f"{me} is bounded by any healthy vehicle beside its own flights",
+            )
             if r["from_takeoff"] == "not judged":
                 expect((low, high) == (0, 1), f"{me}: a small interval although damage from take-off was not judged")
             else:

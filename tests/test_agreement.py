@@ -180,7 +180,7 @@ def test_any_events(part):
 
 def spoilt(field):
     """An answer with one field that contradicts the rest: each must be found."""
-    good = small(hexa_diagnosis(), plotted=False)
+    good, unjudged = small(hexa_diagnosis(), plotted=False), small(hexa_diagnosis(events=()), plotted=False)
     third = good.rotors[2]
     others = lambda **c: (*good.rotors[:2], replace(third, **c), *good.rotors[3:])  # noqa: E731
     return {
@@ -190,7 +190,7 @@ def spoilt(field):
         "small interval": replace(good, rotors=(replace(good.rotors[0], interval=(0.0, 0.04)), *good.rotors[1:])),
         "verdict": replace(good, verdict="healthy"),
         "headline": replace(good, headline=good.headline.replace("otor 3", "otor 4")),
-        "take-off": replace(good, headline=good.headline.replace("Damage from take-off was not judged.", "")),
+        "take-off": replace(unjudged, headline=unjudged.headline.replace("Damage from take-off was not judged.", "")),
         "reason": replace(good, reason="rotor 1 lost much."),
         "main": replace(good, main=None),
         "advice": replace(good, advice=()),

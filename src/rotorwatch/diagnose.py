@@ -11,7 +11,7 @@ import numpy as np
 
 from rotorwatch import detectors, discovery
 from rotorwatch.answer import common_mode, conclusion, health, places, traces, unseen
-from rotorwatch.default import asked, events, hypotheses, leftover
+from rotorwatch.default import asked, events, hindsight, hypotheses, leftover
 from rotorwatch.default.announcement import threshold
 from rotorwatch.default.program import estimate
 from rotorwatch.diagnosis import Diagnosis
@@ -19,7 +19,7 @@ from rotorwatch.errors import ConfigError
 from rotorwatch.esc import witness
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch.healthy import baselines
+from rotorwatch.healthy import baselines, population
 from rotorwatch.healthy.baselines import Given
 from rotorwatch.motion import outside, ticks, trust
 from rotorwatch.motion.airborne import airborne
@@ -90,8 +90,8 @@ def diagnose(
     if not known:
         source = "the flight's own first healthy part"
         assumptions.append(
-            f"the flight's first {ready_s:.0f} s in the air are taken as healthy: damage that was there from take-off "
-            "cannot be judged without --baseline or --vehicle"
+            f"the flight's first {ready_s:.0f} s in the air are its trim: damage that was there from take-off is judged by what healthy "
+            "vehicles of any build need, and better with --baseline or --vehicle"
         )
     facts = _facts(flight, craft, air, table)
     names = places.names(craft.rotors)
@@ -113,8 +113,9 @@ def diagnose(
         tell(0.3 + 0.6 * share, "estimating")
 
     tell(0.3, "preparing the estimator (built the first time)")
+    last = None
     if own:
-        _, out = estimate(table, B, dynamics, estimating)
+        last, out = estimate(table, B, dynamics, estimating)
         limit = float(threshold(hypotheses.make(len(craft.rotors)), table.dt))
     else:
         out = published.judge(estimator, table, B, dynamics, tuning, estimating)
@@ -126,6 +127,8 @@ def diagnose(
     if own:
         losses, settled = asked.settle(losses, table, B, dynamics)
         assumptions += settled
+    if last is not None and not known:  # healthy flights would have told what happened in the blind time
+        losses = hindsight.join(losses, hindsight.find(last, table, hyp, B))
     overrides = outside.overrides(flight, craft, air, table)
     losses = outside.unexplained(losses, overrides)
     contacts = outside.contacts(table, air)
@@ -136,6 +139,7 @@ def diagnose(
     lap("events_s")
     doubts = trust.doubts(flight, craft, air, table)
     whole = None if doubts else _whole_flight(flight, craft, air)
+    other = None if doubts or known else population.judge(flight, craft, air, _undisturbed(table, found))
     comparison = detectors.detect(flight, craft, air)
     lap("comparison_s")
     judged = (table.mode == JUDGE) & table.valid.any(axis=1)
@@ -143,6 +147,7 @@ def diagnose(
     end = conclusion.conclude(
         found, whole, len(craft.rotors), hidden=_hidden(out, table, B), judged_s=float(judged.sum() * table.dt), places=names,
         doubts=doubts, leftover=spells, hops=air, trends=() if doubts else health.trends(out, table, B, found),
+        population=other,
     )  # fmt: skip
     common = {} if doubts else common_mode.thrust_shift(out.biases[judged, 3])
     tell(1.0, "done")
@@ -210,6 +215,11 @@ def _whole_flight(flight: Flight, vehicle: Vehicle, air):
 
     features = whole_flight.features(flight, vehicle, air)
     return whole_flight.judge(features, [whole_flight.Features.from_dict(f) for f in stored], vehicle).to_dict()
+
+
+def _undisturbed(table: Ticks, found) -> float:
+    """Time in s of the first event or upset: what is seen before it was there from take-off."""
+    return min([np.inf, *(e.onset_s for e in found), *table.time[table.upset & (table.mode > ticks.GROUND)][:1]])
 
 
 def _hidden(out, table: Ticks, B: np.ndarray) -> np.ndarray:

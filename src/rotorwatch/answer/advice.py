@@ -9,9 +9,7 @@ from rotorwatch.answer.wording import listed, rotors, seconds, sentence
 from rotorwatch.default.hypotheses import GONE
 from rotorwatch.diagnosis import Event, RotorState
 
-BASELINE = (
-    "To have damage from take-off judged as well, give a healthy flight of the same build: --baseline HEALTHY.LOG."
-)
+BASELINE = "To see smaller damage that was there from take-off, give a healthy flight of the same build: --baseline HEALTHY.LOG."
 
 
 MOTORS = {

@@ -54,6 +54,9 @@ CREDIBLE = 0.05  # causes of a whole flight's difference that are less probable 
 LANDED_S = 1.5
 UNJUDGED = "Damage from take-off was not judged."
 INVISIBLE = (0.0, 1.0)
+LOPSIDED = (
+    "may have been weak from take-off on"  # of any build's vehicles: a note on a rotor of which nothing else is known
+)
 
 
 @dataclass(frozen=True)
@@ -73,7 +76,8 @@ class Conclusion:
 @dataclass(frozen=True)
 class Seen:
     """What there is to conclude from. n rotors; places: where each is, in words. hidden (n,): loss that could have gone unseen in
-    flight, None when nothing was judged. whole: against healthy flights, or None. hops: ((take-off, landing), ...) s. trends: of each
+    flight, None when nothing was judged. whole: against healthy flights, or None; population: the same against healthy vehicles of
+    any build. hops: ((take-off, landing), ...) s. trends: of each
     rotor, or empty."""
 
     events: tuple[Event, ...]
@@ -85,6 +89,7 @@ class Seen:
     places: tuple[str, ...]
     hops: tuple[tuple[float, float], ...]
     trends: tuple[Trend | None, ...] = ()
+    population: Mapping[str, Any] | None = None
 
     @property
     def losses(self) -> list[Event]:
@@ -102,9 +107,15 @@ class Seen:
 
     @property
     def compared(self) -> Mapping[str, Any] | None:
-        """The comparison with healthy flights, as far as it says something: it takes the mean of a whole flight, so that with a
-        certain loss or override in flight it cannot tell what was there from take-off."""
-        return self.whole if self.whole and self.whole["verdict"] != "inconclusive" and not self.sure else None
+        """The comparison with healthy flights, or else with healthy vehicles, as far as it says something: it takes the mean of a whole
+        flight, so that with a certain loss or override in flight it cannot tell what was there from take-off."""
+        whole = self.whole or self.population
+        return whole if whole and whole["verdict"] != "inconclusive" and not self.sure else None
+
+    @property
+    def bound(self) -> float | None:
+        """The largest loss that may have been there from take-off on, where only healthy vehicles of other builds bound it."""
+        return max(high for _, high in self.compared["interval"]) if self.compared and not self.whole else None
 
 
 def conclude(
@@ -119,13 +130,14 @@ def conclude(
     places: Sequence[str] = (),
     hops: Sequence[tuple[float, float]] = (),
     trends: Sequence[Trend | None] = (),
+    population: Mapping[str, Any] | None = None,
 ) -> Conclusion:
     """The answer to a flight of n rotors.
 
     events: what was found. whole: `WholeFlight.to_dict()`, or None without healthy flights to compare with. hidden (n,): largest loss of
     each rotor that could have gone unseen since take-off. judged_s: seconds of flight judged. doubts: sentences on why the log may not
     show what flew; with any, nothing is concluded from its outputs. leftover: evidence that no event explains. places: `places.names`.
-    trends: `health.trends`, shown of rotors that are no suspects.
+    trends: `health.trends`, shown of rotors that are no suspects. population: `population.judge`, used where whole is None.
     """
     if doubts:
         shown = tuple(e for e in events if e.kind not in (*ACCUSES, *MOTOR_NOTICES))
@@ -134,7 +146,7 @@ def conclude(
     judged = judged_s >= LEAST_S and hidden is not None
     seen = Seen(
         tuple(events), whole, n, hidden if judged else None, judged_s, tuple(leftover), tuple(places), tuple(hops),
-        tuple(trends),
+        tuple(trends), population,
     )  # fmt: skip
     main = main_event(seen.events)
     verdict, reason = _verdict(seen, main)
@@ -190,6 +202,10 @@ def _verdict(seen: Seen, main: int | None) -> tuple[str, str]:
         said = [f"{rotors(s.rotors)} from {seconds(s.start_s)} to {seconds(s.end_s)}" for s in seen.leftover]
         return "ambiguous", f"there is evidence against {listed(said)} that no event explains."
     scope = "and none from take-off on, compared with its healthy flights" if whole else "after take-off"
+    if seen.bound is not None:
+        scope = (
+            f"and none more than {percent(seen.bound)} from take-off on, compared with healthy vehicles of any build"
+        )
     slow = "".join(f"; but slowly {rotors([k])} {grows(t)}" for k, t in _growing(seen))
     unseen = f"a loss of up to {percent(_unseen(seen))} of one rotor could have gone unseen"
     return "healthy", f"no rotor lost effectiveness in {seen.judged_s:.0f} s of judged flight, {scope}{slow}; {unseen}."
@@ -240,7 +256,7 @@ def _headline(seen: Seen, verdict: str, main: int | None) -> str:
         return "This log cannot say."
     knocks = [seconds(e.onset_s) for e in seen.events if e.kind == CONTACT]
     said = _matter(seen, verdict, main) if verdict != "healthy" else "All rotors pull their weight."
-    if verdict == "healthy" and not seen.compared:
+    if verdict == "healthy" and (not seen.compared or seen.bound is not None):
         said = "No rotor lost thrust after take-off."
     if verdict == "healthy" and knocks:
         said = f"No rotor lost thrust in the {seen.judged_s:.0f} s that were judged."
@@ -252,7 +268,10 @@ def _headline(seen: Seen, verdict: str, main: int | None) -> str:
     if verdict == "healthy" and _unseen(seen) >= dict(SCALE)["degraded"]:
         parts.append(f"A loss of up to {percent(_unseen(seen))} of one rotor could have gone unseen.")
     parts += [sentence(f"{rotors([k], seen.places)} {grows(t)}.") for k, t in _growing(seen)]
-    parts += [] if seen.compared or seen.lost is not None else [UNJUDGED]
+    if verdict == "healthy" and not seen.compared:
+        parts.append(UNJUDGED)
+    elif verdict == "healthy" and seen.bound is not None:
+        parts.append(f"Nothing beyond {percent(seen.bound)} was wrong from take-off on.")
     if knocks:  # after each the trim is learned afresh, with whatever it broke
         when = f"the knock at {knocks[0]}" if len(knocks) == 1 else f"{len(knocks)} knocks, the first at {knocks[0]},"
         parts.append(f"What {when} broke was not judged.")
@@ -286,7 +305,11 @@ def _matter(seen: Seen, verdict: str, main: int | None) -> str:
         assert whole
         shares = [f"{percent(whole['loss'][r - 1])} ({interval(*whole['interval'][r - 1])})" for r in whole["rotors"]]
         who = sentence(rotors(whole["rotors"], seen.places))
-        return f"{who} pulled less than on healthy flights: loss {', '.join(shares)}."
+        than = "on healthy flights" if seen.whole else "a rotor of any healthy vehicle, from take-off on"
+        return f"{who} pulled less than {than}: loss {', '.join(shares)}."
+    if event is None and whole and not seen.whole and whole["verdict"] == "ambiguous":
+        who = [rotors(c["rotors"], seen.places) for c in whole["causes"] if c["rotors"]]
+        return sentence(f"{' or '.join(who)} was weak from take-off on, or the centre of mass is off the middle.")
     if event is None:
         return "Something is wrong, but the log cannot say which rotor."
     if event.alternatives:
@@ -312,7 +335,7 @@ def _state(seen: Seen, rotor: int, verdict: str) -> RotorState:
     """The rotor at the end of the judged flight."""
     place = seen.places[rotor - 1] if rotor <= len(seen.places) else ""
     whole = seen.compared
-    from_takeoff = "not judged" if not whole else "healthy"
+    from_takeoff = "not judged" if not whole else "healthy" if seen.whole else "bounded"
     claims = [e for e in seen.losses if any(rotor in who for who in explanations(e))]
     sure = [e for e in claims if not e.alternatives and e.end_s is None]
     maybe = [e for e in claims if e.alternatives and e.end_s is None]
@@ -327,7 +350,7 @@ def _state(seen: Seen, rotor: int, verdict: str) -> RotorState:
     def state(loss, bounds, status, note="", since=None):
         low, high = float(bounds[0]), float(bounds[1])
         clear = status not in ("unobservable", "suspect")
-        shown = since if since is not None and from_takeoff == "not judged" else (low, high)
+        shown = since if since is not None and from_takeoff in ("not judged", "bounded") else (low, high)
         trend = seen.trends[rotor - 1] if clear and seen.trends else None
         grade = health.UNGRADED if status == "unobservable" else health.grade(shown[0], shown[1], trend)
         return RotorState(rotor, float(loss), (low, high), status, place, since, from_takeoff, note, grade, trend)
@@ -352,7 +375,8 @@ def _state(seen: Seen, rotor: int, verdict: str) -> RotorState:
     if from_takeoff == "damaged":
         assert whole
         loss, bounds = whole["loss"][rotor - 1], whole["interval"][rotor - 1]
-        return state(loss, bounds, "failed" if loss > GONE else "degraded", "weaker than on healthy flights")
+        than = "on healthy flights" if seen.whole else "in any healthy vehicle"
+        return state(loss, bounds, "failed" if loss > GONE else "degraded", f"weaker than {than}")
     reasons, high, loss = [], 0.0, 0.0
     for e in (*maybe, *landed):
         alone = len(explanations(e)) == 1
@@ -376,7 +400,7 @@ def _state(seen: Seen, rotor: int, verdict: str) -> RotorState:
         high = 1.0
     if from_takeoff == "suspect":
         assert whole
-        reasons.append("may have been weaker than on healthy flights")
+        reasons.append("may have been weaker than on healthy flights" if seen.whole else LOPSIDED)
         loss, high = max(loss, whole["loss"][rotor - 1]), max(high, whole["interval"][rotor - 1][1])
     if reasons:
         return state(loss, (0.0, max(high, loss)), "suspect", "; ".join(reasons))

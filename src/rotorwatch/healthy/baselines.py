@@ -23,6 +23,7 @@ from os import PathLike
 import numpy as np
 
 from rotorwatch import airframes
+from rotorwatch.answer.conclusion import LOPSIDED
 from rotorwatch.errors import ConfigError, RotorwatchError, VehicleError
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
@@ -112,7 +113,9 @@ class Candidate:
             doubts = trust.doubts(self.flight, self.vehicle, self.air, self.table)
         except RotorwatchError as why:
             return str(why).rstrip(".")
-        if found.verdict == "healthy" or (found.verdict == "inconclusive" and not doubts):
+        # Unlike other builds it may well be: that it is healthy nevertheless is what its owner says.
+        lopsided = {r.note for r in found.rotors if r.status == "suspect"} == {LOPSIDED} and not found.events
+        if found.verdict == "healthy" or lopsided or (found.verdict == "inconclusive" and not doubts):
             return ""
         return f"judged by itself it is {found.verdict}, not healthy: {found.reason.rstrip('.')}"
 

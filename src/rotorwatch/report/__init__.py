@@ -106,7 +106,11 @@ def rotor_loss(state: RotorState) -> str:
         return "?"
     if state.status == "suspect" and state.loss == 0.0:
         return "?"
-    return "none seen" if state.status == "healthy" and state.from_takeoff == "not judged" else percent(state.loss, 1)
+    return (
+        "none seen"
+        if state.status == "healthy" and state.from_takeoff in ("not judged", "bounded")
+        else percent(state.loss, 1)
+    )
 
 
 def rotor_interval(state: RotorState) -> str:
@@ -115,6 +119,8 @@ def rotor_interval(state: RotorState) -> str:
         return ""
     if state.status == "healthy" and state.from_takeoff == "not judged" and state.since_takeoff:
         return f"changed by at most {percent(state.since_takeoff[1])}"
+    if state.status == "healthy" and state.from_takeoff == "bounded" and state.since_takeoff:
+        return f"changed by at most {percent(state.since_takeoff[1])}; {percent(state.interval[1])} in all"
     return interval(*state.interval)
 
 
@@ -133,6 +139,11 @@ def scope(diagnosis: Diagnosis) -> str:
                 "Changes since take-off, with 95 % intervals. Damage that was there from take-off was not judged: that needs "
                 "healthy flights of the same build"
                 + (", and no loss in this flight." if diagnosis.whole_flight else ".")
+            )
+        if not diagnosis.whole_flight:
+            return (
+                "Changes since take-off, with 95 % intervals. What was there from take-off is bounded by how unequally healthy vehicles "
+                "of any build are commanded; healthy flights of this build show more."
             )
         return "Losses compared with the healthy flights of this build, with 95 % intervals."
     return ""

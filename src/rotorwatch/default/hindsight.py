@@ -1,0 +1,119 @@
+"""Losses in the blind time after take-off, found afterwards: a flight tells its gains and noise, and with these its start is judged again.
+
+The estimator learns a vehicle's trim, gains and noise in the blind time and so takes a rotor that fails there as normal. After the
+flight gains and noise are known. The same estimator then runs again over the first seconds of each hop, judging from the end of the first
+second in the air on, with the biases open as for any multirotor. Nothing else differs: a loss announced there is an event like any.
+
+Three conditions are physics. What a knock broke looks like any loss, and motion after it is the knock's: the second look ends there, and
+where the vehicle is upset. A loss lasts: one that is over again before the second look ends was a gust, or the ground that was left. And a
+hop that hovers at less than half of the command of another stands on the ground.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import fields, replace
+
+import numpy as np
+
+from rotorwatch.default import events
+from rotorwatch.default.announcement import threshold
+from rotorwatch.default.hypotheses import Hypotheses
+from rotorwatch.default.learning import LEARNED_WEIGHT
+from rotorwatch.default.plant import AXIS_STATES, DAMPING, GAIN, PER_AXIS, any_multirotor, lower_rotors
+from rotorwatch.default.program import estimate
+from rotorwatch.diagnosis import Event
+from rotorwatch.motion.ticks import GROUND, JUDGE, LEARN, Ticks
+
+LOOK_S = 7.0  # beyond the blind time: a loss just before its end is announced in it, and has lasted
+LEAST = 0.05  # of a loss, by its interval: after few seconds the trim of a healthy rotor is not known better
+STANDS = 0.5  # of the hover command of another hop: so much weight is not dropped in flight
+
+
+def learned(carry, B: np.ndarray) -> dict:
+    """`program.parameters`' dynamics of one flight, from the last carry of its own pass: its gains, damping and noise; biases open."""
+    rows = (np.arange(4)[:, None] * PER_AXIS + np.array([GAIN, DAMPING])).reshape(-1)
+    s, P = np.asarray(carry.s), np.asarray(carry.P)
+    x0, P0 = (a.copy() for a in any_multirotor(B.shape[1]))
+    x0[rows] = s[rows]
+    P0[rows], P0[:, rows] = 0.0, 0.0
+    P0[rows[:, None], rows] = P[rows[:, None], rows]
+    known = {"x0": x0, "P0": P0, "noise": np.asarray(carry.noise.variances), "noise_weight": LEARNED_WEIGHT}
+    if lower_rotors(B) is not None:
+        known["share"] = [float(s[AXIS_STATES]), float(P[AXIS_STATES, AXIS_STATES])]
+    return known
+
+
+def beginnings(ticks: Ticks) -> Ticks | None:
+    """The first ticks of each hop, all of them judged: its blind time and LOOK_S more, up to a knock or an upset. A hop that has no tick
+    after its blind time is left out: nothing shows that what happened in it lasted. None when there is none."""
+    stops = ticks.upset if ticks.contact is None else ticks.upset | ticks.contact
+    keep = np.zeros(len(ticks.time), bool)
+    for flying, blind in _hops(ticks):
+        look = flying[ticks.time[flying] < ticks.time[flying[blind]] + LOOK_S]
+        stopped = np.flatnonzero(stops[look])
+        if not stopped.size or stopped[0] > blind:
+            keep[look[: stopped[0]] if stopped.size else look] = True
+    return _cut(ticks, keep, ticks.restart, JUDGE)
+
+
+def rest(ticks: Ticks) -> Ticks | None:
+    """All ticks after the blind times, as one that is learned from; None when there is none."""
+    keep, restart = np.zeros(len(ticks.time), bool), np.zeros(len(ticks.time), bool)
+    for flying, blind in _hops(ticks):
+        keep[flying[blind:]] = True
+        restart[flying[blind]] = True
+    return _cut(ticks, keep, restart, LEARN)
+
+
+def _hops(ticks: Ticks) -> list[tuple[np.ndarray, int]]:
+    """(ticks in the air, how many of them are blind) of every hop that is one and goes on after its blind time."""
+    first = np.flatnonzero(ticks.restart)
+    found = []
+    for start, end in zip(first, [*first[1:], len(ticks.time)]):
+        flying = np.flatnonzero(ticks.mode[start:end] > GROUND) + start
+        seen = np.flatnonzero(ticks.mode[flying] != LEARN)
+        if seen.size and ticks.hover[start] >= STANDS * ticks.hover[first].max():
+            found.append((flying, int(seen[0])))
+    return found
+
+
+def _cut(ticks: Ticks, keep: np.ndarray, restart: np.ndarray, mode: int) -> Ticks | None:
+    """The ticks `keep` (T,), all of one mode; None when there is none."""
+    if not keep.any():
+        return None
+    table = replace(ticks, restart=restart, mode=np.full(len(ticks.time), mode, np.int32))
+    cut = {f.name: value[keep] for f in fields(table) if isinstance(value := getattr(table, f.name), np.ndarray)}
+    return replace(table, **cut)
+
+
+def find(carry, ticks: Ticks, hyp: Hypotheses, B: np.ndarray) -> tuple[Event, ...]:
+    """Losses that began in the blind time of a hop and last; `detected_s` is the end of what was looked at again, `live` is False.
+
+    carry: the last of the flight's own pass over `ticks`; B (4, n): effectiveness."""
+    again = beginnings(ticks)
+    if again is None:
+        return ()
+    _, out = estimate(again, B, learned(carry, B))
+    suspicious = float(out.log_odds[:, hyp.fault].max()) > threshold(hyp, ticks.dt)
+    if suspicious and not out.announced.any():
+        # A loss in the blind time is in the noise that was learned there, as disturbances that would explain it.
+        later, _ = estimate(rest(ticks) or again, B)
+        _, out = estimate(again, B, learned(later, B))
+    starts = again.time[again.restart]
+    ends = np.append(again.time[np.flatnonzero(again.restart)[1:] - 1], again.time[-1])
+    found = []
+    for event in events.read(out, again, hyp, B):
+        hop = max(int(np.searchsorted(starts, event.detected_s, "right")) - 1, 0)
+        later = ticks.time[(ticks.mode == JUDGE) & (ticks.time >= starts[hop])]
+        least = max(low for low, _ in event.interval)
+        if event.end_s is None and event.onset_s < later[0] and (least > LEAST or event.alternatives):
+            found.append(replace(event, detected_s=float(ends[hop]), extra={**event.extra, "live": False}))
+    return tuple(found)
+
+
+def join(losses: Sequence[Event], early: Sequence[Event]) -> tuple[Event, ...]:
+    """Both, in the order of time. Where a loss that was announced in flight names a rotor of an early one while that was looked for, the
+    early one tells when it began and its size; what the first look saw was its rest."""
+    kept = [e for e in losses if not any(set(e.rotors) & set(f.rotors) and e.onset_s <= f.detected_s for f in early)]
+    return tuple(sorted((*kept, *early), key=lambda e: e.detected_s))

@@ -1,0 +1,123 @@
+"""Losses in the blind time after take-off, found afterwards: made-up quadrotors in hover whose truth is known."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from conftest import hexa_event
+from rotorwatch import airframes
+from rotorwatch.default import events, hindsight, hypotheses
+from rotorwatch.default.program import estimate
+from rotorwatch.motion.ticks import GROUND, JUDGE, LEARN, READY_S, SETTLE_S, Ticks
+
+DT = 0.1
+QUAD = airframes.named("ardupilot-quad-x").effectiveness()
+HYP = hypotheses.make(4)
+
+
+def flight(rotor=0, loss=0.0, onset=3.0, end=np.inf, seconds=30.0, knocked=None, seed=0):
+    """Ticks of a quadrotor that hovers from 0 s on; `rotor` loses `loss` from onset to end [s]; knocked at that time, or never."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(SETTLE_S, seconds, DT) + DT
+    count = len(time)
+    thrust = 1.0 + rng.normal(0.0, 0.01, (count, 4))
+    weak = (time > onset) & (time <= end)
+    thrust[weak, rotor] /= 1.0 - loss
+    mode = np.where(time >= READY_S, JUDGE, LEARN).astype(np.int32)
+    contact = np.zeros(count, bool) if knocked is None else np.abs(time - knocked) < 0.5 * DT
+    return Ticks(
+        time, time - 0.5 * DT, thrust, thrust @ QUAD.T, np.zeros((count, 3)), rng.normal(0.0, 0.05, (count, 3)),
+        1.0 + rng.normal(0.0, 0.005, count), np.repeat(~contact[:, None], 4, axis=1), mode, np.arange(count) == 0,
+        np.full(count, 0.4), DT, np.zeros(count, bool), contact=contact,
+    )  # fmt: skip
+
+
+def found(ticks):
+    """(what a live observer was told, what is found afterwards)."""
+    last, out = estimate(ticks, QUAD)
+    return events.read(out, ticks, HYP, QUAD), hindsight.find(last, ticks, HYP, QUAD)
+
+
+@pytest.mark.parametrize(("rotor", "loss", "onset"), [(0, 0.5, 2.5), (2, 0.2, 4.0), (3, 0.35, 7.5)])
+def test_a_loss_in_the_blind_time_is_found_afterwards(rotor, loss, onset):
+    (event,) = found(flight(rotor, loss, onset))[1]
+    assert event.rotors == (rotor + 1,)
+    assert event.alternatives == ()
+    assert event.interval[0][0] <= loss <= event.interval[0][1]
+    assert event.onset_s == pytest.approx(onset, abs=0.3)
+    assert event.extra["live"] is False
+    assert event.detected_s == pytest.approx(READY_S + hindsight.LOOK_S, abs=0.3)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"loss": 0.4, "onset": 3.0, "end": 6.0},  # no propeller grows again: a gust, or the ground that was left
+        {"loss": 0.4, "onset": 3.0, "knocked": 3.0},  # what a knock broke is not judged
+        {"loss": 0.4, "onset": 3.0, "seconds": 7.0},  # nothing shows that it lasted
+        {"loss": 0.4, "onset": 14.0},  # not in the blind time: told in flight
+    ],
+)
+def test_nothing_is_found_where_nothing_broke_or_nobody_can_say(changes):
+    assert found(flight(**changes))[1] == ()
+
+
+def test_a_hop_with_idling_motors_is_none():
+    """After a crash the motors idle on the ground; their commands answer to a tilt that nothing takes away."""
+    first, second = flight(seed=1), flight(loss=0.4, seed=2)
+    two = {
+        name: np.concatenate([getattr(first, name), getattr(second, name)])
+        for name in vars(first)
+        if isinstance(getattr(first, name), np.ndarray)
+    }
+    two["time"] = np.concatenate([first.time, second.time + 60.0])
+    two["command_time"] = two["time"] - 0.5 * DT
+    flown = Ticks(**{**vars(first), **two})
+    assert [e.rotors for e in found(flown)[1]] == [(1,)]
+    two["hover"] = np.where(two["time"] > 60.0, 0.05, 0.4)
+    assert found(Ticks(**{**vars(first), **two}))[1] == ()
+
+
+def ends(ticks):
+    """Time of the last tick that is looked at again [s]; None when there is none."""
+    again = hindsight.beginnings(ticks)
+    return None if again is None else float(again.time[-1])
+
+
+def test_the_second_look_ends_at_an_upset_and_needs_the_blind_time():
+    ticks = flight()
+    assert ends(ticks) == pytest.approx(READY_S + hindsight.LOOK_S, abs=2 * DT)
+    ticks.upset[ticks.time > 10.0] = True
+    assert ends(ticks) == pytest.approx(10.0, abs=2 * DT)
+    ticks.upset[ticks.time > 5.0] = True
+    assert ends(ticks) is None
+
+
+def test_what_is_learned_from_is_all_that_follows_the_blind_time():
+    ticks = flight()
+    later = hindsight.rest(ticks)
+    assert later is not None
+    assert (later.time >= READY_S).all()
+    ticks.mode[:] = GROUND
+    assert hindsight.rest(ticks) is None
+
+
+def test_what_was_told_in_flight_gives_way_to_what_is_known_afterwards():
+    early = hexa_event(onset_s=3.0, detected_s=15.0)
+    rest, later, other = (
+        hexa_event(onset_s=12.0), hexa_event(onset_s=31.0), hexa_event(rotors=(5,), onset_s=12.0, detected_s=32.0)
+    )  # fmt: skip
+    assert hindsight.join((rest,), ()) == (rest,)
+    assert hindsight.join((rest, later, other), (early,)) == (early, later, other)
+
+
+def test_what_a_flight_has_taught_leaves_biases_open():
+    carry = SimpleNamespace(s=np.ones(24), P=0.01 * np.eye(24), noise=SimpleNamespace(variances=np.ones((4, 4))))
+    known = hindsight.learned(carry, QUAD)
+    axes, spread = known["x0"].reshape(4, -1), np.diag(known["P0"]).reshape(4, -1)
+    assert (axes[:, 3:] == 1.0).all()
+    assert (axes[:, :3] == 0.0).all()
+    assert spread[:, 3:] == pytest.approx(0.01)
+    assert (spread[:, 2] > 0.01).all()
