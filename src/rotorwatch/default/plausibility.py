@@ -59,7 +59,7 @@ def asked_of(B):
 
     B = jnp.asarray(B)
     n = B.shape[1]
-    L = hypotheses.cholesky((B @ B.T)[None])
+    L = hypotheses.cholesky((B @ B.T + 1e-6 * jnp.eye(4))[None])  # rotors of a tricopter make no yaw
     half = hypotheses.forward(jnp.broadcast_to(L, (n, *L.shape[1:])), B.T)
     answer = half @ half.T - 1.0 / n
     against = jnp.abs(B[:2, :, None] + B[:2, None, :]).max(axis=0) < 0.05

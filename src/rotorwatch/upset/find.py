@@ -253,6 +253,7 @@ def _loss(best: Explanation, p: float, others, decided: float, judged: Judged) -
     )
     if others:
         reason += ", but " + ", ".join("+".join(map(str, o)) for o in others) + " may have failed instead"
+    reason += "; found afterwards, by the motion up to the impact" if judged.left.impact else "; found afterwards"
     return Event(
         LOSS, (rotor,), min(best.onset, judged.left.onset), decided, None, (best.size,), ((max(best.low, 0.01), best.high),), p, others, reason,
         {"live": False, "loss_2s": [best.size]},
@@ -288,6 +289,9 @@ def _lost(judged: Judged, n: int, blamed, others, decided: float) -> Event:
     end = left.impact if fell else left.end
     worked = _worked(judged, n, blamed, others, decided)
     reason = f"the vehicle left control at {judged.onset:.1f} s, {left.what}: {CAUSES[judged.cause]}"
+    reason += "".join(f"; {said}" for said in judged.evidence)
+    if fell:
+        reason += f"; it hit the ground at {left.impact:.1f} s"
     p = (
         float(sum(judged.probability[k] for k, e in enumerate(judged.found) if e.kind == "rotor"))
         if judged.cause == "rotor" and judged.found
