@@ -167,7 +167,10 @@ def verdict(views):
         expect(status <= {"healthy"}, f"healthy with rotors {status}")
         expect(whole in (None, "healthy", "inconclusive"), "healthy, and the comparison says otherwise")
     if d["verdict"] == "inconclusive":
-        expect(not of_kind(views, LOSS, OVERRIDE) and main is None, "inconclusive with a loss or an override")
+        expect(
+            not of_kind(views, LOSS, OVERRIDE) and (main is None or main["kind"] == "loss_of_control"),
+            "inconclusive with a loss or an override",
+        )
         expect(status <= {"unobservable"}, f"inconclusive with rotors {status}")
     if d["verdict"] == "ambiguous":
         expect(not sure, "ambiguous with an event that is certain")
