@@ -16,8 +16,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 
-from rotorwatch.default import events
-from rotorwatch.default.announcement import threshold
+from rotorwatch.default import events, hypotheses
 from rotorwatch.default.hypotheses import Hypotheses
 from rotorwatch.default.learning import LEARNED_WEIGHT
 from rotorwatch.default.plant import AXIS_STATES, DAMPING, GAIN, PER_AXIS, any_multirotor, lower_rotors
@@ -26,6 +25,7 @@ from rotorwatch.diagnosis import Event
 from rotorwatch.motion.ticks import GROUND, JUDGE, LEARN, Ticks
 
 LOOK_S = 7.0  # beyond the blind time: a loss just before its end is announced in it, and has lasted
+REST_S = 20.0  # of flight after the blind time, from which gains and noise are learned without it
 LEAST = 0.05  # of a loss, by its interval: after few seconds the trim of a healthy rotor is not known better
 STANDS = 0.5  # of the hover command of another hop: so much weight is not dropped in flight
 
@@ -58,10 +58,10 @@ def beginnings(ticks: Ticks) -> Ticks | None:
 
 
 def rest(ticks: Ticks) -> Ticks | None:
-    """All ticks after the blind times, as one that is learned from; None when there is none."""
+    """The ticks of each hop from its blind time on, for REST_S: to learn from; None when there is none."""
     keep, restart = np.zeros(len(ticks.time), bool), np.zeros(len(ticks.time), bool)
     for flying, blind in _hops(ticks):
-        keep[flying[blind:]] = True
+        keep[flying[blind : blind + round(REST_S / ticks.dt)]] = True
         restart[flying[blind]] = True
     return _cut(ticks, keep, restart, LEARN)
 
@@ -95,9 +95,9 @@ def find(carry, ticks: Ticks, hyp: Hypotheses, B: np.ndarray) -> tuple[Event, ..
     if again is None:
         return ()
     _, out = estimate(again, B, learned(carry, B))
-    suspicious = float(out.log_odds[:, hyp.fault].max()) > threshold(hyp, ticks.dt)
-    if suspicious and not out.announced.any():
-        # A loss in the blind time is in the noise that was learned there, as disturbances that would explain it.
+    if not out.announced.any() and float(out.statistic.max()) > -hypotheses.CLEAR:
+        # As likely as any disturbance, not ten times so: a loss in the blind time is in the noise that was learned there, as disturbances
+        # that would explain it.
         later, _ = estimate(rest(ticks) or again, B)
         _, out = estimate(again, B, learned(later, B))
     starts = again.time[again.restart]
