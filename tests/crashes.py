@@ -14,7 +14,7 @@ from tests import tumbling
 
 from rotorwatch import airframes, diagnose
 
-FRAMES = ("quad-x", "quad-plus", "hexa-x", "hexa-plus", "octa-x", "octaquad-x", "y6b")
+FRAMES = ("quad-x", "quad-plus", "hexa-x", "hexa-plus", "octa-x", "octaquad-x", "y6-b")
 RATES = (5.0, 10.0, 50.0, 400.0)
 RIGHT_CAUSE = {
     "swapped": "motor_order",

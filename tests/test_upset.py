@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests import tumbling
 
 from rotorwatch import airframes, diagnose
 from rotorwatch.diagnosis import Event
@@ -13,7 +14,6 @@ from rotorwatch.flight import Flight, Signal
 from rotorwatch.upset import departure, find
 from rotorwatch.upset.balance import INERTIA, Offset, Window, fit
 from rotorwatch.upset.explain import explain
-from tests import tumbling
 
 QUAD = airframes.named("ardupilot-quad-x")
 B = QUAD.effectiveness()

@@ -221,7 +221,7 @@ def fly(
         "hexa-plus": (2, 0),
         "octa-x": (3, 1),
         "octaquad-x": (4, 1),
-        "y6b": (5, 10),
+        "y6-b": (5, 10),
     }
     frame_class, frame_type = classes.get(frame, kind.get(n, (1.0, 1.0)))
     flight = Flight(

@@ -108,6 +108,7 @@ def fit(window: Window, wrench: np.ndarray, B: np.ndarray, offset: Offset) -> Fi
     share = np.full((H, K, 3), 1.0)
     y = wrench[:, :, :3]
     variance = np.broadcast_to(base[None, :, :3], (H, K, 3))
+    e = inside = outside = np.zeros((H, K, 3))
     for _ in range(TURNS):
         weight = np.where(ok, share / variance, 0.0)
         for j in range(3):

@@ -155,7 +155,7 @@ def _leaves(flight, time, angle, words, start, end) -> Departure | None:
     for k in np.flatnonzero(out & ~np.concatenate([[False], out[:-1]])):
         if t[k] > end:
             return None
-        onset, back = _began(t, a, k), _back(t, a, k)
+        onset, back = _began(t, a, int(k)), _back(t, a, int(k))
         impact = hit(flight, onset, end + 30.0 if back is None else back)
         lasts = (t[-1] if back is None else back) - t[k]
         if impact is not None and _ground(flight, impact, onset, start, end):

@@ -222,7 +222,8 @@ def _merged(events_: list[Event], judged: Judged, n: int) -> list[Event]:
         return [*kept, _lost(replace(judged, found=()), n, held[0].rotors, (), decided)]
     if accused:
         best, p = rotors[0]
-        others = () if p > SURE and judged.cause == "rotor" else others
+        sure = p > SURE and judged.cause == "rotor" and best.low > 0.0  # a fault has a loss above nothing
+        others = () if sure else others or (tuple(range(1, n + 1)),)
         kept.append(_loss(best, p, others, decided, judged) if same is None or others != same.alternatives else same)
         kept.append(_lost(judged, n, rotor, others, decided))
     elif judged.cause == "motor_order":
@@ -247,15 +248,13 @@ def _who(rotors: Sequence[int]) -> str:
 
 def _loss(best: Explanation, p: float, others, decided: float, judged: Judged) -> Event:
     rotor = best.rotors[0] + 1
-    reason = (
-        f"from {min(best.onset, judged.left.onset):.1f} s on the vehicle turned as without the thrust of rotor {rotor}, which was commanded "
-        f"{'to give its all' if best.size > 0.5 else 'more and more'}"
-    )
+    onset = min(best.onset, judged.left.onset)
+    reason = f"from {onset:.1f} s on the vehicle turned as without {'the' if best.size > 0.5 else 'part of the'} thrust of rotor {rotor}"
     if others:
         reason += ", but " + ", ".join("+".join(map(str, o)) for o in others) + " may have failed instead"
     reason += "; found afterwards, by the motion up to the impact" if judged.left.impact else "; found afterwards"
     return Event(
-        LOSS, (rotor,), min(best.onset, judged.left.onset), decided, None, (best.size,), ((max(best.low, 0.01), best.high),), p, others, reason,
+        LOSS, (rotor,), onset, decided, None, (best.size,), ((best.low, best.high),), p, others, reason,
         {"live": False, "loss_2s": [best.size]},
     )  # fmt: skip
 
