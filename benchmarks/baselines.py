@@ -8,8 +8,8 @@ as well; "uncut" counts the combinations without them. Flights are read once, an
 (healthy/baselines.py); `--check N` asks `diagnose` itself for N of the cases, and ends with 1 where it answers otherwise.
 
 right, wrong: one set of rotors named with certainty. part: some of several damaged rotors. among: `ambiguous`, the damaged rotors among
-those that it may be. not among: `ambiguous` with other rotors or the centre of mass alone. not told: healthy, or the baseline was refused. Of flights
-without damage: fault, ambiguous, not flagged; a hung weight is no damage, but something is wrong with it.
+those that it may be. not among: `ambiguous`, with other rotors or the centre of mass alone. not told: healthy, or the baseline was
+refused. Of flights without damage: fault, ambiguous, not flagged; a hung weight is no damage, but something is wrong with it.
 """
 
 from __future__ import annotations

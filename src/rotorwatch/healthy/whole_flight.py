@@ -560,8 +560,8 @@ def _weigh(shift, covariance, dof, share, vehicle) -> list[_Hypothesis]:
 
 
 def _t_density(x, mean, scale, more, dof) -> np.ndarray:
-    """(g,) multivariate t density at x (4,) around mean (g, 4), but for a factor; more (g, 2): added to the scale matrix's entries of yaw and
-    thrust."""
+    """(g,) multivariate t density at x (4,) around mean (g, 4), but for a factor; more (g, 2): added to the scale matrix's entries of
+    yaw and thrust."""
     # Roll and pitch first, then yaw and thrust given those (Schur): only that part differs from row to row.
     first, cross = np.linalg.inv(scale[:2, :2]), scale[:2, 2:]
     rest = x - mean
