@@ -1,39 +1,34 @@
 """Was a propeller damaged at take-off already? One flight's balance of commands against healthy flights of the build.
 
-In hover the rotors' thrusts balance weight and torques. Rotor i with loss theta_i needs the command
-f_i / (1 - theta_i), so that the commanded wrench as a share of the commanded thrust,
+In hover the rotors' thrusts balance weight and torques. A weak rotor needs more command, and the commanded wrench per commanded thrust,
 
     w = B f / sum f      (roll, pitch, yaw),
 
 moves by a vector that names the rotor. What else moves it is modelled:
 
-* Wind: rotors in a cross flow pitch and roll the vehicle. The lateral specific force a (what wind pushes with, in g)
-  measures that flow: w = w0 + s a, one slope s per axis, about the same in all flights of a build. w0 is compared.
-* Between healthy flights of one build roll and pitch repeat to CENTRE_SD of an arm length (the battery lies elsewhere), yaw to
-  TILT_SD / sqrt(n) (motors that do not stand upright, each on its own) and the mean command to THRUST_SD (battery, load).
-  How much a build scatters differs, too: the prior counts like PRIOR_FLIGHTS flights, and the baseline's own scatter updates
-  it (inverse Wishart).
+* Wind: rotors in a cross flow pitch and roll the vehicle. The lateral specific force a (what wind pushes with, in g) measures that flow: w
+  = w0 + s a, one slope s per axis, about the same in all flights of a build. w0 is compared.
+* Between healthy flights of one build roll and pitch repeat to CENTRE_SD of an arm length (the battery lies elsewhere), yaw to TILT_SD /
+  sqrt(n) (motors that do not stand upright, each on its own) and the mean command to THRUST_SD (battery, load). How much a build scatters
+  differs, too: the prior counts like PRIOR_FLIGHTS flights, and the baseline's own scatter updates it (inverse Wishart).
 * Within a flight: the covariance of the mean, from means over blocks on the time scale that shows the largest one.
-* A shifted centre of mass (a battery put in otherwise, a hung weight) moves roll and pitch as a rotor loss does, but not yaw:
-  drag torques balance as the thrusts do. A damaged rotor is commanded more thrust than it gives, and as much more yaw: its own
-  column of B, times rho. rho is 1 when torque falls as thrust does, more for a mere shorter blade, less when damage adds drag.
-* A damaged rotor needs more commanded thrust of all, too; a shifted mass does not, a hung one as much as it weighs. Yaw and thrust
-  together decide between them.
-* Battery, a load under the centre, air density move all commands alike and leave w where it was: no test rests on the mean command
-  alone.
+* A shifted centre of mass (a battery put in otherwise, a hung weight) moves roll and pitch as a rotor loss does, but not yaw: drag torques
+  balance as the thrusts do. A damaged rotor is commanded more thrust than it gives, and as much more yaw: its own column of B, times rho.
+  rho is 1 when torque falls as thrust does, more for a mere shorter blade, less when damage adds drag.
+* A damaged rotor needs more commanded thrust of all, too; a shifted mass does not, a hung one as much as it weighs. Yaw and thrust together
+  decide between them.
+* Battery, a load under the centre, air density move all commands alike and leave w where it was: no test rests on the mean command alone.
 
-A loss theta of rotor i lacks e = theta f_i; the mixer makes up for it with all rotors, f = f0 + B+ B_i e, so that B f moves by B_i e with
-e = theta f0_i / (1 - a theta), a = (B+ B)_ii (1 of a quadrotor); of several rotors e = Theta (f0 + (B+ B) e).
+A loss theta of rotor i lacks e = theta f_i; the mixer makes up for it with all rotors, f = f0 + B+ B_i e, so that B f moves by B_i e with e
+= theta f0_i / (1 - a theta), a = (B+ B)_ii (1 of a quadrotor); of several rotors e = Theta (f0 + (B+ B) e).
 
-Source of the scatter: 37 steady hovers of 6 real quadrotors (ArduPilot, Crazyflie, telemetry; a landing between any two of a
-vehicle), marginal likelihood of the inverse Wishart model. Its logarithm is flat to 0.2 between yaw 0.020 and 0.025 and between 2 and 10
-flights; with any one vehicle left out 0.008 to 0.011, 0.016 to 0.025 and 4 to 10. The mean command: 5 of these vehicles. Of hexas and
-octas there are none; the scaling of yaw is assumed, as in population.py.
-
-Hotelling's test rejects the healthy hypothesis at FALSE_ALARM per flight, shared by two tests: of the mean, and of its
-change between the halves of the flight, as damage at take-off stays and a swinging load does not. Only then
-explanations are weighed, one of them that nothing but scatter is there. The verdict fault needs a rarer flight (FALSE_FAULT) and a
-rotor that is SURE to be damaged.
+Source of the scatter: 37 steady hovers of 6 real quadrotors (ArduPilot, Crazyflie, telemetry; a landing between any two of a vehicle),
+marginal likelihood of the inverse Wishart model. Its logarithm is flat to 0.2 between yaw 0.020 and 0.025 and between 2 and 10 flights;
+with any one vehicle left out 0.008 to 0.011, 0.016 to 0.025 and 4 to 10. The mean command: 5 of these vehicles. Of hexas and octas there
+are none; the scaling of yaw is assumed, as in population.py.
+Hotelling's test rejects the healthy hypothesis at FALSE_ALARM per flight, shared by two tests: of the mean, and of its change between the
+halves of the flight, as damage at take-off stays and a swinging load does not. Only then explanations are weighed, one of them that nothing
+but scatter is there. The verdict fault needs a rarer flight (FALSE_FAULT) and a rotor that is SURE to be damaged.
 """
 
 from __future__ import annotations
@@ -62,8 +57,7 @@ LIMITED = 0.2  # of the time at its limit: the mean command no longer says what 
 G0 = 9.80665
 
 CENTRE_SD, TILT_SD, THRUST_SD = 0.011, 0.045, 0.05
-PRIOR_FLIGHTS = 6
-MANY_FLIGHTS = 10  # of a baseline that can begin to show how much healthy flights differ
+PRIOR_FLIGHTS, MANY_FLIGHTS = 6, 10  # many: from which on a baseline can begin to show how much healthy flights differ
 SLOPE_SD, SLOPE_BETWEEN_SD = 2.0, 0.4  # of w per g: any build; flights of one build
 HALVES_SD = 0.01  # change of w between the halves of a healthy flight: motors and batteries warm up
 
@@ -457,8 +451,7 @@ def prior_covariance(n: int) -> np.ndarray:
 
 
 def _difference(flight: Features, healthy) -> tuple[np.ndarray, np.ndarray, float]:
-    """Shift of w and of ln of the mean command (4,) against the mean of the healthy flights, its t scale matrix (4, 4) and degrees of
-    freedom."""
+    """Shift of w and ln of the mean command (4,) against the mean of the healthy flights, its t scale matrix (4, 4), degrees of freedom."""
     all_of_them = (flight, *healthy)
     variance = np.array([np.square(one.slope_sd) + SLOPE_BETWEEN_SD**2 for one in all_of_them])
     slope = np.sum([np.array(one.slope) for one in all_of_them] / variance, axis=0) / np.sum(1.0 / variance, axis=0)
@@ -515,8 +508,7 @@ class _Hypothesis:
 
 
 def _weigh(shift, covariance, dof, share, vehicle) -> list[_Hypothesis]:
-    """All hypotheses for a shift of w and of ln of the mean command; share (n,): healthy commands. A priori healthy is as likely as all
-    others."""
+    """All hypotheses for a shift of w and ln of the mean command; share (n,): healthy commands. A priori healthy is as likely as others."""
     B, n = vehicle.effectiveness(), len(vehicle.rotors)
     mixer = np.linalg.pinv(B) @ B
     none = np.zeros((1, 0))
@@ -560,8 +552,7 @@ def _weigh(shift, covariance, dof, share, vehicle) -> list[_Hypothesis]:
 
 
 def _t_density(x, mean, scale, more, dof) -> np.ndarray:
-    """(g,) multivariate t density at x (4,) around mean (g, 4), but for a factor; more (g, 2): added to the scale matrix's entries of
-    yaw and thrust."""
+    """(g,) multivariate t density at x (4,) around mean (g, 4), but for a factor; more (g, 2): added to yaw's and thrust's scale."""
     # Roll and pitch first, then yaw and thrust given those (Schur): only that part differs from row to row.
     first, cross = np.linalg.inv(scale[:2, :2]), scale[:2, 2:]
     rest = x - mean
