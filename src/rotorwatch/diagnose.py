@@ -104,7 +104,9 @@ def diagnose(
         timing["total_s"] = time.perf_counter() - began
         doubts = (f"{why}; nothing can be judged.",)
         found = upset.events(upsets, (), len(craft.rotors))
-        end = conclusion.conclude(found, None, len(craft.rotors), doubts=() if found else doubts, places=names)
+        end = conclusion.conclude(
+            found, None, len(craft.rotors), doubts=() if found else doubts, places=names, hops=air
+        )
         return _answer(end, facts, {}, source, assumptions, warnings, timing, doubts=doubts)
     assumptions += table.notes
     B = craft.effectiveness()
@@ -162,7 +164,7 @@ def diagnose(
 def _answer(end: conclusion.Conclusion, facts, common, source, assumptions, warnings, timing, **more) -> Diagnosis:
     return Diagnosis(
         facts, end.verdict, end.reason, end.rotors, end.events, common, source, tuple(assumptions), tuple(warnings), timing,
-        headline=end.headline, main=end.main, advice=end.advice, **more,
+        headline=end.headline, main=end.main, advice=end.advice, story=end.story, **more,
     )  # fmt: skip
 
 

@@ -125,10 +125,16 @@ def _verdict(diagnosis: Diagnosis) -> str:
     steps = "".join(f"<li>{_text(step)}</li>" for step in diagnosis.advice)
     return (
         f'<section class="verdict {escape(diagnosis.verdict)}"><div class="word">{escape(word)}</div>'
-        f"<h1>{_text(diagnosis.headline)}</h1><p>{_text(report.sentence(diagnosis.reason))}</p>"
+        f"<h1>{_text(diagnosis.headline)}</h1>{_story(diagnosis)}<p>{_text(report.sentence(diagnosis.reason))}</p>"
         + (f'<h2>What to do next</h2><ul class="advice">{steps}</ul>' if steps else "")
         + "</section>"
     )
+
+
+def _story(diagnosis: Diagnosis) -> str:
+    """What happened when control was lost."""
+    said = "".join(f"<li>{_text(s.text)}</li>" for s in diagnosis.story)
+    return f'<h2>What happened</h2><ol class="story">{said}</ol>' if said else ""
 
 
 def _overview(diagnosis: Diagnosis) -> str:
