@@ -473,6 +473,23 @@ FIELDS = {
     "reason": sentence("the reason"),
     "story": lambda views, value: views.expect(not of_kind(views, "loss_of_control"), "control was lost, and no story"),
     "story[].time_s": HIDDEN,
+    "picture": SHOWN,
+    "picture.start_s": SHOWN,
+    "picture.end_s": SHOWN,
+    "picture.marks[].time_s": SHOWN,
+    "picture.marks[].what": SHOWN,
+    "picture.accused": lambda views, value: views.expect(
+        {*value} <= {r for e in views.json["events"] for r in e["rotors"]},
+        "the picture accuses a rotor that no event names",
+    ),
+    "picture.attitude": SHOWN,
+    **{
+        f"picture.attitude.{name}": SHOWN
+        for name in ("time_s", "roll_deg", "pitch_deg", "wanted_roll_deg", "wanted_pitch_deg")
+    },
+    "picture.commands": SHOWN,
+    "picture.commands.time_s": SHOWN,
+    "picture.commands.share[]": SHOWN,
     "story[].text": word("the story"),
     "advice": every("the advice"),
     "main_event": SHOWN,

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from rotorwatch import detectors, discovery
-from rotorwatch.answer import common_mode, conclusion, health, places, traces, unseen
+from rotorwatch.answer import common_mode, conclusion, health, picture, places, traces, unseen
 from rotorwatch.default import asked, events, hindsight, hypotheses, leftover
 from rotorwatch.default.announcement import threshold
 from rotorwatch.default.program import estimate
@@ -107,7 +107,17 @@ def diagnose(
         end = conclusion.conclude(
             found, None, len(craft.rotors), doubts=() if found else doubts, places=names, hops=air
         )
-        return _answer(end, facts, {}, source, assumptions, warnings, timing, doubts=doubts)
+        return _answer(
+            end,
+            facts,
+            {},
+            source,
+            assumptions,
+            warnings,
+            timing,
+            doubts=doubts,
+            picture=picture.make(flight, craft, end.events, end.main, end.story),
+        )
     assumptions += table.notes
     B = craft.effectiveness()
 
@@ -156,7 +166,7 @@ def diagnose(
     timing["total_s"] = time.perf_counter() - began
     return _answer(
         end, facts, common, source, assumptions, warnings, timing, estimator=discovery.title(estimator), comparison=comparison,
-        whole_flight=whole, doubts=doubts,
+        whole_flight=whole, doubts=doubts, picture=picture.make(flight, craft, end.events, end.main, end.story),
         trace=traces.make(flight, out, table, hyp, B, air, ready_s, limit, end.events, spells, end.rotors),
     )  # fmt: skip
 

@@ -158,8 +158,9 @@ class Diagnosis:
     flight: what was judged (docs/json.md). rotors: the state of each at the end. events: in time order. common_mode: what all rotors
     have together. baseline: what it was compared with. assumptions, warnings: sentences. timing: s of each step of the work. estimator:
     the method's name. comparison: what the autopilot's own checks found. whole_flight: damage from take-off, where it was judged. trace:
-    what a picture needs. doubts: why the log may not be what flew, a sentence each (the first is the reason then). story: what happened when
-    control was lost, four sentences in the order of time; empty where it was not.
+    what a picture needs. doubts: why the log may not be what flew, a sentence each (the first is the reason then). story: what happened
+    when control was lost, four sentences in the order of time; empty where it was not. picture: attitude and commands around that
+    moment (docs/json.md), or None.
     """
 
     flight: Mapping[str, Any]
@@ -181,6 +182,7 @@ class Diagnosis:
     advice: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
     story: tuple[Told, ...] = ()
+    picture: Mapping[str, Any] | None = None
 
     @property
     def exit_code(self) -> int:
@@ -196,6 +198,7 @@ class Diagnosis:
             "headline": self.headline,
             "reason": self.reason,
             "story": [{"time_s": _round(s.time_s), "text": s.text} for s in self.story],
+            "picture": _round(self.picture),
             "advice": list(self.advice),
             "main_event": self.main,
             "rotors": [
@@ -252,6 +255,7 @@ class Diagnosis:
             headline=found["headline"],
             main=found["main_event"],
             advice=tuple(found["advice"]),
+            picture=found.get("picture"),
             story=tuple(Told(**said) for said in found.get("story", ())),
         )
 

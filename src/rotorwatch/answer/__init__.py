@@ -9,4 +9,5 @@ conclusion.py   verdict, reason, headline, main event, state of every rotor
 advice.py       what to do next
 common_mode.py  how much more thrust all rotors together need at the end
 traces.py       what a picture of the flight needs
+picture.py      what a picture of a loss of control needs
 """

@@ -155,7 +155,8 @@ def scope(diagnosis: Diagnosis) -> str:
 
 
 def health(diagnosis: Diagnosis) -> list[tuple[str, str, str, str]]:
-    """The grade and the trend of every rotor, in words: (rotor, where, grade, trend); empty where nothing was judged, or control was lost."""
+    """The grade and the trend of every rotor, in words: (rotor, where, grade, trend); empty where nothing was judged or control
+    was lost."""
     if all(r.status == "unobservable" for r in diagnosis.rotors) or diagnosis.story:
         return []  # grades and trends of a flight that ended out of control would be of the time before
     return [(str(r.rotor), r.place, r.grade, _trend(r)) for r in diagnosis.rotors]
