@@ -83,7 +83,9 @@ def _strip(facts: Mapping[str, Any], x_range) -> Any:
         look: dict[str, Any] = dict(
             text_font="system-ui, sans-serif", text_font_size="13px", text_color=INK, text_baseline="middle"
         )
-        side = dict(text_align="left", x_offset=5) if at < middle else dict(text_align="right", x_offset=-5)
+        side: dict[str, Any] = (
+            dict(text_align="left", x_offset=5) if at < middle else dict(text_align="right", x_offset=-5)
+        )
         p.add_layout(Label(x=at, y=top - 0.55 - k, text=text, **look, **side))
     hover = p.select_one(HoverTool)
     hover.renderers, hover.mode, hover.tooltips = [boxes], "mouse", [("", "@what")]
@@ -103,7 +105,7 @@ def _angle(facts: Mapping[str, Any], x_range, angle: str) -> Any:
     low, high = (float(seen.min()), float(seen.max())) if seen.size else (0.0, 0.0)
     room = 0.08 * (high - low) + max(0.0, 0.5 * (LEAST_SPAN - (high - low)))
     p.y_range = Range1d(start=low - room, end=high + room)
-    style = {
+    style: dict[str, dict[str, Any]] = {
         "actual": dict(color="#2b83ba", line_width=2.2),
         "wanted": dict(color=INK, line_width=1.8, line_dash="dashed"),
     }
