@@ -18,6 +18,7 @@ from rotorwatch.fleet.explain import CENTRE, STEP, WORN, Found, Series
 from rotorwatch.fleet.store import Store
 from rotorwatch.healthy.whole_flight import LIMITED, SLOPE_BETWEEN_SD
 
+FELL = "control was lost in it"
 TAUGHT_BY = ("healthy", "inconclusive")
 SISTERS = 2  # others of the build, from which on they are compared with
 BETWEEN = 2.0  # aircraft of a build differ by so many times what flights of one do, before any was seen
@@ -122,6 +123,8 @@ def _place(rows: Sequence[Mapping], service: Mapping) -> int:
 
 
 def _why_not(row: Mapping, rotors: int) -> str:
+    if row["trim"].get("lost"):
+        return FELL
     if row["verdict"] not in TAUGHT_BY:
         return f"judged {row['verdict']} by itself"
     if not row["trim"]:
