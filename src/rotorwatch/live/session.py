@@ -13,6 +13,7 @@ from rotorwatch.default import events
 from rotorwatch.diagnosis import Event
 from rotorwatch.flight import Flight, Message, Signal
 from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.live.control import Control
 from rotorwatch.live.judge import Judge
 from rotorwatch.live.stream import Piece, Stream
 from rotorwatch.motion.ticks import JUDGE, LEARN, READY_KNOWN_S, READY_S
@@ -53,6 +54,7 @@ class Session:
         """about: what is known of the flight besides its signals: parameters, autopilot, facts. vehicle: None to identify it by these."""
         self.about, self.vehicle = about, vehicle
         self._judge: Judge | None = None
+        self._control: Control | None = None
         self._building: Building | None = None
         self._pieces: list[Piece] = []
         self._dynamics = (vehicle.identified or {}).get("dynamics") if vehicle is not None else None
@@ -65,8 +67,9 @@ class Session:
     def add(self, signals: Mapping[str, Signal], messages: Iterable[Message] = ()) -> None:
         """More of the flight, in time order. Raises VehicleError when the airframe cannot be identified."""
         self.now = max([self.now, *(float(s.time[-1]) for s in signals.values() if len(s))])
-        if self._stream is not None:
+        if self._stream is not None and self._control is not None:
             self._stream.add(signals, messages)
+            self._control.add(signals, messages)
             return
         self._early.append((signals, tuple(messages)))
         motors = next((s["motors"] for s, _ in self._early if "motors" in s), None)
@@ -78,9 +81,11 @@ class Session:
         else:
             airframes.check(self.vehicle, replace(self.about, signals={"motors": motors}))
         self._open()
+        self._control = Control(self.about, self.vehicle)
         early, self._early = self._early, []
         for more in early:
             self._stream_of().add(*more)
+            self._control.add(*more)
 
     def _stream_of(self) -> Stream:
         assert self._stream is not None
@@ -107,7 +112,12 @@ class Session:
         flight = stream.replanned()
         if flight is not None:
             return self._again(flight, complete)
-        return self._judged(piece, complete is not None)
+        return self._judged(self._cut(piece), complete is not None)
+
+    def _cut(self, piece: Piece, final: bool = False) -> Piece:
+        """The piece with its flights cut where the vehicle fell to the ground."""
+        assert self._control is not None
+        return replace(piece, spans=self._control.on(piece.spans, final))
 
     def _again(self, flight: Flight, complete: float | None) -> bool:
         """Begin anew with what is kept."""
@@ -141,15 +151,20 @@ class Session:
 
     def finish(self, duration: float) -> None:
         """The flight has ended, after `duration` s."""
-        if self._stream is None or self._stream.plan is None:
+        if self._stream is None or self._control is None:
             return
-        piece = self._stream.finish(duration)
+        piece = None if self._stream.plan is None else self._stream.finish(duration)
         if piece is not None:
-            self._judged(piece, True)
+            self._judged(self._cut(piece, True), True)
+        else:
+            self._control.on((), True)
 
     def events(self) -> tuple[Event, ...]:
         """All that has happened, as it looks now."""
-        return () if self._judge is None else self._judge.events()
+        known = () if self._judge is None else self._judge.events()
+        if self._control is None or self.vehicle is None:
+            return known
+        return self._control.events(known, len(self.vehicle.rotors))
 
     @property
     def judged(self) -> bool:
@@ -179,7 +194,8 @@ class Session:
     @property
     def said(self) -> int:
         """Grows when there may be other events."""
-        return 0 if self._judge is None else self._judge.said
+        known = 0 if self._judge is None else self._judge.said
+        return known + (0 if self._control is None else self._control.said)
 
     def losses(self) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
         """(loss, lower, upper), each (n,): of every rotor at the last tick; None before there is one."""

@@ -259,15 +259,17 @@ def hit(flight: Flight, start: float, end: float) -> float | None:
     return float(when[0]) if when.size else None
 
 
-def until_impact(flight: Flight, air, left: tuple[Departure, ...]) -> tuple[tuple[float, float], ...]:
+def until_impact(
+    flight: Flight, air, left: tuple[Departure, ...], over: bool = True
+) -> tuple[tuple[float, float], ...]:
     """The intervals `air` ((start, end), ...) s, each cut where the vehicle fell to the ground: what outputs and motion do after that says
-    nothing of its rotors."""
+    nothing of its rotors. over: all of them have ended, so that a vehicle that lay still after a blow is known to have stayed there."""
     cut = []
     for start, end in air:
         ends = [
             d.impact for d in left if d.impact is not None and start <= d.onset <= end and d.impact - d.onset > HIT_S
         ]
-        down = _struck_ground(flight, start, end)
+        down = _struck_ground(flight, start, end) if over else None
         ends += [down] if down is not None else []
         cut.append((start, min([end, *ends])))
     return tuple(cut)

@@ -1,0 +1,81 @@
+"""Loss of control of a vehicle that is watched: judged as of a log that ends now, once there is reason to."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+
+from rotorwatch.diagnosis import Event
+from rotorwatch.flight import Flight, Message, Signal
+from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.live.window import Window
+from rotorwatch.motion.allocation import Spans
+from rotorwatch.upset import departure
+from rotorwatch.upset import find as upset
+
+NAMES = (
+    "motors", "lift", "battery", "control", "gyro", "rates", "accel", "attitude", "attitude_wanted", "rates_wanted", "velocity", "position",
+)  # fmt: skip
+KEPT_S = 600.0  # of samples; a flight that is longer is judged by its last ten minutes
+RECENT_S = 6.0  # in which a departure shows, if there is one
+EVERY_S, SELDOM_S = 0.5, 5.0  # between two looks: as long as since the first suspicion, within these
+
+
+class Control:
+    """The departures of one vehicle. found: with their causes, as they look now; said: grows when these may be others."""
+
+    def __init__(self, about: Flight, vehicle: Vehicle):
+        self._window, self._vehicle = Window(about), vehicle
+        self.found: tuple[upset.Judged, ...] = ()
+        self.said = 0
+        self._hops = 0  # that have ended
+        self._impacts: dict[float, float] = {}  # start of a flight -> when it fell to the ground
+        self._suspected = np.inf
+        self._looked = -np.inf
+
+    def add(self, signals: Mapping[str, Signal], messages: Iterable[Message] = ()) -> None:
+        """More of the flight, in time order."""
+        self._window.add({name: s for name, s in signals.items() if name in NAMES}, messages)
+
+    def on(self, spans: Spans, final: bool = False) -> Spans:
+        """The intervals `spans` ((start, end), ...) s in the air, infinite where the vehicle flies, each cut where it fell to the ground.
+        final: nothing will come after."""
+        now = self._window.now
+        ended = sum(np.isfinite(end) for _, end in spans)
+        over = final or ended != self._hops
+        if over or now - self._looked >= np.clip(now - self._suspected, EVERY_S, SELDOM_S):
+            self._looked, self._hops = now, ended
+            if over or np.isfinite(self._suspected) or self._leaves(spans):
+                self._suspected = min(self._suspected, now)
+                self._judge(spans, over)
+            self._window.forget(now - KEPT_S)
+        return tuple((start, min(end, self._impacts.get(start, np.inf))) for start, end in spans)
+
+    def events(self, known: tuple[Event, ...], n: int) -> tuple[Event, ...]:
+        """The events `known` of n rotors with those of the departures."""
+        return upset.events(self.found, known, n) if self.found else known
+
+    def _leaves(self, spans: Spans) -> bool:
+        """Do the last seconds look as if control was lost?"""
+        since = self._window.now - RECENT_S
+        air = tuple((max(start, since), min(end, self._window.now)) for start, end in spans if end > since)
+        return bool(departure.find(self._window.flight(since - 1.0), air))
+
+    def _judge(self, spans: Spans, over: bool) -> None:
+        """Find the departures anew in what is kept; those whose samples are gone stay."""
+        flight = self._window.flight(-np.inf)
+        since = self._window.now - KEPT_S + upset.BEFORE_S
+        old = tuple(j for j in self.found if j.left.onset < since)
+        air = tuple((start, min(end, self._window.now)) for start, end in spans)
+        kept = tuple(span for span in air if span[1] > since)
+        new = upset.judged(flight, self._vehicle, kept) if kept or not air else ()
+        self.found = (*old, *(j for j in new if j.left.onset >= since))
+        for (start, end), (_, cut) in zip(kept, upset.until_impact(flight, kept, self.found, over)):
+            if cut < end:
+                self._impacts[start] = cut
+            else:
+                self._impacts.pop(start, None)
+        self.said += 1
+        if not self.found:
+            self._suspected = np.inf
