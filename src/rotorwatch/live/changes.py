@@ -9,6 +9,7 @@ from rotorwatch.diagnosis import Event
 
 LOSS_STEP = 0.02  # by which a loss or a bound of it must move to be told again
 SAME_S = 1.0  # two onsets so close are of one event
+REFINED = ("loss_of_effectiveness", "loss_of_control")  # events whose rotors may turn out to be others
 ANNOUNCED, CHANGED, WITHDRAWN, FINAL = "announced", "changed", "withdrawn", "final"
 
 
@@ -67,7 +68,7 @@ def _equal(old: Event, new: Event) -> bool:
 
 def _alike(old: Event, new: Event) -> bool:
     """One event of which more is known now: what began together, was announced together, or has the same rotors at the same time."""
-    if old.kind != new.kind or (old.kind != "loss_of_effectiveness" and old.rotors != new.rotors):
+    if old.kind != new.kind or (old.kind not in REFINED and old.rotors != new.rotors):
         return False
     return abs(old.onset_s - new.onset_s) < SAME_S or old.detected_s == new.detected_s
 
@@ -75,7 +76,7 @@ def _alike(old: Event, new: Event) -> bool:
 def _differs(old: Event, new: Event) -> bool:
     if (old.rotors, old.alternatives, old.end_s is None) != (new.rotors, new.alternatives, new.end_s is None):
         return True
-    if len(old.loss) != len(new.loss) or old.extra.get("override") != new.extra.get("override"):
+    if len(old.loss) != len(new.loss) or any(old.extra.get(k) != new.extra.get(k) for k in ("override", "cause")):
         return True
     numbers = zip(
         (*old.loss, *(x for pair in old.interval for x in pair)),

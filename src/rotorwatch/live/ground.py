@@ -23,7 +23,12 @@ PAUSE_S = 2.0  # between two texts of one vehicle
 A_MINUTE = 10  # texts of one vehicle in a minute
 STEP = 0.1  # by which a loss must move to be told again: half of what is worth an alert elsewhere would fill a pilot's screen
 SLOW_S, FAST_S = 5.0, 1.0  # between two values of a rotor, on serial ports and elsewhere
-WORDS = {"output_override": "output overridden", "contact": "knock or contact"}
+FAULTS = ("loss_of_effectiveness", "output_override", "motor_order")
+LOST = "loss_of_control"
+WORDS = {"output_override": "output overridden", "contact": "knock or contact", "motor_order": "in the wrong order"}
+CAUSES = {  # of a loss of control without a rotor, in the few characters there are
+    "disarmed": "motors stopped", "knock": "knock", "controller": "told wrong", "saturated": "no thrust left", "power": "power failed",
+}  # fmt: skip
 
 
 @dataclass
@@ -97,10 +102,15 @@ def _gist(alert: dict) -> tuple:
     if alert["type"] == "notice":
         return (alert["text"],), (), False, False, ()
     event = alert["event"]
-    over = event["kind"] != "contact" and event["end_s"] is not None
+    gone = _over(event), alert["state"] == WITHDRAWN
     return (
-        tuple(event["rotors"]), tuple(map(tuple, event["alternatives"])), over, alert["state"] == WITHDRAWN, tuple(event["loss"]),
+        tuple(event["rotors"]), (event.get("cause"), *map(tuple, event["alternatives"])), *gone, tuple(event["loss"]),
     )  # fmt: skip
+
+
+def _over(event: dict) -> bool:
+    """Knocks have no duration, and what ended with the impact is not over."""
+    return event["kind"] != "contact" and event["end_s"] is not None and not event.get("impact_s")
 
 
 def _worth(said: tuple | None, alert: dict) -> bool:
@@ -114,14 +124,14 @@ def _worth(said: tuple | None, alert: dict) -> bool:
 
 
 def severity(alert: dict) -> int:
-    """A lasting fault is critical, one of several explanations a warning, what is over or taken back a notice."""
+    """A lasting fault and a loss of control are critical, one of several explanations a warning, what is over or taken back a notice."""
     if alert["type"] == "notice":
         return CRITICAL if "stands" in alert["text"] else NOTICE
     event = alert["event"]
-    if alert["state"] == WITHDRAWN or event["kind"] not in ("loss_of_effectiveness", "output_override"):
+    if alert["state"] == WITHDRAWN or event["kind"] not in (*FAULTS, LOST) or _over(event):
         return NOTICE
-    if event["end_s"] is not None:
-        return NOTICE
+    if event["kind"] == LOST:
+        return CRITICAL
     return WARNING if event["alternatives"] else CRITICAL
 
 
@@ -135,14 +145,16 @@ def words(alert: dict) -> str:
         what = f"{who} lost {'/'.join(f'{100 * loss:.0f}' for loss in event['loss'])} %"
         if len(event["interval"]) == 1:
             what += f" ({100 * event['interval'][0][0]:.0f}-{100 * event['interval'][0][1]:.0f})"
+    elif event["kind"] == LOST:
+        what = ", ".join(filter(None, ("LOSS OF CONTROL", who or CAUSES.get(event["cause"], ""))))
     else:
         what = f"{who} {WORDS.get(event['kind'], event['kind'].replace('_', ' '))}".strip()
     if alert["state"] == WITHDRAWN:
         what += " taken back"
-    elif event["kind"] != "contact" and event["end_s"] is not None:
+    elif _over(event):
         what += " is over"
     what = f"rotorwatch: {what}"
-    if event["alternatives"] and event["end_s"] is None and alert["state"] != WITHDRAWN:
+    if event["alternatives"] and not _over(event) and alert["state"] != WITHDRAWN:
         others = " or " + ",".join("+".join(map(str, a)) for a in event["alternatives"])
         what += others if len(what + others) <= MOST else " or others"
     return what.encode("ascii", "replace").decode()[:MOST]

@@ -17,7 +17,7 @@ from rotorwatch.live.watched import Watched
 from rotorwatch.optional import library
 
 EVERY_S = 1.0
-STATES = ("FAULT", "MAYBE", "OK", "GROUND", "BLIND", "SILENT", "ERROR")
+STATES = ("LOST", "FAULT", "MAYBE", "OK", "GROUND", "BLIND", "SILENT", "ERROR")
 
 
 @dataclass(frozen=True)

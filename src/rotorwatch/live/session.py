@@ -167,6 +167,11 @@ class Session:
         return self._control.events(known, len(self.vehicle.rotors))
 
     @property
+    def lost(self) -> tuple[float, ...]:
+        """Times [s] at which control was lost."""
+        return () if self._control is None else tuple(j.left.lost for j in self._control.found)
+
+    @property
     def judged(self) -> bool:
         """Whether any tick has been judged."""
         return self.ticks > 0

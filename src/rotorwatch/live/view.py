@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,12 +11,14 @@ from rotorwatch.answer.wording import KINDS, interval, percent, rotors
 from rotorwatch.diagnosis import Event
 from rotorwatch.live.watch import Source
 from rotorwatch.live.watched import Watched
+from rotorwatch.upset.find import CAUSES
 
 BAR = " ▁▂▃▄▅▆▇█"
 SILENT_S = 3.0
-FAULTS = ("loss_of_effectiveness", "output_override")
+LOST = "loss_of_control"
 SHOWN = 3  # events of a vehicle, the newest
 STYLES = {
+    "LOST": "bold white on red",
     "FAULT": "bold white on red",
     "MAYBE": "bold black on yellow",
     "OK": "bold green",
@@ -27,7 +29,8 @@ STYLES = {
 
 @dataclass(frozen=True)
 class Line:
-    """One vehicle in words. state: FAULT, MAYBE, OK, GROUND, BLIND, SILENT or ERROR. rotors: (number, loss, style) of each."""
+    """One vehicle in words. state: LOST (control), FAULT, MAYBE, OK, GROUND, BLIND, SILENT or ERROR. rotors: (number, loss, style) of
+    each."""
 
     name: str
     state: str
@@ -38,21 +41,32 @@ class Line:
     esc: str = ""
 
 
+def lasting(events: Iterable[Event]) -> list[Event]:
+    """Those that still say something is wrong: control that was lost, motors in the wrong order, and faults that are not over."""
+    return [
+        e
+        for e in events
+        if e.kind in (LOST, "motor_order")
+        or (e.kind in ("loss_of_effectiveness", "output_override") and e.end_s is None)
+    ]
+
+
 def line(watched: Watched, waits_for: str = "") -> Line:
     """What there is to say of a vehicle right now."""
     session, health = watched.session, watched.health
     silence = time.monotonic() - health.heard
     known = None if session is None else session.losses()
-    faults = [e for e in watched.events if e.kind in FAULTS]
-    lasting = [e for e in faults if e.end_s is None]
+    wrong = lasting(watched.events)
     blind = watched.trouble or (
         f"waiting for {waits_for}" if waits_for else "not known yet" if session is None else session.blind()
     )
-    if watched.trouble:
+    if any(e.kind == LOST for e in wrong):
+        state = "LOST"
+    elif watched.trouble:
         state = "ERROR"
-    elif any(not e.alternatives for e in lasting):
+    elif any(not e.alternatives for e in wrong):
         state = "FAULT"
-    elif lasting:
+    elif wrong:
         state = "MAYBE"
     elif silence > SILENT_S:
         state = "SILENT"
@@ -60,7 +74,7 @@ def line(watched: Watched, waits_for: str = "") -> Line:
         state = "BLIND" if blind and not blind.startswith("thrust") else "OK"
     else:
         state = "GROUND"
-    named = {r for e in lasting for r in e.rotors}
+    named = {r for e in wrong for r in e.rotors}
     bars = ()
     if known is not None:
         bars = tuple((k + 1, float(loss), "bold red" if k + 1 in named else "") for k, loss in enumerate(known[0]))
@@ -73,11 +87,14 @@ def words(event: Event, now: float | None = None) -> str:
     """What happened, and when; how long ago, when `now` says what time it is."""
     ago = f"{event.onset_s:.1f} s" + ("" if now is None else f" ({max(now - event.onset_s, 0.0):.0f} s ago)")
     over = "" if event.end_s is None or event.kind == "contact" else f", over at {event.end_s:.1f} s"
+    others = f"; or {' or '.join('+'.join(map(str, a)) for a in event.alternatives)}" if event.alternatives else ""
+    if event.kind == LOST:
+        who = f", {rotors(event.rotors)}" if event.rotors else ""
+        return f"{KINDS[LOST]} at {ago}{who}{others}: {CAUSES[event.extra['cause']]}"
     if event.kind != "loss_of_effectiveness":
         who = f" of {rotors(event.rotors)}" if event.rotors else ""
         return f"{KINDS[event.kind]}{who} at {ago}{over}"
     how_much = ", ".join(f"{percent(loss)} ({interval(*bounds)})" for loss, bounds in zip(event.loss, event.interval))
-    others = f"; or {' or '.join('+'.join(map(str, a)) for a in event.alternatives)}" if event.alternatives else ""
     return f"{rotors(event.rotors)} lost {how_much} since {ago}{over}{others}"
 
 

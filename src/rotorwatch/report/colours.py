@@ -57,6 +57,11 @@ def chosen(numbers: Iterable[int], bad: Sequence[int], open_: Sequence[int] = ()
 
 def of_event(event: Event) -> str:
     """The colour of an event: of its verdict."""
-    if event.kind not in ("loss_of_effectiveness", "output_override"):
+    if not event.rotors or event.kind not in (
+        "loss_of_effectiveness",
+        "output_override",
+        "motor_order",
+        "loss_of_control",
+    ):
         return INK
     return SUSPECT if event.alternatives else FAULT

@@ -17,7 +17,7 @@ from rotorwatch.fleet import identity
 from rotorwatch.fleet.store import Entry
 from rotorwatch.live.session import Session
 
-LEAST_S = 5.0  # in the air: less is a test of the motors
+LEAST_S = 5.0  # in the air: less is a test of the motors, where control was not lost
 SETTLED_S = 5.0  # after a landing: until then what was judged may be taken back
 GAP_S = 1.0  # between two points of a band; more is a gap, in which nothing was judged
 
@@ -34,7 +34,8 @@ class Landings:
         for start, end in session.spans:
             end = min(end, session.now)
             sure = all_is_over or (end < session.now - SETTLED_S and np.isfinite(end))
-            if sure and end - start >= LEAST_S and not any(abs(start - known) < LEAST_S for known in self._listed):
+            flown = end - start >= LEAST_S or any(start <= lost <= end + SETTLED_S for lost in session.lost)
+            if sure and flown and not any(abs(start - known) < LEAST_S for known in self._listed):
                 self._listed.append(start)
                 found.append((start, end))
         return found

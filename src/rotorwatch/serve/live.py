@@ -147,7 +147,7 @@ class Shown:
         self._placed()
         frame = self.frame
         told = sorted(self.watched.changes.now.items(), key=lambda item: -item[1].detected_s)[:EVENTS]
-        lasting = [e for _, e in told if e.kind in view.FAULTS and e.end_s is None]
+        lasting = view.lasting(e for _, e in told)
         bad = sorted({r for e in lasting if not e.alternatives for r in e.rotors})
         open_ = sorted(
             {r for e in lasting if e.alternatives for s in (e.rotors, *e.alternatives) for r in s} - set(bad)

@@ -2,6 +2,7 @@
 import { draw, make, mark, percent, say } from "./dom.js";
 
 const WORDS = {
+  LOST: ["✕", "Loss of control", "fault"],
   FAULT: ["✕", "Fault", "fault"],
   MAYBE: ["?", "Ambiguous", "ambiguous"],
   OK: ["✓", "No fault", "healthy"],
