@@ -354,6 +354,11 @@ class Session:
         self._work = _address(self._room)
         self._make = builder(layout.out_like)
 
+    @property
+    def carry(self) -> Any:
+        """What `state` holds, as the estimator has it."""
+        return rebuilt(self._library.layout.carry_like, self._library.leaves(self.state))
+
     def run(self, u, y, valid) -> Any:
         """Outputs of the rows, stacked."""
         given = [np.ascontiguousarray(u, float), np.ascontiguousarray(y, float), np.ascontiguousarray(valid, bool)]

@@ -230,19 +230,24 @@ class Steps:
         if self._library is not None:
             self._session = native.Session(self._library, parameters, carry)
         else:
-            self._program, self.carry = _program(build, select), carry
+            self._program, self._carry = _program(build, select), carry
             self._parameters = load_jax().tree.map(np.asarray, parameters)
             self.run(np.zeros((1, sizes[0])), np.zeros((1, sizes[1])), np.zeros((1, sizes[1]), bool))
-            self.carry = carry
+            self._carry = carry
+
+    @property
+    def carry(self) -> Any:
+        """What the estimator has come to, as `run_built` returns it."""
+        return self._carry if self._library is None else self._session.carry
 
     @property
     def state(self):
-        return self.carry if self._library is None else self._session.state.copy()
+        return self._carry if self._library is None else self._session.state.copy()
 
     @state.setter
     def state(self, kept):
         if self._library is None:
-            self.carry = kept
+            self._carry = kept
         else:
             self._session.state[...] = kept
 
@@ -256,6 +261,6 @@ class Steps:
             size = len(rows[0])
             rows = [np.concatenate([a, np.zeros((PIECE - size, *a.shape[1:]), a.dtype)]) for a in rows]
             assert self._program is not None
-            self.carry, out = self._program(self._parameters, self.carry, *rows, size)
+            self._carry, out = self._program(self._parameters, self._carry, *rows, size)
             parts.append(jax.tree.map(lambda a, size=size: np.asarray(a)[:size], out))
         return jax.tree.map(lambda *a: np.concatenate(a), *parts)

@@ -12,7 +12,7 @@ hop that hovers at less than half of the command of another stands on the ground
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -82,9 +82,7 @@ def _cut(ticks: Ticks, keep: np.ndarray, restart: np.ndarray, mode: int) -> Tick
     """The ticks `keep` (T,), all of one mode; None when there is none."""
     if not keep.any():
         return None
-    table = replace(ticks, restart=restart, mode=np.full(len(ticks.time), mode, np.int32))
-    cut = {f.name: value[keep] for f in fields(table) if isinstance(value := getattr(table, f.name), np.ndarray)}
-    return replace(table, **cut)
+    return replace(ticks, restart=restart, mode=np.full(len(ticks.time), mode, np.int32)).part(keep)
 
 
 def find(carry, ticks: Ticks, hyp: Hypotheses, B: np.ndarray) -> tuple[Event, ...]:

@@ -20,6 +20,7 @@ NAMES = (
 KEPT_S = 600.0  # of samples; a flight that is longer is judged by its last ten minutes
 RECENT_S = 6.0  # in which a departure shows, if there is one
 EVERY_S, SELDOM_S = 0.5, 5.0  # between two looks: as long as since the first suspicion, within these
+SETTLED_S = upset.AFTER_S + 2.0  # after a loss of control: all that its cause is judged by has been heard
 
 
 class Control:
@@ -48,7 +49,7 @@ class Control:
             self._looked, self._hops = now, ended
             if over or np.isfinite(self._suspected) or self._leaves(spans):
                 self._suspected = min(self._suspected, now)
-                self._judge(spans, over)
+                self._judge(spans, final)
             self._window.forget(now - KEPT_S)
         return tuple((start, min(end, self._impacts.get(start, np.inf))) for start, end in spans)
 
@@ -57,21 +58,27 @@ class Control:
         return upset.events(self.found, known, n) if self.found else known
 
     def _leaves(self, spans: Spans) -> bool:
-        """Do the last seconds look as if control was lost?"""
+        """Do the last seconds look as if control was lost, or as if something had been hit?"""
         since = self._window.now - RECENT_S
         air = tuple((max(start, since), min(end, self._window.now)) for start, end in spans if end > since)
-        return bool(departure.find(self._window.flight(since - 1.0), air))
+        flight = self._window.flight(since - 1.0)
+        return bool(departure.find(flight, air)) or any(departure.hit(flight, *hop) is not None for hop in air)
 
-    def _judge(self, spans: Spans, over: bool) -> None:
+    def _judge(self, spans: Spans, final: bool) -> None:
         """Find the departures anew in what is kept; those whose samples are gone stay."""
         flight = self._window.flight(-np.inf)
         since = self._window.now - KEPT_S + upset.BEFORE_S
         old = tuple(j for j in self.found if j.left.onset < since)
         air = tuple((start, min(end, self._window.now)) for start, end in spans)
         kept = tuple(span for span in air if span[1] > since)
-        new = upset.judged(flight, self._vehicle, kept) if kept or not air else ()
-        self.found = (*old, *(j for j in new if j.left.onset >= since))
-        for (start, end), (_, cut) in zip(kept, upset.until_impact(flight, kept, self.found, over)):
+        settled = [j for j in self.found if not final and self._window.now > j.left.lost + SETTLED_S]
+        new = [
+            next((j for j in settled if j.left == left), None) or upset.judge(flight, self._vehicle, kept, left)
+            for left in (departure.find(flight, kept) if kept or not air else ())
+            if left.onset >= since
+        ]
+        self.found = (*old, *new)
+        for (start, end), (_, cut) in zip(kept, upset.until_impact(flight, kept, self.found)):
             if cut < end:
                 self._impacts[start] = cut
             else:

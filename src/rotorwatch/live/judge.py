@@ -18,6 +18,7 @@ from rotorwatch.default import hypotheses, program
 from rotorwatch.diagnosis import Event
 from rotorwatch.flight import Signal
 from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.live.beginnings import Beginnings
 from rotorwatch.live.history import History
 from rotorwatch.live.stream import Piece
 from rotorwatch.motion import outside, ticks
@@ -130,6 +131,8 @@ class Judge:
         self._past: Past | None = None
         self._watch = Watch(vehicle)
         self._history = History(plan.dt)
+        known = vehicle.identified  # healthy flights have told what happened in the blind time
+        self._beginnings = None if known else Beginnings(self.hyp, self.B, plan.ready_s)
         self._tapes = (Tape(), Tape(), Tape())  # Sensed, Compared, Logged
         self._spans: Spans = ()
         self._time = self._air_s = -np.inf
@@ -140,8 +143,8 @@ class Judge:
         self.ticks = 0  # that were judged, those that were taken back and judged again twice
         self._kept = [self._keep()]
 
-    def on(self, piece: Piece) -> None:
-        """Go on with what has become known."""
+    def on(self, piece: Piece, final: bool = False) -> None:
+        """Go on with what has become known. final: nothing will come after."""
         for tape, more in zip(self._tapes, _rows(piece)):
             tape.add(more)
         changed = _changed(self._spans, piece.spans)
@@ -152,6 +155,9 @@ class Judge:
         if piece.air_s > self._air_s:
             self._judge_outputs(piece.air_s)
             self._air_s = piece.air_s
+        early = self._beginnings
+        if early is not None and (final or early.due(self._spans, self._time)):
+            early.look(self._steps.carry, self._spans, self._time)
         if self._time - self._kept[-1].time >= KEEP_EVERY_S:
             self._kept.append(self._keep())
             while len(self._kept) > 2 and self._kept[1].time < self._time - TAKE_BACK_S:
@@ -164,7 +170,8 @@ class Judge:
     def said(self) -> int:
         """Grows, or shrinks, when there may be other events."""
         contacts = 0 if self._past is None else len(self._past.contacts)
-        return self._history.said + len(self._watch.found()) + contacts + len(self._done)
+        early = 0 if self._beginnings is None else len(self._beginnings.found)
+        return self._history.said + len(self._watch.found()) + contacts + len(self._done) + early
 
     @property
     def contact_s(self) -> float:
@@ -175,6 +182,8 @@ class Judge:
         """All that has happened, as it looks now."""
         air = self._air()
         losses = (*self._done, *self._history.events(self.hyp, self.B))
+        if self._beginnings is not None:
+            losses = self._beginnings.join(losses)
         overrides = outside.as_events(self._watch.found(), self._falls(air))
         contacts = () if self._past is None else outside.contacts_in(self._past.contacts, air)
         found = (*outside.unexplained(losses, overrides), *overrides, *contacts)
@@ -204,6 +213,8 @@ class Judge:
         self._watch.again(kept.watch)
         self._steps.state = kept.state
         self._history.cut(kept.number)
+        if self._beginnings is not None:
+            self._beginnings.cut(kept.time)
         for tape, place in zip(self._tapes, kept.places):
             tape.at = place
 
@@ -225,6 +236,8 @@ class Judge:
         table, self._past = ticks.assemble(sensed, self.plan, self.B, self._spans, self._hover, self._past)
         out = self._steps.run(*program.inputs(table, self.B))
         self._history.add(table, out)
+        if self._beginnings is not None:
+            self._beginnings.add(table, self._spans)
         self._time = max(self._time, float(table.time[-1]))
         self.now = table, out
         self.unseen.add(np.asarray(out.biases), table)

@@ -125,9 +125,9 @@ class Session:
         self._stream_of().add(flight.signals, flight.messages)
         return self.advance(complete)
 
-    def _judged(self, piece: Piece, wait: bool) -> bool:
-        """Give a piece to the judge. Where native code is built for the first time that takes seconds, in which a link must be read:
-        unless told to `wait`, pieces are put by until it is there."""
+    def _judged(self, piece: Piece, wait: bool, final: bool = False) -> bool:
+        """Give a piece to the judge; final: the last one. Where native code is built for the first time that takes seconds, in which a link
+        must be read: unless told to `wait`, pieces are put by until it is there."""
         stream = self._stream_of()
         assert self.vehicle is not None and stream.plan is not None
         self._spans = piece.spans
@@ -141,7 +141,7 @@ class Session:
         self._judge.plan = stream.plan
         pieces, self._pieces = self._pieces, []
         for one in pieces:
-            self._judge.on(one)
+            self._judge.on(one, final and one is pieces[-1])
         return any(one.sensed is not None for one in pieces)
 
     @property
@@ -155,7 +155,7 @@ class Session:
             return
         piece = None if self._stream.plan is None else self._stream.finish(duration)
         if piece is not None:
-            self._judged(self._cut(piece, True), True)
+            self._judged(self._cut(piece, True), True, True)
         else:
             self._control.on((), True)
 

@@ -12,7 +12,8 @@ in the air and then kept for that hop. All frames body FRD.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -67,6 +68,22 @@ class Ticks:
     contact: np.ndarray | None = None
     contacts: tuple[Contact, ...] = ()
     seen: np.ndarray | None = None
+
+    def part(self, keep: np.ndarray) -> Ticks:
+        """The ticks `keep` (T,) bool."""
+        return replace(self, **{k: v[keep] for k, v in vars(self).items() if isinstance(v, np.ndarray)})
+
+
+def joined(parts: Sequence[Ticks]) -> Ticks:
+    """Ticks that follow each other, in one table. What one of the parts does not have, the whole has not, but for contacts."""
+    columns = {}
+    for name, last in vars(parts[-1]).items():
+        values = [getattr(p, name) for p in parts]
+        if name == "contact" and any(v is not None for v in values):
+            values = [np.zeros(len(p.time), bool) if p.contact is None else p.contact for p in parts]
+        array = all(isinstance(v, np.ndarray) for v in values)
+        columns[name] = np.concatenate(values) if array else None if isinstance(last, np.ndarray) else last
+    return Ticks(**columns)
 
 
 # Ticks in s, and the rate of commands in Hz from which on nearly all of them hold one.

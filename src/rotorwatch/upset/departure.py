@@ -155,9 +155,10 @@ def _leaves(flight, time, angle, words, start, end) -> Departure | None:
     for k in np.flatnonzero(out & ~np.concatenate([[False], out[:-1]])):
         if t[k] > end:
             return None
-        onset, back = _began(t, a, int(k)), _back(t, a, int(k))
+        onset, close = _began(t, a, int(k)), _close(t, a, int(k))
+        back = close if close is not None and t[-1] - close >= BACK_S else None
         impact = hit(flight, onset, end + 30.0 if back is None else back)
-        lasts = (t[-1] if back is None else back) - t[k]
+        lasts = (t[-1] if close is None else close) - t[k]
         if impact is not None and _ground(flight, impact, onset, start, end):
             return None
         if lasts < (GONE_S if impact is None or impact - onset <= HIT_S else LASTS_S):
@@ -177,14 +178,14 @@ def _began(t: np.ndarray, a: np.ndarray, k: int) -> float:
     return float(t[close[-1]] if close.size else t[0])
 
 
-def _back(t: np.ndarray, a: np.ndarray, k: int) -> float | None:
-    """When control came back: the begin of BACK_S within BACK_DEG; None where the flight ends before."""
+def _close(t: np.ndarray, a: np.ndarray, k: int) -> float | None:
+    """When the angle came within BACK_DEG, for BACK_S or what there is of them; None where it is farther at the end."""
     since = None
     for when, fine in zip(t[k:], a[k:] < BACK_DEG):
         since = (since if since is not None else when) if fine else None
         if since is not None and when - since >= BACK_S:
-            return float(since)
-    return None
+            break
+    return None if since is None else float(since)
 
 
 def _falls(flight: Flight, start: float, end: float) -> Departure | None:
@@ -259,17 +260,15 @@ def hit(flight: Flight, start: float, end: float) -> float | None:
     return float(when[0]) if when.size else None
 
 
-def until_impact(
-    flight: Flight, air, left: tuple[Departure, ...], over: bool = True
-) -> tuple[tuple[float, float], ...]:
+def until_impact(flight: Flight, air, left: tuple[Departure, ...]) -> tuple[tuple[float, float], ...]:
     """The intervals `air` ((start, end), ...) s, each cut where the vehicle fell to the ground: what outputs and motion do after that says
-    nothing of its rotors. over: all of them have ended, so that a vehicle that lay still after a blow is known to have stayed there."""
+    nothing of its rotors."""
     cut = []
     for start, end in air:
         ends = [
             d.impact for d in left if d.impact is not None and start <= d.onset <= end and d.impact - d.onset > HIT_S
         ]
-        down = _struck_ground(flight, start, end) if over else None
+        down = _struck_ground(flight, start, end)
         ends += [down] if down is not None else []
         cut.append((start, min([end, *ends])))
     return tuple(cut)

@@ -319,10 +319,9 @@ def _worked(judged: Judged, n: int, blamed, others, decided: float) -> list[floa
     return [start if r in blamed else judged.onset if r in suspects else until for r in range(1, n + 1)]
 
 
-def until_impact(flight: Flight, air, found: Sequence[Judged], over: bool = True) -> tuple[tuple[float, float], ...]:
+def until_impact(flight: Flight, air, found: Sequence[Judged]) -> tuple[tuple[float, float], ...]:
     """`departure.until_impact` for departures whose onset has been judged."""
-    left = tuple(replace(j.left, onset=min(j.onset, j.left.onset)) for j in found)
-    return departure.until_impact(flight, air, left, over)
+    return departure.until_impact(flight, air, tuple(replace(j.left, onset=min(j.onset, j.left.onset)) for j in found))
 
 
 def window_of(

@@ -1,0 +1,57 @@
+"""Losses in the blind time of a vehicle that is watched: looked for again when REST_S of flight have shown its noise, and at its end."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from rotorwatch.default import hindsight
+from rotorwatch.default.hypotheses import Hypotheses
+from rotorwatch.diagnosis import Event
+from rotorwatch.motion.allocation import Spans
+from rotorwatch.motion.ticks import Ticks, joined
+
+HOPS = 10  # whose beginnings are kept, the newest
+
+
+class Beginnings:
+    """The first ticks of each flight. found: losses that began in their blind time."""
+
+    def __init__(self, hyp: Hypotheses, B: np.ndarray, ready_s: float):
+        """B (4, n): effectiveness; ready_s: blind time [s]."""
+        self._hyp, self._B = hyp, B
+        self._length = ready_s + hindsight.REST_S
+        self._ticks: list[Ticks] = []
+        self._looked = -np.inf
+        self.found: tuple[Event, ...] = ()
+
+    def add(self, table: Ticks, spans: Spans) -> None:
+        """More ticks, of flights `spans` ((start, end), ...) s."""
+        starts = np.array([start for start, _ in spans[-HOPS:]])
+        hop = np.searchsorted(starts, table.time, "right") - 1
+        near = (hop >= 0) & (table.time <= starts[np.maximum(hop, 0)] + self._length) if starts.size else hop > 0
+        if near.any():
+            self._ticks.append(table.part(near))
+
+    def cut(self, end: float) -> None:
+        """Forget the ticks after `end` s."""
+        self._ticks = [t.part(t.time <= end) for t in self._ticks if t.time[0] <= end]
+
+    def due(self, spans: Spans, now: float) -> bool:
+        """Has a flight lasted long enough, at `now` s, or ended, since it was looked last?"""
+        ends = [min(start + self._length, end) for start, end in spans]
+        return any(self._looked < end <= now for end in ends)
+
+    def look(self, carry, spans: Spans, now: float) -> None:
+        """Look, at `now` s. carry: what the estimator has come to."""
+        self._looked = now
+        first = spans[-HOPS:][0][0] if spans else now
+        self._ticks = [t for t in self._ticks if t.time[-1] >= first]
+        if self._ticks:
+            old = tuple(e for e in self.found if e.detected_s < first)
+            self.found = (*old, *hindsight.find(carry, joined(self._ticks), self._hyp, self._B))
+
+    def join(self, losses: Sequence[Event]) -> tuple[Event, ...]:
+        """The losses that were announced in flight, with these."""
+        return hindsight.join(losses, self.found)
