@@ -65,6 +65,21 @@ def compared(which, link: str) -> dict:
     """What `watch` told over that link, what `diagnose` says of the flight's own log and of the recorded link, and how much later [s of the
     vehicle's time] the link's first event was told than the recording's was known; None without either."""
     flight, kind, weak = flight_of(which)
+    told, recording, announced_s = sent(flight, kind, link)
+    own = diagnose(flight).to_dict()["events"]
+    known = [e["detected_s"] for e in recording if e["kind"] in ALARMS]
+    late = announced_s - min(known) if announced_s is not None and known else None
+    sets = [[s for s in (e["rotors"], *e["alternatives"]) if s] for e in told if e["kind"] in ALARMS]
+    wrong = any(not any(set(s) <= set(weak) for s in named) for named in sets)
+    return {
+        "flight": which, "link": link, "weak": weak, "watch": rotors_of(told), "own": rotors_of(own), "recording": rotors_of(recording),
+        "late_s": late, "wrong": wrong,
+    }  # fmt: skip
+
+
+def sent(flight, kind: int, link: str) -> tuple[list[dict], list[dict], float | None]:
+    """The events that `watch` told of a flight over that link and holds, those that `diagnose` finds in the recorded link, and when the
+    first fault was told [s since the first sample]."""
     outputs_hz, motion_hz, cut = LINKS[link]
     said = messages(flight, kind=kind, outputs_hz=outputs_hz, motion_hz=motion_hz)
     autopilot = Autopilot({})
@@ -81,18 +96,10 @@ def compared(which, link: str) -> dict:
         recording = diagnose(logs.read(path)).to_dict()["events"]
     last = {a["number"]: a for a in alerts if a["type"] == "event"}
     told = [a["event"] for a in last.values() if a["state"] != "withdrawn"]
-    own = diagnose(flight).to_dict()["events"]
     announced = [
         a for a in alerts if a["type"] == "event" and a["state"] == "announced" and a["event"]["kind"] in ALARMS
     ]
-    known = [e["detected_s"] for e in recording if e["kind"] in ALARMS]
-    late = announced[0]["at"] - first - min(known) if announced and known else None
-    sets = [[s for s in (e["rotors"], *e["alternatives"]) if s] for e in told if e["kind"] in ALARMS]
-    wrong = any(not any(set(s) <= set(weak) for s in named) for named in sets)
-    return {
-        "flight": which, "link": link, "weak": weak, "watch": rotors_of(told), "own": rotors_of(own), "recording": rotors_of(recording),
-        "late_s": late, "wrong": wrong,
-    }  # fmt: skip
+    return told, recording, announced[0]["at"] - first if announced else None
 
 
 def one(task) -> dict:

@@ -34,6 +34,9 @@ def messages(flight, seconds=np.inf, boot_s=30.0, kind=QUAD, outputs_hz=25.0, mo
             np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)),
         )  # fmt: skip
         say(t, lambda t=t, a=angles, r=at: mavlink.MAVLink_attitude_message(ms(t), *map(float, a), *map(float, r)))
+    if "attitude_wanted" in flight.signals:
+        for t, q in thin(flight["attitude_wanted"], 5.0):
+            say(t, lambda t=t, q=q: mavlink.MAVLink_attitude_target_message(ms(t), 0, list(map(float, q)), 0, 0, 0, 0))
     if "velocity" in flight.signals:
         for t, row in thin(flight["velocity"], 5.0):
             say(t, lambda t=t, v=row: mavlink.MAVLink_local_position_ned_message(ms(t), 0, 0, 0, *map(float, v)))

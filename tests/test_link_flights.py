@@ -1,7 +1,9 @@
 """A small part of what `python -m tests.link_flights` runs: recorded flights of a real autopilot over a link, against their own logs."""
 
 import pytest
-from tests.link_flights import RECORDED, compared
+from tests.link_flights import RECORDED, compared, sent
+
+from rotorwatch import diagnose, logs
 
 
 @pytest.mark.parametrize(
@@ -23,3 +25,15 @@ def test_over_a_link_a_flight_is_judged_as_its_log_is(name, link, late_s):
     row = compared(name, link)
     assert row["watch"] == row["own"] == row["recording"] == {row["weak"]}
     assert not row["wrong"] and 0.0 <= row["late_s"] < late_s
+
+
+def test_over_a_link_a_vehicle_that_falls_is_told_with_its_rotor():
+    if not (CRASH := RECORDED.parent / "crash" / "quad-off-1.bin.xz").exists():
+        pytest.skip("the shared flight quad-off-1 is not here")
+    flight = logs.read(CRASH)
+    told, recording, _ = sent(flight, 2, "asked for")
+    (own,) = [e for e in diagnose(flight).events if e.kind == "loss_of_control"]
+    for events in (told, recording):
+        (lost,) = [e for e in events if e["kind"] == "loss_of_control"]
+        assert lost["rotors"] == list(own.rotors) == [2] and lost["cause"] == "rotor"
+        assert abs(lost["detected_s"] - own.detected_s) < 0.5 and abs(lost["impact_s"] - own.extra["impact_s"]) < 0.3

@@ -15,6 +15,7 @@ from rotorwatch.live import view
 from rotorwatch.live.changes import Changes
 from rotorwatch.live.judge import Tape
 from rotorwatch.live.replay import Replay
+from rotorwatch.live.session import Session
 from rotorwatch.live.stream import Stream
 from rotorwatch.live.watched import Watched
 from rotorwatch.motion import allocation, ticks
@@ -37,6 +38,11 @@ LOGS = (
     "wild/output-off-1.ulg.xz",
     "wild/rotor-off-1.ulg.xz",
     "wild/slow-bin-1.bin.xz",
+    "crash/climb-weak-1.bin.xz",
+    "crash/disarmed-1.bin.xz",
+    "crash/quad-half-1.bin.xz",
+    "crash/quad-off-1.bin.xz",
+    "crash/take-off-swapped-1.bin.xz",
 )
 
 
@@ -92,6 +98,25 @@ def test_a_log_replayed_gives_the_events_of_diagnose(name):
         }
         for key in ("loss", "interval", "loss_2s", "probability"):
             np.testing.assert_allclose(one.get(key, 0.0), other.get(key, 0.0), atol=2e-4)
+
+
+def test_a_loss_of_control_is_told_as_soon_as_it_is_certain():
+    flight = flight_of("crash/quad-off-1.bin.xz")
+    (lost,) = [e for e in diagnose(flight).events if e.kind == "loss_of_control"]
+    session, told = Session(flight), np.inf
+    for signals, messages, end in pieces(flight, seed=2, most=0.5):
+        session.add(signals, messages)
+        session.advance(np.nextafter(end, -np.inf))
+        first = [e for e in session.events() if e.kind == "loss_of_control"]
+        if first and told == np.inf:
+            told = end
+            assert (2,) in (first[0].rotors, *first[0].alternatives)
+    assert lost.detected_s <= told < lost.detected_s + 1.0
+
+
+def test_aerobatics_are_never_told_as_a_loss_of_control():
+    alerts, _ = replayed(flight_of("crash/flips-1.bin.xz"))
+    assert [a for a in alerts if a["type"] == "event" and a["event"]["kind"] == "loss_of_control"] == []
 
 
 @pytest.mark.parametrize(
@@ -278,6 +303,12 @@ def test_the_view_says_what_is_wrong_first():
     over = view.line(watched_with([hexa_event(end_s=40.0)], lost=5, taken=95, reboots=1), "parameters, 40 %")
     assert (over.state, over.blind) == ("GROUND", "waiting for parameters, 40 %")
     assert over.link == "5.0 % lost, 1 reboots" and over.events[0].endswith(", over at 40.0 s")
+    lost = hexa_event(kind="loss_of_control", rotors=(2,), loss=(), interval=(), end_s=33.0, extra={"cause": "rotor"})
+    crash = view.line(watched_with([hexa_event(), lost]))
+    assert crash.state == "LOST"
+    assert crash.events[0] == "loss of control at 31.2 s (0 s ago), rotor 2: a rotor lost its thrust"
+    fell = hexa_event(kind="loss_of_control", rotors=(), loss=(), interval=(), extra={"cause": "disarmed"})
+    assert view.line(watched_with([fell])).state == "LOST"
     silent = view.line(watched_with([], heard=-100.0))
     assert silent.state == "SILENT" and "silent for" in silent.link
     knock = hexa_event(kind="contact", rotors=(), loss=(), interval=(), end_s=31.2)

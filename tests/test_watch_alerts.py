@@ -233,6 +233,36 @@ def test_a_fault_is_told_in_plain_words_and_again_only_when_it_has_changed_much(
     assert step(alert(number=2), alert(number=2, state="withdrawn")) == []  # gone before it was said
 
 
+@pytest.mark.parametrize(
+    "event, state, severity, words",
+    [
+        ({"rotors": (2,), "cause": "rotor"}, "announced", ground.CRITICAL, "LOSS OF CONTROL, rotor 2"),
+        ({"rotors": (2,), "alternatives": ((3,),), "cause": "unknown"}, "announced", ground.CRITICAL, "LOSS OF CONTROL, rotor 2 or 3"),
+        ({"cause": "disarmed"}, "announced", ground.CRITICAL, "LOSS OF CONTROL, motors stopped"),
+        ({"cause": "unknown"}, "changed", ground.CRITICAL, "LOSS OF CONTROL"),
+        ({"cause": "knock", "end_s": 33.0, "impact_s": 33.0}, "final", ground.CRITICAL, "LOSS OF CONTROL, knock"),
+        ({"cause": "knock", "end_s": 33.0, "impact_s": None}, "changed", ground.NOTICE, "LOSS OF CONTROL, knock is over"),
+        ({"rotors": (2,), "cause": "rotor"}, "withdrawn", ground.NOTICE, "LOSS OF CONTROL, rotor 2 taken back"),
+        ({"kind": "motor_order", "rotors": (1, 2)}, "announced", ground.CRITICAL, "rotors 1+2 in the wrong order"),
+    ],
+)  # fmt: skip
+def test_a_loss_of_control_is_critical_and_its_cause_is_told(event, state, severity, words):
+    told = {k: v for k, v in event.items() if k not in ("cause", "impact_s")}
+    extra = {k: v for k, v in event.items() if k in ("cause", "impact_s")}
+    told = {"kind": "loss_of_control", "rotors": (), "loss": (), "interval": (), **told, "extra": extra}
+    said = alert(state=state, **told)
+    assert (ground.severity(said), ground.words(said)) == (severity, f"rotorwatch: {words}")
+
+
+def test_a_cause_that_is_known_later_is_told_again(told):
+    outlet, link, wire, now = told
+    for rotors, cause in (((), "unknown"), ((2,), "rotor"), ((2,), "rotor")):
+        outlet.take(alert(kind="loss_of_control", rotors=rotors, loss=(), interval=(), extra={"cause": cause}))
+        now[0] += 30.0
+        outlet.step([link])
+    assert [text for _, text in texts(wire)] == ["rotorwatch: LOSS OF CONTROL", "rotorwatch: LOSS OF CONTROL, rotor 2"]
+
+
 def test_texts_are_few_and_the_worst_comes_first(told):
     outlet, link, wire, now = told
     outlet.take(alert(number=1, kind="contact", rotors=(), loss=(), interval=(), end_s=31.2))

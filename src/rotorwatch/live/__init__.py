@@ -11,8 +11,10 @@ replay.py     a recorded flight instead of a link
 window.py     the last seconds of a vehicle's signals
 stream.py     samples to ticks: the front end of a diagnosis, piece by piece
 history.py    the ticks that events are made of
+beginnings.py losses in the blind time, looked for again
+control.py    loss of control: samples of ten minutes to departures and their causes
 judge.py      ticks to events, and what is taken back when a landing is certain
-session.py    one vehicle's stream and judge
+session.py    one vehicle's stream, judge and loss of control
 rotors.py     what ESC telemetry says of a vehicle that flies
 changes.py    what is new about the events
 watched.py    one vehicle, what was told of it, and the health of its link

@@ -43,14 +43,16 @@ class Beginnings:
         ends = [min(start + self._length, end) for start, end in spans]
         return any(self._looked < end <= now for end in ends)
 
-    def look(self, carry, spans: Spans, now: float) -> None:
-        """Look, at `now` s. carry: what the estimator has come to."""
+    def look(self, carry, spans: Spans, now: float, final: bool = False) -> None:
+        """Look at the last flight, at `now` s; final: at all that are kept. carry: what the estimator has come to."""
         self._looked = now
-        first = spans[-HOPS:][0][0] if spans else now
-        self._ticks = [t for t in self._ticks if t.time[-1] >= first]
-        if self._ticks:
+        kept = [start for start, _ in spans[-HOPS:]] or [now]
+        first = kept[0] if final else kept[-1]
+        self._ticks = [t for t in self._ticks if t.time[-1] >= kept[0]]
+        ticks = [t for t in self._ticks if t.time[-1] >= first]
+        if ticks:
             old = tuple(e for e in self.found if e.detected_s < first)
-            self.found = (*old, *hindsight.find(carry, joined(self._ticks), self._hyp, self._B))
+            self.found = (*old, *hindsight.find(carry, joined(ticks), self._hyp, self._B))
 
     def join(self, losses: Sequence[Event]) -> tuple[Event, ...]:
         """The losses that were announced in flight, with these."""

@@ -157,7 +157,7 @@ class Judge:
             self._air_s = piece.air_s
         early = self._beginnings
         if early is not None and (final or early.due(self._spans, self._time)):
-            early.look(self._steps.carry, self._spans, self._time)
+            early.look(self._steps.carry, self._spans, self._time, final)
         if self._time - self._kept[-1].time >= KEEP_EVERY_S:
             self._kept.append(self._keep())
             while len(self._kept) > 2 and self._kept[1].time < self._time - TAKE_BACK_S:

@@ -16,7 +16,7 @@ from rotorwatch.upset.find import CAUSES
 BAR = " ▁▂▃▄▅▆▇█"
 SILENT_S = 3.0
 LOST = "loss_of_control"
-SHOWN = 3  # events of a vehicle, the newest
+SHOWN = 3  # events of a vehicle: that control was lost, and the newest
 STYLES = {
     "LOST": "bold white on red",
     "FAULT": "bold white on red",
@@ -79,7 +79,8 @@ def line(watched: Watched, waits_for: str = "") -> Line:
     if known is not None:
         bars = tuple((k + 1, float(loss), "bold red" if k + 1 in named else "") for k, loss in enumerate(known[0]))
     now = 0.0 if session is None else session.now
-    told = tuple(words(e, now) for e in sorted(watched.events, key=lambda e: -e.detected_s)[:SHOWN])
+    newest = sorted(watched.events, key=lambda e: (e.kind != LOST, -e.detected_s))[:SHOWN]
+    told = tuple(words(e, now) for e in newest)
     return Line(watched.name, state, bars, told, _link(health, silence), blind, watched.rotors.words())
 
 
