@@ -21,6 +21,7 @@ from rotorwatch.live.watched import Watched
 from rotorwatch.motion import allocation, ticks
 from rotorwatch.motion.airborne import airborne
 from rotorwatch.motion.ticks import READY_S
+from rotorwatch.simulation import scenario, simulate
 
 FLIGHTS = Path(__file__).resolve().parents[2] / "shared" / "flights"
 SAMPLES = Path(cli.__file__).parent / "samples"
@@ -112,6 +113,20 @@ def test_a_loss_of_control_is_told_as_soon_as_it_is_certain():
             told = end
             assert (2,) in (first[0].rotors, *first[0].alternatives)
     assert lost.detected_s <= told < lost.detected_s + 1.0
+
+
+def test_a_pair_is_never_told_as_the_rotor_between_them_alone():
+    table = {
+        "duration_s": 44.0, "seed": 5, "airframe": {"frame": "hexa-x"}, "wind": {"speed_m_s": 2.0}, "logging": {"profile": "full"},
+        "faults": [{"kind": "loss", "rotor": r, "onset_s": 32.0, "strength": 0.6} for r in (1, 3)],
+    }  # fmt: skip
+    replay = Replay(simulate(scenario.from_table(table)).flight, Watched("one", (alerts := []).append), speed=1e6)
+    replay._step = 0.05
+    while replay.poll():
+        pass
+    told = [a["event"] for a in alerts if a["type"] == "event" and a["event"]["rotors"]]
+    assert len(told) > 1 and told[-1]["rotors"] == [1, 3] and told[-1]["alternatives"] == []
+    assert [e for e in told if [1, 3] not in (e["rotors"], *e["alternatives"])] == []
 
 
 def test_aerobatics_are_never_told_as_a_loss_of_control():

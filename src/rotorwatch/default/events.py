@@ -21,6 +21,7 @@ MODEL_SD = 0.004  # rotors that are not equal
 # By what share the thrust curve may be steeper or flatter in hover than the log says: an expo of 0.65 that is 0.12 off.
 CURVE_SHARE = 0.08
 HIDDEN = 20.0  # times that the data alone must prefer a pair of opposite rotors to be named
+SETTLES_S = 1.0  # after an announcement: by then a pair that was taken for one rotor is told from it
 COAXIAL_SHARE = 0.06  # ... how the thrust of a coaxial arm divides: half of what the lower rotors' share may be off by
 # Estimates, evenly spaced, that say what a loss was that is over: so few can be kept on board as they come.
 ESTIMATES = 16
@@ -59,17 +60,20 @@ def opposites(B: np.ndarray) -> dict[int, tuple[int, ...]]:
     return {i: tuple(j for j in range(n) if j != i and np.abs(B[:2, i] + B[:2, j]).max() < 0.05) for i in range(n)}
 
 
-def hidden_pairs(shares: dict, partners: dict) -> tuple[tuple[int, ...], ...]:
+def hidden_pairs(shares: dict, partners: dict, young: bool = False) -> tuple[tuple[int, ...], ...]:
     """Pairs that only their rarity, not the data, rules out against a single rotor: it and the one opposite.
 
     Losses on opposite rotors cancel in roll and pitch; gusts hide the rest in yaw and thrust. When the data favour such
-    a pair by more than HIDDEN once prior weights are taken out, a small single loss must not be claimed.
+    a pair by more than HIDDEN once prior weights are taken out, a small single loss must not be claimed. young: of a loss that
+    has just been announced any pair: equal losses of two rotors look like one of the rotor between them until their yaw and thrust show.
     """
     best = next(iter(shares), ())
     if len(best) != 1:
         return ()
     rarity = hypotheses.WEIGHT["single"] / hypotheses.WEIGHT["pair"]
     pairs = [tuple(sorted((best[0], j))) for j in partners.get(best[0], ())]
+    if young:
+        pairs = [s for s in shares if len(s) == 2]
     return tuple(p for p in pairs if shares.get(p, 0.0) * rarity > HIDDEN * shares[best])
 
 
@@ -81,11 +85,11 @@ def opposite_shares(hyp: Hypotheses, log_odds: np.ndarray, partners: dict) -> di
     return {hyp.rotors[pairs[k]]: float(weight[k] / weight.sum()) for k in order}
 
 
-def read(out, ticks: Ticks, hyp: Hypotheses, B: np.ndarray | None = None) -> tuple[Event, ...]:
+def read(out, ticks: Ticks, hyp: Hypotheses, B: np.ndarray | None = None, flies: bool = False) -> tuple[Event, ...]:
     """Events of one flight from the diagnoser's stacked outputs (theta, theta_sd, announced, since, active, share, ...).
 
     At every announcement the estimator goes on with a few explanations; the one that leads when the next announcement is made, or at
-    the end, is what happened.
+    the end, is what happened. flies: the flight goes on, and what was announced a moment ago may still turn out to be a pair.
     """
     partners = opposites(B) if B is not None else {}
     records: list[Record] = []
@@ -133,7 +137,11 @@ def read(out, ticks: Ticks, hyp: Hypotheses, B: np.ndarray | None = None) -> tup
                 record.end, record.told = float(ticks.time[last]), last + 1
     judged = np.flatnonzero(ticks.mode == JUDGE)
     final = int(judged[-1]) if judged.size else len(ticks.time) - 1
-    return tuple(_event(r, out, ticks, final, partners, B) for r in sorted(records, key=lambda r: r.announced))
+    recent = round(SETTLES_S / ticks.dt) if flies else 0
+    return tuple(
+        _event(r, out, ticks, final, partners, B, final - r.announced < recent)
+        for r in sorted(records, key=lambda r: r.announced)
+    )
 
 
 def _hops(ticks: Ticks) -> list[tuple[int, int]]:
@@ -192,7 +200,7 @@ def sd_of(theta: np.ndarray, sd: np.ndarray, B: np.ndarray | None = None) -> np.
     return np.sqrt(sd**2 + MODEL_SD**2 + (k * theta * left / (left + k * theta)) ** 2)
 
 
-def _event(record: Record, out, ticks: Ticks, final: int, partners: dict, B) -> Event:
+def _event(record: Record, out, ticks: Ticks, final: int, partners: dict, B, young: bool) -> Event:
     k = min(record.last, final)
     if record.end is not None and not record.loss:  # a loss that is over: what it was for most of its time
         k = _usual(record, out.theta[:, record.rotors[0]], ticks.mode)
@@ -204,7 +212,9 @@ def _event(record: Record, out, ticks: Ticks, final: int, partners: dict, B) -> 
     own = shares.get(tuple(sorted(rotors)), max(shares.values(), default=0.0))
     paired = len(rotors) == 2 and rotors[1] in partners.get(rotors[0], ()) and len(partners) > 4
     others = [s for s, p in shares.items() if s and (p >= CREDIBLE or record.loss) and set(s) != set(rotors)]
-    hidden = () if record.loss else tuple(p for p in hidden_pairs(record.data, partners) if set(p) != set(rotors))
+    hidden = (
+        () if record.loss else tuple(p for p in hidden_pairs(record.data, partners, young) if set(p) != set(rotors))
+    )
     unsure = (
         own < (CERTAIN_OPPOSITE if paired else 1.0 / (1.0 + np.exp(-hypotheses.CLEAR)))
         or bool(hidden)

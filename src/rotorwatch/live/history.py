@@ -100,8 +100,8 @@ class History:
         self._said = [k for k in self._said if k < self.end]
         self._restarts = [k for k in self._restarts if k < self.end]
 
-    def events(self, hyp: Hypotheses, B: np.ndarray, end: int | None = None) -> tuple[Event, ...]:
-        """Events of the ticks that are kept, or of those before `end`."""
+    def events(self, hyp: Hypotheses, B: np.ndarray, end: int | None = None, flies: bool = False) -> tuple[Event, ...]:
+        """Events of the ticks that are kept, or of those before `end`. flies: as for `default.events.read`."""
         end = self.end if end is None else end
         if not any(k < end for k in self._said):
             return ()
@@ -109,7 +109,7 @@ class History:
         columns = {name: column[: end - self.first] for name, column in self._columns.items()}
         rare = {name: _Rare(self.first, rows) for name, rows in self._rare.items()}
         rows: Any = _Rows(self._dt, {**columns, **rare})
-        return events.read(rows, rows, hyp, B)
+        return events.read(rows, rows, hyp, B, flies)
 
     def column(self, name: str) -> np.ndarray:
         """A column of the ticks that are kept."""

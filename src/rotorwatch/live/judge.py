@@ -135,6 +135,7 @@ class Judge:
         self._beginnings = None if known else Beginnings(self.hyp, self.B, plan.ready_s)
         self._tapes = (Tape(), Tape(), Tape())  # Sensed, Compared, Logged
         self._spans: Spans = ()
+        self._over = False
         self._time = self._air_s = -np.inf
         self._done: tuple[Event, ...] = ()
         self._fallen: dict[float, tuple[tuple[float, float], ...]] = {}
@@ -148,7 +149,7 @@ class Judge:
         for tape, more in zip(self._tapes, _rows(piece)):
             tape.add(more)
         changed = _changed(self._spans, piece.spans)
-        self._spans = piece.spans
+        self._spans, self._over = piece.spans, final
         if changed <= self._time:
             self._take_back(changed)
         self._judge_ticks()
@@ -181,7 +182,7 @@ class Judge:
     def events(self) -> tuple[Event, ...]:
         """All that has happened, as it looks now."""
         air = self._air()
-        losses = (*self._done, *self._history.events(self.hyp, self.B))
+        losses = (*self._done, *self._history.events(self.hyp, self.B, flies=not self._over))
         if self._beginnings is not None:
             losses = self._beginnings.join(losses)
         overrides = outside.as_events(self._watch.found(), self._falls(air))
