@@ -131,6 +131,8 @@ def diagnose(
         losses = hindsight.join(losses, hindsight.find(last, table, hyp, B))
     overrides = outside.overrides(flight, craft, air, table)
     losses = outside.unexplained(losses, overrides)
+    faint = tuple(e for e in losses if not events.accuses(e))
+    losses = tuple(e for e in losses if events.accuses(e))
     contacts = outside.contacts(table, air)
     found = upset.events(upsets, (*losses, *overrides, *contacts), len(craft.rotors))
     heard = witness.hear(flight, craft, air, table, found)
@@ -143,7 +145,7 @@ def diagnose(
     comparison = detectors.detect(flight, craft, air)
     lap("comparison_s")
     judged = (table.mode == JUDGE) & table.valid.any(axis=1)
-    spells = leftover.find(out, table, hyp, limit, found, B)
+    spells = (*leftover.find(out, table, hyp, limit, found, B), *leftover.faint(faint, found, float(table.time[-1])))
     end = conclusion.conclude(
         found, whole, len(craft.rotors), hidden=_hidden(out, table, B), judged_s=float(judged.sum() * table.dt), places=names,
         doubts=doubts, leftover=spells, hops=air, trends=() if doubts else health.trends(out, table, B, found),

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from rotorwatch.answer.unseen import Unseen
-from rotorwatch.default import hypotheses, program
+from rotorwatch.default import events, hypotheses, program
 from rotorwatch.diagnosis import Event
 from rotorwatch.flight import Signal
 from rotorwatch.flight.vehicle import Vehicle
@@ -174,7 +174,7 @@ class Judge:
     def events(self) -> tuple[Event, ...]:
         """All that has happened, as it looks now."""
         air = self._air()
-        losses = (*self._done, *self._history.events(self.hyp, self.B))
+        losses = [e for e in (*self._done, *self._history.events(self.hyp, self.B)) if events.accuses(e)]
         overrides = outside.as_events(self._watch.found(), self._falls(air))
         contacts = () if self._past is None else outside.contacts_in(self._past.contacts, air)
         found = (*outside.unexplained(losses, overrides), *overrides, *contacts)
