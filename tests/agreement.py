@@ -228,7 +228,7 @@ def headline(views):
 def health(views):
     """Every rotor's grade and trend stand on the page and in the terminal, where anything was judged; a word fits its interval."""
     states_ = views.json["rotors"]
-    judged = any(r["status"] != "unobservable" for r in states_)
+    judged = any(r["status"] != "unobservable" for r in states_) and not views.json["story"]
     for r in states_ if judged else ():
         me = f"rotor {r['rotor']}"
         views.shown(r["grade"], f"the grade of {me}")
@@ -471,6 +471,26 @@ FIELDS = {
     ),
     "headline": word("the headline"),
     "reason": sentence("the reason"),
+    "story": lambda views, value: views.expect(not of_kind(views, "loss_of_control"), "control was lost, and no story"),
+    "story[].time_s": HIDDEN,
+    "picture": SHOWN,
+    "picture.start_s": SHOWN,
+    "picture.end_s": SHOWN,
+    "picture.marks[].time_s": SHOWN,
+    "picture.marks[].what": SHOWN,
+    "picture.accused": lambda views, value: views.expect(
+        {*value} <= {r for e in views.json["events"] for r in e["rotors"]},
+        "the picture accuses a rotor that no event names",
+    ),
+    "picture.attitude": SHOWN,
+    **{
+        f"picture.attitude.{name}": SHOWN
+        for name in ("time_s", "roll_deg", "pitch_deg", "wanted_roll_deg", "wanted_pitch_deg")
+    },
+    "picture.commands": SHOWN,
+    "picture.commands.time_s": SHOWN,
+    "picture.commands.share[]": SHOWN,
+    "story[].text": word("the story"),
     "advice": every("the advice"),
     "main_event": SHOWN,
     "rotors": SHOWN,
@@ -514,6 +534,7 @@ FIELDS = {
     "events[].worked_until_s": HIDDEN,  # in the notes of the rotors
     "events[].worked_until_s[]": HIDDEN,
     "events[].impact_s": HIDDEN,
+    "events[].how": word("how control was lost"),
     "events[].evidence": every("what speaks for a cause"),
     "common_mode": HIDDEN,
     "common_mode.thrust_shift": lambda views, value: views.shown(

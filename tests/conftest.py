@@ -167,6 +167,7 @@ def hexa_diagnosis(events=None, whole_flight=None, doubts=(), leftover=(), judge
         headline=end.headline,
         main=end.main,
         advice=end.advice,
+        story=end.story,
     )
     return replace(whole, **changes)
 

@@ -89,7 +89,15 @@ def test_the_lane_shows_modes_as_spans_and_what_was_said_as_marks(pictures):
     )
     assert sorted(said["time"]) == [3.5, 33.0]
     assert said["text"][0] == "33.0 s, error: crash check" and said["fill"] == ["#c1121f", colours.INK]
-    assert lane.lane(hexa_diagnosis(trace=replace(trace, messages=())), figures._figure, None) is None
+    assert lane.lane(hexa_diagnosis(trace=replace(trace, messages=())), figures.blank, None) is None
+
+
+def test_the_lane_of_a_log_that_names_no_mode_shows_what_was_said():
+    only_said = tuple(row for row in hexa_trace().messages if row[1] != "mode")
+    pictures = figures.plots(hexa_diagnosis(trace=replace(hexa_trace(), messages=only_said)))
+    drawn = {r.name: r.data_source.data for r in pictures["lane"].renderers}
+    assert not len(drawn["modes"]["left"])
+    assert sorted(drawn["messages"]["time"]) == [3.5, 33.0]
 
 
 def test_headings_stand_above_plots_that_are_there(fault, pictures):

@@ -1,5 +1,7 @@
 """Whole-flight damage: calibrated on flights drawn from the model, and right on real ones."""
 
+import itertools
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,12 +23,15 @@ HEXA = airframes.named("ardupilot-hexa-x")
 
 
 def drawn(rng, vehicle, between, drift, share=None, extra_yaw=0.0, shift=(0.0, 0.0)):
-    """Features of a flight: spread `between` of w, `drift` of its change, within-flight noise; share: commands."""
+    """Features of a flight: spread `between` of w (3, 3) or of w and ln of the mean command (4, 4), `drift` of its change, within-flight
+    noise; share: commands."""
     n = len(vehicle.rotors)
     share = np.ones(n) if share is None else np.asarray(share, float)
     within = np.diag([0.004, 0.005, 0.003]) ** 2
     w = vehicle.effectiveness()[:3] @ share / share.sum() + [*shift, extra_yaw]
-    w = w + rng.multivariate_normal(np.zeros(3), between + within)
+    apart = rng.multivariate_normal(np.zeros(len(between)), between)
+    w = w + apart[:3] + rng.multivariate_normal(np.zeros(3), within)
+    share = share * np.exp(apart[3:].sum())
     change = rng.multivariate_normal(np.zeros(3), drift + 4.0 * within)
     table = wf._no_hover("drawn", n).to_dict() | {
         "share": 0.4 * share, "wrench": w, "slope_sd": [0.5, 0.5], "covariance": within, "change": change,
@@ -40,8 +45,8 @@ def build(rng, vehicle):
     from scipy.stats import invwishart
 
     return [
-        invwishart.rvs(wf.PRIOR_FLIGHTS + 4, wf.PRIOR_FLIGHTS * prior, random_state=rng)
-        for prior in (wf.prior_covariance(vehicle), np.eye(3) * wf.HALVES_SD**2)
+        invwishart.rvs(wf.PRIOR_FLIGHTS + len(prior) + 1, wf.PRIOR_FLIGHTS * prior, random_state=rng)
+        for prior in (wf.prior_covariance(len(vehicle.rotors)), np.eye(3) * wf.HALVES_SD**2)
     ]
 
 
@@ -113,6 +118,89 @@ def test_a_weight_is_never_sure_to_be_a_rotor():
         verdicts.append(wf.judge(weighted, [drawn(rng, QUAD, *spreads) for _ in range(3)], QUAD).verdict)
     assert verdicts.count("ambiguous") >= 0.9 * len(verdicts)
     assert verdicts.count("fault") <= 0.03 * len(verdicts)
+
+
+def commanded(vehicle, theta):
+    """(n,) commands with which the rotors, of losses theta (n,), make what healthy ones make of 1: f = 1 + B+ B diag(theta) f."""
+    B = vehicle.effectiveness()
+    return np.linalg.solve(np.eye(len(theta)) - np.linalg.pinv(B) @ B @ np.diag(theta), np.ones(len(theta)))
+
+
+@pytest.mark.parametrize("vehicle", [QUAD, HEXA], ids=["quad", "hexa"])
+@pytest.mark.parametrize("losses", [{2: 0.4}, {1: 0.3, 4: 0.2}], ids=["one", "two"])
+def test_the_size_is_what_the_mixer_makes_up_for(vehicle, losses):
+    """Of a hexa the others help: a loss of 0.4 asks rotor 2 for 0.36 more than its share, not for 0.67."""
+    B, n = vehicle.effectiveness(), len(vehicle.rotors)
+    theta = np.zeros(n)
+    theta[[r - 1 for r in losses]] = list(losses.values())
+    f = commanded(vehicle, theta)
+    shift = np.array([*(B[:3] @ f / f.sum() - B[:3].sum(axis=1) / n), np.log(f.mean())])
+    found = wf._weigh(shift, np.eye(4) * 1e-5, 1e6, np.ones(n), vehicle)
+    told = next(h for h in found if h.rotors == tuple(losses))
+    assert told.mass @ told.theta == pytest.approx(list(losses.values()), abs=0.02)
+
+
+def test_batteries_put_in_otherwise_accuse_nobody():
+    """Healthy flights whose centre of mass lies elsewhere each time, by up to four times what real ones show."""
+    rng, faults, count = np.random.default_rng(12), 0, 0
+    for size in (0.01, 0.02, 0.04, 0.06):
+        between = np.diag(np.square([size, size, 0.022, 0.05]))
+        for flights in (2, 3, 6):
+            for _ in range(35):
+                one, *baseline = (drawn(rng, QUAD, between, np.eye(3) * 0.008**2) for _ in range(flights + 1))
+                faults += wf.judge(one, baseline, QUAD).verdict == "fault"
+                count += 1
+    assert faults <= 0.01 * count
+
+
+def test_certainty_is_how_often_it_is_right():
+    """Flights drawn from the model with 2, 3 and 6 healthy ones: of what is said with a probability, that share is true."""
+    rng, said, true = np.random.default_rng(21), [], []
+    for k in range(500):
+        spreads, share, yaw, shift = build(rng, QUAD), np.ones(4), 0.0, np.zeros(2)
+        damaged, weight = (), 0.0
+        kind = rng.choice(3, p=[0.5, 0.5 * (wf.SINGLE + wf.PAIR), 0.5 * wf.CENTRE])
+        if kind == 1:
+            pair = rng.random() < wf.PAIR / (wf.SINGLE + wf.PAIR)
+            damaged = tuple(rng.choice(4, 2 if pair else 1, replace=False))
+            extra = np.minimum(rng.exponential(wf.LOSS_MEAN, len(damaged)), 5.0)
+            share[list(damaged)] += extra
+            yaw = wf.RHO_SD * rng.standard_normal() * extra.max() / share.sum()
+        elif kind == 2:
+            shift = wf.SHIFT_SD * rng.standard_normal(2)
+            yaw = wf.CENTRE_RHO_SD * np.hypot(*shift) * rng.standard_normal()
+            weight = wf.WEIGHT_SD * np.hypot(*shift) * rng.standard_normal()
+        flight = drawn(rng, QUAD, *spreads, share=share, extra_yaw=yaw, shift=shift)
+        flight = replace(flight, share=tuple(np.exp(weight) * np.array(flight.share)))
+        baseline = [drawn(rng, QUAD, *spreads) for _ in range((2, 3, 6)[k % 3])]
+        found = wf._weigh(*wf._difference(flight, baseline), wf._mean_share(baseline), QUAD)
+        total = sum(h.weight for h in found)
+        for rotor in range(4):
+            said.append(sum(h.weight for h in found if rotor + 1 in h.rotors) / total)
+            true.append(rotor in damaged)
+    said, true = np.array(said), np.array(true)
+    for low, high in ((0.0, 0.05), (0.05, 0.3), (0.3, 0.7), (0.7, 0.95), (0.95, 1.0)):
+        inside = (said >= low) & (said <= high)
+        mean = said[inside].mean()
+        assert inside.sum() > 20
+        assert abs(true[inside].mean() - mean) < 0.01 + 4.0 * np.sqrt(mean * (1.0 - mean) / inside.sum()), (low, high)
+
+
+def test_yaw_and_thrust_speak_for_a_rotor_against_a_shifted_mass():
+    """The same roll and pitch: with a rotor's yaw and thrust it is the rotor, with neither the mass."""
+    B = QUAD.effectiveness()[:3]
+    f = np.array([1.4, 1.0, 1.0, 1.0])
+    moved = B @ f / f.sum()
+    scale = np.diag(np.square([0.014, 0.014, 0.028, 0.06]))
+
+    def rotor(yaw, thrust):
+        found = wf._weigh(np.array([*moved[:2], yaw * moved[2], thrust]), scale, 9.0, np.ones(4), QUAD)
+        centre = next(h.weight for h in found if h.kind == "centre_of_mass")
+        return sum(h.weight for h in found if 1 in h.rotors) / centre
+
+    more = np.log(f.mean())
+    assert rotor(1.0, more) > 20.0 > 1.0 > rotor(0.0, 0.0)
+    assert rotor(1.0, more) > 3.0 * rotor(1.0, -0.05)
 
 
 def test_a_balance_that_moves_in_flight_is_ambiguous():
@@ -265,6 +353,20 @@ def test_cut_tips_of_a_real_quad():
             assert result.verdict == "fault" and result.rotors == (1,), name
         elif _good(name):
             assert result.verdict == "healthy", name
+
+
+@shared
+def test_no_two_flights_of_a_real_quad_accuse_a_wrong_rotor():
+    """Baselines of two flights whose tips are whole or cut by so little that healthy flights differ as much."""
+    flights = {p.name: logs.read(p) for p in sorted((SHARED / "ardupilot-real-rrc").glob("*.xz"))}
+    vehicle = airframes.identify(next(iter(flights.values())))
+    found = {name: wf.features(flight, vehicle, airborne(flight)) for name, flight in flights.items()}
+    for baseline in itertools.combinations([n for n in found if not n.startswith("2")], 2):
+        for name in set(found) - set(baseline):
+            result = wf.judge(found[name], [found[n] for n in baseline], vehicle)
+            assert result.verdict != "fault" or result.rotors == (1,), (name, baseline)
+            if name.startswith("25_mm"):
+                assert result.verdict in ("fault", "ambiguous") and 1 in result.rotors, (name, baseline)
 
 
 @shared

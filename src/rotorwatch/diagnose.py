@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from rotorwatch import detectors, discovery
-from rotorwatch.answer import common_mode, conclusion, health, places, traces, unseen
+from rotorwatch.answer import common_mode, conclusion, health, picture, places, traces, unseen
 from rotorwatch.default import asked, events, hindsight, hypotheses, leftover
 from rotorwatch.default.announcement import threshold
 from rotorwatch.default.program import estimate
@@ -104,8 +104,20 @@ def diagnose(
         timing["total_s"] = time.perf_counter() - began
         doubts = (f"{why}; nothing can be judged.",)
         found = upset.events(upsets, (), len(craft.rotors))
-        end = conclusion.conclude(found, None, len(craft.rotors), doubts=() if found else doubts, places=names)
-        return _answer(end, facts, {}, source, assumptions, warnings, timing, doubts=doubts)
+        end = conclusion.conclude(
+            found, None, len(craft.rotors), doubts=() if found else doubts, places=names, hops=air
+        )
+        return _answer(
+            end,
+            facts,
+            {},
+            source,
+            assumptions,
+            warnings,
+            timing,
+            doubts=doubts,
+            picture=picture.make(flight, craft, end.events, end.main, end.story),
+        )
     assumptions += table.notes
     B = craft.effectiveness()
 
@@ -156,7 +168,7 @@ def diagnose(
     timing["total_s"] = time.perf_counter() - began
     return _answer(
         end, facts, common, source, assumptions, warnings, timing, estimator=discovery.title(estimator), comparison=comparison,
-        whole_flight=whole, doubts=doubts,
+        whole_flight=whole, doubts=doubts, picture=picture.make(flight, craft, end.events, end.main, end.story),
         trace=traces.make(flight, out, table, hyp, B, air, ready_s, limit, end.events, spells, end.rotors),
     )  # fmt: skip
 
@@ -164,7 +176,7 @@ def diagnose(
 def _answer(end: conclusion.Conclusion, facts, common, source, assumptions, warnings, timing, **more) -> Diagnosis:
     return Diagnosis(
         facts, end.verdict, end.reason, end.rotors, end.events, common, source, tuple(assumptions), tuple(warnings), timing,
-        headline=end.headline, main=end.main, advice=end.advice, **more,
+        headline=end.headline, main=end.main, advice=end.advice, story=end.story, **more,
     )  # fmt: skip
 
 

@@ -98,6 +98,14 @@ class Event:
 
 
 @dataclass(frozen=True)
+class Told:
+    """A sentence of the story of a loss of control, and the moment that it tells of [s]."""
+
+    time_s: float
+    text: str
+
+
+@dataclass(frozen=True)
 class Trace:
     """What a picture of the flight needs, on the diagnoser's own ticks (T of them, n rotors).
 
@@ -150,7 +158,9 @@ class Diagnosis:
     flight: what was judged (docs/json.md). rotors: the state of each at the end. events: in time order. common_mode: what all rotors
     have together. baseline: what it was compared with. assumptions, warnings: sentences. timing: s of each step of the work. estimator:
     the method's name. comparison: what the autopilot's own checks found. whole_flight: damage from take-off, where it was judged. trace:
-    what a picture needs. doubts: why the log may not be what flew, a sentence each (the first is the reason then).
+    what a picture needs. doubts: why the log may not be what flew, a sentence each (the first is the reason then). story: what happened
+    when control was lost, four sentences in the order of time; empty where it was not. picture: attitude and commands around that
+    moment (docs/json.md), or None.
     """
 
     flight: Mapping[str, Any]
@@ -171,6 +181,8 @@ class Diagnosis:
     main: int | None = None
     advice: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
+    story: tuple[Told, ...] = ()
+    picture: Mapping[str, Any] | None = None
 
     @property
     def exit_code(self) -> int:
@@ -185,6 +197,8 @@ class Diagnosis:
             "verdict": self.verdict,
             "headline": self.headline,
             "reason": self.reason,
+            "story": [{"time_s": _round(s.time_s), "text": s.text} for s in self.story],
+            "picture": _round(self.picture),
             "advice": list(self.advice),
             "main_event": self.main,
             "rotors": [
@@ -241,6 +255,8 @@ class Diagnosis:
             headline=found["headline"],
             main=found["main_event"],
             advice=tuple(found["advice"]),
+            picture=found.get("picture"),
+            story=tuple(Told(**said) for said in found.get("story", ())),
         )
 
     def to_json(self, indent: int | None = 1) -> str:

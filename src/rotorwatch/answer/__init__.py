@@ -4,8 +4,10 @@ wording.py      the words for numbers, rotors and events
 places.py       where a rotor sits, in words
 health.py       grade of every rotor's loss, and its trend
 unseen.py       how large a loss can be that has not been announced
+story.py        what happened when control was lost, in four sentences
 conclusion.py   verdict, reason, headline, main event, state of every rotor
 advice.py       what to do next
 common_mode.py  how much more thrust all rotors together need at the end
 traces.py       what a picture of the flight needs
+picture.py      what a picture of a loss of control needs
 """

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch.answer import advice, health
+from rotorwatch.answer import advice, health, story
 from rotorwatch.answer.wording import (
     SCALE,
     candidates,
@@ -28,7 +28,7 @@ from rotorwatch.answer.wording import (
 )
 from rotorwatch.default.hypotheses import GONE
 from rotorwatch.default.leftover import Leftover
-from rotorwatch.diagnosis import Event, RotorState, Trend
+from rotorwatch.diagnosis import Event, RotorState, Told, Trend
 
 LOSS, OVERRIDE, CONTACT = "loss_of_effectiveness", "output_override", "contact"
 LOST, ORDER = "loss_of_control", "motor_order"
@@ -62,7 +62,7 @@ LOPSIDED = (
 @dataclass(frozen=True)
 class Conclusion:
     """verdict, reason, headline: as in the answer. main: index into events of the one that matters most, or None. rotors: their states.
-    advice: what to do next, sentences. events: those that are shown."""
+    advice: what to do next, sentences. events: those that are shown. story: of a loss of control (`story.tell`)."""
 
     verdict: str
     reason: str
@@ -71,6 +71,7 @@ class Conclusion:
     rotors: tuple[RotorState, ...]
     advice: tuple[str, ...]
     events: tuple[Event, ...]
+    story: tuple[Told, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -157,7 +158,8 @@ def _concluded(seen: Seen, verdict, reason, headline, main, doubts) -> Conclusio
     states = tuple(_state(seen, k, verdict) for k in range(1, seen.n + 1))
     stays = main is not None and (seen.events[main].end_s is None or _landed(seen, seen.events[main].end_s))
     next_steps = advice.of(verdict, seen.events, main, states, seen.whole, seen.places, doubts, stays)
-    return Conclusion(verdict, reason, headline, main, states, next_steps, seen.events)
+    told = story.tell(seen.events, main, seen.n, seen.places, seen.hops, not doubts)
+    return Conclusion(verdict, reason, headline, main, states, next_steps, seen.events, told)
 
 
 def main_event(events: Sequence[Event]) -> int | None:
@@ -351,13 +353,15 @@ def _state(seen: Seen, rotor: int, verdict: str) -> RotorState:
         low, high = float(bounds[0]), float(bounds[1])
         clear = status not in ("unobservable", "suspect")
         shown = since if since is not None and from_takeoff in ("not judged", "bounded") else (low, high)
-        trend = seen.trends[rotor - 1] if clear and seen.trends else None
-        grade = health.UNGRADED if status == "unobservable" else health.grade(shown[0], shown[1], trend)
+        # What was steady before control was lost says nothing of the rotor after it.
+        trend = seen.trends[rotor - 1] if clear and seen.trends and seen.lost is None else None
+        vague = status == "unobservable" or (status == "healthy" and seen.lost is not None)
+        grade = health.UNGRADED if vague else health.grade(shown[0], shown[1], trend)
         return RotorState(rotor, float(loss), (low, high), status, place, since, from_takeoff, note, grade, trend)
 
     if verdict == "inconclusive":
         from_takeoff = "not judged"
-        return state(0.0, INVISIBLE, "unobservable")
+        return state(0.0, INVISIBLE, "unobservable", _worked(seen, rotor))
     if whole and verdict != "healthy":
         named = set(whole["rotors"]) | {
             r for c in whole.get("causes", ()) if c["probability"] > CREDIBLE for r in c["rotors"]
@@ -405,7 +409,7 @@ def _state(seen: Seen, rotor: int, verdict: str) -> RotorState:
     if reasons:
         return state(loss, (0.0, max(high, loss)), "suspect", "; ".join(reasons))
     if seen.hidden is None:
-        return state(0.0, INVISIBLE, "unobservable")
+        return state(0.0, INVISIBLE, "unobservable", _worked(seen, rotor))
     since = (0.0, float(seen.hidden[rotor - 1]))
     notes = [f"was weak from {seconds(e.onset_s)} to {seconds(e.end_s)}" for e in over if not e.alternatives]
     notes += [f"may have been weak from {seconds(e.onset_s)} to {seconds(e.end_s)}" for e in over if e.alternatives]
@@ -414,14 +418,19 @@ def _state(seen: Seen, rotor: int, verdict: str) -> RotorState:
         for e in stuck
         if e not in stuck_now
     ]
-    worked = lost.extra.get("worked_until_s", ()) if lost is not None else ()
-    if rotor <= len(worked) and worked[rotor - 1] is not None:
-        notes.append(f"seen to work until {seconds(worked[rotor - 1])}")
+    notes += filter(None, [_worked(seen, rotor)])
     notes += [f"{MOTOR_NOTICES[e.kind]} since {seconds(e.onset_s)}" for e in _notices(seen) if rotor in e.rotors]
     if whole:
         high = 1.0 - (1.0 - since[1]) * (1.0 - float(whole["interval"][rotor - 1][1]))
         return state(whole["loss"][rotor - 1], (0.0, high), "healthy", listed(notes), since)
     return state(0.0, INVISIBLE, "healthy", listed(notes), since)
+
+
+def _worked(seen: Seen, rotor: int) -> str:
+    """Until when a rotor was seen to work, of a flight in which control was lost."""
+    until = seen.lost.extra.get("worked_until_s", ()) if seen.lost is not None else ()
+    known = rotor <= len(until) and until[rotor - 1] is not None
+    return f"seen to work until {seconds(until[rotor - 1])}" if known else ""
 
 
 def most(event: Event, rotor: int) -> float:

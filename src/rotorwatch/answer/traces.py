@@ -49,7 +49,7 @@ def make(
             upper[judging, k] = np.maximum(upper[judging, k], state.since_takeoff[1])
     time, seen = table.time, np.ones(table.time.size, bool) if table.seen is None else table.seen
     measured = np.any(table.valid, axis=1, keepdims=True)
-    actual, wanted = (_angles(flight, name, time) for name in ("attitude", "attitude_wanted"))
+    actual, wanted = (angles(flight, name, time) for name in ("attitude", "attitude_wanted"))
     return Trace(
         time, out.theta, lower, upper,
         _bridged(time, np.where(measured, out.innovation, np.nan)), np.sqrt(out.innovation_var),
@@ -88,7 +88,7 @@ def _bridged(time: np.ndarray, values: np.ndarray) -> np.ndarray:
     return out
 
 
-def _angles(flight: Flight, name: str, time: np.ndarray) -> np.ndarray | None:
+def angles(flight: Flight, name: str, time: np.ndarray) -> np.ndarray | None:
     """(T, 3) roll, pitch, yaw [degrees] at the latest sample of each tick; NaN where the last one is older than BRIDGE_S."""
     if not flight.has(name):
         return None

@@ -16,8 +16,9 @@ import numpy as np
 from rotorwatch.fleet import explain, false_discovery, prognosis, scatter
 from rotorwatch.fleet.explain import CENTRE, STEP, WORN, Found, Series
 from rotorwatch.fleet.store import Store
-from rotorwatch.healthy.whole_flight import LIMITED, SLOPE_BETWEEN_SD, spread
+from rotorwatch.healthy.whole_flight import LIMITED, SLOPE_BETWEEN_SD
 
+FELL = "control was lost in it"
 TAUGHT_BY = ("healthy", "inconclusive")
 SISTERS = 2  # others of the build, from which on they are compared with
 BETWEEN = 2.0  # aircraft of a build differ by so many times what flights of one do, before any was seen
@@ -122,6 +123,8 @@ def _place(rows: Sequence[Mapping], service: Mapping) -> int:
 
 
 def _why_not(row: Mapping, rotors: int) -> str:
+    if row["trim"].get("lost"):
+        return FELL
     if row["verdict"] not in TAUGHT_BY:
         return f"judged {row['verdict']} by itself"
     if not row["trim"]:
@@ -155,7 +158,7 @@ def _of_one_build(histories: list[History]) -> list[tuple[History, Series, Found
     B = np.median([t["effectiveness"] for one in trims for t in one], axis=0)
     share = np.mean([np.array(t["share"]) / np.sum(t["share"]) for one in trims for t in one], axis=0)
     G = share * (B[:3] - (B[:3] @ share)[:, None])
-    prior = spread(B)
+    prior = scatter.assumed(B)
     rows = [scatter.differences(y[one.use]) for one, (y, _) in zip(known, tables)]
     noise = [c[one.use][1:-1] for one, (_, c) in zip(known, tables)]
     together = scatter.scale(np.concatenate(rows), np.concatenate(noise), prior)

@@ -37,7 +37,7 @@ import numpy as np
 
 from rotorwatch.fleet import scatter
 from rotorwatch.fleet.prognosis import Lines
-from rotorwatch.healthy.whole_flight import CENTRE_RHO_SD, RHO_SD, ROTOR_SD, SHIFT_SD
+from rotorwatch.healthy.whole_flight import CENTRE_RHO_SD, RHO_SD, SHIFT_SD
 from rotorwatch.maths.tails import log_normal_cdf, normal_quantile
 
 LOSS_SD = 0.15  # of e by a step, or by wear at the end of the history
@@ -46,7 +46,7 @@ ODDS = 20.0
 MOST = 10  # atoms
 LINES = 40  # beginnings of wear that are looked at
 SURE = 0.95
-SERVICE_SD = np.sqrt(2.0) * ROTOR_SD
+SERVICE_SD = np.sqrt(2.0) * scatter.ROTOR_SD
 STEP, WORN, CENTRE = "step", "wear", "centre"
 
 

@@ -66,7 +66,7 @@ def of_flight(
         headline=str(diagnosed["headline"]),
         version=__version__,
         diagnosis=diagnosed,
-        trim=trim(flight, craft, air, found.doubts),
+        trim=trim(flight, craft, air, found.doubts) | ({"lost": True} if found.story else {}),
     )
 
 

@@ -9,6 +9,8 @@ from html import escape
 from pathlib import Path
 
 from rotorwatch import files
+from rotorwatch.answer.wording import listed
+from rotorwatch.fleet.assess import FELL
 from rotorwatch.fleet.store import Store
 
 WIDTH, HEIGHT, LEFT, TOP, BOTTOM = 860, 120, 46, 8, 20
@@ -67,6 +69,10 @@ def _index(aircraft: Sequence[Mapping]) -> str:
         said = a["standing"]["headline"] if a["standing"] else "Not worked out yet."
         states = {r["status"] for r in (a["standing"] or {}).get("rotors", ())}
         kind = next((k for k in ("damaged", "worn", "suspect") if k in states), "healthy")
+        fell = [o["name"] for o in (a["standing"] or {}).get("left_out", ()) if o["why"] == FELL]
+        if fell:  # whatever the other flights say of its rotors
+            kind = "suspect" if kind == "healthy" else kind
+            said += f" Control was lost in {listed(fell)}."
         rows.append(
             f'<tr><td><a href="{_file(a)}">{escape(a["name"])}</a></td><td class="n">{a["flights"]}</td>'
             f'<td class="n">{a["airborne_s"] / 3600:.1f}</td><td>{escape((a["last"] or "-")[:10])}</td>'

@@ -16,6 +16,10 @@ from __future__ import annotations
 import numpy as np
 
 NU = 5.0
+ROTOR_SD, CENTRE_SD = (
+    0.02,
+    0.01,
+)  # assumed of flights: of a rotor's thrust, relative; of the centre of mass, arm lengths
 PRIOR_FLIGHTS = 10.0  # that the assumed scatter counts for in a fleet, and the fleet's for an aircraft of it
 ROUNDS = 30
 MEDIAN = {
@@ -23,6 +27,12 @@ MEDIAN = {
 }  # of the squared distance of rows of d from t with NU degrees of freedom: d times the median of F(d, NU)
 # A difference from the mean of two neighbours scatters by this much more than a flight does.
 OF_TWO = 1.5
+
+
+def assumed(effectiveness: np.ndarray) -> np.ndarray:
+    """(3, 3) covariance of w between flights of the effectiveness B (4, n): what ROTOR_SD and CENTRE_SD make of it."""
+    B = effectiveness[:3] / effectiveness.shape[1]
+    return ROTOR_SD**2 * B @ B.T + np.diag([CENTRE_SD**2, CENTRE_SD**2, 1e-8])
 
 
 def differences(y: np.ndarray) -> np.ndarray:

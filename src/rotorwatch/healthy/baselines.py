@@ -36,7 +36,7 @@ READY_S = 3.0  # after lift-off, before the dynamics of a flight are learned fro
 
 SLOPE = 1.25
 """Ratio of the slopes d ln f / du of two thrust curves at the hover command: with it, a rotor trimmed by a tenth seems to be off by
-0.025 more, as much as healthy flights differ (whole_flight.ROTOR_SD)."""
+0.025 more, as much as the yaw of healthy flights does (whole_flight.TILT_SD)."""
 HOVER = 1.5
 """Ratio of the shares of full thrust in hover: half the weight again, which no battery and no air makes."""
 GAIN = 2.0

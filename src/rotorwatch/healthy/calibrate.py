@@ -86,10 +86,10 @@ def _assumptions(kept: Sequence[Candidate]) -> list[str]:
         for t in tables
         if not t.usable
     ]
-    if sum(t.usable for t in tables) < 5:
+    if sum(t.usable for t in tables) < whole_flight.MANY_FLIGHTS:
         said.append(
             "With few calibration flights the spread between healthy flights is mostly assumed: "
-            f"{100 * whole_flight.ROTOR_SD:.0f} % for the thrust of each rotor, "
-            f"{100 * whole_flight.CENTRE_SD:.0f} % of an arm length for the centre of mass."
+            f"{100 * whole_flight.CENTRE_SD:.1f} % of an arm length for the centre of mass, "
+            f"{100 * whole_flight.THRUST_SD:.0f} % for the thrust that all rotors need together."
         )
     return said

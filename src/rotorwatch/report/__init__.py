@@ -127,22 +127,27 @@ def rotor_interval(state: RotorState) -> str:
 def rotors_title(diagnosis: Diagnosis) -> str:
     """What the rotor table shows."""
     if all(r.status == "unobservable" for r in diagnosis.rotors):
+        if diagnosis.story and any(r.note for r in diagnosis.rotors):
+            return "Rotors: until when each was seen to work"
         return "Rotors: nothing can be said of them"
+    if diagnosis.story:
+        return "Rotors, up to the loss of control and after it"
     return "Rotors at the end of the judged flight"
 
 
 def scope(diagnosis: Diagnosis) -> str:
     """What the rotor table does not show; empty when it shows all."""
+    since = "Changes from take-off until control was lost" if diagnosis.story else "Changes since take-off"
     if diagnosis.rotors and any(r.status != "unobservable" for r in diagnosis.rotors):
         if all(r.from_takeoff == "not judged" for r in diagnosis.rotors):
             return (
-                "Changes since take-off, with 95 % intervals. Damage that was there from take-off was not judged: that needs "
+                f"{since}, with 95 % intervals. Damage that was there from take-off was not judged: that needs "
                 "healthy flights of the same build"
                 + (", and no loss in this flight." if diagnosis.whole_flight else ".")
             )
         if not diagnosis.whole_flight:
             return (
-                "Changes since take-off, with 95 % intervals. What was there from take-off is bounded by how unequally healthy vehicles "
+                f"{since}, with 95 % intervals. What was there from take-off is bounded by how unequally healthy vehicles "
                 "of any build are commanded; healthy flights of this build show more."
             )
         return "Losses compared with the healthy flights of this build, with 95 % intervals."
@@ -150,9 +155,10 @@ def scope(diagnosis: Diagnosis) -> str:
 
 
 def health(diagnosis: Diagnosis) -> list[tuple[str, str, str, str]]:
-    """The grade and the trend of every rotor, in words: (rotor, where, grade, trend); empty where nothing was judged."""
-    if all(r.status == "unobservable" for r in diagnosis.rotors):
-        return []
+    """The grade and the trend of every rotor, in words: (rotor, where, grade, trend); empty where nothing was judged or control
+    was lost."""
+    if all(r.status == "unobservable" for r in diagnosis.rotors) or diagnosis.story:
+        return []  # grades and trends of a flight that ended out of control would be of the time before
     return [(str(r.rotor), r.place, r.grade, _trend(r)) for r in diagnosis.rotors]
 
 

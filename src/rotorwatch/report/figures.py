@@ -104,7 +104,7 @@ def plots(diagnosis: Diagnosis) -> dict[str, Any]:
     looks = colours.looks(diagnosis, n)
     out = {
         "loss": _loss(diagnosis, source, x_range, n, looks),
-        "lane": lane.lane(diagnosis, _figure, x_range),
+        "lane": lane.lane(diagnosis, blank, x_range),
         "command": _commands(source, x_range, n, looks),
         "evidence": _evidence(trace, source, x_range, shown, looks) if shown else None,
         **{f"angle_{angle}": _angle(source, x_range, angle, flown) for angle in (ANGLES if flown else ())},
@@ -159,7 +159,8 @@ def _hypotheses(diagnosis: Diagnosis) -> list[str]:
     return sorted(peak, key=lambda name: (-peak[name], name))[:HYPOTHESES]
 
 
-def _figure(x_range, height: int, y_label: str, tooltips: list[tuple[str, str]], **more) -> Any:
+def blank(x_range, height: int, y_label: str, tooltips: list[tuple[str, str]], **more) -> Any:
+    """An empty plot in the report's look. tooltips: (name, value) pairs, shown for the renderers that are set later."""
     from bokeh.models import BoxZoomTool, HoverTool, PanTool, ResetTool, SaveTool, WheelZoomTool
     from bokeh.plotting import figure
 
@@ -209,7 +210,7 @@ def _loss(diagnosis: Diagnosis, source, x_range, n: int, looks) -> Any:
 
     tips = [(f"rotor {k}", f"@loss{k}{{0.0}} % (@low{k}{{0}} to @high{k}{{0}})") for k in range(1, n + 1)]
     top = _top(diagnosis)
-    p = _figure(
+    p = blank(
         x_range, 340, "loss of effectiveness [%]", tips, y_range=Range1d(start=-0.03 * top, end=top, bounds=(-10, 110))
     )
     p.name = "loss"
@@ -253,7 +254,7 @@ def _blind(trace: Trace) -> np.ndarray:
 
 def _commands(source, x_range, n: int, looks) -> Any:
     tips = [(f"rotor {k}", f"@command{k}{{0.0}} %") for k in range(1, n + 1)]
-    p = _figure(x_range, 250, "command [% of full thrust]", tips)
+    p = blank(x_range, 250, "command [% of full thrust]", tips)
     p.name = "command"
     lines = [
         p.line(
@@ -278,7 +279,7 @@ def _evidence(trace: Trace, source, x_range, shown: list[str], looks) -> Any:
     seen = np.nan_to_num(np.stack([trace.evidence[name] for name in shown])[:, _flying(trace)])
     top = 1.08 * max(float(seen.max(initial=0.0)), 1.5 * abs(float(trace.threshold)), 1.0)
     low = max(1.05 * float(seen.min(initial=0.0)), -top)  # how unlikely the wrong ones are is of no interest
-    p = _figure(x_range, 280, "log10 odds against healthy", tips, y_range=Range1d(start=low, end=top))
+    p = blank(x_range, 280, "log10 odds against healthy", tips, y_range=Range1d(start=low, end=top))
     p.name = "evidence"
     lines = []
     for i, name in reversed(list(enumerate(shown))):  # the likeliest on top
@@ -315,7 +316,7 @@ def _angle(source, x_range, angle: str, flown) -> Any:
     """Wanted against actual attitude, one axis."""
     last = angle == ANGLES[-1]
     tips = [(name, f"@{name}_{angle}{{0.0}}°") for name in flown]
-    p = _figure(x_range, 165 if last else 135, f"{angle} [°]", tips)
+    p = blank(x_range, 165 if last else 135, f"{angle} [°]", tips)
     p.name = f"angle_{angle}"
     p.xaxis.visible = last
     p.yaxis.ticker.desired_num_ticks = 3
@@ -336,7 +337,7 @@ def _residual(trace: Trace, source, x_range, name: str, channel: int) -> Any:
     band = 2 * trace.residual_sd[_flying(trace), channel]
     top = max(1.5 * float(np.nanquantile(values, 0.995)), 1.6 * float(np.nanmedian(band)), 1e-4) if values.size else 1.0
     last = name == CHANNELS[-1]
-    p = _figure(x_range, 165 if last else 135, name, tips, y_range=Range1d(start=-top, end=top))
+    p = blank(x_range, 165 if last else 135, name, tips, y_range=Range1d(start=-top, end=top))
     p.name = name
     p.xaxis.visible = last
     p.yaxis.ticker.desired_num_ticks = 3

@@ -14,7 +14,7 @@ from typing import Any
 from rotorwatch import __version__, optional, report
 from rotorwatch.diagnosis import Diagnosis, RotorState
 from rotorwatch.errors import ConfigError
-from rotorwatch.report import colours, drawing, figures, words
+from rotorwatch.report import colours, drawing, figures, upset, words
 
 UNIT = re.compile(r"(\d) (%|s|Hz|ms|V|g)(?![\w])")
 RANGE = re.compile(r"(\d)(–)(?=\d)")
@@ -50,12 +50,13 @@ def page(diagnosis: Diagnosis) -> str:
     """The page's HTML text. Raises ConfigError without Bokeh."""
     optional.library("bokeh", "An HTML report")
     title = str(diagnosis.flight.get("name") or "flight")
-    plots = figures.plots(diagnosis)
+    plots = {**upset.plots(diagnosis), **figures.plots(diagnosis)}
     scripts, divs = _embed(plots)
     body = [
         _masthead(title),
         '<main id="report">',
         _verdict(diagnosis),
+        _moment(diagnosis, divs),
         _overview(diagnosis),
         _health(diagnosis),
         _events(diagnosis),
@@ -125,9 +126,33 @@ def _verdict(diagnosis: Diagnosis) -> str:
     steps = "".join(f"<li>{_text(step)}</li>" for step in diagnosis.advice)
     return (
         f'<section class="verdict {escape(diagnosis.verdict)}"><div class="word">{escape(word)}</div>'
-        f"<h1>{_text(diagnosis.headline)}</h1><p>{_text(report.sentence(diagnosis.reason))}</p>"
+        f"<h1>{_text(diagnosis.headline)}</h1>{_story(diagnosis)}<p>{_text(report.sentence(diagnosis.reason))}</p>"
         + (f'<h2>What to do next</h2><ul class="advice">{steps}</ul>' if steps else "")
         + "</section>"
+    )
+
+
+def _story(diagnosis: Diagnosis) -> str:
+    """What happened when control was lost."""
+    said = "".join(f"<li>{_text(s.text)}</li>" for s in diagnosis.story)
+    return f'<h2>What happened</h2><ol class="story">{said}</ol>' if said else ""
+
+
+def _moment(diagnosis: Diagnosis, divs: Mapping[str, str]) -> str:
+    """The picture around a loss of control."""
+    names = [name for name in upset.NAMES if name in divs]
+    if not names:
+        return ""
+    looks = colours.looks(diagnosis)
+    keys = " &ensp; ".join(
+        f'<span class="nowrap">{_line(*looks[r.rotor])}{_text(report.rotors([r.rotor], report.places(diagnosis)))}</span>'
+        for r in diagnosis.rotors
+    )
+    return (
+        '<section class="moment" id="moment"><h2>The moment in one picture</h2><p>Roll and pitch: blue as it flew, dashed as it was asked '
+        "to. Commands: what each rotor was asked for, in percent of full thrust; a thick line is the rotor that is named above.</p>"
+        + "".join(_plot(name, divs) for name in names)
+        + f'<p class="note">{keys}</p></section>'
     )
 
 
@@ -274,7 +299,7 @@ MARKS = (
 
 
 def _plots(diagnosis: Diagnosis, divs: Mapping[str, str]) -> str:
-    if not divs:
+    if "loss" not in divs:
         return ""
     looks = colours.looks(diagnosis)
     chips = "".join(_chip(r.rotor, *looks[r.rotor]) for r in diagnosis.rotors)
@@ -297,8 +322,15 @@ def _chip(rotor: int, tint: str, dash: str) -> str:
     """A button that shows and hides a rotor's lines; it doubles as the legend."""
     return (
         f'<button type="button" aria-pressed="true" data-rotor="rotor {rotor}">'
-        '<svg viewBox="0 0 24 8" aria-hidden="true"><path d="M0 4h24" stroke-width="3" '
-        f'stroke="{tint}"{_dasharray(dash)}/></svg>rotor {rotor}</button>'
+        f"{_line(tint, dash)}rotor {rotor}</button>"
+    )
+
+
+def _line(tint: str, dash: str) -> str:
+    """A piece of a rotor's line, for legends."""
+    return (
+        '<svg class="piece" viewBox="0 0 24 8" aria-hidden="true"><path d="M0 4h24" stroke-width="3" '
+        f'stroke="{tint}"{_dasharray(dash)}/></svg>'
     )
 
 

@@ -26,7 +26,9 @@ def lane(diagnosis: Diagnosis, figure: Callable[..., Any], x_range) -> Any:
     p.ygrid.visible = False
     end = float(trace.time[-1])
     modes = [(t, text) for t, kind, text in trace.messages if kind == "mode"]
-    spans = [(a, b, text) for (a, text), (b, _) in zip(modes, [*modes[1:], (end, "")], strict=True) if b > a]
+    spans = [
+        (a, b, text) for (a, text), (b, _) in zip(modes, [*modes[1:], (end, "")]) if b > a
+    ]  # a log may name no mode
     shade = {name: SHADES[k % len(SHADES)] for k, name in enumerate(dict.fromkeys(text for _, _, text in spans))}
     boxes = ColumnDataSource(
         {

@@ -164,7 +164,15 @@ def _heading(result: Diagnosis) -> RenderableType:
     what += [report.frame(result), *(str(facts[k]) for k in ("autopilot", "profile") if facts.get(k))]
     what += [f"{float(facts.get('duration_s') or 0):.0f} s", *filter(None, [report.day(result)])]
     steps = [Padding(Text(f"→ {step}"), (0, 0, 0, 1)) for step in result.advice]
-    return Group(Text(" · ".join(what), style="dim"), Text(), text, Text(report.sentence(result.reason)), *steps)
+    return Group(
+        Text(" · ".join(what), style="dim"), Text(), text, *_story(result), Text(report.sentence(result.reason)), *steps
+    )
+
+
+def _story(result: Diagnosis) -> list[RenderableType]:
+    """What happened when control was lost, a line for each sentence."""
+    lines = [Padding(Text(f"{k}. {said.text}"), (0, 0, 0, 1)) for k, said in enumerate(result.story, start=1)]
+    return [Text(), Text("What happened", style="bold"), *lines, Text()] if lines else []
 
 
 WRONG = ("false fault", "wrong rotor", "FAILED")

@@ -75,7 +75,7 @@ def answer(name: str, session: Session, rows: Sequence[tuple], hop: tuple[float,
             *vehicle.assumptions,
             "judged while it flew, from what came over the link: a log of the vehicle itself holds more, and is judged as a whole",
         ),
-        warnings=(), timing={}, headline=end_of.headline, main=end_of.main, advice=end_of.advice,
+        warnings=(), timing={}, headline=end_of.headline, main=end_of.main, advice=end_of.advice, story=end_of.story,
     )  # fmt: skip
 
 

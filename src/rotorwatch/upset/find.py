@@ -300,7 +300,7 @@ def _lost(judged: Judged, n: int, blamed, others, decided: float) -> Event:
         "loss_of_control", tuple(blamed), judged.onset, left.lost, end, (), (), p, others, reason,
         {
             "cause": judged.cause, "live": True, "worked_until_s": worked, "impact_s": left.impact if fell else None,
-            "evidence": list(judged.evidence),
+            "evidence": list(judged.evidence), "how": left.what,
         },
     )  # fmt: skip
 

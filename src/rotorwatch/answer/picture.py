@@ -1,0 +1,98 @@
+"""One picture around a loss of control: the moments of its story, the wanted and the actual attitude, the commands of every rotor.
+
+Series have at most MOST samples, whatever the log's rate, so that an answer stays small.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from rotorwatch.answer.story import LOST, departure
+from rotorwatch.answer.traces import angles
+from rotorwatch.diagnosis import Event, Told
+from rotorwatch.flight import Flight
+from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.motion import allocation
+
+MOST = 160  # samples of a series
+BEFORE_S, AFTER_S = 1.5, 1.0  # of the first departure and of the end that are shown
+# Before and after control began to be lost: what is further away would make the rest too small to see.
+EARLIEST_S, LATEST_S = 6.0, 12.0
+GOOD_S = 1.0
+MARGIN_S = 0.3  # before the lift-off
+HELD_S = 3.0  # of commands before, which are held where outputs are logged slowly
+
+
+def make(
+    flight: Flight, vehicle: Vehicle, events: Sequence[Event], main: int | None, story: Sequence[Told]
+) -> dict[str, Any] | None:
+    """The picture's data as docs/json.md says; None where control was not lost. story: `story.tell` of the same events."""
+    lost = next((e for e in events if e.kind == LOST), None)
+    if lost is None or not story:
+        return None
+    first = departure(events, main)
+    began = lost.onset_s if first is None else min(first.onset_s, lost.onset_s)
+    over = story[-1].time_s
+    up = story[0].time_s  # before the first departure where the story begins with the take-off
+    good = ("lift-off", up) if up < began else ("last good second", max(began - GOOD_S, 0.0))
+    start = max(min(began - BEFORE_S, up - MARGIN_S), lost.onset_s - EARLIEST_S, 0.0)
+    end = min(over + AFTER_S, lost.onset_s + LATEST_S)
+    marks = [
+        good,
+        ("first departure", began),
+        ("control lost", story[-2].time_s),
+    ]
+    impact = lost.extra.get("impact_s")
+    if impact is not None:
+        marks.append(("impact", impact))
+    elif lost.end_s is not None:
+        marks.append(("control back", lost.end_s))
+    part = replace(
+        flight, signals={name: s.between(start - HELD_S, end + AFTER_S) for name, s in flight.signals.items()}
+    )
+    return {
+        "start_s": start,
+        "end_s": end,
+        "marks": [{"time_s": t, "what": what} for what, t in marks if start <= t <= end],
+        "accused": sorted({*lost.rotors, *(first.rotors if first is not None and not first.alternatives else ())}),
+        "attitude": _attitude(part, start, end),
+        "commands": _commands(part, vehicle, start, end),
+    }
+
+
+def _attitude(flight: Flight, start: float, end: float) -> dict[str, Any] | None:
+    """Roll and pitch [degrees], as flown and as wanted, at the samples of the attitude."""
+    if not flight.has("attitude"):
+        return None
+    time = _some(flight["attitude"].time, start, end)
+    flown, wanted = (angles(flight, name, time) for name in ("attitude", "attitude_wanted"))
+    if flown is None or time.size < 2:
+        return None
+    out = {"time_s": time, "roll_deg": flown[:, 0], "pitch_deg": flown[:, 1]}
+    out |= {"wanted_roll_deg": None, "wanted_pitch_deg": None}
+    if wanted is not None:
+        out |= {"wanted_roll_deg": wanted[:, 0], "wanted_pitch_deg": wanted[:, 1]}
+    return {name: None if v is None else np.round(v, 3 if name == "time_s" else 1) for name, v in out.items()}
+
+
+def _commands(flight: Flight, vehicle: Vehicle, start: float, end: float) -> dict[str, Any] | None:
+    """What each rotor was asked for, as a share of its full thrust."""
+    if not flight.has("motors"):
+        return None
+    thrust = allocation.rotor_thrusts(flight, vehicle)
+    time = _some(thrust.time, start, end)
+    if time.size < 2:
+        return None
+    at = np.searchsorted(thrust.time, time)
+    share = np.where(thrust.valid[at], thrust.values[at], np.nan)
+    return {"time_s": np.round(time, 3), "share": np.round(share.T, 3)}
+
+
+def _some(time: np.ndarray, start: float, end: float) -> np.ndarray:
+    """The times within, thinned evenly."""
+    inside = time[(time >= start) & (time <= end)]
+    return inside[:: max(1, -(-inside.size // MOST))]

@@ -1,0 +1,131 @@
+"""What happened when a vehicle left control, in four sentences in the order of time: the last good moment, the first departure, the loss of
+control, and how it ended. The first loss of control of a flight is told; a flight without one has no story.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from rotorwatch.answer.wording import candidates, losses, rotors, seconds, sentence
+from rotorwatch.diagnosis import Event, Told
+
+LOST, LOSS, ORDER = "loss_of_control", "loss_of_effectiveness", "motor_order"
+ACCUSES = (LOSS, "output_override", ORDER)
+FIRST_S = 3.0  # after lift-off: the vehicle never flew well, and the last good moment is that it stood
+SOON_S = 0.1  # a tick of slow logs: what is said of such a moment holds for the next
+# Causes that clear the rotors: {who} are all of them, {when} is until when they were seen to work.
+CLEARED = {
+    "disarmed": "{who} did what they were told until {when}, when the motors were disarmed in the air.",
+    "knock": "{who} did what they were told until {when}, when something struck the vehicle.",
+    "power": "{who} did what they were told until {when}, when the power failed.",
+    "saturated": "At {onset} {who} had no more to give; they did what they were told, as was seen until {when}.",
+    "controller": "At {onset} the vehicle left what was wanted, though {who} did what they were told, as was seen until {when}: "
+    "a sensor, an estimate or the pilot was wrong.",
+    "unknown": "No rotor is accused: as far as the log shows, {who} did what they were told until {when}.",
+}
+
+
+def tell(
+    events: Sequence[Event],
+    main: int | None,
+    n: int,
+    places: Sequence[str] = (),
+    hops: Sequence[tuple[float, float]] = (),
+    trusted: bool = True,
+) -> tuple[Told, ...]:
+    """The story of a flight of n rotors; empty where control was not lost.
+
+    events: of the answer; main: index of the one that matters, or None; places: `places.names`; hops: ((take-off, landing), ...) s.
+    trusted: False where the log contradicts itself, and may not tell what the rotors did.
+    """
+    gone = [e for e in events if e.kind == LOST]
+    if not gone:
+        return ()
+    lost = gone[0]
+    first = departure(events, main) if trusted else None
+    began = lost.onset_s if first is None else min(first.onset_s, lost.onset_s)
+    up = next((a for a, b in hops if a <= began <= b), None)
+    if up is not None and began - up < FIRST_S:
+        good = Told(up, f"The vehicle lifted off at {seconds(up)}.")
+    else:
+        good = Told(began, f"Until {seconds(began)} the vehicle flew as it was told.")
+    out = [good]
+    if first is not None:
+        out.append(Told(first.onset_s, _departure(first, lost, places)))
+    elif trusted:
+        out.append(Told(lost.onset_s, _no_rotor(lost, n, places)))
+    end = _end(lost, gone[1:], hops)
+    when = lost.detected_s if lost.detected_s <= end.time_s else max(lost.onset_s, out[-1].time_s)
+    return (*out, Told(when, _lost(lost, when, first, n)), end)
+
+
+def departure(events: Sequence[Event], main: int | None) -> Event | None:
+    """The event with which it began: the main one when it came before control was lost, else the first that lasted until then."""
+    lost = next((e for e in events if e.kind == LOST), None)
+    if lost is None:
+        return None
+    before = [e for e in events if e.kind in ACCUSES and e.onset_s <= lost.detected_s]
+    if main is not None and events[main] in before:
+        return events[main]
+    lasted = [e for e in before if e.end_s is None or e.end_s >= lost.onset_s]
+    return min(lasted, key=lambda e: e.onset_s, default=None)
+
+
+def _departure(event: Event, lost: Event, places: Sequence[str]) -> str:
+    at = seconds(event.onset_s)
+    if event.kind == ORDER:
+        if not event.rotors:
+            return f"From its first movement at {at} on it yawed against its commands: propellers or motors turn the wrong way round."
+        i, j = event.rotors
+        return (
+            f"From its first movement at {at} on it turned as if the outputs of motors {i} and {j} went to each other's motor: "
+            f"{rotors(event.rotors, places)}."
+        )
+    if event.kind == LOSS and event.alternatives:
+        return f"At {at} something lost thrust: {candidates(event, places)}."
+    over = f", until {seconds(event.end_s)}" if event.end_s is not None and event.end_s < lost.onset_s else ""
+    if event.kind == LOSS:
+        return f"At {at} {rotors(event.rotors, places)} lost {losses(event)} of thrust{over}."
+    return f"At {at} the output of {candidates(event, places)} stopped following the mixer{over}."
+
+
+def _no_rotor(lost: Event, n: int, places: Sequence[str]) -> str:
+    """What is said of the rotors where no event accuses one."""
+    if lost.alternatives:
+        return f"At {seconds(lost.onset_s)} {' or '.join(rotors(a, places) for a in lost.alternatives)} may have failed, or something else."
+    if lost.rotors:
+        return f"At {seconds(lost.onset_s)} {candidates(lost, places)} stopped doing what was told."
+    return sentence(_cleared(lost, n))
+
+
+def _cleared(lost: Event, n: int) -> str:
+    until = [t for t in lost.extra.get("worked_until_s", ()) if t is not None]
+    when = seconds(min(until, default=lost.onset_s))
+    text = CLEARED.get(str(lost.extra.get("cause")), CLEARED["unknown"])
+    return sentence(text.format(who=f"all {n} rotors", when=when, onset=seconds(lost.onset_s)))
+
+
+def _lost(lost: Event, when: float, first: Event | None, n: int) -> str:
+    how = str(lost.extra.get("how") or "")
+    since = "" if when - lost.onset_s < SOON_S else f"; it had begun to leave control at {seconds(lost.onset_s)}"
+    said = f"Control was lost at {seconds(when)}{f', {how}' if how else ''}{since}."
+    named = set() if first is None else {r for who in (first.rotors, *first.alternatives) for r in who}
+    if (
+        first is not None
+        and lost.extra.get("cause") in CLEARED
+        and not named & {*lost.rotors, *sum(lost.alternatives, ())}
+    ):
+        said += f" {_cleared(lost, n)}"  # what had begun before is not why
+    return said
+
+
+def _end(lost: Event, later: Sequence[Event], hops: Sequence[tuple[float, float]]) -> Told:
+    again = f" It was lost again at {seconds(later[0].onset_s)}." if later else ""
+    impact = lost.extra.get("impact_s")
+    if impact is not None:
+        return Told(impact, f"It hit the ground at {seconds(impact)}.{again}")
+    if lost.end_s is not None:
+        return Told(lost.end_s, f"Control came back at {seconds(lost.end_s)}.{again}")
+    last = max((b for _, b in hops), default=lost.detected_s)
+    last = max(last, lost.detected_s)
+    return Told(last, f"No impact was seen; control had not come back by {seconds(last)}.{again}")

@@ -1,0 +1,144 @@
+"""The picture around a loss of control (Bokeh): what happened when, wanted against actual roll and pitch, the commands of every rotor."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from rotorwatch import report
+from rotorwatch.diagnosis import Diagnosis
+from rotorwatch.report import colours
+from rotorwatch.report.colours import FAULT, INK, SUSPECT
+from rotorwatch.report.figures import blank
+
+NAMES = ("moment_strip", "moment_roll", "moment_pitch", "moment_commands")
+TINTS = {
+    "lift-off": "#0072b2",
+    "last good second": "#0072b2",
+    "first departure": SUSPECT,
+    "control lost": FAULT,
+    "impact": INK,
+    "control back": "#0072b2",
+}
+ANGLES = ("roll", "pitch")
+HALF_TURN = 180.0
+LEAST_SPAN = 20.0  # degrees that an axis shows at least: a calm flight is to look calm
+
+
+def plots(diagnosis: Diagnosis) -> dict[str, Any]:
+    """Bokeh figures by name, one below the other on one time axis; empty where control was not lost, or nothing is logged of it."""
+    from bokeh.models import Range1d, Span
+
+    facts = diagnosis.picture
+    if not facts or not (facts["attitude"] or facts["commands"]):
+        return {}
+    x_range = Range1d(
+        start=facts["start_s"], end=facts["end_s"], bounds=(facts["start_s"], facts["end_s"]), min_interval=0.1
+    )
+    out = {"moment_strip": _strip(facts, x_range)}
+    if facts["attitude"]:
+        out |= {f"moment_{angle}": _angle(facts["attitude"], x_range, angle) for angle in ANGLES}
+    if facts["commands"]:
+        out["moment_commands"] = _commands(diagnosis, facts, x_range)
+    for name, figure in out.items():
+        figure.name = name
+        figure.xaxis.visible = name == list(out)[-1]
+        for mark in facts["marks"] if name != "moment_strip" else ():
+            look: dict[str, Any] = dict(line_color=TINTS.get(mark["what"], INK), line_width=1.6, dimension="height")
+            figure.add_layout(
+                Span(
+                    location=mark["time_s"],
+                    line_dash="dashed" if mark["what"] == "last good second" else "solid",
+                    **look,
+                )
+            )
+    return out
+
+
+def _strip(facts: Mapping[str, Any], x_range) -> Any:
+    """Coloured stretches from each moment to the next, and their names with their times, one above the other."""
+    from bokeh.models import ColumnDataSource, HoverTool, Label, Range1d
+
+    marks = facts["marks"]
+    top = 1.0 + len(marks)
+    p = blank(x_range, 30 + 20 * len(marks), "", [("", "@what")], y_range=Range1d(start=0.0, end=top))
+    p.yaxis.visible = False
+    p.ygrid.visible = False
+    ends = [m["time_s"] for m in marks[1:]] + [facts["end_s"]]
+    source = ColumnDataSource(
+        {
+            "left": [m["time_s"] for m in marks], "right": ends, "what": [f"{m['what']}: {report.seconds(m['time_s'])}" for m in marks],
+            "tint": [TINTS.get(m["what"], INK) for m in marks],
+        }
+    )  # fmt: skip
+    boxes = p.quad(
+        "left", "right", 0.9, 0.1, source=source, fill_color="tint", line_color=None, fill_alpha=0.85, name="stretches"
+    )
+    p.segment("left", 0.1, "left", top, source=source, line_color="tint", line_width=1.6)
+    middle = 0.5 * (facts["start_s"] + facts["end_s"])
+    for k, text in enumerate(source.data["what"]):
+        at = marks[k]["time_s"]
+        look: dict[str, Any] = dict(
+            text_font="system-ui, sans-serif", text_font_size="13px", text_color=INK, text_baseline="middle"
+        )
+        side: dict[str, Any] = (
+            dict(text_align="left", x_offset=5) if at < middle else dict(text_align="right", x_offset=-5)
+        )
+        p.add_layout(Label(x=at, y=top - 0.55 - k, text=text, **look, **side))
+    hover = p.select_one(HoverTool)
+    hover.renderers, hover.mode, hover.tooltips = [boxes], "mouse", [("", "@what")]
+    return p
+
+
+def _angle(facts: Mapping[str, Any], x_range, angle: str) -> Any:
+    """Wanted against actual, one axis [degrees]."""
+    from bokeh.models import ColumnDataSource, HoverTool, Range1d
+
+    have = {"actual": facts[f"{angle}_deg"], "wanted": facts[f"wanted_{angle}_deg"]}
+    data = {name: _unbroken(values) for name, values in have.items() if values is not None}
+    source = ColumnDataSource({"time": np.asarray(facts["time_s"], float), **data})
+    p = blank(x_range, 150, f"{angle} [°]", [(name, f"@{name}{{0.0}}°") for name in data])
+    p.yaxis.ticker.desired_num_ticks = 4
+    seen = np.concatenate([v[np.isfinite(v)] for v in data.values()])
+    low, high = (float(seen.min()), float(seen.max())) if seen.size else (0.0, 0.0)
+    room = 0.08 * (high - low) + max(0.0, 0.5 * (LEAST_SPAN - (high - low)))
+    p.y_range = Range1d(start=low - room, end=high + room)
+    style: dict[str, dict[str, Any]] = {
+        "actual": dict(color="#2b83ba", line_width=2.2),
+        "wanted": dict(color=INK, line_width=1.8, line_dash="dashed"),
+    }
+    lines = [p.line("time", name, source=source, name=name, **style[name]) for name in data]
+    p.select_one(HoverTool).renderers = lines[:1]
+    return p
+
+
+def _unbroken(degrees) -> np.ndarray:
+    """With a gap in place of a line from one end of the circle to the other."""
+    values = np.asarray(degrees, float).copy()
+    values[1:][np.abs(np.diff(values)) > HALF_TURN] = np.nan
+    return values
+
+
+def _commands(diagnosis: Diagnosis, facts: Mapping[str, Any], x_range) -> Any:
+    """The command of every rotor [% of full thrust], the accused ones thick and on top."""
+    from bokeh.models import ColumnDataSource, HoverTool, Range1d
+
+    share = 100.0 * np.asarray(facts["commands"]["share"], float)
+    looks = colours.looks(diagnosis, len(share))
+    numbers = range(1, len(share) + 1)
+    source = ColumnDataSource(
+        {"time": np.asarray(facts["commands"]["time_s"], float), **{f"command{k}": share[k - 1] for k in numbers}}
+    )
+    tips = [(f"rotor {k}", f"@command{k}{{0}} %") for k in numbers]
+    p = blank(x_range, 230, "command [%]", tips, y_range=Range1d(start=-3.0, end=108.0))
+    lines = [
+        p.step(
+            "time", f"command{k}", source=source, mode="after", name=f"rotor {k}", color=looks[k][0], line_dash=looks[k][1],
+            line_width=4.0 if k in facts["accused"] else 1.6,
+        )
+        for k in sorted(numbers, key=lambda k: k in facts["accused"])
+    ]  # fmt: skip
+    p.select_one(HoverTool).renderers = lines[:1]
+    return p

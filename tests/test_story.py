@@ -1,0 +1,274 @@
+"""What happened when control was lost: four sentences in every view, first, with one picture, and nowhere a sign that all was well."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+import subprocess
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from rich.console import Console
+from tests import tumbling
+
+import test_json
+from agreement import walk
+from conftest import hexa_event
+from rotorwatch import airframes, diagnose
+from rotorwatch.answer import story
+from rotorwatch.answer.conclusion import conclude
+from rotorwatch.answer.picture import MOST
+from rotorwatch.diagnosis import Diagnosis, Event
+from rotorwatch.fleet import assess, pages
+from rotorwatch.report import html, overview, terminal, upset
+from test_browser_report import complaints
+
+PLACES = ("front right", "rear left", "front left", "rear right")
+HOPS = ((4.0, 60.0),)
+
+
+@cache
+def crash(case: str = "climb", rate: float = 50.0) -> Diagnosis:
+    duration, seed = (11.0, 1) if case == "climb" else (15.0, 0)
+    return diagnose(tumbling.fly("quad-x", case, seed, rate, duration, 9.0)[0], airframes.named("ardupilot-quad-x"))
+
+
+def printed(answer: Diagnosis) -> str:
+    out = Console(width=200, color_system=None, highlight=False, markup=False, file=io.StringIO())
+    with out.capture() as said:
+        out.print(terminal.diagnosis(answer))
+    return said.get()
+
+
+def lost(cause: str, **more) -> Event:
+    extra = {
+        "cause": cause,
+        "worked_until_s": [30.0] * 4,
+        "impact_s": 33.0,
+        "how": "falling without thrust",
+        "evidence": [],
+    }
+    given = {
+        "rotors": (),
+        "onset_s": 30.0,
+        "detected_s": 31.0,
+        "end_s": 33.0,
+        "loss": (),
+        "interval": (),
+        "reason": "why",
+    }
+    return hexa_event(kind="loss_of_control", **{**given, **more, "extra": extra | more.get("extra", {})})
+
+
+def told(*events: Event, main: int | None = None) -> list[str]:
+    return [s.text for s in story.tell(events, main, 4, PLACES, HOPS)]
+
+
+def test_a_crash_is_told_from_its_flight_to_the_terminal():
+    answer = crash()
+    lines = printed(answer).splitlines()
+    first = lines.index("What happened")
+    assert not any("Rotors" in line for line in lines[:first])
+    want = (
+        r" 1\. The vehicle lifted off at 3\.\d\d s\.",
+        r" 2\. At 5\.\d\d s rotor 3 \(front left\) lost \d\d % \(\d\d–\d+ %\) of thrust\.",
+        r" 3\. Control was lost at 6\.\d\d s, tilted \d+ degrees away from what was wanted; it had begun to leave control at 5\.\d\d s\.",
+        r" 4\. It hit the ground at 7\.\d\d s\.",
+    )
+    for line, pattern in zip(lines[first + 1 : first + 5], want, strict=True):
+        assert re.fullmatch(pattern, line.rstrip())
+    assert [s.text for s in answer.story] == [line[4:].rstrip() for line in lines[first + 1 : first + 5]]
+    assert [s.time_s for s in answer.story] == sorted(s.time_s for s in answer.story)
+
+
+@pytest.mark.parametrize("case", ["climb", "disarmed", "power"])
+def test_no_view_of_a_crash_contradicts_another(case):
+    assert walk(crash(case, 50.0 if case == "climb" else 10.0)) == []
+
+
+def test_the_json_of_a_crash_is_documented_and_comes_back():
+    answer = crash()
+    found = json.loads(answer.to_json())
+    table = test_json.documented("Fields")
+    assert set(test_json.fields(found, table)) <= set(table)
+    assert Diagnosis.from_dict(found).to_dict() == found
+    assert found["story"][3] == {"time_s": round(answer.story[3].time_s, 4), "text": answer.story[3].text}
+
+
+def test_the_picture_is_small_at_any_rate_and_shows_what_was_wanted():
+    facts = crash().picture
+    assert facts is not None
+    assert facts["accused"] == [3]
+    assert [m["what"] for m in facts["marks"]] == ["lift-off", "first departure", "control lost", "impact"]
+    flown, wanted = (np.asarray(facts["attitude"][name]) for name in ("roll_deg", "wanted_roll_deg"))
+    time = np.asarray(facts["attitude"]["time_s"])
+    before, after = time < facts["marks"][1]["time_s"], time > facts["marks"][2]["time_s"]
+    assert np.nanmax(np.abs(flown - wanted)[before]) < 10.0
+    assert np.nanmax(np.abs(flown - wanted)[after]) > 30.0
+    assert all(len(row) == len(facts["commands"]["time_s"]) <= MOST for row in facts["commands"]["share"])
+    fast = crash("climb", 400.0).picture
+    assert fast is not None
+    assert max(len(fast[name]["time_s"]) for name in ("attitude", "commands")) <= MOST
+
+
+@pytest.mark.parametrize(
+    ("cause", "said"),
+    [
+        ("disarmed", "All 4 rotors did what they were told until 30.00 s, when the motors were disarmed in the air."),
+        ("knock", "All 4 rotors did what they were told until 30.00 s, when something struck the vehicle."),
+        ("power", "All 4 rotors did what they were told until 30.00 s, when the power failed."),
+        (
+            "unknown",
+            "No rotor is accused: as far as the log shows, all 4 rotors did what they were told until 30.00 s.",
+        ),
+    ],
+)
+def test_to_exonerate_is_told_as_well(cause, said):
+    assert told(lost(cause), main=0) == [
+        "Until 30.00 s the vehicle flew as it was told.",
+        said,
+        "Control was lost at 31.00 s, falling without thrust; it had begun to leave control at 30.00 s.",
+        "It hit the ground at 33.00 s.",
+    ]
+
+
+def test_a_loss_long_before_is_the_first_departure():
+    weak = hexa_event(rotors=(2,), onset_s=20.0, detected_s=21.0)
+    said = told(weak, lost("rotor", rotors=(2,)), main=0)
+    assert said[0] == "Until 20.00 s the vehicle flew as it was told."
+    assert said[1].startswith("At 20.00 s rotor 2 (rear left) lost ")
+
+
+def test_a_loss_that_is_not_why_control_was_lost_leaves_the_cause_in_the_story():
+    weak = hexa_event(rotors=(2,), onset_s=20.0, detected_s=21.0)
+    said = told(weak, lost("disarmed"), main=0)
+    assert said[1].startswith("At 20.00 s rotor 2 (rear left) lost ")
+    assert said[2].endswith(
+        "All 4 rotors did what they were told until 30.00 s, when the motors were disarmed in the air."
+    )
+
+
+def test_candidates_are_all_named():
+    said = told(lost("unknown", rotors=(1,), alternatives=((1,), (2,))), main=0)
+    assert said[1] == "At 30.00 s rotor 1 (front right) or rotor 2 (rear left) may have failed, or something else."
+
+
+def test_an_impact_before_the_loss_was_certain_stays_last():
+    moments = story.tell([lost("knock", extra={"impact_s": 30.5})], 0, 4, PLACES, HOPS)
+    assert [s.time_s for s in moments] == [30.0, 30.0, 30.0, 30.5]
+
+
+def test_how_it_ended_is_told_where_nothing_was_hit():
+    assert told(lost("knock", extra={"impact_s": None}))[-1] == "Control came back at 33.00 s."
+    open_end = told(lost("knock", end_s=None, extra={"impact_s": None}))[-1]
+    assert open_end == "No impact was seen; control had not come back by 60.00 s."
+    again = told(lost("knock", extra={"impact_s": None}), lost("knock", onset_s=40.0, detected_s=41.0))[-1]
+    assert again.endswith("It was lost again at 40.00 s.")
+
+
+def test_a_log_that_is_not_believed_says_nothing_of_its_rotors():
+    end = conclude(
+        [lost("disarmed")], None, 4, doubts=("The outputs are not those that flew.",), places=PLACES, hops=HOPS
+    )
+    assert end.story
+    assert "rotor" not in " ".join(s.text for s in end.story)
+
+
+def test_a_flight_under_control_has_no_story():
+    assert told(hexa_event()) == []
+
+
+@pytest.mark.parametrize("case", ["climb", "disarmed"])
+def test_no_view_of_a_crash_has_a_sign_that_all_was_well(case):
+    answer = crash(case, 50.0 if case == "climb" else 10.0)
+    text, page = printed(answer), html.page(answer)
+    assert answer.exit_code != 0
+    assert "Health" not in text
+    assert "Health of every rotor" not in page
+    assert "✓" not in page + text
+    assert 'class="verdict healthy"' not in page
+    assert not any("healthy" in r.grade or r.trend for r in answer.rotors)
+    row = overview.Row("x.bin", answer.verdict, "", "", answer.headline)
+    assert 'class="healthy"' not in overview._line(row)
+
+
+def test_each_rotor_has_the_time_until_which_it_worked():
+    notes = [r.note for r in crash("disarmed", 10.0).rotors]
+    assert all(note.startswith("seen to work until 9.") for note in notes)
+    assert all(note in html.page(crash("disarmed", 10.0)).replace("\u00a0", " ") for note in notes)
+
+
+def test_a_crash_teaches_a_fleet_nothing_and_its_page_says_so():
+    row = {"verdict": "inconclusive", "trim": {"lost": True}}
+    assert assess._why_not(row, 4) == assess.FELL
+    standing = {
+        "headline": "All rotors pull alike.", "rotors": [{"rotor": 1, "status": "healthy"}],
+        "left_out": [{"name": "fell.bin", "why": assess.FELL}],
+    }  # fmt: skip
+    craft = {"name": "A", "key": "ab", "flights": 2, "airborne_s": 60.0, "last": None, "standing": standing}
+    shown = pages._index([craft])
+    assert '<td class="suspect">All rotors pull alike. Control was lost in fell.bin.</td>' in shown
+    assert 'class="healthy"' not in shown
+    assert 'class="healthy"' in pages._index([{**craft, "standing": {**standing, "left_out": []}}])
+
+
+PROBE = """<script>
+(function probe(tries) {
+  if (document.documentElement.dataset.plots === undefined && tries) return setTimeout(probe, 50, tries - 1);
+  const box = (e) => e.getBoundingClientRect();
+  const plots = [...document.querySelectorAll("#moment .plot")];
+  const ink = (c) => {
+    const pixels = c.getContext("2d").getImageData(0, 0, c.width, c.height).data;
+    let n = 0;
+    for (let i = 3; i < pixels.length; i += 4) n += pixels[i] > 0;
+    return n / (pixels.length / 4);
+  };
+  const canvases = [];
+  (function walk(node) {
+    if (node.tagName === "CANVAS") canvases.push(node);
+    if (node.shadowRoot) walk(node.shadowRoot);
+    for (const child of node.children) walk(child);
+  })(document.getElementById("moment"));
+  document.documentElement.dataset.probe = JSON.stringify({
+    story: [...document.querySelectorAll(".story li")].map((e) => [e.textContent, box(e).top]),
+    plots: plots.map((e) => [e.id, box(e).top, box(e).height]),
+    inked: canvases.filter((c) => c.width && c.height).map(ink),
+    table: box(document.querySelector("table.rotors")).top,
+    overflow: document.documentElement.scrollWidth - document.documentElement.clientWidth,
+  });
+})(200);
+</script>"""
+
+
+def visited(chromium, folder, width: int):
+    page = folder / f"{width}.html"
+    page.write_text(html.page(replace(crash(), trace=None)).replace("</body>", PROBE + "</body>"), encoding="utf-8")
+    command = [chromium, "--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--no-first-run"]
+    command += [f"--user-data-dir={folder / 'profile'}", f"--window-size={width},900", "--enable-logging=stderr"]
+    done = subprocess.run(
+        [*command, "--virtual-time-budget=20000", "--dump-dom", page.as_uri()],
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    seen = re.search(r'<html[^>]* data-probe="([^"]*)"', done.stdout)
+    assert seen, done.stderr[-2000:]
+    assert complaints([line for line in done.stderr.splitlines() if "CONSOLE" in line]) == []
+    return json.loads(seen.group(1).replace("&quot;", '"'))
+
+
+@pytest.mark.parametrize("width", [1200, 500])
+def test_the_story_and_its_picture_are_the_first_that_a_browser_shows(chromium, tmp_path, width):
+    seen = visited(chromium, tmp_path, width)
+    flat = [" ".join(text.replace("\u2060", "").replace("&nbsp;", " ").split()) for text, _ in seen["story"]]
+    assert flat == [s.text for s in crash().story]
+    assert [name for name, *_ in seen["plots"]] == [f"plot-{name}" for name in upset.NAMES]
+    tops = [top for _, top in seen["story"]] + [top for _, top, _ in seen["plots"]] + [seen["table"]]
+    assert tops == sorted(tops)
+    assert tops[0] < 450
+    assert all(height > 80 for *_, height in seen["plots"])
+    assert sum(share > 0.01 for share in seen["inked"]) >= len(upset.NAMES)
+    assert seen["overflow"] <= 0
