@@ -10,7 +10,7 @@ import pytest
 from rotorwatch import logs
 from rotorwatch.flight import Flight, Message
 from rotorwatch.logs.memory import from_arrays
-from rotorwatch.motion.airborne import CONFIRM_S, airborne
+from rotorwatch.motion.airborne import CONFIRM_S, MOST_GAP_S, airborne, gaps
 
 FLIGHTS = Path(__file__).parents[2] / "shared" / "flights"
 needs_flights = pytest.mark.skipif(
@@ -180,21 +180,35 @@ def test_lying_upside_down_ends_the_flight_at_the_crash():
     assert end == pytest.approx(40.05, abs=0.1)
 
 
-def test_a_gap_in_the_commands_separates_flights():
-    flight = made_up([(10, 50)])
-    motors = flight["motors"]
-    keep = (motors.time < 25) | (motors.time > 32)
-    cut = replace(motors, time=motors.time[keep], values=motors.values[keep], valid=motors.valid[keep])
-    found = airborne(replace(flight, signals={**flight.signals, "motors": cut}))
-    assert len(found) == 2 and found[0][1] == pytest.approx(25, abs=0.1) and found[1][0] == pytest.approx(32, abs=0.2)
+def without(flight, start, end, names=None):
+    """The flight without the samples between two times, of all signals or of those named."""
+    cut = {name: signal.with_arrays(*(a[(signal.time < start) | (signal.time > end)] for a in (signal.time, signal.values, signal.valid)))
+           for name, signal in flight.signals.items() if names is None or name in names}  # fmt: skip
+    return replace(flight, signals={**flight.signals, **cut})
+
+
+@pytest.mark.parametrize("names", [None, ("motors",)])
+def test_a_gap_in_the_air_is_no_landing(names):
+    flight = without(made_up([(10, 50)]), 25, 45, names)
+    ((start, end),) = airborne(flight)
+    assert (start, end) == pytest.approx(airborne(made_up([(10, 50)]))[0])
+    ((begin, over),) = gaps(flight, ((start, end),))
+    assert (begin, over) == pytest.approx((25, 45), abs=0.1)
+    assert gaps(flight, ((26.0, end),)) == ()
+
+
+def test_a_gap_that_hides_a_landing_ends_the_flight():
+    landing = without(made_up([(10, 30)]), 25, 40)  # on the ground when the commands come back
+    assert [b for _, b in airborne(landing)] == pytest.approx([25], abs=0.1)
+    said = replace(without(made_up([(10, 50)]), 25, 35, ("motors",)), messages=(Message(28.0, "landed", "", 1.0),))
+    assert len(airborne(said)) == 2
+    assert len(airborne(without(made_up([(10, 110)], duration=120), 25, 25 + MOST_GAP_S + 1))) == 2
 
 
 def test_a_short_gap_is_no_landing():
     """A link or a disk that stops for 3 s in the air: what was learned before holds after it."""
     flight = made_up([(10, 50)])
-    short = {name: signal.with_arrays(*(a[(signal.time < 25) | (signal.time > 28)] for a in (signal.time, signal.values, signal.valid)))
-             for name, signal in flight.signals.items()}  # fmt: skip
-    assert len(airborne(replace(flight, signals=short))) == 1
+    assert len(airborne(without(flight, 25, 28))) == 1
 
 
 def test_missing_commands_are_held():

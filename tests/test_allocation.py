@@ -228,6 +228,24 @@ def test_an_injected_override_is_found_live(path, rotor, start, value, kind, wit
     assert departures.overrides(flight.until(before), vehicle, airborne) == ()
 
 
+@pytest.mark.parametrize("valid", [True, False])
+def test_an_output_that_rests_in_calm_air_beside_a_damaged_record_is_not_stuck(valid):
+    flight, vehicle, _ = hover()
+    motors = flight["motors"]
+    values, known = np.full_like(motors.values, 1591.0), motors.valid.copy()
+    values += np.random.default_rng(3).random(values.shape) < 0.1
+    values[motors.time > 10.0, 3] = 1591.0
+    at = int(np.searchsorted(motors.time, 15.0))
+    values[at, :3], known[at, :3] = 1000.0, valid
+    signals = {"motors": replace(motors, values=values, valid=known)}
+    assert departures.overrides(replace(flight, signals=signals), vehicle, ((1.0, 30.0),)) == ()
+    rough = values + np.random.default_rng(4).normal(0.0, 20.0, values.shape)
+    rough[motors.time > 10.0, 3] = 1591.0
+    signals = {"motors": replace(motors, values=rough, valid=known)}
+    (found,) = departures.overrides(replace(flight, signals=signals), vehicle, ((1.0, 30.0),))
+    assert (found.rotor, found.kind) == (4, "stuck") and found.onset == pytest.approx(10.0, abs=0.2)
+
+
 def test_an_output_that_is_driven_by_something_else():
     flight, vehicle, _ = hover()
     motors = flight["motors"]

@@ -47,6 +47,10 @@ FILES = {
     "flip5_healthy_0.bin.xz": (("healthy", "inconclusive"), 124.0),
     "flip5_healthy_3.bin.xz": (("healthy", "inconclusive"), 124.0),
     "tlog_slow_107.tlog.xz": (("fault", "inconclusive"), 123.0),
+    "text_46_bytes.log.xz": (("healthy", "inconclusive"), 123.8),
+    "bin_11_places.bin.xz": (("healthy", "inconclusive"), 123.8),
+    "bin_160_places.bin.xz": (("healthy", "inconclusive"), 123.8),
+    "one_record_of_zeros.bin.xz": (("healthy",), 123.8),
     "ulog_last_stamp_one_bit.ulg.xz": (("healthy",), 60.0),
     "ulog_last_torque_stamp_one_bit.ulg.xz": (("healthy",), 60.0),
 }
@@ -64,6 +68,18 @@ def test_a_log_damaged_inside_its_framing(name):
     assert found.warnings
     if "stamp" in name or name.startswith("tlog"):
         assert any("time" in w and "impossible" in w for w in found.warnings)
+
+
+@pytest.mark.parametrize("name, rotor, loss", [("gap_hides_loss_1", 1, 0.19), ("gap_hides_loss_2", 2, 0.37)])
+def test_a_loss_soon_after_a_gap_in_the_air_is_found(name, rotor, loss):
+    if not (DAMAGED / f"{name}.bin.xz").exists():
+        pytest.skip("the flight logs for tests are not here (../shared/flights)")
+    found = rw.diagnose(DAMAGED / f"{name}.bin.xz")
+    (event,) = found.events
+    assert event.rotors == (rotor,) and event.interval[0][0] <= loss <= event.interval[0][1]
+    assert event.detected_s - event.onset_s < 1.0  # what was learned before the gap holds after it
+    assert len(found.flight["hops"]) == 1
+    assert any("No motor outputs are logged from 33." in w and "in the air" in w for w in found.warnings)
 
 
 # -- the same with our own logs ----------------------------------------------------------------------------------------

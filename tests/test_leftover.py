@@ -7,7 +7,7 @@ import pytest
 
 from conftest import hexa_event
 from rotorwatch import airframes
-from rotorwatch.default import hypotheses, leftover
+from rotorwatch.default import events, hypotheses, leftover
 from rotorwatch.motion.ticks import JUDGE, LEARN
 
 HYP = hypotheses.make(4)
@@ -80,3 +80,15 @@ def test_a_trim_that_came_out_changed_as_by_a_rotors_loss():
     assert found(EVENT, trim=[(-0.6 * B[:, 2], 33.0)], mode=afresh) == []  # it would have to give more
     assert found(EVENT, trim=[(np.array([0.6, 0.0, 0.0, 0.0]), 33.0)], mode=afresh) == []  # no rotor's direction
     assert found(trim=[(0.6 * B[:, 2], 33.0)], mode=afresh) == []
+
+
+def test_a_loss_that_may_be_nothing_accuses_nobody_and_is_said():
+    some, none = (
+        hexa_event(interval=((0.02, 0.1),)),
+        hexa_event(rotors=(3,), onset_s=20.0, end_s=None, interval=((0.0, 0.1),)),
+    )
+    assert events.accuses(some) and not events.accuses(none)
+    assert events.accuses(hexa_event(interval=((0.0, 0.1),), alternatives=((4,),)))  # accuses nobody alone
+    assert leftover.faint((none,), (), 60.0) == (leftover.Leftover((3,), 20.0, 60.0),)
+    knock = hexa_event(kind="contact", rotors=(), onset_s=18.0, detected_s=18.0, end_s=18.0)
+    assert leftover.faint((none,), (knock,), 60.0) == ()  # what a knock leaves behind speaks of the knock

@@ -235,3 +235,34 @@ def test_what_no_diagnosis_would_notice_is_left_alone():
             values[100, 0] += times_floor * plausible.FLOORS[name]
             flight = plausible.checked(Flight("t", "t", {name: Signal(times(200), values, columns, "1")}, 20.0))
             assert (~flight[name].valid).any(axis=1).sum() == wild, (name, times_floor)
+
+
+def outputs(rows, invalid=(), rate=10.0, n=200):
+    values = 1590.0 + noise(4 * n, 1.0).reshape(n, 4)
+    values[rows, :3] = 0.0
+    valid = values > 0.0
+    for row in invalid:
+        valid[row] = False
+    return Flight(
+        "x",
+        "ArduPilot",
+        {"motors": Signal(np.arange(n) / rate, values, tuple("abcd"), "us", "", "RCOU", valid)},
+        n / rate,
+    )
+
+
+def test_a_lone_record_without_commands_is_dropped_and_said():
+    flight = plausible.checked(outputs([85, 120]))
+    assert not flight["motors"].valid[[85, 120]].any() and flight["motors"].valid.all(axis=1).sum() == 198
+    assert flight.warnings == (
+        "motors (RCOU): 2 records in which most outputs are no command dropped, at 8.5 s, 12.0 s.",
+    )
+    (many,) = plausible.checked(outputs([85, 120, 130, 140])).warnings
+    assert many.endswith("at 8.5 s, 12.0 s, 13.0 s and later.")
+
+
+def test_outputs_that_are_switched_off_are_not_damage():
+    assert plausible.checked(outputs(slice(85, 88))).warnings == ()
+    assert plausible.checked(outputs(slice(85, 200))).warnings == ()
+    assert plausible.checked(outputs([0, 199])).warnings == ()
+    assert plausible.checked(outputs(slice(10, 190, 5))).warnings == ()  # too many for damage: what the log is like

@@ -33,6 +33,7 @@ LOGS = (
     "ardupilot-real-twoflights/sample.bin.xz",
     "px4-pyulog/sample_px4_events.ulg.xz",
     "crazypad/cut_propeller_M3_3.5mm_3.5mm_40mm__E8_log00.usd.xz",
+    "damaged/gap_hides_loss_1.bin.xz",
     "wild/held-off-quadx-1.bin.xz",
     "wild/knock-1.bin.xz",
     "wild/knock-scale-1.bin.xz",

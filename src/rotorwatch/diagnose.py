@@ -22,7 +22,7 @@ from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.healthy import baselines, population
 from rotorwatch.healthy.baselines import Given
 from rotorwatch.motion import outside, ticks, trust
-from rotorwatch.motion.airborne import airborne
+from rotorwatch.motion.airborne import airborne, gaps
 from rotorwatch.motion.ticks import JUDGE, READY_KNOWN_S, READY_S, Ticks, observe
 from rotorwatch.published import decide, published
 from rotorwatch.published.published import Tuning
@@ -76,7 +76,7 @@ def diagnose(
     upsets = upset.judged(flight, craft, air)
     air = upset.until_impact(flight, air, upsets)
     table = observe(flight, craft, air, ready_s)
-    warnings = [*flight.warnings, *told]
+    warnings = [*flight.warnings, *told, *_silences(flight, air)]
     assumptions = list(craft.assumptions)
     if table is not None and dynamics and dynamics.get("dt") != table.dt:
         assumptions.append(
@@ -143,6 +143,8 @@ def diagnose(
         losses = hindsight.join(losses, hindsight.find(last, table, hyp, B))
     overrides = outside.overrides(flight, craft, air, table)
     losses = outside.unexplained(losses, overrides)
+    faint = tuple(e for e in losses if not events.accuses(e))
+    losses = tuple(e for e in losses if events.accuses(e))
     contacts = outside.contacts(table, air)
     found = upset.events(upsets, (*losses, *overrides, *contacts), len(craft.rotors))
     heard = witness.hear(flight, craft, air, table, found)
@@ -155,7 +157,7 @@ def diagnose(
     comparison = detectors.detect(flight, craft, air)
     lap("comparison_s")
     judged = (table.mode == JUDGE) & table.valid.any(axis=1)
-    spells = leftover.find(out, table, hyp, limit, found, B)
+    spells = (*leftover.find(out, table, hyp, limit, found, B), *leftover.faint(faint, found, float(table.time[-1])))
     end = conclusion.conclude(
         found, whole, len(craft.rotors), hidden=_hidden(out, table, B), judged_s=float(judged.sum() * table.dt), places=names,
         doubts=doubts, leftover=spells, hops=air, trends=() if doubts else health.trends(out, table, B, found),
@@ -210,6 +212,15 @@ def _facts(flight: Flight, vehicle: Vehicle, air, table: Ticks | None) -> dict:
         "hops": [[round(a, 3), round(b, 3)] for a, b in air],
         "profile": _profile(flight, table),
     }
+
+
+def _silences(flight: Flight, air) -> list[str]:
+    """What is missing of a flight, a sentence for each gap."""
+    return [
+        f"No motor outputs are logged from {start:.1f} s to {end:.1f} s, in the air: what happened in that time is only told by what "
+        "was different after it."
+        for start, end in gaps(flight, air)
+    ]
 
 
 def _profile(flight: Flight, table: Ticks | None) -> str:

@@ -144,6 +144,11 @@ def read(out, ticks: Ticks, hyp: Hypotheses, B: np.ndarray | None = None, flies:
     )
 
 
+def accuses(event: Event) -> bool:
+    """Is it an accusation? A loss that may be nothing, by its interval, and is said of one set of rotors alone is evidence, no more."""
+    return bool(event.alternatives) or max(low for low, _ in event.interval) > 0.0
+
+
 def _hops(ticks: Ticks) -> list[tuple[int, int]]:
     """First and last tick of every hop: until the last one that is judged."""
     starts = [0, *[int(k) for k in np.flatnonzero(ticks.restart) if k > 0]]

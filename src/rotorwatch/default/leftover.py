@@ -82,6 +82,16 @@ def find(
     return tuple(sorted(found, key=lambda spell: spell.start_s))
 
 
+def faint(losses: Sequence[Event], found: Sequence[Event], end_s: float) -> tuple[Leftover, ...]:
+    """Spells of `losses` that accuse nobody (`events.accuses`), but for those that a knock among the events explains."""
+    knocks = [e.onset_s for e in found if e.kind == "contact"]
+    return tuple(
+        Leftover(e.rotors, e.onset_s, end_s if e.end_s is None else e.end_s)
+        for e in losses
+        if not any(t - 0.5 <= e.onset_s <= t + plant.USUAL_S for t in knocks)
+    )
+
+
 def _trims(biases: np.ndarray, table: Ticks, known: Sequence[Event], B: np.ndarray) -> list[Leftover]:
     """Times after an event when the vehicle flew on but was not judged, and the commanded wrench of trim, biases (T, 4), came out changed
     along the direction of rotors, columns of B (4, n)."""

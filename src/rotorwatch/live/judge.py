@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from rotorwatch.answer.unseen import Unseen
-from rotorwatch.default import hypotheses, program
+from rotorwatch.default import events, hypotheses, program
 from rotorwatch.diagnosis import Event
 from rotorwatch.flight import Signal
 from rotorwatch.flight.vehicle import Vehicle
@@ -182,9 +182,10 @@ class Judge:
     def events(self) -> tuple[Event, ...]:
         """All that has happened, as it looks now."""
         air = self._air()
-        losses = (*self._done, *self._history.events(self.hyp, self.B, flies=not self._over))
+losses: tuple[Event, ...] = (*self._done, *self._history.events(self.hyp, self.B, flies=not self._over))
         if self._beginnings is not None:
             losses = self._beginnings.join(losses)
+        losses = tuple(e for e in losses if events.accuses(e))
         overrides = outside.as_events(self._watch.found(), self._falls(air))
         contacts = () if self._past is None else outside.contacts_in(self._past.contacts, air)
         found = (*outside.unexplained(losses, overrides), *overrides, *contacts)

@@ -36,6 +36,7 @@ HABIT = 0.05  # share of a signal's values beyond which it is not damage but wha
 FITTED, FIT_EVERY = 512, 64  # samples that say how the mixer makes commands of the controller's output, and how often
 PARTNER_S = 0.1  # a command further than this from any output of the controller is not compared
 TINY = 1e-12
+NAMED = 3  # times that a warning names
 HEAVY, LEAST_HEAVY = 0.002, 5  # share and number of lone values of a signal beyond which chance does not explain them
 
 # What no diagnosis would notice is left alone: the least |r|, in the unit of the signal. Signals not named are not judged on.
@@ -61,6 +62,9 @@ def checked(flight: Flight) -> Flight:
     facts["damage"]: {signal: share of its values that were lone}, only of signals that had any.
     """
     signals, warnings, shares, heavy = dict(flight.signals), [], {}, []
+    if "motors" in signals:
+        signals["motors"], said = _whole_records(signals["motors"])
+        warnings += said
     known = {name: signals[name] for name in FLOORS if name in signals}
     sizes = {name: _size(s.time, s.values, s.valid, _floor(name, s)) for name, s in known.items()}
     for name, signal in known.items():
@@ -83,11 +87,31 @@ def checked(flight: Flight) -> Flight:
             f"This log is damaged: too many values of {', '.join(heavy)} do not fit for it to be chance. "
             "Copy the log from the autopilot again."
         )
-    if not shares:
+    if not shares and not warnings:
         return flight
-    return replace(
-        flight, signals=signals, warnings=(*flight.warnings, *warnings), facts={**flight.facts, "damage": shares}
-    )
+    facts = {**flight.facts, "damage": shares} if shares else flight.facts
+    return replace(flight, signals=signals, warnings=(*flight.warnings, *warnings), facts=facts)
+
+
+def _whole_records(motors: Signal) -> tuple[Signal, list[str]]:
+    """The outputs without lone records in which most of them are no command (0: off, or impossible); and a warning.
+
+    Rotors that stop take longer, and outputs that are switched off stay off.
+    """
+    valid = motors.valid
+    if len(motors) < 3 or valid.shape[1] < 2:
+        return motors, []
+    broken = 2 * valid.sum(axis=1) <= valid.shape[1]
+    whole = valid.all(axis=1)
+    at = np.flatnonzero(broken[1:-1] & whole[:-2] & whole[2:]) + 1
+    at = at[motors.time[at + 1] - motors.time[at - 1] < FAR * max(float(np.median(np.diff(motors.time))), 1e-6)]
+    if not at.size or at.size > HABIT * len(motors):
+        return motors, []
+    kept = valid.copy()
+    kept[at] = False
+    when = ", ".join(f"{t:.1f} s" for t in motors.time[at[:NAMED]]) + (" and later" if at.size > NAMED else "")
+    what = "record in which most outputs are" if at.size == 1 else "records in which most outputs are"
+    return replace(motors, valid=kept), [f"motors ({motors.source}): {at.size} {what} no command dropped, at {when}."]
 
 
 def _unsupported(name: str, signals: Mapping[str, Signal], sizes: Mapping[str, np.ndarray]) -> np.ndarray:

@@ -18,8 +18,10 @@ from rotorwatch.flight import Flight, Signal
 
 TICK_S = 0.05
 GAP_S = 4.0
-"""A longer gap in the motor commands ends a flight: another may follow it in the same file. A shorter one (a link that is cut, a busy disk)
-does not: learned anew after it, a loss from before would count as healthy."""
+"""For so long the last motor command is held. After a longer gap (a link that is cut, a busy disk, a damaged file) the first command after
+it says whether the vehicle flew on: learned anew after it, a loss from before or in it would count as healthy."""
+MOST_GAP_S = 60.0
+"""A longer gap always ends a flight: a landing, another load and another take-off fit into it."""
 CONFIRM_S = 4.5
 """The end of an interval is certain at most this long after it, mostly within 1.5 s."""
 
@@ -39,6 +41,7 @@ _LYING_S = 1.0
 _BLOW = 1.2 * _G  # lateral specific force, or half of it downwards, that rotors cannot make: the ground's
 _BLOW_S = 3.0  # a blow so long before the end of a flight was the touch-down or the crash
 _WINDOW_S = 0.5
+_DOWN = (("landed", True), ("armed", False))  # words that say it is on the ground
 
 
 @dataclass(frozen=True)
@@ -85,6 +88,15 @@ class Monitor:
         (self._in_the_air if self.flying else self._on_the_ground)(time, now)
         return self.flying
 
+    def goes_on(self, command: float) -> bool:
+        """Does the vehicle still fly after a gap, by the first command after it? What lasted before the gap begins anew."""
+        self.low_since = self.lying_since = None
+        return self.flying and not self._little(command)
+
+    def _little(self, command: float) -> bool:
+        """Is it too little to carry a vehicle that flies?"""
+        return command < self.floor + _LOW * (self.hover - self.floor)
+
     def _on_the_ground(self, time, now):
         floor = 0.0 if self.idle is None else self.idle
         high = now.command > max(_HIGH, floor + _HIGH_RISE)
@@ -118,7 +130,7 @@ class Monitor:
         return high_for >= (_HIGH_S if np.isfinite(now.climb) else _HIGH_BLIND_S)
 
     def _in_the_air(self, time, now):
-        low = now.command < self.floor + _LOW * (self.hover - self.floor)
+        low = self._little(now.command)
         self.low_since = _since(self.low_since, low and not now.climb < -_SINKING, time)
         if not low:
             self.hover = _blend(self.hover, now.command, _HOVER_S)
@@ -166,6 +178,16 @@ def airborne(flight: Flight) -> tuple[tuple[float, float], ...]:
     return follow.intervals()
 
 
+def gaps(flight: Flight, air) -> tuple[tuple[float, float], ...]:
+    """(start s, end s) of each gap of more than `GAP_S` in the motor commands within an interval in the air."""
+    if not air:
+        return ()
+    time, _ = commands(flight)
+    long = np.flatnonzero(np.diff(time) > GAP_S)
+    found = [(float(time[k]), float(time[k + 1])) for k in long]
+    return tuple((a, b) for a, b in found if any(start <= a and b <= end for start, end in air))
+
+
 class Airborne:
     """When one vehicle was in the air, as its samples come. `now`: time up to which that is known [s]."""
 
@@ -195,19 +217,28 @@ class Airborne:
             when, what = time[piece], command[piece]
             if self._tick is None and when[-1] <= self._last:
                 continue  # a stretch that is over
+            if self._tick is None:
+                self._resume(flight, float(when[0]), float(what[0]))
             self._last = max(self._last, float(when[-1]))
             # Past the last command, too: many logs stop with the motors, and say "landed" just after.
-            if number == len(pieces) and until <= self._last + GAP_S:
-                self._walk(flight, when, what, until)
-            else:
-                self._finish(flight, when, what)
+            held = self._last + GAP_S
+            self._walk(flight, when, what, until if number == len(pieces) and until <= held else held)
+            if number < len(pieces) or until > held:
+                self._tick = None
+        if until > self._last + MOST_GAP_S:
+            self._end()
         self.now = max(self.now, until)
 
-    def _finish(self, flight, time, command) -> None:
-        """A stretch of motor commands that a long gap ends."""
-        self._walk(flight, time, command, float(time[-1]) + GAP_S)
+    def _resume(self, flight, time: float, command: float) -> None:
+        """The first command after a gap: the flight goes on, or has ended with the last command before it."""
+        over = time - self._last > MOST_GAP_S or not self._monitor.goes_on(command)
+        if over or any(self._last < m.time <= time and (m.kind, m.value > 0.5) in _DOWN for m in flight.messages):
+            self._end()
+
+    def _end(self) -> None:
+        """The flight ended with the last command."""
         self.closed += self._open()
-        self._monitor, self._start, self._tick = Monitor(), None, None
+        self._monitor, self._start = Monitor(), None
 
     def _walk(self, flight, time, command, end: float) -> None:
         """Go on within one stretch of motor commands without a long gap."""

@@ -328,7 +328,8 @@ class _Silence:
         stills = np.stack([self._still[j].on(time, motors.values[:, j]) for j in range(n)], axis=1)
         resting = (time[:, None] - stills > SILENT_S) & inside[:, None]
         low_ones = (motors.values <= low + 0.01 * span) & inside[:, None]
-        moved = self._moved(time, thrust, np.flatnonzero(resting.any(axis=1)))
+        known = np.where(motors.valid, thrust, np.nan)
+        moved = self._moved(time, known, np.flatnonzero(resting.any(axis=1)))
         # Of each rotor: the least that another one has moved.
         least = np.where(
             moved <= moved.min(axis=1)[:, None], np.sort(moved, axis=1)[:, 1:2], moved.min(axis=1)[:, None]
@@ -362,13 +363,19 @@ class _Silence:
                 runs.on(time, wrong, back | ~inside, command, told)
 
     def _moved(self, time: np.ndarray, thrust: np.ndarray, where: np.ndarray) -> np.ndarray:
-        """(m, n) range of the thrusts over the last SILENT_S, of the samples `where`; 0 elsewhere."""
+        """(m, n) range of the thrusts over the last SILENT_S without the sample furthest off, of the samples `where`; 0 elsewhere.
+
+        In calm air an output may rest: the others rest as well, but for one damaged record. What moves is off in more than one sample.
+        """
         longer, before = np.concatenate([self._time, time]), len(self._time)
         all_ = np.concatenate([self._thrust, thrust])
         window = np.searchsorted(longer, time - SILENT_S, side="left")
         moved = np.zeros_like(thrust)
         for i in where:
-            moved[i] = np.ptp(all_[window[i] : before + i + 1], axis=0)
+            ordered = np.sort(all_[window[i] : before + i + 1], axis=0)  # NaN last
+            last = np.isfinite(ordered).sum(axis=0) - 1
+            lower, upper = (np.take_along_axis(ordered, np.maximum(last - k, 0)[None], 0)[0] for k in (1, 0))
+            moved[i] = np.where(last > 1, np.minimum(upper - ordered[1 % len(ordered)], lower - ordered[0]), 0.0)
         keep = np.searchsorted(longer, longer[-1] - SILENT_S, side="left")
         self._time, self._thrust = longer[keep:], all_[keep:]
         return moved

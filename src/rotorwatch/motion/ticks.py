@@ -25,7 +25,7 @@ from rotorwatch.motion.contact import G0, Contact, Shaken, look_back, struck, vi
 
 LAG_S = 0.02
 SIDE_S = 0.5  # side forces are averaged over: they change as slowly as speed and wind, and vibration is louder
-GAP_S = 4.0  # without any command: a flight ends there, see airborne.py
+GAP_S = 4.0  # without any command: of a longer gap only so much at either end makes ticks
 SETTLE_S = 1.0  # after lift-off: the first second gives the hover command and is not judged
 UPSET_RATE = 6.0  # rad/s of roll or pitch rate: the vehicle tumbles, hover physics is over
 UPSET_TILT = np.cos(np.radians(65.0))
@@ -119,7 +119,7 @@ def ready_after(ready_s: float, dt: float) -> float:
 def _filled(at: np.ndarray, most: int, first: int = 0) -> np.ndarray:
     """The ticks `at` (non-decreasing) and those between them and from `first` on, but of each gap only the first and last `most`.
 
-    Nothing flies in a longer gap, and days of it cost nothing.
+    Nothing is known of the rest of a longer gap, and days of it cost nothing.
     """
     at = np.maximum(at, first)
     if at[-1] - first <= 2 * most:
