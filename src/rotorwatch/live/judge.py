@@ -182,7 +182,7 @@ class Judge:
     def events(self) -> tuple[Event, ...]:
         """All that has happened, as it looks now."""
         air = self._air()
-losses: tuple[Event, ...] = (*self._done, *self._history.events(self.hyp, self.B, flies=not self._over))
+        losses: tuple[Event, ...] = (*self._done, *self._history.events(self.hyp, self.B, flies=not self._over))
         if self._beginnings is not None:
             losses = self._beginnings.join(losses)
         losses = tuple(e for e in losses if events.accuses(e))
