@@ -163,3 +163,16 @@ def test_after_the_impact_nothing_is_judged():
     upsets = find.judged(flight, QUAD, [(3.7, 11.0)])
     ((_, end),) = find.until_impact(flight, [(3.7, 11.0)], upsets)
     assert truth.lost_s < end < 10.0
+
+
+def test_who_turns_over_on_the_ground_after_a_landing_is_not_healthy_and_no_rotor_is_accused():
+    time = np.arange(0.0, 12.0, 0.05)
+    roll = np.radians(np.interp(time, [6.0, 7.0], [0.0, 170.0]))
+    q = np.column_stack([np.cos(roll / 2), np.sin(roll / 2), 0 * roll, 0 * roll])
+    powered = np.where(time < 10.0, 1300.0, 1000.0)[:, None] * np.ones((1, 4))
+    attitude, motors = Signal(time, q, tuple("wxyz"), "1"), Signal(time, powered, tuple("1234"), "us")
+    flight = Flight("CSV", "ArduPilot", {"attitude": attitude, "motors": motors}, 12.0)
+    (left,) = departure.find(flight, [(1.0, 5.0)])
+    assert left.landed and 6.0 <= left.onset < 6.5 and left.what == "turned over on the ground"
+    parked = Signal(time, np.where(time[:, None] < 5.5, powered, 1000.0), tuple("1234"), "us")
+    assert departure.find(replace(flight, signals={"attitude": attitude, "motors": parked}), [(1.0, 5.0)]) == ()

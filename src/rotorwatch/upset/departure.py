@@ -37,7 +37,8 @@ G0 = 9.80665
 @dataclass(frozen=True)
 class Departure:
     """onset: when the vehicle began to leave what was wanted; lost: when that was certain; end: when control came back, else None; impact:
-    of the ground or what it fell on, None where none was seen [all s]. what: in words. falls: outputs came to rest in the air."""
+    of the ground or what it fell on, None where none was seen [all s]. what: in words. falls: outputs came to rest in the air. landed: it
+    had landed before, so that the ground pushed it as well as its rotors."""
 
     onset: float
     lost: float
@@ -45,6 +46,7 @@ class Departure:
     impact: float | None
     what: str
     falls: bool = False
+    landed: bool = False
 
 
 def thrust_axis(q: np.ndarray) -> np.ndarray:
@@ -131,8 +133,9 @@ def find(flight: Flight, air) -> tuple[Departure, ...]:
             )
             if d
         ]
-        if spans:
-            found.append(min(spans, key=lambda d: d.onset))
+        over = None if spans or not air else _turns_over(flight, end)
+        if spans or over:
+            found.append(over or min(spans, key=lambda d: d.onset))
     return tuple(found)
 
 
@@ -144,6 +147,24 @@ def _powered(flight: Flight) -> list[tuple[float, float]]:
     on = np.concatenate([[False], share > POWERED, [False]])
     starts, stops = np.flatnonzero(on[1:] & ~on[:-1]), np.flatnonzero(~on[1:] & on[:-1]) - 1
     return [(float(time[a]), float(time[b])) for a, b in zip(starts, stops) if time[b] - time[a] > LASTS_S]
+
+
+def _turns_over(flight: Flight, end: float) -> Departure | None:
+    """A vehicle on its head after a landing at `end` s while its motors still push."""
+    if not flight.has("attitude"):
+        return None
+    until = max((b for a, b in _powered(flight) if a <= end <= b), default=end)
+    attitude = flight["attitude"].between(end, until)
+    ok = attitude.valid.all(axis=1)
+    t, up = attitude.time[ok], thrust_axis(attitude.values[ok])[:, 2]
+    tilt = np.degrees(np.arccos(np.clip(up, -1.0, 1.0)))
+    over = np.flatnonzero(tilt > OVER_DEG)
+    if not over.size or until - t[over[0]] < GONE_S:
+        return None
+    k = int(over[0])
+    return Departure(
+        _began(t, tilt, k), float(min(t[k] + LASTS_S, t[-1])), None, None, "turned over on the ground", landed=True
+    )
 
 
 def _leaves(flight, time, angle, words, start, end) -> Departure | None:

@@ -75,6 +75,8 @@ def events(found: Sequence[Judged], known: Sequence[Event], n: int) -> tuple[Eve
 
 def judge(flight: Flight, vehicle: Vehicle, air, left: Departure) -> Judged:
     """The cause of one departure."""
+    if left.landed:
+        return Judged(left, "unknown", (), np.empty(0), None, left.onset, ("it had landed before, under control",))
     start = next((a for a, b in air if a - 1.0 <= left.onset <= b + 1.0), left.onset)
     got = window_of(flight, vehicle, left, start)
     if got is None:
