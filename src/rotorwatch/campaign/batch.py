@@ -34,6 +34,7 @@ from rotorwatch.simulation import plan as flight_plan
 from rotorwatch.simulation.loop import fly_each
 from rotorwatch.simulation.multirotor import MULTIROTOR
 from rotorwatch.simulation.scenario import Scenario
+from rotorwatch.upset import find as upset
 
 CPU_WIDTH, ACCELERATOR_WIDTH = 32, 1024
 
@@ -54,7 +55,7 @@ def where() -> str:
 @dataclass(frozen=True)
 class Flown:
     """One flight on its way through the batch. theta (T, n): true losses at its ticks; lost_s: when it crashed, or None; overrides:
-    outputs that do not follow the mixer."""
+    outputs that do not follow the mixer; upsets: losses of control."""
 
     number: int
     scenario: Scenario
@@ -65,6 +66,7 @@ class Flown:
     theta: np.ndarray
     lost_s: float | None
     overrides: tuple[Event, ...]
+    upsets: tuple[upset.Judged, ...] = ()
 
 
 class Judged(NamedTuple):
@@ -94,7 +96,7 @@ def rows(
     published = [name for name in plan.estimators if name != "default"]
 
     def row(label: str, f: Flown, kept, statistic, bound) -> dict:
-        seen = _all_events(f, events.read(kept, f.ticks, hyp, B))
+        seen = all_events(f, events.read(kept, f.ticks, hyp, B), f.upsets if label == "default" else ())
         return score.estimator(label, f, kept, statistic, seen, bound, plan)
 
     if "default" in plan.estimators:
@@ -152,6 +154,8 @@ def look(number: int, scenario: Scenario, plan: Any, record: Any) -> Flown | Non
     flight = logbook.flight(scenario, plan, record)
     vehicle = airframes.identify(flight)
     air = airborne(flight)
+    upsets = upset.judged(flight, vehicle, air)
+    air = upset.until_impact(flight, air, upsets)
     table = observe(flight, vehicle, air, READY_S)
     if table is None:
         return None
@@ -160,7 +164,7 @@ def look(number: int, scenario: Scenario, plan: Any, record: Any) -> Flown | Non
     lost = np.flatnonzero(record.flies < 0.5)
     return Flown(
         number, scenario, flight, vehicle, air, table, record.theta[at],
-        float(record.time[lost[0]]) if lost.size else None, outside.overrides(flight, vehicle, air, table),
+        float(record.time[lost[0]]) if lost.size else None, outside.overrides(flight, vehicle, air, table), upsets,
     )  # fmt: skip
 
 
@@ -172,9 +176,12 @@ def _planned(number: int, scenario: Scenario) -> Any:
         raise ConfigError(f"flight {number}: {error}") from error
 
 
-def _all_events(f: Flown, losses: Sequence[Event]) -> tuple[Event, ...]:
-    """Losses, and outputs that do not follow the mixer, as `diagnose` puts them together."""
-    return tuple(sorted((*outside.unexplained(losses, f.overrides), *f.overrides), key=lambda e: e.detected_s))
+def all_events(f: Flown, losses: Sequence[Event], upsets: Sequence[upset.Judged] = ()) -> tuple[Event, ...]:
+    """What accuses rotors, as `diagnose` puts it together: losses, outputs that do not follow the mixer, and what losses of control, which
+    belong to the default diagnosis, show of rotors."""
+    accusing = [e for e in outside.unexplained(losses, f.overrides) if events.accuses(e)]
+    found = upset.events(upsets, (*accusing, *f.overrides), len(f.vehicle.rotors))
+    return tuple(e for e in found if e.kind != "loss_of_control")
 
 
 def _table(table: Ticks, B: np.ndarray, rows: slice = slice(None)) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
