@@ -165,7 +165,7 @@ JUNK = st.recursive(
 
 
 @given(where=st.sampled_from(sorted(paths_of(table()), key=str)), junk=JUNK, add=st.none() | st.text(max_size=3))
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=150, deadline=None)
 def test_junk_anywhere_is_one_sentence_or_a_plan_that_flies(where, junk, add):
     """A value, a draw, a table or a key that does not belong: refused by the name of its part, else every flight can be drawn."""
     try:

@@ -439,7 +439,7 @@ def test_false_alarms_are_as_rare_as_the_threshold_says():
     method = make("ardupilot-quad-x")
     hyp = method.bank.hyp
     new = hyp.fault & (np.array(hyp.kinds) != "recovery")
-    runs = 48
+    runs = 24
     tables = [method.over(*hover(seed=1000 + r))[0] for r in range(runs)]
     total = np.exp(np.stack([out.decision.log_odds[READY:, new] for out in tables])).sum(axis=2)
     each = hyp.weight[new].sum()

@@ -52,7 +52,7 @@ def build(rng, vehicle):
 
 @pytest.mark.parametrize("vehicle, flights", [(QUAD, 1), (QUAD, 6), (HEXA, 2)], ids=["quad 1", "quad 6", "hexa 2"])
 def test_false_alarm_rate_is_the_stated_one(vehicle, flights):
-    rng, count = np.random.default_rng(flights), 250
+    rng, count = np.random.default_rng(flights), 120
     alarms = faults = 0
     for _ in range(count):
         spreads = build(rng, vehicle)
