@@ -18,6 +18,7 @@ from rotorwatch import cli
 from rotorwatch.diagnosis import Diagnosis
 from rotorwatch.errors import ConfigError, LinkError, StoreError
 from rotorwatch.fleet.store import Entry
+from rotorwatch.live import metrics
 from rotorwatch.live.watched import Watched
 from rotorwatch.report.html import page
 from rotorwatch.serve import flights as flights_of
@@ -457,6 +458,37 @@ def test_a_flight_heard_over_a_link_is_listed_when_it_has_ended(tmp_path):
     assert "while it flew" in found.assumptions[-1] and "rotor 3" in flights.report(row["hash"])
     state = feed.state()["vehicles"][0]
     assert state["named"] == [3] and state["looks"][2][0] == live.colours.FAULT and len(state["points"]) > 50
+
+
+@pytest.mark.parametrize(
+    "name, verdict, words", [("quad-off-1", "fault", "Rotor 2"), ("disarmed-1", "inconclusive", "Not a rotor")]
+)
+def test_a_crash_that_was_watched_is_lost_on_the_page_and_listed_as_a_crash(tmp_path, name, verdict, words):
+    crash = Path(__file__).parents[2] / "shared" / "flights" / "crash" / f"{name}.bin.xz"
+    if not crash.exists():
+        pytest.skip(f"the shared flight {name} is not here")
+    flights, rows = Flights(str(tmp_path / "fleet.db")), []
+    keeper = flights.keeper(rows.append, pytest.fail)
+    feed = live.Feed(keeper.keep)
+    feed.open(str(crash), None, math.inf, None, True)
+    feed._sources[0].lists = True
+    feed.start()
+    feed._thread.join(120)
+    feed.stop()
+    keeper.stop()
+    (row,) = [r for r in rows if "left control" in r["headline"]]
+    assert row["verdict"] == verdict and words in row["headline"]
+    found = Diagnosis.from_dict(flights.diagnosis(row["hash"]))
+    assert len(found.story) >= 3 and "left control" in flights.report(row["hash"])
+    state = feed.state()["vehicles"][0]
+    assert state["state"] == "LOST" and any(
+        e["kind"] == "fault" and "loss of control" in e["text"] for e in state["events"]
+    )
+
+
+def test_the_page_has_a_word_for_every_state():
+    page = (Path(live.__file__).parent / "page" / "live.js").read_text("utf-8")
+    assert all(f"  {state}: [" in page for state in metrics.STATES)
 
 
 def test_a_store_that_cannot_be_reached_is_tried_again(tmp_path, monkeypatch):
