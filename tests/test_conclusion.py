@@ -193,6 +193,17 @@ def test_a_pilot_reads_how_large_a_loss_could_have_gone_unseen_where_it_is_large
     assert end.verdict == "healthy" and said in end.reason and (said in end.headline) == told
 
 
+@pytest.mark.parametrize(("pair", "told"), [(0.03, False), (0.15, False), (0.25, True)])
+def test_the_bound_speaks_of_pairs_where_more_of_them_hides(pair, told):
+    from rotorwatch.answer.conclusion import conclude
+
+    end = conclude((), None, 6, hidden=[0.04] * 6, hidden_pair=pair, judged_s=60.0)
+    said = (
+        f"oss of up to 4 % of one rotor, or {100 * pair:.0f} % of each of two opposite rotors, could have gone unseen"
+    )
+    assert (said in end.reason) == (pair > 0.04) and (said in end.headline) == told
+
+
 def test_evidence_that_no_event_explains_makes_its_rotors_suspect_and_is_said():
     diagnosis = hexa_diagnosis(leftover=(Leftover((5,), 40.0, 44.0),))
     assert statuses(diagnosis)[5] == "suspect" and diagnosis.rotors[4].interval == (0.0, 1.0)

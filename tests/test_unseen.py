@@ -56,6 +56,21 @@ def test_what_only_the_others_lost_does_not_count():
     assert found[0] > 0.4 and found[1] < 0.05
 
 
+@pytest.mark.parametrize("loss, onset_s", [(0.1, 30.0), (0.3, 15.0), (0.3, 50.0)])
+def test_the_bound_of_a_pair_holds_what_only_thrust_shows(loss, onset_s):
+    """Opposite rotors that turn against each other: their equal losses cancel in all but thrust."""
+    against = B * np.array([[1.0], [1.0], [0.0], [1.0]])
+    held = []
+    for seed in range(100):
+        biases, table = flown(loss=0.0, seed=seed)
+        biases = biases + np.where(table.time >= onset_s, loss, 0.0)[:, None] * (against[:, 0] + against[:, 1])
+        seen = unseen.of(biases, table, against)
+        held.append(seen.pair({0: (1,), 1: (0,), 2: (3,), 3: (2,)}) >= loss)
+        assert seen.losses().max() < 0.2, "no single rotor"
+    assert np.mean(held) > 0.9
+    assert unseen.of(biases, table, against).pair({0: (), 1: ()}) == 0.0
+
+
 def test_gaps_do_not_matter_and_too_little_says_nothing():
     biases, table = flown(noise=0.02)
     table.mode[200:420] = 0

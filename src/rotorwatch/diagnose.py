@@ -158,8 +158,9 @@ def diagnose(
     lap("comparison_s")
     judged = (table.mode == JUDGE) & table.valid.any(axis=1)
     spells = (*leftover.find(out, table, hyp, limit, found, B), *leftover.faint(faint, found, float(table.time[-1])))
+    hidden, hidden_pair = _hidden(out, table, B)
     end = conclusion.conclude(
-        found, whole, len(craft.rotors), hidden=_hidden(out, table, B), judged_s=float(judged.sum() * table.dt), places=names,
+        found, whole, len(craft.rotors), hidden=hidden, hidden_pair=hidden_pair, judged_s=float(judged.sum() * table.dt), places=names,
         doubts=doubts, leftover=spells, hops=air, trends=() if doubts else health.trends(out, table, B, found),
         population=other,
     )  # fmt: skip
@@ -245,10 +246,13 @@ def _undisturbed(table: Ticks, found) -> float:
     return min([np.inf, *(e.onset_s for e in found), *table.time[table.upset & (table.mode > ticks.GROUND)][:1]])
 
 
-def _hidden(out, table: Ticks, B: np.ndarray) -> np.ndarray:
-    """(n,) largest loss of each rotor that could have gone unseen in flight: too small to be measured, or taken for a disturbance."""
+def _hidden(out, table: Ticks, B: np.ndarray) -> tuple[np.ndarray, float]:
+    """(n,) largest loss of each rotor that could have gone unseen in flight: too small to be measured, or taken for a disturbance; and the
+    same of two opposite rotors."""
     judged = table.mode == JUDGE
     if not judged.any():
-        return np.ones(out.theta.shape[1])
-    measured = 1.96 * np.median(out.detectable[judged], axis=0)
-    return np.minimum(1.0, np.maximum(measured, unseen.losses(out.biases, table, B)) + events.MODEL_SD)
+        return np.ones(out.theta.shape[1]), 1.0
+    measured, seen = 1.96 * np.median(out.detectable[judged], axis=0), unseen.of(out.biases, table, B)
+    return np.minimum(1.0, np.maximum(measured, seen.losses()) + events.MODEL_SD), min(
+        1.0, seen.pair(events.opposites(B))
+    )

@@ -91,6 +91,7 @@ class Seen:
     hops: tuple[tuple[float, float], ...]
     trends: tuple[Trend | None, ...] = ()
     population: Mapping[str, Any] | None = None
+    hidden_pair: float = 0.0
 
     @property
     def losses(self) -> list[Event]:
@@ -125,6 +126,7 @@ def conclude(
     n: int,
     *,
     hidden: np.ndarray | None = None,
+    hidden_pair: float = 0.0,
     judged_s: float = 0.0,
     doubts: Sequence[str] = (),
     leftover: Sequence[Leftover] = (),
@@ -136,9 +138,10 @@ def conclude(
     """The answer to a flight of n rotors.
 
     events: what was found. whole: `WholeFlight.to_dict()`, or None without healthy flights to compare with. hidden (n,): largest loss of
-    each rotor that could have gone unseen since take-off. judged_s: seconds of flight judged. doubts: sentences on why the log may not
-    show what flew; with any, nothing is concluded from its outputs. leftover: evidence that no event explains. places: `places.names`.
-    trends: `health.trends`, shown of rotors that are no suspects. population: `population.judge`, used where whole is None.
+    each rotor that could have gone unseen since take-off; hidden_pair: the same of two opposite rotors. judged_s: seconds of flight
+    judged. doubts: sentences on why the log may not show what flew; with any, nothing is concluded from its outputs. leftover: evidence
+    that no event explains. places: `places.names`. trends: `health.trends`, shown of rotors that are no suspects. population:
+    `population.judge`, used where whole is None.
     """
     if doubts:
         shown = tuple(e for e in events if e.kind not in (*ACCUSES, *MOTOR_NOTICES))
@@ -147,7 +150,7 @@ def conclude(
     judged = judged_s >= LEAST_S and hidden is not None
     seen = Seen(
         tuple(events), whole, n, hidden if judged else None, judged_s, tuple(leftover), tuple(places), tuple(hops),
-        tuple(trends), population,
+        tuple(trends), population, hidden_pair,
     )  # fmt: skip
     main = main_event(seen.events)
     verdict, reason = _verdict(seen, main)
@@ -209,7 +212,7 @@ def _verdict(seen: Seen, main: int | None) -> tuple[str, str]:
             f"and none more than {percent(seen.bound)} from take-off on, compared with healthy vehicles of any build"
         )
     slow = "".join(f"; but slowly {rotors([k])} {grows(t)}" for k, t in _growing(seen))
-    unseen = f"a loss of up to {percent(_unseen(seen))} of one rotor could have gone unseen"
+    unseen = f"a loss of up to {_bound(seen)} could have gone unseen"
     return "healthy", f"no rotor lost effectiveness in {seen.judged_s:.0f} s of judged flight, {scope}{slow}; {unseen}."
 
 
@@ -267,8 +270,8 @@ def _headline(seen: Seen, verdict: str, main: int | None) -> str:
     parts = [said]
     if seen.lost is not None:
         parts.append(f"The vehicle left control at {seconds(seen.lost.onset_s)}.")
-    if verdict == "healthy" and _unseen(seen) >= dict(SCALE)["degraded"]:
-        parts.append(f"A loss of up to {percent(_unseen(seen))} of one rotor could have gone unseen.")
+    if verdict == "healthy" and max(_unseen(seen), seen.hidden_pair) >= dict(SCALE)["degraded"]:
+        parts.append(f"A loss of up to {_bound(seen)} could have gone unseen.")
     parts += [sentence(f"{rotors([k], seen.places)} {grows(t)}.") for k, t in _growing(seen)]
     if verdict == "healthy" and not seen.compared:
         parts.append(UNJUDGED)
@@ -287,6 +290,13 @@ def _headline(seen: Seen, verdict: str, main: int | None) -> str:
 def _unseen(seen: Seen) -> float:
     """The largest loss of any rotor that can lie in the flight without having been announced."""
     return float(np.max(seen.hidden)) if seen.hidden is not None else 1.0
+
+
+def _bound(seen: Seen) -> str:
+    """How much of one rotor, and of each of two opposite ones where that is more."""
+    one = _unseen(seen)
+    pair = f", or {percent(seen.hidden_pair)} of each of two opposite rotors," if seen.hidden_pair > one else ""
+    return f"{percent(one)} of one rotor{pair}"
 
 
 def _growing(seen: Seen) -> list[tuple[int, Trend]]:

@@ -9,7 +9,10 @@ b: biases [hover thrusts of one rotor]; T: thrusts commanded; dividing by the me
 two blocks of time L is weighted least squares on the difference of the means of z after and before it; the variance of z is enlarged by
 (1 + r) / (1 - r) for errors of an autoregression with correlation r from block to block. The bound is the largest upper end of the 95 %
 intervals over all onsets. Wind that turns, or a load that shifts, is such a step as well: the bound then says that
-a loss could look like this. Thrust itself, which battery and air move for all rotors alike, is not asked.
+a loss could look like this. Thrust itself, which battery and air move for all rotors alike, is not asked of a single rotor.
+
+Equal losses of rotors that are opposite each other cancel in roll and pitch, and where both turn the same way as the others on average in
+yaw, too. Of these pairs thrust is asked as well: the bound then holds a sagging battery and rising air.
 
 Sources: G. V. Bayley and J. M. Hammersley, The effective number of independent observations in an autocorrelated time series, Supplement
 to the Journal of the Royal Statistical Society 8 (1946) 184-197, for the enlargement; M. G. Kendall, Note on bias in the estimation of
@@ -17,6 +20,8 @@ autocorrelation, Biometrika 41 (1954) 403-404, for the (1 + 3 r) / N by which r 
 """
 
 from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -30,11 +35,16 @@ CORRELATED = 0.9  # at most
 ROWS = 2048  # that are kept of a flight; of longer ones a row is the sum of several ticks
 
 
-def losses(biases: np.ndarray, table: Ticks, B: np.ndarray) -> np.ndarray:
-    """The bounds of a whole flight, as `Unseen.losses`. biases (T, 4): as estimated, at the ticks of `table`; B (4, n): effectiveness."""
+def of(biases: np.ndarray, table: Ticks, B: np.ndarray) -> Unseen:
+    """What a whole flight shows. biases (T, 4): as estimated, at the ticks of `table`; B (4, n): effectiveness."""
     seen = Unseen(B, table.dt)
     seen.add(biases, table)
-    return seen.losses()
+    return seen
+
+
+def losses(biases: np.ndarray, table: Ticks, B: np.ndarray) -> np.ndarray:
+    """The bounds of a whole flight, as `Unseen.losses`."""
+    return of(biases, table, B).losses()
 
 
 class Unseen:
@@ -42,14 +52,16 @@ class Unseen:
 
     def __init__(self, B: np.ndarray, dt: float):
         self._B, self._dt, self._each = B, dt, 1
-        self._rows = np.empty((0, 3 + B.shape[1]))  # sums over `_each` ticks: biases of roll, pitch and yaw, thrusts
+        self._rows = np.empty(
+            (0, 4 + B.shape[1])
+        )  # sums over `_each` ticks: biases of roll, pitch, yaw and thrust; thrusts
         self._new: list[np.ndarray] = []  # ticks that are in no row yet
 
     def add(self, biases: np.ndarray, table: Ticks) -> None:
         """More ticks, with the biases (T, 4) that were estimated at them."""
         use = (table.mode == JUDGE) & table.valid[:, :3].all(axis=1) & ~table.upset
         if use.any():
-            self._new.append(np.concatenate([biases[use, :3], table.thrust[use]], axis=1))
+            self._new.append(np.concatenate([biases[use], table.thrust[use]], axis=1))
         if len(self._new) > ROWS:
             self._join()
 
@@ -70,18 +82,31 @@ class Unseen:
 
     def losses(self) -> np.ndarray:
         """Upper bound (n,) of what each rotor can have lost since judging began and was not announced; 1 where too little was judged."""
+        return self._of(np.eye(self._B.shape[1]), 3)
+
+    def pair(self, partners: Mapping[int, Sequence[int]]) -> float:
+        """The same of equal losses of two rotors, the largest of all pairs; 0 without any. partners: to each rotor (0-based) the ones
+        opposite."""
+        pairs = [(i, j) for i, js in partners.items() for j in js if i < j]
+        sets = np.zeros((self._B.shape[1], len(pairs)))
+        for k, pair in enumerate(pairs):
+            sets[list(pair), k] = 1.0
+        return float(self._of(sets, 4).max(initial=0.0))
+
+    def _of(self, sets: np.ndarray, axes: int) -> np.ndarray:
+        """Bounds (m,) of equal losses of sets of rotors (n, m), by the first axes."""
         self._join()
-        rows, n = self._rows, self._B.shape[1]
+        rows = self._rows
         if len(rows) < 2 * BLOCKS[0]:
-            return np.ones(n)
+            return np.ones(sets.shape[1])
         N = int(np.clip(len(rows) * self._each * self._dt / STEP_S, *BLOCKS))
         sums = np.add.reduceat(rows, np.arange(N) * len(rows) // N)
-        usual = sums[:, 3:].mean(axis=1, keepdims=True)
-        return _bounds(sums[:, :3] / usual, sums[:, 3:] / usual, self._B)
+        usual = sums[:, 4:].mean(axis=1, keepdims=True)
+        return _bounds(sums[:, :axes] / usual, sums[:, 4:] / usual, self._B[:axes], sets)
 
 
-def _bounds(z: np.ndarray, share: np.ndarray, B: np.ndarray) -> np.ndarray:
-    """Bounds (n,) from z (N, 3) and T / mean T (N, n) of N blocks."""
+def _bounds(z: np.ndarray, share: np.ndarray, B: np.ndarray, sets: np.ndarray) -> np.ndarray:
+    """Bounds (m,) of sets of rotors (n, m) from z (N, axes) and T / mean T (N, n) of N blocks; B (axes, n)."""
     N = len(z)
     k = np.arange(SPELL, N - SPELL + 1)[:, None]  # blocks before the onset
     sums, shares = z.cumsum(axis=0), share.cumsum(axis=0)
@@ -93,7 +118,7 @@ def _bounds(z: np.ndarray, share: np.ndarray, B: np.ndarray) -> np.ndarray:
     r = (left[1:] * left[:-1]).sum(axis=0) / squares[best]
     r = np.clip(r + (1.0 + 3.0 * r) / N, 0.0, CORRELATED)
     weight = (N - 2) / squares[best] * (1.0 - r) / (1.0 + r) / (1.0 / k + 1.0 / (N - k))
-    columns = B[:3] * ((shares[-1] - shares[k[:, 0] - 1]) / (N - k))[:, None, :]
+    columns = B * ((shares[-1] - shares[k[:, 0] - 1]) / (N - k))[:, None, :] @ sets
     information = np.maximum(np.einsum("ka,kai->ki", weight, columns**2), 1e-12)
     loss = np.einsum("ka,kai->ki", weight * (after - before), columns) / information
     return np.minimum((np.maximum(loss, 0.0) + student_quantile(0.975, N - 2) / np.sqrt(information)).max(axis=0), 1.0)
