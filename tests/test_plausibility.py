@@ -29,7 +29,7 @@ def float64():
 
 
 def missing(fast=1.0, slow=0.0, limit=NOTHING):
-    return Missing(np.float64(fast), np.float64(slow), np.float64(0.0), np.asarray(limit, float))
+    return Missing(np.float64(fast), np.float64(slow), np.float64(0.0), np.float64(0.0), np.asarray(limit, float))
 
 
 def jump(*rotors):
@@ -149,6 +149,7 @@ def test_what_is_missing_is_averaged_over_half_a_second_and_six():
 def test_a_push_up_or_down_is_remembered_for_eight_seconds(load):
     push = [(0.0, load, 0.5, True, False)]
     assert float(followed(push).heave) == pytest.approx(0.5)
+    assert float(followed(push).rose) == pytest.approx(max(load - 1.0, 0.0)), "no loss lifts a vehicle"
     quiet = [(0.0, 1.0, 0.5, True, False)] * round(USUAL_S / DT)
     assert float(followed(push + quiet).heave) == pytest.approx(0.5 * np.exp(-1.0))
     assert float(followed([(0.0, load, 0.5, False, False)]).heave) == 0.0

@@ -170,7 +170,7 @@ class JumpBank:
         )
         free = judge & ~said.alarm & (jnp.abs(seen.u[n + 6]) < opposite.TURNING) & ~active.any()
         pair, opposite_s = opposite.suspect(
-            hyp, self.jumps, told, found, system.B, free, missing.heave, self.limit, carry.opposite_s, dt
+            hyp, self.jumps, told, found, system.B, free, missing, self.limit, carry.opposite_s, dt
         )
         # Opposite rotors are announced as any other fault; only which pair it is the others of its kind contest.
         shared = pair.pair >= 0

@@ -19,7 +19,8 @@ from rotorwatch.core import Array
 from rotorwatch.default import bank, evidence, hypotheses, plant
 from rotorwatch.default.hypotheses import Hypotheses
 
-# rad/s of yaw, above which its drag is known too badly for that; and load factor away from 1, beyond what the loss itself takes off
+# rad/s of yaw, above which its drag is known too badly for that; and load factor away from 1, beyond what the loss itself takes off: no
+# loss lifts a vehicle
 TURNING, HEAVING = 0.15, 0.2
 
 
@@ -32,10 +33,10 @@ class Opposite(NamedTuple):
 
 
 def suspect(
-    hyp: Hypotheses, onsets: bank.Jumps, told: bank.Bank, found: evidence.Evidence, B, calm, heave, limit, lasted, dt
+    hyp: Hypotheses, onsets: bank.Jumps, told: bank.Bank, found: evidence.Evidence, B, calm, missing, limit, lasted, dt
 ) -> tuple[Opposite, Array]:
-    """B (4, n): effectiveness; calm: flight without turns of which nothing is known but a disturbance; heave: how far the load factor was
-    from 1; limit: nats that a fault needs; lasted: seconds for which it has been so, returned with this tick added."""
+    """B (4, n): effectiveness; calm: flight without turns of which nothing is known but a disturbance; missing: `plausibility.Missing`;
+    limit: nats that a fault needs; lasted: seconds for which it has been so, returned with this tick added."""
     import jax.numpy as jnp
 
     n, slow = hyp.n, jnp.asarray(onsets.slow)
@@ -47,10 +48,12 @@ def suspect(
     pair = jnp.argmax(fit.max(axis=0))
     slot = jnp.argmax(fit[:, pair])
     loss = nu[slot, pair]
+    since_onset = jnp.exp(told.age[slot] * dt / plant.USUAL_S)  # what was forgotten of the heaving meanwhile
     # A quadrotor's pairs can be told apart by their yaw: there the fault hypotheses say all there is to say.
     now = (
         calm
-        & (heave < HEAVING + 2.0 * loss / n)
+        & (missing.heave * since_onset < HEAVING + 2.0 * loss / n)
+        & (missing.rose * since_onset < HEAVING)
         & (n >= 6)
         & (best > limit)
         & (best > sudden - 2.0 * hypotheses.CLEAR)

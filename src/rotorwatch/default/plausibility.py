@@ -20,17 +20,19 @@ LIMIT_S = 2.0  # how long it is remembered that a rotor was at its limit
 
 class Missing(NamedTuple):
     """Commanded thrust that the accelerometer does not see, hover thrusts of one rotor: fast, over ANSWER_S; slow, over USUAL_S. heave:
-    how far the load factor was from 1, lately. limit (n,): share of its thrust that a rotor near its limit may have lacked, lately."""
+    how far the load factor was from 1, lately; rose: how far above. limit (n,): share of its thrust that a rotor near its limit may have
+    lacked, lately."""
 
     fast: Array
     slow: Array
     heave: Array
+    rose: Array
     limit: Array
 
 
 def init(n: int) -> Missing:
     """Nothing missing."""
-    return Missing(np.float64(0.0), np.float64(0.0), np.float64(0.0), np.zeros(n))
+    return Missing(*(np.float64(0.0) for _ in range(4)), np.zeros(n))
 
 
 def follow(state: Missing, missing, load, share, valid, restart, dt) -> Missing:
@@ -38,14 +40,16 @@ def follow(state: Missing, missing, load, share, valid, restart, dt) -> Missing:
     thrust that each rotor is commanded."""
     import jax.numpy as jnp
 
-    push = jnp.where(valid, jnp.abs(load - 1.0), 0.0)
+    up = jnp.where(valid, load - 1.0, 0.0)
+    push, left = jnp.abs(up), jnp.exp(-dt / plant.USUAL_S)
     missing = jnp.where(valid, missing, state.slow)
     near = jnp.clip((share - caution.BELIEVED) / (caution.AT_LIMIT - caution.BELIEVED), 0.0, 1.0)
     lacks = near * (1.0 - caution.BELIEVED / jnp.maximum(share, caution.BELIEVED))
     return Missing(
         jnp.where(restart, missing, state.fast + (missing - state.fast) * jnp.minimum(dt / plant.ANSWER_S, 1.0)),
         jnp.where(restart, missing, state.slow + (missing - state.slow) * (dt / plant.USUAL_S)),
-        jnp.where(restart, push, jnp.maximum(push, state.heave * jnp.exp(-dt / plant.USUAL_S))),
+        jnp.where(restart, push, jnp.maximum(push, state.heave * left)),
+        jnp.where(restart, up, jnp.maximum(up, state.rose * left)),
         jnp.where(restart, lacks, jnp.maximum(lacks, state.limit * jnp.exp(-dt / LIMIT_S))),
     )
 
