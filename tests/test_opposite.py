@@ -8,7 +8,7 @@ import pytest
 from rotorwatch import airframes
 from rotorwatch.default import bank, hypotheses, opposite
 from rotorwatch.default.hypotheses import CLEAR, LOSS_WIDTH, NONE, SMALL_WIDTH
-from rotorwatch.default.plant import ANSWER_S
+from rotorwatch.default.plant import ANSWER_S, USUAL_S
 
 DT, LIMIT, PAIR, SLOT = 0.05, 14.0, (0, 1), 5
 HEXA, QUAD = (airframes.named(f"ardupilot-{f}").effectiveness() for f in ("hexa-x", "quad-x"))
@@ -43,13 +43,14 @@ def suspect(
     gradual=10.0,
     loss=0.2,
     heave=0.0,
+    rose=0.0,
     pair=PAIR,
     slot=SLOT,
     calm=True,
     lasted=ANSWER_S - DT,
     live=True,
 ):
-    """Evidence in which a pair at a sudden onset, and disturbances at sudden and gradual ones, have so many nats."""
+    """Evidence in which a pair at a sudden onset, and disturbances at sudden and gradual ones, have so many nats. heave, rose: at the onset."""
     n = B.shape[1]
     hyp, jumps = hypotheses.make(n), bank.Jumps(np.eye(20 + n)[:, : n + 4], DT)
     W = jumps.stride.size
@@ -60,7 +61,9 @@ def suspect(
     log_bf[0, ~hyp.fault], log_bf[np.flatnonzero(jumps.slow)[3], -1] = sudden, gradual
     found = SimpleNamespace(log_bf=log_bf, live=np.arange(W) != slot if not live else np.ones(W, bool))
     told = SimpleNamespace(age=np.arange(W, dtype=np.int32), C=C, z=z)
-    out, since = opposite.suspect(hyp, jumps, told, found, B, np.bool_(calm), heave, LIMIT, lasted, DT)
+    left = np.exp(-slot * DT / USUAL_S)
+    missing = SimpleNamespace(heave=heave * left, rose=rose * left)
+    out, since = opposite.suspect(hyp, jumps, told, found, B, np.bool_(calm), missing, LIMIT, lasted, DT)
     return out, float(since), h
 
 
@@ -81,12 +84,13 @@ def test_it_is_said_once_after_half_a_second_with_its_onset_and_losses():
         (dict(gradual=19.9), dict(gradual=20.1)),
         (dict(loss=NONE + 1e-6), dict(loss=NONE - 1e-6)),
         (dict(heave=0.2 + 0.4 / 6 - 1e-3), dict(heave=0.2 + 0.4 / 6 + 1e-3)),
+        (dict(rose=0.2 - 1e-3), dict(rose=0.2 + 1e-3)),
         ({}, dict(calm=False)),
         ({}, dict(live=False)),
         ({}, dict(pair=(0, 2))),
         ({}, dict(slot=-3)),
     ],
-    ids=["limit", "disturbance", "gradual", "size", "heave", "calm", "unused", "torque", "slow"],
+    ids=["limit", "disturbance", "gradual", "size", "heave", "rose", "calm", "unused", "torque", "slow"],
 )
 def test_it_is_suspected_while_all_this_holds(within, beyond):
     out, since, h = suspect(**within)
