@@ -32,7 +32,8 @@ FLAT = 0.8  # (Jz - Jy) / Jx of a vehicle that is nearly flat; 1 for a plate
 # Standard deviations: hover thrusts of one rotor; share of each rotor's thrust; of a command that changes, of its step within the tick; of
 # damping and gyroscopic terms; of the whole thrust, which air that flows along the axis changes; of the load factor, by drag.
 FLOOR, THRUST_SHARE, STEP_SHARE, MOTION_SHARE, LOAD_SHARE, LOAD_FLOOR = 0.1, 0.12, 0.5, 0.4, 0.15, 0.15
-BELIEVED, AT_LIMIT, LIMIT_LACKS = 0.6, 0.95, 0.4  # shares of full thrust; at its limit a rotor may give so much less
+BELIEVED, AT_LIMIT = 0.6, 0.95  # shares of full thrust, from and to which less and less is given than was told:
+LACKS, LACKS_SD = 0.15, 0.15  # at the limit so much less, hardly more than 40 %, and never the other way
 STRANGE_S = 1.0  # after the onset: the longer a vehicle tumbles, the stranger is the air that its rotors meet
 OUTLIERS, OUTLIER_SD = 0.05, 4.0
 ERROR_S = 0.15  # that errors of the model last: ticks that are closer count as so much less
@@ -74,12 +75,20 @@ class Fit:
     residual: np.ndarray
 
 
+def given(window: Window) -> np.ndarray:
+    """(K, n) thrust of healthy rotors, in hover thrusts: less than commanded near their limit."""
+    return (1.0 - LACKS * _near(window)) * window.thrust
+
+
+def _near(window: Window) -> np.ndarray:
+    return np.clip((window.thrust / window.full - BELIEVED) / (AT_LIMIT - BELIEVED), 0.0, 1.0)
+
+
 def noise_variance(window: Window, B: np.ndarray) -> np.ndarray:
     """(K, 4) variance of e that depends on commands alone. B (4, n)."""
     T = window.thrust
     change = 0.5 * (np.abs(window.after - T) + np.abs(T - window.before))
-    near = np.clip((T / window.full - BELIEVED) / (AT_LIMIT - BELIEVED), 0.0, 1.0)
-    each = (THRUST_SHARE * T) ** 2 + (STEP_SHARE * change) ** 2 + (LIMIT_LACKS * near * T) ** 2
+    each = (THRUST_SHARE * T) ** 2 + (STEP_SHARE * change) ** 2 + (LACKS_SD * _near(window) * T) ** 2
     variance = FLOOR**2 + each @ (B**2).T
     whole = T.sum(axis=1) + STEP_SHARE / LOAD_SHARE * change.sum(axis=1)
     variance[:, 3] += (LOAD_SHARE * whole) ** 2 + (LOAD_FLOOR * B.shape[1]) ** 2

@@ -12,7 +12,7 @@ from itertools import combinations
 
 import numpy as np
 
-from rotorwatch.upset.balance import Fit, Offset, Window, fit
+from rotorwatch.upset.balance import Fit, Offset, Window, fit, given
 
 SIZES = np.array([0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0])
 # How often each kind of explanation is met, of vehicles that left control.
@@ -48,7 +48,8 @@ def explain(
     first take-off: later it would have shown); sagged: whether the battery's voltage collapsed, None where that is not known.
     """
     n, K = B.shape[1], window.time.size
-    healthy = window.thrust @ B.T
+    T = given(window)
+    healthy = T @ B.T
     courses: list[np.ndarray] = []
     labels: list[tuple[str, tuple[int, ...], int, float]] = []
     prior = {**(ORDER if orders else PRIOR), "common": COMMON[sagged]}
@@ -64,7 +65,7 @@ def explain(
             for i in range(n):
                 lost = np.zeros(n)
                 lost[i] = size
-                add("rotor", (i,), k, size, np.where(since, (window.thrust * (1.0 - lost)) @ B.T, healthy))
+                add("rotor", (i,), k, size, np.where(since, (T * (1.0 - lost)) @ B.T, healthy))
             if size <= 0.9:
                 add("common", (), k, size, np.where(since, (1.0 - size) * healthy, healthy))
         for a in range(3):
@@ -74,7 +75,7 @@ def explain(
                 add("outside", (), k, push, shifted)
     if orders:
         for i, j in combinations(range(n), 2):
-            swapped = window.thrust.copy()
+            swapped = T.copy()
             swapped[:, [i, j]] = swapped[:, [j, i]]
             add("order", (i, j), 0, 0.0, swapped @ B.T)
         add("yaw", (), 0, 0.0, healthy * np.array([1.0, 1.0, -1.0, 1.0]))
