@@ -59,7 +59,7 @@ def verdict_of(answer, truth: tumbling.Truth) -> str:
     sure = {r for e in losses if not e.alternatives for r in e.rotors}
     named = {r for e in losses for who in (e.rotors, *e.alternatives) for r in who}
     cause = lost[0].extra["cause"] if lost else ""
-    order = [e for e in answer.events if e.kind == "motor_order"]
+    order = [e for e in answer.events if e.kind == "motor_order" and not e.alternatives]
     if truth.case not in RIGHT_CAUSE:
         right = set(truth.rotors)
         if sure - right or order or cause in RIGHT_CAUSE.values():
@@ -72,7 +72,7 @@ def verdict_of(answer, truth: tumbling.Truth) -> str:
         if sure or (order and set(order[0].rotors) != set(truth.rotors)):
             return "wrong"
         if cause == RIGHT_CAUSE[truth.case]:
-            return "right"
+            return "right" if truth.case != "swapped" or order else "candidates"
         if cause not in ("", "unknown"):
             return "wrong"
         if named & set(truth.rotors):

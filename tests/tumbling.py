@@ -16,7 +16,8 @@ from rotorwatch.flight import Flight, Message, Signal
 from rotorwatch.motion.allocation import drive
 
 G, DT, LIFT_S = 9.80665, 0.0025, 3.0
-LEFT_DEG, BACK_DEG, GONE_S, BACK_S = 60.0, 30.0, 1.2, 1.0  # tilt away from what is wanted: lost, unless it is back so far, so soon, for so long
+LEGS = 0.4  # from the middle to the line between two feet, in arms
+LEFT_DEG, BACK_DEG, GONE_S, BACK_S = 60.0, 30.0, 2.0, 1.0  # tilt away from what is wanted: lost, unless it is back so far, so soon, for so long
 CRASHES = ("hover", "climb", "cruise", "take-off", "early", "swapped", "disarmed", "gyro", "knock", "power")
 STAYS = ("calm", "aerobatics", "gust", "hard landing")
 
@@ -101,7 +102,7 @@ def fly(
     push = rng.choice([-1.0, 1.0], 3) * rng.uniform(0.7, 1.2, 3) * np.array([25.0, 25.0, 6.0])
     push, caught_s, caught = push * more.uniform(1.0, 2.0), more.uniform(0.2, 0.8), more.uniform(0.5, 2.0)
     bias = np.array([1.5, 0.0, 0.0]) if rng.random() < 0.5 else np.array([0.0, -1.5, 0.0])
-    gyro_lies, sinks, moment = more.random() < 0.5, more.uniform(1.5, 3.5), more.uniform(0.0, 0.02) * n
+    gyro_lies, sinks, moment = more.random() < 0.5, more.uniform(1.5, 3.5), more.uniform(0.0, 0.006) * n
     strongest = more.uniform(10.0, 15.0)  # m/s of wind, in gusts
     along = wind / max(float(np.linalg.norm(wind)), 1e-9)
     shown = case != "aerobatics" or more.random() < 0.5  # wanted attitude logged; else wanted rates alone
@@ -137,7 +138,7 @@ def fly(
         axis = Rb.T @ rotation(wanted)[:, 2]
         angle = np.arctan2(np.hypot(axis[0], axis[1]), axis[2])
         lean = np.array([-axis[1], axis[0], 0.0]) / max(np.hypot(axis[0], axis[1]), 1e-9) * angle
-        wrong = bias if case == "gyro" and on else np.zeros(3)
+        wrong = bias * (1.0 if gyro_lies else 0.35) if case == "gyro" and on else np.zeros(3)
         gyro = omega + (wrong if gyro_lies else 0.0)
         rates = np.clip(7.0 * lean, -8.0, 8.0)
         if case == "aerobatics" and 12.0 <= t < 20.0 and (t - 12.0) % 4.0 < 2.0 * np.pi / 6.0:
@@ -170,6 +171,9 @@ def fly(
         )
         flow = R.T @ (air - v) * (0.0 if grounded else moment)
         M = B[:3] @ T + trim - D * omega + np.array([-flow[1], flow[0], 0.0])
+        if grounded:  # a vehicle that stands on its legs turns only against its weight
+            weight = LEGS * max(n - B[3] @ T, 0.0)
+            M[:2] -= M[:2] * min(1.0, weight / max(float(np.hypot(*M[:2])), 1e-9))
         f_body = np.array([0.0, 0.0, -G * (B[3] @ T) / n])
         f_world = R @ f_body - drag * (v - air) * (0.0 if grounded else 1.0)
         omega_dot = M / J - np.cross(omega, J * omega) / J
@@ -183,16 +187,15 @@ def fly(
             omega, v, f_world = 0.9 * omega, np.zeros(3), np.array([0.0, 0.0, -G])
         else:
             free = (B[3] @ T) / n
-            if grounded and free < 1.02 and p[2] > -0.02:
+            if grounded and free * R[2, 2] < 1.02 and p[2] > -0.02:
                 v = np.zeros(3)
                 omega = omega + DT * omega_dot if free > 0.6 else np.zeros(3)
                 f_world[2] = min(f_world[2], -G)  # the ground carries what the rotors do not
-                if np.degrees(np.arccos(np.clip(R[2, 2], -1, 1))) > 80.0:
-                    lying = True
             else:
                 grounded = grounded and p[2] > -0.1
                 omega, v = omega + DT * omega_dot, v + DT * (f_world + np.array([0, 0, G]))
             p = p + DT * v
+            lying = lying or (grounded and np.degrees(np.arccos(np.clip(R[2, 2], -1, 1))) > 80.0)
             if p[2] > 0.0 and not grounded:
                 spike = spike + R.T @ np.array([0.0, 0.0, -v[2] / 0.02])
                 p[2], lying, touched = 0.0, True, t if landing else np.inf

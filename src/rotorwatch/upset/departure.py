@@ -30,6 +30,7 @@ POWERED = 0.1  # share of the range of commands
 HITS_G = 2.0  # g from the side or from above, twice as much from below: no rotor pushes so; the ground does, or another thing
 HIT_S = 0.2  # a blow so soon after the wanted attitude was left made it leave
 LOW_M = 1.5  # above the place of take-off or rest: a blow there is the ground's
+CRASHES_M_S, STOPS_M_S = 5.0, 1.0  # down before a blow, any way after it: no landing, whatever the attitude was believed to be
 FAST_M_S, STAYS_M_S = 2.0, 0.3  # down before a blow, any way after it: a vehicle that fell to the ground
 G0 = 9.80665
 
@@ -128,6 +129,7 @@ def find(flight: Flight, air) -> tuple[Departure, ...]:
                 _leaves(flight, time, angle, words, start, end),
                 _falls(flight, start, end),
                 _sinks(flight, start, end),
+                _strikes(flight, start, end),
             )
             if d
         ]
@@ -237,6 +239,23 @@ def _sinks(flight: Flight, start: float, end: float) -> Departure | None:
                 hit(flight, float(when), end + 30.0),
                 f"sinking at {down[time == when][0]:.0f} m/s though nearly full thrust was commanded",
             )
+    return None
+
+
+def _strikes(flight: Flight, start: float, end: float) -> Departure | None:
+    """A vehicle that strikes the ground faster than anything lands, though its attitude, as it was believed to be, was as wanted."""
+    if not flight.has("velocity"):
+        return None
+    velocity = flight["velocity"].between(start, end + 3.0)
+    time, down = velocity.time, np.where(velocity.valid[:, 2], velocity.values[:, 2], 0.0)
+    at = start
+    while (blow := hit(flight, at, end + 1.0)) is not None:
+        before, after = (time > blow - 0.5) & (time <= blow), (time > blow + 0.5) & (time < blow + 2.5)
+        if before.any() and down[before].max() > CRASHES_M_S and (np.abs(velocity.values[after]) < STOPS_M_S).all():
+            slow = np.flatnonzero((time < blow - HIT_S) & (down < 0.2 * CRASHES_M_S))
+            onset = float(time[slow[-1]]) if slow.size else start
+            return Departure(onset, blow, None, blow, f"striking the ground at {down[before].max():.0f} m/s")
+        at = blow + 0.5
     return None
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from rotorwatch.upset.balance import Fit, Offset, Window, fit, given
 
 SIZES = np.array([0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0])
+CARRIES = 1.5  # hover thrusts: a rotor that still gives so much, turns nothing over
 # How often each kind of explanation is met, of vehicles that left control.
 PRIOR = {"healthy": 0.4, "rotor": 0.4, "outside": 0.1}
 ORDER = {"healthy": 0.25, "rotor": 0.35, "outside": 0.08, "order": 0.25, "yaw": 0.05}
@@ -54,6 +55,8 @@ def explain(
     labels: list[tuple[str, tuple[int, ...], int, float]] = []
     prior = {**(ORDER if orders else PRIOR), "common": COMMON[sagged]}
 
+    sizes = SIZES[(1.0 - SIZES) * window.full < CARRIES]
+
     def add(kind, rotors, onset, size, wrench):
         courses.append(wrench)
         labels.append((kind, rotors, onset, size))
@@ -61,7 +64,7 @@ def explain(
     add("healthy", (), 0, 0.0, healthy)
     for k in onsets:
         since = (np.arange(K) >= k)[:, None]
-        for size in SIZES:
+        for size in sizes:
             for i in range(n):
                 lost = np.zeros(n)
                 lost[i] = size
