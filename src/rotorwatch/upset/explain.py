@@ -20,7 +20,7 @@ CARRIES = 1.5  # hover thrusts: a rotor that still gives so much, turns nothing 
 PRIOR = {"healthy": 0.4, "rotor": 0.4, "outside": 0.1}
 ORDER = {"healthy": 0.25, "rotor": 0.35, "outside": 0.08, "order": 0.25, "yaw": 0.05}
 # That all rotors fail alike: where the battery's voltage was steady, where it is not logged, where it collapsed.
-COMMON = {False: 0.0005, None: 0.005, True: 0.3}
+COMMON = {False: 0.0001, None: 0.005, True: 0.3}
 OUTSIDE_SD = 1.0  # hover thrusts of one rotor, of a torque from outside that lasts
 CHUNK = 256  # courses that are fitted at once
 

@@ -21,7 +21,7 @@ from rotorwatch.upset.explain import Explanation, explain
 BEFORE_S, AFTER_S = 2.0, 3.0  # of the upset that are looked at, at most
 EARLIER_S, LATER_S = 0.7, 0.3  # of its onset at which a cause may have begun
 CALM_S = 0.4  # of flight under control before, from which the offset of the torques is known
-CALM_SD, UNKNOWN_SD = 0.1, 0.25
+CALM_SD, UNKNOWN_SD = 0.1, 0.15
 FIRST_S = 3.0  # after lift-off: what is wrong now was wrong on the ground
 STIRS = 2.0, 0.2  # rad/s^2, rad/s: a vehicle that has moved
 LIES = 0.15, 1.5  # rad/s, rad/s^2: below both for three ticks, a vehicle that has turned over lies on the ground
