@@ -100,7 +100,7 @@ def fly(
     who = tuple(int(r) for r in rng.choice(n, 2, replace=False))
     wind = rng.uniform(0.0, 8.0) * np.array([np.cos(t := rng.uniform(0, 6.3)), np.sin(t), 0.0])
     push = rng.choice([-1.0, 1.0], 3) * rng.uniform(0.7, 1.2, 3) * np.array([25.0, 25.0, 6.0])
-    push, caught_s, caught = push * more.uniform(1.0, 2.0), more.uniform(0.2, 0.8), more.uniform(0.5, 2.0)
+    push, caught_s, caught = push * more.uniform(1.0, 2.0), more.uniform(0.6, 1.6), more.uniform(0.5, 2.0)
     bias = np.array([1.5, 0.0, 0.0]) if rng.random() < 0.5 else np.array([0.0, -1.5, 0.0])
     gyro_lies, sinks, moment = more.random() < 0.5, more.uniform(1.5, 3.5), more.uniform(0.0, 0.006) * n
     strongest = more.uniform(10.0, 15.0)  # m/s of wind, in gusts
