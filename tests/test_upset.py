@@ -105,6 +105,11 @@ def test_control_that_comes_back_at_once_was_not_lost():
     assert departure.find(rolled(still(), "attitude", 5.0, 5.7, 80.0), [(0.0, 10.0)]) == ()
 
 
+def test_two_turns_that_were_mastered_are_no_loss_of_control():
+    flight = rolled(rolled(still(), "attitude", 5.0, 5.4, 80.0), "attitude", 6.2, 6.6, 80.0)
+    assert departure.find(flight, [(0.0, 10.0)]) == ()
+
+
 def test_control_that_does_not_come_back_was_lost():
     (left,) = departure.find(rolled(still(), "attitude", 5.0, 10.0, 80.0), [(0.0, 10.0)])
     assert left.onset == pytest.approx(4.9, abs=0.11)

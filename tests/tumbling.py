@@ -1,7 +1,7 @@
 """Multirotors that fall, by a small model of their own: a rigid body, first-order motors, a controller, a ground. For tests of `upset`.
 
 It shares nothing with `rotorwatch.simulation` but the frames' geometry, and is no better than it must be: torques in hover thrusts,
-ω' = (B T - D ω + push) / J - ω x (J ω) / J, thrust along the body's axis, linear drag, a moment of the wind. What a log would hold comes
+ω' = (B T - D ω + push) / J - k (q r, -p r, 0), thrust along the body's axis, linear drag, a moment of the wind. What a log would hold comes
 back as a Flight.
 """
 
@@ -103,6 +103,7 @@ def fly(
     push, caught_s, caught = push * more.uniform(1.0, 2.0), more.uniform(0.6, 1.6), more.uniform(0.5, 2.0)
     bias = np.array([1.5, 0.0, 0.0]) if rng.random() < 0.5 else np.array([0.0, -1.5, 0.0])
     gyro_lies, sinks, moment = more.random() < 0.5, more.uniform(1.5, 3.5), more.uniform(0.0, 0.006) * n
+    flat = more.uniform(0.6, 1.0)  # (Jz - Jy) / Jx; J counts yaw in its own, weaker torque
     strongest = more.uniform(10.0, 15.0)  # m/s of wind, in gusts
     along = wind / max(float(np.linalg.norm(wind)), 1e-9)
     shown = case != "aerobatics" or more.random() < 0.5  # wanted attitude logged; else wanted rates alone
@@ -119,7 +120,7 @@ def fly(
         if disarmed and len(messages) == 1:
             messages.append(Message(t, "armed", "disarmed", 0.0))
         # What is wanted.
-        climb = 0.0 if t < LIFT_S else 10.0
+        climb = 0.0 if t < LIFT_S else 60.0 if case == "aerobatics" else 10.0
         goal = np.array([12.0 * np.sin(0.5 * max(t - 10.0, 0.0)) if case == "cruise" else 0.0, 0.0, -climb])
         landing = case == "hard landing" and t > later
         R = rotation(q)
@@ -176,7 +177,7 @@ def fly(
             M[:2] -= M[:2] * min(1.0, weight / max(float(np.hypot(*M[:2])), 1e-9))
         f_body = np.array([0.0, 0.0, -G * (B[3] @ T) / n])
         f_world = R @ f_body - drag * (v - air) * (0.0 if grounded else 1.0)
-        omega_dot = M / J - np.cross(omega, J * omega) / J
+        omega_dot = M / J - flat * np.array([omega[1] * omega[2], -omega[0] * omega[2], 0.0])
         if case == "knock" and begins_s <= t < begins_s + 0.02:
             omega_dot = omega_dot + push / 0.02
             f_world = f_world + 4.0 * G * np.array([1.0, 0.3, 0.0])

@@ -22,6 +22,7 @@ ANSWERS_S = 0.6  # within which a vehicle under control has the attitude that wa
 RATE_APART = 6.0  # rad/s of roll or pitch between the wanted and the actual rate
 OVER_DEG = 100.0  # of tilt, which nobody has asked for where nothing says what was wanted
 BACK_DEG, BACK_S = 15.0, 2.0  # closer than that for so long: control has come back
+MASTERED_S = 0.5  # the same, of a turn that is mastered at once, though another follows it: the vehicle was under control between them
 FRESH_S = 0.5  # a wanted attitude that is older is none
 FALLS, FALLS_S = 0.35, 0.25  # load factor [g] below which a vehicle falls, with outputs at rest for so long
 SINKS_M_S, NEARLY_FULL = 4.0, 0.85  # down, at so much of all outputs' range
@@ -159,7 +160,8 @@ def _leaves(flight, time, angle, words, start, end) -> Departure | None:
             return None
         onset, back = _began(t, a, int(k)), _back(t, a, int(k))
         impact = hit(flight, onset, end + 30.0 if back is None else back)
-        lasts = (t[-1] if back is None else back) - t[k]
+        soon = _back(t, a, int(k), MASTERED_S)
+        lasts = (t[-1] if soon is None else soon) - t[k]
         if impact is not None and _ground(flight, impact, onset, start, end):
             return None
         if lasts < (GONE_S if impact is None or impact - onset <= HIT_S else LASTS_S):
@@ -179,12 +181,12 @@ def _began(t: np.ndarray, a: np.ndarray, k: int) -> float:
     return float(t[close[-1]] if close.size else t[0])
 
 
-def _back(t: np.ndarray, a: np.ndarray, k: int) -> float | None:
-    """When control came back: the begin of BACK_S within BACK_DEG; None where the flight ends before."""
+def _back(t: np.ndarray, a: np.ndarray, k: int, lasts: float = BACK_S) -> float | None:
+    """When control came back: the begin of so many seconds within BACK_DEG; None where the flight ends before."""
     since = None
     for when, fine in zip(t[k:], a[k:] < BACK_DEG):
         since = (since if since is not None else when) if fine else None
-        if since is not None and when - since >= BACK_S:
+        if since is not None and when - since >= lasts:
             return float(since)
     return None
 
