@@ -110,6 +110,16 @@ def test_two_turns_that_were_mastered_are_no_loss_of_control():
     assert departure.find(flight, [(0.0, 10.0)]) == ()
 
 
+def test_a_vehicle_that_tumbled_and_came_to_rest_upright_was_out_of_control():
+    (left,) = departure.find(rolled(still(), "attitude", 5.0, 5.7, 170.0), [(0.0, 10.0)])
+    assert left.onset == pytest.approx(4.9, abs=0.11)
+
+
+def test_a_take_off_that_ends_on_its_side_was_lost():
+    (left,) = departure.find(rolled(still(), "attitude", 4.0, 10.0, 80.0), [(3.6, 4.3)])
+    assert left.onset < 4.1
+
+
 def test_control_that_does_not_come_back_was_lost():
     (left,) = departure.find(rolled(still(), "attitude", 5.0, 10.0, 80.0), [(0.0, 10.0)])
     assert left.onset == pytest.approx(4.9, abs=0.11)

@@ -17,6 +17,7 @@ from rotorwatch.motion.airborne import commands, output_range
 # aerobatics and gusts of 18 m/s included, stay below 20 degrees, but for half a second of 57 in one manual flight.
 APART_DEG, LASTS_S = 40.0, 0.4
 GONE_S = 1.2  # control that is back sooner was not lost: a knock or a hard turn that the vehicle mastered
+TUMBLED_DEG = 120.0  # two samples so far from all that was wanted: it tumbled, however it came to rest
 SPINS = 20.0  # rad/s of yaw, faster than anybody asks for
 ANSWERS_S = 0.6  # within which a vehicle under control has the attitude that was wanted
 RATE_APART = 6.0  # rad/s of roll or pitch between the wanted and the actual rate
@@ -30,6 +31,7 @@ REST = 0.015  # share of the range up to which an output is at rest
 POWERED = 0.1  # share of the range of commands
 HITS_G = 2.0  # g from the side or from above, twice as much from below: no rotor pushes so; the ground does, or another thing
 HIT_S = 0.2  # a blow so soon after the wanted attitude was left made it leave
+SHORT_S = 3.0  # of a flight that ended in its take-off
 LOW_M = 1.5  # above the place of take-off or rest: a blow there is the ground's
 CRASHES_M_S, STOPS_M_S = 5.0, 1.0  # down before a blow, any way after it: no landing, whatever the attitude was believed to be
 FAST_M_S, STAYS_M_S = 2.0, 0.3  # down before a blow, any way after it: a vehicle that fell to the ground
@@ -80,7 +82,8 @@ def apart(flight: Flight) -> tuple[np.ndarray, np.ndarray, str]:
             angle = _angle(flight["attitude_wanted"], time, axis)
         if flight.has("rates_wanted"):
             both = np.isnan(angle) & _known_rates(flight, time)
-            angle = np.where(both, np.degrees(_rate_error(flight, time)) / np.degrees(RATE_APART) * APART_DEG, angle)
+            rate = np.minimum(_rate_error(flight, time) / RATE_APART * APART_DEG, 90.0)
+            angle = np.where(both, rate, angle)
         if np.isnan(angle).all():
             tilt = np.degrees(np.arccos(np.clip(axis[:, 2], -1.0, 1.0)))
             angle, words = np.where(tilt > OVER_DEG, tilt, 0.0), "tilted by {:.0f} degrees"
@@ -161,10 +164,14 @@ def _leaves(flight, time, angle, words, start, end) -> Departure | None:
         onset, back = _began(t, a, int(k)), _back(t, a, int(k))
         impact = hit(flight, onset, end + 30.0 if back is None else back)
         soon = _back(t, a, int(k), MASTERED_S)
-        lasts = (t[-1] if soon is None else soon) - t[k]
+        # A flight that was over as soon as it began may have ended on its side.
+        last = t[-1] if end - start > SHORT_S else time[np.isfinite(angle)][-1]
+        lasts = (last if soon is None else soon) - t[k]
         if impact is not None and _ground(flight, impact, onset, start, end):
             return None
-        if lasts < (GONE_S if impact is None or impact - onset <= HIT_S else LASTS_S):
+        until = t[-1] if soon is None else soon
+        over = (a[k:] > TUMBLED_DEG) & (t[k:] <= until)
+        if not (over[1:] & over[:-1]).any() and lasts < (GONE_S if impact is None or impact - onset <= HIT_S else LASTS_S):
             continue
         certain = np.flatnonzero(out[k:] & (t[k:] - t[k] >= LASTS_S))
         lost = float(t[k + certain[0]]) if certain.size else float(min(t[k] + LASTS_S, t[-1]))

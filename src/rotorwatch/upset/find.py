@@ -33,7 +33,7 @@ USUAL_HOVER = 0.35
 
 LOSS, OVERRIDE = "loss_of_effectiveness", "output_override"
 SURE, CREDIBLE = 0.9, 0.03  # probabilities: a cause that is named alone; one that is named at all
-FITS = 1.3  # standard deviations, root mean square: beyond, even the best explanation does not explain the motion
+FITS = 1.7  # standard deviations, root mean square: beyond, even the best explanation does not explain the motion
 TURNED = 1.4  # the same, of torques: the rotors turned the vehicle as they were told
 STRAYS, STRAYS_THRUST = 3.0, 1.5  # standard deviations of torque and of thrust: the motion leaves the commands
 JOINS_S = 0.5  # a departure that began earlier in the residuals is the same
@@ -82,11 +82,13 @@ def judge(flight: Flight, vehicle: Vehicle, air, left: Departure) -> Judged:
     got = window_of(flight, vehicle, left, start)
     if got is None:
         return Judged(left, "disarmed" if left.falls else "unknown", (), np.empty(0), None, left.onset, ())
-    window, offset, onsets, took_off = got
+    window, offset, onsets, took_off, ground = got
     found, probability = explain(window, vehicle.effectiveness(), offset, onsets, took_off, _sagged(flight, left.onset))
     healthy = next(e for e in found if e.kind == "healthy")
     onset = left.onset if left.falls else _strays(window, healthy.residual, left.onset)
     cause, evidence = _cause(flight, vehicle, start, left, found, probability, window, onset)
+    if left.impact is None and ground is not None:
+        left = replace(left, impact=ground)
     return Judged(left, cause, found, probability, window, onset, evidence)
 
 
@@ -341,9 +343,9 @@ def until_impact(flight: Flight, air, found: Sequence[Judged]) -> tuple[tuple[fl
 
 def window_of(
     flight: Flight, vehicle: Vehicle, left: Departure, start: float
-) -> tuple[Window, Offset, np.ndarray, bool] | None:
-    """The ticks around an upset, the torques' offset before it, indices of the ticks at which its cause may have begun, and whether it came
-    with the take-off; None where the log shows no commands or rates there. start: of the flight [s]."""
+) -> tuple[Window, Offset, np.ndarray, bool, float | None] | None:
+    """The ticks around an upset, the torques' offset before it, indices of the ticks at which its cause may have begun, whether it came
+    with the take-off, and when the vehicle lay on the ground, or None [s]; None where the log shows no commands or rates there. start: of the flight [s]."""
     first, last = left.onset - BEFORE_S, min(left.lost + AFTER_S, np.inf if left.end is None else left.end)
     if left.impact is not None and left.impact > left.onset + HIT_S:
         last = min(last, left.impact)
@@ -370,9 +372,9 @@ def window_of(
         if before.size and turning[before].max() > TURNED_OVER:
             stopped = float(seen.time[before[np.argmax(turning[before])]])
             break
-    ground, last = stopped < last, min(last, stopped)
+    ground, last = (stopped if stopped < last else None), min(last, stopped)
     first = max(first, began, left.onset - MOST_TICKS * how.dt / 3.0)
-    inside = np.flatnonzero((seen.time >= first) & (seen.time <= last + (0.0 if ground else how.lag_s)) & seen.some)[:MOST_TICKS]
+    inside = np.flatnonzero((seen.time >= first) & (seen.time <= last + (how.lag_s if ground is None else 0.0)) & seen.some)[:MOST_TICKS]
     if inside.size < 3:
         return None
     T = seen.share / hover
@@ -383,7 +385,7 @@ def window_of(
     )  # fmt: skip
     causes = np.flatnonzero((window.time >= left.onset - EARLIER_S) & (window.time <= left.onset + LATER_S))
     onsets = np.union1d([0], causes) if took_off or not causes.size else causes
-    return window, _offset(window, vehicle.effectiveness(), left.onset - EARLIER_S, took_off), onsets, took_off
+    return window, _offset(window, vehicle.effectiveness(), left.onset - EARLIER_S, took_off), onsets, took_off, ground
 
 
 def _pinned(rate: np.ndarray, rate_dot: np.ndarray) -> np.ndarray:
