@@ -43,7 +43,7 @@ def flown(task: tuple[str, str, int, float]) -> tuple[str, int, Flight, tumbling
 
 
 def judged(task: tuple[str, str, int, float]) -> tuple[str, str, int, float, str]:
-    """(frame, case, seed, rate, answer) of one flight: the answer is right, candidates, wrong, healthy, unknown, missed, or claimed, stays."""
+    """(frame, case, seed, rate, answer) of one flight; the answer as in `verdict_of`."""
     _, case, _, rate = task
     frame, seed, flight, truth = flown(task)
     answer = diagnose(flight, airframes.named(f"ardupilot-{frame}"))
@@ -51,7 +51,7 @@ def judged(task: tuple[str, str, int, float]) -> tuple[str, str, int, float, str
 
 
 def verdict_of(answer, truth: tumbling.Truth) -> str:
-    """How an answer stands to what happened."""
+    """How an answer stands to what happened: right, candidates, wrong, healthy, unknown, missed, or, of no crash, claimed or stays."""
     lost = [e for e in answer.events if e.kind == "loss_of_control"]
     losses = [e for e in answer.events if e.kind == "loss_of_effectiveness"]
     if truth.case in tumbling.STAYS:

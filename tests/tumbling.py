@@ -17,7 +17,12 @@ from rotorwatch.motion.allocation import drive
 
 G, DT, LIFT_S = 9.80665, 0.0025, 3.0
 LEGS = 0.4  # from the middle to the line between two feet, in arms
-LEFT_DEG, BACK_DEG, GONE_S, BACK_S = 60.0, 30.0, 2.0, 1.0  # tilt away from what is wanted: lost, unless it is back so far, so soon, for so long
+LEFT_DEG, BACK_DEG, GONE_S, BACK_S = (
+    60.0,
+    30.0,
+    2.0,
+    1.0,
+)  # tilt away from what is wanted: lost, unless it is back so far, so soon, for so long
 CRASHES = ("hover", "climb", "cruise", "take-off", "early", "swapped", "disarmed", "gyro", "knock", "power")
 STAYS = ("calm", "aerobatics", "gust", "hard landing")
 
@@ -64,11 +69,13 @@ def towards(axis: np.ndarray) -> np.ndarray:
 
 def _lost(time: np.ndarray, away: np.ndarray, gone: np.ndarray) -> float | None:
     """When control was lost: the thrust pointed LEFT_DEG away (n,) from what was wanted, and was not back for BACK_S within
-    GONE_S; or the vehicle fell, `gone` (n,) bool. A vehicle that lies on the ground, `away` 0 from then on, has come back only if it stood up."""
+    GONE_S; or the vehicle fell, `gone` (n,) bool. `away` is 0 on the ground, and a vehicle that lies there has not come back."""
     if gone.any():
         return float(time[np.argmax(gone)])
     for k in np.flatnonzero((away > LEFT_DEG) & (np.concatenate([[0.0], away[:-1]]) <= LEFT_DEG)):
-        back = (away[k : k + round((GONE_S + BACK_S) / DT)] < BACK_DEG) & (away[k : k + round((GONE_S + BACK_S) / DT)] > 0.0)
+        back = (away[k : k + round((GONE_S + BACK_S) / DT)] < BACK_DEG) & (
+            away[k : k + round((GONE_S + BACK_S) / DT)] > 0.0
+        )
         stays = np.convolve(back, np.ones(round(BACK_S / DT)), "valid") > round(BACK_S / DT) - 0.5
         if not stays.any():
             return float(time[k])
@@ -167,7 +174,11 @@ def fly(
         T = T + (given - T) * DT / lag
         air = (
             wind
-            + ((strongest - np.linalg.norm(wind)) * along if case == "gust" and 12.0 < t < 18.0 and t % 3.0 < 1.5 else 0.0)
+            + (
+                (strongest - np.linalg.norm(wind)) * along
+                if case == "gust" and 12.0 < t < 18.0 and t % 3.0 < 1.5
+                else 0.0
+            )
             + 0.3 * np.sin(np.array([1.1, 1.7, 0.9]) * t)
         )
         flow = R.T @ (air - v) * (0.0 if grounded else moment)

@@ -33,7 +33,10 @@ HITS_G = 2.0  # g from the side or from above, twice as much from below: no roto
 HIT_S = 0.2  # a blow so soon after the wanted attitude was left made it leave
 SHORT_S = 3.0  # of a flight that ended in its take-off
 LOW_M = 1.5  # above the place of take-off or rest: a blow there is the ground's
-CRASHES_M_S, STOPS_M_S = 5.0, 1.0  # down before a blow, any way after it: no landing, whatever the attitude was believed to be
+CRASHES_M_S, STOPS_M_S = (
+    5.0,
+    1.0,
+)  # down before a blow, any way after it: no landing, whatever the attitude was believed to be
 FAST_M_S, STAYS_M_S = 2.0, 0.3  # down before a blow, any way after it: a vehicle that fell to the ground
 G0 = 9.80665
 
@@ -171,7 +174,9 @@ def _leaves(flight, time, angle, words, start, end) -> Departure | None:
             return None
         until = t[-1] if soon is None else soon
         over = (a[k:] > TUMBLED_DEG) & (t[k:] <= until)
-        if not (over[1:] & over[:-1]).any() and lasts < (GONE_S if impact is None or impact - onset <= HIT_S else LASTS_S):
+        if not (over[1:] & over[:-1]).any() and lasts < (
+            GONE_S if impact is None or impact - onset <= HIT_S else LASTS_S
+        ):
             continue
         certain = np.flatnonzero(out[k:] & (t[k:] - t[k] >= LASTS_S))
         lost = float(t[k + certain[0]]) if certain.size else float(min(t[k] + LASTS_S, t[-1]))

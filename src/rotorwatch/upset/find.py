@@ -25,7 +25,10 @@ CALM_SD, UNKNOWN_SD = 0.1, 0.15
 FIRST_S = 3.0  # after lift-off: what is wrong now was wrong on the ground
 STIRS = 2.0, 0.2  # rad/s^2, rad/s: a vehicle that has moved
 LIES = 0.15, 1.5  # rad/s, rad/s^2: below both for three ticks, a vehicle that has turned over lies on the ground
-STOPS_S, TURNED_OVER = 0.5, 1.0  # s within which the ground stops it; rad/s that it stops: one that drifts out of control is in the air
+STOPS_S, TURNED_OVER = (
+    0.5,
+    1.0,
+)  # s within which the ground stops it; rad/s that it stops: one that drifts out of control is in the air
 PINNED = 3.0  # rad/s: the ranges of gyros end above
 MOST_TICKS = 60
 HOVER_PARAMETERS = ("MOT_THST_HOVER", "MPC_THR_HOVER")
@@ -122,7 +125,9 @@ def _cause(
         return "saturated", ("outputs had been at their limits before control was lost",)
     flying = window.time < (np.inf if left.impact is None else left.impact)
     torque = next(e for e in found if e.kind == "healthy").residual[flying, :3]
-    turned = left.onset - start > FIRST_S and torque.size > 0 and bool((np.sqrt((torque**2).mean(axis=0)) < TURNED).all())
+    turned = (
+        left.onset - start > FIRST_S and torque.size > 0 and bool((np.sqrt((torque**2).mean(axis=0)) < TURNED).all())
+    )
     if (best.kind == "healthy" and p > SURE and fits and turned) or (
         best.kind == "common" and rotor < 1.0 - SURE and turned and _level(flight, left, onset)
     ):
@@ -278,7 +283,17 @@ def _order(best: Explanation, p: float, others, decided: float) -> Event:
     if best.kind == "yaw":
         reason = "the vehicle yawed against its commands from the first movement on: propellers or motors turn the wrong way round"
         return Event(
-            "motor_order", (), best.onset, decided, None, (), (), p, others, reason, {"live": False, "yaw_reversed": True}
+            "motor_order",
+            (),
+            best.onset,
+            decided,
+            None,
+            (),
+            (),
+            p,
+            others,
+            reason,
+            {"live": False, "yaw_reversed": True},
         )
     i, j = (r + 1 for r in best.rotors)
     reason = f"from the first movement on the vehicle turned as if the outputs of motors {i} and {j} went to each other's motor"
@@ -345,7 +360,8 @@ def window_of(
     flight: Flight, vehicle: Vehicle, left: Departure, start: float
 ) -> tuple[Window, Offset, np.ndarray, bool, float | None] | None:
     """The ticks around an upset, the torques' offset before it, indices of the ticks at which its cause may have begun, whether it came
-    with the take-off, and when the vehicle lay on the ground, or None [s]; None where the log shows no commands or rates there. start: of the flight [s]."""
+    with the take-off, and when the vehicle lay on the ground, or None [s]; None where the log shows no commands or rates there. start:
+    of the flight [s]."""
     first, last = left.onset - BEFORE_S, min(left.lost + AFTER_S, np.inf if left.end is None else left.end)
     if left.impact is not None and left.impact > left.onset + HIT_S:
         last = min(last, left.impact)
@@ -374,7 +390,9 @@ def window_of(
             break
     ground, last = (stopped if stopped < last else None), min(last, stopped)
     first = max(first, began, left.onset - MOST_TICKS * how.dt / 3.0)
-    inside = np.flatnonzero((seen.time >= first) & (seen.time <= last + (how.lag_s if ground is None else 0.0)) & seen.some)[:MOST_TICKS]
+    inside = np.flatnonzero(
+        (seen.time >= first) & (seen.time <= last + (how.lag_s if ground is None else 0.0)) & seen.some
+    )[:MOST_TICKS]
     if inside.size < 3:
         return None
     T = seen.share / hover
