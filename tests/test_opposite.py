@@ -50,7 +50,9 @@ def suspect(
     lasted=ANSWER_S - DT,
     live=True,
 ):
-    """Evidence in which a pair at a sudden onset, and disturbances at sudden and gradual ones, have so many nats. heave, rose: at the onset."""
+    """Evidence in which a pair at a sudden onset, and disturbances at sudden and gradual ones, have so many nats.
+
+    heave, rose: at the onset."""
     n = B.shape[1]
     hyp, jumps = hypotheses.make(n), bank.Jumps(np.eye(20 + n)[:, : n + 4], DT)
     W = jumps.stride.size

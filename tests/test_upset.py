@@ -13,7 +13,7 @@ from rotorwatch.diagnosis import Event
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.upset import departure, find
 from rotorwatch.upset.balance import INERTIA, Offset, Window, fit
-from rotorwatch.upset.explain import explain
+from rotorwatch.upset.explain import Explanation, explain
 
 QUAD = airframes.named("ardupilot-quad-x")
 B = QUAD.effectiveness()
@@ -105,6 +105,21 @@ def test_control_that_comes_back_at_once_was_not_lost():
     assert departure.find(rolled(still(), "attitude", 5.0, 5.7, 80.0), [(0.0, 10.0)]) == ()
 
 
+def test_two_turns_that_were_mastered_are_no_loss_of_control():
+    flight = rolled(rolled(still(), "attitude", 5.0, 5.4, 80.0), "attitude", 6.2, 6.6, 80.0)
+    assert departure.find(flight, [(0.0, 10.0)]) == ()
+
+
+def test_a_vehicle_that_tumbled_and_came_to_rest_upright_was_out_of_control():
+    (left,) = departure.find(rolled(still(), "attitude", 5.0, 5.7, 170.0), [(0.0, 10.0)])
+    assert left.onset == pytest.approx(4.9, abs=0.11)
+
+
+def test_a_take_off_that_ends_on_its_side_was_lost():
+    (left,) = departure.find(rolled(still(), "attitude", 4.0, 10.0, 80.0), [(3.6, 4.3)])
+    assert left.onset < 4.1
+
+
 def test_control_that_does_not_come_back_was_lost():
     (left,) = departure.find(rolled(still(), "attitude", 5.0, 10.0, 80.0), [(0.0, 10.0)])
     assert left.onset == pytest.approx(4.9, abs=0.11)
@@ -114,6 +129,27 @@ def test_control_that_does_not_come_back_was_lost():
 def test_a_vehicle_that_follows_late_what_was_wanted_is_under_control():
     flight = rolled(rolled(still(), "attitude_wanted", 5.0, 7.0, 80.0), "attitude", 5.4, 7.4, 80.0)
     assert departure.find(flight, [(0.0, 10.0)]) == ()
+
+
+def fallen(speed: float) -> Flight:
+    """A vehicle that hovers, then comes down at so many m/s, believed level all the time, and stays where it struck."""
+    flight = still(14.0)
+    time = flight["attitude"].time
+    down = np.where((time > 5.0) & (time < 7.0), speed, 0.0)
+    velocity = Signal(time, np.stack([0 * time, 0 * time, down], axis=1), ("n", "e", "d"), "m/s", "NED")
+    force = np.where(np.isclose(time, 7.0), -9.0 * 9.8, -9.8)
+    accel = Signal(time, np.stack([0 * time, 0 * time, force], axis=1), ("x", "y", "z"), "m/s^2", "FRD")
+    return replace(flight, signals={**flight.signals, "velocity": velocity, "accel": accel})
+
+
+def test_a_vehicle_that_strikes_the_ground_believed_level_was_out_of_control():
+    (left,) = departure.find(fallen(8.0), [(0.0, 7.2)])
+    assert left.impact == pytest.approx(7.0, abs=0.11)
+    assert left.onset == pytest.approx(5.0, abs=0.3)
+
+
+def test_a_hard_landing_is_under_control():
+    assert departure.find(fallen(3.5), [(0.0, 7.2)]) == ()
 
 
 def window(T: np.ndarray, rate_dot: np.ndarray, load: np.ndarray | None = None) -> Window:
@@ -147,6 +183,27 @@ def test_each_rotor_is_told_from_the_others(rotor):
     assert found[0].rotors == (rotor,)
     assert probability[0] > 0.9
     assert found[0].size > 0.8
+
+
+def test_swapped_outputs_that_look_alike_are_named_as_candidates():
+    pair = explain_kind("order", (0, 1)), explain_kind("order", (2, 3))
+    left = departure.Departure(5.0, 5.4, None, None, "tilted")
+    judged = find.Judged(left, "motor_order", pair, np.array([0.6, 0.4]), None, 5.0, ())
+    order, lost = find.events([judged], (), 4)
+    assert {order.kind, lost.kind} == {"motor_order", "loss_of_control"}
+    assert order.alternatives == lost.alternatives == ((3, 4),)
+
+
+def test_what_left_control_after_a_blow_was_knocked():
+    left = departure.Departure(5.0, 5.4, None, None, "tilted")
+    judged = find.Judged(left, "unknown", (), np.empty(0), None, 5.0, ())
+    blow = Event("contact", (), 4.4, 4.4, 4.4, (), (), 1.0, (), "a blow")
+    assert find.events([judged], [blow], 4)[-1].extra["cause"] == "knock"
+    assert find.events([judged], [replace(blow, onset_s=1.0)], 4)[-1].extra["cause"] == "unknown"
+
+
+def explain_kind(kind: str, rotors: tuple[int, ...]) -> Explanation:
+    return Explanation(kind, rotors, 0.0, 5.0, 0.0, 0.0, 0.1, np.zeros((3, 4)))
 
 
 def test_rotors_that_do_as_told_are_cleared():

@@ -1,7 +1,8 @@
 """Multirotors that fall, by a small model of their own: a rigid body, first-order motors, a controller, a ground. For tests of `upset`.
 
 It shares nothing with `rotorwatch.simulation` but the frames' geometry, and is no better than it must be: torques in hover thrusts,
-ω' = (B T - D ω + push) / J - ω x (J ω) / J, thrust along the body's axis, linear drag. What a log would hold comes back as a Flight.
+ω' = (B T - D ω + push) / J - k (q r, -p r, 0), thrust along the body's axis, linear drag, a moment of the wind. What a log would hold comes
+back as a Flight.
 """
 
 from __future__ import annotations
@@ -15,13 +16,21 @@ from rotorwatch.flight import Flight, Message, Signal
 from rotorwatch.motion.allocation import drive
 
 G, DT, LIFT_S = 9.80665, 0.0025, 3.0
+LEGS = 0.4  # from the middle to the line between two feet, in arms
+LEFT_DEG, BACK_DEG, GONE_S, BACK_S = (
+    60.0,
+    30.0,
+    2.0,
+    1.0,
+)  # tilt away from what is wanted: lost, unless it is back so far, so soon, for so long
 CRASHES = ("hover", "climb", "cruise", "take-off", "early", "swapped", "disarmed", "gyro", "knock", "power")
 STAYS = ("calm", "aerobatics", "gust", "hard landing")
 
 
 @dataclass(frozen=True)
 class Truth:
-    """case; rotors (1-based) that fail or are swapped; when it begins [s]; lost: the vehicle tumbled or fell; lost_s: since when."""
+    """case; rotors (1-based) that fail or are swapped; when it begins [s]; lost: the vehicle tumbled or fell, and did not come back within
+    GONE_S; lost_s: since when."""
 
     case: str
     rotors: tuple[int, ...]
@@ -58,12 +67,27 @@ def towards(axis: np.ndarray) -> np.ndarray:
     return q / norm if norm > 1e-6 else np.array([0.0, 1.0, 0.0, 0.0])
 
 
+def _lost(time: np.ndarray, away: np.ndarray, gone: np.ndarray) -> float | None:
+    """When control was lost: the thrust pointed LEFT_DEG away (n,) from what was wanted, and was not back for BACK_S within
+    GONE_S; or the vehicle fell, `gone` (n,) bool. `away` is 0 on the ground, and a vehicle that lies there has not come back."""
+    if gone.any():
+        return float(time[np.argmax(gone)])
+    for k in np.flatnonzero((away > LEFT_DEG) & (np.concatenate([[0.0], away[:-1]]) <= LEFT_DEG)):
+        back = (away[k : k + round((GONE_S + BACK_S) / DT)] < BACK_DEG) & (
+            away[k : k + round((GONE_S + BACK_S) / DT)] > 0.0
+        )
+        stays = np.convolve(back, np.ones(round(BACK_S / DT)), "valid") > round(BACK_S / DT) - 0.5
+        if not stays.any():
+            return float(time[k])
+    return None
+
+
 def fly(
     frame: str, case: str, seed: int, log_hz: float = 10.0, duration: float = 26.0, later: float = 17.0
 ) -> tuple[Flight, Truth]:
     """One flight of an ArduPilot frame ("quad-x") and what truly happened. log_hz: of the outputs; later: when what happens in
     cruise or hover begins [s]."""
-    rng = np.random.default_rng(seed)
+    rng, more = np.random.default_rng(seed), np.random.default_rng([seed, 1])
     vehicle = airframes.named(f"ardupilot-{frame}")
     B = vehicle.effectiveness()
     n = B.shape[1]
@@ -81,29 +105,36 @@ def fly(
     }
     begins_s = begins.get(case, later)
     who = tuple(int(r) for r in rng.choice(n, 2, replace=False))
-    wind = rng.uniform(0.0, 4.0) * np.array([np.cos(t := rng.uniform(0, 6.3)), np.sin(t), 0.0])
+    wind = rng.uniform(0.0, 8.0) * np.array([np.cos(t := rng.uniform(0, 6.3)), np.sin(t), 0.0])
     push = rng.choice([-1.0, 1.0], 3) * rng.uniform(0.7, 1.2, 3) * np.array([25.0, 25.0, 6.0])
+    push, caught_s, caught = push * more.uniform(1.0, 2.0), more.uniform(0.6, 1.6), more.uniform(0.5, 2.0)
     bias = np.array([1.5, 0.0, 0.0]) if rng.random() < 0.5 else np.array([0.0, -1.5, 0.0])
+    gyro_lies, sinks, moment = more.random() < 0.5, more.uniform(1.5, 3.5), more.uniform(0.0, 0.006) * n
+    flat = more.uniform(0.6, 1.0)  # (Jz - Jy) / Jx; J counts yaw in its own, weaker torque
+    strongest = more.uniform(10.0, 15.0)  # m/s of wind, in gusts
+    along = wind / max(float(np.linalg.norm(wind)), 1e-9)
+    shown = case != "aerobatics" or more.random() < 0.5  # wanted attitude logged; else wanted rates alone
     p, v, q, omega, T = np.zeros(3), np.zeros(3), np.array([1.0, 0, 0, 0]), np.zeros(3), np.zeros(n)
     believed, power, lying, spun, grounded = q.copy(), 1.0, False, 0.0, True
-    rows: dict[str, list] = {k: [] for k in ("t", "u", "gyro", "accel", "q", "wanted", "v", "p", "volts")}
-    messages, lost_s, spike = [Message(0.0, "armed", "armed", 1.0)], None, np.zeros(3)
+    rows: dict[str, list] = {k: [] for k in ("t", "u", "gyro", "accel", "q", "wanted", "rates", "v", "p", "volts")}
+    messages, spike, touched = [Message(0.0, "armed", "armed", 1.0)], np.zeros(3), np.inf
+    away, gone = [], []
     trim = rng.normal(0.0, 0.01, 3)
     for k in range(int(duration / DT)):
         t = k * DT
         on = t >= begins_s
-        disarmed = case == "disarmed" and on
+        disarmed = (case == "disarmed" and on) or t > touched + 1.0
         if disarmed and len(messages) == 1:
             messages.append(Message(t, "armed", "disarmed", 0.0))
         # What is wanted.
-        climb = 0.0 if t < LIFT_S else 10.0
-        goal = np.array([5.0 * np.sin(0.5 * max(t - 10.0, 0.0)) if case == "cruise" else 0.0, 0.0, -climb])
+        climb = 0.0 if t < LIFT_S else 60.0 if case == "aerobatics" else 10.0
+        goal = np.array([12.0 * np.sin(0.5 * max(t - 10.0, 0.0)) if case == "cruise" else 0.0, 0.0, -climb])
         landing = case == "hard landing" and t > later
         R = rotation(q)
         Rb = rotation(believed)
         ask = 1.2 * (goal - p) - 1.8 * v
         if landing:
-            ask[2] = 2.0 * (2.2 - v[2])
+            ask[2] = 2.0 * (sinks - v[2])
         if case == "gyro" and on:
             ask[:2] = 0.0
         ask[:2] = np.clip(ask[:2], -4.0, 4.0)
@@ -115,7 +146,8 @@ def fly(
         axis = Rb.T @ rotation(wanted)[:, 2]
         angle = np.arctan2(np.hypot(axis[0], axis[1]), axis[2])
         lean = np.array([-axis[1], axis[0], 0.0]) / max(np.hypot(axis[0], axis[1]), 1e-9) * angle
-        gyro = omega + (bias if case == "gyro" and on else 0.0)
+        wrong = bias * (1.0 if gyro_lies else 0.35) if case == "gyro" and on else np.zeros(3)
+        gyro = omega + (wrong if gyro_lies else 0.0)
         rates = np.clip(7.0 * lean, -8.0, 8.0)
         if case == "aerobatics" and 12.0 <= t < 20.0 and (t - 12.0) % 4.0 < 2.0 * np.pi / 6.0:
             rates = rates + np.array([6.0, 0.0, 0.0])
@@ -140,53 +172,64 @@ def fly(
         if case == "power" and on:
             power = max(0.25, power - DT / 0.4)
         T = T + (given - T) * DT / lag
-        M = B[:3] @ T + trim - D * omega
-        gust = (
+        air = (
             wind
-            + (np.array([12.0, 0, 0]) if case == "gust" and 12.0 < t < 18.0 else 0.0)
+            + (
+                (strongest - np.linalg.norm(wind)) * along
+                if case == "gust" and 12.0 < t < 18.0 and t % 3.0 < 1.5
+                else 0.0
+            )
             + 0.3 * np.sin(np.array([1.1, 1.7, 0.9]) * t)
         )
+        flow = R.T @ (air - v) * (0.0 if grounded else moment)
+        M = B[:3] @ T + trim - D * omega + np.array([-flow[1], flow[0], 0.0])
+        if grounded:  # a vehicle that stands on its legs turns only against its weight
+            weight = LEGS * max(n - B[3] @ T, 0.0)
+            M[:2] -= M[:2] * min(1.0, weight / max(float(np.hypot(*M[:2])), 1e-9))
         f_body = np.array([0.0, 0.0, -G * (B[3] @ T) / n])
-        f_world = R @ f_body - drag * (v - gust) * (0.0 if grounded else 1.0)
-        omega_dot = M / J - np.cross(omega, J * omega) / J
+        f_world = R @ f_body - drag * (v - air) * (0.0 if grounded else 1.0)
+        omega_dot = M / J - flat * np.array([omega[1] * omega[2], -omega[0] * omega[2], 0.0])
         if case == "knock" and begins_s <= t < begins_s + 0.02:
             omega_dot = omega_dot + push / 0.02
             f_world = f_world + 4.0 * G * np.array([1.0, 0.3, 0.0])
+        elif case == "knock" and begins_s <= t < begins_s + caught_s:  # in a branch
+            omega_dot = omega_dot + caught * n * np.sign(push) * np.array([1.0, 1.0, 0.1]) / J
         spike = 0.8 * spike
         if lying:
             omega, v, f_world = 0.9 * omega, np.zeros(3), np.array([0.0, 0.0, -G])
         else:
             free = (B[3] @ T) / n
-            if grounded and free < 1.02 and p[2] > -0.02:
+            if grounded and free * R[2, 2] < 1.02 and p[2] > -0.02:
                 v = np.zeros(3)
                 omega = omega + DT * omega_dot if free > 0.6 else np.zeros(3)
-                f_world = np.array([0.0, 0.0, -G])
-                if np.degrees(np.arccos(np.clip(R[2, 2], -1, 1))) > 80.0:
-                    lying = True
+                f_world[2] = min(f_world[2], -G)  # the ground carries what the rotors do not
             else:
                 grounded = grounded and p[2] > -0.1
                 omega, v = omega + DT * omega_dot, v + DT * (f_world + np.array([0, 0, G]))
             p = p + DT * v
+            lying = lying or (grounded and np.degrees(np.arccos(np.clip(R[2, 2], -1, 1))) > 80.0)
             if p[2] > 0.0 and not grounded:
                 spike = spike + R.T @ np.array([0.0, 0.0, -v[2] / 0.02])
-                p[2], lying = 0.0, True
-        omega = np.clip(omega, -30.0, 30.0)
+                p[2], lying, touched = 0.0, True, t if landing else np.inf
+        omega = np.clip(omega, -50.0, 50.0)
         q = turned(q, omega, DT)
-        believed = turned(believed, gyro, DT) if case == "gyro" else q
+        believed = turned(believed, omega + wrong, DT) if case == "gyro" else q
         tilt = np.degrees(np.arccos(np.clip(R[:, 2] @ rotation(wanted)[:, 2], -1, 1)))
         falls = disarmed or (case == "power" and power < 0.6)
-        if lost_s is None and not lying and t > LIFT_S and on and (tilt > 60.0 or falls) and case not in STAYS:
-            lost_s = t
+        away.append(tilt if t > LIFT_S and on and not lying else 0.0)
+        gone.append(falls and not lying)
         rows["t"].append(t)
         rows["u"].append(T_cmd)
         rows["gyro"].append(gyro)
         rows["accel"].append(R.T @ f_world + spike)
         rows["q"].append(believed)
         rows["wanted"].append(wanted)
+        rows["rates"].append(rates)
         rows["v"].append(v)
         rows["p"].append(p)
         rows["volts"].append(16.0 if case != "power" or power == 1.0 else 16.0 * (0.4 + 0.5 * power))
     a = {key: np.array(value) for key, value in rows.items()}
+    lost_s = None if case in STAYS else _lost(a["t"], np.array(away), np.array(gone))
     curve = vehicle.curve
     share = np.clip(a["u"] / full, 0.0, 1.0)
     pulse = curve.u_min + (curve.u_max - curve.u_min) * drive(curve.expo, share)
@@ -206,7 +249,8 @@ def fly(
         "gyro": signal(a["gyro"], fast, ("x", "y", "z"), "rad/s", 0.01, "FRD"),
         "accel": signal(a["accel"], fast, ("x", "y", "z"), "m/s^2", 0.2, "FRD"),
         "attitude": signal(a["q"], 10.0, quaternion, "1", frame="FRD->NED"),
-        "attitude_wanted": signal(a["wanted"], 10.0, quaternion, "1", frame="FRD->NED"),
+        "rates_wanted": signal(a["rates"], 10.0, ("x", "y", "z"), "rad/s", frame="FRD"),
+        **({"attitude_wanted": signal(a["wanted"], 10.0, quaternion, "1", frame="FRD->NED")} if shown else {}),
         "velocity": signal(a["v"], 10.0, ("n", "e", "d"), "m/s", frame="NED"),
         "position": signal(a["p"], 10.0, ("n", "e", "d"), "m", frame="NED"),
         "battery": signal(

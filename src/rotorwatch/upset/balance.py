@@ -22,8 +22,10 @@ from dataclasses import dataclass
 import numpy as np
 
 # For each rotor: inertia and its scatter in hover thrusts per rad/s^2, as in `default.plant`, but positive for certain.
-INERTIA, INERTIA_SD, LEAST = (
+# Ratios scatter, not differences: half the usual inertia is as far off as twice of it.
+INERTIA, LIGHTER_SD, HEAVIER_SD, LEAST = (
     np.array([0.006, 0.006, 0.13]),
+    np.array([0.003, 0.003, 0.06]),
     np.array([0.006, 0.006, 0.1]),
     np.array([0.001, 0.001, 0.02]),
 )
@@ -31,8 +33,9 @@ DAMPING_SD = np.array([0.03, 0.03, 0.2])  # hover thrusts per rad/s and rotor
 FLAT = 0.8  # (Jz - Jy) / Jx of a vehicle that is nearly flat; 1 for a plate
 # Standard deviations: hover thrusts of one rotor; share of each rotor's thrust; of a command that changes, of its step within the tick; of
 # damping and gyroscopic terms; of the whole thrust, which air that flows along the axis changes; of the load factor, by drag.
-FLOOR, THRUST_SHARE, STEP_SHARE, MOTION_SHARE, LOAD_SHARE, LOAD_FLOOR = 0.1, 0.12, 0.5, 0.4, 0.15, 0.15
-BELIEVED, AT_LIMIT, LIMIT_LACKS = 0.6, 0.95, 0.4  # shares of full thrust; at its limit a rotor may give so much less
+FLOOR, THRUST_SHARE, STEP_SHARE, MOTION_SHARE, LOAD_SHARE, LOAD_FLOOR = 0.07, 0.08, 0.35, 0.3, 0.1, 0.1
+BELIEVED, AT_LIMIT = 0.6, 0.95  # shares of full thrust, from and to which less and less is given than was told:
+LACKS, LACKS_SD = 0.15, 0.15  # at the limit so much less, hardly more than 40 %, and never the other way
 STRANGE_S = 1.0  # after the onset: the longer a vehicle tumbles, the stranger is the air that its rotors meet
 OUTLIERS, OUTLIER_SD = 0.05, 4.0
 ERROR_S = 0.15  # that errors of the model last: ticks that are closer count as so much less
@@ -74,12 +77,20 @@ class Fit:
     residual: np.ndarray
 
 
+def given(window: Window) -> np.ndarray:
+    """(K, n) thrust of healthy rotors, in hover thrusts: less than commanded near their limit."""
+    return (1.0 - LACKS * _near(window)) * window.thrust
+
+
+def _near(window: Window) -> np.ndarray:
+    return np.clip((window.thrust / window.full - BELIEVED) / (AT_LIMIT - BELIEVED), 0.0, 1.0)
+
+
 def noise_variance(window: Window, B: np.ndarray) -> np.ndarray:
     """(K, 4) variance of e that depends on commands alone. B (4, n)."""
     T = window.thrust
     change = 0.5 * (np.abs(window.after - T) + np.abs(T - window.before))
-    near = np.clip((T / window.full - BELIEVED) / (AT_LIMIT - BELIEVED), 0.0, 1.0)
-    each = (THRUST_SHARE * T) ** 2 + (STEP_SHARE * change) ** 2 + (LIMIT_LACKS * near * T) ** 2
+    each = (THRUST_SHARE * T) ** 2 + (STEP_SHARE * change) ** 2 + (LACKS_SD * _near(window) * T) ** 2
     variance = FLOOR**2 + each @ (B**2).T
     whole = T.sum(axis=1) + STEP_SHARE / LOAD_SHARE * change.sum(axis=1)
     variance[:, 3] += (LOAD_SHARE * whole) ** 2 + (LOAD_FLOOR * B.shape[1]) ** 2
@@ -100,7 +111,10 @@ def fit(window: Window, wrench: np.ndarray, B: np.ndarray, offset: Offset) -> Fi
     spin = FLAT * np.stack([r[:, 1] * r[:, 2], -r[:, 0] * r[:, 2], np.zeros(K)], axis=1)
     turn = window.rate_dot + spin
     mean = np.concatenate([(n * INERTIA)[:, None], np.zeros((3, 1)), offset.mean[:, None]], axis=1)
-    sd = np.concatenate([(n * INERTIA_SD)[:, None], (n * DAMPING_SD)[:, None], offset.sd[:, None]], axis=1)
+    sides = [
+        np.concatenate([(n * side)[:, None], (n * DAMPING_SD)[:, None], offset.sd[:, None]], axis=1)
+        for side in (LIGHTER_SD, HEAVIER_SD)
+    ]
     low = np.concatenate([(n * LEAST)[:, None], np.zeros((3, 1)), np.full((3, 1), -np.inf)], axis=1)
     X = np.stack([turn, r, -np.ones((K, 3))], axis=2)  # (K, 3 axes, 3 parameters)
     p = np.broadcast_to(mean, (H, 3, 3)).copy()
@@ -112,9 +126,10 @@ def fit(window: Window, wrench: np.ndarray, B: np.ndarray, offset: Offset) -> Fi
     for _ in range(TURNS):
         weight = np.where(ok, share / variance, 0.0)
         for j in range(3):
+            sd = np.where(p[:, :, j] < mean[:, j], sides[0][:, j], sides[1][:, j])
             rest = y - np.einsum("kaj,haj->hka", X, p) + X[None, :, :, j] * p[:, None, :, j]
-            top = (weight * X[None, :, :, j] * rest).sum(axis=1) + mean[:, j] / sd[:, j] ** 2
-            below = (weight * X[None, :, :, j] ** 2).sum(axis=1) + 1.0 / sd[:, j] ** 2
+            top = (weight * X[None, :, :, j] * rest).sum(axis=1) + mean[:, j] / sd**2
+            below = (weight * X[None, :, :, j] ** 2).sum(axis=1) + 1.0 / sd**2
             p[:, :, j] = np.maximum(top / below, low[:, j])
         moved = (
             (p[:, None, :, 0] * spin[None]) ** 2
@@ -129,7 +144,7 @@ def fit(window: Window, wrench: np.ndarray, B: np.ndarray, offset: Offset) -> Fi
     steps = np.diff(window.time)
     weight_of = min(1.0, float(np.median(steps)) / ERROR_S) if steps.size else 1.0
     total = weight_of * np.where(ok, torque, 0.0).sum(axis=(1, 2))
-    total -= 0.5 * (((p - mean) / sd) ** 2).sum(axis=(1, 2))
+    total -= 0.5 * (((p - mean) / np.where(p < mean, *sides)) ** 2).sum(axis=(1, 2))
     push = wrench[:, :, 3] - n * window.load[None]
     spread = np.broadcast_to(base[None, :, 3], (H, K))
     lift = np.logaddexp(

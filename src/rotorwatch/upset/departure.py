@@ -17,11 +17,13 @@ from rotorwatch.motion.airborne import commands, output_range
 # aerobatics and gusts of 18 m/s included, stay below 20 degrees, but for half a second of 57 in one manual flight.
 APART_DEG, LASTS_S = 40.0, 0.4
 GONE_S = 1.2  # control that is back sooner was not lost: a knock or a hard turn that the vehicle mastered
+TUMBLED_DEG = 120.0  # two samples so far from all that was wanted: it tumbled, however it came to rest
 SPINS = 20.0  # rad/s of yaw, faster than anybody asks for
 ANSWERS_S = 0.6  # within which a vehicle under control has the attitude that was wanted
 RATE_APART = 6.0  # rad/s of roll or pitch between the wanted and the actual rate
 OVER_DEG = 100.0  # of tilt, which nobody has asked for where nothing says what was wanted
 BACK_DEG, BACK_S = 15.0, 2.0  # closer than that for so long: control has come back
+MASTERED_S = 0.5  # the same, of a turn that is mastered at once, though another follows it: the vehicle was under control between them
 FRESH_S = 0.5  # a wanted attitude that is older is none
 FALLS, FALLS_S = 0.35, 0.25  # load factor [g] below which a vehicle falls, with outputs at rest for so long
 SINKS_M_S, NEARLY_FULL = 4.0, 0.85  # down, at so much of all outputs' range
@@ -29,7 +31,12 @@ REST = 0.015  # share of the range up to which an output is at rest
 POWERED = 0.1  # share of the range of commands
 HITS_G = 2.0  # g from the side or from above, twice as much from below: no rotor pushes so; the ground does, or another thing
 HIT_S = 0.2  # a blow so soon after the wanted attitude was left made it leave
+SHORT_S = 3.0  # of a flight that ended in its take-off
 LOW_M = 1.5  # above the place of take-off or rest: a blow there is the ground's
+CRASHES_M_S, STOPS_M_S = (
+    5.0,
+    1.0,
+)  # down before a blow, any way after it: no landing, whatever the attitude was believed to be
 FAST_M_S, STAYS_M_S = 2.0, 0.3  # down before a blow, any way after it: a vehicle that fell to the ground
 G0 = 9.80665
 
@@ -80,7 +87,8 @@ def apart(flight: Flight) -> tuple[np.ndarray, np.ndarray, str]:
             angle = _angle(flight["attitude_wanted"], time, axis)
         if flight.has("rates_wanted"):
             both = np.isnan(angle) & _known_rates(flight, time)
-            angle = np.where(both, np.degrees(_rate_error(flight, time)) / np.degrees(RATE_APART) * APART_DEG, angle)
+            rate = np.minimum(_rate_error(flight, time) / RATE_APART * APART_DEG, 90.0)
+            angle = np.where(both, rate, angle)
         if np.isnan(angle).all():
             tilt = np.degrees(np.arccos(np.clip(axis[:, 2], -1.0, 1.0)))
             angle, words = np.where(tilt > OVER_DEG, tilt, 0.0), "tilted by {:.0f} degrees"
@@ -130,6 +138,7 @@ def find(flight: Flight, air) -> tuple[Departure, ...]:
                 _leaves(flight, time, angle, words, start, end),
                 _falls(flight, start, end),
                 _sinks(flight, start, end),
+                _strikes(flight, start, end),
             )
             if d
         ]
@@ -176,13 +185,19 @@ def _leaves(flight, time, angle, words, start, end) -> Departure | None:
     for k in np.flatnonzero(out & ~np.concatenate([[False], out[:-1]])):
         if t[k] > end:
             return None
-        onset, close = _began(t, a, int(k)), _close(t, a, int(k))
-        back = close if close is not None and t[-1] - close >= BACK_S else None
+        onset, back = _began(t, a, int(k)), _back(t, a, int(k))
         impact = hit(flight, onset, end + 30.0 if back is None else back)
-        lasts = (t[-1] if close is None else close) - t[k]
+        soon = _back(t, a, int(k), MASTERED_S)
+        # A flight that was over as soon as it began may have ended on its side.
+        last = t[-1] if end - start > SHORT_S else time[np.isfinite(angle)][-1]
+        lasts = (last if soon is None else soon) - t[k]
         if impact is not None and _ground(flight, impact, onset, start, end):
             return None
-        if lasts < (GONE_S if impact is None or impact - onset <= HIT_S else LASTS_S):
+        until = t[-1] if soon is None else soon
+        over = (a[k:] > TUMBLED_DEG) & (t[k:] <= until)
+        if not (over[1:] & over[:-1]).any() and lasts < (
+            GONE_S if impact is None or impact - onset <= HIT_S else LASTS_S
+        ):
             continue
         certain = np.flatnonzero(out[k:] & (t[k:] - t[k] >= LASTS_S))
         lost = float(t[k + certain[0]]) if certain.size else float(min(t[k] + LASTS_S, t[-1]))
@@ -199,14 +214,14 @@ def _began(t: np.ndarray, a: np.ndarray, k: int) -> float:
     return float(t[close[-1]] if close.size else t[0])
 
 
-def _close(t: np.ndarray, a: np.ndarray, k: int) -> float | None:
-    """When the angle came within BACK_DEG, for BACK_S or what there is of them; None where it is farther at the end."""
+def _back(t: np.ndarray, a: np.ndarray, k: int, lasts: float = BACK_S) -> float | None:
+    """When control came back: the begin of so many seconds within BACK_DEG; None where the flight ends before."""
     since = None
     for when, fine in zip(t[k:], a[k:] < BACK_DEG):
         since = (since if since is not None else when) if fine else None
-        if since is not None and when - since >= BACK_S:
-            break
-    return None if since is None else float(since)
+        if since is not None and when - since >= lasts:
+            return float(since)
+    return None
 
 
 def _falls(flight: Flight, start: float, end: float) -> Departure | None:
@@ -259,6 +274,23 @@ def _sinks(flight: Flight, start: float, end: float) -> Departure | None:
                 hit(flight, float(when), end + 30.0),
                 f"sinking at {down[time == when][0]:.0f} m/s though nearly full thrust was commanded",
             )
+    return None
+
+
+def _strikes(flight: Flight, start: float, end: float) -> Departure | None:
+    """A vehicle that strikes the ground faster than anything lands, though its attitude, as it was believed to be, was as wanted."""
+    if not flight.has("velocity"):
+        return None
+    velocity = flight["velocity"].between(start, end + 3.0)
+    time, down = velocity.time, np.where(velocity.valid[:, 2], velocity.values[:, 2], 0.0)
+    at = start
+    while (blow := hit(flight, at, end + 1.0)) is not None:
+        before, after = (time > blow - 0.5) & (time <= blow), (time > blow + 0.5) & (time < blow + 2.5)
+        if before.any() and down[before].max() > CRASHES_M_S and (np.abs(velocity.values[after]) < STOPS_M_S).all():
+            slow = np.flatnonzero((time < blow - HIT_S) & (down < 0.2 * CRASHES_M_S))
+            onset = float(time[slow[-1]]) if slow.size else start
+            return Departure(onset, blow, None, blow, f"striking the ground at {down[before].max():.0f} m/s")
+        at = blow + 0.5
     return None
 
 

@@ -12,14 +12,15 @@ from itertools import combinations
 
 import numpy as np
 
-from rotorwatch.upset.balance import Fit, Offset, Window, fit
+from rotorwatch.upset.balance import Fit, Offset, Window, fit, given
 
 SIZES = np.array([0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0])
+CARRIES = 1.5  # hover thrusts: a rotor that still gives so much, turns nothing over
 # How often each kind of explanation is met, of vehicles that left control.
 PRIOR = {"healthy": 0.4, "rotor": 0.4, "outside": 0.1}
 ORDER = {"healthy": 0.25, "rotor": 0.35, "outside": 0.08, "order": 0.25, "yaw": 0.05}
 # That all rotors fail alike: where the battery's voltage was steady, where it is not logged, where it collapsed.
-COMMON = {False: 0.0005, None: 0.005, True: 0.3}
+COMMON = {False: 0.0001, None: 0.005, True: 0.3}
 OUTSIDE_SD = 1.0  # hover thrusts of one rotor, of a torque from outside that lasts
 CHUNK = 256  # courses that are fitted at once
 
@@ -48,10 +49,13 @@ def explain(
     first take-off: later it would have shown); sagged: whether the battery's voltage collapsed, None where that is not known.
     """
     n, K = B.shape[1], window.time.size
-    healthy = window.thrust @ B.T
+    T = given(window)
+    healthy = T @ B.T
     courses: list[np.ndarray] = []
     labels: list[tuple[str, tuple[int, ...], int, float]] = []
     prior = {**(ORDER if orders else PRIOR), "common": COMMON[sagged]}
+
+    sizes = SIZES[(1.0 - SIZES) * window.full < CARRIES]
 
     def add(kind, rotors, onset, size, wrench):
         courses.append(wrench)
@@ -60,11 +64,11 @@ def explain(
     add("healthy", (), 0, 0.0, healthy)
     for k in onsets:
         since = (np.arange(K) >= k)[:, None]
-        for size in SIZES:
+        for size in sizes:
             for i in range(n):
                 lost = np.zeros(n)
                 lost[i] = size
-                add("rotor", (i,), k, size, np.where(since, (window.thrust * (1.0 - lost)) @ B.T, healthy))
+                add("rotor", (i,), k, size, np.where(since, (T * (1.0 - lost)) @ B.T, healthy))
             if size <= 0.9:
                 add("common", (), k, size, np.where(since, (1.0 - size) * healthy, healthy))
         for a in range(3):
@@ -74,7 +78,7 @@ def explain(
                 add("outside", (), k, push, shifted)
     if orders:
         for i, j in combinations(range(n), 2):
-            swapped = window.thrust.copy()
+            swapped = T.copy()
             swapped[:, [i, j]] = swapped[:, [j, i]]
             add("order", (i, j), 0, 0.0, swapped @ B.T)
         add("yaw", (), 0, 0.0, healthy * np.array([1.0, 1.0, -1.0, 1.0]))

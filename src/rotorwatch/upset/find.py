@@ -21,10 +21,14 @@ from rotorwatch.upset.explain import Explanation, explain
 BEFORE_S, AFTER_S = 2.0, 3.0  # of the upset that are looked at, at most
 EARLIER_S, LATER_S = 0.7, 0.3  # of its onset at which a cause may have begun
 CALM_S = 0.4  # of flight under control before, from which the offset of the torques is known
-CALM_SD, UNKNOWN_SD = 0.1, 0.25
+CALM_SD, UNKNOWN_SD = 0.1, 0.15
 FIRST_S = 3.0  # after lift-off: what is wrong now was wrong on the ground
 STIRS = 2.0, 0.2  # rad/s^2, rad/s: a vehicle that has moved
 LIES = 0.15, 1.5  # rad/s, rad/s^2: below both for three ticks, a vehicle that has turned over lies on the ground
+STOPS_S, TURNED_OVER = (
+    0.5,
+    1.0,
+)  # s within which the ground stops it; rad/s that it stops: one that drifts out of control is in the air
 PINNED = 3.0  # rad/s: the ranges of gyros end above
 MOST_TICKS = 60
 HOVER_PARAMETERS = ("MOT_THST_HOVER", "MPC_THR_HOVER")
@@ -32,10 +36,12 @@ USUAL_HOVER = 0.35
 
 LOSS, OVERRIDE = "loss_of_effectiveness", "output_override"
 SURE, CREDIBLE = 0.9, 0.03  # probabilities: a cause that is named alone; one that is named at all
-FITS = 1.3  # standard deviations, root mean square: beyond, even the best explanation does not explain the motion
+FITS = 1.7  # standard deviations, root mean square: beyond, even the best explanation does not explain the motion
+TURNED = 1.4  # the same, of torques: the rotors turned the vehicle as they were told
 STRAYS, STRAYS_THRUST = 3.0, 1.5  # standard deviations of torque and of thrust: the motion leaves the commands
 JOINS_S = 0.5  # a departure that began earlier in the residuals is the same
 KNOCK_S = 0.3
+TOUCHED_S = 1.0  # from a blow in flight to the loss of control that follows from it
 SAME_S = 1.5  # a loss announced in flight so near to the onset is the one that is judged here
 DISARMED_S = 1.0
 SAG = 0.85  # share of the usual voltage below which the power fails
@@ -81,11 +87,13 @@ def judge(flight: Flight, vehicle: Vehicle, air, left: Departure) -> Judged:
     got = window_of(flight, vehicle, left, start)
     if got is None:
         return Judged(left, "disarmed" if left.falls else "unknown", (), np.empty(0), None, left.onset, ())
-    window, offset, onsets, took_off = got
+    window, offset, onsets, took_off, ground = got
     found, probability = explain(window, vehicle.effectiveness(), offset, onsets, took_off, _sagged(flight, left.onset))
     healthy = next(e for e in found if e.kind == "healthy")
     onset = left.onset if left.falls else _strays(window, healthy.residual, left.onset)
     cause, evidence = _cause(flight, vehicle, start, left, found, probability, window, onset)
+    if left.impact is None and ground is not None:
+        left = replace(left, impact=ground)
     return Judged(left, cause, found, probability, window, onset, evidence)
 
 
@@ -102,12 +110,14 @@ def _cause(
     rms = np.sqrt((best.residual[:, :3] ** 2).mean(axis=0))
     fits = bool((rms < FITS).all())
     rotor = sum(float(q) for e, q in zip(found, probability) if e.kind == "rotor")
-    if rotor > SURE and fits:
+    struck = _struck(window, vehicle.effectiveness(), onset)
+    if rotor > SURE and fits and not struck:
         return "rotor", (f"the motion is what {_names(found, probability)} without its thrust would make it",)
-    if best.kind in ("order", "yaw") and p > SURE and fits:
+    order = sum(float(q) for e, q in zip(found, probability) if e.kind in ("order", "yaw"))
+    if best.kind in ("order", "yaw") and order > SURE and fits:
         return "motor_order", ("the first movement went against the commands",)
     blow = left.impact is not None and left.impact - onset <= HIT_S and not departure.low(flight, onset, start)
-    if _struck(window, vehicle.effectiveness(), onset) or blow:
+    if struck or blow:
         return "knock", ("something outside pushed the vehicle harder than its rotors can",)
     if _sagged(flight, onset):
         return "power", ("the battery's voltage collapsed",)
@@ -117,7 +127,9 @@ def _cause(
         return "saturated", ("outputs had been at their limits before control was lost",)
     flying = window.time < (np.inf if left.impact is None else left.impact)
     torque = next(e for e in found if e.kind == "healthy").residual[flying, :3]
-    turned = left.onset - start > FIRST_S and torque.size > 0 and bool((np.sqrt((torque**2).mean(axis=0)) < 1.0).all())
+    turned = (
+        left.onset - start > FIRST_S and torque.size > 0 and bool((np.sqrt((torque**2).mean(axis=0)) < TURNED).all())
+    )
     if (best.kind == "healthy" and p > SURE and fits and turned) or (
         best.kind == "common" and rotor < 1.0 - SURE and turned and _level(flight, left, onset)
     ):
@@ -194,11 +206,14 @@ def _merged(events_: list[Event], judged: Judged, n: int) -> list[Event]:
     """The events with that of the departure and of the rotors it accuses, less those that it explains."""
     left, window = judged.left, judged.window
     weak = _weak(events_, left)
-    if weak is not None and judged.cause in ("rotor", "saturated", "unknown"):
+    if weak is not None and judged.cause in ("rotor", "saturated", "unknown", "controller"):
         judged = replace(
             judged, cause="rotor", found=(), evidence=(f"{_who(weak.rotors)} had been weak since {weak.onset_s:.1f} s",)
         )
         return [*events_, _lost(judged, n, weak.rotors, (), left.lost)]
+    touched = any(e.kind == "contact" and 0.0 <= judged.onset - e.onset_s < TOUCHED_S for e in events_)
+    if judged.cause == "unknown" and touched:
+        judged = replace(judged, cause="knock", evidence=("something had struck the vehicle just before",))
     told = _told(events_, left)
     cleared = judged.found and judged.found[0].kind == "healthy" and judged.probability[0] > SURE
     if told is not None and judged.cause in ("controller", "saturated", "unknown") and not cleared:
@@ -229,8 +244,13 @@ def _merged(events_: list[Event], judged: Judged, n: int) -> list[Event]:
         kept.append(_loss(best, p, others, decided, judged) if same is None or others != same.alternatives else same)
         kept.append(_lost(judged, n, rotor, others, decided))
     elif judged.cause == "motor_order":
-        kept.append(_order(judged.found[0], float(judged.probability[0]), decided))
-        kept.append(_lost(judged, n, tuple(r + 1 for r in judged.found[0].rotors), (), decided))
+        others = tuple(
+            tuple(r + 1 for r in e.rotors)
+            for e, p in zip(judged.found[1:], judged.probability[1:])
+            if e.kind == "order" and p >= CREDIBLE and judged.probability[0] < SURE
+        )
+        kept.append(_order(judged.found[0], float(judged.probability[0]), others, decided))
+        kept.append(_lost(judged, n, tuple(r + 1 for r in judged.found[0].rotors), others, decided))
     else:
         kept.append(
             _lost(
@@ -261,15 +281,27 @@ def _loss(best: Explanation, p: float, others, decided: float, judged: Judged) -
     )  # fmt: skip
 
 
-def _order(best: Explanation, p: float, decided: float) -> Event:
+def _order(best: Explanation, p: float, others, decided: float) -> Event:
     if best.kind == "yaw":
         reason = "the vehicle yawed against its commands from the first movement on: propellers or motors turn the wrong way round"
         return Event(
-            "motor_order", (), best.onset, decided, None, (), (), p, (), reason, {"live": False, "yaw_reversed": True}
+            "motor_order",
+            (),
+            best.onset,
+            decided,
+            None,
+            (),
+            (),
+            p,
+            others,
+            reason,
+            {"live": False, "yaw_reversed": True},
         )
     i, j = (r + 1 for r in best.rotors)
     reason = f"from the first movement on the vehicle turned as if the outputs of motors {i} and {j} went to each other's motor"
-    return Event("motor_order", (i, j), best.onset, decided, None, (), (), p, (), reason, {"live": False})
+    if others:
+        reason += ", but " + ", ".join("+".join(map(str, o)) for o in others) + " may be swapped instead"
+    return Event("motor_order", (i, j), best.onset, decided, None, (), (), p, others, reason, {"live": False})
 
 
 CAUSES = {
@@ -328,9 +360,10 @@ def until_impact(flight: Flight, air, found: Sequence[Judged]) -> tuple[tuple[fl
 
 def window_of(
     flight: Flight, vehicle: Vehicle, left: Departure, start: float
-) -> tuple[Window, Offset, np.ndarray, bool] | None:
-    """The ticks around an upset, the torques' offset before it, indices of the ticks at which its cause may have begun, and whether it came
-    with the take-off; None where the log shows no commands or rates there. start: of the flight [s]."""
+) -> tuple[Window, Offset, np.ndarray, bool, float | None] | None:
+    """The ticks around an upset, the torques' offset before it, indices of the ticks at which its cause may have begun, whether it came
+    with the take-off, and when the vehicle lay on the ground, or None [s]; None where the log shows no commands or rates there. start:
+    of the flight [s]."""
     first, last = left.onset - BEFORE_S, min(left.lost + AFTER_S, np.inf if left.end is None else left.end)
     if left.impact is not None and left.impact > left.onset + HIT_S:
         last = min(last, left.impact)
@@ -348,11 +381,20 @@ def window_of(
     stirs &= seen.rate_ok & (seen.share.max(axis=1) > 0.05) & (seen.time > start - FIRST_S)
     began = float(seen.time[np.argmax(stirs)]) - how.dt if took_off and stirs.any() else first
     still = (np.abs(seen.rate).max(axis=1) < LIES[0]) & (np.abs(seen.rate_dot).max(axis=1) < LIES[1]) & seen.rate_ok
-    still &= seen.time > left.onset + LATER_S
+    still &= seen.time > max(left.onset + LATER_S, left.lost - departure.LASTS_S)
     lies = np.flatnonzero(still[2:] & still[1:-1] & still[:-2])
-    last = min(last, float(seen.time[lies[0]])) if lies.size else last
+    turning = np.abs(seen.rate).max(axis=1)
+    stopped = last
+    for k in lies:  # and what stopped it was the ground
+        before = np.flatnonzero((seen.time <= seen.time[k]) & (seen.time >= max(seen.time[k] - STOPS_S, left.onset)))
+        if before.size and turning[before].max() > TURNED_OVER:
+            stopped = float(seen.time[before[np.argmax(turning[before])]])
+            break
+    ground, last = (stopped if stopped < last else None), min(last, stopped)
     first = max(first, began, left.onset - MOST_TICKS * how.dt / 3.0)
-    inside = np.flatnonzero((seen.time >= first) & (seen.time <= last + how.lag_s) & seen.some)[:MOST_TICKS]
+    inside = np.flatnonzero(
+        (seen.time >= first) & (seen.time <= last + (how.lag_s if ground is None else 0.0)) & seen.some
+    )[:MOST_TICKS]
     if inside.size < 3:
         return None
     T = seen.share / hover
@@ -363,7 +405,7 @@ def window_of(
     )  # fmt: skip
     causes = np.flatnonzero((window.time >= left.onset - EARLIER_S) & (window.time <= left.onset + LATER_S))
     onsets = np.union1d([0], causes) if took_off or not causes.size else causes
-    return window, _offset(window, vehicle.effectiveness(), left.onset - EARLIER_S, took_off), onsets, took_off
+    return window, _offset(window, vehicle.effectiveness(), left.onset - EARLIER_S, took_off), onsets, took_off, ground
 
 
 def _pinned(rate: np.ndarray, rate_dot: np.ndarray) -> np.ndarray:
