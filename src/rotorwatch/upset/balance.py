@@ -122,22 +122,24 @@ def fit(window: Window, wrench: np.ndarray, B: np.ndarray, offset: Offset) -> Fi
     share = np.full((H, K, 3), 1.0)
     y = wrench[:, :, :3]
     variance = np.broadcast_to(base[None, :, :3], (H, K, 3))
-    e = inside = outside = np.zeros((H, K, 3))
+    e = y - np.einsum("kaj,haj->hka", X, p)
+    inside = outside = np.zeros((H, K, 3))
     for _ in range(TURNS):
         weight = np.where(ok, share / variance, 0.0)
         for j in range(3):
             sd = np.where(p[:, :, j] < mean[:, j], sides[0][:, j], sides[1][:, j])
-            rest = y - np.einsum("kaj,haj->hka", X, p) + X[None, :, :, j] * p[:, None, :, j]
-            top = (weight * X[None, :, :, j] * rest).sum(axis=1) + mean[:, j] / sd**2
-            below = (weight * X[None, :, :, j] ** 2).sum(axis=1) + 1.0 / sd**2
-            p[:, :, j] = np.maximum(top / below, low[:, j])
+            pull = weight * X[:, :, j]
+            below = (pull * X[:, :, j]).sum(axis=1)
+            top = (pull * e).sum(axis=1) + below * p[:, :, j] + mean[:, j] / sd**2
+            new = np.maximum(top / (below + 1.0 / sd**2), low[:, j])
+            e -= X[:, :, j] * (new - p[:, :, j])[:, None]
+            p[:, :, j] = new
         moved = (
             (p[:, None, :, 0] * spin[None]) ** 2
             + (p[:, None, :, 1] * r[None]) ** 2
             + (0.3 * p[:, None, :, 0] * turn[None]) ** 2
         )
         variance = base[None, :, :3] + MOTION_SHARE**2 * moved
-        e = y - np.einsum("kaj,haj->hka", X, p)
         inside, outside = _normal(e, variance), _normal(e, OUTLIER_SD**2 + variance)
         share = 1.0 / (1.0 + OUTLIERS / (1.0 - OUTLIERS) * np.exp(np.clip(outside - inside, -50.0, 50.0)))
     torque = np.logaddexp(np.log(1.0 - OUTLIERS) + inside, np.log(OUTLIERS) + outside)
