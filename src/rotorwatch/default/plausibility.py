@@ -32,7 +32,8 @@ class Missing(NamedTuple):
 
 def init(n: int) -> Missing:
     """Nothing missing."""
-    return Missing(*(np.float64(0.0) for _ in range(4)), np.zeros(n))
+    zero = np.float64(0.0)
+    return Missing(zero, zero, zero, zero, np.zeros(n))
 
 
 def follow(state: Missing, missing, load, share, valid, restart, dt) -> Missing:

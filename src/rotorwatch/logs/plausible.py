@@ -101,8 +101,8 @@ def _whole_records(motors: Signal) -> tuple[Signal, list[str]]:
     valid = motors.valid
     if len(motors) < 3 or valid.shape[1] < 2:
         return motors, []
-    broken = 2 * valid.sum(axis=1) <= valid.shape[1]
-    whole = valid.all(axis=1)
+    broken = np.asarray(2 * valid.sum(axis=1) <= valid.shape[1])
+    whole = np.asarray(valid.all(axis=1))
     at = np.flatnonzero(broken[1:-1] & whole[:-2] & whole[2:]) + 1
     at = at[motors.time[at + 1] - motors.time[at - 1] < FAR * max(float(np.median(np.diff(motors.time))), 1e-6)]
     if not at.size or at.size > HABIT * len(motors):
