@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from tests.conftest import hexa_event
 
 from rotorwatch import airframes
 from rotorwatch.default import events, hypotheses
@@ -369,3 +370,22 @@ def suspect(out, k, age):
     out.opposite[k], out.opposite_onset[k], out.opposite_loss[k] = pair, age, 0.2
     out.log_odds[k, [h for h, kind in enumerate(HYP.kinds) if kind == "pair"]] = -40.0
     out.log_odds[k, pair] = 30.0
+
+
+@pytest.mark.parametrize(
+    "rotors, interval, told",
+    [
+        ((4, 7), ((0.27, 0.47), (0.61, 0.88)), True),  # together about one whole rotor of one arm
+        ((4, 7), ((0.1, 0.2), (0.2, 0.3)), False),  # less than a rotor
+        ((4, 7), ((0.6, 0.8), (0.7, 0.9)), False),  # more than one can lose
+        ((4, 8), ((0.27, 0.47), (0.61, 0.88)), False),  # two arms
+        ((7,), ((0.6, 1.0),), False),
+    ],
+)
+def test_a_rotor_that_is_gone_is_not_two_of_its_arm_for_certain(rotors, interval, told):
+    B = airframes.named("ardupilot-octaquad-x").effectiveness()
+    event = hexa_event(rotors=rotors, interval=interval, loss=tuple(np.mean(i) for i in interval))
+    said = events.one_arm(event, B)
+    assert said.alternatives == (((4,), (7,)) if told else ())
+    assert ("one of them alone may be gone" in said.reason) == told
+    assert events.one_arm(event, airframes.named("ardupilot-octa-x").effectiveness()) == event

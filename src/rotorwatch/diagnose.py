@@ -144,7 +144,7 @@ def diagnose(
     overrides = outside.overrides(flight, craft, air, table)
     losses = outside.unexplained(losses, overrides)
     faint = tuple(e for e in losses if not events.accuses(e))
-    losses = tuple(e for e in losses if events.accuses(e))
+    losses = tuple(events.one_arm(e, B) for e in losses if events.accuses(e))
     contacts = outside.contacts(table, air)
     found = upset.events(upsets, (*losses, *overrides, *contacts), len(craft.rotors))
     heard = witness.hear(flight, craft, air, table, found)

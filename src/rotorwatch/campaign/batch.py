@@ -179,7 +179,8 @@ def _planned(number: int, scenario: Scenario) -> Any:
 def all_events(f: Flown, losses: Sequence[Event], upsets: Sequence[upset.Judged] = ()) -> tuple[Event, ...]:
     """What accuses rotors, as `diagnose` puts it together: losses, outputs that do not follow the mixer, and what losses of control, which
     belong to the default diagnosis, show of rotors."""
-    accusing = [e for e in outside.unexplained(losses, f.overrides) if events.accuses(e)]
+    B = f.vehicle.effectiveness()
+    accusing = [events.one_arm(e, B) for e in outside.unexplained(losses, f.overrides) if events.accuses(e)]
     found = upset.events(upsets, (*accusing, *f.overrides), len(f.vehicle.rotors))
     return tuple(e for e in found if e.kind != "loss_of_control")
 

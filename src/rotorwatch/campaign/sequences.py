@@ -242,7 +242,7 @@ def judged(plan: Sequences, flown: Sequence[batch.Flown]) -> list[dict[str, Any]
     hyp, rows = hypotheses.make(B.shape[1]), []
     for f, out in zip(flown, batch.by_default(flown, B, WIDTH)):
         losses = events.read(out.kept, f.ticks, hyp, B)
-        accusing = [e for e in outside.unexplained(losses, f.overrides) if events.accuses(e)]
+        accusing = [events.one_arm(e, B) for e in outside.unexplained(losses, f.overrides) if events.accuses(e)]
         for s in states(f, accusing):
             rows.append(
                 {"flight": f.number, "kind": plan.kind(f.number), "frame": f.scenario.airframe["frame"], "at": s.at,

@@ -5,7 +5,7 @@ What happened, and which explanations are left, is the estimator's, live; this f
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -147,6 +147,23 @@ def read(out, ticks: Ticks, hyp: Hypotheses, B: np.ndarray | None = None, flies:
 def accuses(event: Event) -> bool:
     """Is it an accusation? A loss that may be nothing, by its interval, and is said of one set of rotors alone is evidence, no more."""
     return bool(event.alternatives) or max(low for low, _ in event.interval) > 0.0
+
+
+def one_arm(event: Event, B: np.ndarray) -> Event:
+    """The event, with each rotor alone among its explanations where its two stand on one coaxial arm and together lack about one whole
+    rotor. B (4, n).
+
+    In all but yaw one rotor that is gone looks like parts of both, and what is left of the arm then gives another thrust and yaw than
+    geometry says, because the air between the two has changed.
+    """
+    if len(event.rotors) != 2 or event.alternatives or lower_rotors(B) is None:
+        return event
+    i, j = (r - 1 for r in event.rotors)
+    low, high = (sum(bounds) for bounds in zip(*event.interval))
+    if np.abs(B[:2, i] / B[3, i] - B[:2, j] / B[3, j]).max() > 0.05 or not low < 1.0 < high:
+        return event
+    reason = f"{event.reason}, but one of them alone may be gone: the two stand on one arm"
+    return replace(event, alternatives=tuple((r,) for r in event.rotors), reason=reason)
 
 
 def _hops(ticks: Ticks) -> list[tuple[int, int]]:

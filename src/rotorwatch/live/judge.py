@@ -185,7 +185,7 @@ class Judge:
         losses: tuple[Event, ...] = (*self._done, *self._history.events(self.hyp, self.B, flies=not self._over))
         if self._beginnings is not None:
             losses = self._beginnings.join(losses)
-        losses = tuple(e for e in losses if events.accuses(e))
+        losses = tuple(events.one_arm(e, self.B) for e in losses if events.accuses(e))
         overrides = outside.as_events(self._watch.found(), self._falls(air))
         contacts = () if self._past is None else outside.contacts_in(self._past.contacts, air)
         found = (*outside.unexplained(losses, overrides), *overrides, *contacts)
