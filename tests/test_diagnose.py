@@ -169,6 +169,9 @@ def test_every_flight_known_to_be_healthy_is_in_the_list():
 def test_no_false_alarm(name):
     diagnosis = judged(shared(name))
     assert losses(diagnosis) == [], diagnosis.reason
+    if name.endswith("log171.bin.xz"):  # it lands, and turns over on the ground with its motors on
+        assert diagnosis.verdict == "inconclusive" and "turned over on the ground" in diagnosis.reason
+        return
     assert diagnosis.verdict == "healthy" and diagnosis.exit_code == 0
     assert all(r.loss == 0 and r.interval[1] > 0 for r in diagnosis.rotors)
 

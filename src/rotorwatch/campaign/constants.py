@@ -91,6 +91,9 @@ TABLE: dict[str, Constant] = {
     "events.CREDIBLE": Constant("1", "probability of a rotor set that is named", 1.1),
     "events.CERTAIN_OPPOSITE": Constant("1", "probability below which opposite rotors are ambiguous"),
     "events.HIDDEN": Constant("1", "times that the data alone must prefer a pair of opposite rotors to be named", BIG),
+    "events.SETTLES_S": Constant(
+        "s", "after an announcement in which any pair that the data alone prefer is named live", 0.0
+    ),
     "events.MODEL_SD": Constant("loss", "error of the model in any loss", 0.0),
     "events.CURVE_SHARE": Constant("1", "share by which the thrust curve's slope in hover may be off", 0.0),
     "events.COAXIAL_SHARE": Constant("1", "the same on coaxial frames", 0.0),

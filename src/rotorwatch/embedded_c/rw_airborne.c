@@ -3,7 +3,7 @@
 #include <math.h>
 #include <string.h>
 
-static const rw_time TICK_S = 0.05, GAP_S = 4.0, WINDOW_S = 0.5, FRESH_S = 1.0;
+static const rw_time TICK_S = 0.05, GAP_S = 4.0, MOST_GAP_S = 60.0, WINDOW_S = 0.5, FRESH_S = 1.0;
 static const rw_real G0 = (rw_real)9.80665;
 static const rw_real IDLE_S = 2, HOVER_S = 5;                    /* time constants of the idle command, and of that in the air */
 static const rw_real RISE = (rw_real)0.08;                       /* command above idle below which nothing flies */
@@ -151,18 +151,34 @@ static void mean(const rw_half_second *h, rw_time time, rw_real *size, rw_real *
     *upward = up / (rw_real)known;
 }
 
+/* The flight ended with the last output. */
+static void end_flight(rw_airborne *a)
+{
+    if (a->start < RW_LASTS) keep(a, a->last);
+    begin(a);
+}
+
+/* Does the vehicle still fly after a gap, by the first command after it? What lasted before the gap begins anew. */
+static bool goes_on(rw_airborne *a, rw_time time, rw_real command)
+{
+    a->low_since = a->lying_since = RW_LASTS;
+    if (time - a->last > MOST_GAP_S || a->down) return false;
+    return a->flying && !(command < a->floor + LOW * (a->hover - a->floor));
+}
+
 /* The ticks before `time`, or up to it. */
 static void walk(rw_airborne *a, rw_time time, bool inclusive)
 {
+    if (!a->walking && a->last > -RW_LASTS && time > a->last + MOST_GAP_S) end_flight(a);
     while (a->walking) {
         const rw_time now = a->tick * TICK_S;
-        const bool over = now > a->last + GAP_S; /* a long gap in the outputs ends the flight */
+        const bool over = now > a->last + GAP_S; /* the last output is held for so long */
         rw_senses senses;
         rw_real none;
         if (over && time > a->last + GAP_S) {
-            if (a->start < RW_LASTS) keep(a, a->last);
-            else if (a->flight_count && a->flights[a->flight_count - 1].end > a->last) a->flights[a->flight_count - 1].end = a->last;
-            begin(a);
+            if (a->flight_count && a->flights[a->flight_count - 1].end > a->last) a->flights[a->flight_count - 1].end = a->last;
+            a->walking = false;
+            if (time > a->last + MOST_GAP_S) end_flight(a);
             return;
         }
         if (over || now > time || (!inclusive && now >= time)) return;
@@ -194,10 +210,12 @@ void rw_airborne_outputs(rw_airborne *a, const rw_vehicle *v, rw_time time, cons
     }
     a->command = (rw_real)sqrt((double)(sum / known));
     if (!a->walking) {
+        if (a->last > -RW_LASTS && !goes_on(a, time, a->command)) end_flight(a);
         a->walking = true;
         a->tick = ceil(time / TICK_S);
     }
     a->last = time;
+    a->down = false;
 }
 
 static rw_real size_of(const rw_real *x) { return (rw_real)sqrt((double)(x[0] * x[0] + x[1] * x[1] + x[2] * x[2])); }
@@ -226,6 +244,7 @@ void rw_airborne_velocity(rw_airborne *a, rw_time time, rw_real climb, rw_real s
 void rw_airborne_state(rw_airborne *a, rw_time time, int landed, int armed)
 {
     walk(a, time, false);
+    a->down = a->down || landed == 1 || armed == 0;
     if (landed >= 0) a->landed = (int8_t)landed;
     if (armed >= 0) a->armed = (int8_t)armed;
 }

@@ -52,6 +52,7 @@ typedef struct {
     rw_real climb, speed, command;
     int8_t landed, armed;
     bool walking; /* there are outputs */
+    bool down;    /* it has said since the last output that it is on the ground */
     /* Who says whether it flies */
     rw_time since, high_since, low_since, lying_since; /* RW_LASTS: not so */
     rw_time first_blow, last_blow;

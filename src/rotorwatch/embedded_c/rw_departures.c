@@ -241,7 +241,7 @@ void rw_departures_compared(rw_departures *s, const rw_vehicle *v, const rw_comp
 }
 
 /* Keep thrusts of the last SILENT_S. */
-static void remember(rw_departures *s, rw_time time, const rw_real *thrust)
+static void remember(rw_departures *s, rw_time time, const rw_real *thrust, bool valid)
 {
     while (s->recent_count > 0 && (s->recent_time[s->recent_first] < time - SILENT_S || s->recent_count == RW_RECENT)) {
         s->recent_first = (int16_t)((s->recent_first + 1) % RW_RECENT);
@@ -249,8 +249,26 @@ static void remember(rw_departures *s, rw_time time, const rw_real *thrust)
     }
     const int at = (s->recent_first + s->recent_count) % RW_RECENT;
     s->recent_time[at] = time;
-    memcpy(s->recent[at], thrust, sizeof s->recent[at]);
+    for (int k = 0; k < N; k++) s->recent[at][k] = valid ? thrust[k] : (rw_real)NAN;
     s->recent_count++;
+}
+
+/* The range of the thrust of rotor k over what is kept, without the sample furthest off: what moves is off in more than one. */
+static rw_real moved_by(const rw_departures *s, int k)
+{
+    rw_real least[2] = {(rw_real)INFINITY, (rw_real)INFINITY}, most[2] = {(rw_real)-INFINITY, (rw_real)-INFINITY};
+    int known = 0;
+    for (int i = 0; i < s->recent_count; i++) {
+        const rw_real then = s->recent[(s->recent_first + i) % RW_RECENT][k];
+        if (isnan(then)) continue;
+        known++;
+        if (then < least[0]) { least[1] = least[0]; least[0] = then; }
+        else if (then < least[1]) least[1] = then;
+        if (then > most[0]) { most[1] = most[0]; most[0] = then; }
+        else if (then > most[1]) most[1] = then;
+    }
+    if (known < 3) return 0;
+    return most[0] - least[1] < most[1] - least[0] ? most[0] - least[1] : most[1] - least[0];
 }
 
 void rw_departures_logged(rw_departures *s, const rw_vehicle *v, rw_time time, const rw_real *output, const rw_real *thrust, bool valid,
@@ -260,21 +278,14 @@ void rw_departures_logged(rw_departures *s, const rw_vehicle *v, rw_time time, c
     const bool inside = aloft && valid;
     rw_time still[N];
     bool resting[N], any = false;
-    rw_real least[N], most[N];
-    remember(s, time, thrust);
+    rw_real range[N];
+    remember(s, time, thrust, valid);
     for (int k = 0; k < N; k++) {
         still[k] = rests(&s->alone[k], time, output[k], (rw_real)1e-9);
         resting[k] = inside && time - still[k] > SILENT_S;
         any = any || resting[k];
-        least[k] = most[k] = thrust[k];
     }
-    for (int i = 0; any && i < s->recent_count; i++) {
-        const rw_real *then = s->recent[(s->recent_first + i) % RW_RECENT];
-        for (int k = 0; k < N; k++) {
-            if (then[k] < least[k]) least[k] = then[k];
-            if (then[k] > most[k]) most[k] = then[k];
-        }
-    }
+    for (int k = 0; k < N; k++) range[k] = any ? moved_by(s, k) : 0;
     for (int k = 0; k < N; k++) {
         const rw_real u = output[k];
         rw_real others[N];
@@ -283,7 +294,7 @@ void rw_departures_logged(rw_departures *s, const rw_vehicle *v, rw_time time, c
         for (int j = 0; j < N; j++) {
             if (j == k) continue;
             others[count++] = thrust[j];
-            moving = moving && most[j] - least[j] > (rw_real)0.03;
+            moving = moving && range[j] > (rw_real)0.03;
             between = between && thrust[j] > FLYING && thrust[j] < (rw_real)0.99;
         }
         const bool interior = u > low + (rw_real)0.02 * span && u < low + (rw_real)0.98 * span;

@@ -226,12 +226,14 @@ def _merged(events_: list[Event], judged: Judged, n: int) -> list[Event]:
     blame = sum(p for _, p in rotors)
     accused = (judged.cause == "rotor" and bool(rotors)) or (judged.cause == "unknown" and blame > 1.0 - SURE)
     rotor = (rotors[0][0].rotors[0] + 1,) if accused else ()
+    # What was told before the vehicle began to leave stands, unless what came then shows another rotor.
+    stands = -np.inf if accused or judged.cause == "motor_order" else left.onset
     kept, same = [], None
     for e in events_:
         late = e.onset_s > left.onset - SAME_S and e.kind in (LOSS, OVERRIDE) and bool(judged.found)
         if late and e.kind == LOSS and e.rotors == rotor and same is None:
             same = e
-        elif not late or (e.kind == OVERRIDE and e.onset_s <= left.lost):
+        elif not late or e.detected_s < stands or (e.kind == OVERRIDE and e.onset_s <= left.lost):
             kept.append(e)
     held = [e for e in kept if e.kind == OVERRIDE and left.onset - SAME_S < e.onset_s <= left.lost]
     if held and judged.cause not in ("rotor", "motor_order"):  # what the mixer did not ask for is the cause
