@@ -39,6 +39,7 @@ SOURCES = {
         "gyro": "IMU",
         "accel": "IMU",
         "attitude": "ATT",
+        "attitude_wanted": "ATT",
     },
     "px4": {"motors": "actuator_motors", "control": "vehicle_torque_setpoint", "rates": "vehicle_angular_velocity"},
 }
@@ -62,7 +63,7 @@ MAV_TYPE = {4: 2, 6: 13, 8: 14, 12: 29, 10: 35}
 
 def needed(record: Any) -> Any:
     """What a log and the truth need of a record: much less memory than all of it."""
-    return record._replace(omega=(), rates_asked=(), q_asked=(), wind=())
+    return record._replace(omega=(), rates_asked=(), wind=())
 
 
 def flight(scenario: Scenario, plan: Plan, record: Record) -> Flight:
@@ -86,6 +87,7 @@ def flight(scenario: Scenario, plan: Plan, record: Record) -> Flight:
         log.add("lift", "power", lift)
     if scenario.logging["esc"]:
         log.add("esc", "power", escs.readings(scenario, plan, record), unit=esc_columns.UNIT)
+    log.add("attitude_wanted", "attitude", record.q_asked)
     end = float(record.time[-1])
     autopilot = "ArduPilot" if ardupilot else "PX4"
     return Flight(

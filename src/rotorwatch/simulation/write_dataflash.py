@@ -30,7 +30,7 @@ MESSAGES = {
     "RCOU": (62, "QHHHHHHHHHHHHHH", "TimeUS," + ",".join(f"C{k}" for k in range(1, 15))),
     "RATE": (75, "Qffffffff", "TimeUS,R,ROut,P,POut,Y,YOut,A,AOut"),
     "IMU": (163, "QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ"),
-    "ATT": (72, "Qfff", "TimeUS,Roll,Pitch,Yaw"),
+    "ATT": (72, "Qffffff", "TimeUS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw"),
     "XKF1": (44, "QBffffff", "TimeUS,C,VN,VE,VD,PN,PE,PD"),
     "CTUN": (64, "Qf", "TimeUS,ThO"),
     "BAT": (88, "QBff", "TimeUS,Inst,Volt,Curr"),
@@ -78,7 +78,11 @@ def _tables(flight: Flight):
             np.concatenate([np.zeros((len(gyro), 1)), gyro.values, _at(s["accel"], gyro.time)], axis=1),
         )
     if "attitude" in s:
-        yield "ATT", s["attitude"].time, _degrees(s["attitude"].values)
+        angles = _degrees(s["attitude"].values)
+        wanted = np.full_like(angles, np.nan)
+        if "attitude_wanted" in s:
+            wanted = _degrees(_at(s["attitude_wanted"], s["attitude"].time))
+        yield "ATT", s["attitude"].time, np.stack([wanted, angles], axis=2).reshape(len(angles), 6)
     if "velocity" in s and "position" in s:
         v = s["velocity"]
         yield "XKF1", v.time, np.concatenate([np.zeros((len(v), 1)), v.values, _at(s["position"], v.time)], axis=1)

@@ -23,6 +23,7 @@ TOPICS = {
     "vehicle_angular_velocity": "uint64_t timestamp;uint64_t timestamp_sample;float[3] xyz",
     "sensor_combined": "uint64_t timestamp;float[3] gyro_rad;float[3] accelerometer_m_s2",
     "vehicle_attitude": "uint64_t timestamp;uint64_t timestamp_sample;float[4] q",
+    "vehicle_attitude_setpoint": "uint64_t timestamp;float[4] q_d",
     "vehicle_local_position": "uint64_t timestamp;uint64_t timestamp_sample;float x;float y;float z;float vx;float vy;float vz;"
     "bool xy_valid;bool z_valid;bool v_xy_valid;bool v_z_valid",
     "battery_status": "uint64_t timestamp;float voltage_v;float current_a",
@@ -133,6 +134,10 @@ def _tables(flight: Flight):
         rows = _blank("vehicle_attitude", flight, s["attitude"].time)
         rows["q"] = s["attitude"].values
         yield "vehicle_attitude", rows
+    if "attitude_wanted" in s:
+        rows = _blank("vehicle_attitude_setpoint", flight, s["attitude_wanted"].time)
+        rows["q_d"] = s["attitude_wanted"].values
+        yield "vehicle_attitude_setpoint", rows
     if "velocity" in s and "position" in s:
         rows = _blank("vehicle_local_position", flight, s["velocity"].time)
         where = np.concatenate([_at(s["position"], s["velocity"].time), s["velocity"].values], axis=1)
