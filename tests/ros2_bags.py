@@ -19,6 +19,7 @@ PX4 = {
         "uint8 accelerometer_clipping"
     ),
     "VehicleAttitude": "uint64 timestamp\nuint64 timestamp_sample\nfloat32[4] q\nfloat32[4] delta_q_reset\nuint8 quat_reset_counter",
+    "VehicleAttitudeSetpoint": "uint64 timestamp\nfloat32 yaw_sp_move_rate\nfloat32[4] q_d\nfloat32[3] thrust_body",
     "VehicleLocalPosition": (
         "uint64 timestamp\nuint64 timestamp_sample\nbool xy_valid\nbool z_valid\nbool v_xy_valid\nbool v_z_valid\n"
         "float32 x\nfloat32 y\nfloat32 z\nfloat32[2] delta_xy\n"
