@@ -120,6 +120,43 @@ def test_a_take_off_that_ends_on_its_side_was_lost():
     assert left.onset < 4.1
 
 
+@pytest.mark.parametrize(("lasts", "lost"), [(1.5, False), (2.5, True)])
+def test_a_vehicle_that_leans_for_seconds_as_nobody_asked_is_out_of_control(lasts, lost):
+    assert bool(departure.find(rolled(still(), "attitude", 5.0, 5.0 + lasts, 25.0), [(0.0, 10.0)])) is lost
+
+
+def test_a_vehicle_that_left_control_before_it_counted_as_in_the_air_lost_it_at_take_off():
+    flight = rolled(still(), "attitude", 4.0, 10.0, 60.0)
+    time = flight["attitude"].time
+    outputs = np.where(time[:, None] < 3.5, 1000.0, 1600.0) * np.ones(4)
+    motors = Signal(time, outputs, tuple("1234"), "us", "")
+    (left,) = departure.find(replace(flight, signals={**flight.signals, "motors": motors}), [(7.0, 10.0)])
+    assert left.onset == pytest.approx(3.9, abs=0.11)
+
+
+@pytest.mark.parametrize(("follows", "lost"), [(0.3, False), (None, True)])
+def test_rates_that_follow_late_what_was_wanted_are_under_control(follows, lost):
+    flight, time = still(), np.arange(0.0, 10.0, 0.1)
+
+    def rolls(at):
+        return np.where((at > 5.0) & (at < 8.0), 9.0 * np.sign(np.sin(4.0 * at)), 0.0)[:, None] * [1.0, 0, 0]
+
+    actual = rolls(time - follows) if follows else np.where((time > 5.0)[:, None], [20.0, 0, 0], np.zeros(3))
+    rates = {
+        name: Signal(time, values, ("p", "q", "r"), "rad/s", "FRD")
+        for name, values in (("rates_wanted", rolls(time)), ("gyro", actual))
+    }
+    flight = replace(flight, signals={"attitude": flight["attitude"], **rates})
+    assert bool(departure.find(flight, [(0.0, 10.0)])) is lost
+
+
+def test_a_rotor_dead_since_take_off_is_not_cleared_by_the_trim_it_made():
+    flight, truth = tumbling.fly("octa-x", "take-off", 1444559105, 10.0)
+    diagnosis = diagnose(flight, airframes.named("ardupilot-octa-x"))
+    assert truth.lost
+    assert [e.extra["cause"] for e in of(diagnosis, "loss_of_control")] == ["unknown"]
+
+
 def test_control_that_does_not_come_back_was_lost():
     (left,) = departure.find(rolled(still(), "attitude", 5.0, 10.0, 80.0), [(0.0, 10.0)])
     assert left.onset == pytest.approx(4.9, abs=0.11)

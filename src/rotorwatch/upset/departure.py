@@ -16,10 +16,12 @@ from rotorwatch.motion.airborne import commands, output_range
 # Degrees between the actual direction of thrust and any that was wanted lately, and for how long. Healthy vehicles of public logs,
 # aerobatics and gusts of 18 m/s included, stay below 20 degrees, but for half a second of 57 in one manual flight.
 APART_DEG, LASTS_S = 40.0, 0.4
+AWAY_DEG, AWAY_S = 20.0, 2.0  # less, for long: of public logs only vehicles that no longer fly as they are asked
 GONE_S = 1.2  # control that is back sooner was not lost: a knock or a hard turn that the vehicle mastered
-TUMBLED_DEG = 120.0  # two samples so far from all that was wanted: it tumbled, however it came to rest
+TUMBLED_DEG = 100.0  # two samples so far from all that was wanted: it tumbled, however it came to rest
 SPINS = 20.0  # rad/s of yaw, faster than anybody asks for
-ANSWERS_S = 0.6  # within which a vehicle under control has the attitude that was wanted
+ANSWERS_S = 0.6  # within which a vehicle under control has the attitude, or the rates, that were wanted
+BACK = np.linspace(0.0, ANSWERS_S, 7)
 RATE_APART = 6.0  # rad/s of roll or pitch between the wanted and the actual rate
 OVER_DEG = 100.0  # of tilt, which nobody has asked for where nothing says what was wanted
 BACK_DEG, BACK_S = 15.0, 2.0  # closer than that for so long: control has come back
@@ -100,7 +102,7 @@ def _angle(wanted: Signal, time: np.ndarray, axis: np.ndarray) -> np.ndarray:
     """(m,) degrees between the direction of thrust (m, 3) and the nearest of those wanted in the last ANSWERS_S: a vehicle that follows
     what it is asked follows it late. NaN where nothing fresh was wanted."""
     least, fresh = np.full(time.size, -1.0), held(wanted, time)[1] <= FRESH_S
-    for back in np.linspace(0.0, ANSWERS_S, 7):
+    for back in BACK:
         was, age = held(wanted, time - back)
         cosine = (axis * thrust_axis(was)).sum(axis=1)
         least = np.where(age <= FRESH_S, np.maximum(least, cosine), least)
@@ -114,9 +116,10 @@ def _known_rates(flight: Flight, time: np.ndarray) -> np.ndarray:
 
 
 def _rate_error(flight: Flight, time: np.ndarray) -> np.ndarray:
-    """(m,) rad/s of roll and pitch between the wanted and the actual rate."""
-    rates, wanted = held(flight["gyro"], time)[0], held(flight["rates_wanted"], time)[0]
-    return np.linalg.norm((rates - wanted)[:, :2], axis=1)
+    """(m,) rad/s of roll and pitch between the actual rate and the nearest of those wanted in the last ANSWERS_S."""
+    rates = held(flight["gyro"], time)[0][:, :2]
+    wanted = (held(flight["rates_wanted"], time - back)[0][:, :2] for back in BACK)
+    return np.min([np.linalg.norm(rates - was, axis=1) for was in wanted], axis=0)
 
 
 def _spins(flight: Flight, time: np.ndarray) -> np.ndarray:
@@ -131,7 +134,7 @@ def find(flight: Flight, air) -> tuple[Departure, ...]:
     """The departures of a flight, one at most in each of the intervals `air` ((start, end), ...) s in which it was in the air."""
     time, angle, words = apart(flight)
     found = []
-    for start, end in air or _powered(flight):
+    for start, end in _from_the_ground(flight, time, angle, air) or _powered(flight):
         spans = [
             d
             for d in (
@@ -146,6 +149,16 @@ def find(flight: Flight, air) -> tuple[Departure, ...]:
         if spans or over:
             found.append(over or min(spans, key=lambda d: d.onset))
     return tuple(found)
+
+
+def _from_the_ground(flight: Flight, time: np.ndarray, angle: np.ndarray, air) -> tuple[tuple[float, float], ...]:
+    """`air`, from when the motors were first asked for something if the vehicle had left control before it counted as in the air."""
+    if not air:
+        return ()
+    (start, end), *later = air
+    before = [a for a, b in _powered(flight) if a < start <= b]
+    left = before and (angle[(time >= before[0]) & (time <= start)] > APART_DEG).any()
+    return ((before[0] if left else start, end), *later)
 
 
 def _powered(flight: Flight) -> list[tuple[float, float]]:
@@ -181,7 +194,7 @@ def _leaves(flight, time, angle, words, start, end) -> Departure | None:
     if inside.size < 3:
         return None
     t, a = time[inside], angle[inside]
-    out = a > APART_DEG
+    out = (a > APART_DEG) | _long(t, (a > AWAY_DEG) & (a <= APART_DEG))
     for k in np.flatnonzero(out & ~np.concatenate([[False], out[:-1]])):
         if t[k] > end:
             return None
@@ -204,6 +217,15 @@ def _leaves(flight, time, angle, words, start, end) -> Departure | None:
         largest = float(a[k:][t[k:] <= (lost + 1.0 if back is None else back)].max())
         return Departure(onset, lost, back, impact, words.format(largest))
     return None
+
+
+def _long(t: np.ndarray, away: np.ndarray) -> np.ndarray:
+    """(m,) bool: the samples of every run of `away` that lasts AWAY_S."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], away, [False]])))
+    kept = np.zeros(away.size, bool)
+    for a, b in zip(edges[::2], edges[1::2]):
+        kept[a:b] = t[b - 1] - t[a] >= AWAY_S
+    return kept
 
 
 def _began(t: np.ndarray, a: np.ndarray, k: int) -> float:

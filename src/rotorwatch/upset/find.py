@@ -47,6 +47,7 @@ DISARMED_S = 1.0
 SAG = 0.85  # share of the usual voltage below which the power fails
 LIMIT, LIMIT_SHARE = 0.97, 0.5  # of full thrust; of the last second before the onset in which an output was there
 LEVEL_DEG = 40.0
+TRIM = 0.1  # arm lengths: healthy vehicles are commanded less of roll and pitch in calm flight (healthy/population.py, 95 %)
 
 
 @dataclass(frozen=True)
@@ -92,6 +93,8 @@ def judge(flight: Flight, vehicle: Vehicle, air, left: Departure) -> Judged:
     healthy = next(e for e in found if e.kind == "healthy")
     onset = left.onset if left.falls else _strays(window, healthy.residual, left.onset)
     cause, evidence = _cause(flight, vehicle, start, left, found, probability, window, onset)
+    if cause == "controller" and np.abs(offset.mean[:2]).max() > TRIM * len(vehicle.rotors):
+        cause, evidence = "unknown", ("its rotors had been commanded unlike those of healthy vehicles since take-off",)
     if left.impact is None and ground is not None:
         left = replace(left, impact=ground)
     return Judged(left, cause, found, probability, window, onset, evidence)
@@ -243,7 +246,7 @@ def _merged(events_: list[Event], judged: Judged, n: int) -> list[Event]:
         best, p = rotors[0]
         sure = p > SURE and judged.cause == "rotor" and best.low > 0.0  # a fault has a loss above nothing
         others = () if sure else others or (tuple(range(1, n + 1)),)
-        kept.append(_loss(best, p, others, decided, judged) if same is None or others != same.alternatives else same)
+        kept.append(_loss(best, p, others, n, decided, judged) if same is None or others != same.alternatives else same)
         kept.append(_lost(judged, n, rotor, others, decided))
     elif judged.cause == "motor_order":
         others = tuple(
@@ -270,12 +273,13 @@ def _who(rotors: Sequence[int]) -> str:
     return ("rotor " if len(rotors) == 1 else "rotors ") + " and ".join(map(str, rotors))
 
 
-def _loss(best: Explanation, p: float, others, decided: float, judged: Judged) -> Event:
+def _loss(best: Explanation, p: float, others, n: int, decided: float, judged: Judged) -> Event:
     rotor = best.rotors[0] + 1
     onset = min(best.onset, judged.left.onset)
     reason = f"from {onset:.1f} s on the vehicle turned as without {'the' if best.size > 0.5 else 'part of the'} thrust of rotor {rotor}"
     if others:
-        reason += ", but " + ", ".join("+".join(map(str, o)) for o in others) + " may have failed instead"
+        who = ", ".join("all rotors alike" if len(o) == n else "+".join(map(str, o)) for o in others)
+        reason += f", but {who} may have failed instead"
     reason += "; found afterwards, by the motion up to the impact" if judged.left.impact else "; found afterwards"
     return Event(
         LOSS, (rotor,), onset, decided, None, (best.size,), ((best.low, best.high),), p, others, reason,
