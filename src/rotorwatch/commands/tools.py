@@ -17,6 +17,7 @@ import click
 
 from rotorwatch import incoming
 from rotorwatch.errors import BackendWarning, ConfigError, PluginWarning, WorkerWarning
+from rotorwatch.shown import printable
 
 PICTURES = (".svg", ".png", ".pdf")
 ADDRESS = re.compile(r"[a-z][a-z0-9+.-]+://", re.IGNORECASE)
@@ -85,10 +86,10 @@ OUT = click.Path(path_type=Path)
 
 
 def label(text: Any) -> str:
-    """A name, or a sentence with one, as the user knows it: what came through a pipe has no folder; bytes that are no text as \\udcXX."""
+    """A name, or a sentence with one, as the user knows it: what came through a pipe has no folder; no control characters."""
     spool = incoming.spooled()
     shown = str(text) if spool is None else re.sub(re.escape(str(spool)) + r"/[^/]*/", "", str(text))
-    return shown.encode("utf-8", "backslashreplace").decode("utf-8")
+    return printable(shown)
 
 
 def say(text: str) -> None:
