@@ -83,6 +83,8 @@ def tried(command: commands.Command, preload: Path, folder: Path, fault: Fault, 
             elif again.code != wanted.code or again.state != wanted.state:
                 wrong = f"the second run left {again.code} {again.state}, said {again.said[-200:]!r}"
         return wrong
+    except AssertionError as why:
+        return str(why)
     finally:
         shutil.rmtree(place, ignore_errors=True)
         count.unlink(missing_ok=True)
@@ -97,7 +99,7 @@ def _first(done: commands.Done, wanted: commands.Done) -> str:
     if done.code == 2 and wanted.code != 2 and "rotorwatch: " not in done.said:
         return "left with 2 and said nothing"
     missing = [one for one in done.acknowledged if one not in done.state]
-    if missing and not done.waits:
+    if missing:
         return f"acknowledged, and not there: {missing}"
     if done.code == wanted.code and done.state != wanted.state and not done.waits:
         return f"left with {done.code} as if all were well, but {done.state}: {done.said[-200:]!r}"

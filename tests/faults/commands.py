@@ -6,6 +6,8 @@ import json
 import sqlite3
 import subprocess
 import sys
+import urllib.error
+import urllib.request
 from collections.abc import Callable, Mapping
 from contextlib import closing
 from dataclasses import dataclass
@@ -22,7 +24,7 @@ PLAN = Path(__file__).parents[2] / "plans" / "default.toml"
 @dataclass(frozen=True)
 class Done:
     """A run. code: its exit code; said: on standard error; acknowledged: parts of the state that it said were there; state: what is there;
-    waits: whether what was acknowledged may be there only after the next run."""
+    waits: whether it may leave as if all were well with something refused on the way."""
 
     code: int
     said: str
@@ -77,4 +79,42 @@ def campaign(folder: Path, env: Mapping[str, str]) -> Done:
     return Done(done.returncode, done.stderr, (), state)
 
 
-ALL = {c.name: c for c in (Command("fleet", fleet), Command("campaign", campaign))}
+def serve(folder: Path, env: Mapping[str, str]) -> Done:
+    """`serve` that is sent two logs and then stopped: what it answers with 201 or 200 is stored. A log that it refused is sent again."""
+    store, said = folder / "fleet.db", folder.with_suffix(".said")
+    with said.open("w+") as errors:
+        server = subprocess.Popen(
+            [*ROTORWATCH, "serve", "--port", "0", "--store", str(store), "--jobs", "1"],
+            env=env, stdout=subprocess.PIPE, stderr=errors, text=True,
+        )  # fmt: skip
+        try:
+            assert server.stdout
+            address = server.stdout.readline().strip()
+            told = tuple(filter(None, (_sent(address, log) for log in LOGS))) if address else ()
+            server.terminate()
+            code = server.wait(60.0)
+        finally:
+            server.kill()
+        errors.seek(0)
+        text = errors.read()
+    return Done(code, text, told, stored(store), waits=True)
+
+
+def _sent(address: str, log: Path) -> tuple[str, str] | None:
+    """(name, verdict) of a log that was taken; None of one that was refused. Raises AssertionError for an answer without a sentence."""
+    asked = urllib.request.Request(
+        f"{address.rstrip('/')}/api/flights", data=log.read_bytes(), headers={"X-Rotorwatch-Name": log.name}
+    )
+    try:
+        with urllib.request.urlopen(asked, timeout=60.0) as answer:
+            told = json.load(answer)
+            return told["name"], told["verdict"]
+    except urllib.error.HTTPError as why:
+        text = why.read().decode()
+        assert why.code in (500, 503, 507) and str(log.parent) not in text and "Traceback" not in text, (why.code, text)
+        return None
+    except (urllib.error.URLError, ConnectionError, TimeoutError):
+        return None
+
+
+ALL = {c.name: c for c in (Command("fleet", fleet), Command("campaign", campaign), Command("serve", serve))}
