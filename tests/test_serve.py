@@ -5,11 +5,15 @@ import json
 import lzma
 import math
 import socket
+import threading
+import time
+from contextlib import suppress
 from pathlib import Path
 from urllib.parse import quote
 
 import numpy as np
 import pytest
+import uvicorn
 from starlette.testclient import TestClient
 from tests import misbehaving
 from tests.conftest import hexa_diagnosis
@@ -21,9 +25,10 @@ from rotorwatch.fleet.store import Entry
 from rotorwatch.live import metrics
 from rotorwatch.live.watched import Watched
 from rotorwatch.report.html import page
+from rotorwatch.serve import connections, live, names, security, server, uploads
 from rotorwatch.serve import flights as flights_of
-from rotorwatch.serve import live, names, security, server, uploads
 from rotorwatch.serve.app import application
+from rotorwatch.serve.connections import Connection
 from rotorwatch.serve.flights import Flights
 from rotorwatch.serve.hub import KEPT, Hub
 from rotorwatch.serve.uploads import Limits, Refused, Uploads
@@ -143,6 +148,13 @@ def test_without_the_token_there_is_only_the_form(closed):
     assert 'type="password"' in closed.get("/").text and "script" not in closed.get("/").text
     assert send(closed, "a.bin", b"x").status_code == 401
     assert closed.get("/static/page.css").status_code == 200
+
+
+def test_a_program_may_give_the_token_in_the_address(closed):
+    for token, code in ((TOKEN, 400), ("wrong-but-of-enough-letters", 401)):  # 400: let in, but there is no name
+        assert closed.post("/api/flights", params={"token": token}, content=b"x").status_code == code
+    evil = {"Origin": "http://evil.example"}
+    assert closed.post("/api/flights", params={"token": TOKEN}, content=b"x", headers=evil).status_code == 403
 
 
 def test_the_token_opens(closed):
@@ -300,6 +312,159 @@ def test_what_a_killed_server_had_received_is_judged_by_the_next(tmp_path):
     assert log.path == own / "one" / "log-a.bin" and log.path.read_bytes() == b"x" and log.name == "a.bin"
     assert not killed.parent.exists() and other.exists()
     lock.close()
+
+
+class Busy(Flights):
+    """A list whose store does not take a flight the first time."""
+
+    refusals = 1
+
+    def keep(self, entry):
+        if self.refusals:
+            self.refusals -= 1
+            raise StoreError("/secret/fleet.db: database is locked")
+        return super().keep(entry)
+
+
+def kept(flights, judge, tmp_path, monkeypatch, pieces=(b"x",)):
+    """(what the sender is told, the first row of the list) of a log that is judged by `judge`, once all has been tried again."""
+    monkeypatch.setattr(uploads, "AGAIN_S", 0.01)
+    monkeypatch.setattr(Uploads, "_answer", judge)
+
+    async def run():
+        rows, said = [], []
+        here = Uploads(flights, Limits(), rows.append, said.append)
+        try:
+            with pytest.raises(Refused) as why:
+                await here.take("a.bin", None, body(*pieces))
+            assert list(here._run.glob("*/log-*")), "the log is kept"
+            while not rows:
+                await asyncio.sleep(0.01)
+            while here._again:
+                await asyncio.sleep(0.01)
+            assert not list(here._run.glob("*/log-*"))
+            return why.value, rows, said
+        finally:
+            here.stop()
+
+    return asyncio.run(asyncio.wait_for(run(), 20.0))
+
+
+def entry_of(log):
+    return Entry(log.digest, "", log.name, log.size)
+
+
+def test_a_log_waits_for_its_store(tmp_path, monkeypatch):
+    flights = Busy(str(tmp_path / "fleet.db"))
+    why, (row,), _ = kept(flights, lambda self, log: entry_of(log), tmp_path, monkeypatch)
+    assert why.code == 503 and "is kept" in str(why) and "secret" not in str(why)
+    assert flights.rows("", 9, 0)["total"] == 1 and row["name"] == "a.bin"
+
+
+def test_a_log_waits_for_room_for_its_page(tmp_path, monkeypatch):
+    times = []
+
+    def full(self, log):
+        times.append(log)
+        if len(times) < 3:
+            raise uploads.Lacking("its page cannot be written (No space left on device)")
+        return entry_of(log)
+
+    flights = Flights(str(tmp_path / "fleet.db"))
+    why, rows, said = kept(flights, full, tmp_path, monkeypatch)
+    assert why.code == 507 and str(tmp_path) not in str(why)
+    assert len(rows) == 1 and len(times) == 3 and "a.bin is not in the list yet" in said[0]
+
+
+def test_a_full_disk_is_not_the_logs_fault(tmp_path):
+    log = uploads.Log(SAMPLE, "a.bin", 64 * "0", 1)
+    with pytest.raises(uploads.Lacking, match="its page cannot be written") as why:
+        uploads.judge((log, str(tmp_path / "no folder" / "page.html")))
+    assert str(tmp_path) not in str(why.value)
+
+
+def test_what_cannot_be_moved_is_left_for_the_next_start(tmp_path, monkeypatch):
+    flights = Flights(str(tmp_path / "fleet.db"))
+    killed = flights.folder("incoming") / "run-killed" / "one"
+    killed.mkdir(parents=True)
+    about = {"name": "a.bin", "file": "log-a.bin", "digest": 64 * "0", "size": 1}
+    (killed / "complete.json").write_text(json.dumps(about))
+    own, lock = uploads._own(flights.folder("incoming"))
+    with monkeypatch.context() as full:
+        full.setattr(Path, "rename", lambda *_: (_ for _ in ()).throw(OSError(28, "No space left on device")))
+        assert not uploads._left(flights.folder("incoming"), own)
+    assert (killed / "complete.json").exists()
+    assert len(uploads._left(flights.folder("incoming"), own)) == 1
+    lock.close()
+
+
+def test_many_senders_wait_for_each_other(tmp_path, monkeypatch):
+    monkeypatch.setattr(Uploads, "_answer", lambda self, log: time.sleep(0.005) or entry_of(log))
+
+    async def run():
+        here = Uploads(Flights(str(tmp_path / "fleet.db")), Limits(), lambda row: None)
+        try:
+            sent = (here.take(f"{k}.bin", None, body(str(k).encode())) for k in range(80))
+            return await asyncio.gather(*sent)
+        finally:
+            here.stop()
+
+    assert all(new for _, new in asyncio.run(run()))
+
+
+# Connections
+
+
+@pytest.fixture
+def listening():
+    """The port of a server that answers nothing but "fine", with limits of its connections."""
+    config = uvicorn.Config(fine, http=Connection, log_level="critical", lifespan="off")
+    here = uvicorn.Server(config)
+    sock = server.listen("127.0.0.1", 0)
+    thread = threading.Thread(target=lambda: asyncio.run(here.serve([sock])), daemon=True)
+    thread.start()
+    yield sock.getsockname()[1]
+    here.should_exit = True
+    thread.join(10.0)
+
+
+async def fine(scope, receive, send):
+    await send({"type": "http.response.start", "status": 200, "headers": [(b"content-length", b"4")]})
+    await send({"type": "http.response.body", "body": b"fine"})
+
+
+def test_a_header_that_never_ends_is_given_up(listening, monkeypatch):
+    monkeypatch.setattr(connections, "HEADER_S", 0.3)
+    with socket.create_connection(("127.0.0.1", listening)) as slow:
+        slow.settimeout(5.0)
+        began = time.monotonic()
+        slow.sendall(b"GET / HTTP/1.1\r\nHost: x\r\n\r\n")
+        assert b"200 OK" in slow.recv(4096)
+        with pytest.raises(OSError):
+            for _ in range(40):
+                slow.sendall(b"GET / HTTP/1.1\r\nX: ")
+                time.sleep(0.05)
+                if slow.recv(1) == b"":
+                    raise ConnectionError
+        assert 0.2 < time.monotonic() - began < 2.0
+
+
+def test_nobody_has_all_connections(listening, monkeypatch):
+    monkeypatch.setattr(connections, "PER_ADDRESS", 3)
+    held = [socket.create_connection(("127.0.0.1", listening)) for _ in range(3)]
+    time.sleep(0.1)
+    with socket.create_connection(("127.0.0.1", listening)) as fourth:
+        fourth.settimeout(5.0)
+        with suppress(ConnectionError):
+            assert fourth.recv(1) == b""
+    held.pop().close()
+    time.sleep(0.1)
+    with socket.create_connection(("127.0.0.1", listening)) as again:
+        again.settimeout(5.0)
+        again.sendall(b"GET / HTTP/1.1\r\nHost: x\r\n\r\n")
+        assert b"200 OK" in again.recv(4096)
+    for one in held:
+        one.close()
 
 
 # The answer from its JSON

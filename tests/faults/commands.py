@@ -43,7 +43,12 @@ class Command:
 
 def _run(*words: Any, env: Mapping[str, str], limit_s: float = 120.0) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [*ROTORWATCH, *map(str, words)], env=env, capture_output=True, text=True, timeout=limit_s, stdin=subprocess.DEVNULL
+        [*ROTORWATCH, *map(str, words)],
+        env=env,
+        capture_output=True,
+        text=True,
+        timeout=limit_s,
+        stdin=subprocess.DEVNULL,
     )
 
 

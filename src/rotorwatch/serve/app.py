@@ -32,11 +32,14 @@ def application(feed: Feed, flights: Flights, limits: Limits, host: str, token: 
     def tell(row: dict[str, Any]) -> None:
         feed.hub.publish("flight", row)
 
+    def trouble(text: str) -> None:
+        feed.tell({"type": "error", "vehicle": "list", "text": text})
+
     @asynccontextmanager
     async def lifespan(_: Starlette):
-        app.state.uploads = uploads = Uploads(flights, limits, tell)
+        app.state.uploads = uploads = Uploads(flights, limits, tell, trouble)
         uploads.start()
-        keeper = flights.keeper(tell, lambda text: feed.tell({"type": "error", "vehicle": "list", "text": text}))
+        keeper = flights.keeper(tell, trouble)
         feed.ended = keeper.keep
         feed.start()
         try:

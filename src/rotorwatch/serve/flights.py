@@ -11,7 +11,6 @@ from typing import Any
 
 from rotorwatch import files
 from rotorwatch.diagnosis import Diagnosis
-from rotorwatch.errors import RotorwatchError
 from rotorwatch.fleet.address import default_url
 from rotorwatch.fleet.store import Entry, Store
 from rotorwatch.report.html import page
@@ -106,7 +105,7 @@ class Keeper:
                 try:
                     self._told(self._flights.keep(entry))
                     break
-                except RotorwatchError as why:
+                except Exception as why:  # whatever it is, the next flight is waiting
                     self._trouble(f"The flight of {entry.name} is not in the list yet: {why}")
                     if self._leaving.wait(AGAIN_S):
                         break

@@ -110,6 +110,8 @@ def listen(host: str, port: int) -> socket.socket:
 def _run(app: Any, feed: Any, listening: socket.socket, ready: Callable[[], None]) -> None:
     import uvicorn
 
+    from rotorwatch.serve.connections import Connection
+
     class Server(uvicorn.Server):
         """Says when it is ready, and lets the pages' streams end when it is stopped."""
 
@@ -136,7 +138,7 @@ def _run(app: Any, feed: Any, listening: socket.socket, ready: Callable[[], None
             super().handle_exit(sig, frame)
 
     config = uvicorn.Config(
-        app, log_level="critical", access_log=False, server_header=False, proxy_headers=False, ws="none", http="h11",
+        app, log_level="critical", access_log=False, server_header=False, proxy_headers=False, ws="none", http=Connection,
         lifespan="on", timeout_graceful_shutdown=GIVE_UP_S, limit_concurrency=MOST_CONNECTIONS,
     )  # fmt: skip
     server = Server(config)

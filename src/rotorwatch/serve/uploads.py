@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from rotorwatch import limited
-from rotorwatch.errors import RotorwatchError, WorkerError
+from rotorwatch.errors import ConfigError, RotorwatchError, StoreError, WorkerError
 from rotorwatch.fleet.store import Entry
 from rotorwatch.many.processes import Worker
 from rotorwatch.serve import names
@@ -25,7 +25,9 @@ from rotorwatch.serve.flights import Flights
 
 IDLE_S, MOST_S = 30.0, 900.0  # without a byte; for the whole of an upload
 DRAIN_S = 10.0  # what is too large is read on for so long, that the answer is seen and not a broken connection
-RECEIVING, WAITING = 8, 50  # uploads that are taken at once; those that wait for being judged
+RECEIVING, WAITING = 8, 50  # uploads that are received at once; those that are here and wait for being judged
+PATIENCE_S = 60.0  # for which an upload waits until it is received
+AGAIN_S = 30.0  # between two attempts to judge or to keep a log for which something was lacking
 LOADS = ("rotorwatch.fleet.judge", "rotorwatch.diagnose", "rotorwatch.report.html", "bokeh.embed")
 
 
@@ -33,6 +35,15 @@ class Refused(RotorwatchError):
     """An upload that is not taken. code: of the HTTP answer."""
 
     def __init__(self, code: int, why: str):
+        super().__init__(why)
+        self.code = code
+
+
+class Lacking(RotorwatchError):
+    """What a log needs to be judged and kept is not there now: room on a disk, a store, a process. It is none of the log's fault. code: of
+    the HTTP answer."""
+
+    def __init__(self, why: str, code: int = 507):
         super().__init__(why)
         self.code = code
 
@@ -58,7 +69,8 @@ class Log:
 
 
 def judge(what: tuple[Log, str]) -> Entry | str:
-    """What a worker does with (log, path of the page): writes the page, returns the flight for the store, or why there is none."""
+    """What a worker does with (log, path of the page): writes the page, returns the flight for the store, or why the log is refused. Raises
+    Lacking."""
     from rotorwatch.diagnose import diagnose
     from rotorwatch.fleet.judge import of_flight
     from rotorwatch.logs import read
@@ -68,10 +80,13 @@ def judge(what: tuple[Log, str]) -> Entry | str:
     try:
         flight = replace(read(log.path), name=log.name)
         found = diagnose(flight)
-        write(found, page)
-        return of_flight(flight, log.digest, log.name, log.size, found=found)
     except RotorwatchError as why:
         return str(why).replace(str(log.path), log.name).replace(log.path.name, log.name)
+    try:
+        write(found, page)
+    except ConfigError as why:  # its place is the server's, and nobody else's business
+        raise Lacking(f"its page cannot be written ({str(why).rpartition(': ')[2].rstrip('.')})") from None
+    return of_flight(flight, log.digest, log.name, log.size, found=found)
 
 
 @dataclass(frozen=True)
@@ -90,15 +105,23 @@ class _Limited:
 
 
 class Uploads:
-    """Where logs go. told: called with each flight that is new, once it is kept."""
+    """Where logs go. told: called with each flight that is new, once it is kept; trouble: with a sentence about a log whose sender has gone
+    or has been told to wait."""
 
-    def __init__(self, flights: Flights, limits: Limits, told: Callable[[dict[str, Any]], None]):
+    def __init__(
+        self,
+        flights: Flights,
+        limits: Limits,
+        told: Callable[[dict[str, Any]], None],
+        trouble: Callable[[str], None] = lambda text: None,
+    ):
         """Raises ConfigError where the folder for uploads cannot be written to."""
-        self.limits, self._flights, self._told = limits, flights, told
+        self.limits, self._flights, self._told, self._trouble = limits, flights, told, trouble
         self._incoming = flights.folder("incoming")
         self._run, self._lock = _own(self._incoming)
-        self._receiving = 0
-        self._judging: dict[str, asyncio.Task[dict[str, Any]]] = {}
+        self._receiving, self._room = asyncio.Semaphore(RECEIVING), asyncio.Semaphore(WAITING)
+        self._again: set[asyncio.Task[None]] = set()
+        self._judging: dict[str, asyncio.Task[tuple[dict[str, Any], bool]]] = {}
         self._turn = asyncio.Semaphore(limits.jobs)
         self._idle: list[Worker] = []
         self._all: list[Worker] = []
@@ -107,7 +130,7 @@ class Uploads:
         """Make a worker ready, and judge what was complete when an earlier server was killed."""
         self._idle.append(self._worker())
         for log in _left(self._incoming, self._run):
-            self._begin(log)
+            self._later(log, 0.0)
 
     def stop(self) -> None:
         """End what is at work; what was not judged is there for the next start."""
@@ -122,19 +145,22 @@ class Uploads:
         if length is not None and length > most:
             await _drain(body)
             raise Refused(413, _too_large(name, most))
-        if self._receiving >= RECEIVING or len(self._judging) >= WAITING:
-            await _drain(body)
-            raise Refused(503, "Too many logs have been sent at once; try again in a minute.")
-        self._receiving += 1
         try:
-            log = await self._receive(name, body)
+            await asyncio.wait_for(self._room.acquire(), PATIENCE_S)
+        except asyncio.TimeoutError:
+            await _drain(body)
+            raise Refused(503, "Too many logs have been sent at once; try again in a minute.") from None
+        try:
+            async with self._receiving:
+                log = await self._receive(name, body)
+            try:
+                return await asyncio.shield(self._begin(log))
+            except Lacking as why:
+                self._later(log, AGAIN_S)
+                said = f"{name}: {why}. The log is kept, and is judged as soon as that is mended."
+                raise Refused(why.code, said) from None
         finally:
-            self._receiving -= 1
-        known = await asyncio.to_thread(self._flights.row, log.digest)
-        if known is not None:
-            shutil.rmtree(log.path.parent, ignore_errors=True)
-            return known, False
-        return await asyncio.shield(self._begin(log)), True
+            self._room.release()
 
     async def _receive(self, name: str, body: AsyncIterator[bytes]) -> Log:
         """The whole of a body in a file."""
@@ -170,8 +196,8 @@ class Uploads:
             ) from None
         return Log(path, name, digest.hexdigest(), size)
 
-    def _begin(self, log: Log) -> asyncio.Task[dict[str, Any]]:
-        """Judge it, once for all who have sent it."""
+    def _begin(self, log: Log) -> asyncio.Task[tuple[dict[str, Any], bool]]:
+        """Judge it, once for all who have sent it: (the flight, whether it is new). Raises Refused for what is no flight, and Lacking."""
         task = self._judging.get(log.digest)
         if task is not None:
             shutil.rmtree(log.path.parent, ignore_errors=True)
@@ -180,29 +206,58 @@ class Uploads:
         task.add_done_callback(lambda done: (self._judging.pop(log.digest, None), done.cancelled() or done.exception()))
         return task
 
-    async def _judge(self, log: Log) -> dict[str, Any]:
-        """The flight, kept in the store before anybody is told of it. Raises Refused for what is no flight."""
-        async with self._turn:
-            try:
-                found = await asyncio.to_thread(self._answer, log)
-                if isinstance(found, str):
-                    raise Refused(422, found)
-                row = await asyncio.to_thread(self._flights.keep, found)
-            finally:
-                shutil.rmtree(log.path.parent, ignore_errors=True)
-        self._told(row)
-        return row
+    def _later(self, log: Log, after_s: float) -> None:
+        """Judge it after so long, and again until it is kept or refused, as nobody waits for it."""
+
+        async def again() -> None:
+            wait_s = after_s
+            while log.path.exists():
+                await asyncio.sleep(wait_s)
+                try:
+                    await asyncio.shield(self._begin(log))
+                except Lacking as why:
+                    self._trouble(f"The flight of {log.name} is not in the list yet: {why}.")
+                except Refused as why:
+                    self._trouble(str(why))
+                wait_s = AGAIN_S
+
+        task = asyncio.create_task(again())
+        self._again.add(task)
+        task.add_done_callback(self._again.discard)
+
+    async def _judge(self, log: Log) -> tuple[dict[str, Any], bool]:
+        """As `_begin`. The log goes when the store has its flight, or when it is refused, and for no other reason."""
+        try:
+            row = await asyncio.to_thread(self._flights.row, log.digest)
+            new = row is None
+            if row is None:
+                async with self._turn:
+                    found = await asyncio.to_thread(self._answer, log)
+                    if isinstance(found, str):
+                        raise Refused(422, found)
+                    row = await asyncio.to_thread(self._flights.keep, found)
+        except Refused:
+            shutil.rmtree(log.path.parent, ignore_errors=True)
+            raise
+        except StoreError as why:
+            raise Lacking("the fleet's store does not take it now", 503) from why
+        except OSError as why:
+            raise Lacking(f"it cannot be kept ({why.strerror})") from why
+        shutil.rmtree(log.path.parent, ignore_errors=True)
+        if new:
+            self._told(row)
+        return row, new
 
     def _answer(self, log: Log) -> Entry | str:
-        """What a worker says of it."""
+        """What a worker says of it. Raises Lacking, and Refused for what it could not bear."""
         worker = self._idle.pop() if self._idle else self._worker()
         try:
             return worker.ask((log, str(self._flights.page(log.digest))))
+        except Lacking:
+            raise
         except Exception as why:
             if not worker.ready or not (worker.alive or isinstance(why, WorkerError)):  # or the server stops
-                raise Refused(
-                    503, f"{log.name}: the process that judges logs does not run ({why}); try again."
-                ) from None
+                raise Lacking(f"the process that judges logs does not run ({why})", 503) from None
             raise Refused(422, f"{log.name}: {self._sentence(why)}") from None
         finally:
             if worker.alive:
@@ -243,8 +298,11 @@ async def _drain(body: AsyncIterator[bytes]) -> None:
 
 def _own(incoming: Path) -> tuple[Path, Any]:
     """A folder for the uploads of this run, and the lock that says that it is in use."""
-    run = Path(tempfile.mkdtemp(dir=incoming, prefix="run-"))
-    lock = (run / "lock").open("wb")
+    try:
+        run = Path(tempfile.mkdtemp(dir=incoming, prefix="run-"))
+        lock = (run / "lock").open("wb")
+    except OSError as why:
+        raise ConfigError(f"--store: cannot write into {incoming} ({why.strerror or why}).") from None
     _locked(lock)
     return run, lock
 
@@ -270,12 +328,11 @@ def _left(incoming: Path, own: Path) -> list[Log]:
             if not _locked(lock):
                 continue
             for note in run.glob("*/complete.json"):
-                with suppress(OSError, ValueError, KeyError, TypeError):
+                with suppress(ValueError, KeyError, TypeError):  # not written to its end: the log was not complete
                     about = json.loads(note.read_text())
                     folder = own / note.parent.name
+                    log = Log(folder / Path(about["file"]).name, about["name"], about["digest"], int(about["size"]))
                     note.parent.rename(folder)
-                    found.append(
-                        Log(folder / Path(about["file"]).name, about["name"], about["digest"], int(about["size"]))
-                    )
-            shutil.rmtree(run, ignore_errors=True)
+                    found.append(log)
+            shutil.rmtree(run, ignore_errors=True)  # not reached when one of them could not be moved
     return found
