@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from rotorwatch import checks, optional
-from rotorwatch.errors import ConfigError
+from rotorwatch.errors import ConfigError, LinkError
 
 GIVE_UP_S = 2  # for connections that do not end by themselves when the server is stopped
 MOST_CONNECTIONS = 256
@@ -69,6 +69,8 @@ def serve(
             application(feed, flights, limits, host, known), feed, listening, lambda: ready(address) if ready else None
         )
         flights.close()
+        if feed.trouble:
+            raise LinkError(feed.trouble)
     finally:
         feed.stop()
         listening.close()
