@@ -97,7 +97,8 @@ def vehicle(
             if trouble == "silence" and middle < time < middle + 8.0:
                 continue
             if trouble == "wild stamps" and k % 97 == 0 and hasattr(message, "time_usec"):
-                message.time_usec = int(rng.choice([0, 1, 2**63, 2**40]))
+                most = 2**32 if message.get_type() == "SERVO_OUTPUT_RAW" else 2**64
+                message.time_usec = int(rng.choice([0, 1, 2**31, 2**40])) * int(rng.integers(1, 2**20)) % most
             frame = autopilot.packed(message)
             yield at + time, frame
             if trouble == "twice" and k % 3 == 0:

@@ -124,12 +124,16 @@ def fetched(log: str | os.PathLike) -> Iterator[Path]:
         yield Path(log)
         return
     address = str(log)
+    try:
+        name = unquote(urlsplit(address).path)
+    except ValueError as why:
+        raise LogError(f"{address} is no address ({why}).") from None
     if address.lower().startswith("file://"):
-        yield Path(unquote(urlsplit(address).path))
+        yield Path(name)
         return
     fsspec = _fsspec(address)
     with tempfile.TemporaryDirectory(dir=incoming.spool()) as folder:
-        path = Path(folder) / (unquote(urlsplit(address).path).rstrip("/").rpartition("/")[2] or "log")
+        path = Path(folder) / (name.rstrip("/").rpartition("/")[2] or "log")
         try:
             with fsspec.open(address, "rb") as source:
                 incoming.keep(source, path, address)

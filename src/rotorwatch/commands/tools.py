@@ -17,7 +17,7 @@ import click
 
 from rotorwatch import incoming
 from rotorwatch.errors import BackendWarning, ConfigError, PluginWarning, WorkerWarning
-from rotorwatch.shown import printable
+from rotorwatch.shown import printable, public
 
 PICTURES = (".svg", ".png", ".pdf")
 ADDRESS = re.compile(r"[a-z][a-z0-9+.-]+://", re.IGNORECASE)
@@ -89,7 +89,7 @@ def label(text: Any) -> str:
     """A name, or a sentence with one, as the user knows it: what came through a pipe has no folder; no control characters."""
     spool = incoming.spooled()
     shown = str(text) if spool is None else re.sub(re.escape(str(spool)) + r"/[^/]*/", "", str(text))
-    return printable(shown)
+    return public(printable(shown))
 
 
 def say(text: str) -> None:

@@ -86,11 +86,10 @@ class Udp(Endpoint):
             else:
                 self._socket.connect((host, port))
                 self._peers[None] = 0.0
-        except OSError as why:
+        except (OSError, UnicodeError) as why:
             self._socket.close()
-            raise LinkError(
-                f"{name} cannot be opened ({why.strerror or why}); is another program using this port?"
-            ) from why
+            reason = getattr(why, "strerror", None) or why
+            raise LinkError(f"{name} cannot be opened ({reason}); is another program using this port?") from why
         self.open = True
 
     def fileno(self) -> int:
@@ -175,8 +174,9 @@ class Tcp(Stream):
         self._address, self._socket = (host, port), None
         try:
             self._connect(5.0)
-        except OSError as why:
-            raise LinkError(f"{name} cannot be reached ({why.strerror or why}); is the other side listening?") from why
+        except (OSError, UnicodeError) as why:
+            reason = getattr(why, "strerror", None) or why
+            raise LinkError(f"{name} cannot be reached ({reason}); is the other side listening?") from why
 
     def _connect(self, wait_s: float) -> None:
         self._socket = socket.create_connection(self._address, wait_s)

@@ -82,8 +82,9 @@ def listen(host: str, port: int) -> socket.socket:
         family, kind, proto, _, address = socket.getaddrinfo(
             host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
         )[0]
-    except OSError as why:
-        raise ConfigError(f"--host {host}: this is no address of this computer ({why.strerror or why}).") from None
+    except (OSError, UnicodeError) as why:
+        reason = getattr(why, "strerror", None) or why
+        raise ConfigError(f"--host {host}: this is no address of this computer ({reason}).") from None
     sock = socket.socket(family, kind, proto)
     try:
         if os.name == "posix":
