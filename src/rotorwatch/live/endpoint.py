@@ -12,6 +12,8 @@ from rotorwatch.errors import LinkError
 
 AGAIN_S = 1.0  # between two attempts to connect again
 MOST = 65536
+# Addresses that are answered, those heard last, and how long after they hear what is said to all: a watcher must not help to flood others.
+ANSWERED, ANSWERED_S = 64, 10.0
 KINDS = "udp:PORT, udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT or serial:DEVICE:BAUD"
 
 
@@ -62,6 +64,9 @@ class Endpoint:
         """To one peer, or to all that have been heard. What cannot be sent is lost, as on any link."""
         raise NotImplementedError
 
+    def answers(self, peer: Any) -> None:
+        """This peer speaks MAVLink, and may be sent to."""
+
     def close(self) -> None:
         self.open = False
 
@@ -101,20 +106,23 @@ class Udp(Endpoint):
                 break
             except OSError:  # the other side has no one listening: said by its computer
                 continue
-            if None not in self._peers:
-                self._peers[peer] = time.monotonic()
             found.append((peer, data))
         return found
+
+    def answers(self, peer: Any) -> None:
+        if None not in self._peers:
+            self._peers.pop(peer, None)
+            self._peers[peer] = time.monotonic()
+            if len(self._peers) > ANSWERED:
+                del self._peers[next(iter(self._peers))]
 
     def send(self, data: bytes, peer: Any = None) -> None:
         for to in list(self._peers) if peer is None or None in self._peers else [peer]:
             try:
                 if to is None:
                     self._socket.send(data)
-                elif self._peers.get(to, 0.0) > time.monotonic() - 60.0:
+                elif to in self._peers and (peer is not None or self._peers[to] > time.monotonic() - ANSWERED_S):
                     self._socket.sendto(data, to)
-                else:
-                    self._peers.pop(to, None)
             except OSError:
                 pass
 

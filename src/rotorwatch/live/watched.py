@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
@@ -13,6 +12,7 @@ from rotorwatch.diagnosis import Event
 from rotorwatch.errors import RotorwatchError
 from rotorwatch.flight import Flight, Message, Signal
 from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.live.beside import trouble
 from rotorwatch.live.changes import WITHDRAWN, Change, Changes
 from rotorwatch.live.rotors import Rotors
 from rotorwatch.live.session import Session
@@ -41,21 +41,12 @@ class Health:
         return self.lost / max(self.lost + self.taken, 1)
 
 
-def trouble(why: Exception) -> str:
-    """One sentence for what ended the watching; raised again under $ROTORWATCH_DEBUG."""
-    if os.environ.get("ROTORWATCH_DEBUG"):
-        raise why
-    if isinstance(why, RotorwatchError):
-        return str(why)
-    text = " ".join(f"{type(why).__name__}: {why}".split())[:200]
-    return f"an error in rotorwatch itself ({text}); please report it"
-
-
 class Watched:
     """A vehicle by its name. tell: called with each alert, a dict (docs/watch.md)."""
 
     def __init__(self, name: str, tell: Tell, vehicle: Vehicle | None = None):
         self.name, self.health, self.trouble, self.notice = name, Health(), "", ""
+        self.broken = False  # by an error of rotorwatch's own, not for what the vehicle is
         self._tell, self._given = tell, vehicle
         self.session: Session | None = None
         self.rotors = Rotors()
@@ -64,7 +55,8 @@ class Watched:
 
     def begin(self, about: Flight) -> None:
         """A flight begins: what is known of it besides its signals."""
-        self.session, self.changes, self.trouble = Session(about, self._given), Changes(), ""
+        self.session, self.changes = Session(about, self._given), Changes()
+        self.trouble, self.broken = "", False
         self.rotors = Rotors()
         self._looked, self._said = -np.inf, 0
 
@@ -81,10 +73,11 @@ class Watched:
                 frame = self.session.vehicle
                 self._tell({"type": "vehicle", "vehicle": self.name, "frame": frame.name, "rotors": len(frame.rotors)})
         except Exception as why:
-            self._fail(why)
+            self.fail(why)
 
-    def _fail(self, why: Exception) -> None:
-        self.trouble = trouble(why)
+    def fail(self, why: Exception) -> None:
+        """It cannot be judged any more, as it is."""
+        self.trouble, self.broken = trouble(why), not isinstance(why, RotorwatchError)
         self.say(self.trouble, "error")
 
     def advance(self, complete: float | None = None) -> bool:
@@ -92,10 +85,15 @@ class Watched:
         if self.session is None or self.trouble:
             return False
         try:
-            stepped = self.session.advance(complete)
+            stepped = self._advanced(complete)
         except Exception as why:  # of one vehicle; the others are watched on
-            self._fail(why)
+            self.fail(why)
             return False
+        return stepped
+
+    def _advanced(self, complete: float | None) -> bool:
+        assert self.session is not None
+        stepped = self.session.advance(complete)
         if stepped and self.session.flying and self.session.limits != self._limits:
             self._limits = self.session.limits
             if self._limits:
@@ -109,8 +107,11 @@ class Watched:
         """The flight has ended: the last word on each event."""
         if self.session is None or self.trouble:
             return
-        self.session.finish(self.session.now if duration is None else duration)
-        self._look(final=True)
+        try:
+            self.session.finish(self.session.now if duration is None else duration)
+            self._look(final=True)
+        except Exception as why:
+            self.fail(why)
 
     def withdraw(self) -> None:
         """Take back what was told of this flight: it was judged as another vehicle's."""
