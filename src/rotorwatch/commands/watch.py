@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import sys
@@ -14,7 +13,7 @@ import click
 from rotorwatch.commands.tools import LOG, OUT, common, label, progress, say
 from rotorwatch.errors import ConfigError
 
-FAULT, NOTHING = 1, 3
+FAULT, ERROR, NOTHING = 1, 2, 3
 
 
 def register(group: click.Group) -> None:
@@ -61,7 +60,9 @@ def watch(
     for endpoint in filter(is_endpoint, endpoints):
         opened[endpoint] = open_endpoint(endpoint)
         click.get_current_context().call_on_close(opened[endpoint].close)
+    from rotorwatch.live.beside import Beside
     from rotorwatch.live.link import Link
+    from rotorwatch.live.watch import Guarded
     from rotorwatch.live.watch import watch as run
 
     rate = _speed(speed)
@@ -69,11 +70,22 @@ def watch(
     shown = _lines if jsonl else (lambda alert: None) if _screen() else _sentences(quiet)
     sources: list[Any] = []
     outlets = _outlets(webhook, metrics, tell_ground, listen_only, shown)
+    beside = Beside(say)
+    unread: list[OSError] = []
 
     def tell(alert: dict) -> None:
-        shown(alert)
+        if not unread or not isinstance(unread[0], BrokenPipeError):
+            try:
+                shown(alert)
+            except OSError as why:  # whoever reads it has gone, or the disk is full: told at the end, when all is done
+                unread.append(why)
+                del unread[1:]
         for outlet in outlets:
-            outlet.take(alert)
+            beside.run(type(outlet).__name__.lower(), outlet.take, alert)
+
+    def unheard() -> bool:
+        """Whether the reader of standard output (head) has seen enough, and nothing else is done with what is found."""
+        return bool(unread) and isinstance(unread[0], BrokenPipeError) and not outlets and record is None
 
     try:
         for endpoint in endpoints:
@@ -85,11 +97,20 @@ def watch(
         for left in (*sources, *outlets):
             left.leave()
         raise
+    guarded = [Guarded(name, source, tell) for name, source in zip(endpoints, sources)]
     if jsonl or not _screen():
-        run(sources, None, seconds, outlets)
+        run(guarded, None, seconds, outlets, beside, unheard)
     else:
-        _drawn(lambda show: run(sources, show, seconds, outlets))
-    raise click.exceptions.Exit(_code([v for source in sources for v in source.vehicles]))
+        _drawn(lambda show: run(guarded, show, seconds, outlets, beside, unheard))
+    if unread:
+        raise unread[0]
+    code = _code([v for source in sources for v in source.vehicles])
+    ended = next((source.why for source in guarded if source.why is not None), None)
+    if code != FAULT and ended is not None and (jsonl or quiet or _screen()):
+        raise ended
+    if code != FAULT and (ended or beside.failed or any(getattr(source, "trouble", "") for source in sources)):
+        code = ERROR
+    raise click.exceptions.Exit(code)
 
 
 def _outlets(webhook: str | None, metrics: str | None, tell_ground: bool, listen_only: bool, shown) -> list[Any]:
@@ -173,7 +194,9 @@ def _replay(endpoint: str, tell, known, speed: float, quiet: bool) -> Any:
 
 def _lines(alert: dict) -> None:
     """Alerts for programs."""
-    click.echo(json.dumps(alert, allow_nan=False))
+    from rotorwatch.live.beside import as_json
+
+    click.echo(as_json(alert))
 
 
 def _sentences(quiet: bool):

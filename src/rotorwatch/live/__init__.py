@@ -19,6 +19,8 @@ rotors.py     what ESC telemetry says of a vehicle that flies
 changes.py    what is new about the events
 watched.py    one vehicle, what was told of it, and the health of its link
 watch.py      all vehicles of all endpoints, in one loop
+beside.py     what is done besides judging and must not end it
+record.py     a link as a telemetry log
 view.py       them in a terminal
 webhook.py    alerts to a web address
 metrics.py    what is known of each vehicle, for Prometheus

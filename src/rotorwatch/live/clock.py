@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 WRAP_US = 2.0**32  # SERVO_OUTPUT_RAW's microseconds start again there
 BACK_US = 0.5e6  # messages of one moment come in any order; a longer step back is no matter of that
 AHEAD_US = 10e6  # a stamp so much ahead of what the time of arrival allows is damaged, unless others follow it
@@ -25,8 +27,7 @@ class Clock:
     def take(self, stamp: float, arrival: float, short: bool) -> float | None:
         """Time [s since start] of a message with this stamp [us] that arrived at `arrival` [s, any clock that does not jump]; short: of 32
         bits. None for a stamp that is not believed. Raises Restarted when the vehicle's clock began anew."""
-        stamp, arrival = float(stamp), float(arrival)  # numbers of the language: what is made of them goes into JSON
-        if not 0.0 < stamp < 1e14:
+        if not (math.isfinite(stamp) and 0 < stamp < 1e14):
             return None
         if self.start is None:
             if short:
@@ -44,9 +45,9 @@ class Clock:
         self.refused += 1
         if self._other and abs(stamp - self._other[-1]) > AHEAD_US:
             self._other.clear()
-        self._other.append(stamp)
+        self._other = [*self._other[-SURE:], stamp]  # short ones alone decide nothing, however many come
         if len(self._other) >= SURE and not short:
-            raise Restarted(reboot=stamp < self._last)
+            raise Restarted(reboot=bool(stamp < self._last))
         return None
 
 

@@ -12,7 +12,8 @@ from rotorwatch.errors import LinkError
 
 AGAIN_S = 1.0  # between two attempts to connect again
 MOST = 65536
-ANSWERED, FORGOTTEN_S = 32, 60.0  # peers that are sent to, as long as they are heard: an address can be forged
+# Addresses that are answered, those heard last, and how long after they hear what is said to all: a watcher must not help to flood others.
+ANSWERED, ANSWERED_S = 64, 10.0
 KINDS = "udp:PORT, udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT or serial:DEVICE:BAUD"
 
 
@@ -63,8 +64,8 @@ class Endpoint:
         """To one peer, or to all that have been heard. What cannot be sent is lost, as on any link."""
         raise NotImplementedError
 
-    def heard(self, peer: Any) -> None:
-        """What this peer sends is MAVLink: it is answered."""
+    def answers(self, peer: Any) -> None:
+        """This peer speaks MAVLink, and may be sent to."""
 
     def close(self) -> None:
         self.open = False
@@ -107,24 +108,20 @@ class Udp(Endpoint):
             found.append((peer, data))
         return found
 
-    def heard(self, peer: Any) -> None:
-        if None in self._peers:
-            return
-        now = time.monotonic()
-        if peer not in self._peers and len(self._peers) >= ANSWERED:
-            self._peers = {one: last for one, last in self._peers.items() if last > now - FORGOTTEN_S}
-        if peer in self._peers or len(self._peers) < ANSWERED:
-            self._peers[peer] = now
+    def answers(self, peer: Any) -> None:
+        if None not in self._peers:
+            self._peers.pop(peer, None)
+            self._peers[peer] = time.monotonic()
+            if len(self._peers) > ANSWERED:
+                del self._peers[next(iter(self._peers))]
 
     def send(self, data: bytes, peer: Any = None) -> None:
         for to in list(self._peers) if peer is None or None in self._peers else [peer]:
             try:
                 if to is None:
                     self._socket.send(data)
-                elif self._peers.get(to, 0.0) > time.monotonic() - FORGOTTEN_S:
+                elif to in self._peers and (peer is not None or self._peers[to] > time.monotonic() - ANSWERED_S):
                     self._socket.sendto(data, to)
-                else:
-                    self._peers.pop(to, None)
             except OSError:
                 pass
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import time
 from collections.abc import Callable
@@ -10,7 +11,7 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
-from rotorwatch import airframes, files
+from rotorwatch import airframes
 from rotorwatch.errors import LinkError, VehicleError
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
@@ -19,12 +20,15 @@ from rotorwatch.live import mavlink, talk
 from rotorwatch.live.clock import Restarted
 from rotorwatch.live.endpoint import Endpoint
 from rotorwatch.live.frames import Frames, Outgoing, Sender
+from rotorwatch.live.record import Record
 from rotorwatch.live.senders import Senders
 from rotorwatch.live.watched import Tell, Watched
 from rotorwatch.logs.px4_topics import MAV_TYPES
 from rotorwatch.logs.tlog import FORMAT
 
 BEAT_S, HELLO_S = 1.0, 0.5
+ANEW_S, ANEW_MOST_S = 1.0, 60.0  # before a vehicle is watched anew after an error: doubled each time
+VEHICLES = 100  # of a link; five times what one process judges
 ALL_S = 0.05  # between two looks at vehicles of which nothing has come
 SILENT_S = 3.0
 PEERS = 200  # whose unfinished frames are kept
@@ -55,6 +59,7 @@ class Heard:
         self._silent = self._mixed = False
         self._senders = Senders()
         self._first = link.clock()
+        self._anew_s, self._anew_at = ANEW_S, math.inf
 
     def counted(self, sequence: int) -> bool:
         """Whether a frame with this running number is new."""
@@ -81,7 +86,13 @@ class Heard:
         return not self._mixed
 
     def on(self, identity: int, frame: bytes, arrival: float) -> None:
-        """One frame of the autopilot."""
+        """One frame of the autopilot. What goes wrong with it is this vehicle's alone."""
+        try:
+            self._on(identity, frame, arrival)
+        except Exception as why:
+            self.watched.fail(why)
+
+    def _on(self, identity: int, frame: bytes, arrival: float) -> None:
         self.watched.health.heard = arrival
         if not self._told_apart():
             return
@@ -134,6 +145,25 @@ class Heard:
 
     def step(self, now: float) -> None:
         """Judge what has come, and ask for what is missing."""
+        try:
+            self._recover(now)
+            self._step(now)
+        except Exception as why:
+            self.watched.fail(why)
+
+    def _recover(self, now: float) -> None:
+        """After an error of rotorwatch's own the vehicle is watched anew: what led to it may not come again."""
+        if not self.watched.broken:
+            self._anew_at = math.inf
+        elif self._anew_at == math.inf:
+            self._anew_at = now + self._anew_s
+            self._anew_s = min(2.0 * self._anew_s, ANEW_MOST_S)
+        elif now >= self._anew_at:
+            self._anew_at, self.watched.broken = math.inf, False
+            self.watched.say("after an error the vehicle is watched anew")
+            self._anew()
+
+    def _step(self, now: float) -> None:
         if now - self.watched.health.heard > SILENT_S and not self._silent:
             self._silent = True
             self.watched.say(f"nothing has been heard for {SILENT_S:.0f} s")
@@ -154,7 +184,7 @@ class Heard:
 
     def _know(self, now: float) -> None:
         """Parameters, from the vehicle or kept from earlier; when they are there, it is watched."""
-        if self._link.talks:
+        if self._link.talks and not self._silent:
             self._parameters.step(now, self._send)
             self._identity.step(now, self._send)
             if now - self._first > HELLO_S and not self._rates.done:
@@ -226,11 +256,15 @@ class Heard:
             return ""
         return f"parameters, {self._parameters.share:.0%}" if self._parameters.count else "parameters"
 
-    def leave(self) -> None:
-        """Give back what was asked for; the last word on each event."""
+    def give_back(self) -> None:
+        """What was asked for."""
         if self._link.talks:
             self._rates.give_back(self._send)
-        self.watched.finish()
+
+    @property
+    def empty(self) -> bool:
+        """Whether nothing has come of it that could be judged."""
+        return self.watched.session is None or self.watched.session.vehicle is None
 
 
 class Link:
@@ -254,9 +288,10 @@ class Link:
         self._began, self._beat = clock(), 0.0
         self._sender = Sender(talk.SYSTEM, talk.COMPONENT)
         self._tellers: dict[int, Sender] = {}
-        self._first_version = self._full = False
-        self._file = self._open(record) if record is not None else None
-        self.trouble = ""
+        self._first_version = False
+        self.trouble = ""  # that does not end it: a recording that has stopped
+        self._record = self._open(record) if record is not None else None
+        self._crowded = -math.inf
 
     @property
     def damaged(self) -> int:
@@ -271,10 +306,14 @@ class Link:
         """Each vehicle with what is not known of it yet."""
         return [(heard.watched, heard.waits_for()) for heard in self._heard.values()]
 
-    def _open(self, folder: Path):
+    def _open(self, folder: Path) -> Record:
         name = re.sub(r"[^A-Za-z0-9]+", "-", self.endpoint.name).strip("-")
         path = folder / f"{name}-{datetime.now(timezone.utc):%Y%m%dT%H%M%S}.tlog"
-        return open(files.writable(path, "--record", make=True), "wb")
+        return Record(path, self._unrecorded)
+
+    def _unrecorded(self, text: str) -> None:
+        self.trouble = text
+        self._tell({"type": "error", "vehicle": self.endpoint.name, "text": text})
 
     def poll(self, wait_s: float) -> bool:
         """Take what has come."""
@@ -291,7 +330,8 @@ class Link:
         if self.talks and now - self._beat > BEAT_S:
             self._beat = now
             self.send(talk.heartbeat())
-            self._recorded(lambda file: file.flush())
+        if self._record is not None:
+            self._record.step()
         for heard in self._fresh:
             try:
                 heard.step(now)
@@ -336,10 +376,13 @@ class Link:
             parser = self._parsers[peer] = Frames()
             if len(self._parsers) > PEERS:
                 self._damaged_before += self._parsers.pop(next(iter(self._parsers))).damaged
-        arrival, stamp, known = self.clock(), int(time.time() * 1e6), self.frames
-        for frame in parser.on(data):
+        arrival, frames = self.clock(), parser.on(data)
+        if frames:
+            self.endpoint.answers(peer)
+        for frame in frames:
             self.frames += 1
-            self._recorded(lambda file, frame=frame: file.write(stamp.to_bytes(8, "big") + frame))
+            if self._record is not None:
+                self._record.add(frame)
             self._dispatch(peer, frame, arrival)
         if self.frames > known:
             self.endpoint.heard(peer)
@@ -402,11 +445,7 @@ class Link:
                     }
                 )
             return
-        if len(self._heard) >= VEHICLES:
-            if not self._full:
-                self._full = True
-                text = f"more than {VEHICLES} vehicles are heard on this link; those that came last are left out"
-                self._tell({"type": "error", "vehicle": self.endpoint.name, "text": text})
+        if len(self._heard) >= VEHICLES and not self._room():
             return
         self._first_version = frame[0] == 0xFE
         name = self._name(system, component)
@@ -416,12 +455,30 @@ class Link:
         self._heard[system, component] = Heard(watched, (system, component), words, kind, self, peer)
         watched.say(f"{words}, {MAV_TYPES[kind][0]}")
 
+    def _room(self) -> bool:
+        """Whether there is room for one more vehicle: that of one of which nothing but a heartbeat has come, and which is silent."""
+        now = self.clock()
+        for key, heard in self._heard.items():
+            if heard.empty and now - heard.watched.health.heard > SILENT_S:
+                heard.give_back()
+                self._fresh.pop(heard, None)
+                del self._heard[key]
+                return True
+        if now - self._crowded > 60.0:
+            self._crowded = now
+            text = f"more than {VEHICLES} vehicles are heard here; the others are left out"
+            self._tell({"type": "error", "vehicle": self.endpoint.name, "text": text})
+        return False
+
     def _name(self, system: int, component: int) -> str:
         return f"{self.endpoint.name}/{system}" + (f".{component}" if component != 1 else "")
 
     def leave(self) -> None:
-        """Give back what was asked for, and close."""
+        """Give back what was asked for, and close. The vehicles come first: there may be no time for more."""
         for heard in self._heard.values():
-            heard.leave()
-        self._recorded(lambda file: file.close())
+            heard.give_back()
+        if self._record is not None:
+            self._record.close()
+        for heard in self._heard.values():
+            heard.watched.finish()
         self.endpoint.close()

@@ -147,4 +147,6 @@ def table(sources: Sequence[Source]) -> Any:
                     (0, 0, 0, 9),
                 )
             )
+        if said := getattr(source, "trouble", ""):
+            parts.append(Text(said, "bold red"))
     return Group(*parts) if parts else Text("nothing has been heard yet")

@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import gc
 import math
+import signal
+import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Protocol
 
-from rotorwatch.live.watched import Watched, trouble
+from rotorwatch.errors import RotorwatchError
+from rotorwatch.live.beside import Beside, trouble
+from rotorwatch.live.watched import Tell, Watched
 
 SHOW_S, WAIT_S, STEP_S = 0.25, 0.005, 0.05
+FIRST_S, LONGEST_S = 0.25, 10.0  # before a source that has failed is tried again: doubled each time
 
 
 class Source(Protocol):
@@ -50,57 +56,120 @@ class Outlet(Protocol):
         ...
 
 
-class Beside:
-    """An outlet whose trouble ends nothing else. tell: called with one sentence about it, once."""
+class Guarded:
+    """A source that cannot take the others down. What it says of itself ends it; any other error is told, and it is tried again.
 
-    def __init__(self, outlet: Outlet, tell: Callable[[str], None]):
-        self._outlet, self._tell, self._told = outlet, tell, False
+    trouble: why it is not watched, in a sentence, empty while it is. ended: for good. why: the first error there was."""
 
-    def take(self, alert: dict) -> None:
-        self._do(self._outlet.take, alert)
+    def __init__(self, name: str, source: Source, tell: Tell):
+        self.name, self.source, self._tell = name, source, tell
+        self.ended, self.trouble = False, ""
+        self.why: Exception | None = None
+        self._said, self._again, self._pause = "", -math.inf, 0.0
 
-    def step(self, sources: Sequence[Source]) -> None:
-        self._do(self._outlet.step, sources)
+    @property
+    def vehicles(self) -> Sequence[Watched]:
+        return self.source.vehicles
+
+    def shown(self) -> Sequence[tuple[Watched, str]]:
+        return self.source.shown()
+
+    def poll(self, wait_s: float) -> bool:
+        """As the source does."""
+        now = time.monotonic()
+        if now < self._again:
+            time.sleep(wait_s)
+            return True
+        try:
+            self.ended = not self.source.poll(wait_s)
+        except Exception as why:
+            self.ended = isinstance(why, RotorwatchError)
+            self._pause = min(2.0 * self._pause or FIRST_S, LONGEST_S)
+            self._again = now + self._pause
+            self._fail(why)
+        else:
+            self.trouble = ""
+            if self._pause and now > self._again + LONGEST_S:
+                self._said, self._pause = "", 0.0
+        return not self.ended
 
     def leave(self) -> None:
-        self._do(self._outlet.leave)
-
-    def _do(self, what: Callable, *given) -> None:
         try:
-            what(*given)
+            self.source.leave()
         except Exception as why:
-            if not self._told:
-                self._told = True
-                self._tell(f"{type(self._outlet).__name__.lower()}: {trouble(why)}")
+            self._fail(why)
+        self.ended = True
+
+    def _fail(self, why: Exception) -> None:
+        self.why = self.why or why
+        self.trouble = trouble(why)
+        if self.trouble != self._said:
+            self._said = self.trouble
+            self._tell({"type": "error", "vehicle": self.name, "text": self.trouble})
 
 
 def watch(
-    sources: Sequence[Source], show: Callable[[Sequence[Source]], None] | None = None, seconds: float = math.inf,
-    outlets: Sequence[Outlet] = (),
+    sources: Sequence[Guarded], show: Callable[[Sequence[Source]], None] | None = None, seconds: float = math.inf,
+    outlets: Sequence[Outlet] = (), beside: Beside | None = None, ends: Callable[[], bool] = lambda: False,
 ) -> None:  # fmt: skip
-    """Watch until all sources have ended, for so many seconds, or until interrupted. show: called with them a few times a second.
-    outlets: get the loop's turns; alerts come to them by the sources' `tell`."""
+    """Watch until all sources have ended, for so many seconds, until `ends`, or until the program is asked to end.
+
+    show: called with the sources a few times a second. outlets: get the loop's turns; alerts come to them by the sources' `tell`. beside:
+    does all that is no judging.
+    """
+    beside = Beside(lambda text: None) if beside is None else beside
+    watched = [source.source for source in sources]
     gc.collect()
     gc.freeze()  # what is loaded stays: looking through it for garbage again and again would stop the judging for tenths of a second
     alive, shown, stepped, began = list(sources), 0.0, 0.0, time.monotonic()
+    with _asked_to_end() as asked:
+        try:
+            while alive and not asked and not ends() and time.monotonic() - began < seconds:
+                alive = [source for source in alive if source.poll(WAIT_S / len(alive))]
+                now = time.monotonic()
+                if outlets and now - stepped > STEP_S:
+                    stepped = now
+                    for outlet in outlets:
+                        beside.run(_name(outlet), outlet.step, watched)
+                if show is not None and now - shown > SHOW_S:
+                    beside.run("the picture", show, watched)
+                    shown = now
+        except KeyboardInterrupt:
+            pass
+        finally:
+            gc.unfreeze()
+            for source in sources:
+                source.leave()
+            for outlet in outlets:
+                beside.run(_name(outlet), outlet.leave)
+            if show is not None:
+                beside.run("the picture", show, watched)
+
+
+def _name(outlet: Outlet) -> str:
+    return type(outlet).__name__.lower()
+
+
+@contextmanager
+def _asked_to_end() -> Iterator[list[int]]:
+    """A list that is no longer empty once the program is asked to end: by Ctrl-C, by SIGTERM, or as its terminal is closed. Nothing is
+    interrupted by that, so that the last word on each vehicle can be said; who asks again ends it at once."""
+    asked: list[int] = []
+
+    def ask(number: int, frame: object) -> None:
+        asked.append(number)
+        if len(asked) > 1:
+            raise KeyboardInterrupt
+
+    before = {}
+    if threading.current_thread() is threading.main_thread():
+        for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+            number = getattr(signal, name, None)
+            # One that is ignored stays so: of a command in the background, or under nohup.
+            if number is not None and signal.getsignal(number) not in (signal.SIG_IGN, None):
+                before[number] = signal.signal(number, ask)
     try:
-        while alive and time.monotonic() - began < seconds:
-            alive = [source for source in alive if source.poll(WAIT_S / len(alive))]
-            now = time.monotonic()
-            if outlets and now - stepped > STEP_S:
-                stepped = now
-                for outlet in outlets:
-                    outlet.step(sources)
-            if show is not None and now - shown > SHOW_S:
-                show(sources)
-                shown = now
-    except KeyboardInterrupt:
-        pass
+        yield asked
     finally:
-        gc.unfreeze()
-        for source in sources:
-            source.leave()
-        for outlet in outlets:
-            outlet.leave()
-        if show is not None:
-            show(sources)
+        for number, handler in before.items():
+            signal.signal(number, handler)

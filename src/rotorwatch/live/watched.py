@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
@@ -13,6 +12,7 @@ from rotorwatch.diagnosis import Event
 from rotorwatch.errors import RotorwatchError
 from rotorwatch.flight import Flight, Message, Signal
 from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.live.beside import trouble
 from rotorwatch.live.changes import WITHDRAWN, Change, Changes
 from rotorwatch.live.rotors import Rotors
 from rotorwatch.live.session import Session
@@ -41,21 +41,12 @@ class Health:
         return self.lost / max(self.lost + self.taken, 1)
 
 
-def trouble(why: Exception) -> str:
-    """One sentence for what ended the watching; raised again under $ROTORWATCH_DEBUG."""
-    if os.environ.get("ROTORWATCH_DEBUG"):
-        raise why
-    if isinstance(why, RotorwatchError):
-        return str(why)
-    text = " ".join(f"{type(why).__name__}: {why}".split())[:200]
-    return f"an error in rotorwatch itself ({text}); please report it"
-
-
 class Watched:
     """A vehicle by its name. tell: called with each alert, a dict (docs/watch.md)."""
 
     def __init__(self, name: str, tell: Tell, vehicle: Vehicle | None = None):
         self.name, self.health, self.trouble, self.notice = name, Health(), "", ""
+        self.broken = False  # by an error of rotorwatch's own, not for what the vehicle is
         self._tell, self._given = tell, vehicle
         self.session: Session | None = None
         self.rotors = Rotors()
@@ -64,7 +55,8 @@ class Watched:
 
     def begin(self, about: Flight) -> None:
         """A flight begins: what is known of it besides its signals."""
-        self.session, self.changes, self.trouble = Session(about, self._given), Changes(), ""
+        self.session, self.changes = Session(about, self._given), Changes()
+        self.trouble, self.broken = "", False
         self.rotors = Rotors()
         self._looked, self._said = -np.inf, 0
 
@@ -84,29 +76,31 @@ class Watched:
             self.fail(why)
 
     def fail(self, why: Exception) -> None:
-        """It cannot be judged further: said once, until another flight begins. What nobody listens to any more is raised."""
-        if isinstance(why, BrokenPipeError):
-            raise why
-        if not self.trouble:
-            self.trouble = trouble(why)
-            self.say(self.trouble, "error")
+        """It cannot be judged any more, as it is."""
+        self.trouble, self.broken = trouble(why), not isinstance(why, RotorwatchError)
+        self.say(self.trouble, "error")
 
     def advance(self, complete: float | None = None) -> bool:
         """Judge what has come; whether there was a tick."""
         if self.session is None or self.trouble:
             return False
         try:
-            stepped = self.session.advance(complete)
-            if stepped and self.session.flying and self.session.limits != self._limits:
-                self._limits = self.session.limits
-                if self._limits:
-                    self.say(self._limits)
-            said = self.session.said
-            if said != self._said or ((said or self.changes.now) and self.session.now - self._looked > LOOK_S):
-                self._look()
+            stepped = self._advanced(complete)
         except Exception as why:  # of one vehicle; the others are watched on
             self.fail(why)
             return False
+        return stepped
+
+    def _advanced(self, complete: float | None) -> bool:
+        assert self.session is not None
+        stepped = self.session.advance(complete)
+        if stepped and self.session.flying and self.session.limits != self._limits:
+            self._limits = self.session.limits
+            if self._limits:
+                self.say(self._limits)
+        said = self.session.said
+        if said != self._said or ((said or self.changes.now) and self.session.now - self._looked > LOOK_S):
+            self._look()
         return stepped
 
     def finish(self, duration: float | None = None) -> None:

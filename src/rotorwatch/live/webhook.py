@@ -6,7 +6,6 @@ library would not bring.
 
 from __future__ import annotations
 
-import json
 import threading
 import time
 import urllib.error
@@ -16,7 +15,7 @@ from collections import deque
 from collections.abc import Callable
 
 from rotorwatch.errors import ConfigError
-from rotorwatch.shown import public
+from rotorwatch.live.beside import as_json
 
 MOST = 1000  # alerts that wait; beyond, the oldest go
 TIMEOUT_S = 10.0
@@ -60,6 +59,9 @@ class Webhook:
         self._news: deque[str] = deque(maxlen=100)
         self._ends: float | None = None
         self._open = urllib.request.build_opener(_Here)
+        self._start()
+
+    def _start(self) -> None:
         self._thread = threading.Thread(target=self._work, name="webhook", daemon=True)
         self._thread.start()
 
@@ -69,11 +71,16 @@ class Webhook:
             if len(self._queue) >= MOST:
                 self._queue.popleft()
                 self.dropped += 1
-            self._queue.append(json.dumps(alert, allow_nan=False).encode())
+            self._queue.append(as_json(alert).encode())
             self._change.notify()
 
     def step(self, sources=()) -> None:
         """Tell what there is to tell; called by the loop, so that all is told by one thread."""
+        if self._ends is None and not self._thread.is_alive():
+            self._start()
+            self._news.append(
+                f"{self.name}: sending alerts had ended by an error in rotorwatch itself and begins again; please report it"
+            )
         while self._news:
             self._told(self._news.popleft())
 

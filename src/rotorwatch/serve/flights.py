@@ -6,6 +6,7 @@ import queue
 import re
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -103,12 +104,17 @@ class Keeper:
         while (entry := self._queue.get()) is not None:
             while True:
                 try:
-                    self._told(self._flights.keep(entry))
-                    break
-                except Exception as why:  # whatever it is, the next flight is waiting
-                    self._trouble(f"The flight of {entry.name} is not in the list yet: {why}")
+                    row = self._flights.keep(entry)
+                except Exception as why:  # whatever a store does: it is tried again
+                    reason = why if isinstance(why, RotorwatchError) else f"{type(why).__name__}: {why}"
+                    with suppress(Exception):
+                        self._trouble(f"The flight of {entry.name} is not in the list yet: {reason}")
                     if self._leaving.wait(AGAIN_S):
                         break
+                    continue
+                with suppress(Exception):  # it is kept, whether the pages hear of it or not
+                    self._told(row)
+                break
 
 
 def _shown(row: dict[str, Any]) -> dict[str, Any]:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-import json
 import secrets
 import threading
 from collections import deque
 from collections.abc import AsyncIterator, Callable
 from typing import Any
+
+from rotorwatch.live.beside import as_json
 
 KEPT = 400  # messages for a page that was away for a while: 100 s of them while something is watched
 BEAT_S = 10.0  # a line without meaning so often keeps a quiet connection open, and shows when it is gone
@@ -77,7 +78,7 @@ class Hub:
             return self._frame("state", self._state(), self._last), self._last
 
     def _frame(self, kind: str, data: Any, number: int) -> str:
-        return f"id: {self._run}-{number}\nevent: {kind}\ndata: {json.dumps(data, allow_nan=False, default=_plain)}\n\n"
+        return f"id: {self._run}-{number}\nevent: {kind}\ndata: {as_json(data)}\n\n"
 
     def _ring(self) -> None:
         for bell in self._bells:

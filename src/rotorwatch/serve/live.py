@@ -4,26 +4,30 @@ from __future__ import annotations
 
 import logging
 import math
+import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from rotorwatch.answer import places
-from rotorwatch.errors import ConfigError
+from rotorwatch.errors import ConfigError, RotorwatchError
 from rotorwatch.fleet.store import Entry
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.live import view
+from rotorwatch.live import watch as loop
+from rotorwatch.live.beside import Beside
 from rotorwatch.live.endpoint import KINDS, is_endpoint, open_endpoint
 from rotorwatch.live.link import Link
 from rotorwatch.live.replay import Replay
-from rotorwatch.live.watch import Source, watch
-from rotorwatch.live.watched import Tell, Watched, trouble
+from rotorwatch.live.watch import Source
+from rotorwatch.live.watched import Tell, Watched
 from rotorwatch.report import colours, drawing
 from rotorwatch.serve import landed
 from rotorwatch.serve.hub import Hub
@@ -33,6 +37,7 @@ STEP_S = 0.2  # between two points of a band, of the vehicle's time, until there
 POINTS = 600  # of a band; when there are twice as many every second one goes, so that the whole flight stays in view
 SAID = 100  # sentences that are kept
 LAST_WORD_S = 60.0  # for what was heard and is not judged yet, when the server is stopped
+LASTS_S = 60.0  # a loop that has gone on for so long begins again at once after an error
 EVENTS = 30  # of a vehicle that are shown, the newest
 AGAIN_S = 5.0  # after an error of a link, until it is opened again
 
@@ -191,34 +196,20 @@ class Shown:
         }  # fmt: skip
 
 
-class Guarded:
-    """A source that cannot take the others down. opened: opens it, and, if it is a link, opens it again after an error. trouble: what went
-    wrong, in a sentence."""
+class Guarded(loop.Guarded):
+    """As in the terminal; what it shows is kept after each step."""
 
-    def __init__(self, name: str, opened: Callable[[], Source], feed: Feed):
-        self.name, self.source, self._feed, self._opened = name, opened(), feed, opened
-        self.ended, self.trouble = False, ""
-        self._again = math.inf
-        self.lists = isinstance(self.source, Link)  # a log that is replayed can be dropped into the list
-
-    @property
-    def vehicles(self) -> Sequence[Watched]:
-        return self.source.vehicles
-
-    def shown(self) -> Sequence[tuple[Watched, str]]:
-        return self.source.shown()
+    def __init__(self, name: str, source: Source, feed: Feed, make: Callable[[], Source] | None = None):
+        """make: opens it again; None for one that cannot be."""
+        super().__init__(name, source, feed.tell)
+        self._feed, self._make = feed, make
+        self.lists = isinstance(source, Link)  # a log that is replayed can be dropped into the list
 
     def poll(self, wait_s: float) -> bool:
-        """As the source does; after an error a link is opened again, all else has ended with a sentence."""
-        if self.trouble and not self.ended:
-            self._open_again(wait_s)
-            return not self.ended
-        try:
-            self.ended = self._feed.stopped or not self.source.poll(wait_s)
-        except Exception as why:
-            self._fail(why)
-        self._feed.sample(self, all_is_over=bool(self.trouble))
-        return not self.ended
+        more = not self._feed.stopped and super().poll(wait_s)
+        self.ended = not more
+        self._feed.sample(self)
+        return more
 
     def _open_again(self, wait_s: float) -> None:
         self.ended = self._feed.stopped
@@ -233,24 +224,27 @@ class Guarded:
             self._fail(why)
 
     def leave(self) -> None:
-        try:
-            self.source.leave()
-        except Exception as why:
-            self._fail(why)
+        super().leave()
         self._feed.sample(self, all_is_over=True)
 
-    def _fail(self, why: Exception) -> None:
-        said, self.trouble = self.trouble, trouble(why)
-        self.ended, self._again = not self.lists, time.monotonic() + AGAIN_S
-        if self.trouble != said:
-            self._feed.tell({"type": "error", "vehicle": self.name, "text": self.trouble})
+    def again(self) -> None:
+        """Open it again, after it was left because of an error."""
+        if self._make is None or (self.ended and isinstance(self.why, RotorwatchError)):
+            return
+        try:
+            self.source, self.ended, self.trouble = self._make(), False, ""
+        except Exception as why:
+            self._fail(why)
 
     def about(self) -> dict[str, str]:
         """What the page says of the endpoint."""
         count = len(self.vehicles)
         state = "has ended" if self.ended else "is watched" if count else "waits for a vehicle"
-        if isinstance(self.source, Link) and self.source.damaged and not self.source.frames:
-            state = "bytes come, but none of them are MAVLink"
+        if isinstance(self.source, Link):
+            if self.source.damaged and not self.source.frames:
+                state = "bytes come, but none of them are MAVLink"
+            if self.source.trouble:
+                state += f"; {self.source.trouble}"
         return {"name": self.name, "text": self.trouble or state}
 
 
@@ -262,32 +256,55 @@ class Feed:
         self.ended = ended
         self.hub = Hub(self.state)
         self.stopped = False
-        self.trouble = ""
+        self.beside = Beside(self._error)
         self._sources: list[Guarded] = []
         self._shown: dict[int, Shown] = {}
         self._said: deque[dict[str, Any]] = deque(maxlen=SAID)
         self._endpoints: list[dict[str, str]] = []
         self._vehicles: list[tuple[Shown, dict[str, Any]]] = []
         self._thread: threading.Thread | None = None
+        self._keys = 0
+        self.failed = ""  # why the loop has ended by itself, if it has
 
     def open(self, endpoint: str, *about: Any) -> None:
         """Add an endpoint; `about`: the rest of `open_source`'s arguments. Raises RotorwatchError."""
         name = endpoint if is_endpoint(endpoint) else Path(endpoint).name
-        self._sources.append(Guarded(name, lambda: open_source(endpoint, self.tell, *about), self))
+        make = partial(open_source, endpoint, self.tell, *about)
+        self._sources.append(Guarded(name, make(), self, make if is_endpoint(endpoint) else None))
 
     def start(self) -> None:
         """Watch in a thread, if there is anything to be watched."""
         if self._sources and self._thread is None:
             self._endpoints = [source.about() for source in self._sources]
-            self._thread = threading.Thread(target=self._watch, daemon=True)
+            self._thread = threading.Thread(target=self._run, name="watch", daemon=True)
             self._thread.start()
 
-    def _watch(self) -> None:
-        try:
-            watch(self._sources, self._show)
-        except Exception as why:
-            self.trouble = f"Nothing is watched any more: {_failed('watching', why)}."
-            self.tell({"type": "error", "vehicle": "all", "text": self.trouble})
+    def _run(self) -> None:
+        """The loop. An error that gets through it is told, and links are opened again: flights until then have been listed."""
+        pause = loop.FIRST_S
+        while True:
+            began = time.monotonic()
+            try:
+                loop.watch(self._sources, lambda _: self._show(), beside=self.beside)
+                return
+            except BaseException as why:
+                text = " ".join(f"{type(why).__name__}: {why}".split())[:200]
+                self.failed = (
+                    f"Watching has ended by an error in rotorwatch itself ({text}); please report it. It begins again."
+                )
+                self._error(self.failed)
+            pause = loop.FIRST_S if time.monotonic() - began > LASTS_S else min(2.0 * pause, loop.LONGEST_S)
+            time.sleep(0.0 if self.stopped else pause)
+            if self.stopped:
+                return
+            for source in self._sources:
+                source.again()
+
+    def _error(self, text: str) -> None:
+        """An error beside the judging: in the log, and on the pages."""
+        with suppress(Exception):  # nobody reads it
+            print(f"rotorwatch: {text}", file=sys.stderr, flush=True)
+        self.tell({"type": "error", "vehicle": "rotorwatch", "text": text})
 
     def stop(self) -> None:
         """Watch no longer: links are left as they were found, pages are let go."""
@@ -327,7 +344,7 @@ class Feed:
         line = {"at": round(time.time()), "type": alert["type"], "vehicle": str(alert.get("vehicle", "")), "text": text}
         with self.hub.lock:
             self._said.append(line)
-            self.hub.publish("said", line)
+            self.beside.run("the page", self.hub.publish, "said", line)
 
     def sample(self, source: Guarded, all_is_over: bool = False) -> None:
         """Keep what is drawn over time of its vehicles, and the flights of links that have ended."""
@@ -338,24 +355,31 @@ class Feed:
             for watched in source.vehicles:
                 shown = self._shown.get(id(watched))
                 if shown is None:
-                    shown = self._shown[id(watched)] = Shown(len(self._shown) + 1, watched)
+                    self._keys += 1
+                    shown = self._shown[id(watched)] = Shown(self._keys, watched)
                 if source.lists:
-                    for entry in shown.over(all_is_over or shown.another):
-                        self.ended(entry)
-                if shown.sample():
-                    self.hub.publish("begun", {"key": shown.key})
+                    self.beside.run(f"the list of flights of {watched.name}", self._list, shown, all_is_over)
+                self.beside.run(f"what is drawn of {watched.name}", self._sample, shown)
 
-    def _show(self, _: Sequence[Source]) -> None:
-        self._apart(self._tick)
+    def _list(self, shown: Shown, all_is_over: bool) -> None:
+        for entry in shown.over(all_is_over or shown.another):
+            self.ended(entry)
 
-    def _tick(self) -> None:
+    def _sample(self, shown: Shown) -> None:
+        if shown.sample():
+            self.hub.publish("begun", {"key": shown.key})
+
+    def _show(self) -> None:
         with self.hub.lock:
-            vehicles = []
+            vehicles: list[tuple[Shown, dict[str, Any]]] = []
+            there = {id(watched) for source in self._sources for watched in source.vehicles}
+            self._shown = {key: shown for key, shown in self._shown.items() if key in there}
             for source in self._sources:
                 for watched, waits_for in source.shown():
                     shown = self._shown.get(id(watched))
                     if shown is not None:
-                        vehicles.append((shown, shown.now(waits_for)))
+                        # One that cannot be shown does not hide the others.
+                        self.beside.run(f"what is shown of {watched.name}", _one, vehicles, shown, waits_for)
             self._endpoints = [source.about() for source in self._sources]
             self._vehicles = vehicles
             told = [{**now, **shown.news()} for shown, now in vehicles]
@@ -365,3 +389,7 @@ class Feed:
         """All that a new page has to know; as of the last tick, since the thread that watches is at work meanwhile."""
         vehicles = [{**now, "frame": shown.frame, "points": shown.band.rows} for shown, now in self._vehicles]
         return {"endpoints": self._endpoints, "vehicles": vehicles, "said": list(self._said)}
+
+
+def _one(vehicles: list[tuple[Shown, dict[str, Any]]], shown: Shown, waits_for: str) -> None:
+    vehicles.append((shown, shown.now(waits_for)))

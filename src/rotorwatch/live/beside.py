@@ -1,0 +1,76 @@
+"""What is done beside the judging - showing, recording, telling, counting - and must never end it."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import sys
+import traceback
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+
+from rotorwatch.errors import RotorwatchError
+
+
+def trouble(why: BaseException) -> str:
+    """One sentence for an error; where it was, too, under $ROTORWATCH_DEBUG: on standard error, as nothing is ended by that either."""
+    if os.environ.get("ROTORWATCH_DEBUG") and sys.stderr is not None:
+        with suppress(Exception):
+            traceback.print_exception(type(why), why, why.__traceback__)
+    if isinstance(why, RotorwatchError):
+        return str(why)
+    text = " ".join(f"{type(why).__name__}: {why}".split())[:200]
+    return f"an error in rotorwatch itself ({text}); please report it"
+
+
+class Beside:
+    """Does such work. say: told once when a part of it begins to fail, and when it works again. failed: a sentence for each part that has
+    failed, by its name."""
+
+    def __init__(self, say: Callable[[str], None]):
+        self._say, self._failing = say, set[str]()
+        self.failed: dict[str, str] = {}
+
+    def run(self, what: str, work: Callable[..., Any], *args: Any) -> bool:
+        """Do it; whether it was done."""
+        try:
+            work(*args)
+        except Exception as why:
+            if what not in self._failing:
+                self._failing.add(what)
+                reason = f"{why.strerror or why}" if isinstance(why, OSError) else trouble(why)
+                self.failed[what] = f"{what}: {reason.rstrip('.')}; vehicles are judged on."
+                self._said(self.failed[what])
+            return False
+        if what in self._failing:
+            self._failing.discard(what)
+            self._said(f"{what}: it works again.")
+        return True
+
+    def _said(self, text: str) -> None:
+        with suppress(Exception):  # nobody hears it: `failed` remembers
+            self._say(text)
+
+
+def as_json(told: Any) -> str:
+    """JSON of what is told. A number of NumPy is a number; what is no number (nan, infinity) is null."""
+    try:
+        return json.dumps(told, allow_nan=False)
+    except (TypeError, ValueError):
+        return json.dumps(_plain(told), allow_nan=False)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, (np.generic, np.ndarray)):
+        value = value.tolist()
+    if isinstance(value, Mapping):
+        return {str(name): _plain(one) for name, one in value.items()}
+    if isinstance(value, (list, tuple, set, frozenset)):
+        return [_plain(one) for one in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value if value is None or isinstance(value, (str, int)) else str(value)
