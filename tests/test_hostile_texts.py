@@ -57,15 +57,10 @@ def commands(log: Path, folder: Path) -> list[list[str]]:
         ["info", str(log)],
         ["info", missing],
         ["diagnose", str(log)],
-        ["diagnose", str(log), str(SAMPLE), missing, "--jobs", "1"],
-        ["diagnose", str(log), "--jsonl"],
-        ["diagnose", str(log), "--vehicle", missing],
+        ["diagnose", str(log), missing, "--jobs", "1"],
         ["fleet", "add", str(log), "--store", store],
         ["fleet", "list", "--store", store],
         ["watch", str(log), "--speed", "max"],
-        ["watch", str(log), "--speed", "max", "--jsonl"],
-        ["watch", missing],
-        ["calibrate", str(log), "--out", missing],
     ]
 
 

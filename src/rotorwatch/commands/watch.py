@@ -135,11 +135,7 @@ def _outlets(webhook: str | None, metrics: str | None, tell_ground: bool, listen
         for outlet in outlets:
             outlet.leave()
         raise
-    from rotorwatch.live.watch import Beside
-
-    return [
-        Beside(outlet, lambda text: shown({"type": "error", "vehicle": "watch", "text": text})) for outlet in outlets
-    ]
+    return outlets
 
 
 def _screen() -> bool:

@@ -6,7 +6,6 @@ import math
 import re
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
@@ -32,7 +31,6 @@ VEHICLES = 100  # of a link; five times what one process judges
 ALL_S = 0.05  # between two looks at vehicles of which nothing has come
 SILENT_S = 3.0
 PEERS = 200  # whose unfinished frames are kept
-VEHICLES = 64  # of one link
 TREND, MIXED, UNMIXED = (
     0.02,
     0.3,
@@ -333,10 +331,7 @@ class Link:
         if self._record is not None:
             self._record.step()
         for heard in self._fresh:
-            try:
-                heard.step(now)
-            except Exception as why:  # of one vehicle; the others are watched on
-                heard.watched.fail(why)
+            heard.step(now)
         self._fresh = {}
         if not self._heard and now - self._began > self._patience_s:
             raise LinkError(self._nobody())
@@ -384,21 +379,6 @@ class Link:
             if self._record is not None:
                 self._record.add(frame)
             self._dispatch(peer, frame, arrival)
-        if self.frames > known:
-            self.endpoint.heard(peer)
-
-    def _recorded(self, write: Callable[[Any], Any]) -> None:
-        """Do that with the record, if there is one. It ends where it cannot be written, and nothing else does."""
-        if self._file is None:
-            return
-        try:
-            write(self._file)
-        except OSError as why:
-            file, self._file = self._file, None
-            with suppress(OSError):
-                file.close()
-            text = f"nothing is recorded any more ({why.strerror or why}); judging goes on"
-            self._tell({"type": "error", "vehicle": self.endpoint.name, "text": text})
 
     def _dispatch(self, peer: Any, frame: bytes, arrival: float) -> None:
         sequence, system, component, identity = mavlink.header(frame)
@@ -411,10 +391,7 @@ class Link:
             return
         self._fresh[heard] = None
         if heard.counted(sequence):
-            try:
-                heard.on(identity, frame, arrival)
-            except Exception as why:  # of one vehicle; the others are watched on
-                heard.watched.fail(why)
+            heard.on(identity, frame, arrival)
 
     def _followed(self, heard: Heard, peer: Any, arrival: float) -> bool:
         """Whether a vehicle is now heard through another peer. While its own still sends, what the other one sends under its id is another

@@ -18,7 +18,6 @@ from rotorwatch.logs import mavlink_esc, mavlink_frames, mavlink_messages, tlog
 AUTOPILOTS = {3: "ArduPilot", 12: "PX4"}
 UNKNOWN_S = 2.0  # a message that tells of a signal and falls silent for so long gives way to another one
 RATE_S = 3.0  # over which rates are counted
-MOST_PARAMETERS = 5000  # of a vehicle; ArduPilot has 1,500
 MOST_ROWS = 5000  # of a message, before its vehicle is known well enough to judge it
 MOST_PARAMETERS = 4096  # by name; autopilots have less than half of that
 SIGNALS = ("motors", "gyro", "accel", "attitude", "attitude_wanted", "velocity", "position", "battery")

@@ -16,6 +16,7 @@ from collections.abc import Callable
 
 from rotorwatch.errors import ConfigError
 from rotorwatch.live.beside import as_json
+from rotorwatch.shown import public
 
 MOST = 1000  # alerts that wait; beyond, the oldest go
 TIMEOUT_S = 10.0

@@ -12,6 +12,7 @@ from typing import Any
 
 from rotorwatch import files
 from rotorwatch.diagnosis import Diagnosis
+from rotorwatch.errors import RotorwatchError
 from rotorwatch.fleet.address import default_url
 from rotorwatch.fleet.store import Entry, Store
 from rotorwatch.report.html import page

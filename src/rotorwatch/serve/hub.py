@@ -83,10 +83,3 @@ class Hub:
     def _ring(self) -> None:
         for bell in self._bells:
             bell.set()
-
-
-def _plain(value: Any) -> Any:
-    """A number of NumPy as one of the language. Raises TypeError for all else."""
-    if hasattr(value, "tolist"):
-        return value.tolist()
-    raise TypeError(f"{type(value).__name__} cannot be told to a page")

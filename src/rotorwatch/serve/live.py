@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 import sys
 import threading
@@ -39,15 +38,6 @@ SAID = 100  # sentences that are kept
 LAST_WORD_S = 60.0  # for what was heard and is not judged yet, when the server is stopped
 LASTS_S = 60.0  # a loop that has gone on for so long begins again at once after an error
 EVENTS = 30  # of a vehicle that are shown, the newest
-AGAIN_S = 5.0  # after an error of a link, until it is opened again
-
-log = logging.getLogger(__name__)
-
-
-def _failed(doing: str, why: Exception) -> str:
-    """What is said of an error that nobody has foreseen; where it happened stands in the log."""
-    log.error("%s failed", doing, exc_info=why)
-    return f"an error in rotorwatch itself ({doing}: {type(why).__name__}: {why}); please report it"
 
 
 def open_source(
@@ -211,18 +201,6 @@ class Guarded(loop.Guarded):
         self._feed.sample(self)
         return more
 
-    def _open_again(self, wait_s: float) -> None:
-        self.ended = self._feed.stopped
-        if time.monotonic() < self._again:
-            time.sleep(wait_s)
-            return
-        with suppress(Exception):
-            self.source.leave()
-        try:
-            self.source, self.trouble = self._opened(), ""
-        except Exception as why:
-            self._fail(why)
-
     def leave(self) -> None:
         super().leave()
         self._feed.sample(self, all_is_over=True)
@@ -250,7 +228,7 @@ class Guarded(loop.Guarded):
 
 class Feed:
     """All endpoints, watched from `start` to `stop`; hub: tells the pages of them. ended: called with each flight that was heard over a
-    link and has ended; it must not wait. trouble: why nothing is watched any more, in a sentence; empty as long as all is well."""
+    link and has ended; it must not wait."""
 
     def __init__(self, ended: Callable[[Entry], None] = lambda entry: None):
         self.ended = ended
@@ -320,20 +298,6 @@ class Feed:
 
     def tell(self, alert: dict[str, Any]) -> None:
         """An alert of `watch`, as a sentence in the list of what was said."""
-        self._apart(self._tell, alert)
-
-    def _apart(self, what: Callable, *given: Any) -> None:
-        """Do what is not judging; an error of it ends nothing, and is said once."""
-        try:
-            what(*given)
-        except Exception as why:
-            text = _failed(what.__name__.strip("_"), why)
-            line = {"at": round(time.time()), "type": "error", "vehicle": "page", "text": text}
-            if not any(one["text"] == text for one in self._said):
-                self._said.append(line)
-                self.hub.publish("said", line)
-
-    def _tell(self, alert: dict[str, Any]) -> None:
         if alert["type"] == "event":
             event = alert["event"]
             text = f"{alert['state']}: {event['kind'].replace('_', ' ')} at {event['onset_s']:.1f} s; {event['reason']}"
@@ -348,9 +312,6 @@ class Feed:
 
     def sample(self, source: Guarded, all_is_over: bool = False) -> None:
         """Keep what is drawn over time of its vehicles, and the flights of links that have ended."""
-        self._apart(self._sample, source, all_is_over)
-
-    def _sample(self, source: Guarded, all_is_over: bool) -> None:
         with self.hub.lock:
             for watched in source.vehicles:
                 shown = self._shown.get(id(watched))

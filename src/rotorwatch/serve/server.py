@@ -69,8 +69,8 @@ def serve(
             application(feed, flights, limits, host, known), feed, listening, lambda: ready(address) if ready else None
         )
         flights.close()
-        if feed.trouble:
-            raise LinkError(feed.trouble)
+        if feed.failed:
+            raise LinkError(feed.failed)
     finally:
         feed.stop()
         listening.close()
