@@ -130,6 +130,7 @@ def main(argv: list[str] | None = None) -> int:
     with tempfile.TemporaryDirectory() as scratch, ThreadPoolExecutor(given.jobs) as pool:
         folder = Path(scratch)
         preload = library(folder)
+        commands.prepare(folder)
         wanted = {}
         for name, command in chosen.items():
             (folder / f"wanted-{name}").mkdir()
