@@ -16,7 +16,7 @@ from tests.conftest import hexa_diagnosis
 
 from rotorwatch import cli
 from rotorwatch.diagnosis import Diagnosis
-from rotorwatch.errors import ConfigError, LinkError, StoreError
+from rotorwatch.errors import ConfigError, LinkError, StoreError, StoreFull
 from rotorwatch.fleet.store import Entry
 from rotorwatch.live import metrics
 from rotorwatch.live.watched import Watched
@@ -186,6 +186,24 @@ def test_odd_questions_get_a_sentence(served):
     assert "header" in client.post("/api/flights", content=b"x").json()["error"]
 
 
+@pytest.mark.parametrize(("why", "code"), [
+    (StoreFull("The disk of the store /srv/fleet.db is full."), 507),
+    (StoreError("The store /srv/fleet.db cannot be opened."), 503),
+    (PermissionError(13, "Permission denied", "/srv/fleet.db"), 507),
+    (KeyError("/srv/fleet.db"), 500),
+])  # fmt: skip
+def test_no_answer_names_a_path_of_the_server(tmp_path, monkeypatch, capsys, why, code):
+    app, flights = guarded(tmp_path)
+
+    def failing(*_, **__):
+        raise why
+
+    monkeypatch.setattr(flights._store, "flights", failing)
+    answer = TestClient(app, HERE, raise_server_exceptions=False).get("/api/flights")
+    assert answer.status_code == code and "/srv" not in answer.text and answer.json()["error"].endswith(".")
+    assert "/srv/fleet.db" in capsys.readouterr().err, "who runs the server is told"
+
+
 # Uploads
 
 
@@ -300,6 +318,184 @@ def test_what_a_killed_server_had_received_is_judged_by_the_next(tmp_path):
     assert log.path == own / "one" / "log-a.bin" and log.path.read_bytes() == b"x" and log.name == "a.bin"
     assert not killed.parent.exists() and other.exists()
     lock.close()
+
+
+def kept(flights):
+    """Names of the logs that wait for being judged."""
+    return sorted(
+        json.loads(note.read_text())["name"] for note in flights.folder("incoming").glob("run-*/*/complete.json")
+    )
+
+
+def run_uploads(flights, action, told=lambda row: None, trouble=lambda text: None, limits=None):
+    """What `action(uploads)` comes to while a server takes uploads."""
+
+    async def run():
+        here = Uploads(flights, limits or Limits(), told, trouble)
+        here.start()
+        try:
+            return await action(here)
+        finally:
+            here.stop()
+
+    return asyncio.run(run())
+
+
+async def until(condition):
+    for _ in range(1000):
+        if condition():
+            return
+        await asyncio.sleep(0.01)
+    raise AssertionError("it did not happen within 10 s")
+
+
+@pytest.fixture
+def quick(tmp_path, monkeypatch):
+    """Flights that are judged at once, and what a failure is tried again after."""
+    monkeypatch.setattr(uploads, "judge", misbehaving.while_full)
+    monkeypatch.setattr(uploads, "LOADS", ())
+    monkeypatch.setattr(uploads, "AGAIN_S", 0.05)
+    return Flights(str(tmp_path / "fleet.db"))
+
+
+def test_a_full_disk_keeps_the_log_until_there_is_room(quick, monkeypatch):
+    full = quick.page("full").with_suffix("")
+    full.touch()
+    rows, said = [], []
+
+    async def action(here):
+        with pytest.raises(Refused, match=r"^a\.bin: .*make room") as why:
+            await here.take("a.bin", None, body(b"a log"))
+        assert why.value.code == 507 and "kept" in str(why.value) and str(quick.folder("")) not in str(why.value)
+        assert kept(quick) == ["a.bin"] and quick.rows("", 10, 0)["total"] == 0
+        full.unlink()
+        await until(lambda: rows)
+
+    run_uploads(quick, action, rows.append, said.append)
+    assert [row["name"] for row in rows] == ["a.bin"] and quick.rows("", 10, 0)["total"] == 1
+    assert kept(quick) == [] and any("a.bin" in text and "make room" in text for text in said)
+
+
+@pytest.mark.parametrize(("why", "code"), [
+    (StoreFull("The disk of the store /srv/fleet.db is full."), 507),
+    (StoreError("Another program has kept the store /srv/fleet.db busy."), 503),
+    (ValueError("a bug at /srv/fleet.db"), 500),
+])  # fmt: skip
+def test_what_the_store_does_not_take_is_kept_and_tried_again(quick, monkeypatch, why, code):
+    keep, failures = quick._store.add, [why, why, why]
+    monkeypatch.setattr(quick._store, "add", lambda entry: failing(failures.pop()) if failures else keep(entry))
+
+    def failing(why):
+        raise why
+
+    rows, said = [], []
+
+    async def refused(here):
+        with pytest.raises(Refused, match="kept here and judged later") as refusal:
+            await here.take("a.bin", None, body(b"a log"))
+        assert refusal.value.code == code and "/srv" not in str(refusal.value)
+
+    async def action(here):
+        await refused(here)
+        await until(lambda: rows)
+
+    monkeypatch.setattr(uploads, "AGAIN_S", 60.0)
+    run_uploads(quick, refused)
+    assert kept(quick) == ["a.bin"]
+    monkeypatch.setattr(uploads, "AGAIN_S", 0.02)
+    run_uploads(quick, action, rows.append, said.append)  # as soon as it starts; sent again; later by itself
+    assert kept(quick) == [] and [row["name"] for row in rows] == ["a.bin"] and "/srv" not in "".join(said)
+
+
+def test_a_log_that_waits_is_judged_at_once_when_it_is_sent_again(quick, monkeypatch):
+    monkeypatch.setattr(uploads, "AGAIN_S", 60.0)
+    full = quick.page("full").with_suffix("")
+    full.touch()
+
+    async def action(here):
+        with pytest.raises(Refused):
+            await here.take("a.bin", None, body(b"a log"))
+        full.unlink()
+        return await here.take("again.bin", None, body(b"a log"))
+
+    row, new = run_uploads(quick, action)
+    assert new and row["name"] == "a.bin" and kept(quick) == []
+
+
+def test_stopping_a_server_leaves_what_it_judges_to_the_next(quick, monkeypatch):
+    monkeypatch.setattr(uploads, "judge", misbehaving.endless)
+
+    async def action(here):
+        sent = asyncio.create_task(here.take("a.bin", None, body(b"a log")))
+        await until(lambda: here._all and here._all[0].ready)
+        here.stop()
+        await asyncio.wait([sent])
+
+    run_uploads(quick, action)
+    assert kept(quick) == ["a.bin"]
+    monkeypatch.setattr(uploads, "judge", misbehaving.while_full)
+    rows = []
+    run_uploads(quick, lambda here: until(lambda: rows), rows.append)
+    assert [row["name"] for row in rows] == ["a.bin"] and kept(quick) == []
+
+
+def test_what_a_next_start_cannot_take_over_stays(quick, monkeypatch):
+    left = quick.folder("incoming") / "run-killed" / "one"
+    left.mkdir(parents=True)
+    (left / "log-a.bin").write_bytes(b"x")
+    (left / "complete.json").write_text(
+        json.dumps({"name": "a.bin", "file": "log-a.bin", "digest": 64 * "0", "size": 1})
+    )
+    (left.parent / "lock").touch()
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "rename", full)
+        run_uploads(quick, lambda here: asyncio.sleep(0))
+    assert kept(quick) == ["a.bin"]
+    run_uploads(quick, lambda here: until(lambda: quick.rows("", 10, 0)["total"]))
+    assert kept(quick) == []
+
+
+def test_a_process_that_dies_once_refuses_no_log(quick, monkeypatch):
+    monkeypatch.setattr(uploads, "judge", misbehaving.dies_once)
+    row, new = run_uploads(quick, lambda here: here.take("a.bin", None, body(b"a log")))
+    assert new and row["name"] == "a.bin"
+
+
+def test_many_uploads_at_once_wait_for_their_turn(quick):
+    async def action(here):
+        sent = (here.take(f"{n}.bin", None, body(b"log %d" % n, pause=0.005)) for n in range(200))
+        return await asyncio.gather(*sent, return_exceptions=True)
+
+    answers = run_uploads(quick, action)
+    assert [one for one in answers if isinstance(one, Exception)] == []
+    assert quick.rows("", 1, 0)["total"] == 200
+
+
+def test_who_has_waited_too_long_for_a_turn_is_told_so(quick, monkeypatch):
+    monkeypatch.setattr(uploads, "PATIENCE_S", 0.05)
+    monkeypatch.setattr(uploads, "RECEIVING", 1)
+
+    async def action(here):
+        slow = asyncio.create_task(here.take("slow.bin", None, body(b"a", pause=1.0)))
+        await asyncio.sleep(0)
+        with pytest.raises(Refused, match="try again in a minute") as why:
+            await here.take("b.bin", None, body(b"b"))
+        assert why.value.code == 503
+        slow.cancel()
+
+    run_uploads(quick, action)
+
+
+def test_a_page_that_cannot_be_written_is_no_fault_of_the_log(served, monkeypatch):
+    client, flights = served
+    monkeypatch.setattr(flights, "page", lambda digest: flights.folder("incoming") / "gone" / "page.html")
+    answer = send(client, "room.bin.xz", SAMPLE.read_bytes()[:250_000])
+    assert answer.status_code == 507 and str(flights.folder("")) not in answer.text and "make room" in answer.text
+    assert kept(flights) == ["room.bin.xz"]
 
 
 # The answer from its JSON
@@ -491,7 +687,8 @@ def test_the_page_has_a_word_for_every_state():
     assert all(f"  {state}: [" in page for state in metrics.STATES)
 
 
-def test_a_store_that_cannot_be_reached_is_tried_again(tmp_path, monkeypatch):
+@pytest.mark.parametrize("why", [StoreError("The database /srv/fleet.db cannot be reached."), OSError("/srv/fleet.db")])
+def test_a_store_that_cannot_be_reached_is_tried_again(why, monkeypatch):
     class Gone:
         def __init__(self):
             self.times = 0
@@ -499,14 +696,17 @@ def test_a_store_that_cannot_be_reached_is_tried_again(tmp_path, monkeypatch):
         def keep(self, entry):
             self.times += 1
             if self.times == 1:
-                raise StoreError("The database cannot be reached.")
+                raise why
             return {"hash": entry.hash}
 
     monkeypatch.setattr(flights_of, "AGAIN_S", 0.01)
     rows, said = [], []
     keeper = flights_of.Keeper(Gone(), rows.append, said.append)
     keeper.keep(Entry("0" * 64, "", "udp:1/1", 0))
-    while not rows:
-        keeper._thread.join(0.01)
+    for _ in range(500):
+        if not rows:
+            keeper._thread.join(0.01)
     keeper.stop()
-    assert rows == [{"hash": "0" * 64}] and "udp:1/1 is not in the list yet" in said[0]
+    assert (
+        rows == [{"hash": "0" * 64}] and "udp:1/1 is not in the list yet" in said[0] and "/srv/fleet.db" not in said[0]
+    )

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import os
 import queue
 import re
+import sys
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from rotorwatch import files
 from rotorwatch.diagnosis import Diagnosis
-from rotorwatch.errors import RotorwatchError
+from rotorwatch.errors import ConfigError, RotorwatchError, StoreError, StoreFull
 from rotorwatch.fleet.address import default_url
 from rotorwatch.fleet.store import Entry, Store
 from rotorwatch.report.html import page
@@ -104,12 +107,35 @@ class Keeper:
         while (entry := self._queue.get()) is not None:
             while True:
                 try:
-                    self._told(self._flights.keep(entry))
-                    break
-                except RotorwatchError as why:
-                    self._trouble(f"The flight of {entry.name} is not in the list yet: {why}")
+                    row = self._flights.keep(entry)
+                except Exception as why:
+                    self._trouble(f"The flight of {entry.name} is not in the list yet. {wrong(why)[1]}")
                     if self._leaving.wait(AGAIN_S):
                         break
+                else:
+                    self._told(row)
+                    break
+
+
+def wrong(why: Exception) -> tuple[int, str]:
+    """(code of an answer, sentence) for what is wrong here. Paths and other details are for whoever runs the server, on standard error."""
+    if os.environ.get("ROTORWATCH_DEBUG"):
+        import traceback
+
+        traceback.print_exception(why)
+    details = "".join(c if c.isprintable() else " " for c in f"{type(why).__name__}: {why}")
+    with suppress(OSError, ValueError, AttributeError):  # nobody reads it
+        print(f"rotorwatch: {details}", file=sys.stderr, flush=True)
+    if isinstance(why, (StoreFull, OSError, ConfigError)):  # a page cannot be written
+        return 507, "The server's disk has no room, or cannot be written to; make room."
+    if isinstance(why, StoreError):
+        return 503, "The list of flights cannot be reached now; see to the server's store."
+    if isinstance(why, RotorwatchError):
+        return 503, "The process that judges logs does not run; try again."
+    return (
+        500,
+        f"An error in rotorwatch itself ({type(why).__name__}); please report it with what the server has printed.",
+    )
 
 
 def _shown(row: dict[str, Any]) -> dict[str, Any]:

@@ -11,21 +11,23 @@ import shutil
 import tempfile
 import time
 from collections.abc import AsyncIterator, Callable
-from contextlib import suppress
+from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from rotorwatch import limited
-from rotorwatch.errors import RotorwatchError, WorkerError
+from rotorwatch.errors import LogError, RotorwatchError, VehicleError, WorkerError
 from rotorwatch.fleet.store import Entry
 from rotorwatch.many.processes import Worker
 from rotorwatch.serve import names
-from rotorwatch.serve.flights import Flights
+from rotorwatch.serve.flights import Flights, wrong
 
 IDLE_S, MOST_S = 30.0, 900.0  # without a byte; for the whole of an upload
 DRAIN_S = 10.0  # what is too large is read on for so long, that the answer is seen and not a broken connection
-RECEIVING, WAITING = 8, 50  # uploads that are taken at once; those that wait for being judged
+RECEIVING, WAITING = 8, 50  # uploads that are taken at once; logs on the disk that wait for being judged
+PATIENCE_S = 60.0  # an upload beyond these waits so long for its turn; its bytes stay with the sender meanwhile
+AGAIN_S, LONGEST_S = 30.0, 3600.0  # pauses between attempts to judge what was received, doubled each time
 LOADS = ("rotorwatch.fleet.judge", "rotorwatch.diagnose", "rotorwatch.report.html", "bokeh.embed")
 
 
@@ -35,6 +37,10 @@ class Refused(RotorwatchError):
     def __init__(self, code: int, why: str):
         super().__init__(why)
         self.code = code
+
+
+class Later(Refused):
+    """An upload that was received, but cannot be judged or kept as a flight now. The log stays, and it is tried again."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +64,8 @@ class Log:
 
 
 def judge(what: tuple[Log, str]) -> Entry | str:
-    """What a worker does with (log, path of the page): writes the page, returns the flight for the store, or why there is none."""
+    """What a worker does with (log, path of the page): writes the page, returns the flight for the store, or why the log holds none.
+    Raises what the log is not to blame for."""
     from rotorwatch.diagnose import diagnose
     from rotorwatch.fleet.judge import of_flight
     from rotorwatch.logs import read
@@ -68,10 +75,11 @@ def judge(what: tuple[Log, str]) -> Entry | str:
     try:
         flight = replace(read(log.path), name=log.name)
         found = diagnose(flight)
-        write(found, page)
-        return of_flight(flight, log.digest, log.name, log.size, found=found)
-    except RotorwatchError as why:
+        entry = of_flight(flight, log.digest, log.name, log.size, found=found)
+    except (LogError, VehicleError) as why:
         return str(why).replace(str(log.path), log.name).replace(log.path.name, log.name)
+    write(found, page)
+    return entry
 
 
 @dataclass(frozen=True)
@@ -90,29 +98,42 @@ class _Limited:
 
 
 class Uploads:
-    """Where logs go. told: called with each flight that is new, once it is kept."""
+    """Where logs go. told: called with each flight that is new, once it is kept; trouble: with a sentence when a log has to wait.
 
-    def __init__(self, flights: Flights, limits: Limits, told: Callable[[dict[str, Any]], None]):
+    A log lies in a folder of its own until it is in the store or was refused; whatever else happens, it is tried again.
+    """
+
+    def __init__(
+        self,
+        flights: Flights,
+        limits: Limits,
+        told: Callable[[dict[str, Any]], None],
+        trouble: Callable[[str], None] = lambda text: None,
+    ):
         """Raises ConfigError where the folder for uploads cannot be written to."""
-        self.limits, self._flights, self._told = limits, flights, told
+        self.limits, self._flights, self._told, self._trouble = limits, flights, told, trouble
         self._incoming = flights.folder("incoming")
         self._run, self._lock = _own(self._incoming)
-        self._receiving = 0
-        self._judging: dict[str, asyncio.Task[dict[str, Any]]] = {}
+        self._receiving, self._stopping = 0, False
+        self._logs: dict[str, Log] = {}  # by digest: received, and neither in the store nor refused
+        self._judging: dict[str, asyncio.Task[tuple[dict[str, Any], bool]]] = {}
+        self._freed = asyncio.Condition()
         self._turn = asyncio.Semaphore(limits.jobs)
         self._idle: list[Worker] = []
         self._all: list[Worker] = []
 
     def start(self) -> None:
-        """Make a worker ready, and judge what was complete when an earlier server was killed."""
+        """Make a worker ready, and judge what was complete when an earlier server was stopped."""
         self._idle.append(self._worker())
         for log in _left(self._incoming, self._run):
             self._begin(log)
 
     def stop(self) -> None:
         """End what is at work; what was not judged is there for the next start."""
+        self._stopping = True
         for worker in self._all:
             worker.stop()
+        self._lock.close()
 
     async def take(
         self, given_name: str, length: int | None, body: AsyncIterator[bytes]
@@ -122,19 +143,28 @@ class Uploads:
         if length is not None and length > most:
             await _drain(body)
             raise Refused(413, _too_large(name, most))
-        if self._receiving >= RECEIVING or len(self._judging) >= WAITING:
-            await _drain(body)
-            raise Refused(503, "Too many logs have been sent at once; try again in a minute.")
-        self._receiving += 1
         try:
-            log = await self._receive(name, body)
+            async with self._place():
+                task = self._begin(await self._receive(name, body))
+        except asyncio.TimeoutError:
+            await _drain(body)
+            raise Refused(503, "Too many logs have been sent at once; try again in a minute.") from None
+        return await asyncio.shield(task)
+
+    @asynccontextmanager
+    async def _place(self) -> AsyncIterator[None]:
+        """One of the uploads that are taken at once. Raises TimeoutError when none is free in time."""
+        async with self._freed:
+            await asyncio.wait_for(
+                self._freed.wait_for(lambda: self._receiving < RECEIVING and len(self._logs) < WAITING), PATIENCE_S
+            )
+            self._receiving += 1
+        try:
+            yield
         finally:
             self._receiving -= 1
-        known = await asyncio.to_thread(self._flights.row, log.digest)
-        if known is not None:
-            shutil.rmtree(log.path.parent, ignore_errors=True)
-            return known, False
-        return await asyncio.shield(self._begin(log)), True
+            async with self._freed:
+                self._freed.notify()
 
     async def _receive(self, name: str, body: AsyncIterator[bytes]) -> Log:
         """The whole of a body in a file."""
@@ -170,53 +200,91 @@ class Uploads:
             ) from None
         return Log(path, name, digest.hexdigest(), size)
 
-    def _begin(self, log: Log) -> asyncio.Task[dict[str, Any]]:
-        """Judge it, once for all who have sent it."""
-        task = self._judging.get(log.digest)
-        if task is not None:
+    def _begin(self, log: Log, waited_s: float = 0.0) -> asyncio.Task[tuple[dict[str, Any], bool]]:
+        """Judge it, once for all who have sent it. waited_s: since the attempt before this one."""
+        known = self._logs.setdefault(log.digest, log)
+        if known.path != log.path:
             shutil.rmtree(log.path.parent, ignore_errors=True)
-            return task
-        task = self._judging[log.digest] = asyncio.create_task(self._judge(log))
-        task.add_done_callback(lambda done: (self._judging.pop(log.digest, None), done.cancelled() or done.exception()))
+        task = self._judging.get(log.digest)
+        if task is None:
+            task = self._judging[log.digest] = asyncio.create_task(self._judge(known, waited_s))
+            task.add_done_callback(
+                lambda done: (self._judging.pop(log.digest, None), done.cancelled() or done.exception())
+            )
         return task
 
-    async def _judge(self, log: Log) -> dict[str, Any]:
-        """The flight, kept in the store before anybody is told of it. Raises Refused for what is no flight."""
-        async with self._turn:
-            try:
-                found = await asyncio.to_thread(self._answer, log)
-                if isinstance(found, str):
-                    raise Refused(422, found)
-                row = await asyncio.to_thread(self._flights.keep, found)
-            finally:
-                shutil.rmtree(log.path.parent, ignore_errors=True)
-        self._told(row)
-        return row
+    async def _judge(self, log: Log, waited_s: float) -> tuple[dict[str, Any], bool]:
+        """(the flight, kept in the store before anybody is told of it; whether it is new). Raises Refused for what is no flight, Later."""
+        new = False
+        try:
+            row = await asyncio.to_thread(self._attempt, log, self._flights.row, log.digest)
+            if row is None:
+                async with self._turn:
+                    row, new = await asyncio.to_thread(self._attempt, log, self._kept, log), True
+        except Later as why:
+            pause_s = min(max(2.0 * waited_s, AGAIN_S), LONGEST_S)
+            asyncio.get_running_loop().call_later(pause_s, self._again, log, pause_s)
+            self._trouble(str(why))
+            raise
+        except Refused:
+            await self._gone(log)
+            raise
+        await self._gone(log)
+        if new:
+            self._told(row)
+        return row, new
+
+    def _again(self, log: Log, waited_s: float) -> None:
+        if log.digest in self._logs and not self._stopping:
+            self._begin(log, waited_s)
+
+    async def _gone(self, log: Log) -> None:
+        """It is in the store, or refused."""
+        del self._logs[log.digest]
+        shutil.rmtree(log.path.parent, ignore_errors=True)
+        async with self._freed:
+            self._freed.notify()
+
+    def _attempt(self, log: Log, do: Callable[..., Any], *what: Any) -> Any:
+        """do(*what). Raises Refused as it comes, and all else, which the log is not to blame for, as Later."""
+        try:
+            return do(*what)
+        except Refused:
+            raise
+        except Exception as why:
+            code, text = wrong(why)
+            raise Later(code, f"{log.name}: the log is kept here and judged later. {text}") from why
+
+    def _kept(self, log: Log) -> dict[str, Any]:
+        """The flight, judged and put into the store."""
+        found = self._answer(log)
+        if isinstance(found, str):
+            raise Refused(422, found)
+        return self._flights.keep(found)
 
     def _answer(self, log: Log) -> Entry | str:
-        """What a worker says of it."""
-        worker = self._idle.pop() if self._idle else self._worker()
-        try:
-            return worker.ask((log, str(self._flights.page(log.digest))))
-        except Exception as why:
-            if not worker.ready or not (worker.alive or isinstance(why, WorkerError)):  # or the server stops
-                raise Refused(
-                    503, f"{log.name}: the process that judges logs does not run ({why}); try again."
-                ) from None
-            raise Refused(422, f"{log.name}: {self._sentence(why)}") from None
-        finally:
-            if worker.alive:
-                self._idle.append(worker)
-            else:
-                self._all.remove(worker)
+        """What a worker says of it. A process that dies is given it a second time: something else may have ended the first."""
+        for last in (False, True):
+            worker = self._idle.pop() if self._idle else self._worker()
+            try:
+                return worker.ask((log, str(self._flights.page(log.digest))))
+            except (WorkerError, MemoryError) as why:
+                if self._stopping or not worker.ready:
+                    raise
+                died = isinstance(why, WorkerError) and why.how.startswith("died")
+                if last or not died:
+                    raise Refused(422, f"{log.name}: {self._too_much(why)}") from None
+            finally:
+                if worker.alive:
+                    self._idle.append(worker)
+                else:
+                    self._all.remove(worker)
+        raise AssertionError
 
-    def _sentence(self, why: Exception) -> str:
-        how = why.how if isinstance(why, WorkerError) else ""
-        if how.startswith(("took too long", "hung")):
+    def _too_much(self, why: Exception) -> str:
+        if isinstance(why, WorkerError) and not why.how.startswith("died"):
             return f"judging it took longer than {self.limits.judge_s:g} s and was given up; try `rotorwatch diagnose`."
-        if isinstance(why, MemoryError) or how.startswith("died"):
-            return f"judging it needed more than {self.limits.memory_mb} MB of memory and was given up; try `rotorwatch diagnose`."
-        return f"an error in rotorwatch itself ({type(why).__name__}: {why}); please report it."
+        return f"judging it needed more than {self.limits.memory_mb} MB of memory and was given up; try `rotorwatch diagnose`."
 
     def _worker(self) -> Worker:
         prepare = functools.partial(limited.cap_memory, self.limits.memory_mb, LOADS)
@@ -261,7 +329,7 @@ def _locked(file: Any) -> bool:
 
 
 def _left(incoming: Path, own: Path) -> list[Log]:
-    """What servers that were killed had received and not judged, moved to the folder of this run; the rest of theirs is removed."""
+    """What servers before this one had received and not judged, moved to the folder of this run; the rest of theirs is removed."""
     found = []
     for run in incoming.glob("run-*"):
         if run == own:
@@ -270,12 +338,13 @@ def _left(incoming: Path, own: Path) -> list[Log]:
             if not _locked(lock):
                 continue
             for note in run.glob("*/complete.json"):
-                with suppress(OSError, ValueError, KeyError, TypeError):
+                with suppress(ValueError, KeyError, TypeError):  # half-written: the upload was not complete
                     about = json.loads(note.read_text())
                     folder = own / note.parent.name
-                    note.parent.rename(folder)
-                    found.append(
-                        Log(folder / Path(about["file"]).name, about["name"], about["digest"], int(about["size"]))
+                    log = Log(
+                        folder / Path(about["file"]).name, str(about["name"]), str(about["digest"]), int(about["size"])
                     )
+                    note.parent.rename(folder)  # where this fails, all stays as it is for the next start
+                    found.append(log)
             shutil.rmtree(run, ignore_errors=True)
     return found
