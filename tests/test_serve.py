@@ -1,10 +1,13 @@
 """The served page without a browser: who may ask for what, uploads of every kind, the list of flights, and what pages are told."""
 
 import asyncio
+import contextlib
 import json
 import lzma
 import math
 import socket
+import time
+import types
 from pathlib import Path
 from urllib.parse import quote
 
@@ -22,7 +25,7 @@ from rotorwatch.live import metrics
 from rotorwatch.live.watched import Watched
 from rotorwatch.report.html import page
 from rotorwatch.serve import flights as flights_of
-from rotorwatch.serve import live, names, security, server, uploads
+from rotorwatch.serve import connections, live, names, security, server, uploads
 from rotorwatch.serve.app import application
 from rotorwatch.serve.flights import Flights
 from rotorwatch.serve.hub import KEPT, Hub
@@ -52,8 +55,10 @@ def closed(tmp_path):
     return TestClient(guarded(tmp_path, TOKEN)[0], HERE, follow_redirects=False)
 
 
-def send(client, name, data, **headers):
-    return client.post("/api/flights", content=data, headers={"X-Rotorwatch-Name": quote(name, safe=""), **headers})
+def send(client, name, data, query=None, **headers):
+    return client.post(
+        "/api/flights", params=query, content=data, headers={"X-Rotorwatch-Name": quote(name, safe=""), **headers}
+    )
 
 
 # Names
@@ -155,6 +160,9 @@ def test_the_token_opens(closed):
         assert "httponly" in cookie and "samesite=strict" in cookie
     assert closed.get("/").status_code == 200, "the cookie is kept by the client"
     closed.cookies.clear()
+    in_the_address = send(closed, "a.bin", b"x", query={"token": TOKEN})
+    assert in_the_address.status_code == 401 and "Authorization: Bearer" in in_the_address.json()["error"]
+    assert send(closed, "a.bin", b"x", Authorization=f"Bearer {TOKEN[:-1]}").status_code == 401
     away = closed.get(HERE + "//evil.example/", params={"token": TOKEN})
     assert away.headers["location"].startswith("/") and not away.headers["location"].startswith("//")
 
@@ -202,6 +210,117 @@ def test_no_answer_names_a_path_of_the_server(tmp_path, monkeypatch, capsys, why
     answer = TestClient(app, HERE, raise_server_exceptions=False).get("/api/flights")
     assert answer.status_code == code and "/srv" not in answer.text and answer.json()["error"].endswith(".")
     assert "/srv/fleet.db" in capsys.readouterr().err, "who runs the server is told"
+
+
+# Connections
+
+
+@pytest.fixture
+def listening(monkeypatch):
+    """The port of a server of plain pages, with few and hasty connections."""
+    import threading
+
+    from starlette.applications import Starlette
+    from starlette.responses import PlainTextResponse
+    from starlette.routing import Route
+
+    async def slow(request):
+        await asyncio.sleep(0.5)
+        return PlainTextResponse("slow")
+
+    async def plain(request):
+        return PlainTextResponse("here")
+
+    monkeypatch.setattr(connections, "HEADER_S", 0.4)
+    monkeypatch.setattr(connections, "PER_ADDRESS", 8)
+    sock, begun, hub = server.listen("127.0.0.1", 0), threading.Event(), Hub(dict)
+    feed = types.SimpleNamespace(hub=hub)
+    app = Starlette(routes=[Route("/", plain, methods=["GET", "POST"]), Route("/slow", slow)])
+    serving = server._server(app, feed, begun.set)
+    serving.config.lifespan = "off"
+    thread = threading.Thread(target=lambda: asyncio.run(serving.serve([sock])), daemon=True)
+    thread.start()
+    assert begun.wait(10)
+    yield sock.getsockname()[1]
+    serving.should_exit = True
+    thread.join(10)
+    sock.close()
+
+
+def connected(port, text=b""):
+    sock = socket.create_connection(("127.0.0.1", port), 5)
+    sock.sendall(text)
+    return sock
+
+
+def answered(sock):
+    """All that comes until the other side closes."""
+    text = b""
+    with contextlib.suppress(ConnectionError):
+        while piece := sock.recv(4096):
+            text += piece
+    return text
+
+
+ASK = b"GET / HTTP/1.1\r\nHost: a\r\n"
+
+
+def test_connections_without_a_request_lock_nobody_out(listening):
+    idle = [connected(listening, ASK) for _ in range(40)]
+    began = time.monotonic()
+    assert b"200" in answered(connected(listening, ASK + b"Connection: close\r\n\r\n"))
+    assert time.monotonic() - began < 0.3, "it need not wait for the others to be given up"
+    for sock in idle:
+        assert answered(sock) == b""
+
+
+@pytest.mark.parametrize("first", [
+    ASK,  # a header that never ends
+    ASK + b"\r\n" + ASK,  # so for the second request of a connection
+    b"POST / HTTP/1.1\r\nHost: a\r\nContent-Length: 999\r\n\r\n",  # answered, and its body never ends
+])  # fmt: skip
+def test_a_drop_now_and_then_keeps_no_connection(listening, first):
+    sock, began = connected(listening, first), time.monotonic()
+    sock.settimeout(0.05)
+    closed = False
+    while not closed and time.monotonic() - began < 3.0:
+        try:
+            closed = not sock.recv(4096)
+        except TimeoutError:
+            with contextlib.suppress(ConnectionError):
+                sock.sendall(b"x")
+        except ConnectionError:
+            closed = True
+    assert 0.3 < time.monotonic() - began < 1.5
+
+
+def test_one_address_has_so_many_requests_at_once(listening):
+    busy = [connected(listening, ASK.replace(b"/", b"/slow", 1) + b"Connection: close\r\n\r\n") for _ in range(8)]
+    time.sleep(0.1)
+    assert b"503" in answered(connected(listening, ASK + b"\r\n"))
+    assert all(b"slow" in answered(sock) for sock in busy), "longer than a header may take"
+    assert b"200" in answered(connected(listening, ASK + b"Connection: close\r\n\r\n"))
+
+
+def test_the_form_for_the_token_is_given_up_when_it_does_not_end(tmp_path, monkeypatch):
+    monkeypatch.setattr(security, "FORM_S", 0.05)
+    sent = []
+
+    async def receive():
+        if sent:
+            await asyncio.sleep(5.0)
+        sent.append(1)
+        return {"type": "http.request", "body": b"token=", "more_body": True}
+
+    async def answer(message):
+        sent.append(message)
+
+    scope = {
+        "type": "http", "method": "POST", "path": "/login", "query_string": b"", "headers": [(b"host", b"127.0.0.1:8000")],
+        "scheme": "http", "server": ("127.0.0.1", 8000), "client": ("127.0.0.1", 1), "http_version": "1.1", "root_path": "",
+    }  # fmt: skip
+    asyncio.run(asyncio.wait_for(guarded(tmp_path, TOKEN)[0](scope, receive, answer), 2.0))
+    assert sent[1]["status"] == 408
 
 
 # Uploads

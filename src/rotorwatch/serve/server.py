@@ -16,7 +16,6 @@ from rotorwatch import checks, optional
 from rotorwatch.errors import ConfigError
 
 GIVE_UP_S = 2  # for connections that do not end by themselves when the server is stopped
-MOST_CONNECTIONS = 256
 
 
 def serve(
@@ -108,7 +107,16 @@ def listen(host: str, port: int) -> socket.socket:
 
 
 def _run(app: Any, feed: Any, listening: socket.socket, ready: Callable[[], None]) -> None:
+    server = _server(app, feed, ready)
+    asyncio.run(server.serve([listening]))
+    if not server.started:
+        raise ConfigError("The server did not start; run it with --debug to see why.")
+
+
+def _server(app: Any, feed: Any, ready: Callable[[], None]) -> Any:
     import uvicorn
+
+    from rotorwatch.serve.connections import Connection
 
     class Server(uvicorn.Server):
         """Says when it is ready, and lets the pages' streams end when it is stopped."""
@@ -136,13 +144,10 @@ def _run(app: Any, feed: Any, listening: socket.socket, ready: Callable[[], None
             super().handle_exit(sig, frame)
 
     config = uvicorn.Config(
-        app, log_level="critical", access_log=False, server_header=False, proxy_headers=False, ws="none", http="h11",
-        lifespan="on", timeout_graceful_shutdown=GIVE_UP_S, limit_concurrency=MOST_CONNECTIONS,
+        app, log_level="critical", access_log=False, server_header=False, proxy_headers=False, ws="none", http=Connection,
+        lifespan="on", timeout_graceful_shutdown=GIVE_UP_S,
     )  # fmt: skip
-    server = Server(config)
-    asyncio.run(server.serve([listening]))
-    if not server.started:
-        raise ConfigError("The server did not start; run it with --debug to see why.")
+    return Server(config)
 
 
 def _vehicle(vehicle: Any) -> Any:
