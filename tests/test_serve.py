@@ -24,8 +24,8 @@ from rotorwatch.fleet.store import Entry
 from rotorwatch.live import metrics
 from rotorwatch.live.watched import Watched
 from rotorwatch.report.html import page
-from rotorwatch.serve import flights as flights_of
 from rotorwatch.serve import connections, live, names, security, server, uploads
+from rotorwatch.serve import flights as flights_of
 from rotorwatch.serve.app import application
 from rotorwatch.serve.flights import Flights
 from rotorwatch.serve.hub import KEPT, Hub

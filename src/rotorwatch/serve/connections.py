@@ -14,8 +14,8 @@ MOST, PER_ADDRESS = 512, 256
 class Connection(H11Protocol):
     """uvicorn's connection with these limits, of which it has only one: a pause after an answer, which every byte ends.
 
-    A new connection is worth more than one without a request: where there are too many, the one that has waited longest goes. Only where all
-    have requests under way the new one is answered 503.
+    A new connection is worth more than one without a request: where there are too many, the one that has waited longest goes. Only where
+    all have requests under way the new one is answered 503.
     """
 
     waits: asyncio.TimerHandle | None = None  # while no request is under way: closes the connection
