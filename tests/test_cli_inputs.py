@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from rotorwatch import cli, files
+from rotorwatch import cli, files, incoming
 from rotorwatch.commands import tools
 from rotorwatch.errors import BackendWarning, ConfigError
 from rotorwatch.healthy import tune
@@ -31,7 +31,7 @@ def typed(monkeypatch):
     def give(data: bytes):
         monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(data)))
 
-    monkeypatch.setattr(tools, "_spool", [])
+    monkeypatch.setattr(incoming, "_spool", {})
     return give
 
 
@@ -57,7 +57,7 @@ def test_standard_input_is_read_once(fake, run, typed):  # noqa: F811
 
 
 def test_what_never_ends_is_no_log(fake, run, typed, monkeypatch):  # noqa: F811
-    monkeypatch.setattr(tools, "MOST_INPUT", 100)
+    monkeypatch.setattr(incoming, "MOST", 100)
     typed(bytes(1000))
     code, _, err = run("info", "-")
     assert code == 2 and "which no flight log does" in err

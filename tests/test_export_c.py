@@ -372,12 +372,44 @@ def test_a_cache_that_cannot_be_written_costs_a_build(cache, monkeypatch):
     access = os.access
     monkeypatch.setattr(os, "access", lambda path, mode, **more: mode != os.W_OK and access(path, mode, **more))
     method, (u, y) = small(), table(50)
-    with pytest.warns(RuntimeWarning, match="cannot be written: native code is built anew"):
+    with pytest.warns(RuntimeWarning, match="cannot be written; native code is built anew"):
         out = run(method, u, y, backend="native")
     assert not list(cache.glob("*.so"))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         close(out[1], run(method, u, y, backend="jax")[1])
+
+
+@pytest.mark.skipif(os.name != "posix", reason="owners and modes of POSIX")
+@pytest.mark.parametrize("mode", [0o777, 0o770])
+def test_a_cache_that_others_may_write_is_not_used(cache, mode):
+    cache.mkdir(parents=True)
+    cache.chmod(mode)
+    with pytest.warns(RuntimeWarning, match="can be written by other users.*chmod go-w"):
+        assert toolchain.folder() != cache
+    cache.chmod(0o700)
+    assert toolchain.folder() == cache
+
+
+@pytest.mark.skipif(os.name != "posix" or os.getuid() != 0, reason="only root can give a folder to another user")
+def test_a_cache_of_another_user_is_not_used(cache):
+    cache.mkdir(parents=True, mode=0o700)
+    os.chown(cache, 12345, 12345)
+    with pytest.warns(RuntimeWarning, match="belongs to another user"):
+        assert toolchain.folder() != cache
+
+
+def test_a_library_that_was_changed_in_the_cache_is_built_again(cache):
+    method, (u, y) = small(), table(50)
+    first = run(method, u, y, backend="native")
+    (library,) = cache.glob("*.so")
+    good = library.read_bytes()
+    library.unlink()  # what is loaded stays loaded
+    library.write_bytes(b"of somebody else")
+    native._nameless.cache_clear()
+    again = run(small(), u, y, backend="native")
+    close(again[1], first[1])
+    assert library.read_bytes() == good
 
 
 def test_an_unknown_backend_is_told():

@@ -193,6 +193,24 @@ def test_the_action_hands_on_what_it_was_given(judge, tmp_path):
     assert "| a\\|b.bin | fault | Rotor 3 &lt;b&gt;lost&lt;/b&gt; 36 %. |" in done.stdout
 
 
+def test_the_action_prints_no_commands_of_others(judge):
+    done = judge(0, LOGS="a.bin")
+    stop, *_ = said = done.stdout.splitlines()
+    assert stop.startswith("::stop-commands::")
+    assert f"::{stop.rpartition('::')[2]}::" in said[1:]
+
+
+@pytest.mark.parametrize("reports", ["r", "r/inside", "there"])
+def test_the_action_writes_through_no_link(judge, tmp_path, reports):
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "there").mkdir()
+    (tmp_path / "r").symlink_to("elsewhere")
+    (tmp_path / "there" / "a.html").symlink_to("../elsewhere/a.html")
+    done = judge(0, LOGS="a.bin", REPORTS=reports)
+    assert done.returncode == 2 and "symbolic link" in done.stdout
+    assert not list((tmp_path / "elsewhere").iterdir()) and not (tmp_path / "said.txt").exists()
+
+
 def test_the_action_judges_the_logs_that_a_pull_request_changes(judge, tmp_path):
     git = ["git", "-c", "user.name=x", "-c", "user.email=x@example.org"]
 
@@ -212,3 +230,8 @@ def test_the_action_judges_the_logs_that_a_pull_request_changes(judge, tmp_path)
     commit("new flight.ulg")
     assert judge(1, BASE_SHA=base).returncode == 1
     assert (tmp_path / "said.txt").read_text().splitlines()[-1] == "./new flight.ulg"
+    (tmp_path / "link.bin").symlink_to("/etc/hostname")
+    subprocess.run(["git", "add", "link.bin"], cwd=tmp_path, check=True)
+    subprocess.run([*git, "commit", "-qm", "x"], cwd=tmp_path, check=True)
+    assert judge(1, BASE_SHA=base).returncode == 1
+    assert "./link.bin" not in (tmp_path / "said.txt").read_text().splitlines()

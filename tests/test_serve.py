@@ -55,10 +55,8 @@ def closed(tmp_path):
     return TestClient(guarded(tmp_path, TOKEN)[0], HERE, follow_redirects=False)
 
 
-def send(client, name, data, query=None, **headers):
-    return client.post(
-        "/api/flights", params=query, content=data, headers={"X-Rotorwatch-Name": quote(name, safe=""), **headers}
-    )
+def send(client, name, data, **headers):
+    return client.post("/api/flights", content=data, headers={"X-Rotorwatch-Name": quote(name, safe=""), **headers})
 
 
 # Names
@@ -150,6 +148,13 @@ def test_without_the_token_there_is_only_the_form(closed):
     assert closed.get("/static/page.css").status_code == 200
 
 
+def test_a_program_may_give_the_token_in_the_address(closed):
+    for token, code in ((TOKEN, 400), ("wrong-but-of-enough-letters", 401)):  # 400: let in, but there is no name
+        assert closed.post("/api/flights", params={"token": token}, content=b"x").status_code == code
+    evil = {"Origin": "http://evil.example"}
+    assert closed.post("/api/flights", params={"token": TOKEN}, content=b"x", headers=evil).status_code == 403
+
+
 def test_the_token_opens(closed):
     assert closed.get("/api/flights", headers={"Authorization": f"Bearer {TOKEN}"}).status_code == 200
     assert closed.post("/login", data={"token": "wrong-but-of-enough-letters"}).status_code == 401
@@ -160,8 +165,6 @@ def test_the_token_opens(closed):
         assert "httponly" in cookie and "samesite=strict" in cookie
     assert closed.get("/").status_code == 200, "the cookie is kept by the client"
     closed.cookies.clear()
-    in_the_address = send(closed, "a.bin", b"x", query={"token": TOKEN})
-    assert in_the_address.status_code == 401 and "Authorization: Bearer" in in_the_address.json()["error"]
     assert send(closed, "a.bin", b"x", Authorization=f"Bearer {TOKEN[:-1]}").status_code == 401
     away = closed.get(HERE + "//evil.example/", params={"token": TOKEN})
     assert away.headers["location"].startswith("/") and not away.headers["location"].startswith("//")
@@ -210,6 +213,13 @@ def test_no_answer_names_a_path_of_the_server(tmp_path, monkeypatch, capsys, why
     answer = TestClient(app, HERE, raise_server_exceptions=False).get("/api/flights")
     assert answer.status_code == code and "/srv" not in answer.text and answer.json()["error"].endswith(".")
     assert "/srv/fleet.db" in capsys.readouterr().err, "who runs the server is told"
+
+
+def test_a_flight_of_another_version_says_so(tmp_path, monkeypatch):
+    app, flights = guarded(tmp_path)
+    monkeypatch.setattr(flights._store, "flight", lambda digest: {"diagnosis": {"schema": 1}})
+    answer = TestClient(app, HERE, raise_server_exceptions=False).get("/flights/" + 64 * "0")
+    assert answer.status_code == 503 and "judge the log again" in answer.text
 
 
 # Connections

@@ -1,5 +1,6 @@
 """Native code that comes with the package: only of this definition, only for this computer, and enough to judge flights without JAX."""
 
+import hashlib
 import json
 import os
 import shutil
@@ -153,15 +154,21 @@ def test_code_of_another_definition_or_computer_never_runs(folder, tmp_path, mon
 
 def test_a_processor_gets_what_it_runs(tmp_path, monkeypatch):
     about = {"files": ["errors.py"], "digest": shipped.digest(["errors.py"])}
-    libraries = {"x86-64-v3": "fast.so", "x86-64": "any.so"}
+    empty = hashlib.sha256(b"").hexdigest()
+    libraries = {"x86-64-v3": ("fast.so", empty), "x86-64": ("any.so", empty)}
     index = {"definition": about, "target": shipped.target(), "programs": {"a": {"libraries": libraries, "layout": []}}}
     (tmp_path / shipped.INDEX).write_text(json.dumps(index))
-    for name in libraries.values():
+    for name, _ in libraries.values():
         (tmp_path / name).touch()
     for levels, expected in ((("x86-64-v3", "x86-64"), "fast.so"), (("x86-64",), "any.so"), (("",), None)):
         monkeypatch.setattr(shipped, "levels", lambda levels=levels: levels)
         found = shipped.find("a", tmp_path)
         assert (found and found[0].name) == expected
+    assert shipped.whole(tmp_path)
+    (tmp_path / "any.so").write_bytes(b"of somebody else")
+    monkeypatch.setattr(shipped, "levels", lambda: ("x86-64",))
+    assert shipped.find("a", tmp_path) is None
+    assert not shipped.whole(tmp_path)
 
 
 # What refuses to be imported, as if it were not installed; and the place of the native code.

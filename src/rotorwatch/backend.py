@@ -17,6 +17,21 @@ def cache_folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "rotorwatch"
 
 
+def code_folder(name: str) -> Path:
+    """A folder of the cache for code that is loaded and run, made where it is missing. Raises PermissionError where it cannot be written,
+    and where others could have put something into it; OSError."""
+    place = cache_folder() / name
+    place.mkdir(mode=0o700, parents=True, exist_ok=True)
+    about = place.stat()
+    if not os.access(place, os.W_OK):
+        raise PermissionError(f"{place} cannot be written")
+    if hasattr(os, "getuid") and about.st_uid not in (os.getuid(), 0):
+        raise PermissionError(f"{place} belongs to another user, who could put code there: set ROTORWATCH_CACHE")
+    if os.name == "posix" and about.st_mode & 0o022:
+        raise PermissionError(f"{place} can be written by other users, who could put code there: chmod go-w {place}")
+    return place
+
+
 @functools.cache
 def jax():
     """The jax module in float64 with a persistent compilation cache; imported on first use, because it takes 0.5 s.
@@ -35,12 +50,10 @@ def jax():
         if loaded:  # what was traced before is float32, and would be mixed into what comes now
             jax.clear_caches()
     try:
-        folder = cache_folder() / "jax"
-        folder.mkdir(parents=True, exist_ok=True)
-        if os.access(folder, os.W_OK):
-            jax.config.update("jax_compilation_cache_dir", str(folder))
-            jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
-            jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
-    except OSError:  # a read-only home only costs a recompilation
-        pass
+        folder = code_folder("jax")
+    except OSError:  # a home that is read-only, or others', only costs a recompilation
+        return jax
+    jax.config.update("jax_compilation_cache_dir", str(folder))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
+    jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
     return jax

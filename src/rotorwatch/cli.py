@@ -6,8 +6,10 @@ Exit codes: 0 healthy, 1 fault found, 3 inconclusive or ambiguous only, 2 error.
 
 from __future__ import annotations
 
+import contextlib
 import io
 import os
+import signal
 import sys
 import time
 import warnings
@@ -39,7 +41,8 @@ from rotorwatch.errors import BackendWarning, ConfigError, PluginWarning, Rotorw
 if TYPE_CHECKING:
     from rotorwatch.diagnosis import Diagnosis
 
-ERROR, INTERRUPTED, BROKEN_PIPE = 2, 130, 141
+ERROR, STOPPED, BROKEN_PIPE = 2, 128, 141  # stopped: and the number of the signal
+ENDING = "SIGTERM", "SIGHUP"  # signals that end a command as Ctrl-C does: with what it began put away
 SAMPLES = Path(__file__).parent / "samples"
 
 
@@ -61,6 +64,11 @@ def main(argv: list[str] | None = None) -> None:
             stream, io.TextIOWrapper
         ):  # a name or a sign that the terminal does not know must not end the answer
             stream.reconfigure(errors="backslashreplace")
+    for name in ENDING:
+        number = getattr(signal, name, None)
+        if number is not None and signal.getsignal(number) == signal.SIG_DFL:  # nohup has it ignored
+            with contextlib.suppress(ValueError):  # not the main thread
+                signal.signal(number, _stop)
     try:
         code = _run(sys.argv[1:] if argv is None else list(argv))
     except OSError as why:  # nor can it be said what went wrong
@@ -88,9 +96,9 @@ def _run(argv: list[str]) -> int:
         return code
     except BrokenPipeError:  # the reader (head, less) has seen enough
         return BROKEN_PIPE
-    except (KeyboardInterrupt, click.Abort):
+    except (KeyboardInterrupt, click.Abort) as why:
         say("interrupted")
-        return INTERRUPTED
+        return STOPPED + (why.number if isinstance(why, Stopped) else signal.SIGINT)
     except click.ClickException as why:
         why.show()
         argument = next((a for a in sys.argv[1:] if a.startswith("-") and Path(a).is_file()), None)
@@ -100,6 +108,18 @@ def _run(argv: list[str]) -> int:
     except Exception as why:
         say(explain(why))
         return ERROR
+
+
+class Stopped(KeyboardInterrupt):
+    """Ended by a signal other than Ctrl-C's."""
+
+    def __init__(self, number: int):
+        super().__init__()
+        self.number = number
+
+
+def _stop(number: int, frame: Any) -> None:
+    raise Stopped(number)
 
 
 def explain(why: Exception) -> str:

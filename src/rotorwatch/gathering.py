@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import unquote, urlsplit
 
-from rotorwatch import logs, optional
+from rotorwatch import incoming, logs, optional
 from rotorwatch.errors import ConfigError, LogError
 from rotorwatch.logs import container
 
@@ -24,7 +24,6 @@ NAMES = re.compile(r"\.(bin|log|ulg|tlog|usd|px4log|csv|parquet)(\.xz|\.gz|\.bz2
 """Of logs behind an address, which are not looked into before their turn."""
 MEANT = re.compile(r"\.(bin|ulg|tlog)(\.xz|\.gz|\.bz2)?$", re.IGNORECASE)
 """Of files that are meant as logs: one that cannot be read was a flight, and is not passed over."""
-BLOCK = 1 << 20
 
 
 def is_address(given: Any) -> bool:
@@ -125,16 +124,21 @@ def fetched(log: str | os.PathLike) -> Iterator[Path]:
         yield Path(log)
         return
     address = str(log)
+    try:
+        name = unquote(urlsplit(address).path)
+    except ValueError as why:
+        raise LogError(f"{address} is no address ({why}).") from None
     if address.lower().startswith("file://"):
-        yield Path(unquote(urlsplit(address).path))
+        yield Path(name)
         return
     fsspec = _fsspec(address)
-    with tempfile.TemporaryDirectory(prefix="rotorwatch-") as folder:
-        path = Path(folder) / (unquote(urlsplit(address).path).rstrip("/").rpartition("/")[2] or "log")
+    with tempfile.TemporaryDirectory(dir=incoming.spool()) as folder:
+        path = Path(folder) / (name.rstrip("/").rpartition("/")[2] or "log")
         try:
-            with fsspec.open(address, "rb") as source, path.open("wb") as file:
-                while block := source.read(BLOCK):
-                    file.write(block)
+            with fsspec.open(address, "rb") as source:
+                incoming.keep(source, path, address)
+        except LogError:
+            raise
         except Exception as why:
             raise LogError(_unreadable(address, why)) from why
         yield path

@@ -21,7 +21,7 @@ elif [ -n "${BASE_SHA:-}" ]; then
     while IFS= read -r -d '' file; do
         case $file in
             *.bin | *.log | *.ulg | *.tlog | *.mcap | *.bin.xz | *.bin.gz | *.ulg.xz | *.ulg.gz | *.tlog.xz | *.tlog.gz)
-                [ -f "$file" ] && logs+=("./$file") ;;
+                [ -f "$file" ] && [ ! -L "$file" ] && logs+=("./$file") ;;
         esac
     done < <(git diff -z --name-only --diff-filter=AMR "$BASE_SHA" HEAD)
     if [ ${#logs[@]} -eq 0 ]; then
@@ -40,10 +40,27 @@ while IFS= read -r line; do
     [ -n "$line" ] && options+=(--baseline "$line")
 done <<<"${BASELINE:-}"
 
+# A pull request may hold a link of that name, which would send the reports elsewhere.
+if ! python - "$reports" <<'PYTHON'
+import sys
+from pathlib import Path
+
+folder = Path(sys.argv[1])
+above = () if folder.is_absolute() else folder.parents
+sys.exit(any(path.is_symlink() for path in (folder, *above, *folder.rglob("*"))))
+PYTHON
+then
+    say "::error::reports is '$reports', where there is a symbolic link: name a folder that the checkout does not hold."
+    exit 2
+fi
 mkdir -p "$reports"
 rm -f "$reports/verdicts.jsonl"
+# What is printed about a stranger's files is no command to the runner.
+quiet=$(python -c 'import secrets; print(secrets.token_hex(16))')
+say "::stop-commands::$quiet"
 rotorwatch diagnose --jsonl --out "$reports/verdicts.jsonl" --html "$reports" ${options[@]+"${options[@]}"} -- "${logs[@]}"
 code=$?
+say "::$quiet::"
 
 if [ -n "${GITHUB_OUTPUT:-}" ]; then
     say "verdicts=$reports/verdicts.jsonl" >>"$GITHUB_OUTPUT"

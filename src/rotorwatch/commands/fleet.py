@@ -166,40 +166,40 @@ def show_(aircraft, url, as_json, quiet) -> None:
         if as_json:
             click.echo(json.dumps(found | {"points": store.points(key)}, indent=1))
             return
-    standing = found["standing"]
-    click.echo(
-        f"{found['name']}: {found['flights']} flights, {found['airborne_s'] / 3600:.1f} h in the air; {found['build']}"
-    )
-    click.echo(f"known by: {'; '.join(found['identities'])}")
-    if standing is None:
-        click.echo("Not worked out yet: `rotorwatch fleet assess`.")
-        return
-    click.echo(f"\n{standing['headline']}\n")
-    _table(
-        "",
-        ("rotor", "state", "lost", "95 %", "outlook"),
-        [
-            (str(r["rotor"]), r["status"], _percent(r["loss"]), _range(r["interval"]), _outlook(r["prognosis"]))
-            for r in standing["rotors"]
-        ],
-        right=(0, 2, 3),
-    )
-    for c in standing["changes"]:
-        click.echo(_said(c))
-    for s in standing["services"]:
-        what = f"rotor {s['rotor']}" if s["rotor"] else "the whole aircraft"
-        click.echo(f"service before flight {s['before_flight']}: {what}, {s['what']}")
-    many = len(standing["left_out"])
-    compared = (
-        f"compared with {standing['sisters']} of the same build"
-        if standing["sisters"]
-        else "no others of the same build to compare with"
-    )
-    click.echo(f"\n{standing['used']} of {standing['flights']} flights were used; {compared}.")
-    for one in standing["left_out"][:5]:
-        click.echo(f"  not used: {label(one['name'])}: {one['why']}")
-    if many > 5:
-        click.echo(f"  and {many - 5} more")
+        standing = found["standing"]
+        click.echo(
+            f"{found['name']}: {found['flights']} flights, {found['airborne_s'] / 3600:.1f} h in the air; {found['build']}"
+        )
+        click.echo(f"known by: {'; '.join(found['identities'])}")
+        if standing is None:
+            click.echo("Not worked out yet: `rotorwatch fleet assess`.")
+            return
+        click.echo(f"\n{standing['headline']}\n")
+        _table(
+            "",
+            ("rotor", "state", "lost", "95 %", "outlook"),
+            [
+                (str(r["rotor"]), r["status"], _percent(r["loss"]), _range(r["interval"]), _outlook(r["prognosis"]))
+                for r in standing["rotors"]
+            ],
+            right=(0, 2, 3),
+        )
+        for c in standing["changes"]:
+            click.echo(_said(c))
+        for s in standing["services"]:
+            what = f"rotor {s['rotor']}" if s["rotor"] else "the whole aircraft"
+            click.echo(f"service before flight {s['before_flight']}: {what}, {s['what']}")
+        many = len(standing["left_out"])
+        compared = (
+            f"compared with {standing['sisters']} of the same build"
+            if standing["sisters"]
+            else "no others of the same build to compare with"
+        )
+        click.echo(f"\n{standing['used']} of {standing['flights']} flights were used; {compared}.")
+        for one in standing["left_out"][:5]:
+            click.echo(f"  not used: {label(one['name'])}: {one['why']}")
+        if many > 5:
+            click.echo(f"  and {many - 5} more")
 
 
 def _said(c: dict) -> str:

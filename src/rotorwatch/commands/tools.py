@@ -15,13 +15,13 @@ from typing import Any
 
 import click
 
+from rotorwatch import incoming
 from rotorwatch.errors import BackendWarning, ConfigError, PluginWarning, WorkerWarning
+from rotorwatch.shown import printable, public
 
 PICTURES = (".svg", ".png", ".pdf")
 ADDRESS = re.compile(r"[a-z][a-z0-9+.-]+://", re.IGNORECASE)
 LINE_S, FEW = 2.0, 10  # between two lines that say how far a count has come; of fewer there are none
-MOST_INPUT = 4 << 30  # bytes taken from standard input or a pipe
-_spool: list[str] = []  # the folder in which what came through a pipe lies, once there is one
 
 
 class Log(click.ParamType):
@@ -66,27 +66,18 @@ def _standard_input() -> Path:
         raise ConfigError(
             "- stands for standard input, where no log comes in: write `rotorwatch diagnose - < flight.bin`."
         )
-    if any(Path(_spool[0]).glob("*/standard input") if _spool else ()):
+    spool = incoming.spooled()
+    if spool is not None and any(spool.glob("*/standard input")):
         raise ConfigError("Standard input (-) can be read only once.")
     return _kept(sys.stdin.buffer, "standard input")
 
 
 def _kept(stream: Any, name: str) -> Path:
     """All of a stream in a file of that name, in a folder that goes with the process."""
-    import atexit
-    import shutil
     import tempfile
 
-    if not _spool:
-        _spool.append(tempfile.mkdtemp(prefix="rotorwatch-"))
-        atexit.register(shutil.rmtree, _spool[0], ignore_errors=True)
-    path, size = Path(tempfile.mkdtemp(dir=_spool[0])) / name, 0
-    with open(path, "wb") as file:
-        while block := stream.read(1 << 20):
-            size += len(block)
-            if size > MOST_INPUT:
-                raise ConfigError(f"{name} holds more than {MOST_INPUT >> 30} GB, which no flight log does.")
-            file.write(block)
+    path = Path(tempfile.mkdtemp(dir=incoming.spool())) / name
+    incoming.keep(stream, path, name, waits=True)
     return path
 
 
@@ -95,9 +86,10 @@ OUT = click.Path(path_type=Path)
 
 
 def label(text: Any) -> str:
-    """A name, or a sentence with one, as the user knows it: what came through a pipe has no folder; bytes that are no text as \\udcXX."""
-    shown = re.sub(re.escape(_spool[0]) + r"/[^/]*/", "", str(text)) if _spool else str(text)
-    return shown.encode("utf-8", "backslashreplace").decode("utf-8")
+    """A name, or a sentence with one, as the user knows it: what came through a pipe has no folder; no control characters."""
+    spool = incoming.spooled()
+    shown = str(text) if spool is None else re.sub(re.escape(str(spool)) + r"/[^/]*/", "", str(text))
+    return public(printable(shown))
 
 
 def say(text: str) -> None:

@@ -114,7 +114,11 @@ def _outlets(webhook: str | None, metrics: str | None, tell_ground: bool, listen
         for outlet in outlets:
             outlet.leave()
         raise
-    return outlets
+    from rotorwatch.live.watch import Beside
+
+    return [
+        Beside(outlet, lambda text: shown({"type": "error", "vehicle": "watch", "text": text})) for outlet in outlets
+    ]
 
 
 def _screen() -> bool:

@@ -14,7 +14,6 @@ import itertools
 import json
 import os
 import platform
-import shutil
 import subprocess
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
@@ -54,7 +53,8 @@ def build(header: str, source: str, name: str, march: str = "native") -> Path:
     vectors = VECTORS if toolchain.processor() == "x86_64" and platform.libc_ver()[0] == "glibc" else ()
     key = hashlib.sha256("\0".join([header, source, *flags, *vectors, toolchain.machine()]).encode()).hexdigest()[:32]
     goal = toolchain.folder() / f"{name}-{key}.so"
-    if goal.exists():
+    seal = goal.with_suffix(".sha256")
+    if _sealed(goal):
         return goal
     with tempfile.TemporaryDirectory() as scratch:
         for suffix, text in ((".h", header), (".c", source)):
@@ -68,10 +68,21 @@ def build(header: str, source: str, name: str, march: str = "native") -> Path:
         if done.returncode:
             said = (done.stderr.strip().splitlines() or ["nothing said"])[0]
             raise Unavailable(f"{cc} cannot build native code: {said}.")
+        # Whole or not at all, whoever else builds the same; between the two it is not sealed, and built again.
         part = goal.with_suffix(f".{os.getpid()}")
-        shutil.copyfile(made, part)
-        os.replace(part, goal)  # whole or not at all, whoever else builds the same
+        for place, data in ((goal, made.read_bytes()), (seal, shipped.digest_of(made).encode())):
+            part.write_bytes(data)
+            os.replace(part, place)
     return goal
+
+
+def _sealed(library: Path) -> bool:
+    """Whether a library of the cache is there, whole, as it was built."""
+    said = shipped.digest_of(library)
+    try:
+        return bool(said) and library.with_suffix(".sha256").read_text() == said
+    except (OSError, ValueError):
+        return False
 
 
 def _dtype(fields) -> np.dtype:
@@ -330,7 +341,7 @@ def prepared(build_estimator: Callable, select: Callable, parameters, sizes: tup
     note = toolchain.folder() / f"known-{hashlib.sha256(about.encode()).hexdigest()[:32]}.json"
     try:
         known = json.loads(note.read_text())
-        if Path(known["library"]).exists():
+        if Path(known["library"]).parent == note.parent and _sealed(Path(known["library"])):
             return _loaded(known["library"], json.dumps(known["layout"]))
     except (OSError, ValueError, KeyError):
         pass  # not met before, or damaged: made again

@@ -1,8 +1,8 @@
 """Native code that comes with the package: built when the package is, found here by what it was made of, run without JAX.
 
-A folder holds libraries and `index.json`: what each of them is (functions, shapes, layout), and the definition that all were traced from,
-as the files of this package and a hash of them. Where a file has changed since, nothing of the folder is used: a library that is
-older than the definition never runs.
+A folder holds libraries and `index.json`: what each of them is (functions, shapes, layout, SHA-256), and the definition that all were
+traced from, as the files of this package and a hash of them. Where a file has changed since, nothing of the folder is used: a library
+that is older than the definition, or not the one that was built, never runs.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from typing import Any
 HOME = Path(__file__).parents[1]
 FOLDER = Path(__file__).parent / "built"
 INDEX = "index.json"
-FORMAT = 1
+FORMAT = 2
 
 # Levels of processors, best first: the compiler's -march and the flags of /proc/cpuinfo that code of that level needs
 # (x86-64 psABI, micro-architecture levels). A processor of another kind has its compiler's own baseline.
@@ -127,10 +127,25 @@ def find(wanted: str, folder: Path = FOLDER) -> tuple[Path, list] | None:
     if not known:
         return None
     for level in levels():
-        name = known["libraries"].get(level)
-        if name and (folder / name).exists():
+        name, sha256 = known["libraries"].get(level) or ("", "")
+        if name and digest_of(folder / name) == sha256:
             return folder / name, known["layout"]
     return None
+
+
+def digest_of(path: Path) -> str:
+    """SHA-256 of a file; empty where there is none."""
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError:
+        return ""
+
+
+def whole(folder: Path) -> bool:
+    """Whether every library that a folder's index names is there, as it was built."""
+    programs, _ = _index(folder)
+    named = [library for program in programs.values() for library in program["libraries"].values()]
+    return bool(named) and all(digest_of(folder / name) == sha256 for name, sha256 in named)
 
 
 def why_not(folder: Path = FOLDER) -> str:

@@ -12,11 +12,11 @@ import platform
 import shlex
 import shutil
 import subprocess
-import tempfile
 import warnings
 from pathlib import Path
 
-from rotorwatch.backend import cache_folder
+from rotorwatch import incoming
+from rotorwatch.backend import cache_folder, code_folder
 from rotorwatch.errors import BackendWarning, ConfigError
 
 # Vector code of this processor; errno and signals of floating point are nobody's business here, NaN and signed zeros are.
@@ -74,20 +74,19 @@ def kept_under(name: str, about: str) -> Path:
 
 
 def folder() -> Path:
-    """Where libraries are kept; a folder for this process only where the cache cannot be written."""
-    place = cache_folder() / "native"
+    """Where libraries are kept; a folder for this process only where the cache cannot be written, or could have been by others."""
     try:
-        place.mkdir(parents=True, exist_ok=True)
-        if os.access(place, os.W_OK):
-            return place
+        return code_folder("native")
+    except PermissionError as why:
+        said = str(why) if why.errno is None else f"{why.filename} cannot be written"
     except OSError:
-        pass
-    return _temporary(place)
+        said = f"{cache_folder()} cannot be written"
+    return _temporary(said)
 
 
 @functools.cache
-def _temporary(wanted: Path) -> Path:
-    warnings.warn(
-        f"{wanted} cannot be written: native code is built anew in every process.", BackendWarning, stacklevel=4
-    )
-    return Path(tempfile.mkdtemp(prefix="rotorwatch-"))
+def _temporary(why: str) -> Path:
+    warnings.warn(f"{why}; native code is built anew in every process.", BackendWarning, stacklevel=4)
+    place = incoming.spool() / "native"
+    place.mkdir(exist_ok=True)
+    return place

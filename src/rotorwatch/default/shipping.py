@@ -86,8 +86,9 @@ def built(frame: Frame, marches: Sequence[str], folder: Path) -> tuple[str, dict
     made, layout = native.exported(program.estimator, program.kept, parameters, sizes)
     libraries = {}
     for march in marches:
-        libraries[march] = f"{frame.name}{march and '-' + march}.so"
-        shutil.copyfile(native.build(made.header, made.source, "estimator", march), folder / libraries[march])
+        name = f"{frame.name}{march and '-' + march}.so"
+        shutil.copyfile(native.build(made.header, made.source, "estimator", march), folder / name)
+        libraries[march] = name, shipped.digest_of(folder / name)
     known = native.known_by(program.estimator, program.kept, parameters, sizes)
     assert known is not None
     return known, {"frame": frame.name, "libraries": libraries, "layout": layout, "source": made.digest}
@@ -126,7 +127,7 @@ def main(arguments: Sequence[str]) -> int:
     folder, portable = Path(arguments[0]), "--portable" in arguments[1:]
     try:
         cache = kept(portable)
-        if not (cache / shipped.INDEX).exists():
+        if not shipped.whole(cache):
             part = cache.with_suffix(f".{os.getpid()}")
             ship(part, portable=portable)
             shutil.rmtree(cache, ignore_errors=True)

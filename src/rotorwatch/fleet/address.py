@@ -6,8 +6,10 @@ import os
 import re
 import sys
 from pathlib import Path
+from urllib.parse import urlsplit
 
 from rotorwatch.errors import ConfigError
+from rotorwatch.shown import public
 
 
 def default_url() -> str:
@@ -29,11 +31,16 @@ def resolve(url: str | os.PathLike | None) -> tuple[str, str]:
     text = os.fspath(url) if url is not None else default_url()
     if re.match(r"postgres(ql)?(\+\w+)?://", text):
         rest = text.partition("://")[2]
-        return f"postgresql+psycopg://{rest}", re.sub(r"//[^/@]*@", "//", f"postgresql://{rest}")
+        label = public(f"postgresql://{rest.rpartition('@')[2]}")
+        try:
+            urlsplit(f"postgresql://{rest}").port  # noqa: B018 - raises for what is no port
+        except ValueError:
+            raise ConfigError(f"{label} is no address of a database; give postgresql://USER@HOST/DATABASE.") from None
+        return f"postgresql+psycopg://{rest}", label
     if text.startswith("sqlite:///"):
         text = text.removeprefix("sqlite:///")
     elif "://" in text:
-        raise ConfigError(f"{text} is no store; give a file name or postgresql://USER@HOST/DATABASE.")
+        raise ConfigError(f"{public(text)} is no store; give a file name or postgresql://USER@HOST/DATABASE.")
     if not text:
         raise ConfigError("An empty name was given for the store; give a file name or postgresql://USER@HOST/DATABASE.")
     path = Path(text).expanduser()

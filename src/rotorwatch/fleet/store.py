@@ -88,8 +88,20 @@ class Store:
     def __enter__(self) -> Store:
         return self
 
-    def __exit__(self, *why: object) -> None:
-        self.close()
+    def __exit__(self, kind: Any, why: Any, trace: Any) -> None:
+        """Raises StoreError where work failed because the store holds what it cannot hold."""
+        try:
+            if isinstance(why, (ValueError, TypeError, KeyError, AttributeError, IndexError)):
+                from rotorwatch.fleet import damage
+
+                with self._database.reading() as connection:
+                    place = damage.found(connection)
+                if place:
+                    raise StoreError(
+                        f"The store {self.label} is damaged ({place}): put a copy back, or add the logs to a new one."
+                    ) from why
+        finally:
+            self.close()
 
     # Writing
 

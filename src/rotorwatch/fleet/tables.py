@@ -125,6 +125,10 @@ def upgrade(connection: Any) -> None:
     version = 0
     if sa.inspect(connection).has_table("meta"):
         found = connection.execute(sa.select(meta.c.value).where(meta.c.key == "version")).scalar()
+        if not str(found or 0).isdecimal():
+            raise StoreError(
+                "The store is damaged (table meta, version): put a copy back, or add the logs to a new one."
+            )
         version = int(found or 0)
     if version > len(STEPS):
         raise StoreError(

@@ -37,6 +37,7 @@ import numpy as np
 
 from rotorwatch import optional
 from rotorwatch.errors import ConfigError
+from rotorwatch.shown import printable
 
 
 @dataclass(frozen=True)
@@ -123,6 +124,10 @@ class Message:
     text: str
     value: float = 0.0
 
+    def __post_init__(self):
+        if not self.text.isprintable():
+            object.__setattr__(self, "text", printable(self.text))
+
 
 @dataclass(frozen=True)
 class Flight:
@@ -149,6 +154,18 @@ class Flight:
     name: str = ""
     start_us: int = 0
     facts: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self):
+        for name in ("autopilot", "firmware", "vehicle_type", "name"):
+            if not (text := getattr(self, name)).isprintable():
+                object.__setattr__(self, name, printable(text))
+        if not all(map(str.isprintable, self.parameters)):
+            object.__setattr__(self, "parameters", {printable(k): v for k, v in self.parameters.items()})
+        if not all(name.isprintable() for _, name, _ in self.parameter_changes):
+            changes = tuple((time, printable(name), value) for time, name, value in self.parameter_changes)
+            object.__setattr__(self, "parameter_changes", changes)
+        if not all(map(str.isprintable, self.warnings)):
+            object.__setattr__(self, "warnings", tuple(map(printable, self.warnings)))
 
     def has(self, *names: str) -> bool:
         """True when every named signal is there with at least two samples."""

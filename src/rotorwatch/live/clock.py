@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 WRAP_US = 2.0**32  # SERVO_OUTPUT_RAW's microseconds start again there
 BACK_US = 0.5e6  # messages of one moment come in any order; a longer step back is no matter of that
 AHEAD_US = 10e6  # a stamp so much ahead of what the time of arrival allows is damaged, unless others follow it
@@ -27,7 +25,8 @@ class Clock:
     def take(self, stamp: float, arrival: float, short: bool) -> float | None:
         """Time [s since start] of a message with this stamp [us] that arrived at `arrival` [s, any clock that does not jump]; short: of 32
         bits. None for a stamp that is not believed. Raises Restarted when the vehicle's clock began anew."""
-        if not (np.isfinite(stamp) and 0 < stamp < 1e14):
+        stamp, arrival = float(stamp), float(arrival)  # numbers of the language: what is made of them goes into JSON
+        if not 0.0 < stamp < 1e14:
             return None
         if self.start is None:
             if short:
@@ -35,7 +34,7 @@ class Clock:
             self.start = self._last = stamp
             self._arrived = arrival
         if short:
-            stamp += WRAP_US * np.round((self._last - stamp) / WRAP_US)
+            stamp += WRAP_US * round((self._last - stamp) / WRAP_US)
         ahead = stamp - self._last
         if -BACK_US <= ahead <= AHEAD_US + 1e6 * max(arrival - self._arrived, 0.0):
             self._other.clear()

@@ -12,6 +12,7 @@ from rotorwatch.errors import LinkError
 
 AGAIN_S = 1.0  # between two attempts to connect again
 MOST = 65536
+ANSWERED, FORGOTTEN_S = 32, 60.0  # peers that are sent to, as long as they are heard: an address can be forged
 KINDS = "udp:PORT, udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT or serial:DEVICE:BAUD"
 
 
@@ -62,6 +63,9 @@ class Endpoint:
         """To one peer, or to all that have been heard. What cannot be sent is lost, as on any link."""
         raise NotImplementedError
 
+    def heard(self, peer: Any) -> None:
+        """What this peer sends is MAVLink: it is answered."""
+
     def close(self) -> None:
         self.open = False
 
@@ -82,11 +86,10 @@ class Udp(Endpoint):
             else:
                 self._socket.connect((host, port))
                 self._peers[None] = 0.0
-        except OSError as why:
+        except (OSError, UnicodeError) as why:
             self._socket.close()
-            raise LinkError(
-                f"{name} cannot be opened ({why.strerror or why}); is another program using this port?"
-            ) from why
+            reason = getattr(why, "strerror", None) or why
+            raise LinkError(f"{name} cannot be opened ({reason}); is another program using this port?") from why
         self.open = True
 
     def fileno(self) -> int:
@@ -101,17 +104,24 @@ class Udp(Endpoint):
                 break
             except OSError:  # the other side has no one listening: said by its computer
                 continue
-            if None not in self._peers:
-                self._peers[peer] = time.monotonic()
             found.append((peer, data))
         return found
+
+    def heard(self, peer: Any) -> None:
+        if None in self._peers:
+            return
+        now = time.monotonic()
+        if peer not in self._peers and len(self._peers) >= ANSWERED:
+            self._peers = {one: last for one, last in self._peers.items() if last > now - FORGOTTEN_S}
+        if peer in self._peers or len(self._peers) < ANSWERED:
+            self._peers[peer] = now
 
     def send(self, data: bytes, peer: Any = None) -> None:
         for to in list(self._peers) if peer is None or None in self._peers else [peer]:
             try:
                 if to is None:
                     self._socket.send(data)
-                elif self._peers.get(to, 0.0) > time.monotonic() - 60.0:
+                elif self._peers.get(to, 0.0) > time.monotonic() - FORGOTTEN_S:
                     self._socket.sendto(data, to)
                 else:
                     self._peers.pop(to, None)
@@ -164,8 +174,9 @@ class Tcp(Stream):
         self._address, self._socket = (host, port), None
         try:
             self._connect(5.0)
-        except OSError as why:
-            raise LinkError(f"{name} cannot be reached ({why.strerror or why}); is the other side listening?") from why
+        except (OSError, UnicodeError) as why:
+            reason = getattr(why, "strerror", None) or why
+            raise LinkError(f"{name} cannot be reached ({reason}); is the other side listening?") from why
 
     def _connect(self, wait_s: float) -> None:
         self._socket = socket.create_connection(self._address, wait_s)

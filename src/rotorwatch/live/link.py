@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,7 @@ BEAT_S, HELLO_S = 1.0, 0.5
 ALL_S = 0.05  # between two looks at vehicles of which nothing has come
 SILENT_S = 3.0
 PEERS = 200  # whose unfinished frames are kept
+VEHICLES = 64  # of one link
 TREND, MIXED, UNMIXED = (
     0.02,
     0.3,
@@ -252,7 +254,7 @@ class Link:
         self._began, self._beat = clock(), 0.0
         self._sender = Sender(talk.SYSTEM, talk.COMPONENT)
         self._tellers: dict[int, Sender] = {}
-        self._first_version = False
+        self._first_version = self._full = False
         self._file = self._open(record) if record is not None else None
         self.trouble = ""
 
@@ -289,10 +291,12 @@ class Link:
         if self.talks and now - self._beat > BEAT_S:
             self._beat = now
             self.send(talk.heartbeat())
-            if self._file is not None:
-                self._file.flush()
+            self._recorded(lambda file: file.flush())
         for heard in self._fresh:
-            heard.step(now)
+            try:
+                heard.step(now)
+            except Exception as why:  # of one vehicle; the others are watched on
+                heard.watched.fail(why)
         self._fresh = {}
         if not self._heard and now - self._began > self._patience_s:
             raise LinkError(self._nobody())
@@ -332,12 +336,26 @@ class Link:
             parser = self._parsers[peer] = Frames()
             if len(self._parsers) > PEERS:
                 self._damaged_before += self._parsers.pop(next(iter(self._parsers))).damaged
-        arrival, stamp = self.clock(), int(time.time() * 1e6)
+        arrival, stamp, known = self.clock(), int(time.time() * 1e6), self.frames
         for frame in parser.on(data):
             self.frames += 1
-            if self._file is not None:
-                self._file.write(stamp.to_bytes(8, "big") + frame)
+            self._recorded(lambda file, frame=frame: file.write(stamp.to_bytes(8, "big") + frame))
             self._dispatch(peer, frame, arrival)
+        if self.frames > known:
+            self.endpoint.heard(peer)
+
+    def _recorded(self, write: Callable[[Any], Any]) -> None:
+        """Do that with the record, if there is one. It ends where it cannot be written, and nothing else does."""
+        if self._file is None:
+            return
+        try:
+            write(self._file)
+        except OSError as why:
+            file, self._file = self._file, None
+            with suppress(OSError):
+                file.close()
+            text = f"nothing is recorded any more ({why.strerror or why}); judging goes on"
+            self._tell({"type": "error", "vehicle": self.endpoint.name, "text": text})
 
     def _dispatch(self, peer: Any, frame: bytes, arrival: float) -> None:
         sequence, system, component, identity = mavlink.header(frame)
@@ -350,7 +368,10 @@ class Link:
             return
         self._fresh[heard] = None
         if heard.counted(sequence):
-            heard.on(identity, frame, arrival)
+            try:
+                heard.on(identity, frame, arrival)
+            except Exception as why:  # of one vehicle; the others are watched on
+                heard.watched.fail(why)
 
     def _followed(self, heard: Heard, peer: Any, arrival: float) -> bool:
         """Whether a vehicle is now heard through another peer. While its own still sends, what the other one sends under its id is another
@@ -381,6 +402,12 @@ class Link:
                     }
                 )
             return
+        if len(self._heard) >= VEHICLES:
+            if not self._full:
+                self._full = True
+                text = f"more than {VEHICLES} vehicles are heard on this link; those that came last are left out"
+                self._tell({"type": "error", "vehicle": self.endpoint.name, "text": text})
+            return
         self._first_version = frame[0] == 0xFE
         name = self._name(system, component)
         words = mavlink.AUTOPILOTS.get(autopilot, f"MAVLink autopilot {autopilot}")
@@ -396,6 +423,5 @@ class Link:
         """Give back what was asked for, and close."""
         for heard in self._heard.values():
             heard.leave()
-        if self._file is not None:
-            self._file.close()
+        self._recorded(lambda file: file.close())
         self.endpoint.close()

@@ -18,6 +18,7 @@ from rotorwatch.logs import mavlink_esc, mavlink_frames, mavlink_messages, tlog
 AUTOPILOTS = {3: "ArduPilot", 12: "PX4"}
 UNKNOWN_S = 2.0  # a message that tells of a signal and falls silent for so long gives way to another one
 RATE_S = 3.0  # over which rates are counted
+MOST_PARAMETERS = 5000  # of a vehicle; ArduPilot has 1,500
 MOST_ROWS = 5000  # of a message, before its vehicle is known well enough to judge it
 SIGNALS = ("motors", "gyro", "accel", "attitude", "attitude_wanted", "velocity", "position", "battery")
 TICK = ("motors", "gyro", "accel")
@@ -156,7 +157,9 @@ class Messages:
         else:
             time = self.clock.now
         if layout.name == "PARAM_VALUE":
-            self._parameters[bytes(np.frombuffer(body, layout.kind)[0]["param_id"])] = (time, body)
+            name = bytes(np.frombuffer(body, layout.kind)[0]["param_id"])
+            if name in self._parameters or len(self._parameters) < MOST_PARAMETERS:
+                self._parameters[name] = (time, body)
             return
         seen = self._seen.get(layout.name)
         if seen is None:

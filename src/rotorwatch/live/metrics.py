@@ -64,9 +64,10 @@ class Metrics:
             self._server, self._thread = prometheus.start_http_server(
                 int(port), host.strip("[]") or "127.0.0.1", registry
             )
-        except OSError as why:
+        except (OSError, UnicodeError) as why:
+            reason = getattr(why, "strerror", None) or why
             raise ConfigError(
-                f"--metrics {where} cannot be opened ({why.strerror or why}); is another program using this port?"
+                f"--metrics {where} cannot be opened ({reason}); is another program using this port?"
             ) from why
         self.port: int = self._server.server_port
 

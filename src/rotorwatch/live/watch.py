@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
-from rotorwatch.live.watched import Watched
+from rotorwatch.live.watched import Watched, trouble
 
 SHOW_S, WAIT_S, STEP_S = 0.25, 0.005, 0.05
 
@@ -48,6 +48,30 @@ class Outlet(Protocol):
     def leave(self) -> None:
         """Nothing will come after."""
         ...
+
+
+class Beside:
+    """An outlet whose trouble ends nothing else. tell: called with one sentence about it, once."""
+
+    def __init__(self, outlet: Outlet, tell: Callable[[str], None]):
+        self._outlet, self._tell, self._told = outlet, tell, False
+
+    def take(self, alert: dict) -> None:
+        self._do(self._outlet.take, alert)
+
+    def step(self, sources: Sequence[Source]) -> None:
+        self._do(self._outlet.step, sources)
+
+    def leave(self) -> None:
+        self._do(self._outlet.leave)
+
+    def _do(self, what: Callable, *given) -> None:
+        try:
+            what(*given)
+        except Exception as why:
+            if not self._told:
+                self._told = True
+                self._tell(f"{type(self._outlet).__name__.lower()}: {trouble(why)}")
 
 
 def watch(

@@ -81,11 +81,15 @@ class Watched:
                 frame = self.session.vehicle
                 self._tell({"type": "vehicle", "vehicle": self.name, "frame": frame.name, "rotors": len(frame.rotors)})
         except Exception as why:
-            self._fail(why)
+            self.fail(why)
 
-    def _fail(self, why: Exception) -> None:
-        self.trouble = trouble(why)
-        self.say(self.trouble, "error")
+    def fail(self, why: Exception) -> None:
+        """It cannot be judged further: said once, until another flight begins. What nobody listens to any more is raised."""
+        if isinstance(why, BrokenPipeError):
+            raise why
+        if not self.trouble:
+            self.trouble = trouble(why)
+            self.say(self.trouble, "error")
 
     def advance(self, complete: float | None = None) -> bool:
         """Judge what has come; whether there was a tick."""
@@ -93,24 +97,27 @@ class Watched:
             return False
         try:
             stepped = self.session.advance(complete)
+            if stepped and self.session.flying and self.session.limits != self._limits:
+                self._limits = self.session.limits
+                if self._limits:
+                    self.say(self._limits)
+            said = self.session.said
+            if said != self._said or ((said or self.changes.now) and self.session.now - self._looked > LOOK_S):
+                self._look()
         except Exception as why:  # of one vehicle; the others are watched on
-            self._fail(why)
+            self.fail(why)
             return False
-        if stepped and self.session.flying and self.session.limits != self._limits:
-            self._limits = self.session.limits
-            if self._limits:
-                self.say(self._limits)
-        said = self.session.said
-        if said != self._said or ((said or self.changes.now) and self.session.now - self._looked > LOOK_S):
-            self._look()
         return stepped
 
     def finish(self, duration: float | None = None) -> None:
         """The flight has ended: the last word on each event."""
         if self.session is None or self.trouble:
             return
-        self.session.finish(self.session.now if duration is None else duration)
-        self._look(final=True)
+        try:
+            self.session.finish(self.session.now if duration is None else duration)
+            self._look(final=True)
+        except Exception as why:
+            self.fail(why)
 
     def withdraw(self) -> None:
         """Take back what was told of this flight: it was judged as another vehicle's."""

@@ -16,12 +16,26 @@ from collections import deque
 from collections.abc import Callable
 
 from rotorwatch.errors import ConfigError
+from rotorwatch.shown import public
 
 MOST = 1000  # alerts that wait; beyond, the oldest go
 TIMEOUT_S = 10.0
 FIRST_S, LONGEST_S = 1.0, 60.0  # pauses between attempts: doubled each time
 AGAIN = (408, 425, 429)  # answers of the kind "you are wrong" that mean "later"
 LAST_S = 5.0  # at the end for what has not been sent
+
+
+def _checked(url: str) -> str:
+    """Whom an address is of, with nothing that only its owner may know. Raises ConfigError for what is no address."""
+    try:
+        where = urllib.parse.urlsplit(url)
+        host = (where.hostname or "").encode("idna").decode()
+        name = f"{where.scheme}://{host}" + (f":{where.port}" if where.port else "")
+    except ValueError:
+        host = name = ""
+    if not host or not name.startswith(("http://", "https://")):
+        raise ConfigError(f"--webhook {public(url)}: give an address that begins with http:// or https://.")
+    return name
 
 
 class _Here(urllib.request.HTTPRedirectHandler):
@@ -38,11 +52,8 @@ class Webhook:
 
     def __init__(self, url: str, told: Callable[[str], None] = lambda text: None, pause_s: float = FIRST_S):
         """Raises ConfigError for what is no address."""
-        where = urllib.parse.urlsplit(url)
-        if where.scheme not in ("http", "https") or not where.hostname:
-            raise ConfigError(f"--webhook {url}: give an address that begins with http:// or https://.")
+        self.name = _checked(url)
         self._url, self._told, self._pause_s = url, told, pause_s
-        self.name = f"{where.scheme}://{where.hostname}" + (f":{where.port}" if where.port else "")
         self.sent = self.refused = self.dropped = 0
         self._queue: deque[bytes] = deque()
         self._change = threading.Condition()

@@ -115,5 +115,4 @@ def _checked(job, module, path, warnings) -> Flight:
         )
     if not any(len(s) >= 2 for s in flight.signals.values()):
         raise LogError(f"{path}: this {module.FORMAT} holds no flight data; was logging switched on?")
-    name = path.name.encode("utf-8", "backslashreplace").decode()  # file names may hold bytes that are no text
-    return plausible.checked(replace(flight, name=name, warnings=(*warnings, *flight.warnings)))
+    return plausible.checked(replace(flight, name=path.name, warnings=(*warnings, *flight.warnings)))

@@ -8,11 +8,11 @@ import mmap
 import zlib
 from pathlib import Path
 
+from rotorwatch import incoming
 from rotorwatch.errors import LogError
 
-LIMIT = 4 << 30
-"""Bytes a compressed log may unfold to at most."""
-
+SLACK, SHRINKS = 256 << 20, 16
+"""Logs shrink to a third to a sixth; what unfolds to more than so many bytes, and so many times its size, is made to fill memory."""
 _CHUNK, _HEAD = 1 << 20, 1 << 16
 _MAGIC = {
     b"\xfd7zXZ\x00": (".xz", lzma.LZMADecompressor),
@@ -42,17 +42,19 @@ class _Gzip:
     needs_input = property(lambda self: not self._rest)
 
 
-def open_log(path: Path, progress=None, limit: int = LIMIT):
+def open_log(path: Path, progress=None, limit: int = incoming.MOST):
     """The content of a log file: (bytes-like data, name without the compression suffix, list of warnings).
 
     A truncated or damaged compressed stream gives what could be read of it and a warning.
-    Raises LogError when the file is missing, unreadable, empty, or unfolds to more than `limit` bytes.
+    Raises LogError when the file is missing, unreadable, empty, or holds, unpacked or as it is, more than `limit` bytes.
     """
     try:
         with path.open("rb") as file:
             size = path.stat().st_size
             if size == 0:
                 raise LogError(f"{path}: the file is empty; copy the log from the vehicle again")
+            if size > limit:
+                raise LogError(f"{path}: holds more than {limit >> 20} MB, which no flight log does")
             head = file.read(16)
             for magic, (kind, tool) in _REFUSED.items():
                 if head.startswith(magic):
@@ -89,8 +91,7 @@ def head(path: Path, count: int) -> tuple[bytes, str]:
 
 def _unfold(file, size, decoder, path, progress, limit):
     """Decompress stream after stream. Returns (bytes, warnings)."""
-    # No log shrinks a hundredfold; a file that does so is a decompression bomb or nothing but zeros.
-    limit = min(limit, (256 << 20) + 100 * size)
+    limit = min(limit, SLACK + SHRINKS * size)
     pieces, total, warnings = [], 0, []
     stream, data = decoder(), file.read(_CHUNK)
     try:

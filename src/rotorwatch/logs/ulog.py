@@ -16,6 +16,7 @@ FORMAT = "PX4 ULog"
 
 _MAGIC = b"ULog\x01\x12\x35"
 _BUFFER = 1 << 18  # bytes
+_CIRCLES = 1000  # times that a parser may go back to where it has been
 _ENOUGH = 20  # samples of a topic that is logged all the time
 _BEGINS_WITHIN_US = 30e6  # some topic after the header
 _MOST_FIELDS = 20_000  # flattened; PX4's largest message has about 400
@@ -157,15 +158,16 @@ def _log_messages(log, start) -> list[Message]:
 class _File:
     """A read-only file over bytes that need not be copied, and that ends for good when a parser runs in circles.
 
-    Only seeking back leads into a circle, and damage makes a parser seek at most about once a byte; one that seeks more
-    often than one time in eight bytes is lost; then this file stays at its end. cut: a read got less than it asked.
+    Where the parser meets damage it goes back to one byte after the place where it was. One that goes back to where it has been before,
+    again and again, is lost, as is one that seeks more often than one time in eight bytes. Then this file stays at its end. cut: a read
+    got less than it asked.
     """
 
     def __init__(self, data, progress=None):
         self._size = len(data)
         self._file = io.BufferedReader(_Bytes(data, progress), _BUFFER)
         self._read, self.tell = self._file.read, self._file.tell
-        self._left = self._size // 8 + 50_000
+        self._left, self._circles, self._furthest = self._size // 8 + 50_000, _CIRCLES, 0
         self.cut = False
 
     def read(self, count=-1) -> bytes:
@@ -179,7 +181,9 @@ class _File:
         at = offset + (0, self.tell(), self._size)[whence]
         if at < 0:
             raise ValueError("seek before the start of the file")
-        return self._file.seek(at if self._left >= 0 else max(at, self._size))
+        self._circles -= at <= self._furthest
+        self._furthest = max(self._furthest, at)
+        return self._file.seek(at if self._left >= 0 and self._circles >= 0 else max(at, self._size))
 
     def close(self) -> None:
         """Nothing to close: the data belongs to the caller."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import pickle
 import signal
+import tempfile
 import threading
 import time
 import warnings
@@ -19,6 +20,7 @@ from dataclasses import replace
 from multiprocessing import connection, get_context, parent_process
 from typing import Any
 
+from rotorwatch import incoming
 from rotorwatch.errors import WorkerError
 from rotorwatch.many.done import Done, Task, attempt, packed, portable
 
@@ -116,9 +118,10 @@ class Worker:
     def __init__(self, work: bytes, limit_s: float | None, task: Task = NOTHING):
         """work: (function, prepare), packed. limit_s: for one item."""
         context = get_context("spawn")
+        place = str(incoming.spool())  # one that is killed removes nothing
         self.task, self.limit_s, self.ready, self.hung = task, limit_s, False, False
         self.pipe, theirs = context.Pipe()
-        self.process = context.Process(target=_serve, args=(theirs, work), daemon=True)
+        self.process = context.Process(target=_serve, args=(theirs, work, place), daemon=True)
         with _one_thread():
             self.process.start()
         theirs.close()
@@ -199,9 +202,10 @@ def _one_thread() -> Iterator[None]:
             os.environ.pop(name, None)
 
 
-def _serve(pipe: Any, work: bytes) -> None:
-    """A process: says that it is ready, then items in, packed results out, until the pipe closes."""
+def _serve(pipe: Any, work: bytes, place: str) -> None:
+    """A process: says that it is ready, then items in, packed results out, until the pipe closes. place: for its temporary files."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # who started it decides when to stop
+    tempfile.tempdir = place
     if not os.environ.get("ROTORWATCH_DEBUG"):
         warnings.simplefilter("ignore")  # of numerical libraries; each process would say the same
     parent = parent_process()

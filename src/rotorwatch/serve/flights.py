@@ -12,9 +12,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from rotorwatch import files
+from rotorwatch import files, shown
 from rotorwatch.diagnosis import Diagnosis
-from rotorwatch.errors import ConfigError, RotorwatchError, StoreError, StoreFull
+from rotorwatch.errors import RotorwatchError, StoreError, StoreFull, WorkerError
 from rotorwatch.fleet.address import default_url
 from rotorwatch.fleet.store import Entry, Store
 from rotorwatch.report.html import page
@@ -108,13 +108,15 @@ class Keeper:
             while True:
                 try:
                     row = self._flights.keep(entry)
-                except Exception as why:
-                    self._trouble(f"The flight of {entry.name} is not in the list yet. {wrong(why)[1]}")
+                except Exception as why:  # whatever a store does: it is tried again
+                    with suppress(Exception):
+                        self._trouble(f"The flight of {entry.name} is not in the list yet. {wrong(why)[1]}")
                     if self._leaving.wait(AGAIN_S):
                         break
-                else:
+                    continue
+                with suppress(Exception):  # it is kept, whether the pages hear of it or not
                     self._told(row)
-                    break
+                break
 
 
 def wrong(why: Exception) -> tuple[int, str]:
@@ -123,15 +125,16 @@ def wrong(why: Exception) -> tuple[int, str]:
         import traceback
 
         traceback.print_exception(why)
-    details = "".join(c if c.isprintable() else " " for c in f"{type(why).__name__}: {why}")
     with suppress(OSError, ValueError, AttributeError):  # nobody reads it
-        print(f"rotorwatch: {details}", file=sys.stderr, flush=True)
-    if isinstance(why, (StoreFull, OSError, ConfigError)):  # a page cannot be written
+        print(f"rotorwatch: {shown.printable(f'{type(why).__name__}: {why}')}", file=sys.stderr, flush=True)
+    if isinstance(why, (StoreFull, OSError)):
         return 507, "The server's disk has no room, or cannot be written to; make room."
     if isinstance(why, StoreError):
-        return 503, "The list of flights cannot be reached now; see to the server's store."
-    if isinstance(why, RotorwatchError):
+        return 503, "The list of flights cannot be read or written now; see to the server's store."
+    if isinstance(why, WorkerError):
         return 503, "The process that judges logs does not run; try again."
+    if isinstance(why, RotorwatchError):  # of what a flight says, not of where it lies
+        return 503, str(why)
     return (
         500,
         f"An error in rotorwatch itself ({type(why).__name__}); please report it with what the server has printed.",

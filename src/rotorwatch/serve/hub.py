@@ -77,8 +77,15 @@ class Hub:
             return self._frame("state", self._state(), self._last), self._last
 
     def _frame(self, kind: str, data: Any, number: int) -> str:
-        return f"id: {self._run}-{number}\nevent: {kind}\ndata: {json.dumps(data, allow_nan=False)}\n\n"
+        return f"id: {self._run}-{number}\nevent: {kind}\ndata: {json.dumps(data, allow_nan=False, default=_plain)}\n\n"
 
     def _ring(self) -> None:
         for bell in self._bells:
             bell.set()
+
+
+def _plain(value: Any) -> Any:
+    """A number of NumPy as one of the language. Raises TypeError for all else."""
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    raise TypeError(f"{type(value).__name__} cannot be told to a page")

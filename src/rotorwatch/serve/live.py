@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +34,15 @@ POINTS = 600  # of a band; when there are twice as many every second one goes, s
 SAID = 100  # sentences that are kept
 LAST_WORD_S = 60.0  # for what was heard and is not judged yet, when the server is stopped
 EVENTS = 30  # of a vehicle that are shown, the newest
+AGAIN_S = 5.0  # after an error of a link, until it is opened again
+
+log = logging.getLogger(__name__)
+
+
+def _failed(doing: str, why: Exception) -> str:
+    """What is said of an error that nobody has foreseen; where it happened stands in the log."""
+    log.error("%s failed", doing, exc_info=why)
+    return f"an error in rotorwatch itself ({doing}: {type(why).__name__}: {why}); please report it"
 
 
 def open_source(
@@ -181,12 +192,14 @@ class Shown:
 
 
 class Guarded:
-    """A source that cannot take the others down. trouble: why it has ended, in a sentence."""
+    """A source that cannot take the others down. opened: opens it, and, if it is a link, opens it again after an error. trouble: what went
+    wrong, in a sentence."""
 
-    def __init__(self, name: str, source: Source, feed: Feed):
-        self.name, self.source, self._feed = name, source, feed
+    def __init__(self, name: str, opened: Callable[[], Source], feed: Feed):
+        self.name, self.source, self._feed, self._opened = name, opened(), feed, opened
         self.ended, self.trouble = False, ""
-        self.lists = isinstance(source, Link)  # a log that is replayed can be dropped into the list
+        self._again = math.inf
+        self.lists = isinstance(self.source, Link)  # a log that is replayed can be dropped into the list
 
     @property
     def vehicles(self) -> Sequence[Watched]:
@@ -196,13 +209,28 @@ class Guarded:
         return self.source.shown()
 
     def poll(self, wait_s: float) -> bool:
-        """As the source does; an error ends it with a sentence."""
+        """As the source does; after an error a link is opened again, all else has ended with a sentence."""
+        if self.trouble and not self.ended:
+            self._open_again(wait_s)
+            return not self.ended
         try:
             self.ended = self._feed.stopped or not self.source.poll(wait_s)
         except Exception as why:
             self._fail(why)
-        self._feed.sample(self)
+        self._feed.sample(self, all_is_over=bool(self.trouble))
         return not self.ended
+
+    def _open_again(self, wait_s: float) -> None:
+        self.ended = self._feed.stopped
+        if time.monotonic() < self._again:
+            time.sleep(wait_s)
+            return
+        with suppress(Exception):
+            self.source.leave()
+        try:
+            self.source, self.trouble = self._opened(), ""
+        except Exception as why:
+            self._fail(why)
 
     def leave(self) -> None:
         try:
@@ -212,9 +240,10 @@ class Guarded:
         self._feed.sample(self, all_is_over=True)
 
     def _fail(self, why: Exception) -> None:
-        self.trouble = trouble(why)
-        self.ended = True
-        self._feed.tell({"type": "error", "vehicle": self.name, "text": self.trouble})
+        said, self.trouble = self.trouble, trouble(why)
+        self.ended, self._again = not self.lists, time.monotonic() + AGAIN_S
+        if self.trouble != said:
+            self._feed.tell({"type": "error", "vehicle": self.name, "text": self.trouble})
 
     def about(self) -> dict[str, str]:
         """What the page says of the endpoint."""
@@ -227,12 +256,13 @@ class Guarded:
 
 class Feed:
     """All endpoints, watched from `start` to `stop`; hub: tells the pages of them. ended: called with each flight that was heard over a
-    link and has ended; it must not wait."""
+    link and has ended; it must not wait. trouble: why nothing is watched any more, in a sentence; empty as long as all is well."""
 
     def __init__(self, ended: Callable[[Entry], None] = lambda entry: None):
         self.ended = ended
         self.hub = Hub(self.state)
         self.stopped = False
+        self.trouble = ""
         self._sources: list[Guarded] = []
         self._shown: dict[int, Shown] = {}
         self._said: deque[dict[str, Any]] = deque(maxlen=SAID)
@@ -242,15 +272,22 @@ class Feed:
 
     def open(self, endpoint: str, *about: Any) -> None:
         """Add an endpoint; `about`: the rest of `open_source`'s arguments. Raises RotorwatchError."""
-        source = open_source(endpoint, self.tell, *about)
-        self._sources.append(Guarded(endpoint if is_endpoint(endpoint) else Path(endpoint).name, source, self))
+        name = endpoint if is_endpoint(endpoint) else Path(endpoint).name
+        self._sources.append(Guarded(name, lambda: open_source(endpoint, self.tell, *about), self))
 
     def start(self) -> None:
         """Watch in a thread, if there is anything to be watched."""
         if self._sources and self._thread is None:
             self._endpoints = [source.about() for source in self._sources]
-            self._thread = threading.Thread(target=watch, args=(self._sources, self._show), daemon=True)
+            self._thread = threading.Thread(target=self._watch, daemon=True)
             self._thread.start()
+
+    def _watch(self) -> None:
+        try:
+            watch(self._sources, self._show)
+        except Exception as why:
+            self.trouble = f"Nothing is watched any more: {_failed('watching', why)}."
+            self.tell({"type": "error", "vehicle": "all", "text": self.trouble})
 
     def stop(self) -> None:
         """Watch no longer: links are left as they were found, pages are let go."""
@@ -266,6 +303,20 @@ class Feed:
 
     def tell(self, alert: dict[str, Any]) -> None:
         """An alert of `watch`, as a sentence in the list of what was said."""
+        self._apart(self._tell, alert)
+
+    def _apart(self, what: Callable, *given: Any) -> None:
+        """Do what is not judging; an error of it ends nothing, and is said once."""
+        try:
+            what(*given)
+        except Exception as why:
+            text = _failed(what.__name__.strip("_"), why)
+            line = {"at": round(time.time()), "type": "error", "vehicle": "page", "text": text}
+            if not any(one["text"] == text for one in self._said):
+                self._said.append(line)
+                self.hub.publish("said", line)
+
+    def _tell(self, alert: dict[str, Any]) -> None:
         if alert["type"] == "event":
             event = alert["event"]
             text = f"{alert['state']}: {event['kind'].replace('_', ' ')} at {event['onset_s']:.1f} s; {event['reason']}"
@@ -280,6 +331,9 @@ class Feed:
 
     def sample(self, source: Guarded, all_is_over: bool = False) -> None:
         """Keep what is drawn over time of its vehicles, and the flights of links that have ended."""
+        self._apart(self._sample, source, all_is_over)
+
+    def _sample(self, source: Guarded, all_is_over: bool) -> None:
         with self.hub.lock:
             for watched in source.vehicles:
                 shown = self._shown.get(id(watched))
@@ -292,6 +346,9 @@ class Feed:
                     self.hub.publish("begun", {"key": shown.key})
 
     def _show(self, _: Sequence[Source]) -> None:
+        self._apart(self._tick)
+
+    def _tick(self) -> None:
         with self.hub.lock:
             vehicles = []
             for source in self._sources:

@@ -96,16 +96,11 @@ class Guard:
         if self._may(request) or request.url.path in OPEN:
             return None
         given = request.query_params.get("token")
-        if given is not None and request.method == "GET" and self._same(given):
+        if given is not None and self._same(given):
+            if request.method != "GET":  # a program's; a browser gets a cookie
+                return None
             rest = [(k, v) for k, v in request.query_params.multi_items() if k != "token"]
             return self._let_in(request, request.url.path + ("?" + urlencode(rest) if rest else ""))
-        if given is not None and request.method not in ("GET", "HEAD"):
-            return refused(
-                request,
-                401,
-                "A token in the address opens pages only, because addresses are written down in many places; give it in the header "
-                "Authorization: Bearer TOKEN.",
-            )
         wrong = given is not None or "authorization" in headers
         return refused(
             request,

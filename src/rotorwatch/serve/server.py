@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from rotorwatch import checks, optional
-from rotorwatch.errors import ConfigError
+from rotorwatch.errors import ConfigError, LinkError
 
 GIVE_UP_S = 2  # for connections that do not end by themselves when the server is stopped
 
@@ -68,6 +68,8 @@ def serve(
             application(feed, flights, limits, host, known), feed, listening, lambda: ready(address) if ready else None
         )
         flights.close()
+        if feed.trouble:
+            raise LinkError(feed.trouble)
     finally:
         feed.stop()
         listening.close()
@@ -79,8 +81,9 @@ def listen(host: str, port: int) -> socket.socket:
         family, kind, proto, _, address = socket.getaddrinfo(
             host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
         )[0]
-    except OSError as why:
-        raise ConfigError(f"--host {host}: this is no address of this computer ({why.strerror or why}).") from None
+    except (OSError, UnicodeError) as why:
+        reason = getattr(why, "strerror", None) or why
+        raise ConfigError(f"--host {host}: this is no address of this computer ({reason}).") from None
     sock = socket.socket(family, kind, proto)
     try:
         if os.name == "posix":

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from rotorwatch import limited
-from rotorwatch.errors import LogError, RotorwatchError, VehicleError, WorkerError
+from rotorwatch.errors import ConfigError, LogError, RotorwatchError, VehicleError, WorkerError
 from rotorwatch.fleet.store import Entry
 from rotorwatch.many.processes import Worker
 from rotorwatch.serve import names
@@ -78,7 +78,10 @@ def judge(what: tuple[Log, str]) -> Entry | str:
         entry = of_flight(flight, log.digest, log.name, log.size, found=found)
     except (LogError, VehicleError) as why:
         return str(why).replace(str(log.path), log.name).replace(log.path.name, log.name)
-    write(found, page)
+    try:
+        write(found, page)
+    except ConfigError as why:
+        raise OSError(str(why)) from None
     return entry
 
 
