@@ -1,6 +1,11 @@
-"""Work that never ends, and work that wants all memory: for tests of what guards against both. Light to load in a new process."""
+"""Work that never ends, wants all memory, dies, or finds the disk full: for tests of guards. Light to load in a new process."""
 
+import errno
+import os
 import time
+from pathlib import Path
+
+from rotorwatch.fleet.store import Entry
 
 
 def endless(what):
@@ -10,3 +15,20 @@ def endless(what):
 
 def greedy(what):
     return bytearray(3 << 30)
+
+
+def while_full(what):
+    """Judges at once, but for a page that cannot be written while there is a file `full` in its folder."""
+    log, page = what
+    if (Path(page).parent / "full").exists():
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), page)
+    return Entry(log.digest, "", log.name, log.size)
+
+
+def dies_once(what):
+    """The process is gone the first time that a page of that name is asked for."""
+    log, page = what
+    if not Path(page).exists():
+        Path(page).touch()
+        os._exit(1)
+    return Entry(log.digest, "", log.name, log.size)

@@ -1,26 +1,25 @@
 """The served page without a browser: who may ask for what, uploads of every kind, the list of flights, and what pages are told."""
 
 import asyncio
+import contextlib
 import json
 import lzma
 import math
 import socket
-import threading
 import time
-from contextlib import suppress
+import types
 from pathlib import Path
 from urllib.parse import quote
 
 import numpy as np
 import pytest
-import uvicorn
 from starlette.testclient import TestClient
 from tests import misbehaving
 from tests.conftest import hexa_diagnosis
 
 from rotorwatch import cli
 from rotorwatch.diagnosis import Diagnosis
-from rotorwatch.errors import ConfigError, LinkError, StoreError
+from rotorwatch.errors import ConfigError, LinkError, StoreError, StoreFull
 from rotorwatch.fleet.store import Entry
 from rotorwatch.live import metrics
 from rotorwatch.live.watched import Watched
@@ -28,7 +27,6 @@ from rotorwatch.report.html import page
 from rotorwatch.serve import connections, live, names, security, server, uploads
 from rotorwatch.serve import flights as flights_of
 from rotorwatch.serve.app import application
-from rotorwatch.serve.connections import Connection
 from rotorwatch.serve.flights import Flights
 from rotorwatch.serve.hub import KEPT, Hub
 from rotorwatch.serve.uploads import Limits, Refused, Uploads
@@ -167,6 +165,7 @@ def test_the_token_opens(closed):
         assert "httponly" in cookie and "samesite=strict" in cookie
     assert closed.get("/").status_code == 200, "the cookie is kept by the client"
     closed.cookies.clear()
+    assert send(closed, "a.bin", b"x", Authorization=f"Bearer {TOKEN[:-1]}").status_code == 401
     away = closed.get(HERE + "//evil.example/", params={"token": TOKEN})
     assert away.headers["location"].startswith("/") and not away.headers["location"].startswith("//")
 
@@ -196,6 +195,142 @@ def test_odd_questions_get_a_sentence(served):
         assert "whole number" in client.get(f"/api/flights?{ask}").json()["error"]
     assert client.put("/api/flights").status_code == client.delete("/").status_code == 405
     assert "header" in client.post("/api/flights", content=b"x").json()["error"]
+
+
+@pytest.mark.parametrize(("why", "code"), [
+    (StoreFull("The disk of the store /srv/fleet.db is full."), 507),
+    (StoreError("The store /srv/fleet.db cannot be opened."), 503),
+    (PermissionError(13, "Permission denied", "/srv/fleet.db"), 507),
+    (KeyError("/srv/fleet.db"), 500),
+])  # fmt: skip
+def test_no_answer_names_a_path_of_the_server(tmp_path, monkeypatch, capsys, why, code):
+    app, flights = guarded(tmp_path)
+
+    def failing(*_, **__):
+        raise why
+
+    monkeypatch.setattr(flights._store, "flights", failing)
+    answer = TestClient(app, HERE, raise_server_exceptions=False).get("/api/flights")
+    assert answer.status_code == code and "/srv" not in answer.text and answer.json()["error"].endswith(".")
+    assert "/srv/fleet.db" in capsys.readouterr().err, "who runs the server is told"
+
+
+def test_a_flight_of_another_version_says_so(tmp_path, monkeypatch):
+    app, flights = guarded(tmp_path)
+    monkeypatch.setattr(flights._store, "flight", lambda digest: {"diagnosis": {"schema": 1}})
+    answer = TestClient(app, HERE, raise_server_exceptions=False).get("/flights/" + 64 * "0")
+    assert answer.status_code == 503 and "judge the log again" in answer.text
+
+
+# Connections
+
+
+@pytest.fixture
+def listening(monkeypatch):
+    """The port of a server of plain pages, with few and hasty connections."""
+    import threading
+
+    from starlette.applications import Starlette
+    from starlette.responses import PlainTextResponse
+    from starlette.routing import Route
+
+    async def slow(request):
+        await asyncio.sleep(0.5)
+        return PlainTextResponse("slow")
+
+    async def plain(request):
+        return PlainTextResponse("here")
+
+    monkeypatch.setattr(connections, "HEADER_S", 0.4)
+    monkeypatch.setattr(connections, "PER_ADDRESS", 8)
+    sock, begun, hub = server.listen("127.0.0.1", 0), threading.Event(), Hub(dict)
+    feed = types.SimpleNamespace(hub=hub)
+    app = Starlette(routes=[Route("/", plain, methods=["GET", "POST"]), Route("/slow", slow)])
+    serving = server._server(app, feed, begun.set)
+    serving.config.lifespan = "off"
+    thread = threading.Thread(target=lambda: asyncio.run(serving.serve([sock])), daemon=True)
+    thread.start()
+    assert begun.wait(10)
+    yield sock.getsockname()[1]
+    serving.should_exit = True
+    thread.join(10)
+    sock.close()
+
+
+def connected(port, text=b""):
+    sock = socket.create_connection(("127.0.0.1", port), 5)
+    sock.sendall(text)
+    return sock
+
+
+def answered(sock):
+    """All that comes until the other side closes."""
+    text = b""
+    with contextlib.suppress(ConnectionError):
+        while piece := sock.recv(4096):
+            text += piece
+    return text
+
+
+ASK = b"GET / HTTP/1.1\r\nHost: a\r\n"
+
+
+def test_connections_without_a_request_lock_nobody_out(listening):
+    idle = [connected(listening, ASK) for _ in range(40)]
+    began = time.monotonic()
+    assert b"200" in answered(connected(listening, ASK + b"Connection: close\r\n\r\n"))
+    assert time.monotonic() - began < 0.3, "it need not wait for the others to be given up"
+    for sock in idle:
+        assert answered(sock) == b""
+
+
+@pytest.mark.parametrize("first", [
+    ASK,  # a header that never ends
+    ASK + b"\r\n" + ASK,  # so for the second request of a connection
+    b"POST / HTTP/1.1\r\nHost: a\r\nContent-Length: 999\r\n\r\n",  # answered, and its body never ends
+])  # fmt: skip
+def test_a_drop_now_and_then_keeps_no_connection(listening, first):
+    sock, began = connected(listening, first), time.monotonic()
+    sock.settimeout(0.05)
+    closed = False
+    while not closed and time.monotonic() - began < 3.0:
+        try:
+            closed = not sock.recv(4096)
+        except TimeoutError:
+            with contextlib.suppress(ConnectionError):
+                sock.sendall(b"x")
+        except ConnectionError:
+            closed = True
+    assert 0.3 < time.monotonic() - began < 1.5
+
+
+def test_one_address_has_so_many_requests_at_once(listening):
+    busy = [connected(listening, ASK.replace(b"/", b"/slow", 1) + b"Connection: close\r\n\r\n") for _ in range(8)]
+    time.sleep(0.1)
+    assert b"503" in answered(connected(listening, ASK + b"\r\n"))
+    assert all(b"slow" in answered(sock) for sock in busy), "longer than a header may take"
+    assert b"200" in answered(connected(listening, ASK + b"Connection: close\r\n\r\n"))
+
+
+def test_the_form_for_the_token_is_given_up_when_it_does_not_end(tmp_path, monkeypatch):
+    monkeypatch.setattr(security, "FORM_S", 0.05)
+    sent = []
+
+    async def receive():
+        if sent:
+            await asyncio.sleep(5.0)
+        sent.append(1)
+        return {"type": "http.request", "body": b"token=", "more_body": True}
+
+    async def answer(message):
+        sent.append(message)
+
+    scope = {
+        "type": "http", "method": "POST", "path": "/login", "query_string": b"", "headers": [(b"host", b"127.0.0.1:8000")],
+        "scheme": "http", "server": ("127.0.0.1", 8000), "client": ("127.0.0.1", 1), "http_version": "1.1", "root_path": "",
+    }  # fmt: skip
+    asyncio.run(asyncio.wait_for(guarded(tmp_path, TOKEN)[0](scope, receive, answer), 2.0))
+    assert sent[1]["status"] == 408
 
 
 # Uploads
@@ -314,157 +449,182 @@ def test_what_a_killed_server_had_received_is_judged_by_the_next(tmp_path):
     lock.close()
 
 
-class Busy(Flights):
-    """A list whose store does not take a flight the first time."""
-
-    refusals = 1
-
-    def keep(self, entry):
-        if self.refusals:
-            self.refusals -= 1
-            raise StoreError("/secret/fleet.db: database is locked")
-        return super().keep(entry)
+def kept(flights):
+    """Names of the logs that wait for being judged."""
+    return sorted(
+        json.loads(note.read_text())["name"] for note in flights.folder("incoming").glob("run-*/*/complete.json")
+    )
 
 
-def kept(flights, judge, tmp_path, monkeypatch, pieces=(b"x",)):
-    """(what the sender is told, the first row of the list) of a log that is judged by `judge`, once all has been tried again."""
-    monkeypatch.setattr(uploads, "AGAIN_S", 0.01)
-    monkeypatch.setattr(Uploads, "_answer", judge)
+def run_uploads(flights, action, told=lambda row: None, trouble=lambda text: None, limits=None):
+    """What `action(uploads)` comes to while a server takes uploads."""
 
     async def run():
-        rows, said = [], []
-        here = Uploads(flights, Limits(), rows.append, said.append)
+        here = Uploads(flights, limits or Limits(), told, trouble)
+        here.start()
         try:
-            with pytest.raises(Refused) as why:
-                await here.take("a.bin", None, body(*pieces))
-            assert list(here._run.glob("*/log-*")), "the log is kept"
-            while not rows:
-                await asyncio.sleep(0.01)
-            while here._again:
-                await asyncio.sleep(0.01)
-            assert not list(here._run.glob("*/log-*"))
-            return why.value, rows, said
+            return await action(here)
         finally:
             here.stop()
 
-    return asyncio.run(asyncio.wait_for(run(), 20.0))
+    return asyncio.run(run())
 
 
-def entry_of(log):
-    return Entry(log.digest, "", log.name, log.size)
-
-
-def test_a_log_waits_for_its_store(tmp_path, monkeypatch):
-    flights = Busy(str(tmp_path / "fleet.db"))
-    why, (row,), _ = kept(flights, lambda self, log: entry_of(log), tmp_path, monkeypatch)
-    assert why.code == 503 and "is kept" in str(why) and "secret" not in str(why)
-    assert flights.rows("", 9, 0)["total"] == 1 and row["name"] == "a.bin"
-
-
-def test_a_log_waits_for_room_for_its_page(tmp_path, monkeypatch):
-    times = []
-
-    def full(self, log):
-        times.append(log)
-        if len(times) < 3:
-            raise uploads.Lacking("its page cannot be written (No space left on device)")
-        return entry_of(log)
-
-    flights = Flights(str(tmp_path / "fleet.db"))
-    why, rows, said = kept(flights, full, tmp_path, monkeypatch)
-    assert why.code == 507 and str(tmp_path) not in str(why)
-    assert len(rows) == 1 and len(times) == 3 and "a.bin is not in the list yet" in said[0]
-
-
-def test_a_full_disk_is_not_the_logs_fault(tmp_path):
-    log = uploads.Log(SAMPLE, "a.bin", 64 * "0", 1)
-    with pytest.raises(uploads.Lacking, match="its page cannot be written") as why:
-        uploads.judge((log, str(tmp_path / "no folder" / "page.html")))
-    assert str(tmp_path) not in str(why.value)
-
-
-def test_what_cannot_be_moved_is_left_for_the_next_start(tmp_path, monkeypatch):
-    flights = Flights(str(tmp_path / "fleet.db"))
-    killed = flights.folder("incoming") / "run-killed" / "one"
-    killed.mkdir(parents=True)
-    about = {"name": "a.bin", "file": "log-a.bin", "digest": 64 * "0", "size": 1}
-    (killed / "complete.json").write_text(json.dumps(about))
-    own, lock = uploads._own(flights.folder("incoming"))
-    with monkeypatch.context() as full:
-        full.setattr(Path, "rename", lambda *_: (_ for _ in ()).throw(OSError(28, "No space left on device")))
-        assert not uploads._left(flights.folder("incoming"), own)
-    assert (killed / "complete.json").exists()
-    assert len(uploads._left(flights.folder("incoming"), own)) == 1
-    lock.close()
-
-
-def test_many_senders_wait_for_each_other(tmp_path, monkeypatch):
-    monkeypatch.setattr(Uploads, "_answer", lambda self, log: time.sleep(0.005) or entry_of(log))
-
-    async def run():
-        here = Uploads(Flights(str(tmp_path / "fleet.db")), Limits(), lambda row: None)
-        try:
-            sent = (here.take(f"{k}.bin", None, body(str(k).encode())) for k in range(80))
-            return await asyncio.gather(*sent)
-        finally:
-            here.stop()
-
-    assert all(new for _, new in asyncio.run(run()))
-
-
-# Connections
+async def until(condition):
+    for _ in range(1000):
+        if condition():
+            return
+        await asyncio.sleep(0.01)
+    raise AssertionError("it did not happen within 10 s")
 
 
 @pytest.fixture
-def listening():
-    """The port of a server that answers nothing but "fine", with limits of its connections."""
-    config = uvicorn.Config(fine, http=Connection, log_level="critical", lifespan="off")
-    here = uvicorn.Server(config)
-    sock = server.listen("127.0.0.1", 0)
-    thread = threading.Thread(target=lambda: asyncio.run(here.serve([sock])), daemon=True)
-    thread.start()
-    yield sock.getsockname()[1]
-    here.should_exit = True
-    thread.join(10.0)
+def quick(tmp_path, monkeypatch):
+    """Flights that are judged at once, and what a failure is tried again after."""
+    monkeypatch.setattr(uploads, "judge", misbehaving.while_full)
+    monkeypatch.setattr(uploads, "LOADS", ())
+    monkeypatch.setattr(uploads, "AGAIN_S", 0.05)
+    return Flights(str(tmp_path / "fleet.db"))
 
 
-async def fine(scope, receive, send):
-    await send({"type": "http.response.start", "status": 200, "headers": [(b"content-length", b"4")]})
-    await send({"type": "http.response.body", "body": b"fine"})
+def test_a_full_disk_keeps_the_log_until_there_is_room(quick, monkeypatch):
+    full = quick.page("full").with_suffix("")
+    full.touch()
+    rows, said = [], []
+
+    async def action(here):
+        with pytest.raises(Refused, match=r"^a\.bin: .*make room") as why:
+            await here.take("a.bin", None, body(b"a log"))
+        assert why.value.code == 507 and "kept" in str(why.value) and str(quick.folder("")) not in str(why.value)
+        assert kept(quick) == ["a.bin"] and quick.rows("", 10, 0)["total"] == 0
+        full.unlink()
+        await until(lambda: rows)
+
+    run_uploads(quick, action, rows.append, said.append)
+    assert [row["name"] for row in rows] == ["a.bin"] and quick.rows("", 10, 0)["total"] == 1
+    assert kept(quick) == [] and any("a.bin" in text and "make room" in text for text in said)
 
 
-def test_a_header_that_never_ends_is_given_up(listening, monkeypatch):
-    monkeypatch.setattr(connections, "HEADER_S", 0.3)
-    with socket.create_connection(("127.0.0.1", listening)) as slow:
-        slow.settimeout(5.0)
-        began = time.monotonic()
-        slow.sendall(b"GET / HTTP/1.1\r\nHost: x\r\n\r\n")
-        assert b"200 OK" in slow.recv(4096)
-        with pytest.raises(OSError):
-            for _ in range(40):
-                slow.sendall(b"GET / HTTP/1.1\r\nX: ")
-                time.sleep(0.05)
-                if slow.recv(1) == b"":
-                    raise ConnectionError
-        assert 0.2 < time.monotonic() - began < 2.0
+@pytest.mark.parametrize(("why", "code"), [
+    (StoreFull("The disk of the store /srv/fleet.db is full."), 507),
+    (StoreError("Another program has kept the store /srv/fleet.db busy."), 503),
+    (ValueError("a bug at /srv/fleet.db"), 500),
+])  # fmt: skip
+def test_what_the_store_does_not_take_is_kept_and_tried_again(quick, monkeypatch, why, code):
+    keep, failures = quick._store.add, [why, why, why]
+    monkeypatch.setattr(quick._store, "add", lambda entry: failing(failures.pop()) if failures else keep(entry))
+
+    def failing(why):
+        raise why
+
+    rows, said = [], []
+
+    async def refused(here):
+        with pytest.raises(Refused, match="kept here and judged later") as refusal:
+            await here.take("a.bin", None, body(b"a log"))
+        assert refusal.value.code == code and "/srv" not in str(refusal.value)
+
+    async def action(here):
+        await refused(here)
+        await until(lambda: rows)
+
+    monkeypatch.setattr(uploads, "AGAIN_S", 60.0)
+    run_uploads(quick, refused)
+    assert kept(quick) == ["a.bin"]
+    monkeypatch.setattr(uploads, "AGAIN_S", 0.02)
+    run_uploads(quick, action, rows.append, said.append)  # as soon as it starts; sent again; later by itself
+    assert kept(quick) == [] and [row["name"] for row in rows] == ["a.bin"] and "/srv" not in "".join(said)
 
 
-def test_nobody_has_all_connections(listening, monkeypatch):
-    monkeypatch.setattr(connections, "PER_ADDRESS", 3)
-    held = [socket.create_connection(("127.0.0.1", listening)) for _ in range(3)]
-    time.sleep(0.1)
-    with socket.create_connection(("127.0.0.1", listening)) as fourth:
-        fourth.settimeout(5.0)
-        with suppress(ConnectionError):
-            assert fourth.recv(1) == b""
-    held.pop().close()
-    time.sleep(0.1)
-    with socket.create_connection(("127.0.0.1", listening)) as again:
-        again.settimeout(5.0)
-        again.sendall(b"GET / HTTP/1.1\r\nHost: x\r\n\r\n")
-        assert b"200 OK" in again.recv(4096)
-    for one in held:
-        one.close()
+def test_a_log_that_waits_is_judged_at_once_when_it_is_sent_again(quick, monkeypatch):
+    monkeypatch.setattr(uploads, "AGAIN_S", 60.0)
+    full = quick.page("full").with_suffix("")
+    full.touch()
+
+    async def action(here):
+        with pytest.raises(Refused):
+            await here.take("a.bin", None, body(b"a log"))
+        full.unlink()
+        return await here.take("again.bin", None, body(b"a log"))
+
+    row, new = run_uploads(quick, action)
+    assert new and row["name"] == "a.bin" and kept(quick) == []
+
+
+def test_stopping_a_server_leaves_what_it_judges_to_the_next(quick, monkeypatch):
+    monkeypatch.setattr(uploads, "judge", misbehaving.endless)
+
+    async def action(here):
+        sent = asyncio.create_task(here.take("a.bin", None, body(b"a log")))
+        await until(lambda: here._all and here._all[0].ready)
+        here.stop()
+        await asyncio.wait([sent])
+
+    run_uploads(quick, action)
+    assert kept(quick) == ["a.bin"]
+    monkeypatch.setattr(uploads, "judge", misbehaving.while_full)
+    rows = []
+    run_uploads(quick, lambda here: until(lambda: rows), rows.append)
+    assert [row["name"] for row in rows] == ["a.bin"] and kept(quick) == []
+
+
+def test_what_a_next_start_cannot_take_over_stays(quick, monkeypatch):
+    left = quick.folder("incoming") / "run-killed" / "one"
+    left.mkdir(parents=True)
+    (left / "log-a.bin").write_bytes(b"x")
+    (left / "complete.json").write_text(
+        json.dumps({"name": "a.bin", "file": "log-a.bin", "digest": 64 * "0", "size": 1})
+    )
+    (left.parent / "lock").touch()
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "rename", full)
+        run_uploads(quick, lambda here: asyncio.sleep(0))
+    assert kept(quick) == ["a.bin"]
+    run_uploads(quick, lambda here: until(lambda: quick.rows("", 10, 0)["total"]))
+    assert kept(quick) == []
+
+
+def test_a_process_that_dies_once_refuses_no_log(quick, monkeypatch):
+    monkeypatch.setattr(uploads, "judge", misbehaving.dies_once)
+    row, new = run_uploads(quick, lambda here: here.take("a.bin", None, body(b"a log")))
+    assert new and row["name"] == "a.bin"
+
+
+def test_many_uploads_at_once_wait_for_their_turn(quick):
+    async def action(here):
+        sent = (here.take(f"{n}.bin", None, body(b"log %d" % n, pause=0.005)) for n in range(200))
+        return await asyncio.gather(*sent, return_exceptions=True)
+
+    answers = run_uploads(quick, action)
+    assert [one for one in answers if isinstance(one, Exception)] == []
+    assert quick.rows("", 1, 0)["total"] == 200
+
+
+def test_who_has_waited_too_long_for_a_turn_is_told_so(quick, monkeypatch):
+    monkeypatch.setattr(uploads, "PATIENCE_S", 0.05)
+    monkeypatch.setattr(uploads, "RECEIVING", 1)
+
+    async def action(here):
+        slow = asyncio.create_task(here.take("slow.bin", None, body(b"a", pause=1.0)))
+        await asyncio.sleep(0)
+        with pytest.raises(Refused, match="try again in a minute") as why:
+            await here.take("b.bin", None, body(b"b"))
+        assert why.value.code == 503
+        slow.cancel()
+
+    run_uploads(quick, action)
+
+
+def test_a_page_that_cannot_be_written_is_no_fault_of_the_log(served, monkeypatch):
+    client, flights = served
+    monkeypatch.setattr(flights, "page", lambda digest: flights.folder("incoming") / "gone" / "page.html")
+    answer = send(client, "room.bin.xz", SAMPLE.read_bytes()[:250_000])
+    assert answer.status_code == 507 and str(flights.folder("")) not in answer.text and "make room" in answer.text
+    assert kept(flights) == ["room.bin.xz"]
 
 
 # The answer from its JSON
@@ -658,7 +818,8 @@ def test_the_page_has_a_word_for_every_state():
     assert all(f"  {state}: [" in page for state in metrics.STATES)
 
 
-def test_a_store_that_cannot_be_reached_is_tried_again(tmp_path, monkeypatch):
+@pytest.mark.parametrize("why", [StoreError("The database /srv/fleet.db cannot be reached."), OSError("/srv/fleet.db")])
+def test_a_store_that_cannot_be_reached_is_tried_again(why, monkeypatch):
     class Gone:
         def __init__(self):
             self.times = 0
@@ -666,14 +827,17 @@ def test_a_store_that_cannot_be_reached_is_tried_again(tmp_path, monkeypatch):
         def keep(self, entry):
             self.times += 1
             if self.times == 1:
-                raise StoreError("The database cannot be reached.")
+                raise why
             return {"hash": entry.hash}
 
     monkeypatch.setattr(flights_of, "AGAIN_S", 0.01)
     rows, said = [], []
     keeper = flights_of.Keeper(Gone(), rows.append, said.append)
     keeper.keep(Entry("0" * 64, "", "udp:1/1", 0))
-    while not rows:
-        keeper._thread.join(0.01)
+    for _ in range(500):
+        if not rows:
+            keeper._thread.join(0.01)
     keeper.stop()
-    assert rows == [{"hash": "0" * 64}] and "udp:1/1 is not in the list yet" in said[0]
+    assert (
+        rows == [{"hash": "0" * 64}] and "udp:1/1 is not in the list yet" in said[0] and "/srv/fleet.db" not in said[0]
+    )

@@ -48,6 +48,10 @@ class StoreError(RotorwatchError):
     """The store of a fleet cannot be opened, read or written, or does not hold what is asked for."""
 
 
+class StoreFull(StoreError):
+    """The disk of a store has no room."""
+
+
 # Packages of the extra `research`, as they are imported.
 RESEARCH = ("jax", "jaxlib", "scipy", "cvxpy", "matplotlib")
 

@@ -14,7 +14,7 @@ from typing import Any
 import sqlalchemy as sa
 from sqlalchemy import event, exc
 
-from rotorwatch.errors import ConfigError, StoreError
+from rotorwatch.errors import ConfigError, StoreError, StoreFull
 from rotorwatch.fleet.address import resolve
 
 WAIT_S = 30.0  # for another writer
@@ -67,7 +67,7 @@ class Database:
         try:
             yield
         except exc.SQLAlchemyError as why:
-            raise StoreError(_sentence(why, self.label, self._lite)) from None
+            raise _error(why, self.label, self._lite) from None
 
 
 def _engine(url: str, lite: bool) -> sa.Engine:
@@ -98,14 +98,20 @@ def _engine(url: str, lite: bool) -> sa.Engine:
     return engine
 
 
-def _sentence(why: Exception, label: str, lite: bool) -> str:
+AGAIN = "Nothing was half-written; run the same command again afterwards."
+
+
+def _error(why: Exception, label: str, lite: bool) -> StoreError:
     text = " ".join(str(getattr(why, "orig", None) or why).split())
     low = text.lower()
-    again = "Nothing was half-written; run the same command again afterwards."
     if "disk is full" in low or "no space left" in low or "disk i/o error" in low:
-        return f"The disk of the store {label} is full or broken: make room. {again}"
+        return StoreFull(f"The disk of the store {label} is full or broken: make room. {AGAIN}")
+    return StoreError(_sentence(text, low, label, lite))
+
+
+def _sentence(text: str, low: str, label: str, lite: bool) -> str:
     if "locked" in low:
-        return f"Another program has kept the store {label} busy for {WAIT_S:.0f} s: wait for it or stop it. {again}"
+        return f"Another program has kept the store {label} busy for {WAIT_S:.0f} s: wait for it or stop it. {AGAIN}"
     if "not a database" in low or "malformed" in low:
         return f"{label} is no store of rotorwatch, or is damaged; give another file, or put a copy back."
     if "readonly" in low or "read-only" in low:
@@ -113,5 +119,5 @@ def _sentence(why: Exception, label: str, lite: bool) -> str:
     if "unable to open" in low:
         return f"The store {label} cannot be opened; see to its folder and rights."
     if not lite and ("connect" in low or "server" in low or "terminat" in low or "shutting down" in low):
-        return f"The database {label} cannot be reached ({text[:120]}): see that it runs. {again}"
-    return f"The store {label} failed ({text[:160]}). {again}"
+        return f"The database {label} cannot be reached ({text[:120]}): see that it runs. {AGAIN}"
+    return f"The store {label} failed ({text[:160]}). {AGAIN}"

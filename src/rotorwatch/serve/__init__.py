@@ -9,6 +9,7 @@ flights.py    the list of flights: the fleet's store, and a page for each
 landed.py     a flight that was watched and has ended, for the list
 uploads.py    logs that are sent here, judged in processes with limits
 pages.py      the files of the page (folder page/)
+connections.py  how long a connection may be without a request, and how many there are
 app.py        the routes
 server.py     all of it on a port
 """

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import os
 from contextlib import asynccontextmanager
 from typing import Any
 
@@ -17,7 +16,7 @@ from rotorwatch import __version__
 from rotorwatch.errors import RotorwatchError
 from rotorwatch.report.html import POLICY as REPORT_POLICY
 from rotorwatch.serve import pages
-from rotorwatch.serve.flights import DIGEST, Flights
+from rotorwatch.serve.flights import DIGEST, Flights, wrong
 from rotorwatch.serve.live import Feed
 from rotorwatch.serve.security import Guard, refused
 from rotorwatch.serve.uploads import Limits, Refused, Uploads
@@ -63,7 +62,7 @@ def application(feed: Feed, flights: Flights, limits: Limits, host: str, token: 
     failures: dict[Any, Any] = {
         HTTPException: _failed,
         Refused: _not_taken,
-        RotorwatchError: _no_answer,
+        RotorwatchError: _broken,
         Exception: _broken,
     }
     app = Starlette(routes=routes, lifespan=lifespan, exception_handlers=failures)
@@ -167,14 +166,5 @@ async def _not_taken(request: Request, why: Exception) -> Response:
     return refused(request, why.code, str(why))
 
 
-async def _no_answer(request: Request, why: Exception) -> Response:
-    return refused(request, 503, str(why))
-
-
 async def _broken(request: Request, why: Exception) -> Response:
-    if os.environ.get("ROTORWATCH_DEBUG"):
-        import traceback
-
-        traceback.print_exception(why)
-    text = " ".join(f"{type(why).__name__}: {why}".split())[:200]
-    return refused(request, 500, f"An error in rotorwatch itself ({text}); please report it.")
+    return refused(request, *wrong(why))

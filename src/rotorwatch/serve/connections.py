@@ -1,54 +1,70 @@
-"""Connections that nobody may sit on: a request's header comes in time, and no address has more than its share of them."""
+"""Connections to the server: how long one may be without a request, and how many there are at once."""
 
 from __future__ import annotations
 
 import asyncio
-from collections import Counter
-from typing import ClassVar
+from typing import Any
 
-import h11
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-HEADER_S = 10.0  # from a connection, or the answer before, to the end of a request's header
-PER_ADDRESS = 100  # connections; a proxy in front of this server has no more, either
+HEADER_S = 10.0  # from its beginning, or the end of an answer, to the end of the next header, however it trickles in
+MOST, PER_ADDRESS = 512, 256
 
 
 class Connection(H11Protocol):
-    """uvicorn's, closed when the header of a request does not come in time."""
+    """uvicorn's connection with these limits, of which it has only one: a pause after an answer, which every byte ends.
 
-    _open: ClassVar[Counter[str]] = Counter()
-    _late: asyncio.TimerHandle | None = None
+    A new connection is worth more than one without a request: where there are too many, the one that has waited longest goes. Only where
+    all have requests under way the new one is answered 503.
+    """
 
-    def connection_made(self, transport) -> None:  # type: ignore[override]
+    waits: asyncio.TimerHandle | None = None  # while no request is under way: closes the connection
+
+    def connection_made(self, transport: Any) -> None:
         super().connection_made(transport)
-        self._from = self.client[0] if self.client else ""
-        self._open[self._from] += 1
-        if self._open[self._from] > PER_ADDRESS:
-            transport.abort()
-        else:
-            self._watch()
+        self._wait()
+        for most, whose in ((PER_ADDRESS, self._address), (MOST, None)):
+            crowd = [
+                c
+                for c in self.connections
+                if isinstance(c, Connection) and not c.transport.is_closing() and whose in (None, c._address)
+            ]
+            if len(crowd) <= most:
+                continue
+            idle = {
+                c: c.waits.when()
+                for c in crowd
+                if c is not self
+                and c.waits is not None
+                and not c.transport.get_write_buffer_size()  # an answer is under way
+            }
+            if idle:
+                min(idle, key=idle.__getitem__).transport.abort()
+            else:
+                self.limit_concurrency = 0
 
-    def connection_lost(self, exc: Exception | None) -> None:
-        self._open[self._from] -= 1
-        if not self._open[self._from]:
-            del self._open[self._from]
-        if self._late is not None:
-            self._late.cancel()
-        super().connection_lost(exc)
-
-    def data_received(self, data: bytes) -> None:
-        super().data_received(data)
-        self._watch()
+    def handle_events(self) -> None:
+        super().handle_events()
+        if self.cycle is not None and not self.cycle.response_complete:
+            self._stop_waiting()
 
     def on_response_complete(self) -> None:
+        self._wait()
         super().on_response_complete()
-        self._watch()
 
-    def _watch(self) -> None:
-        """The clock runs while a header is waited for, however many bytes of it come."""
-        waits = self.conn.their_state is h11.IDLE
-        if waits and self._late is None:
-            self._late = self.loop.call_later(HEADER_S, self.transport.close)
-        elif not waits and self._late is not None:
-            self._late.cancel()
-            self._late = None
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._stop_waiting()
+        super().connection_lost(exc)
+
+    @property
+    def _address(self) -> str:
+        return self.client[0] if self.client else ""
+
+    def _wait(self) -> None:
+        self._stop_waiting()
+        self.waits = self.loop.call_later(HEADER_S, self.timeout_keep_alive_handler)
+
+    def _stop_waiting(self) -> None:
+        if self.waits is not None:
+            self.waits.cancel()
+            self.waits = None

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import os
 import queue
 import re
+import sys
 import threading
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from rotorwatch import files
+from rotorwatch import files, shown
 from rotorwatch.diagnosis import Diagnosis
-from rotorwatch.errors import RotorwatchError
+from rotorwatch.errors import RotorwatchError, StoreError, StoreFull, WorkerError
 from rotorwatch.fleet.address import default_url
 from rotorwatch.fleet.store import Entry, Store
 from rotorwatch.report.html import page
@@ -107,15 +109,38 @@ class Keeper:
                 try:
                     row = self._flights.keep(entry)
                 except Exception as why:  # whatever a store does: it is tried again
-                    reason = why if isinstance(why, RotorwatchError) else f"{type(why).__name__}: {why}"
                     with suppress(Exception):
-                        self._trouble(f"The flight of {entry.name} is not in the list yet: {reason}")
+                        self._trouble(f"The flight of {entry.name} is not in the list yet. {wrong(why)[1]}")
                     if self._leaving.wait(AGAIN_S):
                         break
                     continue
                 with suppress(Exception):  # it is kept, whether the pages hear of it or not
                     self._told(row)
                 break
+
+
+def wrong(why: Exception) -> tuple[int, str]:
+    """(code of an answer, sentence) for what is wrong here. Paths and other details are for whoever runs the server, on standard error."""
+    if os.environ.get("ROTORWATCH_DEBUG"):
+        import traceback
+
+        traceback.print_exception(why)
+    with suppress(OSError, ValueError, AttributeError):  # nobody reads it
+        print(
+            f"rotorwatch: {shown.public(shown.printable(f'{type(why).__name__}: {why}'))}", file=sys.stderr, flush=True
+        )
+    if isinstance(why, (StoreFull, OSError)):
+        return 507, "The server's disk has no room, or cannot be written to; make room."
+    if isinstance(why, StoreError):
+        return 503, "The list of flights cannot be read or written now; see to the server's store."
+    if isinstance(why, WorkerError):
+        return 503, "The process that judges logs does not run; try again."
+    if isinstance(why, RotorwatchError):  # of what a flight says, not of where it lies
+        return 503, str(why)
+    return (
+        500,
+        f"An error in rotorwatch itself ({type(why).__name__}); please report it with what the server has printed.",
+    )
 
 
 def _shown(row: dict[str, Any]) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import hashlib
 import hmac
 import ipaddress
@@ -21,7 +22,7 @@ POLICY = (
     "base-uri 'none'; frame-ancestors 'none'"
 )
 LEAST = 16  # letters of a token: nobody guesses one of them over a network
-MOST_FORM = 4096  # bytes of the form that asks for the token
+MOST_FORM, FORM_S = 4096, 10.0  # bytes of the form that asks for the token; for sending it
 OPEN = ("/static/page.css", "/static/serve.css")  # the form that asks for the token looks like the page
 
 
@@ -134,11 +135,12 @@ class Guard:
         )
 
     async def _login(self, request: Request) -> Response:
-        body = b""
-        async for piece in request.stream():
-            body += piece
-            if len(body) > MOST_FORM:
-                return refused(request, 413, "This is too long for a token.")
+        try:
+            body = await asyncio.wait_for(_form(request), FORM_S)
+        except asyncio.TimeoutError:
+            return refused(request, 408, "This was too slow; try again on a better connection.")
+        if len(body) > MOST_FORM:
+            return refused(request, 413, "This is too long for a token.")
         given = parse_qs(body.decode("utf-8", "replace")).get("token", [""])[0].strip()
         if not self._same(given):
             return refused(request, 401, "This token is wrong: give the one that rotorwatch was started with.")
@@ -150,6 +152,16 @@ class Guard:
             _cookie(request), self._secret, httponly=True, samesite="strict", secure=request.url.scheme == "https"
         )
         return answer
+
+
+async def _form(request: Request) -> bytes:
+    """The body, as far as it is no longer than a form."""
+    body = b""
+    async for piece in request.stream():
+        body += piece
+        if len(body) > MOST_FORM:
+            break
+    return body
 
 
 def _cookie(request: Request) -> str:

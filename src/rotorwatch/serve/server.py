@@ -16,7 +16,6 @@ from rotorwatch import checks, optional
 from rotorwatch.errors import ConfigError, LinkError
 
 GIVE_UP_S = 2  # for connections that do not end by themselves when the server is stopped
-MOST_CONNECTIONS = 256
 
 
 def serve(
@@ -111,6 +110,13 @@ def listen(host: str, port: int) -> socket.socket:
 
 
 def _run(app: Any, feed: Any, listening: socket.socket, ready: Callable[[], None]) -> None:
+    server = _server(app, feed, ready)
+    asyncio.run(server.serve([listening]))
+    if not server.started:
+        raise ConfigError("The server did not start; run it with --debug to see why.")
+
+
+def _server(app: Any, feed: Any, ready: Callable[[], None]) -> Any:
     import uvicorn
 
     from rotorwatch.serve.connections import Connection
@@ -142,12 +148,9 @@ def _run(app: Any, feed: Any, listening: socket.socket, ready: Callable[[], None
 
     config = uvicorn.Config(
         app, log_level="critical", access_log=False, server_header=False, proxy_headers=False, ws="none", http=Connection,
-        lifespan="on", timeout_graceful_shutdown=GIVE_UP_S, limit_concurrency=MOST_CONNECTIONS,
+        lifespan="on", timeout_graceful_shutdown=GIVE_UP_S,
     )  # fmt: skip
-    server = Server(config)
-    asyncio.run(server.serve([listening]))
-    if not server.started:
-        raise ConfigError("The server did not start; run it with --debug to see why.")
+    return Server(config)
 
 
 def _vehicle(vehicle: Any) -> Any:

@@ -11,23 +11,23 @@ import shutil
 import tempfile
 import time
 from collections.abc import AsyncIterator, Callable
-from contextlib import suppress
+from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from rotorwatch import limited
-from rotorwatch.errors import ConfigError, RotorwatchError, StoreError, WorkerError
+from rotorwatch.errors import ConfigError, LogError, RotorwatchError, VehicleError, WorkerError
 from rotorwatch.fleet.store import Entry
 from rotorwatch.many.processes import Worker
 from rotorwatch.serve import names
-from rotorwatch.serve.flights import Flights
+from rotorwatch.serve.flights import Flights, wrong
 
 IDLE_S, MOST_S = 30.0, 900.0  # without a byte; for the whole of an upload
 DRAIN_S = 10.0  # what is too large is read on for so long, that the answer is seen and not a broken connection
-RECEIVING, WAITING = 8, 50  # uploads that are received at once; those that are here and wait for being judged
-PATIENCE_S = 60.0  # for which an upload waits until it is received
-AGAIN_S = 30.0  # between two attempts to judge or to keep a log for which something was lacking
+RECEIVING, WAITING = 8, 50  # uploads that are taken at once; logs on the disk that wait for being judged
+PATIENCE_S = 60.0  # an upload beyond these waits so long for its turn; its bytes stay with the sender meanwhile
+AGAIN_S, LONGEST_S = 30.0, 3600.0  # pauses between attempts to judge what was received, doubled each time
 LOADS = ("rotorwatch.fleet.judge", "rotorwatch.diagnose", "rotorwatch.report.html", "bokeh.embed")
 
 
@@ -39,13 +39,8 @@ class Refused(RotorwatchError):
         self.code = code
 
 
-class Lacking(RotorwatchError):
-    """What a log needs to be judged and kept is not there now: room on a disk, a store, a process. It is none of the log's fault. code: of
-    the HTTP answer."""
-
-    def __init__(self, why: str, code: int = 507):
-        super().__init__(why)
-        self.code = code
+class Later(Refused):
+    """An upload that was received, but cannot be judged or kept as a flight now. The log stays, and it is tried again."""
 
 
 @dataclass(frozen=True)
@@ -69,8 +64,8 @@ class Log:
 
 
 def judge(what: tuple[Log, str]) -> Entry | str:
-    """What a worker does with (log, path of the page): writes the page, returns the flight for the store, or why the log is refused. Raises
-    Lacking."""
+    """What a worker does with (log, path of the page): writes the page, returns the flight for the store, or why the log holds none.
+    Raises what the log is not to blame for."""
     from rotorwatch.diagnose import diagnose
     from rotorwatch.fleet.judge import of_flight
     from rotorwatch.logs import read
@@ -80,13 +75,14 @@ def judge(what: tuple[Log, str]) -> Entry | str:
     try:
         flight = replace(read(log.path), name=log.name)
         found = diagnose(flight)
-    except RotorwatchError as why:
+        entry = of_flight(flight, log.digest, log.name, log.size, found=found)
+    except (LogError, VehicleError) as why:
         return str(why).replace(str(log.path), log.name).replace(log.path.name, log.name)
     try:
         write(found, page)
-    except ConfigError as why:  # its place is the server's, and nobody else's business
-        raise Lacking(f"its page cannot be written ({str(why).rpartition(': ')[2].rstrip('.')})") from None
-    return of_flight(flight, log.digest, log.name, log.size, found=found)
+    except ConfigError as why:
+        raise OSError(str(why)) from None
+    return entry
 
 
 @dataclass(frozen=True)
@@ -105,8 +101,10 @@ class _Limited:
 
 
 class Uploads:
-    """Where logs go. told: called with each flight that is new, once it is kept; trouble: with a sentence about a log whose sender has gone
-    or has been told to wait."""
+    """Where logs go. told: called with each flight that is new, once it is kept; trouble: with a sentence when a log has to wait.
+
+    A log lies in a folder of its own until it is in the store or was refused; whatever else happens, it is tried again.
+    """
 
     def __init__(
         self,
@@ -119,23 +117,26 @@ class Uploads:
         self.limits, self._flights, self._told, self._trouble = limits, flights, told, trouble
         self._incoming = flights.folder("incoming")
         self._run, self._lock = _own(self._incoming)
-        self._receiving, self._room = asyncio.Semaphore(RECEIVING), asyncio.Semaphore(WAITING)
-        self._again: set[asyncio.Task[None]] = set()
+        self._receiving, self._stopping = 0, False
+        self._logs: dict[str, Log] = {}  # by digest: received, and neither in the store nor refused
         self._judging: dict[str, asyncio.Task[tuple[dict[str, Any], bool]]] = {}
+        self._freed = asyncio.Condition()
         self._turn = asyncio.Semaphore(limits.jobs)
         self._idle: list[Worker] = []
         self._all: list[Worker] = []
 
     def start(self) -> None:
-        """Make a worker ready, and judge what was complete when an earlier server was killed."""
+        """Make a worker ready, and judge what was complete when an earlier server was stopped."""
         self._idle.append(self._worker())
         for log in _left(self._incoming, self._run):
-            self._later(log, 0.0)
+            self._begin(log)
 
     def stop(self) -> None:
         """End what is at work; what was not judged is there for the next start."""
+        self._stopping = True
         for worker in self._all:
             worker.stop()
+        self._lock.close()
 
     async def take(
         self, given_name: str, length: int | None, body: AsyncIterator[bytes]
@@ -146,21 +147,27 @@ class Uploads:
             await _drain(body)
             raise Refused(413, _too_large(name, most))
         try:
-            await asyncio.wait_for(self._room.acquire(), PATIENCE_S)
+            async with self._place():
+                task = self._begin(await self._receive(name, body))
         except asyncio.TimeoutError:
             await _drain(body)
             raise Refused(503, "Too many logs have been sent at once; try again in a minute.") from None
+        return await asyncio.shield(task)
+
+    @asynccontextmanager
+    async def _place(self) -> AsyncIterator[None]:
+        """One of the uploads that are taken at once. Raises TimeoutError when none is free in time."""
+        async with self._freed:
+            await asyncio.wait_for(
+                self._freed.wait_for(lambda: self._receiving < RECEIVING and len(self._logs) < WAITING), PATIENCE_S
+            )
+            self._receiving += 1
         try:
-            async with self._receiving:
-                log = await self._receive(name, body)
-            try:
-                return await asyncio.shield(self._begin(log))
-            except Lacking as why:
-                self._later(log, AGAIN_S)
-                said = f"{name}: {why}. The log is kept, and is judged as soon as that is mended."
-                raise Refused(why.code, said) from None
+            yield
         finally:
-            self._room.release()
+            self._receiving -= 1
+            async with self._freed:
+                self._freed.notify()
 
     async def _receive(self, name: str, body: AsyncIterator[bytes]) -> Log:
         """The whole of a body in a file."""
@@ -196,82 +203,91 @@ class Uploads:
             ) from None
         return Log(path, name, digest.hexdigest(), size)
 
-    def _begin(self, log: Log) -> asyncio.Task[tuple[dict[str, Any], bool]]:
-        """Judge it, once for all who have sent it: (the flight, whether it is new). Raises Refused for what is no flight, and Lacking."""
-        task = self._judging.get(log.digest)
-        if task is not None:
+    def _begin(self, log: Log, waited_s: float = 0.0) -> asyncio.Task[tuple[dict[str, Any], bool]]:
+        """Judge it, once for all who have sent it. waited_s: since the attempt before this one."""
+        known = self._logs.setdefault(log.digest, log)
+        if known.path != log.path:
             shutil.rmtree(log.path.parent, ignore_errors=True)
-            return task
-        task = self._judging[log.digest] = asyncio.create_task(self._judge(log))
-        task.add_done_callback(lambda done: (self._judging.pop(log.digest, None), done.cancelled() or done.exception()))
+        task = self._judging.get(log.digest)
+        if task is None:
+            task = self._judging[log.digest] = asyncio.create_task(self._judge(known, waited_s))
+            task.add_done_callback(
+                lambda done: (self._judging.pop(log.digest, None), done.cancelled() or done.exception())
+            )
         return task
 
-    def _later(self, log: Log, after_s: float) -> None:
-        """Judge it after so long, and again until it is kept or refused, as nobody waits for it."""
-
-        async def again() -> None:
-            wait_s = after_s
-            while log.path.exists():
-                await asyncio.sleep(wait_s)
-                try:
-                    await asyncio.shield(self._begin(log))
-                except Lacking as why:
-                    self._trouble(f"The flight of {log.name} is not in the list yet: {why}.")
-                except Refused as why:
-                    self._trouble(str(why))
-                wait_s = AGAIN_S
-
-        task = asyncio.create_task(again())
-        self._again.add(task)
-        task.add_done_callback(self._again.discard)
-
-    async def _judge(self, log: Log) -> tuple[dict[str, Any], bool]:
-        """As `_begin`. The log goes when the store has its flight, or when it is refused, and for no other reason."""
+    async def _judge(self, log: Log, waited_s: float) -> tuple[dict[str, Any], bool]:
+        """(the flight, kept in the store before anybody is told of it; whether it is new). Raises Refused for what is no flight, Later."""
+        new = False
         try:
-            row = await asyncio.to_thread(self._flights.row, log.digest)
-            new = row is None
+            row = await asyncio.to_thread(self._attempt, log, self._flights.row, log.digest)
             if row is None:
                 async with self._turn:
-                    found = await asyncio.to_thread(self._answer, log)
-                    if isinstance(found, str):
-                        raise Refused(422, found)
-                    row = await asyncio.to_thread(self._flights.keep, found)
-        except Refused:
-            shutil.rmtree(log.path.parent, ignore_errors=True)
+                    row, new = await asyncio.to_thread(self._attempt, log, self._kept, log), True
+        except Later as why:
+            pause_s = min(max(2.0 * waited_s, AGAIN_S), LONGEST_S)
+            asyncio.get_running_loop().call_later(pause_s, self._again, log, pause_s)
+            self._trouble(str(why))
             raise
-        except StoreError as why:
-            raise Lacking("the fleet's store does not take it now", 503) from why
-        except OSError as why:
-            raise Lacking(f"it cannot be kept ({why.strerror})") from why
-        shutil.rmtree(log.path.parent, ignore_errors=True)
+        except Refused:
+            await self._gone(log)
+            raise
+        await self._gone(log)
         if new:
             self._told(row)
         return row, new
 
-    def _answer(self, log: Log) -> Entry | str:
-        """What a worker says of it. Raises Lacking, and Refused for what it could not bear."""
-        worker = self._idle.pop() if self._idle else self._worker()
+    def _again(self, log: Log, waited_s: float) -> None:
+        if log.digest in self._logs and not self._stopping:
+            self._begin(log, waited_s)
+
+    async def _gone(self, log: Log) -> None:
+        """It is in the store, or refused."""
+        del self._logs[log.digest]
+        shutil.rmtree(log.path.parent, ignore_errors=True)
+        async with self._freed:
+            self._freed.notify()
+
+    def _attempt(self, log: Log, do: Callable[..., Any], *what: Any) -> Any:
+        """do(*what). Raises Refused as it comes, and all else, which the log is not to blame for, as Later."""
         try:
-            return worker.ask((log, str(self._flights.page(log.digest))))
-        except Lacking:
+            return do(*what)
+        except Refused:
             raise
         except Exception as why:
-            if not worker.ready or not (worker.alive or isinstance(why, WorkerError)):  # or the server stops
-                raise Lacking(f"the process that judges logs does not run ({why})", 503) from None
-            raise Refused(422, f"{log.name}: {self._sentence(why)}") from None
-        finally:
-            if worker.alive:
-                self._idle.append(worker)
-            else:
-                self._all.remove(worker)
+            code, text = wrong(why)
+            raise Later(code, f"{log.name}: the log is kept here and judged later. {text}") from why
 
-    def _sentence(self, why: Exception) -> str:
-        how = why.how if isinstance(why, WorkerError) else ""
-        if how.startswith(("took too long", "hung")):
+    def _kept(self, log: Log) -> dict[str, Any]:
+        """The flight, judged and put into the store."""
+        found = self._answer(log)
+        if isinstance(found, str):
+            raise Refused(422, found)
+        return self._flights.keep(found)
+
+    def _answer(self, log: Log) -> Entry | str:
+        """What a worker says of it. A process that dies is given it a second time: something else may have ended the first."""
+        for last in (False, True):
+            worker = self._idle.pop() if self._idle else self._worker()
+            try:
+                return worker.ask((log, str(self._flights.page(log.digest))))
+            except (WorkerError, MemoryError) as why:
+                if self._stopping or not worker.ready:
+                    raise
+                died = isinstance(why, WorkerError) and why.how.startswith("died")
+                if last or not died:
+                    raise Refused(422, f"{log.name}: {self._too_much(why)}") from None
+            finally:
+                if worker.alive:
+                    self._idle.append(worker)
+                else:
+                    self._all.remove(worker)
+        raise AssertionError
+
+    def _too_much(self, why: Exception) -> str:
+        if isinstance(why, WorkerError) and not why.how.startswith("died"):
             return f"judging it took longer than {self.limits.judge_s:g} s and was given up; try `rotorwatch diagnose`."
-        if isinstance(why, MemoryError) or how.startswith("died"):
-            return f"judging it needed more than {self.limits.memory_mb} MB of memory and was given up; try `rotorwatch diagnose`."
-        return f"an error in rotorwatch itself ({type(why).__name__}: {why}); please report it."
+        return f"judging it needed more than {self.limits.memory_mb} MB of memory and was given up; try `rotorwatch diagnose`."
 
     def _worker(self) -> Worker:
         prepare = functools.partial(limited.cap_memory, self.limits.memory_mb, LOADS)
@@ -298,11 +314,8 @@ async def _drain(body: AsyncIterator[bytes]) -> None:
 
 def _own(incoming: Path) -> tuple[Path, Any]:
     """A folder for the uploads of this run, and the lock that says that it is in use."""
-    try:
-        run = Path(tempfile.mkdtemp(dir=incoming, prefix="run-"))
-        lock = (run / "lock").open("wb")
-    except OSError as why:
-        raise ConfigError(f"--store: cannot write into {incoming} ({why.strerror or why}).") from None
+    run = Path(tempfile.mkdtemp(dir=incoming, prefix="run-"))
+    lock = (run / "lock").open("wb")
     _locked(lock)
     return run, lock
 
@@ -319,7 +332,7 @@ def _locked(file: Any) -> bool:
 
 
 def _left(incoming: Path, own: Path) -> list[Log]:
-    """What servers that were killed had received and not judged, moved to the folder of this run; the rest of theirs is removed."""
+    """What servers before this one had received and not judged, moved to the folder of this run; the rest of theirs is removed."""
     found = []
     for run in incoming.glob("run-*"):
         if run == own:
@@ -328,11 +341,13 @@ def _left(incoming: Path, own: Path) -> list[Log]:
             if not _locked(lock):
                 continue
             for note in run.glob("*/complete.json"):
-                with suppress(ValueError, KeyError, TypeError):  # not written to its end: the log was not complete
+                with suppress(ValueError, KeyError, TypeError):  # half-written: the upload was not complete
                     about = json.loads(note.read_text())
                     folder = own / note.parent.name
-                    log = Log(folder / Path(about["file"]).name, about["name"], about["digest"], int(about["size"]))
-                    note.parent.rename(folder)
+                    log = Log(
+                        folder / Path(about["file"]).name, str(about["name"]), str(about["digest"]), int(about["size"])
+                    )
+                    note.parent.rename(folder)  # where this fails, all stays as it is for the next start
                     found.append(log)
-            shutil.rmtree(run, ignore_errors=True)  # not reached when one of them could not be moved
+            shutil.rmtree(run, ignore_errors=True)
     return found
