@@ -15,6 +15,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from array import array
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -51,21 +52,22 @@ def library(folder: Path) -> Path:
     return made
 
 
-def environment(preload: Path, place: Path, count: Path, fault: Fault | None, kind: str = "") -> dict[str, str]:
-    """In which one call fails; without a fault, calls of a kind are counted."""
-    count.write_bytes(bytes(8))
-    named = {"FAULT_KIND": fault.kind if fault else kind, "FAULT_PLACE": f"{place}/", "FAULT_COUNT": str(count)}
-    at = {"FAULT_AT": str(fault.number), "FAULT_ERRNO": str(fault.error)} if fault else {}
-    return {**os.environ, **named, **at, "LD_PRELOAD": str(preload), "PYTHONUNBUFFERED": ""}
+def environment(preload: Path, place: Path, count: Path, fault: Fault | None) -> dict[str, str]:
+    """In which calls are counted, and one of them fails, if there is a fault."""
+    count.write_bytes(bytes(8 * len(ERRORS)))
+    named = {"FAULT_PLACE": f"{place}/", "FAULT_COUNT": str(count), "LD_PRELOAD": str(preload), "PYTHONUNBUFFERED": ""}
+    if fault:
+        named |= {"FAULT_KIND": fault.kind, "FAULT_AT": str(fault.number), "FAULT_ERRNO": str(fault.error)}
+    return {**os.environ, **named}
 
 
-def calls(command: commands.Command, preload: Path, folder: Path, kind: str) -> int:
-    """How many calls of a kind the command makes when nothing fails."""
-    place = folder / f"counted-{command.name}-{kind}".replace(" ", "-")
+def undisturbed(command: commands.Command, preload: Path, folder: Path) -> tuple[commands.Done, dict[str, int]]:
+    """What the command does when nothing fails, and how many calls of each kind it makes."""
+    place = folder / f"wanted-{command.name}"
     place.mkdir()
     count = Path(f"{place}.count")
-    command.run(place, environment(preload, place, count, None, kind))
-    return int.from_bytes(count.read_bytes(), sys.byteorder)
+    done = command.run(place, environment(preload, place, count, None))
+    return done, dict(zip(ERRORS, array("q", count.read_bytes()), strict=True))
 
 
 def tried(command: commands.Command, preload: Path, folder: Path, fault: Fault, wanted: commands.Done) -> str:
@@ -131,18 +133,21 @@ def main(argv: list[str] | None = None) -> int:
         folder = Path(scratch)
         preload = library(folder)
         commands.prepare(folder)
-        wanted = {}
+        wanted: dict[str, commands.Done] = {}
+        counted: dict[tuple[str, str], int] = {}
         for name, command in chosen.items():
-            (folder / f"wanted-{name}").mkdir()
-            wanted[name] = command.run(folder / f"wanted-{name}", dict(os.environ))
-        counted = {(name, kind): calls(c, preload, folder, kind) for name, c in chosen.items() for kind in ERRORS}
+            wanted[name], found = undisturbed(command, preload, folder)
+            counted |= {(name, kind): number for kind, number in found.items()}
         todo = plan(counted, given.runs, given.seed)
         results = pool.map(lambda x: tried(chosen[x[0]], preload, folder, x[1], wanted[x[0]]), todo)
-        for (name, fault), said in zip(todo, results):
-            met[name, fault.kind] += 1
-            if said:
-                wrong[name, fault.kind] += 1
-                print(f"{name}: {fault}: {said}", flush=True)
+        try:
+            for (name, fault), said in zip(todo, results):
+                met[name, fault.kind] += 1
+                if said:
+                    wrong[name, fault.kind] += 1
+                    print(f"{name}: {fault}: {said}", flush=True)
+        except KeyboardInterrupt:  # what there is, is told
+            pool.shutdown(wait=False, cancel_futures=True)
     print("| command | calls that fail | there are | runs | wrong |\n|---|---|---|---|---|")
     for (name, kind), count in met.items():
         print(f"| {name} | {kind} | {counted[name, kind]} | {count} | {wrong[name, kind]} |")

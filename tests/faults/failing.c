@@ -1,6 +1,6 @@
 /* Preloaded into a program, makes one of its calls to the system fail: the FAULT_AT-th of kind FAULT_KIND on what lies under FAULT_PLACE, with
- * the error FAULT_ERRNO. Calls of all its processes are counted together in the file FAULT_COUNT, so that a run without FAULT_AT tells how
- * many there are. Kinds: write, sync, rename, lock, connect.
+ * the error FAULT_ERRNO. Calls of all its processes are counted together, by kind, in the file FAULT_COUNT, so that a run without FAULT_KIND tells
+ * how many there are.
  */
 #define _GNU_SOURCE
 #include <dlfcn.h>
@@ -17,6 +17,8 @@
 #include <sys/uio.h>
 #include <unistd.h>
 
+static const char *const KINDS[] = {"write", "sync", "rename", "lock", "connect"};
+
 /* The C library's own, of the same type. */
 #define REAL(name) \
     static __typeof__(name) *real; \
@@ -29,7 +31,7 @@ static long *counted(void) {
     if (!name) return NULL;
     int fd = open(name, O_RDWR | O_CLOEXEC);
     if (fd < 0) return NULL;
-    void *at = mmap(NULL, sizeof(long), PROT_READ | PROT_WRITE, MAP_SHARED, fd, 0);
+    void *at = mmap(NULL, sizeof KINDS / sizeof *KINDS * sizeof(long), PROT_READ | PROT_WRITE, MAP_SHARED, fd, 0);
     close(fd);
     if (at != MAP_FAILED) where = at;
     return where;
@@ -38,11 +40,13 @@ static long *counted(void) {
 /* Whether this call has to fail; errno is set then. */
 static int fails(const char *kind, const char *path) {
     const char *wanted = getenv("FAULT_KIND"), *place = getenv("FAULT_PLACE"), *at = getenv("FAULT_AT"), *error = getenv("FAULT_ERRNO");
-    if (!wanted || strcmp(wanted, kind) || !place || (path && strncmp(path, place, strlen(place)))) return 0;
+    if (!place || (path && strncmp(path, place, strlen(place)))) return 0;
     long *count = counted();
     if (!count) return 0;
-    long number = __sync_add_and_fetch(count, 1);
-    if (!at || !error || number != atol(at)) return 0;
+    int which = 0;
+    while (strcmp(KINDS[which], kind)) which++;
+    long number = __sync_add_and_fetch(count + which, 1);
+    if (!wanted || strcmp(wanted, kind) || !at || !error || number != atol(at)) return 0;
     errno = atoi(error);
     return 1;
 }
