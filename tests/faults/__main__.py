@@ -98,8 +98,10 @@ def _first(done: commands.Done, wanted: commands.Done) -> str:
         return f"said {done.said[-400:]!r}"
     if done.code not in (wanted.code, 2):
         return f"left with {done.code}: {done.said[-200:]!r}"
-    if done.code == 2 and wanted.code != 2 and "rotorwatch: " not in done.said:
+    if done.code == 2 and wanted.code != 2 and not any(word in done.said for word in ("rotorwatch: ", '"error"')):
         return "left with 2 and said nothing"
+    if done.goes_on and done.state != wanted.state:
+        return f"did not go on: {done.state}: {done.said[-300:]!r}"
     missing = [one for one in done.acknowledged if one not in done.state]
     if missing:
         return f"acknowledged, and not there: {missing}"

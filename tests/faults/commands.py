@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import json
+import socket
 import sqlite3
 import subprocess
 import sys
+import threading
+import time
 import urllib.error
 import urllib.request
 from collections.abc import Callable, Mapping
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+from tests.mavlink_vehicle import Autopilot, messages
 
 from rotorwatch import logs
 from rotorwatch.cli import SAMPLES
@@ -33,13 +38,15 @@ def prepare(folder: Path) -> None:
 @dataclass(frozen=True)
 class Done:
     """A run. code: its exit code; said: on standard error; acknowledged: parts of the state that it said were there; state: what is there;
-    waits: whether it may leave as if all were well with something refused on the way."""
+    waits: whether it may leave as if all were well with something refused on the way; goes_on: whether all of the state has to be there
+    whatever has failed."""
 
     code: int
     said: str
     acknowledged: tuple
     state: tuple
     waits: bool = False
+    goes_on: bool = False
 
 
 @dataclass(frozen=True)
@@ -131,4 +138,42 @@ def _sent(address: str, log: Path) -> tuple[str, str] | None:
         return None
 
 
-ALL = {c.name: c for c in (Command("fleet", fleet), Command("campaign", campaign), Command("serve", serve))}
+def watch(folder: Path, env: Mapping[str, str]) -> Done:
+    """`watch --record` of a vehicle for some seconds: what it says of it, whatever becomes of the record."""
+    flight = logs.read(SAMPLES / "quadx_healthy_hover.bin.xz").until(12.0)
+    parameters = {
+        k: v for k, v in flight.parameters.items() if k.startswith(("FRAME", "MOT_", "SERVO")) and len(k) <= 16
+    }
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.settimeout(20.0)
+        vehicle = threading.Thread(target=_flies, args=(server, Autopilot(parameters), messages(flight)), daemon=True)
+        vehicle.start()
+        done = _run(
+            "watch", f"tcp:127.0.0.1:{server.getsockname()[1]}", "--jsonl", "--record", folder / "record", "--seconds", "5", env=env
+        )  # fmt: skip
+    told = [json.loads(line) for line in done.stdout.splitlines()]
+    state = tuple((alert["frame"], alert["rotors"]) for alert in told if alert["type"] == "vehicle")
+    return Done(done.returncode, done.stderr + done.stdout, (), state, goes_on="cannot be reached" not in done.stderr)
+
+
+def _flies(server: socket.socket, autopilot: Autopilot, said: list) -> None:
+    """A vehicle that sends what it says within two seconds, then beats, to whoever is connected."""
+    with suppress(OSError):
+        while True:
+            side, _ = server.accept()
+            side.settimeout(0.002)
+            beat = next(message for _, message in said if message.get_type() == "HEARTBEAT")
+            with suppress(OSError):
+                side.sendall(autopilot.packed(beat))
+                for k in range(10**6):
+                    with suppress(TimeoutError):
+                        side.sendall(autopilot.answer(side.recv(4096)))
+                    side.sendall(autopilot.packed(said[k][1] if k < len(said) else beat))
+                    if k >= len(said):
+                        time.sleep(0.05)
+
+
+ALL = {
+    c.name: c
+    for c in (Command("fleet", fleet), Command("campaign", campaign), Command("serve", serve), Command("watch", watch))
+}
