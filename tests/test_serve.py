@@ -832,7 +832,7 @@ def test_a_store_that_cannot_be_reached_is_tried_again(why, monkeypatch):
 
     monkeypatch.setattr(flights_of, "AGAIN_S", 0.01)
     rows, said = [], []
-    keeper = flights_of.Keeper(Gone(), rows.append, said.append)
+    keeper = flights_of.Keeper(Gone(), rows.append, said.append, tmp_path)
     keeper.keep(Entry("0" * 64, "", "udp:1/1", 0))
     for _ in range(500):
         if not rows:

@@ -11,6 +11,7 @@ import subprocess
 import sys
 import threading
 import time
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +23,7 @@ from tests.soak import soak
 from rotorwatch import cli, logs
 from rotorwatch.errors import LinkError, StoreError
 from rotorwatch.fleet.store import Entry
-from rotorwatch.live import endpoint, record, watch
+from rotorwatch.live import endpoint, record, talk, watch
 from rotorwatch.live.beside import Beside, as_json
 from rotorwatch.live.clock import Clock, Restarted
 from rotorwatch.live.link import VEHICLES, Link
@@ -172,7 +173,7 @@ def test_a_vehicle_that_cannot_be_shown_hides_no_other_and_is_judged_on(monkeypa
     assert "what is shown of a" in said["text"] and "ZeroDivisionError" in said["text"]
 
 
-def test_a_flight_is_kept_whatever_fails_around_the_store(monkeypatch):
+def test_a_flight_is_kept_whatever_fails_around_the_store(tmp_path, monkeypatch):
     class Gone:
         times = 0
 
@@ -191,7 +192,7 @@ def test_a_flight_is_kept_whatever_fails_around_the_store(monkeypatch):
 
     monkeypatch.setattr(flights_of, "AGAIN_S", 0.001)
     kept = []
-    keeper = flights_of.Keeper(Gone(), fails, mute)
+    keeper = flights_of.Keeper(Gone(), fails, mute, tmp_path)
     for digit in "01":
         keeper.keep(Entry(digit * 64, "", "udp:1/1", 0))
     until = time.monotonic() + 10.0
@@ -349,9 +350,32 @@ class Vehicle(threading.Thread):
         return [int(m.param1) for m in self.autopilot.asked if m.get_type() == "COMMAND_LONG" and m.command == 511]
 
 
+class Slow(BaseHTTPRequestHandler):
+    """Takes alerts, each after a while, so that some wait."""
+
+    def do_POST(self):
+        time.sleep(0.2)
+        self.server.taken.append(json.loads(self.rfile.read(int(self.headers["Content-Length"]))))
+        self.send_response(200)
+        self.end_headers()
+
+    def log_message(self, *given):
+        pass
+
+
+@pytest.fixture
+def slow():
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Slow)
+    server.taken = []
+    threading.Thread(target=server.serve_forever, args=(0.05,), daemon=True).start()
+    yield server
+    server.shutdown()
+    server.server_close()
+
+
 @pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_asked_to_end_it_gives_back_what_it_has_asked_for_and_keeps_the_record(tmp_path, number):
+def test_asked_to_end_it_gives_back_what_it_has_asked_for_and_keeps_the_record(tmp_path, slow, number):
     port = free_port()
     vehicle = Vehicle(port)
     program = (
@@ -359,6 +383,7 @@ def test_asked_to_end_it_gives_back_what_it_has_asked_for_and_keeps_the_record(t
         "from rotorwatch import cli; cli.main(sys.argv[1:])"
     )
     arguments = ["watch", f"udpin:127.0.0.1:{port}", "--jsonl", "--record", str(tmp_path)]
+    arguments += ["--webhook", f"http://127.0.0.1:{slow.server_port}"]
     child = subprocess.Popen(
         [sys.executable, "-c", program, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE
     )
@@ -376,7 +401,8 @@ def test_asked_to_end_it_gives_back_what_it_has_asked_for_and_keeps_the_record(t
         child.kill()
         vehicle.stop.set()
         vehicle.join(2.0)
-        child.communicate()
+        told = [json.loads(line) for line in child.communicate()[0].splitlines()]
+    assert told and slow.taken == told
     given_back = vehicle.intervals()[asked:]
     assert asked and set(given_back) >= {vehicle.intervals()[0]}
     (path,) = tmp_path.iterdir()
@@ -392,3 +418,32 @@ def test_one_endpoint_without_a_vehicle_does_not_end_the_others(capsys):
     out, err = capsys.readouterr()
     assert '"frame": "ardupilot-quad-x"' in out and '"type": "error"' in out
     assert left.value.code == 2 and "no heartbeat of a multirotor" in err
+
+
+def test_a_flight_that_the_store_did_not_take_is_kept_by_the_next_server(tmp_path, monkeypatch):
+    monkeypatch.setattr(flights_of, "AGAIN_S", 0.001)
+    told, said = [], []
+    flights = flights_of.Flights(str(tmp_path / "fleet.db"))
+    entry = Entry("a" * 64, "", "udp:1/1", 0, diagnosis={"verdict": "healthy", "losses": [0.1]})
+    with monkeypatch.context() as gone:
+        gone.setattr(flights, "keep", lambda entry: 1 / 0)
+        keeper = flights.keeper(told.append, said.append)
+        keeper.keep(entry)
+        keeper.stop()
+    assert told == [] and "not in the list yet" in said[0]
+    (flights.folder("heard") / "torn.json").write_text('{"hash": "b')
+    keeper = flights.keeper(told.append, said.append)
+    keeper.stop()
+    assert [row["hash"] for row in told] == [entry.hash] and flights.diagnosis(entry.hash) == entry.diagnosis
+    assert [path.name for path in flights.folder("heard").iterdir()] == ["torn.json"]
+    flights.close()
+
+
+def test_parameters_are_kept_of_a_thousand_vehicles_and_not_of_more(tmp_path, monkeypatch):
+    monkeypatch.setattr(talk, "cache_folder", lambda: tmp_path)
+    monkeypatch.setattr(talk, "KEPT", 10)
+    for k in range(25):
+        talk.keep(f"ArduPilot-{k}", {"A": float(k)})
+        os.utime(tmp_path / "parameters" / f"ArduPilot-{k}.json", (k, k))
+    assert len(list((tmp_path / "parameters").iterdir())) <= 10
+    assert talk.cached("ArduPilot-24") == {"A": 24.0} and talk.cached("ArduPilot-0") == {}

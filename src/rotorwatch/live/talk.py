@@ -18,6 +18,7 @@ REQUEST_MESSAGE, SET_INTERVAL, GET_INTERVAL = 512, 511, 510
 VERSION_ID = 148
 LIST_S, MISSING_S, AT_ONCE, ROUNDS = 3.0, 0.7, 12, 40
 ACK_S, TRIES = 0.7, 3
+KEPT = 1000  # vehicles whose parameters are kept: who sends under many names does not fill the disk
 FAST = {"SERVO_OUTPUT_RAW": 50.0, "ATTITUDE": 50.0, "IMU": 50.0}
 SLOW = {"SERVO_OUTPUT_RAW": 20.0, "ATTITUDE": 25.0, "IMU": 25.0}
 BESIDES = {"LOCAL_POSITION_NED": 5.0, "ATTITUDE_TARGET": 5.0, "EXTENDED_SYS_STATE": 2.0, "SYS_STATUS": 2.0}
@@ -202,5 +203,9 @@ def keep(key: str, parameters: Mapping[str, float]) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         part.write_text(json.dumps(dict(parameters)), "utf-8")
         os.replace(part, folder / f"{key}.json")
+        there = list(folder.glob("*.json"))
+        if len(there) > KEPT:  # half of it at once, those that were written longest ago
+            for old in sorted(there, key=lambda path: path.stat().st_mtime)[: len(there) - KEPT // 2]:
+                old.unlink(missing_ok=True)
     except OSError:
         pass

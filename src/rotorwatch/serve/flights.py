@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import queue
 import re
@@ -9,6 +10,7 @@ import sys
 import threading
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +19,7 @@ from rotorwatch.diagnosis import Diagnosis
 from rotorwatch.errors import RotorwatchError, StoreError, StoreFull, WorkerError
 from rotorwatch.fleet.address import default_url
 from rotorwatch.fleet.store import Entry, Store
+from rotorwatch.live.beside import as_json
 from rotorwatch.report.html import page
 
 AGAIN_S = 30.0  # between two attempts to reach a store
@@ -60,7 +63,7 @@ class Flights:
 
     def keeper(self, told: Callable[[dict[str, Any]], None], trouble: Callable[[str], None]) -> Keeper:
         """Something that keeps flights without being waited for. told: called with the row of each; trouble: with a sentence."""
-        return Keeper(self, told, trouble)
+        return Keeper(self, told, trouble, self.folder("heard"))
 
     def diagnosis(self, digest: str) -> dict[str, Any] | None:
         """What is known of a flight, as docs/json.md has it."""
@@ -84,11 +87,18 @@ class Flights:
 
 
 class Keeper:
-    """A thread that puts flights into the store, and goes on trying while the store cannot be reached."""
+    """A thread that puts flights into the store, and goes on trying while the store cannot be reached.
 
-    def __init__(self, flights: Flights, told: Callable[[dict[str, Any]], None], trouble: Callable[[str], None]):
-        self._flights, self._told, self._trouble = flights, told, trouble
+    waiting: folder for those that a store has not taken yet; the next server begins with them."""
+
+    def __init__(
+        self, flights: Flights, told: Callable[[dict[str, Any]], None], trouble: Callable[[str], None], waiting: Path
+    ):
+        self._flights, self._told, self._trouble, self._waiting = flights, told, trouble, waiting
         self._queue: queue.SimpleQueue[Entry | None] = queue.SimpleQueue()
+        for path in sorted(waiting.glob("*.json")):
+            with suppress(OSError, ValueError, TypeError):
+                self._queue.put(Entry(**json.loads(path.read_text("utf-8"))))
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._leaving = threading.Event()
         self._thread.start()
@@ -98,7 +108,7 @@ class Keeper:
         self._queue.put(entry)
 
     def stop(self) -> None:
-        """When what was given is kept; what a store that cannot be reached does not take now is lost, which was said."""
+        """When what was given is kept, or is left to the next server."""
         self._leaving.set()
         self._queue.put(None)
         self._thread.join(60.0)
@@ -111,12 +121,24 @@ class Keeper:
                 except Exception as why:  # whatever a store does: it is tried again
                     with suppress(Exception):
                         self._trouble(f"The flight of {entry.name} is not in the list yet. {wrong(why)[1]}")
+                    self._put_by(entry)
                     if self._leaving.wait(AGAIN_S):
                         break
                     continue
                 with suppress(Exception):  # it is kept, whether the pages hear of it or not
                     self._told(row)
+                with suppress(OSError):
+                    self._path(entry).unlink(missing_ok=True)
                 break
+
+    def _path(self, entry: Entry) -> Path:
+        return self._waiting / f"{entry.hash}.json"
+
+    def _put_by(self, entry: Entry) -> None:
+        """Write it down, once. Where that cannot be done either, it is only tried again."""
+        if not self._path(entry).exists():
+            with suppress(Exception), files.replacing(self._path(entry)) as part:
+                part.write_text(as_json(asdict(entry)), "utf-8")
 
 
 def wrong(why: Exception) -> tuple[int, str]:
