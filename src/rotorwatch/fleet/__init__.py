@@ -5,6 +5,7 @@ judge.py            a log judged: what the store keeps of it
 tables.py           the tables, and how an older store becomes one of today
 address.py          where the store lies
 database.py         SQLite or PostgreSQL: its transactions, and its errors as sentences
+damage.py           which row of a store is damaged, when work on it has failed
 store.py            what is kept of flights and aircraft: everything that is written or read goes through here
 add.py              logs into the store, once or as they come; its flights judged again
 scatter.py          how much healthy flights differ
