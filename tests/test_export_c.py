@@ -407,6 +407,7 @@ def test_a_library_that_was_changed_in_the_cache_is_built_again(cache):
     library.unlink()  # what is loaded stays loaded
     library.write_bytes(b"of somebody else")
     native._nameless.cache_clear()
+    native._SEALED.clear()
     again = run(small(), u, y, backend="native")
     close(again[1], first[1])
     assert library.read_bytes() == good

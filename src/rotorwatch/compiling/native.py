@@ -28,6 +28,7 @@ from rotorwatch.compiling.toolchain import FLAGS, QUICK, VECTORS, Unavailable, U
 
 # Characters of source above which only what pays is optimised: the default diagnoser builds in 10 s instead of 50 s, and runs as fast.
 BIG = 80_000
+_SEALED: set[Path] = set()
 ROWS = 512  # run in one go, between two words on progress
 TYPES = {"f": np.float64, "i": np.int32, "l": np.int64, "b": np.bool_}
 
@@ -77,12 +78,16 @@ def build(header: str, source: str, name: str, march: str = "native") -> Path:
 
 
 def _sealed(library: Path) -> bool:
-    """Whether a library of the cache is there, whole, as it was built."""
-    said = shipped.digest_of(library)
-    try:
-        return bool(said) and library.with_suffix(".sha256").read_text() == said
-    except (OSError, ValueError):
-        return False
+    """Whether a library of the cache is there, whole, as it was built; found out once of each, as what is loaded stays loaded."""
+    if library not in _SEALED:
+        said = shipped.digest_of(library)
+        try:
+            if not said or library.with_suffix(".sha256").read_text() != said:
+                return False
+        except (OSError, ValueError):
+            return False
+        _SEALED.add(library)
+    return True
 
 
 def _dtype(fields) -> np.dtype:

@@ -128,9 +128,15 @@ def find(wanted: str, folder: Path = FOLDER) -> tuple[Path, list] | None:
         return None
     for level in levels():
         name, sha256 = known["libraries"].get(level) or ("", "")
-        if name and digest_of(folder / name) == sha256:
+        if name and _as_built(folder / name, sha256):
             return folder / name, known["layout"]
     return None
+
+
+@functools.cache
+def _as_built(library: Path, sha256: str) -> bool:
+    """Asked once of each: what is loaded stays loaded."""
+    return digest_of(library) == sha256
 
 
 def digest_of(path: Path) -> str:
