@@ -142,14 +142,13 @@ def main(argv: list[str] | None = None) -> int:
             counted |= {(name, kind): number for kind, number in found.items()}
         todo = plan(counted, given.runs, given.seed)
         results = pool.map(lambda x: tried(chosen[x[0]], preload, folder, x[1], wanted[x[0]]), todo)
-        try:
-            for (name, fault), said in zip(todo, results):
-                met[name, fault.kind] += 1
-                if said:
-                    wrong[name, fault.kind] += 1
-                    print(f"{name}: {fault}: {said}", flush=True)
-        except KeyboardInterrupt:  # what there is, is told
-            pool.shutdown(wait=False, cancel_futures=True)
+        for (name, fault), said in zip(todo, results):
+            met[name, fault.kind] += 1
+            if said:
+                wrong[name, fault.kind] += 1
+                print(f"{name}: {fault}: {said}", flush=True)
+            if met.total() % 50 == 0:
+                print(f"{met.total()} of {given.runs}, {wrong.total()} wrong", flush=True)
     print("| command | calls that fail | there are | runs | wrong |\n|---|---|---|---|---|")
     for (name, kind), count in met.items():
         print(f"| {name} | {kind} | {counted[name, kind]} | {count} | {wrong[name, kind]} |")
