@@ -559,6 +559,8 @@ def test_stopping_a_server_leaves_what_it_judges_to_the_next(quick, monkeypatch)
         await until(lambda: here._all and here._all[0].ready)
         here.stop()
         await asyncio.wait([sent])
+        why = sent.exception()
+        assert isinstance(why, Refused) and why.code == 503 and "stops" in str(why)
 
     run_uploads(quick, action)
     assert kept(quick) == ["a.bin"]

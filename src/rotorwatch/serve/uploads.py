@@ -255,7 +255,7 @@ class Uploads:
         except Refused:
             raise
         except Exception as why:
-            code, text = wrong(why)
+            code, text = (503, "The server stops.") if self._stopping else wrong(why)
             raise Later(code, f"{log.name}: the log is kept here and judged later. {text}") from why
 
     def _kept(self, log: Log) -> dict[str, Any]:
