@@ -1,0 +1,123 @@
+"""Types of a small part of Python that is also C: what definitions that run sample by sample are written in (docs/one-definition.md).
+
+A definition is a class derived from `Struct`, with fields of fixed size and methods of plain loops, conditions and arithmetic. Python runs
+it as it stands; `translate` makes C99 of it, for this computer and for a flight controller. Both do the same operations in the same
+order, so that double precision gives the same bits.
+
+    class Mean(Struct):
+        '''Running mean of a signal.'''
+
+        total: Time = 0.0
+        count: int = 0
+
+        def add(self, value: Real) -> None:
+            self.total += value
+            self.count += 1
+
+Real: a number in the library's precision, float on small boards. Time: seconds or sums, always double. int: 32 bits.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, ClassVar, TypeVar
+
+Real = float
+Time = float
+Reals = list[float]
+Times = list[float]
+Ints = list[int]
+Flags = list[bool]
+Vectors = list[list[float]]  # rows of three
+
+LASTS = 1e300
+"""Later than all times: the end of what lasts."""
+NAN = math.nan
+
+REAL, TIME, INT, FLAG = Real, 0.0, int, bool  # kinds of elements, for `array`; TIME differs from REAL only in C
+
+S = TypeVar("S", bound="Struct")
+
+
+class _Array:
+    """A field of fixed size, as it is declared."""
+
+    def __init__(self, kind: Any, shape: tuple[int, ...], fill: Any):
+        self.kind, self.shape, self.fill = kind, shape, fill
+
+    def make(self) -> list:
+        return self._made(list(self.shape))
+
+    def _made(self, shape: list[int]) -> list:
+        if len(shape) > 1:
+            return [self._made(shape[1:]) for _ in range(shape[0])]
+        if isinstance(self.kind, type) and issubclass(self.kind, Struct):
+            return [self.kind() for _ in range(shape[0])]
+        return [self.fill] * shape[0]
+
+
+def array(kind: Any, *shape: int, fill: Any = None) -> Any:
+    """A field, or a local variable, of fixed size: `kind` is REAL, TIME, INT, FLAG or a Struct."""
+    nothing = (
+        {INT: 0, FLAG: False}.get(kind, 0.0) if not (isinstance(kind, type) and issubclass(kind, Struct)) else None
+    )
+    return _Array(kind, shape, nothing if fill is None else fill)
+
+
+def local(kind: Any, *shape: int) -> Any:
+    """A local variable of fixed size, all zero."""
+    return array(kind, *shape).make()
+
+
+class Struct:
+    """Base of all definitions: an instance has a copy of every field's first value."""
+
+    _plain: ClassVar[dict[str, Any]] = {}
+    _deep: ClassVar[dict[str, Any]] = {}
+
+    def __init_subclass__(cls):
+        fields = {k: v for k, v in vars(cls).items() if not k.startswith("__") and not callable(v)} | {
+            k: v for k, v in vars(cls).items() if isinstance(v, type) and issubclass(v, Struct)
+        }
+        cls._deep = {k: v for k, v in fields.items() if isinstance(v, (_Array, type))}
+        cls._plain = {k: v for k, v in fields.items() if k not in cls._deep}
+
+    def __init__(self):
+        state = self.__dict__
+        state.update(self._plain)
+        for name, field in self._deep.items():
+            state[name] = field() if isinstance(field, type) else field.make()
+
+
+def embedded(kind: type[S]) -> S:
+    """A field that is another Struct."""
+    return kind  # type: ignore[return-value]  # an instance has an instance
+
+
+def reset(what: Struct) -> None:
+    """All fields as they are at first."""
+    what.__init__()
+
+
+def copy(to: S, source: S) -> None:
+    """All fields of `to` as those of `source` are."""
+    for name, value in source.__dict__.items():
+        to.__dict__[name] = _copied(value)
+
+
+def _copied(value: Any) -> Any:
+    if isinstance(value, list):
+        return [_copied(v) for v in value]
+    if isinstance(value, Struct):
+        other = type(value)()
+        copy(other, value)
+        return other
+    return value
+
+
+sqrt, exp, isnan, floor = math.sqrt, math.exp, math.isnan, math.floor
+
+
+def real(value: float) -> Real:
+    """A number in the library's precision: for what is known better than that."""
+    return value
