@@ -20,6 +20,7 @@ Real: a number in the library's precision, float on small boards. Time: seconds 
 from __future__ import annotations
 
 import math
+import re
 from typing import Any, ClassVar, TypeVar
 
 Real = float
@@ -34,12 +35,13 @@ LASTS = 1e300
 """Later than all times: the end of what lasts."""
 NAN = math.nan
 
-REAL, TIME, INT, FLAG = Real, 0.0, int, bool  # kinds of elements, for `array`; TIME differs from REAL only in C
+REAL, TIME, INT, FLAG = "real", "time", "int", "flag"  # kinds of elements, for `array`
+SCALARS = {"Real": REAL, "Time": TIME, "float": TIME, "int": INT, "bool": FLAG}  # annotation -> kind
 
 S = TypeVar("S", bound="Struct")
 
 
-class _Array:
+class Array:
     """A field of fixed size, as it is declared."""
 
     def __init__(self, kind: Any, shape: tuple[int, ...], fill: Any):
@@ -51,9 +53,9 @@ class _Array:
     def _made(self, shape: list[int]) -> list:
         if len(shape) > 1:
             return [self._made(shape[1:]) for _ in range(shape[0])]
-        if isinstance(self.kind, type) and issubclass(self.kind, Struct):
-            return [self.kind() for _ in range(shape[0])]
-        return [self.fill] * shape[0]
+        if isinstance(self.kind, str):
+            return [self.fill] * shape[0]
+        return [self.kind() for _ in range(shape[0])]
 
 
 def array(kind: Any, *shape: int, fill: Any = None) -> Any:
@@ -61,7 +63,7 @@ def array(kind: Any, *shape: int, fill: Any = None) -> Any:
     nothing = (
         {INT: 0, FLAG: False}.get(kind, 0.0) if not (isinstance(kind, type) and issubclass(kind, Struct)) else None
     )
-    return _Array(kind, shape, nothing if fill is None else fill)
+    return Array(kind, shape, nothing if fill is None else fill)
 
 
 def local(kind: Any, *shape: int) -> Any:
@@ -79,8 +81,13 @@ class Struct:
         fields = {k: v for k, v in vars(cls).items() if not k.startswith("__") and not callable(v)} | {
             k: v for k, v in vars(cls).items() if isinstance(v, type) and issubclass(v, Struct)
         }
-        cls._deep = {k: v for k, v in fields.items() if isinstance(v, (_Array, type))}
+        cls._deep = {k: v for k, v in fields.items() if isinstance(v, (Array, type))}
         cls._plain = {k: v for k, v in fields.items() if k not in cls._deep}
+
+    @classmethod
+    def declared(cls) -> list[tuple[str, Any]]:
+        """(name, first value, Array or Struct) of each field, in order."""
+        return [(name, value) for name, value in vars(cls).items() if name in cls._deep or name in cls._plain]
 
     def __init__(self):
         state = self.__dict__
@@ -121,3 +128,8 @@ sqrt, exp, isnan, floor = math.sqrt, math.exp, math.isnan, math.floor
 def real(value: float) -> Real:
     """A number in the library's precision: for what is known better than that."""
     return value
+
+
+def snake(name: str) -> str:
+    """rw_half_second of HalfSecond: the name of a Struct in C."""
+    return "rw_" + re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()

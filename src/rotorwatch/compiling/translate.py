@@ -16,10 +16,9 @@ from types import ModuleType
 from typing import Any
 
 from rotorwatch.compiling import structs
+from rotorwatch.compiling.structs import SCALARS, snake
 from rotorwatch.errors import ConfigError
 
-SCALARS = {"Real": "real", "Time": "time", "float": "time", "int": "int", "bool": "flag"}
-KINDS = {"REAL": "real", "TIME": "time", "INT": "int", "FLAG": "flag"}
 LISTS = {"Reals": "real", "Times": "time", "Ints": "int", "Flags": "flag"}
 C_NAMES = {"real": "rw_real", "time": "rw_time", "int": "int32_t", "flag": "bool"}
 RANK = {"flag": 0, "ilit": 0, "int": 1, "lit": 2, "real": 3, "time": 4}
@@ -134,11 +133,6 @@ class Function:
     changed: set[str] = field(default_factory=set)
 
 
-def snake(name: str) -> str:
-    """rw_half_second of HalfSecond."""
-    return "rw_" + re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()
-
-
 class Translation:
     """All definitions of some modules, in the order in which they are to stand. sizes: a module of whole numbers that become macros."""
 
@@ -183,7 +177,7 @@ class Translation:
             raise self._wrong(module, node, "a field is annotated, or made by array() or embedded()")
         first = node.args[0]
         assert isinstance(first, ast.Name)
-        base = KINDS.get(first.id) or getattr(module, first.id)
+        base = getattr(module, first.id)
         return Type(base, tuple(self._size(module, a) for a in node.args[1:]))
 
     def _size(self, module: ModuleType, node: ast.AST) -> str:

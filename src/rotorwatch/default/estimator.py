@@ -28,7 +28,7 @@ from rotorwatch.default import (
     posterior,
 )
 from rotorwatch.default.plant import B3, GAIN, PER_AXIS
-from rotorwatch.motion.ticks import AGAIN, GROUND, JUDGE
+from rotorwatch.front.ticks import AGAIN, GROUND, JUDGE
 
 
 class Carry(NamedTuple):

@@ -114,12 +114,15 @@ def ship(folder: Path, frames: Sequence[Frame] = FRAMES, portable: bool = False)
         "made_with": f"JAX {jax.__version__}, {Path(compiler).resolve().name}",
         "programs": programs,
     }
+    from rotorwatch.front.definition import FRONT
+
+    FRONT.ship(folder)
     (folder / shipped.INDEX).write_text(json.dumps(index, indent=1) + "\n", encoding="utf-8")
 
 
 def kept(portable: bool) -> Path:
     """Where the cache keeps what `ship` makes of this definition with this compiler on this computer. Raises toolchain.Unavailable."""
-    return toolchain.kept_under("shipped", json.dumps([definition()["digest"], portable, FRAMES]))
+    return toolchain.kept_under("shipped", json.dumps([definition()["digest"], shipped.digest(shipped.files_in("front")), portable, FRAMES]))
 
 
 def main(arguments: Sequence[str]) -> int:

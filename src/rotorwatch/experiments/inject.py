@@ -149,7 +149,7 @@ def _control(flight: Flight, vehicle: Vehicle, raised: Callable, onset: float) -
     check = allocation.compare(flight, vehicle)
     weights = np.concatenate([vehicle.mixer.T, np.zeros((1, len(vehicle.rotors)))])[None]
     if len(check.time):
-        weights = check.weights  # the mixer with the gain it was seen to have
+        weights = check.gain[:, None, None] * weights  # the mixer with the gain it was seen to have
     last = np.clip(np.searchsorted(check.known, control.time, side="right") - 1, 0, len(weights) - 1)
     values = control.values.copy()
     own, believed = vehicle.curve.expo, allocation.believed_curve(vehicle).expo

@@ -221,6 +221,11 @@ class Airborne(Struct):
             self._step(now)
             self.tick += 1.0
 
+    def close(self) -> None:
+        """No sample comes any more: a flight that lasts ends with the last command."""
+        if self.start < LASTS:
+            self._keep(self.last)
+
     def end_of(self, i: int) -> Time:
         """When flight i of those that are over ended: where its end began to show, and not after the last command."""
         return min(self.flights[i].end, self.last)
@@ -335,8 +340,7 @@ class Airborne(Struct):
 
     def _end_flight(self) -> None:
         """The flight ended with the last command; what was learned of it goes."""
-        if self.start < LASTS:
-            self._keep(self.last)
+        self.close()
         self.since = -LASTS
         self.first_blow = -LASTS
         self.last_blow = -LASTS

@@ -3,3 +3,14 @@
 ROTORS = 16
 HALF_SECOND = 4096  # samples of gyro or accelerometer in half a second
 FLIGHTS = 256  # that have ended and not been asked for
+MOTION_KEPT = (
+    32768  # samples of gyro or accelerometer: three seconds of the fastest and slowest ticks, 0.9 s of usual ones
+)
+LEVELS = 8192  # samples of the attitude: those of the last second and a tick
+WAITING = 8  # ticks that may wait for their motion
+TICKS_BEFORE = 12  # ticks in half a second
+SETTLING = 32  # ticks in the first second of a flight
+QUEUE = 160  # ticks that wait until it is certain that the vehicle flies: 6 s
+PENDING = 256  # samples of outputs that wait for the rate controller's next one
+RECENT = 2050  # samples of outputs in half a second, at 4 kHz
+OVERRIDES = 64  # that are kept; of more, those that ended first are forgotten

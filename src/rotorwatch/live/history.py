@@ -13,9 +13,10 @@ import numpy as np
 from rotorwatch.default import events
 from rotorwatch.default.hypotheses import Hypotheses
 from rotorwatch.diagnosis import Event
-from rotorwatch.motion.ticks import Ticks
+from rotorwatch.motion.ticks import GROUND, Ticks
 
 QUIET, MOST = 2400, 72_000
+SETTLE_EVERY_S = 1.0
 FRESH = 50  # pieces that are put into the columns at once
 TICK = ("time", "command_time", "mode", "restart", "upset")
 OUT = ("theta", "theta_sd", "announced", "since", "active", "share", "opposite", "opposite_onset", "opposite_loss")
@@ -50,7 +51,7 @@ class History:
     """The ticks since `first` (running number); `end` is one past the last."""
 
     def __init__(self, dt: float):
-        self._dt, self.first, self.end = dt, 0, 0
+        self._dt, self.first, self.end, self._settled = dt, 0, 0, 0
         self._columns: dict[str, np.ndarray] = {}
         self._fresh: list[dict[str, np.ndarray]] = []  # the last of them, not yet in the columns
         self._rare: dict[str, dict[int, np.ndarray]] = {name: {} for name in RARE}
@@ -93,12 +94,15 @@ class History:
         """How often something was announced or suspected in these ticks."""
         return len(self._said)
 
-    def cut(self, end: int) -> None:
-        """Forget the ticks from `end` on."""
-        self._join()
-        self.end = max(end, self.first)
-        self._said = [k for k in self._said if k < self.end]
-        self._restarts = [k for k in self._restarts if k < self.end]
+    def ground(self, start: float, end: float) -> None:
+        """The flight that began at `start` ended at `end` s: its ticks after that are on the ground, and what was announced in them is not."""
+        time = self.column("time")
+        after = np.flatnonzero((self.column("command_time") > end) & (time >= start))
+        for name, value in (("mode", GROUND), ("upset", False), ("announced", False), ("opposite", -1)):
+            if name in self._columns:
+                self._columns[name][after] = value
+        gone = set((self.first + after).tolist())
+        self._said = [k for k in self._said if k not in gone]
 
     def events(self, hyp: Hypotheses, B: np.ndarray, end: int | None = None, flies: bool = False) -> tuple[Event, ...]:
         """Events of the ticks that are kept, or of those before `end`. flies: as for `default.events.read`."""
@@ -116,8 +120,12 @@ class History:
         self._join()
         return self._columns[name][: self.end - self.first] if name in self._columns else np.empty(0)
 
-    def settle(self, sure: int, hyp: Hypotheses, B: np.ndarray) -> tuple[Event, ...]:
-        """Drop what is not needed any more; the events of hops that are over for good. sure: ticks before this will not be taken back."""
+    def settle(self, until: float, hyp: Hypotheses, B: np.ndarray) -> tuple[Event, ...]:
+        """Drop what is not needed any more; the events of flights that are over for good. until: s, ticks before are certain."""
+        if (self.end - self._settled) * self._dt < SETTLE_EVERY_S:
+            return ()
+        self._settled = self.end
+        sure = self.first + int(np.searchsorted(self.column("time"), until))
         over = [k for k in self._restarts if self.first < k < sure]
         if over:
             done = self.events(hyp, B, over[-1] + 1)

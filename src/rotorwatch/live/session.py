@@ -97,11 +97,12 @@ class Session:
         self._building, self._pieces = None, []
 
     def advance(self, complete: float | None = None) -> bool:
-        """Judge what has become known; whether there was anything. complete: as for `Stream.advance`."""
+        """Judge what has become certain; whether there was anything. complete: time up to which all samples have been added, where that is
+        known; None on a link, where nothing may be waited for."""
         stream = self._stream
         if stream is None:
             return False
-        piece = stream.advance(complete)
+        piece = stream.advance()
         if piece is None or stream.plan is None:
             return False
         if self._dynamics and self._dynamics.get("dt") != stream.plan.dt:
@@ -142,7 +143,7 @@ class Session:
         pieces, self._pieces = self._pieces, []
         for one in pieces:
             self._judge.on(one, final and one is pieces[-1])
-        return any(one.sensed is not None for one in pieces)
+        return any(one.table is not None for one in pieces)
 
     @property
     def due_s(self) -> float:

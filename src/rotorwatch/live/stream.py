@@ -1,47 +1,43 @@
-"""Samples as they come -> ticks as they are known: the front end of `diagnose`, gone on with piece by piece.
+"""Samples as they come -> ticks that are certain: the front end of `diagnose`, fed piece by piece.
 
-Nothing is computed here: what the functions of `motion` make of a whole flight they make of its last seconds, with what they have
-learned before. Pieces of any length give the same ticks (docs/watch.md says what a live observer cannot know).
+Pieces of any length give the same ticks. Samples of one signal come in the order of time; those of different signals as the link brings
+them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
+from rotorwatch.compiling.structs import LASTS
 from rotorwatch.flight import Flight, Message, Signal
 from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch.live.window import KEPT_S, Growing, Window, copied
-from rotorwatch.motion import allocation, ticks
-from rotorwatch.motion.airborne import Airborne, commands
-from rotorwatch.motion.allocation import Comparison, Learned, Spans
-from rotorwatch.motion.contact import Shaken
-from rotorwatch.motion.ticks import Plan, Sensed
+from rotorwatch.front import front, ticks, whole
+from rotorwatch.front.definition import FRONT, merged, states
+from rotorwatch.live.window import KEPT_S, Window
+from rotorwatch.motion import allocation
+from rotorwatch.motion.allocation import Spans
+from rotorwatch.motion.contact import Contact
+from rotorwatch.motion.departures import Override, found
+from rotorwatch.motion.ticks import Plan, Ticks, columns, joined, laid_out, plan
 
-LATE_S = 0.9  # a signal that is this much behind the others is not waited for; less than the second after lift-off that nobody judges
-AIR_S = 0.2  # nor does anybody ask at once whether the vehicle flies
+ASK_S = 0.2  # at least so often it is asked whether the vehicle flies
 FORGET_S = 1.0  # between two clearings of what is not needed any more
 FIRST, FIRST_S, LEAST = 64, 20.0, 20  # commands from which a flight is planned, or so long and so many
-BACK_S = 2.0
 SUM_S = 1e-9  # by which two sums of the same times may differ: a tick does not wait for the next sample because of that
-COMMANDS = ("motors", "lift", "battery")
 CHANGED = 1.2  # factor by which a rate must change to be another one
+ROOM = 512  # ticks in one call
 
 
 @dataclass(frozen=True)
 class Piece:
-    """What has become known. sensed: ticks; check, command: comparisons and the outputs logged in them; motors, thrust: outputs that
-    were logged. Each may be None. spans: when the vehicle was in the air, known up to `air_s`."""
+    """What has become certain. table: ticks; spans: when the vehicle was in the air, one that lasts without an end; overrides: all so far."""
 
     spans: Spans
-    air_s: float
-    sensed: Sensed | None = None
-    check: Comparison | None = None
-    command: np.ndarray | None = None
-    motors: Signal | None = None
-    thrust: np.ndarray | None = None
+    table: Ticks | None = None
+    overrides: tuple[Override, ...] = ()
 
 
 class Stream:
@@ -51,202 +47,155 @@ class Stream:
         """about: what is known of the flight besides its signals. ready_s: blind time after lift-off."""
         self.window, self.vehicle = Window(about), vehicle
         self.plan: Plan | None = None
-        self._ready_s, self._air = ready_s, Airborne()
-        self._learned, self._shaken, self._checks = Learned(), Shaken(), None
-        self._mixing, self._planned_aloft = False, False
-        self._thrust: Growing | None = None
-        self._compared = self._rebuilt = self._logged = -np.inf  # up to when
+        self._ready_s, self._mixing, self._planned_aloft = ready_s, False, False
+        self._front, self._made, self._done = FRONT.new(front.Front), FRONT.array(ticks.Made, ROOM), FRONT.new(whole.Done)
+        self._fed: dict[str, float] = {}  # signal -> time of its last sample that was fed
+        self._messages: list[Message] = []
+        self._contacts: tuple[Contact, ...] = ()
+        self._overrides: tuple[Override, ...] = ()
+        self._closed: list[tuple[float, float]] = []
         self._forgot = -np.inf
-        self._last, self._waiting = -1, np.empty(0, np.int64)
 
     def add(self, signals: Mapping[str, Signal], messages: Iterable[Message] = ()) -> None:
         """More of the flight, in time order."""
+        messages = list(messages)
         self.window.add(signals, messages)
+        self._messages += messages
+
+    def advance(self) -> Piece | None:
+        """What has become certain; None before the flight is planned."""
+        if self.plan is None and not self._begin():
+            self.window.forget(self.window.now - 60.0)
+            return None
+        tables = self._feed()
+        if self.window.now > self._forgot + FORGET_S:
+            self._forgot = self.window.now
+            self.window.forget(self.window.now - KEPT_S)
+        return self._piece(tables)
 
     def finish(self, duration: float) -> Piece | None:
         """The rest, of a flight that has ended after `duration` s."""
-        piece = self.advance(np.inf, max(duration, self.window.now))
-        return None if piece is None else replace(piece, spans=self._air.intervals(), air_s=np.inf)
-
-    def advance(self, complete: float | None = None, end: float | None = None) -> Piece | None:
-        """What has become known; None before the flight is planned. complete: time up to which all samples have been added, where that
-        is known; None on a link, where samples of one signal may be behind those of another."""
-        now = self.window.now
-        if self.plan is None and not self._begin(now):
-            self.window.forget(now - 60.0)
+        if self.plan is None and not self._begin():
             return None
-        self._follow_air(now, complete if end is None else end, end)
-        check, command = self._compare()
-        until = now if complete is None else complete
-        motors, thrust = self._log(until)
-        self._rebuild(motors, thrust, until, check)
-        sensed = self._sense(now, complete)
-        if now > self._forgot + FORGET_S:
-            self._forget(now)
-        return Piece(self._air.spans(), self._air.now, sensed, check, command, motors, thrust)
+        tables, end = self._feed(), max(duration, self.window.now)
+        while True:
+            FRONT.call(whole.finish, self._front, self._craft, self._plan, end, self._made, ROOM, self._done)
+            count, end = int(self._done["rows"][0]), LASTS
+            if not count:
+                return self._piece(tables)
+            tables.append(self._table(count))
 
     @property
     def due_s(self) -> float:
         """Time from which there may be another tick: nothing need be asked for before."""
         if self.plan is None:
-            return self.window.now + AIR_S
-        waits = self._waiting[0] if self._waiting.size else self._last + 1
-        known = (
-            float(self.plan.first + self.plan.dt * waits) + self.plan.lag_s + max(self.plan.half.values(), default=0.0)
-        )
-        return min(known - SUM_S, self.window.now + AIR_S)
+            return self.window.now + ASK_S
+        sense, how = self._front.part("sense"), self.plan
+        end = float(sense["origin"][0]) + how.dt * int(sense["next"][0])
+        return min(end + how.lag_s + max(how.half.values(), default=0.0) - SUM_S, self.window.now + ASK_S)
 
     def replanned(self) -> Flight | None:
         """At the first lift-off: the flight that is kept, when its rates are not those that it was planned by, so that it must be begun
         anew; None when all is well."""
-        if self._planned_aloft or not self._air.spans() or self.plan is None:
+        if self._planned_aloft or self.plan is None or not self._spans():
             return None
         self._planned_aloft = True
         flight = self.window.flight(self.window.now - KEPT_S)
         mixing = allocation.faster_control(flight)
-        thrust = self._thrust.since(-np.inf) if self._thrust is not None and mixing == self._mixing else None
-        thrust = allocation.motor_thrusts(flight, self.vehicle) if thrust is None else thrust
-        if len(thrust) < LEAST:
+        commands = flight["control" if mixing else "motors"]
+        if len(commands) < LEAST:
             return None
-        new, old = ticks.plan(flight, thrust, self._ready_s), self.plan
+        new, old = plan(flight, commands, self._ready_s), self.plan
         if (new.dt, new.gyro, new.accel, mixing) != (old.dt, old.gyro, old.accel, self._mixing):
             return flight
         if any(not 1 / CHANGED < new.period[name] / old.period[name] < CHANGED for name in new.period):
-            self.plan = replace(old, half=new.half, period=new.period)
+            self._planned(Plan(old.dt, old.ready_s, old.lag_s, old.first, old.gyro, old.accel, new.half, new.period, old.notes))
         return None
 
-    def _begin(self, now: float) -> bool:
+    def _begin(self) -> bool:
         flight = self.window.flight(-np.inf)
         if not flight.has("motors"):
             return False
         motors = flight["motors"]
-        if len(motors) < LEAST or (len(motors) < FIRST and now - motors.time[0] < FIRST_S):
+        if len(motors) < LEAST or (len(motors) < FIRST and self.window.now - motors.time[0] < FIRST_S):
             return False
         self._mixing = allocation.faster_control(flight)
-        thrust = allocation.motor_thrusts(flight, self.vehicle)
-        if self._mixing:
-            check = allocation.compare(flight, self.vehicle)
-            self._mixing = len(check.time) > 0
-            if self._mixing:
-                thrust = allocation.better(thrust, allocation.rebuilt(flight, self.vehicle, check))
-        self.plan = ticks.plan(flight, thrust, self._ready_s)
+        self._craft = allocation.laid_out(self.vehicle, flight)
+        self._planned(plan(flight, flight["control" if self._mixing else "motors"], self._ready_s))
         return True
 
-    def _follow_air(self, now: float, complete: float | None, end: float | None) -> None:
-        until = now if complete is None else complete
-        if complete is None:
-            for name in ("motors", "accel", "gyro", "velocity"):
-                if name in self.window.names:
-                    until = min(until, max(self.window.newest(name), now - LATE_S))
-        if until < self._air.now + (AIR_S if end is None else 0.0):
-            return
-        time, command = commands(self.window.flight(self._air.now, ("motors",)))
-        given = slice(max(np.searchsorted(time, self._air.now, "right") - 1, 0), np.searchsorted(time, until, "right"))
-        if given.start < given.stop:
-            names = ("motors", "accel", "gyro", "velocity")
-            self._air.on(self.window.flight(self._air.now - BACK_S, names), time[given], command[given], until)
+    def _planned(self, how: Plan) -> None:
+        self.plan, self._plan = how, laid_out(how, (self.vehicle.identified or {}).get("hover"), self._mixing)
 
-    def _compare(self) -> tuple[Comparison | None, np.ndarray | None]:
-        """Outputs held against the mixer, all that have a later sample of the controller."""
-        if "control" not in self.window.names or "motors" not in self.window.names:
-            return None, None
-        flight = self.window.flight(self._compared - BACK_S, (*COMMANDS, "control"))
-        control, motors = flight["control"], flight["motors"]
-        known = control.time[control.valid.all(axis=1)]
-        if not len(known):
-            return None, None
-        new = slice(
-            np.searchsorted(motors.time, self._compared, "right"), np.searchsorted(motors.time, known[-1], "right")
-        )
-        if new.start >= new.stop:
-            return None, None
-        part = motors.part(new)
-        self._compared = float(part.time[-1])
-        check = allocation.compare(
-            copied(flight, signals={**flight.signals, "motors": part}), self.vehicle, self._learned
-        )
-        if not len(check.time):
-            return None, None
-        return check, allocation.hold(part.time, part.values, check.time)
-
-    def _log(self, until: float) -> tuple[Signal | None, np.ndarray | None]:
-        """Outputs that have been logged, and the thrusts of these."""
-        if "motors" not in self.window.names:
-            return None, None
-        flight = self.window.flight(self._logged, COMMANDS)
-        time = flight["motors"].time
-        new = slice(np.searchsorted(time, self._logged, "right"), np.searchsorted(time, until, "right"))
-        if new.start >= new.stop:
-            return None, None
-        motors = flight["motors"].part(new)
-        self._logged = float(motors.time[-1])
-        thrust = allocation.motor_thrusts(copied(flight, signals={**flight.signals, "motors": motors}), self.vehicle)
-        return motors, thrust.values
-
-    def _rebuild(
-        self, motors: Signal | None, thrust: np.ndarray | None, until: float, check: Comparison | None
-    ) -> None:
-        """The thrusts that ticks are made of."""
-        if not self._mixing:
-            if motors is not None and thrust is not None:
-                self._extend(motors.with_arrays(motors.time, thrust, motors.valid))
-            return
-        if check is not None:
-            self._checks = check if self._checks is None else self._checks + check
-        if self._checks is None:
-            return
-        flight = self.window.flight(self._rebuilt - BACK_S, (*COMMANDS, "control"))
-        time = flight["control"].time
-        new = slice(np.searchsorted(time, self._rebuilt, "right"), np.searchsorted(time, until, "right"))
-        if new.start >= new.stop:
-            return
-        control = flight["control"].part(new)
-        piece = copied(flight, signals={**flight.signals, "control": control})
-        logged = allocation.motor_thrusts(piece, self.vehicle)
-        self._extend(allocation.better(logged, allocation.rebuilt(piece, self.vehicle, self._checks)))
-        self._rebuilt = float(control.time[-1])
-        old = np.searchsorted(self._checks.known, self._rebuilt - 1.0)
-        self._checks = self._checks[max(old - 1, 0) :]
-
-    def _extend(self, thrust: Signal) -> None:
-        if self._thrust is None:
-            self._thrust = Growing(thrust)
-        self._thrust.add(thrust)
+    def _feed(self) -> list[Ticks]:
+        """All that has come since the last time."""
         assert self.plan is not None
-        new = self.plan.numbers(thrust.time, self._last)
-        if new.size:
-            self._last = int(new[-1])
-            self._waiting = np.concatenate([self._waiting, new])
+        window, parts = self.window, []
+        full = self.vehicle.extra.get("full_voltage")
+        for name in window.names:
+            since = self._fed.get(name, -np.inf)
+            if window.newest(name) <= since or name not in SIGNALS:
+                continue
+            signal = window.flight(since, (name,))[name]
+            signal = signal.part(slice(int(np.searchsorted(signal.time, since, "right")), None))
+            self._fed[name] = window.newest(name)
+            part = _numbers(name, signal, full if full and "battery" in window.names else None, self.plan.gyro)
+            parts += [] if part is None else [part]
+        messages, self._messages = self._messages, []
+        if messages:
+            parts.append(("state", *states(messages)))
+        samples, tables, taken = merged(parts), [], 0
+        while taken < len(samples):
+            given = (taken, len(samples), samples.kind, samples.time, samples.at, samples.values)
+            FRONT.call(whole.feed, self._front, self._craft, self._plan, *given, self._made, ROOM, self._done)
+            taken = int(self._done["samples"][0])
+            if count := int(self._done["rows"][0]):
+                tables.append(self._table(count))
+        return tables
 
-    def _sense(self, now: float, complete: float | None) -> Sensed | None:
-        """The ticks for which all is known that happened in them."""
-        plan, window = self.plan, self.window
-        if not self._waiting.size or self._thrust is None:
-            return None
-        assert plan is not None
-        hi = plan.ends(self._waiting)
-        end = hi + plan.lag_s + plan.dt / 2.0
-        ready = np.ones(hi.size, bool) if complete is None else end <= complete
-        for name, half in plan.half.items():
-            # Motion is averaged around a lag after its commands, and these are at the latest at the end of the tick.
-            known = hi + plan.lag_s + half <= window.newest(name) + SUM_S
-            ready &= known | (now - end > LATE_S) | (complete == np.inf)
-        count = int(np.argmin(ready)) if not ready.all() else hi.size
-        if not count:
-            return None
-        hi = hi[:count]
-        start = min(hi[0] - plan.dt - BACK_S, self._shaken.time - BACK_S)
-        flight = window.flight(start, (*plan.half, "attitude"))
-        sensed = ticks.sense(flight, self._thrust.since(start), hi, plan, self._shaken)
-        self._waiting = self._waiting[count:]
-        return sensed
-
-    def _forget(self, now: float) -> None:
-        self._forgot = now
+    def _table(self, count: int) -> Ticks:
         assert self.plan is not None
-        waiting = self.plan.ends(self._waiting[:1])
-        oldest = min([now, self._air.now, self._logged, *waiting.tolist()])
-        before = max(oldest, now - 60.0) - KEPT_S
-        self.window.forget(before)
-        if self._thrust is not None:
-            self._thrust.forget(before)
+        made = columns(self._made.cut(count), self.plan, len(self.vehicle.rotors), self._contacts)
+        self._contacts = made.contacts
+        return made
+
+    def _piece(self, tables: list[Ticks]) -> Piece:
+        deviations = self._front.part("deviations")
+        if int(deviations["overrides_count"][0]):
+            self._overrides = found(deviations, self._craft)
+        return Piece(self._spans(), joined(tables) if tables else None, self._overrides)
+
+    def _spans(self) -> Spans:
+        air = self._front.part("air")
+        if count := int(air["ended"][0]):
+            flights, last = air.part("flights"), float(air["last"][0])
+            begins, ends = flights["start"].reshape(-1)[:count], flights["end"].reshape(-1)[:count]
+            self._closed += [(float(a), min(float(b), last)) for a, b in zip(begins, ends)]
+            air.set(ended=0)
+        start = float(air["start"][0])
+        return (*self._closed, *([(start, np.inf)] if start < LASTS else []))
+
+
+SIGNALS = ("motors", "control", "gyro", "rates", "accel", "velocity", "attitude", "lift", "battery")
+
+
+def _numbers(name: str, signal: Signal, full: float | None, gyro: str | None):
+    """Samples of a signal as the front end takes them; None where it does not. full: voltage of a full battery, where motors are driven
+    straight from it; gyro: the signal that tells angular rates."""
+    value = signal.values if signal.valid.all() else np.where(signal.valid, signal.values, np.nan)
+    if name == "velocity":
+        return name, signal.time, np.column_stack([-value[:, 2], np.hypot(value[:, 0], value[:, 1])])
+    if name == "attitude":
+        return name, signal.time, signal.values[:, 1:3]
+    if name == "battery" and full:
+        ok = value[:, 0] > 0.5 * full
+        return "voltage", signal.time[ok], value[ok, :1] / full
+    if name == "lift" and not full and "voltage_ratio" in signal.columns:
+        ratio = value[:, signal.columns.index("voltage_ratio")]
+        ok = ratio > 0.3
+        return "voltage", signal.time[ok], ratio[ok, None]
+    if name == "rates":
+        return (name, signal.time, value) if gyro == "rates" else None
+    if name == "control":
+        return name, signal.time, value[:, :4]
+    return (name, signal.time, value) if name in ("motors", "gyro", "accel") else None

@@ -6,7 +6,8 @@ often fast. The autopilot turns c into thrust demands with its mixer M and its g
     t = g M c,        m(u) = t        with m the thrust curve the autopilot believes in (battery compensation included),
 
 so that the slow m(u) verifies and scales a fast rebuilt t, from which u and the thrust f(u) follow. ArduPilot's m is f;
-PX4 often believes in a straight line (THR_MDL_FAC 0) that no motor follows: ``vehicle.extra["mixer_expo"]``.
+PX4 often believes in a straight line (THR_MDL_FAC 0) that no motor follows: ``vehicle.extra["mixer_expo"]``. The definition of that is
+front/mixer.py; here it runs over a whole flight.
 
 All functions here are causal: a value at time s uses nothing logged after s.
 """
@@ -15,19 +16,18 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
+from rotorwatch.compiling.running import Rows
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.vehicle import ThrustCurve, Vehicle
+from rotorwatch.front import mixer, whole
+from rotorwatch.front.definition import FRONT, craft, known, merged
 
 Spans = tuple[tuple[float, float], ...]
-PART = 0.05  # share of full thrust by which rebuilt and logged thrust may differ before the rebuilt one is not trusted
-FLYING = 0.05  # share of full thrust above which a rotor does enough for a comparison
-GAIN_MEMORY_S = 20.0  # air density changes with height, slowly
-PAIR_WITHIN_S = 0.15  # a command further than this from any control sample has no partner
 YAW_HEADROOM = 200.0  # MOT_YAW_HEADROOM where nothing tells: ArduPilot's default
-NOISE_SD = 0.004  # rounding to 1 us, and the controller moving between its own log lines and those of the outputs
 
 
 def motor_thrusts(flight: Flight, vehicle: Vehicle) -> Signal:
@@ -46,14 +46,20 @@ def motor_thrusts(flight: Flight, vehicle: Vehicle) -> Signal:
     return Signal(motors.time, thrust, motors.columns, "1", "body", motors.source, motors.valid)
 
 
-def battery_ratio(flight: Flight, times: np.ndarray) -> np.ndarray:
-    """Battery voltage as a share of full, filtered by the autopilot: the last value logged before each time; else 1."""
+def voltages(flight: Flight) -> tuple[np.ndarray, np.ndarray]:
+    """(time (m,), (m, 1)): battery voltage as a share of full, filtered by the autopilot, where it was logged and can be."""
     lift = flight.signals.get("lift")
     if lift is None or "voltage_ratio" not in lift.columns:
-        return np.ones(len(times))
+        return np.empty(0), np.empty((0, 1))
     column = lift.columns.index("voltage_ratio")
     ok = lift.valid[:, column] & (lift.values[:, column] > 0.3)
-    return hold(lift.time[ok], lift.values[ok, column], times, before=1.0)
+    return lift.time[ok], lift.values[ok, column, None]
+
+
+def battery_ratio(flight: Flight, times: np.ndarray) -> np.ndarray:
+    """The last of `voltages` before each time; else 1."""
+    time, ratio = voltages(flight)
+    return hold(time, ratio[:, 0], times, before=1.0)
 
 
 def hold(time: np.ndarray, values: np.ndarray, at: np.ndarray, before: float = 0.0) -> np.ndarray:
@@ -89,34 +95,20 @@ def mixed_thrusts(flight: Flight, vehicle: Vehicle) -> Signal | None:
     their limits, yaw beyond the mixer's headroom, and any rotor whose last logged command differed by more than 0.05 of
     full thrust (thrust boost, spool-up, an output that is overridden).
     """
-    return rebuilt(flight, vehicle, compare(flight, vehicle)) if faster_control(flight) else None
+    if not faster_control(flight):
+        return None
+    checks, made = _mixed(flight, vehicle)
+    if not len(checks["time"]):
+        return None
+    n, control = len(vehicle.rotors), flight["control"]
+    return Signal(
+        control.time, made["thrust"][:, :n], flight["motors"].columns, "1", "body", f"{control.source} through the mixer", made["ok"][:, :n]
+    )
 
 
 def faster_control(flight: Flight) -> bool:
     """Is the rate controller's output logged so much faster than the rotors' commands that these are worth rebuilding from it?"""
     return flight.has("control", "motors") and flight["control"].rate_hz >= 1.5 * flight["motors"].rate_hz
-
-
-def rebuilt(flight: Flight, vehicle: Vehicle, check: Comparison) -> Signal | None:
-    """`mixed_thrusts` with a comparison that has been made."""
-    control = flight["control"]
-    step = np.searchsorted(check.known, control.time, side="right") - 1  # last comparison finished by then
-    regressors = np.column_stack([control.values, np.ones(len(control))])
-    if not len(check.time):
-        return None
-    demand = np.empty((len(control), len(vehicle.rotors)))
-    for part in np.array_split(np.arange(len(control)), len(control) // 8192 + 1):  # weights of all rows: much memory
-        demand[part] = np.einsum("tc,tcr->tr", regressors[part], check.weights[np.maximum(step[part], 0)])
-    believed, battery = believed_curve(vehicle), battery_ratio(flight, control.time)[:, None]
-    inside = np.all((demand > 0.005) & (demand < 0.99 * believed(np.asarray(believed.u_max), battery)), axis=1)
-    share = drive(believed.expo, np.clip(demand, 0.0, 1.0))
-    thrust = (1.0 - vehicle.curve.expo) * share + vehicle.curve.expo * share * share
-    inside &= yaw_granted(flight, vehicle, control.values)
-    fresh = (step >= 0) & (control.time - check.time[np.maximum(step, 0)] < 0.5)
-    trusted = check.trusted[np.maximum(step, 0)]
-    valid = (inside & fresh & np.all(control.valid, axis=1))[:, None] & trusted
-    source = f"{control.source} through the mixer"
-    return Signal(control.time, thrust, flight["motors"].columns, "1", "body", source, valid)
 
 
 @dataclass(frozen=True)
@@ -125,107 +117,64 @@ class Comparison:
 
     time (m,): of the motor sample. known (m,): when its comparison could be made (the later control sample has come).
     demand (m, n): logged m(u). asked (m, n): rebuilt, as if outputs had no limits. deviation (m, n): logged minus rebuilt within the
-    limits, whose upper one is top (m, 1). yaw (m, n): the part of `asked` that is for yaw; yaw_granted (m,): the mixer grants all of
-    it. weights (m, 5, n): (roll, pitch, yaw, throttle, 1) -> demand as known right after this
-    sample. trusted (m, n): the rebuilt thrust of this rotor agreed in this sample and the one before.
+    limits. yaw_granted (m,): the mixer grants all of the yaw. gain (m,): of the mixer, as it is known right after this sample. rows: the same as the definitions take them.
     """
 
     time: np.ndarray
     known: np.ndarray
     demand: np.ndarray
     asked: np.ndarray
-    top: np.ndarray
-    yaw: np.ndarray
-    yaw_granted: np.ndarray
     deviation: np.ndarray
-    weights: np.ndarray
-    trusted: np.ndarray
-
-    def __getitem__(self, part: slice) -> Comparison:
-        return Comparison(*[x[part] for x in vars(self).values()])
-
-    def __add__(self, later: Comparison) -> Comparison:
-        return Comparison(*[np.concatenate(both) for both in zip(vars(self).values(), vars(later).values())])
+    yaw_granted: np.ndarray
+    gain: np.ndarray
+    rows: Rows
 
 
-@dataclass
-class Learned:
-    """What comparisons leave to those that follow. above, below, last: of `_learn_gain`'s average, and its gain; now, spread: of
-    `_learn_mixer`; prior (5, n), good (n,): weights of the last comparison, and whether it fitted."""
-
-    above: float = 0.0
-    below: float = 0.0
-    last: float = 0.0
-    gain: float = 1.0
-    now: np.ndarray | None = None
-    spread: np.ndarray | None = None
-    prior: np.ndarray | None = None
-    good: np.ndarray | None = None
-
-
-def compare(flight: Flight, vehicle: Vehicle, learned: Learned | None = None) -> Comparison:
+def compare(flight: Flight, vehicle: Vehicle) -> Comparison:
     """Hold the rebuilt demands against the logged ones, learning the mixer's gain (or, for a mixer that is not known,
-    all of its factors) on the way. Needs signals ``motors`` and ``control``. learned: by earlier pieces of the same flight, which this
-    goes on with; their motor samples must not be in this one, and each of its own must have a later control sample."""
-    learned = Learned() if learned is None else learned
-    logged, control, believed = flight["motors"], flight["control"], believed_curve(vehicle)
-    ok = np.all(control.valid, axis=1)
-    when, what = control.time[ok], control.values[ok]
-    # Linear interpolation between the two control samples around each command; the comparison waits for the later one.
-    later = np.searchsorted(when, logged.time)
-    found = (later > 0) & (later < len(when)) & np.all(logged.valid, axis=1)
-    # At equal rates a command is logged within 1 ms of its control sample: no need to wait for the next one.
-    before = np.clip(later - 1, 0, max(len(when) - 1, 0))
-    after = np.clip(later, 0, max(len(when) - 1, 0))
-    if not len(when):
-        found[:] = False
-    else:
-        close = (logged.time - when[before] < 0.002) & (later > 0)
-        after = np.where(close, before, after)
-        before = np.where(when[after] - logged.time < 0.002, after, before)
-        found = (found | close) & (np.maximum(when[after] - logged.time, logged.time - when[before]) < PAIR_WITHIN_S)
-    before, after, time = before[found], after[found], logged.time[found]
-    battery = battery_ratio(flight, time)[:, None]
-    demand = believed(logged.values[found], battery)
-    gap = np.maximum(when[after] - when[before], 1e-9)
-    share = np.clip((time - when[before]) / gap, 0.0, 1.0)[:, None]
-    inputs = np.column_stack([(1.0 - share) * what[before] + share * what[after], np.ones(len(time))])
-    top = believed(np.asarray(believed.u_max), battery)
-    if vehicle.mixer is None:
-        weights = _learn_mixer(time, inputs, demand, top, learned)
-    else:
-        weights = _learn_gain(time, inputs, demand, vehicle.mixer, learned)
-    # Each sample is judged by what was known before it.
-    prior = np.concatenate([weights[:1] if learned.prior is None else learned.prior[None], weights[:-1]])[: len(time)]
-    rebuilt = np.einsum("tc,tcr->tr", inputs, prior)
-    deviation = demand - np.clip(rebuilt, 0.0, top)
-    good = np.abs(deviation) < PART
-    earlier = np.zeros_like(good[:1]) if learned.good is None else learned.good[None]
-    trusted = good & np.concatenate([earlier, good[:-1]])[: len(time)]
-    if len(time):
-        learned.prior, learned.good = weights[-1], good[-1]
-    known = np.maximum(time, when[after]) if len(time) else time
-    yaw = inputs[:, 2:3] * prior[:, 2]
-    granted = yaw_granted(flight, vehicle, inputs)
-    return Comparison(time, known, demand, rebuilt, top, yaw, granted, deviation, weights, trusted)
+    all of its factors) on the way. Needs signals ``motors`` and ``control``."""
+    rows, _ = _mixed(flight, vehicle)
+    n = len(vehicle.rotors)
+    wide = (rows[name][:, :n] for name in ("thrust", "demanded", "deviation"))
+    return Comparison(rows["time"], rows["known"], *wide, rows["yaw_granted"], rows["gain"], rows)
 
 
-def yaw_granted(flight: Flight, vehicle: Vehicle, control: np.ndarray) -> np.ndarray:
-    """(m,) bool: the mixer grants all of the yaw in `control` (m, 4 or more: roll, pitch, yaw, throttle).
+def _mixed(flight: Flight, vehicle: Vehicle) -> tuple[Rows, Rows]:
+    """front.mixer over a flight: its comparisons, and the thrusts of each sample of the rate controller."""
+    motors, control = flight["motors"], flight["control"]
+    parts = [("motors", motors.time, known(flight, "motors")), ("control", control.time, known(flight, "control")[:, :4])]
+    parts.append(("voltage", *voltages(flight)))
+    samples = merged(parts)
+    found, made = FRONT.array(mixer.Comparison, len(motors) + 1), FRONT.array(whole.Mixed, max(len(control), 1))
+    done = FRONT.new(whole.Done)
+    given = (len(samples), samples.kind, samples.time, samples.at, samples.values)
+    FRONT.call(whole.mix, FRONT.new(mixer.Mixer), laid_out(vehicle, flight), *given, found, made, done)
+    return found.cut(int(done["rows"][0])), made.cut(int(done["samples"][0]))
 
-    ArduPilot limits yaw last: to the room that roll and pitch leave every rotor around a throttle of at most 0.5, but
-    never below MOT_YAW_HEADROOM (default 200 of 1000).
-    """
-    yaw = np.abs(control[:, 2])
-    always = yaw_always(flight.parameters.get("MOT_YAW_HEADROOM", YAW_HEADROOM))
-    if vehicle.mixer is None:
-        return yaw < always
-    turning = np.abs(vehicle.mixer[:, 2]) > 1e-9
-    factors = vehicle.mixer[turning]
-    level = np.clip(control[:, 3:4], 0.0, 0.5) + control[:, :2] @ factors[:, :2].T
-    up = control[:, 2:3] * factors[:, 2] > 0
-    room = np.where(up, 1.0 - level, level) / np.abs(factors[:, 2])
-    return yaw < np.maximum(always, 0.95 * room.min(axis=1, initial=np.inf))
+
+def laid_out(vehicle: Vehicle, flight: Flight) -> Rows:
+    """The vehicle as the definitions take it."""
+    headroom = flight.parameters.get("MOT_YAW_HEADROOM", YAW_HEADROOM)
+    return craft(len(vehicle.rotors), **table(vehicle, output_range(flight), headroom))
+
+
+def table(vehicle: Vehicle, output: tuple[float, float], headroom: float = YAW_HEADROOM) -> dict[str, Any]:
+    """The fields of front.vehicle.Vehicle. output: ends of the outputs' range as the autopilot counts it, in their unit."""
+    n, curve = len(vehicle.rotors), vehicle.curve
+    return {
+        "effectiveness": vehicle.effectiveness(), "mixer": np.zeros((n, 4)) if vehicle.mixer is None else np.asarray(vehicle.mixer, float),
+        "u_min": curve.u_min, "u_max": curve.u_max, "output_low": output[0], "output_high": max(output[1], output[0] + 1e-6),
+        "expo": curve.expo, "mixer_expo": believed_curve(vehicle).expo, "yaw_headroom": yaw_always(headroom),
+        "mixer_known": vehicle.mixer is not None, "rests_at_minimum": bool(vehicle.extra.get("rests_at_minimum", False)),
+    }  # fmt: skip
+
+
+def output_range(flight: Flight) -> tuple[float, float]:
+    """Ends of the outputs' range as the autopilot counts it, in their unit."""
+    if flight["motors"].unit != "us":
+        return 0.0, 1.0
+    low = flight.facts.get("pwm_min") or flight.parameters.get("MOT_PWM_MIN") or 1000.0
+    return low, flight.facts.get("pwm_max") or flight.parameters.get("MOT_PWM_MAX") or 2000.0
 
 
 def yaw_always(headroom: float = YAW_HEADROOM) -> float:
@@ -243,50 +192,6 @@ def drive(expo: float, thrust: np.ndarray) -> np.ndarray:
     if expo < 1e-6:
         return thrust
     return (np.sqrt((1.0 - expo) ** 2 + 4.0 * expo * thrust) - (1.0 - expo)) / (2.0 * expo)
-
-
-def _learn_gain(time, inputs, thrust, mixer, learned: Learned | None = None) -> np.ndarray:
-    """Weights (m, 5, n) of a known mixer: only a common gain (air density) is unknown; forgetting average."""
-    demand = inputs[:, :4] @ mixer.T
-    power = np.sum(demand * demand, axis=1)
-    product = np.sum(thrust * demand, axis=1)
-    own = product / np.maximum(power, 1e-12)
-    # A sample counts when its own gain explains all rotors: none limited, none overridden.
-    apart = np.max(np.abs(thrust - own[:, None] * demand), axis=1)
-    usable = (thrust.min(axis=1) > FLYING) & (apart < PART) & (own > 0.6) & (own < 1.7)
-    gains = np.ones(len(time))
-    past = Learned() if learned is None else learned
-    known, above, below, last = past.gain, past.above, past.below, past.last
-    for k in np.flatnonzero(usable):
-        fade = np.exp((last - time[k]) / GAIN_MEMORY_S)
-        above, below, last = above * fade + product[k], below * fade + power[k], time[k]
-        past.gain = gains[k] = above / below
-    past.above, past.below, past.last = above, below, last
-    # Between usable samples the last gain holds.
-    held = np.maximum.accumulate(np.where(usable, np.arange(len(time)), -1))
-    gains = np.where(held >= 0, gains[np.maximum(held, 0)], known)
-    base = np.concatenate([mixer.T, np.zeros((1, mixer.shape[0]))])
-    return gains[:, None, None] * base
-
-
-def _learn_mixer(time, inputs, thrust, top, learned: Learned | None = None) -> np.ndarray:
-    """Weights (m, 5, n) of a mixer that is not known: recursive least squares of the thrusts on the control inputs."""
-    size, rotors = inputs.shape[1], thrust.shape[1]
-    usable = np.all((thrust > FLYING) & (thrust < 0.95 * top), axis=1)
-    weights = np.zeros((len(time), size, rotors))
-    past = Learned() if learned is None else learned
-    now, spread = past.now, past.spread
-    if now is None or spread is None:
-        now, spread = np.zeros((size, rotors)), np.eye(size)
-        now[3] = 1.0
-    for k, x in enumerate(inputs):
-        if usable[k]:
-            gain = spread @ x / (x @ spread @ x + NOISE_SD**2)
-            now = now + np.outer(gain, thrust[k] - x @ now)
-            spread = spread - np.outer(gain, x @ spread)
-        weights[k] = now
-    past.now, past.spread = now, spread
-    return weights
 
 
 def within(time: np.ndarray, spans: Spans) -> np.ndarray:

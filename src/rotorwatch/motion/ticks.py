@@ -1,41 +1,38 @@
-"""From a log's uneven samples to the diagnoser's ticks: one causal, uniform table of commands and motion.
+"""From a log's uneven samples to the diagnoser's ticks: the definitions of front/ over a whole flight, as one table.
 
-A tick at time t uses nothing measured after t. It pairs the commands sent during one tick length with the motion they
-caused a motor lag later:
-
-    commands   mean of the rotor thrusts in (t - dt - a, t - a],     a = lag + dt / 2
-    motion     over the window of length dt centred a lag after them
-
-Units: thrusts in hover thrusts of one rotor (the mean command that carries the weight is 1), found from the first second
-in the air and then kept for that hop. All frames body FRD.
+A tick at time t uses nothing measured after t. Units: thrusts in hover thrusts of one rotor (the mean command that carries the weight is
+1), found from the first second in the air and then kept for that flight. All frames body FRD.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
+from rotorwatch.compiling.running import Rows
+from rotorwatch.compiling.structs import LASTS
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.front import contact as knocks
+from rotorwatch.front import sense as cutting
+from rotorwatch.front import ticks as definition
+from rotorwatch.front import whole
+from rotorwatch.front.definition import FRONT, craft, known, merged
+from rotorwatch.front.sense import LATE_S, SIDE_S
+from rotorwatch.front.ticks import AGAIN, GROUND, JUDGE, LEARN, SETTLE_S
 from rotorwatch.motion import allocation
-from rotorwatch.motion.contact import G0, Contact, Shaken, look_back, struck, vibration
+from rotorwatch.motion.contact import Contact, contacts, look_back
+
+__all__ = ["AGAIN", "GROUND", "JUDGE", "LATE_S", "LEARN", "SETTLE_S", "SIDE_S"]
 
 LAG_S = 0.02
-SIDE_S = 0.5  # side forces are averaged over: they change as slowly as speed and wind, and vibration is louder
-GAP_S = 4.0  # without any command: of a longer gap only so much at either end makes ticks
-SETTLE_S = 1.0  # after lift-off: the first second gives the hover command and is not judged
-UPSET_RATE = 6.0  # rad/s of roll or pitch rate: the vehicle tumbles, hover physics is over
-UPSET_TILT = np.cos(np.radians(65.0))
-CONTROLLED_SHARE, CONTROLLED_RATE = 0.9, 2.0  # of full thrust, and rad/s: below both a vehicle is under control
 
-# s in the air before anything is judged; the same where healthy flights have told the noise.
+# s in the air before anything is judged; the same where healthy flights have shown the noise.
 READY_S, READY_KNOWN_S = 8.0, 3.0
-
-GROUND, LEARN, JUDGE = 0, 1, 2
-AGAIN = 2  # in the place of a restart: the trim is learned afresh, what is known to be lost stays
+LATE_PERIODS = 1.5  # of slow motion, for which a tick waits at least
+ROOM = 4096  # rows in one call
 
 
 @dataclass(frozen=True)
@@ -89,9 +86,8 @@ def joined(parts: Sequence[Ticks]) -> Ticks:
 # Ticks in s, and the rate of commands in Hz from which on nearly all of them hold one.
 LENGTHS = ((0.05, 19.0), (0.1, 8.0), (0.2, 4.5), (0.5, 1.8), (1.0, 0.0))
 TICKS_S = tuple(length for length, _ in LENGTHS)
-SHORTEST_S = (
-    0.2  # a snapshot of the commands is compared with motion over so long, or with a sample and a half of the gyro
-)
+# A snapshot of the commands is compared with motion over so long, or over a sample and a half of the gyro.
+SHORTEST_S = 0.2
 EARLIEST_TICKS = 2  # that an announcement takes: default/announcement.py
 READY_TICKS = 30  # from which the noise is learned
 
@@ -116,41 +112,6 @@ def ready_after(ready_s: float, dt: float) -> float:
     return max(ready_s, READY_TICKS * dt)
 
 
-def _filled(at: np.ndarray, most: int, first: int = 0) -> np.ndarray:
-    """The ticks `at` (non-decreasing) and those between them and from `first` on, but of each gap only the first and last `most`.
-
-    Nothing is known of the rest of a longer gap, and days of it cost nothing.
-    """
-    at = np.maximum(at, first)
-    if at[-1] - first <= 2 * most:
-        return np.arange(first, at[-1] + 1)
-    gaps = np.flatnonzero(np.diff(at) > 2 * most)
-    begin = np.r_[first, at[gaps + 1] - most]
-    end = np.r_[at[gaps] + most, at[-1] + 1]
-    return np.concatenate([np.arange(a, b) for a, b in zip(begin, end)])
-
-
-def _known(signal: Signal) -> tuple[np.ndarray, np.ndarray]:
-    """(time, values) of the samples of which all is known."""
-    if signal.valid.all():  # the rule
-        return signal.time, signal.values
-    ok = signal.valid.all(axis=1)
-    return signal.time[ok], signal.values[ok]
-
-
-def _bin_mean(signal: Signal, edges_lo: np.ndarray, edges_hi: np.ndarray):
-    """Mean of valid samples with lo < time <= hi, their mean time and whether there is any: (T, k), (T,), (T,)."""
-    time, values = _known(signal)
-    total, when = np.zeros((time.size + 1, values.shape[1])), np.zeros(time.size + 1)
-    np.cumsum(values, axis=0, out=total[1:])
-    np.cumsum(time, out=when[1:])
-    lo, hi = time.searchsorted(edges_lo, "right"), time.searchsorted(edges_hi, "right")
-    count = hi - lo
-    some = count > 0
-    safe = np.maximum(count, 1)
-    return (total[hi] - total[lo]) / safe[:, None], (when[hi] - when[lo]) / safe, some
-
-
 def _period(signal: Signal) -> float:
     """Usual time between two samples that are known, s; NaN with fewer than two."""
     time = signal.time[signal.valid.all(axis=1)]
@@ -161,72 +122,6 @@ def _period(signal: Signal) -> float:
 def samples_in(half: float, period: float) -> int:
     """How many samples a window of twice `half` s needs at least, of a signal with so many s between two; NaN: not known."""
     return max(1, int(half / period * 0.8)) if period > 0.0 else 1
-
-
-class _Course:
-    """A signal between its samples, as straight lines: for means over many windows of it."""
-
-    def __init__(self, signal: Signal, period: float | None = None):
-        """period: usual time between two samples [s]; None: what this piece of the signal shows. known: `_known` of it."""
-        self.known = time, values = _known(signal)
-        step = time[1:] - time[:-1]
-        if not (step > 0).all():
-            keep = np.concatenate([[True], step > 0])
-            time, values = time[keep], values[keep]
-            step = time[1:] - time[:-1]
-        self._time, self._values, self._step = time, values, step
-        self._integral = np.zeros(values.shape)
-        np.cumsum(0.5 * (values[1:] + values[:-1]) * step[:, None], axis=0, out=self._integral[1:])
-        self._period = _period(signal) if period is None else period
-
-    def over(self, centre: np.ndarray, half: float, slope: bool = True) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Mean (T, k) and slope (T, k; 0 unless asked for) over [centre - half, centre + half], and whether there are enough samples
-        in it (T,).
-
-        The mean comes from the exact integral of the linear interpolation. The slope is the difference of two short means
-        around the ends, which keeps single-sample noise out when the signal is much faster than the window.
-        """
-        time, values, count = self._time, self._values, centre.size
-        shape = (count, values.shape[1])
-        if time.size < 2:
-            return np.zeros(shape), np.zeros(shape), np.zeros(count, bool)
-        end = half * 0.25
-        lo, hi = centre - half, centre + half
-        t = np.concatenate([lo, hi, lo + end, hi - end] if slope else [lo, hi])
-        after = time.searchsorted(t, "right")
-        i = np.minimum(np.maximum(after - 1, 0), time.size - 2)
-        width = self._step[i][:, None]
-        s = np.minimum(np.maximum((t - time[i])[:, None] / width, 0.0), 1.0)
-        left = values[i]
-        area = self._integral[i] + width * (left * s + 0.5 * (values[i + 1] - left) * s * s)
-        first, stop = area[:count], area[count : 2 * count]
-        middle = (stop - first) / (hi - lo)[:, None]
-        rise = np.zeros(shape)
-        if slope:
-            start, last = area[2 * count : 3 * count], area[3 * count :]
-            rise = ((stop - last) / (hi - (hi - end))[:, None] - (start - first) / ((lo + end) - lo)[:, None]) / (
-                2.0 * half - end
-            )
-        gap = after[count : 2 * count] - time.searchsorted(lo, "left")
-        least = samples_in(half, self._period)
-        covered = (lo >= time[0]) & (hi <= time[-1] + 1e-9) & (gap >= least)
-        return middle, rise, covered
-
-
-def _learned_again(contact, restart, thrust, hover, rate, fresh, before: float) -> np.ndarray:
-    """(T,) ticks of controlled flight since the last contact of the hop, infinite without one. A vehicle that spins or has outputs
-    near their limits is not what its trim can be learned from. before: the same at the tick before the first."""
-    if not contact.any() and before == np.inf:  # the rule
-        return np.full(len(contact), np.inf)
-    controlled = (
-        fresh
-        & ((thrust * hover[:, None]).max(axis=1) < CONTROLLED_SHARE)
-        & (np.abs(rate).max(axis=1) < CONTROLLED_RATE)
-    )
-    since = np.cumsum(controlled)
-    last, hop = (np.maximum.accumulate(np.where(x, np.arange(len(since)), -1)) for x in (contact, restart))
-    earlier = np.where(hop < 0, before + since, np.inf)
-    return np.where((last >= hop) & (last >= 0), since - since[np.maximum(last, 0)], earlier)
 
 
 def _span(motion: Signal, commands: Signal, dt: float) -> float:
@@ -254,18 +149,6 @@ class Plan:
     half: dict[str, float]
     period: dict[str, float]
     notes: tuple[str, ...]
-
-    def numbers(self, time: np.ndarray, last: int = -1) -> np.ndarray:
-        """Running numbers of the ticks that commands at `time` (non-decreasing, s) complete, after the tick `last`."""
-        at = ((time - self.first) / self.dt).astype(np.int64)
-        if last < 0:
-            return _filled(at, round(GAP_S / self.dt))
-        filled = _filled(np.concatenate([[last], np.maximum(at, last)]), round(GAP_S / self.dt), last)
-        return filled[filled > last]
-
-    def ends(self, numbers: np.ndarray) -> np.ndarray:
-        """Time at which the last command counts, of ticks by their numbers."""
-        return self.first + self.dt * numbers
 
 
 def plan(flight: Flight, thrust: Signal, ready_s: float, lag_s: float = LAG_S, dt: float | None = None) -> Plan:
@@ -295,8 +178,7 @@ class Sensed:
     """What was commanded and measured in T ticks, whether in the air or not: a tick needs no other, and nothing logged after it.
 
     time, when (T,) s as in `Ticks`; share (T, n): mean share of full thrust; some (T,) bool: commands in it; rate, rate_dot, load, side as
-    in `Ticks`; push (T, 2): side force of the tick alone; rate_ok, load_ok (T,) bool; shake (T,): vibration so far [m/s^2]; level (T,):
-    cosine of the tilt. push, side and shake are None without an accelerometer.
+    in `Ticks`; rate_ok, load_ok (T,) bool; level (T,): cosine of the tilt. rows: the same as the definitions take them.
     """
 
     time: np.ndarray
@@ -309,70 +191,57 @@ class Sensed:
     load: np.ndarray
     load_ok: np.ndarray
     level: np.ndarray
-    push: np.ndarray | None = None
-    side: np.ndarray | None = None
-    shake: np.ndarray | None = None
+    rows: Rows
 
     def __len__(self):
         return len(self.time)
 
-    def __getitem__(self, part: slice) -> Sensed:
-        columns: list[Any] = [None if x is None else x[part] for x in vars(self).values()]
-        return Sensed(*columns)
 
-    def __add__(self, later: Sensed) -> Sensed:
-        pairs = zip(vars(self).values(), vars(later).values())
-        columns: list[Any] = [None if a is None or b is None else np.concatenate([a, b]) for a, b in pairs]
-        return Sensed(*columns)
+def laid_out(plan: Plan, hover: float | None = None, rebuilt: bool = False) -> Rows:
+    """The plan as the definitions take it; see `table`."""
+    made = FRONT.new(cutting.Plan)
+    made.set(**table(plan, hover, rebuilt))
+    return made
 
 
-def sense(flight: Flight, thrust: Signal, hi: np.ndarray, plan: Plan, shaken: Shaken | None = None) -> Sensed:
-    """The ticks that end at `hi` (T,) s. flight, thrust: all of a flight, or a window of it that reaches two seconds further back than the
-    ticks, and then what was shaken before it, which this goes on with."""
-    dt, half, count = plan.dt, plan.dt / 2.0, hi.size
-    time = hi + plan.lag_s + half
-    mean, when, some = _bin_mean(thrust, hi - dt, hi)
-    when = np.where(some, when, hi - half)
-    centre = when + plan.lag_s
-    zeros3 = np.zeros((count, 3))
-
-    rate, rate_dot, gyro_ok = zeros3, zeros3, np.ones(count, bool)
-    if plan.gyro:
-        turning = _Course(flight[plan.gyro], plan.period[plan.gyro])
-        rate, rate_dot, gyro_ok = turning.over(centre, plan.half[plan.gyro])
-    side = push = shake = None
-    load, accel_ok = np.ones(count), np.zeros(count, bool)
-    if plan.accel:
-        accel = flight["accel"]
-        course = _Course(accel, plan.period["accel"])
-        force, _, accel_ok = course.over(centre, plan.half["accel"], slope=False)
-        load, push = -force[:, 2] / G0, force[:, :2]
-        shake = vibration(*course.known, centre - half, shaken)
-        side, _, side_ok = course.over(centre + half - 0.5 * SIDE_S, 0.5 * SIDE_S, slope=False)
-        side = np.where(side_ok[:, None], side[:, :2], 0.0)
-    level = np.ones(count)
-    if "attitude" in flight.signals and len(flight["attitude"]):
-        q = flight["attitude"]
-        i = np.minimum(np.maximum(q.time.searchsorted(time, "right") - 1, 0), len(q) - 1)
-        _, x, y, _ = q.values[i].T
-        level = 1.0 - 2.0 * (x * x + y * y)
-    return Sensed(time, when, mean, some, rate, rate_dot, gyro_ok, load, accel_ok, level, push, side, shake)
+def table(plan: Plan, hover: float | None = None, rebuilt: bool = False) -> dict[str, float | int | bool]:
+    """The fields of front.sense.Plan. hover: share of full thrust that carries the vehicle, where healthy flights have shown it; rebuilt:
+    thrusts come from the rate controller's output, which is sampled faster than the outputs."""
+    gyro, accel = plan.gyro or "", "accel"
+    of = {name: (plan.half.get(name, plan.dt / 2.0), plan.period.get(name, np.nan)) for name in (gyro, accel)}
+    return {
+        "dt": plan.dt, "lag": plan.lag_s, "phase": (plan.first - plan.dt / 2.0) % plan.dt, "ready": plan.ready_s, "hover": hover or 0.0,
+        "gyro_half": of[gyro][0], "accel_half": of[accel][0], "gyro_least": samples_in(*of[gyro]), "accel_least": samples_in(*of[accel]),
+        "side_least": samples_in(0.5 * SIDE_S, of[accel][1]), "late": max(LATE_S, LATE_PERIODS * max(plan.period.values(), default=0.0)), "before": look_back(plan.dt), "gyro": plan.gyro is not None,
+        "accel": plan.accel, "rebuilt": rebuilt,
+    }  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Past:
-    """What ticks leave to those that follow. hop: start of the hop the last one was in [s]; hover: its share of full thrust in hover; gone:
-    the vehicle has tumbled in it; learned: `_learned_again`. upset (w,), recent: raw rows of the last ticks (for `struck`); contacts
-    so far, and the time of the last."""
-
-    hop: float
-    hover: float
-    gone: bool
-    learned: float
-    upset: np.ndarray
-    recent: tuple
-    contacts: tuple[Contact, ...]
-    hit: float
+def sense(flight: Flight, thrust: Signal, plan: Plan) -> Sensed:
+    """The ticks of a flight with these thrusts."""
+    n = thrust.values.shape[1]
+    valid = thrust.valid.all(axis=1, keepdims=True)
+    parts = [("thrust", thrust.time, np.where(valid, thrust.values, np.nan))]
+    parts += [("gyro", flight[plan.gyro].time, known(flight, plan.gyro))] if plan.gyro else []
+    parts += [("accel", flight["accel"].time, known(flight, "accel"))] if plan.accel else []
+    if "attitude" in flight.signals:
+        parts.append(("attitude", flight["attitude"].time, flight["attitude"].values[:, 1:3]))
+    samples, vehicle, how = merged(parts), craft(n), laid_out(plan)
+    state, rows, done = FRONT.new(cutting.Sense), FRONT.array(cutting.Sensed, ROOM), FRONT.new(whole.Done)
+    pieces, taken = [], 0
+    while taken < len(samples):
+        given = (taken, len(samples), samples.kind, samples.time, samples.at, samples.values)
+        FRONT.call(whole.cut, state, vehicle, how, *given, rows, ROOM, done)
+        taken = int(done["samples"][0])
+        pieces.append(rows.cut(int(done["rows"][0])))
+    while count := FRONT.call(whole.rest, state, vehicle, how, rows, ROOM):
+        pieces.append(rows.cut(count))
+    whole_rows = Rows.joined(pieces)
+    whole_rows = whole_rows.cut(
+        int(np.flatnonzero(whole_rows["some"])[-1]) + 1
+    )  # those after the last command are no flight
+    columns = {name: whole_rows[name] for name in Sensed.__dataclass_fields__ if name not in ("share", "rows")}
+    return Sensed(share=whole_rows["share"][:, :n], rows=whole_rows, **columns)
 
 
 def observe(flight: Flight, vehicle: Vehicle, air, ready_s: float) -> Ticks | None:
@@ -405,89 +274,31 @@ def make(
     hover: share of full thrust that carries the vehicle, when a vehicle file or baseline knows it.
     """
     how = plan(flight, thrust, ready_s, lag_s, dt)
-    seen = sense(flight, thrust, how.ends(how.numbers(thrust.time)), how)
-    return assemble(seen, how, B, airborne, hover)[0]
+    return assemble(sense(flight, thrust, how), how, B, airborne, hover)
 
 
 def assemble(
-    seen: Sensed,
-    plan: Plan,
-    B: np.ndarray,
-    airborne: tuple[tuple[float, float], ...],
-    hover: float | None = None,
-    past: Past | None = None,
-) -> tuple[Ticks, Past]:
-    """Ticks from what was sensed in them and when the vehicle was in the air; in one piece, or piece by piece with the past of each.
+    seen: Sensed, plan: Plan, B: np.ndarray, airborne: tuple[tuple[float, float], ...], hover: float | None = None
+) -> Ticks:
+    """Ticks from what was measured in them and when the vehicle was in the air."""
+    n, count, time = B.shape[1], len(seen), seen.time
+    lifted, start = np.full(count, LASTS), np.full(count, LASTS)
+    for begin, end in airborne:
+        inside = (time >= begin + SETTLE_S) & (seen.when <= end)
+        if inside.any():
+            lifted[time >= begin] = begin
+            start[inside] = begin
+    made = FRONT.array(definition.Made, count)
+    state, vehicle = FRONT.new(definition.Ticks), craft(n, effectiveness=B)
+    FRONT.call(whole.assemble, state, vehicle, laid_out(plan, hover), count, seen.rows, lifted, start, made)
+    return columns(made, plan, n)
 
-    A piece must not end in the first second of a hop: what carries the vehicle is learned from all of it.
-    """
-    dt, time, when, some, mean, rate = plan.dt, seen.time, seen.when, seen.some, seen.share, seen.rate
-    count, width = len(seen), max(2, round(0.3 / dt))
-    if past is None:
-        past = Past(-np.inf, hover or 1.0, False, np.inf, np.zeros(width - 1, bool), (), (), -np.inf)
-    valid = np.empty((count, 4), bool)
-    valid[:, :3] = (some & seen.rate_ok)[:, None]
-    valid[:, 2] &= bool(
-        np.abs(B[2]).max() > 0.0
-    )  # rotors that make no yaw torque explain none: a servo yaws a tricopter
-    valid[:, 3] = some & seen.load_ok
-    mode = np.zeros(count, np.int32)
-    restart = np.zeros(count, bool)
-    scale = np.full(count, past.hover)
-    upset = (np.abs(rate[:, :2]).max(axis=1, initial=0.0) > UPSET_RATE) | (seen.level < UPSET_TILT)
-    hop, gone, tumbling = past.hop, past.gone, np.concatenate([past.upset, np.zeros(count, bool)])
-    for start, end in airborne:
-        inside = (time >= start + SETTLE_S) & (when <= end)
-        if not inside.any():
-            continue
-        level = past.hover
-        if start != hop:
-            hop, gone = start, False
-            level = hover if hover is not None else _hover(seen, inside, start)
-            restart[np.flatnonzero(inside)[0]] = True
-            tumbling[: width - 1] = False
-        scale[time >= start] = max(level, 0.02)
-        mode[inside] = np.where(time[inside] >= start + plan.ready_s, JUDGE, LEARN)
-        # Once tumbling, never hovering again in this hop: what follows is a fall, not evidence.
-        tumbling[width - 1 :] = upset & inside
-        if gone:
-            upset = upset | inside
-            continue
-        if not tumbling.any():
-            continue
-        long_upset = np.convolve(tumbling, np.ones(width), "full")[width - 1 : width - 1 + count] >= width - 0.5
-        begin = np.flatnonzero(long_upset & inside)
-        first = begin[0] if begin.size else count
-        gone = first < count
-        upset = upset | ((np.arange(count) >= first) & inside)
-    units = mean / scale[:, None]
-    wrench = units @ B.T
-    fresh = some & seen.rate_ok & (seen.load_ok | (seen.push is None)) & (mode > GROUND)
-    rows: tuple[Any, ...] = (time, seen.push, seen.load, seen.shake, units, wrench[:, :3], seen.rate_dot, fresh)
-    if past.recent:
-        rows = tuple(None if b is None else np.concatenate([a, b]) for a, b in zip(past.recent, rows))
-    known = len(rows[0]) - count
-    contact, contacts, hit = struck(*rows, dt=dt, known=known, before=past.contacts, last=past.hit)
-    learned = _learned_again(contact, restart, units, scale, rate, fresh, past.learned)
-    mode[(mode == JUDGE) & (learned < round(plan.ready_s / dt))] = LEARN
-    valid &= (~upset & ~contact & (mode > GROUND))[:, None]
-    side = seen.side
-    table = Ticks(
-        time, when, units, wrench, rate, seen.rate_dot, seen.load, valid, mode, restart, scale, dt, upset,
-        plan.notes, side, contact, contacts, some,
+
+def columns(made: Rows, plan: Plan, n: int, before: tuple[Contact, ...] = ()) -> Ticks:
+    """Ticks that were made, as a table of n rotors; before: contacts of those before."""
+    touch = made.part("touch")
+    return Ticks(
+        made["time"], made["when"], made["thrust"][:, :n], made["wrench"], made["rate"], made["rate_dot"], made["load"], made["valid"],
+        made["mode"], made["restart"], made["hover"], plan.dt, made["upset"], plan.notes, made["side"] if plan.accel else None,
+        touch["hit"], contacts(touch, before), made["some"],
     )  # fmt: skip
-    if not count:
-        return table, past
-    recent = tuple(None if x is None else x[-(look_back(dt) + 1) :] for x in rows)
-    return table, Past(
-        hop, float(scale[-1]), gone, float(learned[-1]), tumbling[count:], recent, contacts, hit
-    )  # fmt: skip
-
-
-def _hover(seen: Sensed, inside: np.ndarray, start: float) -> float:
-    """Share of full thrust that carries the vehicle, from the first second after `start`."""
-    settle = (seen.when >= start) & (seen.when < start + SETTLE_S) & seen.some & (seen.share.sum(axis=1) > 0)
-    if not settle.any():
-        return float(np.median(seen.share[inside][:10]))
-    load = np.where(seen.load_ok[settle], np.clip(seen.load[settle], 0.5, 2.0), 1.0)
-    return float(np.median(seen.share[settle].mean(axis=1) / load))

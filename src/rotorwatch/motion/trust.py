@@ -15,7 +15,8 @@ import numpy as np
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.motion.allocation import within
-from rotorwatch.motion.ticks import G0, Ticks
+from rotorwatch.motion.contact import G0
+from rotorwatch.motion.ticks import Ticks
 
 Spans = tuple[tuple[float, float], ...]
 

@@ -1,0 +1,239 @@
+"""Definitions of `structs`, run: as machine code where it came with the package or can be built, else by Python as they stand.
+
+    definition = Definition("front", modules, sizes)
+    one = definition.new(Airborne)
+    definition.call(whole.fly, one, vehicle, n, kinds, times, ...)
+    one["ended"]                      # a field; rows["time"] of an array of structs
+
+Arguments: structs and arrays of them made here; NumPy arrays; numbers. Both ways give the same bits.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import hashlib
+import json
+import os
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from rotorwatch.compiling import shipped, structs, toolchain
+from rotorwatch.compiling.structs import Struct
+
+TYPES = {"real": np.float64, "time": np.float64, "int": np.int32, "flag": np.bool_}
+# No fused multiply and add: the same operations as Python's.
+FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fno-math-errno", "-fPIC", "-shared")
+
+
+class Rows:
+    """An array of structs, or one of them: fields by name, as NumPy arrays."""
+
+    def __init__(self, kind: type[Struct], native: np.ndarray | None, plain: list | None, many: bool = False):
+        self.kind, self.native, self.plain, self.many = kind, native, plain, many
+
+    def __getitem__(self, name: str) -> Any:
+        """A field of all of them, (n, ...)."""
+        if self.native is not None:
+            return self.native[name]
+        assert self.plain is not None
+        return np.array([getattr(one, name) for one in self.plain])
+
+    def part(self, name: str) -> Rows:
+        """A field that is a struct, or an array of structs (of the first one)."""
+        field: Any = self.kind._deep[name]
+        several = isinstance(field, structs.Array)
+        kind = field.kind if several else field
+        if self.native is not None:
+            return Rows(kind, self.native[name][0] if several else self.native[name], None)
+        inner = [getattr(one, name) for one in self.plain or ()]
+        return Rows(kind, None, inner[0] if several else inner)
+
+    def cut(self, count: int) -> Rows:
+        """The first of them, copied."""
+        if self.native is not None:
+            return Rows(self.kind, self.native[:count].copy(), None, many=True)
+        copies = [type(one)() for one in (self.plain or ())[:count]]
+        for to, one in zip(copies, self.plain or ()):
+            structs.copy(to, one)
+        return Rows(self.kind, None, copies, many=True)
+
+    @staticmethod
+    def joined(parts: Sequence[Rows]) -> Rows:
+        """Arrays one after the other."""
+        first = parts[0]
+        if first.native is not None:
+            return Rows(first.kind, np.concatenate([one.native for one in parts]), None, many=True)
+        return Rows(first.kind, None, [x for one in parts for x in one.plain or ()], many=True)
+
+    def set(self, **fields: Any) -> None:
+        """Write fields of the first one; arrays fill as much of a field as they have."""
+        for name, value in fields.items():
+            if self.native is not None:
+                place = self.native[name][0]
+                if np.ndim(value):
+                    place[tuple(slice(0, s) for s in np.shape(value))] = value
+                else:
+                    self.native[name][0] = value
+            else:
+                assert self.plain is not None
+                _fill(self.plain[0], name, value)
+
+
+def _fill(one: Any, name: str, value: Any) -> None:
+    if not np.ndim(value):
+        setattr(one, name, value.item() if isinstance(value, np.generic) else value)
+        return
+    place, rows = getattr(one, name), np.asarray(value).tolist()
+    for i, row in enumerate(rows):
+        if isinstance(row, list):
+            place[i][: len(row)] = row
+        else:
+            place[i] = row
+
+
+class Definition:
+    """Modules of definitions. name: of their room; sizes: the module with the sizes of arrays."""
+
+    def __init__(self, name: str, modules: Sequence[ModuleType], sizes: ModuleType):
+        self.name, self.modules, self.sizes = name, tuple(modules), sizes
+        self._types: dict[type[Struct], np.dtype] = {}
+
+    @functools.cached_property
+    def library(self) -> ctypes.CDLL | None:
+        """Machine code; None where there is none and no compiler to make it, or $ROTORWATCH_BACKEND is python."""
+        if os.environ.get("ROTORWATCH_BACKEND") == "python":
+            return None
+        path = self._shipped()
+        try:
+            return ctypes.CDLL(str(path or self.build(toolchain.folder())))
+        except (toolchain.Unavailable, OSError):
+            return None
+
+    @property
+    def digest(self) -> str:
+        """Of the files that it is made of."""
+        return shipped.digest(shipped.files_in(self.name))
+
+    def _shipped(self) -> Path | None:
+        """The library that came with the package, if it is of these files and whole."""
+        try:
+            known = json.loads((shipped.FOLDER / shipped.DEFINITIONS).read_text(encoding="utf-8"))[self.name]
+            file, sha256 = known["library"]
+            fits = known["digest"] == self.digest and known["target"] == shipped.target()
+        except (OSError, ValueError, KeyError, TypeError):
+            return None
+        path = shipped.FOLDER / file
+        return path if fits and shipped.digest_of(path) == sha256 else None
+
+    def ship(self, folder: Path) -> None:
+        """Put the library into the folder of what comes with the package."""
+        name = f"{self.name}.so"
+        shutil.copyfile(self.build(toolchain.folder()), folder / name)
+        known = {"digest": self.digest, "target": shipped.target(toolchain.processor()), "library": [name, shipped.digest_of(folder / name)]}
+        (folder / shipped.DEFINITIONS).write_text(json.dumps({self.name: known}, indent=1) + "\n", encoding="utf-8")
+
+    def translated(self) -> tuple[str, str, str]:
+        """(rw_config.h, header, source) for a computer."""
+        from rotorwatch.compiling.translate import Translation
+
+        whole = Translation(self.modules, self.sizes)
+        config = "".join(f"#define RW_{name} {value}\n" for name, value in whole.sizes.items())
+        return config, whole.header("For this computer."), whole.source("rw_front.h")
+
+    def build(self, folder: Path) -> Path:
+        """The library in a folder, built unless it is there. Raises toolchain.Unavailable."""
+        compiler = toolchain.compiler()
+        key = hashlib.sha256(
+            "\0".join([self.digest, *FLAGS, toolchain.machine()]).encode()
+        ).hexdigest()
+        goal = folder / f"{self.name}-{key[:32]}.so"
+        seal = goal.with_suffix(".sha256")
+        if goal.exists() and seal.exists() and seal.read_text() == shipped.digest_of(goal):
+            return goal
+        with tempfile.TemporaryDirectory() as scratch:
+            place = Path(scratch)
+            for name, text in zip(("rw_config.h", "rw_front.h", "rw_front.c"), self.translated()):
+                (place / name).write_text(text, encoding="utf-8")
+            made = place / "made.so"
+            command = [compiler, *FLAGS, "-o", str(made), str(place / "rw_front.c"), "-lm"]
+            done = subprocess.run(command, capture_output=True, text=True, check=False)
+            if done.returncode:
+                said = (done.stderr.strip().splitlines() or ["nothing said"])[0]
+                raise toolchain.Unavailable(f"{compiler} cannot build native code: {said}.")
+            for to, data in ((goal, made.read_bytes()), (seal, shipped.digest_of(made).encode())):
+                part = to.with_suffix(f".{os.getpid()}")
+                part.write_bytes(data)
+                os.replace(part, to)
+        return goal
+
+    # Structs
+
+    def type_of(self, kind: type[Struct]) -> np.dtype:
+        """A Struct as C lays it out."""
+        if kind not in self._types:
+            fields = []
+            for name, value in kind.declared():
+                if isinstance(value, structs.Array):
+                    inner = TYPES[value.kind] if isinstance(value.kind, str) else self.type_of(value.kind)
+                    fields.append((name, inner, value.shape))
+                else:
+                    fields.append(
+                        (
+                            name,
+                            self.type_of(value)
+                            if isinstance(value, type)
+                            else TYPES[structs.SCALARS[kind.__annotations__[name]]],
+                        )
+                    )
+            self._types[kind] = np.dtype(fields, align=True)
+        return self._types[kind]
+
+    def new(self, kind: type[Struct]) -> Rows:
+        """A struct with the values that it has at first."""
+        if self.library is None:
+            return Rows(kind, None, [kind()])
+        rows = np.zeros(1, self.type_of(kind))
+        getattr(self.library, f"{structs.snake(kind.__name__)}_init")(ctypes.c_void_p(rows.ctypes.data))
+        return Rows(kind, rows, None)
+
+    def array(self, kind: type[Struct], count: int) -> Rows:
+        """Structs to be written."""
+        if self.library is None:
+            return Rows(kind, None, [kind() for _ in range(count)], many=True)
+        return Rows(kind, np.zeros(count, self.type_of(kind)), None, many=True)
+
+    def call(self, function: Callable, *given: Any) -> Any:
+        """Call a free function of the modules."""
+        if self.library is None:
+            return function(*(_plain(x) for x in given))
+        name = f"rw_{function.__module__.rpartition('.')[2]}_{function.__name__}"
+        called = getattr(self.library, name)
+        result = str(function.__annotations__.get("return"))
+        called.restype = {"int": ctypes.c_int32, "bool": ctypes.c_bool, "None": None}.get(result, ctypes.c_double)
+        return called(*(_native(x) for x in given))
+
+
+def _native(x: Any) -> Any:
+    if isinstance(x, Rows):
+        assert x.native is not None
+        return ctypes.c_void_p(x.native.ctypes.data)
+    if isinstance(x, np.ndarray):
+        return ctypes.c_void_p(x.ctypes.data)
+    if isinstance(x, bool | np.bool_):
+        return ctypes.c_bool(bool(x))
+    return ctypes.c_int32(x) if isinstance(x, int | np.integer) else ctypes.c_double(x)
+
+
+def _plain(x: Any) -> Any:
+    if isinstance(x, Rows):
+        assert x.plain is not None
+        return x.plain if x.many else x.plain[0]
+    return x.tolist() if isinstance(x, np.ndarray) else x

@@ -1,0 +1,232 @@
+"""Many samples in one call: of a whole log, or of what has come on a link.
+
+A sample is its kind, its time and its numbers: `values` from `at` on. NaN: not known. Samples of equal times come in the order of kinds.
+"""
+
+from __future__ import annotations
+
+from rotorwatch.compiling.structs import FLAG, LASTS, REAL, Flags, Ints, Reals, Struct, Time, Times, array, copy, isnan, local
+from rotorwatch.front.airborne import Airborne
+from rotorwatch.front.deviations import Deviations, Override
+from rotorwatch.front.front import Front
+from rotorwatch.front.mixer import CONTROLS, Comparison, Mixer
+from rotorwatch.front.sense import Plan, Sense, Sensed
+from rotorwatch.front.sizes import ROTORS
+from rotorwatch.front.ticks import SETTLE_S, Made, Ticks
+from rotorwatch.front.vehicle import Vehicle
+
+VOLTAGE, OUTPUTS, CONTROL, GYRO, ACCEL, VELOCITY, STATE, ATTITUDE, THRUSTS, RATES = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9
+
+
+class Done(Struct):
+    """How far a call has come: samples that were taken, rows that were made."""
+
+    samples: int = 0
+    rows: int = 0
+
+
+def fly(a: Airborne, v: Vehicle, n: int, kind: Ints, time: Times, at: Ints, values: Reals) -> None:
+    """Outputs, motion and states of n samples."""
+    output = local(REAL, ROTORS)
+    known = local(FLAG, ROTORS)
+    for i in range(n):
+        x = values[at[i]]
+        y = values[at[i] + 1]
+        z = values[at[i] + 2]
+        valid = not (isnan(x) or isnan(y) or isnan(z))
+        if kind[i] == OUTPUTS:
+            for k in range(v.rotors):
+                output[k] = values[at[i] + k]
+                known[k] = not isnan(output[k])
+            a.outputs(v, time[i], output, known)
+        elif kind[i] == GYRO:
+            a.gyro(time[i], x, y, z, valid)
+        elif kind[i] == ACCEL:
+            a.accel(time[i], x, y, z, valid)
+        elif kind[i] == VELOCITY:
+            a.velocity(time[i], x, y)
+        elif kind[i] == STATE:
+            a.state(time[i], int(x), int(y))
+
+
+def wait(a: Airborne, until: Time) -> None:
+    """All samples up to `until` s have come."""
+    a.walk(until, True)
+
+
+def cut(
+    s: Sense,
+    v: Vehicle,
+    p: Plan,
+    begin: int,
+    n: int,
+    kind: Ints,
+    time: Times,
+    at: Ints,
+    values: Reals,
+    rows: list[Sensed],
+    room: int,
+    done: Done,
+) -> None:
+    """Thrusts, gyro, accelerometer and attitude of the samples from `begin` to n as ticks, into `rows`, as far as there is room."""
+    thrust = local(REAL, ROTORS)
+    done.rows = 0
+    for i in range(begin, n):
+        while s.ready(p, time[i]):
+            if done.rows == room:
+                done.samples = i
+                return
+            s.make(v, p, rows[done.rows])
+            done.rows += 1
+        x = values[at[i]]
+        y = values[at[i] + 1]
+        z = values[at[i] + 2]
+        if kind[i] == THRUSTS:
+            known = True
+            for k in range(v.rotors):
+                thrust[k] = values[at[i] + k]
+                known = known and not isnan(thrust[k])
+            s.thrust(v, p, time[i], thrust, known)
+        elif not (isnan(x) or isnan(y)):
+            if kind[i] == ATTITUDE:
+                s.levels.add(time[i], 1.0 - 2.0 * (x * x + y * y))
+            elif not isnan(z) and kind[i] == GYRO:
+                s.gyros.add(time[i], x, y, z)
+            elif not isnan(z) and kind[i] == ACCEL:
+                s.accel(time[i], x, y, z)
+    done.samples = n
+
+
+def rest(s: Sense, v: Vehicle, p: Plan, rows: list[Sensed], room: int) -> int:
+    """The ticks that still wait at the end of a log; how many."""
+    count = 0
+    while count < room and s.ready(p, 1e300):
+        s.make(v, p, rows[count])
+        count += 1
+    return count
+
+
+def assemble(
+    t: Ticks, v: Vehicle, p: Plan, n: int, rows: list[Sensed], lifted: Times, start: Times, made: list[Made]
+) -> None:
+    """n rows as the estimator gets them. lifted, start (n,): of the flight that each comes after the start of, and of the one that it lies
+    in; 1e300 where there is none. The rows of the first second of a flight tell what carries the vehicle."""
+    flight: Time = -1e300
+    ahead = 0
+    for i in range(n):
+        if lifted[i] < LASTS and (lifted[i] < flight or lifted[i] > flight):
+            flight = lifted[i]
+            while ahead < n and rows[ahead].when < flight + SETTLE_S:
+                if rows[ahead].when >= flight:
+                    t.settle(v, rows[ahead], flight)
+                ahead += 1
+        t.make(v, p, rows[i], start[i], made[i])
+
+
+class Mixed(Struct):
+    """Thrusts that one sample of the rate controller stands for; ok: they may be trusted."""
+
+    time: Time = 0.0
+    thrust = array(REAL, ROTORS)
+    ok = array(FLAG, ROTORS)
+
+
+def mix(
+    m: Mixer, v: Vehicle, n: int, kind: Ints, time: Times, at: Ints, values: Reals, found: list[Comparison], made: list[Mixed], done: Done
+) -> None:
+    """Outputs, rate controller and voltage of n samples: comparisons of the two, of which there are at most as many as outputs, and the
+    thrust of each sample of the rate controller. done: rows of `found`."""
+    numbers = local(REAL, ROTORS)
+    battery = 1.0
+    done.rows = 0
+    done.samples = 0
+    for i in range(n):
+        count = v.rotors if kind[i] == OUTPUTS else CONTROLS
+        known = True
+        for k in range(count):
+            numbers[k] = values[at[i] + k]
+            known = known and not isnan(numbers[k])
+        if kind[i] == VOLTAGE:
+            battery = numbers[0]
+        elif kind[i] == OUTPUTS:
+            done.rows += m.outputs(v, time[i], numbers, known, battery, found[done.rows])
+        elif kind[i] == CONTROL:
+            more = m.control(v, time[i], numbers, known, m.made)
+            for k in range(more):
+                copy(found[done.rows], m.made[k])
+                done.rows += 1
+            one = made[done.samples]
+            one.time = time[i]
+            m.thrust(v, time[i], numbers, known, battery, one.thrust, one.ok)
+            done.samples += 1
+
+
+def deviate(d: Deviations, v: Vehicle, n: int, checks: list[Comparison], aloft: Flags) -> None:
+    """n comparisons; aloft (n,): the vehicle flew."""
+    for i in range(n):
+        d.compared(v, checks[i], aloft[i])
+
+
+def log(d: Deviations, v: Vehicle, n: int, time: Times, output: Reals, thrust: Reals, valid: Flags, aloft: Flags) -> None:
+    """n samples of outputs as they were logged, and their thrusts (n times rotors); valid, aloft (n,): all are known; the vehicle flew."""
+    u = local(REAL, ROTORS)
+    t = local(REAL, ROTORS)
+    for i in range(n):
+        for k in range(v.rotors):
+            u[k] = output[i * v.rotors + k]
+            t[k] = thrust[i * v.rotors + k]
+        d.logged(v, time[i], u, t, valid[i], aloft[i])
+
+
+def feed(
+    f: Front, v: Vehicle, p: Plan, begin: int, n: int, kind: Ints, time: Times, at: Ints, values: Reals, made: list[Made], room: int, done: Done
+) -> None:
+    """The samples from `begin` to n, of all kinds but THRUSTS, and the ticks that are certain by them, as far as there is room."""
+    numbers = local(REAL, ROTORS)
+    done.rows = 0
+    for i in range(begin, n):
+        x = values[at[i]]
+        y = values[at[i] + 1]
+        z = values[at[i] + 2]
+        if done.rows + 2 > room:
+            done.samples = i
+            return
+        if kind[i] == OUTPUTS:
+            for k in range(v.rotors):
+                numbers[k] = values[at[i] + k]
+            f.outputs(v, p, time[i], numbers)
+        elif kind[i] == CONTROL:
+            for k in range(4):
+                numbers[k] = values[at[i] + k]
+            f.control(v, p, time[i], numbers)
+        elif kind[i] == GYRO:
+            f.gyro(v, p, time[i], x, y, z)
+        elif kind[i] == RATES:
+            f.rates(v, p, time[i], x, y, z)
+        elif kind[i] == ACCEL:
+            f.accel(v, p, time[i], x, y, z)
+        elif kind[i] == VELOCITY:
+            f.velocity(v, p, time[i], x, y)
+        elif kind[i] == STATE:
+            f.state(v, p, time[i], int(x), int(y))
+        elif kind[i] == ATTITUDE:
+            f.attitude(v, p, time[i], x, y)
+        elif kind[i] == VOLTAGE:
+            f.voltage(v, p, time[i], x)
+        while done.rows < room and f.next(v, p, made[done.rows]):
+            done.rows += 1
+    done.samples = n
+
+
+def finish(f: Front, v: Vehicle, p: Plan, time: Time, made: list[Made], room: int, done: Done) -> None:
+    """The end of a flight at `time` s, and the ticks that are left, as far as there is room; again with LASTS for more."""
+    done.rows = 0
+    if time < LASTS:
+        f.finish(v, p, time)
+    while done.rows < room and f.next(v, p, made[done.rows]):
+        done.rows += 1
+
+
+def overrides(d: Deviations, v: Vehicle, found: list[Override]) -> int:
+    """The outputs that have not followed the mixer so far; how many."""
+    return d.found(v, found)
