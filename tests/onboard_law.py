@@ -29,8 +29,8 @@ int drive(int rows, const double *table, double until, double *found, int most)
     for (int i = 0; i < rows; i++) {
         const double *row = table + (long)i * WIDTH, t = row[1];
         rw_real x[RW_ROTORS > 4 ? RW_ROTORS : 4];
-        const bool ok = row[2] > 0.5, flew = d.start < RW_LASTS;
-        const int waited = d.count;
+        const bool ok = row[2] > 0.5, flew = d.front.start < RW_LASTS;
+        const int waited = d.front.count;
         told(x, row + 3, row[0] < 0.5 ? RW_ROTORS : 4);
         switch ((int)row[0]) {
         case 0: rw_diagnoser_outputs(&d, t, x, (rw_rotors)row[2]); break;
@@ -42,7 +42,7 @@ int drive(int rows, const double *table, double until, double *found, int most)
         case 6: rw_diagnoser_attitude(&d, t, x); break;
         default: rw_diagnoser_battery(&d, t, x[0]); break;
         }
-        if (flew && d.start < RW_LASTS && waited - d.count > burst) burst = waited - d.count;
+        if (flew && d.front.start < RW_LASTS && waited - d.front.count > burst) burst = waited - d.front.count;
         if (i % 50 == 0) rw_diagnoser_poll(&d, news);
     }
     rw_diagnoser_finish(&d, until);
@@ -132,7 +132,7 @@ def flown(flight) -> Flown:
     headroom = flight.parameters.get("MOT_YAW_HEADROOM", allocation.YAW_HEADROOM)
     tables = (
         export_diagnoser.vehicle_table(craft, output_range(flight), headroom),
-        export_diagnoser.plan_table(plan, ticks.known_hover(craft), mixed is not None),
+        ticks.table(plan, ticks.known_hover(craft), mixed is not None),
     )
     last = flight["motors"].time[np.asarray(flight["motors"].valid).any(axis=1)][-1]
     texts = export_diagnoser.files(craft, plan, (rates[0], rates[1], rates[2]), tables)

@@ -16,16 +16,23 @@ import numpy as np
 
 from rotorwatch import airframes, checks
 from rotorwatch.compiling.c99.project import Field, Program, make
+from rotorwatch.compiling.translate import Translation
 from rotorwatch.core import Array
 from rotorwatch.default import bank, events, posterior
 from rotorwatch.default.plant import WrenchBalance, lower_rotors
 from rotorwatch.default.program import parameters
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.front import airborne, contact, deviations, mixer, sense, sizes
+from rotorwatch.front import front as front_definition
+from rotorwatch.front import ticks as ticks_definition
+from rotorwatch.front import vehicle as vehicle_definition
 from rotorwatch.motion import allocation, ticks
 from rotorwatch.motion.contact import look_back
 
 SOURCES = Path(__file__).parent / "embedded_c"
+BOARD = (vehicle_definition, airborne, mixer, deviations, contact, sense, ticks_definition, front_definition)
+FRONT_ABOUT = "The front end: samples in, ticks out. Made of the definitions in rotorwatch/front; not to be edited."
 ESTIMATOR = "rw_estimator"
 QUEUE_S = 6.0  # ticks that wait: airborne.CONFIRM_S, and room
 
@@ -77,15 +84,21 @@ def settings(B: np.ndarray, dt: float) -> dict[str, Any]:
     return {
         "ROTORS": n, "PLACES": posterior.PLACES, "HYPOTHESES": 2 * n + n * (n - 1) // 2 + 9, "TICK_S": dt,
         "REACH": bank.SLOTS * max(bank.STRIDES[0.1 if dt >= bank.SLOW_S else 0.05]), "OPPOSITE_PAIRS": max(1, pairs),
-        "TICKS_BEFORE": look_back(dt), "QUEUE": round(QUEUE_S / dt),
+        "TICKS_BEFORE": look_back(dt), "SETTLING": 2 * look_back(dt) + 4, "QUEUE": round(QUEUE_S / dt), "WAITING": 8, "FLIGHTS": 4,
+        "LEVELS": 8, "PENDING": 8, "OVERRIDES": 2 * n,
     }  # fmt: skip
+
+
+def rates(output_hz: float, gyro_hz: float, accel_hz: float) -> dict[str, int]:
+    """How many samples are kept of signals that come so often."""
+    half = int(np.ceil(max(gyro_hz, accel_hz) / 2)) + 2
+    kept = int(np.ceil(max(0.4 * gyro_hz, 0.9 * accel_hz))) + 4
+    return {"HALF_SECOND": half, "MOTION_KEPT": kept, "RECENT": int(np.ceil(output_hz / 2)) + 2}
 
 
 def config(vehicle: Vehicle, dt: float, output_hz: float, gyro_hz: float, accel_hz: float) -> str:
     """rw_config.h."""
-    rates = {"OUTPUT_HZ": output_hz, "GYRO_HZ": gyro_hz, "ACCEL_HZ": accel_hz, "MOTION_HZ": max(gyro_hz, accel_hz)}
-    values = settings(vehicle.effectiveness(), dt) | {name: int(np.ceil(hz)) for name, hz in rates.items()}
-    values["MIXER_UNKNOWN"] = int(vehicle.mixer is None)
+    values = settings(vehicle.effectiveness(), dt) | rates(output_hz, gyro_hz, accel_hz)
     lines = [f"#define RW_{name} {value}" for name, value in values.items()]
     head = "/* Vehicle and rates of this library. Made by `rotorwatch export-c --diagnoser`; not to be edited. */"
     return "\n".join([head, "#ifndef RW_CONFIG_H", "#define RW_CONFIG_H", *lines, "#endif", ""])
@@ -95,30 +108,8 @@ def vehicle_table(
     vehicle: Vehicle, output: tuple[float, float], yaw_headroom: float = allocation.YAW_HEADROOM
 ) -> dict[str, Any]:
     """The members of rw_vehicle. output: ends of the outputs' range as the autopilot counts it, in their unit."""
-    n, curve = len(vehicle.rotors), vehicle.curve
-    return {
-        "effectiveness": vehicle.effectiveness(),
-        "mixer": np.zeros((n, 4)) if vehicle.mixer is None else np.asarray(vehicle.mixer, float),
-        "u_min": curve.u_min, "u_max": curve.u_max, "output_low": output[0], "output_high": output[1],
-        "expo": curve.expo, "mixer_expo": float(vehicle.extra.get("mixer_expo", curve.expo)),
-        "yaw_headroom": allocation.yaw_always(yaw_headroom),
-        "mixer_known": vehicle.mixer is not None,
-        "coaxial": lower_rotors(vehicle.effectiveness()) is not None,
-        "rests_at_minimum": bool(vehicle.extra.get("rests_at_minimum", False)),
-    }  # fmt: skip
-
-
-def plan_table(plan: ticks.Plan, hover: float | None, rebuilt: bool) -> dict[str, Any]:
-    """The members of rw_plan. hover: share of full thrust that carries the vehicle, where healthy flights told; rebuilt: thrusts come from
-    the rate controller's output, which is fed faster than the outputs."""
-    gyro, accel = plan.gyro or "", "accel"
-    known = {name: (plan.half.get(name, plan.dt / 2.0), plan.period.get(name, np.nan)) for name in (gyro, accel)}
-    return {
-        "dt": plan.dt, "lag": plan.lag_s, "phase": (plan.first - plan.dt / 2.0) % plan.dt, "ready": plan.ready_s,
-        "hover": hover or 0.0, "gyro_half": known[gyro][0], "accel_half": known[accel][0], "gyro_least": ticks.samples_in(*known[gyro]),
-        "accel_least": ticks.samples_in(*known[accel]), "side_least": ticks.samples_in(0.5 * ticks.SIDE_S, known[accel][1]),
-        "gyro": plan.gyro is not None, "accel": plan.accel, "rebuilt": rebuilt,
-    }  # fmt: skip
+    coaxial = lower_rotors(vehicle.effectiveness()) is not None
+    return {"rotors": len(vehicle.rotors), **allocation.table(vehicle, output, yaw_headroom), "coaxial": coaxial}
 
 
 def usual_plan(rate_hz: float, control_hz: float, gyro_hz: float, accel_hz: float, known: bool) -> ticks.Plan:
@@ -154,6 +145,8 @@ def files(
     program = estimator_program(vehicle, plan.dt)
     texts = {path.name: path.read_text(encoding="utf-8") for path in sorted(SOURCES.glob("*.[ch]"))}
     texts |= {f"{ESTIMATOR}.h": program.header, f"{ESTIMATOR}.c": program.source}
+    front = Translation(BOARD, sizes)
+    texts |= {"rw_front.h": front.header(FRONT_ABOUT), "rw_front.c": front.source("rw_front.h")}
     texts["rw_config.h"] = config(vehicle, plan.dt, *rates)
     made = [text_of(tables[0], "rw_vehicle", "rw_vehicle_default"), text_of(tables[1], "rw_plan", "rw_plan_default")]
     texts["rw_config.c"] = '#include "rw_diagnoser.h"\n\n' + "\n".join(made)
@@ -195,7 +188,7 @@ def export_diagnoser(
     if plan.dt > ticks.SHORTEST_S / 2.0:
         raise ConfigError(f"Outputs at {rate_hz:g} Hz are too slow for on board: feed them at 8 Hz or more.")
     unit = (1000.0, 2000.0) if craft.curve.u_max > 2.0 else (0.0, 1.0)
-    tables = vehicle_table(craft, unit), plan_table(plan, known.get("hover"), control_hz >= 1.5 * rate_hz)
+    tables = vehicle_table(craft, unit), ticks.table(plan, known.get("hover"), control_hz >= 1.5 * rate_hz)
     texts = files(craft, plan, (rate_hz, gyro_hz, accel_hz), tables)
     folder = Path(out)
     folder.mkdir(parents=True, exist_ok=True)

@@ -15,23 +15,14 @@
 #ifndef RW_DIAGNOSER_H
 #define RW_DIAGNOSER_H
 
-#include "rw_airborne.h"
-#include "rw_departures.h"
 #include "rw_estimator.h"
 #include "rw_events.h"
-#include "rw_mixer.h"
+#include "rw_front.h"
 #include "rw_report.h"
-#include "rw_sense.h"
-#include "rw_ticks.h"
 #include "rw_types.h"
 
 #ifdef __cplusplus
 extern "C" {
-#endif
-
-/* Ticks that may wait: of rw_config.h, 6 s. */
-#ifndef RW_QUEUE
-#error "RW_QUEUE must be 6 s in ticks"
 #endif
 
 /* Steps of the estimator in one call in flight: samples come several times as often as ticks, so that what waits is soon worked off. */
@@ -42,12 +33,7 @@ extern "C" {
 typedef struct {
     const rw_vehicle *vehicle;
     const rw_plan *plan;
-    rw_airborne air;
-    rw_mixer mixer;
-    rw_departures departures, sure; /* sure: as they were when the doubt about the landing began */
-    rw_sense sense;
-    rw_ticks ticks;
-    rw_sensed queue[RW_QUEUE];      /* ring */
+    rw_front front;
     rw_events events;
     rw_report report;
     rw_changes changes;
@@ -55,16 +41,8 @@ typedef struct {
     rw_estimator_state estimator;
     rw_estimator_out out;
     rw_estimator_workspace work;
-    rw_time start;                  /* s, of the flight that goes on, RW_LASTS on the ground */
-    rw_time before_start, before_end; /* of the flight before */
-    rw_time compared, logged;       /* s, first comparison and first outputs since the doubt began, RW_LASTS without */
-    rw_time newest;                 /* s, mean time of the commands of the last tick that came */
-    rw_real thrust[RW_ROTORS];      /* the last outputs as shares of full thrust */
-    rw_real battery;                /* voltage as a share of full */
-    rw_rotors known;                /* of these outputs */
-    int16_t first, count;           /* of the queue */
     uint8_t event_count;
-    bool doubting, judged;
+    bool judged;
 } rw_diagnoser;
 
 /* Of rw_config.c: the vehicle and the rates that the library was exported for. */
@@ -84,7 +62,7 @@ void rw_diagnoser_accel(rw_diagnoser *d, rw_time time, const rw_real *force, boo
 /* Outputs [n] to the motors in the unit of rw_vehicle.u_min, u_max; known: mask of those that are valid. */
 void rw_diagnoser_outputs(rw_diagnoser *d, rw_time time, const rw_real *output, rw_rotors known);
 
-/* What the rate controller asks of the mixer [RW_CONTROLS], where it is known: roll, pitch, yaw, throttle. */
+/* What the rate controller demands of the mixer [4], where it is known: roll, pitch, yaw, throttle. */
 void rw_diagnoser_control(rw_diagnoser *d, rw_time time, const rw_real *control, bool valid);
 
 /* Where they are known: filtered battery voltage as a share of full; attitude [4], body to world, scalar first; climb rate and horizontal

@@ -111,7 +111,7 @@ int rw_report_events(const rw_report *r, const rw_event *losses, int loss_count,
         event.probability = 1;
         event.rotors = (rw_rotors)(1u << o->rotor);
         event.kind = RW_OUTPUT_OVERRIDE;
-        event.detail = o->kind;
+        event.detail = (uint8_t)o->kind;
         count = put(out, count, &event);
     }
     for (int i = 0; i < r->knock_count; i++) {

@@ -5,7 +5,6 @@
 #ifndef RW_REPORT_H
 #define RW_REPORT_H
 
-#include "rw_departures.h"
 #include "rw_types.h"
 
 #ifdef __cplusplus
@@ -26,7 +25,7 @@ extern "C" {
 typedef struct {
     rw_time time;
     rw_real size;
-    uint8_t push; /* enum rw_push */
+    uint8_t push; /* RW_TURNED and so on */
 } rw_knock;
 
 typedef struct {
@@ -49,11 +48,11 @@ void rw_report_tick(rw_report *r, const rw_tick *tick);
 /* The flight ended at `end` s. */
 void rw_report_landed(rw_report *r, rw_time end);
 
-/* Something pushed the vehicle at `time` s (enum rw_push), so much; the same time again: it was more. */
+/* Something pushed the vehicle at `time` s (RW_TURNED and so on), so much; the same time again: it was more. */
 void rw_report_contact(rw_report *r, rw_time time, int push, rw_real size);
 
 /* All events into out[RW_EVENTS], in the order in which they were detected; returns how many. losses: of rw_events_losses; overrides: of
-   rw_departures_found. */
+   rw_deviations_found. */
 int rw_report_events(const rw_report *r, const rw_event *losses, int loss_count, const rw_override *overrides, int override_count,
                      rw_event *out);
 

@@ -1,4 +1,4 @@
-/* What the parts of the diagnoser hand to each other: numbers, names of every index, vehicle, tick, event.
+/* What the parts of the diagnoser hand to each other: tick, estimate, event. Numbers, vehicle and plan are in rw_front.h.
 
    SI units. Body axes FRD: x forward, y right, z down. Rotors count from 0 here, as the autopilot's outputs do; a set of rotors is a mask
    whose bit k is rotor k. Thrusts are shares of full thrust unless a note says hover thrusts (1 carries the vehicle).
@@ -8,32 +8,13 @@
      RW_HYPOTHESES      of the estimator, see rw_found
      RW_TICK_S          length of a tick, s
      RW_REACH           ticks that the estimator's bank looks back
-     RW_TICKS_BEFORE    ticks in half a second
      RW_OPPOSITE_PAIRS  pairs of rotors whose roll and pitch torques cancel, at least 1
      RW_OUTPUT_HZ       the fastest rate at which outputs are fed, Hz
-     RW_MOTION_HZ       the same of gyro and accelerometer */
+     others             how much is kept: sizes of arrays in rw_front.h */
 #ifndef RW_TYPES_H
 #define RW_TYPES_H
 
-#include <stdbool.h>
-#include <stdint.h>
-
-#include "rw_config.h"
-
-/* Define ROTORWATCH_FLOAT for single precision, in every file that includes this one. */
-#ifndef ROTORWATCH_REAL
-#define ROTORWATCH_REAL
-#ifdef ROTORWATCH_FLOAT
-typedef float rw_real;
-#else
-typedef double rw_real;
-#endif
-#endif
-
-/* Seconds since any one moment, the same for all that is fed. Double in both precisions: after a day a float knows only 8 ms. */
-typedef double rw_time;
-/* Later than all times: the end of what lasts. */
-#define RW_LASTS 1e300
+#include "rw_front.h"
 
 /* A set of rotors: bit k is rotor k. */
 typedef uint16_t rw_rotors;
@@ -42,10 +23,7 @@ typedef uint16_t rw_rotors;
 #endif
 
 /* Rows of the effectiveness, and of all wrenches. */
-enum rw_axis { RW_ROLL = 0, RW_PITCH = 1, RW_YAW = 2, RW_THRUST = 3, RW_AXES = 4 };
-
-/* Of a tick: on the ground, in the air but not judged yet, judged. */
-enum rw_mode { RW_GROUND = 0, RW_LEARN = 1, RW_JUDGE = 2 };
+#define RW_AXES 4
 
 /* What happened. */
 enum rw_kind {
@@ -53,12 +31,6 @@ enum rw_kind {
     RW_OUTPUT_OVERRIDE = 1,       /* an output does not follow the mixer: nothing is wrong with the rotor */
     RW_CONTACT = 2                /* something outside the vehicle pushed it */
 };
-
-/* How an output departs from the mixer. */
-enum rw_departure { RW_STUCK = 0, RW_OFF = 1, RW_OVERRIDDEN = 2 };
-
-/* What a contact did. */
-enum rw_push { RW_TURNED = 0, RW_PUSHED_SIDEWAYS = 1, RW_PUSHED_UP = 2 };
 
 /* What can be said at this moment. */
 enum rw_verdict {
@@ -68,26 +40,12 @@ enum rw_verdict {
     RW_AMBIGUOUS = 3   /* something happened; several sets of rotors explain it */
 };
 
-/* What is known of the vehicle; const, it may stay in flash. */
-typedef struct {
-    rw_real effectiveness[RW_AXES][RW_ROTORS]; /* wrench of each rotor's hover thrust, largest lever 1 (Vehicle.effectiveness) */
-    rw_real mixer[RW_ROTORS][4];               /* thrust of each rotor for roll, pitch, yaw, throttle of the rate controller */
-    rw_real u_min, u_max;                      /* output without thrust, and with full thrust, in the outputs' unit */
-    rw_real output_low, output_high;           /* ends of the outputs' range, as the autopilot counts it: 0 and 1, or us */
-    rw_real expo;                              /* thrust curve: (1 - expo) a + expo a^2, a the share of [u_min, u_max] */
-    rw_real mixer_expo;                        /* the same as the autopilot's mixer believes it */
-    rw_real yaw_headroom;                      /* yaw that the mixer always grants (MOT_YAW_HEADROOM / 1000) */
-    bool mixer_known;                          /* mixer holds; else its factors are learned */
-    bool coaxial;                              /* rotors in pairs on one arm, one below the other */
-    bool rests_at_minimum;                     /* outputs never go below u_min: one at rest there is off (PX4) */
-} rw_vehicle;
-
 /* One tick of the front end. */
 typedef struct {
     rw_time time;         /* s, when everything in it was known */
     rw_time command_time; /* s, mean time of its commands */
     rw_time air_start;    /* s, since when the vehicle flies; RW_LASTS on the ground */
-    int8_t mode;          /* enum rw_mode */
+    int8_t mode;          /* RW_GROUND, RW_LEARN or RW_JUDGE */
     bool restart;         /* first tick of a flight */
     bool upset;           /* the vehicle tumbles, or has done so since it took off */
 } rw_tick;
@@ -133,7 +91,7 @@ typedef struct {
     rw_rotors alternatives[RW_ALTERNATIVES]; /* sets that would look the same, the likeliest first */
     uint8_t alternative_count;
     uint8_t kind;         /* enum rw_kind */
-    uint8_t detail;       /* enum rw_departure of an override, enum rw_push of a contact */
+    uint8_t detail;       /* of an override: RW_STUCK, RW_OFF, RW_OVERRIDDEN; of a contact: RW_TURNED, RW_PUSHED_SIDEWAYS, RW_PUSHED_UP */
 } rw_event;
 
 #endif

@@ -380,7 +380,7 @@ def window_of(
     if len(thrust) < 4:
         return None
     how = ticks.plan(part, thrust, 0.0)
-    seen = ticks.sense(part, thrust, how.ends(how.numbers(thrust.time)), how)
+    seen = ticks.sense(part, thrust, how)
     took_off = left.onset - start < FIRST_S
     hover = _hover(flight, seen, vehicle, left.onset, took_off)
     stirs = (np.abs(seen.rate_dot).max(axis=1) > STIRS[0]) | (np.abs(seen.rate).max(axis=1) > STIRS[1])
