@@ -70,7 +70,9 @@ class Rows:
         """Arrays one after the other."""
         first = parts[0]
         if first.native is not None:
-            return Rows(first.kind, np.concatenate([one.native for one in parts]), None, many=True)
+            return Rows(
+                first.kind, np.concatenate([one.native for one in parts if one.native is not None]), None, many=True
+            )
         return Rows(first.kind, None, [x for one in parts for x in one.plain or ()], many=True)
 
     def set(self, **fields: Any) -> None:
@@ -137,7 +139,11 @@ class Definition:
         """Put the library into the folder of what comes with the package."""
         name = f"{self.name}.so"
         shutil.copyfile(self.build(toolchain.folder()), folder / name)
-        known = {"digest": self.digest, "target": shipped.target(toolchain.processor()), "library": [name, shipped.digest_of(folder / name)]}
+        known = {
+            "digest": self.digest,
+            "target": shipped.target(toolchain.processor()),
+            "library": [name, shipped.digest_of(folder / name)],
+        }
         (folder / shipped.DEFINITIONS).write_text(json.dumps({self.name: known}, indent=1) + "\n", encoding="utf-8")
 
     def translated(self) -> tuple[str, str, str]:
@@ -151,9 +157,7 @@ class Definition:
     def build(self, folder: Path) -> Path:
         """The library in a folder, built unless it is there. Raises toolchain.Unavailable."""
         compiler = toolchain.compiler()
-        key = hashlib.sha256(
-            "\0".join([self.digest, *FLAGS, toolchain.machine()]).encode()
-        ).hexdigest()
+        key = hashlib.sha256("\0".join([self.digest, *FLAGS, toolchain.machine()]).encode()).hexdigest()
         goal = folder / f"{self.name}-{key[:32]}.so"
         seal = goal.with_suffix(".sha256")
         if goal.exists() and seal.exists() and seal.read_text() == shipped.digest_of(goal):
@@ -229,7 +233,7 @@ def _native(x: Any) -> Any:
         return ctypes.c_void_p(x.ctypes.data)
     if isinstance(x, bool | np.bool_):
         return ctypes.c_bool(bool(x))
-    return ctypes.c_int32(x) if isinstance(x, int | np.integer) else ctypes.c_double(x)
+    return ctypes.c_int32(int(x)) if isinstance(x, int | np.integer) else ctypes.c_double(float(x))
 
 
 def _plain(x: Any) -> Any:

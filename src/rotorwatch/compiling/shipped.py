@@ -20,7 +20,9 @@ from typing import Any
 HOME = Path(__file__).parents[1]
 FOLDER = Path(__file__).parent / "built"
 INDEX = "index.json"
-DEFINITIONS = "definitions.json"  # what `compiling.running` runs: room -> digest of its files, target, library and its SHA-256
+DEFINITIONS = (
+    "definitions.json"  # what `compiling.running` runs: room -> digest of its files, target, library and its SHA-256
+)
 FORMAT = 2
 
 # Levels of processors, best first: the compiler's -march and the flags of /proc/cpuinfo that code of that level needs
@@ -94,7 +96,7 @@ def _imports(path: Path) -> list[tuple[Path, bool]]:
 def files_in(room: str) -> list[str]:
     """Files of the package that the definitions of a room are translated from."""
     own = [path.relative_to(HOME).as_posix() for path in (HOME / room).glob("*.py")]
-    return sorted([*own, "compiling/structs.py", "compiling/translate.py"])
+    return sorted([*own, *(f"compiling/{name}.py" for name in ("structs", "body", "translate"))])
 
 
 def digest(files: Iterable[str]) -> str:

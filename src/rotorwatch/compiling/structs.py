@@ -60,9 +60,7 @@ class Array:
 
 def array(kind: Any, *shape: int, fill: Any = None) -> Any:
     """A field, or a local variable, of fixed size: `kind` is REAL, TIME, INT, FLAG or a Struct."""
-    nothing = (
-        {INT: 0, FLAG: False}.get(kind, 0.0) if not (isinstance(kind, type) and issubclass(kind, Struct)) else None
-    )
+    nothing: Any = 0 if kind == INT else False if kind == FLAG else 0.0
     return Array(kind, shape, nothing if fill is None else fill)
 
 

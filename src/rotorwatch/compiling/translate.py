@@ -8,45 +8,16 @@ from __future__ import annotations
 import ast
 import inspect
 import io
-import re
 import tokenize
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
 from types import ModuleType
 from typing import Any
 
-from rotorwatch.compiling import structs
+from rotorwatch.compiling.body import Body, Function, Type, comment, is_struct, number
 from rotorwatch.compiling.structs import SCALARS, snake
 from rotorwatch.errors import ConfigError
 
 LISTS = {"Reals": "real", "Times": "time", "Ints": "int", "Flags": "flag"}
-C_NAMES = {"real": "rw_real", "time": "rw_time", "int": "int32_t", "flag": "bool"}
-RANK = {"flag": 0, "ilit": 0, "int": 1, "lit": 2, "real": 3, "time": 4}
-BINARY = {
-    ast.Add: ("+", 6),
-    ast.Sub: ("-", 6),
-    ast.Mult: ("*", 7),
-    ast.Div: ("/", 7),
-    ast.Mod: ("%", 7),
-    ast.FloorDiv: ("/", 7),
-}
-COMPARE = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
-BUILTIN = (
-    "sqrt",
-    "exp",
-    "isnan",
-    "floor",
-    "abs",
-    "min",
-    "max",
-    "int",
-    "float",
-    "real",
-    "len",
-    "reset",
-    "copy",
-    "local",
-)
 HEAD = """#include <stdbool.h>
 #include <stdint.h>
 
@@ -85,54 +56,6 @@ static inline int32_t abs_int(int32_t a) { return a < 0 ? -a : a; }
 """
 
 
-@dataclass(frozen=True)
-class Type:
-    """base: real, time, int, flag, lit, ilit, none, or a Struct; dims: of an array, in C, the first empty where it is not known."""
-
-    base: Any
-    dims: tuple[str, ...] = ()
-
-    @property
-    def scalar(self) -> bool:
-        return not self.dims and not self.struct
-
-    @property
-    def struct(self) -> bool:
-        return isinstance(self.base, type)
-
-    @property
-    def c(self) -> str:
-        return snake(self.base.__name__) if self.struct else C_NAMES[self.base]
-
-
-@dataclass
-class Code:
-    """An expression in C: text, type, how tightly it binds (larger binds tighter), and whether it is a pointer to a Struct."""
-
-    text: str
-    type: Type
-    tight: int = 20
-    pointer: bool = False
-    root: str = ""  # the parameter or variable that it is part of
-
-    def within(self, least: int) -> str:
-        return self.text if self.tight >= least else f"({self.text})"
-
-
-@dataclass
-class Function:
-    """One method or function. const: parameters that it does not change."""
-
-    name: str
-    node: ast.FunctionDef
-    module: ModuleType
-    owner: type | None
-    parameters: dict[str, Type]
-    result: Type
-    public: bool
-    changed: set[str] = field(default_factory=set)
-
-
 class Translation:
     """All definitions of some modules, in the order in which they are to stand. sizes: a module of whole numbers that become macros."""
 
@@ -148,13 +71,13 @@ class Translation:
         self.enums: dict[str, int] = {}
         for module, tree in self.trees.items():
             for node in tree.body:
-                if isinstance(node, ast.ClassDef) and _is_struct(getattr(module, node.name)):
+                if isinstance(node, ast.ClassDef) and is_struct(getattr(module, node.name)):
                     self._declare(module, node)
         for module, tree in self.trees.items():
             for node in tree.body:
-                if isinstance(node, ast.FunctionDef) and not _host_only(node):
+                if isinstance(node, ast.FunctionDef):
                     self._sign(module, node, None)
-                elif isinstance(node, ast.ClassDef) and _is_struct(getattr(module, node.name)):
+                elif isinstance(node, ast.ClassDef) and is_struct(getattr(module, node.name)):
                     for method in node.body:
                         if isinstance(method, ast.FunctionDef):
                             self._sign(module, method, getattr(module, node.name))
@@ -167,14 +90,14 @@ class Translation:
         kind, fields = getattr(module, node.name), {}
         for item in node.body:
             if isinstance(item, ast.AnnAssign) and isinstance(item.target, ast.Name):
-                fields[item.target.id] = self._annotation(module, item.annotation), item
+                fields[item.target.id] = self.annotation(module, item.annotation), item
             elif isinstance(item, ast.Assign) and isinstance(item.targets[0], ast.Name):
-                fields[item.targets[0].id] = self._field(module, item.value), item
+                fields[item.targets[0].id] = self.field(module, item.value), item
         self.fields[kind], self.home[kind] = fields, module
 
-    def _field(self, module: ModuleType, node: ast.AST) -> Type:
+    def field(self, module: ModuleType, node: ast.AST) -> Type:
         if not isinstance(node, ast.Call) or not isinstance(node.func, ast.Name):
-            raise self._wrong(module, node, "a field is annotated, or made by array() or embedded()")
+            raise self.wrong(module, node, "a field is annotated, or made by array() or embedded()")
         first = node.args[0]
         assert isinstance(first, ast.Name)
         base = getattr(module, first.id)
@@ -185,7 +108,7 @@ class Translation:
             return f"RW_{node.id}"
         return str(eval(compile(ast.Expression(node), "", "eval"), vars(module)))  # type: ignore[arg-type]  # of our own source
 
-    def _annotation(self, module: ModuleType, node: ast.AST | None) -> Type:
+    def annotation(self, module: ModuleType, node: ast.AST | None) -> Type:
         if node is None or (isinstance(node, ast.Constant) and node.value is None):
             return Type("none")
         if isinstance(node, ast.Name):
@@ -200,22 +123,23 @@ class Translation:
         if isinstance(node, ast.Subscript) and isinstance(node.slice, ast.Name):  # list[Struct]
             return Type(getattr(module, node.slice.id), ("",))
         if isinstance(node, ast.Constant) and isinstance(node.value, str):
-            return self._annotation(module, ast.parse(node.value, mode="eval").body)
-        raise self._wrong(module, node, "this type is not known")
+            return self.annotation(module, ast.parse(node.value, mode="eval").body)
+        raise self.wrong(module, node, "this type is not known")
 
     def _sign(self, module: ModuleType, node: ast.FunctionDef, owner: type | None) -> None:
         parameters = {
-            a.arg: Type(owner) if a.arg == "self" else self._annotation(module, a.annotation) for a in node.args.args
+            a.arg: Type(owner) if a.arg == "self" else self.annotation(module, a.annotation) for a in node.args.args
         }
         first = snake(owner.__name__) if owner else "rw_" + module.__name__.rpartition(".")[2]
         self.functions[(owner or module, node.name)] = Function(
-            f"{first}_{node.name.strip('_')}", node, module, owner, parameters, self._annotation(module, node.returns), not node.name.startswith("_"),
+            f"{first}_{node.name.strip('_')}", node, module, owner, parameters,
+            result=self.annotation(module, node.returns), public=not node.name.startswith("_"),
         )  # fmt: skip
 
     def _mark(self, function: Function) -> bool:
         """Find parameters that are changed; whether one more was found."""
         before = len(function.changed)
-        body = _Body(self, function)
+        body = Body(self, function)
         body.emit()
         function.changed |= body.changed & set(function.parameters)
         return len(function.changed) > before
@@ -226,7 +150,7 @@ class Translation:
         """The header: types, structs, functions."""
         parts = [f"/* {about} */", "#ifndef RW_FRONT_H", "#define RW_FRONT_H", "", f'#include "{config}"', HEAD]
         for module, tree in self.trees.items():
-            parts.append(_comment(ast.get_docstring(tree) or ""))
+            parts.append(comment(ast.get_docstring(tree) or ""))
             for name in _enumerated(tree):
                 parts.append(f"#define RW_{name} {getattr(module, name)}")
             for kind in (k for k, home in self.home.items() if home is module):
@@ -237,7 +161,7 @@ class Translation:
         for function in self.functions.values():
             if function.public:
                 parts.append(
-                    "\n" + _comment(ast.get_docstring(function.node) or "") + "\n" + self._signature(function) + ";"
+                    "\n" + comment(ast.get_docstring(function.node) or "") + "\n" + self.signature(function) + ";"
                 )
         parts.append("\n#ifdef __cplusplus\n}\n#endif\n\n#endif\n")
         return "\n".join(parts)
@@ -249,7 +173,7 @@ class Translation:
             dims = "".join(f"[{d}]" for d in what.dims)
             rows.append(f"    {what.c} {name}{dims};" + (f" /* {said} */" if said else ""))
         return (
-            _comment(inspect.getdoc(kind) or "")
+            comment(inspect.getdoc(kind) or "")
             + "\ntypedef struct {\n"
             + "\n".join(rows)
             + f"\n}} {snake(kind.__name__)};\n"
@@ -257,13 +181,13 @@ class Translation:
 
     def source(self, header: str) -> str:
         """The source."""
-        bodies = [_Body(self, f).emit() for f in self.functions.values()]
+        bodies = [Body(self, f).emit() for f in self.functions.values()]
         parts = [f'#include "{header}"\n\n#include <math.h>\n#include <string.h>\n', HELPERS, *self.tables.values()]
-        parts += [f"static {self._signature(f)};" for f in self.functions.values() if not f.public]
+        parts += [f"static {self.signature(f)};" for f in self.functions.values() if not f.public]
         parts += [self._init(kind) for kind in self.fields]
         return "\n".join([*parts, "", *bodies])
 
-    def _signature(self, f: Function) -> str:
+    def signature(self, f: Function) -> str:
         out = []
         for name, what in f.parameters.items():
             const = "" if name in f.changed or what.scalar else "const "
@@ -290,20 +214,12 @@ class Translation:
         return f"void {name}_init({name} *self)\n{{\n" + "\n".join(rows) + "\n}\n"
 
     def _start(self, what: Type, place: str, value: Any) -> str:
-        return f"{what.c}_init(&{place});" if what.struct else f"{place} = {_number(value, what.base)};"
+        return f"{what.c}_init(&{place});" if what.struct else f"{place} = {number(value, what.base)};"
 
-    def _wrong(self, module: ModuleType, node: ast.AST, why: str) -> ConfigError:
+    def wrong(self, module: ModuleType, node: ast.AST, why: str) -> ConfigError:
         return ConfigError(
             f"{module.__name__}, line {getattr(node, 'lineno', 0)}: {why} (compiling/structs.py says what can be C)."
         )
-
-
-def _is_struct(kind: Any) -> bool:
-    return isinstance(kind, type) and issubclass(kind, structs.Struct)
-
-
-def _host_only(node: ast.FunctionDef) -> bool:
-    return any(isinstance(d, ast.Name) and d.id == "host" for d in node.decorator_list)
 
 
 def _enumerated(tree: ast.Module) -> Iterable[str]:
@@ -315,10 +231,6 @@ def _enumerated(tree: ast.Module) -> Iterable[str]:
                 yield from (t.id for t in node.targets[0].elts if isinstance(t, ast.Name) and not t.id.startswith("_"))
 
 
-def _comment(text: str) -> str:
-    return f"/* {text.replace('*/', '* /')} */" if text else ""
-
-
 def _comments(source: str) -> dict[int, tuple[str, bool]]:
     """Line -> (comment, whether it stands alone)."""
     found = {}
@@ -327,361 +239,3 @@ def _comments(source: str) -> dict[int, tuple[str, bool]]:
             alone = not token.line[: token.start[1]].strip()
             found[token.start[0]] = token.string.lstrip("# ").replace("*/", "* /"), alone
     return found
-
-
-def _number(value: Any, base: str) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if base in ("int", "ilit", "flag"):
-        return str(int(value))
-    if value != value:
-        text = "NAN"
-    elif abs(value) == structs.LASTS:
-        text = "RW_LASTS" if value > 0 else "-RW_LASTS"
-    elif abs(value) == float("inf"):
-        text = "INFINITY" if value > 0 else "-INFINITY"
-    else:
-        text = repr(float(value))
-    return f"(rw_real){text}" if base == "real" else text
-
-
-class _Body:
-    """One function in C."""
-
-    def __init__(self, all_: Translation, function: Function):
-        self.all, self.function, self.module = all_, function, function.module
-        self.types: dict[str, Type] = dict(function.parameters)
-        self.pointers = {n for n, t in function.parameters.items() if t.struct and not t.dims}
-        self.alias: dict[str, str] = {}  # local pointer -> parameter or variable that it points into
-        self.changed: set[str] = set()
-        self.hoisted: dict[str, str] = {}
-        self.loops: set[str] = set()
-        self.shown = function.node.lineno
-
-    def emit(self) -> str:
-        """The definition."""
-        f = self.function
-        body = f.node.body[1:] if ast.get_docstring(f.node) is not None else f.node.body
-        lines = self.block(body, 1, top=True)
-        said = _comment(ast.get_docstring(f.node) or "") if not f.public else ""
-        head = ("static " if not f.public else "") + self.all._signature(f)
-        hoisted = [f"    {text}" for text in self.hoisted.values()]
-        return "\n".join([*([said] if said else []), head, "{", *hoisted, *lines, "}", ""])
-
-    def wrong(self, node: ast.AST, why: str) -> ConfigError:
-        return self.all._wrong(self.module, node, why)
-
-    # Statements
-
-    def block(self, body: Sequence[ast.stmt], depth: int, top: bool = False) -> list[str]:
-        lines: list[str] = []
-        for statement in body:
-            comments = self.all.comments[self.module]
-            pad = "    " * depth
-            for line in range(self.shown + 1, statement.lineno):
-                if line in comments and comments[line][1]:
-                    lines.append(f"{pad}/* {comments[line][0]} */")
-            self.shown = max(self.shown, statement.lineno)
-            made = self.statement(statement, depth, top)
-            said = comments.get(statement.lineno)
-            if said and not said[1] and made:
-                made[0] += f" /* {said[0]} */"
-            lines += [pad + line for line in made]
-        return lines
-
-    def statement(self, node: ast.stmt, depth: int, top: bool) -> list[str]:
-        if isinstance(node, ast.Assign):
-            if len(node.targets) > 1:  # a = b = value
-                last = self.assign(node.targets[-1], node.value, top)
-                return [last, *(self.assign(t, node.targets[-1], top) for t in reversed(node.targets[:-1]))]
-            return [self.assign(node.targets[0], node.value, top)]
-        if isinstance(node, ast.AnnAssign):
-            assert node.value is not None
-            return [self.assign(node.target, node.value, top, self.all._annotation(self.module, node.annotation))]
-        if isinstance(node, ast.AugAssign):
-            target, value = self.expression(node.target), self.expression(node.value)
-            self.change(target.root)
-            sign = BINARY[type(node.op)][0]
-            return [f"{target.text} {sign}= {self.cast(value, target.type)};"]
-        if isinstance(node, ast.Return):
-            return [
-                "return;"
-                if node.value is None
-                else f"return {self.cast(self.expression(node.value), self.function.result)};"
-            ]
-        if isinstance(node, ast.Break | ast.Continue):
-            return ["break;" if isinstance(node, ast.Break) else "continue;"]
-        if isinstance(node, ast.Pass):
-            return []
-        if isinstance(node, ast.Expr):
-            return [self.expression(node.value).text + ";"]
-        if isinstance(node, ast.If):
-            return self.condition(node, depth)
-        if isinstance(node, ast.While):
-            head = f"while ({self.expression(node.test).text}) {{"
-            return [head, *self.inner(node.body, depth), "}"]
-        if isinstance(node, ast.For):
-            return self.loop(node, depth)
-        raise self.wrong(node, f"{type(node).__name__} is not C")
-
-    def inner(self, body: Sequence[ast.stmt], depth: int) -> list[str]:
-        pad = len("    " * depth)
-        return [line[pad:] for line in self.block(body, depth + 1)]
-
-    def condition(self, node: ast.If, depth: int) -> list[str]:
-        lines = [f"if ({self.expression(node.test).text}) {{", *self.inner(node.body, depth)]
-        if len(node.orelse) == 1 and isinstance(node.orelse[0], ast.If):
-            rest = self.condition(node.orelse[0], depth)
-            return [*lines, "} else " + rest[0], *rest[1:]]
-        if node.orelse:
-            lines += ["} else {", *self.inner(node.orelse, depth)]
-        return [*lines, "}"]
-
-    def loop(self, node: ast.For, depth: int) -> list[str]:
-        if not (
-            isinstance(node.target, ast.Name)
-            and isinstance(node.iter, ast.Call)
-            and getattr(node.iter.func, "id", "") == "range"
-        ):
-            raise self.wrong(node, "a loop is over range()")
-        name, ends = node.target.id, [self.expression(a).text for a in node.iter.args]
-        if name in self.types and name not in self.loops:
-            raise self.wrong(node, f"{name} is a variable already")
-        self.types[name] = Type("int")
-        self.loops.add(name)
-        down = len(ends) == 3
-        if down and ends[2] != "-1":
-            raise self.wrong(node, "a loop counts by 1 or -1")
-        first, last = ("0", ends[0]) if len(ends) == 1 else (ends[0], ends[1])
-        test = f"{name} > {last}; {name}--" if down else f"{name} < {last}; {name}++"
-        return [f"for (int32_t {name} = {first}; {test}) {{", *self.inner(node.body, depth), "}"]
-
-    def assign(self, target: ast.expr, value: ast.expr, top: bool, wanted: Type | None = None) -> str:
-        if isinstance(target, ast.Name):
-            return self.variable(target, value, top, wanted)
-        to = self.expression(target)
-        self.change(to.root)
-        if not to.type.scalar:
-            raise self.wrong(target, "copy() copies a struct")
-        return f"{to.text} = {self.cast(self.expression(value), to.type)};"
-
-    def variable(self, target: ast.Name, value: ast.expr, top: bool, wanted: Type | None) -> str:
-        name, known = target.id, self.types.get(target.id)
-        if isinstance(value, ast.Call) and isinstance(value.func, ast.Name):
-            if value.func.id == "local":
-                what = self.all._field(self.module, value)
-                self.types[name] = what
-                dims = "".join(f"[{d}]" for d in what.dims)
-                self.hoisted[name] = f"{what.c} {name}{dims};"
-                loop = f"memset({name}, 0, sizeof {name});"
-                return (
-                    loop
-                    if not what.struct
-                    else f"for (int32_t i = 0; i < {what.dims[0]}; i++) {what.c}_init(&{name}[i]);"
-                )
-            made = getattr(self.module, value.func.id, None)
-            if isinstance(made, type) and _is_struct(made):
-                self.types[name] = Type(made)
-                self.hoisted[name] = f"{snake(made.__name__)} {name};"
-                return f"{snake(made.__name__)}_init(&{name});"
-        got = self.expression(value)
-        if not got.type.scalar:  # another name for part of a struct
-            self.types[name], self.alias[name] = Type(got.type.base, ("",) if got.type.dims else ()), got.root
-            if got.type.struct and not got.type.dims:
-                self.pointers.add(name)
-            const = "" if got.root in self.function.changed or got.root not in self.function.parameters else "const "
-            text = got.text if got.type.dims or got.pointer else f"&{got.within(15)}"
-            self.hoisted.setdefault(name, f"{const}{got.type.c} *{name};")
-            return f"{name} = {text};"
-        if known is None:
-            base = {"lit": "real", "ilit": "int"}.get(got.type.base, got.type.base)
-            known = self.types[name] = wanted or Type(base)
-            if top:
-                return f"{known.c} {name} = {self.cast(got, known)};"
-            self.hoisted[name] = f"{known.c} {name} = {'false' if known.base == 'flag' else 0};"
-        return f"{name} = {self.cast(got, known)};"
-
-    def change(self, root: str) -> None:
-        while root in self.alias:
-            root = self.alias[root]
-        self.changed.add(root)
-
-    # Expressions
-
-    def cast(self, code: Code, wanted: Type) -> str:
-        have, want = code.type.base, wanted.base
-        if have == want or not code.type.scalar:
-            return code.text
-        if have in ("lit", "ilit"):
-            return self.literal(code, want)
-        if want == "flag":
-            return code.text
-        if RANK[have] != RANK[want]:
-            return f"({C_NAMES[want]}){code.within(14)}"
-        return code.text
-
-    def literal(self, code: Code, want: str) -> str:
-        if want == "real":
-            return f"(rw_real){code.within(14)}"
-        return code.text
-
-    def expression(self, node: ast.AST) -> Code:
-        method = getattr(self, f"on_{type(node).__name__.lower()}", None)
-        if method is None:
-            raise self.wrong(node, f"{type(node).__name__} is not C")
-        return method(node)
-
-    def on_constant(self, node: ast.Constant) -> Code:
-        value = node.value
-        if isinstance(value, bool):
-            return Code("true" if value else "false", Type("flag"))
-        base = "ilit" if isinstance(value, int) else "lit"
-        return Code(_number(value, base), Type(base))
-
-    def on_name(self, node: ast.Name) -> Code:
-        name = node.id
-        if name in self.types:
-            what = self.types[name]
-            return Code(name, what, 20, what.struct and not what.dims and name in self.pointers, name)
-        if name in self.all.sizes:
-            return Code(f"RW_{name}", Type("int"))
-        value = getattr(self.module, name, None)
-        if isinstance(value, bool):
-            return Code("true" if value else "false", Type("flag"))
-        if name == "LASTS":
-            return Code("RW_LASTS", Type("time"))
-        if isinstance(value, int | float):
-            base = "ilit" if isinstance(value, int) else "lit"
-            return Code(_number(value, base), Type(base), 20 if value >= 0 else 14)
-        if isinstance(value, tuple):
-            table = f"rw_{self.module.__name__.rpartition('.')[2]}_{name.strip('_').lower()}"
-            numbers = ", ".join(_number(v, "real") for v in value)
-            self.all.tables[table] = f"static const rw_real {table}[{len(value)}] = {{{numbers}}};"
-            return Code(table, Type("real", (str(len(value)),)))
-        raise self.wrong(node, f"{name} is not known")
-
-    def on_attribute(self, node: ast.Attribute) -> Code:
-        base = self.expression(node.value)
-        fields = self.all.fields.get(base.type.base) if base.type.struct else None
-        if not fields or node.attr not in fields:
-            raise self.wrong(node, f"{node.attr} is no field of {base.text}")
-        what = fields[node.attr][0]
-        return Code(f"{base.within(15)}{'->' if base.pointer else '.'}{node.attr}", what, 20, False, base.root)
-
-    def on_subscript(self, node: ast.Subscript) -> Code:
-        base, index = self.expression(node.value), self.expression(node.slice)
-        if not base.type.dims:
-            raise self.wrong(node, f"{base.text} is no array")
-        return Code(f"{base.within(15)}[{index.text}]", Type(base.type.base, base.type.dims[1:]), 20, False, base.root)
-
-    def on_unaryop(self, node: ast.UnaryOp) -> Code:
-        one = self.expression(node.operand)
-        if isinstance(node.op, ast.Not):
-            return Code(f"!{one.within(14)}", Type("flag"), 14)
-        if isinstance(node.op, ast.USub):
-            return Code(f"-{one.within(14)}", one.type, 14)
-        raise self.wrong(node, "this sign is not C")
-
-    def join(self, a: Code, b: Code) -> Type:
-        base = max((a.type.base, b.type.base), key=RANK.__getitem__)
-        if base == "lit" and {a.type.base, b.type.base} & {"int"}:
-            base = "real"
-        return Type("int" if base == "flag" and a.type.base != b.type.base else base)
-
-    def operand(self, code: Code, what: Type, tight: int) -> str:
-        if code.type.base == what.base or (what.base == "lit" and code.type.base == "ilit"):
-            return code.within(tight)
-        text = self.cast(code, what)
-        return text if text != code.text or code.tight >= tight else f"({text})"
-
-    def on_binop(self, node: ast.BinOp) -> Code:
-        if isinstance(node.op, ast.Pow):
-            raise self.wrong(node, "write a product instead of a power")
-        left, right = self.expression(node.left), self.expression(node.right)
-        sign, tight = BINARY[type(node.op)]
-        what = self.join(left, right)
-        if isinstance(node.op, ast.Div) and what.base in ("int", "ilit"):
-            what = Type("time")
-        return Code(f"{self.operand(left, what, tight)} {sign} {self.operand(right, what, tight + 1)}", what, tight)
-
-    def on_compare(self, node: ast.Compare) -> Code:
-        parts, sides = [], [node.left, *node.comparators]
-        for k, op in enumerate(node.ops):
-            left, right = self.expression(sides[k]), self.expression(sides[k + 1])
-            what = self.join(left, right)
-            parts.append(f"{self.operand(left, what, 6)} {COMPARE[type(op)]} {self.operand(right, what, 6)}")
-        return Code(" && ".join(parts), Type("flag"), 4 if len(parts) == 1 else 2)
-
-    def on_boolop(self, node: ast.BoolOp) -> Code:
-        sign, tight = ("&&", 2) if isinstance(node.op, ast.And) else ("||", 1)
-        return Code(f" {sign} ".join(self.expression(v).within(3) for v in node.values), Type("flag"), tight)
-
-    def on_ifexp(self, node: ast.IfExp) -> Code:
-        test, yes, no = self.expression(node.test), self.expression(node.body), self.expression(node.orelse)
-        what = self.join(yes, no)
-        return Code(f"{test.within(3)} ? {self.operand(yes, what, 1)} : {self.operand(no, what, 1)}", what, 0)
-
-    def on_call(self, node: ast.Call) -> Code:
-        if isinstance(node.func, ast.Name) and node.func.id in BUILTIN:
-            return self.builtin(node, node.func.id)
-        if isinstance(node.func, ast.Name):
-            target = getattr(self.module, node.func.id, None)
-            home = inspect.getmodule(target)
-            function = self.all.functions.get((home, node.func.id))
-            return self.call(node, function, [])
-        assert isinstance(node.func, ast.Attribute)
-        if isinstance(node.func.value, ast.Name) and isinstance(
-            getattr(self.module, node.func.value.id, None), ModuleType
-        ):
-            return self.call(
-                node, self.all.functions.get((getattr(self.module, node.func.value.id), node.func.attr)), []
-            )
-        base = self.expression(node.func.value)
-        return self.call(node, self.all.functions.get((base.type.base, node.func.attr)), [base])
-
-    def call(self, node: ast.Call, function: Function | None, first: list[Code]) -> Code:
-        if function is None:
-            raise self.wrong(node, f"{ast.unparse(node.func)} is no definition")
-        given = [*first, *(self.expression(a) for a in node.args)]
-        if len(given) != len(function.parameters):
-            raise self.wrong(node, f"{function.name} takes {len(function.parameters)} arguments")
-        texts = []
-        for code, (name, what) in zip(given, function.parameters.items()):
-            if what.scalar:
-                texts.append(self.cast(code, what))
-                continue
-            if name in function.changed or len(what.dims) > 1:
-                self.change(code.root)
-            texts.append(code.text if what.dims or code.pointer else f"&{code.within(15)}")
-        return Code(f"{function.name}({', '.join(texts)})", function.result)
-
-    def builtin(self, node: ast.Call, name: str) -> Code:
-        given = [self.expression(a) for a in node.args] if name != "local" else []
-        first = given[0]
-        if name in ("reset", "copy"):
-            self.change(first.root)
-            at = [g.text if g.pointer else f"&{g.within(15)}" for g in given]
-            if name == "reset":
-                return Code(f"{first.type.c}_init({at[0]})", Type("none"))
-            return Code(f"*{at[0]} = *{at[1]}" if given[1].pointer else f"*{at[0]} = {given[1].text}", Type("none"), 0)
-        if name == "isnan":
-            return Code(f"isnan({first.text})", Type("flag"))
-        if name in ("int", "float", "real"):
-            what = Type({"int": "int", "float": "time", "real": "real"}[name])
-            return Code(
-                self.cast(first, what) if first.type.base not in ("lit", "ilit") else self.literal(first, what.base),
-                what,
-                14,
-            )
-        if name in ("sqrt", "exp", "floor"):
-            own = first.type.base == "real"
-            called = {"sqrt": "RW_ROOT" if own else "sqrt", "exp": "RW_EXP" if own else "exp", "floor": "floor"}[name]
-            return Code(
-                f"{called}({self.cast(first, Type('real' if own else 'time'))})", Type("real" if own else "time")
-            )
-        if name == "abs":
-            what = Type({"lit": "real", "ilit": "int"}.get(first.type.base, first.type.base))
-            return Code(f"abs_{what.base}({self.cast(first, what)})", what)
-        what = self.join(*given)
-        what = Type({"lit": "real", "ilit": "int"}.get(what.base, what.base))
-        return Code(f"{name}_{what.base}({', '.join(self.cast(g, what) for g in given)})", what)

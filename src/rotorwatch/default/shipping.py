@@ -122,7 +122,9 @@ def ship(folder: Path, frames: Sequence[Frame] = FRAMES, portable: bool = False)
 
 def kept(portable: bool) -> Path:
     """Where the cache keeps what `ship` makes of this definition with this compiler on this computer. Raises toolchain.Unavailable."""
-    return toolchain.kept_under("shipped", json.dumps([definition()["digest"], shipped.digest(shipped.files_in("front")), portable, FRAMES]))
+    return toolchain.kept_under(
+        "shipped", json.dumps([definition()["digest"], shipped.digest(shipped.files_in("front")), portable, FRAMES])
+    )
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -7,7 +7,7 @@ vehicle, an obstacle, the ground. What follows - tumbling, saturated outputs, a 
 
 from __future__ import annotations
 
-from rotorwatch.compiling.structs import FLAG, LASTS, REAL, Real, Reals, Struct, Time, Times, array, local, real, sqrt
+from rotorwatch.compiling.structs import FLAG, LASTS, REAL, Real, Struct, Time, Times, array, local, real, sqrt
 from rotorwatch.front.sizes import ROTORS, TICKS_BEFORE
 from rotorwatch.front.vehicle import Vehicle
 

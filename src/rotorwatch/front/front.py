@@ -11,7 +11,6 @@ from rotorwatch.compiling.structs import (
     FLAG,
     LASTS,
     REAL,
-    Flags,
     Real,
     Reals,
     Struct,
@@ -140,7 +139,7 @@ class Front(Struct):
             self.battery = ratio
 
     def finish(self, v: Vehicle, p: Plan, time: Time) -> None:
-        """All samples up to `time` s have come and nothing comes after them: the end of a log. A flight lasts as long as there are outputs."""
+        """The end of a log: all samples up to `time` s have come, and no more will. A flight lasts as long as there are outputs."""
         self.air.walk(time, True)
         self._landed_or_lifted()
         self.doubting = False

@@ -9,7 +9,20 @@ It pairs the commands sent during one tick length with the motion they caused a 
 from __future__ import annotations
 
 from rotorwatch.compiling.structs import (
-    LASTS, REAL, TIME, Real, Reals, Struct, Time, Times, array, embedded, floor, local, real, reset,
+    LASTS,
+    REAL,
+    TIME,
+    Real,
+    Reals,
+    Struct,
+    Time,
+    Times,
+    array,
+    embedded,
+    floor,
+    local,
+    real,
+    reset,
 )  # fmt: skip
 from rotorwatch.front.contact import G0, Vibration
 from rotorwatch.front.sizes import LEVELS, MOTION_KEPT, ROTORS, WAITING

@@ -6,7 +6,7 @@ then kept for that flight. All frames body FRD.
 
 from __future__ import annotations
 
-from rotorwatch.compiling.structs import FLAG, LASTS, REAL, TIME, Real, Reals, Struct, Time, array, embedded, real
+from rotorwatch.compiling.structs import FLAG, LASTS, REAL, Real, Reals, Struct, Time, array, embedded, real
 from rotorwatch.front.contact import Contact, Shove, Touch
 from rotorwatch.front.sense import Plan, Sensed
 from rotorwatch.front.sizes import ROTORS, SETTLING
@@ -101,12 +101,8 @@ class Ticks(Struct):
         out.start = start
         out.some = row.some
         out.restart = inside and (start < self.hop or start > self.hop)
-        if (
-            self.flight <= row.time
-            and (self.settled > 0 or inside)
-            or self.flight > row.time
-            and out.restart
-            and self.settled == 0
+        if (self.flight <= row.time and (self.settled > 0 or inside)) or (
+            self.flight > row.time and out.restart and self.settled == 0
         ):
             self._learn_hover(v, p, row)
         if out.restart:

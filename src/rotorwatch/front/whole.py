@@ -5,7 +5,21 @@ A sample is its kind, its time and its numbers: `values` from `at` on. NaN: not 
 
 from __future__ import annotations
 
-from rotorwatch.compiling.structs import FLAG, LASTS, REAL, Flags, Ints, Reals, Struct, Time, Times, array, copy, isnan, local
+from rotorwatch.compiling.structs import (
+    FLAG,
+    LASTS,
+    REAL,
+    Flags,
+    Ints,
+    Reals,
+    Struct,
+    Time,
+    Times,
+    array,
+    copy,
+    isnan,
+    local,
+)
 from rotorwatch.front.airborne import Airborne
 from rotorwatch.front.deviations import Deviations, Override
 from rotorwatch.front.front import Front
@@ -132,7 +146,16 @@ class Mixed(Struct):
 
 
 def mix(
-    m: Mixer, v: Vehicle, n: int, kind: Ints, time: Times, at: Ints, values: Reals, found: list[Comparison], made: list[Mixed], done: Done
+    m: Mixer,
+    v: Vehicle,
+    n: int,
+    kind: Ints,
+    time: Times,
+    at: Ints,
+    values: Reals,
+    found: list[Comparison],
+    made: list[Mixed],
+    done: Done,
 ) -> None:
     """Outputs, rate controller and voltage of n samples: comparisons of the two, of which there are at most as many as outputs, and the
     thrust of each sample of the rate controller. done: rows of `found`."""
@@ -167,7 +190,9 @@ def deviate(d: Deviations, v: Vehicle, n: int, checks: list[Comparison], aloft: 
         d.compared(v, checks[i], aloft[i])
 
 
-def log(d: Deviations, v: Vehicle, n: int, time: Times, output: Reals, thrust: Reals, valid: Flags, aloft: Flags) -> None:
+def log(
+    d: Deviations, v: Vehicle, n: int, time: Times, output: Reals, thrust: Reals, valid: Flags, aloft: Flags
+) -> None:
     """n samples of outputs as they were logged, and their thrusts (n times rotors); valid, aloft (n,): all are known; the vehicle flew."""
     u = local(REAL, ROTORS)
     t = local(REAL, ROTORS)
@@ -179,7 +204,18 @@ def log(d: Deviations, v: Vehicle, n: int, time: Times, output: Reals, thrust: R
 
 
 def feed(
-    f: Front, v: Vehicle, p: Plan, begin: int, n: int, kind: Ints, time: Times, at: Ints, values: Reals, made: list[Made], room: int, done: Done
+    f: Front,
+    v: Vehicle,
+    p: Plan,
+    begin: int,
+    n: int,
+    kind: Ints,
+    time: Times,
+    at: Ints,
+    values: Reals,
+    made: list[Made],
+    room: int,
+    done: Done,
 ) -> None:
     """The samples from `begin` to n, of all kinds but THRUSTS, and the ticks that are certain by them, as far as there is room."""
     numbers = local(REAL, ROTORS)

@@ -95,7 +95,7 @@ class History:
         return len(self._said)
 
     def ground(self, start: float, end: float) -> None:
-        """The flight that began at `start` ended at `end` s: its ticks after that are on the ground, and what was announced in them is not."""
+        """The flight that began at `start` ended at `end` s: its later ticks are on the ground, and announced nothing."""
         time = self.column("time")
         after = np.flatnonzero((self.column("command_time") > end) & (time >= start))
         for name, value in (("mode", GROUND), ("upset", False), ("announced", False), ("opposite", -1)):

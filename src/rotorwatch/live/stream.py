@@ -33,7 +33,7 @@ ROOM = 512  # ticks in one call
 
 @dataclass(frozen=True)
 class Piece:
-    """What has become certain. table: ticks; spans: when the vehicle was in the air, one that lasts without an end; overrides: all so far."""
+    """What has become certain. table: ticks; spans: when it was in the air, one that lasts without an end; overrides: all so far."""
 
     spans: Spans
     table: Ticks | None = None
@@ -48,7 +48,11 @@ class Stream:
         self.window, self.vehicle = Window(about), vehicle
         self.plan: Plan | None = None
         self._ready_s, self._mixing, self._planned_aloft = ready_s, False, False
-        self._front, self._made, self._done = FRONT.new(front.Front), FRONT.array(ticks.Made, ROOM), FRONT.new(whole.Done)
+        self._front, self._made, self._done = (
+            FRONT.new(front.Front),
+            FRONT.array(ticks.Made, ROOM),
+            FRONT.new(whole.Done),
+        )
         self._fed: dict[str, float] = {}  # signal -> time of its last sample that was fed
         self._messages: list[Message] = []
         self._contacts: tuple[Contact, ...] = ()
@@ -109,7 +113,9 @@ class Stream:
         if (new.dt, new.gyro, new.accel, mixing) != (old.dt, old.gyro, old.accel, self._mixing):
             return flight
         if any(not 1 / CHANGED < new.period[name] / old.period[name] < CHANGED for name in new.period):
-            self._planned(Plan(old.dt, old.ready_s, old.lag_s, old.first, old.gyro, old.accel, new.half, new.period, old.notes))
+            self._planned(
+                Plan(old.dt, old.ready_s, old.lag_s, old.first, old.gyro, old.accel, new.half, new.period, old.notes)
+            )
         return None
 
     def _begin(self) -> bool:

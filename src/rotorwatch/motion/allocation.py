@@ -102,7 +102,13 @@ def mixed_thrusts(flight: Flight, vehicle: Vehicle) -> Signal | None:
         return None
     n, control = len(vehicle.rotors), flight["control"]
     return Signal(
-        control.time, made["thrust"][:, :n], flight["motors"].columns, "1", "body", f"{control.source} through the mixer", made["ok"][:, :n]
+        control.time,
+        made["thrust"][:, :n],
+        flight["motors"].columns,
+        "1",
+        "body",
+        f"{control.source} through the mixer",
+        made["ok"][:, :n],
     )
 
 
@@ -117,7 +123,8 @@ class Comparison:
 
     time (m,): of the motor sample. known (m,): when its comparison could be made (the later control sample has come).
     demand (m, n): logged m(u). asked (m, n): rebuilt, as if outputs had no limits. deviation (m, n): logged minus rebuilt within the
-    limits. yaw_granted (m,): the mixer grants all of the yaw. gain (m,): of the mixer, as it is known right after this sample. rows: the same as the definitions take them.
+    limits. yaw_granted (m,): the mixer grants all of the yaw. gain (m,): of the mixer, as it is known right after this sample. rows: the
+    same as the definitions take them.
     """
 
     time: np.ndarray
@@ -134,15 +141,17 @@ def compare(flight: Flight, vehicle: Vehicle) -> Comparison:
     """Hold the rebuilt demands against the logged ones, learning the mixer's gain (or, for a mixer that is not known,
     all of its factors) on the way. Needs signals ``motors`` and ``control``."""
     rows, _ = _mixed(flight, vehicle)
-    n = len(vehicle.rotors)
-    wide = (rows[name][:, :n] for name in ("thrust", "demanded", "deviation"))
-    return Comparison(rows["time"], rows["known"], *wide, rows["yaw_granted"], rows["gain"], rows)
+    demand, asked, deviation = (rows[name][:, : len(vehicle.rotors)] for name in ("thrust", "demanded", "deviation"))
+    return Comparison(rows["time"], rows["known"], demand, asked, deviation, rows["yaw_granted"], rows["gain"], rows)
 
 
 def _mixed(flight: Flight, vehicle: Vehicle) -> tuple[Rows, Rows]:
     """front.mixer over a flight: its comparisons, and the thrusts of each sample of the rate controller."""
     motors, control = flight["motors"], flight["control"]
-    parts = [("motors", motors.time, known(flight, "motors")), ("control", control.time, known(flight, "control")[:, :4])]
+    parts = [
+        ("motors", motors.time, known(flight, "motors")),
+        ("control", control.time, known(flight, "control")[:, :4]),
+    ]
     parts.append(("voltage", *voltages(flight)))
     samples = merged(parts)
     found, made = FRONT.array(mixer.Comparison, len(motors) + 1), FRONT.array(whole.Mixed, max(len(control), 1))

@@ -7,8 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from rotorwatch.compiling.running import Rows
-from rotorwatch.front.contact import G0, LEAST_GAIN
+from rotorwatch.front import contact as definition
+from rotorwatch.front.contact import G0
 from rotorwatch.front.sense import BEFORE_S
+
+LEAST_GAIN = np.array(definition.LEAST_GAIN)
 
 __all__ = ["G0", "LEAST_GAIN", "Contact", "contacts", "look_back"]
 
@@ -35,7 +38,7 @@ def contacts(touch: Rows, before: tuple[Contact, ...] = ()) -> tuple[Contact, ..
     """The contacts of ticks, after those `before`: each as large as its largest tick."""
     found = list(before)
     news = np.flatnonzero(touch["news"])
-    for k, time, size, push in zip(news, touch["time"][news], touch["size"][news], touch["push"][news]):
+    for time, size, push in zip(touch["time"][news], touch["size"][news], touch["push"][news]):
         one = Contact(float(time), float(size), *WORDS[int(push)])
         if found and found[-1].time == one.time:
             found[-1] = one

@@ -75,10 +75,14 @@ def in_words(rows: Rows) -> tuple[Override, ...]:
     return tuple(_in_words(*values) for values in zip(*(rows[name].tolist() for name in names)))
 
 
-def _in_words(rotor: int, number: int, onset: float, detected: float, end: float, output: float, demanded: float, got: float) -> Override:
+def _in_words(
+    rotor: int, number: int, onset: float, detected: float, end: float, output: float, demanded: float, got: float
+) -> Override:
     kind, named = KINDS[number], f"output {rotor + 1}"
     if demanded >= 0.0:
-        reason = f"{named} was at {output:.4g} while the mixer asked for {demanded:.0%} of full thrust and got {got:.0%}"
+        reason = (
+            f"{named} was at {output:.4g} while the mixer asked for {demanded:.0%} of full thrust and got {got:.0%}"
+        )
     else:
         reason = f"{named} {'did not move' if kind == 'stuck' else 'was off'} at {output:.4g} while all others flew on"
     asked = demanded if demanded >= 0.0 else None

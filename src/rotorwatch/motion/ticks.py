@@ -15,7 +15,6 @@ from rotorwatch.compiling.running import Rows
 from rotorwatch.compiling.structs import LASTS
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch.front import contact as knocks
 from rotorwatch.front import sense as cutting
 from rotorwatch.front import ticks as definition
 from rotorwatch.front import whole
@@ -209,11 +208,12 @@ def table(plan: Plan, hover: float | None = None, rebuilt: bool = False) -> dict
     thrusts come from the rate controller's output, which is sampled faster than the outputs."""
     gyro, accel = plan.gyro or "", "accel"
     of = {name: (plan.half.get(name, plan.dt / 2.0), plan.period.get(name, np.nan)) for name in (gyro, accel)}
+    slowest = np.nan_to_num([0.0, *plan.period.values()]).max()
     return {
         "dt": plan.dt, "lag": plan.lag_s, "phase": (plan.first - plan.dt / 2.0) % plan.dt, "ready": plan.ready_s, "hover": hover or 0.0,
         "gyro_half": of[gyro][0], "accel_half": of[accel][0], "gyro_least": samples_in(*of[gyro]), "accel_least": samples_in(*of[accel]),
-        "side_least": samples_in(0.5 * SIDE_S, of[accel][1]), "late": max(LATE_S, LATE_PERIODS * max(plan.period.values(), default=0.0)), "before": look_back(plan.dt), "gyro": plan.gyro is not None,
-        "accel": plan.accel, "rebuilt": rebuilt,
+        "side_least": samples_in(0.5 * SIDE_S, of[accel][1]), "late": float(max(LATE_S, LATE_PERIODS * slowest)),
+        "before": look_back(plan.dt), "gyro": plan.gyro is not None, "accel": plan.accel, "rebuilt": rebuilt,
     }  # fmt: skip
 
 
