@@ -76,8 +76,9 @@ class Judge:
         if self._beginnings is not None:
             losses = self._beginnings.join(losses)
         losses = tuple(events.one_arm(e, self.B) for e in losses if events.accuses(e))
-        overrides = outside.as_events(_in_flight(self._overrides, air), self._falls(air))
-        contacts = outside.contacts_in(self._contacts, air)
+        overrides = outside.as_events(_in_flight(self._overrides, self._spans), self._falls(air))
+        flown = [c for c in self._contacts if any(start <= c.time <= end + self.plan.dt for start, end in air)]
+        contacts = outside.contacts_in(flown, air)
         found = (*outside.unexplained(losses, overrides), *overrides, *contacts)
         return tuple(sorted(found, key=lambda e: e.detected_s))
 
@@ -124,6 +125,11 @@ def _grounded(table: Ticks, spans: Spans) -> Ticks:
     return replace(table, mode=mode.astype(np.int32), valid=valid, upset=upset)
 
 
-def _in_flight(found: tuple[Override, ...], air: Spans) -> list[Override]:
-    """Overrides that were noticed in flight, each ended with its flight."""
-    return [o for o in found if any(start <= o.detected <= end + CONFIRM_S and o.onset < end for start, end in air)]
+def _in_flight(found: tuple[Override, ...], spans: Spans) -> list[Override]:
+    """Overrides that were noticed in flight, each ended with its flight at the latest."""
+    kept = []
+    for one in found:
+        for start, end in spans:
+            if start <= one.onset < end and one.detected <= end + CONFIRM_S:
+                kept.append(one if (one.end or np.inf) <= end else replace(one, end=end))
+    return kept
