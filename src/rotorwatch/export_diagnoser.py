@@ -2,7 +2,7 @@
 
     rw.export_c.export_diagnoser("out", vehicle="mine.toml", prefix="rotor")
 
-The front end and the events are C sources of this package (embedded_c); the estimator between them is made of its traced step, for this
+The front end is made of its definition (front/), the estimator of its traced step, for this vehicle; events are C sources (embedded_c), for this
 vehicle; rw_config.h and rw_config.c hold the vehicle and the rates.
 """
 

@@ -25,7 +25,7 @@ static void judge(rw_diagnoser *d, const rw_made *made)
         .time = made->time, .command_time = made->when, .air_start = made->start, .mode = (int8_t)made->mode, .restart = made->restart,
         .upset = made->upset,
     };
-    rw_real u[RW_ROTORS + 12];
+    rw_real u[RW_INPUTS];
     rw_made_inputs(made, d->vehicle, u);
     rw_estimator_step(&d->estimator, u, made->wrench, made->valid, &d->out, &d->work);
     const rw_found found = {

@@ -24,6 +24,8 @@ typedef uint16_t rw_rotors;
 
 /* Rows of the effectiveness, and of all wrenches. */
 #define RW_AXES 4
+/* Numbers that the estimator takes of a tick: rw_made_inputs. */
+#define RW_INPUTS (RW_ROTORS + 12)
 
 /* What happened. */
 enum rw_kind {
