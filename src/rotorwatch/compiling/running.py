@@ -110,8 +110,8 @@ class Definition:
 
     @functools.cached_property
     def library(self) -> ctypes.CDLL | None:
-        """Machine code; None where there is none and no compiler to make it, or $ROTORWATCH_BACKEND is python."""
-        if os.environ.get("ROTORWATCH_BACKEND") == "python":
+        """Machine code; None where there is none and no compiler to make it, or $ROTORWATCH_DEFINITIONS is python."""
+        if os.environ.get("ROTORWATCH_DEFINITIONS") == "python":
             return None
         path = self._shipped()
         try:
