@@ -240,4 +240,4 @@ def _plain(x: Any) -> Any:
     if isinstance(x, Rows):
         assert x.plain is not None
         return x.plain if x.many else x.plain[0]
-    return x.tolist() if isinstance(x, np.ndarray) else x
+    return x.reshape(-1).tolist() if isinstance(x, np.ndarray) else x  # in a row, as C has it
