@@ -120,7 +120,8 @@ class Translation:
                 return Type(LISTS[name], ("",))
             if name == "Vectors":
                 return Type("real", ("", "3"))
-            return Type(getattr(module, name))
+            if is_struct(getattr(module, name, None)):
+                return Type(getattr(module, name))
         if isinstance(node, ast.Subscript) and isinstance(node.slice, ast.Name):  # list[Struct]
             return Type(getattr(module, node.slice.id), ("",))
         if isinstance(node, ast.Constant) and isinstance(node.value, str):
