@@ -128,6 +128,6 @@ int main(void)
         }
     }
     for (int part = 0; part < PARTS; part++) printf("%s %lu\n", NAMES[part], (unsigned long)most[part]);
-    printf("seen %d %d\n", rw_events_losses(&events, &v, losses), rw_deviations_found(&front.deviations, &v, overrides));
+    printf("seen %d %d\n", rw_events_losses(&events, &v, losses), (int)rw_deviations_found(&front.deviations, &v, overrides));
     return 0;
 }
