@@ -3,19 +3,14 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "rw_airborne.h"
-#include "rw_departures.h"
 #include "rw_events.h"
-#include "rw_mixer.h"
 #include "rw_report.h"
-#include "rw_sense.h"
-#include "rw_ticks.h"
 
 #define SYSTICK ((volatile uint32_t *)0xE000E010u)
 #define N RW_ROTORS
 
-enum { AIRBORNE, MIXER, DEPARTURES, SENSE, TICKS, EVENTS, LIST, REPORT, PARTS };
-static const char *const NAMES[PARTS] = {"airborne", "mixer", "departures", "sense", "ticks", "events", "losses", "report"};
+enum { FRONT, EVENTS, LIST, REPORT, PARTS };
+static const char *const NAMES[PARTS] = {"front", "events", "losses", "report"};
 static uint32_t most[PARTS];
 
 #define COUNTED(part, call) \
@@ -26,11 +21,7 @@ static uint32_t most[PARTS];
         if (taken > most[part]) most[part] = taken; \
     } while (0)
 
-static rw_airborne air;
-static rw_mixer mixer;
-static rw_departures departures;
-static rw_sense sense;
-static rw_ticks ticks;
+static rw_front front;
 static rw_events events;
 static rw_report report;
 static rw_changes changes;
@@ -76,10 +67,11 @@ int main(void)
     static rw_vehicle v;
     static rw_event losses[RW_RECORDS], list[RW_EVENTS], gone[RW_EVENTS];
     static rw_override overrides[RW_OVERRIDES];
-    static rw_comparison compared[RW_PENDING];
     static rw_news news[2 * RW_EVENTS];
     rw_plan p = {.dt = RW_TICK_S, .lag = 0.02, .ready = 3, .gyro_half = RW_TICK_S / 2, .accel_half = RW_TICK_S / 2, .gyro_least = 1,
-                 .accel_least = 1, .side_least = 5, .gyro = true, .accel = true};
+                 .accel_least = 1, .side_least = 5, .late = 0.9, .before = RW_TICKS_BEFORE,
+                 .gyro = true, .accel = true};
+    v.rotors = N;
     v.u_max = v.output_high = 1;
     v.yaw_headroom = (rw_real)0.2;
     v.mixer_known = true;
@@ -90,11 +82,7 @@ int main(void)
         v.effectiveness[RW_THRUST][i] = v.mixer[i][3] = 1;
         for (int a = 0; a < 3; a++) v.mixer[i][a] = (rw_real)0.5 * v.effectiveness[a][i];
     }
-    rw_airborne_init(&air);
-    rw_mixer_init(&mixer);
-    rw_departures_init(&departures);
-    rw_sense_init(&sense);
-    rw_ticks_init(&ticks);
+    rw_front_init(&front);
     rw_events_init(&events);
     rw_report_init(&report);
     rw_changes_init(&changes);
@@ -103,48 +91,43 @@ int main(void)
     SYSTICK[0] = 5;
     for (int sample = 0, k = 0; sample < 2000; sample++) {
         const rw_time t = 10 + 0.01 * sample;
-        const rw_real force[3] = {noise(), noise(), (rw_real)-9.8 + noise()}, rate[3] = {noise(), noise(), noise()};
-        rw_sensed row;
-        COUNTED(SENSE, rw_sense_accel(&sense, t, force));
-        rw_sense_gyro(&sense, t, rate);
-        rw_airborne_accel(&air, t, force, true);
-        rw_airborne_gyro(&air, t, rate, true);
+        COUNTED(FRONT, rw_front_accel(&front, &v, &p, t, noise(), noise(), (rw_real)-9.8 + noise()));
+        COUNTED(FRONT, rw_front_gyro(&front, &v, &p, t, noise(), noise(), noise()));
         if (sample % 2 == 0) {
             const rw_real control[RW_CONTROLS] = {(rw_real)0.1 * noise(), (rw_real)0.1 * noise(), (rw_real)0.1 * noise(), (rw_real)0.5};
             rw_real output[N];
-            int count = 0;
             for (int i = 0; i < N; i++) output[i] = (rw_real)0.5 + (rw_real)0.1 * noise();
             if (sample / 200 % 2) output[sample / 400 % N] = (rw_real)0.5;
-            rw_airborne_outputs(&air, &v, t, output, (rw_rotors)((1u << N) - 1u));
-            COUNTED(MIXER, count = rw_mixer_outputs(&mixer, &v, t, output, true, 1, compared));
-            for (int i = 0; i < count; i++) COUNTED(DEPARTURES, rw_departures_compared(&departures, &v, &compared[i], true));
-            COUNTED(MIXER, count = rw_mixer_control(&mixer, &v, t, control, true, compared));
-            for (int i = 0; i < count; i++) COUNTED(DEPARTURES, rw_departures_compared(&departures, &v, &compared[i], true));
-            COUNTED(DEPARTURES, rw_departures_logged(&departures, &v, t, output, output, true, true));
-            rw_sense_thrust(&sense, &p, t, output, true);
+            COUNTED(FRONT, rw_front_outputs(&front, &v, &p, t, output));
+            COUNTED(FRONT, rw_front_control(&front, &v, &p, t, control));
         }
-        COUNTED(AIRBORNE, rw_airborne_until(&air, t));
         for (;; k++) {
             bool more = false;
             rw_made made;
+            rw_tick tick;
             rw_found found;
             int loss_count = 0, override_count, count = 0;
-            COUNTED(SENSE, more = rw_sense_next(&sense, &p, t, &row));
+            rw_made_init(&made);
+            COUNTED(FRONT, more = rw_front_next(&front, &v, &p, &made));
             if (!more) break;
-            if (k < 20) rw_ticks_settle(&ticks, &row, 10);
-            COUNTED(TICKS, rw_ticks_make(&ticks, &v, &p, &row, k < 22 ? RW_LASTS : 10, &made));
+            tick.time = made.time;
+            tick.command_time = made.when;
+            tick.air_start = made.start;
+            tick.mode = (int8_t)made.mode;
+            tick.restart = made.restart;
+            tick.upset = made.upset;
             explained(k, &found);
-            COUNTED(EVENTS, rw_events_tick(&events, &v, &made.tick, &found));
+            COUNTED(EVENTS, rw_events_tick(&events, &v, &tick, &found));
             COUNTED(LIST, loss_count = rw_events_losses(&events, &v, losses));
-            rw_report_tick(&report, &made.tick);
+            rw_report_tick(&report, &tick);
             COUNTED(REPORT, {
-                override_count = rw_departures_found(&departures, &v, overrides);
+                override_count = rw_deviations_found(&front.deviations, &v, overrides);
                 count = rw_report_events(&report, losses, loss_count, overrides, override_count, list);
                 rw_changes_of(&changes, list, count, t - 6, gone, news);
             });
         }
     }
     for (int part = 0; part < PARTS; part++) printf("%s %lu\n", NAMES[part], (unsigned long)most[part]);
-    printf("seen %d %d\n", rw_events_losses(&events, &v, losses), rw_departures_found(&departures, &v, overrides));
+    printf("seen %d %d\n", rw_events_losses(&events, &v, losses), (int)rw_deviations_found(&front.deviations, &v, overrides));
     return 0;
 }

@@ -15,6 +15,9 @@ import tempfile
 from pathlib import Path
 
 import rotorwatch
+from rotorwatch import airframes, export_diagnoser
+from rotorwatch.compiling.translate import Translation
+from rotorwatch.front import sizes
 
 HERE = Path(__file__).resolve().parent
 CORE = HERE.parent / "embedded" / "cortex-m7"
@@ -24,25 +27,21 @@ BOARD = ("qemu-system-arm", "-M", "mps2-an500", "-nographic", "-semihosting", "-
 TICK = 40  # instructions a tick of its clock
 # Part -> its struct and what it is for.
 PARTS = {
-    "airborne": ("rw_airborne", "is it in the air?"),
-    "mixer": ("rw_mixer", "outputs against the rate controller"),
-    "departures": ("rw_departures", "outputs that part from the mixer"),
-    "sense": ("rw_sense", "samples to ticks"),
-    "ticks": ("rw_ticks", "ticks to the estimator's inputs"),
-    "contact": ("rw_contact", "knocks; state and calls are within ticks"),
+    "front": ("rw_front", "samples to the estimator's inputs, and outputs that do not follow the mixer"),
     "events": ("rw_events", "losses"),
     "report": ("rw_report", "one list of events"),
     "text": ("rw_changes", "what is new, in words"),
 }
 
 
-def config(n: int) -> str:
-    """rw_config.h of n rotors, ticks of 0.05 s, motion at 100 Hz and outputs at 50 Hz."""
-    settings = {
-        "ROTORS": n, "PLACES": 4, "HYPOTHESES": 2 * n + n * (n - 1) // 2 + 9, "TICK_S": 0.05, "OUTPUT_HZ": 50, "REACH": 64,
-        "OPPOSITE_PAIRS": n // 2, "TICKS_BEFORE": 10, "GYRO_HZ": 100, "ACCEL_HZ": 100, "MOTION_HZ": 100,
-    }  # fmt: skip
-    return "".join(f"#define RW_{name} {value}\n" for name, value in settings.items())
+def written(n: int, folder: Path) -> None:
+    """rw_config.h of n rotors, ticks of 0.05 s, motion at 100 Hz and outputs at 50 Hz, and the front end."""
+    B = airframes.named({4: "ardupilot-quad-x", 6: "ardupilot-hexa-x"}[n]).effectiveness()
+    values = export_diagnoser.settings(B, 0.05) | export_diagnoser.rates(50.0, 100.0, 100.0)
+    made = Translation(export_diagnoser.BOARD, sizes)
+    (folder / "rw_config.h").write_text("".join(f"#define RW_{name} {value}\n" for name, value in values.items()))
+    (folder / "rw_front.h").write_text(made.header(export_diagnoser.FRONT_ABOUT))
+    (folder / "rw_front.c").write_text(made.source("rw_front.h"))
 
 
 def run(command, **options) -> str:
@@ -55,12 +54,12 @@ def measured(n: int, single: bool) -> dict[str, tuple[int, int, int, int]]:
     """Part -> code, state, stack in bytes, instructions."""
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
-        (folder / "rw_config.h").write_text(config(n))
+        written(n, folder)
         flags = [*CHIP, f"-I{folder}", f"-I{SOURCES}", *(["-DROTORWATCH_FLOAT"] if single else [])]
-        files = [SOURCES / f"rw_{part}.c" for part in PARTS]
+        files = {part: (folder if part == "front" else SOURCES) / f"rw_{part}.c" for part in PARTS}
         link = [CORE / "startup.c", "--specs=rdimon.specs", "-T", CORE / "an500.ld", "-lm"]
         run(
-            ["arm-none-eabi-gcc", *flags, *files, HERE / "cortex_m7_parts.c", *link, "-o", folder / "m7.elf"],
+            ["arm-none-eabi-gcc", *flags, *files.values(), HERE / "cortex_m7_parts.c", *link, "-o", folder / "m7.elf"],
             cwd=folder,
         )
         said = run([*BOARD, folder / "m7.elf"], timeout=120)
@@ -71,7 +70,7 @@ def measured(n: int, single: bool) -> dict[str, tuple[int, int, int, int]]:
             header = "rw_report" if part == "text" else f"rw_{part}"
             (folder / "size.c").write_text(f'#include "{header}.h"\nchar state[sizeof({struct})];\n')
             run(["arm-none-eabi-gcc", *flags, "-c", folder / "size.c", "-o", folder / "size.o"], cwd=folder)
-            run(["arm-none-eabi-gcc", *flags, "-c", SOURCES / f"rw_{part}.c", "-o", folder / "part.o"], cwd=folder)
+            run(["arm-none-eabi-gcc", *flags, "-c", files[part], "-o", folder / "part.o"], cwd=folder)
             code = int(run(["arm-none-eabi-size", folder / "part.o"]).splitlines()[1].split()[0])
             symbols = run(["arm-none-eabi-nm", "-S", folder / "size.o"]).splitlines()
             state = next(int(line.split()[1], 16) for line in symbols if line.endswith(" state"))
@@ -90,8 +89,7 @@ def main() -> None:
             for part, (code, state, stack, count) in rows.items():
                 calls = f"{count / 1e3:.1f}" if count else ""
                 print(f"| {part} | {PARTS[part][1]} | {code} | {state} | {stack} | {calls} |")
-            own = [row for part, row in rows.items() if part != "contact"]  # its state is within that of ticks
-            code, state = sum(row[0] for row in rows.values()), sum(row[1] for row in own)
+            code, state = (sum(row[k] for row in rows.values()) for k in (0, 1))
             print(f"| all | | {code} | {state} | | |")
 
 

@@ -10,6 +10,9 @@ import numpy as np
 import pytest
 
 import rotorwatch
+from rotorwatch.compiling.translate import Translation
+from rotorwatch.export_diagnoser import BOARD, rates, settings
+from rotorwatch.front import sizes
 
 SOURCES = Path(rotorwatch.__file__).parent / "embedded_c"
 DRIVERS = Path(__file__).parent / "embedded_c"
@@ -18,20 +21,24 @@ STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wdoubl
 LASTS = 1e300
 
 
-def config(n: int, dt: float = 0.05, output_hz: int = 50) -> str:
-    """rw_config.h of a vehicle with n rotors."""
-    hypotheses = 2 * n + n * (n - 1) // 2 + 9
-    settings = {
-        "ROTORS": n,
-        "PLACES": 4,
-        "HYPOTHESES": hypotheses,
-        "TICK_S": dt,
-        "REACH": 64,
-        "OPPOSITE_PAIRS": max(1, n // 2),
-    }
-    settings |= {"OUTPUT_HZ": output_hz, "OVERRIDES": 64, "CONTACTS": 16, "EVENTS": 40, "PENDING": 64}
-    settings |= {"MIXER_UNKNOWN": 1, "FLIGHTS": 64, "MOTION_HZ": 2000, "TICKS_BEFORE": 10, "QUEUE": 120}
-    return "".join(f"#define RW_{name} {value}\n" for name, value in settings.items())
+def config(n: int, dt: float = 0.05, hz: tuple[float, float, float] = (50.0, 400.0, 400.0), **more: float) -> str:
+    """rw_config.h of a vehicle with n rotors. hz: of outputs, gyro and accelerometer; more: settings by name."""
+    around = 2.0 * np.pi * np.arange(n) / n
+    B = np.stack([np.sin(around), np.cos(around), (-1.0) ** np.arange(n), np.ones(n)])
+    values = settings(B, dt) | rates(*hz) | more
+    return "".join(f"#define RW_{name} {value}\n" for name, value in values.items())
+
+
+def front(folder: Path, text: str) -> Path:
+    """rw_config.h with this text, and the front end as the export writes it, into a folder; the C of the latter."""
+    made = Translation(BOARD, sizes)
+    for name, written in (
+        ("config.h", text),
+        ("front.h", made.header("Of a test.")),
+        ("front.c", made.source("rw_front.h")),
+    ):
+        (folder / f"rw_{name}").write_text(written)
+    return folder / "rw_front.c"
 
 
 def compilers() -> list[str]:
@@ -47,7 +54,7 @@ class Part:
 
     def __init__(self, folder: Path, driver: str, sources: tuple[str, ...], n: int, dt: float = 0.05):
         self._folder = folder
-        (folder / "rw_config.h").write_text(config(n, dt))
+        front(folder, config(n, dt, OVERRIDES=64, CONTACTS=16, EVENTS=40))
         self._files = [str(DRIVERS / driver), *(str(SOURCES / name) for name in sources)]
 
     def _program(self, precision: str) -> Path:
@@ -65,14 +72,3 @@ class Part:
         done = subprocess.run([str(self._program(precision))], input=data, capture_output=True, check=False)
         assert done.returncode == 0, done.stderr.decode()[-2000:]
         return [block.splitlines() for block in done.stdout.decode().split("found\n")[1:]]
-
-
-def vehicle_row(vehicle, air, headroom: float = 0.2) -> list[float]:
-    """The vehicle and when it flew, as drive_mixer.c reads them."""
-    curve, n = vehicle.curve, len(vehicle.rotors)
-    known = vehicle.mixer is not None
-    mixer = vehicle.mixer if known else np.zeros((n, 4))
-    expo = vehicle.extra.get("mixer_expo", curve.expo)
-    rests = bool(vehicle.extra.get("rests_at_minimum", False))
-    numbers = [curve.u_min, curve.u_max, curve.expo, expo, headroom, known, rests, len(air), *np.ravel(air)]
-    return [*np.ravel(vehicle.effectiveness()), *np.ravel(mixer), *map(float, numbers)]

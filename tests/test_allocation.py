@@ -10,6 +10,8 @@ import pytest
 from rotorwatch import airframes, logs
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.vehicle import ThrustCurve
+from rotorwatch.front import deviations, mixer
+from rotorwatch.front.vehicle import Vehicle
 from rotorwatch.motion import allocation, departures
 
 FLIGHTS = Path(__file__).resolve().parents[2] / "shared" / "flights"
@@ -149,10 +151,17 @@ def test_saturation_is_not_trusted():
     assert high.sum() >= 2 and not rebuilt.valid[high].any()
 
 
+def craft(frame="ardupilot-quad-x"):
+    """A frame as the definitions take it, with outputs from 0 to 1."""
+    one, factors = Vehicle(), airframes.named(frame).mixer.tolist()
+    one.rotors, one.mixer_known = len(factors), True
+    one.mixer[: one.rotors] = factors
+    return one
+
+
 def test_yaw_beyond_the_headroom_is_not_granted():
-    flight, vehicle, _ = hover()
     asked = np.array([[0.0, 0.0, 0.19, 0.4], [0.0, 0.0, 0.5, 0.4], [0.0, 0.0, 0.95, 0.4], [0.6, 0.0, 0.4, 0.4]])
-    assert allocation.yaw_granted(flight, vehicle, asked).tolist() == [True, True, False, False]
+    assert [mixer._grants_yaw(craft(), row) for row in asked.tolist()] == [True, True, False, False]
 
 
 LOGS = {
@@ -171,7 +180,7 @@ LOGS = {
 def test_known_mixers_explain_real_outputs(path):
     flight = read(path)
     check = allocation.compare(flight, airframes.identify(flight))
-    free = np.all((check.asked > 0.02) & (check.asked < 0.97 * check.top), axis=1) & check.yaw_granted
+    free = np.all((check.asked > 0.02) & (check.asked < 0.97 * check.rows["top"][:, None]), axis=1) & check.yaw_granted
     flying = free & (check.demand.min(axis=1) > 0.1)
     assert flying.sum() > 100
     assert np.sqrt(np.mean(check.deviation[flying] ** 2)) < LOGS[path]
@@ -328,14 +337,15 @@ def test_torque_alone_tells_less():
 
 def compared(gain, duration=120.0, rate=10.0):
     """Gains that a quad's mixer is believed to have at each of its comparisons, where the true one is gain(time)."""
-    mixer = airframes.named("ardupilot-quad-x").mixer
+    factors, state = airframes.named("ardupilot-quad-x").mixer, mixer.Mixer()
     time = np.arange(0.0, duration, 1.0 / rate)
     rng = np.random.default_rng(2)
-    inputs = np.column_stack([0.03 * rng.standard_normal((time.size, 3)), np.full(time.size, 0.4), np.ones(time.size)])
-    asked = inputs[:, :4] @ mixer.T
-    weights = allocation._learn_gain(time, inputs, np.reshape(gain(time), (-1, 1)) * asked, mixer)
-    assert weights.shape == (time.size, 5, 4) and not weights[:, 4].any()
-    return time, weights[:, 3, 0] / mixer[0, 3], (asked**2).sum(axis=1)
+    inputs = np.column_stack([0.03 * rng.standard_normal((time.size, 3)), np.full(time.size, 0.4)])
+    asked, found = inputs @ factors.T, []
+    for t, control, thrust in zip(time, inputs.tolist(), (np.reshape(gain(time), (-1, 1)) * asked).tolist()):
+        state._learn_gain(craft(), t, control, thrust)
+        found.append(state.gain)
+    return time, np.array(found), (asked**2).sum(axis=1)
 
 
 def test_the_mixers_gain_is_an_average_that_forgets_over_twenty_seconds():
@@ -343,9 +353,9 @@ def test_the_mixers_gain_is_an_average_that_forgets_over_twenty_seconds():
     time, found, power = compared(lambda t: np.where(t < 60.0, 1.0, 1.1))
     true = np.where(time < 60.0, 1.0, 1.1)
     for k in (0, 300, 599, 700, 799, 1199):
-        fades = np.exp((time[: k + 1] - time[k]) / allocation.GAIN_MEMORY_S) * power[: k + 1]
+        fades = np.exp((time[: k + 1] - time[k]) / mixer._GAIN_MEMORY_S) * power[: k + 1]
         assert found[k] == pytest.approx((fades * true[: k + 1]).sum() / fades.sum(), rel=1e-9)
-    after = np.searchsorted(time, 60.0 + allocation.GAIN_MEMORY_S)
+    after = np.searchsorted(time, 60.0 + mixer._GAIN_MEMORY_S)
     assert (found[after] - 1.0) / 0.1 == pytest.approx(1.0 - np.exp(-1.0), abs=0.05)
 
 
@@ -358,22 +368,29 @@ def test_samples_that_no_gain_explains_teach_no_gain():
     np.testing.assert_allclose(first, 1.2, rtol=1e-9)
 
 
+def least_squares(inputs, thrust):
+    """(5, n) weights of rows (m, 5) -> (m, n), with unit variance of each before, throttle one for one."""
+    prior = np.zeros((5, thrust.shape[1]))
+    prior[3] = 1.0
+    A = inputs.T @ inputs / mixer.NOISE_SD**2 + np.eye(5)
+    return np.linalg.solve(A, inputs.T @ thrust / mixer.NOISE_SD**2 + prior)
+
+
 def test_an_unknown_mixer_is_least_squares_of_what_came_before():
-    """Against the batch solution with the same prior: unit variance of each weight, throttle one for one."""
-    mixer = airframes.named("ardupilot-quad-x").mixer
+    """Against the batch solution with the same prior."""
+    factors, state, one = airframes.named("ardupilot-quad-x").mixer, mixer.Mixer(), craft()
     rng = np.random.default_rng(3)
     inputs = np.column_stack([0.05 * rng.standard_normal((60, 3)), rng.uniform(0.3, 0.5, 60), np.ones(60)])
-    thrust = inputs[:, :4] @ mixer.T + 0.002 * rng.standard_normal((60, 4))
+    thrust = inputs[:, :4] @ factors.T + 0.002 * rng.standard_normal((60, 4))
     thrust[7, 2], thrust[9, 1] = 0.01, 0.99  # at rest and at its limit: not usable
-    weights = allocation._learn_mixer(np.arange(60.0), inputs, thrust, np.ones((60, 1)))
     use = np.setdiff1d(np.arange(60), [7, 9])
-    prior = np.zeros((5, 4))
-    prior[3] = 1.0
-    for k in (0, 7, 20, 59):
-        rows = use[use <= k]
-        A = inputs[rows].T @ inputs[rows] / allocation.NOISE_SD**2 + np.eye(5)
-        wanted = np.linalg.solve(A, inputs[rows].T @ thrust[rows] / allocation.NOISE_SD**2 + prior)
-        np.testing.assert_allclose(weights[k], wanted, atol=1e-6)
+    state._begin(one)
+    for k in range(60):
+        state._learn_mixer(one, inputs[k].tolist(), thrust[k].tolist(), 1.0)
+        if k in (0, 7, 20, 59):
+            rows = use[use <= k]
+            found = np.array(state.weights)[:, :4]
+            np.testing.assert_allclose(found, least_squares(inputs[rows], thrust[rows]), atol=1e-6)
 
 
 @pytest.mark.parametrize("end", [12.6, 15.6, 16.05])
@@ -418,15 +435,21 @@ def test_an_override_is_known_when_the_later_of_its_two_control_samples_has_come
 
 @pytest.mark.parametrize("known", [True, False])
 def test_a_sample_is_judged_by_what_was_known_before_it(known):
-    """What is asked of the outputs comes from the weights of the sample before, not from its own or a later one's."""
+    """What is asked of the outputs comes from the factors as they were after the sample before, not after its own or a later one."""
     flight, vehicle, _ = hover(duration=8.0)
     check = allocation.compare(flight, vehicle if known else replace(vehicle, mixer=None))
     at = np.searchsorted(flight["control"].time, check.time)
     inputs = np.column_stack([flight["control"].values[at], np.ones(at.size)])
-    before = np.concatenate([check.weights[:1], check.weights[:-1]])
-    np.testing.assert_allclose(check.asked, np.einsum("tc,tcr->tr", inputs, before), rtol=1e-12)
-    np.testing.assert_allclose(check.deviation, check.demand - np.clip(check.asked, 0.0, check.top), atol=1e-15)
-    assert np.abs(check.weights[1:] - check.weights[:-1]).max() > 1e-6
+    if known:
+        gain = np.concatenate([check.gain[:1], check.gain[:-1]])
+        asked = gain[:, None] * (inputs[:, :4] @ vehicle.mixer.T)
+        assert np.ptp(gain) > 1e-6
+    else:
+        taught = [slice(max(k, 1)) for k in range(at.size)]  # the first one by what it has taught itself
+        asked = np.array([inputs[k] @ least_squares(inputs[t], check.demand[t]) for k, t in enumerate(taught)])
+    np.testing.assert_allclose(check.asked, asked, rtol=1e-12 if known else 1e-7)
+    top = check.rows["top"][:, None]
+    np.testing.assert_allclose(check.deviation, check.demand - np.clip(check.asked, 0.0, top), atol=1e-15)
 
 
 def test_the_last_value_known_is_held_and_none_that_comes_later():
@@ -470,7 +493,7 @@ def test_outputs_alone_say_which_was_off_or_did_not_move_and_until_when():
     assert found.end == pytest.approx(19.0, abs=0.15)
     (stuck,) = departures.overrides(with_output(bare, 3, 12.0, end=16.0), vehicle, ((1.0, 30.0),))
     assert (stuck.rotor, stuck.kind) == (3, "stuck") and stuck.reason.startswith("output 3 did not move at ")
-    assert stuck.onset == pytest.approx(12.0, abs=0.15) and stuck.detected - stuck.onset > departures.SILENT_S
+    assert stuck.onset == pytest.approx(12.0, abs=0.15) and stuck.detected - stuck.onset > deviations._SILENT_S
     assert stuck.end == pytest.approx(16.0, abs=0.15)
 
 
@@ -480,29 +503,31 @@ def test_an_output_is_accused_with_what_is_left_under_the_share_of_yaw_that_suit
     asked = 0.5 + yaw + 0.01 * np.arange(6)
     demand = asked - 0.5 * yaw + 0.2 * np.eye(6)[1]
     left = []
-    for share in departures.GIVEN_UP:
+    for share in 0.1 * np.arange(11):
         off = demand - (asked - share * yaw)
         others = np.delete(off, 1)
-        if np.sum(np.abs(others - np.median(others)) < allocation.PART) > departures.AGREEING * 5:
+        if np.sum(np.abs(others - np.median(others)) < mixer.PART) > deviations._AGREEING * 5:
             left.append(off[1] - np.median(others))
     assert len(left) > 1 and min(left, key=abs) != left[-1]
-    rows = np.zeros((2, 1))
-    check = allocation.Comparison(
-        rows[0], rows[1], demand[None], asked[None], np.ones((1, 1)), yaw[None], np.array([False]), (demand - asked)[None],
-        np.zeros((1, 5, 6)), np.ones((1, 6), bool),
-    )  # fmt: skip
-    alone = departures._alone(check, np.ones((1, 6), bool))[0]
-    assert (
-        alone[1] == pytest.approx(min(left, key=abs), abs=1e-9)
-        and np.nanmax(np.abs(np.delete(alone, 1))) < allocation.PART
-    )
-    granted = departures._alone(replace(check, yaw_granted=np.array([True])), np.ones((1, 6), bool))[0]
-    assert not np.isfinite(granted).all() or np.abs(granted).max() > 0.2  # all of the yaw was to be had
+    alone, known = single(asked, demand, yaw, False)
+    assert known.all() and alone[1] == pytest.approx(min(left, key=abs), abs=1e-9)
+    assert np.abs(np.delete(alone, 1)).max() < mixer.PART
+    granted, known = single(asked, demand, yaw, True)
+    assert not known.all() or np.abs(granted).max() > 0.2  # all of the yaw was to be had
 
 
-def test_a_median_is_of_what_is_known():
-    nan = np.nan
-    values = np.array(
-        [[3.0, 1.0, 2.0, nan], [4.0, nan, 1.0, nan], [1.0, 2.0, 4.0, 8.0], [nan, 5.0, nan, nan], [nan] * 4]
-    )
-    np.testing.assert_array_equal(departures._median(values), [2.0, 2.5, 3.0, nan, nan])
+def single(asked, demand, yaw, granted):
+    """(n,) by how much each output deviates from the mixer by itself, and (n,) whether that can be judged."""
+    n, check = len(asked), mixer.Comparison()
+    check.top, check.yaw_granted = 1.0, granted
+    check.demanded[:n], check.thrust[:n], check.yaw[:n] = asked.tolist(), demand.tolist(), yaw.tolist()
+    alone, known = [0.0] * n, [False] * n
+    deviations._single(n, check, [True] * n, alone, known)
+    return np.array(alone), np.array(known)
+
+
+def test_a_median_is_of_the_first_numbers():
+    rng = np.random.default_rng(1)
+    for count in range(1, 17):
+        values = rng.choice([0.0, 1.0, *rng.standard_normal(9)], 16)
+        assert deviations._median(values.tolist(), count) == np.median(values[:count])

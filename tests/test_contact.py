@@ -1,5 +1,6 @@
 """Knocks: what rotors cannot make is an event of its own, and no rotor is accused on what follows."""
 
+import math
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -10,6 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rotorwatch import diagnose
+from rotorwatch.compiling.running import Rows
+from rotorwatch.front import contact as definition
+from rotorwatch.front import sense
+from rotorwatch.front.vehicle import Vehicle
 from rotorwatch.motion import contact
 from rotorwatch.simulation import scenario, simulate
 
@@ -19,18 +24,22 @@ TIME = DT * np.arange(T)
 
 
 def struck(side=None, load=None, rate_dot=None, thrust=None, torque=None, shake=0.0):
-    zeros = np.zeros((T, 3))
-    return contact.struck(
-        TIME,
-        np.zeros((T, 2)) if side is None else side,
-        np.ones(T) if load is None else load,
-        np.full(T, shake),
-        np.ones((T, N)) if thrust is None else thrust,
-        zeros if torque is None else torque,
-        zeros if rate_dot is None else rate_dot,
-        np.ones(T, bool),
-        DT,
-    )[:2]
+    """(T,) which ticks were hit, and the contacts: front.contact.Contact over the ticks of a made-up flight."""
+    side, load = np.zeros((T, 2)) if side is None else side, np.ones(T) if load is None else load
+    thrust, zeros = np.ones((T, N)) if thrust is None else thrust, np.zeros((T, 3))
+    torque, rate_dot = zeros if torque is None else torque, zeros if rate_dot is None else rate_dot
+    state, craft, back = definition.Contact(), Vehicle(), contact.look_back(DT)
+    craft.rotors = N
+    touches = []
+    for k in range(T):
+        shove, touch = definition.Shove(), definition.Touch()
+        shove.time, shove.load, shove.shake, shove.fresh, shove.accelerometer = TIME[k], load[k], shake, True, True
+        shove.forward, shove.right = side[k]
+        shove.thrust[:N], shove.torque[:], shove.rate_dot[:] = thrust[k], torque[k], rate_dot[k]
+        state.tick(craft, shove, back, touch)
+        touches.append(touch)
+    hit = np.array([touch.hit for touch in touches])
+    return hit, contact.contacts(Rows(definition.Touch, None, touches))
 
 
 @settings(max_examples=40, deadline=None)
@@ -72,13 +81,41 @@ def test_what_rotors_cannot_make(what, axis, size):
     assert one.time == pytest.approx(TIME[k]) and what in one.what and one.size > 0
 
 
+def shaken(time, force):
+    """Vibration of samples (n, 3), m/s^2, as front.sense follows it."""
+    state = sense.Sense()
+    for t, row in zip(time.tolist(), force.tolist()):
+        state.accel(t, *row)
+    state._shake(math.inf)
+    return state.vibration.rms()
+
+
+def test_vibration_is_the_deviation_from_the_mean_of_the_half_second_before():
+    """The first sample deviates from nothing; of a step, each sample deviates from what came before; what knocks add is cut off at g."""
+    assert shaken(np.arange(3) * 0.1, np.array([[0.0, 0.0, -9.8]] * 3)) == 0.0
+    time = np.arange(10) * 0.2  # two samples in the half second before
+    step = np.repeat([0.0, 3.0], 5)[:, None] * [1.0, 0.0, 0.0]
+    assert shaken(time, step) == pytest.approx(math.sqrt((3.0**2 + 1.5**2) / 10))
+    assert shaken(time, 1000.0 * step) == pytest.approx(math.sqrt(2 * contact.G0**2 / 10))
+
+
+def test_vibration_is_that_of_numpy_whatever_comes():
+    rng = np.random.default_rng(4)
+    time = np.cumsum(rng.uniform(0.001, 0.02, 2000))
+    force = rng.standard_normal((2000, 3)) * np.where(rng.random((2000, 1)) > 0.99, 30.0, 1.0) + [0.0, 0.0, -9.8]
+    squares = [0.0]
+    for k in range(1, 2000):
+        before = force[np.searchsorted(time, time[k] - sense.BEFORE_S) : k]
+        squares.append(min(float(((force[k] - before.mean(axis=0)) ** 2).sum()), contact.G0**2))
+    assert shaken(time, force) == pytest.approx(math.sqrt(np.mean(squares)), rel=1e-9)
+
+
 def test_vibration_is_no_knock():
     """Sampled slowly it looks like a push as large as itself; the same push in calm air is one."""
     rng = np.random.default_rng(2)
     time = np.arange(0.0, 20.0, 0.04)
     force = np.stack([6.0 * np.sin(2 * np.pi * 27.0 * time), *rng.standard_normal((2, time.size))], axis=1)
-    size = contact.vibration(time, force, np.array([10.0]))[0]
-    assert 3.0 < size < 8.0
+    assert 3.0 < shaken(time, force) < 8.0
     side = np.zeros((T, 2))
     side[120:123, 0] = 6.0
     turning = np.full((T, 3), 8.0)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from embedded_c_parts import SOURCES, config
+from embedded_c_parts import SOURCES, STRICT, compilers, config, front
 
 EMBEDDED = Path(__file__).resolve().parents[1] / "embedded"
 PX4 = EMBEDDED / "px4" / "diagnoser"
@@ -48,7 +48,7 @@ def test_shells_compile(autopilot, rotors, tmp_path):
     compiler = shutil.which("g++")
     if compiler is None:
         pytest.skip("g++ is not installed")
-    (tmp_path / "rw_config.h").write_text(config(rotors))
+    front(tmp_path, config(rotors))
     (tmp_path / "uORB" / "topics").mkdir(parents=True)
     (tmp_path / "uORB" / "topics" / "rotorwatch_verdict.h").write_text(topic())
     include = [f"-I{folder}" for folder in (tmp_path, SOURCES, EMBEDDED / "stubs")]
@@ -80,3 +80,13 @@ def test_log_records_have_a_format_for_every_label():
     assert [name for name, _, _ in records] == ["RWLS", "RWEV"]
     for _, labels, formats in records:
         assert len(labels.split(",")) == len(formats) and len(labels) <= 64
+
+
+@pytest.mark.parametrize("precision", [(), ("-DROTORWATCH_FLOAT",)])
+@pytest.mark.parametrize("rotors", [3, 8, 12])
+def test_no_warning_whatever_the_number_of_rotors(tmp_path, rotors, precision):
+    made = front(tmp_path, config(rotors))
+    include = [f"-I{folder}" for folder in (tmp_path, SOURCES, EMBEDDED / "stubs")]
+    for compiler in compilers():
+        for source in (made, *sorted(SOURCES.glob("rw_*.c"))):
+            subprocess.run([compiler, *STRICT, *precision, "-fsyntax-only", *include, str(source)], check=True)

@@ -74,7 +74,7 @@ def test_the_definition_is_what_the_step_imports_and_nothing_else():
         "default/estimator.py",
         "default/bank.py",
         "default/program.py",
-        "motion/ticks.py",
+        "front/ticks.py",
         "compiling/c99/emit.py",
     } <= set(files)
     assert not [f for f in files if f.startswith(("logs/", "report/", "answer/", "flight/", "live/"))]

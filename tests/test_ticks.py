@@ -6,7 +6,11 @@ import numpy as np
 import pytest
 
 from rotorwatch.flight import Flight, Signal
+from rotorwatch.front import sense
+from rotorwatch.front import ticks as definition
+from rotorwatch.front.vehicle import Vehicle
 from rotorwatch.motion import ticks
+from rotorwatch.motion.contact import G0
 
 B = np.array([[-1.0, 1, 1, -1], [1, -1, 1, -1], [1, 1, -1, -1], [1, 1, 1, 1]])
 END = 12.0
@@ -23,7 +27,7 @@ def log(rate=200.0, gyro_rate=400.0, start=0.0, seed=0):
     signals = {
         "motors": thrust,
         "gyro": Signal(gyro, gyro[:, None] * SLOPE, ("x", "y", "z"), "rad/s"),
-        "accel": Signal(gyro, np.tile([0.0, 0.0, -ticks.G0], (gyro.size, 1)), ("x", "y", "z"), "m/s^2"),
+        "accel": Signal(gyro, np.tile([0.0, 0.0, -G0], (gyro.size, 1)), ("x", "y", "z"), "m/s^2"),
     }
     return Flight("test", "test", signals, start + END), thrust
 
@@ -177,14 +181,65 @@ def test_without_gyro_or_accelerometer_the_rest_is_still_judged_and_said():
 
 def test_the_slope_is_what_the_ends_of_the_window_differ_by():
     """An eighth of the window at each end: a spike between them, or outside the window, does not turn the vehicle."""
-    time = np.arange(0.0, 1.0, 0.001)
-    centre, half = np.array([0.5]), 0.1
+    plan = sense.Plan()
+    plan.gyro_half = half = 0.1
     for at, felt in ((0.5, 0), (0.44, 0), (0.56, 0), (0.39, 0), (0.61, 0), (0.41, -1), (0.59, 1)):
-        values = np.where(np.abs(time - at) < 5e-4, 1.0, 0.0)
-        _, slope, covered = ticks._Course(Signal(time, values, ("x",), "rad/s")).over(centre, half)
-        assert covered.all() and np.sign(np.round(slope[0, 0], 12)) == felt, at
+        state, out = sense.Sense(), sense.Sensed()
+        for k in range(1000):
+            state.gyros.add(0.001 * k, float(abs(0.001 * k - at) < 5e-4), 0.0, 0.0)
+        state._turn(plan, 0.5, out)
+        slope = out.rate_dot[0]
+        assert out.rate_ok and np.sign(np.round(slope, 12)) == felt, at
         if felt:  # a spike 1 ms wide in a mean over 25 ms, over the distance of the means
-            assert abs(slope[0, 0]) == pytest.approx(0.001 / 0.025 / (2 * half - 0.025), rel=1e-6)
+            assert abs(slope) == pytest.approx(0.001 / 0.025 / (2 * half - 0.025), rel=1e-6)
+
+
+def kept(seed, count=400):
+    """Samples of uneven times, and the same as arrays."""
+    rng = np.random.default_rng(seed)
+    time, values = np.cumsum(rng.uniform(0.001, 0.03, count)), rng.standard_normal((count, 3))
+    samples = sense.Samples()
+    for t, row in zip(time.tolist(), values.tolist()):
+        samples.add(t, *row)
+    return samples, time, values
+
+
+def test_the_area_between_two_times_is_that_of_straight_lines_between_samples():
+    samples, time, values = kept(1)
+    rng = np.random.default_rng(2)
+    for _ in range(50):
+        begin, end = np.sort(rng.uniform(time[0] - 0.2, time[-1] + 0.2, 2))
+        total = [0.0] * 3
+        samples.area(float(begin), float(end), total)
+        a, b = np.clip([begin, end], time[0], time[-1])
+        at = np.concatenate([[a], time[(time > a) & (time < b)], [b]])
+        lines = np.stack([np.interp(at, time, x) for x in values.T])
+        wanted = ((lines[:, 1:] + lines[:, :-1]) / 2.0 * np.diff(at)).sum(axis=1)
+        np.testing.assert_allclose(total, wanted, atol=1e-12)
+
+
+def test_a_time_is_covered_by_enough_samples_within_it():
+    samples, time, _ = kept(3)
+    rng = np.random.default_rng(4)
+    for _ in range(50):
+        begin, end = np.sort(rng.uniform(time[0], time[-1], 2)).tolist()
+        inside = int(((time >= begin) & (time <= end)).sum())
+        assert samples.covers(begin, end, inside) and not samples.covers(begin, end, inside + 1)
+    first, last = float(time[0]), float(time[-1])
+    assert samples.covers(first, last, len(time))
+    assert not samples.covers(first - 1e-6, last, 1) and not samples.covers(first, last + 1e-6, 1)
+
+
+def test_the_oldest_samples_make_room_and_late_ones_are_left_out():
+    samples = sense.Samples()
+    for k in range(sense.MOTION_KEPT + 5):
+        assert samples.add(float(k), float(k), 0.0, 0.0)
+    assert not samples.add(float(k), 1.0, 0.0, 0.0) and not samples.add(3.0, 1.0, 0.0, 0.0)
+    assert (samples.count, samples.newest(), samples.start) == (sense.MOTION_KEPT, float(k), 0.0)
+    assert samples.time[samples.place(0)] == 5.0 and samples.at_or_after(7.5) == 3
+    total = [0.0] * 3
+    samples.area(0.0, 7.0, total)
+    assert total[0] == 0.5 * (7.0**2 - 5.0**2)  # nothing before the first that is kept
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -192,13 +247,20 @@ def test_long_gaps_cost_no_ticks_but_at_their_ends(seed):
     """Against sets: every tick of the log, and of a gap of more than twice `most` the `most` that touch it on either side."""
     rng = np.random.default_rng(seed)
     at = np.sort(np.concatenate([[0], rng.integers(0, 40, 9), rng.integers(90, 130, 9), [131, 148, 170, 1000]]))
-    most = 10
+    state, craft, plan, row, numbers = sense.Sense(), Vehicle(), sense.Plan(), sense.Sensed(), []
+    craft.rotors, plan.dt = 4, 0.5  # exact in binary
+    most = int(sense.GAP_S / plan.dt)
+    for time in [*(0.5 * at + 0.125).tolist(), 1e300]:
+        while state.ready(plan, time):
+            state.make(craft, plan, row)
+            numbers.append(row.number)
+        if time < 1e300:
+            state.thrust(craft, plan, time, [0.4] * 4, True)
     wanted = set()
-    for a, b in itertools.pairwise(at):
+    for a, b in itertools.pairwise(np.maximum(at - 1, 0).tolist()):  # ticks that a command says to be complete
         near = range(a, b + 1) if b - a <= 2 * most else (*range(a, a + most), *range(b - most, b + 1))
         wanted |= set(near)
-    assert ticks._filled(at, most).tolist() == sorted(wanted)
-    assert ticks._filled(np.array([-3, 2]), 5).tolist() == [0, 1, 2]
+    assert numbers == sorted(wanted)
 
 
 @pytest.mark.parametrize("axis, rate, upset", [(0, 5.9, False), (0, 6.1, True), (1, -6.1, True), (2, 9.0, False)])
@@ -265,17 +327,27 @@ def test_blind_time_is_at_least_thirty_ticks():
 
 def test_after_a_contact_the_trim_is_learned_from_controlled_flight_alone():
     """So many ticks of it: outputs off their limits, turning slowly; a contact of an earlier hop is forgotten."""
-    T, count = 60, 5
-    contact, restart, fresh = np.zeros(T, bool), np.zeros(T, bool), np.ones(T, bool)
-    contact[10:12], restart[0], restart[40] = True, True, True
-    thrust, hover, rate = np.ones((T, 4)), np.full(T, 0.4), np.zeros((T, 3))
-    thrust[14:16, 2], rate[17] = 2.3, [0.0, 2.5, 0.0]  # 0.92 of full thrust; 2.5 rad/s
-    fresh[18] = False
-    learning = ticks._learned_again(contact, restart, thrust, hover, rate, fresh, np.inf) < count
-    assert np.flatnonzero(learning).tolist() == list(range(10, 20))
-    contact[39] = True
-    assert (ticks._learned_again(contact, restart, thrust, hover, rate, fresh, np.inf)[40:] >= count).all()
-    assert (ticks._learned_again(contact & False, restart, thrust, hover, rate, fresh, np.inf) >= count).all()
+
+    def modes(hits):
+        state, craft, plan = definition.Ticks(), Vehicle(), sense.Plan()
+        craft.rotors, plan.hover, plan.accel, plan.ready = 4, 0.4, True, 5 * plan.dt
+        found = []
+        for k in range(60):
+            row, made = sense.Sensed(), definition.Made()
+            row.time = row.when = 10.0 + plan.dt * k
+            row.some = row.load_ok = True
+            row.share[:4] = [0.4] * 4
+            row.rate_dot[0] = 900.0 if k in hits else 0.0
+            row.share[2] = 0.92 if k in (14, 15) else 0.4
+            row.rate[1] = 2.5 if k == 17 else 0.0
+            row.rate_ok = k != 18
+            state.make(craft, plan, row, 5.0 if k < 40 else 6.0, made)
+            assert made.touch.hit == (k in hits) and made.restart == (k in (0, 40))
+            found.append(made.mode)
+        return np.array(found)
+
+    assert np.flatnonzero(modes({10, 11}) == ticks.LEARN).tolist() == list(range(10, 20))
+    assert (modes({10, 11, 39})[40:] == ticks.JUDGE).all() and (modes(set()) == ticks.JUDGE).all()
 
 
 def test_learning_is_neither_on_the_ground_nor_judged():

@@ -174,6 +174,8 @@ class Body:
         if isinstance(node, ast.AugAssign):
             target, value = self.expression(node.target), self.expression(node.value)
             self.change(target.root)
+            if type(node.op) not in BINARY:
+                raise self.wrong(node, "this operation is not C")
             sign = BINARY[type(node.op)][0]
             return [f"{target.text} {sign}= {self.cast(value, target.type)};"]
         if isinstance(node, ast.Return):
@@ -190,6 +192,8 @@ class Body:
             return [self.expression(node.value).text + ";"]
         if isinstance(node, ast.If):
             return self.condition(node, depth)
+        if isinstance(node, ast.While | ast.For) and node.orelse:
+            raise self.wrong(node, "a loop has no else")
         if isinstance(node, ast.While):
             head = f"while ({self.expression(node.test).text}) {{"
             return [head, *self.inner(node.body, depth), "}"]
@@ -294,8 +298,8 @@ class Body:
         return code.text
 
     def literal(self, code: Code, want: str) -> str:
-        if want == "real":
-            return f"(rw_real){code.within(14)}"
+        if want == "real" or (want == "time" and code.type.base == "ilit"):  # 1 / 2 is a half
+            return f"({C_NAMES[want]}){code.within(14)}"
         return code.text
 
     def expression(self, node: ast.AST) -> Code:
@@ -308,6 +312,8 @@ class Body:
         value = node.value
         if isinstance(value, bool):
             return Code("true" if value else "false", Type("flag"))
+        if not isinstance(value, int | float):
+            raise self.wrong(node, f"{value!r} is no number")
         base = "ilit" if isinstance(value, int) else "lit"
         return Code(number(value, base), Type(base))
 
@@ -370,6 +376,8 @@ class Body:
     def on_binop(self, node: ast.BinOp) -> Code:
         if isinstance(node.op, ast.Pow):
             raise self.wrong(node, "write a product instead of a power")
+        if type(node.op) not in BINARY:
+            raise self.wrong(node, "this operation is not C")
         left, right = self.expression(node.left), self.expression(node.right)
         sign, tight = BINARY[type(node.op)]
         what = self.join(left, right)
@@ -380,6 +388,8 @@ class Body:
     def on_compare(self, node: ast.Compare) -> Code:
         parts, sides = [], [node.left, *node.comparators]
         for k, op in enumerate(node.ops):
+            if type(op) not in COMPARE:
+                raise self.wrong(node, "this comparison is not C")
             left, right = self.expression(sides[k]), self.expression(sides[k + 1])
             what = self.join(left, right)
             parts.append(f"{self.operand(left, what, 6)} {COMPARE[type(op)]} {self.operand(right, what, 6)}")
@@ -395,6 +405,8 @@ class Body:
         return Code(f"{test.within(3)} ? {self.operand(yes, what, 1)} : {self.operand(no, what, 1)}", what, 0)
 
     def on_call(self, node: ast.Call) -> Code:
+        if node.keywords:
+            raise self.wrong(node, "arguments have no names")
         if isinstance(node.func, ast.Name) and node.func.id in BUILTIN:
             return self.builtin(node, node.func.id)
         if isinstance(node.func, ast.Name):
@@ -441,11 +453,8 @@ class Body:
             return Code(f"isnan({first.text})", Type("flag"))
         if name in ("int", "float", "real"):
             what = Type({"int": "int", "float": "time", "real": "real"}[name])
-            return Code(
-                self.cast(first, what) if first.type.base not in ("lit", "ilit") else self.literal(first, what.base),
-                what,
-                14,
-            )
+            fixed = first.type.base == "lit" and what.base == "int"  # of a number that is written out, the whole part
+            return Code(f"(int32_t){first.within(14)}" if fixed else self.cast(first, what), what, 14)
         if name in ("sqrt", "exp", "floor"):
             own = first.type.base == "real"
             called = {"sqrt": "RW_ROOT" if own else "sqrt", "exp": "RW_EXP" if own else "exp", "floor": "floor"}[name]

@@ -8,6 +8,7 @@ from __future__ import annotations
 import ast
 import inspect
 import io
+import re
 import tokenize
 from collections.abc import Iterable, Sequence
 from types import ModuleType
@@ -119,7 +120,8 @@ class Translation:
                 return Type(LISTS[name], ("",))
             if name == "Vectors":
                 return Type("real", ("", "3"))
-            return Type(getattr(module, name))
+            if is_struct(getattr(module, name, None)):
+                return Type(getattr(module, name))
         if isinstance(node, ast.Subscript) and isinstance(node.slice, ast.Name):  # list[Struct]
             return Type(getattr(module, node.slice.id), ("",))
         if isinstance(node, ast.Constant) and isinstance(node.value, str):
@@ -182,7 +184,16 @@ class Translation:
     def source(self, header: str) -> str:
         """The source."""
         bodies = [Body(self, f).emit() for f in self.functions.values()]
-        parts = [f'#include "{header}"\n\n#include <math.h>\n#include <string.h>\n', HELPERS, *self.tables.values()]
+        used = set(re.findall(r"\w+", "\n".join(bodies)))  # of the helpers, those that nothing calls would be a warning
+        helpers = [
+            line for line in HELPERS.splitlines() if "(" not in line or used & set(re.findall(r"\w+(?=\()", line))
+        ]
+        parts = [
+            f'#include "{header}"\n\n#include <math.h>\n#include <string.h>\n',
+            *helpers,
+            "",
+            *self.tables.values(),
+        ]
         parts += [f"static {self.signature(f)};" for f in self.functions.values() if not f.public]
         parts += [self._init(kind) for kind in self.fields]
         return "\n".join([*parts, "", *bodies])

@@ -9,7 +9,7 @@
      RW_TICK_S          length of a tick, s
      RW_REACH           ticks that the estimator's bank looks back
      RW_OPPOSITE_PAIRS  pairs of rotors whose roll and pitch torques cancel, at least 1
-     RW_OUTPUT_HZ       the fastest rate at which outputs are fed, Hz
+     RW_MOTION_HZ       how often gyro and accelerometer are fed, Hz
      others             how much is kept: sizes of arrays in rw_front.h */
 #ifndef RW_TYPES_H
 #define RW_TYPES_H

@@ -1,0 +1,422 @@
+"""A part of Python that is also C: what it says is the same in both, bit for bit, and what is not C is refused by name."""
+
+from __future__ import annotations
+
+import ctypes
+import importlib
+import itertools
+import re
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from embedded_c_parts import STRICT, compilers
+from rotorwatch import airframes, logs
+from rotorwatch.compiling import structs, toolchain
+from rotorwatch.compiling.running import TYPES, Definition, Rows
+from rotorwatch.compiling.translate import Translation
+from rotorwatch.errors import ConfigError
+from rotorwatch.front import front, sense, sizes, ticks, vehicle, whole
+from rotorwatch.front.definition import FRONT, known, merged, states
+from rotorwatch.motion import allocation
+from rotorwatch.motion import ticks as of_a_flight
+from test_shipped import SAMPLE
+
+IMPORTS = (
+    "from __future__ import annotations\n"
+    "from rotorwatch.compiling.structs import *\n"
+    "from rotorwatch.compiling.structs import FLAG, INT, LASTS, NAN, REAL, TIME\n"
+)
+SOURCE = '''
+from made_sizes import COUNT
+
+LOW, MIDDLE, HIGH = 0, 1, 2
+_TABLE = (0.5, -1.5, 2.0)
+_FACTOR = 0.1
+
+
+class Inner(Struct):
+    """Something in something else."""
+
+    value: Real = 1.5
+    time: Time = -LASTS  # never yet
+    count: int = 3
+    on: bool = True
+
+
+class Outer(Struct):
+    inner = embedded(Inner)
+    several = array(Inner, 3)
+    rows = array(REAL, 2, COUNT, fill=0.25)
+    many = array(INT, COUNT)
+
+    def add(self, x: Real, k: int) -> None:
+        """One more."""
+        one = self.several[k]
+        row = self.rows[k % 2]
+        one.value += x
+        one.count -= k
+        row[k] = max(row[k], x * self.inner.value)
+        self.inner.on = not self.inner.on
+        self.inner.time = max(self.inner.time, x)
+        self.many[k] += int(self._most(k))
+
+    def shuffle(self) -> None:
+        copy(self.inner, self.several[1])
+        copy(self.several[0], self.several[2])
+        reset(self.several[1])
+        fresh = Inner()
+        fresh.value = self.inner.value
+        copy(self.several[2], fresh)
+
+    def _most(self, k: int) -> Real:
+        return min(self.several[k].value, real(COUNT))
+
+
+def numbers(x: Real, y: Real, out: Reals) -> None:
+    out[0] = x + y * 2.0 - x / (abs(y) + 1.0)
+    out[1] = -(x - (y - x)) * (x / (1.0 + y * y) / 3.0)
+    out[2] = min(x, y) - max(x, _FACTOR)
+    out[3] = sqrt(abs(x)) * exp(min(max(y, -5.0), 5.0))
+    out[4] = floor(x / 7.0) + abs(-x)
+    out[5] = _TABLE[LOW] * x + _TABLE[MIDDLE] * y if x > y else _TABLE[HIGH] if x < 0.0 else -y
+    a = b = x - 1.0
+    a -= b * y
+    out[6] = a
+    a /= 3.0
+    out[7] = NAN if a < -1e5 else a
+
+
+def whole_numbers(a: int, b: int, out: Ints) -> None:
+    out[0] = a // b + a % b * 2
+    out[1] = (a - b) * (a - (b - 1)) - 3
+    out[2] = min(a, b) + max(a, b) - abs(b - a)
+    out[3] = int(float(a) / float(b)) + int(-2.5)
+    out[4] = a if a > b and b != 2 else b
+    out[5] = COUNT - a // (b + 1)
+
+
+def truths(x: Real, y: Real, k: int, out: Flags) -> None:
+    out[0] = x < y <= 2.0
+    out[1] = x < y and not k > 3 or y == x
+    out[2] = isnan(x) or isnan(y)
+    out[3] = not (x > 0.0 or y >= 0.0) and k % 2 == 0
+    out[4] = k >= 2 if x > y else k != 1
+    out[5] = (x > 0.0) == (y > 0.0)
+
+
+def conversions(x: Real, k: int, out: Reals) -> None:
+    out[0] = float(k) / 3.0
+    out[1] = real(k) * x
+    out[2] = float(int(x))
+    out[3] = k / 4
+    out[4] = x + float(k // 2)
+    exact: Time = x
+    out[5] = real(exact * exact)
+    out[6] = 1 / 4 + float(3) / 2
+    out[7] = x * float(int(-2.7)) + 7 // 2
+
+
+def loops(n: int, x: Reals, out: Reals) -> int:
+    kept = local(REAL, COUNT)
+    grid = local(REAL, 2, COUNT)
+    total: Real = 0.0
+    found = 0
+    for i in range(n):
+        if x[i] < 0.0:
+            continue
+        elif x[i] > 50.0:
+            found += 10
+            break
+        else:
+            kept[found % COUNT] = x[i]
+            found += 1
+        for j in range(1, i):
+            total += x[j] * 0.5
+    for i in range(n - 1, -1, -1):
+        total = total * _FACTOR + x[i]
+        grid[i % 2][i] = total
+    k = 0
+    while k < n and total > 1.0:
+        total -= abs(x[k]) + kept[k]
+        k += 1
+    out[0] = total
+    out[1] = grid[1][2] - grid[0][1]
+    out[2] = _last(x, n) if n > 0 else 0.0
+    return found
+
+
+def _last(x: Reals, n: int) -> Real:
+    return x[n - 1]
+'''
+COUNT = 5
+
+
+def module(folder, name, text):
+    """A module of definitions, in a file as the translator needs it."""
+    (folder / f"{name}.py").write_text(text)
+    sys.modules.pop(name, None)
+    importlib.invalidate_caches()
+    sys.path.insert(0, str(folder))
+    try:
+        return importlib.import_module(name)
+    finally:
+        sys.path.remove(str(folder))
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """(module, its definitions as machine code, the same as Python)."""
+    folder = tmp_path_factory.mktemp("definitions")
+    of_arrays = module(folder, "made_sizes", f"COUNT = {COUNT}\n")
+    small = module(folder, "made_small", IMPORTS + SOURCE)
+    compiled, plain = Definition("made", (small,), of_arrays), Definition("made", (small,), of_arrays)
+    try:
+        compiled.__dict__["library"] = ctypes.CDLL(str(compiled.build(folder)))
+    except toolchain.Unavailable as why:
+        pytest.skip(str(why))
+    plain.__dict__["library"] = None
+    return small, compiled, plain
+
+
+def both(made, name, kind, count, *inputs):
+    """What a function writes into its last argument, and returns, by Python; the same as by C."""
+    small, compiled, _ = made
+    ours = [False if kind == "flag" else 0] * count
+    theirs = np.zeros(count, TYPES[kind])
+    result = getattr(small, name)(*(x.tolist() if isinstance(x, np.ndarray) else x for x in inputs), ours)
+    assert result == compiled.call(getattr(small, name), *inputs, theirs)
+    same(np.array(ours, TYPES[kind]), theirs)
+
+
+def same(ours, theirs):
+    """Arrays of the same bits; a zero has no sign, NaN is NaN."""
+    assert ours.dtype == theirs.dtype and ours.shape == theirs.shape
+    if ours.dtype.names:
+        for name in ours.dtype.names:
+            same(ours[name], theirs[name])
+    elif ours.dtype == float:
+        np.testing.assert_array_equal(ours + 0.0, theirs + 0.0)
+    else:
+        np.testing.assert_array_equal(ours, theirs)
+
+
+def records(rows: Rows, definition: Definition):
+    """Structs of either way as a record array."""
+    if rows.native is not None:
+        return rows.native
+    assert rows.plain is not None
+    return np.array([_record(one) for one in rows.plain], definition.type_of(rows.kind))
+
+
+def _record(one):
+    """A struct as NumPy takes it: a tuple of its fields."""
+    return tuple(_value(getattr(one, name)) for name, _ in type(one).declared())
+
+
+def _value(value):
+    if isinstance(value, structs.Struct):
+        return _record(value)
+    return [_value(x) for x in value] if isinstance(value, list) else value
+
+
+REAL = st.floats(-1e6, 1e6)
+ANY = st.one_of(REAL, st.sampled_from([np.nan, np.inf, -np.inf, 0.0, 1.0, 2.0]))
+
+
+@settings(max_examples=100, deadline=None)
+@given(REAL, REAL)
+def test_numbers(made, x, y):
+    both(made, "numbers", "real", 8, x, y)
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.integers(0, 10000), st.integers(1, 10000))
+def test_whole_numbers(made, a, b):
+    """Quotients and remainders are those of numbers that are not negative: Python and C round others differently."""
+    both(made, "whole_numbers", "int", 6, a, b)
+
+
+@settings(max_examples=100, deadline=None)
+@given(ANY, ANY, st.integers(0, 5))
+def test_conditions(made, x, y, k):
+    both(made, "truths", "flag", 6, x, y, k)
+
+
+@settings(max_examples=50, deadline=None)
+@given(REAL, st.integers(0, 10000))
+def test_conversions(made, x, k):
+    both(made, "conversions", "real", 8, x, k)
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.lists(st.floats(-20.0, 60.0), min_size=0, max_size=COUNT))
+def test_loops_and_local_arrays(made, x):
+    both(made, "loops", "real", 3, len(x), np.array([*x, *[0.0] * (COUNT - len(x))]))
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.lists(st.tuples(REAL, st.integers(0, 2)), max_size=8))
+def test_structs(made, steps):
+    """First values, fields of fields, other names for parts, copies and resets."""
+    small, compiled, plain = made
+    one, other = plain.new(small.Outer), compiled.new(small.Outer)
+    same(records(one, plain), records(other, compiled))
+    for k, (x, where) in enumerate(steps):
+        one.plain[0].add(x, where)
+        at = ctypes.c_void_p(other.native.ctypes.data)
+        compiled.library.rw_outer_add(at, ctypes.c_double(x), ctypes.c_int32(where))
+        if k % 3 == 2:
+            one.plain[0].shuffle()
+            compiled.library.rw_outer_shuffle(at)
+        same(records(one, plain), records(other, compiled))
+
+
+def test_copies_share_nothing(made):
+    small, _, _ = made
+    one, other = small.Outer(), small.Outer()
+    one.rows[1][2], one.several[1].value = 7.0, 8.0
+    structs.copy(other, one)
+    one.rows[1][2], one.several[1].value = 9.0, 9.0
+    assert (other.rows[1][2], other.several[1].value) == (7.0, 8.0)
+    structs.reset(one)
+    assert (one.rows[1][2], one.several[1].value) == (0.25, 1.5) and small.Outer().rows[1][2] == 0.25
+
+
+NOT_C = {
+    "y = [1.0, 2.0]": "List is not C",
+    "y = x ** 2.0": "product instead of a power",
+    "y = +x": "this sign is not C",
+    "y = k << 2": "this operation is not C",
+    "k |= 2": "this operation is not C",
+    "y = x is None": "this comparison is not C",
+    "y = 'text'": "is no number",
+    "y, z = x, x": "not C",
+    "y = other": "other is not known",
+    "y = a.nothing": "nothing is no field of a",
+    "y = x[0]": "x is no array",
+    "y = wrong(x)": "wrong is no definition",
+    "y = f(a, x)": "takes 3 arguments",
+    "f(a, x, k=1)": "arguments have no names",
+    "a.part = Part()": "copy\\(\\) copies a struct",
+    "for y in (1.0, 2.0): pass": "a loop is over range",
+    "for i in range(0, 4, 2): pass": "counts by 1 or -1",
+    "for k in range(4): pass": "k is a variable already",
+    "for i in range(3): pass\n    else: x = 1.0": "a loop has no else",
+    "while x > 1.0: x -= 1.0\n    else: x = 1.0": "a loop has no else",
+    "try: pass\n    finally: pass": "Try is not C",
+    "with x: pass": "With is not C",
+    "y = lambda: x": "Lambda is not C",
+    "y: str = x": "this type is not known",
+}
+
+
+@pytest.mark.parametrize("line", NOT_C)
+def test_what_is_not_c_is_refused_with_file_and_line(tmp_path, line):
+    text = f"{IMPORTS}class Part(Struct):\n    x: Real = 0.0\nclass All(Struct):\n    part = embedded(Part)\n"
+    text += f"def f(a: All, x: Real, k: int) -> None:\n    {line}\n"
+    at = text[: text.index(line)].count("\n") + 1
+    with pytest.raises(ConfigError, match=NOT_C[line]) as error:
+        Translation([module(tmp_path, "made_wrong", text)], sizes)
+    number = int(re.search(r"made_wrong, line (\d+):", str(error.value))[1])
+    assert at <= number <= at + line.count("\n")
+
+
+@pytest.mark.parametrize("what", ["class A(Struct):\n    x = 1.0\n", "def f(x: str) -> None:\n    pass\n"])
+def test_types_that_are_not_known_are_refused(tmp_path, what):
+    with pytest.raises(ConfigError, match="made_wrong, line "):
+        Translation([module(tmp_path, "made_wrong", IMPORTS + what)], sizes)
+
+
+@pytest.fixture(scope="module")
+def translated(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("front")
+    texts = FRONT.translated()
+    for name, text in zip(("rw_config.h", "rw_front.h", "rw_front.c"), texts):
+        (folder / name).write_text(text)
+    return folder, texts
+
+
+@pytest.mark.parametrize("precision", [(), ("-DROTORWATCH_FLOAT",)])
+def test_no_compiler_warns_of_the_front_end(translated, precision):
+    folder, _ = translated
+    for compiler in compilers():
+        subprocess.run([compiler, *STRICT, *precision, "-fsyntax-only", str(folder / "rw_front.c")], check=True)
+
+
+def test_vehicle_and_plan_are_constant_and_tables_are(translated):
+    _, (_, header, source) = translated
+    for kind in ("rw_vehicle", "rw_plan"):
+        named = re.findall(rf"(\w+) {kind} \*(\w+)[,)]", re.sub(rf"{kind}_init\(.*", "", header + source))
+        assert len(named) > 20 and {word for word, _ in named} == {"const"}
+    assert re.findall(r"static (\w+) rw_real rw_\w+\[\d+\] = \{", source) == ["const"]
+    assert "rw_samples_area(const rw_samples *self" in header and "rw_samples_add(rw_samples *self" in header
+
+
+SECONDS = 40.0
+
+
+@pytest.fixture(scope="module")
+def flight():
+    """(samples, fields of the vehicle, fields of the plan) of the first 40 s of a flight."""
+    log = logs.read(SAMPLE).until(SECONDS)
+    craft = airframes.identify(log)
+    moved = known(log, "velocity")
+    parts = [(name, log[name].time, known(log, name)) for name in ("motors", "gyro", "accel")]
+    parts += [("control", log["control"].time, known(log, "control")[:, :4]), ("voltage", *allocation.voltages(log))]
+    parts += [("state", *states(log.messages)), ("attitude", log["attitude"].time, log["attitude"].values[:, 1:3])]
+    climb = np.column_stack([-moved[:, 2], np.hypot(moved[:, 0], moved[:, 1])])
+    parts.append(("velocity", log["velocity"].time, climb))
+    mixing = allocation.faster_control(log)
+    plan = of_a_flight.plan(log, log["control" if mixing else "motors"], 3.0)
+    fields = {"rotors": len(craft.rotors), **allocation.table(craft, allocation.output_range(log))}
+    return merged(parts), fields, of_a_flight.table(plan, None, mixing)
+
+
+def fed(definition, flight, ends=(), room=512):
+    """(T,) records of all rows of a flight, fed in pieces that end at these samples."""
+    samples, fields, plan_fields = flight
+    craft, plan = definition.new(vehicle.Vehicle), definition.new(sense.Plan)
+    craft.set(**fields)
+    plan.set(**plan_fields)
+    state, done, rows = definition.new(front.Front), definition.new(whole.Done), definition.array(ticks.Made, room)
+    found, taken = [], 0
+    for end in (*ends, len(samples)):
+        while taken < end:
+            now = taken, end, samples.kind, samples.time, samples.at, samples.values
+            definition.call(whole.feed, state, craft, plan, *now, rows, room, done)
+            taken = int(done["samples"][0])
+            found.append(records(rows.cut(int(done["rows"][0])), definition))
+    last, count = SECONDS, 1
+    while count:
+        definition.call(whole.finish, state, craft, plan, last, rows, room, done)
+        last, count = structs.LASTS, int(done["rows"][0])
+        found.append(records(rows.cut(count), definition))
+    return np.concatenate(found)
+
+
+@pytest.fixture(scope="module")
+def compiled(flight):
+    if FRONT.library is None:
+        pytest.skip("no C compiler")
+    return fed(FRONT, flight)
+
+
+def test_interpreted_and_compiled_make_the_same_rows(flight, compiled):
+    plain = Definition("front", FRONT.modules, sizes)
+    plain.__dict__["library"] = None
+    ours = fed(plain, flight)
+    assert len(ours) > 500 and (ours["mode"] == ticks.JUDGE).sum() > 200 and ours["valid"].any(axis=0).all()
+    same(ours, compiled)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_any_cut_into_pieces_makes_the_same_rows(flight, compiled, seed):
+    rng, count = np.random.default_rng(seed), len(flight[0])
+    ends = np.unique(rng.integers(1, count, int(10.0 ** rng.uniform(0.5, 3.5)))).tolist()
+    assert all(a < b for a, b in itertools.pairwise(ends))
+    same(fed(FRONT, flight, ends, room=int(rng.integers(2, 600))), compiled)
