@@ -59,9 +59,9 @@ int main(void)
     static const bool valid[4] = {{true, true, true, true}};
     rw_diagnoser_init(&d, &rw_vehicle_default, &rw_plan_default);
     for (int k = 0; k < RW_ROTORS; ++k) u[k] = 1;
-    u[RW_U_LOAD] = y[3] = RW_ROTORS;
-    u[RW_U_FULL] = 2;
-    u[RW_U_MODE] = RW_JUDGE;
+    u[RW_ROTORS + 3] = y[3] = RW_ROTORS;
+    u[RW_ROTORS + 9] = 2;
+    u[RW_ROTORS + 10] = RW_JUDGE;
     for (int k = 0; k < 60; ++k) rw_estimator_step(&d.estimator, u, y, valid, &d.out, &d.work);
     SYSTICK[1] = 0xFFFFFF;
     SYSTICK[2] = 0;
