@@ -24,6 +24,7 @@ from rotorwatch.backend import jax as load_jax
 from rotorwatch.campaign import batch, methods, summary, work
 from rotorwatch.campaign import plan as plans
 from rotorwatch.campaign.plan import Plan
+from rotorwatch.campaign.score import read_columns
 from rotorwatch.campaign.store import Folder
 from rotorwatch.control import attainable, spinning
 from rotorwatch.control.airframe import Airframe
@@ -49,38 +50,12 @@ ABLE_M = 5.0  # a vehicle that strays further than this before anything has happ
 TRACK_M, TRACK_DEG = 2.0, 20.0  # recovered: nearer than this to where it should be, and not leaning more
 
 
-COLUMNS: dict[str, tuple[str, str]] = {
-    "flight": ("int64", "number of the flight: with the plan's seed it says everything"),
-    "method": ("string", "what drove the allocation: nobody, truth, or an estimator"),
-    "frame": ("string", "airframe"),
-    "rotors": ("int64", "how many"),
-    "broken": ("int64", "how many of them broke"),
-    "loss": ("double", "the largest loss"),
-    "wind_m_s": ("double", "mean wind 6 m above ground"),
-    "faulty": ("bool", "whether a rotor broke"),
-    "onset_s": ("double", "when the first did"),
-    "able": ("bool", "healthy and undisturbed by any belief it keeps to its track in that wind"),
-    "healthy_s": ("double", "flight time before that, or all of it"),
-    "survived": ("bool", "it neither touched the ground nor turned over"),
-    "lost_s": ("double", "when it did"),
-    "beliefs": ("int64", "how many beliefs it acted on"),
-    "first_s": ("double", "when it first did, after the onset"),
-    "false": ("bool", "it acted on something before the onset, or on rotors of which none is broken"),
-    "right": ("bool", "the rotors first acted on are those broken"),
-    "turning": ("bool", "it held a turning hover"),
-    "tilt_deg": ("double", "largest tilt after the onset"),
-    "off_m": ("double", "largest distance from where it should be after the onset"),
-    "recovered_s": ("double", "from the onset until it tracks again for good, empty when it does not"),
-}
+COLUMNS = read_columns("closed_loop")
 
 
 class Outcome(NamedTuple):
-    """What became of one flight. flight: its number; faulty: whether a rotor broke; onset_s; able: healthy, and before any belief, it kept
-    to its track within ABLE_M in that wind; survived: it neither touched the ground nor turned over; lost_s: when it did; beliefs: how
-    many it acted on; first_s: when it first did, after the onset (before, in healthy flights: after the take-off); false: it acted on
-    something before the onset, or on rotors of which none is broken; right: the rotors first acted on are those broken; turning: it
-    held a turning hover; tilt_deg, off_m: largest tilt and distance from where it should be after the onset; recovered_s: from the onset
-    until it tracks again for good, None when it does not."""
+    """What became of one flight: the columns of COLUMNS of these names. first_s of healthy flights counts from the take-off; recovered_s is
+    None when the vehicle never tracks again for good."""
 
     flight: int
     faulty: bool
