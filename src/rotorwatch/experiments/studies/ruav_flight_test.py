@@ -16,10 +16,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rotorwatch import optional
 from rotorwatch.backend import jax as load_jax
-from rotorwatch.experiments.studies import ruav_control, ruav_filters, ruav_flight
-from rotorwatch.experiments.studies.reproduction import Claim
+from rotorwatch.experiments.studies import reproduction, ruav_control, ruav_filters, ruav_flight
+from rotorwatch.experiments.studies.reproduction import Claim, graded, panels
 from rotorwatch.experiments.studies.ruav_control import Designs
 from rotorwatch.experiments.studies.ruav_flight import ATTITUDE, DT, MEAN_SHARE, MEASUREMENT, PROCESS, SMOOTH, in_ball
 from rotorwatch.maths import h_infinity
@@ -294,110 +293,69 @@ def _norms(designs: Designs, key: tuple, made) -> dict:
 
 def claims(numbers: dict) -> tuple[Claim, ...]:
     """The paper's claims about the flight test, with verdicts from the numbers."""
-    before, esmf, aekf = (np.asarray(numbers[key]) for key in ("rates_before", "rates_after_esmf", "rates_after_aekf"))
-    quiet = before.max() < QUIET
-    seen, varied, made = numbers["flights"], numbers["varied"], numbers["controllers"]
-    steady = [label for label, one in varied["aekf"].items() if one["stable_after"]]
-    wild = [label for label, one in varied["aekf"].items() if not one["stable_after"]]
-    fixed = varied["ekf"]["fixed_q"]
-    unstable = not numbers["stable_after_aekf"]
-    calm = [label for label, one in varied["aesmf"].items() if one["stable_after"]]
-    rough = [label for label in varied["aesmf"] if label not in calm]
-    apart = max(
-        abs(one[way] / one["norm"] - 1)
-        for key in ("healthy", *seen)
-        for way in ("sweep", "bisection", "bounded_real")
-        for one in (made[key],)
-    )
-    covers, loses = seen["aesmf"]["inside_after"], seen["aekf"]["inside_after"]
-    return (
-        Claim(
-            "Before the fault the H-infinity loop keeps attitude rates below 0.1 rad/s",
-            "all below 0.1 rad/s",
-            f"largest p, q, r {_rates(before)} rad/s; on AEKF's bounds {_rates(seen['aekf']['rates_before'])}",
-            "holds" if quiet else "partly" if seen["aekf"]["rates_before"].max() < QUIET else "not reproduced",
-            "with a dither that is chosen small enough for it, and twice as much breaks it; the paper says nothing of one",
-        ),
-        Claim(
-            "After the fault the loop designed for GD-ESMF's bounds stays stable",
-            "stable hover",
-            f"largest p, q, r {_rates(esmf)} rad/s; bounds hold {covers:.2f} of the coefficients; stable too with: "
-            f"{', '.join(calm) or 'no variation'}; not with: {', '.join(rough) or 'none'}; "
-            f"on an EKF's with fixed Q {_rates(fixed['rates_after'])}",
-            "not reproduced" if not numbers["stable_after_esmf"] else "partly" if rough else "holds",
-            f"at {seen['aesmf']['excluded']} of {(PILOT - BEGIN) // REDESIGN} looks the bounds, of half-width "
-            f"{seen['aesmf']['half_width_after']:.2f}, exclude every controller, and the last one flies on; a yaw that a jammed tail "
-            "leaves to its damping is nobody's",
-        ),
-        Claim(
-            "After the fault the loop designed for AEKF's bounds is unstable, as they miss the truth",
-            "rates above 0.3 rad/s",
-            f"largest p, q, r {_rates(aekf)} rad/s; bounds hold {loses:.2f} of the coefficients; unstable too with: "
-            f"{', '.join(wild) or 'no variation'}; stable with: {', '.join(steady) or 'no variation'}",
-            "holds" if unstable and not steady else "partly" if unstable else "not reproduced",
-            "it depends on what the paper leaves open, and a restart after an impossible innovation, which sets have too, keeps it flying",
-        ),
-        Claim(
-            "One controller is sure for the whole interval of coefficients",
-            "a standard H-infinity controller for the bounds",
-            f"{made['made']} controllers made; the vertices' norm by synthesis, sweep, Hamiltonian and bounded real lemma differ by "
-            f"{apart:.1e}; the slowest Lyapunov function falls by {min(made[key]['decay_per_s'] for key in ('healthy', *seen)):.3f}/s",
-            "holds"
-            if apart < 1e-4 and min(made[key]["decay_per_s"] for key in ("healthy", *seen)) > 0
-            else "not reproduced",
-            f"one quadratic Lyapunov function for all vertices; {made['excluded']} intervals exclude every controller",
-        ),
-    )
+    before, seen, made, varied = (numbers[key] for key in ("rates_before", "flights", "controllers", "varied"))
+    stable = {name: [label for label, one in varied[name].items() if one["stable_after"]] for name in seen}
+    lost = {name: [label for label in varied[name] if label not in stable[name]] for name in seen}
+    norms = [made[key] for key in ("healthy", *seen)]
+    apart = max(abs(one[way] / one["norm"] - 1) for one in norms for way in ("sweep", "bisection", "bounded_real"))
+    decay = min(one["decay_per_s"] for one in norms)
+    flies, crashes = numbers["stable_after_esmf"], not numbers["stable_after_aekf"]
+    verdicts = {
+        "quiet": graded(np.max(before) < QUIET, np.max(seen["aekf"]["rates_before"]) < QUIET),
+        "sets_fly": graded(flies and not lost["aesmf"], flies),
+        "kalman_crashes": graded(crashes and not stable["aekf"], crashes),
+        "one_controller": graded(apart < 1e-4 and decay > 0),
+    }
+    return reproduction.claims(
+        "aesmf", verdicts, seen=seen, made=made, apart=apart, decay=decay, looks=(PILOT - BEGIN) // REDESIGN,
+        before=_rates(before), before_aekf=_rates(seen["aekf"]["rates_before"]),
+        after_esmf=_rates(numbers["rates_after_esmf"]), after_aekf=_rates(numbers["rates_after_aekf"]),
+        fixed=_rates(varied["ekf"]["fixed_q"]["rates_after"]),
+        calm=", ".join(stable["aesmf"]) or "no variation", rough=", ".join(lost["aesmf"]) or "none",
+        wild=", ".join(lost["aekf"]) or "no variation", steady=", ".join(stable["aekf"]) or "no variation",
+    )  # fmt: skip
 
 
 def _rates(values) -> str:
     return ", ".join(f"{v:.3f}" if v < 100 else "lost" for v in values)
 
 
+def edges(axis, x, middle, half, colour: str, label: str) -> None:
+    """Both edges of bounds."""
+    for sign in (-1, 1):
+        axis.plot(x, middle + sign * half, colour, lw=0.8, label=label if sign > 0 else None)
+
+
 def figures(flown: dict) -> dict:
     """Figures 7 to 9 of the paper: tracking in hover, attitude rates, bounds of the coefficients."""
-    Figure = optional.library("matplotlib.figure", "A figure").Figure
-    names = {"aekf": "AEKF", "aesmf": "GD-ESMF"}
+    names = {"aekf": ("AEKF", "C3"), "aesmf": ("GD-ESMF", "C2")}
     steps = {name: one.begin + np.arange(len(one.x)) for name, one in flown.items()}
-    hover = Figure(figsize=(9, 5), layout="constrained")
     one, until = flown["aekf"], FAULT_STEP - flown["aekf"].begin
-    for axis, values, labels, unit in zip(
-        hover.subplots(2, 1, sharex=True),
-        (one.x[:until, :3], one.place[:until]),
-        (("u", "v", "w"), ("north", "east", "down")),
-        ("m/s", "m"),
-        strict=True,
-    ):
+    hover, axes = panels(2, 1, (9, 5), sharex=True)
+    shown = {"m/s": (one.x, ("u", "v", "w")), "m": (one.place, ("north", "east", "down"))}
+    for axis, (unit, (values, labels)) in zip(axes.flat, shown.items(), strict=True):
         for i, label in enumerate(labels):
-            axis.plot(steps["aekf"][:until], values[:, i], lw=0.9, label=label)
+            axis.plot(steps["aekf"][:until], values[:until, i], lw=0.9, label=label)
         axis.set(ylabel=unit)
         axis.legend(fontsize="small")
-        axis.grid(alpha=0.3)
-    hover.axes[1].set_xlabel("step")
-    rates = Figure(figsize=(9, 5), layout="constrained")
-    for axis, (name, label) in zip(rates.subplots(2, 1, sharex=True), names.items(), strict=True):
+    axes[1, 0].set_xlabel("step")
+    rates, axes = panels(2, 1, (9, 5), sharex=True)
+    for axis, (name, (label, _)) in zip(axes.flat, names.items(), strict=True):
         for i, rate in enumerate("pqr"):
             axis.plot(steps[name], np.clip(flown[name].x[:, 3 + i], -3, 3), lw=0.8, label=rate)
         for limit in (-STABLE, STABLE):
             axis.axhline(limit, color="k", lw=0.6, ls=":")
         axis.set(title=f"designed for the bounds of {label}", ylabel="rad/s", ylim=(-1.5, 1.5))
-        axis.grid(alpha=0.3)
-    rates.axes[0].legend(fontsize="small")
-    rates.axes[1].set_xlabel("step")
-    bounds = Figure(figsize=(9, 6), layout="constrained")
-    for axis, (i, title) in zip(
-        bounds.subplots(2, 2, sharex=True).flat,
-        ((1, "tail: gamma"), (3, "roll: gamma"), (5, "tail: delta"), (7, "roll: delta")),
-        strict=True,
-    ):
-        for (name, label), colour in zip(names.items(), ("C3", "C2"), strict=True):
+    axes[0, 0].legend(fontsize="small")
+    axes[1, 0].set_xlabel("step")
+    bounds, axes = panels(2, 2, (9, 6), sharex=True)
+    titles = {1: "tail: gamma", 3: "roll: gamma", 5: "tail: delta", 7: "roll: delta"}
+    for axis, (i, title) in zip(axes.flat, titles.items(), strict=True):
+        for name, (label, colour) in names.items():
             one = flown[name]
-            for sign in (-1, 1):
-                edge = one.middle[:, i] + sign * one.half[:, i]
-                axis.plot(steps[name][::5], edge[::5], colour, lw=0.8, label=label if sign > 0 else None)
+            edges(axis, steps[name][::5], one.middle[::5, i], one.half[::5, i], colour, label)
         truth = flown["aesmf"].theta[:, i]
         axis.plot(steps["aesmf"], 1 - truth if i < 4 else truth, "k--", lw=1.1, label="truth")
         axis.set(title=title, ylim=(-0.6, 1.6) if i < 4 else (-0.6, 0.8))
-        axis.grid(alpha=0.3)
-    bounds.axes[0].legend(fontsize="small")
+    axes[0, 0].legend(fontsize="small")
     return {"aesmf-hover": hover, "aesmf-rates": rates, "aesmf-flight-bounds": bounds}

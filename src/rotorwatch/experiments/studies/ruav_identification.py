@@ -23,8 +23,8 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch.backend import jax as load_jax
-from rotorwatch.experiments.studies import ruav_control, ruav_flight
-from rotorwatch.experiments.studies.reproduction import Claim
+from rotorwatch.experiments.studies import reproduction, ruav_control, ruav_flight
+from rotorwatch.experiments.studies.reproduction import Claim, graded
 from rotorwatch.experiments.studies.ruav_flight import ATTITUDE, DT, MEAN_SHARE, MEASUREMENT, PROCESS, SMOOTH, in_ball
 
 WINDOW, WINDOWS, COHERENT = 1024, 8, 0.6
@@ -224,15 +224,7 @@ def numbers(found: Identified) -> dict:
 
 def claims(numbers: dict) -> tuple[Claim, ...]:
     """The paper's claim about its model."""
-    good = numbers["intervals_hold"] >= 0.9 and numbers["median_error"] < 0.05
-    return (
-        Claim(
-            "The hover model can be identified by the frequency response method",
-            "figure 3: model and flight agree",
-            f"{numbers['held']} of {numbers['of']} parameters within their 95 % interval, the furthest "
-            f"{numbers['largest_in_deviations']:.1f} deviations off; the larger ones' median error {100 * numbers['median_error']:.1f} %; "
-            f"{100 * numbers['coherent']:.0f} % of the responses coherent",
-            "holds" if good else "partly" if numbers["intervals_hold"] >= 0.7 else "not reproduced",
-            "on simulated sweeps in closed loop, against the simulator's own derivatives; the paper's values are lost with its table 1",
-        ),
-    )
+    hold, error = numbers["intervals_hold"], numbers["median_error"]
+    verdict = graded(hold >= 0.9 and error < 0.05, hold >= 0.7)
+    percents = {"median_percent": 100 * error, "coherent_percent": 100 * numbers["coherent"]}
+    return reproduction.claims("aesmf", {"identified": verdict}, **numbers, **percents)

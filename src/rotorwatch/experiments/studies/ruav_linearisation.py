@@ -14,8 +14,8 @@ from __future__ import annotations
 import numpy as np
 
 from rotorwatch.backend import jax as load_jax
-from rotorwatch.experiments.studies import ruav_control, ruav_filters, ruav_flight
-from rotorwatch.experiments.studies.reproduction import Claim
+from rotorwatch.experiments.studies import reproduction, ruav_control, ruav_filters, ruav_flight
+from rotorwatch.experiments.studies.reproduction import Claim, graded
 from rotorwatch.experiments.studies.ruav_flight import ATTITUDE, DT, MEAN_SHARE, MEASUREMENT, PROCESS, SMOOTH, in_ball
 
 STEPS, FAULT_STEP, SETTLE_S, DITHER = 1000, 400, 4.0, 0.1  # as long as figure 5's flight; a tenth of its dither
@@ -100,19 +100,12 @@ def numbers(flights) -> dict:
 
 def claims(numbers: dict) -> tuple[Claim, ...]:
     """The paper's use of it."""
-    told, blind = numbers["with_coefficients"], numbers["without"]
 
     def text(one):
         if one["velocity_after"] > LOST:
             return "lost"
         return ", ".join(f"{v:.3f}" for v in one["rates_after"]) + f" rad/s, {one['velocity_after']:.1f} m/s"
 
-    return (
-        Claim(
-            "Feedback linearisation with the estimated coefficients flies through the coupled faults",
-            "its simulations fly so",
-            f"largest p, q, r and velocity after the fault: {text(told)}; without the coefficients {text(blind)}",
-            "holds" if told["stable"] and not blind["stable"] else "partly" if told["stable"] else "not reproduced",
-            "with an EKF's of fixed Q, which covers them; the inversion needs numbers, not bounds",
-        ),
-    )
+    stable = numbers["with_coefficients"]["stable"]
+    verdict = graded(stable and not numbers["without"]["stable"], stable)
+    return reproduction.claims("aesmf", {"linearised": verdict}, **{name: text(one) for name, one in numbers.items()})
