@@ -18,6 +18,7 @@ from rotorwatch import airframes
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.compiling.run import run
 from rotorwatch.errors import ConfigError
+from rotorwatch.experiments.studies.runge_kutta import rk4
 from rotorwatch.healthy.tune import Table
 from rotorwatch.published import published
 
@@ -123,16 +124,12 @@ def fly(paper: Paper, seed: int, loss: float = 0.0) -> tuple[Table, np.ndarray]:
     def step(x, row):
         theta, wiggle, push, noise = row
         u = paper.hover + wiggle - paper.feedback @ (x - jnp.asarray(plant.x0))
-        h = dt / SUBSTEPS
 
         def rate(x):
             return plant.derivative(x, u, theta) + push
 
         for _ in range(SUBSTEPS):
-            k1 = rate(x)
-            k2 = rate(x + 0.5 * h * k1)
-            k3 = rate(x + 0.5 * h * k2)
-            x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + rate(x + h * k3))
+            x = rk4(rate, x, dt / SUBSTEPS)
         return x, (u, plant.h(x, u, theta) + noise)
 
     start = jnp.asarray(plant.x0, float)

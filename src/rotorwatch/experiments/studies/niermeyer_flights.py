@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rotorwatch.backend import jax as load_jax
+from rotorwatch.experiments.studies.runge_kutta import rk4
 
 G = 9.80665
 DT = 0.005
@@ -96,14 +97,8 @@ def fly(airframe, loss, eight, seed_noise, disturbance):
         spin_up = (wrench[:3] + torque - jnp.cross(omega, J * omega)) / J
         return v, a, 0.5 * product(q, jnp.concatenate([jnp.zeros(1), omega])), spin_up
 
-    def rk4(state, u, lam, torque, dt):
-        move = lambda k, h: jax.tree.map(lambda s, d: s + h * d, state, k)  # noqa: E731
-        k1 = motion(state, u, lam, torque)
-        k2 = motion(move(k1, dt / 2), u, lam, torque)
-        k3 = motion(move(k2, dt / 2), u, lam, torque)
-        k4 = motion(move(k3, dt), u, lam, torque)
-        mean = jax.tree.map(lambda a, b, c, d: (a + 2 * b + 2 * c + d) / 6, k1, k2, k3, k4)
-        p, v, q, omega = move(mean, dt)
+    def moved(state, u, lam, torque, dt):
+        p, v, q, omega = rk4(lambda s: motion(s, u, lam, torque), state, dt)
         return p, v, q / jnp.sqrt(q @ q), omega
 
     def control(state, gyro, integral, t, known):
@@ -131,7 +126,7 @@ def fly(airframe, loss, eight, seed_noise, disturbance):
         t, noise, torque = row
         lam = effectiveness(t - DT / 2, loss)
         for _ in range(2):
-            state = rk4(state, u, lam, torque, DT / 2)
+            state = moved(state, u, lam, torque, DT / 2)
         y_k = jnp.concatenate([state[3], -(B[3] @ (lam * u))[None] / m]) + sd * noise
         told = effectiveness(t - TOLD_S, loss)
         u_next, integral = control(state, y_k[:3], integral, t, told)

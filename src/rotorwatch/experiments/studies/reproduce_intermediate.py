@@ -15,7 +15,7 @@ from rotorwatch import airframes
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
 from rotorwatch.estimators.intermediate import Intermediate
-from rotorwatch.experiments.studies import error_bound, hover_flights, position_hold, reproduction
+from rotorwatch.experiments.studies import error_bound, hover_flights, reproduction
 from rotorwatch.experiments.studies.reproduction import Claim, Reproduction, graded, panels
 from rotorwatch.maths import intermediate_design as design
 from rotorwatch.systems.linear_hover import LinearHover
@@ -267,7 +267,7 @@ def _positions(file: dict) -> tuple[dict, dict]:
     """How far the vehicle is pushed off its place, and counts, for each scenario that differs and each stiffness of the controller."""
     names = [name for name in SCENARIOS if name != "scenario_1"]  # the same flight as scenario 2
     gamma = np.repeat([_steps(SCENARIOS[name][0]) for name in names], len(STIFFNESS), axis=0)
-    place, u = position_hold.hold(hover_flights.craft(file), gamma, np.tile(STIFFNESS, len(names)))
+    place, u = hover_flights.hold(hover_flights.craft(file), gamma, np.tile(STIFFNESS, len(names)))
     place, u = (a.reshape(len(names), len(STIFFNESS), *a.shape[1:]) for a in (place, u))
     out: dict = {"stiffness": STIFFNESS}
     for k, name in enumerate(names):
