@@ -81,7 +81,7 @@ def about(paper: str) -> tuple[str, dict[str, str]]:
     return _words(paper)["title"], _words(paper)["literal"]
 
 
-def claims(paper: str, verdicts: Mapping[str, Verdict], **values: Any) -> tuple[Claim, ...]:
+def claims(paper: str, verdicts: Mapping[str, Any], **values: Any) -> tuple[Claim, ...]:
     """The claims of these keys in the words and the order of papers/PAPER.toml, filled in with `values`."""
     known = _words(paper)["claims"]
     return tuple(

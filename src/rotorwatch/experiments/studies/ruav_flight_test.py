@@ -20,7 +20,7 @@ from rotorwatch.backend import jax as load_jax
 from rotorwatch.experiments.studies import reproduction, ruav_control, ruav_filters, ruav_flight
 from rotorwatch.experiments.studies.reproduction import Claim, graded, panels
 from rotorwatch.experiments.studies.ruav_control import Designs
-from rotorwatch.experiments.studies.ruav_flight import ATTITUDE, DT, MEAN_SHARE, MEASUREMENT, PROCESS, SMOOTH, in_ball
+from rotorwatch.experiments.studies.ruav_flight import DT
 from rotorwatch.maths import h_infinity
 
 BEGIN, FAULT_STEP, PILOT = 20_500, 21_500, 23_000
@@ -94,32 +94,16 @@ def fly(name: str, setting: Setting, designs: Designs, estimator=None) -> Flown:
                 state = _bumpless(state, synthesis.K, found.K)
                 made, synthesis, key = made + 1, found, wanted
         trim = ruav_control.trim_command(system.trim, middle[:4], half[:4], middle[4:])
-    x, attitude, place, command, theta, middles, halves = (
-        np.concatenate([np.asarray(part[i]) for part in parts]) for i in range(7)
-    )
-    return Flown(
-        x,
-        attitude,
-        place,
-        command,
-        theta,
-        middles,
-        halves,
-        made,
-        excluded,
-        synthesis,
-        key,
-        int(state[-1][1]),
-        setting.begin,
-    )
+    tables = (np.concatenate([np.asarray(part[i]) for part in parts]) for i in range(7))
+    return Flown(*tables, *(made, excluded, synthesis, key, int(state[-1][1]), setting.begin))
 
 
 def _bumpless(state, old, new):
     """The state with integrals that ask of the new controller for what the old ones asked of the old one, as far as they can."""
-    xi = np.asarray(state[6])
-    left, wish = new[:, 5:], old[:, 5:] @ xi
-    xi = np.linalg.solve(left.T @ left + 1e-2 * np.eye(3), left.T @ wish + 1e-2 * xi)
-    return (*state[:6], xi, *state[7:])
+    truth, y, xi, *rest = state
+    left, wish = new[:, 5:], old[:, 5:] @ np.asarray(xi)
+    xi = np.linalg.solve(left.T @ left + 1e-2 * np.eye(3), left.T @ wish + 1e-2 * np.asarray(xi))
+    return (truth, y, xi, *rest)
 
 
 def judged(flown: Flown) -> dict:
@@ -149,14 +133,8 @@ def judged(flown: Flown) -> dict:
 def _rows(setting: Setting):
     """Per step: push (6,), measurement error (6,), dither (4,), whether the fault comes now. Drawn from step BEGIN's seed on."""
     steps = setting.end - setting.begin
-    rng = np.random.default_rng(setting.seed)
-    mean = rng.standard_normal(6)
-    mean *= MEAN_SHARE / np.linalg.norm(mean)
-    push = (mean + (1 - MEAN_SHARE) * in_ball(rng, steps, 6)) * PROCESS[:6]
-    phase = rng.uniform(0, 2 * np.pi, 4)
-    time = np.arange(steps)[:, None] * DT
-    dither = setting.dither * DITHER * np.sin(2 * np.pi * ruav_flight.DITHER_HZ * time + phase)
-    return push, in_ball(rng, steps, 6) * MEASUREMENT, dither, np.arange(steps) == FAULT_STEP - setting.begin
+    push, error, wave = ruav_flight.weather(setting.seed, steps)
+    return push, error, setting.dither * DITHER * wave, np.arange(steps) == FAULT_STEP - setting.begin
 
 
 @lru_cache(maxsize=4)
@@ -175,35 +153,27 @@ def _made(estimator):
         knobs = _with(estimator, eta, floor)
 
         def step(state, row):
-            x, attitude, place, theta, w, y, xi, integral, filtered = state
+            truth, y, xi, integral, filtered = state
             push, error, dither, now = row
+            attitude, place = truth.attitude, truth.place
             roll, pitch, turn, climb, integral = ruav_control.position_loop(place, attitude[2], y[:3], y[5], integral)
             off = jnp.stack([attitude[0] - roll, attitude[1] - pitch])
             slow = y[5] - turn
             whole = jnp.concatenate([y[3:5], slow[None], off, xi])
             xi = xi + DT * jnp.concatenate([off, (slow - xi[2] / ruav_control.LEAK_S)[None]])
             U = jnp.clip(trim + jnp.concatenate([(climb / lift)[None], K @ whole]) + dither, 0.0, 1.0)
-            theta = theta + jnp.where(now, fault, 0.0)
-            u, w = jnp.concatenate([U, attitude[:2]]), SMOOTH * w + (1 - SMOOTH) * push
-            new = jnp.clip(x + DT * system.derivative(x, u, theta) + w, -1e3, 1e3)
-            turned = jnp.stack(
-                [x[3] + attitude[1] * x[5], x[4] - attitude[0] * x[5], x[5] + attitude[0] * x[4]]
-            )  # small angles
-            c, s = jnp.cos(attitude[2]), jnp.sin(attitude[2])
-            place = place + DT * jnp.stack([c * x[0] - s * x[1], s * x[0] + c * x[1], x[2]])
-            attitude = attitude + DT * turned
-            y = new + error
+            u, truth = truth.moved(system, U, push, now, fault)
+            y = truth.x + error
             filtered, z, P = ruav_filters.step(knobs, filtered, u, y, restart)
             half = jnp.sqrt(jnp.maximum(jnp.diagonal(P), 0.0))[6:]
             middle = jnp.concatenate([1.0 - z[6:10], z[10:]])
-            state = new, attitude, place, theta, w, y, xi, integral, filtered
-            return state, (new, attitude, place, U, theta, middle, half)
+            seen = (truth.x, truth.attitude, truth.place, U, truth.theta, middle, half)
+            return (truth, y, xi, integral, filtered), seen
 
         return jax.lax.scan(step, state, rows)
 
     zero = jnp.zeros
-    level = jnp.asarray([*ATTITUDE, 0.0])
-    state = (zero(6), level, zero(3), zero(8), zero(6), zero(6), zero(3), zero(3), ruav_filters.start(estimator))
+    state = (ruav_flight.Truth.hover(), zero(6), zero(3), zero(3), ruav_filters.start(estimator))
     return jax.jit(chunk), state, lift
 
 
@@ -254,17 +224,16 @@ def flight_test(progress=None) -> tuple[dict, dict]:
             progress(k / len(jobs))
         one = judged(fly(name, Setting(**VARIED[name][label]), designs))
         varied[name][label] = {key: one[key] for key in ("rates_before", "rates_after", "stable_after", "inside_after")}
-    healthy = designs.of(designs.key(1.0 - ruav_filters.START_REACH[1:4], np.ones(3)))
+    key = designs.key(1.0 - ruav_filters.START_REACH[1:4], np.ones(3))
+    short = {"aesmf": "esmf", "aekf": "aekf"}
+    after = [f"{what}_after" for what in ("rates", "stable")]
     numbers: dict[str, Any] = {
         "rates_before": np.maximum(seen["aesmf"]["rates_before"], seen["aekf"]["rates_before"]),
-        **{f"rates_after_{short}": seen[name]["rates_after"] for name, short in (("aesmf", "esmf"), ("aekf", "aekf"))},
-        **{
-            f"stable_after_{short}": seen[name]["stable_after"] for name, short in (("aesmf", "esmf"), ("aekf", "aekf"))
-        },
+        **{f"{what}_{label}": seen[name][what] for what in after for name, label in short.items()},
         "flights": seen,
         "varied": varied,
         "controllers": {
-            "healthy": _norms(designs, designs.key(1.0 - ruav_filters.START_REACH[1:4], np.ones(3)), healthy),
+            "healthy": _norms(designs, key, designs.of(key)),
             **{name: _norms(designs, one.key, one.synthesis) for name, one in flown.items()},
             "made": sum(one is not None for one in designs.made.values()),
             "excluded": sum(one is None for one in designs.made.values()),
