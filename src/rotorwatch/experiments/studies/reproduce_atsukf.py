@@ -89,10 +89,7 @@ def reproduce(seeds: int = SEEDS, literal: tuple[str, ...] = (), progress=None) 
     few = min(seeds, LOUD_SEEDS)
     cases = {(f"scenario_{s}", q): lanes(s, q) for s in (1, 2) for q in WALKS}
     loud = {("loud", q): lanes(1, q, variance=LOUD, count=few) for q in WALKS}
-    gated = {
-        ("gated", "q2"): lanes(1, "q2", GATE),
-        ("loud_gated", "q2"): lanes(1, "q2", GATE, LOUD, few),
-    }
+    gated = {("gated", "q2"): lanes(1, "q2", GATE), ("loud_gated", "q2"): lanes(1, "q2", GATE, LOUD, few)}
     found = _split(False, system, cases | loud)
     tell(0.45)
     found |= _split(True, system, cases | loud | gated)
@@ -228,10 +225,7 @@ def against_augmented(system: RigidBody, u, pose) -> dict:
             found.append(run(estimator, u, y, select=_theta)[1])
             seconds.append(time.perf_counter() - start)
         microseconds[method.name] = 1e6 * min(seconds) / len(u)
-    return {
-        "tsukf_vs_augmented_quad": float(np.abs(found[0] - found[-1]).max()),
-        "microseconds_per_step": microseconds,
-    }
+    return {"tsukf_vs_augmented_quad": float(np.abs(found[0] - found[-1]).max()), "microseconds_per_step": microseconds}
 
 
 def as_printed(system: RigidBody, u, pose, truth, reading: str) -> dict:

@@ -120,13 +120,7 @@ def histories(system, literal, lanes) -> History:
 
     def one(u, y, forgetting, theta_var, s_max):
         method = AsPrinted(
-            system,
-            DT,
-            literal,
-            gain=observer_gain.printed(),
-            forgetting=forgetting,
-            theta_var=theta_var,
-            s_max=s_max,
+            system, DT, literal, gain=observer_gain.printed(), forgetting=forgetting, theta_var=theta_var, s_max=s_max
         )
 
         def step(carry, row):
