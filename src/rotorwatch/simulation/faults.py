@@ -11,6 +11,7 @@ A fault is active from its onset to its end, wholly or in periods (`period`, `du
 
 from __future__ import annotations
 
+import functools
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -49,23 +50,9 @@ class Faults(NamedTuple):
 def none(rotors: int) -> Faults:
     """No fault: every row starts never."""
     zero = np.zeros(MOST)
-    later = np.full(MOST, NEVER)
-    return Faults(
-        np.zeros((MOST, rotors)),
-        later,
-        later,
-        zero,
-        later,
-        zero + 1.0,
-        zero,
-        zero,
-        zero,
-        zero + HELD,
-        zero,
-        zero,
-        zero,
-        zero,
-    )
+    never = dict.fromkeys(("onset", "end", "period"), zero + NEVER)
+    rest = never | {"rotor": np.zeros((MOST, rotors)), "duty": zero + 1.0, "level": zero + HELD}
+    return Faults(**{name: rest.get(name, zero) for name in Faults._fields})
 
 
 def strength(faults: Faults, t):
@@ -77,12 +64,14 @@ def strength(faults: Faults, t):
     return jnp.where(there, jnp.where(faults.ramp > 0.0, grown, 1.0), 0.0)
 
 
+def _each(faults: Faults, amount) -> list:
+    """(n,) of each fault: its amount at the rotor that has it."""
+    return [faults.rotor[k] * amount[k] for k in range(MOST)]
+
+
 def left(faults: Faults, s):
     """(n,) what losses leave of each rotor: two of one rotor multiply. s (F,): `strength`."""
-    some = 1.0 - faults.rotor[0] * (faults.loss * s)[0]
-    for k in range(1, MOST):
-        some = some * (1.0 - faults.rotor[k] * (faults.loss * s)[k])
-    return some
+    return functools.reduce(lambda a, b: a * b, (1.0 - there for there in _each(faults, faults.loss * s)))
 
 
 def loss(faults: Faults, s):
@@ -92,19 +81,12 @@ def loss(faults: Faults, s):
 
 def weak(faults: Faults, s):
     """(n,) share of thrust that weak motors lack because they turn slower than told: of two on one rotor the larger."""
-    jnp = load_jax().numpy
-    most = faults.rotor[0] * (faults.weak * s)[0]
-    for k in range(1, MOST):
-        most = jnp.maximum(most, faults.rotor[k] * (faults.weak * s)[k])
-    return most
+    return functools.reduce(load_jax().numpy.maximum, _each(faults, faults.weak * s))
 
 
 def summed(faults: Faults, amount):
     """(n,) amounts (F,) of the faults, added up at the rotors that have them."""
-    total = faults.rotor[0] * amount[0]
-    for k in range(1, MOST):
-        total = total + faults.rotor[k] * amount[k]
-    return total
+    return functools.reduce(lambda a, b: a + b, _each(faults, amount))
 
 
 def act(faults: Faults, s, command, held):

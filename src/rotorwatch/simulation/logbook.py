@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight, Message, Signal
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.logs import esc_columns
@@ -55,6 +56,7 @@ GROUPS = {
 }
 """Which group's rate a signal of motion is logged at."""
 
+SUFFIXES = {".bin": "ardupilot", ".ulg": "px4"}
 JITTER_S = 0.0005  # a record's stamp is up to this much later than its values
 ARMED_S = 1.0  # arming, after the log's start
 IDLE = 0.1  # ArduPilot's MOT_SPIN_ARM
@@ -213,6 +215,17 @@ def _px4_parameters(scenario: Scenario, craft: Vehicle, plan: Plan) -> dict[str,
             f"CA_ROTOR{k}_CT": 6.5,
         }
     return {k: float(v) for k, v in found.items()}
+
+
+def write(scenario: Scenario, plan: Plan, record: Record, path: Path) -> None:
+    """Write the autopilot's log. Raises ConfigError when it writes another kind of log."""
+    from rotorwatch.simulation.write_dataflash import write_dataflash
+    from rotorwatch.simulation.write_ulog import write_ulog
+
+    if SUFFIXES.get(path.suffix.lower()) != scenario.autopilot:
+        kind = next(k for k, v in SUFFIXES.items() if v == scenario.autopilot)
+        raise ConfigError(f"{path.name}: a log of the autopilot {scenario.autopilot} is a {kind} file.")
+    (write_ulog if scenario.autopilot == "px4" else write_dataflash)(flight(scenario, plan, record), path)
 
 
 def write_truth(scenario: Scenario, plan: Plan, record: Record, stem: Path) -> tuple[Path, Path]:
