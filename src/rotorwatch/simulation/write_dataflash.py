@@ -66,26 +66,22 @@ def _tables(flight: Flight):
         pulses[:, : len(s["motors"].columns)] = s["motors"].values
         yield "RCOU", s["motors"].time, pulses
     if "control" in s and "rates" in s:
-        rates = _at(s["rates"], s["control"].time)
+        rates = nearest(s["rates"], s["control"].time)
         both = np.stack([np.degrees(rates), s["control"].values[:, :3]], axis=2).reshape(len(rates), 6)
         throttle = s["control"].values[:, 3:]
         yield "RATE", s["control"].time, np.concatenate([both, throttle, throttle], axis=1)
     if "gyro" in s and "accel" in s:
-        gyro = s["gyro"]
-        yield (
-            "IMU",
-            gyro.time,
-            np.concatenate([np.zeros((len(gyro), 1)), gyro.values, _at(s["accel"], gyro.time)], axis=1),
-        )
+        time, first = s["gyro"].time, np.zeros((len(s["gyro"]), 1))
+        yield "IMU", time, np.concatenate([first, s["gyro"].values, nearest(s["accel"], time)], axis=1)
     if "attitude" in s:
         angles = _degrees(s["attitude"].values)
         wanted = np.full_like(angles, np.nan)
         if "attitude_wanted" in s:
-            wanted = _degrees(_at(s["attitude_wanted"], s["attitude"].time))
+            wanted = _degrees(nearest(s["attitude_wanted"], s["attitude"].time))
         yield "ATT", s["attitude"].time, np.stack([wanted, angles], axis=2).reshape(len(angles), 6)
     if "velocity" in s and "position" in s:
         v = s["velocity"]
-        yield "XKF1", v.time, np.concatenate([np.zeros((len(v), 1)), v.values, _at(s["position"], v.time)], axis=1)
+        yield "XKF1", v.time, np.concatenate([np.zeros((len(v), 1)), v.values, nearest(s["position"], v.time)], axis=1)
     if "throttle" in s:
         yield "CTUN", s["throttle"].time, s["throttle"].values
     if "battery" in s:
@@ -107,7 +103,7 @@ def _escs(esc: Signal):
         yield "ESC", esc.time, np.column_stack([none + k, rpm, rpm, volts, amps, degrees, charge, none, none])
 
 
-def _at(signal: Signal, time: np.ndarray) -> np.ndarray:
+def nearest(signal: Signal, time: np.ndarray) -> np.ndarray:
     """Values of a signal at other times: the nearest sample's."""
     middle = 0.5 * (signal.time[1:] + signal.time[:-1])
     return signal.values[np.searchsorted(middle, time)]

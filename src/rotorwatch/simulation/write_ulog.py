@@ -8,12 +8,14 @@ from __future__ import annotations
 import os
 import struct
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.logs import esc_columns
+from rotorwatch.simulation.write_dataflash import nearest
 
 MAGIC = b"ULog\x01\x12\x35\x01"
 TOPICS = {
@@ -108,55 +110,48 @@ def _blank(name: str, flight: Flight, time: np.ndarray) -> np.ndarray:
 def _tables(flight: Flight):
     """(topic, records) of every signal there is."""
     s = flight.signals
+
+    def topic(name: str, time: np.ndarray, **fields: Any) -> tuple[str, np.ndarray]:
+        rows = _blank(name, flight, time)
+        for field, values in fields.items():
+            rows[field] = values
+        return name, rows
+
     if "motors" in s:
         n = len(s["motors"].columns)
         if s["motors"].unit != "1" or n > 12:
             raise ConfigError("actuator_motors holds shares of full thrust of up to 12 rotors; this flight has others.")
-        rows = _blank("actuator_motors", flight, s["motors"].time)
-        rows["control"] = np.nan
-        rows["control"][:, :n] = s["motors"].values
-        yield "actuator_motors", rows
+        motors = np.full((len(s["motors"]), 12), np.nan)
+        motors[:, :n] = s["motors"].values
+        yield topic("actuator_motors", s["motors"].time, control=motors)
     if "control" in s:
-        control = s["control"]
-        torque, thrust = (_blank(f"vehicle_{k}_setpoint", flight, control.time) for k in ("torque", "thrust"))
-        torque["xyz"], thrust["xyz"][:, 2] = control.values[:, :3], -control.values[:, 3]
-        yield "vehicle_torque_setpoint", torque
-        yield "vehicle_thrust_setpoint", thrust
+        time, values = s["control"].time, s["control"].values
+        up = np.stack([0.0 * values[:, 3], 0.0 * values[:, 3], -values[:, 3]], axis=1)
+        yield topic("vehicle_torque_setpoint", time, xyz=values[:, :3])
+        yield topic("vehicle_thrust_setpoint", time, xyz=up)
     if "rates" in s:
-        rows = _blank("vehicle_angular_velocity", flight, s["rates"].time)
-        rows["xyz"] = s["rates"].values
-        yield "vehicle_angular_velocity", rows
+        yield topic("vehicle_angular_velocity", s["rates"].time, xyz=s["rates"].values)
     if "gyro" in s and "accel" in s:
-        rows = _blank("sensor_combined", flight, s["gyro"].time)
-        rows["gyro_rad"], rows["accelerometer_m_s2"] = s["gyro"].values, _at(s["accel"], s["gyro"].time)
-        yield "sensor_combined", rows
+        time = s["gyro"].time
+        accel = nearest(s["accel"], time)
+        yield topic("sensor_combined", time, gyro_rad=s["gyro"].values, accelerometer_m_s2=accel)
     if "attitude" in s:
-        rows = _blank("vehicle_attitude", flight, s["attitude"].time)
-        rows["q"] = s["attitude"].values
-        yield "vehicle_attitude", rows
+        yield topic("vehicle_attitude", s["attitude"].time, q=s["attitude"].values)
     if "attitude_wanted" in s:
-        rows = _blank("vehicle_attitude_setpoint", flight, s["attitude_wanted"].time)
-        rows["q_d"] = s["attitude_wanted"].values
-        yield "vehicle_attitude_setpoint", rows
+        yield topic("vehicle_attitude_setpoint", s["attitude_wanted"].time, q_d=s["attitude_wanted"].values)
     if "velocity" in s and "position" in s:
-        rows = _blank("vehicle_local_position", flight, s["velocity"].time)
-        where = np.concatenate([_at(s["position"], s["velocity"].time), s["velocity"].values], axis=1)
-        for k, name in enumerate(("x", "y", "z", "vx", "vy", "vz")):
-            rows[name] = where[:, k]
-        for name in ("xy_valid", "z_valid", "v_xy_valid", "v_z_valid"):
-            rows[name] = 1
-        yield "vehicle_local_position", rows
+        time, valid = s["velocity"].time, dict.fromkeys(("xy_valid", "z_valid", "v_xy_valid", "v_z_valid"), 1)
+        where = zip(("x", "y", "z"), nearest(s["position"], time).T)
+        speed = zip(("vx", "vy", "vz"), s["velocity"].values.T)
+        yield topic("vehicle_local_position", time, **dict(where), **dict(speed), **valid)
     if "battery" in s:
-        rows = _blank("battery_status", flight, s["battery"].time)
-        rows["voltage_v"], rows["current_a"] = s["battery"].values.T
-        yield "battery_status", rows
+        volts, amps = s["battery"].values.T
+        yield topic("battery_status", s["battery"].time, voltage_v=volts, current_a=amps)
     if "esc" in s:
         yield "esc_status", _escs(flight, s["esc"])
     yield "vehicle_status", _status(flight)
     landed = [m for m in flight.messages if m.kind == "landed"]
-    rows = _blank("vehicle_land_detected", flight, np.array([m.time for m in landed]))
-    rows["landed"] = [m.value > 0.5 for m in landed]
-    yield "vehicle_land_detected", rows
+    yield topic("vehicle_land_detected", np.array([m.time for m in landed]), landed=[m.value > 0.5 for m in landed])
 
 
 def _escs(flight: Flight, esc: Signal) -> np.ndarray:
@@ -187,9 +182,3 @@ def _status(flight: Flight) -> np.ndarray:
             mode = int(m.value)
         rows["arming_state"][k], rows["nav_state"][k] = arming, mode
     return rows
-
-
-def _at(signal: Signal, time: np.ndarray) -> np.ndarray:
-    """Values of a signal at other times: the nearest sample's."""
-    middle = 0.5 * (signal.time[1:] + signal.time[:-1])
-    return signal.values[np.searchsorted(middle, time)]
