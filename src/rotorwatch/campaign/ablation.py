@@ -27,7 +27,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import airframes, default, logs, many
+from rotorwatch import airframes, default, logs
 from rotorwatch.campaign import batch, sequences
 from rotorwatch.campaign.constants import TABLE
 from rotorwatch.campaign.plan import Plan
@@ -35,7 +35,7 @@ from rotorwatch.compiling.run import chosen, run_built
 from rotorwatch.default import events, hypotheses, program
 from rotorwatch.diagnosis import Event
 from rotorwatch.errors import ConfigError
-from rotorwatch.experiments import inject
+from rotorwatch.experiments import inject, tools
 from rotorwatch.experiments.studies import false_alarms
 from rotorwatch.motion import outside
 from rotorwatch.motion.airborne import airborne
@@ -311,14 +311,7 @@ def run(
         for cell in range(cells):
             numbers = range(cell, flights // 2, cells)
             parts += [(_flown, (kind, source, numbers[k : k + 4]), asked) for k in range(0, len(numbers), 4)]
-    rows: list[dict[str, Any]] = []
-
-    def told(done: int) -> None:
-        if progress:
-            progress(done / len(parts), "judging")
-
-    for found in many.ordered(_part, parts, jobs, scheduler, told, keep):
-        rows += found
+    rows = tools.gathered(_part, parts, jobs, progress, "judging", scheduler, keep)
     if not rows:
         raise ConfigError("No flight could be judged: give more flights, or healthy logs of more than half a minute.")
     kinds = list(dict.fromkeys(next(iter(row.values()))["kind"] for row in rows))
@@ -355,17 +348,17 @@ def measures(found: Sequence[dict[str, Any]]) -> dict[str, float | None]:
 def differences(before: Sequence[dict[str, Any]], after: Sequence[dict[str, Any]]) -> dict[str, dict[str, float]]:
     """Paired differences of what is counted, after less before, with their standard deviation: right and wrong states, faults found, and
     false announcements (per flight)."""
-    pairs = list(zip(before, after))
-    right = [
-        (a in ("right", "ambiguous"), b in ("right", "ambiguous"))
-        for p, q in pairs
-        for a, b in zip(p["states"], q["states"])
-    ]
-    wrong = [(a == "wrong", b == "wrong") for p, q in pairs for a, b in zip(p["states"], q["states"])]
-    found = [(a is not None, b is not None) for p, q in pairs for a, b in zip(p["delays"], q["delays"])]
-    false = [(p["false"], q["false"]) for p, q in pairs]
-    told = {"right": right, "wrong": wrong, "found": found, "false": false}
-    return {name: _paired(rows) for name, rows in told.items() if rows}
+
+    def pairs(key: str, fits: Callable) -> list[tuple]:
+        return [(fits(a), fits(b)) for p, q in zip(before, after) for a, b in zip(p[key], q[key])]
+
+    counted = {
+        "right": pairs("states", lambda state: state in ("right", "ambiguous")),
+        "wrong": pairs("states", lambda state: state == "wrong"),
+        "found": pairs("delays", lambda delay: delay is not None),
+        "false": [(p["false"], q["false"]) for p, q in zip(before, after)],
+    }
+    return {name: _paired(rows) for name, rows in counted.items() if rows}
 
 
 def _paired(rows: Sequence[tuple]) -> dict[str, float]:
@@ -384,32 +377,27 @@ def markdown(result: Mapping[str, Any]) -> str:
     def percent(v):
         return "-" if v is None else f"{100 * v:.1f} %"
 
-    lines = [
-        "set: " + ", ".join(f"{count} flights {kind}" for kind, count in result["set"].items()),
+    text = (
+        "set: " + ", ".join(f"{count} flights {kind}" for kind, count in result["set"].items()) + "\n"
         f"as it is: {percent(base['right'])} of the states right, {percent(base['wrong'])} wrong and sure, {percent(base['found'])} of "
         f"the faults found, median delay {base['delay_s'] or 0:.2f} s, error {base['rms'] or 0:.3f}, coverage {percent(base['coverage'])}, "
-        f"{base['false_per_h'] or 0:.2f} false announcements an hour",
-        "",
-        "| constant | variant | right | wrong | found | false alarms | delay s | error | coverage |",
-        "|---|---|---|---|---|---|---|---|---|",
-    ]
-    for name, now in result["variants"].items():
-        if name == "as it is":
-            continue
-        d = result["differences"][name]
-        constant, _, variant = name.rpartition(" ")
-
+        f"{base['false_per_h'] or 0:.2f} false announcements an hour\n\n"
+    )
+    rows = []
+    for name, d in result["differences"].items():
+        now, (constant, _, variant) = result["variants"][name], name.rpartition(" ")
         false = d.get("false", {"changed": 0})
         total = 0 if not false["changed"] else round(false["difference"] * sum(result["set"].values()))
-        lines.append(
-            f"| `{constant}` | {variant} | {_points(d, 'right')} | {_points(d, 'wrong')} | {_points(d, 'found')} | {total:+d} | "
-            f"{now['delay_s'] or 0:.2f} | {now['rms'] or 0:.3f} | {100 * (now['coverage'] or 0):.0f} % |"
-        )
-    return "\n".join(lines)
+        rows.append([
+            f"`{constant}`", variant, *(_points(d, key) for key in ("right", "wrong", "found")), f"{total:+d}",
+            f"{now['delay_s'] or 0:.2f}", f"{now['rms'] or 0:.3f}", f"{100 * (now['coverage'] or 0):.0f} %",
+        ])  # fmt: skip
+    heads = ("constant", "variant", "right", "wrong", "found", "false alarms", "delay s", "error", "coverage")
+    return text + tools.table(heads, rows)
 
 
-def _points(told: Mapping[str, Any], key: str) -> str:
-    v = told.get(key)
+def _points(differences: Mapping[str, Any], key: str) -> str:
+    v = differences.get(key)
     if v is None:
         return "-"
     return "0" if not v["changed"] else f"{100 * v['difference']:+.1f} ± {196 * v['sd']:.1f}"

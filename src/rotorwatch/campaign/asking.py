@@ -19,13 +19,13 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import airframes, many
-from rotorwatch.campaign import summary
+from rotorwatch import airframes
 from rotorwatch.control import excitation
 from rotorwatch.default import asked, events, hypotheses, program
 from rotorwatch.diagnose import diagnose
 from rotorwatch.diagnosis import Event
 from rotorwatch.errors import ConfigError
+from rotorwatch.experiments import tools
 from rotorwatch.motion.airborne import airborne
 from rotorwatch.motion.allocation import ambiguous_sets
 from rotorwatch.motion.ticks import READY_S, observe
@@ -228,11 +228,7 @@ def run(
             filled = [*part, *[part[-1]] * (WIDTH - len(part))] if len(mine) > WIDTH else list(part)
             parts.append((frame, filled, len(part), seed, limits))
 
-    def told(done: int) -> None:
-        if progress:
-            progress(done / len(parts), "flying")
-
-    rows = [row for found in many.ordered(_part, parts, jobs, scheduler, told, keep) for row in found]
+    rows = tools.gathered(_part, parts, jobs, progress, "flying", scheduler, keep)
     each = {frame: measures([r for r in rows if r.frame == frame]) for frame in frames}
     return {
         "flights": flights, "seed": seed, "measures": measures(rows), "by_frame": each, "rows": [asdict(r) for r in rows],
@@ -253,9 +249,6 @@ def measures(rows: Sequence[Row]) -> dict[str, Any]:
     open_ = [r for r in faulty if r.before == "ambiguous" and r.asked]
     silent = [r for r in faulty if r.before == "healthy" and r.asked]
 
-    def share(values: list[bool]) -> dict[str, float] | None:
-        return summary.share(np.array(values, bool)) if values else None
-
     def small(r: Row) -> bool:
         return bool(
             r.right and r.length_s and r.length_s <= WITHIN_S + 1e-9 and r.turned_deg is not None and r.turned_deg < 1.0
@@ -267,10 +260,10 @@ def measures(rows: Sequence[Row]) -> dict[str, Any]:
     return {
         "faulty": len(faulty), "healthy": len(healthy), "ambiguous": len(open_), "unnoticed": len(silent),
         "fault_before": sum(r.before == "fault" for r in faulty),
-        "resolved": share([r.right for r in open_]), "within": share([small(r) for r in open_]),
-        "wrong": share([r.wrong for r in open_]), "noticed": share([r.after != "healthy" for r in silent]),
-        "noticed_wrong": share([r.wrong for r in silent]),
-        "false": share([r.after != r.before or r.wrong for r in healthy]),
+        "resolved": tools.share([r.right for r in open_]), "within": tools.share([small(r) for r in open_]),
+        "wrong": tools.share([r.wrong for r in open_]), "noticed": tools.share([r.after != "healthy" for r in silent]),
+        "noticed_wrong": tools.share([r.wrong for r in silent]),
+        "false": tools.share([r.after != r.before or r.wrong for r in healthy]),
         "length_s": spread([r.length_s for r in open_ if r.length_s]),
         "turned_deg": spread([r.turned_deg for r in rows if r.turned_deg is not None and r.before != "fault"]),
     }  # fmt: skip
@@ -279,11 +272,7 @@ def measures(rows: Sequence[Row]) -> dict[str, Any]:
 def markdown(result: dict[str, Any]) -> str:
     """The measures, all flights and frame by frame."""
 
-    def cell(value: dict[str, float] | None) -> str:
-        if value is None:
-            return "-"
-        low, middle, high = (100.0 * value[k] for k in ("low", "value", "high"))
-        return f"{middle:.0f} % ({low:.0f} to {high:.0f})"
+    cell = tools.interval
 
     def pair(value: dict[str, float] | None, digits: int) -> str:
         return "-" if value is None else f"{value['median']:.{digits}f}, {value['largest']:.{digits}f}"
@@ -302,6 +291,4 @@ def markdown(result: dict[str, Any]) -> str:
         "turn by it, degrees: median, largest": lambda m: pair(m["turned_deg"], 2),
     }
     columns = {"all": result["measures"], **result["by_frame"]}
-    text = [f"| {result['flights']} flights | {' | '.join(columns)} |", "|---" * (1 + len(columns)) + "|"]
-    text += [f"| {name} | {' | '.join(line(m) for m in columns.values())} |" for name, line in lines.items()]
-    return "\n".join(text) + "\n"
+    return tools.side_by_side(f"{result['flights']} flights", columns, lines)

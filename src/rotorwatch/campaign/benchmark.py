@@ -20,7 +20,7 @@ import numpy as np
 
 from rotorwatch import __version__, airframes, detectors, discovery, files, plugins
 from rotorwatch.backend import jax as load_jax
-from rotorwatch.campaign import batch, public_data, results_file, store, summary, work
+from rotorwatch.campaign import batch, public_data, results_file, summary, work
 from rotorwatch.campaign.benchmark_plan import Benchmark, digest, read, shipped
 from rotorwatch.campaign.plan import Plan
 from rotorwatch.campaign.score import COLUMNS
@@ -241,7 +241,7 @@ def cost(method: Method, scenes: Sequence[compare_flights.Scene]) -> dict[str, f
     """Microseconds of one step of a quad in a compiled loop, the median of REPEATS; None for detectors, which have no step."""
     if method.kind == "detector":
         return None
-    return summary.boot(np.array(compare.timings(method.label, scenes, REPEATS)), np.median)
+    return summary.boot(compare.timings(method.label, scenes, REPEATS), np.median)
 
 
 def _entry(method: Method, scored: dict[str, Any] | None, failed: str | None) -> dict[str, Any]:
@@ -284,8 +284,3 @@ def machine() -> str:
     """One line on what the cost was measured on."""
     system = f"{platform.system()} {platform.machine()}, {os.cpu_count()} processors"
     return f"{system}, Python {platform.python_version()}, JAX {load_jax().__version__}, {batch.where()}"
-
-
-def check_installed() -> None:
-    """Raise ConfigError where what keeps the parts is not installed."""
-    store.parquet()

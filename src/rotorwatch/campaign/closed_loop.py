@@ -21,7 +21,7 @@ import numpy as np
 
 from rotorwatch import discovery
 from rotorwatch.backend import jax as load_jax
-from rotorwatch.campaign import batch, methods, summary, work
+from rotorwatch.campaign import batch, methods, work
 from rotorwatch.campaign import plan as plans
 from rotorwatch.campaign.plan import Plan
 from rotorwatch.campaign.score import read_columns
@@ -31,6 +31,7 @@ from rotorwatch.control.airframe import Airframe
 from rotorwatch.control.allocation import DRIVEN_BY, rows
 from rotorwatch.default import program
 from rotorwatch.errors import ConfigError
+from rotorwatch.experiments import tools
 from rotorwatch.motion.ticks import LEARN
 from rotorwatch.simulation import logbook, loop, prepare, reconfigured, trajectories
 from rotorwatch.simulation.rigid import G0
@@ -192,10 +193,10 @@ def measures(
     ]
 
     def survived(some: Sequence[dict]) -> dict[str, float] | None:
-        return summary.share(np.array([r["survived"] for r in some], bool))
+        return tools.share([r["survived"] for r in some])
 
     def median(key: str) -> dict[str, float] | None:
-        return summary.boot(np.array([r[key] for r in faulty if r[key] is not None], float), np.median)
+        return tools.boot([r[key] for r in faulty if r[key] is not None], np.median)
 
     hours, frames = sum(r["healthy_s"] for r in rows) / 3600.0, sorted({r["frame"] for r in rows})
     return {
@@ -203,8 +204,8 @@ def measures(
         "of_able": survived([r for r in possible if r["able"]]), "able": sum(r["able"] for r in rows),
         "lost_healthy": sum(not r["survived"] for r in healthy), "healthy_h": hours,
         "lost_false": len(harmed), "lost_false_able": sum(r["able"] for r in harmed),
-        "false_h": summary.rate(sum(r["false"] for r in rows), hours),
-        "right": summary.share(np.array([r["right"] for r in faulty if r["beliefs"]], bool)),
+        "false_h": tools.rate(sum(r["false"] for r in rows), hours),
+        "right": tools.share([r["right"] for r in faulty if r["beliefs"]]),
         **{key: median(key) for key in ("first_s", "recovered_s", "tilt_deg", "off_m")},
         "by_frame": {f: survived([r for r in faulty if r["frame"] == f]) for f in frames},
         "possible_by_frame": {f: survived([r for r in possible if r["frame"] == f]) for f in frames},
@@ -213,37 +214,25 @@ def measures(
 
 def markdown(result: dict[str, Any]) -> str:
     """The drivers side by side, and survival by frame."""
-
-    def cell(value: Any, how: str) -> str:
-        if value is None:
-            return "-"
-        times = 100.0 if how == "%" else 1.0
-        low, middle, high = (times * value[k] for k in ("low", "value", "high"))
-        digits = 0 if how == "%" else 2
-        return f"{middle:.{digits}f}{' %' if how == '%' else ''} ({low:.{digits}f} to {high:.{digits}f})"
-
-    found = result["drivers"]
+    cell, found = tools.interval, result["drivers"]
     lines = {
         "faulty, healthy flights": lambda m: f"{m['faulty']}, {m['healthy']}",
-        "survived": lambda m: cell(m["survived"], "%"),
-        "... of those that the truth saves": lambda m: cell(m["of_possible"], "%"),
-        "... and whose vehicle, healthy, keeps to its track": lambda m: cell(m["of_able"], "%"),
+        "survived": lambda m: cell(m["survived"]),
+        "... of those that the truth saves": lambda m: cell(m["of_possible"]),
+        "... and whose vehicle, healthy, keeps to its track": lambda m: cell(m["of_able"]),
         "healthy flights lost": lambda m: str(m["lost_healthy"]),
         "healthy hours": lambda m: f"{m['healthy_h']:.1f}",
-        "acted falsely, flights an hour": lambda m: cell(m["false_h"], ""),
+        "acted falsely, flights an hour": lambda m: cell(m["false_h"], 2),
         "lost by that, of able vehicles": lambda m: f"{m['lost_false']}, {m['lost_false_able']}",
-        "first acted on the broken rotors": lambda m: cell(m["right"], "%"),
-        "first acted after, s": lambda m: cell(m["first_s"], ""),
-        "on track again after, s": lambda m: cell(m["recovered_s"], ""),
-        "largest tilt, degrees": lambda m: cell(m["tilt_deg"], ""),
-        "largest distance from the track, m": lambda m: cell(m["off_m"], ""),
+        "first acted on the broken rotors": lambda m: cell(m["right"]),
+        "first acted after, s": lambda m: cell(m["first_s"], 2),
+        "on track again after, s": lambda m: cell(m["recovered_s"], 2),
+        "largest tilt, degrees": lambda m: cell(m["tilt_deg"], 2),
+        "largest distance from the track, m": lambda m: cell(m["off_m"], 2),
     }
-    frames = sorted({f for m in found.values() for f in m["by_frame"]})
-    text = [f"| {result['plan']}, {result['flights']} flights | {' | '.join(found)} |", "|---" * (1 + len(found)) + "|"]
-    text += [f"| {name} | {' | '.join(line(m) for m in found.values())} |" for name, line in lines.items()]
-    for f in frames:
-        text.append(f"| survived, {f} | {' | '.join(cell(m['by_frame'].get(f), '%') for m in found.values())} |")
-    return "\n".join(text) + "\n"
+    for f in sorted({f for m in found.values() for f in m["by_frame"]}):
+        lines[f"survived, {f}"] = lambda m, f=f: cell(m["by_frame"].get(f))
+    return tools.side_by_side(f"{result['plan']}, {result['flights']} flights", found, lines)
 
 
 def _flown(craft, first: Scenario, plans: list, made: list, size: int) -> list[Any]:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from rotorwatch import __version__
-from rotorwatch.campaign.summary import DRAWN, cell
+from rotorwatch.campaign.summary import DRAWN, cell, lines_of
 from rotorwatch.report.colours import PALETTE as COLOURS
 
 STYLE = """body{font:15px/1.5 system-ui,sans-serif;max-width:84rem;margin:2rem auto;padding:0 1rem;color:#222;background:#fff}
@@ -70,14 +70,12 @@ def write(summary: dict[str, Any], path: str | os.PathLike) -> None:
 
 
 def _table(name: str, found: dict) -> str:
-    rows = [("all", found["overall"])]
-    rows += [(f"{kind}: {label}", m) for kind, groups in found["groups"].items() for label, m in groups.items()]
     head = "".join(f"<th>{escape(text)}</th>" for text in ("", *COLUMNS.values()))
     body = "".join(
         f"<tr><td>{escape(label)}</td>"
         + "".join(f"<td>{escape(str(m[k]) if k == 'flights' else cell(k, m[k]))}</td>" for k in COLUMNS)
         + "</tr>"
-        for label, m in rows
+        for label, m in lines_of(found)
     )
     return f"<h2>{escape(name)}</h2><table><tr>{head}</tr>{body}</table>"
 

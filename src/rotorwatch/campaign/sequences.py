@@ -20,12 +20,12 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from rotorwatch import many
-from rotorwatch.campaign import batch, summary
+from rotorwatch.campaign import batch
 from rotorwatch.campaign.plan import Cell, drawn
 from rotorwatch.default import events, hypotheses
 from rotorwatch.diagnosis import Event
 from rotorwatch.errors import ConfigError
+from rotorwatch.experiments import tools
 from rotorwatch.motion import outside
 from rotorwatch.motion.ticks import JUDGE, Ticks
 from rotorwatch.simulation import scenario
@@ -157,14 +157,8 @@ def states(f: Truth, found: Sequence[Event]) -> list[State]:
     """All states of a flight, up to its crash."""
     time, judged = f.ticks.time, f.ticks.mode == JUDGE
     weak = f.theta > WEAK
-    edges = [
-        0,
-        *(
-            np.flatnonzero((weak[1:] != weak[:-1]).any(axis=1) | (np.abs(np.diff(f.theta, axis=0)) > 0.02).any(axis=1))
-            + 1
-        ),
-        len(time),
-    ]
+    steps = (weak[1:] != weak[:-1]) | (np.abs(np.diff(f.theta, axis=0)) > 0.02)
+    edges = [0, *(np.flatnonzero(steps.any(axis=1)) + 1), len(time)]
     answers = []
     for a, b in itertools.pairwise(edges):
         here = np.flatnonzero(judged[a:b] & ~f.ticks.upset[a:b]) + a
@@ -201,14 +195,7 @@ def run(
         for cell in range(cells)
         for start in range(cell, flights, cells * WIDTH)
     ]
-    rows: list[dict[str, Any]] = []
-
-    def told(done: int) -> None:
-        if progress:
-            progress(done / len(parts), "flying")
-
-    for found in many.ordered(_part, parts, jobs, scheduler, told, keep):
-        rows += found
+    rows = tools.gathered(_part, parts, jobs, progress, "flying", scheduler, keep)
     rows.sort(key=lambda row: (row["flight"], row["at"]))
     return {"flights": flights, "seed": seed, "table": table(rows), "states": rows}
 
@@ -259,6 +246,6 @@ def table(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     groups += [("frame", f, [r for r in rows if r["frame"] == f]) for f in FRAMES]
     for by, name, mine in groups:
         if mine:
-            shares = {o: summary.share(np.array([r["outcome"] == o for r in mine])) for o in OUTCOMES}
+            shares = {o: tools.share([r["outcome"] == o for r in mine]) for o in OUTCOMES}
             lines.append({"by": by, "name": name, "states": len(mine), **shares})
     return lines

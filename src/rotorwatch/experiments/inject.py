@@ -20,10 +20,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rotorwatch import airframes, logs, many
+from rotorwatch import airframes, logs
 from rotorwatch.default import events, hypotheses, program
 from rotorwatch.diagnosis import Event
 from rotorwatch.errors import ConfigError
+from rotorwatch.experiments import tools
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.motion import allocation
@@ -206,11 +207,8 @@ def campaign(
     tell = progress or (lambda share, text="": None)
     rng = np.random.default_rng(seed)
     sources = [path if isinstance(path, Flight) else str(path) for path in paths]
-    surveys = list(
-        many.ordered(
-            _survey, sources, jobs, scheduler, lambda n: tell(0.05 * n / len(sources), "healthy flights"), keep
-        )
-    )
+    shared = {"scheduler": scheduler, "keep": keep}
+    surveys = tools.gathered(_survey, sources, jobs, lambda s, text: tell(0.05 * s, text), "healthy flights", **shared)
     # Onsets are drawn here, in the order of the flights: who works on what, and how many do, changes nothing.
     parts: list[tuple] = []
     for source, survey in zip(sources, surveys, strict=True):
@@ -219,13 +217,7 @@ def campaign(
         ]
         drawn = [(rotor, loss, draw(survey.room, rng)) for rotor, loss in plan]
         parts += [(source, drawn[k : k + PART]) for k in range(0, len(drawn), PART)]
-    trials = [
-        trial
-        for found in many.ordered(
-            _trials, parts, jobs, scheduler, lambda n: tell(0.05 + 0.95 * n / len(parts), "injecting"), keep
-        )
-        for trial in found
-    ]
+    trials = tools.gathered(_trials, parts, jobs, lambda s, text: tell(0.05 + 0.95 * s, text), "injecting", **shared)
     if not trials:
         raise ConfigError("No flight is long enough: losses need 23 s in the air without a baseline.")
     healthy = {
@@ -248,12 +240,12 @@ class _Survey(NamedTuple):
     alarms: int
 
 
-def _survey(source: Flight | str) -> _Survey:
+def _survey(source: Flight | str) -> list[_Survey]:
     flight, vehicle, air = _flown(source)
     found, judged_s = _judge(flight, vehicle, air)
     ready_s = READY_KNOWN_S if vehicle.identified else READY_S
     room = [(start + ready_s + AFTER_READY_S, end - BEFORE_END_S) for start, end in air]
-    return _Survey(len(vehicle.rotors), [(a, b) for a, b in room if b > a], judged_s, len(found))
+    return [_Survey(len(vehicle.rotors), [(a, b) for a, b in room if b > a], judged_s, len(found))]
 
 
 def _trials(part: tuple[Flight | str, list[tuple[int, float, float]]]) -> list[dict]:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import itertools
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from rotorwatch.default.program import estimate
 from rotorwatch.diagnose import READY_S
 from rotorwatch.diagnosis import Event
 from rotorwatch.esc import telemetry
+from rotorwatch.experiments import tools
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.healthy import baselines
@@ -107,11 +109,11 @@ def rows(repeats: int, cases: Sequence[tuple[str | None, float]] = CASES) -> lis
 
 def markdown(table: Sequence[dict]) -> str:
     """The table as in docs/esc.md."""
-    lines = ["| " + " | ".join(table[0]) + " |", "|---" * len(table[0]) + "|"]
-    for row in table:
-        cells = ["–" if v is None else f"{v:.3g}" if isinstance(v, float) else str(v) for v in row.values()]
-        lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+
+    def cell(v: Any) -> str:
+        return "–" if v is None else f"{v:.3g}" if isinstance(v, float) else str(v)
+
+    return tools.table(tuple(table[0]), (map(cell, row.values()) for row in table))
 
 
 def main() -> None:

@@ -30,6 +30,7 @@ from rotorwatch import airframes, logs, many
 from rotorwatch.compiling.run import CHUNK, chosen, run_built
 from rotorwatch.default import events, hypotheses, program
 from rotorwatch.errors import ConfigError
+from rotorwatch.experiments import tools
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.motion import allocation, ticks
@@ -399,12 +400,9 @@ def _hours(table: Ticks) -> float:
 
 def _rate(count: int, hours: float) -> dict:
     """Events per hour and the exact 95 % interval of a Poisson rate (Garwood, Biometrika 28, 1936)."""
-    from scipy.stats import chi2
-
-    low = chi2.ppf(0.025, 2 * count) / 2.0 if count else 0.0
-    high = chi2.ppf(0.975, 2 * count + 2) / 2.0
-    hours = max(hours, 1e-12)
-    return {"rate": count / hours, "low": float(low / hours), "high": float(high / hours)}
+    found = tools.rate(count, max(hours, 1e-12))
+    assert found is not None
+    return {"rate": found["value"], "low": found["low"], "high": found["high"]}
 
 
 def _line(name: str, what: str, e) -> dict:

@@ -18,6 +18,7 @@ from rotorwatch import airframes
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.compiling.run import run
 from rotorwatch.errors import ConfigError
+from rotorwatch.experiments import tools
 from rotorwatch.experiments.studies.runge_kutta import rk4
 from rotorwatch.healthy.tune import Table
 from rotorwatch.published import published
@@ -183,13 +184,7 @@ def _theta(out):
 
 def markdown(rows: Sequence[dict]) -> str:
     """The rows as a Markdown table."""
-    lines = [
-        "| paper | plant | log-likelihood by hand | tuned | loss RMSE by hand | tuned |",
-        "|---|---|---|---|---|---|",
-    ]
-    for r in rows:
-        lines.append(
-            f"| {r['paper']} | `{r['plant']}` | {r['hand_log_likelihood']:.2f} | {r['tuned_log_likelihood']:.2f} | "
-            f"{r['hand_rmse']:.4f} | {r['tuned_rmse']:.4f} |"
-        )
-    return "\n".join(lines) + "\n"
+    heads = ("paper", "plant", "log-likelihood by hand", "tuned", "loss RMSE by hand", "tuned")
+    kinds = {"log_likelihood": 2, "rmse": 4}
+    cells = ([f"{r[f'{how}_{what}']:.{k}f}" for what, k in kinds.items() for how in ("hand", "tuned")] for r in rows)
+    return tools.table(heads, ([r["paper"], f"`{r['plant']}`", *c] for r, c in zip(rows, cells))) + "\n"

@@ -95,7 +95,7 @@ def fly(name: str, setting: Setting, designs: Designs, estimator=None) -> Flown:
                 made, synthesis, key = made + 1, found, wanted
         trim = ruav_control.trim_command(system.trim, middle[:4], half[:4], middle[4:])
     tables = (np.concatenate([np.asarray(part[i]) for part in parts]) for i in range(7))
-    return Flown(*tables, *(made, excluded, synthesis, key, int(state[-1][1]), setting.begin))
+    return Flown._make([*tables, made, excluded, synthesis, key, int(state[-1][1]), setting.begin])
 
 
 def _bumpless(state, old, new):
