@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import functools
 import inspect
+from collections import namedtuple
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -80,13 +81,8 @@ def method(name: Any, system, dt: float, tuning: Tuning | None = None):
     return kind(system, dt, **tuning.keywords)
 
 
-class Output(NamedTuple):
+class Output(namedtuple("Output", "estimate decision level scatter")):
     """One step: the method's estimate, the threshold's decision, and the level and scatter (4,) it is held against."""
-
-    estimate: Any
-    decision: Any
-    level: Any
-    scatter: Any
 
 
 class Watched:
@@ -109,21 +105,12 @@ class Watched:
         return (first, tuple(c for c, _ in found)), outputs
 
 
-class Seen(NamedTuple):
+class Seen(
+    namedtuple(
+        "Seen", "theta theta_var innovation innovation_var status log_odds statistic alarm onset best level scatter"
+    )
+):
     """What is kept of a step: theta and its variances (n,), innovation and variances (n_y,), and the decision."""
-
-    theta: Any
-    theta_var: Any
-    innovation: Any
-    innovation_var: Any
-    status: Any
-    log_odds: Any
-    statistic: Any
-    alarm: Any
-    onset: Any
-    best: Any
-    level: Any
-    scatter: Any
 
 
 def seen(outputs: Sequence[Output]) -> tuple[Seen, ...]:

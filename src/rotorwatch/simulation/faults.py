@@ -12,13 +12,12 @@ A fault is active from its onset to its end, wholly or in periods (`period`, `du
 from __future__ import annotations
 
 import functools
-from typing import Any, NamedTuple
+from collections import namedtuple
 
 import numpy as np
 
 from rotorwatch.backend import jax as load_jax
 
-Array = Any
 MOST = 2  # at once
 KINDS = ("loss", "complete loss", "stuck", "bias", "float", "saturated", "chipped", "weak motor", "bearing")
 SPIN_DOWN = 5.0  # a rotor that only the air brakes takes this many times its lag
@@ -26,25 +25,12 @@ HELD = -1.0  # level of a stuck command: what it was at onset
 NEVER = 1e9
 
 
-class Faults(NamedTuple):
+class Faults(
+    namedtuple("Faults", "rotor onset end ramp period duty loss bias frozen level undriven shake weak friction")
+):
     """MOST faults in rows. rotor (F, n): 1 at the rotor, else 0. onset, end, ramp, period [s], duty: part of a period that
     the fault is there; loss, bias: strengths; frozen 0 or 1 with level; undriven 0 or 1; shake [m/s^2 at full speed];
     weak: thrust lost by turning slower; friction: share of full torque."""
-
-    rotor: Array
-    onset: Array
-    end: Array
-    ramp: Array
-    period: Array
-    duty: Array
-    loss: Array
-    bias: Array
-    frozen: Array
-    level: Array
-    undriven: Array
-    shake: Array
-    weak: Array
-    friction: Array
 
 
 def none(rotors: int) -> Faults:

@@ -20,7 +20,8 @@ With losses believed, G is G diag(e): `reconfigured`.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from collections import namedtuple
+from typing import Any
 
 import numpy as np
 
@@ -29,27 +30,14 @@ from rotorwatch.backend import jax as load_jax
 Array = Any
 
 
-class Inversion(NamedTuple):
+class Inversion(namedtuple("Inversion", "used turns steer bandwidth lead lag")):
     """What it knows of the vehicle. used: 0 or 1; turns (3, n): angular acceleration [rad/s^2] by each rotor's full thrust; steer (3, 3):
     control in mixer units that gives an angular acceleration; bandwidth (3,) [1/s] of the rates; lead [s]: see above; lag [s]."""
 
-    used: Array
-    turns: Array
-    steer: Array
-    bandwidth: Array
-    lead: Array
-    lag: Array
 
-
-class Memory(NamedTuple):
+class Memory(namedtuple("Memory", "demand fast slow first second")):
     """demand (n,): the last thrust shares asked for; fast, slow (3,): measured rates after one lag and after both; first, second (3,):
     acceleration by the rotors, the same."""
-
-    demand: Array
-    fast: Array
-    slow: Array
-    first: Array
-    second: Array
 
 
 def tune(used: bool, mixer, B_tau, J, thrust_max, bandwidth, lead: float, lag: float) -> Inversion:

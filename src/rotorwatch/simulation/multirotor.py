@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import namedtuple
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,14 +20,8 @@ BELIEF_HZ = 0.5  # the autopilot's filter of the battery's voltage
 CRASH_COS = 0.5  # lying on the ground further tilted than this, the autopilot gives up
 
 
-class Battery(NamedTuple):
+class Battery(namedtuple("Battery", "full empty charge resistance current")):
     """full, empty: voltages at rest [V]; charge [A s]; resistance [ohm]; current [A] at full thrust of all rotors."""
-
-    full: Array
-    empty: Array
-    charge: Array
-    resistance: Array
-    current: Array
 
 
 class Plan(NamedTuple):
@@ -67,7 +62,13 @@ class Supply(NamedTuple):
     lift_max: Array
 
 
-class Record(NamedTuple):
+class Record(
+    namedtuple(
+        "Record",
+        "time p v q omega rates accel demand command control rates_asked q_asked w phase shake theta volts amps "
+        "drawn believed lift_max wind flies",
+    )
+):
     """What there is to know after each tick; n rotors. Logs hold some of it, with noise; the truth file the rest.
 
     time [s]; p [m], v [m/s] (3,) NED, q (4,) body to world, omega (3,) [rad/s]; rates (3,): filtered gyro [rad/s]; accel (3,): filtered
@@ -76,30 +77,6 @@ class Record(NamedTuple):
     losses of thrust, by whatever; volts, amps of the battery; drawn (n,) [A] by each ESC; believed, lift_max; wind (3,) NED [m/s]; flies: 0
     after a crash.
     """
-
-    time: Array
-    p: Array
-    v: Array
-    q: Array
-    omega: Array
-    rates: Array
-    accel: Array
-    demand: Array
-    command: Array
-    control: Array
-    rates_asked: Array
-    q_asked: Array
-    w: Array
-    phase: Array
-    shake: Array
-    theta: Array
-    volts: Array
-    amps: Array
-    drawn: Array
-    believed: Array
-    lift_max: Array
-    wind: Array
-    flies: Array
 
 
 class Multirotor:

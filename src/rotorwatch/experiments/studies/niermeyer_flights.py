@@ -9,7 +9,7 @@ Source: Niermeyer, Pak and Lohmann 2017, sections 2.1 and 2.2, for airframe, pat
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from collections import namedtuple
 
 import numpy as np
 
@@ -32,18 +32,11 @@ FRUGAL = 1e-5  # allocation: prefers small commands
 SWEEPS = 15  # of coordinate descent, in the allocation
 
 
-class Flight(NamedTuple):
+class Flight(namedtuple("Flight", "t u y omega position effectiveness")):
     """t (T,), u (T, n) commands, y (T, 4) noisy (omega, f_z), omega (T, 3), position (T, 3), effectiveness (T, n).
 
     Row k: u is held over the step that ends at t, and the rest is as it is at its end.
     """
-
-    t: Any
-    u: Any
-    y: Any
-    omega: Any
-    position: Any
-    effectiveness: Any
 
 
 def reference(t, eight):

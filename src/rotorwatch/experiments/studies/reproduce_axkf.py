@@ -6,7 +6,8 @@ starts, for which the observer stage is there.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from collections import namedtuple
+from typing import Any
 
 import numpy as np
 
@@ -42,16 +43,9 @@ P0 = {"overconfident": np.array([1e-6] * 3 + [1e-8] * 3), "honest": np.ones(6)}
 KEEP = 10  # every how many-th step is drawn
 
 
-class History(NamedTuple):
+class History(namedtuple("History", "theta x z S PC told")):
     """theta (lanes, T, p), x (lanes, T, 6) of the filter, z of the observer; S (lanes, T, p): variances; PC (lanes, T, 6, 3); told
     (lanes, T, p, p): what a step tells of the losses, Omega' Sigma^-1 Omega."""
-
-    theta: Any
-    x: Any
-    z: Any
-    S: Any
-    PC: Any
-    told: Any
 
 
 class AsPrinted(AXKF):

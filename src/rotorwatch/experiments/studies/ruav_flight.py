@@ -8,6 +8,7 @@ ellipsoid. A linear quadratic controller with integrators flies, and every comma
 
 from __future__ import annotations
 
+from collections import namedtuple
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -89,15 +90,9 @@ def closed_loop(system: Helicopter, push, error, extra, fault_step: int = -1) ->
     return Flights(*(np.asarray(table) for table in jax.jit(jax.vmap(one))(push, error, extra)))
 
 
-class Truth(NamedTuple):
+class Truth(namedtuple("Truth", "x attitude place theta w")):
     """Where a helicopter is that also moves in place: x (6,) velocities and rates, attitude (3,) roll, pitch, heading, place (3,) north,
     east, down [m], theta (8,), w (6,): what pushes it."""
-
-    x: Any
-    attitude: Any
-    place: Any
-    theta: Any
-    w: Any
 
     @classmethod
     def hover(cls) -> Truth:

@@ -5,6 +5,7 @@ It begins in trimmed hover at the working height and ends in the air; a helicopt
 
 from __future__ import annotations
 
+from collections import namedtuple
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -49,23 +50,10 @@ class Actuators(NamedTuple):
     held: Array
 
 
-class Record(NamedTuple):
+class Record(namedtuple("Record", "time p v q omega rates accel command actuators theta wind flies")):
     """After each tick: time [s]; p [m], v [m/s] (3,) NED, q (4,) body to world, omega (3,) [rad/s]; rates (3,): filtered gyro [rad/s];
     accel (3,): filtered specific force [m/s^2]; command, actuators (4,) in [0, 1]; theta (8,): losses, then displacements, of the
     plant; wind (3,) NED [m/s]; flies: 0 on the ground."""
-
-    time: Array
-    p: Array
-    v: Array
-    q: Array
-    omega: Array
-    rates: Array
-    accel: Array
-    command: Array
-    actuators: Array
-    theta: Array
-    wind: Array
-    flies: Array
 
 
 def plan(scenario: Scenario) -> Plan:
