@@ -16,10 +16,12 @@ import itertools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike
+from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 
+from rotorwatch import files
 from rotorwatch.campaign import batch
 from rotorwatch.campaign.plan import Cell, drawn
 from rotorwatch.default import events, hypotheses
@@ -34,7 +36,8 @@ from rotorwatch.simulation.scenario import Scenario
 FRAMES = {"quad-x": 4, "hexa-x": 6, "octa-x": 8, "y6": 6, "octaquad-x": 8}
 ARMS = {"y6": ((1, 5), (2, 3), (4, 6)), "octaquad-x": ((1, 6), (2, 5), (3, 8), (4, 7))}
 KINDS = ("second", "second", "second", "recovery", "change", "intermittent", "equal pair", "pair", "arm")
-DURATION_S, SETTLE_S, WEAK = 75.0, 5.0, 0.03
+SETTLE_S, WEAK = 5.0, 0.03
+SCENARIO, _ = files.toml(Path(__file__).with_suffix(".toml"), "scenario")
 MARGIN_S = 1.0  # an onset may be off by so much
 WIDTH = 16  # flights side by side
 OUTCOMES = ("right", "ambiguous", "missed", "wrong", "other")
@@ -55,28 +58,8 @@ class Sequences:
         """The scenario of flight k."""
         rng = np.random.default_rng([self.seed, k])
         cell, kind = self.cells[k % len(self.cells)], self.kind(k)
-        table = drawn(
-            {
-                "duration_s": DURATION_S,
-                "autopilot": "ardupilot",
-                "airframe": {
-                    "frame": cell.frame,
-                    "mass_kg": {"log_uniform": [0.8, 8.0]},
-                    "arm_m": {"log_uniform": [0.15, 0.6]},
-                    "thrust_to_weight": {"uniform": [2.2, 3.2]},
-                    "lag_s": {"uniform": [0.02, 0.05]},
-                },
-                "trajectory": {
-                    "kind": {"choice": ["hover", "square", "figure-eight", "yaw"]},
-                    "speed_m_s": {"uniform": [2.0, 6.0]},
-                    "land": False,
-                },
-                "wind": {"speed_m_s": {"uniform": [0.0, 6.0]}, "from_deg": {"uniform": [0.0, 360.0]}},
-                "sensors": {"vibration": {"log_uniform": [0.2, 4.0]}},
-                "logging": {"profile": cell.profile},
-            },
-            rng,
-        )
+        table = drawn(SCENARIO, rng)
+        table["airframe"]["frame"], table["logging"] = cell.frame, {"profile": cell.profile}
         faults = _faults(kind, cell.frame, rng)
         return scenario.from_table(
             {**table, "name": f"{kind} {k}", "seed": int(rng.integers(2**31 - 1)), "faults": faults}

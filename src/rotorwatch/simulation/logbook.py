@@ -16,46 +16,13 @@ from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.logs import esc_columns
 from rotorwatch.logs.series import SHAPES
 from rotorwatch.simulation import escs, sensors, trajectories, truth
+from rotorwatch.simulation.logged import LOGGED
 from rotorwatch.simulation.multirotor import Plan, Record
 from rotorwatch.simulation.prepare import PWM, SPIN, a_compensates, frame_numbers, vehicle
 from rotorwatch.simulation.rigid import G0
 from rotorwatch.simulation.scenario import Scenario
 
-RATES = {
-    ("ardupilot", "default"): {"motors": 10, "control": 10, "imu": 25, "attitude": 10, "nav": 10, "power": 10},
-    ("ardupilot", "fast"): {"motors": 10, "control": 50, "imu": 100, "attitude": 50, "nav": 25, "power": 10},
-    ("ardupilot", "full"): {"motors": 10, "control": 400, "imu": 400, "attitude": 100, "nav": 25, "power": 10},
-    ("px4", "default"): {"motors": 10, "control": 50, "imu": 200, "attitude": 20, "nav": 10, "power": 5},
-    ("px4", "fast"): {"motors": 200, "control": 200, "imu": 200, "attitude": 200, "nav": 50, "power": 5},
-    ("px4", "full"): {"motors": 400, "control": 400, "imu": 400, "attitude": 200, "nav": 100, "power": 10},
-}
-"""Samples a second of each group of signals. ArduPilot: LOG_BITMASK as delivered, with fast attitude, and with raw IMU on top;
-its motor outputs always come at 10 Hz. PX4: SDLOG_PROFILE default, high rate, and everything."""
-
-SOURCES = {
-    "ardupilot": {
-        "motors": "RCOU",
-        "control": "RATE",
-        "rates": "RATE",
-        "gyro": "IMU",
-        "accel": "IMU",
-        "attitude": "ATT",
-        "attitude_wanted": "ATT",
-    },
-    "px4": {"motors": "actuator_motors", "control": "vehicle_torque_setpoint", "rates": "vehicle_angular_velocity"},
-}
-"""What logs call the signals, where an airframe's identification goes by it."""
-
-GROUPS = {
-    "rates": "control",
-    "gyro": "imu",
-    "accel": "imu",
-    "attitude": "attitude",
-    "velocity": "nav",
-    "position": "nav",
-}
-"""Which group's rate a signal of motion is logged at."""
-
+RATES, GROUPS, SOURCES = (LOGGED[part] for part in ("rates", "groups", "sources"))
 SUFFIXES = {".bin": "ardupilot", ".ulg": "px4"}
 JITTER_S = 0.0005  # a record's stamp is up to this much later than its values
 ARMED_S = 1.0  # arming, after the log's start
@@ -113,7 +80,7 @@ class _Log:
     def __init__(self, scenario: Scenario, plan: Plan, record: Record):
         self.record, self.signals = record, {}
         self.rng = np.random.default_rng([scenario.seed, 2])
-        rates = RATES[scenario.autopilot, scenario.logging["profile"]]
+        rates = RATES[scenario.autopilot][scenario.logging["profile"]]
         self.sources = SOURCES[scenario.autopilot]
         full, self.rows, self.time = scenario.record_hz, {}, {}
         for k, (group, rate) in enumerate(rates.items()):

@@ -15,28 +15,12 @@ import numpy as np
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.logs import esc_columns
+from rotorwatch.simulation.logged import LOGGED
 
 HEAD = b"\xa3\x95"
 FMT = 128
-# name: (type, format, columns). Formats: Q uint64, f float, B uint8, H uint16, c hundredths in int16, n, N and Z texts
-# of 4, 16 and 64 bytes, M mode.
-MESSAGES = {
-    "FMT": (FMT, "BBnNZ", "Type,Length,Name,Format,Columns"),
-    "PARM": (32, "QNff", "TimeUS,Name,Value,Default"),
-    "MSG": (59, "QZ", "TimeUS,Message"),
-    "MODE": (120, "QMBB", "TimeUS,Mode,ModeNum,Rsn"),
-    "EV": (181, "QB", "TimeUS,Id"),
-    "ARM": (186, "QBIBB", "TimeUS,ArmState,ArmChecks,Forced,Method"),
-    "RCOU": (62, "QHHHHHHHHHHHHHH", "TimeUS," + ",".join(f"C{k}" for k in range(1, 15))),
-    "RATE": (75, "Qffffffff", "TimeUS,R,ROut,P,POut,Y,YOut,A,AOut"),
-    "IMU": (163, "QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ"),
-    "ATT": (72, "Qffffff", "TimeUS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw"),
-    "XKF1": (44, "QBffffff", "TimeUS,C,VN,VE,VD,PN,PE,PD"),
-    "CTUN": (64, "Qf", "TimeUS,ThO"),
-    "BAT": (88, "QBff", "TimeUS,Inst,Volt,Curr"),
-    "MOTB": (205, "Qfff", "TimeUS,LiftMax,BatVolt,ThLimit"),
-    "ESC": (173, "QBffffcfcf", "TimeUS,Instance,RPM,RawRPM,Volt,Curr,Temp,CTot,MotTemp,Err"),
-}
+MESSAGES: dict[str, tuple[int, str, str]] = {name: tuple(row) for name, row in LOGGED["dataflash"].items()}
+"""Name -> (type, format, columns)."""
 CODES = {"Q": "Q", "f": "f", "B": "B", "M": "B", "H": "H", "I": "I", "c": "h", "n": "4s", "N": "16s", "Z": "64s"}
 EVENTS = {("armed", 1.0): 10, ("armed", 0.0): 11, ("landed", 1.0): 18, ("landed", 0.0): 28}
 

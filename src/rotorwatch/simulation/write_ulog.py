@@ -15,30 +15,11 @@ import numpy as np
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.logs import esc_columns
+from rotorwatch.simulation.logged import LOGGED
 from rotorwatch.simulation.write_dataflash import nearest
 
 MAGIC = b"ULog\x01\x12\x35\x01"
-TOPICS = {
-    "actuator_motors": "uint64_t timestamp;uint64_t timestamp_sample;float[12] control",
-    "vehicle_torque_setpoint": "uint64_t timestamp;uint64_t timestamp_sample;float[3] xyz",
-    "vehicle_thrust_setpoint": "uint64_t timestamp;uint64_t timestamp_sample;float[3] xyz",
-    "vehicle_angular_velocity": "uint64_t timestamp;uint64_t timestamp_sample;float[3] xyz",
-    "sensor_combined": "uint64_t timestamp;float[3] gyro_rad;float[3] accelerometer_m_s2",
-    "vehicle_attitude": "uint64_t timestamp;uint64_t timestamp_sample;float[4] q",
-    "vehicle_attitude_setpoint": "uint64_t timestamp;float[4] q_d",
-    "vehicle_local_position": "uint64_t timestamp;uint64_t timestamp_sample;float x;float y;float z;float vx;float vy;float vz;"
-    "bool xy_valid;bool z_valid;bool v_xy_valid;bool v_z_valid",
-    "battery_status": "uint64_t timestamp;float voltage_v;float current_a",
-    "vehicle_status": "uint64_t timestamp;uint8_t nav_state;uint8_t arming_state",
-    "vehicle_land_detected": "uint64_t timestamp;bool landed",
-    "esc_status": "uint64_t timestamp;esc_report[8] esc;uint16_t counter;uint8_t esc_count;uint8_t esc_connectiontype;"
-    "uint8_t esc_online_flags;uint8_t esc_armed_flags",
-}
-NESTED = {
-    "esc_report": "uint64_t timestamp;uint32_t esc_errorcount;int32_t esc_rpm;float esc_voltage;float esc_current;float esc_temperature;"
-    "float motor_temperature;uint8_t esc_address;uint8_t esc_cmdcount;uint8_t esc_state;uint8_t actuator_function;uint16_t failures;"
-    "int8_t esc_power;uint8_t[5] _padding0"
-}
+TOPICS, NESTED = LOGGED["ulog"]["topics"], LOGGED["ulog"]["nested"]
 SIZES = {"uint64_t": "<u8", "uint32_t": "<u4", "int32_t": "<i4", "float": "<f4", "bool": "u1"}
 SIZES |= {"uint16_t": "<u2", "uint8_t": "u1", "int8_t": "i1"}
 WHOLE = ("CA_AIRFRAME", "CA_ROTOR_COUNT", "MAV_TYPE", "MC_BAT_SCALE_EN", "SYS_AUTOSTART")
