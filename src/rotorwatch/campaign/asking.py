@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
 from os import PathLike
 from typing import Any
 
@@ -41,33 +40,6 @@ WORST = 0.5  # loss that somebody who suspects nothing reckons with
 LOSSES, LARGER = (0.15, 0.45), (0.3, 0.7)
 WINDS_M_S = 4.0
 HEALTHY = 0.25  # share of flights
-
-
-@dataclass(frozen=True)
-class Row:
-    """One flight. broken: its weak rotors, none of a healthy one; loss: of each. before: what the default method's events come to without
-    the excitation, after: verdict of the diagnosis with it;
-    named: the rotors named after it. right: these are the broken ones; wrong: others are named. asked: it was excited. length_s, amplitude
-    (share of full thrust): of the excitation; turned_deg: by how much it moved the attitude; needed_s: how long the information bound asks
-    for, None where WITHIN_S do not do."""
-
-    flight: int
-    frame: str
-    mass_kg: float
-    wind_m_s: float
-    broken: tuple[int, ...]
-    loss: float
-    before: str
-    after: str
-    named: tuple[int, ...]
-    asked: bool
-    right: bool
-    wrong: bool
-    length_s: float | None
-    amplitude: float | None
-    turned_deg: float | None
-    information: float | None
-    needed: float | None
 
 
 @functools.cache
@@ -155,8 +127,14 @@ def turned(one_: Any, other: Any) -> float:
     return float(np.degrees(2.0 * np.arccos(np.clip(dot, 0.0, 1.0))).max())
 
 
-def batch(frame: str, flights: Sequence[int], seed: int, limits: excitation.Limits | None = None) -> list[Row]:
-    """The rows of flights of one frame."""
+def batch(frame: str, flights: Sequence[int], seed: int, limits: excitation.Limits | None = None) -> list[dict]:
+    """The rows of flights of one frame.
+
+    broken: weak rotors, none of a healthy flight; loss: of each. before: what the default method's events come to without the
+    excitation, after: verdict of the diagnosis with it; named: the rotors named after it. right: these are the broken ones; wrong: others
+    are named. asked: it was excited. length_s, amplitude (share of full thrust): of the excitation; turned_deg: by how much it moved the
+    attitude; information: on the least known question; needed: what it takes to answer.
+    """
     scenarios = [draw(k, frame, seed) for k in flights]
     n = airframes.named(f"px4-{frame}").effectiveness().shape[1]
     before = fly(scenarios, [excitation.none(n)] * len(scenarios))
@@ -188,18 +166,22 @@ def batch(frame: str, flights: Sequence[int], seed: int, limits: excitation.Limi
             kinds = ("loss_of_effectiveness", "output_override")
             sure = [e for e in answer.events if e.kind in kinds and not e.alternatives]
             new, named = answer.verdict, tuple(sorted({r for e in sure for r in e.rotors}))
-        rows.append(
-            Row(
-                k, frame, float(s.airframe["mass_kg"]), float(s.wind["speed_m_s"]), broken,
-                float(s.faults[0]["strength"]) if broken else 0.0, old, new, named, made is not None,
-                new == ("fault" if broken else "healthy") and named == broken, bool(named) and named != broken,
-                None if made is None else float(made.signal.length),
-                None if made is None else float((np.abs(made.signal.first) + np.abs(made.signal.second)).max()),
-                None if made is None else turned(was, record),
-                None if made is None else float(made.information.min()),
-                None if made is None else made.needed,
-            )
-        )  # fmt: skip
+        row = {
+            "flight": k, "frame": frame, "mass_kg": float(s.airframe["mass_kg"]), "wind_m_s": float(s.wind["speed_m_s"]),
+            "broken": broken, "loss": float(s.faults[0]["strength"]) if broken else 0.0, "before": old, "after": new, "named": named,
+            "asked": made is not None, "right": new == ("fault" if broken else "healthy") and named == broken,
+            "wrong": bool(named) and named != broken,
+            **dict.fromkeys(("length_s", "amplitude", "turned_deg", "information", "needed")),
+        }  # fmt: skip
+        if made is not None:
+            size = np.abs(made.signal.first) + np.abs(made.signal.second)
+            row |= {
+                "length_s": float(made.signal.length),
+                "amplitude": float(size.max()),
+                "turned_deg": turned(was, record),
+            }
+            row |= {"information": float(made.information.min()), "needed": made.needed}
+        rows.append(row)
     return rows
 
 
@@ -229,43 +211,41 @@ def run(
             parts.append((frame, filled, len(part), seed, limits))
 
     rows = tools.gathered(_part, parts, jobs, progress, "flying", scheduler, keep)
-    each = {frame: measures([r for r in rows if r.frame == frame]) for frame in frames}
+    each = {frame: measures([r for r in rows if r["frame"] == frame]) for frame in frames}
     return {
-        "flights": flights, "seed": seed, "measures": measures(rows), "by_frame": each, "rows": [asdict(r) for r in rows],
+        "flights": flights, "seed": seed, "measures": measures(rows), "by_frame": each, "rows": rows,
     }  # fmt: skip
 
 
-def _part(work: tuple[str, list[int], int, int, excitation.Limits | None]) -> list[Row]:
+def _part(work: tuple[str, list[int], int, int, excitation.Limits | None]) -> list[dict]:
     frame, filled, count, seed, limits = work
     return batch(frame, filled, seed, limits)[:count]
 
 
-def measures(rows: Sequence[Row]) -> dict[str, Any]:
+def measures(rows: Sequence[dict]) -> dict[str, Any]:
     """Shares with 95 % intervals. ambiguous: faulty flights that are ambiguous as they are; resolved: of these, the broken rotors are
     named and no others after the excitation; within: the same within WITHIN_S of excitation that turns the vehicle by less than one degree;
     wrong: others are named. noticed: of flights without an answer, those that have one after it. false: healthy flights
     whose excitation led to an answer. length_s, turned_deg: medians and largest."""
-    faulty, healthy = [r for r in rows if r.broken], [r for r in rows if not r.broken]
-    open_ = [r for r in faulty if r.before == "ambiguous" and r.asked]
-    silent = [r for r in faulty if r.before == "healthy" and r.asked]
+    faulty, healthy = [r for r in rows if r["broken"]], [r for r in rows if not r["broken"]]
+    open_ = [r for r in faulty if r["before"] == "ambiguous" and r["asked"]]
+    silent = [r for r in faulty if r["before"] == "healthy" and r["asked"]]
 
-    def small(r: Row) -> bool:
-        return bool(
-            r.right and r.length_s and r.length_s <= WITHIN_S + 1e-9 and r.turned_deg is not None and r.turned_deg < 1.0
-        )
+    def small(r: dict) -> bool:
+        return r["right"] and r["length_s"] <= WITHIN_S + 1e-9 and r["turned_deg"] < 1.0
 
     def spread(values: list[float]) -> dict[str, float] | None:
         return {"median": float(np.median(values)), "largest": float(np.max(values))} if values else None
 
     return {
         "faulty": len(faulty), "healthy": len(healthy), "ambiguous": len(open_), "unnoticed": len(silent),
-        "fault_before": sum(r.before == "fault" for r in faulty),
-        "resolved": tools.share([r.right for r in open_]), "within": tools.share([small(r) for r in open_]),
-        "wrong": tools.share([r.wrong for r in open_]), "noticed": tools.share([r.after != "healthy" for r in silent]),
-        "noticed_wrong": tools.share([r.wrong for r in silent]),
-        "false": tools.share([r.after != r.before or r.wrong for r in healthy]),
-        "length_s": spread([r.length_s for r in open_ if r.length_s]),
-        "turned_deg": spread([r.turned_deg for r in rows if r.turned_deg is not None and r.before != "fault"]),
+        "fault_before": sum(r["before"] == "fault" for r in faulty),
+        "resolved": tools.share([r["right"] for r in open_]), "within": tools.share([small(r) for r in open_]),
+        "wrong": tools.share([r["wrong"] for r in open_]), "noticed": tools.share([r["after"] != "healthy" for r in silent]),
+        "noticed_wrong": tools.share([r["wrong"] for r in silent]),
+        "false": tools.share([r["after"] != r["before"] or r["wrong"] for r in healthy]),
+        "length_s": spread([r["length_s"] for r in open_ if r["length_s"]]),
+        "turned_deg": spread([r["turned_deg"] for r in rows if r["turned_deg"] is not None and r["before"] != "fault"]),
     }  # fmt: skip
 
 

@@ -54,35 +54,16 @@ TRACK_M, TRACK_DEG = 2.0, 20.0  # recovered: nearer than this to where it should
 COLUMNS = read_columns("closed_loop")
 
 
-class Outcome(NamedTuple):
-    """What became of one flight: the columns of COLUMNS of these names. first_s of healthy flights counts from the take-off; recovered_s is
-    None when the vehicle never tracks again for good."""
-
-    flight: int
-    faulty: bool
-    onset_s: float
-    able: bool
-    survived: bool
-    lost_s: float | None
-    beliefs: int
-    first_s: float | None
-    false: bool
-    right: bool
-    turning: bool
-    tilt_deg: float
-    off_m: float
-    recovered_s: float | None
-
-
 def fly(
     flown: batch.Flights,
     flights: Sequence[int],
     driver: str = "default",
     by: str = "estimate",
     aircraft: Callable[[np.ndarray, str], reconfigured.Reconfigured] = reconfigured.Reconfigured,
-) -> list[Outcome]:
+) -> list[dict[str, Any]]:
     """The flights with a driver: "nobody", "truth", or an estimator's name. All must be of one cell of a plan (one frame). by: what drives
-    the allocation, "estimate", "bounds" or "posterior". aircraft(B, by): what flies. Raises ConfigError."""
+    the allocation, "estimate", "bounds" or "posterior". aircraft(B, by): what flies. Returns what became of each: those of COLUMNS that
+    say so. Raises ConfigError."""
     _explains(driver, by)
     scenarios = [flown.flight(k) for k in flights]
     for s in scenarios:
@@ -125,14 +106,14 @@ class Judge(NamedTuple):
         found = []
         for driver in self.drivers:
             for outcome in fly(plan, filled, driver, self.by)[: len(flights)]:
-                asked = plan.flight(outcome.flight)
+                asked = plan.flight(outcome["flight"])
                 losses = [1.0 if f["kind"] == "complete loss" else f["strength"] for f in asked.faults]
-                end = outcome.onset_s if outcome.faulty else asked.duration_s
+                end = outcome["onset_s"] if outcome["faulty"] else asked.duration_s
                 found.append(
                     {
-                        "method": driver, "frame": asked.airframe["frame"], "rotors": plan.rotors[outcome.flight % len(plan.cells)],
+                        "method": driver, "frame": asked.airframe["frame"], "rotors": plan.rotors[outcome["flight"] % len(plan.cells)],
                         "broken": len(losses), "loss": max(losses, default=0.0), "wind_m_s": asked.wind["speed_m_s"],
-                        "healthy_s": min(end, outcome.lost_s or end), **outcome._asdict(),
+                        "healthy_s": min(end, outcome["lost_s"] or end), **outcome,
                     }
                 )  # fmt: skip
         return found
@@ -353,7 +334,8 @@ def _able(scenario: Scenario, plan, record) -> bool:
     return bool(_off(plan, record)[_flying(record) & (record.time < until)].max(initial=0.0) < ABLE_M)
 
 
-def _outcome(number: int, scenario: Scenario, plan, record, made: list[reconfigured.Entry], able: bool) -> Outcome:
+def _outcome(number: int, scenario: Scenario, plan, record, made: list[reconfigured.Entry], able: bool) -> dict:
+    """What became of a flight, see COLUMNS; first_s of healthy flights counts from the take-off."""
     faults = scenario.faults
     onset = min((f["onset_s"] for f in faults), default=float(plan.way.take_off))
     broken = {f["rotor"] - 1 for f in faults}
@@ -372,10 +354,12 @@ def _outcome(number: int, scenario: Scenario, plan, record, made: list[reconfigu
     # What came too late, after the crash, was never acted on.
     acted = [m for m in made if lost is None or m.since < lost]
     who = set(np.flatnonzero(acted[0].mean < 1.0 - MOVED).tolist()) if acted else set()
-    return Outcome(
-        number, bool(faults), onset, able, lost is None, lost, len(acted),
-        float(acted[0].since) - onset if acted else None,
-        bool(acted) and (float(acted[0].since) < onset or not who & broken if faults else True),
-        bool(acted) and who == broken, any(m.turning > 0.5 for m in acted),
-        float(tilt[late].max(initial=0.0)), float(off[late].max(initial=0.0)), recovered,
-    )  # fmt: skip
+    first = float(acted[0].since) if acted else None
+    early = first is not None and (first < onset or not who & broken)
+    return {
+        "flight": number, "faulty": bool(faults), "onset_s": onset, "able": able, "survived": lost is None, "lost_s": lost,
+        "beliefs": len(acted), "first_s": None if first is None else first - onset,
+        "false": early if faults else first is not None, "right": bool(acted) and who == broken,
+        "turning": any(m.turning > 0.5 for m in acted), "tilt_deg": float(tilt[late].max(initial=0.0)),
+        "off_m": float(off[late].max(initial=0.0)), "recovered_s": recovered,
+    }  # fmt: skip
