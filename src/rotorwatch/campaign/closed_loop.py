@@ -106,13 +106,13 @@ class Judge(NamedTuple):
         found = []
         for driver in self.drivers:
             for outcome in fly(plan, filled, driver, self.by)[: len(flights)]:
-                asked = plan.flight(outcome["flight"])
-                losses = [1.0 if f["kind"] == "complete loss" else f["strength"] for f in asked.faults]
-                end = outcome["onset_s"] if outcome["faulty"] else asked.duration_s
+                planned = plan.flight(outcome["flight"])
+                losses = [1.0 if f["kind"] == "complete loss" else f["strength"] for f in planned.faults]
+                end = outcome["onset_s"] if outcome["faulty"] else planned.duration_s
                 found.append(
                     {
-                        "method": driver, "frame": asked.airframe["frame"], "rotors": plan.rotors[outcome["flight"] % len(plan.cells)],
-                        "broken": len(losses), "loss": max(losses, default=0.0), "wind_m_s": asked.wind["speed_m_s"],
+                        "method": driver, "frame": planned.airframe["frame"], "rotors": plan.rotors[outcome["flight"] % len(plan.cells)],
+                        "broken": len(losses), "loss": max(losses, default=0.0), "wind_m_s": planned.wind["speed_m_s"],
                         "healthy_s": min(end, outcome["lost_s"] or end), **outcome,
                     }
                 )  # fmt: skip
@@ -126,7 +126,7 @@ def run(
     flights: int = 200,
     jobs: int | None = None,
     by: str = "estimate",
-    progress: work.Tell | None = None,
+    progress: work.Progress | None = None,
     scheduler: str | None = None,
 ) -> dict[str, Any]:
     """Fly a plan's flights with every driver: {"plan", "flights", "drivers": {driver: measures}}, also in out/summary.json.
@@ -134,7 +134,7 @@ def run(
     Finished parts are kept in the folder `out`: the same call goes on where it was stopped. Measures (`measures`) have 95 % intervals.
     jobs, scheduler: as for `work.run`. Raises ConfigError.
     """
-    asked = plan if isinstance(plan, Plan) else plans.read(plan)
+    planned = plan if isinstance(plan, Plan) else plans.read(plan)
     if not drivers:
         raise ConfigError("Name at least one driver: nobody, truth, or an estimator.")
     for driver in drivers:
@@ -144,12 +144,12 @@ def run(
         raise ConfigError(f"by must be one of {', '.join(DRIVEN_BY)}, not {by}.")
     for driver in drivers:
         _explains(driver, by)
-    entered = replace(asked, text=f"{asked.text}\n# closed loop: {', '.join(drivers)}; by {by}\n")
+    entered = replace(planned, text=f"{planned.text}\n# closed loop: {', '.join(drivers)}; by {by}\n")
     table = work.run(entered, flights, out, jobs, progress, Judge(tuple(drivers), by), COLUMNS, scheduler)
     rows = table.to_pylist()
     lost = {d: {r["flight"]: r["lost_s"] for r in rows if r["method"] == d} for d in (TRUTH, NOBODY)}
     result = {
-        "plan": asked.name,
+        "plan": planned.name,
         "flights": flights,
         "by": by,
         "drivers": {d: measures([r for r in rows if r["method"] == d], lost[TRUTH], lost[NOBODY]) for d in drivers},
@@ -270,7 +270,7 @@ def _beliefs(
         kept = [out.kept for out in batch.by_default(flown, B, size)]
     else:
         tables = [f.ticks for f in flown]
-        hops = methods.learn(tables, B, batch.taught(flown, B, size))
+        hops = methods.learn(tables, B, batch.learned_states(flown, B, size))
         kept = methods.judge(driver, tables, hops, B, size, ((),))[0]
     found: list[reconfigured.Entry | None] = [None] * len(seen)
     for k, f, out in zip(here, flown, kept, strict=True):

@@ -76,15 +76,18 @@ def run_hops(name: str, found: Sequence[LogPlant], B: np.ndarray, size: int, dec
     size: width that the batch is filled up to, so that a hop's result does not depend on which it runs with.
     """
     jax, dt = load_jax(), found[0].dt
-    build, given = published.builder(name, dt, (), decisions), [{"plant": hop.parameters, "B": B} for hop in found]
-    example = build(given[0])  # with values: says what is wrong
+    build, parameters = published.builder(name, dt, (), decisions), [{"plant": hop.parameters, "B": B} for hop in found]
+    example = build(parameters[0])  # with values: says what is wrong
     try:
         if engine() == "native":
-            ran = [run_built(build, p, h.u, h.y, h.valid, published.seen, backend="auto") for h, p in zip(found, given)]
+            ran = [
+                run_built(build, p, h.u, h.y, h.valid, published.seen, backend="auto")
+                for h, p in zip(found, parameters)
+            ]
             return [out for _, out in ran]
         return _side_by_side(_program(name, dt, decisions), side_by_side(example.init(), size), found, B, size)
     except (jax.errors.JAXTypeError, ConfigError):  # design work that needs values: compiled for each flight alone
-        return [run(build(p), h.u, h.y, h.valid, published.seen)[1] for h, p in zip(found, given, strict=True)]
+        return [run(build(p), h.u, h.y, h.valid, published.seen)[1] for h, p in zip(found, parameters, strict=True)]
 
 
 def _side_by_side(program, step: int, found: Sequence[LogPlant], B: np.ndarray, size: int) -> list[tuple]:
@@ -113,20 +116,20 @@ def judge(
 ) -> list[list[program.Kept]]:
     """For each decision and each flight what `published.judge` leaves behind. hops: of each flight, by `learn`."""
     hyp = hypotheses.make(B.shape[1])
-    kept = [[published.nothing(len(table.time), hyp) for table in tables] for _ in decisions]
+    kept = [[published.blank(len(table.time), hyp) for table in tables] for _ in decisions]
     for turn in range(max(map(len, hops), default=0)):
         here = [k for k, found in enumerate(hops) if len(found) > turn]
         for k, found in zip(here, run_hops(name, [hops[k][turn] for k in here], B, size, decisions), strict=True):
             for which, seen in enumerate(found):
-                published.write_down(kept[which][k], seen, hops[k][turn], hyp, B)
+                published.record(kept[which][k], seen, hops[k][turn], hyp, B)
     return kept
 
 
-def learn(tables: Sequence[Ticks], B: np.ndarray, taught: Sequence[tuple | None]) -> list[tuple[LogPlant, ...]]:
+def learn(tables: Sequence[Ticks], B: np.ndarray, learned_states: Sequence[tuple | None]) -> list[tuple[LogPlant, ...]]:
     """The hops of each flight as plants and tables. taught: state and noise variances of the default estimator at the end of the
     learning time, for flights of one hop; None: worked out for the flight alone."""
     found = []
-    for table, one in zip(tables, taught, strict=True):
+    for table, one in zip(tables, learned_states, strict=True):
         known = None if one is None else {"x0": one[0][: 4 * PER_AXIS], "noise": one[1]}
         found.append(log_plant.hops(table, B, known))
     return found

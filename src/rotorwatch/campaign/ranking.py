@@ -135,8 +135,8 @@ def _rule(ranked: dict[str, Any]) -> str:
 
 def _logs(one: dict[str, Any]) -> str:
     """How many logs of a data set there are, and how many could not be judged."""
-    gone = f", {len(one['left_out'])} of them left out" if one["left_out"] else ""
-    return f"{one['logs']} {'log' if one['logs'] == 1 else 'logs'}{gone}"
+    missing = f", {len(one['left_out'])} of them left out" if one["left_out"] else ""
+    return f"{one['logs']} {'log' if one['logs'] == 1 else 'logs'}{missing}"
 
 
 def table(ranked: dict[str, Any]) -> Any:

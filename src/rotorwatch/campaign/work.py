@@ -18,7 +18,7 @@ from rotorwatch.campaign.score import COLUMNS
 from rotorwatch.campaign.store import Folder, Work
 from rotorwatch.errors import ConfigError
 
-Tell = Callable[[int, int, float], None]
+Progress = Callable[[int, int, float], None]
 Judge = Callable[[Plan, Sequence[int], int], list[dict]]
 
 
@@ -27,7 +27,7 @@ def run(
     flights: int,
     folder: str | os.PathLike,
     jobs: int | None = None,
-    progress: Tell | None = None,
+    progress: Progress | None = None,
     judge: Judge = batch.judge,
     columns: Mapping[str, tuple[str, str]] = COLUMNS,
     scheduler: str | None = None,
@@ -50,18 +50,18 @@ def run(
         width = place.open(plan, batch.width(), __version__, methods.engine())
         todo = place.missing(flights, len(plan.cells), width)
         left = sum(w.last - w.first for w in todo)
-        tell = _Telling(flights, flights - left, progress)
+        counter = _Counter(flights, flights - left, progress)
         do = _Parts(plan, width, judge, methods.engine())
         for part in many.run(do, todo, None if scheduler else _processes(jobs), scheduler):
             place.write(todo[part.index], part.result())
-            tell(todo[part.index])
+            counter(todo[part.index])
         return place.table(flights)
 
 
-class _Telling:
+class _Counter:
     """Counts finished flights for the progress bar."""
 
-    def __init__(self, flights: int, done: int, progress: Tell | None):
+    def __init__(self, flights: int, done: int, progress: Progress | None):
         self.flights, self.done, self.progress, self.now = flights, done, progress, 0
         self.began = time.monotonic()
         if progress:

@@ -34,8 +34,8 @@ def observability(vehicle, figure, as_json, quiet) -> None:
 
     if figure:
         drawable(figure)
-    with progress(quiet) as tell:
-        result = run(_vehicle(vehicle), progress=tell)
+    with progress(quiet) as report:
+        result = run(_vehicle(vehicle), progress=report)
         if figure:
             result.figure(figure)
     if as_json:
@@ -88,10 +88,10 @@ def reproduce(paper, seeds, literal, figures, jobs, scheduler, as_json, quiet) -
     )
     results = []
     for done, module in enumerate(modules):
-        with progress(quiet) as tell:
-            if together and tell:
-                tell(done / len(modules), f"waiting for {module.PAPER}")
-            result = next(together) if together else reproduction.reproduce(module.PAPER, seeds, literal, tell)
+        with progress(quiet) as report:
+            if together and report:
+                report(done / len(modules), f"waiting for {module.PAPER}")
+            result = next(together) if together else reproduction.reproduce(module.PAPER, seeds, literal, report)
         results.append(result)
         if not as_json:
             from rotorwatch.report import research_tables

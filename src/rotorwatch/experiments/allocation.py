@@ -111,14 +111,14 @@ def solver(allocator: Allocator):
 
 def compare(frame: str, count: int, by: str = "estimate", seed: int = 0, run: Any = None) -> Row:
     """One frame's row. run: what `solver` made for this allocator, if there already is one."""
-    given = problems(frame, count, seed)
-    allocator = Allocator(given.B, by=by)
-    out, turns = (run or solver(allocator))(given.demand, given.belief)
+    posed = problems(frame, count, seed)
+    allocator = Allocator(posed.B, by=by)
+    out, turns = (run or solver(allocator))(posed.demand, posed.belief)
     u, turns = np.asarray(out.u), np.asarray(turns)
     worst = 0.0
     for k in range(count):
-        belief = Belief(*(leaf[k] for leaf in given.belief))
-        worst = max(worst, float(np.abs(u[k] - oracle(allocator, given.demand[k], belief)).max()))
+        belief = Belief(*(leaf[k] for leaf in posed.belief))
+        worst = max(worst, float(np.abs(u[k] - oracle(allocator, posed.demand[k], belief)).max()))
     at = float(((u == 0.0) | (u == 1.0)).mean())
     return Row(frame, allocator.n, by, count, worst, at, None if by == "posterior" else int(turns.max()))
 

@@ -204,11 +204,13 @@ def campaign(
         raise ConfigError("Losses to inject are above 0 and below 1; no vehicle flies as before with a dead rotor.")
     if repeats < 1:
         raise ConfigError(f"repeats {repeats}: give 1 or more.")
-    tell = progress or (lambda share, text="": None)
+    report = progress or (lambda share, text="": None)
     rng = np.random.default_rng(seed)
     sources = [path if isinstance(path, Flight) else str(path) for path in paths]
     shared = {"scheduler": scheduler, "keep": keep}
-    surveys = tools.gathered(_survey, sources, jobs, lambda s, text: tell(0.05 * s, text), "healthy flights", **shared)
+    surveys = tools.gathered(
+        _survey, sources, jobs, lambda s, text: report(0.05 * s, text), "healthy flights", **shared
+    )
     # Onsets are drawn here, in the order of the flights: who works on what, and how many do, changes nothing.
     parts: list[tuple] = []
     for source, survey in zip(sources, surveys, strict=True):
@@ -217,7 +219,7 @@ def campaign(
         ]
         drawn = [(rotor, loss, draw(survey.room, rng)) for rotor, loss in plan]
         parts += [(source, drawn[k : k + PART]) for k in range(0, len(drawn), PART)]
-    trials = tools.gathered(_trials, parts, jobs, lambda s, text: tell(0.05 + 0.95 * s, text), "injecting", **shared)
+    trials = tools.gathered(_trials, parts, jobs, lambda s, text: report(0.05 + 0.95 * s, text), "injecting", **shared)
     if not trials:
         raise ConfigError("No flight is long enough: losses need 23 s in the air without a baseline.")
     healthy = {

@@ -28,7 +28,7 @@ SIGMAS = 5.0
 LEAST = 0.08
 TURNED = 0.2  # share by which v may point elsewhere than the loss does
 FADE = 0.25  # below this share of the threshold nothing has begun, or all is over
-GONE_S = 2.0  # for so long, before what was announced counts as over
+OVER_S = 2.0  # for so long, before what was announced counts as over
 
 
 class Carry(namedtuple("Carry", "level scatter seconds held run best since")):
@@ -86,7 +86,7 @@ class Threshold:
         since = jnp.where(calm, 0, carry.since + 1).astype(jnp.int32)
 
         # Level and scatter learn while nothing is suspected; at first they are plain means.
-        held = jnp.where(alarm, GONE_S, jnp.maximum(carry.held - jnp.where(calm, dt, 0.0), 0.0))
+        held = jnp.where(alarm, OVER_S, jnp.maximum(carry.held - jnp.where(calm, dt, 0.0), 0.0))
         learns = seen & (~ready | ((calm | (log_other > log_fault)) & (held <= 0.0)))
         seconds = carry.seconds + jnp.where(seen, dt, 0.0)
         first = dt / jnp.maximum(seconds, dt)

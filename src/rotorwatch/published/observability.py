@@ -85,10 +85,10 @@ class Observability:
         if hover.rank == self.unknowns:
             return "Hover alone shows every loss."
         lost = self.unknowns - hover.rank
-        said = f"Hover leaves {lost} combination{'s' if lost > 1 else ''} of losses unseen"
+        text = f"Hover leaves {lost} combination{'s' if lost > 1 else ''} of losses unseen"
         if moving.rank == self.unknowns:
-            return f"{said}; the manoeuvre shows all of them, the faintest {moving.singular_values[-1]:.0e} as clearly as the best."
-        return f"{said}, and the manoeuvre still {self.unknowns - moving.rank}."
+            return f"{text}; the manoeuvre shows all of them, the faintest {moving.singular_values[-1]:.0e} as clearly as the best."
+        return f"{text}, and the manoeuvre still {self.unknowns - moving.rank}."
 
     def to_dict(self) -> dict:
         """Plain lists, numbers and strings."""

@@ -135,7 +135,7 @@ Decisions = tuple[tuple[tuple[str, float], ...], ...]
 def watched(name: Any, dt: float, keywords: tuple, decisions: Decisions, p: dict) -> Watched:
     """The method on the plant of parameters p["plant"], with thresholds for the geometry p["B"] behind it."""
     tuning = Tuning(p.get("q"), p.get("r"), dict(keywords))
-    thresholds = [decide.Threshold(p["B"], **dict(asked)) for asked in decisions]
+    thresholds = [decide.Threshold(p["B"], **dict(tuned)) for tuned in decisions]
     return Watched(method(name, log_plant.plant(p["plant"]), dt, tuning), thresholds, dt)
 
 
@@ -183,13 +183,13 @@ def judge(
     """
     discovery.estimator(name)
     hyp = hypotheses.make(B.shape[1])
-    out = nothing(len(table.time), hyp)
+    out = blank(len(table.time), hyp)
     for hop in log_plant.hops(table, B, dynamics) if hops is None else hops:
-        write_down(out, run_hop(name, hop, B, tuning, progress), hop, hyp, B)
+        record(out, run_hop(name, hop, B, tuning, progress), hop, hyp, B)
     return out
 
 
-def nothing(T: int, hyp: hypotheses.Hypotheses) -> Kept:
+def blank(T: int, hyp: hypotheses.Hypotheses) -> Kept:
     """T ticks on which nothing was seen; what only the default method looks at stays so."""
     n, n_h = hyp.n, len(hyp.names)
     numbers = {
@@ -214,8 +214,8 @@ def notes(name: str) -> tuple[str, ...]:
     )
 
 
-def write_down(out: Kept, seen: Seen, hop: LogPlant, hyp: hypotheses.Hypotheses, B: np.ndarray) -> None:
-    """Fill the rows of one hop in what `nothing` made."""
+def record(out: Kept, seen: Seen, hop: LogPlant, hyp: hypotheses.Hypotheses, B: np.ndarray) -> None:
+    """Fill the rows of one hop in what `blank` made."""
     rows, dt, n = hop.rows, hop.dt, B.shape[1]
     fault = np.asarray(hyp.fault)
     odds = np.where(fault, seen.log_odds, -np.inf)
@@ -261,7 +261,7 @@ def _follow(seen: Seen, hyp: hypotheses.Hypotheses, dt: float):
         if current:
             own = seen.log_odds[k, mine].max()
             quiet = quiet + 1 if own < over else 0
-            if quiet * dt >= decide.GONE_S:
+            if quiet * dt >= decide.OVER_S:
                 announced[k], best[k], onset[k] = True, mine[0], quiet
                 current, quiet = frozenset(), 0
         who = frozenset(hyp.rotors[seen.best[k]])

@@ -55,14 +55,14 @@ def _each(faults: Faults, amount) -> list:
     return [faults.rotor[k] * amount[k] for k in range(MOST)]
 
 
-def left(faults: Faults, s):
+def remaining(faults: Faults, s):
     """(n,) what losses leave of each rotor: two of one rotor multiply. s (F,): `strength`."""
     return functools.reduce(lambda a, b: a * b, (1.0 - there for there in _each(faults, faults.loss * s)))
 
 
 def loss(faults: Faults, s):
     """theta (n,), the loss of each rotor. s (F,): `strength`."""
-    return 1.0 - left(faults, s)
+    return 1.0 - remaining(faults, s)
 
 
 def weak(faults: Faults, s):

@@ -32,7 +32,7 @@ MAV_TYPE = {4: 2, 6: 13, 8: 14, 12: 29, 10: 35}
 
 def needed(record: Any) -> Any:
     """What a log and the truth need of a record: much less memory than all of it."""
-    return record._replace(omega=(), rates_asked=(), wind=())
+    return record._replace(omega=(), rates_setpoint=(), wind=())
 
 
 def flight(scenario: Scenario, plan: Plan, record: Record) -> Flight:
@@ -56,7 +56,7 @@ def flight(scenario: Scenario, plan: Plan, record: Record) -> Flight:
         log.add("lift", "power", lift)
     if scenario.logging["esc"]:
         log.add("esc", "power", escs.readings(scenario, plan, record), unit=esc_columns.UNIT)
-    log.add("attitude_wanted", "attitude", record.q_asked)
+    log.add("attitude_wanted", "attitude", record.q_setpoint)
     end = float(record.time[-1])
     autopilot = "ArduPilot" if ardupilot else "PX4"
     return Flight(

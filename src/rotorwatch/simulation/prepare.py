@@ -195,8 +195,8 @@ def _pilot(scenario: Scenario, known: Vehicle, bare: Bare, full_speed: float) ->
 
 def _rotor_inertia(scenario: Scenario, bare: Bare) -> float:
     """kg m^2 of one rotor about its axis."""
-    asked = scenario.airframe["rotor_inertia_kg_m2"]
-    return 0.015 * bare.mass / len(bare.x) * (2.0 * bare.radius) ** 2 / 12.0 if asked is None else asked
+    inertia = scenario.airframe["rotor_inertia_kg_m2"]
+    return 0.015 * bare.mass / len(bare.x) * (2.0 * bare.radius) ** 2 / 12.0 if inertia is None else inertia
 
 
 def _craft(scenario: Scenario, bare: Bare, full_speed: float) -> dynamics.Craft:

@@ -123,16 +123,16 @@ class Reconfigured(Multirotor):
         begun, one = plan.schedule.since[0] <= t, _entry_at(plan.schedule, t)
         wanted = self.allocator.B @ (throttle + pilot.mixer[:, :3] @ turning)
         belief = Belief(self._expected(one), one.lower, one.upper, one.candidates, one.weights)
-        given = self.allocator.step(self.allocator.init(), wanted, belief)[1]
+        allocated = self.allocator.step(self.allocator.init(), wanted, belief)[1]
         # A throttle or yaw that is not had must not stop what holds the vehicle level.
-        granted = given.granted[1:3].min()
+        granted = allocated.granted[1:3].min()
         if self.allocator.by != "estimate":
             # What is in doubt is met half way on purpose, and the integrators make up for the rest as long as no command is at a limit.
-            granted = jnp.maximum(granted, ((given.u > 0.0) & (given.u < 1.0)).all().astype(granted.dtype))
+            granted = jnp.maximum(granted, ((allocated.u > 0.0) & (allocated.u < 1.0)).all().astype(granted.dtype))
 
         # Down, as the position loop wants it, in body axes, no further from the hover's than LEAN.
-        R, wish = rotation.axes(body.q), rotation.axes(now.target.q)
-        down = rotation.to_body(R, jnp.stack([wish[0][2], wish[1][2], wish[2][2]]))
+        R, upright = rotation.axes(body.q), rotation.axes(now.target.q)
+        down = rotation.to_body(R, jnp.stack([upright[0][2], upright[1][2], upright[2][2]]))
         level = rotation.to_body(R, jnp.asarray([0.0, 0.0, 1.0], down.dtype))
         apart = down - level
         apart = apart * jnp.minimum(1.0, LEAN / jnp.maximum(jnp.sqrt((apart * apart).sum()), 1e-6))
@@ -140,7 +140,7 @@ class Reconfigured(Multirotor):
         spun = spinning.feedback(one.hover, one.gains, own.f, gyro, level + apart, jnp.clip(lift, 0.5, 1.5))
 
         turns = one.turning > 0.5
-        ours = jnp.where(turns, spun, given.u)
+        ours = jnp.where(turns, spun, allocated.u)
         return jnp.where(begun, ours, healthy), jnp.where(begun, jnp.where(turns, 0.0, granted), free)
 
 

@@ -29,7 +29,7 @@ def readings(sensors: Sensors, record: Any, shaking: np.ndarray, rng) -> Iterato
     yield "rates", record.rates, None
     yield "gyro", record.rates + np.asarray(sensors.gyro_bias) + float(sensors.rattle) * shaking, None
     yield "accel", record.accel + np.asarray(sensors.accel_bias) + shaking, sensors.accel_sd
-    yield "attitude", leaning(record.q, rng, float(sensors.attitude_sd)), None
+    yield "attitude", with_attitude_error(record.q, rng, float(sensors.attitude_sd)), None
     yield "velocity", record.v, sensors.velocity_sd
     yield "position", record.p, sensors.position_sd
 
@@ -40,7 +40,7 @@ def vibration(size: np.ndarray, angle: np.ndarray) -> np.ndarray:
     return np.stack([np.sum(size * wave, axis=1) for wave in waves], axis=1)
 
 
-def leaning(q: np.ndarray, rng, sd: float) -> np.ndarray:
+def with_attitude_error(q: np.ndarray, rng, sd: float) -> np.ndarray:
     """Attitudes (T, 4) with an estimator's slowly wandering error of `sd` rad about each axis."""
     steps = rng.standard_normal((len(q) // 100 + 2, 3)) * sd
     at = np.linspace(0.0, len(steps) - 1.0, len(q))

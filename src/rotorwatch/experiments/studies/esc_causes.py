@@ -70,9 +70,9 @@ def answer(found: Diagnosis, rotor: int | None) -> str:
     if own:
         return "ambiguous"
     notices = {e.kind for e in found.events if rotor is None or rotor in e.rotors}
-    for notice, said in NOTICES.items():
+    for notice, word in NOTICES.items():
         if notice in notices:
-            return said
+            return word
     others = any(e.kind in ("loss_of_effectiveness", *NOTICES) for e in found.events)
     return "other rotor" if others else "nothing"
 
@@ -80,8 +80,8 @@ def answer(found: Diagnosis, rotor: int | None) -> str:
 def confusion(count: int, seed: int, progress: Callable = lambda share: None) -> dict[str, Counter]:
     """True cause -> how many flights got each answer."""
     table = {cause: Counter() for cause in KINDS}
-    for number, (cause, rotor, asked) in enumerate(flights(count, seed)):
-        table[cause][answer(diagnose(simulate(asked).flight), rotor)] += 1
+    for number, (cause, rotor, flown) in enumerate(flights(count, seed)):
+        table[cause][answer(diagnose(simulate(flown).flight), rotor)] += 1
         progress((number + 1) / count)
     return table
 

@@ -37,13 +37,13 @@ CASES = (("loss", 0.1), ("loss", 0.2), ("loss", 0.3), ("weak motor", 0.2), (None
 
 def thrust_of_speed(flight: Flight, vehicle: Vehicle, air) -> Signal:
     """Share of full thrust by each rotor's reported speed, scaled to the commands of its first seconds in the air."""
-    told, esc = allocation.rotor_thrusts(flight, vehicle), flight["esc"]
-    speed = telemetry.quantity(esc, "speed", told.values.shape[1])
-    asked = allocation.hold(told.time, told.values, esc.time)
+    commanded, esc = allocation.rotor_thrusts(flight, vehicle), flight["esc"]
+    speed = telemetry.quantity(esc, "speed", commanded.values.shape[1])
+    held = allocation.hold(commanded.time, commanded.values, esc.time)
     first = (esc.time > air[0][0] + LEARN_S[0]) & (esc.time < air[0][0] + LEARN_S[1])
     square = speed.values**2
-    scale = np.median(asked[first], axis=0) / np.median(square[first], axis=0)
-    return Signal(esc.time - LATE_S, scale * square, told.columns, "1", "body", esc.source, speed.valid)
+    scale = np.median(held[first], axis=0) / np.median(square[first], axis=0)
+    return Signal(esc.time - LATE_S, scale * square, commanded.columns, "1", "body", esc.source, speed.valid)
 
 
 def judged(flight: Flight, view: str) -> tuple[Event, ...]:

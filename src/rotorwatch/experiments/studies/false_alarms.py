@@ -272,18 +272,18 @@ def false_alarms(
     sources = [path if isinstance(path, Flight) else str(path) for path in paths]
     several = jobs != 1 or scheduler is not None or keep is not None
 
-    def told(finished: int) -> None:
+    def finished(count: int) -> None:
         if progress and several:
-            progress(finished / len(paths), "judging surrogates")
+            progress(count / len(paths), "judging surrogates")
 
-    def tell(i: int, share: float, name: str) -> None:
+    def report(i: int, share: float, name: str) -> None:
         if progress:
             progress((i + share) / len(paths), name)
 
     if not several:  # here, the way through each flight can be told
-        parts = [one((i, source), tell=functools.partial(tell, i)) for i, source in enumerate(sources)]
+        parts = [one((i, source), report=functools.partial(report, i)) for i, source in enumerate(sources)]
     else:
-        parts = list(many.ordered(one, list(enumerate(sources)), jobs, scheduler, told, keep))
+        parts = list(many.ordered(one, list(enumerate(sources)), jobs, scheduler, finished, keep))
     firsts = {
         shift: (sum(p.firsts[shift][0] for p in parts), sum(p.firsts[shift][1] for p in parts)) for shift in SHIFTS
     }
@@ -317,7 +317,7 @@ def _surrogates(
     hours: float,
     seed: int,
     flight_s: float,
-    tell: Callable[[float, str], None] | None = None,
+    report: Callable[[float, str], None] | None = None,
 ) -> _Part:
     """`hours` of surrogates of one flight; its number and the seed make the random numbers. tell: called with the finished share, name."""
     i, path = numbered
@@ -343,8 +343,8 @@ def _surrogates(
             count, upto = firsts[shift]
             upto += judged_h if first is None else max(0.0, first) / 3600.0
             firsts[shift] = count + (first is not None), upto
-        if tell:
-            tell(min(1.0, row["hours"] / hours), flight.name)
+        if report:
+            report(min(1.0, row["hours"] / hours), flight.name)
     flown = {"flights": 0, "hours": 0.0, "alarms": 0}
     for image, signs in IMAGES.items():
         table = mirrored(origin.table, origin.vehicle, signs)
@@ -444,9 +444,9 @@ def _announced(table: Ticks, vehicle: Vehicle, shift: float) -> np.ndarray:
     """(T,) bool: announcements with the threshold `shift` nats higher."""
     B = vehicle.effectiveness()
     known = program.parameters(B, table.dt, (vehicle.identified or {}).get("dynamics"))
-    given = {**known, "shift": np.array(shift)}
+    parameters = {**known, "shift": np.array(shift)}
     rows, backend = program.inputs(table, B), chosen(None, "auto")
-    return run_built(_shifted, given, *rows, _keep_announced, backend=backend)[1]
+    return run_built(_shifted, parameters, *rows, _keep_announced, backend=backend)[1]
 
 
 def _keep_announced(out):

@@ -19,7 +19,7 @@ from rotorwatch.experiments.studies.runge_kutta import rk4
 G = 9.80665
 DT = 0.005
 ONSET_S = 6.0
-TOLD_S = 0.6
+BELIEVED_AFTER_S = 0.6
 PERIOD_S = 7.0  # of the figure-eight
 EIGHT = (4.0, 2.0, 0.8)  # half lengths forward, right, down [m]
 LOOKED_AT = (0.0, 9.0, 0.0)  # where the nose points [m]
@@ -121,8 +121,8 @@ def fly(airframe, loss, eight, seed_noise, disturbance):
         for _ in range(2):
             state = moved(state, u, lam, torque, DT / 2)
         y_k = jnp.concatenate([state[3], -(B[3] @ (lam * u))[None] / m]) + sd * noise
-        told = effectiveness(t - TOLD_S, loss)
-        u_next, integral = control(state, y_k[:3], integral, t, told)
+        believed = effectiveness(t - BELIEVED_AFTER_S, loss)
+        u_next, integral = control(state, y_k[:3], integral, t, believed)
         return (state, integral, u_next), Flight(t, u, y_k, state[3], state[0], lam)
 
     p, v, _ = reference(0.0, eight)

@@ -74,12 +74,12 @@ def estimates(system: RigidBody, adaptive: bool, lanes: list[tuple]) -> np.ndarr
 def reproduce(seeds: int = SEEDS, literal: tuple[str, ...] = (), progress=None) -> Reproduction:
     """The paper's experiments with so many noise seeds. literal: names from LITERAL. progress: told the finished share."""
     literal = check_literal(sys.modules[__name__], literal)
-    tell = progress or (lambda share: None)
+    report = progress or (lambda share: None)
     airframe, system = plant(literal)
     truth = {s: losses(s) for s in (1, 2)}
     flights = {s: fly(airframe, truth[s]) for s in (1, 2)}
     variance = LOUD if "noise" in literal else NOISE
-    tell(0.1)
+    report(0.1)
 
     def lanes(scenario, walk, gate=OPEN, variance=variance, count=seeds):
         u, pose = flights[scenario]
@@ -91,9 +91,9 @@ def reproduce(seeds: int = SEEDS, literal: tuple[str, ...] = (), progress=None) 
     loud = {("loud", q): lanes(1, q, variance=LOUD, count=few) for q in WALKS}
     gated = {("gated", "q2"): lanes(1, "q2", GATE), ("loud_gated", "q2"): lanes(1, "q2", GATE, LOUD, few)}
     found = _split(False, system, cases | loud)
-    tell(0.45)
+    report(0.45)
     found |= _split(True, system, cases | loud | gated)
-    tell(0.8)
+    report(0.8)
 
     rmse, delay = {}, {}
     for s in (1, 2):
@@ -114,7 +114,7 @@ def reproduce(seeds: int = SEEDS, literal: tuple[str, ...] = (), progress=None) 
     readings = [name for name in literal if name in printed.READINGS]
     if readings:
         figures["literal"] = {name: as_printed(system, *flights[1], truth[1], name) for name in readings}
-    tell(1.0)
+    report(1.0)
     series = {"t": np.arange(0, len(truth[1]), KEEP) * DT}
     series |= {f"truth_{s}": truth[s][::KEEP] for s in (1, 2)}
     series |= {"/".join(key): theta[0, ::KEEP] for key, theta in found.items()}

@@ -43,8 +43,8 @@ P0 = {"overconfident": np.array([1e-6] * 3 + [1e-8] * 3), "honest": np.ones(6)}
 KEEP = 10  # every how many-th step is drawn
 
 
-class History(namedtuple("History", "theta x z S PC told")):
-    """theta (lanes, T, p), x (lanes, T, 6) of the filter, z of the observer; S (lanes, T, p): variances; PC (lanes, T, 6, 3); told
+class History(namedtuple("History", "theta x z S PC evidence")):
+    """theta (lanes, T, p), x (lanes, T, 6) of the filter, z of the observer; S (lanes, T, p): variances; PC (lanes, T, 6, 3); evidence
     (lanes, T, p, p): what a step tells of the losses, Omega' Sigma^-1 Omega."""
 
 
@@ -80,27 +80,27 @@ def reproduce(seeds: int = SEEDS, literal: tuple[str, ...] = (), progress=None) 
     import sys
 
     literal = check_literal(sys.modules[__name__], tuple(literal))
-    tell = progress or (lambda _: None)
+    report = progress or (lambda _: None)
     airframe = airframes.paper("rot-hexa")
     plant = PortHamiltonianAttitude.of(airframe)
     u, theta = flights.thrusts(), flights.losses()
     truth = flights.fly(plant.J, plant.B, u, theta)
     excited = flights.thrusts(excited=True)
     truth_excited = flights.fly(plant.J, plant.B, excited, theta)
-    tell(0.1)
+    report(0.1)
     figures: dict[str, Any] = {"p_final": truth[-1, 3:]}
     six = _six(airframe, literal, (u, truth), (excited, truth_excited), figures)
-    tell(0.4)
+    report(0.4)
     two = _two(airframe, literal, u, truth, seeds, figures)
-    tell(0.6)
+    report(0.6)
     _virtual(airframe, plant, u, truth, figures)
     _theorem(plant, figures)
-    tell(0.8)
+    report(0.8)
     figures["tumbles_after_s"] = _tumble(plant, u, theta)
     errors = _wrong_starts(airframe, seeds)
     for key, kind in (("divergence", "overconfident"), ("divergence_honest_P0", "honest")):
         figures[key] = {name: _lost(both[kind]) for name, both in errors.items()}
-    tell(1.0)
+    report(1.0)
     series = {"time": flights.clock() + DT, "u": u, "losses": theta, "truth": truth}
     series |= {"two": History(*(a[0] for a in two)), "no_fault_term": History(*(a[1] for a in two)), "six": six}
     series |= {"wrong_starts": {name: both["overconfident"][0] for name, both in errors.items()}}
@@ -118,9 +118,9 @@ def histories(system, literal, lanes) -> History:
         )
 
         def step(carry, row):
-            told = information(system, carry, row[0])
+            evidence = information(system, carry, row[0])
             carry, out = method.step(carry, row[0], row[1], valid)
-            kept = History(out.theta, out.x, carry.z, jax.numpy.diagonal(carry.state.S), carry.state.P[:, :3], told)
+            kept = History(out.theta, out.x, carry.z, jax.numpy.diagonal(carry.state.S), carry.state.P[:, :3], evidence)
             return carry, kept
 
         return jax.lax.scan(step, method.init(), (u, y))[1]
@@ -141,10 +141,10 @@ def information(system, carry, u):
     return Omega.T @ jnp.linalg.solve(Sigma, Omega)
 
 
-def excitation(told) -> tuple[float, float]:
+def excitation(evidence) -> tuple[float, float]:
     """alpha of eq. (16): the least eigenvalue of the sum of told (T, p, p) over any N = EXCITED_S / DT steps in a row, once Omega has
     built up for as long; and the largest eigenvalue of that very sum."""
-    total = np.cumsum(told, axis=0)
+    total = np.cumsum(evidence, axis=0)
     steps = round(EXCITED_S / DT)
     eigenvalues = np.linalg.eigvalsh(total[2 * steps :: KEEP] - total[steps:-steps:KEEP])
     weakest = int(eigenvalues[:, 0].argmin())
@@ -176,7 +176,7 @@ def _six(airframe, literal, flight, excited, figures) -> History:
         :, -1
     ]
     figures["s11_final"], figures["s11_bounded_final"] = found.S[:2, -1, 0]
-    figures["excitation_six"], figures["excitation_tones"] = (excitation(found.told[lane]) for lane in (1, 2))
+    figures["excitation_six"], figures["excitation_tones"] = (excitation(found.evidence[lane]) for lane in (1, 2))
     return found
 
 
@@ -200,7 +200,7 @@ def _two(airframe, literal, u, truth, seeds, figures) -> History:
         late = slice(-round(1.0 / DT), None)  # angles of the last second, largest error of each
         figures[f"angle_error{name}"] = np.abs(found.x[lane, late, :3] - truth[late, :3]).max(axis=0)
         figures[f"observer_angle_error{name}"] = np.abs(found.z[lane, late, :3] - truth[late, :3]).max(axis=0)
-    figures["angle_final"], figures["excitation_two"] = truth[-1, :3], excitation(found.told[0])
+    figures["angle_final"], figures["excitation_two"] = truth[-1, :3], excitation(found.evidence[0])
     last = found.theta[4:, -round(1.0 / DT) :]  # over seeds and the last second
     quiet, loud = last[:seeds], last[seeds:]
     figures["noise_4e5_mean"], figures["noise_4e5_std"] = quiet.mean(axis=(0, 1)), quiet.std(axis=(0, 1))

@@ -52,30 +52,30 @@ SETS, RING_SAMPLES, RING_ONSET = 8, 700, 200  # sets of faulty rotors a number o
 
 def reproduce(seeds: int = SEEDS, literal: tuple[str, ...] = (), progress=None) -> Reproduction:
     """The study; see studies/reproduction.py."""
-    tell = progress or (lambda share: None)
+    report = progress or (lambda share: None)
     rng = np.random.default_rng(2020)
     file = airframes.paper("f450")
     flights = _scenario_flights(file, seeds, rng)
-    tell(0.2)
+    report(0.2)
     moving = _climbing(file)
     runs, plain, filtered = _watch_all(file, flights, moving)
     if "pi" in literal:
         runs = {alpha: _without_inertia(file, flights.u, run) for alpha, run in runs.items()}
-    tell(0.3)
+    report(0.3)
     figures = {name: _scenario(name, flights, runs) for name in SCENARIOS}
     figures |= _inequality(PRINTED_EPSILON if "epsilon" in literal else EPSILON)
     figures |= _balance(flights, runs)
     figures["channels"] = _channels(file, flights, runs)
-    tell(0.4)
+    report(0.4)
     figures["manoeuvre"], series = _manoeuvre(file, moving, filtered)
-    tell(0.5)
+    report(0.5)
     figures["bound"], series["bound"] = _bound(file, *plain)
     figures["position"], series["position"] = _positions(file)
-    tell(0.6)
+    report(0.6)
     beyond = {}
     for k, (name, rotors) in enumerate(RINGS.items()):
         beyond[name] = _ring(file, rotors, rng)
-        tell(0.6 + 0.2 * (k + 1))
+        report(0.6 + 0.2 * (k + 1))
     figures["beyond_four"] = {name: ring["sparse"] for name, ring in beyond.items()}
     figures["beyond_four_rules"] = beyond
     show = {n: flights.show[n] for n in SCENARIOS}

@@ -48,26 +48,26 @@ NLP_STEPS = 260  # of a flight, after which the window is handed to another solv
 def reproduce(seeds: int = SEEDS, literal: tuple[str, ...] = (), progress=None) -> Reproduction:
     """The experiments with that many noise seeds. literal: names from LITERAL. progress: called with share and text."""
     literal = check_literal(sys.modules[__name__], tuple(literal))
-    tell = progress or (lambda share, text="": None)
+    report = progress or (lambda share, text="": None)
     table = airframes.paper("niermeyer-hexa")
     system = RateDynamics.of(table)
-    tell(0.02, "observability")
+    report(0.02, "observability")
     observed = observable(system, scaled="unscaled" not in literal)
-    tell(0.2, "flights")
+    report(0.2, "flights")
     options: dict[str, Any] = {"hold": 0.0} if "no-hold" in literal else {}
     errors: dict[str, dict[str, np.ndarray]] = {weather: {} for weather in WEATHER}
     cost, traces, flown = {}, {}, {}
     for w, (weather, torque_sd) in enumerate(WEATHER.items()):
         flown[weather] = fly(table, seeds, torque_sd)
         for k, (name, (kind, tuning)) in enumerate(ESTIMATORS.items()):
-            tell(0.25 + 0.3 * w + 0.06 * k, f"{name}, {weather}")
+            report(0.25 + 0.3 * w + 0.06 * k, f"{name}, {weather}")
             estimator = kind(system, flights.DT, bounds=LOOSE, **tuning, **options)
             errors[weather][name], taken, trace = judge(estimator, flown[weather])
             if w == 0:
                 cost[name], traces[name] = taken, trace
-    tell(0.85, "proximal_flush, capped")
+    report(0.85, "proximal_flush, capped")
     capped = judge(MHLyapunov(system, flights.DT, **options), flown["calm"])[0]
-    tell(0.9, "another solver")
+    report(0.9, "another solver")
     gap = mhe_vs_nlp(system, flown["calm"])
     numbers = {
         "rmse": {f: {e: by_path(v, k) for e, v in errors["calm"].items()} for k, f in enumerate(FAULTS)},
@@ -86,7 +86,7 @@ def reproduce(seeds: int = SEEDS, literal: tuple[str, ...] = (), progress=None) 
         "mhe_vs_nlp": gap,
         "microseconds_per_step": cost,
     }
-    tell(1.0, "done")
+    report(1.0, "done")
     series = {"flights": flown["calm"], "traces": traces, **{k: observed[k] for k in ("t", "along", "kernel", "other")}}
     return Reproduction(PAPER, TITLE, claims(numbers), numbers, literal, seeds, series)
 

@@ -81,12 +81,12 @@ def plan(scenario: Scenario) -> Plan:
 def theta_of(broken: Faults, s, held):
     """theta (8,) of the plant: losses, then displacements, of actuators that jam where they were (`held`, (4,)). s (F,): strengths."""
     jnp = load_jax().numpy
-    left, shift = faults.left(broken, s), faults.summed(broken, broken.bias * s)
+    remaining, shift = faults.remaining(broken, s), faults.summed(broken, broken.bias * s)
     for k in range(faults.MOST):
         jammed = broken.rotor[k] * broken.frozen[k] * jnp.where(s[k] > 0.0, 1.0, 0.0) > 0.0
-        left = jnp.where(jammed, 0.0, left)
+        remaining = jnp.where(jammed, 0.0, remaining)
         shift = jnp.where(jammed, jnp.where(broken.level[k] < 0.0, held, broken.level[k]), shift)
-    return jnp.concatenate([1.0 - left, shift])
+    return jnp.concatenate([1.0 - remaining, shift])
 
 
 @dataclass(frozen=True)
@@ -108,14 +108,14 @@ class HelicopterAircraft:
     def reference(self, plan: Plan, ticks: int, dt: float) -> Reference:
         """The manoeuvre at the working height, from the beginning in the air."""
         jnp = load_jax().numpy
-        ask = trajectories.table(plan.way, ticks, dt)
+        reference = trajectories.table(plan.way, ticks, dt)
         height = jnp.stack([jnp.zeros(()), jnp.zeros(()), -plan.altitude])
-        return ask._replace(p=ask.p + height, lift=jnp.ones_like(ask.lift))
+        return reference._replace(p=reference.p + height, lift=jnp.ones_like(reference.lift))
 
-    def begin(self, plan: Plan, state: State, ask, blowing, turning, dt: float) -> tuple[Moment, Array]:
+    def begin(self, plan: Plan, state: State, reference, blowing, turning, dt: float) -> tuple[Moment, Array]:
         """Outer loops."""
-        target, integral = control.outer(plan.pilot, ask, state.body, state.integral, dt)
-        return Moment(target, Air(blowing, turning, 0.0 * ask.yaw)), integral
+        target, integral = control.outer(plan.pilot, reference, state.body, state.integral, dt)
+        return Moment(target, Air(blowing, turning, 0.0 * reference.yaw)), integral
 
     def step(self, plan: Plan, now: Moment, t, body: Body, gyro, loops: Loops, own: Actuators, dt: float) -> tuple:
         """Inner loops and allocation, faults, actuators and body."""
