@@ -86,7 +86,7 @@ def judge(plan: Plan, flights: Sequence[int], size: int) -> list[dict]:
 def rows(
     plan: Plan, flown: Sequence[Flown], size: int, failed: Callable[[str, Exception], None] | None = None
 ) -> list[dict]:
-    """Rows of results of flights that have the same geometry and length of a tick. failed: told of a published estimator or a rule that
+    """Rows of results of flights that have the same geometry and length of a tick. failed: called for a published estimator or a rule that
     raises, which then has no rows; None: it raises."""
     B = flown[0].vehicle.effectiveness()
     if any(not np.array_equal(f.vehicle.effectiveness(), B) for f in flown):

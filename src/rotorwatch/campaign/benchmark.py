@@ -35,7 +35,7 @@ REPEATS = 7  # of the table that a step is timed over
 
 
 class Method(NamedTuple):
-    """What is tried. label: as it was asked for, and as rows of results call it; kind: "estimator" or "detector"."""
+    """What is tried. label: the name it was selected by, which rows of results use; kind: "estimator" or "detector"."""
 
     label: str
     name: str
@@ -133,7 +133,7 @@ def run(
     """Try methods on a benchmark's flights and on public data; returns what is written to `out` (results_file.py says what it holds).
 
     plan: a name of `shipped`, a file, or a Benchmark. methods: names, or package.module:Class; none: all that are installed, and those that
-    cannot be run are listed with the reason, while one that was asked for by name is an error. jobs: processes. data: (name, path) of
+    cannot be run are listed with the reason, while one that was named is an error. jobs: processes. data: (name, path) of
     public data sets (public_data.py). progress(done, flights, flights a second). tell: hears of methods that fail on the way. Finished
     parts are kept in `parts_of(out)`: the same call goes on where it was stopped. Raises ConfigError.
     """
@@ -199,7 +199,7 @@ def _same_run(folder: Path, entered: Plan) -> None:
 
 @dataclass(frozen=True)
 class Judge:
-    """Makes rows of flights (`work.Judge`). A method that raises is left out from then on, and what it said is kept in the folder."""
+    """Makes rows of flights (`work.Judge`). A method that raises is left out from then on, and its message is kept in the folder."""
 
     folder: str
     methods: tuple[Method, ...]

@@ -36,7 +36,7 @@ MEASURES = {
     "coverage": "share of those whose 95 % interval holds the loss",
     "us_per_step": "microseconds of one step",
 }
-"""Scores with an interval: {"value", "low", "high", "n"}, or None where nothing can be said."""
+"""Scores with an interval: {"value", "low", "high", "n"}, or None where it is not defined."""
 PLAN: dict[str, type | tuple[type, ...]] = {
     "name": str, "version": int, "sha256": str, "flights": int, "false_alarms_h": (int, float), "within_s": (int, float), "text": str,
 }  # fmt: skip

@@ -192,7 +192,7 @@ def _part(work: tuple[int, range]) -> list[dict[str, Any]]:
 def describe(result: Mapping[str, Any]) -> str:
     """The table, as text."""
     lines = [
-        f"{result['flights']} flights, seed {result['seed']}: what is said of all rotors between one change and the next",
+        f"{result['flights']} flights, seed {result['seed']}: the answer about all rotors between one change and the next",
         "",
     ]
     lines.append(f"{'':24}{'states':>8}" + "".join(f"{name:>22}" for name in OUTCOMES))

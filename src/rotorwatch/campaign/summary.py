@@ -64,7 +64,7 @@ def at_rate(d: dict[str, np.ndarray], false_alarms_h: float, within_s: float = 1
     The threshold [nats above the one in use] is the lowest at which at most `false_alarms_h` an hour are left, the first of each
     flight; a method without a statistic keeps its own (threshold None). detected: share of clear faults within `within_s` (one of
     score.RISE_S), delay_s: median of those, read from score.RISE_S. Intervals: bootstrap of flights, the threshold set anew in each; for
-    the share Wilson's where that is wider. None where nothing can be said: without healthy time, or without a clear fault.
+    the share Wilson's where that is wider. None where they are not defined: without healthy time, or without a clear fault.
     """
     clear, hours = d["clear"].astype(bool), float(d["healthy_s"].sum() / 3600.0)
     if not np.isfinite(d["peak"]).any():
@@ -112,7 +112,7 @@ def _threshold(peaks: np.ndarray, allowed: float) -> float:
 
 
 def measures(d: dict[str, np.ndarray]) -> dict[str, Any]:
-    """One line: numbers, or {"value", "low", "high", "n"} for what has an interval; None where nothing can be said."""
+    """One line: numbers, or {"value", "low", "high", "n"} for what has an interval; None where it is not defined."""
     faulty, clear = d["fault"] != "", d["clear"].astype(bool)
     hours = float(d["healthy_s"].sum() / 3600.0)
     found = clear & (d["detected"] == True)  # noqa: E712 - None where there is no fault

@@ -75,7 +75,7 @@ class _Counter:
 
 
 def _processes(jobs: int | None = None) -> int:
-    """How many processes: as asked for, else one per processor; never more than one on an accelerator, whose memory one takes."""
+    """How many processes: `jobs`, else one per processor; never more than one on an accelerator, whose memory one takes."""
     from rotorwatch.backend import jax
 
     return (jobs or many.processors()) if jax().default_backend() == "cpu" else 1

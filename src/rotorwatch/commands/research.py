@@ -1,4 +1,4 @@
-"""Commands for estimation research: what can be told apart on an airframe, and published experiments run again."""
+"""Commands for estimation research: which losses can be distinguished on an airframe, and published experiments run again."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def register(group: click.Group) -> None:
         group.add_command(command)
 
 
-@click.command(short_help="What can be told apart on an airframe.")
+@click.command(short_help="Which losses can be distinguished on an airframe.")
 @click.option(
     "--vehicle",
     required=True,
@@ -29,7 +29,7 @@ def register(group: click.Group) -> None:
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @common
 def observability(vehicle, figure, as_json, quiet) -> None:
-    """Say which losses of which rotors can be told apart on this airframe, in hover and in a manoeuvre."""
+    """Say which losses of which rotors can be distinguished on this airframe, in hover and in a manoeuvre."""
     from rotorwatch.published.observability import observability as run
 
     if figure:

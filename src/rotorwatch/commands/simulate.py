@@ -91,7 +91,7 @@ def _endings(out: Path, helicopter: bool) -> list[str]:
     return [out.suffix.lower()]
 
 
-@click.command(short_help="Which actuator of a helicopter does not do what it is told.")
+@click.command(short_help="Which actuator of a helicopter does not follow its command.")
 @click.argument("log", type=LOG)
 @click.option(
     "--airframe", required=True, metavar="NAME", help="A helicopter that a paper describes, such as ruav-40kg."

@@ -1,4 +1,4 @@
-"""What rotorwatch promises, measured: known faults and known damage in, answers counted. campaign/ does it on simulated flights.
+"""How good rotorwatch's answers are: known faults and known damage in, answers counted. campaign/ does it on simulated flights.
 
 allocation.py    is the control allocation exact?
 tools.py         shares and rates with intervals, tables, parts done in processes

@@ -1,8 +1,8 @@
-"""A helicopter's log as the table of its plant, any estimator over it, and which actuator does not do what it is told.
+"""A helicopter's log as the table of its plant, any estimator over it, and which actuator does not follow its command.
 
     U = (1 - loss) u + bias          deviation = U - u = bias - loss u
 
-From commands alone a loss and a displacement cannot be told apart while the command stands still; their deviation can always be seen,
+From commands alone a loss and a displacement cannot be distinguished while the command stands still; their deviation can always be seen,
 so it decides: an actuator is named when its deviation stays beyond LEAST and beyond MARGIN times what it may be off by for LASTING_S.
 A flight is taken to begin sound: what deviates at first is steady wind and trim, and counts as none.
 """
@@ -174,7 +174,7 @@ def estimate(flight: Flight, airframe: str, name: str, lag_s: float = LAG_S, pro
 
 
 def summary(found: Estimated) -> dict[str, dict[str, float | None]]:
-    """Actuator -> what the end of the flight says of it, as numbers that JSON takes."""
+    """Actuator -> its estimates at the end of the flight, as numbers that JSON takes."""
     last = {
         "loss": found.theta[-1, :ACTUATORS], "loss_off": found.off[-1, :ACTUATORS], "bias": found.theta[-1, ACTUATORS:],
         "bias_off": found.off[-1, ACTUATORS:], "deviation": found.deviation[-1], "deviation_off": found.deviation_off[-1],

@@ -68,8 +68,8 @@ class Scaled:
 
 
 def method(name: Any, system, dt: float, tuning: Tuning | None = None):
-    """The estimator asked for (`discovery.estimator`) on a plant. Raises ConfigError for an unknown name or keyword, or a plant it is not
-    defined for."""
+    """The estimator of that name (`discovery.estimator`) on a plant. Raises ConfigError for an unknown name or keyword, or a plant that it
+    is not defined for."""
     kind = discovery.estimator(name)
     tuning = tuning or Tuning()
     known = inspect.signature(kind).parameters
@@ -157,7 +157,7 @@ def run_hop(name: Any, hop: LogPlant, B: np.ndarray, tuning: Tuning | None = Non
     made, rows = (
         build(parameters),
         (hop.u, hop.y, hop.valid),
-    )  # with values: what is wrong with the configuration is said here
+    )  # with values: a wrong configuration raises here
     try:
         return run_built(build, parameters, *rows, seen, progress, made.init(), backend)[1][0]
     except (

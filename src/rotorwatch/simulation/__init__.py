@@ -1,4 +1,4 @@
-"""Flights that never happened: closed loop, faults, sensors, and the logs an autopilot would have kept of them.
+"""Simulated flights: closed loop, faults, sensors, and the logs that an autopilot would have written.
 
     from rotorwatch.simulation import scenario, simulate
     made = simulate(scenario.read("hexa-gusts.toml"))
@@ -31,7 +31,7 @@ __all__ = ["SUFFIXES", "Plan", "Record", "Scenario", "Simulated", "plan", "simul
 
 @dataclass(frozen=True)
 class Simulated:
-    """One simulated flight: what was asked for, its numbers, and everything that happened."""
+    """One simulated flight: its scenario, its numbers, and the record of everything."""
 
     scenario: Scenario
     plan: Any

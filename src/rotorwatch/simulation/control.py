@@ -50,7 +50,7 @@ class Autopilot(NamedTuple):
 
 
 class Target(NamedTuple):
-    """What the outer loops ask of the inner ones: attitude q (4,), yaw rate [rad/s] and throttle."""
+    """Setpoints of the outer loops for the inner ones: attitude q (4,), yaw rate [rad/s] and throttle."""
 
     q: Array
     yaw_rate: Array
@@ -121,7 +121,7 @@ def outer(pilot: Autopilot, ref: Reference, body, integral, dt) -> tuple[Target,
 
 
 def inner(pilot: Autopilot, target: Target, q, gyro, loops: Loops, lift, dt) -> tuple[Array, Array, Loops]:
-    """Attitude and rate loops on the measured rates `gyro` (3,). Returns control (3,), the rates asked for (3,) and the loops."""
+    """Attitude and rate loops on the measured rates `gyro` (3,). Returns control (3,), the rate setpoints (3,) and the loops."""
     jnp = load_jax().numpy
     d = rotation.multiply(rotation.conjugate(q), target.q)
     side = jnp.where(d[0] < 0.0, -2.0, 2.0)

@@ -5,8 +5,8 @@ A fault is active from its onset to its end, wholly or in periods (`period`, `du
     loss          thrust and torque times 1 - strength           chipped    the same, and an imbalance that shakes
     bias          strength is added to the command               stuck      the command stays what it was, or `level`
     float         the rotor is not driven any more               saturated  the command is full, or `level`
-    weak motor    the rotor turns so much slower than told that  bearing    friction, a share of the motor's full torque: more
-                  its thrust is 1 - strength of what was told               current, a little less speed (motor.py)
+    weak motor    the rotor turns so much slower that its       bearing    friction, a share of the motor's full torque: more
+                  thrust is 1 - strength of the command           current, a little less speed (motor.py)
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def _each(faults: Faults, amount) -> list:
 
 
 def remaining(faults: Faults, s):
-    """(n,) what losses leave of each rotor: two of one rotor multiply. s (F,): `strength`."""
+    """(n,) effectiveness that losses leave to each rotor: two of one rotor multiply. s (F,): `strength`."""
     return functools.reduce(lambda a, b: a * b, (1.0 - there for there in _each(faults, faults.loss * s)))
 
 
@@ -66,7 +66,7 @@ def loss(faults: Faults, s):
 
 
 def weak(faults: Faults, s):
-    """(n,) share of thrust that weak motors lack because they turn slower than told: of two on one rotor the larger."""
+    """(n,) share of thrust that weak motors lack because they turn slower than commanded: of two on one rotor the larger."""
     return functools.reduce(load_jax().numpy.maximum, _each(faults, faults.weak * s))
 
 

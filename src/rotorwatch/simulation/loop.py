@@ -65,7 +65,7 @@ class Aircraft(Protocol):
         ...
 
     def reference(self, plan, ticks: int, dt: float) -> Reference:
-        """What is asked at each tick of dt seconds: arrays of `ticks` rows."""
+        """Setpoints at each tick of dt seconds: arrays of `ticks` rows."""
         ...
 
     def begin(self, plan, state: State, reference: Reference, blowing, turning, dt: float) -> tuple[Moment, Array]:
@@ -95,7 +95,7 @@ def tick(
 ) -> tuple[State, Any]:
     """One tick of `steps` steps of dt seconds from time t: the next state and the record.
 
-    ask: what is asked now. noise: wind.NOISES + 3 steps standard normal numbers.
+    reference: setpoints now. noise: wind.NOISES + 3 steps standard normal numbers.
     """
     jax = load_jax()
     jnp = jax.numpy
@@ -191,7 +191,7 @@ def fly_many(
 
 class Ticks:
     """The ticks of one flight in the form of an estimator, so that what makes native code of those makes it of a flight: u is the time, the
-    noise and what is asked of a tick; y nothing."""
+    noise and the setpoints of a tick; y nothing."""
 
     def __init__(self, aircraft: Aircraft, plan: Any, dt: float, steps: int):
         self.aircraft, self.plan, self.dt, self.steps = aircraft, plan, dt, steps

@@ -72,7 +72,7 @@ class Record(
     """What there is to know after each tick; n rotors. Logs hold some of it, with noise; the truth file the rest.
 
     time [s]; p [m], v [m/s] (3,) NED, q (4,) body to world, omega (3,) [rad/s]; rates (3,): filtered gyro [rad/s]; accel (3,): filtered
-    specific force [m/s^2]; demand (n,): thrust asked of each rotor, command (n,): drive share that gives it; control (4,): roll, pitch,
+    specific force [m/s^2]; demand (n,): thrust setpoint of each rotor, command (n,): drive share that gives it; control (4,): roll, pitch,
     yaw, throttle; rates_setpoint (3,), q_setpoint (4,); w (n,): speeds as shares of full, phase (n,) in turns, shake (n,) [m/s^2], theta
     (n,): losses of thrust, by whatever; volts, amps of the battery; drawn (n,) [A] by each ESC; believed, lift_max; wind (3,) NED [m/s];
     flies: 0 after a crash.
@@ -134,7 +134,7 @@ class Multirotor:
         commanded = jnp.sqrt(dynamics.thrust_share(craft.expo, driven * own.sag))
         friction = faults.summed(plan.faults, plan.faults.friction * s)
         kept = 1.0 - faults.weak(plan.faults, s)
-        # Where nothing rubs the speed is what was told, to the last bit.
+        # Without friction the speed is the commanded one, to the last bit.
         share = jnp.where(friction > 0.0, motor.slowed(commanded, theta, friction), commanded) * jnp.sqrt(kept)
         lag = craft.lag * (1.0 + (faults.SPIN_DOWN - 1.0) * undriven)
         body, w, force = self.moved(plan, body, own.w, share, lag, now.air, theta, dt)

@@ -1,6 +1,6 @@
 """A multirotor whose commands follow what is believed of its rotors, instead of the autopilot's fixed mixer.
 
-What is believed, and from when on, is a `Schedule` of a few entries; `closed_loop` writes it from what an estimator said. Up to the first
+What is believed, and from when on, is a `Schedule` of a few entries; `closed_loop` writes it from an estimator's output. Up to the first
 entry the vehicle flies as any other. From then on
 
     turning 0    the autopilot's demands (throttle, roll, pitch, yaw) go through `control.allocation`
@@ -23,7 +23,7 @@ from rotorwatch.simulation.multirotor import Drives, Multirotor, Plan
 Array = Any
 PLACES = 4  # explanations of the default diagnosis
 TURN = 0.3  # rad
-LEAN = 0.25  # rad: how far from upright a turning vehicle is asked to tilt
+LEAN = 0.25  # rad: how far from upright a turning vehicle tilts at most
 
 
 class Entry(NamedTuple):
@@ -90,13 +90,13 @@ class Reconfigured(Multirotor):
         return type(other) is type(self) and other._key == self._key
 
     def aimed(self, plan: Plan, now, t, body) -> control.Target:
-        """From the first entry on the way to the tilt asked for is the shortest, whatever the heading, and no more than TURN of heading at
+        """From the first entry on the way to the tilt setpoint is the shortest, whatever the heading, and no more than TURN of heading at
         a time: where yaw is given up its error must not turn into roll and pitch (reduced attitude)."""
         jnp, target = load_jax().numpy, now.target
         here, there = rotation.axes(body.q), rotation.axes(target.q)
         a, b = (
             jnp.stack([R[0][2], R[1][2], R[2][2]]) for R in (here, there)
-        )  # body z in the world: now, and asked for
+        )  # body z in the world: now, and its setpoint
         cross = jnp.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
         dot = (a * b).sum(axis=0)
         half = jnp.concatenate([jnp.maximum(1.0 + dot, 1e-3)[None], cross])

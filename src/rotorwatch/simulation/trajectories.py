@@ -1,6 +1,6 @@
-"""What the vehicle is asked to fly: take-off, one manoeuvre, landing; positions as smooth functions of time.
+"""Setpoints of a flight: take-off, one manoeuvre, landing; positions as smooth functions of time.
 
-Velocity and acceleration are differences of the positions asked for at neighbouring ticks, so they always fit.
+Velocity and acceleration are differences of the position setpoints of neighbouring ticks, so they always fit.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def touch_down(way: Trajectory):
 
 
 def table(way: Trajectory, ticks: int, dt: float) -> Reference:
-    """What is asked at ticks of dt seconds: a Reference of arrays with `ticks` rows."""
+    """Setpoints at ticks of dt seconds: a Reference of arrays with `ticks` rows."""
     jax = load_jax()
     jnp = jax.numpy
     t = (jnp.arange(ticks + 2) - 1.0).astype(jnp.result_type(way.altitude)) * dt

@@ -3,7 +3,7 @@
     python -m rotorwatch.experiments.studies.esc_thrust --repeats 3
 
 The view "speed" puts k W^2 of each rotor, k learned in its first seconds in the air, where the commanded thrust stood. A motor that turns
-slower than told cannot be seen in it. Curves: the autopilot's own, or one that is far off, which bends commands but not speeds.
+slower than commanded cannot be seen in it. Curves: the autopilot's own, or one that is far off, which bends commands but not speeds.
 """
 
 from __future__ import annotations

@@ -280,7 +280,7 @@ def false_alarms(
         if progress:
             progress((i + share) / len(paths), name)
 
-    if not several:  # here, the way through each flight can be told
+    if not several:  # in this process the progress within a flight can be reported
         parts = [one((i, source), report=functools.partial(report, i)) for i, source in enumerate(sources)]
     else:
         parts = list(many.ordered(one, list(enumerate(sources)), jobs, scheduler, finished, keep))

@@ -3,7 +3,7 @@
 The truth is a rigid body with ideal rotors, integrated by RK4 at half the control step; it shares no code with any plant.
 NED, FRD, SI; quaternion Hamilton, body to world. The controller sees the true position and attitude and the noisy gyro. It
 allocates by a bounded weighted least squares in which yaw yields first (reduced attitude: a hexarotor with alternating spins
-survives the loss of a rotor only so), and is told the true effectiveness TOLD_S after the fault.
+survives the loss of a rotor only so), and knows the true effectiveness BELIEVED_AFTER_S after the fault.
 Source: Niermeyer, Pak and Lohmann 2017, sections 2.1 and 2.2, for airframe, path and sensors; the controller is ours.
 """
 

@@ -72,7 +72,7 @@ def estimates(system: RigidBody, adaptive: bool, lanes: list[tuple]) -> np.ndarr
 
 
 def reproduce(seeds: int = SEEDS, literal: tuple[str, ...] = (), progress=None) -> Reproduction:
-    """The paper's experiments with so many noise seeds. literal: names from LITERAL. progress: told the finished share."""
+    """The paper's experiments with so many noise seeds. literal: names from LITERAL. progress: called with the finished share."""
     literal = check_literal(sys.modules[__name__], literal)
     report = progress or (lambda share: None)
     airframe, system = plant(literal)

@@ -45,7 +45,7 @@ KEEP = 10  # every how many-th step is drawn
 
 class History(namedtuple("History", "theta x z S PC evidence")):
     """theta (lanes, T, p), x (lanes, T, 6) of the filter, z of the observer; S (lanes, T, p): variances; PC (lanes, T, 6, 3); evidence
-    (lanes, T, p, p): what a step tells of the losses, Omega' Sigma^-1 Omega."""
+    (lanes, T, p, p): the information of a step on the losses, Omega' Sigma^-1 Omega."""
 
 
 class AsPrinted(AXKF):
@@ -142,7 +142,7 @@ def information(system, carry, u):
 
 
 def excitation(evidence) -> tuple[float, float]:
-    """alpha of eq. (16): the least eigenvalue of the sum of told (T, p, p) over any N = EXCITED_S / DT steps in a row, once Omega has
+    """alpha of eq. (16): the least eigenvalue of the sum of evidence (T, p, p) over any N = EXCITED_S / DT steps in a row, once Omega has
     built up for as long; and the largest eigenvalue of that very sum."""
     total = np.cumsum(evidence, axis=0)
     steps = round(EXCITED_S / DT)

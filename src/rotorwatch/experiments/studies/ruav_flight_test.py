@@ -99,7 +99,7 @@ def fly(name: str, setting: Setting, designs: Designs, estimator=None) -> Flown:
 
 
 def _bumpless(state, old, new):
-    """The state with integrals that ask of the new controller for what the old ones asked of the old one, as far as they can."""
+    """The state with integrals for which the new controller commands what the old one did, as far as possible."""
     truth, y, xi, *rest = state
     left, wish = new[:, 5:], old[:, 5:] @ np.asarray(xi)
     xi = np.linalg.solve(left.T @ left + 1e-2 * np.eye(3), left.T @ wish + 1e-2 * np.asarray(xi))

@@ -1,6 +1,6 @@
 """Feedback linearisation with the filter's coefficients: how the paper flies its hardware-in-the-loop tests (figures 4 and 5).
 
-What climb, roll, pitch and yaw shall accelerate by, nu, is asked of the model as it stands, one step of Newton's method from trim:
+The wanted accelerations nu of climb, roll, pitch and yaw are inverted through the model, one step of Newton's method from trim:
 
     U_out = U_trim + M^-1 (nu - (dw, dp, dq, dr)/dt at (x, U_trim)),   M = d(dw, dp, dq, dr)/dt / dU_out in hover
     U_in = trim command + (U_out - U_trim) g / (g^2 + h^2),   g, h: middle of gamma's bounds and their half-width, SURE at least

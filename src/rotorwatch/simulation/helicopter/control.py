@@ -5,7 +5,7 @@ linearised plant in trim says which collective, tail and cyclic commands give th
 
     U = U_trim + M^-1 (f_z - f_z,trim, dp/dt, dq/dt, dr/dt),      M = d(f_z, dp/dt, dq/dt, dr/dt) / dU
 
-A helicopter hovers leaning against its tail rotor's thrust: attitudes asked for are turned by that of trim.
+A helicopter hovers leaning against its tail rotor's thrust: attitude setpoints are turned by that of trim.
 """
 
 from __future__ import annotations

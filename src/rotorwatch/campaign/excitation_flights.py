@@ -1,12 +1,12 @@
-"""Is a vehicle that is asked told apart? Flights with losses that are ambiguous, without and with an excitation of their commands.
+"""Does an excitation of the commands resolve ambiguous losses? Flights with such losses, without and with an excitation.
 
-    from rotorwatch.campaign import asking
-    result = asking.run(flights=120)
-    print(asking.markdown(result))
+    from rotorwatch.campaign import excitation_flights
+    result = excitation_flights.run(flights=120)
+    print(excitation_flights.markdown(result))
 
-Every flight is flown and diagnosed as it is. Where the answer is `ambiguous` the log says what to ask (`default.asked.question`), the
-excitation is designed from that (`control.excitation`), and the flight is flown again with it: up to its start it is the same to the
-last bit. Healthy flights are excited as well, as if somebody wondered.
+Every flight is flown and diagnosed as it is. Where the answer is `ambiguous` the log says which rotor sets to distinguish
+(`default.asked.question`), the excitation is designed from that (`control.excitation`), and the flight is flown again with it: up to its
+start it is the same to the last bit. Healthy flights are excited as well.
 """
 
 from __future__ import annotations
@@ -33,10 +33,14 @@ from rotorwatch.simulation.excited import EXCITED
 from rotorwatch.simulation.scenario import Scenario
 
 FRAMES = ("hexa-x", "hexa-plus", "octa-x", "octa-plus")
-ONSET_S, WAITS_S, ENDS_S = 16.0, 1.0, 14.0  # of the loss; from the answer to the excitation; from the loss to the end
+ONSET_S, WAITS_S, ENDS_S = (
+    16.0,
+    1.0,
+    14.0,
+)  # onset of the loss; from the answer to the excitation; from the onset to the end
 WITHIN_S = 3.0
 WIDTH = 16  # flights side by side
-WORST = 0.5  # loss that somebody who suspects nothing reckons with
+WORST = 0.5  # loss that is assumed where nothing was announced
 LOSSES, LARGER = (0.15, 0.45), (0.3, 0.7)
 WINDS_M_S = 4.0
 HEALTHY = 0.25  # share of flights
@@ -90,15 +94,15 @@ def judged(flight: Any, end_s: float = np.inf) -> tuple[Any, Any, Any, np.ndarra
     air = airborne(flight)
     table, B = observe(flight, vehicle, air, READY_S), vehicle.effectiveness()
     if table is None:
-        raise ConfigError("This flight never took off, so nothing can be asked of it.")
+        raise ConfigError("This flight never took off, so no excitation can be designed for it.")
     table = asked.until(table, int(np.searchsorted(table.time, end_s)))
     carry, out = program.estimate(table, B)
     return table, carry, out, B, events.read(out, table, hypotheses.make(B.shape[1]), B)
 
 
-def asking(question: asked.Question, limits: excitation.Limits | None, B: np.ndarray, exactly: bool = False):
-    """The design that answers it soonest within WITHIN_S; where that is too short, or `exactly`, the one that tells most in WITHIN_S.
-    None where the null space cannot tell the candidates apart."""
+def designed(question: asked.Question, limits: excitation.Limits | None, B: np.ndarray, exactly: bool = False):
+    """The design that answers it soonest within WITHIN_S; where that is too short, or `exactly`, the most informative one of WITHIN_S.
+    None where the null space cannot distinguish the candidates."""
     give = (B, list(question.candidates.values()), question.hover, question.noise, question.gain, question.dt, limits)
     for way in ({"length_s": WITHIN_S},) if exactly else ({"longest_s": WITHIN_S}, {"length_s": WITHIN_S}):
         try:
@@ -108,9 +112,9 @@ def asking(question: asked.Question, limits: excitation.Limits | None, B: np.nda
     return None
 
 
-def wondering(frame: str, carry, out, table, B: np.ndarray, limits: excitation.Limits | None = None):
-    """What somebody asks to whom nothing was announced: which of the sets that explain a change of trim, else which of a few pairs that
-    hover does not tell apart, or none? For WITHIN_S."""
+def designed_unprompted(frame: str, carry, out, table, B: np.ndarray, limits: excitation.Limits | None = None):
+    """The design for a flight in which nothing was announced: which of the sets that explain a change of trim is weak, else which of a few
+    pairs that hover does not distinguish, or none? For WITHIN_S."""
     sets = asked.suspects(carry, out, table, B)
     if not sets:
         alike = _alike(frame)
@@ -118,10 +122,10 @@ def wondering(frame: str, carry, out, table, B: np.ndarray, limits: excitation.L
         for who in (first, *(other for one, other in alike if one == first and len(other) == 2)):
             own = tuple(k - 1 for k in who)
             sets[own] = np.where(np.isin(np.arange(B.shape[1]), own), WORST, 0.0)
-    return asking(asked.question(sets, carry, table, B), limits=limits, B=B, exactly=True)
+    return designed(asked.question(sets, carry, table, B), limits=limits, B=B, exactly=True)
 
 
-def turned(one_: Any, other: Any) -> float:
+def attitude_change(one_: Any, other: Any) -> float:
     """Largest angle [degrees] between the attitudes of two records."""
     dot = np.abs((one_.q * other.q).sum(axis=1))
     return float(np.degrees(2.0 * np.arccos(np.clip(dot, 0.0, 1.0))).max())
@@ -148,10 +152,10 @@ def batch(frame: str, flights: Sequence[int], seed: int, limits: excitation.Limi
         if not sure:
             if unsure:
                 start = max(e.detected_s for e in unsure) + WAITS_S
-                made = asking(asked.question(asked.candidates(unsure[0], B), carry, table, B), limits=limits, B=B)
+                made = designed(asked.question(asked.candidates(unsure[0], B), carry, table, B), limits=limits, B=B)
             else:
                 table, carry, out, B, _ = judged(flight, start)
-                made = wondering(frame, carry, out, table, B, limits)
+                made = designed_unprompted(frame, carry, out, table, B, limits)
         designs.append(made)
         signals.append(excitation.none(n) if made is None else made.signal._replace(start=np.array(start)))
     after = fly(scenarios, signals)
@@ -178,7 +182,7 @@ def batch(frame: str, flights: Sequence[int], seed: int, limits: excitation.Limi
             row |= {
                 "length_s": float(made.signal.length),
                 "amplitude": float(size.max()),
-                "turned_deg": turned(was, record),
+                "turned_deg": attitude_change(was, record),
             }
             row |= {"information": float(made.information.min()), "needed": made.needed}
         rows.append(row)
