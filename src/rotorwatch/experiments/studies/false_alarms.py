@@ -28,14 +28,15 @@ import numpy as np
 
 from rotorwatch import airframes, logs, many
 from rotorwatch.compiling.run import CHUNK, chosen, run_built
-from rotorwatch.default import events, hypotheses, program
+from rotorwatch.default import hypotheses, program
 from rotorwatch.errors import ConfigError
 from rotorwatch.experiments import tools
+from rotorwatch.experiments.inject import losses, ready_s
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.motion import allocation, ticks
 from rotorwatch.motion.airborne import airborne
-from rotorwatch.motion.ticks import JUDGE, LEARN, READY_KNOWN_S, READY_S, Ticks, observe
+from rotorwatch.motion.ticks import JUDGE, LEARN, Ticks, observe
 
 PROMISED_PER_HOUR = 0.1
 FLIGHT_S = 100.0  # length of a surrogate flight, roughly: as short as flights are, each starts without knowledge
@@ -75,7 +76,7 @@ class Source:
 def source(flight: Flight, vehicle: Vehicle) -> Source:
     """Split a healthy flight into motion and residuals; ConfigError when it has no 20 s that can be judged."""
     air = airborne(flight)
-    table = observe(flight, vehicle, air, _ready_s(vehicle))
+    table = observe(flight, vehicle, air, ready_s(vehicle))
     part = _longest(table, air) if table is not None else slice(0, 0)
     if table is None or (part.stop - part.start) * table.dt < SHORTEST_S:
         name = flight.name or "the flight"
@@ -131,10 +132,6 @@ def _bridged(values: np.ndarray, known: np.ndarray) -> np.ndarray:
     """(T, k) with straight lines where not `known` (T,)."""
     at = np.arange(len(values))
     return np.column_stack([np.interp(at, at[known], column[known]) for column in values.T])
-
-
-def _ready_s(vehicle: Vehicle) -> float:
-    return READY_KNOWN_S if vehicle.identified else READY_S
 
 
 def _longest(table: Ticks, air) -> slice:
@@ -199,7 +196,7 @@ def surrogate(source: Source, rng: np.random.Generator, flight_s: float = FLIGHT
         * (np.abs((np.arange(count) + rng.integers(2) * length) % (2 * length) - length) - 0.5 * length)[:, None]
     )
     wrench = (source.gains * _regressors(rate, rate_dot, load, side, n)).sum(axis=2) + drift + e
-    learning = _ready_s(source.vehicle) - ticks.SETTLE_S
+    learning = ready_s(source.vehicle) - ticks.SETTLE_S
     time = dt * np.arange(count)
     accelerometer = bool(np.median(source.table.valid[source.table.mode == JUDGE, 3]))
     table = Ticks(
@@ -329,14 +326,9 @@ def _surrogates(
     row, alarms = {"flight": flight.name, "flights": 0, "hours": 0.0, "alarms": 0}, []
     while row["hours"] < hours:
         table = surrogate(origin, rng, flight_s)
-        found, out = _judge(table, origin.vehicle)
+        found, out = losses(table, origin.vehicle)
         judged_h = _hours(table)
-        row = {
-            **row,
-            "flights": row["flights"] + 1,
-            "hours": row["hours"] + judged_h,
-            "alarms": row["alarms"] + len(found),
-        }
+        row |= {key: row[key] + more for key, more in (("flights", 1), ("hours", judged_h), ("alarms", len(found)))}
         alarms += [_line(flight.name, f"surrogate {row['flights']}", e) for e in found]
         evidence["surrogates"] += _peaks(out, table.mode == JUDGE, table.dt)
         for shift, first in _first_alarms(table, origin.vehicle, out).items():
@@ -348,13 +340,13 @@ def _surrogates(
     flown = {"flights": 0, "hours": 0.0, "alarms": 0}
     for image, signs in IMAGES.items():
         table = mirrored(origin.table, origin.vehicle, signs)
-        found, out = _judge(table, origin.vehicle)
+        found, out = losses(table, origin.vehicle)
         inside = np.zeros(len(table.time), bool)
         inside[origin.part] = True
         evidence["flown"] += _peaks(out, inside, table.dt)
-        flown["flights"] += 1
-        flown["hours"] += _hours(table)
-        flown["alarms"] += len(found)
+        flown = {
+            key: flown[key] + more for key, more in (("flights", 1), ("hours", _hours(table)), ("alarms", len(found)))
+        }
         alarms += [_line(flight.name, image, e) for e in found]
     return _Part({**row, **_rate(row["alarms"], row["hours"])}, flown, firsts, evidence, alarms)
 
@@ -376,12 +368,6 @@ def describe(result: dict[str, Any]) -> str:
     lines += [f"{k:<30} " + " ".join(f"{q:8.1f}" for q in v) for k, v in result["evidence"].items()]
     lines += ["", "The flights themselves, as flown and with yaw mirrored", head]
     return "\n".join([*lines, line(f"{flown['flights']} flights", flown["alarms"], flown["hours"], flown)])
-
-
-def _judge(table: Ticks, vehicle: Vehicle):
-    B = vehicle.effectiveness()
-    _, out = program.estimate(table, B, (vehicle.identified or {}).get("dynamics"))
-    return events.read(out, table, hypotheses.make(len(vehicle.rotors)), B), out
 
 
 def _peaks(out, inside: np.ndarray, dt: float) -> list[float]:
