@@ -245,15 +245,8 @@ def cost(method: Method, scenes: Sequence[compare_flights.Scene]) -> dict[str, f
 
 
 def _entry(method: Method, scored: dict[str, Any] | None, failed: str | None) -> dict[str, Any]:
-    source = method.source._asdict()
-    return {
-        "name": method.name,
-        "kind": method.kind,
-        "about": method.about,
-        **source,
-        "failed": failed,
-        "scores": scored,
-    }
+    about = {"name": method.name, "kind": method.kind, "about": method.about, **method.source._asdict()}
+    return {**about, "failed": failed, "scores": scored}
 
 
 def _on_data(

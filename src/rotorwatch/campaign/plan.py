@@ -173,20 +173,8 @@ def from_table(table: Mapping[str, Any], text: str = "") -> Plan:
     if not faults and healthy < 1.0 and "healthy" in table:
         raise ConfigError("healthy is below 1, but there are no [[faults]] for the other flights.")
     rotors = _try_out(template, cells, faults)
-    return Plan(
-        fields["name"],
-        seed,
-        healthy,
-        estimators,
-        rules,
-        decisions,
-        period,
-        template,
-        faults,
-        cells,
-        rotors,
-        text or repr(table),
-    )
+    name, text = fields["name"], text or repr(table)
+    return Plan(name, seed, healthy, estimators, rules, decisions, period, template, faults, cells, rotors, text)
 
 
 def _cells(template: Mapping[str, Any]) -> tuple[Cell, ...]:

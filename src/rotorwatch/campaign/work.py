@@ -49,29 +49,16 @@ def run(
     with place.locked():
         width = place.open(plan, batch.width(), __version__, methods.engine())
         todo = place.missing(flights, len(plan.cells), width)
-        left = sum(w.last - w.first for w in todo)
-        counter = _Counter(flights, flights - left, progress)
+        done, now, began = flights - sum(w.last - w.first for w in todo), 0, time.monotonic()
+        if progress:
+            progress(done, flights, 0.0)
         do = _Parts(plan, width, judge, methods.engine())
         for part in many.run(do, todo, None if scheduler else _processes(jobs), scheduler):
             place.write(todo[part.index], part.result())
-            counter(todo[part.index])
+            now += todo[part.index].last - todo[part.index].first
+            if progress:
+                progress(done + now, flights, now / (time.monotonic() - began))
         return place.table(flights)
-
-
-class _Counter:
-    """Counts finished flights for the progress bar."""
-
-    def __init__(self, flights: int, done: int, progress: Progress | None):
-        self.flights, self.done, self.progress, self.now = flights, done, progress, 0
-        self.began = time.monotonic()
-        if progress:
-            progress(done, flights, 0.0)
-
-    def __call__(self, work: Work) -> None:
-        self.now += work.last - work.first
-        self.done += work.last - work.first
-        if self.progress:
-            self.progress(self.done, self.flights, self.now / (time.monotonic() - self.began))
 
 
 def _processes(jobs: int | None = None) -> int:
