@@ -112,11 +112,11 @@ def estimate(log, airframe, estimator, lag, as_json, quiet) -> None:
     checks.finite("--lag", lag)
     with progress(quiet) as report:
         found = helicopter_log.estimate(logs.read(log), airframe, estimator, lag, report)
-    found_of = helicopter_log.summary(found)
+    actuators = helicopter_log.summary(found)
     if as_json:
-        click.echo(json.dumps(found_of, indent=1, allow_nan=False))
+        click.echo(json.dumps(actuators, indent=1, allow_nan=False))
         return
-    for name, one in found_of.items():
+    for name, one in actuators.items():
         verdict = "sound" if one["found_s"] is None else f"FAULTY, found at {one['found_s']:.2f} s"
         click.echo(
             f"{name:13s} {verdict:29s} off by {one['deviation']:+.3f} +- {one['deviation_off']:.3f}   "
