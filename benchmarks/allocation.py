@@ -1,5 +1,7 @@
 """How exact is the allocation, and how long does a step of it take as native code and on a Cortex-M7?
 
+Exact: random demands on all frames with random losses, against SciPy's solver of bounded least squares.
+
 python benchmarks/allocation.py exact                 100,000 demands on every frame against SciPy, three ways of belief
 python benchmarks/allocation.py exact --demands 1000
 python benchmarks/allocation.py time                  native code of this computer, one step after the other
@@ -14,12 +16,15 @@ import subprocess
 import tempfile
 import time
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from rotorwatch import airframes
+from rotorwatch.backend import jax as load_jax
 from rotorwatch.compiling import native
-from rotorwatch.control.allocation import DRIVEN_BY, Allocator
-from rotorwatch.experiments import allocation
+from rotorwatch.control import allocation
+from rotorwatch.control.allocation import DRIVEN_BY, Allocator, Belief
 from rotorwatch.export_c import allocator_program
 
 FRAMES = ("ardupilot-quad-x", "ardupilot-hexa-x", "ardupilot-octa-x", "ardupilot-dodecahexa-x")
@@ -52,7 +57,123 @@ int main(void)
 """
 
 
-def arguments(program, given: allocation.Problems, rows: int) -> list[np.ndarray]:
+MOST = 12  # rotors
+SETS = 3  # candidates of an ambiguous belief
+
+
+class Problems(NamedTuple):
+    """Demands (N, 4) on a vehicle B (4, n) and what is believed of its rotors: `Belief` with a leading N."""
+
+    B: np.ndarray
+    demand: np.ndarray
+    belief: Belief
+
+
+class Row(NamedTuple):
+    """A frame's worst difference of a command from the oracle's; bounded: share of commands at 0 or 1; turns: the most; None for
+    "posterior"."""
+
+    frame: str
+    rotors: int
+    by: str
+    demands: int
+    worst: float
+    bounded: float
+    turns: int | None
+
+
+def frames() -> list[str]:
+    """Every airframe of up to MOST rotors, but those of the same geometry."""
+    found: dict[bytes, str] = {}
+    for name in airframes.names():
+        B = allocation.rows(airframes.named(name))
+        if B.shape[1] <= MOST:
+            found.setdefault(np.round(B, 6).tobytes(), name)
+    return sorted(found.values())
+
+
+def problems(frame: str, count: int, seed: int = 0) -> Problems:
+    """Random demands, a third of them small, a third large, a third beyond what the vehicle can do, a fifth exactly at a corner of it;
+    a quarter of the rotors weak, one in sixteen dead; bounds about the mean; candidates with other rotors weak."""
+    B = allocation.rows(airframes.named(frame))
+    n = B.shape[1]
+    rng = np.random.default_rng([seed, n, sum(frame.encode())])
+
+    def losses(*shape):
+        e = np.where(rng.random(shape) < 0.25, rng.random(shape), 1.0)
+        return np.where(rng.random(shape) < 1.0 / 16.0, 0.0, e)
+
+    mean = losses(count, n)
+    half = np.abs(B).sum(axis=1) / 2.0
+    demand = rng.random((count, n)) @ B.T * rng.choice([0.5, 1.0, 2.0], (count, 1))
+    demand += half * rng.standard_normal((count, 4)) * rng.choice([0.0, 0.2, 1.0], (count, 1))
+    corner = rng.random(count) < 0.2
+    demand = np.where(corner[:, None], (mean * (rng.random((count, n)) < 0.5)) @ B.T, demand)
+    lower = np.maximum(mean - rng.choice([0.0, 0.1, 1.0], (count, 1)) * rng.random((count, n)), 0.0)
+    upper = np.minimum(mean + rng.choice([0.0, 0.1, 1.0], (count, 1)) * rng.random((count, n)), 1.0)
+    return Problems(B, demand, Belief(mean, lower, upper, losses(count, SETS, n), rng.random((count, SETS))))
+
+
+def oracle(allocator: Allocator, demand: np.ndarray, belief: Belief) -> np.ndarray:
+    """u (n,) of one problem, by SciPy from the definition: rows stacked, bounded-variable least squares of Stark and Parker."""
+    from scipy.optimize import lsq_linear
+
+    half = np.abs(allocator.B).sum(axis=1) / 2.0
+    W = np.diag(allocator.weights / np.where(half > 0.0, half, 1.0))
+    C, b, n, root = W @ allocator.B, W @ demand, allocator.n, np.sqrt(allocator.eps)
+    if allocator.by == "posterior":
+        share = np.sqrt(belief.weights / belief.weights.sum())
+        blocks = [(s * C * e, s * b) for s, e in zip(share, belief.candidates, strict=True)]
+        mean = share**2 @ belief.candidates
+    else:
+        mean = belief.mean
+        blocks = [(C * mean, b)]
+    if allocator.by == "bounds":
+        spread = np.sqrt((belief.upper - mean) * (mean - belief.lower))
+        blocks.append((np.diag(spread * np.linalg.norm(C, axis=0)), np.zeros(n)))
+    ridge = root * np.eye(n)
+    free = np.linalg.lstsq(np.vstack([C * mean, ridge]), np.append(b, np.zeros(n)), rcond=None)[0]
+    A = np.vstack([*(block for block, _ in blocks), ridge])
+    y = np.concatenate([*(right for _, right in blocks), root * np.clip(free, 0.0, 1.0)])
+    return lsq_linear(A, y, (0.0, 1.0), method="bvls", tol=1e-15, max_iter=300).x
+
+
+def solver(allocator: Allocator):
+    """Compiled: demands (N, 4) and beliefs -> (`Allocation` with a leading N, turns (N,))."""
+    jax = load_jax()
+
+    def one(demand, belief):
+        return allocator.step_counting(allocator.init(), demand, belief)[1:]
+
+    return jax.jit(jax.vmap(one))
+
+
+def compare(frame: str, count: int, by: str = "estimate", seed: int = 0, run: Any = None) -> Row:
+    """One frame's row. run: what `solver` made for this allocator, if there already is one."""
+    posed = problems(frame, count, seed)
+    allocator = Allocator(posed.B, by=by)
+    out, turns = (run or solver(allocator))(posed.demand, posed.belief)
+    u, turns = np.asarray(out.u), np.asarray(turns)
+    worst = 0.0
+    for k in range(count):
+        belief = Belief(*(leaf[k] for leaf in posed.belief))
+        worst = max(worst, float(np.abs(u[k] - oracle(allocator, posed.demand[k], belief)).max()))
+    at = float(((u == 0.0) | (u == 1.0)).mean())
+    return Row(frame, allocator.n, by, count, worst, at, None if by == "posterior" else int(turns.max()))
+
+
+def study(demands: int, by: str = "estimate", progress: Any = None) -> list[Row]:
+    """`demands` in all, spread over every frame."""
+    names = frames()
+    rows = []
+    for k, name in enumerate(names):
+        rows.append(compare(name, -(-demands // len(names)), by))
+        if progress:
+            progress((k + 1) / len(names), name)
+    return rows
+
+
+def arguments(program, given: Problems, rows: int) -> list[np.ndarray]:
     """The step's inputs in its order, a row per demand."""
     known = {"demand": given.demand, **given.belief._asdict()}
     return [np.ascontiguousarray(known[f.name][:rows], float) for f in program.inputs]
@@ -62,7 +183,7 @@ def exact(demands: int) -> None:
     print("| rotors | driven by | demands | worst difference | commands at 0 or 1 | most turns of 24 |")
     print("|---|---|---|---|---|---|")
     for by in DRIVEN_BY:
-        rows = allocation.study(demands, by)
+        rows = study(demands, by)
         for n in sorted({row.rotors for row in rows}):
             some = [row for row in rows if row.rotors == n]
             turns = max((row.turns for row in some if row.turns is not None), default="-")
@@ -75,9 +196,9 @@ def timed() -> None:
     print("| frame | method | mean us | 99th percentile us | longest us |")
     print("|---|---|---|---|---|")
     for frame in FRAMES:
-        given = allocation.problems(frame, ROWS)
+        given = problems(frame, ROWS)
         for method, by in WAYS:
-            program = allocator_program(Allocator(given.B, by=by, method=method), "allocator", allocation.SETS)
+            program = allocator_program(Allocator(given.B, by=by, method=method), "allocator", SETS)
             library = ctypes.CDLL(str(native.build(program.header, program.source, "allocator")))
             columns = arguments(program, given, ROWS)
             state, out, work = np.zeros(64), np.zeros((ROWS, 64)), np.zeros(program.workspace_bytes // 8 + 8)
@@ -104,11 +225,11 @@ def instructions() -> None:
     print("| frame | method | precision | thousand instructions, mean | most | text kB | workspace kB |")
     print("|---|---|---|---|---|---|---|")
     for frame in FRAMES:
-        given = allocation.problems(frame, ROWS)
+        given = problems(frame, ROWS)
         for method, by in WAYS:
             allocator = Allocator(given.B, by=by, method=method)
-            program = allocator_program(allocator, "allocator", allocation.SETS)
-            turns = np.asarray(allocation.solver(Allocator(given.B, by="bounds" if by == "bounds" else "estimate"))(
+            program = allocator_program(allocator, "allocator", SETS)
+            turns = np.asarray(solver(Allocator(given.B, by="bounds" if by == "bounds" else "estimate"))(
                 given.demand, given.belief)[1])  # fmt: skip
             chosen = np.r_[np.argsort(-turns, kind="stable")[: STEPS // 2], np.arange(STEPS // 2)]
             columns = [column[chosen] for column in arguments(program, given, ROWS)]

@@ -131,7 +131,7 @@ def main() -> None:
         out = asked.out / f"{frame}{asked.name}.json"
         if not out.exists():
             plan = ROOT / "benchmarks" / "comparison" / f"{frame}.toml"
-            benchmark.run(plan, asked.methods.split(","), out, asked.jobs, tell=print)
+            benchmark.run(plan, asked.methods.split(","), out, asked.jobs, notify=print)
         pages.append(table(ranking.rank(sorted(asked.out.glob(f"{frame}*.json"))), up))
     PAGE.write_text(HEAD + "".join(pages) + staying_up(up), encoding="utf-8")
 

@@ -182,8 +182,8 @@ def fly(asked: plan.Plan, flights: Sequence[int], out: Path, drivers: Sequence[s
                 if not here or set(here) <= done:
                     continue
                 for outcome in closed_loop.fly(Slower(asked), here, driver, aircraft=aircraft):
-                    frame = asked.flight(outcome.flight).airframe["frame"]
-                    rows.append({"simulator": name, "driver": driver, "frame": frame, **outcome._asdict()})
+                    frame = asked.flight(outcome["flight"]).airframe["frame"]
+                    rows.append({"simulator": name, "driver": driver, "frame": frame, **outcome})
                 out.write_text(json.dumps({"plan": asked.name, "rows": rows}, indent=1))
                 print(f"cell {c + 1} of {cells}, {name}, {driver}; {STEPS.made} steps", file=sys.stderr, flush=True)
         STEPS.known.clear()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes, diagnose
-from rotorwatch.campaign import asking
+from rotorwatch.campaign import excitation_flights
 from rotorwatch.control import excitation
 from rotorwatch.default import asked
 from rotorwatch.default.plant import TAU
@@ -117,11 +117,11 @@ def test_the_information_of_ticks_finds_the_losses_and_the_lag():
 
 
 def scenario(who, loss, wind=1.0):
-    base = asking.draw(3, "hexa-x", 7)
+    base = excitation_flights.draw(3, "hexa-x", 7)
     fault = {
         "kind": "loss",
         "strength": loss,
-        "onset_s": asking.ONSET_S,
+        "onset_s": excitation_flights.ONSET_S,
         "end_s": None,
         "ramp_s": 0.0,
         "period_s": None,
@@ -139,7 +139,7 @@ def flown():
     made = excitation.design(B, sets, np.full(6, 0.45), noise, np.array([0.03, 0.03, 0.8]), 0.05, length_s=2.0)
     asks = made.signal._replace(start=np.array(21.0))
     four = [*scenarios, *scenarios]
-    return asking.fly(four, [excitation.none(6)] * 2 + [asks] * 2)
+    return excitation_flights.fly(four, [excitation.none(6)] * 2 + [asks] * 2)
 
 
 def test_a_pair_that_is_ambiguous_is_named_once_it_is_asked(flown):
@@ -150,18 +150,18 @@ def test_a_pair_that_is_ambiguous_is_named_once_it_is_asked(flown):
     assert not event.alternatives and event.probability > 0.99 and "excitation" in event.reason
     assert all(low < 0.35 < high for low, high in event.interval)
     assert event.extra["asked"]["start_s"] == pytest.approx(21.0, abs=0.3)
-    assert asking.turned(flown[0][0], flown[2][0]) < 1.0
+    assert excitation_flights.attitude_change(flown[0][0], flown[2][0]) < 1.0
 
 
 def test_a_healthy_vehicle_stays_healthy_and_does_not_move(flown):
     answer = diagnose(flown[3][1])
     assert answer.verdict == "healthy" and not answer.events
     assert any("rotors are all well" in a for a in answer.assumptions)
-    assert asking.turned(flown[1][0], flown[3][0]) < 0.2
+    assert excitation_flights.attitude_change(flown[1][0], flown[3][0]) < 0.2
 
 
 def test_without_an_excitation_nothing_changes(flown):
-    table, _, _, B_, losses = asking.judged(flown[0][1])
+    table, _, _, B_, losses = excitation_flights.judged(flown[0][1])
     assert asked.find(table, B_) == ((), None, ())
     assert asked.settle(losses, table, B_) == (losses, ())
 

@@ -100,11 +100,11 @@ def test_the_command_says_in_one_line_that_there_is_no_compiler():
 @needs_compiler
 def test_a_published_method_is_built_once_and_says_what_jax_says(monkeypatch):
     """Native code of a method is known by name and arguments; a stranger's, whose source may change, never is."""
-    build = published._builder("ekf", 0.05, ())
-    assert native._named(build) == native._named(published._builder.__wrapped__("ekf", 0.05, ()))
-    assert native._named(build) != native._named(published._builder("ekf", 0.1, ()))
-    assert native._named(published._builder("test_backends:Strange", 0.05, ())) is None
-    assert native._named(functools.partial(published._watched, "ekf", 0.05, np.ones(2))) is None
+    build = published.builder("ekf", 0.05, ())
+    assert native._named(build) == native._named(published.builder.__wrapped__("ekf", 0.05, ()))
+    assert native._named(build) != native._named(published.builder("ekf", 0.1, ()))
+    assert native._named(published.builder("test_backends:Strange", 0.05, ())) is None
+    assert native._named(functools.partial(published.watched, "ekf", 0.05, np.ones(2))) is None
 
     vehicle = airframes.named("ardupilot-quad-x")
     flight = simulate(vehicle, [0.4], [1], [20.0], np.random.default_rng(3))[0]

@@ -363,7 +363,7 @@ def test_a_method_that_cannot_be_run_is_told_before_anything_flies(kind, says, t
 
 
 def test_a_method_that_fails_on_the_way_is_left_out_and_the_others_go_on(tmp_path, monkeypatch):
-    methods = tuple(benchmark.asked_methods(["ekf", "akf"]))
+    methods = tuple(benchmark.selected_methods(["ekf", "akf"]))
     entered = benchmark._entered(
         benchmark.parsed(SMALL) if hasattr(benchmark, "parsed") else benchmark_plan.parsed(SMALL), methods
     )
@@ -386,8 +386,8 @@ def test_a_method_that_fails_on_the_way_is_left_out_and_the_others_go_on(tmp_pat
 
 
 def test_parts_of_other_methods_are_not_mixed_in(tmp_path):
-    entered = benchmark._entered(benchmark_plan.parsed(SMALL), benchmark.asked_methods(["ekf"]))
-    other = benchmark._entered(benchmark_plan.parsed(SMALL), benchmark.asked_methods(["akf"]))
+    entered = benchmark._entered(benchmark_plan.parsed(SMALL), benchmark.selected_methods(["ekf"]))
+    other = benchmark._entered(benchmark_plan.parsed(SMALL), benchmark.selected_methods(["akf"]))
     (tmp_path / "plan.toml").write_text(other.text)
     with pytest.raises(
         ConfigError, match="holds parts of a run with another plan or other methods: delete that folder"
@@ -451,7 +451,7 @@ def test_logs_with_known_faults_are_scored_as_simulated_flights_are(tmp_path):
     assert [(p.name, e.rotors) for p, e in data.logs][-2:] == [
         ("hexax_m3_mul0.80_square_wind.bin.xz", (3,)), ("quadx_healthy_hover.bin.xz", ()),
     ]  # fmt: skip
-    plan = benchmark._entered(benchmark_plan.parsed(SMALL), benchmark.asked_methods(["default", "px4-esc-current"]))
+    plan = benchmark._entered(benchmark_plan.parsed(SMALL), benchmark.selected_methods(["default", "px4-esc-current"]))
     rows, left_out = public_data.judge(data, plan)
     assert [log for log, _ in left_out] == ["damaged.bin"] and "damaged.bin" in left_out[0][1]
     assert {(row["method"], row["rotors"]) for row in rows} == {

@@ -1,8 +1,10 @@
 """Control allocation: exact against SciPy and against every active set, priorities, doubt, commands that no number asks for, and its C."""
 
 import ctypes
+import importlib.util
 import itertools
 import subprocess
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,8 +16,14 @@ from rotorwatch.compiling import toolchain
 from rotorwatch.control import allocation, box
 from rotorwatch.control.allocation import Allocator, Belief, believed
 from rotorwatch.errors import ConfigError
-from rotorwatch.experiments import allocation as study
 from rotorwatch.export_c import allocator_program, export_allocator
+
+BENCHMARK = importlib.util.spec_from_file_location(
+    "benchmark_of_allocation", Path(__file__).resolve().parents[1] / "benchmarks" / "allocation.py"
+)
+assert BENCHMARK is not None and BENCHMARK.loader is not None
+study = importlib.util.module_from_spec(BENCHMARK)
+BENCHMARK.loader.exec_module(study)
 
 jax = load_jax()
 QUAD, HEXA = "ardupilot-quad-x", "ardupilot-hexa-x"

@@ -114,7 +114,7 @@ def with_loss(table, vehicle, since_s):
 
 def test_first_alarms_come_no_later_with_lower_thresholds(origin):
     table = with_loss(study.surrogate(origin, np.random.default_rng(7)), origin.vehicle, 40.0)
-    found, out = study._judge(table, origin.vehicle)
+    found, out = study.losses(table, origin.vehicle)
     assert [e.rotors for e in found] == [(1,)] and 40.0 < found[0].detected_s < 43.0
     first = study._first_alarms(table, origin.vehicle, out)
     times = [first[shift] for shift in study.SHIFTS]
@@ -133,7 +133,7 @@ def test_study_counts_hours_and_alarms(flight, monkeypatch):
         quiet = SimpleNamespace(announced=np.zeros(len(table.time), bool), statistic=np.full(len(table.time), -7.0))
         return (alarm,) * (len(calls) % 2 == 0), quiet
 
-    monkeypatch.setattr(study, "_judge", every_second)
+    monkeypatch.setattr(study, "losses", every_second)
     monkeypatch.setattr(study, "_first_alarms", lambda *_: {s: 30.0 for s in study.SHIFTS})
     result = study.false_alarms([flight], hours=0.1, seed=1)
     (row,) = result["table"]

@@ -49,7 +49,7 @@ def flown():
         ask = np.asarray(trajectories.table(plans[k].way, len(r.time), r.time[1] - r.time[0]).p)
         late = r.time > 11.0
         tilt = np.degrees(np.arccos(np.clip(1.0 - 2.0 * (r.q[:, 1] ** 2 + r.q[:, 2] ** 2), -1.0, 1.0)))
-        found[flight] = np.linalg.norm(r.p - ask, axis=1)[late], tilt[late], (r.omega - r.rates_asked)[late]
+        found[flight] = np.linalg.norm(r.p - ask, axis=1)[late], tilt[late], (r.omega - r.rates_setpoint)[late]
     return found
 
 

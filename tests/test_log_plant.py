@@ -300,6 +300,6 @@ def test_an_end_is_written_down_and_another_set_takes_over():
     best = odds.argmax(axis=1)
     seen = SimpleNamespace(log_odds=odds, best=best, alarm=odds.max(axis=1) > 0, onset=np.full(T, 3.0))
     announced, active, _, _ = published._follow(seen, hyp, dt)
-    assert np.flatnonzero(announced).tolist() == [100, 150, 199 + round(decide.GONE_S / dt)]
+    assert np.flatnonzero(announced).tolist() == [100, 150, 199 + round(decide.OVER_S / dt)]
     assert active[120].tolist() == [False, True, False, False] and active[180].tolist() == [False, False, True, False]
     assert not active[260].any() and not active[:100].any()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes
-from rotorwatch.experiments.studies import error_bound, hover_flights, position_hold
+from rotorwatch.experiments.studies import error_bound, hover_flights
 from rotorwatch.experiments.studies import reproduce_intermediate as study
 from rotorwatch.maths import intermediate_design as design
 from rotorwatch.systems.linear_hover import LinearHover
@@ -170,7 +170,7 @@ def test_holding_a_position_is_the_hovering_flight_for_angles_and_height():
     vehicle, T = hover_flights.craft(FILE), 200
     gamma = np.zeros((1, T, 4))
     gamma[:, 50:] = 0.3
-    place, u = position_hold.hold(vehicle, gamma, np.ones(1))
+    place, u = hover_flights.hold(vehicle, gamma, np.ones(1))
     told, y = hover_flights.fly(vehicle, gamma, np.zeros((1, T, 4)), np.zeros((1, 4 * T, 8)))
     np.testing.assert_allclose(u, told, atol=1e-6)
     np.testing.assert_allclose(place[..., 2], -y[..., 3], atol=1e-9)

@@ -130,7 +130,10 @@ def test_every_flight_is_a_valid_scenario_with_what_its_kind_says():
         assert rotors and all(1 <= r <= sequences.FRAMES[s.airframe["frame"]] for r in rotors)
         assert len(set(rotors)) == (1 if kind in ("recovery", "change", "intermittent") else 2), (kind, rotors)
         for f in s.faults:
-            assert 0.1 <= f["strength"] <= 0.5 and 18.0 <= f["onset_s"] < sequences.DURATION_S - sequences.SETTLE_S
+            assert (
+                0.1 <= f["strength"] <= 0.5
+                and 18.0 <= f["onset_s"] < sequences.SCENARIO["duration_s"] - sequences.SETTLE_S
+            )
         if kind == "arm" and s.airframe["frame"] in sequences.ARMS:
             assert tuple(sorted(rotors)) in [tuple(sorted(a)) for a in sequences.ARMS[s.airframe["frame"]]]
     assert len(kinds) == len(set(sequences.KINDS)) * len(sequences.FRAMES)

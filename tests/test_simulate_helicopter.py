@@ -392,7 +392,7 @@ def test_every_method_for_two_unknowns_an_actuator_can_be_named():
 def test_estimators_find_the_jam(name):
     """Nothing before the onset, the jammed tail soon after it and nothing else, its displacement at the end."""
     found = helicopter_log.estimate(calm().flight, "ruav-40kg", name)
-    said = helicopter_log.said(found)
+    said = helicopter_log.summary(found)
     assert 15.0 < said["tail"]["found_s"] < 18.0
     assert all(said[other]["found_s"] is None for other in ("collective", "longitudinal", "lateral"))
     truth = 0.22 - calm().record.command[-1, 1]

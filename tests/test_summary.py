@@ -5,6 +5,7 @@ import pytest
 from scipy import stats
 
 from rotorwatch.campaign import score, summary
+from rotorwatch.experiments import tools
 
 
 @pytest.mark.parametrize("count, n", [(0, 10), (1, 10), (5, 10), (10, 10), (1, 1), (3, 400), (397, 400), (17, 29)])
@@ -70,7 +71,7 @@ def test_edges_and_thresholds_go_up_and_cover_what_there_is():
     assert summary.LOSS_EDGES[0] <= 0.03 and summary.LOSS_EDGES[-1] > 1.0 and summary.WIND_EDGES[0] == 0.0
     assert np.array(summary.THRESHOLDS) == pytest.approx(np.arange(-24, 25) / 2.0)
     assert max(summary.DELAYS_S) == max(score.WINDOWS_S) == score.EVALUATE_S
-    assert summary.LIKELY == pytest.approx(stats.norm.ppf(0.75)) and summary.Z == pytest.approx(stats.norm.ppf(0.975))
+    assert summary.LIKELY == pytest.approx(stats.norm.ppf(0.75)) and tools.Z == pytest.approx(stats.norm.ppf(0.975))
 
 
 def test_a_tenth_is_a_tenth():

@@ -34,5 +34,5 @@ def test_the_pages_method_can_enter_the_benchmark(tmp_path, monkeypatch):
     (own,) = [block for block in blocks if "class SlowObserver" in block]
     (tmp_path / "my_file.py").write_text("import jax.numpy as jnp\nimport rotorwatch as rw\n" + own)
     monkeypatch.syspath_prepend(str(tmp_path))
-    (method,) = benchmark.asked_methods(["my_file:SlowObserver"])
+    (method,) = benchmark.selected_methods(["my_file:SlowObserver"])
     assert method.name == "slow_observer" and benchmark.try_out(method) is None

@@ -27,7 +27,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import airframes, default, logs, many
+from rotorwatch import airframes, default, logs
 from rotorwatch.campaign import batch, sequences
 from rotorwatch.campaign.constants import TABLE
 from rotorwatch.campaign.plan import Plan
@@ -35,7 +35,7 @@ from rotorwatch.compiling.run import chosen, run_built
 from rotorwatch.default import events, hypotheses, program
 from rotorwatch.diagnosis import Event
 from rotorwatch.errors import ConfigError
-from rotorwatch.experiments import inject
+from rotorwatch.experiments import inject, tools
 from rotorwatch.experiments.studies import false_alarms
 from rotorwatch.motion import outside
 from rotorwatch.motion.airborne import airborne
@@ -164,14 +164,14 @@ def judge(table: Ticks, B: np.ndarray, values: Mapping[str, Any]) -> program.Kep
         passed = {
             k: np.asarray(v, float) for k, v in constants().items() if k not in BUILT_IN and not isinstance(v, dict)
         }
-        given, rows = {**program.parameters(B, table.dt), "constants": passed}, program.inputs(table, B)
+        parameters, rows = {**program.parameters(B, table.dt), "constants": passed}, program.inputs(table, B)
         backend = chosen(None, "auto")
         if not own:
-            return run_built(tuned, given, *rows, program.kept, backend=backend)[1]
-        key = (B.shape[1], "lower" in given, json.dumps(own, default=repr))
+            return run_built(tuned, parameters, *rows, program.kept, backend=backend)[1]
+        key = (B.shape[1], "lower" in parameters, json.dumps(own, default=repr))
         if key not in _BUILT:
             _BUILT[key] = functools.partial(tuned)
-        return run_built(_BUILT[key], given, *rows, program.kept, backend=backend)[1]
+        return run_built(_BUILT[key], parameters, *rows, program.kept, backend=backend)[1]
 
 
 _BUILT: dict[tuple, Callable] = {}
@@ -235,7 +235,7 @@ def outcomes(case: Case, kept: program.Kept) -> dict[str, Any]:
     table, theta = case.ticks, case.theta
     found = events.read(kept, table, hypotheses.make(case.B.shape[1]), case.B)
     found = outside.unexplained(found, case.overrides)
-    said: list[tuple[float, str]] = [(s.at, s.outcome) for s in sequences.states(case, found)]
+    read_out: list[tuple[float, str]] = [(s.at, s.outcome) for s in sequences.states(case, found)]
 
     def weak_at(t: float) -> set[int]:
         near = (table.time > t - SOON_S) & (table.time <= t + 1.0)
@@ -251,7 +251,7 @@ def outcomes(case: Case, kept: program.Kept) -> dict[str, Any]:
         times = [e.detected_s - onset for e in found if rotor + 1 in e.rotors and onset - 1.0 <= e.detected_s]
         delays.append(min((t for t in times if t <= SOON_S), default=None))
     errors, held = [], []
-    for at, outcome in said:
+    for at, outcome in read_out:
         if outcome != "right":
             continue
         k = min(int(np.searchsorted(table.time, at)), len(theta) - 1)
@@ -263,17 +263,17 @@ def outcomes(case: Case, kept: program.Kept) -> dict[str, Any]:
                     errors.append(guess - truth)
                     held.append(abs(guess - truth) <= 1.96 * sd)
     hours = float((table.mode == JUDGE).sum() * table.dt / 3600.0)
-    return {"kind": case.kind, "states": [o for _, o in said], "false": false, "hours": hours, "delays": delays, "errors": errors,
+    return {"kind": case.kind, "states": [o for _, o in read_out], "false": false, "hours": hours, "delays": delays, "errors": errors,
             "held": held}  # fmt: skip
 
 
 def _part(work: tuple) -> list[dict[str, list[dict]]]:
     """Of every flight of one part of the set, what became of it under every variant."""
-    make, given, asked = work
-    cases = make(*given)
+    make, parameters, selected = work
+    cases = make(*parameters)
     rows: list[dict[str, Any]] = [{} for _ in cases]
     plain = [judge(case.ticks, case.B, {}) for case in cases]
-    for name, values in asked.items():
+    for name, values in selected.items():
         reading = all(key.startswith("events.") for key in values)  # the ticks stay as they are
         for row, case, same in zip(rows, cases, plain):
             kept = same if reading else judge(case.ticks, case.B, values)
@@ -301,34 +301,27 @@ def run(
     surrogates. only, words: see `variants`. progress: called as progress(share, text). jobs, scheduler: as for
     `many.run`. keep: a folder for what is finished, from which the same call goes on. Raises ConfigError, LogError.
     """
-    asked = variants(only, words)
+    selected = variants(only, words)
     seeds = range(len(paths))
-    parts: list[tuple] = [(_injected, (str(p), tuple(losses), s), asked) for p, s in zip(paths, seeds)]
-    parts += [(_surrogates, (str(p), hours / len(paths), s), asked) for p, s in zip(paths, seeds)]
+    parts: list[tuple] = [(_injected, (str(p), tuple(losses), s), selected) for p, s in zip(paths, seeds)]
+    parts += [(_surrogates, (str(p), hours / len(paths), s), selected) for p, s in zip(paths, seeds)]
     series = sequences.Sequences()
     for kind, source in (("campaign", plan), ("sequences", series)):
         cells = len(source.cells)
         for cell in range(cells):
             numbers = range(cell, flights // 2, cells)
-            parts += [(_flown, (kind, source, numbers[k : k + 4]), asked) for k in range(0, len(numbers), 4)]
-    rows: list[dict[str, Any]] = []
-
-    def told(done: int) -> None:
-        if progress:
-            progress(done / len(parts), "judging")
-
-    for found in many.ordered(_part, parts, jobs, scheduler, told, keep):
-        rows += found
+            parts += [(_flown, (kind, source, numbers[k : k + 4]), selected) for k in range(0, len(numbers), 4)]
+    rows = tools.gathered(_part, parts, jobs, progress, "judging", scheduler, keep)
     if not rows:
         raise ConfigError("No flight could be judged: give more flights, or healthy logs of more than half a minute.")
     kinds = list(dict.fromkeys(next(iter(row.values()))["kind"] for row in rows))
     return {
         "set": {kind: sum(row["as it is"]["kind"] == kind for row in rows) for kind in kinds},
-        "variants": {name: measures([row[name] for row in rows]) for name in asked},
+        "variants": {name: measures([row[name] for row in rows]) for name in selected},
         "differences": {
             name: differences([row["as it is"] for row in rows], [row[name] for row in rows])
-            for name in asked
-            if asked[name]
+            for name in selected
+            if selected[name]
         },
     }
 
@@ -355,17 +348,17 @@ def measures(found: Sequence[dict[str, Any]]) -> dict[str, float | None]:
 def differences(before: Sequence[dict[str, Any]], after: Sequence[dict[str, Any]]) -> dict[str, dict[str, float]]:
     """Paired differences of what is counted, after less before, with their standard deviation: right and wrong states, faults found, and
     false announcements (per flight)."""
-    pairs = list(zip(before, after))
-    right = [
-        (a in ("right", "ambiguous"), b in ("right", "ambiguous"))
-        for p, q in pairs
-        for a, b in zip(p["states"], q["states"])
-    ]
-    wrong = [(a == "wrong", b == "wrong") for p, q in pairs for a, b in zip(p["states"], q["states"])]
-    found = [(a is not None, b is not None) for p, q in pairs for a, b in zip(p["delays"], q["delays"])]
-    false = [(p["false"], q["false"]) for p, q in pairs]
-    told = {"right": right, "wrong": wrong, "found": found, "false": false}
-    return {name: _paired(rows) for name, rows in told.items() if rows}
+
+    def pairs(key: str, fits: Callable) -> list[tuple]:
+        return [(fits(a), fits(b)) for p, q in zip(before, after) for a, b in zip(p[key], q[key])]
+
+    counted = {
+        "right": pairs("states", lambda state: state in ("right", "ambiguous")),
+        "wrong": pairs("states", lambda state: state == "wrong"),
+        "found": pairs("delays", lambda delay: delay is not None),
+        "false": [(p["false"], q["false"]) for p, q in zip(before, after)],
+    }
+    return {name: _paired(rows) for name, rows in counted.items() if rows}
 
 
 def _paired(rows: Sequence[tuple]) -> dict[str, float]:
@@ -384,32 +377,27 @@ def markdown(result: Mapping[str, Any]) -> str:
     def percent(v):
         return "-" if v is None else f"{100 * v:.1f} %"
 
-    lines = [
-        "set: " + ", ".join(f"{count} flights {kind}" for kind, count in result["set"].items()),
+    text = (
+        "set: " + ", ".join(f"{count} flights {kind}" for kind, count in result["set"].items()) + "\n"
         f"as it is: {percent(base['right'])} of the states right, {percent(base['wrong'])} wrong and sure, {percent(base['found'])} of "
         f"the faults found, median delay {base['delay_s'] or 0:.2f} s, error {base['rms'] or 0:.3f}, coverage {percent(base['coverage'])}, "
-        f"{base['false_per_h'] or 0:.2f} false announcements an hour",
-        "",
-        "| constant | variant | right | wrong | found | false alarms | delay s | error | coverage |",
-        "|---|---|---|---|---|---|---|---|---|",
-    ]
-    for name, now in result["variants"].items():
-        if name == "as it is":
-            continue
-        d = result["differences"][name]
-        constant, _, variant = name.rpartition(" ")
-
+        f"{base['false_per_h'] or 0:.2f} false announcements an hour\n\n"
+    )
+    rows = []
+    for name, d in result["differences"].items():
+        now, (constant, _, variant) = result["variants"][name], name.rpartition(" ")
         false = d.get("false", {"changed": 0})
         total = 0 if not false["changed"] else round(false["difference"] * sum(result["set"].values()))
-        lines.append(
-            f"| `{constant}` | {variant} | {_points(d, 'right')} | {_points(d, 'wrong')} | {_points(d, 'found')} | {total:+d} | "
-            f"{now['delay_s'] or 0:.2f} | {now['rms'] or 0:.3f} | {100 * (now['coverage'] or 0):.0f} % |"
-        )
-    return "\n".join(lines)
+        rows.append([
+            f"`{constant}`", variant, *(_points(d, key) for key in ("right", "wrong", "found")), f"{total:+d}",
+            f"{now['delay_s'] or 0:.2f}", f"{now['rms'] or 0:.3f}", f"{100 * (now['coverage'] or 0):.0f} %",
+        ])  # fmt: skip
+    heads = ("constant", "variant", "right", "wrong", "found", "false alarms", "delay s", "error", "coverage")
+    return text + tools.table(heads, rows)
 
 
-def _points(told: Mapping[str, Any], key: str) -> str:
-    v = told.get(key)
+def _points(differences: Mapping[str, Any], key: str) -> str:
+    v = differences.get(key)
     if v is None:
         return "-"
     return "0" if not v["changed"] else f"{100 * v['difference']:+.1f} ± {196 * v['sd']:.1f}"

@@ -86,7 +86,7 @@ def judge(plan: Plan, flights: Sequence[int], size: int) -> list[dict]:
 def rows(
     plan: Plan, flown: Sequence[Flown], size: int, failed: Callable[[str, Exception], None] | None = None
 ) -> list[dict]:
-    """Rows of results of flights that have the same geometry and length of a tick. failed: told of a published estimator or a rule that
+    """Rows of results of flights that have the same geometry and length of a tick. failed: called for a published estimator or a rule that
     raises, which then has no rows; None: it raises."""
     B = flown[0].vehicle.effectiveness()
     if any(not np.array_equal(f.vehicle.effectiveness(), B) for f in flown):
@@ -105,23 +105,23 @@ def rows(
             found.append(row("default", f, out.kept, statistic, bound))
     if published:
         tables = [f.ticks for f in flown]
-        hops = methods.learn(tables, B, taught(flown, B, size))
+        hops = methods.learn(tables, B, learned_states(flown, B, size))
         for name in published:
-            with _told(name, failed):
+            with _caught(name, failed):
                 judged = methods.judge(name, tables, hops, B, size, tuple(d.tuning for d in plan.decisions))
                 for decision, kept in zip(plan.decisions, judged, strict=True):
                     label = decision.label(name)
                     found += [row(label, f, k, k.statistic, b) for f, k, b in zip(flown, kept, bounds, strict=True)]
     rules = {m.name: m for m in detectors.modules() if m.name in plan.detectors}
     for name in plan.detectors:
-        with _told(name, failed):
+        with _caught(name, failed):
             seen = [rules[name].detect(f.flight, f.vehicle, f.air) for f in flown]
             found += [score.rule(name, f, s, bound, plan) for f, s, bound in zip(flown, seen, bounds, strict=True)]
     return found
 
 
 @contextmanager
-def _told(name: str, failed: Callable[[str, Exception], None] | None) -> Iterator[None]:
+def _caught(name: str, failed: Callable[[str, Exception], None] | None) -> Iterator[None]:
     """What a method raises inside goes to `failed`, where there is one."""
     try:
         yield
@@ -207,15 +207,15 @@ def _program(build):
         estimator = build(parameters)
 
         def step(state, row):
-            (carry, taught), k = state, row[0]
+            (carry, learned_states), k = state, row[0]
             carry, out = estimator.step(carry, *row[1:])
             now = (carry.s, carry.noise.variances)
-            taught = jax.tree.map(lambda a, b: jnp.where(k == learned, a, b), now, taught)
-            return (carry, taught), _judged(out)
+            learned_states = jax.tree.map(lambda a, b: jnp.where(k == learned, a, b), now, learned_states)
+            return (carry, learned_states), _judged(out)
 
         start = (carry, jax.tree.map(jnp.asarray, (carry.s, carry.noise.variances)))
-        (_, taught), out = jax.lax.scan(step, start, (jnp.arange(u.shape[0]), u, y, valid))
-        return out, taught
+        (_, learned_states), out = jax.lax.scan(step, start, (jnp.arange(u.shape[0]), u, y, valid))
+        return out, learned_states
 
     return jax.jit(jax.vmap(single, in_axes=(None, None, 0, 0, 0, 0)))
 
@@ -226,7 +226,7 @@ def by_default(flown: Sequence[Flown], B: np.ndarray, size: int) -> list[Judged]
     return [out for out, _ in _stepped(flown, B, size, [_table(f.ticks, B) for f in flown], never)]
 
 
-def taught(flown: Sequence[Flown], B: np.ndarray, size: int) -> list[tuple | None]:
+def learned_states(flown: Sequence[Flown], B: np.ndarray, size: int) -> list[tuple | None]:
     """State and noise variances of the default estimator after the learning time of each flight of one hop; None for others."""
     spans = [methods.learning(f.ticks) for f in flown]
     rows = [_table(f.ticks, B, span or slice(1)) for f, span in zip(flown, spans, strict=True)]

@@ -20,7 +20,7 @@ import numpy as np
 
 from rotorwatch import __version__, airframes, detectors, discovery, files, plugins
 from rotorwatch.backend import jax as load_jax
-from rotorwatch.campaign import batch, public_data, results_file, store, summary, work
+from rotorwatch.campaign import batch, public_data, results_file, summary, work
 from rotorwatch.campaign.benchmark_plan import Benchmark, digest, read, shipped
 from rotorwatch.campaign.plan import Plan
 from rotorwatch.campaign.score import COLUMNS
@@ -30,12 +30,12 @@ from rotorwatch.published import published
 from rotorwatch.simulation.scenario import brief
 from rotorwatch.systems.rate_dynamics import RateDynamics
 
-__all__ = ["Benchmark", "asked_methods", "known_methods", "parts_of", "read", "run", "shipped", "try_out"]
+__all__ = ["Benchmark", "known_methods", "parts_of", "read", "run", "selected_methods", "shipped", "try_out"]
 REPEATS = 7  # of the table that a step is timed over
 
 
 class Method(NamedTuple):
-    """What is tried. label: as it was asked for, and as rows of results call it; kind: "estimator" or "detector"."""
+    """What is tried. label: the name it was selected by, which rows of results use; kind: "estimator" or "detector"."""
 
     label: str
     name: str
@@ -57,7 +57,7 @@ def known_methods() -> list[Method]:
     ]
 
 
-def asked_methods(names: Sequence[str]) -> list[Method]:
+def selected_methods(names: Sequence[str]) -> list[Method]:
     """The methods of these names, or of package.module:Class; all that are installed when there are none, or for "all". Raises
     ConfigError."""
     if not names or list(names) == ["all"]:
@@ -109,10 +109,8 @@ def try_out(method: Method) -> str | None:
             if not hasattr(estimate, part):
                 return f"{method.whose} returns from step no {part}: return a rotorwatch.core.Estimate."
             if tuple(getattr(estimate, part).shape) != shape:
-                given = tuple(getattr(estimate, part).shape)
-                return (
-                    f"{method.whose} returns {part} of the shape {given}; on a plant of {n} rotors it must be {shape}."
-                )
+                returned = tuple(getattr(estimate, part).shape)
+                return f"{method.whose} returns {part} of the shape {returned}; on a plant of {n} rotors it must be {shape}."
     except Exception as why:  # a stranger's method may raise anything
         return _sentence(method, why)
     return None
@@ -129,49 +127,49 @@ def run(
     out: str | os.PathLike = "benchmark.json",
     jobs: int | None = None,
     data: Sequence[tuple[str, str | os.PathLike]] = (),
-    progress: work.Tell | None = None,
-    tell: Callable[[str], None] | None = None,
+    progress: work.Progress | None = None,
+    notify: Callable[[str], None] | None = None,
 ) -> dict[str, Any]:
     """Try methods on a benchmark's flights and on public data; returns what is written to `out` (results_file.py says what it holds).
 
     plan: a name of `shipped`, a file, or a Benchmark. methods: names, or package.module:Class; none: all that are installed, and those that
-    cannot be run are listed with the reason, while one that was asked for by name is an error. jobs: processes. data: (name, path) of
+    cannot be run are listed with the reason, while one that was named is an error. jobs: processes. data: (name, path) of
     public data sets (public_data.py). progress(done, flights, flights a second). tell: hears of methods that fail on the way. Finished
     parts are kept in `parts_of(out)`: the same call goes on where it was stopped. Raises ConfigError.
     """
-    asked = plan if isinstance(plan, Benchmark) else read(plan)
+    benchmark = plan if isinstance(plan, Benchmark) else read(plan)
     files.writable(out, "--out")
     sets = [public_data.read(name, path) for name, path in data]
-    wanted = asked_methods(methods)
+    wanted = selected_methods(methods)
     failed = {m.label: why for m in wanted if (why := try_out(m))}
     if methods and list(methods) != ["all"] and failed:
         raise ConfigError(next(iter(failed.values())))
     running = [m for m in wanted if m.label not in failed]
     folder = parts_of(out)
-    entered = _entered(asked, running)
+    entered = _entered(benchmark, running)
     _same_run(folder, entered)
     judge = Judge(os.fspath(folder), tuple(running))
-    table = work.run(entered, asked.flights, folder, jobs, progress, judge)
+    table = work.run(entered, benchmark.flights, folder, jobs, progress, judge)
     for label, why in judge.failed().items():
         failed[label] = why
-        if tell:
-            tell(why)
+        if notify:
+            notify(why)
     columns = summary.arrays(table)
     scenes = compare_flights.simulated(1, ())
     found = []
     for method in wanted:
         scored = None
         if method.label not in failed:
-            scored = scores(summary.of_method(columns, method.label), asked) | {"us_per_step": cost(method, scenes)}
+            scored = scores(summary.of_method(columns, method.label), benchmark) | {"us_per_step": cost(method, scenes)}
         found.append(_entry(method, scored, failed.get(method.label)))
     results = {
         "format": results_file.FORMAT, "format_version": results_file.VERSION, "rotorwatch": __version__,
         "plan": {
-            "name": asked.plan.name, "version": asked.version, "sha256": asked.sha256, "flights": asked.flights,
-            "false_alarms_h": asked.false_alarms_h, "within_s": asked.within_s, "text": asked.text,
+            "name": benchmark.plan.name, "version": benchmark.version, "sha256": benchmark.sha256, "flights": benchmark.flights,
+            "false_alarms_h": benchmark.false_alarms_h, "within_s": benchmark.within_s, "text": benchmark.text,
         },
         "machine": machine(), "methods": found,
-        "data": [_on_data(one, [m for m in running if m.label not in failed], asked, tell) for one in sets],
+        "data": [_on_data(one, [m for m in running if m.label not in failed], benchmark, notify) for one in sets],
     }  # fmt: skip
     results_file.write(results, out)
     return results
@@ -182,11 +180,13 @@ def parts_of(out: str | os.PathLike) -> Path:
     return Path(out).with_suffix(".parts")
 
 
-def _entered(asked: Benchmark, methods: Sequence[Method]) -> Plan:
+def _entered(benchmark: Benchmark, methods: Sequence[Method]) -> Plan:
     """The campaign's plan with these methods. Its text, by which the folder knows it, names them with their versions."""
     who = "".join(f"\n# {m.label} {m.source.package} {m.source.version}" for m in methods)
     names = {kind: tuple(m.label for m in methods if m.kind == kind) for kind in ("estimator", "detector")}
-    return replace(asked.plan, estimators=names["estimator"], detectors=names["detector"], text=asked.text + who + "\n")
+    return replace(
+        benchmark.plan, estimators=names["estimator"], detectors=names["detector"], text=benchmark.text + who + "\n"
+    )
 
 
 def _same_run(folder: Path, entered: Plan) -> None:
@@ -199,17 +199,17 @@ def _same_run(folder: Path, entered: Plan) -> None:
 
 @dataclass(frozen=True)
 class Judge:
-    """Makes rows of flights (`work.Judge`). A method that raises is left out from then on, and what it said is kept in the folder."""
+    """Makes rows of flights (`work.Judge`). A method that raises is left out from then on, and its message is kept in the folder."""
 
     folder: str
     methods: tuple[Method, ...]
 
     def __call__(self, plan: Plan, flights: Sequence[int], size: int) -> list[dict]:
-        gone = self.failed()
+        failed_before = self.failed()
         left = replace(
             plan,
-            estimators=tuple(e for e in plan.estimators if e not in gone),
-            detectors=tuple(d for d in plan.detectors if d not in gone),
+            estimators=tuple(e for e in plan.estimators if e not in failed_before),
+            detectors=tuple(d for d in plan.detectors if d not in failed_before),
         )
         flown = batch.fly(plan, flights, size)
         return batch.rows(left, flown, size, self.note) if flown else []
@@ -226,9 +226,9 @@ class Judge:
         return dict(json.loads(path.read_text()) for path in sorted(Path(self.folder).glob("failed-*.json")))
 
 
-def scores(d: dict[str, np.ndarray], asked: Benchmark) -> dict[str, Any]:
+def scores(d: dict[str, np.ndarray], benchmark: Benchmark) -> dict[str, Any]:
     """What a method is ranked by, from its rows: each {"value", "low", "high", "n"} with its 95 % interval, or None."""
-    own, fair = summary.measures(d), summary.at_rate(d, asked.false_alarms_h, asked.within_s)
+    own, fair = summary.measures(d), summary.at_rate(d, benchmark.false_alarms_h, benchmark.within_s)
     return {
         "flights": own["flights"], "clear_faults": own["clear_faults"], "healthy_h": own["healthy_h"],
         "threshold": fair["threshold"], "false_alarms_h": fair["false_alarms_h"], "detected": fair["detected"],
@@ -241,39 +241,32 @@ def cost(method: Method, scenes: Sequence[compare_flights.Scene]) -> dict[str, f
     """Microseconds of one step of a quad in a compiled loop, the median of REPEATS; None for detectors, which have no step."""
     if method.kind == "detector":
         return None
-    return summary.boot(np.array(compare.timings(method.label, scenes, REPEATS)), np.median)
+    return summary.boot(compare.timings(method.label, scenes, REPEATS), np.median)
 
 
 def _entry(method: Method, scored: dict[str, Any] | None, failed: str | None) -> dict[str, Any]:
-    source = method.source._asdict()
-    return {
-        "name": method.name,
-        "kind": method.kind,
-        "about": method.about,
-        **source,
-        "failed": failed,
-        "scores": scored,
-    }
+    about = {"name": method.name, "kind": method.kind, "about": method.about, **method.source._asdict()}
+    return {**about, "failed": failed, "scores": scored}
 
 
 def _on_data(
-    one: public_data.DataSet, methods: Sequence[Method], asked: Benchmark, tell: Callable | None
+    one: public_data.DataSet, methods: Sequence[Method], benchmark: Benchmark, notify: Callable | None
 ) -> dict[str, Any]:
     """The part of the results that is about one data set."""
-    entered, said = _entered(asked, methods), {}
+    entered, reasons = _entered(benchmark, methods), {}
 
     def note(label: str, why: Exception) -> None:
-        said[label] = _sentence(next(m for m in methods if m.label == label), why)
-        if tell:
-            tell(said[label])
+        reasons[label] = _sentence(next(m for m in methods if m.label == label), why)
+        if notify:
+            notify(reasons[label])
 
     rows, left_out = public_data.judge(one, entered, note)
     columns = {key: summary.column([row[key] for row in rows], kind) for key, (kind, _) in COLUMNS.items()}
     found = []
     for method in methods:
         mine = summary.of_method(columns, method.label)
-        fine = method.label not in said and len(mine["method"])
-        found.append(_entry(method, scores(mine, asked) if fine else None, said.get(method.label)))
+        fine = method.label not in reasons and len(mine["method"])
+        found.append(_entry(method, scores(mine, benchmark) if fine else None, reasons.get(method.label)))
     return {
         "name": one.name, "index_sha256": digest(one.text), "logs": len(one.logs), "left_out": left_out,
         "methods": found,
@@ -284,8 +277,3 @@ def machine() -> str:
     """One line on what the cost was measured on."""
     system = f"{platform.system()} {platform.machine()}, {os.cpu_count()} processors"
     return f"{system}, Python {platform.python_version()}, JAX {load_jax().__version__}, {batch.where()}"
-
-
-def check_installed() -> None:
-    """Raise ConfigError where what keeps the parts is not installed."""
-    store.parquet()

@@ -21,15 +21,17 @@ import numpy as np
 
 from rotorwatch import discovery
 from rotorwatch.backend import jax as load_jax
-from rotorwatch.campaign import batch, methods, summary, work
+from rotorwatch.campaign import batch, methods, work
 from rotorwatch.campaign import plan as plans
 from rotorwatch.campaign.plan import Plan
+from rotorwatch.campaign.score import read_columns
 from rotorwatch.campaign.store import Folder
 from rotorwatch.control import attainable, spinning
 from rotorwatch.control.airframe import Airframe
 from rotorwatch.control.allocation import DRIVEN_BY, rows
 from rotorwatch.default import program
 from rotorwatch.errors import ConfigError
+from rotorwatch.experiments import tools
 from rotorwatch.motion.ticks import LEARN
 from rotorwatch.simulation import logbook, loop, prepare, reconfigured, trajectories
 from rotorwatch.simulation.rigid import G0
@@ -49,53 +51,7 @@ ABLE_M = 5.0  # a vehicle that strays further than this before anything has happ
 TRACK_M, TRACK_DEG = 2.0, 20.0  # recovered: nearer than this to where it should be, and not leaning more
 
 
-COLUMNS: dict[str, tuple[str, str]] = {
-    "flight": ("int64", "number of the flight: with the plan's seed it says everything"),
-    "method": ("string", "what drove the allocation: nobody, truth, or an estimator"),
-    "frame": ("string", "airframe"),
-    "rotors": ("int64", "how many"),
-    "broken": ("int64", "how many of them broke"),
-    "loss": ("double", "the largest loss"),
-    "wind_m_s": ("double", "mean wind 6 m above ground"),
-    "faulty": ("bool", "whether a rotor broke"),
-    "onset_s": ("double", "when the first did"),
-    "able": ("bool", "healthy and undisturbed by any belief it keeps to its track in that wind"),
-    "healthy_s": ("double", "flight time before that, or all of it"),
-    "survived": ("bool", "it neither touched the ground nor turned over"),
-    "lost_s": ("double", "when it did"),
-    "beliefs": ("int64", "how many beliefs it acted on"),
-    "first_s": ("double", "when it first did, after the onset"),
-    "false": ("bool", "it acted on something before the onset, or on rotors of which none is broken"),
-    "right": ("bool", "the rotors first acted on are those broken"),
-    "turning": ("bool", "it held a turning hover"),
-    "tilt_deg": ("double", "largest tilt after the onset"),
-    "off_m": ("double", "largest distance from where it should be after the onset"),
-    "recovered_s": ("double", "from the onset until it tracks again for good, empty when it does not"),
-}
-
-
-class Outcome(NamedTuple):
-    """What became of one flight. flight: its number; faulty: whether a rotor broke; onset_s; able: healthy, and before any belief, it kept
-    to its track within ABLE_M in that wind; survived: it neither touched the ground nor turned over; lost_s: when it did; beliefs: how
-    many it acted on; first_s: when it first did, after the onset (before, in healthy flights: after the take-off); false: it acted on
-    something before the onset, or on rotors of which none is broken; right: the rotors first acted on are those broken; turning: it
-    held a turning hover; tilt_deg, off_m: largest tilt and distance from where it should be after the onset; recovered_s: from the onset
-    until it tracks again for good, None when it does not."""
-
-    flight: int
-    faulty: bool
-    onset_s: float
-    able: bool
-    survived: bool
-    lost_s: float | None
-    beliefs: int
-    first_s: float | None
-    false: bool
-    right: bool
-    turning: bool
-    tilt_deg: float
-    off_m: float
-    recovered_s: float | None
+COLUMNS = read_columns("closed_loop")
 
 
 def fly(
@@ -104,9 +60,10 @@ def fly(
     driver: str = "default",
     by: str = "estimate",
     aircraft: Callable[[np.ndarray, str], reconfigured.Reconfigured] = reconfigured.Reconfigured,
-) -> list[Outcome]:
+) -> list[dict[str, Any]]:
     """The flights with a driver: "nobody", "truth", or an estimator's name. All must be of one cell of a plan (one frame). by: what drives
-    the allocation, "estimate", "bounds" or "posterior". aircraft(B, by): what flies. Raises ConfigError."""
+    the allocation, "estimate", "bounds" or "posterior". aircraft(B, by): what flies. Returns what became of each: those of COLUMNS that
+    say so. Raises ConfigError."""
     _explains(driver, by)
     scenarios = [flown.flight(k) for k in flights]
     for s in scenarios:
@@ -149,14 +106,14 @@ class Judge(NamedTuple):
         found = []
         for driver in self.drivers:
             for outcome in fly(plan, filled, driver, self.by)[: len(flights)]:
-                asked = plan.flight(outcome.flight)
-                losses = [1.0 if f["kind"] == "complete loss" else f["strength"] for f in asked.faults]
-                end = outcome.onset_s if outcome.faulty else asked.duration_s
+                planned = plan.flight(outcome["flight"])
+                losses = [1.0 if f["kind"] == "complete loss" else f["strength"] for f in planned.faults]
+                end = outcome["onset_s"] if outcome["faulty"] else planned.duration_s
                 found.append(
                     {
-                        "method": driver, "frame": asked.airframe["frame"], "rotors": plan.rotors[outcome.flight % len(plan.cells)],
-                        "broken": len(losses), "loss": max(losses, default=0.0), "wind_m_s": asked.wind["speed_m_s"],
-                        "healthy_s": min(end, outcome.lost_s or end), **outcome._asdict(),
+                        "method": driver, "frame": planned.airframe["frame"], "rotors": plan.rotors[outcome["flight"] % len(plan.cells)],
+                        "broken": len(losses), "loss": max(losses, default=0.0), "wind_m_s": planned.wind["speed_m_s"],
+                        "healthy_s": min(end, outcome["lost_s"] or end), **outcome,
                     }
                 )  # fmt: skip
         return found
@@ -169,7 +126,7 @@ def run(
     flights: int = 200,
     jobs: int | None = None,
     by: str = "estimate",
-    progress: work.Tell | None = None,
+    progress: work.Progress | None = None,
     scheduler: str | None = None,
 ) -> dict[str, Any]:
     """Fly a plan's flights with every driver: {"plan", "flights", "drivers": {driver: measures}}, also in out/summary.json.
@@ -177,7 +134,7 @@ def run(
     Finished parts are kept in the folder `out`: the same call goes on where it was stopped. Measures (`measures`) have 95 % intervals.
     jobs, scheduler: as for `work.run`. Raises ConfigError.
     """
-    asked = plan if isinstance(plan, Plan) else plans.read(plan)
+    planned = plan if isinstance(plan, Plan) else plans.read(plan)
     if not drivers:
         raise ConfigError("Name at least one driver: nobody, truth, or an estimator.")
     for driver in drivers:
@@ -187,12 +144,12 @@ def run(
         raise ConfigError(f"by must be one of {', '.join(DRIVEN_BY)}, not {by}.")
     for driver in drivers:
         _explains(driver, by)
-    entered = replace(asked, text=f"{asked.text}\n# closed loop: {', '.join(drivers)}; by {by}\n")
+    entered = replace(planned, text=f"{planned.text}\n# closed loop: {', '.join(drivers)}; by {by}\n")
     table = work.run(entered, flights, out, jobs, progress, Judge(tuple(drivers), by), COLUMNS, scheduler)
     rows = table.to_pylist()
     lost = {d: {r["flight"]: r["lost_s"] for r in rows if r["method"] == d} for d in (TRUTH, NOBODY)}
     result = {
-        "plan": asked.name,
+        "plan": planned.name,
         "flights": flights,
         "by": by,
         "drivers": {d: measures([r for r in rows if r["method"] == d], lost[TRUTH], lost[NOBODY]) for d in drivers},
@@ -217,10 +174,10 @@ def measures(
     ]
 
     def survived(some: Sequence[dict]) -> dict[str, float] | None:
-        return summary.share(np.array([r["survived"] for r in some], bool))
+        return tools.share([r["survived"] for r in some])
 
     def median(key: str) -> dict[str, float] | None:
-        return summary.boot(np.array([r[key] for r in faulty if r[key] is not None], float), np.median)
+        return tools.boot([r[key] for r in faulty if r[key] is not None], np.median)
 
     hours, frames = sum(r["healthy_s"] for r in rows) / 3600.0, sorted({r["frame"] for r in rows})
     return {
@@ -228,8 +185,8 @@ def measures(
         "of_able": survived([r for r in possible if r["able"]]), "able": sum(r["able"] for r in rows),
         "lost_healthy": sum(not r["survived"] for r in healthy), "healthy_h": hours,
         "lost_false": len(harmed), "lost_false_able": sum(r["able"] for r in harmed),
-        "false_h": summary.rate(sum(r["false"] for r in rows), hours),
-        "right": summary.share(np.array([r["right"] for r in faulty if r["beliefs"]], bool)),
+        "false_h": tools.rate(sum(r["false"] for r in rows), hours),
+        "right": tools.share([r["right"] for r in faulty if r["beliefs"]]),
         **{key: median(key) for key in ("first_s", "recovered_s", "tilt_deg", "off_m")},
         "by_frame": {f: survived([r for r in faulty if r["frame"] == f]) for f in frames},
         "possible_by_frame": {f: survived([r for r in possible if r["frame"] == f]) for f in frames},
@@ -238,37 +195,25 @@ def measures(
 
 def markdown(result: dict[str, Any]) -> str:
     """The drivers side by side, and survival by frame."""
-
-    def cell(value: Any, how: str) -> str:
-        if value is None:
-            return "-"
-        times = 100.0 if how == "%" else 1.0
-        low, middle, high = (times * value[k] for k in ("low", "value", "high"))
-        digits = 0 if how == "%" else 2
-        return f"{middle:.{digits}f}{' %' if how == '%' else ''} ({low:.{digits}f} to {high:.{digits}f})"
-
-    found = result["drivers"]
+    cell, found = tools.interval, result["drivers"]
     lines = {
         "faulty, healthy flights": lambda m: f"{m['faulty']}, {m['healthy']}",
-        "survived": lambda m: cell(m["survived"], "%"),
-        "... of those that the truth saves": lambda m: cell(m["of_possible"], "%"),
-        "... and whose vehicle, healthy, keeps to its track": lambda m: cell(m["of_able"], "%"),
+        "survived": lambda m: cell(m["survived"]),
+        "... of those that the truth saves": lambda m: cell(m["of_possible"]),
+        "... and whose vehicle, healthy, keeps to its track": lambda m: cell(m["of_able"]),
         "healthy flights lost": lambda m: str(m["lost_healthy"]),
         "healthy hours": lambda m: f"{m['healthy_h']:.1f}",
-        "acted falsely, flights an hour": lambda m: cell(m["false_h"], ""),
+        "acted falsely, flights an hour": lambda m: cell(m["false_h"], 2),
         "lost by that, of able vehicles": lambda m: f"{m['lost_false']}, {m['lost_false_able']}",
-        "first acted on the broken rotors": lambda m: cell(m["right"], "%"),
-        "first acted after, s": lambda m: cell(m["first_s"], ""),
-        "on track again after, s": lambda m: cell(m["recovered_s"], ""),
-        "largest tilt, degrees": lambda m: cell(m["tilt_deg"], ""),
-        "largest distance from the track, m": lambda m: cell(m["off_m"], ""),
+        "first acted on the broken rotors": lambda m: cell(m["right"]),
+        "first acted after, s": lambda m: cell(m["first_s"], 2),
+        "on track again after, s": lambda m: cell(m["recovered_s"], 2),
+        "largest tilt, degrees": lambda m: cell(m["tilt_deg"], 2),
+        "largest distance from the track, m": lambda m: cell(m["off_m"], 2),
     }
-    frames = sorted({f for m in found.values() for f in m["by_frame"]})
-    text = [f"| {result['plan']}, {result['flights']} flights | {' | '.join(found)} |", "|---" * (1 + len(found)) + "|"]
-    text += [f"| {name} | {' | '.join(line(m) for m in found.values())} |" for name, line in lines.items()]
-    for f in frames:
-        text.append(f"| survived, {f} | {' | '.join(cell(m['by_frame'].get(f), '%') for m in found.values())} |")
-    return "\n".join(text) + "\n"
+    for f in sorted({f for m in found.values() for f in m["by_frame"]}):
+        lines[f"survived, {f}"] = lambda m, f=f: cell(m["by_frame"].get(f))
+    return tools.side_by_side(f"{result['plan']}, {result['flights']} flights", found, lines)
 
 
 def _flown(craft, first: Scenario, plans: list, made: list, size: int) -> list[Any]:
@@ -325,7 +270,7 @@ def _beliefs(
         kept = [out.kept for out in batch.by_default(flown, B, size)]
     else:
         tables = [f.ticks for f in flown]
-        hops = methods.learn(tables, B, batch.taught(flown, B, size))
+        hops = methods.learn(tables, B, batch.learned_states(flown, B, size))
         kept = methods.judge(driver, tables, hops, B, size, ((),))[0]
     found: list[reconfigured.Entry | None] = [None] * len(seen)
     for k, f, out in zip(here, flown, kept, strict=True):
@@ -389,7 +334,8 @@ def _able(scenario: Scenario, plan, record) -> bool:
     return bool(_off(plan, record)[_flying(record) & (record.time < until)].max(initial=0.0) < ABLE_M)
 
 
-def _outcome(number: int, scenario: Scenario, plan, record, made: list[reconfigured.Entry], able: bool) -> Outcome:
+def _outcome(number: int, scenario: Scenario, plan, record, made: list[reconfigured.Entry], able: bool) -> dict:
+    """What became of a flight, see COLUMNS; first_s of healthy flights counts from the take-off."""
     faults = scenario.faults
     onset = min((f["onset_s"] for f in faults), default=float(plan.way.take_off))
     broken = {f["rotor"] - 1 for f in faults}
@@ -408,10 +354,12 @@ def _outcome(number: int, scenario: Scenario, plan, record, made: list[reconfigu
     # What came too late, after the crash, was never acted on.
     acted = [m for m in made if lost is None or m.since < lost]
     who = set(np.flatnonzero(acted[0].mean < 1.0 - MOVED).tolist()) if acted else set()
-    return Outcome(
-        number, bool(faults), onset, able, lost is None, lost, len(acted),
-        float(acted[0].since) - onset if acted else None,
-        bool(acted) and (float(acted[0].since) < onset or not who & broken if faults else True),
-        bool(acted) and who == broken, any(m.turning > 0.5 for m in acted),
-        float(tilt[late].max(initial=0.0)), float(off[late].max(initial=0.0)), recovered,
-    )  # fmt: skip
+    first = float(acted[0].since) if acted else None
+    early = first is not None and (first < onset or not who & broken)
+    return {
+        "flight": number, "faulty": bool(faults), "onset_s": onset, "able": able, "survived": lost is None, "lost_s": lost,
+        "beliefs": len(acted), "first_s": None if first is None else first - onset,
+        "false": early if faults else first is not None, "right": bool(acted) and who == broken,
+        "turning": any(m.turning > 0.5 for m in acted), "tilt_deg": float(tilt[late].max(initial=0.0)),
+        "off_m": float(off[late].max(initial=0.0)), "recovered_s": recovered,
+    }  # fmt: skip

@@ -9,7 +9,7 @@ design needs values (linear matrix inequalities, eigenvalues) cannot be built in
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -20,14 +20,14 @@ from rotorwatch.default import hypotheses, program
 from rotorwatch.default.plant import PER_AXIS
 from rotorwatch.errors import ConfigError
 from rotorwatch.motion.ticks import LEARN, Ticks
-from rotorwatch.published import decide, log_plant, published
+from rotorwatch.published import log_plant, published
 from rotorwatch.published.log_plant import LogPlant
+from rotorwatch.published.published import Decisions
 
 TICK_BLOCK = 100
 """Tables are padded to a multiple of this, so that a flight's few ticks more or less need no other program."""
 CACHE_BYTES = 2_500_000
 """Of the estimators' states that a processor keeps at hand: larger batches are slower, not faster."""
-Decisions = tuple[tuple[tuple[str, float], ...], ...]
 
 
 def side_by_side(carry: Any, size: int) -> int:
@@ -53,51 +53,17 @@ def stacked(tables: Sequence[tuple[np.ndarray, ...]], size: int) -> tuple[np.nda
     return tuple(np.stack(parts) for parts in zip(*rows, strict=True))
 
 
-class Decided:
-    """An estimator with several thresholds behind it, stepped as one."""
-
-    def __init__(self, estimator, thresholds: Sequence[decide.Threshold], dt: float):
-        self.watched = tuple(published.Watched(estimator, threshold, dt) for threshold in thresholds)
-        self.estimator, self.system, self.dt = estimator, estimator.system, dt
-
-    def init(self):
-        """Carries of the estimator and of each threshold."""
-        return self.estimator.init(), tuple(w.threshold.init() for w in self.watched)
-
-    def step(self, carry, u, y, valid):
-        """One time step: a `published.Output` per threshold."""
-        first, out = self.estimator.step(carry[0], u, y, valid)
-        estimate = getattr(out, "estimate", out)
-        found = [w.decided(second, estimate) for w, second in zip(self.watched, carry[1], strict=True)]
-        return (first, tuple(second for second, _ in found)), tuple(output for _, output in found)
-
-
-def _keep(outputs: tuple[published.Output, ...]) -> tuple[published.Seen, ...]:
-    return tuple(published.seen(out) for out in outputs)
-
-
-def _built(name: str, dt: float, decisions: Decisions, p: dict) -> Decided:
-    thresholds = [decide.Threshold(p["B"], **dict(asked)) for asked in decisions]
-    return Decided(published.method(name, log_plant.plant(p["plant"]), dt), thresholds, dt)
-
-
-@functools.lru_cache(maxsize=64)
-def _builder(name: str, dt: float, decisions: Decisions) -> Callable:
-    """build(parameters) for run_built."""
-    return published.known(functools.partial(_built, name, dt, decisions), name)
-
-
 @functools.lru_cache(maxsize=32)
 def _program(name: str, dt: float, decisions: Decisions):
     """Compiled: parameters of the plants and tables (flights first), B -> stacked `published.Seen`, one per decision."""
     jax = load_jax()
 
     def single(plant, B, u, y, valid):
-        estimator = _built(name, dt, decisions, {"plant": plant, "B": B})
+        estimator = published.watched(name, dt, (), decisions, {"plant": plant, "B": B})
 
         def step(carry, row):
             carry, out = estimator.step(carry, *row)
-            return carry, _keep(out)
+            return carry, published.seen(out)
 
         return jax.lax.scan(step, estimator.init(), (u, y, valid))[1]
 
@@ -109,19 +75,19 @@ def run_hops(name: str, found: Sequence[LogPlant], B: np.ndarray, size: int, dec
 
     size: width that the batch is filled up to, so that a hop's result does not depend on which it runs with.
     """
-    jax = load_jax()
-    name_dt = name, found[0].dt, decisions
-    example = _built(*name_dt, {"plant": found[0].parameters, "B": B})  # with values: says what is wrong
+    jax, dt = load_jax(), found[0].dt
+    build, parameters = published.builder(name, dt, (), decisions), [{"plant": hop.parameters, "B": B} for hop in found]
+    example = build(parameters[0])  # with values: says what is wrong
     try:
         if engine() == "native":
-            build = _builder(*name_dt)
-            given = [{"plant": hop.parameters, "B": B} for hop in found]
-            ran = [run_built(build, p, h.u, h.y, h.valid, _keep, backend="auto") for h, p in zip(found, given)]
+            ran = [
+                run_built(build, p, h.u, h.y, h.valid, published.seen, backend="auto")
+                for h, p in zip(found, parameters)
+            ]
             return [out for _, out in ran]
-        return _side_by_side(_program(*name_dt), side_by_side(example.init(), size), found, B, size)
+        return _side_by_side(_program(name, dt, decisions), side_by_side(example.init(), size), found, B, size)
     except (jax.errors.JAXTypeError, ConfigError):  # design work that needs values: compiled for each flight alone
-        alone = [_built(*name_dt, {"plant": hop.parameters, "B": B}) for hop in found]
-        return [run(one, hop.u, hop.y, hop.valid, _keep)[1] for one, hop in zip(alone, found, strict=True)]
+        return [run(build(p), h.u, h.y, h.valid, published.seen)[1] for h, p in zip(found, parameters, strict=True)]
 
 
 def _side_by_side(program, step: int, found: Sequence[LogPlant], B: np.ndarray, size: int) -> list[tuple]:
@@ -150,20 +116,20 @@ def judge(
 ) -> list[list[program.Kept]]:
     """For each decision and each flight what `published.judge` leaves behind. hops: of each flight, by `learn`."""
     hyp = hypotheses.make(B.shape[1])
-    kept = [[published.nothing(len(table.time), hyp) for table in tables] for _ in decisions]
+    kept = [[published.blank(len(table.time), hyp) for table in tables] for _ in decisions]
     for turn in range(max(map(len, hops), default=0)):
         here = [k for k, found in enumerate(hops) if len(found) > turn]
         for k, found in zip(here, run_hops(name, [hops[k][turn] for k in here], B, size, decisions), strict=True):
             for which, seen in enumerate(found):
-                published.write_down(kept[which][k], seen, hops[k][turn], hyp, B)
+                published.record(kept[which][k], seen, hops[k][turn], hyp, B)
     return kept
 
 
-def learn(tables: Sequence[Ticks], B: np.ndarray, taught: Sequence[tuple | None]) -> list[tuple[LogPlant, ...]]:
+def learn(tables: Sequence[Ticks], B: np.ndarray, learned_states: Sequence[tuple | None]) -> list[tuple[LogPlant, ...]]:
     """The hops of each flight as plants and tables. taught: state and noise variances of the default estimator at the end of the
     learning time, for flights of one hop; None: worked out for the flight alone."""
     found = []
-    for table, one in zip(tables, taught, strict=True):
+    for table, one in zip(tables, learned_states, strict=True):
         known = None if one is None else {"x0": one[0][: 4 * PER_AXIS], "noise": one[1]}
         found.append(log_plant.hops(table, B, known))
     return found

@@ -113,10 +113,10 @@ class Plan:
         faults = []
         if self.faults and rng.random() >= self.healthy:
             shares = np.array([f["share"] for f in self.faults])
-            asked = self.faults[int(rng.choice(len(shares), p=shares / shares.sum()))]
-            rotors = rng.permutation(n)[: asked["together"]] + 1
+            template = self.faults[int(rng.choice(len(shares), p=shares / shares.sum()))]
+            rotors = rng.permutation(n)[: template["together"]] + 1
             for rotor in rotors:
-                fault = drawn({key: v for key, v in asked.items() if key not in FAULT}, rng)
+                fault = drawn({key: v for key, v in template.items() if key not in FAULT}, rng)
                 faults.append({"rotor": int(rotor), **fault})
         return scenario.from_table(
             {**table, "name": f"{self.name} {k}", "seed": int(rng.integers(2**31 - 1)), "faults": faults}
@@ -138,64 +138,52 @@ def from_table(table: Mapping[str, Any], text: str = "") -> Plan:
     for key in table:
         if key not in TOP:
             raise ConfigError(f"{plain(key)} is not a field of a plan; known are {', '.join(TOP)}.")
-    given = {**TOP, **table}
-    if not isinstance(given["name"], str):
-        raise ConfigError(f"name must be a text, not {brief(given['name'])}.")
-    seed = whole("seed", given["seed"], 0, 2**31 - 1)
-    healthy = number("healthy", given["healthy"], 0.0, 1.0)
-    period = number("false_alarm_period_h", given["false_alarm_period_h"], 0.01, 1e6)
-    estimators = _estimators(given["estimators"])
-    rules = _names("detectors", given["detectors"], tuple(m.name for m in detectors.modules()))
+    fields = {**TOP, **table}
+    if not isinstance(fields["name"], str):
+        raise ConfigError(f"name must be a text, not {brief(fields['name'])}.")
+    seed = whole("seed", fields["seed"], 0, 2**31 - 1)
+    healthy = number("healthy", fields["healthy"], 0.0, 1.0)
+    period = number("false_alarm_period_h", fields["false_alarm_period_h"], 0.01, 1e6)
+    estimators = _estimators(fields["estimators"])
+    rules = _names("detectors", fields["detectors"], tuple(m.name for m in detectors.modules()))
     if not estimators and not rules:
         raise ConfigError("estimators and detectors are both empty; name at least one of either.")
-    decisions = _decisions(given["decisions"])
-    asked = given["scenario"]
-    if not isinstance(asked, Mapping):
+    decisions = _decisions(fields["decisions"])
+    template = fields["scenario"]
+    if not isinstance(template, Mapping):
         raise ConfigError("scenario must be a table, [scenario].")
-    if "faults" in asked:
+    if "faults" in template:
         raise ConfigError("scenario.faults: faults of a plan are [[faults]] tables at its top.")
     for key in ("name", "seed"):
-        if key in asked:
+        if key in template:
             raise ConfigError(f"scenario.{key} is each flight's own; a plan has {key} at its top.")
-    asked = {key: dict(v) if isinstance(v, Mapping) and not _is_draw(v) else v for key, v in asked.items()}
+    template = {key: dict(v) if isinstance(v, Mapping) and not _is_draw(v) else v for key, v in template.items()}
     for part in ("airframe", "logging"):
-        if not isinstance(asked.setdefault(part, {}), dict):
+        if not isinstance(template.setdefault(part, {}), dict):
             raise ConfigError(f"scenario.{part} must be a table, [scenario.{part}].")
-    _check_draws("scenario", asked)
+    _check_draws("scenario", template)
     for key in FIXED:
-        if isinstance(asked.get(key), Mapping):
+        if isinstance(template.get(key), Mapping):
             raise ConfigError(f"scenario.{key} must be one value: flights of a batch share it.")
-    cells = _cells(asked)
-    rows = given["faults"]
+    cells = _cells(template)
+    rows = fields["faults"]
     if not isinstance(rows, (list, tuple)) or not all(isinstance(row, Mapping) for row in rows):
         raise ConfigError("faults must be [[faults]] tables.")
     faults = tuple(_fault(f"faults[{k + 1}]", row) for k, row in enumerate(rows))
     if not faults and healthy < 1.0 and "healthy" in table:
         raise ConfigError("healthy is below 1, but there are no [[faults]] for the other flights.")
-    rotors = _try_out(asked, cells, faults)
-    return Plan(
-        given["name"],
-        seed,
-        healthy,
-        estimators,
-        rules,
-        decisions,
-        period,
-        asked,
-        faults,
-        cells,
-        rotors,
-        text or repr(table),
-    )
+    rotors = _try_out(template, cells, faults)
+    name, text = fields["name"], text or repr(table)
+    return Plan(name, seed, healthy, estimators, rules, decisions, period, template, faults, cells, rotors, text)
 
 
-def _cells(asked: Mapping[str, Any]) -> tuple[Cell, ...]:
+def _cells(template: Mapping[str, Any]) -> tuple[Cell, ...]:
     """Every combination of the frames, autopilots and profiles that the plan names."""
     parts = []
     for name, value in (
-        ("airframe.frame", asked["airframe"].get("frame")),
-        ("autopilot", asked.get("autopilot", "ardupilot")),
-        ("logging.profile", asked["logging"].get("profile", "default")),
+        ("airframe.frame", template["airframe"].get("frame")),
+        ("autopilot", template.get("autopilot", "ardupilot")),
+        ("logging.profile", template["logging"].get("profile", "default")),
     ):
         if value is None:
             raise ConfigError(f"scenario.{name} is missing; name one, or {{ choice = [...] }}.")
@@ -239,13 +227,13 @@ def _fault(where: str, row: Mapping[str, Any]) -> Mapping[str, Any]:
     return {**row, "share": share, "together": whole(f"{where}.together", row.get("together", 1), 1, 2)}
 
 
-def _try_out(asked, cells, faults) -> tuple[int, ...]:
+def _try_out(template, cells, faults) -> tuple[int, ...]:
     """Build scenarios at the ends of every draw, and one vehicle per cell whose log can be written: (rotors of each). Raises what they
     raise, by field."""
-    for end in _ends(asked):
+    for end in _ends(template):
         _flyable(_built("scenario.", end, cells[0], []))
     counts = []
-    base = next(_ends(asked))
+    base = next(_ends(template))
     for cell in cells:
         made = _built("scenario.", base, cell, [])
         _flyable(made)

@@ -150,14 +150,8 @@ def _flown(number: int, path: Path, entry: Entry) -> Flown:
 
 def _scenario(flight: Flight, entry: Entry) -> Scenario:
     """What score.py asks of a scenario, as far as a log has it."""
-    fault = {
-        "kind": "loss",
-        "onset_s": entry.onset_s,
-        "ramp_s": 0.0,
-        "period_s": None,
-        "end_s": None,
-        "strength": entry.loss,
-    }
+    lasting = {"ramp_s": 0.0, "period_s": None, "end_s": None}
+    fault = {"kind": "loss", "onset_s": entry.onset_s, "strength": entry.loss, **lasting}
     made = SimpleNamespace(
         airframe={"frame": "log"}, autopilot=flight.autopilot, logging={"profile": "log"}, trajectory={"kind": "log"},
         wind={"speed_m_s": None}, faults=tuple({**fault, "rotor": rotor} for rotor in entry.rotors),

@@ -16,6 +16,7 @@ from rotorwatch import __version__, files
 from rotorwatch.campaign import results_file
 from rotorwatch.campaign.page import STYLE
 from rotorwatch.errors import ConfigError
+from rotorwatch.experiments.tools import interval
 from rotorwatch.report.colours import PALETTE
 
 COLUMNS = {
@@ -104,13 +105,9 @@ def _key(row: dict[str, Any]) -> tuple:
 
 def cell(key: str, value: dict[str, float] | None) -> str:
     """A score with its interval, as people read it."""
-    if value is None:
-        return "-"
-    parts = (value["value"], value["low"], value["high"])
-    if key in SHARES:
-        return "{:.0f} % ({:.0f} to {:.0f})".format(*(100 * p for p in parts))
-    digits = DIGITS.get(key, 0 if value["value"] >= 10 else 1)
-    return f"{parts[0]:.{digits}f} ({parts[1]:.{digits}f} to {parts[2]:.{digits}f})"
+    if value is None or key in SHARES:
+        return interval(value)
+    return interval(value, DIGITS.get(key, 0 if value["value"] >= 10 else 1))
 
 
 def _from(row: dict[str, Any]) -> str:
@@ -138,8 +135,8 @@ def _rule(ranked: dict[str, Any]) -> str:
 
 def _logs(one: dict[str, Any]) -> str:
     """How many logs of a data set there are, and how many could not be judged."""
-    gone = f", {len(one['left_out'])} of them left out" if one["left_out"] else ""
-    return f"{one['logs']} {'log' if one['logs'] == 1 else 'logs'}{gone}"
+    missing = f", {len(one['left_out'])} of them left out" if one["left_out"] else ""
+    return f"{one['logs']} {'log' if one['logs'] == 1 else 'logs'}{missing}"
 
 
 def table(ranked: dict[str, Any]) -> Any:

@@ -36,28 +36,16 @@ MEASURES = {
     "coverage": "share of those whose 95 % interval holds the loss",
     "us_per_step": "microseconds of one step",
 }
-"""Scores with an interval: {"value", "low", "high", "n"}, or None where nothing can be said."""
-PLAN: dict[str, type | tuple[type, ...]] = {
+"""Scores with an interval: {"value", "low", "high", "n"}, or None where it is not defined."""
+PLAN: dict[str, Any] = {
     "name": str, "version": int, "sha256": str, "flights": int, "false_alarms_h": (int, float), "within_s": (int, float), "text": str,
 }  # fmt: skip
-METHOD: dict[str, type | tuple[type, ...]] = {
+METHOD: dict[str, Any] = {
     "name": str, "kind": str, "about": str, "package": str, "version": str, "path": str, "failed": (str, type(None)),
     "scores": (dict, type(None)),
 }  # fmt: skip
-DATA: dict[str, type | tuple[type, ...]] = {
-    "name": str,
-    "index_sha256": str,
-    "logs": int,
-    "left_out": list,
-    "methods": list,
-}
-TOP: dict[str, type | tuple[type, ...]] = {
-    "rotorwatch": str,
-    "plan": dict,
-    "machine": str,
-    "methods": list,
-    "data": list,
-}
+DATA: dict[str, Any] = {"name": str, "index_sha256": str, "logs": int, "left_out": list, "methods": list}
+TOP: dict[str, Any] = {"rotorwatch": str, "plan": dict, "machine": str, "methods": list, "data": list}
 
 
 def write(results: dict[str, Any], path: str | os.PathLike) -> None:

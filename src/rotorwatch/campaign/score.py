@@ -7,10 +7,12 @@ onset one that does not name a broken rotor is a wrong one. Losses are compared 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from rotorwatch import files
 from rotorwatch.campaign.plan import Plan
 from rotorwatch.default import events
 from rotorwatch.default.announcement import TICKS
@@ -23,56 +25,22 @@ EARLY_S = 0.3  # an event this long before the onset is still the fault's: ticks
 EVALUATE_S = 10.0
 WINDOWS_S = (1.0, 2.0, 5.0, 10.0)
 RISE_S = (
-    *(k / 10 for k in range(1, 10)),
-    1.0,
-    *(k / 10 for k in range(12, 20, 2)),
-    2.0,
-    2.5,
-    3.0,
-    3.5,
-    4.0,
-    4.5,
-    5.0,
-    6.0,
-    7.0,
-    8.0,
-    9.0,
-    10.0,
-)
+    *(k / 10 for k in range(1, 10)), *(k / 10 for k in range(10, 20, 2)), *(k / 2 for k in range(4, 10)), *map(float, range(5, 11)),
+)  # fmt: skip
 """Windows in which the largest statistic is kept: from these follows the delay at any threshold."""
 NOTHING = -50.0  # statistic where there is none
 
+
+def read_columns(table: str) -> dict[str, tuple[str, str]]:
+    """Column -> (type in the Parquet file, what it holds), of a table of columns.toml."""
+    known, _ = files.toml(Path(__file__).with_name("columns.toml"), "table of columns")
+    return {name: (kind, about) for name, (kind, about) in known[table].items()}
+
+
 COLUMNS: dict[str, tuple[str, str]] = {
-    "flight": ("int64", "number of the flight: with the plan's seed it says everything"),
-    "method": ("string", "estimator or detector"),
-    "frame": ("string", "airframe"),
-    "autopilot": ("string", "whose log"),
-    "profile": ("string", "logging profile"),
-    "rotors": ("int64", "how many"),
-    "trajectory": ("string", "what was flown"),
-    "wind_m_s": ("double", "mean wind 6 m above ground"),
-    "fault": ("string", "kind of fault, empty without one"),
-    "broken": ("string", "rotors that broke, such as 3 or 2+5"),
-    "clear": ("bool", "one rotor, at once: what the bounds are for"),
-    "onset_s": ("double", "when it began"),
-    "loss": ("double", "true loss of the first broken rotor when losses are compared"),
-    "crashed_s": ("double", "when the vehicle lay on the ground, empty if never"),
-    "judged_s": ("double", "flight time that was judged"),
-    "healthy_s": ("double", "judged before the onset"),
-    "false_alarms": ("int64", "events in healthy time"),
-    "sure_false_alarms": ("int64", "those of them that name rotors without alternatives: verdict fault, not ambiguous"),
-    "wrong": ("int64", "events after the onset that name no broken rotor"),
-    "detected": ("bool", "an event after the onset names a broken rotor, alone or among alternatives"),
-    "delay_s": ("double", "from the onset to that event"),
-    "right": ("bool", "the first event names exactly the broken rotors, without alternatives"),
-    "named": ("bool", "the broken rotors are its rotors or one of its alternatives"),
-    "estimate": ("double", "loss of the first broken rotor as estimated"),
-    "lower": ("double", "its 95 % interval"),
-    "upper": ("double", "its 95 % interval"),
-    "peak": ("double", "largest lasting statistic in healthy time"),
+    **read_columns("flight"),
     **{f"peak_{s:g}s": ("double", f"largest lasting statistic within {s:g} s of the onset") for s in RISE_S},
-    "bound_sd": ("double", "posterior Cramer-Rao bound: least standard deviation of the estimate"),
-    "bound_delay_s": ("double", "least mean delay at the plan's false-alarm rate"),
+    **read_columns("bound"),
 }
 """Column -> (type in the Parquet file, what it holds)."""
 

@@ -16,16 +16,18 @@ import itertools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike
+from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 
-from rotorwatch import many
-from rotorwatch.campaign import batch, summary
+from rotorwatch import files
+from rotorwatch.campaign import batch
 from rotorwatch.campaign.plan import Cell, drawn
 from rotorwatch.default import events, hypotheses
 from rotorwatch.diagnosis import Event
 from rotorwatch.errors import ConfigError
+from rotorwatch.experiments import tools
 from rotorwatch.motion import outside
 from rotorwatch.motion.ticks import JUDGE, Ticks
 from rotorwatch.simulation import scenario
@@ -34,7 +36,8 @@ from rotorwatch.simulation.scenario import Scenario
 FRAMES = {"quad-x": 4, "hexa-x": 6, "octa-x": 8, "y6": 6, "octaquad-x": 8}
 ARMS = {"y6": ((1, 5), (2, 3), (4, 6)), "octaquad-x": ((1, 6), (2, 5), (3, 8), (4, 7))}
 KINDS = ("second", "second", "second", "recovery", "change", "intermittent", "equal pair", "pair", "arm")
-DURATION_S, SETTLE_S, WEAK = 75.0, 5.0, 0.03
+SETTLE_S, WEAK = 5.0, 0.03
+SCENARIO, _ = files.toml(Path(__file__).with_suffix(".toml"), "scenario")
 MARGIN_S = 1.0  # an onset may be off by so much
 WIDTH = 16  # flights side by side
 OUTCOMES = ("right", "ambiguous", "missed", "wrong", "other")
@@ -55,28 +58,8 @@ class Sequences:
         """The scenario of flight k."""
         rng = np.random.default_rng([self.seed, k])
         cell, kind = self.cells[k % len(self.cells)], self.kind(k)
-        table = drawn(
-            {
-                "duration_s": DURATION_S,
-                "autopilot": "ardupilot",
-                "airframe": {
-                    "frame": cell.frame,
-                    "mass_kg": {"log_uniform": [0.8, 8.0]},
-                    "arm_m": {"log_uniform": [0.15, 0.6]},
-                    "thrust_to_weight": {"uniform": [2.2, 3.2]},
-                    "lag_s": {"uniform": [0.02, 0.05]},
-                },
-                "trajectory": {
-                    "kind": {"choice": ["hover", "square", "figure-eight", "yaw"]},
-                    "speed_m_s": {"uniform": [2.0, 6.0]},
-                    "land": False,
-                },
-                "wind": {"speed_m_s": {"uniform": [0.0, 6.0]}, "from_deg": {"uniform": [0.0, 360.0]}},
-                "sensors": {"vibration": {"log_uniform": [0.2, 4.0]}},
-                "logging": {"profile": cell.profile},
-            },
-            rng,
-        )
+        table = drawn(SCENARIO, rng)
+        table["airframe"]["frame"], table["logging"] = cell.frame, {"profile": cell.profile}
         faults = _faults(kind, cell.frame, rng)
         return scenario.from_table(
             {**table, "name": f"{kind} {k}", "seed": int(rng.integers(2**31 - 1)), "faults": faults}
@@ -157,14 +140,8 @@ def states(f: Truth, found: Sequence[Event]) -> list[State]:
     """All states of a flight, up to its crash."""
     time, judged = f.ticks.time, f.ticks.mode == JUDGE
     weak = f.theta > WEAK
-    edges = [
-        0,
-        *(
-            np.flatnonzero((weak[1:] != weak[:-1]).any(axis=1) | (np.abs(np.diff(f.theta, axis=0)) > 0.02).any(axis=1))
-            + 1
-        ),
-        len(time),
-    ]
+    steps = (weak[1:] != weak[:-1]) | (np.abs(np.diff(f.theta, axis=0)) > 0.02)
+    edges = [0, *(np.flatnonzero(steps.any(axis=1)) + 1), len(time)]
     answers = []
     for a, b in itertools.pairwise(edges):
         here = np.flatnonzero(judged[a:b] & ~f.ticks.upset[a:b]) + a
@@ -201,14 +178,7 @@ def run(
         for cell in range(cells)
         for start in range(cell, flights, cells * WIDTH)
     ]
-    rows: list[dict[str, Any]] = []
-
-    def told(done: int) -> None:
-        if progress:
-            progress(done / len(parts), "flying")
-
-    for found in many.ordered(_part, parts, jobs, scheduler, told, keep):
-        rows += found
+    rows = tools.gathered(_part, parts, jobs, progress, "flying", scheduler, keep)
     rows.sort(key=lambda row: (row["flight"], row["at"]))
     return {"flights": flights, "seed": seed, "table": table(rows), "states": rows}
 
@@ -222,7 +192,7 @@ def _part(work: tuple[int, range]) -> list[dict[str, Any]]:
 def describe(result: Mapping[str, Any]) -> str:
     """The table, as text."""
     lines = [
-        f"{result['flights']} flights, seed {result['seed']}: what is said of all rotors between one change and the next",
+        f"{result['flights']} flights, seed {result['seed']}: the answer about all rotors between one change and the next",
         "",
     ]
     lines.append(f"{'':24}{'states':>8}" + "".join(f"{name:>22}" for name in OUTCOMES))
@@ -259,6 +229,6 @@ def table(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     groups += [("frame", f, [r for r in rows if r["frame"] == f]) for f in FRAMES]
     for by, name, mine in groups:
         if mine:
-            shares = {o: summary.share(np.array([r["outcome"] == o for r in mine])) for o in OUTCOMES}
+            shares = {o: tools.share([r["outcome"] == o for r in mine]) for o in OUTCOMES}
             lines.append({"by": by, "name": name, "states": len(mine), **shares})
     return lines

@@ -1,7 +1,6 @@
 """From a campaign's table to what it shows: rates and shares with 95 % intervals, ROC and delay curves, loss errors, the limits.
 
-Rates have exact Poisson intervals (Garwood 1936), shares Wilson's (1927), medians and errors those of a seeded bootstrap. Missed
-detections are counted apart and never enter a delay or an error.
+Missed detections are counted apart and never enter a delay or an error.
 """
 
 from __future__ import annotations
@@ -14,9 +13,8 @@ import numpy as np
 
 from rotorwatch.campaign.score import COLUMNS, NOTHING, RISE_S, WINDOWS_S
 from rotorwatch.errors import ConfigError
+from rotorwatch.experiments.tools import RESAMPLES, boot, interval, rate, share, table
 
-Z = 1.959963984540054
-RESAMPLES = 400
 LOSS_EDGES = (0.03, 0.06, 0.12, 0.25, 0.5, 1.01)
 WIND_EDGES = (0.0, 3.0, 6.0, np.inf)
 DELAYS_S = (0.1, 0.2, 0.3, 0.4, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 5.0, 7.0, 10.0)
@@ -25,16 +23,16 @@ DRAWN = ("frame", "profile", "wind")  # groups with curves of their own
 LIKELY = 0.6744897501960817  # half of normal errors are smaller than so many standard deviations
 
 
-def summarise(table: Any, name: str = "") -> dict[str, Any]:
-    """{"name", "flights", "healthy_h", "methods": {method: {...}}} of a pyarrow table with the columns of score.COLUMNS.
+def summarise(rows: Any, name: str = "") -> dict[str, Any]:
+    """{"name", "flights", "healthy_h", "methods": {method: {...}}} of rows, a pyarrow table with the columns of score.COLUMNS.
 
     Per method: `overall` and, by frame, profile, wind, trajectory and fault, `groups`, each a dict of `measures`; `roc`, `delay_curve` and
     `loss_error`, lists of points; `curves`: the same three for each frame, profile and wind, as plain numbers. Raises ConfigError for
     an empty table.
     """
-    if table.num_rows == 0:
+    if rows.num_rows == 0:
         raise ConfigError("There is no flight in this campaign's table.")
-    columns = arrays(table)
+    columns = arrays(rows)
     methods = {}
     for method in sorted(set(columns["method"])):
         mine = of_method(columns, method)
@@ -50,9 +48,9 @@ def summarise(table: Any, name: str = "") -> dict[str, Any]:
     return {"name": name, "flights": int(one.sum()), "healthy_h": hours, "methods": methods}
 
 
-def arrays(table: Any) -> dict[str, np.ndarray]:
+def arrays(rows: Any) -> dict[str, np.ndarray]:
     """The columns of a pyarrow table as NumPy arrays (`column`)."""
-    return {key: column(table[key].to_pylist(), COLUMNS[key][0]) for key in table.column_names}
+    return {key: column(rows[key].to_pylist(), COLUMNS[key][0]) for key in rows.column_names}
 
 
 def of_method(columns: dict[str, np.ndarray], method: str) -> dict[str, np.ndarray]:
@@ -66,7 +64,7 @@ def at_rate(d: dict[str, np.ndarray], false_alarms_h: float, within_s: float = 1
     The threshold [nats above the one in use] is the lowest at which at most `false_alarms_h` an hour are left, the first of each
     flight; a method without a statistic keeps its own (threshold None). detected: share of clear faults within `within_s` (one of
     score.RISE_S), delay_s: median of those, read from score.RISE_S. Intervals: bootstrap of flights, the threshold set anew in each; for
-    the share Wilson's where that is wider. None where nothing can be said: without healthy time, or without a clear fault.
+    the share Wilson's where that is wider. None where they are not defined: without healthy time, or without a clear fault.
     """
     clear, hours = d["clear"].astype(bool), float(d["healthy_s"].sum() / 3600.0)
     if not np.isfinite(d["peak"]).any():
@@ -114,7 +112,7 @@ def _threshold(peaks: np.ndarray, allowed: float) -> float:
 
 
 def measures(d: dict[str, np.ndarray]) -> dict[str, Any]:
-    """One line: numbers, or {"value", "low", "high", "n"} for what has an interval; None where nothing can be said."""
+    """One line: numbers, or {"value", "low", "high", "n"} for what has an interval; None where it is not defined."""
     faulty, clear = d["fault"] != "", d["clear"].astype(bool)
     hours = float(d["healthy_s"].sum() / 3600.0)
     found = clear & (d["detected"] == True)  # noqa: E712 - None where there is no fault
@@ -135,45 +133,6 @@ def measures(d: dict[str, np.ndarray]) -> dict[str, Any]:
         "rmse_ratio": _ratio(error, sd), "typical_ratio": boot(np.abs(error) / sd / LIKELY, np.median),
         "coverage": share(covered[inside]),
     }  # fmt: skip
-
-
-def rate(count: int, hours: float) -> dict[str, float] | None:
-    """Events per hour with its exact Poisson interval."""
-    if hours <= 0.0:
-        return None
-    from scipy.stats import chi2
-
-    low = 0.5 * chi2.ppf(0.025, 2 * count) if count else 0.0
-    return {
-        "value": count / hours,
-        "low": float(low) / hours,
-        "high": float(0.5 * chi2.ppf(0.975, 2 * count + 2)) / hours,
-        "n": count,
-    }
-
-
-def share(flags: np.ndarray) -> dict[str, float] | None:
-    """Share of what is true, with Wilson's interval."""
-    n = len(flags)
-    if n == 0:
-        return None
-    p = float(np.mean(flags.astype(float)))
-    middle = (p + Z * Z / (2 * n)) / (1 + Z * Z / n)
-    half = Z / (1 + Z * Z / n) * np.sqrt(p * (1 - p) / n + Z * Z / (4 * n * n))
-    low, high = max(0.0, float(middle - half)), min(1.0, float(middle + half))
-    return {"value": p, "low": min(low, p), "high": max(high, p), "n": n}  # rounding may leave none, or all, outside
-
-
-def boot(values: np.ndarray, statistic: Callable) -> dict[str, float] | None:
-    """A statistic of a sample with its bootstrap interval, the same for the same sample."""
-    values = np.asarray(values, float)
-    values = values[np.isfinite(values)]
-    if values.size == 0:
-        return None
-    rng = np.random.default_rng(values.size)
-    again = [statistic(values[rng.integers(values.size, size=values.size)]) for _ in range(RESAMPLES)]
-    low, high = np.quantile(again, (0.025, 0.975))
-    return {"value": float(statistic(values)), "low": float(low), "high": float(high), "n": int(values.size)}
 
 
 def _rms(values: np.ndarray) -> float:
@@ -292,40 +251,40 @@ def column(values: list, kind: str) -> np.ndarray:
     return found
 
 
+MEASURES = {
+    "false_alarms_h": "false alarms/h", "sure_false_alarms_h": "of these sure", "detected": "detected", "right": "right rotor",
+    "delay_s": "delay, s", "delay_ratio": "x bound", "loss_rmse": "loss RMSE", "rmse_ratio": "x bound", "typical_ratio": "typical x",
+    "coverage": "coverage",
+}  # fmt: skip
+ERRORS = {
+    "detected": "detected", "right": "right rotor", "bias": "bias", "rmse": "RMSE", "bound_rmse": "bound", "rmse_ratio": "x bound",
+    "typical_ratio": "typical x",
+}  # fmt: skip
+
+
+def lines_of(found: dict[str, Any]) -> list[tuple[str, dict]]:
+    """(label, measures) of a method: over all flights, then of each group."""
+    groups = ((kind, name, m) for kind, named in found["groups"].items() for name, m in named.items())
+    return [("all", found["overall"]), *((f"{kind}: {name}", m) for kind, name, m in groups)]
+
+
 def markdown(summary: dict[str, Any]) -> str:
     """The summary as Markdown tables."""
     parts = [f"{summary['flights']} flights, {summary['healthy_h']:.1f} healthy hours judged."]
-    heads = (
-        "flights", "false alarms/h", "of these sure", "detected", "right rotor", "delay, s", "x bound", "loss RMSE",
-        "x bound", "typical x", "coverage",
-    )  # fmt: skip
-    keys = (
-        "false_alarms_h", "sure_false_alarms_h", "detected", "right", "delay_s", "delay_ratio", "loss_rmse",
-        "rmse_ratio", "typical_ratio", "coverage",
-    )  # fmt: skip
     for method, found in summary["methods"].items():
-        parts.append(f"\n### {method}\n\n| | {' | '.join(heads)} |\n|{'---|' * (len(heads) + 1)}")
-        rows = [("all", found["overall"])]
-        rows += [(f"{kind}: {name}", m) for kind, groups in found["groups"].items() for name, m in groups.items()]
-        parts += [
-            f"| {label} | {m['flights']} | {' | '.join(cell(key, m[key]) for key in keys)} |" for label, m in rows
-        ]
+        rows = ([label, m["flights"], *(cell(key, m[key]) for key in MEASURES)] for label, m in lines_of(found))
+        parts.append(f"\n### {method}\n\n{table(['', 'flights', *MEASURES.values()], rows)}")
         if any(point["rmse"] for point in found["loss_error"]):
-            heads_ = ("faults", "detected", "right rotor", "bias", "RMSE", "bound", "x bound", "typical x")
-            keys_ = ("detected", "right", "bias", "rmse", "bound_rmse", "rmse_ratio", "typical_ratio")
-            parts.append(f"\n| {method}: loss | {' | '.join(heads_)} |\n|{'---|' * (len(heads_) + 1)}")
-            parts += [
-                f"| {p['low']:g} to {p['high']:g} | {p['faults']} | {' | '.join(cell(k, p[k]) for k in keys_)} |"
+            rows = (
+                [f"{p['low']:g} to {p['high']:g}", p["faults"], *(cell(k, p[k]) for k in ERRORS)]
                 for p in found["loss_error"]
-            ]
+            )
+            parts.append("\n" + table([f"{method}: loss", "faults", *ERRORS.values()], rows))
     return "\n".join(parts) + "\n"
 
 
 def cell(key: str, value: Any) -> str:
     """A measure with its interval as people read it."""
-    if value is None:
-        return "-"
     if key in ("detected", "right", "named", "coverage"):
-        return f"{100 * value['value']:.0f} % ({100 * value['low']:.0f} to {100 * value['high']:.0f})"
-    digits = 3 if key in ("loss_rmse", "bias", "rmse", "bound_rmse") else 2
-    return f"{value['value']:.{digits}f} ({value['low']:.{digits}f} to {value['high']:.{digits}f})"
+        return interval(value)
+    return interval(value, 3 if key in ("loss_rmse", "bias", "rmse", "bound_rmse") else 2)

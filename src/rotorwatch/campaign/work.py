@@ -18,7 +18,7 @@ from rotorwatch.campaign.score import COLUMNS
 from rotorwatch.campaign.store import Folder, Work
 from rotorwatch.errors import ConfigError
 
-Tell = Callable[[int, int, float], None]
+Progress = Callable[[int, int, float], None]
 Judge = Callable[[Plan, Sequence[int], int], list[dict]]
 
 
@@ -27,7 +27,7 @@ def run(
     flights: int,
     folder: str | os.PathLike,
     jobs: int | None = None,
-    progress: Tell | None = None,
+    progress: Progress | None = None,
     judge: Judge = batch.judge,
     columns: Mapping[str, tuple[str, str]] = COLUMNS,
     scheduler: str | None = None,
@@ -49,33 +49,20 @@ def run(
     with place.locked():
         width = place.open(plan, batch.width(), __version__, methods.engine())
         todo = place.missing(flights, len(plan.cells), width)
-        left = sum(w.last - w.first for w in todo)
-        tell = _Telling(flights, flights - left, progress)
+        done, now, began = flights - sum(w.last - w.first for w in todo), 0, time.monotonic()
+        if progress:
+            progress(done, flights, 0.0)
         do = _Parts(plan, width, judge, methods.engine())
         for part in many.run(do, todo, None if scheduler else _processes(jobs), scheduler):
             place.write(todo[part.index], part.result())
-            tell(todo[part.index])
+            now += todo[part.index].last - todo[part.index].first
+            if progress:
+                progress(done + now, flights, now / (time.monotonic() - began))
         return place.table(flights)
 
 
-class _Telling:
-    """Counts finished flights for the progress bar."""
-
-    def __init__(self, flights: int, done: int, progress: Tell | None):
-        self.flights, self.done, self.progress, self.now = flights, done, progress, 0
-        self.began = time.monotonic()
-        if progress:
-            progress(done, flights, 0.0)
-
-    def __call__(self, work: Work) -> None:
-        self.now += work.last - work.first
-        self.done += work.last - work.first
-        if self.progress:
-            self.progress(self.done, self.flights, self.now / (time.monotonic() - self.began))
-
-
 def _processes(jobs: int | None = None) -> int:
-    """How many processes: as asked for, else one per processor; never more than one on an accelerator, whose memory one takes."""
+    """How many processes: `jobs`, else one per processor; never more than one on an accelerator, whose memory one takes."""
     from rotorwatch.backend import jax
 
     return (jobs or many.processors()) if jax().default_backend() == "cpu" else 1

@@ -102,9 +102,9 @@ def ask_flights(flights, frames, seed, jobs, scheduler, keep, as_json, quiet) ->
     names the broken rotors, with 95 % intervals (docs/control.md)."""
     import json
 
-    from rotorwatch.campaign import asking
+    from rotorwatch.campaign import excitation_flights
 
     with progress(quiet) as tell:
         wanted = [f for f in frames.split(",") if f]
-        result = asking.run(flights, wanted, seed, progress=tell, jobs=jobs, scheduler=scheduler, keep=keep)
-    click.echo(json.dumps(result, indent=1, allow_nan=False) if as_json else asking.markdown(result))
+        result = excitation_flights.run(flights, wanted, seed, progress=tell, jobs=jobs, scheduler=scheduler, keep=keep)
+    click.echo(json.dumps(result, indent=1, allow_nan=False) if as_json else excitation_flights.markdown(result))

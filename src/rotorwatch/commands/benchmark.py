@@ -74,14 +74,14 @@ def benchmark(what, methods, more, data, jobs, out, rank, listing, as_json, quie
                 f"--method {spec}: write package.module:Class; what is installed is named with --methods."
             )
     sets = [_named(text) for text in data]
-    asked = benchmarks.read(what[0] if what else "quick")
+    plan = benchmarks.read(what[0] if what else "quick")
     if not quiet:
         say(
-            f"plan {asked.plan.name} version {asked.version}, {asked.flights} flights; parts in {benchmarks.parts_of(out)}"
+            f"plan {plan.plan.name} version {plan.version}, {plan.flights} flights; parts in {benchmarks.parts_of(out)}"
         )
     try:
-        with flying(quiet) as tell:
-            results = benchmarks.run(asked, names, out, jobs, sets, tell, None if quiet else say)
+        with flying(quiet) as report:
+            results = benchmarks.run(plan, names, out, jobs, sets, report, None if quiet else say)
     except KeyboardInterrupt:
         if benchmarks.parts_of(out).is_dir():
             kept = benchmarks.parts_of(out)

@@ -37,13 +37,13 @@ def campaign(plan, flights, jobs, scheduler, out, as_json, quiet) -> None:
     from rotorwatch.campaign import batch, page
     from rotorwatch.campaign.store import Folder
 
-    asked = campaigns.read(plan)
+    flight_plan = campaigns.read(plan)
     files.folder(out, "--out")
     if not quiet:
-        say(f"{len(asked.cells)} kinds of flights, {len(asked.methods)} methods, {batch.where()}")
-    with flying(quiet) as tell:
-        table = campaigns.run(asked, flights, out, jobs, tell, scheduler=scheduler)
-    summary = campaigns.summarise(table, asked.name)
+        say(f"{len(flight_plan.cells)} kinds of flights, {len(flight_plan.methods)} methods, {batch.where()}")
+    with flying(quiet) as report:
+        table = campaigns.run(flight_plan, flights, out, jobs, report, scheduler=scheduler)
+    summary = campaigns.summarise(table, flight_plan.name)
     Folder(out).finish(table, summary)
     page.write(summary, out / "index.html")
     click.echo(json.dumps(summary, indent=1, allow_nan=False) if as_json else campaigns.markdown(summary), nl=as_json)
@@ -65,8 +65,8 @@ def sequences(flights, seed, jobs, scheduler, keep, as_json, quiet) -> None:
 
     from rotorwatch.campaign import sequences as study
 
-    with progress(quiet) as tell:
-        result = study.run(flights, seed, jobs, tell, scheduler, keep)
+    with progress(quiet) as report:
+        result = study.run(flights, seed, jobs, report, scheduler, keep)
     click.echo(json.dumps(result, indent=1, allow_nan=False) if as_json else study.describe(result))
 
 
@@ -95,20 +95,20 @@ def ablate(plan, logs, flights, hours, only, variants, jobs, scheduler, keep, as
     from rotorwatch import campaign as campaigns
     from rotorwatch.campaign import ablation
 
-    asked = campaigns.read(plan)
+    flight_plan = campaigns.read(plan)
     names, words = ([part for part in text.split(",") if part] for text in (only, variants))
     if set(words) - set(ablation.WORDS) or not words:
         raise click.UsageError(f"--variants {variants}: give some of {', '.join(ablation.WORDS)}.")
-    with progress(quiet) as tell:
+    with progress(quiet) as report:
         result = ablation.run(
-            asked,
+            flight_plan,
             logs,
             flights,
             hours,
             only=names,
             words=words,
             jobs=jobs,
-            progress=tell,
+            progress=report,
             scheduler=scheduler,
             keep=keep,
         )
@@ -145,16 +145,16 @@ def closed_loop(plan, flights, drivers, by, jobs, scheduler, out, as_json, quiet
     from rotorwatch.campaign import closed_loop as study
     from rotorwatch.campaign import plan as plans
 
-    asked = plans.read(plan)
+    flight_plan = plans.read(plan)
     files.folder(out, "--out")
     names = [name for part in drivers.split(",") if (name := part.strip())]
-    with flying(quiet) as tell:
-        result = study.run(asked, names, out, flights, jobs, by, tell, scheduler)
+    with flying(quiet) as report:
+        result = study.run(flight_plan, names, out, flights, jobs, by, report, scheduler)
     click.echo(json.dumps(result, indent=1, allow_nan=False) if as_json else study.markdown(result), nl=as_json)
     if not quiet:
         say(f"table and summary written to {out}")
 
 
 def flying(quiet: bool):
-    """How far the flights have come. Yields work.Tell."""
+    """How far the flights have come. Yields work.Progress."""
     return counting(quiet, "flights")

@@ -1,4 +1,4 @@
-"""Commands for estimation research: what can be told apart on an airframe, and published experiments run again."""
+"""Commands for estimation research: which losses can be distinguished on an airframe, and published experiments run again."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def register(group: click.Group) -> None:
         group.add_command(command)
 
 
-@click.command(short_help="What can be told apart on an airframe.")
+@click.command(short_help="Which losses can be distinguished on an airframe.")
 @click.option(
     "--vehicle",
     required=True,
@@ -29,13 +29,13 @@ def register(group: click.Group) -> None:
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @common
 def observability(vehicle, figure, as_json, quiet) -> None:
-    """Say which losses of which rotors can be told apart on this airframe, in hover and in a manoeuvre."""
+    """Say which losses of which rotors can be distinguished on this airframe, in hover and in a manoeuvre."""
     from rotorwatch.published.observability import observability as run
 
     if figure:
         drawable(figure)
-    with progress(quiet) as tell:
-        result = run(_vehicle(vehicle), progress=tell)
+    with progress(quiet) as report:
+        result = run(_vehicle(vehicle), progress=report)
         if figure:
             result.figure(figure)
     if as_json:
@@ -88,10 +88,10 @@ def reproduce(paper, seeds, literal, figures, jobs, scheduler, as_json, quiet) -
     )
     results = []
     for done, module in enumerate(modules):
-        with progress(quiet) as tell:
-            if together and tell:
-                tell(done / len(modules), f"waiting for {module.PAPER}")
-            result = next(together) if together else reproduction.reproduce(module.PAPER, seeds, literal, tell)
+        with progress(quiet) as report:
+            if together and report:
+                report(done / len(modules), f"waiting for {module.PAPER}")
+            result = next(together) if together else reproduction.reproduce(module.PAPER, seeds, literal, report)
         results.append(result)
         if not as_json:
             from rotorwatch.report import research_tables

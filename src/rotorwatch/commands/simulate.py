@@ -41,10 +41,10 @@ def simulate(scenario, out, seed, quiet) -> None:
 
     files.writable(out, "--out")
 
-    asked = read(scenario)
+    wanted = read(scenario)
     if seed is not None:
-        asked = asked.with_seed(seed)
-    endings = _endings(out, asked.helicopter)
+        wanted = wanted.with_seed(seed)
+    endings = _endings(out, wanted.helicopter)
     stems = [out.with_name(out.stem if len(endings) == 1 else out.name + ending) for ending in endings]
     for stem, ending in zip(stems, endings, strict=True):
         for path in (
@@ -56,15 +56,15 @@ def simulate(scenario, out, seed, quiet) -> None:
     with _all_or_none(out) as hidden:
         written: list[Path] = []
         for k, ending in enumerate(endings):
-            with progress(quiet) as tell:
-                if tell:
-                    tell(k / len(endings), "flying")
-                one = asked if asked.helicopter else asked.with_autopilot(simulation.SUFFIXES[ending])
+            with progress(quiet) as report:
+                if report:
+                    report(k / len(endings), "flying")
+                one = wanted if wanted.helicopter else wanted.with_autopilot(simulation.SUFFIXES[ending])
                 made = simulation.simulate(one)
                 written += made.write(hidden / out.with_suffix(ending).name, hidden / stems[k].name)
     click.echo("\n".join(str(out.with_name(path.name)) for path in written))
     if not quiet:
-        say(f"{asked.name}: {asked.duration_s:g} s flown")
+        say(f"{wanted.name}: {wanted.duration_s:g} s flown")
 
 
 @contextmanager
@@ -91,7 +91,7 @@ def _endings(out: Path, helicopter: bool) -> list[str]:
     return [out.suffix.lower()]
 
 
-@click.command(short_help="Which actuator of a helicopter does not do what it is told.")
+@click.command(short_help="Which actuator of a helicopter does not follow its command.")
 @click.argument("log", type=LOG)
 @click.option(
     "--airframe", required=True, metavar="NAME", help="A helicopter that a paper describes, such as ruav-40kg."
@@ -110,13 +110,13 @@ def estimate(log, airframe, estimator, lag, as_json, quiet) -> None:
     from rotorwatch.published import helicopter_log
 
     checks.finite("--lag", lag)
-    with progress(quiet) as tell:
-        found = helicopter_log.estimate(logs.read(log), airframe, estimator, lag, tell)
-    said = helicopter_log.said(found)
+    with progress(quiet) as report:
+        found = helicopter_log.estimate(logs.read(log), airframe, estimator, lag, report)
+    actuators = helicopter_log.summary(found)
     if as_json:
-        click.echo(json.dumps(said, indent=1, allow_nan=False))
+        click.echo(json.dumps(actuators, indent=1, allow_nan=False))
         return
-    for name, one in said.items():
+    for name, one in actuators.items():
         verdict = "sound" if one["found_s"] is None else f"FAULTY, found at {one['found_s']:.2f} s"
         click.echo(
             f"{name:13s} {verdict:29s} off by {one['deviation']:+.3f} +- {one['deviation_off']:.3f}   "

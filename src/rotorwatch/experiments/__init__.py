@@ -1,6 +1,6 @@
-"""What rotorwatch promises, measured: known faults and known damage in, answers counted. campaign/ does it on simulated flights.
+"""How good rotorwatch's answers are: known faults and known damage in, answers counted. campaign/ does it on simulated flights.
 
-allocation.py    is the control allocation exact?
+tools.py         shares and rates with intervals, tables, parts done in processes
 limits.py        the best that any method could do
 inject.py        losses put into healthy flights
 fuzz.py          damaged bytes: an answer or one clear sentence

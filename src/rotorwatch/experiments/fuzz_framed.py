@@ -58,12 +58,12 @@ def fuzz_framed(
     table: dict[str, dict[str, int]] = {kind: dict.fromkeys(OUTCOMES, 0) for kind in KINDS}
     failures, slowest = [], 0.0
     for done, (number, outcome, what, _) in enumerate(results, 1):
-        said: dict[str, Any] = what if isinstance(what, dict) else {"what": what, "seconds": timeout_s}
+        details: dict[str, Any] = what if isinstance(what, dict) else {"what": what, "seconds": timeout_s}
         table[KINDS[number % len(KINDS)]][outcome] += 1
-        slowest = max(slowest, said["seconds"])
+        slowest = max(slowest, details["seconds"])
         if outcome in WRONG:
             failures.append(
-                {"number": number, "kind": KINDS[number % len(KINDS)], "outcome": outcome, "what": said["what"]}
+                {"number": number, "kind": KINDS[number % len(KINDS)], "outcome": outcome, "what": details["what"]}
             )
         if progress:
             progress(done / total, f"{len(failures)} wrong")

@@ -20,15 +20,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rotorwatch import airframes, logs, many
+from rotorwatch import airframes, logs
 from rotorwatch.default import events, hypotheses, program
 from rotorwatch.diagnosis import Event
 from rotorwatch.errors import ConfigError
+from rotorwatch.experiments import tools
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.motion import allocation
 from rotorwatch.motion.airborne import airborne
-from rotorwatch.motion.ticks import JUDGE, READY_KNOWN_S, READY_S, observe
+from rotorwatch.motion.ticks import JUDGE, READY_KNOWN_S, READY_S, Ticks, observe
 
 RESPONSE_S = 0.7  # how fast rate and attitude controllers of real quads make up for a loss
 AFTER_READY_S, BEFORE_END_S = 3.0, 12.0  # where onsets may lie within a flight
@@ -203,13 +204,12 @@ def campaign(
         raise ConfigError("Losses to inject are above 0 and below 1; no vehicle flies as before with a dead rotor.")
     if repeats < 1:
         raise ConfigError(f"repeats {repeats}: give 1 or more.")
-    tell = progress or (lambda share, text="": None)
+    report = progress or (lambda share, text="": None)
     rng = np.random.default_rng(seed)
     sources = [path if isinstance(path, Flight) else str(path) for path in paths]
-    surveys = list(
-        many.ordered(
-            _survey, sources, jobs, scheduler, lambda n: tell(0.05 * n / len(sources), "healthy flights"), keep
-        )
+    shared = {"scheduler": scheduler, "keep": keep}
+    surveys = tools.gathered(
+        _survey, sources, jobs, lambda s, text: report(0.05 * s, text), "healthy flights", **shared
     )
     # Onsets are drawn here, in the order of the flights: who works on what, and how many do, changes nothing.
     parts: list[tuple] = []
@@ -219,13 +219,7 @@ def campaign(
         ]
         drawn = [(rotor, loss, draw(survey.room, rng)) for rotor, loss in plan]
         parts += [(source, drawn[k : k + PART]) for k in range(0, len(drawn), PART)]
-    trials = [
-        trial
-        for found in many.ordered(
-            _trials, parts, jobs, scheduler, lambda n: tell(0.05 + 0.95 * n / len(parts), "injecting"), keep
-        )
-        for trial in found
-    ]
+    trials = tools.gathered(_trials, parts, jobs, lambda s, text: report(0.05 + 0.95 * s, text), "injecting", **shared)
     if not trials:
         raise ConfigError("No flight is long enough: losses need 23 s in the air without a baseline.")
     healthy = {
@@ -248,12 +242,11 @@ class _Survey(NamedTuple):
     alarms: int
 
 
-def _survey(source: Flight | str) -> _Survey:
+def _survey(source: Flight | str) -> list[_Survey]:
     flight, vehicle, air = _flown(source)
     found, judged_s = _judge(flight, vehicle, air)
-    ready_s = READY_KNOWN_S if vehicle.identified else READY_S
-    room = [(start + ready_s + AFTER_READY_S, end - BEFORE_END_S) for start, end in air]
-    return _Survey(len(vehicle.rotors), [(a, b) for a, b in room if b > a], judged_s, len(found))
+    room = [(start + ready_s(vehicle) + AFTER_READY_S, end - BEFORE_END_S) for start, end in air]
+    return [_Survey(len(vehicle.rotors), [(a, b) for a, b in room if b > a], judged_s, len(found))]
 
 
 def _trials(part: tuple[Flight | str, list[tuple[int, float, float]]]) -> list[dict]:
@@ -262,17 +255,9 @@ def _trials(part: tuple[Flight | str, list[tuple[int, float, float]]]) -> list[d
     trials = []
     for rotor, loss, onset in part[1]:
         faulty = inject(flight, vehicle, rotor, loss, onset)
-        found, _ = _judge(faulty, vehicle, air)
+        found = _outcome(_judge(faulty, vehicle, air)[0], rotor, loss, onset)
         limit = max(faulty.facts["injected"]["at_limit"])
-        trials.append(
-            {
-                "flight": flight.name,
-                "rotor": rotor,
-                "loss": loss,
-                **_outcome(found, rotor, loss, onset),
-                "at_limit": limit,
-            }
-        )
+        trials.append({"flight": flight.name, "rotor": rotor, "loss": loss, **found, "at_limit": limit})
     return trials
 
 
@@ -289,16 +274,24 @@ def _read(path: str) -> tuple[Flight, Vehicle, Any]:
     return flight, airframes.identify(flight), airborne(flight)
 
 
-def _judge(flight: Flight, vehicle: Vehicle, air) -> tuple[tuple[Event, ...], float]:
-    """Losses that the default diagnoser announces, without what it makes for people to look at; seconds judged."""
-    ready_s = READY_KNOWN_S if vehicle.identified else READY_S
-    table = observe(flight, vehicle, air, ready_s)
-    if table is None:
-        return (), 0.0
+def ready_s(vehicle: Vehicle) -> float:
+    """How long after a take-off judging begins [s]: shorter where healthy flights have taught the vehicle's dynamics."""
+    return READY_KNOWN_S if vehicle.identified else READY_S
+
+
+def losses(table: Ticks, vehicle: Vehicle) -> tuple[tuple[Event, ...], program.Kept]:
+    """Losses that the default diagnoser announces, without what it makes for people to look at, and its outputs."""
     B = vehicle.effectiveness()
     _, out = program.estimate(table, B, (vehicle.identified or {}).get("dynamics"))
-    found = events.read(out, table, hypotheses.make(len(vehicle.rotors)), B)
-    return found, float((table.mode == JUDGE).sum() * table.dt)
+    return events.read(out, table, hypotheses.make(len(vehicle.rotors)), B), out
+
+
+def _judge(flight: Flight, vehicle: Vehicle, air) -> tuple[tuple[Event, ...], float]:
+    """Losses that are announced; seconds judged."""
+    table = observe(flight, vehicle, air, ready_s(vehicle))
+    if table is None:
+        return (), 0.0
+    return losses(table, vehicle)[0], float((table.mode == JUDGE).sum() * table.dt)
 
 
 def draw(room: list[tuple[float, float]], rng: np.random.Generator) -> float:

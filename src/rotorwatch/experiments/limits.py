@@ -18,6 +18,7 @@ for a threshold h and r information per time (Shiryaev 1996; the limit of many s
 from __future__ import annotations
 
 import functools
+from collections import namedtuple
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -30,18 +31,11 @@ from rotorwatch.errors import ConfigError
 Array = Any
 
 
-class Rows(NamedTuple):
+class Rows(namedtuple("Rows", "A G C H Q R")):
     """Matrices of one step: x' = A x + G theta + w, var w = Q; y = C x + H theta + v, var v = R.
 
     A (n, n), or (n,) where it is diagonal; G (n,); C (m, n); H (m,); Q (n, n); R (m,).
     """
-
-    A: Array
-    G: Array
-    C: Array
-    H: Array
-    Q: Array
-    R: Array
 
 
 def information(model: Callable[[Any], Rows], rows: Any, P0: Array, valid: Array, onset: Array) -> Array:

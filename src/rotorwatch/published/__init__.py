@@ -4,5 +4,5 @@ log_plant.py        a flight's ticks as a plant and its table
 published.py        a method of the literature over them, with the decisions that all methods share
 helicopter_log.py   the same for a helicopter's log
 decide.py           when an estimate means a fault
-observability.py    what can be told apart at all, of any plant
+observability.py    observability of the losses, of any plant
 """

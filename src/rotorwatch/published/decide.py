@@ -12,12 +12,12 @@ counts as one sample with the variance that v has had in this flight, and with w
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections import namedtuple
 
 import numpy as np
 
 from rotorwatch import checks
-from rotorwatch.core import Array, Decision
+from rotorwatch.core import Decision
 from rotorwatch.default import hypotheses
 
 LEVEL_S, SCATTER_S, SETTLE_S = 20.0, 30.0, 4.0  # forgetting; and how long after the start nothing is decided
@@ -28,20 +28,12 @@ SIGMAS = 5.0
 LEAST = 0.08
 TURNED = 0.2  # share by which v may point elsewhere than the loss does
 FADE = 0.25  # below this share of the threshold nothing has begun, or all is over
-GONE_S = 2.0  # for so long, before what was announced counts as over
+OVER_S = 2.0  # for so long, before what was announced counts as over
 
 
-class Carry(NamedTuple):
+class Carry(namedtuple("Carry", "level scatter seconds held run best since")):
     """level, scatter (4,): mean and variance of the missing wrench; seconds of estimates; held: s for which an announcement
     still counts; run: steps in a row over the threshold, for `best`; since: steps since anything began."""
-
-    level: Array
-    scatter: Array
-    seconds: Array
-    held: Array
-    run: Array
-    best: Array
-    since: Array
 
 
 class Threshold:
@@ -94,7 +86,7 @@ class Threshold:
         since = jnp.where(calm, 0, carry.since + 1).astype(jnp.int32)
 
         # Level and scatter learn while nothing is suspected; at first they are plain means.
-        held = jnp.where(alarm, GONE_S, jnp.maximum(carry.held - jnp.where(calm, dt, 0.0), 0.0))
+        held = jnp.where(alarm, OVER_S, jnp.maximum(carry.held - jnp.where(calm, dt, 0.0), 0.0))
         learns = seen & (~ready | ((calm | (log_other > log_fault)) & (held <= 0.0)))
         seconds = carry.seconds + jnp.where(seen, dt, 0.0)
         first = dt / jnp.maximum(seconds, dt)

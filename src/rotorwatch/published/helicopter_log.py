@@ -1,8 +1,8 @@
-"""A helicopter's log as the table of its plant, any estimator over it, and which actuator does not do what it is told.
+"""A helicopter's log as the table of its plant, any estimator over it, and which actuator does not follow its command.
 
     U = (1 - loss) u + bias          deviation = U - u = bias - loss u
 
-From commands alone a loss and a displacement cannot be told apart while the command stands still; their deviation can always be seen,
+From commands alone a loss and a displacement cannot be distinguished while the command stands still; their deviation can always be seen,
 so it decides: an actuator is named when its deviation stays beyond LEAST and beyond MARGIN times what it may be off by for LASTING_S.
 A flight is taken to begin sound: what deviates at first is steady wind and trim, and counts as none.
 """
@@ -144,7 +144,7 @@ def method(name: str, airframe: str, dt: float) -> Any:
     return kind(system, dt, **{key: value for key, value in tuning.items() if key in known})
 
 
-def sound(estimator: Any) -> Any:
+def healthy_start(estimator: Any) -> Any:
     """The estimator's first carry, of a flight that begins in hover with sound actuators."""
     start = estimator.init()
     if not isinstance(estimator, SetMembership):
@@ -159,7 +159,7 @@ def estimate(flight: Flight, airframe: str, name: str, lag_s: float = LAG_S, pro
     estimator = method(name, airframe, table.dt)
     if estimator.system.n_theta != 2 * ACTUATORS:
         raise ConfigError(f"{name} does not estimate the losses and displacements of the helicopter.")
-    _, (theta, cov) = run(estimator, table.u, table.y, table.valid, _losses, progress, sound(estimator))
+    _, (theta, cov) = run(estimator, table.u, table.y, table.valid, _losses, progress, healthy_start(estimator))
     cov = cov * (1.0 if isinstance(estimator, SetMembership) else FILTER_SD**2)
     deviation, deviation_off = _deviation(theta, cov, table.u[:, :ACTUATORS])
     since = table.time - table.time[0]
@@ -173,8 +173,8 @@ def estimate(flight: Flight, airframe: str, name: str, lag_s: float = LAG_S, pro
     return Estimated(table, theta, off, deviation, deviation_off, _named(table, deviation, deviation_off))
 
 
-def said(found: Estimated) -> dict[str, dict[str, float | None]]:
-    """Actuator -> what the end of the flight says of it, as numbers that JSON takes."""
+def summary(found: Estimated) -> dict[str, dict[str, float | None]]:
+    """Actuator -> its estimates at the end of the flight, as numbers that JSON takes."""
     last = {
         "loss": found.theta[-1, :ACTUATORS], "loss_off": found.off[-1, :ACTUATORS], "bias": found.theta[-1, ACTUATORS:],
         "bias_off": found.off[-1, ACTUATORS:], "deviation": found.deviation[-1], "deviation_off": found.deviation_off[-1],

@@ -79,7 +79,7 @@ def _hop(table: Ticks, B: np.ndarray, dynamics: dict | None, start: int, stop: i
     learning, judging = here[table.mode[here] == LEARN], here[table.mode[here] == JUDGE]
     if not judging.size or learning.size * table.dt < 1.0:
         return None
-    x, noise = _taught(_cut(table, start, int(learning[-1]) + 1), B, dynamics)
+    x, noise = _learned(_cut(table, start, int(learning[-1]) + 1), B, dynamics)
     G, c = _plausible(x.reshape(4, PER_AXIS), B.shape[1])
     b = _trim(table, learning, G, c)
     previous = np.maximum(judging - 1, start)
@@ -115,7 +115,7 @@ def parameters(B: np.ndarray, G, c, b, noise: np.ndarray, dt: float) -> dict:
     }
 
 
-def _taught(part: Ticks, B: np.ndarray, dynamics: dict | None) -> tuple[np.ndarray, np.ndarray]:
+def _learned(part: Ticks, B: np.ndarray, dynamics: dict | None) -> tuple[np.ndarray, np.ndarray]:
     """State (20,) and noise variances (4, 4) of the default method: from healthy flights, else after the ticks of `part`."""
     if dynamics:
         return np.array(dynamics["x0"], float), np.array(dynamics["noise"], float)

@@ -1,4 +1,4 @@
-"""What can be told apart at all: exact observability of states and losses, and how well a flight of some seconds shows them.
+"""Which losses can be distinguished at all: exact observability of states and losses, and how well a flight of some seconds shows them.
 
 Locally observable is what the output's time derivatives determine (Birk and Zeitz 1992; Niermeyer, Pak and Lohmann 2017, eq. 4):
 
@@ -58,7 +58,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Alike:
-    """Two sets of rotors (1-based) that nothing tells apart in hover. separation: how many standard deviations apart they are
+    """Two sets of rotors (1-based) that nothing distinguishes in hover. separation: how many standard deviations apart they are
     after SPAN_S of the manoeuvre, for losses of up to LOSS."""
 
     one: tuple[int, ...]
@@ -69,7 +69,7 @@ class Alike:
 @dataclass(frozen=True)
 class Observability:
     """name: of airframe or plant. unknowns: states and losses together. cases: hover, manoeuvre. alike: rotor sets that cannot be
-    told apart in hover. hidden (k, n_theta): orthonormal combinations of losses that hover does not show."""
+    distinguished in hover. hidden (k, n_theta): orthonormal combinations of losses that hover does not show."""
 
     name: str
     unknowns: int
@@ -85,10 +85,10 @@ class Observability:
         if hover.rank == self.unknowns:
             return "Hover alone shows every loss."
         lost = self.unknowns - hover.rank
-        said = f"Hover leaves {lost} combination{'s' if lost > 1 else ''} of losses unseen"
+        text = f"Hover leaves {lost} combination{'s' if lost > 1 else ''} of losses unseen"
         if moving.rank == self.unknowns:
-            return f"{said}; the manoeuvre shows all of them, the faintest {moving.singular_values[-1]:.0e} as clearly as the best."
-        return f"{said}, and the manoeuvre still {self.unknowns - moving.rank}."
+            return f"{text}; the manoeuvre shows all of them, the faintest {moving.singular_values[-1]:.0e} as clearly as the best."
+        return f"{text}, and the manoeuvre still {self.unknowns - moving.rank}."
 
     def to_dict(self) -> dict:
         """Plain lists, numbers and strings."""
@@ -145,7 +145,7 @@ class Observability:
 
 
 def observability(subject: Vehicle | str | Any, x=None, u=None, progress=None) -> Observability:
-    """What can be told apart on an airframe or a plant.
+    """Which losses can be distinguished on an airframe or a plant.
 
     subject: a `Vehicle`, the name of an airframe or of a paper's airframe, or any `core.System`. x (n_x,), u (n_u,): the point
     of rest (default: x0 and hover). progress: called with the finished share. Raises VehicleError for an unknown name and
@@ -194,7 +194,7 @@ def observability(subject: Vehicle | str | Any, x=None, u=None, progress=None) -
 
 
 def plant(subject) -> tuple[str, Any]:
-    """(name, system) of what is asked about. A `Vehicle` without masses becomes rate dynamics in hover thrusts of one rotor,
+    """(name, system) of a subject. A `Vehicle` without masses becomes rate dynamics in hover thrusts of one rotor,
     with the inertia that multirotors of its size usually have."""
     if isinstance(subject, str):
         if subject in airframes.papers():

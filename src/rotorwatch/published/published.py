@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import functools
 import inspect
+from collections import namedtuple
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -67,8 +68,8 @@ class Scaled:
 
 
 def method(name: Any, system, dt: float, tuning: Tuning | None = None):
-    """The estimator asked for (`discovery.estimator`) on a plant. Raises ConfigError for an unknown name or keyword, or a plant it is not
-    defined for."""
+    """The estimator of that name (`discovery.estimator`) on a plant. Raises ConfigError for an unknown name or keyword, or a plant that it
+    is not defined for."""
     kind = discovery.estimator(name)
     tuning = tuning or Tuning()
     known = inspect.signature(kind).parameters
@@ -80,81 +81,69 @@ def method(name: Any, system, dt: float, tuning: Tuning | None = None):
     return kind(system, dt, **tuning.keywords)
 
 
-class Output(NamedTuple):
+class Output(namedtuple("Output", "estimate decision level scatter")):
     """One step: the method's estimate, the threshold's decision, and the level and scatter (4,) it is held against."""
-
-    estimate: Any
-    decision: Any
-    level: Any
-    scatter: Any
 
 
 class Watched:
-    """A method with a threshold behind it, stepped as one."""
+    """A method with thresholds behind it, stepped as one."""
 
-    def __init__(self, estimator, threshold, dt: float):
-        self.estimator, self.threshold, self.dt = estimator, threshold, dt
+    def __init__(self, estimator, thresholds: Sequence[decide.Threshold], dt: float):
+        self.estimator, self.thresholds, self.dt = estimator, tuple(thresholds), dt
         self.system = estimator.system
 
     def init(self):
-        """Carries of both."""
-        return self.estimator.init(), self.threshold.init()
+        """Carries of all."""
+        return self.estimator.init(), tuple(threshold.init() for threshold in self.thresholds)
 
     def step(self, carry, u, y, valid):
-        """One time step."""
+        """One time step: an `Output` per threshold."""
         first, out = self.estimator.step(carry[0], u, y, valid)
-        second, found = self.decided(carry[1], getattr(out, "estimate", out))
-        return (first, second), found
-
-    def decided(self, carry, estimate):
-        """The threshold's carry after an estimate, and all that is known then."""
-        carry, decision = self.threshold.step(carry, estimate, self.dt)
-        return carry, Output(estimate, decision, carry.level, carry.scatter)
+        estimate = getattr(out, "estimate", out)
+        found = [t.step(c, estimate, self.dt) for t, c in zip(self.thresholds, carry[1], strict=True)]
+        outputs = tuple(Output(estimate, decision, c.level, c.scatter) for c, decision in found)
+        return (first, tuple(c for c, _ in found)), outputs
 
 
-class Seen(NamedTuple):
+class Seen(
+    namedtuple(
+        "Seen", "theta theta_var innovation innovation_var status log_odds statistic alarm onset best level scatter"
+    )
+):
     """What is kept of a step: theta and its variances (n,), innovation and variances (n_y,), and the decision."""
 
-    theta: Any
-    theta_var: Any
-    innovation: Any
-    innovation_var: Any
-    status: Any
-    log_odds: Any
-    statistic: Any
-    alarm: Any
-    onset: Any
-    best: Any
-    level: Any
-    scatter: Any
 
-
-def seen(out: Output) -> Seen:
-    """What is kept of a step."""
+def seen(outputs: Sequence[Output]) -> tuple[Seen, ...]:
+    """What is kept of a step, for every threshold."""
     import jax.numpy as jnp
 
-    e, d = out.estimate, out.decision
-    n = e.theta.shape[0]
-    return Seen(
-        e.theta, jnp.diagonal(e.theta_cov)[:n], e.innovation, jnp.diagonal(e.innovation_cov), e.status,
-        d.log_odds, d.statistic, d.alarm, d.onset, d.best, out.level, out.scatter,
-    )  # fmt: skip
+    def kept(out: Output) -> Seen:
+        e, d = out.estimate, out.decision
+        n = e.theta.shape[0]
+        return Seen(
+            e.theta, jnp.diagonal(e.theta_cov)[:n], e.innovation, jnp.diagonal(e.innovation_cov), e.status,
+            d.log_odds, d.statistic, d.alarm, d.onset, d.best, out.level, out.scatter,
+        )  # fmt: skip
+
+    return tuple(kept(out) for out in outputs)
 
 
-def _watched(name: Any, dt: float, keywords: tuple, p: dict) -> Watched:
+Decisions = tuple[tuple[tuple[str, float], ...], ...]
+"""Keywords of `decide.Threshold`, for each of several thresholds."""
+
+
+def watched(name: Any, dt: float, keywords: tuple, decisions: Decisions, p: dict) -> Watched:
+    """The method on the plant of parameters p["plant"], with thresholds for the geometry p["B"] behind it."""
     tuning = Tuning(p.get("q"), p.get("r"), dict(keywords))
-    return Watched(method(name, log_plant.plant(p["plant"]), dt, tuning), decide.Threshold(p["B"]), dt)
+    thresholds = [decide.Threshold(p["B"], **dict(tuned)) for tuned in decisions]
+    return Watched(method(name, log_plant.plant(p["plant"]), dt, tuning), thresholds, dt)
 
 
 @functools.lru_cache(maxsize=64)
-def _builder(name: Any, dt: float, keywords: tuple) -> Callable:
-    """build(parameters) for run_built: one compiled program for every flight with as many rotors."""
-    return known(functools.partial(_watched, name, dt, keywords), name)
-
-
-def known(build: functools.partial, name: Any) -> Callable:
-    """The builder of a method, as native code is kept under its name; one of another package, or given as an object, has none, because
-    its source may change."""
+def builder(name: Any, dt: float, keywords: tuple = (), decisions: Decisions = ((),)) -> Callable:
+    """build(parameters) for run_built: one compiled program for every flight with as many rotors. Native code is kept under the name of
+    the method; one of another package, or given as an object, has none, because its source may change."""
+    build = functools.partial(watched, name, dt, keywords, decisions)
     ours = isinstance(name, str) and discovery.source(discovery.estimator(name)).package == "rotorwatch"
     return build if ours else lambda p: build(p)
 
@@ -164,15 +153,18 @@ def run_hop(name: Any, hop: LogPlant, B: np.ndarray, tuning: Tuning | None = Non
     tuning = tuning or Tuning()
     parameters: dict[str, Any] = {"plant": hop.parameters, "B": B}
     parameters |= {k: np.asarray(v) for k, v in (("q", tuning.q), ("r", tuning.r)) if v is not None}
-    build, backend = _builder(name, hop.dt, tuple(sorted(tuning.keywords.items()))), chosen(None, "auto")
-    watched = build(parameters)  # with values: what is wrong with the configuration is said here
+    build, backend = builder(name, hop.dt, tuple(sorted(tuning.keywords.items()))), chosen(None, "auto")
+    made, rows = (
+        build(parameters),
+        (hop.u, hop.y, hop.valid),
+    )  # with values: a wrong configuration raises here
     try:
-        return run_built(build, parameters, hop.u, hop.y, hop.valid, seen, progress, watched.init(), backend)[1]
+        return run_built(build, parameters, *rows, seen, progress, made.init(), backend)[1][0]
     except (
         load_jax().errors.JAXTypeError,
         ConfigError,
     ):  # design work that needs values: compiled for this flight alone
-        return run(watched, hop.u, hop.y, hop.valid, seen, progress, backend=backend)[1]
+        return run(made, *rows, seen, progress, backend=backend)[1][0]
 
 
 def judge(
@@ -191,13 +183,13 @@ def judge(
     """
     discovery.estimator(name)
     hyp = hypotheses.make(B.shape[1])
-    out = nothing(len(table.time), hyp)
+    out = blank(len(table.time), hyp)
     for hop in log_plant.hops(table, B, dynamics) if hops is None else hops:
-        write_down(out, run_hop(name, hop, B, tuning, progress), hop, hyp, B)
+        record(out, run_hop(name, hop, B, tuning, progress), hop, hyp, B)
     return out
 
 
-def nothing(T: int, hyp: hypotheses.Hypotheses) -> Kept:
+def blank(T: int, hyp: hypotheses.Hypotheses) -> Kept:
     """T ticks on which nothing was seen; what only the default method looks at stays so."""
     n, n_h = hyp.n, len(hyp.names)
     numbers = {
@@ -222,8 +214,8 @@ def notes(name: str) -> tuple[str, ...]:
     )
 
 
-def write_down(out: Kept, seen: Seen, hop: LogPlant, hyp: hypotheses.Hypotheses, B: np.ndarray) -> None:
-    """Fill the rows of one hop in what `nothing` made."""
+def record(out: Kept, seen: Seen, hop: LogPlant, hyp: hypotheses.Hypotheses, B: np.ndarray) -> None:
+    """Fill the rows of one hop in what `blank` made."""
     rows, dt, n = hop.rows, hop.dt, B.shape[1]
     fault = np.asarray(hyp.fault)
     odds = np.where(fault, seen.log_odds, -np.inf)
@@ -269,7 +261,7 @@ def _follow(seen: Seen, hyp: hypotheses.Hypotheses, dt: float):
         if current:
             own = seen.log_odds[k, mine].max()
             quiet = quiet + 1 if own < over else 0
-            if quiet * dt >= decide.GONE_S:
+            if quiet * dt >= decide.OVER_S:
                 announced[k], best[k], onset[k] = True, mine[0], quiet
                 current, quiet = frozenset(), 0
         who = frozenset(hyp.rotors[seen.best[k]])

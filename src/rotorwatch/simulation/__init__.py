@@ -1,4 +1,4 @@
-"""Flights that never happened: closed loop, faults, sensors, and the logs an autopilot would have kept of them.
+"""Simulated flights: closed loop, faults, sensors, and the logs that an autopilot would have written.
 
     from rotorwatch.simulation import scenario, simulate
     made = simulate(scenario.read("hexa-gusts.toml"))
@@ -6,7 +6,7 @@
     made.record.theta                # the truth
     made.write("flight.bin")         # ArduPilot DataFlash; .ulg: PX4 ULog; and flight.truth.json, flight.truth.csv
 
-A scenario whose frame is a helicopter gives a `helicopter.SimulatedHelicopter`, which writes .csv or .parquet.
+A scenario whose frame is a helicopter writes .csv or .parquet.
 
 See docs/simulation.md.
 """
@@ -21,53 +21,53 @@ from typing import Any
 
 from rotorwatch.errors import ConfigError
 from rotorwatch.simulation import helicopter, logbook, loop
+from rotorwatch.simulation.logbook import SUFFIXES
 from rotorwatch.simulation.multirotor import MULTIROTOR, Plan, Record
 from rotorwatch.simulation.prepare import plan
 from rotorwatch.simulation.scenario import Scenario
 
-__all__ = ["Plan", "Record", "Scenario", "Simulated", "plan", "simulate", "simulate_batch"]
-SUFFIXES = {".bin": "ardupilot", ".ulg": "px4"}
+__all__ = ["SUFFIXES", "Plan", "Record", "Scenario", "Simulated", "plan", "simulate", "simulate_batch"]
 
 
 @dataclass(frozen=True)
 class Simulated:
-    """One simulated flight: what was asked for, its numbers, and everything that happened."""
+    """One simulated flight: its scenario, its numbers, and the record of everything."""
 
     scenario: Scenario
-    plan: Plan
-    record: Record
+    plan: Any
+    record: Any
 
     @property
     def flight(self) -> Any:
-        """The `Flight` that the autopilot's log would be read as; no truth in it."""
-        return logbook.flight(self.scenario, self.plan, self.record)
+        """The `Flight` that the log would be read as; no truth in it."""
+        return self._book.flight(self.scenario, self.plan, self.record)
+
+    @property
+    def _book(self) -> Any:
+        return helicopter.table if self.scenario.helicopter else logbook
 
     def write(self, path: str | os.PathLike, truth: str | os.PathLike | None = None) -> tuple[Path, ...]:
-        """Write the log (.bin: ArduPilot DataFlash, .ulg: PX4 ULog) and the truth beside it, as TRUTH.truth.json and .csv (default:
-        the log's name without its ending); returns the paths. Raises ConfigError when the autopilot writes another kind of log."""
-        from rotorwatch.simulation.write_dataflash import write_dataflash
-        from rotorwatch.simulation.write_ulog import write_ulog
-
+        """Write the log (.bin: ArduPilot DataFlash, .ulg: PX4 ULog; a helicopter's .csv or .parquet) and the truth beside it, as
+        TRUTH.truth.json and .csv (default: the log's name without its ending); returns the paths. Raises ConfigError when the vehicle
+        writes another kind of log."""
         path = Path(path)
-        if SUFFIXES.get(path.suffix.lower()) != self.scenario.autopilot:
-            kind = next(k for k, v in SUFFIXES.items() if v == self.scenario.autopilot)
-            raise ConfigError(f"{path.name}: a log of the autopilot {self.scenario.autopilot} is a {kind} file.")
-        (write_ulog if self.scenario.autopilot == "px4" else write_dataflash)(self.flight, path)
+        self._book.write(self.scenario, self.plan, self.record, path)
         stem = path.with_suffix("") if truth is None else Path(truth)
-        return (path, *logbook.write_truth(self.scenario, self.plan, self.record, stem))
+        return (path, *self._book.write_truth(self.scenario, self.plan, self.record, stem))
 
 
-def simulate(scenario: Scenario) -> Any:
-    """Fly one scenario: a `Simulated`, or a `helicopter.SimulatedHelicopter`.
+def simulate(scenario: Scenario) -> Simulated:
+    """Fly one scenario.
 
     scenario: what to fly (`simulation.scenario.Scenario`, docs/simulation.md). Raises ConfigError with one sentence for a vehicle that
     cannot fly.
     """
+    rates = scenario.duration_s, scenario.rate_hz, scenario.record_hz
     if scenario.helicopter:
-        return helicopter.simulate(scenario)
+        numbers, craft = helicopter.plan(scenario), helicopter.HelicopterAircraft(scenario.airframe["frame"])
+        return Simulated(scenario, numbers, loop.fly(craft, numbers, *rates))
     numbers = plan(scenario)
-    record = loop.fly_each(MULTIROTOR, [numbers], scenario.duration_s, scenario.rate_hz, scenario.record_hz)[0]
-    return Simulated(scenario, numbers, record)
+    return Simulated(scenario, numbers, loop.fly_each(MULTIROTOR, [numbers], *rates)[0])
 
 
 def simulate_batch(

@@ -50,7 +50,7 @@ class Autopilot(NamedTuple):
 
 
 class Target(NamedTuple):
-    """What the outer loops ask of the inner ones: attitude q (4,), yaw rate [rad/s] and throttle."""
+    """Setpoints of the outer loops for the inner ones: attitude q (4,), yaw rate [rad/s] and throttle."""
 
     q: Array
     yaw_rate: Array
@@ -100,11 +100,11 @@ def tune(mixer, B_tau, J, thrust_max, hover, lag, gyro_hz=40.0, tilt_deg=40.0, e
 def outer(pilot: Autopilot, ref: Reference, body, integral, dt) -> tuple[Target, Array]:
     """Position and velocity loops. Returns the target and the velocity integral (3,) [m/s^2]."""
     jnp = load_jax().numpy
-    wish = pilot.position * (ref.p - body.p)
-    reach = jnp.maximum(jnp.sqrt(wish[0] ** 2 + wish[1] ** 2) / pilot.speed_most, 1.0)
+    wanted = pilot.position * (ref.p - body.p)
+    reach = jnp.maximum(jnp.sqrt(wanted[0] ** 2 + wanted[1] ** 2) / pilot.speed_most, 1.0)
     most = pilot.climb_most
-    wish = jnp.stack([wish[0] / reach, wish[1] / reach, jnp.clip(wish[2], -most, most)])
-    error = ref.v + wish - body.v
+    wanted = jnp.stack([wanted[0] / reach, wanted[1] / reach, jnp.clip(wanted[2], -most, most)])
+    error = ref.v + wanted - body.v
     integral = jnp.clip(integral + pilot.velocity_i * dt * error, -5.0, 5.0) * jnp.where(ref.lift < 1.0, 0.0, 1.0)
     a = ref.a + pilot.velocity * error + integral
     up = jnp.clip(G0 - a[2], 0.3 * G0, 2.0 * G0)
@@ -121,20 +121,20 @@ def outer(pilot: Autopilot, ref: Reference, body, integral, dt) -> tuple[Target,
 
 
 def inner(pilot: Autopilot, target: Target, q, gyro, loops: Loops, lift, dt) -> tuple[Array, Array, Loops]:
-    """Attitude and rate loops on the measured rates `gyro` (3,). Returns control (3,), the rates asked for (3,) and the loops."""
+    """Attitude and rate loops on the measured rates `gyro` (3,). Returns control (3,), the rate setpoints (3,) and the loops."""
     jnp = load_jax().numpy
     d = rotation.multiply(rotation.conjugate(q), target.q)
     side = jnp.where(d[0] < 0.0, -2.0, 2.0)
     error = side * jnp.stack([d[1], d[2], d[3]])
-    wish = pilot.attitude * error + jnp.stack([0.0 * side, 0.0 * side, target.yaw_rate])
-    wish = jnp.clip(wish, -pilot.turn_most, pilot.turn_most)
+    wanted = pilot.attitude * error + jnp.stack([0.0 * side, 0.0 * side, target.yaw_rate])
+    wanted = jnp.clip(wanted, -pilot.turn_most, pilot.turn_most)
     fade = jnp.exp(-pilot.gyro_cut * dt)
     filtered = gyro + (loops.gyro - gyro) * fade
     slope = (filtered - loops.gyro) / dt
-    miss = wish - filtered
+    miss = wanted - filtered
     integral = jnp.clip(loops.rate_integral + pilot.rate_i * miss * dt * loops.free, -WIND_UP, WIND_UP) * lift
     control = jnp.clip(pilot.rate_p * miss + integral - pilot.rate_d * slope, -1.0, 1.0) * lift
-    return control, wish, Loops(integral, filtered, loops.free)
+    return control, wanted, Loops(integral, filtered, loops.free)
 
 
 def mix(mixer, control, throttle):

@@ -18,7 +18,8 @@ ground itself is a spring and a damper under level feet.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from collections import namedtuple
+from typing import Any
 
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.simulation import rotation
@@ -30,7 +31,12 @@ CONTACT_DAMPING = 0.8
 SLIDE = 0.1  # m/s: below this speed friction fades
 
 
-class Craft(NamedTuple):
+class Craft(
+    namedtuple(
+        "Craft",
+        "mass J J_inverse x y z spin thrust_max drag_ratio expo lag rotor_momentum k_d k_z drag radius ground_effect",
+    )
+):
     """The physical vehicle; n rotors. Everything SI and about the centre of mass, payload included.
 
     mass; J, J_inverse (3, 3); x, y (n,) and z of the rotor hubs (z < 0: above the centre of mass); spin, thrust_max (n,);
@@ -38,41 +44,18 @@ class Craft(NamedTuple):
     k_d, k_z [N s/m] at full speed; drag (3,) [N s^2/m^2]; radius [m]; ground_effect 0 or 1.
     """
 
-    mass: Array
-    J: Array
-    J_inverse: Array
-    x: Array
-    y: Array
-    z: Array
-    spin: Array
-    thrust_max: Array
-    drag_ratio: Array
-    expo: Array
-    lag: Array
-    rotor_momentum: Array
-    k_d: Array
-    k_z: Array
-    drag: Array
-    radius: Array
-    ground_effect: Array
-
 
 def thrust_share(expo, drive):
     """Thrust of a drive (command share times battery ratio) as a share of full: (1 - expo) a + expo a^2."""
     return (1.0 - expo) * drive + expo * drive * drive
 
 
-class Sums(NamedTuple):
+class Sums(namedtuple("Sums", "push flow h h_dot")):
     """What the rotors amount to: all that forces and torques need of their speeds w (n,) and strengths.
 
     push (4,): sums of T_max w^2 (1 - theta) times 1, x, y, spin. flow (6,): sums of w times 1, x, y, x^2, x y, y^2. h, h_dot: angular
     momentum of the rotors about body z and its change.
     """
-
-    push: Array
-    flow: Array
-    h: Array
-    h_dot: Array
 
 
 def sums(craft: Craft, w, w_dot, theta) -> Sums:

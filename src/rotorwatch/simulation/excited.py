@@ -1,7 +1,7 @@
-"""A multirotor whose commands carry a question on top of the mixer's answer: a small excitation in the null space of its geometry.
+"""A multirotor with an excitation on top of its mixer's output: small commands in the null space of its geometry.
 
-The excitation (`control.excitation`) is added after the mixer, where an autopilot would add it, and cut at the commands' limits; what
-the rotors are told is what the log holds. A plan's `schedule` is the `control.excitation.Signal`.
+The excitation (`control.excitation`) is added after the mixer, where an autopilot would add it, and cut at the commands' limits; the
+log holds what the rotors get. A plan's `schedule` is the `control.excitation.Signal`.
 """
 
 from __future__ import annotations

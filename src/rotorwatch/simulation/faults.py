@@ -5,19 +5,19 @@ A fault is active from its onset to its end, wholly or in periods (`period`, `du
     loss          thrust and torque times 1 - strength           chipped    the same, and an imbalance that shakes
     bias          strength is added to the command               stuck      the command stays what it was, or `level`
     float         the rotor is not driven any more               saturated  the command is full, or `level`
-    weak motor    the rotor turns so much slower than told that  bearing    friction, a share of the motor's full torque: more
-                  its thrust is 1 - strength of what was told               current, a little less speed (motor.py)
+    weak motor    the rotor turns so much slower that its       bearing    friction, a share of the motor's full torque: more
+                  thrust is 1 - strength of the command           current, a little less speed (motor.py)
 """
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+import functools
+from collections import namedtuple
 
 import numpy as np
 
 from rotorwatch.backend import jax as load_jax
 
-Array = Any
 MOST = 2  # at once
 KINDS = ("loss", "complete loss", "stuck", "bias", "float", "saturated", "chipped", "weak motor", "bearing")
 SPIN_DOWN = 5.0  # a rotor that only the air brakes takes this many times its lag
@@ -25,47 +25,20 @@ HELD = -1.0  # level of a stuck command: what it was at onset
 NEVER = 1e9
 
 
-class Faults(NamedTuple):
+class Faults(
+    namedtuple("Faults", "rotor onset end ramp period duty loss bias frozen level undriven shake weak friction")
+):
     """MOST faults in rows. rotor (F, n): 1 at the rotor, else 0. onset, end, ramp, period [s], duty: part of a period that
     the fault is there; loss, bias: strengths; frozen 0 or 1 with level; undriven 0 or 1; shake [m/s^2 at full speed];
     weak: thrust lost by turning slower; friction: share of full torque."""
-
-    rotor: Array
-    onset: Array
-    end: Array
-    ramp: Array
-    period: Array
-    duty: Array
-    loss: Array
-    bias: Array
-    frozen: Array
-    level: Array
-    undriven: Array
-    shake: Array
-    weak: Array
-    friction: Array
 
 
 def none(rotors: int) -> Faults:
     """No fault: every row starts never."""
     zero = np.zeros(MOST)
-    later = np.full(MOST, NEVER)
-    return Faults(
-        np.zeros((MOST, rotors)),
-        later,
-        later,
-        zero,
-        later,
-        zero + 1.0,
-        zero,
-        zero,
-        zero,
-        zero + HELD,
-        zero,
-        zero,
-        zero,
-        zero,
-    )
+    never = dict.fromkeys(("onset", "end", "period"), zero + NEVER)
+    rest = never | {"rotor": np.zeros((MOST, rotors)), "duty": zero + 1.0, "level": zero + HELD}
+    return Faults(**{name: rest.get(name, zero) for name in Faults._fields})
 
 
 def strength(faults: Faults, t):
@@ -77,34 +50,29 @@ def strength(faults: Faults, t):
     return jnp.where(there, jnp.where(faults.ramp > 0.0, grown, 1.0), 0.0)
 
 
-def left(faults: Faults, s):
-    """(n,) what losses leave of each rotor: two of one rotor multiply. s (F,): `strength`."""
-    some = 1.0 - faults.rotor[0] * (faults.loss * s)[0]
-    for k in range(1, MOST):
-        some = some * (1.0 - faults.rotor[k] * (faults.loss * s)[k])
-    return some
+def _each(faults: Faults, amount) -> list:
+    """(n,) of each fault: its amount at the rotor that has it."""
+    return [faults.rotor[k] * amount[k] for k in range(MOST)]
+
+
+def remaining(faults: Faults, s):
+    """(n,) effectiveness that losses leave to each rotor: two of one rotor multiply. s (F,): `strength`."""
+    return functools.reduce(lambda a, b: a * b, (1.0 - there for there in _each(faults, faults.loss * s)))
 
 
 def loss(faults: Faults, s):
     """theta (n,), the loss of each rotor. s (F,): `strength`."""
-    return 1.0 - left(faults, s)
+    return 1.0 - remaining(faults, s)
 
 
 def weak(faults: Faults, s):
-    """(n,) share of thrust that weak motors lack because they turn slower than told: of two on one rotor the larger."""
-    jnp = load_jax().numpy
-    most = faults.rotor[0] * (faults.weak * s)[0]
-    for k in range(1, MOST):
-        most = jnp.maximum(most, faults.rotor[k] * (faults.weak * s)[k])
-    return most
+    """(n,) share of thrust that weak motors lack because they turn slower than commanded: of two on one rotor the larger."""
+    return functools.reduce(load_jax().numpy.maximum, _each(faults, faults.weak * s))
 
 
 def summed(faults: Faults, amount):
     """(n,) amounts (F,) of the faults, added up at the rotors that have them."""
-    total = faults.rotor[0] * amount[0]
-    for k in range(1, MOST):
-        total = total + faults.rotor[k] * amount[k]
-    return total
+    return functools.reduce(lambda a, b: a + b, _each(faults, amount))
 
 
 def act(faults: Faults, s, command, held):

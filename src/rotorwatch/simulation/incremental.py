@@ -1,10 +1,10 @@
-"""Incremental nonlinear dynamic inversion (INDI): an inner loop that asks for changes of what the rotors do, not for the whole of it.
+"""Incremental nonlinear dynamic inversion (INDI): an inner loop that commands changes of thrust, not all of it.
 
 E. J. J. Smeur, Q. Chu and G. C. H. E. de Croon, Adaptive Incremental Nonlinear Dynamic Inversion for Attitude Control of Micro Air
 Vehicles, Journal of Guidance, Control, and Dynamics 39 (2016) 450-461. With the angular acceleration a that the gyro shows and the one
 that is wanted, nu, rotors of effectiveness G [rad/s^2 at full thrust] at the thrust shares f get the commands u,
 
-    G u = G f_H + nu - a_H,        nu = bandwidth (rates asked for - rates)
+    G u = G f_H + nu - a_H,        nu = bandwidth (rate setpoints - rates)
 
 Whatever else turns the vehicle, gusts or a loss nobody knows of, is in a_H and is answered at once; no integrator is needed. H are two
 lags with the corner of the gyro's filter, but no more than a radian a step; what is between the two is the angular acceleration. What
@@ -20,7 +20,8 @@ With losses believed, G is G diag(e): `reconfigured`.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from collections import namedtuple
+from typing import Any
 
 import numpy as np
 
@@ -29,33 +30,20 @@ from rotorwatch.backend import jax as load_jax
 Array = Any
 
 
-class Inversion(NamedTuple):
+class Inversion(namedtuple("Inversion", "used turns steer bandwidth lead lag")):
     """What it knows of the vehicle. used: 0 or 1; turns (3, n): angular acceleration [rad/s^2] by each rotor's full thrust; steer (3, 3):
     control in mixer units that gives an angular acceleration; bandwidth (3,) [1/s] of the rates; lead [s]: see above; lag [s]."""
 
-    used: Array
-    turns: Array
-    steer: Array
-    bandwidth: Array
-    lead: Array
-    lag: Array
 
-
-class Memory(NamedTuple):
-    """demand (n,): the last thrust shares asked for; fast, slow (3,): measured rates after one lag and after both; first, second (3,):
+class Memory(namedtuple("Memory", "demand fast slow first second")):
+    """demand (n,): the last thrust shares demanded; fast, slow (3,): measured rates after one lag and after both; first, second (3,):
     acceleration by the rotors, the same."""
-
-    demand: Array
-    fast: Array
-    slow: Array
-    first: Array
-    second: Array
 
 
 def tune(used: bool, mixer, B_tau, J, thrust_max, bandwidth, lead: float, lag: float) -> Inversion:
     """For a vehicle: mixer (n, 4), B_tau (3, n) torque per newton of each rotor, J (3,) [kg m^2], thrust_max (n,) [N]."""
     turns = B_tau * thrust_max / J[:, None]
-    # Where a channel cannot be moved at all, as yaw of a tricopter without its servo, nothing is asked of it.
+    # Where a channel cannot be moved at all, as yaw of a tricopter without its servo, it gets no command.
     steer = np.linalg.pinv(turns @ mixer[:, :3], rcond=1e-6)
     return Inversion(np.array(float(used)), turns, steer, bandwidth, np.array(lead), np.array(lag))
 
@@ -68,7 +56,7 @@ def rest(n: int, kind) -> Memory:
 
 
 def control(known: Inversion, memory: Memory, miss, gyro, f, e, lift, cut, dt) -> tuple[Array, Memory]:
-    """Control (3,) in mixer units, and the memory but for the demand that follows. miss (3,): rates asked for minus filtered ones; gyro
+    """Control (3,) in mixer units, and the memory but for the demand that follows. miss (3,): rate setpoints minus filtered rates; gyro
     (3,): measured, all [rad/s]; f (n,): thrust shares that the rotors should have reached; e (n,): effectiveness; lift: below 1 while
     the motors idle or spool up; cut [rad/s]: corner of the gyro's filter."""
     jnp = load_jax().numpy

@@ -10,51 +10,20 @@ from typing import Any
 
 import numpy as np
 
+from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight, Message, Signal
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.logs import esc_columns
 from rotorwatch.logs.series import SHAPES
 from rotorwatch.simulation import escs, sensors, trajectories, truth
+from rotorwatch.simulation.logged import LOGGED
 from rotorwatch.simulation.multirotor import Plan, Record
 from rotorwatch.simulation.prepare import PWM, SPIN, a_compensates, frame_numbers, vehicle
 from rotorwatch.simulation.rigid import G0
 from rotorwatch.simulation.scenario import Scenario
 
-RATES = {
-    ("ardupilot", "default"): {"motors": 10, "control": 10, "imu": 25, "attitude": 10, "nav": 10, "power": 10},
-    ("ardupilot", "fast"): {"motors": 10, "control": 50, "imu": 100, "attitude": 50, "nav": 25, "power": 10},
-    ("ardupilot", "full"): {"motors": 10, "control": 400, "imu": 400, "attitude": 100, "nav": 25, "power": 10},
-    ("px4", "default"): {"motors": 10, "control": 50, "imu": 200, "attitude": 20, "nav": 10, "power": 5},
-    ("px4", "fast"): {"motors": 200, "control": 200, "imu": 200, "attitude": 200, "nav": 50, "power": 5},
-    ("px4", "full"): {"motors": 400, "control": 400, "imu": 400, "attitude": 200, "nav": 100, "power": 10},
-}
-"""Samples a second of each group of signals. ArduPilot: LOG_BITMASK as delivered, with fast attitude, and with raw IMU on top;
-its motor outputs always come at 10 Hz. PX4: SDLOG_PROFILE default, high rate, and everything."""
-
-SOURCES = {
-    "ardupilot": {
-        "motors": "RCOU",
-        "control": "RATE",
-        "rates": "RATE",
-        "gyro": "IMU",
-        "accel": "IMU",
-        "attitude": "ATT",
-        "attitude_wanted": "ATT",
-    },
-    "px4": {"motors": "actuator_motors", "control": "vehicle_torque_setpoint", "rates": "vehicle_angular_velocity"},
-}
-"""What logs call the signals, where an airframe's identification goes by it."""
-
-GROUPS = {
-    "rates": "control",
-    "gyro": "imu",
-    "accel": "imu",
-    "attitude": "attitude",
-    "velocity": "nav",
-    "position": "nav",
-}
-"""Which group's rate a signal of motion is logged at."""
-
+RATES, GROUPS, SOURCES = (LOGGED[part] for part in ("rates", "groups", "sources"))
+SUFFIXES = {".bin": "ardupilot", ".ulg": "px4"}
 JITTER_S = 0.0005  # a record's stamp is up to this much later than its values
 ARMED_S = 1.0  # arming, after the log's start
 IDLE = 0.1  # ArduPilot's MOT_SPIN_ARM
@@ -63,7 +32,7 @@ MAV_TYPE = {4: 2, 6: 13, 8: 14, 12: 29, 10: 35}
 
 def needed(record: Any) -> Any:
     """What a log and the truth need of a record: much less memory than all of it."""
-    return record._replace(omega=(), rates_asked=(), wind=())
+    return record._replace(omega=(), rates_setpoint=(), wind=())
 
 
 def flight(scenario: Scenario, plan: Plan, record: Record) -> Flight:
@@ -87,7 +56,7 @@ def flight(scenario: Scenario, plan: Plan, record: Record) -> Flight:
         log.add("lift", "power", lift)
     if scenario.logging["esc"]:
         log.add("esc", "power", escs.readings(scenario, plan, record), unit=esc_columns.UNIT)
-    log.add("attitude_wanted", "attitude", record.q_asked)
+    log.add("attitude_wanted", "attitude", record.q_setpoint)
     end = float(record.time[-1])
     autopilot = "ArduPilot" if ardupilot else "PX4"
     return Flight(
@@ -111,7 +80,7 @@ class _Log:
     def __init__(self, scenario: Scenario, plan: Plan, record: Record):
         self.record, self.signals = record, {}
         self.rng = np.random.default_rng([scenario.seed, 2])
-        rates = RATES[scenario.autopilot, scenario.logging["profile"]]
+        rates = RATES[scenario.autopilot][scenario.logging["profile"]]
         self.sources = SOURCES[scenario.autopilot]
         full, self.rows, self.time = scenario.record_hz, {}, {}
         for k, (group, rate) in enumerate(rates.items()):
@@ -213,6 +182,17 @@ def _px4_parameters(scenario: Scenario, craft: Vehicle, plan: Plan) -> dict[str,
             f"CA_ROTOR{k}_CT": 6.5,
         }
     return {k: float(v) for k, v in found.items()}
+
+
+def write(scenario: Scenario, plan: Plan, record: Record, path: Path) -> None:
+    """Write the autopilot's log. Raises ConfigError when it writes another kind of log."""
+    from rotorwatch.simulation.write_dataflash import write_dataflash
+    from rotorwatch.simulation.write_ulog import write_ulog
+
+    if SUFFIXES.get(path.suffix.lower()) != scenario.autopilot:
+        kind = next(k for k, v in SUFFIXES.items() if v == scenario.autopilot)
+        raise ConfigError(f"{path.name}: a log of the autopilot {scenario.autopilot} is a {kind} file.")
+    (write_ulog if scenario.autopilot == "px4" else write_dataflash)(flight(scenario, plan, record), path)
 
 
 def write_truth(scenario: Scenario, plan: Plan, record: Record, stem: Path) -> tuple[Path, Path]:

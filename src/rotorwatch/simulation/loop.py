@@ -65,10 +65,10 @@ class Aircraft(Protocol):
         ...
 
     def reference(self, plan, ticks: int, dt: float) -> Reference:
-        """What is asked at each tick of dt seconds: arrays of `ticks` rows."""
+        """Setpoints at each tick of dt seconds: arrays of `ticks` rows."""
         ...
 
-    def begin(self, plan, state: State, ask: Reference, blowing, turning, dt: float) -> tuple[Moment, Array]:
+    def begin(self, plan, state: State, reference: Reference, blowing, turning, dt: float) -> tuple[Moment, Array]:
         """A tick of dt seconds begins: the moment, and the velocity loop's integral. blowing (3,) NED [m/s], turning (3,) [rad/s]."""
         ...
 
@@ -90,17 +90,19 @@ def start(aircraft: Aircraft, plan) -> State:
     return State(body, accel, wind.still(kind), none, Loops(none, none, one), one, own)
 
 
-def tick(aircraft: Aircraft, plan, state: State, t, ask: Reference, noise, dt: float, steps: int) -> tuple[State, Any]:
+def tick(
+    aircraft: Aircraft, plan, state: State, t, reference: Reference, noise, dt: float, steps: int
+) -> tuple[State, Any]:
     """One tick of `steps` steps of dt seconds from time t: the next state and the record.
 
-    ask: what is asked now. noise: wind.NOISES + 3 steps standard normal numbers.
+    reference: setpoints now. noise: wind.NOISES + 3 steps standard normal numbers.
     """
     jax = load_jax()
     jnp = jax.numpy
     kind, sensors, long = state.body.p.dtype, plan.sensors, dt * steps
     gusts = wind.step(plan.wind, state.gusts, noise[: wind.NOISES], long)
     blowing = wind.velocity(plan.wind, gusts)
-    now, integral = aircraft.begin(plan, state, ask, blowing, gusts.turning, long)
+    now, integral = aircraft.begin(plan, state, reference, blowing, gusts.turning, long)
     accel_fade = jnp.exp(-sensors.accel_cut * dt)
 
     def advance(carry, row):
@@ -140,23 +142,23 @@ def program(aircraft: Aircraft, ticks: int, dt: float, steps: int, batch: bool, 
     def begin(plan):
         return start(aircraft, plan)
 
-    def asked(plan):
+    def setpoints(plan):
         return aircraft.reference(plan, ticks, dt * steps)
 
-    def advance(plan, state, t, ask, noise):
-        state, record = tick(aircraft, plan, state, t, ask, noise.astype(t.dtype), dt, steps)
+    def advance(plan, state, t, reference, noise):
+        state, record = tick(aircraft, plan, state, t, reference, noise.astype(t.dtype), dt, steps)
         return state, select(record)
 
     @jax.jit
     def run(plan):
         if not batch:
-            move, state, ask, noise = advance, begin(plan), asked(plan), noises(plan.seed)
+            move, state, reference, noise = advance, begin(plan), setpoints(plan), noises(plan.seed)
         else:
             many = functools.partial(jax.vmap, in_axes=-1, out_axes=-1)
             move = jax.vmap(advance, in_axes=(-1, -1, None, -1, -1), out_axes=-1)
-            state, ask, noise = many(begin)(plan), many(asked)(plan), many(noises)(plan.seed)
+            state, reference, noise = many(begin)(plan), many(setpoints)(plan), many(noises)(plan.seed)
         times = jnp.arange(ticks) * jnp.asarray(dt * steps, state.body.p.dtype)
-        return jax.lax.scan(lambda s, row: move(plan, s, *row), state, (times, ask, noise))[1]
+        return jax.lax.scan(lambda s, row: move(plan, s, *row), state, (times, reference, noise))[1]
 
     return run
 
@@ -189,7 +191,7 @@ def fly_many(
 
 class Ticks:
     """The ticks of one flight in the form of an estimator, so that what makes native code of those makes it of a flight: u is the time, the
-    noise and what is asked of a tick; y nothing."""
+    noise and the setpoints of a tick; y nothing."""
 
     def __init__(self, aircraft: Aircraft, plan: Any, dt: float, steps: int):
         self.aircraft, self.plan, self.dt, self.steps = aircraft, plan, dt, steps
@@ -200,14 +202,14 @@ class Ticks:
     def step(self, carry, u, y, valid):
         jax = load_jax()
         width = wind.NOISES + 3 * self.steps
-        t, noise, left, asked = u[0], u[1 : 1 + width], u[1 + width :], []
+        t, noise, left, setpoints = u[0], u[1 : 1 + width], u[1 + width :], []
         like = jax.eval_shape(lambda p: self.aircraft.reference(p, 1, self.dt * self.steps), self.plan)
         leaves, tree = jax.tree.flatten(like)
         for leaf in leaves:
             size = int(np.prod(leaf.shape[1:]))
-            asked.append(left[:size].reshape(leaf.shape[1:]))
+            setpoints.append(left[:size].reshape(leaf.shape[1:]))
             left = left[size:]
-        return tick(self.aircraft, self.plan, carry, t, jax.tree.unflatten(tree, asked), noise, self.dt, self.steps)
+        return tick(self.aircraft, self.plan, carry, t, jax.tree.unflatten(tree, setpoints), noise, self.dt, self.steps)
 
 
 def _ticks(kind: str, made: tuple, dt: float, steps: int, plan) -> Ticks:
@@ -216,19 +218,19 @@ def _ticks(kind: str, made: tuple, dt: float, steps: int, plan) -> Ticks:
 
 
 @functools.lru_cache(maxsize=32)
-def _given(aircraft: Aircraft, ticks: int, dt: float, steps: int):
+def _inputs(aircraft: Aircraft, ticks: int, dt: float, steps: int):
     """Compiled: plan -> the state before the first tick, and the rows u (ticks, n) of `Ticks`."""
     jax = load_jax()
     jnp = jax.numpy
 
     @jax.jit
-    def given(plan):
+    def inputs(plan):
         noise = jax.random.normal(jax.random.key(plan.seed), (ticks, wind.NOISES + 3 * steps), aircraft.noise_kind)
-        asked = jax.tree.leaves(aircraft.reference(plan, ticks, dt * steps))
-        columns = [jnp.arange(ticks) * (dt * steps), noise, *asked]
+        setpoints = jax.tree.leaves(aircraft.reference(plan, ticks, dt * steps))
+        columns = [jnp.arange(ticks) * (dt * steps), noise, *setpoints]
         return start(aircraft, plan), jnp.concatenate([a.reshape(ticks, -1).astype(float) for a in columns], axis=1)
 
-    return given
+    return inputs
 
 
 def fly_each(
@@ -250,14 +252,14 @@ def fly_each(
         return [jax.tree.map(lambda a, k=k: a[..., k], many) for k in range(len(plans))]
     ticks, dt, steps = grid(duration, rate_hz, record_hz)
     kind = f"{type(aircraft).__module__}:{type(aircraft).__qualname__}"
-    build, given, none = (
+    build, inputs, none = (
         functools.partial(_ticks, kind, aircraft.made, dt, steps),
-        _given(aircraft, ticks, dt, steps),
+        _inputs(aircraft, ticks, dt, steps),
         np.zeros((ticks, 1)),
     )
     records = []
     for plan in plans:
-        state, u = jax.tree.map(np.asarray, given(plan))
+        state, u = jax.tree.map(np.asarray, inputs(plan))
         plan = jax.tree.map(np.asarray, plan)
         records.append(compiled.run_built(build, plan, u, none, none, select, carry=state, backend="native")[1])
     return records

@@ -25,8 +25,8 @@ IDLE = 0.04  # of full current without a propeller
 REST = 0.05  # of full speed, below which friction fades: nothing rubs at rest
 
 
-def slowed(told, theta, friction):
-    """Speeds (n,) that motors settle at when they turn at `told` (n,) without friction: the same d V, another load.
+def slowed(commanded, theta, friction):
+    """Speeds (n,) that motors settle at when they turn at `commanded` (n,) without friction: the same d V, another load.
 
     theta (n,): what the propellers have lost; friction (n,): shares of full torque; speeds as shares of full.
     """
@@ -34,7 +34,7 @@ def slowed(told, theta, friction):
     # COPPER (1 - IDLE)(1 - theta) w^2 + (1 - COPPER) w = c, with c of the healthy bearing less the voltage that the friction takes.
     a = COPPER * (1.0 - IDLE) * (1.0 - theta)
     b = 1.0 - COPPER
-    c = jnp.maximum(a * told * told + b * told - COPPER * friction * _turning(told), 0.0)
+    c = jnp.maximum(a * commanded * commanded + b * commanded - COPPER * friction * _turning(commanded), 0.0)
     return 2.0 * c / (b + jnp.sqrt(b * b + 4.0 * a * c))
 
 

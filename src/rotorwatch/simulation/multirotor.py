@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import namedtuple
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,14 +20,8 @@ BELIEF_HZ = 0.5  # the autopilot's filter of the battery's voltage
 CRASH_COS = 0.5  # lying on the ground further tilted than this, the autopilot gives up
 
 
-class Battery(NamedTuple):
+class Battery(namedtuple("Battery", "full empty charge resistance current")):
     """full, empty: voltages at rest [V]; charge [A s]; resistance [ohm]; current [A] at full thrust of all rotors."""
-
-    full: Array
-    empty: Array
-    charge: Array
-    resistance: Array
-    current: Array
 
 
 class Plan(NamedTuple):
@@ -67,39 +62,21 @@ class Supply(NamedTuple):
     lift_max: Array
 
 
-class Record(NamedTuple):
+class Record(
+    namedtuple(
+        "Record",
+        "time p v q omega rates accel demand command control rates_setpoint q_setpoint w phase shake theta volts amps "
+        "drawn believed lift_max wind flies",
+    )
+):
     """What there is to know after each tick; n rotors. Logs hold some of it, with noise; the truth file the rest.
 
     time [s]; p [m], v [m/s] (3,) NED, q (4,) body to world, omega (3,) [rad/s]; rates (3,): filtered gyro [rad/s]; accel (3,): filtered
-    specific force [m/s^2]; demand (n,): thrust asked of each rotor, command (n,): drive share that gives it; control (4,): roll, pitch,
-    yaw, throttle; rates_asked (3,), q_asked (4,); w (n,): speeds as shares of full, phase (n,) in turns, shake (n,) [m/s^2], theta (n,):
-    losses of thrust, by whatever; volts, amps of the battery; drawn (n,) [A] by each ESC; believed, lift_max; wind (3,) NED [m/s]; flies: 0
-    after a crash.
+    specific force [m/s^2]; demand (n,): thrust setpoint of each rotor, command (n,): drive share that gives it; control (4,): roll, pitch,
+    yaw, throttle; rates_setpoint (3,), q_setpoint (4,); w (n,): speeds as shares of full, phase (n,) in turns, shake (n,) [m/s^2], theta
+    (n,): losses of thrust, by whatever; volts, amps of the battery; drawn (n,) [A] by each ESC; believed, lift_max; wind (3,) NED [m/s];
+    flies: 0 after a crash.
     """
-
-    time: Array
-    p: Array
-    v: Array
-    q: Array
-    omega: Array
-    rates: Array
-    accel: Array
-    demand: Array
-    command: Array
-    control: Array
-    rates_asked: Array
-    q_asked: Array
-    w: Array
-    phase: Array
-    shake: Array
-    theta: Array
-    volts: Array
-    amps: Array
-    drawn: Array
-    believed: Array
-    lift_max: Array
-    wind: Array
-    flies: Array
 
 
 class Multirotor:
@@ -122,15 +99,15 @@ class Multirotor:
         """Take-off, the manoeuvre and the landing."""
         return trajectories.table(plan.way, ticks, dt)
 
-    def begin(self, plan: Plan, state: State, ask, blowing, turning, dt: float) -> tuple[Moment, Array]:
+    def begin(self, plan: Plan, state: State, reference, blowing, turning, dt: float) -> tuple[Moment, Array]:
         """Outer loops, and what the autopilot believes of its battery."""
         jnp = load_jax().numpy
         pilot = plan.pilot
         # Near the ground the air is slow: a logarithmic profile in short.
         near = jnp.clip(-state.body.p[2] / 2.0, 0.1, 1.0)
         air = Air(blowing * near, turning * near, jnp.ones_like(near))
-        lift = ask.lift * state.flies
-        target, integral = control.outer(pilot, ask._replace(lift=lift), state.body, state.integral, dt)
+        lift = reference.lift * state.flies
+        target, integral = control.outer(pilot, reference._replace(lift=lift), state.body, state.integral, dt)
         compensated = pilot.compensates * state.own.believed + (1.0 - pilot.compensates)
         supply = Supply(lift, compensated, dynamics.thrust_share(pilot.expo, compensated))
         return Moment(target, air, supply), integral
@@ -140,9 +117,9 @@ class Multirotor:
         jnp = load_jax().numpy
         craft, pilot = plan.craft, plan.pilot
         target, (lift, compensated, lift_max) = self.aimed(plan, now, t, body), now.more
-        turning, wish, loops = control.inner(pilot, target, body.q, gyro, loops, lift, dt)
+        turning, wanted, loops = control.inner(pilot, target, body.q, gyro, loops, lift, dt)
         known, e = pilot.inversion, self.effectiveness(plan, t)
-        miss, cut = wish - loops.gyro, pilot.gyro_cut
+        miss, cut = wanted - loops.gyro, pilot.gyro_cut
         change, memory = incremental.control(known, own.memory, miss, gyro, own.f, e, lift, cut, dt)
         turning = jnp.where(known.used > 0.5, change, turning)
         demand, free = self.mixed(plan, now, t, body, gyro, turning, own)
@@ -154,18 +131,19 @@ class Multirotor:
         s = faults.strength(plan.faults, t)
         driven, undriven, held = faults.act(plan.faults, s, command, own.held)
         theta = faults.loss(plan.faults, s)  # of the propellers
-        told = jnp.sqrt(dynamics.thrust_share(craft.expo, driven * own.sag))
+        commanded = jnp.sqrt(dynamics.thrust_share(craft.expo, driven * own.sag))
         friction = faults.summed(plan.faults, plan.faults.friction * s)
         kept = 1.0 - faults.weak(plan.faults, s)
-        # Where nothing rubs the speed is what was told, to the last bit.
-        share = jnp.where(friction > 0.0, motor.slowed(told, theta, friction), told) * jnp.sqrt(kept)
+        # Without friction the speed is the commanded one, to the last bit.
+        share = jnp.where(friction > 0.0, motor.slowed(commanded, theta, friction), commanded) * jnp.sqrt(kept)
         lag = craft.lag * (1.0 + (faults.SPIN_DOWN - 1.0) * undriven)
         body, w, force = self.moved(plan, body, own.w, share, lag, now.air, theta, dt)
         phase = own.phase + 0.5 * (own.w + w) * plan.sensors.full_turns * dt
         phase = phase - jnp.floor(phase)
-        asked = jnp.concatenate([turning, target.throttle[None]])
-        lost = 1.0 - (1.0 - theta) * jnp.where(told > 0.0, (share / jnp.maximum(told, 1e-9)) ** 2, kept)
-        last = (demand, command, asked, wish, jnp.where(share < told, lost, theta), s, theta, friction, 1.0 - undriven)
+        controls = jnp.concatenate([turning, target.throttle[None]])
+        lost = 1.0 - (1.0 - theta) * jnp.where(commanded > 0.0, (share / jnp.maximum(commanded, 1e-9)) ** 2, kept)
+        lost = jnp.where(share < commanded, lost, theta)
+        last = (demand, command, controls, wanted, lost, s, theta, friction, 1.0 - undriven)
         return body, loops._replace(free=free), own._replace(w=w, phase=phase, held=held), force, last
 
     def aimed(self, plan: Plan, now: Moment, t, body: Body) -> control.Target:
@@ -189,7 +167,7 @@ class Multirotor:
         """The battery, and whether the vehicle lies on the ground."""
         jnp = load_jax().numpy
         battery, own, body = plan.battery, after.own, after.body
-        demand, command, asked, wish, theta, s, propeller, friction, driven = last
+        demand, command, controls, wanted, theta, s, propeller, friction, driven = last
         work = jnp.sum(own.w * own.w * own.w) / own.w.shape[0]
         at_rest = battery.full - (battery.full - battery.empty) * jnp.minimum(own.drawn / battery.charge, 1.2)
         amps = battery.current * work * battery.full / jnp.maximum(at_rest, 1.0)
@@ -201,7 +179,7 @@ class Multirotor:
         drawn = motor.current(battery.current / own.w.shape[0], own.w, propeller, friction, sag, driven)
         own = own._replace(drawn=own.drawn + amps * dt, sag=sag, believed=believed)
         record = Record(
-            **seen, **body._asdict(), demand=demand, command=command, control=asked, rates_asked=wish, q_asked=now.target.q,
+            **seen, **body._asdict(), demand=demand, command=command, control=controls, rates_setpoint=wanted, q_setpoint=now.target.q,
             w=own.w, phase=own.phase, shake=(plan.sensors.shake + faults.imbalance(plan.faults, s)) * own.w * own.w, theta=theta,
             volts=volts, amps=amps, drawn=drawn, believed=believed, lift_max=now.more.lift_max, flies=flies,
         )  # fmt: skip

@@ -195,8 +195,8 @@ def _pilot(scenario: Scenario, known: Vehicle, bare: Bare, full_speed: float) ->
 
 def _rotor_inertia(scenario: Scenario, bare: Bare) -> float:
     """kg m^2 of one rotor about its axis."""
-    asked = scenario.airframe["rotor_inertia_kg_m2"]
-    return 0.015 * bare.mass / len(bare.x) * (2.0 * bare.radius) ** 2 / 12.0 if asked is None else asked
+    inertia = scenario.airframe["rotor_inertia_kg_m2"]
+    return 0.015 * bare.mass / len(bare.x) * (2.0 * bare.radius) ** 2 / 12.0 if inertia is None else inertia
 
 
 def _craft(scenario: Scenario, bare: Bare, full_speed: float) -> dynamics.Craft:
@@ -336,30 +336,17 @@ def broken(scenario: Scenario, rotors: int) -> faults.Faults:
     """The scenario's faults as numbers."""
     table = {k: np.array(v, float) for k, v in faults.none(rotors)._asdict().items()}
     for k, f in enumerate(scenario.faults):
-        kind, size = f["kind"], f["strength"]
-        row = {"onset": f["onset_s"], "ramp": f["ramp_s"], "duty": 1.0}
-        if f["end_s"] is not None:
-            row["end"] = f["end_s"]
-        if f["period_s"] is not None:
-            row |= {"period": f["period_s"], "duty": f["duty"]}
-        if kind in ("loss", "chipped"):
-            row["loss"] = size
-        if kind == "complete loss":
-            row["loss"] = 1.0
-        if kind == "bias":
-            row["bias"] = size
-        if kind in ("stuck", "saturated"):
-            held = faults.HELD if kind == "stuck" else 1.0
-            row |= {"frozen": 1.0, "level": held if f["level"] is None else f["level"]}
-        if kind == "float":
-            row["undriven"] = 1.0
-        if kind == "chipped":
-            row["shake"] = f["vibration"]
-        if kind == "weak motor":
-            row["weak"] = size
-        if kind == "bearing":
-            row["friction"] = size
+        kind, held = f["kind"], faults.HELD if f["kind"] == "stuck" else 1.0
+        frozen = {"frozen": 1.0, "level": held if f["level"] is None else f["level"]}
+        row = {
+            "loss": {"loss": f["strength"]}, "chipped": {"loss": f["strength"], "shake": f["vibration"]},
+            "complete loss": {"loss": 1.0}, "bias": {"bias": f["strength"]}, "stuck": frozen, "saturated": frozen,
+            "float": {"undriven": 1.0}, "weak motor": {"weak": f["strength"]}, "bearing": {"friction": f["strength"]},
+        }[kind]  # fmt: skip
+        row |= {"onset": f["onset_s"], "ramp": f["ramp_s"], "end": f["end_s"], "period": f["period_s"]}
+        row["duty"] = 1.0 if f["period_s"] is None else f["duty"]
         for name, value in row.items():
-            table[name][k] = value
+            if value is not None:
+                table[name][k] = value
         table["rotor"][k, f["rotor"] - 1] = 1.0
     return faults.Faults(**table)

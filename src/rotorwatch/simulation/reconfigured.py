@@ -1,6 +1,6 @@
 """A multirotor whose commands follow what is believed of its rotors, instead of the autopilot's fixed mixer.
 
-What is believed, and from when on, is a `Schedule` of a few entries; `closed_loop` writes it from what an estimator said. Up to the first
+What is believed, and from when on, is a `Schedule` of a few entries; `closed_loop` writes it from an estimator's output. Up to the first
 entry the vehicle flies as any other. From then on
 
     turning 0    the autopilot's demands (throttle, roll, pitch, yaw) go through `control.allocation`
@@ -23,7 +23,7 @@ from rotorwatch.simulation.multirotor import Drives, Multirotor, Plan
 Array = Any
 PLACES = 4  # explanations of the default diagnosis
 TURN = 0.3  # rad
-LEAN = 0.25  # rad: how far from upright a turning vehicle is asked to tilt
+LEAN = 0.25  # rad: how far from upright a turning vehicle tilts at most
 
 
 class Entry(NamedTuple):
@@ -90,13 +90,13 @@ class Reconfigured(Multirotor):
         return type(other) is type(self) and other._key == self._key
 
     def aimed(self, plan: Plan, now, t, body) -> control.Target:
-        """From the first entry on the way to the tilt asked for is the shortest, whatever the heading, and no more than TURN of heading at
+        """From the first entry on the way to the tilt setpoint is the shortest, whatever the heading, and no more than TURN of heading at
         a time: where yaw is given up its error must not turn into roll and pitch (reduced attitude)."""
         jnp, target = load_jax().numpy, now.target
         here, there = rotation.axes(body.q), rotation.axes(target.q)
         a, b = (
             jnp.stack([R[0][2], R[1][2], R[2][2]]) for R in (here, there)
-        )  # body z in the world: now, and asked for
+        )  # body z in the world: now, and its setpoint
         cross = jnp.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
         dot = (a * b).sum(axis=0)
         half = jnp.concatenate([jnp.maximum(1.0 + dot, 1e-3)[None], cross])
@@ -123,16 +123,16 @@ class Reconfigured(Multirotor):
         begun, one = plan.schedule.since[0] <= t, _entry_at(plan.schedule, t)
         wanted = self.allocator.B @ (throttle + pilot.mixer[:, :3] @ turning)
         belief = Belief(self._expected(one), one.lower, one.upper, one.candidates, one.weights)
-        given = self.allocator.step(self.allocator.init(), wanted, belief)[1]
+        allocated = self.allocator.step(self.allocator.init(), wanted, belief)[1]
         # A throttle or yaw that is not had must not stop what holds the vehicle level.
-        granted = given.granted[1:3].min()
+        granted = allocated.granted[1:3].min()
         if self.allocator.by != "estimate":
             # What is in doubt is met half way on purpose, and the integrators make up for the rest as long as no command is at a limit.
-            granted = jnp.maximum(granted, ((given.u > 0.0) & (given.u < 1.0)).all().astype(granted.dtype))
+            granted = jnp.maximum(granted, ((allocated.u > 0.0) & (allocated.u < 1.0)).all().astype(granted.dtype))
 
         # Down, as the position loop wants it, in body axes, no further from the hover's than LEAN.
-        R, wish = rotation.axes(body.q), rotation.axes(now.target.q)
-        down = rotation.to_body(R, jnp.stack([wish[0][2], wish[1][2], wish[2][2]]))
+        R, upright = rotation.axes(body.q), rotation.axes(now.target.q)
+        down = rotation.to_body(R, jnp.stack([upright[0][2], upright[1][2], upright[2][2]]))
         level = rotation.to_body(R, jnp.asarray([0.0, 0.0, 1.0], down.dtype))
         apart = down - level
         apart = apart * jnp.minimum(1.0, LEAN / jnp.maximum(jnp.sqrt((apart * apart).sum()), 1e-6))
@@ -140,7 +140,7 @@ class Reconfigured(Multirotor):
         spun = spinning.feedback(one.hover, one.gains, own.f, gyro, level + apart, jnp.clip(lift, 0.5, 1.5))
 
         turns = one.turning > 0.5
-        ours = jnp.where(turns, spun, given.u)
+        ours = jnp.where(turns, spun, allocated.u)
         return jnp.where(begun, ours, healthy), jnp.where(begun, jnp.where(turns, 0.0, granted), free)
 
 

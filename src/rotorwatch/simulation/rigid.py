@@ -5,6 +5,7 @@ NED world, FRD body, SI; positions are the centre of mass.
 
 from __future__ import annotations
 
+from collections import namedtuple
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -15,13 +16,8 @@ Array = Any
 G0 = 9.80665  # m/s^2
 
 
-class Body(NamedTuple):
+class Body(namedtuple("Body", "p v q omega")):
     """p [m], v [m/s] (3,) NED; q (4,) body to world; omega (3,) body [rad/s]."""
-
-    p: Array
-    v: Array
-    q: Array
-    omega: Array
 
 
 class Air(NamedTuple):

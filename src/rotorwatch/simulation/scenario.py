@@ -28,6 +28,7 @@ import math
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from rotorwatch import airframes, files
@@ -58,94 +59,26 @@ class Field(NamedTuple):
     numbers: int = 0
 
 
-FIELDS: dict[str, dict[str, Field]] = {
-    "": {
-        "name": Field("", about="what to call the flight"),
-        "duration_s": Field(60.0, 5.0, 7200.0, "length of the flight"),
-        "seed": Field(0, 0, 2**31 - 1, "same seed, same flight"),
-        "autopilot": Field("ardupilot", choices=AUTOPILOTS, about="frame numbering, mixer and log"),
-        "control": Field("pid", choices=CONTROLS, about="rate loop: gains and integrators, or increments (INDI)"),
-        "rate_hz": Field(400.0, 200.0, 1000.0, "Runge-Kutta steps and inner control loop"),
-    },
-    "airframe": {
-        "frame": Field(None, about="an autopilot's frame, such as `quad-x`, or a paper's airframe"),
-        "mass_kg": Field(2.0, 0.02, 500.0, "without payload"),
-        "arm_m": Field(0.3, 0.03, 10.0, "centre to the outermost rotor"),
-        "inertia_kg_m2": Field(
-            None, 1e-6, 1e4, "about x, y, z; default: 0.4, 0.4 and 0.55 arms of gyration", numbers=3
-        ),
-        "thrust_to_weight": Field(2.2, 1.2, 20.0, "full thrust without payload"),
-        "drag_ratio_m": Field(None, 1e-4, 2.0, "yaw torque per thrust; default: 0.12 rotor radii"),
-        "expo": Field(0.65, 0.0, 1.0, "thrust (1 - expo) a + expo a^2 of a command a"),
-        "believed_expo": Field(None, 0.0, 1.0, "what the autopilot takes it for; default: the same"),
-        "lag_s": Field(0.03, 0.002, 0.5, "time constant of a rotor's speed"),
-        "rotor_radius_m": Field(None, 0.01, 5.0, "default: three quarters of what fits between neighbours"),
-        "rotor_inertia_kg_m2": Field(None, 0.0, 10.0, "default: a thin blade of 1.5 % of the mass over all rotors"),
-        "rotor_speed_rad_s": Field(None, 10.0, 5000.0, "at full thrust; default: a tip speed of 170 m/s"),
-        "hub_height_m": Field(None, -2.0, 2.0, "rotors above the centre of mass; default: 0.1 arms"),
-        "inflow": Field(1.0, 0.0, 10.0, "thrust lost to climbing, times what momentum theory has for such rotors"),
-        "rotor_drag": Field(1.0, 0.0, 10.0, "times what is usual"),
-        "body_drag": Field(1.0, 0.0, 10.0, "times 0.01 m v^2, twice that along z"),
-        "lower_rotor": Field(0.85, 0.3, 1.0, "coaxial frames: the lower rotor's share of thrust"),
-        "ground_effect": Field(True, about="stronger thrust near the ground"),
-        "payload_kg": Field(0.0, 0.0, 500.0, "carried besides the mass; the autopilot does not know"),
-        "payload_at_m": Field((0.0, 0.0, 0.05), -10.0, 10.0, "forward, right, down of the centre of mass", numbers=3),
-    },
-    "trajectory": {
-        "kind": Field("hover", choices=trajectories.KINDS, about="what is flown between take-off and landing"),
-        "altitude_m": Field(10.0, 1.0, 500.0, "working height"),
-        "size_m": Field(10.0, 0.5, 1000.0, "side, radius, or height of a climb"),
-        "speed_m_s": Field(3.0, 0.1, 30.0, "mean along a square or eight, top of a climb and of an aggressive flight"),
-        "yaw_deg": Field(0.0, -360.0, 360.0, "heading at take-off"),
-        "yaw_speed_deg_s": Field(0.0, -180.0, 180.0, "of a steady turn on top of the manoeuvre"),
-        "take_off_s": Field(3.0, 0.5, 3600.0, "idle on the ground until then"),
-        "land": Field(True, about="be down again before the end"),
-    },
-    "wind": {
-        "speed_m_s": Field(0.0, 0.0, 30.0, "mean, 6 m above ground"),
-        "from_deg": Field(0.0, -360.0, 360.0, "direction it comes from"),
-        "turbulence": Field(1.0, 0.0, 5.0, "Dryden turbulence of that wind, times this"),
-    },
-    "battery": {
-        "cells": Field(4, 1, 24, "4.2 V full, 3.5 V empty each"),
-        "capacity_Ah": Field(None, 0.05, 1000.0, "default: twelve minutes of hover"),
-        "resistance_ohm": Field(None, 0.0, 1.0, "default: a sag of 7 % at full thrust"),
-        "compensated": Field(True, about="the autopilot corrects its commands for the voltage (ArduPilot only)"),
-    },
-    "sensors": {
-        "gyro_noise": Field(2e-4, 0.0, 0.1, "rad/s per root Hz"),
-        "accel_noise": Field(2e-3, 0.0, 1.0, "m/s^2 per root Hz"),
-        "gyro_bias": Field(0.003, 0.0, 0.5, "rad/s, standard deviation; drawn once a flight"),
-        "accel_bias": Field(0.08, 0.0, 5.0, "m/s^2, the same"),
-        "gyro_filter_hz": Field(40.0, 5.0, 180.0, "what the rate loop sees"),
-        "accel_filter_hz": Field(20.0, 2.0, 180.0, "what is logged"),
-        "vibration": Field(0.5, 0.0, 50.0, "m/s^2 of each rotor at full speed, after the filter"),
-    },
-    "logging": {
-        "profile": Field(
-            "default", choices=PROFILES, about="the autopilot's default rates, faster ones, or all there is"
-        ),
-        "esc": Field(False, about="ESC telemetry: speeds, currents, voltages, temperatures"),
-    },
+CHOICES = {
+    "autopilot": AUTOPILOTS, "control": CONTROLS, "trajectory.kind": trajectories.KINDS, "logging.profile": PROFILES,
+    "faults.kind": faults.KINDS, "faults.actuator": ACTUATORS,
+}  # fmt: skip
+"""Of the fields that take one of some names."""
+
+
+def _field(name: str, row: Mapping[str, Any]) -> Field:
+    default = row.get("default")
+    known = {**row, "default": tuple(default) if isinstance(default, list) else default}
+    return Field(**known, choices=CHOICES.get(name, ()))
+
+
+_TABLES = {
+    part: {name: _field(name if part == "flight" else f"{part}.{name}", row) for name, row in rows.items()}
+    for part, rows in files.toml(Path(__file__).with_suffix(".toml"), "table of fields")[0].items()
 }
-FAULT_FIELDS: dict[str, Field] = {
-    "kind": Field(None, choices=faults.KINDS, about="what breaks"),
-    "rotor": Field(None, 1, 32, "the autopilot's number"),
-    "actuator": Field(None, choices=ACTUATORS, about="of a helicopter, instead of a rotor"),
-    "onset_s": Field(None, 0.0, 7200.0, "when it begins"),
-    "end_s": Field(None, 0.0, 7200.0, "when it is gone again; default: never"),
-    "strength": Field(
-        None,
-        -1.0,
-        1.0,
-        "loss, chipped, weak motor: share of thrust lost; bias: what the command is off by; bearing: friction, share of full torque",
-    ),
-    "level": Field(None, 0.0, 1.0, "stuck, saturated: the command it stays at"),
-    "ramp_s": Field(0.0, 0.0, 3600.0, "time to grow to full strength"),
-    "period_s": Field(None, 0.02, 3600.0, "intermittent: of on and off"),
-    "duty": Field(0.5, 0.01, 1.0, "intermittent: part of a period that it is there"),
-    "vibration": Field(6.0, 0.0, 200.0, "chipped: shaking at full speed, m/s^2"),
-}
+FAULT_FIELDS: dict[str, Field] = _TABLES.pop("faults")
+FIELDS: dict[str, dict[str, Field]] = {"": _TABLES.pop("flight"), **_TABLES}
+"""Table of a scenario ("": its top) -> its fields, of scenario.toml."""
 NEEDS_STRENGTH = ("loss", "bias", "chipped", "weak motor", "bearing")
 SHARES = ("loss", "chipped", "weak motor", "bearing")
 SOME_HAVE = {

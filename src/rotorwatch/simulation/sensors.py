@@ -2,30 +2,22 @@
 
 from __future__ import annotations
 
+from collections import namedtuple
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-Array = Any
 
-
-class Sensors(NamedTuple):
+class Sensors(
+    namedtuple(
+        "Sensors",
+        "gyro_sd accel_sd gyro_bias accel_bias accel_cut shake full_turns rattle attitude_sd velocity_sd position_sd",
+    )
+):
     """gyro_sd [rad/s] of one sample in a step, accel_sd [m/s^2] after the filter; biases (3,); accel_cut [rad/s];
     shake [m/s^2 at full speed] of each healthy rotor, full_turns: its revolutions per second at full speed; rattle: rad/s of gyro
     per m/s^2 of it; attitude_sd [rad], velocity_sd [m/s], position_sd [m] of what is logged."""
-
-    gyro_sd: Array
-    accel_sd: Array
-    gyro_bias: Array
-    accel_bias: Array
-    accel_cut: Array
-    shake: Array
-    full_turns: Array
-    rattle: Array
-    attitude_sd: Array
-    velocity_sd: Array
-    position_sd: Array
 
 
 def readings(sensors: Sensors, record: Any, shaking: np.ndarray, rng) -> Iterator[tuple[str, np.ndarray, Any]]:
@@ -37,7 +29,7 @@ def readings(sensors: Sensors, record: Any, shaking: np.ndarray, rng) -> Iterato
     yield "rates", record.rates, None
     yield "gyro", record.rates + np.asarray(sensors.gyro_bias) + float(sensors.rattle) * shaking, None
     yield "accel", record.accel + np.asarray(sensors.accel_bias) + shaking, sensors.accel_sd
-    yield "attitude", leaning(record.q, rng, float(sensors.attitude_sd)), None
+    yield "attitude", with_attitude_error(record.q, rng, float(sensors.attitude_sd)), None
     yield "velocity", record.v, sensors.velocity_sd
     yield "position", record.p, sensors.position_sd
 
@@ -48,7 +40,7 @@ def vibration(size: np.ndarray, angle: np.ndarray) -> np.ndarray:
     return np.stack([np.sum(size * wave, axis=1) for wave in waves], axis=1)
 
 
-def leaning(q: np.ndarray, rng, sd: float) -> np.ndarray:
+def with_attitude_error(q: np.ndarray, rng, sd: float) -> np.ndarray:
     """Attitudes (T, 4) with an estimator's slowly wandering error of `sd` rad about each axis."""
     steps = rng.standard_normal((len(q) // 100 + 2, 3)) * sd
     at = np.linspace(0.0, len(steps) - 1.0, len(q))

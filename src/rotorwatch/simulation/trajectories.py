@@ -1,16 +1,15 @@
-"""What the vehicle is asked to fly: take-off, one manoeuvre, landing; positions as smooth functions of time.
+"""Setpoints of a flight: take-off, one manoeuvre, landing; positions as smooth functions of time.
 
-Velocity and acceleration are differences of the positions asked for at neighbouring ticks, so they always fit.
+Velocity and acceleration are differences of the position setpoints of neighbouring ticks, so they always fit.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from collections import namedtuple
 
 from rotorwatch.backend import jax as load_jax
 
-Array = Any
 KINDS = ("hover", "square", "figure-eight", "climb", "yaw", "aggressive")
 CLIMB = 1.0  # m/s on average, up to the working height
 DESCENT = 0.8  # m/s, down to the ground
@@ -20,29 +19,13 @@ SETTLE = 2.0  # s of hover after the climb
 SPOOL = 1.0  # s from idling motors to what the controller asks
 
 
-class Trajectory(NamedTuple):
+class Trajectory(namedtuple("Trajectory", "kind altitude size speed yaw yaw_speed take_off landing")):
     """kind: index into KINDS. altitude, size [m], speed [m/s], yaw [rad] at take-off, yaw_speed [rad/s]; take_off, landing:
     times [s] when the motors start to lift and when the way down begins."""
 
-    kind: Array
-    altitude: Array
-    size: Array
-    speed: Array
-    yaw: Array
-    yaw_speed: Array
-    take_off: Array
-    landing: Array
 
-
-class Reference(NamedTuple):
+class Reference(namedtuple("Reference", "p v a yaw yaw_rate lift")):
     """p, v, a (3,) NED; yaw, yaw_rate; lift: 0 while the motors idle, rising to 1 in SPOOL seconds."""
-
-    p: Array
-    v: Array
-    a: Array
-    yaw: Array
-    yaw_rate: Array
-    lift: Array
 
 
 def smooth(s):
@@ -58,7 +41,7 @@ def touch_down(way: Trajectory):
 
 
 def table(way: Trajectory, ticks: int, dt: float) -> Reference:
-    """What is asked at ticks of dt seconds: a Reference of arrays with `ticks` rows."""
+    """Setpoints at ticks of dt seconds: a Reference of arrays with `ticks` rows."""
     jax = load_jax()
     jnp = jax.numpy
     t = (jnp.arange(ticks + 2) - 1.0).astype(jnp.result_type(way.altitude)) * dt

@@ -24,14 +24,14 @@ def write(
     names with spaces between, its values (T, columns).
     """
     down = np.flatnonzero(np.asarray(record.flies) < 0.5)
-    told = {
+    facts = {
         "name": scenario.name, "seed": scenario.seed, "frame": scenario.airframe["frame"],
         "faults": [{k: v for k, v in f.items() if v is not None} for f in scenario.faults],
         "crashed_s": float(record.time[down[0]]) if down.size else None,
         "wind_m_s": [round(float(v), 6) for v in record.wind.mean(axis=0)], **about,
     }  # fmt: skip
     about_path, table_path = (stem.with_name(stem.name + f".truth.{kind}") for kind in ("json", "csv"))
-    about_path.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
+    about_path.write_text(json.dumps(facts, indent=1) + "\n", encoding="utf-8")
     stride = max(1, round(1.0 / HZ / float(record.time[1] - record.time[0])))
     motion = {
         "time_s": record.time[:, None], "north east down": record.p, "v_north v_east v_down": record.v,

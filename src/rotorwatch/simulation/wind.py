@@ -7,37 +7,24 @@ white noise: variance sigma^2 each. tau = L / V with the scale length L and the 
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from collections import namedtuple
 
 import numpy as np
 
 from rotorwatch.backend import jax as load_jax
 
-Array = Any
 NOISES = 6
 FOOT = 0.3048
 ROOT3 = math.sqrt(3.0)
 
 
-class Wind(NamedTuple):
+class Wind(namedtuple("Wind", "mean heading sigma tau turn_sigma turn_tau")):
     """mean (3,) NED [m/s]; heading (2,): unit vector north, east that the wind blows to; sigma, tau (3,) [m/s, s] along,
     across, down; turn_sigma [rad/s], turn_tau [s]: rotational gusts about each body axis."""
 
-    mean: Array
-    heading: Array
-    sigma: Array
-    tau: Array
-    turn_sigma: Array
-    turn_tau: Array
 
-
-class Gusts(NamedTuple):
+class Gusts(namedtuple("Gusts", "along first second turning")):
     """State of the filters. along (): first order. first, second (2,): across and down. turning (3,)."""
-
-    along: Array
-    first: Array
-    second: Array
-    turning: Array
 
 
 def dryden(speed, direction_deg, turbulence, altitude, airspeed, span) -> Wind:

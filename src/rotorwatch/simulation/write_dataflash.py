@@ -15,28 +15,12 @@ import numpy as np
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.logs import esc_columns
+from rotorwatch.simulation.logged import LOGGED
 
 HEAD = b"\xa3\x95"
 FMT = 128
-# name: (type, format, columns). Formats: Q uint64, f float, B uint8, H uint16, c hundredths in int16, n, N and Z texts
-# of 4, 16 and 64 bytes, M mode.
-MESSAGES = {
-    "FMT": (FMT, "BBnNZ", "Type,Length,Name,Format,Columns"),
-    "PARM": (32, "QNff", "TimeUS,Name,Value,Default"),
-    "MSG": (59, "QZ", "TimeUS,Message"),
-    "MODE": (120, "QMBB", "TimeUS,Mode,ModeNum,Rsn"),
-    "EV": (181, "QB", "TimeUS,Id"),
-    "ARM": (186, "QBIBB", "TimeUS,ArmState,ArmChecks,Forced,Method"),
-    "RCOU": (62, "QHHHHHHHHHHHHHH", "TimeUS," + ",".join(f"C{k}" for k in range(1, 15))),
-    "RATE": (75, "Qffffffff", "TimeUS,R,ROut,P,POut,Y,YOut,A,AOut"),
-    "IMU": (163, "QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ"),
-    "ATT": (72, "Qffffff", "TimeUS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw"),
-    "XKF1": (44, "QBffffff", "TimeUS,C,VN,VE,VD,PN,PE,PD"),
-    "CTUN": (64, "Qf", "TimeUS,ThO"),
-    "BAT": (88, "QBff", "TimeUS,Inst,Volt,Curr"),
-    "MOTB": (205, "Qfff", "TimeUS,LiftMax,BatVolt,ThLimit"),
-    "ESC": (173, "QBffffcfcf", "TimeUS,Instance,RPM,RawRPM,Volt,Curr,Temp,CTot,MotTemp,Err"),
-}
+MESSAGES: dict[str, tuple[int, str, str]] = {name: tuple(row) for name, row in LOGGED["dataflash"].items()}
+"""Name -> (type, format, columns)."""
 CODES = {"Q": "Q", "f": "f", "B": "B", "M": "B", "H": "H", "I": "I", "c": "h", "n": "4s", "N": "16s", "Z": "64s"}
 EVENTS = {("armed", 1.0): 10, ("armed", 0.0): 11, ("landed", 1.0): 18, ("landed", 0.0): 28}
 
@@ -66,26 +50,22 @@ def _tables(flight: Flight):
         pulses[:, : len(s["motors"].columns)] = s["motors"].values
         yield "RCOU", s["motors"].time, pulses
     if "control" in s and "rates" in s:
-        rates = _at(s["rates"], s["control"].time)
+        rates = nearest(s["rates"], s["control"].time)
         both = np.stack([np.degrees(rates), s["control"].values[:, :3]], axis=2).reshape(len(rates), 6)
         throttle = s["control"].values[:, 3:]
         yield "RATE", s["control"].time, np.concatenate([both, throttle, throttle], axis=1)
     if "gyro" in s and "accel" in s:
-        gyro = s["gyro"]
-        yield (
-            "IMU",
-            gyro.time,
-            np.concatenate([np.zeros((len(gyro), 1)), gyro.values, _at(s["accel"], gyro.time)], axis=1),
-        )
+        time, first = s["gyro"].time, np.zeros((len(s["gyro"]), 1))
+        yield "IMU", time, np.concatenate([first, s["gyro"].values, nearest(s["accel"], time)], axis=1)
     if "attitude" in s:
         angles = _degrees(s["attitude"].values)
         wanted = np.full_like(angles, np.nan)
         if "attitude_wanted" in s:
-            wanted = _degrees(_at(s["attitude_wanted"], s["attitude"].time))
+            wanted = _degrees(nearest(s["attitude_wanted"], s["attitude"].time))
         yield "ATT", s["attitude"].time, np.stack([wanted, angles], axis=2).reshape(len(angles), 6)
     if "velocity" in s and "position" in s:
         v = s["velocity"]
-        yield "XKF1", v.time, np.concatenate([np.zeros((len(v), 1)), v.values, _at(s["position"], v.time)], axis=1)
+        yield "XKF1", v.time, np.concatenate([np.zeros((len(v), 1)), v.values, nearest(s["position"], v.time)], axis=1)
     if "throttle" in s:
         yield "CTUN", s["throttle"].time, s["throttle"].values
     if "battery" in s:
@@ -107,7 +87,7 @@ def _escs(esc: Signal):
         yield "ESC", esc.time, np.column_stack([none + k, rpm, rpm, volts, amps, degrees, charge, none, none])
 
 
-def _at(signal: Signal, time: np.ndarray) -> np.ndarray:
+def nearest(signal: Signal, time: np.ndarray) -> np.ndarray:
     """Values of a signal at other times: the nearest sample's."""
     middle = 0.5 * (signal.time[1:] + signal.time[:-1])
     return signal.values[np.searchsorted(middle, time)]

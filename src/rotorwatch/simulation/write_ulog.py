@@ -8,35 +8,18 @@ from __future__ import annotations
 import os
 import struct
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.logs import esc_columns
+from rotorwatch.simulation.logged import LOGGED
+from rotorwatch.simulation.write_dataflash import nearest
 
 MAGIC = b"ULog\x01\x12\x35\x01"
-TOPICS = {
-    "actuator_motors": "uint64_t timestamp;uint64_t timestamp_sample;float[12] control",
-    "vehicle_torque_setpoint": "uint64_t timestamp;uint64_t timestamp_sample;float[3] xyz",
-    "vehicle_thrust_setpoint": "uint64_t timestamp;uint64_t timestamp_sample;float[3] xyz",
-    "vehicle_angular_velocity": "uint64_t timestamp;uint64_t timestamp_sample;float[3] xyz",
-    "sensor_combined": "uint64_t timestamp;float[3] gyro_rad;float[3] accelerometer_m_s2",
-    "vehicle_attitude": "uint64_t timestamp;uint64_t timestamp_sample;float[4] q",
-    "vehicle_attitude_setpoint": "uint64_t timestamp;float[4] q_d",
-    "vehicle_local_position": "uint64_t timestamp;uint64_t timestamp_sample;float x;float y;float z;float vx;float vy;float vz;"
-    "bool xy_valid;bool z_valid;bool v_xy_valid;bool v_z_valid",
-    "battery_status": "uint64_t timestamp;float voltage_v;float current_a",
-    "vehicle_status": "uint64_t timestamp;uint8_t nav_state;uint8_t arming_state",
-    "vehicle_land_detected": "uint64_t timestamp;bool landed",
-    "esc_status": "uint64_t timestamp;esc_report[8] esc;uint16_t counter;uint8_t esc_count;uint8_t esc_connectiontype;"
-    "uint8_t esc_online_flags;uint8_t esc_armed_flags",
-}
-NESTED = {
-    "esc_report": "uint64_t timestamp;uint32_t esc_errorcount;int32_t esc_rpm;float esc_voltage;float esc_current;float esc_temperature;"
-    "float motor_temperature;uint8_t esc_address;uint8_t esc_cmdcount;uint8_t esc_state;uint8_t actuator_function;uint16_t failures;"
-    "int8_t esc_power;uint8_t[5] _padding0"
-}
+TOPICS, NESTED = LOGGED["ulog"]["topics"], LOGGED["ulog"]["nested"]
 SIZES = {"uint64_t": "<u8", "uint32_t": "<u4", "int32_t": "<i4", "float": "<f4", "bool": "u1"}
 SIZES |= {"uint16_t": "<u2", "uint8_t": "u1", "int8_t": "i1"}
 WHOLE = ("CA_AIRFRAME", "CA_ROTOR_COUNT", "MAV_TYPE", "MC_BAT_SCALE_EN", "SYS_AUTOSTART")
@@ -108,55 +91,48 @@ def _blank(name: str, flight: Flight, time: np.ndarray) -> np.ndarray:
 def _tables(flight: Flight):
     """(topic, records) of every signal there is."""
     s = flight.signals
+
+    def topic(name: str, time: np.ndarray, **fields: Any) -> tuple[str, np.ndarray]:
+        rows = _blank(name, flight, time)
+        for field, values in fields.items():
+            rows[field] = values
+        return name, rows
+
     if "motors" in s:
         n = len(s["motors"].columns)
         if s["motors"].unit != "1" or n > 12:
             raise ConfigError("actuator_motors holds shares of full thrust of up to 12 rotors; this flight has others.")
-        rows = _blank("actuator_motors", flight, s["motors"].time)
-        rows["control"] = np.nan
-        rows["control"][:, :n] = s["motors"].values
-        yield "actuator_motors", rows
+        motors = np.full((len(s["motors"]), 12), np.nan)
+        motors[:, :n] = s["motors"].values
+        yield topic("actuator_motors", s["motors"].time, control=motors)
     if "control" in s:
-        control = s["control"]
-        torque, thrust = (_blank(f"vehicle_{k}_setpoint", flight, control.time) for k in ("torque", "thrust"))
-        torque["xyz"], thrust["xyz"][:, 2] = control.values[:, :3], -control.values[:, 3]
-        yield "vehicle_torque_setpoint", torque
-        yield "vehicle_thrust_setpoint", thrust
+        time, values = s["control"].time, s["control"].values
+        up = np.stack([0.0 * values[:, 3], 0.0 * values[:, 3], -values[:, 3]], axis=1)
+        yield topic("vehicle_torque_setpoint", time, xyz=values[:, :3])
+        yield topic("vehicle_thrust_setpoint", time, xyz=up)
     if "rates" in s:
-        rows = _blank("vehicle_angular_velocity", flight, s["rates"].time)
-        rows["xyz"] = s["rates"].values
-        yield "vehicle_angular_velocity", rows
+        yield topic("vehicle_angular_velocity", s["rates"].time, xyz=s["rates"].values)
     if "gyro" in s and "accel" in s:
-        rows = _blank("sensor_combined", flight, s["gyro"].time)
-        rows["gyro_rad"], rows["accelerometer_m_s2"] = s["gyro"].values, _at(s["accel"], s["gyro"].time)
-        yield "sensor_combined", rows
+        time = s["gyro"].time
+        accel = nearest(s["accel"], time)
+        yield topic("sensor_combined", time, gyro_rad=s["gyro"].values, accelerometer_m_s2=accel)
     if "attitude" in s:
-        rows = _blank("vehicle_attitude", flight, s["attitude"].time)
-        rows["q"] = s["attitude"].values
-        yield "vehicle_attitude", rows
+        yield topic("vehicle_attitude", s["attitude"].time, q=s["attitude"].values)
     if "attitude_wanted" in s:
-        rows = _blank("vehicle_attitude_setpoint", flight, s["attitude_wanted"].time)
-        rows["q_d"] = s["attitude_wanted"].values
-        yield "vehicle_attitude_setpoint", rows
+        yield topic("vehicle_attitude_setpoint", s["attitude_wanted"].time, q_d=s["attitude_wanted"].values)
     if "velocity" in s and "position" in s:
-        rows = _blank("vehicle_local_position", flight, s["velocity"].time)
-        where = np.concatenate([_at(s["position"], s["velocity"].time), s["velocity"].values], axis=1)
-        for k, name in enumerate(("x", "y", "z", "vx", "vy", "vz")):
-            rows[name] = where[:, k]
-        for name in ("xy_valid", "z_valid", "v_xy_valid", "v_z_valid"):
-            rows[name] = 1
-        yield "vehicle_local_position", rows
+        time, valid = s["velocity"].time, dict.fromkeys(("xy_valid", "z_valid", "v_xy_valid", "v_z_valid"), 1)
+        where = zip(("x", "y", "z"), nearest(s["position"], time).T)
+        speed = zip(("vx", "vy", "vz"), s["velocity"].values.T)
+        yield topic("vehicle_local_position", time, **dict(where), **dict(speed), **valid)
     if "battery" in s:
-        rows = _blank("battery_status", flight, s["battery"].time)
-        rows["voltage_v"], rows["current_a"] = s["battery"].values.T
-        yield "battery_status", rows
+        volts, amps = s["battery"].values.T
+        yield topic("battery_status", s["battery"].time, voltage_v=volts, current_a=amps)
     if "esc" in s:
         yield "esc_status", _escs(flight, s["esc"])
     yield "vehicle_status", _status(flight)
     landed = [m for m in flight.messages if m.kind == "landed"]
-    rows = _blank("vehicle_land_detected", flight, np.array([m.time for m in landed]))
-    rows["landed"] = [m.value > 0.5 for m in landed]
-    yield "vehicle_land_detected", rows
+    yield topic("vehicle_land_detected", np.array([m.time for m in landed]), landed=[m.value > 0.5 for m in landed])
 
 
 def _escs(flight: Flight, esc: Signal) -> np.ndarray:
@@ -187,9 +163,3 @@ def _status(flight: Flight) -> np.ndarray:
             mode = int(m.value)
         rows["arming_state"][k], rows["nav_state"][k] = arming, mode
     return rows
-
-
-def _at(signal: Signal, time: np.ndarray) -> np.ndarray:
-    """Values of a signal at other times: the nearest sample's."""
-    middle = 0.5 * (signal.time[1:] + signal.time[:-1])
-    return signal.values[np.searchsorted(middle, time)]

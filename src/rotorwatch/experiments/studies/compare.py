@@ -23,6 +23,7 @@ from rotorwatch import discovery
 from rotorwatch.compiling.run import chosen, run, run_built
 from rotorwatch.default import events, hypotheses, program
 from rotorwatch.errors import ConfigError
+from rotorwatch.experiments import tools
 from rotorwatch.experiments.studies.compare_flights import Scene
 from rotorwatch.motion.ticks import JUDGE
 from rotorwatch.published import published
@@ -167,13 +168,8 @@ def cell(key: str, value: Any) -> str:
         return str(value)
     if key in ("right", "named", "coverage"):
         return f"{100 * value:.0f} %"
-    return (
-        f"{value:.0f}"
-        if key in ("false_alarms_h", "us_per_step")
-        else f"{value:.3f}"
-        if key == "loss_rmse"
-        else f"{value:.2f}"
-    )
+    digits = {"false_alarms_h": 0, "us_per_step": 0, "loss_rmse": 3}.get(key, 2)
+    return f"{value:.{digits}f}"
 
 
 def markdown(result: dict[str, Any]) -> str:
@@ -186,11 +182,9 @@ def markdown(result: dict[str, Any]) -> str:
         parts.append(
             f"\n## {group[0].upper()}{group[1:]}\n\n{count['flights']} flights, {count['faults']} with a fault.\n"
         )
-        parts.append(f"| {' | '.join(heads)} |\n|{'---|' * len(heads)}")
         order = sorted(rows, key=lambda name: (rows[name]["loss_rmse"] or 0.0, rows[name]["false_alarms"]))
-        for name in order:
-            cells = [f"`{name}`", *(cell(k, rows[name][k]) for k in keys)]
-            parts.append(f"| {' | '.join(cells)} | {cell('us_per_step', result['us_per_step'].get(name))} |")
+        cost = {name: cell("us_per_step", result["us_per_step"].get(name)) for name in order}
+        parts.append(tools.table(heads, ([f"`{n}`", *(cell(k, rows[n][k]) for k in keys), cost[n]] for n in order)))
     for name, why in result["failed"].items():
         parts.append(f"\n`{name}`: {why}")
     return "\n".join(parts) + "\n"

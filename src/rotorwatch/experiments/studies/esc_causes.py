@@ -16,6 +16,7 @@ import numpy as np
 
 from rotorwatch.diagnose import diagnose
 from rotorwatch.diagnosis import Diagnosis
+from rotorwatch.experiments import tools
 from rotorwatch.simulation import scenario, simulate
 
 DURATION_S = 80.0
@@ -25,18 +26,10 @@ KINDS = {
     "bearing": (("bearing", 0.1, 0.5),),
     "healthy": (),
 }
+NOTICES = {"high_current": "more current", "low_current": "less current", "slow_motor": "slow"}
 ANSWERS = (
-    "propeller",
-    "motor or ESC",
-    "bearing",
-    "unknown",
-    "slow",
-    "more current",
-    "less current",
-    "ambiguous",
-    "other rotor",
-    "nothing",
-)
+    "propeller", "motor or ESC", "bearing", "unknown", "slow", "more current", "less current", "ambiguous", "other rotor", "nothing",
+)  # fmt: skip
 """Columns of the table: causes, then the three notices, losses without a cause, what names other rotors only, and silence."""
 CAUSES = {"propeller": "propeller", "motor_or_esc": "motor or ESC", "bearing": "bearing", "unknown": "unknown"}
 
@@ -77,30 +70,25 @@ def answer(found: Diagnosis, rotor: int | None) -> str:
     if own:
         return "ambiguous"
     notices = {e.kind for e in found.events if rotor is None or rotor in e.rotors}
-    if "high_current" in notices:
-        return "more current"
-    if "low_current" in notices:
-        return "less current"
-    if "slow_motor" in notices:
-        return "slow"
-    others = any(e.kind in ("loss_of_effectiveness", "slow_motor", "high_current", "low_current") for e in found.events)
+    for notice, word in NOTICES.items():
+        if notice in notices:
+            return word
+    others = any(e.kind in ("loss_of_effectiveness", *NOTICES) for e in found.events)
     return "other rotor" if others else "nothing"
 
 
 def confusion(count: int, seed: int, progress: Callable = lambda share: None) -> dict[str, Counter]:
     """True cause -> how many flights got each answer."""
     table = {cause: Counter() for cause in KINDS}
-    for number, (cause, rotor, asked) in enumerate(flights(count, seed)):
-        table[cause][answer(diagnose(simulate(asked).flight), rotor)] += 1
+    for number, (cause, rotor, flown) in enumerate(flights(count, seed)):
+        table[cause][answer(diagnose(simulate(flown).flight), rotor)] += 1
         progress((number + 1) / count)
     return table
 
 
 def markdown(table: dict[str, Counter]) -> str:
     """The table as in docs/esc.md."""
-    lines = ["| truth | " + " | ".join(ANSWERS) + " |", "|---" * (len(ANSWERS) + 1) + "|"]
-    lines += [f"| {cause} | " + " | ".join(str(row[a] or "") for a in ANSWERS) + " |" for cause, row in table.items()]
-    return "\n".join(lines)
+    return tools.table(("truth", *ANSWERS), ([cause, *(row[a] or "" for a in ANSWERS)] for cause, row in table.items()))
 
 
 def main() -> None:

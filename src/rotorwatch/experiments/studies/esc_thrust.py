@@ -3,7 +3,7 @@
     python -m rotorwatch.experiments.studies.esc_thrust --repeats 3
 
 The view "speed" puts k W^2 of each rotor, k learned in its first seconds in the air, where the commanded thrust stood. A motor that turns
-slower than told cannot be seen in it. Curves: the autopilot's own, or one that is far off, which bends commands but not speeds.
+slower than commanded cannot be seen in it. Curves: the autopilot's own, or one that is far off, which bends commands but not speeds.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import itertools
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from rotorwatch.default.program import estimate
 from rotorwatch.diagnose import READY_S
 from rotorwatch.diagnosis import Event
 from rotorwatch.esc import telemetry
+from rotorwatch.experiments import tools
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.healthy import baselines
@@ -35,13 +37,13 @@ CASES = (("loss", 0.1), ("loss", 0.2), ("loss", 0.3), ("weak motor", 0.2), (None
 
 def thrust_of_speed(flight: Flight, vehicle: Vehicle, air) -> Signal:
     """Share of full thrust by each rotor's reported speed, scaled to the commands of its first seconds in the air."""
-    told, esc = allocation.rotor_thrusts(flight, vehicle), flight["esc"]
-    speed = telemetry.quantity(esc, "speed", told.values.shape[1])
-    asked = allocation.hold(told.time, told.values, esc.time)
+    commanded, esc = allocation.rotor_thrusts(flight, vehicle), flight["esc"]
+    speed = telemetry.quantity(esc, "speed", commanded.values.shape[1])
+    held = allocation.hold(commanded.time, commanded.values, esc.time)
     first = (esc.time > air[0][0] + LEARN_S[0]) & (esc.time < air[0][0] + LEARN_S[1])
     square = speed.values**2
-    scale = np.median(asked[first], axis=0) / np.median(square[first], axis=0)
-    return Signal(esc.time - LATE_S, scale * square, told.columns, "1", "body", esc.source, speed.valid)
+    scale = np.median(held[first], axis=0) / np.median(square[first], axis=0)
+    return Signal(esc.time - LATE_S, scale * square, commanded.columns, "1", "body", esc.source, speed.valid)
 
 
 def judged(flight: Flight, view: str) -> tuple[Event, ...]:
@@ -107,11 +109,11 @@ def rows(repeats: int, cases: Sequence[tuple[str | None, float]] = CASES) -> lis
 
 def markdown(table: Sequence[dict]) -> str:
     """The table as in docs/esc.md."""
-    lines = ["| " + " | ".join(table[0]) + " |", "|---" * len(table[0]) + "|"]
-    for row in table:
-        cells = ["–" if v is None else f"{v:.3g}" if isinstance(v, float) else str(v) for v in row.values()]
-        lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+
+    def cell(v: Any) -> str:
+        return "–" if v is None else f"{v:.3g}" if isinstance(v, float) else str(v)
+
+    return tools.table(tuple(table[0]), (map(cell, row.values()) for row in table))
 
 
 def main() -> None:

@@ -28,13 +28,15 @@ import numpy as np
 
 from rotorwatch import airframes, logs, many
 from rotorwatch.compiling.run import CHUNK, chosen, run_built
-from rotorwatch.default import events, hypotheses, program
+from rotorwatch.default import hypotheses, program
 from rotorwatch.errors import ConfigError
+from rotorwatch.experiments import tools
+from rotorwatch.experiments.inject import losses, ready_s
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.motion import allocation, ticks
 from rotorwatch.motion.airborne import airborne
-from rotorwatch.motion.ticks import JUDGE, LEARN, READY_KNOWN_S, READY_S, Ticks, observe
+from rotorwatch.motion.ticks import JUDGE, LEARN, Ticks, observe
 
 PROMISED_PER_HOUR = 0.1
 FLIGHT_S = 100.0  # length of a surrogate flight, roughly: as short as flights are, each starts without knowledge
@@ -74,7 +76,7 @@ class Source:
 def source(flight: Flight, vehicle: Vehicle) -> Source:
     """Split a healthy flight into motion and residuals; ConfigError when it has no 20 s that can be judged."""
     air = airborne(flight)
-    table = observe(flight, vehicle, air, _ready_s(vehicle))
+    table = observe(flight, vehicle, air, ready_s(vehicle))
     part = _longest(table, air) if table is not None else slice(0, 0)
     if table is None or (part.stop - part.start) * table.dt < SHORTEST_S:
         name = flight.name or "the flight"
@@ -130,10 +132,6 @@ def _bridged(values: np.ndarray, known: np.ndarray) -> np.ndarray:
     """(T, k) with straight lines where not `known` (T,)."""
     at = np.arange(len(values))
     return np.column_stack([np.interp(at, at[known], column[known]) for column in values.T])
-
-
-def _ready_s(vehicle: Vehicle) -> float:
-    return READY_KNOWN_S if vehicle.identified else READY_S
 
 
 def _longest(table: Ticks, air) -> slice:
@@ -198,7 +196,7 @@ def surrogate(source: Source, rng: np.random.Generator, flight_s: float = FLIGHT
         * (np.abs((np.arange(count) + rng.integers(2) * length) % (2 * length) - length) - 0.5 * length)[:, None]
     )
     wrench = (source.gains * _regressors(rate, rate_dot, load, side, n)).sum(axis=2) + drift + e
-    learning = _ready_s(source.vehicle) - ticks.SETTLE_S
+    learning = ready_s(source.vehicle) - ticks.SETTLE_S
     time = dt * np.arange(count)
     accelerometer = bool(np.median(source.table.valid[source.table.mode == JUDGE, 3]))
     table = Ticks(
@@ -271,18 +269,18 @@ def false_alarms(
     sources = [path if isinstance(path, Flight) else str(path) for path in paths]
     several = jobs != 1 or scheduler is not None or keep is not None
 
-    def told(finished: int) -> None:
+    def finished(count: int) -> None:
         if progress and several:
-            progress(finished / len(paths), "judging surrogates")
+            progress(count / len(paths), "judging surrogates")
 
-    def tell(i: int, share: float, name: str) -> None:
+    def report(i: int, share: float, name: str) -> None:
         if progress:
             progress((i + share) / len(paths), name)
 
-    if not several:  # here, the way through each flight can be told
-        parts = [one((i, source), tell=functools.partial(tell, i)) for i, source in enumerate(sources)]
+    if not several:  # in this process the progress within a flight can be reported
+        parts = [one((i, source), report=functools.partial(report, i)) for i, source in enumerate(sources)]
     else:
-        parts = list(many.ordered(one, list(enumerate(sources)), jobs, scheduler, told, keep))
+        parts = list(many.ordered(one, list(enumerate(sources)), jobs, scheduler, finished, keep))
     firsts = {
         shift: (sum(p.firsts[shift][0] for p in parts), sum(p.firsts[shift][1] for p in parts)) for shift in SHIFTS
     }
@@ -316,7 +314,7 @@ def _surrogates(
     hours: float,
     seed: int,
     flight_s: float,
-    tell: Callable[[float, str], None] | None = None,
+    report: Callable[[float, str], None] | None = None,
 ) -> _Part:
     """`hours` of surrogates of one flight; its number and the seed make the random numbers. tell: called with the finished share, name."""
     i, path = numbered
@@ -328,32 +326,27 @@ def _surrogates(
     row, alarms = {"flight": flight.name, "flights": 0, "hours": 0.0, "alarms": 0}, []
     while row["hours"] < hours:
         table = surrogate(origin, rng, flight_s)
-        found, out = _judge(table, origin.vehicle)
+        found, out = losses(table, origin.vehicle)
         judged_h = _hours(table)
-        row = {
-            **row,
-            "flights": row["flights"] + 1,
-            "hours": row["hours"] + judged_h,
-            "alarms": row["alarms"] + len(found),
-        }
+        row |= {key: row[key] + more for key, more in (("flights", 1), ("hours", judged_h), ("alarms", len(found)))}
         alarms += [_line(flight.name, f"surrogate {row['flights']}", e) for e in found]
         evidence["surrogates"] += _peaks(out, table.mode == JUDGE, table.dt)
         for shift, first in _first_alarms(table, origin.vehicle, out).items():
             count, upto = firsts[shift]
             upto += judged_h if first is None else max(0.0, first) / 3600.0
             firsts[shift] = count + (first is not None), upto
-        if tell:
-            tell(min(1.0, row["hours"] / hours), flight.name)
+        if report:
+            report(min(1.0, row["hours"] / hours), flight.name)
     flown = {"flights": 0, "hours": 0.0, "alarms": 0}
     for image, signs in IMAGES.items():
         table = mirrored(origin.table, origin.vehicle, signs)
-        found, out = _judge(table, origin.vehicle)
+        found, out = losses(table, origin.vehicle)
         inside = np.zeros(len(table.time), bool)
         inside[origin.part] = True
         evidence["flown"] += _peaks(out, inside, table.dt)
-        flown["flights"] += 1
-        flown["hours"] += _hours(table)
-        flown["alarms"] += len(found)
+        flown = {
+            key: flown[key] + more for key, more in (("flights", 1), ("hours", _hours(table)), ("alarms", len(found)))
+        }
         alarms += [_line(flight.name, image, e) for e in found]
     return _Part({**row, **_rate(row["alarms"], row["hours"])}, flown, firsts, evidence, alarms)
 
@@ -377,12 +370,6 @@ def describe(result: dict[str, Any]) -> str:
     return "\n".join([*lines, line(f"{flown['flights']} flights", flown["alarms"], flown["hours"], flown)])
 
 
-def _judge(table: Ticks, vehicle: Vehicle):
-    B = vehicle.effectiveness()
-    _, out = program.estimate(table, B, (vehicle.identified or {}).get("dynamics"))
-    return events.read(out, table, hypotheses.make(len(vehicle.rotors)), B), out
-
-
 def _peaks(out, inside: np.ndarray, dt: float) -> list[float]:
     """The largest evidence in every 5 s of the ticks `inside`, up to the first alarm: nats above the threshold."""
     ticks_ = np.flatnonzero(inside)
@@ -399,12 +386,9 @@ def _hours(table: Ticks) -> float:
 
 def _rate(count: int, hours: float) -> dict:
     """Events per hour and the exact 95 % interval of a Poisson rate (Garwood, Biometrika 28, 1936)."""
-    from scipy.stats import chi2
-
-    low = chi2.ppf(0.025, 2 * count) / 2.0 if count else 0.0
-    high = chi2.ppf(0.975, 2 * count + 2) / 2.0
-    hours = max(hours, 1e-12)
-    return {"rate": count / hours, "low": float(low / hours), "high": float(high / hours)}
+    found = tools.rate(count, max(hours, 1e-12))
+    assert found is not None
+    return {"rate": found["value"], "low": found["low"], "high": found["high"]}
 
 
 def _line(name: str, what: str, e) -> dict:
@@ -446,9 +430,9 @@ def _announced(table: Ticks, vehicle: Vehicle, shift: float) -> np.ndarray:
     """(T,) bool: announcements with the threshold `shift` nats higher."""
     B = vehicle.effectiveness()
     known = program.parameters(B, table.dt, (vehicle.identified or {}).get("dynamics"))
-    given = {**known, "shift": np.array(shift)}
+    parameters = {**known, "shift": np.array(shift)}
     rows, backend = program.inputs(table, B), chosen(None, "auto")
-    return run_built(_shifted, given, *rows, _keep_announced, backend=backend)[1]
+    return run_built(_shifted, parameters, *rows, _keep_announced, backend=backend)[1]
 
 
 def _keep_announced(out):

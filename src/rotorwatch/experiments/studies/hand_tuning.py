@@ -18,6 +18,8 @@ from rotorwatch import airframes
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.compiling.run import run
 from rotorwatch.errors import ConfigError
+from rotorwatch.experiments import tools
+from rotorwatch.experiments.studies.runge_kutta import rk4
 from rotorwatch.healthy.tune import Table
 from rotorwatch.published import published
 
@@ -123,16 +125,12 @@ def fly(paper: Paper, seed: int, loss: float = 0.0) -> tuple[Table, np.ndarray]:
     def step(x, row):
         theta, wiggle, push, noise = row
         u = paper.hover + wiggle - paper.feedback @ (x - jnp.asarray(plant.x0))
-        h = dt / SUBSTEPS
 
         def rate(x):
             return plant.derivative(x, u, theta) + push
 
         for _ in range(SUBSTEPS):
-            k1 = rate(x)
-            k2 = rate(x + 0.5 * h * k1)
-            k3 = rate(x + 0.5 * h * k2)
-            x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + rate(x + h * k3))
+            x = rk4(rate, x, dt / SUBSTEPS)
         return x, (u, plant.h(x, u, theta) + noise)
 
     start = jnp.asarray(plant.x0, float)
@@ -186,13 +184,7 @@ def _theta(out):
 
 def markdown(rows: Sequence[dict]) -> str:
     """The rows as a Markdown table."""
-    lines = [
-        "| paper | plant | log-likelihood by hand | tuned | loss RMSE by hand | tuned |",
-        "|---|---|---|---|---|---|",
-    ]
-    for r in rows:
-        lines.append(
-            f"| {r['paper']} | `{r['plant']}` | {r['hand_log_likelihood']:.2f} | {r['tuned_log_likelihood']:.2f} | "
-            f"{r['hand_rmse']:.4f} | {r['tuned_rmse']:.4f} |"
-        )
-    return "\n".join(lines) + "\n"
+    heads = ("paper", "plant", "log-likelihood by hand", "tuned", "loss RMSE by hand", "tuned")
+    kinds = {"log_likelihood": 2, "rmse": 4}
+    cells = ([f"{r[f'{how}_{what}']:.{k}f}" for what, k in kinds.items() for how in ("hand", "tuned")] for r in rows)
+    return tools.table(heads, ([r["paper"], f"`{r['plant']}`", *c] for r, c in zip(rows, cells))) + "\n"

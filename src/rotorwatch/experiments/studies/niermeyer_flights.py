@@ -3,22 +3,23 @@
 The truth is a rigid body with ideal rotors, integrated by RK4 at half the control step; it shares no code with any plant.
 NED, FRD, SI; quaternion Hamilton, body to world. The controller sees the true position and attitude and the noisy gyro. It
 allocates by a bounded weighted least squares in which yaw yields first (reduced attitude: a hexarotor with alternating spins
-survives the loss of a rotor only so), and is told the true effectiveness TOLD_S after the fault.
+survives the loss of a rotor only so), and knows the true effectiveness BELIEVED_AFTER_S after the fault.
 Source: Niermeyer, Pak and Lohmann 2017, sections 2.1 and 2.2, for airframe, path and sensors; the controller is ours.
 """
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from collections import namedtuple
 
 import numpy as np
 
 from rotorwatch.backend import jax as load_jax
+from rotorwatch.experiments.studies.runge_kutta import rk4
 
 G = 9.80665
 DT = 0.005
 ONSET_S = 6.0
-TOLD_S = 0.6
+BELIEVED_AFTER_S = 0.6
 PERIOD_S = 7.0  # of the figure-eight
 EIGHT = (4.0, 2.0, 0.8)  # half lengths forward, right, down [m]
 LOOKED_AT = (0.0, 9.0, 0.0)  # where the nose points [m]
@@ -31,18 +32,11 @@ FRUGAL = 1e-5  # allocation: prefers small commands
 SWEEPS = 15  # of coordinate descent, in the allocation
 
 
-class Flight(NamedTuple):
+class Flight(namedtuple("Flight", "t u y omega position effectiveness")):
     """t (T,), u (T, n) commands, y (T, 4) noisy (omega, f_z), omega (T, 3), position (T, 3), effectiveness (T, n).
 
     Row k: u is held over the step that ends at t, and the rest is as it is at its end.
     """
-
-    t: Any
-    u: Any
-    y: Any
-    omega: Any
-    position: Any
-    effectiveness: Any
 
 
 def reference(t, eight):
@@ -96,14 +90,8 @@ def fly(airframe, loss, eight, seed_noise, disturbance):
         spin_up = (wrench[:3] + torque - jnp.cross(omega, J * omega)) / J
         return v, a, 0.5 * product(q, jnp.concatenate([jnp.zeros(1), omega])), spin_up
 
-    def rk4(state, u, lam, torque, dt):
-        move = lambda k, h: jax.tree.map(lambda s, d: s + h * d, state, k)  # noqa: E731
-        k1 = motion(state, u, lam, torque)
-        k2 = motion(move(k1, dt / 2), u, lam, torque)
-        k3 = motion(move(k2, dt / 2), u, lam, torque)
-        k4 = motion(move(k3, dt), u, lam, torque)
-        mean = jax.tree.map(lambda a, b, c, d: (a + 2 * b + 2 * c + d) / 6, k1, k2, k3, k4)
-        p, v, q, omega = move(mean, dt)
+    def moved(state, u, lam, torque, dt):
+        p, v, q, omega = rk4(lambda s: motion(s, u, lam, torque), state, dt)
         return p, v, q / jnp.sqrt(q @ q), omega
 
     def control(state, gyro, integral, t, known):
@@ -131,10 +119,10 @@ def fly(airframe, loss, eight, seed_noise, disturbance):
         t, noise, torque = row
         lam = effectiveness(t - DT / 2, loss)
         for _ in range(2):
-            state = rk4(state, u, lam, torque, DT / 2)
+            state = moved(state, u, lam, torque, DT / 2)
         y_k = jnp.concatenate([state[3], -(B[3] @ (lam * u))[None] / m]) + sd * noise
-        told = effectiveness(t - TOLD_S, loss)
-        u_next, integral = control(state, y_k[:3], integral, t, told)
+        believed = effectiveness(t - BELIEVED_AFTER_S, loss)
+        u_next, integral = control(state, y_k[:3], integral, t, believed)
         return (state, integral, u_next), Flight(t, u, y_k, state[3], state[0], lam)
 
     p, v, _ = reference(0.0, eight)

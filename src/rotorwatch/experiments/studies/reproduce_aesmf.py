@@ -9,26 +9,23 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import checks, optional
+from rotorwatch import checks
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.experiments.studies import (
+    reproduction,
     ruav_filters,
     ruav_flight,
     ruav_flight_test,
     ruav_identification,
     ruav_linearisation,
 )
-from rotorwatch.experiments.studies.reproduction import Claim, Reproduction, check_literal
+from rotorwatch.experiments.studies.reproduction import Claim, Reproduction, check_literal, graded, panels
 from rotorwatch.experiments.studies.ruav_filters import TOO_WIDE, filters
 from rotorwatch.experiments.studies.ruav_flight import DT, FAULT_S
 from rotorwatch.experiments.studies.small_systems import adversarial_escapes, mutation_escapes
 
 PAPER = "aesmf"
-TITLE = "Qi, Song, Dai, Han and Wang 2015, Adaptive ESMF for actuator fault detection of a rotorcraft UAV"
-LITERAL = {
-    "box": "the ellipsoid 2 rad^2 around the remainder's box, which does not hold a box of more than two sides",
-    "additive": "rule (39) as a step on q itself instead of its logarithm",
-}
+TITLE, LITERAL = reproduction.about(PAPER)
 SEEDS = 4
 NEEDS = ("cvxpy",)
 SETTLE_S = 2.0  # statistics start this long after the fault
@@ -114,85 +111,35 @@ def _judged(estimator, flights) -> tuple[dict, dict]:
     }, {"theta": z[0, :, 6:], "half": half[0, :, 6:]}
 
 
-def _claims(figures) -> tuple[Claim, ...]:
-    inside, worst, whole = (figures[key] for key in ("containment", "containment_worst_seed", "ellipsoid"))
-    wide, healthy = figures["half_width"], figures["half_width_healthy"]
-    sets = ("esmf", "aesmf", "aesmf_floor")
-    covered = min(worst[name] for name in sets) == 1.0
-    sharper = healthy["aesmf"] < healthy["esmf"]
-    after = wide["aesmf"] < wide["esmf"]
-    lost = max(inside["aekf"], inside["aukf"]) < 0.95
-    safe = figures["adversarial_escapes"] == 0
-    healthy_whole, least, off = (figures[key] for key in ("ellipsoid_healthy", "least_q", "off_centre"))
-    kept = least["aesmf"] >= 1 / TOO_WIDE**2
-    return (
-        Claim(
-            "set-membership bounds cover the true coefficients",
-            "ESMF and GD-ESMF both cover them",
-            f"components {inside['esmf']:.3f} and {inside['aesmf']:.3f}, whole ellipsoid {whole['esmf']:.2f} and {whole['aesmf']:.2f}",
-            "holds" if covered else "partly",
-            "every component always; as a whole set only while Q holds the real noise, which the unfloored rule gives up",
-        ),
-        Claim(
-            "GD-ESMF has the tightest bounds that cover",
-            "the bounds of GD-ESMF are the smallest",
-            f"half-width healthy {healthy['esmf']:.3f} -> {healthy['aesmf']:.3f}, after it {wide['esmf']:.2f} -> {wide['aesmf']:.2f}",
-            "holds" if sharper and after else "partly" if sharper or after else "not reproduced",
-            f"with the floor, which alone is certain, {wide['aesmf_floor']:.2f}; an EKF with fixed Q covers with {wide['ekf']:.3f}",
-        ),
-        Claim(
-            "adaptive Kalman filters lose the truth under coloured noise",
-            "AUKF's and AEKF's 3-sigma bounds miss it",
-            f"components inside: AEKF {inside['aekf']:.2f}, AUKF {inside['aukf']:.2f}, EKF with fixed Q {inside['ekf']:.2f}",
-            "holds" if lost else "not reproduced",
-            "the MIT adaptation, not Kalman filtering, is what loses it: it shrinks Q to what the innovations show",
-        ),
-        Claim(
-            "GD-ESMF is stable and keeps the guarantee",
-            "a theorem, provided Q covers the real noise",
-            f"least q {least['aesmf']:.3f} of the first, the true bound is {1 / TOO_WIDE**2:.3f}; whole ellipsoid before and "
-            f"after the fault {healthy_whole['aesmf']:.2f} and {whole['aesmf']:.2f}, with a floor {healthy_whole['aesmf_floor']:.2f} "
-            f"and {whole['aesmf_floor']:.2f}; adversarial: "
-            f"{figures['adversarial_escapes']} escapes with a true Q",
-            "not reproduced" if not safe else "holds" if kept else "partly",
-            "the rule takes Q below the real bound unless a floor stops it, and the theorem's premise is then false",
-        ),
-        Claim(
-            "ESMF's truth is off-centre, GD-ESMF's in the middle",
-            "seen in a figure",
-            f"mean distance from the centre in half-widths: ESMF {off['esmf']:.2f}, GD-ESMF {off['aesmf']:.2f}",
-            "holds" if off["esmf"] > 1.5 * off["aesmf"] else "not reproduced",
-            "both follow the same measurements from the same prior; the size of Q does not move the centre",
-        ),
+def _claims(f) -> tuple[Claim, ...]:
+    inside, wide, healthy, least, off = (
+        f[key] for key in ("containment", "half_width", "half_width_healthy", "least_q", "off_centre")
     )
+    covered = min(f["containment_worst_seed"][name] for name in ("esmf", "aesmf", "aesmf_floor")) == 1.0
+    sharper, after = healthy["aesmf"] < healthy["esmf"], wide["aesmf"] < wide["esmf"]
+    safe, bound = f["adversarial_escapes"] == 0, 1 / TOO_WIDE**2
+    verdicts = {
+        "cover": graded(covered, True),
+        "tightest": graded(sharper and after, sharper or after),
+        "kalman": graded(max(inside["aekf"], inside["aukf"]) < 0.95),
+        "stable": graded(safe and least["aesmf"] >= bound, safe),
+        "centre": graded(off["esmf"] > 1.5 * off["aesmf"]),
+    }
+    return reproduction.claims(PAPER, verdicts, f=f, bound=bound)
 
 
 def figures(result: Reproduction) -> dict:
     """The paper's figure of bounds, for the coefficients of roll and tail."""
-    Figure = optional.library("matplotlib.figure", "A figure").Figure
-    figure = Figure(figsize=(9, 6), layout="constrained")
-    axes = figure.subplots(2, 2, sharex=True)
-    truth = result.series["truth"]
-    time = np.arange(len(truth)) * DT
-    every = slice(None, None, 5)
-    for axis, (i, title) in zip(
-        axes.flat,
-        ((1, "tail: loss"), (3, "roll: loss"), (5, "tail: displacement"), (7, "roll: displacement")),
-        strict=True,
-    ):
+    figure, axes = panels(2, 2, (9, 6), sharex=True)
+    truth = result.series["truth"][::5]
+    time = DT * np.arange(0, len(result.series["truth"]), 5)
+    titles = {1: "tail: loss", 3: "roll: loss", 5: "tail: displacement", 7: "roll: displacement"}
+    for axis, (i, title) in zip(axes.flat, titles.items(), strict=True):
         for name, colour in (("esmf", "C0"), ("aesmf", "C2"), ("aekf", "C3"), ("ekf", "C1")):
             one = result.series[name]
-            for sign in (-1, 1):
-                axis.plot(
-                    time[every],
-                    (one["theta"][:, i] + sign * one["half"][:, i])[every],
-                    colour,
-                    lw=0.8,
-                    label=LABELS[name] if sign > 0 else None,
-                )
-        axis.plot(time[every], truth[every, i], "k--", lw=1.2, label="truth")
+            ruav_flight_test.edges(axis, time, one["theta"][::5, i], one["half"][::5, i], colour, LABELS[name])
+        axis.plot(time, truth[:, i], "k--", lw=1.2, label="truth")
         axis.set(title=title, ylim=(-1.2, 2.2) if i < 4 else (-1.0, 1.0))
-        axis.grid(alpha=0.3)
     axes[0, 0].legend(fontsize="small")
     for axis in axes[1]:
         axis.set_xlabel("s")

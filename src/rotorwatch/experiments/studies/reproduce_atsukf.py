@@ -11,27 +11,20 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import airframes, optional
+from rotorwatch import airframes
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.compiling.run import run
 from rotorwatch.estimators.atsukf import ATSUKF
 from rotorwatch.estimators.tsukf import TSUKF
 from rotorwatch.estimators.ukf import UKF
+from rotorwatch.experiments.studies import reproduction
 from rotorwatch.experiments.studies import two_stage_as_printed as printed
-from rotorwatch.experiments.studies.reproduction import Claim, Reproduction, Verdict, check_literal
+from rotorwatch.experiments.studies.reproduction import Claim, Reproduction, check_literal, graded, panels
 from rotorwatch.experiments.studies.uaf_flight import DT, ONSET, STEP, fly, losses
 from rotorwatch.systems.rigid_body import RigidBody
 
 PAPER = "atsukf"
-TITLE = "Zhang, Zhang, Li, Qin and Xu 2023, ATSUKF-based actuator health assessment for quadcopters (Drones 7, 12)"
-LITERAL = {
-    "no_redraw": "measurement points are the propagated ones, not drawn again: no longer the augmented filter",
-    "centre": "points are drawn around the bias-free mean: other motors' losses drift",
-    "gain_covariance": "the losses' covariance is corrected with P_yy instead of S: it comes out too large",
-    "inverse": "sensitivities divide by the covariance instead of its square root: diverges",
-    "arm": "arm of 0.0225 m, as table 1 prints it: motors' torques are ten times weaker",
-    "noise": "measurement variance 1e-3 as the text says, while the filters keep R = 1e-7",
-}
+TITLE, LITERAL = reproduction.about(PAPER)
 SEEDS = 10
 WALKS = {"q1": 1e-2, "q2": 1e-7}  # growth of the losses' variance in a step
 P0_THETA = 1e-6
@@ -79,14 +72,14 @@ def estimates(system: RigidBody, adaptive: bool, lanes: list[tuple]) -> np.ndarr
 
 
 def reproduce(seeds: int = SEEDS, literal: tuple[str, ...] = (), progress=None) -> Reproduction:
-    """The paper's experiments with so many noise seeds. literal: names from LITERAL. progress: told the finished share."""
+    """The paper's experiments with so many noise seeds. literal: names from LITERAL. progress: called with the finished share."""
     literal = check_literal(sys.modules[__name__], literal)
-    tell = progress or (lambda share: None)
+    report = progress or (lambda share: None)
     airframe, system = plant(literal)
     truth = {s: losses(s) for s in (1, 2)}
     flights = {s: fly(airframe, truth[s]) for s in (1, 2)}
     variance = LOUD if "noise" in literal else NOISE
-    tell(0.1)
+    report(0.1)
 
     def lanes(scenario, walk, gate=OPEN, variance=variance, count=seeds):
         u, pose = flights[scenario]
@@ -96,14 +89,11 @@ def reproduce(seeds: int = SEEDS, literal: tuple[str, ...] = (), progress=None) 
     few = min(seeds, LOUD_SEEDS)
     cases = {(f"scenario_{s}", q): lanes(s, q) for s in (1, 2) for q in WALKS}
     loud = {("loud", q): lanes(1, q, variance=LOUD, count=few) for q in WALKS}
-    gated = {
-        ("gated", "q2"): lanes(1, "q2", GATE),
-        ("loud_gated", "q2"): lanes(1, "q2", GATE, LOUD, few),
-    }
+    gated = {("gated", "q2"): lanes(1, "q2", GATE), ("loud_gated", "q2"): lanes(1, "q2", GATE, LOUD, few)}
     found = _split(False, system, cases | loud)
-    tell(0.45)
+    report(0.45)
     found |= _split(True, system, cases | loud | gated)
-    tell(0.8)
+    report(0.8)
 
     rmse, delay = {}, {}
     for s in (1, 2):
@@ -124,7 +114,7 @@ def reproduce(seeds: int = SEEDS, literal: tuple[str, ...] = (), progress=None) 
     readings = [name for name in literal if name in printed.READINGS]
     if readings:
         figures["literal"] = {name: as_printed(system, *flights[1], truth[1], name) for name in readings}
-    tell(1.0)
+    report(1.0)
     series = {"t": np.arange(0, len(truth[1]), KEEP) * DT}
     series |= {f"truth_{s}": truth[s][::KEEP] for s in (1, 2)}
     series |= {"/".join(key): theta[0, ::KEEP] for key, theta in found.items()}
@@ -235,10 +225,7 @@ def against_augmented(system: RigidBody, u, pose) -> dict:
             found.append(run(estimator, u, y, select=_theta)[1])
             seconds.append(time.perf_counter() - start)
         microseconds[method.name] = 1e6 * min(seconds) / len(u)
-    return {
-        "tsukf_vs_augmented_quad": float(np.abs(found[0] - found[-1]).max()),
-        "microseconds_per_step": microseconds,
-    }
+    return {"tsukf_vs_augmented_quad": float(np.abs(found[0] - found[-1]).max()), "microseconds_per_step": microseconds}
 
 
 def as_printed(system: RigidBody, u, pose, truth, reading: str) -> dict:
@@ -258,116 +245,55 @@ def as_printed(system: RigidBody, u, pose, truth, reading: str) -> dict:
     return out
 
 
-def claims(figures: dict) -> tuple[Claim, ...]:
+def claims(f: dict) -> tuple[Claim, ...]:
     """The paper's claims beside the numbers."""
-    one, two = figures["rmse"]["scenario_1"], figures["rmse"]["scenario_2"]
-    delay, loud, cost = figures["half_delay_s"]["scenario_1"], figures["rmse_loud"], figures["microseconds_per_step"]
-    same = max(abs(s["atsukf_q1"] / s["tsukf_q1"] - 1.0) for s in (one, two)) < 0.05
-    settled = figures["settled_loss_tsukf_q2"]
+    (one, two), loud, cost = f["rmse"].values(), f["rmse_loud"], f["microseconds_per_step"]
     change = [s["atsukf_q2"] / s["tsukf_q2"] - 1.0 for s in (one, two)]
     kept = max(change) < 0 and max(s["atsukf_q2"] / s["tsukf_q1"] for s in (one, two)) < 1.1
-    reverses = loud["atsukf_q2"] > loud["tsukf_q2"]
-    cured = loud["atsukf_q2_gated"] < 1.1 * loud["tsukf_q2"] and figures["rmse_gated_q2"] < 1.1 * one["atsukf_q2"]
+    cured = loud["atsukf_q2_gated"] < 1.1 * loud["tsukf_q2"] and f["rmse_gated_q2"] < 1.1 * one["atsukf_q2"]
+    verdicts = {
+        "matched": graded(max(abs(s["atsukf_q1"] / s["tsukf_q1"] - 1.0) for s in (one, two)) < 0.05),
+        "plain_mismatched": graded(abs(f["settled_loss_tsukf_q2"] - STEP) >= 0.05 * STEP),
+        "adaptive_mismatched": graded(kept, max(change) < -0.1),
+        "split": graded(f["tsukf_vs_augmented_linear"] < 1e-9 and f["tsukf_vs_augmented_quad"] < 1e-3),
+        "cost": graded(cost["tsukf"] < 0.8 * cost["ukf"]),
+        "robust": graded(loud["atsukf_q2"] <= loud["tsukf_q2"]),
+        "gated": graded(cured, True),
+    }
+    percent, delay = [100 * c for c in change], f["half_delay_s"]["scenario_1"]
+    out = reproduction.claims(
+        PAPER, verdicts, f=f, one=one, two=two, loud=loud, delay=delay, percent=percent, step=STEP, gate=GATE
+    )
+    return out + tuple(_slip(name, found) for name, found in f.get("literal", {}).items())
 
-    def row(claim, paper, measured, verdict: Verdict, why):
-        return Claim(claim, paper, measured, verdict, why)
 
-    out = [
-        row(
-            "Matched walk (Q1): both filters are equally accurate",
-            "same accuracy, in words and figures 3 and 4",
-            f"RMSE {one['tsukf_q1']:.4f} and {one['atsukf_q1']:.4f}; four motors {two['tsukf_q1']:.4f} and {two['atsukf_q1']:.4f}",
-            "holds" if same else "not reproduced",
-            "Innovations are as large as predicted, so delta stays 1.",
-        ),
-        row(
-            "Mismatched walk (Q2): the plain filter almost loses the ability to estimate",
-            "cannot track",
-            f"finds {settled:.3f} of {STEP} once settled; half way after {delay['tsukf_q2']:.2f} s, "
-            f"RMSE {one['tsukf_q2']:.3f} and {two['tsukf_q2']:.3f}",
-            "not reproduced" if abs(settled - STEP) < 0.05 * STEP else "holds",
-            "It lags, because its walk allows little change in a step, but it ends without bias.",
-        ),
-        row(
-            "Mismatched walk (Q2): the adaptive filter keeps the matched accuracy",
-            "same accuracy as with Q1",
-            f"RMSE {one['atsukf_q2']:.3f} and {two['atsukf_q2']:.3f}, {100 * change[0]:+.0f} % and {100 * change[1]:+.0f} % against "
-            f"the plain filter; half way after {delay['atsukf_q2']:.2f} s instead of {delay['tsukf_q2']:.2f} s",
-            "holds" if kept else "partly" if max(change) < -0.1 else "not reproduced",
-            "A window of 150 steps takes its time to notice; Q1 needs no noticing.",
-        ),
-        row(
-            "The two-stage filter is the augmented UKF, split",
-            "implied by its derivation",
-            f"linear plant {figures['tsukf_vs_augmented_linear']:.1e}; quadrotor {figures['tsukf_vs_augmented_quad']:.1e} in the losses",
-            "holds"
-            if figures["tsukf_vs_augmented_linear"] < 1e-9 and figures["tsukf_vs_augmented_quad"] < 1e-3
-            else "not reproduced",
-            "Exact where losses and states do not multiply; needs the points drawn again before the measurement.",
-        ),
-        row(
-            "The two-stage filter computes less than the augmented UKF",
-            "small amount of calculation and fast",
-            f"{cost['tsukf']:.0f} and {cost['ukf']:.0f} us a step",
-            "holds" if cost["tsukf"] < 0.8 * cost["ukf"] else "not reproduced",
-            "Fewer points, but more small products and factors; at this size those cost as much.",
-        ),
-        row(
-            "The adaptive filter is robust against interference",
-            "better robustness; noise variance 0.001 in the text",
-            f"with noise of variance 1e-3 and R = 1e-7: RMSE {loud['atsukf_q2']:.2f} adaptive, {loud['tsukf_q2']:.2f} plain (Q2)",
-            "not reproduced" if reverses else "holds",
-            "Noise beyond R looks like a loss that moves: delta grows, and the ranking reverses.",
-        ),
-        row(
-            f"Beyond the paper: adapting only while innovations are correlated (> {GATE}) cures that",
-            "-",
-            f"RMSE {loud['atsukf_q2_gated']:.2f} in that noise; {figures['rmse_gated_q2']:.3f} without, "
-            f"ungated {one['atsukf_q2']:.3f}",
-            "holds" if cured else "partly",
-            "A filter that lags leaves innovations that point the same way; noise does not.",
-        ),
-    ]
-    for name, found in figures.get("literal", {}).items():
-        diverged = not np.isfinite(found["difference_q1"] + found["difference_q2"])
-        out.append(
-            row(
-                f"Literal reading: {name}",
-                LITERAL[name],
-                "diverges"
-                if diverged
-                else f"losses differ by up to {found['difference_q1']:.2g} (Q1) and {found['difference_q2']:.2g} (Q2)",
-                "not reproduced",
-                "The sensitivities are off by a factor of the spread."
-                if diverged
-                else f"RMSE of motor 1 {found['rmse_q1']:.3f} (Q1), {found['rmse_q2']:.3f} (Q2).",
-            )
-        )
-    return tuple(out)
+def _slip(name: str, found: dict) -> Claim:
+    """What a reading as printed does."""
+    measured, why = "diverges", "The sensitivities are off by a factor of the spread."
+    if np.isfinite(found["difference_q1"] + found["difference_q2"]):
+        measured = f"losses differ by up to {found['difference_q1']:.2g} (Q1) and {found['difference_q2']:.2g} (Q2)"
+        why = f"RMSE of motor 1 {found['rmse_q1']:.3f} (Q1), {found['rmse_q2']:.3f} (Q2)."
+    return Claim(f"Literal reading: {name}", LITERAL[name], measured, "not reproduced", why)
 
 
 def figures(result: Reproduction) -> dict[str, Any]:
     """Figures 3 to 8 of the paper: losses found in both scenarios, and what noise beyond R does. Needs matplotlib."""
-    Figure = optional.library("matplotlib.figure", "A figure").Figure
     t, series = result.series["t"], result.series
     colours = {"tsukf": "#c44e52", "atsukf": "#2a6f97"}
     drawn = {}
-    for scenario, motors in ((1, (0,)), (2, (0, 1, 2, 3))):
-        figure = Figure(figsize=(9, 3.2 if scenario == 1 else 5.5), layout="constrained")
-        axes = figure.subplots(1 if scenario == 1 else 2, 2, sharex=True, sharey=True)
-        panels = [(q, m) for q in WALKS for m in motors] if scenario == 1 else [("q2", m) for m in motors]
-        for axis, (q, m) in zip(axes.flat, panels, strict=True):
+    for scenario, shown in ((1, [("q1", 0), ("q2", 0)]), (2, [("q2", m) for m in range(4)])):
+        rows = len(shown) // 2
+        figure, axes = panels(rows, 2, (9, 3.2 if rows == 1 else 5.5), sharex=True, sharey=True)
+        for axis, (q, m) in zip(axes.flat, shown, strict=True):
             axis.plot(t, series[f"truth_{scenario}"][:, m], color="black", lw=1.0, label="true")
             for name, colour in colours.items():
                 axis.plot(t, series[f"{name}/scenario_{scenario}/{q}"][:, m], color=colour, lw=1.0, label=name.upper())
             axis.set_title(f"motor {m + 1}, {'matched' if q == 'q1' else 'mismatched'} walk", fontsize=10)
-            axis.grid(alpha=0.3)
         figure.supxlabel("time [s]", fontsize=9)
         figure.supylabel("loss of effectiveness", fontsize=9)
         axes.flat[0].legend(fontsize=8, frameon=False, loc="upper left")
         drawn[f"atsukf-scenario-{scenario}"] = figure
-    figure = Figure(figsize=(9, 3.2), layout="constrained")
-    axis = figure.subplots()
+    drawn["atsukf-noise"], ((axis,),) = panels(1, 1, (9, 3.2))
     axis.plot(t, series["truth_1"][:, 0], color="black", lw=1.0, label="true")
     for key, label, colour in (
         ("atsukf/loud/q2", "ATSUKF", colours["atsukf"]),
@@ -376,7 +302,5 @@ def figures(result: Reproduction) -> dict[str, Any]:
     ):
         axis.plot(t, series[key][:, 0], color=colour, lw=0.8, label=label)
     axis.set(xlabel="time [s]", ylabel="loss of motor 1", ylim=(-1.0, 1.4), title="noise variance 1e-3, R = 1e-7, Q2")
-    axis.grid(alpha=0.3)
     axis.legend(fontsize=8, frameon=False, loc="lower left", ncols=4)
-    drawn["atsukf-noise"] = figure
     return drawn

@@ -6,7 +6,8 @@ starts, for which the observer stage is there.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from collections import namedtuple
+from typing import Any
 
 import numpy as np
 
@@ -15,20 +16,16 @@ from rotorwatch.backend import jax as load_jax
 from rotorwatch.estimators.adaptive_ekf import AdaptiveEKF
 from rotorwatch.estimators.axkf import AXKF, Carry
 from rotorwatch.estimators.ekf import EKF
+from rotorwatch.experiments.studies import reproduction
 from rotorwatch.experiments.studies import rot_flights as flights
-from rotorwatch.experiments.studies.reproduction import Claim, Reproduction, Verdict, check_literal
+from rotorwatch.experiments.studies.reproduction import Claim, Reproduction, check_literal, graded, panels
 from rotorwatch.experiments.studies.rot_flights import DT, LOSSES, MOTORS, ONSETS
 from rotorwatch.maths import adaptive_kalman, linearise, observer_gain
 from rotorwatch.systems.port_hamiltonian_attitude import PortHamiltonianAttitude
 
 PAPER = "axkf"
 NEEDS = ("cvxpy",)
-TITLE = "Rot, Hasan and Manoonpong 2020, Robust actuator fault diagnosis for hexacopter UAVs (IFAC-PapersOnLine 53-2)"
-LITERAL = {
-    "innovation": "Table 1's innovation leaves A x out: the measurement itself drives the losses, which run away",
-    "two_predictions": "the innovation uses f at the observer, the update f at the filter's own estimate",
-    "initial_s": "S(0) = I as in Table 1, instead of 0.001 I as in the text: losses are found sooner",
-}
+TITLE, LITERAL = reproduction.about(PAPER)
 SEEDS = 40
 LOUD_SEEDS = 5  # of what shows with few
 LAMBDA, S0 = 0.995, 0.001
@@ -46,16 +43,9 @@ P0 = {"overconfident": np.array([1e-6] * 3 + [1e-8] * 3), "honest": np.ones(6)}
 KEEP = 10  # every how many-th step is drawn
 
 
-class History(NamedTuple):
-    """theta (lanes, T, p), x (lanes, T, 6) of the filter, z of the observer; S (lanes, T, p): variances; PC (lanes, T, 6, 3); told
-    (lanes, T, p, p): what a step tells of the losses, Omega' Sigma^-1 Omega."""
-
-    theta: Any
-    x: Any
-    z: Any
-    S: Any
-    PC: Any
-    told: Any
+class History(namedtuple("History", "theta x z S PC evidence")):
+    """theta (lanes, T, p), x (lanes, T, 6) of the filter, z of the observer; S (lanes, T, p): variances; PC (lanes, T, 6, 3); evidence
+    (lanes, T, p, p): the information of a step on the losses, Omega' Sigma^-1 Omega."""
 
 
 class AsPrinted(AXKF):
@@ -90,27 +80,27 @@ def reproduce(seeds: int = SEEDS, literal: tuple[str, ...] = (), progress=None) 
     import sys
 
     literal = check_literal(sys.modules[__name__], tuple(literal))
-    tell = progress or (lambda _: None)
+    report = progress or (lambda _: None)
     airframe = airframes.paper("rot-hexa")
     plant = PortHamiltonianAttitude.of(airframe)
     u, theta = flights.thrusts(), flights.losses()
     truth = flights.fly(plant.J, plant.B, u, theta)
     excited = flights.thrusts(excited=True)
     truth_excited = flights.fly(plant.J, plant.B, excited, theta)
-    tell(0.1)
+    report(0.1)
     figures: dict[str, Any] = {"p_final": truth[-1, 3:]}
     six = _six(airframe, literal, (u, truth), (excited, truth_excited), figures)
-    tell(0.4)
+    report(0.4)
     two = _two(airframe, literal, u, truth, seeds, figures)
-    tell(0.6)
+    report(0.6)
     _virtual(airframe, plant, u, truth, figures)
     _theorem(plant, figures)
-    tell(0.8)
+    report(0.8)
     figures["tumbles_after_s"] = _tumble(plant, u, theta)
     errors = _wrong_starts(airframe, seeds)
     for key, kind in (("divergence", "overconfident"), ("divergence_honest_P0", "honest")):
         figures[key] = {name: _lost(both[kind]) for name, both in errors.items()}
-    tell(1.0)
+    report(1.0)
     series = {"time": flights.clock() + DT, "u": u, "losses": theta, "truth": truth}
     series |= {"two": History(*(a[0] for a in two)), "no_fault_term": History(*(a[1] for a in two)), "six": six}
     series |= {"wrong_starts": {name: both["overconfident"][0] for name, both in errors.items()}}
@@ -124,19 +114,13 @@ def histories(system, literal, lanes) -> History:
 
     def one(u, y, forgetting, theta_var, s_max):
         method = AsPrinted(
-            system,
-            DT,
-            literal,
-            gain=observer_gain.printed(),
-            forgetting=forgetting,
-            theta_var=theta_var,
-            s_max=s_max,
+            system, DT, literal, gain=observer_gain.printed(), forgetting=forgetting, theta_var=theta_var, s_max=s_max
         )
 
         def step(carry, row):
-            told = information(system, carry, row[0])
+            evidence = information(system, carry, row[0])
             carry, out = method.step(carry, row[0], row[1], valid)
-            kept = History(out.theta, out.x, carry.z, jax.numpy.diagonal(carry.state.S), carry.state.P[:, :3], told)
+            kept = History(out.theta, out.x, carry.z, jax.numpy.diagonal(carry.state.S), carry.state.P[:, :3], evidence)
             return carry, kept
 
         return jax.lax.scan(step, method.init(), (u, y))[1]
@@ -157,10 +141,10 @@ def information(system, carry, u):
     return Omega.T @ jnp.linalg.solve(Sigma, Omega)
 
 
-def excitation(told) -> tuple[float, float]:
-    """alpha of eq. (16): the least eigenvalue of the sum of told (T, p, p) over any N = EXCITED_S / DT steps in a row, once Omega has
+def excitation(evidence) -> tuple[float, float]:
+    """alpha of eq. (16): the least eigenvalue of the sum of evidence (T, p, p) over any N = EXCITED_S / DT steps in a row, once Omega has
     built up for as long; and the largest eigenvalue of that very sum."""
-    total = np.cumsum(told, axis=0)
+    total = np.cumsum(evidence, axis=0)
     steps = round(EXCITED_S / DT)
     eigenvalues = np.linalg.eigvalsh(total[2 * steps :: KEEP] - total[steps:-steps:KEEP])
     weakest = int(eigenvalues[:, 0].argmin())
@@ -192,7 +176,7 @@ def _six(airframe, literal, flight, excited, figures) -> History:
         :, -1
     ]
     figures["s11_final"], figures["s11_bounded_final"] = found.S[:2, -1, 0]
-    figures["excitation_six"], figures["excitation_tones"] = (excitation(found.told[lane]) for lane in (1, 2))
+    figures["excitation_six"], figures["excitation_tones"] = (excitation(found.evidence[lane]) for lane in (1, 2))
     return found
 
 
@@ -216,7 +200,7 @@ def _two(airframe, literal, u, truth, seeds, figures) -> History:
         late = slice(-round(1.0 / DT), None)  # angles of the last second, largest error of each
         figures[f"angle_error{name}"] = np.abs(found.x[lane, late, :3] - truth[late, :3]).max(axis=0)
         figures[f"observer_angle_error{name}"] = np.abs(found.z[lane, late, :3] - truth[late, :3]).max(axis=0)
-    figures["angle_final"], figures["excitation_two"] = truth[-1, :3], excitation(found.told[0])
+    figures["angle_final"], figures["excitation_two"] = truth[-1, :3], excitation(found.evidence[0])
     last = found.theta[4:, -round(1.0 / DT) :]  # over seeds and the last second
     quiet, loud = last[:seeds], last[seeds:]
     figures["noise_4e5_mean"], figures["noise_4e5_std"] = quiet.mean(axis=(0, 1)), quiet.std(axis=(0, 1))
@@ -321,145 +305,46 @@ def injecting_gain(plant, box) -> np.ndarray:
 
 def _claims(f: dict[str, Any]) -> tuple[Claim, ...]:
     """The paper's claims beside what came out."""
-    p, found, settle = f["p_final"], f["motors_1_3_final"], f["motors_1_3_settle_s"]
-    near = np.abs(np.subtract(found, LOSSES)) < BAND * np.array(LOSSES)
-    six, tones = f["six_theta_final"], f["six_theta_excited_final"]
-    alone = abs(six[0] - LOSSES[0]) < 0.01 and abs(six[2] - LOSSES[1]) < 0.01
-    told = np.abs(tones - flights.losses()[-1]).max() < 0.01
-    works = bool(near.all())
+    p, six, tones = (f[key] for key in ("p_final", "six_theta_final", "six_theta_excited_final"))
+    works = (np.abs(np.subtract(f["motors_1_3_final"], LOSSES)) < BAND * np.array(LOSSES)).all()
     lost, honest = f["divergence"], f["divergence_honest_P0"]
     # Errors of the momenta at the end, as shares of them: of the observer stage and of the filter, with the fault term and without.
-    slow, quick = (float(np.max(f[key] / np.abs(p))) for key in ("observer_p_error", "p_error"))
-    blind, follows = (
-        float(np.max(f[f"{key}_without_fault_term"] / np.abs(p))) for key in ("observer_p_error", "p_error")
+    slow, quick, blind, follows = (
+        float(np.max(f[f"{who}p_error{term}"] / np.abs(p)))
+        for term in ("", "_without_fault_term")
+        for who in ("observer_", "")
     )
-    turned = [float(np.max(f[f"{who}angle_error{term}"]) / np.abs(f["angle_final"]).max())
-              for who in ("", "observer_") for term in ("", "_without_fault_term")]  # fmt: skip
-    excited = {
-        which: f[f"excitation_{which}"][0] > UNEXCITED * f[f"excitation_{which}"][1]
-        for which in ("two", "six", "tones")
+    angle = np.abs(f["angle_final"]).max()
+    off = [np.max(f[f"{who}angle_error{term}"]) for who in ("", "observer_") for term in ("", "_without_fault_term")]
+    excited = {which: f[f"excitation_{which}"][0] > UNEXCITED * f[f"excitation_{which}"][1] for which in ("two", "six")}
+    quiet, loud = (
+        (np.asarray(f[k]) < STEADY * np.array(LOSSES)).all() for k in ("noise_4e5_std", "noise_printed_R_std")
+    )
+    share = np.abs(f["virtual_multiplicative_final"]).max()
+    seen, found = share > 0.5 * min(LOSSES), f["virtual_additive_error"] < TORQUE_ERROR
+    verdicts = {
+        "motion": graded(p[0] > 0 > p[1] and p[2] > 0),
+        "six": graded(abs(six[0] - LOSSES[0]) < 0.01 and abs(six[2] - LOSSES[1]) < 0.01),
+        "two": graded(works),
+        "tones": graded(np.abs(tones - flights.losses()[-1]).max() < 0.01),
+        "theorem": graded(f["lmi_paper_max_eig"] < 0),
+        "slow_momenta": graded(quick < slow < FOLLOWS, quick < FOLLOWS < slow),
+        "no_fault_term": graded(min(blind, follows) > FOLLOWS, max(blind, follows) > FOLLOWS),
+        "noise": graded(loud, quiet),
+        "forgetting": graded(works),
+        "angles": graded(max(off) < FOLLOWS * angle, min(off) < FOLLOWS * angle),
+        "excitation": graded(excited["six"], excited["two"]),
+        "bounded": graded(f["s11_final"] < S_BOUND),
+        "torques": graded(seen and found, seen or found),
+        "divergence": graded(lost["axkf"] == 0 < lost["adaptive_ekf"] and honest["adaptive_ekf"] > 0, True),
     }
-    quiet = bool((np.asarray(f["noise_4e5_std"]) < STEADY * np.array(LOSSES)).all())
-    loud = bool((np.asarray(f["noise_printed_R_std"]) < STEADY * np.array(LOSSES)).all())
-    seen = float(np.abs(f["virtual_multiplicative_final"]).max()) > 0.5 * min(LOSSES)
-    found_torque = f["virtual_additive_error"] < TORQUE_ERROR
-
-    def verdict(yes: bool, otherwise: Verdict = "not reproduced") -> Verdict:
-        return "holds" if yes else otherwise
-
-    return (
-        Claim(
-            "A weaker motor 1 rolls and yaws the hexarotor to positive angles; a weaker motor 3 then pitches it below zero",
-            "figures 6 and 7",
-            f"momenta after 8 s {p[0]:.3e}, {p[1]:.3e}, {p[2]:.3e} kg m2/s",
-            verdict(bool(p[0] > 0 > p[1] and p[2] > 0)),
-            "The flight is simulated by Newton's and Euler's equations; the signs follow from the printed input matrix.",
-        ),
-        Claim(
-            "The losses of all six motors are estimated accurately",
-            "0.124 on motor 1, 0.135 on motor 3, 0 elsewhere",
-            ", ".join(f"{v:.4f}" for v in six),
-            verdict(bool(alone)),
-            "Opposite columns of B are negatives of each other: with equal thrusts only differences of opposite motors show, and each "
-            "loss is split half and half. The excitation that the paper assumes, its eq. (16), is absent.",
-        ),
-        Claim(
-            "The same when only motors 1 and 3 may fail",
-            "0.124 and 0.135, about 1 s after onset (figure 4)",
-            f"{found[0]:.4f} and {found[1]:.4f}, within 10 % after {settle[0]:.2f} and {settle[1]:.2f} s",
-            verdict(works),
-            "Two differences are excited by two unknowns. The second is faster because S has wound up by then.",
-        ),
-        Claim(
-            "Beyond the paper: tones of different frequency on every motor make six losses identifiable",
-            "-",
-            ", ".join(f"{v:.4f}" for v in tones),
-            verdict(bool(told)),
-            "Thrusts that are not proportional to each other excite all six columns.",
-        ),
-        Claim(
-            "Theorem 1 is satisfied by the printed gain and constants, so that the observer converges globally",
-            "inequality (7) negative",
-            f"largest eigenvalue {f['lmi_paper_max_eig']:+.3f}; best gain with A = I {f['lmi_best_eig_A_identity']:+.1e}, "
-            f"with dt J^-1 in A {f['lmi_best_eig_A_kinematics']:+.1e}",
-            verdict(f["lmi_paper_max_eig"] < 0),
-            "beta = -4 with eta = 1 holds for no function; with A = I the momenta's error keeps eigenvalue 1 under any gain. With the "
-            "kinematics in A, scaled momenta and constants of a small box a gain exists.",
-        ),
-        Claim(
-            "The observer's momenta converge more slowly than its angles",
-            "figure 7",
-            f"observer off by {f['observer_p_error'][0]:.1e} of {p[0]:.1e} after 8 s, filter by {f['p_error'][0]:.1e}",
-            verdict(quick < slow < FOLLOWS, "partly" if quick < FOLLOWS < slow else "not reproduced"),
-            "The printed gain corrects no momenta: the observer's drift by whatever the losses were wrong before, and stay off.",
-        ),
-        Claim(
-            "Without the fault term the momenta can no longer be estimated",
-            "figures 8 and 9",
-            f"observer off by {f['observer_p_error_without_fault_term'][0]:.1e} (all of it), filter by "
-            f"{f['p_error_without_fault_term'][0]:.1e}",
-            verdict(min(blind, follows) > FOLLOWS, "partly" if max(blind, follows) > FOLLOWS else "not reproduced"),
-            "True of the observer. The filter's own gain corrects momenta by 0.38 of an angle's error, so it follows to 1.5 %.",
-        ),
-        Claim(
-            "The algorithm is robust to process and measurement noise",
-            "Q = 0.01 I, R = 0.04 I",
-            f"noise of 4e-5 rad: {_pair(f['noise_4e5_mean'], f['noise_4e5_std'])}; of the printed R: +-"
-            f"{f['noise_printed_R_std'].min():.0f}; the printed Q tumbles the vehicle in {f['tumbles_after_s']:.2f} s",
-            verdict(loud, "partly" if quiet else "not reproduced"),
-            "Q and R are tuning, not noise: thrusts of 0.01 N are drowned by more than a hundredth of a degree.",
-        ),
-        Claim(
-            "A forgetting factor of 0.995 lets the losses converge",
-            "lambda = 0.995",
-            f"0.995: {_seconds(settle)}; 0.99: {_seconds(f['settle_s_lambda_099'])}; 0.998: "
-            f"{_seconds(f['settle_s_lambda_0998'])}",
-            verdict(works),
-            "It hangs on the tuning: with S(0) = 0.001 and so little excitation losses move only once forgetting has wound S up.",
-        ),
-        Claim(
-            "Angles are estimated, with the fault term and without it",
-            "figures 6 and 8",
-            f"off by at most {np.max(f['angle_error']):.1e} rad of {np.abs(f['angle_final']).max():.1e} in the last second, without it by "
-            f"{np.max(f['angle_error_without_fault_term']):.1e}; the observer by {np.max(f['observer_angle_error']):.1e} and "
-            f"{np.max(f['observer_angle_error_without_fault_term']):.1e}",
-            verdict(max(turned) < FOLLOWS, "partly" if min(turned) < FOLLOWS else "not reproduced"),
-            "Angles are measured. What a missing fault term costs shows in the momenta.",
-        ),
-        Claim(
-            "The inputs are persistently exciting",
-            "eq. (16), assumed with some alpha > 0",
-            f"alpha over {EXCITED_S:g} s: two motors {f['excitation_two'][0]:.1e}, six {f['excitation_six'][0]:.0e} of "
-            f"{f['excitation_six'][1]:.0e}, six with tones {f['excitation_tones'][0]:.1e}",
-            verdict(excited["six"], "partly" if excited["two"] else "not reproduced"),
-            "The least eigenvalue of the sum of Omega' Sigma^-1 Omega over a second, at the worst time. Zero for six motors with equal "
-            "thrusts.",
-        ),
-        Claim(
-            "The recursion stays bounded",
-            "assumed, with excitation",
-            f"variance of a loss after 8 s {f['s11_final']:.1e}; bounded by s_max {f['s11_bounded_final']:.1e}",
-            verdict(f["s11_final"] < S_BOUND),
-            "Directions that are not excited are forgotten without bound: S loses its last digit near 14 s. s_max bounds it and "
-            "changes the losses by less than 1e-5.",
-        ),
-        Claim(
-            "With body torques as the input the method works too",
-            "mentioned",
-            f"shares of torques: {np.abs(f['virtual_multiplicative_final']).max():.0e}; missing torques: right to "
-            f"{f['virtual_additive_error']:.0e} N m",
-            verdict(seen and found_torque, "partly" if seen or found_torque else "not reproduced"),
-            "Balanced thrusts command no torque, so a share of it cannot be seen; a missing torque can.",
-        ),
-        Claim(
-            "The observer stage prevents the divergence of a plain linearised filter",
-            "not shown",
-            f"lost from wrong starts with overconfident P0: {_shares(lost)}; with honest P0: {_shares(honest)}",
-            verdict(lost["axkf"] == 0 < lost["adaptive_ekf"] and honest["adaptive_ekf"] > 0, "partly"),
-            "With a gain that corrects momenta (common Lyapunov function), and only where P0 is overconfident; with an honest P0 there is "
-            "no advantage.",
-        ),
-    )
+    settle = [_seconds(f[key]) for key in ("motors_1_3_settle_s", "settle_s_lambda_099", "settle_s_lambda_0998")]
+    return reproduction.claims(
+        PAPER, verdicts, f=f, settle=settle, angle=angle, off=off, span=EXCITED_S, share=share,
+        six=", ".join(f"{v:.4f}" for v in six), tones=", ".join(f"{v:.4f}" for v in tones),
+        quiet=_pair(f["noise_4e5_mean"], f["noise_4e5_std"]), loud=np.min(f["noise_printed_R_std"]),
+        lost=_shares(lost), honest=_shares(honest),
+    )  # fmt: skip
 
 
 def _pair(mean, sd) -> str:
@@ -480,35 +365,33 @@ def figures(result: Reproduction) -> dict:
     series = result.series
     rows, t = slice(None, None, KEEP), series["time"][::KEEP]
     two, without, six = series["two"], series["no_fault_term"], series["six"]
-    wanted = series["losses"][rows]
-    names = ("roll", "pitch", "yaw")
-    thrust, (axis,) = _axes(1, "thrust [N]")
+    wanted, drawn = series["losses"][rows], {}
+    drawn["fig3_thrust"], (axis,) = _axes(1, "thrust [N]")
     axis.plot(t, series["u"][rows, 0], "k")
-    faults, axes = _axes(2, "loss")
+    drawn["fig4_faults"], axes = _axes(2, "loss")
     for k, axis in enumerate(axes):
         axis.plot(t, two.theta[rows, k], "C3--", label="estimate")
         axis.plot(t, wanted[:, MOTORS[k]], "k", lw=1, label="truth")
         axis.set_title(f"motor {MOTORS[k] + 1}")
     axes[0].legend()
-    all_six, axes = _axes(2, "loss")
+    drawn["six_losses"], axes = _axes(2, "loss")
     for axis, lane, title in zip(axes, (1, 2), ("equal thrusts", "a tone on every motor"), strict=True):
         for k in range(6):
             axis.plot(t, six.theta[lane, rows, k], f"C{k}", label=f"motor {k + 1}")
         axis.plot(t, wanted[:, list(MOTORS)], "k:", lw=1)
         axis.set(ylim=(-0.1, 0.2), title=title)
     axes[1].legend(ncols=2, fontsize="x-small")
-    drawn = {"fig3_thrust": thrust, "fig4_faults": faults, "six_losses": all_six}
-    parts = (("fig6_angles", two, 0), ("fig7_momenta", two, 3))
-    parts += (("fig8_angles_without_fault_term", without, 0), ("fig9_momenta_without_fault_term", without, 3))
-    for stem, history, first in parts:
-        figure, axes = _axes(3, "[kg m2/s]" if first else "[rad]")
+    for stem, history, first in (
+        ("fig6_angles", two, 0), ("fig7_momenta", two, 3),
+        ("fig8_angles_without_fault_term", without, 0), ("fig9_momenta_without_fault_term", without, 3),
+    ):  # fmt: skip
+        drawn[stem], axes = _axes(3, "[kg m2/s]" if first else "[rad]")
         for k, axis in enumerate(axes):
             axis.plot(t, series["truth"][rows, first + k], "k", lw=1, label="truth")
             axis.plot(t, history.z[rows, first + k], "C0", label="observer")
             axis.plot(t, history.x[rows, first + k], "C3--", label="filter")
-            axis.set_title(names[k])
+            axis.set_title(("roll", "pitch", "yaw")[k])
         axes[0].legend()
-        drawn[stem] = figure
     drawn["wrong_starts"], (axis,) = _axes(1, "largest error of angles [rad]")
     for name, error in series["wrong_starts"].items():
         gone = np.logical_or.accumulate(~(error < 5.0))  # no angles any more
@@ -520,10 +403,7 @@ def figures(result: Reproduction) -> dict:
 
 def _axes(count: int, label: str):
     """A figure with `count` panels side by side, time below."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(1.5 + 2.8 * count, 2.8), layout="constrained")
-    axes = figure.subplots(1, count, squeeze=False)[0]
+    figure, (axes,) = panels(1, count, (1.5 + 2.8 * count, 2.8), grid=False)
     axes[0].set_ylabel(label)
     for axis in axes:
         axis.set_xlabel("time [s]")

@@ -11,22 +11,18 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from rotorwatch import airframes, optional
+from rotorwatch import airframes
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
 from rotorwatch.estimators.intermediate import Intermediate
-from rotorwatch.experiments.studies import error_bound, hover_flights, position_hold
-from rotorwatch.experiments.studies.reproduction import Claim, Reproduction
+from rotorwatch.experiments.studies import error_bound, hover_flights, reproduction
+from rotorwatch.experiments.studies.reproduction import Claim, Reproduction, graded, panels
 from rotorwatch.maths import intermediate_design as design
 from rotorwatch.systems.linear_hover import LinearHover
 
 PAPER = "intermediate"
 NEEDS = ("cvxpy",)
-TITLE = "Nguyen, Huynh, Do, Mung and Hong, Robust fault estimation using the intermediate observer (2020)"
-LITERAL = {
-    "epsilon": "1/epsilon with epsilon = 0.02, as printed: the matrix inequality then has no solution for any alpha, L and mu",
-    "pi": "Pi of (37) and (38) without masses and inertias: a loss of 20 % comes out as -19 to 38",
-}
+TITLE, LITERAL = reproduction.about(PAPER)
 SEEDS = 10
 DT = 1.0 / hover_flights.OBSERVER_HZ
 SAMPLES, ONSETS, LAST = 3500, (500, 1500, 2500), 200
@@ -56,30 +52,30 @@ SETS, RING_SAMPLES, RING_ONSET = 8, 700, 200  # sets of faulty rotors a number o
 
 def reproduce(seeds: int = SEEDS, literal: tuple[str, ...] = (), progress=None) -> Reproduction:
     """The study; see studies/reproduction.py."""
-    tell = progress or (lambda share: None)
+    report = progress or (lambda share: None)
     rng = np.random.default_rng(2020)
     file = airframes.paper("f450")
     flights = _scenario_flights(file, seeds, rng)
-    tell(0.2)
+    report(0.2)
     moving = _climbing(file)
     runs, plain, filtered = _watch_all(file, flights, moving)
     if "pi" in literal:
         runs = {alpha: _without_inertia(file, flights.u, run) for alpha, run in runs.items()}
-    tell(0.3)
+    report(0.3)
     figures = {name: _scenario(name, flights, runs) for name in SCENARIOS}
     figures |= _inequality(PRINTED_EPSILON if "epsilon" in literal else EPSILON)
     figures |= _balance(flights, runs)
     figures["channels"] = _channels(file, flights, runs)
-    tell(0.4)
+    report(0.4)
     figures["manoeuvre"], series = _manoeuvre(file, moving, filtered)
-    tell(0.5)
+    report(0.5)
     figures["bound"], series["bound"] = _bound(file, *plain)
     figures["position"], series["position"] = _positions(file)
-    tell(0.6)
+    report(0.6)
     beyond = {}
     for k, (name, rotors) in enumerate(RINGS.items()):
         beyond[name] = _ring(file, rotors, rng)
-        tell(0.6 + 0.2 * (k + 1))
+        report(0.6 + 0.2 * (k + 1))
     figures["beyond_four"] = {name: ring["sparse"] for name, ring in beyond.items()}
     figures["beyond_four_rules"] = beyond
     show = {n: flights.show[n] for n in SCENARIOS}
@@ -271,7 +267,7 @@ def _positions(file: dict) -> tuple[dict, dict]:
     """How far the vehicle is pushed off its place, and counts, for each scenario that differs and each stiffness of the controller."""
     names = [name for name in SCENARIOS if name != "scenario_1"]  # the same flight as scenario 2
     gamma = np.repeat([_steps(SCENARIOS[name][0]) for name in names], len(STIFFNESS), axis=0)
-    place, u = position_hold.hold(hover_flights.craft(file), gamma, np.tile(STIFFNESS, len(names)))
+    place, u = hover_flights.hold(hover_flights.craft(file), gamma, np.tile(STIFFNESS, len(names)))
     place, u = (a.reshape(len(names), len(STIFFNESS), *a.shape[1:]) for a in (place, u))
     out: dict = {"stiffness": STIFFNESS}
     for k, name in enumerate(names):
@@ -349,74 +345,40 @@ def _ring(file: dict, rotors: int, rng) -> dict:
     return result
 
 
-def _claims(figures: dict) -> tuple[Claim, ...]:
+def _claims(f: dict) -> tuple[Claim, ...]:
     """The paper's claims, and ours beyond it."""
-    worst = {n: float(np.abs(np.subtract(figures[n]["final"], figures[n]["true"])).max()) for n in SCENARIOS}
-    exact = {
-        n: float(np.abs(np.subtract(figures[n]["final_without_noise"], figures[n]["true"])).max()) for n in SCENARIOS
+    worst, exact = (
+        {n: float(np.abs(np.subtract(f[n][key], f[n]["true"])).max()) for n in SCENARIOS}
+        for key in ("final", "final_without_noise")
+    )
+    right = {n: worst[n] < 1e-3 and exact[n] < 1e-3 for n in SCENARIOS}
+    rules = f["beyond_four_rules"]
+    verdicts = {
+        "balanced": graded(right["scenario_2"]),
+        "unbalanced": graded(not all(right.values()) or f["balance_changes_mean"]),
+        "one_by_one": graded(right["scenario_3"]),
+        "all_four": graded(right["scenario_4"]),
+        "inequality": graded(f["lmi_paper_feasible"], True),
+        "more_motors": graded(all(max(r["least_squares"]) > INACCURATE for r in rules.values())),
     }
-    settle = [figures["scenario_2"]["settle_s"][f"alpha_{a:g}"] for a in ALPHAS]
-    said = ", ".join(f"{v:.3f}" for v in figures["scenario_3"]["final"])
-    yaw, rules = figures["balance_yaw_noise"], figures["beyond_four_rules"]
-    ok = max(worst.values()) < 1e-3 and max(exact.values()) < 1e-3
-
-    def holds(*names):
-        return "holds" if all(worst[n] < 1e-3 and exact[n] < 1e-3 for n in names) else "not reproduced"
-
+    feasible = {True: "feasible", False: "infeasible"}
+    rings = "; ".join(
+        f"{name}: pseudo-inverse {_list(r['least_squares'])}, fewest rotors {_list(r['sparse'])}, memory {_list(r['temporal'])}"
+        for name, r in rules.items()
+    )
+    found = reproduction.claims(
+        PAPER, verdicts, f=f, worst=worst, rings=rings,
+        settle=[f["scenario_2"]["settle_s"][f"alpha_{a:g}"] for a in ALPHAS],
+        three=_list(f["scenario_3"]["final"], ", "), four=_list(f["scenario_4"]["final"], ", "),
+        printed=feasible[f["lmi_paper_feasible"]], used=feasible[f["lmi_feasible"]],
+    )  # fmt: skip
+    position = f["position"]
     return (
-        Claim(
-            "With magnitude balance the loss of motor 3 converges to 20 %",
-            "0.2, others 0",
-            f"{figures['scenario_2']['final'][2]:.4f}, largest error {worst['scenario_2']:.1e}; settled in {settle[0]:.2g} s "
-            f"(alpha = 1), {settle[1]:.2g} s (alpha = 5)",
-            holds("scenario_2"),
-            "Each channel is a second-order filter of the true fault, so it ends exact.",
-        ),
-        Claim(
-            "Without balance it cannot converge to 0.2, yaw being of another magnitude",
-            "a visible error (figure 6)",
-            f"{figures['scenario_1']['final'][2]:.4f}; the gain changes means by {figures['balance_mean_change']:.1e}",
-            "not reproduced" if ok and not figures["balance_changes_mean"] else "holds",
-            f"The observer is linear: the gain divides out, and only scales yaw noise ({yaw['gain_1']:.2g} to {yaw['gain_10']:.2g} "
-            "rad/s^2), at the price of a wrong yaw fault while the yaw rate changes.",
-        ),
-        Claim(
-            "Faults of 22, 16 and 13 % one after another are each found",
-            "0.22, 0.16, 0.13, first motor 0",
-            said,
-            holds("scenario_3"),
-            "As above; the paper's sentence exchanges motors 1 and 3.",
-        ),
-        Claim(
-            "A loss of 30 % on all four motors is found",
-            "0.3 each",
-            ", ".join(f"{v:.3f}" for v in figures["scenario_4"]["final"]),
-            holds("scenario_4"),
-            "But nothing tells it from a sagging battery or a wrong mass: the wrench is the same.",
-        ),
-        Claim(
-            "The gains follow from the matrix inequality with alpha = 1, epsilon = 0.02",
-            "solved by a toolbox",
-            f"epsilon = 0.02: {'feasible' if figures['lmi_paper_feasible'] else 'infeasible'}; used epsilon = "
-            f"{figures['lmi_epsilon']:g}: {'feasible' if figures['lmi_feasible'] else 'infeasible'}",
-            "holds" if figures["lmi_paper_feasible"] else "partly",
-            "Sigma_22 holds no L and needs epsilon > (1 + alpha) / (2 alpha); with epsilon and 1/epsilon exchanged (50) it is feasible.",
-        ),
-        Claim(
-            "More than four motors: a pseudo-inverse may be inaccurate",
-            "left open",
-            "; ".join(
-                f"{name}: pseudo-inverse {_list(r['least_squares'])}, fewest rotors {_list(r['sparse'])}, memory {_list(r['temporal'])}"
-                for name, r in rules.items()
-            ),
-            "holds" if all(max(r["least_squares"]) > INACCURATE for r in rules.values()) else "not reproduced",
-            "Largest error of a rotor, median over sets of 1, 2, 3 faults. Opposite rotors of a hexarotor look alike in hover; "
-            "commands that move tell them apart.",
-        ),
-        _bound_claim(figures["bound"]),
-        _channel_claim(figures["channels"]),
-        *_off_claims(figures["position"]),
-        _pwm_claim(figures["position"]),
+        *found,
+        _bound_claim(f["bound"]),
+        _channel_claim(f["channels"]),
+        *_off_claims(position),
+        _pwm_claim(position),
     )
 
 
@@ -425,72 +387,46 @@ def _bound_claim(found: dict) -> Claim:
     flights, climbing = found["flights"], found["flights"]["climbing"]
     held = [name for name, row in flights.items() if row["held"]]
     within = climbing["error"] <= climbing["bound"]
-    return Claim(
-        "The errors are uniformly ultimately bounded (theorem 1)",
-        "dV/dt < -sigma |e|^2 + eta; no number",
-        f"sigma = {found['sigma']:.3g}; held at every sample of {len(held)} of {len(flights)} flights; climbing at 0.4 Hz |e| <= "
-        f"{climbing['bound']:.3g}, largest {climbing['error']:.3g}: {climbing['times_too_wide']:.2g} times too wide "
-        f"({climbing['bound_best_epsilon'] / climbing['error']:.2g} with the best epsilon)",
-        "holds" if len(held) == len(flights) and within else "partly" if within else "not reproduced",
-        f"Flights without noise, with mu = 1 and epsilon = {found['epsilon']:g}; eta from the largest disturbance and fault rate flown.",
-    )
+    verdicts = {"theorem": graded(len(held) == len(flights) and within, within)}
+    best = climbing["bound_best_epsilon"] / climbing["error"]
+    given = {"f": {"bound": found}, "held": len(held), "of": len(flights), "climbing": climbing, "best": best}
+    return reproduction.claims(PAPER, verdicts, **given)[0]
 
 
 def _channel_claim(channels: dict) -> Claim:
     """Figures 5, 9, 13, 17: every channel's fault, of every flight, in noise and without, relative to the largest of its flight."""
-    off = {}
-    for name, row in channels.items():
-        size = np.abs(row["true"]).max()
-        off[name] = max(
-            np.abs(np.subtract(row[key], row["true"])).max() / size for key in ("found", "found_without_noise")
-        )
+    off = {
+        name: max(np.abs(np.subtract(row[key], row["true"])).max() for key in ("found", "found_without_noise"))
+        / np.abs(row["true"]).max()
+        for name, row in channels.items()
+    }
     met = [name for name, error in off.items() if error < CHANNEL_OFF]
-    worst = max(off, key=lambda name: off[name])
     rows = "; ".join(
         f"{n[-1]}: {', '.join(f'{v:.2f}' for v in channels[n]['found'])}" for n in channels if n != "scenario_1"
     )
-    return Claim(
-        "The faults of roll, pitch, yaw and thrust converge to the true ones",
-        "figures 9, 13, 17; no numbers",
-        f"{rows} (rad/s^2, last m/s^2 down); largest error {100 * off[worst]:.2g} % of the flight's largest fault",
-        "holds" if len(met) == len(off) else "partly" if met else "not reproduced",
-        "All four channels of all four flights; without balance (1) they come out the same as with it (2).",
-    )
+    verdicts = {"channels": graded(len(met) == len(off), met)}
+    return reproduction.claims(PAPER, verdicts, channels=rows, channel_percent=100 * max(off.values()))[0]
 
 
-def _off_claims(position: dict) -> list[Claim]:
+def _off_claims(position: dict) -> tuple[Claim, ...]:
     """Figures 3, 7, 11, 15: how far the vehicle leaves its place. The controller's gains are not printed."""
-    claims = []
+    verdicts, texts = {}, {}
     for name, wanted in DEVIATION.items():
         off = np.array(position[name]["off_m"])[:, :, :2]
-        met = [[_met(off[i], wanted, j) for j in (0, 1)] for i in range(len(off))]
-        size = [np.max([w for pair in wanted for w in pair if w is not None]), off.max(axis=(1, 2))]
-        near = int(np.abs(np.log(size[1] / size[0])).argmin())
+        met = all(_met(off[0], wanted, axis) for axis in (0, 1))
+        share = off.max(axis=(1, 2)) / np.max([w for pair in wanted for w in pair if w is not None])
+        near = int(np.abs(np.log(share)).argmin())
         returned = max(position[name]["back_m"]) < BACK
-        reached = returned and abs(size[1][near] / size[0] - 1.0) < ALIKE
-        claims.append(
-            Claim(
-                f"Scenario{'s 1 and 2' if name == 'scenario_2' else ' ' + name[-1]}: the vehicle is pushed off its place, and comes back",
-                "x, y: " + "; ".join(f"{_cm(x)}, {_cm(y)}" for x, y in wanted) + " cm",
-                f"{_pairs(off[0])} cm under the controller of the flights above; {_pairs(off[near])} cm with one "
-                f"{position['stiffness'][near]:g} times as fast; back within {100 * position[name]['back_m'][0]:.2g} cm",
-                "holds" if returned and all(met[0]) else "partly" if reached else "not reproduced",
-                "The paper prints no gains, and the reach grows with the cube of the controller's time. x and y come out alike, as the "
-                "printed inertia does: which of them is larger depends on the heading of the axes.",
-            )
+        key = f"pushed_{name[-1]}"
+        verdicts[key] = graded(returned and met, returned and abs(share[near] - 1.0) < ALIKE)
+        texts[key] = (
+            f"{_pairs(off[0])} cm under the controller of the flights above; {_pairs(off[near])} cm with one "
+            f"{position['stiffness'][near]:g} times as fast; back within {100 * position[name]['back_m'][0]:.2g} cm"
         )
     off = np.array(position["scenario_4"]["off_m"])[0, 0]
     aside, met = float(off[:2].max()), abs(off[2] / DROP - 1.0) < ALIKE
-    claims.append(
-        Claim(
-            "Scenario 4: 30 % of all motors do not move it sideways, and it drops by 0.4 m",
-            "0.4 m",
-            f"sideways {aside:.1e} m, drop {off[2]:.2f} m",
-            "holds" if met and aside < 0.01 else "partly" if met or aside < 0.01 else "not reproduced",
-            "The drop depends on the gains of the height controller, which are assumed, too: those of the flights above.",
-        )
-    )
-    return claims
+    verdicts["drop"] = graded(met and aside < 0.01, met or aside < 0.01)
+    return reproduction.claims(PAPER, verdicts, **texts, aside=aside, drop=off[2])
 
 
 def _met(off, wanted, axis: int) -> bool:
@@ -510,62 +446,47 @@ def _pwm_claim(position: dict) -> Claim:
         even = np.ptp(before) < 0.01 * before.mean()
         right.append(bool(even and (rise[weak] > 0.02).all() and (np.abs(rise[~weak]) < 0.02).all()))
         rows.append(f"{name[-1]}: {before.mean():.0f} to {', '.join(f'{v:.0f}' for v in after)}")
-    return Claim(
-        "PWM is alike before a fault; after it that of the weak motors rises",
-        "figures 4, 8, 12, 16; no numbers",
-        f"{'; '.join(rows)} counts",
-        "holds" if all(right) else "partly" if any(right) else "not reproduced",
-        "A controller with integrals commands u / (1 - gamma) in the end, whatever its gains.",
-    )
-
-
-def _cm(value) -> str:
-    return "–" if value is None else f"{100 * value:.0f}"
+    verdicts = {"pwm": graded(all(right), any(right))}
+    return reproduction.claims(PAPER, verdicts, pwm="; ".join(rows))[0]
 
 
 def _pairs(off) -> str:
-    return "; ".join(", ".join(_cm(v) for v in row) for row in off)
+    return "; ".join(", ".join(f"{100 * v:.0f}" for v in row) for row in off)
 
 
-def _list(values) -> str:
-    return " ".join(f"{v:.3f}" for v in values)
+def _list(values, between: str = " ") -> str:
+    return between.join(f"{v:.3f}" for v in values)
 
 
 def figures(result: Reproduction) -> dict:
     """The paper's figures of losses and channel faults, as matplotlib figures."""
-    Figure = optional.library("matplotlib.figure", "A figure").Figure
-    series, out = result.series, {}
-    units = ("p, rad/s²", "q, rad/s²", "r, rad/s²", "down, m/s²")
-    losses = Figure(figsize=(8, 5), layout="constrained")
-    for k, (axes, name) in enumerate(zip(losses.subplots(2, 2, sharex=True).flat, SCENARIOS)):
+    series = result.series
+    time, units = series["time"][::20], ("p, rad/s²", "q, rad/s²", "r, rad/s²", "down, m/s²")
+    losses, grid = panels(2, 2, (8, 5), sharex=True)
+    for k, (axes, name) in enumerate(zip(grid.flat, SCENARIOS)):
         for i in range(4):
-            axes.plot(series["time"][::20], series["theta"][name][::20, i], lw=1, label=f"motor {i + 1}")
-            axes.plot(series["time"][::20], series["gamma"][name][::20, i], "k:", lw=0.7)
+            axes.plot(time, series["theta"][name][::20, i], lw=1, label=f"motor {i + 1}")
+            axes.plot(time, series["gamma"][name][::20, i], "k:", lw=0.7)
         axes.set(title=f"scenario {k + 1}", xlabel="time, s" if k > 1 else "", ylabel="loss" if k % 2 == 0 else "")
-        axes.grid(alpha=0.3)
     losses.axes[0].legend(fontsize="small", loc="upper right")
-    out["intermediate-losses"] = losses
-    channels = Figure(figsize=(9, 7), layout="constrained")
-    grid = channels.subplots(4, 4, sharex=True, sharey="row")
+    channels, grid = panels(4, 4, (9, 7), sharex=True, sharey="row")
     for j, name in enumerate(SCENARIOS):
         divide = np.array([1.0, 1.0, SCENARIOS[name][1], 1.0])
         found, true = series["fault"][name][:, 4:] / divide, series["true_fault"][name] / divide
         for i, axes in enumerate(grid[:, j]):
-            axes.plot(series["time"][::20], found[::20, i], lw=1)
-            axes.plot(series["time"][::20], true[::20, i], "k:", lw=0.7)
+            axes.plot(time, found[::20, i], lw=1)
+            axes.plot(time, true[::20, i], "k:", lw=0.7)
             axes.set(title=f"scenario {j + 1}" if i == 0 else "", ylabel=units[i] if j == 0 else "")
             axes.set(xlabel="time, s" if i == 3 else "")
-            axes.grid(alpha=0.3)
-    out["intermediate-channels"] = channels
-    out["intermediate-position"] = _position_figure(Figure, series)
-    out["intermediate-bound"] = _bound_figure(Figure, series)
-    return out
+    return {
+        "intermediate-losses": losses, "intermediate-channels": channels,
+        "intermediate-position": _position_figure(series), "intermediate-bound": _bound_figure(series),
+    }  # fmt: skip
 
 
-def _position_figure(Figure, series):
+def _position_figure(series):
     """Where the vehicle is, under each controller, and the counts of its motors."""
-    figure = Figure(figsize=(9, 7), layout="constrained")
-    grid = figure.subplots(4, len(series["position"]), sharex=True, sharey="row")
+    figure, grid = panels(4, len(series["position"]), (9, 7), sharex=True, sharey="row")
     for j, (name, flown) in enumerate(series["position"].items()):
         for i, axis in enumerate("xyz"):
             for k, stiffness in enumerate(STIFFNESS):
@@ -577,21 +498,18 @@ def _position_figure(Figure, series):
         grid[3, j].set(xlabel="time, s", ylabel="PWM, counts" if j == 0 else "")
     grid[0, 0].legend(fontsize="small", title="controller's speed", loc="upper right")
     grid[3, 0].legend(fontsize="small", loc="upper right")
-    for axes in grid.flat:
-        axes.grid(alpha=0.3)
     return figure
 
 
-def _bound_figure(Figure, series):
+def _bound_figure(series):
     """Size of the errors, and the bound of theorem 1, of three flights."""
-    figure = Figure(figsize=(9, 3), layout="constrained")
+    figure, (row,) = panels(1, 3, (9, 3), sharey=True)
     shown = {"scenario_3": "scenario 3", "scenario_4": "scenario 4", "climbing": "climbing at 0.4 Hz"}
-    for axes, (name, title) in zip(figure.subplots(1, 3, sharey=True), shown.items(), strict=True):
+    for axes, (name, title) in zip(row, shown.items(), strict=True):
         size, limit = series["bound"][name]
         axes.semilogy(series["time"][::5], np.maximum(size[::5], 1e-6), lw=1, label="error")
         axes.semilogy(series["time"][::5], np.maximum(limit[::5], 1e-6), "k--", lw=1, label="bound")
         axes.set(title=title, xlabel="time, s", ylim=(1e-3, 1e3))
-        axes.grid(alpha=0.3)
-    figure.axes[0].set_ylabel("|e|")
-    figure.axes[0].legend(fontsize="small")
+    row[0].set_ylabel("|e|")
+    row[0].legend(fontsize="small")
     return figure

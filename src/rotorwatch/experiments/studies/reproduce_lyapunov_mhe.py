@@ -9,23 +9,18 @@ from typing import Any
 import numpy as np
 
 import rotorwatch.published.observability as observability
-from rotorwatch import airframes, optional
+from rotorwatch import airframes
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.estimators.lyapunov import Lyapunov
 from rotorwatch.estimators.mh_lyapunov import MHLyapunov
 from rotorwatch.estimators.mhe import MHE
 from rotorwatch.experiments.studies import niermeyer_flights as flights
-from rotorwatch.experiments.studies.reproduction import Claim, Reproduction, check_literal
+from rotorwatch.experiments.studies import reproduction
+from rotorwatch.experiments.studies.reproduction import Claim, Reproduction, check_literal, graded, panels
 from rotorwatch.systems.rate_dynamics import RateDynamics
 
 PAPER = "lyapunov-mhe"
-TITLE = (
-    "Niermeyer, Pak and Lohmann 2017: A control effectiveness estimator with a moving horizon robustness modification"
-)
-LITERAL = {
-    "unscaled": "Q_obs from unscaled derivatives: rows of high order swamp the rest, and no two small singular values stand out.",
-    "no-hold": "Rotors that hardly turn keep adapting: after a full loss and reallocation the losses of idle rotors drift.",
-}
+TITLE, LITERAL = reproduction.about(PAPER)
 SEEDS = 10
 WEATHER = {"calm": 0.0, "disturbed": 0.01}  # white disturbance torque, N m per square root of Hz
 DURATION_S = 12.0
@@ -53,26 +48,26 @@ NLP_STEPS = 260  # of a flight, after which the window is handed to another solv
 def reproduce(seeds: int = SEEDS, literal: tuple[str, ...] = (), progress=None) -> Reproduction:
     """The experiments with that many noise seeds. literal: names from LITERAL. progress: called with share and text."""
     literal = check_literal(sys.modules[__name__], tuple(literal))
-    tell = progress or (lambda share, text="": None)
+    report = progress or (lambda share, text="": None)
     table = airframes.paper("niermeyer-hexa")
     system = RateDynamics.of(table)
-    tell(0.02, "observability")
+    report(0.02, "observability")
     observed = observable(system, scaled="unscaled" not in literal)
-    tell(0.2, "flights")
+    report(0.2, "flights")
     options: dict[str, Any] = {"hold": 0.0} if "no-hold" in literal else {}
     errors: dict[str, dict[str, np.ndarray]] = {weather: {} for weather in WEATHER}
     cost, traces, flown = {}, {}, {}
     for w, (weather, torque_sd) in enumerate(WEATHER.items()):
         flown[weather] = fly(table, seeds, torque_sd)
         for k, (name, (kind, tuning)) in enumerate(ESTIMATORS.items()):
-            tell(0.25 + 0.3 * w + 0.06 * k, f"{name}, {weather}")
+            report(0.25 + 0.3 * w + 0.06 * k, f"{name}, {weather}")
             estimator = kind(system, flights.DT, bounds=LOOSE, **tuning, **options)
             errors[weather][name], taken, trace = judge(estimator, flown[weather])
             if w == 0:
                 cost[name], traces[name] = taken, trace
-    tell(0.85, "proximal_flush, capped")
+    report(0.85, "proximal_flush, capped")
     capped = judge(MHLyapunov(system, flights.DT, **options), flown["calm"])[0]
-    tell(0.9, "another solver")
+    report(0.9, "another solver")
     gap = mhe_vs_nlp(system, flown["calm"])
     numbers = {
         "rmse": {f: {e: by_path(v, k) for e, v in errors["calm"].items()} for k, f in enumerate(FAULTS)},
@@ -91,7 +86,7 @@ def reproduce(seeds: int = SEEDS, literal: tuple[str, ...] = (), progress=None) 
         "mhe_vs_nlp": gap,
         "microseconds_per_step": cost,
     }
-    tell(1.0, "done")
+    report(1.0, "done")
     series = {"flights": flown["calm"], "traces": traces, **{k: observed[k] for k in ("t", "along", "kernel", "other")}}
     return Reproduction(PAPER, TITLE, claims(numbers), numbers, literal, seeds, series)
 
@@ -244,94 +239,48 @@ def mhe_vs_nlp(system: RateDynamics, flown: flights.Flight) -> float:
     return float(np.abs(found.x - np.asarray(nodes).ravel()).max())
 
 
-def claims(numbers: dict) -> tuple[Claim, ...]:
+def claims(n: dict) -> tuple[Claim, ...]:
     """The paper's claims beside the numbers."""
-    rmse, cost = numbers["rmse"], numbers["microseconds_per_step"]
-    mean = {e: np.mean([list(rmse[f][e].values()) for f in FAULTS]) for e in ESTIMATORS}
-    flight, hover, gap = (numbers[k] for k in ("qobs_rank_flight", "qobs_rank_hover", "qobs_gap"))
-    ratio = numbers["sensitivity_ratio"]
-    moving = min(mean["proximal"], mean["proximal_flush"])
-    disturbed = {e: np.mean([list(numbers["rmse_disturbed"][f][e].values()) for f in FAULTS]) for e in ESTIMATORS}
-    versus = numbers["moving_horizon"]
-    better, worse, cases = (sum(v[key] for v in versus.values()) for key in ("better", "worse", "cases"))
-    capped = np.mean([list(v.values()) for v in numbers["rmse_capped"].values()])
-    dear = cost["mhe"] / cost["proximal_flush"]
-    solves = 4 * cost["mhe"]
-    return (
-        Claim(
-            "Q_obs has full rank along the figure-eight.",
-            "rank 9",
-            f"rank {flight}; {hover} in hover",
-            "holds" if flight == 9 else "not reproduced",
-            "Lie derivatives are exact. In hover the input does not change, and the kernel of B diag(u) stays hidden.",
-        ),
-        Claim(
-            "Two of its singular values are particularly small.",
-            "two",
-            f"gap to the third smallest at least {gap:.1f}",
-            "holds" if gap >= 5 else "not reproduced",
-            "Seen with each derivative scaled by T0^k/k!, T0 = 0.05 s; unscaled rows of high order hide it.",
-        ),
-        Claim(
-            "Sensitivity off the kernel of B is orders of magnitude larger.",
-            "orders of magnitude",
-            f"{ratio[0]:.0f}, {ratio[1]:.0f}, {ratio[2]:.0f} times (p, q, r)",
-            "holds" if min(ratio) > 10 else "not reproduced",
-            "f_z does not see the kernel at all, because the pseudo-inverse never commands along it.",
-        ),
-        Claim(
-            "The moving horizon makes the Lyapunov estimator better.",
-            "beneficial errors",
-            f"mean RMSE {mean['lyapunov']:.3f}; gradient {mean['gradient']:.3f}, proximal {moving:.3f}; with disturbances "
-            f"{disturbed['lyapunov']:.3f}; {disturbed['gradient']:.3f}, "
-            f"{min(disturbed['proximal'], disturbed['proximal_flush']):.3f}; clearly better in {better}, worse in {worse} of {cases}",
-            "holds" if worse == 0 and 2 * better > cases else "partly" if better > worse else "not reproduced",
-            "The window remembers what many inputs showed. After a full loss the plain law is hard to beat.",
-        ),
-        Claim(
-            "It is comparable with a standard moving-horizon estimator.",
-            "comparable",
-            f"mean RMSE {moving:.3f} against {mean['mhe']:.3f}",
-            "holds" if moving < 1.2 * mean["mhe"] else "partly",
-            "Half a second of window and a random walk of losses forget what the kernel showed before.",
-        ),
-        Claim(
-            "It is easy to run where moving-horizon estimation is not.",
-            "ease of implementation",
-            f"{cost['lyapunov']:.0f}, {cost['proximal_flush']:.0f} and {cost['mhe']:.0f} us a step ({solves:.0f} us a solve)",
-            "holds" if dear > 3 else "partly",
-            "Measured as compiled here; the solver is exact to "
-            f"{numbers['mhe_vs_nlp']:.0e} against SciPy's bounded least squares.",
-        ),
-        Claim(
-            "Effectiveness above one is allowed for uncertain coefficients.",
-            "up to 1.2 here",
-            f"mean RMSE {mean['proximal_flush']:.3f}; {capped:.3f} with a cap of 1.02",
-            "holds" if mean["proximal_flush"] <= capped else "partly",
-            "A tight cap makes losses without an opposite pair unique, even in hover, but needs calibrated coefficients.",
-        ),
+    cost = n["microseconds_per_step"]
+    mean, disturbed = (
+        {e: np.mean([list(n[key][f][e].values()) for f in FAULTS]) for e in ESTIMATORS}
+        for key in ("rmse", "rmse_disturbed")
     )
+    moving, moving_disturbed = (min(found["proximal"], found["proximal_flush"]) for found in (mean, disturbed))
+    count = {key: sum(v[key] for v in n["moving_horizon"].values()) for key in ("better", "worse", "cases")}
+    better, worse, cases = count.values()
+    capped = np.mean([list(v.values()) for v in n["rmse_capped"].values()])
+    verdicts = {
+        "rank": graded(n["qobs_rank_flight"] == 9),
+        "small_values": graded(n["qobs_gap"] >= 5),
+        "sensitivity": graded(min(n["sensitivity_ratio"]) > 10),
+        "horizon": graded(worse == 0 and 2 * better > cases, better > worse),
+        "comparable": graded(moving < 1.2 * mean["mhe"], True),
+        "easy": graded(cost["mhe"] > 3 * cost["proximal_flush"], True),
+        "above_one": graded(mean["proximal_flush"] <= capped, True),
+    }
+    return reproduction.claims(
+        PAPER, verdicts, n=n, mean=mean, disturbed=disturbed, moving=moving, moving_disturbed=moving_disturbed,
+        **count, cost=cost, solves=4 * cost["mhe"], capped=capped,
+    )  # fmt: skip
 
 
 def figures(result: Reproduction) -> dict:
     """The paper's figures 1 and 2, and the estimates on the figure-eight. Raises ConfigError without matplotlib."""
-    Figure = optional.library("matplotlib.figure", "A figure").Figure
     s = result.series
-    one = Figure(figsize=(7, 3.2), layout="constrained")
-    axis = one.subplots()
+    one, ((axis,),) = panels(1, 1, (7, 3.2), grid=False)
     axis.semilogy(np.linspace(0, s["t"][-1], len(s["along"])), s["along"], lw=1)
     axis.set(title="Singular values of Q_obs", xlabel="time [s]", ylabel="relative to the largest")
 
-    two = Figure(figsize=(7, 6), layout="constrained")
-    for k, axis in enumerate(two.subplots(4, 1, sharex=True)):
+    two, axes = panels(4, 1, (7, 6), grid=False, sharex=True)
+    for k, axis in enumerate(axes.flat):
         axis.semilogy(s["t"][::5], np.maximum(s["other"][::5, k], 1e-8), color="tab:blue", lw=1)
         axis.semilogy(s["t"][::5], np.maximum(s["kernel"][::5, k], 1e-8), color="tab:red", lw=1)
         axis.set_ylabel(("p", "q", "r", "f_z")[k])
     two.suptitle("Sensitivity to losses; red: in the kernel of B, blue: off it")
 
-    three = Figure(figsize=(9, 6), layout="constrained")
+    three, grid = panels(len(FAULTS), len(ESTIMATORS), (9, 6), grid=False, sharex=True, sharey=True)
     flown, step = s["flights"], 240
-    grid = three.subplots(len(FAULTS), len(ESTIMATORS), sharex=True, sharey=True)
     for f, fault in enumerate(FAULTS):
         for e, name in enumerate(ESTIMATORS):
             axis, t = grid[f, e], flown.t[0, f, 0, ::step]

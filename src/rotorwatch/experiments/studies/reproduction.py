@@ -2,9 +2,8 @@
 
 A study is a module `studies/reproduce_<paper>.py` with
 
-    PAPER = "axkf"                      the name on the command line
-    TITLE = "..."                       authors, year, title
-    LITERAL = {"name": "what the paper prints, and what it does"}       errata that can be read literally
+    PAPER = "axkf"                      the name on the command line, and of papers/PAPER.toml: title, errata and the words of all claims
+    TITLE, LITERAL = about(PAPER)       LITERAL: name -> what the paper prints, and what it does: errata that can be read literally
     SEEDS = 10                          noise seeds when the user names none
     def reproduce(seeds=SEEDS, literal=(), progress=None) -> Reproduction
     def figures(result) -> {"file_stem": matplotlib Figure}             the paper's figures, drawn again
@@ -21,12 +20,13 @@ import math
 import pkgutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from types import ModuleType
 from typing import Any, Literal
 
 import numpy as np
 
-from rotorwatch import many, optional
+from rotorwatch import files, many, optional
 from rotorwatch.errors import ConfigError
 
 Verdict = Literal["holds", "partly", "not reproduced"]
@@ -69,6 +69,40 @@ class Reproduction:
     def to_json(self) -> str:
         """The same as JSON text."""
         return json.dumps(self.to_dict(), indent=1, allow_nan=False)
+
+
+@functools.cache
+def _words(paper: str) -> dict[str, Any]:
+    return files.toml(Path(__file__).parent / "papers" / f"{paper}.toml", "study")[0]
+
+
+def about(paper: str) -> tuple[str, dict[str, str]]:
+    """Title of the paper, and the errata that can be read literally."""
+    return _words(paper)["title"], _words(paper)["literal"]
+
+
+def claims(paper: str, verdicts: Mapping[str, Any], **values: Any) -> tuple[Claim, ...]:
+    """The claims of these keys in the words and the order of papers/PAPER.toml, filled in with `values`."""
+    known = _words(paper)["claims"]
+    return tuple(
+        Claim(verdict=verdicts[key], **{part: text.format_map(values) for part, text in row.items()})
+        for key, row in known.items()
+        if key in verdicts
+    )
+
+
+def graded(holds: Any, partly: Any = False) -> Verdict:
+    """The verdict on a claim that holds, or does in part."""
+    return "holds" if holds else "partly" if partly else "not reproduced"
+
+
+def panels(rows: int, columns: int, size: tuple[float, float], grid: bool = True, **shared: Any) -> tuple[Any, Any]:
+    """(figure, its axes (rows, columns)). Raises ConfigError without matplotlib."""
+    figure = optional.library("matplotlib.figure", "A figure").Figure(figsize=size, layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False, **shared)
+    for axis in axes.flat if grid else ():
+        axis.grid(alpha=0.3)
+    return figure, axes
 
 
 def studies() -> dict[str, ModuleType]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from rotorwatch.backend import jax as load_jax
+from rotorwatch.experiments.studies.runge_kutta import rk4
 
 DT, DURATION = 1e-3, 8.0
 ON, THRUST = 1.0, 0.01  # s, N
@@ -55,11 +56,7 @@ def fly(J, B, u, theta, *, shock=None) -> np.ndarray:
 
     def step(s, now):
         tau, push = now
-        a = derivative(s, tau)
-        b = derivative(s + 0.5 * DT * a, tau)
-        c = derivative(s + 0.5 * DT * b, tau)
-        d = derivative(s + DT * c, tau)
-        s = s + DT / 6.0 * (a + 2.0 * b + 2.0 * c + d)
+        s = rk4(lambda s: derivative(s, tau), s, DT)
         q, momentum = s[:3], J @ s[3:]
         q_after, p = q + push[:3], body_rates(q).T @ momentum + push[3:]
         s = jnp.concatenate([q_after, J_inverse @ (euler_rates(q_after).T @ p)])

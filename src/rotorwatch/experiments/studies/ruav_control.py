@@ -36,7 +36,7 @@ RHO = np.array([1.0, 6.0, 6.0])
 PUSH = np.array([1.0, 1.0, 0.15])  # rad/s^2 that disturb roll, pitch and yaw
 SCALE = np.array([1.0, 1.0, 1.0, 0.3, 0.3, 0.3, 0.3, 1.0])
 SLACK = 0.05
-SURE = 0.05  # an actuator whose gain is of that size, or less sure than it is large, is hardly asked to make up for its displacement
+SURE = 0.05  # an actuator whose gain is of that size, or less sure than it is large, hardly has to make up for its displacement
 SLOW_SAMPLE_S = (
     0.08  # loops are stable even when sampled so slowly: room for lags of servos and blades, which the model neglects
 )
@@ -127,7 +127,7 @@ def trim_command(trim, gain, half, displacement):
 
 
 def position_loop(pos, heading, velocity, turning, integral):
-    """((roll, pitch, turn rate, climb command) asked for, new integral (3,)): PI on velocity inside P on position.
+    """((roll, pitch, turn rate, climb command) wanted, new integral (3,)): PI on velocity inside P on position.
 
     pos (3,): north, east, down [m] off the place to be; velocity (3,): body axes, near level; turning: yaw rate [rad/s], by which body axes
     turn away under the velocity.

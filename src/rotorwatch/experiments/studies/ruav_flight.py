@@ -8,7 +8,8 @@ ellipsoid. A linear quadratic controller with integrators flies, and every comma
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections import namedtuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -45,40 +46,72 @@ def in_ball(rng, *shape) -> np.ndarray:
     return d / np.linalg.norm(d, axis=-1, keepdims=True) * rng.uniform(size=(*shape[:-1], 1)) ** (1 / shape[-1])
 
 
+def weather(seed: int, steps: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What pushes the helicopter (steps, 6) and what measurements err by (steps, 6), within their ellipsoids, and the dither's waves
+    (steps, 4) of size 1."""
+    rng = np.random.default_rng(seed)
+    mean = rng.standard_normal(6)
+    mean *= MEAN_SHARE / np.linalg.norm(mean)
+    push = (mean + (1 - MEAN_SHARE) * in_ball(rng, steps, 6)) * PROCESS[:6]
+    phase = rng.uniform(0, 2 * np.pi, 4)
+    wave = np.sin(2 * np.pi * DITHER_HZ * np.arange(steps)[:, None] * DT + phase)
+    return push, in_ball(rng, steps, 6) * MEASUREMENT, wave
+
+
 def fly(system: Helicopter, seeds: int, steps: int | None = None) -> Flights:
     """Flights of seeds 0, 1, ...; all at once."""
+    steps = int(SECONDS / DT) if steps is None else steps
+    push, error, wave = (np.stack(column) for column in zip(*(weather(seed, steps) for seed in range(seeds))))
+    return closed_loop(system, push, error, DITHER * wave, round(FAULT_S / DT))
+
+
+def closed_loop(system: Helicopter, push, error, extra, fault_step: int = -1) -> Flights:
+    """Flights of the linear quadratic controller, side by side: push, error (N, T, 6) as of `weather`, extra (N, T, 4) commands; FAULT
+    comes at a step, if it is one of them."""
     jax = load_jax()
     jnp, lax = jax.numpy, jax.lax
-    steps, K = int(SECONDS / DT) if steps is None else steps, _controller(system)
-    draws = []
-    for seed in range(seeds):
-        rng = np.random.default_rng(seed)
-        mean = rng.standard_normal(6)
-        mean *= MEAN_SHARE / np.linalg.norm(mean)
-        push = np.zeros((steps, 14))
-        push[:, :6] = (mean + (1 - MEAN_SHARE) * in_ball(rng, steps, 6)) * PROCESS[:6]
-        phase = rng.uniform(0, 2 * np.pi, 4)
-        dither = DITHER * np.sin(2 * np.pi * DITHER_HZ * np.arange(steps)[:, None] * DT + phase)
-        draws.append((push, in_ball(rng, steps, 6) * MEASUREMENT, dither))
+    K = _controller(system)
 
-    def one(push, error, dither):
+    def one(push, error, extra):
         def step(state, row):
             x, theta, attitude, integral, w = state
-            k, push, error, dither = row
-            U = jnp.clip(system.trim - K @ jnp.concatenate([x, attitude - ATTITUDE, integral]) + dither, 0.0, 1.0)
-            theta = jnp.where(k == round(FAULT_S / DT), theta + FAULT, theta)
+            k, push, error, extra = row
+            U = jnp.clip(system.trim - K @ jnp.concatenate([x, attitude - ATTITUDE, integral]) + extra, 0.0, 1.0)
+            theta = jnp.where(k == fault_step, theta + FAULT, theta)
             u, w = jnp.concatenate([U, attitude]), SMOOTH * w + (1 - SMOOTH) * push
-            x_next = x + DT * system.derivative(x, u, theta) + w[:6]
+            x_next = x + DT * system.derivative(x, u, theta) + w
             roll_pitch = attitude + DT * jnp.stack([x[3] + attitude[1] * x[5], x[4] - attitude[0] * x[5]])
             integral = integral + DT * x[np.array([0, 1, 2, 5])] * np.array([1, 1, 1, 0.2])
-            theta = theta + w[6:]
             return (x_next, theta, roll_pitch, integral, w), (u, x_next + error, x_next, theta)
 
-        start = (jnp.zeros(6), jnp.zeros(8), jnp.asarray(ATTITUDE), jnp.zeros(4), jnp.zeros(14))
-        return lax.scan(step, start, (jnp.arange(steps), push, error, dither))[1]
+        start = (jnp.zeros(6), jnp.zeros(8), jnp.asarray(ATTITUDE), jnp.zeros(4), jnp.zeros(6))
+        return lax.scan(step, start, (jnp.arange(len(push)), push, error, extra))[1]
 
-    columns = (np.stack(column) for column in zip(*draws, strict=True))
-    return Flights(*(np.asarray(table) for table in jax.jit(jax.vmap(one))(*columns)))
+    return Flights(*(np.asarray(table) for table in jax.jit(jax.vmap(one))(push, error, extra)))
+
+
+class Truth(namedtuple("Truth", "x attitude place theta w")):
+    """Where a helicopter is that also moves in place: x (6,) velocities and rates, attitude (3,) roll, pitch, heading, place (3,) north,
+    east, down [m], theta (8,), w (6,): what pushes it."""
+
+    @classmethod
+    def hover(cls) -> Truth:
+        """At rest and healthy."""
+        zero = load_jax().numpy.zeros
+        return cls(zero(6), load_jax().numpy.asarray([*ATTITUDE, 0.0]), zero(3), zero(8), zero(6))
+
+    def moved(self, system: Helicopter, U, push, now, fault) -> tuple[Any, Truth]:
+        """(u (6,) of the plant, the truth a step later) under commands U (4,); now: whether the fault (8,) comes."""
+        jnp = load_jax().numpy
+        x, attitude, place, theta, w = self
+        theta = theta + jnp.where(now, fault, 0.0)
+        u, w = jnp.concatenate([U, attitude[:2]]), SMOOTH * w + (1 - SMOOTH) * push
+        new = jnp.clip(x + DT * system.derivative(x, u, theta) + w, -1e3, 1e3)
+        # Small angles.
+        turned = jnp.stack([x[3] + attitude[1] * x[5], x[4] - attitude[0] * x[5], x[5] + attitude[0] * x[4]])
+        c, s = jnp.cos(attitude[2]), jnp.sin(attitude[2])
+        place = place + DT * jnp.stack([c * x[0] - s * x[1], s * x[0] + c * x[1], x[2]])
+        return u, Truth(new, attitude + DT * turned, place, theta, w)
 
 
 def _controller(system) -> np.ndarray:

@@ -16,12 +16,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rotorwatch import optional
 from rotorwatch.backend import jax as load_jax
-from rotorwatch.experiments.studies import ruav_control, ruav_filters, ruav_flight
-from rotorwatch.experiments.studies.reproduction import Claim
+from rotorwatch.experiments.studies import reproduction, ruav_control, ruav_filters, ruav_flight
+from rotorwatch.experiments.studies.reproduction import Claim, graded, panels
 from rotorwatch.experiments.studies.ruav_control import Designs
-from rotorwatch.experiments.studies.ruav_flight import ATTITUDE, DT, MEAN_SHARE, MEASUREMENT, PROCESS, SMOOTH, in_ball
+from rotorwatch.experiments.studies.ruav_flight import DT
 from rotorwatch.maths import h_infinity
 
 BEGIN, FAULT_STEP, PILOT = 20_500, 21_500, 23_000
@@ -95,32 +94,16 @@ def fly(name: str, setting: Setting, designs: Designs, estimator=None) -> Flown:
                 state = _bumpless(state, synthesis.K, found.K)
                 made, synthesis, key = made + 1, found, wanted
         trim = ruav_control.trim_command(system.trim, middle[:4], half[:4], middle[4:])
-    x, attitude, place, command, theta, middles, halves = (
-        np.concatenate([np.asarray(part[i]) for part in parts]) for i in range(7)
-    )
-    return Flown(
-        x,
-        attitude,
-        place,
-        command,
-        theta,
-        middles,
-        halves,
-        made,
-        excluded,
-        synthesis,
-        key,
-        int(state[-1][1]),
-        setting.begin,
-    )
+    tables = (np.concatenate([np.asarray(part[i]) for part in parts]) for i in range(7))
+    return Flown._make([*tables, made, excluded, synthesis, key, int(state[-1][1]), setting.begin])
 
 
 def _bumpless(state, old, new):
-    """The state with integrals that ask of the new controller for what the old ones asked of the old one, as far as they can."""
-    xi = np.asarray(state[6])
-    left, wish = new[:, 5:], old[:, 5:] @ xi
-    xi = np.linalg.solve(left.T @ left + 1e-2 * np.eye(3), left.T @ wish + 1e-2 * xi)
-    return (*state[:6], xi, *state[7:])
+    """The state with integrals for which the new controller commands what the old one did, as far as possible."""
+    truth, y, xi, *rest = state
+    left, wish = new[:, 5:], old[:, 5:] @ np.asarray(xi)
+    xi = np.linalg.solve(left.T @ left + 1e-2 * np.eye(3), left.T @ wish + 1e-2 * np.asarray(xi))
+    return (truth, y, xi, *rest)
 
 
 def judged(flown: Flown) -> dict:
@@ -150,14 +133,8 @@ def judged(flown: Flown) -> dict:
 def _rows(setting: Setting):
     """Per step: push (6,), measurement error (6,), dither (4,), whether the fault comes now. Drawn from step BEGIN's seed on."""
     steps = setting.end - setting.begin
-    rng = np.random.default_rng(setting.seed)
-    mean = rng.standard_normal(6)
-    mean *= MEAN_SHARE / np.linalg.norm(mean)
-    push = (mean + (1 - MEAN_SHARE) * in_ball(rng, steps, 6)) * PROCESS[:6]
-    phase = rng.uniform(0, 2 * np.pi, 4)
-    time = np.arange(steps)[:, None] * DT
-    dither = setting.dither * DITHER * np.sin(2 * np.pi * ruav_flight.DITHER_HZ * time + phase)
-    return push, in_ball(rng, steps, 6) * MEASUREMENT, dither, np.arange(steps) == FAULT_STEP - setting.begin
+    push, error, wave = ruav_flight.weather(setting.seed, steps)
+    return push, error, setting.dither * DITHER * wave, np.arange(steps) == FAULT_STEP - setting.begin
 
 
 @lru_cache(maxsize=4)
@@ -176,35 +153,27 @@ def _made(estimator):
         knobs = _with(estimator, eta, floor)
 
         def step(state, row):
-            x, attitude, place, theta, w, y, xi, integral, filtered = state
+            truth, y, xi, integral, filtered = state
             push, error, dither, now = row
+            attitude, place = truth.attitude, truth.place
             roll, pitch, turn, climb, integral = ruav_control.position_loop(place, attitude[2], y[:3], y[5], integral)
             off = jnp.stack([attitude[0] - roll, attitude[1] - pitch])
             slow = y[5] - turn
             whole = jnp.concatenate([y[3:5], slow[None], off, xi])
             xi = xi + DT * jnp.concatenate([off, (slow - xi[2] / ruav_control.LEAK_S)[None]])
             U = jnp.clip(trim + jnp.concatenate([(climb / lift)[None], K @ whole]) + dither, 0.0, 1.0)
-            theta = theta + jnp.where(now, fault, 0.0)
-            u, w = jnp.concatenate([U, attitude[:2]]), SMOOTH * w + (1 - SMOOTH) * push
-            new = jnp.clip(x + DT * system.derivative(x, u, theta) + w, -1e3, 1e3)
-            turned = jnp.stack(
-                [x[3] + attitude[1] * x[5], x[4] - attitude[0] * x[5], x[5] + attitude[0] * x[4]]
-            )  # small angles
-            c, s = jnp.cos(attitude[2]), jnp.sin(attitude[2])
-            place = place + DT * jnp.stack([c * x[0] - s * x[1], s * x[0] + c * x[1], x[2]])
-            attitude = attitude + DT * turned
-            y = new + error
+            u, truth = truth.moved(system, U, push, now, fault)
+            y = truth.x + error
             filtered, z, P = ruav_filters.step(knobs, filtered, u, y, restart)
             half = jnp.sqrt(jnp.maximum(jnp.diagonal(P), 0.0))[6:]
             middle = jnp.concatenate([1.0 - z[6:10], z[10:]])
-            state = new, attitude, place, theta, w, y, xi, integral, filtered
-            return state, (new, attitude, place, U, theta, middle, half)
+            seen = (truth.x, truth.attitude, truth.place, U, truth.theta, middle, half)
+            return (truth, y, xi, integral, filtered), seen
 
         return jax.lax.scan(step, state, rows)
 
     zero = jnp.zeros
-    level = jnp.asarray([*ATTITUDE, 0.0])
-    state = (zero(6), level, zero(3), zero(8), zero(6), zero(6), zero(3), zero(3), ruav_filters.start(estimator))
+    state = (ruav_flight.Truth.hover(), zero(6), zero(3), zero(3), ruav_filters.start(estimator))
     return jax.jit(chunk), state, lift
 
 
@@ -255,17 +224,16 @@ def flight_test(progress=None) -> tuple[dict, dict]:
             progress(k / len(jobs))
         one = judged(fly(name, Setting(**VARIED[name][label]), designs))
         varied[name][label] = {key: one[key] for key in ("rates_before", "rates_after", "stable_after", "inside_after")}
-    healthy = designs.of(designs.key(1.0 - ruav_filters.START_REACH[1:4], np.ones(3)))
+    key = designs.key(1.0 - ruav_filters.START_REACH[1:4], np.ones(3))
+    short = {"aesmf": "esmf", "aekf": "aekf"}
+    after = [f"{what}_after" for what in ("rates", "stable")]
     numbers: dict[str, Any] = {
         "rates_before": np.maximum(seen["aesmf"]["rates_before"], seen["aekf"]["rates_before"]),
-        **{f"rates_after_{short}": seen[name]["rates_after"] for name, short in (("aesmf", "esmf"), ("aekf", "aekf"))},
-        **{
-            f"stable_after_{short}": seen[name]["stable_after"] for name, short in (("aesmf", "esmf"), ("aekf", "aekf"))
-        },
+        **{f"{what}_{label}": seen[name][what] for what in after for name, label in short.items()},
         "flights": seen,
         "varied": varied,
         "controllers": {
-            "healthy": _norms(designs, designs.key(1.0 - ruav_filters.START_REACH[1:4], np.ones(3)), healthy),
+            "healthy": _norms(designs, key, designs.of(key)),
             **{name: _norms(designs, one.key, one.synthesis) for name, one in flown.items()},
             "made": sum(one is not None for one in designs.made.values()),
             "excluded": sum(one is None for one in designs.made.values()),
@@ -294,110 +262,69 @@ def _norms(designs: Designs, key: tuple, made) -> dict:
 
 def claims(numbers: dict) -> tuple[Claim, ...]:
     """The paper's claims about the flight test, with verdicts from the numbers."""
-    before, esmf, aekf = (np.asarray(numbers[key]) for key in ("rates_before", "rates_after_esmf", "rates_after_aekf"))
-    quiet = before.max() < QUIET
-    seen, varied, made = numbers["flights"], numbers["varied"], numbers["controllers"]
-    steady = [label for label, one in varied["aekf"].items() if one["stable_after"]]
-    wild = [label for label, one in varied["aekf"].items() if not one["stable_after"]]
-    fixed = varied["ekf"]["fixed_q"]
-    unstable = not numbers["stable_after_aekf"]
-    calm = [label for label, one in varied["aesmf"].items() if one["stable_after"]]
-    rough = [label for label in varied["aesmf"] if label not in calm]
-    apart = max(
-        abs(one[way] / one["norm"] - 1)
-        for key in ("healthy", *seen)
-        for way in ("sweep", "bisection", "bounded_real")
-        for one in (made[key],)
-    )
-    covers, loses = seen["aesmf"]["inside_after"], seen["aekf"]["inside_after"]
-    return (
-        Claim(
-            "Before the fault the H-infinity loop keeps attitude rates below 0.1 rad/s",
-            "all below 0.1 rad/s",
-            f"largest p, q, r {_rates(before)} rad/s; on AEKF's bounds {_rates(seen['aekf']['rates_before'])}",
-            "holds" if quiet else "partly" if seen["aekf"]["rates_before"].max() < QUIET else "not reproduced",
-            "with a dither that is chosen small enough for it, and twice as much breaks it; the paper says nothing of one",
-        ),
-        Claim(
-            "After the fault the loop designed for GD-ESMF's bounds stays stable",
-            "stable hover",
-            f"largest p, q, r {_rates(esmf)} rad/s; bounds hold {covers:.2f} of the coefficients; stable too with: "
-            f"{', '.join(calm) or 'no variation'}; not with: {', '.join(rough) or 'none'}; "
-            f"on an EKF's with fixed Q {_rates(fixed['rates_after'])}",
-            "not reproduced" if not numbers["stable_after_esmf"] else "partly" if rough else "holds",
-            f"at {seen['aesmf']['excluded']} of {(PILOT - BEGIN) // REDESIGN} looks the bounds, of half-width "
-            f"{seen['aesmf']['half_width_after']:.2f}, exclude every controller, and the last one flies on; a yaw that a jammed tail "
-            "leaves to its damping is nobody's",
-        ),
-        Claim(
-            "After the fault the loop designed for AEKF's bounds is unstable, as they miss the truth",
-            "rates above 0.3 rad/s",
-            f"largest p, q, r {_rates(aekf)} rad/s; bounds hold {loses:.2f} of the coefficients; unstable too with: "
-            f"{', '.join(wild) or 'no variation'}; stable with: {', '.join(steady) or 'no variation'}",
-            "holds" if unstable and not steady else "partly" if unstable else "not reproduced",
-            "it depends on what the paper leaves open, and a restart after an impossible innovation, which sets have too, keeps it flying",
-        ),
-        Claim(
-            "One controller is sure for the whole interval of coefficients",
-            "a standard H-infinity controller for the bounds",
-            f"{made['made']} controllers made; the vertices' norm by synthesis, sweep, Hamiltonian and bounded real lemma differ by "
-            f"{apart:.1e}; the slowest Lyapunov function falls by {min(made[key]['decay_per_s'] for key in ('healthy', *seen)):.3f}/s",
-            "holds"
-            if apart < 1e-4 and min(made[key]["decay_per_s"] for key in ("healthy", *seen)) > 0
-            else "not reproduced",
-            f"one quadratic Lyapunov function for all vertices; {made['excluded']} intervals exclude every controller",
-        ),
-    )
+    before, seen, made, varied = (numbers[key] for key in ("rates_before", "flights", "controllers", "varied"))
+    stable = {name: [label for label, one in varied[name].items() if one["stable_after"]] for name in seen}
+    lost = {name: [label for label in varied[name] if label not in stable[name]] for name in seen}
+    norms = [made[key] for key in ("healthy", *seen)]
+    apart = max(abs(one[way] / one["norm"] - 1) for one in norms for way in ("sweep", "bisection", "bounded_real"))
+    decay = min(one["decay_per_s"] for one in norms)
+    flies, crashes = numbers["stable_after_esmf"], not numbers["stable_after_aekf"]
+    verdicts = {
+        "quiet": graded(np.max(before) < QUIET, np.max(seen["aekf"]["rates_before"]) < QUIET),
+        "sets_fly": graded(flies and not lost["aesmf"], flies),
+        "kalman_crashes": graded(crashes and not stable["aekf"], crashes),
+        "one_controller": graded(apart < 1e-4 and decay > 0),
+    }
+    return reproduction.claims(
+        "aesmf", verdicts, seen=seen, made=made, apart=apart, decay=decay, looks=(PILOT - BEGIN) // REDESIGN,
+        before=_rates(before), before_aekf=_rates(seen["aekf"]["rates_before"]),
+        after_esmf=_rates(numbers["rates_after_esmf"]), after_aekf=_rates(numbers["rates_after_aekf"]),
+        fixed=_rates(varied["ekf"]["fixed_q"]["rates_after"]),
+        calm=", ".join(stable["aesmf"]) or "no variation", rough=", ".join(lost["aesmf"]) or "none",
+        wild=", ".join(lost["aekf"]) or "no variation", steady=", ".join(stable["aekf"]) or "no variation",
+    )  # fmt: skip
 
 
 def _rates(values) -> str:
     return ", ".join(f"{v:.3f}" if v < 100 else "lost" for v in values)
 
 
+def edges(axis, x, middle, half, colour: str, label: str) -> None:
+    """Both edges of bounds."""
+    for sign in (-1, 1):
+        axis.plot(x, middle + sign * half, colour, lw=0.8, label=label if sign > 0 else None)
+
+
 def figures(flown: dict) -> dict:
     """Figures 7 to 9 of the paper: tracking in hover, attitude rates, bounds of the coefficients."""
-    Figure = optional.library("matplotlib.figure", "A figure").Figure
-    names = {"aekf": "AEKF", "aesmf": "GD-ESMF"}
+    names = {"aekf": ("AEKF", "C3"), "aesmf": ("GD-ESMF", "C2")}
     steps = {name: one.begin + np.arange(len(one.x)) for name, one in flown.items()}
-    hover = Figure(figsize=(9, 5), layout="constrained")
     one, until = flown["aekf"], FAULT_STEP - flown["aekf"].begin
-    for axis, values, labels, unit in zip(
-        hover.subplots(2, 1, sharex=True),
-        (one.x[:until, :3], one.place[:until]),
-        (("u", "v", "w"), ("north", "east", "down")),
-        ("m/s", "m"),
-        strict=True,
-    ):
+    hover, axes = panels(2, 1, (9, 5), sharex=True)
+    shown = {"m/s": (one.x, ("u", "v", "w")), "m": (one.place, ("north", "east", "down"))}
+    for axis, (unit, (values, labels)) in zip(axes.flat, shown.items(), strict=True):
         for i, label in enumerate(labels):
-            axis.plot(steps["aekf"][:until], values[:, i], lw=0.9, label=label)
+            axis.plot(steps["aekf"][:until], values[:until, i], lw=0.9, label=label)
         axis.set(ylabel=unit)
         axis.legend(fontsize="small")
-        axis.grid(alpha=0.3)
-    hover.axes[1].set_xlabel("step")
-    rates = Figure(figsize=(9, 5), layout="constrained")
-    for axis, (name, label) in zip(rates.subplots(2, 1, sharex=True), names.items(), strict=True):
+    axes[1, 0].set_xlabel("step")
+    rates, axes = panels(2, 1, (9, 5), sharex=True)
+    for axis, (name, (label, _)) in zip(axes.flat, names.items(), strict=True):
         for i, rate in enumerate("pqr"):
             axis.plot(steps[name], np.clip(flown[name].x[:, 3 + i], -3, 3), lw=0.8, label=rate)
         for limit in (-STABLE, STABLE):
             axis.axhline(limit, color="k", lw=0.6, ls=":")
         axis.set(title=f"designed for the bounds of {label}", ylabel="rad/s", ylim=(-1.5, 1.5))
-        axis.grid(alpha=0.3)
-    rates.axes[0].legend(fontsize="small")
-    rates.axes[1].set_xlabel("step")
-    bounds = Figure(figsize=(9, 6), layout="constrained")
-    for axis, (i, title) in zip(
-        bounds.subplots(2, 2, sharex=True).flat,
-        ((1, "tail: gamma"), (3, "roll: gamma"), (5, "tail: delta"), (7, "roll: delta")),
-        strict=True,
-    ):
-        for (name, label), colour in zip(names.items(), ("C3", "C2"), strict=True):
+    axes[0, 0].legend(fontsize="small")
+    axes[1, 0].set_xlabel("step")
+    bounds, axes = panels(2, 2, (9, 6), sharex=True)
+    titles = {1: "tail: gamma", 3: "roll: gamma", 5: "tail: delta", 7: "roll: delta"}
+    for axis, (i, title) in zip(axes.flat, titles.items(), strict=True):
+        for name, (label, colour) in names.items():
             one = flown[name]
-            for sign in (-1, 1):
-                edge = one.middle[:, i] + sign * one.half[:, i]
-                axis.plot(steps[name][::5], edge[::5], colour, lw=0.8, label=label if sign > 0 else None)
+            edges(axis, steps[name][::5], one.middle[::5, i], one.half[::5, i], colour, label)
         truth = flown["aesmf"].theta[:, i]
         axis.plot(steps["aesmf"], 1 - truth if i < 4 else truth, "k--", lw=1.1, label="truth")
         axis.set(title=title, ylim=(-0.6, 1.6) if i < 4 else (-0.6, 0.8))
-        axis.grid(alpha=0.3)
-    bounds.axes[0].legend(fontsize="small")
+    axes[0, 0].legend(fontsize="small")
     return {"aesmf-hover": hover, "aesmf-rates": rates, "aesmf-flight-bounds": bounds}

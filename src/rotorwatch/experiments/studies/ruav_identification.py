@@ -23,9 +23,9 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch.backend import jax as load_jax
-from rotorwatch.experiments.studies import ruav_control, ruav_flight
-from rotorwatch.experiments.studies.reproduction import Claim
-from rotorwatch.experiments.studies.ruav_flight import ATTITUDE, DT, MEAN_SHARE, MEASUREMENT, PROCESS, SMOOTH, in_ball
+from rotorwatch.experiments.studies import reproduction, ruav_control, ruav_flight
+from rotorwatch.experiments.studies.reproduction import Claim, graded
+from rotorwatch.experiments.studies.ruav_flight import ATTITUDE, DT, MEAN_SHARE, MEASUREMENT, PROCESS, in_ball
 
 WINDOW, WINDOWS, COHERENT = 1024, 8, 0.6
 SWEEP_HZ, SWEEP = (0.08, 3.0), np.array([0.012, 0.02, 0.016, 0.012])
@@ -168,9 +168,7 @@ def _responses(u, y, r):
 
 def _records(system, seed: int):
     """u (4, T, 4), y (4, T, 6) and the sweeps r (4, T, 4), one command swept in each record; one more window first, to settle."""
-    jax = load_jax()
-    jnp, lax = jax.numpy, jax.lax
-    K, steps = ruav_flight._controller(system), WINDOW * (WINDOWS + 1)
+    steps = WINDOW * (WINDOWS + 1)
     rng = np.random.default_rng(seed)
     time = np.arange(steps) * DT
     # One sweep a window: its frequency rises exponentially, and every window holds all of them.
@@ -185,22 +183,11 @@ def _records(system, seed: int):
     push = (mean + (1 - MEAN_SHARE) * in_ball(rng, 4, steps, 6)) * PROCESS[:6]
     error = in_ball(rng, 4, steps, 6) * MEASUREMENT
 
-    def one(push, error, r):
-        def step(state, row):
-            x, attitude, integral, w = state
-            push, error, r = row
-            U = jnp.clip(system.trim - K @ jnp.concatenate([x, attitude - ATTITUDE, integral]) + r, 0.0, 1.0)
-            w = SMOOTH * w + (1 - SMOOTH) * push
-            new = x + DT * system.derivative(x, jnp.concatenate([U, attitude]), jnp.zeros(8)) + w
-            turned = attitude + DT * jnp.stack([x[3] + attitude[1] * x[5], x[4] - attitude[0] * x[5]])
-            integral = integral + DT * x[np.array([0, 1, 2, 5])] * np.array([1, 1, 1, 0.2])
-            return (new, turned, integral, w), (U, x + error)
-
-        start = (jnp.zeros(6), jnp.asarray(ATTITUDE), jnp.zeros(4), jnp.zeros(6))
-        return lax.scan(step, start, (push, error, r))[1]
-
-    u, y = (np.asarray(table) for table in jax.jit(jax.vmap(one))(push, error, r))
-    return u[:, WINDOW:], y[:, WINDOW:], r[:, WINDOW:]
+    flights = ruav_flight.closed_loop(system, push, error, r)
+    y = (
+        np.concatenate([np.zeros((4, 1, 6)), flights.x[:, :-1]], axis=1) + error
+    )  # what a command meets, not what it leads to
+    return flights.u[:, WINDOW:, :4], y[:, WINDOW:], r[:, WINDOW:]
 
 
 def numbers(found: Identified) -> dict:
@@ -224,15 +211,7 @@ def numbers(found: Identified) -> dict:
 
 def claims(numbers: dict) -> tuple[Claim, ...]:
     """The paper's claim about its model."""
-    good = numbers["intervals_hold"] >= 0.9 and numbers["median_error"] < 0.05
-    return (
-        Claim(
-            "The hover model can be identified by the frequency response method",
-            "figure 3: model and flight agree",
-            f"{numbers['held']} of {numbers['of']} parameters within their 95 % interval, the furthest "
-            f"{numbers['largest_in_deviations']:.1f} deviations off; the larger ones' median error {100 * numbers['median_error']:.1f} %; "
-            f"{100 * numbers['coherent']:.0f} % of the responses coherent",
-            "holds" if good else "partly" if numbers["intervals_hold"] >= 0.7 else "not reproduced",
-            "on simulated sweeps in closed loop, against the simulator's own derivatives; the paper's values are lost with its table 1",
-        ),
-    )
+    hold, error = numbers["intervals_hold"], numbers["median_error"]
+    verdict = graded(hold >= 0.9 and error < 0.05, hold >= 0.7)
+    percents = {"median_percent": 100 * error, "coherent_percent": 100 * numbers["coherent"]}
+    return reproduction.claims("aesmf", {"identified": verdict}, **numbers, **percents)

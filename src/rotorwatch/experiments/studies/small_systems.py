@@ -2,7 +2,7 @@
 
 At each step the noise lies on the bound's surface and pushes the truth away from the set's centre as the ellipsoid measures it,
 w = Q p / sqrt(p'Qp) with p = P^-1 (z - a); measurement errors lie on their bound, away from the truth or at random. theta stays,
-or moves away from the set's centre as fast as the filter is told that it may.
+or moves away from the set's centre as fast as the filter's bound allows.
 """
 
 from __future__ import annotations

@@ -6,7 +6,8 @@ mean carried. Zhang, Zhang, Li, Qin and Xu, Drones 7 (2023) 12, eqs. (19)-(39).
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from collections import namedtuple
+from typing import Any
 
 import numpy as np
 
@@ -15,14 +16,8 @@ from rotorwatch.core import Array
 READINGS = ("no_redraw", "centre", "gain_covariance", "inverse")
 
 
-class Carry(NamedTuple):
+class Carry(namedtuple("Carry", "x_free P_free gamma P_gamma beta")):
     """x_free (n_x,), P_free (n_x, n_x): bias-free filter. gamma (n_theta,), P_gamma: bias filter. beta (n_x, n_theta): coupling."""
-
-    x_free: Array
-    P_free: Array
-    gamma: Array
-    P_gamma: Array
-    beta: Array
 
 
 class AsPrinted:

@@ -8,6 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from rotorwatch.backend import jax as load_jax
+from rotorwatch.experiments.studies.runge_kutta import rk4
+
 DT = 0.01  # s: control, measurement and filter step
 SUBSTEPS = 4
 SECONDS = 90.0
@@ -30,8 +33,6 @@ def losses(scenario: int) -> np.ndarray:
 
 def fly(airframe: dict, loss: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Commands u (T, 4) and pose (T, 6) [m, rad] after each, of a flight with these true losses (T, 4)."""
-    from rotorwatch.backend import jax as load_jax
-
     jax = load_jax()
     jnp = jax.numpy
     m, g, J = float(airframe["mass"]), float(airframe["gravity"]), np.array(airframe["inertia"])
@@ -72,10 +73,7 @@ def fly(airframe: dict, loss: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         u, integral = control(s, integral)
         thrust, h = u * (1.0 - loss), DT / SUBSTEPS
         for _ in range(SUBSTEPS):
-            k1 = rate(s, thrust)
-            k2 = rate(s + 0.5 * h * k1, thrust)
-            k3 = rate(s + 0.5 * h * k2, thrust)
-            s = s + h / 6 * (k1 + 2 * k2 + 2 * k3 + rate(s + h * k3, thrust))
+            s = rk4(lambda s: rate(s, thrust), s, h)
         return (s, integral), (u, jnp.concatenate([s[:3], angles(s)]))
 
     start = jnp.array([*TARGET, 1.0, *np.zeros(9)])

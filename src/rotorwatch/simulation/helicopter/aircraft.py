@@ -5,6 +5,7 @@ It begins in trimmed hover at the working height and ends in the air; a helicopt
 
 from __future__ import annotations
 
+from collections import namedtuple
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -49,23 +50,10 @@ class Actuators(NamedTuple):
     held: Array
 
 
-class Record(NamedTuple):
+class Record(namedtuple("Record", "time p v q omega rates accel command actuators theta wind flies")):
     """After each tick: time [s]; p [m], v [m/s] (3,) NED, q (4,) body to world, omega (3,) [rad/s]; rates (3,): filtered gyro [rad/s];
     accel (3,): filtered specific force [m/s^2]; command, actuators (4,) in [0, 1]; theta (8,): losses, then displacements, of the
     plant; wind (3,) NED [m/s]; flies: 0 on the ground."""
-
-    time: Array
-    p: Array
-    v: Array
-    q: Array
-    omega: Array
-    rates: Array
-    accel: Array
-    command: Array
-    actuators: Array
-    theta: Array
-    wind: Array
-    flies: Array
 
 
 def plan(scenario: Scenario) -> Plan:
@@ -93,12 +81,12 @@ def plan(scenario: Scenario) -> Plan:
 def theta_of(broken: Faults, s, held):
     """theta (8,) of the plant: losses, then displacements, of actuators that jam where they were (`held`, (4,)). s (F,): strengths."""
     jnp = load_jax().numpy
-    left, shift = faults.left(broken, s), faults.summed(broken, broken.bias * s)
+    remaining, shift = faults.remaining(broken, s), faults.summed(broken, broken.bias * s)
     for k in range(faults.MOST):
         jammed = broken.rotor[k] * broken.frozen[k] * jnp.where(s[k] > 0.0, 1.0, 0.0) > 0.0
-        left = jnp.where(jammed, 0.0, left)
+        remaining = jnp.where(jammed, 0.0, remaining)
         shift = jnp.where(jammed, jnp.where(broken.level[k] < 0.0, held, broken.level[k]), shift)
-    return jnp.concatenate([1.0 - left, shift])
+    return jnp.concatenate([1.0 - remaining, shift])
 
 
 @dataclass(frozen=True)
@@ -120,14 +108,14 @@ class HelicopterAircraft:
     def reference(self, plan: Plan, ticks: int, dt: float) -> Reference:
         """The manoeuvre at the working height, from the beginning in the air."""
         jnp = load_jax().numpy
-        ask = trajectories.table(plan.way, ticks, dt)
+        reference = trajectories.table(plan.way, ticks, dt)
         height = jnp.stack([jnp.zeros(()), jnp.zeros(()), -plan.altitude])
-        return ask._replace(p=ask.p + height, lift=jnp.ones_like(ask.lift))
+        return reference._replace(p=reference.p + height, lift=jnp.ones_like(reference.lift))
 
-    def begin(self, plan: Plan, state: State, ask, blowing, turning, dt: float) -> tuple[Moment, Array]:
+    def begin(self, plan: Plan, state: State, reference, blowing, turning, dt: float) -> tuple[Moment, Array]:
         """Outer loops."""
-        target, integral = control.outer(plan.pilot, ask, state.body, state.integral, dt)
-        return Moment(target, Air(blowing, turning, 0.0 * ask.yaw)), integral
+        target, integral = control.outer(plan.pilot, reference, state.body, state.integral, dt)
+        return Moment(target, Air(blowing, turning, 0.0 * reference.yaw)), integral
 
     def step(self, plan: Plan, now: Moment, t, body: Body, gyro, loops: Loops, own: Actuators, dt: float) -> tuple:
         """Inner loops and allocation, faults, actuators and body."""

@@ -1,11 +1,11 @@
 """The helicopter's autopilot: the multirotor's cascade of loops (`simulation.control`), and an allocation to four actuators.
 
-Position, velocity, attitude and rate loops ask for a specific force along the mast and three angular accelerations; the
+Position, velocity, attitude and rate loops reference for a specific force along the mast and three angular accelerations; the
 linearised plant in trim says which collective, tail and cyclic commands give them:
 
     U = U_trim + M^-1 (f_z - f_z,trim, dp/dt, dq/dt, dr/dt),      M = d(f_z, dp/dt, dq/dt, dr/dt) / dU
 
-A helicopter hovers leaning against its tail rotor's thrust: attitudes asked for are turned by that of trim.
+A helicopter hovers leaning against its tail rotor's thrust: attitude setpoints are turned by that of trim.
 """
 
 from __future__ import annotations
@@ -77,9 +77,9 @@ def tune(system, lag: float, gyro_hz: float) -> Pilot:
     return Pilot(loops, np.linalg.inv(M), U, q, np.array(G0 * np.cos(roll) * np.cos(pitch)))
 
 
-def outer(pilot: Pilot, ask, body, integral, dt) -> tuple[Target, Array]:
+def outer(pilot: Pilot, reference, body, integral, dt) -> tuple[Target, Array]:
     """Position and velocity loops: the target, turned by the attitude of trim, and the velocity integral (3,)."""
-    target, integral = control.outer(pilot.loops, ask, body, integral, dt)
+    target, integral = control.outer(pilot.loops, reference, body, integral, dt)
     return target._replace(q=rotation.multiply(target.q, pilot.q)), integral
 
 

@@ -1,31 +1,30 @@
-"""Is a vehicle that is asked told apart? Flights with losses that are ambiguous, without and with an excitation of their commands.
+"""Does an excitation of the commands resolve ambiguous losses? Flights with such losses, without and with an excitation.
 
-    from rotorwatch.campaign import asking
-    result = asking.run(flights=120)
-    print(asking.markdown(result))
+    from rotorwatch.campaign import excitation_flights
+    result = excitation_flights.run(flights=120)
+    print(excitation_flights.markdown(result))
 
-Every flight is flown and diagnosed as it is. Where the answer is `ambiguous` the log says what to ask (`default.asked.question`), the
-excitation is designed from that (`control.excitation`), and the flight is flown again with it: up to its start it is the same to the
-last bit. Healthy flights are excited as well, as if somebody wondered.
+Every flight is flown and diagnosed as it is. Where the answer is `ambiguous` the log says which rotor sets to distinguish
+(`default.asked.question`), the excitation is designed from that (`control.excitation`), and the flight is flown again with it: up to its
+start it is the same to the last bit. Healthy flights are excited as well.
 """
 
 from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
 from os import PathLike
 from typing import Any
 
 import numpy as np
 
-from rotorwatch import airframes, many
-from rotorwatch.campaign import summary
+from rotorwatch import airframes
 from rotorwatch.control import excitation
 from rotorwatch.default import asked, events, hypotheses, program
 from rotorwatch.diagnose import diagnose
 from rotorwatch.diagnosis import Event
 from rotorwatch.errors import ConfigError
+from rotorwatch.experiments import tools
 from rotorwatch.motion.airborne import airborne
 from rotorwatch.motion.allocation import ambiguous_sets
 from rotorwatch.motion.ticks import READY_S, observe
@@ -34,40 +33,17 @@ from rotorwatch.simulation.excited import EXCITED
 from rotorwatch.simulation.scenario import Scenario
 
 FRAMES = ("hexa-x", "hexa-plus", "octa-x", "octa-plus")
-ONSET_S, WAITS_S, ENDS_S = 16.0, 1.0, 14.0  # of the loss; from the answer to the excitation; from the loss to the end
+ONSET_S, WAITS_S, ENDS_S = (
+    16.0,
+    1.0,
+    14.0,
+)  # onset of the loss; from the answer to the excitation; from the onset to the end
 WITHIN_S = 3.0
 WIDTH = 16  # flights side by side
-WORST = 0.5  # loss that somebody who suspects nothing reckons with
+WORST = 0.5  # loss that is assumed where nothing was announced
 LOSSES, LARGER = (0.15, 0.45), (0.3, 0.7)
 WINDS_M_S = 4.0
 HEALTHY = 0.25  # share of flights
-
-
-@dataclass(frozen=True)
-class Row:
-    """One flight. broken: its weak rotors, none of a healthy one; loss: of each. before: what the default method's events come to without
-    the excitation, after: verdict of the diagnosis with it;
-    named: the rotors named after it. right: these are the broken ones; wrong: others are named. asked: it was excited. length_s, amplitude
-    (share of full thrust): of the excitation; turned_deg: by how much it moved the attitude; needed_s: how long the information bound asks
-    for, None where WITHIN_S do not do."""
-
-    flight: int
-    frame: str
-    mass_kg: float
-    wind_m_s: float
-    broken: tuple[int, ...]
-    loss: float
-    before: str
-    after: str
-    named: tuple[int, ...]
-    asked: bool
-    right: bool
-    wrong: bool
-    length_s: float | None
-    amplitude: float | None
-    turned_deg: float | None
-    information: float | None
-    needed: float | None
 
 
 @functools.cache
@@ -118,15 +94,15 @@ def judged(flight: Any, end_s: float = np.inf) -> tuple[Any, Any, Any, np.ndarra
     air = airborne(flight)
     table, B = observe(flight, vehicle, air, READY_S), vehicle.effectiveness()
     if table is None:
-        raise ConfigError("This flight never took off, so nothing can be asked of it.")
+        raise ConfigError("This flight never took off, so no excitation can be designed for it.")
     table = asked.until(table, int(np.searchsorted(table.time, end_s)))
     carry, out = program.estimate(table, B)
     return table, carry, out, B, events.read(out, table, hypotheses.make(B.shape[1]), B)
 
 
-def asking(question: asked.Question, limits: excitation.Limits | None, B: np.ndarray, exactly: bool = False):
-    """The design that answers it soonest within WITHIN_S; where that is too short, or `exactly`, the one that tells most in WITHIN_S.
-    None where the null space cannot tell the candidates apart."""
+def designed(question: asked.Question, limits: excitation.Limits | None, B: np.ndarray, exactly: bool = False):
+    """The design that answers it soonest within WITHIN_S; where that is too short, or `exactly`, the most informative one of WITHIN_S.
+    None where the null space cannot distinguish the candidates."""
     give = (B, list(question.candidates.values()), question.hover, question.noise, question.gain, question.dt, limits)
     for way in ({"length_s": WITHIN_S},) if exactly else ({"longest_s": WITHIN_S}, {"length_s": WITHIN_S}):
         try:
@@ -136,9 +112,9 @@ def asking(question: asked.Question, limits: excitation.Limits | None, B: np.nda
     return None
 
 
-def wondering(frame: str, carry, out, table, B: np.ndarray, limits: excitation.Limits | None = None):
-    """What somebody asks to whom nothing was announced: which of the sets that explain a change of trim, else which of a few pairs that
-    hover does not tell apart, or none? For WITHIN_S."""
+def designed_unprompted(frame: str, carry, out, table, B: np.ndarray, limits: excitation.Limits | None = None):
+    """The design for a flight in which nothing was announced: which of the sets that explain a change of trim is weak, else which of a few
+    pairs that hover does not distinguish, or none? For WITHIN_S."""
     sets = asked.suspects(carry, out, table, B)
     if not sets:
         alike = _alike(frame)
@@ -146,17 +122,23 @@ def wondering(frame: str, carry, out, table, B: np.ndarray, limits: excitation.L
         for who in (first, *(other for one, other in alike if one == first and len(other) == 2)):
             own = tuple(k - 1 for k in who)
             sets[own] = np.where(np.isin(np.arange(B.shape[1]), own), WORST, 0.0)
-    return asking(asked.question(sets, carry, table, B), limits=limits, B=B, exactly=True)
+    return designed(asked.question(sets, carry, table, B), limits=limits, B=B, exactly=True)
 
 
-def turned(one_: Any, other: Any) -> float:
+def attitude_change(one_: Any, other: Any) -> float:
     """Largest angle [degrees] between the attitudes of two records."""
     dot = np.abs((one_.q * other.q).sum(axis=1))
     return float(np.degrees(2.0 * np.arccos(np.clip(dot, 0.0, 1.0))).max())
 
 
-def batch(frame: str, flights: Sequence[int], seed: int, limits: excitation.Limits | None = None) -> list[Row]:
-    """The rows of flights of one frame."""
+def batch(frame: str, flights: Sequence[int], seed: int, limits: excitation.Limits | None = None) -> list[dict]:
+    """The rows of flights of one frame.
+
+    broken: weak rotors, none of a healthy flight; loss: of each. before: what the default method's events come to without the
+    excitation, after: verdict of the diagnosis with it; named: the rotors named after it. right: these are the broken ones; wrong: others
+    are named. asked: it was excited. length_s, amplitude (share of full thrust): of the excitation; turned_deg: by how much it moved the
+    attitude; information: on the least known question; needed: what it takes to answer.
+    """
     scenarios = [draw(k, frame, seed) for k in flights]
     n = airframes.named(f"px4-{frame}").effectiveness().shape[1]
     before = fly(scenarios, [excitation.none(n)] * len(scenarios))
@@ -170,10 +152,10 @@ def batch(frame: str, flights: Sequence[int], seed: int, limits: excitation.Limi
         if not sure:
             if unsure:
                 start = max(e.detected_s for e in unsure) + WAITS_S
-                made = asking(asked.question(asked.candidates(unsure[0], B), carry, table, B), limits=limits, B=B)
+                made = designed(asked.question(asked.candidates(unsure[0], B), carry, table, B), limits=limits, B=B)
             else:
                 table, carry, out, B, _ = judged(flight, start)
-                made = wondering(frame, carry, out, table, B, limits)
+                made = designed_unprompted(frame, carry, out, table, B, limits)
         designs.append(made)
         signals.append(excitation.none(n) if made is None else made.signal._replace(start=np.array(start)))
     after = fly(scenarios, signals)
@@ -188,18 +170,22 @@ def batch(frame: str, flights: Sequence[int], seed: int, limits: excitation.Limi
             kinds = ("loss_of_effectiveness", "output_override")
             sure = [e for e in answer.events if e.kind in kinds and not e.alternatives]
             new, named = answer.verdict, tuple(sorted({r for e in sure for r in e.rotors}))
-        rows.append(
-            Row(
-                k, frame, float(s.airframe["mass_kg"]), float(s.wind["speed_m_s"]), broken,
-                float(s.faults[0]["strength"]) if broken else 0.0, old, new, named, made is not None,
-                new == ("fault" if broken else "healthy") and named == broken, bool(named) and named != broken,
-                None if made is None else float(made.signal.length),
-                None if made is None else float((np.abs(made.signal.first) + np.abs(made.signal.second)).max()),
-                None if made is None else turned(was, record),
-                None if made is None else float(made.information.min()),
-                None if made is None else made.needed,
-            )
-        )  # fmt: skip
+        row = {
+            "flight": k, "frame": frame, "mass_kg": float(s.airframe["mass_kg"]), "wind_m_s": float(s.wind["speed_m_s"]),
+            "broken": broken, "loss": float(s.faults[0]["strength"]) if broken else 0.0, "before": old, "after": new, "named": named,
+            "asked": made is not None, "right": new == ("fault" if broken else "healthy") and named == broken,
+            "wrong": bool(named) and named != broken,
+            **dict.fromkeys(("length_s", "amplitude", "turned_deg", "information", "needed")),
+        }  # fmt: skip
+        if made is not None:
+            size = np.abs(made.signal.first) + np.abs(made.signal.second)
+            row |= {
+                "length_s": float(made.signal.length),
+                "amplitude": float(size.max()),
+                "turned_deg": attitude_change(was, record),
+            }
+            row |= {"information": float(made.information.min()), "needed": made.needed}
+        rows.append(row)
     return rows
 
 
@@ -228,62 +214,49 @@ def run(
             filled = [*part, *[part[-1]] * (WIDTH - len(part))] if len(mine) > WIDTH else list(part)
             parts.append((frame, filled, len(part), seed, limits))
 
-    def told(done: int) -> None:
-        if progress:
-            progress(done / len(parts), "flying")
-
-    rows = [row for found in many.ordered(_part, parts, jobs, scheduler, told, keep) for row in found]
-    each = {frame: measures([r for r in rows if r.frame == frame]) for frame in frames}
+    rows = tools.gathered(_part, parts, jobs, progress, "flying", scheduler, keep)
+    each = {frame: measures([r for r in rows if r["frame"] == frame]) for frame in frames}
     return {
-        "flights": flights, "seed": seed, "measures": measures(rows), "by_frame": each, "rows": [asdict(r) for r in rows],
+        "flights": flights, "seed": seed, "measures": measures(rows), "by_frame": each, "rows": rows,
     }  # fmt: skip
 
 
-def _part(work: tuple[str, list[int], int, int, excitation.Limits | None]) -> list[Row]:
+def _part(work: tuple[str, list[int], int, int, excitation.Limits | None]) -> list[dict]:
     frame, filled, count, seed, limits = work
     return batch(frame, filled, seed, limits)[:count]
 
 
-def measures(rows: Sequence[Row]) -> dict[str, Any]:
+def measures(rows: Sequence[dict]) -> dict[str, Any]:
     """Shares with 95 % intervals. ambiguous: faulty flights that are ambiguous as they are; resolved: of these, the broken rotors are
     named and no others after the excitation; within: the same within WITHIN_S of excitation that turns the vehicle by less than one degree;
     wrong: others are named. noticed: of flights without an answer, those that have one after it. false: healthy flights
     whose excitation led to an answer. length_s, turned_deg: medians and largest."""
-    faulty, healthy = [r for r in rows if r.broken], [r for r in rows if not r.broken]
-    open_ = [r for r in faulty if r.before == "ambiguous" and r.asked]
-    silent = [r for r in faulty if r.before == "healthy" and r.asked]
+    faulty, healthy = [r for r in rows if r["broken"]], [r for r in rows if not r["broken"]]
+    open_ = [r for r in faulty if r["before"] == "ambiguous" and r["asked"]]
+    silent = [r for r in faulty if r["before"] == "healthy" and r["asked"]]
 
-    def share(values: list[bool]) -> dict[str, float] | None:
-        return summary.share(np.array(values, bool)) if values else None
-
-    def small(r: Row) -> bool:
-        return bool(
-            r.right and r.length_s and r.length_s <= WITHIN_S + 1e-9 and r.turned_deg is not None and r.turned_deg < 1.0
-        )
+    def small(r: dict) -> bool:
+        return r["right"] and r["length_s"] <= WITHIN_S + 1e-9 and r["turned_deg"] < 1.0
 
     def spread(values: list[float]) -> dict[str, float] | None:
         return {"median": float(np.median(values)), "largest": float(np.max(values))} if values else None
 
     return {
         "faulty": len(faulty), "healthy": len(healthy), "ambiguous": len(open_), "unnoticed": len(silent),
-        "fault_before": sum(r.before == "fault" for r in faulty),
-        "resolved": share([r.right for r in open_]), "within": share([small(r) for r in open_]),
-        "wrong": share([r.wrong for r in open_]), "noticed": share([r.after != "healthy" for r in silent]),
-        "noticed_wrong": share([r.wrong for r in silent]),
-        "false": share([r.after != r.before or r.wrong for r in healthy]),
-        "length_s": spread([r.length_s for r in open_ if r.length_s]),
-        "turned_deg": spread([r.turned_deg for r in rows if r.turned_deg is not None and r.before != "fault"]),
+        "fault_before": sum(r["before"] == "fault" for r in faulty),
+        "resolved": tools.share([r["right"] for r in open_]), "within": tools.share([small(r) for r in open_]),
+        "wrong": tools.share([r["wrong"] for r in open_]), "noticed": tools.share([r["after"] != "healthy" for r in silent]),
+        "noticed_wrong": tools.share([r["wrong"] for r in silent]),
+        "false": tools.share([r["after"] != r["before"] or r["wrong"] for r in healthy]),
+        "length_s": spread([r["length_s"] for r in open_ if r["length_s"]]),
+        "turned_deg": spread([r["turned_deg"] for r in rows if r["turned_deg"] is not None and r["before"] != "fault"]),
     }  # fmt: skip
 
 
 def markdown(result: dict[str, Any]) -> str:
     """The measures, all flights and frame by frame."""
 
-    def cell(value: dict[str, float] | None) -> str:
-        if value is None:
-            return "-"
-        low, middle, high = (100.0 * value[k] for k in ("low", "value", "high"))
-        return f"{middle:.0f} % ({low:.0f} to {high:.0f})"
+    cell = tools.interval
 
     def pair(value: dict[str, float] | None, digits: int) -> str:
         return "-" if value is None else f"{value['median']:.{digits}f}, {value['largest']:.{digits}f}"
@@ -302,6 +275,4 @@ def markdown(result: dict[str, Any]) -> str:
         "turn by it, degrees: median, largest": lambda m: pair(m["turned_deg"], 2),
     }
     columns = {"all": result["measures"], **result["by_frame"]}
-    text = [f"| {result['flights']} flights | {' | '.join(columns)} |", "|---" * (1 + len(columns)) + "|"]
-    text += [f"| {name} | {' | '.join(line(m) for m in columns.values())} |" for name, line in lines.items()]
-    return "\n".join(text) + "\n"
+    return tools.side_by_side(f"{result['flights']} flights", columns, lines)
