@@ -21,6 +21,29 @@ WAIT_S = 30.0  # for another writer
 LOCK = 7_306_117  # of PostgreSQL's advisory locks: one writer at a time, so that flights are numbered without gaps
 
 
+class Queries:
+    """A connection that is asked in SQL with named parameters (`:name`)."""
+
+    def __init__(self, connection: sa.Connection):
+        self.connection = connection
+
+    def rows(self, sql: str, **given: Any) -> sa.MappingResult:
+        """Rows by column names."""
+        return self.connection.execute(sa.text(sql), given).mappings()
+
+    def value(self, sql: str, **given: Any) -> Any:
+        """The first column of the first row; None without a row."""
+        return self.connection.execute(sa.text(sql), given).scalar()
+
+    def run(self, sql: str, **given: Any) -> int:
+        """How many rows a statement changed."""
+        return self.connection.execute(sa.text(sql), given).rowcount
+
+    def insert(self, table: str, **row: Any) -> None:
+        """A new row of a table."""
+        self.run(f"INSERT INTO {table} ({', '.join(row)}) VALUES ({', '.join(f':{name}' for name in row)})", **row)
+
+
 class Database:
     """A database, opened. url: as `Store`; make: whether a file that is not there is made. Raises StoreError, or ConfigError for an
     address that is none."""
@@ -44,13 +67,13 @@ class Database:
         self.engine.dispose()
 
     @contextmanager
-    def reading(self) -> Iterator[Any]:
+    def reading(self) -> Iterator[Queries]:
         """A connection that only reads."""
         with self._said(), self.engine.connect() as connection:
-            yield connection
+            yield Queries(connection)
 
     @contextmanager
-    def writing(self) -> Iterator[Any]:
+    def writing(self) -> Iterator[Queries]:
         """A connection in a transaction that no other writer is beside of; committed at the end, else rolled back."""
         with (
             self._said(),
@@ -59,7 +82,7 @@ class Database:
         ):
             if not self._lite:
                 connection.execute(sa.text(f"SELECT pg_advisory_xact_lock({LOCK})"))
-            yield connection
+            yield Queries(connection)
 
     @contextmanager
     def _said(self) -> Iterator[None]:
