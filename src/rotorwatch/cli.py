@@ -11,12 +11,11 @@ import io
 import os
 import signal
 import sys
-import time
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -35,11 +34,25 @@ from rotorwatch.commands import (
     tune,
     watch,
 )
-from rotorwatch.commands.tools import LOG, LOGS, OUT, common, debug, kept, progress, say, shares, show, spread
+from rotorwatch.commands.tools import (
+    DEBUG,
+    JSON,
+    LOG,
+    LOGS,
+    OUT,
+    answer,
+    common,
+    kept,
+    print_json,
+    progress,
+    say,
+    shares,
+    show,
+    spread,
+    vehicle_of,
+    written,
+)
 from rotorwatch.errors import BackendWarning, ConfigError, PluginWarning, RotorwatchError, WorkerWarning, lacking
-
-if TYPE_CHECKING:
-    from rotorwatch.diagnosis import Diagnosis
 
 ERROR, STOPPED, BROKEN_PIPE = 2, 128, 141  # stopped: and the number of the signal
 ENDING = "SIGTERM", "SIGHUP"  # signals that end a command as Ctrl-C does: with what it began put away
@@ -60,9 +73,7 @@ def main(argv: list[str] | None = None) -> None:
         if getattr(sys, name) is None:  # closed by the shell (>&-): nobody wants it
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))
         stream = getattr(sys, name)
-        if isinstance(
-            stream, io.TextIOWrapper
-        ):  # a name or a sign that the terminal does not know must not end the answer
+        if isinstance(stream, io.TextIOWrapper):  # a sign that the terminal does not know must not end the answer
             stream.reconfigure(errors="backslashreplace")
     for name in ENDING:
         number = getattr(signal, name, None)
@@ -144,7 +155,7 @@ def explain(why: Exception) -> str:
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="rotorwatch", message="%(prog)s %(version)s")
-@click.option("--debug", is_flag=True, expose_value=False, callback=debug, help="Show tracebacks of errors.")
+@DEBUG
 def cli() -> None:
     """Which rotor lost effectiveness, how much, since when and how sure that is: from a multirotor's flight log.
 
@@ -181,95 +192,61 @@ def cli() -> None:
 @spread
 @common
 @click.pass_context
-def diagnose(
-    context,
-    logs,
-    baselines,
-    vehicle,
-    estimator,
-    tuning,
-    report,
-    html,
-    mcap,
-    as_json,
-    jsonl,
-    out,
-    resume,
-    jobs,
-    scheduler,
-    quiet,
-) -> None:
+def diagnose(context, **given) -> None:
     """Judge each LOG: PX4 .ulg, ArduPilot .bin/.log, MAVLink .tlog, ROS 2 bag, CSV, also .xz and .gz; - is standard input. A
     folder stands for all logs in it; also quoted patterns, and addresses such as s3://BUCKET/FOLDER/ (docs/cluster.md).
 
     Exit code: 0 healthy, 1 fault found, 3 inconclusive or ambiguous only, 2 error; of several logs the worst.
     """
     from rotorwatch import files, gathering
-    from rotorwatch.flight.vehicle_file import read as read_vehicle
 
-    if as_json and jsonl:
+    asked = several.Asked(**given)
+    if asked.as_json and asked.jsonl:
         raise ConfigError("--json and --jsonl are two ways to say the same; give one.")
-    if (out or resume) and not (jsonl and out):
+    if (asked.out or asked.resume) and not (asked.jsonl and asked.out):
         raise ConfigError("--out and --resume belong to --jsonl: write --jsonl -o FILE, and --resume to go on with it.")
-    many = len(logs) > 1 or bool(jsonl or html or scheduler) or gathering.is_several(logs[0])
-    found = gathering.Gathered(logs)
-    if many:
-        logs = tuple(found)
-    pages, recordings = report_paths(logs, report), report_paths(logs, mcap, "--mcap", ".mcap")
-    if pages or html:
+    many = (
+        len(asked.logs) > 1 or bool(asked.jsonl or asked.html or asked.scheduler) or gathering.is_several(asked.logs[0])
+    )
+    found = gathering.Gathered(asked.logs)
+    logs = tuple(found) if many else asked.logs
+    pages, recordings = report_paths(logs, asked.report), report_paths(logs, asked.mcap, "--mcap", ".mcap")
+    if pages or asked.html:
         optional.library("bokeh", "--report" if pages else "--html")
     if recordings:
         optional.library("mcap", "--mcap")
-    if many:
-        asked = several.Asked(
-            logs, found.others, {"vehicle": vehicle, "baseline": baselines, "estimator": estimator,
-            "tuning": _tuning(tuning, estimator) if tuning else None}, jobs, scheduler, as_json, jsonl,
-            files.writable(out, "--out", make=True) if out else None, resume, files.folder(html, "--html") if html else None,
-            pages, recordings, quiet,
-        )  # fmt: skip
-        context.exit(several.diagnose(asked, several.settings(estimator, vehicle, tuning, *baselines), explain))
-    known = read_vehicle(vehicle) if vehicle else None
-    tuned = _tuning(tuning, estimator) if tuning else None
-    with progress(quiet) as tell:
-        healthy = tuple(_candidate(_read(path, tell), known) for path in baselines)
+    asked = replace(asked, logs=logs, pages=pages, recordings=recordings, others=found.others)
+    if asked.tuning:
+        from rotorwatch.healthy.tune import read
 
-    def judge(path: Any) -> Diagnosis:
-        from rotorwatch.diagnose import diagnose as run
+        asked = replace(asked, tuned=read(asked.tuning, asked.estimator))
+    if not many:
+        context.exit(_diagnose(asked))
+    out = files.writable(asked.out, "--out", make=True) if asked.out else None
+    html = files.folder(asked.html, "--html") if asked.html else None
+    context.exit(several.diagnose(replace(asked, out=out, html=html), explain))
 
-        began = time.perf_counter()
-        with progress(quiet) as tell:
-            flight = _read(path, tell)
-            read_s = time.perf_counter() - began
-            found = run(flight, vehicle=known, baseline=healthy, estimator=estimator, progress=tell, tuning=tuned)
-        return replace(
-            found, timing={**found.timing, "read_s": read_s, "total_s": found.timing.get("total_s", 0.0) + read_s}
-        )
 
-    result = judge(logs[0])
-    if pages:
-        result.to_html(pages[0])
-    if recordings:
-        result.to_mcap(recordings[0])
-    if as_json:
+def _diagnose(asked: several.Asked) -> int:
+    """`rotorwatch diagnose` of one log; returns the exit code."""
+    from rotorwatch.diagnose_many import timed
+    from rotorwatch.healthy.baselines import Candidate
+
+    known = vehicle_of(asked.vehicle)
+    with progress(asked.quiet) as tell:
+        healthy = tuple(Candidate(_read(path, tell), known) for path in asked.baselines)
+    with progress(asked.quiet) as tell:
+        result = timed(lambda: _read(asked.logs[0], tell), known, healthy, asked.estimator, asked.tuned, progress=tell)
+    if asked.pages:
+        result.to_html(asked.pages[0])
+    if asked.recordings:
+        result.to_mcap(asked.recordings[0])
+    if asked.as_json:
         click.echo(result.to_json())
     else:
         show(lambda terminal: terminal.diagnosis(result))
-        _report_written(pages[0] if pages else None, quiet)
-        _report_written(recordings[0] if recordings else None, quiet, "MCAP file")
-    context.exit(result.exit_code)
-
-
-def _candidate(flight: Any, vehicle: Any) -> Any:
-    """A baseline, whose own judgement is made once for all logs."""
-    from rotorwatch.healthy.baselines import Candidate
-
-    return Candidate(flight, vehicle)
-
-
-def _tuning(path: Path, estimator: str):
-    from rotorwatch.healthy.tune import read
-
-    return read(path, estimator)
+        written(asked.quiet, report=next(iter(asked.pages), None), MCAP_file=next(iter(asked.recordings), None))
+    return result.exit_code
 
 
 def report_paths(
@@ -299,11 +276,6 @@ def report_paths(
     return [files.writable(page, option, make=True) for page in pages]
 
 
-def _report_written(page: Path | None, quiet: bool, what: str = "report") -> None:
-    if page and not quiet:
-        say(f"{what} written to {page}")
-
-
 @cli.command(short_help="Learn a vehicle file from healthy flights.")
 @click.argument("logs", nargs=-1, required=True, type=LOG, metavar="LOG...")
 @click.option("-o", "--out", required=True, type=OUT, metavar="vehicle.toml", help="Vehicle file to write.")
@@ -330,7 +302,7 @@ def calibrate(logs, out, quiet) -> None:
 
 @cli.command(short_help="Show what a log holds and lacks.")
 @click.argument("log", type=LOG)
-@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@JSON
 @common
 def info(log, as_json, quiet) -> None:
     """Show what LOG holds, what is missing for a diagnosis, and which logging setting would give it."""
@@ -339,9 +311,7 @@ def info(log, as_json, quiet) -> None:
     with progress(quiet) as tell:
         facts = run(_read(log, tell))
     if as_json:
-        import json
-
-        click.echo(json.dumps(facts, indent=1, allow_nan=False))
+        print_json(facts)
     else:
         show(lambda terminal: terminal.info(facts))
 
@@ -398,7 +368,7 @@ def demo(report, quiet) -> None:
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Seed of the random onsets.")
 @spread
 @kept
-@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@JSON
 @common
 def inject(logs, losses, repeats, seed, jobs, scheduler, keep, as_json, quiet) -> None:
     """Inject losses into healthy flights and count what the diagnosis finds of them."""
@@ -408,9 +378,7 @@ def inject(logs, losses, repeats, seed, jobs, scheduler, keep, as_json, quiet) -
     with progress(quiet) as tell:
         result = campaign(logs, wanted, repeats, seed, tell, jobs, scheduler, keep)
     if as_json:
-        import json
-
-        click.echo(json.dumps(result, indent=1, allow_nan=False))
+        print_json(result)
     else:
         show(lambda terminal: terminal.campaign({**result, "table": _by_loss(result["table"])}))
 
@@ -436,7 +404,7 @@ def _by_loss(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Seed of the surrogate flights.")
 @spread
 @kept
-@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@JSON
 @common
 def false_alarms(logs, hours, seed, jobs, scheduler, keep, as_json, quiet) -> None:
     """Judge surrogate flights with the noise of healthy LOGs, and count the false alarms per flight hour."""
@@ -445,12 +413,7 @@ def false_alarms(logs, hours, seed, jobs, scheduler, keep, as_json, quiet) -> No
 
     with progress(quiet) as tell:
         result = run(logs, hours, seed, tell, jobs=jobs, scheduler=scheduler, keep=keep)
-    if as_json:
-        import json
-
-        click.echo(json.dumps(result, indent=1, allow_nan=False))
-    else:
-        click.echo(describe(result))
+    answer(as_json, result, describe(result))
 
 
 @cli.command(short_help="Try to break the readers with damaged logs.")
@@ -461,7 +424,7 @@ def false_alarms(logs, hours, seed, jobs, scheduler, keep, as_json, quiet) -> No
 @click.option("--framed", is_flag=True, help="Damage inside valid framing; compare each answer with the intact log's.")
 @click.option("--damages", default=20, show_default=True, type=click.IntRange(1), help="With --framed: copies a kind.")
 @click.option("--share", default=0.05, show_default=True, help="With --framed: share of the records damaged.")
-@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@JSON
 @common
 @click.pass_context
 def fuzz(context, log, mutations, seed, jobs, framed, damages, share, as_json, quiet) -> None:
@@ -480,9 +443,7 @@ def fuzz(context, log, mutations, seed, jobs, framed, damages, share, as_json, q
         else:
             result = run(log, mutations, seed, jobs, progress=tell)
     if as_json:
-        import json
-
-        click.echo(json.dumps(result, indent=1, allow_nan=False))
+        print_json(result)
     else:
         show(lambda terminal: (terminal.fuzz_framed if framed else terminal.fuzz)(result))
     context.exit(1 if result["failures"] else 0)
@@ -494,17 +455,12 @@ def _read(path: Any, tell: Callable | None) -> Any:
     return read(path, tell)
 
 
-research.register(cli)
-ask.register(cli)
-tune.register(cli)
-simulate.register(cli)
-export.register(cli)
-survive.register(cli)
-campaign.register(cli)
-benchmark.register(cli)
-watch.register(cli)
-fleet.register(cli)
-serve.register(cli)
+for module in (research, simulate, campaign, benchmark):
+    module.register(cli)
+for command in (
+    ask.ask, ask.ask_flights, tune.tune, tune.compare, export.export_c, survive.survive, watch.watch, fleet.fleet, serve.serve,
+):  # fmt: skip
+    cli.add_command(command)
 
 
 if __name__ == "__main__":

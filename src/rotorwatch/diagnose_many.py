@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -163,7 +163,7 @@ class _Judge:
                     size, sha256 = fingerprint(here)
                     if before == Known(size, sha256):
                         return Answer(0, path, size=size, sha256=sha256, unchanged=True)
-                found = self.judged(here)
+                found = timed(partial(logs.read, here), self.vehicle, self.healthy, self.estimator, self.tuning)
         except RotorwatchError as why:
             if gathering.is_address(path) and here is not None:
                 why = type(why)(str(why).replace(str(here), path))  # nobody knows the copy's name
@@ -179,17 +179,24 @@ class _Judge:
             recording = mcap_file.content(found)
         return Answer(0, path, replace(found, trace=None), size=size, sha256=sha256, page=page, recording=recording)
 
-    def judged(self, path: Path) -> Diagnosis:
-        from rotorwatch.diagnose import diagnose
 
-        began = time.perf_counter()
-        flight = logs.read(path)
-        read_s = time.perf_counter() - began
-        found = diagnose(
-            flight, vehicle=self.vehicle, baseline=self.healthy, estimator=self.estimator, tuning=self.tuning
-        )
-        timing = {**found.timing, "read_s": read_s, "total_s": found.timing.get("total_s", 0.0) + read_s}
-        return replace(found, timing=timing)
+def timed(
+    reading: Callable[[], Flight],
+    vehicle: Vehicle | None,
+    baseline: Sequence[Any],
+    estimator: str,
+    tuning: Any,
+    progress: Callable | None = None,
+) -> Diagnosis:
+    """`diagnose` of what `reading` returns; `timing` holds the reading, too."""
+    from rotorwatch.diagnose import diagnose
+
+    began = time.perf_counter()
+    flight = reading()
+    read_s = time.perf_counter() - began
+    found = diagnose(flight, vehicle, baseline, estimator, progress, tuning)
+    timing = {**found.timing, "read_s": read_s, "total_s": found.timing.get("total_s", 0.0) + read_s}
+    return replace(found, timing=timing)
 
 
 def fingerprint(path: Path) -> tuple[int, str]:

@@ -6,14 +6,21 @@ from pathlib import Path
 
 import click
 
-from rotorwatch.commands.tools import OUT, common, drawable, kept, progress, say, show, spread
+from rotorwatch.commands.tools import (
+    FIGURE,
+    JSON,
+    OUT,
+    answer,
+    common,
+    drawable,
+    kept,
+    numbers,
+    progress,
+    show,
+    spread,
+    written,
+)
 from rotorwatch.errors import ConfigError
-
-
-def register(group: click.Group) -> None:
-    """Add the commands of this module to the command line."""
-    group.add_command(ask)
-    group.add_command(ask_flights, "ask-flights")
 
 
 @click.command(short_help="How to ask a vehicle which rotors are weak.")
@@ -35,8 +42,8 @@ def register(group: click.Group) -> None:
 @click.option(
     "--commands", type=OUT, metavar="OUT.csv", help="Write what is added to each command, 100 times a second."
 )
-@click.option("--figure", type=OUT, metavar="OUT.svg", help="Draw it.")
-@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@FIGURE
+@JSON
 @common
 def ask(log, vehicle, candidates, loss, hover, arm, within, tilt, amplitude, commands, figure, as_json, quiet) -> None:
     """Design the small excitation of the commands that tells apart soonest which of the candidates is weak: of LOG, whose answer is
@@ -52,10 +59,7 @@ def ask(log, vehicle, candidates, loss, hover, arm, within, tilt, amplitude, com
         drawable(figure)
     if commands:
         files.writable(commands, "--commands")
-    try:
-        sizes = [float(x) for x in loss.split(",")]
-    except ValueError:
-        raise ConfigError(f"--loss {loss}: give numbers with commas, as in 0.3,0.5.") from None
+    sizes = numbers("--loss", loss, "0.3,0.5")
     result = run(
         log if log is not None else vehicle, _sets(candidates), loss=sizes[0] if len(sizes) == 1 else sizes, hover=hover,
         arm_m=arm, within_s=within, tilt_deg=tilt, amplitude=amplitude,
@@ -74,9 +78,7 @@ def ask(log, vehicle, candidates, loss, hover, arm, within, tilt, amplitude, com
         from rotorwatch.report import research_tables
 
         show(lambda _: research_tables.asking(result))
-    for what, path in (("figure", figure), ("commands", commands)):
-        if path and not quiet:
-            say(f"{what} written to {path}")
+    written(quiet, figure=figure, commands=commands)
 
 
 def _sets(text: str | None) -> list[tuple[int, ...]] | None:
@@ -89,7 +91,7 @@ def _sets(text: str | None) -> list[tuple[int, ...]] | None:
         raise ConfigError(f"--candidates {text}: give sets of rotors as in 1+4,2+5,none.") from None
 
 
-@click.command(short_help="Fly ambiguous losses with and without an excitation.")
+@click.command("ask-flights", short_help="Fly ambiguous losses with and without an excitation.")
 @click.option("--flights", type=click.IntRange(1, 100_000), default=96, show_default=True, help="How many.")
 @click.option("--frames", default="hexa-x,hexa-plus,octa-x,octa-plus", show_default=True, help="Airframes, in turn.")
 @click.option("--seed", type=click.IntRange(0), default=1, show_default=True, help="Same seed, same flights.")
@@ -100,11 +102,9 @@ def _sets(text: str | None) -> list[tuple[int, ...]] | None:
 def ask_flights(flights, frames, seed, jobs, scheduler, keep, as_json, quiet) -> None:
     """Fly pairs of rotors that lose thrust in the simulator; where the diagnosis is ambiguous, ask and diagnose again. Says how often that
     names the broken rotors, with 95 % intervals (docs/control.md)."""
-    import json
-
     from rotorwatch.campaign import asking
 
     with progress(quiet) as tell:
         wanted = [f for f in frames.split(",") if f]
         result = asking.run(flights, wanted, seed, progress=tell, jobs=jobs, scheduler=scheduler, keep=keep)
-    click.echo(json.dumps(result, indent=1, allow_nan=False) if as_json else asking.markdown(result))
+    answer(as_json, result, asking.markdown(result))

@@ -11,11 +11,6 @@ from rotorwatch.commands.tools import OUT, common, say
 from rotorwatch.errors import ConfigError
 
 
-def register(group: click.Group) -> None:
-    """Add the command of this module to the command line."""
-    group.add_command(export_c)
-
-
 @click.command("export-c", short_help="Write an estimator or the control allocation as C99.")
 @click.option("--estimator", metavar="NAME", help="Estimator to export; `default-filter`: the default's filter.")
 @click.option(
@@ -51,14 +46,8 @@ def export_c(
 
     if (estimator is not None) + (allocator is not None) + diagnoser != 1:
         raise ConfigError("Say what to export: give one of --estimator NAME, --allocator WAY and --diagnoser.")
-    own: dict[str, Any] = {
-        "rate_hz": rate_hz,
-        "control_hz": control_hz,
-        "gyro_hz": sensor_hz,
-        "accel_hz": sensor_hz,
-        "prefix": prefix,
-    }
-    own = {key: value for key, value in own.items() if value is not None}
+    own: dict[str, Any] = {"rate_hz": rate_hz, "control_hz": control_hz, "gyro_hz": sensor_hz, "accel_hz": sensor_hz}
+    own = {key: value for key, value in (own | {"prefix": prefix}).items() if value is not None}
     if own and not diagnoser:
         raise ConfigError("--rate-hz, --control-hz, --sensor-hz and --prefix belong to --diagnoser.")
     if diagnoser and (dt is not None or variable_dt):
@@ -74,8 +63,7 @@ def export_c(
     if diagnoser:
         from rotorwatch.export_diagnoser import export_diagnoser
 
-        written = export_diagnoser(out, vehicle=craft or FRAME, **own)
-        click.echo("\n".join(str(path) for path in written))
+        click.echo("\n".join(map(str, export_diagnoser(out, vehicle=craft or FRAME, **own))))
         return
     if allocator is None:
         made = run(estimator, out, vehicle=craft, dt=dt, variable_dt=variable_dt)

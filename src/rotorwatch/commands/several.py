@@ -13,33 +13,39 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
-import click
-
 from rotorwatch import __version__
-from rotorwatch.commands.tools import counting, label, say, show
+from rotorwatch.commands.tools import counting, label, print_json, say, show
 from rotorwatch.errors import ConfigError
 
 # Of several logs the most severe answer is the exit code: error, fault, undecided, healthy.
 SEVERITY = (2, 1, 3, 0)
+KEYS = ("path", "exit_code", "size", "sha256")  # that a line of --jsonl begins with
 
 
 @dataclass(frozen=True)
 class Asked:
-    """What `diagnose` was asked for. logs: those found; others: how many files were none; settings: how they are judged (`settings`)."""
+    """The options of `rotorwatch diagnose` by their names, and what was made of them. logs: those found; others: how many files were none;
+    tuned: what --tuning holds; pages, recordings: where --report and --mcap put each log's."""
 
     logs: Sequence[Any]
-    others: int
-    judging: dict[str, Any]
-    jobs: int | None
-    scheduler: str | None
+    baselines: Sequence[Path]
+    vehicle: Path | None
+    estimator: str
+    tuning: Path | None
+    report: Path | None
+    html: Path | None
+    mcap: Path | None
     as_json: bool
     jsonl: bool
     out: Path | None
     resume: bool
-    html: Path | None
-    pages: Sequence[Path]
-    recordings: Sequence[Path]
+    jobs: int | None
+    scheduler: str | None
     quiet: bool
+    others: int = 0
+    tuned: Any = None
+    pages: Sequence[Path] = ()
+    recordings: Sequence[Path] = ()
 
 
 def settings(estimator: str, *given: Path | None) -> str:
@@ -50,15 +56,16 @@ def settings(estimator: str, *given: Path | None) -> str:
     return digest.hexdigest()[:12]
 
 
-def diagnose(asked: Asked, how: str, explain: Callable[[Exception], str]) -> int:
-    """Judge them all; returns the exit code. how: of `settings`; explain: makes a sentence of an exception. Whatever ends it, what has been
-    answered is shown."""
+def diagnose(asked: Asked, explain: Callable[[Exception], str]) -> int:
+    """Judge them all; returns the exit code. explain: makes a sentence of an exception. Whatever ends it, what has been answered is
+    shown."""
     from rotorwatch.diagnose_many import Answer, diagnose_many
     from rotorwatch.report import overview
 
     if asked.others and not asked.quiet:
         say(f"{asked.others} other {'file is' if asked.others == 1 else 'files are'} no flight logs and left out.")
     rows, codes, listed = overview.Rows(), set(), {}
+    how = settings(asked.estimator, asked.vehicle, asked.tuning, *asked.baselines)
     with _lines(asked, how) as lines, counting(asked.quiet, "logs") as tell:
         known = {path: line.known for path, line in lines.there.items() if line.known}
         began, total = time.monotonic(), len(asked.logs)
@@ -89,7 +96,7 @@ def diagnose(asked: Asked, how: str, explain: Callable[[Exception], str]) -> int
                 tell.show(terminal.line(label(asked.logs[answer.index]), answer.diagnosis))
 
         answers = diagnose_many(
-            asked.logs, **asked.judging, jobs=asked.jobs, scheduler=asked.scheduler,
+            asked.logs, asked.vehicle, asked.baselines, asked.estimator, asked.tuned, asked.jobs, asked.scheduler,
             pages=bool(asked.html or asked.pages), recordings=bool(asked.recordings), hashed=asked.jsonl, known=known,
         )  # fmt: skip
         try:
@@ -110,7 +117,7 @@ def _show(asked: Asked, rows: Any, listed: list[dict[str, Any]]) -> None:
     from rotorwatch.report import overview
 
     if asked.as_json:
-        click.echo(json.dumps(listed, indent=1, allow_nan=False))
+        print_json(listed)
     elif not asked.jsonl:
         show(lambda terminal: terminal.overview(rows.title(), rows.worst()))
     if asked.html:
@@ -182,12 +189,7 @@ class _Lines:
         """One line, whole, at once: killing this loses no more than the line in the making."""
         if self.out is None:
             return
-        about = {
-            "path": _recorded(answer.path),
-            "exit_code": answer.exit_code,
-            "size": answer.size,
-            "sha256": answer.sha256,
-        }
+        about = dict(zip(KEYS, (_recorded(answer.path), answer.exit_code, answer.size, answer.sha256)))
         line = json.dumps({**about, "settings": self.how, **found}, allow_nan=False)
         self.out.write(line.encode() + b"\n")
         self.out.flush()
@@ -223,7 +225,7 @@ def _there(asked: Asked, how: str) -> dict[str, _Line]:
                 break
             try:
                 line = json.loads(text)
-                path, code, size, sha256 = (line[key] for key in ("path", "exit_code", "size", "sha256"))
+                path, code, size, sha256 = (line[key] for key in KEYS)
                 made = line["settings"]
             except (ValueError, TypeError, KeyError):
                 raise ConfigError(f"{out}: line {number} is no answer of rotorwatch; give another file.") from None
@@ -231,7 +233,7 @@ def _there(asked: Asked, how: str) -> dict[str, _Line]:
                 raise ConfigError(
                     f"{out} was made by another version, or with another estimator, vehicle or baseline; give another file."
                 )
-            answer = {key: value for key, value in line.items() if key not in ("path", "exit_code", "size", "sha256")}
+            answer = {key: value for key, value in line.items() if key not in KEYS}
             shown = overview.row(label(path), answer, _page(asked, path))
             there[path] = _Line(code, shown, None if sha256 is None else Known(size, sha256))
             whole += len(text)

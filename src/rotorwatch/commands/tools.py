@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import stat
@@ -83,6 +84,17 @@ def _kept(stream: Any, name: str) -> Path:
 
 LOG, LOGS = Log(), Logs()
 OUT = click.Path(path_type=Path)
+JSON = click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+WATCHED = click.option(
+    "--vehicle", type=LOG, metavar="FILE", help="Vehicle file (TOML) of all vehicles that are watched."
+)
+RECORD = click.option(
+    "--record", type=OUT, metavar="DIR", help="Record every link in this folder, as telemetry logs (.tlog)."
+)
+SPEED = click.option(
+    "--speed", default="1", show_default=True, metavar="N|max", help="Of a replayed log: times real time, or max."
+)
+FIGURE = click.option("--figure", type=OUT, metavar="OUT.svg", help="Draw it.")
 
 
 def label(text: Any) -> str:
@@ -111,15 +123,13 @@ def _hush(context: click.Context, parameter: click.Parameter, on: bool) -> bool:
     return on
 
 
+DEBUG = click.option("--debug", is_flag=True, expose_value=False, callback=debug, help="Show tracebacks of errors.")
+
+
 def common(command: Callable) -> Callable:
     """Options every command has."""
-    quiet = click.option(
-        "--quiet", "-q", is_flag=True, callback=_hush, help="No progress and no warnings on standard error."
-    )
-    tracebacks = click.option(
-        "--debug", is_flag=True, expose_value=False, callback=debug, help="Show tracebacks of errors."
-    )
-    return quiet(tracebacks(command))
+    text = "No progress and no warnings on standard error."
+    return click.option("--quiet", "-q", is_flag=True, callback=_hush, help=text)(DEBUG(command))
 
 
 def spread(command: Callable) -> Callable:
@@ -137,17 +147,60 @@ def kept(command: Callable) -> Callable:
     return click.option("--keep", type=click.Path(path_type=Path, file_okay=False), metavar="DIR", help=text)(command)
 
 
+def numbers(option: str, text: str, such: str = "0.2,0.3") -> tuple[float, ...]:
+    """Numbers with commas; such: an example. Raises ConfigError."""
+    try:
+        return tuple(float(x) for x in text.split(","))
+    except ValueError:
+        raise ConfigError(f"{option} {text}: give numbers with commas, as in {such}.") from None
+
+
 def shares(option: str, text: str) -> tuple[float, ...]:
     """Losses given with commas. Raises ConfigError unless each is above 0 and below 1."""
-    try:
-        found = tuple(float(x) for x in text.split(","))
-    except ValueError:
-        raise ConfigError(f"{option} {text}: give numbers with commas, as in 0.2,0.3.") from None
+    found = numbers(option, text)
     if not all(0 < x < 1 for x in found):
         raise ConfigError(
             f"{option} {text}: a loss is above 0 and below 1; no vehicle flies on as before with a dead rotor."
         )
     return found
+
+
+def vehicle_of(path: Path | None) -> Any:
+    """What a vehicle file holds; None without one."""
+    from rotorwatch.flight.vehicle_file import read
+
+    return read(path) if path else None
+
+
+def rate(speed: str) -> float:
+    """The value of --speed: times real time, infinite for max. Raises ConfigError."""
+    try:
+        found = float("inf") if speed == "max" else float(speed)
+    except ValueError:
+        found = 0.0
+    if not found > 0.0:
+        raise ConfigError(f"--speed {speed}: give a number above 0, or max.")
+    return found
+
+
+def print_json(value: Any) -> None:
+    """A result as JSON on standard output; never NaN or Infinity."""
+    click.echo(json.dumps(value, indent=1, allow_nan=False))
+
+
+def answer(as_json: bool, value: Any, text: str) -> None:
+    """A result on standard output: as JSON, or as this text."""
+    if as_json:
+        print_json(value)
+    else:
+        click.echo(text)
+
+
+def written(quiet: bool, **paths: Path | None) -> None:
+    """Says which files were written: what=path."""
+    for what, path in paths.items():
+        if path and not quiet:
+            say(f"{what.replace('_', ' ')} written to {path}")
 
 
 def show(table: Callable[[Any], Any]) -> None:
@@ -165,9 +218,20 @@ def show(table: Callable[[Any], Any]) -> None:
 
 def live() -> bool:
     """Whether a bar can move on standard error: a terminal that can go back in its line."""
-    return (
-        sys.stderr is not None and sys.stderr.isatty() and os.environ.get("TERM", "").lower() not in ("dumb", "unknown")
-    )
+    dumb = os.environ.get("TERM", "").lower() in ("dumb", "unknown")
+    return sys.stderr is not None and sys.stderr.isatty() and not dumb
+
+
+@contextmanager
+def _bar(*columns: Any) -> Iterator[Any]:
+    """rich's progress bar on standard error: the task's text, a bar, and these columns."""
+    from rich.progress import BarColumn, Progress, TextColumn
+
+    from rotorwatch.report import terminal
+
+    parts = (TextColumn("{task.description}"), BarColumn(), *columns)
+    with Progress(*parts, console=terminal.console(stderr=True), transient=True) as bar:
+        yield bar
 
 
 @contextmanager
@@ -176,12 +240,9 @@ def progress(quiet: bool) -> Iterator[Callable | None]:
     if quiet or not live():
         yield None
         return
-    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import TaskProgressColumn, TimeElapsedColumn
 
-    from rotorwatch.report import terminal
-
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=terminal.console(stderr=True), transient=True) as bar:
+    with _bar(TaskProgressColumn(), TimeElapsedColumn()) as bar:
         task = bar.add_task("reading", total=1.0)
 
         def tell(share: float, text: str = "") -> None:
@@ -232,12 +293,9 @@ def counting(quiet: bool, what: str) -> Iterator[Counting | None]:
     elif not live():
         yield Counting(what)
     else:
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+        from rich.progress import MofNCompleteColumn, TimeRemainingColumn
 
-        from rotorwatch.report import terminal
-
-        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-        with Progress(*columns, console=terminal.console(stderr=True), transient=True) as bar:
+        with _bar(MofNCompleteColumn(), TimeRemainingColumn()) as bar:
             yield _CountingBar(what, bar)
 
 

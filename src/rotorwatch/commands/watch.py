@@ -5,29 +5,21 @@ from __future__ import annotations
 import math
 import os
 import sys
-from pathlib import Path
 from typing import Any
 
 import click
 
-from rotorwatch.commands.tools import LOG, OUT, common, label, progress, say
+from rotorwatch.commands.tools import LOG, RECORD, SPEED, WATCHED, common, label, progress, rate, say, vehicle_of
 from rotorwatch.errors import ConfigError
 
 FAULT, ERROR, NOTHING = 1, 2, 3
 
 
-def register(group: click.Group) -> None:
-    """Add the command of this module to the command line."""
-    group.add_command(watch)
-
-
 @click.command(short_help="Judge vehicles while they fly.")
 @click.argument("endpoints", nargs=-1, required=True, metavar="ENDPOINT...")
-@click.option(
-    "--speed", default="1", show_default=True, metavar="N|max", help="Of a replayed log: times real time, or max."
-)
-@click.option("--vehicle", type=LOG, metavar="FILE", help="Vehicle file (TOML) of all vehicles that are watched.")
-@click.option("--record", type=OUT, metavar="DIR", help="Record every link in this folder, as telemetry logs (.tlog).")
+@SPEED
+@WATCHED
+@RECORD
 @click.option("--listen-only", is_flag=True, help="Send nothing: neither ask for parameters nor for rates.")
 @click.option("--seconds", type=float, default=math.inf, metavar="S", help="Stop after so long.")
 @click.option(
@@ -65,8 +57,7 @@ def watch(
     from rotorwatch.live.watch import Guarded
     from rotorwatch.live.watch import watch as run
 
-    rate = _speed(speed)
-    known = _vehicle(vehicle)
+    pace, known = rate(speed), vehicle_of(vehicle)
     shown = _lines if jsonl else (lambda alert: None) if _screen() else _sentences(quiet)
     sources: list[Any] = []
     outlets = _outlets(webhook, metrics, tell_ground, listen_only, shown)
@@ -92,7 +83,7 @@ def watch(
             if endpoint in opened:
                 sources.append(Link(opened[endpoint], tell, known, record, not listen_only, patience))
             else:
-                sources.append(_replay(endpoint, tell, known, rate, quiet))
+                sources.append(_replay(endpoint, tell, known, pace, quiet))
     except BaseException:
         for left in (*sources, *outlets):
             left.leave()
@@ -140,11 +131,8 @@ def _outlets(webhook: str | None, metrics: str | None, tell_ground: bool, listen
 
 def _screen() -> bool:
     """Whether a picture can be drawn on standard output."""
-    return (
-        sys.stdout is not None
-        and sys.stdout.isatty()
-        and os.environ.get("TERM", "").lower() not in ("dumb", "unknown", "")
-    )
+    dumb = os.environ.get("TERM", "").lower() in ("dumb", "unknown", "")
+    return sys.stdout is not None and sys.stdout.isatty() and not dumb
 
 
 def _drawn(run) -> None:
@@ -156,22 +144,6 @@ def _drawn(run) -> None:
 
     with Live(console=terminal.console(), auto_refresh=False, vertical_overflow="crop") as picture:
         run(lambda sources: picture.update(table(sources), refresh=True))
-
-
-def _speed(text: str) -> float:
-    try:
-        speed = math.inf if text == "max" else float(text)
-    except ValueError:
-        speed = math.nan
-    if not speed > 0.0:
-        raise ConfigError(f"--speed {text}: give a number above 0, or max.")
-    return speed
-
-
-def _vehicle(path: Path | None) -> Any:
-    from rotorwatch.flight.vehicle_file import read
-
-    return read(path) if path else None
 
 
 def _replay(endpoint: str, tell, known, speed: float, quiet: bool) -> Any:

@@ -118,6 +118,11 @@ def mean_variance(scatter: float, memory: float, count: int) -> float:
     return scatter**2 / max(count, 1) * (1.0 + memory) / (1.0 - memory)
 
 
+def _noise(law: Law, k: int, *counts: int) -> float:
+    """Variance of a difference of means over so many bins of rotor k."""
+    return sum(mean_variance(law.scatter[k], law.memory[k], count) for count in counts)
+
+
 @dataclass(frozen=True)
 class Testimony:
     """What a rotor's telemetry says of a time after an onset. told: S and its sd. draws: D and its sd, or None without currents. load: E.
@@ -172,10 +177,7 @@ def parts(seen: Testimony, theta: float, theta_sd: float) -> dict[str, tuple[flo
     kept = max(S, 0.05)
     propeller = 1.0 - (1.0 - theta) / kept
     propeller_sd = float(np.hypot(theta_sd / kept, (1.0 - theta) / kept**2 * S_sd))
-    return {
-        name: _bounded(value, sd)
-        for name, value, sd in (("speed", 1.0 - S, S_sd), ("propeller", propeller, propeller_sd))
-    }
+    return {"speed": _bounded(1.0 - S, S_sd), "propeller": _bounded(propeller, propeller_sd)}
 
 
 def _bounded(value: float, sd: float) -> tuple[float, float, float]:
@@ -201,9 +203,7 @@ def testify(
     ratio = np.exp(np.clip(rest[:, k], -12.0, 2.0))
     S = float(np.mean(ratio[a]) / np.mean(ratio[b]))
     reach = _reach(x, a, b, k)
-    noise = mean_variance(speed.scatter[k], speed.memory[k], int(a.sum())) + mean_variance(
-        speed.scatter[k], speed.memory[k], int(b.sum())
-    )
+    noise = _noise(speed, k, int(a.sum()), int(b.sum()))
     S_sd = float(np.sqrt(max(S, 0.1) ** 2 * (noise + (speed.power_sd * reach) ** 2) + MODEL_S**2))
     count, volts = int(a.sum()), _volts(bins, k, a, b)
     if current is None or not current.known[k]:
@@ -220,13 +220,10 @@ def testify(
     # Standing, it needs no current.
     draws = np.concatenate([(bins.current[a2, k] - expected[a2]), bins.current[standing, k]]) / usual
     load = float(np.mean(np.concatenate([expected[a2], np.zeros(int(standing.sum()))])) / usual)
-    noise = mean_variance(current.scatter[k], current.memory[k], draws.size) + mean_variance(
-        current.scatter[k], current.memory[k], int(b2.sum())
-    )
+    noise = _noise(current, k, draws.size, int(b2.sum()))
     reach = _reach(v, a2, b2, k) if a2.any() else 0.0
-    D_sd = float(
-        np.sqrt(max(load, 0.3) ** 2 * (noise + (current.power_sd * reach) ** 2) + (MODEL_D * max(load, 1.0)) ** 2)
-    )
+    variance = max(load, 0.3) ** 2 * (noise + (current.power_sd * reach) ** 2) + (MODEL_D * max(load, 1.0)) ** 2
+    D_sd = float(np.sqrt(variance))
     return Testimony((S, S_sd), (float(np.mean(draws)), D_sd), load, count, volts)
 
 

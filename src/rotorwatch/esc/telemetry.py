@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -240,36 +241,33 @@ def binned(time, speed: Quantity, current: Quantity, voltage: Quantity, thrust: 
     """Means over bins of BIN_S within each stretch in the air; None without any. A bin counts for a rotor that is told to turn in it."""
     parts = []
     sent = thrust.valid.all(axis=1)
+    sent_time, sent_values = thrust.time[sent], thrust.values[sent]
     for start, end in air:
         edges = np.arange(start, end, BIN_S)
         if edges.size < 2:
             continue
         lo, hi = edges[:-1], edges[1:]
-        asked, some = _means(
-            thrust.time[sent], thrust.values[sent], np.ones((int(sent.sum()), thrust.values.shape[1]), bool), lo, hi
-        )
-        last = allocation.hold(thrust.time[sent], thrust.values[sent], 0.5 * (lo + hi))
-        asked = np.where(some, asked, last)
-        w2, known = _means(time, speed.values**2, speed.valid, lo, hi)
-        amps, amps_known = _means(time, current.values, current.valid, lo, hi)
-        volts, volts_known = _means(time, voltage.values, voltage.valid, lo, hi)
+        asked, some = _means(sent_time, sent_values, np.ones(sent_values.shape, bool), lo, hi)
+        asked = np.where(some, asked, allocation.hold(sent_time, sent_values, 0.5 * (lo + hi)))
         told = asked > LEAST_SHARE
-        parts.append((0.5 * (lo + hi), asked, w2, known & told, amps, amps_known & told, volts, volts_known))
+        w2, known = _means(time, speed.values**2, speed.valid, lo, hi, told)
+        amps, amps_known = _means(time, current.values, current.valid, lo, hi, told)
+        volts, volts_known = _means(time, voltage.values, voltage.valid, lo, hi)
+        parts.append((0.5 * (lo + hi), np.where(told, asked, 1.0), w2, known, amps, amps_known, volts, volts_known))
     if not parts:
         return None
-    middle, asked, w2, known, amps, amps_known, volts, volts_known = (np.concatenate(p) for p in zip(*parts))
     return Binned(
-        middle, np.where(asked > LEAST_SHARE, asked, 1.0), np.where(known, w2, 1.0), known, np.where(amps_known, amps, 1.0), amps_known,
-        np.where(volts_known, volts, 1.0), volts_known, time, speed.values, speed.valid, current.values,
-        current.valid,        allocation.hold(thrust.time[sent], thrust.values[sent], time),
+        *(np.concatenate(p) for p in zip(*parts)), time, speed.values, speed.valid, current.values, current.valid,
+        allocation.hold(sent_time, sent_values, time),
     )  # fmt: skip
 
 
-def _means(time, values, valid, lo, hi) -> tuple[np.ndarray, np.ndarray]:
-    """Mean of the valid values with lo <= time < hi, and whether there is any: (T, n) both."""
+def _means(time, values, valid, lo, hi, count: Any = True) -> tuple[np.ndarray, np.ndarray]:
+    """Mean of the valid values with lo <= time < hi, 1 without any, and whether there is any: (T, n) both. count (T, n): which may."""
     zero = np.zeros((1, values.shape[1]))
     total = np.concatenate([zero, np.cumsum(np.where(valid, values, 0.0), axis=0)])
-    count = np.concatenate([zero, np.cumsum(valid, axis=0)])
+    counted = np.concatenate([zero, np.cumsum(valid, axis=0)])
     a, b = np.searchsorted(time, lo), np.searchsorted(time, hi)
-    number = count[b] - count[a]
-    return (total[b] - total[a]) / np.maximum(number, 1.0), number > 0
+    number = counted[b] - counted[a]
+    some = (number > 0) & count
+    return np.where(some, (total[b] - total[a]) / np.maximum(number, 1.0), 1.0), some

@@ -15,9 +15,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from rotorwatch.answer.wording import CAUSES, interval, percent, rotors, seconds
+from rotorwatch.answer.wording import interval, percent, rotors, seconds
 from rotorwatch.diagnosis import Event
-from rotorwatch.esc import ratios
+from rotorwatch.esc import evidence, ratios
 from rotorwatch.esc.telemetry import BIN_S, Binned
 
 BLOCK_S = 5.0
@@ -79,36 +79,12 @@ def _notice(kind: str, rotor: int, onset: float, told: float, size: float, bound
 
 def lost_speed(rotor: int, onset: float, told: float, size: float, bounds) -> Event:
     """A loss that speed and current show and commands and motion do not."""
-    causes = {ratios.PROPELLER: 0.0, ratios.MOTOR: 0.95, ratios.BEARING: 0.02, ratios.UNKNOWN: 0.03}
-    said = {
-        "speed_loss": size,
-        "speed_loss_interval": bounds,
-        "propeller_loss": 0.0,
-        "propeller_loss_interval": (0.0, 1.0),
-    }
-    said |= {"thrust_of_speed": 1.0 - size, "current_ratio": None, "supply_drop_V": None}
-    reason = (
-        f"the ESC of {rotors([rotor])} says that since {seconds(onset)} its speed gives {percent(size)} less thrust than told, and its "
-        f"current fell with it; commands and motion alone do not show it; so the cause is the {CAUSES[ratios.MOTOR]}"
+    says = (
+        f"since {seconds(onset)} its speed gives {percent(size)} less thrust than told, and its current fell with it; commands and motion "
+        "alone do not show it; "
     )
-    extra = {
-        "cause": ratios.MOTOR,
-        "causes": causes,
-        "esc": [{"rotor": rotor, "cause": ratios.MOTOR, "causes": causes, **said}],
-    }
-    return Event(
-        "loss_of_effectiveness",
-        (rotor,),
-        onset,
-        told,
-        None,
-        (size,),
-        (bounds,),
-        causes[ratios.MOTOR],
-        (),
-        reason,
-        extra,
-    )
+    parts = {"speed": (size, *bounds), "propeller": (0.0, 0.0, 1.0)}
+    return evidence.loss(rotor, onset, told, (size, *bounds), (0.0, 0.95, 0.02, 0.03), parts, says, 1.0 - size)
 
 
 def _follows(time, law, k: int, onset: float, told: float, change: float) -> bool:

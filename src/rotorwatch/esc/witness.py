@@ -13,7 +13,7 @@ import numpy as np
 
 from rotorwatch.answer.wording import CAUSES, listed, percent, probability, rotors
 from rotorwatch.diagnosis import Event
-from rotorwatch.esc import gone, ratios, telemetry, watch
+from rotorwatch.esc import evidence, gone, ratios, telemetry, watch
 from rotorwatch.esc.telemetry import Binned
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
@@ -40,13 +40,7 @@ class Heard:
     warnings: tuple[str, ...]
 
 
-def hear(
-    flight: Flight,
-    vehicle: Vehicle,
-    air: allocation.Spans,
-    table: Ticks,
-    events: Sequence[Event],
-) -> Heard:
+def hear(flight: Flight, vehicle: Vehicle, air: allocation.Spans, table: Ticks, events: Sequence[Event]) -> Heard:
     """The events of a flight after its ESC telemetry was asked; unchanged where the log has none."""
     events = tuple(events)
     if "esc" not in flight.signals:
@@ -83,9 +77,8 @@ def _calm(bins: Binned, table: Ticks, air) -> np.ndarray:
     if table.contact is not None:
         fine &= ~table.contact[tick]
     for start, end in air:
-        fine &= ~((bins.time >= start) & (bins.time < start + TAKE_OFF_S)) & ~(
-            (bins.time > end - DOWN_S) & (bins.time <= end)
-        )
+        fine &= ~((bins.time >= start) & (bins.time < start + TAKE_OFF_S))
+        fine &= ~((bins.time > end - DOWN_S) & (bins.time <= end))
     return fine[:, None]
 
 
@@ -94,9 +87,8 @@ def _healthy(bins: Binned, events: Sequence[Event]) -> np.ndarray:
     out = np.ones(bins.known.shape, bool)
     for e in events:
         if e.kind in (LOSS, OVERRIDE):
-            during = (bins.time > e.onset_s - CLEAR_S) & (
-                bins.time < (np.inf if e.end_s is None else e.end_s + CLEAR_S)
-            )
+            end = np.inf if e.end_s is None else e.end_s + CLEAR_S
+            during = (bins.time > e.onset_s - CLEAR_S) & (bins.time < end)
             for rotor in {r for who in (e.rotors, *e.alternatives) for r in who}:
                 out[during, rotor - 1] = False
     return out
@@ -149,19 +141,11 @@ def _told(rotor: int, loss: float, interval: tuple[float, float], seen: ratios.T
     sd = max((interval[1] - interval[0]) / 3.92, 1e-3)
     share = ratios.causes(seen, loss, sd)
     best = max(share, key=lambda cause: share[cause])
-    split = ratios.parts(seen, loss, sd)
-    return {
-        "rotor": rotor,
-        "cause": best if share[best] >= SAYS else ratios.UNKNOWN,
-        "causes": share,
-        "speed_loss": split["speed"][0],
-        "speed_loss_interval": split["speed"][1:],
-        "propeller_loss": split["propeller"][0],
-        "propeller_loss_interval": split["propeller"][1:],
-        "thrust_of_speed": seen.told[0],
-        "current_ratio": None if seen.draws is None or seen.load < LOADED else 1.0 + seen.draws[0] / seen.load,
-        "supply_drop_V": None if seen.volts is None else seen.volts[0],
-    }
+    current = None if seen.draws is None or seen.load < LOADED else 1.0 + seen.draws[0] / seen.load
+    return evidence.entry(
+        rotor, best if share[best] >= SAYS else ratios.UNKNOWN, share, ratios.parts(seen, loss, sd), seen.told[0], current,
+        None if seen.volts is None else seen.volts[0],
+    )  # fmt: skip
 
 
 def sentence_of(told: dict) -> str:
@@ -176,9 +160,8 @@ def sentence_of(told: dict) -> str:
         said = ["it turns as told"]
     draws = told["current_ratio"]
     if draws is not None and abs(draws - 1.0) >= 0.1:
-        said.append(
-            f"draws {percent(abs(draws - 1.0))} {'more' if draws > 1.0 else 'less'} current than such a speed needs"
-        )
+        more = "more" if draws > 1.0 else "less"
+        said.append(f"draws {percent(abs(draws - 1.0))} {more} current than such a speed needs")
     drop = told["supply_drop_V"]
     if drop is not None and drop > NOTABLE_V:
         said.append(f"its supply fell {drop:.1f} V below the others'")
