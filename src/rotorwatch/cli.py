@@ -198,7 +198,8 @@ def diagnose(context, **given) -> None:
 
     Exit code: 0 healthy, 1 fault found, 3 inconclusive or ambiguous only, 2 error; of several logs the worst.
     """
-    from rotorwatch import files, gathering
+    from rotorwatch import files
+    from rotorwatch.many import gathering
 
     asked = several.Asked(**given)
     if asked.as_json and asked.jsonl:
@@ -229,8 +230,8 @@ def diagnose(context, **given) -> None:
 
 def _diagnose(asked: several.Asked) -> int:
     """`rotorwatch diagnose` of one log; returns the exit code."""
-    from rotorwatch.diagnose_many import timed
     from rotorwatch.healthy.baselines import Candidate
+    from rotorwatch.many.diagnose_many import timed
 
     known = vehicle_of(asked.vehicle)
     with progress(asked.quiet) as tell:
@@ -450,7 +451,7 @@ def fuzz(context, log, mutations, seed, jobs, framed, damages, share, as_json, q
 
 
 def _read(path: Any, tell: Callable | None) -> Any:
-    from rotorwatch.diagnose_many import read
+    from rotorwatch.many.diagnose_many import read
 
     return read(path, tell)
 

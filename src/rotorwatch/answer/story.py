@@ -14,14 +14,15 @@ ACCUSES = (LOSS, "output_override", ORDER)
 FIRST_S = 3.0  # after lift-off: the vehicle never flew well, and the last good moment is that it stood
 SOON_S = 0.1  # a tick of slow logs: what is said of such a moment holds for the next
 # Causes that clear the rotors: {who} are all of them, {when} is until when they were seen to work.
+FOLLOWED = "{who} did what they were told until {when}"
 CLEARED = {
-    "disarmed": "{who} did what they were told until {when}, when the motors were disarmed in the air.",
-    "knock": "{who} did what they were told until {when}, when something struck the vehicle.",
-    "power": "{who} did what they were told until {when}, when the power failed.",
+    "disarmed": f"{FOLLOWED}, when the motors were disarmed in the air.",
+    "knock": f"{FOLLOWED}, when something struck the vehicle.",
+    "power": f"{FOLLOWED}, when the power failed.",
     "saturated": "At {onset} {who} had no more to give; they did what they were told, as was seen until {when}.",
     "controller": "At {onset} the vehicle left what was wanted, though {who} did what they were told, as was seen until {when}: "
     "a sensor, an estimate or the pilot was wrong.",
-    "unknown": "No rotor is accused: as far as the log shows, {who} did what they were told until {when}.",
+    "unknown": f"No rotor is accused: as far as the log shows, {FOLLOWED}.",
 }
 
 
@@ -74,13 +75,12 @@ def departure(events: Sequence[Event], main: int | None) -> Event | None:
 def _departure(event: Event, lost: Event, places: Sequence[str]) -> str:
     at = seconds(event.onset_s)
     if event.kind == ORDER:
+        first = f"From its first movement at {at} on it"
         if not event.rotors:
-            return f"From its first movement at {at} on it yawed against its commands: propellers or motors turn the wrong way round."
+            return f"{first} yawed against its commands: propellers or motors turn the wrong way round."
         i, j = event.rotors
-        return (
-            f"From its first movement at {at} on it turned as if the outputs of motors {i} and {j} went to each other's motor: "
-            f"{rotors(event.rotors, places)}."
-        )
+        who = rotors(event.rotors, places)
+        return f"{first} turned as if the outputs of motors {i} and {j} went to each other's motor: {who}."
     if event.kind == LOSS and event.alternatives:
         return f"At {at} something lost thrust: {candidates(event, places)}."
     over = f", until {seconds(event.end_s)}" if event.end_s is not None and event.end_s < lost.onset_s else ""
@@ -110,11 +110,8 @@ def _lost(lost: Event, when: float, first: Event | None, n: int) -> str:
     since = "" if when - lost.onset_s < SOON_S else f"; it had begun to leave control at {seconds(lost.onset_s)}"
     said = f"Control was lost at {seconds(when)}{f', {how}' if how else ''}{since}."
     named = set() if first is None else {r for who in (first.rotors, *first.alternatives) for r in who}
-    if (
-        first is not None
-        and lost.extra.get("cause") in CLEARED
-        and not named & {*lost.rotors, *sum(lost.alternatives, ())}
-    ):
+    other = not named & {*lost.rotors, *sum(lost.alternatives, ())}
+    if first is not None and lost.extra.get("cause") in CLEARED and other:
         said += f" {_cleared(lost, n)}"  # what had begun before is not why
     return said
 

@@ -135,12 +135,12 @@ def list_(store, flights, search, aircraft, limit, as_json, quiet) -> None:
     if as_json:
         print_json({"aircraft": found, "flights_of_no_aircraft": nobody})
         return
-    _table(
-        f"{len(found)} aircraft",
-        ("aircraft", "flights", "hours", "last flight", "how its rotors stand"),
-        [(a["name"], str(a["flights"]), f"{a['airborne_s'] / 3600:.1f}", _day(a["last"]), _stands(a)) for a in found],
-        right=(1, 2),
-    )
+    rows = []
+    for a in found:
+        says = a["standing"]["headline"] if a["standing"] else "not worked out yet"
+        rows.append((a["name"], str(a["flights"]), f"{a['airborne_s'] / 3600:.1f}", _day(a["last"]), says))
+    head = ("aircraft", "flights", "hours", "last flight", "how its rotors stand")
+    _table(f"{len(found)} aircraft", head, rows, right=(1, 2))
     if nobody and not quiet:
         say(f"{nobody} flights name no aircraft: add such logs with --aircraft NAME.")
     if any(a["stale"] for a in found) and not quiet:
@@ -151,10 +151,6 @@ def _urgency(a: dict) -> tuple:
     standing = a["standing"] or {}
     worst = min((ORDER.get(r["status"], 9) for r in standing.get("rotors", ())), default=9)
     return worst, -float(standing.get("worst") or 0.0), a["name"]
-
-
-def _stands(a: dict) -> str:
-    return a["standing"]["headline"] if a["standing"] else "not worked out yet"
 
 
 @fleet.command("show", short_help="One aircraft: every rotor, what changed and when.")
@@ -178,15 +174,11 @@ def show_(store, aircraft, as_json, quiet) -> None:
         click.echo("Not worked out yet: `rotorwatch fleet assess`.")
         return
     click.echo(f"\n{standing['headline']}\n")
-    _table(
-        "",
-        ("rotor", "state", "lost", "95 %", "outlook"),
-        [
-            (str(r["rotor"]), r["status"], _percent(r["loss"]), _range(r["interval"]), _outlook(r["prognosis"]))
-            for r in standing["rotors"]
-        ],
-        right=(0, 2, 3),
-    )
+    rows = []
+    for r in standing["rotors"]:
+        loss, low, high = (f"{100 * v:.1f}" for v in (r["loss"], *r["interval"]))
+        rows.append((str(r["rotor"]), r["status"], f"{loss} %", f"{low} to {high} %", _outlook(r["prognosis"])))
+    _table("", ("rotor", "state", "lost", "95 %", "outlook"), rows, right=(0, 2, 3))
     for c in standing["changes"]:
         click.echo(_said(c))
     for s in standing["services"]:
@@ -226,14 +218,6 @@ def _outlook(p: dict | None) -> str:
     low, high = p["hours_left_interval"]
     until = f"{low:.1f} to {high:.1f} h" if high is not None else f"{low:.1f} h or later"
     return f"{100 * p['limit']:.0f} % in {p['hours_left']:.1f} h ({until}), about {p['flights_left']} flights"
-
-
-def _percent(loss: float) -> str:
-    return f"{100 * loss:.1f} %"
-
-
-def _range(interval: list[float]) -> str:
-    return f"{100 * interval[0]:.1f} to {100 * interval[1]:.1f} %"
 
 
 def _day(utc: str | None) -> str:

@@ -59,7 +59,7 @@ def settings(estimator: str, *given: Path | None) -> str:
 def diagnose(asked: Asked, explain: Callable[[Exception], str]) -> int:
     """Judge them all; returns the exit code. explain: makes a sentence of an exception. Whatever ends it, what has been answered is
     shown."""
-    from rotorwatch.diagnose_many import Answer, diagnose_many
+    from rotorwatch.many.diagnose_many import Answer, diagnose_many
     from rotorwatch.report import overview
 
     if asked.others and not asked.quiet:
@@ -209,7 +209,7 @@ def _lines(asked: Asked, how: str) -> Iterator[_Lines]:
 
 def _there(asked: Asked, how: str) -> dict[str, _Line]:
     """The lines of the file that --resume goes on with, by path; a last line that was cut off is taken away. Raises ConfigError."""
-    from rotorwatch.diagnose_many import Known
+    from rotorwatch.many.diagnose_many import Known
     from rotorwatch.report import overview
 
     out = asked.out

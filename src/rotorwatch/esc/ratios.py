@@ -1,4 +1,5 @@
-"""The mathematics of the witness: how far speed and current of a rotor are from what its command and its like say, and what that means.
+"""The mathematics of the ESC consistency check: how far a rotor's speed and current are from what its command and the other rotors say, and
+what that means.
 
 Thrust T of a propeller goes with its speed squared, T = k W^2, and the current of its motor with a power of the speed (torque goes with
 W^2, power with W^3; M. Drela, First-Order DC Electric Motor Model, MIT 2007). While rotor k is healthy its bins obey

@@ -1,4 +1,4 @@
-"""The witness heard: each loss of effectiveness gets its cause, as far as the ESCs of its rotors say; and motors that need a look.
+"""The ESC consistency check: each loss of effectiveness gets its cause, as far as the ESCs of its rotors show it; and motors to look at.
 
 Before an onset the rotors were healthy and teach the laws of ratios.py; the last seconds of the loss are held against them. This is said
 after the flight: a cause uses what came after the announcement, the announcement itself does not.
@@ -7,7 +7,7 @@ after the flight: a cause uses what came after the announcement, the announcemen
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -32,33 +32,27 @@ NOTABLE_V = 0.3
 LOADED = 0.1  # of its usual current: a rotor that needs less tells nothing by what it draws
 
 
-@dataclass(frozen=True)
-class Heard:
-    """events: with causes, and with those that only telemetry shows, in order of announcement. warnings: what of it cannot be used."""
-
-    events: tuple[Event, ...]
-    warnings: tuple[str, ...]
-
-
-def hear(flight: Flight, vehicle: Vehicle, air: allocation.Spans, table: Ticks, events: Sequence[Event]) -> Heard:
-    """The events of a flight after its ESC telemetry was asked; unchanged where the log has none."""
+def check(
+    flight: Flight, vehicle: Vehicle, air: allocation.Spans, table: Ticks, events: Sequence[Event]
+) -> tuple[tuple[Event, ...], tuple[str, ...]]:
+    """(events of a flight with the causes that its ESC telemetry shows, and events that it alone shows, in order of announcement; what of
+    the telemetry cannot be used). Events are unchanged where the log has none."""
     events = tuple(events)
     if "esc" not in flight.signals:
-        return Heard(events, ())
+        return events, ()
     bins, notes = telemetry.read(flight, allocation.rotor_thrusts(flight, vehicle), air)
     if bins is None:
-        return Heard(events, tuple(notes))
+        return events, tuple(notes)
     calm = _calm(bins, table, air)
     stood, said = gone.find(bins, events, air, _upset(bins, table))
-    notes += said
     events = (*events, *stood)
     healthy = _healthy(bins, events)
     out = [_with_cause(e, bins, calm, healthy, air) if _asks(e) else e for e in events]
     # Once a rotor is weak the others work elsewhere than where their laws were learned.
     found, more = watch.look(bins, calm & healthy.all(axis=1, keepdims=True))
     named = {rotor for e in out if e.kind == LOSS for rotor in e.rotors}
-    found = [e for e in found if e.kind != LOSS or not named & set(e.rotors)]  # what is known is not told again
-    return Heard(tuple(sorted((*out, *found), key=lambda e: e.detected_s)), (*notes, *more))
+    found = [e for e in found if e.kind != LOSS or not named & set(e.rotors)]  # what is known already
+    return tuple(sorted((*out, *found), key=lambda e: e.detected_s)), (*notes, *said, *more)
 
 
 def _asks(event: Event) -> bool:

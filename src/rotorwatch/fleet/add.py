@@ -14,7 +14,7 @@ from rotorwatch.errors import LogError, RotorwatchError, StoreError
 from rotorwatch.fleet import assess, judge
 from rotorwatch.fleet.store import Entry, Store, digest
 from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch.gathering import Gathered, fetched, full, is_address, is_log
+from rotorwatch.many.gathering import Gathered, fetched, full, is_address, is_log
 
 POLL_S = 2.0
 
@@ -195,11 +195,8 @@ def rejudge(
 ) -> tuple[int, list[Change]]:
     """Judge flights again that another version of rotorwatch has judged; every: all of them. Returns how many were, and what changed; a
     log that is gone or has another content keeps its judgement, and is among them. jobs, scheduler: as for `add`."""
-    rows = [
-        r
-        for r in store.flights(aircraft=aircraft, limit=None, newest_first=False)
-        if every or r["version"] != __version__
-    ]
+    rows = store.flights(aircraft=aircraft, limit=None, newest_first=False)
+    rows = [r for r in rows if every or r["version"] != __version__]
     if jobs is None and scheduler is None:
         jobs = many.worthwhile(len(rows))
     changes, count = [], 0

@@ -6,6 +6,7 @@ What was committed before an error stays, and the same command goes on from ther
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -75,11 +76,8 @@ class Database:
     @contextmanager
     def writing(self) -> Iterator[Queries]:
         """A connection in a transaction that no other writer is beside of; committed at the end, else rolled back."""
-        with (
-            self._said(),
-            self.engine.connect().execution_options(rotorwatch_write=True) as connection,
-            connection.begin(),
-        ):
+        connected = self.engine.connect
+        with self._said(), connected().execution_options(rotorwatch_write=True) as connection, connection.begin():
             if not self._lite:
                 connection.execute(sa.text(f"SELECT pg_advisory_xact_lock({LOCK})"))
             yield Queries(connection)
@@ -133,14 +131,19 @@ def _error(why: Exception, label: str, lite: bool) -> StoreError:
 
 
 def _sentence(text: str, low: str, label: str, lite: bool) -> str:
-    if "locked" in low:
-        return f"Another program has kept the store {label} busy for {WAIT_S:.0f} s: wait for it or stop it. {AGAIN}"
-    if "not a database" in low or "malformed" in low:
-        return f"{label} is no store of rotorwatch, or is damaged; give another file, or put a copy back."
-    if "readonly" in low or "read-only" in low:
-        return f"The store {label} cannot be written to; see to the rights of its file and folder."
-    if "unable to open" in low:
-        return f"The store {label} cannot be opened; see to its folder and rights."
-    if not lite and ("connect" in low or "server" in low or "terminat" in low or "shutting down" in low):
-        return f"The database {label} cannot be reached ({text[:120]}): see that it runs. {AGAIN}"
-    return f"The store {label} failed ({text[:160]}). {AGAIN}"
+    copy = "give another file, or put a copy back"
+    known = (
+        (
+            "locked",
+            f"Another program has kept the store {label} busy for {WAIT_S:.0f} s: wait for it or stop it. {AGAIN}",
+        ),
+        ("not a database|malformed", f"{label} is no store of rotorwatch, or is damaged; {copy}."),
+        ("readonly|read-only", f"The store {label} cannot be written to; see to the rights of its file and folder."),
+        ("unable to open", f"The store {label} cannot be opened; see to its folder and rights."),
+    )
+    if not lite:
+        away = f"The database {label} cannot be reached ({text[:120]}): see that it runs. {AGAIN}"
+        known = (*known, ("connect|server|terminat|shutting down", away))
+    return next(
+        (said for words, said in known if re.search(words, low)), f"The store {label} failed ({text[:160]}). {AGAIN}"
+    )

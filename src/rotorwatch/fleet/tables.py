@@ -6,6 +6,7 @@ same rows, however often the work was broken off in between. Texts that can be m
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import sqlalchemy as sa
@@ -99,8 +100,14 @@ standings = sa.Table(
     _column("points"),
 )
 
-STEPS = ((meta, aircraft, identities, flights, diagnoses, trims, services), (standings,))
-"""The tables that step k adds to make version k + 1 of version k. Steps are never changed once stores were made with them."""
+
+def _add(*tables: sa.Table) -> Callable[[Any], None]:
+    """A step that adds tables."""
+    return lambda connection: metadata.create_all(connection, tables=tables, checkfirst=False)
+
+
+STEPS = (_add(meta, aircraft, identities, flights, diagnoses, trims, services), _add(standings))
+"""Step k makes version k + 1 of version k. Steps are never changed once stores were made with them."""
 
 
 def upgrade(connection: Any) -> None:
@@ -117,8 +124,8 @@ def upgrade(connection: Any) -> None:
         raise StoreError(
             f"The store was made by a later version of rotorwatch (tables {version}, known {len(STEPS)}); update rotorwatch."
         )
-    for new in STEPS[version:]:
-        metadata.create_all(connection, tables=new, checkfirst=False)
+    for step in STEPS[version:]:
+        step(connection)
     if version < len(STEPS):
         connection.execute(meta.delete().where(meta.c.key == "version"))
         connection.execute(meta.insert().values(key="version", value=str(len(STEPS))))

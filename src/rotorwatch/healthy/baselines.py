@@ -30,6 +30,7 @@ from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.healthy import whole_flight
 from rotorwatch.motion import trust
 from rotorwatch.motion.airborne import airborne
+from rotorwatch.motion.allocation import within
 from rotorwatch.motion.ticks import Ticks
 
 READY_S = 3.0  # after lift-off, before the dynamics of a flight are learned from
@@ -250,10 +251,8 @@ def _of_one_mind(found: list[Candidate], aside: list[tuple[str, str]]) -> list[C
         m = len(usable)
         if m < 2:
             return found
-        rare = [
-            whole_flight.rarity(one.features, [u.features for u in usable if u is not one], one.vehicle)
-            for one in usable
-        ]
+        others = [[u.features for u in usable if u is not one] for one in usable]
+        rare = [whole_flight.rarity(one.features, rest, one.vehicle) for one, rest in zip(usable, others)]
         worst = int(np.argmin(rare))
         if m == 2:
             if min(rare) >= whole_flight.FALSE_FAULT:
@@ -321,10 +320,7 @@ def _same_geometry(a: Vehicle, b: Vehicle) -> bool:
 def _hover_command(one: Candidate) -> float:
     """Median of the outputs in the air, in their unit."""
     motors = one.flight["motors"]
-    inside = np.zeros(len(motors), bool)
-    for start, end in one.air:
-        inside |= (motors.time >= start) & (motors.time <= end)
-    values = motors.values[inside & motors.valid.all(axis=1)]
+    values = motors.values[within(motors.time, one.air) & motors.valid.all(axis=1)]
     return float(np.median(values)) if values.size else float("nan")
 
 

@@ -5,6 +5,8 @@ kept.py        values of finished items in a folder, for a call that is broken o
 done.py        what comes back, and errors that travel
 processes.py   processes of this computer, by the standard library alone
 cluster.py     the workers of a Dask scheduler (the extra `cluster`)
+gathering.py   which logs a call is about: files, folders, patterns, addresses
+diagnose_many.py  `diagnose` of every one of them
 """
 
 from rotorwatch.many.done import Done

@@ -26,9 +26,7 @@ def lane(diagnosis: Diagnosis, figure: Callable[..., Any], x_range) -> Any:
     p.ygrid.visible = False
     end = float(trace.time[-1])
     modes = [(t, text) for t, kind, text in trace.messages if kind == "mode"]
-    spans = [
-        (a, b, text) for (a, text), (b, _) in zip(modes, [*modes[1:], (end, "")]) if b > a
-    ]  # a log may name no mode
+    spans = [(a, b, text) for (a, text), (b, _) in zip(modes, [*modes[1:], (end, "")]) if b > a]
     shade = {name: SHADES[k % len(SHADES)] for k, name in enumerate(dict.fromkeys(text for _, _, text in spans))}
     boxes = ColumnDataSource(
         {
@@ -40,13 +38,10 @@ def lane(diagnosis: Diagnosis, figure: Callable[..., Any], x_range) -> Any:
             "fill": [shade[text] for _, _, text in spans],
         }
     )
-    drawn = p.quad(
-        "left", "right", 1.6, 1.1, source=boxes, fill_color="fill", fill_alpha=0.35, line_color="fill", name="modes"
-    )
-    look: dict[str, Any] = dict(
-        text_font={"value": "system-ui, sans-serif"}, text_font_size="12px", text_baseline="middle", x_offset=4
-    )
-    p.text("left", 1.35, "name", source=boxes, text_color=INK, name="mode names", **look)
+    fill: dict[str, Any] = dict(fill_color="fill", fill_alpha=0.35, line_color="fill")
+    drawn = p.quad("left", "right", 1.6, 1.1, source=boxes, name="modes", **fill)
+    look: dict[str, Any] = dict(text_font={"value": "system-ui, sans-serif"}, text_font_size="12px", text_color=INK)
+    p.text("left", 1.35, "name", source=boxes, name="mode names", text_baseline="middle", x_offset=4, **look)
     rest = [row for row in trace.messages if row[1] in HEIGHTS]
     rest = sorted(rest, key=lambda row: (row[1] != "error", row[1] == "text"))[:MOST]
     marks = ColumnDataSource(

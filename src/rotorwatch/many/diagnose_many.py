@@ -11,11 +11,14 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from rotorwatch import gathering, logs, many
+from rotorwatch import logs
 from rotorwatch.diagnosis import SCHEMA, Diagnosis
 from rotorwatch.errors import ConfigError, RotorwatchError
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.many import gathering
+from rotorwatch.many.done import Done
+from rotorwatch.many.spread import run, worthwhile
 
 ERROR = 2
 """Exit code of a log without an answer."""
@@ -81,8 +84,10 @@ def diagnose_many(
     VehicleError or LogError where no log can be judged: a folder without logs, a wrong vehicle or baseline, a scheduler that does not
     answer.
     """
+    from rotorwatch.diagnose import vehicle_of
+
     known = known or {}
-    craft = _vehicle(vehicle)
+    craft = vehicle_of(vehicle)
     for given in baseline:
         if not isinstance(given, Flight):
             read(given)  # an error in it would be every log's
@@ -91,7 +96,7 @@ def diagnose_many(
     if isinstance(paths, Sequence):
         paths = list(gathering.Gathered(paths))
         if jobs is None and scheduler is None:
-            jobs = many.worthwhile(len(paths))
+            jobs = worthwhile(len(paths))
     else:
         paths = gathering.Gathered(paths)
     names: dict[int, str] = {}
@@ -101,10 +106,10 @@ def diagnose_many(
             names[index] = gathering.full(path)
             yield _named(path, scheduler), known.get(names[index])
 
-    return _answers(many.run(judge, items(), jobs, scheduler), names)
+    return _answers(run(judge, items(), jobs, scheduler), names)
 
 
-def _answers(found: Iterator[many.Done], names: dict[int, str]) -> Iterator[Answer]:
+def _answers(found: Iterator[Done], names: dict[int, str]) -> Iterator[Answer]:
     for done in found:
         path = names.pop(done.index)
         if done.error is not None:
@@ -124,14 +129,6 @@ def read(path: str | PathLike, progress: Any = None) -> Flight:
         if not here.exists():
             raise ConfigError(f"{path}: no such file.")
         return logs.read(here, progress=progress)
-
-
-def _vehicle(vehicle: Vehicle | str | PathLike | None) -> Vehicle | None:
-    if isinstance(vehicle, str | PathLike):
-        from rotorwatch.flight import vehicle_file
-
-        return vehicle_file.read(vehicle)
-    return vehicle
 
 
 @dataclass(frozen=True)
