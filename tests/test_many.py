@@ -15,11 +15,11 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from rotorwatch.many.kept import Kept
 
 from rotorwatch import many
 from rotorwatch.errors import ConfigError, LogError, WorkerError
 from rotorwatch.many import cluster, processes
-from rotorwatch.many.kept import Kept
 
 ROOT = Path(__file__).parents[1]
 

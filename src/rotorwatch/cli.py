@@ -94,7 +94,7 @@ def main(argv: list[str] | None = None) -> None:
 
 
 def _run(argv: list[str]) -> int:
-    """Do what is asked, and write all of it; returns the exit code. Raises OSError where standard error cannot be written to."""
+    """Do what the arguments say, and write all of it; returns the exit code. Raises OSError where standard error cannot be written to."""
     try:
         try:
             # Not cli.main: it leaves with 1 when a pipe breaks, which here says "fault found".
@@ -201,52 +201,56 @@ def diagnose(context, **given) -> None:
     from rotorwatch import files
     from rotorwatch.many import gathering
 
-    asked = several.Asked(**given)
-    if asked.as_json and asked.jsonl:
+    request = several.Request(**given)
+    if request.as_json and request.jsonl:
         raise ConfigError("--json and --jsonl are two ways to say the same; give one.")
-    if (asked.out or asked.resume) and not (asked.jsonl and asked.out):
+    if (request.out or request.resume) and not (request.jsonl and request.out):
         raise ConfigError("--out and --resume belong to --jsonl: write --jsonl -o FILE, and --resume to go on with it.")
     many = (
-        len(asked.logs) > 1 or bool(asked.jsonl or asked.html or asked.scheduler) or gathering.is_several(asked.logs[0])
+        len(request.logs) > 1
+        or bool(request.jsonl or request.html or request.scheduler)
+        or gathering.is_several(request.logs[0])
     )
-    found = gathering.Gathered(asked.logs)
-    logs = tuple(found) if many else asked.logs
-    pages, recordings = report_paths(logs, asked.report), report_paths(logs, asked.mcap, "--mcap", ".mcap")
-    if pages or asked.html:
+    found = gathering.Gathered(request.logs)
+    logs = tuple(found) if many else request.logs
+    pages, recordings = report_paths(logs, request.report), report_paths(logs, request.mcap, "--mcap", ".mcap")
+    if pages or request.html:
         optional.library("bokeh", "--report" if pages else "--html")
     if recordings:
         optional.library("mcap", "--mcap")
-    asked = replace(asked, logs=logs, pages=pages, recordings=recordings, others=found.others)
-    if asked.tuning:
+    request = replace(request, logs=logs, pages=pages, recordings=recordings, others=found.others)
+    if request.tuning:
         from rotorwatch.healthy.tune import read
 
-        asked = replace(asked, tuned=read(asked.tuning, asked.estimator))
+        request = replace(request, tuned=read(request.tuning, request.estimator))
     if not many:
-        context.exit(_diagnose(asked))
-    out = files.writable(asked.out, "--out", make=True) if asked.out else None
-    html = files.folder(asked.html, "--html") if asked.html else None
-    context.exit(several.diagnose(replace(asked, out=out, html=html), explain))
+        context.exit(_diagnose(request))
+    out = files.writable(request.out, "--out", make=True) if request.out else None
+    html = files.folder(request.html, "--html") if request.html else None
+    context.exit(several.diagnose(replace(request, out=out, html=html), explain))
 
 
-def _diagnose(asked: several.Asked) -> int:
+def _diagnose(request: several.Request) -> int:
     """`rotorwatch diagnose` of one log; returns the exit code."""
     from rotorwatch.healthy.baselines import Candidate
     from rotorwatch.many.diagnose_many import timed
 
-    known = vehicle_of(asked.vehicle)
-    with progress(asked.quiet) as tell:
-        healthy = tuple(Candidate(_read(path, tell), known) for path in asked.baselines)
-    with progress(asked.quiet) as tell:
-        result = timed(lambda: _read(asked.logs[0], tell), known, healthy, asked.estimator, asked.tuned, progress=tell)
-    if asked.pages:
-        result.to_html(asked.pages[0])
-    if asked.recordings:
-        result.to_mcap(asked.recordings[0])
-    if asked.as_json:
+    known = vehicle_of(request.vehicle)
+    with progress(request.quiet) as tell:
+        healthy = tuple(Candidate(_read(path, tell), known) for path in request.baselines)
+    with progress(request.quiet) as tell:
+        result = timed(
+            lambda: _read(request.logs[0], tell), known, healthy, request.estimator, request.tuned, progress=tell
+        )
+    if request.pages:
+        result.to_html(request.pages[0])
+    if request.recordings:
+        result.to_mcap(request.recordings[0])
+    if request.as_json:
         click.echo(result.to_json())
     else:
         show(lambda terminal: terminal.diagnosis(result))
-        written(asked.quiet, report=next(iter(asked.pages), None), MCAP_file=next(iter(asked.recordings), None))
+        written(request.quiet, report=next(iter(request.pages), None), MCAP_file=next(iter(request.recordings), None))
     return result.exit_code
 
 

@@ -95,7 +95,7 @@ class Event:
 
 
 @dataclass(frozen=True)
-class Told:
+class StoryLine:
     """A sentence of the story of a loss of control, and the moment that it tells of [s]."""
 
     time_s: float
@@ -178,7 +178,7 @@ class Diagnosis:
     main: int | None = None
     advice: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
-    story: tuple[Told, ...] = ()
+    story: tuple[StoryLine, ...] = ()
     picture: Mapping[str, Any] | None = None
 
     @property
@@ -217,7 +217,7 @@ class Diagnosis:
             | {
                 "rotors": tuple(RotorState(**_tuples(r)) for r in rotors),
                 "events": tuple(Event(**_tuples(e)) for e in events),
-                "story": tuple(Told(**said) for said in answer["story"]),
+                "story": tuple(StoryLine(**said) for said in answer["story"]),
             },
         )
 
@@ -276,7 +276,7 @@ def _round(value, digits: int = 4):
     """Numbers to plain Python, rounded; containers walked; NaN and infinities become None."""
     if value is None or isinstance(value, (bool, str)):
         return value
-    if isinstance(value, (Trend, Told)):
+    if isinstance(value, (Trend, StoryLine)):
         value = vars(value)
     if isinstance(value, Mapping):
         return {str(k): _round(v, digits) for k, v in value.items()}

@@ -28,7 +28,7 @@ from rotorwatch.answer.wording import (
 )
 from rotorwatch.default.hypotheses import GONE
 from rotorwatch.default.leftover import Leftover
-from rotorwatch.diagnosis import Event, RotorState, Told, Trend
+from rotorwatch.diagnosis import Event, RotorState, StoryLine, Trend
 
 LOSS, OVERRIDE, CONTACT = "loss_of_effectiveness", "output_override", "contact"
 LOST, ORDER = "loss_of_control", "motor_order"
@@ -62,7 +62,7 @@ LOPSIDED = (
 @dataclass(frozen=True)
 class Conclusion:
     """verdict, reason, headline: as in the answer. main: index into events of the one that matters most, or None. rotors: their states.
-    advice: what to do next, sentences. events: those that are shown. story: of a loss of control (`story.tell`)."""
+    advice: what to do next, sentences. events: those that are shown. story: of a loss of control (`story.narrate`)."""
 
     verdict: str
     reason: str
@@ -71,11 +71,11 @@ class Conclusion:
     rotors: tuple[RotorState, ...]
     advice: tuple[str, ...]
     events: tuple[Event, ...]
-    story: tuple[Told, ...] = ()
+    story: tuple[StoryLine, ...] = ()
 
 
 @dataclass(frozen=True)
-class Seen:
+class Evidence:
     """What there is to conclude from. n rotors; places: where each is, in words. hidden (n,): loss that could have gone unseen in
     flight, None when nothing was judged. whole: against healthy flights, or None; population: the same against healthy vehicles of
     any build. hops: ((take-off, landing), ...) s. trends: of each
@@ -145,10 +145,10 @@ def conclude(
     """
     if doubts:
         shown = tuple(e for e in events if e.kind not in (*ACCUSES, *MOTOR_NOTICES))
-        seen = Seen(shown, None, n, None, judged_s, (), tuple(places), tuple(hops))
+        seen = Evidence(shown, None, n, None, judged_s, (), tuple(places), tuple(hops))
         return _concluded(seen, "inconclusive", doubts[0], "This log cannot say.", None, doubts)
     judged = judged_s >= LEAST_S and hidden is not None
-    seen = Seen(
+    seen = Evidence(
         tuple(events), whole, n, hidden if judged else None, judged_s, tuple(leftover), tuple(places), tuple(hops),
         tuple(trends), population, hidden_pair,
     )  # fmt: skip
@@ -157,11 +157,11 @@ def conclude(
     return _concluded(seen, verdict, reason, _headline(seen, verdict, main), main, ())
 
 
-def _concluded(seen: Seen, verdict, reason, headline, main, doubts) -> Conclusion:
+def _concluded(seen: Evidence, verdict, reason, headline, main, doubts) -> Conclusion:
     states = tuple(_state(seen, k, verdict) for k in range(1, seen.n + 1))
     stays = main is not None and (seen.events[main].end_s is None or _landed(seen, seen.events[main].end_s))
     next_steps = advice.of(verdict, seen.events, main, states, seen.whole, seen.places, doubts, stays)
-    told = story.tell(seen.events, main, seen.n, seen.places, seen.hops, not doubts)
+    told = story.narrate(seen.events, main, seen.n, seen.places, seen.hops, not doubts)
     return Conclusion(verdict, reason, headline, main, states, next_steps, seen.events, told)
 
 
@@ -185,7 +185,7 @@ def main_event(events: Sequence[Event]) -> int | None:
 # Verdict and words
 
 
-def _verdict(seen: Seen, main: int | None) -> tuple[str, str]:
+def _verdict(seen: Evidence, main: int | None) -> tuple[str, str]:
     event = None if main is None else seen.events[main]
     whole = seen.compared
     if event is not None and event.kind == LOST:
@@ -214,7 +214,7 @@ def _verdict(seen: Seen, main: int | None) -> tuple[str, str]:
     return "healthy", f"no rotor lost effectiveness in {seen.judged_s:.0f} s of judged flight, {scope}{slow}; {unseen}."
 
 
-def _what_happened(seen: Seen, event: Event) -> str:
+def _what_happened(seen: Evidence, event: Event) -> str:
     why = event.reason.strip().removesuffix(".")
     if event.kind in (OVERRIDE, ORDER):
         return why
@@ -223,7 +223,7 @@ def _what_happened(seen: Seen, event: Event) -> str:
     return f"{what}: {why}" if why else what
 
 
-def _cleared(seen: Seen, lost: Event) -> str:
+def _cleared(seen: Evidence, lost: Event) -> str:
     """What a loss of control that no rotor caused says of the rotors, a sentence."""
     when = min((t for t in lost.extra.get("worked_until_s", ()) if t is not None), default=None)
     until = "" if when is None else f" until {seconds(when)}"
@@ -234,23 +234,23 @@ def _cleared(seen: Seen, lost: Event) -> str:
     return f"No rotor is accused: as far as the log shows, all {seen.n} did what they were told{until}."
 
 
-def _until(seen: Seen, event: Event, word: str) -> str:
+def _until(seen: Evidence, event: Event, word: str) -> str:
     if event.end_s is None:
         return ""
     return f"{word} {'the landing at ' if _landed(seen, event.end_s) else ''}{seconds(event.end_s)}"
 
 
-def _and_more(seen: Seen, main: Event) -> str:
+def _and_more(seen: Evidence, main: Event) -> str:
     rest = [e for e in seen.events if e is not main and e.kind in ACCUSES]
     return f"; {len(rest)} more event{'s' if len(rest) > 1 else ''} in this flight" if rest else ""
 
 
-def _open(seen: Seen) -> str:
+def _open(seen: Evidence) -> str:
     who = sorted({r for spell in seen.leftover for r in spell.rotors})
     return f"; later evidence against {rotors(who)} is not explained by that" if who else ""
 
 
-def _headline(seen: Seen, verdict: str, main: int | None) -> str:
+def _headline(seen: Evidence, verdict: str, main: int | None) -> str:
     """One or two short sentences that a pilot understands."""
     event = None if main is None else seen.events[main]
     if event is not None and event.kind == LOST:
@@ -285,30 +285,30 @@ def _headline(seen: Seen, verdict: str, main: int | None) -> str:
     return " ".join(parts)
 
 
-def _unseen(seen: Seen) -> float:
+def _unseen(seen: Evidence) -> float:
     """The largest loss of any rotor that can lie in the flight without having been announced."""
     return float(np.max(seen.hidden)) if seen.hidden is not None else 1.0
 
 
-def _bound(seen: Seen) -> str:
+def _bound(seen: Evidence) -> str:
     """How much of one rotor, and of each of two opposite ones where that is more."""
     one = _unseen(seen)
     pair = f", or {percent(seen.hidden_pair)} of each of two opposite rotors," if seen.hidden_pair > one else ""
     return f"{percent(one)} of one rotor{pair}"
 
 
-def _growing(seen: Seen) -> list[tuple[int, Trend]]:
+def _growing(seen: Evidence) -> list[tuple[int, Trend]]:
     """Rotors whose loss grows, of those that are no suspects: (number, trend)."""
     open_ = {r for s in seen.leftover for r in s.rotors}
     open_ |= {r for e in seen.losses if e.alternatives for who in explanations(e) for r in who}
     return [(k, t) for k, t in enumerate(seen.trends, start=1) if t and t.word == "growing" and k not in open_]
 
 
-def _notices(seen: Seen) -> list[Event]:
+def _notices(seen: Evidence) -> list[Event]:
     return [e for e in seen.events if e.kind in MOTOR_NOTICES]
 
 
-def _matter(seen: Seen, verdict: str, main: int | None) -> str:
+def _matter(seen: Evidence, verdict: str, main: int | None) -> str:
     event = None if main is None else seen.events[main]
     whole = seen.compared
     if verdict == "fault" and (event is None or event.alternatives):
@@ -341,7 +341,7 @@ def _matter(seen: Seen, verdict: str, main: int | None) -> str:
 # Rotors
 
 
-def _state(seen: Seen, rotor: int, verdict: str) -> RotorState:
+def _state(seen: Evidence, rotor: int, verdict: str) -> RotorState:
     """The rotor at the end of the judged flight: the first of these that holds. Nothing could be judged; a certain loss that lasts; damage
     from take-off on; suspicion; healthy."""
     whole = seen.compared
@@ -389,7 +389,7 @@ def _state(seen: Seen, rotor: int, verdict: str) -> RotorState:
     return state(0.0, INVISIBLE, "healthy", note, since)
 
 
-def _from_takeoff(whole: Mapping[str, Any] | None, rotor: int, verdict: str, seen: Seen) -> str:
+def _from_takeoff(whole: Mapping[str, Any] | None, rotor: int, verdict: str, seen: Evidence) -> str:
     """What the comparison with healthy flights or vehicles says of a rotor."""
     if not whole or verdict == "inconclusive":
         return "not judged"
@@ -401,7 +401,7 @@ def _from_takeoff(whole: Mapping[str, Any] | None, rotor: int, verdict: str, see
     return "healthy" if seen.whole else "bounded"
 
 
-def _suspicions(seen: Seen, rotor: int, maybe, landed, claims) -> list[tuple[str, float]]:
+def _suspicions(seen: Evidence, rotor: int, maybe, landed, claims) -> list[tuple[str, float]]:
     """(why a rotor is a suspect, how much it may have lost then), of what was seen in flight."""
     found = []
     for e in (*maybe, *landed):
@@ -422,7 +422,7 @@ def _suspicions(seen: Seen, rotor: int, maybe, landed, claims) -> list[tuple[str
     return found
 
 
-def _past(seen: Seen, rotor: int, claims) -> str:
+def _past(seen: Evidence, rotor: int, claims) -> str:
     """What happened to a rotor that is healthy at the end."""
     notes = []
     for word, sure in (("was", True), ("may have been", False)):
@@ -435,7 +435,7 @@ def _past(seen: Seen, rotor: int, claims) -> str:
     return listed(notes)
 
 
-def _of_kind(seen: Seen, kind: str, rotor: int) -> list[Event]:
+def _of_kind(seen: Evidence, kind: str, rotor: int) -> list[Event]:
     return [e for e in seen.events if e.kind == kind and rotor in e.rotors]
 
 
@@ -448,7 +448,7 @@ def _broken(loss: float) -> str:
     return "failed" if loss > GONE else "degraded"
 
 
-def _worked(seen: Seen, rotor: int) -> str:
+def _worked(seen: Evidence, rotor: int) -> str:
     """Until when a rotor was seen to work, of a flight in which control was lost."""
     until = seen.lost.extra.get("worked_until_s", ()) if seen.lost is not None else ()
     known = rotor <= len(until) and until[rotor - 1] is not None
@@ -463,6 +463,6 @@ def most(event: Event, rotor: int) -> float:
     return max(own, other) if any(rotor in a for a in event.alternatives) else own
 
 
-def _landed(seen: Seen, end_s: float | None) -> bool:
+def _landed(seen: Evidence, end_s: float | None) -> bool:
     """An event that ended with a landing, before another take-off: what became of it was not judged again."""
     return end_s is not None and any(abs(end_s - down) < LANDED_S for _, down in seen.hops[:-1])

@@ -13,7 +13,7 @@ import numpy as np
 
 from rotorwatch.answer.story import LOST, departure
 from rotorwatch.answer.traces import angles
-from rotorwatch.diagnosis import Event, Told
+from rotorwatch.diagnosis import Event, StoryLine
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.motion import allocation
@@ -28,9 +28,9 @@ HELD_S = 3.0  # of commands before, which are held where outputs are logged slow
 
 
 def make(
-    flight: Flight, vehicle: Vehicle, events: Sequence[Event], main: int | None, story: Sequence[Told]
+    flight: Flight, vehicle: Vehicle, events: Sequence[Event], main: int | None, story: Sequence[StoryLine]
 ) -> dict[str, Any] | None:
-    """The picture's data as docs/json.md says; None where control was not lost. story: `story.tell` of the same events."""
+    """The picture's data as docs/json.md says; None where control was not lost. story: `story.narrate` of the same events."""
     lost = next((e for e in events if e.kind == LOST), None)
     if lost is None or not story:
         return None

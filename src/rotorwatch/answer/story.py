@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from rotorwatch.answer.wording import candidates, losses, rotors, seconds, sentence
-from rotorwatch.diagnosis import Event, Told
+from rotorwatch.diagnosis import Event, StoryLine
 
 LOST, LOSS, ORDER = "loss_of_control", "loss_of_effectiveness", "motor_order"
 ACCUSES = (LOSS, "output_override", ORDER)
@@ -26,14 +26,14 @@ CLEARED = {
 }
 
 
-def tell(
+def narrate(
     events: Sequence[Event],
     main: int | None,
     n: int,
     places: Sequence[str] = (),
     hops: Sequence[tuple[float, float]] = (),
     trusted: bool = True,
-) -> tuple[Told, ...]:
+) -> tuple[StoryLine, ...]:
     """The story of a flight of n rotors; empty where control was not lost.
 
     events: of the answer; main: index of the one that matters, or None; places: `places.names`; hops: ((take-off, landing), ...) s.
@@ -47,17 +47,17 @@ def tell(
     began = lost.onset_s if first is None else min(first.onset_s, lost.onset_s)
     up = next((a for a, b in hops if a <= began <= b), None)
     if up is not None and began - up < FIRST_S:
-        good = Told(up, f"The vehicle lifted off at {seconds(up)}.")
+        good = StoryLine(up, f"The vehicle lifted off at {seconds(up)}.")
     else:
-        good = Told(began, f"Until {seconds(began)} the vehicle flew as it was told.")
+        good = StoryLine(began, f"Until {seconds(began)} the vehicle flew as it was told.")
     out = [good]
     if first is not None:
-        out.append(Told(first.onset_s, _departure(first, lost, places)))
+        out.append(StoryLine(first.onset_s, _departure(first, lost, places)))
     elif trusted:
-        out.append(Told(lost.onset_s, _no_rotor(lost, n, places)))
+        out.append(StoryLine(lost.onset_s, _no_rotor(lost, n, places)))
     end = _end(lost, gone[1:], hops)
     when = lost.detected_s if lost.detected_s <= end.time_s else max(lost.onset_s, out[-1].time_s)
-    return (*out, Told(when, _lost(lost, when, first, n)), end)
+    return (*out, StoryLine(when, _lost(lost, when, first, n)), end)
 
 
 def departure(events: Sequence[Event], main: int | None) -> Event | None:
@@ -116,13 +116,13 @@ def _lost(lost: Event, when: float, first: Event | None, n: int) -> str:
     return said
 
 
-def _end(lost: Event, later: Sequence[Event], hops: Sequence[tuple[float, float]]) -> Told:
+def _end(lost: Event, later: Sequence[Event], hops: Sequence[tuple[float, float]]) -> StoryLine:
     again = f" It was lost again at {seconds(later[0].onset_s)}." if later else ""
     impact = lost.extra.get("impact_s")
     if impact is not None:
-        return Told(impact, f"It hit the ground at {seconds(impact)}.{again}")
+        return StoryLine(impact, f"It hit the ground at {seconds(impact)}.{again}")
     if lost.end_s is not None:
-        return Told(lost.end_s, f"Control came back at {seconds(lost.end_s)}.{again}")
+        return StoryLine(lost.end_s, f"Control came back at {seconds(lost.end_s)}.{again}")
     last = max((b for _, b in hops), default=lost.detected_s)
     last = max(last, lost.detected_s)
-    return Told(last, f"No impact was seen; control had not come back by {seconds(last)}.{again}")
+    return StoryLine(last, f"No impact was seen; control had not come back by {seconds(last)}.{again}")

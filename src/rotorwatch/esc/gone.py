@@ -36,12 +36,12 @@ def find(bins: Binned, events: Sequence[Event], air, upset: np.ndarray) -> tuple
     for start, end in air:
         inside = (bins.report_time > start) & (bins.report_time < end)
         usual = _usual(bins.speed, bins.speed_known & inside[:, None])
-        asked = _usual(bins.asked, np.broadcast_to(inside[:, None], bins.asked.shape))
+        commanded = _usual(bins.commanded, np.broadcast_to(inside[:, None], bins.commanded.shape))
         # Two others turn: the motors were not switched off.
         turns = np.partition(bins.speed / np.maximum(usual, 1e-9), -2, axis=1)[:, -2] > OTHERS_TURN
         for k in np.flatnonzero(usual > 0.0):
             rotor = int(k) + 1
-            told = (bins.asked[:, k] > TOLD * asked[k]) & turns
+            told = (bins.commanded[:, k] > TOLD * commanded[k]) & turns
             at = np.flatnonzero(inside & bins.speed_known[:, k])
             spell = _last(at, bins.speed[at, k] < STANDS * usual[k], told, REPORTS)
             if spell is not None:

@@ -37,7 +37,7 @@ class Binned:
     time (T,): middle of the bin [s]. thrust (T, n): asked for, share of full; power (T, n): mean square of speed [rad^2/s^2], known (T, n);
     current (T, n) [A], current_known; voltage (T, n) [V], voltage_known.
 
-    The m reports that bins are made of: report_time (m,), speed (m, n) [rad/s] with speed_known, amps (m, n) [A] with amps_known, asked
+    The m reports that bins are made of: report_time (m,), speed (m, n) [rad/s] with speed_known, amps (m, n) [A] with amps_known, commanded
     (m, n): share of full thrust when they were made. width: of a bin [s].
     """
 
@@ -54,7 +54,7 @@ class Binned:
     speed_known: np.ndarray
     amps: np.ndarray
     amps_known: np.ndarray
-    asked: np.ndarray
+    commanded: np.ndarray
     width: float = BIN_S
 
 
@@ -88,19 +88,21 @@ def read(flight: Flight, thrust: Signal, air: allocation.Spans) -> tuple[Binned 
     notes: list[str] = []
     if inside.sum() < FROZEN_SAMPLES:
         return None, ["ESC telemetry was not logged in the air; it is not used."]
-    usable = _heard(esc.time, speed, inside, notes)
+    usable = _reporting(esc.time, speed, inside, notes)
     if not usable.any():
         return None, notes
     if (late := _shifted(esc.time, speed, usable, thrust, notes)) is not None:
         usable &= ~late
     speed = Quantity(speed.values, speed.valid & usable)
-    asked = allocation.hold(thrust.time, thrust.values, esc.time)
-    still = frozen(esc.time, speed, asked, SPEED_POWER, inside)
-    still_current = frozen(esc.time, current, asked, CURRENT_POWER, inside)
+    commanded = allocation.hold(thrust.time, thrust.values, esc.time)
+    still = frozen(esc.time, speed, commanded, SPEED_POWER, inside)
+    still_current = frozen(esc.time, current, commanded, CURRENT_POWER, inside)
     _say_frozen(esc.time, still, notes)
     # An ESC that repeats its last report repeats all of it.
     speed = Quantity(speed.values, speed.valid & ~still)
-    current = Quantity(current.values, current.valid & usable & ~still & ~still_current & _ever(current, inside))
+    current = Quantity(
+        current.values, current.valid & usable & ~still & ~still_current & _ever_above_zero(current, inside)
+    )
     bins = binned(esc.time, speed, current, voltage, thrust, air)
     if bins is None or not bins.known.any():
         return None, notes
@@ -112,7 +114,7 @@ def read(flight: Flight, thrust: Signal, air: allocation.Spans) -> tuple[Binned 
     return bins, notes
 
 
-def _heard(time, speed: Quantity, inside, notes: list[str]) -> np.ndarray:
+def _reporting(time, speed: Quantity, inside, notes: list[str]) -> np.ndarray:
     """(n,) bool: rotors whose speed is reported in the air, and not 0 all along. Says which are not."""
     n = speed.valid.shape[1]
     there = speed.valid[inside].mean(axis=0) > MOSTLY * speed.valid[inside].mean(axis=0).max(initial=0.0)
@@ -132,15 +134,15 @@ def _heard(time, speed: Quantity, inside, notes: list[str]) -> np.ndarray:
     return there & turning
 
 
-def _ever(current: Quantity, inside) -> np.ndarray:
+def _ever_above_zero(current: Quantity, inside) -> np.ndarray:
     """(n,) bool: currents that were not 0 all along, as those of ESCs without a sensor are."""
     return np.array([np.any(current.values[inside & v, k] > 0.0) for k, v in enumerate(current.valid.T)])
 
 
-def frozen(time, what: Quantity, asked: np.ndarray, power: float, inside) -> np.ndarray:
+def frozen(time, what: Quantity, commanded: np.ndarray, power: float, inside) -> np.ndarray:
     """(m, n) bool: samples in a stretch in which a value stays the same to the last bit though the command asks for a change.
 
-    time (m,); asked (m, n): share of full thrust; power: that the quantity goes with the thrust. A stretch is at least FROZEN_S and
+    time (m,); commanded (m, n): share of full thrust; power: that the quantity goes with the thrust. A stretch is at least FROZEN_S and
     FROZEN_SAMPLES long. A value of 0 is a rotor that stands.
     """
     still = np.zeros(what.valid.shape, bool)
@@ -157,7 +159,7 @@ def frozen(time, what: Quantity, asked: np.ndarray, power: float, inside) -> np.
         for a, b in itertools.pairwise(edges):
             if b - a < FROZEN_SAMPLES or time[at[b - 1]] - time[at[a]] < FROZEN_S or x[a] == 0.0:
                 continue
-            f = asked[at[a:b], k]
+            f = commanded[at[a:b], k]
             low, high = np.quantile(f, (0.05, 0.95))
             if low < LEAST_SHARE:
                 continue
@@ -192,9 +194,12 @@ def _shifted(time, speed: Quantity, usable, thrust: Signal, notes: list[str]) ->
             continue
         w = np.interp(grid, time[ok], speed.values[ok, k] ** 2)
         f = np.interp(grid, thrust.time[sent], thrust.values[sent, k])
-        moved, asked = w[wide:] - w[:-wide], f[wide:] - f[:-wide]
+        moved, commanded = w[wide:] - w[:-wide], f[wide:] - f[:-wide]
         fits = np.array(
-            [_correlation(moved[half + s : moved.size - half + s], asked[half:-half]) for s in range(-half, half + 1)]
+            [
+                _correlation(moved[half + s : moved.size - half + s], commanded[half:-half])
+                for s in range(-half, half + 1)
+            ]
         )
         best = int(np.argmax(fits))
         near = fits[half - round(SHIFT_LEAST_S / GRID_S) : half + round(SHIFT_LEAST_S / GRID_S) + 1].max()
@@ -247,13 +252,13 @@ def binned(time, speed: Quantity, current: Quantity, voltage: Quantity, thrust: 
         if edges.size < 2:
             continue
         lo, hi = edges[:-1], edges[1:]
-        asked, some = _means(sent_time, sent_values, np.ones(sent_values.shape, bool), lo, hi)
-        asked = np.where(some, asked, allocation.hold(sent_time, sent_values, 0.5 * (lo + hi)))
-        told = asked > LEAST_SHARE
+        commanded, some = _means(sent_time, sent_values, np.ones(sent_values.shape, bool), lo, hi)
+        commanded = np.where(some, commanded, allocation.hold(sent_time, sent_values, 0.5 * (lo + hi)))
+        told = commanded > LEAST_SHARE
         w2, known = _means(time, speed.values**2, speed.valid, lo, hi, told)
         amps, amps_known = _means(time, current.values, current.valid, lo, hi, told)
         volts, volts_known = _means(time, voltage.values, voltage.valid, lo, hi)
-        parts.append((0.5 * (lo + hi), np.where(told, asked, 1.0), w2, known, amps, amps_known, volts, volts_known))
+        parts.append((0.5 * (lo + hi), np.where(told, commanded, 1.0), w2, known, amps, amps_known, volts, volts_known))
     if not parts:
         return None
     return Binned(

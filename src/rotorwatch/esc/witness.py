@@ -23,11 +23,11 @@ from rotorwatch.motion.ticks import Ticks
 LOSS, OVERRIDE = "loss_of_effectiveness", "output_override"
 CLEAR_S = 1.0  # before an onset: it is known no better
 SETTLED_S = 0.5  # after it: controllers and motors answer
-HEARD_S = 10.0  # how much of a loss is heard, its last
-TAUGHT_S = 60.0  # of healthy flight, the last before the onset
+USED_S = 10.0  # how much of a loss is heard, its last
+LEARNED_S = 60.0  # of healthy flight, the last before the onset
 TAKE_OFF_S = 2.0  # spool-up and ground effect are no usual flight
 DOWN_S = 1.0  # nor is the last second before the ground
-SAYS = 0.5  # probability from which on a cause is named
+LEAST_PROBABILITY = 0.5  # probability from which on a cause is named
 NOTABLE_V = 0.3
 LOADED = 0.1  # of its usual current: a rotor that needs less tells nothing by what it draws
 
@@ -47,7 +47,7 @@ def check(
     stood, said = gone.find(bins, events, air, _upset(bins, table))
     events = (*events, *stood)
     healthy = _healthy(bins, events)
-    out = [_with_cause(e, bins, calm, healthy, air) if _asks(e) else e for e in events]
+    out = [_with_cause(e, bins, calm, healthy, air) if _cause_open(e) else e for e in events]
     # Once a rotor is weak the others work elsewhere than where their laws were learned.
     found, more = watch.look(bins, calm & healthy.all(axis=1, keepdims=True))
     named = {rotor for e in out if e.kind == LOSS for rotor in e.rotors}
@@ -55,7 +55,7 @@ def check(
     return tuple(sorted((*out, *found), key=lambda e: e.detected_s)), (*notes, *said, *more)
 
 
-def _asks(event: Event) -> bool:
+def _cause_open(event: Event) -> bool:
     """Whether ESCs are asked: a loss of known rotors, whose cause is not known yet."""
     return event.kind == LOSS and not event.alternatives and "cause" not in event.extra
 
@@ -92,24 +92,24 @@ def _with_cause(event: Event, bins: Binned, calm: np.ndarray, healthy: np.ndarra
     """The event with what its rotors' ESCs say, as it is where they say nothing."""
     undisturbed = calm[:, 0] & healthy.all(axis=1)
     before = undisturbed & (bins.time < event.onset_s - CLEAR_S)
-    before &= np.cumsum(before[::-1])[::-1] <= TAUGHT_S / telemetry.BIN_S
+    before &= np.cumsum(before[::-1])[::-1] <= LEARNED_S / telemetry.BIN_S
     end = event.end_s if event.end_s is not None else next((b for a, b in air if a <= event.onset_s <= b), np.inf)
     after = (bins.time > event.onset_s + SETTLED_S) & (bins.time < end)
     after &= calm[:, 0] | ~(after & calm[:, 0]).any()  # of a vehicle that tumbles at once what there is
-    after &= np.cumsum(after[::-1])[::-1] <= HEARD_S / telemetry.BIN_S
+    after &= np.cumsum(after[::-1])[::-1] <= USED_S / telemetry.BIN_S
     if before.sum() < ratios.FEWEST or not after.any():
         return event
     laws = learn(bins, before)
     told = []
     for rotor, loss, interval in zip(event.rotors, event.loss, event.interval, strict=True):
-        seen = ratios.testify(laws, bins, rotor - 1, before, after, healthy)
+        seen = ratios.measure(laws, bins, rotor - 1, before, after, healthy)
         if seen is not None:
-            told.append(_told(rotor, loss, interval, seen))
+            told.append(_entry(rotor, loss, interval, seen))
     if not told:
         return event
     main = max(told, key=lambda t: event.loss[event.rotors.index(t["rotor"])])
     extra = {**event.extra, "cause": main["cause"], "causes": main["causes"], "esc": told}
-    says = "; ".join(sentence_of(t) for t in told)
+    says = "; ".join(in_words(t) for t in told)
     event = replace(event, reason=f"{event.reason.removesuffix('.')}; {says}", extra=extra)
     stands = [t for t in told if t["thrust_of_speed"] < ratios.STANDS]
     if len(event.rotors) == 1 and stands:  # what stands pulls nothing, whatever a tumbling vehicle's motion says
@@ -130,19 +130,19 @@ def learn(bins: Binned, before: np.ndarray) -> tuple[ratios.Law, ratios.Law | No
     return speed, ratios.learn(z[rows], 0.5 * y[rows], drawing[rows], ratios.CURRENT_POWER)
 
 
-def _told(rotor: int, loss: float, interval: tuple[float, float], seen: ratios.Testimony) -> dict:
+def _entry(rotor: int, loss: float, interval: tuple[float, float], seen: ratios.Measured) -> dict:
     """One rotor's testimony as it stands in the answer."""
     sd = max((interval[1] - interval[0]) / 3.92, 1e-3)
     share = ratios.causes(seen, loss, sd)
     best = max(share, key=lambda cause: share[cause])
-    current = None if seen.draws is None or seen.load < LOADED else 1.0 + seen.draws[0] / seen.load
+    current = None if seen.current_change is None or seen.load < LOADED else 1.0 + seen.current_change[0] / seen.load
     return evidence.entry(
-        rotor, best if share[best] >= SAYS else ratios.UNKNOWN, share, ratios.parts(seen, loss, sd), seen.told[0], current,
+        rotor, best if share[best] >= LEAST_PROBABILITY else ratios.UNKNOWN, share, ratios.parts(seen, loss, sd), seen.speed_ratio[0], current,
         None if seen.volts is None else seen.volts[0],
     )  # fmt: skip
 
 
-def sentence_of(told: dict) -> str:
+def in_words(told: dict) -> str:
     """What an ESC says, in words: 'ESC 3: it turns as told and draws 20 % less than ..., so the propeller (97 %)'."""
     share = told["thrust_of_speed"]
     high = 1.0 - told["speed_loss_interval"][0]
@@ -161,7 +161,11 @@ def sentence_of(told: dict) -> str:
         said.append(f"its supply fell {drop:.1f} V below the others'")
     cause = told["cause"]
     if cause == ratios.UNKNOWN:
-        so = "which fits no single cause" if told["causes"][ratios.UNKNOWN] >= SAYS else "which leaves the cause open"
+        so = (
+            "which fits no single cause"
+            if told["causes"][ratios.UNKNOWN] >= LEAST_PROBABILITY
+            else "which leaves the cause open"
+        )
     else:
         so = f"so the cause is the {CAUSES[cause]} ({probability(told['causes'][cause])})"
     return f"the ESC of {rotors([told['rotor']])} says that {listed(said)}, {so}"

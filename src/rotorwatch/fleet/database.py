@@ -60,7 +60,7 @@ class Database:
                 file.parent.mkdir(parents=True, exist_ok=True)
             except OSError as why:
                 raise StoreError(f"The store {file} cannot be made: {why.strerror or why}.") from None
-        with self._said():
+        with self._errors_as_sentences():
             self.engine = _engine(self.url, self._lite)
 
     def close(self) -> None:
@@ -70,20 +70,24 @@ class Database:
     @contextmanager
     def reading(self) -> Iterator[Queries]:
         """A connection that only reads."""
-        with self._said(), self.engine.connect() as connection:
+        with self._errors_as_sentences(), self.engine.connect() as connection:
             yield Queries(connection)
 
     @contextmanager
     def writing(self) -> Iterator[Queries]:
         """A connection in a transaction that no other writer is beside of; committed at the end, else rolled back."""
         connected = self.engine.connect
-        with self._said(), connected().execution_options(rotorwatch_write=True) as connection, connection.begin():
+        with (
+            self._errors_as_sentences(),
+            connected().execution_options(rotorwatch_write=True) as connection,
+            connection.begin(),
+        ):
             if not self._lite:
                 connection.execute(sa.text(f"SELECT pg_advisory_xact_lock({LOCK})"))
             yield Queries(connection)
 
     @contextmanager
-    def _said(self) -> Iterator[None]:
+    def _errors_as_sentences(self) -> Iterator[None]:
         """Errors of the database as one sentence."""
         try:
             yield

@@ -18,7 +18,7 @@ from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.many import gathering
 from rotorwatch.many.done import Done
-from rotorwatch.many.spread import run, worthwhile
+from rotorwatch.many.spread import run, useful_jobs
 
 ERROR = 2
 """Exit code of a log without an answer."""
@@ -96,7 +96,7 @@ def diagnose_many(
     if isinstance(paths, Sequence):
         paths = list(gathering.Gathered(paths))
         if jobs is None and scheduler is None:
-            jobs = worthwhile(len(paths))
+            jobs = useful_jobs(len(paths))
     else:
         paths = gathering.Gathered(paths)
     names: dict[int, str] = {}
@@ -191,7 +191,8 @@ def timed(
     began = time.perf_counter()
     flight = reading()
     read_s = time.perf_counter() - began
-    found = diagnose(flight, vehicle, baseline, estimator, progress, tuning)
+    how: dict[str, Any] = {"vehicle": vehicle, "baseline": baseline, "estimator": estimator, "tuning": tuning}
+    found = diagnose(flight, progress=progress, **how)
     timing = {**found.timing, "read_s": read_s, "total_s": found.timing.get("total_s", 0.0) + read_s}
     return replace(found, timing=timing)
 

@@ -46,8 +46,8 @@ def run(
             if not team:
                 return
             finished: list[Done] = []
-            for worker in _heard(team):
-                said, task = worker.hear(), worker.task
+            for worker in _ready(team):
+                said, task = worker.receive(), worker.task
                 if said == READY:
                     never_started = 0
                     worker.begin()
@@ -87,7 +87,7 @@ def run(
             worker.stop()
 
 
-def _heard(team: list[Worker]) -> list[Worker]:
+def _ready(team: list[Worker]) -> list[Worker]:
     """Those that have something to say, have died, or are beyond their limit; waits for one."""
     deadline = min(worker.deadline for worker in team)
     left_s = None if deadline == float("inf") else max(0.0, deadline - time.monotonic())
@@ -136,8 +136,8 @@ class Worker:
         return Done(0, value, error).result()
 
     def _answer(self, when: str = "") -> bytes:
-        _heard([self])
-        said = self.hear()
+        _ready([self])
+        said = self.receive()
         if said is None:
             how = self.ended()
             raise WorkerError(f"the process {how} {when}".rstrip(), how)
@@ -154,7 +154,7 @@ class Worker:
         with suppress(OSError):  # it is dead, as the next look at it will show
             self.pipe.send_bytes(pickle.dumps(self.task.item))
 
-    def hear(self) -> bytes | None:
+    def receive(self) -> bytes | None:
         """What it says; None when it has died or is beyond its limit."""
         self.hung = not self.pipe.poll()
         try:

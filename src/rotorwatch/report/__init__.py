@@ -220,7 +220,7 @@ def cause(facts: Mapping[str, Any], diagnosis: Diagnosis) -> str:
     return f"a shifted {words(str(facts.get('kind', '')))}"
 
 
-def said(diagnosis: Diagnosis) -> list[tuple[float, str, str]]:
+def messages(diagnosis: Diagnosis) -> list[tuple[float, str, str]]:
     """Modes, errors and texts of the autopilot: (time s, kind, text), empty without a trace."""
     return list(diagnosis.trace.messages) if diagnosis.trace is not None else []
 

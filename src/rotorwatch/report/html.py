@@ -225,7 +225,7 @@ def _paragraph(title: str, text: str) -> str:
 
 
 def _messages(diagnosis: Diagnosis) -> str:
-    said = report.said(diagnosis)
+    said = report.messages(diagnosis)
     if not said:
         return ""
     rows = (_row((report.seconds(t), report.moment(diagnosis, t), *what)) for t, *what in said[:MOST_SAID])

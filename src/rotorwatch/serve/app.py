@@ -39,14 +39,14 @@ def application(feed: Feed, flights: Flights, limits: Limits, host: str, token: 
     async def lifespan(_: Starlette):
         app.state.uploads = uploads = Uploads(flights, limits, tell, trouble)
         uploads.start()
-        keeper = flights.keeper(tell, trouble)
-        feed.ended = keeper.keep
+        store_writer = flights.store_writer(tell, trouble)
+        feed.ended = store_writer.keep
         feed.start()
         try:
             yield
         finally:
             await asyncio.to_thread(feed.stop)
-            await asyncio.to_thread(keeper.stop)
+            await asyncio.to_thread(store_writer.stop)
             uploads.stop()
 
     routes = [

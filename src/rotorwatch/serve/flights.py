@@ -61,9 +61,9 @@ class Flights:
         assert found is not None
         return found
 
-    def keeper(self, told: Callable[[dict[str, Any]], None], trouble: Callable[[str], None]) -> Keeper:
+    def store_writer(self, told: Callable[[dict[str, Any]], None], trouble: Callable[[str], None]) -> StoreWriter:
         """Something that keeps flights without being waited for. told: called with the row of each; trouble: with a sentence."""
-        return Keeper(self, told, trouble, self.folder("heard"))
+        return StoreWriter(self, told, trouble, self.folder("heard"))
 
     def diagnosis(self, digest: str) -> dict[str, Any] | None:
         """What is known of a flight, as docs/json.md has it."""
@@ -86,7 +86,7 @@ class Flights:
         self._store.close()
 
 
-class Keeper:
+class StoreWriter:
     """A thread that puts flights into the store, and goes on trying while the store cannot be reached.
 
     waiting: folder for those that a store has not taken yet; the next server begins with them."""
