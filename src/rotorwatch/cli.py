@@ -12,7 +12,7 @@ import os
 import signal
 import sys
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -254,9 +254,7 @@ def _diagnose(request: several.Request) -> int:
     return result.exit_code
 
 
-def report_paths(
-    logs: tuple[Any, ...], out: Path | None, option: str = "--report", ending: str = ".html"
-) -> list[Path]:
+def report_paths(logs: Sequence[Any], out: Path | None, option: str = "--report", ending: str = ".html") -> list[Path]:
     """Where each log's page goes: OUT, OUT/NAME.html in a folder, or OUT with {name} filled in; never one twice."""
     from rotorwatch import files
 

@@ -272,7 +272,7 @@ def _tuples(fields_of: Mapping[str, Any]) -> dict[str, Any]:
     return {name: value if name == "extra" else tuples(value) for name, value in fields_of.items()}
 
 
-def _round(value, digits: int = 4):
+def _round(value: Any, digits: int = 4) -> Any:
     """Numbers to plain Python, rounded; containers walked; NaN and infinities become None."""
     if value is None or isinstance(value, (bool, str)):
         return value

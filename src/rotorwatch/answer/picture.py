@@ -64,7 +64,7 @@ def _attitude(flight: Flight, start: float, end: float) -> dict[str, Any] | None
     flown, wanted = (angles(flight, name, time) for name in ("attitude", "attitude_wanted"))
     if flown is None or time.size < 2:
         return None
-    out = {"time_s": time}
+    out: dict[str, Any] = {"time_s": time}
     for k, name in enumerate(("roll_deg", "pitch_deg")):
         out[name] = flown[:, k]
     for k, name in enumerate(("wanted_roll_deg", "wanted_pitch_deg")):

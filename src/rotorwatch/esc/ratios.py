@@ -126,7 +126,8 @@ def _noise(law: Law, k: int, *counts: int) -> float:
 
 @dataclass(frozen=True)
 class Measured:
-    """What a rotor's telemetry says of a time after an onset. speed_ratio: S and its sd. current_change: D and its sd, or None without currents. load: E.
+    """What a rotor's telemetry says of a time after an onset. speed_ratio: S and its sd. current_change: D and its sd, None without
+    currents. load: E.
     count: bins. volts: V by which its ESC's supply is below the others', compared with before; None where not measured."""
 
     speed_ratio: tuple[float, float]

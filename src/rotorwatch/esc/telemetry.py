@@ -261,10 +261,18 @@ def binned(time, speed: Quantity, current: Quantity, voltage: Quantity, thrust: 
         parts.append((0.5 * (lo + hi), np.where(told, commanded, 1.0), w2, known, amps, amps_known, volts, volts_known))
     if not parts:
         return None
-    return Binned(
-        *(np.concatenate(p) for p in zip(*parts)), time, speed.values, speed.valid, current.values, current.valid,
+    names = ("time", "thrust", "power", "known", "current", "current_known", "voltage", "voltage_known")
+    binned_: dict[str, Any] = {name: np.concatenate(p) for name, p in zip(names, zip(*parts), strict=True)}
+    reports = (
+        time,
+        speed.values,
+        speed.valid,
+        current.values,
+        current.valid,
         allocation.hold(sent_time, sent_values, time),
-    )  # fmt: skip
+    )
+    names = ("report_time", "speed", "speed_known", "amps", "amps_known", "commanded")
+    return Binned(**binned_, **dict(zip(names, reports, strict=True)))
 
 
 def _means(time, values, valid, lo, hi, count: Any = True) -> tuple[np.ndarray, np.ndarray]:

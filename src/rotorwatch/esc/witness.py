@@ -136,10 +136,9 @@ def _entry(rotor: int, loss: float, interval: tuple[float, float], seen: ratios.
     share = ratios.causes(seen, loss, sd)
     best = max(share, key=lambda cause: share[cause])
     current = None if seen.current_change is None or seen.load < LOADED else 1.0 + seen.current_change[0] / seen.load
-    return evidence.entry(
-        rotor, best if share[best] >= LEAST_PROBABILITY else ratios.UNKNOWN, share, ratios.parts(seen, loss, sd), seen.speed_ratio[0], current,
-        None if seen.volts is None else seen.volts[0],
-    )  # fmt: skip
+    cause = best if share[best] >= LEAST_PROBABILITY else ratios.UNKNOWN
+    parts, drop = ratios.parts(seen, loss, sd), None if seen.volts is None else seen.volts[0]
+    return evidence.entry(rotor, cause, share, parts, seen.speed_ratio[0], current, drop)
 
 
 def in_words(told: dict) -> str:

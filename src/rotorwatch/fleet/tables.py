@@ -16,8 +16,8 @@ from rotorwatch.errors import StoreError
 metadata = sa.MetaData()
 
 
-def _column(name: str, kind: Any = sa.Text, **more: Any) -> sa.Column:
-    return sa.Column(name, kind, **{"nullable": False} | more)
+def _column(name: str, kind: Any = sa.Text, *, nullable: bool = False, **more: Any) -> sa.Column:
+    return sa.Column(name, kind, nullable=nullable, **more)
 
 
 def _of(table: str, key: str, name: str, **more: Any) -> sa.Column:
