@@ -42,7 +42,9 @@ from rotorwatch.commands.tools import (
     OUT,
     answer,
     common,
+    flag,
     kept,
+    option,
     print_json,
     progress,
     say,
@@ -165,30 +167,22 @@ def cli() -> None:
 
 @cli.command(short_help="Judge flights: verdict, rotors, events.")
 @click.argument("logs", nargs=-1, required=True, type=LOGS, metavar="LOG...")
-@click.option(
-    "--baseline", "baselines", multiple=True, type=LOG, metavar="LOG", help="A healthy flight of the same build."
-)
-@click.option("--vehicle", type=LOG, metavar="FILE", help="Vehicle file (TOML), as `rotorwatch calibrate` writes it.")
-@click.option("--estimator", default="default", show_default=True, metavar="NAME", help="Estimator to use.")
-@click.option(
-    "--tuning", type=LOG, metavar="FILE", help="Tuning of a published estimator (TOML), as `rotorwatch tune` writes it."
-)
-@click.option(
-    "--report", type=OUT, metavar="OUT.html", help="Write an HTML page; for several logs a folder or {name}.html."
-)
-@click.option("--html", type=OUT, metavar="DIR", help="Write a page for each log, and one that lists them.")
-@click.option(
+@option("--baseline baselines", "A healthy flight of the same build.", multiple=True, type=LOG, metavar="LOG")
+@option("--vehicle", "Vehicle file (TOML), as `rotorwatch calibrate` writes it.", type=LOG, metavar="FILE")
+@option("--estimator", "Estimator to use.", "default", metavar="NAME")
+@option("--tuning", "Tuning of a published estimator (TOML), as `rotorwatch tune` writes it.", type=LOG, metavar="FILE")
+@option("--report", "Write an HTML page; for several logs a folder or {name}.html.", type=OUT, metavar="OUT.html")
+@option("--html", "Write a page for each log, and one that lists them.", type=OUT, metavar="DIR")
+@option(
     "--mcap",
+    "Write an MCAP file for Foxglove or PlotJuggler; for several logs as --report.",
     type=OUT,
     metavar="OUT.mcap",
-    help="Write an MCAP file for Foxglove or PlotJuggler; for several logs as --report.",
 )
-@click.option(
-    "--json", "as_json", is_flag=True, help="Print JSON (docs/json.md): an object, or a list for several logs."
-)
-@click.option("--jsonl", is_flag=True, help="Print JSON lines: one for each log, as soon as it is judged.")
-@click.option("-o", "--out", type=OUT, metavar="FILE", help="With --jsonl: the file that lines are added to.")
-@click.option("--resume", is_flag=True, help="Go on with FILE: logs that have a line and did not change are left out.")
+@flag("--json as_json", "Print JSON (docs/json.md): an object, or a list for several logs.")
+@flag("--jsonl", "Print JSON lines: one for each log, as soon as it is judged.")
+@option("-o --out", "With --jsonl: the file that lines are added to.", type=OUT, metavar="FILE")
+@flag("--resume", "Go on with FILE: logs that have a line and did not change are left out.")
 @spread
 @common
 @click.pass_context
@@ -281,7 +275,7 @@ def report_paths(logs: Sequence[Any], out: Path | None, option: str = "--report"
 
 @cli.command(short_help="Learn a vehicle file from healthy flights.")
 @click.argument("logs", nargs=-1, required=True, type=LOG, metavar="LOG...")
-@click.option("-o", "--out", required=True, type=OUT, metavar="vehicle.toml", help="Vehicle file to write.")
+@option("-o --out", "Vehicle file to write.", required=True, type=OUT, metavar="vehicle.toml")
 @common
 def calibrate(logs, out, quiet) -> None:
     """Learn from healthy flights of one build what healthy means for it, and write a vehicle file.
@@ -320,7 +314,7 @@ def info(log, as_json, quiet) -> None:
 
 
 @cli.command(short_help="Diagnose the sample flights.")
-@click.option("--report", type=OUT, metavar="OUT.html", help="Also write the faulty flight's HTML page.")
+@option("--report", "Also write the faulty flight's HTML page.", type=OUT, metavar="OUT.html")
 @common
 def demo(report, quiet) -> None:
     """Diagnose the sample flights that come with rotorwatch, and say what to look at."""
@@ -353,22 +347,9 @@ def demo(report, quiet) -> None:
 
 @cli.command(short_help="Inject losses and count what is found.")
 @click.argument("logs", nargs=-1, required=True, type=LOG, metavar="LOG...")
-@click.option(
-    "--loss",
-    "losses",
-    default="0.2,0.3,0.4",
-    show_default=True,
-    metavar="L,L,...",
-    help="Losses to inject, above 0 and below 1.",
-)
-@click.option(
-    "--repeats",
-    default=3,
-    show_default=True,
-    type=click.IntRange(1, 1000),
-    help="Injections per flight, rotor and loss.",
-)
-@click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Seed of the random onsets.")
+@option("--loss losses", "Losses to inject, above 0 and below 1.", "0.2,0.3,0.4", metavar="L,L,...")
+@option("--repeats", "Injections per flight, rotor and loss.", 3, type=click.IntRange(1, 1000))
+@option("--seed", "Seed of the random onsets.", 0, type=click.IntRange(0))
 @spread
 @kept
 @JSON
@@ -403,8 +384,8 @@ def _by_loss(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 @cli.command("false-alarms", short_help="Measure the false-alarm rate on real noise.")
 @click.argument("logs", nargs=-1, required=True, type=LOG, metavar="LOG...")
-@click.option("--hours", default=20.0, show_default=True, type=float, help="Flight hours to simulate, over all logs.")
-@click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Seed of the surrogate flights.")
+@option("--hours", "Flight hours to simulate, over all logs.", 20.0, type=float)
+@option("--seed", "Seed of the surrogate flights.", 0, type=click.IntRange(0))
 @spread
 @kept
 @JSON
@@ -421,12 +402,12 @@ def false_alarms(logs, hours, seed, jobs, scheduler, keep, as_json, quiet) -> No
 
 @cli.command(short_help="Try to break the readers with damaged logs.")
 @click.argument("log", type=LOG)
-@click.option("--mutations", default=10_000, show_default=True, type=click.IntRange(1), help="How many damaged copies.")
-@click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Seed of the damage.")
-@click.option("--jobs", type=click.IntRange(1), help="Worker processes; default: one per processor.")
-@click.option("--framed", is_flag=True, help="Damage inside valid framing; compare each answer with the intact log's.")
-@click.option("--damages", default=20, show_default=True, type=click.IntRange(1), help="With --framed: copies a kind.")
-@click.option("--share", default=0.05, show_default=True, help="With --framed: share of the records damaged.")
+@option("--mutations", "How many damaged copies.", 10_000, type=click.IntRange(1))
+@option("--seed", "Seed of the damage.", 0, type=click.IntRange(0))
+@option("--jobs", "Worker processes; default: one per processor.", type=click.IntRange(1))
+@flag("--framed", "Damage inside valid framing; compare each answer with the intact log's.")
+@option("--damages", "With --framed: copies a kind.", 20, type=click.IntRange(1))
+@option("--share", "With --framed: share of the records damaged.", 0.05)
 @JSON
 @common
 @click.pass_context

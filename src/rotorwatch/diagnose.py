@@ -67,7 +67,7 @@ def diagnose(
         from rotorwatch import logs
 
         flight = logs.read(flight, lambda share: tell(0.3 * share, "reading"))
-    known_vehicle = vehicle_of(vehicle)
+    known_vehicle = baselines.vehicle_of(vehicle)
     lap("read_s")
     craft, source, told = baselines.settle(flight, known_vehicle, baseline)
     lap("baseline_s")
@@ -172,13 +172,6 @@ def _answer(
         headline=end.headline, main=end.main, advice=end.advice, story=end.story,
         picture=picture.make(flight, craft, end.events, end.main, end.story), **more,
     )  # fmt: skip
-
-
-def vehicle_of(vehicle: Vehicle | str | PathLike | None) -> Vehicle | None:
-    """A vehicle that may be given as its file. Raises VehicleError, ConfigError."""
-    from rotorwatch.flight import vehicle_file
-
-    return vehicle_file.read(vehicle) if isinstance(vehicle, str | PathLike) else vehicle
 
 
 def _facts(flight: Flight, vehicle: Vehicle, air, table: Ticks | None) -> dict:

@@ -13,8 +13,10 @@ from rotorwatch.commands.tools import (
     answer,
     common,
     drawable,
+    flag,
     kept,
     numbers,
+    option,
     progress,
     show,
     spread,
@@ -25,23 +27,15 @@ from rotorwatch.errors import ConfigError
 
 @click.command(short_help="How to ask a vehicle which rotors are weak.")
 @click.argument("log", required=False, type=OUT)
-@click.option("--vehicle", metavar="FILE|NAME", help="Vehicle file (TOML), or an airframe's name (docs/airframes.md).")
-@click.option(
-    "--candidates", metavar="1+4,2+5,none", help="Sets of rotors, by numbers; default: what the log leaves open."
-)
-@click.option(
-    "--loss", default="0.3", show_default=True, metavar="X,...", help="Their losses: one for all, or one each."
-)
-@click.option("--hover", type=float, metavar="X", help="Command in hover, share of full thrust.")
-@click.option("--arm", type=float, metavar="M", help="Centre to the outermost rotor.")
-@click.option("--within", type=float, default=10.0, show_default=True, metavar="S", help="No longer than that.")
-@click.option("--tilt", type=float, default=1.0, show_default=True, metavar="DEG", help="Largest turn of the vehicle.")
-@click.option(
-    "--amplitude", type=float, default=0.2, show_default=True, metavar="X", help="Largest change of a command."
-)
-@click.option(
-    "--commands", type=OUT, metavar="OUT.csv", help="Write what is added to each command, 100 times a second."
-)
+@option("--vehicle", "Vehicle file (TOML), or an airframe's name (docs/airframes.md).", metavar="FILE|NAME")
+@option("--candidates", "Sets of rotors, by numbers; default: what the log leaves open.", metavar="1+4,2+5,none")
+@option("--loss", "Their losses: one for all, or one each.", "0.3", metavar="X,...")
+@option("--hover", "Command in hover, share of full thrust.", type=float, metavar="X")
+@option("--arm", "Centre to the outermost rotor.", type=float, metavar="M")
+@option("--within", "No longer than that.", 10.0, type=float, metavar="S")
+@option("--tilt", "Largest turn of the vehicle.", 1.0, type=float, metavar="DEG")
+@option("--amplitude", "Largest change of a command.", 0.2, type=float, metavar="X")
+@option("--commands", "Write what is added to each command, 100 times a second.", type=OUT, metavar="OUT.csv")
 @FIGURE
 @JSON
 @common
@@ -92,12 +86,12 @@ def _sets(text: str | None) -> list[tuple[int, ...]] | None:
 
 
 @click.command("ask-flights", short_help="Fly ambiguous losses with and without an excitation.")
-@click.option("--flights", type=click.IntRange(1, 100_000), default=96, show_default=True, help="How many.")
-@click.option("--frames", default="hexa-x,hexa-plus,octa-x,octa-plus", show_default=True, help="Airframes, in turn.")
-@click.option("--seed", type=click.IntRange(0), default=1, show_default=True, help="Same seed, same flights.")
+@option("--flights", "How many.", 96, type=click.IntRange(1, 100_000))
+@option("--frames", "Airframes, in turn.", "hexa-x,hexa-plus,octa-x,octa-plus")
+@option("--seed", "Same seed, same flights.", 1, type=click.IntRange(0))
 @spread
 @kept
-@click.option("--json", "as_json", is_flag=True, help="Print JSON: measures and every flight.")
+@flag("--json as_json", "Print JSON: measures and every flight.")
 @common
 def ask_flights(flights, frames, seed, jobs, scheduler, keep, as_json, quiet) -> None:
     """Fly pairs of rotors that lose thrust in the simulator; where the diagnosis is ambiguous, ask and diagnose again. Says how often that

@@ -10,19 +10,31 @@ from pathlib import Path
 
 import click
 
-from rotorwatch.commands.tools import LOG, OUT, common, label, live, print_json, progress, say, show, spread, vehicle_of
+from rotorwatch.commands.tools import (
+    LOG,
+    OUT,
+    common,
+    flag,
+    label,
+    live,
+    option,
+    print_json,
+    progress,
+    say,
+    show,
+    spread,
+    vehicle_of,
+)
 from rotorwatch.errors import ConfigError
 
 ADDED, FAILED = 0, 2
-JSON = click.option("--json", "as_json", is_flag=True, help="Print JSON (docs/fleet.md).")
+JSON = flag("--json as_json", "Print JSON (docs/fleet.md).")
 
 
 def _store(make: bool) -> Callable:
     """The option --store of a command, which gets the store it names as `store`; make: whether one that is not there is made."""
-    option = click.option(
-        "--store", "url", envvar="ROTORWATCH_STORE", metavar="FILE|URL",
-        help="SQLite file or postgresql://USER@HOST/DATABASE; default: a file in your data folder.",
-    )  # fmt: skip
+    text = "SQLite file or postgresql://USER@HOST/DATABASE; default: a file in your data folder."
+    add_option = option("--store url", text, envvar="ROTORWATCH_STORE", metavar="FILE|URL")
 
     def around(command: Callable) -> Callable:
         @functools.wraps(command)
@@ -32,7 +44,7 @@ def _store(make: bool) -> Callable:
             with Store(url or None, make=make) as store:
                 command(store, **given)
 
-        return option(with_store)
+        return add_option(with_store)
 
     return around
 
@@ -51,9 +63,9 @@ def fleet() -> None:
 
 @fleet.command(short_help="Judge logs and put them into the store.")
 @click.argument("logs", nargs=-1, required=True, metavar="LOG|DIR...")
-@click.option("--aircraft", default="", metavar="NAME", help="Whose flights they are, for logs that do not say.")
-@click.option("--vehicle", type=LOG, metavar="FILE", help="Vehicle file (TOML), for logs that do not name their frame.")
-@click.option("--follow", is_flag=True, help="Then watch the folders and add logs as they come, until interrupted.")
+@option("--aircraft", "Whose flights they are, for logs that do not say.", "", metavar="NAME")
+@option("--vehicle", "Vehicle file (TOML), for logs that do not name their frame.", type=LOG, metavar="FILE")
+@flag("--follow", "Then watch the folders and add logs as they come, until interrupted.")
 @spread
 @_store(make=True)
 @common
@@ -101,12 +113,10 @@ def _tell(told) -> None:
 
 
 @fleet.command("list", short_help="All aircraft, those that need attention first.")
-@click.option("--flights", is_flag=True, help="Flights instead of aircraft, the newest first.")
-@click.option(
-    "--search", default="", metavar="WORDS", help="Of flights: words that name, verdict, headline or aircraft hold."
-)
-@click.option("--aircraft", metavar="NAME", help="Of flights: only of this aircraft.")
-@click.option("--limit", default=50, show_default=True, type=click.IntRange(1), help="Of flights: how many.")
+@flag("--flights", "Flights instead of aircraft, the newest first.")
+@option("--search", "Of flights: words that name, verdict, headline or aircraft hold.", "", metavar="WORDS")
+@option("--aircraft", "Of flights: only of this aircraft.", metavar="NAME")
+@option("--limit", "Of flights: how many.", 50, type=click.IntRange(1))
 @STORE
 @JSON
 @common
@@ -227,13 +237,13 @@ def _day(utc: str | None) -> str:
 @fleet.command(short_help="Note maintenance, which cuts a rotor's history.")
 @click.argument("aircraft")
 @click.argument("what")
-@click.option("--rotor", type=click.IntRange(1), metavar="N", help="Which rotor; default: all of them.")
-@click.option(
+@option("--rotor", "Which rotor; default: all of them.", type=click.IntRange(1), metavar="N")
+@option(
     "--at",
+    "When, in UTC: 2026-05-01 or 2026-05-01T14:30; default: after the last flight that was added.",
     metavar="TIME",
-    help="When, in UTC: 2026-05-01 or 2026-05-01T14:30; default: after the last flight that was added.",
 )
-@click.option("--after", metavar="FLIGHT", help="After this flight (the start of its hash), for logs without a time.")
+@option("--after", "After this flight (the start of its hash), for logs without a time.", metavar="FLIGHT")
 @STORE
 @common
 def service(store, aircraft, what, rotor, at, after, quiet) -> None:
@@ -307,8 +317,8 @@ def assess(store, quiet) -> None:
 
 
 @fleet.command(short_help="Judge flights again with this version, and say what changed.")
-@click.option("--all", "every", is_flag=True, help="Also those that this version has judged.")
-@click.option("--aircraft", metavar="NAME", help="Only of this aircraft.")
+@flag("--all every", "Also those that this version has judged.")
+@option("--aircraft", "Only of this aircraft.", metavar="NAME")
 @spread
 @STORE
 @JSON
@@ -334,7 +344,7 @@ def rejudge(store, every, aircraft, jobs, scheduler, as_json, quiet) -> None:
 
 
 @fleet.command(short_help="Pages: the fleet, and each aircraft.")
-@click.option("-o", "--out", required=True, type=OUT, metavar="DIR", help="Folder; it is made.")
+@option("-o --out", "Folder; it is made.", required=True, type=OUT, metavar="DIR")
 @STORE
 @common
 def report(store, out, quiet) -> None:
@@ -346,7 +356,7 @@ def report(store, out, quiet) -> None:
 
 
 @fleet.command(short_help="The store as Parquet files.")
-@click.option("-o", "--out", required=True, type=OUT, metavar="DIR", help="Folder; it is made.")
+@option("-o --out", "Folder; it is made.", required=True, type=OUT, metavar="DIR")
 @STORE
 @common
 def export(store, out, quiet) -> None:
@@ -358,14 +368,12 @@ def export(store, out, quiet) -> None:
 
 
 @fleet.command(short_help="A simulated fleet with known truth.")
-@click.option(
-    "-o", "--out", required=True, type=OUT, metavar="DIR", help="Folder for fleet.db and truth.json; it is made."
-)
-@click.option("--aircraft", default=10, show_default=True, type=click.IntRange(1, 10_000), help="How many.")
-@click.option("--flights", default=40, show_default=True, type=click.IntRange(5, 100_000), help="Of each.")
-@click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Same seed, same fleet.")
-@click.option("--logs", is_flag=True, help="Also write every flight as an ArduPilot log.")
-@click.option("--store", "url", default="", metavar="FILE|URL", help="Another store than DIR/fleet.db.")
+@option("-o --out", "Folder for fleet.db and truth.json; it is made.", required=True, type=OUT, metavar="DIR")
+@option("--aircraft", "How many.", 10, type=click.IntRange(1, 10_000))
+@option("--flights", "Of each.", 40, type=click.IntRange(5, 100_000))
+@option("--seed", "Same seed, same fleet.", 0, type=click.IntRange(0))
+@flag("--logs", "Also write every flight as an ArduPilot log.")
+@option("--store url", "Another store than DIR/fleet.db.", "", metavar="FILE|URL")
 @JSON
 @common
 def simulate(out, aircraft, flights, seed, logs, url, as_json, quiet) -> None:

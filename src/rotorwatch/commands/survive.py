@@ -4,20 +4,17 @@ from __future__ import annotations
 
 import click
 
-from rotorwatch.commands.tools import FIGURE, JSON, common, drawable, numbers, progress, show, written
+from rotorwatch.commands.tools import FIGURE, JSON, common, drawable, numbers, option, progress, show, written
 
 
 @click.command(short_help="What a vehicle survives: losses of one and two rotors.")
-@click.option(
-    "--vehicle",
-    required=True,
-    metavar="FILE|NAME",
-    help="Vehicle file (TOML), or an airframe's name (docs/airframes.md).",
+@option(
+    "--vehicle", "Vehicle file (TOML), or an airframe's name (docs/airframes.md).", required=True, metavar="FILE|NAME"
 )
-@click.option("--loss", default="1", show_default=True, metavar="X,...", help="Sizes of the losses; 1 is a total loss.")
-@click.option("--mass", type=float, metavar="KG", help="Mass; default: what the vehicle file says.")
-@click.option("--thrust-to-weight", type=float, metavar="X", help="Full thrust over weight; default: the same.")
-@click.option("--arm", type=float, metavar="M", help="Centre to the outermost rotor; default: the same.")
+@option("--loss", "Sizes of the losses; 1 is a total loss.", "1", metavar="X,...")
+@option("--mass", "Mass; default: what the vehicle file says.", type=float, metavar="KG")
+@option("--thrust-to-weight", "Full thrust over weight; default: the same.", type=float, metavar="X")
+@option("--arm", "Centre to the outermost rotor; default: the same.", type=float, metavar="M")
 @FIGURE
 @JSON
 @common

@@ -84,17 +84,23 @@ def _kept(stream: Any, name: str) -> Path:
 
 LOG, LOGS = Log(), Logs()
 OUT = click.Path(path_type=Path)
-JSON = click.option("--json", "as_json", is_flag=True, help="Print JSON.")
-WATCHED = click.option(
-    "--vehicle", type=LOG, metavar="FILE", help="Vehicle file (TOML) of all vehicles that are watched."
-)
-RECORD = click.option(
-    "--record", type=OUT, metavar="DIR", help="Record every link in this folder, as telemetry logs (.tlog)."
-)
-SPEED = click.option(
-    "--speed", default="1", show_default=True, metavar="N|max", help="Of a replayed log: times real time, or max."
-)
-FIGURE = click.option("--figure", type=OUT, metavar="OUT.svg", help="Draw it.")
+
+
+def option(names: str, help: str, default: Any = None, **more: Any) -> Callable:
+    """An option by its names ("--out -o"), what it is for, and its default, which is shown. more: as of click.option."""
+    return click.option(*names.split(), help=help, default=default, show_default=default not in (None, ""), **more)
+
+
+def flag(names: str, help: str, **more: Any) -> Callable:
+    """An option without a value."""
+    return click.option(*names.split(), help=help, is_flag=True, **more)
+
+
+JSON = flag("--json as_json", "Print JSON.")
+WATCHED = option("--vehicle", "Vehicle file (TOML) of all vehicles that are watched.", type=LOG, metavar="FILE")
+RECORD = option("--record", "Record every link in this folder, as telemetry logs (.tlog).", type=OUT, metavar="DIR")
+SPEED = option("--speed", "Of a replayed log: times real time, or max.", "1", metavar="N|max")
+FIGURE = option("--figure", "Draw it.", type=OUT, metavar="OUT.svg")
 
 
 def label(text: Any) -> str:
@@ -123,20 +129,19 @@ def _hush(context: click.Context, parameter: click.Parameter, on: bool) -> bool:
     return on
 
 
-DEBUG = click.option("--debug", is_flag=True, expose_value=False, callback=debug, help="Show tracebacks of errors.")
+DEBUG = flag("--debug", "Show tracebacks of errors.", expose_value=False, callback=debug)
 
 
 def common(command: Callable) -> Callable:
     """Options every command has."""
-    text = "No progress and no warnings on standard error."
-    return click.option("--quiet", "-q", is_flag=True, callback=_hush, help=text)(DEBUG(command))
+    return flag("--quiet -q", "No progress and no warnings on standard error.", callback=_hush)(DEBUG(command))
 
 
 def spread(command: Callable) -> Callable:
     """Options of commands that do many things: how many processes, or which cluster."""
-    jobs = click.option("--jobs", type=click.IntRange(1, 256), help="Processes; default: one per processor.")
-    scheduler = click.option(
-        "--scheduler", metavar="tcp://HOST:PORT", help="Let the workers of this Dask scheduler do it (docs/cluster.md)."
+    jobs = option("--jobs", "Processes; default: one per processor.", type=click.IntRange(1, 256))
+    scheduler = option(
+        "--scheduler", "Let the workers of this Dask scheduler do it (docs/cluster.md).", metavar="tcp://HOST:PORT"
     )
     return jobs(scheduler(command))
 

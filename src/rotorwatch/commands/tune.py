@@ -4,18 +4,28 @@ from __future__ import annotations
 
 import click
 
-from rotorwatch.commands.tools import JSON, LOG, OUT, answer, common, print_json, progress, shares, written
+from rotorwatch.commands.tools import (
+    JSON,
+    LOG,
+    OUT,
+    answer,
+    common,
+    flag,
+    option,
+    print_json,
+    progress,
+    shares,
+    written,
+)
 from rotorwatch.errors import ConfigError
 
 
 @click.command(short_help="Fit an estimator's noise to healthy flights.")
 @click.argument("logs", nargs=-1, type=LOG, metavar="LOG...")
-@click.option("--estimator", default="ekf", show_default=True, metavar="NAME", help="Published method to tune.")
-@click.option("-o", "--out", type=OUT, metavar="tuning.toml", help="Tuning file to write.")
-@click.option("--rounds", default=30, show_default=True, type=click.IntRange(1), help="Steps of the optimiser.")
-@click.option(
-    "--papers", is_flag=True, help="Instead: what tuning brings over each paper's hand tuning, on simulated flights."
-)
+@option("--estimator", "Published method to tune.", "ekf", metavar="NAME")
+@option("-o --out", "Tuning file to write.", type=OUT, metavar="tuning.toml")
+@option("--rounds", "Steps of the optimiser.", 30, type=click.IntRange(1))
+@flag("--papers", "Instead: what tuning brings over each paper's hand tuning, on simulated flights.")
 @JSON
 @common
 def tune(logs, estimator, out, rounds, papers, as_json, quiet) -> None:
@@ -61,19 +71,12 @@ def tune(logs, estimator, out, rounds, papers, as_json, quiet) -> None:
 
 @click.command(short_help="All estimators on the same flights.")
 @click.argument("logs", nargs=-1, type=LOG, metavar="[LOG]...")
-@click.option(
-    "--truth",
-    type=LOG,
-    metavar="FILE.csv",
-    help="What is wrong with which LOG: path, faulty_rotors, thrust_loss, start_s.",
+@option(
+    "--truth", "What is wrong with which LOG: path, faulty_rotors, thrust_loss, start_s.", type=LOG, metavar="FILE.csv"
 )
-@click.option("--estimators", metavar="NAME,NAME,...", help="Only these.")
-@click.option(
-    "--losses", default="0.2,0.4", show_default=True, metavar="L,L,...", help="Losses to simulate and to put in, 0..1."
-)
-@click.option(
-    "--seeds", default=2, show_default=True, type=click.IntRange(0, 1000), help="Simulated flights of each kind."
-)
+@option("--estimators", "Only these.", metavar="NAME,NAME,...")
+@option("--losses", "Losses to simulate and to put in, 0..1.", "0.2,0.4", metavar="L,L,...")
+@option("--seeds", "Simulated flights of each kind.", 2, type=click.IntRange(0, 1000))
 @JSON
 @common
 def compare(logs, truth, estimators, losses, seeds, as_json, quiet) -> None:

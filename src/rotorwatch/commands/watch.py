@@ -9,7 +9,20 @@ from typing import Any
 
 import click
 
-from rotorwatch.commands.tools import LOG, RECORD, SPEED, WATCHED, common, label, progress, rate, say, vehicle_of
+from rotorwatch.commands.tools import (
+    LOG,
+    RECORD,
+    SPEED,
+    WATCHED,
+    common,
+    flag,
+    label,
+    option,
+    progress,
+    rate,
+    say,
+    vehicle_of,
+)
 from rotorwatch.errors import ConfigError
 
 FAULT, ERROR, NOTHING = 1, 2, 3
@@ -20,22 +33,13 @@ FAULT, ERROR, NOTHING = 1, 2, 3
 @SPEED
 @WATCHED
 @RECORD
-@click.option("--listen-only", is_flag=True, help="Send nothing: neither ask for parameters nor for rates.")
+@flag("--listen-only", "Send nothing: neither ask for parameters nor for rates.")
 @click.option("--seconds", type=float, default=math.inf, metavar="S", help="Stop after so long.")
-@click.option(
-    "--patience",
-    type=float,
-    default=30.0,
-    show_default=True,
-    metavar="S",
-    help="Wait so long for a first vehicle on a link.",
-)
-@click.option("--webhook", metavar="URL", help="POST every alert as JSON to this address.")
-@click.option("--metrics", metavar="[HOST:]PORT", help="Metrics for Prometheus, at http://HOST:PORT/metrics.")
-@click.option(
-    "--tell-ground", is_flag=True, help="Tell the vehicles' ground stations, as STATUSTEXT and NAMED_VALUE_FLOAT."
-)
-@click.option("--jsonl", is_flag=True, help="Alerts as JSON lines on standard output (docs/watch.md), no picture.")
+@option("--patience", "Wait so long for a first vehicle on a link.", 30.0, type=float, metavar="S")
+@option("--webhook", "POST every alert as JSON to this address.", metavar="URL")
+@option("--metrics", "Metrics for Prometheus, at http://HOST:PORT/metrics.", metavar="[HOST:]PORT")
+@flag("--tell-ground", "Tell the vehicles' ground stations, as STATUSTEXT and NAMED_VALUE_FLOAT.")
+@flag("--jsonl", "Alerts as JSON lines on standard output (docs/watch.md), no picture.")
 @common
 def watch(
     endpoints, speed, vehicle, record, listen_only, seconds, patience, webhook, metrics, tell_ground, jsonl, quiet

@@ -189,6 +189,13 @@ def settle(
     return craft, f"vehicle file {craft.name}" if vehicle and craft.identified else "none", told
 
 
+def vehicle_of(vehicle: Vehicle | str | PathLike | None) -> Vehicle | None:
+    """A vehicle that may be given as its file. Raises VehicleError, ConfigError."""
+    from rotorwatch.flight import vehicle_file
+
+    return vehicle_file.read(vehicle) if isinstance(vehicle, str | PathLike) else vehicle
+
+
 def _read(given) -> Flight:
     if isinstance(given, Flight):
         return given

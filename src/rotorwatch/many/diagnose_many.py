@@ -84,7 +84,7 @@ def diagnose_many(
     VehicleError or LogError where no log can be judged: a folder without logs, a wrong vehicle or baseline, a scheduler that does not
     answer.
     """
-    from rotorwatch.diagnose import vehicle_of
+    from rotorwatch.healthy.baselines import vehicle_of
 
     known = known or {}
     craft = vehicle_of(vehicle)

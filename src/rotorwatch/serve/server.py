@@ -45,7 +45,7 @@ def serve(
     """
     for name in ("starlette", "uvicorn"):
         optional.library(name, "The page")
-    from rotorwatch.diagnose import vehicle_of
+    from rotorwatch.healthy.baselines import vehicle_of
     from rotorwatch.serve import security
     from rotorwatch.serve.app import application
     from rotorwatch.serve.flights import Flights
