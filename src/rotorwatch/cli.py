@@ -200,11 +200,8 @@ def diagnose(context, **given) -> None:
         raise ConfigError("--json and --jsonl are two ways to say the same; give one.")
     if (request.out or request.resume) and not (request.jsonl and request.out):
         raise ConfigError("--out and --resume belong to --jsonl: write --jsonl -o FILE, and --resume to go on with it.")
-    many = (
-        len(request.logs) > 1
-        or bool(request.jsonl or request.html or request.scheduler)
-        or gathering.is_several(request.logs[0])
-    )
+    several_ways = request.jsonl or request.html or request.scheduler
+    many = len(request.logs) > 1 or bool(several_ways) or gathering.is_several(request.logs[0])
     found = gathering.Gathered(request.logs)
     logs = tuple(found) if many else request.logs
     pages, recordings = report_paths(logs, request.report), report_paths(logs, request.mcap, "--mcap", ".mcap")

@@ -204,22 +204,15 @@ class Diagnosis:
             raise ConfigError(f"This answer has the schema {found.get('schema')}, not {SCHEMA}; judge the log again.")
         rotors = [{**r, "trend": None if r["trend"] is None else Trend(**_tuples(r["trend"]))} for r in found["rotors"]]
         names = {f.name for f in fields(Event)}
-        events = [
-            {**{k: v for k, v in e.items() if k in names}, "extra": {k: v for k, v in e.items() if k not in names}}
-            for e in found["events"]
-        ]
+        events = [{k: v for k, v in e.items() if k in names} for e in found["events"]]
+        extras = ({k: v for k, v in e.items() if k not in names} for e in found["events"])
         optional_ = {"timing": {}, "picture": None, "story": ()}
         answer = {name: found.get(name, optional_[name]) if name in optional_ else found[name] for name in ANSWER}
         answer |= {name: tuple(answer[name]) for name in ("assumptions", "warnings", "comparison", "advice")}
-        return cls(
-            main=answer.pop("main_event"),
-            **answer
-            | {
-                "rotors": tuple(RotorState(**_tuples(r)) for r in rotors),
-                "events": tuple(Event(**_tuples(e)) for e in events),
-                "story": tuple(StoryLine(**said) for said in answer["story"]),
-            },
-        )
+        answer["rotors"] = tuple(RotorState(**_tuples(r)) for r in rotors)
+        answer["events"] = tuple(Event(**_tuples(e), extra=extra) for e, extra in zip(events, extras))
+        answer["story"] = tuple(StoryLine(**line) for line in answer["story"])
+        return cls(main=answer.pop("main_event"), **answer)
 
     def to_json(self, indent: int | None = 1) -> str:
         """`to_dict` as JSON text; never NaN or Infinity."""
@@ -264,12 +257,12 @@ class Diagnosis:
 
 
 def _tuples(fields_of: Mapping[str, Any]) -> dict[str, Any]:
-    """Lists, also lists of them, as tuples; but not what is free-form."""
+    """Lists, also lists of them, as tuples."""
 
     def tuples(value: Any) -> Any:
         return tuple(map(tuples, value)) if isinstance(value, list) else value
 
-    return {name: value if name == "extra" else tuples(value) for name, value in fields_of.items()}
+    return {name: tuples(value) for name, value in fields_of.items()}
 
 
 def _round(value: Any, digits: int = 4) -> Any:

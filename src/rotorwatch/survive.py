@@ -263,10 +263,8 @@ def _holds(a: Airframe, Z: Planes, size, u, speeds) -> np.ndarray:
         lean = np.arctan((side * V**2 + a.k_d * flow * V) / weight)
         thrust = weight * np.cos(lean) + (down * V**2 + a.k_z * flow * V) * np.sin(lean)
         turns = np.sqrt(thrust / weight)
-    across, along = (
-        -V * np.cos(lean),
-        -V * np.sin(lean),
-    )  # of the air past the body: in the rotors' plane, down through it
+    # Of the air past the body: in the rotors' plane, and down through it.
+    across, along = -V * np.cos(lean), -V * np.sin(lean)
     a_x, a_y = across * np.cos(angle), across * np.sin(angle)
     flow, x, y = (turns * s for s in (w0.sum(), w0 @ a.x, w0 @ a.y))
     H_x, H_y = -a.k_d * a_x * flow, -a.k_d * a_y * flow

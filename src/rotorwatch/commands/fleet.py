@@ -128,16 +128,10 @@ def list_(store, flights, search, aircraft, limit, as_json, quiet) -> None:
         if as_json:
             print_json({"total": total, "flights": rows})
             return
-        cells = [
-            (
-                r["hash"][:8],
-                r["aircraft_name"] or "-",
-                _day(r["utc"]),
-                r["verdict"],
-                f"{label(r['name'])}: {r['headline']}",
-            )
-            for r in rows
-        ]
+        cells = []
+        for r in rows:
+            found = f"{label(r['name'])}: {r['headline']}"
+            cells.append((r["hash"][:8], r["aircraft_name"] or "-", _day(r["utc"]), r["verdict"], found))
         _table(f"{len(rows)} of {total} flights", ("flight", "aircraft", "time", "verdict", "what was found"), cells)
         return
     found = sorted(store.aircraft(), key=_urgency)

@@ -195,12 +195,8 @@ def _shifted(time, speed: Quantity, usable, thrust: Signal, notes: list[str]) ->
         w = np.interp(grid, time[ok], speed.values[ok, k] ** 2)
         f = np.interp(grid, thrust.time[sent], thrust.values[sent, k])
         moved, commanded = w[wide:] - w[:-wide], f[wide:] - f[:-wide]
-        fits = np.array(
-            [
-                _correlation(moved[half + s : moved.size - half + s], commanded[half:-half])
-                for s in range(-half, half + 1)
-            ]
-        )
+        shifts, middle = range(-half, half + 1), slice(half, moved.size - half)
+        fits = np.array([_correlation(np.roll(moved, -s)[middle], commanded[middle]) for s in shifts])
         best = int(np.argmax(fits))
         near = fits[half - round(SHIFT_LEAST_S / GRID_S) : half + round(SHIFT_LEAST_S / GRID_S) + 1].max()
         if fits[best] > SHIFT_FIT and fits[best] > near + SHIFT_BETTER:
@@ -263,14 +259,8 @@ def binned(time, speed: Quantity, current: Quantity, voltage: Quantity, thrust: 
         return None
     names = ("time", "thrust", "power", "known", "current", "current_known", "voltage", "voltage_known")
     binned_: dict[str, Any] = {name: np.concatenate(p) for name, p in zip(names, zip(*parts), strict=True)}
-    reports = (
-        time,
-        speed.values,
-        speed.valid,
-        current.values,
-        current.valid,
-        allocation.hold(sent_time, sent_values, time),
-    )
+    sent = allocation.hold(sent_time, sent_values, time)
+    reports = time, speed.values, speed.valid, current.values, current.valid, sent
     names = ("report_time", "speed", "speed_known", "amps", "amps_known", "commanded")
     return Binned(**binned_, **dict(zip(names, reports, strict=True)))
 

@@ -160,11 +160,8 @@ def in_words(told: dict) -> str:
         said.append(f"its supply fell {drop:.1f} V below the others'")
     cause = told["cause"]
     if cause == ratios.UNKNOWN:
-        so = (
-            "which fits no single cause"
-            if told["causes"][ratios.UNKNOWN] >= LEAST_PROBABILITY
-            else "which leaves the cause open"
-        )
+        none_fits = told["causes"][ratios.UNKNOWN] >= LEAST_PROBABILITY
+        so = "which fits no single cause" if none_fits else "which leaves the cause open"
     else:
         so = f"so the cause is the {CAUSES[cause]} ({probability(told['causes'][cause])})"
     return f"the ESC of {rotors([told['rotor']])} says that {listed(said)}, {so}"

@@ -234,11 +234,7 @@ def _with_sisters(series: Series, others: Sequence[Found], prior: np.ndarray) ->
 
 def _unknown(one: History) -> dict:
     """An aircraft of which no flight can be used."""
-    rotor = {
-        "status": "unknown",
-        "loss": 0.0,
-        "interval": [0.0, 1.0],
-        "evidence": 0.0,
+    rotor = {"status": "unknown", "loss": 0.0, "interval": [0.0, 1.0], "evidence": 0.0} | {
         "named": False,
         "prognosis": None,
     }

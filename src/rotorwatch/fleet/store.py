@@ -36,6 +36,9 @@ LEFT JOIN flights f ON f.ordinal = s.latest
 LEFT JOIN standings t ON t.aircraft = a.key
 ORDER BY a.ordinal
 """
+FIELDS = (  # of an aircraft
+    "key name identities flights first last airborne_s frame rotors build firmware verdicts standing stale".split()
+)
 ALL = 1 << 62  # rows: more than there can be
 
 
@@ -263,20 +266,7 @@ class Store:
             row |= {"airborne_s": float(row["airborne_s"]), "last": row["last"] or None}
             row["stale"] = row.pop("seen") != total
             row["standing"] = json.loads(row["standing"]) if row["standing"] else None
-        order = (
-            "key",
-            "name",
-            "identities",
-            "flights",
-            "first",
-            "last",
-            "airborne_s",
-            "frame",
-            "rotors",
-            "build",
-            "firmware",
-        )
-        return [{k: row[k] for k in (*order, "verdicts", "standing", "stale")} for row in rows]
+        return [{name: row[name] for name in FIELDS} for row in rows]
 
     def find(self, aircraft: str) -> dict:
         """key and name of an aircraft by key, name or identity. Raises StoreError with the names that come near."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from rotorwatch import report
 from rotorwatch.diagnosis import Diagnosis, Trace
-from rotorwatch.report import colours, lane
+from rotorwatch.report import colours
 from rotorwatch.report.colours import INK
 
 CHANNELS = ("roll", "pitch", "yaw", "thrust")
@@ -17,6 +17,9 @@ ANGLES = ("roll", "pitch", "yaw")
 OVERVIEW_ROWS, DETAIL_ROWS = 1600, 2400  # a wide screen's worth of the whole flight, and full rate around events
 DETAIL_S = (5.0, 8.0)  # before an event's onset, after its announcement
 HYPOTHESES = 8
+SHADES = ("#56b4e9", "#009e73", "#9467bd", "#0072b2", "#8c8c8c", "#6aa84f")
+MARKS = 400  # of the lane: more are no help
+HEIGHTS = {"armed": 0.2, "landed": 0.35, "event": 0.5, "text": 0.65, "dropout": 0.8, "error": 0.9}
 
 
 class Screen:
@@ -104,7 +107,7 @@ def plots(diagnosis: Diagnosis) -> dict[str, Any]:
     looks = colours.looks(diagnosis, n)
     out = {
         "loss": _loss(diagnosis, source, x_range, n, looks),
-        "lane": lane.lane(diagnosis, blank, x_range),
+        "lane": lane(diagnosis, x_range),
         "command": _commands(source, x_range, n, looks),
         "evidence": _evidence(trace, source, x_range, shown, looks) if shown else None,
         **{f"angle_{angle}": _angle(source, x_range, angle, flown) for angle in (ANGLES if flown else ())},
@@ -194,6 +197,51 @@ def _hover(p, renderer) -> None:
     from bokeh.models import HoverTool
 
     p.select_one(HoverTool).renderers = [renderer]
+
+
+def lane(diagnosis: Diagnosis, x_range) -> Any:
+    """Flight modes and what the autopilot said, on the plots' time axis; None when the log holds neither."""
+    from bokeh.models import ColumnDataSource, HoverTool, Range1d
+
+    trace = diagnosis.trace
+    if trace is None or not trace.messages:
+        return None
+    p = blank(x_range, 120, "", [("", "@text")], y_range=Range1d(start=0.0, end=1.7))
+    p.name = "lane"
+    p.yaxis.visible = False
+    p.ygrid.visible = False
+    end = float(trace.time[-1])
+    modes = [(t, text) for t, kind, text in trace.messages if kind == "mode"]
+    spans = [(a, b, text) for (a, text), (b, _) in zip(modes, [*modes[1:], (end, "")]) if b > a]
+    shade = {name: SHADES[k % len(SHADES)] for k, name in enumerate(dict.fromkeys(text for _, _, text in spans))}
+    boxes = ColumnDataSource(
+        {
+            "left": [a for a, _, _ in spans],
+            "right": [b for _, b, _ in spans],
+            "text": [f"{text}: {a:.1f} to {b:.1f} s" for a, b, text in spans],
+            # The name is written where its box has room for it on a wide screen.
+            "name": [text if (b - a) > 0.008 * len(text) * end else "" for a, b, text in spans],
+            "fill": [shade[text] for _, _, text in spans],
+        }
+    )
+    fill: dict[str, Any] = dict(fill_color="fill", fill_alpha=0.35, line_color="fill")
+    drawn = p.quad("left", "right", 1.6, 1.1, source=boxes, name="modes", **fill)
+    look: dict[str, Any] = dict(text_font={"value": "system-ui, sans-serif"}, text_font_size="12px", text_color=INK)
+    p.text("left", 1.35, "name", source=boxes, name="mode names", text_baseline="middle", x_offset=4, **look)
+    rest = [row for row in trace.messages if row[1] in HEIGHTS]
+    rest = sorted(rest, key=lambda row: (row[1] != "error", row[1] == "text"))[:MARKS]
+    marks = ColumnDataSource(
+        {
+            "time": [t for t, _, _ in rest],
+            "y": [HEIGHTS[kind] for _, kind, _ in rest],
+            "text": [f"{t:.1f} s, {kind}: {text}" for t, kind, text in rest],
+            "fill": ["#c1121f" if kind == "error" else INK for _, kind, _ in rest],
+        }
+    )
+    said = p.scatter("time", "y", source=marks, size=7, marker="diamond", color="fill", alpha=0.9, name="messages")
+    hover = p.select_one(HoverTool)
+    hover.renderers, hover.mode, hover.tooltips = [drawn, said], "mouse", [("", "@text")]
+    return p
 
 
 def _loss(diagnosis: Diagnosis, source, x_range, n: int, looks) -> Any:

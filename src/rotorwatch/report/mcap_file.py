@@ -132,10 +132,8 @@ def _series(trace: Trace) -> dict[str, tuple[list[str], np.ndarray]]:
     angles = {"": trace.attitude, "wanted_": trace.wanted}
     there = {prefix: values for prefix, values in angles.items() if values is not None}
     if there:
-        found["attitude"] = (
-            [f"{prefix}{axis}" for prefix in there for axis in ANGLES],
-            np.column_stack([*there.values()]),
-        )
+        names = [f"{prefix}{axis}" for prefix in there for axis in ANGLES]
+        found["attitude"] = names, np.column_stack([*there.values()])
     bands = np.stack([trace.loss, trace.lower, trace.upper], axis=2)
     found["losses"] = [f"{rotor}.{field}" for rotor in rotors for field in BAND], bands.reshape(len(bands), -1)
     return {f"/{NAME}/{topic}": series for topic, series in found.items()}

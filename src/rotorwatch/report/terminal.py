@@ -151,12 +151,8 @@ def _heading(result: Diagnosis) -> RenderableType:
     what = [str(facts["name"])] if facts.get("name") else []
     what += [report.frame(result), *(str(facts[k]) for k in ("autopilot", "profile") if facts.get(k))]
     what += [f"{float(facts.get('duration_s') or 0):.0f} s", *filter(None, [report.day(result)])]
-    parts = (
-        text,
-        *_story(result),
-        Text(report.sentence(result.reason)),
-        *(_aside(f"→ {step}") for step in result.advice),
-    )
+    steps = (_aside(f"→ {step}") for step in result.advice)
+    parts = text, *_story(result), Text(report.sentence(result.reason)), *steps
     return Group(Text(" · ".join(what), style="dim"), Text(), *parts)
 
 
