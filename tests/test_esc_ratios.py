@@ -1,4 +1,4 @@
-"""The witness's mathematics: laws are found again, probabilities are probabilities and follow what is measured."""
+"""The mathematics of the ESC consistency check: laws are found again, probabilities are probabilities and follow what is measured."""
 
 import numpy as np
 import pytest

@@ -16,7 +16,7 @@ from rotorwatch.default.announcement import threshold
 from rotorwatch.default.program import estimate
 from rotorwatch.diagnosis import Diagnosis
 from rotorwatch.errors import ConfigError
-from rotorwatch.esc import witness
+from rotorwatch.esc import consistency
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.healthy import baselines, population
@@ -138,7 +138,7 @@ def diagnose(
     losses = tuple(events.one_arm(e, B) for e in losses if events.accuses(e))
     contacts = outside.contacts(table, air)
     found = upset.events(upsets, (*losses, *overrides, *contacts), n)
-    found, notes = witness.check(flight, craft, air, table, found)
+    found, notes = consistency.check(flight, craft, air, table, found)
     warnings += notes
     lap("events_s")
     doubts = trust.doubts(flight, craft, air, table)
