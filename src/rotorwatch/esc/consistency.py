@@ -47,17 +47,14 @@ def check(
     stood, said = gone.find(bins, events, air, _upset(bins, table))
     events = (*events, *stood)
     healthy = _healthy(bins, events)
-    out = [_with_cause(e, bins, calm, healthy, air) if _cause_open(e) else e for e in events]
+    # A loss of known rotors, whose cause is not known yet.
+    open_ = [e.kind == LOSS and not e.alternatives and "cause" not in e.extra for e in events]
+    out = [_with_cause(e, bins, calm, healthy, air) if ask else e for e, ask in zip(events, open_)]
     # Once a rotor is weak the others work elsewhere than where their laws were learned.
     found, more = watch.look(bins, calm & healthy.all(axis=1, keepdims=True))
     named = {rotor for e in out if e.kind == LOSS for rotor in e.rotors}
     found = [e for e in found if e.kind != LOSS or not named & set(e.rotors)]  # what is known already
     return tuple(sorted((*out, *found), key=lambda e: e.detected_s)), (*notes, *said, *more)
-
-
-def _cause_open(event: Event) -> bool:
-    """Whether ESCs are asked: a loss of known rotors, whose cause is not known yet."""
-    return event.kind == LOSS and not event.alternatives and "cause" not in event.extra
 
 
 def _upset(bins: Binned, table: Ticks) -> np.ndarray:

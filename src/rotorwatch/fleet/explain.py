@@ -329,10 +329,13 @@ def _found(fit: _Fit, atoms: tuple[Atom, ...]) -> Found:
         if atom.rotor >= 0:
             last[atom.rotor, at] = s.profile(atom)[-1]
     now_sd = np.sqrt(np.maximum(np.einsum("np,pq,nq->n", last, fit.covariance, last), 0.0))
-    own, own_sd = _single(fit, e)
+    # What each flight alone says of each rotor's e, when all else is as explained.
+    inverse = np.linalg.inv(s.noise)
+    information = np.einsum("in,kij,jn->kn", s.G, inverse, s.G)
+    own = e + np.einsum("in,kij,kj->kn", s.G, inverse, s.y - fit.fitted) / information
     rest = np.einsum("kij,kj->ki", np.linalg.inv(np.linalg.cholesky(s.noise)), s.y - fit.fitted)
     return Found(
-        atoms, coefficients, tuple(candidates), tuple(when), e, e[-1], now_sd, _hidden(fit), own, own_sd, evidence,
+        atoms, coefficients, tuple(candidates), tuple(when), e, e[-1], now_sd, _hidden(fit), own, information**-0.5, evidence,
         fit.beta[:3], fit.covariance[:3, :3], rest, fit.weight,
     )  # fmt: skip
 
@@ -344,15 +347,6 @@ def _when(without: _Fit, atom: Atom) -> tuple[int, int]:
     p = np.exp(row - row.max())
     total = np.cumsum(p) / p.sum()
     return int(np.searchsorted(total, 0.025)), int(np.searchsorted(total, 0.975))
-
-
-def _single(fit: _Fit, e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(K, n) what each flight alone says of each rotor's e, and its standard deviation, when all else is as explained."""
-    s = fit.series
-    inverse = np.linalg.inv(s.noise)
-    information = np.einsum("in,kij,jn->kn", s.G, inverse, s.G)
-    own = e + np.einsum("in,kij,kj->kn", s.G, inverse, s.y - fit.fitted) / information
-    return own, information**-0.5
 
 
 def _hidden(fit: _Fit) -> np.ndarray:

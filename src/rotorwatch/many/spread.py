@@ -68,7 +68,7 @@ def run(
         jobs = min(jobs or processors(), max(1, len(items)))
     jobs = jobs or processors()
     if jobs == 1 and limit_s is None and prepare is None:
-        return _here(function, items)
+        return (Done(index, *attempt(function, item)) for index, item in enumerate(items))
     from rotorwatch.many import processes
 
     return processes.run(function, _tasks(items), jobs, limit_s, tries, prepare)
@@ -129,8 +129,3 @@ def ordered(
 
 def _tasks(items: Iterable[Any]) -> Iterator[Task]:
     return (Task(index, item) for index, item in enumerate(items))
-
-
-def _here(function: Callable, items: Iterable[Any]) -> Iterator[Done]:
-    for index, item in enumerate(items):
-        yield Done(index, *attempt(function, item))

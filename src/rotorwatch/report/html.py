@@ -39,6 +39,7 @@ def page(diagnosis: Diagnosis) -> str:
     title = str(diagnosis.flight.get("name") or "flight")
     plots = {**upset.plots(diagnosis), **figures.plots(diagnosis)}
     scripts, divs = _embed(plots)
+    common, blind = report.common_mode(diagnosis), diagnosis.trace.blind if diagnosis.trace is not None else ()
     body = [
         _masthead(title),
         '<main id="report">',
@@ -49,12 +50,12 @@ def page(diagnosis: Diagnosis) -> str:
         _events(diagnosis),
         _baseline(diagnosis),
         _plots(diagnosis, divs),
-        _paragraph("All rotors together", report.common_mode(diagnosis)),
+        f"<h2>All rotors together</h2><p>{_text(common)}</p>" if common else "",
         _comparison(report.comparison(diagnosis)),
         _messages(diagnosis),
         _list("Warnings", diagnosis.warnings, "warnings"),
         _list("Assumptions", [f"Baseline: {diagnosis.baseline}", *diagnosis.assumptions]),
-        _blind(diagnosis),
+        _list("When it could not judge", (f"{start:.1f} to {end:.1f} s: {why}" for start, end, why in blind)),
         "</main>",
         _footer(diagnosis, title),
     ]
@@ -220,10 +221,6 @@ def _baseline(diagnosis: Diagnosis) -> str:
     return f'<h2>Against healthy flights of this build</h2><dl class="pairs">{rows}</dl>{drawing.baseline(diagnosis)}'
 
 
-def _paragraph(title: str, text: str) -> str:
-    return f"<h2>{escape(title)}</h2><p>{_text(text)}</p>" if text else ""
-
-
 def _messages(diagnosis: Diagnosis) -> str:
     said = report.messages(diagnosis)
     if not said:
@@ -305,11 +302,6 @@ def _comparison(rows: Iterable[tuple[str, str, str, str]]) -> str:
 def _list(title: str, sentences: Iterable[str], name: str = "") -> str:
     items = "".join(f"<li>{escape(s)}</li>" for s in sentences)
     return f'<h2>{title}</h2><ul class="plain {name}">{items}</ul>' if items else ""
-
-
-def _blind(diagnosis: Diagnosis) -> str:
-    blind = diagnosis.trace.blind if diagnosis.trace is not None else ()
-    return _list("When it could not judge", (f"{start:.1f} to {end:.1f} s: {why}" for start, end, why in blind))
 
 
 def _footer(diagnosis: Diagnosis, title: str) -> str:

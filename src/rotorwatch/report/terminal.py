@@ -89,11 +89,6 @@ class _Overview:
                 yield Padding(Text(text, style="dim" if text == facts else ""), (0, 0, 0, 13))
 
 
-def error_line(name: str, sentence: str) -> Text:
-    """A flight of several that could not be judged."""
-    return Text(f"{'error':<13}", style=STYLES["error"]).append(f"{name}  {sentence}", style="default not bold")
-
-
 class Fitted:
     """A table where it fits; else each row as lines, its cells named.
 
