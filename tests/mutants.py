@@ -77,7 +77,6 @@ NAMED: dict[str, tuple[str, ...]] = {
     "logs/ros2*.py": ("logs_ros2",),
     "default/shipping.py": ("shipped",),
     "report/__init__.py": ("words",),
-    "report/lane.py": ("figures",),
     "report/colours.py": ("figures",),
     "report/html.py": ("figures", "words"),
     "report/terminal.py": ("words",),

@@ -1,4 +1,4 @@
-"""ESC telemetry as a witness of losses: causes on simulated flights, notices without a loss, and telemetry that is not to be believed."""
+"""The ESC consistency check: causes on simulated flights, notices without a loss, and telemetry that is not to be believed."""
 
 from dataclasses import replace
 from functools import cache
@@ -8,7 +8,7 @@ import pytest
 
 import rotorwatch as rw
 from rotorwatch.diagnose import observe
-from rotorwatch.esc import gone, telemetry, watch, witness
+from rotorwatch.esc import consistency, gone, telemetry, watch
 from rotorwatch.experiments.studies import esc_causes
 from rotorwatch.flight import Signal
 from rotorwatch.healthy import baselines
@@ -83,7 +83,7 @@ def test_a_loss_is_split_into_speed_and_propeller(what, speed, propeller):
     (told,) = event.extra["esc"]
     low, high = told["speed_loss_interval"]
     assert low - 0.005 <= speed <= high + 0.005, told
-    # What commands and motion make of the whole loss is not this witness's.
+    # What commands and motion make of the whole loss is not this check's.
     assert told["propeller_loss"] == pytest.approx(propeller, abs=0.09)
     whole = 1.0 - (1.0 - told["speed_loss"]) * (1.0 - told["propeller_loss"])
     assert whole == pytest.approx(event.loss[0], abs=0.03)
@@ -243,10 +243,10 @@ def test_a_large_loss_of_speed_that_the_motion_missed():
     whole = flight("half")
     craft, _, _ = baselines.settle(whole, None, ())
     air = airborne(whole)
-    heard = witness.hear(whole, craft, air, observe(whole, craft, air, 8.0), ())
-    (event,) = heard.events
+    events, warnings = consistency.check(whole, craft, air, observe(whole, craft, air, 8.0), ())
+    (event,) = events
     assert event.kind == "loss_of_effectiveness" and event.rotors == (2,) and event.extra["cause"] == "motor_or_esc"
-    assert event.interval[0][0] - 0.02 < 0.45 < event.interval[0][1] + 0.02 and heard.warnings == ()
+    assert event.interval[0][0] - 0.02 < 0.45 < event.interval[0][1] + 0.02 and warnings == ()
     assert event.onset_s == pytest.approx(ONSET, abs=1.0) and "its current fell with it" in event.reason
 
 

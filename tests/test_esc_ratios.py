@@ -1,4 +1,4 @@
-"""The witness's mathematics: laws are found again, probabilities are probabilities and follow what is measured."""
+"""The mathematics of the ESC consistency check: laws are found again, probabilities are probabilities and follow what is measured."""
 
 import numpy as np
 import pytest
@@ -50,7 +50,7 @@ def test_what_is_common_to_all_does_not_count_and_what_is_one_rotors_does():
 )
 @settings(max_examples=200, deadline=None)
 def test_probabilities_are_probabilities(S, D, theta, sd, load):
-    share = ratios.causes(ratios.Testimony((S, 0.02), None if D is None else (D, 0.05), load, 20), theta, sd)
+    share = ratios.causes(ratios.Measured((S, 0.02), None if D is None else (D, 0.05), load, 20), theta, sd)
     assert set(share) == set(ratios.PRIOR) and sum(share.values()) == pytest.approx(1.0)
     assert all(0.0 <= p <= 1.0 for p in share.values())
 
@@ -59,7 +59,7 @@ def test_probabilities_are_probabilities(S, D, theta, sd, load):
 @settings(max_examples=60, deadline=None)
 def test_each_cause_is_the_likeliest_where_it_predicts(theta):
     def best(S, D, load):
-        share = ratios.causes(ratios.Testimony((S, 0.01), (D, 0.04), load, 20), theta, 0.02)
+        share = ratios.causes(ratios.Measured((S, 0.01), (D, 0.04), load, 20), theta, 0.02)
         return max(share, key=lambda cause: share[cause])
 
     load = (1.0 - theta) ** -1.5
@@ -74,7 +74,7 @@ def test_a_slower_rotor_speaks_against_the_propeller(theta, low, step):
     """The odds of propeller against motor rise with the speed, wherever it lies between what both predict."""
 
     def odds(S):
-        share = ratios.causes(ratios.Testimony((S, 0.05), None, 1.0, 20), theta, 0.02)
+        share = ratios.causes(ratios.Measured((S, 0.05), None, 1.0, 20), theta, 0.02)
         return np.log(share[ratios.PROPELLER] + 1e-300) - np.log(share[ratios.MOTOR] + 1e-300)
 
     S = 1.0 - theta * low
@@ -84,7 +84,7 @@ def test_a_slower_rotor_speaks_against_the_propeller(theta, low, step):
 @given(theta=LOSSES, S=st.floats(0.3, 1.1))
 @settings(max_examples=100, deadline=None)
 def test_the_parts_make_the_whole(theta, S):
-    split = ratios.parts(ratios.Testimony((S, 0.01), None, 1.0, 20), theta, 0.02)
+    split = ratios.parts(ratios.Measured((S, 0.01), None, 1.0, 20), theta, 0.02)
     for value, low, high in split.values():
         assert 0.0 <= low <= value <= high <= 1.0
     if S <= 1.0 and 1.0 - theta <= S:
@@ -92,7 +92,7 @@ def test_the_parts_make_the_whole(theta, S):
 
 
 def test_noise_makes_it_unsure():
-    sure, unsure = (ratios.causes(ratios.Testimony((0.9, sd), (0.0, sd), 1.0, 20), 0.1, 0.02) for sd in (0.01, 0.3))
+    sure, unsure = (ratios.causes(ratios.Measured((0.9, sd), (0.0, sd), 1.0, 20), 0.1, 0.02) for sd in (0.01, 0.3))
     assert sure[ratios.MOTOR] > 0.85 > 0.6 > max(unsure.values())
 
 

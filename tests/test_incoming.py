@@ -17,9 +17,10 @@ from pathlib import Path
 
 import pytest
 
-from rotorwatch import cli, gathering, incoming
+from rotorwatch import cli, incoming
 from rotorwatch.errors import LogError
 from rotorwatch.logs import container
+from rotorwatch.many import gathering
 
 SAMPLE = Path(cli.__file__).parent / "samples" / "hexax_m3_mul0.80_square_wind.bin.xz"
 

@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from rotorwatch import many
 from rotorwatch.errors import ConfigError, LogError, WorkerError
 from rotorwatch.many import cluster, processes
-from rotorwatch.many.kept import Kept
+from rotorwatch.many.result_cache import ResultCache
 
 ROOT = Path(__file__).parents[1]
 
@@ -84,9 +84,9 @@ def test_what_is_kept_belongs_to_one_function_one_item_and_one_file(tmp_path):
     keep = tmp_path / "kept"
 
     def kept(function, item):
-        return Kept(keep, function).load(item)
+        return ResultCache(keep, function).load(item)
 
-    store = Kept(keep, number)
+    store = ResultCache(keep, number)
     store.save((str(log), "fine", 1), {"value": np.arange(3.0)})
     assert np.array_equal(kept(number, (str(log), "fine", 1))[0]["value"], np.arange(3.0))
     assert kept(work, (str(log), "fine", 1)) is None and kept(number, (str(log), "fine", 2)) is None

@@ -28,7 +28,7 @@ from rotorwatch.serve import connections, live, names, security, server, uploads
 from rotorwatch.serve import flights as flights_of
 from rotorwatch.serve.app import application
 from rotorwatch.serve.flights import Flights
-from rotorwatch.serve.hub import KEPT, Hub
+from rotorwatch.serve.hub import RECENT, Hub
 from rotorwatch.serve.uploads import Limits, Refused, Uploads
 
 SAMPLE = Path(cli.__file__).parent / "samples" / "quadx_healthy_hover.bin.xz"
@@ -681,7 +681,7 @@ def test_who_comes_back_hears_what_he_missed_and_no_more():
     assert [(kind, data) for _, kind, data in told(hub, last)] == [("tick", 5), ("tick", 6)]
     for stale in ("elsewhere-3", "x", last + "9" * 12, last.split("-")[0] + "-"):
         assert [kind for _, kind, _ in told(hub, stale)] == ["state"]
-    for number in range(KEPT + 1):
+    for number in range(RECENT + 1):
         hub.publish("tick", number)
     assert [kind for _, kind, _ in told(hub, last)] == ["state"], "too much was missed"
 
@@ -772,14 +772,14 @@ def test_the_names_of_the_api_are_those_of_the_command():
 def test_a_flight_heard_over_a_link_is_listed_when_it_has_ended(tmp_path):
     """As heard from a log here: which source it is makes no difference to what is judged."""
     flights, rows = Flights(str(tmp_path / "fleet.db")), []
-    keeper = flights.keeper(rows.append, pytest.fail)
-    feed = live.Feed(keeper.keep)
+    store_writer = flights.store_writer(rows.append, pytest.fail)
+    feed = live.Feed(store_writer.keep)
     feed.open(str(SAMPLE.with_name("hexax_m3_mul0.80_square_wind.bin.xz")), None, math.inf, None, True)
     feed._sources[0].lists = True
     feed.start()
     feed._thread.join(120)
     feed.stop()
-    keeper.stop()
+    store_writer.stop()
     (row,) = rows
     assert row["verdict"] == "fault" and "rotor 3" in row["headline"].lower() and row["frame"] == "ardupilot-hexa-x"
     found = Diagnosis.from_dict(flights.diagnosis(row["hash"]))
@@ -797,14 +797,14 @@ def test_a_crash_that_was_watched_is_lost_on_the_page_and_listed_as_a_crash(tmp_
     if not crash.exists():
         pytest.skip(f"the shared flight {name} is not here")
     flights, rows = Flights(str(tmp_path / "fleet.db")), []
-    keeper = flights.keeper(rows.append, pytest.fail)
-    feed = live.Feed(keeper.keep)
+    store_writer = flights.store_writer(rows.append, pytest.fail)
+    feed = live.Feed(store_writer.keep)
     feed.open(str(crash), None, math.inf, None, True)
     feed._sources[0].lists = True
     feed.start()
     feed._thread.join(120)
     feed.stop()
-    keeper.stop()
+    store_writer.stop()
     (row,) = [r for r in rows if "left control" in r["headline"]]
     assert row["verdict"] == verdict and words in row["headline"]
     found = Diagnosis.from_dict(flights.diagnosis(row["hash"]))
@@ -834,12 +834,12 @@ def test_a_store_that_cannot_be_reached_is_tried_again(tmp_path, why, monkeypatc
 
     monkeypatch.setattr(flights_of, "AGAIN_S", 0.01)
     rows, said = [], []
-    keeper = flights_of.Keeper(Gone(), rows.append, said.append, tmp_path)
-    keeper.keep(Entry("0" * 64, "", "udp:1/1", 0))
+    store_writer = flights_of.StoreWriter(Gone(), rows.append, said.append, tmp_path)
+    store_writer.keep(Entry("0" * 64, "", "udp:1/1", 0))
     for _ in range(500):
         if not rows:
-            keeper._thread.join(0.01)
-    keeper.stop()
+            store_writer._thread.join(0.01)
+    store_writer.stop()
     assert (
         rows == [{"hash": "0" * 64}] and "udp:1/1 is not in the list yet" in said[0] and "/srv/fleet.db" not in said[0]
     )

@@ -64,7 +64,7 @@ def lost(cause: str, **more) -> Event:
 
 
 def told(*events: Event, main: int | None = None) -> list[str]:
-    return [s.text for s in story.tell(events, main, 4, PLACES, HOPS)]
+    return [s.text for s in story.narrate(events, main, 4, PLACES, HOPS)]
 
 
 def test_a_crash_is_told_from_its_flight_to_the_terminal():
@@ -157,7 +157,7 @@ def test_candidates_are_all_named():
 
 
 def test_an_impact_before_the_loss_was_certain_stays_last():
-    moments = story.tell([lost("knock", extra={"impact_s": 30.5})], 0, 4, PLACES, HOPS)
+    moments = story.narrate([lost("knock", extra={"impact_s": 30.5})], 0, 4, PLACES, HOPS)
     assert [s.time_s for s in moments] == [30.0, 30.0, 30.0, 30.5]
 
 

@@ -25,7 +25,7 @@ _VERBS = {
     "ask": "ask",
     "calibrate": "healthy.calibrate",
     "diagnose": "diagnose",
-    "diagnose_many": "diagnose_many",
+    "diagnose_many": "many.diagnose_many",
     "export_c": "export_c",
     "fuzz": "experiments.fuzz",
     "fuzz_framed": "experiments.fuzz_framed",
@@ -66,7 +66,6 @@ if TYPE_CHECKING:
     from rotorwatch.ask import ask as ask
     from rotorwatch.compiling.run import run as run
     from rotorwatch.diagnose import diagnose as diagnose
-    from rotorwatch.diagnose_many import diagnose_many as diagnose_many
     from rotorwatch.diagnosis import Diagnosis as Diagnosis
     from rotorwatch.diagnosis import Event as Event
     from rotorwatch.diagnosis import RotorState as RotorState
@@ -91,6 +90,7 @@ if TYPE_CHECKING:
     from rotorwatch.healthy.tune import tune as tune
     from rotorwatch.info import info as info
     from rotorwatch.logs import read as read
+    from rotorwatch.many.diagnose_many import diagnose_many as diagnose_many
     from rotorwatch.motion.airborne import airborne as airborne
     from rotorwatch.published.observability import observability as observability
     from rotorwatch.serve.server import serve as serve

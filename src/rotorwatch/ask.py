@@ -179,9 +179,8 @@ def ask(
         )
         usual = np.full(n, HOVER if hover is None else hover)
         question = asked.Question(given, usual, Noise(np.array(USUAL_NOISE), np.array(TAU)), gain, tick_s)
-    design = excitation.design(
-        B, list(given.values()), question.hover, question.noise, question.gain, question.dt, limits, longest_s=within_s
-    )
+    about = question.hover, question.noise, question.gain, question.dt
+    design = excitation.design(B, list(given.values()), *about, limits, longest_s=within_s)
     who = tuple(tuple(k + 1 for k in c) for c in given)
     return Asking(name, B.shape[1], who, np.stack(list(given.values())), B, question.hover, question.dt, design, notes)
 

@@ -11,12 +11,11 @@ import io
 import os
 import signal
 import sys
-import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -35,11 +34,27 @@ from rotorwatch.commands import (
     tune,
     watch,
 )
-from rotorwatch.commands.tools import LOG, LOGS, OUT, common, debug, kept, progress, say, shares, show, spread
+from rotorwatch.commands.tools import (
+    DEBUG,
+    JSON,
+    LOG,
+    LOGS,
+    OUT,
+    answer,
+    common,
+    flag,
+    kept,
+    option,
+    print_json,
+    progress,
+    say,
+    shares,
+    show,
+    spread,
+    vehicle_of,
+    written,
+)
 from rotorwatch.errors import BackendWarning, ConfigError, PluginWarning, RotorwatchError, WorkerWarning, lacking
-
-if TYPE_CHECKING:
-    from rotorwatch.diagnosis import Diagnosis
 
 ERROR, STOPPED, BROKEN_PIPE = 2, 128, 141  # stopped: and the number of the signal
 ENDING = "SIGTERM", "SIGHUP"  # signals that end a command as Ctrl-C does: with what it began put away
@@ -60,9 +75,7 @@ def main(argv: list[str] | None = None) -> None:
         if getattr(sys, name) is None:  # closed by the shell (>&-): nobody wants it
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))
         stream = getattr(sys, name)
-        if isinstance(
-            stream, io.TextIOWrapper
-        ):  # a name or a sign that the terminal does not know must not end the answer
+        if isinstance(stream, io.TextIOWrapper):  # a sign that the terminal does not know must not end the answer
             stream.reconfigure(errors="backslashreplace")
     for name in ENDING:
         number = getattr(signal, name, None)
@@ -83,7 +96,7 @@ def main(argv: list[str] | None = None) -> None:
 
 
 def _run(argv: list[str]) -> int:
-    """Do what is asked, and write all of it; returns the exit code. Raises OSError where standard error cannot be written to."""
+    """Do what the arguments say, and write all of it; returns the exit code. Raises OSError where standard error cannot be written to."""
     try:
         try:
             # Not cli.main: it leaves with 1 when a pipe breaks, which here says "fault found".
@@ -144,7 +157,7 @@ def explain(why: Exception) -> str:
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="rotorwatch", message="%(prog)s %(version)s")
-@click.option("--debug", is_flag=True, expose_value=False, callback=debug, help="Show tracebacks of errors.")
+@DEBUG
 def cli() -> None:
     """Which rotor lost effectiveness, how much, since when and how sure that is: from a multirotor's flight log.
 
@@ -154,127 +167,85 @@ def cli() -> None:
 
 @cli.command(short_help="Judge flights: verdict, rotors, events.")
 @click.argument("logs", nargs=-1, required=True, type=LOGS, metavar="LOG...")
-@click.option(
-    "--baseline", "baselines", multiple=True, type=LOG, metavar="LOG", help="A healthy flight of the same build."
-)
-@click.option("--vehicle", type=LOG, metavar="FILE", help="Vehicle file (TOML), as `rotorwatch calibrate` writes it.")
-@click.option("--estimator", default="default", show_default=True, metavar="NAME", help="Estimator to use.")
-@click.option(
-    "--tuning", type=LOG, metavar="FILE", help="Tuning of a published estimator (TOML), as `rotorwatch tune` writes it."
-)
-@click.option(
-    "--report", type=OUT, metavar="OUT.html", help="Write an HTML page; for several logs a folder or {name}.html."
-)
-@click.option("--html", type=OUT, metavar="DIR", help="Write a page for each log, and one that lists them.")
-@click.option(
+@option("--baseline baselines", "A healthy flight of the same build.", multiple=True, type=LOG, metavar="LOG")
+@option("--vehicle", "Vehicle file (TOML), as `rotorwatch calibrate` writes it.", type=LOG, metavar="FILE")
+@option("--estimator", "Estimator to use.", "default", metavar="NAME")
+@option("--tuning", "Tuning of a published estimator (TOML), as `rotorwatch tune` writes it.", type=LOG, metavar="FILE")
+@option("--report", "Write an HTML page; for several logs a folder or {name}.html.", type=OUT, metavar="OUT.html")
+@option("--html", "Write a page for each log, and one that lists them.", type=OUT, metavar="DIR")
+@option(
     "--mcap",
+    "Write an MCAP file for Foxglove or PlotJuggler; for several logs as --report.",
     type=OUT,
     metavar="OUT.mcap",
-    help="Write an MCAP file for Foxglove or PlotJuggler; for several logs as --report.",
 )
-@click.option(
-    "--json", "as_json", is_flag=True, help="Print JSON (docs/json.md): an object, or a list for several logs."
-)
-@click.option("--jsonl", is_flag=True, help="Print JSON lines: one for each log, as soon as it is judged.")
-@click.option("-o", "--out", type=OUT, metavar="FILE", help="With --jsonl: the file that lines are added to.")
-@click.option("--resume", is_flag=True, help="Go on with FILE: logs that have a line and did not change are left out.")
+@flag("--json as_json", "Print JSON (docs/json.md): an object, or a list for several logs.")
+@flag("--jsonl", "Print JSON lines: one for each log, as soon as it is judged.")
+@option("-o --out", "With --jsonl: the file that lines are added to.", type=OUT, metavar="FILE")
+@flag("--resume", "Go on with FILE: logs that have a line and did not change are left out.")
 @spread
 @common
 @click.pass_context
-def diagnose(
-    context,
-    logs,
-    baselines,
-    vehicle,
-    estimator,
-    tuning,
-    report,
-    html,
-    mcap,
-    as_json,
-    jsonl,
-    out,
-    resume,
-    jobs,
-    scheduler,
-    quiet,
-) -> None:
+def diagnose(context, **given) -> None:
     """Judge each LOG: PX4 .ulg, ArduPilot .bin/.log, MAVLink .tlog, ROS 2 bag, CSV, also .xz and .gz; - is standard input. A
     folder stands for all logs in it; also quoted patterns, and addresses such as s3://BUCKET/FOLDER/ (docs/cluster.md).
 
     Exit code: 0 healthy, 1 fault found, 3 inconclusive or ambiguous only, 2 error; of several logs the worst.
     """
-    from rotorwatch import files, gathering
-    from rotorwatch.flight.vehicle_file import read as read_vehicle
+    from rotorwatch import files
+    from rotorwatch.many import gathering
 
-    if as_json and jsonl:
+    request = several.Request(**given)
+    if request.as_json and request.jsonl:
         raise ConfigError("--json and --jsonl are two ways to say the same; give one.")
-    if (out or resume) and not (jsonl and out):
+    if (request.out or request.resume) and not (request.jsonl and request.out):
         raise ConfigError("--out and --resume belong to --jsonl: write --jsonl -o FILE, and --resume to go on with it.")
-    many = len(logs) > 1 or bool(jsonl or html or scheduler) or gathering.is_several(logs[0])
-    found = gathering.Gathered(logs)
-    if many:
-        logs = tuple(found)
-    pages, recordings = report_paths(logs, report), report_paths(logs, mcap, "--mcap", ".mcap")
-    if pages or html:
+    several_ways = request.jsonl or request.html or request.scheduler
+    many = len(request.logs) > 1 or bool(several_ways) or gathering.is_several(request.logs[0])
+    found = gathering.Gathered(request.logs)
+    logs = tuple(found) if many else request.logs
+    pages, recordings = report_paths(logs, request.report), report_paths(logs, request.mcap, "--mcap", ".mcap")
+    if pages or request.html:
         optional.library("bokeh", "--report" if pages else "--html")
     if recordings:
         optional.library("mcap", "--mcap")
-    if many:
-        asked = several.Asked(
-            logs, found.others, {"vehicle": vehicle, "baseline": baselines, "estimator": estimator,
-            "tuning": _tuning(tuning, estimator) if tuning else None}, jobs, scheduler, as_json, jsonl,
-            files.writable(out, "--out", make=True) if out else None, resume, files.folder(html, "--html") if html else None,
-            pages, recordings, quiet,
-        )  # fmt: skip
-        context.exit(several.diagnose(asked, several.settings(estimator, vehicle, tuning, *baselines), explain))
-    known = read_vehicle(vehicle) if vehicle else None
-    tuned = _tuning(tuning, estimator) if tuning else None
-    with progress(quiet) as tell:
-        healthy = tuple(_candidate(_read(path, tell), known) for path in baselines)
+    request = replace(request, logs=logs, pages=pages, recordings=recordings, others=found.others)
+    if request.tuning:
+        from rotorwatch.healthy.tune import read
 
-    def judge(path: Any) -> Diagnosis:
-        from rotorwatch.diagnose import diagnose as run
+        request = replace(request, tuned=read(request.tuning, request.estimator))
+    if not many:
+        context.exit(_diagnose(request))
+    out = files.writable(request.out, "--out", make=True) if request.out else None
+    html = files.folder(request.html, "--html") if request.html else None
+    context.exit(several.diagnose(replace(request, out=out, html=html), explain))
 
-        began = time.perf_counter()
-        with progress(quiet) as tell:
-            flight = _read(path, tell)
-            read_s = time.perf_counter() - began
-            found = run(flight, vehicle=known, baseline=healthy, estimator=estimator, progress=tell, tuning=tuned)
-        return replace(
-            found, timing={**found.timing, "read_s": read_s, "total_s": found.timing.get("total_s", 0.0) + read_s}
+
+def _diagnose(request: several.Request) -> int:
+    """`rotorwatch diagnose` of one log; returns the exit code."""
+    from rotorwatch.healthy.baselines import Candidate
+    from rotorwatch.many.diagnose_many import timed
+
+    known = vehicle_of(request.vehicle)
+    with progress(request.quiet) as tell:
+        healthy = tuple(Candidate(_read(path, tell), known) for path in request.baselines)
+    with progress(request.quiet) as tell:
+        result = timed(
+            lambda: _read(request.logs[0], tell), known, healthy, request.estimator, request.tuned, progress=tell
         )
-
-    result = judge(logs[0])
-    if pages:
-        result.to_html(pages[0])
-    if recordings:
-        result.to_mcap(recordings[0])
-    if as_json:
+    if request.pages:
+        result.to_html(request.pages[0])
+    if request.recordings:
+        result.to_mcap(request.recordings[0])
+    if request.as_json:
         click.echo(result.to_json())
     else:
         show(lambda terminal: terminal.diagnosis(result))
-        _report_written(pages[0] if pages else None, quiet)
-        _report_written(recordings[0] if recordings else None, quiet, "MCAP file")
-    context.exit(result.exit_code)
+        written(request.quiet, report=next(iter(request.pages), None), MCAP_file=next(iter(request.recordings), None))
+    return result.exit_code
 
 
-def _candidate(flight: Any, vehicle: Any) -> Any:
-    """A baseline, whose own judgement is made once for all logs."""
-    from rotorwatch.healthy.baselines import Candidate
-
-    return Candidate(flight, vehicle)
-
-
-def _tuning(path: Path, estimator: str):
-    from rotorwatch.healthy.tune import read
-
-    return read(path, estimator)
-
-
-def report_paths(
-    logs: tuple[Any, ...], out: Path | None, option: str = "--report", ending: str = ".html"
-) -> list[Path]:
+def report_paths(logs: Sequence[Any], out: Path | None, option: str = "--report", ending: str = ".html") -> list[Path]:
     """Where each log's page goes: OUT, OUT/NAME.html in a folder, or OUT with {name} filled in; never one twice."""
     from rotorwatch import files
 
@@ -299,14 +270,9 @@ def report_paths(
     return [files.writable(page, option, make=True) for page in pages]
 
 
-def _report_written(page: Path | None, quiet: bool, what: str = "report") -> None:
-    if page and not quiet:
-        say(f"{what} written to {page}")
-
-
 @cli.command(short_help="Learn a vehicle file from healthy flights.")
 @click.argument("logs", nargs=-1, required=True, type=LOG, metavar="LOG...")
-@click.option("-o", "--out", required=True, type=OUT, metavar="vehicle.toml", help="Vehicle file to write.")
+@option("-o --out", "Vehicle file to write.", required=True, type=OUT, metavar="vehicle.toml")
 @common
 def calibrate(logs, out, quiet) -> None:
     """Learn from healthy flights of one build what healthy means for it, and write a vehicle file.
@@ -330,7 +296,7 @@ def calibrate(logs, out, quiet) -> None:
 
 @cli.command(short_help="Show what a log holds and lacks.")
 @click.argument("log", type=LOG)
-@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@JSON
 @common
 def info(log, as_json, quiet) -> None:
     """Show what LOG holds, what is missing for a diagnosis, and which logging setting would give it."""
@@ -339,15 +305,13 @@ def info(log, as_json, quiet) -> None:
     with progress(quiet) as tell:
         facts = run(_read(log, tell))
     if as_json:
-        import json
-
-        click.echo(json.dumps(facts, indent=1, allow_nan=False))
+        print_json(facts)
     else:
         show(lambda terminal: terminal.info(facts))
 
 
 @cli.command(short_help="Diagnose the sample flights.")
-@click.option("--report", type=OUT, metavar="OUT.html", help="Also write the faulty flight's HTML page.")
+@option("--report", "Also write the faulty flight's HTML page.", type=OUT, metavar="OUT.html")
 @common
 def demo(report, quiet) -> None:
     """Diagnose the sample flights that come with rotorwatch, and say what to look at."""
@@ -380,25 +344,12 @@ def demo(report, quiet) -> None:
 
 @cli.command(short_help="Inject losses and count what is found.")
 @click.argument("logs", nargs=-1, required=True, type=LOG, metavar="LOG...")
-@click.option(
-    "--loss",
-    "losses",
-    default="0.2,0.3,0.4",
-    show_default=True,
-    metavar="L,L,...",
-    help="Losses to inject, above 0 and below 1.",
-)
-@click.option(
-    "--repeats",
-    default=3,
-    show_default=True,
-    type=click.IntRange(1, 1000),
-    help="Injections per flight, rotor and loss.",
-)
-@click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Seed of the random onsets.")
+@option("--loss losses", "Losses to inject, above 0 and below 1.", "0.2,0.3,0.4", metavar="L,L,...")
+@option("--repeats", "Injections per flight, rotor and loss.", 3, type=click.IntRange(1, 1000))
+@option("--seed", "Seed of the random onsets.", 0, type=click.IntRange(0))
 @spread
 @kept
-@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@JSON
 @common
 def inject(logs, losses, repeats, seed, jobs, scheduler, keep, as_json, quiet) -> None:
     """Inject losses into healthy flights and count what the diagnosis finds of them."""
@@ -408,9 +359,7 @@ def inject(logs, losses, repeats, seed, jobs, scheduler, keep, as_json, quiet) -
     with progress(quiet) as tell:
         result = campaign(logs, wanted, repeats, seed, tell, jobs, scheduler, keep)
     if as_json:
-        import json
-
-        click.echo(json.dumps(result, indent=1, allow_nan=False))
+        print_json(result)
     else:
         show(lambda terminal: terminal.campaign({**result, "table": _by_loss(result["table"])}))
 
@@ -432,11 +381,11 @@ def _by_loss(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 @cli.command("false-alarms", short_help="Measure the false-alarm rate on real noise.")
 @click.argument("logs", nargs=-1, required=True, type=LOG, metavar="LOG...")
-@click.option("--hours", default=20.0, show_default=True, type=float, help="Flight hours to simulate, over all logs.")
-@click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Seed of the surrogate flights.")
+@option("--hours", "Flight hours to simulate, over all logs.", 20.0, type=float)
+@option("--seed", "Seed of the surrogate flights.", 0, type=click.IntRange(0))
 @spread
 @kept
-@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@JSON
 @common
 def false_alarms(logs, hours, seed, jobs, scheduler, keep, as_json, quiet) -> None:
     """Judge surrogate flights with the noise of healthy LOGs, and count the false alarms per flight hour."""
@@ -445,23 +394,18 @@ def false_alarms(logs, hours, seed, jobs, scheduler, keep, as_json, quiet) -> No
 
     with progress(quiet) as tell:
         result = run(logs, hours, seed, tell, jobs=jobs, scheduler=scheduler, keep=keep)
-    if as_json:
-        import json
-
-        click.echo(json.dumps(result, indent=1, allow_nan=False))
-    else:
-        click.echo(describe(result))
+    answer(as_json, result, describe(result))
 
 
 @cli.command(short_help="Try to break the readers with damaged logs.")
 @click.argument("log", type=LOG)
-@click.option("--mutations", default=10_000, show_default=True, type=click.IntRange(1), help="How many damaged copies.")
-@click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Seed of the damage.")
-@click.option("--jobs", type=click.IntRange(1), help="Worker processes; default: one per processor.")
-@click.option("--framed", is_flag=True, help="Damage inside valid framing; compare each answer with the intact log's.")
-@click.option("--damages", default=20, show_default=True, type=click.IntRange(1), help="With --framed: copies a kind.")
-@click.option("--share", default=0.05, show_default=True, help="With --framed: share of the records damaged.")
-@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@option("--mutations", "How many damaged copies.", 10_000, type=click.IntRange(1))
+@option("--seed", "Seed of the damage.", 0, type=click.IntRange(0))
+@option("--jobs", "Worker processes; default: one per processor.", type=click.IntRange(1))
+@flag("--framed", "Damage inside valid framing; compare each answer with the intact log's.")
+@option("--damages", "With --framed: copies a kind.", 20, type=click.IntRange(1))
+@option("--share", "With --framed: share of the records damaged.", 0.05)
+@JSON
 @common
 @click.pass_context
 def fuzz(context, log, mutations, seed, jobs, framed, damages, share, as_json, quiet) -> None:
@@ -480,31 +424,24 @@ def fuzz(context, log, mutations, seed, jobs, framed, damages, share, as_json, q
         else:
             result = run(log, mutations, seed, jobs, progress=tell)
     if as_json:
-        import json
-
-        click.echo(json.dumps(result, indent=1, allow_nan=False))
+        print_json(result)
     else:
         show(lambda terminal: (terminal.fuzz_framed if framed else terminal.fuzz)(result))
     context.exit(1 if result["failures"] else 0)
 
 
 def _read(path: Any, tell: Callable | None) -> Any:
-    from rotorwatch.diagnose_many import read
+    from rotorwatch.many.diagnose_many import read
 
     return read(path, tell)
 
 
-research.register(cli)
-ask.register(cli)
-tune.register(cli)
-simulate.register(cli)
-export.register(cli)
-survive.register(cli)
-campaign.register(cli)
-benchmark.register(cli)
-watch.register(cli)
-fleet.register(cli)
-serve.register(cli)
+for module in (research, simulate, campaign, benchmark):
+    module.register(cli)
+for command in (
+    ask.ask, ask.ask_flights, tune.tune, tune.compare, export.export_c, survive.survive, watch.watch, fleet.fleet, serve.serve,
+):  # fmt: skip
+    cli.add_command(command)
 
 
 if __name__ == "__main__":

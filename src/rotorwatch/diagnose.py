@@ -16,7 +16,7 @@ from rotorwatch.default.announcement import threshold
 from rotorwatch.default.program import estimate
 from rotorwatch.diagnosis import Diagnosis
 from rotorwatch.errors import ConfigError
-from rotorwatch.esc import witness
+from rotorwatch.esc import consistency
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.healthy import baselines, population
@@ -63,8 +63,11 @@ def diagnose(
         raise ConfigError(
             "The default estimator learns its noise in flight; name the estimator that the tuning is for."
         )
-    flight = _flight(flight, lambda share: tell(0.3 * share, "reading"))
-    known_vehicle = _vehicle(vehicle)
+    if not isinstance(flight, Flight):
+        from rotorwatch import logs
+
+        flight = logs.read(flight, lambda share: tell(0.3 * share, "reading"))
+    known_vehicle = baselines.vehicle_of(vehicle)
     lap("read_s")
     craft, source, told = baselines.settle(flight, known_vehicle, baseline)
     lap("baseline_s")
@@ -76,7 +79,12 @@ def diagnose(
     upsets = upset.judged(flight, craft, air)
     air = upset.until_impact(flight, air, upsets)
     table = observe(flight, craft, air, ready_s)
-    warnings = [*flight.warnings, *told, *_silences(flight, air)]
+    warnings = [*flight.warnings, *told]
+    warnings += [
+        f"No motor outputs are logged from {start:.1f} s to {end:.1f} s, in the air: what happened in that time is only told by what "
+        "was different after it."
+        for start, end in gaps(flight, air)
+    ]
     assumptions = list(craft.assumptions)
     if table is not None and dynamics and dynamics.get("dt") != table.dt:
         assumptions.append(
@@ -94,30 +102,14 @@ def diagnose(
             "vehicles of any build need, and better with --baseline or --vehicle"
         )
     facts = _facts(flight, craft, air, table)
-    names = places.names(craft.rotors)
+    names, n = places.names(craft.rotors), len(craft.rotors)
     if table is None:
-        why = (
-            "the log shows no motor outputs"
-            if not flight.has("motors")
-            else "the log shows no flight: the vehicle never took off"
-        )
+        why = "no motor outputs" if not flight.has("motors") else "no flight: the vehicle never took off"
+        doubts = (f"the log shows {why}; nothing can be judged.",)
+        found = upset.events(upsets, (), n)
+        end = conclusion.conclude(found, None, n, doubts=() if found else doubts, places=names, hops=air)
         timing["total_s"] = time.perf_counter() - began
-        doubts = (f"{why}; nothing can be judged.",)
-        found = upset.events(upsets, (), len(craft.rotors))
-        end = conclusion.conclude(
-            found, None, len(craft.rotors), doubts=() if found else doubts, places=names, hops=air
-        )
-        return _answer(
-            end,
-            facts,
-            {},
-            source,
-            assumptions,
-            warnings,
-            timing,
-            doubts=doubts,
-            picture=picture.make(flight, craft, end.events, end.main, end.story),
-        )
+        return _answer(end, flight, craft, facts, {}, source, assumptions, warnings, timing, doubts=doubts)
     assumptions += table.notes
     B = craft.effectiveness()
 
@@ -125,16 +117,15 @@ def diagnose(
         tell(0.3 + 0.6 * share, "estimating")
 
     tell(0.3, "preparing the estimator (built the first time)")
-    last = None
+    last, hyp = None, hypotheses.make(n)
     if own:
         last, out = estimate(table, B, dynamics, estimating)
-        limit = float(threshold(hypotheses.make(len(craft.rotors)), table.dt))
+        limit = float(threshold(hyp, table.dt))
     else:
         out = published.judge(estimator, table, B, dynamics, tuning, estimating)
         assumptions += published.notes(discovery.title(estimator))
         limit = 0.5 * decide.SIGMAS**2
     lap("estimate_s")
-    hyp = hypotheses.make(len(craft.rotors))
     losses = events.read(out, table, hyp, B)
     if own:
         losses, settled = asked.settle(losses, table, B, dynamics)
@@ -146,10 +137,9 @@ def diagnose(
     faint = tuple(e for e in losses if not events.accuses(e))
     losses = tuple(events.one_arm(e, B) for e in losses if events.accuses(e))
     contacts = outside.contacts(table, air)
-    found = upset.events(upsets, (*losses, *overrides, *contacts), len(craft.rotors))
-    heard = witness.hear(flight, craft, air, table, found)
-    found = heard.events
-    warnings += heard.warnings
+    found = upset.events(upsets, (*losses, *overrides, *contacts), n)
+    found, notes = consistency.check(flight, craft, air, table, found)
+    warnings += notes
     lap("events_s")
     doubts = trust.doubts(flight, craft, air, table)
     whole = None if doubts else _whole_flight(flight, craft, air)
@@ -160,7 +150,7 @@ def diagnose(
     spells = (*leftover.find(out, table, hyp, limit, found, B), *leftover.faint(faint, found, float(table.time[-1])))
     hidden, hidden_pair = _hidden(out, table, B)
     end = conclusion.conclude(
-        found, whole, len(craft.rotors), hidden=hidden, hidden_pair=hidden_pair, judged_s=float(judged.sum() * table.dt), places=names,
+        found, whole, n, hidden=hidden, hidden_pair=hidden_pair, judged_s=float(judged.sum() * table.dt), places=names,
         doubts=doubts, leftover=spells, hops=air, trends=() if doubts else health.trends(out, table, B, found),
         population=other,
     )  # fmt: skip
@@ -168,36 +158,25 @@ def diagnose(
     tell(1.0, "done")
     timing["total_s"] = time.perf_counter() - began
     return _answer(
-        end, facts, common, source, assumptions, warnings, timing, estimator=discovery.title(estimator), comparison=comparison,
-        whole_flight=whole, doubts=doubts, picture=picture.make(flight, craft, end.events, end.main, end.story),
+        end, flight, craft, facts, common, source, assumptions, warnings, timing, estimator=discovery.title(estimator),
+        comparison=comparison, whole_flight=whole, doubts=doubts,
         trace=traces.make(flight, out, table, hyp, B, air, ready_s, limit, end.events, spells, end.rotors),
     )  # fmt: skip
 
 
-def _answer(end: conclusion.Conclusion, facts, common, source, assumptions, warnings, timing, **more) -> Diagnosis:
+def _answer(
+    end: conclusion.Conclusion, flight, craft, facts, common, source, assumptions, warnings, timing, **more
+) -> Diagnosis:
     return Diagnosis(
         facts, end.verdict, end.reason, end.rotors, end.events, common, source, tuple(assumptions), tuple(warnings), timing,
-        headline=end.headline, main=end.main, advice=end.advice, story=end.story, **more,
+        headline=end.headline, main=end.main, advice=end.advice, story=end.story,
+        picture=picture.make(flight, craft, end.events, end.main, end.story), **more,
     )  # fmt: skip
 
 
-def _flight(flight, progress=None) -> Flight:
-    if isinstance(flight, Flight):
-        return flight
-    from rotorwatch import logs
-
-    return logs.read(flight, progress)
-
-
-def _vehicle(vehicle) -> Vehicle | None:
-    if isinstance(vehicle, (str, PathLike)):
-        from rotorwatch.flight import vehicle_file
-
-        return vehicle_file.read(vehicle)
-    return vehicle
-
-
 def _facts(flight: Flight, vehicle: Vehicle, air, table: Ticks | None) -> dict:
+    rates = {n: flight[n].rate_hz for n in ("motors", "control", "gyro", "accel") if n in flight.signals}
+    profile = ", ".join(f"{name} {rate:.0f} Hz" for name, rate in rates.items())
     return {
         "name": flight.name,
         "format": flight.format,
@@ -211,23 +190,8 @@ def _facts(flight: Flight, vehicle: Vehicle, air, table: Ticks | None) -> dict:
         "utc_start": flight.facts.get("utc_start"),
         "airborne_s": [round(air[0][0], 3), round(air[-1][1], 3)] if air else [],
         "hops": [[round(a, 3), round(b, 3)] for a, b in air],
-        "profile": _profile(flight, table),
+        "profile": profile + (f"; judged every {table.dt:.2f} s" if table is not None else ""),
     }
-
-
-def _silences(flight: Flight, air) -> list[str]:
-    """What is missing of a flight, a sentence for each gap."""
-    return [
-        f"No motor outputs are logged from {start:.1f} s to {end:.1f} s, in the air: what happened in that time is only told by what "
-        "was different after it."
-        for start, end in gaps(flight, air)
-    ]
-
-
-def _profile(flight: Flight, table: Ticks | None) -> str:
-    rates = {n: flight[n].rate_hz for n in ("motors", "control", "gyro", "accel") if n in flight.signals}
-    text = ", ".join(f"{name} {rate:.0f} Hz" for name, rate in rates.items())
-    return text + (f"; judged every {table.dt:.2f} s" if table is not None else "")
 
 
 def _whole_flight(flight: Flight, vehicle: Vehicle, air):
@@ -253,6 +217,5 @@ def _hidden(out, table: Ticks, B: np.ndarray) -> tuple[np.ndarray, float]:
     if not judged.any():
         return np.ones(out.theta.shape[1]), 1.0
     measured, seen = 1.96 * np.median(out.detectable[judged], axis=0), unseen.of(out.biases, table, B)
-    return np.minimum(1.0, np.maximum(measured, seen.losses()) + events.MODEL_SD), min(
-        1.0, seen.pair(events.opposites(B))
-    )
+    single = np.minimum(1.0, np.maximum(measured, seen.losses()) + events.MODEL_SD)
+    return single, min(1.0, seen.pair(events.opposites(B)))

@@ -14,6 +14,15 @@ from rotorwatch.errors import ConfigError
 
 SCHEMA = 2
 EXIT_CODES = {"healthy": 0, "fault": 1, "ambiguous": 3, "inconclusive": 3}
+# Fields of the JSON answer (docs/json.md) in their order; of an event, before what only its kind has; of a rotor.
+ANSWER = (
+    "flight", "verdict", "headline", "reason", "story", "picture", "advice", "main_event", "rotors", "events", "common_mode",
+    "whole_flight", "baseline", "estimator", "comparison", "assumptions", "warnings", "timing",
+)  # fmt: skip
+EVENT = (
+    "kind", "rotors", "alternatives", "onset_s", "detected_s", "end_s", "loss", "interval", "probability", "reason",
+)  # fmt: skip
+ROTOR = ("rotor", "place", "loss", "interval", "status", "since_takeoff", "from_takeoff", "note", "grade", "trend")
 
 
 @dataclass(frozen=True)
@@ -82,23 +91,11 @@ class Event:
 
     def to_dict(self) -> dict:
         """The documented JSON structure of an event (docs/json.md)."""
-        return {
-            "kind": self.kind,
-            "rotors": list(self.rotors),
-            "alternatives": [list(a) for a in self.alternatives],
-            "onset_s": _round(self.onset_s),
-            "detected_s": _round(self.detected_s),
-            "end_s": _round(self.end_s),
-            "loss": _round(self.loss),
-            "interval": _round(self.interval),
-            "probability": _round(self.probability),
-            "reason": self.reason,
-            **{key: _round(value) for key, value in self.extra.items()},
-        }
+        return _round({name: getattr(self, name) for name in EVENT} | dict(self.extra))
 
 
 @dataclass(frozen=True)
-class Told:
+class StoryLine:
     """A sentence of the story of a loss of control, and the moment that it tells of [s]."""
 
     time_s: float
@@ -181,7 +178,7 @@ class Diagnosis:
     main: int | None = None
     advice: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
-    story: tuple[Told, ...] = ()
+    story: tuple[StoryLine, ...] = ()
     picture: Mapping[str, Any] | None = None
 
     @property
@@ -191,41 +188,14 @@ class Diagnosis:
 
     def to_dict(self) -> dict:
         """The documented JSON structure (docs/json.md), without the trace."""
-        return {
-            "schema": SCHEMA,
-            "flight": dict(self.flight),
-            "verdict": self.verdict,
-            "headline": self.headline,
-            "reason": self.reason,
-            "story": [{"time_s": _round(s.time_s), "text": s.text} for s in self.story],
-            "picture": _round(self.picture),
-            "advice": list(self.advice),
+        own = {
+            "flight": {},
             "main_event": self.main,
-            "rotors": [
-                {
-                    "rotor": r.rotor,
-                    "place": r.place,
-                    "loss": _round(r.loss),
-                    "interval": _round(r.interval),
-                    "status": r.status,
-                    "since_takeoff": _round(r.since_takeoff),
-                    "from_takeoff": r.from_takeoff,
-                    "note": r.note,
-                    "grade": r.grade,
-                    "trend": None if r.trend is None else _round(vars(r.trend)),
-                }
-                for r in self.rotors
-            ],
+            "rotors": [{name: getattr(r, name) for name in ROTOR} for r in self.rotors],
             "events": [e.to_dict() for e in self.events],
-            "common_mode": _round(dict(self.common_mode)),
-            "whole_flight": _round(self.whole_flight),
-            "baseline": self.baseline,
-            "estimator": self.estimator,
-            "comparison": [_round(dict(c)) for c in self.comparison],
-            "assumptions": list(self.assumptions),
-            "warnings": list(self.warnings),
-            "timing": _round(dict(self.timing)),
         }
+        found = {name: _round(own[name] if name in own else getattr(self, name)) for name in ANSWER}
+        return {"schema": SCHEMA} | found | {"flight": dict(self.flight)}
 
     @classmethod
     def from_dict(cls, found: Mapping[str, Any]) -> Diagnosis:
@@ -234,30 +204,15 @@ class Diagnosis:
             raise ConfigError(f"This answer has the schema {found.get('schema')}, not {SCHEMA}; judge the log again.")
         rotors = [{**r, "trend": None if r["trend"] is None else Trend(**_tuples(r["trend"]))} for r in found["rotors"]]
         names = {f.name for f in fields(Event)}
-        events = [
-            {**{k: v for k, v in e.items() if k in names}, "extra": {k: v for k, v in e.items() if k not in names}}
-            for e in found["events"]
-        ]
-        return cls(
-            flight=found["flight"],
-            verdict=found["verdict"],
-            reason=found["reason"],
-            rotors=tuple(RotorState(**_tuples(r)) for r in rotors),
-            events=tuple(Event(**_tuples(e)) for e in events),
-            common_mode=found["common_mode"],
-            baseline=found["baseline"],
-            assumptions=tuple(found["assumptions"]),
-            warnings=tuple(found["warnings"]),
-            timing=found.get("timing", {}),
-            estimator=found["estimator"],
-            comparison=tuple(found["comparison"]),
-            whole_flight=found["whole_flight"],
-            headline=found["headline"],
-            main=found["main_event"],
-            advice=tuple(found["advice"]),
-            picture=found.get("picture"),
-            story=tuple(Told(**said) for said in found.get("story", ())),
-        )
+        events = [{k: v for k, v in e.items() if k in names} for e in found["events"]]
+        extras = ({k: v for k, v in e.items() if k not in names} for e in found["events"])
+        optional_ = {"timing": {}, "picture": None, "story": ()}
+        answer = {name: found.get(name, optional_[name]) if name in optional_ else found[name] for name in ANSWER}
+        answer |= {name: tuple(answer[name]) for name in ("assumptions", "warnings", "comparison", "advice")}
+        answer["rotors"] = tuple(RotorState(**_tuples(r)) for r in rotors)
+        answer["events"] = tuple(Event(**_tuples(e), extra=extra) for e, extra in zip(events, extras))
+        answer["story"] = tuple(StoryLine(**line) for line in answer["story"])
+        return cls(main=answer.pop("main_event"), **answer)
 
     def to_json(self, indent: int | None = 1) -> str:
         """`to_dict` as JSON text; never NaN or Infinity."""
@@ -302,18 +257,20 @@ class Diagnosis:
 
 
 def _tuples(fields_of: Mapping[str, Any]) -> dict[str, Any]:
-    """Lists, also lists of them, as tuples; but not what is free-form."""
+    """Lists, also lists of them, as tuples."""
 
     def tuples(value: Any) -> Any:
         return tuple(map(tuples, value)) if isinstance(value, list) else value
 
-    return {name: value if name == "extra" else tuples(value) for name, value in fields_of.items()}
+    return {name: tuples(value) for name, value in fields_of.items()}
 
 
-def _round(value, digits: int = 4):
+def _round(value: Any, digits: int = 4) -> Any:
     """Numbers to plain Python, rounded; containers walked; NaN and infinities become None."""
     if value is None or isinstance(value, (bool, str)):
         return value
+    if isinstance(value, (Trend, StoryLine)):
+        value = vars(value)
     if isinstance(value, Mapping):
         return {str(k): _round(v, digits) for k, v in value.items()}
     if isinstance(value, (list, tuple, np.ndarray)):

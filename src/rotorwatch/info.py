@@ -63,7 +63,12 @@ _WHY = {
 }
 
 
-_SIGNAL = {"trust": "log"}  # what is missing, for reasons that are no signal's name
+# What is missing where no signal is, and what to do.
+_OBSTACLES = {
+    "frame": ("frame", "Give its geometry with --vehicle FILE."),
+    "airborne": ("airborne", "Use a log of a flight, not of a bench test."),
+    "trust": ("log", "Use another log of this flight, or another flight."),
+}
 
 
 def info(flight: Flight) -> dict:
@@ -175,25 +180,15 @@ def _missing(flight: Flight, frame: str, stop: Obstacle | None) -> list[dict]:
         # ArduPilot's motor commands are rebuilt from the rate controller's output where that is logged faster.
         rates = [flight[n].rate_hz for n in ((name, "control") if name == "motors" else (name,)) if _present(flight, n)]
         if _present(flight, name) and max(rates) < FAST_HZ:
-            gaps.append(
-                _gap(name, f"{name.capitalize()} at {max(rates):.3g} Hz: {_judged(max(rates))}.", setting, False)
-            )
-    if stop and stop.what != "motors":
-        setting = {
-            "frame": "Give its geometry with --vehicle FILE.",
-            "airborne": "Use a log of a flight, not of a bench test.",
-            "trust": "Use another log of this flight, or another flight.",
-        }
-        name, why = _SIGNAL.get(stop.what, stop.what), stop.why
-        if stop.what == "frame":  # the whole sentence is among the warnings
-            why = "The airframe cannot be told from this log." if not frame else why
-        gaps.append(_gap(name, why[:1].upper() + why[1:], setting[stop.what], True))
+            often = f"judged every {tick_length(max(rates)):g} s; faster logging finds a loss sooner"
+            gaps.append(_gap(name, f"{name.capitalize()} at {max(rates):.3g} Hz: {often}.", setting, False))
+    if stop and stop.what in _OBSTACLES:
+        name, setting = _OBSTACLES[stop.what]
+        # Of an unknown frame the whole sentence is among the warnings.
+        unknown = stop.what == "frame" and not frame
+        why = "The airframe cannot be told from this log." if unknown else stop.why
+        gaps.append(_gap(name, why[:1].upper() + why[1:], setting, True))
     return sorted(gaps, key=lambda gap: not gap["needed"])
-
-
-def _judged(rate_hz: float) -> str:
-    """What a rate means for the diagnosis, by the ticks that it is judged in."""
-    return f"judged every {tick_length(rate_hz):g} s; faster logging finds a loss sooner"
 
 
 def _gap(signal: str, why: str, setting: str, needed: bool) -> dict:
@@ -212,22 +207,6 @@ def _family(flight: Flight) -> str:
 
 def _messages(flight: Flight) -> list[dict]:
     """What a reader wants to know happened: errors, modes, arming, landing, dropouts, texts on motors and failsafes."""
-    words = (
-        "thrust",
-        "motor",
-        "esc",
-        "crash",
-        "failsafe",
-        "fail-safe",
-        "vibration",
-        "battery",
-        "error",
-        "emergency",
-        "lost",
-    )
-    shown = [
-        {"time_s": round(float(m.time), 3), "kind": m.kind, "text": m.text}
-        for m in flight.messages
-        if m.kind != "text" or any(w in m.text.lower() for w in words)
-    ]
-    return shown[:MESSAGES_SHOWN]
+    words = "thrust motor esc crash failsafe fail-safe vibration battery error emergency lost".split()
+    shown = [m for m in flight.messages if m.kind != "text" or any(w in m.text.lower() for w in words)]
+    return [{"time_s": round(float(m.time), 3), "kind": m.kind, "text": m.text} for m in shown[:MESSAGES_SHOWN]]

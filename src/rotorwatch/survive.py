@@ -37,16 +37,8 @@ HEADINGS = 16
 NEEDED = ("mass_kg", "thrust_to_weight", "arm_m")
 OPTIONS = {"mass_kg": "--mass", "thrust_to_weight": "--thrust-to-weight", "arm_m": "--arm"}
 MAY = (
-    "inertia_kg_m2",
-    "drag_ratio_m",
-    "rotor_radius_m",
-    "rotor_inertia_kg_m2",
-    "hub_height_m",
-    "body_drag",
-    "rotor_drag",
-    "inflow",
-    "lag_s",
-)
+    "inertia_kg_m2", "drag_ratio_m", "rotor_radius_m", "rotor_inertia_kg_m2", "hub_height_m", "body_drag", "rotor_drag", "inflow", "lag_s",
+)  # fmt: skip
 COLOURS = {FULL: "tab:green", NO_YAW: "gold", SPINNING: "tab:orange", NO: "tab:red"}
 
 
@@ -149,9 +141,7 @@ class Survival:
             hover = np.array([self.airframe.mass * G0, 0.0, 0.0])
             reach = np.array([Z.reach(hover, [0.0, np.cos(a), np.sin(a)]) for a in angle])
             if np.isfinite(reach).all():
-                style = (
-                    {"color": "k", "lw": 2, "label": "healthy"} if rotor == 0 else {"lw": 1, "label": f"rotor {rotor}"}
-                )
+                style = {"lw": 1, "label": f"rotor {rotor}"} if rotor else {"color": "k", "lw": 2, "label": "healthy"}
                 right.plot(reach * np.sin(angle), reach * np.cos(angle), **style)
         right.set(
             title="Moments left at hover, yaw not counted", xlabel="pitch [N m]", ylabel="roll [N m]", aspect="equal"
@@ -228,18 +218,8 @@ def _case(airframe: Airframe, rotors: tuple[int, ...], loss: float, servo: bool)
     roll, pitch, yaw = (float(x) if held and np.isfinite(x) else None for x in (found.roll, found.pitch, found.yaw))
     wind = _wind(airframe, e, verdict == NO_YAW or servo) if held else None
     turning = (hover.rate, hover.tilt) if hover else (None, None)
-    return Case(
-        rotors,
-        loss if rotors else 0.0,
-        verdict,
-        float(found.lift),
-        roll,
-        pitch,
-        yaw,
-        float(found.depth),
-        wind,
-        *turning,
-    )
+    lift, depth = float(found.lift), float(found.depth)
+    return Case(rotors, loss if rotors else 0.0, verdict, lift, roll, pitch, yaw, depth, wind, *turning)
 
 
 def _wind(airframe: Airframe, e, free_yaw: bool) -> float:
@@ -283,10 +263,8 @@ def _holds(a: Airframe, Z: Planes, size, u, speeds) -> np.ndarray:
         lean = np.arctan((side * V**2 + a.k_d * flow * V) / weight)
         thrust = weight * np.cos(lean) + (down * V**2 + a.k_z * flow * V) * np.sin(lean)
         turns = np.sqrt(thrust / weight)
-    across, along = (
-        -V * np.cos(lean),
-        -V * np.sin(lean),
-    )  # of the air past the body: in the rotors' plane, down through it
+    # Of the air past the body: in the rotors' plane, and down through it.
+    across, along = -V * np.cos(lean), -V * np.sin(lean)
     a_x, a_y = across * np.cos(angle), across * np.sin(angle)
     flow, x, y = (turns * s for s in (w0.sum(), w0 @ a.x, w0 @ a.y))
     H_x, H_y = -a.k_d * a_x * flow, -a.k_d * a_y * flow
@@ -298,9 +276,7 @@ def _holds(a: Airframe, Z: Planes, size, u, speeds) -> np.ndarray:
     return (inside & (lean <= math.radians(LEAN))).all(axis=1)
 
 
-def _numbers(
-    vehicle: Vehicle | str | os.PathLike, given: dict[str, float]
-) -> tuple[str, Airframe, bool, tuple[str, ...]]:
+def _numbers(vehicle: Any, given: dict[str, float]) -> tuple[str, Airframe, bool, tuple[str, ...]]:
     """(name, numbers, whether yaw is a servo's, assumptions). Raises VehicleError, ConfigError."""
     known = vehicle if isinstance(vehicle, Vehicle) else None
     name = vehicle.name if isinstance(vehicle, Vehicle) else str(os.fspath(vehicle))

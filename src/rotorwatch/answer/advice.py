@@ -47,20 +47,17 @@ def of(
             "Fly at least 20 s in the air; `rotorwatch info LOG` says what this log holds and what to log next time."
         )
     if event is not None and event.kind in ("motor_order", "loss_of_control"):
-        out += _upset(event)
-    elif event is not None and event.kind == "output_override" and not event.alternatives:
-        out.append(
-            f"Do not fly again before it is clear why the output of {rotors(event.rotors, places)} left the mixer: output functions and "
-            "passthrough, motor test, failsafe, a second controller."
-        )
+        out.append(_upset(event))
     elif event is not None and not event.alternatives:
-        out.append(
-            f"Do not fly again before {rotors(event.rotors, places)} has been looked at: {_parts(event, stays)}."
-        )
+        who = rotors(event.rotors, places)
+        looked_at = f"{who} has been looked at: {_parts(event, stays)}"
+        if event.kind == "output_override":
+            places_to_look = "output functions and passthrough, motor test, failsafe, a second controller"
+            looked_at = f"it is clear why the output of {who} left the mixer: {places_to_look}"
+        out.append(f"Do not fly again before {looked_at}.")
     elif broken:
-        out.append(
-            f"Look at {rotors(broken, places)} before the next flight: nicked, bent or loose propeller, motor bearing, ESC."
-        )
+        parts = "nicked, bent or loose propeller, motor bearing, ESC"
+        out.append(f"Look at {rotors(broken, places)} before the next flight: {parts}.")
     rest = [r for r in (*broken, *suspects) if event is None or event.alternatives or r not in event.rotors]
     if rest and not (broken and event is None and not suspects):
         out.append(f"Look at {rotors(sorted(set(rest)), places)}{', too' if out else ' before the next flight'}.")
@@ -69,23 +66,15 @@ def of(
             "To tell the explanations apart: swap the propellers of the suspects with others and see whether the loss moves along, or fly "
             "with brisk turns and rolls and a healthy flight of this build as --baseline."
         )
-    out += [
-        f"{MOTORS[e.kind]} {rotors(e.rotors, places)} before the next flight: its ESC telemetry changed in flight, though no thrust was "
-        "missed."
-        for e in events
-        if e.kind in MOTORS
-    ]
-    out += [
-        f"Look at {rotors([s.rotor], places)} before the next flight: its loss grew all the time, as a bearing, a hot motor or a propeller "
-        "that comes loose does."
-        for s in states
-        if s.trend and s.trend.word == "growing" and s.status == "healthy"
-    ]
-    contacts = [e for e in events if e.kind == "contact"]
-    if contacts:
-        out.append(
-            f"Look the vehicle over for damage: it was knocked at {listed([seconds(e.onset_s) for e in contacts[:5]])}."
-        )
+    why = "its ESC telemetry changed in flight, though no thrust was missed"
+    noticed = [e for e in events if e.kind in MOTORS]
+    out += [f"{MOTORS[e.kind]} {rotors(e.rotors, places)} before the next flight: {why}." for e in noticed]
+    why = "its loss grew all the time, as a bearing, a hot motor or a propeller that comes loose does"
+    growing = [s.rotor for s in states if s.trend and s.trend.word == "growing" and s.status == "healthy"]
+    out += [f"Look at {rotors([rotor], places)} before the next flight: {why}." for rotor in growing]
+    knocks = [seconds(e.onset_s) for e in events if e.kind == "contact"]
+    if knocks:
+        out.append(f"Look the vehicle over for damage: it was knocked at {listed(knocks[:5])}.")
     if verdict != "inconclusive" and not whole:
         out.append(BASELINE)
     return tuple(out)
@@ -102,19 +91,17 @@ CAUSES = {
 }
 
 
-def _upset(event: Event) -> list[str]:
+def _upset(event: Event) -> str:
     """What to do about motors in the wrong order, or about a loss of control that no certain rotor caused."""
     if event.kind == "loss_of_control":
-        return [CAUSES.get(event.extra.get("cause", ""), CAUSES["unknown"])]
+        return CAUSES.get(event.extra.get("cause", ""), CAUSES["unknown"])
     if not event.rotors:
-        return [
-            "Do not fly before each motor's direction and its propeller have been checked against the frame's drawing: motor test."
-        ]
+        return "Do not fly before each motor's direction and its propeller have been checked against the frame's drawing: motor test."
     i, j = event.rotors
-    return [
+    return (
         f"Do not fly before the motor test has shown which motor answers to which output: swap the outputs of motors {i} and {j} "
         f"(ArduPilot: SERVO{i}_FUNCTION and SERVO{j}_FUNCTION; PX4: the actuator page), or their wires."
-    ]
+    )
 
 
 def _parts(event: Event, stays: bool) -> str:

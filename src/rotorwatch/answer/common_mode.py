@@ -22,14 +22,9 @@ def thrust_shift(collective: np.ndarray) -> dict[str, Any]:
     third = len(collective) // 3
     if third < BLOCKS * LEAST:
         return {}
-    first, last = (
-        np.array([np.median(block) for block in np.array_split(part, BLOCKS)])
-        for part in (collective[:third], collective[-third:])
-    )
+    ends = (np.array_split(part, BLOCKS) for part in (collective[:third], collective[-third:]))
+    first, last = (np.array([np.median(block) for block in blocks]) for blocks in ends)
     shift = last.mean() - first.mean()
     half = student_quantile(0.975, 2 * BLOCKS - 2) * np.sqrt((first.var(ddof=1) + last.var(ddof=1)) / BLOCKS)
-    return {
-        "thrust_shift": float(shift),
-        "interval": [float(shift - half), float(shift + half)],
-        "unit": "hover thrusts of one rotor",
-    }
+    interval = [float(shift - half), float(shift + half)]
+    return {"thrust_shift": float(shift), "interval": interval, "unit": "hover thrusts of one rotor"}

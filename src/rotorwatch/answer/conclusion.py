@@ -28,7 +28,7 @@ from rotorwatch.answer.wording import (
 )
 from rotorwatch.default.hypotheses import GONE
 from rotorwatch.default.leftover import Leftover
-from rotorwatch.diagnosis import Event, RotorState, Told, Trend
+from rotorwatch.diagnosis import Event, RotorState, StoryLine, Trend
 
 LOSS, OVERRIDE, CONTACT = "loss_of_effectiveness", "output_override", "contact"
 LOST, ORDER = "loss_of_control", "motor_order"
@@ -55,14 +55,14 @@ LANDED_S = 1.5
 UNJUDGED = "Damage from take-off was not judged."
 INVISIBLE = (0.0, 1.0)
 LOPSIDED = (
-    "may have been weak from take-off on"  # of any build's vehicles: a note on a rotor of which nothing else is known
+    "may have been weak from take-off on"  # compared with any build's vehicles: nothing else is known of the rotor
 )
 
 
 @dataclass(frozen=True)
 class Conclusion:
     """verdict, reason, headline: as in the answer. main: index into events of the one that matters most, or None. rotors: their states.
-    advice: what to do next, sentences. events: those that are shown. story: of a loss of control (`story.tell`)."""
+    advice: what to do next, sentences. events: those that are shown. story: of a loss of control (`story.narrate`)."""
 
     verdict: str
     reason: str
@@ -71,11 +71,11 @@ class Conclusion:
     rotors: tuple[RotorState, ...]
     advice: tuple[str, ...]
     events: tuple[Event, ...]
-    story: tuple[Told, ...] = ()
+    story: tuple[StoryLine, ...] = ()
 
 
 @dataclass(frozen=True)
-class Seen:
+class Evidence:
     """What there is to conclude from. n rotors; places: where each is, in words. hidden (n,): loss that could have gone unseen in
     flight, None when nothing was judged. whole: against healthy flights, or None; population: the same against healthy vehicles of
     any build. hops: ((take-off, landing), ...) s. trends: of each
@@ -145,10 +145,10 @@ def conclude(
     """
     if doubts:
         shown = tuple(e for e in events if e.kind not in (*ACCUSES, *MOTOR_NOTICES))
-        seen = Seen(shown, None, n, None, judged_s, (), tuple(places), tuple(hops))
+        seen = Evidence(shown, None, n, None, judged_s, (), tuple(places), tuple(hops))
         return _concluded(seen, "inconclusive", doubts[0], "This log cannot say.", None, doubts)
     judged = judged_s >= LEAST_S and hidden is not None
-    seen = Seen(
+    seen = Evidence(
         tuple(events), whole, n, hidden if judged else None, judged_s, tuple(leftover), tuple(places), tuple(hops),
         tuple(trends), population, hidden_pair,
     )  # fmt: skip
@@ -157,11 +157,11 @@ def conclude(
     return _concluded(seen, verdict, reason, _headline(seen, verdict, main), main, ())
 
 
-def _concluded(seen: Seen, verdict, reason, headline, main, doubts) -> Conclusion:
+def _concluded(seen: Evidence, verdict, reason, headline, main, doubts) -> Conclusion:
     states = tuple(_state(seen, k, verdict) for k in range(1, seen.n + 1))
     stays = main is not None and (seen.events[main].end_s is None or _landed(seen, seen.events[main].end_s))
     next_steps = advice.of(verdict, seen.events, main, states, seen.whole, seen.places, doubts, stays)
-    told = story.tell(seen.events, main, seen.n, seen.places, seen.hops, not doubts)
+    told = story.narrate(seen.events, main, seen.n, seen.places, seen.hops, not doubts)
     return Conclusion(verdict, reason, headline, main, states, next_steps, seen.events, told)
 
 
@@ -185,7 +185,7 @@ def main_event(events: Sequence[Event]) -> int | None:
 # Verdict and words
 
 
-def _verdict(seen: Seen, main: int | None) -> tuple[str, str]:
+def _verdict(seen: Evidence, main: int | None) -> tuple[str, str]:
     event = None if main is None else seen.events[main]
     whole = seen.compared
     if event is not None and event.kind == LOST:
@@ -199,10 +199,8 @@ def _verdict(seen: Seen, main: int | None) -> tuple[str, str]:
     if whole and whole["verdict"] == "ambiguous":
         return "ambiguous", whole["reason"]
     if seen.hidden is None:
-        return (
-            "inconclusive",
-            f"only {seen.judged_s:.1f} s of flight could be judged: the vehicle was hardly in the air, or its motion is not logged.",
-        )
+        why = "the vehicle was hardly in the air, or its motion is not logged"
+        return "inconclusive", f"only {seen.judged_s:.1f} s of flight could be judged: {why}."
     if seen.leftover:
         said = [f"{rotors(s.rotors)} from {seconds(s.start_s)} to {seconds(s.end_s)}" for s in seen.leftover]
         return "ambiguous", f"there is evidence against {listed(said)} that no event explains."
@@ -216,7 +214,7 @@ def _verdict(seen: Seen, main: int | None) -> tuple[str, str]:
     return "healthy", f"no rotor lost effectiveness in {seen.judged_s:.0f} s of judged flight, {scope}{slow}; {unseen}."
 
 
-def _what_happened(seen: Seen, event: Event) -> str:
+def _what_happened(seen: Evidence, event: Event) -> str:
     why = event.reason.strip().removesuffix(".")
     if event.kind in (OVERRIDE, ORDER):
         return why
@@ -225,7 +223,7 @@ def _what_happened(seen: Seen, event: Event) -> str:
     return f"{what}: {why}" if why else what
 
 
-def _cleared(seen: Seen, lost: Event) -> str:
+def _cleared(seen: Evidence, lost: Event) -> str:
     """What a loss of control that no rotor caused says of the rotors, a sentence."""
     when = min((t for t in lost.extra.get("worked_until_s", ()) if t is not None), default=None)
     until = "" if when is None else f" until {seconds(when)}"
@@ -236,23 +234,23 @@ def _cleared(seen: Seen, lost: Event) -> str:
     return f"No rotor is accused: as far as the log shows, all {seen.n} did what they were told{until}."
 
 
-def _until(seen: Seen, event: Event, word: str) -> str:
+def _until(seen: Evidence, event: Event, word: str) -> str:
     if event.end_s is None:
         return ""
     return f"{word} {'the landing at ' if _landed(seen, event.end_s) else ''}{seconds(event.end_s)}"
 
 
-def _and_more(seen: Seen, main: Event) -> str:
+def _and_more(seen: Evidence, main: Event) -> str:
     rest = [e for e in seen.events if e is not main and e.kind in ACCUSES]
     return f"; {len(rest)} more event{'s' if len(rest) > 1 else ''} in this flight" if rest else ""
 
 
-def _open(seen: Seen) -> str:
+def _open(seen: Evidence) -> str:
     who = sorted({r for spell in seen.leftover for r in spell.rotors})
     return f"; later evidence against {rotors(who)} is not explained by that" if who else ""
 
 
-def _headline(seen: Seen, verdict: str, main: int | None) -> str:
+def _headline(seen: Evidence, verdict: str, main: int | None) -> str:
     """One or two short sentences that a pilot understands."""
     event = None if main is None else seen.events[main]
     if event is not None and event.kind == LOST:
@@ -287,30 +285,30 @@ def _headline(seen: Seen, verdict: str, main: int | None) -> str:
     return " ".join(parts)
 
 
-def _unseen(seen: Seen) -> float:
+def _unseen(seen: Evidence) -> float:
     """The largest loss of any rotor that can lie in the flight without having been announced."""
     return float(np.max(seen.hidden)) if seen.hidden is not None else 1.0
 
 
-def _bound(seen: Seen) -> str:
+def _bound(seen: Evidence) -> str:
     """How much of one rotor, and of each of two opposite ones where that is more."""
     one = _unseen(seen)
     pair = f", or {percent(seen.hidden_pair)} of each of two opposite rotors," if seen.hidden_pair > one else ""
     return f"{percent(one)} of one rotor{pair}"
 
 
-def _growing(seen: Seen) -> list[tuple[int, Trend]]:
+def _growing(seen: Evidence) -> list[tuple[int, Trend]]:
     """Rotors whose loss grows, of those that are no suspects: (number, trend)."""
     open_ = {r for s in seen.leftover for r in s.rotors}
     open_ |= {r for e in seen.losses if e.alternatives for who in explanations(e) for r in who}
     return [(k, t) for k, t in enumerate(seen.trends, start=1) if t and t.word == "growing" and k not in open_]
 
 
-def _notices(seen: Seen) -> list[Event]:
+def _notices(seen: Evidence) -> list[Event]:
     return [e for e in seen.events if e.kind in MOTOR_NOTICES]
 
 
-def _matter(seen: Seen, verdict: str, main: int | None) -> str:
+def _matter(seen: Evidence, verdict: str, main: int | None) -> str:
     event = None if main is None else seen.events[main]
     whole = seen.compared
     if verdict == "fault" and (event is None or event.alternatives):
@@ -343,21 +341,11 @@ def _matter(seen: Seen, verdict: str, main: int | None) -> str:
 # Rotors
 
 
-def _state(seen: Seen, rotor: int, verdict: str) -> RotorState:
-    """The rotor at the end of the judged flight."""
-    place = seen.places[rotor - 1] if rotor <= len(seen.places) else ""
+def _state(seen: Evidence, rotor: int, verdict: str) -> RotorState:
+    """The rotor at the end of the judged flight: the first of these that holds. Nothing could be judged; a certain loss that lasts; damage
+    from take-off on; suspicion; healthy."""
     whole = seen.compared
-    from_takeoff = "not judged" if not whole else "healthy" if seen.whole else "bounded"
-    claims = [e for e in seen.losses if any(rotor in who for who in explanations(e))]
-    sure = [e for e in claims if not e.alternatives and e.end_s is None]
-    maybe = [e for e in claims if e.alternatives and e.end_s is None]
-    landed = [e for e in claims if e.end_s is not None and _landed(seen, e.end_s)]
-    over = [e for e in claims if e.end_s is not None and e not in landed]
-    stuck = [e for e in seen.events if e.kind == OVERRIDE and rotor in e.rotors]
-    wrong = [e for e in seen.events if e.kind == ORDER and rotor in e.rotors]
-    lost = seen.lost
-    stuck_now = [e for e in stuck if e.end_s is None or _landed(seen, e.end_s)]
-    spells = [s for s in seen.leftover if rotor in s.rotors]
+    from_takeoff = _from_takeoff(whole, rotor, verdict, seen)
 
     def state(loss, bounds, status, note="", since=None):
         low, high = float(bounds[0]), float(bounds[1])
@@ -367,76 +355,100 @@ def _state(seen: Seen, rotor: int, verdict: str) -> RotorState:
         trend = seen.trends[rotor - 1] if clear and seen.trends and seen.lost is None else None
         vague = status == "unobservable" or (status == "healthy" and seen.lost is not None)
         grade = health.UNGRADED if vague else health.grade(shown[0], shown[1], trend)
+        place = seen.places[rotor - 1] if rotor <= len(seen.places) else ""
         return RotorState(rotor, float(loss), (low, high), status, place, since, from_takeoff, note, grade, trend)
 
     if verdict == "inconclusive":
-        from_takeoff = "not judged"
         return state(0.0, INVISIBLE, "unobservable", _worked(seen, rotor))
-    if whole and verdict != "healthy":
-        named = set(whole["rotors"]) | {
-            r for c in whole.get("causes", ()) if c["probability"] > CREDIBLE for r in c["rotors"]
-        }
-        if whole["verdict"] == "fault" and rotor in whole["rotors"]:
-            from_takeoff = "damaged"
-        elif whole["verdict"] in ("fault", "ambiguous") and rotor in named:
-            from_takeoff = "suspect"
-    if sure:
-        e = sure[-1]
-        loss, bounds = e.loss[e.rotors.index(rotor)], e.interval[e.rotors.index(rotor)]
-        high = 1.0 - (1.0 - bounds[1]) * float(np.prod([1.0 - most(m, rotor) for m in maybe]))
-        note = f"weak since {seconds(e.onset_s)}"
-        return state(loss, (bounds[0], high), "failed" if loss > GONE else "degraded", note, (bounds[0], high))
-    if from_takeoff == "damaged":
-        assert whole
-        loss, bounds = whole["loss"][rotor - 1], whole["interval"][rotor - 1]
-        than = "on healthy flights" if seen.whole else "in any healthy vehicle"
-        return state(loss, bounds, "failed" if loss > GONE else "degraded", f"weaker than {than}")
-    reasons, high, loss = [], 0.0, 0.0
-    for e in (*maybe, *landed):
-        alone = len(explanations(e)) == 1
-        reasons.append(
-            f"{'weak' if alone else 'one of several explanations'} since {seconds(e.onset_s)}"
-            + (", not judged again after landing" if e in landed else "")
-        )
-        high = 1.0 - (1.0 - high) * (1.0 - most(e, rotor))
-        loss = e.loss[e.rotors.index(rotor)] if rotor in e.rotors else loss
-    for e in stuck_now:
-        reasons.append(f"its output has not followed the mixer since {seconds(e.onset_s)}")
-        high = 1.0
-    for s in spells:
-        reasons.append(f"evidence against it from {seconds(s.start_s)} to {seconds(s.end_s)} that no event explains")
-        high = 1.0
-    for e in wrong:
-        reasons.append(f"its output seems to go to motor {next(r for r in e.rotors if r != rotor)}")
-        high = 1.0
-    if lost is not None and not claims and any(rotor in who for who in lost.alternatives):
-        reasons.append(f"may be why control was lost at {seconds(lost.onset_s)}")
-        high = 1.0
-    if from_takeoff == "suspect":
-        assert whole
-        reasons.append("may have been weaker than on healthy flights" if seen.whole else LOPSIDED)
+    claims = [e for e in seen.losses if any(rotor in who for who in explanations(e))]
+    lasting = [e for e in claims if e.end_s is None]
+    landed = [e for e in claims if _landed(seen, e.end_s)]
+    maybe = [e for e in lasting if e.alternatives]
+    if len(maybe) < len(lasting):
+        e = [e for e in lasting if not e.alternatives][-1]
+        loss, (low, high) = e.loss[e.rotors.index(rotor)], e.interval[e.rotors.index(rotor)]
+        bounds = low, _together([high, *(most(m, rotor) for m in maybe)])
+        return state(loss, bounds, _broken(loss), f"weak since {seconds(e.onset_s)}", bounds)
+    if whole and from_takeoff == "damaged":
+        loss, than = whole["loss"][rotor - 1], "on healthy flights" if seen.whole else "in any healthy vehicle"
+        return state(loss, whole["interval"][rotor - 1], _broken(loss), f"weaker than {than}")
+    suspicions = _suspicions(seen, rotor, maybe, landed, claims)
+    known = [e.loss[e.rotors.index(rotor)] for e in (*maybe, *landed) if rotor in e.rotors]
+    loss, high = known[-1] if known else 0.0, _together([bound for _, bound in suspicions])
+    if whole and from_takeoff == "suspect":
+        suspicions.append(("may have been weaker than on healthy flights" if seen.whole else LOPSIDED, 1.0))
         loss, high = max(loss, whole["loss"][rotor - 1]), max(high, whole["interval"][rotor - 1][1])
-    if reasons:
-        return state(loss, (0.0, max(high, loss)), "suspect", "; ".join(reasons))
+    if suspicions:
+        return state(loss, (0.0, max(high, loss)), "suspect", "; ".join(why for why, _ in suspicions))
     if seen.hidden is None:
         return state(0.0, INVISIBLE, "unobservable", _worked(seen, rotor))
-    since = (0.0, float(seen.hidden[rotor - 1]))
-    notes = [f"was weak from {seconds(e.onset_s)} to {seconds(e.end_s)}" for e in over if not e.alternatives]
-    notes += [f"may have been weak from {seconds(e.onset_s)} to {seconds(e.end_s)}" for e in over if e.alternatives]
-    notes += [
-        f"its output did not follow the mixer from {seconds(e.onset_s)} to {seconds(e.end_s)}"
-        for e in stuck
-        if e not in stuck_now
-    ]
+    since, note = (0.0, float(seen.hidden[rotor - 1])), _past(seen, rotor, claims)
+    if whole:
+        bounds = 0.0, _together([since[1], float(whole["interval"][rotor - 1][1])])
+        return state(whole["loss"][rotor - 1], bounds, "healthy", note, since)
+    return state(0.0, INVISIBLE, "healthy", note, since)
+
+
+def _from_takeoff(whole: Mapping[str, Any] | None, rotor: int, verdict: str, seen: Evidence) -> str:
+    """What the comparison with healthy flights or vehicles says of a rotor."""
+    if not whole or verdict == "inconclusive":
+        return "not judged"
+    likely = {r for c in whole.get("causes", ()) if c["probability"] > CREDIBLE for r in c["rotors"]}
+    if verdict != "healthy" and whole["verdict"] == "fault" and rotor in whole["rotors"]:
+        return "damaged"
+    if verdict != "healthy" and whole["verdict"] != "healthy" and rotor in {*whole["rotors"], *likely}:
+        return "suspect"
+    return "healthy" if seen.whole else "bounded"
+
+
+def _suspicions(seen: Evidence, rotor: int, maybe, landed, claims) -> list[tuple[str, float]]:
+    """(why a rotor is a suspect, how much it may have lost then), of what was seen in flight."""
+    found = []
+    for e in (*maybe, *landed):
+        what = "weak" if len(explanations(e)) == 1 else "one of several explanations"
+        later = ", not judged again after landing" if e in landed else ""
+        found.append((f"{what} since {seconds(e.onset_s)}{later}", most(e, rotor)))
+    for e in _of_kind(seen, OVERRIDE, rotor):
+        if e.end_s is None or _landed(seen, e.end_s):
+            found.append((f"its output has not followed the mixer since {seconds(e.onset_s)}", 1.0))
+    for s in seen.leftover:
+        if rotor in s.rotors:
+            span = f"from {seconds(s.start_s)} to {seconds(s.end_s)}"
+            found.append((f"evidence against it {span} that no event explains", 1.0))
+    for e in _of_kind(seen, ORDER, rotor):
+        found.append((f"its output seems to go to motor {next(r for r in e.rotors if r != rotor)}", 1.0))
+    if seen.lost is not None and not claims and any(rotor in who for who in seen.lost.alternatives):
+        found.append((f"may be why control was lost at {seconds(seen.lost.onset_s)}", 1.0))
+    return found
+
+
+def _past(seen: Evidence, rotor: int, claims) -> str:
+    """What happened to a rotor that is healthy at the end."""
+    notes = []
+    for word, sure in (("was", True), ("may have been", False)):
+        over = [e for e in claims if e.end_s is not None and sure != bool(e.alternatives)]
+        notes += [f"{word} weak from {seconds(e.onset_s)} to {seconds(e.end_s)}" for e in over]
+    for e in _of_kind(seen, OVERRIDE, rotor):
+        notes.append(f"its output did not follow the mixer from {seconds(e.onset_s)} to {seconds(e.end_s)}")
     notes += filter(None, [_worked(seen, rotor)])
     notes += [f"{MOTOR_NOTICES[e.kind]} since {seconds(e.onset_s)}" for e in _notices(seen) if rotor in e.rotors]
-    if whole:
-        high = 1.0 - (1.0 - since[1]) * (1.0 - float(whole["interval"][rotor - 1][1]))
-        return state(whole["loss"][rotor - 1], (0.0, high), "healthy", listed(notes), since)
-    return state(0.0, INVISIBLE, "healthy", listed(notes), since)
+    return listed(notes)
 
 
-def _worked(seen: Seen, rotor: int) -> str:
+def _of_kind(seen: Evidence, kind: str, rotor: int) -> list[Event]:
+    return [e for e in seen.events if e.kind == kind and rotor in e.rotors]
+
+
+def _together(bounds: Sequence[float]) -> float:
+    """Upper bound of a loss that several things may have added to."""
+    return 1.0 - float(np.prod([1.0 - bound for bound in bounds]))
+
+
+def _broken(loss: float) -> str:
+    return "failed" if loss > GONE else "degraded"
+
+
+def _worked(seen: Evidence, rotor: int) -> str:
     """Until when a rotor was seen to work, of a flight in which control was lost."""
     until = seen.lost.extra.get("worked_until_s", ()) if seen.lost is not None else ()
     known = rotor <= len(until) and until[rotor - 1] is not None
@@ -451,6 +463,6 @@ def most(event: Event, rotor: int) -> float:
     return max(own, other) if any(rotor in a for a in event.alternatives) else own
 
 
-def _landed(seen: Seen, end_s: float | None) -> bool:
+def _landed(seen: Evidence, end_s: float | None) -> bool:
     """An event that ended with a landing, before another take-off: what became of it was not judged again."""
     return end_s is not None and any(abs(end_s - down) < LANDED_S for _, down in seen.hops[:-1])

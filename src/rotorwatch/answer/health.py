@@ -81,12 +81,9 @@ def trends(out, table: Ticks, B: np.ndarray, found: Sequence[Event]) -> tuple[Tr
     left = (z - z.mean(axis=0) - np.outer(when - when.mean(), d)) / sd
     scatter = (left @ (columns / sd[:, None])).std(axis=0) / ((columns / sd[:, None]) ** 2).sum(axis=0)
     weak, known = (theta > 0.0).any(axis=0), theta[-1] - theta[0]
-    found_rows = _per_rotor(d, sd, columns, weak)
     span = float(time[0]), float(time[-1])
-    return tuple(
-        None if row is None else _trend(row, minutes, span, weak[i], float(known[i]), float(scatter[i]))
-        for i, row in enumerate(found_rows)
-    )
+    each = zip(_per_rotor(d, sd, columns, weak), weak, known, scatter)
+    return tuple(None if row is None else _trend(row, minutes, span, w, float(k), float(s)) for row, w, k, s in each)
 
 
 def _trend(row, minutes: float, span, weak: bool, known: float, scatter: float) -> Trend:

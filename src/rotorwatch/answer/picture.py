@@ -13,7 +13,7 @@ import numpy as np
 
 from rotorwatch.answer.story import LOST, departure
 from rotorwatch.answer.traces import angles
-from rotorwatch.diagnosis import Event, Told
+from rotorwatch.diagnosis import Event, StoryLine
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.motion import allocation
@@ -28,9 +28,9 @@ HELD_S = 3.0  # of commands before, which are held where outputs are logged slow
 
 
 def make(
-    flight: Flight, vehicle: Vehicle, events: Sequence[Event], main: int | None, story: Sequence[Told]
+    flight: Flight, vehicle: Vehicle, events: Sequence[Event], main: int | None, story: Sequence[StoryLine]
 ) -> dict[str, Any] | None:
-    """The picture's data as docs/json.md says; None where control was not lost. story: `story.tell` of the same events."""
+    """The picture's data as docs/json.md says; None where control was not lost. story: `story.narrate` of the same events."""
     lost = next((e for e in events if e.kind == LOST), None)
     if lost is None or not story:
         return None
@@ -41,23 +41,15 @@ def make(
     good = ("lift-off", up) if up < began else ("last good second", max(began - GOOD_S, 0.0))
     start = max(min(began - BEFORE_S, up - MARGIN_S), lost.onset_s - EARLIEST_S, 0.0)
     end = min(over + AFTER_S, lost.onset_s + LATEST_S)
-    marks = [
-        good,
-        ("first departure", began),
-        ("control lost", story[-2].time_s),
-    ]
     impact = lost.extra.get("impact_s")
-    if impact is not None:
-        marks.append(("impact", impact))
-    elif lost.end_s is not None:
-        marks.append(("control back", lost.end_s))
-    part = replace(
-        flight, signals={name: s.between(start - HELD_S, end + AFTER_S) for name, s in flight.signals.items()}
-    )
+    ending = ("control back", lost.end_s) if impact is None else ("impact", impact)
+    marks = [good, ("first departure", began), ("control lost", story[-2].time_s), ending]
+    around = {name: s.between(start - HELD_S, end + AFTER_S) for name, s in flight.signals.items()}
+    part = replace(flight, signals=around)
     return {
         "start_s": start,
         "end_s": end,
-        "marks": [{"time_s": t, "what": what} for what, t in marks if start <= t <= end],
+        "marks": [{"time_s": t, "what": what} for what, t in marks if t is not None and start <= t <= end],
         "accused": sorted({*lost.rotors, *(first.rotors if first is not None and not first.alternatives else ())}),
         "attitude": _attitude(part, start, end),
         "commands": _commands(part, vehicle, start, end),
@@ -72,10 +64,11 @@ def _attitude(flight: Flight, start: float, end: float) -> dict[str, Any] | None
     flown, wanted = (angles(flight, name, time) for name in ("attitude", "attitude_wanted"))
     if flown is None or time.size < 2:
         return None
-    out = {"time_s": time, "roll_deg": flown[:, 0], "pitch_deg": flown[:, 1]}
-    out |= {"wanted_roll_deg": None, "wanted_pitch_deg": None}
-    if wanted is not None:
-        out |= {"wanted_roll_deg": wanted[:, 0], "wanted_pitch_deg": wanted[:, 1]}
+    out: dict[str, Any] = {"time_s": time}
+    for k, name in enumerate(("roll_deg", "pitch_deg")):
+        out[name] = flown[:, k]
+    for k, name in enumerate(("wanted_roll_deg", "wanted_pitch_deg")):
+        out[name] = None if wanted is None else wanted[:, k]
     return {name: None if v is None else np.round(v, 3 if name == "time_s" else 1) for name, v in out.items()}
 
 

@@ -7,32 +7,33 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from rotorwatch.answer.wording import candidates, losses, rotors, seconds, sentence
-from rotorwatch.diagnosis import Event, Told
+from rotorwatch.diagnosis import Event, StoryLine
 
 LOST, LOSS, ORDER = "loss_of_control", "loss_of_effectiveness", "motor_order"
 ACCUSES = (LOSS, "output_override", ORDER)
 FIRST_S = 3.0  # after lift-off: the vehicle never flew well, and the last good moment is that it stood
 SOON_S = 0.1  # a tick of slow logs: what is said of such a moment holds for the next
 # Causes that clear the rotors: {who} are all of them, {when} is until when they were seen to work.
+FOLLOWED = "{who} did what they were told until {when}"
 CLEARED = {
-    "disarmed": "{who} did what they were told until {when}, when the motors were disarmed in the air.",
-    "knock": "{who} did what they were told until {when}, when something struck the vehicle.",
-    "power": "{who} did what they were told until {when}, when the power failed.",
+    "disarmed": f"{FOLLOWED}, when the motors were disarmed in the air.",
+    "knock": f"{FOLLOWED}, when something struck the vehicle.",
+    "power": f"{FOLLOWED}, when the power failed.",
     "saturated": "At {onset} {who} had no more to give; they did what they were told, as was seen until {when}.",
     "controller": "At {onset} the vehicle left what was wanted, though {who} did what they were told, as was seen until {when}: "
     "a sensor, an estimate or the pilot was wrong.",
-    "unknown": "No rotor is accused: as far as the log shows, {who} did what they were told until {when}.",
+    "unknown": f"No rotor is accused: as far as the log shows, {FOLLOWED}.",
 }
 
 
-def tell(
+def narrate(
     events: Sequence[Event],
     main: int | None,
     n: int,
     places: Sequence[str] = (),
     hops: Sequence[tuple[float, float]] = (),
     trusted: bool = True,
-) -> tuple[Told, ...]:
+) -> tuple[StoryLine, ...]:
     """The story of a flight of n rotors; empty where control was not lost.
 
     events: of the answer; main: index of the one that matters, or None; places: `places.names`; hops: ((take-off, landing), ...) s.
@@ -46,17 +47,17 @@ def tell(
     began = lost.onset_s if first is None else min(first.onset_s, lost.onset_s)
     up = next((a for a, b in hops if a <= began <= b), None)
     if up is not None and began - up < FIRST_S:
-        good = Told(up, f"The vehicle lifted off at {seconds(up)}.")
+        good = StoryLine(up, f"The vehicle lifted off at {seconds(up)}.")
     else:
-        good = Told(began, f"Until {seconds(began)} the vehicle flew as it was told.")
+        good = StoryLine(began, f"Until {seconds(began)} the vehicle flew as it was told.")
     out = [good]
     if first is not None:
-        out.append(Told(first.onset_s, _departure(first, lost, places)))
+        out.append(StoryLine(first.onset_s, _departure(first, lost, places)))
     elif trusted:
-        out.append(Told(lost.onset_s, _no_rotor(lost, n, places)))
+        out.append(StoryLine(lost.onset_s, _no_rotor(lost, n, places)))
     end = _end(lost, gone[1:], hops)
     when = lost.detected_s if lost.detected_s <= end.time_s else max(lost.onset_s, out[-1].time_s)
-    return (*out, Told(when, _lost(lost, when, first, n)), end)
+    return (*out, StoryLine(when, _lost(lost, when, first, n)), end)
 
 
 def departure(events: Sequence[Event], main: int | None) -> Event | None:
@@ -74,13 +75,12 @@ def departure(events: Sequence[Event], main: int | None) -> Event | None:
 def _departure(event: Event, lost: Event, places: Sequence[str]) -> str:
     at = seconds(event.onset_s)
     if event.kind == ORDER:
+        first = f"From its first movement at {at} on it"
         if not event.rotors:
-            return f"From its first movement at {at} on it yawed against its commands: propellers or motors turn the wrong way round."
+            return f"{first} yawed against its commands: propellers or motors turn the wrong way round."
         i, j = event.rotors
-        return (
-            f"From its first movement at {at} on it turned as if the outputs of motors {i} and {j} went to each other's motor: "
-            f"{rotors(event.rotors, places)}."
-        )
+        who = rotors(event.rotors, places)
+        return f"{first} turned as if the outputs of motors {i} and {j} went to each other's motor: {who}."
     if event.kind == LOSS and event.alternatives:
         return f"At {at} something lost thrust: {candidates(event, places)}."
     over = f", until {seconds(event.end_s)}" if event.end_s is not None and event.end_s < lost.onset_s else ""
@@ -110,22 +110,19 @@ def _lost(lost: Event, when: float, first: Event | None, n: int) -> str:
     since = "" if when - lost.onset_s < SOON_S else f"; it had begun to leave control at {seconds(lost.onset_s)}"
     said = f"Control was lost at {seconds(when)}{f', {how}' if how else ''}{since}."
     named = set() if first is None else {r for who in (first.rotors, *first.alternatives) for r in who}
-    if (
-        first is not None
-        and lost.extra.get("cause") in CLEARED
-        and not named & {*lost.rotors, *sum(lost.alternatives, ())}
-    ):
+    other = not named & {*lost.rotors, *sum(lost.alternatives, ())}
+    if first is not None and lost.extra.get("cause") in CLEARED and other:
         said += f" {_cleared(lost, n)}"  # what had begun before is not why
     return said
 
 
-def _end(lost: Event, later: Sequence[Event], hops: Sequence[tuple[float, float]]) -> Told:
+def _end(lost: Event, later: Sequence[Event], hops: Sequence[tuple[float, float]]) -> StoryLine:
     again = f" It was lost again at {seconds(later[0].onset_s)}." if later else ""
     impact = lost.extra.get("impact_s")
     if impact is not None:
-        return Told(impact, f"It hit the ground at {seconds(impact)}.{again}")
+        return StoryLine(impact, f"It hit the ground at {seconds(impact)}.{again}")
     if lost.end_s is not None:
-        return Told(lost.end_s, f"Control came back at {seconds(lost.end_s)}.{again}")
+        return StoryLine(lost.end_s, f"Control came back at {seconds(lost.end_s)}.{again}")
     last = max((b for _, b in hops), default=lost.detected_s)
     last = max(last, lost.detected_s)
-    return Told(last, f"No impact was seen; control had not come back by {seconds(last)}.{again}")
+    return StoryLine(last, f"No impact was seen; control had not come back by {seconds(last)}.{again}")

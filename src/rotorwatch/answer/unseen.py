@@ -52,9 +52,8 @@ class Unseen:
 
     def __init__(self, B: np.ndarray, dt: float):
         self._B, self._dt, self._each = B, dt, 1
-        self._rows = np.empty(
-            (0, 4 + B.shape[1])
-        )  # sums over `_each` ticks: biases of roll, pitch, yaw and thrust; thrusts
+        # Sums over `_each` ticks: biases of roll, pitch, yaw and thrust; thrusts.
+        self._rows = np.empty((0, 4 + B.shape[1]))
         self._new: list[np.ndarray] = []  # ticks that are in no row yet
 
     def add(self, biases: np.ndarray, table: Ticks) -> None:

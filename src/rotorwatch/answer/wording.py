@@ -72,10 +72,9 @@ def explanations(event: Event) -> tuple[tuple[int, ...], ...]:
 def candidates(event: Event, places: Sequence[str] = ()) -> str:
     """The rotors of an event with what else explains the data: 'rotors 1 and 2, or rotors 3 and 4'."""
     all_alike = f"all {len(places)} rotors alike"
-    return (
-        ", or ".join(all_alike if 2 < len(places) == len(s) else rotors(s, places) for s in explanations(event))
-        or "no single rotor"
-    )
+    every = 2 < len(places)
+    sets = (all_alike if every and len(places) == len(s) else rotors(s, places) for s in explanations(event))
+    return ", or ".join(sets) or "no single rotor"
 
 
 def losses(event: Event) -> str:

@@ -6,37 +6,38 @@ from pathlib import Path
 
 import click
 
-from rotorwatch.commands.tools import OUT, common, drawable, kept, progress, say, show, spread
+from rotorwatch.commands.tools import (
+    FIGURE,
+    JSON,
+    OUT,
+    answer,
+    common,
+    drawable,
+    flag,
+    kept,
+    numbers,
+    option,
+    progress,
+    show,
+    spread,
+    written,
+)
 from rotorwatch.errors import ConfigError
-
-
-def register(group: click.Group) -> None:
-    """Add the commands of this module to the command line."""
-    group.add_command(ask)
-    group.add_command(ask_flights, "ask-flights")
 
 
 @click.command(short_help="How to ask a vehicle which rotors are weak.")
 @click.argument("log", required=False, type=OUT)
-@click.option("--vehicle", metavar="FILE|NAME", help="Vehicle file (TOML), or an airframe's name (docs/airframes.md).")
-@click.option(
-    "--candidates", metavar="1+4,2+5,none", help="Sets of rotors, by numbers; default: what the log leaves open."
-)
-@click.option(
-    "--loss", default="0.3", show_default=True, metavar="X,...", help="Their losses: one for all, or one each."
-)
-@click.option("--hover", type=float, metavar="X", help="Command in hover, share of full thrust.")
-@click.option("--arm", type=float, metavar="M", help="Centre to the outermost rotor.")
-@click.option("--within", type=float, default=10.0, show_default=True, metavar="S", help="No longer than that.")
-@click.option("--tilt", type=float, default=1.0, show_default=True, metavar="DEG", help="Largest turn of the vehicle.")
-@click.option(
-    "--amplitude", type=float, default=0.2, show_default=True, metavar="X", help="Largest change of a command."
-)
-@click.option(
-    "--commands", type=OUT, metavar="OUT.csv", help="Write what is added to each command, 100 times a second."
-)
-@click.option("--figure", type=OUT, metavar="OUT.svg", help="Draw it.")
-@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@option("--vehicle", "Vehicle file (TOML), or an airframe's name (docs/airframes.md).", metavar="FILE|NAME")
+@option("--candidates", "Sets of rotors, by numbers; default: what the log leaves open.", metavar="1+4,2+5,none")
+@option("--loss", "Their losses: one for all, or one each.", "0.3", metavar="X,...")
+@option("--hover", "Command in hover, share of full thrust.", type=float, metavar="X")
+@option("--arm", "Centre to the outermost rotor.", type=float, metavar="M")
+@option("--within", "No longer than that.", 10.0, type=float, metavar="S")
+@option("--tilt", "Largest turn of the vehicle.", 1.0, type=float, metavar="DEG")
+@option("--amplitude", "Largest change of a command.", 0.2, type=float, metavar="X")
+@option("--commands", "Write what is added to each command, 100 times a second.", type=OUT, metavar="OUT.csv")
+@FIGURE
+@JSON
 @common
 def ask(log, vehicle, candidates, loss, hover, arm, within, tilt, amplitude, commands, figure, as_json, quiet) -> None:
     """Design the small excitation of the commands that tells apart soonest which of the candidates is weak: of LOG, whose answer is
@@ -52,10 +53,7 @@ def ask(log, vehicle, candidates, loss, hover, arm, within, tilt, amplitude, com
         drawable(figure)
     if commands:
         files.writable(commands, "--commands")
-    try:
-        sizes = [float(x) for x in loss.split(",")]
-    except ValueError:
-        raise ConfigError(f"--loss {loss}: give numbers with commas, as in 0.3,0.5.") from None
+    sizes = numbers("--loss", loss, "0.3,0.5")
     result = run(
         log if log is not None else vehicle, _sets(candidates), loss=sizes[0] if len(sizes) == 1 else sizes, hover=hover,
         arm_m=arm, within_s=within, tilt_deg=tilt, amplitude=amplitude,
@@ -74,9 +72,7 @@ def ask(log, vehicle, candidates, loss, hover, arm, within, tilt, amplitude, com
         from rotorwatch.report import research_tables
 
         show(lambda _: research_tables.asking(result))
-    for what, path in (("figure", figure), ("commands", commands)):
-        if path and not quiet:
-            say(f"{what} written to {path}")
+    written(quiet, figure=figure, commands=commands)
 
 
 def _sets(text: str | None) -> list[tuple[int, ...]] | None:
@@ -89,22 +85,20 @@ def _sets(text: str | None) -> list[tuple[int, ...]] | None:
         raise ConfigError(f"--candidates {text}: give sets of rotors as in 1+4,2+5,none.") from None
 
 
-@click.command(short_help="Fly ambiguous losses with and without an excitation.")
-@click.option("--flights", type=click.IntRange(1, 100_000), default=96, show_default=True, help="How many.")
-@click.option("--frames", default="hexa-x,hexa-plus,octa-x,octa-plus", show_default=True, help="Airframes, in turn.")
-@click.option("--seed", type=click.IntRange(0), default=1, show_default=True, help="Same seed, same flights.")
+@click.command("ask-flights", short_help="Fly ambiguous losses with and without an excitation.")
+@option("--flights", "How many.", 96, type=click.IntRange(1, 100_000))
+@option("--frames", "Airframes, in turn.", "hexa-x,hexa-plus,octa-x,octa-plus")
+@option("--seed", "Same seed, same flights.", 1, type=click.IntRange(0))
 @spread
 @kept
-@click.option("--json", "as_json", is_flag=True, help="Print JSON: measures and every flight.")
+@flag("--json as_json", "Print JSON: measures and every flight.")
 @common
 def ask_flights(flights, frames, seed, jobs, scheduler, keep, as_json, quiet) -> None:
     """Fly pairs of rotors that lose thrust in the simulator; where the diagnosis is ambiguous, ask and diagnose again. Says how often that
     names the broken rotors, with 95 % intervals (docs/control.md)."""
-    import json
-
     from rotorwatch.campaign import excitation_flights
 
     with progress(quiet) as tell:
         wanted = [f for f in frames.split(",") if f]
         result = excitation_flights.run(flights, wanted, seed, progress=tell, jobs=jobs, scheduler=scheduler, keep=keep)
-    click.echo(json.dumps(result, indent=1, allow_nan=False) if as_json else excitation_flights.markdown(result))
+    answer(as_json, result, excitation_flights.markdown(result))

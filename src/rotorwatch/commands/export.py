@@ -7,37 +7,22 @@ from typing import Any
 
 import click
 
-from rotorwatch.commands.tools import OUT, common, say
+from rotorwatch.commands.tools import OUT, common, flag, option, say
 from rotorwatch.errors import ConfigError
 
 
-def register(group: click.Group) -> None:
-    """Add the command of this module to the command line."""
-    group.add_command(export_c)
-
-
 @click.command("export-c", short_help="Write an estimator or the control allocation as C99.")
-@click.option("--estimator", metavar="NAME", help="Estimator to export; `default-filter`: the default's filter.")
-@click.option(
-    "--allocator", metavar="WAY", help="Export the control allocation: estimate, bounds, posterior or pseudo-inverse."
-)
-@click.option("--diagnoser", is_flag=True, help="Export the whole default diagnosis: samples in, events out.")
-@click.option(
-    "--vehicle", metavar="FILE|NAME", help="Vehicle file (TOML) or an airframe's name; default: the method's paper's."
-)
-@click.option("-o", "--out", required=True, type=OUT, metavar="DIR", help="Folder to write into.")
-@click.option("--dt", type=click.FloatRange(0, min_open=True), metavar="S", help="Length of a step.")
-@click.option("--variable-dt", is_flag=True, help="Let the step take its length as an argument.")
-@click.option(
-    "--rate-hz", type=click.FloatRange(0, min_open=True), metavar="HZ", help="Of the diagnoser: rate of outputs [50]."
-)
-@click.option(
-    "--control-hz", type=click.FloatRange(0), metavar="HZ", help="... of the rate controller's output, if fed."
-)
-@click.option(
-    "--sensor-hz", type=click.FloatRange(0, min_open=True), metavar="HZ", help="... of gyro and accelerometer [100]."
-)
-@click.option("--prefix", metavar="NAME", help="... what its names begin with [rw].")
+@option("--estimator", "Estimator to export; `default-filter`: the default's filter.", metavar="NAME")
+@option("--allocator", "Export the control allocation: estimate, bounds, posterior or pseudo-inverse.", metavar="WAY")
+@flag("--diagnoser", "Export the whole default diagnosis: samples in, events out.")
+@option("--vehicle", "Vehicle file (TOML) or an airframe's name; default: the method's paper's.", metavar="FILE|NAME")
+@option("-o --out", "Folder to write into.", required=True, type=OUT, metavar="DIR")
+@option("--dt", "Length of a step.", type=click.FloatRange(0, min_open=True), metavar="S")
+@flag("--variable-dt", "Let the step take its length as an argument.")
+@option("--rate-hz", "Of the diagnoser: rate of outputs [50].", type=click.FloatRange(0, min_open=True), metavar="HZ")
+@option("--control-hz", "... of the rate controller's output, if fed.", type=click.FloatRange(0), metavar="HZ")
+@option("--sensor-hz", "... of gyro and accelerometer [100].", type=click.FloatRange(0, min_open=True), metavar="HZ")
+@option("--prefix", "... what its names begin with [rw].", metavar="NAME")
 @common
 def export_c(
     estimator, allocator, diagnoser, vehicle, out, dt, variable_dt, rate_hz, control_hz, sensor_hz, prefix, quiet
@@ -51,14 +36,8 @@ def export_c(
 
     if (estimator is not None) + (allocator is not None) + diagnoser != 1:
         raise ConfigError("Say what to export: give one of --estimator NAME, --allocator WAY and --diagnoser.")
-    own: dict[str, Any] = {
-        "rate_hz": rate_hz,
-        "control_hz": control_hz,
-        "gyro_hz": sensor_hz,
-        "accel_hz": sensor_hz,
-        "prefix": prefix,
-    }
-    own = {key: value for key, value in own.items() if value is not None}
+    own: dict[str, Any] = {"rate_hz": rate_hz, "control_hz": control_hz, "gyro_hz": sensor_hz, "accel_hz": sensor_hz}
+    own = {key: value for key, value in (own | {"prefix": prefix}).items() if value is not None}
     if own and not diagnoser:
         raise ConfigError("--rate-hz, --control-hz, --sensor-hz and --prefix belong to --diagnoser.")
     if diagnoser and (dt is not None or variable_dt):
@@ -74,8 +53,7 @@ def export_c(
     if diagnoser:
         from rotorwatch.export_diagnoser import export_diagnoser
 
-        written = export_diagnoser(out, vehicle=craft or FRAME, **own)
-        click.echo("\n".join(str(path) for path in written))
+        click.echo("\n".join(map(str, export_diagnoser(out, vehicle=craft or FRAME, **own))))
         return
     if allocator is None:
         made = run(estimator, out, vehicle=craft, dt=dt, variable_dt=variable_dt)

@@ -2,29 +2,55 @@
 
 from __future__ import annotations
 
-import json
+import functools
 import re
+from collections.abc import Callable
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import Any
 
 import click
 
-from rotorwatch.commands.tools import LOG, OUT, common, label, live, progress, say, show, spread
+from rotorwatch.commands.tools import (
+    LOG,
+    OUT,
+    common,
+    flag,
+    label,
+    live,
+    option,
+    print_json,
+    progress,
+    say,
+    show,
+    spread,
+    vehicle_of,
+)
 from rotorwatch.errors import ConfigError
 
 ADDED, FAILED = 0, 2
-STORE = click.option(
-    "--store", "url", envvar="ROTORWATCH_STORE", metavar="FILE|URL",
-    help="SQLite file or postgresql://USER@HOST/DATABASE; default: a file in your data folder.",
-)  # fmt: skip
-JSON = click.option("--json", "as_json", is_flag=True, help="Print JSON (docs/fleet.md).")
+JSON = flag("--json as_json", "Print JSON (docs/fleet.md).")
+
+
+def _store(make: bool) -> Callable:
+    """The option --store of a command, which gets the store it names as `store`; make: whether one that is not there is made."""
+    text = "SQLite file or postgresql://USER@HOST/DATABASE; default: a file in your data folder."
+    add_option = option("--store url", text, envvar="ROTORWATCH_STORE", metavar="FILE|URL")
+
+    def around(command: Callable) -> Callable:
+        @functools.wraps(command)
+        def with_store(url, **given):
+            from rotorwatch.fleet.store import Store
+
+            with Store(url or None, make=make) as store:
+                command(store, **given)
+
+        return add_option(with_store)
+
+    return around
+
+
+STORE = _store(make=False)
 ORDER = {"damaged": 0, "worn": 1, "suspect": 2}
-
-
-def register(group: click.Group) -> None:
-    """Add the commands of this module to the command line."""
-    group.add_command(fleet)
 
 
 @click.group(short_help="Remember flights; follow every rotor of a fleet over time.")
@@ -37,14 +63,13 @@ def fleet() -> None:
 
 @fleet.command(short_help="Judge logs and put them into the store.")
 @click.argument("logs", nargs=-1, required=True, metavar="LOG|DIR...")
-@click.option("--aircraft", default="", metavar="NAME", help="Whose flights they are, for logs that do not say.")
-@click.option("--vehicle", type=LOG, metavar="FILE", help="Vehicle file (TOML), for logs that do not name their frame.")
-@click.option("--follow", is_flag=True, help="Then watch the folders and add logs as they come, until interrupted.")
+@option("--aircraft", "Whose flights they are, for logs that do not say.", "", metavar="NAME")
+@option("--vehicle", "Vehicle file (TOML), for logs that do not name their frame.", type=LOG, metavar="FILE")
+@flag("--follow", "Then watch the folders and add logs as they come, until interrupted.")
 @spread
-@STORE
+@_store(make=True)
 @common
-@click.pass_context
-def add(context, logs, aircraft, vehicle, follow, jobs, scheduler, url, quiet) -> None:
+def add(store, logs, aircraft, vehicle, follow, jobs, scheduler, quiet) -> None:
     """Judge every LOG, and all logs in every DIR, that the store does not know yet (by content), and work out where each aircraft stands.
 
     Broken off, even by a lost database, it goes on where it was when called again. Exit code: 0, or 2 when a log could not be read.
@@ -52,91 +77,74 @@ def add(context, logs, aircraft, vehicle, follow, jobs, scheduler, url, quiet) -
     from rotorwatch.fleet import add as run
     from rotorwatch.fleet import assess
 
-    known = _vehicle(vehicle)
+    known = vehicle_of(vehicle)
     folders = [Path(one) for one in logs if Path(one).is_dir()]
     if follow and not folders:
         raise ConfigError("--follow watches folders; give at least one.")
-    with _open(url) as store:
-        with progress(quiet or not live()) as tell:
-            told, others = run.add(store, logs, aircraft, known, _teller(), tell, jobs, scheduler)
-            if any(a["stale"] for a in store.aircraft()):
-                assess.refresh(store, tell)
-        count = {state: sum(t.state == state for t in told) for state in ("added", "known", "failed")}
+    with progress(quiet or not live()) as tell:
+        told, others = run.add(store, logs, aircraft, known, _tell, tell, jobs, scheduler)
+        if any(a["stale"] for a in store.aircraft()):
+            assess.refresh(store, tell)
+    count = {state: sum(t.state == state for t in told) for state in ("added", "known", "failed")}
+    if not quiet:
+        parts = [f"{count['added']} added"]
+        parts += [f"{count['known']} known already"] if count["known"] else []
+        parts += [f"{others} files that are no logs"] if others else []
+        parts += [f"{count['failed']} could not be judged"] if count["failed"] else []
+        say(f"{', '.join(parts)}; {store.count()} flights in {store.label}")
+        lost = sum(t.state == "added" and not t.aircraft for t in told)
+        if lost:
+            say(
+                f"{lost} of them name no aircraft, and belong to no history: add such logs with --aircraft NAME to an empty store."
+            )
+    if follow:
         if not quiet:
-            parts = [f"{count['added']} added"]
-            parts += [f"{count['known']} known already"] if count["known"] else []
-            parts += [f"{others} files that are no logs"] if others else []
-            parts += [f"{count['failed']} could not be judged"] if count["failed"] else []
-            say(f"{', '.join(parts)}; {store.count()} flights in {store.label}")
-            lost = sum(t.state == "added" and not t.aircraft for t in told)
-            if lost:
-                say(
-                    f"{lost} of them name no aircraft, and belong to no history: add such logs with --aircraft NAME to an empty store."
-                )
-        if follow:
-            if not quiet:
-                say(f"watching {', '.join(map(str, folders))}; Ctrl-C ends it")
-            run.follow(store, folders, aircraft, known, _teller(), say)
-    context.exit(FAILED if count["failed"] else ADDED)
+            say(f"watching {', '.join(map(str, folders))}; Ctrl-C ends it")
+        run.follow(store, folders, aircraft, known, _tell, say)
+    click.get_current_context().exit(FAILED if count["failed"] else ADDED)
 
 
-def _teller():
-    def tell(told) -> None:
-        name = label(Path(told.path).name)
-        if told.state == "failed":
-            say(told.text if name in told.text else f"{name}: {told.text}")
-        elif told.state == "added":
-            click.echo(f"{told.verdict:<13}{told.aircraft or '(no aircraft)'}  {name}  {told.text}")
-
-    return tell
+def _tell(told) -> None:
+    name = label(Path(told.path).name)
+    if told.state == "failed":
+        say(told.text if name in told.text else f"{name}: {told.text}")
+    elif told.state == "added":
+        click.echo(f"{told.verdict:<13}{told.aircraft or '(no aircraft)'}  {name}  {told.text}")
 
 
 @fleet.command("list", short_help="All aircraft, those that need attention first.")
-@click.option("--flights", is_flag=True, help="Flights instead of aircraft, the newest first.")
-@click.option(
-    "--search", default="", metavar="WORDS", help="Of flights: words that name, verdict, headline or aircraft hold."
-)
-@click.option("--aircraft", metavar="NAME", help="Of flights: only of this aircraft.")
-@click.option("--limit", default=50, show_default=True, type=click.IntRange(1), help="Of flights: how many.")
+@flag("--flights", "Flights instead of aircraft, the newest first.")
+@option("--search", "Of flights: words that name, verdict, headline or aircraft hold.", "", metavar="WORDS")
+@option("--aircraft", "Of flights: only of this aircraft.", metavar="NAME")
+@option("--limit", "Of flights: how many.", 50, type=click.IntRange(1))
 @STORE
 @JSON
 @common
-def list_(flights, search, aircraft, limit, url, as_json, quiet) -> None:
+def list_(store, flights, search, aircraft, limit, as_json, quiet) -> None:
     """List the aircraft of the store, those first whose rotors need attention; or its flights."""
-    with _open(url, make=False) as store:
-        if flights or search or aircraft:
-            rows = store.flights(search=search, aircraft=aircraft, limit=limit)
-            if as_json:
-                click.echo(
-                    json.dumps({"total": store.count(search=search, aircraft=aircraft), "flights": rows}, indent=1)
-                )
-                return
-            _table(
-                f"{len(rows)} of {store.count(search=search, aircraft=aircraft)} flights",
-                ("flight", "aircraft", "time", "verdict", "what was found"),
-                [
-                    (
-                        r["hash"][:8],
-                        r["aircraft_name"] or "-",
-                        _day(r["utc"]),
-                        r["verdict"],
-                        f"{label(r['name'])}: {r['headline']}",
-                    )
-                    for r in rows
-                ],
-            )
+    if flights or search or aircraft:
+        rows = store.flights(search=search, aircraft=aircraft, limit=limit)
+        total = store.count(search=search, aircraft=aircraft)
+        if as_json:
+            print_json({"total": total, "flights": rows})
             return
-        found = sorted(store.aircraft(), key=_urgency)
-        nobody = store.count() - sum(a["flights"] for a in found)
-    if as_json:
-        click.echo(json.dumps({"aircraft": found, "flights_of_no_aircraft": nobody}, indent=1))
+        cells = []
+        for r in rows:
+            found = f"{label(r['name'])}: {r['headline']}"
+            cells.append((r["hash"][:8], r["aircraft_name"] or "-", _day(r["utc"]), r["verdict"], found))
+        _table(f"{len(rows)} of {total} flights", ("flight", "aircraft", "time", "verdict", "what was found"), cells)
         return
-    _table(
-        f"{len(found)} aircraft",
-        ("aircraft", "flights", "hours", "last flight", "how its rotors stand"),
-        [(a["name"], str(a["flights"]), f"{a['airborne_s'] / 3600:.1f}", _day(a["last"]), _stands(a)) for a in found],
-        right=(1, 2),
-    )
+    found = sorted(store.aircraft(), key=_urgency)
+    nobody = store.count() - sum(a["flights"] for a in found)
+    if as_json:
+        print_json({"aircraft": found, "flights_of_no_aircraft": nobody})
+        return
+    rows = []
+    for a in found:
+        says = a["standing"]["headline"] if a["standing"] else "not worked out yet"
+        rows.append((a["name"], str(a["flights"]), f"{a['airborne_s'] / 3600:.1f}", _day(a["last"]), says))
+    head = ("aircraft", "flights", "hours", "last flight", "how its rotors stand")
+    _table(f"{len(found)} aircraft", head, rows, right=(1, 2))
     if nobody and not quiet:
         say(f"{nobody} flights name no aircraft: add such logs with --aircraft NAME.")
     if any(a["stale"] for a in found) and not quiet:
@@ -149,57 +157,46 @@ def _urgency(a: dict) -> tuple:
     return worst, -float(standing.get("worst") or 0.0), a["name"]
 
 
-def _stands(a: dict) -> str:
-    return a["standing"]["headline"] if a["standing"] else "not worked out yet"
-
-
 @fleet.command("show", short_help="One aircraft: every rotor, what changed and when.")
 @click.argument("aircraft")
 @STORE
 @JSON
 @common
-def show_(aircraft, url, as_json, quiet) -> None:
+def show_(store, aircraft, as_json, quiet) -> None:
     """Show what the flights of AIRCRAFT (its name, key or serial number) say of each of its rotors."""
-    with _open(url, make=False) as store:
-        key = store.find(aircraft)["key"]
-        (found,) = [a for a in store.aircraft() if a["key"] == key]
-        if as_json:
-            click.echo(json.dumps(found | {"points": store.points(key)}, indent=1))
-            return
-        standing = found["standing"]
-        click.echo(
-            f"{found['name']}: {found['flights']} flights, {found['airborne_s'] / 3600:.1f} h in the air; {found['build']}"
-        )
-        click.echo(f"known by: {'; '.join(found['identities'])}")
-        if standing is None:
-            click.echo("Not worked out yet: `rotorwatch fleet assess`.")
-            return
-        click.echo(f"\n{standing['headline']}\n")
-        _table(
-            "",
-            ("rotor", "state", "lost", "95 %", "outlook"),
-            [
-                (str(r["rotor"]), r["status"], _percent(r["loss"]), _range(r["interval"]), _outlook(r["prognosis"]))
-                for r in standing["rotors"]
-            ],
-            right=(0, 2, 3),
-        )
-        for c in standing["changes"]:
-            click.echo(_said(c))
-        for s in standing["services"]:
-            what = f"rotor {s['rotor']}" if s["rotor"] else "the whole aircraft"
-            click.echo(f"service before flight {s['before_flight']}: {what}, {s['what']}")
-        many = len(standing["left_out"])
-        compared = (
-            f"compared with {standing['sisters']} of the same build"
-            if standing["sisters"]
-            else "no others of the same build to compare with"
-        )
-        click.echo(f"\n{standing['used']} of {standing['flights']} flights were used; {compared}.")
-        for one in standing["left_out"][:5]:
-            click.echo(f"  not used: {label(one['name'])}: {one['why']}")
-        if many > 5:
-            click.echo(f"  and {many - 5} more")
+    key = store.find(aircraft)["key"]
+    (found,) = [a for a in store.aircraft() if a["key"] == key]
+    if as_json:
+        print_json(found | {"points": store.points(key)})
+        return
+    standing = found["standing"]
+    click.echo(
+        f"{found['name']}: {found['flights']} flights, {found['airborne_s'] / 3600:.1f} h in the air; {found['build']}"
+    )
+    click.echo(f"known by: {'; '.join(found['identities'])}")
+    if standing is None:
+        click.echo("Not worked out yet: `rotorwatch fleet assess`.")
+        return
+    click.echo(f"\n{standing['headline']}\n")
+    rows = []
+    for r in standing["rotors"]:
+        loss, low, high = (f"{100 * v:.1f}" for v in (r["loss"], *r["interval"]))
+        rows.append((str(r["rotor"]), r["status"], f"{loss} %", f"{low} to {high} %", _outlook(r["prognosis"])))
+    _table("", ("rotor", "state", "lost", "95 %", "outlook"), rows, right=(0, 2, 3))
+    for c in standing["changes"]:
+        click.echo(_said(c))
+    for s in standing["services"]:
+        what = f"rotor {s['rotor']}" if s["rotor"] else "the whole aircraft"
+        click.echo(f"service before flight {s['before_flight']}: {what}, {s['what']}")
+    many, sisters = len(standing["left_out"]), standing["sisters"]
+    compared = (
+        f"compared with {sisters} of the same build" if sisters else "no others of the same build to compare with"
+    )
+    click.echo(f"\n{standing['used']} of {standing['flights']} flights were used; {compared}.")
+    for one in standing["left_out"][:5]:
+        click.echo(f"  not used: {label(one['name'])}: {one['why']}")
+    if many > 5:
+        click.echo(f"  and {many - 5} more")
 
 
 def _said(c: dict) -> str:
@@ -227,14 +224,6 @@ def _outlook(p: dict | None) -> str:
     return f"{100 * p['limit']:.0f} % in {p['hours_left']:.1f} h ({until}), about {p['flights_left']} flights"
 
 
-def _percent(loss: float) -> str:
-    return f"{100 * loss:.1f} %"
-
-
-def _range(interval: list[float]) -> str:
-    return f"{100 * interval[0]:.1f} to {100 * interval[1]:.1f} %"
-
-
 def _day(utc: str | None) -> str:
     return utc[:16].replace("T", " ") if utc else "-"
 
@@ -242,34 +231,33 @@ def _day(utc: str | None) -> str:
 @fleet.command(short_help="Note maintenance, which cuts a rotor's history.")
 @click.argument("aircraft")
 @click.argument("what")
-@click.option("--rotor", type=click.IntRange(1), metavar="N", help="Which rotor; default: all of them.")
-@click.option(
+@option("--rotor", "Which rotor; default: all of them.", type=click.IntRange(1), metavar="N")
+@option(
     "--at",
+    "When, in UTC: 2026-05-01 or 2026-05-01T14:30; default: after the last flight that was added.",
     metavar="TIME",
-    help="When, in UTC: 2026-05-01 or 2026-05-01T14:30; default: after the last flight that was added.",
 )
-@click.option("--after", metavar="FLIGHT", help="After this flight (the start of its hash), for logs without a time.")
+@option("--after", "After this flight (the start of its hash), for logs without a time.", metavar="FLIGHT")
 @STORE
 @common
-def service(aircraft, what, rotor, at, after, url, quiet) -> None:
+def service(store, aircraft, what, rotor, at, after, quiet) -> None:
     """Note that WHAT ("new propeller") was done to AIRCRAFT: the rotor's history begins anew there."""
     from rotorwatch.fleet import assess
 
     if at and after:
         raise ConfigError("Give --at or --after, not both.")
     utc = _time(at) if at else ""
-    with _open(url, make=False) as store:
-        number = None
-        if after:
-            flight = store.flight(after)
-            if flight is None:
-                raise ConfigError(
-                    f"--after {after}: the store holds no flight, or several, with such a hash; `rotorwatch fleet list --flights`."
-                )
-            number = flight["ordinal"]
-        row = store.service(aircraft, rotor or 0, what, utc, number)
-        assess.refresh(store)
-        name = store.find(row["aircraft"])["name"]
+    number = None
+    if after:
+        flight = store.flight(after)
+        if flight is None:
+            raise ConfigError(
+                f"--after {after}: the store holds no flight, or several, with such a hash; `rotorwatch fleet list --flights`."
+            )
+        number = flight["ordinal"]
+    row = store.service(aircraft, rotor or 0, what, utc, number)
+    assess.refresh(store)
+    name = store.find(row["aircraft"])["name"]
     who = f"rotor {rotor}" if rotor else "all rotors"
     when = _day(utc) if utc else f"after flight {after}" if after else "after the last flight in the store"
     click.echo(f"{name}: {who}, {what}, {when}")
@@ -290,10 +278,9 @@ def _time(text: str) -> str:
 @click.argument("name")
 @STORE
 @common
-def rename(aircraft, name, url, quiet) -> None:
+def rename(store, aircraft, name, quiet) -> None:
     """Call AIRCRAFT by NAME from now on; its serial number still finds it."""
-    with _open(url, make=False) as store:
-        store.rename(aircraft, name)
+    store.rename(aircraft, name)
     click.echo(f"{aircraft} is called {name} now")
 
 
@@ -302,48 +289,46 @@ def rename(aircraft, name, url, quiet) -> None:
 @click.argument("other")
 @STORE
 @common
-def merge(aircraft, other, url, quiet) -> None:
+def merge(store, aircraft, other, quiet) -> None:
     """Put the flights and services of OTHER to those of AIRCRAFT, now and for all logs to come."""
     from rotorwatch.fleet import assess
 
-    with _open(url, make=False) as store:
-        store.merge(aircraft, other)
-        assess.refresh(store)
+    store.merge(aircraft, other)
+    assess.refresh(store)
     click.echo(f"{other} is part of {aircraft} now")
 
 
 @fleet.command(short_help="Work out anew where each aircraft stands.")
 @STORE
 @common
-def assess(url, quiet) -> None:
+def assess(store, quiet) -> None:
     """Work out anew where every aircraft of the store stands; `add`, `service` and `merge` do so themselves."""
     from rotorwatch.fleet import assess as run
 
-    with _open(url, make=False) as store, progress(quiet) as tell:
+    with progress(quiet) as tell:
         run.refresh(store, tell)
         click.echo(f"{len(store.aircraft())} aircraft worked out")
 
 
 @fleet.command(short_help="Judge flights again with this version, and say what changed.")
-@click.option("--all", "every", is_flag=True, help="Also those that this version has judged.")
-@click.option("--aircraft", metavar="NAME", help="Only of this aircraft.")
+@flag("--all every", "Also those that this version has judged.")
+@option("--aircraft", "Only of this aircraft.", metavar="NAME")
 @spread
 @STORE
 @JSON
 @common
-def rejudge(every, aircraft, jobs, scheduler, url, as_json, quiet) -> None:
+def rejudge(store, every, aircraft, jobs, scheduler, as_json, quiet) -> None:
     """Judge the store's flights again from their logs, where those still lie, and say what changed."""
     from dataclasses import asdict
 
     from rotorwatch.fleet import add as run
     from rotorwatch.fleet import assess
 
-    with _open(url, make=False) as store:
-        with progress(quiet) as tell:
-            count, changes = run.rejudge(store, every, aircraft, tell, jobs, scheduler)
-            assess.refresh(store, tell)
+    with progress(quiet) as tell:
+        count, changes = run.rejudge(store, every, aircraft, tell, jobs, scheduler)
+        assess.refresh(store, tell)
     if as_json:
-        click.echo(json.dumps({"judged": count, "changes": [asdict(c) for c in changes]}, indent=1))
+        print_json({"judged": count, "changes": [asdict(c) for c in changes]})
         return
     for c in changes:
         told = f"kept as it was: {c.lost}" if c.lost else f"{c.before[0]} -> {c.after[0]}: {c.after[1]}"
@@ -353,40 +338,36 @@ def rejudge(every, aircraft, jobs, scheduler, url, as_json, quiet) -> None:
 
 
 @fleet.command(short_help="Pages: the fleet, and each aircraft.")
-@click.option("-o", "--out", required=True, type=OUT, metavar="DIR", help="Folder; it is made.")
+@option("-o --out", "Folder; it is made.", required=True, type=OUT, metavar="DIR")
 @STORE
 @common
-def report(out, url, quiet) -> None:
+def report(store, out, quiet) -> None:
     """Write DIR/index.html and a page for each aircraft, which need no network."""
     from rotorwatch.fleet import pages
 
-    with _open(url, make=False) as store:
-        made = pages.write(store, out)
+    made = pages.write(store, out)
     click.echo(f"{len(made)} pages written; begin with {made[0]}")
 
 
 @fleet.command(short_help="The store as Parquet files.")
-@click.option("-o", "--out", required=True, type=OUT, metavar="DIR", help="Folder; it is made.")
+@option("-o --out", "Folder; it is made.", required=True, type=OUT, metavar="DIR")
 @STORE
 @common
-def export(out, url, quiet) -> None:
+def export(store, out, quiet) -> None:
     """Write flights, aircraft, rotors and services as Parquet files (extra `parquet`)."""
     from rotorwatch.fleet import export as run
 
-    with _open(url, make=False) as store:
-        made = run.export(store, out)
+    made = run.export(store, out)
     click.echo("\n".join(map(str, made)))
 
 
 @fleet.command(short_help="A simulated fleet with known truth.")
-@click.option(
-    "-o", "--out", required=True, type=OUT, metavar="DIR", help="Folder for fleet.db and truth.json; it is made."
-)
-@click.option("--aircraft", default=10, show_default=True, type=click.IntRange(1, 10_000), help="How many.")
-@click.option("--flights", default=40, show_default=True, type=click.IntRange(5, 100_000), help="Of each.")
-@click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Same seed, same fleet.")
-@click.option("--logs", is_flag=True, help="Also write every flight as an ArduPilot log.")
-@click.option("--store", "url", default="", metavar="FILE|URL", help="Another store than DIR/fleet.db.")
+@option("-o --out", "Folder for fleet.db and truth.json; it is made.", required=True, type=OUT, metavar="DIR")
+@option("--aircraft", "How many.", 10, type=click.IntRange(1, 10_000))
+@option("--flights", "Of each.", 40, type=click.IntRange(5, 100_000))
+@option("--seed", "Same seed, same fleet.", 0, type=click.IntRange(0))
+@flag("--logs", "Also write every flight as an ArduPilot log.")
+@option("--store url", "Another store than DIR/fleet.db.", "", metavar="FILE|URL")
 @JSON
 @common
 def simulate(out, aircraft, flights, seed, logs, url, as_json, quiet) -> None:
@@ -402,25 +383,13 @@ def simulate(out, aircraft, flights, seed, logs, url, as_json, quiet) -> None:
     with Store(url or truth.parent / synthetic.STORE) as store:
         found = score.score(store, truth.parent)
     if as_json:
-        click.echo(json.dumps(found, indent=1))
+        print_json(found)
         return
     for name, value in found.items():
         if name != "change_off":
             click.echo(
                 f"{name.replace('_', ' '):<18}{'-' if value is None else f'{value:.3f}' if isinstance(value, float) else value}"
             )
-
-
-def _open(url: str | None, make: bool = True) -> Any:
-    from rotorwatch.fleet.store import Store
-
-    return Store(url or None, make=make)
-
-
-def _vehicle(path: Path | None) -> Any:
-    from rotorwatch.flight.vehicle_file import read
-
-    return read(path) if path else None
 
 
 def _table(title: str, head: tuple[str, ...], rows: list[tuple[str, ...]], right: tuple[int, ...] = ()) -> None:

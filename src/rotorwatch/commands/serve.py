@@ -4,58 +4,29 @@ from __future__ import annotations
 
 import click
 
-from rotorwatch.commands.tools import LOG, OUT, common, say
-
-
-def register(group: click.Group) -> None:
-    """Add the command of this module to the command line."""
-    group.add_command(serve)
+from rotorwatch.commands.tools import RECORD, SPEED, WATCHED, common, flag, option, rate, say
 
 
 @click.command(short_help="A page: vehicles while they fly, and the list of flights.")
 @click.argument("endpoints", nargs=-1, metavar="[ENDPOINT...]")
-@click.option("--host", default="127.0.0.1", show_default=True, metavar="HOST", help="Address to listen on.")
-@click.option("--port", default=8000, show_default=True, type=click.IntRange(0, 65535), help="Port; 0: any.")
-@click.option(
-    "--token",
-    envvar="ROTORWATCH_TOKEN",
-    default="",
-    metavar="T",
-    help="What a page must know; needed for other computers.",
-)
-@click.option("--store", envvar="ROTORWATCH_STORE", metavar="URL|FILE", help="The fleet's store (docs/fleet.md).")
-@click.option("--max-upload", default=512.0, show_default=True, metavar="MB", help="Largest log that is taken.")
-@click.option("--max-seconds", default=120.0, show_default=True, metavar="S", help="Longest time for judging a log.")
-@click.option("--max-memory", default=4000, show_default=True, metavar="MB", help="Most memory for judging a log.")
-@click.option("--jobs", default=1, show_default=True, type=click.IntRange(1, 64), help="Logs judged at once.")
-@click.option(
-    "--speed", default="1", show_default=True, metavar="N|max", help="Of a replayed log: times real time, or max."
-)
-@click.option("--vehicle", type=LOG, metavar="FILE", help="Vehicle file (TOML) of all vehicles that are watched.")
-@click.option("--record", type=OUT, metavar="DIR", help="Record every link in this folder, as telemetry logs (.tlog).")
-@click.option("--listen-only", is_flag=True, help="Send nothing to vehicles.")
+@option("--host", "Address to listen on.", "127.0.0.1", metavar="HOST")
+@option("--port", "Port; 0: any.", 8000, type=click.IntRange(0, 65535))
+@option("--token", "What a page must know; needed for other computers.", "", envvar="ROTORWATCH_TOKEN", metavar="T")
+@option("--store", "The fleet's store (docs/fleet.md).", envvar="ROTORWATCH_STORE", metavar="URL|FILE")
+@option("--max-upload", "Largest log that is taken.", 512.0, metavar="MB")
+@option("--max-seconds", "Longest time for judging a log.", 120.0, metavar="S")
+@option("--max-memory", "Most memory for judging a log.", 4000, metavar="MB")
+@option("--jobs", "Logs judged at once.", 1, type=click.IntRange(1, 64))
+@SPEED
+@WATCHED
+@RECORD
+@flag("--listen-only", "Send nothing to vehicles.")
 @common
-def serve(
-    endpoints,
-    host,
-    port,
-    token,
-    store,
-    max_upload,
-    max_seconds,
-    max_memory,
-    jobs,
-    speed,
-    vehicle,
-    record,
-    listen_only,
-    quiet,
-) -> None:
+def serve(endpoints, token, speed, quiet, **settings) -> None:
     """Serve one page: vehicles at each ENDPOINT while they fly, and a list of flights to which logs can be dropped.
 
     ENDPOINT: as for `rotorwatch watch`; none is needed. Prints the page's address. Exit code: 0 when it was stopped, 2 error.
     """
-    from rotorwatch.commands.watch import _speed
     from rotorwatch.serve import serve as run
 
     def ready(address: str) -> None:
@@ -63,7 +34,4 @@ def serve(
         if not quiet:
             say("the page is served at this address until Ctrl-C" + ("; it asks for the token" if token else ""))
 
-    run(
-        endpoints, host, port, token, store, max_upload, speed=_speed(speed), vehicle=vehicle, record=record, listen_only=listen_only,
-        max_seconds=max_seconds, max_memory=max_memory, jobs=jobs, ready=ready,
-    )  # fmt: skip
+    run(endpoints, token=token, speed=rate(speed), ready=ready, **settings)

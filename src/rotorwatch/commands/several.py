@@ -13,33 +13,39 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
-import click
-
 from rotorwatch import __version__
-from rotorwatch.commands.tools import counting, label, say, show
+from rotorwatch.commands.tools import counting, label, print_json, say, show
 from rotorwatch.errors import ConfigError
 
 # Of several logs the most severe answer is the exit code: error, fault, undecided, healthy.
 SEVERITY = (2, 1, 3, 0)
+KEYS = ("path", "exit_code", "size", "sha256")  # that a line of --jsonl begins with
 
 
 @dataclass(frozen=True)
-class Asked:
-    """What `diagnose` was asked for. logs: those found; others: how many files were none; settings: how they are judged (`settings`)."""
+class Request:
+    """The options of `rotorwatch diagnose` by their names, and what was made of them. logs: those found; others: how many files were none;
+    tuned: what --tuning holds; pages, recordings: where --report and --mcap put each log's."""
 
     logs: Sequence[Any]
-    others: int
-    judging: dict[str, Any]
-    jobs: int | None
-    scheduler: str | None
+    baselines: Sequence[Path]
+    vehicle: Path | None
+    estimator: str
+    tuning: Path | None
+    report: Path | None
+    html: Path | None
+    mcap: Path | None
     as_json: bool
     jsonl: bool
     out: Path | None
     resume: bool
-    html: Path | None
-    pages: Sequence[Path]
-    recordings: Sequence[Path]
+    jobs: int | None
+    scheduler: str | None
     quiet: bool
+    others: int = 0
+    tuned: Any = None
+    pages: Sequence[Path] = ()
+    recordings: Sequence[Path] = ()
 
 
 def settings(estimator: str, *given: Path | None) -> str:
@@ -50,18 +56,19 @@ def settings(estimator: str, *given: Path | None) -> str:
     return digest.hexdigest()[:12]
 
 
-def diagnose(asked: Asked, how: str, explain: Callable[[Exception], str]) -> int:
-    """Judge them all; returns the exit code. how: of `settings`; explain: makes a sentence of an exception. Whatever ends it, what has been
-    answered is shown."""
-    from rotorwatch.diagnose_many import Answer, diagnose_many
+def diagnose(request: Request, explain: Callable[[Exception], str]) -> int:
+    """Judge them all; returns the exit code. explain: makes a sentence of an exception. Whatever ends it, what has been answered is
+    shown."""
+    from rotorwatch.many.diagnose_many import Answer, diagnose_many
     from rotorwatch.report import overview
 
-    if asked.others and not asked.quiet:
-        say(f"{asked.others} other {'file is' if asked.others == 1 else 'files are'} no flight logs and left out.")
+    if request.others and not request.quiet:
+        say(f"{request.others} other {'file is' if request.others == 1 else 'files are'} no flight logs and left out.")
     rows, codes, listed = overview.Rows(), set(), {}
-    with _lines(asked, how) as lines, counting(asked.quiet, "logs") as tell:
+    how = settings(request.estimator, request.vehicle, request.tuning, *request.baselines)
+    with _lines(request, how) as lines, counting(request.quiet, "logs") as tell:
         known = {path: line.known for path, line in lines.there.items() if line.known}
-        began, total = time.monotonic(), len(asked.logs)
+        began, total = time.monotonic(), len(request.logs)
 
         def keep(answer: Answer) -> None:
             if answer.unchanged:
@@ -71,26 +78,26 @@ def diagnose(asked: Asked, how: str, explain: Callable[[Exception], str]) -> int
                 return
             if answer.error is not None:
                 text = explain(answer.error)
-                name = label(asked.logs[answer.index])
+                name = label(request.logs[answer.index])
                 sentence = text if name in text or label(answer.path) in text else f"{name}: {text}"
                 found = {**answer.to_dict(), "flight": {"name": name}, "error": text}
                 say(sentence)
             else:
                 found = answer.to_dict()
             codes.add(answer.exit_code)
-            page = _write_page(asked, answer)
+            page = _write_page(request, answer)
             lines.write(answer, found)
-            if asked.as_json:
+            if request.as_json:
                 listed[answer.index] = found
             rows.add(overview.row(label(answer.path), found, page))
-            if tell and answer.diagnosis is not None and not (asked.as_json or lines.streams):
+            if tell and answer.diagnosis is not None and not (request.as_json or lines.streams):
                 from rotorwatch.report import terminal
 
-                tell.show(terminal.line(label(asked.logs[answer.index]), answer.diagnosis))
+                tell.show(terminal.line(label(request.logs[answer.index]), answer.diagnosis))
 
         answers = diagnose_many(
-            asked.logs, **asked.judging, jobs=asked.jobs, scheduler=asked.scheduler,
-            pages=bool(asked.html or asked.pages), recordings=bool(asked.recordings), hashed=asked.jsonl, known=known,
+            request.logs, request.vehicle, request.baselines, request.estimator, request.tuned, request.jobs, request.scheduler,
+            pages=bool(request.html or request.pages), recordings=bool(request.recordings), hashed=request.jsonl, known=known,
         )  # fmt: skip
         try:
             for done, answer in enumerate(answers, start=1):
@@ -101,52 +108,54 @@ def diagnose(asked: Asked, how: str, explain: Callable[[Exception], str]) -> int
             with suppress(ValueError):
                 answers.close()  # type: ignore[attr-defined]
             if codes:
-                _show(asked, rows, [listed[k] for k in sorted(listed)])
+                _show(request, rows, [listed[k] for k in sorted(listed)])
     return next((code for code in SEVERITY if code in codes), 0)
 
 
-def _show(asked: Asked, rows: Any, listed: list[dict[str, Any]]) -> None:
+def _show(request: Request, rows: Any, listed: list[dict[str, Any]]) -> None:
     """What stands at the end."""
     from rotorwatch.report import overview
 
-    if asked.as_json:
-        click.echo(json.dumps(listed, indent=1, allow_nan=False))
-    elif not asked.jsonl:
+    if request.as_json:
+        print_json(listed)
+    elif not request.jsonl:
         show(lambda terminal: terminal.overview(rows.title(), rows.worst()))
-    if asked.html:
-        overview.write(rows, asked.html / "index.html")
-    if asked.quiet:
+    if request.html:
+        overview.write(rows, request.html / "index.html")
+    if request.quiet:
         return
-    if asked.jsonl and asked.out:
-        say(f"{rows.title()}; answers written to {asked.out}")
-    if asked.html:
-        say(f"pages written to {asked.html / 'index.html'}")
-    elif asked.pages:
-        say(f"report written to {asked.pages[0].parent}")
-    if asked.recordings:
-        say(f"MCAP files written to {asked.recordings[0].parent}")
+    if request.jsonl and request.out:
+        say(f"{rows.title()}; answers written to {request.out}")
+    if request.html:
+        say(f"pages written to {request.html / 'index.html'}")
+    elif request.pages:
+        say(f"report written to {request.pages[0].parent}")
+    if request.recordings:
+        say(f"MCAP files written to {request.recordings[0].parent}")
 
 
-def _page(asked: Asked, path: str) -> str | None:
+def _page(request: Request, path: str) -> str | None:
     """The file name of a log's page below --html: its own name, and what tells it from others of that name."""
-    if not asked.html:
+    if not request.html:
         return None
     name = path.rstrip("/").rpartition("/")[2]
     stem = name.removesuffix(".xz").removesuffix(".gz").removesuffix(".bz2").rpartition(".")[0] or name
     return f"{label(stem)}-{hashlib.sha256(os.fsencode(path)).hexdigest()[:8]}.html"
 
 
-def _write_page(asked: Asked, answer: Any) -> str | None:
+def _write_page(request: Request, answer: Any) -> str | None:
     """Write the page and the MCAP file of an answer; returns the page's name below --html."""
     from rotorwatch import files
 
     if answer.recording is not None:
-        with files.replacing(asked.recordings[answer.index]) as unfinished:
+        with files.replacing(request.recordings[answer.index]) as unfinished:
             Path(unfinished).write_bytes(answer.recording)
     if answer.page is None:
         return None
-    name = _page(asked, answer.path)
-    goals = ([asked.html / name] if asked.html and name else []) + ([asked.pages[answer.index]] if asked.pages else [])
+    name = _page(request, answer.path)
+    goals = ([request.html / name] if request.html and name else []) + (
+        [request.pages[answer.index]] if request.pages else []
+    )
     for goal in goals:
         with files.replacing(goal) as unfinished:
             Path(unfinished).write_text(answer.page, encoding="utf-8")
@@ -182,39 +191,34 @@ class _Lines:
         """One line, whole, at once: killing this loses no more than the line in the making."""
         if self.out is None:
             return
-        about = {
-            "path": _recorded(answer.path),
-            "exit_code": answer.exit_code,
-            "size": answer.size,
-            "sha256": answer.sha256,
-        }
+        about = dict(zip(KEYS, (_recorded(answer.path), answer.exit_code, answer.size, answer.sha256)))
         line = json.dumps({**about, "settings": self.how, **found}, allow_nan=False)
         self.out.write(line.encode() + b"\n")
         self.out.flush()
 
 
 @contextmanager
-def _lines(asked: Asked, how: str) -> Iterator[_Lines]:
-    if not asked.jsonl:
+def _lines(request: Request, how: str) -> Iterator[_Lines]:
+    if not request.jsonl:
         yield _Lines(None, how, {})
-    elif asked.out is None:
+    elif request.out is None:
         yield _Lines(getattr(sys.stdout, "buffer", sys.stdout), how, {})  # type: ignore[arg-type]
     else:
-        there = _there(asked, how)
-        with asked.out.open("ab") as file:
+        there = _there(request, how)
+        with request.out.open("ab") as file:
             yield _Lines(file, how, there)
 
 
-def _there(asked: Asked, how: str) -> dict[str, _Line]:
+def _there(request: Request, how: str) -> dict[str, _Line]:
     """The lines of the file that --resume goes on with, by path; a last line that was cut off is taken away. Raises ConfigError."""
-    from rotorwatch.diagnose_many import Known
+    from rotorwatch.many.diagnose_many import Known
     from rotorwatch.report import overview
 
-    out = asked.out
+    out = request.out
     assert out is not None
     if not out.exists() or not out.stat().st_size:
         return {}
-    if not asked.resume:
+    if not request.resume:
         raise ConfigError(f"{out} is there already: go on with it by --resume, delete it, or give another name.")
     there, whole = {}, 0
     with out.open("rb") as file:
@@ -223,7 +227,7 @@ def _there(asked: Asked, how: str) -> dict[str, _Line]:
                 break
             try:
                 line = json.loads(text)
-                path, code, size, sha256 = (line[key] for key in ("path", "exit_code", "size", "sha256"))
+                path, code, size, sha256 = (line[key] for key in KEYS)
                 made = line["settings"]
             except (ValueError, TypeError, KeyError):
                 raise ConfigError(f"{out}: line {number} is no answer of rotorwatch; give another file.") from None
@@ -231,8 +235,8 @@ def _there(asked: Asked, how: str) -> dict[str, _Line]:
                 raise ConfigError(
                     f"{out} was made by another version, or with another estimator, vehicle or baseline; give another file."
                 )
-            answer = {key: value for key, value in line.items() if key not in ("path", "exit_code", "size", "sha256")}
-            shown = overview.row(label(path), answer, _page(asked, path))
+            answer = {key: value for key, value in line.items() if key not in KEYS}
+            shown = overview.row(label(path), answer, _page(request, path))
             there[path] = _Line(code, shown, None if sha256 is None else Known(size, sha256))
             whole += len(text)
     os.truncate(out, whole)

@@ -4,44 +4,30 @@ from __future__ import annotations
 
 import click
 
-from rotorwatch.commands.tools import OUT, common, drawable, progress, say, show
-from rotorwatch.errors import ConfigError
-
-
-def register(group: click.Group) -> None:
-    """Add the command of this module to the command line."""
-    group.add_command(survive)
+from rotorwatch.commands.tools import FIGURE, JSON, common, drawable, numbers, option, progress, show, written
 
 
 @click.command(short_help="What a vehicle survives: losses of one and two rotors.")
-@click.option(
-    "--vehicle",
-    required=True,
-    metavar="FILE|NAME",
-    help="Vehicle file (TOML), or an airframe's name (docs/airframes.md).",
+@option(
+    "--vehicle", "Vehicle file (TOML), or an airframe's name (docs/airframes.md).", required=True, metavar="FILE|NAME"
 )
-@click.option("--loss", default="1", show_default=True, metavar="X,...", help="Sizes of the losses; 1 is a total loss.")
-@click.option("--mass", type=float, metavar="KG", help="Mass; default: what the vehicle file says.")
-@click.option("--thrust-to-weight", type=float, metavar="X", help="Full thrust over weight; default: the same.")
-@click.option("--arm", type=float, metavar="M", help="Centre to the outermost rotor; default: the same.")
-@click.option("--figure", type=OUT, metavar="OUT.svg", help="Draw it.")
-@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@option("--loss", "Sizes of the losses; 1 is a total loss.", "1", metavar="X,...")
+@option("--mass", "Mass; default: what the vehicle file says.", type=float, metavar="KG")
+@option("--thrust-to-weight", "Full thrust over weight; default: the same.", type=float, metavar="X")
+@option("--arm", "Centre to the outermost rotor; default: the same.", type=float, metavar="M")
+@FIGURE
+@JSON
 @common
 def survive(vehicle, loss, mass, thrust_to_weight, arm, figure, as_json, quiet) -> None:
     """Say what is left after the loss of any rotor and of any two: full control, hover without yaw, hover only while spinning, or none; how
     much thrust and moment, and what wind it holds."""
     from rotorwatch.survive import survive as run
 
-    try:
-        sizes = tuple(float(x) for x in loss.split(","))
-    except ValueError:
-        raise ConfigError(f"--loss {loss}: give numbers with commas, as in 0.3,0.6,1.") from None
+    sizes = numbers("--loss", loss, "0.3,0.6,1")
     if figure:
         drawable(figure)
     with progress(quiet) as tell:
-        result = run(
-            vehicle, loss=sizes, mass_kg=mass, thrust_to_weight=thrust_to_weight, arm_m=arm, progress=tell
-        )  # fmt: skip
+        result = run(vehicle, loss=sizes, mass_kg=mass, thrust_to_weight=thrust_to_weight, arm_m=arm, progress=tell)
         if figure:
             result.figure(figure)
     if as_json:
@@ -50,5 +36,4 @@ def survive(vehicle, loss, mass, thrust_to_weight, arm, figure, as_json, quiet) 
         from rotorwatch.report import research_tables
 
         show(lambda _: research_tables.survival(result))
-    if figure and not quiet:
-        say(f"figure written to {figure}")
+    written(quiet, figure=figure)

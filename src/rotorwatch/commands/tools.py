@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import stat
@@ -85,6 +86,23 @@ LOG, LOGS = Log(), Logs()
 OUT = click.Path(path_type=Path)
 
 
+def option(names: str, help: str, default: Any = None, **more: Any) -> Callable:
+    """An option by its names ("--out -o"), what it is for, and its default, which is shown. more: as of click.option."""
+    return click.option(*names.split(), help=help, default=default, show_default=default not in (None, ""), **more)
+
+
+def flag(names: str, help: str, **more: Any) -> Callable:
+    """An option without a value."""
+    return click.option(*names.split(), help=help, is_flag=True, **more)
+
+
+JSON = flag("--json as_json", "Print JSON.")
+WATCHED = option("--vehicle", "Vehicle file (TOML) of all vehicles that are watched.", type=LOG, metavar="FILE")
+RECORD = option("--record", "Record every link in this folder, as telemetry logs (.tlog).", type=OUT, metavar="DIR")
+SPEED = option("--speed", "Of a replayed log: times real time, or max.", "1", metavar="N|max")
+FIGURE = option("--figure", "Draw it.", type=OUT, metavar="OUT.svg")
+
+
 def label(text: Any) -> str:
     """A name, or a sentence with one, as the user knows it: what came through a pipe has no folder; no control characters."""
     spool = incoming.spooled()
@@ -111,22 +129,19 @@ def _hush(context: click.Context, parameter: click.Parameter, on: bool) -> bool:
     return on
 
 
+DEBUG = flag("--debug", "Show tracebacks of errors.", expose_value=False, callback=debug)
+
+
 def common(command: Callable) -> Callable:
     """Options every command has."""
-    quiet = click.option(
-        "--quiet", "-q", is_flag=True, callback=_hush, help="No progress and no warnings on standard error."
-    )
-    tracebacks = click.option(
-        "--debug", is_flag=True, expose_value=False, callback=debug, help="Show tracebacks of errors."
-    )
-    return quiet(tracebacks(command))
+    return flag("--quiet -q", "No progress and no warnings on standard error.", callback=_hush)(DEBUG(command))
 
 
 def spread(command: Callable) -> Callable:
     """Options of commands that do many things: how many processes, or which cluster."""
-    jobs = click.option("--jobs", type=click.IntRange(1, 256), help="Processes; default: one per processor.")
-    scheduler = click.option(
-        "--scheduler", metavar="tcp://HOST:PORT", help="Let the workers of this Dask scheduler do it (docs/cluster.md)."
+    jobs = option("--jobs", "Processes; default: one per processor.", type=click.IntRange(1, 256))
+    scheduler = option(
+        "--scheduler", "Let the workers of this Dask scheduler do it (docs/cluster.md).", metavar="tcp://HOST:PORT"
     )
     return jobs(scheduler(command))
 
@@ -137,17 +152,60 @@ def kept(command: Callable) -> Callable:
     return click.option("--keep", type=click.Path(path_type=Path, file_okay=False), metavar="DIR", help=text)(command)
 
 
+def numbers(option: str, text: str, such: str = "0.2,0.3") -> tuple[float, ...]:
+    """Numbers with commas; such: an example. Raises ConfigError."""
+    try:
+        return tuple(float(x) for x in text.split(","))
+    except ValueError:
+        raise ConfigError(f"{option} {text}: give numbers with commas, as in {such}.") from None
+
+
 def shares(option: str, text: str) -> tuple[float, ...]:
     """Losses given with commas. Raises ConfigError unless each is above 0 and below 1."""
-    try:
-        found = tuple(float(x) for x in text.split(","))
-    except ValueError:
-        raise ConfigError(f"{option} {text}: give numbers with commas, as in 0.2,0.3.") from None
+    found = numbers(option, text)
     if not all(0 < x < 1 for x in found):
         raise ConfigError(
             f"{option} {text}: a loss is above 0 and below 1; no vehicle flies on as before with a dead rotor."
         )
     return found
+
+
+def vehicle_of(path: Path | None) -> Any:
+    """What a vehicle file holds; None without one."""
+    from rotorwatch.flight.vehicle_file import read
+
+    return read(path) if path else None
+
+
+def rate(speed: str) -> float:
+    """The value of --speed: times real time, infinite for max. Raises ConfigError."""
+    try:
+        found = float("inf") if speed == "max" else float(speed)
+    except ValueError:
+        found = 0.0
+    if not found > 0.0:
+        raise ConfigError(f"--speed {speed}: give a number above 0, or max.")
+    return found
+
+
+def print_json(value: Any) -> None:
+    """A result as JSON on standard output; never NaN or Infinity."""
+    click.echo(json.dumps(value, indent=1, allow_nan=False))
+
+
+def answer(as_json: bool, value: Any, text: str) -> None:
+    """A result on standard output: as JSON, or as this text."""
+    if as_json:
+        print_json(value)
+    else:
+        click.echo(text)
+
+
+def written(quiet: bool, **paths: Path | None) -> None:
+    """Says which files were written: what=path."""
+    for what, path in paths.items():
+        if path and not quiet:
+            say(f"{what.replace('_', ' ')} written to {path}")
 
 
 def show(table: Callable[[Any], Any]) -> None:
@@ -165,9 +223,20 @@ def show(table: Callable[[Any], Any]) -> None:
 
 def live() -> bool:
     """Whether a bar can move on standard error: a terminal that can go back in its line."""
-    return (
-        sys.stderr is not None and sys.stderr.isatty() and os.environ.get("TERM", "").lower() not in ("dumb", "unknown")
-    )
+    dumb = os.environ.get("TERM", "").lower() in ("dumb", "unknown")
+    return sys.stderr is not None and sys.stderr.isatty() and not dumb
+
+
+@contextmanager
+def _bar(*columns: Any) -> Iterator[Any]:
+    """rich's progress bar on standard error: the task's text, a bar, and these columns."""
+    from rich.progress import BarColumn, Progress, TextColumn
+
+    from rotorwatch.report import terminal
+
+    parts = (TextColumn("{task.description}"), BarColumn(), *columns)
+    with Progress(*parts, console=terminal.console(stderr=True), transient=True) as bar:
+        yield bar
 
 
 @contextmanager
@@ -176,12 +245,9 @@ def progress(quiet: bool) -> Iterator[Callable | None]:
     if quiet or not live():
         yield None
         return
-    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import TaskProgressColumn, TimeElapsedColumn
 
-    from rotorwatch.report import terminal
-
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=terminal.console(stderr=True), transient=True) as bar:
+    with _bar(TaskProgressColumn(), TimeElapsedColumn()) as bar:
         task = bar.add_task("reading", total=1.0)
 
         def tell(share: float, text: str = "") -> None:
@@ -232,12 +298,9 @@ def counting(quiet: bool, what: str) -> Iterator[Counting | None]:
     elif not live():
         yield Counting(what)
     else:
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+        from rich.progress import MofNCompleteColumn, TimeRemainingColumn
 
-        from rotorwatch.report import terminal
-
-        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-        with Progress(*columns, console=terminal.console(stderr=True), transient=True) as bar:
+        with _bar(MofNCompleteColumn(), TimeRemainingColumn()) as bar:
             yield _CountingBar(what, bar)
 
 

@@ -2,29 +2,31 @@
 
 from __future__ import annotations
 
-import json
-
 import click
 
-from rotorwatch.commands.tools import LOG, OUT, common, progress, say, shares
+from rotorwatch.commands.tools import (
+    JSON,
+    LOG,
+    OUT,
+    answer,
+    common,
+    flag,
+    option,
+    print_json,
+    progress,
+    shares,
+    written,
+)
 from rotorwatch.errors import ConfigError
-
-
-def register(group: click.Group) -> None:
-    """Add the commands of this module to the command line."""
-    for command in (tune, compare):
-        group.add_command(command)
 
 
 @click.command(short_help="Fit an estimator's noise to healthy flights.")
 @click.argument("logs", nargs=-1, type=LOG, metavar="LOG...")
-@click.option("--estimator", default="ekf", show_default=True, metavar="NAME", help="Published method to tune.")
-@click.option("-o", "--out", type=OUT, metavar="tuning.toml", help="Tuning file to write.")
-@click.option("--rounds", default=30, show_default=True, type=click.IntRange(1), help="Steps of the optimiser.")
-@click.option(
-    "--papers", is_flag=True, help="Instead: what tuning brings over each paper's hand tuning, on simulated flights."
-)
-@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@option("--estimator", "Published method to tune.", "ekf", metavar="NAME")
+@option("-o --out", "Tuning file to write.", type=OUT, metavar="tuning.toml")
+@option("--rounds", "Steps of the optimiser.", 30, type=click.IntRange(1))
+@flag("--papers", "Instead: what tuning brings over each paper's hand tuning, on simulated flights.")
+@JSON
 @common
 def tune(logs, estimator, out, rounds, papers, as_json, quiet) -> None:
     """Fit process and measurement noise and the walk of the losses to healthy LOGs of one build, by likelihood.
@@ -40,7 +42,7 @@ def tune(logs, estimator, out, rounds, papers, as_json, quiet) -> None:
 
         with progress(quiet) as tell:
             rows = study((), rounds, tell)
-        click.echo(json.dumps(rows, indent=1, allow_nan=False) if as_json else markdown(rows).strip())
+        answer(as_json, rows, markdown(rows).strip())
         return
     if not logs:
         raise ConfigError("Give healthy logs of one build to tune to, or --papers.")
@@ -51,7 +53,7 @@ def tune(logs, estimator, out, rounds, papers, as_json, quiet) -> None:
     if out:
         write(found, out)
     if as_json:
-        click.echo(json.dumps(found.to_dict(), indent=1, allow_nan=False))
+        print_json(found.to_dict())
         return
     click.echo(f"{estimator}: log-likelihood of a row {found.before:.3f} as it was, {found.after:.3f} as tuned")
     for name, values in (("process noise", found.tuning.q), ("measurement noise", found.tuning.r)):
@@ -64,26 +66,18 @@ def tune(logs, estimator, out, rounds, papers, as_json, quiet) -> None:
         )
     for note in found.notes:
         click.echo(f"note: {note}")
-    if out and not quiet:
-        say(f"tuning written to {out}")
+    written(quiet, tuning=out)
 
 
 @click.command(short_help="All estimators on the same flights.")
 @click.argument("logs", nargs=-1, type=LOG, metavar="[LOG]...")
-@click.option(
-    "--truth",
-    type=LOG,
-    metavar="FILE.csv",
-    help="What is wrong with which LOG: path, faulty_rotors, thrust_loss, start_s.",
+@option(
+    "--truth", "What is wrong with which LOG: path, faulty_rotors, thrust_loss, start_s.", type=LOG, metavar="FILE.csv"
 )
-@click.option("--estimators", metavar="NAME,NAME,...", help="Only these.")
-@click.option(
-    "--losses", default="0.2,0.4", show_default=True, metavar="L,L,...", help="Losses to simulate and to put in, 0..1."
-)
-@click.option(
-    "--seeds", default=2, show_default=True, type=click.IntRange(0, 1000), help="Simulated flights of each kind."
-)
-@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@option("--estimators", "Only these.", metavar="NAME,NAME,...")
+@option("--losses", "Losses to simulate and to put in, 0..1.", "0.2,0.4", metavar="L,L,...")
+@option("--seeds", "Simulated flights of each kind.", 2, type=click.IntRange(0, 1000))
+@JSON
 @common
 def compare(logs, truth, estimators, losses, seeds, as_json, quiet) -> None:
     """Run all estimators on simulated flights, on healthy LOGs with losses put in, and on LOGs with a table of their faults."""
@@ -102,4 +96,4 @@ def compare(logs, truth, estimators, losses, seeds, as_json, quiet) -> None:
         scenes = [] if not logs else flights.with_truth(logs, truth) if truth else flights.injected(logs, wanted)
         scenes = [*(flights.simulated(seeds, wanted, tell) if seeds else ()), *scenes]
         result = run(scenes, names, tell)
-    click.echo(json.dumps(result, indent=1, allow_nan=False) if as_json else markdown(result).strip())
+    answer(as_json, result, markdown(result).strip())

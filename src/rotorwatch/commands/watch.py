@@ -5,45 +5,41 @@ from __future__ import annotations
 import math
 import os
 import sys
-from pathlib import Path
 from typing import Any
 
 import click
 
-from rotorwatch.commands.tools import LOG, OUT, common, label, progress, say
+from rotorwatch.commands.tools import (
+    LOG,
+    RECORD,
+    SPEED,
+    WATCHED,
+    common,
+    flag,
+    label,
+    option,
+    progress,
+    rate,
+    say,
+    vehicle_of,
+)
 from rotorwatch.errors import ConfigError
 
 FAULT, ERROR, NOTHING = 1, 2, 3
 
 
-def register(group: click.Group) -> None:
-    """Add the command of this module to the command line."""
-    group.add_command(watch)
-
-
 @click.command(short_help="Judge vehicles while they fly.")
 @click.argument("endpoints", nargs=-1, required=True, metavar="ENDPOINT...")
-@click.option(
-    "--speed", default="1", show_default=True, metavar="N|max", help="Of a replayed log: times real time, or max."
-)
-@click.option("--vehicle", type=LOG, metavar="FILE", help="Vehicle file (TOML) of all vehicles that are watched.")
-@click.option("--record", type=OUT, metavar="DIR", help="Record every link in this folder, as telemetry logs (.tlog).")
-@click.option("--listen-only", is_flag=True, help="Send nothing: neither ask for parameters nor for rates.")
+@SPEED
+@WATCHED
+@RECORD
+@flag("--listen-only", "Send nothing: neither ask for parameters nor for rates.")
 @click.option("--seconds", type=float, default=math.inf, metavar="S", help="Stop after so long.")
-@click.option(
-    "--patience",
-    type=float,
-    default=30.0,
-    show_default=True,
-    metavar="S",
-    help="Wait so long for a first vehicle on a link.",
-)
-@click.option("--webhook", metavar="URL", help="POST every alert as JSON to this address.")
-@click.option("--metrics", metavar="[HOST:]PORT", help="Metrics for Prometheus, at http://HOST:PORT/metrics.")
-@click.option(
-    "--tell-ground", is_flag=True, help="Tell the vehicles' ground stations, as STATUSTEXT and NAMED_VALUE_FLOAT."
-)
-@click.option("--jsonl", is_flag=True, help="Alerts as JSON lines on standard output (docs/watch.md), no picture.")
+@option("--patience", "Wait so long for a first vehicle on a link.", 30.0, type=float, metavar="S")
+@option("--webhook", "POST every alert as JSON to this address.", metavar="URL")
+@option("--metrics", "Metrics for Prometheus, at http://HOST:PORT/metrics.", metavar="[HOST:]PORT")
+@flag("--tell-ground", "Tell the vehicles' ground stations, as STATUSTEXT and NAMED_VALUE_FLOAT.")
+@flag("--jsonl", "Alerts as JSON lines on standard output (docs/watch.md), no picture.")
 @common
 def watch(
     endpoints, speed, vehicle, record, listen_only, seconds, patience, webhook, metrics, tell_ground, jsonl, quiet
@@ -65,8 +61,7 @@ def watch(
     from rotorwatch.live.watch import Guarded
     from rotorwatch.live.watch import watch as run
 
-    rate = _speed(speed)
-    known = _vehicle(vehicle)
+    pace, known = rate(speed), vehicle_of(vehicle)
     shown = _lines if jsonl else (lambda alert: None) if _screen() else _sentences(quiet)
     sources: list[Any] = []
     outlets = _outlets(webhook, metrics, tell_ground, listen_only, shown)
@@ -92,7 +87,7 @@ def watch(
             if endpoint in opened:
                 sources.append(Link(opened[endpoint], tell, known, record, not listen_only, patience))
             else:
-                sources.append(_replay(endpoint, tell, known, rate, quiet))
+                sources.append(_replay(endpoint, tell, known, pace, quiet))
     except BaseException:
         for left in (*sources, *outlets):
             left.leave()
@@ -140,11 +135,8 @@ def _outlets(webhook: str | None, metrics: str | None, tell_ground: bool, listen
 
 def _screen() -> bool:
     """Whether a picture can be drawn on standard output."""
-    return (
-        sys.stdout is not None
-        and sys.stdout.isatty()
-        and os.environ.get("TERM", "").lower() not in ("dumb", "unknown", "")
-    )
+    dumb = os.environ.get("TERM", "").lower() in ("dumb", "unknown", "")
+    return sys.stdout is not None and sys.stdout.isatty() and not dumb
 
 
 def _drawn(run) -> None:
@@ -156,22 +148,6 @@ def _drawn(run) -> None:
 
     with Live(console=terminal.console(), auto_refresh=False, vertical_overflow="crop") as picture:
         run(lambda sources: picture.update(table(sources), refresh=True))
-
-
-def _speed(text: str) -> float:
-    try:
-        speed = math.inf if text == "max" else float(text)
-    except ValueError:
-        speed = math.nan
-    if not speed > 0.0:
-        raise ConfigError(f"--speed {text}: give a number above 0, or max.")
-    return speed
-
-
-def _vehicle(path: Path | None) -> Any:
-    from rotorwatch.flight.vehicle_file import read
-
-    return read(path) if path else None
 
 
 def _replay(endpoint: str, tell, known, speed: float, quiet: bool) -> Any:

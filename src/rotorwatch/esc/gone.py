@@ -13,9 +13,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rotorwatch.answer.wording import CAUSES, rotors, seconds
+from rotorwatch.answer.wording import rotors, seconds
 from rotorwatch.diagnosis import Event
-from rotorwatch.esc import ratios
+from rotorwatch.esc import evidence, ratios
 from rotorwatch.esc.telemetry import Binned
 
 USUAL = 0.75
@@ -36,42 +36,38 @@ def find(bins: Binned, events: Sequence[Event], air, upset: np.ndarray) -> tuple
     for start, end in air:
         inside = (bins.report_time > start) & (bins.report_time < end)
         usual = _usual(bins.speed, bins.speed_known & inside[:, None])
-        asked = _usual(bins.asked, np.ones(bins.asked.shape, bool) & inside[:, None])
+        commanded = _usual(bins.commanded, np.broadcast_to(inside[:, None], bins.commanded.shape))
         # Two others turn: the motors were not switched off.
         turns = np.partition(bins.speed / np.maximum(usual, 1e-9), -2, axis=1)[:, -2] > OTHERS_TURN
         for k in np.flatnonzero(usual > 0.0):
-            told = (bins.asked[:, k] > TOLD * asked[k]) & turns
+            rotor = int(k) + 1
+            told = (bins.commanded[:, k] > TOLD * commanded[k]) & turns
             at = np.flatnonzero(inside & bins.speed_known[:, k])
             spell = _last(at, bins.speed[at, k] < STANDS * usual[k], told, REPORTS)
             if spell is not None:
                 onset, known = _times(bins, spell)
                 later = (bins.time > onset) & (bins.time < end) & ~upset
-                if onset > end - DOWN_S or _explained(events, int(k) + 1, onset):
+                if onset > end - DOWN_S or _explained(events, rotor, onset):
                     continue
                 if np.count_nonzero(later) * bins.width > FLIES_ON_S:
                     warnings.append(
-                        f"The ESC of {rotors([int(k) + 1])} reports a rotor that stands from {seconds(onset)} on, but the vehicle flies on "
+                        f"The ESC of {rotors([rotor])} reports a rotor that stands from {seconds(onset)} on, but the vehicle flies on "
                         "without a loss: its telemetry has failed, and it is not used from there."
                     )
                 else:
-                    out.append(_stands(int(k) + 1, onset, known))
+                    out.append(_stands(rotor, onset, known))
                 continue
-            at = np.flatnonzero(
-                inside & bins.speed_known[:, k] & bins.amps_known[:, k] & (bins.speed[:, k] > TURNS * usual[k])
-            )
+            at = at[bins.amps_known[at, k] & (bins.speed[at, k] > TURNS * usual[k])]
             if at.size <= UNLOADED_REPORTS:
                 continue
             load = bins.amps[at, k] / bins.speed[at, k] ** ratios.CURRENT_POWER[0]
-            spell = _last(at, load < UNLOADED * np.quantile(load, USUAL), told, UNLOADED_REPORTS)
+            load /= np.quantile(load, USUAL)
+            spell = _last(at, load < UNLOADED, told, UNLOADED_REPORTS)
             if spell is not None:
                 onset, known = _times(bins, spell)
                 lasted = bins.report_time[at[-1]] - onset
-                if onset < end - DOWN_S and lasted > UNLOADED_S and not _explained(events, int(k) + 1, onset):
-                    out.append(
-                        _unloaded(
-                            int(k) + 1, onset, known, float(np.median(load[at >= spell[1]]) / np.quantile(load, USUAL))
-                        )
-                    )
+                if onset < end - DOWN_S and lasted > UNLOADED_S and not _explained(events, rotor, onset):
+                    out.append(_unloaded(rotor, onset, known, float(np.median(load[at >= spell[1]]))))
     return tuple(out), warnings
 
 
@@ -105,40 +101,14 @@ def _explained(events: Sequence[Event], rotor: int, onset: float) -> bool:
 
 
 def _stands(rotor: int, onset: float, known: float) -> Event:
-    causes = {ratios.PROPELLER: 0.0, ratios.MOTOR: 0.95, ratios.BEARING: 0.04, ratios.UNKNOWN: 0.01}
-    said = {
-        "speed_loss": 1.0,
-        "speed_loss_interval": (LEAST_LOSS, 1.0),
-        "propeller_loss": 0.0,
-        "propeller_loss_interval": (0.0, 1.0),
-    }
-    said |= {"thrust_of_speed": 0.0, "current_ratio": None, "supply_drop_V": None}
-    what = f"stands from {seconds(onset)} on though it is told to turn"
-    return _event(rotor, onset, known, (1.0, LEAST_LOSS), ratios.MOTOR, causes, said, what)
+    parts = {"speed": (1.0, LEAST_LOSS, 1.0), "propeller": (0.0, 0.0, 1.0)}
+    says = f"it stands from {seconds(onset)} on though it is told to turn, "
+    return evidence.loss(rotor, onset, known, (1.0, LEAST_LOSS, 1.0), (0.0, 0.95, 0.04, 0.01), parts, says, 0.0)
 
 
 def _unloaded(rotor: int, onset: float, known: float, load: float) -> Event:
-    causes = {ratios.PROPELLER: 0.95, ratios.MOTOR: 0.02, ratios.BEARING: 0.0, ratios.UNKNOWN: 0.03}
     loss = 1.0 - load
-    said = {
-        "speed_loss": 0.0,
-        "speed_loss_interval": (0.0, 0.1),
-        "propeller_loss": loss,
-        "propeller_loss_interval": (LEAST_UNLOADED, 1.0),
-    }
-    said |= {"thrust_of_speed": 1.0, "current_ratio": load, "supply_drop_V": None}
-    what = f"turns from {seconds(onset)} on with a fraction of the current that such a speed needs"
-    return _event(
-        rotor, onset, known, (max(loss, LEAST_UNLOADED), LEAST_UNLOADED), ratios.PROPELLER, causes, said, what
-    )
-
-
-def _event(
-    rotor: int, onset: float, known: float, loss: tuple[float, float], cause: str, causes: dict, said: dict, what: str
-) -> Event:
-    """A loss (likeliest, least) that an ESC alone shows."""
-    reason = f"the ESC of {rotors([rotor])} says that it {what}, so the cause is the {CAUSES[cause]}"
-    extra = {"cause": cause, "causes": causes, "esc": [{"rotor": rotor, "cause": cause, "causes": causes, **said}]}
-    return Event(
-        "loss_of_effectiveness", (rotor,), onset, known, None, (loss[0],), ((loss[1], 1.0),), causes[cause], (), reason, extra
-    )  # fmt: skip
+    parts = {"speed": (0.0, 0.0, 0.1), "propeller": (loss, LEAST_UNLOADED, 1.0)}
+    says = f"it turns from {seconds(onset)} on with a fraction of the current that such a speed needs, "
+    size = max(loss, LEAST_UNLOADED), LEAST_UNLOADED, 1.0
+    return evidence.loss(rotor, onset, known, size, (0.95, 0.02, 0.0, 0.03), parts, says, 1.0, load)

@@ -1,4 +1,5 @@
-"""The mathematics of the witness: how far speed and current of a rotor are from what its command and its like say, and what that means.
+"""The mathematics of the ESC consistency check: how far a rotor's speed and current are from what its command and the other rotors say, and
+what that means.
 
 Thrust T of a propeller goes with its speed squared, T = k W^2, and the current of its motor with a power of the speed (torque goes with
 W^2, power with W^3; M. Drela, First-Order DC Electric Motor Model, MIT 2007). While rotor k is healthy its bins obey
@@ -118,21 +119,27 @@ def mean_variance(scatter: float, memory: float, count: int) -> float:
     return scatter**2 / max(count, 1) * (1.0 + memory) / (1.0 - memory)
 
 
+def _noise(law: Law, k: int, *counts: int) -> float:
+    """Variance of a difference of means over so many bins of rotor k."""
+    return sum(mean_variance(law.scatter[k], law.memory[k], count) for count in counts)
+
+
 @dataclass(frozen=True)
-class Testimony:
-    """What a rotor's telemetry says of a time after an onset. told: S and its sd. draws: D and its sd, or None without currents. load: E.
+class Measured:
+    """What a rotor's telemetry says of a time after an onset. speed_ratio: S and its sd. current_change: D and its sd, None without
+    currents. load: E.
     count: bins. volts: V by which its ESC's supply is below the others', compared with before; None where not measured."""
 
-    told: tuple[float, float]
-    draws: tuple[float, float] | None
+    speed_ratio: tuple[float, float]
+    current_change: tuple[float, float] | None
     load: float
     count: int
     volts: tuple[float, float] | None = None
 
 
-def causes(seen: Testimony, theta: float, theta_sd: float) -> dict[str, float]:
+def causes(seen: Measured, theta: float, theta_sd: float) -> dict[str, float]:
     """Probability of each cause of a loss theta (0..1) with standard deviation theta_sd; they sum to 1."""
-    S, S_sd = seen.told
+    S, S_sd = seen.speed_ratio
     if S < STANDS:  # a rotor that stands has lost all, whatever the motion shows so far
         theta = max(theta, 1.0 - S)
     theta_sd = float(np.hypot(theta_sd, THETA_SD * theta))
@@ -152,9 +159,9 @@ def causes(seen: Testimony, theta: float, theta_sd: float) -> dict[str, float]:
     for cause, prior in PRIOR.items():
         mean, spread = means[cause]
         log[cause] = np.log(prior) + gaussian(S, mean, np.hypot(S_sd, spread))
-        if seen.draws is not None:
+        if seen.current_change is not None:
             mean, spread = draws[cause]
-            log[cause] += gaussian(seen.draws[0], mean, np.hypot(seen.draws[1], spread))
+            log[cause] += gaussian(seen.current_change[0], mean, np.hypot(seen.current_change[1], spread))
     top = max(log.values())
     weight = {cause: float(np.exp(value - top)) for cause, value in log.items()}
     total = sum(weight.values())
@@ -166,16 +173,13 @@ def gaussian(value: float, mean: float, sd: float) -> float:
     return float(-0.5 * ((value - mean) / sd) ** 2 - np.log(sd) - 0.5 * np.log(2.0 * np.pi))
 
 
-def parts(seen: Testimony, theta: float, theta_sd: float) -> dict[str, tuple[float, float, float]]:
+def parts(seen: Measured, theta: float, theta_sd: float) -> dict[str, tuple[float, float, float]]:
     """Loss of speed and loss of the propeller, which make theta together, each with its 95 % interval: (loss, low, high), in 0..1."""
-    S, S_sd = seen.told
+    S, S_sd = seen.speed_ratio
     kept = max(S, 0.05)
     propeller = 1.0 - (1.0 - theta) / kept
     propeller_sd = float(np.hypot(theta_sd / kept, (1.0 - theta) / kept**2 * S_sd))
-    return {
-        name: _bounded(value, sd)
-        for name, value, sd in (("speed", 1.0 - S, S_sd), ("propeller", propeller, propeller_sd))
-    }
+    return {"speed": _bounded(1.0 - S, S_sd), "propeller": _bounded(propeller, propeller_sd)}
 
 
 def _bounded(value: float, sd: float) -> tuple[float, float, float]:
@@ -183,9 +187,9 @@ def _bounded(value: float, sd: float) -> tuple[float, float, float]:
     return tuple(float(np.clip(v, 0.0, 1.0)) for v in (value, low, high))  # pyright: ignore[reportReturnType]
 
 
-def testify(
+def measure(
     laws: tuple[Law, Law | None], bins, k: int, before: np.ndarray, after: np.ndarray, healthy: np.ndarray
-) -> Testimony | None:
+) -> Measured | None:
     """What rotor k (from 0) says of the bins `after`, compared with those `before` (T,) bool; None where there are too few of either.
 
     laws: of speed and of current, learned from `before`; bins: `telemetry.Binned`; healthy (T, n): which rotors may stand for the others.
@@ -201,33 +205,28 @@ def testify(
     ratio = np.exp(np.clip(rest[:, k], -12.0, 2.0))
     S = float(np.mean(ratio[a]) / np.mean(ratio[b]))
     reach = _reach(x, a, b, k)
-    noise = mean_variance(speed.scatter[k], speed.memory[k], int(a.sum())) + mean_variance(
-        speed.scatter[k], speed.memory[k], int(b.sum())
-    )
+    noise = _noise(speed, k, int(a.sum()), int(b.sum()))
     S_sd = float(np.sqrt(max(S, 0.1) ** 2 * (noise + (speed.power_sd * reach) ** 2) + MODEL_S**2))
     count, volts = int(a.sum()), _volts(bins, k, a, b)
     if current is None or not current.known[k]:
-        return Testimony((S, S_sd), None, 1.0, count, volts)
+        return Measured((S, S_sd), None, 1.0, count, volts)
     z, v = np.log(np.maximum(bins.current, 1e-3)), 0.5 * y
     known = bins.known & bins.current_known & (bins.power > 0.0)
     rest, there = residual(current, z, v, known, healthy)
     b2, a2 = before & there[:, k], after & there[:, k]
     standing = after & bins.known[:, k] & (bins.power[:, k] <= 0.0) & bins.current_known[:, k]
     if b2.sum() < FEWEST or not (a2.any() or standing.any()):
-        return Testimony((S, S_sd), None, 1.0, count, volts)
+        return Measured((S, S_sd), None, 1.0, count, volts)
     usual = float(np.mean(bins.current[b2, k]))
     expected = bins.current[:, k] * np.exp(-np.clip(rest[:, k], -12.0, 12.0))
     # Standing, it needs no current.
     draws = np.concatenate([(bins.current[a2, k] - expected[a2]), bins.current[standing, k]]) / usual
     load = float(np.mean(np.concatenate([expected[a2], np.zeros(int(standing.sum()))])) / usual)
-    noise = mean_variance(current.scatter[k], current.memory[k], draws.size) + mean_variance(
-        current.scatter[k], current.memory[k], int(b2.sum())
-    )
+    noise = _noise(current, k, draws.size, int(b2.sum()))
     reach = _reach(v, a2, b2, k) if a2.any() else 0.0
-    D_sd = float(
-        np.sqrt(max(load, 0.3) ** 2 * (noise + (current.power_sd * reach) ** 2) + (MODEL_D * max(load, 1.0)) ** 2)
-    )
-    return Testimony((S, S_sd), (float(np.mean(draws)), D_sd), load, count, volts)
+    variance = max(load, 0.3) ** 2 * (noise + (current.power_sd * reach) ** 2) + (MODEL_D * max(load, 1.0)) ** 2
+    D_sd = float(np.sqrt(variance))
+    return Measured((S, S_sd), (float(np.mean(draws)), D_sd), load, count, volts)
 
 
 def log_power(bins) -> np.ndarray:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -36,7 +37,7 @@ class Binned:
     time (T,): middle of the bin [s]. thrust (T, n): asked for, share of full; power (T, n): mean square of speed [rad^2/s^2], known (T, n);
     current (T, n) [A], current_known; voltage (T, n) [V], voltage_known.
 
-    The m reports that bins are made of: report_time (m,), speed (m, n) [rad/s] with speed_known, amps (m, n) [A] with amps_known, asked
+    The m reports that bins are made of: report_time (m,), speed (m, n) [rad/s] with speed_known, amps (m, n) [A] with amps_known, commanded
     (m, n): share of full thrust when they were made. width: of a bin [s].
     """
 
@@ -53,7 +54,7 @@ class Binned:
     speed_known: np.ndarray
     amps: np.ndarray
     amps_known: np.ndarray
-    asked: np.ndarray
+    commanded: np.ndarray
     width: float = BIN_S
 
 
@@ -87,19 +88,21 @@ def read(flight: Flight, thrust: Signal, air: allocation.Spans) -> tuple[Binned 
     notes: list[str] = []
     if inside.sum() < FROZEN_SAMPLES:
         return None, ["ESC telemetry was not logged in the air; it is not used."]
-    usable = _heard(esc.time, speed, inside, notes)
+    usable = _reporting(esc.time, speed, inside, notes)
     if not usable.any():
         return None, notes
     if (late := _shifted(esc.time, speed, usable, thrust, notes)) is not None:
         usable &= ~late
     speed = Quantity(speed.values, speed.valid & usable)
-    asked = allocation.hold(thrust.time, thrust.values, esc.time)
-    still = frozen(esc.time, speed, asked, SPEED_POWER, inside)
-    still_current = frozen(esc.time, current, asked, CURRENT_POWER, inside)
+    commanded = allocation.hold(thrust.time, thrust.values, esc.time)
+    still = frozen(esc.time, speed, commanded, SPEED_POWER, inside)
+    still_current = frozen(esc.time, current, commanded, CURRENT_POWER, inside)
     _say_frozen(esc.time, still, notes)
     # An ESC that repeats its last report repeats all of it.
     speed = Quantity(speed.values, speed.valid & ~still)
-    current = Quantity(current.values, current.valid & usable & ~still & ~still_current & _ever(current, inside))
+    current = Quantity(
+        current.values, current.valid & usable & ~still & ~still_current & _ever_above_zero(current, inside)
+    )
     bins = binned(esc.time, speed, current, voltage, thrust, air)
     if bins is None or not bins.known.any():
         return None, notes
@@ -111,7 +114,7 @@ def read(flight: Flight, thrust: Signal, air: allocation.Spans) -> tuple[Binned 
     return bins, notes
 
 
-def _heard(time, speed: Quantity, inside, notes: list[str]) -> np.ndarray:
+def _reporting(time, speed: Quantity, inside, notes: list[str]) -> np.ndarray:
     """(n,) bool: rotors whose speed is reported in the air, and not 0 all along. Says which are not."""
     n = speed.valid.shape[1]
     there = speed.valid[inside].mean(axis=0) > MOSTLY * speed.valid[inside].mean(axis=0).max(initial=0.0)
@@ -131,15 +134,15 @@ def _heard(time, speed: Quantity, inside, notes: list[str]) -> np.ndarray:
     return there & turning
 
 
-def _ever(current: Quantity, inside) -> np.ndarray:
+def _ever_above_zero(current: Quantity, inside) -> np.ndarray:
     """(n,) bool: currents that were not 0 all along, as those of ESCs without a sensor are."""
     return np.array([np.any(current.values[inside & v, k] > 0.0) for k, v in enumerate(current.valid.T)])
 
 
-def frozen(time, what: Quantity, asked: np.ndarray, power: float, inside) -> np.ndarray:
+def frozen(time, what: Quantity, commanded: np.ndarray, power: float, inside) -> np.ndarray:
     """(m, n) bool: samples in a stretch in which a value stays the same to the last bit though the command asks for a change.
 
-    time (m,); asked (m, n): share of full thrust; power: that the quantity goes with the thrust. A stretch is at least FROZEN_S and
+    time (m,); commanded (m, n): share of full thrust; power: that the quantity goes with the thrust. A stretch is at least FROZEN_S and
     FROZEN_SAMPLES long. A value of 0 is a rotor that stands.
     """
     still = np.zeros(what.valid.shape, bool)
@@ -156,7 +159,7 @@ def frozen(time, what: Quantity, asked: np.ndarray, power: float, inside) -> np.
         for a, b in itertools.pairwise(edges):
             if b - a < FROZEN_SAMPLES or time[at[b - 1]] - time[at[a]] < FROZEN_S or x[a] == 0.0:
                 continue
-            f = asked[at[a:b], k]
+            f = commanded[at[a:b], k]
             low, high = np.quantile(f, (0.05, 0.95))
             if low < LEAST_SHARE:
                 continue
@@ -191,10 +194,9 @@ def _shifted(time, speed: Quantity, usable, thrust: Signal, notes: list[str]) ->
             continue
         w = np.interp(grid, time[ok], speed.values[ok, k] ** 2)
         f = np.interp(grid, thrust.time[sent], thrust.values[sent, k])
-        moved, asked = w[wide:] - w[:-wide], f[wide:] - f[:-wide]
-        fits = np.array(
-            [_correlation(moved[half + s : moved.size - half + s], asked[half:-half]) for s in range(-half, half + 1)]
-        )
+        moved, commanded = w[wide:] - w[:-wide], f[wide:] - f[:-wide]
+        shifts, middle = range(-half, half + 1), slice(half, moved.size - half)
+        fits = np.array([_correlation(np.roll(moved, -s)[middle], commanded[middle]) for s in shifts])
         best = int(np.argmax(fits))
         near = fits[half - round(SHIFT_LEAST_S / GRID_S) : half + round(SHIFT_LEAST_S / GRID_S) + 1].max()
         if fits[best] > SHIFT_FIT and fits[best] > near + SHIFT_BETTER:
@@ -240,36 +242,35 @@ def binned(time, speed: Quantity, current: Quantity, voltage: Quantity, thrust: 
     """Means over bins of BIN_S within each stretch in the air; None without any. A bin counts for a rotor that is told to turn in it."""
     parts = []
     sent = thrust.valid.all(axis=1)
+    sent_time, sent_values = thrust.time[sent], thrust.values[sent]
     for start, end in air:
         edges = np.arange(start, end, BIN_S)
         if edges.size < 2:
             continue
         lo, hi = edges[:-1], edges[1:]
-        asked, some = _means(
-            thrust.time[sent], thrust.values[sent], np.ones((int(sent.sum()), thrust.values.shape[1]), bool), lo, hi
-        )
-        last = allocation.hold(thrust.time[sent], thrust.values[sent], 0.5 * (lo + hi))
-        asked = np.where(some, asked, last)
-        w2, known = _means(time, speed.values**2, speed.valid, lo, hi)
-        amps, amps_known = _means(time, current.values, current.valid, lo, hi)
+        commanded, some = _means(sent_time, sent_values, np.ones(sent_values.shape, bool), lo, hi)
+        commanded = np.where(some, commanded, allocation.hold(sent_time, sent_values, 0.5 * (lo + hi)))
+        told = commanded > LEAST_SHARE
+        w2, known = _means(time, speed.values**2, speed.valid, lo, hi, told)
+        amps, amps_known = _means(time, current.values, current.valid, lo, hi, told)
         volts, volts_known = _means(time, voltage.values, voltage.valid, lo, hi)
-        told = asked > LEAST_SHARE
-        parts.append((0.5 * (lo + hi), asked, w2, known & told, amps, amps_known & told, volts, volts_known))
+        parts.append((0.5 * (lo + hi), np.where(told, commanded, 1.0), w2, known, amps, amps_known, volts, volts_known))
     if not parts:
         return None
-    middle, asked, w2, known, amps, amps_known, volts, volts_known = (np.concatenate(p) for p in zip(*parts))
-    return Binned(
-        middle, np.where(asked > LEAST_SHARE, asked, 1.0), np.where(known, w2, 1.0), known, np.where(amps_known, amps, 1.0), amps_known,
-        np.where(volts_known, volts, 1.0), volts_known, time, speed.values, speed.valid, current.values,
-        current.valid,        allocation.hold(thrust.time[sent], thrust.values[sent], time),
-    )  # fmt: skip
+    names = ("time", "thrust", "power", "known", "current", "current_known", "voltage", "voltage_known")
+    binned_: dict[str, Any] = {name: np.concatenate(p) for name, p in zip(names, zip(*parts), strict=True)}
+    sent = allocation.hold(sent_time, sent_values, time)
+    reports = time, speed.values, speed.valid, current.values, current.valid, sent
+    names = ("report_time", "speed", "speed_known", "amps", "amps_known", "commanded")
+    return Binned(**binned_, **dict(zip(names, reports, strict=True)))
 
 
-def _means(time, values, valid, lo, hi) -> tuple[np.ndarray, np.ndarray]:
-    """Mean of the valid values with lo <= time < hi, and whether there is any: (T, n) both."""
+def _means(time, values, valid, lo, hi, count: Any = True) -> tuple[np.ndarray, np.ndarray]:
+    """Mean of the valid values with lo <= time < hi, 1 without any, and whether there is any: (T, n) both. count (T, n): which may."""
     zero = np.zeros((1, values.shape[1]))
     total = np.concatenate([zero, np.cumsum(np.where(valid, values, 0.0), axis=0)])
-    count = np.concatenate([zero, np.cumsum(valid, axis=0)])
+    counted = np.concatenate([zero, np.cumsum(valid, axis=0)])
     a, b = np.searchsorted(time, lo), np.searchsorted(time, hi)
-    number = count[b] - count[a]
-    return (total[b] - total[a]) / np.maximum(number, 1.0), number > 0
+    number = counted[b] - counted[a]
+    some = (number > 0) & count
+    return np.where(some, (total[b] - total[a]) / np.maximum(number, 1.0), 1.0), some

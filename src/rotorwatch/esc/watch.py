@@ -15,9 +15,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from rotorwatch.answer.wording import CAUSES, interval, percent, rotors, seconds
+from rotorwatch.answer.wording import interval, percent, rotors, seconds
 from rotorwatch.diagnosis import Event
-from rotorwatch.esc import ratios
+from rotorwatch.esc import evidence, ratios
 from rotorwatch.esc.telemetry import BIN_S, Binned
 
 BLOCK_S = 5.0
@@ -47,13 +47,13 @@ def look(bins: Binned, usable: np.ndarray) -> tuple[tuple[Event, ...], list[str]
     drawing = turning & bins.current_known & (bins.current > 0.0)
     speed, current = (y, x, turning & usable, ratios.SPEED_POWER), (z, 0.5 * y, drawing & usable, ratios.CURRENT_POWER)
     for kind, law in ((SLOW, speed), (HIGH, current), (LOW, current)):
-        for rotor, onset, told, change, sd in changes(bins.time, *law, kind):
+        for rotor, onset, announced, change, sd in changes(bins.time, *law, kind):
             size = float(abs(np.expm1(change)))
             ends = (max(abs(change) + s * 1.96 * sd, 0.0) for s in (-1.0, 1.0))
             bounds = tuple(float(abs(np.expm1(SIGN[kind] * end))) for end in ends)
             if kind == SLOW and bounds[0] > LARGE:
-                if _follows(bins.time, current, rotor - 1, onset, told, change):
-                    out.append(lost_speed(rotor, onset, told, size, bounds))
+                if _follows(bins.time, current, rotor - 1, onset, announced, change):
+                    out.append(lost_speed(rotor, onset, announced, size, bounds))
                 else:
                     wrong.add(rotor)
                     warnings.append(
@@ -61,11 +61,11 @@ def look(bins: Binned, usable: np.ndarray) -> tuple[tuple[Event, ...], list[str]
                         "neither its current nor the vehicle shows it: its speed is not believed."
                     )
             elif rotor not in wrong:
-                out.append(_notice(kind, rotor, onset, told, size, bounds, probability_of(change / sd)))
+                out.append(_notice(kind, rotor, onset, announced, size, bounds, probability_of(change / sd)))
     return tuple(out), warnings
 
 
-def _notice(kind: str, rotor: int, onset: float, told: float, size: float, bounds, sure: float) -> Event:
+def _notice(kind: str, rotor: int, onset: float, announced: float, size: float, bounds, sure: float) -> Event:
     who, much = rotors([rotor]), f"{percent(size)} ({interval(*bounds)})"
     says = {
         SLOW: f"the speed of {who} gives {much} less thrust than told",
@@ -74,50 +74,26 @@ def _notice(kind: str, rotor: int, onset: float, told: float, size: float, bound
     }[kind]
     reason = f"since {seconds(onset)} {says}, and the other rotors do not; commands and motion show no loss"
     extra = {"change": size, "change_interval": bounds}
-    return Event(kind, (rotor,), onset, told, None, (), (), sure, (), reason, extra)
+    return Event(kind, (rotor,), onset, announced, None, (), (), sure, (), reason, extra)
 
 
-def lost_speed(rotor: int, onset: float, told: float, size: float, bounds) -> Event:
+def lost_speed(rotor: int, onset: float, announced: float, size: float, bounds) -> Event:
     """A loss that speed and current show and commands and motion do not."""
-    causes = {ratios.PROPELLER: 0.0, ratios.MOTOR: 0.95, ratios.BEARING: 0.02, ratios.UNKNOWN: 0.03}
-    said = {
-        "speed_loss": size,
-        "speed_loss_interval": bounds,
-        "propeller_loss": 0.0,
-        "propeller_loss_interval": (0.0, 1.0),
-    }
-    said |= {"thrust_of_speed": 1.0 - size, "current_ratio": None, "supply_drop_V": None}
-    reason = (
-        f"the ESC of {rotors([rotor])} says that since {seconds(onset)} its speed gives {percent(size)} less thrust than told, and its "
-        f"current fell with it; commands and motion alone do not show it; so the cause is the {CAUSES[ratios.MOTOR]}"
+    says = (
+        f"since {seconds(onset)} its speed gives {percent(size)} less thrust than told, and its current fell with it; commands and motion "
+        "alone do not show it; "
     )
-    extra = {
-        "cause": ratios.MOTOR,
-        "causes": causes,
-        "esc": [{"rotor": rotor, "cause": ratios.MOTOR, "causes": causes, **said}],
-    }
-    return Event(
-        "loss_of_effectiveness",
-        (rotor,),
-        onset,
-        told,
-        None,
-        (size,),
-        (bounds,),
-        causes[ratios.MOTOR],
-        (),
-        reason,
-        extra,
-    )
+    parts = {"speed": (size, *bounds), "propeller": (0.0, 0.0, 1.0)}
+    return evidence.loss(rotor, onset, announced, (size, *bounds), (0.0, 0.95, 0.02, 0.03), parts, says, 1.0 - size)
 
 
-def _follows(time, law, k: int, onset: float, told: float, change: float) -> bool:
-    """Whether the current of rotor k (from 0) fell with its speed at `onset`, by what was known at `told`; False without currents.
+def _follows(time, law, k: int, onset: float, announced: float, change: float) -> bool:
+    """Whether the current of rotor k (from 0) fell with its speed at `onset`, by what was known at `announced`; False without currents.
 
     change: of log W^2. A current that stays the same looks, against the law, like one that rises by -change times half the law's power.
     """
     y, x, known, prior = law
-    part = time <= told
+    part = time <= announced
     found = ratios.learn(y[part], x[part], known[part], prior)
     rest, there = ratios.residual(found, y[part], x[part], known[part])
     before, after = (there[:, k] & side for side in (time[part] < onset, time[part] > onset))
@@ -134,9 +110,9 @@ def probability_of(sigmas: float) -> float:
 
 
 def changes(time, y, x, known, prior, kind: str) -> list[tuple[int, float, float, float, float]]:
-    """(rotor from 1, onset s, told s, change, sd) of every rotor whose law changed for good, in the direction of `kind`.
+    """(rotor from 1, onset s, announced s, change, sd) of every rotor whose law changed for good, in the direction of `kind`.
 
-    y, x, known (T, n): the law's bins at `time` (T,). Causal: a change is told at the end of the first block with which it counts.
+    y, x, known (T, n): the law's bins at `time` (T,). Causal: a change is announced at the end of the first block with which it counts.
     """
     if not len(time):
         return []

@@ -14,13 +14,13 @@ from rotorwatch.errors import LogError, RotorwatchError, StoreError
 from rotorwatch.fleet import assess, judge
 from rotorwatch.fleet.store import Entry, Store, digest
 from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch.gathering import Gathered, fetched, full, is_address, is_log
+from rotorwatch.many.gathering import Gathered, fetched, full, is_address, is_log
 
 POLL_S = 2.0
 
 
 @dataclass(frozen=True)
-class Told:
+class Outcome:
     """What became of a log. state: added, known (its content is in the store), or failed. verdict, text: of the flight, or why not.
     aircraft: its name, "" when nothing tells."""
 
@@ -36,11 +36,11 @@ def add(
     given: Iterable[Path | str],
     aircraft: str = "",
     vehicle: Vehicle | None = None,
-    tell: Callable[[Told], None] = lambda told: None,
+    tell: Callable[[Outcome], None] = lambda told: None,
     progress: Callable | None = None,
     jobs: int | None = None,
     scheduler: str | None = None,
-) -> tuple[list[Told], int]:
+) -> tuple[list[Outcome], int]:
     """Add all logs that are new to the store, one transaction each: files, folders, patterns and addresses (`gathering`). aircraft: a
     name for the flights, in place of what the logs say. tell: called with each log's fate; progress: as progress(share, text). jobs,
     scheduler: as for `many.run`, by default a process per processor, fewer for few logs; the store is the same, because this process
@@ -49,11 +49,11 @@ def add(
     gathered = Gathered(given)
     logs = list(gathered)
     if jobs is None and scheduler is None:
-        jobs = many.worthwhile(len(logs))
-    fates: list[Told] = []
+        jobs = many.useful_jobs(len(logs))
+    fates: list[Outcome] = []
     new: list[Path | str] = []
 
-    def fate(told: Told) -> None:
+    def fate(told: Outcome) -> None:
         fates.append(told)
         tell(told)
         if progress:
@@ -73,7 +73,7 @@ def add(
     for done in many.in_order(_Judge(aircraft, vehicle), unknown(), jobs, scheduler):
         log = new[done.index]
         _expected(done.error)
-        fate(Told(log, "failed", text=str(done.error)) if done.error else _added(store, log, done.value))
+        fate(Outcome(log, "failed", text=str(done.error)) if done.error else _added(store, log, done.value))
     return fates, gathered.others
 
 
@@ -104,25 +104,25 @@ def _expected(error: Exception | None) -> None:
         raise error
 
 
-def _before(store: Store, log: Path | str, paths: Set[str]) -> Told | None:
+def _before(store: Store, log: Path | str, paths: Set[str]) -> Outcome | None:
     """What becomes of a log without being judged; None: nothing. A log behind an address that is not among `paths`, those in the store, is
     fetched once, by who judges it."""
     if is_address(log) and full(log) not in paths:
         return None
     try:
         with fetched(log) as path, _readable(log):
-            return Told(log, "known") if store.has(digest(path)) else None
+            return Outcome(log, "known") if store.has(digest(path)) else None
     except StoreError:
         raise
     except RotorwatchError as why:
-        return Told(log, "failed", text=str(why))
+        return Outcome(log, "failed", text=str(why))
 
 
-def _added(store: Store, log: Path | str, entry: Entry) -> Told:
+def _added(store: Store, log: Path | str, entry: Entry) -> Outcome:
     if not store.add(entry):
-        return Told(log, "known")
+        return Outcome(log, "known")
     whose = store.find(entry.identity)["name"] if entry.identity else ""
-    return Told(log, "added", entry.verdict, entry.headline, whose)
+    return Outcome(log, "added", entry.verdict, entry.headline, whose)
 
 
 def follow(
@@ -130,7 +130,7 @@ def follow(
     folders: Iterable[Path],
     aircraft: str = "",
     vehicle: Vehicle | None = None,
-    tell: Callable[[Told], None] = lambda told: None,
+    tell: Callable[[Outcome], None] = lambda told: None,
     trouble: Callable[[str], None] = lambda text: None,
     poll_s: float = POLL_S,
     stop: Callable[[], bool] = lambda: False,
@@ -195,13 +195,10 @@ def rejudge(
 ) -> tuple[int, list[Change]]:
     """Judge flights again that another version of rotorwatch has judged; every: all of them. Returns how many were, and what changed; a
     log that is gone or has another content keeps its judgement, and is among them. jobs, scheduler: as for `add`."""
-    rows = [
-        r
-        for r in store.flights(aircraft=aircraft, limit=None, newest_first=False)
-        if every or r["version"] != __version__
-    ]
+    rows = store.flights(aircraft=aircraft, limit=None, newest_first=False)
+    rows = [r for r in rows if every or r["version"] != __version__]
     if jobs is None and scheduler is None:
-        jobs = many.worthwhile(len(rows))
+        jobs = many.useful_jobs(len(rows))
     changes, count = [], 0
     told = (lambda n: progress(n / len(rows), "judging again")) if progress else None
     for done in many.in_order(_again, [(r["path"], r["hash"]) for r in rows], jobs, scheduler, told):

@@ -82,10 +82,7 @@ def standings(
     keys = sorted(explained)
     evidence = np.concatenate([explained[key][2].evidence for key in keys] or [np.zeros(0)])
     names = iter(false_discovery.named(evidence).tolist())
-    found, points = {}, {}
-    for one in histories:
-        if one.key not in explained:
-            found[one.key] = _unknown(one)
+    found, points = {one.key: _unknown(one) for one in histories if one.key not in explained}, {}
     for key in keys:
         one, series, what, sisters = explained[key]
         found[key] = _standing(one, series, what, sisters, [next(names) for _ in what.evidence])
@@ -109,10 +106,8 @@ def history(key: str, rows: list, services: Iterable[Mapping]) -> History:
     n = max((r["rotors"] for r in rows), default=0)
     left_out = tuple(_why_not(r, n) for r in rows)
     ended = np.cumsum([max(float(r["airborne_s"]), 1.0) / 3600.0 for r in rows])
-    cuts = tuple(
-        sorted(((_place(rows, s), int(s["rotor"]) - 1, s) for s in services), key=lambda c: (c[0], c[2]["number"]))
-    )
-    return History(key, tuple(rows), left_out, ended, cuts)
+    cuts = sorted(((_place(rows, s), int(s["rotor"]) - 1, s) for s in services), key=lambda c: (c[0], c[2]["number"]))
+    return History(key, tuple(rows), left_out, ended, tuple(cuts))
 
 
 def _place(rows: Sequence[Mapping], service: Mapping) -> int:
@@ -123,19 +118,16 @@ def _place(rows: Sequence[Mapping], service: Mapping) -> int:
 
 
 def _why_not(row: Mapping, rotors: int) -> str:
-    if row["trim"].get("lost"):
-        return FELL
-    if row["verdict"] not in TAUGHT_BY:
-        return f"judged {row['verdict']} by itself"
-    if not row["trim"]:
-        return "too little steady hover"
-    if row["trim"]["doubt"]:
-        return "its log contradicts itself"
-    if len(row["trim"]["share"]) != rotors:
-        return "of another number of rotors"
-    if max(row["trim"]["limited"]) > LIMITED:
-        return "a rotor was at its limit"
-    return ""
+    trim = row["trim"]
+    reasons = {
+        FELL: trim.get("lost"),
+        f"judged {row['verdict']} by itself": row["verdict"] not in TAUGHT_BY,
+        "too little steady hover": not trim.get("share"),
+        "its log contradicts itself": trim.get("doubt"),
+        "of another number of rotors": len(trim.get("share", ())) != rotors,
+        "a rotor was at its limit": max(trim.get("limited", (0.0,))) > LIMITED,
+    }
+    return next((why for why, holds in reasons.items() if holds), "")
 
 
 def _build(one: History) -> str:
@@ -242,19 +234,11 @@ def _with_sisters(series: Series, others: Sequence[Found], prior: np.ndarray) ->
 
 def _unknown(one: History) -> dict:
     """An aircraft of which no flight can be used."""
-    n = max((r["rotors"] for r in one.rows), default=0)
-    rotors = [
-        {
-            "rotor": i + 1,
-            "status": "unknown",
-            "loss": 0.0,
-            "interval": [0.0, 1.0],
-            "evidence": 0.0,
-            "named": False,
-            "prognosis": None,
-        }
-        for i in range(n)
-    ]
+    rotor = {"status": "unknown", "loss": 0.0, "interval": [0.0, 1.0], "evidence": 0.0} | {
+        "named": False,
+        "prognosis": None,
+    }
+    rotors = [{"rotor": k} | rotor for k in range(1, max((r["rotors"] for r in one.rows), default=0) + 1)]
     headline = "No flight with enough steady hover to judge its rotors over time."
     return _frame(one, 0) | {"headline": headline, "worst": 0.0, "rotors": rotors, "changes": []}
 
@@ -266,9 +250,7 @@ def _frame(one: History, sisters: int) -> dict:
         "hours": round(float(one.ended[-1]), 4) if len(one.ended) else 0.0,
         "build": _build(one),
         "sisters": sisters,
-        "left_out": [
-            {"hash": r["hash"], "name": r["name"], "why": why} for r, why in zip(one.rows, one.left_out) if why
-        ],
+        "left_out": [{"hash": r["hash"], "name": r["name"], "why": w} for r, w in zip(one.rows, one.left_out) if w],
         "services": [
             {"before_flight": k + 1, "rotor": r + 1, "what": s["what"], "utc": s["utc"] or None}
             for k, r, s in one.services
@@ -279,8 +261,7 @@ def _frame(one: History, sisters: int) -> dict:
 def _standing(one: History, series: Series, found: Found, sisters: int, named: list[bool]) -> dict:
     rotors = [_rotor(one, series, found, i, named[i]) for i in range(len(found.now))]
     changes = [_change(one, found, k) for k in range(len(found.atoms))]
-    rank = max(float(found.evidence[i]) for i in range(len(rotors)))
-    table = _frame(one, sisters) | {"worst": _round(rank), "rotors": rotors, "changes": changes}
+    table = _frame(one, sisters) | {"worst": _round(found.evidence.max()), "rotors": rotors, "changes": changes}
     return table | {"headline": _headline(table)}
 
 
@@ -292,19 +273,14 @@ def _rotor(one: History, series: Series, found: Found, i: int, named: bool) -> d
     e, sd = float(found.now[i]), float(found.now_sd[i])
     unsure = [k for k in mine if found.candidates[k].get(i, 0.0) < explain.SURE]
     sure = len(mine) > len(unsure)
-    status = "healthy"
-    if mine and not (sure and named):
-        status = "suspect"
-    elif mine:
+    status = "healthy" if not mine else "restored" if sure and named else "suspect"
+    if status == "restored" and live and e >= 1.96 * sd:
         lost = any(found.atoms[k].kind == STEP and float(found.coefficients[k][0]) > 0.0 for k in live)
         worn = any(found.atoms[k].kind == WORN for k in live)
         status = "damaged" if lost else "worn" if worn else "restored"
-        if live and e < 1.96 * sd:
-            status = "restored"
     low, high = (e - 1.96 * sd, e + 1.96 * sd) if live else (0.0, float(found.hidden[i]))
-    if any(
-        k >= len(one.rows) and r in (i, -1) for k, r, _ in one.services
-    ):  # since the last flight: what it is now, no flight has shown
+    # After a service since the last flight no flight has shown what it is now.
+    if any(k >= len(one.rows) and r in (i, -1) for k, r, _ in one.services):
         status, e, low, high = "serviced", 0.0, 0.0, 0.0
     return {
         "rotor": i + 1,
@@ -342,18 +318,16 @@ def _change(one: History, found: Found, k: int) -> dict:
         "name": row["name"],
         "utc": row["utc"],
         "from_the_first": atom.start == 0,
-        "size": [_round(float(v)) for v in value]
-        if atom.kind == CENTRE
-        else _round(_size(atom, float(value[0]), found)),
+        "size": _round(_size(atom, value, found)),
         "candidates": [{"rotor": r + 1 if r >= 0 else None, "probability": _round(p)} for r, p in shares],
     }
 
 
-def _size(atom: Any, value: float, found: Found) -> float:
-    """A step as a loss (a gain below 0); wear as loss per hour."""
-    n = len(found.now)
-    sign = 1.0 if value > 0.0 else -1.0
-    return value if atom.kind == WORN else sign * explain.loss(abs(value), n)
+def _size(atom: Any, value: np.ndarray, found: Found) -> Any:
+    """A step as a loss (a gain below 0); wear as loss per hour; a shift of the centre as it is."""
+    if atom.kind != STEP:
+        return value.tolist() if atom.kind == CENTRE else float(value[0])
+    return float(np.copysign(explain.loss(abs(value[0]), len(found.now)), value[0]))
 
 
 def _headline(table: Mapping) -> str:
@@ -383,15 +357,15 @@ def _outlook(p: Mapping) -> str:
 
 def _points(one: History, found: Found) -> dict:
     """Of every flight: hash, utc, hours in the air when it ended, whether it was used, each rotor's loss by it alone and its deviation."""
-    n = len(found.now)
+    n, lost = len(found.now), _round(explain.loss(found.own, len(found.now)).tolist())
     return {
         "hash": [r["hash"] for r in one.rows],
         "utc": [r["utc"] for r in one.rows],
-        "hours": [_round(v) for v in one.ended],
-        "used": [bool(u) for u in one.use],
-        "loss": [[_round(explain.loss(v, n)) for v in row] if use else None for row, use in zip(found.own, one.use)],
-        "sd": [[_round(v) for v in row] for row in found.own_sd],
-        "explained": [[_round(explain.loss(v, n)) for v in row] for row in found.e],
+        "hours": _round(one.ended.tolist()),
+        "used": one.use.tolist(),
+        "loss": [row if use else None for row, use in zip(lost, one.use)],
+        "sd": _round(found.own_sd.tolist()),
+        "explained": _round(explain.loss(found.e, n).tolist()),
     }
 
 

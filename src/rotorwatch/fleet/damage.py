@@ -31,12 +31,7 @@ def _trim(text: str) -> None:
 
 
 # Texts that hold JSON: what raises for a damaged one.
-JSON = {
-    "diagnosis": _told,
-    "trim": _trim,
-    "standing": _standing,
-    "points": lambda text: list(json.loads(text)),
-}
+JSON = {"diagnosis": _told, "trim": _trim, "standing": _standing, "points": lambda text: list(json.loads(text))}
 
 
 def found(connection: Any) -> str:
@@ -53,9 +48,9 @@ def found(connection: Any) -> str:
 def _sound(column: Any, value: Any) -> bool:
     if value is None:
         return bool(column.nullable)
-    if not isinstance(value, TYPES.get(type(column.type), object)) or (
-        isinstance(value, float) and not math.isfinite(value)
-    ):
+    if not isinstance(value, TYPES.get(type(column.type), object)):
+        return False
+    if isinstance(value, float) and not math.isfinite(value):
         return False
     try:
         JSON.get(column.name, str)(value)

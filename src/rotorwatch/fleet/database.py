@@ -6,6 +6,7 @@ What was committed before an error stays, and the same command goes on from ther
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,6 +20,29 @@ from rotorwatch.fleet.address import resolve
 
 WAIT_S = 30.0  # for another writer
 LOCK = 7_306_117  # of PostgreSQL's advisory locks: one writer at a time, so that flights are numbered without gaps
+
+
+class Queries:
+    """A connection that is asked in SQL with named parameters (`:name`)."""
+
+    def __init__(self, connection: sa.Connection):
+        self.connection = connection
+
+    def rows(self, sql: str, **given: Any) -> sa.MappingResult:
+        """Rows by column names."""
+        return self.connection.execute(sa.text(sql), given).mappings()
+
+    def value(self, sql: str, **given: Any) -> Any:
+        """The first column of the first row; None without a row."""
+        return self.connection.execute(sa.text(sql), given).scalar()
+
+    def run(self, sql: str, **given: Any) -> int:
+        """How many rows a statement changed."""
+        return self.connection.execute(sa.text(sql), given).rowcount
+
+    def insert(self, table: str, **row: Any) -> None:
+        """A new row of a table."""
+        self.run(f"INSERT INTO {table} ({', '.join(row)}) VALUES ({', '.join(f':{name}' for name in row)})", **row)
 
 
 class Database:
@@ -36,7 +60,7 @@ class Database:
                 file.parent.mkdir(parents=True, exist_ok=True)
             except OSError as why:
                 raise StoreError(f"The store {file} cannot be made: {why.strerror or why}.") from None
-        with self._said():
+        with self._errors_as_sentences():
             self.engine = _engine(self.url, self._lite)
 
     def close(self) -> None:
@@ -44,25 +68,26 @@ class Database:
         self.engine.dispose()
 
     @contextmanager
-    def reading(self) -> Iterator[Any]:
+    def reading(self) -> Iterator[Queries]:
         """A connection that only reads."""
-        with self._said(), self.engine.connect() as connection:
-            yield connection
+        with self._errors_as_sentences(), self.engine.connect() as connection:
+            yield Queries(connection)
 
     @contextmanager
-    def writing(self) -> Iterator[Any]:
+    def writing(self) -> Iterator[Queries]:
         """A connection in a transaction that no other writer is beside of; committed at the end, else rolled back."""
+        connected = self.engine.connect
         with (
-            self._said(),
-            self.engine.connect().execution_options(rotorwatch_write=True) as connection,
+            self._errors_as_sentences(),
+            connected().execution_options(rotorwatch_write=True) as connection,
             connection.begin(),
         ):
             if not self._lite:
                 connection.execute(sa.text(f"SELECT pg_advisory_xact_lock({LOCK})"))
-            yield connection
+            yield Queries(connection)
 
     @contextmanager
-    def _said(self) -> Iterator[None]:
+    def _errors_as_sentences(self) -> Iterator[None]:
         """Errors of the database as one sentence."""
         try:
             yield
@@ -110,14 +135,19 @@ def _error(why: Exception, label: str, lite: bool) -> StoreError:
 
 
 def _sentence(text: str, low: str, label: str, lite: bool) -> str:
-    if "locked" in low:
-        return f"Another program has kept the store {label} busy for {WAIT_S:.0f} s: wait for it or stop it. {AGAIN}"
-    if "not a database" in low or "malformed" in low:
-        return f"{label} is no store of rotorwatch, or is damaged; give another file, or put a copy back."
-    if "readonly" in low or "read-only" in low:
-        return f"The store {label} cannot be written to; see to the rights of its file and folder."
-    if "unable to open" in low:
-        return f"The store {label} cannot be opened; see to its folder and rights."
-    if not lite and ("connect" in low or "server" in low or "terminat" in low or "shutting down" in low):
-        return f"The database {label} cannot be reached ({text[:120]}): see that it runs. {AGAIN}"
-    return f"The store {label} failed ({text[:160]}). {AGAIN}"
+    copy = "give another file, or put a copy back"
+    known = (
+        (
+            "locked",
+            f"Another program has kept the store {label} busy for {WAIT_S:.0f} s: wait for it or stop it. {AGAIN}",
+        ),
+        ("not a database|malformed", f"{label} is no store of rotorwatch, or is damaged; {copy}."),
+        ("readonly|read-only", f"The store {label} cannot be written to; see to the rights of its file and folder."),
+        ("unable to open", f"The store {label} cannot be opened; see to its folder and rights."),
+    )
+    if not lite:
+        away = f"The database {label} cannot be reached ({text[:120]}): see that it runs. {AGAIN}"
+        known = (*known, ("connect|server|terminat|shutting down", away))
+    return next(
+        (said for words, said in known if re.search(words, low)), f"The store {label} failed ({text[:160]}). {AGAIN}"
+    )

@@ -149,41 +149,13 @@ class _Fit:
 
     def __init__(self, series: Series, weight: np.ndarray, atoms: tuple[Atom, ...]):
         self.series, self.weight, self.atoms = series, weight, atoms
-        K, n = len(series.y), series.G.shape[1]
-        L = np.linalg.inv(np.linalg.cholesky(series.noise))
-        root = np.sqrt(np.where(series.use, weight, 0.0))[:, None]
-        self.W = L * root[:, :, None]  # (K, 3, 3)
+        root = np.sqrt(np.where(series.use, weight, 0.0))
+        self.W = np.linalg.inv(np.linalg.cholesky(series.noise)) * root[:, None, None]  # (K, 3, 3)
+        self.g = self.W @ series.G  # (K, 3, n)
+        X, ridge = self._design()
+        self.D = self.W @ X  # (K, 3, q)
         self.y = np.einsum("kij,kj->ki", self.W, series.y)
-        self.g = np.einsum("kij,jn->kin", self.W, series.G)  # (K, 3, n)
-        columns = [self.W]  # mu
-        ridge = [np.zeros(3)]
-        for k, r in series.services:
-            for i in range(n) if r < 0 else (r,):
-                p = series.profile(Atom(STEP, i, k)) if k < K else np.zeros(K)
-                columns.append((p[:, None] * self.g[:, :, i])[:, :, None])
-                ridge.append(np.array([SERVICE_SD**-2]))
-        self.where = []
-        for atom in atoms:
-            self.where.append(sum(c.shape[2] for c in columns))
-            p = series.profile(atom)[:, None]
-            if atom.kind == CENTRE:
-                columns.append(p[:, :, None] * self.W[:, :, :2])
-                ridge.append(np.full(2, SHIFT_SD**-2))
-                columns.append(p[:, :, None] * self.W[:, :, 2:])
-                ridge.append(np.array([(CENTRE_RHO_SD * 0.5 * SHIFT_SD) ** -2]))
-            else:
-                columns.append((p * self.g[:, :, atom.rotor])[:, :, None])
-                ridge.append(np.array([self.precision(atom)]))
-        # Torque need not fall as thrust does: a rotor's yaw is known to RHO_SD only, of what it may have lost in all.
-        for i in sorted({a.rotor for a in atoms if a.rotor >= 0}):
-            mine = [a for a in atoms if a.rotor == i]
-            p = np.clip(
-                np.sum([series.profile(a) / max(series.profile(a).max(), 1e-9) for a in mine], axis=0), 0.0, 1.0
-            )
-            columns.append((p[:, None] * self.W[:, :, 2] * series.G[2, i])[:, :, None])
-            ridge.append(np.array([(RHO_SD * 0.5 * LOSS_SD) ** -2]))
-        self.D = np.concatenate(columns, axis=2)  # (K, 3, q)
-        self.A = np.einsum("kip,kiq->pq", self.D, self.D) + np.diag(np.concatenate(ridge))
+        self.A = np.einsum("kip,kiq->pq", self.D, self.D) + np.diag(ridge)
         b = np.einsum("kip,ki->p", self.D, self.y)
         if series.level is not None and series.level_covariance is not None:
             inverse = np.linalg.inv(series.level_covariance)
@@ -194,25 +166,32 @@ class _Fit:
         self.covariance = np.linalg.inv(self.A)
         self.beta = self.covariance @ b
         self.left = self.y - self.D @ self.beta
-        self.fitted = self._raw() @ self.beta
+        self.fitted = X @ self.beta
 
-    def _raw(self) -> np.ndarray:
-        """(K, 3, q): the design without weights, for flights whose weight is 0 as well."""
-        s, n = self.series, self.series.G.shape[1]
-        K, eye = len(s.y), np.eye(3)
-        columns = [np.broadcast_to(eye, (K, 3, 3))]
+    def _design(self) -> tuple[np.ndarray, np.ndarray]:
+        """(K, 3, q) the columns of the model, not weighted, and each one's prior precision (q,); `where`: the first column of each atom."""
+        s, eye = self.series, np.eye(3)
+        K, n = len(s.y), s.G.shape[1]
+        columns, ridge = [np.broadcast_to(eye, (K, 3, 3))], [0.0] * 3  # mu
         for k, r in s.services:
             for i in range(n) if r < 0 else (r,):
                 p = s.profile(Atom(STEP, i, k)) if k < K else np.zeros(K)
-                columns.append((p[:, None] * s.G[:, i])[:, :, None])
+                columns.append(p[:, None, None] * s.G[None, :, i, None])
+                ridge.append(SERVICE_SD**-2)
+        self.where = []
         for atom in self.atoms:
-            p = s.profile(atom)[:, None, None]
-            columns.append(p * eye if atom.kind == CENTRE else p * s.G[None, :, atom.rotor, None])
+            self.where.append(len(ridge))
+            shape = eye if atom.kind == CENTRE else s.G[:, atom.rotor, None]
+            columns.append(s.profile(atom)[:, None, None] * shape)
+            yaw = (CENTRE_RHO_SD * 0.5 * SHIFT_SD) ** -2
+            ridge += [SHIFT_SD**-2, SHIFT_SD**-2, yaw] if atom.kind == CENTRE else [self.precision(atom)]
+        # Torque need not fall as thrust does: a rotor's yaw is known to RHO_SD only, of what it may have lost in all.
         for i in sorted({a.rotor for a in self.atoms if a.rotor >= 0}):
-            mine = [a for a in self.atoms if a.rotor == i]
-            p = np.clip(np.sum([s.profile(a) / max(s.profile(a).max(), 1e-9) for a in mine], axis=0), 0.0, 1.0)
-            columns.append(p[:, None, None] * (eye[:, 2:] * s.G[2, i])[None])
-        return np.concatenate(columns, axis=2)
+            mine = [s.profile(a) for a in self.atoms if a.rotor == i]
+            p = np.clip(np.sum([v / max(v.max(), 1e-9) for v in mine], axis=0), 0.0, 1.0)
+            columns.append(p[:, None, None] * (eye[:, 2:] * s.G[2, i]))
+            ridge.append((RHO_SD * 0.5 * LOSS_SD) ** -2)
+        return np.concatenate(columns, axis=2), np.array(ridge)
 
     def precision(self, atom: Atom) -> float:
         """Of the prior of a rotor's atom: LOSS_SD at the end of its profile."""
@@ -228,41 +207,23 @@ class _Fit:
         lost = self.extra()
         for i in range(n):
             g = self.g[:, :, i]
-            r, c, d = (
-                np.einsum("ki,ki->k", g, self.left),
-                np.einsum("ki,ki->k", g, g),
-                np.einsum("ki,kiq->kq", g, self.D),
-            )
-            cuts = s.cuts(i)
-            for a, b in itertools.pairwise(cuts):
-                part = slice(a, b)
+            r, c, d = (g * self.left).sum(axis=1), (g * g).sum(axis=1), np.einsum("ki,kiq->kq", g, self.D)
+            for a, b in itertools.pairwise(s.cuts(i)):
+                part, h = slice(a, b), s.hours[a:b]
                 h0 = np.array([s._before(k) for k in range(a, b)])
-                R0, C0, D0 = _after(r[part]), _after(c[part]), _after(d[part])
-                h = s.hours[part]
-                R1, C1, C2, D1 = (
-                    _after(h * r[part]),
-                    _after(h * c[part]),
-                    _after(h * h * c[part]),
-                    _after(h[:, None] * d[part]),
-                )
-                end = max(float(s.hours[b - 1]), 1e-9)
-                tau = np.full(b - a, LOSS_SD)
+                R0, R1, C0, C1, C2 = (_after(x) for x in (r[part], h * r[part], c[part], h * c[part], h * h * c[part]))
+                D0, D1 = _after(d[part]), _after(h[:, None] * d[part])
                 # Without sisters a loss from the first flight on is part of the level.
-                loss = _log_factor(R0, C0 - _through(D0, self.covariance), tau)
+                loss = _log_factor(R0, C0 - _through(D0, self.covariance), np.full(b - a, LOSS_SD))
                 steps[i, part] = loss[0]
                 gains[i, part] = np.where(lost[part, i] > 0.0, loss[1], -np.inf)
-                slope_tau = LOSS_SD / np.maximum(end - h0, 1e-9)
-                wear[i, part] = _log_factor(
-                    R1 - h0 * R0,
-                    C2 - 2 * h0 * C1 + h0**2 * C0 - _through(D1 - h0[:, None] * D0, self.covariance),
-                    slope_tau,
-                )[0]
+                information = C2 - 2 * h0 * C1 + h0**2 * C0 - _through(D1 - h0[:, None] * D0, self.covariance)
+                slope_sd = LOSS_SD / np.maximum(max(float(s.hours[b - 1]), 1e-9) - h0, 1e-9)
+                wear[i, part] = _log_factor(R1 - h0 * R0, information, slope_sd)[0]
         steps += np.log(STEPS / (n * flights))
         gains += np.log(STEPS / (n * flights))
         wear += np.log(WEAR / (n * flights))
-        wear[:, 0] = np.logaddexp(
-            wear[:, 0], wear[:, 0] + np.log(0.5 * flights)
-        )  # as often from the first flight on as later
+        wear[:, 0] += np.log1p(0.5 * flights)  # as often from the first flight on as later
         W2 = self.W[:, :, :2]
         r = _after(np.einsum("kij,ki->kj", W2, self.left))
         c = _after(np.einsum("kij,kil->kjl", W2, W2).reshape(K, 4)).reshape(K, 2, 2)
@@ -368,10 +329,13 @@ def _found(fit: _Fit, atoms: tuple[Atom, ...]) -> Found:
         if atom.rotor >= 0:
             last[atom.rotor, at] = s.profile(atom)[-1]
     now_sd = np.sqrt(np.maximum(np.einsum("np,pq,nq->n", last, fit.covariance, last), 0.0))
-    own, own_sd = _single(fit, e)
+    # What each flight alone says of each rotor's e, when all else is as explained.
+    inverse = np.linalg.inv(s.noise)
+    information = np.einsum("in,kij,jn->kn", s.G, inverse, s.G)
+    own = e + np.einsum("in,kij,kj->kn", s.G, inverse, s.y - fit.fitted) / information
     rest = np.einsum("kij,kj->ki", np.linalg.inv(np.linalg.cholesky(s.noise)), s.y - fit.fitted)
     return Found(
-        atoms, coefficients, tuple(candidates), tuple(when), e, e[-1], now_sd, _hidden(fit), own, own_sd, evidence,
+        atoms, coefficients, tuple(candidates), tuple(when), e, e[-1], now_sd, _hidden(fit), own, information**-0.5, evidence,
         fit.beta[:3], fit.covariance[:3, :3], rest, fit.weight,
     )  # fmt: skip
 
@@ -379,25 +343,10 @@ def _found(fit: _Fit, atoms: tuple[Atom, ...]) -> Found:
 def _when(without: _Fit, atom: Atom) -> tuple[int, int]:
     """95 % interval of the flight that an atom began at, given its kind and rotor."""
     steps, wear, centre, gains = without.odds()
-    row = (
-        centre
-        if atom.kind == CENTRE
-        else wear[atom.rotor]
-        if atom.kind == WORN
-        else np.logaddexp(steps, gains)[atom.rotor]
-    )
+    row = centre if atom.kind == CENTRE else (wear if atom.kind == WORN else np.logaddexp(steps, gains))[atom.rotor]
     p = np.exp(row - row.max())
     total = np.cumsum(p) / p.sum()
     return int(np.searchsorted(total, 0.025)), int(np.searchsorted(total, 0.975))
-
-
-def _single(fit: _Fit, e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(K, n) what each flight alone says of each rotor's e, and its standard deviation, when all else is as explained."""
-    s = fit.series
-    inverse = np.linalg.inv(s.noise)
-    information = np.einsum("in,kij,jn->kn", s.G, inverse, s.G)
-    own = e + np.einsum("in,kij,kj->kn", s.G, inverse, s.y - fit.fitted) / information
-    return own, information**-0.5
 
 
 def _hidden(fit: _Fit) -> np.ndarray:
@@ -430,7 +379,7 @@ def lines(series: Series, found: Found, rotor: int) -> Lines | None:
     row = _Fit(series, found.weight, rest).odds()[1][rotor, since:]
     p = np.exp(row - row.max())
     starts = [int(k) for k in np.argsort(-p, kind="stable")[:LINES] if p[k] > 1e-3]
-    weight, now, growth, covariances = [], [], [], []
+    found_lines, n = [], series.G.shape[1]
     for k in starts:
         atom = Atom(WORN, rotor, since + k)
         fit = _Fit(series, found.weight, (*rest, atom))
@@ -441,12 +390,9 @@ def lines(series: Series, found: Found, rotor: int) -> Lines | None:
         hours = float(last[at])
         e, part = float(last @ fit.beta), float(hours * fit.beta[at])
         # In the loss itself wear is a line, not in the extra command.
-        n = series.G.shape[1]
         slope = (1.0 + (1.0 - 1.0 / n) * max(e, 0.0)) ** -2
         J = np.stack([last, np.eye(len(last))[at]])
-        covariances.append(J @ fit.covariance @ J.T * slope**2)
-        now.append(float(loss(e, n)))
-        growth.append(float(loss(e, n) - loss(e - part, n)) / hours)
-        weight.append(p[k])
-    total = np.array(weight) / np.sum(weight)
-    return Lines(total, np.array(now), np.array(growth), np.array(covariances))
+        growth = float(loss(e, n) - loss(e - part, n)) / hours
+        found_lines.append((p[k], float(loss(e, n)), growth, J @ fit.covariance @ J.T * slope**2))
+    weight, now, growth, covariances = (np.array(column) for column in zip(*found_lines))
+    return Lines(weight / weight.sum(), now, growth, covariances)

@@ -10,59 +10,33 @@ from rotorwatch.fleet.store import Store
 PART = 10_000
 
 
+# Columns of each table: texts; whole numbers; real numbers.
+COLUMNS = {
+    "flights": (
+        "hash name path aircraft aircraft_name identity utc autopilot firmware frame build verdict headline version",
+        "ordinal size clock_us count rotors",
+        "duration_s airborne_s",
+    ),
+    "aircraft": ("key name frame build firmware first last headline", "flights rotors", "airborne_s worst"),
+    "rotors": (
+        "aircraft aircraft_name status outlook",
+        "rotor named",
+        "loss loss_low loss_high evidence loss_per_hour hours_left hours_left_low hours_left_high",
+    ),
+    "services": ("aircraft what utc", "number rotor after", ""),
+}
+
+
 def export(store: Store, folder: str | Path) -> list[Path]:
     """Write FOLDER/flights.parquet, aircraft.parquet, rotors.parquet and services.parquet, each in one step; returns the paths."""
     pa, pq = (optional.library(name, "A Parquet file") for name in ("pyarrow", "pyarrow.parquet"))
     folder = files.folder(folder, "--out")
-    name, text, whole, real = pa.field, pa.string(), pa.int64(), pa.float64()
-    kinds = {
-        "flights": pa.schema(
-            [
-                *(
-                    name(k, text)
-                    for k in (
-                        "hash",
-                        "name",
-                        "path",
-                        "aircraft",
-                        "aircraft_name",
-                        "identity",
-                        "utc",
-                        "autopilot",
-                        "firmware",
-                    )
-                ),
-                *(name(k, text) for k in ("frame", "build", "verdict", "headline", "version")),
-                *(name(k, whole) for k in ("ordinal", "size", "clock_us", "count", "rotors")),
-                *(name(k, real) for k in ("duration_s", "airborne_s")),
-            ]
-        ),
-        "aircraft": pa.schema(
-            [
-                *(name(k, text) for k in ("key", "name", "frame", "build", "firmware", "first", "last", "headline")),
-                *(name(k, whole) for k in ("flights", "rotors")),
-                *(name(k, real) for k in ("airborne_s", "worst")),
-            ]
-        ),
-        "rotors": pa.schema(
-            [
-                *(name(k, text) for k in ("aircraft", "aircraft_name", "status", "outlook")),
-                name("rotor", whole),
-                name("named", pa.bool_()),
-                *(name(k, real) for k in ("loss", "loss_low", "loss_high", "evidence", "loss_per_hour", "hours_left")),
-                *(name(k, real) for k in ("hours_left_low", "hours_left_high")),
-            ]
-        ),
-        "services": pa.schema(
-            [
-                *(name(k, text) for k in ("aircraft", "what", "utc")),
-                *(name(k, whole) for k in ("number", "rotor", "after")),
-            ]
-        ),
-    }
+    kinds = pa.string(), pa.int64(), pa.float64()
     aircraft = store.aircraft()
     made = []
-    for table, schema in kinds.items():
+    for table, columns in COLUMNS.items():
+        fields = {name: kind for kind, names in zip(kinds, columns) for name in names.split()}
+        schema = pa.schema(fields | ({"named": pa.bool_()} if "named" in fields else {}))
         path = folder / f"{table}.parquet"
         with files.replacing(path) as hidden, pq.ParquetWriter(hidden, schema) as out:
             for rows in _parts(store, table, aircraft):
@@ -85,11 +59,8 @@ def _parts(store: Store, table: str, aircraft: list[dict]):
 
 def _rotor(a: dict, r: dict) -> dict:
     outlook = r["prognosis"] or {}
-    low, high = outlook.get("hours_left_interval") or (None, None)
-    more = {
-        "loss_low": r["interval"][0],
-        "loss_high": r["interval"][1],
-        "outlook": outlook.get("word"),
-        "hours_left_low": low,
-    }
-    return r | outlook | more | {"hours_left_high": high, "aircraft": a["key"], "aircraft_name": a["name"]}
+    more = {"outlook": outlook.get("word"), "aircraft": a["key"], "aircraft_name": a["name"]}
+    more |= dict(zip(("loss_low", "loss_high"), r["interval"]))
+    return (
+        r | outlook | more | dict(zip(("hours_left_low", "hours_left_high"), outlook.get("hours_left_interval") or ()))
+    )

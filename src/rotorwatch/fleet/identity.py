@@ -42,9 +42,8 @@ def identify(flight: Flight) -> Identity:
             digits = match.group(2).replace(" ", "")
             return Identity(f"serial {match.group(1)} {digits}", f"{match.group(1)}-{digits[-4:]}", "serial number")
         if MACHINE.match(message.text):
-            return Identity(
-                f"machine {message.text} system {own:.0f}", f"{message.text[:4]}-{own:.0f}", "serial number"
-            )
+            text = f"machine {message.text} system {own:.0f}"
+            return Identity(text, f"{message.text[:4]}-{own:.0f}", "serial number")
     if uuid := str(flight.facts.get("sys_uuid", "")):
         board = str(flight.facts.get("ver_hw") or "PX4")
         return Identity(f"serial {board} {uuid}", f"{board}-{uuid[-4:]}", "serial number")

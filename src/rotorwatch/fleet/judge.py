@@ -15,8 +15,6 @@ from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.healthy import whole_flight
 from rotorwatch.motion.airborne import airborne
 
-FEATURELESS: dict = {}
-
 
 def entry(
     path: str | os.PathLike, aircraft: str = "", vehicle: Vehicle | None = None, progress: Callable | None = None
@@ -40,9 +38,8 @@ def of_flight(
         from rotorwatch.diagnose import diagnose
 
         found = diagnose(flight, vehicle=craft, progress=progress)
-    diagnosed = {
-        k: v for k, v in found.to_dict().items() if k != "timing"
-    }  # the only thing that differs from run to run
+    diagnosed = found.to_dict()
+    del diagnosed["timing"]  # the only thing that differs from run to run
     who = identity.Identity(f"name {aircraft}", aircraft, "name") if aircraft else identity.identify(flight)
     air = found.trace.airborne if found.trace is not None else airborne(flight)
     return Entry(
@@ -75,12 +72,9 @@ def trim(flight: Flight, craft: Vehicle, air, doubts: Sequence[str]) -> dict:
     log is not believed; empty when there is too little steady hover."""
     found = whole_flight.features(flight, craft, air)
     if not found.usable:
-        return FEATURELESS
-    table_of = found.to_dict() | {"name": ""}
-    return _short(table_of) | {
-        "effectiveness": _short(craft.effectiveness().tolist()),
-        "doubt": doubts[0] if doubts else "",
-    }
+        return {}
+    table = found.to_dict() | {"name": "", "effectiveness": craft.effectiveness().tolist()}
+    return _short(table) | {"doubt": doubts[0] if doubts else ""}
 
 
 def _short(value):

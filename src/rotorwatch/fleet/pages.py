@@ -41,11 +41,8 @@ def write(store: Store, folder: str | Path) -> list[Path]:
 
 def _rank(a: Mapping) -> tuple:
     standing = a["standing"] or {}
-    return (
-        min((WORST.get(r["status"], 9) for r in standing.get("rotors", ())), default=9),
-        -(standing.get("worst") or 0.0),
-        a["name"],
-    )
+    worst = min((WORST.get(r["status"], 9) for r in standing.get("rotors", ())), default=9)
+    return worst, -(standing.get("worst") or 0.0), a["name"]
 
 
 def _file(a: Mapping) -> str:
@@ -96,20 +93,13 @@ def _aircraft(a: Mapping, points: Mapping, services: Sequence[Mapping]) -> str:
             f'<h2>Rotor {r["rotor"]}: <span class="{escape(r["status"])}">{escape(r["status"])}</span></h2>'
             f"<p>{100 * r['loss']:.1f} % lost, 95 % between {100 * low:.1f} and {100 * high:.1f} %.</p>"
         )
-        body.append(
-            _drawn(
-                r["rotor"],
-                [row[i] if row else None for row in points["loss"]],
-                [e[i] for e in points["explained"]],
-                standing,
-            )
-        )
+        alone = [row[i] if row else None for row in points["loss"]]
+        body.append(_drawn(r["rotor"], alone, [e[i] for e in points["explained"]], standing))
     lines = [f"<li>{escape(_service(s))}</li>" for s in services]
     body.append(f"<h2>Maintenance</h2><ul>{''.join(lines)}</ul>" if lines else "")
     left = "".join(f"<li>{escape(o['name'])}: {escape(o['why'])}</li>" for o in standing["left_out"])
-    body.append(
-        f"<p>{standing['used']} of {standing['flights']} flights were used.</p>" + (f"<ul>{left}</ul>" if left else "")
-    )
+    used = f"{standing['used']} of {standing['flights']} flights were used."
+    body.append(f"<p>{used}</p>" + (f"<ul>{left}</ul>" if left else ""))
     return _page(a["name"], "".join(body))
 
 
@@ -137,15 +127,12 @@ def _drawn(rotor: int, loss: Sequence[float | None], line: Sequence[float], stan
     for s in standing["services"]:
         if s["rotor"] in (0, rotor):
             x = at(s["before_flight"] - 1.5, 0.0).split(",")[0]
-            parts.append(
-                f'<line x1="{x}" y1="{TOP}" x2="{x}" y2="{HEIGHT - BOTTOM}" stroke="currentColor" stroke-dasharray="3 3"/>'
-            )
+            ends = f'x1="{x}" y1="{TOP}" x2="{x}" y2="{HEIGHT - BOTTOM}"'
+            parts.append(f'<line {ends} stroke="currentColor" stroke-dasharray="3 3"/>')
     dots = (at(k, v).split(",") for k, v in enumerate(loss) if v is not None)
     parts += [f'<circle cx="{x}" cy="{y}" r="2" fill="#4a7ebb" fill-opacity=".7"/>' for x, y in dots]
-    parts.append(
-        f'<polyline points="{" ".join(at(k, v) for k, v in enumerate(line))}" fill="none" stroke="#c0392b" stroke-width="1.5"/>'
-    )
-    parts.append(
-        f'<text x="{LEFT}" y="{HEIGHT - 4}">flight 1</text><text x="{WIDTH - 8}" y="{HEIGHT - 4}" text-anchor="end">flight {K}</text>'
-    )
+    course = " ".join(at(k, v) for k, v in enumerate(line))
+    parts.append(f'<polyline points="{course}" fill="none" stroke="#c0392b" stroke-width="1.5"/>')
+    parts.append(f'<text x="{LEFT}" y="{HEIGHT - 4}">flight 1</text>')
+    parts.append(f'<text x="{WIDTH - 8}" y="{HEIGHT - 4}" text-anchor="end">flight {K}</text>')
     return f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="Loss of rotor {rotor} over the flights">{"".join(parts)}</svg>'

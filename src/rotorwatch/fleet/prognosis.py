@@ -50,14 +50,9 @@ class Prognosis:
 
     def to_dict(self) -> dict:
         """Plain data."""
-        return {
-            "word": self.word,
-            "loss_per_hour": self.growth,
-            "loss_per_hour_interval": list(self.growth_interval),
-            "limit": LIMIT,
-            "hours_left": self.hours,
-            "hours_left_interval": list(self.interval) if self.interval else None,
-        }
+        speed = {"loss_per_hour": self.growth, "loss_per_hour_interval": list(self.growth_interval), "limit": LIMIT}
+        left = {"hours_left": self.hours, "hours_left_interval": list(self.interval) if self.interval else None}
+        return {"word": self.word} | speed | left
 
 
 def foresee(lines: Lines | None, flown: float) -> Prognosis:
@@ -78,10 +73,8 @@ def foresee(lines: Lines | None, flown: float) -> Prognosis:
     variance = v[:, 0, 0, None] + 2.0 * t * v[:, 0, 1, None] + t**2 * v[:, 1, 1, None]
     z = (lines.now[:, None] + lines.growth[:, None] * t - LIMIT) / np.sqrt(np.maximum(variance, 1e-18))
     reached = np.maximum.accumulate(w @ normal_cdf(z))
-    low, middle, high = (
-        float(t[np.argmax(reached >= q)]) if reached[-1] >= q else None
-        for q in (0.5 - COVERED / 2, 0.5, 0.5 + COVERED / 2)
-    )
+    shares = (0.5 - COVERED / 2, 0.5, 0.5 + COVERED / 2)
+    low, middle, high = (float(t[np.argmax(reached >= q)]) if reached[-1] >= q else None for q in shares)
     if low is None or middle is None:
         return Prognosis("no trend", growth, bounds)
     return Prognosis("growing", growth, bounds, middle, (low, high))

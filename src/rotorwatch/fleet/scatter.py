@@ -16,15 +16,12 @@ from __future__ import annotations
 import numpy as np
 
 NU = 5.0
-ROTOR_SD, CENTRE_SD = (
-    0.02,
-    0.01,
-)  # assumed of flights: of a rotor's thrust, relative; of the centre of mass, arm lengths
+# Assumed of flights: of a rotor's thrust, relative; of the centre of mass, arm lengths.
+ROTOR_SD, CENTRE_SD = 0.02, 0.01
 PRIOR_FLIGHTS = 10.0  # that the assumed scatter counts for in a fleet, and the fleet's for an aircraft of it
 ROUNDS = 30
-MEDIAN = {
-    3: 2.7214
-}  # of the squared distance of rows of d from t with NU degrees of freedom: d times the median of F(d, NU)
+# {d: median of the squared distance of rows of d from t with NU degrees of freedom}: d times the median of F(d, NU).
+MEDIAN = {3: 2.7214}
 # A difference from the mean of two neighbours scatters by this much more than a flight does.
 OF_TWO = 1.5
 

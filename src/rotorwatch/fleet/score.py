@@ -56,9 +56,8 @@ def score(store: Store, folder: str | Path) -> dict[str, Any]:
                 told += 1
                 right += names == [weak]
         if story.kind == "damage" and story.rotor in names:
-            own = [
-                c["flight"] - 1 for c in standing["changes"] if c["kind"] == "loss" and c["rotor"] == story.rotor + 1
-            ]
+            mine = (c for c in standing["changes"] if c["kind"] == "loss" and c["rotor"] == story.rotor + 1)
+            own = [c["flight"] - 1 for c in mine]
             off.append(min((abs(k - story.start) for k in own), default=flights))
             near.append(off[-1] <= NEAR)
         if story.kind == "wear" and story.rotor >= 0:

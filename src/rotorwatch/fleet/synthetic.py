@@ -58,12 +58,10 @@ class Story:
         """Of `rotor` by what happened, at a flight; its own part from the workshop is not in it."""
         if self.kind == "damage":
             return self.size if flight >= self.start else 0.0
-        if self.kind in ("wear", "exchange"):
-            end = self.exchange if 0 <= self.exchange else flights
-            if not self.start <= flight < end:
-                return 0.0
-            return self.size * (flight - self.start + 1) / (end - self.start)
-        return 0.0
+        end = self.exchange if self.exchange >= 0 else flights
+        if self.kind not in ("wear", "exchange") or not self.start <= flight < end:
+            return 0.0
+        return self.size * (flight - self.start + 1) / (end - self.start)
 
 
 def stories(aircraft: int, flights: int, seed: int) -> list[Story]:
@@ -82,10 +80,8 @@ def stories(aircraft: int, flights: int, seed: int) -> list[Story]:
         elif kind == "damage":
             start, size = int(rng.integers(flights // 5, max(flights // 5 + 1, 4 * flights // 5))), rng.uniform(*DAMAGE)
         elif kind == "exchange":
-            exchange, size = (
-                int(rng.integers(flights // 2, max(flights // 2 + 1, 4 * flights // 5))),
-                rng.uniform(*WORN),
-            )
+            exchange = int(rng.integers(flights // 2, max(flights // 2 + 1, 4 * flights // 5)))
+            size = rng.uniform(*WORN)
         elif kind == "battery moved":
             start = int(rng.integers(flights // 4, max(flights // 4 + 1, 3 * flights // 4)))
         out.append(Story(f"A{number + 1:03d}", frame, kind, rotor if size else -1, start, float(size), exchange))
@@ -152,8 +148,12 @@ def _named(flight: Flight, story: Story, number: int, k: int, seed: int) -> Flig
         flight,
         messages=(serial, *flight.messages),
         parameters={**flight.parameters, "STAT_BOOTCNT": float(k + 1)},
-        facts={**flight.facts, "utc_start": when.isoformat(timespec="milliseconds").replace("+00:00", "Z")},
+        facts={**flight.facts, "utc_start": _utc(when)},
     )
+
+
+def _utc(when: datetime) -> str:
+    return when.isoformat(timespec="milliseconds").replace("+00:00", "Z")
 
 
 def make(
@@ -172,11 +172,8 @@ def make(
     added = 0
     with Store(url or folder / STORE) as store:
         for number, story in enumerate(tales):
-            known = (
-                {f["path"] for f in store.flights(aircraft=_key(store, story), limit=None)}
-                if _key(store, story)
-                else set()
-            )
+            key = _key(store, story)
+            known = {f["path"] for f in store.flights(aircraft=key, limit=None)} if key else set()
             paths = [f"simulated/{seed}/{story.name}/{k + 1:04d}" for k in range(flights)]
             if not all(path in known for path in paths):
                 for k, flight in enumerate(fly(story, number, flights, seed)):
@@ -189,19 +186,10 @@ def make(
                         progress((number + (k + 1) / flights) / aircraft, "flying")
             key = _key(store, story)
             if story.exchange >= 0 and key and not store.services(key):
-                when = FIRST + timedelta(days=story.exchange - 0.5)
-                store.service(
-                    key,
-                    story.rotor + 1,
-                    "new propeller",
-                    when.isoformat(timespec="milliseconds").replace("+00:00", "Z"),
-                )
+                store.service(key, story.rotor + 1, "new propeller", _utc(FIRST + timedelta(days=story.exchange - 0.5)))
         assess.refresh(store, progress)
-    truth = {
-        "seed": seed,
-        "flights": flights,
-        "aircraft": [vars(t) | {"loss": t.loss(flights - 1, flights)} for t in tales],
-    }
+    told = [vars(t) | {"loss": t.loss(flights - 1, flights)} for t in tales]
+    truth = {"seed": seed, "flights": flights, "aircraft": told}
     with files.replacing(folder / TRUTH) as hidden:
         hidden.write_text(json.dumps(truth, indent=1) + "\n")
     return folder / TRUTH, added

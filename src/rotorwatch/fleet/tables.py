@@ -6,6 +6,7 @@ same rows, however often the work was broken off in between. Texts that can be m
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import sqlalchemy as sa
@@ -14,54 +15,58 @@ from rotorwatch.errors import StoreError
 
 metadata = sa.MetaData()
 
-meta = sa.Table(
-    "meta", metadata, sa.Column("key", sa.Text, primary_key=True), sa.Column("value", sa.Text, nullable=False)
-)
+
+def _column(name: str, kind: Any = sa.Text, *, nullable: bool = False, **more: Any) -> sa.Column:
+    return sa.Column(name, kind, nullable=nullable, **more)
+
+
+def _of(table: str, key: str, name: str, **more: Any) -> sa.Column:
+    """A column that names a row of another table."""
+    return sa.Column(name, sa.Text, sa.ForeignKey(f"{table}.{key}"), **more)
+
+
+meta = sa.Table("meta", metadata, _column("key", primary_key=True), _column("value"))
 
 aircraft = sa.Table(
     "aircraft",
     metadata,
-    # key: made of what it is told apart by. name: what people call it; they may change it.
-    sa.Column("key", sa.Text, primary_key=True),
-    sa.Column("name", sa.Text, nullable=False, unique=True),
-    sa.Column("ordinal", sa.Integer, nullable=False),
+    # key: made of what identifies it. name: what people call it; they may change it.
+    _column("key", primary_key=True),
+    _column("name", unique=True),
+    _column("ordinal", sa.Integer),
 )
 
 # By what a log is known to be of an aircraft: serial number, board and calibration, or a name. Several may stand for one aircraft.
 identities = sa.Table(
     "identities",
     metadata,
-    sa.Column("identity", sa.Text, primary_key=True),
-    sa.Column("aircraft", sa.Text, sa.ForeignKey("aircraft.key"), nullable=False, index=True),
+    _column("identity", primary_key=True),
+    _of("aircraft", "key", "aircraft", nullable=False, index=True),
 )
 
 flights = sa.Table(
     "flights",
     metadata,
     # hash: SHA-256 of the log's bytes. ordinal: which flight of the store it is, in the order in which they were added.
-    sa.Column("hash", sa.Text, primary_key=True),
-    sa.Column("ordinal", sa.Integer, nullable=False, unique=True),
-    sa.Column("path", sa.Text, nullable=False),
-    sa.Column("name", sa.Text, nullable=False),
-    sa.Column("size", sa.BigInteger, nullable=False),
-    sa.Column("aircraft", sa.Text, sa.ForeignKey("aircraft.key")),
-    sa.Column("identity", sa.Text, nullable=False),
+    _column("hash", primary_key=True),
+    _column("ordinal", sa.Integer, unique=True),
+    _column("path"),
+    _column("name"),
+    _column("size", sa.BigInteger),
+    _of("aircraft", "key", "aircraft"),
+    _column("identity"),
     # utc: of second 0, ISO 8601, or empty. clock_us: the log's own clock then. count: the autopilot's number of the flight, or null.
-    sa.Column("utc", sa.Text, nullable=False),
-    sa.Column("clock_us", sa.BigInteger, nullable=False),
-    sa.Column("count", sa.BigInteger),
-    sa.Column("duration_s", sa.Float, nullable=False),
-    sa.Column("airborne_s", sa.Float, nullable=False),
-    sa.Column("autopilot", sa.Text, nullable=False),
-    sa.Column("firmware", sa.Text, nullable=False),
-    sa.Column("frame", sa.Text, nullable=False),
-    sa.Column("rotors", sa.Integer, nullable=False),
-    sa.Column("build", sa.Text, nullable=False),
-    sa.Column("verdict", sa.Text, nullable=False),
-    sa.Column("headline", sa.Text, nullable=False),
-    sa.Column("version", sa.Text, nullable=False),
-    # What a search looks through, in lower case.
-    sa.Column("words", sa.Text, nullable=False),
+    _column("utc"),
+    _column("clock_us", sa.BigInteger),
+    _column("count", sa.BigInteger, nullable=True),
+    _column("duration_s", sa.Float),
+    _column("airborne_s", sa.Float),
+    _column("autopilot"),
+    _column("firmware"),
+    _column("frame"),
+    _column("rotors", sa.Integer),
+    # words: what a search looks through, in lower case.
+    *(_column(name) for name in ("build", "verdict", "headline", "version", "words")),
     # With airborne_s, so that sums over an aircraft read the index alone.
     sa.Index("flights_of_aircraft", "aircraft", "utc", "ordinal", "airborne_s"),
     sa.Index("flights_in_time", "utc", "ordinal"),
@@ -69,29 +74,19 @@ flights = sa.Table(
 )
 
 # Large texts lie apart: a list of flights never reads them.
-diagnoses = sa.Table(
-    "diagnoses",
-    metadata,
-    sa.Column("hash", sa.Text, sa.ForeignKey("flights.hash"), primary_key=True),
-    sa.Column("diagnosis", sa.Text, nullable=False),
-)
-trims = sa.Table(
-    "trims",
-    metadata,
-    sa.Column("hash", sa.Text, sa.ForeignKey("flights.hash"), primary_key=True),
-    sa.Column("trim", sa.Text, nullable=False),
-)
+diagnoses = sa.Table("diagnoses", metadata, _of("flights", "hash", "hash", primary_key=True), _column("diagnosis"))
+trims = sa.Table("trims", metadata, _of("flights", "hash", "hash", primary_key=True), _column("trim"))
 
 # Maintenance: rotor 0 is the whole aircraft. It was before the flights from `utc` on; without a time, after flight number `after`.
 services = sa.Table(
     "services",
     metadata,
-    sa.Column("aircraft", sa.Text, sa.ForeignKey("aircraft.key"), primary_key=True),
-    sa.Column("number", sa.Integer, primary_key=True),
-    sa.Column("rotor", sa.Integer, nullable=False),
-    sa.Column("what", sa.Text, nullable=False),
-    sa.Column("utc", sa.Text, nullable=False),
-    sa.Column("after", sa.Integer, nullable=False),
+    _of("aircraft", "key", "aircraft", primary_key=True),
+    _column("number", sa.Integer, primary_key=True),
+    _column("rotor", sa.Integer),
+    _column("what"),
+    _column("utc"),
+    _column("after", sa.Integer),
 )
 
 # What all flights together say of an aircraft, as it was last worked out. seen: how many flights and services the store held then.
@@ -99,24 +94,19 @@ services = sa.Table(
 standings = sa.Table(
     "standings",
     metadata,
-    sa.Column("aircraft", sa.Text, sa.ForeignKey("aircraft.key"), primary_key=True),
-    sa.Column("seen", sa.Integer, nullable=False),
-    sa.Column("standing", sa.Text, nullable=False),
-    sa.Column("points", sa.Text, nullable=False),
+    _of("aircraft", "key", "aircraft", primary_key=True),
+    _column("seen", sa.Integer),
+    _column("standing"),
+    _column("points"),
 )
 
 
-def _first(connection: Any) -> None:
-    metadata.create_all(
-        connection, tables=[meta, aircraft, identities, flights, diagnoses, trims, services], checkfirst=False
-    )
+def _add(*tables: sa.Table) -> Callable[[Any], None]:
+    """A step that adds tables."""
+    return lambda connection: metadata.create_all(connection, tables=tables, checkfirst=False)
 
 
-def _standings(connection: Any) -> None:
-    metadata.create_all(connection, tables=[standings], checkfirst=False)
-
-
-STEPS = (_first, _standings)
+STEPS = (_add(meta, aircraft, identities, flights, diagnoses, trims, services), _add(standings))
 """Step k makes version k + 1 of version k. Steps are never changed once stores were made with them."""
 
 

@@ -1,6 +1,6 @@
 """Healthy flights are judged before anything is learned from them, and held against the flight that they are to judge.
 
-A flight is set aside, with a sentence that names it and the reason, when
+A flight is rejected, with a sentence that names it and the reason, when
 
 * it shows no flight, or is the very flight that is judged, or one that is there already;
 * the default diagnosis, without a baseline, finds something in it;
@@ -30,6 +30,7 @@ from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.healthy import whole_flight
 from rotorwatch.motion import trust
 from rotorwatch.motion.airborne import airborne
+from rotorwatch.motion.allocation import within
 from rotorwatch.motion.ticks import Ticks
 
 READY_S = 3.0  # after lift-off, before the dynamics of a flight are learned from
@@ -134,7 +135,7 @@ def healthy(
     of: Candidate | None = None,
     progress: Callable | None = None,
 ) -> tuple[tuple[Candidate, ...], tuple[str, ...]]:
-    """The flights that can be learned from, and a sentence for each that was set aside.
+    """The flights that can be learned from, and a sentence for each that was rejected.
 
     vehicle: the airframe of all of them; None: as each log says. of: the flight that they are to judge. progress: called with the
     finished share, 0..1. Raises ConfigError without a flight, LogError for a file that cannot be read, and VehicleError when no flight is
@@ -145,23 +146,23 @@ def healthy(
     found = [f if isinstance(f, Candidate) else Candidate(_read(f), vehicle) for f in given]
     if not found:
         raise ConfigError("Give at least one healthy flight.")
-    aside: list[tuple[str, str]] = []
-    kept: list[Candidate] = []
+    rejected: list[tuple[str, str]] = []
+    accepted: list[Candidate] = []
     for k, one in enumerate(found):
-        why = one.unusable or _again(one, kept, of) or one.flaw
+        why = one.unusable or _again(one, accepted, of) or one.flaw
         if why:
-            aside.append((one.name, why))
+            rejected.append((one.name, why))
         else:
-            kept.append(one)
+            accepted.append(one)
         tell((k + 1) / len(found))
-    kept = _of_one_build(kept, of, aside)
-    kept = _of_one_mind(kept, aside)
-    if not kept:
-        reasons = "; ".join(f"{name}: {why}" for name, why in aside)
+    accepted = _same_build(accepted, of, rejected)
+    accepted = _alike_in_hover(accepted, rejected)
+    if not accepted:
+        reasons = "; ".join(f"{name}: {why}" for name, why in rejected)
         raise VehicleError(
             f"No healthy flight is left to learn from ({reasons}); give healthy flights of one aircraft."
         )
-    return tuple(kept), tuple(f"{name} was set aside: {why}" for name, why in aside)
+    return tuple(accepted), tuple(f"{name} was set aside: {why}" for name, why in rejected)
 
 
 def settle(
@@ -180,12 +181,19 @@ def settle(
         from rotorwatch.healthy.calibrate import learned
 
         own = Candidate(flight, vehicle)
-        kept, aside = healthy(given, vehicle, None if own.unusable else own, progress)
-        known = learned(kept)
+        accepted, rejected = healthy(given, vehicle, None if own.unusable else own, progress)
+        known = learned(accepted)
         craft = replace(craft, identified=known.identified, assumptions=(*craft.assumptions, *known.assumptions))
-        source = f"{len(kept)} healthy flight{'s' if len(kept) > 1 else ''} of the same build"
-        return craft, source, (*told, *(f"baseline: {sentence}" for sentence in aside))
+        source = f"{len(accepted)} healthy flight{'s' if len(accepted) > 1 else ''} of the same build"
+        return craft, source, (*told, *(f"baseline: {sentence}" for sentence in rejected))
     return craft, f"vehicle file {craft.name}" if vehicle and craft.identified else "none", told
+
+
+def vehicle_of(vehicle: Vehicle | str | PathLike | None) -> Vehicle | None:
+    """A vehicle that may be given as its file. Raises VehicleError, ConfigError."""
+    from rotorwatch.flight import vehicle_file
+
+    return vehicle_file.read(vehicle) if isinstance(vehicle, str | PathLike) else vehicle
 
 
 def _read(given) -> Flight:
@@ -211,7 +219,7 @@ def _other_frame(flight: Flight, vehicle: Vehicle | None) -> tuple[str, ...]:
     )
 
 
-def _again(one: Candidate, kept: list[Candidate], of: Candidate | None) -> str:
+def _again(one: Candidate, accepted: list[Candidate], of: Candidate | None) -> str:
     """Whether it is the flight that is judged, or one that is there already: a copy says nothing new."""
 
     def same(other):
@@ -220,10 +228,10 @@ def _again(one: Candidate, kept: list[Candidate], of: Candidate | None) -> str:
 
     if of is not None and same(of):
         return "it is the flight that is to be judged, which says nothing about itself"
-    return next((f"it is the same flight as {other.name}" for other in kept if same(other)), "")
+    return next((f"it is the same flight as {other.name}" for other in accepted if same(other)), "")
 
 
-def _of_one_build(found: list[Candidate], of: Candidate | None, aside: list[tuple[str, str]]) -> list[Candidate]:
+def _same_build(found: list[Candidate], of: Candidate | None, rejected: list[tuple[str, str]]) -> list[Candidate]:
     """Those of the build of the flight `of`; without it, of the one that agrees with most of the others."""
     if len(found) < (1 if of else 2):
         return found
@@ -239,21 +247,19 @@ def _of_one_build(found: list[Candidate], of: Candidate | None, aside: list[tupl
                 f"{found[odd].name} and {found[best].name} are not of one build: {table[best][odd]}; give flights of one build only."
             )
         reference, why = found[best], table[best]
-    aside += [(one.name, f"{w} (held against {reference.name})") for one, w in zip(found, why) if w]
+    rejected += [(one.name, f"{w} (held against {reference.name})") for one, w in zip(found, why) if w]
     return [one for one, w in zip(found, why) if not w]
 
 
-def _of_one_mind(found: list[Candidate], aside: list[tuple[str, str]]) -> list[Candidate]:
+def _alike_in_hover(found: list[Candidate], rejected: list[tuple[str, str]]) -> list[Candidate]:
     """Those that hover alike: leave-one-out, the worst first."""
     while True:
         usable = [one for one in found if one.features.usable]
         m = len(usable)
         if m < 2:
             return found
-        rare = [
-            whole_flight.rarity(one.features, [u.features for u in usable if u is not one], one.vehicle)
-            for one in usable
-        ]
+        others = [[u.features for u in usable if u is not one] for one in usable]
+        rare = [whole_flight.rarity(one.features, rest, one.vehicle) for one, rest in zip(usable, others)]
         worst = int(np.argmin(rare))
         if m == 2:
             if min(rare) >= whole_flight.FALSE_FAULT:
@@ -265,7 +271,7 @@ def _of_one_mind(found: list[Candidate], aside: list[tuple[str, str]]) -> list[C
         if rare[worst] >= whole_flight.FALSE_ALARM / m:
             return found
         odd = usable[worst]
-        aside.append((odd.name, f"its rotors share the load otherwise than in the {m - 1} other flights"))
+        rejected.append((odd.name, f"its rotors share the load otherwise than in the {m - 1} other flights"))
         found = [one for one in found if one is not odd]
 
 
@@ -321,10 +327,7 @@ def _same_geometry(a: Vehicle, b: Vehicle) -> bool:
 def _hover_command(one: Candidate) -> float:
     """Median of the outputs in the air, in their unit."""
     motors = one.flight["motors"]
-    inside = np.zeros(len(motors), bool)
-    for start, end in one.air:
-        inside |= (motors.time >= start) & (motors.time <= end)
-    values = motors.values[inside & motors.valid.all(axis=1)]
+    values = motors.values[within(motors.time, one.air) & motors.valid.all(axis=1)]
     return float(np.median(values)) if values.size else float("nan")
 
 

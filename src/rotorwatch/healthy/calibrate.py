@@ -75,17 +75,13 @@ def _identified(kept: Sequence[Candidate]) -> dict:
 def _assumptions(kept: Sequence[Candidate]) -> list[str]:
     """Sentences on what calibration takes for granted."""
     count, tables = len(kept), [one.features for one in kept]
+    which = f"The {count} calibration flights were" if count > 1 else "The calibration flight was"
     said = [
-        f"The {count} calibration flights were healthy and of the same build, payload and battery type."
-        if count > 1
-        else "The calibration flight was healthy and of the same build, payload and battery type.",
+        f"{which} healthy and of the same build, payload and battery type.",
         "The hover command is the mean of these flights, at their battery voltages.",
     ]
-    said += [
-        f"{t.name or 'A calibration flight'} has too little steady hover to be compared with."
-        for t in tables
-        if not t.usable
-    ]
+    short = (t.name or "A calibration flight" for t in tables if not t.usable)
+    said += [f"{name} has too little steady hover to be compared with." for name in short]
     if sum(t.usable for t in tables) < whole_flight.MANY_FLIGHTS:
         said.append(
             "With few calibration flights the spread between healthy flights is mostly assumed: "

@@ -28,7 +28,7 @@ import numpy as np
 
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch.healthy.whole_flight import CENTRE_RHO_SD, LIMITED, RHO_SD, Features, features
+from rotorwatch.healthy.whole_flight import CENTRE_RHO_SD, LIMITED, RHO_SD, Features, features, t_density
 from rotorwatch.maths.tails import f_tail
 
 CENTRE, TILT, FREEDOM = 0.04, 0.2, 6.0
@@ -36,10 +36,7 @@ SHIFT_SD = 0.15  # arm lengths: a camera or a battery that hangs out in front
 HEALTHY, ROTOR, SHIFTED = 0.9, 0.05, 0.05  # before anything is seen
 MOST = 0.9
 FALSE_ALARM, FALSE_FAULT = 0.05, 0.001  # share of healthy vehicles that differ as much, for a word and for a fault
-SURE, OTHER = (
-    0.99,
-    0.05,
-)  # probability of being weak that a fault needs: more than elsewhere, of so few vehicles; that a word needs
+SURE, OTHER = 0.99, 0.05  # probability of being weak: for a fault, more than elsewhere, of so few vehicles; for a word
 
 
 def judge(flight: Flight, vehicle: Vehicle, air: Sequence[tuple[float, float]], until: float = np.inf) -> dict | None:
@@ -106,10 +103,7 @@ def weigh(found: Features, B: np.ndarray) -> dict:
 
 def _density(rest: np.ndarray, scale: np.ndarray, yaw_sd) -> np.ndarray:
     """(g,) t densities, but for a factor, of rest (g, 3) with variances yaw_sd (g,) squared more in yaw."""
-    grown = np.repeat(scale[None], len(rest), axis=0)
-    grown[:, 2, 2] += np.square(yaw_sd)
-    far = np.einsum("gi,gi->g", rest, np.linalg.solve(grown, rest[:, :, None])[:, :, 0])
-    return (1.0 + far / FREEDOM) ** (-(FREEDOM + 3.0) / 2.0) / np.sqrt(np.linalg.det(grown))
+    return t_density(rest, scale, np.square(np.outer(np.broadcast_to(yaw_sd, len(rest)), [0.0, 0.0, 1.0])), FREEDOM)
 
 
 def _weak(B: np.ndarray, rotor: int, theta: np.ndarray) -> np.ndarray:

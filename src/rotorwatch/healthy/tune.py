@@ -14,6 +14,8 @@ Works for every estimator that says innovation and innovation_cov.
 
 from __future__ import annotations
 
+import inspect
+import json
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from os import PathLike
@@ -72,12 +74,8 @@ class Fit:
     def to_dict(self) -> dict:
         """As in the file."""
         t = self.tuning
-        checked = {
-            "held_out": self.held_out,
-            "held_out_before": self.held_out_before,
-            "held_out_after": self.held_out_after,
-        }
-        checked = checked if self.held_out else {}
+        names = ("held_out", "held_out_before", "held_out_after") if self.held_out else ()
+        checked = {name: getattr(self, name) for name in names}
         return {
             "estimator": self.estimator, "plant": self.plant, "dt": self.dt, "q": [float(v) for v in t.q],
             "r": [float(v) for v in t.r], "keywords": {k: float(v) for k, v in t.keywords.items()},
@@ -90,8 +88,6 @@ class Fit:
 
 def walk_of(name: str) -> str | None:
     """The keyword by which a method takes the random walk of the losses; None for a method without one."""
-    import inspect
-
     known = inspect.signature(discovery.estimator(name).__init__).parameters
     return next((k for k in WALKS if k in known and np.ndim(known[k].default) == 0), None)
 
@@ -133,14 +129,14 @@ def fit(
         return first + WALL, WALL * back / max(back @ back, 1e-12)
 
     limit = float(np.log(RANGE))
-    best = minimize(
-        value, start, jac=True, method="L-BFGS-B", bounds=[(-limit, limit)] * start.size, options={"maxiter": rounds}
-    )
+    bounds, how = [(-limit, limit)] * start.size, {"maxiter": rounds}
+    best = minimize(value, start, jac=True, method="L-BFGS-B", bounds=bounds, options=how)
     factors = np.exp(best.x)
     n_x, n_y = system.n_x, system.n_y
     chosen = dict(keywords or {})
     if walk is not None:
-        chosen[walk] = float(_default(name, walk, chosen) * factors[-1])
+        usual = inspect.signature(discovery.estimator(name).__init__).parameters[walk].default
+        chosen[walk] = float(chosen.get(walk, usual)) * float(factors[-1])
     tuning = Tuning(factors[:n_x], factors[n_x : n_x + n_y], chosen)
     notes = _at_bounds(factors, system, walk)
     if not best.fun < first:
@@ -170,7 +166,9 @@ def tune(
     found = fit(estimator, taught, rounds=rounds, progress=progress)
     notes = [*aside, *found.notes]
     if held:
-        before, after = (_mean_likelihood(estimator, held, tuning) for tuning in (None, found.tuning))
+        rows = [len(hop.u) - SETTLE for hop in held]
+        each = ([log_likelihood(estimator, hop, tuning) for hop in held] for tuning in (None, found.tuning))
+        before, after = (float(np.average(values, weights=rows)) for values in each)
         found = replace(found, held_out=held_name, held_out_before=before, held_out_after=after)
         if after < before:
             notes.append(
@@ -202,10 +200,6 @@ def _kept_back(flights: Sequence[tuple[str, list[LogPlant]]]) -> tuple[list[LogP
     if not hops or len(hops[-1].u) - cut < LEAST_ROWS:
         return hops, [], ""
     return [*hops[:-1], hops[-1].part(0, cut)], [hops[-1].part(cut)], f"the last quarter of {flights[0][0]}"
-
-
-def _mean_likelihood(name: str, hops: Sequence[LogPlant], tuning: Tuning | None) -> float:
-    return float(np.average([log_likelihood(name, h, tuning) for h in hops], weights=[len(h.u) - SETTLE for h in hops]))
 
 
 def _at_bounds(factors: np.ndarray, system, walk: str | None) -> list[str]:
@@ -254,12 +248,6 @@ def _log_normal(e, S, valid):
     return -0.5 * (z @ z) - jnp.log(jnp.diagonal(L)).sum() - 0.5 * np.log(2 * np.pi) * valid.sum()
 
 
-def _default(name: str, keyword: str, chosen: dict) -> float:
-    import inspect
-
-    return float(chosen.get(keyword, inspect.signature(discovery.estimator(name).__init__).parameters[keyword].default))
-
-
 def _objective(name: str, tables, keywords: dict, walk: str | None) -> Callable:
     """Negative mean log-likelihood of the log factors p, over windows of all tables, each once healthy and once not."""
     jax = load_jax()
@@ -277,9 +265,9 @@ def _objective(name: str, tables, keywords: dict, walk: str | None) -> Callable:
     shared = all(isinstance(t, LogPlant) for t in tables)
     if not shared and any(t.system is not tables[0].system for t in tables):
         raise ConfigError("Tuning on simulated flights needs one plant for all of them.")
-    stacked = (
-        jax.tree.map(lambda *a: np.stack([np.asarray(v, float) for v in a]), *plants) if shared else np.arange(len(u))
-    )
+    stacked = np.arange(len(u))
+    if shared:
+        stacked = jax.tree.map(lambda *a: np.stack([np.asarray(v, float) for v in a]), *plants)
     n_x, n_y, dt = tables[0].system.n_x, tables[0].system.n_y, tables[0].dt
 
     def one(p, parameters, u, y, valid):
@@ -330,8 +318,6 @@ def write(found: Fit, path: str | PathLike) -> None:
 
 
 def _toml(value) -> str:
-    import json
-
     if isinstance(value, str):
         return json.dumps(value, ensure_ascii=False)
     if isinstance(value, list):
@@ -351,12 +337,8 @@ def read(path: str | PathLike, estimator: str) -> Tuning:
     found = []
     for key, size in (("q", 3), ("r", 4)):
         value = d.get(key, [1.0] * size)
-        ok = (
-            isinstance(value, list)
-            and len(value) == size
-            and all(isinstance(v, int | float) and 0 < v < np.inf for v in value)
-        )
-        if not ok:
+        numbers = isinstance(value, list) and all(isinstance(v, int | float) and 0 < v < np.inf for v in value)
+        if not numbers or len(value) != size:
             raise ConfigError(f"{path}: {key} must be {size} numbers above zero.")
         found.append(np.array(value, float))
     keywords = d.get("keywords", {})

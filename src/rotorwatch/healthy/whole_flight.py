@@ -115,9 +115,8 @@ class Features:
     @classmethod
     def from_dict(cls, table: Mapping) -> Features:
         """The inverse of `to_dict`. Raises ConfigError when something is missing or not a number."""
-        like = {
-            k: np.shape(v) for k, v in asdict(_no_hover("", np.size(table.get("share", ())))).items() if k != "name"
-        }
+        none = asdict(_no_hover("", np.size(table.get("share", ()))))
+        like = {k: np.shape(v) for k, v in none.items() if k != "name"}
         try:
             arrays = {k: np.asarray(table[k], float) for k in like}
         except (KeyError, TypeError, ValueError):
@@ -345,7 +344,8 @@ def judge(flight: Features, baseline: Sequence[Features], vehicle: Vehicle) -> W
     p_change = _tail(*_change(flight, healthy))
     p_value = min(1.0, p_mean / OF_MEAN, p_change / (1.0 - OF_MEAN))  # Bonferroni
     different = p_value < FALSE_ALARM
-    hypotheses = _weigh(shift, covariance, dof, _mean_share(healthy), vehicle)
+    share = np.mean([np.array(one.share) / np.mean(one.share) for one in healthy], axis=0)
+    hypotheses = _weigh(shift, covariance, dof, share, vehicle)
     if different:
         loss, interval = _losses([h for h in hypotheses if h.kind == "rotors"], n)
     else:
@@ -358,7 +358,9 @@ def judge(flight: Features, baseline: Sequence[Features], vehicle: Vehicle) -> W
     scatter = 1.0 - total / sum(h.weight for h in hypotheses)
     causes = sorted((Cause(h.kind, h.rotors, h.weight / total) for h in wrong), key=lambda c: -c.probability)
     suspects: tuple[int, ...] = ()
-    verdict, reason = "healthy", f"the rotors shared the load as in {_flights(len(healthy))}."
+    count = len(healthy)
+    usual = "the healthy flight" if count == 1 else f"the {count} healthy flights"
+    verdict, reason = "healthy", f"the rotors shared the load as in {usual}."
     if different:
         damaged = {r: (1.0 - scatter) * sum(c.probability for c in causes if r in c.rotors) for r in range(1, n + 1)}
         sure = tuple(r for r in damaged if damaged[r] >= SURE)
@@ -383,11 +385,8 @@ def rarity(flight: Features, others: Sequence[Features], vehicle: Vehicle) -> fl
     """Share of healthy flights of the build that would differ from the others at least so much, under the model alone: no bound is put
     on it, so it orders flights but is no odds. All flights must be `usable`."""
     shift, scale, dof = _difference(flight, others)
-    return min(
-        1.0,
-        _tail(shift[:3], scale[:3, :3], dof) / OF_MEAN,
-        _tail(*_change(flight, others)) / (1.0 - OF_MEAN),
-    )
+    p_mean, p_change = _tail(shift[:3], scale[:3, :3], dof), _tail(*_change(flight, others))
+    return min(1.0, p_mean / OF_MEAN, p_change / (1.0 - OF_MEAN))
 
 
 def _tail(x: np.ndarray, scale: np.ndarray, dof: float) -> float:
@@ -422,11 +421,8 @@ def _explain(causes, suspects, sure, p_mean, p_change, p_value, flight, loss, he
         either = " or ".join(both[::-1] if causes[0].kind == "centre_of_mass" else both)
         return "ambiguous", f"{either}: yaw and thrust do not tell them apart; {seldom}."
     sets = [c.rotors for c in causes if c.rotors and (c.probability > OTHER or c is causes[0])]
-    which = (
-        "but not beyond doubt"
-        if len(sets) < 2
-        else f"and it is not certain which ({' or '.join('+'.join(map(str, r)) for r in sets)})"
-    )
+    either = " or ".join("+".join(map(str, r)) for r in sets)
+    which = "but not beyond doubt" if len(sets) < 2 else f"and it is not certain which ({either})"
     return "ambiguous", f"{rotors} had to work harder from take-off on, {which}; {seldom}."
 
 
@@ -434,15 +430,6 @@ def _undecided(n: int, reason: str, flights: int) -> WholeFlight:
     return WholeFlight(
         "inconclusive", reason, (), (0.0,) * n, ((0.0, 1.0),) * n, (), 1.0, (0.0,) * 3, (0.0,) * 3, 0.0, flights
     )
-
-
-def _flights(count: int) -> str:
-    return "the healthy flight" if count == 1 else f"the {count} healthy flights"
-
-
-def _mean_share(healthy) -> np.ndarray:
-    """(n,) mean command of the healthy flights, each normalised by its own level."""
-    return np.mean([np.array(one.share) / np.mean(one.share) for one in healthy], axis=0)
 
 
 def prior_covariance(n: int) -> np.ndarray:
@@ -512,7 +499,7 @@ def _weigh(shift, covariance, dof, share, vehicle) -> list[_Hypothesis]:
     B, n = vehicle.effectiveness(), len(vehicle.rotors)
     mixer = np.linalg.pinv(B) @ B
     none = np.zeros((1, 0))
-    unmoved = _t_density(shift, np.zeros((1, 4)), covariance, np.zeros((1, 2)), dof)[0]
+    unmoved = t_density(shift[None], covariance, np.zeros((1, 4)), dof)[0]
     found = [_Hypothesis("healthy", (), unmoved, none, np.ones(1))]
 
     def rotor_shift(rotors, lacks):
@@ -534,9 +521,9 @@ def _weigh(shift, covariance, dof, share, vehicle) -> list[_Hypothesis]:
         lacks = extra * share[who]
         theta = lacks / (share[who] + lacks @ mixer[np.ix_(who, who)])
         mass = mass * (theta <= 1.0).all(axis=1)
-        more = np.zeros((len(extra), 2))
-        more[:, 0] = np.square(RHO_SD * np.abs(lacks * B[2, who] / share.sum()).max(axis=1))
-        density = mass / mass.sum() * _t_density(shift, rotor_shift(who, lacks), covariance, more, dof)
+        more = np.zeros((len(extra), 4))
+        more[:, 2] = np.square(RHO_SD * np.abs(lacks * B[2, who] / share.sum()).max(axis=1))
+        density = mass / mass.sum() * t_density(shift - rotor_shift(who, lacks), covariance, more, dof)
         total = density.sum()
         one_based = tuple(r + 1 for r in rotors)
         found.append(_Hypothesis("rotors", one_based, prior * total, theta, density / max(total, 1e-300)))
@@ -545,24 +532,18 @@ def _weigh(shift, covariance, dof, share, vehicle) -> list[_Hypothesis]:
     where = np.stack([g.ravel() for g in np.meshgrid(step, step)] + [np.zeros(len(step) ** 2)] * 2, axis=1)
     distance = np.hypot(where[:, 0], where[:, 1])
     mass = np.exp(-0.5 * (distance / SHIFT_SD) ** 2)
-    more = np.square(distance[:, None] * [CENTRE_RHO_SD, WEIGHT_SD])
-    density = mass / mass.sum() * _t_density(shift, where, covariance, more, dof)
+    more = np.square(distance[:, None] * [0.0, 0.0, CENTRE_RHO_SD, WEIGHT_SD])
+    density = mass / mass.sum() * t_density(shift - where, covariance, more, dof)
     found.append(_Hypothesis("centre_of_mass", (), CENTRE * float(density.sum()), none, np.ones(1)))
     return found
 
 
-def _t_density(x, mean, scale, more, dof) -> np.ndarray:
-    """(g,) multivariate t density at x (4,) around mean (g, 4), but for a factor; more (g, 2): added to yaw's and thrust's scale."""
-    # Roll and pitch first, then yaw and thrust given those (Schur): only that part differs from row to row.
-    first, cross = np.linalg.inv(scale[:2, :2]), scale[:2, 2:]
-    rest = x - mean
-    along, yaw_thrust = rest[:, :2], rest[:, 2:] - rest[:, :2] @ first @ cross
-    left = scale[2:, 2:] - cross.T @ first @ cross
-    (yaw, thrust), both = (np.diag(left) + more).T, left[0, 1]
-    det = yaw * thrust - both**2
-    u, v = yaw_thrust.T
-    distance = np.einsum("gi,ij,gj->g", along, first, along) + (u * u * thrust - 2.0 * u * v * both + v * v * yaw) / det
-    return (1.0 + distance / dof) ** (-(dof + len(x)) / 2) / np.sqrt(np.linalg.det(scale[:2, :2]) * det)
+def t_density(rest: np.ndarray, scale: np.ndarray, more: np.ndarray, dof: float) -> np.ndarray:
+    """(g,) multivariate t densities, but for a factor, of rest (g, d). more (g, d): added to the diagonal of the scale matrix (d, d)."""
+    d = rest.shape[1]
+    grown = scale + more[:, :, None] * np.eye(d)
+    distance = np.einsum("gi,gi->g", rest, np.linalg.solve(grown, rest[:, :, None])[:, :, 0])
+    return (1.0 + distance / dof) ** (-(dof + d) / 2) / np.sqrt(np.linalg.det(grown))
 
 
 def _losses(hypotheses, n: int) -> tuple[tuple[float, ...], tuple[tuple[float, float], ...]]:

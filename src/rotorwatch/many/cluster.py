@@ -83,9 +83,8 @@ def run(function: Callable, tasks: Iterator[Task], scheduler: str) -> Iterator[D
                     again.append(task)
                     lost = True
             if lost:
-                warnings.warn(
-                    f"The scheduler at {scheduler} was lost; waiting for it to come back.", WorkerWarning, stacklevel=2
-                )
+                text = f"The scheduler at {scheduler} was lost; waiting for it to come back."
+                warnings.warn(text, WorkerWarning, stacklevel=2)
                 again.extend(task for _, task in flying.values())
                 flying.clear()
                 _close(client, 1.0)
@@ -128,20 +127,15 @@ class _Room:
     def __call__(self) -> int:
         now = time.monotonic()
         if now - self.counted > COUNT_S:
-            try:
+            with suppress(OSError, asyncio.TimeoutError, RuntimeError, ValueError, AttributeError):  # lost
                 self.workers = sum(self.client.nthreads().values())
-            except (OSError, asyncio.TimeoutError, RuntimeError, ValueError, AttributeError):
-                pass  # lost, as its tasks will tell
             self.counted = now
             if self.workers:
                 self.seen = now
             elif now - self.seen > QUIET_S and not self.said:
                 self.said = True
-                warnings.warn(
-                    f"No worker is connected to {self.scheduler}: start some with `dask worker {self.scheduler} --nthreads 1`.",
-                    WorkerWarning,
-                    stacklevel=3,
-                )
+                start = f"start some with `dask worker {self.scheduler} --nthreads 1`"
+                warnings.warn(f"No worker is connected to {self.scheduler}: {start}.", WorkerWarning, stacklevel=3)
         return max(LEAST, AHEAD * self.workers)
 
 
@@ -150,9 +144,8 @@ def _error(why: Exception) -> Exception:
     kind = type(why).__name__
     if kind == "KilledWorker":
         return WorkerError("every worker that began it died (too little memory?)", "died")
-    return WorkerError(
-        f"the cluster cannot do it ({kind}: {why}): its workers need the same Python, rotorwatch and libraries", kind
-    )
+    same = "its workers need the same Python, rotorwatch and libraries"
+    return WorkerError(f"the cluster cannot do it ({kind}: {why}): {same}", kind)
 
 
 @functools.lru_cache(maxsize=4)
@@ -165,8 +158,6 @@ def _function(work: bytes) -> Callable:
 def _do(work: bytes, item: Any, version: str) -> bytes:
     """What a worker does with an item: (value, error), packed."""
     if version != __version__:
-        error = ConfigError(
-            f"A worker of the cluster has rotorwatch {__version__}, here it is {version}: install the same."
-        )
-        return packed(None, error)
+        text = f"A worker of the cluster has rotorwatch {__version__}, here it is {version}: install the same."
+        return packed(None, ConfigError(text))
     return packed(*attempt(lambda item: _function(work)(item), item))

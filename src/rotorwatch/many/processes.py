@@ -15,7 +15,7 @@ import time
 import warnings
 from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from multiprocessing import connection, get_context, parent_process
 from typing import Any
@@ -32,12 +32,7 @@ READY = b"ready"
 
 
 def run(
-    function: Callable,
-    tasks: Iterator[Task],
-    jobs: int,
-    limit_s: float | None,
-    tries: int,
-    prepare: Callable | None,
+    function: Callable, tasks: Iterator[Task], jobs: int, limit_s: float | None, tries: int, prepare: Callable | None
 ) -> Iterator[Done]:
     """As `spread.run`. One item at a time in each process: what is in flight is as much as there are processes."""
     work = pickle.dumps((function, prepare))
@@ -51,8 +46,8 @@ def run(
             if not team:
                 return
             finished: list[Done] = []
-            for worker in _heard(team):
-                said, task = worker.hear(), worker.task
+            for worker in _ready(team):
+                said, task = worker.receive(), worker.task
                 if said == READY:
                     never_started = 0
                     worker.begin()
@@ -92,12 +87,11 @@ def run(
             worker.stop()
 
 
-def _heard(team: list[Worker]) -> list[Worker]:
+def _ready(team: list[Worker]) -> list[Worker]:
     """Those that have something to say, have died, or are beyond their limit; waits for one."""
     deadline = min(worker.deadline for worker in team)
-    ready = connection.wait(
-        [w.pipe for w in team], None if deadline == float("inf") else max(0.0, deadline - time.monotonic())
-    )
+    left_s = None if deadline == float("inf") else max(0.0, deadline - time.monotonic())
+    ready = connection.wait([w.pipe for w in team], left_s)
     now = time.monotonic()
     return [w for w in team if w.pipe in ready or now > w.deadline]
 
@@ -142,8 +136,8 @@ class Worker:
         return Done(0, value, error).result()
 
     def _answer(self, when: str = "") -> bytes:
-        _heard([self])
-        said = self.hear()
+        _ready([self])
+        said = self.receive()
         if said is None:
             how = self.ended()
             raise WorkerError(f"the process {how} {when}".rstrip(), how)
@@ -157,12 +151,10 @@ class Worker:
         """Send the task; its time begins."""
         self.ready = True
         self.deadline = float("inf") if self.limit_s is None else time.monotonic() + self.limit_s
-        try:
+        with suppress(OSError):  # it is dead, as the next look at it will show
             self.pipe.send_bytes(pickle.dumps(self.task.item))
-        except OSError:
-            pass  # it is dead, as the next look at it will show
 
-    def hear(self) -> bytes | None:
+    def receive(self) -> bytes | None:
         """What it says; None when it has died or is beyond its limit."""
         self.hung = not self.pipe.poll()
         try:
@@ -222,12 +214,10 @@ def _serve(pipe: Any, work: bytes, place: str) -> None:
     def do(item: bytes) -> Any:
         return function(pickle.loads(item))
 
-    try:
+    with suppress(EOFError, OSError):
         pipe.send_bytes(READY)
         while True:
             pipe.send_bytes(packed(*attempt(do, pipe.recv_bytes())))
-    except (EOFError, OSError):
-        pass
 
 
 def _follow(sentinel: Any) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 
 from rotorwatch.errors import ConfigError
 from rotorwatch.many.done import Done, Task, attempt
-from rotorwatch.many.kept import Kept
+from rotorwatch.many.result_cache import ResultCache
 
 EACH = 4
 """Logs that make it worth while to start one more process."""
@@ -25,7 +25,7 @@ def processors() -> int:
         return os.cpu_count() or 1
 
 
-def worthwhile(count: int) -> int:
+def useful_jobs(count: int) -> int:
     """Processes that judging so many logs is worth: one more for every EACH of them, as many as there are processors at most."""
     return max(1, min(processors(), count // EACH))
 
@@ -68,7 +68,7 @@ def run(
         jobs = min(jobs or processors(), max(1, len(items)))
     jobs = jobs or processors()
     if jobs == 1 and limit_s is None and prepare is None:
-        return _here(function, items)
+        return (Done(index, *attempt(function, item)) for index, item in enumerate(items))
     from rotorwatch.many import processes
 
     return processes.run(function, _tasks(items), jobs, limit_s, tries, prepare)
@@ -84,7 +84,7 @@ def in_order(
 ) -> Iterator[Done]:
     """A `Done` of every item in their order, as soon as it is its turn; those that come early are kept until then. Arguments as for
     `run`; progress: called with the number of finished items. keep: a folder for values, of which the same call takes what is there
-    (kept.py); ConfigError where it cannot be written."""
+    (result_cache.py); ConfigError where it cannot be written."""
     early: dict[int, Done] = {}
     following = 0
     for finished, done in enumerate(_results(function, items, jobs, scheduler, keep), start=1):
@@ -101,7 +101,7 @@ def _results(function: Callable, items: Iterable[Any], jobs, scheduler, keep) ->
     if keep is None:
         yield from run(function, items, jobs, scheduler)
         return
-    items, store, left = list(items), Kept(keep, function), []
+    items, store, left = list(items), ResultCache(keep, function), []
     for k, item in enumerate(items):
         value = store.load(item)
         if value is None:
@@ -129,8 +129,3 @@ def ordered(
 
 def _tasks(items: Iterable[Any]) -> Iterator[Task]:
     return (Task(index, item) for index, item in enumerate(items))
-
-
-def _here(function: Callable, items: Iterable[Any]) -> Iterator[Done]:
-    for index, item in enumerate(items):
-        yield Done(index, *attempt(function, item))

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch.answer.wording import (
+from rotorwatch.answer.wording import (  # noqa: F401 - its words are the report's, too
     KINDS,
     SCALE,
     VERDICTS,
@@ -24,42 +24,8 @@ from rotorwatch.answer.wording import (
     rotors,
     seconds,
     sentence,
-)  # fmt: skip
+)
 from rotorwatch.diagnosis import Diagnosis, Event, RotorState
-
-__all__ = [
-    "KINDS",
-    "VERDICTS",
-    "candidates",
-    "common_mode",
-    "comparison",
-    "day",
-    "event_rows",
-    "frame",
-    "health",
-    "health_scale",
-    "interval",
-    "kind",
-    "listed",
-    "losses",
-    "moment",
-    "percent",
-    "places",
-    "plain",
-    "probability",
-    "rotor_interval",
-    "rotor_loss",
-    "rotors",
-    "rotors_title",
-    "said",
-    "scope",
-    "seconds",
-    "sentence",
-    "size",
-    "who",
-    "whole_flight",
-    "words",
-]  # fmt: skip
 
 
 def frame(diagnosis: Diagnosis) -> str:
@@ -102,25 +68,19 @@ def _utc(start: str, time: float) -> datetime:
 
 def rotor_loss(state: RotorState) -> str:
     """'37.0 %', '?' when the log cannot tell, 'none seen' where none was found but damage from take-off was not looked for."""
-    if state.status == "unobservable":
+    if state.status == "unobservable" or (state.status == "suspect" and state.loss == 0.0):
         return "?"
-    if state.status == "suspect" and state.loss == 0.0:
-        return "?"
-    return (
-        "none seen"
-        if state.status == "healthy" and state.from_takeoff in ("not judged", "bounded")
-        else percent(state.loss, 1)
-    )
+    only_in_flight = state.status == "healthy" and state.from_takeoff in ("not judged", "bounded")
+    return "none seen" if only_in_flight else percent(state.loss, 1)
 
 
 def rotor_interval(state: RotorState) -> str:
     """The 95 % interval in words: of the loss, or of the change since take-off where no more than that was judged."""
     if state.status == "unobservable":
         return ""
-    if state.status == "healthy" and state.from_takeoff == "not judged" and state.since_takeoff:
-        return f"changed by at most {percent(state.since_takeoff[1])}"
-    if state.status == "healthy" and state.from_takeoff == "bounded" and state.since_takeoff:
-        return f"changed by at most {percent(state.since_takeoff[1])}; {percent(state.interval[1])} in all"
+    if state.status == "healthy" and state.from_takeoff in ("not judged", "bounded") and state.since_takeoff:
+        in_all = f"; {percent(state.interval[1])} in all" if state.from_takeoff == "bounded" else ""
+        return f"changed by at most {percent(state.since_takeoff[1])}{in_all}"
     return interval(*state.interval)
 
 
@@ -137,21 +97,21 @@ def rotors_title(diagnosis: Diagnosis) -> str:
 
 def scope(diagnosis: Diagnosis) -> str:
     """What the rotor table does not show; empty when it shows all."""
+    if all(r.status == "unobservable" for r in diagnosis.rotors):
+        return ""
     since = "Changes from take-off until control was lost" if diagnosis.story else "Changes since take-off"
-    if diagnosis.rotors and any(r.status != "unobservable" for r in diagnosis.rotors):
-        if all(r.from_takeoff == "not judged" for r in diagnosis.rotors):
-            return (
-                f"{since}, with 95 % intervals. Damage that was there from take-off was not judged: that needs "
-                "healthy flights of the same build"
-                + (", and no loss in this flight." if diagnosis.whole_flight else ".")
-            )
-        if not diagnosis.whole_flight:
-            return (
-                f"{since}, with 95 % intervals. What was there from take-off is bounded by how unequally healthy vehicles "
-                "of any build are commanded; healthy flights of this build show more."
-            )
+    if all(r.from_takeoff == "not judged" for r in diagnosis.rotors):
+        more = ", and no loss in this flight" if diagnosis.whole_flight else ""
+        return (
+            f"{since}, with 95 % intervals. Damage that was there from take-off was not judged: that needs healthy flights of the same "
+            f"build{more}."
+        )
+    if diagnosis.whole_flight:
         return "Losses compared with the healthy flights of this build, with 95 % intervals."
-    return ""
+    return (
+        f"{since}, with 95 % intervals. What was there from take-off is bounded by how unequally healthy vehicles of any build are "
+        "commanded; healthy flights of this build show more."
+    )
 
 
 def health(diagnosis: Diagnosis) -> list[tuple[str, str, str, str]]:
@@ -166,23 +126,16 @@ def _trend(state: RotorState) -> str:
     t = state.trend
     if t is None:
         return "not judged"
-    ends = f"{rate(t.interval[0])[:-2]} to {rate(t.interval[1])} a minute"
-    return (
-        f"{t.word}: {rate(t.per_minute)} a minute ({ends})"
-        if t.word in ("growing", "shrinking")
-        else f"{t.word} ({ends})"
-    )
+    size = f": {rate(t.per_minute)} a minute" if t.word in ("growing", "shrinking") else ""
+    return f"{t.word}{size} ({rate(t.interval[0])[:-2]} to {rate(t.interval[1])} a minute)"
 
 
 def health_scale(diagnosis: Diagnosis) -> str:
     """What the grades mean, and of which part of the flight the trends are."""
     steps = [f"{name} below {percent(least)}" for (name, _), (_, least) in pairwise(SCALE)]
-    spans = {(r.trend.start_s, r.trend.end_s) for r in diagnosis.rotors if r.trend}
-    of = (
-        f" Trends: growth of the loss from {seconds(min(spans)[0])} to {seconds(min(spans)[1])}, 95 % intervals."
-        if spans
-        else ""
-    )
+    spans = [(r.trend.start_s, r.trend.end_s) for r in diagnosis.rotors if r.trend]
+    start, end = map(seconds, min(spans, default=(None, None)))
+    of = f" Trends: growth of the loss from {start} to {end}, 95 % intervals." if spans else ""
     return f"Grades of the loss: {', '.join(steps)}, else {SCALE[-1][0]}.{of}"
 
 
@@ -222,15 +175,11 @@ def common_mode(diagnosis: Diagnosis) -> str:
     if low <= 0.0 <= high or within < SMALL_SHIFT:
         if within > VARIED:
             return "The thrust of all rotors together varied too much in this flight to compare its end with its beginning."
-        return (
-            "All rotors together were asked for the same thrust at the end as at the beginning, "
-            f"within {percent(max(within, SMALL_SHIFT))}."
-        )
-    more, why = (
-        ("more", "a tired battery, more weight or thinner air, or a loss that all rotors share")
-        if share > 0
-        else ("less", "a lighter vehicle, denser air or a fresher battery")
-    )
+        same = "All rotors together were asked for the same thrust at the end as at the beginning"
+        return f"{same}, within {percent(max(within, SMALL_SHIFT))}."
+    more, why = "less", "a lighter vehicle, denser air or a fresher battery"
+    if share > 0:
+        more, why = "more", "a tired battery, more weight or thinner air, or a loss that all rotors share"
     return (
         f"For the same motion all rotors together were asked for {percent(abs(share))} {more} thrust at the end than at the beginning "
         f"(95 % interval {percent(min(abs(low), abs(high)))} to {percent(within)}): {why}. No single rotor is meant."
@@ -246,31 +195,22 @@ def whole_flight(diagnosis: Diagnosis) -> list[tuple[str, str]]:
     facts = diagnosis.whole_flight
     if not facts:
         return []
-    count = facts.get("flights")
-    rows = [
-        (
-            "answer",
-            f"{VERDICTS.get(str(facts.get('verdict')), plain(facts.get('verdict'))).lower()}: {facts.get('reason', '')}",
-        ),
-        (
-            "compared with",
-            f"{count} healthy flight{'s' if count != 1 else ''} of this build" if count is not None else "",
-        ),
-    ]
+    count, share = facts.get("flights"), float(np.expm1(facts.get("common") or 0.0))
+    verdict = VERDICTS.get(str(facts.get("verdict")), plain(facts.get("verdict"))).lower()
     likely = [c for c in facts.get("causes") or () if c.get("probability", 0) >= 0.05]
-    causes = [f"{cause(c, diagnosis)} {probability(float(c['probability']))}" for c in likely]
-    rows.append(("what explains the difference", "; ".join(causes)))
-    common = facts.get("common")
-    if common is not None and facts.get("verdict") != "inconclusive":
-        share = float(np.expm1(common))
-        word = "more" if share > 0 else "less"
-        rows.append(
-            (
-                "all rotors together",
-                f"{percent(abs(share))} {word} command than on the healthy flights (battery, payload and air density change it, too)",
-            )
+    rows = {
+        "answer": f"{verdict}: {facts.get('reason', '')}",
+        "compared with": "" if count is None else f"{count} healthy flight{'s' if count != 1 else ''} of this build",
+        "what explains the difference": "; ".join(
+            f"{cause(c, diagnosis)} {probability(float(c['probability']))}" for c in likely
+        ),
+    }
+    if facts.get("common") is not None and facts.get("verdict") != "inconclusive":
+        rows["all rotors together"] = (
+            f"{percent(abs(share))} {'more' if share > 0 else 'less'} command than on the healthy flights (battery, payload and air "
+            "density change it, too)"
         )
-    return [(name, text) for name, text in rows if text]
+    return [(name, text) for name, text in rows.items() if text]
 
 
 def cause(facts: Mapping[str, Any], diagnosis: Diagnosis) -> str:
@@ -280,27 +220,21 @@ def cause(facts: Mapping[str, Any], diagnosis: Diagnosis) -> str:
     return f"a shifted {words(str(facts.get('kind', '')))}"
 
 
-def said(diagnosis: Diagnosis) -> list[tuple[float, str, str]]:
+def messages(diagnosis: Diagnosis) -> list[tuple[float, str, str]]:
     """Modes, errors and texts of the autopilot: (time s, kind, text), empty without a trace."""
     return list(diagnosis.trace.messages) if diagnosis.trace is not None else []
 
 
 def comparison(diagnosis: Diagnosis) -> list[tuple[str, str, str, str]]:
     """Who found what, when and why: our events among the other checks' findings, in time order. Empty without any."""
-    ours = [("rotorwatch", candidates(e), e.detected_s, kind(e)) for e in diagnosis.events]
-    theirs = [
-        (
-            str(row.get("detector", "")),
-            rotors((row["rotor"],) if row.get("rotor") else ()),
-            row["time_s"],
-            row.get("reason", ""),
-        )
-        for row in diagnosis.comparison
-    ]
-    rows = [(who, what, seconds(at), str(why)) for who, what, at, why in sorted(ours + theirs, key=lambda row: row[2])]
-    if ours and not theirs:
-        rows.append(_other_checks(str(diagnosis.flight.get("autopilot") or "")))
-    return rows
+    rows = [("rotorwatch", candidates(e), e.detected_s, kind(e)) for e in diagnosis.events]
+    for row in diagnosis.comparison:
+        named = rotors((row["rotor"],) if row.get("rotor") else ())
+        rows.append((str(row.get("detector", "")), named, row["time_s"], row.get("reason", "")))
+    found = [(who, what, seconds(at), str(why)) for who, what, at, why in sorted(rows, key=lambda row: row[2])]
+    if diagnosis.events and not diagnosis.comparison:
+        found.append(_other_checks(str(diagnosis.flight.get("autopilot") or "")))
+    return found
 
 
 def _other_checks(autopilot: str) -> tuple[str, str, str, str]:
@@ -310,12 +244,8 @@ def _other_checks(autopilot: str) -> tuple[str, str, str, str]:
     names = ", ".join(module.name for module in detectors.of(autopilot))
     if names:
         return names, "nothing", seconds(None), "as far as this log lets it run"
-    return (
-        "other checks",
-        "none made",
-        seconds(None),
-        f"no check of {autopilot or 'this autopilot'} itself is known here",
-    )
+    why = f"no check of {autopilot or 'this autopilot'} itself is known here"
+    return "other checks", "none made", seconds(None), why
 
 
 def words(key: str) -> str:

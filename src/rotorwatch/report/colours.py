@@ -10,16 +10,8 @@ from rotorwatch.diagnosis import Diagnosis, Event
 # suspected, the rest for rotors that nothing is known against. Dashes tell apart what shares a colour.
 FAULT, SUSPECT = "#d55e00", "#e69f00"
 OTHERS = ("#0072b2", "#009e73", "#56b4e9", "#9467bd", "#8c8c8c", "#44727f", "#6aa84f", "#b08fb5")
-PALETTE = (
-    "#0072b2",
-    "#e69f00",
-    "#009e73",
-    "#cc79a7",
-    "#56b4e9",
-    "#d55e00",
-    "#8c8c8c",
-    "#9467bd",
-)  # for all that are no rotors
+# For all that are no rotors.
+PALETTE = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#8c8c8c", "#9467bd")
 DASHES = ("solid", "dashed", "dotted", "dotdash", "dashdot")
 INK = "#7a828a"  # reads on white and on black until the page's script has set the theme
 
@@ -57,11 +49,5 @@ def chosen(numbers: Iterable[int], bad: Sequence[int], open_: Sequence[int] = ()
 
 def of_event(event: Event) -> str:
     """The colour of an event: of its verdict."""
-    if not event.rotors or event.kind not in (
-        "loss_of_effectiveness",
-        "output_override",
-        "motor_order",
-        "loss_of_control",
-    ):
-        return INK
-    return SUSPECT if event.alternatives else FAULT
+    accuses = event.kind in ("loss_of_effectiveness", "output_override", "motor_order", "loss_of_control")
+    return INK if not event.rotors or not accuses else SUSPECT if event.alternatives else FAULT

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 
 from rotorwatch import report
 from rotorwatch.diagnosis import Diagnosis, Trace
-from rotorwatch.report import colours, lane
+from rotorwatch.report import colours
 from rotorwatch.report.colours import INK
 
 CHANNELS = ("roll", "pitch", "yaw", "thrust")
@@ -16,6 +17,9 @@ ANGLES = ("roll", "pitch", "yaw")
 OVERVIEW_ROWS, DETAIL_ROWS = 1600, 2400  # a wide screen's worth of the whole flight, and full rate around events
 DETAIL_S = (5.0, 8.0)  # before an event's onset, after its announcement
 HYPOTHESES = 8
+SHADES = ("#56b4e9", "#009e73", "#9467bd", "#0072b2", "#8c8c8c", "#6aa84f")
+MARKS = 400  # of the lane: more are no help
+HEIGHTS = {"armed": 0.2, "landed": 0.35, "event": 0.5, "text": 0.65, "dropout": 0.8, "error": 0.9}
 
 
 class Screen:
@@ -25,12 +29,11 @@ class Screen:
     """
 
     def __init__(self, time: np.ndarray, windows: list[tuple[float, float]]):
-        inside = np.zeros(time.size, bool)
-        for start, end in windows:
-            inside |= (time >= start) & (time <= end)
-        stride = np.where(
-            inside, max(1.0, 2.0 * inside.sum() / DETAIL_ROWS), max(1.0, 2.0 * (~inside).sum() / OVERVIEW_ROWS)
+        inside = _within(time, windows)
+        close, wide = (
+            max(1.0, 2.0 * k / rows) for k, rows in ((inside.sum(), DETAIL_ROWS), ((~inside).sum(), OVERVIEW_ROWS))
         )
+        stride = np.where(inside, close, wide)
         bucket = np.floor(np.cumsum(1.0 / stride) - 1.0 / stride + 1e-9)
         self.start = np.flatnonzero(np.diff(bucket, prepend=-1.0))
         self.last = np.append(self.start[1:], time.size) - 1
@@ -104,7 +107,7 @@ def plots(diagnosis: Diagnosis) -> dict[str, Any]:
     looks = colours.looks(diagnosis, n)
     out = {
         "loss": _loss(diagnosis, source, x_range, n, looks),
-        "lane": lane.lane(diagnosis, blank, x_range),
+        "lane": lane(diagnosis, x_range),
         "command": _commands(source, x_range, n, looks),
         "evidence": _evidence(trace, source, x_range, shown, looks) if shown else None,
         **{f"angle_{angle}": _angle(source, x_range, angle, flown) for angle in (ANGLES if flown else ())},
@@ -140,9 +143,7 @@ def _unwrapped(degrees: np.ndarray) -> np.ndarray:
 
 def _flying(trace: Trace) -> np.ndarray:
     """(T,) bool: in the air, where estimates mean something. All of it when no part was found airborne."""
-    if not trace.airborne:
-        return np.ones(trace.time.size, bool)
-    return np.any([(trace.time >= a) & (trace.time <= b) for a, b in trace.airborne], axis=0)
+    return _within(trace.time, trace.airborne or [(-np.inf, np.inf)])
 
 
 def _windows(diagnosis: Diagnosis) -> list[tuple[float, float]]:
@@ -166,22 +167,10 @@ def blank(x_range, height: int, y_label: str, tooltips: list[tuple[str, str]], *
 
     box = BoxZoomTool(dimensions="width")
     tools = [box, PanTool(dimensions="width"), WheelZoomTool(dimensions="width"), ResetTool(), SaveTool()]
-    p = figure(
-        height=height,
-        sizing_mode="stretch_width",
-        x_range=x_range,
-        tools=tools,
-        active_drag=box,
-        toolbar_location="above",
-        toolbar_inner=True,
-        background_fill_color=None,
-        border_fill_color=None,
-        outline_line_color=None,
-        min_border_left=72,
-        min_border_top=6,
-        output_backend="canvas",
-        **more,
-    )
+    look: dict[str, Any] = dict(background_fill_color=None, border_fill_color=None, outline_line_color=None)
+    look |= dict(sizing_mode="stretch_width", min_border_left=72, min_border_top=6, output_backend="canvas")
+    bar: dict[str, Any] = dict(tools=tools, active_drag=box, toolbar_location="above", toolbar_inner=True)
+    p = figure(height=height, x_range=x_range, **look, **bar, **more)
     p.add_tools(HoverTool(tooltips=[("time", "@time{0.00} s"), *tooltips], mode="vline", renderers=[]))
     p.toolbar.logo = None
     p.toolbar.autohide = True
@@ -198,6 +187,11 @@ def blank(x_range, height: int, y_label: str, tooltips: list[tuple[str, str]], *
     return p
 
 
+def words(size: str, baseline: str = "middle") -> dict[str, Any]:
+    """How labels in a plot look."""
+    return dict(text_font="system-ui, sans-serif", text_font_size=size, text_color=INK, text_baseline=baseline)
+
+
 def _hover(p, renderer) -> None:
     """One tooltip per time, attached to one line."""
     from bokeh.models import HoverTool
@@ -205,30 +199,68 @@ def _hover(p, renderer) -> None:
     p.select_one(HoverTool).renderers = [renderer]
 
 
+def lane(diagnosis: Diagnosis, x_range) -> Any:
+    """Flight modes and what the autopilot said, on the plots' time axis; None when the log holds neither."""
+    from bokeh.models import ColumnDataSource, HoverTool, Range1d
+
+    trace = diagnosis.trace
+    if trace is None or not trace.messages:
+        return None
+    p = blank(x_range, 120, "", [("", "@text")], y_range=Range1d(start=0.0, end=1.7))
+    p.name = "lane"
+    p.yaxis.visible = False
+    p.ygrid.visible = False
+    end = float(trace.time[-1])
+    modes = [(t, text) for t, kind, text in trace.messages if kind == "mode"]
+    spans = [(a, b, text) for (a, text), (b, _) in zip(modes, [*modes[1:], (end, "")]) if b > a]
+    shade = {name: SHADES[k % len(SHADES)] for k, name in enumerate(dict.fromkeys(text for _, _, text in spans))}
+    boxes = ColumnDataSource(
+        {
+            "left": [a for a, _, _ in spans],
+            "right": [b for _, b, _ in spans],
+            "text": [f"{text}: {a:.1f} to {b:.1f} s" for a, b, text in spans],
+            # The name is written where its box has room for it on a wide screen.
+            "name": [text if (b - a) > 0.008 * len(text) * end else "" for a, b, text in spans],
+            "fill": [shade[text] for _, _, text in spans],
+        }
+    )
+    fill: dict[str, Any] = dict(fill_color="fill", fill_alpha=0.35, line_color="fill")
+    drawn = p.quad("left", "right", 1.6, 1.1, source=boxes, name="modes", **fill)
+    look: dict[str, Any] = dict(text_font={"value": "system-ui, sans-serif"}, text_font_size="12px", text_color=INK)
+    p.text("left", 1.35, "name", source=boxes, name="mode names", text_baseline="middle", x_offset=4, **look)
+    rest = [row for row in trace.messages if row[1] in HEIGHTS]
+    rest = sorted(rest, key=lambda row: (row[1] != "error", row[1] == "text"))[:MARKS]
+    marks = ColumnDataSource(
+        {
+            "time": [t for t, _, _ in rest],
+            "y": [HEIGHTS[kind] for _, kind, _ in rest],
+            "text": [f"{t:.1f} s, {kind}: {text}" for t, kind, text in rest],
+            "fill": ["#c1121f" if kind == "error" else INK for _, kind, _ in rest],
+        }
+    )
+    said = p.scatter("time", "y", source=marks, size=7, marker="diamond", color="fill", alpha=0.9, name="messages")
+    hover = p.select_one(HoverTool)
+    hover.renderers, hover.mode, hover.tooltips = [drawn, said], "mouse", [("", "@text")]
+    return p
+
+
 def _loss(diagnosis: Diagnosis, source, x_range, n: int, looks) -> Any:
     from bokeh.models import Range1d
 
     tips = [(f"rotor {k}", f"@loss{k}{{0.0}} % (@low{k}{{0}} to @high{k}{{0}})") for k in range(1, n + 1)]
     top = _top(diagnosis)
-    p = blank(
-        x_range, 340, "loss of effectiveness [%]", tips, y_range=Range1d(start=-0.03 * top, end=top, bounds=(-10, 110))
-    )
+    y_range = Range1d(start=-0.03 * top, end=top, bounds=(-10, 110))
+    p = blank(x_range, 340, "loss of effectiveness [%]", tips, y_range=y_range)
     p.name = "loss"
     named = {*colours.faulty(diagnosis), *colours.suspects(diagnosis)}
     moved = {k for e in diagnosis.events for k in e.rotors}
     line = None
     for k in sorted(range(1, n + 1), key=lambda k: k in named):  # the ones that matter on top
         look: dict[str, Any] = dict(source=source, name=f"rotor {k}", level="glyph")
-        p.varea(
-            "time",
-            f"low{k}",
-            f"high{k}",
-            color=looks[k][0],
-            alpha=0.3 if k in moved else 0.12 if k in named else 0.07,
-            **look,
-        )
+        (tint, dash), alpha = looks[k], 0.3 if k in moved else 0.12 if k in named else 0.07
+        p.varea("time", f"low{k}", f"high{k}", color=tint, alpha=alpha, **look)
         width = 2.6 if k in named else 1.3
-        line = p.line("time", f"loss{k}", color=looks[k][0], line_width=width, line_dash=looks[k][1], **look)
+        line = p.line("time", f"loss{k}", color=tint, line_width=width, line_dash=dash, **look)
     _hover(p, line)
     return p
 
@@ -238,36 +270,27 @@ def _top(diagnosis: Diagnosis) -> float:
     trace = diagnosis.trace
     assert trace is not None
     flying = _flying(trace)
-    seen = trace.loss[flying & ~_blind(trace)]
+    blind = _within(trace.time, [(start, end) for start, end, _ in trace.blind])
+    seen = trace.loss[flying & ~blind]
     high = [0.12, *(i[1] for e in diagnosis.events for i in e.interval), *(r.loss for r in diagnosis.rotors)]
     if seen.size:
         high.append(float(np.quantile(np.nan_to_num(seen).max(axis=1), 0.999)))
     return min(105.0, 125 * max(high))
 
 
-def _blind(trace: Trace) -> np.ndarray:
-    out = np.zeros(trace.time.size, bool)
-    for start, end, _ in trace.blind:
-        out |= (trace.time >= start) & (trace.time <= end)
-    return out
+def _within(time: np.ndarray, spans: Iterable[tuple[float, float]]) -> np.ndarray:
+    """(T,) bool: which times lie in one of the spans."""
+    return np.any([np.zeros(time.size, bool), *((time >= a) & (time <= b) for a, b in spans)], axis=0)
 
 
 def _commands(source, x_range, n: int, looks) -> Any:
     tips = [(f"rotor {k}", f"@command{k}{{0.0}} %") for k in range(1, n + 1)]
     p = blank(x_range, 250, "command [% of full thrust]", tips)
     p.name = "command"
-    lines = [
-        p.line(
-            "time",
-            f"command{k}",
-            source=source,
-            name=f"rotor {k}",
-            color=looks[k][0],
-            line_width=1.3,
-            line_dash=looks[k][1],
-        )
-        for k in range(1, n + 1)
-    ]
+    lines = []
+    for k in range(1, n + 1):
+        look: dict[str, Any] = dict(name=f"rotor {k}", color=looks[k][0], line_width=1.3, line_dash=looks[k][1])
+        lines.append(p.line("time", f"command{k}", source=source, **look))
     _hover(p, lines[0])
     return p
 
@@ -283,21 +306,13 @@ def _evidence(trace: Trace, source, x_range, shown: list[str], looks) -> Any:
     p.name = "evidence"
     lines = []
     for i, name in reversed(list(enumerate(shown))):  # the likeliest on top
-        line = p.line(
-            "time",
-            f"odds{i}",
-            source=source,
-            name=f"odds {i}",
-            line_width=2.2 if i == 0 else 1.4,
-            **_look(name, i, looks),
-        )
-        lines.insert(0, line)
+        look = dict(name=f"odds {i}", line_width=2.2 if i == 0 else 1.4) | _look(name, i, looks)
+        lines.insert(0, p.line("time", f"odds{i}", source=source, **look))
     items = [LegendItem(label=name, renderers=[line]) for name, line in zip(shown, lines, strict=True)]
     _hover(p, lines[0])
     p.add_layout(Span(location=float(trace.threshold), dimension="width", line_color=INK, line_width=2.2))
-    legend = Legend(
-        items=items, location="top_left", click_policy="hide", background_fill_alpha=0.0, border_line_color=None
-    )
+    legend = Legend(items=items, location="top_left", click_policy="hide")
+    legend.update(background_fill_alpha=0.0, border_line_color=None)
     legend.update(label_text_color=INK, label_text_font_size="11px", label_text_font="system-ui, sans-serif", spacing=0)
     legend.update(padding=4, label_height=14, glyph_height=14)
     p.add_layout(legend)
@@ -312,14 +327,17 @@ def _look(hypothesis: str, place: int, looks) -> dict[str, Any]:
     return dict(color=INK, line_dash=("solid", "dashed", "dotted", "dotdash")[place % 4])
 
 
+def _stacked(name: str, last: bool, x_range, label: str, tips, **more) -> Any:
+    """A low plot of several, one below the other: only the last one has a time axis."""
+    p = blank(x_range, 165 if last else 135, label, tips, **more)
+    p.name, p.xaxis.visible, p.yaxis.ticker.desired_num_ticks = name, last, 3
+    return p
+
+
 def _angle(source, x_range, angle: str, flown) -> Any:
     """Wanted against actual attitude, one axis."""
-    last = angle == ANGLES[-1]
     tips = [(name, f"@{name}_{angle}{{0.0}}°") for name in flown]
-    p = blank(x_range, 165 if last else 135, f"{angle} [°]", tips)
-    p.name = f"angle_{angle}"
-    p.xaxis.visible = last
-    p.yaxis.ticker.desired_num_ticks = 3
+    p = _stacked(f"angle_{angle}", angle == ANGLES[-1], x_range, f"{angle} [°]", tips)
     style = {
         "actual": dict(color="#2b83ba", line_width=1.6),
         "wanted": dict(color=INK, line_width=1.3, line_dash="dashed"),
@@ -336,11 +354,7 @@ def _residual(trace: Trace, source, x_range, name: str, channel: int) -> Any:
     values = np.abs(trace.residual[_flying(trace), channel])
     band = 2 * trace.residual_sd[_flying(trace), channel]
     top = max(1.5 * float(np.nanquantile(values, 0.995)), 1.6 * float(np.nanmedian(band)), 1e-4) if values.size else 1.0
-    last = name == CHANNELS[-1]
-    p = blank(x_range, 165 if last else 135, name, tips, y_range=Range1d(start=-top, end=top))
-    p.name = name
-    p.xaxis.visible = last
-    p.yaxis.ticker.desired_num_ticks = 3
+    p = _stacked(name, name == CHANNELS[-1], x_range, name, tips, y_range=Range1d(start=-top, end=top))
     p.varea("time", f"{name}_bottom", f"{name}_band", source=source, color="#56b4e9", alpha=0.22, name="band")
     _hover(p, p.line("time", name, source=source, color="#2b83ba", line_width=1.1, name="residual"))
     return p
@@ -354,13 +368,12 @@ def _shade(figure, trace: Trace) -> None:
     if trace.airborne:
         for start, end in zip(edges[::2], edges[1::2], strict=True):
             if end > start:
-                figure.add_layout(
-                    BoxAnnotation(left=start, right=end, fill_color=INK, fill_alpha=0.20, line_color=None)
-                )
+                ground = BoxAnnotation(left=start, right=end, fill_color=INK, fill_alpha=0.20, line_color=None)
+                figure.add_layout(ground)
+    hatch: dict[str, Any] = dict(
+        hatch_pattern="right_diagonal_line", hatch_color=INK, hatch_alpha=0.35, hatch_scale=10.0
+    )
     for start, end, _ in trace.blind:
-        hatch: dict[str, Any] = dict(
-            hatch_pattern="right_diagonal_line", hatch_color=INK, hatch_alpha=0.35, hatch_scale=10.0
-        )
         box = BoxAnnotation(left=float(start), right=float(end), fill_color=None, line_color=None, **hatch)
         figure.add_layout(box)
 
@@ -372,16 +385,10 @@ def _mark(figure, diagnosis: Diagnosis) -> None:
     for number, event in enumerate(diagnosis.events, 1):
         tint = colours.of_event(event)
         style: dict[str, Any] = dict(dimension="height", line_color=tint, line_width=1.5)
-        figure.add_layout(Span(location=float(event.onset_s), line_dash="dashed", **style))
-        figure.add_layout(Span(location=float(event.detected_s), **style))
-        if event.end_s is not None:
-            figure.add_layout(Span(location=float(event.end_s), line_dash="dotted", **style))
+        for when, dash in ((event.onset_s, "dashed"), (event.detected_s, "solid"), (event.end_s, "dotted")):
+            if when is not None:
+                figure.add_layout(Span(location=float(when), line_dash=dash, **style))
         if figure.name == "loss":
-            text = f"{number}: {report.rotors(event.rotors)}" if event.rotors else f"{number}: {report.kind(event)}"
-            where: dict[str, Any] = dict(
-                x=float(event.detected_s), y=_top(diagnosis), x_offset=5, y_offset=-4 - 16 * ((number - 1) % 4)
-            )
-            look: dict[str, Any] = dict(
-                text_font="system-ui, sans-serif", text_font_size="12px", text_color=INK, text_baseline="top"
-            )
-            figure.add_layout(Label(text=text, **where, **look))
+            text = f"{number}: {report.rotors(event.rotors) if event.rotors else report.kind(event)}"
+            where: dict[str, Any] = dict(x=float(event.detected_s), y=_top(diagnosis), x_offset=5)
+            figure.add_layout(Label(text=text, y_offset=-4 - 16 * ((number - 1) % 4), **where, **words("12px", "top")))

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import os
 import re
-import tempfile
 from collections.abc import Iterable, Mapping
-from contextlib import suppress
 from html import escape
 from pathlib import Path
 from typing import Any
 
-from rotorwatch import __version__, optional, report
+from rotorwatch import __version__, files, optional, report
 from rotorwatch.diagnosis import Diagnosis, RotorState
 from rotorwatch.errors import ConfigError
 from rotorwatch.report import colours, drawing, figures, upset, words
@@ -27,23 +25,12 @@ POLICY = (
 
 def write(diagnosis: Diagnosis, path: str | os.PathLike) -> None:
     """Write the page to `path`: all of it or nothing. Raises ConfigError when the place cannot be written to."""
-    path = Path(path)
     text = page(diagnosis)
     try:
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}-", suffix=".part")
-        try:
-            with os.fdopen(handle, "w", encoding="utf-8") as file:
-                file.write(text)
-            umask = os.umask(0)
-            os.umask(umask)
-            os.chmod(temporary, 0o666 & ~umask)  # mkstemp keeps files private; a report has the usual rights
-            os.replace(temporary, path)
-        except BaseException:
-            with suppress(OSError):
-                os.unlink(temporary)
-            raise
-    except OSError as why:
-        raise ConfigError(f"The report cannot be written to {path}: {why.strerror or why}.") from None
+        with files.replacing(path) as unfinished:
+            unfinished.write_text(text, encoding="utf-8")
+    except ConfigError as why:
+        raise ConfigError(f"The report {why}") from None
 
 
 def page(diagnosis: Diagnosis) -> str:
@@ -52,6 +39,7 @@ def page(diagnosis: Diagnosis) -> str:
     title = str(diagnosis.flight.get("name") or "flight")
     plots = {**upset.plots(diagnosis), **figures.plots(diagnosis)}
     scripts, divs = _embed(plots)
+    common, blind = report.common_mode(diagnosis), diagnosis.trace.blind if diagnosis.trace is not None else ()
     body = [
         _masthead(title),
         '<main id="report">',
@@ -62,12 +50,12 @@ def page(diagnosis: Diagnosis) -> str:
         _events(diagnosis),
         _baseline(diagnosis),
         _plots(diagnosis, divs),
-        _paragraph("All rotors together", report.common_mode(diagnosis)),
+        f"<h2>All rotors together</h2><p>{_text(common)}</p>" if common else "",
         _comparison(report.comparison(diagnosis)),
         _messages(diagnosis),
         _list("Warnings", diagnosis.warnings, "warnings"),
         _list("Assumptions", [f"Baseline: {diagnosis.baseline}", *diagnosis.assumptions]),
-        _blind(diagnosis),
+        _list("When it could not judge", (f"{start:.1f} to {end:.1f} s: {why}" for start, end, why in blind)),
         "</main>",
         _footer(diagnosis, title),
     ]
@@ -97,9 +85,7 @@ def _embed(plots: Mapping[str, Any]) -> tuple[str, dict[str, str]]:
     from bokeh.resources import Resources
 
     document = Document()
-    with (
-        document.models.freeze()
-    ):  # all plots at once: they share their data, which is searched anew for each otherwise
+    with document.models.freeze():  # all plots at once: the data that they share are searched only once
         for plot in plots.values():
             document.add_root(plot)
 
@@ -110,9 +96,8 @@ def _embed(plots: Mapping[str, Any]) -> tuple[str, dict[str, str]]:
 
 
 def _masthead(title: str) -> str:
-    return (
-        f'<div class="masthead"><b>{escape(title)}</b><span class="brand">rotorwatch {escape(__version__)}</span></div>'
-    )
+    brand = f'<span class="brand">rotorwatch {escape(__version__)}</span>'
+    return f'<div class="masthead"><b>{escape(title)}</b>{brand}</div>'
 
 
 def _text(value: Any) -> str:
@@ -171,12 +156,7 @@ def _overview(diagnosis: Diagnosis) -> str:
     }
     head = _row(("rotor", "where", "status", "loss", "95 % interval", ""), cell="th", right=(3,), wide=(5,))
     looks = colours.looks(diagnosis)
-    rows = "".join(_rotor(r, looks[r.rotor][0]) for r in diagnosis.rotors)
-    table = (
-        f'<div class="scroll"><table class="rotors"><thead>{head}</thead><tbody>{rows}</tbody></table></div>'
-        if rows
-        else ""
-    )
+    table = _table(head, "".join(_rotor(r, looks[r.rotor][0]) for r in diagnosis.rotors), "rotors")
     return (
         f'{_facts(entries)}<div class="top"><div><h2>{escape(report.rotors_title(diagnosis))}</h2>'
         f"<p>{_text(report.scope(diagnosis))}</p>{table}</div>{drawing.airframe(diagnosis)}</div>"
@@ -184,12 +164,16 @@ def _overview(diagnosis: Diagnosis) -> str:
 
 
 def _health(diagnosis: Diagnosis) -> str:
-    rows = "".join(_row(row) for row in report.health(diagnosis))
-    if not rows:
-        return ""
     head = _row(("rotor", "where", "grade", "trend (95 % interval)"), cell="th")
-    table = f'<div class="scroll"><table class="health"><thead>{head}</thead><tbody>{rows}</tbody></table></div>'
-    return f"<h2>Health of every rotor</h2><p>{_text(report.health_scale(diagnosis))}</p>{table}"
+    table = _table(head, "".join(_row(row) for row in report.health(diagnosis)), "health")
+    return f"<h2>Health of every rotor</h2><p>{_text(report.health_scale(diagnosis))}</p>{table}" if table else ""
+
+
+def _table(head: str, rows: str, name: str = "") -> str:
+    """A table of lines that are there already; empty without any."""
+    about = f' class="{name}"' if name else ""
+    whole = f'<div class="scroll"><table{about}><thead>{head}</thead><tbody>{rows}</tbody></table></div>'
+    return whole if rows else ""
 
 
 def _rotor(r: RotorState, tint: str) -> str:
@@ -203,14 +187,7 @@ def _rotor(r: RotorState, tint: str) -> str:
     return line.replace("CHIP", chip).replace("STATUS", f"{escape(r.status)}{note}").replace("BAR", bar)
 
 
-def _row(
-    cells: Iterable[Any],
-    name: str = "",
-    cell: str = "td",
-    right: Iterable[int] = (),
-    wide: Iterable[int] = (),
-    style: str = "",
-) -> str:
+def _row(cells: Iterable[Any], name: str = "", *, cell: str = "td", right=(), wide=(), style: str = "") -> str:
     """A line of a table, escaped. right: columns of numbers; wide: columns that a phone has no room for; style: CSS of the line."""
     classes = {**dict.fromkeys(wide, ' class="wide"'), **dict.fromkeys(right, ' class="n"')}
     inner = "".join(f"<{cell}{classes.get(i, '')}>{_text(c)}</{cell}>" for i, c in enumerate(cells))
@@ -227,11 +204,8 @@ def _facts(entries: Mapping[str, Any]) -> str:
 def _events(diagnosis: Diagnosis) -> str:
     items = []
     for number, e in enumerate(diagnosis.events, 1):
-        main = (
-            ' <span class="main">main event</span>'
-            if number - 1 == diagnosis.main and len(diagnosis.events) > 1
-            else ""
-        )
+        several = number - 1 == diagnosis.main and len(diagnosis.events) > 1
+        main = ' <span class="main">main event</span>' if several else ""
         items.append(
             f'<li style="--tint:{colours.of_event(e)}"><h3>{number}. {escape(report.sentence(report.kind(e)))}: '
             f"{_text(report.who(e, diagnosis))}{main}</h3>"
@@ -247,30 +221,19 @@ def _baseline(diagnosis: Diagnosis) -> str:
     return f'<h2>Against healthy flights of this build</h2><dl class="pairs">{rows}</dl>{drawing.baseline(diagnosis)}'
 
 
-def _paragraph(title: str, text: str) -> str:
-    return f"<h2>{escape(title)}</h2><p>{_text(text)}</p>" if text else ""
-
-
 def _messages(diagnosis: Diagnosis) -> str:
-    said = report.said(diagnosis)
-    body = "".join(
-        _row((report.seconds(t), report.moment(diagnosis, t), kind, text)) for t, kind, text in said[:MOST_SAID]
-    )
-    if not body:
+    said = report.messages(diagnosis)
+    if not said:
         return ""
-    head = _row(("at", "clock", "what", "text"), cell="th")
+    rows = (_row((report.seconds(t), report.moment(diagnosis, t), *what)) for t, *what in said[:MOST_SAID])
+    table = _table(_row(("at", "clock", "what", "text"), cell="th"), "".join(rows))
     more = f"<p>The first {MOST_SAID} of {len(said)}.</p>" if len(said) > MOST_SAID else ""
-    table = f'<div class="scroll"><table><thead>{head}</thead><tbody>{body}</tbody></table></div>'
     return f"<details><summary>Modes and messages of the autopilot ({len(said)})</summary>{table}{more}</details>"
 
 
 MOST_SAID = 300
 PLOTS = (
-    (
-        ("command",),
-        "Motor commands",
-        "What the autopilot asked of each rotor: a weak rotor is asked for more.",
-    ),
+    (("command",), "Motor commands", "What the autopilot asked of each rotor: a weak rotor is asked for more."),
     (
         ("evidence",),
         "Evidence",
@@ -289,13 +252,7 @@ PLOTS = (
         "in units of the hover thrust (torques: times the arm).",
     ),
 )
-MARKS = (
-    ("mark", "onset"),
-    ("mark full", "announced"),
-    ("mark end", "end"),
-    ("ground", "on the ground"),
-    ("blind", "blind"),
-)
+MARKS = {"mark": "onset", "mark full": "announced", "mark end": "end", "ground": "on the ground", "blind": "blind"}
 
 
 def _plots(diagnosis: Diagnosis, divs: Mapping[str, str]) -> str:
@@ -303,7 +260,7 @@ def _plots(diagnosis: Diagnosis, divs: Mapping[str, str]) -> str:
         return ""
     looks = colours.looks(diagnosis)
     chips = "".join(_chip(r.rotor, *looks[r.rotor]) for r in diagnosis.rotors)
-    marks = " &ensp; ".join(f'<span class="key {name}"></span>{text}' for name, text in MARKS)
+    marks = " &ensp; ".join(f'<span class="key {name}"></span>{text}' for name, text in MARKS.items())
     parts = [
         "<h2>Loss of each rotor over the flight</h2><p>The estimate as a live observer would have had it, with its "
         "95 % band. Drag over a stretch of time to zoom all plots; the arrow in a plot's corner goes back.</p>",
@@ -320,46 +277,31 @@ def _plots(diagnosis: Diagnosis, divs: Mapping[str, str]) -> str:
 
 def _chip(rotor: int, tint: str, dash: str) -> str:
     """A button that shows and hides a rotor's lines; it doubles as the legend."""
-    return (
-        f'<button type="button" aria-pressed="true" data-rotor="rotor {rotor}">'
-        f"{_line(tint, dash)}rotor {rotor}</button>"
-    )
+    line = _line(tint, dash)
+    return f'<button type="button" aria-pressed="true" data-rotor="rotor {rotor}">{line}rotor {rotor}</button>'
 
 
 def _line(tint: str, dash: str) -> str:
     """A piece of a rotor's line, for legends."""
-    return (
-        '<svg class="piece" viewBox="0 0 24 8" aria-hidden="true"><path d="M0 4h24" stroke-width="3" '
-        f'stroke="{tint}"{_dasharray(dash)}/></svg>'
-    )
+    pattern = {"solid": "", "dashed": "6 3", "dotted": "2 3", "dotdash": "2 3 6 3", "dashdot": "6 3 2 3"}[dash]
+    dashes = f' stroke-dasharray="{pattern}"' if pattern else ""
+    path = f'<path d="M0 4h24" stroke-width="3" stroke="{tint}"{dashes}/>'
+    return f'<svg class="piece" viewBox="0 0 24 8" aria-hidden="true">{path}</svg>'
 
 
 def _plot(name: str, divs: Mapping[str, str]) -> str:
     return f'<div class="plot" id="plot-{name}">{divs[name]}</div>'
 
 
-def _dasharray(dash: str) -> str:
-    pattern = {"solid": "", "dashed": "6 3", "dotted": "2 3", "dotdash": "2 3 6 3", "dashdot": "6 3 2 3"}[dash]
-    return f' stroke-dasharray="{pattern}"' if pattern else ""
-
-
 def _comparison(rows: Iterable[tuple[str, str, str, str]]) -> str:
-    body = "".join(_row(row, right=(2,)) for row in rows)
-    if not body:
-        return ""
     head = _row(("check", "found", "at", "why"), cell="th", right=(2,))
-    table = f"<table><thead>{head}</thead><tbody>{body}</tbody></table>"
-    return f'<h2>Who found what, when</h2><div class="scroll">{table}</div>'
+    table = _table(head, "".join(_row(row, right=(2,)) for row in rows))
+    return f"<h2>Who found what, when</h2>{table}" if table else ""
 
 
 def _list(title: str, sentences: Iterable[str], name: str = "") -> str:
     items = "".join(f"<li>{escape(s)}</li>" for s in sentences)
     return f'<h2>{title}</h2><ul class="plain {name}">{items}</ul>' if items else ""
-
-
-def _blind(diagnosis: Diagnosis) -> str:
-    blind = diagnosis.trace.blind if diagnosis.trace is not None else ()
-    return _list("When it could not judge", (f"{start:.1f} to {end:.1f} s: {why}" for start, end, why in blind))
 
 
 def _footer(diagnosis: Diagnosis, title: str) -> str:

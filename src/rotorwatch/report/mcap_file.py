@@ -19,7 +19,7 @@ import io
 import json
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from datetime import datetime
 from itertools import groupby
 from typing import Any
@@ -71,13 +71,8 @@ def content(diagnosis: Diagnosis) -> bytes:
         writer.add_message(channels[topic], stamp, text.encode(), stamp)
     answer = diagnosis.to_json().encode()
     writer.add_attachment(start_ns, start_ns, "diagnosis.json", "application/json", answer)
-    facts = {
-        "log": diagnosis.flight.get("name"),
-        "verdict": diagnosis.verdict,
-        "headline": diagnosis.headline,
-        "clock": CLOCKS[clock],
-    }
-    writer.add_metadata(NAME, {key: str(value or "") for key, value in facts.items()})
+    about = {"log": str(diagnosis.flight.get("name") or ""), "verdict": diagnosis.verdict}
+    writer.add_metadata(NAME, about | {"headline": diagnosis.headline or "", "clock": CLOCKS[clock]})
     writer.finish()
     return file.getvalue()
 
@@ -99,22 +94,14 @@ def key(name: str) -> str:
 def _rows(diagnosis: Diagnosis) -> Iterator[Row]:
     trace = diagnosis.trace
     first = float(trace.time[0]) if trace is not None and trace.time.size else 0.0
-    answer = {
-        k: v
-        for k, v in diagnosis.to_dict().items()
-        if k in ("verdict", "headline", "reason", "advice", "rotors", "warnings")
-    }
-    yield first, f"/{NAME}/verdict", json.dumps({"time_s": first, **answer}, allow_nan=False)
+    shown = ("verdict", "headline", "reason", "advice", "rotors", "warnings")
+    yield _message("verdict", first, {k: v for k, v in diagnosis.to_dict().items() if k in shown})
     yield _say(first, WARNING if diagnosis.exit_code else INFO, NAME, diagnosis.headline or diagnosis.reason)
     for event in diagnosis.events:
         about = event.to_dict()
         for moment, time in (("onset", event.onset_s), ("announced", event.detected_s), ("end", event.end_s)):
             if time is not None and np.isfinite(time):
-                yield (
-                    float(time),
-                    f"/{NAME}/events",
-                    json.dumps({"time_s": time, "moment": moment, **about}, allow_nan=False),
-                )
+                yield _message("events", time, {"moment": moment, **about})
         said = " ".join((report.kind(event), report.who(event, diagnosis), report.losses(event))).strip()
         yield _say(event.detected_s, ERROR, NAME, f"{said}: {event.reason}" if event.reason else said)
     if trace is not None:
@@ -122,6 +109,10 @@ def _rows(diagnosis: Diagnosis) -> Iterator[Row]:
         yield from _phases(trace)
         for time, kind, text in trace.messages:
             yield _say(time, ERROR if kind == "error" else INFO, "autopilot", f"{kind}: {text}")
+
+
+def _message(topic: str, time: float, fields: Mapping[str, Any]) -> Row:
+    return float(time), f"/{NAME}/{topic}", json.dumps({"time_s": time, **fields}, allow_nan=False)
 
 
 def _say(time: float, level: int, name: str, message: str) -> Row:
@@ -141,10 +132,8 @@ def _series(trace: Trace) -> dict[str, tuple[list[str], np.ndarray]]:
     angles = {"": trace.attitude, "wanted_": trace.wanted}
     there = {prefix: values for prefix, values in angles.items() if values is not None}
     if there:
-        found["attitude"] = (
-            [f"{prefix}{axis}" for prefix in there for axis in ANGLES],
-            np.column_stack([*there.values()]),
-        )
+        names = [f"{prefix}{axis}" for prefix in there for axis in ANGLES]
+        found["attitude"] = names, np.column_stack([*there.values()])
     bands = np.stack([trace.loss, trace.lower, trace.upper], axis=2)
     found["losses"] = [f"{rotor}.{field}" for rotor in rotors for field in BAND], bands.reshape(len(bands), -1)
     return {f"/{NAME}/{topic}": series for topic, series in found.items()}
@@ -175,20 +164,15 @@ def _phases(trace: Trace) -> Iterator[Row]:
     for start, end, why in trace.blind:
         phase[(trace.time >= start) & (trace.time < end) & (phase != ON_GROUND)] = why
     changed = np.flatnonzero(np.r_[True, phase[1:] != phase[:-1]])
-    for k in changed:
-        time = float(trace.time[k])
-        yield time, f"/{NAME}/state", json.dumps({"time_s": time, "phase": phase[k]})
+    yield from (_message("state", float(trace.time[k]), {"phase": phase[k]}) for k in changed)
 
 
 def _schema(topic: str, text: str, names: list[str] | None) -> dict[str, Any]:
     """The JSON schema of a topic, from the names of its numbers, else from one of its messages. Nothing is required: what is not known
     is left out."""
     if topic == LOG:
-        moment = {
-            "type": "object",
-            "title": "time",
-            "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}},
-        }
+        parts = {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}
+        moment = {"type": "object", "title": "time", "properties": parts}
         words = {name: {"type": "string"} for name in ("message", "name", "file")}
         numbers = {name: {"type": "integer"} for name in ("level", "line")}
         return {"title": "foxglove.Log", "type": "object", "properties": {"timestamp": moment, **words, **numbers}}
@@ -208,8 +192,6 @@ def _kind(value: Any) -> dict[str, Any]:
         return {"type": "object", "properties": {name: _kind(inner) for name, inner in value.items()}}
     if isinstance(value, list):
         return {"type": "array", "items": _kind(value[0]) if value else {}}
-    return (
-        {}
-        if value is None
-        else {"type": "string" if isinstance(value, str) else "boolean" if isinstance(value, bool) else "number"}
-    )
+    if value is None:
+        return {}
+    return {"type": "string" if isinstance(value, str) else "boolean" if isinstance(value, bool) else "number"}

@@ -12,10 +12,10 @@ from rotorwatch.report import VERDICTS, frame, health, rotor_interval, rotor_los
 def page(result: Diagnosis) -> str:
     """Verdict, rotors and events."""
     grades = {rotor: (grade, trend) for rotor, _, grade, trend in health(result)}
-    rotors = [
-        (str(r.rotor), r.place, r.status, rotor_loss(r), rotor_interval(r), *grades.get(str(r.rotor), ("", "")))
-        for r in result.rotors
-    ]
+    rotors = []
+    for r in result.rotors:
+        graded = grades.get(str(r.rotor), ("", ""))
+        rotors.append((str(r.rotor), r.place, r.status, rotor_loss(r), rotor_interval(r), *graded))
     happened = [(seconds(e.onset_s), seconds(e.detected_s), who(e, result), e.reason) for e in result.events]
     return "".join(
         [

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from html import escape
@@ -129,7 +129,7 @@ def page(rows: Rows) -> str:
         f'<main id="logs">\n<section class="verdict {worst}"><div class="word">Worst first</div><h1>{escape(title)}</h1></section>\n'
         '<div class="tools"><label>Find <input id="find" type="search" placeholder="words of a path, an aircraft, a verdict"></label> '
         '<span id="shown" class="small" role="status"></span></div>\n'
-        f'<div class="scroll"><table><thead><tr>{_cells("th", ("verdict", "log", "aircraft", "when", "what"))}</tr></thead>\n'
+        '<div class="scroll"><table><thead><tr><th>verdict</th><th>log</th><th>aircraft</th><th>when</th><th>what</th></tr></thead>\n'
         f"<tbody>\n{lines}\n</tbody></table></div>\n</main>\n<script>{SCRIPT}</script>\n</body>\n</html>\n"
     )
 
@@ -141,10 +141,6 @@ def _line(row: Row) -> str:
         f'<tr class="{row.verdict}"><td class="word">{row.verdict}</td><td class="path">{link}</td><td>{escape(row.aircraft)}</td>'
         f'<td class="when">{escape(row.when)}</td><td>{escape(_printable(row.headline))}</td></tr>'
     )
-
-
-def _cells(tag: str, texts: Iterable[str]) -> str:
-    return "".join(f"<{tag}>{escape(text)}</{tag}>" for text in texts)
 
 
 def _printable(text: str) -> str:

@@ -34,12 +34,8 @@ def observability(result) -> RenderableType:
     """What hover and a manoeuvre tell apart; result as from `rotorwatch.observability`."""
     rows = listing("", "in", "rank", "smallest singular value", "least known loss (1 sd)", right=(1, 2, 3))
     for case in result.cases:
-        rows.add_row(
-            case.name,
-            f"{case.rank} of {result.unknowns}",
-            f"{case.singular_values[-1]:.1e}",
-            report.percent(case.worst_sd, 1),
-        )
+        rank, least = f"{case.rank} of {result.unknowns}", f"{case.singular_values[-1]:.1e}"
+        rows.add_row(case.name, rank, least, report.percent(case.worst_sd, 1))
     parts: list[RenderableType] = [Text(result.name, style="bold"), rows, Text(result.summary)]
     if result.alike:
         sets = listing("Cannot be told apart in hover", "these", "look like", "apart in the manoeuvre", right=(2,))
@@ -51,9 +47,8 @@ def observability(result) -> RenderableType:
 
 def survival(result) -> RenderableType:
     """What is left after the loss of one and of two rotors, cases that are alike in one row; result as from `rotorwatch.survive`."""
-    rows = listing(
-        "", "rotors", "loss", "then", "T / W", "roll", "pitch", "yaw", "wind", "turns", right=(3, 4, 5, 6, 7, 8)
-    )
+    names = ("rotors", "loss", "then", "T / W", "roll", "pitch", "yaw", "wind", "turns")
+    rows = listing("", *names, right=range(3, 9))
     for column in rows.columns[1:]:
         column.no_wrap = True
     alike: dict[tuple[str, ...], list[str]] = {}
@@ -80,10 +75,8 @@ def asking(result) -> RenderableType:
         name = "+".join(map(str, who)) or "none"
         rows.add_row(name, loss, f"{turn[k]:.2f} deg", f"{lift[k]:.1f} mm", f"{result.separation[k]:.1f} sd")
     each = ", ".join(f"{k + 1}: {report.percent(a, 1)}" for k, a in enumerate(result.amplitude))
-    notes = [
-        Text(s, style="dim") for s in (f"Largest change of each command, of full thrust: {each}.", *result.assumptions)
-    ]
-    return Group(Text(result.name, style="bold"), rows, Text(result.summary), *notes)
+    notes = (f"Largest change of each command, of full thrust: {each}.", *result.assumptions)
+    return Group(Text(result.name, style="bold"), rows, Text(result.summary), *(Text(s, style="dim") for s in notes))
 
 
 def _or_dash(value: float | None, form: str) -> str:

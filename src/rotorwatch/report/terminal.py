@@ -89,11 +89,6 @@ class _Overview:
                 yield Padding(Text(text, style="dim" if text == facts else ""), (0, 0, 0, 13))
 
 
-def error_line(name: str, sentence: str) -> Text:
-    """A flight of several that could not be judged."""
-    return Text(f"{'error':<13}", style=STYLES["error"]).append(f"{name}  {sentence}", style="default not bold")
-
-
 class Fitted:
     """A table where it fits; else each row as lines, its cells named.
 
@@ -114,22 +109,10 @@ class Fitted:
             least += max(_longest_word(c) if i in self.wide else _longest_line(c) for c in cells)
             least += 14 if i in self.wide and any(cell.cell_len > 30 for cell in cells) else 0
         if least <= options.max_width:
-            table = Table(
-                title=self.title,
-                title_justify="left",
-                title_style="bold",
-                box=box.SIMPLE_HEAD,
-                pad_edge=False,
-                padding=(0, 1),
-            )
-            for i in kept:
-                number = i in self.right
-                table.add_column(
-                    self.columns[i],
-                    justify="right" if number else "left",
-                    no_wrap=i not in self.wide,
-                    header_style="default",
-                )
+            names = [self.columns[i] for i in kept]
+            table = listing(self.title, *names, right=[kept.index(i) for i in self.right if i in kept])
+            for i, column in zip(kept, table.columns):
+                column.no_wrap = i not in self.wide
             for row in self.rows:
                 table.add_row(*(row[i] for i in kept))
             yield table
@@ -163,15 +146,18 @@ def _heading(result: Diagnosis) -> RenderableType:
     what = [str(facts["name"])] if facts.get("name") else []
     what += [report.frame(result), *(str(facts[k]) for k in ("autopilot", "profile") if facts.get(k))]
     what += [f"{float(facts.get('duration_s') or 0):.0f} s", *filter(None, [report.day(result)])]
-    steps = [Padding(Text(f"→ {step}"), (0, 0, 0, 1)) for step in result.advice]
-    return Group(
-        Text(" · ".join(what), style="dim"), Text(), text, *_story(result), Text(report.sentence(result.reason)), *steps
-    )
+    steps = (_aside(f"→ {step}") for step in result.advice)
+    parts = text, *_story(result), Text(report.sentence(result.reason)), *steps
+    return Group(Text(" · ".join(what), style="dim"), Text(), *parts)
+
+
+def _aside(text: str) -> Padding:
+    return Padding(Text(text), (0, 0, 0, 1))
 
 
 def _story(result: Diagnosis) -> list[RenderableType]:
     """What happened when control was lost, a line for each sentence."""
-    lines = [Padding(Text(f"{k}. {said.text}"), (0, 0, 0, 1)) for k, said in enumerate(result.story, start=1)]
+    lines = [_aside(f"{k}. {said.text}") for k, said in enumerate(result.story, start=1)]
     return [Text(), Text("What happened", style="bold"), *lines, Text()] if lines else []
 
 
@@ -196,19 +182,17 @@ def _rotors(result: Diagnosis) -> RenderableType:
     rows = []
     for r in result.rotors:
         style = STYLES.get(r.status, "")
-        bar = Text("█" * round(20 * min(max(r.loss, 0.0), 1.0)), style=style)
-        bar.append("·" * (20 - len(bar)), style="dim")
-        loss = report.rotor_loss(r)
-        row = [str(r.rotor), r.place, Text(r.status, style=style), loss, report.rotor_interval(r)]
-        bar = Text("") if r.status in ("unobservable", "suspect") else bar
-        rows.append([c if isinstance(c, Text) else Text(c) for c in (*row, bar)])
+        full = round(20 * min(max(r.loss, 0.0), 1.0))
+        bar = Text("█" * full, style=style).append("·" * (20 - full), style="dim")
+        texts = map(Text, (report.rotor_loss(r), report.rotor_interval(r)))
+        known = r.status not in ("unobservable", "suspect")
+        rows.append(
+            [Text(str(r.rotor)), Text(r.place), Text(r.status, style=style), *texts, bar if known else Text("")]
+        )
     head = ("rotor", "where", "status", "loss", "95 % interval", "")
-    parts: list[RenderableType] = [
-        Fitted(report.rotors_title(result), head, rows, right=(0, 3), wide=(4,), bars=(5,), short=(0, 3))
-    ]
-    notes = [f"Rotor {r.rotor}: {r.note}." for r in result.rotors if r.note]
-    notes += [report.scope(result)] if report.scope(result) else []
-    return Group(*parts, *(Padding(Text(note), (0, 0, 0, 1)) for note in notes))
+    table = Fitted(report.rotors_title(result), head, rows, right=(0, 3), wide=(4,), bars=(5,), short=(0, 3))
+    notes = [f"Rotor {r.rotor}: {r.note}." for r in result.rotors if r.note] + [report.scope(result)]
+    return Group(table, *(_aside(note) for note in notes if note))
 
 
 def _health(result: Diagnosis) -> list[RenderableType]:
@@ -216,7 +200,7 @@ def _health(result: Diagnosis) -> list[RenderableType]:
     if not rows:
         return []
     table = Fitted("Health", ("rotor", "grade", "trend (95 %)"), rows, right=(0,), wide=(2,), short=(0,))
-    return [Text(), table, Padding(Text(report.health_scale(result)), (0, 0, 0, 1))]
+    return [Text(), table, _aside(report.health_scale(result))]
 
 
 def _events(result: Diagnosis) -> RenderableType:
@@ -231,8 +215,7 @@ def _events(result: Diagnosis) -> RenderableType:
     reasons = []
     for e in result.events:
         clock = report.moment(result, e.onset_s)
-        text = f"{report.seconds(e.onset_s)}{f' ({clock})' if clock else ''}: {e.reason}"
-        reasons.append(Padding(Text(text), (0, 0, 0, 1)))
+        reasons.append(_aside(f"{report.seconds(e.onset_s)}{f' ({clock})' if clock else ''}: {e.reason}"))
     return Group(Fitted("Events", head, rows, right=(1, 2, 3, 4, 5), wide=(0,)), *reasons)
 
 
@@ -241,17 +224,13 @@ def _mentions(result: Diagnosis) -> list[RenderableType]:
     out: list[RenderableType] = []
     rows = report.whole_flight(result)
     if rows:
-        out += [Text(), Text("Against healthy flights of this build", style="bold"), *_pairs(rows)]
+        pairs = (Text(f"{name}: ", style="dim").append(value, style="default") for name, value in rows)
+        title = Text("Against healthy flights of this build", style="bold")
+        out += [Text(), title, *(Padding(pair, (0, 0, 0, 1)) for pair in pairs)]
     common = report.common_mode(result)
     if common:
-        out += [Text(), Text("All rotors together", style="bold"), Padding(Text(common), (0, 0, 0, 1))]
+        out += [Text(), Text("All rotors together", style="bold"), _aside(common)]
     return out
-
-
-def _pairs(rows: Iterable[tuple[str, str]]) -> list[RenderableType]:
-    return [
-        Padding(Text(f"{name}: ", style="dim").append(value, style="default"), (0, 0, 0, 1)) for name, value in rows
-    ]
 
 
 def _small_print(result: Diagnosis) -> RenderableType:
@@ -277,48 +256,36 @@ class Notes:
 
     def __rich_console__(self, console: Console, options):
         room = options.max_width - 2 - max((len(name) for name, _ in self.rows), default=0)
-        if options.max_width < 60 or any(_longest_word(Text(text)) > room for _, text in self.rows):
-            for name, text in self.rows:
-                yield Text(f"{name}: ", style="yellow" if name == "warning" else "dim").append(
-                    text, style="default not dim"
-                )
-            return
+        beside = options.max_width >= 60 and all(_longest_word(Text(text)) <= room for _, text in self.rows)
         grid = Table.grid(padding=(0, 2))
         grid.add_column(no_wrap=True)
         grid.add_column(overflow="fold")
         for name, text in self.rows:
-            grid.add_row(Text(name, style="yellow" if name == "warning" else "dim"), Text(text))
-        yield grid
+            style = "yellow" if name == "warning" else "dim"
+            if beside:
+                grid.add_row(Text(name, style=style), Text(text))
+            else:
+                yield Text(f"{name}: ", style=style).append(text, style="default not dim")
+        if beside:
+            yield grid
 
 
 def info(facts: Mapping[str, Any]) -> RenderableType:
     """What `rotorwatch info` prints; facts as from `rotorwatch.info.info`."""
-    airborne = ", ".join(f"{a:.1f} to {b:.1f} s" for a, b in facts["airborne_s"]) or "never found airborne"
-    entries = (
-        ("log", facts["name"]),
-        ("format", facts["format"]),
-        (
-            "autopilot",
-            facts["firmware"]
-            if facts["autopilot"] in facts["firmware"]
-            else f"{facts['autopilot']} {facts['firmware']}",
-        ),
-        ("vehicle", facts["frame"] or facts["vehicle_type"] or "unknown"),
-        ("rotors", facts["rotors"] or "no commands found"),
-        ("duration", f"{facts['duration_s']:.1f} s"),
-        ("airborne", airborne),
-        ("parameters", facts["parameters"]),
-    )
-    grid = Notes((key, str(value)) for key, value in entries if value not in ("", None))
-    signals = [
-        (
-            s["name"],
-            f"{s['rate_hz']:.4g} Hz",
-            s["unit"],
-            s["frame"],
-            f"{int(100 * s['valid'])} %",
-            s["source"],
-        )  # 99.9 % is not all of it
+    autopilot = "" if facts["autopilot"] in facts["firmware"] else f"{facts['autopilot']} "
+    entries = {
+        "log": facts["name"],
+        "format": facts["format"],
+        "autopilot": f"{autopilot}{facts['firmware']}",
+        "vehicle": facts["frame"] or facts["vehicle_type"] or "unknown",
+        "rotors": facts["rotors"] or "no commands found",
+        "duration": f"{facts['duration_s']:.1f} s",
+        "airborne": ", ".join(f"{a:.1f} to {b:.1f} s" for a, b in facts["airborne_s"]) or "never found airborne",
+        "parameters": facts["parameters"],
+    }
+    grid = Notes((key, str(value)) for key, value in entries.items() if value not in ("", None))
+    signals = [  # 99.9 % valid is not all of it
+        (s["name"], f"{s['rate_hz']:.4g} Hz", s["unit"], s["frame"], f"{int(100 * s['valid'])} %", s["source"])
         for s in facts["signals"]
     ]
     head = ("signal", "rate", "unit", "frame", "valid", "source")
@@ -331,9 +298,8 @@ def info(facts: Mapping[str, Any]) -> RenderableType:
     parts.append(Text(f" {ready}", style="green" if facts["ready"] else "red"))
     list_ = Table.grid(padding=(0, 1))
     for gap in facts["missing"]:
-        list_.add_row(
-            Text(" •", style="red" if gap["needed"] else "dim"), Text(gap["why"]).append(f" {gap['setting']}", "dim")
-        )
+        tint = "red" if gap["needed"] else "dim"
+        list_.add_row(Text(" •", style=tint), Text(gap["why"]).append(f" {gap['setting']}", "dim"))
     for sentence in facts["warnings"]:
         list_.add_row(Text(" !", style="yellow"), Text(sentence))
     return Group(*parts, list_)
@@ -371,17 +337,13 @@ def fuzz_framed(result: Mapping[str, Any]) -> RenderableType:
         style = STYLES["error"] if any(counts) and outcome in WRONG else ""
         table.add_row(Text(outcome, style=style), *(str(n) if n else "–" for n in counts))
     who = f" (rotor {', '.join(map(str, result['rotors']))})" if result["rotors"] else ""
-    parts: list[RenderableType] = [
-        Text(
-            f"{result['log']}: {result['verdict']}{who} when intact; {result['damages']} copies a kind, "
-            f"{report.percent(result['share'])} of the records damaged, seed {result['seed']}"
-        ),
-        table,
-        Text(f"slowest answer {result['slowest_s']} s"),
-    ]
-    for f in result["failures"]:
-        parts.append(Text(f"number {f['number']} ({f['kind']}), {f['outcome']}: {f['what']}", style="red"))
-    return Group(*parts)
+    head = (
+        f"{result['log']}: {result['verdict']}{who} when intact; {result['damages']} copies a kind, "
+        f"{report.percent(result['share'])} of the records damaged, seed {result['seed']}"
+    )
+    bad = (f"number {f['number']} ({f['kind']}), {f['outcome']}: {f['what']}" for f in result["failures"])
+    slowest = Text(f"slowest answer {result['slowest_s']} s")
+    return Group(Text(head), table, slowest, *(Text(text, style="red") for text in bad))
 
 
 def fuzz(result: Mapping[str, Any]) -> RenderableType:
@@ -390,10 +352,6 @@ def fuzz(result: Mapping[str, Any]) -> RenderableType:
     for outcome, count in result["outcomes"].items():
         style = STYLES["error"] if outcome == "FAILED" and count else ""
         table.add_row(Text(outcome, style=style), str(count), report.percent(count / max(result["mutations"], 1), 1))
-    parts: list[RenderableType] = [
-        Text(f"{result['log']}: {result['mutations']} mutations, seed {result['seed']}"),
-        table,
-    ]
-    for f in result["failures"]:
-        parts.append(Text(f"FAILED number {f['number']} ({f['mutation']}): {f['what']}", style="red"))
-    return Group(*parts)
+    head = Text(f"{result['log']}: {result['mutations']} mutations, seed {result['seed']}")
+    bad = (f"FAILED number {f['number']} ({f['mutation']}): {f['what']}" for f in result["failures"])
+    return Group(head, table, *(Text(text, style="red") for text in bad))

@@ -11,7 +11,7 @@ from rotorwatch import report
 from rotorwatch.diagnosis import Diagnosis
 from rotorwatch.report import colours
 from rotorwatch.report.colours import FAULT, INK, SUSPECT
-from rotorwatch.report.figures import blank
+from rotorwatch.report.figures import blank, words
 
 NAMES = ("moment_strip", "moment_roll", "moment_pitch", "moment_commands")
 TINTS = {
@@ -34,9 +34,8 @@ def plots(diagnosis: Diagnosis) -> dict[str, Any]:
     facts = diagnosis.picture
     if not facts or not (facts["attitude"] or facts["commands"]):
         return {}
-    x_range = Range1d(
-        start=facts["start_s"], end=facts["end_s"], bounds=(facts["start_s"], facts["end_s"]), min_interval=0.1
-    )
+    start, end = facts["start_s"], facts["end_s"]
+    x_range = Range1d(start=start, end=end, bounds=(start, end), min_interval=0.1)
     out = {"moment_strip": _strip(facts, x_range)}
     if facts["attitude"]:
         out |= {f"moment_{angle}": _angle(facts["attitude"], x_range, angle) for angle in ANGLES}
@@ -46,14 +45,9 @@ def plots(diagnosis: Diagnosis) -> dict[str, Any]:
         figure.name = name
         figure.xaxis.visible = name == list(out)[-1]
         for mark in facts["marks"] if name != "moment_strip" else ():
-            look: dict[str, Any] = dict(line_color=TINTS.get(mark["what"], INK), line_width=1.6, dimension="height")
-            figure.add_layout(
-                Span(
-                    location=mark["time_s"],
-                    line_dash="dashed" if mark["what"] == "last good second" else "solid",
-                    **look,
-                )
-            )
+            tint, dash = TINTS.get(mark["what"], INK), "dashed" if mark["what"] == "last good second" else "solid"
+            look: dict[str, Any] = dict(line_color=tint, line_dash=dash, line_width=1.6, dimension="height")
+            figure.add_layout(Span(location=mark["time_s"], **look))
     return out
 
 
@@ -73,20 +67,15 @@ def _strip(facts: Mapping[str, Any], x_range) -> Any:
             "tint": [TINTS.get(m["what"], INK) for m in marks],
         }
     )  # fmt: skip
-    boxes = p.quad(
-        "left", "right", 0.9, 0.1, source=source, fill_color="tint", line_color=None, fill_alpha=0.85, name="stretches"
-    )
+    look: dict[str, Any] = dict(fill_color="tint", line_color=None, fill_alpha=0.85)
+    boxes = p.quad("left", "right", 0.9, 0.1, source=source, name="stretches", **look)
     p.segment("left", 0.1, "left", top, source=source, line_color="tint", line_width=1.6)
     middle = 0.5 * (facts["start_s"] + facts["end_s"])
     for k, text in enumerate(source.data["what"]):
         at = marks[k]["time_s"]
-        look: dict[str, Any] = dict(
-            text_font="system-ui, sans-serif", text_font_size="13px", text_color=INK, text_baseline="middle"
-        )
-        side: dict[str, Any] = (
-            dict(text_align="left", x_offset=5) if at < middle else dict(text_align="right", x_offset=-5)
-        )
-        p.add_layout(Label(x=at, y=top - 0.55 - k, text=text, **look, **side))
+        align, offset = ("left", 5) if at < middle else ("right", -5)
+        label = Label(x=at, y=top - 0.55 - k, text=text, text_align=align, x_offset=offset, **words("13px"))
+        p.add_layout(label)
     hover = p.select_one(HoverTool)
     hover.renderers, hover.mode, hover.tooltips = [boxes], "mouse", [("", "@what")]
     return p
@@ -133,12 +122,10 @@ def _commands(diagnosis: Diagnosis, facts: Mapping[str, Any], x_range) -> Any:
     )
     tips = [(f"rotor {k}", f"@command{k}{{0}} %") for k in numbers]
     p = blank(x_range, 230, "command [%]", tips, y_range=Range1d(start=-3.0, end=108.0))
-    lines = [
-        p.step(
-            "time", f"command{k}", source=source, mode="after", name=f"rotor {k}", color=looks[k][0], line_dash=looks[k][1],
-            line_width=4.0 if k in facts["accused"] else 1.6,
-        )
-        for k in sorted(numbers, key=lambda k: k in facts["accused"])
-    ]  # fmt: skip
+    lines = []
+    for k in sorted(numbers, key=lambda k: k in facts["accused"]):
+        look: dict[str, Any] = dict(name=f"rotor {k}", color=looks[k][0], line_dash=looks[k][1])
+        width = 4.0 if k in facts["accused"] else 1.6
+        lines.append(p.step("time", f"command{k}", source=source, mode="after", line_width=width, **look))
     p.select_one(HoverTool).renderers = lines[:1]
     return p

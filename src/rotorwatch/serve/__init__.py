@@ -4,7 +4,6 @@ names.py      names of uploaded files, made harmless
 security.py   who may ask: token, host, origin; what a browser may do with the answers
 hub.py        numbered messages to all open pages
 live.py       the watch loop, and what the page shows of it
-landed.py     a watched flight that has ended, as it goes into the list
 flights.py    the list of flights: the fleet's store, and a page for each
 landed.py     a flight that was watched and has ended, for the list
 uploads.py    logs that are sent here, judged in processes with limits

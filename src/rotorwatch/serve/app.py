@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable
 from contextlib import asynccontextmanager
 from typing import Any
 
@@ -38,14 +39,14 @@ def application(feed: Feed, flights: Flights, limits: Limits, host: str, token: 
     async def lifespan(_: Starlette):
         app.state.uploads = uploads = Uploads(flights, limits, tell, trouble)
         uploads.start()
-        keeper = flights.keeper(tell, trouble)
-        feed.ended = keeper.keep
+        store_writer = flights.store_writer(tell, trouble)
+        feed.ended = store_writer.keep
         feed.start()
         try:
             yield
         finally:
             await asyncio.to_thread(feed.stop)
-            await asyncio.to_thread(keeper.stop)
+            await asyncio.to_thread(store_writer.stop)
             uploads.stop()
 
     routes = [
@@ -59,12 +60,9 @@ def application(feed: Feed, flights: Flights, limits: Limits, host: str, token: 
         Route("/api/flights", _upload, methods=["POST"]),
         Route("/api/flights/{digest}", _flight),
     ]
-    failures: dict[Any, Any] = {
-        HTTPException: _failed,
-        Refused: _not_taken,
-        RotorwatchError: _broken,
-        Exception: _broken,
-    }
+    failures: dict[Any, Any] = {HTTPException: _failed, Refused: _not_taken} | dict.fromkeys(
+        (RotorwatchError, Exception), _broken
+    )
     app = Starlette(routes=routes, lifespan=lifespan, exception_handlers=failures)
     app.state.feed, app.state.flights, app.state.limits = feed, flights, limits
     return Guard(app, host, token)
@@ -96,13 +94,10 @@ async def _live(request: Request) -> Response:
 
 async def _list(request: Request) -> Response:
     ask = request.query_params
-    limit, offset = (
-        _number(ask.get("limit", "50"), "limit", MOST_ROWS),
-        _number(ask.get("offset", "0"), "offset", 10**9),
-    )
-    return JSONResponse(
-        await asyncio.to_thread(request.app.state.flights.rows, ask.get("search", "")[:200], limit, offset)
-    )
+    limit = _number(ask.get("limit", "50"), "limit", MOST_ROWS)
+    offset = _number(ask.get("offset", "0"), "offset", 10**9)
+    rows = request.app.state.flights.rows
+    return JSONResponse(await asyncio.to_thread(rows, ask.get("search", "")[:200], limit, offset))
 
 
 def _number(text: str, name: str, most: int) -> int:
@@ -124,38 +119,32 @@ async def _upload(request: Request) -> Response:
     return JSONResponse(row, 201 if new else 200)
 
 
-async def _flight(request: Request) -> Response:
-    found = await asyncio.to_thread(request.app.state.flights.diagnosis, _digest(request))
+async def _of_flight(request: Request, find: Callable[[str], Any]) -> Any:
+    """What is known of the flight of a request. Raises HTTPException."""
+    digest = request.path_params["digest"]
+    found = await asyncio.to_thread(find, digest) if DIGEST.fullmatch(digest) else None
     if found is None:
         raise HTTPException(404, "No such flight is known here.")
-    return JSONResponse(found)
+    return found
+
+
+async def _flight(request: Request) -> Response:
+    return JSONResponse(await _of_flight(request, request.app.state.flights.diagnosis))
 
 
 async def _report(request: Request) -> Response:
-    text = await asyncio.to_thread(request.app.state.flights.report, _digest(request))
-    if text is None:
-        raise HTTPException(404, "No such flight is known here.")
+    text = await _of_flight(request, request.app.state.flights.report)
     back = '<body>\n<nav class="masthead" aria-label="rotorwatch"><a href="/">All flights</a></nav>\n'
     # Its scripts are inline; in a sandbox they are of no origin, so that they could ask this server for nothing.
     policy = f"{REPORT_POLICY}; frame-ancestors 'none'; base-uri 'none'; form-action 'none'; sandbox allow-scripts allow-downloads"
     return HTMLResponse(text.replace("<body>\n", back, 1), headers={"Content-Security-Policy": policy})
 
 
-def _digest(request: Request) -> str:
-    digest = request.path_params["digest"]
-    if not DIGEST.fullmatch(digest):
-        raise HTTPException(404, "No such flight is known here.")
-    return digest
-
-
 async def _failed(request: Request, why: Exception) -> Response:
     assert isinstance(why, HTTPException)
     standard = {404: "There is no such page here.", 405: "This address does not take such a request."}
-    text = (
-        why.detail
-        if why.detail and why.detail.endswith(".")
-        else standard.get(why.status_code, "This request cannot be answered.")
-    )
+    text = standard.get(why.status_code, "This request cannot be answered.")
+    text = why.detail if why.detail and why.detail.endswith(".") else text
     answer = refused(request, why.status_code, text)
     answer.headers.update(why.headers or {})
     return answer

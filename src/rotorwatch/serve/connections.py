@@ -24,22 +24,15 @@ class Connection(H11Protocol):
         super().connection_made(transport)
         self._wait()
         for most, whose in ((PER_ADDRESS, self._address), (MOST, None)):
-            crowd = [
-                c
-                for c in self.connections
-                if isinstance(c, Connection) and not c.transport.is_closing() and whose in (None, c._address)
-            ]
+            ours = (c for c in self.connections if isinstance(c, Connection) and whose in (None, c._address))
+            crowd = [c for c in ours if not c.transport.is_closing()]
             if len(crowd) <= most:
                 continue
-            idle = {
-                c: c.waits.when()
-                for c in crowd
-                if c is not self
-                and c.waits is not None
-                and not c.transport.get_write_buffer_size()  # an answer is under way
-            }
+            # A connection with something left to write has an answer under way.
+            idle = [(c.waits.when(), c) for c in crowd if c.waits and not c.transport.get_write_buffer_size()]
+            idle = [(when, c) for when, c in idle if c is not self]
             if idle:
-                min(idle, key=idle.__getitem__).transport.abort()
+                min(idle, key=lambda one: one[0])[1].transport.abort()
             else:
                 self.limit_concurrency = 0
 

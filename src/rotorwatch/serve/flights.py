@@ -61,9 +61,9 @@ class Flights:
         assert found is not None
         return found
 
-    def keeper(self, told: Callable[[dict[str, Any]], None], trouble: Callable[[str], None]) -> Keeper:
+    def store_writer(self, told: Callable[[dict[str, Any]], None], trouble: Callable[[str], None]) -> StoreWriter:
         """Something that keeps flights without being waited for. told: called with the row of each; trouble: with a sentence."""
-        return Keeper(self, told, trouble, self.folder("heard"))
+        return StoreWriter(self, told, trouble, self.folder("heard"))
 
     def diagnosis(self, digest: str) -> dict[str, Any] | None:
         """What is known of a flight, as docs/json.md has it."""
@@ -86,14 +86,12 @@ class Flights:
         self._store.close()
 
 
-class Keeper:
+class StoreWriter:
     """A thread that puts flights into the store, and goes on trying while the store cannot be reached.
 
     waiting: folder for those that a store has not taken yet; the next server begins with them."""
 
-    def __init__(
-        self, flights: Flights, told: Callable[[dict[str, Any]], None], trouble: Callable[[str], None], waiting: Path
-    ):
+    def __init__(self, flights: Flights, told: Callable, trouble: Callable[[str], None], waiting: Path):
         self._flights, self._told, self._trouble, self._waiting = flights, told, trouble, waiting
         self._queue: queue.SimpleQueue[Entry | None] = queue.SimpleQueue()
         for path in sorted(waiting.glob("*.json")):
@@ -148,21 +146,16 @@ def wrong(why: Exception) -> tuple[int, str]:
 
         traceback.print_exception(why)
     with suppress(OSError, ValueError, AttributeError):  # nobody reads it
-        print(
-            f"rotorwatch: {shown.public(shown.printable(f'{type(why).__name__}: {why}'))}", file=sys.stderr, flush=True
-        )
-    if isinstance(why, (StoreFull, OSError)):
-        return 507, "The server's disk has no room, or cannot be written to; make room."
-    if isinstance(why, StoreError):
-        return 503, "The list of flights cannot be read or written now; see to the server's store."
-    if isinstance(why, WorkerError):
-        return 503, "The process that judges logs does not run; try again."
-    if isinstance(why, RotorwatchError):  # of what a flight says, not of where it lies
-        return 503, str(why)
-    return (
-        500,
-        f"An error in rotorwatch itself ({type(why).__name__}); please report it with what the server has printed.",
+        text = shown.public(shown.printable(f"{type(why).__name__}: {why}"))
+        print(f"rotorwatch: {text}", file=sys.stderr, flush=True)
+    mine = f"An error in rotorwatch itself ({type(why).__name__}); please report it with what the server has printed."
+    causes: tuple[tuple[Any, int, str], ...] = (
+        ((StoreFull, OSError), 507, "The server's disk has no room, or cannot be written to; make room."),
+        (StoreError, 503, "The list of flights cannot be read or written now; see to the server's store."),
+        (WorkerError, 503, "The process that judges logs does not run; try again."),
+        (RotorwatchError, 503, str(why)),  # of what a flight says, not of where it lies
     )
+    return next(((code, text) for kind, code, text in causes if isinstance(why, kind)), (500, mine))
 
 
 def _shown(row: dict[str, Any]) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from typing import Any
 
 from rotorwatch.live.beside import as_json
 
-KEPT = 400  # messages for a page that was away for a while: 100 s of them while something is watched
+RECENT = 400  # messages for a page that was away for a while: 100 s of them while something is watched
 BEAT_S = 10.0  # a line without meaning so often keeps a quiet connection open, and shows when it is gone
 
 
@@ -26,7 +26,7 @@ class Hub:
         self.lock = threading.RLock()
         self._state = state
         self._run = secrets.token_hex(4)  # numbers of an earlier run of the server mean nothing in this one
-        self._kept: deque[tuple[int, str]] = deque(maxlen=KEPT)
+        self._kept: deque[tuple[int, str]] = deque(maxlen=RECENT)
         self._last = 0
         self._bells: set[asyncio.Event] = set()
         self._loop: asyncio.AbstractEventLoop | None = None

@@ -53,14 +53,9 @@ def answer(name: str, session: Session, rows: Sequence[tuple], hop: tuple[float,
         hidden = np.where(np.asarray(row[1]) > 0.0, hidden, row[3])
     events = [e for e in session.events() if start <= e.detected_s <= end + SETTLED_S]
     names = places.names(vehicle.rotors)
+    judged_s = float(steps[steps < GAP_S].sum())
     end_of = conclusion.conclude(
-        events,
-        None,
-        len(vehicle.rotors),
-        hidden=hidden,
-        judged_s=float(steps[steps < GAP_S].sum()),
-        places=names,
-        hops=(hop,),
+        events, None, len(vehicle.rotors), hidden=hidden, judged_s=judged_s, places=names, hops=(hop,)
     )
     began = datetime.fromtimestamp(time.time() - session.now, timezone.utc).strftime("%Y-%m-%dT%H:%M:%SZ")
     return Diagnosis(

@@ -37,6 +37,7 @@ POINTS = 600  # of a band; when there are twice as many every second one goes, s
 SAID = 100  # sentences that are kept
 LAST_WORD_S = 60.0  # for what was heard and is not judged yet, when the server is stopped
 LASTS_S = 60.0  # a loop that has gone on for so long begins again at once after an error
+COUNTS = ("taken", "lost", "twice", "damaged", "reboots", "jumps")
 EVENTS = 30  # of a vehicle that are shown, the newest
 
 
@@ -155,9 +156,8 @@ class Shown:
         told = sorted(self.watched.changes.now.items(), key=lambda item: -item[1].detected_s)[:EVENTS]
         lasting = view.lasting(e for _, e in told)
         bad = sorted({r for e in lasting if not e.alternatives for r in e.rotors})
-        open_ = sorted(
-            {r for e in lasting if e.alternatives for s in (e.rotors, *e.alternatives) for r in s} - set(bad)
-        )
+        maybe = {r for e in lasting if e.alternatives for s in (e.rotors, *e.alternatives) for r in s}
+        open_ = sorted(maybe - set(bad))
         numbers = range(1, len(frame["rotors"]) + 1) if frame else ()
         return {
             "key": self.key,
@@ -167,9 +167,7 @@ class Shown:
             "notice": self.watched.notice,
             "link": line.link,
             "esc": line.esc,
-            "counts": {
-                name: getattr(health, name) for name in ("taken", "lost", "twice", "damaged", "reboots", "jumps")
-            },
+            "counts": {name: getattr(health, name) for name in COUNTS},
             "now": round(session.now, 2) if session is not None and math.isfinite(session.now) else None,
             "losses": None if self._judged is None else [np.round(part, 3).tolist() for part in self._judged],
             "looks": [list(look) for look in colours.chosen(numbers, bad, open_).values()],
@@ -267,9 +265,8 @@ class Feed:
                 return
             except BaseException as why:
                 text = " ".join(f"{type(why).__name__}: {why}".split())[:200]
-                self.failed = (
-                    f"Watching has ended by an error in rotorwatch itself ({text}); please report it. It begins again."
-                )
+                error = f"an error in rotorwatch itself ({text})"
+                self.failed = f"Watching has ended by {error}; please report it. It begins again."
                 self._error(self.failed)
             pause = loop.FIRST_S if time.monotonic() - began > LASTS_S else min(2.0 * pause, loop.LONGEST_S)
             time.sleep(0.0 if self.stopped else pause)
@@ -340,7 +337,8 @@ class Feed:
                     shown = self._shown.get(id(watched))
                     if shown is not None:
                         # One that cannot be shown does not hide the others.
-                        self.beside.run(f"what is shown of {watched.name}", _one, vehicles, shown, waits_for)
+                        what = partial(lambda one, why: vehicles.append((one, one.now(why))), shown, waits_for)
+                        self.beside.run(f"what is shown of {watched.name}", what)
             self._endpoints = [source.about() for source in self._sources]
             self._vehicles = vehicles
             told = [{**now, **shown.news()} for shown, now in vehicles]
@@ -350,7 +348,3 @@ class Feed:
         """All that a new page has to know; as of the last tick, since the thread that watches is at work meanwhile."""
         vehicles = [{**now, "frame": shown.frame, "points": shown.band.rows} for shown, now in self._vehicles]
         return {"endpoints": self._endpoints, "vehicles": vehicles, "said": list(self._said)}
-
-
-def _one(vehicles: list[tuple[Shown, dict[str, Any]]], shown: Shown, waits_for: str) -> None:
-    vehicles.append((shown, shown.now(waits_for)))

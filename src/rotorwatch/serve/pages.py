@@ -10,15 +10,10 @@ from rotorwatch import report
 
 OWN, SHARED = Path(__file__).parent / "page", Path(report.__file__).parent
 # All that is served as it lies in the package: by name from this table, never by a path.
-FILES = {
-    "page.css": (SHARED / "page.css", "text/css"),
-    "serve.css": (OWN / "serve.css", "text/css"),
-    "serve.js": (OWN / "serve.js", "text/javascript"),
-    "dom.js": (OWN / "dom.js", "text/javascript"),
-    "live.js": (OWN / "live.js", "text/javascript"),
-    "flights.js": (OWN / "flights.js", "text/javascript"),
-    "icon.svg": (OWN / "icon.svg", "image/svg+xml"),
+FILES = {"page.css": SHARED / "page.css"} | {
+    name: OWN / name for name in ("serve.css", "serve.js", "dom.js", "live.js", "flights.js", "icon.svg")
 }
+TYPES = {".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
 
 
 @cache
@@ -26,8 +21,7 @@ def file(name: str) -> tuple[bytes, str] | None:
     """(content, type) of a file of the page; None when there is none of that name."""
     if name not in FILES:
         return None
-    path, kind = FILES[name]
-    return path.read_bytes(), kind
+    return FILES[name].read_bytes(), TYPES[FILES[name].suffix]
 
 
 @cache
@@ -42,10 +36,11 @@ def message(text: str, asks: bool = False) -> str:
         '<form method="post" action="/login"><label for="token">Token</label> '
         '<input id="token" name="token" type="password" autocomplete="current-password" required> <button>Open</button></form>'
     )
-    return (
-        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">'
-        "<title>rotorwatch</title>"
-        '<link rel="stylesheet" href="/static/page.css"><link rel="stylesheet" href="/static/serve.css"></head><body>'
-        f'<main class="only"><h1>rotorwatch</h1><p>{escape(text)}</p>{form if asks else ""}'
-        f"{'' if asks else '<p><a href=&quot;/&quot;>To the list of flights</a></p>'.replace('&quot;', chr(34))}</main></body></html>\n"
+    head = (
+        '<meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1"><title>rotorwatch</title>'
+        '<link rel="stylesheet" href="/static/page.css"><link rel="stylesheet" href="/static/serve.css">'
     )
+    body = f"<h1>rotorwatch</h1><p>{escape(text)}</p>{form if asks else ''}"
+    back = "" if asks else '<p><a href="/">To the list of flights</a></p>'
+    main = f'<main class="only">{body}{back}</main>'
+    return f'<!doctype html>\n<html lang="en"><head>{head}</head><body>{main}</body></html>\n'

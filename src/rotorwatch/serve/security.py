@@ -21,8 +21,14 @@ POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; form-action 'self'; "
     "base-uri 'none'; frame-ancestors 'none'"
 )
+ALWAYS = {"X-Content-Type-Options": "nosniff", "X-Frame-Options": "DENY"} | dict.fromkeys(
+    ("Referrer-Policy", "Cross-Origin-Resource-Policy", "Cross-Origin-Opener-Policy"), "same-origin"
+)
 LEAST = 16  # letters of a token: nobody guesses one of them over a network
 MOST_FORM, FORM_S = 4096, 10.0  # bytes of the form that asks for the token; for sending it
+NEEDED, WRONG = (
+    f"{what}: give the one that rotorwatch was started with." for what in ("A token is needed", "This token is wrong")
+)
 OPEN = ("/static/page.css", "/static/serve.css")  # the form that asks for the token looks like the page
 
 
@@ -68,11 +74,7 @@ class Guard:
                 headers = MutableHeaders(scope=message)
                 headers.setdefault("Content-Security-Policy", POLICY)
                 headers.setdefault("Cache-Control", "no-store")
-                headers["X-Content-Type-Options"] = "nosniff"
-                headers["X-Frame-Options"] = "DENY"
-                headers["Referrer-Policy"] = "same-origin"
-                headers["Cross-Origin-Resource-Policy"] = "same-origin"
-                headers["Cross-Origin-Opener-Policy"] = "same-origin"
+                headers.update(ALWAYS)
             await send(message)
 
         answer = await self._refusal(Request(scope, receive))
@@ -82,11 +84,8 @@ class Guard:
         """What is answered instead, or None for a request that may pass."""
         headers = request.headers
         if len(headers.getlist("host")) != 1 or not self._known(headers["host"]):
-            return refused(
-                request,
-                421,
-                "This address is not this server's; open it by the name or the address it was started with.",
-            )
+            why = "This address is not this server's; open it by the name or the address it was started with."
+            return refused(request, 421, why)
         if request.method not in ("GET", "HEAD") and not _from_here(headers):
             return refused(request, 403, "This came from the page of another site; open rotorwatch's own page.")
         if not self._token:
@@ -101,12 +100,7 @@ class Guard:
                 return None
             rest = [(k, v) for k, v in request.query_params.multi_items() if k != "token"]
             return self._let_in(request, request.url.path + ("?" + urlencode(rest) if rest else ""))
-        wrong = given is not None or "authorization" in headers
-        return refused(
-            request,
-            401,
-            f"{'This token is wrong' if wrong else 'A token is needed'}: give the one that rotorwatch was started with.",
-        )
+        return refused(request, 401, WRONG if given is not None or "authorization" in headers else NEEDED)
 
     def _known(self, host: str) -> bool:
         """An address, or a name of this computer. Any other name has been turned towards us by somebody else's name server."""
@@ -130,9 +124,8 @@ class Guard:
         kind, _, given = request.headers.get("authorization", "").partition(" ")
         if kind.lower() == "bearer":
             return self._same(given.strip())
-        return hmac.compare_digest(
-            request.cookies.get(_cookie(request), "").encode("utf-8", "replace"), self._secret.encode()
-        )
+        cookie = request.cookies.get(_cookie(request), "").encode("utf-8", "replace")
+        return hmac.compare_digest(cookie, self._secret.encode())
 
     async def _login(self, request: Request) -> Response:
         try:
@@ -143,14 +136,13 @@ class Guard:
             return refused(request, 413, "This is too long for a token.")
         given = parse_qs(body.decode("utf-8", "replace")).get("token", [""])[0].strip()
         if not self._same(given):
-            return refused(request, 401, "This token is wrong: give the one that rotorwatch was started with.")
+            return refused(request, 401, WRONG)
         return self._let_in(request, "/")
 
     def _let_in(self, request: Request, path: str) -> Response:
         answer = RedirectResponse("/" + path.lstrip("/\\"), 303)
-        answer.set_cookie(
-            _cookie(request), self._secret, httponly=True, samesite="strict", secure=request.url.scheme == "https"
-        )
+        secure = request.url.scheme == "https"
+        answer.set_cookie(_cookie(request), self._secret, httponly=True, samesite="strict", secure=secure)
         return answer
 
 

@@ -45,6 +45,7 @@ def serve(
     """
     for name in ("starlette", "uvicorn"):
         optional.library(name, "The page")
+    from rotorwatch.healthy.baselines import vehicle_of
     from rotorwatch.serve import security
     from rotorwatch.serve.app import application
     from rotorwatch.serve.flights import Flights
@@ -53,20 +54,23 @@ def serve(
 
     known = security.checked(host, os.environ.get("ROTORWATCH_TOKEN", "") if token is None else token)
     most = int(checks.positive("max_upload", max_upload) * 2**20)
-    limits = Limits(
-        most, checks.positive("max_seconds", max_seconds), checks.positive("max_memory", max_memory), max(int(jobs), 1)
-    )
+    judge_s, memory_mb = checks.positive("max_seconds", max_seconds), checks.positive("max_memory", max_memory)
+    limits = Limits(most, judge_s, memory_mb, max(int(jobs), 1))
     listening = listen(host, port)
     feed = Feed()
     try:
         flights = Flights(None if store is None else os.fspath(store))
-        craft = _vehicle(vehicle)
+        craft = vehicle_of(vehicle)
         for endpoint in endpoints:
             feed.open(os.fspath(endpoint), craft, speed, None if record is None else Path(record), listen_only)
-        address = f"http://{_shown(host)}:{listening.getsockname()[1]}/"
-        _run(
-            application(feed, flights, limits, host, known), feed, listening, lambda: ready(address) if ready else None
-        )
+        # Where all addresses are listened on, this computer's name stands in the page's.
+        name = socket.gethostname() if host in ("0.0.0.0", "::", "") else f"[{host}]" if ":" in host else host
+        address = f"http://{name}:{listening.getsockname()[1]}/"
+        app = application(feed, flights, limits, host, known)
+        server = _server(app, feed, lambda: ready(address) if ready else None)
+        asyncio.run(server.serve([listening]))
+        if not server.started:
+            raise ConfigError("The server did not start; run it with --debug to see why.")
         flights.close()
         if feed.failed:
             raise LinkError(feed.failed)
@@ -78,9 +82,8 @@ def serve(
 def listen(host: str, port: int) -> socket.socket:
     """A socket that listens there. Raises ConfigError with a sentence, so for a port in use."""
     try:
-        family, kind, proto, _, address = socket.getaddrinfo(
-            host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
-        )[0]
+        found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
+        family, kind, proto, _, address = found[0]
     except (OSError, UnicodeError) as why:
         reason = getattr(why, "strerror", None) or why
         raise ConfigError(f"--host {host}: this is no address of this computer ({reason}).") from None
@@ -95,25 +98,15 @@ def listen(host: str, port: int) -> socket.socket:
         import errno
 
         reason = getattr(why, "errno", None)
-        if reason == errno.EADDRINUSE:
-            raise ConfigError(
-                f"--port {port}: another program uses this port; stop it, or give another port (0: any)."
-            ) from None
-        if reason == errno.EACCES:
-            raise ConfigError(
-                f"--port {port}: ports below 1024 are the system's; give a higher one, such as 8000."
-            ) from None
-        raise ConfigError(
-            f"--host {host} --port {port}: cannot listen there ({getattr(why, 'strerror', None) or why})."
-        ) from None
+        known = {
+            errno.EADDRINUSE: "another program uses this port; stop it, or give another port (0: any)",
+            errno.EACCES: "ports below 1024 are the system's; give a higher one, such as 8000",
+        }
+        if reason in known:
+            raise ConfigError(f"--port {port}: {known[reason]}.") from None
+        said = getattr(why, "strerror", None) or why
+        raise ConfigError(f"--host {host} --port {port}: cannot listen there ({said}).") from None
     return sock
-
-
-def _run(app: Any, feed: Any, listening: socket.socket, ready: Callable[[], None]) -> None:
-    server = _server(app, feed, ready)
-    asyncio.run(server.serve([listening]))
-    if not server.started:
-        raise ConfigError("The server did not start; run it with --debug to see why.")
 
 
 def _server(app: Any, feed: Any, ready: Callable[[], None]) -> Any:
@@ -151,18 +144,3 @@ def _server(app: Any, feed: Any, ready: Callable[[], None]) -> Any:
         lifespan="on", timeout_graceful_shutdown=GIVE_UP_S,
     )  # fmt: skip
     return Server(config)
-
-
-def _vehicle(vehicle: Any) -> Any:
-    if isinstance(vehicle, (str, os.PathLike)):
-        from rotorwatch.flight.vehicle_file import read
-
-        return read(vehicle)
-    return vehicle
-
-
-def _shown(host: str) -> str:
-    """The host as it stands in an address; where all addresses are listened on, this computer's name."""
-    if host in ("0.0.0.0", "::", ""):
-        return socket.gethostname()
-    return f"[{host}]" if ":" in host else host

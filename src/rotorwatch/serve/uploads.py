@@ -138,9 +138,7 @@ class Uploads:
             worker.stop()
         self._lock.close()
 
-    async def take(
-        self, given_name: str, length: int | None, body: AsyncIterator[bytes]
-    ) -> tuple[dict[str, Any], bool]:
+    async def take(self, given_name: str, length: int | None, body: AsyncIterator[bytes]) -> tuple[dict, bool]:
         """(the flight of an upload, whether it is new). given_name: percent-encoded. length: as announced. Raises Refused."""
         name, most = names.shown(given_name), self.limits.most
         if length is not None and length > most:
@@ -158,9 +156,8 @@ class Uploads:
     async def _place(self) -> AsyncIterator[None]:
         """One of the uploads that are taken at once. Raises TimeoutError when none is free in time."""
         async with self._freed:
-            await asyncio.wait_for(
-                self._freed.wait_for(lambda: self._receiving < RECEIVING and len(self._logs) < WAITING), PATIENCE_S
-            )
+            free = self._freed.wait_for(lambda: self._receiving < RECEIVING and len(self._logs) < WAITING)
+            await asyncio.wait_for(free, PATIENCE_S)
             self._receiving += 1
         try:
             yield
@@ -194,13 +191,11 @@ class Uploads:
                 shutil.rmtree(folder, ignore_errors=True)
                 raise
         except asyncio.TimeoutError:
-            raise Refused(
-                408, f"{name}: the upload was too slow and was given up; try again on a better connection."
-            ) from None
+            text = f"{name}: the upload was too slow and was given up; try again on a better connection."
+            raise Refused(408, text) from None
         except OSError as why:
-            raise Refused(
-                507, f"{name}: the upload cannot be kept ({why.strerror or why}); make room on the server's disk."
-            ) from None
+            text = f"{name}: the upload cannot be kept ({why.strerror or why}); make room on the server's disk."
+            raise Refused(507, text) from None
         return Log(path, name, digest.hexdigest(), size)
 
     def _begin(self, log: Log, waited_s: float = 0.0) -> asyncio.Task[tuple[dict[str, Any], bool]]:
@@ -211,9 +206,7 @@ class Uploads:
         task = self._judging.get(log.digest)
         if task is None:
             task = self._judging[log.digest] = asyncio.create_task(self._judge(known, waited_s))
-            task.add_done_callback(
-                lambda done: (self._judging.pop(log.digest, None), done.cancelled() or done.exception())
-            )
+            task.add_done_callback(lambda t: (self._judging.pop(log.digest, None), t.cancelled() or t.exception()))
         return task
 
     async def _judge(self, log: Log, waited_s: float) -> tuple[dict[str, Any], bool]:
@@ -344,9 +337,8 @@ def _left(incoming: Path, own: Path) -> list[Log]:
                 with suppress(ValueError, KeyError, TypeError):  # half-written: the upload was not complete
                     about = json.loads(note.read_text())
                     folder = own / note.parent.name
-                    log = Log(
-                        folder / Path(about["file"]).name, str(about["name"]), str(about["digest"]), int(about["size"])
-                    )
+                    path = folder / Path(about["file"]).name
+                    log = Log(path, str(about["name"]), str(about["digest"]), int(about["size"]))
                     note.parent.rename(folder)  # where this fails, all stays as it is for the next start
                     found.append(log)
             shutil.rmtree(run, ignore_errors=True)

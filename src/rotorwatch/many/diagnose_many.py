@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from rotorwatch import gathering, logs, many
+from rotorwatch import logs
 from rotorwatch.diagnosis import SCHEMA, Diagnosis
 from rotorwatch.errors import ConfigError, RotorwatchError
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.many import gathering
+from rotorwatch.many.done import Done
+from rotorwatch.many.spread import run, useful_jobs
 
 ERROR = 2
 """Exit code of a log without an answer."""
@@ -81,8 +84,10 @@ def diagnose_many(
     VehicleError or LogError where no log can be judged: a folder without logs, a wrong vehicle or baseline, a scheduler that does not
     answer.
     """
+    from rotorwatch.healthy.baselines import vehicle_of
+
     known = known or {}
-    craft = _vehicle(vehicle)
+    craft = vehicle_of(vehicle)
     for given in baseline:
         if not isinstance(given, Flight):
             read(given)  # an error in it would be every log's
@@ -91,7 +96,7 @@ def diagnose_many(
     if isinstance(paths, Sequence):
         paths = list(gathering.Gathered(paths))
         if jobs is None and scheduler is None:
-            jobs = many.worthwhile(len(paths))
+            jobs = useful_jobs(len(paths))
     else:
         paths = gathering.Gathered(paths)
     names: dict[int, str] = {}
@@ -101,10 +106,10 @@ def diagnose_many(
             names[index] = gathering.full(path)
             yield _named(path, scheduler), known.get(names[index])
 
-    return _answers(many.run(judge, items(), jobs, scheduler), names)
+    return _answers(run(judge, items(), jobs, scheduler), names)
 
 
-def _answers(found: Iterator[many.Done], names: dict[int, str]) -> Iterator[Answer]:
+def _answers(found: Iterator[Done], names: dict[int, str]) -> Iterator[Answer]:
     for done in found:
         path = names.pop(done.index)
         if done.error is not None:
@@ -124,14 +129,6 @@ def read(path: str | PathLike, progress: Any = None) -> Flight:
         if not here.exists():
             raise ConfigError(f"{path}: no such file.")
         return logs.read(here, progress=progress)
-
-
-def _vehicle(vehicle: Vehicle | str | PathLike | None) -> Vehicle | None:
-    if isinstance(vehicle, str | PathLike):
-        from rotorwatch.flight import vehicle_file
-
-        return vehicle_file.read(vehicle)
-    return vehicle
 
 
 @dataclass(frozen=True)
@@ -163,7 +160,7 @@ class _Judge:
                     size, sha256 = fingerprint(here)
                     if before == Known(size, sha256):
                         return Answer(0, path, size=size, sha256=sha256, unchanged=True)
-                found = self.judged(here)
+                found = timed(partial(logs.read, here), self.vehicle, self.healthy, self.estimator, self.tuning)
         except RotorwatchError as why:
             if gathering.is_address(path) and here is not None:
                 why = type(why)(str(why).replace(str(here), path))  # nobody knows the copy's name
@@ -179,17 +176,25 @@ class _Judge:
             recording = mcap_file.content(found)
         return Answer(0, path, replace(found, trace=None), size=size, sha256=sha256, page=page, recording=recording)
 
-    def judged(self, path: Path) -> Diagnosis:
-        from rotorwatch.diagnose import diagnose
 
-        began = time.perf_counter()
-        flight = logs.read(path)
-        read_s = time.perf_counter() - began
-        found = diagnose(
-            flight, vehicle=self.vehicle, baseline=self.healthy, estimator=self.estimator, tuning=self.tuning
-        )
-        timing = {**found.timing, "read_s": read_s, "total_s": found.timing.get("total_s", 0.0) + read_s}
-        return replace(found, timing=timing)
+def timed(
+    reading: Callable[[], Flight],
+    vehicle: Vehicle | None,
+    baseline: Sequence[Any],
+    estimator: str,
+    tuning: Any,
+    progress: Callable | None = None,
+) -> Diagnosis:
+    """`diagnose` of what `reading` returns; `timing` holds the reading, too."""
+    from rotorwatch.diagnose import diagnose
+
+    began = time.perf_counter()
+    flight = reading()
+    read_s = time.perf_counter() - began
+    how: dict[str, Any] = {"vehicle": vehicle, "baseline": baseline, "estimator": estimator, "tuning": tuning}
+    found = diagnose(flight, progress=progress, **how)
+    timing = {**found.timing, "read_s": read_s, "total_s": found.timing.get("total_s", 0.0) + read_s}
+    return replace(found, timing=timing)
 
 
 def fingerprint(path: Path) -> tuple[int, str]:

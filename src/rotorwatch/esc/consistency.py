@@ -1,4 +1,4 @@
-"""The witness heard: each loss of effectiveness gets its cause, as far as the ESCs of its rotors say; and motors that need a look.
+"""The ESC consistency check: each loss of effectiveness gets its cause, as far as the ESCs of its rotors show it; and motors to look at.
 
 Before an onset the rotors were healthy and teach the laws of ratios.py; the last seconds of the loss are held against them. This is said
 after the flight: a cause uses what came after the announcement, the announcement itself does not.
@@ -7,13 +7,13 @@ after the flight: a cause uses what came after the announcement, the announcemen
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from rotorwatch.answer.wording import CAUSES, listed, percent, probability, rotors
 from rotorwatch.diagnosis import Event
-from rotorwatch.esc import gone, ratios, telemetry, watch
+from rotorwatch.esc import evidence, gone, ratios, telemetry, watch
 from rotorwatch.esc.telemetry import Binned
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
@@ -23,53 +23,38 @@ from rotorwatch.motion.ticks import Ticks
 LOSS, OVERRIDE = "loss_of_effectiveness", "output_override"
 CLEAR_S = 1.0  # before an onset: it is known no better
 SETTLED_S = 0.5  # after it: controllers and motors answer
-HEARD_S = 10.0  # how much of a loss is heard, its last
-TAUGHT_S = 60.0  # of healthy flight, the last before the onset
+USED_S = 10.0  # how much of a loss is heard, its last
+LEARNED_S = 60.0  # of healthy flight, the last before the onset
 TAKE_OFF_S = 2.0  # spool-up and ground effect are no usual flight
 DOWN_S = 1.0  # nor is the last second before the ground
-SAYS = 0.5  # probability from which on a cause is named
+LEAST_PROBABILITY = 0.5  # probability from which on a cause is named
 NOTABLE_V = 0.3
 LOADED = 0.1  # of its usual current: a rotor that needs less tells nothing by what it draws
 
 
-@dataclass(frozen=True)
-class Heard:
-    """events: with causes, and with those that only telemetry shows, in order of announcement. warnings: what of it cannot be used."""
-
-    events: tuple[Event, ...]
-    warnings: tuple[str, ...]
-
-
-def hear(
-    flight: Flight,
-    vehicle: Vehicle,
-    air: allocation.Spans,
-    table: Ticks,
-    events: Sequence[Event],
-) -> Heard:
-    """The events of a flight after its ESC telemetry was asked; unchanged where the log has none."""
+def check(
+    flight: Flight, vehicle: Vehicle, air: allocation.Spans, table: Ticks, events: Sequence[Event]
+) -> tuple[tuple[Event, ...], tuple[str, ...]]:
+    """(events of a flight with the causes that its ESC telemetry shows, and events that it alone shows, in order of announcement; what of
+    the telemetry cannot be used). Events are unchanged where the log has none."""
     events = tuple(events)
     if "esc" not in flight.signals:
-        return Heard(events, ())
+        return events, ()
     bins, notes = telemetry.read(flight, allocation.rotor_thrusts(flight, vehicle), air)
     if bins is None:
-        return Heard(events, tuple(notes))
+        return events, tuple(notes)
     calm = _calm(bins, table, air)
     stood, said = gone.find(bins, events, air, _upset(bins, table))
-    notes += said
     events = (*events, *stood)
     healthy = _healthy(bins, events)
-    out = [_with_cause(e, bins, calm, healthy, air) if _asks(e) else e for e in events]
+    # A loss of known rotors, whose cause is not known yet.
+    open_ = [e.kind == LOSS and not e.alternatives and "cause" not in e.extra for e in events]
+    out = [_with_cause(e, bins, calm, healthy, air) if ask else e for e, ask in zip(events, open_)]
     # Once a rotor is weak the others work elsewhere than where their laws were learned.
     found, more = watch.look(bins, calm & healthy.all(axis=1, keepdims=True))
     named = {rotor for e in out if e.kind == LOSS for rotor in e.rotors}
-    found = [e for e in found if e.kind != LOSS or not named & set(e.rotors)]  # what is known is not told again
-    return Heard(tuple(sorted((*out, *found), key=lambda e: e.detected_s)), (*notes, *more))
-
-
-def _asks(event: Event) -> bool:
-    """Whether ESCs are asked: a loss of known rotors, whose cause is not known yet."""
-    return event.kind == LOSS and not event.alternatives and "cause" not in event.extra
+    found = [e for e in found if e.kind != LOSS or not named & set(e.rotors)]  # what is known already
+    return tuple(sorted((*out, *found), key=lambda e: e.detected_s)), (*notes, *said, *more)
 
 
 def _upset(bins: Binned, table: Ticks) -> np.ndarray:
@@ -83,9 +68,8 @@ def _calm(bins: Binned, table: Ticks, air) -> np.ndarray:
     if table.contact is not None:
         fine &= ~table.contact[tick]
     for start, end in air:
-        fine &= ~((bins.time >= start) & (bins.time < start + TAKE_OFF_S)) & ~(
-            (bins.time > end - DOWN_S) & (bins.time <= end)
-        )
+        fine &= ~((bins.time >= start) & (bins.time < start + TAKE_OFF_S))
+        fine &= ~((bins.time > end - DOWN_S) & (bins.time <= end))
     return fine[:, None]
 
 
@@ -94,9 +78,8 @@ def _healthy(bins: Binned, events: Sequence[Event]) -> np.ndarray:
     out = np.ones(bins.known.shape, bool)
     for e in events:
         if e.kind in (LOSS, OVERRIDE):
-            during = (bins.time > e.onset_s - CLEAR_S) & (
-                bins.time < (np.inf if e.end_s is None else e.end_s + CLEAR_S)
-            )
+            end = np.inf if e.end_s is None else e.end_s + CLEAR_S
+            during = (bins.time > e.onset_s - CLEAR_S) & (bins.time < end)
             for rotor in {r for who in (e.rotors, *e.alternatives) for r in who}:
                 out[during, rotor - 1] = False
     return out
@@ -106,24 +89,24 @@ def _with_cause(event: Event, bins: Binned, calm: np.ndarray, healthy: np.ndarra
     """The event with what its rotors' ESCs say, as it is where they say nothing."""
     undisturbed = calm[:, 0] & healthy.all(axis=1)
     before = undisturbed & (bins.time < event.onset_s - CLEAR_S)
-    before &= np.cumsum(before[::-1])[::-1] <= TAUGHT_S / telemetry.BIN_S
+    before &= np.cumsum(before[::-1])[::-1] <= LEARNED_S / telemetry.BIN_S
     end = event.end_s if event.end_s is not None else next((b for a, b in air if a <= event.onset_s <= b), np.inf)
     after = (bins.time > event.onset_s + SETTLED_S) & (bins.time < end)
     after &= calm[:, 0] | ~(after & calm[:, 0]).any()  # of a vehicle that tumbles at once what there is
-    after &= np.cumsum(after[::-1])[::-1] <= HEARD_S / telemetry.BIN_S
+    after &= np.cumsum(after[::-1])[::-1] <= USED_S / telemetry.BIN_S
     if before.sum() < ratios.FEWEST or not after.any():
         return event
     laws = learn(bins, before)
     told = []
     for rotor, loss, interval in zip(event.rotors, event.loss, event.interval, strict=True):
-        seen = ratios.testify(laws, bins, rotor - 1, before, after, healthy)
+        seen = ratios.measure(laws, bins, rotor - 1, before, after, healthy)
         if seen is not None:
-            told.append(_told(rotor, loss, interval, seen))
+            told.append(_entry(rotor, loss, interval, seen))
     if not told:
         return event
     main = max(told, key=lambda t: event.loss[event.rotors.index(t["rotor"])])
     extra = {**event.extra, "cause": main["cause"], "causes": main["causes"], "esc": told}
-    says = "; ".join(sentence_of(t) for t in told)
+    says = "; ".join(in_words(t) for t in told)
     event = replace(event, reason=f"{event.reason.removesuffix('.')}; {says}", extra=extra)
     stands = [t for t in told if t["thrust_of_speed"] < ratios.STANDS]
     if len(event.rotors) == 1 and stands:  # what stands pulls nothing, whatever a tumbling vehicle's motion says
@@ -144,27 +127,18 @@ def learn(bins: Binned, before: np.ndarray) -> tuple[ratios.Law, ratios.Law | No
     return speed, ratios.learn(z[rows], 0.5 * y[rows], drawing[rows], ratios.CURRENT_POWER)
 
 
-def _told(rotor: int, loss: float, interval: tuple[float, float], seen: ratios.Testimony) -> dict:
+def _entry(rotor: int, loss: float, interval: tuple[float, float], seen: ratios.Measured) -> dict:
     """One rotor's testimony as it stands in the answer."""
     sd = max((interval[1] - interval[0]) / 3.92, 1e-3)
     share = ratios.causes(seen, loss, sd)
     best = max(share, key=lambda cause: share[cause])
-    split = ratios.parts(seen, loss, sd)
-    return {
-        "rotor": rotor,
-        "cause": best if share[best] >= SAYS else ratios.UNKNOWN,
-        "causes": share,
-        "speed_loss": split["speed"][0],
-        "speed_loss_interval": split["speed"][1:],
-        "propeller_loss": split["propeller"][0],
-        "propeller_loss_interval": split["propeller"][1:],
-        "thrust_of_speed": seen.told[0],
-        "current_ratio": None if seen.draws is None or seen.load < LOADED else 1.0 + seen.draws[0] / seen.load,
-        "supply_drop_V": None if seen.volts is None else seen.volts[0],
-    }
+    current = None if seen.current_change is None or seen.load < LOADED else 1.0 + seen.current_change[0] / seen.load
+    cause = best if share[best] >= LEAST_PROBABILITY else ratios.UNKNOWN
+    parts, drop = ratios.parts(seen, loss, sd), None if seen.volts is None else seen.volts[0]
+    return evidence.entry(rotor, cause, share, parts, seen.speed_ratio[0], current, drop)
 
 
-def sentence_of(told: dict) -> str:
+def in_words(told: dict) -> str:
     """What an ESC says, in words: 'ESC 3: it turns as told and draws 20 % less than ..., so the propeller (97 %)'."""
     share = told["thrust_of_speed"]
     high = 1.0 - told["speed_loss_interval"][0]
@@ -176,15 +150,15 @@ def sentence_of(told: dict) -> str:
         said = ["it turns as told"]
     draws = told["current_ratio"]
     if draws is not None and abs(draws - 1.0) >= 0.1:
-        said.append(
-            f"draws {percent(abs(draws - 1.0))} {'more' if draws > 1.0 else 'less'} current than such a speed needs"
-        )
+        more = "more" if draws > 1.0 else "less"
+        said.append(f"draws {percent(abs(draws - 1.0))} {more} current than such a speed needs")
     drop = told["supply_drop_V"]
     if drop is not None and drop > NOTABLE_V:
         said.append(f"its supply fell {drop:.1f} V below the others'")
     cause = told["cause"]
     if cause == ratios.UNKNOWN:
-        so = "which fits no single cause" if told["causes"][ratios.UNKNOWN] >= SAYS else "which leaves the cause open"
+        none_fits = told["causes"][ratios.UNKNOWN] >= LEAST_PROBABILITY
+        so = "which fits no single cause" if none_fits else "which leaves the cause open"
     else:
         so = f"so the cause is the {CAUSES[cause]} ({probability(told['causes'][cause])})"
     return f"the ESC of {rotors([told['rotor']])} says that {listed(said)}, {so}"

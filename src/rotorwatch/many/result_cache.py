@@ -20,7 +20,7 @@ PLAIN = {"builtins": {"range", "set", "frozenset", "complex", "slice"}, "collect
 OURS = ("rotorwatch.", "numpy.", "numpy")
 
 
-class Kept:
+class ResultCache:
     """The folder of one function's values. Raises ConfigError where it cannot be written."""
 
     def __init__(self, folder: str | os.PathLike, function: Callable[[Any], Any]):
