@@ -5,10 +5,13 @@ Inside a compiled program arrays have no values yet; there only shapes can be ch
 
 from __future__ import annotations
 
+import sys
+import traceback
 from typing import Any
 
 import numpy as np
 
+from rotorwatch.backend import jax
 from rotorwatch.errors import ConfigError
 
 
@@ -111,9 +114,6 @@ def controller(u: Any, system: Any) -> None:
 
 def _traced(name: str, function: Any, arguments: tuple[tuple[int, ...], ...]) -> tuple[int, ...]:
     """The shape of what a function returns for arrays of these shapes. Raises ConfigError where it cannot be traced."""
-    from rotorwatch.backend import jax as load_jax
-
-    jax = load_jax()
     empty = [jax.ShapeDtypeStruct(size, np.float64) for size in arguments]
     try:
         found = jax.eval_shape(function, *empty)
@@ -137,8 +137,6 @@ def untraceable(name: str, why: BaseException) -> str:
 
 def _where(why: BaseException) -> str:
     """The innermost line outside of the libraries, as " (file, line)"."""
-    import traceback
-
     frames = traceback.extract_tb(why.__traceback__)
     own = [f for f in frames if "site-packages" not in f.filename and "/rotorwatch/" not in f.filename]
     inside = own or [f for f in frames if "/rotorwatch/" in f.filename and not f.filename.endswith("checks.py")]
@@ -147,9 +145,4 @@ def _where(why: BaseException) -> str:
 
 def concrete(value: Any) -> bool:
     """Whether the value is known now: not a tracer inside a compiled program."""
-    import sys
-
-    jax = sys.modules.get("jax")
-    if jax is None:
-        return True
-    return not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(value))
+    return "jax" not in sys.modules or not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(value))

@@ -29,7 +29,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rotorwatch import checks
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.backend import jnp
 from rotorwatch.errors import ConfigError
 
 Array = Any
@@ -99,7 +99,6 @@ def none(n: int) -> Signal:
 
 def at(signal: Signal, t) -> Array:
     """(n,) what is added to the commands at time t [s]; zeros before its start and after its end. Pure: a step of the autopilot."""
-    jnp = load_jax().numpy
     since = t - signal.start
     inside = (since >= 0.0) & (since <= signal.length)
     since = jnp.where(inside, since, 0.0)

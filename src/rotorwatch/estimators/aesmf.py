@@ -12,6 +12,7 @@ from __future__ import annotations
 from dataclasses import KW_ONLY, dataclass
 
 from rotorwatch import checks
+from rotorwatch.backend import jnp
 from rotorwatch.errors import ConfigError
 from rotorwatch.maths import ellipsoid
 from rotorwatch.maths.set_membership import Cutting, SetMembership
@@ -48,8 +49,6 @@ class AESMF(SetMembership):
 
     def adapt(self, q, cutting: Cutting, health, dt):
         """q after one step of the rule, kept within floor and ceiling; unchanged when nothing was measured."""
-        from jax import numpy as jnp
-
         slope, delta = gradient(cutting, self.mu)
         slope = slope * jnp.diagonal(self.noise(dt, q))  # d/d ln q_i
         if self.additive:
@@ -62,8 +61,6 @@ class AESMF(SetMembership):
 
 def gradient(cutting: Cutting, mu: float):
     """(dJ/dq_i (n,), delta): q_i the i-th diagonal element of Q."""
-    from jax import numpy as jnp
-
     Phi, H, e, P, R, amplify = cutting
     S = product(product(H, P), H.T)
     rho = ellipsoid.batch_share(S, R)

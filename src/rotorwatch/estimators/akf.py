@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch import checks
+from rotorwatch.backend import jax, jnp
 from rotorwatch.core import Array, Estimate
 from rotorwatch.errors import ConfigError
 from rotorwatch.maths import adaptive_kalman, linearise
@@ -51,8 +52,6 @@ class AKF:
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Estimate]:
         """Predict over dt with input u (n_u,), then update with y (n_y,) where valid."""
-        import jax.numpy as jnp
-
         system, (state, k) = self.system, carry
         seconds = self.dt if dt is None else dt
         a, healthy = self._point(k), jnp.zeros(system.n_theta)
@@ -66,9 +65,6 @@ class AKF:
         return Carry(state, (k + 1).astype(jnp.int32)), estimate
 
     def _point(self, k):
-        import jax
-        import jax.numpy as jnp
-
         points = jnp.asarray(self.about, float)
         if points.ndim == 1:
             return points

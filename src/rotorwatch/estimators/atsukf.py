@@ -14,7 +14,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from rotorwatch import checks
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.backend import jnp, lax
 from rotorwatch.core import Array, Estimate
 from rotorwatch.errors import ConfigError
 from rotorwatch.maths import plant, two_stage, unscented
@@ -83,7 +83,6 @@ class ATSUKF:
 
     def init(self) -> Carry:
         """The plant's x0 and P0, no loss, an empty window."""
-        jnp = load_jax().numpy
         n_y = self.system.n_y
         row = jnp.zeros(2 * n_y + 1)
         rows = jnp.zeros((self.M, row.size))
@@ -92,8 +91,6 @@ class ATSUKF:
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Estimate]:
         """One time step; arguments as in `core.Estimator`."""
-        from jax import numpy as jnp
-
         dt = self.dt if dt is None else dt
         Q_theta = dt * self.theta_walk
         p = two_stage.predict(self.system, self.weights, carry.state, Q_theta, u, y, valid, dt)
@@ -105,9 +102,6 @@ class ATSUKF:
 
     def _push(self, window: Window, row: Array, measured: Array) -> Window:
         """The window one row on; unchanged where nothing was measured."""
-        from jax import lax
-        from jax import numpy as jnp
-
         kept = jnp.where(measured, row, window.leaving)
         total, lap = window.total + kept - window.leaving, window.lap + jnp.where(measured, row, 0.0)
         rows = lax.dynamic_update_index_in_dim(window.rows, kept, window.next, 0)
@@ -125,8 +119,6 @@ class ATSUKF:
 
     def _factor(self, p: two_stage.Prediction, window: Window, Q_theta: Array, valid: Array) -> Array:
         """delta, 1 when nothing calls for more."""
-        from jax import numpy as jnp
-
         n_y = self.system.n_y
         squares, count = window.total[:n_y], window.total[n_y : 2 * n_y]
         seen = jnp.where(valid, squares / jnp.maximum(count - 1.0, 1.0), 0.0).sum()

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.backend import jax, jnp
 from rotorwatch.core import Array, Estimate
 from rotorwatch.maths import linearise, mit_rule, plant, two_stage, unscented
 
@@ -53,21 +53,15 @@ class AUKF:
 
     def init(self) -> Carry:
         """The plant's x0 and P0, no loss."""
-        jnp = load_jax().numpy
-        from jax.scipy.linalg import block_diag
-
         x0 = jnp.asarray(self.system.x0, float)
-        P = block_diag(jnp.asarray(self.system.P0, float), self.theta_var)
+        P = jax.scipy.linalg.block_diag(jnp.asarray(self.system.P0, float), self.theta_var)
         mit = mit_rule.init(P.shape[0], self.system.n_y, self.adaptation)
         return Carry(jnp.concatenate([x0, jnp.zeros(self.system.n_theta)]), P, mit)
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Estimate]:
         """One time step; arguments as in `core.Estimator`."""
-        from jax import numpy as jnp
-        from jax.scipy.linalg import block_diag
-
         system, dt = self.system, self.dt if dt is None else dt
-        noise = mit_rule.scaled(block_diag(system.Q(dt), dt * self.theta_walk), carry.mit)
+        noise = mit_rule.scaled(jax.scipy.linalg.block_diag(system.Q(dt), dt * self.theta_walk), carry.mit)
         z, P, out, middle = unscented.joint_step(system, self.weights, carry.z, carry.P, noise, u, y, valid, dt)
         seen = linearise.measurement(system, middle[: system.n_x], u, middle[system.n_x :])
         H = jnp.concatenate([seen.by_x, seen.by_theta], axis=1)

@@ -14,6 +14,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from rotorwatch import checks
+from rotorwatch.backend import jnp
 from rotorwatch.core import Array, Estimate
 from rotorwatch.maths import adaptive_kalman, linearise, observer_gain
 
@@ -55,15 +56,11 @@ class AXKF:
 
     def init(self) -> Carry:
         """The plant's start, no loss."""
-        import jax.numpy as jnp
-
         z = jnp.asarray(self.z0, float)
         return Carry(adaptive_kalman.init(self.system, self.tuned), z, jnp.zeros_like(z))
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Estimate]:
         """Predict over dt with input u (n_u,), then update with y (n_y,) where valid."""
-        import jax.numpy as jnp
-
         system, state = self.system, carry.state
         seconds = self.dt if dt is None else dt
         f, F, Phi = linearise.transition(system, carry.z, u, state.theta, seconds)

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.backend import jax, jnp
 from rotorwatch.maths import multiple_model, plant
 from rotorwatch.maths.multiple_model import Bank, Output
 
@@ -44,7 +44,6 @@ class IMM:
 
     def transition(self, dt):
         """(M, M) p_ji: row j, the probability of each mode dt seconds after mode j. All other modes are equally likely."""
-        jnp = load_jax().numpy
         modes = len(self.stay_s)
         leave = -jnp.expm1(-dt / self.stay_s) / (modes - 1)
         return jnp.where(np.eye(modes) > 0, 1.0 - (modes - 1) * leave, leave[:, None])
@@ -60,9 +59,6 @@ class IMM:
 
     def _mixed(self, carry: Bank, p):
         """s0 (M, n_x + 1), P0 and c (M,)."""
-        import jax
-        import jax.numpy as jnp
-
         n, modes = self.system.n_x, len(self.directions)
         predicted = carry.probability @ p
         weight = (p * carry.probability[:, None] / predicted).T  # row i: of the modes j that mode i comes from

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch import checks
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.backend import jax, jnp
 from rotorwatch.core import Array, Estimate
 from rotorwatch.errors import ConfigError
 from rotorwatch.maths import intermediate_design as design
@@ -102,16 +102,12 @@ class Intermediate:
         if discretisation == "euler" and checks.concrete((dt, alpha, velocity_rate)):
             _stable(float(velocity_rate), float(alpha), float(dt))
         self.scale = self._yaw(checks.positive("yaw_gain", yaw_gain))
-        with (
-            load_jax().ensure_compile_time_eval()
-        ):  # values stay values inside compiled programs, where the plant has them
+        with jax.ensure_compile_time_eval():  # values stay values inside compiled programs, where the plant has them
             self._look()
         self.allocate = _rule(system, allocation, float(sparsity), float(loss_sd), float(memory_s))
 
     def init(self) -> Carry:
         """The plant's start, no fault, nothing measured yet."""
-        import jax.numpy as jnp
-
         n_x, n_y, n = self.system.n_x, self.system.n_y, self.system.n_theta
         P = jnp.zeros((2 * n_x, 2 * n_x)).at[:n_x, :n_x].set(jnp.asarray(self.system.P0, float))
         none = jnp.zeros((n_x + n_y, n))
@@ -131,8 +127,6 @@ class Intermediate:
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Estimate]:
         """Predict over dt with input u (n_u,), then correct with y (n_y,) where valid."""
-        import jax.numpy as jnp
-
         system, n_x, none = self.system, self.system.n_x, jnp.zeros(self.system.n_theta)
         dt = self.dt if dt is None else dt
         kp, k1, k2 = self.gains(self.lp, self.lv, self.alpha, dt)
@@ -201,8 +195,6 @@ class Intermediate:
 
     def _gains(self, known, valid, kp, k1, k2):
         """K_x, K_f (n_x, n_y) with what is measured now; whether every fault is; what has been measured by now."""
-        import jax.numpy as jnp
-
         n_x, use = self.system.n_x, valid & ~self.feels
         direct = jnp.where(self.feels, valid, True).all()
         if self.steady is not None:
@@ -221,8 +213,7 @@ class Intermediate:
 
     def _look(self) -> None:
         """Which channels losses act on, how states follow from measurements, and gains where they do not."""
-        jax = load_jax()
-        jnp, system = jax.numpy, self.system
+        system = self.system
         x0, u, theta = jnp.asarray(system.x0, float), jnp.ones(system.n_u), jnp.zeros(system.n_theta)
 
         def rate(x, u, theta):
@@ -258,8 +249,6 @@ class Intermediate:
 
     def _riccati(self, rate, x0, u, theta):
         """Steady gains about the inputs that hold x0."""
-        import jax
-
         system = self.system
         by_u = np.asarray(jax.jacfwd(lambda u: rate(x0, u, theta))(u))
         u = u - np.linalg.pinv(by_u) @ np.asarray(rate(x0, u, theta))
@@ -277,8 +266,6 @@ class Intermediate:
 
     def _yaw(self, yaw_gain):
         """(n_x + n_y,) the paper's nu on the yaw rate's channel, 1 elsewhere."""
-        import jax.numpy as jnp
-
         here = np.array([name == "r" for name in getattr(self.system, "x_names", ())] or [False] * self.system.n_x)
         if checks.concrete(yaw_gain) and yaw_gain != 1.0 and not here.any():
             raise ConfigError(
@@ -311,8 +298,6 @@ def _rule(system, allocation: str, sparsity: float, loss_sd: float, memory_s: fl
 
 def _block(V, k1, k2, dt, q, drift):
     """Next variances V = (lag, both, fault) of  lag <- (1 - k1)(lag + fault dt + q-noise),  fault <- fault - k2 (lag + fault dt)."""
-    import jax.numpy as jnp
-
     ee, ef, ff = V[0] + 2.0 * dt * V[1] + dt * dt * V[2] + q, V[1] + dt * V[2], V[2] + drift
     keep = 1.0 - k1
     return jnp.stack([keep * keep * ee, keep * (ef - k2 * ee), ff - 2.0 * k2 * ef + k2 * k2 * ee])

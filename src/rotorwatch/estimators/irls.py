@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch import checks
+from rotorwatch.backend import jax, jnp, lax
 from rotorwatch.core import Array, Estimate
 from rotorwatch.errors import ConfigError
 from rotorwatch.maths import linearise, measured_regression
@@ -79,8 +80,6 @@ class IRLS:
 
     def init(self) -> Carry:
         """The plant's start, no loss, an empty window."""
-        import jax.numpy as jnp
-
         n_y, n = self.system.n_y, self.system.n_theta
         empty = jnp.zeros((self.rows, n_y))
         return Carry(
@@ -96,9 +95,6 @@ class IRLS:
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Estimate]:
         """One step of dt with input u (n_u,) over it and y (n_y,) at its end where valid."""
-        import jax.numpy as jnp
-        from jax import lax
-
         dt = self.dt if dt is None else dt
         found = measured_regression.row(self.system, carry.known, u, y, valid, carry.theta, dt)
         z, Omega = measured_regression.whitened(found, valid)
@@ -120,9 +116,6 @@ class IRLS:
 
     def _fitted(self, z, Omega, seen, theta, s):
         """theta, P and s after the iterations, from those before. A row counts as often as it was measured."""
-        import jax
-        import jax.numpy as jnp
-
         n = theta.shape[0]
         flat, target, seen = Omega.reshape(-1, n), z.reshape(-1), seen.reshape(-1)
         P = jnp.diag(self.theta_var)
@@ -138,8 +131,6 @@ class IRLS:
         return theta, 0.5 * (P + P.T), s
 
     def _weight(self, r):
-        import jax.numpy as jnp
-
         if self.weights == "huber":
             return self.c / jnp.maximum(jnp.abs(r), self.c)
         return jnp.maximum(1.0 - (r / self.c) ** 2, 0.0) ** 2

@@ -16,7 +16,7 @@ import math
 from typing import Any, NamedTuple
 
 from rotorwatch import checks
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.backend import jax, jnp
 from rotorwatch.core import Estimate
 from rotorwatch.errors import ConfigError
 from rotorwatch.maths import bounded
@@ -110,7 +110,6 @@ class MHLyapunov:
 
     def init(self) -> Carry:
         """Nothing lost, an empty window."""
-        jnp = load_jax().numpy
         state, k = start(self.system, self.theta_sd), self.system.n_theta
         empty = jnp.zeros((k, k))
         window = (jnp.zeros((self.blocks, k, k)), jnp.zeros((self.blocks, k)))
@@ -119,7 +118,6 @@ class MHLyapunov:
 
     def new_block(self, measured, seen) -> Block:
         """A block that begins at the measured state; seen (n_x,): which states were measured there."""
-        jnp = load_jax().numpy
         n, k, m = self.system.n_x, self.system.n_theta, self.system.n_y
         zero = jnp.zeros(())
         return Block(
@@ -128,8 +126,6 @@ class MHLyapunov:
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Estimate]:
         """One step of dt seconds (None: the constructor's) with input u over it and y at its end."""
-        jax = load_jax()
-        jnp = jax.numpy
         dt = self.dt if dt is None else dt
         before, n = carry.state, self.system.n_x
         state, e, S, at = advance(self.law, before, u, y, valid, dt, self.walk)
@@ -152,7 +148,6 @@ class MHLyapunov:
 
     def gather(self, block: Block, before: State, at, u, y, valid, dt) -> tuple[Block, Any]:
         """The block with one step more, and which states (n_x,) are measured at its end."""
-        jnp = load_jax().numpy
         needed = jnp.abs(at.C_left) > TINY
         seen = jnp.all(~needed | valid[None, :], axis=1).astype(float)
         direct = jnp.where(valid & at.direct, 1.0, 0.0)
@@ -173,7 +168,6 @@ class MHLyapunov:
 
     def close(self, carry: Carry, u, seen, C_left) -> Carry:
         """The block joins the window; what the window asks for is worked out anew."""
-        jnp = load_jax().numpy
         theta, block = carry.state.theta, carry.block
         A_new, b_new, chi2 = self.summary(block, carry.state.measured, u, seen, C_left, theta)
         surprises = jnp.where(chi2 > self.surprise, carry.surprises + 1, 0).astype(jnp.int32)
@@ -185,7 +179,6 @@ class MHLyapunov:
 
     def summary(self, block: Block, measured, u, seen, C_left, theta):
         """Phi' W Phi, Phi' W z and chi^2 of z - Phi theta for a block that is complete."""
-        jnp = load_jax().numpy
         R = self.system.R(u)
         average = jnp.maximum(block.count, 1.0)
         z = jnp.concatenate([measured - block.predicted, block.direct / average])
@@ -206,8 +199,6 @@ class MHLyapunov:
 
     def pull_of(self, A, b, theta):
         """(target, pull, spread): the losses are moved by target - pull theta [1/s], whose noise has the covariance spread."""
-        jax = load_jax()
-        jnp = jax.numpy
         if self.kind == "gradient":
             gain = self.gradient_rate / (1.0 + jnp.trace(A))
             return gain * b, gain * A, gain**2 * A

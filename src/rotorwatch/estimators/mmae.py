@@ -14,6 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from rotorwatch import checks
+from rotorwatch.backend import jnp
 from rotorwatch.maths import multiple_model, plant
 from rotorwatch.maths.multiple_model import Bank, Output
 
@@ -39,8 +40,6 @@ class MMAE:
 
     def step(self, carry: Bank, u, y, valid, dt=None) -> tuple[Bank, Output]:
         """Predict over dt with input u (n_u,), then update with y (n_y,) where valid."""
-        import jax.numpy as jnp
-
         dt = self.dt if dt is None else dt
         new = multiple_model.filtered(self.system, self.directions, carry.s, carry.P, self.theta_walk, u, y, valid, dt)
         floored = jnp.maximum(multiple_model.posterior(carry.probability, new.fit), self.floor)

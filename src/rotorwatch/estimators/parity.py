@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch import checks
+from rotorwatch.backend import jax, jnp
 from rotorwatch.core import Array, Estimate
 from rotorwatch.errors import ConfigError
 from rotorwatch.maths import bounded, linearise, plant
@@ -63,8 +64,6 @@ class Parity:
 
     def init(self) -> Carry:
         """The plant's start, no loss, an empty window."""
-        import jax.numpy as jnp
-
         s, N = self.system, self.N
         return Carry(
             jnp.asarray(s.x0, float),
@@ -80,8 +79,6 @@ class Parity:
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Output]:
         """One step of dt with input u (n_u,) over it and y (n_y,) at its end where valid."""
-        import jax.numpy as jnp
-
         system, x0 = self.system, jnp.asarray(self.system.x0, float)
         regular = jnp.array(True) if dt is None else jnp.abs(dt - self.dt) < 1e-6 * self.dt
         dt = self.dt if dt is None else dt
@@ -113,8 +110,6 @@ class Parity:
 
     def _residual(self, push, Phi, D, y):
         """r and A = V Gamma of the window: forced responses from a deviation of 0."""
-        import jax
-        import jax.numpy as jnp
 
         def go(state, row):
             state = self.F @ state + row[0]
@@ -132,17 +127,12 @@ class Parity:
 
     def _solved(self, information, moment):
         """Mean and symmetric covariance."""
-        import jax
-        import jax.numpy as jnp
-
         factor = jnp.linalg.cholesky(0.5 * (information + information.T)), True
         P = jax.scipy.linalg.cho_solve(factor, np.eye(len(moment)))
         return jax.scipy.linalg.cho_solve(factor, moment), 0.5 * (P + P.T)
 
     def _design(self, u) -> None:
         """F, C at x0 and u, and V (N n_y - n_x, N n_y)."""
-        import jax.numpy as jnp
-
         system, N, dt = self.system, self.N, self.dt
         x0, none = jnp.asarray(system.x0, float), jnp.zeros(system.n_theta)
         u = jnp.asarray(u, float)
@@ -183,6 +173,4 @@ class Parity:
         """The inverse of a lower triangular matrix."""
         if isinstance(root, np.ndarray):
             return np.linalg.solve(root, np.eye(len(root)))
-        import jax
-
         return jax.scipy.linalg.solve_triangular(root, np.eye(root.shape[0]), lower=True)

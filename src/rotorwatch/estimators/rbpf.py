@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch import checks
+from rotorwatch.backend import jnp
 from rotorwatch.core import Array, Estimate
 from rotorwatch.errors import ConfigError
 from rotorwatch.maths import counter_random, multiple_model, plant
@@ -78,8 +79,6 @@ class RBPF:
 
     def init(self) -> Carry:
         """The plant's start, healthy for certain."""
-        import jax.numpy as jnp
-
         bank = multiple_model.start(self.system, 1, self.theta_var, np.ones(1))
         s, P = jnp.repeat(bank.s, self.N, axis=0), jnp.repeat(bank.P, self.N, axis=0)
         return Carry(
@@ -88,8 +87,6 @@ class RBPF:
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Output]:
         """Draw, predict over dt with input u (n_u,), weigh by y (n_y,) where valid, and resample where few count."""
-        import jax.numpy as jnp
-
         dt = self.dt if dt is None else dt
         measured = valid.any()
         random = counter_random.uniform(carry.counter, self.N + 1)
@@ -114,8 +111,6 @@ class RBPF:
 
     def _drawn(self, carry: Carry, random, measured, dt):
         """mode (N,), s, P of what each particle goes on with, and p / q of what it drew."""
-        import jax.numpy as jnp
-
         n, others = self.system.n_x, len(self.directions) - 1
         moves = measured & (random < self.jump)
         # Which of the other modes: they follow the own one in a ring.

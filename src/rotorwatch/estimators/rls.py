@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch import checks
+from rotorwatch.backend import jax, jnp
 from rotorwatch.core import Array, Estimate
 from rotorwatch.errors import ConfigError
 from rotorwatch.maths import linearise, measured_regression
@@ -57,16 +58,11 @@ class RLS:
 
     def init(self) -> Carry:
         """The plant's start, no loss."""
-        import jax.numpy as jnp
-
         known = measured_regression.start(self.system)
         return Carry(known, jnp.zeros(self.system.n_theta), jnp.diag(1.0 / self.theta_var), jnp.diag(self.theta_var))
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Estimate]:
         """One step of dt with input u (n_u,) over it and y (n_y,) at its end where valid."""
-        import jax
-        import jax.numpy as jnp
-
         dt = self.dt if dt is None else dt
         before = carry.theta
         found = measured_regression.row(self.system, carry.known, u, y, valid, before, dt)
@@ -82,8 +78,6 @@ class RLS:
 
     def _forgotten(self, carry: Carry, Omega, lam, valid):
         """R before the measurement; as it was where nothing is measured."""
-        import jax.numpy as jnp
-
         R = carry.R
         if self.forgetting == "directional":
             for r in Omega:

@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch import checks
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.backend import jax, jnp
 from rotorwatch.core import Array, Estimate
 from rotorwatch.maths import bounded, linearise, measured_regression
 
@@ -61,8 +61,6 @@ class SlidingMode:
 
     def init(self) -> Carry:
         """The plant's start, no loss."""
-        import jax.numpy as jnp
-
         n, n_y, k = self.system.n_x, self.system.n_y, self.system.n_theta
         P = jnp.zeros((2 * n, 2 * n)).at[:n, :n].set(jnp.asarray(self.system.P0, float))
         P = P.at[n:, n:].set(jnp.diag((self.G0**2 * self.theta_var).sum(axis=1)))
@@ -78,9 +76,6 @@ class SlidingMode:
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Estimate]:
         """Predict over dt with input u (n_u,), then correct with y (n_y,) where valid."""
-        import jax
-        import jax.numpy as jnp
-
         system, n, none = self.system, self.system.n_x, jnp.zeros(self.system.n_theta)
         dt = self.dt if dt is None else dt
         x, F, Phi = linearise.transition(system, carry.x, u, none, dt)
@@ -131,8 +126,6 @@ class SlidingMode:
 
     def _twisted(self, e, dt):
         """What remains of the errors e (n_x,) after a step, and the step of v: the implicit super-twisting law, or plain rates."""
-        import jax.numpy as jnp
-
         hold = dt * dt * self.k2
         inside = jnp.where(hold > 0, e / jnp.where(hold > 0, hold, 1.0), 0.0)
         root = 0.5 * (jnp.sqrt((dt * self.k1) ** 2 + 4.0 * jnp.maximum(jnp.abs(e) - hold, 0.0)) - dt * self.k1)
@@ -142,8 +135,7 @@ class SlidingMode:
 
     def _look(self, u) -> None:
         """G0 (n_x, n_theta), D0 (n_y, n_theta): what losses do at x0 and u; g (n_x,): at most; driven (n_x,), direct (n_y,): where."""
-        jax = load_jax()
-        jnp, system = jax.numpy, self.system
+        system = self.system
         x0, u, none = jnp.asarray(system.x0, float), jnp.asarray(u, float), jnp.zeros(system.n_theta)
 
         def rate(theta):

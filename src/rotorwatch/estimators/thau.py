@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch import checks
+from rotorwatch.backend import jax, jnp
 from rotorwatch.core import Array, Estimate
 from rotorwatch.errors import ConfigError
 from rotorwatch.maths import bounded, linearise, measured_regression
@@ -70,8 +71,6 @@ class Thau:
 
     def init(self) -> Carry:
         """The plant's start, no loss."""
-        import jax.numpy as jnp
-
         n, k = self.system.n_x, self.system.n_theta
         s = jnp.concatenate([jnp.asarray(self.system.x0, float), jnp.zeros(k)])
         P = jnp.zeros((n + k, n + k)).at[:n, :n].set(jnp.asarray(self.system.P0, float))
@@ -79,8 +78,6 @@ class Thau:
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Estimate]:
         """Predict over dt with input u (n_u,), then correct with y (n_y,) where valid."""
-        import jax.numpy as jnp
-
         system, n, k = self.system, self.system.n_x, self.system.n_theta
         dt = self.dt if dt is None else dt
         theta = carry.s[n:]
@@ -104,9 +101,6 @@ class Thau:
 
     def _design(self, u, bandwidth, direct_rate) -> None:
         """L (n_x, n_y); weight (n_x, n_y) = P C^+; gamma, k_f; direct (n_y,): 1 for outputs that only theta moves; lipschitz."""
-        import jax
-        import jax.numpy as jnp
-
         system, x0, healthy = self.system, jnp.asarray(self.system.x0, float), jnp.zeros(self.system.n_theta)
         u = jnp.asarray(u, float)
         F, Phi = linearise.transition(system, x0, u, healthy, self.dt)[1:]

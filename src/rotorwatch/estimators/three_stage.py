@@ -25,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch import checks
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.backend import jax, jnp
 from rotorwatch.core import Array, Estimate
 from rotorwatch.maths import bounded, linearise, plant, unscented
 
@@ -85,8 +85,6 @@ class ThreeStage:
 
     def init(self) -> Carry:
         """The plant's start, no loss, no disturbance known."""
-        import jax.numpy as jnp
-
         n, k = self.system.n_x, self.system.n_theta
         cross = jnp.zeros((n, k))
         return Carry(
@@ -103,9 +101,6 @@ class ThreeStage:
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Output]:
         """Predict over dt with input u (n_u,), then update with y (n_y,) where valid."""
-        import jax.numpy as jnp
-        from jax.scipy.linalg import cho_solve
-
         system, c0 = self.system, carry
         dt = self.dt if dt is None else dt
         G, a = dt * jnp.diag(self.g), jnp.exp(-dt / self.correlation_s)
@@ -115,13 +110,13 @@ class ThreeStage:
         b1, b2, c = F @ c0.V13 + G @ c0.V23 + Phi, a * c0.V23, F @ c0.V12 + G
         P_theta = c0.P_theta + dt * jnp.diag(self.theta_walk)
         both = jnp.concatenate([b1, b2]) @ c0.P_theta
-        U = cho_solve((unscented.root(P_theta), True), both.T).T
+        U = jax.scipy.linalg.cho_solve((unscented.root(P_theta), True), both.T).T
         U13, U23 = U[: len(x)], U[len(x) :]
         b1_P, b2_P = both[: len(x)], both[len(x) :]
         P_d = a * a * c0.P_d + (1.0 - a * a) * self.share**2 * np.eye(len(x)) + b2_P @ (b2 - U23).T
         P_d = unscented.symmetric(P_d)
         cross = a * c @ c0.P_d + b1_P @ (b2 - U23).T
-        U12 = cho_solve((unscented.root(P_d), True), cross.T).T
+        U12 = jax.scipy.linalg.cho_solve((unscented.root(P_d), True), cross.T).T
         P_x = F @ c0.P_x @ F.T + system.Q(dt) + c @ c0.P_d @ c.T + b1_P @ (b1 - U13).T - U12 @ cross.T
         P_x = unscented.symmetric(P_x)
 
@@ -145,8 +140,7 @@ class ThreeStage:
 
     def _push(self, u):
         """g (n_x,): the largest rate of change that the full loss of one theta causes at x0 and u (n_u,)."""
-        jax = load_jax()
-        jnp, system = jax.numpy, self.system
+        system = self.system
         x0, u = jnp.asarray(system.x0, float), jnp.asarray(u, float)
 
         def rate(theta):

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.backend import jax, jnp
 from rotorwatch.core import Array, Estimate
 from rotorwatch.maths import plant, two_stage, unscented
 
@@ -44,21 +44,16 @@ class UKF:
 
     def init(self) -> Carry:
         """The plant's x0 and P0, no loss."""
-        jnp = load_jax().numpy
-        from jax.scipy.linalg import block_diag
-
         x0 = jnp.asarray(self.system.x0, float)
         return Carry(
             jnp.concatenate([x0, jnp.zeros(self.system.n_theta)]),
-            block_diag(jnp.asarray(self.system.P0, float), self.theta_var),
+            jax.scipy.linalg.block_diag(jnp.asarray(self.system.P0, float), self.theta_var),
         )
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Estimate]:
         """One time step; arguments as in `core.Estimator`."""
-        from jax.scipy.linalg import block_diag
-
         dt = self.dt if dt is None else dt
-        noise = block_diag(self.system.Q(dt), dt * self.theta_walk)
+        noise = jax.scipy.linalg.block_diag(self.system.Q(dt), dt * self.theta_walk)
         z, P, out, _ = unscented.joint_step(
             self.system, self.weights, carry.z, carry.P, noise, u, y, valid, dt, self.limit
         )

@@ -24,6 +24,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch import checks
+from rotorwatch.backend import jnp
 from rotorwatch.core import Array, Estimate
 from rotorwatch.maths import linearise, plant
 
@@ -62,8 +63,6 @@ def tuning(system, dt, forgetting, theta_var, s_max) -> Tuning:
 
 def init(system, tuned: Tuning) -> State:
     """The plant's start, no loss."""
-    import jax.numpy as jnp
-
     n, p = system.n_x, system.n_theta
     x, P = jnp.asarray(system.x0, float), jnp.asarray(system.P0, float)
     return State(x, P, jnp.zeros(p), jnp.diag(tuned.theta_var), jnp.zeros((n, p)))
@@ -84,8 +83,6 @@ def step(state: State, x, F, Phi, e, C, D, Q, R, valid, tuned: Tuning, dt=None) 
     F (n, n), Phi (n, p), C (m, n), D (m, p): derivatives of the step and of the measurement. R (m,): variances. The equations
     above, one measurement after the other, because R is diagonal: nothing is inverted.
     """
-    import jax.numpy as jnp
-
     e = jnp.where(valid, e, 0.0)
     n, p = len(x), len(state.theta)
     P = F @ state.P @ F.T + Q

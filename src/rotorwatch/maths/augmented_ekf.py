@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rotorwatch.backend import jax, jnp
 from rotorwatch.core import Array, Estimate
 from rotorwatch.maths import linearise, mit_rule, plant
 
@@ -38,17 +39,12 @@ class AugmentedEKF:
 
     def init(self) -> Carry:
         """The plant's start, no loss."""
-        import jax.numpy as jnp
-        from jax.scipy.linalg import block_diag
-
         s = jnp.concatenate([jnp.asarray(self.system.x0, float), jnp.zeros(self.system.n_theta)])
-        P = block_diag(jnp.asarray(self.system.P0, float), jnp.diag(self.theta_var))
+        P = jax.scipy.linalg.block_diag(jnp.asarray(self.system.P0, float), jnp.diag(self.theta_var))
         return Carry(s, P, mit_rule.init(len(s), self.system.n_y, self.adaptation) if self.adaptation else ())
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Estimate]:
         """Predict over dt with input u (n_u,), then update with y (n_y,) where valid."""
-        import jax.numpy as jnp
-
         system, n_x = self.system, self.system.n_x
         dt = self.dt if dt is None else dt
         x, theta, P = carry.s[:n_x], carry.s[n_x:], carry.P
@@ -67,8 +63,6 @@ class AugmentedEKF:
 
     def _predicted(self, P, F, Phi, dt, mit):
         """A P A' + noise, block by block: A = [F Phi; 0 I]."""
-        import jax.numpy as jnp
-
         n_x, n = self.system.n_x, self.system.n_theta
         A = jnp.concatenate([jnp.concatenate([F, Phi], axis=1), jnp.asarray(np.eye(n_x + n)[n_x:])])
         P = A @ P @ A.T

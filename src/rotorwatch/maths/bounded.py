@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from rotorwatch import checks
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.backend import jax, jnp
 from rotorwatch.errors import ConfigError
 
 ROUNDING = 1e-13  # a bound passed by less is kept: losses are of order 1
@@ -31,8 +31,6 @@ def quadratic(H, g, low, high, turns: int | None = None):
     are enough in tests/test_bounded.py; a turn after the last changes nothing. What the turns end with is solved once more, so that
     no rounding adds up.
     """
-    jax = load_jax()
-    jnp = jax.numpy
     n = H.shape[-1]
     turns = 3 * n if turns is None else turns
     low, high = jnp.broadcast_to(low, n), jnp.broadcast_to(high, n)
@@ -74,7 +72,6 @@ def quadratic(H, g, low, high, turns: int | None = None):
 
 def active(trial, low, high):
     """(free, fixed): 1 where `trial` is strictly inside the box, and the bound where it is not (0 where it is)."""
-    jnp = load_jax().numpy
     inside = (trial > low) & (trial < high)
     fixed = jnp.where(trial <= low, low, jnp.where(trial >= high, high, 0.0))
     return inside.astype(float), jnp.where(inside, 0.0, fixed)
@@ -95,7 +92,6 @@ def nominal_input(system, given=None):
 
 def moving(system, u, least):
     """(n_theta,) 1, or 0 where the rotor's command is below least (n_u,): its loss does nothing then, and would only drift."""
-    jnp = load_jax().numpy
     n = min(system.n_theta, system.n_u)
     live = (jnp.abs(u[:n]) >= jnp.abs(least[:n])).astype(float)
     return jnp.concatenate([live, jnp.ones(system.n_theta - n)])

@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch import checks, optional
+from rotorwatch.backend import jnp
 from rotorwatch.errors import ConfigError
 
 MARGIN = 1e-7  # eigenvalues above minus this much, relative to the largest, do not count as negative
@@ -154,8 +155,6 @@ def exact_gains(lp, lv, alpha, dt):
     1 - k1. Poles exp(s dt) of s^2 + lv s + alpha lv therefore need k1 = 1 - z1 z2 and k2 = (1 - z1)(1 - z2) / dt. kp, of a
     measured state that no loss drives, keeps the pole -lp.
     """
-    import jax.numpy as jnp
-
     square = 0.25 * lv**2 - alpha * lv
     root = jnp.sqrt(jnp.abs(square))
     fast, slow = jnp.exp((root - 0.5 * lv) * dt), jnp.exp((-root - 0.5 * lv) * dt)  # both real

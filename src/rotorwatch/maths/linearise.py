@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch import checks
+from rotorwatch.backend import jax, jnp
 from rotorwatch.core import Array
 from rotorwatch.errors import ConfigError
 
@@ -36,10 +37,7 @@ def measurement(system, x, u, theta) -> Linear:
 
 def _linear(g, x, theta, part: str, system) -> Linear:
     """One pass of forward differentiation in all directions. Raises ConfigError for a plant that calls NumPy on what has no value yet."""
-    from rotorwatch.backend import jax as load_jax
-
-    jax = load_jax()
-    jnp, n = jax.numpy, x.shape[0]
+    n = x.shape[0]
 
     def both(s):
         value = g(s[:n], s[n:])
@@ -60,8 +58,6 @@ def update(s, P, H, e, R, valid):
     valid changes nothing, whatever e holds there. The same as the update with all at once, because H stays where it was.
     Returns s and an exactly symmetric P.
     """
-    import jax.numpy as jnp
-
     ds = jnp.zeros_like(s)
     for i in range(H.shape[0]):
         Ph = P @ H[i]
@@ -73,8 +69,6 @@ def update(s, P, H, e, R, valid):
 
 def status(valid):
     """0 when something was measured, 2 when not: `core.Estimate.status`."""
-    import jax.numpy as jnp
-
     return jnp.where(valid.any(), 0, 2).astype(jnp.int32)
 
 

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rotorwatch import checks
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.backend import jax, jnp
 from rotorwatch.errors import ConfigError
 from rotorwatch.maths import bounded, plant
 
@@ -44,8 +44,6 @@ class Law:
     def __init__(self, method, system, dt, rate, bandwidth, direct_rate, bounds, hold, u_nominal):
         """method: name for messages. rate: k_w [1/s]. bandwidth: sqrt of Gamma [rad/s]. direct_rate: how fast f~ moves theta
         [1/s]. bounds: least and largest loss. hold: share of u_nominal below which a rotor's theta rests. u_nominal (n_u,)."""
-        jax = load_jax()
-        jnp = jax.numpy
         self.system, self.dt = plant.checked(method, system, dt), dt
         for name, value in (("rate", rate), ("bandwidth", bandwidth)):
             checks.positive(name, value)
@@ -75,8 +73,6 @@ class Law:
 
     def terms(self, x, u, theta, dt) -> Terms:
         """f, h and their Jacobians for a step of dt from x."""
-        jax = load_jax()
-        jnp = jax.numpy
         f, h, n = self.system.f, self.system.h, self.system.n_x
         both = jnp.concatenate([x, theta])
         x_next, move = both_ways(lambda s: f(s[:n], u, s[n:], dt), both)
@@ -89,7 +85,6 @@ class Law:
 
     def gains(self, at: Terms, u, dt):
         """L_x (n_x, n_y), L_theta (n_theta, n_y): what an innovation moves, before the projection."""
-        jnp = load_jax().numpy
         adapt = at.G.T @ (self.M[:, None] * at.C_left) + self.k_f * at.D.T * at.direct[None, :]
         L_x = (1.0 - jnp.exp(-self.rate * dt)) * at.C_left
         return L_x, dt * self.gamma * adapt * self.moving(u)[:, None]
@@ -100,7 +95,7 @@ class Law:
 
     def project(self, theta):
         """theta within the bounds."""
-        return load_jax().numpy.clip(theta, *self.bounds)
+        return jnp.clip(theta, *self.bounds)
 
     def lyapunov(self, w, loss_error):
         """V of the state error w and the loss error theta_hat - theta."""
@@ -118,7 +113,6 @@ class State(NamedTuple):
 
 def start(system, theta_sd, x0=None) -> State:
     """The state before the first measurement: nothing lost, give or take theta_sd."""
-    jnp = load_jax().numpy
     x = jnp.asarray(system.x0 if x0 is None else x0, float)
     n, k = system.n_x, system.n_theta
     P = jnp.zeros((n + k, n + k)).at[:n, :n].set(system.P0).at[n:, n:].set(theta_sd**2 * jnp.eye(k))
@@ -131,8 +125,6 @@ def advance(law: Law, state: State, u, y, valid, dt, walk) -> tuple[State, Any, 
     P is the covariance of this observer's own error, F P F' + Q and then (I - L C) P (I - L C)' + L R L' with the law's gains
     L: what a fixed-gain observer knows. walk: random walk of theta [1 per square root of s].
     """
-    jax = load_jax()
-    jnp = jax.numpy
     system, n = law.system, law.system.n_x
     at = law.terms(state.measured, u, state.theta, dt)
     x_minus = state.x + at.x - state.measured
@@ -159,7 +151,6 @@ def advance(law: Law, state: State, u, y, valid, dt, walk) -> tuple[State, Any, 
 
 def both_ways(function, at):
     """(function(at), its Jacobian), the function evaluated once."""
-    jax = load_jax()
 
     def twice(s):
         value = function(s)

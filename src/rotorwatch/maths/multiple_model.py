@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rotorwatch import checks
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.backend import jax, jnp
 from rotorwatch.core import Array, Estimate
 from rotorwatch.maths import linearise
 
@@ -85,7 +85,6 @@ def directions(system: Any, common: bool) -> np.ndarray:
 
 def start(system: Any, modes: int, theta_var: Array, probability: Array) -> Bank:
     """Every mode at the plant's x0 and P0, its loss 0 with the variance theta_var; mode 0 has none."""
-    jnp = load_jax().numpy
     n = system.n_x
     s = jnp.concatenate([jnp.asarray(system.x0, float), jnp.zeros(1)])
     P = jnp.zeros((n + 1, n + 1)).at[:n, :n].set(jnp.asarray(system.P0, float))
@@ -98,8 +97,7 @@ def filtered(
     system: Any, d: Array, s: Array, P: Array, walk: Array, u: Array, y: Array, valid: Array, dt: Array
 ) -> Updated:
     """One step of every mode's filter from s (M, n_x + 1) and P. d (M, n_theta); walk: variance that a loss gains per second."""
-    jax = load_jax()
-    jnp, n = jax.numpy, system.n_x
+    n = system.n_x
     Q, R = system.Q(dt), system.R(u)
 
     def one(d, s, P, walk):
@@ -122,8 +120,6 @@ def filtered(
 
 def _update(s, P, H, e, R, valid):
     """`linearise.update`, and the logarithm of the likelihood of what is valid."""
-    import jax.numpy as jnp
-
     ds, fit = jnp.zeros_like(s), 0.0
     for i in range(H.shape[0]):
         Ph = P @ H[i]
@@ -138,8 +134,6 @@ def _update(s, P, H, e, R, valid):
 
 def posterior(predicted: Array, fit: Array) -> Array:
     """(M,) probabilities from those predicted and the log-likelihoods; no underflow, whatever the size of the latter."""
-    import jax.numpy as jnp
-
     weight = predicted * jnp.exp(fit - fit.max())
     return weight / weight.sum()
 
@@ -158,8 +152,6 @@ def combined(d: Array, new: Updated, predicted: Array, probability: Array, valid
 
 def moments(weight: Array, mean: Array, P: Array):
     """Mean (n,) and symmetric covariance (n, n) of a mixture: weight (M,), mean (M, n), P (M, n, n)."""
-    import jax.numpy as jnp
-
     m = weight @ mean
     away = mean - m
     total = jnp.einsum("m,mij->ij", weight, P) + (weight * away.T) @ away

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from rotorwatch import checks
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.backend import jax, jnp
 from rotorwatch.errors import ConfigError
 from rotorwatch.maths import linearise, matrix_inequality
 
@@ -82,7 +82,7 @@ def stationary(system, dt: float, *, x=None, u=None):
     F, C = _local(system, dt, x, u)
     R = system.R(np.zeros(system.n_u) if u is None else u)
     F, C, R, P = (a if not checks.concrete((F, C, R)) else np.asarray(a) for a in (F, C, R, system.Q(dt)))
-    xp: Any = np if checks.concrete((F, C, R, P)) else load_jax().numpy
+    xp: Any = np if checks.concrete((F, C, R, P)) else jnp
     A, G, eye = F.T, C.T @ (C / R[:, None]), np.eye(system.n_x)
     for _ in range(DOUBLINGS):
         AW = xp.linalg.solve((eye + G @ P).T, A.T).T  # A (I + G P)^-1
@@ -191,7 +191,6 @@ def _theorem_1(GL, G, eye, none, k: Lipschitz, eps_1, eps_2):
 
 def _local(system, dt, x, u):
     """(F, C) of a plant at one point, no loss."""
-    jax = load_jax()
     x = system.x0 if x is None else x
     u, theta = np.zeros(system.n_u) if u is None else u, np.zeros(system.n_theta)
 
@@ -202,7 +201,6 @@ def _local(system, dt, x, u):
 
 
 def _F(system, points, u, dt):
-    jax = load_jax()
     u, theta = np.zeros(system.n_u) if u is None else np.asarray(u, float), np.zeros(system.n_theta)
     return jax.jit(jax.vmap(lambda x: linearise.transition(system, x, u, theta, dt).by_x))(points)
 

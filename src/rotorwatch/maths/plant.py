@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from rotorwatch import checks
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.backend import jax
 from rotorwatch.errors import ConfigError
 
 SIZES, PARTS = ("n_x", "n_u", "n_theta", "n_y"), ("f", "h", "Q", "R", "x0", "P0")
@@ -19,7 +19,7 @@ def checked(method: str, system: Any, dt: Any) -> Any:
     R (n_y,) has to be variances: of independent measurements, one after the other is taken in. Raises ConfigError for missing
     parts, wrong shapes, a Q or P0 that is no covariance and an R that is not n_y numbers of at least 0.
     """
-    load_jax()  # before anything of the plant is traced: it switches float64 on
+    jax()  # before anything of the plant is traced: it switches float64 on
     checks.has(system, method, *PARTS, *SIZES)
     checks.positive("dt", dt)
     name = checks.plant_name(system)

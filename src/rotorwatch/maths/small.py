@@ -6,6 +6,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from rotorwatch.backend import jnp
+
 
 def product(A, B):
     """A B: (..., n, k) and (..., k, m) to (..., n, m)."""
@@ -15,8 +17,6 @@ def product(A, B):
 def solve(A, B):
     """A^-1 B (m, k) of a positive definite A (m, m), NaN of any other: Gauss and Jordan's elimination, which needs no pivots
     then. B (m, k)."""
-    from jax import numpy as jnp
-
     m = A.shape[0]
     rows = jnp.concatenate([A, B], axis=1)
     for j in range(m):

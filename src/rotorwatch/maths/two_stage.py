@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rotorwatch import checks
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.backend import jax, jnp
 from rotorwatch.core import Array, Estimate
 from rotorwatch.maths import unscented
 
@@ -58,8 +58,6 @@ class Prediction(NamedTuple):
 
 def initial(system: Any, P_theta: Array) -> State:
     """Before the first measurement: the plant's x0 and P0, no loss, and no coupling yet."""
-    jnp = load_jax().numpy
-
     n_x, n_theta = system.n_x, system.n_theta
     return State(
         jnp.asarray(system.x0, float),
@@ -73,8 +71,6 @@ def initial(system: Any, P_theta: Array) -> State:
 def loss_covariance(name: str, value: Any, n: int) -> Array:
     """(n, n) covariance of the losses given as a variance for all, one for each, or a matrix. Raises ConfigError."""
     if np.ndim(value) < 2:
-        from jax import numpy as jnp
-
         if np.ndim(value) == 1:
             checks.shape(name, value, n)
         xp = np if checks.concrete(value) else jnp
@@ -86,15 +82,11 @@ def predict(
     system: Any, w: unscented.Weights, s: State, Q_theta: Array, u: Array, y: Array, valid: Array, dt: Array
 ) -> Prediction:
     """One step ahead, and the measurement expected there. Q_theta (n_theta, n_theta): growth of P_theta in this step."""
-    import jax
-    from jax import numpy as jnp
-    from jax.scipy.linalg import cho_solve
-
     L = unscented.root(s.P_free)
     moved = unscented.transform(lambda x: system.f(x, u, s.theta, dt), s.x, L, w)
     r = _through(moved, L, s.beta) + jax.jacfwd(lambda theta: system.f(s.x, u, theta, dt))(s.theta)
     r_P = r @ s.P_theta
-    beta = cho_solve((unscented.root(s.P_theta + Q_theta), True), r_P.T).T
+    beta = jax.scipy.linalg.cho_solve((unscented.root(s.P_theta + Q_theta), True), r_P.T).T
     # r P_theta r' - beta- P_theta- beta-', with beta- P_theta- = r P_theta put in
     P_free = moved.cov + r_P @ (r - beta).T + system.Q(dt)
 
@@ -108,16 +100,12 @@ def predict(
 
 def _through(t: unscented.Transformed, L: Array, beta: Array) -> Array:
     """Slope of the function along the columns of beta: slope L^-1 beta."""
-    from jax.scipy.linalg import solve_triangular
-
-    return t.slope @ solve_triangular(L, beta, lower=True)
+    return t.slope @ jax.scipy.linalg.solve_triangular(L, beta, lower=True)
 
 
 def update(p: Prediction, P_theta: Array, valid: Array, limit: Callable) -> tuple[State, Estimate]:
     """The measurement taken in. P_theta (n_theta, n_theta): predicted covariance of the losses, the prediction's own or a wider
     one. limit: what is done to theta, so that it stays admissible."""
-    from jax import numpy as jnp
-
     S = unscented.symmetric(p.P_yy + p.H @ P_theta @ p.H.T)
     K_x = unscented.gain(p.L @ p.seen.slope.T, p.P_yy, valid)
     K_theta = unscented.gain(P_theta @ p.H.T, S, valid)
@@ -141,8 +129,6 @@ def to_unit(n: int) -> Callable:
     """A limit: the first n losses (actuators, not biases) to [0, 1]."""
 
     def limit(theta):
-        from jax import numpy as jnp
-
         return jnp.concatenate([jnp.clip(theta[:n], 0.0, 1.0), theta[n:]])
 
     return limit

@@ -20,6 +20,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from rotorwatch import checks
+from rotorwatch.backend import jax, jnp
 from rotorwatch.core import Array, Estimate
 from rotorwatch.errors import ConfigError
 
@@ -67,23 +68,17 @@ def weights(n: int, alpha: float = 0.1, beta: float = 2.0, kappa: float = 0.0) -
 
 def root(P: Array) -> Array:
     """Lower factor L (n, n) with L L' = P, also where P is singular."""
-    from jax import numpy as jnp
-
     return jnp.linalg.cholesky(P + jnp.diag(RELATIVE * jnp.diagonal(P) + ABSOLUTE))
 
 
 def points(x: Array, L: Array, w: Weights) -> Array:
     """(2 n + 1, n) points of the Gaussian with mean x (n,) and covariance L L': the centre, the plus side, the minus side."""
-    from jax import numpy as jnp
-
     out = w.spread * L.T
     return jnp.concatenate([x[None], x + out, x - out])
 
 
 def transform(function: Callable, x: Array, L: Array, w: Weights) -> Transformed:
     """The function (n,) -> (m,) of the Gaussian with mean x and covariance L L'."""
-    import jax
-
     values = jax.vmap(function)(points(x, L, w))
     n = x.shape[0]
     plus, minus = values[1 : n + 1] - values[0], values[n + 1 :] - values[0]
@@ -95,12 +90,9 @@ def transform(function: Callable, x: Array, L: Array, w: Weights) -> Transformed
 
 def gain(P_xy: Array, S: Array, valid: Array) -> Array:
     """K = P_xy S^-1 (n, m) of the measurements that are valid (m,) bool; 0 for the others."""
-    from jax import numpy as jnp
-    from jax.scipy.linalg import cho_solve
-
     both = valid[:, None] & valid[None, :]
     S = jnp.where(both, S, jnp.eye(valid.shape[0]))
-    return cho_solve((jnp.linalg.cholesky(S), True), jnp.where(valid[:, None], P_xy.T, 0.0)).T
+    return jax.scipy.linalg.cho_solve((jnp.linalg.cholesky(S), True), jnp.where(valid[:, None], P_xy.T, 0.0)).T
 
 
 def corrected(L: Array, y: Transformed, K: Array, R: Array) -> Array:
@@ -109,8 +101,6 @@ def corrected(L: Array, y: Transformed, K: Array, R: Array) -> Array:
     L (n, n): root of the predicted covariance that the points of h were drawn with; D, C: slope and curvature of h. R (m,):
     variances. Equal to P - K S K' for K = L D' S^-1, and positive semidefinite for any K.
     """
-    from jax import numpy as jnp
-
     rest = L - K @ y.slope
     return symmetric(rest @ rest.T + K @ (y.curvature + jnp.diag(R)) @ K.T)
 
@@ -123,8 +113,6 @@ def joint_step(system, w: Weights, z, P, noise, u, y, valid, dt, limit: Callable
 
     z (n_x + n_theta,), P and noise square. limit: what is done to the new losses, so that they stay admissible.
     """
-    from jax import numpy as jnp
-
     n = system.n_x
 
     def f(z):

@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 
 from rotorwatch import checks
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.backend import jax, jnp
 
 G = 9.80665
 
@@ -38,7 +38,7 @@ class LinearHover:
         gravity [m/s^2]; measured_sd (8,): of one sample; walk (4,): disturbance accelerations as white noise [rad/s^2, m/s^2
         per square root of Hz]. u_unit: what u is in, for labels. Raises ConfigError for wrong shapes and values.
         """
-        load_jax()  # nothing of the plant may be traced before float64 is on
+        jax()  # nothing of the plant may be traced before float64 is on
         n = np.shape(B)[1] if np.ndim(B) == 2 else 0
         self.B = checks.finite("B", checks.shape("B", B, 4, n))
         self.gravity = checks.finite("gravity", gravity)
@@ -75,8 +75,6 @@ class LinearHover:
 
     def f(self, x, u, theta, dt):
         """State after dt seconds of constant u, exactly."""
-        from jax import numpy as jnp
-
         acceleration = self.B @ (u * (1.0 - theta)) + jnp.array([0.0, 0.0, 0.0, 1.0]) * self.gravity
         v = x[4:] + dt * acceleration
         return jnp.concatenate([x[:4] + 0.5 * dt * (x[4:] + v), v])
@@ -87,13 +85,9 @@ class LinearHover:
 
     def Q(self, dt):
         """(8, 8): white disturbance accelerations over dt."""
-        from jax import numpy as jnp
-
         W = jnp.diag(jnp.asarray(self.walk) ** 2)
         return jnp.block([[W * dt**3 / 3, W * dt**2 / 2], [W * dt**2 / 2, W * dt]])
 
     def R(self, u):
         """(8,) measurement noise variances."""
-        from jax import numpy as jnp
-
         return jnp.asarray(self.measured_sd) ** 2

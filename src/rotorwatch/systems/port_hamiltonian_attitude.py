@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 
 from rotorwatch import checks
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.backend import jax, jnp
 from rotorwatch.errors import ConfigError
 from rotorwatch.maths import inertia
 
@@ -54,7 +54,7 @@ class PortHamiltonianAttitude:
         per second, a number or (6,); measurement_var [rad^2]: a number or (3,). x0 (6,), P0 (6, 6): where
         estimators start, default 0 and the identity. Raises ConfigError.
         """
-        load_jax()  # nothing of the plant may be traced before float64 is on
+        jax()  # nothing of the plant may be traced before float64 is on
         self.J = checks.covariance("J", J, 3, definite=True)
         self.B = np.eye(3) if B is None else checks.finite("B", B)
         if np.ndim(self.B) != 2 or np.shape(self.B)[0] != 3:
@@ -90,8 +90,6 @@ class PortHamiltonianAttitude:
 
     def derivative(self, x, u, theta):
         """dx/dt (6,)."""
-        from jax import numpy as jnp
-
         (phi, pitch, _), p = x[:3], x[3:]
         s, c, sp, cp = jnp.sin(phi), jnp.cos(phi), jnp.sin(pitch), jnp.cos(pitch)
         zero, one = jnp.zeros_like(phi), jnp.ones_like(phi)
@@ -113,8 +111,6 @@ class PortHamiltonianAttitude:
 
     def _force(self, s, c, sp, cp, u, theta):
         """(3,) generalised force."""
-        from jax import numpy as jnp
-
         lost = self._spread @ theta
         torque = self.B @ (u - lost if self.faults == "additive" else u * (1.0 - lost))
         if self.generalised_force == "printed":
@@ -132,14 +128,10 @@ class PortHamiltonianAttitude:
 
     def Q(self, dt):
         """(6, 6): the tuning value, per second, over dt."""
-        from jax import numpy as jnp
-
         return jnp.diag(self.process_var) * dt
 
     def R(self, u):
         """(3,) variances of the angles [rad^2]: a tuning value."""
-        from jax import numpy as jnp
-
         return jnp.asarray(self.measurement_var)
 
 

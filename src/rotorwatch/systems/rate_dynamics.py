@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 
 from rotorwatch import checks
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.backend import jax, jnp
 from rotorwatch.maths import inertia
 
 G = 9.80665
@@ -41,7 +41,7 @@ class RateDynamics:
         lever times a second's square root). damping (3,): diagonal of D. Raises ConfigError for wrong shapes or an inertia that
         is not positive definite.
         """
-        load_jax()  # nothing of the plant may be traced before float64 is on
+        jax()  # nothing of the plant may be traced before float64 is on
         n = np.shape(B_T)[0]
         checks.shape("B_tau", B_tau, 3, n)
         self.J = checks.covariance("J", J, 3, definite=True)
@@ -66,8 +66,6 @@ class RateDynamics:
 
     def derivative(self, x, u, theta):
         """d(omega)/dt (3,) [rad/s^2]."""
-        from jax import numpy as jnp
-
         torque = self.B_tau @ (u * (1.0 - theta)) + self.tau_0
         return self.J_inverse @ (torque - jnp.cross(x, jnp.asarray(self.J) @ x) - self.damping * x)
 
@@ -78,20 +76,14 @@ class RateDynamics:
 
     def h(self, x, u, theta):
         """(omega, f_z)."""
-        from jax import numpy as jnp
-
         f_z = -(self.B_T @ (u * (1.0 - theta)) + self.F_0) / self.m
         return jnp.concatenate([x, jnp.reshape(f_z, (1,))])
 
     def Q(self, dt):
         """(3, 3): white disturbance torque over dt."""
-        from jax import numpy as jnp
-
         root = self.J_inverse * (self.torque_sd * jnp.ones(3))
         return dt * root @ root.T
 
     def R(self, u):
         """(4,) variances of gyro and accelerometer."""
-        from jax import numpy as jnp
-
         return jnp.concatenate([jnp.broadcast_to(self.gyro_sd, (3,)), jnp.reshape(self.accel_sd, (1,))]) ** 2

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from rotorwatch import checks
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.backend import jax, jnp
 from rotorwatch.errors import ConfigError
 from rotorwatch.maths import inertia
 
@@ -50,7 +50,7 @@ class RigidBody:
         process noise, growth of each state's variance [unit^2/s]. x0 (12,), P0 (12, 12): where an estimator starts (at the
         origin, give or take one unit). Raises ConfigError for wrong shapes, names or an inertia that is not positive definite.
         """
-        load_jax()  # nothing of the plant may be traced before float64 is on
+        jax()  # nothing of the plant may be traced before float64 is on
         n = np.shape(B_T)[0]
         self.J = checks.covariance("J", J, 3, definite=True)
         self.J_inverse = inertia.inverse(self.J)
@@ -89,8 +89,6 @@ class RigidBody:
 
     def derivative(self, x, u, theta):
         """dx/dt (12,)."""
-        from jax import numpy as jnp
-
         angles, velocity, omega = x[3:6], x[6:9], x[9:12]
         (s_phi, s_theta, s_psi), (c_phi, c_theta, c_psi) = jnp.sin(angles), jnp.cos(angles)
         thrust = u * (1.0 - theta)
@@ -114,12 +112,8 @@ class RigidBody:
 
     def Q(self, dt):
         """(12, 12): white noise on every state over dt."""
-        from jax import numpy as jnp
-
         return dt * jnp.diag(jnp.asarray(self.walk, float))
 
     def R(self, u):
         """(n_y,) measurement variances."""
-        from jax import numpy as jnp
-
         return jnp.broadcast_to(jnp.asarray(self.measured_sd, float), (self.n_y,)) ** 2

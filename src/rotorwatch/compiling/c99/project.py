@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rotorwatch import __version__
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.backend import jax
 from rotorwatch.compiling.c99.emit import Emitter, literal
 from rotorwatch.compiling.c99.graph import Graph, Node
 from rotorwatch.compiling.c99.lower import lower
@@ -67,7 +67,6 @@ class Program:
 
 def fields(tree: Any, notes: dict[str, str] | None = None) -> tuple[Field, ...]:
     """The leaves of a pytree of arrays, named after where they are in it; reserved words and twins get a tail."""
-    jax = load_jax()
     found: list[Field] = []
     for path, leaf in jax.tree_util.tree_flatten_with_path(tree)[0]:
         name = "_".join(_key(part) for part in path) or "value"
@@ -108,7 +107,6 @@ def make(
     parameters: a pytree of arrays (values do not matter), empty when everything is constant. notes: what the header says of a field.
     about: the header's first words. Raises Refused for what has no counterpart in C.
     """
-    jax = load_jax()
     notes = notes or {}
     carry = jax.eval_shape(init, parameters) if init else jax.tree.map(np.asarray, carry)
     example = [jax.ShapeDtypeStruct(f.shape, NUMPY[f.kind]) for f in inputs]
