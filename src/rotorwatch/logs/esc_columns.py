@@ -49,6 +49,23 @@ def build(time, measured: dict[str, np.ndarray], rotors: Sequence[int], source: 
     return series.build(time, np.concatenate(blocks, axis=1), names(rotors), UNIT, "", source, np.inf, notes, mask)
 
 
+def numbered(time, table, prefix: str, fields: dict[str, str], order: Sequence[int], source, notes, valid=None):
+    """As `build`, from a table with a field of each quantity for each ESC, speeds in revolutions per minute.
+
+    prefix: of a field's name, "esc[{}]." of "esc[2].esc_rpm"; fields: quantity -> the rest of it; order: the ESCs, rotor after rotor.
+    """
+    measured = {
+        quantity: series.stacked(table, [f"{prefix.format(k)}{field}" for k in order])
+        for quantity, field in fields.items()
+    }
+    measured["speed"] = measured["speed"] * RPM
+    # A driver that does not know a quantity leaves it 0 for all.
+    for quantity in ("current", "temperature"):
+        if not np.nan_to_num(measured[quantity]).any():
+            del measured[quantity]
+    return build(time, measured, range(1, len(order) + 1), source, notes, valid)
+
+
 def names(rotors: Sequence[int]) -> tuple[str, ...]:
     """Columns of the telemetry of these rotors."""
     return tuple(f"{quantity}{rotor}" for quantity in QUANTITIES for rotor in rotors)

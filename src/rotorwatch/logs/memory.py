@@ -182,11 +182,9 @@ def _rotors(time, table, notes) -> dict:
 
 def _messages(time, table) -> list[Message]:
     """State changes from the columns armed and landed (0 or 1)."""
-    words = {"armed": ("disarmed", "armed"), "landed": ("in the air", "landed")}
     out = []
     for kind in _STATES:
         if kind in table:
             known = np.isfinite(table[kind]) & np.isfinite(time)
-            for at, value in series.changes(time[known], table[kind][known] > 0.5):
-                out.append(Message(at, kind, words[kind][int(value)], value))
+            out += series.states(kind, time[known], table[kind][known] > 0.5)
     return sorted(out, key=lambda m: m.time)

@@ -28,21 +28,11 @@ def read(time: np.ndarray, table: Mapping[str, np.ndarray], count: int, notes: l
         return None
     place = _places(table, escs)
     order = [place[k] for k in sorted(place)][: count or MOST]
-    measured = {}
-    for quantity, field in FIELDS.items():
-        columns = [np.asarray(table.get(f"esc[{i}].{field}", np.full(time.size, np.nan)), np.float64) for i in order]
-        with np.errstate(invalid="ignore"):  # damaged floats may be signalling NaNs
-            measured[quantity] = np.stack(columns, axis=1)
-    measured["speed"] = measured["speed"] * esc_columns.RPM
-    # A driver that does not know a quantity leaves it 0 for all.
-    for quantity in ("current", "temperature"):
-        if not np.nan_to_num(measured[quantity]).any():
-            del measured[quantity]
     online = None
     if "esc_online_flags" in table and np.asarray(table["esc_online_flags"]).any():
         flags = np.asarray(table["esc_online_flags"]).astype(np.int64)
         online = np.stack([(flags >> i) & 1 for i in order], axis=1) > 0
-    return esc_columns.build(time, measured, range(1, len(order) + 1), "esc_status", notes, online)
+    return esc_columns.numbered(time, table, "esc[{}].", FIELDS, order, "esc_status", notes, online)
 
 
 def _places(table: Mapping[str, np.ndarray], escs: list[int]) -> dict[int, int]:
