@@ -56,7 +56,6 @@ NAMED: dict[str, tuple[str, ...]] = {
     "logs/crazyflie.py": ("logs_crazyflie",),
     "logs/dataflash_esc.py": ("esc_readers", "dataflash"),
     "logs/dataflash_text.py": ("dataflash_pymavlink", "dataflash_old", "dataflash"),
-    "logs/dataflash_untimed.py": ("dataflash_old",),
     "logs/dataflash_binary.py": ("dataflash", "dataflash_damage", "dataflash_pymavlink"),
     "logs/dataflash*.py": ("dataflash", "dataflash_old", "dataflash_damage"),
     "logs/delimited.py": ("logs_table", "logs_px4"),

@@ -10,7 +10,7 @@ What is read from which message (instance 0 where sensors come in several):
     throttle  CTUN ThO or ThrOut               battery   BAT or CURR
     lift      MOTB                             esc       ESC, ESC1.., CESC: see dataflash_esc
 
-Times count from the smallest time stamp of any record; 3.0 and 3.1 have none: see dataflash_untimed.
+Times count from the smallest time stamp of any record; 3.0 and 3.1 have none: see dataflash_clock.
 Simulation parameters and messages (SIM*) are never read.
 """
 
@@ -25,9 +25,8 @@ from rotorwatch.flight import Flight, Signal
 from rotorwatch.logs import dataflash_esc, parameter_ranges, wall_clock
 from rotorwatch.logs import dataflash_events as events
 from rotorwatch.logs import dataflash_rotors as rotors
-from rotorwatch.logs import dataflash_untimed as untimed
 from rotorwatch.logs.dataflash_binary import SDLOG2, BinaryLog, amount
-from rotorwatch.logs.dataflash_clock import Clock, make_clock
+from rotorwatch.logs.dataflash_clock import Clock, make_clock, rebuilt
 from rotorwatch.logs.dataflash_text import FIRST_LINE, TextLog
 from rotorwatch.logs.series import SHAPES, quaternion, steady
 
@@ -81,9 +80,9 @@ def read(data, name: str, progress=None) -> Flight:
     log = (TextLog if FMT_HEADER not in head and FIRST_LINE.search(head) else BinaryLog)(data, progress)
     if not log.counts:
         raise LogError(f"{name}: this is not a DataFlash log; no message definition (FMT) was found in it.")
-    stamps, rebuilt = log.stamps(), ""
+    stamps, source = log.stamps(), ""
     if not np.isfinite(stamps).any():
-        stamps, rebuilt = untimed.stamps(log)
+        stamps, source = rebuilt(log)
     clock = make_clock(stamps)
     parameters, changes = events.parameters(log, clock)
     parameters, notes = parameter_ranges.checked(parameters)
@@ -119,7 +118,7 @@ def read(data, name: str, progress=None) -> Flight:
         parameters=parameters,
         parameter_changes=tuple(c for c in changes if parameter_ranges.possible(c[1], c[2])),
         messages=events.messages(log, clock),
-        warnings=(*log.warnings, *([rebuilt] if rebuilt else []), *clock.warnings, *reader.warnings),
+        warnings=(*log.warnings, *([source] if source else []), *clock.warnings, *reader.warnings),
         name=name,
         start_us=int(clock.start_us),
         facts={

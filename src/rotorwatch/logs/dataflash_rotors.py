@@ -11,16 +11,9 @@ import numpy as np
 MOTOR_FUNCTIONS = {**{32 + k: k for k in range(1, 9)}, **{73 + k: k for k in range(9, 13)}}
 # FRAME_CLASS -> motor numbers. A tricopter's motor 7 is its tail servo, motor 3 does not exist.
 FRAME_ROTORS: dict[int, tuple[int, ...]] = {
-    1: (1, 2, 3, 4),
-    2: tuple(range(1, 7)),
-    3: tuple(range(1, 9)),
-    4: tuple(range(1, 9)),
-    5: tuple(range(1, 7)),
-    7: (1, 2, 4),
-    10: (1, 2),
-    12: tuple(range(1, 13)),
-    14: tuple(range(1, 11)),
-}
+    class_: tuple(range(1, count + 1))
+    for class_, count in ((1, 4), (2, 6), (3, 8), (4, 8), (5, 6), (10, 2), (12, 12), (14, 10))
+} | {7: (1, 2, 4)}
 BY_NUMBER = "No output has a motor function; rotor k was taken to be output k."
 LEAST_THROTTLE = 0.02  # standard deviation of the throttle that tells something
 FRAME_NAMES = {"QUAD": 1, "HEXA": 2, "OCTA": 3, "OCTA_QUAD": 4, "OCTAQUAD": 4, "Y6": 5, "HELI": 6, "TRI": 7}

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from rotorwatch.flight import Message, vehicle_kind
-from rotorwatch.logs import publishers, px4_esc, px4_outputs, series, wall_clock
+from rotorwatch.logs import px4_outputs, series, wall_clock
 
 TOPICS = (
     "actuator_armed",
@@ -188,10 +188,10 @@ def _motors(topics: Topics, parameters):
 def _one_publisher(topics: Topics, time, reading: px4_outputs.Reading, source, facts):
     """The samples of the publisher whose outputs reached the motors; `facts` says when nobody can tell which."""
     values = reading.values
-    found = publishers.tracks(values, 0.01 * (1000.0 if reading.unit == "us" else 1.0))
+    found = px4_outputs.tracks(values, 0.01 * (1000.0 if reading.unit == "us" else 1.0))
     if len(found) == 1:
         return time, values
-    keep = publishers.flown(values, found)
+    keep = px4_outputs.flown(values, found)
     said = f"{source}: the outputs of two publishers alternate in one instance"
     if keep is None:
         facts["publishers"] = len(found)
@@ -242,7 +242,7 @@ def _battery(topics: Topics):
 
 def _esc(topics: Topics, parameters):
     found = topics.table("esc_status", "esc[0].esc_rpm")
-    return None if found is None else px4_esc.read(*found, rotor_count(parameters), topics.notes)
+    return None if found is None else px4_outputs.escs(*found, rotor_count(parameters), topics.notes)
 
 
 def modes(time, nav_state) -> list[Message]:
