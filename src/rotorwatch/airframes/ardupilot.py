@@ -22,28 +22,10 @@ from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Rotor, ThrustCurve, Vehicle, coaxial, note_on_coaxial
 
 CLASSES = {1: "quad", 2: "hexa", 3: "octa", 4: "octaquad", 5: "y6", 7: "tri", 12: "dodecahexa", 14: "deca"}
-TYPES = {
-    **{0: "plus", 1: "x", 2: "v", 3: "h", 4: "vtail", 5: "atail", 6: "plus-rev", 10: "b", 11: "f", 12: "bf-x"},
-    **{
-        13: "dji-x",
-        14: "cw-x",
-        15: "i",
-        16: "nyt-plus",
-        17: "nyt-x",
-        18: "bf-x-rev",
-        19: "y4",
-        20: "x-cor",
-        21: "cw-x-cor",
-    },
-}
+TYPES = dict(enumerate("plus x v h vtail atail plus-rev".split()))
+TYPES |= dict(enumerate("b f bf-x dji-x cw-x i nyt-plus nyt-x bf-x-rev y4 x-cor cw-x-cor".split(), 10))
 UNSUPPORTED = {6: "a helicopter", 8: "a single copter", 9: "a coaxial copter", 10: "a bicopter"}
-UNSUPPORTED |= {
-    11: "a dual helicopter",
-    13: "a quad helicopter",
-    15: "a scripted frame",
-    16: "a scripted frame",
-    17: "a scripted frame",
-}
+UNSUPPORTED |= {11: "a dual helicopter", 13: "a quad helicopter", **dict.fromkeys((15, 16, 17), "a scripted frame")}
 ROTORS = {"tri": 3, "quad": 4, "hexa": 6, "octa": 8, "octaquad": 8, "y6": 6, "dodecahexa": 12, "deca": 10}
 
 # One motor is (angle, yaw factor) or, where the arms are not on a circle, (right, forward, yaw factor).

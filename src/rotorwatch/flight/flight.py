@@ -37,7 +37,7 @@ import numpy as np
 
 from rotorwatch import optional
 from rotorwatch.errors import ConfigError
-from rotorwatch.shown import printable
+from rotorwatch.files import printable
 
 
 @dataclass(frozen=True)

@@ -13,14 +13,12 @@ It is asked when no format of ours knows the file.
 
 from __future__ import annotations
 
-import importlib
-import pkgutil
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
 
-from rotorwatch import plugins
+from rotorwatch import discovery
 from rotorwatch.errors import LogError, RotorwatchError
 from rotorwatch.flight import Flight
 from rotorwatch.logs import plausible
@@ -33,9 +31,7 @@ FILE_PARTS, FOLDER_PARTS = ("sniff", "read"), ("sniff_folder", "read_folder")
 @cache
 def formats() -> tuple:
     """The modules of all log formats of this package, by name."""
-    names = sorted(m.name for m in pkgutil.iter_modules(__path__))
-    modules = (importlib.import_module(f"{__name__}.{name}") for name in names)
-    return tuple(m for m in modules if hasattr(m, "FORMAT"))
+    return tuple(m for m in discovery.modules(__name__) if hasattr(m, "FORMAT"))
 
 
 def offered() -> dict[str, tuple[Any, Any]]:
@@ -45,15 +41,11 @@ def offered() -> dict[str, tuple[Any, Any]]:
     def refuse(found) -> str:
         whole = any(all(hasattr(found, part) for part in pair) for pair in (FILE_PARTS, FOLDER_PARTS))
         taken = found.FORMAT in {m.FORMAT for m in formats()}
-        return (
-            "its FORMAT is taken"
-            if taken
-            else ""
-            if whole
-            else "it needs sniff and read, or sniff_folder and read_folder"
-        )
+        if taken:
+            return "its FORMAT is taken"
+        return "" if whole else "it needs sniff and read, or sniff_folder and read_folder"
 
-    return {found.FORMAT: (entry, found) for entry, found in plugins.others(__name__, ("FORMAT",), refuse)}
+    return {found.FORMAT: (entry, found) for entry, found in discovery.others(__name__, ("FORMAT",), refuse)}
 
 
 def read(path, progress=None) -> Flight:
@@ -96,7 +88,7 @@ def _theirs(part: str, *asked) -> Any:
             if hasattr(found, part) and getattr(found, part)(*asked):
                 return found
         except Exception as why:  # a stranger's module may raise anything
-            plugins.failed(entry, part, why)
+            discovery.failed(entry, part, why)
     return None
 
 

@@ -14,7 +14,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from rotorwatch import files, shown
+from rotorwatch import files
 from rotorwatch.diagnosis import Diagnosis
 from rotorwatch.errors import RotorwatchError, StoreError, StoreFull, WorkerError
 from rotorwatch.fleet.address import default_url
@@ -149,7 +149,7 @@ def wrong(why: Exception) -> tuple[int, str]:
         traceback.print_exception(why)
     with suppress(OSError, ValueError, AttributeError):  # nobody reads it
         print(
-            f"rotorwatch: {shown.public(shown.printable(f'{type(why).__name__}: {why}'))}", file=sys.stderr, flush=True
+            f"rotorwatch: {files.public(files.printable(f'{type(why).__name__}: {why}'))}", file=sys.stderr, flush=True
         )
     if isinstance(why, (StoreFull, OSError)):
         return 507, "The server's disk has no room, or cannot be written to; make room."
