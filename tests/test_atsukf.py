@@ -195,7 +195,7 @@ def test_clipping_keeps_losses_in_the_unit_interval(method, plant, table):
 
 
 def test_biases_are_not_clipped():
-    limit = two_stage.to_unit(2)
+    limit = unscented.to_unit(2)
     np.testing.assert_array_equal(limit(np.array([-0.5, 1.5, -3.0])), [0.0, 1.0, -3.0])
 
 

@@ -16,7 +16,7 @@ from rotorwatch.backend import jnp
 from rotorwatch.errors import ConfigError
 from rotorwatch.maths import ellipsoid
 from rotorwatch.maths.set_membership import Cutting, SetMembership
-from rotorwatch.maths.small import product, solve
+from rotorwatch.maths.small import product, solve, symmetric
 
 LARGEST_STEP, LEAST_HEALTH = 0.5, 1e-3
 
@@ -68,7 +68,7 @@ def gradient(cutting: Cutting, mu: float):
         [H, product(H, Phi)], axis=1
     )  # noise of this step, and of the one before as the source counts it
     W = S / (1 - rho) + R / rho
-    solved = solve(ellipsoid.symmetric(W), jnp.concatenate([columns, e[:, None]], axis=1))
+    solved = solve(symmetric(W), jnp.concatenate([columns, e[:, None]], axis=1))
     delta = 1.0 - e @ solved[:, -1]
     total, pull = (columns * solved[:, :-1]).sum(0), (solved[:, -1] @ columns) ** 2
     slope = (total - mu / jnp.maximum(delta, LEAST_HEALTH) * pull) * amplify / (1 - rho)

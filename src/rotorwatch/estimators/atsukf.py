@@ -11,13 +11,13 @@ way twice speak of a loss that moves, not of noise; and losses kept in [0, 1]. d
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from rotorwatch import checks
 from rotorwatch.backend import jnp, lax
 from rotorwatch.core import Array, Estimate
 from rotorwatch.errors import ConfigError
-from rotorwatch.maths import plant, two_stage, unscented
+from rotorwatch.maths import two_stage, unscented
 
 
 class Window(NamedTuple):
@@ -43,43 +43,25 @@ class Carry(NamedTuple):
     delta: Array
 
 
-class ATSUKF:
+class ATSUKF(unscented.Unscented):
     """Adaptive two-stage UKF on any plant with f, h, Q and R."""
 
-    name = "atsukf"
+    name, joint = "atsukf", False
     not_kalman = "it widens the losses' random walk when innovations exceed their predicted size, so its gains depend on the data"
 
     def __init__(
-        self,
-        system: Any,
-        dt: float,
-        *,
-        theta_walk=1e-3,
-        theta_var=1e-2,
-        M=150,
-        threshold=1.0,
-        whiteness=None,
-        clip=False,
-        alpha=0.1,
-        beta=2.0,
-        kappa=0.0,
-    ):
-        """dt: step [s]. theta_walk: variance that a loss gains per second [1/s]; theta_var: its variance at the start; each a
-        number for all, one for each (n_theta,), or a covariance. M: steps in the window. threshold: how many times the predicted
-        size counts as too large (the paper's K). whiteness: widen only when the innovations' lag-1 correlation in the window
-        exceeds this (0.2 is a good value; None: no gate, as in the paper). clip: keep actuators' losses in [0, 1]. alpha, beta,
-        kappa: where the points lie, `unscented.weights`. Raises ConfigError.
-        """
-        self.system, self.dt = plant.checked("atsukf", system, dt), dt
-        n = system.n_theta
-        self.theta_walk = two_stage.loss_covariance("theta_walk", theta_walk, n)
-        self.theta_var = two_stage.loss_covariance("theta_var", theta_var, n)
+        self, system, dt, *, theta_walk=1e-3, theta_var=1e-2, M=150, threshold=1.0, whiteness=None, clip=False,
+        alpha=0.1, beta=2.0, kappa=0.0,
+    ):  # fmt: skip
+        """As `unscented.Unscented`. M: steps in the window. threshold: how many times the predicted size counts as too large (the paper's
+        K). whiteness: widen only when the innovations' lag-1 correlation in the window exceeds this (0.2 is a good value; None: no gate, as
+        in the paper). Raises ConfigError."""
+        shared = {"theta_walk": theta_walk, "theta_var": theta_var, "clip": clip}
+        super().__init__(system, dt, alpha=alpha, beta=beta, kappa=kappa, **shared)
         if int(M) != M or M < 2:
             raise ConfigError(f"M must be a whole number of steps, 2 or more, not {M}.")
         self.M, self.threshold = int(M), checks.positive("threshold", threshold)
         self.whiteness = None if whiteness is None else checks.between("whiteness", whiteness, -1.0, 1.0)
-        self.limit = two_stage.to_unit(min(system.n_u, n)) if clip else two_stage.no_limit
-        self.weights = unscented.weights(system.n_x, alpha, beta, kappa)
 
     def init(self) -> Carry:
         """The plant's x0 and P0, no loss, an empty window."""

@@ -24,6 +24,7 @@ from rotorwatch.errors import ConfigError
 from rotorwatch.maths import intermediate_design as design
 from rotorwatch.maths import linearise, plant
 from rotorwatch.maths.faulty_allocation import CHANNELS, LeastSquares, Sparse, Temporal
+from rotorwatch.maths.small import symmetric
 
 GAINS = {"exact": design.exact_gains, "euler": design.euler_gains}
 ALLOCATIONS = ("auto", "least_squares", "sparse", "temporal")
@@ -154,7 +155,7 @@ class Intermediate:
         J = np.eye(2 * n_x) - jnp.concatenate([K @ C, np.zeros((2 * n_x, n_x))], axis=1)
         P_ = A @ carry.P @ A.T
         P_ = P_.at[:n_x, :n_x].add(system.Q(dt))
-        P = _symmetric(J @ P_ @ J.T + (K * R) @ K.T)
+        P = symmetric(J @ P_ @ J.T + (K * R) @ K.T)
 
         # What happens to a fault happens to regressors, so that fault = regressor theta stays true while commands move.
         now = jnp.concatenate([Phi / dt * self.driven[:, None], D])
@@ -182,11 +183,11 @@ class Intermediate:
         S = C @ P_[:n_x, :n_x] @ C.T + jnp.diag(R + direct[2]) + felt @ felt.T
         estimate = Estimate(
             x=x,
-            x_cov=_symmetric(P[:n_x, :n_x] + slow @ slow.T),
+            x_cov=symmetric(P[:n_x, :n_x] + slow @ slow.T),
             theta=answer.theta,
-            theta_cov=_symmetric(theta_cov),
+            theta_cov=symmetric(theta_cov),
             innovation=e,
-            innovation_cov=_symmetric(S),
+            innovation_cov=symmetric(S),
             status=jnp.where(self.mute & valid.any(), jnp.int32(1), linearise.status(valid)),
         )
         lag = (1.0 - l1) * ahead
@@ -301,10 +302,6 @@ def _block(V, k1, k2, dt, q, drift):
     ee, ef, ff = V[0] + 2.0 * dt * V[1] + dt * dt * V[2] + q, V[1] + dt * V[2], V[2] + drift
     keep = 1.0 - k1
     return jnp.stack([keep * keep * ee, keep * (ef - k2 * ee), ff - 2.0 * k2 * ef + k2 * k2 * ee])
-
-
-def _symmetric(P):
-    return 0.5 * (P + P.T)
 
 
 def _acts(derivative):

@@ -6,9 +6,8 @@ Niermeyer, Pak and Lohmann 2017, section 3; the law is in `maths/lyapunov_law.py
 from __future__ import annotations
 
 from rotorwatch import checks
-from rotorwatch.backend import jnp
 from rotorwatch.core import Estimate
-from rotorwatch.maths.lyapunov_law import Law, State, advance, start
+from rotorwatch.maths.lyapunov_law import Law, State, advance, estimate, start
 
 
 class Lyapunov:
@@ -47,6 +46,4 @@ class Lyapunov:
     def step(self, carry: State, u, y, valid, dt=None) -> tuple[State, Estimate]:
         """One step of dt seconds (None: the constructor's) with input u over it and y at its end."""
         state, e, S, _ = advance(self.law, carry, u, y, valid, self.dt if dt is None else dt, self.walk)
-        status = jnp.where(valid.any(), 0, 2).astype(jnp.int32)
-        n = self.system.n_x
-        return state, Estimate(state.x, state.P[:n, :n], state.theta, state.P[n:, n:], e, S, status)
+        return state, estimate(state, e, S, valid)

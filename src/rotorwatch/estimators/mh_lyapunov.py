@@ -20,7 +20,8 @@ from rotorwatch.backend import jax, jnp
 from rotorwatch.core import Estimate
 from rotorwatch.errors import ConfigError
 from rotorwatch.maths import bounded
-from rotorwatch.maths.lyapunov_law import TINY, Law, State, advance, start
+from rotorwatch.maths.lyapunov_law import TINY, Law, State, advance, estimate, start
+from rotorwatch.maths.small import definite_solve
 
 PULLS = ("gradient", "proximal")
 SURPRISED = 2  # blocks in a row that empty the window
@@ -142,9 +143,7 @@ class MHLyapunov:
         carry = carry._replace(state=state, block=block)
         done = block.elapsed >= max(self.block_s, self.dt) - 0.5 * dt
         carry = jax.lax.cond(done, lambda c: self.close(c, u, seen, at.C_left), lambda c: c, carry)
-        status = jnp.where(valid.any(), 0, 2).astype(jnp.int32)
-        out = Estimate(state.x, state.P[:n, :n], state.theta, state.P[n:, n:], e, S, status)
-        return carry, out
+        return carry, estimate(state, e, S, valid)
 
     def gather(self, block: Block, before: State, at, u, y, valid, dt) -> tuple[Block, Any]:
         """The block with one step more, and which states (n_x,) are measured at its end."""
@@ -206,7 +205,7 @@ class MHLyapunov:
         H = A + self.anchor * jnp.eye(k)
         low, high = self.law.bounds
         wanted = bounded.quadratic(H, b + self.anchor * theta, low, high)
-        solve = lambda right: jax.scipy.linalg.cho_solve((jnp.linalg.cholesky(H), True), right)  # noqa: E731
+        solve = lambda right: definite_solve(H, right)  # noqa: E731
         share = solve(A)
         spread = solve(share.T)
         # The box is in `wanted`; the pull's derivative is that of the free minimum: theta* = share theta_true + (I - share) theta.

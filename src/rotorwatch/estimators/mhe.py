@@ -19,7 +19,8 @@ from rotorwatch import checks
 from rotorwatch.backend import jax, jnp
 from rotorwatch.core import Estimate
 from rotorwatch.errors import ConfigError
-from rotorwatch.maths import bounded, plant
+from rotorwatch.maths import bounded, linearise, plant
+from rotorwatch.maths.small import definite_solve, symmetric
 
 FLOOR = 1e-9  # process noise of states that have none, as a share of P0 in a second: keeps Q invertible
 REST = 1e-4  # share of the walk's variance that a rotor at rest keeps, for the same reason
@@ -108,9 +109,7 @@ class MHE:
     def init(self) -> Carry:
         """Nothing lost, the plant's x0 and P0, an empty window."""
         system, n, M, m = self.system, self.n, self.intervals, self.m
-        s = jnp.concatenate([jnp.asarray(system.x0, float), jnp.zeros(system.n_theta)])
-        P = jnp.zeros((n, n)).at[: system.n_x, : system.n_x].set(system.P0)
-        P = P.at[system.n_x :, system.n_x :].set(self.theta_sd**2 * jnp.eye(system.n_theta))
+        s, P = plant.start(system, self.theta_sd**2 * jnp.eye(system.n_theta))
         zero = jnp.zeros((), jnp.int32)
 
         def samples(*size):
@@ -124,9 +123,9 @@ class MHE:
         """One step of dt seconds (None: the constructor's) with input u over it and y at its end."""
         dt = jnp.asarray(self.dt if dt is None else dt, float)
         y = jnp.where(valid, y, 0.0)
-        s, A = self.linear(lambda s: self.move(s, u, dt), carry.s)
+        s, A = linearise.once(lambda s: self.move(s, u, dt), carry.s)
         P = symmetric(A @ carry.P @ A.T + self.Q(u, dt))
-        y_minus, H = self.linear(lambda s: self.look(s, u), s)
+        y_minus, H = linearise.once(lambda s: self.look(s, u), s)
         e, R = jnp.where(valid, y - y_minus, 0.0), self.system.R(u)
         S = symmetric(H @ P @ H.T + jnp.diag(R))
         s, P = absorb(s, P, H, e, R, valid)
@@ -138,8 +137,7 @@ class MHE:
         carry = jax.lax.cond(carry.count == self.m, self.node, lambda c: c, carry)
         k = self.system.n_x
         theta = jnp.clip(carry.s[k:], self.low[k:], self.high[k:])
-        status = jnp.where(valid.any(), 0, 2).astype(jnp.int32)
-        return carry, Estimate(carry.s[:k], P[:k, :k], theta, P[k:, k:], e, S, status)
+        return carry, Estimate(carry.s[:k], P[:k, :k], theta, P[k:, k:], e, S, linearise.status(valid))
 
     # The window
 
@@ -164,7 +162,7 @@ class MHE:
     def solve(self, window: Samples, filled, nodes, force, prior, prior_P):
         """(nodes, force) after the Gauss-Newton steps: the least squares over the `filled` first intervals of the window."""
         one = jnp.eye(self.n)
-        arrival = symmetric(jax.scipy.linalg.cho_solve((jnp.linalg.cholesky(prior_P), True), one))
+        arrival = symmetric(definite_solve(prior_P, one))
         live = (jnp.arange(self.intervals) < filled).astype(float)
 
         def gauss_newton(_, now):
@@ -234,9 +232,9 @@ class MHE:
 
     def interval(self, before, after, samples: Samples) -> Interval:
         """One interval between its two nodes, linearised at both."""
-        (F, inner), (A, E) = self.linear(lambda s: self.through(s, samples), before)
+        (F, inner), (A, E) = linearise.once(lambda s: self.through(s, samples), before)
         u = samples.u[-1]
-        y_last, C = self.linear(lambda s: self.look(s, u), after)
+        y_last, C = linearise.once(lambda s: self.look(s, u), after)
         weight = samples.valid / jax.vmap(self.system.R)(samples.u)
         e = jnp.where(samples.valid[:-1], samples.y[:-1] - inner, 0.0).reshape(-1)
         r = jnp.where(samples.valid[-1], samples.y[-1] - y_last, 0.0)
@@ -268,12 +266,6 @@ class MHE:
         rate = self.walk**2 * jnp.maximum(bounded.moving(self.system, u, self.least), REST)
         Q = jnp.diag(jnp.concatenate([jnp.zeros(k), rate * dt]))
         return Q.at[:k, :k].set(self.system.Q(dt) + FLOOR * dt * jnp.diag(jnp.diagonal(jnp.asarray(self.system.P0))))
-
-    @staticmethod
-    def linear(function, at):
-        """(function(at), its Jacobian), the function evaluated once."""
-        jacobian, value = jax.jacfwd(lambda s: (lambda v: (v, v))(function(s)), has_aux=True)(at)
-        return value, jacobian
 
 
 def absorb(s, P, H, e, R, valid):
@@ -316,8 +308,3 @@ def banded(D, below, v):
     up, down = jnp.einsum("kji,kj->ki", below, v[1:]), jnp.einsum("kij,kj->ki", below, v[:-1])
     none = jnp.zeros_like(v[:1])
     return jnp.einsum("kij,kj->ki", D, v) + jnp.concatenate([up, none]) + jnp.concatenate([none, down])
-
-
-def symmetric(P):
-    """P, exactly symmetric."""
-    return 0.5 * (P + P.T)

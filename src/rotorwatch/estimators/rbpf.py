@@ -22,7 +22,7 @@ from rotorwatch import checks
 from rotorwatch.backend import jnp
 from rotorwatch.core import Array, Estimate
 from rotorwatch.errors import ConfigError
-from rotorwatch.maths import counter_random, multiple_model, plant
+from rotorwatch.maths import counter_random, multiple_model
 
 
 class Carry(NamedTuple):
@@ -43,10 +43,10 @@ class Output(NamedTuple):
     effective: Array
 
 
-class RBPF:
+class RBPF(multiple_model.MultipleModel):
     """Rao-Blackwellised particle filter on any plant that can be differentiated."""
 
-    name = "rbpf"
+    name, called = "rbpf", "The Rao-Blackwellised particle filter"
     not_kalman = "it draws which rotor is weak, one at a time, and weighs the filters of what was drawn"
 
     def __init__(
@@ -67,14 +67,12 @@ class RBPF:
         faulty mode gains per second [1/s]; theta_var: variance of a loss that has just begun. healthy_s, weak_s: mean time for which
         the vehicle stays healthy, and a rotor weak [s]. common: one mode more, in which all rotors lose alike. seed: of the random
         numbers, a whole number. Raises ConfigError for wrong values."""
-        self.system, self.dt = plant.checked("The Rao-Blackwellised particle filter", system, dt), dt
+        super().__init__(system, dt, theta_walk, theta_var, common)
         for name, value, least in (("particles", particles, 2), ("seed", seed, 0)):
             if int(value) != value or not least <= value < 2**30:
                 raise ConfigError(f"{name} must be a whole number from {least} on, not {value}.")
         self.N, self.seed = int(particles), int(seed)
         self.jump = checks.between("jump", checks.positive("jump", jump), 0.0, 0.9)
-        self.theta_walk, self.theta_var = multiple_model.tuning(theta_walk, theta_var)
-        self.directions = multiple_model.directions(system, common)
         self.stay_s = multiple_model.stay(len(self.directions), healthy_s, weak_s)
 
     def init(self) -> Carry:

@@ -19,10 +19,11 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch import checks
-from rotorwatch.backend import jax, jnp
+from rotorwatch.backend import jnp
 from rotorwatch.core import Array, Estimate
 from rotorwatch.errors import ConfigError
 from rotorwatch.maths import linearise, measured_regression
+from rotorwatch.maths.small import definite_solve
 
 FORGETTING = ("directional", "trace", "exponential")
 LEAST = 1e-12  # of a row's information, below which it has no direction
@@ -69,7 +70,7 @@ class RLS:
         z, Omega = measured_regression.whitened(found, valid)
         R = self._forgotten(carry, Omega, jnp.exp(-dt / self.memory_s), valid) + Omega.T @ Omega
         R = 0.5 * (R + R.T)
-        P = jax.scipy.linalg.cho_solve((jnp.linalg.cholesky(R), True), np.eye(len(before)))
+        P = definite_solve(R, np.eye(len(before)))
         P = jnp.where(valid.any(), 0.5 * (P + P.T), carry.P)
         theta = before + P @ (Omega.T @ (z - Omega @ before))
         known = measured_regression.measured(found, y, valid, theta)

@@ -24,6 +24,7 @@ from rotorwatch import checks
 from rotorwatch.backend import jax, jnp
 from rotorwatch.core import Array, Estimate
 from rotorwatch.maths import bounded, linearise, measured_regression
+from rotorwatch.maths.small import symmetric
 
 ACTS = 1e-9  # of the largest effect: what is smaller is none
 TINY = 1e-12
@@ -101,7 +102,7 @@ class SlidingMode:
         remains, ds = self._twisted(sd, dt)
         K = jnp.concatenate([(1.0 - remains / sd)[:, None] * left, (ds / sd)[:, None] * left])
         rest = np.eye(2 * n) - K @ jnp.concatenate([C, jnp.zeros_like(C)], axis=1)
-        P = _symmetric(rest @ P @ rest.T + (K * R) @ K.T)
+        P = symmetric(rest @ P @ rest.T + (K * R) @ K.T)
 
         gain = jnp.where(valid & (self.direct > 0), -jnp.expm1(-self.rate * dt), 0.0)
         w = carry.w + gain * jnp.where(valid, y - y_ - carry.w, 0.0)
@@ -112,7 +113,7 @@ class SlidingMode:
         noise = jnp.concatenate([jnp.diagonal(P)[n:], var])
         used = jnp.concatenate([self.driven, self.direct])
         weighted = G * (used / jnp.where(used > 0, noise, 1.0))[:, None]
-        information = _symmetric(weighted.T @ G + jnp.diag(1.0 / self.theta_var))
+        information = symmetric(weighted.T @ G + jnp.diag(1.0 / self.theta_var))
         factor = jnp.linalg.cholesky(information), True
         theta = jax.scipy.linalg.cho_solve(factor, weighted.T @ jnp.concatenate([v, w]))
         theta_cov = jax.scipy.linalg.cho_solve(factor, np.eye(len(none)))
@@ -120,7 +121,7 @@ class SlidingMode:
         innovation = jnp.where(valid, y - y_ - self.direct * carry.w, 0.0)
         S = S + jnp.diag(self.direct * carry.var)
         estimate = Estimate(
-            x, P[:n, :n], theta, _symmetric(theta_cov), innovation, _symmetric(S), linearise.status(valid)
+            x, P[:n, :n], theta, symmetric(theta_cov), innovation, symmetric(S), linearise.status(valid)
         )
         return Carry(x, v, P, w, var, G), estimate
 
@@ -147,7 +148,3 @@ class SlidingMode:
         self.driven = jnp.where(size > ACTS * size.max(), 1.0, 0.0)
         self.direct = jnp.where((C * C).sum(axis=1) < TINY, 1.0, 0.0)
         self.g, self.G0, self.D0 = size * self.driven, G * self.driven[:, None], D * self.direct[:, None]
-
-
-def _symmetric(P):
-    return 0.5 * (P + P.T)

@@ -45,8 +45,8 @@ class Format:
         """The whole record with its header; `formats`/`offsets` leave the padding that a longer record has."""
         plain = [np.dtype(CODES[c][0]) for c in self.codes]
         offsets = 3 + np.cumsum([0] + [d.itemsize for d in plain])
-        places = {"offsets": [int(o) for o in offsets[:-1]], "itemsize": self.length}
-        return np.dtype({"names": list(self.columns), "formats": plain, **places})
+        places = [int(o) for o in offsets[:-1]]
+        return np.dtype({"names": list(self.columns), "formats": plain, "offsets": places, "itemsize": self.length})
 
     @property
     def stamp(self) -> str:

@@ -61,6 +61,27 @@ def tuning(system, dt, forgetting, theta_var, s_max) -> Tuning:
     return Tuning(dt, forgetting, bound, theta_var)
 
 
+class Zhang:
+    """What the methods of this recursion share. Not a method by itself: a method sets `name`, and says where it linearises."""
+
+    name = ""
+    not_kalman = (
+        "it forgets: measurements count the less for the losses the older they are; with forgetting=1 it is the augmented "
+        "Kalman filter of constant losses"
+    )
+
+    def __init__(self, system, dt: float, *, forgetting=0.995, theta_var=0.01, s_max: float | None = 1.0):
+        """dt: s. forgetting: lambda of one step, 0.6 to 1; theta_var: variance of the losses at the start, a number or one per
+        theta; s_max: bound of that variance, None for none. Raises ConfigError for wrong values."""
+        self.tuned = tuning(system, dt, forgetting, theta_var, s_max)
+        self.system, self.dt = system, dt
+
+    def recursion(self, state: State, x, F, Phi, e, C, D, u, valid, dt) -> tuple[State, Estimate]:
+        """`step` with this plant's noise."""
+        Q, R = self.system.Q(self.dt if dt is None else dt), self.system.R(u)
+        return step(state, x, F, Phi, e, C, D, Q, R, valid, self.tuned, dt)
+
+
 def init(system, tuned: Tuning) -> State:
     """The plant's start, no loss."""
     n, p = system.n_x, system.n_theta

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rotorwatch.backend import jax, jnp
+from rotorwatch.backend import jnp
 from rotorwatch.core import Array, Estimate
 from rotorwatch.maths import linearise, mit_rule, plant
 
@@ -39,8 +39,7 @@ class AugmentedEKF:
 
     def init(self) -> Carry:
         """The plant's start, no loss."""
-        s = jnp.concatenate([jnp.asarray(self.system.x0, float), jnp.zeros(self.system.n_theta)])
-        P = jax.scipy.linalg.block_diag(jnp.asarray(self.system.P0, float), jnp.diag(self.theta_var))
+        s, P = plant.start(self.system, jnp.diag(self.theta_var))
         return Carry(s, P, mit_rule.init(len(s), self.system.n_y, self.adaptation) if self.adaptation else ())
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Estimate]:

@@ -7,6 +7,7 @@ import numpy as np
 from rotorwatch import checks
 from rotorwatch.backend import jax, jnp
 from rotorwatch.errors import ConfigError
+from rotorwatch.maths.small import definite_solve
 
 ROUNDING = 1e-13  # a bound passed by less is kept: losses are of order 1
 
@@ -39,7 +40,7 @@ def quadratic(H, g, low, high, turns: int | None = None):
     def solve(free, right):
         """H^-1 right among the free elements; right over its scale elsewhere."""
         masked = jnp.where(free[:, None] & free[None, :], H, jnp.diag(scale))
-        return jax.scipy.linalg.cho_solve((jnp.linalg.cholesky(masked), True), right)
+        return definite_solve(masked, right)
 
     def at_bounds(side):
         """t (n,) that is optimal while elements stay at their bounds: side (n,) -1 low, 1 high, 0 free."""

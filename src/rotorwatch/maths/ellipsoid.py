@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from rotorwatch.backend import jax, jnp, lax
 from rotorwatch.core import Array
-from rotorwatch.maths.small import blocks, product, solve
+from rotorwatch.maths.small import blocks, product, solve, symmetric
 
 TINY = 1e-300
 
@@ -22,11 +22,6 @@ class Cut(NamedTuple):
     a: Array
     P: Array
     health: Array
-
-
-def symmetric(P):
-    """The symmetric part."""
-    return 0.5 * (P + P.T)
 
 
 def around_box(half, rule: str = "trace"):

@@ -21,6 +21,7 @@ import numpy as np
 from rotorwatch import checks
 from rotorwatch.backend import jax, jnp, lax
 from rotorwatch.core import Array
+from rotorwatch.maths.small import definite_solve
 
 CHANNELS = 4  # roll, pitch, yaw, thrust: what rotors can be told apart by
 RIDGE = 1e-12  # of the largest information: directions with less say nothing
@@ -61,10 +62,10 @@ class LeastSquares:
         Psi = root[:, None] * Phi
         if self.n <= CHANNELS:
             G = Psi.T @ Psi
-            inverse = jax.scipy.linalg.cho_solve((jnp.linalg.cholesky(G + _ridge(G) * np.eye(self.n)), True), Psi.T)
+            inverse = definite_solve(G + _ridge(G) * np.eye(self.n), Psi.T)
         else:
             G = Psi @ Psi.T
-            inverse = jax.scipy.linalg.cho_solve((jnp.linalg.cholesky(G + _ridge(G) * np.eye(len(W))), True), Psi).T
+            inverse = definite_solve(G + _ridge(G) * np.eye(len(W)), Psi).T
         M = (2.0 * inverse - inverse @ (Psi @ inverse)) * root
         open_ = (np.eye(self.n) - M @ Phi) * self.loss_sd
         return state, Answer(M @ f, M, open_ @ open_.T, jnp.int32(1))
@@ -170,7 +171,7 @@ class Temporal:
         changed = rest @ (W * rest) > self.limit
         G, z = jnp.where(changed, G_now, G), jnp.where(changed, z_now, z)
         theta = jnp.where(changed, self._bounded(G + self.prior, z), theta)
-        spread = jax.scipy.linalg.cho_solve((jnp.linalg.cholesky(G + self.prior), True), jnp.eye(self.n))
+        spread = definite_solve(G + self.prior, jnp.eye(self.n))
         return Window(G, z), Answer(theta, jnp.zeros_like(Phi.T), spread, jnp.int32(1))
 
     def _bounded(self, G, z):
@@ -181,7 +182,7 @@ class Temporal:
             both = ~held[:, None] & ~held[None, :]
             A = jnp.where(both, G, jnp.eye(self.n))
             b = jnp.where(held, theta, z - G @ at)
-            theta = jax.scipy.linalg.cho_solve((jnp.linalg.cholesky(A), True), b)
+            theta = definite_solve(A, b)
             inside = jnp.clip(theta, self.low, self.high)
             held, theta = held | (inside != theta), inside
         return theta

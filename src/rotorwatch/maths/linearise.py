@@ -39,16 +39,23 @@ def _linear(g, x, theta, part: str, system) -> Linear:
     """One pass of forward differentiation in all directions. Raises ConfigError for a plant that calls NumPy on what has no value yet."""
     n = x.shape[0]
 
-    def both(s):
-        value = g(s[:n], s[n:])
-        return value, value
-
     try:
-        slope, value = jax.jacfwd(both, has_aux=True)(jnp.concatenate([x, theta]))
+        value, slope = once(lambda s: g(s[:n], s[n:]), jnp.concatenate([x, theta]))
     except (jax.errors.TracerArrayConversionError, jax.errors.ConcretizationTypeError) as why:
         name = getattr(system, "name", type(system).__name__)
         raise ConfigError(checks.untraceable(f"{part} of the plant {name}", why)) from why
     return Linear(value, slope[:, :n], slope[:, n:])
+
+
+def once(function, at):
+    """(function(at), its Jacobian), the function evaluated once."""
+
+    def twice(s):
+        value = function(s)
+        return value, value
+
+    jacobian, value = jax.jacfwd(twice, has_aux=True)(at)
+    return value, jacobian
 
 
 def update(s, P, H, e, R, valid):

@@ -19,8 +19,9 @@ import numpy as np
 
 from rotorwatch import checks
 from rotorwatch.backend import jax, jnp
+from rotorwatch.core import Estimate
 from rotorwatch.errors import ConfigError
-from rotorwatch.maths import bounded, plant
+from rotorwatch.maths import bounded, linearise, plant
 
 TINY = 1e-12
 
@@ -75,8 +76,8 @@ class Law:
         """f, h and their Jacobians for a step of dt from x."""
         f, h, n = self.system.f, self.system.h, self.system.n_x
         both = jnp.concatenate([x, theta])
-        x_next, move = both_ways(lambda s: f(s[:n], u, s[n:], dt), both)
-        y, look = both_ways(lambda s: h(s[:n], u, s[n:]), jnp.concatenate([x_next, theta]))
+        x_next, move = linearise.once(lambda s: f(s[:n], u, s[n:], dt), both)
+        y, look = linearise.once(lambda s: h(s[:n], u, s[n:]), jnp.concatenate([x_next, theta]))
         C, D = look[:, :n], look[:, n:]
         direct = jnp.sum(C * C, axis=1) < TINY
         factor = jnp.linalg.cholesky(C.T @ C + TINY * jnp.eye(n))
@@ -100,6 +101,12 @@ class Law:
     def lyapunov(self, w, loss_error):
         """V of the state error w and the loss error theta_hat - theta."""
         return 0.5 * w @ (self.M * w) + 0.5 * loss_error @ loss_error / self.gamma
+
+
+def estimate(state: State, e, S, valid) -> Estimate:
+    """The state as an estimate, with the innovation e (n_y,) and its covariance S."""
+    n = state.x.shape[0]
+    return Estimate(state.x, state.P[:n, :n], state.theta, state.P[n:, n:], e, S, linearise.status(valid))
 
 
 class State(NamedTuple):
@@ -147,14 +154,3 @@ def advance(law: Law, state: State, u, y, valid, dt, walk) -> tuple[State, Any, 
     P = 0.5 * (P + P.T)
     measured = x + at.C_left @ jnp.where(valid, y - at.y - at.C @ (x - at.x), 0.0)
     return State(x, theta, P, measured), e, 0.5 * (S + S.T), at
-
-
-def both_ways(function, at):
-    """(function(at), its Jacobian), the function evaluated once."""
-
-    def twice(s):
-        value = function(s)
-        return value, value
-
-    jacobian, value = jax.jacfwd(twice, has_aux=True)(at)
-    return value, jacobian

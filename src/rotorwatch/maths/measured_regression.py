@@ -26,6 +26,7 @@ from rotorwatch.backend import jax, jnp
 from rotorwatch.core import Array, Estimate
 from rotorwatch.errors import ConfigError
 from rotorwatch.maths import linearise, plant
+from rotorwatch.maths.small import symmetric
 
 TINY = 1e-12
 
@@ -81,7 +82,7 @@ def row(system: Any, known: Known, u: Array, y: Array, valid: Array, theta: Arra
     Omega, R = C @ Upsilon + D, system.R(u)
     P = F @ known.P @ F.T + system.Q(dt)
     z = jnp.where(valid, y - ahead, 0.0) + Omega @ theta
-    return Row(theta, z, Omega, _symmetric(C @ P @ C.T + jnp.diag(R)), x, P, Upsilon, ahead, C, R)
+    return Row(theta, z, Omega, symmetric(C @ P @ C.T + jnp.diag(R)), x, P, Upsilon, ahead, C, R)
 
 
 def left_inverse(C: Array) -> Array:
@@ -111,16 +112,12 @@ def measured(found: Row, y: Array, valid: Array, theta: Array) -> Known:
     e = jnp.where(valid, y - found.y - found.Omega @ moved, 0.0)
     x = found.x + found.Upsilon @ moved + K @ e
     P = rest @ found.P @ rest.T + (K * found.R) @ K.T
-    return Known(x, _symmetric(P), found.Upsilon - K @ found.Omega)
+    return Known(x, symmetric(P), found.Upsilon - K @ found.Omega)
 
 
 def estimate(found: Row, after: Known, valid: Array, before_cov: Array, theta: Array, theta_cov: Array) -> Estimate:
     """What is known after the step; the innovation is against the losses before it, whose covariance was before_cov."""
     e = jnp.where(valid, found.z - found.Omega @ found.theta, 0.0)
-    S = _symmetric(found.S + found.Omega @ before_cov @ found.Omega.T)
-    x_cov = _symmetric(after.P + after.Upsilon @ theta_cov @ after.Upsilon.T)
-    return Estimate(after.x, x_cov, theta, _symmetric(theta_cov), e, S, linearise.status(valid))
-
-
-def _symmetric(P):
-    return 0.5 * (P + P.T)
+    S = symmetric(found.S + found.Omega @ before_cov @ found.Omega.T)
+    x_cov = symmetric(after.P + after.Upsilon @ theta_cov @ after.Upsilon.T)
+    return Estimate(after.x, x_cov, theta, symmetric(theta_cov), e, S, linearise.status(valid))

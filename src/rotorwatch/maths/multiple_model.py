@@ -19,7 +19,7 @@ import numpy as np
 from rotorwatch import checks
 from rotorwatch.backend import jax, jnp
 from rotorwatch.core import Array, Estimate
-from rotorwatch.maths import linearise
+from rotorwatch.maths import linearise, plant
 
 
 class Bank(NamedTuple):
@@ -61,11 +61,18 @@ class _Along:
         return self.system.h(x, u, self.d * loss[0])
 
 
-def tuning(theta_walk, theta_var):
-    """Both as given, where they are one number of at least 0 each. Raises ConfigError."""
-    for name, value in (("theta_walk", theta_walk), ("theta_var", theta_var)):
-        checks.between(name, checks.shape(name, value), 0.0, np.inf)
-    return theta_walk, theta_var
+class MultipleModel:
+    """What the multiple-model methods share. Not a method by itself: a method sets `name`, `called` and `not_kalman`."""
+
+    name = called = not_kalman = ""
+
+    def __init__(self, system, dt: float, theta_walk, theta_var, common: bool):
+        """The plant in steps of dt [s], the loss's walk and variance, and the modes. Raises ConfigError for wrong values."""
+        self.system, self.dt = plant.checked(self.called, system, dt), dt
+        for name, value in (("theta_walk", theta_walk), ("theta_var", theta_var)):
+            checks.between(name, checks.shape(name, value), 0.0, np.inf)
+        self.theta_walk, self.theta_var = theta_walk, theta_var
+        self.directions = directions(system, common)
 
 
 def stay(modes: int, healthy_s, weak_s) -> np.ndarray:
@@ -101,13 +108,13 @@ def filtered(
     Q, R = system.Q(dt), system.R(u)
 
     def one(d, s, P, walk):
-        plant = _Along(system, d)
-        x, F, Phi = linearise.transition(plant, s[:n], u, s[n:], dt)
+        along = _Along(system, d)
+        x, F, Phi = linearise.transition(along, s[:n], u, s[n:], dt)
         A = jnp.concatenate([jnp.concatenate([F, Phi], axis=1), jnp.asarray(np.eye(n + 1)[n:])])
         P = A @ P @ A.T
         P = P + jnp.zeros_like(P).at[:n, :n].set(Q).at[n, n].set(walk * dt)
         s = jnp.concatenate([x, s[n:]])
-        y_, C, D = linearise.measurement(plant, x, u, s[n:])
+        y_, C, D = linearise.measurement(along, x, u, s[n:])
         H = jnp.concatenate([C, D], axis=1)
         S = H @ P @ H.T + jnp.diag(R)
         e = jnp.where(valid, y - y_, 0.0)

@@ -18,6 +18,7 @@ from rotorwatch import checks
 from rotorwatch.backend import jax, jnp
 from rotorwatch.errors import ConfigError
 from rotorwatch.maths import linearise, matrix_inequality
+from rotorwatch.maths.small import symmetric
 
 DOUBLINGS = 30  # of the Riccati recursion: 2^30 steps are forever
 
@@ -119,7 +120,7 @@ def common_lyapunov(F, C, decay: float, *, scale=None) -> Contraction:
     problem = cp.Problem(cp.Minimize(t), limits)
     if not matrix_inequality.solved(problem):
         raise ConfigError(f"No observer gain makes all {len(F)} Jacobians contract by {decay:g} a step; ask for less.")
-    G_ = _symmetric(_value(G))
+    G_ = symmetric(_value(G))
     L = np.linalg.solve(G_, _value(Y))
     reached = contraction(scaled, seen, L, G_)
     if not reached < 1.0 or reached > decay + 1e-4:
@@ -179,7 +180,7 @@ def theorem_1_best(A, C, constants: Lipschitz) -> tuple[float, np.ndarray, np.nd
     limits: list = [cp.bmat(blocks) << t * np.eye(3 * n), G >> 1e-6 * np.eye(n), cp.trace(G) == n]
     if not matrix_inequality.solved(cp.Problem(cp.Minimize(t), limits)):
         raise ConfigError("The solver finds no answer to Theorem 1's inequality; scale the states better.")
-    G_, Y_, (eps_1, eps_2) = _symmetric(_value(G)), _value(Y), np.maximum(_value(eps), 0.0).tolist()
+    G_, Y_, (eps_1, eps_2) = symmetric(_value(G)), _value(Y), np.maximum(_value(eps), 0.0).tolist()
     return theorem_1(A, C, G_, Y_, constants, eps_1, eps_2), G_, Y_, eps_1, eps_2
 
 
@@ -207,7 +208,3 @@ def _F(system, points, u, dt):
 
 def _value(variable) -> np.ndarray:
     return np.asarray(variable.value, float)
-
-
-def _symmetric(G):
-    return 0.5 * (G + G.T)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from rotorwatch import checks
-from rotorwatch.backend import jax
+from rotorwatch.backend import jax, jnp
 from rotorwatch.errors import ConfigError
 
 SIZES, PARTS = ("n_x", "n_u", "n_theta", "n_y"), ("f", "h", "Q", "R", "x0", "P0")
@@ -36,6 +36,12 @@ def checked(method: str, system: Any, dt: Any) -> Any:
     if checks.concrete(variances) and (least := float(np.min(np.asarray(variances, float), initial=np.inf))) < 0:
         raise ConfigError(f"{label} holds {least:g}; it must be variances, which are not negative.")
     return system
+
+
+def start(system: Any, theta_cov: Any) -> tuple[Any, Any]:
+    """((n_x + n_theta,), its covariance): the plant's x0 and P0, then no losses, with the covariance theta_cov."""
+    s = jnp.concatenate([jnp.asarray(system.x0, float), jnp.zeros(system.n_theta)])
+    return s, jax.scipy.linalg.block_diag(jnp.asarray(system.P0, float), theta_cov)
 
 
 def theta_names(system: Any) -> tuple[str, ...]:

@@ -26,8 +26,8 @@ from rotorwatch import checks
 from rotorwatch.backend import jax, jnp, lax
 from rotorwatch.core import Array, Estimate
 from rotorwatch.errors import ConfigError
-from rotorwatch.maths import ellipsoid, interval, plant, taylor
-from rotorwatch.maths.small import blocks, product
+from rotorwatch.maths import ellipsoid, interval, linearise, plant, taylor
+from rotorwatch.maths.small import blocks, product, symmetric
 
 UNBOUNDED = 1e6  # half-width taken for a remainder that interval arithmetic cannot bound: in effect "anything"
 OUTGROWN = 1e3  # half-width beyond which a set that nothing cut says nothing, and costs digits
@@ -190,7 +190,7 @@ class SetMembership:
         z_new, shape_new, *near = [jnp.where(known, a, b) for a, b in zip(sets, held, strict=True)]
         empty = empty | (~known & valid.any())
         P_prior = self.unfactored(shape)
-        S = ellipsoid.symmetric(product(product(H, P_prior), H.T))
+        S = symmetric(product(product(H, P_prior), H.T))
         S = jnp.where(jnp.isfinite(S).all(), S, jnp.eye(len(e)) * UNBOUNDED**2)
         R = jnp.diag(limit)
         q = self.adapt(
@@ -199,7 +199,7 @@ class SetMembership:
             cut.health,
             step,
         )
-        P = ellipsoid.symmetric(self.unfactored(shape_new))
+        P = symmetric(self.unfactored(shape_new))
         status = jnp.where(valid.any(), 0, 2).astype(jnp.int32)
         new = Carry(z_new, shape_new, q, carry.restarts + empty.astype(jnp.int32), cut.health, *near)
         return new, Estimate(
@@ -208,7 +208,7 @@ class SetMembership:
             z_new[n_x:],
             P[n_x:, n_x:],
             e,
-            ellipsoid.symmetric(ellipsoid.minkowski(S, R)[0]),
+            symmetric(ellipsoid.minkowski(S, R)[0]),
             status,
         )
 
@@ -234,9 +234,9 @@ class SetMembership:
         def about(state, first):
             """One round; the first bounds the remainder over all of S, for want of better."""
             point, allowed, best = state
-            value, J = _linear(both, point)
+            value, J = linearise.once(both, point)
             H = J[n_x:]
-            C = _linear(lambda x: system.h(x, u, point[n_x:]), value[:n_x])[1]
+            C = linearise.once(lambda x: system.h(x, u, point[n_x:]), value[:n_x])[1]
             through = C @ Q[:n_x, :n_x] @ C.T
             noise = bound + jnp.sqrt(through.diagonal())
             allowed = jnp.minimum(allowed, ALLOWED * noise)
@@ -355,7 +355,7 @@ class SetMembership:
         pad = jnp.zeros(self.system.n_theta)
         rest = jnp.diag(jnp.concatenate([ellipsoid.around_box(half, self.remainder_box), pad]))
         noise, b_Q = ellipsoid.minkowski(Q, rest, self.weights)
-        moved = ellipsoid.symmetric(moved)
+        moved = symmetric(moved)
         b = ellipsoid.minkowski(moved, noise, self.weights)[1]
         amplify = ellipsoid.parts(b_Q)[0] * ellipsoid.parts(b)[1]
         return Ahead(z, G, moved, noise, half, b, Phi, amplify)
@@ -415,7 +415,7 @@ class SetMembership:
         and by the measurement after the step."""
         n_x, n = self.n_x, self.n
         H = jnp.where(valid[:, None], H, 0.0)
-        through = ellipsoid.symmetric(product(product(H, ahead.noise), H.T))
+        through = symmetric(product(product(H, ahead.noise), H.T))
         errors = ellipsoid.minkowski(jnp.diag(limit), through, 1.0 / limit)[0]
         R = blocks(carry.near_shape[:n_x, :n_x], errors, jnp)
         rows = jnp.concatenate([jnp.eye(n)[:n_x], product(H, ahead.Phi)])
@@ -431,7 +431,7 @@ class SetMembership:
         if self.remainder == "taylor":
             value, J, half = taylor.expand(function, z, jnp.eye(self.n), P, self.low, self.high)
             return value, J, _capped(half)
-        value, J = _linear(function, z)
+        value, J = linearise.once(function, z)
         if self.remainder == "none":
             return value, J, jnp.zeros_like(value)
         mid, half = self._box_remainder(function, z, jnp.sqrt(jnp.maximum(P.diagonal(), 0.0)))
@@ -499,8 +499,3 @@ class SetMembership:
 
 def _capped(half):
     return jnp.where(half < UNBOUNDED, half, UNBOUNDED)
-
-
-def _linear(function, z):
-    """(function(z), its Jacobian there)."""
-    return function(z), jax.jacfwd(function)(z)

@@ -6,7 +6,27 @@ from __future__ import annotations
 
 import numpy as np
 
-from rotorwatch.backend import jnp
+from rotorwatch import checks
+from rotorwatch.backend import jax, jnp
+
+
+def symmetric(P):
+    """P without the asymmetry that rounding brought."""
+    return 0.5 * (P + P.T)
+
+
+def definite_solve(A, B):
+    """A^-1 B of a symmetric positive definite A, by its Cholesky factor."""
+    return jax.scipy.linalg.cho_solve((jnp.linalg.cholesky(A), True), B)
+
+
+def inverse(J):
+    """Inverse (3, 3) of a symmetric matrix, such as an inertia, by its adjugate: no factorisation in a step, and any derivative of it is
+    exact."""
+    xp = np if checks.concrete(J) else jnp
+    a, b, c = (xp.asarray(J)[k] for k in range(3))
+    adjugate = xp.stack([xp.cross(b, c), xp.cross(c, a), xp.cross(a, b)])
+    return adjugate / (a @ adjugate[0])
 
 
 def product(A, B):

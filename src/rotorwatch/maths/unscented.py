@@ -17,12 +17,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from rotorwatch import checks
 from rotorwatch.backend import jax, jnp
 from rotorwatch.core import Array, Estimate
 from rotorwatch.errors import ConfigError
+from rotorwatch.maths import linearise, plant
+from rotorwatch.maths.small import definite_solve, symmetric
 
 # What is added to a diagonal before its root is taken: relative, so that rounding does not make a singular covariance
 # indefinite; absolute, so that a state that is known exactly still has two distinct points (1e-10 of its unit apart).
@@ -92,7 +96,7 @@ def gain(P_xy: Array, S: Array, valid: Array) -> Array:
     """K = P_xy S^-1 (n, m) of the measurements that are valid (m,) bool; 0 for the others."""
     both = valid[:, None] & valid[None, :]
     S = jnp.where(both, S, jnp.eye(valid.shape[0]))
-    return jax.scipy.linalg.cho_solve((jnp.linalg.cholesky(S), True), jnp.where(valid[:, None], P_xy.T, 0.0)).T
+    return definite_solve(S, jnp.where(valid[:, None], P_xy.T, 0.0)).T
 
 
 def corrected(L: Array, y: Transformed, K: Array, R: Array) -> Array:
@@ -128,10 +132,50 @@ def joint_step(system, w: Weights, z, P, noise, u, y, valid, dt, limit: Callable
     z = moved.mean + K @ e
     z = jnp.concatenate([z[:n], limit(z[n:])])
     P = corrected(L, seen, K, R)
-    status = jnp.where(valid.any(), 0, 2).astype(jnp.int32)
-    return z, P, Estimate(z[:n], P[:n, :n], z[n:], P[n:, n:], e, S, status), moved.mean
+    return z, P, Estimate(z[:n], P[:n, :n], z[n:], P[n:, n:], e, S, linearise.status(valid)), moved.mean
 
 
-def symmetric(P: Array) -> Array:
-    """P without the asymmetry that rounding brought."""
-    return 0.5 * (P + P.T)
+def loss_covariance(name: str, value: Any, n: int) -> Array:
+    """(n, n) covariance of the losses given as a variance for all, one for each, or a matrix. Raises ConfigError."""
+    if np.ndim(value) < 2:
+        if np.ndim(value) == 1:
+            checks.shape(name, value, n)
+        xp = np if checks.concrete(value) else jnp
+        value = xp.eye(n) * xp.asarray(value, float)
+    return checks.covariance(name, value, n)
+
+
+def no_limit(theta: Array) -> Array:
+    """theta as it is."""
+    return theta
+
+
+def to_unit(n: int) -> Callable:
+    """A limit: the first n losses (actuators, not biases) to [0, 1]."""
+
+    def limit(theta):
+        return jnp.concatenate([jnp.clip(theta[:n], 0.0, 1.0), theta[n:]])
+
+    return limit
+
+
+class Unscented:
+    """What the unscented filters share. Not a method by itself: a method sets `name` and `not_kalman`, and `joint` to False where points
+    are drawn for the states only, not for the losses."""
+
+    name = not_kalman = called = ""
+    joint = True
+
+    def __init__(
+        self, system: Any, dt: float, *, theta_walk=1e-3, theta_var=1e-2, clip=False, alpha=0.1, beta=2.0, kappa=0.0
+    ):
+        """dt: step [s]. theta_walk: variance that a loss gains per second [1/s]; theta_var: its variance at the start; each a
+        number for all, one for each (n_theta,), or a covariance. clip: keep actuators' losses in [0, 1]. alpha, beta, kappa:
+        where the points lie, `unscented.weights`. Raises ConfigError.
+        """
+        self.system, self.dt = plant.checked(self.called or self.name, system, dt), dt
+        n = system.n_theta
+        self.theta_walk = loss_covariance("theta_walk", theta_walk, n)
+        self.theta_var = loss_covariance("theta_var", theta_var, n)
+        self.limit = to_unit(min(system.n_u, n)) if clip else no_limit
+        self.weights = weights(system.n_x + (n if self.joint else 0), alpha, beta, kappa)

@@ -17,7 +17,7 @@ import numpy as np
 from rotorwatch import checks
 from rotorwatch.backend import jax, jnp
 from rotorwatch.errors import ConfigError
-from rotorwatch.maths import inertia
+from rotorwatch.maths import small
 
 FORCES = ("printed", "physical")
 FAULTS = ("multiplicative", "additive")
@@ -73,7 +73,7 @@ class PortHamiltonianAttitude:
         self.x0 = np.zeros(6) if x0 is None else checks.finite("x0", checks.shape("x0", x0, 6))
         self.P0 = np.eye(6) if P0 is None else checks.covariance("P0", P0, 6)
         self._spread = np.eye(self.n_u)[:, list(suspects)]  # (n_u, n_theta)
-        self._J_inverse = inertia.inverse(J)
+        self._J_inverse = small.inverse(J)
         motors = B is not None
         self.u_names = tuple(f"thrust_{i + 1}" for i in range(self.n_u)) if motors else ("M_x", "M_y", "M_z")
         self.u_units = ("N" if motors else "N m",) * self.n_u

@@ -16,7 +16,7 @@ import numpy as np
 
 from rotorwatch import checks
 from rotorwatch.backend import jax, jnp
-from rotorwatch.maths import inertia
+from rotorwatch.maths import small
 
 G = 9.80665
 
@@ -45,7 +45,7 @@ class RateDynamics:
         n = np.shape(B_T)[0]
         checks.shape("B_tau", B_tau, 3, n)
         self.J = checks.covariance("J", J, 3, definite=True)
-        self.J_inverse = inertia.inverse(self.J)
+        self.J_inverse = small.inverse(self.J)
         self.B_tau, self.B_T, self.m = B_tau, B_T, checks.positive("m", m)
         self.n_u = self.n_theta = n
         self.u_names = tuple(f"thrust_{i + 1}" for i in range(n))

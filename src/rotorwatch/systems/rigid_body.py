@@ -16,7 +16,7 @@ import numpy as np
 from rotorwatch import checks
 from rotorwatch.backend import jax, jnp
 from rotorwatch.errors import ConfigError
-from rotorwatch.maths import inertia
+from rotorwatch.maths import small
 
 G = 9.80665
 POSE = ("north", "east", "down", "roll", "pitch", "yaw")
@@ -53,7 +53,7 @@ class RigidBody:
         jax()  # nothing of the plant may be traced before float64 is on
         n = np.shape(B_T)[0]
         self.J = checks.covariance("J", J, 3, definite=True)
-        self.J_inverse = inertia.inverse(self.J)
+        self.J_inverse = small.inverse(self.J)
         self.B_tau, self.B_T = checks.shape("B_tau", B_tau, 3, n), B_T
         self.m, self.gravity = checks.positive("m", m), gravity
         unknown = [name for name in measured if name not in self.x_names]
