@@ -13,6 +13,7 @@ The proximal pull adds at most -kappa |theta* - theta_hat|^2_{Gamma^-1} to dV/dt
 from __future__ import annotations
 
 import math
+from dataclasses import KW_ONLY, dataclass
 from typing import Any, NamedTuple
 
 from rotorwatch import checks
@@ -20,7 +21,7 @@ from rotorwatch.backend import jax, jnp
 from rotorwatch.core import Estimate
 from rotorwatch.errors import ConfigError
 from rotorwatch.maths import bounded
-from rotorwatch.maths.lyapunov_law import TINY, Law, State, advance, estimate, start
+from rotorwatch.maths.lyapunov_law import TINY, Adaptation, State, advance, estimate, start
 from rotorwatch.maths.small import definite_solve
 
 PULLS = ("gradient", "proximal")
@@ -56,58 +57,43 @@ class Carry(NamedTuple):
     surprises: Any
 
 
-class MHLyapunov:
-    """The Lyapunov law and a moving horizon: almost as cheap, and it learns what single samples do not show."""
+@dataclass(eq=False, repr=False)
+class MHLyapunov(Adaptation):
+    """The Lyapunov law and a moving horizon: almost as cheap, and it learns what single samples do not show.
+
+    pull: "gradient" or "proximal". flush: empty the window after two blocks whose chi^2 is above `surprise`. block_s, window_s: lengths
+    [s]. gradient_rate: k_g [1/s]. proximal_rate: kappa [1/s]. anchor_sd: how far theta* may stray from the estimate, sqrt(Gamma / r).
+    The other keywords are those of `Lyapunov`. Raises ConfigError for plants with unmeasured states."""
+
+    _: KW_ONLY
+    pull: str = "proximal"
+    flush: bool = True
+    block_s: Any = 0.05
+    window_s: Any = 1.0
+    gradient_rate: Any = 70.0
+    proximal_rate: Any = 2.0
+    anchor_sd: Any = 0.07
+    surprise: Any = 50.0
 
     name = "mh_lyapunov"
     not_kalman = (
         "Its gains are fixed by a Lyapunov function and a window of equal weights; they do not follow the covariance."
     )
 
-    def __init__(
-        self,
-        system,
-        dt,
-        *,
-        pull="proximal",
-        flush=True,
-        rate=12.0,
-        bandwidth=4.0,
-        direct_rate=1.5,
-        bounds=(-0.02, 1.0),
-        hold=0.22,
-        u_nominal=None,
-        block_s=0.05,
-        window_s=1.0,
-        gradient_rate=70.0,
-        proximal_rate=2.0,
-        anchor_sd=0.07,
-        surprise=50.0,
-        theta_sd=0.3,
-        walk=0.05,
-    ):
-        """pull: "gradient" or "proximal". flush: empty the window after two blocks whose chi^2 is above `surprise`.
-
-        block_s, window_s: lengths [s]. gradient_rate: k_g [1/s]. proximal_rate: kappa [1/s]. anchor_sd: how far theta* may stray
-        from the estimate, sqrt(Gamma / r). As in `Lyapunov`: rate [1/s], bandwidth [rad/s], direct_rate [1/s], bounds of a loss,
-        hold (share of u_nominal), u_nominal (n_u,), theta_sd, walk. Raises ConfigError for plants with unmeasured states.
-        """
-        if pull not in PULLS:
-            raise ConfigError(f"pull must be one of {', '.join(PULLS)}, not {pull!r}.")
-        self.system, self.dt, self.kind, self.flush = system, dt, pull, bool(flush)
-        self.law = Law("mh_lyapunov", system, dt, rate, bandwidth, direct_rate, bounds, hold, u_nominal)
-        self.theta_sd, self.walk = checks.positive("theta_sd", theta_sd), checks.positive("walk", walk)
-        self.block_s = checks.positive("block_s", block_s)
-        if not window_s >= block_s:
-            raise ConfigError(f"window_s must be at least one block of {block_s:g} s, not {window_s:g}.")
-        self.window_s, self.blocks = window_s, max(1, round(window_s / max(block_s, dt)))
+    def __post_init__(self):
+        if self.pull not in PULLS:
+            raise ConfigError(f"pull must be one of {', '.join(PULLS)}, not {self.pull!r}.")
+        super().__post_init__()
+        dt = self.dt
+        checks.positive("block_s", self.block_s)
+        if not self.window_s >= self.block_s:
+            raise ConfigError(f"window_s must be at least one block of {self.block_s:g} s, not {self.window_s:g}.")
+        self.blocks = max(1, round(self.window_s / max(self.block_s, dt)))
         # Over a step as the exponential decays, so that a coarse step is stable too.
-        self.gradient_rate = -math.expm1(-checks.positive("gradient_rate", gradient_rate) * dt) / dt
-        self.proximal_rate = checks.between("proximal_rate", proximal_rate, 0.0, 1.0 / dt)
-        self.anchor, self.surprise = (
-            checks.positive("anchor_sd", anchor_sd) ** -2,
-            checks.positive("surprise", surprise),
-        )
+        self.gradient_gain = -math.expm1(-checks.positive("gradient_rate", self.gradient_rate) * dt) / dt
+        checks.between("proximal_rate", self.proximal_rate, 0.0, 1.0 / dt)
+        self.anchor = checks.positive("anchor_sd", self.anchor_sd) ** -2
+        checks.positive("surprise", self.surprise)
 
     def init(self) -> Carry:
         """Nothing lost, an empty window."""
@@ -187,7 +173,7 @@ class MHLyapunov:
         w_x = block.whole * seen / (2.0 * gyro + block.noise)
         w_y = jnp.where(block.count > 0, average / R, 0.0)
         if (
-            self.kind == "gradient"
+            self.pull == "gradient"
         ):  # a step that serves all directions needs A well conditioned more than it needs W right
             w_x = block.whole * seen * self.law.M / self.block_s**2
             w_y = jnp.where(block.count > 0, 1.0, 0.0) / jnp.maximum(jnp.sum(Dn**2, axis=1), TINY)
@@ -198,8 +184,8 @@ class MHLyapunov:
 
     def pull_of(self, A, b, theta):
         """(target, pull, spread): the losses are moved by target - pull theta [1/s], whose noise has the covariance spread."""
-        if self.kind == "gradient":
-            gain = self.gradient_rate / (1.0 + jnp.trace(A))
+        if self.pull == "gradient":
+            gain = self.gradient_gain / (1.0 + jnp.trace(A))
             return gain * b, gain * A, gain**2 * A
         k = len(b)
         H = A + self.anchor * jnp.eye(k)

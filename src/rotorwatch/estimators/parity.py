@@ -104,7 +104,7 @@ class Parity:
         P = F @ carry.P @ F.T + Phi @ carry.theta_cov @ Phi.T + system.Q(dt)
         e, doubt = jnp.where(valid, y - ahead, 0.0), D @ carry.theta_cov @ D.T
         S = C @ P @ C.T + doubt + jnp.diag(system.R(u))
-        x, P = linearise.update(x, P, C, e, system.R(u) + jnp.diagonal(doubt), valid)
+        x, P, _ = linearise.update(x, P, C, e, system.R(u) + jnp.diagonal(doubt), valid)
         estimate = Estimate(x, P, theta, theta_cov, e, 0.5 * (S + S.T), linearise.status(valid))
         return Carry(x, P, push, Phis, Ds, ys, count, theta, theta_cov), Output(estimate, jnp.where(full, r, 0.0))
 

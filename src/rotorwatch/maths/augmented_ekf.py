@@ -53,7 +53,7 @@ class AugmentedEKF:
         H, R = jnp.concatenate([C, D], axis=1), system.R(u)
         e = jnp.where(valid, y - y_, 0.0)
         S = H @ P @ H.T + jnp.diag(R)
-        s, P = linearise.update(jnp.concatenate([x, theta]), P, H, e, R, valid)
+        s, P, _ = linearise.update(jnp.concatenate([x, theta]), P, H, e, R, valid)
         estimate = Estimate(s[:n_x], P[:n_x, :n_x], s[n_x:], P[n_x:, n_x:], e, 0.5 * (S + S.T), linearise.status(valid))
         mit = carry.mit
         if self.adaptation and isinstance(mit, mit_rule.MitState):

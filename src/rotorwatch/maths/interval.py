@@ -31,7 +31,13 @@ def evaluate(function, *arguments):
     Raises ConfigError that names the operation otherwise.
     """
     closed = jax.make_jaxpr(function)(*[a.lo if isinstance(a, Interval) else a for a in arguments])
-    return _run(closed.jaxpr, closed.consts, arguments)[0]
+
+    def rule(equation, operands):
+        if equation.primitive.name == "mul" and equation.invars[0] is equation.invars[1]:
+            return [_power(operands[0], 2)]
+        return apply(equation, operands)
+
+    return walk(closed.jaxpr, closed.consts, arguments, rule, Interval)[0]
 
 
 def second_order_remainder(function, centre, lo, hi):
@@ -64,7 +70,8 @@ def second_order_remainder(function, centre, lo, hi):
     return Interval(terms.lo.sum(0), terms.hi.sum(0))
 
 
-def _run(jaxpr, consts, arguments) -> list:
+def walk(jaxpr, consts, arguments, rule, kinds) -> list:
+    """The results of a traced function: `rule(equation, operands)` where an operand is one of `kinds`, else the operation itself."""
     values: dict = {}
 
     def read(atom):
@@ -80,14 +87,13 @@ def _run(jaxpr, consts, arguments) -> list:
         name = equation.primitive.name
         if name in CALLS:
             inner = equation.params.get("jaxpr", equation.params.get("call_jaxpr"))
-            results = _run(*((inner.jaxpr, inner.consts) if hasattr(inner, "consts") else (inner, ())), operands)
-        elif not any(isinstance(operand, Interval) for operand in operands):
+            inner = (inner.jaxpr, inner.consts) if hasattr(inner, "consts") else (inner, ())
+            results = walk(*inner, operands, rule, kinds)
+        elif not any(isinstance(operand, kinds) for operand in operands):
             out = equation.primitive.bind(*operands, **equation.params)
             results = out if equation.primitive.multiple_results else [out]
-        elif name == "mul" and equation.invars[0] is equation.invars[1]:
-            results = [_power(operands[0], 2)]
         else:
-            results = apply(equation, operands)
+            results = rule(equation, operands)
         write(equation.outvars, results)
     return [read(atom) for atom in jaxpr.outvars]
 

@@ -63,15 +63,18 @@ def update(s, P, H, e, R, valid):
 
     H (m, n): rows of the measurement; e (m,): y minus its prediction from s; R (m,) variances; valid (m,) bool: what is not
     valid changes nothing, whatever e holds there. The same as the update with all at once, because H stays where it was.
-    Returns s and an exactly symmetric P.
+    Returns s, an exactly symmetric P, and the logarithm of the likelihood of what is valid.
     """
-    ds = jnp.zeros_like(s)
+    ds, fit = jnp.zeros_like(s), 0.0
     for i in range(H.shape[0]):
         Ph = P @ H[i]
-        w = jnp.where(valid[i], 1.0 / (H[i] @ Ph + R[i]), 0.0)
-        ds = ds + Ph * (w * (jnp.where(valid[i], e[i], 0.0) - H[i] @ ds))
-        P = P - (w * Ph)[:, None] * Ph[None, :]
-    return s + ds, 0.5 * (P + P.T)
+        variance = H[i] @ Ph + R[i]
+        left = jnp.where(valid[i], e[i], 0.0) - H[i] @ ds
+        weight = jnp.where(valid[i], 1.0 / variance, 0.0)
+        fit = fit - jnp.where(valid[i], 0.5 * (jnp.log(2.0 * np.pi * variance) + left * left / variance), 0.0)
+        ds = ds + Ph * (weight * left)
+        P = P - (weight * Ph)[:, None] * Ph[None, :]
+    return s + ds, 0.5 * (P + P.T), fit
 
 
 def status(valid):

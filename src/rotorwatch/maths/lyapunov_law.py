@@ -13,6 +13,7 @@ M is diagonal and evens out the axes: at the nominal input each answers to theta
 
 from __future__ import annotations
 
+from dataclasses import KW_ONLY, dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -39,38 +40,60 @@ class Terms(NamedTuple):
     direct: Any
 
 
+@dataclass(eq=False, repr=False)
+class Adaptation:
+    """What the methods of this law share. Not a method by itself: a method sets `name` and `not_kalman`.
+
+    rate: state correction k_w [1/s]. bandwidth: of the adaptation, sqrt of Gamma [rad/s]. direct_rate: speed at which outputs that only
+    theta moves (the accelerometer) adapt it [1/s]. bounds: least and largest loss. hold: share of u_nominal below which a
+    rotor's loss rests. u_nominal (n_u,): input the gains are evened out for (default: hover). theta_sd: of a loss at the
+    start; walk: of a loss in a second; both for the covariance only. Raises ConfigError for plants with unmeasured states."""
+
+    system: Any
+    dt: Any
+    _: KW_ONLY
+    rate: Any = 12.0
+    bandwidth: Any = 4.0
+    direct_rate: Any = 1.5
+    bounds: Any = (-0.02, 1.0)
+    hold: Any = 0.22
+    u_nominal: Any = None
+    theta_sd: Any = 0.3
+    walk: Any = 0.05
+
+    name = not_kalman = ""
+
+    def __post_init__(self):
+        self.law = Law(self)
+        checks.positive("theta_sd", self.theta_sd)
+        checks.positive("walk", self.walk)
+
+
 class Law:
     """Gains of the law for one plant. Raises ConfigError where a state is not measured, or theta never moves anything."""
 
-    def __init__(self, method, system, dt, rate, bandwidth, direct_rate, bounds, hold, u_nominal):
-        """method: name for messages. rate: k_w [1/s]. bandwidth: sqrt of Gamma [rad/s]. direct_rate: how fast f~ moves theta
-        [1/s]. bounds: least and largest loss. hold: share of u_nominal below which a rotor's theta rests. u_nominal (n_u,)."""
-        self.system, self.dt = plant.checked(method, system, dt), dt
-        for name, value in (("rate", rate), ("bandwidth", bandwidth)):
-            checks.positive(name, value)
-        checks.between("direct_rate", direct_rate, 0.0, 1.0 / dt)
-        checks.between("bandwidth times dt", bandwidth * dt, 0.0, 1.0)
-        checks.finite("hold", hold)
-        self.rate, self.gamma, self.hold = rate, bandwidth**2, hold
-        self.bounds = bounded.of_losses(system, bounds)
-        self.u_nominal = bounded.nominal_input(system, u_nominal)
-        at = self.terms(
-            jnp.asarray(system.x0, float), jnp.asarray(self.u_nominal, float), jnp.zeros(system.n_theta), dt
-        )
+    def __init__(self, method: Adaptation):
+        self.system, dt, system = plant.checked(method.name, method.system, method.dt), method.dt, method.system
+        checks.positive("rate", method.rate)
+        checks.positive("bandwidth", method.bandwidth)
+        checks.between("direct_rate", method.direct_rate, 0.0, 1.0 / dt)
+        checks.between("bandwidth times dt", method.bandwidth * dt, 0.0, 1.0)
+        checks.finite("hold", method.hold)
+        self.rate, self.gamma, self.hold = method.rate, method.bandwidth**2, method.hold
+        self.bounds = bounded.of_losses(system, method.bounds)
+        self.u_nominal = bounded.nominal_input(system, method.u_nominal)
+        x0, u = jnp.asarray(system.x0, float), jnp.asarray(self.u_nominal, float)
+        at = self.terms(x0, u, jnp.zeros(system.n_theta), dt)
         if checks.concrete(at.C):
-            name = checks.plant_name(system)
+            head = f"{method.name} is not defined for the plant {checks.plant_name(system)}: "
             if np.linalg.matrix_rank(np.asarray(at.C)) < system.n_x:
-                raise ConfigError(
-                    f"{method} is not defined for the plant {name}: it needs every state measured, because the law "
-                    "compares states with their measurements."
-                )
+                why = "it needs every state measured, because the law compares states with their measurements."
+                raise ConfigError(head + why)
             if not np.abs(at.G).max() > 0:
-                raise ConfigError(
-                    f"{method} is not defined for the plant {name}: its theta does not move the states at u_nominal."
-                )
+                raise ConfigError(head + "its theta does not move the states at u_nominal.")
         size = jnp.sum(at.G**2, axis=1)
         self.M = jnp.where(size > TINY, 1.0 / jnp.maximum(size, TINY), 1.0)
-        self.k_f = direct_rate / (self.gamma * jnp.maximum(jnp.sum((at.D * at.direct[:, None]) ** 2), TINY))
+        self.k_f = method.direct_rate / (self.gamma * jnp.maximum(jnp.sum((at.D * at.direct[:, None]) ** 2), TINY))
 
     def terms(self, x, u, theta, dt) -> Terms:
         """f, h and their Jacobians for a step of dt from x."""

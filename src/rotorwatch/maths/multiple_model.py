@@ -118,25 +118,11 @@ def filtered(
         H = jnp.concatenate([C, D], axis=1)
         S = H @ P @ H.T + jnp.diag(R)
         e = jnp.where(valid, y - y_, 0.0)
-        s, P, fit = _update(s, P, H, e, R, valid)
+        s, P, fit = linearise.update(s, P, H, e, R, valid)
         return Updated(s, P, e, S, fit)
 
     d = jnp.asarray(d)
     return jax.vmap(one)(d, s, P, jnp.where((d != 0.0).any(axis=1), walk, 0.0))
-
-
-def _update(s, P, H, e, R, valid):
-    """`linearise.update`, and the logarithm of the likelihood of what is valid."""
-    ds, fit = jnp.zeros_like(s), 0.0
-    for i in range(H.shape[0]):
-        Ph = P @ H[i]
-        variance = H[i] @ Ph + R[i]
-        left = e[i] - H[i] @ ds
-        weight = jnp.where(valid[i], 1.0 / variance, 0.0)
-        fit = fit - jnp.where(valid[i], 0.5 * (jnp.log(2.0 * np.pi * variance) + left * left / variance), 0.0)
-        ds = ds + Ph * (weight * left)
-        P = P - (weight * Ph)[:, None] * Ph[None, :]
-    return s + ds, 0.5 * (P + P.T), fit
 
 
 def posterior(predicted: Array, fit: Array) -> Array:

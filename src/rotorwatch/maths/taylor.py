@@ -47,7 +47,8 @@ def expand(function, a, slope, metric=None, lo=None, hi=None) -> tuple:
         a - reach if lo is None else jnp.maximum(a - reach, lo),
         a + reach if hi is None else jnp.minimum(a + reach, hi),
     ]
-    found = rules.run(closed.jaxpr, closed.consts, [Model(a, both, jnp.zeros(a.shape), *ends)])[0]
+    start = Model(a, both, jnp.zeros(a.shape), *ends)
+    found = interval.walk(closed.jaxpr, closed.consts, [start], rules.apply, (Model, Interval))[0]
     if not isinstance(found, Model):
         found = jnp.asarray(found)
         return found, jnp.zeros((found.shape[0], k)), jnp.zeros(found.shape)
@@ -61,31 +62,9 @@ class _Rules:
     def __init__(self, k: int, measured: bool):
         self.k, self.measured = k, measured
 
-    def run(self, jaxpr, consts, arguments) -> list:
-        values: dict = {}
-
-        def read(atom):
-            return atom.val if hasattr(atom, "val") else values[atom]  # a literal, or a variable
-
-        values.update(zip(jaxpr.constvars, consts, strict=True))
-        values.update(zip(jaxpr.invars, arguments, strict=True))
-        for equation in jaxpr.eqns:
-            operands = [read(atom) for atom in equation.invars]
-            name = equation.primitive.name
-            if name in interval.CALLS:
-                inner = equation.params.get("jaxpr", equation.params.get("call_jaxpr"))
-                results = self.run(
-                    *((inner.jaxpr, inner.consts) if hasattr(inner, "consts") else (inner, ())), operands
-                )
-            elif not any(isinstance(operand, Model | Interval) for operand in operands):
-                out = equation.primitive.bind(*operands, **equation.params)
-                results = out if equation.primitive.multiple_results else [out]
-            else:
-                results = self.apply(equation, name, operands)
-            values.update(zip(equation.outvars, results, strict=True))
-        return [read(atom) for atom in jaxpr.outvars]
-
-    def apply(self, equation, name: str, operands: list) -> list:
+    def apply(self, equation, operands: list) -> list:
+        """Results of one traced operation."""
+        name = equation.primitive.name
         models = [operand for operand in operands if isinstance(operand, Model)]
         if any(isinstance(operand, Interval) for operand in operands):
             return self.flat(equation, operands)
