@@ -55,7 +55,7 @@ def write(vehicle: Vehicle, path: str | os.PathLike) -> None:
         with files.replacing(path) as temporary:
             temporary.write_text(text, "utf-8")
     except ConfigError as error:
-        raise VehicleError(f"The vehicle file {error}") from error
+        raise VehicleError(f"Cannot write the vehicle file: {error}") from error
 
 
 def from_table(table: Mapping[str, Any]) -> Vehicle:

@@ -44,6 +44,24 @@ def start(system: Any, theta_cov: Any) -> tuple[Any, Any]:
     return s, jax.scipy.linalg.block_diag(jnp.asarray(system.P0, float), theta_cov)
 
 
+class Rotors:
+    """What plants of n rotors share: as many inputs as losses, their names, and B_tau of an airframe file."""
+
+    def name_rotors(self, n: int, command: str = "thrust", unit: str = "1") -> None:
+        """Set n_u, n_theta and the names of inputs and losses. JAX computes in float64 from here on: before the plant is traced."""
+        jax()
+        self.n_u = self.n_theta = n
+        self.u_names, self.u_units = tuple(f"{command}_{i + 1}" for i in range(n)), (unit,) * n
+        self.theta_names = tuple(f"loss_{i + 1}" for i in range(n))
+
+    @staticmethod
+    def levers(airframe: dict) -> np.ndarray:
+        """(3, n) roll, pitch and yaw moment of each rotor per unit of its thrust [m], of a file with `[rotors]` x, y [m], spin and
+        `drag_ratio` [m]."""
+        x, y, spin = (np.array(airframe["rotors"][k], float) for k in ("x", "y", "spin"))
+        return np.stack([-y, x, float(airframe["drag_ratio"]) * spin])
+
+
 def theta_names(system: Any) -> tuple[str, ...]:
     """(n_theta,) the plant's own names of its losses, else loss_1, loss_2 .. and, for what it adds to them, theta_5 .."""
     given = getattr(system, "theta_names", None)

@@ -25,19 +25,7 @@ from rotorwatch.backend import jax, jnp
 from rotorwatch.errors import ConfigError
 
 G = 9.80665
-PARTS = (
-    "mass",
-    "inertia",
-    "air_density",
-    "hub_stiffness",
-    "drag",
-    "damping",
-    "main_arm",
-    "tail_arm",
-    "low",
-    "high",
-    "trim",
-)
+PARTS = "mass inertia air_density hub_stiffness drag damping main_arm tail_arm low high trim".split()
 ROTOR = ("radius", "inner_radius", "speed", "blades", "chord", "lift_slope", "drag_coefficient")
 
 

@@ -17,7 +17,8 @@ import numpy as np
 from rotorwatch import checks
 from rotorwatch.backend import jax, jnp
 from rotorwatch.errors import ConfigError
-from rotorwatch.maths import small
+from rotorwatch.maths import linearise, small
+from rotorwatch.maths.plant import Rotors
 
 FORCES = ("printed", "physical")
 FAULTS = ("multiplicative", "additive")
@@ -68,8 +69,8 @@ class PortHamiltonianAttitude:
                 raise ConfigError(f"{name} must be one of {', '.join(known)}, not {value!r}.")
         self.suspects, self.faults, self.generalised_force = suspects, faults, generalised_force
         self.n_theta = len(suspects)
-        self.process_var = _entries("process_var", process_var, 6)
-        self.measurement_var = _entries("measurement_var", measurement_var, 3)
+        self.process_var = linearise.variances("process_var", process_var, 6)
+        self.measurement_var = linearise.variances("measurement_var", measurement_var, 3)
         self.x0 = np.zeros(6) if x0 is None else checks.finite("x0", checks.shape("x0", x0, 6))
         self.P0 = np.eye(6) if P0 is None else checks.covariance("P0", P0, 6)
         self._spread = np.eye(self.n_u)[:, list(suspects)]  # (n_u, n_theta)
@@ -83,10 +84,8 @@ class PortHamiltonianAttitude:
     @classmethod
     def of(cls, airframe: dict, **options) -> PortHamiltonianAttitude:
         """The plant of an airframe file with `inertia`, `[rotors]` x, y [m], spin and `drag_ratio` [m]; inputs are thrusts in N."""
-        x, y, spin = (np.array(airframe["rotors"][k], float) for k in ("x", "y", "spin"))
-        B = np.stack([-y, x, float(airframe["drag_ratio"]) * spin])
         noise = {k: airframe[k] for k in ("process_var", "measurement_var") if k in airframe}
-        return cls(np.diag(np.array(airframe["inertia"], float)), B, **{**noise, **options})
+        return cls(np.diag(np.array(airframe["inertia"], float)), Rotors.levers(airframe), **{**noise, **options})
 
     def derivative(self, x, u, theta):
         """dx/dt (6,)."""
@@ -133,10 +132,3 @@ class PortHamiltonianAttitude:
     def R(self, u):
         """(3,) variances of the angles [rad^2]: a tuning value."""
         return jnp.asarray(self.measurement_var)
-
-
-def _entries(name: str, value, n: int):
-    """(n,) numbers that are not negative, from one or n."""
-    if np.shape(value) not in ((), (n,)):
-        raise ConfigError(f"{name} must be one number or {n} of them, not an array of the shape {np.shape(value)}.")
-    return checks.between(name, value, 0.0, np.inf) * np.ones(n)
