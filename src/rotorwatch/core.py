@@ -105,18 +105,3 @@ class Estimator(Protocol):
         tuple of the method's own that holds one in its field ``estimate``.
         """
         ...
-
-
-@runtime_checkable
-class Detector(Protocol):
-    """One rule that decides when an estimate means that something changed."""
-
-    name: str
-
-    def init(self) -> Carry:
-        """The carry before the first estimate."""
-        ...
-
-    def step(self, carry: Carry, estimate: Estimate, dt: Array) -> tuple[Carry, Decision]:
-        """One time step."""
-        ...

@@ -127,11 +127,6 @@ def _rising(equation, *operands):
     return Interval(_bind(equation, *[e.lo for e in ends]), _bind(equation, *[e.hi for e in ends]))
 
 
-def _moving(equation, moved, *where):
-    """Gathers and slices at places that are no intervals."""
-    return Interval(_bind(equation, moved.lo, *where), _bind(equation, moved.hi, *where))
-
-
 def _falling(equation, operand):
     return Interval(_bind(equation, operand.hi), _bind(equation, operand.lo))
 
@@ -263,12 +258,11 @@ def _choose(equation, which, *cases):
 
 _STRUCTURAL = (
     "broadcast_in_dim reshape transpose squeeze slice concatenate stack tile pad rev expand_dims copy "
-    "reduce_sum reduce_max reduce_min cumsum and or convert_element_type stop_gradient reduce_precision real"
+    "gather dynamic_slice reduce_sum reduce_max reduce_min cumsum and or convert_element_type stop_gradient reduce_precision real"
 ).split()
 _INCREASING = "add add_any max min clamp exp exp2 expm1 log log1p tanh sinh atan asin asinh cbrt erf logistic floor ceil sign".split()
 RULES = {
     **dict.fromkeys(_STRUCTURAL + _INCREASING, _rising),
-    **dict.fromkeys(("gather", "dynamic_slice"), _moving),
     **dict.fromkeys(("lt", "le", "gt", "ge", "eq", "ne"), _compare),
     "neg": _falling,
     "not": _falling,
