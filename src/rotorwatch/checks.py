@@ -122,7 +122,7 @@ def _traced(name: str, function: Any, arguments: tuple[tuple[int, ...], ...]) ->
         raise ConfigError(untraceable(name, why)) from why
     except ConfigError:
         raise
-    except Exception as why:  # whatever a stranger's function raises
+    except Exception as why:  # a user's function may raise anything
         reason = " ".join(f"{type(why).__name__}: {why}".split())[:200]
         raise ConfigError(f"{name} fails for arguments of the shapes {arguments}: {reason.rstrip('.')}.") from why
 

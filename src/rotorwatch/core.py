@@ -1,4 +1,4 @@
-"""The nouns every method is written in. Imports nothing of ours.
+"""The types that every method is written in. Imports nothing of ours.
 
 A *system* is one plant: how its state moves, what is measured, how uncertain both are. An *estimator* is one method
 that can be run on systems; a *detector* turns its estimates into decisions. All three are pure: ``init() -> carry``

@@ -157,7 +157,7 @@ def _named(group: str, name: str, own: Any, parts: tuple[str, ...]) -> type:
     if name in found:
         return found[name]
     theirs = offered(group)
-    if name in theirs:  # only this one is loaded: another package that is broken is no concern of who asks for it
+    if name in theirs:  # only this one is loaded: a broken package must not keep others from being used
         return load(theirs[name], parts)
     known = ", ".join(sorted({*found, *theirs}))
     raise ConfigError(f"There is no {kind} called {name!r}; known are {known}.")
@@ -245,7 +245,7 @@ def others(
 
 
 def failed(entry: metadata.EntryPoint, what: str, why: BaseException) -> None:
-    """Warn, by a PluginWarning, that a plug-in of another package raised. what: what it was asked for."""
+    """Warn, by a PluginWarning, that a plug-in of another package raised. what: the part that failed."""
     kind = GROUPS.get(entry.group, "plug-in")
     sentence = (
         f"The {kind} {entry.name} of the package {package(entry)} is passed over: its {what} failed ({brief(why)})."
@@ -260,7 +260,7 @@ def load(entry: metadata.EntryPoint, parts: tuple[str, ...]) -> Any:
     whose = f"The {kind} {entry.name} of the package {package(entry)}"
     try:
         found = entry.load()
-    except Exception as why:  # a stranger's module may raise anything
+    except Exception as why:  # a module of another package may raise anything
         raise ConfigError(f"{whose} cannot be loaded ({brief(why)}): mend that package or uninstall it.") from why
     _complete(whose, found, parts)
     if "name" in parts and found.name != entry.name:

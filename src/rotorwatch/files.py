@@ -87,7 +87,7 @@ def folder(path: str | os.PathLike, what: str, make: bool = True) -> Path:
 
 @contextmanager
 def replacing(path: str | os.PathLike) -> Iterator[Path]:
-    """A temporary path beside `path`, with its ending, that takes its place at the end; gone when something goes wrong on the way.
+    """A temporary path beside `path`, with its ending, that takes its place at the end; it is removed when something fails on the way.
 
     Raises ConfigError when it cannot be written.
     """
@@ -122,5 +122,5 @@ def printable(text: str) -> str:
 
 
 def public(text: str) -> str:
-    """The text with nothing in its addresses that only their owner may know: user and password go, and what is asked of a server."""
+    """The text with nothing in its addresses that only their owner may know: user and password are removed, and the query to a server."""
     return QUERY.sub(r"\1...", USER.sub(r"\1", text)) if "://" in text else text

@@ -1,5 +1,5 @@
 """Logs that come from outside: streams (a pipe, an address) kept in a file, within limits of size and time; a folder that goes with the
-process; and limits of time and memory for work on files that nobody has looked at yet, set by the process that does it."""
+process; and limits of time and memory for work on files that have not been checked yet, set by the process that does it."""
 
 from __future__ import annotations
 

@@ -3,7 +3,7 @@
 A module here offers ``identify(flight) -> Vehicle | None`` (None: not mine, or the log says too little) and may
 offer ``NAMES``, name -> function without arguments that builds the `Vehicle` with default settings. Adding an autopilot
 is adding a file, or an entry point `rotorwatch.airframes` of another package: a module or an object with the same parts (docs/plug-ins.md),
-which is asked when no module here knows the flight.
+which is tried when no module here recognises the flight.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ def named(name: str) -> Vehicle:
 
 
 def _all() -> Iterator[Any]:
-    """Ours, then those of other packages, which are not loaded unless asked for."""
+    """Ours, then those of other packages, which are loaded only when they are reached."""
     yield from modules()
     yield from (found for _, found in offered())
 
@@ -92,7 +92,7 @@ def _theirs(flight: Flight) -> Vehicle | None:
                 raise TypeError(f"{type(vehicle).__name__} is no Vehicle")
         except VehicleError:  # it knows the vehicle, and says why it cannot be judged
             raise
-        except Exception as why:  # a stranger's module may raise anything
+        except Exception as why:  # a module of another package may raise anything
             discovery.failed(entry, "identify", why)
         else:
             if vehicle is not None:

@@ -170,8 +170,8 @@ def _old_frame(flight: Flight, notes: list[str]) -> str:
             break
     else:
         classes = {4: ("quad",), 6: ("hexa", "y6"), 8: ("octa", "octaquad")}.get(flight.rotor_count, ("",))
-        name, told = _class_by_outputs(flight, classes, kind)
-        how = "the only one that its outputs can be mixed for" if told else f"its {flight.rotor_count} motor outputs"
+        name, unique = _class_by_outputs(flight, classes, kind)
+        how = "the only one that its outputs can be mixed for" if unique else f"its {flight.rotor_count} motor outputs"
         notes.append(f"The log does not name its frame class: {name} taken from {how}.")
     if name == "tri":
         return name
@@ -208,8 +208,8 @@ def _class_by_outputs(flight: Flight, classes: tuple[str, ...], kind: int) -> tu
         span, _ = np.linalg.qr(np.array(build(_of_type(name, kind), thrust).mixer, float))
         off.append(float(np.square(apart - apart @ span @ span.T).sum()))
     order = np.argsort(off)
-    told = off[order[0]] < OFF_MIXER * off[order[1]]
-    return (able[int(order[0])], True) if told else (able[0], False)
+    unique = off[order[0]] < OFF_MIXER * off[order[1]]
+    return (able[int(order[0])], True) if unique else (able[0], False)
 
 
 def _place(motor: tuple) -> tuple[float, float, float]:

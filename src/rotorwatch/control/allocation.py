@@ -17,7 +17,7 @@ the expected squared error is what is made small:
     "estimate"    e is the mean
     "bounds"      e is independent from rotor to rotor, has that mean and lies within lower and upper; of all such distributions the
                   worst: variance (upper - mean)(mean - lower) (Bhatia and Davis, American Mathematical Monthly 107, 2000), which adds
-                  that times |W S^-1 b_i|^2 u_i^2. What is not sure to push is leant on less
+                  that times |W S^-1 b_i|^2 u_i^2. A rotor of uncertain effectiveness is commanded less
     "posterior"   e is candidate k with weight k: sum_k weight_k |W S^-1 (B (e_k u) - v)|^2, between the candidates
 
 Each is solved exactly: `box`, and for candidates, whose rows are too many for it, `maths.bounded`.
@@ -170,8 +170,8 @@ class Allocator:
     def problem(self, b, mean, lower, upper):
         """(A, b, c, d) of `box.solve` for a scaled demand b (4,) and effectiveness (n,)."""
         A = self.C * mean
-        doubt = (upper - mean) * (mean - lower) * (self.C**2).sum(axis=0)
-        d = self.eps + (doubt if self.by == "bounds" else 0.0 * doubt)
+        variance = (upper - mean) * (mean - lower) * (self.C**2).sum(axis=0)
+        d = self.eps + (variance if self.by == "bounds" else 0.0 * variance)
         return A, b, self.eps * self._wish(A, b) / d, d
 
     def _free(self, A, b):

@@ -175,7 +175,7 @@ def design(airframe: Airframe, hover: Hover) -> Gains | None:
     step = 1e-5
     A = np.column_stack([(slope(step * v) - slope(-step * v)) / (2 * step) for v in np.eye(5 + k)])
     B = np.vstack([np.zeros((5, k)), np.eye(k) / airframe.lag])
-    # The spin along down may be as it likes; what turns across it and where down points may not.
+    # The spin along down is free; rates across it and the direction of down are not.
     along = np.outer(hover.down, hover.down)
     Q_rate = (np.eye(3) - along) / RATE_SIZE**2 + along / SPIN_SIZE**2
     Q = np.zeros((5 + k, 5 + k))
@@ -232,6 +232,6 @@ class SpinningHover:
 
     def step(self, state: Turning, omega, down, lift=1.0) -> tuple[Turning, Array]:
         """Commands (n,), shares of full thrust. omega (3,): body rates [rad/s]. down (3,): the direction, in body axes, that
-        the body is to turn about: gravity's to stay in place, tilted from it to accelerate. lift: thrust asked, 1 carries the weight."""
+        the body is to turn about: gravity's to stay in place, tilted from it to accelerate. lift: demanded thrust, 1 carries the weight."""
         u = feedback(self.hover, self.gains, state.f, omega, down, lift)
         return Turning(u + (state.f - u) * self.keep), u

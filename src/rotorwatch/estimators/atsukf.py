@@ -84,9 +84,9 @@ class ATSUKF(unscented.Unscented):
 
     def _push(self, window: Window, row: Array, measured: Array) -> Window:
         """The window one row on; unchanged where nothing was measured."""
-        kept = jnp.where(measured, row, window.leaving)
-        total, lap = window.total + kept - window.leaving, window.lap + jnp.where(measured, row, 0.0)
-        rows = lax.dynamic_update_index_in_dim(window.rows, kept, window.next, 0)
+        entry = jnp.where(measured, row, window.leaving)
+        total, lap = window.total + entry - window.leaving, window.lap + jnp.where(measured, row, 0.0)
+        rows = lax.dynamic_update_index_in_dim(window.rows, entry, window.next, 0)
         step = window.next + measured.astype(jnp.int32)
         round_done = step == self.M
         step = jnp.where(round_done, 0, step).astype(jnp.int32)
@@ -111,9 +111,11 @@ class ATSUKF(unscented.Unscented):
         noise, known = trace(jnp.diagonal(p.P_yy)), trace(((p.H @ p.P_theta_before) * p.H).sum(axis=1))
         walk = trace(((p.H @ Q_theta) * p.H).sum(axis=1))
         expected = noise + known + walk
-        felt = walk > 1e-15 * expected  # else no loss can be felt at all: before the first coupling, or with motors off
-        wide = (p.e @ p.e > self.threshold * expected) & window.full & felt
+        observable = (
+            walk > 1e-15 * expected
+        )  # else no loss shows in the innovations: before the first coupling, or with motors off
+        wide = (p.e @ p.e > self.threshold * expected) & window.full & observable
         if self.whiteness is not None:
             wide = wide & (window.total[-1] > self.whiteness * squares.sum())
-        delta = (seen - noise - known) / jnp.where(felt, walk, 1.0)
+        delta = (seen - noise - known) / jnp.where(observable, walk, 1.0)
         return jnp.where(wide, jnp.maximum(delta, 1.0), 1.0)

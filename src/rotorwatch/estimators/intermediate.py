@@ -161,10 +161,10 @@ class Intermediate:
         now = jnp.concatenate([Phi / dt * self.driven[:, None], D])
         value = jnp.where(carry.started, carry.regressor.value, now)
         missing = now - value
-        gone = J @ (A @ jnp.concatenate([carry.regressor.lag[:n_x], missing[:n_x]]))
-        felt = carry.regressor.lag[n_x:] + ldt[:, None] * missing[n_x:]
-        value = jnp.concatenate([now[:n_x] - gone[n_x:], value[n_x:] + l2[:, None] * felt])
-        regressor = Filter(value, jnp.concatenate([gone[:n_x], (1.0 - l1)[:, None] * felt]))
+        lagging = J @ (A @ jnp.concatenate([carry.regressor.lag[:n_x], missing[:n_x]]))
+        lagging_y = carry.regressor.lag[n_x:] + ldt[:, None] * missing[n_x:]
+        value = jnp.concatenate([now[:n_x] - lagging[n_x:], value[n_x:] + l2[:, None] * lagging_y])
+        regressor = Filter(value, jnp.concatenate([lagging[:n_x], (1.0 - l1)[:, None] * lagging_y]))
         Psi = value if self.matched else now
 
         direct = _block(carry.direct, l1, l2, ldt, R * ldt**2, 0.0)
@@ -179,8 +179,8 @@ class Intermediate:
         M_x, M_y = answer.M[:, :n_x], answer.M[:, n_x:]
         theta_cov = M_x @ wide @ M_x.T + (M_y * direct[2]) @ M_y.T + answer.spread + late[2] * np.eye(system.n_theta)
         slow = value[:n_x] * jnp.sqrt(late[0])
-        felt = C @ slow + value[n_x:] * jnp.sqrt(late[2])
-        S = C @ P_[:n_x, :n_x] @ C.T + jnp.diag(R + direct[2]) + felt @ felt.T
+        loss_effect = C @ slow + value[n_x:] * jnp.sqrt(late[2])
+        S = C @ P_[:n_x, :n_x] @ C.T + jnp.diag(R + direct[2]) + loss_effect @ loss_effect.T
         estimate = Estimate(
             x=x,
             x_cov=symmetric(P[:n_x, :n_x] + slow @ slow.T),

@@ -99,11 +99,11 @@ class IRLS:
         found = measured_regression.row(self.system, carry.known, u, y, valid, carry.theta, dt)
         z, Omega = measured_regression.whitened(found, valid)
 
-        def kept(window, new):
+        def pushed(window, new):
             put = lax.dynamic_update_index_in_dim(window, new, carry.next, 0)
             return jnp.where(valid.any(), put, window)
 
-        window = kept(carry.z, z), kept(carry.Omega, Omega), kept(carry.seen, valid.astype(float))
+        window = pushed(carry.z, z), pushed(carry.Omega, Omega), pushed(carry.seen, valid.astype(float))
         theta, P, s = self._fitted(*window, carry.theta, carry.s)
         theta, P, s = (
             jnp.where(valid.any(), new, old) for new, old in ((theta, carry.theta), (P, carry.P), (s, carry.s))

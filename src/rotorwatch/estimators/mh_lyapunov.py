@@ -136,7 +136,7 @@ class MHLyapunov(Adaptation):
         needed = jnp.abs(at.C_left) > TINY
         seen = jnp.all(~needed | valid[None, :], axis=1).astype(float)
         direct = jnp.where(valid & at.direct, 1.0, 0.0)
-        said = jnp.where(valid & at.direct, y - at.y, 0.0) + direct * (at.D @ before.theta)
+        direct_output = jnp.where(valid & at.direct, y - at.y, 0.0) + direct * (at.D @ before.theta)
         step = at.x - before.measured - dt * at.G @ before.theta
         noise = jnp.diagonal(self.system.Q(dt)) + TINY
         added = Block(
@@ -144,7 +144,7 @@ class MHLyapunov(Adaptation):
             block.predicted + step,
             block.slope + dt * at.G,
             block.whole,
-            block.direct + said,
+            block.direct + direct_output,
             block.direct_slope + direct[:, None] * at.D,
             block.count + direct,
             block.noise + noise,

@@ -195,7 +195,7 @@ class MHE:
         """The nodes moved to the minimum of the quadratic model in the box, and the force of the bounds there."""
         scale = jnp.diagonal(D, axis1=1, axis2=2)
 
-        def settle(_, now):
+        def active_set_pass(_, now):
             move, force = now
             free, fixed = bounded.active(nodes + move + force / scale, self.low, self.high)
             fixed = (1.0 - free) * (fixed - nodes)
@@ -205,7 +205,7 @@ class MHE:
             move = tridiagonal(masked, free[1:, :, None] * below * free[:-1, None, :], right)
             return move, (1.0 - free) * (g - banded(D, below, move))
 
-        move, force = jax.lax.fori_loop(0, self.passes, settle, (jnp.zeros_like(nodes), force))
+        move, force = jax.lax.fori_loop(0, self.passes, active_set_pass, (jnp.zeros_like(nodes), force))
         return jnp.clip(nodes + move, self.low, self.high), force
 
     def leave(self, carry: Carry):

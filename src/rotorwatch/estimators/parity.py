@@ -98,13 +98,13 @@ class Parity:
         older = carry.theta_cov + self.walk**2 * dt * np.eye(len(none))
         theta, theta_cov = jnp.where(full, theta, carry.theta), jnp.where(full, theta_cov, older)
 
-        # The state, for who wants one: a Kalman filter that takes the losses before this step for true but for their covariance.
+        # The state, beside the losses: a Kalman filter that takes the losses before this step for true but for their covariance.
         x, F, Phi = linearise.transition(system, carry.x, u, carry.theta, dt)
         ahead, C, D = linearise.measurement(system, x, u, carry.theta)
         P = F @ carry.P @ F.T + Phi @ carry.theta_cov @ Phi.T + system.Q(dt)
-        e, doubt = jnp.where(valid, y - ahead, 0.0), D @ carry.theta_cov @ D.T
-        S = C @ P @ C.T + doubt + jnp.diag(system.R(u))
-        x, P, _ = linearise.update(x, P, C, e, system.R(u) + jnp.diagonal(doubt), valid)
+        e, loss_noise = jnp.where(valid, y - ahead, 0.0), D @ carry.theta_cov @ D.T
+        S = C @ P @ C.T + loss_noise + jnp.diag(system.R(u))
+        x, P, _ = linearise.update(x, P, C, e, system.R(u) + jnp.diagonal(loss_noise), valid)
         estimate = Estimate(x, P, theta, theta_cov, e, 0.5 * (S + S.T), linearise.status(valid))
         return Carry(x, P, push, Phis, Ds, ys, count, theta, theta_cov), Output(estimate, jnp.where(full, r, 0.0))
 

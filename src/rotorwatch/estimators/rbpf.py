@@ -6,7 +6,7 @@
     resample where 1 / sum w^2 < N / 2: systematically, at (k + U) / N of the cumulated weights
 
 Random numbers come from a counter in the carry (`maths/counter_random.py`), so that a run is the same wherever it runs. Modes and their
-filters: `maths/multiple_model.py`. Where nothing is measured, nobody jumps.
+filters: `maths/multiple_model.py`. Where nothing is measured, no particle changes its mode.
 Source: Doucet, de Freitas, Murphy and Russell, Rao-Blackwellised particle filtering for dynamic Bayesian networks, Proc. UAI 2000,
 176-183; de Freitas, Rao-Blackwellised particle filtering for fault diagnosis, IEEE Aerospace Conference 2002; Kitagawa, Monte Carlo
 filter and smoother, J. Computational and Graphical Statistics 5 (1996) 1-25, for systematic resampling.

@@ -50,7 +50,7 @@ class SlidingMode:
 
     def __init__(self, system, dt: float, *, loss_rate=0.5, rate=5.0, theta_var=0.1, walk=0.05, u_nominal=None):
         """dt: s. loss_rate: how fast a loss may grow [1/s], which bounds dv/dt. rate: of the plain corrections and filters [1/s].
-        theta_var: variance of losses that nothing tells, a number or one per theta. walk: of a loss in a second, for the covariance only.
+        theta_var: variance of losses at first, a number or one per theta. walk: of a loss in a second, for the covariance only.
         u_nominal (n_u,): input of the design (default: hover). Raises ConfigError for wrong values and unmeasured states."""
         self.system, self.dt = system, measured_regression.check("The sliding-mode observer", system, dt)
         checks.positive("loss_rate", loss_rate)

@@ -8,7 +8,7 @@ A format that is a folder of tables has sniff_folder(path) and read_folder(path,
 progress, where given, is called with the finished share, 0..1.
 
 Another package may hand in a module or an object with the same parts, as an entry point `rotorwatch.logs` (docs/plug-ins.md).
-It is asked when no format of ours knows the file.
+It is tried when no format of ours recognises the file.
 """
 
 from __future__ import annotations
@@ -72,22 +72,22 @@ def read(path, progress=None) -> Flight:
 
 
 def recognise(head: bytes, name: str) -> Any:
-    """The format for a file that starts with `head`: by content, failing that by `name`; None when unknown. Ours are asked first."""
+    """The format for a file that starts with `head`: by content, failing that by `name`; None when unknown. Ours are tried first."""
     files: list[Any] = [m for m in formats() if hasattr(m, "sniff")]
-    for said in ("", name):
-        found = next((m for m in files if m.sniff(head, said)), None) or _theirs("sniff", head, said)
+    for label in ("", name):
+        found = next((m for m in files if m.sniff(head, label)), None) or _theirs("sniff", head, label)
         if found is not None:
             return found
     return None
 
 
-def _theirs(part: str, *asked) -> Any:
+def _theirs(part: str, *arguments) -> Any:
     """The format of another package whose `sniff` or `sniff_folder` says yes, or None; one that raises is passed over, with a warning."""
     for entry, found in offered().values():
         try:
-            if hasattr(found, part) and getattr(found, part)(*asked):
+            if hasattr(found, part) and getattr(found, part)(*arguments):
                 return found
-        except Exception as why:  # a stranger's module may raise anything
+        except Exception as why:  # a module of another package may raise anything
             discovery.failed(entry, part, why)
     return None
 

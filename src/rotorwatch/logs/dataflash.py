@@ -230,9 +230,9 @@ class _Signals:
         self.warnings += notes if time.size else []
         if not time.size or not self.outputs:
             return
-        if rotors.BY_NUMBER in notes and (asked := self.collective()) is not None:
+        if rotors.BY_NUMBER in notes and (throttle := self.collective()) is not None:
             known = [pwm[o] for o in self.outputs.values() if o in pwm]
-            if known and not rotors.follow(time, np.stack(known, axis=1), *asked):
+            if known and not rotors.follow(time, np.stack(known, axis=1), *throttle):
                 self.warnings.append("Those outputs do not follow the throttle: they are no motors and were left out.")
                 self.outputs = {}
                 return
@@ -319,9 +319,9 @@ class _Signals:
             apart = motors.values[at[near]]
             apart = (apart - apart.mean(axis=1, keepdims=True)) / (PWM_RANGE_US[1] - PWM_RANGE_US[0])
             # Of most of the flight: a crash or a damaged record has no say, nor has calm air.
-            moved, asked = (float(np.quantile(np.abs(v), 0.8)) if v.size else 0.0 for v in (apart, control[near]))
-            if moved > 5e-4 and asked > 0.0:
-                return asked > 2.0 * np.sqrt(RAW_TORQUE) * moved
+            moved, output = (float(np.quantile(np.abs(v), 0.8)) if v.size else 0.0 for v in (apart, control[near]))
+            if moved > 5e-4 and output > 0.0:
+                return output > 2.0 * np.sqrt(RAW_TORQUE) * moved
         return _typical_peak(control) > np.sqrt(RAW_TORQUE)
 
     def attitude(self) -> None:
@@ -368,8 +368,8 @@ class _Signals:
                 time, values, _ = rows
                 self.add("velocity", time, values[:, :3], message)
                 self.add("position", time, values[:, 3:], message)
-        if (asked := self.collective()) is not None:
-            self.add("throttle", asked[0], asked[1][:, None], "CTUN")
+        if (throttle := self.collective()) is not None:
+            self.add("throttle", throttle[0], throttle[1][:, None], "CTUN")
 
     def collective(self):
         """(time (n,), throttle (n,), 1 is full) of CTUN; None without it."""

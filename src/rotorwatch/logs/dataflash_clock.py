@@ -60,10 +60,10 @@ def make_clock(stamps: np.ndarray) -> Clock:
     good = np.ones(stamps.size, bool)
     ends = np.r_[steps[:EDGE_RECORDS], steps[-EDGE_RECORDS:]]
     if ((steps < -STEP_BACK_US) | (steps > LONG_GAP_US)).any() or any(wrong_gap(step * 1e-6) for step in ends):
-        us, kept, resets = _repaired(us, steps)
-        good[timed[~kept]] = False
-        timed, us = timed[kept], us[kept]
-        if garbage := int((~kept).sum()):
+        us, intact, resets = _repaired(us, steps)
+        good[timed[~intact]] = False
+        timed, us = timed[intact], us[intact]
+        if garbage := int((~intact).sum()):
             warnings.append(f"{amount(garbage, 'record')} with an impossible time stamp dropped.")
     else:
         resets = []
@@ -121,7 +121,7 @@ def _repaired(us: np.ndarray, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray
         chain.pop()
     while len(chain) > 1 and count[chain[0]] <= EDGE_RECORDS and wrong_gap((start[chain[1]] - end[chain[0]]) * 1e-6):
         chain.pop(0)
-    kept = np.zeros(us.size, bool)
+    intact = np.zeros(us.size, bool)
     fixed = us.copy()
     resets: list[tuple[float, float]] = []
     shift = 0.0
@@ -130,8 +130,8 @@ def _repaired(us: np.ndarray, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray
             shift += end[before] - start[k]
             resets.append((start[k] + shift, end[before] - start[k]))
         fixed[first[k] : stop[k]] += shift
-        kept[first[k] : stop[k]] = True
-    return fixed, kept, resets
+        intact[first[k] : stop[k]] = True
+    return fixed, intact, resets
 
 
 def rebuilt(log) -> tuple[np.ndarray, str]:

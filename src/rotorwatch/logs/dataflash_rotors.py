@@ -36,8 +36,8 @@ def announced(parameters: dict[str, float], text: tuple[str, str]) -> list[str]:
     Only for firmware that has FRAME_CLASS and FRAME_TYPE at all: one of the two, or the text's second half, is there.
     """
     class_, type_ = FRAME_NAMES.get(text[0].upper()), FRAME_TYPES.get(text[1].upper())
-    said = {"FRAME_CLASS": class_, "FRAME_TYPE": type_}
-    lacking = {k: float(v) for k, v in said.items() if k not in parameters and v is not None}
+    announced_frame = {"FRAME_CLASS": class_, "FRAME_TYPE": type_}
+    lacking = {k: float(v) for k, v in announced_frame.items() if k not in parameters and v is not None}
     if class_ is None or type_ is None or "FRAME" in parameters or not lacking:
         return []
     parameters.update(lacking)
@@ -102,11 +102,11 @@ def outputs(
 def follow(time: np.ndarray, pulses: np.ndarray, stamps: np.ndarray, throttle: np.ndarray) -> bool:
     """Do these outputs, pulses (n, k) at `time`, rise and fall with the throttle at `stamps`? True where the throttle does not."""
     mean = np.nanmean(np.where(pulses > 500, pulses, np.nan), axis=1)
-    asked = np.interp(time, stamps, throttle)
-    fine = np.isfinite(mean) & np.isfinite(asked)
-    if fine.sum() < 20 or np.std(asked[fine]) < LEAST_THROTTLE:
+    commanded = np.interp(time, stamps, throttle)
+    fine = np.isfinite(mean) & np.isfinite(commanded)
+    if fine.sum() < 20 or np.std(commanded[fine]) < LEAST_THROTTLE:
         return True
-    return bool(np.std(mean[fine]) > 0.0 and np.corrcoef(mean[fine], asked[fine])[0, 1] > 0.5)
+    return bool(np.std(mean[fine]) > 0.0 and np.corrcoef(mean[fine], commanded[fine])[0, 1] > 0.5)
 
 
 def _one_bit_off(function: int, rotor: int) -> bool:

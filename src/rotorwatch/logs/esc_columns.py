@@ -27,7 +27,7 @@ def build(time, measured: dict[str, np.ndarray], rotors: Sequence[int], source: 
     """The Signal `esc` from rows in which all ESCs report together; None when no speed or current in it is usable.
 
     time (m,) s; measured: quantity -> (m, N) in the units above, speeds of either sign; those left out are not measured. rotors: their
-    numbers. valid (m, N) bool: where an ESC was heard. notes: sentences that this appends to.
+    numbers. valid (m, N) bool: where an ESC reported. notes: sentences that this appends to.
     """
     shape = (len(time), len(rotors))
     blocks, masks, wild = [], [], 0
@@ -79,10 +79,10 @@ def together(
     Rows are the reports of the ESC that reports most; another's report goes into the row that is nearest in time, where that is no
     further away than the rows are apart.
     """
-    heard = [r for r in reports if r is not None and len(r[0])]
-    if not heard:
+    reporting = [r for r in reports if r is not None and len(r[0])]
+    if not reporting:
         return None
-    base = max(heard, key=lambda r: len(r[0]))[0]
+    base = max(reporting, key=lambda r: len(r[0]))[0]
     middle = 0.5 * (base[1:] + base[:-1])
     apart = float(np.median(np.diff(base))) if len(base) > 1 else 1.0
     measured = {quantity: np.full((len(base), len(reports)), np.nan) for quantity in QUANTITIES}

@@ -243,10 +243,10 @@ def _motors(log: _Log, parameters, autopilot: str) -> tuple[Signal | None, dict]
     class_ = dataflash_rotors.frame(parameters, ("", ""))[0]
     named = class_ or any(re.fullmatch(r"SERVO\d+_FUNCTION", n) for n in parameters)
     moving = {k + 1: column for k, column in enumerate(channels.T) if _moves(column)}
-    outputs, said = dataflash_rotors.outputs(
+    outputs, assumptions = dataflash_rotors.outputs(
         parameters, class_, {k + 1: c for k, c in enumerate(channels.T)} if named else _first(moving)
     )
-    log.notes += [s.rstrip(".") for s in said]
+    log.notes += [s.rstrip(".") for s in assumptions]
     picked = [n for n in outputs.values() if n <= channels.shape[1]]
     if not picked:
         return None, {}

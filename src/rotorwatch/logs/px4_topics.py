@@ -186,18 +186,18 @@ def _motors(topics: Topics, parameters):
 
 
 def _one_publisher(topics: Topics, time, reading: px4_outputs.Reading, source, facts):
-    """The samples of the publisher whose outputs reached the motors; `facts` says when nobody can tell which."""
+    """The samples of the publisher whose outputs reached the motors; `facts` holds their number where none can be chosen."""
     values = reading.values
     found = px4_outputs.tracks(values, 0.01 * (1000.0 if reading.unit == "us" else 1.0))
     if len(found) == 1:
         return time, values
     keep = px4_outputs.flown(values, found)
-    said = f"{source}: the outputs of two publishers alternate in one instance"
+    sentence = f"{source}: the outputs of two publishers alternate in one instance"
     if keep is None:
         facts["publishers"] = len(found)
-        topics.notes.append(f"{said}, and both move")
+        topics.notes.append(f"{sentence}, and both move")
         return time, values
-    topics.notes.append(f"{said}; the {keep.size} of {len(values)} samples that move were taken")
+    topics.notes.append(f"{sentence}; the {keep.size} of {len(values)} samples that move were taken")
     return time[keep], values[keep]
 
 

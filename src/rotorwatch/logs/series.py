@@ -44,7 +44,7 @@ def make(name, time, values, source, notes, valid=None) -> Signal | None:
     """The Signal `name` of SHAPES from time (n,) s and values (n, k); None when no usable sample is left.
 
     valid: (n,) or (n, k) bool or None. Values beyond what can be meant become invalid; damaged time stamps are dropped;
-    both are said in `notes`, a list of sentences that this appends to.
+    both are reported in `notes`, a list of sentences that this appends to.
     """
     columns, unit, frame, limit = SHAPES[name]
     return build(time, values, columns, unit, frame, source, limit, notes, valid)

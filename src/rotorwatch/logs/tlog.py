@@ -325,12 +325,12 @@ def _quaternions(table):
 def _utc_start(log: _Log) -> str | None:
     """UTC of second 0: as the autopilot says, else from the times at which the ground station received its attitude."""
     found = log.get("SYSTEM_TIME")
-    said = wall_clock.start(found[0], found[1]["time_unix_usec"] * 1e-6) if found is not None else None
-    if said is None and "ATTITUDE" in log.tables:
+    utc = wall_clock.start(found[0], found[1]["time_unix_usec"] * 1e-6) if found is not None else None
+    if utc is None and "ATTITUDE" in log.tables:
         received = log.frames.received(log.system, log.component, log.layouts["ATTITUDE"])
         time = log.clock("ATTITUDE")
-        said = wall_clock.start(time, received) if received.size == time.size else None
-    return said
+        utc = wall_clock.start(time, received) if received.size == time.size else None
+    return utc
 
 
 def _height(table):

@@ -52,7 +52,7 @@ class LeastSquares:
         self.n, self.loss_sd = n, loss_sd
 
     def init(self) -> tuple:
-        """Nothing is remembered."""
+        """An empty state: each answer depends on its inputs alone."""
         return ()
 
     def __call__(self, state, Phi, f, W, dt) -> tuple[Any, Answer]:
@@ -101,7 +101,7 @@ class Sparse:
         self.high = np.append(np.where(rotor, 1.0, np.inf), 1.0)
 
     def init(self) -> tuple:
-        """Nothing is remembered."""
+        """An empty state: each answer depends on its inputs alone."""
         return ()
 
     def __call__(self, state, Phi, f, W, dt) -> tuple[Any, Answer]:
@@ -157,7 +157,7 @@ class Temporal:
         self.low, self.high = np.where(rotor, 0.0, -np.inf), np.where(rotor, 1.0, np.inf)
 
     def init(self) -> Window:
-        """Nothing seen."""
+        """No information yet."""
         return Window(jnp.zeros((self.n, self.n)), jnp.zeros(self.n))
 
     def __call__(self, state, Phi, f, W, dt) -> tuple[Any, Answer]:

@@ -1,4 +1,4 @@
-"""What is asked of a plant before a method is made for it: its parts, their shapes and its noise; and what its losses are called."""
+"""Checks of a plant before a method is made for it (its parts, their shapes and its noise), its start, and the names of its losses."""
 
 from __future__ import annotations
 

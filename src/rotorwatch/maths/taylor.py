@@ -216,8 +216,8 @@ def _dot(equation, a, b):
     if any(batch):
         return equation.primitive.bind(a, b, **equation.params)
     a, b = (jnp.moveaxis(x, axes, range(-len(axes), 0)) for x, axes in ((a, left), (b, right)))
-    kept = a.ndim - len(left)
-    a = a.reshape(*a.shape[:kept], *[1] * (b.ndim - len(right)), *a.shape[kept:])
+    n_free = a.ndim - len(left)
+    a = a.reshape(*a.shape[:n_free], *[1] * (b.ndim - len(right)), *a.shape[n_free:])
     return (a * b).sum(tuple(range(-len(left), 0)))
 
 

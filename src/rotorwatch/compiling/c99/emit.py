@@ -244,11 +244,11 @@ class Emitter:
     def _reduce(self, node: Node):
         name, over = node.data
         x = node.args[0]
-        kept = len(x.shape) - over
+        out_rank = len(x.shape) - over
         width = len(x.shape)
         tree = self.tree(x, identity(x.shape), width)
         if name.startswith("arg"):
-            return self._extreme(node, tree, kept)
+            return self._extreme(node, tree, out_rank)
         first, combine = START[name][node.kind], ELEMENTWISE[COMBINE[name]].c[node.kind]
         if self.plan.local(node) or math.prod(node.shape) == 1:
             variable = f"t{node.index}"
@@ -262,14 +262,14 @@ class Emitter:
                 self._put(self.where(node), variable)
             return
         target = Leaf(self.where(node), 0, (*strides(node.shape), *([0] * over)))
-        self._write(node.shape, [list(range(kept))], Leaf(self.where(node), 0, strides(node.shape)), first)
+        self._write(node.shape, [list(range(out_rank))], Leaf(self.where(node), 0, strides(node.shape)), first)
         # What stays varies fastest: neighbouring sums grow side by side.
-        self._write(x.shape, [list(range(kept, width)), list(range(kept))], target, (combine, [target, tree]))
+        self._write(x.shape, [list(range(out_rank, width)), list(range(out_rank))], target, (combine, [target, tree]))
 
     def _put(self, place: Place, text: str):
         self.line(f"{place.base if place.plain else f'{place.base}[{place.offset}]'} = {text};")
 
-    def _extreme(self, node: Node, tree, kept: int):
+    def _extreme(self, node: Node, tree, out_rank: int):
         """argmax, argmin along one axis: the first of equal ones; NaN counts as the extreme."""
         x, sign = node.args[0], ">" if node.data[0] == "argmax" else "<"
         width, n = len(x.shape), x.shape[-1]
@@ -281,13 +281,13 @@ class Emitter:
         self.line("{")
         self.depth += 1
         names = list(NAMES[:width])
-        for name, size in zip(names[:kept], x.shape):
+        for name, size in zip(names[:out_rank], x.shape):
             self.line(f"for (int {name} = 0; {name} < {size}; ++{name}) {{")
             self.depth += 1
-        first = self.text(tree, [*names[:kept], "0"])
+        first = self.text(tree, [*names[:out_rank], "0"])
         self.line(f"{kind} best = {first};")
         self.line(f"{index} at = 0;")
-        last = names[kept]
+        last = names[out_rank]
         self.line(f"for (int {last} = 1; {last} < {n}; ++{last}) {{")
         self.line(f"    const {kind} here = {self.text(tree, names)};")
         worse = f"here {sign} best"
@@ -295,9 +295,9 @@ class Emitter:
             worse = f"{worse} || (here != here && best == best)"
         self.line(f"    if ({worse}) {{ best = here; at = {last}; }}")
         self.line("}")
-        goal = f"t{number}" if target is None else self.text(target, [*names[:kept], "0"])
+        goal = f"t{number}" if target is None else self.text(target, [*names[:out_rank], "0"])
         self.line(f"{goal} = at;")
-        for _ in range(kept):
+        for _ in range(out_rank):
             self.depth -= 1
             self.line("}")
         self.depth -= 1

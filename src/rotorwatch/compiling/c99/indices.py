@@ -32,8 +32,8 @@ def gathered(shape, index: np.ndarray, params, out_shape) -> np.ndarray:
         at[d] = start
     for d, b in zip(dims.operand_batching_dims, dims.start_indices_batching_dims):
         at[d] = batch[b]
-    kept = [d for d in range(len(shape)) if d not in (*dims.collapsed_slice_dims, *dims.operand_batching_dims)]
-    for o, d in zip(dims.offset_dims, kept):
+    window_axes = [d for d in range(len(shape)) if d not in (*dims.collapsed_slice_dims, *dims.operand_batching_dims)]
+    for o, d in zip(dims.offset_dims, window_axes):
         at[d] = at[d] + grid[o]
     flat = sum(s * np.where(inside, a, 0) for s, a in zip(strides(shape), at))
     return np.where(inside, flat, -1).astype(int)
@@ -48,8 +48,8 @@ def run_time_gather(graph: Graph, shape, index: Node, params, out_shape):
     steps = [[0] * width for _ in shape]
     for d, b in zip(dims.operand_batching_dims, dims.start_indices_batching_dims):
         steps[d][batch[b]] = 1
-    kept = [d for d in range(len(shape)) if d not in (*dims.collapsed_slice_dims, *dims.operand_batching_dims)]
-    for o, d in zip(dims.offset_dims, kept):
+    window_axes = [d for d in range(len(shape)) if d not in (*dims.collapsed_slice_dims, *dims.operand_batching_dims)]
+    for o, d in zip(dims.offset_dims, window_axes):
         steps[d][o] = 1
     parts = []
     for k in range(len(dims.start_index_map)):

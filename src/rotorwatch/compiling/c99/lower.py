@@ -306,16 +306,16 @@ def _scattered(graph, operand, updates, table, how):
 def _reduction(name: str):
     def reduce(graph, x, params, outvars):
         axes = tuple(int(a) for a in params["axes"])
-        kept = [k for k in range(len(x[0].shape)) if k not in axes]
-        turned = graph.transposed(x[0], [*kept, *axes])
+        remaining = [k for k in range(len(x[0].shape)) if k not in axes]
+        turned = graph.transposed(x[0], [*remaining, *axes])
         known = value(turned)
-        last = tuple(range(len(kept), len(turned.shape)))
+        last = tuple(range(len(remaining), len(turned.shape)))
         out = outvars[0].aval
         if known is not None:
             fold = {"sum": np.sum, "prod": np.prod, "max": np.max, "min": np.min, "and": np.all, "or": np.any}.get(name)
             if fold is not None:
                 return graph.const(np.asarray(fold(known, axis=last)).astype(NUMPY[turned.kind]))
-        if all(n == 1 for n in turned.shape[len(kept) :]) and not name.startswith("arg"):
+        if all(n == 1 for n in turned.shape[len(remaining) :]) and not name.startswith("arg"):
             return graph.reshaped(turned, out.shape)
         return graph.make("reduce", (turned,), out.shape, kind(out.dtype), (name, len(axes)))
 

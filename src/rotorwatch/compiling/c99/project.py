@@ -320,7 +320,7 @@ def _renamed(c: _C, prefix: str) -> _C:
 
 
 def _opening(c: _C, structs, inputs) -> list[str]:
-    """Shorter names of the workspace's members; what is not used is said to be so."""
+    """Shorter names of the workspace's members; what is not used is marked as unused."""
     text = "\n".join(c.lines)
     lines = []
     for k, member in WORKSPACE.items():
