@@ -231,7 +231,7 @@ def test_bad_tuning_gets_one_sentence(method, options, says, plant):
 @pytest.mark.parametrize(
     "options, says",
     [
-        ({"M": 1}, "M must be a whole number of steps, 2 or more"),
+        ({"M": 1}, "M must be a whole number, 2 or more"),
         ({"M": 10.5}, "M must be a whole number"),
         ({"threshold": 0.0}, "threshold must be above zero"),
         ({"whiteness": 2.0}, "whiteness must lie between -1 and 1"),

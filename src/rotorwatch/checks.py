@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import sys
 import traceback
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -44,6 +45,20 @@ def between(name: str, value: Any, low: float, high: float) -> Any:
     if concrete(value) and not ((np.asarray(value, float) >= low) & (np.asarray(value, float) <= high)).all():
         raise ConfigError(f"{name} must lie between {low:g} and {high:g}, not {value}.")
     return value
+
+
+def one_of(name: str, value: Any, known: Iterable[Any]) -> Any:
+    """value, unchanged, when it is one of the known ones."""
+    if value not in (known := tuple(known)):
+        raise ConfigError(f"{name} must be one of {', '.join(filter(None, known))}, not {value!r}.")
+    return value
+
+
+def whole(name: str, value: Any, least: int, most: float = 2.0**53) -> int:
+    """value as an int, when it is a whole number from least to most."""
+    if int(value) != value or not least <= value <= most:
+        raise ConfigError(f"{name} must be a whole number, {least} or more, not {value}.")
+    return int(value)
 
 
 def covariance(name: str, P: Any, n: int, definite: bool = False) -> Any:

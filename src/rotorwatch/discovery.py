@@ -26,7 +26,8 @@ from typing import Any, NamedTuple
 from rotorwatch import __version__
 from rotorwatch.errors import ConfigError, PluginWarning
 
-ESTIMATOR, SYSTEM = ("name", "init", "step"), ("name", "f", "h")
+ESTIMATOR = ("name", "init", "step")
+PARTS = {"rotorwatch.estimators": ESTIMATOR, "rotorwatch.systems": ("name", "f", "h")}
 GROUPS = {
     "rotorwatch.estimators": "estimator",
     "rotorwatch.systems": "plant",
@@ -47,18 +48,18 @@ class Source(NamedTuple):
 def estimators() -> dict[str, type]:
     """Name -> class of every estimator (`core.Estimator`: name, init, step) in `rotorwatch.estimators`, the default one, and those that
     other packages offer as entry points `rotorwatch.estimators`; one that is broken is left out, with a PluginWarning."""
-    return _with_offered("rotorwatch.estimators", _own_estimators(), ESTIMATOR)
+    return _with_offered("rotorwatch.estimators")
 
 
 def systems() -> dict[str, type]:
     """Name -> class of every plant (`core.System`: name, f, h) in `rotorwatch.systems`, the default estimator's, and those that other
     packages offer as entry points `rotorwatch.systems`."""
-    return _with_offered("rotorwatch.systems", _own_systems(), SYSTEM)
+    return _with_offered("rotorwatch.systems")
 
 
 def system(name: str) -> type:
     """The plant class of that name, or of `package.module:Class`. Raises ConfigError that lists the known ones."""
-    return _named("rotorwatch.systems", name, _own_systems, SYSTEM)
+    return _named("rotorwatch.systems", name)
 
 
 def estimator(given: Any) -> Any:
@@ -69,7 +70,7 @@ def estimator(given: Any) -> Any:
     says what the thing that was given lacks.
     """
     if isinstance(given, str):
-        return _named("rotorwatch.estimators", given, _own_estimators, ESTIMATOR)
+        return _named("rotorwatch.estimators", given)
     kind = given.func if isinstance(given, functools.partial) else given if inspect.isclass(given) else type(given)
     missing = [part for part in ESTIMATOR if not hasattr(kind, part)]
     if missing:
@@ -109,7 +110,7 @@ def _keywords(instance: Any) -> dict[str, Any]:
 
 def names() -> list[str]:
     """Names of all estimators, those of other packages included, which are not loaded for that."""
-    return sorted({*_own_estimators(), *offered("rotorwatch.estimators")})
+    return sorted({*_own("rotorwatch.estimators"), *offered("rotorwatch.estimators")})
 
 
 def source(found: Any) -> Source:
@@ -141,19 +142,11 @@ def about(found: Any) -> str:
     return " ".join(text.split("\n\n")[0].split()).rstrip(".")
 
 
-def _own_estimators() -> dict[str, type]:
-    return _classes(("rotorwatch.estimators", "rotorwatch.default"), ESTIMATOR)
-
-
-def _own_systems() -> dict[str, type]:
-    return _classes(("rotorwatch.systems", "rotorwatch.default"), SYSTEM)
-
-
-def _named(group: str, name: str, own: Any, parts: tuple[str, ...]) -> type:
-    kind = GROUPS[group]
+def _named(group: str, name: str) -> type:
+    kind, parts = GROUPS[group], PARTS[group]
     if ":" in name:
         return imported(name, parts, kind)
-    found = own()
+    found = _own(group)
     if name in found:
         return found[name]
     theirs = offered(group)
@@ -163,9 +156,9 @@ def _named(group: str, name: str, own: Any, parts: tuple[str, ...]) -> type:
     raise ConfigError(f"There is no {kind} called {name!r}; known are {known}.")
 
 
-def _with_offered(group: str, found: dict[str, type], parts: tuple[str, ...]) -> dict[str, type]:
+def _with_offered(group: str) -> dict[str, type]:
     """Our own and those of other packages; ours stay what they are."""
-    found = dict(found)
+    found = _own(group)
     for name, entry in offered(group).items():
         kind = GROUPS[group]
         if name in found:
@@ -175,20 +168,20 @@ def _with_offered(group: str, found: dict[str, type], parts: tuple[str, ...]) ->
             warnings.warn(sentence, PluginWarning, stacklevel=3)
             continue
         try:
-            found[name] = load(entry, parts)
+            found[name] = load(entry, PARTS[group])
         except ConfigError as why:
             warnings.warn(str(why), PluginWarning, stacklevel=3)
     return dict(sorted(found.items()))
 
 
-def _classes(rooms: tuple[str, ...], parts: tuple[str, ...]) -> dict[str, type]:
-    """Classes defined in the rooms' modules that have all `parts`, by their `name`, in the order of names."""
+def _own(group: str) -> dict[str, type]:
+    """Classes defined in the modules of a room, or of the default method, that have all the parts, by their `name`, in order of names."""
     found: dict[str, type] = {}
-    for module in (module for room in rooms for module in modules(room)):
+    for module in (module for room in (group, "rotorwatch.default") for module in modules(room)):
         members: list[tuple[str, Any]] = inspect.getmembers(module, inspect.isclass)
         for label, kind in members:
             own = kind.__module__ == module.__name__ and not label.startswith("_")
-            if not own or not all(hasattr(kind, part) for part in parts):
+            if not own or not all(hasattr(kind, part) for part in PARTS[group]):
                 continue
             if kind.name in found:
                 raise TypeError(f"{kind.__module__} and {found[kind.name].__module__} are both called {kind.name!r}")

@@ -20,7 +20,7 @@ class AdaptiveEKF(adaptive_kalman.Zhang):
 
     def init(self) -> State:
         """The plant's start, no loss."""
-        return adaptive_kalman.init(self.system, self.tuned)
+        return self.start()
 
     def step(self, carry: State, u, y, valid, dt=None) -> tuple[State, Estimate]:
         """Predict over dt with input u (n_u,), then update with y (n_y,) where valid."""

@@ -43,7 +43,7 @@ class AKF(adaptive_kalman.Zhang):
 
     def init(self) -> Carry:
         """The plant's start, no loss."""
-        return Carry(adaptive_kalman.init(self.system, self.tuned), np.int32(0))
+        return Carry(self.start(), np.int32(0))
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Estimate]:
         """Predict over dt with input u (n_u,), then update with y (n_y,) where valid."""

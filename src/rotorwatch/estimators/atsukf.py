@@ -16,7 +16,6 @@ from typing import NamedTuple
 from rotorwatch import checks
 from rotorwatch.backend import jnp, lax
 from rotorwatch.core import Array, Estimate
-from rotorwatch.errors import ConfigError
 from rotorwatch.maths import two_stage, unscented
 
 
@@ -58,9 +57,7 @@ class ATSUKF(unscented.Unscented):
         in the paper). Raises ConfigError."""
         shared = {"theta_walk": theta_walk, "theta_var": theta_var, "clip": clip}
         super().__init__(system, dt, alpha=alpha, beta=beta, kappa=kappa, **shared)
-        if int(M) != M or M < 2:
-            raise ConfigError(f"M must be a whole number of steps, 2 or more, not {M}.")
-        self.M, self.threshold = int(M), checks.positive("threshold", threshold)
+        self.M, self.threshold = checks.whole("M", M, 2), checks.positive("threshold", threshold)
         self.whiteness = None if whiteness is None else checks.between("whiteness", whiteness, -1.0, 1.0)
 
     def init(self) -> Carry:

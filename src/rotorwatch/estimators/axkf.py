@@ -52,7 +52,7 @@ class AXKF(adaptive_kalman.Zhang):
     def init(self) -> Carry:
         """The plant's start, no loss."""
         z = jnp.asarray(self.z0, float)
-        return Carry(adaptive_kalman.init(self.system, self.tuned), z, jnp.zeros_like(z))
+        return Carry(self.start(), z, jnp.zeros_like(z))
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Estimate]:
         """Predict over dt with input u (n_u,), then update with y (n_y,) where valid."""

@@ -97,8 +97,8 @@ class Intermediate:
             checks.positive("velocity_rate", velocity_rate),
         )
         self.drift, self.loss_sd = checks.positive("drift_sd", drift_sd), checks.positive("loss_sd", loss_sd)
-        _choice("discretisation", discretisation, tuple(GAINS))
-        _choice("allocation", allocation, ALLOCATIONS)
+        checks.one_of("discretisation", discretisation, GAINS)
+        checks.one_of("allocation", allocation, ALLOCATIONS)
         self.gains, self.matched = GAINS[discretisation], matched
         if discretisation == "euler" and checks.concrete((dt, alpha, velocity_rate)):
             _stable(float(velocity_rate), float(alpha), float(dt))
@@ -217,10 +217,7 @@ class Intermediate:
         system = self.system
         x0, u, theta = jnp.asarray(system.x0, float), jnp.ones(system.n_u), jnp.zeros(system.n_theta)
 
-        def rate(x, u, theta):
-            return jax.jvp(lambda dt: system.f(x, u, theta, dt), (0.0,), (1.0,))[1]
-
-        Phi = _known(jax.jacfwd(lambda theta: rate(x0, u, theta))(theta))
+        Phi = _known(jax.jacfwd(lambda theta: linearise.rate(system, x0, u, theta))(theta))
         D = _known(jax.jacfwd(lambda theta: system.h(x0, u, theta))(theta))
         H = _known(jax.jacfwd(lambda x: system.h(x, u, theta))(x0))
         self.driven = 1.0 * _acts(Phi)  # (n_x,) 1 where losses drive a state
@@ -241,18 +238,18 @@ class Intermediate:
         self.steady = None
         blind = (self.driven > 0) & ~self.measured
         if checks.concrete(blind) and blind.any():
-            self.steady = self._riccati(rate, x0, u, theta)
+            self.steady = self._riccati(x0, u, theta)
         self.mute = blind.any() & (self.steady is None)  # only a plant without values yet: its faults are never seen
         # What one measurement's noise does to a fault: keeps weights finite while the covariance starts from nothing.
         k2, R = self.gains(self.lp, self.lv, self.alpha, self.dt)[2], jnp.asarray(system.R(u))
         K_f = k2 * self.from_y if self.steady is None else self.steady[1]
         self.least = jnp.concatenate([(K_f * K_f) @ R, (k2 * self.dt) ** 2 * R]) + 1e-30
 
-    def _riccati(self, rate, x0, u, theta):
+    def _riccati(self, x0, u, theta):
         """Steady gains about the inputs that hold x0."""
         system = self.system
-        by_u = np.asarray(jax.jacfwd(lambda u: rate(x0, u, theta))(u))
-        u = u - np.linalg.pinv(by_u) @ np.asarray(rate(x0, u, theta))
+        at_x0, by_u = (np.asarray(part) for part in linearise.once(lambda u: linearise.rate(system, x0, u, theta), u))
+        u = u - np.linalg.pinv(by_u) @ at_x0
         F = np.asarray(linearise.transition(system, x0, u, theta, self.dt).by_x)
         turning = np.where(np.abs(u) > SEEN, u, 1.0)  # an input that rests shows nothing of its losses
         Phi = np.asarray(linearise.transition(system, x0, turning, theta, self.dt).by_theta)
@@ -313,8 +310,3 @@ def _acts(derivative):
 def _known(array):
     """As NumPy where it has values, else the tracer."""
     return np.asarray(array) if checks.concrete(array) else array
-
-
-def _choice(name: str, value, known: tuple[str, ...]) -> None:
-    if value not in known:
-        raise ConfigError(f"{name} must be one of {', '.join(known)}, not {value!r}.")

@@ -21,7 +21,6 @@ import numpy as np
 from rotorwatch import checks
 from rotorwatch.backend import jax, jnp, lax
 from rotorwatch.core import Array, Estimate
-from rotorwatch.errors import ConfigError
 from rotorwatch.maths import linearise, measured_regression
 
 # Constants of 95 % efficiency where noise is normal, and of the scale.
@@ -71,12 +70,9 @@ class IRLS:
         self.system, self.dt = system, measured_regression.check("Iteratively reweighted least squares", system, dt)
         self.rows = max(2, round(checks.positive("window_s", window_s) / dt))
         self.theta_var = checks.positive("theta_var", linearise.variances("theta_var", theta_var, system.n_theta))
-        if weights not in CONSTANT:
-            raise ConfigError(f"weights must be one of {', '.join(CONSTANT)}, not {weights!r}.")
-        self.weights, self.c = weights, checks.positive("constant", CONSTANT[weights] if constant is None else constant)
-        if int(iterations) != iterations or iterations < 1:
-            raise ConfigError(f"iterations must be a whole number, 1 or more, not {iterations}.")
-        self.iterations = int(iterations)
+        self.weights = checks.one_of("weights", weights, CONSTANT)
+        self.c = checks.positive("constant", CONSTANT[weights] if constant is None else constant)
+        self.iterations = checks.whole("iterations", iterations, 1)
 
     def init(self) -> Carry:
         """The plant's start, no loss, an empty window."""

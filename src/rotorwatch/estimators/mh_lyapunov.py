@@ -81,8 +81,7 @@ class MHLyapunov(Adaptation):
     )
 
     def __post_init__(self):
-        if self.pull not in PULLS:
-            raise ConfigError(f"pull must be one of {', '.join(PULLS)}, not {self.pull!r}.")
+        checks.one_of("pull", self.pull, PULLS)
         super().__post_init__()
         dt = self.dt
         checks.positive("block_s", self.block_s)

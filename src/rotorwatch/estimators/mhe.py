@@ -18,7 +18,6 @@ from typing import Any, NamedTuple
 from rotorwatch import checks
 from rotorwatch.backend import jax, jnp
 from rotorwatch.core import Estimate
-from rotorwatch.errors import ConfigError
 from rotorwatch.maths import bounded, linearise, plant
 from rotorwatch.maths.small import definite_solve, symmetric
 
@@ -93,12 +92,15 @@ class MHE:
         theta_sd: of a loss at the start. walk: of a loss in a second, for rotors commanded
         at least `hold` times u_nominal (n_u,) (default: hover); others rest. Raises ConfigError for values that cannot be.
         """
-        for name, value, least in (("nodes", nodes, 2), ("iterations", iterations, 1), ("active_set", active_set, 1)):
-            if int(value) != value or value < least:
-                raise ConfigError(f"{name} must be a whole number of at least {least}, not {value}.")
         self.system, self.dt = plant.checked("The moving-horizon estimator", system, dt), dt
-        self.intervals, self.m = int(nodes) - 1, max(1, round(checks.positive("node_s", node_s) / dt))
-        self.iterations, self.passes = int(iterations), int(active_set)
+        self.intervals, self.m = (
+            checks.whole("nodes", nodes, 2) - 1,
+            max(1, round(checks.positive("node_s", node_s) / dt)),
+        )
+        self.iterations, self.passes = (
+            checks.whole("iterations", iterations, 1),
+            checks.whole("active_set", active_set, 1),
+        )
         self.theta_sd, self.walk = checks.positive("theta_sd", theta_sd), checks.positive("walk", walk)
         self.least = checks.between("hold", hold, 0.0, 1.0) * bounded.nominal_input(system, u_nominal)
         low, high = bounded.of_losses(system, bounds)

@@ -21,7 +21,6 @@ import numpy as np
 from rotorwatch import checks
 from rotorwatch.backend import jnp
 from rotorwatch.core import Array, Estimate
-from rotorwatch.errors import ConfigError
 from rotorwatch.maths import counter_random, multiple_model
 
 
@@ -68,10 +67,8 @@ class RBPF(multiple_model.MultipleModel):
         the vehicle stays healthy, and a rotor weak [s]. common: one mode more, in which all rotors lose alike. seed: of the random
         numbers, a whole number. Raises ConfigError for wrong values."""
         super().__init__(system, dt, theta_walk, theta_var, common)
-        for name, value, least in (("particles", particles, 2), ("seed", seed, 0)):
-            if int(value) != value or not least <= value < 2**30:
-                raise ConfigError(f"{name} must be a whole number from {least} on, not {value}.")
-        self.N, self.seed = int(particles), int(seed)
+        self.N = checks.whole("particles", particles, 2, 2**30 - 1)
+        self.seed = checks.whole("seed", seed, 0, 2**30 - 1)
         self.jump = checks.between("jump", checks.positive("jump", jump), 0.0, 0.9)
         self.stay_s = multiple_model.stay(len(self.directions), healthy_s, weak_s)
 

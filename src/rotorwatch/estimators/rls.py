@@ -21,7 +21,6 @@ import numpy as np
 from rotorwatch import checks
 from rotorwatch.backend import jnp
 from rotorwatch.core import Array, Estimate
-from rotorwatch.errors import ConfigError
 from rotorwatch.maths import linearise, measured_regression
 from rotorwatch.maths.small import definite_solve
 
@@ -53,9 +52,8 @@ class RLS:
         self.system, self.dt = system, measured_regression.check("Recursive least squares", system, dt)
         self.memory_s = checks.positive("memory_s", memory_s)
         self.theta_var = checks.positive("theta_var", linearise.variances("theta_var", theta_var, system.n_theta))
-        if forgetting not in FORGETTING:
-            raise ConfigError(f"forgetting must be one of {', '.join(FORGETTING)}, not {forgetting!r}.")
-        self.forgetting, self.trace_max = forgetting, checks.positive("trace_max", trace_max)
+        self.forgetting = checks.one_of("forgetting", forgetting, FORGETTING)
+        self.trace_max = checks.positive("trace_max", trace_max)
 
     def init(self) -> Carry:
         """The plant's start, no loss."""

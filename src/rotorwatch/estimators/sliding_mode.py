@@ -139,10 +139,7 @@ class SlidingMode:
         system = self.system
         x0, u, none = jnp.asarray(system.x0, float), jnp.asarray(u, float), jnp.zeros(system.n_theta)
 
-        def rate(theta):
-            return jax.jvp(lambda dt: system.f(x0, u, theta, dt), (0.0,), (1.0,))[1]
-
-        G = jax.jacfwd(rate)(none)
+        G = jax.jacfwd(lambda theta: linearise.rate(system, x0, u, theta))(none)
         C, D = linearise.measurement(system, x0, u, none)[1:]
         size = jnp.abs(G).max(axis=1)
         self.driven = jnp.where(size > ACTS * size.max(), 1.0, 0.0)

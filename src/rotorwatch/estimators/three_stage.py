@@ -144,10 +144,8 @@ class ThreeStage:
         system = self.system
         x0, u = jnp.asarray(system.x0, float), jnp.asarray(u, float)
 
-        def rate(theta):
-            return jax.jvp(lambda dt: system.f(x0, u, theta, dt), (0.0,), (1.0,))[1]
-
-        return jnp.abs(jax.jacfwd(rate)(jnp.zeros(system.n_theta))).max(axis=1)
+        slope = jax.jacfwd(lambda theta: linearise.rate(system, x0, u, theta))
+        return jnp.abs(slope(jnp.zeros(system.n_theta))).max(axis=1)
 
 
 def _joseph(P, K, H, R):

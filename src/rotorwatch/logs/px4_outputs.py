@@ -21,8 +21,9 @@ https://docs.px4.io/main/en/msg_docs/EscStatus.html and EscReport.html
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -86,6 +87,16 @@ def read(values: np.ndarray, parameters, count: int) -> Reading | None:
     moving = [k for k in range(values.shape[1]) if _moves(values[:, k])]
     moving = [k for k in moving if _scaled(values[:, [k]], [k], driver, parameters, moving=True)]
     return _scaled(values[:, moving], moving, driver, parameters) if moving else None
+
+
+def best(instances: Iterable[tuple[str, Any]], parameters, count: int) -> tuple[str, np.ndarray, Reading] | None:
+    """(source, time, reading) of the instance that drives rotors; None when none does. instances: source -> (time, outputs) or None."""
+    found = [
+        (source, data[0], reading)
+        for source, data in instances
+        if data is not None and (reading := read(data[1], parameters, count)) is not None
+    ]
+    return max(found, key=lambda one: (one[2].named, one[2].swing), default=None)
 
 
 def _moves(column: np.ndarray) -> bool:

@@ -12,24 +12,12 @@ from rotorwatch.flight import Message, vehicle_kind
 from rotorwatch.logs import px4_outputs, series, wall_clock
 
 TOPICS = (
-    "actuator_armed",
-    "actuator_controls_0",
-    "actuator_motors",
-    "actuator_outputs",
-    "battery_status",
-    "esc_status",
-    "sensor_combined",
-    "sensor_gps",
-    "vehicle_acceleration",
-    "vehicle_angular_velocity",
-    "vehicle_attitude",
-    "vehicle_attitude_setpoint",
-    "vehicle_gps_position",
-    "vehicle_land_detected",
-    "vehicle_local_position",
-    "vehicle_status",
-    "vehicle_thrust_setpoint",
-    "vehicle_torque_setpoint",
+    *"actuator_armed actuator_controls_0 actuator_motors actuator_outputs battery_status esc_status sensor_combined sensor_gps".split(),
+    *(
+        f"vehicle_{name}"
+        for name in "acceleration angular_velocity attitude attitude_setpoint gps_position land_detected".split()
+    ),
+    *(f"vehicle_{name}" for name in "local_position status thrust_setpoint torque_setpoint".split()),
 )
 """The topics that are read; all others, simulator truth among them, never are."""
 
@@ -165,20 +153,18 @@ def _motors(topics: Topics, parameters):
             values = values[:, : count or used[-1] + 1]
             facts = {"motors_topic": "actuator_motors"}
             return series.motors(time, values, "1", "actuator_motors", topics.notes), facts
-    best = None
-    for instance in range(4):
+
+    def outputs(instance):
         found = topics.table("actuator_outputs", "output[0]", instance=instance)
         if found is None:
-            continue
-        time, table = found
-        fields = [f for f in numbered("output", 16) if f in table]
-        reading = px4_outputs.read(series.stacked(table, fields), parameters, count)
-        if reading and (best is None or (reading.named, reading.swing) > (best[1].named, best[1].swing)):
-            best = time, reading, instance
+            return None
+        return found[0], series.stacked(found[1], [f for f in numbered("output", 16) if f in found[1]])
+
+    instances = ((f"actuator_outputs[{k}]" if k else "actuator_outputs", outputs(k)) for k in range(4))
+    best = px4_outputs.best(instances, parameters, count)
     if best is None:
         return None, {}
-    time, reading, instance = best
-    source = "actuator_outputs" + (f"[{instance}]" if instance else "")
+    source, time, reading = best
     topics.notes += [reading.note] if reading.note else []
     facts = {"motors_topic": "actuator_outputs", **reading.facts}
     time, values = _one_publisher(topics, time, reading, source, facts)

@@ -110,14 +110,9 @@ def _signals(tables: _Tables, parameters) -> tuple[dict, dict]:
 
 def _motors(tables: _Tables, parameters):
     """The outputs of the driver that moves rotors, in rotor order, and the facts about them."""
-    best = None
-    for message in ("OUT0", "OUT1"):
-        found = tables.get(message, *(f"Out{k}" for k in range(8)))
-        if found is None:
-            continue
-        reading = px4_outputs.read(found[1], parameters, px4_topics.rotor_count(parameters))
-        if reading and (best is None or reading.swing > best[2].swing):
-            best = message, found[0], reading
+    outputs = [f"Out{k}" for k in range(8)]
+    instances = ((message, tables.get(message, *outputs)) for message in ("OUT0", "OUT1"))
+    best = px4_outputs.best(instances, parameters, px4_topics.rotor_count(parameters))
     if best is None:
         return None, {}
     message, time, reading = best

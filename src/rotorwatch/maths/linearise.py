@@ -47,6 +47,11 @@ def _linear(g, x, theta, part: str, system) -> Linear:
     return Linear(value, slope[:, :n], slope[:, n:])
 
 
+def rate(system, x, u, theta):
+    """dx/dt (n_x,): the derivative of the plant's step at dt = 0."""
+    return jax.jvp(lambda dt: system.f(x, u, theta, dt), (0.0,), (1.0,))[1]
+
+
 def once(function, at):
     """(function(at), its Jacobian), the function evaluated once."""
 

@@ -124,9 +124,7 @@ class SetMembership:
             ("remainder", ("taylor", "interval", "none")),
             ("remainder_box", ("trace", "volume", "paper")),
         ):
-            if getattr(self, label) not in known:
-                names = ", ".join(filter(None, known))
-                raise ConfigError(f"{label} must be one of {names}, not {getattr(self, label)!r}.")
+            checks.one_of(label, getattr(self, label), known)
         if self.cut is None:
             self.cut = "trace" if form in ("joint", "scalar") else "source"
         if (form == "joint" and self.cut != "trace") or (form in ("batch", "ud") and self.cut != "source"):

@@ -65,8 +65,7 @@ class PortHamiltonianAttitude:
         if not suspects or not set(suspects) <= set(range(self.n_u)) or len(set(suspects)) != len(suspects):
             raise ConfigError(f"suspects must be different inputs from 0 to {self.n_u - 1}, not {suspects}.")
         for name, value, known in (("generalised_force", generalised_force, FORCES), ("faults", faults, FAULTS)):
-            if value not in known:
-                raise ConfigError(f"{name} must be one of {', '.join(known)}, not {value!r}.")
+            checks.one_of(name, value, known)
         self.suspects, self.faults, self.generalised_force = suspects, faults, generalised_force
         self.n_theta = len(suspects)
         self.process_var = linearise.variances("process_var", process_var, 6)
