@@ -195,7 +195,7 @@ def test_clipping_keeps_losses_in_the_unit_interval(method, plant, table):
 
 
 def test_biases_are_not_clipped():
-    limit = two_stage.to_unit(2)
+    limit = unscented.to_unit(2)
     np.testing.assert_array_equal(limit(np.array([-0.5, 1.5, -3.0])), [0.0, 1.0, -3.0])
 
 
@@ -231,7 +231,7 @@ def test_bad_tuning_gets_one_sentence(method, options, says, plant):
 @pytest.mark.parametrize(
     "options, says",
     [
-        ({"M": 1}, "M must be a whole number of steps, 2 or more"),
+        ({"M": 1}, "M must be a whole number, 2 or more"),
         ({"M": 10.5}, "M must be a whole number"),
         ({"threshold": 0.0}, "threshold must be above zero"),
         ({"whiteness": 2.0}, "whiteness must lie between -1 and 1"),

@@ -8,7 +8,7 @@ import pytest
 
 from rotorwatch import airframes, diagnose, logs
 from rotorwatch.errors import VehicleError
-from rotorwatch.logs import dataflash, dataflash_untimed
+from rotorwatch.logs import dataflash, dataflash_clock
 from test_dataflash import Writer
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -130,7 +130,7 @@ def test_a_log_without_motors_names_the_record_that_is_missing():
 def test_nothing_keeps_time():
     log = Writer()
     log.define("GPS", *GPS[1:])
-    stamps, said = dataflash_untimed.stamps(dataflash.BinaryLog(log.data))
+    stamps, said = dataflash_clock.rebuilt(dataflash.BinaryLog(log.data))
     assert np.isnan(stamps).all() and said == ""
 
 

@@ -220,7 +220,7 @@ def test_index_lists_every_page():
 
 def test_the_list_of_places_that_use_jax_is_complete():
     source = ROOT / "src" / "rotorwatch"
-    uses = re.compile(r"^\s*(import jax\b|from jax\b|from rotorwatch\.backend import .*\bjax\b)", re.MULTILINE)
+    uses = re.compile(r"^\s*(import jax\b|from jax\b|from rotorwatch\.backend import .*\b(jax|jnp)\b)", re.MULTILINE)
     found = {
         path.relative_to(source).parts[0].removesuffix(".py")
         for path in source.rglob("*.py")

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from rotorwatch import cli, logs
+from rotorwatch.files import printable
 from rotorwatch.flight import Flight, Message
-from rotorwatch.shown import printable
 from rotorwatch.simulation.write_dataflash import write_dataflash
 
 SAMPLE = Path(cli.__file__).parent / "samples" / "hexax_m3_mul0.80_square_wind.bin.xz"

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from rotorwatch import logs
 from rotorwatch.errors import LogError
-from rotorwatch.logs import delimited, memory
+from rotorwatch.logs import memory
 from rotorwatch.logs.memory import from_arrays
 
 DOCS = Path(__file__).parents[1] / "docs" / "readers.md"
@@ -186,7 +186,7 @@ def test_damaged_lines_cost_only_themselves(tmp_path):
 def test_empty_cells_anywhere_are_not_a_number(rows):
     text = "a,b,c\n" + "".join(",".join("" if v is None else repr(v) for v in row) + "\n" for row in rows)
     notes = []
-    table = delimited.numbers(text.encode(), notes)
+    table = memory.numbers(text.encode(), notes)
     want = np.array([[np.nan if v is None else v for v in row] for row in rows], float)
     got = np.column_stack([table[c] for c in "abc"])
     assert np.array_equal(got, want, equal_nan=True) and notes == []

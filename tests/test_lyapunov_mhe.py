@@ -16,7 +16,6 @@ from rotorwatch.estimators.lyapunov import Lyapunov
 from rotorwatch.estimators.mh_lyapunov import MHLyapunov
 from rotorwatch.estimators.mhe import MHE, banded, tridiagonal
 from rotorwatch.maths import bounded
-from rotorwatch.maths.lyapunov_law import Law
 from rotorwatch.systems.rate_dynamics import RateDynamics
 
 DT = 0.005
@@ -86,7 +85,7 @@ def rates(law, x, theta_hat, theta, u):
 def test_lyapunov_function_falls_as_the_proof_says(seed):
     """dV/dt = -k_w w'Mw - k_f f~^2, to rounding: nothing but the two squares is left."""
     jax = load_jax()
-    law = Law("lyapunov", hexa(), DT, 12.0, 4.0, 1.5, (-0.2, 1.0), 0.0, None)
+    law = Lyapunov(hexa(), DT, bounds=(-0.2, 1.0), hold=0.0).law
     rng = np.random.default_rng(seed)
     x, w, error = rng.standard_normal(3), rng.standard_normal(3), 0.3 * rng.standard_normal(6)
     derivative, _ = rates(law, x, np.zeros(6), np.zeros(6), rng.uniform(0.2, 0.8, 6))

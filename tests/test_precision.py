@@ -83,7 +83,7 @@ from rotorwatch.errors import ConfigError
 wide = []
 for make in {made[room]}:
     jax.config.update("jax_enable_x64", False)
-    backend.jax.cache_clear()
+    backend.set_up.cache_clear()
     try:
         make()
     except ConfigError:  # not defined for such a plant

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rotorwatch.logs import publishers
+from rotorwatch.logs import px4_outputs
 
 STEP = 10.0  # us
 
@@ -33,16 +33,16 @@ def interleaved(one, other, every):
 def test_a_publisher_that_stands_still_is_left_out(every):
     flown = outputs()
     values, owner = interleaved(flown, np.full((400, 4), [1500.0, 1900.0, 1500.0, 1500.0]), every)
-    found = publishers.tracks(values, STEP)
+    found = px4_outputs.tracks(values, STEP)
     assert len(found) == 2
-    keep = publishers.flown(values, found)
+    keep = px4_outputs.flown(values, found)
     assert keep is not None and np.mean(owner[keep] == 0) > 0.98 and keep.size > 0.98 * 400
 
 
 def test_two_that_both_move_leave_a_doubt():
     values, _ = interleaved(outputs(), outputs(seed=1) + np.array([400.0, -300.0, 0.0, 0.0]), 1)
-    found = publishers.tracks(values, STEP)
-    assert len(found) == 2 and publishers.flown(values, found) is None
+    found = px4_outputs.tracks(values, STEP)
+    assert len(found) == 2 and px4_outputs.flown(values, found) is None
 
 
 @settings(max_examples=30, deadline=None)
@@ -51,4 +51,4 @@ def test_a_single_publisher_is_never_split(seed, noise, cut, to):
     """Noisy outputs that jump from sample to sample, and one that is switched off or held in flight."""
     values = outputs(seed=seed, noise=noise)
     values[cut:, 1] = to
-    assert len(publishers.tracks(values, STEP)) == 1
+    assert len(px4_outputs.tracks(values, STEP)) == 1

@@ -4,8 +4,8 @@ import sqlite3
 
 import pytest
 
+from rotorwatch.files import public
 from rotorwatch.fleet.store import Entry, Store
-from rotorwatch.shown import public
 from test_cli import run  # noqa: F401
 
 SECRET = "s3cr3t"

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import functools
+import importlib
 import os
 import sys
 from pathlib import Path
+from typing import Any
 
 from rotorwatch.errors import ConfigError
 
@@ -33,11 +35,8 @@ def code_folder(name: str) -> Path:
 
 
 @functools.cache
-def jax():
-    """The jax module in float64 with a persistent compilation cache; imported on first use, because it takes 0.5 s.
-
-    Every plant and every estimator asks for it when it is made, so that nothing of theirs is traced in float32.
-    """
+def set_up() -> None:
+    """Import JAX, in float64 and with a persistent compilation cache. Raises ConfigError where it is not installed."""
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     loaded = "jax" in sys.modules
     try:
@@ -52,8 +51,34 @@ def jax():
     try:
         folder = code_folder("jax")
     except OSError:  # a home that is read-only, or others', only costs a recompilation
-        return jax
+        return
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
-    return jax
+
+
+class _Module:
+    """A module of JAX that is imported, and JAX set up, when something of it is first used, because that takes 0.5 s.
+
+    A call sets JAX up at once and gives the module itself: every plant and every estimator does so when it is made, so that nothing of
+    theirs is traced in float32.
+    """
+
+    def __init__(self, name: str):
+        self._name = name
+
+    def __call__(self) -> Any:
+        set_up()
+        return importlib.import_module(self._name)
+
+    def __getattr__(self, part: str) -> Any:
+        if part.startswith("__"):  # asked for by what inspects objects
+            raise AttributeError(part)
+        found = getattr(self(), part)
+        setattr(self, part, found)
+        return found
+
+
+jax: Any = _Module("jax")
+jnp: Any = _Module("jax.numpy")
+lax: Any = _Module("jax.lax")

@@ -5,10 +5,14 @@ Inside a compiled program arrays have no values yet; there only shapes can be ch
 
 from __future__ import annotations
 
+import sys
+import traceback
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 
+from rotorwatch.backend import jax
 from rotorwatch.errors import ConfigError
 
 
@@ -41,6 +45,20 @@ def between(name: str, value: Any, low: float, high: float) -> Any:
     if concrete(value) and not ((np.asarray(value, float) >= low) & (np.asarray(value, float) <= high)).all():
         raise ConfigError(f"{name} must lie between {low:g} and {high:g}, not {value}.")
     return value
+
+
+def one_of(name: str, value: Any, known: Iterable[Any]) -> Any:
+    """value, unchanged, when it is one of the known ones."""
+    if value not in (known := tuple(known)):
+        raise ConfigError(f"{name} must be one of {', '.join(filter(None, known))}, not {value!r}.")
+    return value
+
+
+def whole(name: str, value: Any, least: int, most: float = 2.0**53) -> int:
+    """value as an int, when it is a whole number from least to most."""
+    if int(value) != value or not least <= value <= most:
+        raise ConfigError(f"{name} must be a whole number, {least} or more, not {value}.")
+    return int(value)
 
 
 def covariance(name: str, P: Any, n: int, definite: bool = False) -> Any:
@@ -111,9 +129,6 @@ def controller(u: Any, system: Any) -> None:
 
 def _traced(name: str, function: Any, arguments: tuple[tuple[int, ...], ...]) -> tuple[int, ...]:
     """The shape of what a function returns for arrays of these shapes. Raises ConfigError where it cannot be traced."""
-    from rotorwatch.backend import jax as load_jax
-
-    jax = load_jax()
     empty = [jax.ShapeDtypeStruct(size, np.float64) for size in arguments]
     try:
         found = jax.eval_shape(function, *empty)
@@ -122,7 +137,7 @@ def _traced(name: str, function: Any, arguments: tuple[tuple[int, ...], ...]) ->
         raise ConfigError(untraceable(name, why)) from why
     except ConfigError:
         raise
-    except Exception as why:  # whatever a stranger's function raises
+    except Exception as why:  # a user's function may raise anything
         reason = " ".join(f"{type(why).__name__}: {why}".split())[:200]
         raise ConfigError(f"{name} fails for arguments of the shapes {arguments}: {reason.rstrip('.')}.") from why
 
@@ -137,8 +152,6 @@ def untraceable(name: str, why: BaseException) -> str:
 
 def _where(why: BaseException) -> str:
     """The innermost line outside of the libraries, as " (file, line)"."""
-    import traceback
-
     frames = traceback.extract_tb(why.__traceback__)
     own = [f for f in frames if "site-packages" not in f.filename and "/rotorwatch/" not in f.filename]
     inside = own or [f for f in frames if "/rotorwatch/" in f.filename and not f.filename.endswith("checks.py")]
@@ -147,9 +160,4 @@ def _where(why: BaseException) -> str:
 
 def concrete(value: Any) -> bool:
     """Whether the value is known now: not a tracer inside a compiled program."""
-    import sys
-
-    jax = sys.modules.get("jax")
-    if jax is None:
-        return True
-    return not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(value))
+    return "jax" not in sys.modules or not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(value))

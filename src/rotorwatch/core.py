@@ -1,4 +1,4 @@
-"""The nouns every method is written in. Imports nothing of ours.
+"""The types that every method is written in. Imports nothing of ours.
 
 A *system* is one plant: how its state moves, what is measured, how uncertain both are. An *estimator* is one method
 that can be run on systems; a *detector* turns its estimates into decisions. All three are pure: ``init() -> carry``
@@ -104,19 +104,4 @@ class Estimator(Protocol):
         dt: s; None where the estimator was made for one step length. Returns the carry and an `Estimate`, or a named
         tuple of the method's own that holds one in its field ``estimate``.
         """
-        ...
-
-
-@runtime_checkable
-class Detector(Protocol):
-    """One rule that decides when an estimate means that something changed."""
-
-    name: str
-
-    def init(self) -> Carry:
-        """The carry before the first estimate."""
-        ...
-
-    def step(self, carry: Carry, estimate: Estimate, dt: Array) -> tuple[Carry, Decision]:
-        """One time step."""
         ...

@@ -1,23 +1,40 @@
-"""What plug-ins there are: every module of a room is looked at, and nothing lists them by hand; and what other packages offer.
+"""What plug-ins there are: in a room of this package, whose modules nothing lists by hand; in other installed packages, which name theirs
+as entry points; and by `package.module:Class`, wherever a name is asked for.
 
-Names that start with an underscore, and classes that a module merely imports, do not count. A class can also be named as
-`package.module:Class` wherever a name is asked for.
+Names that start with an underscore, and classes that a module merely imports, do not count. A package hands in an estimator, a plant, a
+detector, a log format or an airframe by three lines of its pyproject.toml (docs/your-own-method.md, docs/plug-ins.md):
+
+    [project.entry-points."rotorwatch.estimators"]
+    fixed_gain = "two_methods.fixed_gain:FixedGain"
+
+The name on the left is the plug-in's own `name`; formats and airframes have none, so that any name will do for them.
 """
 
 from __future__ import annotations
 
 import functools
+import importlib
 import inspect
+import pkgutil
 import sys
 import warnings
+from collections.abc import Callable, Iterator
 from importlib import metadata
+from types import ModuleType
 from typing import Any, NamedTuple
 
-from rotorwatch import __version__, plugins
+from rotorwatch import __version__
 from rotorwatch.errors import ConfigError, PluginWarning
-from rotorwatch.plugins import modules
 
-ESTIMATOR, SYSTEM = ("name", "init", "step"), ("name", "f", "h")
+ESTIMATOR = ("name", "init", "step")
+PARTS = {"rotorwatch.estimators": ESTIMATOR, "rotorwatch.systems": ("name", "f", "h")}
+GROUPS = {
+    "rotorwatch.estimators": "estimator",
+    "rotorwatch.systems": "plant",
+    "rotorwatch.detectors": "detector",
+    "rotorwatch.logs": "log format",
+    "rotorwatch.airframes": "airframe",
+}
 
 
 class Source(NamedTuple):
@@ -31,18 +48,18 @@ class Source(NamedTuple):
 def estimators() -> dict[str, type]:
     """Name -> class of every estimator (`core.Estimator`: name, init, step) in `rotorwatch.estimators`, the default one, and those that
     other packages offer as entry points `rotorwatch.estimators`; one that is broken is left out, with a PluginWarning."""
-    return _with_offered("rotorwatch.estimators", _own_estimators(), ESTIMATOR)
+    return _with_offered("rotorwatch.estimators")
 
 
 def systems() -> dict[str, type]:
     """Name -> class of every plant (`core.System`: name, f, h) in `rotorwatch.systems`, the default estimator's, and those that other
     packages offer as entry points `rotorwatch.systems`."""
-    return _with_offered("rotorwatch.systems", _own_systems(), SYSTEM)
+    return _with_offered("rotorwatch.systems")
 
 
 def system(name: str) -> type:
     """The plant class of that name, or of `package.module:Class`. Raises ConfigError that lists the known ones."""
-    return _named("rotorwatch.systems", name, _own_systems, SYSTEM)
+    return _named("rotorwatch.systems", name)
 
 
 def estimator(given: Any) -> Any:
@@ -53,7 +70,7 @@ def estimator(given: Any) -> Any:
     says what the thing that was given lacks.
     """
     if isinstance(given, str):
-        return _named("rotorwatch.estimators", given, _own_estimators, ESTIMATOR)
+        return _named("rotorwatch.estimators", given)
     kind = given.func if isinstance(given, functools.partial) else given if inspect.isclass(given) else type(given)
     missing = [part for part in ESTIMATOR if not hasattr(kind, part)]
     if missing:
@@ -93,7 +110,7 @@ def _keywords(instance: Any) -> dict[str, Any]:
 
 def names() -> list[str]:
     """Names of all estimators, those of other packages included, which are not loaded for that."""
-    return sorted({*_own_estimators(), *plugins.offered("rotorwatch.estimators")})
+    return sorted({*_own("rotorwatch.estimators"), *offered("rotorwatch.estimators")})
 
 
 def source(found: Any) -> Source:
@@ -105,8 +122,8 @@ def source(found: Any) -> Source:
         return Source("rotorwatch", __version__, path)
     for name in _distributions(top, tuple(sys.path)):
         return Source(name, metadata.version(name), path)
-    for group in plugins.GROUPS:  # a package that is only on the path, with its metadata beside it
-        for entry in plugins.offered(group).values():
+    for group in GROUPS:  # a package that is only on the path, with its metadata beside it
+        for entry in offered(group).values():
             if entry.module.partition(".")[0] == top and entry.dist is not None:
                 return Source(entry.dist.name, entry.dist.version, path)
     return Source(top, "", path)
@@ -125,54 +142,158 @@ def about(found: Any) -> str:
     return " ".join(text.split("\n\n")[0].split()).rstrip(".")
 
 
-def _own_estimators() -> dict[str, type]:
-    return _classes(("rotorwatch.estimators", "rotorwatch.default"), ESTIMATOR)
-
-
-def _own_systems() -> dict[str, type]:
-    return _classes(("rotorwatch.systems", "rotorwatch.default"), SYSTEM)
-
-
-def _named(group: str, name: str, own: Any, parts: tuple[str, ...]) -> type:
-    kind = plugins.GROUPS[group]
+def _named(group: str, name: str) -> type:
+    kind, parts = GROUPS[group], PARTS[group]
     if ":" in name:
-        return plugins.imported(name, parts, kind)
-    found = own()
+        return imported(name, parts, kind)
+    found = _own(group)
     if name in found:
         return found[name]
-    offered = plugins.offered(group)
-    if name in offered:  # only this one is loaded: another package that is broken is no concern of who asks for it
-        return plugins.load(offered[name], parts)
-    known = ", ".join(sorted({*found, *offered}))
+    theirs = offered(group)
+    if name in theirs:  # only this one is loaded: a broken package must not keep others from being used
+        return load(theirs[name], parts)
+    known = ", ".join(sorted({*found, *theirs}))
     raise ConfigError(f"There is no {kind} called {name!r}; known are {known}.")
 
 
-def _with_offered(group: str, found: dict[str, type], parts: tuple[str, ...]) -> dict[str, type]:
+def _with_offered(group: str) -> dict[str, type]:
     """Our own and those of other packages; ours stay what they are."""
-    found = dict(found)
-    for name, entry in plugins.offered(group).items():
-        kind = plugins.GROUPS[group]
+    found = _own(group)
+    for name, entry in offered(group).items():
+        kind = GROUPS[group]
         if name in found:
-            sentence = f"The {kind} {name} of the package {plugins.package(entry)} is not used: rotorwatch has one of that name."
+            sentence = (
+                f"The {kind} {name} of the package {package(entry)} is not used: rotorwatch has one of that name."
+            )
             warnings.warn(sentence, PluginWarning, stacklevel=3)
             continue
         try:
-            found[name] = plugins.load(entry, parts)
+            found[name] = load(entry, PARTS[group])
         except ConfigError as why:
             warnings.warn(str(why), PluginWarning, stacklevel=3)
     return dict(sorted(found.items()))
 
 
-def _classes(rooms: tuple[str, ...], parts: tuple[str, ...]) -> dict[str, type]:
-    """Classes defined in the rooms' modules that have all `parts`, by their `name`, in the order of names."""
+def _own(group: str) -> dict[str, type]:
+    """Classes defined in the modules of a room, or of the default method, that have all the parts, by their `name`, in order of names."""
     found: dict[str, type] = {}
-    for module in (module for room in rooms for module in modules(room)):
+    for module in (module for room in (group, "rotorwatch.default") for module in modules(room)):
         members: list[tuple[str, Any]] = inspect.getmembers(module, inspect.isclass)
         for label, kind in members:
             own = kind.__module__ == module.__name__ and not label.startswith("_")
-            if not own or not all(hasattr(kind, part) for part in parts):
+            if not own or not all(hasattr(kind, part) for part in PARTS[group]):
                 continue
             if kind.name in found:
                 raise TypeError(f"{kind.__module__} and {found[kind.name].__module__} are both called {kind.name!r}")
             found[kind.name] = kind
     return dict(sorted(found.items()))
+
+
+def modules(package: str) -> Iterator[ModuleType]:
+    """Every module of a package, those of its sub-packages included, in the order of their names; not those with an
+    underscore in front."""
+    parent = importlib.import_module(package)
+    for info in pkgutil.walk_packages(parent.__path__, f"{package}."):
+        if not info.name.rpartition(".")[2].startswith("_"):
+            yield importlib.import_module(info.name)
+
+
+def member(package: str, name: str):
+    """The class of that name defined in one of the package's modules. Raises AttributeError: for modules' __getattr__.
+
+    Importing a submodule asks for its name here first: only what looks like a class is searched for, because that loads all.
+    """
+    if name[:1].isupper():
+        for module in modules(package):
+            found = getattr(module, name, None)
+            if getattr(found, "__module__", None) == module.__name__:
+                return found
+    raise AttributeError(f"module {package!r} has no attribute {name!r}")
+
+
+def offered(group: str) -> dict[str, metadata.EntryPoint]:
+    """Name -> entry point of what other installed packages offer in a group of GROUPS; nothing is loaded."""
+    found: dict[str, metadata.EntryPoint] = {}
+    for entry in metadata.entry_points(group=group):
+        found.setdefault(entry.name, entry)
+    return dict(sorted(found.items()))
+
+
+def others(
+    group: str, parts: tuple[str, ...], refuse: Callable[[Any], str] = lambda found: ""
+) -> Iterator[tuple[metadata.EntryPoint, Any]]:
+    """Every plug-in of a group of GROUPS that other packages offer, loaded, with its entry point; one that is broken is left out, with a
+    PluginWarning that names its package. refuse: says why one is not used ("its name is taken"), "" for one that is."""
+    for entry in offered(group).values():
+        try:
+            found = load(entry, parts)
+            if why := refuse(found):
+                raise ConfigError(
+                    f"The {GROUPS[group]} {entry.name} of the package {package(entry)} is not used: {why}."
+                )
+        except ConfigError as why:
+            warnings.warn(str(why), PluginWarning, stacklevel=3)
+            continue
+        yield entry, found
+
+
+def failed(entry: metadata.EntryPoint, what: str, why: BaseException) -> None:
+    """Warn, by a PluginWarning, that a plug-in of another package raised. what: the part that failed."""
+    kind = GROUPS.get(entry.group, "plug-in")
+    sentence = (
+        f"The {kind} {entry.name} of the package {package(entry)} is passed over: its {what} failed ({brief(why)})."
+    )
+    warnings.warn(sentence, PluginWarning, stacklevel=3)
+
+
+def load(entry: metadata.EntryPoint, parts: tuple[str, ...]) -> Any:
+    """The class or module that an entry point names. Raises ConfigError, one sentence that names the package, when it cannot be loaded,
+    lacks one of `parts`, or has another `name` than the entry point where `parts` asks for a name."""
+    kind = GROUPS.get(entry.group, "plug-in")
+    whose = f"The {kind} {entry.name} of the package {package(entry)}"
+    try:
+        found = entry.load()
+    except Exception as why:  # a module of another package may raise anything
+        raise ConfigError(f"{whose} cannot be loaded ({brief(why)}): mend that package or uninstall it.") from why
+    _complete(whose, found, parts)
+    if "name" in parts and found.name != entry.name:
+        raise ConfigError(f"{whose} calls itself {found.name!r}: its entry point must have the same name.")
+    return found
+
+
+def imported(text: str, parts: tuple[str, ...], kind: str) -> Any:
+    """What `package.module:Class` names. Raises ConfigError, one sentence, for another form, a module that cannot be imported, or a class
+    that lacks one of `parts`. kind: what it is to be, for the sentence."""
+    module, _, label = text.partition(":")
+    if not all(part.isidentifier() for part in (*module.split("."), *label.split("."))):
+        raise ConfigError(f"{text!r} names no {kind}: write package.module:Class.")
+    try:
+        found: Any = importlib.import_module(module)
+    except Exception as why:
+        raise ConfigError(f"The {kind} {text} cannot be loaded: importing {module} failed ({brief(why)}).") from why
+    for part in label.split("."):
+        if not hasattr(found, part):
+            raise ConfigError(f"The {kind} {text} cannot be loaded: {module} has no {label}.")
+        found = getattr(found, part)
+    _complete(f"The {kind} {text}", found, parts)
+    return found
+
+
+def _complete(whose: str, found: Any, parts: tuple[str, ...]) -> None:
+    missing = [part for part in parts if not hasattr(found, part)]
+    if missing:
+        raise ConfigError(f"{whose} lacks {', '.join(missing)}: see docs/plug-ins.md for what it must have.")
+    if "name" not in parts:
+        return
+    if not isinstance(found.name, str) or not found.name:
+        raise ConfigError(f"{whose} must have a text as its name, not {found.name!r}.")
+
+
+def package(entry: metadata.EntryPoint) -> str:
+    """Name and version of the package that offers an entry point."""
+    return f"{entry.dist.name} {entry.dist.version}" if entry.dist is not None else entry.module
+
+
+def brief(why: BaseException) -> str:
+    """An exception in one line."""
+    return " ".join(f"{type(why).__name__}: {why}".split())[:200].rstrip(": ")

@@ -18,7 +18,7 @@ class ConfigError(RotorwatchError):
 
 
 class LinkError(RotorwatchError):
-    """An endpoint cannot be opened, or no vehicle is heard on it."""
+    """An endpoint cannot be opened, or no vehicle sends on it."""
 
 
 class WorkerError(RotorwatchError):
@@ -45,7 +45,7 @@ class PluginWarning(RuntimeWarning):
 
 
 class StoreError(RotorwatchError):
-    """The store of a fleet cannot be opened, read or written, or does not hold what is asked for."""
+    """The store of a fleet cannot be opened, read or written, or lacks the wanted entry."""
 
 
 class StoreFull(StoreError):

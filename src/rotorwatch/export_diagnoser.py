@@ -2,8 +2,8 @@
 
     rw.export_c.export_diagnoser("out", vehicle="mine.toml", prefix="rotor")
 
-The front end is made of its definition (front/), the estimator of its traced step, for this vehicle; events are C sources (embedded_c), for this
-vehicle; rw_config.h and rw_config.c hold the vehicle and the rates.
+The front end is made of its definition (front/), the estimator of its traced step, for this vehicle; the events after it are C sources
+(embedded_c). rw_config.h and rw_config.c hold the vehicle and the rates.
 """
 
 from __future__ import annotations

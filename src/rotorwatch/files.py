@@ -1,4 +1,5 @@
-"""Where results are written: checked before the work that makes them, in one step, all of it or nothing. And TOML files read."""
+"""Where results are written: checked before the work that makes them, in one step, all of it or nothing. TOML files read; and texts from
+outside (logs, links, file names, addresses) as they may be shown."""
 
 from __future__ import annotations
 
@@ -14,6 +15,8 @@ from rotorwatch.errors import ConfigError
 from rotorwatch.optional import tomllib
 
 ADDRESS = re.compile(r"[a-z][a-z0-9+.-]*:/{1,2}[^/]", re.IGNORECASE)  # a Path has lost one of two slashes
+USER = re.compile(r"([a-z][a-z0-9+.-]*://)[^\s/?#]*@", re.IGNORECASE)
+QUERY = re.compile(r"([a-z][a-z0-9+.-]*://[^\s?]*\?)[^\s:]*", re.IGNORECASE)
 
 
 def no_address(path: str | os.PathLike) -> None:
@@ -84,7 +87,7 @@ def folder(path: str | os.PathLike, what: str, make: bool = True) -> Path:
 
 @contextmanager
 def replacing(path: str | os.PathLike) -> Iterator[Path]:
-    """A temporary path beside `path`, with its ending, that takes its place at the end; gone when something goes wrong on the way.
+    """A temporary path beside `path`, with its ending, that takes its place at the end; it is removed when something fails on the way.
 
     Raises ConfigError when it cannot be written.
     """
@@ -105,3 +108,19 @@ def replacing(path: str | os.PathLike) -> Iterator[Path]:
     finally:
         with suppress(OSError):
             os.unlink(name)
+
+
+def printable(text: str) -> str:
+    """The text with all that is no visible character written out, as in \\x1b or \\n.
+
+    A terminal, and whoever reads a program's output, takes control characters as commands; bytes that are no text, \\udcXX, cannot be
+    written at all.
+    """
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
+
+
+def public(text: str) -> str:
+    """The text with nothing in its addresses that only their owner may know: user and password are removed, and the query to a server."""
+    return QUERY.sub(r"\1...", USER.sub(r"\1", text)) if "://" in text else text

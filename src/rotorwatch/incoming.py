@@ -1,13 +1,19 @@
-"""Logs that come as a stream (a pipe, an address), kept in a file: limits of size and of time, and a folder that goes with the process."""
+"""Logs that come from outside: streams (a pipe, an address) kept in a file, within limits of size and time; a folder that goes with the
+process; and limits of time and memory for work on files that have not been checked yet, set by the process that does it."""
 
 from __future__ import annotations
 
 import atexit
+import importlib
 import os
 import queue
+import shutil
+import signal
+import tempfile
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -17,14 +23,13 @@ MOST = 4 << 30
 """Bytes of a log, wherever it comes from and however it is packed."""
 STALLS_S, MOST_S = 60.0, 1800.0
 """For the next block of a stream, and for all of it."""
+GRACE_S = 30.0  # beyond a job's own time limit: then its process does not come back and is killed
 _BLOCK = 1 << 20
 _spool: dict[int, Path] = {}
 
 
 def spool() -> Path:
     """The folder of this process for what is only needed while it runs. Processes that it starts keep theirs in it."""
-    import tempfile
-
     if os.getpid() not in _spool:  # after a fork the parent's is not ours to remove
         _spool.clear()
         _spool[os.getpid()] = Path(tempfile.mkdtemp(prefix="rotorwatch-"))
@@ -38,8 +43,6 @@ def spooled() -> Path | None:
 
 
 def _remove(process: int, folder: Path) -> None:
-    import shutil
-
     if process == os.getpid():
         shutil.rmtree(folder, ignore_errors=True)
 
@@ -93,3 +96,38 @@ def _in_time(stream: Any, name: str) -> Iterator[bytes]:
         wanted.clear()
         while not blocks.empty():  # the thread may wait for room
             blocks.get_nowait()
+
+
+class TooLong(BaseException):
+    """Raised by the process' own clock; no except clause of a reader swallows it. The text says how long."""
+
+
+@contextmanager
+def within(seconds: float) -> Iterator[None]:
+    """Raises TooLong inside when it takes longer, where the system can: in the main thread of a process, on POSIX."""
+
+    def too_long(*_):
+        raise TooLong(f"took longer than {seconds:g} s")
+
+    if not hasattr(signal, "setitimer"):
+        yield
+        return
+    signal.signal(signal.SIGALRM, too_long)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+
+
+def cap_memory(memory_mb: int, loads: Sequence[str] = ()) -> None:
+    """Cap the address space of this process at what it has plus memory_mb, where the system can. loads: modules that do not count."""
+    for name in loads:  # before measuring
+        with suppress(ImportError):
+            importlib.import_module(name)
+    with suppress(ImportError, OSError, ValueError):
+        import resource
+
+        have = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
+        most = have + memory_mb * 2**20
+        resource.setrlimit(resource.RLIMIT_AS, (most, most))

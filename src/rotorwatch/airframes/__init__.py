@@ -3,46 +3,35 @@
 A module here offers ``identify(flight) -> Vehicle | None`` (None: not mine, or the log says too little) and may
 offer ``NAMES``, name -> function without arguments that builds the `Vehicle` with default settings. Adding an autopilot
 is adding a file, or an entry point `rotorwatch.airframes` of another package: a module or an object with the same parts (docs/plug-ins.md),
-which is asked when no module here knows the flight.
+which is tried when no module here recognises the flight.
 """
 
 from __future__ import annotations
 
-import importlib
 import math
-import pkgutil
 from collections.abc import Iterator
 from importlib import resources
 from types import ModuleType
 from typing import Any
 
-from rotorwatch import plugins
+from rotorwatch import discovery
 from rotorwatch.errors import VehicleError
 from rotorwatch.flight import Flight, vehicle_kind
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.optional import tomllib
 
 KINDS = {2: "quad", 15: "tri", 13: "hexa", 14: "octa", 29: "dodecahexa", 35: "deca"}  # MAVLink MAV_TYPE
-WORDS = {
-    "tricopter": "tri",
-    "quad": "quad",
-    "hexa": "hexa",
-    "octo": "octa",
-    "octa": "octa",
-    "dodeca": "dodecahexa",
-    "deca": "deca",
-}
+WORDS = {"tricopter": "tri", "octo": "octa", "dodeca": "dodecahexa", **{w: w for w in ("quad", "hexa", "octa", "deca")}}
 
 
 def modules() -> tuple[ModuleType, ...]:
     """The airframe modules found in this folder, by name."""
-    found = [importlib.import_module(f"{__name__}.{info.name}") for info in pkgutil.iter_modules(__path__)]
-    return tuple(sorted(found, key=lambda module: module.__name__))
+    return tuple(discovery.modules(__name__))
 
 
 def offered() -> tuple[tuple[Any, Any], ...]:
     """(entry point, airframes) of what other installed packages offer, by name; one that is broken is left out, with a PluginWarning."""
-    return tuple(plugins.others(__name__, ("identify",)))
+    return tuple(discovery.others(__name__, ("identify",)))
 
 
 def identify(flight: Flight) -> Vehicle:
@@ -89,7 +78,7 @@ def named(name: str) -> Vehicle:
 
 
 def _all() -> Iterator[Any]:
-    """Ours, then those of other packages, which are not loaded unless asked for."""
+    """Ours, then those of other packages, which are loaded only when they are reached."""
     yield from modules()
     yield from (found for _, found in offered())
 
@@ -103,8 +92,8 @@ def _theirs(flight: Flight) -> Vehicle | None:
                 raise TypeError(f"{type(vehicle).__name__} is no Vehicle")
         except VehicleError:  # it knows the vehicle, and says why it cannot be judged
             raise
-        except Exception as why:  # a stranger's module may raise anything
-            plugins.failed(entry, "identify", why)
+        except Exception as why:  # a module of another package may raise anything
+            discovery.failed(entry, "identify", why)
         else:
             if vehicle is not None:
                 return vehicle

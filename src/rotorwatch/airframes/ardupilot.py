@@ -13,6 +13,7 @@ import functools
 import math
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -20,115 +21,20 @@ from rotorwatch import airframes
 from rotorwatch.errors import VehicleError
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Rotor, ThrustCurve, Vehicle, coaxial, note_on_coaxial
+from rotorwatch.optional import tomllib
 
 CLASSES = {1: "quad", 2: "hexa", 3: "octa", 4: "octaquad", 5: "y6", 7: "tri", 12: "dodecahexa", 14: "deca"}
-TYPES = {
-    **{0: "plus", 1: "x", 2: "v", 3: "h", 4: "vtail", 5: "atail", 6: "plus-rev", 10: "b", 11: "f", 12: "bf-x"},
-    **{
-        13: "dji-x",
-        14: "cw-x",
-        15: "i",
-        16: "nyt-plus",
-        17: "nyt-x",
-        18: "bf-x-rev",
-        19: "y4",
-        20: "x-cor",
-        21: "cw-x-cor",
-    },
-}
+TYPES = dict(enumerate("plus x v h vtail atail plus-rev".split()))
+TYPES |= dict(enumerate("b f bf-x dji-x cw-x i nyt-plus nyt-x bf-x-rev y4 x-cor cw-x-cor".split(), 10))
 UNSUPPORTED = {6: "a helicopter", 8: "a single copter", 9: "a coaxial copter", 10: "a bicopter"}
-UNSUPPORTED |= {
-    11: "a dual helicopter",
-    13: "a quad helicopter",
-    15: "a scripted frame",
-    16: "a scripted frame",
-    17: "a scripted frame",
-}
+UNSUPPORTED |= {11: "a dual helicopter", 13: "a quad helicopter", **dict.fromkeys((15, 16, 17), "a scripted frame")}
 ROTORS = {"tri": 3, "quad": 4, "hexa": 6, "octa": 8, "octaquad": 8, "y6": 6, "dodecahexa": 12, "deca": 10}
 
-# One motor is (angle, yaw factor) or, where the arms are not on a circle, (right, forward, yaw factor).
-CCW, CW = 1.0, -1.0
-_V = 0.7981  # front motors of the V frames carry less yaw, so that yawing does not pitch
-_X4, _PLUS4 = (45, -135, -45, 135), (90, -90, 0, 180)
-_AROUND4 = (45, 135, -135, -45)
-_PLUS8 = (0, 180, 45, 135, -45, -135, -90, 90)
-_X8 = (22.5, -157.5, 67.5, 157.5, -22.5, -112.5, -67.5, 112.5)
-_OCTA_YAW = "-- ++ ++ --"
-_PAIRS4 = (45, -45, -135, 135, -45, 45, 135, -135)
-
-
-def _ring(angles, yaw: str):
-    """Motors on a circle; yaw is one + (counter-clockwise), - (clockwise) or 0 per motor, blanks ignored."""
-    signs = [{"+": CCW, "-": CW, "0": 0.0}[c] for c in yaw.replace(" ", "")]
-    return tuple(zip(angles, signs, strict=True))
-
-
-def _steps(first, step, count):
-    """`count` angles from `first` in steps, in -180..180 degrees."""
-    return tuple((first + step * k + 180.0) % 360.0 - 180.0 for k in range(count))
-
-
-def _twice(angles):
-    """Every angle twice: an upper and a lower motor on each arm."""
-    return tuple(a for a in angles for _ in range(2))
-
-
-FRAMES = {
-    "quad-plus": _ring(_PLUS4, "++--"),
-    "quad-x": _ring(_X4, "++--"),
-    "quad-v": ((45, _V), (-135, CCW), (-45, -_V), (135, CW)),
-    "quad-h": _ring(_X4, "--++"),
-    "quad-plus-rev": _ring(_PLUS4, "--++"),
-    "quad-bf-x": _ring((135, 45, -135, -45), "-++-"),
-    "quad-bf-x-rev": _ring((135, 45, -135, -45), "+--+"),
-    "quad-dji-x": _ring((45, -45, -135, 135), "+-+-"),
-    "quad-cw-x": _ring(_AROUND4, "+-+-"),
-    "quad-nyt-plus": _ring(_PLUS4, "0000"),
-    "quad-nyt-x": _ring(_X4, "0000"),
-    "quad-y4": ((1, 1, CCW), (0, -1, CW), (0, -1, CCW), (-1, 1, CW)),
-    "hexa-plus": _ring((0, 180, -120, 60, -60, 120), "-+-++-"),
-    "hexa-x": _ring((90, -90, -30, 150, 30, -150), "-+-++-"),
-    "hexa-h": ((1, 0, CW), (-1, 0, CCW), (-1, 1, CW), (1, -1, CCW), (1, 1, CCW), (-1, -1, CW)),
-    "hexa-dji-x": _ring(_steps(30, -60, 6), "+-+-+-"),
-    "hexa-cw-x": _ring(_steps(30, 60, 6), "+-+-+-"),
-    "octa-plus": _ring(_PLUS8, _OCTA_YAW),
-    "octa-x": _ring(_X8, _OCTA_YAW),
-    "octa-v": (
-        *((-0.83, 0.34, CW), (0.67, -0.32, CW), (-0.67, -0.32, CCW), (0.5, -1.0, CCW)),
-        *((-1.0, 1.0, CCW), (0.83, 0.34, CCW), (1.0, 1.0, CW), (-0.5, -1.0, CW)),
-    ),
-    "octa-h": (
-        *((1, 1, CW), (-1, -1, CW), (1, 1 / 3, CCW), (1, -1, CCW)),
-        *((-1, 1, CCW), (-1, -1 / 3, CCW), (-1, 1 / 3, CW), (1, -1 / 3, CW)),
-    ),
-    "octa-i": (
-        *((-1 / 3, -1, CW), (1 / 3, 1, CW), (-1, -1, CCW), (-1 / 3, 1, CCW)),
-        *((1 / 3, -1, CCW), (1, 1, CCW), (1, -1, CW), (-1, 1, CW)),
-    ),
-    "octa-dji-x": _ring(_steps(22.5, -45, 8), "+-+-+-+-"),
-    "octa-cw-x": _ring(_steps(22.5, 45, 8), "+-+-+-+-"),
-    "octaquad-plus": _ring((0, -90, 180, 90, -90, 0, 90, 180), "+-+- +-+-"),
-    "octaquad-x": _ring(_PAIRS4, "+-+- +-+-"),
-    "octaquad-v": tuple(zip(_PAIRS4, (_V, -_V, CCW, CW, _V, -_V, CCW, CW), strict=True)),
-    "octaquad-h": _ring(_PAIRS4, "-+-+ -+-+"),
-    "octaquad-cw-x": _ring(_twice(_AROUND4), "+- -+ +- -+"),
-    "octaquad-bf-x": _ring((135, 45, -135, -45) * 2, "-++- +--+"),
-    "octaquad-bf-x-rev": _ring((135, 45, -135, -45) * 2, "+--+ -++-"),
-    "octaquad-x-cor": _ring(_PAIRS4, "+-+- -+-+"),
-    "octaquad-cw-x-cor": _ring(_twice(_AROUND4), "++ -- ++ --"),
-    "y6-b": ((1, 0.5, CW), (1, 0.5, CCW), (0, -1, CW), (0, -1, CCW), (-1, 0.5, CW), (-1, 0.5, CCW)),
-    "y6-f": ((0, -1, CCW), (1, 0.5, CCW), (-1, 0.5, CCW), (0, -1, CW), (1, 0.5, CW), (-1, 0.5, CW)),
-    "y6": (
-        *((1, 2 / 3, CCW), (-1, 2 / 3, CW), (-1, 2 / 3, CCW)),
-        *((0, -4 / 3, CW), (1, 2 / 3, CW), (0, -4 / 3, CCW)),
-    ),
-    "tri": _ring((60, -60, 180), "000"),  # motors 1, 2 and 4; a servo yaws it
-    "deca-plus": _ring(_steps(0, 36, 10), "+-" * 5),
-    "deca-x": _ring(_steps(18, 36, 10), "+-" * 5),
-    "deca-cw-x": _ring(_steps(18, 36, 10), "+-" * 5),
-    "dodecahexa-plus": _ring(_twice(_steps(0, 60, 6)), "+- -+" * 3),
-    "dodecahexa-x": _ring(_twice(_steps(30, 60, 6)), "+- -+" * 3),
+FRAMES: dict[str, tuple[tuple[float, ...], ...]] = {
+    name: tuple(map(tuple, motors))
+    for name, motors in tomllib.loads(Path(__file__).with_name("ardupilot_frames.toml").read_text("utf-8")).items()
 }
+"""Motors of each frame: (angle, yaw factor) or (right, forward, yaw factor)."""
 # The lower rotors of coaxial frames, counted from 0. ArduPilot's motor test turns clockwise from the front and takes the
 # upper motor of an arm before the lower; its numbers of the default Y6 do not follow that order, those of the others do
 # (testing_order and the comments "top", "bottom" in AP_MotorsMatrix.cpp; drawings of "Connect ESCs and Motors").
@@ -140,10 +46,6 @@ LOWER = {
 }
 # On co-rotating frames the upper rotor of each arm does 0.9 of the work of the lower one.
 CO_ROTATING = ("octaquad-x-cor", "octaquad-cw-x-cor")
-# V- and A-tail: the front motors turn the frame in roll and pitch only, the tilted rear ones in pitch and yaw.
-for _name, _yaw in (("quad-vtail", CCW), ("quad-atail", CW)):
-    _side, _front, _rear = math.sin(math.radians(60)), math.cos(math.radians(60)), math.cos(math.radians(160))
-    FRAMES[_name] = ((_side, _front, 0.0), (0.0, _rear, -_yaw), (-_side, _front, 0.0), (0.0, _rear, _yaw))
 
 
 def identify(flight: Flight) -> Vehicle | None:
@@ -268,8 +170,8 @@ def _old_frame(flight: Flight, notes: list[str]) -> str:
             break
     else:
         classes = {4: ("quad",), 6: ("hexa", "y6"), 8: ("octa", "octaquad")}.get(flight.rotor_count, ("",))
-        name, told = _class_by_outputs(flight, classes, kind)
-        how = "the only one that its outputs can be mixed for" if told else f"its {flight.rotor_count} motor outputs"
+        name, unique = _class_by_outputs(flight, classes, kind)
+        how = "the only one that its outputs can be mixed for" if unique else f"its {flight.rotor_count} motor outputs"
         notes.append(f"The log does not name its frame class: {name} taken from {how}.")
     if name == "tri":
         return name
@@ -306,8 +208,8 @@ def _class_by_outputs(flight: Flight, classes: tuple[str, ...], kind: int) -> tu
         span, _ = np.linalg.qr(np.array(build(_of_type(name, kind), thrust).mixer, float))
         off.append(float(np.square(apart - apart @ span @ span.T).sum()))
     order = np.argsort(off)
-    told = off[order[0]] < OFF_MIXER * off[order[1]]
-    return (able[int(order[0])], True) if told else (able[0], False)
+    unique = off[order[0]] < OFF_MIXER * off[order[1]]
+    return (able[int(order[0])], True) if unique else (able[0], False)
 
 
 def _place(motor: tuple) -> tuple[float, float, float]:

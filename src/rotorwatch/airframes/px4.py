@@ -115,8 +115,8 @@ def curve(flight: Flight, notes: list[str]) -> ThrustCurve:
             low, high = 1000.0, 2000.0
             notes.append("The log has no PWM limits: motor pulses taken as 1000 to 2000 us.")
         return ThrustCurve(float(low), float(high), expo, known)
-    asked = known and "actuator_motors" in motors.source
-    return ThrustCurve(0.0, 1.0, 0.0 if asked else expo, known)
+    demands = known and "actuator_motors" in motors.source
+    return ThrustCurve(0.0, 1.0, 0.0 if demands else expo, known)
 
 
 def _rotors_from_parameters(flight: Flight, notes: list[str]) -> tuple[Rotor, ...] | None:

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rotorwatch import __version__, airframes, detectors, discovery, files, plugins
+from rotorwatch import __version__, airframes, detectors, discovery, files
 from rotorwatch.backend import jax as load_jax
 from rotorwatch.campaign import batch, public_data, results_file, summary, work
 from rotorwatch.campaign.benchmark_plan import Benchmark, digest, read, shipped
@@ -117,7 +117,7 @@ def try_out(method: Method) -> str | None:
 
 
 def _sentence(method: Method, why: Exception) -> str:
-    reason = str(why).rstrip(".") if isinstance(why, ConfigError) else plugins.brief(why).rstrip(".")
+    reason = str(why).rstrip(".") if isinstance(why, ConfigError) else discovery.brief(why).rstrip(".")
     return f"{method.whose} fails: {reason}."
 
 

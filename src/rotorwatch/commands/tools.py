@@ -18,7 +18,7 @@ import click
 
 from rotorwatch import incoming
 from rotorwatch.errors import BackendWarning, ConfigError, PluginWarning, WorkerWarning
-from rotorwatch.shown import printable, public
+from rotorwatch.files import printable, public
 
 PICTURES = (".svg", ".png", ".pdf")
 ADDRESS = re.compile(r"[a-z][a-z0-9+.-]+://", re.IGNORECASE)

@@ -272,7 +272,7 @@ def _package() -> str:
         raise Unmakeable(
             f"{why[0].upper()}{why[1:]}, and JAX, which would make some, is not installed: pip install jax."
         ) from None
-    for path in sorted(home.rglob("*.py")):
+    for path in sorted([*home.rglob("*.py"), *(home / name for name in shipped.templates())]):
         digest.update(str(path.relative_to(home)).encode() + b"\0" + path.read_bytes() + b"\0")
     return digest.hexdigest()
 

@@ -93,6 +93,11 @@ def _imports(path: Path) -> list[tuple[Path, bool]]:
     return found
 
 
+def templates() -> list[str]:
+    """Files of C that translated programs begin with."""
+    return sorted(path.relative_to(HOME).as_posix() for path in (HOME / "compiling" / "c99").glob("*.h*"))
+
+
 def files_in(room: str) -> list[str]:
     """Files of the package that the definitions of a room are translated from."""
     own = [path.relative_to(HOME).as_posix() for path in (HOME / room).glob("*.py")]

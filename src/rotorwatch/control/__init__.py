@@ -1,4 +1,4 @@
-"""From a diagnosis to staying in the air: which commands still do what is asked when rotors are weak or gone.
+"""From a diagnosis to staying in the air: which commands still give the demanded thrust and moments when rotors are weak or dead.
 
     box.py          the exact least squares problem over a box, in a fixed number of turns
     allocation.py   demands (thrust, roll, pitch, yaw) -> commands of the rotors, by what is believed of each rotor

@@ -17,7 +17,7 @@ the expected squared error is what is made small:
     "estimate"    e is the mean
     "bounds"      e is independent from rotor to rotor, has that mean and lies within lower and upper; of all such distributions the
                   worst: variance (upper - mean)(mean - lower) (Bhatia and Davis, American Mathematical Monthly 107, 2000), which adds
-                  that times |W S^-1 b_i|^2 u_i^2. What is not sure to push is leant on less
+                  that times |W S^-1 b_i|^2 u_i^2. A rotor of uncertain effectiveness is commanded less
     "posterior"   e is candidate k with weight k: sum_k weight_k |W S^-1 (B (e_k u) - v)|^2, between the candidates
 
 Each is solved exactly: `box`, and for candidates, whose rows are too many for it, `maths.bounded`.
@@ -30,7 +30,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rotorwatch import checks
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.backend import jnp
 from rotorwatch.control import box
 from rotorwatch.core import Array
 from rotorwatch.errors import ConfigError
@@ -94,7 +94,6 @@ def rows(vehicle: Vehicle) -> np.ndarray:
 
 def believed(mean, lower=None, upper=None, candidates=None, weights=None) -> Belief:
     """A `Belief` from what there is: bounds default to the mean, candidates to the mean alone, weights to equal ones."""
-    jnp = load_jax().numpy
     mean = jnp.asarray(mean, float)
     lower, upper = (mean if given is None else jnp.asarray(given, float) for given in (lower, upper))
     candidates = mean[None] if candidates is None else jnp.asarray(candidates, float)
@@ -133,7 +132,7 @@ class Allocator:
 
     def init(self) -> Held:
         """All rotors at rest."""
-        return Held(load_jax().numpy.zeros(self.n))
+        return Held(jnp.zeros(self.n))
 
     def step(self, state: Held, demand, belief: Belief) -> tuple[Held, Allocation]:
         """Commands for demand (4,): thrust, roll, pitch, yaw in the units of B (thrust up positive)."""
@@ -141,7 +140,6 @@ class Allocator:
 
     def step_counting(self, state: Held, demand, belief: Belief) -> tuple[Held, Allocation, Array]:
         """`step`, and the turns of `box` that it took, int32; 0 where it is solved otherwise."""
-        jnp = load_jax().numpy
         demand = jnp.asarray(demand, float)
         usable = jnp.isfinite(demand).all()
         for leaf in belief:
@@ -172,22 +170,20 @@ class Allocator:
     def problem(self, b, mean, lower, upper):
         """(A, b, c, d) of `box.solve` for a scaled demand b (4,) and effectiveness (n,)."""
         A = self.C * mean
-        doubt = (upper - mean) * (mean - lower) * (self.C**2).sum(axis=0)
-        d = self.eps + (doubt if self.by == "bounds" else 0.0 * doubt)
+        variance = (upper - mean) * (mean - lower) * (self.C**2).sum(axis=0)
+        d = self.eps + (variance if self.by == "bounds" else 0.0 * variance)
         return A, b, self.eps * self._wish(A, b) / d, d
 
     def _free(self, A, b):
         """The smallest commands (n,) for b (4,), without bounds."""
-        jnp = load_jax().numpy
         return box.unbounded(A, b, jnp.zeros(self.n), jnp.full(self.n, self.eps))
 
     def _wish(self, A, b):
         """u0."""
-        return load_jax().numpy.clip(self._free(A, b), 0.0, 1.0)
+        return jnp.clip(self._free(A, b), 0.0, 1.0)
 
     def _between(self, b, candidates, weights, mean):
         """The least expected squared error over candidates (k, n) with weights (k,); over the mean where all weights are 0."""
-        jnp = load_jax().numpy
         total = weights.sum()
         none = total <= 0.0
         share = jnp.where(none, 0.0, weights / jnp.where(none, 1.0, total))
@@ -200,7 +196,6 @@ class Allocator:
     def _desaturated(self, A, b):
         """Commands (n,) of the pseudo-inverse of A for b (4,), brought into [0, 1]: the thrust moves so that roll and pitch fit, they
         shrink together only when no thrust makes room for them, and yaw takes the room that is left. ArduPilot's and PX4's order."""
-        jnp = load_jax().numpy
         d = jnp.full(self.n, self.eps)
         # Around the first answer once more: what eps takes away is squared, and the smallest commands stay the smallest.
         lift, tilt, yaw = (

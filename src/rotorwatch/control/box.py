@@ -14,7 +14,7 @@ the turns end with says which rotors are at a bound; the others are solved for o
 
 from __future__ import annotations
 
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.backend import jax, jnp
 
 # Of 200,000 demands on vehicles of up to twelve rotors none took more than 16 (docs/control.md).
 TURNS = 24
@@ -28,8 +28,6 @@ def solve(A, b, c, d, turns: int = TURNS):
 
 def solve_counting(A, b, c, d, turns: int = TURNS):
     """(u (n,), turns taken, int32): `turns` + 1 when that was not enough."""
-    jax = load_jax()
-    jnp = jax.numpy
     over_d = A / d
 
     def side(t):
@@ -64,7 +62,7 @@ def solve_counting(A, b, c, d, turns: int = TURNS):
 
 def unbounded(A, b, c, d):
     """The same without the box."""
-    return _among(A, b, c, d, load_jax().numpy.ones_like(c), c)
+    return _among(A, b, c, d, jnp.ones_like(c), c)
 
 
 def _among(A, b, c, d, free, u):
@@ -79,7 +77,6 @@ def _among(A, b, c, d, free, u):
 
 def _search(t, rate, d, base, square):
     """How far to go: where the slope base + x square + sum d rate clip(t + x rate) along the step, which only grows, is zero."""
-    jnp = load_jax().numpy
     moves = rate != 0.0
     safe = jnp.where(moves, rate, 1.0)
     corners = jnp.concatenate([-t / safe, (1.0 - t) / safe])
@@ -121,4 +118,4 @@ def _solve_small(factor, right):
     x = [x[i] / scale[i] for i in range(m)]
     for i in reversed(range(m)):
         x[i] = x[i] - sum(L[k, i] * x[k] for k in range(i + 1, m))
-    return load_jax().numpy.stack(x)
+    return jnp.stack(x)

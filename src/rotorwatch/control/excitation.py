@@ -1,4 +1,4 @@
-"""Asking the vehicle: a small excitation of the commands that moves no thrust and no moment, unless a rotor is weak.
+"""Excitation of the vehicle: a small signal on top of the commands that moves no thrust and no moment, unless a rotor is weak.
 
 With more rotors than channels there are commands N c with B N = 0, the null space of the geometry B. Added to the commands of a
 healthy vehicle they do nothing. Rotors with losses theta answer with the wrench
@@ -29,7 +29,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rotorwatch import checks
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.backend import jnp
 from rotorwatch.errors import ConfigError
 
 Array = Any
@@ -41,7 +41,7 @@ KEPT = 0.5  # share of the room to the commands' limits that stays the controlle
 FASTER = 1.5  # the second wave
 HOLD = 3.0  # rad/s: attitude is held at least so fast, by whatever autopilot
 DAMPED = 0.87  # ... with this damping: an attitude loop a third as fast as its rate loop
-OPEN = 1e4  # variance of a level that nobody knows
+OPEN = 1e4  # variance of an unknown level
 STARTS = 3  # of the search for directions
 STEP_S = 0.005
 SIGNS = np.array([[1.0, 1.0], [1.0, -1.0]])
@@ -99,7 +99,6 @@ def none(n: int) -> Signal:
 
 def at(signal: Signal, t) -> Array:
     """(n,) what is added to the commands at time t [s]; zeros before its start and after its end. Pure: a step of the autopilot."""
-    jnp = load_jax().numpy
     since = t - signal.start
     inside = (since >= 0.0) & (since <= signal.length)
     since = jnp.where(inside, since, 0.0)
@@ -177,8 +176,8 @@ def design(
     B (4, n): roll, pitch, yaw, thrust of each rotor (`Vehicle.effectiveness`); candidates: losses (n,) of each; hover
     (n,): commands in hover, shares of full thrust, whose mean is a hover thrust; noise: in hover thrusts; gain (3,): hover thrusts per
     rad/s^2 of roll, pitch, yaw; dt [s]: a tick of the diagnosis; lag [s] of a rotor. longest_s: no longer than that; length_s: exactly so
-    long instead. Raises ConfigError with one sentence where nothing can be asked: no null space, no room, candidates that it cannot tell
-    apart, or not in that time.
+    long instead. Raises ConfigError with one sentence where no excitation can be designed: no null space, no room, or candidates
+    that it cannot tell apart, or not in that time.
     """
     limits = limits or Limits()
     B, hover, gain = (np.asarray(v, float) for v in (B, hover, gain))
@@ -226,15 +225,15 @@ def design(
         made = _whole(N @ D, period, longest, length_s, dt, lag, whiten, seen, D, enough)
         if made is None:
             continue
-        signal, told = made
+        signal, found_information = made
         tilt = np.stack([np.linalg.norm(turned @ D @ (reach * signs), axis=1) for signs in SIGNS]).max(axis=0)
         lift = 9.80665 / n / unit * (thetas * B[3]) @ N @ D
         heave = np.abs(lift) @ reach
         amplitude = np.abs(N @ D).sum(axis=1)
         bound = "attitude" if tilt.max() > 0.98 * limits.tilt else "commands"
         bound = "amplitude" if bound == "commands" and amplitude.max() > 0.98 * limits.amplitude else bound
-        course = told.min(axis=1)
-        found.append(Design(signal, told[-1], pairs, course, enough, tilt, heave, bound))
+        course = found_information.min(axis=1)
+        found.append(Design(signal, found_information[-1], pairs, course, enough, tilt, heave, bound))
     if not found:
         raise ConfigError(f"An excitation takes at least {2.0 * max(TICKS * dt, PERIODS[0]):.1f} s; allow more time.")
     if length_s is not None:
@@ -371,7 +370,7 @@ def _whole(directions, period, longest, length_s, dt, lag, whiten, seen, D, enou
     parts = (seen @ D).T
     t = dt * (np.arange(ticks) + 0.5)
 
-    def told_by(length):
+    def information_by(length):
         waves = np.stack(_waves(np.minimum(t, length), period, length), axis=1) * (t <= length)[:, None]
         waves = waves * _passed(period, dt, lag)
         return np.cumsum((whiten @ waves @ parts) ** 2, axis=0)[: max(1, int(np.ceil(length / dt)))]
@@ -381,10 +380,10 @@ def _whole(directions, period, longest, length_s, dt, lag, whiten, seen, D, enou
         return None
     while low < high:  # information grows with the length
         middle = (low + high) // 2
-        if told_by(lengths[middle])[-1].min() >= enough:
+        if information_by(lengths[middle])[-1].min() >= enough:
             high = middle
         else:
             low = middle + 1
-    made = told_by(lengths[low])
+    made = information_by(lengths[low])
     signal = Signal(directions[:, 0], directions[:, 1], np.array(period), np.array(0.0), np.array(float(lengths[low])))
     return signal, made

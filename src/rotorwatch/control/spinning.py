@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rotorwatch import checks
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.backend import jax, jnp
 from rotorwatch.control.airframe import Airframe
 from rotorwatch.core import Array
 from rotorwatch.errors import ConfigError
@@ -81,7 +81,6 @@ def _some(airframe: Airframe, rotors) -> Airframe:
 
 def _balance(z, airframe, e, weight, arm):
     """(4,) what is out of balance, as shares of the weight. z: commands, then body rates over RATE_UNIT."""
-    jnp = load_jax().numpy
     omega = z[-3:] * RATE_UNIT
     turning, thrust = moments(airframe, e, z[:-3], omega, jnp)
     # At rest down is the body's z axis.
@@ -91,7 +90,6 @@ def _balance(z, airframe, e, weight, arm):
 
 def _cost(z):
     """Power, with room to the limits, and no more rates than it takes."""
-    jnp = load_jax().numpy
     u = jnp.clip(z[:-3], 1e-4, 1.0 - 1e-4)
     return jnp.sum(u**1.5) - BARRIER * jnp.sum(jnp.log(u * (1.0 - u))) + 1e-3 * (z[-3:] @ z[-3:])
 
@@ -99,7 +97,6 @@ def _cost(z):
 @functools.cache
 def _programs():
     """Compiled: (balance, its derivative, cost and its derivative)."""
-    jax = load_jax()
     return jax.jit(_balance), jax.jit(jax.jacfwd(_balance)), jax.jit(jax.value_and_grad(_cost))
 
 
@@ -178,7 +175,7 @@ def design(airframe: Airframe, hover: Hover) -> Gains | None:
     step = 1e-5
     A = np.column_stack([(slope(step * v) - slope(-step * v)) / (2 * step) for v in np.eye(5 + k)])
     B = np.vstack([np.zeros((5, k)), np.eye(k) / airframe.lag])
-    # The spin along down may be as it likes; what turns across it and where down points may not.
+    # The spin along down is free; rates across it and the direction of down are not.
     along = np.outer(hover.down, hover.down)
     Q_rate = (np.eye(3) - along) / RATE_SIZE**2 + along / SPIN_SIZE**2
     Q = np.zeros((5 + k, 5 + k))
@@ -206,7 +203,6 @@ class Turning(NamedTuple):
 def feedback(hover: Hover, gains: Gains, f, omega, down, lift):
     """u (n,) of the regulator: hover's commands times `lift`, corrected. f (n,): thrust shares that the rotors have reached. All
     of it may be traced."""
-    jnp = load_jax().numpy
     base = hover.u * lift
     errors = jnp.concatenate([omega - hover.omega, gains.across @ (down - hover.down), f - base])
     return jnp.clip(base - gains.K @ errors, 0.0, 1.0)
@@ -232,10 +228,10 @@ class SpinningHover:
 
     def init(self) -> Turning:
         """Rotors at their hover commands."""
-        return Turning(load_jax().numpy.asarray(self.hover.u))
+        return Turning(jnp.asarray(self.hover.u))
 
     def step(self, state: Turning, omega, down, lift=1.0) -> tuple[Turning, Array]:
         """Commands (n,), shares of full thrust. omega (3,): body rates [rad/s]. down (3,): the direction, in body axes, that
-        the body is to turn about: gravity's to stay in place, tilted from it to accelerate. lift: thrust asked, 1 carries the weight."""
+        the body is to turn about: gravity's to stay in place, tilted from it to accelerate. lift: demanded thrust, 1 carries the weight."""
         u = feedback(self.hover, self.gains, state.f, omega, down, lift)
         return Turning(u + (state.f - u) * self.keep), u

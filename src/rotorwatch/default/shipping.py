@@ -52,7 +52,7 @@ ALONE = (
 
 def definition() -> dict:
     """{"files", "digest"}: what the programs are made of, and its hash."""
-    files = shipped.files_of(ROOTS, ALONE)
+    files = [*shipped.files_of(ROOTS, ALONE), *shipped.templates()]
     return {"files": files, "digest": shipped.digest(files)}
 
 

@@ -13,24 +13,14 @@ from rotorwatch.maths import adaptive_kalman, linearise
 from rotorwatch.maths.adaptive_kalman import State
 
 
-class AdaptiveEKF:
+class AdaptiveEKF(adaptive_kalman.Zhang):
     """Adaptive extended Kalman filter on any plant that can be differentiated."""
 
     name = "adaptive_ekf"
-    not_kalman = (
-        "it forgets: measurements count the less for the losses the older they are; with forgetting=1 it is the augmented "
-        "Kalman filter of constant losses"
-    )
-
-    def __init__(self, system, dt: float, *, forgetting=0.995, theta_var=0.01, s_max: float | None = 1.0):
-        """dt: s. forgetting: lambda of one step, 0.6 to 1; theta_var: variance of the losses at the start, a number or one per
-        theta; s_max: bound of that variance, None for none. Raises ConfigError for wrong values."""
-        self.tuned = adaptive_kalman.tuning(system, dt, forgetting, theta_var, s_max)
-        self.system, self.dt = system, dt
 
     def init(self) -> State:
         """The plant's start, no loss."""
-        return adaptive_kalman.init(self.system, self.tuned)
+        return self.start()
 
     def step(self, carry: State, u, y, valid, dt=None) -> tuple[State, Estimate]:
         """Predict over dt with input u (n_u,), then update with y (n_y,) where valid."""
@@ -38,6 +28,4 @@ class AdaptiveEKF:
         seconds = self.dt if dt is None else dt
         x, F, Phi = linearise.transition(system, carry.x, u, carry.theta, seconds)
         h, C, D = linearise.measurement(system, x, u, carry.theta)
-        return adaptive_kalman.step(
-            carry, x, F, Phi, y - h, C, D, system.Q(seconds), system.R(u), valid, self.tuned, dt
-        )
+        return self.recursion(carry, x, F, Phi, y - h, C, D, u, valid, dt)

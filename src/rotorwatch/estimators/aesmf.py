@@ -12,10 +12,11 @@ from __future__ import annotations
 from dataclasses import KW_ONLY, dataclass
 
 from rotorwatch import checks
+from rotorwatch.backend import jnp
 from rotorwatch.errors import ConfigError
 from rotorwatch.maths import ellipsoid
 from rotorwatch.maths.set_membership import Cutting, SetMembership
-from rotorwatch.maths.small import product, solve
+from rotorwatch.maths.small import product, solve, symmetric
 
 LARGEST_STEP, LEAST_HEALTH = 0.5, 1e-3
 
@@ -48,8 +49,6 @@ class AESMF(SetMembership):
 
     def adapt(self, q, cutting: Cutting, health, dt):
         """q after one step of the rule, kept within floor and ceiling; unchanged when nothing was measured."""
-        from jax import numpy as jnp
-
         slope, delta = gradient(cutting, self.mu)
         slope = slope * jnp.diagonal(self.noise(dt, q))  # d/d ln q_i
         if self.additive:
@@ -62,8 +61,6 @@ class AESMF(SetMembership):
 
 def gradient(cutting: Cutting, mu: float):
     """(dJ/dq_i (n,), delta): q_i the i-th diagonal element of Q."""
-    from jax import numpy as jnp
-
     Phi, H, e, P, R, amplify = cutting
     S = product(product(H, P), H.T)
     rho = ellipsoid.batch_share(S, R)
@@ -71,7 +68,7 @@ def gradient(cutting: Cutting, mu: float):
         [H, product(H, Phi)], axis=1
     )  # noise of this step, and of the one before as the source counts it
     W = S / (1 - rho) + R / rho
-    solved = solve(ellipsoid.symmetric(W), jnp.concatenate([columns, e[:, None]], axis=1))
+    solved = solve(symmetric(W), jnp.concatenate([columns, e[:, None]], axis=1))
     delta = 1.0 - e @ solved[:, -1]
     total, pull = (columns * solved[:, :-1]).sum(0), (solved[:, -1] @ columns) ** 2
     slope = (total - mu / jnp.maximum(delta, LEAST_HEALTH) * pull) * amplify / (1 - rho)

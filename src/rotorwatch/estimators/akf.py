@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch import checks
+from rotorwatch.backend import jax, jnp
 from rotorwatch.core import Array, Estimate
 from rotorwatch.errors import ConfigError
 from rotorwatch.maths import adaptive_kalman, linearise
@@ -25,21 +26,16 @@ class Carry(NamedTuple):
     k: Array
 
 
-class AKF:
+class AKF(adaptive_kalman.Zhang):
     """Adaptive Kalman filter about one point, or about a known trajectory."""
 
     name = "akf"
-    not_kalman = (
-        "it forgets: measurements count the less for the losses the older they are; with forgetting=1 it is the augmented "
-        "Kalman filter of constant losses"
-    )
 
     def __init__(self, system, dt: float, *, forgetting=0.995, theta_var=0.01, s_max: float | None = 1.0, about=None):
         """dt: s. forgetting: lambda of one step, 0.6 to 1; theta_var: variance of the losses at the start, a number or one per
         theta; s_max: bound of that variance, None for none. about: (n_x,) where to linearise (default: x0), or (T, n_x),
         a point per step, the last one from then on. Raises ConfigError for wrong values."""
-        self.tuned = adaptive_kalman.tuning(system, dt, forgetting, theta_var, s_max)
-        self.system, self.dt = system, dt
+        super().__init__(system, dt, forgetting=forgetting, theta_var=theta_var, s_max=s_max)
         about = system.x0 if about is None else checks.finite("about", about)
         if np.ndim(about) not in (1, 2) or np.shape(about)[-1] != system.n_x or np.size(about) == 0:
             raise ConfigError(f"about must have the shape ({system.n_x},) or (T, {system.n_x}), not {np.shape(about)}.")
@@ -47,12 +43,10 @@ class AKF:
 
     def init(self) -> Carry:
         """The plant's start, no loss."""
-        return Carry(adaptive_kalman.init(self.system, self.tuned), np.int32(0))
+        return Carry(self.start(), np.int32(0))
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Estimate]:
         """Predict over dt with input u (n_u,), then update with y (n_y,) where valid."""
-        import jax.numpy as jnp
-
         system, (state, k) = self.system, carry
         seconds = self.dt if dt is None else dt
         a, healthy = self._point(k), jnp.zeros(system.n_theta)
@@ -60,15 +54,10 @@ class AKF:
         h, C, D = linearise.measurement(system, a, u, healthy)
         x = f + F @ (state.x - a) + Phi @ state.theta
         e = y - (h + C @ (x - a) + D @ state.theta)
-        state, estimate = adaptive_kalman.step(
-            state, x, F, Phi, e, C, D, system.Q(seconds), system.R(u), valid, self.tuned, dt
-        )
+        state, estimate = self.recursion(state, x, F, Phi, e, C, D, u, valid, dt)
         return Carry(state, (k + 1).astype(jnp.int32)), estimate
 
     def _point(self, k):
-        import jax
-        import jax.numpy as jnp
-
         points = jnp.asarray(self.about, float)
         if points.ndim == 1:
             return points

@@ -11,13 +11,12 @@ way twice speak of a loss that moves, not of noise; and losses kept in [0, 1]. d
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from rotorwatch import checks
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.backend import jnp, lax
 from rotorwatch.core import Array, Estimate
-from rotorwatch.errors import ConfigError
-from rotorwatch.maths import plant, two_stage, unscented
+from rotorwatch.maths import two_stage, unscented
 
 
 class Window(NamedTuple):
@@ -43,47 +42,26 @@ class Carry(NamedTuple):
     delta: Array
 
 
-class ATSUKF:
+class ATSUKF(unscented.Unscented):
     """Adaptive two-stage UKF on any plant with f, h, Q and R."""
 
-    name = "atsukf"
+    name, joint = "atsukf", False
     not_kalman = "it widens the losses' random walk when innovations exceed their predicted size, so its gains depend on the data"
 
     def __init__(
-        self,
-        system: Any,
-        dt: float,
-        *,
-        theta_walk=1e-3,
-        theta_var=1e-2,
-        M=150,
-        threshold=1.0,
-        whiteness=None,
-        clip=False,
-        alpha=0.1,
-        beta=2.0,
-        kappa=0.0,
-    ):
-        """dt: step [s]. theta_walk: variance that a loss gains per second [1/s]; theta_var: its variance at the start; each a
-        number for all, one for each (n_theta,), or a covariance. M: steps in the window. threshold: how many times the predicted
-        size counts as too large (the paper's K). whiteness: widen only when the innovations' lag-1 correlation in the window
-        exceeds this (0.2 is a good value; None: no gate, as in the paper). clip: keep actuators' losses in [0, 1]. alpha, beta,
-        kappa: where the points lie, `unscented.weights`. Raises ConfigError.
-        """
-        self.system, self.dt = plant.checked("atsukf", system, dt), dt
-        n = system.n_theta
-        self.theta_walk = two_stage.loss_covariance("theta_walk", theta_walk, n)
-        self.theta_var = two_stage.loss_covariance("theta_var", theta_var, n)
-        if int(M) != M or M < 2:
-            raise ConfigError(f"M must be a whole number of steps, 2 or more, not {M}.")
-        self.M, self.threshold = int(M), checks.positive("threshold", threshold)
+        self, system, dt, *, theta_walk=1e-3, theta_var=1e-2, M=150, threshold=1.0, whiteness=None, clip=False,
+        alpha=0.1, beta=2.0, kappa=0.0,
+    ):  # fmt: skip
+        """As `unscented.Unscented`. M: steps in the window. threshold: how many times the predicted size counts as too large (the paper's
+        K). whiteness: widen only when the innovations' lag-1 correlation in the window exceeds this (0.2 is a good value; None: no gate, as
+        in the paper). Raises ConfigError."""
+        shared = {"theta_walk": theta_walk, "theta_var": theta_var, "clip": clip}
+        super().__init__(system, dt, alpha=alpha, beta=beta, kappa=kappa, **shared)
+        self.M, self.threshold = checks.whole("M", M, 2), checks.positive("threshold", threshold)
         self.whiteness = None if whiteness is None else checks.between("whiteness", whiteness, -1.0, 1.0)
-        self.limit = two_stage.to_unit(min(system.n_u, n)) if clip else two_stage.no_limit
-        self.weights = unscented.weights(system.n_x, alpha, beta, kappa)
 
     def init(self) -> Carry:
         """The plant's x0 and P0, no loss, an empty window."""
-        jnp = load_jax().numpy
         n_y = self.system.n_y
         row = jnp.zeros(2 * n_y + 1)
         rows = jnp.zeros((self.M, row.size))
@@ -92,8 +70,6 @@ class ATSUKF:
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Estimate]:
         """One time step; arguments as in `core.Estimator`."""
-        from jax import numpy as jnp
-
         dt = self.dt if dt is None else dt
         Q_theta = dt * self.theta_walk
         p = two_stage.predict(self.system, self.weights, carry.state, Q_theta, u, y, valid, dt)
@@ -105,12 +81,9 @@ class ATSUKF:
 
     def _push(self, window: Window, row: Array, measured: Array) -> Window:
         """The window one row on; unchanged where nothing was measured."""
-        from jax import lax
-        from jax import numpy as jnp
-
-        kept = jnp.where(measured, row, window.leaving)
-        total, lap = window.total + kept - window.leaving, window.lap + jnp.where(measured, row, 0.0)
-        rows = lax.dynamic_update_index_in_dim(window.rows, kept, window.next, 0)
+        entry = jnp.where(measured, row, window.leaving)
+        total, lap = window.total + entry - window.leaving, window.lap + jnp.where(measured, row, 0.0)
+        rows = lax.dynamic_update_index_in_dim(window.rows, entry, window.next, 0)
         step = window.next + measured.astype(jnp.int32)
         round_done = step == self.M
         step = jnp.where(round_done, 0, step).astype(jnp.int32)
@@ -125,8 +98,6 @@ class ATSUKF:
 
     def _factor(self, p: two_stage.Prediction, window: Window, Q_theta: Array, valid: Array) -> Array:
         """delta, 1 when nothing calls for more."""
-        from jax import numpy as jnp
-
         n_y = self.system.n_y
         squares, count = window.total[:n_y], window.total[n_y : 2 * n_y]
         seen = jnp.where(valid, squares / jnp.maximum(count - 1.0, 1.0), 0.0).sum()
@@ -137,9 +108,11 @@ class ATSUKF:
         noise, known = trace(jnp.diagonal(p.P_yy)), trace(((p.H @ p.P_theta_before) * p.H).sum(axis=1))
         walk = trace(((p.H @ Q_theta) * p.H).sum(axis=1))
         expected = noise + known + walk
-        felt = walk > 1e-15 * expected  # else no loss can be felt at all: before the first coupling, or with motors off
-        wide = (p.e @ p.e > self.threshold * expected) & window.full & felt
+        observable = (
+            walk > 1e-15 * expected
+        )  # else no loss shows in the innovations: before the first coupling, or with motors off
+        wide = (p.e @ p.e > self.threshold * expected) & window.full & observable
         if self.whiteness is not None:
             wide = wide & (window.total[-1] > self.whiteness * squares.sum())
-        delta = (seen - noise - known) / jnp.where(felt, walk, 1.0)
+        delta = (seen - noise - known) / jnp.where(observable, walk, 1.0)
         return jnp.where(wide, jnp.maximum(delta, 1.0), 1.0)

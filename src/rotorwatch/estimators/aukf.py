@@ -7,11 +7,11 @@ Source: the baseline of Qi, Song, Dai, Han and Wang 2015; Julier and Uhlmann, Pr
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.backend import jax, jnp
 from rotorwatch.core import Array, Estimate
-from rotorwatch.maths import linearise, mit_rule, plant, two_stage, unscented
+from rotorwatch.maths import linearise, mit_rule, plant, unscented
 
 
 class Carry(NamedTuple):
@@ -22,52 +22,29 @@ class Carry(NamedTuple):
     mit: mit_rule.MitState
 
 
-class AUKF:
+class AUKF(unscented.Unscented):
     """Augmented UKF with adaptive process noise, on any plant with f, h, Q and R."""
 
-    name = "aukf"
+    name, called = "aukf", "The adaptive unscented Kalman filter"
     not_kalman = "it adapts the process noise to its innovations"
 
     def __init__(
-        self,
-        system: Any,
-        dt: float,
-        *,
-        theta_walk=1e-3,
-        theta_var=1e-2,
-        eta=0.5,
-        window=50,
-        alpha=1.0,
-        beta=2.0,
-        kappa=0.0,
+        self, system, dt, *, theta_walk=1e-3, theta_var=1e-2, eta=0.5, window=50, alpha=1.0, beta=2.0, kappa=0.0
     ):
-        """dt: step [s]. theta_walk: variance a loss gains per second [1/s] before adaptation; theta_var: variance at the
-        start; each a number for all, one for each (n_theta,), or a covariance. eta: rate of adaptation [1/s]; window: steps
-        that innovations are averaged over. alpha, beta, kappa: `unscented.weights`. Raises ConfigError."""
-        self.system, self.dt = plant.checked("The adaptive unscented Kalman filter", system, dt), dt
-        n = system.n_theta
-        self.theta_walk = two_stage.loss_covariance("theta_walk", theta_walk, n)
-        self.theta_var = two_stage.loss_covariance("theta_var", theta_var, n)
+        """As `unscented.Unscented`, the losses' walk before adaptation. eta: rate of adaptation [1/s]; window: steps that innovations are
+        averaged over. Raises ConfigError."""
+        super().__init__(system, dt, theta_walk=theta_walk, theta_var=theta_var, alpha=alpha, beta=beta, kappa=kappa)
         self.adaptation = mit_rule.check(mit_rule.Adaptation(eta, window))
-        self.weights = unscented.weights(system.n_x + n, alpha, beta, kappa)
 
     def init(self) -> Carry:
         """The plant's x0 and P0, no loss."""
-        jnp = load_jax().numpy
-        from jax.scipy.linalg import block_diag
-
-        x0 = jnp.asarray(self.system.x0, float)
-        P = block_diag(jnp.asarray(self.system.P0, float), self.theta_var)
-        mit = mit_rule.init(P.shape[0], self.system.n_y, self.adaptation)
-        return Carry(jnp.concatenate([x0, jnp.zeros(self.system.n_theta)]), P, mit)
+        z, P = plant.start(self.system, self.theta_var)
+        return Carry(z, P, mit_rule.init(P.shape[0], self.system.n_y, self.adaptation))
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Estimate]:
         """One time step; arguments as in `core.Estimator`."""
-        from jax import numpy as jnp
-        from jax.scipy.linalg import block_diag
-
         system, dt = self.system, self.dt if dt is None else dt
-        noise = mit_rule.scaled(block_diag(system.Q(dt), dt * self.theta_walk), carry.mit)
+        noise = mit_rule.scaled(jax.scipy.linalg.block_diag(system.Q(dt), dt * self.theta_walk), carry.mit)
         z, P, out, middle = unscented.joint_step(system, self.weights, carry.z, carry.P, noise, u, y, valid, dt)
         seen = linearise.measurement(system, middle[: system.n_x], u, middle[system.n_x :])
         H = jnp.concatenate([seen.by_x, seen.by_theta], axis=1)

@@ -14,6 +14,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from rotorwatch import checks
+from rotorwatch.backend import jnp
 from rotorwatch.core import Array, Estimate
 from rotorwatch.maths import adaptive_kalman, linearise, observer_gain
 
@@ -30,14 +31,10 @@ class Carry(NamedTuple):
     correction: Array
 
 
-class AXKF:
+class AXKF(adaptive_kalman.Zhang):
     """Adaptive exogenous Kalman filter on any plant that can be differentiated."""
 
     name = "axkf"
-    not_kalman = (
-        "it forgets: measurements count the less for the losses the older they are; with forgetting=1 it is the augmented "
-        "Kalman filter of constant losses"
-    )
 
     def __init__(
         self, system, dt: float, *, gain=None, forgetting=0.995, theta_var=0.01, s_max: float | None = S_MAX, z0=None
@@ -46,8 +43,7 @@ class AXKF:
         made by `rotorwatch.maths.observer_gain`. forgetting: lambda of one step, 0.6 to 1; theta_var: variance of the losses at
         the start, a number or one per theta; s_max: bound of that variance, None for none. z0: (n_x,) where the observer
         starts (default: x0). Raises ConfigError for wrong values."""
-        self.tuned = adaptive_kalman.tuning(system, dt, forgetting, theta_var, s_max)
-        self.system, self.dt = system, dt
+        super().__init__(system, dt, forgetting=forgetting, theta_var=theta_var, s_max=s_max)
         if gain is None:
             gain = observer_gain.stationary(system, dt)
         self.gain = checks.finite("gain", checks.shape("gain", gain, system.n_x, system.n_y))
@@ -55,15 +51,11 @@ class AXKF:
 
     def init(self) -> Carry:
         """The plant's start, no loss."""
-        import jax.numpy as jnp
-
         z = jnp.asarray(self.z0, float)
-        return Carry(adaptive_kalman.init(self.system, self.tuned), z, jnp.zeros_like(z))
+        return Carry(self.start(), z, jnp.zeros_like(z))
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Estimate]:
         """Predict over dt with input u (n_u,), then update with y (n_y,) where valid."""
-        import jax.numpy as jnp
-
         system, state = self.system, carry.state
         seconds = self.dt if dt is None else dt
         f, F, Phi = linearise.transition(system, carry.z, u, state.theta, seconds)
@@ -71,9 +63,7 @@ class AXKF:
         x = f + F @ (state.x - carry.z)
         h, C, D = linearise.measurement(system, z, u, state.theta)
         e = y - (h + C @ (x - z))
-        state, estimate = adaptive_kalman.step(
-            state, x, F, Phi, e, C, D, system.Q(seconds), system.R(u), valid, self.tuned, dt
-        )
+        state, estimate = self.recursion(state, x, F, Phi, e, C, D, u, valid, dt)
         # What the measurement adds to the observer acts with the next step, in which its loss is known: h + D dtheta.
         seen = h + D @ (state.theta - carry.state.theta)
         correction = jnp.asarray(self.gain) @ jnp.where(valid, y - seen, 0.0)

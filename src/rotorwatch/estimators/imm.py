@@ -15,15 +15,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from rotorwatch.backend import jax as load_jax
-from rotorwatch.maths import multiple_model, plant
+from rotorwatch.backend import jax, jnp
+from rotorwatch.maths import multiple_model
 from rotorwatch.maths.multiple_model import Bank, Output
 
 
-class IMM:
+class IMM(multiple_model.MultipleModel):
     """Interacting multiple model on any plant that can be differentiated; `Output.probability` says how probable each mode is."""
 
-    name = "imm"
+    name, called = "imm", "The interacting multiple model"
     not_kalman = "it assumes that one rotor at a time is weak, and weighs one filter for each by how well they predict"
 
     def __init__(
@@ -32,9 +32,7 @@ class IMM:
         """dt: s. theta_walk: variance that the loss of a faulty mode gains per second [1/s]; theta_var: variance of a loss that
         has just begun. healthy_s, weak_s: mean time for which the vehicle stays healthy, and a rotor weak [s]. common: one mode more,
         in which all rotors lose alike. Raises ConfigError for wrong values."""
-        self.system, self.dt = plant.checked("The interacting multiple model", system, dt), dt
-        self.theta_walk, self.theta_var = multiple_model.tuning(theta_walk, theta_var)
-        self.directions = multiple_model.directions(system, common)
+        super().__init__(system, dt, theta_walk, theta_var, common)
         self.stay_s = multiple_model.stay(len(self.directions), healthy_s, weak_s)
 
     def init(self) -> Bank:
@@ -44,7 +42,6 @@ class IMM:
 
     def transition(self, dt):
         """(M, M) p_ji: row j, the probability of each mode dt seconds after mode j. All other modes are equally likely."""
-        jnp = load_jax().numpy
         modes = len(self.stay_s)
         leave = -jnp.expm1(-dt / self.stay_s) / (modes - 1)
         return jnp.where(np.eye(modes) > 0, 1.0 - (modes - 1) * leave, leave[:, None])
@@ -60,9 +57,6 @@ class IMM:
 
     def _mixed(self, carry: Bank, p):
         """s0 (M, n_x + 1), P0 and c (M,)."""
-        import jax
-        import jax.numpy as jnp
-
         n, modes = self.system.n_x, len(self.directions)
         predicted = carry.probability @ p
         weight = (p * carry.probability[:, None] / predicted).T  # row i: of the modes j that mode i comes from

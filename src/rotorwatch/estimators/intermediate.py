@@ -18,12 +18,13 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch import checks
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.backend import jax, jnp
 from rotorwatch.core import Array, Estimate
 from rotorwatch.errors import ConfigError
 from rotorwatch.maths import intermediate_design as design
 from rotorwatch.maths import linearise, plant
 from rotorwatch.maths.faulty_allocation import CHANNELS, LeastSquares, Sparse, Temporal
+from rotorwatch.maths.small import symmetric
 
 GAINS = {"exact": design.exact_gains, "euler": design.euler_gains}
 ALLOCATIONS = ("auto", "least_squares", "sparse", "temporal")
@@ -96,22 +97,18 @@ class Intermediate:
             checks.positive("velocity_rate", velocity_rate),
         )
         self.drift, self.loss_sd = checks.positive("drift_sd", drift_sd), checks.positive("loss_sd", loss_sd)
-        _choice("discretisation", discretisation, tuple(GAINS))
-        _choice("allocation", allocation, ALLOCATIONS)
+        checks.one_of("discretisation", discretisation, GAINS)
+        checks.one_of("allocation", allocation, ALLOCATIONS)
         self.gains, self.matched = GAINS[discretisation], matched
         if discretisation == "euler" and checks.concrete((dt, alpha, velocity_rate)):
             _stable(float(velocity_rate), float(alpha), float(dt))
         self.scale = self._yaw(checks.positive("yaw_gain", yaw_gain))
-        with (
-            load_jax().ensure_compile_time_eval()
-        ):  # values stay values inside compiled programs, where the plant has them
+        with jax.ensure_compile_time_eval():  # values stay values inside compiled programs, where the plant has them
             self._look()
         self.allocate = _rule(system, allocation, float(sparsity), float(loss_sd), float(memory_s))
 
     def init(self) -> Carry:
         """The plant's start, no fault, nothing measured yet."""
-        import jax.numpy as jnp
-
         n_x, n_y, n = self.system.n_x, self.system.n_y, self.system.n_theta
         P = jnp.zeros((2 * n_x, 2 * n_x)).at[:n_x, :n_x].set(jnp.asarray(self.system.P0, float))
         none = jnp.zeros((n_x + n_y, n))
@@ -131,8 +128,6 @@ class Intermediate:
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Estimate]:
         """Predict over dt with input u (n_u,), then correct with y (n_y,) where valid."""
-        import jax.numpy as jnp
-
         system, n_x, none = self.system, self.system.n_x, jnp.zeros(self.system.n_theta)
         dt = self.dt if dt is None else dt
         kp, k1, k2 = self.gains(self.lp, self.lv, self.alpha, dt)
@@ -160,16 +155,16 @@ class Intermediate:
         J = np.eye(2 * n_x) - jnp.concatenate([K @ C, np.zeros((2 * n_x, n_x))], axis=1)
         P_ = A @ carry.P @ A.T
         P_ = P_.at[:n_x, :n_x].add(system.Q(dt))
-        P = _symmetric(J @ P_ @ J.T + (K * R) @ K.T)
+        P = symmetric(J @ P_ @ J.T + (K * R) @ K.T)
 
         # What happens to a fault happens to regressors, so that fault = regressor theta stays true while commands move.
         now = jnp.concatenate([Phi / dt * self.driven[:, None], D])
         value = jnp.where(carry.started, carry.regressor.value, now)
         missing = now - value
-        gone = J @ (A @ jnp.concatenate([carry.regressor.lag[:n_x], missing[:n_x]]))
-        felt = carry.regressor.lag[n_x:] + ldt[:, None] * missing[n_x:]
-        value = jnp.concatenate([now[:n_x] - gone[n_x:], value[n_x:] + l2[:, None] * felt])
-        regressor = Filter(value, jnp.concatenate([gone[:n_x], (1.0 - l1)[:, None] * felt]))
+        lagging = J @ (A @ jnp.concatenate([carry.regressor.lag[:n_x], missing[:n_x]]))
+        lagging_y = carry.regressor.lag[n_x:] + ldt[:, None] * missing[n_x:]
+        value = jnp.concatenate([now[:n_x] - lagging[n_x:], value[n_x:] + l2[:, None] * lagging_y])
+        regressor = Filter(value, jnp.concatenate([lagging[:n_x], (1.0 - l1)[:, None] * lagging_y]))
         Psi = value if self.matched else now
 
         direct = _block(carry.direct, l1, l2, ldt, R * ldt**2, 0.0)
@@ -184,15 +179,15 @@ class Intermediate:
         M_x, M_y = answer.M[:, :n_x], answer.M[:, n_x:]
         theta_cov = M_x @ wide @ M_x.T + (M_y * direct[2]) @ M_y.T + answer.spread + late[2] * np.eye(system.n_theta)
         slow = value[:n_x] * jnp.sqrt(late[0])
-        felt = C @ slow + value[n_x:] * jnp.sqrt(late[2])
-        S = C @ P_[:n_x, :n_x] @ C.T + jnp.diag(R + direct[2]) + felt @ felt.T
+        loss_effect = C @ slow + value[n_x:] * jnp.sqrt(late[2])
+        S = C @ P_[:n_x, :n_x] @ C.T + jnp.diag(R + direct[2]) + loss_effect @ loss_effect.T
         estimate = Estimate(
             x=x,
-            x_cov=_symmetric(P[:n_x, :n_x] + slow @ slow.T),
+            x_cov=symmetric(P[:n_x, :n_x] + slow @ slow.T),
             theta=answer.theta,
-            theta_cov=_symmetric(theta_cov),
+            theta_cov=symmetric(theta_cov),
             innovation=e,
-            innovation_cov=_symmetric(S),
+            innovation_cov=symmetric(S),
             status=jnp.where(self.mute & valid.any(), jnp.int32(1), linearise.status(valid)),
         )
         lag = (1.0 - l1) * ahead
@@ -201,8 +196,6 @@ class Intermediate:
 
     def _gains(self, known, valid, kp, k1, k2):
         """K_x, K_f (n_x, n_y) with what is measured now; whether every fault is; what has been measured by now."""
-        import jax.numpy as jnp
-
         n_x, use = self.system.n_x, valid & ~self.feels
         direct = jnp.where(self.feels, valid, True).all()
         if self.steady is not None:
@@ -221,14 +214,10 @@ class Intermediate:
 
     def _look(self) -> None:
         """Which channels losses act on, how states follow from measurements, and gains where they do not."""
-        jax = load_jax()
-        jnp, system = jax.numpy, self.system
+        system = self.system
         x0, u, theta = jnp.asarray(system.x0, float), jnp.ones(system.n_u), jnp.zeros(system.n_theta)
 
-        def rate(x, u, theta):
-            return jax.jvp(lambda dt: system.f(x, u, theta, dt), (0.0,), (1.0,))[1]
-
-        Phi = _known(jax.jacfwd(lambda theta: rate(x0, u, theta))(theta))
+        Phi = _known(jax.jacfwd(lambda theta: linearise.rate(system, x0, u, theta))(theta))
         D = _known(jax.jacfwd(lambda theta: system.h(x0, u, theta))(theta))
         H = _known(jax.jacfwd(lambda x: system.h(x, u, theta))(x0))
         self.driven = 1.0 * _acts(Phi)  # (n_x,) 1 where losses drive a state
@@ -249,20 +238,18 @@ class Intermediate:
         self.steady = None
         blind = (self.driven > 0) & ~self.measured
         if checks.concrete(blind) and blind.any():
-            self.steady = self._riccati(rate, x0, u, theta)
+            self.steady = self._riccati(x0, u, theta)
         self.mute = blind.any() & (self.steady is None)  # only a plant without values yet: its faults are never seen
         # What one measurement's noise does to a fault: keeps weights finite while the covariance starts from nothing.
         k2, R = self.gains(self.lp, self.lv, self.alpha, self.dt)[2], jnp.asarray(system.R(u))
         K_f = k2 * self.from_y if self.steady is None else self.steady[1]
         self.least = jnp.concatenate([(K_f * K_f) @ R, (k2 * self.dt) ** 2 * R]) + 1e-30
 
-    def _riccati(self, rate, x0, u, theta):
+    def _riccati(self, x0, u, theta):
         """Steady gains about the inputs that hold x0."""
-        import jax
-
         system = self.system
-        by_u = np.asarray(jax.jacfwd(lambda u: rate(x0, u, theta))(u))
-        u = u - np.linalg.pinv(by_u) @ np.asarray(rate(x0, u, theta))
+        at_x0, by_u = (np.asarray(part) for part in linearise.once(lambda u: linearise.rate(system, x0, u, theta), u))
+        u = u - np.linalg.pinv(by_u) @ at_x0
         F = np.asarray(linearise.transition(system, x0, u, theta, self.dt).by_x)
         turning = np.where(np.abs(u) > SEEN, u, 1.0)  # an input that rests shows nothing of its losses
         Phi = np.asarray(linearise.transition(system, x0, turning, theta, self.dt).by_theta)
@@ -277,8 +264,6 @@ class Intermediate:
 
     def _yaw(self, yaw_gain):
         """(n_x + n_y,) the paper's nu on the yaw rate's channel, 1 elsewhere."""
-        import jax.numpy as jnp
-
         here = np.array([name == "r" for name in getattr(self.system, "x_names", ())] or [False] * self.system.n_x)
         if checks.concrete(yaw_gain) and yaw_gain != 1.0 and not here.any():
             raise ConfigError(
@@ -311,15 +296,9 @@ def _rule(system, allocation: str, sparsity: float, loss_sd: float, memory_s: fl
 
 def _block(V, k1, k2, dt, q, drift):
     """Next variances V = (lag, both, fault) of  lag <- (1 - k1)(lag + fault dt + q-noise),  fault <- fault - k2 (lag + fault dt)."""
-    import jax.numpy as jnp
-
     ee, ef, ff = V[0] + 2.0 * dt * V[1] + dt * dt * V[2] + q, V[1] + dt * V[2], V[2] + drift
     keep = 1.0 - k1
     return jnp.stack([keep * keep * ee, keep * (ef - k2 * ee), ff - 2.0 * k2 * ef + k2 * k2 * ee])
-
-
-def _symmetric(P):
-    return 0.5 * (P + P.T)
 
 
 def _acts(derivative):
@@ -331,8 +310,3 @@ def _acts(derivative):
 def _known(array):
     """As NumPy where it has values, else the tracer."""
     return np.asarray(array) if checks.concrete(array) else array
-
-
-def _choice(name: str, value, known: tuple[str, ...]) -> None:
-    if value not in known:
-        raise ConfigError(f"{name} must be one of {', '.join(known)}, not {value!r}.")

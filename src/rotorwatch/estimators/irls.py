@@ -19,8 +19,8 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch import checks
+from rotorwatch.backend import jax, jnp, lax
 from rotorwatch.core import Array, Estimate
-from rotorwatch.errors import ConfigError
 from rotorwatch.maths import linearise, measured_regression
 
 # Constants of 95 % efficiency where noise is normal, and of the scale.
@@ -70,17 +70,12 @@ class IRLS:
         self.system, self.dt = system, measured_regression.check("Iteratively reweighted least squares", system, dt)
         self.rows = max(2, round(checks.positive("window_s", window_s) / dt))
         self.theta_var = checks.positive("theta_var", linearise.variances("theta_var", theta_var, system.n_theta))
-        if weights not in CONSTANT:
-            raise ConfigError(f"weights must be one of {', '.join(CONSTANT)}, not {weights!r}.")
-        self.weights, self.c = weights, checks.positive("constant", CONSTANT[weights] if constant is None else constant)
-        if int(iterations) != iterations or iterations < 1:
-            raise ConfigError(f"iterations must be a whole number, 1 or more, not {iterations}.")
-        self.iterations = int(iterations)
+        self.weights = checks.one_of("weights", weights, CONSTANT)
+        self.c = checks.positive("constant", CONSTANT[weights] if constant is None else constant)
+        self.iterations = checks.whole("iterations", iterations, 1)
 
     def init(self) -> Carry:
         """The plant's start, no loss, an empty window."""
-        import jax.numpy as jnp
-
         n_y, n = self.system.n_y, self.system.n_theta
         empty = jnp.zeros((self.rows, n_y))
         return Carry(
@@ -96,18 +91,15 @@ class IRLS:
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Estimate]:
         """One step of dt with input u (n_u,) over it and y (n_y,) at its end where valid."""
-        import jax.numpy as jnp
-        from jax import lax
-
         dt = self.dt if dt is None else dt
         found = measured_regression.row(self.system, carry.known, u, y, valid, carry.theta, dt)
         z, Omega = measured_regression.whitened(found, valid)
 
-        def kept(window, new):
+        def pushed(window, new):
             put = lax.dynamic_update_index_in_dim(window, new, carry.next, 0)
             return jnp.where(valid.any(), put, window)
 
-        window = kept(carry.z, z), kept(carry.Omega, Omega), kept(carry.seen, valid.astype(float))
+        window = pushed(carry.z, z), pushed(carry.Omega, Omega), pushed(carry.seen, valid.astype(float))
         theta, P, s = self._fitted(*window, carry.theta, carry.s)
         theta, P, s = (
             jnp.where(valid.any(), new, old) for new, old in ((theta, carry.theta), (P, carry.P), (s, carry.s))
@@ -120,9 +112,6 @@ class IRLS:
 
     def _fitted(self, z, Omega, seen, theta, s):
         """theta, P and s after the iterations, from those before. A row counts as often as it was measured."""
-        import jax
-        import jax.numpy as jnp
-
         n = theta.shape[0]
         flat, target, seen = Omega.reshape(-1, n), z.reshape(-1), seen.reshape(-1)
         P = jnp.diag(self.theta_var)
@@ -138,8 +127,6 @@ class IRLS:
         return theta, 0.5 * (P + P.T), s
 
     def _weight(self, r):
-        import jax.numpy as jnp
-
         if self.weights == "huber":
             return self.c / jnp.maximum(jnp.abs(r), self.c)
         return jnp.maximum(1.0 - (r / self.c) ** 2, 0.0) ** 2

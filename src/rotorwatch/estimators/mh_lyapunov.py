@@ -13,14 +13,16 @@ The proximal pull adds at most -kappa |theta* - theta_hat|^2_{Gamma^-1} to dV/dt
 from __future__ import annotations
 
 import math
+from dataclasses import KW_ONLY, dataclass
 from typing import Any, NamedTuple
 
 from rotorwatch import checks
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.backend import jax, jnp
 from rotorwatch.core import Estimate
 from rotorwatch.errors import ConfigError
 from rotorwatch.maths import bounded
-from rotorwatch.maths.lyapunov_law import TINY, Law, State, advance, start
+from rotorwatch.maths.lyapunov_law import TINY, Adaptation, State, advance, estimate, start
+from rotorwatch.maths.small import definite_solve
 
 PULLS = ("gradient", "proximal")
 SURPRISED = 2  # blocks in a row that empty the window
@@ -55,62 +57,45 @@ class Carry(NamedTuple):
     surprises: Any
 
 
-class MHLyapunov:
-    """The Lyapunov law and a moving horizon: almost as cheap, and it learns what single samples do not show."""
+@dataclass(eq=False, repr=False)
+class MHLyapunov(Adaptation):
+    """The Lyapunov law and a moving horizon: almost as cheap, and it learns what single samples do not show.
+
+    pull: "gradient" or "proximal". flush: empty the window after two blocks whose chi^2 is above `surprise`. block_s, window_s: lengths
+    [s]. gradient_rate: k_g [1/s]. proximal_rate: kappa [1/s]. anchor_sd: how far theta* may stray from the estimate, sqrt(Gamma / r).
+    The other keywords are those of `Lyapunov`. Raises ConfigError for plants with unmeasured states."""
+
+    _: KW_ONLY
+    pull: str = "proximal"
+    flush: bool = True
+    block_s: Any = 0.05
+    window_s: Any = 1.0
+    gradient_rate: Any = 70.0
+    proximal_rate: Any = 2.0
+    anchor_sd: Any = 0.07
+    surprise: Any = 50.0
 
     name = "mh_lyapunov"
     not_kalman = (
         "Its gains are fixed by a Lyapunov function and a window of equal weights; they do not follow the covariance."
     )
 
-    def __init__(
-        self,
-        system,
-        dt,
-        *,
-        pull="proximal",
-        flush=True,
-        rate=12.0,
-        bandwidth=4.0,
-        direct_rate=1.5,
-        bounds=(-0.02, 1.0),
-        hold=0.22,
-        u_nominal=None,
-        block_s=0.05,
-        window_s=1.0,
-        gradient_rate=70.0,
-        proximal_rate=2.0,
-        anchor_sd=0.07,
-        surprise=50.0,
-        theta_sd=0.3,
-        walk=0.05,
-    ):
-        """pull: "gradient" or "proximal". flush: empty the window after two blocks whose chi^2 is above `surprise`.
-
-        block_s, window_s: lengths [s]. gradient_rate: k_g [1/s]. proximal_rate: kappa [1/s]. anchor_sd: how far theta* may stray
-        from the estimate, sqrt(Gamma / r). As in `Lyapunov`: rate [1/s], bandwidth [rad/s], direct_rate [1/s], bounds of a loss,
-        hold (share of u_nominal), u_nominal (n_u,), theta_sd, walk. Raises ConfigError for plants with unmeasured states.
-        """
-        if pull not in PULLS:
-            raise ConfigError(f"pull must be one of {', '.join(PULLS)}, not {pull!r}.")
-        self.system, self.dt, self.kind, self.flush = system, dt, pull, bool(flush)
-        self.law = Law("mh_lyapunov", system, dt, rate, bandwidth, direct_rate, bounds, hold, u_nominal)
-        self.theta_sd, self.walk = checks.positive("theta_sd", theta_sd), checks.positive("walk", walk)
-        self.block_s = checks.positive("block_s", block_s)
-        if not window_s >= block_s:
-            raise ConfigError(f"window_s must be at least one block of {block_s:g} s, not {window_s:g}.")
-        self.window_s, self.blocks = window_s, max(1, round(window_s / max(block_s, dt)))
+    def __post_init__(self):
+        checks.one_of("pull", self.pull, PULLS)
+        super().__post_init__()
+        dt = self.dt
+        checks.positive("block_s", self.block_s)
+        if not self.window_s >= self.block_s:
+            raise ConfigError(f"window_s must be at least one block of {self.block_s:g} s, not {self.window_s:g}.")
+        self.blocks = max(1, round(self.window_s / max(self.block_s, dt)))
         # Over a step as the exponential decays, so that a coarse step is stable too.
-        self.gradient_rate = -math.expm1(-checks.positive("gradient_rate", gradient_rate) * dt) / dt
-        self.proximal_rate = checks.between("proximal_rate", proximal_rate, 0.0, 1.0 / dt)
-        self.anchor, self.surprise = (
-            checks.positive("anchor_sd", anchor_sd) ** -2,
-            checks.positive("surprise", surprise),
-        )
+        self.gradient_gain = -math.expm1(-checks.positive("gradient_rate", self.gradient_rate) * dt) / dt
+        checks.between("proximal_rate", self.proximal_rate, 0.0, 1.0 / dt)
+        self.anchor = checks.positive("anchor_sd", self.anchor_sd) ** -2
+        checks.positive("surprise", self.surprise)
 
     def init(self) -> Carry:
         """Nothing lost, an empty window."""
-        jnp = load_jax().numpy
         state, k = start(self.system, self.theta_sd), self.system.n_theta
         empty = jnp.zeros((k, k))
         window = (jnp.zeros((self.blocks, k, k)), jnp.zeros((self.blocks, k)))
@@ -119,7 +104,6 @@ class MHLyapunov:
 
     def new_block(self, measured, seen) -> Block:
         """A block that begins at the measured state; seen (n_x,): which states were measured there."""
-        jnp = load_jax().numpy
         n, k, m = self.system.n_x, self.system.n_theta, self.system.n_y
         zero = jnp.zeros(())
         return Block(
@@ -128,8 +112,6 @@ class MHLyapunov:
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Estimate]:
         """One step of dt seconds (None: the constructor's) with input u over it and y at its end."""
-        jax = load_jax()
-        jnp = jax.numpy
         dt = self.dt if dt is None else dt
         before, n = carry.state, self.system.n_x
         state, e, S, at = advance(self.law, before, u, y, valid, dt, self.walk)
@@ -146,17 +128,14 @@ class MHLyapunov:
         carry = carry._replace(state=state, block=block)
         done = block.elapsed >= max(self.block_s, self.dt) - 0.5 * dt
         carry = jax.lax.cond(done, lambda c: self.close(c, u, seen, at.C_left), lambda c: c, carry)
-        status = jnp.where(valid.any(), 0, 2).astype(jnp.int32)
-        out = Estimate(state.x, state.P[:n, :n], state.theta, state.P[n:, n:], e, S, status)
-        return carry, out
+        return carry, estimate(state, e, S, valid)
 
     def gather(self, block: Block, before: State, at, u, y, valid, dt) -> tuple[Block, Any]:
         """The block with one step more, and which states (n_x,) are measured at its end."""
-        jnp = load_jax().numpy
         needed = jnp.abs(at.C_left) > TINY
         seen = jnp.all(~needed | valid[None, :], axis=1).astype(float)
         direct = jnp.where(valid & at.direct, 1.0, 0.0)
-        said = jnp.where(valid & at.direct, y - at.y, 0.0) + direct * (at.D @ before.theta)
+        direct_output = jnp.where(valid & at.direct, y - at.y, 0.0) + direct * (at.D @ before.theta)
         step = at.x - before.measured - dt * at.G @ before.theta
         noise = jnp.diagonal(self.system.Q(dt)) + TINY
         added = Block(
@@ -164,7 +143,7 @@ class MHLyapunov:
             block.predicted + step,
             block.slope + dt * at.G,
             block.whole,
-            block.direct + said,
+            block.direct + direct_output,
             block.direct_slope + direct[:, None] * at.D,
             block.count + direct,
             block.noise + noise,
@@ -173,7 +152,6 @@ class MHLyapunov:
 
     def close(self, carry: Carry, u, seen, C_left) -> Carry:
         """The block joins the window; what the window asks for is worked out anew."""
-        jnp = load_jax().numpy
         theta, block = carry.state.theta, carry.block
         A_new, b_new, chi2 = self.summary(block, carry.state.measured, u, seen, C_left, theta)
         surprises = jnp.where(chi2 > self.surprise, carry.surprises + 1, 0).astype(jnp.int32)
@@ -185,7 +163,6 @@ class MHLyapunov:
 
     def summary(self, block: Block, measured, u, seen, C_left, theta):
         """Phi' W Phi, Phi' W z and chi^2 of z - Phi theta for a block that is complete."""
-        jnp = load_jax().numpy
         R = self.system.R(u)
         average = jnp.maximum(block.count, 1.0)
         z = jnp.concatenate([measured - block.predicted, block.direct / average])
@@ -195,7 +172,7 @@ class MHLyapunov:
         w_x = block.whole * seen / (2.0 * gyro + block.noise)
         w_y = jnp.where(block.count > 0, average / R, 0.0)
         if (
-            self.kind == "gradient"
+            self.pull == "gradient"
         ):  # a step that serves all directions needs A well conditioned more than it needs W right
             w_x = block.whole * seen * self.law.M / self.block_s**2
             w_y = jnp.where(block.count > 0, 1.0, 0.0) / jnp.maximum(jnp.sum(Dn**2, axis=1), TINY)
@@ -206,16 +183,14 @@ class MHLyapunov:
 
     def pull_of(self, A, b, theta):
         """(target, pull, spread): the losses are moved by target - pull theta [1/s], whose noise has the covariance spread."""
-        jax = load_jax()
-        jnp = jax.numpy
-        if self.kind == "gradient":
-            gain = self.gradient_rate / (1.0 + jnp.trace(A))
+        if self.pull == "gradient":
+            gain = self.gradient_gain / (1.0 + jnp.trace(A))
             return gain * b, gain * A, gain**2 * A
         k = len(b)
         H = A + self.anchor * jnp.eye(k)
         low, high = self.law.bounds
         wanted = bounded.quadratic(H, b + self.anchor * theta, low, high)
-        solve = lambda right: jax.scipy.linalg.cho_solve((jnp.linalg.cholesky(H), True), right)  # noqa: E731
+        solve = lambda right: definite_solve(H, right)  # noqa: E731
         share = solve(A)
         spread = solve(share.T)
         # The box is in `wanted`; the pull's derivative is that of the free minimum: theta* = share theta_true + (I - share) theta.

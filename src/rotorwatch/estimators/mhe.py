@@ -16,10 +16,10 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from rotorwatch import checks
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.backend import jax, jnp
 from rotorwatch.core import Estimate
-from rotorwatch.errors import ConfigError
-from rotorwatch.maths import bounded, plant
+from rotorwatch.maths import bounded, linearise, plant
+from rotorwatch.maths.small import definite_solve, symmetric
 
 FLOOR = 1e-9  # process noise of states that have none, as a share of P0 in a second: keeps Q invertible
 REST = 1e-4  # share of the walk's variance that a rotor at rest keeps, for the same reason
@@ -92,15 +92,17 @@ class MHE:
         theta_sd: of a loss at the start. walk: of a loss in a second, for rotors commanded
         at least `hold` times u_nominal (n_u,) (default: hover); others rest. Raises ConfigError for values that cannot be.
         """
-        for name, value, least in (("nodes", nodes, 2), ("iterations", iterations, 1), ("active_set", active_set, 1)):
-            if int(value) != value or value < least:
-                raise ConfigError(f"{name} must be a whole number of at least {least}, not {value}.")
         self.system, self.dt = plant.checked("The moving-horizon estimator", system, dt), dt
-        self.intervals, self.m = int(nodes) - 1, max(1, round(checks.positive("node_s", node_s) / dt))
-        self.iterations, self.passes = int(iterations), int(active_set)
+        self.intervals, self.m = (
+            checks.whole("nodes", nodes, 2) - 1,
+            max(1, round(checks.positive("node_s", node_s) / dt)),
+        )
+        self.iterations, self.passes = (
+            checks.whole("iterations", iterations, 1),
+            checks.whole("active_set", active_set, 1),
+        )
         self.theta_sd, self.walk = checks.positive("theta_sd", theta_sd), checks.positive("walk", walk)
         self.least = checks.between("hold", hold, 0.0, 1.0) * bounded.nominal_input(system, u_nominal)
-        jnp = load_jax().numpy
         low, high = bounded.of_losses(system, bounds)
         free = jnp.full(system.n_x, jnp.inf)
         self.low, self.high = jnp.concatenate([-free, low]), jnp.concatenate([free, high])
@@ -108,11 +110,8 @@ class MHE:
 
     def init(self) -> Carry:
         """Nothing lost, the plant's x0 and P0, an empty window."""
-        jnp = load_jax().numpy
         system, n, M, m = self.system, self.n, self.intervals, self.m
-        s = jnp.concatenate([jnp.asarray(system.x0, float), jnp.zeros(system.n_theta)])
-        P = jnp.zeros((n, n)).at[: system.n_x, : system.n_x].set(system.P0)
-        P = P.at[system.n_x :, system.n_x :].set(self.theta_sd**2 * jnp.eye(system.n_theta))
+        s, P = plant.start(system, self.theta_sd**2 * jnp.eye(system.n_theta))
         zero = jnp.zeros((), jnp.int32)
 
         def samples(*size):
@@ -124,13 +123,11 @@ class MHE:
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Estimate]:
         """One step of dt seconds (None: the constructor's) with input u over it and y at its end."""
-        jax = load_jax()
-        jnp = jax.numpy
         dt = jnp.asarray(self.dt if dt is None else dt, float)
         y = jnp.where(valid, y, 0.0)
-        s, A = self.linear(lambda s: self.move(s, u, dt), carry.s)
+        s, A = linearise.once(lambda s: self.move(s, u, dt), carry.s)
         P = symmetric(A @ carry.P @ A.T + self.Q(u, dt))
-        y_minus, H = self.linear(lambda s: self.look(s, u), s)
+        y_minus, H = linearise.once(lambda s: self.look(s, u), s)
         e, R = jnp.where(valid, y - y_minus, 0.0), self.system.R(u)
         S = symmetric(H @ P @ H.T + jnp.diag(R))
         s, P = absorb(s, P, H, e, R, valid)
@@ -142,15 +139,12 @@ class MHE:
         carry = jax.lax.cond(carry.count == self.m, self.node, lambda c: c, carry)
         k = self.system.n_x
         theta = jnp.clip(carry.s[k:], self.low[k:], self.high[k:])
-        status = jnp.where(valid.any(), 0, 2).astype(jnp.int32)
-        return carry, Estimate(carry.s[:k], P[:k, :k], theta, P[k:, k:], e, S, status)
+        return carry, Estimate(carry.s[:k], P[:k, :k], theta, P[k:, k:], e, S, linearise.status(valid))
 
     # The window
 
     def node(self, carry: Carry) -> Carry:
         """An interval is complete: it joins the window, the oldest leaves it into the prior when full, and the window is solved."""
-        jax = load_jax()
-        jnp = jax.numpy
         full = carry.filled == self.intervals
         prior, prior_P = self.leave(carry)
         shift = lambda a: jnp.where(full, jnp.concatenate([a[1:], a[-1:]]), a)  # noqa: E731
@@ -169,10 +163,8 @@ class MHE:
 
     def solve(self, window: Samples, filled, nodes, force, prior, prior_P):
         """(nodes, force) after the Gauss-Newton steps: the least squares over the `filled` first intervals of the window."""
-        jax = load_jax()
-        jnp = jax.numpy
         one = jnp.eye(self.n)
-        arrival = symmetric(jax.scipy.linalg.cho_solve((jnp.linalg.cholesky(prior_P), True), one))
+        arrival = symmetric(definite_solve(prior_P, one))
         live = (jnp.arange(self.intervals) < filled).astype(float)
 
         def gauss_newton(_, now):
@@ -185,7 +177,6 @@ class MHE:
 
     def normal_equations(self, part: Interval, live, nodes, prior, arrival):
         """Block tridiagonal Hessian, D (M + 1, n, n) and `below` (M, n, n) it, and minus the gradient g (M + 1, n)."""
-        jnp = load_jax().numpy
         one = jnp.eye(self.n)
         QA = part.Q_inverse @ part.A
         EW, CW = (jnp.swapaxes(J, 1, 2) * w[:, None, :] for J, w in ((part.E, part.e_weight), (part.C, part.r_weight)))
@@ -204,11 +195,9 @@ class MHE:
 
     def quadratic_program(self, D, below, g, nodes, force):
         """The nodes moved to the minimum of the quadratic model in the box, and the force of the bounds there."""
-        jax = load_jax()
-        jnp = jax.numpy
         scale = jnp.diagonal(D, axis1=1, axis2=2)
 
-        def settle(_, now):
+        def active_set_pass(_, now):
             move, force = now
             free, fixed = bounded.active(nodes + move + force / scale, self.low, self.high)
             fixed = (1.0 - free) * (fixed - nodes)
@@ -218,14 +207,12 @@ class MHE:
             move = tridiagonal(masked, free[1:, :, None] * below * free[:-1, None, :], right)
             return move, (1.0 - free) * (g - banded(D, below, move))
 
-        move, force = jax.lax.fori_loop(0, self.passes, settle, (jnp.zeros_like(nodes), force))
+        move, force = jax.lax.fori_loop(0, self.passes, active_set_pass, (jnp.zeros_like(nodes), force))
         return jnp.clip(nodes + move, self.low, self.high), force
 
     def leave(self, carry: Carry):
         """Prior mean and covariance one node later: an extended Kalman filter's step through the oldest interval, linearised at
         the smoothed nodes."""
-        jax = load_jax()
-        jnp = jax.numpy
         window = jax.tree.map(lambda a: a[0], carry.window)
         part = self.interval(carry.nodes[0], carry.nodes[1], window)
         inner = part.e_weight > 0
@@ -247,11 +234,9 @@ class MHE:
 
     def interval(self, before, after, samples: Samples) -> Interval:
         """One interval between its two nodes, linearised at both."""
-        jax = load_jax()
-        jnp = jax.numpy
-        (F, inner), (A, E) = self.linear(lambda s: self.through(s, samples), before)
+        (F, inner), (A, E) = linearise.once(lambda s: self.through(s, samples), before)
         u = samples.u[-1]
-        y_last, C = self.linear(lambda s: self.look(s, u), after)
+        y_last, C = linearise.once(lambda s: self.look(s, u), after)
         weight = samples.valid / jax.vmap(self.system.R)(samples.u)
         e = jnp.where(samples.valid[:-1], samples.y[:-1] - inner, 0.0).reshape(-1)
         r = jnp.where(samples.valid[-1], samples.y[-1] - y_last, 0.0)
@@ -262,7 +247,6 @@ class MHE:
 
     def through(self, s, samples: Samples):
         """(s at the interval's end, predicted inner measurements (m - 1, n_y)), from its first node."""
-        jnp = load_jax().numpy
         seen = []
         for j in range(self.m):
             s = self.move(s, samples.u[j], samples.dt[j])
@@ -272,7 +256,7 @@ class MHE:
     def move(self, s, u, dt):
         """s after dt: the plant's f, and losses that stay."""
         k = self.system.n_x
-        return load_jax().numpy.concatenate([self.system.f(s[:k], u, s[k:], dt), s[k:]])
+        return jnp.concatenate([self.system.f(s[:k], u, s[k:], dt), s[k:]])
 
     def look(self, s, u):
         """Measurement at s."""
@@ -280,24 +264,14 @@ class MHE:
 
     def Q(self, u, dt):
         """(n_s, n_s) process noise over dt, invertible."""
-        jnp = load_jax().numpy
         k = self.system.n_x
         rate = self.walk**2 * jnp.maximum(bounded.moving(self.system, u, self.least), REST)
         Q = jnp.diag(jnp.concatenate([jnp.zeros(k), rate * dt]))
         return Q.at[:k, :k].set(self.system.Q(dt) + FLOOR * dt * jnp.diag(jnp.diagonal(jnp.asarray(self.system.P0))))
 
-    @staticmethod
-    def linear(function, at):
-        """(function(at), its Jacobian), the function evaluated once."""
-        jax = load_jax()
-        jacobian, value = jax.jacfwd(lambda s: (lambda v: (v, v))(function(s)), has_aux=True)(at)
-        return value, jacobian
-
 
 def absorb(s, P, H, e, R, valid):
     """Mean and covariance after independent measurements of variances R with innovations e; `valid` False: no effect."""
-    jax = load_jax()
-    jnp = jax.numpy
     if not len(e):
         return s, P
     H = H * valid[:, None]
@@ -308,8 +282,6 @@ def absorb(s, P, H, e, R, valid):
 
 def tridiagonal(D, below, b):
     """x (K, n) of the symmetric block tridiagonal system with D (K, n, n) on and below (K - 1, n, n) below the diagonal: block Cholesky."""
-    jax = load_jax()
-    jnp = jax.numpy
     below = jnp.concatenate([below, jnp.zeros_like(D[:1])])  # block k + 1 below block k; none below the last
     n = b.shape[1]
 
@@ -335,12 +307,6 @@ def tridiagonal(D, below, b):
 
 def banded(D, below, v):
     """The block tridiagonal matrix times v (K, n)."""
-    jnp = load_jax().numpy
     up, down = jnp.einsum("kji,kj->ki", below, v[1:]), jnp.einsum("kij,kj->ki", below, v[:-1])
     none = jnp.zeros_like(v[:1])
     return jnp.einsum("kij,kj->ki", D, v) + jnp.concatenate([up, none]) + jnp.concatenate([none, down])
-
-
-def symmetric(P):
-    """P, exactly symmetric."""
-    return 0.5 * (P + P.T)

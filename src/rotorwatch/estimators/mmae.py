@@ -14,22 +14,21 @@ from __future__ import annotations
 import numpy as np
 
 from rotorwatch import checks
-from rotorwatch.maths import multiple_model, plant
+from rotorwatch.backend import jnp
+from rotorwatch.maths import multiple_model
 from rotorwatch.maths.multiple_model import Bank, Output
 
 
-class MMAE:
+class MMAE(multiple_model.MultipleModel):
     """Multiple-model adaptive estimation on any plant that can be differentiated."""
 
-    name = "mmae"
+    name, called = "mmae", "Multiple-model adaptive estimation"
     not_kalman = "it assumes that one rotor at most is weak, and weighs one filter for each by how well they predict"
 
     def __init__(self, system, dt: float, *, theta_walk=1e-2, theta_var=0.1, floor: float = 1e-3, common: bool = True):
         """dt: s. theta_walk: variance that the loss of a faulty mode gains per second [1/s]; theta_var: its variance at the start.
         floor: least probability of a mode. common: one mode more, in which all rotors lose alike. Raises ConfigError."""
-        self.system, self.dt = plant.checked("Multiple-model adaptive estimation", system, dt), dt
-        self.theta_walk, self.theta_var = multiple_model.tuning(theta_walk, theta_var)
-        self.directions = multiple_model.directions(system, common)
+        super().__init__(system, dt, theta_walk, theta_var, common)
         self.floor = checks.between("floor", checks.positive("floor", floor), 0.0, 0.5 / len(self.directions))
 
     def init(self) -> Bank:
@@ -39,8 +38,6 @@ class MMAE:
 
     def step(self, carry: Bank, u, y, valid, dt=None) -> tuple[Bank, Output]:
         """Predict over dt with input u (n_u,), then update with y (n_y,) where valid."""
-        import jax.numpy as jnp
-
         dt = self.dt if dt is None else dt
         new = multiple_model.filtered(self.system, self.directions, carry.s, carry.P, self.theta_walk, u, y, valid, dt)
         floored = jnp.maximum(multiple_model.posterior(carry.probability, new.fit), self.floor)

@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch import checks
+from rotorwatch.backend import jax, jnp
 from rotorwatch.core import Array, Estimate
 from rotorwatch.errors import ConfigError
 from rotorwatch.maths import bounded, linearise, plant
@@ -63,8 +64,6 @@ class Parity:
 
     def init(self) -> Carry:
         """The plant's start, no loss, an empty window."""
-        import jax.numpy as jnp
-
         s, N = self.system, self.N
         return Carry(
             jnp.asarray(s.x0, float),
@@ -80,8 +79,6 @@ class Parity:
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Output]:
         """One step of dt with input u (n_u,) over it and y (n_y,) at its end where valid."""
-        import jax.numpy as jnp
-
         system, x0 = self.system, jnp.asarray(self.system.x0, float)
         regular = jnp.array(True) if dt is None else jnp.abs(dt - self.dt) < 1e-6 * self.dt
         dt = self.dt if dt is None else dt
@@ -101,20 +98,18 @@ class Parity:
         older = carry.theta_cov + self.walk**2 * dt * np.eye(len(none))
         theta, theta_cov = jnp.where(full, theta, carry.theta), jnp.where(full, theta_cov, older)
 
-        # The state, for who wants one: a Kalman filter that takes the losses before this step for true but for their covariance.
+        # The state, beside the losses: a Kalman filter that takes the losses before this step for true but for their covariance.
         x, F, Phi = linearise.transition(system, carry.x, u, carry.theta, dt)
         ahead, C, D = linearise.measurement(system, x, u, carry.theta)
         P = F @ carry.P @ F.T + Phi @ carry.theta_cov @ Phi.T + system.Q(dt)
-        e, doubt = jnp.where(valid, y - ahead, 0.0), D @ carry.theta_cov @ D.T
-        S = C @ P @ C.T + doubt + jnp.diag(system.R(u))
-        x, P = linearise.update(x, P, C, e, system.R(u) + jnp.diagonal(doubt), valid)
+        e, loss_noise = jnp.where(valid, y - ahead, 0.0), D @ carry.theta_cov @ D.T
+        S = C @ P @ C.T + loss_noise + jnp.diag(system.R(u))
+        x, P, _ = linearise.update(x, P, C, e, system.R(u) + jnp.diagonal(loss_noise), valid)
         estimate = Estimate(x, P, theta, theta_cov, e, 0.5 * (S + S.T), linearise.status(valid))
         return Carry(x, P, push, Phis, Ds, ys, count, theta, theta_cov), Output(estimate, jnp.where(full, r, 0.0))
 
     def _residual(self, push, Phi, D, y):
         """r and A = V Gamma of the window: forced responses from a deviation of 0."""
-        import jax
-        import jax.numpy as jnp
 
         def go(state, row):
             state = self.F @ state + row[0]
@@ -132,17 +127,12 @@ class Parity:
 
     def _solved(self, information, moment):
         """Mean and symmetric covariance."""
-        import jax
-        import jax.numpy as jnp
-
         factor = jnp.linalg.cholesky(0.5 * (information + information.T)), True
         P = jax.scipy.linalg.cho_solve(factor, np.eye(len(moment)))
         return jax.scipy.linalg.cho_solve(factor, moment), 0.5 * (P + P.T)
 
     def _design(self, u) -> None:
         """F, C at x0 and u, and V (N n_y - n_x, N n_y)."""
-        import jax.numpy as jnp
-
         system, N, dt = self.system, self.N, self.dt
         x0, none = jnp.asarray(system.x0, float), jnp.zeros(system.n_theta)
         u = jnp.asarray(u, float)
@@ -183,6 +173,4 @@ class Parity:
         """The inverse of a lower triangular matrix."""
         if isinstance(root, np.ndarray):
             return np.linalg.solve(root, np.eye(len(root)))
-        import jax
-
         return jax.scipy.linalg.solve_triangular(root, np.eye(root.shape[0]), lower=True)

@@ -6,7 +6,7 @@
     resample where 1 / sum w^2 < N / 2: systematically, at (k + U) / N of the cumulated weights
 
 Random numbers come from a counter in the carry (`maths/counter_random.py`), so that a run is the same wherever it runs. Modes and their
-filters: `maths/multiple_model.py`. Where nothing is measured, nobody jumps.
+filters: `maths/multiple_model.py`. Where nothing is measured, no particle changes its mode.
 Source: Doucet, de Freitas, Murphy and Russell, Rao-Blackwellised particle filtering for dynamic Bayesian networks, Proc. UAI 2000,
 176-183; de Freitas, Rao-Blackwellised particle filtering for fault diagnosis, IEEE Aerospace Conference 2002; Kitagawa, Monte Carlo
 filter and smoother, J. Computational and Graphical Statistics 5 (1996) 1-25, for systematic resampling.
@@ -19,9 +19,9 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch import checks
+from rotorwatch.backend import jnp
 from rotorwatch.core import Array, Estimate
-from rotorwatch.errors import ConfigError
-from rotorwatch.maths import counter_random, multiple_model, plant
+from rotorwatch.maths import counter_random, multiple_model
 
 
 class Carry(NamedTuple):
@@ -42,10 +42,10 @@ class Output(NamedTuple):
     effective: Array
 
 
-class RBPF:
+class RBPF(multiple_model.MultipleModel):
     """Rao-Blackwellised particle filter on any plant that can be differentiated."""
 
-    name = "rbpf"
+    name, called = "rbpf", "The Rao-Blackwellised particle filter"
     not_kalman = "it draws which rotor is weak, one at a time, and weighs the filters of what was drawn"
 
     def __init__(
@@ -66,20 +66,14 @@ class RBPF:
         faulty mode gains per second [1/s]; theta_var: variance of a loss that has just begun. healthy_s, weak_s: mean time for which
         the vehicle stays healthy, and a rotor weak [s]. common: one mode more, in which all rotors lose alike. seed: of the random
         numbers, a whole number. Raises ConfigError for wrong values."""
-        self.system, self.dt = plant.checked("The Rao-Blackwellised particle filter", system, dt), dt
-        for name, value, least in (("particles", particles, 2), ("seed", seed, 0)):
-            if int(value) != value or not least <= value < 2**30:
-                raise ConfigError(f"{name} must be a whole number from {least} on, not {value}.")
-        self.N, self.seed = int(particles), int(seed)
+        super().__init__(system, dt, theta_walk, theta_var, common)
+        self.N = checks.whole("particles", particles, 2, 2**30 - 1)
+        self.seed = checks.whole("seed", seed, 0, 2**30 - 1)
         self.jump = checks.between("jump", checks.positive("jump", jump), 0.0, 0.9)
-        self.theta_walk, self.theta_var = multiple_model.tuning(theta_walk, theta_var)
-        self.directions = multiple_model.directions(system, common)
         self.stay_s = multiple_model.stay(len(self.directions), healthy_s, weak_s)
 
     def init(self) -> Carry:
         """The plant's start, healthy for certain."""
-        import jax.numpy as jnp
-
         bank = multiple_model.start(self.system, 1, self.theta_var, np.ones(1))
         s, P = jnp.repeat(bank.s, self.N, axis=0), jnp.repeat(bank.P, self.N, axis=0)
         return Carry(
@@ -88,8 +82,6 @@ class RBPF:
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Output]:
         """Draw, predict over dt with input u (n_u,), weigh by y (n_y,) where valid, and resample where few count."""
-        import jax.numpy as jnp
-
         dt = self.dt if dt is None else dt
         measured = valid.any()
         random = counter_random.uniform(carry.counter, self.N + 1)
@@ -114,8 +106,6 @@ class RBPF:
 
     def _drawn(self, carry: Carry, random, measured, dt):
         """mode (N,), s, P of what each particle goes on with, and p / q of what it drew."""
-        import jax.numpy as jnp
-
         n, others = self.system.n_x, len(self.directions) - 1
         moves = measured & (random < self.jump)
         # Which of the other modes: they follow the own one in a ring.

@@ -19,9 +19,10 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch import checks
+from rotorwatch.backend import jnp
 from rotorwatch.core import Array, Estimate
-from rotorwatch.errors import ConfigError
 from rotorwatch.maths import linearise, measured_regression
+from rotorwatch.maths.small import definite_solve
 
 FORGETTING = ("directional", "trace", "exponential")
 LEAST = 1e-12  # of a row's information, below which it has no direction
@@ -51,29 +52,23 @@ class RLS:
         self.system, self.dt = system, measured_regression.check("Recursive least squares", system, dt)
         self.memory_s = checks.positive("memory_s", memory_s)
         self.theta_var = checks.positive("theta_var", linearise.variances("theta_var", theta_var, system.n_theta))
-        if forgetting not in FORGETTING:
-            raise ConfigError(f"forgetting must be one of {', '.join(FORGETTING)}, not {forgetting!r}.")
-        self.forgetting, self.trace_max = forgetting, checks.positive("trace_max", trace_max)
+        self.forgetting = checks.one_of("forgetting", forgetting, FORGETTING)
+        self.trace_max = checks.positive("trace_max", trace_max)
 
     def init(self) -> Carry:
         """The plant's start, no loss."""
-        import jax.numpy as jnp
-
         known = measured_regression.start(self.system)
         return Carry(known, jnp.zeros(self.system.n_theta), jnp.diag(1.0 / self.theta_var), jnp.diag(self.theta_var))
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Estimate]:
         """One step of dt with input u (n_u,) over it and y (n_y,) at its end where valid."""
-        import jax
-        import jax.numpy as jnp
-
         dt = self.dt if dt is None else dt
         before = carry.theta
         found = measured_regression.row(self.system, carry.known, u, y, valid, before, dt)
         z, Omega = measured_regression.whitened(found, valid)
         R = self._forgotten(carry, Omega, jnp.exp(-dt / self.memory_s), valid) + Omega.T @ Omega
         R = 0.5 * (R + R.T)
-        P = jax.scipy.linalg.cho_solve((jnp.linalg.cholesky(R), True), np.eye(len(before)))
+        P = definite_solve(R, np.eye(len(before)))
         P = jnp.where(valid.any(), 0.5 * (P + P.T), carry.P)
         theta = before + P @ (Omega.T @ (z - Omega @ before))
         known = measured_regression.measured(found, y, valid, theta)
@@ -82,8 +77,6 @@ class RLS:
 
     def _forgotten(self, carry: Carry, Omega, lam, valid):
         """R before the measurement; as it was where nothing is measured."""
-        import jax.numpy as jnp
-
         R = carry.R
         if self.forgetting == "directional":
             for r in Omega:

@@ -21,9 +21,10 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch import checks
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.backend import jax, jnp
 from rotorwatch.core import Array, Estimate
 from rotorwatch.maths import bounded, linearise, measured_regression
+from rotorwatch.maths.small import symmetric
 
 ACTS = 1e-9  # of the largest effect: what is smaller is none
 TINY = 1e-12
@@ -49,7 +50,7 @@ class SlidingMode:
 
     def __init__(self, system, dt: float, *, loss_rate=0.5, rate=5.0, theta_var=0.1, walk=0.05, u_nominal=None):
         """dt: s. loss_rate: how fast a loss may grow [1/s], which bounds dv/dt. rate: of the plain corrections and filters [1/s].
-        theta_var: variance of losses that nothing tells, a number or one per theta. walk: of a loss in a second, for the covariance only.
+        theta_var: variance of losses at first, a number or one per theta. walk: of a loss in a second, for the covariance only.
         u_nominal (n_u,): input of the design (default: hover). Raises ConfigError for wrong values and unmeasured states."""
         self.system, self.dt = system, measured_regression.check("The sliding-mode observer", system, dt)
         checks.positive("loss_rate", loss_rate)
@@ -61,8 +62,6 @@ class SlidingMode:
 
     def init(self) -> Carry:
         """The plant's start, no loss."""
-        import jax.numpy as jnp
-
         n, n_y, k = self.system.n_x, self.system.n_y, self.system.n_theta
         P = jnp.zeros((2 * n, 2 * n)).at[:n, :n].set(jnp.asarray(self.system.P0, float))
         P = P.at[n:, n:].set(jnp.diag((self.G0**2 * self.theta_var).sum(axis=1)))
@@ -78,9 +77,6 @@ class SlidingMode:
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Estimate]:
         """Predict over dt with input u (n_u,), then correct with y (n_y,) where valid."""
-        import jax
-        import jax.numpy as jnp
-
         system, n, none = self.system, self.system.n_x, jnp.zeros(self.system.n_theta)
         dt = self.dt if dt is None else dt
         x, F, Phi = linearise.transition(system, carry.x, u, none, dt)
@@ -106,7 +102,7 @@ class SlidingMode:
         remains, ds = self._twisted(sd, dt)
         K = jnp.concatenate([(1.0 - remains / sd)[:, None] * left, (ds / sd)[:, None] * left])
         rest = np.eye(2 * n) - K @ jnp.concatenate([C, jnp.zeros_like(C)], axis=1)
-        P = _symmetric(rest @ P @ rest.T + (K * R) @ K.T)
+        P = symmetric(rest @ P @ rest.T + (K * R) @ K.T)
 
         gain = jnp.where(valid & (self.direct > 0), -jnp.expm1(-self.rate * dt), 0.0)
         w = carry.w + gain * jnp.where(valid, y - y_ - carry.w, 0.0)
@@ -117,7 +113,7 @@ class SlidingMode:
         noise = jnp.concatenate([jnp.diagonal(P)[n:], var])
         used = jnp.concatenate([self.driven, self.direct])
         weighted = G * (used / jnp.where(used > 0, noise, 1.0))[:, None]
-        information = _symmetric(weighted.T @ G + jnp.diag(1.0 / self.theta_var))
+        information = symmetric(weighted.T @ G + jnp.diag(1.0 / self.theta_var))
         factor = jnp.linalg.cholesky(information), True
         theta = jax.scipy.linalg.cho_solve(factor, weighted.T @ jnp.concatenate([v, w]))
         theta_cov = jax.scipy.linalg.cho_solve(factor, np.eye(len(none)))
@@ -125,14 +121,12 @@ class SlidingMode:
         innovation = jnp.where(valid, y - y_ - self.direct * carry.w, 0.0)
         S = S + jnp.diag(self.direct * carry.var)
         estimate = Estimate(
-            x, P[:n, :n], theta, _symmetric(theta_cov), innovation, _symmetric(S), linearise.status(valid)
+            x, P[:n, :n], theta, symmetric(theta_cov), innovation, symmetric(S), linearise.status(valid)
         )
         return Carry(x, v, P, w, var, G), estimate
 
     def _twisted(self, e, dt):
         """What remains of the errors e (n_x,) after a step, and the step of v: the implicit super-twisting law, or plain rates."""
-        import jax.numpy as jnp
-
         hold = dt * dt * self.k2
         inside = jnp.where(hold > 0, e / jnp.where(hold > 0, hold, 1.0), 0.0)
         root = 0.5 * (jnp.sqrt((dt * self.k1) ** 2 + 4.0 * jnp.maximum(jnp.abs(e) - hold, 0.0)) - dt * self.k1)
@@ -142,20 +136,12 @@ class SlidingMode:
 
     def _look(self, u) -> None:
         """G0 (n_x, n_theta), D0 (n_y, n_theta): what losses do at x0 and u; g (n_x,): at most; driven (n_x,), direct (n_y,): where."""
-        jax = load_jax()
-        jnp, system = jax.numpy, self.system
+        system = self.system
         x0, u, none = jnp.asarray(system.x0, float), jnp.asarray(u, float), jnp.zeros(system.n_theta)
 
-        def rate(theta):
-            return jax.jvp(lambda dt: system.f(x0, u, theta, dt), (0.0,), (1.0,))[1]
-
-        G = jax.jacfwd(rate)(none)
+        G = jax.jacfwd(lambda theta: linearise.rate(system, x0, u, theta))(none)
         C, D = linearise.measurement(system, x0, u, none)[1:]
         size = jnp.abs(G).max(axis=1)
         self.driven = jnp.where(size > ACTS * size.max(), 1.0, 0.0)
         self.direct = jnp.where((C * C).sum(axis=1) < TINY, 1.0, 0.0)
         self.g, self.G0, self.D0 = size * self.driven, G * self.driven[:, None], D * self.direct[:, None]
-
-
-def _symmetric(P):
-    return 0.5 * (P + P.T)

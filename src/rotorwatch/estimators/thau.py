@@ -20,9 +20,11 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch import checks
+from rotorwatch.backend import jax, jnp
 from rotorwatch.core import Array, Estimate
 from rotorwatch.errors import ConfigError
-from rotorwatch.maths import bounded, linearise, measured_regression
+from rotorwatch.maths import bounded, linearise, measured_regression, plant
+from rotorwatch.maths.small import symmetric
 
 DOUBLINGS = 14  # of the Lyapunov series: 2^14 terms
 TINY = 1e-12
@@ -70,17 +72,10 @@ class Thau:
 
     def init(self) -> Carry:
         """The plant's start, no loss."""
-        import jax.numpy as jnp
-
-        n, k = self.system.n_x, self.system.n_theta
-        s = jnp.concatenate([jnp.asarray(self.system.x0, float), jnp.zeros(k)])
-        P = jnp.zeros((n + k, n + k)).at[:n, :n].set(jnp.asarray(self.system.P0, float))
-        return Carry(s, P.at[n:, n:].set(self.theta_sd**2 * jnp.eye(k)))
+        return Carry(*plant.start(self.system, self.theta_sd**2 * jnp.eye(self.system.n_theta)))
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Estimate]:
         """Predict over dt with input u (n_u,), then correct with y (n_y,) where valid."""
-        import jax.numpy as jnp
-
         system, n, k = self.system, self.system.n_x, self.system.n_theta
         dt = self.dt if dt is None else dt
         theta = carry.s[n:]
@@ -99,14 +94,11 @@ class Thau:
         P = P.at[:n, :n].add(system.Q(dt)).at[n:, n:].add(self.walk**2 * dt * np.eye(k))
         S = H @ P @ H.T + jnp.diag(R)
         rest = np.eye(n + k) - K @ H
-        P = _symmetric(rest @ P @ rest.T + (K * R) @ K.T)
-        return Carry(s, P), Estimate(s[:n], P[:n, :n], s[n:], P[n:, n:], e, _symmetric(S), linearise.status(valid))
+        P = symmetric(rest @ P @ rest.T + (K * R) @ K.T)
+        return Carry(s, P), Estimate(s[:n], P[:n, :n], s[n:], P[n:, n:], e, symmetric(S), linearise.status(valid))
 
     def _design(self, u, bandwidth, direct_rate) -> None:
         """L (n_x, n_y); weight (n_x, n_y) = P C^+; gamma, k_f; direct (n_y,): 1 for outputs that only theta moves; lipschitz."""
-        import jax
-        import jax.numpy as jnp
-
         system, x0, healthy = self.system, jnp.asarray(self.system.x0, float), jnp.zeros(self.system.n_theta)
         u = jnp.asarray(u, float)
         F, Phi = linearise.transition(system, x0, u, healthy, self.dt)[1:]
@@ -124,7 +116,7 @@ class Thau:
         P = (C.T * W) @ C
         for _ in range(DOUBLINGS):
             P, back = P + back.T @ P @ back, back @ back
-        P = _symmetric(P)
+        P = symmetric(P)
         factor = jnp.linalg.cholesky(P), True
         self.P, self.L = P, jax.scipy.linalg.cho_solve(factor, C.T * W)
         # The fastest loss answers with the bandwidth: s^2 + rate s + gamma G' P G, per second.
@@ -135,7 +127,3 @@ class Thau:
         self.lipschitz = (
             jnp.exp(self.rate * self.dt) - 1.0
         ) / self.dt  # V falls while the rest is slower than this [1/s]
-
-
-def _symmetric(P):
-    return 0.5 * (P + P.T)

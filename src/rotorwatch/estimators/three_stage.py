@@ -25,9 +25,10 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch import checks
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.backend import jax, jnp
 from rotorwatch.core import Array, Estimate
 from rotorwatch.maths import bounded, linearise, plant, unscented
+from rotorwatch.maths.small import symmetric
 
 
 class Carry(NamedTuple):
@@ -85,8 +86,6 @@ class ThreeStage:
 
     def init(self) -> Carry:
         """The plant's start, no loss, no disturbance known."""
-        import jax.numpy as jnp
-
         n, k = self.system.n_x, self.system.n_theta
         cross = jnp.zeros((n, k))
         return Carry(
@@ -103,9 +102,6 @@ class ThreeStage:
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Output]:
         """Predict over dt with input u (n_u,), then update with y (n_y,) where valid."""
-        import jax.numpy as jnp
-        from jax.scipy.linalg import cho_solve
-
         system, c0 = self.system, carry
         dt = self.dt if dt is None else dt
         G, a = dt * jnp.diag(self.g), jnp.exp(-dt / self.correlation_s)
@@ -115,22 +111,22 @@ class ThreeStage:
         b1, b2, c = F @ c0.V13 + G @ c0.V23 + Phi, a * c0.V23, F @ c0.V12 + G
         P_theta = c0.P_theta + dt * jnp.diag(self.theta_walk)
         both = jnp.concatenate([b1, b2]) @ c0.P_theta
-        U = cho_solve((unscented.root(P_theta), True), both.T).T
+        U = jax.scipy.linalg.cho_solve((unscented.root(P_theta), True), both.T).T
         U13, U23 = U[: len(x)], U[len(x) :]
         b1_P, b2_P = both[: len(x)], both[len(x) :]
         P_d = a * a * c0.P_d + (1.0 - a * a) * self.share**2 * np.eye(len(x)) + b2_P @ (b2 - U23).T
-        P_d = unscented.symmetric(P_d)
+        P_d = symmetric(P_d)
         cross = a * c @ c0.P_d + b1_P @ (b2 - U23).T
-        U12 = cho_solve((unscented.root(P_d), True), cross.T).T
+        U12 = jax.scipy.linalg.cho_solve((unscented.root(P_d), True), cross.T).T
         P_x = F @ c0.P_x @ F.T + system.Q(dt) + c @ c0.P_d @ c.T + b1_P @ (b1 - U13).T - U12 @ cross.T
-        P_x = unscented.symmetric(P_x)
+        P_x = symmetric(P_x)
 
         y_, C, D = linearise.measurement(system, x, u, c0.theta)
         e = jnp.where(valid, y - y_, 0.0)
         N2, N3, R = C @ U12, C @ U13 + D, jnp.diag(system.R(u))
         S1 = C @ P_x @ C.T + R
         S2 = S1 + N2 @ P_d @ N2.T
-        S3 = unscented.symmetric(S2 + N3 @ P_theta @ N3.T)
+        S3 = symmetric(S2 + N3 @ P_theta @ N3.T)
         K1, K2, K3 = (unscented.gain(P @ N.T, S, valid) for P, N, S in ((P_x, C, S1), (P_d, N2, S2), (P_theta, N3, S3)))
         V12, V23 = U12 - K1 @ N2, U23 - K2 @ N3
         V13 = U13 - K1 @ N3 - V12 @ K2 @ N3
@@ -138,24 +134,21 @@ class ThreeStage:
         d = d + K2 @ e + V23 @ (K3 @ e)
         x = x + K1 @ e + V12 @ (K2 @ e) + V13 @ (K3 @ e)
         P_x, P_d, P_theta = _joseph(P_x, K1, C, R), _joseph(P_d, K2, N2, S1), _joseph(P_theta, K3, N3, S2)
-        x_cov = unscented.symmetric(P_x + V12 @ P_d @ V12.T + V13 @ P_theta @ V13.T)
-        d_cov = unscented.symmetric(P_d + V23 @ P_theta @ V23.T)
+        x_cov = symmetric(P_x + V12 @ P_d @ V12.T + V13 @ P_theta @ V13.T)
+        d_cov = symmetric(P_d + V23 @ P_theta @ V23.T)
         out = Estimate(x, x_cov, theta, P_theta, e, S3, linearise.status(valid))
         return Carry(x, d, theta, P_x, P_d, P_theta, V12, V13, V23), Output(out, d, d_cov)
 
     def _push(self, u):
         """g (n_x,): the largest rate of change that the full loss of one theta causes at x0 and u (n_u,)."""
-        jax = load_jax()
-        jnp, system = jax.numpy, self.system
+        system = self.system
         x0, u = jnp.asarray(system.x0, float), jnp.asarray(u, float)
 
-        def rate(theta):
-            return jax.jvp(lambda dt: system.f(x0, u, theta, dt), (0.0,), (1.0,))[1]
-
-        return jnp.abs(jax.jacfwd(rate)(jnp.zeros(system.n_theta))).max(axis=1)
+        slope = jax.jacfwd(lambda theta: linearise.rate(system, x0, u, theta))
+        return jnp.abs(slope(jnp.zeros(system.n_theta))).max(axis=1)
 
 
 def _joseph(P, K, H, R):
     """(I - K H) P (I - K H)' + K R K', symmetric."""
     rest = np.eye(P.shape[0]) - K @ H
-    return unscented.symmetric(rest @ P @ rest.T + K @ R @ K.T)
+    return symmetric(rest @ P @ rest.T + K @ R @ K.T)

@@ -18,7 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import limited, many
+from rotorwatch import incoming as limited
+from rotorwatch import many
 from rotorwatch.errors import ConfigError, RotorwatchError, WorkerError
 
 OUTCOMES = ("read", "read with warnings", "rejected with a sentence", "FAILED")

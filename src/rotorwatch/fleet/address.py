@@ -9,7 +9,7 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 from rotorwatch.errors import ConfigError
-from rotorwatch.shown import public
+from rotorwatch.files import public
 
 
 def default_url() -> str:

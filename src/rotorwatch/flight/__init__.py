@@ -1,4 +1,4 @@
-"""The nouns: a flight as its log tells it, and the vehicle that flew. Data in SI units and known frames; no estimation in here.
+"""The basic types: a flight as its log records it, and the vehicle that flew. Data in SI units and known frames; no estimation in here.
 
 flight.py         signals, messages and parameters of a log
 vehicle_kind.py   what a log is of, when it is no multirotor

@@ -37,7 +37,7 @@ import numpy as np
 
 from rotorwatch import optional
 from rotorwatch.errors import ConfigError
-from rotorwatch.shown import printable
+from rotorwatch.files import printable
 
 
 @dataclass(frozen=True)
@@ -188,7 +188,7 @@ class Flight:
         return self.signals[name].to_pandas()
 
     def to_dict(self) -> dict[str, Any]:
-        """What the log is, as plain data: everything but the samples, of which columns, unit, frame, source, count and rate are told."""
+        """What the log is, as plain data: everything but the samples, of which columns, unit, frame, source, count and rate are given."""
         signals = {
             name: {
                 "columns": list(s.columns), "unit": s.unit, "frame": s.frame, "source": s.source, "samples": len(s),

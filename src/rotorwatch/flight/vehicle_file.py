@@ -23,7 +23,6 @@ from __future__ import annotations
 import math
 import os
 import re
-import tempfile
 from collections.abc import Mapping
 from typing import Any
 
@@ -52,19 +51,11 @@ def read(path: str | os.PathLike) -> Vehicle:
 def write(vehicle: Vehicle, path: str | os.PathLike) -> None:
     """Write the vehicle to a TOML file that `read` gives back unchanged; an existing file is replaced in one step."""
     text = dumps(vehicle)
-    folder = os.path.dirname(os.path.abspath(path))
     try:
-        handle, temporary = tempfile.mkstemp(dir=folder, prefix=".vehicle-", suffix=".toml")
-    except OSError as error:
-        raise VehicleError(f"Cannot write the vehicle file {path}: {error.strerror or error}.") from error
-    try:
-        with open(handle, "w", encoding="utf-8") as file:
-            file.write(text)
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    except OSError as error:
-        os.unlink(temporary)
-        raise VehicleError(f"Cannot write the vehicle file {path}: {error.strerror or error}.") from error
+        with files.replacing(path) as temporary:
+            temporary.write_text(text, "utf-8")
+    except ConfigError as error:
+        raise VehicleError(f"Cannot write the vehicle file: {error}") from error
 
 
 def from_table(table: Mapping[str, Any]) -> Vehicle:

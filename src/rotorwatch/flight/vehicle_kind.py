@@ -1,4 +1,4 @@
-"""What a log is of, when it is no multirotor: said in words, so that nobody is asked to describe the rotors of a plane."""
+"""Which kind of vehicle a log is of when it is no multirotor, in words for the message that refuses it."""
 
 from __future__ import annotations
 

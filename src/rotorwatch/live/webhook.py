@@ -15,8 +15,8 @@ from collections import deque
 from collections.abc import Callable
 
 from rotorwatch.errors import ConfigError
+from rotorwatch.files import public
 from rotorwatch.live.beside import as_json
-from rotorwatch.shown import public
 
 MOST = 1000  # alerts that wait; beyond, the oldest go
 TIMEOUT_S = 10.0

@@ -8,19 +8,17 @@ A format that is a folder of tables has sniff_folder(path) and read_folder(path,
 progress, where given, is called with the finished share, 0..1.
 
 Another package may hand in a module or an object with the same parts, as an entry point `rotorwatch.logs` (docs/plug-ins.md).
-It is asked when no format of ours knows the file.
+It is tried when no format of ours recognises the file.
 """
 
 from __future__ import annotations
 
-import importlib
-import pkgutil
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
 
-from rotorwatch import plugins
+from rotorwatch import discovery
 from rotorwatch.errors import LogError, RotorwatchError
 from rotorwatch.flight import Flight
 from rotorwatch.logs import plausible
@@ -33,9 +31,7 @@ FILE_PARTS, FOLDER_PARTS = ("sniff", "read"), ("sniff_folder", "read_folder")
 @cache
 def formats() -> tuple:
     """The modules of all log formats of this package, by name."""
-    names = sorted(m.name for m in pkgutil.iter_modules(__path__))
-    modules = (importlib.import_module(f"{__name__}.{name}") for name in names)
-    return tuple(m for m in modules if hasattr(m, "FORMAT"))
+    return tuple(m for m in discovery.modules(__name__) if hasattr(m, "FORMAT"))
 
 
 def offered() -> dict[str, tuple[Any, Any]]:
@@ -45,15 +41,11 @@ def offered() -> dict[str, tuple[Any, Any]]:
     def refuse(found) -> str:
         whole = any(all(hasattr(found, part) for part in pair) for pair in (FILE_PARTS, FOLDER_PARTS))
         taken = found.FORMAT in {m.FORMAT for m in formats()}
-        return (
-            "its FORMAT is taken"
-            if taken
-            else ""
-            if whole
-            else "it needs sniff and read, or sniff_folder and read_folder"
-        )
+        if taken:
+            return "its FORMAT is taken"
+        return "" if whole else "it needs sniff and read, or sniff_folder and read_folder"
 
-    return {found.FORMAT: (entry, found) for entry, found in plugins.others(__name__, ("FORMAT",), refuse)}
+    return {found.FORMAT: (entry, found) for entry, found in discovery.others(__name__, ("FORMAT",), refuse)}
 
 
 def read(path, progress=None) -> Flight:
@@ -80,23 +72,23 @@ def read(path, progress=None) -> Flight:
 
 
 def recognise(head: bytes, name: str) -> Any:
-    """The format for a file that starts with `head`: by content, failing that by `name`; None when unknown. Ours are asked first."""
+    """The format for a file that starts with `head`: by content, failing that by `name`; None when unknown. Ours are tried first."""
     files: list[Any] = [m for m in formats() if hasattr(m, "sniff")]
-    for said in ("", name):
-        found = next((m for m in files if m.sniff(head, said)), None) or _theirs("sniff", head, said)
+    for label in ("", name):
+        found = next((m for m in files if m.sniff(head, label)), None) or _theirs("sniff", head, label)
         if found is not None:
             return found
     return None
 
 
-def _theirs(part: str, *asked) -> Any:
+def _theirs(part: str, *arguments) -> Any:
     """The format of another package whose `sniff` or `sniff_folder` says yes, or None; one that raises is passed over, with a warning."""
     for entry, found in offered().values():
         try:
-            if hasattr(found, part) and getattr(found, part)(*asked):
+            if hasattr(found, part) and getattr(found, part)(*arguments):
                 return found
-        except Exception as why:  # a stranger's module may raise anything
-            plugins.failed(entry, part, why)
+        except Exception as why:  # a module of another package may raise anything
+            discovery.failed(entry, part, why)
     return None
 
 

@@ -38,7 +38,7 @@ class Topic:
 
 @dataclass
 class Bag:
-    """Topics that were asked for, by name; others: name -> type of those that were not, or are not ROS 2's; notes: what was damaged."""
+    """The wanted topics, by name; others: name -> type of those that were not, or are not ROS 2's; notes: what was damaged."""
 
     wanted: Callable[[str, str], bool]
     topics: dict[str, Topic] = field(default_factory=dict)
@@ -164,11 +164,11 @@ def read_sqlite(source: Path | bytes, bag: Bag, progress=None) -> None:
         except (sqlite3.Error, TypeError, ValueError) as error:
             raise LogError("this database is no ROS 2 bag, or too damaged to be read") from error
         most = next(_rows(base, "SELECT max(rowid) FROM messages"), (None,))[0] or 1
-        asked = ",".join(map(str, topics))
+        wanted_ids = ",".join(map(str, topics))
         done = 0
         try:
             for row, number, stamp, data in base.execute(
-                f"SELECT rowid, topic_id, timestamp, data FROM messages WHERE topic_id IN ({asked}) ORDER BY rowid"
+                f"SELECT rowid, topic_id, timestamp, data FROM messages WHERE topic_id IN ({wanted_ids}) ORDER BY rowid"
             ):
                 if isinstance(data, bytes) and isinstance(stamp, int):
                     bag.add(topics[number], stamp, data)

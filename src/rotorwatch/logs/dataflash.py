@@ -10,7 +10,7 @@ What is read from which message (instance 0 where sensors come in several):
     throttle  CTUN ThO or ThrOut               battery   BAT or CURR
     lift      MOTB                             esc       ESC, ESC1.., CESC: see dataflash_esc
 
-Times count from the smallest time stamp of any record; 3.0 and 3.1 have none: see dataflash_untimed.
+Times count from the smallest time stamp of any record; 3.0 and 3.1 have none: see dataflash_clock.
 Simulation parameters and messages (SIM*) are never read.
 """
 
@@ -25,9 +25,8 @@ from rotorwatch.flight import Flight, Signal
 from rotorwatch.logs import dataflash_esc, parameter_ranges, wall_clock
 from rotorwatch.logs import dataflash_events as events
 from rotorwatch.logs import dataflash_rotors as rotors
-from rotorwatch.logs import dataflash_untimed as untimed
 from rotorwatch.logs.dataflash_binary import SDLOG2, BinaryLog, amount
-from rotorwatch.logs.dataflash_clock import Clock, make_clock
+from rotorwatch.logs.dataflash_clock import Clock, make_clock, rebuilt
 from rotorwatch.logs.dataflash_text import FIRST_LINE, TextLog
 from rotorwatch.logs.series import SHAPES, quaternion, steady
 
@@ -81,9 +80,9 @@ def read(data, name: str, progress=None) -> Flight:
     log = (TextLog if FMT_HEADER not in head and FIRST_LINE.search(head) else BinaryLog)(data, progress)
     if not log.counts:
         raise LogError(f"{name}: this is not a DataFlash log; no message definition (FMT) was found in it.")
-    stamps, rebuilt = log.stamps(), ""
+    stamps, source = log.stamps(), ""
     if not np.isfinite(stamps).any():
-        stamps, rebuilt = untimed.stamps(log)
+        stamps, source = rebuilt(log)
     clock = make_clock(stamps)
     parameters, changes = events.parameters(log, clock)
     parameters, notes = parameter_ranges.checked(parameters)
@@ -119,7 +118,7 @@ def read(data, name: str, progress=None) -> Flight:
         parameters=parameters,
         parameter_changes=tuple(c for c in changes if parameter_ranges.possible(c[1], c[2])),
         messages=events.messages(log, clock),
-        warnings=(*log.warnings, *([rebuilt] if rebuilt else []), *clock.warnings, *reader.warnings),
+        warnings=(*log.warnings, *([source] if source else []), *clock.warnings, *reader.warnings),
         name=name,
         start_us=int(clock.start_us),
         facts={
@@ -231,9 +230,9 @@ class _Signals:
         self.warnings += notes if time.size else []
         if not time.size or not self.outputs:
             return
-        if rotors.BY_NUMBER in notes and (asked := self.collective()) is not None:
+        if rotors.BY_NUMBER in notes and (throttle := self.collective()) is not None:
             known = [pwm[o] for o in self.outputs.values() if o in pwm]
-            if known and not rotors.follow(time, np.stack(known, axis=1), *asked):
+            if known and not rotors.follow(time, np.stack(known, axis=1), *throttle):
                 self.warnings.append("Those outputs do not follow the throttle: they are no motors and were left out.")
                 self.outputs = {}
                 return
@@ -320,9 +319,9 @@ class _Signals:
             apart = motors.values[at[near]]
             apart = (apart - apart.mean(axis=1, keepdims=True)) / (PWM_RANGE_US[1] - PWM_RANGE_US[0])
             # Of most of the flight: a crash or a damaged record has no say, nor has calm air.
-            moved, asked = (float(np.quantile(np.abs(v), 0.8)) if v.size else 0.0 for v in (apart, control[near]))
-            if moved > 5e-4 and asked > 0.0:
-                return asked > 2.0 * np.sqrt(RAW_TORQUE) * moved
+            moved, output = (float(np.quantile(np.abs(v), 0.8)) if v.size else 0.0 for v in (apart, control[near]))
+            if moved > 5e-4 and output > 0.0:
+                return output > 2.0 * np.sqrt(RAW_TORQUE) * moved
         return _typical_peak(control) > np.sqrt(RAW_TORQUE)
 
     def attitude(self) -> None:
@@ -369,8 +368,8 @@ class _Signals:
                 time, values, _ = rows
                 self.add("velocity", time, values[:, :3], message)
                 self.add("position", time, values[:, 3:], message)
-        if (asked := self.collective()) is not None:
-            self.add("throttle", asked[0], asked[1][:, None], "CTUN")
+        if (throttle := self.collective()) is not None:
+            self.add("throttle", throttle[0], throttle[1][:, None], "CTUN")
 
     def collective(self):
         """(time (n,), throttle (n,), 1 is full) of CTUN; None without it."""

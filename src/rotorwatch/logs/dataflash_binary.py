@@ -24,29 +24,10 @@ FMT_LENGTH = 89
 SCAN_CHUNK = 1 << 22  # bytes compared at a time: the comparison's result stays small
 
 # Format character -> (numpy type, divisor); the characters of ArduPilot's Logger. `M` is a flight mode number.
-CODES: dict[str, tuple[Any, float | None]] = {
-    "a": (("<i2", (32,)), None),
-    "b": ("i1", None),
-    "B": ("u1", None),
-    "h": ("<i2", None),
-    "H": ("<u2", None),
-    "i": ("<i4", None),
-    "I": ("<u4", None),
-    "q": ("<i8", None),
-    "Q": ("<u8", None),
-    "g": ("<f2", None),
-    "f": ("<f4", None),
-    "d": ("<f8", None),
-    "n": ("S4", None),
-    "N": ("S16", None),
-    "Z": ("S64", None),
-    "M": ("u1", None),
-    "c": ("<i2", 1e2),
-    "C": ("<u2", 1e2),
-    "e": ("<i4", 1e2),
-    "E": ("<u4", 1e2),
-    "L": ("<i4", 1e7),
-}
+_TYPES = "i1 u1 <i2 <u2 <i4 <u4 <i8 <u8 <f2 <f4 <f8 S4 S16 S64 u1 <i2 <u2 <i4 <u4 <i4".split()
+_DIVISORS = {**dict.fromkeys("cCeE", 1e2), "L": 1e7}
+CODES: dict[str, tuple[Any, float | None]] = {"a": (("<i2", (32,)), None)}
+CODES |= {code: (kind, _DIVISORS.get(code)) for code, kind in zip("bBhHiIqQgfdnNZMcCeEL", _TYPES, strict=True)}
 
 
 @dataclass(frozen=True)
@@ -64,14 +45,8 @@ class Format:
         """The whole record with its header; `formats`/`offsets` leave the padding that a longer record has."""
         plain = [np.dtype(CODES[c][0]) for c in self.codes]
         offsets = 3 + np.cumsum([0] + [d.itemsize for d in plain])
-        return np.dtype(
-            {
-                "names": list(self.columns),
-                "formats": plain,
-                "offsets": [int(o) for o in offsets[:-1]],
-                "itemsize": self.length,
-            }
-        )
+        places = [int(o) for o in offsets[:-1]]
+        return np.dtype({"names": list(self.columns), "formats": plain, "offsets": places, "itemsize": self.length})
 
     @property
     def stamp(self) -> str:

@@ -7,7 +7,7 @@ import re
 import numpy as np
 
 from rotorwatch.flight import Message
-from rotorwatch.logs.dataflash_text import MODES
+from rotorwatch.logs.dataflash_text import ERRORS, EVENTS, MODES
 
 PARAMETER_NAME = re.compile(r"[A-Z][A-Z0-9_]{1,15}")
 FIRMWARE = re.compile(r"\b(APM:\w+|APMrover2?|Ardu\w+|Blimp|AntennaTracker)\s+[Vv]\d\S*(\s+\([0-9a-f]+\))?")
@@ -16,41 +16,7 @@ FRAME_TEXT = re.compile(r"^Frame: (\w+)(?:/(\w+))?")
 TEXT_COLUMNS = ("Name", "Message", "FWS")
 SAME_EVENT_S = 1.0  # an arming logged by ARM and again by EV
 
-# AP_Logger's event numbers (EV.Id) and error sources (ERR.Subsys) that matter for what a rotor did.
-ARMED, DISARMED, LANDED, NOT_LANDED = 10, 11, 18, 28
-EVENTS = {
-    15: "auto armed",
-    16: "take-off",
-    17: "landing assumed",
-    41: "parachute released",
-    46: "emergency stop of the motors",
-    47: "emergency stop of the motors cleared",
-    54: "motors interlocked",
-    55: "motors interlocked",
-    56: "motors interlocked",
-    57: "motors released",
-    60: "estimator's height reset",
-    62: "estimator's yaw reset",
-}
-ERROR_SOURCES = {
-    2: "radio",
-    3: "compass",
-    5: "radio failsafe",
-    6: "battery failsafe",
-    8: "ground station failsafe",
-    9: "fence",
-    10: "flight mode",
-    11: "GPS",
-    12: "crash check",
-    13: "flip",
-    15: "parachute",
-    16: "estimator check",
-    17: "estimator failsafe",
-    18: "barometer",
-    19: "CPU load",
-    25: "thrust loss check",
-    29: "vibration",
-}
+ARMED, DISARMED, LANDED, NOT_LANDED = 10, 11, 18, 28  # EV.Id
 
 
 def parameters(log, clock) -> tuple[dict[str, float], tuple[tuple[float, str, float], ...]]:
@@ -96,7 +62,7 @@ def messages(log, clock) -> tuple[Message, ...]:
     found = [Message(t, "text", text) for t, text in _rows(log, clock, "MSG", "Message") if "SIM_" not in text]
     for time, source, code in _rows(log, clock, "ERR", "Subsys", "ECode"):
         if np.isfinite([source, code]).all():
-            name = ERROR_SOURCES.get(int(source), f"part {int(source)}")
+            name = ERRORS.get(int(source), f"part {int(source)}")
             found.append(
                 Message(time, "error", f"{name}: {'resolved' if code == 0 else f'error {int(code)}'}", float(source))
             )

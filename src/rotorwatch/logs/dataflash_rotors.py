@@ -11,16 +11,9 @@ import numpy as np
 MOTOR_FUNCTIONS = {**{32 + k: k for k in range(1, 9)}, **{73 + k: k for k in range(9, 13)}}
 # FRAME_CLASS -> motor numbers. A tricopter's motor 7 is its tail servo, motor 3 does not exist.
 FRAME_ROTORS: dict[int, tuple[int, ...]] = {
-    1: (1, 2, 3, 4),
-    2: tuple(range(1, 7)),
-    3: tuple(range(1, 9)),
-    4: tuple(range(1, 9)),
-    5: tuple(range(1, 7)),
-    7: (1, 2, 4),
-    10: (1, 2),
-    12: tuple(range(1, 13)),
-    14: tuple(range(1, 11)),
-}
+    class_: tuple(range(1, count + 1))
+    for class_, count in ((1, 4), (2, 6), (3, 8), (4, 8), (5, 6), (10, 2), (12, 12), (14, 10))
+} | {7: (1, 2, 4)}
 BY_NUMBER = "No output has a motor function; rotor k was taken to be output k."
 LEAST_THROTTLE = 0.02  # standard deviation of the throttle that tells something
 FRAME_NAMES = {"QUAD": 1, "HEXA": 2, "OCTA": 3, "OCTA_QUAD": 4, "OCTAQUAD": 4, "Y6": 5, "HELI": 6, "TRI": 7}
@@ -43,8 +36,8 @@ def announced(parameters: dict[str, float], text: tuple[str, str]) -> list[str]:
     Only for firmware that has FRAME_CLASS and FRAME_TYPE at all: one of the two, or the text's second half, is there.
     """
     class_, type_ = FRAME_NAMES.get(text[0].upper()), FRAME_TYPES.get(text[1].upper())
-    said = {"FRAME_CLASS": class_, "FRAME_TYPE": type_}
-    lacking = {k: float(v) for k, v in said.items() if k not in parameters and v is not None}
+    announced_frame = {"FRAME_CLASS": class_, "FRAME_TYPE": type_}
+    lacking = {k: float(v) for k, v in announced_frame.items() if k not in parameters and v is not None}
     if class_ is None or type_ is None or "FRAME" in parameters or not lacking:
         return []
     parameters.update(lacking)
@@ -109,11 +102,11 @@ def outputs(
 def follow(time: np.ndarray, pulses: np.ndarray, stamps: np.ndarray, throttle: np.ndarray) -> bool:
     """Do these outputs, pulses (n, k) at `time`, rise and fall with the throttle at `stamps`? True where the throttle does not."""
     mean = np.nanmean(np.where(pulses > 500, pulses, np.nan), axis=1)
-    asked = np.interp(time, stamps, throttle)
-    fine = np.isfinite(mean) & np.isfinite(asked)
-    if fine.sum() < 20 or np.std(asked[fine]) < LEAST_THROTTLE:
+    commanded = np.interp(time, stamps, throttle)
+    fine = np.isfinite(mean) & np.isfinite(commanded)
+    if fine.sum() < 20 or np.std(commanded[fine]) < LEAST_THROTTLE:
         return True
-    return bool(np.std(mean[fine]) > 0.0 and np.corrcoef(mean[fine], asked[fine])[0, 1] > 0.5)
+    return bool(np.std(mean[fine]) > 0.0 and np.corrcoef(mean[fine], commanded[fine])[0, 1] > 0.5)
 
 
 def _one_bit_off(function: int, rotor: int) -> bool:

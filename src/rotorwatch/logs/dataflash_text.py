@@ -8,9 +8,11 @@ It offers the same tables as `dataflash_binary.BinaryLog`.
 
 from __future__ import annotations
 
+import json
 import re
 from array import array
 from collections.abc import Callable, Iterable
+from pathlib import Path
 
 import numpy as np
 
@@ -19,35 +21,12 @@ from rotorwatch.logs.dataflash_binary import Format, Table, amount, make_format
 TEXT_CODES = "nNZ"
 FIRST_LINE = re.compile(rb"^[ \t]*FMT[ \t]*,[ \t]*128[ \t]*,[ \t]*89[ \t]*,", re.MULTILINE)
 
-# Copter's flight modes by number; ground stations write the names into text logs.
-MODES = {
-    0: "STABILIZE",
-    1: "ACRO",
-    2: "ALT_HOLD",
-    3: "AUTO",
-    4: "GUIDED",
-    5: "LOITER",
-    6: "RTL",
-    7: "CIRCLE",
-    9: "LAND",
-    11: "DRIFT",
-    13: "SPORT",
-    14: "FLIP",
-    15: "AUTOTUNE",
-    16: "POSHOLD",
-    17: "BRAKE",
-    18: "THROW",
-    19: "AVOID_ADSB",
-    20: "GUIDED_NOGPS",
-    21: "SMART_RTL",
-    22: "FLOWHOLD",
-    23: "FOLLOW",
-    24: "ZIGZAG",
-    25: "SYSTEMID",
-    26: "AUTOROTATE",
-    27: "AUTO_RTL",
-    28: "TURTLE",
-}
+# What numbers stand for: Copter's flight modes, whose names ground stations write into text logs; AP_Logger's event numbers (EV.Id) and
+# error sources (ERR.Subsys) that matter for what a rotor did.
+MODES, EVENTS, ERRORS = (
+    {int(number): name for number, name in table.items()}
+    for table in json.loads(Path(__file__).with_name("dataflash_numbers.json").read_text("utf-8")).values()
+)
 PREAMBLE = 20  # lines
 MODE_NUMBERS = {name.replace("_", ""): float(number) for number, name in MODES.items()}
 

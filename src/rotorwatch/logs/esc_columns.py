@@ -27,7 +27,7 @@ def build(time, measured: dict[str, np.ndarray], rotors: Sequence[int], source: 
     """The Signal `esc` from rows in which all ESCs report together; None when no speed or current in it is usable.
 
     time (m,) s; measured: quantity -> (m, N) in the units above, speeds of either sign; those left out are not measured. rotors: their
-    numbers. valid (m, N) bool: where an ESC was heard. notes: sentences that this appends to.
+    numbers. valid (m, N) bool: where an ESC reported. notes: sentences that this appends to.
     """
     shape = (len(time), len(rotors))
     blocks, masks, wild = [], [], 0
@@ -49,6 +49,23 @@ def build(time, measured: dict[str, np.ndarray], rotors: Sequence[int], source: 
     return series.build(time, np.concatenate(blocks, axis=1), names(rotors), UNIT, "", source, np.inf, notes, mask)
 
 
+def numbered(time, table, prefix: str, fields: dict[str, str], order: Sequence[int], source, notes, valid=None):
+    """As `build`, from a table with a field of each quantity for each ESC, speeds in revolutions per minute.
+
+    prefix: of a field's name, "esc[{}]." of "esc[2].esc_rpm"; fields: quantity -> the rest of it; order: the ESCs, rotor after rotor.
+    """
+    measured = {
+        quantity: series.stacked(table, [f"{prefix.format(k)}{field}" for k in order])
+        for quantity, field in fields.items()
+    }
+    measured["speed"] = measured["speed"] * RPM
+    # A driver that does not know a quantity leaves it 0 for all.
+    for quantity in ("current", "temperature"):
+        if not np.nan_to_num(measured[quantity]).any():
+            del measured[quantity]
+    return build(time, measured, range(1, len(order) + 1), source, notes, valid)
+
+
 def names(rotors: Sequence[int]) -> tuple[str, ...]:
     """Columns of the telemetry of these rotors."""
     return tuple(f"{quantity}{rotor}" for quantity in QUANTITIES for rotor in rotors)
@@ -62,10 +79,10 @@ def together(
     Rows are the reports of the ESC that reports most; another's report goes into the row that is nearest in time, where that is no
     further away than the rows are apart.
     """
-    heard = [r for r in reports if r is not None and len(r[0])]
-    if not heard:
+    reporting = [r for r in reports if r is not None and len(r[0])]
+    if not reporting:
         return None
-    base = max(heard, key=lambda r: len(r[0]))[0]
+    base = max(reporting, key=lambda r: len(r[0]))[0]
     middle = 0.5 * (base[1:] + base[:-1])
     apart = float(np.median(np.diff(base))) if len(base) > 1 else 1.0
     measured = {quantity: np.full((len(base), len(reports)), np.nan) for quantity in QUANTITIES}

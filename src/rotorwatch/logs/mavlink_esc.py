@@ -48,15 +48,7 @@ def _status(get: Callable) -> dict:
     reports = {}
     for first in np.unique(table["index"]).tolist():
         rows = table["index"] == first
-        for k in range(4):
-            reports[first + k] = (
-                time[rows],
-                {
-                    "speed": table["rpm"][rows, k] * esc_columns.RPM,
-                    "current": table["current"][rows, k].astype(float),
-                    "voltage": table["voltage"][rows, k].astype(float),
-                },
-            )
+        reports |= {first + k: (time[rows], _measured(table[rows], k)) for k in range(4)}
     found = get(INFO)
     if found is None:
         return reports
@@ -72,6 +64,12 @@ def _status(get: Callable) -> dict:
     return {number: report for number, report in reports.items() if number < most}
 
 
+def _measured(table, k: int, unit: float = 1.0) -> dict[str, np.ndarray]:
+    """Speed, current and voltage of the k-th ESC of a message. unit: of current and voltage [A, V]."""
+    found = {quantity: unit * table[quantity][:, k].astype(float) for quantity in ("current", "voltage")}
+    return {"speed": table["rpm"][:, k] * esc_columns.RPM, **found}
+
+
 def _telemetry(get: Callable) -> dict:
     reports: dict[int, tuple[np.ndarray, Mapping[str, np.ndarray]]] = {}
     for block, message in enumerate(TELEMETRY):
@@ -81,13 +79,6 @@ def _telemetry(get: Callable) -> dict:
         time, table = found
         order = np.argsort(time, kind="stable")
         for k in range(4):
-            values = {q: table[f][order, k].astype(float) for q, f in (("current", "current"), ("voltage", "voltage"))}
-            reports[4 * block + k] = (
-                time[order],
-                {
-                    "speed": table["rpm"][order, k] * esc_columns.RPM,
-                    "temperature": table["temperature"][order, k].astype(float),
-                    **{quantity: 0.01 * v for quantity, v in values.items()},
-                },
-            )
+            degrees = {"temperature": table["temperature"][order, k].astype(float)}
+            reports[4 * block + k] = time[order], _measured(table[order], k, 0.01) | degrees
     return reports

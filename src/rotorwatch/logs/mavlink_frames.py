@@ -78,8 +78,8 @@ class Frames:
         for head, n in {*zip(header.tolist(), length.tolist())}:
             same = np.flatnonzero((header == head) & (length == n))
             block = self._bytes[starts[same, None] + np.arange(head + n + 2)]
-            said = block[:, -2].astype(np.int64) | block[:, -1].astype(np.int64) << 8
-            sound[same] = said == checksum(block[:, 1:-2], layout.seed)
+            sent_sum = block[:, -2].astype(np.int64) | block[:, -1].astype(np.int64) << 8
+            sound[same] = sent_sum == checksum(block[:, 1:-2], layout.seed)
             payload[same, : min(n, kind.itemsize)] = block[:, head : head + min(n, kind.itemsize)]
         return payload[sound].view(kind)[:, 0], order[sound]
 

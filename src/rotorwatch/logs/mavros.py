@@ -13,7 +13,7 @@ Time is the header's, on ROS's clock. https://github.com/mavlink/mavros/tree/ros
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
@@ -52,25 +52,13 @@ FIELDS = {
 """The fields that are used, where a message has many others."""
 
 _OUTPUTS = "rc/out"
-_XYZ = ("x", "y", "z")
 _FLU = np.array([1.0, -1.0, -1.0])  # forward, left, up -> forward, right, down
 _CHANNELS = 18
 _PX4_MODES = ("AUTO.", "POSCTL", "ALTCTL", "OFFBOARD", "STABILIZED", "RATTITUDE")
-_ARDUPILOT_MODES = (
-    "STABILIZE",
-    "ALT_HOLD",
-    "GUIDED",
-    "LOITER",
-    "RTL",
-    "LAND",
-    "POSHOLD",
-    "SMART_RTL",
-    "BRAKE",
-    "GUIDED_NOGPS",
-    "AUTO",
-)
+_ARDUPILOT_MODES = "STABILIZE ALT_HOLD GUIDED LOITER RTL LAND POSHOLD SMART_RTL BRAKE GUIDED_NOGPS AUTO".split()
 _NUMBERS = {1: "bool_value", 2: "integer_value", 3: "double_value"}  # rcl_interfaces/ParameterType
 _LAST_SEVERE = 3
+_ESC = {"speed": "rpm", "current": "current", "voltage": "voltage", "temperature": "temperature"}
 _UNIX_S = 1e8
 
 
@@ -143,6 +131,15 @@ class _Log:
         found = self.topics.get(name)
         return None if found is None else (found[0] - self.start, found[1])
 
+    def signal(self, kind: str, name: str, read: Callable, source: str = "") -> Signal | None:
+        """The Signal `kind` of a topic; None without it. read(columns): values, or (values, valid)."""
+        found = self.get(name)
+        if found is None:
+            return None
+        made = read(found[1])
+        values, valid = made if isinstance(made, tuple) else (made, None)
+        return series.make(kind, found[0], values, source or name, self.notes, valid)
+
 
 def _time(columns, received) -> np.ndarray:
     """(m,) s on ROS's clock: the header's, where it has none by the time of receipt."""
@@ -153,14 +150,13 @@ def _time(columns, received) -> np.ndarray:
     return np.where(known, stamp, received + later)
 
 
-def _columns(table, names) -> np.ndarray:
-    none = np.full(len(next(iter(table.values()))), np.nan)
-    with np.errstate(invalid="ignore"):  # damaged floats may be signalling NaNs
-        return np.stack([np.asarray(table.get(n, none), np.float64) for n in names], axis=1)
-
-
 def _vector(table, name: str) -> np.ndarray:
-    return _columns(table, [f"{name}.{a}" for a in _XYZ])
+    return series.stacked(table, [f"{name}.{a}" for a in "xyz"])
+
+
+def _quaternion(table, name: str) -> tuple[np.ndarray, np.ndarray]:
+    """(n, 4) body to world in our axes, and (n,) bool where it is one."""
+    return series.unit_quaternion(turned(series.stacked(table, [f"{name}.{a}" for a in "xyzw"])))
 
 
 def turned(q: np.ndarray) -> np.ndarray:
@@ -172,73 +168,53 @@ def turned(q: np.ndarray) -> np.ndarray:
     return np.stack([w + z, x + y, x - y, w - z], axis=1) * np.sqrt(0.5)
 
 
-def _attitude(kind: str, found, name: str, log: _Log) -> Signal | None:
-    if found is None:
-        return None
-    q, fine = series.unit_quaternion(turned(_columns(found[1], [f"{name}.{a}" for a in ("x", "y", "z", "w")])))
-    return series.make(kind, found[0], q, f"mavros {kind}", log.notes, fine)
-
-
 def _signals(log: _Log, parameters, autopilot: str) -> tuple[dict, dict]:
-    data, raw = log.get("imu/data"), log.get("imu/data_raw")
-
-    def of(kind, found, field, source):
-        if found is None:
-            return None
-        values = _vector(found[1], field) * _FLU
-        return series.make(kind, found[0], values, source, log.notes, values.any(axis=1))  # all 0: not known
-
-    rates = of("rates", data, "angular_velocity", "imu/data")
+    turning, pushing = _in_body("angular_velocity"), _in_body("linear_acceleration")
+    rates = log.signal("rates", "imu/data", turning)
     motors, facts = _motors(log, parameters, autopilot)
-    wanted = log.get("setpoint_raw/target_attitude")
-    velocity, position = _movement(log)
+    odom = "local_position/odom" if "local_position/odom" in log.topics else ""
     signals = {
         "motors": motors,
         # Raw rates come in steps of 1 mrad/s, so at equal speed the others, which are finer, are preferred.
-        "gyro": series.fastest(rates, of("gyro", raw, "angular_velocity", "imu/data_raw")),
+        "gyro": series.fastest(rates, log.signal("gyro", "imu/data_raw", turning)),
         "rates": rates,
-        "accel": series.fastest(
-            of("accel", raw, "linear_acceleration", "imu/data_raw"),
-            of("accel", data, "linear_acceleration", "imu/data"),
+        "accel": series.fastest(*(log.signal("accel", name, pushing) for name in ("imu/data_raw", "imu/data"))),
+        "attitude": log.signal("attitude", "imu/data", lambda t: _quaternion(t, "orientation"), "mavros attitude"),
+        "attitude_wanted": log.signal(
+            "attitude_wanted",
+            "setpoint_raw/target_attitude",
+            lambda t: _quaternion(t, "orientation"),
+            "mavros attitude_wanted",
         ),
-        "attitude": _attitude("attitude", data, "orientation", log),
-        "attitude_wanted": _attitude("attitude_wanted", wanted, "orientation", log),
-        "velocity": velocity,
-        "position": position,
-        "throttle": _throttle(log),
-        "battery": _battery(log),
+        "velocity": log.signal("velocity", odom, _odometry)
+        if odom
+        else log.signal("velocity", "local_position/velocity_local", _ned("twist.linear")),
+        "position": log.signal("position", odom, _ned("pose.pose.position"))
+        if odom
+        else log.signal("position", "local_position/pose", _ned("pose.position")),
+        "throttle": log.signal("throttle", "vfr_hud", lambda t: series.stacked(t, ["throttle"])),
+        "battery": log.signal("battery", "battery", _battery),
         "esc": _esc(log, len(motors.columns) if motors is not None else 0),
     }
     return {k: v for k, v in signals.items() if v is not None}, facts
 
 
-def _movement(log: _Log) -> tuple[Signal | None, Signal | None]:
-    """(velocity, position) in north, east, down: from the odometry, whose velocity is the body's, else from pose and velocity_local."""
-    odom = log.get("local_position/odom")
-    if odom is not None:
-        time, table = odom
-        q, fine = series.unit_quaternion(
-            turned(_columns(table, [f"pose.pose.orientation.{a}" for a in ("x", "y", "z", "w")]))
-        )
-        body = _vector(table, "twist.twist.linear") * _FLU
-        velocity = series.make("velocity", time, _rotated(q, body), "local_position/odom", log.notes, fine)
-        position = series.make(
-            "position", time, _ned(_vector(table, "pose.pose.position")), "local_position/odom", log.notes
-        )
-        return velocity, position
-    speed, pose = log.get("local_position/velocity_local"), log.get("local_position/pose")
-    return (
-        speed
-        and series.make(
-            "velocity", speed[0], _ned(_vector(speed[1], "twist.linear")), "local_position/velocity_local", log.notes
-        ),
-        pose
-        and series.make("position", pose[0], _ned(_vector(pose[1], "pose.position")), "local_position/pose", log.notes),
-    )
+def _in_body(field: str) -> Callable:
+    def read(table):
+        values = _vector(table, field) * _FLU
+        return values, values.any(axis=1)  # all 0: not known
+
+    return read
 
 
-def _ned(enu: np.ndarray) -> np.ndarray:
-    return np.stack([enu[:, 1], enu[:, 0], -enu[:, 2]], axis=1)
+def _ned(field: str) -> Callable:
+    return lambda table: _vector(table, field)[:, [1, 0, 2]] * [1.0, 1.0, -1.0]
+
+
+def _odometry(table) -> tuple[np.ndarray, np.ndarray]:
+    """(velocity (n, 3) in north, east, down, valid): the odometry's is the body's."""
+    q, fine = _quaternion(table, "pose.pose.orientation")
+    return _rotated(q, _vector(table, "twist.twist.linear") * _FLU), fine
 
 
 def _rotated(q: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -253,9 +229,10 @@ def _motors(log: _Log, parameters, autopilot: str) -> tuple[Signal | None, dict]
     if found is None:
         return None, {}
     time, table = found
-    channels = _columns(table, [f"channels[{k}]" for k in range(_CHANNELS) if f"channels[{k}]" in table])
-    if not channels.shape[1]:
+    names = [name for k in range(_CHANNELS) if (name := f"channels[{k}]") in table]
+    if not names:
         return None, {}
+    channels = series.stacked(table, names)
     facts: dict = {"motors_topic": _OUTPUTS}
     if autopilot == "PX4":
         reading = px4_outputs.read(channels, parameters, rotor_count(parameters))
@@ -266,10 +243,10 @@ def _motors(log: _Log, parameters, autopilot: str) -> tuple[Signal | None, dict]
     class_ = dataflash_rotors.frame(parameters, ("", ""))[0]
     named = class_ or any(re.fullmatch(r"SERVO\d+_FUNCTION", n) for n in parameters)
     moving = {k + 1: column for k, column in enumerate(channels.T) if _moves(column)}
-    outputs, said = dataflash_rotors.outputs(
+    outputs, assumptions = dataflash_rotors.outputs(
         parameters, class_, {k + 1: c for k, c in enumerate(channels.T)} if named else _first(moving)
     )
-    log.notes += [s.rstrip(".") for s in said]
+    log.notes += [s.rstrip(".") for s in assumptions]
     picked = [n for n in outputs.values() if n <= channels.shape[1]]
     if not picked:
         return None, {}
@@ -294,52 +271,18 @@ def _first(moving: Mapping[int, np.ndarray]) -> dict[int, np.ndarray]:
     return out
 
 
-def _throttle(log: _Log) -> Signal | None:
-    found = log.get("vfr_hud")
-    return (
-        None
-        if found is None
-        else series.make("throttle", found[0], _columns(found[1], ["throttle"]), "vfr_hud", log.notes)
-    )
-
-
-def _battery(log: _Log) -> Signal | None:
-    found = log.get("battery")
-    if found is None:
-        return None
-    values = _columns(found[1], ["voltage", "current"]) * [1.0, -1.0]  # a current that flows out is negative there
-    return series.make(
-        "battery", found[0], values, "battery", log.notes, np.column_stack([values[:, 0] > 0, values[:, 1] >= 0])
-    )
+def _battery(table) -> tuple[np.ndarray, np.ndarray]:
+    values = series.stacked(table, ["voltage", "current"]) * [1.0, -1.0]  # a current that flows out is negative there
+    return values, series.voltage_and_current(values)
 
 
 def _esc(log: _Log, count: int) -> Signal | None:
     """ESC telemetry, in the order of the motors' outputs."""
-    for topics, field in (
-        (("esc_telemetry/telemetry", "esc_telemetry"), "esc_telemetry"),
-        (("esc_status/status", "esc_status"), "esc_status"),
-    ):
-        found = next((f for t in topics if (f := log.get(t)) is not None), None)
-        if found is None:
-            continue
-        time, table = found
-        there = [k for k in range(px4_outputs.MOTOR_12) if f"{field}[{k}].rpm" in table][: count or None]
-        if not there:
-            continue
-        measured = {
-            quantity: _columns(table, [f"{field}[{k}].{name}" for k in there])
-            for quantity, name in (
-                ("speed", "rpm"),
-                ("current", "current"),
-                ("voltage", "voltage"),
-                ("temperature", "temperature"),
-            )
-        }
-        measured["speed"] = measured["speed"] * esc_columns.RPM
-        for quantity in ("current", "temperature"):
-            if not np.nan_to_num(measured[quantity]).any():
-                del measured[quantity]
-        return esc_columns.build(time, measured, range(1, len(there) + 1), field, log.notes)
+    for topic, field in (("esc_telemetry/telemetry", "esc_telemetry"), ("esc_status/status", "esc_status")):
+        found = log.get(topic) or log.get(field)
+        there = [k for k in range(px4_outputs.MOTOR_12) if f"{field}[{k}].rpm" in found[1]] if found else []
+        if found and there:
+            return esc_columns.numbered(*found, f"{field}[{{}}].", _ESC, there[: count or None], field, log.notes)
     return None
 
 
@@ -377,8 +320,7 @@ def _messages(log: _Log) -> list[Message]:
     state = log.get("state")
     if state is not None and "armed" in state[1]:
         time = np.maximum(state[0], 0.0)
-        for at, value in series.changes(time, state[1]["armed"] != 0):
-            out.append(Message(at, "armed", "armed" if value else "disarmed", value))
+        out += series.states("armed", time, state[1]["armed"])
         modes = state[1].get("mode", np.zeros(0, object))
         known, number = np.unique(modes.astype(str), return_inverse=True)
         for at, value in series.changes(time, number) if modes.size else []:
@@ -386,8 +328,7 @@ def _messages(log: _Log) -> list[Message]:
     extended = log.get("extended_state")
     if extended is not None and "landed_state" in extended[1]:
         landed = extended[1]["landed_state"]
-        for at, value in series.changes(np.maximum(extended[0], 0.0)[landed > 0], landed[landed > 0] == 1):
-            out.append(Message(at, "landed", "landed" if value else "in the air", value))
+        out += series.states("landed", np.maximum(extended[0], 0.0)[landed > 0], landed[landed > 0] == 1)
     texts = log.get("statustext/recv")
     if texts is not None and "text" in texts[1]:
         for at, severity, text in zip(texts[0], texts[1]["severity"], texts[1]["text"]):

@@ -1,7 +1,10 @@
-"""A Flight from arrays or a data frame in memory; also the column names of our tables (docs/readers.md)."""
+"""A Flight from arrays or a data frame in memory; the column names of our tables (docs/readers.md); and comma-separated numbers as named
+columns, for the readers of tables."""
 
 from __future__ import annotations
 
+import csv
+import io
 import re
 from collections.abc import Mapping
 
@@ -37,6 +40,8 @@ _NUMBERED = re.compile(
 )
 _STATES = ("armed", "landed")
 _MOST_ROTORS = 16
+_EMPTY = re.compile(rb"(?:(?<=,)(?=[,\r\n])|(?<=\n)(?=,)|(?<=,)\Z)")
+_MOST_COLUMNS = 2000
 _KNOWN = {"time_s", *_STATES, *(c for ways in _GROUPS.values() for way, _ in ways for c in way)}
 
 
@@ -182,11 +187,73 @@ def _rotors(time, table, notes) -> dict:
 
 def _messages(time, table) -> list[Message]:
     """State changes from the columns armed and landed (0 or 1)."""
-    words = {"armed": ("disarmed", "armed"), "landed": ("in the air", "landed")}
     out = []
     for kind in _STATES:
         if kind in table:
             known = np.isfinite(table[kind]) & np.isfinite(time)
-            for at, value in series.changes(time[known], table[kind][known] > 0.5):
-                out.append(Message(at, kind, words[kind][int(value)], value))
+            out += series.states(kind, time[known], table[kind][known] > 0.5)
     return sorted(out, key=lambda m: m.time)
+
+
+def header(head: bytes) -> list[str]:
+    """Column names in the first line of a text table; [] when it is no such table."""
+    line = bytes(head).partition(b"\n")[0]
+    try:
+        text = line.decode("utf-8-sig").strip()
+    except UnicodeDecodeError:
+        return []
+    if not text.isprintable() or "," not in text:
+        return []
+    return [c.strip().strip('"') for c in text.split(",")]
+
+
+def numbers(data, notes, name="") -> dict[str, np.ndarray]:
+    """Columns of a text table by name. Empty cells and what is no number become NaN; notes says how many lines it hit.
+
+    Raises LogError without a header line, with doubled names, or without any line of numbers.
+    """
+    data = bytes(data).rstrip(b"\0")
+    names = header(data[: 1 << 16])
+    where = f"{name}: " if name else ""
+    if not names or len(names) > _MOST_COLUMNS:
+        raise LogError(f"{where}the first line is no list of column names separated by commas")
+    if len(set(names)) < len(names):
+        raise LogError(f"{where}column {next(n for n in names if names.count(n) > 1)} is there twice")
+    body = data.partition(b"\n")[2]
+    if not body.strip():
+        raise LogError(f"{where}the table has no line of numbers")
+    try:
+        filled = io.BytesIO(_EMPTY.sub(b"nan", body))
+        rows = np.loadtxt(filled, delimiter=",", ndmin=2, comments=None, encoding="ascii")
+        if rows.shape[1] != len(names):
+            raise ValueError
+    except ValueError:
+        rows = _line_by_line(body, len(names), notes, where)
+    if not rows.size:
+        raise LogError(f"{where}the table has no line of numbers")
+    return {n: rows[:, i] for i, n in enumerate(names)}
+
+
+def _line_by_line(body: bytes, width: int, notes, where: str) -> np.ndarray:
+    """Slower than loadtxt, but takes damage: a wrong number of cells drops the line, a wrong cell becomes NaN."""
+    rows, dropped, cells = [], 0, 0
+    lines = io.StringIO(body.decode("utf-8", "replace").replace("\0", ""), newline="")
+    for line in csv.reader(lines):
+        if not line:
+            continue
+        if len(line) != width:
+            dropped += 1
+            continue
+        row = []
+        for cell in line:
+            try:
+                row.append(float(cell) if cell else np.nan)
+            except ValueError:
+                row.append(np.nan)
+                cells += 1
+        rows.append(row)
+    if dropped:
+        notes.append(f"{where}{dropped} line{'s' if dropped > 1 else ''} with a wrong number of cells dropped")
+    if cells:
+        notes.append(f"{where}{cells} cell{'s' if cells > 1 else ''} without a number ignored")
+    return np.array(rows, float).reshape(-1, width)

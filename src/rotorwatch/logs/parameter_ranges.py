@@ -1,4 +1,4 @@
-"""What the parameters that a diagnosis rests on can be; a value outside is damage of the log and is not believed.
+"""Possible ranges of the parameters that a diagnosis uses; a value out of range is damage of the log and is ignored.
 
 Ranges: ArduPilot's and PX4's parameter references (https://ardupilot.org/copter/docs/parameters.html,
 https://docs.px4.io/main/en/advanced_config/parameter_reference.html), widened where people are seen to go beyond.

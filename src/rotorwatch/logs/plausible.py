@@ -57,14 +57,14 @@ COUPLED = ("motors", "control", "gyro", "rates", "accel")
 
 
 def checked(flight: Flight) -> Flight:
-    """The flight with lone values marked invalid, said in its warnings and counted in facts["damage"].
+    """The flight with lone values marked invalid, named in its warnings and counted in facts["damage"].
 
     facts["damage"]: {signal: share of its values that were lone}, only of signals that had any.
     """
     signals, warnings, shares, heavy = dict(flight.signals), [], {}, []
     if "motors" in signals:
-        signals["motors"], said = _whole_records(signals["motors"])
-        warnings += said
+        signals["motors"], record_notes = _whole_records(signals["motors"])
+        warnings += record_notes
     known = {name: signals[name] for name in FLOORS if name in signals}
     sizes = {name: _size(s.time, s.values, s.valid, _floor(name, s)) for name, s in known.items()}
     for name, signal in known.items():
@@ -72,7 +72,7 @@ def checked(flight: Flight) -> Flight:
         if name == "motors" and "control" in signals:
             found |= _unasked(signals, found)
         if name == "battery":
-            found[:, 1:] = False  # current jumps as it likes
+            found[:, 1:] = False  # current jumps in normal flight
         count = int(np.count_nonzero(found))
         share = count / max(int(np.count_nonzero(signal.valid)), 1)
         if not count or share > HABIT:
@@ -107,11 +107,13 @@ def _whole_records(motors: Signal) -> tuple[Signal, list[str]]:
     at = at[motors.time[at + 1] - motors.time[at - 1] < FAR * max(float(np.median(np.diff(motors.time))), 1e-6)]
     if not at.size or at.size > HABIT * len(motors):
         return motors, []
-    kept = valid.copy()
-    kept[at] = False
+    cleaned = valid.copy()
+    cleaned[at] = False
     when = ", ".join(f"{t:.1f} s" for t in motors.time[at[:NAMED]]) + (" and later" if at.size > NAMED else "")
     what = "record in which most outputs are" if at.size == 1 else "records in which most outputs are"
-    return replace(motors, valid=kept), [f"motors ({motors.source}): {at.size} {what} no command dropped, at {when}."]
+    return replace(motors, valid=cleaned), [
+        f"motors ({motors.source}): {at.size} {what} no command dropped, at {when}."
+    ]
 
 
 def _unsupported(name: str, signals: Mapping[str, Signal], sizes: Mapping[str, np.ndarray]) -> np.ndarray:
@@ -149,16 +151,16 @@ def _unasked(signals: Mapping[str, Signal], already: np.ndarray) -> np.ndarray:
     if fine.sum() < FIT_EVERY or len(motors) < FIT_EVERY:
         return np.zeros_like(already)
     when = control.time[fine]
-    asked = np.stack([np.interp(motors.time, when, c) for c in control.values[fine].T], axis=1)
-    asked = np.column_stack([asked, asked[:, 3] ** 2, np.ones(len(motors))])
+    regressors = np.stack([np.interp(motors.time, when, c) for c in control.values[fine].T], axis=1)
+    regressors = np.column_stack([regressors, regressors[:, 3] ** 2, np.ones(len(motors))])
     near = np.abs(when[_nearest(when, motors.time)] - motors.time) < PARTNER_S
     known = near[:, None] & motors.valid & ~already
     rest = motors.values.copy()
     for start in range(0, len(motors), FIT_EVERY):
         block, first = slice(start, start + FIT_EVERY), max(0, start - FITTED)
         rows = np.flatnonzero(known[first : block.stop].all(axis=1)) + first
-        weights = np.linalg.lstsq(asked[rows], motors.values[rows], rcond=1e-6)[0]
-        rest[block] -= asked[block] @ weights
+        weights = np.linalg.lstsq(regressors[rows], motors.values[rows], rcond=1e-6)[0]
+        rest[block] -= regressors[block] @ weights
     return _without_others(motors.time, rest, known, _floor("motors", motors))
 
 

@@ -3,14 +3,32 @@
 Each output driver publishes an instance of `actuator_outputs`, and none says which driver it is. Pulses are logged in us,
 simulated outputs as shares (0..1 or -1..1), UAVCAN as the counts of its raw command (uavcan.equipment.esc.RawCommand,
 14 bit and sign: 8191 is full) and DShot as counts of its throttle field (1999 is full).
+
+Two publishers in one instance: an experimental controller that bypasses the mixer publishes its outputs beside the autopilot's own;
+both are logged under the same name, alternate, and read as one series they make outputs jump to and fro. A sample belongs to the series
+whose last value it is nearer to (`tracks`, `flown`).
+
+And which of the reports in the topic esc_status is which rotor's (`escs`):
+
+    esc[i].esc_rpm (negative: backwards), esc_voltage V, esc_current A, esc_temperature degC    as far as the driver knows them, else 0
+    esc[i].actuator_function         101 is motor 1                                     1.13 and later
+    esc[i].esc_address               number of the ESC on its bus, from 0 or 1          before: reports are in this order
+    esc_online_flags                 bit i: esc[i] was heard of lately
+
+https://docs.px4.io/main/en/msg_docs/EscStatus.html and EscReport.html
 """
 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
+
+from rotorwatch.flight import Signal
+from rotorwatch.logs import esc_columns
 
 MOTOR_1, MOTOR_12 = 101, 112  # output functions, *_FUNCn
 FUNCTION = re.compile(r"(PWM_MAIN|PWM_AUX|UAVCAN_EC|HIL_ACT|PCA9685|VOXL_ESC|TAP_ESC)_FUNC(\d{1,2})")
@@ -20,6 +38,11 @@ PULSES_US = (800.0, 2500.0)  # what a motor gets when it gets anything
 NO_COMMAND = 65535.0  # drivers that take counts log this while disarmed
 MOVING, MOVING_US = 0.01, 100.0  # an output that moves less, of full command and in us, need not be a rotor's
 LEAST_VALUES = 10  # rotors move through many values, servos and spare outputs step between a few
+THERE_AND_BACK = 20  # jumps away and back again within three samples, before two publishers are believed
+APART = 4.0  # how many times nearer a sample has to be to the one before last than to the last
+AT_REST = 0.1  # of two series, one whose outputs move so much less than the other's is not what flew
+MOST_ESCS = 12
+ESC_FIELDS = {"speed": "esc_rpm", "current": "esc_current", "voltage": "esc_voltage", "temperature": "esc_temperature"}
 
 
 @dataclass(frozen=True)
@@ -64,6 +87,16 @@ def read(values: np.ndarray, parameters, count: int) -> Reading | None:
     moving = [k for k in range(values.shape[1]) if _moves(values[:, k])]
     moving = [k for k in moving if _scaled(values[:, [k]], [k], driver, parameters, moving=True)]
     return _scaled(values[:, moving], moving, driver, parameters) if moving else None
+
+
+def best(instances: Iterable[tuple[str, Any]], parameters, count: int) -> tuple[str, np.ndarray, Reading] | None:
+    """(source, time, reading) of the instance that drives rotors; None when none does. instances: source -> (time, outputs) or None."""
+    found = [
+        (source, data[0], reading)
+        for source, data in instances
+        if data is not None and (reading := read(data[1], parameters, count)) is not None
+    ]
+    return max(found, key=lambda one: (one[2].named, one[2].swing), default=None)
 
 
 def _moves(column: np.ndarray) -> bool:
@@ -141,3 +174,67 @@ def _pulse_limits(parameters, count) -> dict:
         if usable:
             facts[fact] = float(usable[0])
     return facts
+
+
+def tracks(values: np.ndarray, step: float) -> list[np.ndarray]:
+    """Indices of the samples of each publisher in values (n, k), in order; a single one where they do not alternate.
+
+    step: a change from sample to sample below which nothing is a jump, in the unit of the values.
+    """
+    everything = [np.arange(len(values))]
+    if len(values) < 3 * THERE_AND_BACK or not np.isfinite(values).all():
+        return everything
+    jump = np.abs(np.diff(values, axis=0)).max(axis=1)
+    across = np.abs(values[2:] - values[:-2]).max(axis=1)
+    lone = (np.minimum(jump[1:], jump[:-1]) > np.maximum(APART * across, step)).nonzero()[0] + 1
+    if lone.size < THERE_AND_BACK:
+        return everything
+    rows = values.tolist()
+    last = [rows[lone[0] - 1], rows[lone[0]]]
+    member = np.zeros(len(rows), bool)
+    for i, row in enumerate(rows):
+        near, far = (max(abs(a - b) for a, b in zip(row, other)) for other in last)
+        member[i] = far < near
+        last[int(member[i])] = row
+    found = [np.flatnonzero(~member), np.flatnonzero(member)]
+    return found if min(len(f) for f in found) >= THERE_AND_BACK else everything
+
+
+def flown(values: np.ndarray, found: list[np.ndarray]) -> np.ndarray | None:
+    """The one of two series that moves while the other rests: what reached the motors. None when both move."""
+    if len(found) == 1:
+        return found[0]
+    moves = [float(np.median(np.abs(np.diff(values[i], axis=0)).max(axis=1))) for i in found]
+    return found[int(np.argmax(moves))] if min(moves) <= AT_REST * max(moves) else None
+
+
+def escs(time: np.ndarray, table: Mapping[str, np.ndarray], count: int, notes: list[str]) -> Signal | None:
+    """The signal `esc` of one esc_status topic; None where it says nothing. time (m,) s; count: rotors, 0 where not known."""
+    there = [i for i in range(MOST_ESCS) if f"esc[{i}].esc_rpm" in table]
+    if not there or not time.size:
+        return None
+    place = _places(table, there)
+    order = [place[k] for k in sorted(place)][: count or MOST_ESCS]
+    online = None
+    if "esc_online_flags" in table and np.asarray(table["esc_online_flags"]).any():
+        flags = np.asarray(table["esc_online_flags"]).astype(np.int64)
+        online = np.stack([(flags >> i) & 1 for i in order], axis=1) > 0
+    return esc_columns.numbered(time, table, "esc[{}].", ESC_FIELDS, order, "esc_status", notes, online)
+
+
+def _places(table: Mapping[str, np.ndarray], escs: list[int]) -> dict[int, int]:
+    """Rotor, from 0 -> index of its report: by function, else by address, else as they come."""
+    place = {}
+    for i in escs:
+        functions = np.asarray(table.get(f"esc[{i}].actuator_function", [0])).astype(int)
+        motors = functions[(functions >= MOTOR_1) & (functions <= MOTOR_12)]
+        if motors.size:
+            place.setdefault(int(np.bincount(motors).argmax()) - MOTOR_1, i)
+    if place:
+        return place
+    used = int(np.max(table["esc_count"])) if "esc_count" in table and np.size(table["esc_count"]) else 0
+    escs = escs[:used] if 0 < used < len(escs) else escs
+    addresses = [int(np.median(np.asarray(table.get(f"esc[{i}].esc_address", [0])))) for i in escs]
+    if sorted(addresses) in (list(range(len(escs))), list(range(1, len(escs) + 1))):
+        return {address - min(addresses): i for address, i in zip(addresses, escs)}
+    return dict(enumerate(escs))

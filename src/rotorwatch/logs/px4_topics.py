@@ -9,27 +9,15 @@ from __future__ import annotations
 import numpy as np
 
 from rotorwatch.flight import Message, vehicle_kind
-from rotorwatch.logs import publishers, px4_esc, px4_outputs, series, wall_clock
+from rotorwatch.logs import px4_outputs, series, wall_clock
 
 TOPICS = (
-    "actuator_armed",
-    "actuator_controls_0",
-    "actuator_motors",
-    "actuator_outputs",
-    "battery_status",
-    "esc_status",
-    "sensor_combined",
-    "sensor_gps",
-    "vehicle_acceleration",
-    "vehicle_angular_velocity",
-    "vehicle_attitude",
-    "vehicle_attitude_setpoint",
-    "vehicle_gps_position",
-    "vehicle_land_detected",
-    "vehicle_local_position",
-    "vehicle_status",
-    "vehicle_thrust_setpoint",
-    "vehicle_torque_setpoint",
+    *"actuator_armed actuator_controls_0 actuator_motors actuator_outputs battery_status esc_status sensor_combined sensor_gps".split(),
+    *(
+        f"vehicle_{name}"
+        for name in "acceleration angular_velocity attitude attitude_setpoint gps_position land_detected".split()
+    ),
+    *(f"vehicle_{name}" for name in "local_position status thrust_setpoint torque_setpoint".split()),
 )
 """The topics that are read; all others, simulator truth among them, never are."""
 
@@ -78,20 +66,14 @@ class Topics:
             table = {k: np.asarray(v)[late] for k, v in table.items()}
         return time[late], table
 
-    def signal(self, kind, name, fields, scale=1.0, valid=None):
+    def signal(self, kind, name, fields, valid=None):
         """The Signal `kind` from the given fields of a topic, or None. valid: 0/1 fields, one for each, or None."""
         found = self.table(name, *fields)
         if found is None:
             return None
         time, table = found
-        fine = columns(table, valid) != 0 if valid and all(v in table for v in valid) else None
-        return series.make(kind, time, columns(table, fields) * scale, name, self.notes, fine)
-
-
-def columns(table, fields) -> np.ndarray:
-    """(n, k) float array of the given fields."""
-    with np.errstate(invalid="ignore"):  # damaged floats may be signalling NaNs
-        return np.stack([np.asarray(table[f], np.float64) for f in fields], axis=1)
+        fine = series.stacked(table, valid) != 0 if valid and all(v in table for v in valid) else None
+        return series.make(kind, time, series.stacked(table, fields), name, self.notes, fine)
 
 
 def numbered(name, n) -> list[str]:
@@ -164,27 +146,25 @@ def _motors(topics: Topics, parameters):
     if found is not None:
         time, table = found
         fields = [f for f in numbered("control", 12) if f in table]
-        values = columns(table, fields)
+        values = series.stacked(table, fields)
         finite = np.isfinite(values).mean(axis=0)
         used = np.flatnonzero(finite > 0.1 * finite.max())  # a damaged NaN can be a number
         if used.size:
             values = values[:, : count or used[-1] + 1]
-            return series.motors(time, values, "1", "actuator_motors", topics.notes), {
-                "motors_topic": "actuator_motors"
-            }
-    best = None
-    for instance in range(4):
+            facts = {"motors_topic": "actuator_motors"}
+            return series.motors(time, values, "1", "actuator_motors", topics.notes), facts
+
+    def outputs(instance):
         found = topics.table("actuator_outputs", "output[0]", instance=instance)
         if found is None:
-            continue
-        time, table = found
-        reading = px4_outputs.read(columns(table, [f for f in numbered("output", 16) if f in table]), parameters, count)
-        if reading and (best is None or (reading.named, reading.swing) > (best[1].named, best[1].swing)):
-            best = time, reading, instance
+            return None
+        return found[0], series.stacked(found[1], [f for f in numbered("output", 16) if f in found[1]])
+
+    instances = ((f"actuator_outputs[{k}]" if k else "actuator_outputs", outputs(k)) for k in range(4))
+    best = px4_outputs.best(instances, parameters, count)
     if best is None:
         return None, {}
-    time, reading, instance = best
-    source = "actuator_outputs" + (f"[{instance}]" if instance else "")
+    source, time, reading = best
     topics.notes += [reading.note] if reading.note else []
     facts = {"motors_topic": "actuator_outputs", **reading.facts}
     time, values = _one_publisher(topics, time, reading, source, facts)
@@ -192,18 +172,18 @@ def _motors(topics: Topics, parameters):
 
 
 def _one_publisher(topics: Topics, time, reading: px4_outputs.Reading, source, facts):
-    """The samples of the publisher whose outputs reached the motors; `facts` says when nobody can tell which."""
+    """The samples of the publisher whose outputs reached the motors; `facts` holds their number where none can be chosen."""
     values = reading.values
-    found = publishers.tracks(values, 0.01 * (1000.0 if reading.unit == "us" else 1.0))
+    found = px4_outputs.tracks(values, 0.01 * (1000.0 if reading.unit == "us" else 1.0))
     if len(found) == 1:
         return time, values
-    keep = publishers.flown(values, found)
-    said = f"{source}: the outputs of two publishers alternate in one instance"
+    keep = px4_outputs.flown(values, found)
+    sentence = f"{source}: the outputs of two publishers alternate in one instance"
     if keep is None:
         facts["publishers"] = len(found)
-        topics.notes.append(f"{said}, and both move")
+        topics.notes.append(f"{sentence}, and both move")
         return time, values
-    topics.notes.append(f"{said}; the {keep.size} of {len(values)} samples that move were taken")
+    topics.notes.append(f"{sentence}; the {keep.size} of {len(values)} samples that move were taken")
     return time[keep], values[keep]
 
 
@@ -212,7 +192,7 @@ def _control(topics: Topics):
     xyz = numbered("xyz", 3)
     torque, thrust = (topics.table(f"vehicle_{k}_setpoint", *xyz) for k in ("torque", "thrust"))
     if torque is not None and thrust is not None and thrust[0].size:
-        time, values = torque[0], columns(torque[1], xyz)
+        time, values = torque[0], series.stacked(torque[1], xyz)
         # The latest thrust set point at each torque set point; both are published within the same controller cycle.
         keep = series.steady(thrust[0])
         latest = np.clip(np.searchsorted(thrust[0][keep], time + 1e-3, side="right") - 1, 0, None)
@@ -225,7 +205,7 @@ def _attitude(topics: Topics, kind, name, field):
     found = topics.table(name, *numbered(field, 4))
     if found is None:
         return None
-    q, fine = series.unit_quaternion(columns(found[1], numbered(field, 4)))
+    q, fine = series.unit_quaternion(series.stacked(found[1], numbered(field, 4)))
     return series.make(kind, found[0], q, name, topics.notes, fine)
 
 
@@ -242,14 +222,18 @@ def _battery(topics: Topics):
     found = topics.table("battery_status", "voltage_v", "current_a")
     if found is None:
         return None
-    values = columns(found[1], ["voltage_v", "current_a"])
-    fine = np.column_stack([values[:, 0] > 0, values[:, 1] >= 0])  # -1: not measured
-    return series.make("battery", found[0], values, "battery_status", topics.notes, fine)
+    values = series.stacked(found[1], ["voltage_v", "current_a"])
+    return series.make("battery", found[0], values, "battery_status", topics.notes, series.voltage_and_current(values))
 
 
 def _esc(topics: Topics, parameters):
     found = topics.table("esc_status", "esc[0].esc_rpm")
-    return None if found is None else px4_esc.read(*found, rotor_count(parameters), topics.notes)
+    return None if found is None else px4_outputs.escs(*found, rotor_count(parameters), topics.notes)
+
+
+def modes(time, nav_state) -> list[Message]:
+    """Messages of the flight modes that were entered."""
+    return [Message(t, "mode", NAV_STATES.get(int(v), f"mode {int(v)}"), v) for t, v in series.changes(time, nav_state)]
 
 
 def messages(topics: Topics) -> list[Message]:
@@ -257,16 +241,13 @@ def messages(topics: Topics) -> list[Message]:
     out = []
     found = topics.table("vehicle_land_detected", "landed", early=True)
     if found is not None:
-        for time, value in series.changes(found[0], found[1]["landed"]):
-            out.append(Message(time, "landed", "landed" if value else "in the air", float(value != 0)))
+        out += series.states("landed", found[0], found[1]["landed"])
     status = topics.table("vehicle_status", "arming_state", early=True)
     armed = topics.table("actuator_armed", "armed", early=True)
     if armed is not None:
-        states = series.changes(armed[0], np.asarray(armed[1]["armed"]) != 0)
-    else:
-        states = series.changes(status[0], np.asarray(status[1]["arming_state"]) == _ARMED) if status else []
-    out += [Message(time, "armed", "armed" if value else "disarmed", value) for time, value in states]
+        out += series.states("armed", armed[0], armed[1]["armed"])
+    elif status is not None:
+        out += series.states("armed", status[0], np.asarray(status[1]["arming_state"]) == _ARMED)
     if status is not None and "nav_state" in status[1]:
-        for time, value in series.changes(status[0], status[1]["nav_state"]):
-            out.append(Message(time, "mode", NAV_STATES.get(int(value), f"mode {int(value)}"), value))
+        out += modes(status[0], status[1]["nav_state"])
     return out

@@ -219,10 +219,10 @@ def _driven(topics) -> bool:
     return any(name in ("actuator_motors", "actuator_outputs") for name, _ in topics)
 
 
-def _utc(said: str | None, start: int, stamps, parts) -> str | None:
+def _utc(gps_start: str | None, start: int, stamps, parts) -> str | None:
     """UTC of second 0: as the GPS says, else the stamps themselves where PX4 keeps ROS's time, else by the times of receipt."""
-    if said is not None:
-        return said
+    if gps_start is not None:
+        return gps_start
     if start > _UNIX_US:
         return wall_clock.start([0.0], [start * 1e-6])
     key = max(stamps, key=lambda k: stamps[k].size)

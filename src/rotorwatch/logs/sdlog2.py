@@ -103,23 +103,16 @@ def _signals(tables: _Tables, parameters) -> tuple[dict, dict]:
         "attitude": _attitude(tables),
         "velocity": tables.signal("velocity", "LPOS", "VX", "VY", "VZ"),
         "position": tables.signal("position", "LPOS", "X", "Y", "Z"),
-        "battery": tables.signal(
-            "battery", "BATT", "V", "C", valid=lambda v: np.column_stack([v[:, 0] > 0, v[:, 1] >= 0])
-        ),
+        "battery": tables.signal("battery", "BATT", "V", "C", valid=series.voltage_and_current),
     }
     return {k: v for k, v in found.items() if v is not None}, facts
 
 
 def _motors(tables: _Tables, parameters):
     """The outputs of the driver that moves rotors, in rotor order, and the facts about them."""
-    best = None
-    for message in ("OUT0", "OUT1"):
-        found = tables.get(message, *(f"Out{k}" for k in range(8)))
-        if found is None:
-            continue
-        reading = px4_outputs.read(found[1], parameters, px4_topics.rotor_count(parameters))
-        if reading and (best is None or reading.swing > best[2].swing):
-            best = message, found[0], reading
+    outputs = [f"Out{k}" for k in range(8)]
+    instances = ((message, tables.get(message, *outputs)) for message in ("OUT0", "OUT1"))
+    best = px4_outputs.best(instances, parameters, px4_topics.rotor_count(parameters))
     if best is None:
         return None, {}
     message, time, reading = best
@@ -148,16 +141,11 @@ def _messages(tables: _Tables) -> tuple[Message, ...]:
     out = []
     for column in ("ArmS", "ArmState"):
         if (found := tables.get("STAT", column)) is not None:
-            states = series.changes(found[0], found[1][:, 0] == _ARMED)
-            out += [Message(t, "armed", "armed" if v else "disarmed", v) for t, v in states]
-    for message in ("LAND", "STAT"):
-        if (found := tables.get(message, "Landed")) is not None:
-            states = series.changes(found[0], found[1][:, 0] != 0)
-            out += [Message(t, "landed", "landed" if v else "in the air", v) for t, v in states]
-            break
+            out += series.states("armed", found[0], found[1][:, 0] == _ARMED)
+    if (found := tables.get("LAND", "Landed") or tables.get("STAT", "Landed")) is not None:
+        out += series.states("landed", found[0], found[1][:, 0])
     if (found := tables.get("STAT", "NavState")) is not None:
-        states = series.changes(found[0], found[1][:, 0])
-        out += [Message(t, "mode", px4_topics.NAV_STATES.get(int(v), f"mode {int(v)}"), v) for t, v in states]
+        out += px4_topics.modes(found[0], found[1][:, 0])
     return tuple(sorted(out, key=lambda m: m.time))
 
 

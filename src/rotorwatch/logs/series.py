@@ -9,7 +9,7 @@ from bisect import bisect_right
 
 import numpy as np
 
-from rotorwatch.flight import Signal
+from rotorwatch.flight import Message, Signal
 
 G = 9.80665
 """Standard gravity, m/s^2."""
@@ -44,7 +44,7 @@ def make(name, time, values, source, notes, valid=None) -> Signal | None:
     """The Signal `name` of SHAPES from time (n,) s and values (n, k); None when no usable sample is left.
 
     valid: (n,) or (n, k) bool or None. Values beyond what can be meant become invalid; damaged time stamps are dropped;
-    both are said in `notes`, a list of sentences that this appends to.
+    both are reported in `notes`, a list of sentences that this appends to.
     """
     columns, unit, frame, limit = SHAPES[name]
     return build(time, values, columns, unit, frame, source, limit, notes, valid)
@@ -183,6 +183,26 @@ def changes(time, state) -> list[tuple[float, float]]:
         return []
     at = np.r_[0, np.flatnonzero(np.diff(state) != 0) + 1]
     return [(float(time[i]), float(state[i])) for i in at]
+
+
+WORDS = {"armed": ("disarmed", "armed"), "landed": ("in the air", "landed")}
+
+
+def states(kind: str, time, state) -> list[Message]:
+    """Messages of a state that is on or off, `armed` or `landed`: the first sample's, and one for each change."""
+    return [Message(t, kind, WORDS[kind][int(v)], v) for t, v in changes(time, np.asarray(state) != 0)]
+
+
+def stacked(table, fields) -> np.ndarray:
+    """(n, k) floats: the given fields of a table, NaN for those that it lacks."""
+    none = np.full(len(next(iter(table.values()))), np.nan)
+    with np.errstate(invalid="ignore"):  # damaged floats may be signalling NaNs
+        return np.stack([np.asarray(table.get(f, none), np.float64) for f in fields], axis=1)
+
+
+def voltage_and_current(values: np.ndarray) -> np.ndarray:
+    """(n, 2) bool: which of a battery's values (n, 2) were measured; autopilots log 0 V and -1 A for those that were not."""
+    return np.column_stack([values[:, 0] > 0, values[:, 1] >= 0])
 
 
 def fastest(*candidates: Signal | None) -> Signal | None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from rotorwatch.errors import LogError
 from rotorwatch.flight import Flight
-from rotorwatch.logs import delimited, memory
+from rotorwatch.logs import memory
 
 FORMAT = "CSV or Parquet table"
 
@@ -20,14 +20,14 @@ def sniff(head: bytes, name: str) -> bool:
     """True for Parquet, for text whose first line has a column time_s, and for .csv and .parquet names."""
     if name:
         return name.lower().endswith((".csv", ".parquet"))
-    return head.startswith(_PARQUET) or "time_s" in delimited.header(head)
+    return head.startswith(_PARQUET) or "time_s" in memory.header(head)
 
 
 def read(data, name: str, progress=None) -> Flight:
     """Read one table. Raises LogError naming what is unknown or missing, or when Parquet needs pyarrow installed."""
     notes: list[str] = []
     parquet = bytes(data[:4]) == _PARQUET
-    columns = _parquet(data) if parquet else delimited.numbers(data, notes)
+    columns = _parquet(data) if parquet else memory.numbers(data, notes)
     flight = memory.from_arrays(columns, name=name)
     return replace(flight, format="Parquet" if parquet else "CSV", warnings=(*notes, *flight.warnings))
 

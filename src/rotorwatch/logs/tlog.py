@@ -215,15 +215,22 @@ class Reading:
 def readings(outputs: tuple[int, ...]) -> dict[str, tuple[Reading, ...]]:
     """Signal -> the messages that tell of it, in order of preference: of a file and of a link. outputs: of `rotor_outputs`."""
 
-    def of(kind, name, fields, scale=1.0):
+    def by(kind, name, read, rows=lambda table: slice(None)):
+        """A message's values, or (values, valid), as read(table) makes them of its `rows`."""
+
         def make(log: Messages) -> Signal | None:
             found = log.get(name)
             if found is None:
                 return None
-            values = _columns(found[1], fields)
-            return series.make(kind, found[0], values if scale == 1.0 else values * scale, name, log.notes)
+            own = rows(found[1])
+            made = read(found[1][own])
+            values, valid = made if isinstance(made, tuple) else (made, None)
+            return series.make(kind, found[0][own], values, name, log.notes, valid)
 
         return Reading(name, make)
+
+    def of(kind, name, fields, scale=1.0):
+        return by(kind, name, lambda table: _columns(table, fields) * scale)
 
     return {
         "motors": (
@@ -238,18 +245,20 @@ def readings(outputs: tuple[int, ...]) -> dict[str, tuple[Reading, ...]]:
         ),
         "rates": tuple(of("rates", name, TURNS) for name in ATTITUDES),
         "accel": (of("accel", "HIGHRES_IMU", PUSH), *(of("accel", name, PUSH, _MG) for name in IMUS)),
-        "attitude": (Reading("ATTITUDE", _angles), Reading("ATTITUDE_QUATERNION", _quaternions)),
-        "attitude_wanted": (Reading("ATTITUDE_TARGET", _attitude_wanted),),
+        "attitude": (by("attitude", "ATTITUDE", _angles), by("attitude", "ATTITUDE_QUATERNION", _quaternions)),
+        "attitude_wanted": (
+            by("attitude_wanted", "ATTITUDE_TARGET", lambda table: series.unit_quaternion(table["q"].astype(float))),
+        ),
         "velocity": (
             of("velocity", "LOCAL_POSITION_NED", ("vx", "vy", "vz")),
             of("velocity", "GLOBAL_POSITION_INT", ("vx", "vy", "vz"), 0.01),
         ),
         "position": (
             of("position", "LOCAL_POSITION_NED", ("x", "y", "z")),
-            Reading("GLOBAL_POSITION_INT", _height),
+            by("position", "GLOBAL_POSITION_INT", _height),
         ),
         "throttle": (of("throttle", "VFR_HUD", ("throttle",), 0.01),),
-        "battery": (Reading("SYS_STATUS", _battery), Reading("BATTERY_STATUS", _cells)),
+        "battery": (by("battery", "SYS_STATUS", _battery), by("battery", "BATTERY_STATUS", _cells, _first_battery)),
     }
 
 
@@ -305,75 +314,48 @@ def _actuators(log: Messages, outputs: tuple[int, ...]) -> Signal | None:
     return series.motors(found[0], values, "us", "ACTUATOR_OUTPUT_STATUS", log.notes, driven)
 
 
-def _angles(log: Messages) -> Signal | None:
-    found = log.get("ATTITUDE")
-    if found is None:
-        return None
-    q = series.quaternion(*(found[1][a].astype(float) for a in ("roll", "pitch", "yaw")))
-    return series.make("attitude", found[0], q, "ATTITUDE", log.notes)
+def _angles(table):
+    return series.quaternion(*_columns(table, ("roll", "pitch", "yaw")).T)
 
 
-def _quaternions(log: Messages) -> Signal | None:
-    found = log.get("ATTITUDE_QUATERNION")
-    if found is None:
-        return None
-    q, fine = series.unit_quaternion(_columns(found[1], ("q1", "q2", "q3", "q4")))
-    return series.make("attitude", found[0], q, "ATTITUDE_QUATERNION", log.notes, fine)
-
-
-def _attitude_wanted(log: Messages):
-    found = log.get("ATTITUDE_TARGET")
-    if found is None:
-        return None
-    q, fine = series.unit_quaternion(found[1]["q"].astype(float))
-    return series.make("attitude_wanted", found[0], q, "ATTITUDE_TARGET", log.notes, fine)
+def _quaternions(table):
+    return series.unit_quaternion(_columns(table, ("q1", "q2", "q3", "q4")))
 
 
 def _utc_start(log: _Log) -> str | None:
     """UTC of second 0: as the autopilot says, else from the times at which the ground station received its attitude."""
     found = log.get("SYSTEM_TIME")
-    said = wall_clock.start(found[0], found[1]["time_unix_usec"] * 1e-6) if found is not None else None
-    if said is None and "ATTITUDE" in log.tables:
+    utc = wall_clock.start(found[0], found[1]["time_unix_usec"] * 1e-6) if found is not None else None
+    if utc is None and "ATTITUDE" in log.tables:
         received = log.frames.received(log.system, log.component, log.layouts["ATTITUDE"])
         time = log.clock("ATTITUDE")
-        said = wall_clock.start(time, received) if received.size == time.size else None
-    return said
+        utc = wall_clock.start(time, received) if received.size == time.size else None
+    return utc
 
 
-def _height(log: Messages):
-    """Position with only its height, from GLOBAL_POSITION_INT."""
-    found = log.get("GLOBAL_POSITION_INT")
-    if found is None:
-        return None
-    height = found[1]["relative_alt"] * -1e-3
-    values = np.column_stack([np.full((height.size, 2), np.nan), height])
-    return series.make("position", found[0], values, "GLOBAL_POSITION_INT", log.notes)
+def _height(table):
+    """Position with only its height."""
+    height = table["relative_alt"] * -1e-3
+    return np.column_stack([np.full((height.size, 2), np.nan), height])
 
 
-def _battery(log: Messages):
-    found = log.get("SYS_STATUS")
-    if found is None:
-        return None
-    volt, ampere = found[1]["voltage_battery"].astype(float), found[1]["current_battery"].astype(float)
-    fine = np.column_stack([(volt > 0) & (volt < 65535), ampere >= 0])
-    return series.make(
-        "battery", found[0], np.column_stack([volt * 1e-3, ampere * 1e-2]), "SYS_STATUS", log.notes, fine
-    )
+def _battery(table):
+    values = _columns(table, ("voltage_battery", "current_battery"))
+    fine = np.column_stack([(values[:, 0] > 0) & (values[:, 0] < 65535), values[:, 1] >= 0])
+    return values * [1e-3, 1e-2], fine
 
 
-def _cells(log: Messages):
-    """The first battery by its cells."""
-    found = log.get("BATTERY_STATUS")
-    if found is None:
-        return None
-    first = found[1]["id"] == 0
-    time, table = found[0][first], found[1][first]
+def _first_battery(table):
+    return table["id"] == 0
+
+
+def _cells(table):
+    """A battery by its cells."""
     cells = table["voltages"].astype(float)
     there = (cells > 0) & (cells < 65535)
     volt, ampere = np.where(there, cells, 0.0).sum(axis=1), table["current_battery"].astype(float)
     fine = np.column_stack([there.any(axis=1), ampere >= 0])
-    values = np.column_stack([volt * 1e-3, ampere * 1e-2])
-    return series.make("battery", time, values, "BATTERY_STATUS", log.notes, fine)
+    return np.column_stack([volt * 1e-3, ampere * 1e-2]), fine
 
 
 def parameters_of(log: Messages):
@@ -400,15 +382,13 @@ def messages_of(log: Messages) -> list[Message]:
     out = []
     beats = log.get("HEARTBEAT")
     if beats is not None:
-        for time, value in series.changes(beats[0], (beats[1]["base_mode"] & _ARMED) > 0):
-            out.append(Message(time, "armed", "armed" if value else "disarmed", value))
+        out += series.states("armed", beats[0], beats[1]["base_mode"] & _ARMED)
         for time, value in series.changes(beats[0], beats[1]["custom_mode"]):
             out.append(Message(time, "mode", f"mode {int(value)}", value))
     states = log.get("EXTENDED_SYS_STATE")
     if states is not None:
         known = states[1]["landed_state"] > 0
-        for time, value in series.changes(states[0][known], states[1]["landed_state"][known] == 1):
-            out.append(Message(time, "landed", "landed" if value else "in the air", value))
+        out += series.states("landed", states[0][known], states[1]["landed_state"][known] == 1)
     texts = log.get("STATUSTEXT")
     if texts is not None:
         for time, row in zip(texts[0], texts[1]):

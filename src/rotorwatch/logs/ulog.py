@@ -78,9 +78,9 @@ def _board(log) -> dict:
 
 def _pyulog(ulog, file, **options):
     """(log, damaged): pyulog with its prints caught and its stumbles turned into a LogError."""
-    said = io.StringIO()
+    printed = io.StringIO()
     try:
-        with contextlib.redirect_stdout(said):
+        with contextlib.redirect_stdout(printed):
             log = ulog(file, **options)
     except Exception as error:
         why = " ".join(str(error).split()) or type(error).__name__

@@ -9,7 +9,7 @@ import numpy as np
 
 from rotorwatch.errors import LogError
 from rotorwatch.flight import Flight
-from rotorwatch.logs import delimited, px4_topics, series
+from rotorwatch.logs import memory, px4_topics, series
 from rotorwatch.logs.container import open_log
 
 FORMAT = "ulog2csv tables"
@@ -21,7 +21,7 @@ _TOPIC = re.compile(
 
 def sniff(head: bytes, name: str) -> bool:
     """True for a text table whose first column is `timestamp`."""
-    return not name and delimited.header(head)[:1] == ["timestamp"]
+    return not name and memory.header(head)[:1] == ["timestamp"]
 
 
 def read(data, name: str, progress=None) -> Flight:
@@ -32,7 +32,7 @@ def read(data, name: str, progress=None) -> Flight:
             f"{name}: a ulog2csv table is named <log>_<topic>_<instance>.csv, with a topic that is read here"
         )
     notes: list[str] = []
-    table = _integer_stamps(delimited.numbers(data, notes, name))
+    table = _integer_stamps(memory.numbers(data, notes, name))
     return _flight({(match["topic"], int(match["instance"])): table}, notes)
 
 
@@ -58,7 +58,7 @@ def read_folder(path: Path, progress=None) -> Flight:
         data, name, warnings = open_log(file)
         notes += [f"{name}: {w}" for w in warnings]
         try:
-            tables[match["topic"], int(match["instance"])] = _integer_stamps(delimited.numbers(data, notes, name))
+            tables[match["topic"], int(match["instance"])] = _integer_stamps(memory.numbers(data, notes, name))
         except LogError as error:
             notes.append(str(error))
         if progress:

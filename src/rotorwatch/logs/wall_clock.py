@@ -1,4 +1,4 @@
-"""When second 0 of a log was in Coordinated Universal Time, from what its GPS or ground station said."""
+"""When second 0 of a log was in Coordinated Universal Time, from the times of its GPS or ground station."""
 
 from __future__ import annotations
 

@@ -24,6 +24,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch import checks
+from rotorwatch.backend import jnp
 from rotorwatch.core import Array, Estimate
 from rotorwatch.maths import linearise, plant
 
@@ -49,24 +50,36 @@ class Tuning(NamedTuple):
     theta_var: Array
 
 
-def tuning(system, dt, forgetting, theta_var, s_max) -> Tuning:
-    """The tuning, checked; raises ConfigError. s_max None: without bound."""
-    plant.checked("The adaptive Kalman filter", system, dt)
-    checks.between("forgetting", forgetting, 0.6, 1.0)  # below, the bound of S overshoots
-    theta_var = linearise.variances("theta_var", theta_var, system.n_theta)
-    bound = np.inf if s_max is None else checks.positive("s_max", s_max)
-    if s_max is not None and checks.concrete((theta_var, s_max)):
-        checks.between("theta_var", theta_var, 0.0, s_max)
-    return Tuning(dt, forgetting, bound, theta_var)
+class Zhang:
+    """What the methods of this recursion share. Not a method by itself: a method sets `name`, and says where it linearises."""
 
+    name = ""
+    not_kalman = (
+        "it forgets: measurements count the less for the losses the older they are; with forgetting=1 it is the augmented "
+        "Kalman filter of constant losses"
+    )
 
-def init(system, tuned: Tuning) -> State:
-    """The plant's start, no loss."""
-    import jax.numpy as jnp
+    def __init__(self, system, dt: float, *, forgetting=0.995, theta_var=0.01, s_max: float | None = 1.0):
+        """dt: s. forgetting: lambda of one step, 0.6 to 1; theta_var: variance of the losses at the start, a number or one per
+        theta; s_max: bound of that variance, None for none. Raises ConfigError for wrong values."""
+        self.system, self.dt = plant.checked("The adaptive Kalman filter", system, dt), dt
+        checks.between("forgetting", forgetting, 0.6, 1.0)  # below, the bound of S overshoots
+        theta_var = linearise.variances("theta_var", theta_var, system.n_theta)
+        bound = np.inf if s_max is None else checks.positive("s_max", s_max)
+        if s_max is not None and checks.concrete((theta_var, s_max)):
+            checks.between("theta_var", theta_var, 0.0, s_max)
+        self.tuned = Tuning(dt, forgetting, bound, theta_var)
 
-    n, p = system.n_x, system.n_theta
-    x, P = jnp.asarray(system.x0, float), jnp.asarray(system.P0, float)
-    return State(x, P, jnp.zeros(p), jnp.diag(tuned.theta_var), jnp.zeros((n, p)))
+    def start(self) -> State:
+        """The plant's start, no loss."""
+        n, p = self.system.n_x, self.system.n_theta
+        x, P = jnp.asarray(self.system.x0, float), jnp.asarray(self.system.P0, float)
+        return State(x, P, jnp.zeros(p), jnp.diag(self.tuned.theta_var), jnp.zeros((n, p)))
+
+    def recursion(self, state: State, x, F, Phi, e, C, D, u, valid, dt) -> tuple[State, Estimate]:
+        """`step` with this plant's noise."""
+        Q, R = self.system.Q(self.dt if dt is None else dt), self.system.R(u)
+        return step(state, x, F, Phi, e, C, D, Q, R, valid, self.tuned, dt)
 
 
 def forget(S, tuned: Tuning, dt=None):
@@ -84,8 +97,6 @@ def step(state: State, x, F, Phi, e, C, D, Q, R, valid, tuned: Tuning, dt=None) 
     F (n, n), Phi (n, p), C (m, n), D (m, p): derivatives of the step and of the measurement. R (m,): variances. The equations
     above, one measurement after the other, because R is diagonal: nothing is inverted.
     """
-    import jax.numpy as jnp
-
     e = jnp.where(valid, e, 0.0)
     n, p = len(x), len(state.theta)
     P = F @ state.P @ F.T + Q

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rotorwatch.backend import jnp
 from rotorwatch.core import Array, Estimate
 from rotorwatch.maths import linearise, mit_rule, plant
 
@@ -38,17 +39,11 @@ class AugmentedEKF:
 
     def init(self) -> Carry:
         """The plant's start, no loss."""
-        import jax.numpy as jnp
-        from jax.scipy.linalg import block_diag
-
-        s = jnp.concatenate([jnp.asarray(self.system.x0, float), jnp.zeros(self.system.n_theta)])
-        P = block_diag(jnp.asarray(self.system.P0, float), jnp.diag(self.theta_var))
+        s, P = plant.start(self.system, jnp.diag(self.theta_var))
         return Carry(s, P, mit_rule.init(len(s), self.system.n_y, self.adaptation) if self.adaptation else ())
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Estimate]:
         """Predict over dt with input u (n_u,), then update with y (n_y,) where valid."""
-        import jax.numpy as jnp
-
         system, n_x = self.system, self.system.n_x
         dt = self.dt if dt is None else dt
         x, theta, P = carry.s[:n_x], carry.s[n_x:], carry.P
@@ -58,7 +53,7 @@ class AugmentedEKF:
         H, R = jnp.concatenate([C, D], axis=1), system.R(u)
         e = jnp.where(valid, y - y_, 0.0)
         S = H @ P @ H.T + jnp.diag(R)
-        s, P = linearise.update(jnp.concatenate([x, theta]), P, H, e, R, valid)
+        s, P, _ = linearise.update(jnp.concatenate([x, theta]), P, H, e, R, valid)
         estimate = Estimate(s[:n_x], P[:n_x, :n_x], s[n_x:], P[n_x:, n_x:], e, 0.5 * (S + S.T), linearise.status(valid))
         mit = carry.mit
         if self.adaptation and isinstance(mit, mit_rule.MitState):
@@ -67,8 +62,6 @@ class AugmentedEKF:
 
     def _predicted(self, P, F, Phi, dt, mit):
         """A P A' + noise, block by block: A = [F Phi; 0 I]."""
-        import jax.numpy as jnp
-
         n_x, n = self.system.n_x, self.system.n_theta
         A = jnp.concatenate([jnp.concatenate([F, Phi], axis=1), jnp.asarray(np.eye(n_x + n)[n_x:])])
         P = A @ P @ A.T

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from rotorwatch import checks
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.backend import jax, jnp
 from rotorwatch.errors import ConfigError
+from rotorwatch.maths.small import definite_solve
 
 ROUNDING = 1e-13  # a bound passed by less is kept: losses are of order 1
 
@@ -31,8 +32,6 @@ def quadratic(H, g, low, high, turns: int | None = None):
     are enough in tests/test_bounded.py; a turn after the last changes nothing. What the turns end with is solved once more, so that
     no rounding adds up.
     """
-    jax = load_jax()
-    jnp = jax.numpy
     n = H.shape[-1]
     turns = 3 * n if turns is None else turns
     low, high = jnp.broadcast_to(low, n), jnp.broadcast_to(high, n)
@@ -41,7 +40,7 @@ def quadratic(H, g, low, high, turns: int | None = None):
     def solve(free, right):
         """H^-1 right among the free elements; right over its scale elsewhere."""
         masked = jnp.where(free[:, None] & free[None, :], H, jnp.diag(scale))
-        return jax.scipy.linalg.cho_solve((jnp.linalg.cholesky(masked), True), right)
+        return definite_solve(masked, right)
 
     def at_bounds(side):
         """t (n,) that is optimal while elements stay at their bounds: side (n,) -1 low, 1 high, 0 free."""
@@ -74,7 +73,6 @@ def quadratic(H, g, low, high, turns: int | None = None):
 
 def active(trial, low, high):
     """(free, fixed): 1 where `trial` is strictly inside the box, and the bound where it is not (0 where it is)."""
-    jnp = load_jax().numpy
     inside = (trial > low) & (trial < high)
     fixed = jnp.where(trial <= low, low, jnp.where(trial >= high, high, 0.0))
     return inside.astype(float), jnp.where(inside, 0.0, fixed)
@@ -95,7 +93,6 @@ def nominal_input(system, given=None):
 
 def moving(system, u, least):
     """(n_theta,) 1, or 0 where the rotor's command is below least (n_u,): its loss does nothing then, and would only drift."""
-    jnp = load_jax().numpy
     n = min(system.n_theta, system.n_u)
     live = (jnp.abs(u[:n]) >= jnp.abs(least[:n])).astype(float)
     return jnp.concatenate([live, jnp.ones(system.n_theta - n)])

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from rotorwatch.backend import jnp, lax
 from rotorwatch.core import Array
 
 BITS = 2**31 - 1
@@ -18,9 +19,6 @@ FACTOR, STREAM = 0x45D9F3B, 0x3504F333  # odd, with their bits spread evenly
 
 def mix(x: Array) -> Array:
     """int32 of 31 bits from int32 of 31 bits, each bit depending on all."""
-    import jax.numpy as jnp
-    from jax import lax
-
     for _ in range(2):
         x = jnp.bitwise_xor(x, lax.div(x, jnp.full_like(x, 65536)))
         x = jnp.bitwise_and(x * np.int32(FACTOR), np.int32(BITS))  # overflows wrap around
@@ -29,8 +27,6 @@ def mix(x: Array) -> Array:
 
 def uniform(counter: Array, count: int) -> Array:
     """(count,) numbers strictly between 0 and 1, of a counter (int32, not negative): one stream each."""
-    import jax.numpy as jnp
-
     streams = (np.arange(1, count + 1, dtype=np.int64) * STREAM & BITS).astype(np.int32)
     key = mix(jnp.asarray(counter, jnp.int32))
     return (mix(jnp.bitwise_and(key + jnp.asarray(streams), np.int32(BITS))) + 0.5) / 2.0**31

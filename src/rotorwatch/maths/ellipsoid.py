@@ -9,8 +9,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from rotorwatch.backend import jax, jnp, lax
 from rotorwatch.core import Array
-from rotorwatch.maths.small import blocks, product, solve
+from rotorwatch.maths.small import blocks, product, solve, symmetric
 
 TINY = 1e-300
 
@@ -23,19 +24,12 @@ class Cut(NamedTuple):
     health: Array
 
 
-def symmetric(P):
-    """The symmetric part."""
-    return 0.5 * (P + P.T)
-
-
 def around_box(half, rule: str = "trace"):
     """(n,) squared semi-axes of an axis-parallel ellipsoid around the box |x_i| <= half_i.
 
     trace: half_i times the sum of all, of least trace. volume: p half_i^2, p the number of sides that are not 0, of least
     volume. paper: 2 half_i^2 as Scholte and Campbell print; for more than two sides it does NOT hold the box.
     """
-    from jax import numpy as jnp
-
     if rule == "trace":
         return half * half.sum()
     if rule == "volume":
@@ -45,16 +39,12 @@ def around_box(half, rule: str = "trace"):
 
 def share(p, q):
     """b in [0, 1] of `minkowski` from the two weighted traces."""
-    from jax import numpy as jnp
-
     p, q = jnp.sqrt(jnp.maximum(p, 0.0)), jnp.sqrt(jnp.maximum(q, 0.0))
     return q / jnp.maximum(p + q, TINY)
 
 
 def parts(b):
     """(1 / (1 - b), 1 / b), 0 for a part without extent."""
-    from jax import numpy as jnp
-
     left = jnp.where(b < 1, 1.0 / jnp.where(b < 1, 1.0 - b, 1.0), 0.0)
     return left, jnp.where(b > 0, 1.0 / jnp.where(b > 0, b, 1.0), 0.0)
 
@@ -77,8 +67,6 @@ def largest_eigenvalue(A, squarings: int = 7):
     Only products, so it can stand in a compiled step; good to 1 % when the second largest is 0.97 of it or less, and
     never below the mean eigenvalue by more than rounding.
     """
-    from jax import numpy as jnp
-
     power = A / jnp.maximum(jnp.trace(A), TINY)  # the largest eigenvalue is 1/n or more: its power is far from TINY
     for _ in range(squarings):
         power = power @ power
@@ -98,8 +86,6 @@ def strip_cut(a, P, h, e, r, rule: str = "source", weights: Array = 1.0):
     ellipsoid reaches (Belforte, Bona and Cerone 1990); volume never grows. trace: the weight of least trace, each diagonal
     element times its weight (n,), after the same narrowing; that trace never grows.
     """
-    from jax import numpy as jnp
-
     Ph = P @ h
     g = jnp.maximum(h @ Ph, 0.0)
     root_g, root_r = jnp.sqrt(g), jnp.sqrt(r)
@@ -133,8 +119,6 @@ def strip_cut(a, P, h, e, r, rule: str = "source", weights: Array = 1.0):
 
 def _volume_weight(n: int, g, r, e):
     """lambda of least volume for the strip of bound sqrt(r): the root of a quadratic, 0 where no cut makes it smaller."""
-    from jax import numpy as jnp
-
     # d ln(volume) / d lambda = 0 with sigma = 1 + lambda - lambda e^2 / (r + lambda g):  A lambda^2 + B lambda + C = 0
     A = (n - 1) * g**2
     B = g * ((2 * n - 1) * r - g + e**2)
@@ -149,8 +133,6 @@ def _trace_weight(tau, kappa, g, r, e):
     tr(lambda) = sigma (tau - lambda kappa / (r + lambda g)); its derivative's numerator, with lambda = (nu - 1) r / g, is
     nu^3 + p nu + q times a positive number, and has one root above 1 exactly when the trace falls at lambda = 0.
     """
-    from jax import numpy as jnp
-
     rest = jnp.maximum(tau * g - kappa, 1e-12 * tau * g) + TINY
     beta = r + g - e**2
     c1 = (2 * r * (g * tau * r + beta * rest) - g * (beta * tau * r + r * rest)) / (r**2 * rest)
@@ -176,22 +158,17 @@ def batch_cut(a, P, H, e, R):
 
     rm, pm: largest eigenvalues of R and H P H' (Scholte and Campbell 2003). Also returns W's Cholesky factor and rho.
     """
-    from jax import numpy as jnp
-    from jax.scipy.linalg import cho_solve
-
     HP = H @ P
     S = symmetric(HP @ H.T)
     rho = batch_share(S, R)
     root = jnp.linalg.cholesky(symmetric(S / (1 - rho) + R / rho))
-    K = cho_solve((root, True), HP).T / (1 - rho)
-    health = 1.0 - e @ cho_solve((root, True), e)
+    K = jax.scipy.linalg.cho_solve((root, True), HP).T / (1 - rho)
+    health = 1.0 - e @ jax.scipy.linalg.cho_solve((root, True), e)
     return Cut(a + K @ e, symmetric(health * (P - K @ HP) / (1 - rho)), health), root, rho
 
 
 def joint_gains(PH, S, e, R, weight):
     """(K, health) of `joint_cut`: PH (n, m) = P H', S (m, m) = H P H'."""
-    from jax import numpy as jnp
-
     solved = solve(S + R / weight, jnp.concatenate([PH.T, e[:, None]], axis=1))
     return solved[:, :-1].T, 1.0 + weight - e @ solved[:, -1]
 
@@ -206,8 +183,6 @@ def joint_cut(a, P, H, e, R, weight, K, health, part=slice(None)):
     `joint_gains`; part: the components wanted. One ellipsoid bounds all errors, so it costs one lambda, where m strips of the
     same size would cost m. In Joseph's form: no digits are lost where the set is much larger than the errors.
     """
-    from jax import numpy as jnp
-
     K = K[part]
     both = jnp.concatenate([jnp.eye(a.shape[0])[part] - product(K, H), K], axis=1)
     shape = product(product(both, blocks(P, R / weight, jnp)), both.T)
@@ -217,16 +192,12 @@ def joint_cut(a, P, H, e, R, weight, K, health, part=slice(None)):
 def batch_share(S, R):
     """rho of `batch_cut`, R being diagonal; kept off its ends, where a part would weigh nothing. Any value in between gives an
     outer bound."""
-    from jax import numpy as jnp
-
     p, r = jnp.sqrt(largest_eigenvalue(S)), jnp.sqrt(R.diagonal().max())
     return jnp.clip(r / jnp.maximum(p + r, TINY), 1e-6, 1 - 1e-6)
 
 
 def factored(P):
     """P = U D U' (definite) as one matrix: unit upper triangular U above the diagonal, D on it."""
-    from jax import numpy as jnp
-
     root = jnp.linalg.cholesky(P[::-1, ::-1])[::-1, ::-1]
     d = root.diagonal()
     return root / d + jnp.diag(d**2 - 1.0)
@@ -240,17 +211,12 @@ def unfactored(UD):
 
 def factors(UD):
     """(U, D) of the one matrix they are kept in."""
-    from jax import numpy as jnp
-
     D = UD.diagonal()
     return UD + jnp.diag(1.0 - D), D
 
 
 def ud_sum(rows, D):
     """Factors of rows diag(D) rows' (n, N), N >= n: modified weighted Gram-Schmidt (Thornton and Bierman 1977)."""
-    from jax import lax
-    from jax import numpy as jnp
-
     n = rows.shape[0]
     index = jnp.arange(n)
 
@@ -272,8 +238,6 @@ def ud_strip_cut(a, UD, h, e, r):
 
     Bierman's recursion over columns needs only sums of earlier columns, so it is written as running sums.
     """
-    from jax import numpy as jnp
-
     U, D = factors(UD)
     f = U.T @ h
     g = (f**2 * D).sum()

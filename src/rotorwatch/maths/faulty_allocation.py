@@ -19,7 +19,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rotorwatch import checks
+from rotorwatch.backend import jax, jnp, lax
 from rotorwatch.core import Array
+from rotorwatch.maths.small import definite_solve
 
 CHANNELS = 4  # roll, pitch, yaw, thrust: what rotors can be told apart by
 RIDGE = 1e-12  # of the largest information: directions with less say nothing
@@ -50,23 +52,20 @@ class LeastSquares:
         self.n, self.loss_sd = n, loss_sd
 
     def init(self) -> tuple:
-        """Nothing is remembered."""
+        """An empty state: each answer depends on its inputs alone."""
         return ()
 
     def __call__(self, state, Phi, f, W, dt) -> tuple[Any, Answer]:
         """See the module."""
-        import jax.numpy as jnp
-        from jax.scipy.linalg import cho_solve
-
         # Psi^+ of the weighted rows, from the smaller of its two products; one refinement takes the ridge's bias out.
         root = jnp.sqrt(W)
         Psi = root[:, None] * Phi
         if self.n <= CHANNELS:
             G = Psi.T @ Psi
-            inverse = cho_solve((jnp.linalg.cholesky(G + _ridge(G) * np.eye(self.n)), True), Psi.T)
+            inverse = definite_solve(G + _ridge(G) * np.eye(self.n), Psi.T)
         else:
             G = Psi @ Psi.T
-            inverse = cho_solve((jnp.linalg.cholesky(G + _ridge(G) * np.eye(len(W))), True), Psi).T
+            inverse = definite_solve(G + _ridge(G) * np.eye(len(W)), Psi).T
         M = (2.0 * inverse - inverse @ (Psi @ inverse)) * root
         open_ = (np.eye(self.n) - M @ Phi) * self.loss_sd
         return state, Answer(M @ f, M, open_ @ open_.T, jnp.int32(1))
@@ -102,15 +101,11 @@ class Sparse:
         self.high = np.append(np.where(rotor, 1.0, np.inf), 1.0)
 
     def init(self) -> tuple:
-        """Nothing is remembered."""
+        """An empty state: each answer depends on its inputs alone."""
         return ()
 
     def __call__(self, state, Phi, f, W, dt) -> tuple[Any, Answer]:
         """See the module."""
-        import jax.numpy as jnp
-        from jax.lax import dynamic_index_in_dim
-        from jax.scipy.linalg import cho_solve
-
         Psi = Phi @ self.atoms
         weighted = Psi.T * W
         G, z = weighted @ Psi, weighted @ f
@@ -118,19 +113,19 @@ class Sparse:
         best = jnp.argmin(score)
         away = score - score[best]
         count = ((self.size <= jnp.asarray(self.size)[best]) & (away < self.price)).sum().astype(jnp.int32)
-        chosen = dynamic_index_in_dim(theta, best, axis=1, keepdims=False)
-        T = dynamic_index_in_dim(jnp.asarray(self.places), best, axis=2, keepdims=False)  # (width, n)
+        chosen = lax.dynamic_index_in_dim(theta, best, axis=1, keepdims=False)
+        T = lax.dynamic_index_in_dim(jnp.asarray(self.places), best, axis=2, keepdims=False)  # (width, n)
         only = T @ Phi.T
         empty = jnp.where(jnp.abs(T).sum(axis=1) == 0.0, 1.0, _ridge(G))
-        M = T.T @ cho_solve((jnp.linalg.cholesky((only * W) @ only.T + jnp.diag(empty)), True), only * W)
+        M = T.T @ jax.scipy.linalg.cho_solve(
+            (jnp.linalg.cholesky((only * W) @ only.T + jnp.diag(empty)), True), only * W
+        )
         odds = jnp.exp(-0.5 * away)
         apart = (theta - chosen[:, None]) * jnp.sqrt(odds / odds.sum())
         return state, Answer(chosen, M, apart @ apart.T + self.rest_sd**2 * np.eye(self.n), count)
 
     def _candidates(self, G, z, power):
         """theta (n, sets) of every set within bounds, and its score (sets,). G, z: information about the atoms."""
-        import jax.numpy as jnp
-
         i, filled = self.index, self.filled
         width = len(i)
         own = 1e-10 * jnp.diagonal(G) + _ridge(G)
@@ -162,16 +157,11 @@ class Temporal:
         self.low, self.high = np.where(rotor, 0.0, -np.inf), np.where(rotor, 1.0, np.inf)
 
     def init(self) -> Window:
-        """Nothing seen."""
-        import jax.numpy as jnp
-
+        """No information yet."""
         return Window(jnp.zeros((self.n, self.n)), jnp.zeros(self.n))
 
     def __call__(self, state, Phi, f, W, dt) -> tuple[Any, Answer]:
         """See the module."""
-        import jax.numpy as jnp
-        from jax.scipy.linalg import cho_solve
-
         weighted = Phi.T * W
         share, keep = dt / self.correlation_s, jnp.exp(-dt / self.memory_s)
         G_now, z_now = share * weighted @ Phi, share * weighted @ f
@@ -181,21 +171,18 @@ class Temporal:
         changed = rest @ (W * rest) > self.limit
         G, z = jnp.where(changed, G_now, G), jnp.where(changed, z_now, z)
         theta = jnp.where(changed, self._bounded(G + self.prior, z), theta)
-        spread = cho_solve((jnp.linalg.cholesky(G + self.prior), True), jnp.eye(self.n))
+        spread = definite_solve(G + self.prior, jnp.eye(self.n))
         return Window(G, z), Answer(theta, jnp.zeros_like(Phi.T), spread, jnp.int32(1))
 
     def _bounded(self, G, z):
         """argmin theta' G theta / 2 - z' theta within bounds: what leaves them is held there, and the rest solved again."""
-        import jax.numpy as jnp
-        from jax.scipy.linalg import cho_solve
-
         held, theta = jnp.zeros(self.n, bool), jnp.zeros(self.n)
         for _ in range(3):
             at = jnp.where(held, theta, 0.0)
             both = ~held[:, None] & ~held[None, :]
             A = jnp.where(both, G, jnp.eye(self.n))
             b = jnp.where(held, theta, z - G @ at)
-            theta = cho_solve((jnp.linalg.cholesky(A), True), b)
+            theta = definite_solve(A, b)
             inside = jnp.clip(theta, self.low, self.high)
             held, theta = held | (inside != theta), inside
         return theta
@@ -203,8 +190,6 @@ class Temporal:
 
 def _ridge(G):
     """Just enough to make G invertible."""
-    import jax.numpy as jnp
-
     return RIDGE * jnp.max(jnp.diagonal(G)) + 1e-30
 
 

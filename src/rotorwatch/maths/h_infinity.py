@@ -157,11 +157,11 @@ def state_feedback(A, B, E, C, D, *, dt: float | None = None, scale=None, slack:
             f"{count} vertices; narrower bounds are needed, above all where an actuator's gain may be zero."
         )
     if slack > 0 and count > 1:
-        kept, middle = (np.asarray(X.value), np.asarray(Y.value)), cp.Variable()
+        first_solution, middle = (np.asarray(X.value), np.asarray(Y.value)), cp.Variable()
         in_middle = lemma(a.mean(axis=0) @ X + b.mean(axis=0) @ Y, middle)
         second = cp.Problem(cp.Minimize(middle), [*limits, in_middle, g <= (1.0 + slack) * float(g.value)])
         if not matrix_inequality.solved(second) or X.value is None:
-            X.value, Y.value = kept
+            X.value, Y.value = first_solution
     X_ = 0.5 * (np.asarray(X.value) + np.asarray(X.value).T)
     K = np.linalg.solve(X_, np.asarray(Y.value).T).T / T
     return checked(A, B, E, C, D, K, T[:, None] * X_ * T, dt)

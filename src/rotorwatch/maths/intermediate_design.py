@@ -18,19 +18,10 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch import checks, optional
+from rotorwatch.backend import jnp
 from rotorwatch.errors import ConfigError
 
 MARGIN = 1e-7  # eigenvalues above minus this much, relative to the largest, do not count as negative
-
-
-class Matrices(NamedTuple):
-    """dz/dt = F z + Gu u + Gy y + g, z = [xhat; tauhat]; fhat = out z."""
-
-    F: np.ndarray
-    Gu: np.ndarray
-    Gy: np.ndarray
-    g: np.ndarray
-    out: np.ndarray
 
 
 class Synthesis(NamedTuple):
@@ -47,14 +38,6 @@ class Bound(NamedTuple):
     sigma: float
     eta: float
     radius: float
-
-
-def matrices(A, B, C, E, G, L, alpha) -> Matrices:
-    """The observer of eqs. (11)-(14) as one linear system."""
-    S = alpha * E.T
-    F = np.block([[A + E @ S - L @ C, E], [-S @ A - S @ E @ S, -S @ E]])
-    Gu, Gy = np.vstack([B, -S @ B]), np.vstack([L, np.zeros((E.shape[1], C.shape[0]))])
-    return Matrices(F, Gu, Gy, np.concatenate([G, -S @ G]), np.hstack([S, np.eye(E.shape[1])]))
 
 
 def double_integrators(channels: int = 4):
@@ -81,16 +64,6 @@ def bound(A, C, E, N, L, alpha, epsilon, mu, disturbance: float, fault_rate: flo
     if sigma_min <= 0.0:
         return Bound(sigma_min, eta, float("nan"))
     return Bound(sigma_min, eta, float(np.sqrt(eta / sigma_min * max(1.0, mu) / min(1.0, mu))))
-
-
-def feasible(alpha, epsilon, lp, lv) -> bool:
-    """Whether L = diag(lp I, lv I) with mu = 1 / alpha^2 satisfies the inequality on double integrators, in closed form.
-
-    mu = 1/alpha^2 makes Sigma_12 vanish, so Sigma_22 < 0 iff epsilon > (1 + alpha) / (2 alpha), and Sigma_11 < 0 iff
-    lv > alpha + 1 / (2 epsilon) and 4 lp (lv - alpha - 1 / (2 epsilon)) > 1.
-    """
-    rest = lv - alpha - 0.5 / epsilon
-    return bool(epsilon > 0.5 * (1 + alpha) / alpha and rest > 0 and 4 * lp * rest > 1)
 
 
 def synthesize(A, C, E, N, alpha, epsilon, solver: str = "CLARABEL") -> Synthesis:
@@ -154,8 +127,6 @@ def exact_gains(lp, lv, alpha, dt):
     1 - k1. Poles exp(s dt) of s^2 + lv s + alpha lv therefore need k1 = 1 - z1 z2 and k2 = (1 - z1)(1 - z2) / dt. kp, of a
     measured state that no loss drives, keeps the pole -lp.
     """
-    import jax.numpy as jnp
-
     square = 0.25 * lv**2 - alpha * lv
     root = jnp.sqrt(jnp.abs(square))
     fast, slow = jnp.exp((root - 0.5 * lv) * dt), jnp.exp((-root - 0.5 * lv) * dt)  # both real

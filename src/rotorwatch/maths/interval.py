@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.backend import jax, jnp
 from rotorwatch.errors import ConfigError
 
 
@@ -30,9 +30,14 @@ def evaluate(function, *arguments):
     arguments: arrays or Intervals of float64 arrays. function: made of operations that are known here; returns one array.
     Raises ConfigError that names the operation otherwise.
     """
-    jax = load_jax()
     closed = jax.make_jaxpr(function)(*[a.lo if isinstance(a, Interval) else a for a in arguments])
-    return _run(closed.jaxpr, closed.consts, arguments)[0]
+
+    def rule(equation, operands):
+        if equation.primitive.name == "mul" and equation.invars[0] is equation.invars[1]:
+            return [_power(operands[0], 2)]
+        return apply(equation, operands)
+
+    return walk(closed.jaxpr, closed.consts, arguments, rule, Interval)[0]
 
 
 def second_order_remainder(function, centre, lo, hi):
@@ -43,16 +48,15 @@ def second_order_remainder(function, centre, lo, hi):
     let loose once for each pair, not at each of the plant's operations. function: (n,) -> (m,), smooth over the box: a kink has no
     second derivative and is not seen (`taylor` bounds it); all (n,).
     """
-    from jax import jvp, vmap
-    from jax import numpy as jnp
-
     n = centre.shape[0]
     i, j = np.triu_indices(n)
 
     def second_derivatives(z):
         """(n (n + 1) / 2, m): of every pair of directions."""
         unit = np.eye(n)
-        return vmap(lambda a, b: jvp(lambda point: jvp(function, (point,), (a,))[1], (z,), (b,))[1])(unit[i], unit[j])
+        return jax.vmap(lambda a, b: jax.jvp(lambda point: jax.jvp(function, (point,), (a,))[1], (z,), (b,))[1])(
+            unit[i], unit[j]
+        )
 
     lo, hi = jnp.minimum(lo, centre), jnp.maximum(hi, centre)  # the way there belongs to the box
     H = _ends(evaluate(second_derivatives, Interval(lo, hi)))
@@ -66,7 +70,8 @@ def second_order_remainder(function, centre, lo, hi):
     return Interval(terms.lo.sum(0), terms.hi.sum(0))
 
 
-def _run(jaxpr, consts, arguments) -> list:
+def walk(jaxpr, consts, arguments, rule, kinds) -> list:
+    """The results of a traced function: `rule(equation, operands)` where an operand is one of `kinds`, else the operation itself."""
     values: dict = {}
 
     def read(atom):
@@ -82,14 +87,13 @@ def _run(jaxpr, consts, arguments) -> list:
         name = equation.primitive.name
         if name in CALLS:
             inner = equation.params.get("jaxpr", equation.params.get("call_jaxpr"))
-            results = _run(*((inner.jaxpr, inner.consts) if hasattr(inner, "consts") else (inner, ())), operands)
-        elif not any(isinstance(operand, Interval) for operand in operands):
+            inner = (inner.jaxpr, inner.consts) if hasattr(inner, "consts") else (inner, ())
+            results = walk(*inner, operands, rule, kinds)
+        elif not any(isinstance(operand, kinds) for operand in operands):
             out = equation.primitive.bind(*operands, **equation.params)
             results = out if equation.primitive.multiple_results else [out]
-        elif name == "mul" and equation.invars[0] is equation.invars[1]:
-            results = [_power(operands[0], 2)]
         else:
-            results = apply(equation, operands)
+            results = rule(equation, operands)
         write(equation.outvars, results)
     return [read(atom) for atom in jaxpr.outvars]
 
@@ -123,11 +127,6 @@ def _rising(equation, *operands):
     return Interval(_bind(equation, *[e.lo for e in ends]), _bind(equation, *[e.hi for e in ends]))
 
 
-def _moving(equation, moved, *where):
-    """Gathers and slices at places that are no intervals."""
-    return Interval(_bind(equation, moved.lo, *where), _bind(equation, moved.hi, *where))
-
-
 def _falling(equation, operand):
     return Interval(_bind(equation, operand.hi), _bind(equation, operand.lo))
 
@@ -138,8 +137,6 @@ def _subtract(equation, a, b):
 
 
 def _hull(*candidates):
-    from jax import numpy as jnp
-
     lo, hi = candidates[0], candidates[0]
     for candidate in candidates[1:]:
         lo, hi = jnp.minimum(lo, candidate), jnp.maximum(hi, candidate)
@@ -155,8 +152,6 @@ def _multiply(equation, a, b):
 
 
 def _divide(equation, a, b):
-    from jax import numpy as jnp
-
     if not isinstance(b, Interval):
         return _multiply(equation, a, 1.0 / b)
     apart = (b.lo > 0) | (b.hi < 0)
@@ -165,8 +160,6 @@ def _divide(equation, a, b):
 
 
 def _power(a, exponent: int):
-    from jax import numpy as jnp
-
     if exponent < 0:
         return _divide(None, Interval(1.0, 1.0), _power(a, -exponent))
     lo, hi = a.lo**exponent, a.hi**exponent
@@ -178,8 +171,6 @@ def _power(a, exponent: int):
 
 def _real_power(equation, a, b):
     """a**b of a positive base: exp(b log a)."""
-    from jax import numpy as jnp
-
     a = _ends(a)
     exponent = _multiply(None, _ends(b), Interval(jnp.log(jnp.maximum(a.lo, 0.0)), jnp.log(jnp.maximum(a.hi, 0.0))))
     return Interval(jnp.exp(exponent.lo), jnp.exp(exponent.hi))
@@ -187,20 +178,15 @@ def _real_power(equation, a, b):
 
 def _square_root(equation, a):
     """Outside its domain it is 0: a box may reach further than the function."""
-    from jax import numpy as jnp
-
     return Interval(jnp.sqrt(jnp.maximum(a.lo, 0.0)), jnp.sqrt(jnp.maximum(a.hi, 0.0)))
 
 
 def _absolute(equation, a):
-    from jax import numpy as jnp
-
     return Interval(jnp.maximum(jnp.maximum(a.lo, -a.hi), 0.0), jnp.maximum(-a.lo, a.hi))
 
 
 def _wave(a, crest: float):
     """A cosine that is 1 at `crest`."""
-    from jax import numpy as jnp
 
     def touches(place):
         return jnp.ceil((a.lo - place) / (2 * math.pi)) * 2 * math.pi + place <= a.hi
@@ -213,16 +199,12 @@ def _wave(a, crest: float):
 
 
 def _tangent(equation, a):
-    from jax import numpy as jnp
-
     pole = jnp.ceil((a.lo - math.pi / 2) / math.pi) * math.pi + math.pi / 2 <= a.hi
     return Interval(jnp.where(pole, -jnp.inf, jnp.tan(a.lo)), jnp.where(pole, jnp.inf, jnp.tan(a.hi)))
 
 
 def _dot(equation, a, b):
     """Exact range when one factor is plain; else by midpoint and radius (Rump 1999), at most 1.5 times as wide."""
-    from jax import numpy as jnp
-
     if not isinstance(a, Interval) or not isinstance(b, Interval):
         box, fixed = (a, b) if isinstance(a, Interval) else (b, a)
         mid, rad = 0.5 * (box.lo + box.hi), 0.5 * (box.hi - box.lo)
@@ -245,8 +227,6 @@ def _triangular(equation, a, b):
 
 def absolute_solve(equation, a, b):
     """|a^-1| b (or b |a^-1|) of a traced triangular solution: how far errors of at most b reach."""
-    from jax import numpy as jnp
-
     eye = jnp.broadcast_to(jnp.eye(a.shape[-1]), a.shape)
     inverse = jnp.abs(_bind(equation, a, eye))
     return inverse @ b if equation.params["left_side"] else b @ inverse
@@ -265,8 +245,6 @@ def _compare(equation, a, b):
 
 
 def _choose(equation, which, *cases):
-    from jax import numpy as jnp
-
     ends = [_ends(case) for case in cases]
     if not isinstance(which, Interval):
         return Interval(_bind(equation, which, *[e.lo for e in ends]), _bind(equation, which, *[e.hi for e in ends]))
@@ -280,12 +258,11 @@ def _choose(equation, which, *cases):
 
 _STRUCTURAL = (
     "broadcast_in_dim reshape transpose squeeze slice concatenate stack tile pad rev expand_dims copy "
-    "reduce_sum reduce_max reduce_min cumsum and or convert_element_type stop_gradient reduce_precision real"
+    "gather dynamic_slice reduce_sum reduce_max reduce_min cumsum and or convert_element_type stop_gradient reduce_precision real"
 ).split()
 _INCREASING = "add add_any max min clamp exp exp2 expm1 log log1p tanh sinh atan asin asinh cbrt erf logistic floor ceil sign".split()
 RULES = {
     **dict.fromkeys(_STRUCTURAL + _INCREASING, _rising),
-    **dict.fromkeys(("gather", "dynamic_slice"), _moving),
     **dict.fromkeys(("lt", "le", "gt", "ge", "eq", "ne"), _compare),
     "neg": _falling,
     "not": _falling,

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch import checks
+from rotorwatch.backend import jax, jnp
 from rotorwatch.core import Array
 from rotorwatch.errors import ConfigError
 
@@ -36,21 +37,30 @@ def measurement(system, x, u, theta) -> Linear:
 
 def _linear(g, x, theta, part: str, system) -> Linear:
     """One pass of forward differentiation in all directions. Raises ConfigError for a plant that calls NumPy on what has no value yet."""
-    from rotorwatch.backend import jax as load_jax
-
-    jax = load_jax()
-    jnp, n = jax.numpy, x.shape[0]
-
-    def both(s):
-        value = g(s[:n], s[n:])
-        return value, value
+    n = x.shape[0]
 
     try:
-        slope, value = jax.jacfwd(both, has_aux=True)(jnp.concatenate([x, theta]))
+        value, slope = once(lambda s: g(s[:n], s[n:]), jnp.concatenate([x, theta]))
     except (jax.errors.TracerArrayConversionError, jax.errors.ConcretizationTypeError) as why:
         name = getattr(system, "name", type(system).__name__)
         raise ConfigError(checks.untraceable(f"{part} of the plant {name}", why)) from why
     return Linear(value, slope[:, :n], slope[:, n:])
+
+
+def rate(system, x, u, theta):
+    """dx/dt (n_x,): the derivative of the plant's step at dt = 0."""
+    return jax.jvp(lambda dt: system.f(x, u, theta, dt), (0.0,), (1.0,))[1]
+
+
+def once(function, at):
+    """(function(at), its Jacobian), the function evaluated once."""
+
+    def twice(s):
+        value = function(s)
+        return value, value
+
+    jacobian, value = jax.jacfwd(twice, has_aux=True)(at)
+    return value, jacobian
 
 
 def update(s, P, H, e, R, valid):
@@ -58,23 +68,22 @@ def update(s, P, H, e, R, valid):
 
     H (m, n): rows of the measurement; e (m,): y minus its prediction from s; R (m,) variances; valid (m,) bool: what is not
     valid changes nothing, whatever e holds there. The same as the update with all at once, because H stays where it was.
-    Returns s and an exactly symmetric P.
+    Returns s, an exactly symmetric P, and the logarithm of the likelihood of what is valid.
     """
-    import jax.numpy as jnp
-
-    ds = jnp.zeros_like(s)
+    ds, fit = jnp.zeros_like(s), 0.0
     for i in range(H.shape[0]):
         Ph = P @ H[i]
-        w = jnp.where(valid[i], 1.0 / (H[i] @ Ph + R[i]), 0.0)
-        ds = ds + Ph * (w * (jnp.where(valid[i], e[i], 0.0) - H[i] @ ds))
-        P = P - (w * Ph)[:, None] * Ph[None, :]
-    return s + ds, 0.5 * (P + P.T)
+        variance = H[i] @ Ph + R[i]
+        left = jnp.where(valid[i], e[i], 0.0) - H[i] @ ds
+        weight = jnp.where(valid[i], 1.0 / variance, 0.0)
+        fit = fit - jnp.where(valid[i], 0.5 * (jnp.log(2.0 * np.pi * variance) + left * left / variance), 0.0)
+        ds = ds + Ph * (weight * left)
+        P = P - (weight * Ph)[:, None] * Ph[None, :]
+    return s + ds, 0.5 * (P + P.T), fit
 
 
 def status(valid):
     """0 when something was measured, 2 when not: `core.Estimate.status`."""
-    import jax.numpy as jnp
-
     return jnp.where(valid.any(), 0, 2).astype(jnp.int32)
 
 

@@ -13,14 +13,16 @@ M is diagonal and evens out the axes: at the nominal input each answers to theta
 
 from __future__ import annotations
 
+from dataclasses import KW_ONLY, dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from rotorwatch import checks
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.backend import jax, jnp
+from rotorwatch.core import Estimate
 from rotorwatch.errors import ConfigError
-from rotorwatch.maths import bounded, plant
+from rotorwatch.maths import bounded, linearise, plant
 
 TINY = 1e-12
 
@@ -38,49 +40,67 @@ class Terms(NamedTuple):
     direct: Any
 
 
+@dataclass(eq=False, repr=False)
+class Adaptation:
+    """What the methods of this law share. Not a method by itself: a method sets `name` and `not_kalman`.
+
+    rate: state correction k_w [1/s]. bandwidth: of the adaptation, sqrt of Gamma [rad/s]. direct_rate: speed at which outputs that only
+    theta moves (the accelerometer) adapt it [1/s]. bounds: least and largest loss. hold: share of u_nominal below which a
+    rotor's loss rests. u_nominal (n_u,): input the gains are evened out for (default: hover). theta_sd: of a loss at the
+    start; walk: of a loss in a second; both for the covariance only. Raises ConfigError for plants with unmeasured states."""
+
+    system: Any
+    dt: Any
+    _: KW_ONLY
+    rate: Any = 12.0
+    bandwidth: Any = 4.0
+    direct_rate: Any = 1.5
+    bounds: Any = (-0.02, 1.0)
+    hold: Any = 0.22
+    u_nominal: Any = None
+    theta_sd: Any = 0.3
+    walk: Any = 0.05
+
+    name = not_kalman = ""
+
+    def __post_init__(self):
+        self.law = Law(self)
+        checks.positive("theta_sd", self.theta_sd)
+        checks.positive("walk", self.walk)
+
+
 class Law:
     """Gains of the law for one plant. Raises ConfigError where a state is not measured, or theta never moves anything."""
 
-    def __init__(self, method, system, dt, rate, bandwidth, direct_rate, bounds, hold, u_nominal):
-        """method: name for messages. rate: k_w [1/s]. bandwidth: sqrt of Gamma [rad/s]. direct_rate: how fast f~ moves theta
-        [1/s]. bounds: least and largest loss. hold: share of u_nominal below which a rotor's theta rests. u_nominal (n_u,)."""
-        jax = load_jax()
-        jnp = jax.numpy
-        self.system, self.dt = plant.checked(method, system, dt), dt
-        for name, value in (("rate", rate), ("bandwidth", bandwidth)):
-            checks.positive(name, value)
-        checks.between("direct_rate", direct_rate, 0.0, 1.0 / dt)
-        checks.between("bandwidth times dt", bandwidth * dt, 0.0, 1.0)
-        checks.finite("hold", hold)
-        self.rate, self.gamma, self.hold = rate, bandwidth**2, hold
-        self.bounds = bounded.of_losses(system, bounds)
-        self.u_nominal = bounded.nominal_input(system, u_nominal)
-        at = self.terms(
-            jnp.asarray(system.x0, float), jnp.asarray(self.u_nominal, float), jnp.zeros(system.n_theta), dt
-        )
+    def __init__(self, method: Adaptation):
+        self.system, dt, system = plant.checked(method.name, method.system, method.dt), method.dt, method.system
+        checks.positive("rate", method.rate)
+        checks.positive("bandwidth", method.bandwidth)
+        checks.between("direct_rate", method.direct_rate, 0.0, 1.0 / dt)
+        checks.between("bandwidth times dt", method.bandwidth * dt, 0.0, 1.0)
+        checks.finite("hold", method.hold)
+        self.rate, self.gamma, self.hold = method.rate, method.bandwidth**2, method.hold
+        self.bounds = bounded.of_losses(system, method.bounds)
+        self.u_nominal = bounded.nominal_input(system, method.u_nominal)
+        x0, u = jnp.asarray(system.x0, float), jnp.asarray(self.u_nominal, float)
+        at = self.terms(x0, u, jnp.zeros(system.n_theta), dt)
         if checks.concrete(at.C):
-            name = checks.plant_name(system)
+            head = f"{method.name} is not defined for the plant {checks.plant_name(system)}: "
             if np.linalg.matrix_rank(np.asarray(at.C)) < system.n_x:
-                raise ConfigError(
-                    f"{method} is not defined for the plant {name}: it needs every state measured, because the law "
-                    "compares states with their measurements."
-                )
+                why = "it needs every state measured, because the law compares states with their measurements."
+                raise ConfigError(head + why)
             if not np.abs(at.G).max() > 0:
-                raise ConfigError(
-                    f"{method} is not defined for the plant {name}: its theta does not move the states at u_nominal."
-                )
+                raise ConfigError(head + "its theta does not move the states at u_nominal.")
         size = jnp.sum(at.G**2, axis=1)
         self.M = jnp.where(size > TINY, 1.0 / jnp.maximum(size, TINY), 1.0)
-        self.k_f = direct_rate / (self.gamma * jnp.maximum(jnp.sum((at.D * at.direct[:, None]) ** 2), TINY))
+        self.k_f = method.direct_rate / (self.gamma * jnp.maximum(jnp.sum((at.D * at.direct[:, None]) ** 2), TINY))
 
     def terms(self, x, u, theta, dt) -> Terms:
         """f, h and their Jacobians for a step of dt from x."""
-        jax = load_jax()
-        jnp = jax.numpy
         f, h, n = self.system.f, self.system.h, self.system.n_x
         both = jnp.concatenate([x, theta])
-        x_next, move = both_ways(lambda s: f(s[:n], u, s[n:], dt), both)
-        y, look = both_ways(lambda s: h(s[:n], u, s[n:]), jnp.concatenate([x_next, theta]))
+        x_next, move = linearise.once(lambda s: f(s[:n], u, s[n:], dt), both)
+        y, look = linearise.once(lambda s: h(s[:n], u, s[n:]), jnp.concatenate([x_next, theta]))
         C, D = look[:, :n], look[:, n:]
         direct = jnp.sum(C * C, axis=1) < TINY
         factor = jnp.linalg.cholesky(C.T @ C + TINY * jnp.eye(n))
@@ -89,7 +109,6 @@ class Law:
 
     def gains(self, at: Terms, u, dt):
         """L_x (n_x, n_y), L_theta (n_theta, n_y): what an innovation moves, before the projection."""
-        jnp = load_jax().numpy
         adapt = at.G.T @ (self.M[:, None] * at.C_left) + self.k_f * at.D.T * at.direct[None, :]
         L_x = (1.0 - jnp.exp(-self.rate * dt)) * at.C_left
         return L_x, dt * self.gamma * adapt * self.moving(u)[:, None]
@@ -100,11 +119,17 @@ class Law:
 
     def project(self, theta):
         """theta within the bounds."""
-        return load_jax().numpy.clip(theta, *self.bounds)
+        return jnp.clip(theta, *self.bounds)
 
     def lyapunov(self, w, loss_error):
         """V of the state error w and the loss error theta_hat - theta."""
         return 0.5 * w @ (self.M * w) + 0.5 * loss_error @ loss_error / self.gamma
+
+
+def estimate(state: State, e, S, valid) -> Estimate:
+    """The state as an estimate, with the innovation e (n_y,) and its covariance S."""
+    n = state.x.shape[0]
+    return Estimate(state.x, state.P[:n, :n], state.theta, state.P[n:, n:], e, S, linearise.status(valid))
 
 
 class State(NamedTuple):
@@ -118,7 +143,6 @@ class State(NamedTuple):
 
 def start(system, theta_sd, x0=None) -> State:
     """The state before the first measurement: nothing lost, give or take theta_sd."""
-    jnp = load_jax().numpy
     x = jnp.asarray(system.x0 if x0 is None else x0, float)
     n, k = system.n_x, system.n_theta
     P = jnp.zeros((n + k, n + k)).at[:n, :n].set(system.P0).at[n:, n:].set(theta_sd**2 * jnp.eye(k))
@@ -131,8 +155,6 @@ def advance(law: Law, state: State, u, y, valid, dt, walk) -> tuple[State, Any, 
     P is the covariance of this observer's own error, F P F' + Q and then (I - L C) P (I - L C)' + L R L' with the law's gains
     L: what a fixed-gain observer knows. walk: random walk of theta [1 per square root of s].
     """
-    jax = load_jax()
-    jnp = jax.numpy
     system, n = law.system, law.system.n_x
     at = law.terms(state.measured, u, state.theta, dt)
     x_minus = state.x + at.x - state.measured
@@ -155,15 +177,3 @@ def advance(law: Law, state: State, u, y, valid, dt, walk) -> tuple[State, Any, 
     P = 0.5 * (P + P.T)
     measured = x + at.C_left @ jnp.where(valid, y - at.y - at.C @ (x - at.x), 0.0)
     return State(x, theta, P, measured), e, 0.5 * (S + S.T), at
-
-
-def both_ways(function, at):
-    """(function(at), its Jacobian), the function evaluated once."""
-    jax = load_jax()
-
-    def twice(s):
-        value = function(s)
-        return value, value
-
-    jacobian, value = jax.jacfwd(twice, has_aux=True)(at)
-    return value, jacobian

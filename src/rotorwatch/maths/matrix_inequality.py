@@ -1,4 +1,4 @@
-"""Linear matrix inequalities are solved by a library (CVXPY with CLARABEL, in the extra `research`); this is how it is asked."""
+"""Linear matrix inequalities are solved by a library (CVXPY with CLARABEL, in the extra `research`); this calls it."""
 
 from __future__ import annotations
 

@@ -22,9 +22,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rotorwatch import checks
+from rotorwatch.backend import jax, jnp
 from rotorwatch.core import Array, Estimate
 from rotorwatch.errors import ConfigError
 from rotorwatch.maths import linearise, plant
+from rotorwatch.maths.small import symmetric
 
 TINY = 1e-12
 
@@ -56,8 +58,6 @@ class Row(NamedTuple):
 
 def check(method: str, system: Any, dt: Any) -> Any:
     """dt, where the plant offers what is needed and all its states are measured. Raises ConfigError elsewhere."""
-    import jax.numpy as jnp
-
     plant.checked(method, system, dt)
     u, theta = jnp.ones(system.n_u), jnp.zeros(system.n_theta)
     C = linearise.measurement(system, jnp.asarray(system.x0, float), u, theta).by_x
@@ -71,29 +71,22 @@ def check(method: str, system: Any, dt: Any) -> Any:
 
 def start(system: Any) -> Known:
     """The plant's x0 and P0."""
-    import jax.numpy as jnp
-
     return Known(jnp.asarray(system.x0, float), jnp.asarray(system.P0, float), jnp.zeros((system.n_x, system.n_theta)))
 
 
 def row(system: Any, known: Known, u: Array, y: Array, valid: Array, theta: Array, dt: Array) -> Row:
     """The regression of a step of dt seconds, about theta (n_theta,). Rows of z that are not valid hold nothing of use."""
-    import jax.numpy as jnp
-
     x, F, Phi = linearise.transition(system, known.x, u, theta, dt)
     ahead, C, D = linearise.measurement(system, x, u, theta)
     Upsilon = F @ known.Upsilon + Phi
     Omega, R = C @ Upsilon + D, system.R(u)
     P = F @ known.P @ F.T + system.Q(dt)
     z = jnp.where(valid, y - ahead, 0.0) + Omega @ theta
-    return Row(theta, z, Omega, _symmetric(C @ P @ C.T + jnp.diag(R)), x, P, Upsilon, ahead, C, R)
+    return Row(theta, z, Omega, symmetric(C @ P @ C.T + jnp.diag(R)), x, P, Upsilon, ahead, C, R)
 
 
 def left_inverse(C: Array) -> Array:
     """(n_x, n_y) (C' C)^-1 C'; one refinement takes out the error of TINY."""
-    import jax
-    import jax.numpy as jnp
-
     factor = jnp.linalg.cholesky(C.T @ C + TINY * jnp.eye(C.shape[1]))
     left = jax.scipy.linalg.cho_solve((factor, True), C.T)
     return 2.0 * left - left @ (C @ left)
@@ -101,9 +94,6 @@ def left_inverse(C: Array) -> Array:
 
 def whitened(found: Row, valid: Array) -> tuple[Array, Array]:
     """z (n_y,) and Omega (n_y, n_theta) with noise of the covariance I; rows that are not valid are 0."""
-    import jax
-    import jax.numpy as jnp
-
     S = jnp.where(valid[:, None] & valid[None, :], found.S, np.eye(len(valid)))
     both = jnp.where(valid[:, None], jnp.concatenate([found.Omega, found.z[:, None]], axis=1), 0.0)
     white = jax.scipy.linalg.solve_triangular(jnp.linalg.cholesky(S), both, lower=True)
@@ -112,8 +102,6 @@ def whitened(found: Row, valid: Array) -> tuple[Array, Array]:
 
 def measured(found: Row, y: Array, valid: Array, theta: Array) -> Known:
     """The state after the step, theta (n_theta,) being the losses as they are known now."""
-    import jax.numpy as jnp
-
     moved = theta - found.theta
     left = left_inverse(found.C)
     # Below this a coefficient is the rounding of TINY: the measurement is not needed for that state.
@@ -124,18 +112,12 @@ def measured(found: Row, y: Array, valid: Array, theta: Array) -> Known:
     e = jnp.where(valid, y - found.y - found.Omega @ moved, 0.0)
     x = found.x + found.Upsilon @ moved + K @ e
     P = rest @ found.P @ rest.T + (K * found.R) @ K.T
-    return Known(x, _symmetric(P), found.Upsilon - K @ found.Omega)
+    return Known(x, symmetric(P), found.Upsilon - K @ found.Omega)
 
 
 def estimate(found: Row, after: Known, valid: Array, before_cov: Array, theta: Array, theta_cov: Array) -> Estimate:
     """What is known after the step; the innovation is against the losses before it, whose covariance was before_cov."""
-    import jax.numpy as jnp
-
     e = jnp.where(valid, found.z - found.Omega @ found.theta, 0.0)
-    S = _symmetric(found.S + found.Omega @ before_cov @ found.Omega.T)
-    x_cov = _symmetric(after.P + after.Upsilon @ theta_cov @ after.Upsilon.T)
-    return Estimate(after.x, x_cov, theta, _symmetric(theta_cov), e, S, linearise.status(valid))
-
-
-def _symmetric(P):
-    return 0.5 * (P + P.T)
+    S = symmetric(found.S + found.Omega @ before_cov @ found.Omega.T)
+    x_cov = symmetric(after.P + after.Upsilon @ theta_cov @ after.Upsilon.T)
+    return Estimate(after.x, x_cov, theta, symmetric(theta_cov), e, S, linearise.status(valid))

@@ -14,6 +14,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from rotorwatch import checks
+from rotorwatch.backend import jnp
 from rotorwatch.core import Array
 
 LARGEST_STEP, SMALLEST, LARGEST = 0.5, 1e-4, 1e4
@@ -51,16 +52,12 @@ def init(n: int, n_y: int, adaptation: Adaptation) -> MitState:
 
 def scaled(Q: Array, state: MitState) -> Array:
     """Q (n, n) with its diagonal times the factors, correlations kept."""
-    from jax import numpy as jnp
-
     root = jnp.exp(0.5 * state.log_q)
     return Q * root * root[:, None]
 
 
 def adapt(state: MitState, H: Array, S: Array, e: Array, valid: Array, dt, adaptation: Adaptation) -> MitState:
     """After a step with innovation e (n_y,), its expected covariance S, and H (n_y, n) = dy/dz."""
-    from jax import numpy as jnp
-
     some, now = valid.any(), jnp.where(valid, 1.0, 0.0)
     e_all = jnp.where(some, jnp.concatenate([state.e[1:], jnp.where(valid, e, 0.0)[None]]), state.e)
     seen = jnp.where(some, jnp.concatenate([state.seen[1:], now[None]]), state.seen)

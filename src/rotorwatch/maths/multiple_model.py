@@ -17,9 +17,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rotorwatch import checks
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.backend import jax, jnp
 from rotorwatch.core import Array, Estimate
-from rotorwatch.maths import linearise
+from rotorwatch.maths import linearise, plant
 
 
 class Bank(NamedTuple):
@@ -61,11 +61,18 @@ class _Along:
         return self.system.h(x, u, self.d * loss[0])
 
 
-def tuning(theta_walk, theta_var):
-    """Both as given, where they are one number of at least 0 each. Raises ConfigError."""
-    for name, value in (("theta_walk", theta_walk), ("theta_var", theta_var)):
-        checks.between(name, checks.shape(name, value), 0.0, np.inf)
-    return theta_walk, theta_var
+class MultipleModel:
+    """What the multiple-model methods share. Not a method by itself: a method sets `name`, `called` and `not_kalman`."""
+
+    name = called = not_kalman = ""
+
+    def __init__(self, system, dt: float, theta_walk, theta_var, common: bool):
+        """The plant in steps of dt [s], the loss's walk and variance, and the modes. Raises ConfigError for wrong values."""
+        self.system, self.dt = plant.checked(self.called, system, dt), dt
+        for name, value in (("theta_walk", theta_walk), ("theta_var", theta_var)):
+            checks.between(name, checks.shape(name, value), 0.0, np.inf)
+        self.theta_walk, self.theta_var = theta_walk, theta_var
+        self.directions = directions(system, common)
 
 
 def stay(modes: int, healthy_s, weak_s) -> np.ndarray:
@@ -85,7 +92,6 @@ def directions(system: Any, common: bool) -> np.ndarray:
 
 def start(system: Any, modes: int, theta_var: Array, probability: Array) -> Bank:
     """Every mode at the plant's x0 and P0, its loss 0 with the variance theta_var; mode 0 has none."""
-    jnp = load_jax().numpy
     n = system.n_x
     s = jnp.concatenate([jnp.asarray(system.x0, float), jnp.zeros(1)])
     P = jnp.zeros((n + 1, n + 1)).at[:n, :n].set(jnp.asarray(system.P0, float))
@@ -98,48 +104,29 @@ def filtered(
     system: Any, d: Array, s: Array, P: Array, walk: Array, u: Array, y: Array, valid: Array, dt: Array
 ) -> Updated:
     """One step of every mode's filter from s (M, n_x + 1) and P. d (M, n_theta); walk: variance that a loss gains per second."""
-    jax = load_jax()
-    jnp, n = jax.numpy, system.n_x
+    n = system.n_x
     Q, R = system.Q(dt), system.R(u)
 
     def one(d, s, P, walk):
-        plant = _Along(system, d)
-        x, F, Phi = linearise.transition(plant, s[:n], u, s[n:], dt)
+        along = _Along(system, d)
+        x, F, Phi = linearise.transition(along, s[:n], u, s[n:], dt)
         A = jnp.concatenate([jnp.concatenate([F, Phi], axis=1), jnp.asarray(np.eye(n + 1)[n:])])
         P = A @ P @ A.T
         P = P + jnp.zeros_like(P).at[:n, :n].set(Q).at[n, n].set(walk * dt)
         s = jnp.concatenate([x, s[n:]])
-        y_, C, D = linearise.measurement(plant, x, u, s[n:])
+        y_, C, D = linearise.measurement(along, x, u, s[n:])
         H = jnp.concatenate([C, D], axis=1)
         S = H @ P @ H.T + jnp.diag(R)
         e = jnp.where(valid, y - y_, 0.0)
-        s, P, fit = _update(s, P, H, e, R, valid)
+        s, P, fit = linearise.update(s, P, H, e, R, valid)
         return Updated(s, P, e, S, fit)
 
     d = jnp.asarray(d)
     return jax.vmap(one)(d, s, P, jnp.where((d != 0.0).any(axis=1), walk, 0.0))
 
 
-def _update(s, P, H, e, R, valid):
-    """`linearise.update`, and the logarithm of the likelihood of what is valid."""
-    import jax.numpy as jnp
-
-    ds, fit = jnp.zeros_like(s), 0.0
-    for i in range(H.shape[0]):
-        Ph = P @ H[i]
-        variance = H[i] @ Ph + R[i]
-        left = e[i] - H[i] @ ds
-        weight = jnp.where(valid[i], 1.0 / variance, 0.0)
-        fit = fit - jnp.where(valid[i], 0.5 * (jnp.log(2.0 * np.pi * variance) + left * left / variance), 0.0)
-        ds = ds + Ph * (weight * left)
-        P = P - (weight * Ph)[:, None] * Ph[None, :]
-    return s + ds, 0.5 * (P + P.T), fit
-
-
 def posterior(predicted: Array, fit: Array) -> Array:
     """(M,) probabilities from those predicted and the log-likelihoods; no underflow, whatever the size of the latter."""
-    import jax.numpy as jnp
-
     weight = predicted * jnp.exp(fit - fit.max())
     return weight / weight.sum()
 
@@ -158,8 +145,6 @@ def combined(d: Array, new: Updated, predicted: Array, probability: Array, valid
 
 def moments(weight: Array, mean: Array, P: Array):
     """Mean (n,) and symmetric covariance (n, n) of a mixture: weight (M,), mean (M, n), P (M, n, n)."""
-    import jax.numpy as jnp
-
     m = weight @ mean
     away = mean - m
     total = jnp.einsum("m,mij->ij", weight, P) + (weight * away.T) @ away

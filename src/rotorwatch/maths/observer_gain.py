@@ -15,9 +15,10 @@ from typing import Any
 import numpy as np
 
 from rotorwatch import checks
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.backend import jax, jnp
 from rotorwatch.errors import ConfigError
 from rotorwatch.maths import linearise, matrix_inequality
+from rotorwatch.maths.small import symmetric
 
 DOUBLINGS = 30  # of the Riccati recursion: 2^30 steps are forever
 
@@ -82,7 +83,7 @@ def stationary(system, dt: float, *, x=None, u=None):
     F, C = _local(system, dt, x, u)
     R = system.R(np.zeros(system.n_u) if u is None else u)
     F, C, R, P = (a if not checks.concrete((F, C, R)) else np.asarray(a) for a in (F, C, R, system.Q(dt)))
-    xp: Any = np if checks.concrete((F, C, R, P)) else load_jax().numpy
+    xp: Any = np if checks.concrete((F, C, R, P)) else jnp
     A, G, eye = F.T, C.T @ (C / R[:, None]), np.eye(system.n_x)
     for _ in range(DOUBLINGS):
         AW = xp.linalg.solve((eye + G @ P).T, A.T).T  # A (I + G P)^-1
@@ -119,7 +120,7 @@ def common_lyapunov(F, C, decay: float, *, scale=None) -> Contraction:
     problem = cp.Problem(cp.Minimize(t), limits)
     if not matrix_inequality.solved(problem):
         raise ConfigError(f"No observer gain makes all {len(F)} Jacobians contract by {decay:g} a step; ask for less.")
-    G_ = _symmetric(_value(G))
+    G_ = symmetric(_value(G))
     L = np.linalg.solve(G_, _value(Y))
     reached = contraction(scaled, seen, L, G_)
     if not reached < 1.0 or reached > decay + 1e-4:
@@ -179,7 +180,7 @@ def theorem_1_best(A, C, constants: Lipschitz) -> tuple[float, np.ndarray, np.nd
     limits: list = [cp.bmat(blocks) << t * np.eye(3 * n), G >> 1e-6 * np.eye(n), cp.trace(G) == n]
     if not matrix_inequality.solved(cp.Problem(cp.Minimize(t), limits)):
         raise ConfigError("The solver finds no answer to Theorem 1's inequality; scale the states better.")
-    G_, Y_, (eps_1, eps_2) = _symmetric(_value(G)), _value(Y), np.maximum(_value(eps), 0.0).tolist()
+    G_, Y_, (eps_1, eps_2) = symmetric(_value(G)), _value(Y), np.maximum(_value(eps), 0.0).tolist()
     return theorem_1(A, C, G_, Y_, constants, eps_1, eps_2), G_, Y_, eps_1, eps_2
 
 
@@ -191,7 +192,6 @@ def _theorem_1(GL, G, eye, none, k: Lipschitz, eps_1, eps_2):
 
 def _local(system, dt, x, u):
     """(F, C) of a plant at one point, no loss."""
-    jax = load_jax()
     x = system.x0 if x is None else x
     u, theta = np.zeros(system.n_u) if u is None else u, np.zeros(system.n_theta)
 
@@ -202,14 +202,9 @@ def _local(system, dt, x, u):
 
 
 def _F(system, points, u, dt):
-    jax = load_jax()
     u, theta = np.zeros(system.n_u) if u is None else np.asarray(u, float), np.zeros(system.n_theta)
     return jax.jit(jax.vmap(lambda x: linearise.transition(system, x, u, theta, dt).by_x))(points)
 
 
 def _value(variable) -> np.ndarray:
     return np.asarray(variable.value, float)
-
-
-def _symmetric(G):
-    return 0.5 * (G + G.T)

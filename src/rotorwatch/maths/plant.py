@@ -1,4 +1,4 @@
-"""What is asked of a plant before a method is made for it: its parts, their shapes and its noise; and what its losses are called."""
+"""Checks of a plant before a method is made for it (its parts, their shapes and its noise), its start, and the names of its losses."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from rotorwatch import checks
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.backend import jax, jnp
 from rotorwatch.errors import ConfigError
 
 SIZES, PARTS = ("n_x", "n_u", "n_theta", "n_y"), ("f", "h", "Q", "R", "x0", "P0")
@@ -19,7 +19,7 @@ def checked(method: str, system: Any, dt: Any) -> Any:
     R (n_y,) has to be variances: of independent measurements, one after the other is taken in. Raises ConfigError for missing
     parts, wrong shapes, a Q or P0 that is no covariance and an R that is not n_y numbers of at least 0.
     """
-    load_jax()  # before anything of the plant is traced: it switches float64 on
+    jax()  # before anything of the plant is traced: it switches float64 on
     checks.has(system, method, *PARTS, *SIZES)
     checks.positive("dt", dt)
     name = checks.plant_name(system)
@@ -36,6 +36,30 @@ def checked(method: str, system: Any, dt: Any) -> Any:
     if checks.concrete(variances) and (least := float(np.min(np.asarray(variances, float), initial=np.inf))) < 0:
         raise ConfigError(f"{label} holds {least:g}; it must be variances, which are not negative.")
     return system
+
+
+def start(system: Any, theta_cov: Any) -> tuple[Any, Any]:
+    """((n_x + n_theta,), its covariance): the plant's x0 and P0, then no losses, with the covariance theta_cov."""
+    s = jnp.concatenate([jnp.asarray(system.x0, float), jnp.zeros(system.n_theta)])
+    return s, jax.scipy.linalg.block_diag(jnp.asarray(system.P0, float), theta_cov)
+
+
+class Rotors:
+    """What plants of n rotors share: as many inputs as losses, their names, and B_tau of an airframe file."""
+
+    def name_rotors(self, n: int, command: str = "thrust", unit: str = "1") -> None:
+        """Set n_u, n_theta and the names of inputs and losses. JAX computes in float64 from here on: before the plant is traced."""
+        jax()
+        self.n_u = self.n_theta = n
+        self.u_names, self.u_units = tuple(f"{command}_{i + 1}" for i in range(n)), (unit,) * n
+        self.theta_names = tuple(f"loss_{i + 1}" for i in range(n))
+
+    @staticmethod
+    def levers(airframe: dict) -> np.ndarray:
+        """(3, n) roll, pitch and yaw moment of each rotor per unit of its thrust [m], of a file with `[rotors]` x, y [m], spin and
+        `drag_ratio` [m]."""
+        x, y, spin = (np.array(airframe["rotors"][k], float) for k in ("x", "y", "spin"))
+        return np.stack([-y, x, float(airframe["drag_ratio"]) * spin])
 
 
 def theta_names(system: Any) -> tuple[str, ...]:

@@ -23,10 +23,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rotorwatch import checks
+from rotorwatch.backend import jax, jnp, lax
 from rotorwatch.core import Array, Estimate
 from rotorwatch.errors import ConfigError
-from rotorwatch.maths import ellipsoid, interval, plant, taylor
-from rotorwatch.maths.small import blocks, product
+from rotorwatch.maths import ellipsoid, interval, linearise, plant, taylor
+from rotorwatch.maths.small import blocks, product, symmetric
 
 UNBOUNDED = 1e6  # half-width taken for a remainder that interval arithmetic cannot bound: in effect "anything"
 OUTGROWN = 1e3  # half-width beyond which a set that nothing cut says nothing, and costs digits
@@ -123,9 +124,7 @@ class SetMembership:
             ("remainder", ("taylor", "interval", "none")),
             ("remainder_box", ("trace", "volume", "paper")),
         ):
-            if getattr(self, label) not in known:
-                names = ", ".join(filter(None, known))
-                raise ConfigError(f"{label} must be one of {names}, not {getattr(self, label)!r}.")
+            checks.one_of(label, getattr(self, label), known)
         if self.cut is None:
             self.cut = "trace" if form in ("joint", "scalar") else "source"
         if (form == "joint" and self.cut != "trace") or (form in ("batch", "ud") and self.cut != "source"):
@@ -164,9 +163,6 @@ class SetMembership:
         """One step. Estimate.x_cov and theta_cov are blocks of the ellipsoid's shape P: the bound of a component is its
         estimate plus and minus the square root of its diagonal element. innovation_cov: shape of an ellipsoid around all
         innovations the bounds allow."""
-        from jax import lax
-        from jax import numpy as jnp
-
         n_x, step = self.n_x, self.dt if dt is None else dt
         valid = jnp.asarray(valid, bool)
         ahead = self._predict(carry, u, step)
@@ -192,7 +188,7 @@ class SetMembership:
         z_new, shape_new, *near = [jnp.where(known, a, b) for a, b in zip(sets, held, strict=True)]
         empty = empty | (~known & valid.any())
         P_prior = self.unfactored(shape)
-        S = ellipsoid.symmetric(product(product(H, P_prior), H.T))
+        S = symmetric(product(product(H, P_prior), H.T))
         S = jnp.where(jnp.isfinite(S).all(), S, jnp.eye(len(e)) * UNBOUNDED**2)
         R = jnp.diag(limit)
         q = self.adapt(
@@ -201,7 +197,7 @@ class SetMembership:
             cut.health,
             step,
         )
-        P = ellipsoid.symmetric(self.unfactored(shape_new))
+        P = symmetric(self.unfactored(shape_new))
         status = jnp.where(valid.any(), 0, 2).astype(jnp.int32)
         new = Carry(z_new, shape_new, q, carry.restarts + empty.astype(jnp.int32), cut.health, *near)
         return new, Estimate(
@@ -210,7 +206,7 @@ class SetMembership:
             z_new[n_x:],
             P[n_x:, n_x:],
             e,
-            ellipsoid.symmetric(ellipsoid.minkowski(S, R)[0]),
+            symmetric(ellipsoid.minkowski(S, R)[0]),
             status,
         )
 
@@ -223,9 +219,6 @@ class SetMembership:
         the allowance, no point on the edge of the cut explains the measurement: all that explains it is inside, if it hangs
         together. That is then predicted, and cut as ever; S is, if no round came so far.
         """
-        from jax import lax, vmap
-        from jax import numpy as jnp
-
         n_x, n, system = self.n_x, self.n, self.system
         start = jnp.concatenate([carry.near[:n_x], jnp.asarray(self.theta_centre)])
         S = self.apart * blocks(carry.near_shape[:n_x, :n_x], jnp.asarray(self.theta_prior), jnp)
@@ -239,9 +232,9 @@ class SetMembership:
         def about(state, first):
             """One round; the first bounds the remainder over all of S, for want of better."""
             point, allowed, best = state
-            value, J = _linear(both, point)
+            value, J = linearise.once(both, point)
             H = J[n_x:]
-            C = _linear(lambda x: system.h(x, u, point[n_x:]), value[:n_x])[1]
+            C = linearise.once(lambda x: system.h(x, u, point[n_x:]), value[:n_x])[1]
             through = C @ Q[:n_x, :n_x] @ C.T
             noise = bound + jnp.sqrt(through.diagonal())
             allowed = jnp.minimum(allowed, ALLOWED * noise)
@@ -257,7 +250,7 @@ class SetMembership:
                     start, S, H, e, errors, weight, *ellipsoid.joint_gains(SH, H @ SH, e, errors, weight)
                 )
 
-            cuts = vmap(cut)(weights * jnp.where(first, 1e-9, 1.0))
+            cuts = jax.vmap(cut)(weights * jnp.where(first, 1e-9, 1.0))
             a, P = cuts.a[-1], cuts.P[-1]
             centre, slope, rest = taylor.expand(both, a, jnp.eye(n), P, self.low, self.high)
             turn = slope - J
@@ -307,8 +300,6 @@ class SetMembership:
     def noise(self, dt, q):
         """(n, n) shape that bounds one step's noise, factors q (n,) on its diagonal. x's noise and theta's drift may be on their
         bounds at the same time, so it is a sum of two sets and not one ellipsoid with both as semi-axes."""
-        from jax import numpy as jnp
-
         Q = (
             self._radius(self.n_x) ** 2 * self.system.Q(dt)
             if self.process is None
@@ -322,8 +313,6 @@ class SetMembership:
         return ellipsoid.minkowski(noise, drift, self.weights)[0]
 
     def _walk(self, dt):
-        from jax import numpy as jnp
-
         return jnp.diag((jnp.asarray(self.theta_drift) * dt) ** 2)
 
     def _radius(self, m: int) -> float:
@@ -332,8 +321,6 @@ class SetMembership:
 
     def _error_bound(self, u, form):
         """(n_y,) bounds of the errors, each alone (forms that cut by strips) or as semi-axes of all together."""
-        from jax import numpy as jnp
-
         if self.measurement is not None:
             return jnp.asarray(self.measurement)
         size = self.bound if form in ("scalar", "ud") else self._radius(self.system.n_y)
@@ -341,8 +328,6 @@ class SetMembership:
 
     def _predict(self, carry: Carry, u, dt) -> Ahead:
         """The carried set one step on, not yet summed."""
-        from jax import numpy as jnp
-
         n_x, system = self.n_x, self.system
 
         def f(point):
@@ -365,20 +350,16 @@ class SetMembership:
 
     def _summed(self, z, G, moved, half, Q, Phi) -> Ahead:
         """The shares of noise and remainder."""
-        from jax import numpy as jnp
-
         pad = jnp.zeros(self.system.n_theta)
         rest = jnp.diag(jnp.concatenate([ellipsoid.around_box(half, self.remainder_box), pad]))
         noise, b_Q = ellipsoid.minkowski(Q, rest, self.weights)
-        moved = ellipsoid.symmetric(moved)
+        moved = symmetric(moved)
         b = ellipsoid.minkowski(moved, noise, self.weights)[1]
         amplify = ellipsoid.parts(b_Q)[0] * ellipsoid.parts(b)[1]
         return Ahead(z, G, moved, noise, half, b, Phi, amplify)
 
     def _sum(self, ahead: Ahead):
         """The predicted shape: the Minkowski sum of least trace."""
-        from jax import numpy as jnp
-
         left, right = ellipsoid.parts(ahead.b)
         if self.form != "ud":
             return left * ahead.moved + right * ahead.noise
@@ -388,8 +369,6 @@ class SetMembership:
     def _compare(self, ahead: Ahead, u, y, valid, form):
         """(H, e, limit): slope of the measurement over the predicted set, innovation, and squared bounds of the errors, h's
         remainder included: of each alone (forms that cut by strips), or semi-axes of all together."""
-        from jax import numpy as jnp
-
         n_x, system = self.n_x, self.system
         left, right = ellipsoid.parts(ahead.b)
         P = left * ahead.moved + right * ahead.noise
@@ -407,9 +386,6 @@ class SetMembership:
         measurement has it. Small share and weight leave theta as it was, while little is learned; large ones pay where much
         is. health: also whether every row alone is possible, which no share enters.
         """
-        from jax import numpy as jnp
-        from jax import vmap
-
         H, R = jnp.where(valid[:, None], H, 0.0), jnp.diag(limit)
         share, weight = np.array(TRIED).T
         left, right = (part[:, None, None] for part in ellipsoid.parts(share * ahead.b / (1 + (share - 1) * ahead.b)))
@@ -420,7 +396,7 @@ class SetMembership:
             left * PH[0] + right * PH[1],
             left * S[0] + right * S[1],
         )
-        K, health = vmap(ellipsoid.joint_gains, (0, 0, None, None, 0))(PH, S_all, e, R, weight)
+        K, health = jax.vmap(ellipsoid.joint_gains, (0, 0, None, None, 0))(PH, S_all, e, R, weight)
         size = health * (self.weights * (P.diagonal(axis1=1, axis2=2) - (K * PH).sum(2))).sum(1)
         second = size[1] < size[0]
         P, K, health, weight = (
@@ -435,11 +411,9 @@ class SetMembership:
     def _small(self, carry: Carry, ahead: Ahead, H, e, limit, valid, dt):
         """`Cut`: what the last two measurements leave of theta. The carried set is cut, before the step, by the small set of its x
         and by the measurement after the step."""
-        from jax import numpy as jnp
-
         n_x, n = self.n_x, self.n
         H = jnp.where(valid[:, None], H, 0.0)
-        through = ellipsoid.symmetric(product(product(H, ahead.noise), H.T))
+        through = symmetric(product(product(H, ahead.noise), H.T))
         errors = ellipsoid.minkowski(jnp.diag(limit), through, 1.0 / limit)[0]
         R = blocks(carry.near_shape[:n_x, :n_x], errors, jnp)
         rows = jnp.concatenate([jnp.eye(n)[:n_x], product(H, ahead.Phi)])
@@ -452,12 +426,10 @@ class SetMembership:
 
     def _bounded(self, function, z, P):
         """(value (m,), J (m, n), half (m,)): function(z + d) lies within half of value + J d for all d in E(0, P)."""
-        from jax import numpy as jnp
-
         if self.remainder == "taylor":
             value, J, half = taylor.expand(function, z, jnp.eye(self.n), P, self.low, self.high)
             return value, J, _capped(half)
-        value, J = _linear(function, z)
+        value, J = linearise.once(function, z)
         if self.remainder == "none":
             return value, J, jnp.zeros_like(value)
         mid, half = self._box_remainder(function, z, jnp.sqrt(jnp.maximum(P.diagonal(), 0.0)))
@@ -465,8 +437,6 @@ class SetMembership:
 
     def _box_remainder(self, function, z, reach):
         """(mid, half) of the linearisation's remainder over the box around the ellipsoid, as the source bounds it."""
-        from jax import numpy as jnp
-
         low, high = jnp.maximum(z - reach, self.low), jnp.minimum(z + reach, self.high)
         found = interval.second_order_remainder(function, z, low, high)
         half = _capped(0.5 * (found.hi - found.lo))
@@ -474,8 +444,6 @@ class SetMembership:
 
     def _cut(self, z, shape, H, e, limit, valid):
         """The predicted set cut by all valid measurements."""
-        from jax import numpy as jnp
-
         if self.form == "batch":
             cut, _, _ = ellipsoid.batch_cut(z, shape, jnp.where(valid[:, None], H, 0.0), e, jnp.diag(limit))
             some = valid.any() & (cut.health > 0)
@@ -493,9 +461,6 @@ class SetMembership:
 
     def _within_range(self, cut: ellipsoid.Cut, valid) -> ellipsoid.Cut:
         """The set cut by what is known about theta, as by measurements of it; but a gap teaches nothing."""
-        from jax import lax
-        from jax import numpy as jnp
-
         bounded = np.flatnonzero(np.isfinite(self.high) & np.isfinite(self.low))
         if not bounded.size:
             return cut
@@ -519,8 +484,6 @@ class SetMembership:
 
     def _rows(self, cut, z, shape, H, e, limit, valid):
         """One valid measurement after the other; e: measured minus predicted at z."""
-        from jax import lax
-        from jax import numpy as jnp
 
         def row(state, given):
             a, P, health = state
@@ -533,13 +496,4 @@ class SetMembership:
 
 
 def _capped(half):
-    from jax import numpy as jnp
-
     return jnp.where(half < UNBOUNDED, half, UNBOUNDED)
-
-
-def _linear(function, z):
-    """(function(z), its Jacobian there)."""
-    from jax import jacfwd
-
-    return function(z), jacfwd(function)(z)

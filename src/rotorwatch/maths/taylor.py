@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.backend import jax, jnp
 from rotorwatch.maths import interval
 from rotorwatch.maths.interval import Interval
 
@@ -38,9 +38,6 @@ def expand(function, a, slope, metric=None, lo=None, hi=None) -> tuple:
     slope (k, n): L' of P = L L', for xi in the unit ball (metric None); or the unit matrix, for xi = d in E(0, metric). Both
     say the same. lo, hi (n,): what is known about the argument besides. Raises ConfigError for operations without a rule.
     """
-    from jax import numpy as jnp
-
-    jax = load_jax()
     closed = jax.make_jaxpr(function)(a)
     k = slope.shape[0]
     rules = _Rules(k, metric is not None)
@@ -50,7 +47,8 @@ def expand(function, a, slope, metric=None, lo=None, hi=None) -> tuple:
         a - reach if lo is None else jnp.maximum(a - reach, lo),
         a + reach if hi is None else jnp.minimum(a + reach, hi),
     ]
-    found = rules.run(closed.jaxpr, closed.consts, [Model(a, both, jnp.zeros(a.shape), *ends)])[0]
+    start = Model(a, both, jnp.zeros(a.shape), *ends)
+    found = interval.walk(closed.jaxpr, closed.consts, [start], rules.apply, (Model, Interval))[0]
     if not isinstance(found, Model):
         found = jnp.asarray(found)
         return found, jnp.zeros((found.shape[0], k)), jnp.zeros(found.shape)
@@ -64,33 +62,9 @@ class _Rules:
     def __init__(self, k: int, measured: bool):
         self.k, self.measured = k, measured
 
-    def run(self, jaxpr, consts, arguments) -> list:
-        values: dict = {}
-
-        def read(atom):
-            return atom.val if hasattr(atom, "val") else values[atom]  # a literal, or a variable
-
-        values.update(zip(jaxpr.constvars, consts, strict=True))
-        values.update(zip(jaxpr.invars, arguments, strict=True))
-        for equation in jaxpr.eqns:
-            operands = [read(atom) for atom in equation.invars]
-            name = equation.primitive.name
-            if name in interval.CALLS:
-                inner = equation.params.get("jaxpr", equation.params.get("call_jaxpr"))
-                results = self.run(
-                    *((inner.jaxpr, inner.consts) if hasattr(inner, "consts") else (inner, ())), operands
-                )
-            elif not any(isinstance(operand, Model | Interval) for operand in operands):
-                out = equation.primitive.bind(*operands, **equation.params)
-                results = out if equation.primitive.multiple_results else [out]
-            else:
-                results = self.apply(equation, name, operands)
-            values.update(zip(equation.outvars, results, strict=True))
-        return [read(atom) for atom in jaxpr.outvars]
-
-    def apply(self, equation, name: str, operands: list) -> list:
-        from jax import numpy as jnp
-
+    def apply(self, equation, operands: list) -> list:
+        """Results of one traced operation."""
+        name = equation.primitive.name
         models = [operand for operand in operands if isinstance(operand, Model)]
         if any(isinstance(operand, Interval) for operand in operands):
             return self.flat(equation, operands)
@@ -115,8 +89,6 @@ class _Rules:
 
     def size(self, g):
         """sqrt(g' P g)."""
-        from jax import numpy as jnp
-
         return jnp.sqrt(jnp.maximum(self.inner(g, g), 0.0))
 
     def inner(self, g, other):
@@ -125,8 +97,6 @@ class _Rules:
 
     def range(self, x) -> Interval:
         """All values a model can take."""
-        from jax import numpy as jnp
-
         if not isinstance(x, Model):
             return x if isinstance(x, Interval) else Interval(x, x)
         reach = self.size(x.g) + x.e
@@ -134,9 +104,6 @@ class _Rules:
 
     def linear(self, equation, operands) -> list:
         """An operation that is linear in its one model, or in all of them together: done to centres and slopes alike."""
-        from jax import numpy as jnp
-
-        jax = load_jax()
         name, several = equation.primitive.name, equation.primitive.multiple_results
 
         def bind(*values):
@@ -169,15 +136,11 @@ class _Rules:
         return [Model(*parts) for parts in zip(centre, slope, error, *ends, strict=True)]
 
     def times(self, x: Model, factor) -> Model:
-        from jax import numpy as jnp
-
         c = x.c * factor
         free = jnp.full(c.shape, jnp.inf)
         return Model(c, x.g * factor, x.e * jnp.abs(factor), -free, free)
 
     def multiply(self, x: Model, y: Model) -> Model:
-        from jax import numpy as jnp
-
         size_x, size_y = self.size(x.g), self.size(y.g)
         c = x.c * y.c + 0.5 * self.inner(x.g, y.g)
         e = 0.5 * size_x * size_y + (jnp.abs(x.c) + size_x) * y.e + (jnp.abs(y.c) + size_y) * x.e + x.e * y.e
@@ -186,17 +149,14 @@ class _Rules:
 
     def smooth(self, function, x: Model) -> Model:
         """A smooth operation on one operand, by Lagrange's remainder over the operand's range."""
-        from jax import jvp
-        from jax import numpy as jnp
-
         reach = self.range(x)
         centre = jnp.clip(x.c, reach.lo, reach.hi)
 
         def slope(t):
-            return jvp(function, (t,), (jnp.ones_like(t),))[1]
+            return jax.jvp(function, (t,), (jnp.ones_like(t),))[1]
 
-        value, first = jvp(function, (centre,), (jnp.ones_like(centre),))
-        bend = interval.evaluate(lambda t: jvp(slope, (t,), (jnp.ones_like(t),))[1], reach)
+        value, first = jax.jvp(function, (centre,), (jnp.ones_like(centre),))
+        bend = interval.evaluate(lambda t: jax.jvp(slope, (t,), (jnp.ones_like(t),))[1], reach)
         bend = bend if isinstance(bend, Interval) else Interval(bend, bend)
         square = jnp.maximum(reach.hi - centre, centre - reach.lo) ** 2
         # Where it bends one way only, the tangent is furthest from it at the ends: exact, and finite at a root of 0.
@@ -220,8 +180,6 @@ class _Rules:
 
     def clip(self, x: Model, low, high) -> Model:
         """Clipping by its chord over the operand's range; the largest distances between both are at the corners."""
-        from jax import numpy as jnp
-
         reach = self.range(x)
         ends = Interval(jnp.clip(reach.lo, low, high), jnp.clip(reach.hi, low, high))
         width = reach.hi - reach.lo
@@ -240,8 +198,6 @@ class _Rules:
 
     def flat(self, equation, operands) -> list:
         """Any other operation: its range by interval arithmetic, without a slope."""
-        from jax import numpy as jnp
-
         inputs = [self.range(o) if isinstance(o, Model) else o for o in operands]
         found = interval.apply(equation, inputs)
         results = []
@@ -256,14 +212,12 @@ class _Rules:
 
 def _dot(equation, a, b):
     """A product as a sum of products: `small`."""
-    from jax import numpy as jnp
-
     (left, right), batch = equation.params["dimension_numbers"]
     if any(batch):
         return equation.primitive.bind(a, b, **equation.params)
     a, b = (jnp.moveaxis(x, axes, range(-len(axes), 0)) for x, axes in ((a, left), (b, right)))
-    kept = a.ndim - len(left)
-    a = a.reshape(*a.shape[:kept], *[1] * (b.ndim - len(right)), *a.shape[kept:])
+    n_free = a.ndim - len(left)
+    a = a.reshape(*a.shape[:n_free], *[1] * (b.ndim - len(right)), *a.shape[n_free:])
     return (a * b).sum(tuple(range(-len(left), 0)))
 
 

@@ -1,4 +1,4 @@
-"""The slope of a straight line under errors that wander, by how much nobody knows, with its interval.
+"""The slope of a straight line under errors that wander by an unknown amount, with its interval.
 
     y_k = a + b t_k + w_k + v_k,      w: a random walk with steps of variance s2,      v: white, of variance q s2
 
@@ -23,7 +23,7 @@ from rotorwatch.maths.tails import student_cdf, student_density
 # q, and its prior: what wanders is believed to unless the data say otherwise, as a walk taken for white noise makes false trends.
 WHITE = (0.0, 0.25, 1.0, 4.0, 16.0, 64.0, 256.0, 1024.0)
 DOUBT = 0.2  # prior of each q relative to the one before it
-LEAST = 16  # values; with fewer, nothing can be said of how they wander
+LEAST = 16  # values; with fewer, how much they wander cannot be estimated
 COVERED = 0.95
 
 

@@ -20,12 +20,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import numpy as np
-
-from rotorwatch import checks
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.backend import jax, jnp
 from rotorwatch.core import Array, Estimate
-from rotorwatch.maths import unscented
+from rotorwatch.maths import linearise, unscented
+from rotorwatch.maths.small import symmetric
 
 
 class State(NamedTuple):
@@ -58,8 +56,6 @@ class Prediction(NamedTuple):
 
 def initial(system: Any, P_theta: Array) -> State:
     """Before the first measurement: the plant's x0 and P0, no loss, and no coupling yet."""
-    jnp = load_jax().numpy
-
     n_x, n_theta = system.n_x, system.n_theta
     return State(
         jnp.asarray(system.x0, float),
@@ -70,35 +66,19 @@ def initial(system: Any, P_theta: Array) -> State:
     )
 
 
-def loss_covariance(name: str, value: Any, n: int) -> Array:
-    """(n, n) covariance of the losses given as a variance for all, one for each, or a matrix. Raises ConfigError."""
-    if np.ndim(value) < 2:
-        from jax import numpy as jnp
-
-        if np.ndim(value) == 1:
-            checks.shape(name, value, n)
-        xp = np if checks.concrete(value) else jnp
-        value = xp.eye(n) * xp.asarray(value, float)
-    return checks.covariance(name, value, n)
-
-
 def predict(
     system: Any, w: unscented.Weights, s: State, Q_theta: Array, u: Array, y: Array, valid: Array, dt: Array
 ) -> Prediction:
     """One step ahead, and the measurement expected there. Q_theta (n_theta, n_theta): growth of P_theta in this step."""
-    import jax
-    from jax import numpy as jnp
-    from jax.scipy.linalg import cho_solve
-
     L = unscented.root(s.P_free)
     moved = unscented.transform(lambda x: system.f(x, u, s.theta, dt), s.x, L, w)
     r = _through(moved, L, s.beta) + jax.jacfwd(lambda theta: system.f(s.x, u, theta, dt))(s.theta)
     r_P = r @ s.P_theta
-    beta = cho_solve((unscented.root(s.P_theta + Q_theta), True), r_P.T).T
+    beta = jax.scipy.linalg.cho_solve((unscented.root(s.P_theta + Q_theta), True), r_P.T).T
     # r P_theta r' - beta- P_theta- beta-', with beta- P_theta- = r P_theta put in
     P_free = moved.cov + r_P @ (r - beta).T + system.Q(dt)
 
-    L = unscented.root(unscented.symmetric(P_free))
+    L = unscented.root(symmetric(P_free))
     seen = unscented.transform(lambda x: system.h(x, u, s.theta), moved.mean, L, w)
     H = _through(seen, L, beta) + jax.jacfwd(lambda theta: system.h(moved.mean, u, theta))(s.theta)
     R = system.R(u)
@@ -108,41 +88,20 @@ def predict(
 
 def _through(t: unscented.Transformed, L: Array, beta: Array) -> Array:
     """Slope of the function along the columns of beta: slope L^-1 beta."""
-    from jax.scipy.linalg import solve_triangular
-
-    return t.slope @ solve_triangular(L, beta, lower=True)
+    return t.slope @ jax.scipy.linalg.solve_triangular(L, beta, lower=True)
 
 
 def update(p: Prediction, P_theta: Array, valid: Array, limit: Callable) -> tuple[State, Estimate]:
     """The measurement taken in. P_theta (n_theta, n_theta): predicted covariance of the losses, the prediction's own or a wider
     one. limit: what is done to theta, so that it stays admissible."""
-    from jax import numpy as jnp
-
-    S = unscented.symmetric(p.P_yy + p.H @ P_theta @ p.H.T)
+    S = symmetric(p.P_yy + p.H @ P_theta @ p.H.T)
     K_x = unscented.gain(p.L @ p.seen.slope.T, p.P_yy, valid)
     K_theta = unscented.gain(P_theta @ p.H.T, S, valid)
     theta = limit(p.theta + K_theta @ p.e)
     beta = p.beta - K_x @ p.H
     rest = jnp.eye(theta.shape[0]) - K_theta @ p.H
-    P_theta = unscented.symmetric(rest @ P_theta @ rest.T + K_theta @ p.P_yy @ K_theta.T)  # Joseph's form
+    P_theta = symmetric(rest @ P_theta @ rest.T + K_theta @ p.P_yy @ K_theta.T)  # Joseph's form
     P_free = unscented.corrected(p.L, p.seen, K_x, p.R)
     x = p.x + K_x @ p.e + beta @ (theta - p.theta)
-    P_x = unscented.symmetric(P_free + beta @ P_theta @ beta.T)
-    status = jnp.where(valid.any(), 0, 2).astype(jnp.int32)
-    return State(x, P_free, beta, theta, P_theta), Estimate(x, P_x, theta, P_theta, p.e, S, status)
-
-
-def no_limit(theta: Array) -> Array:
-    """theta as it is."""
-    return theta
-
-
-def to_unit(n: int) -> Callable:
-    """A limit: the first n losses (actuators, not biases) to [0, 1]."""
-
-    def limit(theta):
-        from jax import numpy as jnp
-
-        return jnp.concatenate([jnp.clip(theta[:n], 0.0, 1.0), theta[n:]])
-
-    return limit
+    P_x = symmetric(P_free + beta @ P_theta @ beta.T)
+    return State(x, P_free, beta, theta, P_theta), Estimate(x, P_x, theta, P_theta, p.e, S, linearise.status(valid))

@@ -17,11 +17,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from rotorwatch import checks
+from rotorwatch.backend import jax, jnp
 from rotorwatch.core import Array, Estimate
 from rotorwatch.errors import ConfigError
+from rotorwatch.maths import linearise, plant
+from rotorwatch.maths.small import definite_solve, symmetric
 
 # What is added to a diagonal before its root is taken: relative, so that rounding does not make a singular covariance
 # indefinite; absolute, so that a state that is known exactly still has two distinct points (1e-10 of its unit apart).
@@ -67,23 +72,17 @@ def weights(n: int, alpha: float = 0.1, beta: float = 2.0, kappa: float = 0.0) -
 
 def root(P: Array) -> Array:
     """Lower factor L (n, n) with L L' = P, also where P is singular."""
-    from jax import numpy as jnp
-
     return jnp.linalg.cholesky(P + jnp.diag(RELATIVE * jnp.diagonal(P) + ABSOLUTE))
 
 
 def points(x: Array, L: Array, w: Weights) -> Array:
     """(2 n + 1, n) points of the Gaussian with mean x (n,) and covariance L L': the centre, the plus side, the minus side."""
-    from jax import numpy as jnp
-
     out = w.spread * L.T
     return jnp.concatenate([x[None], x + out, x - out])
 
 
 def transform(function: Callable, x: Array, L: Array, w: Weights) -> Transformed:
     """The function (n,) -> (m,) of the Gaussian with mean x and covariance L L'."""
-    import jax
-
     values = jax.vmap(function)(points(x, L, w))
     n = x.shape[0]
     plus, minus = values[1 : n + 1] - values[0], values[n + 1 :] - values[0]
@@ -95,12 +94,9 @@ def transform(function: Callable, x: Array, L: Array, w: Weights) -> Transformed
 
 def gain(P_xy: Array, S: Array, valid: Array) -> Array:
     """K = P_xy S^-1 (n, m) of the measurements that are valid (m,) bool; 0 for the others."""
-    from jax import numpy as jnp
-    from jax.scipy.linalg import cho_solve
-
     both = valid[:, None] & valid[None, :]
     S = jnp.where(both, S, jnp.eye(valid.shape[0]))
-    return cho_solve((jnp.linalg.cholesky(S), True), jnp.where(valid[:, None], P_xy.T, 0.0)).T
+    return definite_solve(S, jnp.where(valid[:, None], P_xy.T, 0.0)).T
 
 
 def corrected(L: Array, y: Transformed, K: Array, R: Array) -> Array:
@@ -109,8 +105,6 @@ def corrected(L: Array, y: Transformed, K: Array, R: Array) -> Array:
     L (n, n): root of the predicted covariance that the points of h were drawn with; D, C: slope and curvature of h. R (m,):
     variances. Equal to P - K S K' for K = L D' S^-1, and positive semidefinite for any K.
     """
-    from jax import numpy as jnp
-
     rest = L - K @ y.slope
     return symmetric(rest @ rest.T + K @ (y.curvature + jnp.diag(R)) @ K.T)
 
@@ -123,8 +117,6 @@ def joint_step(system, w: Weights, z, P, noise, u, y, valid, dt, limit: Callable
 
     z (n_x + n_theta,), P and noise square. limit: what is done to the new losses, so that they stay admissible.
     """
-    from jax import numpy as jnp
-
     n = system.n_x
 
     def f(z):
@@ -140,10 +132,50 @@ def joint_step(system, w: Weights, z, P, noise, u, y, valid, dt, limit: Callable
     z = moved.mean + K @ e
     z = jnp.concatenate([z[:n], limit(z[n:])])
     P = corrected(L, seen, K, R)
-    status = jnp.where(valid.any(), 0, 2).astype(jnp.int32)
-    return z, P, Estimate(z[:n], P[:n, :n], z[n:], P[n:, n:], e, S, status), moved.mean
+    return z, P, Estimate(z[:n], P[:n, :n], z[n:], P[n:, n:], e, S, linearise.status(valid)), moved.mean
 
 
-def symmetric(P: Array) -> Array:
-    """P without the asymmetry that rounding brought."""
-    return 0.5 * (P + P.T)
+def loss_covariance(name: str, value: Any, n: int) -> Array:
+    """(n, n) covariance of the losses given as a variance for all, one for each, or a matrix. Raises ConfigError."""
+    if np.ndim(value) < 2:
+        if np.ndim(value) == 1:
+            checks.shape(name, value, n)
+        xp = np if checks.concrete(value) else jnp
+        value = xp.eye(n) * xp.asarray(value, float)
+    return checks.covariance(name, value, n)
+
+
+def no_limit(theta: Array) -> Array:
+    """theta as it is."""
+    return theta
+
+
+def to_unit(n: int) -> Callable:
+    """A limit: the first n losses (actuators, not biases) to [0, 1]."""
+
+    def limit(theta):
+        return jnp.concatenate([jnp.clip(theta[:n], 0.0, 1.0), theta[n:]])
+
+    return limit
+
+
+class Unscented:
+    """What the unscented filters share. Not a method by itself: a method sets `name` and `not_kalman`, and `joint` to False where points
+    are drawn for the states only, not for the losses."""
+
+    name = not_kalman = called = ""
+    joint = True
+
+    def __init__(
+        self, system: Any, dt: float, *, theta_walk=1e-3, theta_var=1e-2, clip=False, alpha=0.1, beta=2.0, kappa=0.0
+    ):
+        """dt: step [s]. theta_walk: variance that a loss gains per second [1/s]; theta_var: its variance at the start; each a
+        number for all, one for each (n_theta,), or a covariance. clip: keep actuators' losses in [0, 1]. alpha, beta, kappa:
+        where the points lie, `unscented.weights`. Raises ConfigError.
+        """
+        self.system, self.dt = plant.checked(self.called or self.name, system, dt), dt
+        n = system.n_theta
+        self.theta_walk = loss_covariance("theta_walk", theta_walk, n)
+        self.theta_var = loss_covariance("theta_var", theta_var, n)
+        self.limit = to_unit(min(system.n_u, n)) if clip else no_limit
+        self.weights = weights(system.n_x + (n if self.joint else 0), alpha, beta, kappa)

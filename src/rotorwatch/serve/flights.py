@@ -14,7 +14,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from rotorwatch import files, shown
+from rotorwatch import files
 from rotorwatch.diagnosis import Diagnosis
 from rotorwatch.errors import RotorwatchError, StoreError, StoreFull, WorkerError
 from rotorwatch.fleet.address import default_url
@@ -146,7 +146,7 @@ def wrong(why: Exception) -> tuple[int, str]:
 
         traceback.print_exception(why)
     with suppress(OSError, ValueError, AttributeError):  # nobody reads it
-        text = shown.public(shown.printable(f"{type(why).__name__}: {why}"))
+        text = files.public(files.printable(f"{type(why).__name__}: {why}"))
         print(f"rotorwatch: {text}", file=sys.stderr, flush=True)
     mine = f"An error in rotorwatch itself ({type(why).__name__}); please report it with what the server has printed."
     causes: tuple[tuple[Any, int, str], ...] = (

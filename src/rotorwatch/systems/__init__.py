@@ -4,6 +4,6 @@ from __future__ import annotations
 
 
 def __getattr__(name: str):
-    from rotorwatch import plugins
+    from rotorwatch import discovery
 
-    return plugins.member(__name__, name)
+    return discovery.member(__name__, name)

@@ -21,23 +21,11 @@ from typing import Any
 import numpy as np
 
 from rotorwatch import checks
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.backend import jax, jnp
 from rotorwatch.errors import ConfigError
 
 G = 9.80665
-PARTS = (
-    "mass",
-    "inertia",
-    "air_density",
-    "hub_stiffness",
-    "drag",
-    "damping",
-    "main_arm",
-    "tail_arm",
-    "low",
-    "high",
-    "trim",
-)
+PARTS = "mass inertia air_density hub_stiffness drag damping main_arm tail_arm low high trim".split()
 ROTOR = ("radius", "inner_radius", "speed", "blades", "chord", "lift_slope", "drag_coefficient")
 
 
@@ -55,8 +43,6 @@ class _Rotor:
 
     def thrust_and_torque(self, pitch, climb):
         """(T [N], Q [N m])."""
-        from jax import numpy as jnp
-
         mean = 0.5 * (climb - self.s)
         V = mean + jnp.sqrt(mean**2 + self.B / self.flow * pitch)
         T = self.B * pitch - self.C * V
@@ -84,7 +70,7 @@ class Helicopter:
         """airframe: a helicopter's file, such as airframes.paper("ruav-40kg"). process_sd: of velocities [m/s] and rates
         [rad/s], that a step of 0.02 s adds; velocity_sd, rate_sd: of one measurement. stops: whether an actuator stops at 0 and 1;
         without, it is eq. (6) alone, for who knows that none is reached. Raises ConfigError."""
-        load_jax()  # nothing of the plant may be traced before float64 is on
+        jax()  # nothing of the plant may be traced before float64 is on
         missing = [part for part in (*PARTS, "main", "tail") if part not in airframe]
         missing += [f"{r}.{part}" for r in ("main", "tail") for part in ROTOR if part not in airframe.get(r, ())]
         if missing:
@@ -116,8 +102,6 @@ class Helicopter:
 
     def derivative(self, x, u, theta):
         """dx/dt (6,)."""
-        from jax import numpy as jnp
-
         U = self.low + (self.high - self.low) * self.outputs(u, theta)
         pitch_M, pitch_T, a1, b1 = U[0], U[1], U[2], U[3]
         vx, vy, vz, p, q, r = (x[i] for i in range(6))
@@ -157,8 +141,6 @@ class Helicopter:
 
     def Q(self, dt):
         """(6, 6): process_sd is what a step of 0.02 s adds; over other steps in proportion to time."""
-        from jax import numpy as jnp
-
         return jnp.diag(jnp.repeat(jnp.asarray(self.process_sd, float), 3) ** 2) * (dt / 0.02)
 
     def R(self, u):
@@ -169,9 +151,6 @@ class Helicopter:
 def _within_stops():
     """Clipping to [0, 1] whose derivative is 1: between two positions within the stops the actuator moves freely, and only
     such positions exist. (Made inside, because JAX is loaded on first use.)"""
-    import jax
-    from jax import numpy as jnp
-
     clip: Any = jax.custom_jvp(lambda value: jnp.clip(value, 0.0, 1.0))
     clip.defjvp(lambda primal, tangent: (clip(*primal), tangent[0]))
     return clip

@@ -15,12 +15,13 @@ from __future__ import annotations
 import numpy as np
 
 from rotorwatch import checks
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.backend import jnp
+from rotorwatch.maths.plant import Rotors
 
 G = 9.80665
 
 
-class LinearHover:
+class LinearHover(Rotors):
     """x = (roll, pitch, yaw, down, p, q, r, v_down) (8,), u (n,) commands, theta (n,) losses, y = x."""
 
     name = "linear_hover"
@@ -38,16 +39,12 @@ class LinearHover:
         gravity [m/s^2]; measured_sd (8,): of one sample; walk (4,): disturbance accelerations as white noise [rad/s^2, m/s^2
         per square root of Hz]. u_unit: what u is in, for labels. Raises ConfigError for wrong shapes and values.
         """
-        load_jax()  # nothing of the plant may be traced before float64 is on
         n = np.shape(B)[1] if np.ndim(B) == 2 else 0
+        self.name_rotors(n, "command", u_unit)
         self.B = checks.finite("B", checks.shape("B", B, 4, n))
         self.gravity = checks.finite("gravity", gravity)
         self.measured_sd = checks.positive("measured_sd", checks.shape("measured_sd", measured_sd, 8))
         self.walk = checks.between("walk", checks.shape("walk", walk, 4), 0.0, np.inf)
-        self.n_u = self.n_theta = n
-        self.u_names = tuple(f"command_{i + 1}" for i in range(n))
-        self.u_units = (u_unit,) * n
-        self.theta_names = tuple(f"loss_{i + 1}" for i in range(n))
 
     @classmethod
     def of(cls, airframe: dict) -> LinearHover:
@@ -56,15 +53,12 @@ class LinearHover:
         With `counts_max` u is in counts, else 1 is full thrust. `gravity` and the sensors' `attitude_sd`, `height_sd`,
         `rate_sd` and `climb_sd` are taken where the file has them.
         """
-        x, y, spin = (np.array(airframe["rotors"][k], float) for k in ("x", "y", "spin"))
         per_unit = float(airframe["thrust_max"]) / float(airframe.get("counts_max", 1.0))
-        M = per_unit * np.stack([-y, x, float(airframe["drag_ratio"]) * spin, -np.ones(x.size)])
+        levers = cls.levers(airframe)
+        M = per_unit * np.concatenate([levers, -np.ones((1, levers.shape[1]))])
         D = 1.0 / np.array([*airframe["inertia"], airframe["mass"]], float)
-        sd = [
-            airframe.get(k, d)
-            for k, d in (("attitude_sd", 2e-3), ("height_sd", 0.02), ("rate_sd", 0.01), ("climb_sd", 0.05))
-        ]
-        measured_sd = [sd[0]] * 3 + [sd[1]] + [sd[2]] * 3 + [sd[3]]
+        usual = {"attitude_sd": 2e-3, "height_sd": 0.02, "rate_sd": 0.01, "climb_sd": 0.05}
+        measured_sd = np.repeat([airframe.get(k, d) for k, d in usual.items()], (3, 1, 3, 1))
         unit = "counts" if "counts_max" in airframe else "1"
         return cls(D[:, None] * M, gravity=float(airframe.get("gravity", G)), measured_sd=measured_sd, u_unit=unit)
 
@@ -75,8 +69,6 @@ class LinearHover:
 
     def f(self, x, u, theta, dt):
         """State after dt seconds of constant u, exactly."""
-        from jax import numpy as jnp
-
         acceleration = self.B @ (u * (1.0 - theta)) + jnp.array([0.0, 0.0, 0.0, 1.0]) * self.gravity
         v = x[4:] + dt * acceleration
         return jnp.concatenate([x[:4] + 0.5 * dt * (x[4:] + v), v])
@@ -87,13 +79,9 @@ class LinearHover:
 
     def Q(self, dt):
         """(8, 8): white disturbance accelerations over dt."""
-        from jax import numpy as jnp
-
         W = jnp.diag(jnp.asarray(self.walk) ** 2)
         return jnp.block([[W * dt**3 / 3, W * dt**2 / 2], [W * dt**2 / 2, W * dt]])
 
     def R(self, u):
         """(8,) measurement noise variances."""
-        from jax import numpy as jnp
-
         return jnp.asarray(self.measured_sd) ** 2

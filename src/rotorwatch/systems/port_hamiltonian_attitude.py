@@ -15,9 +15,10 @@ from __future__ import annotations
 import numpy as np
 
 from rotorwatch import checks
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.backend import jax, jnp
 from rotorwatch.errors import ConfigError
-from rotorwatch.maths import inertia
+from rotorwatch.maths import linearise, small
+from rotorwatch.maths.plant import Rotors
 
 FORCES = ("printed", "physical")
 FAULTS = ("multiplicative", "additive")
@@ -54,7 +55,7 @@ class PortHamiltonianAttitude:
         per second, a number or (6,); measurement_var [rad^2]: a number or (3,). x0 (6,), P0 (6, 6): where
         estimators start, default 0 and the identity. Raises ConfigError.
         """
-        load_jax()  # nothing of the plant may be traced before float64 is on
+        jax()  # nothing of the plant may be traced before float64 is on
         self.J = checks.covariance("J", J, 3, definite=True)
         self.B = np.eye(3) if B is None else checks.finite("B", B)
         if np.ndim(self.B) != 2 or np.shape(self.B)[0] != 3:
@@ -64,16 +65,15 @@ class PortHamiltonianAttitude:
         if not suspects or not set(suspects) <= set(range(self.n_u)) or len(set(suspects)) != len(suspects):
             raise ConfigError(f"suspects must be different inputs from 0 to {self.n_u - 1}, not {suspects}.")
         for name, value, known in (("generalised_force", generalised_force, FORCES), ("faults", faults, FAULTS)):
-            if value not in known:
-                raise ConfigError(f"{name} must be one of {', '.join(known)}, not {value!r}.")
+            checks.one_of(name, value, known)
         self.suspects, self.faults, self.generalised_force = suspects, faults, generalised_force
         self.n_theta = len(suspects)
-        self.process_var = _entries("process_var", process_var, 6)
-        self.measurement_var = _entries("measurement_var", measurement_var, 3)
+        self.process_var = linearise.variances("process_var", process_var, 6)
+        self.measurement_var = linearise.variances("measurement_var", measurement_var, 3)
         self.x0 = np.zeros(6) if x0 is None else checks.finite("x0", checks.shape("x0", x0, 6))
         self.P0 = np.eye(6) if P0 is None else checks.covariance("P0", P0, 6)
         self._spread = np.eye(self.n_u)[:, list(suspects)]  # (n_u, n_theta)
-        self._J_inverse = inertia.inverse(J)
+        self._J_inverse = small.inverse(J)
         motors = B is not None
         self.u_names = tuple(f"thrust_{i + 1}" for i in range(self.n_u)) if motors else ("M_x", "M_y", "M_z")
         self.u_units = ("N" if motors else "N m",) * self.n_u
@@ -83,15 +83,11 @@ class PortHamiltonianAttitude:
     @classmethod
     def of(cls, airframe: dict, **options) -> PortHamiltonianAttitude:
         """The plant of an airframe file with `inertia`, `[rotors]` x, y [m], spin and `drag_ratio` [m]; inputs are thrusts in N."""
-        x, y, spin = (np.array(airframe["rotors"][k], float) for k in ("x", "y", "spin"))
-        B = np.stack([-y, x, float(airframe["drag_ratio"]) * spin])
         noise = {k: airframe[k] for k in ("process_var", "measurement_var") if k in airframe}
-        return cls(np.diag(np.array(airframe["inertia"], float)), B, **{**noise, **options})
+        return cls(np.diag(np.array(airframe["inertia"], float)), Rotors.levers(airframe), **{**noise, **options})
 
     def derivative(self, x, u, theta):
         """dx/dt (6,)."""
-        from jax import numpy as jnp
-
         (phi, pitch, _), p = x[:3], x[3:]
         s, c, sp, cp = jnp.sin(phi), jnp.cos(phi), jnp.sin(pitch), jnp.cos(pitch)
         zero, one = jnp.zeros_like(phi), jnp.ones_like(phi)
@@ -113,8 +109,6 @@ class PortHamiltonianAttitude:
 
     def _force(self, s, c, sp, cp, u, theta):
         """(3,) generalised force."""
-        from jax import numpy as jnp
-
         lost = self._spread @ theta
         torque = self.B @ (u - lost if self.faults == "additive" else u * (1.0 - lost))
         if self.generalised_force == "printed":
@@ -132,19 +126,8 @@ class PortHamiltonianAttitude:
 
     def Q(self, dt):
         """(6, 6): the tuning value, per second, over dt."""
-        from jax import numpy as jnp
-
         return jnp.diag(self.process_var) * dt
 
     def R(self, u):
         """(3,) variances of the angles [rad^2]: a tuning value."""
-        from jax import numpy as jnp
-
         return jnp.asarray(self.measurement_var)
-
-
-def _entries(name: str, value, n: int):
-    """(n,) numbers that are not negative, from one or n."""
-    if np.shape(value) not in ((), (n,)):
-        raise ConfigError(f"{name} must be one number or {n} of them, not an array of the shape {np.shape(value)}.")
-    return checks.between(name, value, 0.0, np.inf) * np.ones(n)

@@ -15,13 +15,14 @@ from __future__ import annotations
 import numpy as np
 
 from rotorwatch import checks
-from rotorwatch.backend import jax as load_jax
-from rotorwatch.maths import inertia
+from rotorwatch.backend import jnp
+from rotorwatch.maths import small
+from rotorwatch.maths.plant import Rotors
 
 G = 9.80665
 
 
-class RateDynamics:
+class RateDynamics(Rotors):
     """x = omega (3,), u (n,) thrust commands, theta (n,) losses, y = (omega, f_z) (4,)."""
 
     name = "rate_dynamics"
@@ -41,16 +42,12 @@ class RateDynamics:
         lever times a second's square root). damping (3,): diagonal of D. Raises ConfigError for wrong shapes or an inertia that
         is not positive definite.
         """
-        load_jax()  # nothing of the plant may be traced before float64 is on
         n = np.shape(B_T)[0]
+        self.name_rotors(n)
         checks.shape("B_tau", B_tau, 3, n)
         self.J = checks.covariance("J", J, 3, definite=True)
-        self.J_inverse = inertia.inverse(self.J)
+        self.J_inverse = small.inverse(self.J)
         self.B_tau, self.B_T, self.m = B_tau, B_T, checks.positive("m", m)
-        self.n_u = self.n_theta = n
-        self.u_names = tuple(f"thrust_{i + 1}" for i in range(n))
-        self.u_units = ("1",) * n
-        self.theta_names = tuple(f"loss_{i + 1}" for i in range(n))
         self.gyro_sd, self.accel_sd = gyro_sd, accel_sd
         self.torque_sd = 0.02 * abs(B_tau).max(axis=1) if torque_sd is None else torque_sd
         self.damping = np.zeros(3) if damping is None else checks.shape("damping", damping, 3)
@@ -59,15 +56,12 @@ class RateDynamics:
     @classmethod
     def of(cls, airframe: dict) -> RateDynamics:
         """The plant of an airframe file with `mass`, `inertia`, `[rotors]` x, y [m], spin, `thrust_max` [N], `drag_ratio` [m]."""
-        x, y, spin = (np.array(airframe["rotors"][k], float) for k in ("x", "y", "spin"))
-        T = float(airframe["thrust_max"])
-        B_tau = T * np.stack([-y, x, float(airframe["drag_ratio"]) * spin])
-        return cls(np.diag(airframe["inertia"]).astype(float), B_tau, np.full(x.size, T), float(airframe["mass"]))
+        T, levers = float(airframe["thrust_max"]), cls.levers(airframe)
+        J, B_T = np.diag(airframe["inertia"]).astype(float), np.full(levers.shape[1], T)
+        return cls(J, T * levers, B_T, float(airframe["mass"]))
 
     def derivative(self, x, u, theta):
         """d(omega)/dt (3,) [rad/s^2]."""
-        from jax import numpy as jnp
-
         torque = self.B_tau @ (u * (1.0 - theta)) + self.tau_0
         return self.J_inverse @ (torque - jnp.cross(x, jnp.asarray(self.J) @ x) - self.damping * x)
 
@@ -78,20 +72,14 @@ class RateDynamics:
 
     def h(self, x, u, theta):
         """(omega, f_z)."""
-        from jax import numpy as jnp
-
         f_z = -(self.B_T @ (u * (1.0 - theta)) + self.F_0) / self.m
         return jnp.concatenate([x, jnp.reshape(f_z, (1,))])
 
     def Q(self, dt):
         """(3, 3): white disturbance torque over dt."""
-        from jax import numpy as jnp
-
         root = self.J_inverse * (self.torque_sd * jnp.ones(3))
         return dt * root @ root.T
 
     def R(self, u):
         """(4,) variances of gyro and accelerometer."""
-        from jax import numpy as jnp
-
         return jnp.concatenate([jnp.broadcast_to(self.gyro_sd, (3,)), jnp.reshape(self.accel_sd, (1,))]) ** 2

@@ -14,15 +14,16 @@ from __future__ import annotations
 import numpy as np
 
 from rotorwatch import checks
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.backend import jnp
 from rotorwatch.errors import ConfigError
-from rotorwatch.maths import inertia
+from rotorwatch.maths import small
+from rotorwatch.maths.plant import Rotors
 
 G = 9.80665
 POSE = ("north", "east", "down", "roll", "pitch", "yaw")
 
 
-class RigidBody:
+class RigidBody(Rotors):
     """x = (position, Euler angles, velocity, body rates) (12,), u (n,) commands in [0, 1], theta (n,) losses, y as chosen."""
 
     name = "rigid_body"
@@ -50,10 +51,10 @@ class RigidBody:
         process noise, growth of each state's variance [unit^2/s]. x0 (12,), P0 (12, 12): where an estimator starts (at the
         origin, give or take one unit). Raises ConfigError for wrong shapes, names or an inertia that is not positive definite.
         """
-        load_jax()  # nothing of the plant may be traced before float64 is on
         n = np.shape(B_T)[0]
+        self.name_rotors(n)
         self.J = checks.covariance("J", J, 3, definite=True)
-        self.J_inverse = inertia.inverse(self.J)
+        self.J_inverse = small.inverse(self.J)
         self.B_tau, self.B_T = checks.shape("B_tau", B_tau, 3, n), B_T
         self.m, self.gravity = checks.positive("m", m), gravity
         unknown = [name for name in measured if name not in self.x_names]
@@ -63,10 +64,7 @@ class RigidBody:
             )
         self.index = np.array([self.x_names.index(name) for name in measured])
         self.y_names, self.y_units = tuple(measured), tuple(self.x_units[k] for k in self.index)
-        self.n_y, self.n_u, self.n_theta = len(self.index), n, n
-        self.u_names = tuple(f"thrust_{i + 1}" for i in range(n))
-        self.u_units = ("1",) * n
-        self.theta_names = tuple(f"loss_{i + 1}" for i in range(n))
+        self.n_y = len(self.index)
         self.measured_sd = checks.positive("measured_sd", measured_sd)
         if np.ndim(measured_sd):
             checks.shape("measured_sd", measured_sd, self.n_y)
@@ -80,17 +78,13 @@ class RigidBody:
 
         `gravity`, `walk` and `measured_sd` are taken where it has them; options: the constructor's keywords, first choice.
         """
-        x, y, spin = (np.array(airframe["rotors"][k], float) for k in ("x", "y", "spin"))
-        T = float(airframe["thrust_max"])
-        B_tau = T * np.stack([-y, x, float(airframe["drag_ratio"]) * spin])
+        T, levers = float(airframe["thrust_max"]), cls.levers(airframe)
         given = {k: airframe[k] for k in ("gravity", "walk", "measured_sd") if k in airframe}
         J = np.diag(airframe["inertia"]).astype(float)
-        return cls(J, B_tau, np.full(x.size, T), float(airframe["mass"]), **(given | options))
+        return cls(J, T * levers, np.full(levers.shape[1], T), float(airframe["mass"]), **(given | options))
 
     def derivative(self, x, u, theta):
         """dx/dt (12,)."""
-        from jax import numpy as jnp
-
         angles, velocity, omega = x[3:6], x[6:9], x[9:12]
         (s_phi, s_theta, s_psi), (c_phi, c_theta, c_psi) = jnp.sin(angles), jnp.cos(angles)
         thrust = u * (1.0 - theta)
@@ -114,12 +108,8 @@ class RigidBody:
 
     def Q(self, dt):
         """(12, 12): white noise on every state over dt."""
-        from jax import numpy as jnp
-
         return dt * jnp.diag(jnp.asarray(self.walk, float))
 
     def R(self, u):
         """(n_y,) measurement variances."""
-        from jax import numpy as jnp
-
         return jnp.broadcast_to(jnp.asarray(self.measured_sd, float), (self.n_y,)) ** 2

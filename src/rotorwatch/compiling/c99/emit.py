@@ -129,6 +129,15 @@ class Emitter:
         body(names)
         self.depth -= len(keep)
 
+    def _write(self, shape, groups: list[list[int]], target: Leaf, tree, assign: str = "="):
+        """Loops that write the tree's elements to the target's."""
+        self._nest(
+            list(shape),
+            groups,
+            [tree, target],
+            lambda names: self.line(f"{self.text(target, names)} {assign} {self.text(tree, names)};"),
+        )
+
     def _store(self, x: Node, place: Place, axes_of_target: tuple[int, tuple[int, ...]] | None = None, assign="="):
         """Write all of x to a place, row-major or with (offset, steps)."""
         width = len(x.shape)
@@ -136,13 +145,8 @@ class Emitter:
         tree = self.tree(x, identity(x.shape), width)
         target = Leaf(place, offset, steps)
         self.bases.add(place.base)
-        if not x.size:
-            return
-
-        def body(names):
-            self.line(f"{self.text(target, names)} {assign} {self.text(tree, names)};")
-
-        self._nest(list(x.shape), [list(range(width))], [tree, target], body)
+        if x.size:
+            self._write(x.shape, [list(range(width))], target, tree, assign)
 
     # Statements.
 
@@ -190,12 +194,7 @@ class Emitter:
         if self.plan.local(node):
             self.line(f"const {TYPES[node.kind]} t{node.index} = {self.text(tree, [])};")
             return
-        target = Leaf(self.where(node), 0, strides(node.shape))
-
-        def body(names):
-            self.line(f"{self.text(target, names)} = {self.text(tree, names)};")
-
-        self._nest(list(node.shape), [list(range(len(node.shape)))], [tree, target], body)
+        self._write(node.shape, [list(range(len(node.shape)))], Leaf(self.where(node), 0, strides(node.shape)), tree)
 
     def _take(self, node: Node):
         table, fill = node.data
@@ -217,12 +216,7 @@ class Emitter:
         extra = tuple(
             (self.tree(s, (), width), most, step) for s, most, step in zip(starts, node.data, steps) if most > 0
         )
-        target = Leaf(place, 0, steps, extra)
-
-        def body(names):
-            self.line(f"{self.text(target, names)} = {self.text(tree, names)};")
-
-        self._nest(list(update.shape), [list(range(width))], [tree, target], body)
+        self._write(update.shape, [list(range(width))], Leaf(place, 0, steps, extra), tree)
 
     def _scatter(self, node: Node):
         table, how = node.data
@@ -250,11 +244,11 @@ class Emitter:
     def _reduce(self, node: Node):
         name, over = node.data
         x = node.args[0]
-        kept = len(x.shape) - over
+        out_rank = len(x.shape) - over
         width = len(x.shape)
         tree = self.tree(x, identity(x.shape), width)
         if name.startswith("arg"):
-            return self._extreme(node, tree, kept)
+            return self._extreme(node, tree, out_rank)
         first, combine = START[name][node.kind], ELEMENTWISE[COMBINE[name]].c[node.kind]
         if self.plan.local(node) or math.prod(node.shape) == 1:
             variable = f"t{node.index}"
@@ -268,24 +262,14 @@ class Emitter:
                 self._put(self.where(node), variable)
             return
         target = Leaf(self.where(node), 0, (*strides(node.shape), *([0] * over)))
-        zero = Leaf(self.where(node), 0, strides(node.shape))
-
-        def clear(names):
-            self.line(f"{self.text(zero, names)} = {first};")
-
-        self._nest(list(node.shape), [list(range(kept))], [zero], clear)
-
-        def accumulate(names):
-            goal = self.text(target, names)
-            self.line(f"{goal} = {combine.format(goal, self.text(tree, names))};")
-
+        self._write(node.shape, [list(range(out_rank))], Leaf(self.where(node), 0, strides(node.shape)), first)
         # What stays varies fastest: neighbouring sums grow side by side.
-        self._nest(list(x.shape), [list(range(kept, width)), list(range(kept))], [tree, target], accumulate)
+        self._write(x.shape, [list(range(out_rank, width)), list(range(out_rank))], target, (combine, [target, tree]))
 
     def _put(self, place: Place, text: str):
         self.line(f"{place.base if place.plain else f'{place.base}[{place.offset}]'} = {text};")
 
-    def _extreme(self, node: Node, tree, kept: int):
+    def _extreme(self, node: Node, tree, out_rank: int):
         """argmax, argmin along one axis: the first of equal ones; NaN counts as the extreme."""
         x, sign = node.args[0], ">" if node.data[0] == "argmax" else "<"
         width, n = len(x.shape), x.shape[-1]
@@ -297,13 +281,13 @@ class Emitter:
         self.line("{")
         self.depth += 1
         names = list(NAMES[:width])
-        for name, size in zip(names[:kept], x.shape):
+        for name, size in zip(names[:out_rank], x.shape):
             self.line(f"for (int {name} = 0; {name} < {size}; ++{name}) {{")
             self.depth += 1
-        first = self.text(tree, [*names[:kept], "0"])
+        first = self.text(tree, [*names[:out_rank], "0"])
         self.line(f"{kind} best = {first};")
         self.line(f"{index} at = 0;")
-        last = names[kept]
+        last = names[out_rank]
         self.line(f"for (int {last} = 1; {last} < {n}; ++{last}) {{")
         self.line(f"    const {kind} here = {self.text(tree, names)};")
         worse = f"here {sign} best"
@@ -311,9 +295,9 @@ class Emitter:
             worse = f"{worse} || (here != here && best == best)"
         self.line(f"    if ({worse}) {{ best = here; at = {last}; }}")
         self.line("}")
-        goal = f"t{number}" if target is None else self.text(target, [*names[:kept], "0"])
+        goal = f"t{number}" if target is None else self.text(target, [*names[:out_rank], "0"])
         self.line(f"{goal} = at;")
-        for _ in range(kept):
+        for _ in range(out_rank):
             self.depth -= 1
             self.line("}")
         self.depth -= 1
@@ -335,11 +319,8 @@ class Emitter:
                 leaf.offset += step * (n - 2)
                 leaf.steps[axis] = -step
 
-        def body(names):
-            new = ELEMENTWISE[COMBINE[name]].c[node.kind].format(self.text(here, names), self.text(before, names))
-            self.line(f"{self.text(here, names)} = {new};")
-
-        self._nest(rest, [[axis], [k for k in range(len(rest)) if k != axis]], [here, before], body)
+        others = [k for k in range(len(rest)) if k != axis]
+        self._write(rest, [[axis], others], here, (ELEMENTWISE[COMBINE[name]].c[node.kind], [here, before]))
 
     # Kernels: functions of pointers.
 

@@ -9,6 +9,7 @@ takes what does not change out of loops.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -64,9 +65,14 @@ class Node:
         return f"%{self.index}:{self.kind}{list(self.shape)} = {self.op}({', '.join(f'%{a.index}' for a in self.args)})"
 
 
+def axes_of(count: int, width: int, step: Callable[[int, int], Any], start: Callable[[int], int] = lambda i: 0):
+    """The axes of a view: index i of `count` starts at start(i) and goes step(i, j) for axis j of `width`."""
+    return tuple(Axis(int(start(i)), tuple(int(step(i, j)) for j in range(width))) for i in range(count))
+
+
 def identity(shape: tuple[int, ...]) -> tuple[Axis, ...]:
     """Every element where it is."""
-    return tuple(Axis(0, tuple(int(i == j) for j in range(len(shape)))) for i in range(len(shape)))
+    return axes_of(len(shape), len(shape), lambda i, j: i == j)
 
 
 def composed(outer: tuple[Axis, ...], inner: tuple[Axis, ...], width: int) -> tuple[Axis, ...]:
@@ -229,20 +235,12 @@ class Graph:
 
     def broadcast(self, x: Node, shape, where) -> Node:
         """x's axis i becomes axis where[i] of the result."""
-        axes = tuple(
-            Axis(0, tuple(int(j == where[i] and x.shape[i] > 1) for j in range(len(shape))))
-            for i in range(len(x.shape))
-        )
-        return self.view(x, shape, axes)
+        return self.view(x, shape, axes_of(len(x.shape), len(shape), lambda i, j: j == where[i] and x.shape[i] > 1))
 
     def sliced(self, x: Node, start, stop, step=None) -> Node:
         step = step or (1,) * len(start)
         shape = tuple(-(-(b - a) // s) for a, b, s in zip(start, stop, step))
-        axes = tuple(
-            Axis(int(a), tuple(int(s) * int(i == j) for j in range(len(shape))))
-            for i, (a, s) in enumerate(zip(start, step))
-        )
-        return self.view(x, shape, axes)
+        return self.view(x, shape, axes_of(len(start), len(shape), lambda i, j: step[i] * (i == j), lambda i: start[i]))
 
     def transposed(self, x: Node, order) -> Node:
         """Axis j of the result is axis order[j] of x."""
@@ -252,8 +250,7 @@ class Graph:
 
     def _turned(self, x: Node, order=(1, 0)) -> Node:
         shape = tuple(x.shape[k] for k in order)
-        axes = tuple(Axis(0, tuple(int(order[j] == i) for j in range(len(order)))) for i in range(len(order)))
-        return self.view(x, shape, axes)
+        return self.view(x, shape, axes_of(len(order), len(order), lambda i, j: order[j] == i))
 
     def symmetric(self, x: Node) -> bool:
         """Whether x is surely its own transpose, to the last bit: A + A', and what is made of such values element by element."""
@@ -280,10 +277,9 @@ class Graph:
         return self._symmetric[x.index]
 
     def reversed(self, x: Node, dimensions) -> Node:
-        axes = tuple(
-            Axis(n - 1 if i in dimensions else 0, tuple((-1 if i in dimensions else 1) * int(i == j) for j in range(len(x.shape))))
-            for i, n in enumerate(x.shape)
-        )  # fmt: skip
+        ends = [n - 1 if i in dimensions else 0 for i, n in enumerate(x.shape)]
+        steps = [-1 if i in dimensions else 1 for i in range(len(x.shape))]
+        axes = axes_of(len(ends), len(ends), lambda i, j: steps[i] * (i == j), lambda i: ends[i])
         return self.view(x, x.shape, axes)
 
     def reshaped(self, x: Node, shape) -> Node:
@@ -299,8 +295,7 @@ class Graph:
         old = [i for i, n in enumerate(x.shape) if n > 1]
         if [shape[j] for j in long] == [x.shape[i] for i in old]:
             place = dict(zip(old, long))
-            axes = tuple(Axis(0, tuple(int(place.get(i) == j) for j in range(len(shape)))) for i in range(len(x.shape)))
-            return self.view(x, shape, axes)
+            return self.view(x, shape, axes_of(len(x.shape), len(shape), lambda i, j: place.get(i) == j))
         root = self.stored(x)
         root = root.args[0] if root.op == "alias" else root
         return root if root.shape == shape else self.make("alias", (root,), shape, x.kind)

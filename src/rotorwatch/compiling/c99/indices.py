@@ -18,25 +18,42 @@ def filling(kind: str, params):
     return {"f": np.nan, "i": -(2**31), "l": -(2**63), "b": True}[kind]
 
 
-def gathered(shape, index: np.ndarray, params, out_shape) -> np.ndarray:
-    """(out_shape) positions in an operand of `shape` for a constant index."""
-    dims, sizes = params["dimension_numbers"], params["slice_sizes"]
-    grid = np.indices(out_shape)
-    batch = tuple(grid[d] for d in range(len(out_shape)) if d not in dims.offset_dims)
-    at, inside = [np.zeros(out_shape, int) for _ in shape], np.ones(out_shape, bool)
-    for k, d in enumerate(dims.start_index_map):
-        start, most = index[(*batch, k)].astype(int), shape[d] - sizes[d]
-        if "CLIP" in str(params["mode"]):
-            start = np.clip(start, 0, most)
-        inside &= (start >= 0) & (start <= most)
-        at[d] = start
-    for d, b in zip(dims.operand_batching_dims, dims.start_indices_batching_dims):
+def _windows(shape, dropped) -> list[int]:
+    """The operand's axes that a window runs along: all but those dropped."""
+    return [d for d in range(len(shape)) if d not in dropped]
+
+
+def _positions(
+    shape, index: np.ndarray, result, along: dict[int, int], sizes: dict[int, int], starts, batched, clip: bool
+) -> np.ndarray:
+    """(result) positions in an operand of `shape`; windows that reach outside are -1 as a whole.
+
+    along: axis of the result -> of the operand, inside a window; sizes: of a window along the operand's axes, else 1; starts: operand's
+    axis of each component of the index; batched: pairs of axes that operand and index share."""
+    grid = np.indices(result)
+    batch = tuple(grid[d] for d in range(len(result)) if d not in along)
+    at, inside = [np.zeros(result, int) for _ in shape], np.ones(result, bool)
+    for k, d in enumerate(starts):
+        start, most = index[(*batch, k)].astype(int), shape[d] - sizes.get(d, 1)
+        at[d] = np.clip(start, 0, most) if clip else start
+        inside &= (at[d] >= 0) & (at[d] <= most)
+    for d, b in batched:
         at[d] = batch[b]
-    kept = [d for d in range(len(shape)) if d not in (*dims.collapsed_slice_dims, *dims.operand_batching_dims)]
-    for o, d in zip(dims.offset_dims, kept):
+    for o, d in along.items():
         at[d] = at[d] + grid[o]
     flat = sum(s * np.where(inside, a, 0) for s, a in zip(strides(shape), at))
     return np.where(inside, flat, -1).astype(int)
+
+
+def gathered(shape, index: np.ndarray, params, out_shape) -> np.ndarray:
+    """(out_shape) positions in an operand of `shape` for a constant index."""
+    dims = params["dimension_numbers"]
+    along = zip(dims.offset_dims, _windows(shape, (*dims.collapsed_slice_dims, *dims.operand_batching_dims)))
+    batched = zip(dims.operand_batching_dims, dims.start_indices_batching_dims)
+    sizes = dict(enumerate(params["slice_sizes"]))
+    return _positions(
+        shape, index, out_shape, dict(along), sizes, dims.start_index_map, batched, "CLIP" in str(params["mode"])
+    )
 
 
 def run_time_gather(graph: Graph, shape, index: Node, params, out_shape):
@@ -48,8 +65,7 @@ def run_time_gather(graph: Graph, shape, index: Node, params, out_shape):
     steps = [[0] * width for _ in shape]
     for d, b in zip(dims.operand_batching_dims, dims.start_indices_batching_dims):
         steps[d][batch[b]] = 1
-    kept = [d for d in range(len(shape)) if d not in (*dims.collapsed_slice_dims, *dims.operand_batching_dims)]
-    for o, d in zip(dims.offset_dims, kept):
+    for o, d in zip(dims.offset_dims, _windows(shape, (*dims.collapsed_slice_dims, *dims.operand_batching_dims))):
         steps[d][o] = 1
     parts = []
     for k in range(len(dims.start_index_map)):
@@ -63,23 +79,20 @@ def run_time_gather(graph: Graph, shape, index: Node, params, out_shape):
 def scattered(shape, index: np.ndarray, params, updates_shape) -> np.ndarray:
     """(updates_shape) positions in an operand of `shape`; a window that reaches outside is dropped as a whole."""
     dims = params["dimension_numbers"]
-    grid = np.indices(updates_shape)
-    batch = tuple(grid[d] for d in range(len(updates_shape)) if d not in dims.update_window_dims)
-    window = [d for d in range(len(shape)) if d not in (*dims.inserted_window_dims, *dims.operand_batching_dims)]
-    size = dict(zip(window, (updates_shape[u] for u in dims.update_window_dims)))
-    at, inside = [np.zeros(updates_shape, int) for _ in shape], np.ones(updates_shape, bool)
-    for k, d in enumerate(dims.scatter_dims_to_operand_dims):
-        start, most = index[(*batch, k)].astype(int), shape[d] - size.get(d, 1)
-        if "CLIP" in str(params["mode"]):
-            start = np.clip(start, 0, most)
-        inside &= (start >= 0) & (start <= most)
-        at[d] = start
-    for d, b in zip(dims.operand_batching_dims, dims.scatter_indices_batching_dims):
-        at[d] = batch[b]
-    for u, d in zip(dims.update_window_dims, window):
-        at[d] = at[d] + grid[u]
-    flat = sum(s * np.where(inside, a, 0) for s, a in zip(strides(shape), at))
-    return np.where(inside, flat, -1).astype(int)
+    windows = _windows(shape, (*dims.inserted_window_dims, *dims.operand_batching_dims))
+    along = dict(zip(dims.update_window_dims, windows))
+    sizes = {d: updates_shape[u] for u, d in along.items()}
+    batched = zip(dims.operand_batching_dims, dims.scatter_indices_batching_dims)
+    return _positions(
+        shape,
+        index,
+        updates_shape,
+        along,
+        sizes,
+        dims.scatter_dims_to_operand_dims,
+        batched,
+        "CLIP" in str(params["mode"]),
+    )
 
 
 def regular(table: np.ndarray) -> tuple[int, tuple[int, ...]] | None:

@@ -91,51 +91,9 @@ def _at(offset: int, *terms: tuple[int, str]) -> str:
 
 def product(p: Product, kind: str) -> tuple[str, str]:
     """out = A B, rows four at a time, columns innermost where they lie side by side."""
-    flipped = False
     if _contiguous(p.columns, 3) < _contiguous(p.rows, 2):
-        p, flipped = p.swapped(), True
-    a, b = ("b", "a") if flipped else ("a", "b")
-    text = _Text(f"static void @({kind} *restrict out, const {kind} *a, const {kind} *b)")
-    outer = (
-        [("b", axis) for axis in p.batch]
-        + [("r", axis) for axis in p.rows[:-1]]
-        + [("c", axis) for axis in p.columns[:-1]]
-    )
-    rows = p.rows[-1] if p.rows else (1, 0, 0, 0)
-    columns = p.columns[-1] if p.columns else (1, 0, 0, 0)
-    names = [f"{letter}{k}" for k, (letter, _) in enumerate(outer)]
-    here_out = [(axis[1], name) for name, (_, axis) in zip(names, outer)]
-    here_a = [(axis[2], name) for name, (_, axis) in zip(names, outer)]
-    here_b = [(axis[3], name) for name, (_, axis) in zip(names, outer)]
-    for name, (_, axis) in zip(names, outer):
-        text.loop(name, axis[0])
-    inner_b = [(axis[3], f"k{k}") for k, axis in enumerate(p.inner)]
-    n_inner = math.prod(axis[0] for axis in p.inner)
-    pack = columns[0] > 1 and columns[3] != 1 and rows[0] >= ROWS and n_inner * columns[0] <= PACKED
-    if pack:
-        text.line(f"{kind} packed[{n_inner * columns[0]}];")
-        for k, axis in enumerate(p.inner):
-            text.loop(f"k{k}", axis[0])
-        packed_steps = strides(tuple(axis[0] for axis in p.inner))
-        text.loop("j", columns[0])
-        to = _at(0, *((columns[0] * s, f"k{k}") for k, s in enumerate(packed_steps)), (1, "j"))
-        text.line(f"packed[{to}] = {b}[{_at(0, *here_b, *inner_b, (columns[3], 'j'))}];")
-        text.end(len(p.inner) + 1)
-        b = "packed"
-        here_b = []
-        inner_b = [(columns[0] * s, f"k{k}") for k, s in enumerate(packed_steps)]
-        columns = (columns[0], columns[1], 0, 1)
-    # Three at a time where that leaves nothing over: half the code.
-    together = 3 if rows[0] % ROWS and rows[0] % 3 == 0 else ROWS
-    full = rows[0] // together * together
-    if full:
-        _block(text, p, kind, a, b, here_out, here_a, here_b, inner_b, rows, columns, ("i", full, together))
-    for left in range(full, rows[0]) if rows[0] - full < 2 else ():
-        _block(text, p, kind, a, b, here_out, here_a, here_b, inner_b, rows, columns, (str(left), 0, 1))
-    if rows[0] - full >= 2:
-        _block(text, p, kind, a, b, here_out, here_a, here_b, inner_b, rows, columns, (str(full), 0, rows[0] - full))
-    text.end(len(outer))
-    return "product", text.done()
+        return "product", _ProductText(p.swapped(), kind, "b", "a").done()
+    return "product", _ProductText(p, kind, "a", "b").done()
 
 
 def _contiguous(group, which: int) -> int:
@@ -143,59 +101,98 @@ def _contiguous(group, which: int) -> int:
     return group[-1][0] if group and group[-1][which] == 1 else 1
 
 
-def _block(text: _Text, p, kind, a, b, here_out, here_a, here_b, inner_b, rows, columns, which):
-    """`count` rows at once: from `first`, or in a loop over `first` up to `stop`."""
-    first, stop, count = which
-    J = columns[0]
-    if stop:
-        text.loop(first, stop, 0, count)
-        row = [(rows[1], first)], [(rows[2], first)], 0, 0
-    else:
-        row = [], [], rows[1] * int(first), rows[2] * int(first)
-        text.line("{")
-        text.depth += 1
-    sums = [f"s{r}" for r in range(count)]
-    wide = J > 1
-    if J > WIDE:
-        return _wide_block(text, p, kind, a, b, here_out, here_a, here_b, inner_b, rows, columns, row, count)
-    for s in sums:
-        text.line(f"{kind} {s}[{J}] = {{0}};" if wide else f"{kind} {s} = 0;")
-    inner_a = [(axis[2], f"k{k}") for k, axis in enumerate(p.inner)]
-    for k, axis in enumerate(p.inner):
-        text.loop(f"k{k}", axis[0])
-    for r, _ in enumerate(sums):
-        text.line(f"const {kind} x{r} = {a}[{_at(row[3] + r * rows[2], *here_a, *row[1], *inner_a)}];")
-    if wide:
-        text.loop("j", J)
-    text.line(f"const {kind} y = {b}[{_at(0, *here_b, *inner_b, *([(columns[3], 'j')] if wide else []))}];")
-    for r, s in enumerate(sums):
-        text.line(f"{s}{'[j]' if wide else ''} += x{r} * y;")
-    text.end(len(p.inner) + wide)
-    if wide:
-        text.loop("j", J)
-    for r, s in enumerate(sums):
-        to = _at(row[2] + r * rows[1], *here_out, *row[0], *([(columns[1], "j")] if wide else []))
-        text.line(f"out[{to}] = {s}{'[j]' if wide else ''};")
-    text.end(wide + 1)
-    return None
+class _ProductText(_Text):
+    """The lines of a product. a, b: names of its factors; rows, columns: the innermost axes of each; to, of_a, of_b: what the outer loops
+    add to an index of out, A and B; inner_a, inner_b: the same of the loops that are summed over."""
 
+    def __init__(self, p: Product, kind: str, a: str, b: str):
+        super().__init__(f"static void @({kind} *restrict out, const {kind} *a, const {kind} *b)")
+        self.kind, self.a, self.b, self.inner = kind, a, b, [axis[0] for axis in p.inner]
+        self.rows, self.columns = (group[-1] if group else (1, 0, 0, 0) for group in (p.rows, p.columns))
+        axes = [
+            (letter, axis) for letter, group in zip("brc", (p.batch, p.rows[:-1], p.columns[:-1])) for axis in group
+        ]
+        outer = [(f"{letter}{k}", axis) for k, (letter, axis) in enumerate(axes)]
+        self.to, self.of_a, self.of_b = ([(axis[k], name) for name, axis in outer] for k in (1, 2, 3))
+        self.inner_a, self.inner_b = ([(axis[k], f"k{j}") for j, axis in enumerate(p.inner)] for k in (2, 3))
+        for name, axis in outer:
+            self.loop(name, axis[0])
+        count = self.rows[0]
+        if self.columns[0] > 1 and self.columns[3] != 1 and count >= ROWS:
+            self._pack()
+        # Three at a time where that leaves nothing over: half the code.
+        together = 3 if count % ROWS and count % 3 == 0 else ROWS
+        full = count // together * together
+        if full:
+            self._block("i", full, together)
+        if count > full:
+            self._block(str(full), 0, count - full)
+        self.end(len(outer))
 
-def _wide_block(text: _Text, p, kind, a, b, here_out, here_a, here_b, inner_b, rows, columns, row, count):
-    """The same, summed in the result: too many columns for the stack."""
-    inner_a = [(axis[2], f"k{k}") for k, axis in enumerate(p.inner)]
-    goals = [f"out[{_at(row[2] + r * rows[1], *here_out, *row[0], (columns[1], 'j'))}]" for r in range(count)]
-    text.loop("j", columns[0])
-    for goal in goals:
-        text.line(f"{goal} = 0;")
-    text.end()
-    for k, axis in enumerate(p.inner):
-        text.loop(f"k{k}", axis[0])
-    for r in range(count):
-        text.line(f"const {kind} x{r} = {a}[{_at(row[3] + r * rows[2], *here_a, *row[1], *inner_a)}];")
-    text.loop("j", columns[0])
-    for r, goal in enumerate(goals):
-        text.line(f"{goal} += x{r} * {b}[{_at(0, *here_b, *inner_b, (columns[3], 'j'))}];")
-    text.end(len(p.inner) + 2)
+    def _sum(self):
+        """Loops over what is summed."""
+        for k, n in enumerate(self.inner):
+            self.loop(f"k{k}", n)
+
+    def _pack(self):
+        """A copy of the right factor whose columns lie in a row, where it is small."""
+        J, n_inner = self.columns[0], math.prod(self.inner)
+        if n_inner * J > PACKED:
+            return
+        packed = [(J * s, f"k{k}") for k, s in enumerate(strides(tuple(self.inner)))]
+        self.line(f"{self.kind} packed[{n_inner * J}];")
+        self._sum()
+        self.loop("j", J)
+        read = _at(0, *self.of_b, *self.inner_b, (self.columns[3], "j"))
+        self.line(f"packed[{_at(0, *packed, (1, 'j'))}] = {self.b}[{read}];")
+        self.end(len(self.inner) + 1)
+        self.b, self.of_b, self.inner_b, self.columns = "packed", [], packed, (J, self.columns[1], 0, 1)
+
+    def _block(self, first: str, stop: int, count: int):
+        """`count` rows at once: from `first`, or in a loop over `first` up to `stop`. They are summed in registers and stack, or in the
+        result where there are too many columns for that."""
+        _, row_out, row_a, _ = self.rows
+        J, column_out, _, column_b = self.columns
+        fixed = 0 if stop else int(first)
+        looped = [first] if stop else []
+        if stop:
+            self.loop(first, stop, 0, count)
+        else:
+            self.line("{")
+            self.depth += 1
+        wide, long = J > 1, J > WIDE
+        column = ["j"] if wide else []
+        goals = [
+            _at((fixed + r) * row_out, *self.to, *((row_out, i) for i in looped), *((column_out, j) for j in column))
+            for r in range(count)
+        ]
+        goals = [f"out[{goal}]" for goal in goals]
+        sums = goals if long else [f"s{r}{'[j]' if wide else ''}" for r in range(count)]
+        if long:
+            self.loop("j", J)
+        for r, goal in enumerate(goals):
+            zero = f"{self.kind} s{r}[{J}] = {{0}};" if wide else f"{self.kind} s{r} = 0;"
+            self.line(f"{goal} = 0;" if long else zero)
+        self.end(long)
+        self._sum()
+        for r in range(count):
+            read = _at((fixed + r) * row_a, *self.of_a, *((row_a, i) for i in looped), *self.inner_a)
+            self.line(f"const {self.kind} x{r} = {self.a}[{read}];")
+        if wide:
+            self.loop("j", J)
+        right = f"{self.b}[{_at(0, *self.of_b, *self.inner_b, *((column_b, j) for j in column))}]"
+        if not long:
+            self.line(f"const {self.kind} y = {right};")
+        for r, total in enumerate(sums):
+            self.line(f"{total} += x{r} * {right if long else 'y'};")
+        self.end(len(self.inner) + wide)
+        if not long:
+            if wide:
+                self.loop("j", J)
+            for goal, total in zip(goals, sums):
+                self.line(f"{goal} = {total};")
+            self.end(wide)
+        self.end()
 
 
 def cholesky(shape) -> tuple[str, str]:

@@ -119,9 +119,9 @@ def _equation(graph: Graph, name: str, x: list[Node], params, outvars):
 # Element by element.
 
 
-def _convert(graph, x, params, outvars):
-    to = kind(params["new_dtype"])
-    return graph.elementwise(f"to_{to}", x[0], kind=to)
+def _as(graph: Graph, x: Node, dtype) -> Node:
+    to = kind(dtype)
+    return graph.elementwise(f"to_{to}", x, kind=to)
 
 
 def _add(graph, x, params, outvars):
@@ -151,15 +151,6 @@ def _one_minus_square(graph, x, params, outvars):
     return graph.elementwise("sub", one, graph.elementwise("square", x[0], kind=x[0].kind), kind=x[0].kind)
 
 
-def _pow(graph, x, params, outvars):
-    return graph.elementwise("pow", x[0], graph.elementwise("to_f", x[1], kind="f"), kind="f")
-
-
-def _round(graph, x, params, outvars):
-    even = int(params["rounding_method"]) == 1
-    return graph.elementwise("rint" if even else "round", x[0], kind="f")
-
-
 def _select(graph, x, params, outvars):
     which, cases = x[0], x[1:]
     if which.kind == "b":
@@ -171,43 +162,23 @@ def _select(graph, x, params, outvars):
     return out
 
 
-def _clamp(graph, x, params, outvars):
-    low, middle, high = x
-    return graph.elementwise("min", graph.elementwise("max", middle, low, kind=middle.kind), high, kind=middle.kind)
-
-
 # Where elements are.
 
 
-def _broadcast(graph, x, params, outvars):
-    return graph.broadcast(x[0], params["shape"], params["broadcast_dimensions"])
-
-
-def _slice(graph, x, params, outvars):
-    return graph.sliced(x[0], params["start_indices"], params["limit_indices"], params["strides"])
+def _between(graph: Graph, x: Node, axis: int, start: int, stop: int) -> Node:
+    """x from start to stop along one axis."""
+    ends = [(start, stop) if k == axis else (0, n) for k, n in enumerate(x.shape)]
+    return graph.sliced(x, *zip(*ends))
 
 
 def _split(graph, x, params, outvars):
-    out, at, axis = [], 0, params["axis"]
-    for size in params["sizes"]:
-        start = [at if k == axis else 0 for k in range(len(x[0].shape))]
-        stop = [at + int(size) if k == axis else n for k, n in enumerate(x[0].shape)]
-        out.append(graph.sliced(x[0], start, stop))
-        at += int(size)
-    return out
+    ends = np.cumsum([int(size) for size in params["sizes"]]).tolist()
+    return [_between(graph, x[0], params["axis"], at, end) for at, end in zip([0, *ends], ends)]
 
 
 def _unstack(graph, x, params, outvars):
-    axis, out = params["axis"], []
-    for at, var in enumerate(outvars):
-        start = [at if k == axis else 0 for k in range(len(x[0].shape))]
-        stop = [at + 1 if k == axis else n for k, n in enumerate(x[0].shape)]
-        out.append(graph.reshaped(graph.sliced(x[0], start, stop), var.aval.shape))
-    return out
-
-
-def _reshape(graph, x, params, outvars):
-    return graph.reshaped(x[0], outvars[0].aval.shape)
+    pieces = (_between(graph, x[0], params["axis"], at, at + 1) for at in range(len(outvars)))
+    return [graph.reshaped(piece, var.aval.shape) for piece, var in zip(pieces, outvars)]
 
 
 def _stack(graph, x, params, outvars):
@@ -335,16 +306,16 @@ def _scattered(graph, operand, updates, table, how):
 def _reduction(name: str):
     def reduce(graph, x, params, outvars):
         axes = tuple(int(a) for a in params["axes"])
-        kept = [k for k in range(len(x[0].shape)) if k not in axes]
-        turned = graph.transposed(x[0], [*kept, *axes])
+        remaining = [k for k in range(len(x[0].shape)) if k not in axes]
+        turned = graph.transposed(x[0], [*remaining, *axes])
         known = value(turned)
-        last = tuple(range(len(kept), len(turned.shape)))
+        last = tuple(range(len(remaining), len(turned.shape)))
         out = outvars[0].aval
         if known is not None:
             fold = {"sum": np.sum, "prod": np.prod, "max": np.max, "min": np.min, "and": np.all, "or": np.any}.get(name)
             if fold is not None:
                 return graph.const(np.asarray(fold(known, axis=last)).astype(NUMPY[turned.kind]))
-        if all(n == 1 for n in turned.shape[len(kept) :]) and not name.startswith("arg"):
+        if all(n == 1 for n in turned.shape[len(remaining) :]) and not name.startswith("arg"):
             return graph.reshaped(turned, out.shape)
         return graph.make("reduce", (turned,), out.shape, kind(out.dtype), (name, len(axes)))
 
@@ -366,8 +337,7 @@ def _cumulative(name: str):
 def _dot_general(graph, x, params, outvars):
     """Arguments are turned to (batch, free, contracted) and (batch, contracted, free)."""
     ((over_a, over_b), (batch_a, batch_b)) = params["dimension_numbers"]
-    to = kind(outvars[0].aval.dtype)
-    a, b = (graph.elementwise(f"to_{to}", one, kind=to) for one in x)
+    a, b = (_as(graph, one, outvars[0].aval.dtype) for one in x)
     free_a = [k for k in range(len(a.shape)) if k not in (*over_a, *batch_a)]
     free_b = [k for k in range(len(b.shape)) if k not in (*over_b, *batch_b)]
     a, b = graph.transposed(a, [*batch_a, *free_a, *over_a]), graph.transposed(b, [*batch_b, *over_b, *free_b])
@@ -388,10 +358,6 @@ def _dot_general(graph, x, params, outvars):
         if simple is not None:
             return simple
     return graph.make("dot", (a, b), shape, a.kind, (n_batch, n_over))
-
-
-def _cholesky(graph, x, params, outvars):
-    return graph.make("cholesky", (x[0],), x[0].shape, "f")
 
 
 def _triangular_solve(graph, x, params, outvars):
@@ -503,20 +469,31 @@ def _free(outputs, regions) -> tuple[Node, ...]:
 
 
 SPECIAL = {
-    "add": _add, "add_any": _add,
-    "convert_element_type": _convert, "integer_pow": _integer_pow, "one_minus_square": _one_minus_square, "pow": _pow,
-    "round": _round, "select_n": _select, "clamp": _clamp,
-    "broadcast_in_dim": _broadcast, "slice": _slice, "split": _split, "reshape": _reshape, "squeeze": _reshape,
-    "expand_dims": _reshape, "stack": _stack, "unstack": _unstack,
-    "pad": _pad, "tile": _tile, "iota": _iota, "gather": _gather, "dynamic_slice": _dynamic_slice,
-    "dynamic_update_slice": _dynamic_update_slice, "scatter": _scatter("set"),
+    # Element by element.
+    "add": _add, "add_any": _add, "integer_pow": _integer_pow, "one_minus_square": _one_minus_square, "select_n": _select,
+    "convert_element_type": lambda graph, x, params, outvars: _as(graph, x[0], params["new_dtype"]),
+    "pow": lambda graph, x, params, outvars: graph.elementwise("pow", x[0], _as(graph, x[1], float), kind="f"),
+    "round": lambda graph, x, params, outvars: graph.elementwise(
+        "rint" if int(params["rounding_method"]) == 1 else "round", x[0], kind="f"),
+    "clamp": lambda graph, x, params, outvars: graph.elementwise(
+        "min", graph.elementwise("max", x[1], x[0], kind=x[1].kind), x[2], kind=x[1].kind),
+    # Where elements are.
+    "broadcast_in_dim": lambda graph, x, params, outvars: graph.broadcast(x[0], params["shape"], params["broadcast_dimensions"]),
+    "slice": lambda graph, x, params, outvars: graph.sliced(
+        x[0], params["start_indices"], params["limit_indices"], params["strides"]),
+    **dict.fromkeys(("reshape", "squeeze", "expand_dims"),
+                    lambda graph, x, params, outvars: graph.reshaped(x[0], outvars[0].aval.shape)),
     "transpose": lambda graph, x, params, outvars: graph.transposed(x[0], params["permutation"]),
     "rev": lambda graph, x, params, outvars: graph.reversed(x[0], params["dimensions"]),
     "concatenate": lambda graph, x, params, outvars: graph.concat(x, params["dimension"]),
+    "split": _split, "stack": _stack, "unstack": _unstack, "pad": _pad, "tile": _tile, "iota": _iota, "gather": _gather,
+    "dynamic_slice": _dynamic_slice, "dynamic_update_slice": _dynamic_update_slice, "scatter": _scatter("set"),
     **{f"scatter-{how}": _scatter(how) for how in ("add", "mul", "min", "max")}, "scatter_add": _scatter("add"),
+    # Many to one, linear algebra, control.
     **{f"reduce_{how}": _reduction(how) for how in ("sum", "prod", "max", "min", "and", "or")},
     "argmax": _reduction("argmax"), "argmin": _reduction("argmin"),
     "cumsum": _cumulative("sum"), "cumprod": _cumulative("prod"), "cummax": _cumulative("max"), "cummin": _cumulative("min"),
-    "dot_general": _dot_general, "cholesky": _cholesky, "triangular_solve": _triangular_solve,
+    "dot_general": _dot_general, "triangular_solve": _triangular_solve,
+    "cholesky": lambda graph, x, params, outvars: graph.make("cholesky", (x[0],), x[0].shape, "f"),
     "platform_index": _platform_index, "cond": _cond, "scan": _scan,
 }  # fmt: skip

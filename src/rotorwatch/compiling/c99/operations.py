@@ -6,7 +6,9 @@ functions only; integers wrap around and convert as XLA has it, where C leaves t
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -149,25 +151,8 @@ def _saturated(a, to):
 
 FUNCTIONS = (*_UNARY, *_INVERSE, "fabs", "fmod", "round", "rint", "erf", "erfc", "pow", "atan2", "hypot")
 
-# What the source needs of these; project.py keeps the lines that are used.
+# What the source needs of these, by name; project.py keeps the functions that are used.
 HELPERS = {
-    "r_max": "static inline real r_max(real a, real b) { return a > b || a != a ? a : b; }",
-    "r_min": "static inline real r_min(real a, real b) { return a < b || a != a ? a : b; }",
-    "r_square": "static inline real r_square(real a) { return a * a; }",
-    "r_sign": "static inline real r_sign(real a) { return a > 0 ? R(1.0) : a < 0 ? R(-1.0) : a; }",
-    "r_finite": "static inline bool r_finite(real a) { return a - a == 0; }",
-    "i_abs": "static inline int32_t i_abs(int32_t a) { return a < 0 ? (int32_t)(0u - (uint32_t)a) : a; }",
-    "l_abs": "static inline int64_t l_abs(int64_t a) { return a < 0 ? (int64_t)((uint64_t)0 - (uint64_t)a) : a; }",
-    "i_div": "static inline int32_t i_div(int32_t a, int32_t b)\n"
-    "{\n    return b == 0 ? -1 : b == -1 ? (int32_t)(0u - (uint32_t)a) : a / b;\n}",
-    "i_rem": "static inline int32_t i_rem(int32_t a, int32_t b) { return b == 0 ? a : b == -1 ? 0 : a % b; }",
-    "l_div": "static inline int64_t l_div(int64_t a, int64_t b)\n"
-    "{\n    return b == 0 ? -1 : b == -1 ? (int64_t)((uint64_t)0 - (uint64_t)a) : a / b;\n}",
-    "l_rem": "static inline int64_t l_rem(int64_t a, int64_t b) { return b == 0 ? a : b == -1 ? 0 : a % b; }",
-    "i_of": "static inline int32_t i_of(real a)\n{\n    return a != a ? 0 : a >= R(2147483647.0) ? INT32_MAX : "
-    "a <= R(-2147483648.0) ? INT32_MIN : (int32_t)a;\n}",
-    "l_of": "static inline int64_t l_of(real a)\n{\n    return a != a ? 0 : a >= R(9223372036854775807.0) ? INT64_MAX : "
-    "a <= R(-9223372036854775808.0) ? INT64_MIN : (int64_t)a;\n}",
-    "i_clamp": "static inline int32_t i_clamp(int64_t a, int32_t most)\n"
-    "{\n    return a < 0 ? 0 : a > most ? most : (int32_t)a;\n}",
+    re.search(r"(\w+)\(", text)[1]: text.rstrip("\n")  # pyright: ignore[reportOptionalSubscript]
+    for text in Path(__file__).with_name("helpers.h").read_text("utf-8").split("\n\n")[1:]
 }

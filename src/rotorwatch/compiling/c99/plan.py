@@ -263,8 +263,8 @@ class Plan:
         An element is read before the same one is written. A step that changes a large matrix a little, several times, needs no second one.
         """
         while node.op in ELEMENTWISE and node.size >= LARGE:
-            kept = [x for x in self._same_elements(node) if self.last.get(x.index, 0) == self.end[node.index]]
-            usable = [x for x in kept if self._may_go(x, node, also_input)]
+            last_reads = [x for x in self._same_elements(node) if self.last.get(x.index, 0) == self.end[node.index]]
+            usable = [x for x in last_reads if self._may_go(x, node, also_input)]
             if not usable:
                 return
             node = usable[0]

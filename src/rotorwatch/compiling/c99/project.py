@@ -12,12 +12,14 @@ import math
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
+from string import Template
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from rotorwatch import __version__
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.backend import jax
 from rotorwatch.compiling.c99.emit import Emitter, literal
 from rotorwatch.compiling.c99.graph import Graph, Node
 from rotorwatch.compiling.c99.lower import lower
@@ -25,6 +27,8 @@ from rotorwatch.compiling.c99.operations import FUNCTIONS, HELPERS, NUMPY, TYPES
 from rotorwatch.compiling.c99.plan import WORKSPACE, Place, Plan
 
 WIDTH = 120
+RESERVED = ("int", "double", "float", "short", "long", "register", "default")
+HEADER = Template(Path(__file__).with_name("header.h.in").read_text("utf-8"))
 
 
 class Field(NamedTuple):
@@ -67,20 +71,11 @@ class Program:
 
 def fields(tree: Any, notes: dict[str, str] | None = None) -> tuple[Field, ...]:
     """The leaves of a pytree of arrays, named after where they are in it; reserved words and twins get a tail."""
-    jax = load_jax()
     found: list[Field] = []
     for path, leaf in jax.tree_util.tree_flatten_with_path(tree)[0]:
         name = "_".join(_key(part) for part in path) or "value"
         name = name if name[0].isalpha() else f"_{name}"
-        while name in {f.name for f in found} or name in (
-            "int",
-            "double",
-            "float",
-            "short",
-            "long",
-            "register",
-            "default",
-        ):
+        while name in {f.name for f in found} or name in RESERVED:
             name += "_"
         shape, dtype = np.shape(leaf), np.asarray(leaf).dtype if not hasattr(leaf, "dtype") else leaf.dtype
         found.append(Field(name, kind(dtype), shape, (notes or {}).get(name, "")))
@@ -108,7 +103,6 @@ def make(
     parameters: a pytree of arrays (values do not matter), empty when everything is constant. notes: what the header says of a field.
     about: the header's first words. Raises Refused for what has no counterpart in C.
     """
-    jax = load_jax()
     notes = notes or {}
     carry = jax.eval_shape(init, parameters) if init else jax.tree.map(np.asarray, carry)
     example = [jax.ShapeDtypeStruct(f.shape, NUMPY[f.kind]) for f in inputs]
@@ -231,80 +225,32 @@ def arguments(name: str, structs, inputs: tuple[Field, ...], many: bool = False)
 
 
 def _header(name, about, digest, structs, inputs, sizes, starts: bool) -> str:
-    guard = f"ROTORWATCH_{name.upper()}_H"
-    made = f"rotorwatch {__version__}, definition {digest}. Made by `rotorwatch export-c`; not to be edited."
-    lines = [f"/* {about or name}", "", f"   {made}", ""]
-    lines += [
-        *_prose(inputs),
-        "*/",
-        f"#ifndef {guard}",
-        f"#define {guard}",
-        "",
-        "#include <stdbool.h>",
-        "#include <stdint.h>",
-        "",
-    ]
-    lines += [
-        "/* Define ROTORWATCH_FLOAT for single precision, in every file that includes this one. */",
-        "#ifndef ROTORWATCH_REAL",
-        "#define ROTORWATCH_REAL",
-        "#ifdef ROTORWATCH_FLOAT",
-        "typedef float rw_real;",
-        "#else",
-        "typedef double rw_real;",
-        "#endif",
-        "#endif",
-        "",
-        "#ifdef __cplusplus",
-        "#define restrict",
-        'extern "C" {',
-        "#endif",
-        "",
-        f'#define {name.upper()}_VERSION "{__version__}"',
-        f'#define {name.upper()}_DEFINITION "{digest}"',
-        "",
-    ]
     meaning = {
         "parameters": "What it is built from.",
         "state": "What it remembers from one step to the next.",
         "out": "What one step says.",
     }
+    lines: list[str] = []
     for kind_, group in structs.items():
-        if kind_ == "parameters" and not group:
-            continue
-        lines += [f"/* {meaning[kind_]} Matrices row by row. */", "typedef struct {"]
-        lines += [_member(f) for f in group if f.size] or ["    char nothing;"]
-        lines += [f"}} {name}_{kind_};", ""]
-    lines += ["/* Room for what is computed on the way; nothing in it outlives a step. */", "typedef struct {"]
-    members = [f"    {Field(WORKSPACE[k], k, (n,)).declared};" for k, n in sizes.items() if n]
-    lines += [*(members or ["    char nothing;"]), f"}} {name}_workspace;", ""]
+        if group or kind_ != "parameters":
+            members = [_member(f) for f in group if f.size] or ["    char nothing;"]
+            lines += [f"/* {meaning[kind_]} Matrices row by row. */", "typedef struct {", *members]
+            lines += [f"}} {name}_{kind_};", ""]
+    workspace = [f"    {Field(WORKSPACE[k], k, (n,)).declared};" for k, n in sizes.items() if n]
+    first = f"/* The state before the first step. */\n{_init_head(name, structs)};\n\n"
+    steps = (_signature(f"void {name}_{k}", arguments(name, structs, inputs, k == "run"), ";") for k in ("step", "run"))
+    step, run = ("\n".join(lines) for lines in steps)
+    prose = (f"     {f.name}[{f.size}]  {f.note}" if f.shape else f"     {f.name}  {f.note}" for f in inputs)
+    return HEADER.substitute(
+        about=about or name, version=__version__, digest=digest, NAME=name.upper(), name=name, inputs="\n".join(prose),
+        structs="\n".join(lines), workspace="\n".join(workspace or ["    char nothing;"]), init=first if starts else "", step=step, run=run,
+    )  # fmt: skip
+
+
+def _init_head(name: str, structs) -> str:
+    """NAME_init and its arguments."""
     parameters = f", const {name}_parameters *parameters" if structs["parameters"] else ""
-    if starts:
-        first = f"void {name}_init({name}_state *restrict state{parameters}, {name}_workspace *restrict work);"
-        lines += ["/* The state before the first step. */", first, ""]
-    lines += [
-        "/* One step. What is not valid may hold anything. */",
-        *_signature(f"void {name}_step", arguments(name, structs, inputs), ";"),
-        "",
-        "/* A step for each row of inputs, into a row of out each. */",
-        *_signature(f"void {name}_run", arguments(name, structs, inputs, True), ";"),
-        "",
-        "#ifdef __cplusplus",
-        "}",
-        "#undef restrict",
-        "#endif",
-        "",
-        "#endif",
-        "",
-    ]
-    return "\n".join(lines)
-
-
-def _prose(inputs) -> list[str]:
-    return [
-        "   Inputs of a step:",
-        *(f"     {f.name}[{f.size}]  {f.note}" if f.shape else f"     {f.name}  {f.note}" for f in inputs),
-    ]
+    return f"void {name}_init({name}_state *restrict state{parameters}, {name}_workspace *restrict work)"
 
 
 def _member(f: Field) -> str:
@@ -336,9 +282,7 @@ def _source(name, digest, structs, inputs, step: _C, init: _C | None) -> str:
     lines += ["", *helpers, ""] if helpers else [""]
     if init is not None:
         init = _renamed(init, "i_")
-        parameters = f", const {name}_parameters *parameters" if structs["parameters"] else ""
-        lines += [*init.tables, *init.kernels, ""]
-        lines += [f"void {name}_init({name}_state *restrict state{parameters}, {name}_workspace *restrict work)", "{"]
+        lines += [*init.tables, *init.kernels, "", _init_head(name, structs), "{"]
         lines += [*_opening(init, structs, ()), *init.lines, "}", ""]
     lines += [*step.tables, *step.kernels, ""]
     lines += [*_signature(f"void {name}_step", arguments(name, structs, inputs), ""), "{"]
@@ -376,7 +320,7 @@ def _renamed(c: _C, prefix: str) -> _C:
 
 
 def _opening(c: _C, structs, inputs) -> list[str]:
-    """Shorter names of the workspace's members; what is not used is said to be so."""
+    """Shorter names of the workspace's members; what is not used is marked as unused."""
     text = "\n".join(c.lines)
     lines = []
     for k, member in WORKSPACE.items():
