@@ -94,7 +94,9 @@ def test_a_log_replayed_gives_the_events_of_diagnose(name):
     assert len(found) == len(wanted)
     for one, other in zip(found, sorted(wanted, key=lambda e: (e["detected_s"], e["kind"], e["rotors"]))):
         near = ["loss", "interval", "loss_2s", "probability"]
-        if one["kind"] == "output_override":  # one that lasts until an impact ends with it, or with the first outputs after it
+        if (
+            one["kind"] == "output_override"
+        ):  # one that lasts until an impact ends with it, or with the first outputs after it
             near.append("end_s")
             np.testing.assert_allclose(one["end_s"] or np.inf, other["end_s"] or np.inf, rtol=0.0, atol=0.2)
         assert {k: v for k, v in one.items() if k not in near} == {k: v for k, v in other.items() if k not in near}
