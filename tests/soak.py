@@ -140,7 +140,7 @@ def soak(minutes: float, folder: Path, count: int = 8, seed: int = 0, flight_s: 
     """What came of so many minutes of vehicle time."""
     found, began = Count(), time.monotonic()
     flights, kept = Flights(str(folder / "fleet.db")), []
-    keeper = flights.keeper(kept.append, found.trouble.append)
+    keeper = flights.store_writer(kept.append, found.trouble.append)
     feed, now, wire = live.Feed(keeper.keep), [0.0], Wire()
     link = Link(wire, feed.tell, talks=False, record=folder, clock=lambda: now[0])
     source = live.Guarded(wire.name, link, feed)

@@ -192,7 +192,7 @@ def test_a_flight_is_kept_whatever_fails_around_the_store(tmp_path, monkeypatch)
 
     monkeypatch.setattr(flights_of, "AGAIN_S", 0.001)
     kept = []
-    keeper = flights_of.Keeper(Gone(), fails, mute, tmp_path)
+    keeper = flights_of.StoreWriter(Gone(), fails, mute, tmp_path)
     for digit in "01":
         keeper.keep(Entry(digit * 64, "", "udp:1/1", 0))
     until = time.monotonic() + 10.0
@@ -427,12 +427,12 @@ def test_a_flight_that_the_store_did_not_take_is_kept_by_the_next_server(tmp_pat
     entry = Entry("a" * 64, "", "udp:1/1", 0, diagnosis={"verdict": "healthy", "losses": [0.1]})
     with monkeypatch.context() as gone:
         gone.setattr(flights, "keep", lambda entry: 1 / 0)
-        keeper = flights.keeper(told.append, said.append)
+        keeper = flights.store_writer(told.append, said.append)
         keeper.keep(entry)
         keeper.stop()
     assert told == [] and "not in the list yet" in said[0]
     (flights.folder("heard") / "torn.json").write_text('{"hash": "b')
-    keeper = flights.keeper(told.append, said.append)
+    keeper = flights.store_writer(told.append, said.append)
     keeper.stop()
     assert [row["hash"] for row in told] == [entry.hash] and flights.diagnosis(entry.hash) == entry.diagnosis
     assert [path.name for path in flights.folder("heard").iterdir()] == ["torn.json"]

@@ -173,7 +173,11 @@ def test_certainty_is_how_often_it_is_right():
         flight = drawn(rng, QUAD, *spreads, share=share, extra_yaw=yaw, shift=shift)
         flight = replace(flight, share=tuple(np.exp(weight) * np.array(flight.share)))
         baseline = [drawn(rng, QUAD, *spreads) for _ in range((2, 3, 6)[k % 3])]
-        found = wf._weigh(*wf._difference(flight, baseline), wf._mean_share(baseline), QUAD)
+        found = wf._weigh(
+            *wf._difference(flight, baseline),
+            np.mean([np.array(one.share) / np.mean(one.share) for one in baseline], axis=0),
+            QUAD,
+        )
         total = sum(h.weight for h in found)
         for rotor in range(4):
             said.append(sum(h.weight for h in found if rotor + 1 in h.rotors) / total)
