@@ -201,7 +201,9 @@ def mhe_vs_nlp(system: RateDynamics, flown: flights.Flight) -> float:
     u, y = flown.u[0, 0, 0, rows], flown.y[0, 0, 0, rows]
     quick = MHE(system, flights.DT, nodes=NLP_NODES, bounds=TIGHT)
     valid = jnp.ones(4, bool)
-    carry, _ = jax.jit(lambda u, y: jax.lax.scan(lambda c, r: quick.step(c, *r, valid), quick.init(), (u, y)))(u, y)
+    carry, _ = jax.jit(lambda u, y: jax.lax.scan(lambda c, r: quick.step(c, r[0], r[1], valid), quick.init(), (u, y)))(
+        u, y
+    )
     thorough = MHE(system, flights.DT, nodes=NLP_NODES, bounds=TIGHT, iterations=6, active_set=4)
     solve = jax.jit(thorough.solve)
     nodes, force = carry.nodes, carry.force
