@@ -100,6 +100,20 @@ def whole_numbers(a: int, b: int, out: Ints) -> None:
     out[5] = COUNT - a // (b + 1)
 
 
+def bits(a: int, b: int, k: int, out: Ints) -> None:
+    out[0] = a & b | 3 ^ a
+    out[1] = a & ~b
+    out[2] = (a << k) | b >> k + 1
+    out[3] = -1 - a ^ b
+    out[4] = a if a & 1 << k else b
+    c = a
+    c |= 1 << k
+    c &= ~b
+    c ^= 5
+    c <<= 2
+    out[5] = c >> 1
+
+
 def truths(x: Real, y: Real, k: int, out: Flags) -> None:
     out[0] = x < y <= 2.0
     out[1] = x < y and not k > 3 or y == x
@@ -242,6 +256,12 @@ def test_whole_numbers(made, a, b):
 
 
 @settings(max_examples=100, deadline=None)
+@given(st.integers(0, 2**24), st.integers(0, 2**24), st.integers(0, 6))
+def test_bits(made, a, b, k):
+    both(made, "bits", "int", 6, a, b, k)
+
+
+@settings(max_examples=100, deadline=None)
 @given(ANY, ANY, st.integers(0, 5))
 def test_conditions(made, x, y, k):
     both(made, "truths", "flag", 6, x, y, k)
@@ -291,8 +311,9 @@ NOT_C = {
     "y = [1.0, 2.0]": "List is not C",
     "y = x ** 2.0": "product instead of a power",
     "y = +x": "this sign is not C",
-    "y = k << 2": "this operation is not C",
-    "k |= 2": "this operation is not C",
+    "y = x << 2": "bits are of whole numbers",
+    "x |= 2": "this operation is not C",
+    "y = ~x": "this sign is not C",
     "y = x is None": "this comparison is not C",
     "y = 'text'": "is no number",
     "y, z = x, x": "not C",

@@ -26,6 +26,7 @@ BINARY = {
     ast.Mod: ("%", 7),
     ast.FloorDiv: ("/", 7),
 }
+BITS = {ast.BitAnd: "&", ast.BitOr: "|", ast.BitXor: "^", ast.LShift: "<<", ast.RShift: ">>"}  # of whole numbers
 COMPARE = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
 BUILTIN = (
     "sqrt",
@@ -174,9 +175,9 @@ class Body:
         if isinstance(node, ast.AugAssign):
             target, value = self.expression(node.target), self.expression(node.value)
             self.change(target.root)
-            if type(node.op) not in BINARY:
+            if type(node.op) not in BINARY and (type(node.op) not in BITS or target.type.base != "int"):
                 raise self.wrong(node, "this operation is not C")
-            sign = BINARY[type(node.op)][0]
+            sign = BITS[type(node.op)] if type(node.op) in BITS else BINARY[type(node.op)][0]
             return [f"{target.text} {sign}= {self.cast(value, target.type)};"]
         if isinstance(node, ast.Return):
             return [
@@ -359,6 +360,8 @@ class Body:
             return Code(f"!{one.within(14)}", Type("flag"), 14)
         if isinstance(node.op, ast.USub):
             return Code(f"-{one.within(14)}", one.type, 14)
+        if isinstance(node.op, ast.Invert) and one.type.base in ("int", "ilit"):
+            return Code(f"~{one.within(14)}", one.type, 14)
         raise self.wrong(node, "this sign is not C")
 
     def join(self, a: Code, b: Code) -> Type:
@@ -376,9 +379,14 @@ class Body:
     def on_binop(self, node: ast.BinOp) -> Code:
         if isinstance(node.op, ast.Pow):
             raise self.wrong(node, "write a product instead of a power")
-        if type(node.op) not in BINARY:
+        if type(node.op) not in BINARY and type(node.op) not in BITS:
             raise self.wrong(node, "this operation is not C")
         left, right = self.expression(node.left), self.expression(node.right)
+        if type(node.op) in BITS:
+            what = self.join(left, right)
+            if what.base not in ("int", "ilit"):
+                raise self.wrong(node, "bits are of whole numbers")
+            return Code(f"({left.within(15)} {BITS[type(node.op)]} {right.within(15)})", what)
         sign, tight = BINARY[type(node.op)]
         what = self.join(left, right)
         if isinstance(node.op, ast.Div) and what.base in ("int", "ilit"):

@@ -14,7 +14,8 @@ order, so that double precision gives the same bits.
             self.total += value
             self.count += 1
 
-Real: a number in the library's precision, float on small boards. Time: seconds or sums, always double. int: 32 bits.
+Real: a number in the library's precision, float on small boards. Time: seconds or sums, always double. int: 32 bits; sums, products
+and `<<` must stay within them, and `//` and `%` are of numbers that are not negative: Python and C differ beyond.
 """
 
 from __future__ import annotations
