@@ -29,7 +29,7 @@ from test_shipped import SAMPLE
 IMPORTS = (
     "from __future__ import annotations\n"
     "from rotorwatch.compiling.structs import *\n"
-    "from rotorwatch.compiling.structs import FLAG, INT, LASTS, NAN, REAL, TIME\n"
+    "from rotorwatch.compiling.structs import FLAG, INT, LASTS, MASK, NAN, REAL, TIME\n"
 )
 SOURCE = '''
 from made_sizes import COUNT
@@ -53,6 +53,8 @@ class Outer(Struct):
     several = array(Inner, 3)
     rows = array(REAL, 2, COUNT, fill=0.25)
     many = array(INT, COUNT)
+    sets = array(MASK, 3)
+    least: Small = -4
 
     def add(self, x: Real, k: int) -> None:
         """One more."""
@@ -64,6 +66,11 @@ class Outer(Struct):
         self.inner.on = not self.inner.on
         self.inner.time = max(self.inner.time, x)
         self.many[k] += int(self._most(k))
+        self.sets[k] |= 1 << 13 + k
+        self.sets[0] = self.sets[k] ^ self.sets[2]
+        self.least += max(k - 1, self.least) + abs(self.least)
+        both = self.sets[1] & ~self.sets[0]
+        self.many[0] += (-self.least if self.least < self.sets[1] else both) - both // 3
 
     def shuffle(self) -> None:
         copy(self.inner, self.several[1])

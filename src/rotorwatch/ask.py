@@ -224,7 +224,7 @@ def _of_log(subject: Any, vehicle: Vehicle | None) -> tuple[str, np.ndarray, ask
         raise ConfigError("The log shows no flight with motor outputs, so there is nothing to ask of it.")
     B = craft.effectiveness()
     carry, out = estimate(table, B)
-    unsure = [e for e in events.read(out, table, hypotheses.make(B.shape[1]), B) if e.alternatives]
+    unsure = [e for e in events.read(out, table, B) if e.alternatives]
     sets = asked.candidates(unsure[-1], B) if unsure else asked.suspects(carry, out, table, B)
     if not sets:
         raise ConfigError(

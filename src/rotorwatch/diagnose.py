@@ -21,7 +21,7 @@ from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.healthy import baselines, population
 from rotorwatch.healthy.baselines import Given
-from rotorwatch.motion import outside, ticks, trust
+from rotorwatch.motion import ticks, trust
 from rotorwatch.motion.airborne import airborne, gaps
 from rotorwatch.motion.ticks import JUDGE, READY_KNOWN_S, READY_S, Ticks, observe
 from rotorwatch.published import decide, published
@@ -126,18 +126,15 @@ def diagnose(
         assumptions += published.notes(discovery.title(estimator))
         limit = 0.5 * decide.SIGMAS**2
     lap("estimate_s")
-    losses = events.read(out, table, hyp, B)
+    losses = events.read(out, table, B)
     if own:
         losses, settled = asked.settle(losses, table, B, dynamics)
         assumptions += settled
     if last is not None and not known:  # healthy flights would have told what happened in the blind time
-        losses = hindsight.join(losses, hindsight.find(last, table, hyp, B))
-    overrides = outside.overrides(flight, craft, air, table)
-    losses = outside.unexplained(losses, overrides)
-    faint = tuple(e for e in losses if not events.accuses(e))
-    losses = tuple(events.one_arm(e, B) for e in losses if events.accuses(e))
-    contacts = outside.contacts(table, air)
-    found = upset.events(upsets, (*losses, *overrides, *contacts), n)
+        losses = hindsight.join(losses, hindsight.find(last, table, B))
+    overrides = events.overrides(flight, craft, air, table)
+    faint = tuple(e for e in events.unexplained(losses, overrides) if not events.accuses(e))
+    found = upset.events(upsets, events.Report(B).add(table, air).finish(air).events(losses, overrides), n)
     found, notes = consistency.check(flight, craft, air, table, found)
     warnings += notes
     lap("events_s")

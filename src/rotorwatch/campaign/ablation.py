@@ -37,7 +37,6 @@ from rotorwatch.diagnosis import Event
 from rotorwatch.errors import ConfigError
 from rotorwatch.experiments import inject, tools
 from rotorwatch.experiments.studies import false_alarms
-from rotorwatch.motion import outside
 from rotorwatch.motion.airborne import airborne
 from rotorwatch.motion.ticks import JUDGE, READY_S, Ticks, observe
 
@@ -233,8 +232,8 @@ def outcomes(case: Case, kept: program.Kept) -> dict[str, Any]:
     """What became of one flight: states (see sequences.py); false: announcements of rotors none of which is weak; hours judged; delays
     of faults, None where not found soon; errors of the losses of weak rotors in right states, and whether their intervals held them."""
     table, theta = case.ticks, case.theta
-    found = events.read(kept, table, hypotheses.make(case.B.shape[1]), case.B)
-    found = outside.unexplained(found, case.overrides)
+    found = events.read(kept, table, case.B)
+    found = events.unexplained(found, case.overrides)
     read_out: list[tuple[float, str]] = [(s.at, s.outcome) for s in sequences.states(case, found)]
 
     def weak_at(t: float) -> set[int]:

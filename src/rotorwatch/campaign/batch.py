@@ -26,7 +26,6 @@ from rotorwatch.errors import ConfigError
 from rotorwatch.experiments import limits
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch.motion import outside
 from rotorwatch.motion.airborne import airborne
 from rotorwatch.motion.ticks import GROUND, LAG_S, READY_S, Ticks, observe
 from rotorwatch.simulation import logbook
@@ -91,12 +90,12 @@ def rows(
     B = flown[0].vehicle.effectiveness()
     if any(not np.array_equal(f.vehicle.effectiveness(), B) for f in flown):
         raise ConfigError("flights of one batch must have the same geometry; name the frame by a choice.")
-    hyp, found = hypotheses.make(B.shape[1]), []
+    found = []
     bounds = _bounds(flown, B, size)
     published = [name for name in plan.estimators if name != "default"]
 
     def row(label: str, f: Flown, kept, statistic, bound) -> dict:
-        seen = all_events(f, events.read(kept, f.ticks, hyp, B), f.upsets if label == "default" else ())
+        seen = all_events(f, events.read(kept, f.ticks, B), f.upsets if label == "default" else ())
         return score.estimator(label, f, kept, statistic, seen, bound, plan)
 
     if "default" in plan.estimators:
@@ -164,7 +163,7 @@ def look(number: int, scenario: Scenario, plan: Any, record: Any) -> Flown | Non
     lost = np.flatnonzero(record.flies < 0.5)
     return Flown(
         number, scenario, flight, vehicle, air, table, record.theta[at],
-        float(record.time[lost[0]]) if lost.size else None, outside.overrides(flight, vehicle, air, table), upsets,
+        float(record.time[lost[0]]) if lost.size else None, events.overrides(flight, vehicle, air, table), upsets,
     )  # fmt: skip
 
 
@@ -180,8 +179,7 @@ def all_events(f: Flown, losses: Sequence[Event], upsets: Sequence[upset.Judged]
     """What accuses rotors, as `diagnose` puts it together: losses, outputs that do not follow the mixer, and what losses of control, which
     belong to the default diagnosis, show of rotors."""
     B = f.vehicle.effectiveness()
-    accusing = [events.one_arm(e, B) for e in outside.unexplained(losses, f.overrides) if events.accuses(e)]
-    found = upset.events(upsets, (*accusing, *f.overrides), len(f.vehicle.rotors))
+    found = upset.events(upsets, events.Report(B).events(losses, f.overrides), len(f.vehicle.rotors))
     return tuple(e for e in found if e.kind != "loss_of_control")
 
 

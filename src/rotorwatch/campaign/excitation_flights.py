@@ -97,7 +97,7 @@ def judged(flight: Any, end_s: float = np.inf) -> tuple[Any, Any, Any, np.ndarra
         raise ConfigError("This flight never took off, so no excitation can be designed for it.")
     table = asked.until(table, int(np.searchsorted(table.time, end_s)))
     carry, out = program.estimate(table, B)
-    return table, carry, out, B, events.read(out, table, hypotheses.make(B.shape[1]), B)
+    return table, carry, out, B, events.read(out, table, B)
 
 
 def designed(question: asked.Question, limits: excitation.Limits | None, B: np.ndarray, exactly: bool = False):

@@ -35,7 +35,7 @@ from rotorwatch.campaign.batch import Flown
 from rotorwatch.campaign.plan import Plan
 from rotorwatch.errors import ConfigError, RotorwatchError
 from rotorwatch.flight import Flight
-from rotorwatch.motion import outside
+from rotorwatch.default import events
 from rotorwatch.motion.airborne import airborne
 from rotorwatch.motion.ticks import LAG_S, READY_S, observe
 from rotorwatch.simulation.scenario import Scenario, brief, number, plain, whole
@@ -144,7 +144,7 @@ def _flown(number: int, path: Path, entry: Entry) -> Flown:
     after = table.command_time + LAG_S >= entry.onset_s
     for rotor in entry.rotors:
         theta[after, rotor - 1] = np.nan if entry.loss is None else entry.loss
-    overrides = outside.overrides(flight, vehicle, air, table)
+    overrides = events.overrides(flight, vehicle, air, table)
     return Flown(number, _scenario(flight, entry), flight, vehicle, air, table, theta, None, overrides)
 
 

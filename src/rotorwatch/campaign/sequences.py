@@ -28,7 +28,6 @@ from rotorwatch.default import events, hypotheses
 from rotorwatch.diagnosis import Event
 from rotorwatch.errors import ConfigError
 from rotorwatch.experiments import tools
-from rotorwatch.motion import outside
 from rotorwatch.motion.ticks import JUDGE, Ticks
 from rotorwatch.simulation import scenario
 from rotorwatch.simulation.scenario import Scenario
@@ -209,10 +208,10 @@ def judged(plan: Sequences, flown: Sequence[batch.Flown]) -> list[dict[str, Any]
     if not flown:
         return []
     B = flown[0].vehicle.effectiveness()
-    hyp, rows = hypotheses.make(B.shape[1]), []
+    rows = []
     for f, out in zip(flown, batch.by_default(flown, B, WIDTH)):
-        losses = events.read(out.kept, f.ticks, hyp, B)
-        accusing = [events.one_arm(e, B) for e in outside.unexplained(losses, f.overrides) if events.accuses(e)]
+        losses = events.read(out.kept, f.ticks, B)
+        accusing = [e for e in events.Report(B).events(losses, f.overrides) if e.kind == "loss_of_effectiveness"]
         for s in states(f, accusing):
             rows.append(
                 {"flight": f.number, "kind": plan.kind(f.number), "frame": f.scenario.airframe["frame"], "at": s.at,

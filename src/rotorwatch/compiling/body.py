@@ -16,8 +16,10 @@ from rotorwatch.errors import ConfigError
 if TYPE_CHECKING:
     from rotorwatch.compiling.translate import Translation
 
-C_NAMES = {"real": "rw_real", "time": "rw_time", "int": "int32_t", "flag": "bool"}
+C_NAMES = {"real": "rw_real", "time": "rw_time", "int": "int32_t", "flag": "bool", "mask": "uint16_t", "small": "int16_t"}
 RANK = {"flag": 0, "ilit": 0, "int": 1, "lit": 2, "real": 3, "time": 4}
+WIDE = {"mask": "int", "small": "int"}  # as what stored numbers are read
+FIRST = {"lit": "real", "ilit": "int", **WIDE}  # type of a variable by its first value
 BINARY = {
     ast.Add: ("+", 6),
     ast.Sub: ("-", 6),
@@ -106,7 +108,7 @@ def is_struct(kind: Any) -> bool:
 def number(value: Any, base: str) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
-    if base in ("int", "ilit", "flag"):
+    if base in ("int", "ilit", "flag", *WIDE):
         return str(int(value))
     if value != value:
         text = "NAN"
@@ -175,9 +177,12 @@ class Body:
         if isinstance(node, ast.AugAssign):
             target, value = self.expression(node.target), self.expression(node.value)
             self.change(target.root)
-            if type(node.op) not in BINARY and (type(node.op) not in BITS or target.type.base != "int"):
+            whole = target.type.base in ("int", *WIDE)
+            if type(node.op) not in BINARY and (type(node.op) not in BITS or not whole):
                 raise self.wrong(node, "this operation is not C")
             sign = BITS[type(node.op)] if type(node.op) in BITS else BINARY[type(node.op)][0]
+            if target.type.base in WIDE:
+                return [f"{target.text} = ({target.type.c})({target.text} {sign} {self.cast(value, Type('int'))});"]
             return [f"{target.text} {sign}= {self.cast(value, target.type)};"]
         if isinstance(node, ast.Return):
             return [
@@ -271,8 +276,10 @@ class Body:
             text = got.text if got.type.dims or got.pointer else f"&{got.within(15)}"
             self.hoisted.setdefault(name, f"{const}{got.type.c} *{name};")
             return f"{name} = {text};"
+        if name in self.loops:
+            raise self.wrong(target, f"{name} is what a loop counts by")
         if known is None:
-            base = {"lit": "real", "ilit": "int"}.get(got.type.base, got.type.base)
+            base = FIRST.get(got.type.base, got.type.base)
             known = self.types[name] = wanted or Type(base)
             if top:
                 return f"{known.c} {name} = {self.cast(got, known)};"
@@ -287,8 +294,10 @@ class Body:
     # Expressions
 
     def cast(self, code: Code, wanted: Type) -> str:
-        have, want = code.type.base, wanted.base
-        if have == want or not code.type.scalar:
+        have, want = WIDE.get(code.type.base, code.type.base), wanted.base
+        if want in WIDE and code.type.base != want:
+            return f"({C_NAMES[want]}){code.within(14)}"
+        if have == want or code.type.base == want or not code.type.scalar:
             return code.text
         if have in ("lit", "ilit"):
             return self.literal(code, want)
@@ -358,15 +367,16 @@ class Body:
         one = self.expression(node.operand)
         if isinstance(node.op, ast.Not):
             return Code(f"!{one.within(14)}", Type("flag"), 14)
+        what = Type(WIDE.get(one.type.base, one.type.base))
         if isinstance(node.op, ast.USub):
-            return Code(f"-{one.within(14)}", one.type, 14)
-        if isinstance(node.op, ast.Invert) and one.type.base in ("int", "ilit"):
-            return Code(f"~{one.within(14)}", one.type, 14)
+            return Code(f"-{one.within(14)}", what, 14)
+        if isinstance(node.op, ast.Invert) and what.base in ("int", "ilit"):
+            return Code(f"~{one.within(14)}", what, 14)
         raise self.wrong(node, "this sign is not C")
 
     def join(self, a: Code, b: Code) -> Type:
-        base = max((a.type.base, b.type.base), key=RANK.__getitem__)
-        if base == "lit" and {a.type.base, b.type.base} & {"int"}:
+        base = max((WIDE.get(x.type.base, x.type.base) for x in (a, b)), key=RANK.__getitem__)
+        if base == "lit" and {a.type.base, b.type.base} & {"int", *WIDE}:
             base = "real"
         return Type("int" if base == "flag" and a.type.base != b.type.base else base)
 
@@ -470,8 +480,8 @@ class Body:
                 f"{called}({self.cast(first, Type('real' if own else 'time'))})", Type("real" if own else "time")
             )
         if name == "abs":
-            what = Type({"lit": "real", "ilit": "int"}.get(first.type.base, first.type.base))
+            what = Type(FIRST.get(first.type.base, first.type.base))
             return Code(f"abs_{what.base}({self.cast(first, what)})", what)
         what = self.join(*given)
-        what = Type({"lit": "real", "ilit": "int"}.get(what.base, what.base))
+        what = Type(FIRST.get(what.base, what.base))
         return Code(f"{name}_{what.base}({', '.join(self.cast(g, what) for g in given)})", what)

@@ -28,7 +28,7 @@ import numpy as np
 from rotorwatch.compiling import shipped, structs, toolchain
 from rotorwatch.compiling.structs import Struct
 
-TYPES = {"real": np.float64, "time": np.float64, "int": np.int32, "flag": np.bool_}
+TYPES = {"real": np.float64, "time": np.float64, "int": np.int32, "flag": np.bool_, "mask": np.uint16, "small": np.int16}
 # No fused multiply and add: the same operations as Python's.
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fno-math-errno", "-fPIC", "-shared")
 
@@ -74,6 +74,15 @@ class Rows:
                 first.kind, np.concatenate([one.native for one in parts if one.native is not None]), None, many=True
             )
         return Rows(first.kind, None, [x for one in parts for x in one.plain or ()], many=True)
+
+    def fill(self, **columns: Any) -> None:
+        """Write fields of as many as there are rows of values; arrays fill as much of a field as they have."""
+        for name, values in columns.items():
+            if self.native is not None:
+                self.native[name][tuple(slice(0, s) for s in np.shape(values))] = values
+            else:
+                for one, value in zip(self.plain or (), values):
+                    _fill(one, name, value)
 
     def set(self, **fields: Any) -> None:
         """Write fields of the first one; arrays fill as much of a field as they have."""

@@ -14,8 +14,8 @@ order, so that double precision gives the same bits.
             self.total += value
             self.count += 1
 
-Real: a number in the library's precision, float on small boards. Time: seconds or sums, always double. int: 32 bits; sums, products
-and `<<` must stay within them, and `//` and `%` are of numbers that are not negative: Python and C differ beyond.
+Real: a number in the library's precision, float on small boards. Time: seconds or sums, always double. int: 32 bits; Mask: a set, 16 bits; Small: 16
+bits: they are stored so, and read as int. Sums, products and `<<` must stay within them, and `//` and `%` are of numbers that are not negative: Python and C differ beyond.
 """
 
 from __future__ import annotations
@@ -28,7 +28,10 @@ Real = float
 Time = float
 Reals = list[float]
 Times = list[float]
+Mask = int  # a set: bit k is element k; 16 bits
+Small = int  # 16 bits
 Ints = list[int]
+Masks = list[int]
 Flags = list[bool]
 Vectors = list[list[float]]  # rows of three
 
@@ -36,8 +39,9 @@ LASTS = 1e300
 """Later than all times: the end of what lasts."""
 NAN = math.nan
 
-REAL, TIME, INT, FLAG = "real", "time", "int", "flag"  # kinds of elements, for `array`
-SCALARS = {"Real": REAL, "Time": TIME, "float": TIME, "int": INT, "bool": FLAG}  # annotation -> kind
+REAL, TIME, INT, FLAG, MASK, SMALL = "real", "time", "int", "flag", "mask", "small"  # kinds of elements, for `array`
+# annotation -> kind
+SCALARS = {"Real": REAL, "Time": TIME, "float": TIME, "int": INT, "bool": FLAG, "Mask": MASK, "Small": SMALL}
 
 S = TypeVar("S", bound="Struct")
 
@@ -60,8 +64,8 @@ class Array:
 
 
 def array(kind: Any, *shape: int, fill: Any = None) -> Any:
-    """A field, or a local variable, of fixed size: `kind` is REAL, TIME, INT, FLAG or a Struct."""
-    nothing: Any = 0 if kind == INT else False if kind == FLAG else 0.0
+    """A field, or a local variable, of fixed size: `kind` is REAL, TIME, INT, FLAG, MASK, SMALL or a Struct."""
+    nothing: Any = 0 if kind in (INT, MASK, SMALL) else False if kind == FLAG else 0.0
     return Array(kind, shape, nothing if fill is None else fill)
 
 

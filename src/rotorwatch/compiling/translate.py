@@ -18,7 +18,7 @@ from rotorwatch.compiling.body import Body, Function, Type, comment, is_struct, 
 from rotorwatch.compiling.structs import SCALARS, snake
 from rotorwatch.errors import ConfigError
 
-LISTS = {"Reals": "real", "Times": "time", "Ints": "int", "Flags": "flag"}
+LISTS = {"Reals": "real", "Times": "time", "Ints": "int", "Flags": "flag", "Masks": "mask"}
 HEAD = """#include <stdbool.h>
 #include <stdint.h>
 

@@ -55,9 +55,9 @@ class Carry(NamedTuple):
 
 
 class Output(NamedTuple):
-    """What one tick leaves behind, beside the Estimate and the Decision. announced: explanations were made at this tick; since: ticks
-    since the last jump of a rotor in the one that leads; active, each (K, n), share (K,): their rotors, losses and probabilities, the
-    leader first."""
+    """What one tick leaves behind, beside the Estimate and the Decision. announced: explanations were made at this tick; onsets
+    (K,): ticks since the last jump of a rotor in each; active, each (K, n), share (K,): their rotors, losses and probabilities, the leader
+    first."""
 
     estimate: Estimate
     decision: Decision
@@ -65,7 +65,7 @@ class Output(NamedTuple):
     theta: Array
     theta_sd: Array
     announced: Array
-    since: Array
+    onsets: Array
     active: Array
     each: Array
     share: Array
@@ -204,7 +204,7 @@ class JumpBank:
             theta=shown,
             theta_sd=jnp.sqrt(jnp.maximum(shown_var, 0.0)),
             announced=alarm | (said.absorbed & active.any()),
-            since=branches.onset[0],
+            onsets=branches.onset,
             active=branches.active,
             each=jnp.clip(branches.s[:, n_x:], 0.0, 1.0),
             share=posterior.shares(branches),

@@ -85,7 +85,7 @@ def _cut(ticks: Ticks, keep: np.ndarray, restart: np.ndarray, mode: int) -> Tick
     return replace(ticks, restart=restart, mode=np.full(len(ticks.time), mode, np.int32)).part(keep)
 
 
-def find(carry, ticks: Ticks, hyp: Hypotheses, B: np.ndarray) -> tuple[Event, ...]:
+def find(carry, ticks: Ticks, B: np.ndarray) -> tuple[Event, ...]:
     """Losses that began in the blind time of a hop and last; `detected_s` is the end of what was looked at again, `live` is False.
 
     carry: the last of the flight's own pass over `ticks`; B (4, n): effectiveness."""
@@ -101,7 +101,7 @@ def find(carry, ticks: Ticks, hyp: Hypotheses, B: np.ndarray) -> tuple[Event, ..
     starts = again.time[again.restart]
     ends = np.append(again.time[np.flatnonzero(again.restart)[1:] - 1], again.time[-1])
     found = []
-    for event in events.read(out, again, hyp, B):
+    for event in events.read(out, again, B):
         hop = max(int(np.searchsorted(starts, event.detected_s, "right")) - 1, 0)
         later = ticks.time[(ticks.mode == JUDGE) & (ticks.time >= starts[hop])]
         least = max(low for low, _ in event.interval)

@@ -26,7 +26,7 @@ class Kept(NamedTuple):
     onset: Array
     probability: Array
     announced: Array
-    since: Array
+    onsets: Array
     active: Array
     each: Array
     share: Array

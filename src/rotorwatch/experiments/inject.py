@@ -283,7 +283,7 @@ def losses(table: Ticks, vehicle: Vehicle) -> tuple[tuple[Event, ...], program.K
     """Losses that the default diagnoser announces, without what it makes for people to look at, and its outputs."""
     B = vehicle.effectiveness()
     _, out = program.estimate(table, B, (vehicle.identified or {}).get("dynamics"))
-    return events.read(out, table, hypotheses.make(len(vehicle.rotors)), B), out
+    return events.read(out, table, B), out
 
 
 def _judge(flight: Flight, vehicle: Vehicle, air) -> tuple[tuple[Event, ...], float]:

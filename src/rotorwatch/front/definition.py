@@ -9,9 +9,24 @@ import numpy as np
 
 from rotorwatch.compiling.running import Definition, Rows
 from rotorwatch.flight import Flight, Message
-from rotorwatch.front import airborne, contact, deviations, front, mixer, sense, sizes, ticks, vehicle, whole
+from rotorwatch.front import (
+    airborne,
+    contact,
+    deviations,
+    events,
+    front,
+    losses,
+    mixer,
+    news,
+    sense,
+    sizes,
+    ticks,
+    vehicle,
+    whole,
+)
 
-FRONT = Definition("front", (vehicle, airborne, mixer, deviations, contact, sense, ticks, front, whole), sizes)
+PARTS = (vehicle, airborne, mixer, deviations, contact, sense, ticks, front, events, losses, news)
+FRONT = Definition("front", (*PARTS, whole), sizes)
 KINDS = {
     "motors": whole.OUTPUTS, "control": whole.CONTROL, "gyro": whole.GYRO, "accel": whole.ACCEL, "velocity": whole.VELOCITY,
     "state": whole.STATE, "attitude": whole.ATTITUDE, "voltage": whole.VOLTAGE, "thrust": whole.THRUSTS, "rates": whole.RATES,

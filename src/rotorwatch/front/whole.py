@@ -22,8 +22,11 @@ from rotorwatch.compiling.structs import (
 )
 from rotorwatch.front.airborne import Airborne
 from rotorwatch.front.deviations import Deviations, Override
+from rotorwatch.front.events import Event, Report
 from rotorwatch.front.front import Front
+from rotorwatch.front.losses import Found, Losses
 from rotorwatch.front.mixer import CONTROLS, Comparison, Mixer
+from rotorwatch.front.news import Change, Changes
 from rotorwatch.front.sense import Plan, Sense, Sensed
 from rotorwatch.front.sizes import ROTORS
 from rotorwatch.front.ticks import SETTLE_S, Made, Ticks
@@ -266,3 +269,73 @@ def finish(f: Front, v: Vehicle, p: Plan, time: Time, made: list[Made], room: in
 def overrides(d: Deviations, v: Vehicle, found: list[Override]) -> int:
     """The outputs that have not followed the mixer so far; how many."""
     return d.found(v, found)
+
+
+def announce(
+    s: Losses, v: Vehicle, n: int, time: Times, when: Times, mode: Ints, restart: Flags, found: list[Found]
+) -> None:
+    """n ticks and what the estimator made of them."""
+    for i in range(n):
+        s.on(v, time[i], when[i], mode[i], restart[i], found[i])
+
+
+def losses(s: Losses, v: Vehicle, flies: bool, out: list[Event]) -> int:
+    """The losses so far; how many."""
+    return s.losses(v, flies, out)
+
+
+def follow(
+    r: Report,
+    n: int,
+    time: Times,
+    upset: Flags,
+    dt: Time,
+    flights: int,
+    starts: Times,
+    ends: Times,
+    contacts: int,
+    hit: Times,
+    push: Ints,
+    size: Reals,
+    final: bool,
+) -> None:
+    """n ticks of dt s. starts, ends (flights,): all flights so far, s, LASTS of one that lasts; hit, push, size (contacts,): new ones; final:
+    no ticks come after these."""
+    k = 0
+    j = 0
+    while k < flights and ends[k] <= r.end:
+        k += 1
+    for i in range(n):
+        while k < flights and time[i] > ends[k] + dt:
+            r.landed(ends[k])
+            k += 1
+        aloft = k < flights and starts[k] <= time[i]
+        r.tick(time[i], starts[k] if aloft else LASTS, upset[i])
+        while j < contacts and hit[j] <= time[i]:
+            if aloft and hit[j] >= starts[k]:
+                r.contact(hit[j], push[j], size[j])
+            j += 1
+    while final and k < flights and ends[k] < LASTS:
+        r.landed(ends[k])
+        k += 1
+
+
+def events(
+    r: Report, v: Vehicle, lost: list[Event], n: int, overridden: list[Override], m: int, out: list[Event]
+) -> int:
+    """All events of n losses and m overrides; how many."""
+    return r.events(v, lost, n, overridden, m, out)
+
+
+def changes(
+    c: Changes,
+    found: list[Event],
+    count: int,
+    settled: Time,
+    refined: int,
+    every: bool,
+    gone: list[Event],
+    out: list[Change],
+) -> int:
+    """What is new about them; how much."""
+    return c.look(found, count, settled, refined, every, gone, out)

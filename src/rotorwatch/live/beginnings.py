@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from rotorwatch.default import hindsight
-from rotorwatch.default.hypotheses import Hypotheses
 from rotorwatch.diagnosis import Event
 from rotorwatch.motion.allocation import Spans
 from rotorwatch.motion.ticks import Ticks, joined
@@ -18,9 +17,9 @@ HOPS = 10  # whose beginnings are kept, the newest
 class Beginnings:
     """The first ticks of each flight. found: losses that began in their blind time."""
 
-    def __init__(self, hyp: Hypotheses, B: np.ndarray, ready_s: float):
+    def __init__(self, B: np.ndarray, ready_s: float):
         """B (4, n): effectiveness; ready_s: blind time [s]."""
-        self._hyp, self._B = hyp, B
+        self._B = B
         self._length = ready_s + hindsight.REST_S
         self._ticks: list[Ticks] = []
         self._looked = -np.inf
@@ -52,7 +51,7 @@ class Beginnings:
         ticks = [t for t in self._ticks if t.time[-1] >= first]
         if ticks:
             old = tuple(e for e in self.found if e.detected_s < first)
-            self.found = (*old, *hindsight.find(carry, joined(ticks), self._hyp, self._B))
+            self.found = (*old, *hindsight.find(carry, joined(ticks), self._B))
 
     def join(self, losses: Sequence[Event]) -> tuple[Event, ...]:
         """The losses that were announced in flight, with these."""

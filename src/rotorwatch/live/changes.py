@@ -1,16 +1,19 @@
-"""What is new about a list of events that is made again and again: announced, changed, or taken back."""
+"""What is new about a list of events that is made again and again (front/news.py), in words: announced, changed, withdrawn or final."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from rotorwatch.default.events import KINDS, packed
 from rotorwatch.diagnosis import Event
+from rotorwatch.front import events as listed
+from rotorwatch.front import news, whole
+from rotorwatch.front.definition import FRONT
+from rotorwatch.front.sizes import EVENTS
 
-LOSS_STEP = 0.02  # by which a loss or a bound of it must move to be told again
-SAME_S = 1.0  # two onsets so close are of one event
-REFINED = ("loss_of_effectiveness", "loss_of_control")  # events whose rotors may turn out to be others
 ANNOUNCED, CHANGED, WITHDRAWN, FINAL = "announced", "changed", "withdrawn", "final"
+NAMES = {news.ANNOUNCED: ANNOUNCED, news.CHANGED: CHANGED, news.WITHDRAWN: WITHDRAWN}
 
 
 @dataclass(frozen=True)
@@ -23,63 +26,24 @@ class Change:
 
 
 class Changes:
-    """Remembers what has been told."""
+    """Remembers what has been announced. now: the events that hold, by number, as they were last announced."""
 
     def __init__(self):
-        self._told: dict[int, Event] = {}
-        self._count = 0
-
-    @property
-    def now(self) -> dict[int, Event]:
-        """The events that hold, by number, as they were last told."""
-        return self._told
+        self.now: dict[int, Event] = {}
+        self._known = FRONT.new(news.Changes)
+        self._room = FRONT.array(listed.Event, EVENTS), FRONT.array(news.Change, 2 * EVENTS)
 
     def of(self, events: Sequence[Event], final: bool = False) -> list[Change]:
-        """What is worth telling of the events as they are now. final: nothing will come after, so that any difference is told."""
-        found: list[Change] = []
-        left, numbers = dict(self._told), {}
-        for same in (_equal, _alike):
-            for index, event in enumerate(events):
-                number = (
-                    next((n for n, old in left.items() if same(old, event)), None) if index not in numbers else None
-                )
-                if number is not None:
-                    numbers[index] = number
-                    del left[number]
-        for number, old in left.items():
-            found.append(Change(number, WITHDRAWN, old))
-            del self._told[number]
-        for index, event in enumerate(events):
-            if index not in numbers:
-                self._count += 1
-                numbers[index] = self._count
-                found.append(Change(self._count, ANNOUNCED, event))
-            elif self._told[numbers[index]] == event or not (final or _differs(self._told[numbers[index]], event)):
-                continue
-            else:
-                found.append(Change(numbers[index], FINAL if final else CHANGED, event))
-            self._told[numbers[index]] = event
+        """What is new about the events as they are now. final: nothing will come after, so that any difference is told."""
+        gone, out = self._room
+        refined, never = KINDS.index("loss_of_control"), -listed.LASTS
+        given = packed(events), min(len(events), EVENTS), never, refined, final, gone, out
+        count = FRONT.call(whole.changes, self._known, *given)
+        found = []
+        for number, place, what in zip(*(out[name][:count].tolist() for name in ("number", "place", "what"))):
+            if what == news.WITHDRAWN:
+                found.append(Change(number, WITHDRAWN, self.now.pop(number)))
+            elif self.now.get(number) != events[place]:
+                self.now[number] = events[place]
+                found.append(Change(number, FINAL if final and what == news.CHANGED else NAMES[what], events[place]))
         return found
-
-
-def _equal(old: Event, new: Event) -> bool:
-    return (old.kind, old.rotors, old.detected_s) == (new.kind, new.rotors, new.detected_s)
-
-
-def _alike(old: Event, new: Event) -> bool:
-    """One event of which more is known now: what began together, was announced together, or has the same rotors at the same time."""
-    if old.kind != new.kind or (old.kind not in REFINED and old.rotors != new.rotors):
-        return False
-    return abs(old.onset_s - new.onset_s) < SAME_S or old.detected_s == new.detected_s
-
-
-def _differs(old: Event, new: Event) -> bool:
-    if (old.rotors, old.alternatives, old.end_s is None) != (new.rotors, new.alternatives, new.end_s is None):
-        return True
-    if len(old.loss) != len(new.loss) or any(old.extra.get(k) != new.extra.get(k) for k in ("override", "cause")):
-        return True
-    numbers = zip(
-        (*old.loss, *(x for pair in old.interval for x in pair)),
-        (*new.loss, *(x for pair in new.interval for x in pair)),
-    )
-    return any(abs(a - b) >= LOSS_STEP for a, b in numbers)

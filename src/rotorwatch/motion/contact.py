@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rotorwatch.compiling.running import Rows
+from rotorwatch.diagnosis import Event
 from rotorwatch.front import contact as definition
 from rotorwatch.front.contact import G0
 from rotorwatch.front.sense import BEFORE_S
@@ -21,12 +22,22 @@ WORDS = (("hover thrusts of one rotor", "turned it"), ("g", "pushed it sideways"
 
 @dataclass(frozen=True)
 class Contact:
-    """time s; size: of the force in g, or of the torque in hover thrusts of one rotor; unit says which; what: in words."""
+    """time s; size: of the force in g, or of the torque in hover thrusts of one rotor, by push (TURNED and so on of front/contact.py)."""
 
     time: float
     size: float
-    unit: str
-    what: str
+    push: int
+
+    @property
+    def unit(self) -> str:
+        """Of its size."""
+        return WORDS[self.push][0]
+
+    def event(self) -> Event:
+        """As an event."""
+        reason = f"something outside the vehicle {WORDS[self.push][1]}, by {self.size:.1f} {self.unit}"
+        extra = {"size": self.size, "unit": self.unit}
+        return Event("contact", (), self.time, self.time, self.time, (), (), 1.0, (), reason, extra)
 
 
 def look_back(dt: float) -> int:
@@ -39,7 +50,7 @@ def contacts(touch: Rows, before: tuple[Contact, ...] = ()) -> tuple[Contact, ..
     found = list(before)
     news = np.flatnonzero(touch["news"])
     for time, size, push in zip(touch["time"][news], touch["size"][news], touch["push"][news]):
-        one = Contact(float(time), float(size), *WORDS[int(push)])
+        one = Contact(float(time), float(size), int(push))
         if found and found[-1].time == one.time:
             found[-1] = one
         else:

@@ -193,7 +193,7 @@ def blank(T: int, hyp: hypotheses.Hypotheses) -> Kept:
     """T ticks on which nothing was seen; what only the default method looks at stays so."""
     n, n_h = hyp.n, len(hyp.names)
     numbers = {
-        "theta": (n,), "theta_sd": (n,), "innovation": (4,), "biases": (4,), "onset": (), "since": (), "share": (PLACES,),
+        "theta": (n,), "theta_sd": (n,), "innovation": (4,), "biases": (4,), "onset": (), "onsets": (PLACES,), "share": (PLACES,),
         "each": (PLACES, n), "opposite_onset": (), "opposite_loss": (2,),
     }  # fmt: skip
     flags = {"announced": (), "active": (PLACES, n)}
@@ -237,7 +237,7 @@ def record(out: Kept, seen: Seen, hop: LogPlant, hyp: hypotheses.Hypotheses, B: 
     )
     out.probability[rows] = probability / probability.sum(axis=1, keepdims=True)
     out.announced[rows] = announced
-    out.since[rows], out.active[rows], out.share[rows] = _explanations(
+    out.onsets[rows], out.active[rows], out.share[rows] = _explanations(
         announced, active, onset, out.probability[rows], hyp
     )
     out.detectable[rows] = np.maximum(decide.SIGMAS / np.sqrt(own), decide.LEAST) / 1.96
@@ -279,13 +279,13 @@ def _follow(seen: Seen, hyp: hypotheses.Hypotheses, dt: float):
 
 
 def _explanations(announced, active, onset, probability, hyp: hypotheses.Hypotheses):
-    """Ticks since the onset (T,), rotors (T, K, n) and probabilities (T, K) of what was announced last and of its alternatives."""
+    """Ticks since the onset (T, K), rotors (T, K, n) and probabilities (T, K) of what was announced last and of its alternatives."""
     T = len(announced)
-    since, sets, share = np.zeros(T), np.zeros((T, PLACES, hyp.n), bool), np.zeros((T, PLACES))
+    since, sets, share = np.zeros((T, PLACES)), np.zeros((T, PLACES, hyp.n), bool), np.zeros((T, PLACES))
     sets[:, 0], share[:, 0] = active, 1.0
     births = np.flatnonzero(announced)
     for k, stop in zip(births, [*births[1:], T]):
-        since[k:stop] = onset[k] + np.arange(stop - k)
+        since[k:stop] = onset[k] + np.arange(stop - k)[:, None]
         named = tuple(int(i) for i in np.flatnonzero(active[k]))
         if named:
             found = rotor_sets(hyp, probability[k])

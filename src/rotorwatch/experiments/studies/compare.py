@@ -64,12 +64,12 @@ def compare(scenes: Sequence[Scene], names: Sequence[str] = (), progress: Callab
 
 def _trial(name: str, scene: Scene) -> dict:
     """What became of one flight."""
-    table, hyp = scene.ticks, hypotheses.make(scene.B.shape[1])
+    table = scene.ticks
     if name == "default":
         _, out = program.estimate(table, scene.B)
     else:
         out = published.judge(name, table, scene.B, hops=scene.hops)
-    found = events.read(out, table, hyp, scene.B)
+    found = events.read(out, table, scene.B)
     judged = table.mode == JUDGE
     trial: dict[str, Any] = {"judged_s": float(judged.sum() * table.dt), "fault": bool(scene.faults)}
     if not scene.faults:

@@ -53,7 +53,7 @@ def judged(flight: Flight, view: str) -> tuple[Event, ...]:
     thrust = thrust_of_speed(flight, vehicle, air) if view == "speed" else allocation.rotor_thrusts(flight, vehicle)
     table = ticks.make(flight, thrust, B, air, READY_S)
     _, out = estimate(table, B, None)
-    return events.read(out, table, hypotheses.make(len(vehicle.rotors)), B)
+    return events.read(out, table, B)
 
 
 def flown(kind: str | None, strength: float, wind: float, expo: float, autopilot: str, frame: str, seed: int) -> Flight:
