@@ -36,7 +36,7 @@ def flight(rotor=0, loss=0.0, onset=3.0, end=np.inf, seconds=30.0, knocked=None,
 def found(ticks):
     """(what a live observer was told, what is found afterwards)."""
     last, out = estimate(ticks, QUAD)
-    return events.read(out, ticks, HYP, QUAD), hindsight.find(last, ticks, HYP, QUAD)
+    return events.read(out, ticks, QUAD), hindsight.find(last, ticks, QUAD)
 
 
 @pytest.mark.parametrize(("rotor", "loss", "onset"), [(0, 0.5, 2.5), (2, 0.2, 4.0), (3, 0.35, 7.5)])

@@ -233,7 +233,7 @@ def known():
 
 def losses_of(name, quad, tuning=None):
     out = published.judge(name, *quad, known(), tuning)
-    return out, events.read(out, quad[0], hypotheses.make(4), quad[1])
+    return out, events.read(out, quad[0], quad[1])
 
 
 def test_a_published_method_finds_the_rotor(quad):

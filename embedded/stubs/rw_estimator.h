@@ -1,7 +1,7 @@
 /* Of what the export generates, as much as the rest of the library calls, to compile that without it. MIT. */
 #ifndef RW_ESTIMATOR_H
 #define RW_ESTIMATOR_H
-#include "rw_types.h"
+#include "rw_front.h"
 #ifdef __cplusplus
 extern "C" {
 #endif
@@ -14,7 +14,7 @@ typedef struct {
 typedef struct {
     rw_real theta[RW_ROTORS], theta_sd[RW_ROTORS], share[RW_PLACES], onsets[RW_PLACES];
     rw_real probability[RW_HYPOTHESES], log_odds[RW_HYPOTHESES];
-    rw_real since, opposite_onset, opposite_loss[2];
+    rw_real opposite_onset, opposite_loss[2];
     int32_t opposite;
     bool active[RW_PLACES * RW_ROTORS], announced;
 } rw_estimator_out;

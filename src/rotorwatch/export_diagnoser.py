@@ -2,8 +2,8 @@
 
     rw.export_c.export_diagnoser("out", vehicle="mine.toml", prefix="rotor")
 
-The front end is made of its definition (front/), the estimator of its traced step, for this vehicle; the events after it are C sources
-(embedded_c). rw_config.h and rw_config.c hold the vehicle and the rates.
+All of it but the estimator is made of its definition (front/), the estimator of its traced step, for this vehicle; rw_diagnoser.{h,c}
+(embedded_c) joins the two. rw_config.h and rw_config.c hold the vehicle and the rates.
 """
 
 from __future__ import annotations
@@ -23,22 +23,19 @@ from rotorwatch.default.plant import WrenchBalance, lower_rotors
 from rotorwatch.default.program import parameters
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch.front import airborne, contact, deviations, mixer, sense, sizes
-from rotorwatch.front import front as front_definition
-from rotorwatch.front import ticks as ticks_definition
-from rotorwatch.front import vehicle as vehicle_definition
+from rotorwatch.front import sizes
+from rotorwatch.front.definition import PARTS
 from rotorwatch.motion import allocation, ticks
 from rotorwatch.motion.contact import look_back
 
 SOURCES = Path(__file__).parent / "embedded_c"
-BOARD = (vehicle_definition, airborne, mixer, deviations, contact, sense, ticks_definition, front_definition)
 FRONT_ABOUT = "The front end: samples in, ticks out. Made of the definitions in rotorwatch/front; not to be edited."
 ESTIMATOR = "rw_estimator"
 QUEUE_S = 6.0  # ticks that wait: airborne.CONFIRM_S, and room
 
 
 class Found(NamedTuple):
-    """What the events are made of: the estimator's outputs of a tick; onsets (places,): of the explanations, after the step."""
+    """What the events are made of: the estimator's outputs of a tick."""
 
     theta: Array
     theta_sd: Array
@@ -46,7 +43,6 @@ class Found(NamedTuple):
     share: Array
     probability: Array
     log_odds: Array
-    since: Array
     onsets: Array
     opposite: Array
     opposite_onset: Array
@@ -70,7 +66,7 @@ def estimator_program(vehicle: Vehicle, dt: float) -> Program:
     def step(_, carry, u, y, valid):
         carry, out = method.step(carry, u, y, valid)
         own = {name: getattr(out, name) for name in Found._fields if hasattr(out, name)}
-        own |= {"log_odds": out.decision.log_odds, "onsets": carry.branches.onset, "opposite": out.opposite.pair}
+        own |= {"log_odds": out.decision.log_odds, "opposite": out.opposite.pair}
         return carry, Found(**own, opposite_onset=out.opposite.onset, opposite_loss=out.opposite.loss)
 
     about = f"The default estimator for {len(vehicle.rotors)} rotors, a step of {dt:g} s."
@@ -80,10 +76,13 @@ def estimator_program(vehicle: Vehicle, dt: float) -> Program:
 def settings(B: np.ndarray, dt: float) -> dict[str, Any]:
     """What rw_config.h says of the effectiveness B (4, n) and the length of a tick."""
     n = B.shape[1]
-    pairs = sum(map(len, events.opposites(B).values())) // 2
+    opposite = max(1, sum(map(len, events.opposites(B).values())) // 2)
+    pairs, places = n * (n - 1) // 2, posterior.PLACES
     return {
-        "ROTORS": n, "PLACES": posterior.PLACES, "HYPOTHESES": 2 * n + n * (n - 1) // 2 + 9, "TICK_S": dt,
-        "REACH": bank.SLOTS * max(bank.STRIDES[0.1 if dt >= bank.SLOW_S else 0.05]), "OPPOSITE_PAIRS": max(1, pairs),
+        "ROTORS": n, "PLACES": places, "PAIRS": pairs, "HYPOTHESES": 2 * n + pairs + 9, "TICK_S": dt,
+        "REACH": bank.SLOTS * max(bank.STRIDES[0.1 if dt >= bank.SLOW_S else 0.05]) + 16,
+        "RECORDS": 2 * n + 4, "SETS": max(opposite, places), "TOGETHER": min(4, n), "ALTERNATIVES": places + 2 + opposite,
+        "CONTACTS": 4, "FALLS": 4, "EVENTS": 12,
         "TICKS_BEFORE": look_back(dt), "SETTLING": 2 * look_back(dt) + 4, "QUEUE": round(QUEUE_S / dt), "WAITING": 8, "FLIGHTS": 4,
         "LEVELS": 8, "PENDING": 8, "OVERRIDES": 2 * n,
     }  # fmt: skip
@@ -146,7 +145,7 @@ def files(
     program = estimator_program(vehicle, plan.dt)
     texts = {path.name: path.read_text(encoding="utf-8") for path in sorted(SOURCES.glob("*.[ch]"))}
     texts |= {f"{ESTIMATOR}.h": program.header, f"{ESTIMATOR}.c": program.source}
-    front = Translation(BOARD, sizes)
+    front = Translation(PARTS, sizes)
     texts |= {"rw_front.h": front.header(FRONT_ABOUT), "rw_front.c": front.source("rw_front.h")}
     texts["rw_config.h"] = config(vehicle, plan.dt, *rates)
     made = [text_of(tables[0], "rw_vehicle", "rw_vehicle_default"), text_of(tables[1], "rw_plan", "rw_plan_default")]

@@ -98,10 +98,9 @@ void AP_RotorDiagnosis::feed(uint64_t now_us, bool landed, bool armed, float vol
 void AP_RotorDiagnosis::tell(const rw_news &news, uint64_t now_us) const
 {
     const rw_event &event = *news.event;
-    const enum rw_severity severity = rw_text_severity(&news);
-    if (int(severity) <= _text.get()) {
-        char text[RW_TEXT];
-        rw_text_words(&news, text);
+    char text[RW_TEXT];
+    const int severity = rw_diagnoser_words(&news, text);
+    if (severity <= _text.get()) {
         GCS_SEND_TEXT(MAV_SEVERITY(severity), "%s", text);
     }
     AP::logger().Write("RWEV", "TimeUS,Num,What,Kind,Rot,Alt,On,End,Loss,Lo,Hi,P", "QHBBHHddffff", now_us, unsigned(news.number),

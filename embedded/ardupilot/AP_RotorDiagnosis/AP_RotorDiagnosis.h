@@ -19,7 +19,6 @@
 #include <AP_Param/AP_Param.h>
 
 #include "rw_diagnoser.h"
-#include "rw_text.h"
 
 class AP_RotorDiagnosis {
 public:
@@ -33,7 +32,7 @@ public:
 
     // Loss of effectiveness of a rotor, counted from 0: 0 healthy, 1 dead.
     float loss(uint8_t rotor) const;
-    enum rw_verdict verdict() const { return rw_diagnoser_verdict(&_diagnoser); }
+    int verdict() const { return rw_diagnoser_verdict(&_diagnoser); }
 
     static const AP_Param::GroupInfo var_info[];
 

@@ -53,8 +53,8 @@ void RotorWatchDiagnoser::Run()
 
 	if (count > 0 || now - _published >= PUBLISH_US) {
 		const rw_event *events = nullptr;
-		const int known = rw_diagnoser_events(&_diagnoser, &events);
-		const int best = rw_report_main(events, known);
+		rw_diagnoser_events(&_diagnoser, &events);
+		const int best = rw_diagnoser_main(&_diagnoser);
 		publish(best < 0 ? nullptr : &events[best], rotorwatch_verdict_s::NEWS_NONE, 0);
 		_published = now;
 	}
@@ -163,8 +163,7 @@ void RotorWatchDiagnoser::feed()
 void RotorWatchDiagnoser::tell(const rw_news &news)
 {
 	char text[RW_TEXT];
-	const int severity = rw_text_severity(&news);
-	rw_text_words(&news, text);
+	const int severity = rw_diagnoser_words(&news, text);
 
 	if (severity > _param_rotw_text.get()) {
 		return;
@@ -216,7 +215,7 @@ void RotorWatchDiagnoser::publish(const rw_event *event, uint8_t news, uint16_t 
 
 int RotorWatchDiagnoser::print_status()
 {
-	PX4_INFO("%s", rw_text_verdict(rw_diagnoser_verdict(&_diagnoser)));
+	PX4_INFO("%s", rw_diagnoser_verdict_text(&_diagnoser));
 	for (int k = 0; k < RW_ROTORS; k++) {
 		PX4_INFO("rotor %d: loss %.0f %%", k + 1, 100.0 * static_cast<double>(_diagnoser.out.theta[k]));
 	}

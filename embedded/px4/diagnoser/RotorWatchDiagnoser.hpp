@@ -24,7 +24,6 @@
 #include <uORB/topics/vehicle_local_position.h>
 
 #include "rw_diagnoser.h"
-#include "rw_text.h"
 
 class RotorWatchDiagnoser : public ModuleBase<RotorWatchDiagnoser>, public ModuleParams, public px4::ScheduledWorkItem
 {

@@ -16,9 +16,9 @@ from rotorwatch.errors import ConfigError
 if TYPE_CHECKING:
     from rotorwatch.compiling.translate import Translation
 
-C_NAMES = {"real": "rw_real", "time": "rw_time", "int": "int32_t", "flag": "bool", "mask": "uint16_t", "small": "int16_t"}
-RANK = {"flag": 0, "ilit": 0, "int": 1, "lit": 2, "real": 3, "time": 4}
-WIDE = {"mask": "int", "small": "int"}  # as what stored numbers are read
+C_NAMES = {"real": "rw_real", "time": "rw_time", "int": "int32_t", "flag": "bool", "mask": "uint16_t", "small": "int16_t", "letter": "char", "text": "const char *"}
+RANK = {"flag": 0, "ilit": 0, "text": 0, "int": 1, "lit": 2, "real": 3, "time": 4}
+WIDE = {"mask": "int", "small": "int", "letter": "int"}  # as what stored numbers are read
 FIRST = {"lit": "real", "ilit": "int", **WIDE}  # type of a variable by its first value
 BINARY = {
     ast.Add: ("+", 6),
@@ -42,6 +42,7 @@ BUILTIN = (
     "float",
     "real",
     "len",
+    "ord",
     "reset",
     "copy",
     "local",
@@ -322,6 +323,8 @@ class Body:
         value = node.value
         if isinstance(value, bool):
             return Code("true" if value else "false", Type("flag"))
+        if isinstance(value, str):
+            return Code('"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"', Type("text"))
         if not isinstance(value, int | float):
             raise self.wrong(node, f"{value!r} is no number")
         base = "ilit" if isinstance(value, int) else "lit"
@@ -359,6 +362,8 @@ class Body:
 
     def on_subscript(self, node: ast.Subscript) -> Code:
         base, index = self.expression(node.value), self.expression(node.slice)
+        if base.type.base == "text":
+            return Code(f"{base.within(15)}[{index.text}]", Type("letter"))
         if not base.type.dims:
             raise self.wrong(node, f"{base.text} is no array")
         return Code(f"{base.within(15)}[{index.text}]", Type(base.type.base, base.type.dims[1:]), 20, False, base.root)
@@ -467,6 +472,10 @@ class Body:
             if name == "reset":
                 return Code(f"{first.type.c}_init({at[0]})", Type("none"))
             return Code(f"*{at[0]} = *{at[1]}" if given[1].pointer else f"*{at[0]} = {given[1].text}", Type("none"), 0)
+        if name == "len" and first.type.base == "text":
+            return Code(f"(int32_t)strlen({first.text})", Type("int"), 14)
+        if name == "ord":
+            return first
         if name == "isnan":
             return Code(f"isnan({first.text})", Type("flag"))
         if name in ("int", "float", "real"):

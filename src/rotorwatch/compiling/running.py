@@ -28,7 +28,7 @@ import numpy as np
 from rotorwatch.compiling import shipped, structs, toolchain
 from rotorwatch.compiling.structs import Struct
 
-TYPES = {"real": np.float64, "time": np.float64, "int": np.int32, "flag": np.bool_, "mask": np.uint16, "small": np.int16}
+TYPES = {"real": np.float64, "time": np.float64, "int": np.int32, "flag": np.bool_, "mask": np.uint16, "small": np.int16, "letter": np.int8}
 # No fused multiply and add: the same operations as Python's.
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fno-math-errno", "-fPIC", "-shared")
 
@@ -240,6 +240,8 @@ def _native(x: Any) -> Any:
         return ctypes.c_void_p(x.native.ctypes.data)
     if isinstance(x, np.ndarray):
         return ctypes.c_void_p(x.ctypes.data)
+    if isinstance(x, str):
+        return ctypes.c_char_p(x.encode("ascii", "replace"))
     if isinstance(x, bool | np.bool_):
         return ctypes.c_bool(bool(x))
     return ctypes.c_int32(int(x)) if isinstance(x, int | np.integer) else ctypes.c_double(float(x))

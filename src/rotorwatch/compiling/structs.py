@@ -15,7 +15,7 @@ order, so that double precision gives the same bits.
             self.count += 1
 
 Real: a number in the library's precision, float on small boards. Time: seconds or sums, always double. int: 32 bits; Mask: a set, 16 bits; Small: 16
-bits: they are stored so, and read as int. Sums, products and `<<` must stay within them, and `//` and `%` are of numbers that are not negative: Python and C differ beyond.
+bits: they are stored so, and read as int. str: a text in ASCII, read by `len(text)` and `ord(text[k])`. Sums, products and `<<` must stay within them, and `//` and `%` are of numbers that are not negative: Python and C differ beyond.
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ LASTS = 1e300
 """Later than all times: the end of what lasts."""
 NAN = math.nan
 
-REAL, TIME, INT, FLAG, MASK, SMALL = "real", "time", "int", "flag", "mask", "small"  # kinds of elements, for `array`
+REAL, TIME, INT, FLAG, MASK, SMALL, LETTER = "real", "time", "int", "flag", "mask", "small", "letter"  # kinds of elements, for `array`
 # annotation -> kind
-SCALARS = {"Real": REAL, "Time": TIME, "float": TIME, "int": INT, "bool": FLAG, "Mask": MASK, "Small": SMALL}
+SCALARS = {"Real": REAL, "Time": TIME, "float": TIME, "int": INT, "bool": FLAG, "Mask": MASK, "Small": SMALL, "str": "text"}
 
 S = TypeVar("S", bound="Struct")
 
@@ -64,8 +64,8 @@ class Array:
 
 
 def array(kind: Any, *shape: int, fill: Any = None) -> Any:
-    """A field, or a local variable, of fixed size: `kind` is REAL, TIME, INT, FLAG, MASK, SMALL or a Struct."""
-    nothing: Any = 0 if kind in (INT, MASK, SMALL) else False if kind == FLAG else 0.0
+    """A field, or a local variable, of fixed size: `kind` is REAL, TIME, INT, FLAG, MASK, SMALL, LETTER (of a text, its ASCII code) or a Struct."""
+    nothing: Any = 0 if kind in (INT, MASK, SMALL, LETTER) else False if kind == FLAG else 0.0
     return Array(kind, shape, nothing if fill is None else fill)
 
 

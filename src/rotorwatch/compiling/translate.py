@@ -202,6 +202,9 @@ class Translation:
         out = []
         for name, what in f.parameters.items():
             const = "" if name in f.changed or what.scalar else "const "
+            if what.base == "text":
+                out.append(f"const char *{name}")
+                continue
             if what.dims:
                 out.append(f"{const}{what.c} *{name}" if len(what.dims) == 1 else f"{what.c} (*{name})[{what.dims[1]}]")
             else:

@@ -11,7 +11,7 @@ void rw_diagnoser_init(rw_diagnoser *d, const rw_vehicle *v, const rw_plan *p)
     d->vehicle = v;
     d->plan = p;
     rw_front_init(&d->front);
-    rw_events_init(&d->events);
+    rw_losses_init(&d->losses);
     rw_report_init(&d->report);
     rw_changes_init(&d->changes);
     rw_estimator_init(&d->estimator, &d->work);
@@ -21,20 +21,23 @@ void rw_diagnoser_init(rw_diagnoser *d, const rw_vehicle *v, const rw_plan *p)
 static void judge(rw_diagnoser *d, const rw_made *made)
 {
     const rw_estimator_out *out = &d->out;
-    const rw_tick tick = {
-        .time = made->time, .command_time = made->when, .air_start = made->start, .mode = (int8_t)made->mode, .restart = made->restart,
-        .upset = made->upset,
-    };
+    rw_found found;
     rw_real u[RW_INPUTS];
     rw_made_inputs(made, d->vehicle, u);
     rw_estimator_step(&d->estimator, u, made->wrench, made->valid, &d->out, &d->work);
-    const rw_found found = {
-        .theta = out->theta, .theta_sd = out->theta_sd, .active = out->active, .share = out->share, .probability = out->probability,
-        .log_odds = out->log_odds, .onsets = out->onsets, .since = out->since, .opposite_onset = out->opposite_onset,
-        .opposite_loss = {out->opposite_loss[0], out->opposite_loss[1]}, .opposite = out->opposite, .announced = out->announced,
-    };
-    rw_events_tick(&d->events, d->vehicle, &tick, &found);
-    rw_report_tick(&d->report, &tick);
+    memcpy(found.theta, out->theta, sizeof found.theta);
+    memcpy(found.theta_sd, out->theta_sd, sizeof found.theta_sd);
+    memcpy(found.active, out->active, sizeof found.active);
+    memcpy(found.share, out->share, sizeof found.share);
+    memcpy(found.onsets, out->onsets, sizeof found.onsets);
+    memcpy(found.probability, out->probability, sizeof found.probability);
+    memcpy(found.log_odds, out->log_odds, sizeof found.log_odds);
+    memcpy(found.opposite_loss, out->opposite_loss, sizeof found.opposite_loss);
+    found.opposite_onset = out->opposite_onset;
+    found.opposite = out->opposite;
+    found.announced = out->announced;
+    rw_losses_on(&d->losses, d->vehicle, made->time, made->when, made->mode, made->restart, &found);
+    rw_report_tick(&d->report, made->time, made->start, made->upset);
     if (made->touch.news) rw_report_contact(&d->report, made->touch.time, made->touch.push, made->touch.size);
     d->judged = d->judged || made->mode == RW_JUDGE;
 }
@@ -124,10 +127,19 @@ int rw_diagnoser_poll(rw_diagnoser *d, rw_news *news)
 {
     rw_event losses[RW_RECORDS];
     rw_override overrides[RW_OVERRIDES];
-    const int lost = rw_events_losses(&d->events, d->vehicle, losses);
-    const int deviating = rw_deviations_found(&d->front.deviations, d->vehicle, overrides);
-    d->event_count = (uint8_t)rw_report_events(&d->report, losses, lost, overrides, deviating, d->listed);
-    return rw_changes_of(&d->changes, d->listed, d->event_count, d->front.newest - SETTLED_S, d->gone, news);
+    rw_change changes[2 * RW_EVENTS];
+    const bool flies = d->front.start < RW_LASTS;
+    const int32_t lost = rw_losses_losses(&d->losses, d->vehicle, flies, losses);
+    const int32_t deviating = rw_deviations_found(&d->front.deviations, d->vehicle, overrides);
+    d->event_count = (uint8_t)rw_report_events(&d->report, d->vehicle, losses, lost, overrides, deviating, d->listed);
+    const rw_time settled = d->front.newest - SETTLED_S;
+    const int32_t count = rw_changes_look(&d->changes, d->listed, d->event_count, settled, -1, false, d->gone, changes);
+    for (int k = 0; k < count; k++) {
+        news[k].event = changes[k].what == RW_WITHDRAWN ? &d->gone[changes[k].place] : &d->listed[changes[k].place];
+        news[k].number = (uint16_t)changes[k].number;
+        news[k].kind = (uint8_t)changes[k].what;
+    }
+    return (int)count;
 }
 
 int rw_diagnoser_events(const rw_diagnoser *d, const rw_event **events)
@@ -136,4 +148,22 @@ int rw_diagnoser_events(const rw_diagnoser *d, const rw_event **events)
     return d->event_count;
 }
 
-enum rw_verdict rw_diagnoser_verdict(const rw_diagnoser *d) { return rw_report_verdict(d->listed, d->event_count, d->judged); }
+int rw_diagnoser_main(const rw_diagnoser *d) { return (int)rw_events_main_event(d->listed, d->event_count); }
+
+int rw_diagnoser_verdict(const rw_diagnoser *d) { return (int)rw_events_verdict(d->listed, d->event_count, d->judged); }
+
+const char *rw_diagnoser_verdict_text(const rw_diagnoser *d)
+{
+    static const char *const words[] = {"not judged yet", "healthy so far", "fault found", "ambiguous"};
+    return words[rw_diagnoser_verdict(d)];
+}
+
+int rw_diagnoser_words(const rw_news *news, char *text)
+{
+    const bool withdrawn = news->kind == RW_WITHDRAWN;
+    rw_words words;
+    rw_words_init(&words);
+    rw_words_event(&words, news->event, withdrawn, news->event->kind == RW_CONTACT ? "knock or contact" : "output overridden");
+    memcpy(text, words.at, RW_TEXT);
+    return (int)rw_words_severity(news->event, withdrawn);
+}

@@ -1,7 +1,7 @@
 /* The whole: samples in, events out. Which rotor lost effectiveness, how much, since when, how sure.
 
    Feed every sample in the order of its time, of all kinds together, then ask. Feeding a sample of time t says that all older ones have
-   come. What is said of a moment is final but for what rw_changes tells as changed or withdrawn: ticks that may still turn out to lie on
+   come. What is said of a moment is final but for what a poll tells as changed or withdrawn: ticks that may still turn out to lie on
    the ground (a descent on little thrust, a knock) wait until that is known, up to some seconds, and are judged then.
 
      static rw_diagnoser d;
@@ -16,10 +16,7 @@
 #define RW_DIAGNOSER_H
 
 #include "rw_estimator.h"
-#include "rw_events.h"
 #include "rw_front.h"
-#include "rw_report.h"
-#include "rw_types.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -30,11 +27,30 @@ extern "C" {
 #define RW_BURST 2
 #endif
 
+/* A set of rotors: bit k is rotor k, from 0. */
+typedef uint16_t rw_rotors;
+#if RW_ROTORS < 3 || RW_ROTORS > 16
+#error "RW_ROTORS must be 3 to 16"
+#endif
+
+/* Numbers that the estimator takes of a tick: rw_made_inputs. */
+#define RW_INPUTS (RW_ROTORS + 12)
+
+/* Characters of a text with the 0 at its end, as long as a MAVLink STATUSTEXT. */
+#define RW_TEXT 51
+
+/* Something new. event: as it is now, or as it was where it is withdrawn. */
+typedef struct {
+    const rw_event *event;
+    uint16_t number; /* from 1, of the event for as long as it is remembered */
+    uint8_t kind;    /* RW_ANNOUNCED, RW_CHANGED, RW_WITHDRAWN */
+} rw_news;
+
 typedef struct {
     const rw_vehicle *vehicle;
     const rw_plan *plan;
     rw_front front;
-    rw_events events;
+    rw_losses losses;
     rw_report report;
     rw_changes changes;
     rw_event listed[RW_EVENTS], gone[RW_EVENTS];
@@ -78,9 +94,15 @@ void rw_diagnoser_finish(rw_diagnoser *d, rw_time time);
 /* What is new since the last poll, into news[2 * RW_EVENTS]; returns how many. Its events stay until the next poll. */
 int rw_diagnoser_poll(rw_diagnoser *d, rw_news *news);
 
-/* After a poll: all events, and what can be said. */
+/* After a poll: all events; the place of the one that matters most, or -1; what can be said: RW_NOT_JUDGED, RW_HEALTHY, RW_FAULT or
+   RW_AMBIGUOUS, and in a word or two: "healthy so far". */
 int rw_diagnoser_events(const rw_diagnoser *d, const rw_event **events);
-enum rw_verdict rw_diagnoser_verdict(const rw_diagnoser *d);
+int rw_diagnoser_main(const rw_diagnoser *d);
+int rw_diagnoser_verdict(const rw_diagnoser *d);
+const char *rw_diagnoser_verdict_text(const rw_diagnoser *d);
+
+/* "rotorwatch: rotor 3 lost 32 % (28-36)" into text[RW_TEXT]; returns its severity: RW_CRITICAL, RW_WARNING or RW_NOTICE. */
+int rw_diagnoser_words(const rw_news *news, char *text);
 
 #ifdef __cplusplus
 }

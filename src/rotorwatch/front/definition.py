@@ -23,9 +23,10 @@ from rotorwatch.front import (
     ticks,
     vehicle,
     whole,
+    words,
 )
 
-PARTS = (vehicle, airborne, mixer, deviations, contact, sense, ticks, front, events, losses, news)
+PARTS = (vehicle, airborne, mixer, deviations, contact, sense, ticks, front, events, losses, news, words)
 FRONT = Definition("front", (*PARTS, whole), sizes)
 KINDS = {
     "motors": whole.OUTPUTS, "control": whole.CONTROL, "gyro": whole.GYRO, "accel": whole.ACCEL, "velocity": whole.VELOCITY,

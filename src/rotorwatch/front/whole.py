@@ -31,6 +31,7 @@ from rotorwatch.front.sense import Plan, Sense, Sensed
 from rotorwatch.front.sizes import ROTORS
 from rotorwatch.front.ticks import SETTLE_S, Made, Ticks
 from rotorwatch.front.vehicle import Vehicle
+from rotorwatch.front.words import Words, severity
 
 VOLTAGE, OUTPUTS, CONTROL, GYRO, ACCEL, VELOCITY, STATE, ATTITUDE, THRUSTS, RATES = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9
 
@@ -339,3 +340,9 @@ def changes(
 ) -> int:
     """What is new about them; how much."""
     return c.look(found, count, settled, refined, every, gone, out)
+
+
+def say(found: list[Event], withdrawn: bool, what: str, w: Words) -> int:
+    """The first of these events in words; its severity."""
+    w.event(found[0], withdrawn, what)
+    return severity(found[0], withdrawn)

@@ -11,19 +11,21 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from types import SimpleNamespace
 
+from rotorwatch.default.events import packed
+from rotorwatch.front import whole, words
+from rotorwatch.front.definition import FRONT
+from rotorwatch.front.words import CRITICAL, NOTICE, WARNING
 from rotorwatch.live.changes import WITHDRAWN
 from rotorwatch.live.frames import Outgoing, outgoing
 from rotorwatch.live.link import Link
 from rotorwatch.live.watch import Source
 
-MOST = 50  # characters of a text
-CRITICAL, WARNING, NOTICE = 2, 4, 5  # MAV_SEVERITY
 PAUSE_S = 2.0  # between two texts of one vehicle
 A_MINUTE = 10  # texts of one vehicle in a minute
 STEP = 0.1  # by which a loss must move to be told again: half of what is worth an alert elsewhere would fill a pilot's screen
 SLOW_S, FAST_S = 5.0, 1.0  # between two values of a rotor, on serial ports and elsewhere
-FAULTS = ("loss_of_effectiveness", "output_override", "motor_order")
 LOST = "loss_of_control"
 WORDS = {"output_override": "output overridden", "contact": "knock or contact", "motor_order": "in the wrong order"}
 CAUSES = {  # of a loss of control without a rotor, in the few characters there are
@@ -91,7 +93,7 @@ class Ground:
             return
         if vehicle.texts and now - vehicle.texts[-1] < PAUSE_S:
             return
-        number, alert = min(vehicle.waiting.items(), key=lambda item: (severity(item[1]), item[0]))
+        number, alert = min(vehicle.waiting.items(), key=lambda item: (said(item[1])[1], item[0]))
         del vehicle.waiting[number]
         vehicle.said[number] = _gist(alert)
         vehicle.texts.append(now)
@@ -123,46 +125,30 @@ def _worth(said: tuple | None, alert: dict) -> bool:
     return any(abs(a - b) >= STEP for a, b in zip(said[4], new[4]))
 
 
-def severity(alert: dict) -> int:
-    """A lasting fault and a loss of control are critical, one of several explanations a warning, what is over or taken back a notice."""
+def said(alert: dict) -> tuple[str, int]:
+    """(a text of plain ASCII, severity) of an alert: front/words.py. A loss of control is critical as well."""
     if alert["type"] == "notice":
-        return CRITICAL if "stands" in alert["text"] else NOTICE
-    event = alert["event"]
-    if alert["state"] == WITHDRAWN or event["kind"] not in (*FAULTS, LOST) or _over(event):
-        return NOTICE
-    if event["kind"] == LOST:
-        return CRITICAL
-    return WARNING if event["alternatives"] else CRITICAL
-
-
-def words(alert: dict) -> str:
-    """At most MOST characters of plain ASCII."""
-    if alert["type"] == "notice":
-        return f"rotorwatch: ESC: rotor {alert['rotor']} {'stands' if 'stands' in alert['text'] else 'turns again'}"
-    event, numbers = alert["event"], alert["event"]["rotors"]
-    who = f"rotor{'s' if len(numbers) > 1 else ''} {'+'.join(map(str, numbers))}" if numbers else ""
-    if event["kind"] == "loss_of_effectiveness":
-        what = f"{who} lost {'/'.join(f'{100 * loss:.0f}' for loss in event['loss'])} %"
-        if len(event["interval"]) == 1:
-            what += f" ({100 * event['interval'][0][0]:.0f}-{100 * event['interval'][0][1]:.0f})"
-    elif event["kind"] == LOST:
-        what = ", ".join(filter(None, ("LOSS OF CONTROL", who or CAUSES.get(event["cause"], ""))))
-    else:
-        what = f"{who} {WORDS.get(event['kind'], event['kind'].replace('_', ' '))}".strip()
-    if alert["state"] == WITHDRAWN:
-        what += " taken back"
-    elif _over(event):
-        what += " is over"
-    what = f"rotorwatch: {what}"
-    if event["alternatives"] and not _over(event) and alert["state"] != WITHDRAWN:
-        others = " or " + ",".join("+".join(map(str, a)) for a in event["alternatives"])
-        what += others if len(what + others) <= MOST else " or others"
-    return what.encode("ascii", "replace").decode()[:MOST]
+        stands = "stands" in alert["text"]
+        words = f"rotorwatch: ESC: rotor {alert['rotor']} {'stands' if stands else 'turns again'}"
+        return words, CRITICAL if stands else NOTICE
+    event, withdrawn = SimpleNamespace(extra={}, **alert["event"]), alert["state"] == WITHDRAWN
+    what = WORDS.get(event.kind, event.kind.replace("_", " "))
+    if event.kind == LOST:
+        numbers = "+".join(map(str, event.rotors))
+        who = f"rotor{'s' if len(event.rotors) > 1 else ''} {numbers}" if numbers else CAUSES.get(event.cause, "")
+        what, event.rotors = ", ".join(filter(None, ("LOSS OF CONTROL", who))), ()
+    if not _over(alert["event"]):
+        event.end_s = None
+    made = FRONT.new(words.Words)
+    severity = FRONT.call(whole.say, packed([event]), withdrawn, what, made)
+    text = bytes(made["at"].reshape(-1)[: int(made["length"][0])].tolist()).decode("ascii")
+    return text, CRITICAL if event.kind == LOST and severity == WARNING else severity
 
 
 def text(alert: dict) -> Outgoing:
     """The STATUSTEXT of an alert."""
-    return outgoing("STATUSTEXT", severity=severity(alert), text=words(alert).encode())
+    told, severity = said(alert)
+    return outgoing("STATUSTEXT", severity=severity, text=told.encode())
 
 
 def value(boot_ms: int, rotor: int, loss: float) -> Outgoing:
