@@ -3,14 +3,13 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "rw_events.h"
-#include "rw_report.h"
+#include "rw_front.h"
 
 #define SYSTICK ((volatile uint32_t *)0xE000E010u)
 #define N RW_ROTORS
 
-enum { FRONT, EVENTS, LIST, REPORT, PARTS };
-static const char *const NAMES[PARTS] = {"front", "events", "losses", "report"};
+enum { FRONT, LOSSES, LIST, REPORT, PARTS };
+static const char *const NAMES[PARTS] = {"front", "losses", "list", "report"};
 static uint32_t most[PARTS];
 
 #define COUNTED(part, call) \
@@ -22,7 +21,7 @@ static uint32_t most[PARTS];
     } while (0)
 
 static rw_front front;
-static rw_events events;
+static rw_losses all;
 static rw_report report;
 static rw_changes changes;
 
@@ -36,29 +35,16 @@ static rw_real noise(void)
 
 static void explained(int k, rw_found *found)
 {
-    static rw_real theta[N], sd[N], share[RW_PLACES], onsets[RW_PLACES], odds[RW_HYPOTHESES];
-    static bool active[RW_PLACES * N];
     for (int i = 0; i < N; i++) {
-        theta[i] = (rw_real)0.3 + (rw_real)0.01 * noise();
-        sd[i] = (rw_real)0.02;
+        found->theta[i] = (rw_real)0.3 + (rw_real)0.01 * noise();
+        found->theta_sd[i] = (rw_real)0.02;
     }
-    for (int i = 0; i < RW_HYPOTHESES; i++) odds[i] = (rw_real)0.05;
-    if (k % 20 == 0) {
-        for (int p = 0; p < RW_PLACES; p++) {
-            for (int i = 0; i < N; i++) active[p * N + i] = noise() > 0;
-            share[p] = (rw_real)(1.0 / RW_PLACES);
-        }
+    for (int i = 0; i < RW_HYPOTHESES; i++) found->probability[i] = found->log_odds[i] = (rw_real)0.05;
+    for (int p = 0; p < RW_PLACES; p++) {
+        for (int i = 0; i < N && k % 20 == 0; i++) found->active[p][i] = noise() > 0;
+        found->share[p] = (rw_real)(1.0 / RW_PLACES);
+        found->onsets[p] = (rw_real)(k % 20 + 20 + p);
     }
-    for (int p = 0; p < RW_PLACES; p++) onsets[p] = (rw_real)(k % 20 + 20 + p);
-    found->theta = theta;
-    found->theta_sd = sd;
-    found->active = active;
-    found->share = share;
-    found->probability = found->log_odds = odds;
-    found->onsets = onsets;
-    found->since = onsets[0];
-    found->opposite = -1;
-    found->opposite_onset = 0;
     found->announced = k % 20 == 0 && k > 200;
 }
 
@@ -67,7 +53,8 @@ int main(void)
     static rw_vehicle v;
     static rw_event losses[RW_RECORDS], list[RW_EVENTS], gone[RW_EVENTS];
     static rw_override overrides[RW_OVERRIDES];
-    static rw_news news[2 * RW_EVENTS];
+    static rw_change news[2 * RW_EVENTS];
+    static rw_found found;
     rw_plan p = {.dt = RW_TICK_S, .lag = 0.02, .ready = 3, .gyro_half = RW_TICK_S / 2, .accel_half = RW_TICK_S / 2, .gyro_least = 1,
                  .accel_least = 1, .side_least = 5, .late = 0.9, .before = RW_TICKS_BEFORE,
                  .gyro = true, .accel = true};
@@ -83,7 +70,8 @@ int main(void)
         for (int a = 0; a < 3; a++) v.mixer[i][a] = (rw_real)0.5 * v.effectiveness[a][i];
     }
     rw_front_init(&front);
-    rw_events_init(&events);
+    rw_losses_init(&all);
+    rw_found_init(&found);
     rw_report_init(&report);
     rw_changes_init(&changes);
     SYSTICK[1] = 0xFFFFFF;
@@ -104,30 +92,22 @@ int main(void)
         for (;; k++) {
             bool more = false;
             rw_made made;
-            rw_tick tick;
-            rw_found found;
             int loss_count = 0, override_count, count = 0;
             rw_made_init(&made);
             COUNTED(FRONT, more = rw_front_next(&front, &v, &p, &made));
             if (!more) break;
-            tick.time = made.time;
-            tick.command_time = made.when;
-            tick.air_start = made.start;
-            tick.mode = (int8_t)made.mode;
-            tick.restart = made.restart;
-            tick.upset = made.upset;
             explained(k, &found);
-            COUNTED(EVENTS, rw_events_tick(&events, &v, &tick, &found));
-            COUNTED(LIST, loss_count = rw_events_losses(&events, &v, losses));
-            rw_report_tick(&report, &tick);
+            COUNTED(LOSSES, rw_losses_on(&all, &v, made.time, made.when, made.mode, made.restart, &found));
+            COUNTED(LIST, loss_count = rw_losses_losses(&all, &v, false, losses));
+            rw_report_tick(&report, made.time, made.start, made.upset);
             COUNTED(REPORT, {
                 override_count = rw_deviations_found(&front.deviations, &v, overrides);
-                count = rw_report_events(&report, losses, loss_count, overrides, override_count, list);
-                rw_changes_of(&changes, list, count, t - 6, gone, news);
+                count = rw_report_events(&report, &v, losses, loss_count, overrides, override_count, list);
+                rw_changes_look(&changes, list, count, t - 6, -1, false, gone, news);
             });
         }
     }
     for (int part = 0; part < PARTS; part++) printf("%s %lu\n", NAMES[part], (unsigned long)most[part]);
-    printf("seen %d %d\n", rw_events_losses(&events, &v, losses), (int)rw_deviations_found(&front.deviations, &v, overrides));
+    printf("seen %d %d\n", (int)rw_losses_losses(&all, &v, false, losses), (int)rw_deviations_found(&front.deviations, &v, overrides));
     return 0;
 }

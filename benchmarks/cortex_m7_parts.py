@@ -17,7 +17,7 @@ from pathlib import Path
 import rotorwatch
 from rotorwatch import airframes, export_diagnoser
 from rotorwatch.compiling.translate import Translation
-from rotorwatch.front import sizes
+from rotorwatch.front import definition, sizes
 
 HERE = Path(__file__).resolve().parent
 CORE = HERE.parent / "embedded" / "cortex-m7"
@@ -25,12 +25,12 @@ SOURCES = Path(rotorwatch.__file__).parent / "embedded_c"
 CHIP = ("-mcpu=cortex-m7", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv5-d16", "-std=c99", "-Os", "-fstack-usage")
 BOARD = ("qemu-system-arm", "-M", "mps2-an500", "-nographic", "-semihosting", "-icount", "shift=0", "-kernel")
 TICK = 40  # instructions a tick of its clock
-# Part -> its struct and what it is for.
+# Part -> its struct, what it is for, and how the names of its functions begin.
 PARTS = {
-    "front": ("rw_front", "samples to the estimator's inputs, and outputs that do not follow the mixer"),
-    "events": ("rw_events", "losses"),
-    "report": ("rw_report", "one list of events"),
-    "text": ("rw_changes", "what is new, in words"),
+    "losses": ("rw_losses", "losses", ("losses", "record", "course", "standing", "onset", "found")),
+    "report": ("rw_report", "one list of events", ("report", "event", "knock")),
+    "news": ("rw_changes", "what is new, in words", ("changes", "change", "known", "words")),
+    "front": ("rw_front", "samples to the estimator's inputs, and outputs that do not follow the mixer", ("",)),
 }
 
 
@@ -38,7 +38,7 @@ def written(n: int, folder: Path) -> None:
     """rw_config.h of n rotors, ticks of 0.05 s, motion at 100 Hz and outputs at 50 Hz, and the front end."""
     B = airframes.named({4: "ardupilot-quad-x", 6: "ardupilot-hexa-x"}[n]).effectiveness()
     values = export_diagnoser.settings(B, 0.05) | export_diagnoser.rates(50.0, 100.0, 100.0)
-    made = Translation(export_diagnoser.BOARD, sizes)
+    made = Translation(definition.PARTS, sizes)
     (folder / "rw_config.h").write_text("".join(f"#define RW_{name} {value}\n" for name, value in values.items()))
     (folder / "rw_front.h").write_text(made.header(export_diagnoser.FRONT_ABOUT))
     (folder / "rw_front.c").write_text(made.source("rw_front.h"))
@@ -56,27 +56,40 @@ def measured(n: int, single: bool) -> dict[str, tuple[int, int, int, int]]:
         folder = Path(scratch)
         written(n, folder)
         flags = [*CHIP, f"-I{folder}", f"-I{SOURCES}", *(["-DROTORWATCH_FLOAT"] if single else [])]
-        files = {part: (folder if part == "front" else SOURCES) / f"rw_{part}.c" for part in PARTS}
         link = [CORE / "startup.c", "--specs=rdimon.specs", "-T", CORE / "an500.ld", "-lm"]
         run(
-            ["arm-none-eabi-gcc", *flags, *files.values(), HERE / "cortex_m7_parts.c", *link, "-o", folder / "m7.elf"],
+            ["arm-none-eabi-gcc", *flags, folder / "rw_front.c", HERE / "cortex_m7_parts.c", *link, "-o", folder / "m7.elf"],
             cwd=folder,
         )
         said = run([*BOARD, folder / "m7.elf"], timeout=120)
         calls = {part: int(count) * TICK for part, count in (line.split()[:2] for line in said.splitlines())}
-        calls["events"] = calls["events"] + calls["losses"]
-        found = {}
-        for part, (struct, _) in PARTS.items():
-            header = "rw_report" if part == "text" else f"rw_{part}"
-            (folder / "size.c").write_text(f'#include "{header}.h"\nchar state[sizeof({struct})];\n')
-            run(["arm-none-eabi-gcc", *flags, "-c", folder / "size.c", "-o", folder / "size.o"], cwd=folder)
-            run(["arm-none-eabi-gcc", *flags, "-c", files[part], "-o", folder / "part.o"], cwd=folder)
-            code = int(run(["arm-none-eabi-size", folder / "part.o"]).splitlines()[1].split()[0])
-            symbols = run(["arm-none-eabi-nm", "-S", folder / "size.o"]).splitlines()
-            state = next(int(line.split()[1], 16) for line in symbols if line.endswith(" state"))
-            stack = max(int(line.split("\t")[1]) for line in (folder / "part.su").read_text().splitlines())
-            found[part] = code, state, stack, calls.get(part, 0)
-        return found
+        calls["losses"] += calls["list"]
+        run(["arm-none-eabi-gcc", *flags, "-c", folder / "rw_front.c", "-o", folder / "part.o"], cwd=folder)
+        (folder / "size.c").write_text(
+            '#include "rw_front.h"\n' + "".join(f"char of_{part}[sizeof({struct})];\n" for part, (struct, *_) in PARTS.items())
+        )
+        run(["arm-none-eabi-gcc", *flags, "-c", folder / "size.c", "-o", folder / "size.o"], cwd=folder)
+        states = {name: size for size, _, name in symbols(folder / "size.o")}
+        stacks = [line.split("\t") for line in (folder / "part.su").read_text().splitlines()]
+        code, stack = dict.fromkeys(PARTS, 0), dict.fromkeys(PARTS, 0)
+        for size, kind, name in symbols(folder / "part.o"):
+            if kind in "TtRr":
+                code[part_of(name)] += size
+        for place, size, _ in stacks:
+            part = part_of(place.rpartition(":")[2])
+            stack[part] = max(stack[part], int(size))
+        return {part: (code[part], states[f"of_{part}"], stack[part], calls.get(part, 0)) for part in PARTS}
+
+
+def symbols(file: Path) -> list[tuple[int, str, str]]:
+    """(size, kind, name) of each symbol that has a size."""
+    rows = [line.split() for line in run(["arm-none-eabi-nm", "-S", file]).splitlines()]
+    return [(int(row[1], 16), row[2], row[3]) for row in rows if len(row) == 4]
+
+
+def part_of(name: str) -> str:
+    """The part of a function by its name."""
+    return next(part for part, (*_, begins) in PARTS.items() if name.removeprefix("rw_").startswith(begins))
 
 
 def main() -> None:

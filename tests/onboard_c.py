@@ -34,7 +34,7 @@ def library(folder, sources, driver, B, single=False, compiler="gcc", dt=0.05):
         "-shared",
         *(["-DROTORWATCH_FLOAT"] if single else []),
     ]
-    files = [*(str(SOURCES / name) for name in sources), str(folder / "driver.c")]
+    files = [*(str(folder / name) for name in sources), str(folder / "driver.c")]
     target = folder / "onboard.so"
     command = [found, *flags, f"-I{folder}", f"-I{SOURCES}", *files, "-lm", "-o", str(target)]
     done = subprocess.run(command, capture_output=True, text=True)

@@ -29,7 +29,7 @@ from test_shipped import SAMPLE
 IMPORTS = (
     "from __future__ import annotations\n"
     "from rotorwatch.compiling.structs import *\n"
-    "from rotorwatch.compiling.structs import FLAG, INT, LASTS, MASK, NAN, REAL, TIME\n"
+    "from rotorwatch.compiling.structs import FLAG, INT, LASTS, LETTER, MASK, NAN, REAL, TIME\n"
 )
 SOURCE = '''
 from made_sizes import COUNT
@@ -128,6 +128,23 @@ def truths(x: Real, y: Real, k: int, out: Flags) -> None:
     out[3] = not (x > 0.0 or y >= 0.0) and k % 2 == 0
     out[4] = k >= 2 if x > y else k != 1
     out[5] = (x > 0.0) == (y > 0.0)
+
+
+class Text(Struct):
+    at = array(LETTER, 12)
+    length: Small = 0
+
+    def add(self, more: str) -> None:
+        for i in range(len(more)):
+            if self.length < 12:
+                self.at[self.length] = ord(more[i])
+                self.length += 1
+
+
+def texts(t: Text, k: int, more: str) -> int:
+    t.add("a\\"b\\\\" if k > 2 else "")
+    t.add(more)
+    return len(more)
 
 
 def conversions(x: Real, k: int, out: Reals) -> None:
@@ -303,6 +320,15 @@ def test_structs(made, steps):
         same(records(one, plain), records(other, compiled))
 
 
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 5), st.text(st.characters(min_codepoint=1, max_codepoint=126), max_size=9))
+def test_texts(made, k, more):
+    small, compiled, plain = made
+    one, other = plain.new(small.Text), compiled.new(small.Text)
+    assert plain.call(small.texts, one, k, more) == compiled.call(small.texts, other, k, more) == len(more)
+    same(records(one, plain), records(other, compiled))
+
+
 def test_copies_share_nothing(made):
     small, _, _ = made
     one, other = small.Outer(), small.Outer()
@@ -322,7 +348,8 @@ NOT_C = {
     "x |= 2": "this operation is not C",
     "y = ~x": "this sign is not C",
     "y = x is None": "this comparison is not C",
-    "y = 'text'": "is no number",
+    "y = 'text'": "a text is passed on",
+    "y = None": "is no number",
     "y, z = x, x": "not C",
     "y = other": "other is not known",
     "y = a.nothing": "nothing is no field of a",
@@ -339,7 +366,7 @@ NOT_C = {
     "try: pass\n    finally: pass": "Try is not C",
     "with x: pass": "With is not C",
     "y = lambda: x": "Lambda is not C",
-    "y: str = x": "this type is not known",
+    "y: bytes = x": "this type is not known",
 }
 
 
@@ -354,7 +381,7 @@ def test_what_is_not_c_is_refused_with_file_and_line(tmp_path, line):
     assert at <= number <= at + line.count("\n")
 
 
-@pytest.mark.parametrize("what", ["class A(Struct):\n    x = 1.0\n", "def f(x: str) -> None:\n    pass\n"])
+@pytest.mark.parametrize("what", ["class A(Struct):\n    x = 1.0\n", "def f(x: bytes) -> None:\n    pass\n"])
 def test_types_that_are_not_known_are_refused(tmp_path, what):
     with pytest.raises(ConfigError, match="made_wrong, line "):
         Translation([module(tmp_path, "made_wrong", IMPORTS + what)], sizes)

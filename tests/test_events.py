@@ -336,7 +336,9 @@ def test_a_thrust_curve_that_is_off_is_within_the_interval(theta):
     assert float(events.sd_of(np.array(theta), np.array(0.0), QUAD)) == pytest.approx(
         np.hypot(events.MODEL_SD, true - theta), rel=1e-9
     )
-    assert float(events.sd_of(np.array(1.0), np.array(0.0), QUAD)) == pytest.approx(events.MODEL_SD, rel=1e-3)  # gone is gone
+    assert float(events.sd_of(np.array(1.0), np.array(0.0), QUAD)) == pytest.approx(
+        events.MODEL_SD, rel=1e-3
+    )  # gone is gone
 
 
 def test_intervals_stay_within_a_loss():

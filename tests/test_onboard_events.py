@@ -1,4 +1,4 @@
-"""Losses as the C on board writes them down, tick by tick: those that default/events.py reads from the same ticks."""
+"""Losses as they are written down tick by tick: on board, in both precisions and with a board's room, those of a computer."""
 
 from types import SimpleNamespace
 
@@ -15,55 +15,40 @@ from rotorwatch.motion.ticks import GROUND, JUDGE, LEARN
 # A row of numbers per event: onset, detected, end, probability, rotors, loss, lower and upper (4 each), alternatives (30).
 ROW, MOST = 5 + 12 + 31, 40
 DRIVER = """
-#include "rw_events.h"
+#include "rw_front.h"
 
 unsigned long bytes(void);
 int told(int count, const double *effectiveness, int coaxial, const double *rows, double *out);
 
-unsigned long bytes(void) { return sizeof(rw_events); }
+unsigned long bytes(void) { return sizeof(rw_losses); }
 
 /* rows [count][width]: see columns() of the test; out [40][48]. */
 int told(int count, const double *effectiveness, int coaxial, const double *rows, double *out)
 {
-    static rw_events s;
+    static rw_losses s;
     static rw_event list[RW_RECORDS];
-    rw_vehicle v = {.coaxial = coaxial != 0};
+    rw_vehicle v = {.coaxial = coaxial != 0, .rotors = RW_ROTORS};
     int events;
     for (int k = 0; k < 4 * RW_ROTORS; k++) v.effectiveness[k / RW_ROTORS][k % RW_ROTORS] = (rw_real)effectiveness[k];
-    rw_events_init(&s);
+    rw_losses_init(&s);
     for (int k = 0; k < count; k++) {
-        rw_real theta[RW_ROTORS], sd[RW_ROTORS], share[RW_PLACES], onsets[RW_PLACES], probability[RW_HYPOTHESES], odds[RW_HYPOTHESES];
-        bool active[RW_PLACES * RW_ROTORS];
-        rw_tick tick;
+        const double *row = rows;
         rw_found found;
-        tick.time = *rows++;
-        tick.command_time = *rows++;
-        tick.air_start = 0;
-        tick.mode = (int8_t)*rows++;
-        tick.restart = *rows++ > 0.5;
-        tick.upset = false;
+        rows += 4;
         found.announced = *rows++ > 0.5;
-        found.since = (rw_real)*rows++;
         found.opposite = (int32_t)*rows++;
         found.opposite_onset = (rw_real)*rows++;
         for (int i = 0; i < 2; i++) found.opposite_loss[i] = (rw_real)*rows++;
-        for (int i = 0; i < RW_ROTORS; i++) theta[i] = (rw_real)*rows++;
-        for (int i = 0; i < RW_ROTORS; i++) sd[i] = (rw_real)*rows++;
-        for (int i = 0; i < RW_PLACES; i++) share[i] = (rw_real)*rows++;
-        for (int i = 0; i < RW_PLACES; i++) onsets[i] = (rw_real)*rows++;
-        for (int i = 0; i < RW_PLACES * RW_ROTORS; i++) active[i] = *rows++ > 0.5;
-        for (int i = 0; i < RW_HYPOTHESES; i++) probability[i] = (rw_real)*rows++;
-        for (int i = 0; i < RW_HYPOTHESES; i++) odds[i] = (rw_real)*rows++;
-        found.theta = theta;
-        found.theta_sd = sd;
-        found.share = share;
-        found.onsets = onsets;
-        found.active = active;
-        found.probability = probability;
-        found.log_odds = odds;
-        rw_events_tick(&s, &v, &tick, &found);
+        for (int i = 0; i < RW_ROTORS; i++) found.theta[i] = (rw_real)*rows++;
+        for (int i = 0; i < RW_ROTORS; i++) found.theta_sd[i] = (rw_real)*rows++;
+        for (int i = 0; i < RW_PLACES; i++) found.share[i] = (rw_real)*rows++;
+        for (int i = 0; i < RW_PLACES; i++) found.onsets[i] = (rw_real)*rows++;
+        for (int i = 0; i < RW_PLACES * RW_ROTORS; i++) found.active[i / RW_ROTORS][i % RW_ROTORS] = *rows++ > 0.5;
+        for (int i = 0; i < RW_HYPOTHESES; i++) found.probability[i] = (rw_real)*rows++;
+        for (int i = 0; i < RW_HYPOTHESES; i++) found.log_odds[i] = (rw_real)*rows++;
+        rw_losses_on(&s, &v, row[0], row[1], (int32_t)row[2], row[3] > 0.5, &found);
     }
-    events = rw_events_losses(&s, &v, list);
+    events = rw_losses_losses(&s, &v, false, list);
     for (int i = 0; i < events && i < 40; i++, out += 48) {
         const rw_event *const e = &list[i];
         out[0] = e->onset;
@@ -94,7 +79,7 @@ def built(tmp_path_factory):
         what = frame, single, compiler
         if what not in known:
             folder = tmp_path_factory.mktemp("events")
-            known[what] = library(folder, ["rw_events.c"], DRIVER, FRAMES[frame], single, compiler)
+            known[what] = library(folder, ["rw_front.c"], DRIVER, FRAMES[frame], single, compiler)
         return known[what]
 
     return of
@@ -103,7 +88,7 @@ def built(tmp_path_factory):
 def columns(out, ticks):
     """(T, width) rows that the driver reads."""
     T = len(ticks.time)
-    flat = [ticks.time, ticks.command_time, ticks.mode, ticks.restart, out.announced, out.since, out.opposite, out.opposite_onset,
+    flat = [ticks.time, ticks.command_time, ticks.mode, ticks.restart, out.announced, out.opposite, out.opposite_onset,
             out.opposite_loss, out.theta, out.theta_sd, out.share, out.onsets, out.active, out.probability, out.log_odds]  # fmt: skip
     return np.ascontiguousarray(np.column_stack([np.asarray(c, float).reshape(T, -1) for c in flat]))
 
@@ -121,13 +106,13 @@ def mask(rotors):
 
 
 def in_python(out, ticks, B, count):
-    """The same of default/events.py."""
+    """The same of default/events.py, with a computer's room."""
 
     def cut(columns):
         return SimpleNamespace(**{k: v[:count] if np.ndim(v) else v for k, v in vars(columns).items()})
 
     rows = []
-    for e in events.read(cut(out), cut(ticks), hypotheses.make(B.shape[1]), B):
+    for e in events.read(cut(out), cut(ticks), B):
         row = np.zeros(ROW)
         row[:5] = e.onset_s, e.detected_s, 1e300 if e.end_s is None else e.end_s, e.probability, mask(e.rotors)
         order = np.argsort(e.rotors)
@@ -155,7 +140,6 @@ def flight(B, seed, count=420, dt=0.05):
         theta=np.clip(np.cumsum(0.02 * rng.standard_normal((count, n)), axis=0) + 0.3, 0, 1),
         theta_sd=0.005 + 0.02 * rng.random((count, n)),
         announced=np.zeros(count, bool),
-        since=np.zeros(count),
         active=np.zeros((count, PLACES, n), bool),
         share=np.tile(np.eye(PLACES)[0], (count, 1)),
         onsets=np.zeros((count, PLACES)),
@@ -200,12 +184,12 @@ def flight(B, seed, count=420, dt=0.05):
         elif judged and n >= 6 and not active[0].any() and rng.random() < 0.02:
             out.opposite[k], out.opposite_onset[k] = rng.choice(pairs), rng.integers(1, 65)
             out.opposite_loss[k] = rng.random(2) * 0.3
-        out.active[k], out.share[k], out.since[k], out.onsets[k] = active, share, k - began[0], k - began
+        out.active[k], out.share[k], out.onsets[k] = active, share, k - began
     return out, ticks
 
 
 @pytest.mark.parametrize("frame", FRAMES)
-def test_every_event_at_every_moment_is_what_python_says(built, frame):
+def test_every_event_at_every_moment_is_the_same_with_a_boards_room(built, frame):
     """Flights of anything an estimator may say: the same events after any number of ticks, in double precision."""
     B, seen = FRAMES[frame], 0
     for seed in range(20):
@@ -249,8 +233,7 @@ def test_of_more_losses_than_there_is_room_for_the_last_are_kept(built):
     ticks.mode[:], ticks.restart[:] = JUDGE, np.arange(count) == 0
     for k in range(20, count, 10):
         out.announced[k] = True
-        out.since[k:] = 3 + np.arange(count - k)
-        out.onsets[k:] = out.since[k:, None]
+        out.onsets[k:] = 3 + np.arange(count - k)[:, None]
         out.active[k:, 0, 1], out.share[k:] = k % 20 == 0, np.eye(PLACES)[0]
     wanted, got = in_python(out, ticks, B, count), in_c(built("quad-x"), out, ticks, B, count)
     assert len(wanted) == 44 and len(got) == 12

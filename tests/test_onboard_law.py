@@ -103,7 +103,7 @@ def test_every_log_has_the_same_events_on_board(path, single, tmp_path):
 def test_the_library_has_the_prefix_that_was_asked_for(tmp_path):
     written = export_diagnoser(tmp_path / "lib", vehicle="px4-quad-x", prefix="mine")
     text = "\n".join(path.read_text() for path in written)
-    assert {p.name for p in written} >= {"mine_diagnoser.h", "mine_config.c", "mine_estimator.c", "mine_types.h"}
+    assert {p.name for p in written} >= {"mine_diagnoser.h", "mine_config.c", "mine_estimator.c", "mine_front.h"}
     assert not re.search(r"\b(rw|RW)_", text) and "mine_diagnoser_init" in text
 
 

@@ -22,7 +22,7 @@ import numpy as np
 from rotorwatch import airframes, checks, files, logs, optional
 from rotorwatch.control import excitation
 from rotorwatch.control.excitation import Design, Limits, Noise
-from rotorwatch.default import asked, events, hypotheses
+from rotorwatch.default import asked, events
 from rotorwatch.default.plant import TAU, usual_gains
 from rotorwatch.default.program import estimate
 from rotorwatch.errors import ConfigError

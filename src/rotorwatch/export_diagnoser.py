@@ -31,6 +31,7 @@ from rotorwatch.motion.contact import look_back
 SOURCES = Path(__file__).parent / "embedded_c"
 FRONT_ABOUT = "The front end: samples in, ticks out. Made of the definitions in rotorwatch/front; not to be edited."
 ESTIMATOR = "rw_estimator"
+ROOMS = ("RECORDS", "CONTACTS", "FALLS", "EVENTS")  # how much is kept, which a compiler may be told otherwise
 QUEUE_S = 6.0  # ticks that wait: airborne.CONFIRM_S, and room
 
 
@@ -99,7 +100,8 @@ def rates(output_hz: float, gyro_hz: float, accel_hz: float) -> dict[str, int]:
 def config(vehicle: Vehicle, dt: float, output_hz: float, gyro_hz: float, accel_hz: float) -> str:
     """rw_config.h."""
     values = settings(vehicle.effectiveness(), dt) | rates(output_hz, gyro_hz, accel_hz)
-    lines = [f"#define RW_{name} {value}" for name, value in values.items()]
+    lines = [f"#define RW_{name} {value}" for name, value in values.items() if name not in ROOMS]
+    lines += [f"#ifndef RW_{name}\n#define RW_{name} {values[name]}\n#endif" for name in ROOMS]
     head = "/* Vehicle and rates of this library. Made by `rotorwatch export-c --diagnoser`; not to be edited. */"
     return "\n".join([head, "#ifndef RW_CONFIG_H", "#define RW_CONFIG_H", *lines, "#endif", ""])
 

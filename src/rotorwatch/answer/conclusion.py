@@ -26,9 +26,12 @@ from rotorwatch.answer.wording import (
     seconds,
     sentence,
 )
+from rotorwatch.default.events import packed
 from rotorwatch.default.hypotheses import GONE
 from rotorwatch.default.leftover import Leftover
 from rotorwatch.diagnosis import Event, RotorState, StoryLine, Trend
+from rotorwatch.front import whole
+from rotorwatch.front.definition import FRONT
 
 LOSS, OVERRIDE, CONTACT = "loss_of_effectiveness", "output_override", "contact"
 LOST, ORDER = "loss_of_control", "motor_order"
@@ -48,8 +51,6 @@ NOT_A_ROTOR = {
     "power": "the power failed",
 }
 LEAST_S = 3.0  # of judged flight, below which nothing is said of healthy rotors
-LARGE = 0.5  # of the largest loss: what counts when the first one is looked for
-TOGETHER_S = 1.0  # losses that began within that are one happening, of which the largest stands for all
 CREDIBLE = 0.05  # causes of a whole flight's difference that are less probable accuse nobody
 LANDED_S = 1.5
 UNJUDGED = "Damage from take-off was not judged."
@@ -170,16 +171,9 @@ def main_event(events: Sequence[Event]) -> int | None:
     (one that comes after is what a falling vehicle's controller does); of losses that began together the largest. Where no rotor is
     accused, the loss of control."""
     order = [i for i, e in enumerate(events) if e.kind in ACCUSES]
-    order = [i for i in order if not events[i].alternatives] or order
-    if not order:
-        return next((i for i, e in enumerate(events) if e.kind == LOST), None)
-    size = {i: max(events[i].loss, default=0.0) for i in order if events[i].kind == LOSS}
-    large = [i for i in size if size[i] >= LARGE * max(size.values())]
-    first = min((events[i].onset_s for i in large), default=np.inf)
-    before = [i for i in order if i not in size and events[i].onset_s < first]
-    if before:
-        return min(before, key=lambda i: events[i].onset_s)
-    return max((i for i in large if events[i].onset_s <= first + TOGETHER_S), key=lambda i: size[i])
+    named = [events[i] if events[i].kind == LOSS else replace(events[i], kind=OVERRIDE) for i in order]
+    place = FRONT.call(whole.most_important, packed(named), len(named))
+    return order[place] if place >= 0 else next((i for i, e in enumerate(events) if e.kind == LOST), None)
 
 
 # Verdict and words

@@ -32,7 +32,7 @@ from rotorwatch.campaign import batch, sequences
 from rotorwatch.campaign.constants import TABLE
 from rotorwatch.campaign.plan import Plan
 from rotorwatch.compiling.run import chosen, run_built
-from rotorwatch.default import events, hypotheses, program
+from rotorwatch.default import events, program
 from rotorwatch.diagnosis import Event
 from rotorwatch.errors import ConfigError
 from rotorwatch.experiments import inject, tools

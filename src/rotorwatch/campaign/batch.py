@@ -20,7 +20,7 @@ from rotorwatch.backend import jax as load_jax
 from rotorwatch.campaign import methods, score
 from rotorwatch.campaign.plan import Plan
 from rotorwatch.compiling.run import run_built
-from rotorwatch.default import events, hypotheses, program
+from rotorwatch.default import events, program
 from rotorwatch.diagnosis import Event
 from rotorwatch.errors import ConfigError
 from rotorwatch.experiments import limits

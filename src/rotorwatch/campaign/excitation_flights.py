@@ -20,7 +20,7 @@ import numpy as np
 
 from rotorwatch import airframes
 from rotorwatch.control import excitation
-from rotorwatch.default import asked, events, hypotheses, program
+from rotorwatch.default import asked, events, program
 from rotorwatch.diagnose import diagnose
 from rotorwatch.diagnosis import Event
 from rotorwatch.errors import ConfigError

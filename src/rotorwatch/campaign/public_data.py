@@ -33,9 +33,9 @@ from rotorwatch import airframes, files, logs
 from rotorwatch.campaign import batch
 from rotorwatch.campaign.batch import Flown
 from rotorwatch.campaign.plan import Plan
+from rotorwatch.default import events
 from rotorwatch.errors import ConfigError, RotorwatchError
 from rotorwatch.flight import Flight
-from rotorwatch.default import events
 from rotorwatch.motion.airborne import airborne
 from rotorwatch.motion.ticks import LAG_S, READY_S, observe
 from rotorwatch.simulation.scenario import Scenario, brief, number, plain, whole

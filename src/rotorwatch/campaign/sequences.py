@@ -24,7 +24,7 @@ import numpy as np
 from rotorwatch import files
 from rotorwatch.campaign import batch
 from rotorwatch.campaign.plan import Cell, drawn
-from rotorwatch.default import events, hypotheses
+from rotorwatch.default import events
 from rotorwatch.diagnosis import Event
 from rotorwatch.errors import ConfigError
 from rotorwatch.experiments import tools

@@ -16,7 +16,16 @@ from rotorwatch.errors import ConfigError
 if TYPE_CHECKING:
     from rotorwatch.compiling.translate import Translation
 
-C_NAMES = {"real": "rw_real", "time": "rw_time", "int": "int32_t", "flag": "bool", "mask": "uint16_t", "small": "int16_t", "letter": "char", "text": "const char *"}
+C_NAMES = {
+    "real": "rw_real",
+    "time": "rw_time",
+    "int": "int32_t",
+    "flag": "bool",
+    "mask": "uint16_t",
+    "small": "int16_t",
+    "letter": "char",
+    "text": "const char *",
+}
 RANK = {"flag": 0, "ilit": 0, "text": 0, "int": 1, "lit": 2, "real": 3, "time": 4}
 WIDE = {"mask": "int", "small": "int", "letter": "int"}  # as what stored numbers are read
 FIRST = {"lit": "real", "ilit": "int", **WIDE}  # type of a variable by its first value
@@ -269,6 +278,8 @@ class Body:
                 self.hoisted[name] = f"{snake(made.__name__)} {name};"
                 return f"{snake(made.__name__)}_init(&{name});"
         got = self.expression(value)
+        if "text" in (got.type.base, wanted.base if wanted else ""):
+            raise self.wrong(target, "a text is passed on, not kept")
         if not got.type.scalar:  # another name for part of a struct
             self.types[name], self.alias[name] = Type(got.type.base, ("",) if got.type.dims else ()), got.root
             if got.type.struct and not got.type.dims:

@@ -28,7 +28,15 @@ import numpy as np
 from rotorwatch.compiling import shipped, structs, toolchain
 from rotorwatch.compiling.structs import Struct
 
-TYPES = {"real": np.float64, "time": np.float64, "int": np.int32, "flag": np.bool_, "mask": np.uint16, "small": np.int16, "letter": np.int8}
+TYPES = {
+    "real": np.float64,
+    "time": np.float64,
+    "int": np.int32,
+    "flag": np.bool_,
+    "mask": np.uint16,
+    "small": np.int16,
+    "letter": np.int8,
+}
 # No fused multiply and add: the same operations as Python's.
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fno-math-errno", "-fPIC", "-shared")
 

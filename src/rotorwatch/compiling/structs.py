@@ -39,9 +39,26 @@ LASTS = 1e300
 """Later than all times: the end of what lasts."""
 NAN = math.nan
 
-REAL, TIME, INT, FLAG, MASK, SMALL, LETTER = "real", "time", "int", "flag", "mask", "small", "letter"  # kinds of elements, for `array`
+REAL, TIME, INT, FLAG, MASK, SMALL, LETTER = (
+    "real",
+    "time",
+    "int",
+    "flag",
+    "mask",
+    "small",
+    "letter",
+)  # kinds of elements, for `array`
 # annotation -> kind
-SCALARS = {"Real": REAL, "Time": TIME, "float": TIME, "int": INT, "bool": FLAG, "Mask": MASK, "Small": SMALL, "str": "text"}
+SCALARS = {
+    "Real": REAL,
+    "Time": TIME,
+    "float": TIME,
+    "int": INT,
+    "bool": FLAG,
+    "Mask": MASK,
+    "Small": SMALL,
+    "str": "text",
+}
 
 S = TypeVar("S", bound="Struct")
 

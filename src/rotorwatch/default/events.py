@@ -21,16 +21,28 @@ from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.front import deviations, losses, whole
 from rotorwatch.front import events as definition
 from rotorwatch.front.definition import FRONT, craft
-from rotorwatch.front.losses import CURVE_SHARE, MODEL_SD
+from rotorwatch.front.losses import CREDIBLE, CURVE_SHARE, MODEL_SD
 from rotorwatch.front.sizes import EVENTS, RECORDS, TOGETHER
 from rotorwatch.motion.contact import Contact
 from rotorwatch.motion.departures import overrides as deviating
 from rotorwatch.motion.ticks import JUDGE, Ticks
 
-__all__ = ["CURVE_SHARE", "MODEL_SD"]
+__all__ = ["CREDIBLE", "CURVE_SHARE", "MODEL_SD"]
 
-KINDS = ("loss_of_effectiveness", "output_override", "contact", "loss_of_control", "motor_order")
-COLUMNS = ("theta", "theta_sd", "active", "share", "onsets", "probability", "log_odds", "opposite", "opposite_onset", "opposite_loss", "announced")
+KINDS = ("loss_of_effectiveness", "output_override", "contact", "loss_of_control")
+COLUMNS = (
+    "theta",
+    "theta_sd",
+    "active",
+    "share",
+    "onsets",
+    "probability",
+    "log_odds",
+    "opposite",
+    "opposite_onset",
+    "opposite_loss",
+    "announced",
+)
 ROOM = 512  # ticks in one call
 SHOWN_S = 2.0  # after an announcement: the loss that was shown then
 
@@ -52,7 +64,9 @@ class Losses:
             part = slice(first, first + ROOM)
             self._found.fill(**{name: column[part] for name, column in columns.items()})
             rows = (ticks.time[part], ticks.command_time[part], mode[part], np.asarray(ticks.restart)[part])
-            FRONT.call(whole.announce, self._state, self.craft, len(rows[0]), *map(np.ascontiguousarray, rows), self._found)
+            FRONT.call(
+                whole.announce, self._state, self.craft, len(rows[0]), *map(np.ascontiguousarray, rows), self._found
+            )
 
     @property
     def said(self) -> int:
@@ -147,10 +161,21 @@ class Report:
         self._follow(np.empty(0), np.empty(0, bool), 0.0, air, np.empty((3, 0)), final=True)
         return self
 
-    def _follow(self, time: np.ndarray, upset: np.ndarray, dt: float, air, hits: np.ndarray, final: bool = False) -> None:
+    def _follow(
+        self, time: np.ndarray, upset: np.ndarray, dt: float, air, hits: np.ndarray, final: bool = False
+    ) -> None:
         starts, ends = np.minimum(np.array(air, float).reshape(-1, 2).T, LASTS)
         rows = len(time), *map(np.ascontiguousarray, (time, upset)), float(dt), len(starts), starts.copy(), ends.copy()
-        FRONT.call(whole.follow, self._state, *rows, hits.shape[1], hits[0].copy(), hits[1].astype(np.int32), hits[2].copy(), final)
+        FRONT.call(
+            whole.follow,
+            self._state,
+            *rows,
+            hits.shape[1],
+            hits[0].copy(),
+            hits[1].astype(np.int32),
+            hits[2].copy(),
+            final,
+        )
 
     def events(self, lost: Sequence[Event], overridden: Sequence[Event]) -> tuple[Event, ...]:
         """All events, in the order in which they were detected: the losses that accuse and that no overridden output explains, the outputs
@@ -163,7 +188,9 @@ class Report:
         given = packed(lost), len(lost), outputs, len(overridden)
         rows = rows.cut(FRONT.call(whole.events, self._state, self.craft, *given, rows))
         found, contacts = [], {c.time: c for c in self.contacts}
-        for kind, source, detail, onset in zip(*(rows[name].tolist() for name in ("kind", "source", "detail", "onset"))):
+        for kind, source, detail, onset in zip(
+            *(rows[name].tolist() for name in ("kind", "source", "detail", "onset"))
+        ):
             if kind == definition.CONTACT:
                 found.append(contacts[onset].event())
             elif kind == definition.OUTPUT_OVERRIDE:
@@ -199,14 +226,20 @@ def packed(events: Sequence[Event]) -> Rows:
         width = max(map(len, values), default=0)
         return np.array([[*row, *[0] * (width - len(row))] for row in values]).reshape(len(events), -1)
 
+    def number(text: str) -> int:
+        return len(KINDS) + zlib.crc32(text.encode()) % 30000
+
+    def kind(event: Event) -> int:
+        return KINDS.index(event.kind) if event.kind in KINDS else number(event.kind)
+
     def detail(event: Event) -> int:
         text = f"{event.extra.get('override', '')}{event.extra.get('cause', '')}"
-        return zlib.crc32(text.encode()) & 0x7FFF if text else definition.PLAIN
+        return number(text) if text else definition.PLAIN
 
     rows.fill(
         onset=np.array([e.onset_s for e in events]), detected=np.array([e.detected_s for e in events]),
         end=np.array([_end(e) for e in events]), probability=np.array([e.probability for e in events]),
-        rotors=np.array([_mask(e.rotors) for e in events]), kind=np.array([KINDS.index(e.kind) for e in events]),
+        rotors=np.array([_mask(e.rotors) for e in events]), kind=np.array([kind(e) for e in events]),
         alternative_count=np.array([len(e.alternatives) for e in events]), detail=np.array([detail(e) for e in events]),
         loss=lists("loss", [list(e.loss[:TOGETHER]) for e in events]),
         lower=lists("lower", [[low for low, _ in e.interval[:TOGETHER]] for e in events]),
@@ -232,7 +265,19 @@ def _rotors(mask: int, first: int = 0) -> tuple[int, ...]:
 
 def _in_words(rows: Rows) -> tuple[Event, ...]:
     """Losses as people read them."""
-    names = ("onset", "detected", "end", "rotors", "probability", "detail", "alternative_count", "alternatives", "loss", "lower", "upper")
+    names = (
+        "onset",
+        "detected",
+        "end",
+        "rotors",
+        "probability",
+        "detail",
+        "alternative_count",
+        "alternatives",
+        "loss",
+        "lower",
+        "upper",
+    )
     return tuple(_loss(*values) for values in zip(*(rows[name].tolist() for name in names)))
 
 

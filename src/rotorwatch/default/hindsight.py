@@ -17,7 +17,6 @@ from dataclasses import replace
 import numpy as np
 
 from rotorwatch.default import events, hypotheses
-from rotorwatch.default.hypotheses import Hypotheses
 from rotorwatch.default.learning import LEARNED_WEIGHT
 from rotorwatch.default.plant import AXIS_STATES, DAMPING, GAIN, PER_AXIS, any_multirotor, lower_rotors
 from rotorwatch.default.program import estimate

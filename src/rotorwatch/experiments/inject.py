@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rotorwatch import airframes, logs
-from rotorwatch.default import events, hypotheses, program
+from rotorwatch.default import events, program
 from rotorwatch.diagnosis import Event
 from rotorwatch.errors import ConfigError
 from rotorwatch.experiments import tools

@@ -57,7 +57,9 @@ class Event(Struct):
     alternatives = array(MASK, ALTERNATIVES)  # sets that would look the same, the likeliest first
     alternative_count: Small = 0
     kind: Small = LOSS  # LOSS, OUTPUT_OVERRIDE, CONTACT
-    detail: Small = PLAIN  # of a loss PLAIN, SHARED and so on; of an override STUCK, OFF, OVERRIDDEN; of a contact TURNED and so on
+    detail: Small = (
+        PLAIN  # of a loss PLAIN, SHARED and so on; of an override STUCK, OFF, OVERRIDDEN; of a contact TURNED and so on
+    )
     source: Small = 0  # place among the losses or overrides that it came from
 
     def accuses(self) -> bool:
@@ -181,7 +183,13 @@ class Report(Struct):
         self.count = at + 1
 
     def events(
-        self, v: Vehicle, losses: list[Event], loss_count: int, overrides: list[Override], override_count: int, out: list[Event]
+        self,
+        v: Vehicle,
+        losses: list[Event],
+        loss_count: int,
+        overrides: list[Override],
+        override_count: int,
+        out: list[Event],
     ) -> int:
         """All events into out [EVENTS], in the order in which they were detected; how many."""
         count = 0

@@ -36,7 +36,14 @@ class Changes(Struct):
     count: Small = 0
 
     def look(
-        self, events: list[Event], count: int, settled: Time, refined: int, every: bool, gone: list[Event], out: list[Change]
+        self,
+        events: list[Event],
+        count: int,
+        settled: Time,
+        refined: int,
+        every: bool,
+        gone: list[Event],
+        out: list[Change],
     ) -> int:
         """What is new about the events as they are now, into out [2 EVENTS]; how many. settled: time in s before which nothing is withdrawn: an
         event that ended before and is missing was forgotten. refined: events of this kind, as losses, may turn out to be of other rotors;

@@ -22,7 +22,7 @@ from rotorwatch.compiling.structs import (
 )
 from rotorwatch.front.airborne import Airborne
 from rotorwatch.front.deviations import Deviations, Override
-from rotorwatch.front.events import Event, Report
+from rotorwatch.front.events import Event, Report, main_event
 from rotorwatch.front.front import Front
 from rotorwatch.front.losses import Found, Losses
 from rotorwatch.front.mixer import CONTROLS, Comparison, Mixer
@@ -346,3 +346,8 @@ def say(found: list[Event], withdrawn: bool, what: str, w: Words) -> int:
     """The first of these events in words; its severity."""
     w.event(found[0], withdrawn, what)
     return severity(found[0], withdrawn)
+
+
+def most_important(found: list[Event], count: int) -> int:
+    """Place of the event that matters most, -1 without one."""
+    return main_event(found, count)

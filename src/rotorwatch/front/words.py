@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rotorwatch.compiling.structs import LASTS, LETTER, Real, Small, Struct, array, floor
+from rotorwatch.compiling.structs import LASTS, LETTER, Real, Small, Struct, array
 from rotorwatch.front.events import CONTACT, LOSS, Event
 from rotorwatch.front.sizes import ROTORS, TOGETHER
 
@@ -79,7 +79,7 @@ class Words(Struct):
 
     def _percent(self, share: Real) -> None:
         """A share, 0 to 1, in percent."""
-        self._number(int(floor(100.0 * share + 0.5)))
+        self._number(int(100.0 * share + 0.5))
 
     def _rotors(self, rotors: int) -> None:
         """As 1+3."""

@@ -1,4 +1,4 @@
-"""What is made of the estimator's ticks, with a way back: a vehicle may turn out to have fallen to the ground some time ago."""
+"""What is made of the estimator's ticks, with a way back: a flight may turn out to have ended some time ago, or to have gone on."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import numpy as np
 
 from rotorwatch.default.events import COLUMNS, Losses, Report
 from rotorwatch.motion.allocation import Spans
-from rotorwatch.motion.ticks import GROUND, Ticks
+from rotorwatch.motion.ticks import GROUND, Ticks, joined
 
-KEPT_S = 120.0  # of ticks, at least, that can be taken back
+KEPT_S = 120.0  # of ticks, at least, that can be gone through again
 
 
 class Account:
@@ -21,44 +21,59 @@ class Account:
     def __init__(self, B: np.ndarray):
         self._B = B
         self.losses, self.report = Losses(B), Report(B)
+        self._spans: Spans = ()
+        self._time = -np.inf  # of the last commands
         # Two times from which it can be done again: losses and report then, and the ticks since, with what the estimator made of them.
         self._older, self._newer = self._mark(), self._mark()
 
     def _mark(self) -> tuple[Losses, Report, list[tuple[Ticks, SimpleNamespace]]]:
         return Losses(self._B, self.losses), Report(self._B, self.report), []
 
-    def add(self, table: Ticks, out: Any, spans: Spans) -> None:
-        """More ticks with the estimator's outputs, in flights `spans`."""
+    def at(self, spans: Spans) -> None:
+        """The flights are these, (start, end) s, infinite where it lasts. Where one ends earlier or later than was known, its ticks are gone
+        through again."""
+        before, self._spans = dict(self._spans), spans
+        ends = [(before.get(start, end), end) for start, end in spans]
+        if any(old != new and min(old, new) < self._time for old, new in ends):
+            self.losses, self.report, tape = self._older
+            tape = [*tape, *self._newer[2]]
+            names = vars(tape[0][1])
+            table = joined([table for table, _ in tape])
+            out = SimpleNamespace(**{name: np.concatenate([getattr(out, name) for _, out in tape]) for name in names})
+            self._older = (*self._mark()[:2], [(table, out)])
+            self._take(table, out)
+            self._newer = self._mark()
+
+    def add(self, table: Ticks, out: Any) -> None:
+        """More ticks with the estimator's outputs."""
         tape = self._newer[2]
         if tape and table.time[0] - tape[0][0].time[0] > KEPT_S:
             self._older, self._newer = self._newer, self._mark()
+        self._time = float(table.command_time[-1])
         self._newer[2].append((table, SimpleNamespace(**{name: np.asarray(getattr(out, name)) for name in COLUMNS})))
-        self._take(*self._newer[2][-1], spans)
+        self._take(*self._newer[2][-1])
 
-    def cut(self, end: float, spans: Spans) -> None:
-        """The last flight fell to the ground at `end` s, as `spans` have it: what was made of it after that was no flight."""
-        losses, report, tape = self._older
-        tape, cut = [*tape, *self._newer[2]], []
-        self.losses, self.report = losses, report
-        older = self._mark()
-        for table, out in tape:
-            after = table.command_time > end
+    def _take(self, table: Ticks, out: SimpleNamespace) -> None:
+        after = landed(table, self._spans)
+        if after.any():
             silent = {"announced": out.announced.astype(bool) & ~after, "opposite": np.where(after, -1, out.opposite)}
-            cut.append((grounded(table, spans), SimpleNamespace(**{**vars(out), **silent})))
-            self._take(*cut[-1], spans)
-        self._older, self._newer = (*older[:2], cut), self._mark()
-
-    def _take(self, table: Ticks, out: SimpleNamespace, spans: Spans) -> None:
+            table, out = grounded(table, self._spans), SimpleNamespace(**{**vars(out), **silent})
         self.losses.add(table, out)
-        self.report.add(table, spans)
+        self.report.add(table, self._spans)
 
 
-def grounded(table: Ticks, spans: Spans) -> Ticks:
-    """The ticks, with those after the end of their flight on the ground: where it was cut by an impact."""
+def landed(table: Ticks, spans: Spans) -> np.ndarray:
+    """(T,) bool: ticks after the end of the flight that they come after the start of."""
     after = np.zeros(len(table.time), bool)
     for k, (start, end) in enumerate(spans):
         following = spans[k + 1][0] if k + 1 < len(spans) else np.inf
         after |= (table.command_time > end) & (table.time >= start) & (table.time < following)
+    return after
+
+
+def grounded(table: Ticks, spans: Spans) -> Ticks:
+    """The ticks, with those after the end of their flight on the ground: where it was cut by an impact."""
+    after = landed(table, spans)
     if not (after & (table.mode != GROUND)).any():
         return table
     mode, valid, upset = np.where(after, GROUND, table.mode), table.valid & ~after[:, None], table.upset & ~after

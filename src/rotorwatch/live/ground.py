@@ -129,8 +129,8 @@ def said(alert: dict) -> tuple[str, int]:
     """(a text of plain ASCII, severity) of an alert: front/words.py. A loss of control is critical as well."""
     if alert["type"] == "notice":
         stands = "stands" in alert["text"]
-        words = f"rotorwatch: ESC: rotor {alert['rotor']} {'stands' if stands else 'turns again'}"
-        return words, CRITICAL if stands else NOTICE
+        text = f"rotorwatch: ESC: rotor {alert['rotor']} {'stands' if stands else 'turns again'}"
+        return text, CRITICAL if stands else NOTICE
     event, withdrawn = SimpleNamespace(extra={}, **alert["event"]), alert["state"] == WITHDRAWN
     what = WORDS.get(event.kind, event.kind.replace("_", " "))
     if event.kind == LOST:

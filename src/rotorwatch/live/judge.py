@@ -19,6 +19,7 @@ from rotorwatch.motion.allocation import Spans
 from rotorwatch.motion.departures import Override
 from rotorwatch.motion.ticks import JUDGE, Plan, Ticks
 
+
 class Judge:
     """One vehicle, tick by tick. now: the last ticks, and the estimator's outputs of these rows; None before there are any."""
 
@@ -39,13 +40,12 @@ class Judge:
 
     def on(self, piece: Piece, final: bool = False) -> None:
         """Go on with what has become certain. final: nothing will come after."""
-        if cut := _earlier(self._spans, piece.spans):
-            self._account.cut(cut[1], piece.spans)
-            if self._beginnings is not None:
-                self._beginnings.cut(cut[1])
+        self._account.at(piece.spans)
+        if self._beginnings is not None and (end := _earlier(self._spans, piece.spans)) is not None:
+            self._beginnings.cut(end)
         self._spans, self._over, self._overrides = piece.spans, final, piece.overrides
         if piece.table is not None:
-            self._judge(grounded(piece.table, piece.spans))
+            self._judge(piece.table)
         if final:
             self._account.report.finish(piece.spans)
         early = self._beginnings
@@ -71,8 +71,9 @@ class Judge:
         return self._account.report.events(losses, [o.event() for o in _in_flight(self._overrides, self._spans)])
 
     def _judge(self, table: Ticks) -> None:
+        raw, table = table, grounded(table, self._spans)
         out = self._steps.run(*program.inputs(table, self.B))
-        self._account.add(table, out, self._spans)
+        self._account.add(raw, out)
         if self._beginnings is not None:
             self._beginnings.add(table, self._spans)
         self._time, self.now = float(table.time[-1]), (table, out)
@@ -80,10 +81,10 @@ class Judge:
         self.ticks += int(np.count_nonzero(table.mode == JUDGE))
 
 
-def _earlier(old: Spans, new: Spans) -> tuple[float, float] | None:
-    """The last flight, if it has ended earlier than was known."""
+def _earlier(old: Spans, new: Spans) -> float | None:
+    """End of the last flight, if it has ended earlier than was known."""
     before = dict(old[-1:])
-    return next(((start, end) for start, end in new[-2:] if end < before.get(start, -np.inf)), None)
+    return next((end for start, end in new[-2:] if end < before.get(start, -np.inf)), None)
 
 
 def _in_flight(found: tuple[Override, ...], spans: Spans) -> list[Override]:

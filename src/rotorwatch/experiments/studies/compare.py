@@ -21,7 +21,7 @@ import numpy as np
 
 from rotorwatch import discovery
 from rotorwatch.compiling.run import chosen, run, run_built
-from rotorwatch.default import events, hypotheses, program
+from rotorwatch.default import events, program
 from rotorwatch.errors import ConfigError
 from rotorwatch.experiments import tools
 from rotorwatch.experiments.studies.compare_flights import Scene

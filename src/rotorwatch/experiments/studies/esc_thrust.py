@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch.default import events, hypotheses
+from rotorwatch.default import events
 from rotorwatch.default.program import estimate
 from rotorwatch.diagnose import READY_S
 from rotorwatch.diagnosis import Event

@@ -1,0 +1,183 @@
+"""All events of a vehicle in one list - losses, outputs that left the mixer, contacts - and what is new about it."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rotorwatch import airframes
+from rotorwatch.answer.conclusion import main_event
+from rotorwatch.default import events
+from rotorwatch.diagnosis import Event
+from rotorwatch.front import events as listed
+from rotorwatch.front import news, whole
+from rotorwatch.front.definition import FRONT
+from rotorwatch.front.sizes import EVENTS
+from rotorwatch.live.changes import Changes
+from rotorwatch.motion.contact import Contact
+
+B = airframes.named("ardupilot-hexa-x").effectiveness()
+DT = 0.05
+
+
+def loss(onset, rotors=(3,), size=0.3, detected=None, end=None, alternatives=(), low=None):
+    sizes = (size,) * len(rotors)
+    bounds = tuple((size - 0.04 if low is None else low, size + 0.04) for _ in rotors)
+    when = onset + 1.0 if detected is None else detected
+    return Event("loss_of_effectiveness", rotors, onset, when, end, sizes, bounds, 0.9, alternatives, "")
+
+
+def override(onset, end=None, rotor=2):
+    return Event("output_override", (rotor,), onset, onset + 0.3, end, (), (), 1.0, (), "", {"override": "off"})
+
+
+def flown(until, air, upset=(), contacts=(), report=None, since=0.0):
+    """The report of ticks up to `until` s; upset: (start, end) in which the vehicle tumbles."""
+    time = np.arange(since, until, DT)
+    tumbles = np.zeros(len(time), bool)
+    for start, end in upset:
+        tumbles |= (time >= start) & (time <= end)
+    return (report or events.Report(B)).add(
+        SimpleNamespace(time=time, upset=tumbles, dt=DT, contacts=tuple(Contact(t, 2.0, 1) for t in contacts)), air
+    )
+
+
+def test_a_loss_that_begins_while_an_output_is_overridden_is_the_override():
+    report = flown(30.0, ((2.0, np.inf),))
+    before, during, after, later = loss(8.9), loss(9.1), loss(12.9), loss(13.1)
+    assert report.events((before, during, after, later), (override(10.0, 12.0),)) == (
+        before, override(10.0, 12.0), later,
+    )  # fmt: skip
+    assert report.events((loss(500.0),), (override(10.0),)) == (override(10.0),)  # it lasts
+
+
+def test_a_loss_that_may_be_nothing_accuses_nobody_unless_it_is_one_of_several():
+    report = flown(30.0, ((2.0, np.inf),))
+    faint, open_ = loss(10.0, low=0.0), loss(12.0, low=0.0, alternatives=((4,),))
+    assert report.events((faint, open_), ()) == (open_,)
+
+
+def test_an_override_that_begins_in_the_fall_is_the_fall():
+    """The vehicle tumbles from 20 s to the end at 22 s: what began before it did is told, and no loss is laid to what came after."""
+    air, early, late = ((2.0, 22.0),), override(19.0, 19.5), override(21.0)
+    report = flown(30.0, air, upset=[(20.0, 22.1)]).finish(air)
+    assert report.events((loss(21.2),), (early, late)) == (early, loss(21.2))
+    calm = flown(30.0, air, upset=[(10.0, 20.0)]).finish(air)  # it caught itself
+    assert calm.events((loss(21.2),), (late,)) == (late,)
+
+
+def test_a_contact_is_told_once_it_cannot_be_the_landing():
+    report = flown(10.5, ((2.0, np.inf),), contacts=[10.0])
+    assert report.events((), ()) == ()
+    flown(11.2, ((2.0, np.inf),), contacts=[10.0], report=report, since=10.5)
+    (event,) = report.events((), ())
+    assert (event.kind, event.onset_s, event.extra) == ("contact", 10.0, {"size": 2.0, "unit": "g"})
+    flown(14.0, ((2.0, 10.6),), contacts=[10.0], report=report, since=11.2)
+    assert report.events((), ()) == ()  # the flight ended there
+
+
+def test_a_contact_on_the_ground_is_none():
+    report = flown(30.0, ((2.0, 10.0), (15.0, np.inf)), contacts=[12.0, 20.0])
+    assert [e.onset_s for e in report.events((), ())] == [20.0]
+
+
+def test_a_contact_that_turns_out_larger_is_one_contact():
+    report = flown(10.5, ((2.0, np.inf),), contacts=[10.0])
+    more = SimpleNamespace(
+        time=np.arange(10.5, 12.0, DT), upset=np.zeros(30, bool), dt=DT, contacts=(Contact(10.0, 7.0, 0),)
+    )
+    (event,) = report.add(more, ((2.0, np.inf),)).events((), ())
+    assert event.extra["size"] == 7.0
+
+
+def test_of_more_events_than_there_is_room_for_the_last_are_kept():
+    report = flown(1.0, ())
+    many = [loss(10.0 + k, detected=400.0 - k) for k in range(EVENTS)]
+    found = report.events(many, [override(float(k), float(k)) for k in range(4000, 4008)])
+    assert len(found) == EVENTS and [e.detected_s for e in found] == sorted(e.detected_s for e in found)
+    assert found[-1].kind == "output_override" and found[0].detected_s == min(e.detected_s for e in many) + 8.0
+
+
+@pytest.mark.parametrize(
+    ("found", "place"),
+    [
+        ([], None),
+        ([loss(10.0), loss(20.0, size=0.9)], 1),  # the first is small beside it
+        ([loss(10.0, size=0.5), loss(20.0, size=0.9)], 0),  # large as well, and first
+        ([loss(10.0, size=0.5), loss(10.5, size=0.9)], 1),  # they began together
+        ([loss(10.0, size=0.9, alternatives=((4,),)), loss(20.0)], 1),  # sure ones first
+        ([loss(10.0), override(9.0)], 1),
+        ([loss(10.0), override(11.0)], 0),  # what the controller of a falling vehicle does
+        ([Event("contact", (), 5.0, 5.0, 5.0, (), (), 1.0, (), "")], None),
+        ([Event("loss_of_control", (), 5.0, 5.0, None, (), (), 1.0, (), "")], 0),
+    ],
+)
+def test_the_event_that_matters_most(found, place):
+    assert main_event(found) == place
+
+
+# What is new
+
+
+def said(changes, found, final=False):
+    return [(c.number, c.what, c.event) for c in changes.of(found, final)]
+
+
+def test_an_event_is_announced_once_and_told_again_when_it_has_changed():
+    changes, first = Changes(), loss(10.0)
+    assert said(changes, [first]) == [(1, "announced", first)]
+    assert said(changes, [loss(10.0, size=0.31)]) == []
+    assert said(changes, [loss(10.0, size=0.33)]) == [(1, "changed", loss(10.0, size=0.33))]
+    ended = loss(10.0, size=0.33, end=15.0)
+    assert said(changes, [ended]) == [(1, "changed", ended)] and changes.now == {1: ended}
+    assert said(changes, []) == [(1, "withdrawn", ended)] and changes.now == {}
+    assert said(changes, [loss(10.0)])[0][:2] == (2, "announced")
+
+
+def test_a_loss_may_turn_out_to_be_of_another_rotor_an_override_may_not():
+    changes = Changes()
+    said(changes, [loss(10.0), override(30.0)])
+    other = loss(10.4, rotors=(5,), alternatives=((3,),))
+    assert said(changes, [other, override(30.0, rotor=4)]) == [
+        (2, "withdrawn", override(30.0)), (1, "changed", other), (3, "announced", override(30.0, rotor=4)),
+    ]  # fmt: skip
+
+
+def test_in_the_end_any_difference_is_told():
+    changes = Changes()
+    said(changes, [loss(10.0), loss(20.0)])
+    nearly = loss(10.0, size=0.301)
+    assert said(changes, [nearly, loss(20.0)], final=True) == [(1, "final", nearly)]
+
+
+def test_what_ended_long_ago_and_is_forgotten_is_not_withdrawn():
+    """As on board, where the list has little room."""
+    known, out, gone = FRONT.new(news.Changes), FRONT.array(news.Change, 2 * EVENTS), FRONT.array(listed.Event, EVENTS)
+    one = events.packed([loss(10.0, end=15.0)])
+    assert FRONT.call(whole.changes, known, one, 1, 14.0, -1, False, gone, out) == 1
+    assert FRONT.call(whole.changes, known, one, 0, 20.0, -1, False, gone, out) == 0
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.lists(st.lists(st.tuples(st.integers(0, 3), st.integers(1, 6), st.floats(0.1, 0.9)), max_size=5), max_size=8)
+)
+def test_what_was_said_adds_up_to_the_list(steps):
+    """Announced, changed and withdrawn give the events that hold, each with one number."""
+    changes, held = Changes(), {}
+    for step in steps:
+        found = [loss(10.0 * place, rotors=(rotor,), size=size) for place, rotor, size in step]
+        for number, what, event in said(changes, found):
+            assert (number in held) == (what != "announced")
+            if what == "withdrawn":
+                del held[number]
+            else:
+                held[number] = event
+        assert len(held) == len(found) and held == changes.now
+        left = list(found)
+        for event in held.values():
+            near = [e for e in left if abs(e.onset_s - event.onset_s) < 1.0 and abs(e.loss[0] - event.loss[0]) < 0.02]
+            assert near
+            left.remove(near[0])
