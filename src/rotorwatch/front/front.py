@@ -81,9 +81,9 @@ class Front(Struct):
         trusted = local(FLAG, ROTORS)
         valid = not (isnan(demand[0]) or isnan(demand[1]) or isnan(demand[2]) or isnan(demand[3]))
         self._go_on(v, p, time)
-        count = self.mixer.control(v, time, demand, valid, self.mixer.made)
-        for i in range(count):
-            self._compare(v, self.mixer.made[i])
+        one = Comparison()
+        while self.mixer.control(v, time, demand, valid, one):
+            self._compare(v, one)
         if not p.rebuilt:
             return
         all_known = True

@@ -97,7 +97,6 @@ class Mixer(Struct):
     gain: Real = 1.0
     weights = array(TIME, CONTROLS + 1, ROTORS)  # of an unknown mixer: (roll, pitch, yaw, throttle, 1) -> thrust
     spread = array(TIME, CONTROLS + 1, CONTROLS + 1)  # covariance of a rotor's weights
-    made = array(Comparison, PENDING)  # by the last sample of the rate controller
     good = array(FLAG, ROTORS)  # the last comparison fitted
     trusted = array(FLAG, ROTORS)  # ... and the one before
 
@@ -122,14 +121,15 @@ class Mixer(Struct):
         self.waiting += 1
         return 0
 
-    def control(self, v: Vehicle, time: Time, control: Reals, valid: bool, out: list[Comparison]) -> int:
-        """The rate controller's output at `time` s. How many comparisons are made, in `out`, which has room for PENDING."""
+    def control(self, v: Vehicle, time: Time, control: Reals, valid: bool, out: Comparison) -> bool:
+        """The rate controller's output at `time` s; to be called again until it returns False. Where it returns True, `out` is a comparison."""
         if not valid:
-            return 0
-        made = 0
+            return False
         between = local(REAL, CONTROLS)
-        for i in range(self.waiting):
-            waits = self.pending[(self.first + i) % PENDING]
+        while self.waiting > 0:
+            waits = self.pending[self.first]
+            self.first = (self.first + 1) % PENDING
+            self.waiting -= 1
             before = self.controller[self.controls - 1]
             close = time - waits.time < _TOGETHER_S
             if time - waits.time < _PAIR_WITHIN_S and (close or waits.time - before.time < _PAIR_WITHIN_S):
@@ -137,10 +137,9 @@ class Mixer(Struct):
                 for c in range(CONTROLS):
                     between[c] = control[c] if close else (1.0 - share) * before.value[c] + share * control[c]
                 known = max(time, waits.time)
-                self._compare(v, waits.time, known, waits.output, waits.battery, between, out[made])
-                made += 1
+                self._compare(v, waits.time, known, waits.output, waits.battery, between, out)
+                return True
         self.first = 0
-        self.waiting = 0
         if self.controls == 2:
             copy(self.controller[0], self.controller[1])
         else:
@@ -149,7 +148,7 @@ class Mixer(Struct):
         newest.time = time
         for c in range(CONTROLS):
             newest.value[c] = control[c]
-        return made
+        return False
 
     def thrust(
         self, v: Vehicle, time: Time, control: Reals, valid: bool, battery: Real, thrust: Reals, trusted: Flags

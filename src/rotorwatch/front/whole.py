@@ -16,7 +16,6 @@ from rotorwatch.compiling.structs import (
     Time,
     Times,
     array,
-    copy,
     isnan,
     local,
 )
@@ -178,9 +177,7 @@ def mix(
         elif kind[i] == OUTPUTS:
             done.rows += m.outputs(v, time[i], numbers, known, battery, found[done.rows])
         elif kind[i] == CONTROL:
-            more = m.control(v, time[i], numbers, known, m.made)
-            for k in range(more):
-                copy(found[done.rows], m.made[k])
+            while m.control(v, time[i], numbers, known, found[done.rows]):
                 done.rows += 1
             one = made[done.samples]
             one.time = time[i]
