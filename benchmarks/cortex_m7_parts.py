@@ -58,7 +58,15 @@ def measured(n: int, single: bool) -> dict[str, tuple[int, int, int, int]]:
         flags = [*CHIP, f"-I{folder}", f"-I{SOURCES}", *(["-DROTORWATCH_FLOAT"] if single else [])]
         link = [CORE / "startup.c", "--specs=rdimon.specs", "-T", CORE / "an500.ld", "-lm"]
         run(
-            ["arm-none-eabi-gcc", *flags, folder / "rw_front.c", HERE / "cortex_m7_parts.c", *link, "-o", folder / "m7.elf"],
+            [
+                "arm-none-eabi-gcc",
+                *flags,
+                folder / "rw_front.c",
+                HERE / "cortex_m7_parts.c",
+                *link,
+                "-o",
+                folder / "m7.elf",
+            ],
             cwd=folder,
         )
         said = run([*BOARD, folder / "m7.elf"], timeout=120)
@@ -66,7 +74,8 @@ def measured(n: int, single: bool) -> dict[str, tuple[int, int, int, int]]:
         calls["losses"] += calls["list"]
         run(["arm-none-eabi-gcc", *flags, "-c", folder / "rw_front.c", "-o", folder / "part.o"], cwd=folder)
         (folder / "size.c").write_text(
-            '#include "rw_front.h"\n' + "".join(f"char of_{part}[sizeof({struct})];\n" for part, (struct, *_) in PARTS.items())
+            '#include "rw_front.h"\n'
+            + "".join(f"char of_{part}[sizeof({struct})];\n" for part, (struct, *_) in PARTS.items())
         )
         run(["arm-none-eabi-gcc", *flags, "-c", folder / "size.c", "-o", folder / "size.o"], cwd=folder)
         states = {name: size for size, _, name in symbols(folder / "size.o")}

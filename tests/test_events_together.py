@@ -161,9 +161,7 @@ def test_what_ended_long_ago_and_is_forgotten_is_not_withdrawn():
 
 
 @settings(max_examples=60, deadline=None)
-@given(
-    st.lists(st.lists(st.tuples(st.integers(0, 3), st.integers(1, 6), st.floats(0.1, 0.9)), max_size=5), max_size=8)
-)
+@given(st.lists(st.lists(st.tuples(st.integers(0, 3), st.integers(1, 6), st.floats(0.1, 0.9)), max_size=5), max_size=8))
 def test_what_was_said_adds_up_to_the_list(steps):
     """Announced, changed and withdrawn give the events that hold, each with one number."""
     changes, held = Changes(), {}

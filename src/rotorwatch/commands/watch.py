@@ -190,7 +190,10 @@ def _code(vehicles) -> int:
     from rotorwatch.live.ground import LOST
 
     found = [e for v in vehicles for e in v.events]
-    if any(e.kind in ("loss_of_effectiveness", "output_override", "motor_order") or (e.kind == LOST and e.rotors) for e in found):
+    if any(
+        e.kind in ("loss_of_effectiveness", "output_override", "motor_order") or (e.kind == LOST and e.rotors)
+        for e in found
+    ):
         return FAULT
     open_ = any(v.trouble or v.session is None or not v.session.judged for v in vehicles)
     return NOTHING if not vehicles or open_ or any(e.kind == LOST for e in found) else 0

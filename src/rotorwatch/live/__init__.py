@@ -10,7 +10,7 @@ link.py       one endpoint: its frames by vehicle, recorded
 replay.py     a recorded flight instead of a link
 window.py     the last seconds of a vehicle's signals
 stream.py     samples to ticks: the front end of a diagnosis, piece by piece
-history.py    the ticks that events are made of
+account.py    losses, falls and contacts, with a way back
 beginnings.py losses in the blind time, looked for again
 control.py    loss of control: samples of ten minutes to departures and their causes
 judge.py      ticks to events, and what is taken back when a landing is certain

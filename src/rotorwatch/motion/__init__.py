@@ -5,6 +5,5 @@ allocation.py   commands to the thrust of each rotor; rotors that cannot be told
 departures.py   outputs that leave the mixer
 contact.py      knocks: motion that no rotor can make
 ticks.py        one uniform table of all that
-outside.py      events that need no estimator: outputs that part from the mixer, knocks
 trust.py        is this what flew? the log held against itself
 """
