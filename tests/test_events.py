@@ -45,8 +45,8 @@ def silence():
 
 
 def explain(out, k, shares, age):
-    """From tick k on, the explanations {rotors: probability}, the leader first, with an onset `age` ticks before k: one for all, or each its
-    own."""
+    """From tick k on, the explanations {rotors: probability}, the leader first, with an onset `age` ticks before k: one for all, or one
+    for each."""
     ages = [age] * PLACES if isinstance(age, int) else [*age, *[age[-1]] * (PLACES - len(age))]
     out.onsets[k:] = np.array(ages) + np.arange(COUNT - k)[:, None]
     out.active[k:], out.share[k:] = False, 0.0

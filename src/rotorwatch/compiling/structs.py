@@ -14,8 +14,9 @@ order, so that double precision gives the same bits.
             self.total += value
             self.count += 1
 
-Real: a number in the library's precision, float on small boards. Time: seconds or sums, always double. int: 32 bits; Mask: a set, 16 bits; Small: 16
-bits: they are stored so, and read as int. str: a text in ASCII, read by `len(text)` and `ord(text[k])`. Sums, products and `<<` must stay within them, and `//` and `%` are of numbers that are not negative: Python and C differ beyond.
+Real: a number in the library's precision, float on small boards. Time: seconds or sums, always double. int: 32 bits. Mask: a set, and
+Small: 16 bits, which are read as int. Sums, products and `<<` must stay within these; `//` and `%` are of numbers that are not negative:
+Python and C differ beyond. str: a text in ASCII, read by `len(text)` and `ord(text[k])`.
 """
 
 from __future__ import annotations
@@ -81,7 +82,7 @@ class Array:
 
 
 def array(kind: Any, *shape: int, fill: Any = None) -> Any:
-    """A field, or a local variable, of fixed size: `kind` is REAL, TIME, INT, FLAG, MASK, SMALL, LETTER (of a text, its ASCII code) or a Struct."""
+    """A field, or a local variable, of fixed size. kind: REAL, TIME, INT, FLAG, MASK, SMALL, LETTER (ASCII, of a text), or a Struct."""
     nothing: Any = 0 if kind in (INT, MASK, SMALL, LETTER) else False if kind == FLAG else 0.0
     return Array(kind, shape, nothing if fill is None else fill)
 

@@ -79,8 +79,8 @@ class Event(Struct):
         return most
 
     def share_arm(self, v: Vehicle) -> None:
-        """Where its two rotors stand on one coaxial arm and together lack about one whole rotor, each of them alone is named as well. In all
-        but yaw one rotor that is gone looks like parts of both, and what is left of the arm then gives another thrust and yaw than geometry
+        """Where its two rotors stand on one coaxial arm and together lack about one rotor, each of them alone is named as well. In all but
+        yaw one rotor that is gone looks like parts of both, and what is left of the arm then gives another thrust and yaw than geometry
         says, because the air between the two has changed."""
         if not v.coaxial or self.alternative_count > 0 or self.kind != LOSS:
             return

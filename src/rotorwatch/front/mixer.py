@@ -122,7 +122,7 @@ class Mixer(Struct):
         return 0
 
     def control(self, v: Vehicle, time: Time, control: Reals, valid: bool, out: Comparison) -> bool:
-        """The rate controller's output at `time` s; to be called again until it returns False. Where it returns True, `out` is a comparison."""
+        """The rate controller's output at `time` s; to be called again until it returns False. Where it is True, `out` is a comparison."""
         if not valid:
             return False
         between = local(REAL, CONTROLS)

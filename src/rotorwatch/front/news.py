@@ -45,9 +45,12 @@ class Changes(Struct):
         gone: list[Event],
         out: list[Change],
     ) -> int:
-        """What is new about the events as they are now, into out [2 EVENTS]; how many. settled: time in s before which nothing is withdrawn: an
-        event that ended before and is missing was forgotten. refined: events of this kind, as losses, may turn out to be of other rotors;
-        every: each known event is listed, whether much of it has changed or not; gone [EVENTS]: room for events that are withdrawn."""
+        """What is new about the events as they are now, into out [2 EVENTS]; how many.
+
+        settled: time in s before which nothing is withdrawn: an event that ended before and is missing was forgotten. refined: events of
+        this kind, as losses, may turn out to be of other rotors. every: each known event is listed, whether much of it has changed or not.
+        gone [EVENTS]: room for events that are withdrawn.
+        """
         known_of = local(INT, EVENTS)  # place among what is known, -1: new
         event_of = local(INT, EVENTS)
         found = 0

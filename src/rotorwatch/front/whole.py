@@ -297,8 +297,8 @@ def follow(
     size: Reals,
     final: bool,
 ) -> None:
-    """n ticks of dt s. starts, ends (flights,): all flights so far, s, LASTS of one that lasts; hit, push, size (contacts,): new ones; final:
-    no ticks come after these."""
+    """n ticks of dt s. starts, ends (flights,): all flights so far, s, LASTS of one that lasts; hit, push, size (contacts,): new ones;
+    final: no ticks come after these."""
     k = 0
     j = 0
     while k < flights and ends[k] <= r.end:

@@ -30,8 +30,8 @@ class Account:
         return Losses(self._B, self.losses), Report(self._B, self.report), []
 
     def at(self, spans: Spans) -> None:
-        """The flights are these, (start, end) s, infinite where it lasts. Where one ends earlier or later than was known, its ticks are gone
-        through again."""
+        """The flights are these, (start, end) s, infinite where it lasts. Where one ends earlier or later than was known, its ticks are
+        gone through again."""
         before, self._spans = dict(self._spans), spans
         ends = [(before.get(start, end), end) for start, end in spans]
         if any(old != new and min(old, new) < self._time for old, new in ends):

@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from types import SimpleNamespace
+from typing import Any
 
 from rotorwatch.default.events import packed
 from rotorwatch.front import whole, words
@@ -131,7 +132,8 @@ def said(alert: dict) -> tuple[str, int]:
         stands = "stands" in alert["text"]
         text = f"rotorwatch: ESC: rotor {alert['rotor']} {'stands' if stands else 'turns again'}"
         return text, CRITICAL if stands else NOTICE
-    event, withdrawn = SimpleNamespace(extra={}, **alert["event"]), alert["state"] == WITHDRAWN
+    event: Any = SimpleNamespace(extra={}, **alert["event"])
+    withdrawn = alert["state"] == WITHDRAWN
     what = WORDS.get(event.kind, event.kind.replace("_", " "))
     if event.kind == LOST:
         numbers = "+".join(map(str, event.rotors))
