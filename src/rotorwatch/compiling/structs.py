@@ -15,13 +15,15 @@ order, so that double precision gives the same bits.
             self.count += 1
 
 Real: a number in the library's precision, float on small boards. Time: seconds or sums, always double. int: 32 bits; sums, products
-and `<<` must stay within them, and `//` and `%` are of numbers that are not negative: Python and C differ beyond.
+and `<<` must stay within them, and `//` and `%` are of numbers that are not negative: Python and C differ beyond. Where they may not,
+`sum32`, `difference32` and `shift32` go on from the other end. Bytes: what is only read, each a number from 0 to 255.
 """
 
 from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from typing import Any, ClassVar, TypeVar
 
 Real = float
@@ -30,6 +32,7 @@ Reals = list[float]
 Times = list[float]
 Ints = list[int]
 Flags = list[bool]
+Bytes = Sequence[int]
 Vectors = list[list[float]]  # rows of three
 
 LASTS = 1e300
@@ -127,6 +130,25 @@ sqrt, exp, isnan, floor = math.sqrt, math.exp, math.isnan, math.floor
 def real(value: float) -> Real:
     """A number in the library's precision: for what is known better than that."""
     return value
+
+
+def sum32(a: int, b: int) -> int:
+    """a + b of 32 bits, as processors add."""
+    return _wrapped(a + b)
+
+
+def difference32(a: int, b: int) -> int:
+    """a - b of 32 bits, as processors subtract."""
+    return _wrapped(a - b)
+
+
+def shift32(a: int, places: int) -> int:
+    """a << places of 32 bits: what leaves them is lost. places: 0 to 31."""
+    return _wrapped(a << places)
+
+
+def _wrapped(value: int) -> int:
+    return ((value + 0x80000000) & 0xFFFFFFFF) - 0x80000000
 
 
 def snake(name: str) -> str:

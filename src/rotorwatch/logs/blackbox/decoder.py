@@ -1,0 +1,114 @@
+"""Sessions of a Blackbox log as tables of whole numbers: the definition in `frames`, fed and emptied."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from rotorwatch.compiling import shipped
+from rotorwatch.compiling.running import Definition
+from rotorwatch.errors import LogError
+from rotorwatch.logs.blackbox import encodings, frames, header, sizes
+from rotorwatch.logs.blackbox.header import Header
+
+FILES = [f"logs/blackbox/{name}.py" for name in ("encodings", "frames", "sizes")]
+BLACKBOX = Definition("blackbox", (encodings, frames), sizes, shipped.files_with(FILES))
+CELLS, FEW = 1 << 21, 4096
+"""Numbers of main frames, and rows of other frames, that are read before the buffers are emptied."""
+MOST_CELLS = 400_000_000
+
+
+@dataclass(frozen=True)
+class Table:
+    """Frames of one kind. columns: name -> (n,) whole numbers; before (n,): how many main frames were before each."""
+
+    columns: Mapping[str, np.ndarray]
+    before: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.before)
+
+
+@dataclass(frozen=True)
+class Session:
+    """One session. main, slow, gps: its frames; time (n,) of main frames, us, does not begin again where their clock does. events (m, 5):
+    main frames before, kind, time, and two numbers. corrupt: frames that were not whole; orphans: P frames without an I frame before
+    them; garbage: bytes between frames; ended: whether the end that the firmware writes is there."""
+
+    header: Header
+    main: Table
+    slow: Table
+    gps: Table
+    events: np.ndarray
+    time: np.ndarray
+    corrupt: int
+    orphans: int
+    garbage: int
+    ended: bool
+
+    def clock(self, stamp: np.ndarray, before: np.ndarray) -> np.ndarray:
+        """Times (k,) us on the scale of `time`, of stamps that 32 bits of the same clock gave after so many main frames."""
+        if not self.time.size:
+            return np.asarray(stamp, np.int64)
+        near = np.clip(np.asarray(before) - 1, 0, self.time.size - 1)
+        low = self.main.columns["time"][near].astype(np.uint32)
+        return self.time[near] + (np.asarray(stamp).astype(np.uint32) - low).astype(np.int32)
+
+
+def decode(data, start: int, end: int, progress: Callable[[float], None] | None = None) -> Session:
+    """The session whose header begins at byte `start`; it ends before `end`. Raises LogError where the header is too damaged."""
+    about = header.read(data, start, end)
+    size = end - about.start
+    raw = np.zeros(size + sizes.PADDING, np.uint8)
+    raw[:size] = np.frombuffer(data, np.uint8, size, about.start)
+    stream = BLACKBOX.new(frames.Stream)
+    header.fill(stream, about)
+    stream.set(end=size)
+    widths = [len(about.layouts[k].names) if k in about.layouts else 0 for k in "ISG"]
+    room = max(CELLS // widths[0], 64)
+    main = np.zeros((room + 1, widths[0]), np.int32)  # a frame is read before it is known to be one
+    slow, gps = (np.zeros((FEW + 1, width + 1), np.int32) for width in widths[1:])
+    events = np.zeros((FEW + 1, sizes.WIDTH), np.int32)
+    kept: list[list[np.ndarray]] = [[], [], [], []]
+    done, cells, first = False, 0, 0
+    while not done and cells < MOST_CELLS:
+        done = BLACKBOX.call(frames.decode, stream, raw, main, slow, gps, events, room, FEW)
+        counts = [int(stream[name][0]) for name in ("rows", "slow_rows", "gps_rows", "event_rows")]
+        for table, count, pieces in zip((main, slow, gps, events), counts, kept):
+            skip = first if table is main else 0
+            pieces.append(table[skip:count].copy())
+        cells += main.size
+        # The two last frames go first: the next ones are told as differences to them.
+        two = [int(stream["before"][0]), int(stream["previous"][0])]
+        main[:2], first = main[two].copy(), 2
+        stream.set(rows=2, before=0, previous=1, slow_rows=0, gps_rows=0, event_rows=0)
+        if progress:
+            progress(float(stream["at"][0]) / max(size, 1))
+    rows = [np.concatenate(pieces) for pieces in kept]
+    tables = [_table(about, kind, table, prefix) for kind, table, prefix in zip("ISG", rows, (0, 1, 1))]
+    count = len(tables[0])
+    told = [int(stream[name][0]) for name in ("corrupt", "orphans", "garbage")]
+    ended = bool(stream["ended"][0])
+    if not count:
+        raise LogError("the session holds no frames that can be read")
+    return Session(about, *tables, rows[3], _unwrapped(tables[0].columns["time"]), *told, ended)
+
+
+def _table(about: Header, kind: str, rows: np.ndarray, prefix: int) -> Table:
+    if kind not in about.layouts:
+        return Table({}, np.zeros(0, np.int32))
+    layout = about.layouts[kind]
+    columns = {
+        name: rows[:, prefix + k] if signed else rows[:, prefix + k].view(np.uint32)
+        for k, (name, signed) in enumerate(zip(layout.names, layout.signed))
+    }
+    return Table(columns, rows[:, 0] if prefix else np.arange(len(rows)))
+
+
+def _unwrapped(stamps: np.ndarray) -> np.ndarray:
+    """(n,) int64 us: a clock of 32 bits that went on counting where it began again."""
+    steps = np.diff(stamps.astype(np.uint32)).astype(np.int32)  # of unsigned numbers, modulo 2^32
+    first = int(stamps[:1].astype(np.uint32)[0]) if stamps.size else 0
+    return first + np.r_[0, np.cumsum(steps, dtype=np.int64)][: stamps.size]
