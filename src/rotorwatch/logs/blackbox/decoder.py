@@ -67,7 +67,7 @@ def decode(data, start: int, end: int, progress: Callable[[float], None] | None 
     header.fill(stream, about)
     stream.set(end=size)
     widths = [len(about.layouts[k].names) if k in about.layouts else 0 for k in "ISG"]
-    room = max(CELLS // widths[0], 64)
+    room = max(min(CELLS // widths[0], size // 8), 64)
     main = np.zeros((room + 1, widths[0]), np.int32)  # a frame is read before it is known to be one
     slow, gps = (np.zeros((FEW + 1, width + 1), np.int32) for width in widths[1:])
     events = np.zeros((FEW + 1, sizes.WIDTH), np.int32)
