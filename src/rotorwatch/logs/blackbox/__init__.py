@@ -61,7 +61,6 @@ def read(data, name: str, progress=None, part: int | None = None) -> Flight:
         raise LogError(f"{name}: this Blackbox log holds {len(starts) - 1} sessions, not one of number {part}")
     there = parts(data)
     wanted = [part] if part is not None else there
-    whole = name.removesuffix(f"#{part}")
     notes: list[str] = []
     for number in wanted:
         try:
@@ -73,7 +72,7 @@ def read(data, name: str, progress=None, part: int | None = None) -> Flight:
             continue
         others = [k for k in there if k != number]
         if part is None and others:
-            named = ", ".join(f"{whole}#{k}" for k in others[:NAMED])
+            named = ", ".join(f"#{k}" for k in others[:NAMED])
             more = f" and {len(others) - NAMED} more" if len(others) > NAMED else ""
             notes.append(f"This is session {number} of {len(starts) - 1}, the longest; also in this file: {named}{more}.")
         return _flight(session, name, number, notes)
