@@ -33,6 +33,9 @@ TYPES = {"real": np.float64, "time": np.float64, "int": np.int32, "flag": np.boo
 # No fused multiply and add: the same operations as Python's.
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fno-math-errno", "-fPIC", "-shared")
 
+TRANSLATOR = tuple(f"compiling/{name}.py" for name in ("structs", "body", "translate"))
+"""Files that every definition is made by."""
+
 
 class Rows:
     """An array of structs, or one of them: fields by name, as NumPy arrays."""
@@ -110,11 +113,11 @@ def _fill(one: Any, name: str, value: Any) -> None:
 
 class Definition:
     """Modules of definitions. name: what the library is called; sizes: the module with the sizes of arrays; files: of the package, that
-    it is made of, by default those of the room of that name."""
+    these are, by default all in the room of that name."""
 
     def __init__(self, name: str, modules: Sequence[ModuleType], sizes: ModuleType, files: Sequence[str] | None = None):
         self.name, self.modules, self.sizes = name, tuple(modules), sizes
-        self.files = tuple(files) if files is not None else tuple(shipped.files_in(name))
+        self.files = shipped.files_in(name) if files is None else sorted([*files, *TRANSLATOR])
         self._types: dict[type[Struct], np.dtype] = {}
 
     @functools.cached_property

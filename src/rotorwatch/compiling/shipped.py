@@ -100,11 +100,7 @@ def templates() -> list[str]:
 
 def files_in(room: str) -> list[str]:
     """Files of the package that the definitions of a room are translated from."""
-    return files_with([path.relative_to(HOME).as_posix() for path in (HOME / room).glob("*.py")])
-
-
-def files_with(own: Iterable[str]) -> list[str]:
-    """The same for definitions that are these files, from the package's folder on."""
+    own = [path.relative_to(HOME).as_posix() for path in (HOME / room).glob("*.py")]
     return sorted([*own, *(f"compiling/{name}.py" for name in ("structs", "body", "translate"))])
 
 

@@ -7,14 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rotorwatch.compiling import shipped
 from rotorwatch.compiling.running import Definition
 from rotorwatch.errors import LogError
 from rotorwatch.logs.blackbox import encodings, frames, header, sizes
 from rotorwatch.logs.blackbox.header import Header
 
 FILES = [f"logs/blackbox/{name}.py" for name in ("encodings", "frames", "sizes")]
-BLACKBOX = Definition("blackbox", (encodings, frames), sizes, shipped.files_with(FILES))
+BLACKBOX = Definition("blackbox", (encodings, frames), sizes, FILES)
 CELLS, FEW = 1 << 21, 4096
 """Numbers of main frames, and rows of other frames, that are read before the buffers are emptied."""
 MOST_CELLS = 400_000_000
