@@ -5,7 +5,19 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass, field
 
-SIGNED, UNSIGNED, NEG14, DELTA_U, DELTA_S, TAG8_8, TAG2_3, TAG8_4, NONE, TAG2_3V, GAMMA_S = 0, 1, 3, 4, 5, 6, 7, 8, 9, 10, 11
+SIGNED, UNSIGNED, NEG14, DELTA_U, DELTA_S, TAG8_8, TAG2_3, TAG8_4, NONE, TAG2_3V, GAMMA_S = (
+    0,
+    1,
+    3,
+    4,
+    5,
+    6,
+    7,
+    8,
+    9,
+    10,
+    11,
+)
 ZERO, PREVIOUS, LINE, AVERAGE, MINTHROTTLE, MOTOR0, INC, HOME, P1500, VBATREF, MAINTIME, MINMOTOR = range(12)
 END = b"E\xffEnd of log\0"
 BITS = (DELTA_U, DELTA_S, GAMMA_S)
@@ -83,7 +95,9 @@ def tag8_4s16(values) -> bytes:
     sizes = [0 if v == 0 else next(k for k, bits in ((1, 4), (2, 8), (3, 16)) if fits(v, bits)) for v in values]
     text = "".join(format(v % 2 ** (4, 8, 16)[s - 1], f"0{(4, 8, 16)[s - 1]}b") for v, s in zip(values, sizes) if s)
     text += "0" * (-len(text) % 8)
-    return bytes([sum(s << 2 * k for k, s in enumerate(sizes))]) + (int(text, 2).to_bytes(len(text) // 8, "big") if text else b"")
+    return bytes([sum(s << 2 * k for k, s in enumerate(sizes))]) + (
+        int(text, 2).to_bytes(len(text) // 8, "big") if text else b""
+    )
 
 
 def tag8_4s16_v1(values) -> bytes:
@@ -157,11 +171,20 @@ class Log:
         lines.append(f"I interval:{self.interval[0]}")
         for kind, fields in (("I", self.main), ("S", self.slow), ("G", self.gps), ("H", self.home)):
             if fields:
-                lines += [f"Field {kind} {what}:" + ",".join(str(getattr(f, at)) for f in fields) for what, at in (
-                    ("name", "name"), ("signed", "signed"), ("predictor", "predict"), ("encoding", "encode"))]
+                lines += [
+                    f"Field {kind} {what}:" + ",".join(str(getattr(f, at)) for f in fields)
+                    for what, at in (
+                        ("name", "name"),
+                        ("signed", "signed"),
+                        ("predictor", "predict"),
+                        ("encoding", "encode"),
+                    )
+                ]
             if kind == "I":
-                lines += [f"Field P {what}:" + ",".join(str(getattr(f, at)) for f in fields) for what, at in (
-                    ("predictor", "predict_p"), ("encoding", "encode_p"))]
+                lines += [
+                    f"Field P {what}:" + ",".join(str(getattr(f, at)) for f in fields)
+                    for what, at in (("predictor", "predict_p"), ("encoding", "encode_p"))
+                ]
         lines.append("P interval:{}/{}".format(*self.interval[1:]))
         lines += [f"{name}:{value}" for name, value in self.numbers.items()]
         return "".join(f"H {line}\n" for line in lines).encode("latin-1")
@@ -171,7 +194,9 @@ class Log:
         row = list(row)
         fields = {"I": self.main, "P": self.main, "S": self.slow, "G": self.gps, "H": self.home}[kind]
         how = [(f.predict_p, f.encode_p) if kind == "P" else (f.predict, f.encode) for f in fields]
-        rest = [None if p == INC else i32(v - self.expected(kind, k, p, row)) for k, (v, (p, _)) in enumerate(zip(row, how))]
+        rest = [
+            None if p == INC else i32(v - self.expected(kind, k, p, row)) for k, (v, (p, _)) in enumerate(zip(row, how))
+        ]
         self.data += kind.encode() + self.encoded(rest, [NONE if p == INC else e for p, e in how])
         if kind == "I":
             self.before = [row, row]
@@ -236,7 +261,11 @@ class Log:
 
 def betaflight(rotors: int = 4, more: list[Field] = (), **settings) -> Log:
     """A session with the fields of Betaflight 4.5. settings: of the header, in place of its usual ones."""
-    axes = [Field(f"axis{part}[{k}]", 1, ZERO, SIGNED, PREVIOUS, TAG2_3 if part == "I" else SIGNED) for part in "PIDF" for k in range(3)]
+    axes = [
+        Field(f"axis{part}[{k}]", 1, ZERO, SIGNED, PREVIOUS, TAG2_3 if part == "I" else SIGNED)
+        for part in "PIDF"
+        for k in range(3)
+    ]
     motors = [Field("motor[0]", 0, MINMOTOR, UNSIGNED, AVERAGE, SIGNED)]
     motors += [Field(f"motor[{k}]", 0, MOTOR0, SIGNED, AVERAGE, SIGNED) for k in range(1, rotors)]
     fields = [
@@ -263,7 +292,10 @@ def betaflight(rotors: int = 4, more: list[Field] = (), **settings) -> Log:
 def rows(log: Log, frames, **columns):
     """A row for each of so many frames: columns by field's name ("gyroADC_0" is gyroADC[0]), numbers or sequences; 0 for the others."""
     names = [f.name for f in log.main]
-    table = {name.replace("_0", "[0]").replace("_1", "[1]").replace("_2", "[2]").replace("_3", "[3]"): v for name, v in columns.items()}
+    table = {
+        name.replace("_0", "[0]").replace("_1", "[1]").replace("_2", "[2]").replace("_3", "[3]"): v
+        for name, v in columns.items()
+    }
     assert set(table) <= set(names), set(table) - set(names)
     for k in range(frames):
         yield [int(table[n][k]) if n in table and hasattr(table[n], "__len__") else int(table.get(n, 0)) for n in names]

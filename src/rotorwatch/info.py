@@ -173,7 +173,9 @@ def _airborne(flight: Flight) -> list[list[float]]:
 def _missing(flight: Flight, frame: str, stop: Obstacle | None) -> list[dict]:
     """Gaps, the one that prevents a diagnosis first. A signal counts as there with two valid samples."""
     telemetry = {"MAVLink tlog": _TELEMETRY, "ROS 2 bag": _BAG}.get(flight.format)
-    settings = {"ardupilot": _ARDUPILOT, "px4": _PX4, "crazyflie": _CRAZYFLIE, "blackbox": _BLACKBOX}.get(_family(flight), {})
+    settings = {"ardupilot": _ARDUPILOT, "px4": _PX4, "crazyflie": _CRAZYFLIE, "blackbox": _BLACKBOX}.get(
+        _family(flight), {}
+    )
     gaps = []
     for name, why in _WHY.items():
         if _present(flight, name) or (name == "gyro" and _present(flight, "rates")):

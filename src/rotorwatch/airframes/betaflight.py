@@ -64,10 +64,14 @@ def _seen(flight: Flight, count: int) -> tuple[str, bool, list[str]]:
     if frame == "tri":
         return frame, False, [TRI_NOTE]
     if seen.shape != (count, 3) or not np.isfinite(seen).all() or (np.abs(seen).max(axis=0) < 1e-3).any():
-        return frame, False, [
-            f"The log does not name its frame: {frame} with {flight.autopilot}'s motor order assumed, and propellers that turn as is usual "
-            "there (props in). Give --vehicle FILE if it is another, or if the motors are reversed (props out)."
-        ]
+        return (
+            frame,
+            False,
+            [
+                f"The log does not name its frame: {frame} with {flight.autopilot}'s motor order assumed, and propellers that turn as is usual "
+                "there (props in). Give --vehicle FILE if it is another, or if the motors are reversed (props out)."
+            ],
+        )
     seen = seen / np.abs(seen).max(axis=0)
     off = {}
     for name, motors in FRAMES.items():
@@ -78,7 +82,9 @@ def _seen(flight: Flight, count: int) -> tuple[str, bool, list[str]]:
             off[name] = float(np.sqrt(np.square(seen - factors).mean())), turned
     frame = min(off, key=lambda name: off[name][0])
     error, turned = off[frame]
-    notes = [f"The frame {frame}{', motors reversed (props out),' if turned else ''} is what the outputs were seen to be mixed for."]
+    notes = [
+        f"The frame {frame}{', motors reversed (props out),' if turned else ''} is what the outputs were seen to be mixed for."
+    ]
     if error > NEAR:
         notes = [
             f"The outputs are mixed for none of the known frames; {frame} is nearest. Describe the vehicle with --vehicle FILE."
@@ -128,5 +134,7 @@ def _place(motor: tuple[float, ...]) -> tuple[float, float, float]:
 DEFAULT_CURVE = ThrustCurve(0.0455, 1.0, EXPO, known=False)  # DShot, idle at 4.5 %
 NAMES = {f"betaflight-{frame}": functools.partial(build, frame, DEFAULT_CURVE) for frame in FRAMES}
 NAMES |= {
-    f"betaflight-{frame}-reversed": functools.partial(build, frame, DEFAULT_CURVE, True) for frame in FRAMES if frame != "tri"
+    f"betaflight-{frame}-reversed": functools.partial(build, frame, DEFAULT_CURVE, True)
+    for frame in FRAMES
+    if frame != "tri"
 }

@@ -24,7 +24,9 @@ def entry(
 
     hash = digest(path)
     flight = logs.read(path, (lambda share: progress(0.3 * share, "reading")) if progress else None)
-    return of_flight(flight, hash, os.path.abspath(path), logs.of_part(path)[0].stat().st_size, aircraft, vehicle, progress)
+    return of_flight(
+        flight, hash, os.path.abspath(path), logs.of_part(path)[0].stat().st_size, aircraft, vehicle, progress
+    )
 
 
 def of_flight(

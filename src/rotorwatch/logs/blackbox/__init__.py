@@ -26,7 +26,16 @@ FORMAT = "Blackbox"
 
 NAMED = 5  # sessions that a warning names
 FAILSAFE = ("", "signal lost", "landing", "landed", "signal looked for", "signal back")
-REASONS = ("arming disabled", "failsafe", "throttle timeout", "sticks", "switch", "crash protection", "runaway take-off", "GPS rescue")
+REASONS = (
+    "arming disabled",
+    "failsafe",
+    "throttle timeout",
+    "sticks",
+    "switch",
+    "crash protection",
+    "runaway take-off",
+    "GPS rescue",
+)
 
 
 def sniff(head: bytes, name: str) -> bool:
@@ -56,11 +65,13 @@ def read(data, name: str, progress=None, part: int | None = None) -> Flight:
     """
     starts = [*header.starts(data), len(data)]
     if len(starts) == 1:
-        raise LogError(f"{name}: no session of this Blackbox log has kept its beginning; copy it from the vehicle again")
+        raise LogError(
+            f"{name}: no session of this Blackbox log has kept its beginning; copy it from the vehicle again"
+        )
     if part is not None and not 1 <= part < len(starts):
         raise LogError(f"{name}: this Blackbox log holds {len(starts) - 1} sessions, not one of number {part}")
     there = parts(data)
-    wanted = [part] if part is not None else there
+    wanted = [part] if part is not None else there or [1]  # where none can be read, the first says why
     notes: list[str] = []
     for number in wanted:
         try:
@@ -74,9 +85,11 @@ def read(data, name: str, progress=None, part: int | None = None) -> Flight:
         if part is None and others:
             named = ", ".join(f"#{k}" for k in others[:NAMED])
             more = f" and {len(others) - NAMED} more" if len(others) > NAMED else ""
-            notes.append(f"This is session {number} of {len(starts) - 1}, the longest; also in this file: {named}{more}.")
+            notes.append(
+                f"This is session {number} of {len(starts) - 1}, the longest; also in this file: {named}{more}."
+            )
         return _flight(session, name, number, notes)
-    raise LogError(f"{name}: no session of this Blackbox log holds frames; was logging switched on?")
+    raise AssertionError
 
 
 def _flight(session: decoder.Session, name: str, number: int, notes: list[str]) -> Flight:
@@ -84,7 +97,12 @@ def _flight(session: decoder.Session, name: str, number: int, notes: list[str]) 
     first = session.time[0]
     time = (session.time - first) * 1e-6
     columns = flight.Columns(session.main.columns, time, session.header, notes)
-    counts = {"main": len(session.main), "slow": len(session.slow), "gps": len(session.gps), "event": len(session.events)}
+    counts = {
+        "main": len(session.main),
+        "slow": len(session.slow),
+        "gps": len(session.gps),
+        "event": len(session.events),
+    }
     facts = {"session": number, "log_messages": {key: value for key, value in counts.items() if value}}
     made = flight.of(
         columns, FORMAT, name, facts=facts, signals=_gps(session, first, notes), messages=_messages(session, first),
@@ -134,7 +152,9 @@ def _messages(session: decoder.Session, first: int) -> tuple[Message, ...]:
                 Message(time, "event", f"disarmed: {reason}", a),
             ]
         elif kind == frames.MODES:
-            found.append(Message(time, "mode", f"modes 0x{a & 0xFFFFFFFF:x}, before 0x{b & 0xFFFFFFFF:x}", a & 0xFFFFFFFF))
+            found.append(
+                Message(time, "mode", f"modes 0x{a & 0xFFFFFFFF:x}, before 0x{b & 0xFFFFFFFF:x}", a & 0xFFFFFFFF)
+            )
         elif kind == frames.ADJUSTMENT:
             found.append(Message(time, "event", f"adjustment {a & 127} in flight", b))
         elif kind == frames.IMU_FAILURE:

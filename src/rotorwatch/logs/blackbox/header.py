@@ -182,9 +182,7 @@ def _laid_out(kind: str, layout: Layout) -> tuple[list[int], list[tuple[int, int
     ):
         raise LogError(f"the fields of {kind} frames are encoded in a way that is not known")
     # A field that always goes up by one is not written.
-    how = [
-        encodings.NOTHING if p == frames.INCREMENT else e for e, p in zip(layout.encoding, layout.predictor)
-    ]
+    how = [encodings.NOTHING if p == frames.INCREMENT else e for e, p in zip(layout.encoding, layout.predictor)]
     count, runs, at = len(how), [], 0
     while at < count:
         most = GROUPS.get(how[at], 8 if how[at] == encodings.TAG8_8SVB else count)
