@@ -1,4 +1,4 @@
-"""Writes Blackbox logs, as flight controllers do: encodings and predictions on their own, so that the reader is held against another hand."""
+"""Writes Blackbox logs, as flight controllers do, by encodings and predictions of its own: the reader is held against another hand."""
 
 from __future__ import annotations
 
@@ -135,6 +135,12 @@ def elias(value: int, how: int) -> str:
     return (gamma(binary.__len__()) + binary[1:] if how != GAMMA_S else gamma(int(binary, 2))) + tail
 
 
+GROUPS = {
+    SIGNED: lambda group: svb(group[0]), UNSIGNED: lambda group: uvb(group[0]), NEG14: lambda group: neg14(group[0]),
+    TAG8_8: tag8_8svb, TAG2_3: tag2_3s32, TAG2_3V: tag2_3svariable, TAG8_4: tag8_4s16,
+}  # fmt: skip
+
+
 @dataclass
 class Field:
     name: str
@@ -239,11 +245,7 @@ class Log:
                 text += "0" * (-len(text) % 8)
                 out += int(text, 2).to_bytes(len(text) // 8, "big")
             elif how[k] != NONE:
-                out += {
-                    SIGNED: lambda: svb(group[0]), UNSIGNED: lambda: uvb(group[0]), NEG14: lambda: neg14(group[0]),
-                    TAG8_8: lambda: tag8_8svb(group), TAG2_3: lambda: tag2_3s32(group), TAG2_3V: lambda: tag2_3svariable(group),
-                    TAG8_4: lambda: tag8_4s16(group) if self.version > 1 else tag8_4s16_v1(group),
-                }[how[k]]()  # fmt: skip
+                out += (GROUPS if self.version > 1 else {**GROUPS, TAG8_4: tag8_4s16_v1})[how[k]](group)
             k = end
         return out
 

@@ -302,7 +302,7 @@ def test_python_writes_into_the_arrays_that_are_given(made):
 
 
 def test_several_definitions_are_shipped_side_by_side(made, tmp_path):
-    small, compiled, _ = made
+    _, compiled, _ = made
     other = Definition("other", compiled.modules, compiled.sizes, files=["logs/table.py"])
     for definition in (compiled, other):
         definition.ship(tmp_path)

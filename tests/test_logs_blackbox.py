@@ -1,8 +1,9 @@
-"""Blackbox logs of Betaflight and its relatives: frames against another hand's encoder and another decoder's counts, and what is made of them."""
+"""Blackbox logs of Betaflight and its relatives: frames against another encoder and another decoder, and what is made of them."""
 
 from __future__ import annotations
 
 import csv
+import itertools
 import lzma
 import re
 import subprocess
@@ -80,7 +81,7 @@ def test_real_logs_are_decoded_as_another_decoder_does():
 def test_python_alone_decodes_the_same(name, monkeypatch):
     data = lzma.decompress((SHARED / f"{name}.xz").read_bytes())
     starts = [*header.starts(data), len(data)]
-    for span in zip(starts[:2], starts[1:3]):
+    for span in itertools.pairwise(starts[:3]):
         native = decoder.decode(data, *span)
         monkeypatch.setattr(decoder, "BLACKBOX", PLAIN)
         plain = decoder.decode(data, *span)
@@ -736,16 +737,15 @@ def test_a_fleet_keeps_the_sessions_of_a_file_apart(file):
 
 # Tables of blackbox_decode
 
-CSV = """loopIteration, time (us), vbatLatest (V), amperageLatest (A), gyroADC[0]{turn}, gyroADC[1]{turn}, gyroADC[2]{turn}, accSmooth[0]{force}, \
-accSmooth[1]{force}, accSmooth[2]{force}, motor[0], motor[1], motor[2], motor[3], energyCumulative (mAh), flightModeFlags (flags)
+CSV = """loopIteration, time (us), vbatLatest (V), amperageLatest (A), gyroADC[0]{turn}, gyroADC[1]{turn}, gyroADC[2]{turn}, \
+accSmooth[0]{force}, accSmooth[1]{force}, accSmooth[2]{force}, motor[0], motor[1], motor[2], motor[3], energyCumulative (mAh), \
+flightModeFlags (flags)
 """
 
 
 def lines(turn, force):
-    return "".join(
-        f"{k}, {1_000_000 + 1000 * k}, 15.800, 12.30, {10 * turn:g}, {20 * turn:g}, {30 * turn:g}, 0, 0, {force:g}, 600, 610, 620, 630, {k}, ANGLE_MODE|MAG\n"
-        for k in range(50)
-    ).encode()
+    rest = f"15.800, 12.30, {10 * turn:g}, {20 * turn:g}, {30 * turn:g}, 0, 0, {force:g}, 600, 610, 620, 630"
+    return "".join(f"{k}, {1_000_000 + 1000 * k}, {rest}, {k}, ANGLE_MODE|MAG\n" for k in range(50)).encode()
 
 
 @pytest.mark.parametrize("unit, turn", [("", 1.0), (" (deg/s)", 1.0), (" (rad/s)", np.pi / 180)])

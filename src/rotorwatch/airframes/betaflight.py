@@ -1,8 +1,8 @@
 """Multirotors of Betaflight, INAV, EmuFlight and Cleanflight.
 
-Their Blackbox logs do not name the mixer. Where the log holds the controller's sums, the reader fits what each output gets of roll, pitch and
-yaw (facts["mixer"]): that tells the frame, and whether the motors turn the other way round (yaw_motors_reversed). Else the usual frame of as
-many motors is assumed.
+Their Blackbox logs do not name the mixer. Where the log holds the controller's sums, the reader fits what each output gets of roll, pitch
+and yaw (facts["mixer"]): that tells the frame, and whether the motors turn the other way round (yaw_motors_reversed). Else the usual frame
+of as many motors is assumed.
 """
 
 from __future__ import annotations
@@ -30,6 +30,10 @@ USUAL = {3: "tri", 4: "quad-x", 6: "hexa-x", 8: "octa-x8"}
 FEATURE_3D = 1 << 12
 NEAR = 0.35  # root mean square of what a frame's factors are off, where that of the factors is about 0.8
 EXPO = 0.65  # ESCs without a thrust model: what most propeller test stands show
+UNSEEN = (
+    "The log does not name its frame: {frame} with {autopilot}'s motor order assumed, and propellers that turn as is usual (props in); "
+    "give --vehicle FILE if it is another, or if the motors are reversed (props out)."
+)
 TRI_NOTE = "A tricopter: a servo yaws it, so yaw is not judged, and its outputs are not held against the mixer."
 
 
@@ -64,14 +68,7 @@ def _seen(flight: Flight, count: int) -> tuple[str, bool, list[str]]:
     if frame == "tri":
         return frame, False, [TRI_NOTE]
     if seen.shape != (count, 3) or not np.isfinite(seen).all() or (np.abs(seen).max(axis=0) < 1e-3).any():
-        return (
-            frame,
-            False,
-            [
-                f"The log does not name its frame: {frame} with {flight.autopilot}'s motor order assumed, and propellers that turn as is usual "
-                "there (props in). Give --vehicle FILE if it is another, or if the motors are reversed (props out)."
-            ],
-        )
+        return frame, False, [UNSEEN.format(frame=frame, autopilot=flight.autopilot)]
     seen = seen / np.abs(seen).max(axis=0)
     off = {}
     for name, motors in FRAMES.items():

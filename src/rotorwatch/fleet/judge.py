@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from pathlib import Path
 
 from rotorwatch import __version__, airframes
 from rotorwatch.diagnosis import Diagnosis

@@ -1,4 +1,5 @@
-"""Which logs a call is about: files with all flights in them, folders with all that is in them, patterns, and addresses that fsspec knows (the extra `cluster`)."""
+"""Which logs a call is about: files with all flights in them, folders with all that is in them, patterns, and addresses that fsspec knows
+(the extra `cluster`)."""
 
 from __future__ import annotations
 

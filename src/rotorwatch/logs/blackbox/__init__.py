@@ -75,7 +75,7 @@ def read(data, name: str, progress=None, part: int | None = None) -> Flight:
     notes: list[str] = []
     for number in wanted:
         try:
-            session = decoder.decode(data, starts[number - 1], starts[number], progress)
+            session = decoder.decode(data, starts[number - 1], starts[number], progress, flight.used)
         except LogError as why:
             if number == wanted[-1]:
                 raise LogError(f"{name}: {why}") from None
@@ -120,7 +120,9 @@ def _damage(session: decoder.Session) -> list[str]:
         found.append(
             f"{what}, {session.orphans} more that need them, and {session.garbage} bytes between frames were passed over."
         )
-    if not session.ended:
+    if session.cut:
+        found.append(f"The log goes on after {len(session.main)} frames, which is more than is read.")
+    elif not session.ended:
         found.append("The log stops without the firmware's end: power was lost, or the file is not whole.")
     return found
 

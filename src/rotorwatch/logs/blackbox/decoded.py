@@ -18,10 +18,6 @@ from rotorwatch.logs.blackbox.header import Header
 
 FORMAT = "Blackbox CSV"
 
-USED = re.compile(
-    r"(time|(gyroADC|gyroUnfilt|gyroRaw|accSmooth|setpoint|axisRate|axis[PIDF]|rcCommand|motor|eRPM|imuQuaternion|attitude|navVel|navPos)"
-    r"\[\d{1,2}\]|vbatLatest|vbat|amperageLatest|amperage)"
-)
 TIMES = {"us": 1e-6, "ms": 1e-3, "s": 1.0}
 TURNS = {"raw": 1.0, "deg/s": 1.0, "rad/s": float(np.degrees(1.0))}
 FORCES = {"g": 1.0, "m/s/s": 1.0 / series.G, "m/s^2": 1.0 / series.G}
@@ -39,7 +35,7 @@ def read(data, name: str, progress=None) -> Flight:
     notes: list[str] = []
     named = [re.fullmatch(r"(.*?)(?: \((.*)\))?", column) for column in memory.header(bytes(data[: 1 << 16]))]
     units = {m[1]: m[2] or "raw" for m in named if m is not None}
-    raw = memory.numbers(data, notes, wanted=lambda column: USED.fullmatch(re.sub(r" \(.*\)$", "", column)) is not None)
+    raw = memory.numbers(data, notes, wanted=lambda column: flight.used(re.sub(r" \(.*\)$", "", column)))
     table = {re.sub(r" \(.*\)$", "", column): values for column, values in raw.items()}
     if "time" not in table or units["time"] not in TIMES:
         raise LogError(f"{name}: this table of blackbox_decode has no time in us or s")

@@ -16,7 +16,8 @@ FILES = [f"logs/blackbox/{name}.py" for name in ("encodings", "frames", "sizes")
 BLACKBOX = Definition("blackbox", (encodings, frames), sizes, FILES)
 CELLS, FEW = 1 << 21, 4096
 """Numbers of main frames, and rows of other frames, that are read before the buffers are emptied."""
-MOST_CELLS = 400_000_000
+MOST_CELLS = 200_000_000
+"""Numbers of main frames that are kept: 90 minutes of 35 fields at 1 kHz."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,7 @@ class Table:
 class Session:
     """One session. main, slow, gps: its frames; time (n,) of main frames, us, does not begin again where their clock does. events (m, 5):
     main frames before, kind, time, and two numbers. corrupt: frames that were not whole; orphans: P frames without an I frame before
-    them; garbage: bytes between frames; ended: whether the end that the firmware writes is there."""
+    them; garbage: bytes between frames; ended: whether the end that the firmware writes is there; cut: whether not all was read."""
 
     header: Header
     main: Table
@@ -46,6 +47,7 @@ class Session:
     orphans: int
     garbage: int
     ended: bool
+    cut: bool
 
     def clock(self, stamp: np.ndarray, before: np.ndarray) -> np.ndarray:
         """Times (k,) us on the scale of `time`, of stamps that 32 bits of the same clock gave after so many main frames."""
@@ -56,8 +58,17 @@ class Session:
         return self.time[near] + (np.asarray(stamp).astype(np.uint32) - low).astype(np.int32)
 
 
-def decode(data, start: int, end: int, progress: Callable[[float], None] | None = None) -> Session:
-    """The session whose header begins at byte `start`; it ends before `end`. Raises LogError where the header is too damaged."""
+def decode(
+    data,
+    start: int,
+    end: int,
+    progress: Callable[[float], None] | None = None,
+    wanted: Callable[[str], bool] = lambda name: True,
+) -> Session:
+    """The session whose header begins at byte `start`; it ends before `end`. wanted: whether a field of main frames is kept, besides time.
+
+    Raises LogError where the header is too damaged, or no main frame can be read.
+    """
     about = header.read(data, start, end)
     size = end - about.start
     raw = np.zeros(size + sizes.PADDING, np.uint8)
@@ -71,37 +82,41 @@ def decode(data, start: int, end: int, progress: Callable[[float], None] | None 
     slow, gps = (np.zeros((FEW + 1, width + 1), np.int32) for width in widths[1:])
     events = np.zeros((FEW + 1, sizes.WIDTH), np.int32)
     kept: list[list[np.ndarray]] = [[], [], [], []]
+    names = about.layouts["I"].names
+    used = np.array([k for k, name in enumerate(names) if name == "time" or wanted(name)])
     done, cells, first = False, 0, 0
     while not done and cells < MOST_CELLS:
         done = BLACKBOX.call(frames.decode, stream, raw, main, slow, gps, events, room, FEW)
         counts = [int(stream[name][0]) for name in ("rows", "slow_rows", "gps_rows", "event_rows")]
         for table, count, pieces in zip((main, slow, gps, events), counts, kept):
-            skip = first if table is main else 0
-            pieces.append(table[skip:count].copy())
-        cells += main.size
+            some = slice(first, count) if table is main else slice(count)
+            pieces.append(table[some, used] if table is main and used.size < len(names) else table[some].copy())
+        cells += kept[0][-1].size
         # The two last frames go first: the next ones are told as differences to them.
         two = [int(stream["before"][0]), int(stream["previous"][0])]
         main[:2], first = main[two].copy(), 2
         stream.set(rows=2, before=0, previous=1, slow_rows=0, gps_rows=0, event_rows=0)
         if progress:
             progress(float(stream["at"][0]) / max(size, 1))
-    rows = [np.concatenate(pieces) for pieces in kept]
-    tables = [_table(about, kind, table, prefix) for kind, table, prefix in zip("ISG", rows, (0, 1, 1))]
+    rows = [pieces[0] if len(pieces) == 1 else np.concatenate(pieces) for pieces in kept]
+    tables = [_table(about, "I", used, rows[0], 0)]
+    tables += [_table(about, kind, np.arange(table.shape[1] - 1), table, 1) for kind, table in zip("SG", rows[1:])]
     count = len(tables[0])
     told = [int(stream[name][0]) for name in ("corrupt", "orphans", "garbage")]
     ended = bool(stream["ended"][0])
     if not count:
         raise LogError("the session holds no frames that can be read")
-    return Session(about, *tables, rows[3], _unwrapped(tables[0].columns["time"]), *told, ended)
+    return Session(about, *tables, rows[3], _unwrapped(tables[0].columns["time"]), *told, ended, not done)
 
 
-def _table(about: Header, kind: str, rows: np.ndarray, prefix: int) -> Table:
+def _table(about: Header, kind: str, used: np.ndarray, rows: np.ndarray, prefix: int) -> Table:
+    """used: which fields the rows hold; prefix: of how many numbers before them."""
     if kind not in about.layouts:
         return Table({}, np.zeros(0, np.int32))
     layout = about.layouts[kind]
     columns = {
-        name: rows[:, prefix + k] if signed else rows[:, prefix + k].view(np.uint32)
-        for k, (name, signed) in enumerate(zip(layout.names, layout.signed))
+        layout.names[field]: rows[:, prefix + k] if layout.signed[field] else rows[:, prefix + k].view(np.uint32)
+        for k, field in enumerate(used)
     }
     return Table(columns, rows[:, 0] if prefix else np.arange(len(rows)))
 

@@ -37,6 +37,10 @@ POLES = 14.0
 MOST_ROTORS = 16
 ENOUGH = 20_000  # rows that say what the mixer does
 LEAST_ROWS, LEAST_STD, FITS = 200, 2.0, 0.8
+USED = re.compile(
+    r"(time|(gyroADC|gyroUnfilt|gyroRaw|accSmooth|setpoint|axisRate|axis[PIDFS]|rcCommand|motor|eRPM|escRPM|imuQuaternion|attitude|navVel"
+    r"|navPos)\[\d{1,2}\]|vbatLatest|vbat|amperageLatest|amperage)"
+)
 FIRMWARES = ("Betaflight", "INAV", "EmuFlight", "Cleanflight", "Baseflight", "ButterFlight", "Rotorflight")
 
 
@@ -64,6 +68,11 @@ class Columns:
 
     def make(self, kind: str, values: np.ndarray | None, source: str, valid=None) -> Signal | None:
         return None if values is None else series.make(kind, self.time, values, source, self.notes, valid)
+
+
+def used(name: str) -> bool:
+    """Whether a field of main frames is read."""
+    return USED.fullmatch(name) is not None
 
 
 def autopilot(header: Header) -> str:

@@ -41,7 +41,7 @@ class Layout:
 
 @dataclass(frozen=True)
 class Header:
-    """One session. start: byte at which its frames begin; settings: name -> value, as they are written; layouts: kind of frame -> fields."""
+    """One session. start: byte at which its frames begin; settings: name -> value, as written; layouts: kind of frame -> fields."""
 
     start: int
     settings: Mapping[str, str]
