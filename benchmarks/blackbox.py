@@ -114,7 +114,7 @@ def main() -> None:
         print(f"{len(paths)} logs, {sum(len(data) for data, _ in unpacked) / 1e6:.1f} MB unpacked\n")
         print("| decoder | main frames | s | frames a second |\n|---|---|---|---|")
         for name, (way, repeats) in ways.items():
-            best = float("inf")
+            best, total = float("inf"), 0
             for _ in range(repeats):
                 begun = time.perf_counter()
                 total = sum(way(data, path) for data, path in unpacked)

@@ -257,4 +257,4 @@ def _plain(x: Any) -> Any:
     if not isinstance(x, np.ndarray):
         return x
     # Row by row, as C has it. Whole numbers where they lie: a function may write them, and bytes are many.
-    return memoryview(x.reshape(-1)) if x.dtype in (np.int32, np.uint8) else x.ravel().tolist()
+    return x.reshape(-1).data if x.dtype in (np.int32, np.uint8) else x.ravel().tolist()

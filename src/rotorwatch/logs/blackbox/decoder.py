@@ -99,14 +99,15 @@ def decode(
         if progress:
             progress(float(stream["at"][0]) / max(size, 1))
     rows = [pieces[0] if len(pieces) == 1 else np.concatenate(pieces) for pieces in kept]
-    tables = [_table(about, "I", used, rows[0], 0)]
-    tables += [_table(about, kind, np.arange(table.shape[1] - 1), table, 1) for kind, table in zip("SG", rows[1:])]
-    count = len(tables[0])
-    told = [int(stream[name][0]) for name in ("corrupt", "orphans", "garbage")]
-    ended = bool(stream["ended"][0])
-    if not count:
+    found = _table(about, "I", used, rows[0], 0)
+    slow_frames, gps_frames = (
+        _table(about, kind, np.arange(table.shape[1] - 1), table, 1) for kind, table in zip("SG", rows[1:])
+    )
+    if not len(found):
         raise LogError("the session holds no frames that can be read")
-    return Session(about, *tables, rows[3], _unwrapped(tables[0].columns["time"]), *told, ended, not done)
+    corrupt, orphans, garbage = (int(stream[name][0]) for name in ("corrupt", "orphans", "garbage"))
+    time, ended = _unwrapped(found.columns["time"]), bool(stream["ended"][0])
+    return Session(about, found, slow_frames, gps_frames, rows[3], time, corrupt, orphans, garbage, ended, not done)
 
 
 def _table(about: Header, kind: str, used: np.ndarray, rows: np.ndarray, prefix: int) -> Table:
