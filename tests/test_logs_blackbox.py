@@ -362,12 +362,13 @@ def test_truncated_anywhere_it_is_read_or_refused_in_a_sentence(tmp_path):
 @pytest.mark.parametrize(
     "change, said",
     [
-        (lambda h: h.replace("Field I name", "Field I nane"), "does not say which fields"),
+        (lambda h: h.replace("Field I name", "Field I nane"), "list of fields of I frames is damaged"),
+        (lambda h: re.sub("(?m)^H Field.*\n", "", h), "does not say which fields"),
         (lambda h: h.replace("time", "tine"), "does not say which fields"),
-        (lambda h: re.sub("(?m)^(H Field P encoding:.*),0$", r"\1", h), "list of fields of P frames is damaged"),
+        (lambda h: re.sub("(?m)^(H Field I encoding:.*),0$", r"\1", h), "list of fields of I frames is damaged"),
         (lambda h: re.sub("(?m)^(H Field I encoding:.*),0$", r"\1,77", h), "encoded in a way that is not known"),
-        (lambda h: re.sub("(?m)^(H Field P predictor:.*),3$", r"\1,200", h), "encoded in a way that is not known"),
-        (lambda h: re.sub("(?m)^(H Field P encoding:.*),0$", r"\1,8", h), "do not fit their encoding"),
+        (lambda h: re.sub("(?m)^(H Field I predictor:.*),5$", r"\1,200", h), "encoded in a way that is not known"),
+        (lambda h: re.sub("(?m)^(H Field I encoding:.*),0$", r"\1,8", h), "do not fit their encoding"),
         (lambda h: re.sub("(?m)^(H Field I predictor:)0", r"\g<1>5", h), "makes no sense"),
         (lambda h: h.replace("accSmooth[1]", "accSmooth[0]"), "is damaged"),
         (lambda h: h.replace("loopIteration", "a," * 300 + "loopIteration"), "is damaged"),
@@ -381,6 +382,24 @@ def test_headers_that_make_no_sense_are_refused(tmp_path, change, said):
     (tmp_path / "x.bbl").write_bytes(change(text).encode() + log.data)
     with pytest.raises(LogError, match=said):
         logs.read(tmp_path / "x.bbl")
+
+
+def test_a_header_that_is_partly_damaged_leaves_what_it_can(file):
+    log = small(writer.betaflight(), 100)
+    log.add("S", [0, 0, 0, 1, 1])
+    text = log.header().decode()
+    without = re.sub("(?m)^(H Field P encoding:.*),0$", r"\1,8", text).replace(
+        "H Field S encoding:1", "H Field S encoding:x"
+    )
+    flight = logs.read(file("x.bbl", without.encode() + log.data))
+    assert len(flight["motors"]) == 4 and "fields of P and S frames is damaged" in " ".join(
+        flight.warnings
+    )  # I frames alone
+    flight = logs.read(file("y.bbl", text.replace("H Product:B", "H Pr?duct:B").encode() + log.data + writer.END))
+    assert len(flight["motors"]) == 100 and flight.warnings == ()
+    assert [
+        k.rpartition("#")[2] for k in logs.sessions(file("z.bbl", three().replace(b"H Product", b"H product", 1)))
+    ] == ["2", "3", "1"]
 
 
 def test_files_without_a_session_or_frames(tmp_path):

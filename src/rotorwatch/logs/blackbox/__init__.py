@@ -39,8 +39,8 @@ REASONS = (
 
 
 def sniff(head: bytes, name: str) -> bool:
-    """True where a session begins near the start; by name for .bbl and .bfl."""
-    return header.START in head or name.lower().endswith((".bbl", ".bfl"))
+    """True where a session's header begins near the start; by name for .bbl and .bfl."""
+    return header.START in head or header.FIELDS_START in head or name.lower().endswith((".bbl", ".bfl"))
 
 
 def parts(data) -> list[int]:
@@ -120,6 +120,9 @@ def _damage(session: decoder.Session) -> list[str]:
         found.append(
             f"{what}, {session.orphans} more that need them, and {session.garbage} bytes between frames were passed over."
         )
+    if session.header.lost:
+        kinds = " and ".join(session.header.lost)
+        found.append(f"The header's list of fields of {kinds} frames is damaged: those frames were passed over.")
     if session.cut:
         found.append(f"The log goes on after {len(session.main)} frames, which is more than is read.")
     elif not session.ended:

@@ -18,7 +18,9 @@ from rotorwatch.errors import LogError
 from rotorwatch.logs.blackbox import encodings, frames
 from rotorwatch.logs.blackbox.sizes import CYCLE, FIELDS
 
-START = b"H Product:Blackbox"
+START, FIELDS_START = b"H Product:Blackbox", b"H Field I name:"
+BETWEEN = 1000
+"""Bytes from the first to the second, at most."""
 LONGEST, MOST_LINES, MOST_SESSIONS = 8192, 2000, 1000
 KINDS = {"I": frames.INTRA, "P": frames.INTER, "S": frames.SLOW, "G": frames.GPS, "H": frames.HOME}
 GROUPS = {encodings.TAG2_3S32: 3, encodings.TAG8_4S16: 4, encodings.TAG2_3SVARIABLE: 3}
@@ -41,11 +43,13 @@ class Layout:
 
 @dataclass(frozen=True)
 class Header:
-    """One session. start: byte at which its frames begin; settings: name -> value, as written; layouts: kind of frame -> fields."""
+    """One session. start: byte at which its frames begin; settings: name -> value, as written; layouts: kind of frame -> fields;
+    lost: kinds whose fields are damaged."""
 
     start: int
     settings: Mapping[str, str]
     layouts: Mapping[str, Layout] = field(default_factory=dict)
+    lost: tuple[str, ...] = ()
 
     def numbers(self, name: str) -> list[float]:
         """A setting's numbers; [] where it is missing or holds something else."""
@@ -99,12 +103,23 @@ class Header:
 
 
 def starts(data) -> list[int]:
-    """Bytes at which sessions begin: a log is appended to the file each time the vehicle is armed."""
+    """Bytes at which sessions begin: a log is appended to the file each time the vehicle is armed. A session whose first line is damaged
+    begins at the fields of its I frames."""
+    found = sorted({*_places(data, START), *_places(data, FIELDS_START)})
+    kept: list[int] = []
+    for at in found:
+        first = bytes(data[at : at + len(START)]) == START
+        if first or not kept or at - kept[-1] > BETWEEN:
+            kept.append(at)
+    return kept[:MOST_SESSIONS]
+
+
+def _places(data, text: bytes) -> list[int]:
     found: list[int] = []
-    at = data.find(START)
+    at = data.find(text)
     while at >= 0 and len(found) < MOST_SESSIONS:
         found.append(at)
-        at = data.find(START, at + len(START))
+        at = data.find(text, at + len(text))
     return found
 
 
@@ -129,24 +144,35 @@ def read(data, start: int, end: int) -> Header:
             fields[place[1], place[2]] = value.strip()
         else:
             settings[name.strip()] = value.strip()
-    return Header(at, settings, _layouts(fields))
+    return Header(at, settings, *_layouts(fields))
 
 
-def _layouts(fields: Mapping[tuple[str, str], str]) -> dict[str, Layout]:
+def _layouts(fields: Mapping[tuple[str, str], str]) -> tuple[dict[str, Layout], tuple[str, ...]]:
+    """(layouts, kinds of frames that cannot be read). Raises LogError where I frames cannot."""
     found: dict[str, Layout] = {}
+    lost: list[str] = []
     for kind in KINDS:
         names = fields.get(("I" if kind == "P" else kind, "name"), "").split(",")
         signed = _numbers(fields.get(("I" if kind == "P" else kind, "signed"), ""))
         encoding, predictor = (_numbers(fields.get((kind, what), "")) for what in ("encoding", "predictor"))
-        if names == [""] or not encoding:
+        if not any((kind, what) in fields for what in ("name", "encoding", "predictor")):
             continue
-        if not len(names) == len(encoding) == len(predictor) or len(names) > FIELDS or len(set(names)) < len(names):
-            raise LogError(f"the header's list of fields of {kind} frames is damaged")
+        fits = len(names) == len(encoding) == len(predictor) <= FIELDS and len(set(names)) == len(names)
         sign = np.array([*signed, *[1] * len(names)][: len(names)]) != 0
-        found[kind] = Layout(tuple(names), sign, encoding, predictor)
+        layout = Layout(tuple(names), sign, encoding, predictor)
+        try:
+            if not fits:
+                raise LogError(f"the header's list of fields of {kind} frames is damaged")
+            laid_out(kind, layout)
+        except LogError:
+            if kind == "I":
+                raise
+            lost.append(kind)
+        else:
+            found[kind] = layout
     if "I" not in found or "time" not in found["I"].names:
         raise LogError("the header does not say which fields its frames have")
-    return found
+    return found, tuple(lost)
 
 
 def _numbers(text: str) -> tuple[int, ...]:
@@ -155,8 +181,8 @@ def _numbers(text: str) -> tuple[int, ...]:
 
 
 def fill(stream: Rows, header: Header) -> None:
-    """Tell a `frames.Stream` what the header says. Raises LogError for encodings and predictors that are not known."""
-    rows = [(KINDS[kind], layout, *_laid_out(kind, layout)) for kind, layout in header.layouts.items()]
+    """Tell a `frames.Stream` what the header says."""
+    rows = [(KINDS[kind], layout, *laid_out(kind, layout)) for kind, layout in header.layouts.items()]
     for number, layout, encoding, runs, steps in rows:
         target = stream.part("layouts").row(number)
         target.set(
@@ -174,8 +200,8 @@ def fill(stream: Rows, header: Header) -> None:
     )  # fmt: skip
 
 
-def _laid_out(kind: str, layout: Layout) -> tuple[list[int], list[tuple[int, int]], list[tuple[int, int, int]]]:
-    """(encodings, runs: from, to; steps: predictor, from, to) of `frames.Layout`."""
+def laid_out(kind: str, layout: Layout) -> tuple[list[int], list[tuple[int, int]], list[tuple[int, int, int]]]:
+    """(encodings, runs: from, to; steps: predictor, from, to) of `frames.Layout`. Raises LogError for what makes no sense."""
     known = range(12)
     if any(e not in known or e == encodings.UNUSED for e in layout.encoding) or any(
         p not in known for p in layout.predictor
