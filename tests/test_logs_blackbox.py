@@ -21,6 +21,7 @@ from embedded_c_parts import STRICT, compilers
 from rotorwatch import airframes, logs
 from rotorwatch.compiling.running import Definition
 from rotorwatch.errors import LogError, VehicleError
+from rotorwatch.experiments import fuzz
 from rotorwatch.info import info
 from rotorwatch.logs.blackbox import decoder, encodings, frames, header, sizes
 from rotorwatch.many import gathering
@@ -409,6 +410,19 @@ def test_files_without_a_session_or_frames(tmp_path):
         logs.read(tmp_path / "a.bfl")
     with pytest.raises(LogError, match=r"b\.bfl: the session holds no frames"):
         logs.read(tmp_path / "b.bfl")
+
+
+def test_damaged_copies_are_read_or_refused_politely(file):
+    result = fuzz.fuzz(file("LOG.BFL", three()), mutations=300, seed=5, jobs=0, diagnosed=0.0)
+    assert result["failures"] == [] and sum(result["outcomes"].values()) == 300
+    assert result["outcomes"]["read with warnings"] > result["outcomes"]["rejected with a sentence"] > 0
+
+
+def test_of_logs_without_end_a_part_is_read(file, monkeypatch):
+    monkeypatch.setattr(decoder, "MOST_CELLS", 2000)
+    monkeypatch.setattr(decoder, "CELLS", 1000)
+    flight = logs.read(file("x.bbl", small(writer.betaflight(), 400).bytes()))
+    assert 60 < len(flight["motors"]) < 400 and "which is more than is read" in " ".join(flight.warnings)
 
 
 # Flights
