@@ -782,7 +782,7 @@ def lines(turn, force):
 
 
 @pytest.mark.parametrize("unit, turn", [("", 1.0), (" (deg/s)", 1.0), (" (rad/s)", np.pi / 180)])
-@pytest.mark.parametrize("force, one", [("", 2048.0), (" (g)", 1.0), (" (m/s/s)", 9.80665)])
+@pytest.mark.parametrize("force, one", [("", 2048.0), (" (g)", 1.0), (" (m/s/s)", 9.80665), (" (m/s2)", 9.80665)])
 def test_tables_of_blackbox_decode(file, unit, turn, force, one):
     flight = logs.read(file("x.csv", CSV.format(turn=unit, force=force).encode() + lines(turn, one)))
     assert (flight.format, flight.autopilot, flight.rotor_count) == ("Blackbox CSV", "Betaflight", 4)
