@@ -86,12 +86,14 @@ def test_lower_rotors_of_coaxial_pairs_give_less():
     assert not any("Lower rotors" in note for note in airframes.named("ardupilot-octa-x").assumptions)
 
 
-# ArduPilot: order of its motor test, which takes the upper motor of an arm first; PX4: z of its geometry files.
+# ArduPilot: order of its motor test, which takes the upper motor of an arm first; Betaflight: "UNDER" in mixer_init.c; PX4: z in its files.
 LOWER = {
     **{"ardupilot-y6": {1, 3, 4}, "ardupilot-y6-b": {2, 4, 6}, "ardupilot-y6-f": {4, 5, 6}, "ardupilot-quad-y4": {3}},
     **{f"ardupilot-octaquad-{t}": {5, 6, 7, 8} for t in ("plus", "x", "v", "h", "bf-x", "bf-x-rev", "x-cor")},
     **{f"ardupilot-octaquad-{t}": {2, 4, 6, 8} for t in ("cw-x", "cw-x-cor")},
     **{f"ardupilot-dodecahexa-{t}": {2, 4, 6, 8, 10, 12} for t in ("plus", "x")},
+    **{f"betaflight-octa-x8{turned}": {5, 6, 7, 8} for turned in ("", "-reversed")},
+    **{f"betaflight-y6{turned}": {4, 5, 6} for turned in ("", "-reversed")},
     **{"px4-hexa-coaxial": {2, 4, 6}, "px4-octa-coaxial": {5, 6, 7, 8}},
 }
 

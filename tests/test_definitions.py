@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import importlib
 import itertools
+import json
 import re
 import subprocess
 import sys
@@ -16,8 +17,8 @@ from hypothesis import strategies as st
 
 from embedded_c_parts import STRICT, compilers
 from rotorwatch import airframes, logs
-from rotorwatch.compiling import structs, toolchain
-from rotorwatch.compiling.running import TYPES, Definition, Rows
+from rotorwatch.compiling import shipped, structs, toolchain
+from rotorwatch.compiling.running import TRANSLATOR, TYPES, Definition, Rows
 from rotorwatch.compiling.translate import Translation
 from rotorwatch.errors import ConfigError
 from rotorwatch.front import front, sense, sizes, ticks, vehicle, whole
@@ -119,6 +120,23 @@ def bits(a: int, b: int, k: int, out: Ints) -> None:
     c ^= 5
     c <<= 2
     out[5] = c >> 1
+
+
+def modulo(a: int, b: int, k: int, out: Ints) -> None:
+    out[0] = sum32(a, b)
+    out[1] = difference32(a, b)
+    out[2] = shift32(a, k) | 1
+    out[3] = sum32(difference32(a, b), shift32(b, k & 3))
+    out[4] = shift32(1, 31)
+    out[5] = difference32(0, sum32(a, 1)) >> 1
+
+
+def from_bytes(data: Bytes, n: int, out: Ints) -> int:
+    total = 0
+    for i in range(n):
+        total = sum32(shift32(total, 7), data[i])
+        out[i % 6] = data[i] << 8 | data[n - 1 - i] >> 3 if data[i] > 99 else -data[i]
+    return total
 
 
 def truths(x: Real, y: Real, k: int, out: Flags) -> None:
@@ -285,6 +303,40 @@ def test_bits(made, a, b, k):
     both(made, "bits", "int", 6, a, b, k)
 
 
+WHOLE = st.integers(-(2**31), 2**31 - 1) | st.sampled_from([0, 1, -1, 2**31 - 1, -(2**31)])
+
+
+@settings(max_examples=200, deadline=None)
+@given(WHOLE, WHOLE, st.integers(0, 31))
+def test_numbers_of_32_bits_go_on_from_the_other_end(made, a, b, k):
+    both(made, "modulo", "int", 6, a, b, k)
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.binary(max_size=20))
+def test_bytes(made, data):
+    both(made, "from_bytes", "int", 6, np.frombuffer(data, np.uint8), len(data))
+
+
+def test_python_writes_into_the_arrays_that_are_given(made):
+    small, _, plain = made
+    out = np.zeros(6, np.int32)
+    plain.call(small.bits, 12, 10, 1, out)
+    assert out[0] == 12 & 10 | 3 ^ 12
+
+
+def test_several_definitions_are_shipped_side_by_side(made, tmp_path):
+    _, compiled, _ = made
+    other = Definition("other", compiled.modules, compiled.sizes, files=["logs/table.py"])
+    for definition in (compiled, other):
+        definition.ship(tmp_path)
+    index = json.loads((tmp_path / shipped.DEFINITIONS).read_text())
+    assert set(index) == {"made", "other"} and index["made"]["digest"] != index["other"]["digest"]
+    assert index["other"]["digest"] == shipped.digest(sorted(["logs/table.py", *TRANSLATOR]))
+    for name, told in index.items():
+        assert told["library"] == [f"{name}.so", shipped.digest_of(tmp_path / f"{name}.so")]
+
+
 @settings(max_examples=100, deadline=None)
 @given(ANY, ANY, st.integers(0, 5))
 def test_conditions(made, x, y, k):
@@ -346,6 +398,7 @@ NOT_C = {
     "y = +x": "this sign is not C",
     "y = x << 2": "bits are of whole numbers",
     "x |= 2": "this operation is not C",
+    "y = sum32(x, 1)": "sum32 is of whole numbers",
     "y = ~x": "this sign is not C",
     "y = x is None": "this comparison is not C",
     "y = 'text'": "a text is passed on",

@@ -187,8 +187,9 @@ def cli() -> None:
 @common
 @click.pass_context
 def diagnose(context, **given) -> None:
-    """Judge each LOG: PX4 .ulg, ArduPilot .bin/.log, MAVLink .tlog, ROS 2 bag, CSV, also .xz and .gz; - is standard input. A
-    folder stands for all logs in it; also quoted patterns, and addresses such as s3://BUCKET/FOLDER/ (docs/cluster.md).
+    """Judge each LOG: PX4 .ulg, ArduPilot .bin/.log, Betaflight and INAV .bbl, MAVLink .tlog, ROS 2 bag, CSV, also .xz and .gz; - is
+    standard input. A folder stands for all logs in it, a file for all flights in it; also quoted patterns, and addresses such as
+    s3://BUCKET/FOLDER/ (docs/cluster.md).
 
     Exit code: 0 healthy, 1 fault found, 3 inconclusive or ambiguous only, 2 error; of several logs the worst.
     """

@@ -40,6 +40,13 @@ _PX4 = {
     "battery": "Set SDLOG_PROFILE bit 0 (default set, value 1): battery_status.",
 }
 _CRAZYFLIE = {"gyro": "Add gyro.x, gyro.y and gyro.z to config.txt on the memory card."}
+_BLACKBOX = {
+    "gyro": "Log it: set blackbox_disable_gyro = OFF (fields_disabled_mask).",
+    "accel": "Switch the accelerometer on (acc_hardware = AUTO) and log it (blackbox_disable_acc = OFF).",
+    "attitude": "Betaflight from 2025.12 on and INAV log it where an accelerometer is on (blackbox_disable_attitude = OFF).",
+    "battery": "Set vbat as the battery's voltage meter and log it (blackbox_disable_bat = OFF).",
+    "control": "Betaflight from 4.0 on logs it, with setpoint[3]: set blackbox_disable_pids and blackbox_disable_setpoint = OFF.",
+}
 _TELEMETRY = "Telemetry may not carry it; use the log that the autopilot wrote itself (.bin or .ulg)."
 _BAG = "Record its topic, and have the autopilot send it (docs/foxglove.md), or use the log that the autopilot wrote itself."
 _FASTER = {
@@ -166,7 +173,9 @@ def _airborne(flight: Flight) -> list[list[float]]:
 def _missing(flight: Flight, frame: str, stop: Obstacle | None) -> list[dict]:
     """Gaps, the one that prevents a diagnosis first. A signal counts as there with two valid samples."""
     telemetry = {"MAVLink tlog": _TELEMETRY, "ROS 2 bag": _BAG}.get(flight.format)
-    settings = {"ardupilot": _ARDUPILOT, "px4": _PX4, "crazyflie": _CRAZYFLIE}.get(_family(flight), {})
+    settings = {"ardupilot": _ARDUPILOT, "px4": _PX4, "crazyflie": _CRAZYFLIE, "blackbox": _BLACKBOX}.get(
+        _family(flight), {}
+    )
     gaps = []
     for name, why in _WHY.items():
         if _present(flight, name) or (name == "gyro" and _present(flight, "rates")):
@@ -202,6 +211,8 @@ def _present(flight: Flight, name: str) -> bool:
 
 def _family(flight: Flight) -> str:
     autopilot = flight.autopilot.lower()
+    if flight.format.startswith("Blackbox"):
+        return "blackbox"
     return next((name for name in ("ardupilot", "px4", "crazyflie") if name in autopilot), "")
 
 

@@ -24,10 +24,11 @@ C_NAMES = {
     "mask": "uint16_t",
     "small": "int16_t",
     "letter": "char",
+    "byte": "uint8_t",
     "text": "const char *",
 }
 RANK = {"flag": 0, "ilit": 0, "text": 0, "int": 1, "lit": 2, "real": 3, "time": 4}
-WIDE: dict[Any, Any] = {"mask": "int", "small": "int", "letter": "int"}  # as what stored numbers are read
+WIDE: dict[Any, Any] = {"mask": "int", "small": "int", "letter": "int", "byte": "int"}  # as what stored numbers are read
 FIRST = {"lit": "real", "ilit": "int", **WIDE}  # type of a variable by its first value
 BINARY = {
     ast.Add: ("+", 6),
@@ -38,6 +39,7 @@ BINARY = {
     ast.FloorDiv: ("/", 7),
 }
 BITS = {ast.BitAnd: "&", ast.BitOr: "|", ast.BitXor: "^", ast.LShift: "<<", ast.RShift: ">>"}  # of whole numbers
+MODULO = {"sum32": "+", "difference32": "-", "shift32": "<<"}  # of whole numbers, of 32 bits
 COMPARE = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
 BUILTIN = (
     "sqrt",
@@ -55,12 +57,13 @@ BUILTIN = (
     "reset",
     "copy",
     "local",
+    *MODULO,
 )
 
 
 @dataclass(frozen=True)
 class Type:
-    """base: real, time, int, flag, lit, ilit, none, or a Struct; dims: of an array, in C, the first empty where it is not known."""
+    """base: real, time, int, flag, byte, lit, ilit, none, or a Struct; dims: of an array, in C, the first empty where it is not known."""
 
     base: Any
     dims: tuple[str, ...] = ()
@@ -377,6 +380,8 @@ class Body:
             return Code(f"{base.within(15)}[{index.text}]", Type("letter"))
         if not base.type.dims:
             raise self.wrong(node, f"{base.text} is no array")
+        if base.type.base == "byte":
+            return Code(f"{base.within(15)}[{index.text}]", Type("int"), 20, False, base.root)
         return Code(f"{base.within(15)}[{index.text}]", Type(base.type.base, base.type.dims[1:]), 20, False, base.root)
 
     def on_unaryop(self, node: ast.UnaryOp) -> Code:
@@ -477,6 +482,11 @@ class Body:
     def builtin(self, node: ast.Call, name: str) -> Code:
         given = [self.expression(a) for a in node.args] if name != "local" else []
         first = given[0]
+        if name in MODULO:
+            if any(g.type.base not in ("int", "ilit") for g in given):
+                raise self.wrong(node, f"{name} is of whole numbers")
+            last = f"(uint32_t){given[1].within(14)}" if name != "shift32" else given[1].within(14)
+            return Code(f"(int32_t)((uint32_t){first.within(14)} {MODULO[name]} {last})", Type("int"), 14)
         if name in ("reset", "copy"):
             self.change(first.root)
             at = [g.text if g.pointer else f"&{g.within(15)}" for g in given]

@@ -5,7 +5,8 @@
     definition.call(whole.fly, one, vehicle, n, kinds, times, ...)
     one["ended"]                      # a field; rows["time"] of an array of structs
 
-Arguments: structs and arrays of them made here; NumPy arrays; numbers. Both ways give the same bits.
+Arguments: structs and arrays of them made here; NumPy arrays; numbers. A function may write into arrays of whole numbers, and into structs.
+Both ways give the same bits.
 """
 
 from __future__ import annotations
@@ -40,6 +41,9 @@ TYPES = {
 # No fused multiply and add: the same operations as Python's.
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fno-math-errno", "-fPIC", "-shared")
 
+TRANSLATOR = tuple(f"compiling/{name}.py" for name in ("structs", "body", "translate"))
+"""Files that every definition is made by."""
+
 
 class Rows:
     """An array of structs, or one of them: fields by name, as NumPy arrays."""
@@ -63,6 +67,12 @@ class Rows:
             return Rows(kind, self.native[name][0] if several else self.native[name], None)
         inner = [getattr(one, name) for one in self.plain or ()]
         return Rows(kind, None, inner[0] if several else inner)
+
+    def row(self, number: int) -> Rows:
+        """One of them, counted from 0."""
+        if self.native is not None:
+            return Rows(self.kind, self.native[number : number + 1], None)
+        return Rows(self.kind, None, (self.plain or [])[number : number + 1])
 
     def cut(self, count: int) -> Rows:
         """The first of them, copied."""
@@ -119,10 +129,12 @@ def _fill(one: Any, name: str, value: Any) -> None:
 
 
 class Definition:
-    """Modules of definitions. name: of their room; sizes: the module with the sizes of arrays."""
+    """Modules of definitions. name: what the library is called; sizes: the module with the sizes of arrays; files: of the package, that
+    these are, by default all in the room of that name."""
 
-    def __init__(self, name: str, modules: Sequence[ModuleType], sizes: ModuleType):
+    def __init__(self, name: str, modules: Sequence[ModuleType], sizes: ModuleType, files: Sequence[str] | None = None):
         self.name, self.modules, self.sizes = name, tuple(modules), sizes
+        self.files = shipped.files_in(name) if files is None else sorted([*files, *TRANSLATOR])
         self._types: dict[type[Struct], np.dtype] = {}
 
     @functools.cached_property
@@ -139,7 +151,7 @@ class Definition:
     @property
     def digest(self) -> str:
         """Of the files that it is made of."""
-        return shipped.digest(shipped.files_in(self.name))
+        return shipped.digest(self.files)
 
     def _shipped(self) -> Path | None:
         """The library that came with the package, if it is of these files and whole."""
@@ -153,7 +165,7 @@ class Definition:
         return path if fits and shipped.digest_of(path) == sha256 else None
 
     def ship(self, folder: Path) -> None:
-        """Put the library into the folder of what comes with the package."""
+        """Put the library into the folder of what comes with the package, beside those of other definitions."""
         name = f"{self.name}.so"
         shutil.copyfile(self.build(toolchain.folder()), folder / name)
         known = {
@@ -161,7 +173,9 @@ class Definition:
             "target": shipped.target(toolchain.processor()),
             "library": [name, shipped.digest_of(folder / name)],
         }
-        (folder / shipped.DEFINITIONS).write_text(json.dumps({self.name: known}, indent=1) + "\n", encoding="utf-8")
+        index = folder / shipped.DEFINITIONS
+        others = json.loads(index.read_text(encoding="utf-8")) if index.exists() else {}
+        index.write_text(json.dumps({**others, self.name: known}, indent=1) + "\n", encoding="utf-8")
 
     def translated(self) -> tuple[str, str, str]:
         """(rw_config.h, header, source) for a computer."""
@@ -169,7 +183,7 @@ class Definition:
 
         whole = Translation(self.modules, self.sizes)
         config = "".join(f"#define RW_{name} {value}\n" for name, value in whole.sizes.items())
-        return config, whole.header("For this computer."), whole.source("rw_front.h")
+        return config, whole.header("For this computer.", name=self.name), whole.source(f"rw_{self.name}.h")
 
     def build(self, folder: Path) -> Path:
         """The library in a folder, built unless it is there. Raises toolchain.Unavailable."""
@@ -181,10 +195,10 @@ class Definition:
             return goal
         with tempfile.TemporaryDirectory() as scratch:
             place = Path(scratch)
-            for name, text in zip(("rw_config.h", "rw_front.h", "rw_front.c"), self.translated()):
+            for name, text in zip(("rw_config.h", f"rw_{self.name}.h", f"rw_{self.name}.c"), self.translated()):
                 (place / name).write_text(text, encoding="utf-8")
             made = place / "made.so"
-            command = [compiler, *FLAGS, "-o", str(made), str(place / "rw_front.c"), "-lm"]
+            command = [compiler, *FLAGS, "-o", str(made), str(place / f"rw_{self.name}.c"), "-lm"]
             done = subprocess.run(command, capture_output=True, text=True, check=False)
             if done.returncode:
                 said = (done.stderr.strip().splitlines() or ["nothing said"])[0]
@@ -259,4 +273,7 @@ def _plain(x: Any) -> Any:
     if isinstance(x, Rows):
         assert x.plain is not None
         return x.plain if x.many else x.plain[0]
-    return x.ravel().tolist() if isinstance(x, np.ndarray) else x  # row by row, as C has it
+    if not isinstance(x, np.ndarray):
+        return x
+    # Row by row, as C has it. Whole numbers where they lie: a function may write them, and bytes are many.
+    return x.reshape(-1).data if x.dtype in (np.int32, np.uint8) else x.ravel().tolist()

@@ -16,13 +16,15 @@ order, so that double precision gives the same bits.
 
 Real: a number in the library's precision, float on small boards. Time: seconds or sums, always double. int: 32 bits. Mask: a set, and
 Small: 16 bits, which are read as int. Sums, products and `<<` must stay within these; `//` and `%` are of numbers that are not negative:
-Python and C differ beyond. str: a text in ASCII, read by `len(text)` and `ord(text[k])`.
+Python and C differ beyond; where sums may not stay within, `sum32`, `difference32` and `shift32` go on from the other end. str: a text in
+ASCII, read by `len(text)` and `ord(text[k])`. Bytes: what is only read, each a number from 0 to 255.
 """
 
 from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from typing import Any, ClassVar, TypeVar
 
 Real = float
@@ -34,6 +36,7 @@ Small = int  # 16 bits
 Ints = list[int]
 Masks = list[int]
 Flags = list[bool]
+Bytes = Sequence[int]
 Vectors = list[list[float]]  # rows of three
 
 LASTS = 1e300
@@ -149,6 +152,25 @@ sqrt, exp, isnan, floor = math.sqrt, math.exp, math.isnan, math.floor
 def real(value: float) -> Real:
     """A number in the library's precision: for what is known better than that."""
     return value
+
+
+def sum32(a: int, b: int) -> int:
+    """a + b of 32 bits, as processors add."""
+    return _wrapped(a + b)
+
+
+def difference32(a: int, b: int) -> int:
+    """a - b of 32 bits, as processors subtract."""
+    return _wrapped(a - b)
+
+
+def shift32(a: int, places: int) -> int:
+    """a << places of 32 bits: what leaves them is lost. places: 0 to 31."""
+    return _wrapped(a << places)
+
+
+def _wrapped(value: int) -> int:
+    return ((value + 0x80000000) & 0xFFFFFFFF) - 0x80000000
 
 
 def snake(name: str) -> str:

@@ -18,7 +18,7 @@ from rotorwatch.compiling.body import Body, Function, Type, comment, is_struct, 
 from rotorwatch.compiling.structs import SCALARS, snake
 from rotorwatch.errors import ConfigError
 
-LISTS = {"Reals": "real", "Times": "time", "Ints": "int", "Flags": "flag", "Masks": "mask"}
+LISTS = {"Reals": "real", "Times": "time", "Ints": "int", "Flags": "flag", "Masks": "mask", "Bytes": "byte"}
 HEAD = """#include <stdbool.h>
 #include <stdint.h>
 
@@ -148,9 +148,10 @@ class Translation:
 
     # Text
 
-    def header(self, about: str, config: str = "rw_config.h") -> str:
-        """The header: types, structs, functions."""
-        parts = [f"/* {about} */", "#ifndef RW_FRONT_H", "#define RW_FRONT_H", "", f'#include "{config}"', HEAD]
+    def header(self, about: str, config: str = "rw_config.h", name: str = "front") -> str:
+        """The header: types, structs, functions. name: of the definition, for what keeps it from being included twice."""
+        guard = f"RW_{name.upper()}_H"
+        parts = [f"/* {about} */", f"#ifndef {guard}", f"#define {guard}", "", f'#include "{config}"', HEAD]
         for module, tree in self.trees.items():
             parts.append(comment(ast.get_docstring(tree) or ""))
             for name in _enumerated(tree):

@@ -40,6 +40,8 @@ FRAMES = (
     Frame(12, True), Frame(12), Frame(10), Frame(8, True), Frame(8), Frame(7), Frame(6, True), Frame(6), Frame(5), Frame(4, True),
     Frame(4), Frame(3),
 )  # fmt: skip
+# Rooms with definitions that are shipped, too.
+DEFINED = ("front", "logs/blackbox")
 # What the programs are traced from: modules with all that they import, and such of which only the file counts.
 ROOTS = ("rotorwatch.default.estimator", "rotorwatch.compiling.c99.project")
 ALONE = (
@@ -115,15 +117,18 @@ def ship(folder: Path, frames: Sequence[Frame] = FRAMES, portable: bool = False)
         "programs": programs,
     }
     from rotorwatch.front.definition import FRONT
+    from rotorwatch.logs.blackbox.decoder import BLACKBOX
 
     FRONT.ship(folder)
+    BLACKBOX.ship(folder)
     (folder / shipped.INDEX).write_text(json.dumps(index, indent=1) + "\n", encoding="utf-8")
 
 
 def kept(portable: bool) -> Path:
     """Where the cache keeps what `ship` makes of this definition with this compiler on this computer. Raises toolchain.Unavailable."""
     return toolchain.kept_under(
-        "shipped", json.dumps([definition()["digest"], shipped.digest(shipped.files_in("front")), portable, FRAMES])
+        "shipped",
+        json.dumps([definition()["digest"], *(shipped.digest(shipped.files_in(r)) for r in DEFINED), portable, FRAMES]),
     )
 
 

@@ -148,7 +148,7 @@ def follow(
                 if settled.get(path) != mark and seen.get(path) == mark:
                     if is_log(path):
                         told, _ = add(store, [path], aircraft, vehicle, tell, jobs=1)
-                        new |= told[0].state == "added"
+                        new |= any(one.state == "added" for one in told)
                     settled[path] = mark
                 seen[path] = mark
             if new or unwell:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from pathlib import Path
 
 from rotorwatch import __version__, airframes
 from rotorwatch.diagnosis import Diagnosis
@@ -24,7 +23,9 @@ def entry(
 
     hash = digest(path)
     flight = logs.read(path, (lambda share: progress(0.3 * share, "reading")) if progress else None)
-    return of_flight(flight, hash, os.path.abspath(path), Path(path).stat().st_size, aircraft, vehicle, progress)
+    return of_flight(
+        flight, hash, os.path.abspath(path), logs.of_part(path)[0].stat().st_size, aircraft, vehicle, progress
+    )
 
 
 def of_flight(

@@ -75,8 +75,14 @@ class Entry:
 
 
 def digest(path: str | os.PathLike) -> str:
-    """SHA-256 of a log's bytes, hexadecimal; of a log that is a folder, of its files' names and bytes in order. Raises OSError."""
+    """SHA-256 of a log's bytes, hexadecimal; of a log that is a folder, of its files' names and bytes in order; of a flight in a file, of
+    its number, too. Raises OSError."""
+    from rotorwatch.logs import of_part
+
     found = hashlib.sha256()
+    path, number = of_part(path)
+    if number is not None:
+        found.update(f"#{number}".encode())
     for file in sorted(Path(path).iterdir()) if Path(path).is_dir() else [Path(path)]:
         if Path(path).is_dir():
             found.update(f"{file.name}\n{file.stat().st_size}\n".encode("utf-8", "surrogateescape"))

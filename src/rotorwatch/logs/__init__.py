@@ -4,7 +4,8 @@
     sniff(head: bytes, name: str) -> bool        is it mine? name is "" when only the content may decide
     read(data, name, progress=None) -> Flight    data: bytes or a memory map; may raise LogError
 
-A format that is a folder of tables has sniff_folder(path) and read_folder(path, progress=None) besides or instead.
+A format that is a folder of tables has sniff_folder(path) and read_folder(path, progress=None) besides or instead. One whose files hold
+several flights has parts(data) -> their numbers, the longest first, and its read takes part=NUMBER.
 progress, where given, is called with the finished share, 0..1.
 
 Another package may hand in a module or an object with the same parts, as an entry point `rotorwatch.logs` (docs/plug-ins.md).
@@ -51,7 +52,8 @@ def offered() -> dict[str, tuple[Any, Any]]:
 def read(path, progress=None) -> Flight:
     """Read a flight log of any known format, compressed (.xz, .gz, .bz2) or not.
 
-    path: a file, or a folder: a ROS 2 bag or ulog2csv tables. progress: called with the finished share, 0..1.
+    path: a file, or a folder: a ROS 2 bag or ulog2csv tables; of a file with several flights FILE#2 is the second. progress: called with
+    the finished share, 0..1.
     Raises LogError with one sentence when there is no flight to be read; damage that leaves something is in `warnings`.
     """
     from rotorwatch.logs.container import open_log
@@ -63,12 +65,44 @@ def read(path, progress=None) -> Flight:
         if module is None:
             raise LogError(f"{path}: a folder without ulog2csv tables or a ROS 2 bag; give the log file itself")
         return _checked(lambda: module.read_folder(path, progress), module, path, ())
+    path, part = of_part(path)
     data, name, warnings = open_log(path, progress)
     module = recognise(bytes(data[:HEAD]), name)
     if module is None:
         known = ", ".join(sorted({*(m.FORMAT for m in formats()), *offered()}))
         raise LogError(f"{path}: not a flight log of a known kind; known are {known}")
-    return _checked(lambda: module.read(data, name, progress), module, path, warnings)
+    if part is None:
+        return _checked(lambda: module.read(data, name, progress), module, path, warnings)
+    if not hasattr(module, "parts"):
+        raise LogError(f"{path}#{part}: a file of this kind ({module.FORMAT}) holds one flight; leave #{part} out")
+    path = path.with_name(f"{path.name}#{part}")
+    return _checked(lambda: module.read(data, f"{name}#{part}", progress, part=part), module, path, warnings)
+
+
+def of_part(path) -> tuple[Path, int | None]:
+    """(file, number of a flight in it) of LOG.BFL#2; (path, None) of any other path, also of a file that is really called so."""
+    path = Path(path)
+    name, mark, number = path.name.rpartition("#")
+    if not mark or not name or not number.isascii() or not number.isdigit() or len(number) > 6 or path.exists():
+        return path, None
+    return path.with_name(name), int(number)
+
+
+def sessions(path) -> list[str]:
+    """The flights in a log file, the longest first: LOG.BFL#2, LOG.BFL#1 ..; the path itself where it holds one, or cannot be read."""
+    from rotorwatch.logs.container import head, open_log
+
+    path = Path(path)
+    if not path.is_file():
+        return [str(path)]
+    found = recognise(*head(path, HEAD))
+    if not hasattr(found, "parts"):
+        return [str(path)]
+    try:
+        numbers = found.parts(open_log(path)[0])
+    except RotorwatchError:
+        return [str(path)]
+    return [f"{path}#{number}" for number in numbers] if len(numbers) > 1 else [str(path)]
 
 
 def recognise(head: bytes, name: str) -> Any:

@@ -6,7 +6,7 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
@@ -207,15 +207,17 @@ def header(head: bytes) -> list[str]:
     return [c.strip().strip('"') for c in text.split(",")]
 
 
-def numbers(data, notes, name="") -> dict[str, np.ndarray]:
-    """Columns of a text table by name. Empty cells and what is no number become NaN; notes says how many lines it hit.
+def numbers(data, notes, name="", wanted: Callable[[str], bool] = lambda column: True) -> dict[str, np.ndarray]:
+    """Columns of a text table by name. Empty cells and what is no number become NaN; notes says how many lines it hit. wanted: whether a
+    column of that name is; others may hold anything.
 
     Raises LogError without a header line, with doubled names, or without any line of numbers.
     """
     data = bytes(data).rstrip(b"\0")
     names = header(data[: 1 << 16])
     where = f"{name}: " if name else ""
-    if not names or len(names) > _MOST_COLUMNS:
+    used = [k for k, column in enumerate(names) if wanted(column)]
+    if not names or len(names) > _MOST_COLUMNS or not used:
         raise LogError(f"{where}the first line is no list of column names separated by commas")
     if len(set(names)) < len(names):
         raise LogError(f"{where}column {next(n for n in names if names.count(n) > 1)} is there twice")
@@ -224,17 +226,20 @@ def numbers(data, notes, name="") -> dict[str, np.ndarray]:
         raise LogError(f"{where}the table has no line of numbers")
     try:
         filled = io.BytesIO(_EMPTY.sub(b"nan", body))
-        rows = np.loadtxt(filled, delimiter=",", ndmin=2, comments=None, encoding="ascii")
-        if rows.shape[1] != len(names):
+        if len(used) < len(names):
+            rows = np.loadtxt(filled, delimiter=",", ndmin=2, comments=None, encoding="ascii", usecols=used)
+        else:
+            rows = np.loadtxt(filled, delimiter=",", ndmin=2, comments=None, encoding="ascii")
+        if rows.shape[1] != len(used):
             raise ValueError
     except ValueError:
-        rows = _line_by_line(body, len(names), notes, where)
+        rows = _line_by_line(body, len(names), used, notes, where)
     if not rows.size:
         raise LogError(f"{where}the table has no line of numbers")
-    return {n: rows[:, i] for i, n in enumerate(names)}
+    return {names[column]: rows[:, k] for k, column in enumerate(used)}
 
 
-def _line_by_line(body: bytes, width: int, notes, where: str) -> np.ndarray:
+def _line_by_line(body: bytes, width: int, used: list[int], notes, where: str) -> np.ndarray:
     """Slower than loadtxt, but takes damage: a wrong number of cells drops the line, a wrong cell becomes NaN."""
     rows, dropped, cells = [], 0, 0
     lines = io.StringIO(body.decode("utf-8", "replace").replace("\0", ""), newline="")
@@ -245,7 +250,7 @@ def _line_by_line(body: bytes, width: int, notes, where: str) -> np.ndarray:
             dropped += 1
             continue
         row = []
-        for cell in line:
+        for cell in (line[k] for k in used):
             try:
                 row.append(float(cell) if cell else np.nan)
             except ValueError:
@@ -256,4 +261,4 @@ def _line_by_line(body: bytes, width: int, notes, where: str) -> np.ndarray:
         notes.append(f"{where}{dropped} line{'s' if dropped > 1 else ''} with a wrong number of cells dropped")
     if cells:
         notes.append(f"{where}{cells} cell{'s' if cells > 1 else ''} without a number ignored")
-    return np.array(rows, float).reshape(-1, width)
+    return np.array(rows, float).reshape(-1, len(used))

@@ -126,7 +126,7 @@ def _named(path: Any, scheduler: str | None) -> str:
 def read(path: str | PathLike, progress: Any = None) -> Flight:
     """The flight in a log, or behind an address. Raises LogError, or ConfigError where there is no file."""
     with gathering.fetched(path) as here:
-        if not here.exists():
+        if not gathering.is_there(here):
             raise ConfigError(f"{path}: no such file.")
         return logs.read(here, progress=progress)
 
@@ -154,7 +154,7 @@ class _Judge:
         size = sha256 = here = None
         try:
             with gathering.fetched(path) as here:
-                if not here.exists():
+                if not gathering.is_there(here):
                     raise ConfigError(f"{path}: no such file.")
                 if self.hashed:
                     size, sha256 = fingerprint(here)
@@ -198,8 +198,11 @@ def timed(
 
 
 def fingerprint(path: Path) -> tuple[int, str]:
-    """Size in bytes and SHA-256 of a file, or of all files of a folder with their names."""
+    """Size in bytes and SHA-256 of a file, or of all files of a folder with their names; of a flight in a file with its number."""
     digest, size = hashlib.sha256(), 0
+    path, number = logs.of_part(path)
+    if number is not None:
+        digest.update(f"#{number}".encode())
     for part in sorted(path.iterdir()) if path.is_dir() else [path]:
         if path.is_dir():
             digest.update(part.name.encode(errors="surrogateescape") + b"\0")

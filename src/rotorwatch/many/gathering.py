@@ -1,4 +1,5 @@
-"""Which logs a call is about: files, folders with all that is in them, patterns, and addresses that fsspec knows (the extra `cluster`)."""
+"""Which logs a call is about: files with all flights in them, folders with all that is in them, patterns, and addresses that fsspec knows
+(the extra `cluster`)."""
 
 from __future__ import annotations
 
@@ -20,9 +21,9 @@ ADDRESS = re.compile(r"[a-z][a-z0-9+.-]+://", re.IGNORECASE)
 PATTERN = re.compile(r"[*?\[]")
 TABLES = (".csv", ".parquet")
 """Names that many files have which are no flights: their content has to say that they are."""
-NAMES = re.compile(r"\.(bin|log|ulg|tlog|usd|px4log|csv|parquet)(\.xz|\.gz|\.bz2)?$", re.IGNORECASE)
+NAMES = re.compile(r"\.(bin|log|ulg|tlog|usd|px4log|bbl|bfl|csv|parquet)(\.xz|\.gz|\.bz2)?$", re.IGNORECASE)
 """Of logs behind an address, which are not looked into before their turn."""
-MEANT = re.compile(r"\.(bin|ulg|tlog)(\.xz|\.gz|\.bz2)?$", re.IGNORECASE)
+MEANT = re.compile(r"\.(bin|ulg|tlog|bbl|bfl)(\.xz|\.gz|\.bz2)?$", re.IGNORECASE)
 """Of files that are meant as logs: one that cannot be read was a flight, and is not passed over."""
 
 
@@ -32,12 +33,15 @@ def is_address(given: Any) -> bool:
 
 
 def is_several(given: Any) -> bool:
-    """Whether this stands for any number of logs: a folder that is no log itself, a pattern, or an address that is one of these."""
+    """Whether this stands for any number of logs: a folder that is no log itself, a pattern, an address that is one of these, or a file
+    with several flights."""
     if is_address(given):
         return given.endswith("/") or "*" in given
     path = Path(given)
     if path.is_dir():
         return not is_log(path)
+    if path.is_file():
+        return len(logs.sessions(path)) > 1
     return not path.exists() and PATTERN.search(str(given)) is not None
 
 
@@ -64,7 +68,9 @@ class Gathered:
                 raise ConfigError(f"{given} {what}; give a log, a folder or a pattern.")
 
     def _of(self, given: str | os.PathLike) -> Iterator[str | Path]:
-        if not is_several(given):
+        if not is_address(given) and Path(given).is_file():
+            yield from self._flights(Path(given))
+        elif not is_several(given):
             yield str(given) if is_address(given) else Path(given)
         elif is_address(given):
             yield from self._behind(str(given))
@@ -92,9 +98,14 @@ class Gathered:
 
     def _kept(self, path: Path) -> Iterator[Path]:
         if MEANT.search(path.name) or is_log(path):
-            yield path
+            yield from self._flights(path)
         else:
             self.others += 1
+
+    def _flights(self, path: Path) -> Iterator[Path]:
+        """The flights in a file, as `logs.read` takes them."""
+        names = logs.sessions(path) if path.is_file() else []
+        yield from map(Path, names) if len(names) > 1 else [path]
 
     def _behind(self, address: str) -> Iterator[str]:
         fsspec = _fsspec(address)
@@ -142,6 +153,11 @@ def fetched(log: str | os.PathLike) -> Iterator[Path]:
         except Exception as why:
             raise LogError(_unreadable(address, why)) from why
         yield path
+
+
+def is_there(path: Path) -> bool:
+    """Whether there is a file or a folder, or the file that a flight such as LOG.BFL#2 is in."""
+    return logs.of_part(path)[0].exists()
 
 
 def is_log(path: Path) -> bool:

@@ -249,7 +249,7 @@ def observe(flight: Flight, vehicle: Vehicle, air, ready_s: float) -> Ticks | No
     if not flight.has("motors") or not air:
         return None
     thrust = allocation.rotor_thrusts(flight, vehicle)
-    if len(thrust) < 20:
+    if len(thrust) < 20 or not thrust.valid.all(axis=1).any():  # or one output is never a command
         return None
     return make(flight, thrust, vehicle.effectiveness(), air, ready_s, hover=known_hover(vehicle))
 

@@ -1,0 +1,180 @@
+"""Blackbox logs of Betaflight, INAV, EmuFlight, Cleanflight and their relatives (`.bbl`, `.bfl`, `.txt`) -> Flight.
+
+header.py      lines before the frames: settings, and how frames are laid out
+encodings.py   how numbers are written, as a definition that is also machine code
+frames.py      frames out of bytes, likewise
+sizes.py       sizes of the arrays in both
+decoder.py     a session as tables
+flight.py      tables as signals: units, axes, ranges; what is read from which field
+decoded.py     tables that blackbox_decode made of such logs
+
+A file holds a session for each time the vehicle was armed. LOG.BFL#2 is its second one; LOG.BFL alone is the longest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from rotorwatch.errors import LogError
+from rotorwatch.flight import Flight, Message, Signal
+from rotorwatch.logs import series
+from rotorwatch.logs.blackbox import decoder, flight, frames, header
+
+FORMAT = "Blackbox"
+
+NAMED = 5  # sessions that a warning names
+FAILSAFE = ("", "signal lost", "landing", "landed", "signal looked for", "signal back")
+REASONS = (
+    "arming disabled",
+    "failsafe",
+    "throttle timeout",
+    "sticks",
+    "switch",
+    "crash protection",
+    "runaway take-off",
+    "GPS rescue",
+)
+
+
+def sniff(head: bytes, name: str) -> bool:
+    """True where a session's header begins near the start; by name for .bbl and .bfl."""
+    return header.START in head or header.FIELDS_START in head or name.lower().endswith((".bbl", ".bfl"))
+
+
+def parts(data) -> list[int]:
+    """Numbers, from 1, of the sessions that hold frames, the longest first."""
+    starts = [*header.starts(data), len(data)]
+    sizes = {}
+    for k, start in enumerate(starts[:-1]):
+        end = starts[k + 1]
+        try:
+            size = end - header.read(data, start, end).start
+        except LogError:
+            continue
+        if size > 0:
+            sizes[k + 1] = size
+    return sorted(sizes, key=lambda k: -sizes[k])
+
+
+def read(data, name: str, progress=None, part: int | None = None) -> Flight:
+    """Read a session, by default the longest. Times count from its first main frame.
+
+    Raises LogError where the file holds no such session, or none with frames that can be read.
+    """
+    starts = [*header.starts(data), len(data)]
+    if len(starts) == 1:
+        raise LogError(
+            f"{name}: no session of this Blackbox log has kept its beginning; copy it from the vehicle again"
+        )
+    if part is not None and not 1 <= part < len(starts):
+        raise LogError(f"{name}: this Blackbox log holds {len(starts) - 1} sessions, not one of number {part}")
+    there = parts(data)
+    wanted = [part] if part is not None else there or [1]  # where none can be read, the first says why
+    notes: list[str] = []
+    for number in wanted:
+        try:
+            session = decoder.decode(data, starts[number - 1], starts[number], progress, flight.used)
+        except LogError as why:
+            if number == wanted[-1]:
+                raise LogError(f"{name}: {why}") from None
+            notes.append(f"Session {number} was passed over: {why}.")
+            continue
+        others = [k for k in there if k != number]
+        if part is None and others:
+            named = ", ".join(f"#{k}" for k in others[:NAMED])
+            more = f" and {len(others) - NAMED} more" if len(others) > NAMED else ""
+            notes.append(
+                f"This is session {number} of {len(starts) - 1}, the longest; also in this file: {named}{more}."
+            )
+        return _flight(session, name, number, notes)
+    raise AssertionError
+
+
+def _flight(session: decoder.Session, name: str, number: int, notes: list[str]) -> Flight:
+    notes += _damage(session)
+    first = session.time[0]
+    time = (session.time - first) * 1e-6
+    columns = flight.Columns(session.main.columns, time, session.header, notes)
+    counts = {
+        "main": len(session.main),
+        "slow": len(session.slow),
+        "gps": len(session.gps),
+        "event": len(session.events),
+    }
+    facts = {"session": number, "log_messages": {key: value for key, value in counts.items() if value}}
+    made = flight.of(
+        columns, FORMAT, name, facts=facts, signals=_gps(session, first, notes), messages=_messages(session, first),
+        start_us=int(first),
+    )  # fmt: skip
+    return replace(made, warnings=tuple(notes))
+
+
+def _damage(session: decoder.Session) -> list[str]:
+    """What was passed over, as sentences."""
+    found = []
+    lost = session.corrupt + session.orphans
+    if lost or session.garbage:
+        what = f"{session.corrupt} damaged frame{'s' if session.corrupt != 1 else ''}"
+        found.append(
+            f"{what}, {session.orphans} more that need them, and {session.garbage} bytes between frames were passed over."
+        )
+    if session.header.lost:
+        kinds = " and ".join(session.header.lost)
+        found.append(f"The header's list of fields of {kinds} frames is damaged: those frames were passed over.")
+    if session.cut:
+        found.append(f"The log goes on after {len(session.main)} frames, which is more than is read.")
+    elif not session.ended:
+        found.append("The log stops without the firmware's end: power was lost, or the file is not whole.")
+    return found
+
+
+def _gps(session: decoder.Session, first: int, notes: list[str]) -> dict[str, Signal]:
+    """Velocity from GPS frames, which newer firmware gives in all three directions."""
+    table = session.gps
+    names = [f"GPS_velned[{k}]" for k in range(3)]
+    if not len(table) or not all(n in table.columns for n in names):
+        return {}
+    stamp = table.columns.get("time", session.main.columns["time"][np.clip(table.before - 1, 0, None)])
+    time = (session.clock(stamp, table.before) - first) * 1e-6
+    values = np.stack([table.columns[n].astype(float) for n in names], axis=1) / 100.0
+    made = series.make("velocity", time, values, "GPS_velned", notes)
+    return {} if made is None else {"velocity": made}
+
+
+def _messages(session: decoder.Session, first: int) -> tuple[Message, ...]:
+    """Events, and changes of the failsafe's phase, in order of time."""
+    found: list[Message] = []
+    before, kinds, stamps = session.events[:, 0], session.events[:, 1], session.events[:, 2]
+    times = (session.clock(stamps, before) - first) * 1e-6 if len(session.events) else np.zeros(0)
+    for time, kind, (a, b) in zip(times.tolist(), kinds.tolist(), session.events[:, 3:].tolist()):
+        if kind == frames.DISARM:
+            reason = REASONS[a] if 0 <= a < len(REASONS) else f"reason {a}"
+            found += [
+                Message(0.0, "armed", "armed", 1.0),
+                Message(time, "armed", "disarmed", 0.0),
+                Message(time, "event", f"disarmed: {reason}", a),
+            ]
+        elif kind == frames.MODES:
+            found.append(
+                Message(time, "mode", f"modes 0x{a & 0xFFFFFFFF:x}, before 0x{b & 0xFFFFFFFF:x}", a & 0xFFFFFFFF)
+            )
+        elif kind == frames.ADJUSTMENT:
+            found.append(Message(time, "event", f"adjustment {a & 127} in flight", b))
+        elif kind == frames.IMU_FAILURE:
+            found.append(Message(time, "error", f"IMU failure {a}", a))
+        elif kind == frames.RESUME:
+            found.append(Message(time, "dropout", "logging goes on after a pause"))
+        elif kind == frames.LOG_END:
+            found.append(Message(time, "event", "end of log"))
+    phase = session.slow.columns.get("failsafePhase")
+    if phase is not None and len(session.slow):
+        at = np.clip(session.slow.before, 0, len(session.time) - 1)
+        when = (session.time[at] - first) * 1e-6
+        for time, value in series.changes(when, phase):
+            if value or time > when[0]:
+                known = int(value) if 0 < value < len(FAILSAFE) else 0
+                text = FAILSAFE[known] if known else f"phase {int(value)}" if value else "over"
+                found.append(Message(time, "error" if value else "event", f"failsafe: {text}", value))
+    return tuple(sorted(found, key=lambda m: m.time))
