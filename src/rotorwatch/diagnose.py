@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from rotorwatch import detectors, discovery
+from rotorwatch.aerobatic import judge as aerobatic
 from rotorwatch.answer import common_mode, conclusion, health, picture, places, traces, unseen
 from rotorwatch.default import asked, events, hindsight, hypotheses, leftover
 from rotorwatch.default.announcement import threshold
@@ -28,6 +29,10 @@ from rotorwatch.published import decide, published
 from rotorwatch.published.published import Tuning
 from rotorwatch.upset import find as upset
 
+AEROBATIC = (
+    "the vehicle is flown by commanded rates and does not hover: it is judged by its angular motion over seconds, so that a loss is seen "
+    "later than in hover (docs/aerobatic.md)"
+)
 LONGEST_UP_US = 1e14  # a start later than that counts from 1970, not from the autopilot's boot
 
 
@@ -117,17 +122,20 @@ def diagnose(
         tell(0.3 + 0.6 * share, "estimating")
 
     tell(0.3, "preparing the estimator (built the first time)")
-    last, hyp = None, hypotheses.make(n)
-    if own:
+    last, hyp, limit = None, hypotheses.make(n), float(threshold(hypotheses.make(n), table.dt))
+    hovers, logged = not (own and aerobatic.applies(flight)), table
+    if not hovers:
+        table, out = aerobatic.estimate(flight, craft, air, table)
+        assumptions.append(AEROBATIC)
+    elif own:
         last, out = estimate(table, B, dynamics, estimating)
-        limit = float(threshold(hyp, table.dt))
     else:
         out = published.judge(estimator, table, B, dynamics, tuning, estimating)
         assumptions += published.notes(discovery.title(estimator))
         limit = 0.5 * decide.SIGMAS**2
     lap("estimate_s")
     losses = events.read(out, table, B)
-    if own:
+    if own and hovers:
         losses, settled = asked.settle(losses, table, B, dynamics)
         assumptions += settled
     if last is not None and not known:  # healthy flights would have told what happened in the blind time
@@ -138,9 +146,9 @@ def diagnose(
     found, notes = consistency.check(flight, craft, air, table, found)
     warnings += notes
     lap("events_s")
-    doubts = trust.doubts(flight, craft, air, table)
+    doubts = trust.doubts(flight, craft, air, logged)
     whole = None if doubts else _whole_flight(flight, craft, air)
-    other = None if doubts or known else population.judge(flight, craft, air, _undisturbed(table, found))
+    other = None if doubts or known or not hovers else population.judge(flight, craft, air, _undisturbed(table, found))
     comparison = detectors.detect(flight, craft, air)
     lap("comparison_s")
     judged = (table.mode == JUDGE) & table.valid.any(axis=1)
@@ -148,10 +156,10 @@ def diagnose(
     hidden, hidden_pair = _hidden(out, table, B)
     end = conclusion.conclude(
         found, whole, n, hidden=hidden, hidden_pair=hidden_pair, judged_s=float(judged.sum() * table.dt), places=names,
-        doubts=doubts, leftover=spells, hops=air, trends=() if doubts else health.trends(out, table, B, found),
+        doubts=doubts, leftover=spells, hops=air, trends=() if doubts or not hovers else health.trends(out, table, B, found),
         population=other,
     )  # fmt: skip
-    common = {} if doubts else common_mode.thrust_shift(out.biases[judged, 3])
+    common = {} if doubts or not hovers else common_mode.thrust_shift(out.biases[judged, 3])
     tell(1.0, "done")
     timing["total_s"] = time.perf_counter() - began
     return _answer(

@@ -28,7 +28,12 @@ C_NAMES = {
     "text": "const char *",
 }
 RANK = {"flag": 0, "ilit": 0, "text": 0, "int": 1, "lit": 2, "real": 3, "time": 4}
-WIDE: dict[Any, Any] = {"mask": "int", "small": "int", "letter": "int", "byte": "int"}  # as what stored numbers are read
+WIDE: dict[Any, Any] = {
+    "mask": "int",
+    "small": "int",
+    "letter": "int",
+    "byte": "int",
+}  # as what stored numbers are read
 FIRST = {"lit": "real", "ilit": "int", **WIDE}  # type of a variable by its first value
 BINARY = {
     ast.Add: ("+", 6),

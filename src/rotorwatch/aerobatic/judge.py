@@ -1,0 +1,238 @@
+"""Which rotor of a vehicle that never hovers has lost effectiveness, from what its angular motion lacks over seconds.
+
+Windows become blocks of BLOCK_S: missing torque z (3,), thrust T (n,). A loss theta of rotor i since block j makes
+
+    z_a = trim_a + slope_a (sum T - mean) + B_ai T_i theta [k >= j] + noise_a
+
+Noise: each axis as wide as the flight's own blocks scatter, blocks that follow each other alike (ALIKE). Against the losses stand steps of
+the trim in any direction, which air and payload make. Each onset of each rotor has its marginal likelihood ratio; their sum is held
+against the Shiryaev-Roberts threshold (default/announcement.py), and must be CLEAR above that of the steps.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rotorwatch.aerobatic.response import EDGE_S, WINDOW_S, Response, respond
+from rotorwatch.default import hypotheses
+from rotorwatch.default.announcement import FALSE_ALARM_PERIOD_S
+from rotorwatch.default.posterior import PLACES
+from rotorwatch.default.program import Kept
+from rotorwatch.flight import Flight
+from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.motion.allocation import Spans
+from rotorwatch.motion.ticks import GROUND, JUDGE, Ticks
+from rotorwatch.motion.ticks import LEARN as LEARNING
+from rotorwatch.published.published import blank
+
+BLOCK_S = 1.0
+FIRMWARES = ("betaflight", "inav", "emuflight", "cleanflight", "baseflight", "butterflight")
+LEARN = 10  # blocks of a flight in which its trim and scatter are learned
+ALIKE = (
+    0.35  # correlation of a block's noise with the next one's: 0.1 to 0.75 in roll, 0.0 to 0.3 else (docs/aerobatic.md)
+)
+LOSS_SD, STEP_SD = 0.25, 0.08  # prior of a loss; of a step of the trim, full thrusts of a rotor
+SCATTER, PRIOR_BLOCKS = (
+    (0.3, 0.25, 0.2),
+    5.0,
+)  # of the mean thrust: what is expected of the noise, and how many blocks that is worth
+OUTLIER = 3.0  # standard deviations, from which a block counts less
+LOOK_BACK = 60  # blocks
+WHOLE = 0.9  # share of a block's windows that fly
+NOTHING = -20.0  # the statistic where nothing is known
+CURVE_SD = 0.3  # of theta (1 - theta): thrust curves of these vehicles are assumed, not known
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """K blocks of a flight. start, end (K,) s; missing (K, 3); thrust (K, n)."""
+
+    start: np.ndarray
+    end: np.ndarray
+    missing: np.ndarray
+    thrust: np.ndarray
+
+
+def blocks(seen: Response, start: float, end: float) -> Blocks:
+    """The blocks of one flight, from start to end s."""
+    size = round(BLOCK_S / WINDOW_S)
+    first = int(np.searchsorted(seen.time, start))
+    count = max(0, (int(np.searchsorted(seen.time, end)) - first) // size)
+    rows = slice(first, first + count * size)
+
+    def cut(x: np.ndarray) -> np.ndarray:
+        return x[rows].reshape(count, size, *x.shape[1:])
+
+    whole = cut(seen.flies).mean(axis=1) >= WHOLE
+    ends = cut(seen.time)[:, -1] if count else np.empty(0)
+    return Blocks(
+        (ends - BLOCK_S)[whole],
+        ends[whole],
+        cut(seen.missing).mean(axis=1)[whole],
+        cut(seen.thrust).mean(axis=1)[whole],
+    )
+
+
+@dataclass
+class Weak:
+    """A rotor that is known to be weak since block `onset`."""
+
+    rotor: int
+    onset: int
+
+
+@dataclass(frozen=True)
+class Look:
+    """What the blocks up to one say: statistic (above 0: announced); rotor, onset (block) of the likeliest loss; share (n,) of each
+    rotor; loss, sd (n,) of the rotors that are known to be weak; least (n,): the loss of each that would be seen by now."""
+
+    statistic: float
+    rotor: int
+    onset: int
+    share: np.ndarray
+    loss: np.ndarray
+    sd: np.ndarray
+    least: np.ndarray
+
+
+def applies(flight: Flight) -> bool:
+    """Whether a flight is of a vehicle that does not hover: of firmware for pilots who command rates."""
+    return flight.autopilot.lower() in FIRMWARES
+
+
+def look(known: Blocks, B: np.ndarray, weak: list[Weak]) -> Look:
+    """The blocks of a flight so far, of a vehicle with effectiveness B (4, n)."""
+    z, T = known.missing, known.thrust
+    K, n = T.shape
+    precision = _precision(z, T)
+    shape = B[:3].T[None, :, :] * T[:, :, None]  # (K, n, 3): what a loss of all of a rotor takes
+    # Trim and slope of each axis, and what is known to be weak, are fitted with every loss.
+    total = T.sum(axis=1) - T.sum(axis=1).mean()
+    X = np.zeros((K, 3, 6 + len(weak)))
+    for a in range(3):
+        X[:, a, 2 * a], X[:, a, 2 * a + 1] = 1.0, total
+    for m, one in enumerate(weak):
+        X[one.onset :, :, 6 + m] = shape[one.onset :, one.rotor]
+    own = np.r_[[1e-3] * 6, np.full(len(weak), 1.0 / LOSS_SD**2)]
+    Q = np.linalg.inv(np.einsum("kaq,ka,kap->qp", X, precision, X) + np.diag(own))
+    fitted = Q @ np.einsum("kaq,ka,ka->q", X, precision, z)
+
+    def since(x: np.ndarray) -> np.ndarray:
+        return np.cumsum(x[::-1], axis=0)[::-1]
+
+    # Of a signature from block j on: information and moment, what the nuisances explain taken out.
+    weighted = precision[:, None, :] * shape
+    left = z - X @ fitted
+    information = since(np.einsum("kia,kia->ki", weighted, shape))
+    crossed = since(np.einsum("kia,kaq->kiq", weighted, X))
+    information -= np.einsum("kiq,qp,kip->ki", crossed, Q, crossed)
+    moment = since(np.einsum("kia,ka->ki", weighted, left))
+    ratio, size = _ratio(moment, information, LOSS_SD)
+    active = {one.rotor for one in weak}
+    for i in range(n):  # of a weak rotor only that it works again
+        wrong = size[:, i] > 0.0 if i in active else size[:, i] < 0.0
+        ratio[wrong, i] = np.minimum(ratio[wrong, i], -5.0)
+    steps = since(precision)
+    crossed = since(precision[:, :, None] * X)
+    steps -= np.einsum("kaq,qp,kap->ka", crossed, Q, crossed)
+    other = _ratio(since(precision * left), steps, STEP_SD)[0].sum(axis=1)
+    first, last = max(LEARN // 2, K - LOOK_BACK), K - 1
+    ratio, other = ratio[first:last], other[first:last]
+    each = _log_sum(ratio)
+    limit = np.log(FALSE_ALARM_PERIOD_S / BLOCK_S * n)
+    fault = float(_log_sum(each))
+    statistic = min(fault - limit, fault - float(_log_sum(other)) - hypotheses.CLEAR)
+    rotor = int(np.argmax(each))
+    loss, sd = np.zeros(n), np.zeros(n)
+    for m, one in enumerate(weak):
+        loss[one.rotor], sd[one.rotor] = np.clip(fitted[6 + m], 0.0, 1.0), np.sqrt(Q[6 + m, 6 + m])
+    seen = np.sqrt(2.0 * (limit + 2.0) / np.maximum(information[first:last].max(axis=0), 1e-9))
+    share = np.exp(each - each.max())
+    return Look(
+        statistic, rotor, first + int(np.argmax(ratio[:, rotor])), share / share.sum(), loss, sd, np.minimum(seen, 1.0)
+    )
+
+
+def _precision(z: np.ndarray, T: np.ndarray) -> np.ndarray:
+    """(K, 3) weight of each block and axis: by the scatter so far, less for what lies far out."""
+    middle = np.median(z, axis=0)
+    scatter = 1.4826 * np.median(np.abs(z - middle), axis=0)
+    expected = np.array(SCATTER) * T.mean()
+    variance = (len(z) * scatter**2 + PRIOR_BLOCKS * expected**2) / (len(z) + PRIOR_BLOCKS)
+    far = ((z - middle) ** 2 / variance).max(axis=1)
+    return np.minimum(1.0, OUTLIER**2 / np.maximum(far, 1e-9))[:, None] / (variance * (1.0 + ALIKE) / (1.0 - ALIKE))
+
+
+def _ratio(moment: np.ndarray, information: np.ndarray, sd: float) -> tuple[np.ndarray, np.ndarray]:
+    """Log marginal likelihood ratio of a signature whose size is N(0, sd^2), and its size."""
+    total = np.maximum(information, 0.0) + 1.0 / sd**2
+    return 0.5 * moment**2 / total - 0.5 * np.log(total * sd**2), moment / total
+
+
+def _log_sum(x: np.ndarray) -> np.ndarray:
+    most = x.max(axis=0)
+    return most + np.log(np.exp(x - most).sum(axis=0))
+
+
+def estimate(flight: Flight, vehicle: Vehicle, air: Spans, table: Ticks) -> tuple[Ticks, Kept]:
+    """The ticks `table` as they count here, and what is left behind on them, in the default estimator's form. Where the flight is too
+    short, or its motion does not answer its outputs, nothing is judged."""
+    table, B = _observed(table, air), vehicle.effectiveness()
+    out, seen = blank(len(table.time), hypotheses.make(B.shape[1])), respond(flight, vehicle, air)
+    out.statistic[:], out.detectable[:] = NOTHING, 1.0 / 1.96
+    if seen is None:
+        return replace(table, mode=np.minimum(table.mode, LEARNING)), out
+    for start, end in air:
+        _flight(out, blocks(seen, start, end), table, B, int(np.searchsorted(table.time, end, "right")))
+    return table, out
+
+
+def _observed(table: Ticks, air: Spans) -> Ticks:
+    """Whatever the attitude and the rates, without knocks and thrust; judged once the trim is learned."""
+    mode = np.full(len(table.time), GROUND, np.int32)
+    for start, end in air:
+        mode[(table.time >= start) & (table.time <= end)] = LEARNING
+        mode[(table.time > start + EDGE_S + LEARN * BLOCK_S) & (table.time <= end)] = JUDGE
+    nothing, turns = np.zeros(len(table.time), bool), np.array([True, True, True, False])
+    return replace(table, mode=mode, upset=nothing, contact=None, contacts=(), valid=(mode > GROUND)[:, None] & turns)
+
+
+def _flight(out: Kept, known: Blocks, table: Ticks, B: np.ndarray, stop: int) -> None:
+    """One flight, block by block, up to the tick `stop`."""
+    weak: list[Weak] = []
+    for k in range(LEARN, len(known.end)):
+        first = int(np.searchsorted(table.time, known.end[k]))
+        if first >= stop:
+            return
+        so_far = Blocks(*(x[: k + 1] for x in vars(known).values()))
+        now = look(so_far, B, weak)
+        out.statistic[first:stop] = now.statistic
+        if now.statistic > 0.0:
+            active = {one.rotor for one in weak}
+            if now.rotor in active:
+                weak = [one for one in weak if one.rotor != now.rotor]
+            else:
+                weak = [*weak, Weak(now.rotor, now.onset)]
+            age = np.searchsorted(table.command_time, (known.end[k], known.start[now.onset]))
+            _announce(out, slice(first, stop), now, active, float(age[0] - age[1]))
+            now = look(so_far, B, weak)
+        loss = now.loss
+        out.theta[first:stop], out.detectable[first:stop] = loss, now.least / 1.96
+        out.theta_sd[first:stop] = np.sqrt(now.sd**2 + (CURVE_SD * loss * (1.0 - loss)) ** 2)
+
+
+def _announce(out: Kept, rows: slice, now: Look, active: set[int], age: float) -> None:
+    """A rotor fails, or one of the `active` ones works again, `age` ticks before the first of these rows."""
+    sets, share = [active ^ {now.rotor}], [now.share[now.rotor]]
+    if now.rotor not in active:  # which other rotor it may have been instead
+        others = [int(i) for i in np.argsort(-now.share) if i != now.rotor and i not in active][: PLACES - 1]
+        sets, share = [*sets, *(active | {i} for i in others)], [*share, *now.share[others]]
+    out.announced[rows.start], out.best[rows] = True, now.rotor
+    out.probability[rows, : now.share.size] = now.share
+    out.active[rows], out.share[rows] = False, 0.0
+    for place, (rotors, p) in enumerate(zip(sets, share)):
+        out.active[rows, place, sorted(rotors)] = True
+        out.share[rows, place] = p / sum(share)
+    out.onsets[rows] = (age + np.arange(rows.stop - rows.start))[:, None]
