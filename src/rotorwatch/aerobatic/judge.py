@@ -75,12 +75,13 @@ def blocks(seen: Response, start: float, end: float) -> Blocks:
     )
 
 
-@dataclass
+@dataclass(frozen=True)
 class Weak:
-    """A rotor that is known to be weak since block `onset`."""
+    """A rotor that is known to be weak from block `onset` on, up to block `end`; None: still."""
 
     rotor: int
     onset: int
+    end: int | None = None
 
 
 @dataclass(frozen=True)
@@ -114,7 +115,7 @@ def look(known: Blocks, B: np.ndarray, weak: list[Weak]) -> Look:
     for a in range(3):
         X[:, a, 2 * a], X[:, a, 2 * a + 1] = 1.0, total
     for m, one in enumerate(weak):
-        X[one.onset :, :, 6 + m] = shape[one.onset :, one.rotor]
+        X[one.onset : one.end, :, 6 + m] = shape[one.onset : one.end, one.rotor]
     own = np.r_[[1e-3] * 6, np.full(len(weak), 1.0 / LOSS_SD**2)]
     Q = np.linalg.inv(np.einsum("kaq,ka,kap->qp", X, precision, X) + np.diag(own))
     fitted = Q @ np.einsum("kaq,ka,ka->q", X, precision, z)
@@ -130,7 +131,7 @@ def look(known: Blocks, B: np.ndarray, weak: list[Weak]) -> Look:
     information -= np.einsum("kiq,qp,kip->ki", crossed, Q, crossed)
     moment = since(np.einsum("kia,ka->ki", weighted, left))
     ratio, size = _ratio(moment, information, LOSS_SD)
-    active = {one.rotor for one in weak}
+    active = {one.rotor for one in weak if one.end is None}
     for i in range(n):  # of a weak rotor only that it works again
         wrong = size[:, i] > 0.0 if i in active else size[:, i] < 0.0
         ratio[wrong, i] = np.minimum(ratio[wrong, i], -5.0)
@@ -147,7 +148,8 @@ def look(known: Blocks, B: np.ndarray, weak: list[Weak]) -> Look:
     rotor = int(np.argmax(each))
     loss, sd = np.zeros(n), np.zeros(n)
     for m, one in enumerate(weak):
-        loss[one.rotor], sd[one.rotor] = np.clip(fitted[6 + m], 0.0, 1.0), np.sqrt(Q[6 + m, 6 + m])
+        if one.end is None:
+            loss[one.rotor], sd[one.rotor] = np.clip(fitted[6 + m], 0.0, 1.0), np.sqrt(Q[6 + m, 6 + m])
     seen = np.sqrt(2.0 * (limit + 2.0) / np.maximum(information[first:last].max(axis=0), 1e-9))
     share = np.exp(each - each.max())
     return Look(
@@ -210,9 +212,11 @@ def _flight(out: Kept, known: Blocks, table: Ticks, B: np.ndarray, stop: int) ->
         now = look(so_far, B, weak)
         out.statistic[first:stop] = now.statistic
         if now.statistic > 0.0:
-            active = {one.rotor for one in weak}
+            active = {one.rotor for one in weak if one.end is None}
             if now.rotor in active:
-                weak = [one for one in weak if one.rotor != now.rotor]
+                weak = [
+                    replace(one, end=now.onset) if one.rotor == now.rotor and one.end is None else one for one in weak
+                ]
             else:
                 weak = [*weak, Weak(now.rotor, now.onset)]
             age = np.searchsorted(table.command_time, (known.end[k], known.start[now.onset]))
@@ -230,6 +234,7 @@ def _announce(out: Kept, rows: slice, now: Look, active: set[int], age: float) -
         others = [int(i) for i in np.argsort(-now.share) if i != now.rotor and i not in active][: PLACES - 1]
         sets, share = [*sets, *(active | {i} for i in others)], [*share, *now.share[others]]
     out.announced[rows.start], out.best[rows] = True, now.rotor
+    out.probability[rows] = 0.0  # of two at once nothing is asked
     out.probability[rows, : now.share.size] = now.share
     out.active[rows], out.share[rows] = False, 0.0
     for place, (rotors, p) in enumerate(zip(sets, share)):

@@ -29,9 +29,9 @@ LEAST = 250  # windows
 class Response:
     """K windows of 20 ms.
 
-    time (K,) s, of their ends; thrust (K, n): share of full thrust, lagged; missing (K, 3): roll, pitch and yaw torque that the motion lacks
-    [full thrusts of a rotor on the longest arm], with trim; rate (K, 3) rad/s; flies (K,) bool. lag_s: of the motors; gain, damping,
-    coupling (3,).
+    time (K,) s, of their ends; thrust (K, n): share of full thrust, lagged; missing (K, 3): roll, pitch and yaw torque that the motion
+    lacks [full thrusts of a rotor on the longest arm], with trim; rate (K, 3) rad/s; flies (K,) bool. lag_s: of the motors; gain,
+    damping, coupling (3,).
     """
 
     time: np.ndarray

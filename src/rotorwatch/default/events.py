@@ -24,6 +24,7 @@ from rotorwatch.front.definition import FRONT, craft
 from rotorwatch.front.losses import CREDIBLE, CURVE_SHARE, MODEL_SD
 from rotorwatch.front.sizes import EVENTS, RECORDS, TOGETHER
 from rotorwatch.motion.contact import Contact
+from rotorwatch.motion.departures import Override
 from rotorwatch.motion.departures import overrides as deviating
 from rotorwatch.motion.ticks import JUDGE, Ticks
 
@@ -192,7 +193,7 @@ class Report:
             *(rows[name].tolist() for name in ("kind", "source", "detail", "onset"))
         ):
             if kind == definition.CONTACT:
-                found.append(contacts[onset].event())
+                found.append(_contact(contacts[onset]))
             elif kind == definition.OUTPUT_OVERRIDE:
                 found.append(overridden[source])
             else:
@@ -203,9 +204,21 @@ class Report:
 def overrides(flight: Flight, vehicle: Vehicle, air, table: Ticks) -> tuple[Event, ...]:
     """Outputs that do not follow the mixer; none that leaves it only once the vehicle tumbles: by then mixers, failsafes and pilots do
     what they can."""
-    found = tuple(o.event() for o in deviating(flight, vehicle, air))
+    found = tuple(map(overridden, deviating(flight, vehicle, air)))
     known = Report(vehicle.effectiveness()).add(table, air).finish(air).events((), found)
     return tuple(e for e in known if e.kind == KINDS[definition.OUTPUT_OVERRIDE])
+
+
+def overridden(one: Override) -> Event:
+    """An output that does not follow the mixer, as an event."""
+    times = one.onset, one.detected, one.end
+    return Event("output_override", (one.rotor,), *times, (), (), 1.0, (), one.reason, {"override": one.kind})
+
+
+def _contact(one: Contact) -> Event:
+    reason = f"something outside the vehicle {one.what}, by {one.size:.1f} {one.unit}"
+    extra = {"size": one.size, "unit": one.unit}
+    return Event("contact", (), one.time, one.time, one.time, (), (), 1.0, (), reason, extra)
 
 
 def _one_arm(event: Event) -> Event:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from rotorwatch.answer.unseen import Unseen
-from rotorwatch.default import program
+from rotorwatch.default import events, program
 from rotorwatch.diagnosis import Event
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.live.account import Account, grounded
@@ -68,7 +68,9 @@ class Judge:
         losses = self._account.losses.events(flies=not self._over)
         if self._beginnings is not None:
             losses = self._beginnings.join(losses)
-        return self._account.report.events(losses, [o.event() for o in _in_flight(self._overrides, self._spans)])
+        return self._account.report.events(
+            losses, [events.overridden(o) for o in _in_flight(self._overrides, self._spans)]
+        )
 
     def _judge(self, table: Ticks) -> None:
         raw, table = table, grounded(table, self._spans)

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from rotorwatch.compiling.running import Rows
-from rotorwatch.diagnosis import Event
 from rotorwatch.front import contact as definition
 from rotorwatch.front.contact import G0
 from rotorwatch.front.sense import BEFORE_S
@@ -33,11 +32,10 @@ class Contact:
         """Of its size."""
         return WORDS[self.push][0]
 
-    def event(self) -> Event:
-        """As an event."""
-        reason = f"something outside the vehicle {WORDS[self.push][1]}, by {self.size:.1f} {self.unit}"
-        extra = {"size": self.size, "unit": self.unit}
-        return Event("contact", (), self.time, self.time, self.time, (), (), 1.0, (), reason, extra)
+    @property
+    def what(self) -> str:
+        """What it did to the vehicle, in words."""
+        return WORDS[self.push][1]
 
 
 def look_back(dt: float) -> int:

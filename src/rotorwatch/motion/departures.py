@@ -11,7 +11,6 @@ import numpy as np
 
 from rotorwatch.compiling.running import Rows
 from rotorwatch.compiling.structs import LASTS
-from rotorwatch.diagnosis import Event
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.front import deviations, whole
@@ -39,11 +38,6 @@ class Override:
     end: float | None
     reason: str
     asked: float | None = None
-
-    def event(self) -> Event:
-        """As an event."""
-        times = self.onset, self.detected, self.end
-        return Event("output_override", (self.rotor,), *times, (), (), 1.0, (), self.reason, {"override": self.kind})
 
 
 def overrides(flight: Flight, vehicle: Vehicle, airborne: Spans) -> tuple[Override, ...]:

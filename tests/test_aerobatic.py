@@ -1,0 +1,120 @@
+"""Vehicles that never hover: the response of their angular motion, and losses that it shows over seconds."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rotorwatch import airframes, diagnose
+from rotorwatch.aerobatic import judge
+from rotorwatch.aerobatic.response import respond
+from rotorwatch.default import events
+from rotorwatch.flight import Flight, Signal
+from rotorwatch.motion.ticks import JUDGE, READY_S, observe
+
+CRAFT = airframes.named("betaflight-quad-x")
+B = CRAFT.effectiveness()
+GAIN, DAMPING, LAG_S, DT, ALOFT = np.array([140.0, 90.0, 30.0]), np.array([0.5, 1.0, 0.5]), 0.03, 0.001, ((2.0, 59.0),)
+
+
+def flown(seed=0, losses=(), seconds=60.0, gust=0.03):
+    """A quad that rolls and pitches as it is told, with thrust from idle to full. losses: (rotor from 0, share, from s); gust: coloured
+    torque noise [full thrusts of a rotor]. A rate controller at 1 kHz, thrusts by the airframe's curve."""
+    rng, count, mix = np.random.default_rng(seed), round(seconds / DT), np.linalg.inv(B)
+    wanted = np.repeat(rng.normal(0.0, [6.0, 4.0, 1.0], (count // 400 + 1, 3)), 400, axis=0)[:count]
+    throttle = np.repeat(rng.uniform(0.15, 0.55, count // 700 + 1), 700)[:count]
+    time, noise, health = DT * np.arange(count), rng.normal(0.0, 1.0, (count, 3)), np.ones((count, 4))
+    for rotor, share, start in losses:
+        health[time >= start, rotor] = 1.0 - share
+    rate, thrust, integral, wind = np.zeros(3), np.full(4, 0.3), np.zeros(3), np.zeros(3)
+    asked, seen = np.zeros((count, 4)), np.zeros((count, 3))
+    for k in range(count):
+        seen[k] = rate + 0.02 * noise[k]
+        integral = np.clip(integral + 0.1 * (wanted[k] - seen[k]) * DT, -0.5, 0.5)
+        torque = np.clip(0.03 * (wanted[k] - seen[k]), -0.25, 0.25) + integral
+        asked[k] = np.clip(mix @ np.r_[torque, 4.0 * throttle[k]], 0.02, 1.0)
+        thrust += (asked[k] - thrust) * DT / LAG_S
+        wind += -wind * DT / 0.4 + gust * np.sqrt(2.0 * DT / 0.4) * noise[k - 1]
+        rate = rate + DT * (GAIN * (B[:3] @ (thrust * health[k]) + wind) - DAMPING * rate)
+    expo, low, high = CRAFT.curve.expo, CRAFT.curve.u_min, CRAFT.curve.u_max
+    drive = (np.sqrt((1.0 - expo) ** 2 + 4.0 * expo * asked) - (1.0 - expo)) / (2.0 * expo)
+    signals = {
+        "motors": Signal(time, low + drive * (high - low), tuple("0123"), "1"),
+        "gyro": Signal(time, seen, ("x", "y", "z"), "rad/s", "FRD"),
+    }
+    return Flight("Blackbox", "Betaflight", signals, seconds)
+
+
+def judged(flight):
+    """Losses of a flight in the air from 2 to 59 s."""
+    table, out = judge.estimate(flight, CRAFT, ALOFT, observe(flight, CRAFT, ALOFT, READY_S))
+    return events.read(out, table, B), table, out
+
+
+@pytest.fixture(scope="module")
+def healthy():
+    return flown()
+
+
+def test_the_response_is_that_of_the_vehicle(healthy):
+    seen = respond(healthy, CRAFT, ALOFT)
+    assert seen is not None and seen.lag_s == pytest.approx(LAG_S, abs=0.011)
+    np.testing.assert_allclose(seen.gain, GAIN, rtol=0.12)
+    assert np.abs(seen.missing[seen.flies].mean(axis=0)).max() < 0.03
+
+
+def test_motion_that_does_not_answer_the_outputs_is_not_judged(healthy):
+    gyro = healthy["gyro"]
+    still = replace(healthy, signals={**healthy.signals, "gyro": gyro.with_arrays(gyro.time, -gyro.values, gyro.valid)})
+    found, table, _ = judged(still)
+    assert found == () and not (table.mode == JUDGE).any()
+
+
+def test_nothing_is_found_in_healthy_flight(healthy):
+    found, table, out = judged(healthy)
+    assert found == () and (table.mode == JUDGE).sum() * table.dt == pytest.approx(46.0, abs=1.5)
+    assert 0.03 < 1.96 * out.detectable[table.mode == JUDGE][-1].max() < 0.4  # a loss that could have gone unseen
+
+
+@pytest.mark.parametrize(("rotor", "share"), [(0, 0.3), (3, 0.5)])
+def test_a_loss_is_found_in_rolls_and_flips(rotor, share):
+    (event,), _, _ = judged(flown(seed=rotor + 1, losses=[(rotor, share, 30.0)]))
+    assert event.rotors == (rotor + 1,) and event.end_s is None and event.alternatives == ()
+    assert event.onset_s == pytest.approx(30.0, abs=2.5) and 30.0 < event.detected_s < 42.0
+    low, high = event.interval[0]
+    assert low <= share <= high and event.loss[0] == pytest.approx(share, abs=0.1)
+
+
+def test_a_second_loss_is_another_event():
+    found, _, _ = judged(flown(seed=9, losses=[(1, 0.4, 20.0), (2, 0.4, 40.0)]))
+    assert [e.rotors for e in found] == [(2,), (3,)]
+
+
+def test_a_rotor_that_works_again_ends_its_event():
+    """Half of its thrust is lost from 20 to 40 s."""
+    lost = flown(seed=5, losses=[(1, 0.5, 20.0), (1, 0.0, 40.0)])
+    (event,), _, _ = judged(lost)
+    assert event.rotors == (2,) and event.end_s == pytest.approx(40.0, abs=3.0)
+
+
+def test_a_step_of_the_trim_is_no_loss(healthy):
+    """A battery that slips turns the vehicle in roll alone, which no rotor does."""
+    time, turned = healthy["gyro"].time, healthy["gyro"].values.copy()
+    motors = healthy["motors"].values.copy()
+    motors[time > 30.0] += 0.06 * (CRAFT.curve.u_max - CRAFT.curve.u_min) * np.sign(B[0])
+    slipped = replace(
+        healthy,
+        signals={
+            "motors": healthy["motors"].with_arrays(time, motors, motors > 0),
+            "gyro": healthy["gyro"].with_arrays(time, turned, np.ones_like(turned, bool)),
+        },
+    )
+    assert judged(slipped)[0] == ()
+
+
+def test_it_is_what_diagnose_does_with_logs_of_such_firmware(healthy):
+    answer = diagnose(healthy, vehicle=CRAFT)
+    assert answer.verdict == "healthy" and any("commanded rates" in a for a in answer.assumptions)
+    assert not any(e.kind == "contact" for e in answer.events)  # turning at 15 rad/s^2 is no knock
+    weak = diagnose(flown(seed=1, losses=[(0, 0.4, 30.0)]), vehicle=CRAFT)
+    assert weak.verdict == "fault" and weak.rotors[0].loss > 0.2
