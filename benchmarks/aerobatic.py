@@ -45,8 +45,9 @@ def surrogate(known: judge.Blocks, rng: np.random.Generator) -> judge.Blocks:
 
 def alarmed(known: judge.Blocks, B: np.ndarray) -> bool:
     """Whether anything is announced in these blocks."""
+    variance = judge.scatter(known)
     for k in range(judge.LEARN, len(known.end)):
-        if judge.look(judge.Blocks(*(x[: k + 1] for x in vars(known).values())), B, []).statistic > 0.0:
+        if judge.look(judge.Blocks(*(x[: k + 1] for x in vars(known).values())), B, variance, []).statistic > 0.0:
             return True
     return False
 
@@ -54,7 +55,7 @@ def alarmed(known: judge.Blocks, B: np.ndarray) -> bool:
 def bound_s(known: judge.Blocks, B: np.ndarray, loss: float) -> float:
     """Seconds until a loss is seen in 95 of 100, at best."""
     z, T = known.missing, known.thrust
-    precision = judge._precision(z, T)
+    precision = judge._precision(z, judge.scatter(known))
     per_block = np.mean(
         [(precision * (B[:3, i] * T[:, i : i + 1] * loss) ** 2).sum(axis=1).mean() for i in range(T.shape[1])]
     )
@@ -70,26 +71,23 @@ def main() -> None:
         flight = rw.read(path)
         vehicle, air = airframes.identify(flight), airborne(flight)
         seen = respond(flight, vehicle, air) if air else None
-        known = [] if seen is None else [judge.blocks(seen, *span) for span in air]
-        known = [one for one in known if len(one.end) > 2 * judge.LEARN]
-        if not known:
+        if seen is None or len((known := judge.blocks(seen, air)).end) < 2 * judge.LEARN:
             continue
         said, judged = found(flight, vehicle, air)
         B = vehicle.effectiveness()
-        longest = max(known, key=lambda one: len(one.end))
         false, flown = 0, 0.0
         while flown < HOURS * 3600.0 / 5:
-            false += alarmed(surrogate(longest, rng), B)
-            flown += (len(longest.end) - judge.LEARN) * judge.BLOCK_S
+            false += alarmed(surrogate(known, rng), B)
+            flown += (len(known.end) - judge.LEARN) * judge.BLOCK_S
         hours, alarms = hours + flown / 3600.0, alarms + false
         print(
             f"{flight.name}: {judged:.0f} s judged, {len(said)} announced; surrogates {false} in {flown / 3600:.1f} h; "
-            f"lag {1e3 * seen.lag_s:.0f} ms; 20 % at best within {bound_s(longest, B, 0.2):.0f} s", flush=True,
+            f"lag {1e3 * seen.lag_s:.0f} ms; 20 % at best within {bound_s(known, B, 0.2):.0f} s", flush=True,
         )  # fmt: skip
         for loss in LOSSES:
             for rotor in range(1, len(vehicle.rotors) + 1):
                 for moment in MOMENTS:
-                    onset = float(longest.start[int(moment * len(longest.start))])
+                    onset = float(known.start[int(moment * len(known.start))])
                     changed = inject(flight, vehicle, rotor, loss, onset)
                     said, _ = found(changed, vehicle, air)
                     first = next((e for e in said if e.detected_s >= onset), None)

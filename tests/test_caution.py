@@ -72,6 +72,18 @@ def test_motion_that_gusts_have_made_teaches_less():
         assert shares == pytest.approx(np.minimum(np.maximum(garrote, 0.0), calm))
 
 
+@pytest.mark.parametrize("axis", range(3))
+def test_each_axis_has_its_own_gusts(axis):
+    """Gusts in one axis take nothing from what the motion in the others teaches."""
+    gusts = CALM.copy()
+    gusts[2, axis] = 0.3**2
+    motion = np.array([12.0, 12.0, 12.0])
+    windy, calm = (taught(look(settled(), inputs(motion=motion, rates=motion), variances=v)[1]) for v in (gusts, CALM))
+    for with_gusts, without in zip(windy, calm):
+        less = np.asarray(with_gusts) < np.asarray(without) - 1e-9
+        assert less.tolist() == [a == axis for a in range(3)]
+
+
 def test_the_calm_level_follows_motion_and_forgets_it():
     """A tenth of its way in a second; a burst counts as six times the level at most; neither on the ground nor unmeasured."""
     memory = settled()

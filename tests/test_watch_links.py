@@ -118,6 +118,22 @@ def events_of(alerts):
     return [a["event"] for a in said.values() if a["state"] != "withdrawn"]
 
 
+@pytest.mark.parametrize(
+    ("step", "lost", "twice", "new"),
+    [(0, 0, 1, False), (1, 0, 0, True), (9, 8, 0, True), (100, 99, 0, True), (127, 126, 0, True), (128, 127, 0, True),
+     (129, 0, 1, True), (250, 0, 1, True)],
+)  # fmt: skip
+def test_running_numbers_tell_what_was_lost_and_what_came_late(flight, step, lost, twice, new):
+    """Up to half of the numbers ahead are frames that were lost; more are frames that come late."""
+    link, *_ = linked(flight, seconds=1.0)
+    (one,) = link._heard.values()
+    one._sequence = 250
+    health = one.watched.health
+    before = health.lost, health.twice
+    assert one.counted((250 + step) % 256) is new
+    assert (health.lost - before[0], health.twice - before[1]) == (lost, twice)
+
+
 @pytest.mark.parametrize("second", [True, False])
 def test_a_vehicle_is_judged_over_a_link_as_its_recording_is(flight, tmp_path, second):
     seconds = SECONDS if second else 15.0

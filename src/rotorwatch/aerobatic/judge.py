@@ -55,24 +55,17 @@ class Blocks:
     thrust: np.ndarray
 
 
-def blocks(seen: Response, start: float, end: float) -> Blocks:
-    """The blocks of one flight, from start to end s."""
-    size = round(BLOCK_S / WINDOW_S)
-    first = int(np.searchsorted(seen.time, start))
-    count = max(0, (int(np.searchsorted(seen.time, end)) - first) // size)
-    rows = slice(first, first + count * size)
-
-    def cut(x: np.ndarray) -> np.ndarray:
-        return x[rows].reshape(count, size, *x.shape[1:])
-
-    whole = cut(seen.flies).mean(axis=1) >= WHOLE
-    ends = cut(seen.time)[:, -1] if count else np.empty(0)
-    return Blocks(
-        (ends - BLOCK_S)[whole],
-        ends[whole],
-        cut(seen.missing).mean(axis=1)[whole],
-        cut(seen.thrust).mean(axis=1)[whole],
-    )
+def blocks(seen: Response, air: Spans) -> Blocks:
+    """The blocks of all flights ((start, end), ...) s, one after the other."""
+    size, parts = round(BLOCK_S / WINDOW_S), []
+    for start, end in air:
+        first = int(np.searchsorted(seen.time, start))
+        count = max(0, (int(np.searchsorted(seen.time, end)) - first) // size)
+        rows = np.arange(first, first + count * size).reshape(count, size)
+        rows = rows[seen.flies[rows].mean(axis=1) >= WHOLE]
+        ends = seen.time[rows[:, -1]]
+        parts.append((ends - BLOCK_S, ends, seen.missing[rows].mean(axis=1), seen.thrust[rows].mean(axis=1)))
+    return Blocks(*(np.concatenate(column) for column in zip(*parts)))
 
 
 @dataclass(frozen=True)
@@ -103,11 +96,11 @@ def applies(flight: Flight) -> bool:
     return flight.autopilot.lower() in FIRMWARES
 
 
-def look(known: Blocks, B: np.ndarray, weak: list[Weak]) -> Look:
-    """The blocks of a flight so far, of a vehicle with effectiveness B (4, n)."""
+def look(known: Blocks, B: np.ndarray, variance: np.ndarray, weak: list[Weak]) -> Look:
+    """The blocks of a flight so far, of a vehicle with effectiveness B (4, n). variance (3,): of `scatter`."""
     z, T = known.missing, known.thrust
     K, n = T.shape
-    precision = _precision(z, T)
+    precision = _precision(z, variance)
     shape = B[:3].T[None, :, :] * T[:, :, None]  # (K, n, 3): what a loss of all of a rotor takes
     # Trim and slope of each axis, and what is known to be weak, are fitted with every loss.
     total = T.sum(axis=1) - T.sum(axis=1).mean()
@@ -157,13 +150,17 @@ def look(known: Blocks, B: np.ndarray, weak: list[Weak]) -> Look:
     )
 
 
-def _precision(z: np.ndarray, T: np.ndarray) -> np.ndarray:
-    """(K, 3) weight of each block and axis: by the scatter so far, less for what lies far out."""
-    middle = np.median(z, axis=0)
-    scatter = 1.4826 * np.median(np.abs(z - middle), axis=0)
-    expected = np.array(SCATTER) * T.mean()
-    variance = (len(z) * scatter**2 + PRIOR_BLOCKS * expected**2) / (len(z) + PRIOR_BLOCKS)
-    far = ((z - middle) ** 2 / variance).max(axis=1)
+def scatter(known: Blocks) -> np.ndarray:
+    """(3,) variance of the noise of a block: of neighbours' differences, which steps do not widen, and what is expected."""
+    change = np.diff(known.missing, axis=0)
+    seen = (1.4826 * np.median(np.abs(change), axis=0)) ** 2 / (2.0 * (1.0 - ALIKE)) if len(change) else np.zeros(3)
+    expected = (np.array(SCATTER) * known.thrust.mean()) ** 2
+    return (len(change) * seen + PRIOR_BLOCKS * expected) / (len(change) + PRIOR_BLOCKS)
+
+
+def _precision(z: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """(K, 3) weight of each block and axis: less for what lies far out."""
+    far = ((z - np.median(z, axis=0)) ** 2 / variance).max(axis=1)
     return np.minimum(1.0, OUTLIER**2 / np.maximum(far, 1e-9))[:, None] / (variance * (1.0 + ALIKE) / (1.0 - ALIKE))
 
 
@@ -181,63 +178,62 @@ def _log_sum(x: np.ndarray) -> np.ndarray:
 def estimate(flight: Flight, vehicle: Vehicle, air: Spans, table: Ticks) -> tuple[Ticks, Kept]:
     """The ticks `table` as they count here, and what is left behind on them, in the default estimator's form. Where the flight is too
     short, or its motion does not answer its outputs, nothing is judged."""
-    table, B = _observed(table, air), vehicle.effectiveness()
+    B = vehicle.effectiveness()
     out, seen = blank(len(table.time), hypotheses.make(B.shape[1])), respond(flight, vehicle, air)
     out.statistic[:], out.detectable[:] = NOTHING, 1.0 / 1.96
-    if seen is None:
-        return replace(table, mode=np.minimum(table.mode, LEARNING)), out
-    for start, end in air:
-        _flight(out, blocks(seen, start, end), table, B, int(np.searchsorted(table.time, end, "right")))
-    return table, out
+    known = None if seen is None else blocks(seen, air)
+    if known is None or len(known.end) <= LEARN:
+        return _observed(table, air, np.inf), out
+    _follow(out, known, table, B)
+    return _observed(table, air, known.end[LEARN]), out
 
 
-def _observed(table: Ticks, air: Spans) -> Ticks:
-    """Whatever the attitude and the rates, without knocks and thrust; judged once the trim is learned."""
+def _observed(table: Ticks, air: Spans, since: float) -> Ticks:
+    """Whatever the attitude and the rates, without knocks and thrust; judged from `since` s on."""
     mode = np.full(len(table.time), GROUND, np.int32)
     for start, end in air:
         mode[(table.time >= start) & (table.time <= end)] = LEARNING
-        mode[(table.time > start + EDGE_S + LEARN * BLOCK_S) & (table.time <= end)] = JUDGE
+        mode[(table.time > max(start + EDGE_S, since)) & (table.time <= end)] = JUDGE
     nothing, turns = np.zeros(len(table.time), bool), np.array([True, True, True, False])
     return replace(table, mode=mode, upset=nothing, contact=None, contacts=(), valid=(mode > GROUND)[:, None] & turns)
 
 
-def _flight(out: Kept, known: Blocks, table: Ticks, B: np.ndarray, stop: int) -> None:
-    """One flight, block by block, up to the tick `stop`."""
+def _follow(out: Kept, known: Blocks, table: Ticks, B: np.ndarray) -> None:
+    """Block by block; what is known goes on over landings."""
     weak: list[Weak] = []
+    variance = scatter(known)
     for k in range(LEARN, len(known.end)):
         first = int(np.searchsorted(table.time, known.end[k]))
-        if first >= stop:
-            return
         so_far = Blocks(*(x[: k + 1] for x in vars(known).values()))
-        now = look(so_far, B, weak)
-        out.statistic[first:stop] = now.statistic
-        if now.statistic > 0.0:
+        now = look(so_far, B, variance, weak)
+        out.statistic[first:] = now.statistic
+        if now.statistic > 0.0 and first < len(table.time):
             active = {one.rotor for one in weak if one.end is None}
-            if now.rotor in active:
-                weak = [
-                    replace(one, end=now.onset) if one.rotor == now.rotor and one.end is None else one for one in weak
-                ]
-            else:
-                weak = [*weak, Weak(now.rotor, now.onset)]
+            over = [one for one in weak if one.end is None and one.rotor == now.rotor]
+            weak = [one for one in weak if one not in over]
+            weak += [replace(one, end=now.onset) for one in over] or [Weak(now.rotor, now.onset)]
             age = np.searchsorted(table.command_time, (known.end[k], known.start[now.onset]))
-            _announce(out, slice(first, stop), now, active, float(age[0] - age[1]))
-            now = look(so_far, B, weak)
-        loss = now.loss
-        out.theta[first:stop], out.detectable[first:stop] = loss, now.least / 1.96
-        out.theta_sd[first:stop] = np.sqrt(now.sd**2 + (CURVE_SD * loss * (1.0 - loss)) ** 2)
+            _announce(out, first, now, active, float(age[0] - age[1]))
+            now = look(so_far, B, variance, weak)
+        out.theta[first:], out.detectable[first:] = now.loss, now.least / 1.96
+        out.theta_sd[first:] = np.sqrt(now.sd**2 + (CURVE_SD * now.loss * (1.0 - now.loss)) ** 2)
+    for k in np.flatnonzero(table.restart):  # what is still weak at a take-off is said again of that flight
+        if out.active[k, 0].any():
+            out.announced[k], out.onsets[k:] = True, np.arange(len(table.time) - k)[:, None]
 
 
-def _announce(out: Kept, rows: slice, now: Look, active: set[int], age: float) -> None:
-    """A rotor fails, or one of the `active` ones works again, `age` ticks before the first of these rows."""
+def _announce(out: Kept, first: int, now: Look, active: set[int], age: float) -> None:
+    """A rotor fails, or one of the `active` ones works again, `age` ticks before the tick `first`."""
+    rows = slice(first, None)
     sets, share = [active ^ {now.rotor}], [now.share[now.rotor]]
     if now.rotor not in active:  # which other rotor it may have been instead
         others = [int(i) for i in np.argsort(-now.share) if i != now.rotor and i not in active][: PLACES - 1]
         sets, share = [*sets, *(active | {i} for i in others)], [*share, *now.share[others]]
-    out.announced[rows.start], out.best[rows] = True, now.rotor
+    out.announced[first], out.best[rows] = True, now.rotor
     out.probability[rows] = 0.0  # of two at once nothing is asked
     out.probability[rows, : now.share.size] = now.share
     out.active[rows], out.share[rows] = False, 0.0
     for place, (rotors, p) in enumerate(zip(sets, share)):
         out.active[rows, place, sorted(rotors)] = True
         out.share[rows, place] = p / sum(share)
-    out.onsets[rows] = (age + np.arange(rows.stop - rows.start))[:, None]
+    out.onsets[rows] = (age + np.arange(len(out.onsets) - first))[:, None]
