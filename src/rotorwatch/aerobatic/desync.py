@@ -16,11 +16,12 @@ before and after.
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rotorwatch.aerobatic.innovation import LAGS, Channel, channels
+from rotorwatch.aerobatic.innovation import DOF, LAGS, Channel, channels
 from rotorwatch.answer.wording import listed, seconds
 from rotorwatch.default.announcement import FALSE_ALARM_PERIOD_S
 from rotorwatch.default.hypotheses import CLEAR
@@ -34,9 +35,10 @@ SHORTEST_S, LONGEST_S = 0.025, 0.55  # 30 to 500 ms, as well as ends are known
 LENGTHS_S = 0.03 * 10.0 ** (0.1 * np.arange(15))  # 30 to 750 ms: what lasts longer is none, and must be seen to
 SCREEN = 6.0  # nats, from which the matched filter's peaks are looked at
 SIZES = np.linspace(-2.4, 2.4, 25)  # theta
-SIZE_SD, LEAST_SIZE, MOST_SIZE = 0.2, 0.6, 1.4
+LEAST_SIZE, MOST_SIZE = 0.5, 1.4
+SLOWER_S = (0.0, 0.015, 0.03)  # than a motor that is told to
+YAW = 2
 FITS = 0.7  # of what each axis would explain with a size of its own: gains of the axes are known to some 20 %
-DOF = 4.0  # of Student's t
 AROUND_S, LEFT = 0.3, 0.5  # before and after: the rotor works there, and lacks less than that
 IDLE = 0.03  # share of full thrust: below, a motor gives next to nothing anyway
 APART_S = 0.06  # two that are nearer are one
@@ -182,19 +184,21 @@ def _judged(seen: list[Channel], i: int, start: int, length: int, rotors: list[i
     if seen[0].thrust[inside, i].mean() < IDLE or not seen[0].flies[inside].all():
         return None
     each = _ratios(seen, i, start, length)
-    ratio = _marginal(each.sum(axis=0))
+    ratio = _marginal(each)
     if ratio < limit:
         return None
-    together, apart = each.sum(axis=0), each.max(axis=1)
+    each = each[int(np.argmax(_by_shape(each)))]
+    firm = np.delete(each, YAW, axis=0)
+    together = firm.sum(axis=0)
     size = float(SIZES[np.argmax(together)])
-    if not LEAST_SIZE - 1e-9 <= size <= MOST_SIZE + 1e-9 or together.max() < FITS * apart.sum():
+    if not LEAST_SIZE - 1e-9 <= size <= MOST_SIZE + 1e-9 or together.max() < FITS * firm.max(axis=1).sum():
         return None
     if _works_not(seen, i, start, length):
         return None
     others = []
     for j in rotors:
         if j != i:
-            other = _marginal(_ratios(seen, j, start, length).sum(axis=0))
+            other = _marginal(_ratios(seen, j, start, length))
             if other > ratio:
                 return None
             if other > ratio - CLEAR:
@@ -205,7 +209,7 @@ def _judged(seen: list[Channel], i: int, start: int, length: int, rotors: list[i
 
 def _refined(seen: list[Channel], i: int, start: int, length: int) -> tuple[int, int]:
     """The likeliest start and length near these."""
-    best = _marginal(_ratios(seen, i, start, length).sum(axis=0))
+    best = _marginal(_ratios(seen, i, start, length))
     step = max(1, length // 4)
     while step >= 1:
         moved = False
@@ -213,7 +217,7 @@ def _refined(seen: list[Channel], i: int, start: int, length: int) -> tuple[int,
             s, n = start + ds, length + dl
             if s < 0 or n < 2 or s + n + LAGS >= len(seen[0].left):
                 continue
-            value = _marginal(_ratios(seen, i, s, n).sum(axis=0))
+            value = _marginal(_ratios(seen, i, s, n))
             if value > best + 1e-9:
                 best, start, length, moved = value, s, n, True
                 break
@@ -222,33 +226,57 @@ def _refined(seen: list[Channel], i: int, start: int, length: int) -> tuple[int,
     return start, length
 
 
-def _shape(c: Channel, i: int, start: int, length: int) -> tuple[np.ndarray, np.ndarray]:
-    """(surprises, what a desync would make of them) of a channel, from its start until the last answer."""
-    told = c.drive[start : start + length, i]
-    stop = min(start + length + LAGS - 1, len(c.left))
-    return c.left[start:stop], (np.convolve(told, c.answer)[: stop - start]) / c.scale[start:stop]
-
-
 def _ratios(seen: list[Channel], i: int, start: int, length: int) -> np.ndarray:
-    """(channels, SIZES) log likelihood ratio of a desync against none."""
-    out = np.zeros((len(seen), len(SIZES)))
+    """(shapes, channels, SIZES) log likelihood ratio of a desync against none, from its start until the last answer."""
+    out = np.zeros((len(SLOWER_S), len(seen), len(SIZES)))
+    kernels = _kernels(seen[0].width)
     for k, c in enumerate(seen):
-        if c.rotor is None or c.rotor == i:
-            z, s = _shape(c, i, start, length)
-            with_ = np.log1p((z[None, :] + SIZES[:, None] * s[None, :]) ** 2 / DOF)
-            out[k] = 0.5 * (DOF + 1.0) * (np.log1p(z**2 / DOF).sum() - with_.sum(axis=1))
+        if c.rotor is not None and c.rotor != i:
+            continue
+        stop = min(start + length + LAGS + len(kernels[-1]) - 2, len(c.left))
+        z, scale = c.left[start:stop], c.scale[start:stop]
+        answer = np.convolve(c.drive[start : start + length, i], c.answer)
+        none = np.log1p(z**2 / DOF).sum()
+        for m, kernel in enumerate(kernels):
+            s = np.convolve(answer, kernel)[: len(z)]
+            s = np.concatenate([s, np.zeros(len(z) - len(s))]) / scale
+            with_ = np.log1p((z[None, :] + SIZES[:, None] * s[None, :]) ** 2 / DOF).sum(axis=1)
+            out[m, k] = 0.5 * (DOF + 1.0) * (none - with_)
     return out
 
 
-_PRIOR = np.exp(-0.5 * ((SIZES - 1.0) / SIZE_SD) ** 2)
-_LOG_PRIOR = np.log(_PRIOR / _PRIOR.sum())
+@functools.cache
+def _kernels(width: float) -> tuple[np.ndarray, ...]:
+    """How a motor that lost step runs down and up, against one that is told to: so much slower."""
+    out = []
+    for slower in SLOWER_S:
+        x = np.exp(-np.arange(max(1, round(3.0 * slower / width))) * width / max(slower, 1e-9))
+        out.append(x / x.sum())
+    return tuple(out)
 
 
-def _marginal(ratio: np.ndarray) -> float:
-    """Log likelihood ratio with theta by its prior. ratio (SIZES,)."""
-    total = ratio + _LOG_PRIOR
-    most = float(total.max())
-    return most + float(np.log(np.exp(total - most).sum()))
+def _log_prior(middle: float, sd: float) -> np.ndarray:
+    x = np.where(SIZES < -1e-9, -np.inf, -0.5 * ((SIZES - middle) / sd) ** 2)
+    return x - np.log(np.exp(x).sum())
+
+
+_OF_ALL, _OF_YAW = _log_prior(0.9, 0.25), _log_prior(0.8, 0.5)
+
+
+def _log_sum(x: np.ndarray) -> np.ndarray:
+    most = x.max(axis=-1)
+    return most + np.log(np.exp(x - most[..., None]).sum(axis=-1))
+
+
+def _marginal(each: np.ndarray) -> float:
+    """Log likelihood ratio with shape and sizes by their priors."""
+    return float(_log_sum(_by_shape(each)) - np.log(len(each)))
+
+
+def _by_shape(each: np.ndarray) -> np.ndarray:
+    """(shapes,): yaw has a size of its own, as motors that lose step jerk. each (shapes, channels, SIZES)."""
+    firm = each[:, [k for k in range(each.shape[1]) if k != YAW]].sum(axis=1)
+    return _log_sum(firm + _OF_ALL) + _log_sum(each[:, YAW] + _OF_YAW)
 
 
 def _works_not(seen: list[Channel], i: int, start: int, length: int) -> bool:
@@ -258,7 +286,7 @@ def _works_not(seen: list[Channel], i: int, start: int, length: int) -> bool:
         first, count = max(first, 0), min(count, len(seen[0].left) - LAGS - first)
         if count < 5:
             return True
-        ratio = _ratios(seen, i, first, count).sum(axis=0)
+        ratio = _ratios(seen, i, first, count)[0].sum(axis=0)
         if SIZES[np.argmax(ratio)] > LEFT and ratio.max() > SCREEN:
             return True
     return False

@@ -24,7 +24,9 @@ LAGS, PAST = 14, 10  # windows: 56 and 40 ms
 LEAST_S = 8.0  # of flight
 EDGE_S = 0.5  # after lift-off and before landing
 LOCAL_S = 1.0  # the air changes: a surprise is as rare as it was within that
-QUARTILE = 0.741  # of Student's t of 4 degrees
+CALMEST = 0.6  # of the flight's scale
+DOF, QUARTILE = 7.0, 0.711  # of Student's t
+TURNING_S, UNSURE = 0.05, 1.0  # motors take so long to a new speed, from idle longer than the fit says; share that is doubted until then
 SPEEDS = 0.7  # share of the time that a motor's speed is reported
 
 
@@ -76,7 +78,7 @@ def channels(flight: Flight, vehicle: Vehicle, air: Spans) -> list[Channel]:
     for a in range(3):
         others = rate[:, (a + 1) % 3] * rate[:, (a + 2) % 3]
         motion = np.column_stack([np.ones(len(rate)), rate[:, a], others])
-        found = _surprise(turning[:, a], thrust @ B[a], motion, flies, width)
+        found = _surprise(turning[:, a], thrust * B[a], motion, flies, width)
         if found is None:
             return []
         out.append(Channel(None, start, width, flies, thrust, *found[:2], thrust * B[a], found[2]))
@@ -105,11 +107,10 @@ def _speeds(flight: Flight, start: np.ndarray, width: float, flies: np.ndarray, 
         if not inside.any() or ok[inside].mean() < SPEEDS:
             continue
         speed = np.interp(start + 0.5 * width, esc.time[ok], esc.values[ok, column])
-        root = np.sqrt(np.maximum(thrust[:, i], 0.0))
-        found = _surprise(speed, root, np.ones((len(start), 1)), flies, width)
+        drive = np.zeros_like(thrust)
+        drive[:, i] = np.sqrt(np.maximum(thrust[:, i], 0.0))
+        found = _surprise(speed, drive, np.ones((len(start), 1)), flies, width)
         if found is not None and found[2].sum() > 0.0:
-            drive = np.zeros_like(thrust)
-            drive[:, i] = root
             out.append(Channel(i, start, width, flies, thrust, *found[:2], drive, found[2]))
     return out
 
@@ -119,9 +120,9 @@ def _late(x: np.ndarray, lags: range) -> np.ndarray:
     return np.column_stack([np.concatenate([np.full(lag, x[0]), x[: len(x) - lag]]) for lag in lags])
 
 
-def _surprise(y, x, motion, flies, width) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """(left, scale (K,), answer (LAGS,)) of one channel: Huber's regression by reweighting. None where nothing moves."""
-    X = np.column_stack([_late(x, range(LAGS)), _late(y, range(1, PAST + 1)), motion])
+def _surprise(y, drive, motion, flies, width) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """(left, scale (K,), answer (LAGS,)) of one channel with drive (K, n): Huber's regression by reweighting. None where nothing moves."""
+    X = np.column_stack([_late(drive.sum(axis=1), range(LAGS)), _late(y, range(1, PAST + 1)), motion])
     rows, weight = X[flies], np.ones(int(flies.sum()))
     for _ in range(4):
         fitted = np.linalg.lstsq(rows * weight[:, None], y[flies] * weight, rcond=None)[0]
@@ -132,12 +133,29 @@ def _surprise(y, x, motion, flies, width) -> tuple[np.ndarray, np.ndarray, np.nd
         weight = np.sqrt(1.0 / np.maximum(1.0, error / (2.0 * spread)))
     left = y - X @ fitted
     left[~flies] = 0.0
-    scale = _scale(np.abs(left), flies, width)
+    scale = np.hypot(_scale(np.abs(left), flies, width), _unsure(drive, fitted[:LAGS], width))
     return left / scale, scale, fitted[:LAGS]
 
 
+def _unsure(drive: np.ndarray, answer: np.ndarray, width: float) -> np.ndarray:
+    """(K,) how much of y is in doubt because motors are still turning to what they were told."""
+    total = np.zeros(len(drive))
+    for turning in (UNSURE * (drive - _slow(drive, width))).T:
+        total += np.convolve(turning, answer)[: len(total)] ** 2
+    near = np.ones(LAGS // 2) / (LAGS // 2)
+    return np.sqrt(np.convolve(total, near, "same"))
+
+
+def _slow(x: np.ndarray, width: float) -> np.ndarray:
+    """x (K, n) with a lag of TURNING_S."""
+    keep, out = np.exp(-width / TURNING_S), x.copy()
+    for k in range(1, len(out)):
+        out[k] = keep * out[k - 1] + (1.0 - keep) * x[k]
+    return out
+
+
 def _scale(error: np.ndarray, flies: np.ndarray, width: float) -> np.ndarray:
-    """(K,) scale of Student's t: the larger of the flight's and of that within LOCAL_S, by medians."""
+    """(K,) scale of Student's t: that within LOCAL_S, but not much less than the flight's, by medians."""
     overall = float(np.median(error[flies])) / QUARTILE
     half = max(1, round(0.5 * LOCAL_S / width))
     blocks = len(error) // half + 1
@@ -149,5 +167,5 @@ def _scale(error: np.ndarray, flies: np.ndarray, width: float) -> np.ndarray:
         near = table[max(0, k - 1) : k + 2]
         near = near[np.isfinite(near)]
         if len(near) >= half:
-            values[k] = max(overall, float(np.median(near)) / QUARTILE)
+            values[k] = max(CALMEST * overall, float(np.median(near)) / QUARTILE)
     return np.interp(np.arange(len(error)), (at + 0.5) * half, values)
