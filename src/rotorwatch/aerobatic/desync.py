@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rotorwatch.aerobatic.innovation import DOF, LAGS, Channel, channels
-from rotorwatch.answer.wording import listed, seconds
+from rotorwatch.answer.wording import desynced
 from rotorwatch.default.announcement import FALSE_ALARM_PERIOD_S
 from rotorwatch.default.hypotheses import CLEAR
 from rotorwatch.diagnosis import Event
@@ -31,7 +31,7 @@ from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.motion.allocation import Spans
 
 DESYNC, LOSS, LOST = "desync", "loss_of_effectiveness", "loss_of_control"
-SHORTEST_S, LONGEST_S = 0.025, 0.55  # 30 to 500 ms, as well as ends are known
+SHORTEST_S, LONGEST_S = 0.025, 0.65  # 30 to 500 ms, as well as ends are known
 LENGTHS_S = 0.03 * 10.0 ** (0.1 * np.arange(15))  # 30 to 750 ms: what lasts longer is none, and must be seen to
 SCREEN = 6.0  # nats, from which the matched filter's peaks are looked at
 SIZES = np.linspace(-2.4, 2.4, 25)  # theta
@@ -89,25 +89,12 @@ def _event(who: tuple[int, ...], group: list[Desync], rpm: bool) -> Event:
     first, last = group[0], group[-1]
     rotor = max(who, key=lambda r: sum(d.ratio for d in group if d.rotor == r))
     length = [d.end - d.start for d in group]
-    reason = (
-        f"{motor((rotor + 1, *(r + 1 for r in who if r != rotor)))} desynced {times(len(group))}{'' if len(group) == 1 else ', first'} at "
-        f"{seconds(first.start)}: it was commanded up and gave nothing for {_span(length)}"
-        + (", and its speed fell" if rpm else "")
-    )
-    extra = {"times": [d.start for d in group], "durations": length, "count": len(group), "rpm": rpm}
+    extra = {"times": [d.start for d in group], "durations": length, "count": len(group), "rpm": rpm, "live": False}
     p = 1.0 / len(who) if len(who) > 1 else 1.0 - float(np.exp(-min(30.0, CLEAR + first.ratio)))
     others = tuple((r + 1,) for r in who if r != rotor)
-    return Event(DESYNC, (rotor + 1,), first.start, first.end, last.end, (), (), p, others, reason, extra)
-
-
-def motor(numbers: tuple[int, ...]) -> str:
-    """(3,) -> 'motor 3'; (3, 4) -> 'motor 3 or 4'."""
-    return f"motor {listed([str(n) for n in numbers], 'or')}"
-
-
-def times(count: int) -> str:
-    """'once', '7 times'."""
-    return "once" if count == 1 else f"{count} times"
+    event = Event(DESYNC, (rotor + 1,), first.start, first.end, last.end, (), (), p, others, "", extra)
+    fell = ", and its speed fell" if rpm else ""
+    return replace(event, reason=f"{desynced(event)}: it was commanded up and gave nothing for {_span(length)}{fell}")
 
 
 def _span(length: list[float]) -> str:

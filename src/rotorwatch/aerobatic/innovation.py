@@ -110,7 +110,7 @@ def _speeds(flight: Flight, start: np.ndarray, width: float, flies: np.ndarray, 
         drive = np.zeros_like(thrust)
         drive[:, i] = np.sqrt(np.maximum(thrust[:, i], 0.0))
         found = _surprise(speed, drive, np.ones((len(start), 1)), flies, width)
-        if found is not None and found[2].sum() > 0.0:
+        if found is not None:
             out.append(Channel(i, start, width, flies, thrust, *found[:2], drive, found[2]))
     return out
 

@@ -110,10 +110,10 @@ def _pilot(rng: np.random.Generator, count: int, steps: int) -> tuple[np.ndarray
     for j in range(count):
         k = edge
         while k < steps - edge:
-            long = round(rng.uniform(0.3, 1.5) / DT)
+            long = round(rng.uniform(0.3, 1.0) / DT)
             rows = slice(k, min(k + long, steps - edge))
             kind = rng.choice(5, p=(0.3, 0.25, 0.1, 0.15, 0.2)) if k > edge else 0
-            throttle[rows, j] = rng.uniform(0.2, 0.45)
+            throttle[rows, j] = rng.uniform(0.2, 0.4)
             rates[rows, j] = rng.normal(0.0, 0.6, 3)
             if kind == 0:
                 throttle[rows, j] = HOVER * rng.uniform(0.9, 1.15)
@@ -122,11 +122,13 @@ def _pilot(rng: np.random.Generator, count: int, steps: int) -> tuple[np.ndarray
             elif kind == 2:
                 rates[rows, j, 2] = rng.choice((-1, 1)) * rng.uniform(2.0, 6.0)
             elif kind == 3:
+                rows = slice(k, min(k + round(rng.uniform(0.2, 0.6) / DT), rows.stop))
                 throttle[rows, j] = IDLE
                 wash[rows.stop : rows.stop + 400, j] = 1.0
             else:
-                throttle[rows, j] = rng.uniform(0.5, 0.95)
-            k += long
+                rows = slice(k, min(k + long // 2, rows.stop))
+                throttle[rows, j] = rng.uniform(0.45, 0.9)
+            k = rows.stop
         throttle[steps - edge :, j], wash[steps - edge :, j] = 0.0, 0.0
     keep = np.exp(-DT / STICK_S)
     for k in range(1, steps):
