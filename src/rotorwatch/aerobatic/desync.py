@@ -33,8 +33,9 @@ from rotorwatch.motion.allocation import Spans
 DESYNC, LOSS, LOST = "desync", "loss_of_effectiveness", "loss_of_control"
 SHORTEST_S, LONGEST_S = 0.025, 0.65  # 30 to 500 ms, as well as ends are known
 LENGTHS_S = 0.03 * 10.0 ** (0.1 * np.arange(15))  # 30 to 750 ms: what lasts longer is none, and must be seen to
-SCREEN = 6.0  # nats, from which the matched filter's peaks are looked at
-SIZES = np.linspace(-2.4, 2.4, 25)  # theta
+SCREEN = 9.0  # nats, from which the matched filter's peaks are looked at
+REFINED = 20.0  # nats that a better start and length may add
+SIZES = np.linspace(-1.2, 2.4, 19)  # theta
 LEAST_SIZE, MOST_SIZE = 0.5, 1.4
 SLOWER_S = (0.0, 0.015, 0.03)  # than a motor that is told to
 YAW = 2
@@ -164,6 +165,8 @@ def _peaks(seen: list[Channel], i: int, lengths: np.ndarray, dt: float) -> list[
 def _judged(seen: list[Channel], i: int, start: int, length: int, rotors: list[int], limit: float) -> Desync | None:
     """The desync of rotor i near (start, length); None where it is none."""
     dt = seen[0].width
+    if _marginal(_ratios(seen, i, start, length)) < limit - REFINED:
+        return None
     start, length = _refined(seen, i, start, length)
     if not SHORTEST_S <= length * dt <= LONGEST_S:
         return None
