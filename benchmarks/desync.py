@@ -13,6 +13,7 @@ desync.
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import sys
 from dataclasses import replace
@@ -59,7 +60,7 @@ class Score:
         out = []
         for length in LENGTHS_S:
             row: dict = {"length_ms": round(1000 * length)}
-            for low, high in zip(LEVELS[:-1], LEVELS[1:]):
+            for low, high in itertools.pairwise(LEVELS):
                 hits = [hit for one, told, hit in self.rows if one == length and low <= told < high]
                 row[f"from {low:g}"] = f"{sum(hits)}/{len(hits)}"
             out.append(row)
@@ -68,7 +69,11 @@ class Score:
 
 def simulated(flights: int, hours: float) -> None:
     rng, batch = np.random.default_rng(1), 6
-    scores, seconds, false = {"gyro": Score(), "gyro and speed": Score()}, 0.0, dict.fromkeys(("gyro", "gyro and speed"), 0)
+    scores, seconds, false = (
+        {"gyro": Score(), "gyro and speed": Score()},
+        0.0,
+        dict.fromkeys(("gyro", "gyro and speed"), 0),
+    )
     for number in range(0, flights, batch):
         wrong = [
             fpv.Moment(j, int(rng.integers(4)), 5.0 + 4.7 * k + rng.uniform(0.0, 2.0), float(rng.choice(LENGTHS_S)))
@@ -88,7 +93,7 @@ def simulated(flights: int, hours: float) -> None:
                 false[name] += len(desync.search(seen))
             seconds += 60.0 - 2.0 * fpv.GROUND_S
         number += 1
-    print(json.dumps({"healthy_hours": round(seconds / 3600.0, 2), "false": false}), flush=True)
+        print(json.dumps({"healthy_hours": round(seconds / 3600.0, 2), "false": false}), flush=True)
 
 
 def _both(flight: Flight) -> list[tuple[str, list[Channel]]]:
@@ -139,7 +144,10 @@ def real(folder: Path, hours: float) -> None:
         known.append(seen)
         own = float(seen[0].flies.sum()) * seen[0].width
         seconds += own
-        print(json.dumps({"log": name, "flies_s": round(own, 1), "found": [vars(d) for d in desync.search(seen)]}), flush=True)
+        print(
+            json.dumps({"log": name, "flies_s": round(own, 1), "found": [vars(d) for d in desync.search(seen)]}),
+            flush=True,
+        )
         turn = responses(flight, vehicle, air)
         for length in LENGTHS_S:
             made, truth = inject(flight, vehicle, air, turn, length, rng)
@@ -179,7 +187,9 @@ def responses(flight: Flight, vehicle, air) -> np.ndarray:
     return np.array(out)
 
 
-def inject(flight: Flight, vehicle, air, turn: np.ndarray, length: float, rng, least: float = LEVELS[0], apart_s: float = 3.0):
+def inject(
+    flight: Flight, vehicle, air, turn: np.ndarray, length: float, rng, least: float = LEVELS[0], apart_s: float = 3.0
+):
     """(flight with desyncs of so many s, [(rotor, start, length, commanded)])."""
     told, gyro = motor_thrusts(flight, vehicle), flight["gyro"]
     time, rate, B, truth = told.time, gyro.values.copy(), vehicle.effectiveness()[:3], []
@@ -187,7 +197,11 @@ def inject(flight: Flight, vehicle, air, turn: np.ndarray, length: float, rng, l
     while (now := now + 0.3) + length + 2.0 < air[-1][1]:
         rotor, start = int(rng.integers(B.shape[1])), now + rng.uniform(0.0, 0.3)
         box = (time >= start) & (time < start + length)
-        if not box.any() or told.values[box, rotor].mean() < least or not any(a + 1.5 < start < b - 1.5 for a, b in air):
+        if (
+            not box.any()
+            or told.values[box, rotor].mean() < least
+            or not any(a + 1.5 < start < b - 1.5 for a, b in air)
+        ):
             continue
         first, last = np.searchsorted(time, [start, start + length + 0.3])
         missing = (told.values[:, rotor] * box)[first:last]

@@ -191,7 +191,9 @@ def main_event(views):
         views.expect(not of_kind(views, LOSS, OVERRIDE, DESYNC), "events, and none of them is the main one")
         return
     main = d["events"][d["main_event"]]
-    rivals = [e for e in of_kind(views, LOSS, OVERRIDE, DESYNC) if bool(e["alternatives"]) <= bool(main["alternatives"])]
+    rivals = [
+        e for e in of_kind(views, LOSS, OVERRIDE, DESYNC) if bool(e["alternatives"]) <= bool(main["alternatives"])
+    ]
     biggest = max((max(e["loss"]) for e in rivals if e["kind"] == LOSS), default=0.0)
     for e in rivals:
         if not e["alternatives"] and main["alternatives"]:

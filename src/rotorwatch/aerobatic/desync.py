@@ -11,7 +11,7 @@ described, exp of that has the mean 1 in a healthy flight, so that a threshold o
 there once in ten hours at most (the bound of Markov and Boole).
 
 A knock pushes in any direction: each axis with a size of its own must not explain much more. A dead or weak motor is none: it works
-before and after.
+before and after. One shorter than 50 ms counts only where the motor's speed shows it, or where it did it again.
 """
 
 from __future__ import annotations
@@ -40,8 +40,10 @@ LEAST_SIZE, MOST_SIZE = 0.5, 1.4
 SLOWER_S = (0.0, 0.015, 0.03)  # than a motor that is told to
 YAW = 2
 FITS = 0.7  # of what each axis would explain with a size of its own: gains of the axes are known to some 20 %
+RETURNS_S = (0.15, 0.3)  # after its end: by then it is clear that the motor is back
 AROUND_S, LEFT = 0.3, 0.5  # before and after: the rotor works there, and lacks less than that
 IDLE = 0.03  # share of full thrust: below, a motor gives next to nothing anyway
+KNOCK_S = 0.05  # without its speed, a motor that is missed once for less may as well have been a knock
 APART_S = 0.06  # two that are nearer are one
 CRASH_S = 0.3  # before control is lost, what happens belongs to that
 
@@ -119,7 +121,9 @@ def search(seen: list[Channel]) -> list[Desync]:
     for d in sorted(found, key=lambda d: -d.ratio):
         if all(d.start > k.end + APART_S or d.end < k.start - APART_S for k in kept):
             kept.append(d)
-    return sorted(kept, key=lambda d: d.start)
+    spun = {c.rotor for c in seen}
+    often = {d.rotor for d in kept if d.end - d.start >= KNOCK_S or sum(e.rotor == d.rotor for e in kept) > 1}
+    return sorted((d for d in kept if d.rotor in spun or d.rotor in often), key=lambda d: d.start)
 
 
 def _peaks(seen: list[Channel], i: int, lengths: np.ndarray, dt: float) -> list[tuple[int, int]]:
@@ -183,7 +187,7 @@ def _judged(seen: list[Channel], i: int, start: int, length: int, rotors: list[i
     size = float(SIZES[np.argmax(together)])
     if not LEAST_SIZE - 1e-9 <= size <= MOST_SIZE + 1e-9 or together.max() < FITS * firm.max(axis=1).sum():
         return None
-    if _works_not(seen, i, start, length):
+    if _works_not(seen, i, start, length) or not _returns(seen, i, start, length):
         return None
     others = []
     for j in rotors:
@@ -216,14 +220,14 @@ def _refined(seen: list[Channel], i: int, start: int, length: int) -> tuple[int,
     return start, length
 
 
-def _ratios(seen: list[Channel], i: int, start: int, length: int) -> np.ndarray:
-    """(shapes, channels, SIZES) log likelihood ratio of a desync against none, from its start until the last answer."""
+def _ratios(seen: list[Channel], i: int, start: int, length: int, until: int | None = None) -> np.ndarray:
+    """(shapes, channels, SIZES) log likelihood ratio of a desync against none, from its start until the last answer, or `until`."""
     out = np.zeros((len(SLOWER_S), len(seen), len(SIZES)))
     kernels = _kernels(seen[0].width)
     for k, c in enumerate(seen):
         if c.rotor is not None and c.rotor != i:
             continue
-        stop = min(start + length + LAGS + len(kernels[-1]) - 2, len(c.left))
+        stop = min(start + length + LAGS + len(kernels[-1]) - 2, len(c.left)) if until is None else until
         z, scale = c.left[start:stop], c.scale[start:stop]
         answer = np.convolve(c.drive[start : start + length, i], c.answer)
         none = np.log1p(z**2 / DOF).sum()
@@ -280,3 +284,15 @@ def _works_not(seen: list[Channel], i: int, start: int, length: int) -> bool:
         if SIZES[np.argmax(ratio)] > LEFT and ratio.max() > SCREEN:
             return True
     return False
+
+
+def _returns(seen: list[Channel], i: int, start: int, length: int) -> bool:
+    """Whether the rotor came back, rather than giving nothing any more."""
+    for later in RETURNS_S:
+        until = start + length + round(later / seen[0].width)
+        if until >= len(seen[0].left):
+            return False
+        back = _marginal(_ratios(seen, i, start, length, until))
+        if _marginal(_ratios(seen, i, start, until - start, until)) > back - CLEAR:
+            return False
+    return True

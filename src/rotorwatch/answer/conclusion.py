@@ -429,7 +429,10 @@ def _past(seen: Evidence, rotor: int, claims) -> str:
         notes.append(f"its output did not follow the mixer from {seconds(e.onset_s)} to {seconds(e.end_s)}")
     for e in (e for e in seen.events if e.kind == DESYNC and any(rotor in who for who in explanations(e))):
         may = "may have " if e.alternatives else ""
-        notes.append(f"{may}desynced at {seconds(e.onset_s)}" + (f", {n} times in all" if (n := e.extra.get("count", 1)) > 1 else ""))
+        notes.append(
+            f"{may}desynced at {seconds(e.onset_s)}"
+            + (f", {n} times in all" if (n := e.extra.get("count", 1)) > 1 else "")
+        )
     notes += filter(None, [_worked(seen, rotor)])
     notes += [f"{MOTOR_NOTICES[e.kind]} since {seconds(e.onset_s)}" for e in _notices(seen) if rotor in e.rotors]
     return listed(notes)

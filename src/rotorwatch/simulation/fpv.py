@@ -25,7 +25,7 @@ GAIN, INERTIA, DAMPING = np.array([230.0, 210.0, 35.0]), 2.5, np.array([2.0, 2.0
 HOVER, IDLE = 0.25, 0.055  # command in hover of a thrust of eight times the weight; at rest in the air
 WHITE, AIR, AIR_S, WASH = 4.0, 12.0, 0.03, 3.0  # rad/s^2 each 4 ms; rad/s^2 and correlation; times as much in propwash
 GYRO = 0.015  # rad/s
-P, I, D = np.array([0.045, 0.048, 0.06]), 0.2, 0.0008
+PROPORTIONAL, INTEGRAL, DERIVATIVE = np.array([0.045, 0.048, 0.06]), 0.2, 0.0008
 D_S, STICK_S = 0.0016, 0.03
 FULL_SPEED = 3000.0  # rad/s
 GROUND_S = 2.0  # motors off, at both ends
@@ -53,7 +53,9 @@ class Push:
     acceleration: tuple[float, float, float]
 
 
-def fly(count: int, duration_s: float, seed: int = 0, wrong: tuple[Moment | Push, ...] = (), rpm: bool = False) -> list[Flight]:
+def fly(
+    count: int, duration_s: float, seed: int = 0, wrong: tuple[Moment | Push, ...] = (), rpm: bool = False
+) -> list[Flight]:
     """So many flights. rpm: speeds are logged."""
     rng = np.random.default_rng(seed)
     steps = round(duration_s / DT)
@@ -78,7 +80,7 @@ def fly(count: int, duration_s: float, seed: int = 0, wrong: tuple[Moment | Push
         error = wanted[k] - gyro
         flies = throttle[k] > 0.0
         total = np.clip(total + error * DT * flies[:, None], -0.5, 0.5)
-        u = _mixed(P * error + I * total - D * slope, throttle[k])
+        u = _mixed(PROPORTIONAL * error + INTEGRAL * total - DERIVATIVE * slope, throttle[k])
         u = np.where(flies[:, None], u, 0.0)
         goal = np.sqrt((1.0 - EXPO) * u + EXPO * u * u) * alive[k]
         lag = np.where(goal > n, LAG_S * (1.0 + IDLE_SPIN_UP * (n < 0.25)), RUNS_DOWN_S)
@@ -91,7 +93,8 @@ def fly(count: int, duration_s: float, seed: int = 0, wrong: tuple[Moment | Push
         omega = (omega + DT * turning) * flies[:, None]
         out["u"][k], out["gyro"][k], out["n"][k] = u, gyro, n
     time = DT * np.arange(steps)
-    return [_logged(time, *(out[name][:, j].astype(float) for name in ("u", "gyro", "n")), throttle[:, j], rng, rpm) for j in range(count)]  # fmt: skip
+    flown = ([out[name][:, j].astype(float) for name in ("u", "gyro", "n")] for j in range(count))
+    return [_logged(time, *made, throttle[:, j], rng, rpm) for j, made in enumerate(flown)]
 
 
 def _mixed(torque: np.ndarray, throttle: np.ndarray) -> np.ndarray:
@@ -151,4 +154,6 @@ def _logged(time, u, gyro, n, throttle, rng, rpm: bool) -> Flight:
         assert made is not None
         signals["esc"] = made
     facts = {"motor_low": 0.0, "motor_high": 1.0, "mixer": MIX.T.tolist()}
-    return Flight("simulated", "Betaflight", signals, float(time[-1]), firmware="simulated FPV flight", facts=facts, name="fpv")
+    return Flight(
+        "simulated", "Betaflight", signals, float(time[-1]), firmware="simulated FPV flight", facts=facts, name="fpv"
+    )
