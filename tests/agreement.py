@@ -15,7 +15,7 @@ import numpy as np
 from rich.console import Console
 
 from rotorwatch import report
-from rotorwatch.answer.conclusion import LOSS, OVERRIDE
+from rotorwatch.answer.conclusion import DESYNC, LOSS, OVERRIDE
 from rotorwatch.diagnosis import EXIT_CODES
 from rotorwatch.report import colours, drawing, figures, html, terminal
 
@@ -161,14 +161,14 @@ def verdict(views):
     whole = (d["whole_flight"] or {}).get("verdict")
     status = {r["status"] for r in d["rotors"]}
     expect(views.diagnosis.exit_code == EXIT_CODES[d["verdict"]], "the exit code is of another verdict")
-    sure = [e for e in of_kind(views, LOSS, OVERRIDE) if not e["alternatives"]]
+    sure = [e for e in of_kind(views, LOSS, OVERRIDE, DESYNC) if not e["alternatives"]]
     if d["verdict"] == "healthy":
-        expect(not of_kind(views, LOSS, OVERRIDE) and main is None, "healthy with a loss or an override")
+        expect(not of_kind(views, LOSS, OVERRIDE, DESYNC) and main is None, "healthy with a loss or an override")
         expect(status <= {"healthy"}, f"healthy with rotors {status}")
         expect(whole in (None, "healthy", "inconclusive"), "healthy, and the comparison says otherwise")
     if d["verdict"] == "inconclusive":
         expect(
-            not of_kind(views, LOSS, OVERRIDE) and (main is None or main["kind"] == "loss_of_control"),
+            not of_kind(views, LOSS, OVERRIDE, DESYNC) and (main is None or main["kind"] == "loss_of_control"),
             "inconclusive with a loss or an override",
         )
         expect(status <= {"unobservable"}, f"inconclusive with rotors {status}")
@@ -188,10 +188,12 @@ def main_event(views):
     """No sure event that is as large is earlier than the main one."""
     d = views.json
     if d["main_event"] is None:
-        views.expect(not of_kind(views, LOSS, OVERRIDE), "events, and none of them is the main one")
+        views.expect(not of_kind(views, LOSS, OVERRIDE, DESYNC), "events, and none of them is the main one")
         return
     main = d["events"][d["main_event"]]
-    rivals = [e for e in of_kind(views, LOSS, OVERRIDE) if bool(e["alternatives"]) <= bool(main["alternatives"])]
+    rivals = [
+        e for e in of_kind(views, LOSS, OVERRIDE, DESYNC) if bool(e["alternatives"]) <= bool(main["alternatives"])
+    ]
     biggest = max((max(e["loss"]) for e in rivals if e["kind"] == LOSS), default=0.0)
     for e in rivals:
         if not e["alternatives"] and main["alternatives"]:
@@ -256,7 +258,7 @@ def rotors(views):
         me = f"rotor {k} ({r['status']})"
         lasting = [e for e in of_kind(views, LOSS) if k in named(e) and e["end_s"] is None]
         sure = [e for e in lasting if not e["alternatives"]]
-        claims = [e for e in of_kind(views, LOSS, OVERRIDE) if k in named(e)]
+        claims = [e for e in of_kind(views, LOSS, OVERRIDE, DESYNC) if k in named(e)]
         expect(
             0 <= low <= high <= 1 and low - EPS <= r["loss"] <= high + EPS,
             f"{me}: loss {r['loss']} outside {r['interval']}",
@@ -528,6 +530,10 @@ FIELDS = {
     "events[].override": lambda views, value: views.shown(value, "the kind of override", screen=False),
     "events[].size": SHOWN,
     "events[].unit": word("the unit of a contact"),
+    "events[].times": HIDDEN,  # the first in the headline, all in the report's JSON
+    "events[].durations": HIDDEN,  # the shortest and the longest in the event's reason
+    "events[].count": SHOWN,
+    "events[].rpm": HIDDEN,
     "events[].cause": HIDDEN,  # in words in the event's reason
     "events[].live": HIDDEN,  # likewise
     "events[].yaw_reversed": HIDDEN,

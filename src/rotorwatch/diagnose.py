@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from rotorwatch import detectors, discovery
+from rotorwatch.aerobatic import desync
 from rotorwatch.aerobatic import judge as aerobatic
 from rotorwatch.answer import common_mode, conclusion, health, picture, places, traces, unseen
 from rotorwatch.default import asked, events, hindsight, hypotheses, leftover
@@ -145,6 +146,8 @@ def diagnose(
     found = upset.events(upsets, events.Report(B).add(table, air).finish(air).events(losses, overrides), n)
     found, notes = consistency.check(flight, craft, air, table, found)
     warnings += notes
+    if not hovers:
+        found = tuple(sorted((*found, *desync.find(flight, craft, air, found)), key=lambda e: e.detected_s))
     lap("events_s")
     doubts = trust.doubts(flight, craft, air, logged)
     whole = None if doubts else _whole_flight(flight, craft, air)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from rotorwatch.answer.wording import listed, rotors, seconds, sentence
+from rotorwatch.answer.wording import explanations, listed, motor, rotors, seconds, sentence
 from rotorwatch.default.hypotheses import GONE
 from rotorwatch.diagnosis import Event, RotorState
 
@@ -48,6 +48,8 @@ def of(
         )
     if event is not None and event.kind in ("motor_order", "loss_of_control"):
         out.append(_upset(event))
+    elif event is not None and event.kind == "desync":
+        out.append(_desynced(event, places))
     elif event is not None and not event.alternatives:
         who = rotors(event.rotors, places)
         looked_at = f"{who} has been looked at: {_parts(event, stays)}"
@@ -61,7 +63,7 @@ def of(
     rest = [r for r in (*broken, *suspects) if event is None or event.alternatives or r not in event.rotors]
     if rest and not (broken and event is None and not suspects):
         out.append(f"Look at {rotors(sorted(set(rest)), places)}{', too' if out else ' before the next flight'}.")
-    if verdict == "ambiguous":
+    if verdict == "ambiguous" and (event is None or event.kind != "desync"):
         out.append(
             "To tell the explanations apart: swap the propellers of the suspects with others and see whether the loss moves along, or fly "
             "with brisk turns and rolls and a healthy flight of this build as --baseline."
@@ -101,6 +103,16 @@ def _upset(event: Event) -> str:
     return (
         f"Do not fly before the motor test has shown which motor answers to which output: swap the outputs of motors {i} and {j} "
         f"(ArduPilot: SERVO{i}_FUNCTION and SERVO{j}_FUNCTION; PX4: the actuator page), or their wires."
+    )
+
+
+def _desynced(event: Event, places: Sequence[str]) -> str:
+    """What makes a motor lose step."""
+    more = "" if event.extra.get("rpm") else "; log its speed next time (bidirectional DShot, eRPM)"
+    who = motor([r for own in explanations(event) for r in own], places)
+    return (
+        f"Do not fly again before {who} and its ESC have been looked at: motor timing, demag compensation, ESC firmware, PWM "
+        f"frequency, a worn bearing or loose bell, solder joints{more}."
     )
 
 

@@ -16,6 +16,7 @@ from rotorwatch.answer.wording import (
     SCALE,
     candidates,
     cause,
+    desynced,
     explanations,
     grows,
     interval,
@@ -34,8 +35,8 @@ from rotorwatch.front import whole
 from rotorwatch.front.definition import FRONT
 
 LOSS, OVERRIDE, CONTACT = "loss_of_effectiveness", "output_override", "contact"
-LOST, ORDER = "loss_of_control", "motor_order"
-ACCUSES = (LOSS, OVERRIDE, ORDER)
+LOST, ORDER, DESYNC = "loss_of_control", "motor_order", "desync"
+ACCUSES = (LOSS, OVERRIDE, ORDER, DESYNC)
 # Of ESC telemetry, without a loss: what they say of a rotor.
 MOTOR_NOTICES = {
     "slow_motor": "turns slower than told",
@@ -210,7 +211,7 @@ def _verdict(seen: Evidence, main: int | None) -> tuple[str, str]:
 
 def _what_happened(seen: Evidence, event: Event) -> str:
     why = event.reason.strip().removesuffix(".")
-    if event.kind in (OVERRIDE, ORDER):
+    if event.kind in (OVERRIDE, ORDER, DESYNC):
         return why
     until = _until(seen, event, ", until")
     what = f"{rotors(event.rotors)} lost {losses(event)} of its effectiveness at {seconds(event.onset_s)}{until}"
@@ -316,6 +317,8 @@ def _matter(seen: Evidence, verdict: str, main: int | None) -> str:
         return sentence(f"{' or '.join(who)} was weak from take-off on, or the centre of mass is off the middle.")
     if event is None:
         return "Something is wrong, but the log cannot say which rotor."
+    if event.kind == DESYNC:
+        return f"{sentence(desynced(event, seen.places))}."
     if event.alternatives:
         return f"Something lost thrust at {seconds(event.onset_s)}: {candidates(event, seen.places)}."
     more = sum(e.kind in ACCUSES for e in seen.events) - 1
@@ -424,6 +427,12 @@ def _past(seen: Evidence, rotor: int, claims) -> str:
         notes += [f"{word} weak from {seconds(e.onset_s)} to {seconds(e.end_s)}" for e in over]
     for e in _of_kind(seen, OVERRIDE, rotor):
         notes.append(f"its output did not follow the mixer from {seconds(e.onset_s)} to {seconds(e.end_s)}")
+    for e in (e for e in seen.events if e.kind == DESYNC and any(rotor in who for who in explanations(e))):
+        may = "may have " if e.alternatives else ""
+        notes.append(
+            f"{may}desynced at {seconds(e.onset_s)}"
+            + (f", {n} times in all" if (n := e.extra.get("count", 1)) > 1 else "")
+        )
     notes += filter(None, [_worked(seen, rotor)])
     notes += [f"{MOTOR_NOTICES[e.kind]} since {seconds(e.onset_s)}" for e in _notices(seen) if rotor in e.rotors]
     return listed(notes)

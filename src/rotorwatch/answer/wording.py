@@ -15,6 +15,7 @@ KINDS = {
     "torque_bias": "torque bias",
     "loss_of_control": "loss of control",
     "motor_order": "motors in the wrong order",
+    "desync": "motor lost step",
     "slow_motor": "motor slower than told",
     "high_current": "motor draws more current",
     "low_current": "motor draws less current",
@@ -91,6 +92,20 @@ def rate(share: float) -> str:
     """A change a minute: '0.12 %', '7.3 %', '60 %'."""
     size = abs(100 * share)
     return percent(share, 0 if size >= 20 else 1 if size >= 1 else 2)
+
+
+def motor(numbers: Iterable[int], places: Sequence[str] = ()) -> str:
+    """(3,) -> 'motor 3'; (3, 4) -> 'motor 3 or 4'; with places: 'motor 3 (front left)'."""
+    names = [f"{n} ({places[n - 1]})" if n <= len(places) and places[n - 1] else str(n) for n in numbers]
+    return f"motor {listed(names, 'or')}"
+
+
+def desynced(event: Event, places: Sequence[str] = ()) -> str:
+    """'motor 3 desynced 7 times, first at 34.20 s'."""
+    count = int(event.extra.get("count", 1))
+    who = motor([r for own in explanations(event) for r in own], places)
+    times = "once," if count == 1 else f"{count} times, first"
+    return f"{who} desynced {times} at {seconds(event.onset_s)}"
 
 
 def sentence(text: str) -> str:

@@ -158,7 +158,9 @@ def event_rows(event: Event, diagnosis: Diagnosis) -> dict[str, str]:
 
 
 def size(event: Event) -> str:
-    """How hard a contact was: '3.2 g'."""
+    """How hard a contact was, '3.2 g'; how often a motor lost step, '7 times'."""
+    if "count" in event.extra:
+        return f"{event.extra['count']} time{'' if event.extra['count'] == 1 else 's'}"
     value = event.extra.get("size")
     return f"{value:.2g} {event.extra.get('unit', '')}".strip() if value is not None else ""
 

@@ -1,0 +1,298 @@
+"""Motors that lose step for a moment: commanded up, they give nothing for 30 to 500 ms, and come back. Events `desync`.
+
+In windows of 4 ms each axis, and each motor's speed where it is logged, follows what it is told with a lag (innovation.py). Where rotor i
+gives nothing from s to e, what comes as a surprise is
+
+    z = - theta answer * (drive_i inside [s, e)) / scale + noise,      theta about 1, noise as Student's t
+
+of all channels at once: the direction must be the rotor's, the size what it was told, the shape that of its command. Two steps: a matched
+filter over (rotor, start, length) finds candidates; each gets its exact log likelihood ratio, theta by its prior. If the noise is as
+described, exp of that has the mean 1 in a healthy flight, so that a threshold of log(windows in ten hours x rotors x lengths) is passed
+there once in ten hours at most (the bound of Markov and Boole).
+
+A knock pushes in any direction: each axis with a size of its own must not explain much more. A dead or weak motor is none: it works
+before and after. One shorter than 50 ms counts only where the motor's speed shows it, or where it did it again.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rotorwatch.aerobatic.innovation import DOF, LAGS, Channel, channels
+from rotorwatch.answer.wording import desynced
+from rotorwatch.default.announcement import FALSE_ALARM_PERIOD_S
+from rotorwatch.default.hypotheses import CLEAR
+from rotorwatch.diagnosis import Event
+from rotorwatch.flight import Flight
+from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.motion.allocation import Spans
+
+DESYNC, LOSS, LOST = "desync", "loss_of_effectiveness", "loss_of_control"
+SHORTEST_S, LONGEST_S = 0.025, 0.65  # 30 to 500 ms, as well as ends are known
+LENGTHS_S = 0.03 * 10.0 ** (0.1 * np.arange(15))  # 30 to 750 ms: what lasts longer is none, and must be seen to
+SCREEN = 9.0  # nats, from which the matched filter's peaks are looked at
+REFINED = 20.0  # nats that a better start and length may add
+SIZES = np.linspace(-1.2, 2.4, 19)  # theta
+LEAST_SIZE, MOST_SIZE = 0.5, 1.4
+SLOWER_S = (0.0, 0.015, 0.03)  # than a motor that is told to
+YAW = 2
+FITS = 0.7  # of what each axis would explain with a size of its own: gains of the axes are known to some 20 %
+RETURNS_S = (0.15, 0.3)  # after its end: by then it is clear that the motor is back
+AROUND_S, LEFT = 0.3, 0.5  # before and after: the rotor works there, and lacks less than that
+IDLE = 0.03  # share of full thrust: below, a motor gives next to nothing anyway
+KNOCK_S = 0.05  # without its speed, a motor that is missed once for less may as well have been a knock
+APART_S = 0.06  # two that are nearer are one
+CRASH_S = 0.3  # before control is lost, what happens belongs to that
+
+
+@dataclass(frozen=True)
+class Desync:
+    """One of rotor `rotor` (from 0), from start to end [s]. ratio: log likelihood ratio, above the threshold; size: of what was commanded;
+    others: rotors that explain it as well."""
+
+    rotor: int
+    start: float
+    end: float
+    ratio: float
+    size: float
+    others: tuple[int, ...] = ()
+
+
+def find(flight: Flight, vehicle: Vehicle, air: Spans, known: tuple[Event, ...] = ()) -> tuple[Event, ...]:
+    """The events `desync` of a flight, one a motor. known: other events: none is counted once control is lost, nor of a rotor that has
+    lost most of its thrust."""
+    seen = channels(flight, vehicle, air)
+    if not seen:
+        return ()
+    lost = min((e.onset_s for e in known if e.kind == LOST), default=np.inf) - CRASH_S
+    weak = [e for e in known if e.kind == LOSS and e.loss and max(e.loss) > LEAST_SIZE]
+    found = [
+        d for d in search(seen)
+        if d.end < lost and not any(d.rotor + 1 in e.rotors and e.onset_s - CRASH_S < d.start < (e.end_s or np.inf) for e in weak)
+    ]  # fmt: skip
+    return events(found, any(c.rotor is not None for c in seen))
+
+
+def events(found: list[Desync], rpm: bool) -> tuple[Event, ...]:
+    """One event a motor, or a set of motors that nothing tells apart. rpm: speeds are logged."""
+    sets: dict[tuple[int, ...], list[Desync]] = {}
+    sure = {d.rotor for d in found if not d.others}
+    for d in found:  # a motor that certainly lost step once did it again
+        again = [r for r in (d.rotor, *d.others) if r in sure]
+        d = replace(d, rotor=again[0], others=()) if d.others and len(again) == 1 else d
+        sets.setdefault(tuple(sorted((d.rotor, *d.others))), []).append(d)
+    return tuple(sorted((_event(who, group, rpm) for who, group in sets.items()), key=lambda e: e.detected_s))
+
+
+def _event(who: tuple[int, ...], group: list[Desync], rpm: bool) -> Event:
+    group = sorted(group, key=lambda d: d.start)
+    first, last = group[0], group[-1]
+    rotor = max(who, key=lambda r: sum(d.ratio for d in group if d.rotor == r))
+    length = [d.end - d.start for d in group]
+    extra = {"times": [d.start for d in group], "durations": length, "count": len(group), "rpm": rpm, "live": False}
+    p = 1.0 / len(who) if len(who) > 1 else 1.0 - float(np.exp(-min(30.0, CLEAR + first.ratio)))
+    others = tuple((r + 1,) for r in who if r != rotor)
+    event = Event(DESYNC, (rotor + 1,), first.start, first.end, last.end, (), (), p, others, "", extra)
+    fell = ", and its speed fell" if rpm else ""
+    return replace(event, reason=f"{desynced(event)}: it was commanded up and gave nothing for {_span(length)}{fell}")
+
+
+def _span(length: list[float]) -> str:
+    low, high = (10 * round(100 * x) for x in (min(length), max(length)))
+    return f"{low} ms" if low == high else f"{low} to {high} ms"
+
+
+def search(seen: list[Channel]) -> list[Desync]:
+    """All desyncs in the channels of a flight, in the order of time."""
+    dt = seen[0].width
+    lengths = np.unique(np.maximum(2, np.round(LENGTHS_S / dt).astype(int)))
+    rotors = [i for i in range(seen[0].drive.shape[1])]
+    limit = float(np.log(FALSE_ALARM_PERIOD_S / dt * len(rotors) * len(lengths)))
+    found: list[Desync] = []
+    for i in rotors:
+        for start, length in _peaks(seen, i, lengths, dt):
+            best = _judged(seen, i, start, length, rotors, limit)
+            if best is not None:
+                found.append(best)
+    kept: list[Desync] = []
+    for d in sorted(found, key=lambda d: -d.ratio):
+        if all(d.start > k.end + APART_S or d.end < k.start - APART_S for k in kept):
+            kept.append(d)
+    spun = {c.rotor for c in seen}
+    often = {d.rotor for d in kept if d.end - d.start >= KNOCK_S or sum(e.rotor == d.rotor for e in kept) > 1}
+    return sorted((d for d in kept if d.rotor in spun or d.rotor in often), key=lambda d: d.start)
+
+
+def _peaks(seen: list[Channel], i: int, lengths: np.ndarray, dt: float) -> list[tuple[int, int]]:
+    """(start, length) windows at which the matched filter for rotor i peaks, largest first, none near a larger one."""
+    K = len(seen[0].left)
+    moment, shared = np.zeros(K), np.zeros((LAGS, K))
+    for c in seen:
+        if c.rotor is not None and c.rotor != i:
+            continue
+        pull = np.clip(c.left, -3.0, 3.0) / c.scale
+        back = np.zeros(K)
+        for lag, b in enumerate(c.answer):
+            back[: K - lag] -= b * pull[lag:]
+        moment += c.drive[:, i] * back
+        told = c.drive[:, i] / c.scale
+        for d in range(LAGS):
+            r = float(c.answer[: LAGS - d] @ c.answer[d:])
+            shared[d, : K - d] += (1.0 if d == 0 else 2.0) * r * told[: K - d] * told[d:]
+    M = np.concatenate([[0.0], np.cumsum(moment)])
+    S = np.concatenate([np.zeros((LAGS, 1)), np.cumsum(shared, axis=1)], axis=1)
+    score, which = np.zeros(K), np.zeros(K, int)
+    for length in lengths[lengths + LAGS < K]:
+        stop = K - length
+        m = M[length : length + stop] - M[:stop]
+        info = sum(S[d, length - d : length - d + stop] - S[d, :stop] for d in range(min(LAGS, length)))
+        value = np.where(m > 0.0, 0.5 * m**2 / np.maximum(info, 1e-9), 0.0)
+        value[info < SCREEN] = 0.0  # too little commanded to be missed
+        value[~seen[0].flies[:stop] | ~seen[0].flies[length : length + stop]] = 0.0
+        better = value > score[:stop]
+        score[:stop][better], which[:stop][better] = value[better], length
+    out: list[tuple[int, int]] = []
+    taken = np.zeros(K, bool)
+    for k in np.argsort(-score):
+        if score[k] < SCREEN:
+            break
+        if not taken[k]:
+            out.append((int(k), int(which[k])))
+            near = max(int(APART_S / dt), int(which[k]) // 2)
+            taken[max(0, k - near) : k + near] = True
+    return out
+
+
+def _judged(seen: list[Channel], i: int, start: int, length: int, rotors: list[int], limit: float) -> Desync | None:
+    """The desync of rotor i near (start, length); None where it is none."""
+    dt = seen[0].width
+    if _marginal(_ratios(seen, i, start, length)) < limit - REFINED:
+        return None
+    start, length = _refined(seen, i, start, length)
+    if not SHORTEST_S <= length * dt <= LONGEST_S:
+        return None
+    inside = slice(start, start + length)
+    if seen[0].thrust[inside, i].mean() < IDLE or not seen[0].flies[inside].all():
+        return None
+    each = _ratios(seen, i, start, length)
+    ratio = _marginal(each)
+    if ratio < limit:
+        return None
+    each = each[int(np.argmax(_by_shape(each)))]
+    firm = np.delete(each, YAW, axis=0)
+    together = firm.sum(axis=0)
+    size = float(SIZES[np.argmax(together)])
+    if not LEAST_SIZE - 1e-9 <= size <= MOST_SIZE + 1e-9 or together.max() < FITS * firm.max(axis=1).sum():
+        return None
+    if _works_not(seen, i, start, length) or not _returns(seen, i, start, length):
+        return None
+    others = []
+    for j in rotors:
+        if j != i:
+            other = _marginal(_ratios(seen, j, start, length))
+            if other > ratio:
+                return None
+            if other > ratio - CLEAR:
+                others.append(j)
+    time = seen[0].time
+    return Desync(i, float(time[start]), float(time[start] + length * dt), ratio - limit, size, tuple(others))
+
+
+def _refined(seen: list[Channel], i: int, start: int, length: int) -> tuple[int, int]:
+    """The likeliest start and length near these."""
+    best = _marginal(_ratios(seen, i, start, length))
+    step = max(1, length // 4)
+    while step >= 1:
+        moved = False
+        for ds, dl in ((-step, step), (step, -step), (0, step), (0, -step), (-step, 0), (step, 0)):
+            s, n = start + ds, length + dl
+            if s < 0 or n < 2 or s + n + LAGS >= len(seen[0].left):
+                continue
+            value = _marginal(_ratios(seen, i, s, n))
+            if value > best + 1e-9:
+                best, start, length, moved = value, s, n, True
+                break
+        if not moved:
+            step //= 2
+    return start, length
+
+
+def _ratios(seen: list[Channel], i: int, start: int, length: int, until: int | None = None) -> np.ndarray:
+    """(shapes, channels, SIZES) log likelihood ratio of a desync against none, from its start until the last answer, or `until`."""
+    out = np.zeros((len(SLOWER_S), len(seen), len(SIZES)))
+    kernels = _kernels(seen[0].width)
+    for k, c in enumerate(seen):
+        if c.rotor is not None and c.rotor != i:
+            continue
+        stop = min(start + length + LAGS + len(kernels[-1]) - 2, len(c.left)) if until is None else until
+        z, scale = c.left[start:stop], c.scale[start:stop]
+        answer = np.convolve(c.drive[start : start + length, i], c.answer)
+        none = np.log1p(z**2 / DOF).sum()
+        for m, kernel in enumerate(kernels):
+            s = np.convolve(answer, kernel)[: len(z)]
+            s = np.concatenate([s, np.zeros(len(z) - len(s))]) / scale
+            with_ = np.log1p((z[None, :] + SIZES[:, None] * s[None, :]) ** 2 / DOF).sum(axis=1)
+            out[m, k] = 0.5 * (DOF + 1.0) * (none - with_)
+    return out
+
+
+@functools.cache
+def _kernels(width: float) -> tuple[np.ndarray, ...]:
+    """How a motor that lost step runs down and up, against one that is told to: so much slower."""
+    out = []
+    for slower in SLOWER_S:
+        x = np.exp(-np.arange(max(1, round(3.0 * slower / width))) * width / max(slower, 1e-9))
+        out.append(x / x.sum())
+    return tuple(out)
+
+
+def _log_prior(middle: float, sd: float) -> np.ndarray:
+    x = np.where(SIZES < -1e-9, -np.inf, -0.5 * ((SIZES - middle) / sd) ** 2)
+    return x - np.log(np.exp(x).sum())
+
+
+_OF_ALL, _OF_YAW = _log_prior(0.9, 0.25), _log_prior(0.8, 0.5)
+
+
+def _log_sum(x: np.ndarray) -> np.ndarray:
+    most = x.max(axis=-1)
+    return most + np.log(np.exp(x - most[..., None]).sum(axis=-1))
+
+
+def _marginal(each: np.ndarray) -> float:
+    """Log likelihood ratio with shape and sizes by their priors."""
+    return float(_log_sum(_by_shape(each)) - np.log(len(each)))
+
+
+def _by_shape(each: np.ndarray) -> np.ndarray:
+    """(shapes,): yaw has a size of its own, as motors that lose step jerk. each (shapes, channels, SIZES)."""
+    firm = each[:, [k for k in range(each.shape[1]) if k != YAW]].sum(axis=1)
+    return _log_sum(firm + _OF_ALL) + _log_sum(each[:, YAW] + _OF_YAW)
+
+
+def _works_not(seen: list[Channel], i: int, start: int, length: int) -> bool:
+    """Whether the rotor lacks much before or after as well."""
+    around = int(AROUND_S / seen[0].width)
+    for first, count in ((start - around - LAGS, around), (start + length + LAGS // 2, around)):
+        first, count = max(first, 0), min(count, len(seen[0].left) - LAGS - first)
+        if count < 5:
+            return True
+        ratio = _ratios(seen, i, first, count)[0].sum(axis=0)
+        if SIZES[np.argmax(ratio)] > LEFT and ratio.max() > SCREEN:
+            return True
+    return False
+
+
+def _returns(seen: list[Channel], i: int, start: int, length: int) -> bool:
+    """Whether the rotor came back, rather than giving nothing any more."""
+    for later in RETURNS_S:
+        until = start + length + round(later / seen[0].width)
+        if until >= len(seen[0].left):
+            return False
+        back = _marginal(_ratios(seen, i, start, length, until))
+        if _marginal(_ratios(seen, i, start, until - start, until)) > back - CLEAR:
+            return False
+    return True

@@ -1,0 +1,181 @@
+"""Motors that lose step for a moment, in simulated FPV flights and in a Blackbox log."""
+
+import functools
+import io
+import json
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+import agreement
+import blackbox_writer as writer
+from rotorwatch.aerobatic import desync, innovation
+from rotorwatch.cli import main
+from rotorwatch.diagnose import diagnose
+from rotorwatch.diagnosis import Event
+from rotorwatch.healthy import baselines
+from rotorwatch.report import terminal
+from rotorwatch.simulation import fpv
+from rotorwatch.simulation.fpv import Moment, Push
+
+LONG = 50.0
+AT = (7.3, 12.1, 18.4, 24.9, 31.7, 38.2)
+TIMES = "times"
+PUSHES = ((90, 0, 0), (0, -120, 0), (0, 0, 150), (70, 70, 0), (-80, 20, 60), (30, 90, 90))  # rad/s^2
+# Flights of one batch: what is wrong in each.
+WRONG = {
+    "long": tuple(Moment(0, 2, t, 0.2) for t in AT),
+    "short": tuple(Moment(1, 0, t, 0.1) for t in AT),
+    "healthy": (),
+    "dead": (Moment(3, 1, 22.0, LONG),),
+    "second": (Moment(4, 3, 22.0, 1.2),),
+    "weak": (Moment(5, 1, 15.0, LONG, 0.5),),
+    "knocks": tuple(Push(6, t, 0.05, a) for t, a in zip(AT, PUSHES)),
+    "gone": (Moment(7, 1, 22.0, LONG, 1.0),),
+}  # fmt: skip
+
+
+@functools.cache
+def flights():
+    made = fpv.fly(len(WRONG), LONG, 5, tuple(w for all_ in WRONG.values() for w in all_), rpm=True)
+    return dict(zip(WRONG, made))
+
+
+def seen(name, rpm):
+    flight = flights()[name]
+    vehicle, _, _ = baselines.settle(flight, None, ())
+    found = innovation.channels(flight, vehicle, ((2.5, LONG - 2.0),))
+    return found if rpm else found[:3]
+
+
+@functools.cache
+def found(name, rpm):
+    return desync.search(seen(name, rpm))
+
+
+@pytest.mark.parametrize(("name", "rotor", "lasting", "rpm", "least"), [
+    ("long", 2, 0.2, True, 6), ("long", 2, 0.2, False, 4), ("short", 0, 0.1, True, 5), ("short", 0, 0.1, False, 2),
+])  # fmt: skip
+def test_desyncs_are_found_with_motor_time_and_length(name, rotor, lasting, rpm, least):
+    here = found(name, rpm)
+    assert {d.rotor for d in here} == {rotor}
+    assert least <= len(here) <= len(AT)
+    for d in here:
+        assert min(abs(d.start - t) for t in AT) < (0.08 if rpm else 0.25)  # a motor that is told little is missed late
+        assert not d.others
+        if rpm:
+            assert abs(d.end - d.start - lasting) < 0.03
+
+
+@pytest.mark.parametrize(("name", "rpm"), [
+    *((name, rpm) for name in ("healthy", "dead", "weak", "knocks", "gone") for rpm in (False, True)), ("second", True),
+])  # fmt: skip
+def test_what_is_no_desync(name, rpm):
+    """Flips, propwash and idle; motors that die or stop for a second; a weak motor; knocks; a propeller that is lost."""
+    assert found(name, rpm) == []
+
+
+def test_speed_of_another_motor_says_nothing():
+    """A desync that the motion shows, while the motor's own speed stays as it was told, is none."""
+    channels = seen("long", True)
+    healthy = {c.rotor: c for c in seen("healthy", True)}
+    mixed = [c if c.rotor != 2 else healthy[2] for c in channels]
+    assert len(desync.search(mixed)) < len(found("long", True))
+
+
+def test_a_short_or_slow_log_is_not_judged():
+    flight = flights()["healthy"]
+    vehicle, _, _ = baselines.settle(flight, None, ())
+    assert innovation.channels(flight, vehicle, ((10.0, 15.0),)) == []
+    assert innovation.channels(flight, vehicle, ()) == []
+    few = {name: s.part(slice(None, None, 20)) for name, s in flight.signals.items()}
+    assert innovation.channels(type(flight)(flight.format, "Betaflight", few, LONG), vehicle, ((2.5, 48.0),)) == []
+
+
+def test_the_fit_stays_right_in_closed_loop():
+    """The step response of each axis is the simulation's gain, though a controller answers the air."""
+    for c, gain in zip(seen("healthy", False)[:2], fpv.GAIN):
+        assert len(c.answer) == innovation.LAGS
+        assert 0.0 < c.answer.sum() < gain
+
+
+def one(rotor=0, start=10.0, lasting=0.1, ratio=5.0, others=()):
+    return desync.Desync(rotor, start, start + lasting, ratio, 1.0, others)
+
+
+def test_events_are_one_a_motor():
+    first, second = desync.events([one(2, 12.0, 0.03), one(0), one(2, 34.0, 0.14)], False)
+    assert (first.rotors, first.extra["count"], first.onset_s) == ((1,), 1, 10.0)
+    assert first.reason == "motor 1 desynced once, at 10.00 s: it was commanded up and gave nothing for 100 ms"
+    assert (second.rotors, second.extra[TIMES], second.end_s) == ((3,), [12.0, 34.0], pytest.approx(34.14))
+    assert (
+        second.reason
+        == "motor 3 desynced 2 times, first at 12.00 s: it was commanded up and gave nothing for 30 to 140 ms"
+    )
+    assert second.loss == () and second.extra["rpm"] is False
+
+
+def test_motors_that_nothing_tells_apart():
+    (event,) = desync.events([one(1, others=(2,))], False)
+    assert (event.rotors, event.alternatives, event.probability) == ((2,), ((3,),), 0.5)
+    (event,) = desync.events([one(1, 5.0), one(2, 20.0, others=(1,))], False)  # one that certainly did it did it again
+    assert (event.rotors, event.alternatives, event.extra["count"]) == ((2,), (), 2)
+
+
+def test_none_counts_once_control_is_lost_or_of_a_motor_that_is_gone():
+    flight = flights()["long"]
+    vehicle, _, _ = baselines.settle(flight, None, ())
+    air = ((2.5, LONG - 2.0),)
+    lost = Event("loss_of_control", (), 20.0, 20.1, None, (), (), 1.0)
+    (event,) = desync.find(flight, vehicle, air, (lost,))
+    assert max(event.extra[TIMES]) < 20.0
+    gone = Event("loss_of_effectiveness", (3,), 6.0, 8.0, None, (0.9,), ((0.8, 1.0),), 1.0)
+    assert desync.find(flight, vehicle, air, (gone,)) == ()
+
+
+def test_all_views_of_the_answer_say_the_same():
+    for name in ("long", "healthy"):
+        assert agreement.walk(diagnose(flights()[name])) == []
+
+
+def blackbox(flight, path):
+    """The flight as Betaflight logs it, each second sample."""
+    more = [writer.Field(f"eRPM[{k}]", 0) for k in range(4)]
+    log = writer.betaflight(more=more)
+    step = slice(None, None, 2)
+    motors = np.rint(158 + flight["motors"].values[step] * (2047 - 158)).astype(int)
+    motors[flight["motors"].values[step] <= 0.0] = 158
+    gyro = np.rint(np.degrees(flight["gyro"].values[step] * [1, -1, -1])).astype(int)
+    erpm = np.rint(flight["esc"].values[step, :4] * 60 / (2 * np.pi) * 7 / 100).astype(int)
+    columns = {f"motor_{k}": motors[:, k] for k in range(4)} | {f"gyroADC_{k}": gyro[:, k] for k in range(3)}
+    columns |= {f"eRPM_{k}": erpm[:, k] for k in range(4)}
+    columns |= {"setpoint_3": np.rint(1000 * flight["throttle"].values[step, 0]).astype(int), "accSmooth_2": 2048}
+    count = len(motors)
+    columns |= {"loopIteration": np.arange(count), "time": 2000 * np.arange(count)}
+    path.write_bytes(writer.fly(log, writer.rows(log, count, **columns)).bytes())
+    return path
+
+
+def test_a_blackbox_log_from_the_command_line(tmp_path, capsys):
+    log = blackbox(flights()["long"], tmp_path / "desync.bbl")
+    with pytest.raises(SystemExit) as end:
+        main(["diagnose", str(log), "--json"])
+    answer = json.loads(capsys.readouterr().out)
+    assert end.value.code == 1
+    assert answer["verdict"] == "fault"
+    event = answer["events"][answer["main_event"]]
+    assert (event["kind"], event["rotors"], event["rpm"]) == ("desync", [3], True)
+    assert event["count"] == len(event["times"]) == len(event["durations"]) >= 3
+    with pytest.raises(SystemExit):
+        main(["diagnose", str(log)])
+    said = " ".join(capsys.readouterr().out.split())
+    assert f"Motor 3 (rear left) desynced {event['count']} times, first at" in said
+    assert "motor timing, demag compensation" in said
+
+
+def test_the_terminal_counts_them():
+    screen = Console(width=150, file=io.StringIO())
+    with screen.capture() as out:
+        screen.print(terminal.diagnosis(diagnose(flights()["long"])))
+    assert "motor lost step" in out.get() and " times" in out.get()
