@@ -22,6 +22,7 @@ from rotorwatch.front import deviations, losses, whole
 from rotorwatch.front import events as definition
 from rotorwatch.front.definition import FRONT, craft
 from rotorwatch.front.losses import CREDIBLE, CURVE_SHARE, MODEL_SD
+from rotorwatch.front.records import Found
 from rotorwatch.front.sizes import EVENTS, RECORDS, TOGETHER
 from rotorwatch.motion.contact import Contact
 from rotorwatch.motion.departures import Override
@@ -55,7 +56,7 @@ class Losses:
         """of: begin as these are."""
         self.craft = vehicle(B) if of is None else of.craft
         self._state = FRONT.new(losses.Losses) if of is None else of._state.cut(1)
-        self._found = FRONT.array(losses.Found, ROOM) if of is None else of._found
+        self._found = FRONT.array(Found, ROOM) if of is None else of._found
 
     def add(self, ticks: Ticks, out) -> None:
         """More ticks with the estimator's stacked outputs (COLUMNS)."""

@@ -18,6 +18,7 @@ from rotorwatch.front import (
     losses,
     mixer,
     news,
+    records,
     sense,
     sizes,
     ticks,
@@ -26,7 +27,7 @@ from rotorwatch.front import (
     words,
 )
 
-PARTS = (vehicle, airborne, mixer, deviations, contact, sense, ticks, front, events, losses, news, words)
+PARTS = (vehicle, airborne, mixer, deviations, contact, sense, ticks, front, events, records, losses, news, words)
 FRONT = Definition("front", (*PARTS, whole), sizes)
 KINDS = {
     "motors": whole.OUTPUTS, "control": whole.CONTROL, "gyro": whole.GYRO, "accel": whole.ACCEL, "velocity": whole.VELOCITY,

@@ -23,9 +23,10 @@ from rotorwatch.front.airborne import Airborne
 from rotorwatch.front.deviations import Deviations, Override
 from rotorwatch.front.events import Event, Report, main_event
 from rotorwatch.front.front import Front
-from rotorwatch.front.losses import Found, Losses
+from rotorwatch.front.losses import Losses
 from rotorwatch.front.mixer import CONTROLS, Comparison, Mixer
 from rotorwatch.front.news import Change, Changes
+from rotorwatch.front.records import Found
 from rotorwatch.front.sense import Plan, Sense, Sensed
 from rotorwatch.front.sizes import ROTORS
 from rotorwatch.front.ticks import SETTLE_S, Made, Ticks
