@@ -151,7 +151,7 @@ def made(table, rotor, at=0.0, theta=0.0) -> program.Kept:
     sizes = dict(
         theta=4, theta_sd=4, log_odds=len(hyp.names), probability=len(hyp.names), share=4, detectable=4, biases=4
     )
-    sizes |= dict(innovation=4, innovation_var=4, opposite_loss=2)
+    sizes |= dict(innovation=4, innovation_var=4, opposite_loss=2, onsets=4)
     shape = {name: (size,) for name, size in sizes.items()}
     kept = program.Kept(**{name: np.zeros((T, *shape.get(name, ()))) for name in program.Kept._fields})
     kept = kept._replace(announced=np.zeros(T, bool), active=np.zeros((T, 4, 4), bool), opposite=np.full(T, -1))
@@ -161,7 +161,7 @@ def made(table, rotor, at=0.0, theta=0.0) -> program.Kept:
         kept.announced[k] = True
         kept.active[on, 0, rotor] = True
         kept.theta[on, rotor] = theta
-        kept.since[:] = np.maximum(np.arange(T) - k + 5, 0)
+        kept.onsets[:] = np.maximum(np.arange(T) - k + 5, 0)[:, None]
         kept.probability[k, rotor] = 1.0
     return kept
 

@@ -13,11 +13,12 @@ from scipy.optimize import lsq_linear
 
 from rotorwatch import airframes
 from rotorwatch.backend import jax as load_jax
-from rotorwatch.default import announcement, caution, events, hypotheses, kalman, noise, opposite, posterior
+from rotorwatch.default import announcement, caution, hypotheses, kalman, noise, opposite, posterior
 from rotorwatch.default import bank as onsets
 from rotorwatch.default.estimator import JumpBank
 from rotorwatch.default.hypotheses import LOSS_WIDTH
 from rotorwatch.default.plant import ANSWER_S, B3, GAIN, PER_AXIS, SIDEWAYS, WrenchBalance
+from rotorwatch.front import losses
 from rotorwatch.motion.ticks import GROUND, JUDGE, LEARN
 
 DT = 0.05
@@ -348,7 +349,7 @@ def test_a_loss_that_ends_is_announced_as_a_recovery():
     hyp, best = method.bank.hyp, out.decision.best[ended]
     assert (hyp.kinds[best], hyp.rotors[best]) == ("recovery", (0,))
     assert (out.active[failed:ended, 0] == [True, False, False, False]).all()
-    assert abs(ended - out.since[ended] + 1 - 115) <= 4
+    assert abs(ended - out.onsets[ended, 0] + 1 - 115) <= 4
     assert not out.active[-1, 0].any() and out.theta[ended:].max() < 1e-9
 
 
@@ -406,7 +407,7 @@ def only_pairs_that_look_alike(method, out):
     for k in np.flatnonzero(out.active[:, 0].any(axis=1)):
         who = np.flatnonzero(out.active[k, 0])
         low = out.theta[k, who] - 1.96 * out.theta_sd[k, who]
-        if tuple(who) not in free or out.share[k, 0] >= events.CERTAIN_OPPOSITE or low.min() > 0.0:
+        if tuple(who) not in free or out.share[k, 0] >= losses.CERTAIN_OPPOSITE or low.min() > 0.0:
             return False
     return True
 

@@ -68,9 +68,17 @@ class InC:
     def reals(values):
         return (ctypes.c_double * len(values))(*values)
 
+    @staticmethod
+    def at(room, k):
+        return room[k]
+
 
 class InPython:
     """The same, as Python runs them."""
+
+    @staticmethod
+    def at(room, k):
+        return room[k]
 
     def new(self, kind, count=None):
         return [kind() for _ in range(count)] if count else kind()
@@ -134,7 +142,7 @@ class Flown:
         self.way, self.v = way, craft(way.new(Vehicle), known, outputs.shape[1], rests)
         self.mixer, self.deviations = way.new(Mixer), way.new(Deviations)
         self.comparisons, self.rebuilt = [], []
-        room = way.new(Comparison, sizes.PENDING)
+        room = way.new(Comparison, sizes.PENDING + 1)
         at = times + LATER if at is None else at
         valid = np.ones(len(at), bool) if valid is None else valid
         rows = [(float(t), 1, i) for i, t in enumerate(times)] + [(float(t), 0, i) for i, t in enumerate(at)]
@@ -147,7 +155,9 @@ class Flown:
             else:
                 row, thrust, ok = way.reals(control[i].tolist()), way.reals([0.0] * 4), [False] * 4
                 ok = ok if isinstance(way, InPython) else (ctypes.c_bool * 4)()
-                made = way.call(self.mixer, "control", self.v, time, row, True, room)
+                made = 0
+                while way.call(self.mixer, "control", self.v, time, row, True, way.at(room, made)):
+                    made += 1
                 way.call(self.mixer, "thrust", self.v, time, row, True, 1.0, thrust, ok)
                 self.rebuilt.append((plain(thrust), plain(ok)))
             for n in range(made):

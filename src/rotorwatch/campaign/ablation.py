@@ -40,10 +40,9 @@ from rotorwatch.experiments.studies import false_alarms
 from rotorwatch.motion.airborne import airborne
 from rotorwatch.motion.ticks import JUDGE, READY_S, Ticks, observe
 
-# Files of the method's step, and those that read its ticks.
+# Files of the method's step. What reads its ticks (front/) is compiled with its constants.
 FILES = (
     "plant", "noise", "caution", "kalman", "bank", "hypotheses", "evidence", "announcement", "plausibility", "opposite", "posterior",
-    "events",
 )  # fmt: skip
 # Names, counts and what follows from others: nothing to be chosen.
 GIVEN = {

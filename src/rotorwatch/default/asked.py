@@ -92,7 +92,7 @@ def find(table: Ticks, B: np.ndarray, dynamics=None) -> tuple[tuple[Asked, ...],
         if rows.size * table.dt >= SHORTEST_S:
             span = float(table.command_time[a]), float(table.time[b])
             found.append(_asked(rows, span, q, model, table, B))
-    return tuple(found), trim(carry, out, before, B), read(out, before, hypotheses.make(B.shape[1]), B)
+    return tuple(found), trim(carry, out, before, B), read(out, before, B)
 
 
 def trim(carry, out, table: Ticks, B: np.ndarray) -> Asked | None:
