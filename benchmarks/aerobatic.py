@@ -30,7 +30,9 @@ LOSSES, MOMENTS, PIECE, HOURS = (0.1, 0.2, 0.3, 0.5), (0.3, 0.5, 0.7), 10, 5.0
 
 def found(flight, vehicle, air):
     """(events, seconds that were judged) of a flight."""
-    table, out = judge.estimate(flight, vehicle, air, observe(flight, vehicle, air, READY_S))
+    ticks = observe(flight, vehicle, air, READY_S)
+    assert ticks is not None
+    table, out = judge.estimate(flight, vehicle, air, ticks)
     return events.read(out, table, vehicle.effectiveness()), float((table.mode == JUDGE).sum() * table.dt)
 
 

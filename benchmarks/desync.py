@@ -69,11 +69,9 @@ class Score:
 
 def simulated(flights: int, hours: float) -> None:
     rng, batch = np.random.default_rng(1), 6
-    scores, seconds, false = (
-        {"gyro": Score(), "gyro and speed": Score()},
-        0.0,
-        dict.fromkeys(("gyro", "gyro and speed"), 0),
-    )
+    names, seconds = ("gyro", "gyro and speed"), 0.0
+    scores: dict[str, Score] = {name: Score() for name in names}
+    false: dict[str, int] = dict.fromkeys(names, 0)
     for number in range(0, flights, batch):
         wrong = [
             fpv.Moment(j, int(rng.integers(4)), 5.0 + 4.7 * k + rng.uniform(0.0, 2.0), float(rng.choice(LENGTHS_S)))

@@ -126,7 +126,7 @@ def _late(x: np.ndarray, lags: range) -> np.ndarray:
 def _surprise(y, drive, motion, flies, width) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     """(left, scale (K,), answer (LAGS,)) of one channel with drive (K, n): Huber's regression by reweighting. None where nothing moves."""
     X = np.column_stack([_late(drive.sum(axis=1), range(LAGS)), _late(y, range(1, PAST + 1)), motion])
-    rows, weight = X[flies], np.ones(int(flies.sum()))
+    rows, weight, fitted = X[flies], np.ones(int(flies.sum())), np.zeros(X.shape[1])
     for _ in range(4):
         fitted = np.linalg.lstsq(rows * weight[:, None], y[flies] * weight, rcond=None)[0]
         error = np.abs(y[flies] - rows @ fitted)

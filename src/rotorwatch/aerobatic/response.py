@@ -124,6 +124,7 @@ def _fit(torque: np.ndarray, turning: np.ndarray, motion: np.ndarray, axis: int,
     i, j = OTHERS[axis]
     X = _fast(np.column_stack([torque, motion[:, axis], motion[:, i] * motion[:, j]]))[flies]
     y, weight = _fast(turning)[flies], np.ones(flies.sum())
+    theta, scale = np.zeros(3), 1.0
     for _ in range(4):
         theta = np.linalg.lstsq(X * weight[:, None], y * weight, rcond=None)[0]
         left = np.abs(y - X @ theta)

@@ -93,8 +93,8 @@ def fly(
         omega = (omega + DT * turning) * flies[:, None]
         out["u"][k], out["gyro"][k], out["n"][k] = u, gyro, n
     time = DT * np.arange(steps)
-    flown = ([out[name][:, j].astype(float) for name in ("u", "gyro", "n")] for j in range(count))
-    return [_logged(time, *made, throttle[:, j], rng, rpm) for j, made in enumerate(flown)]
+    u, gyro, n = (out[name].astype(float) for name in ("u", "gyro", "n"))
+    return [_logged(time, u[:, j], gyro[:, j], n[:, j], throttle[:, j], rng, rpm) for j in range(count)]
 
 
 def _mixed(torque: np.ndarray, throttle: np.ndarray) -> np.ndarray:
