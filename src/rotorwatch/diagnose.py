@@ -123,7 +123,8 @@ def diagnose(
         tell(0.3 + 0.6 * share, "estimating")
 
     tell(0.3, "preparing the estimator (built the first time)")
-    last, hyp, limit = None, hypotheses.make(n), float(threshold(hypotheses.make(n), table.dt))
+    last, hyp = None, hypotheses.make(n)
+    limit = float(threshold(hyp, table.dt))
     hovers, logged = not (own and aerobatic.applies(flight)), table
     if not hovers:
         table, out = aerobatic.estimate(flight, craft, air, table)

@@ -257,20 +257,16 @@ def _log_prior(middle: float, sd: float) -> np.ndarray:
 _OF_ALL, _OF_YAW = _log_prior(0.9, 0.25), _log_prior(0.8, 0.5)
 
 
-def _log_sum(x: np.ndarray) -> np.ndarray:
-    most = x.max(axis=-1)
-    return most + np.log(np.exp(x - most[..., None]).sum(axis=-1))
-
-
 def _marginal(each: np.ndarray) -> float:
     """Log likelihood ratio with shape and sizes by their priors."""
-    return float(_log_sum(_by_shape(each)) - np.log(len(each)))
+    return float(np.logaddexp.reduce(_by_shape(each)) - np.log(len(each)))
 
 
 def _by_shape(each: np.ndarray) -> np.ndarray:
     """(shapes,): yaw has a size of its own, as motors that lose step jerk. each (shapes, channels, SIZES)."""
     firm = each[:, [k for k in range(each.shape[1]) if k != YAW]].sum(axis=1)
-    return _log_sum(firm + _OF_ALL) + _log_sum(each[:, YAW] + _OF_YAW)
+    of_yaw = np.logaddexp.reduce(each[:, YAW] + _OF_YAW, axis=-1)
+    return np.logaddexp.reduce(firm + _OF_ALL, axis=-1) + of_yaw
 
 
 def _works_not(seen: list[Channel], i: int, start: int, length: int) -> bool:

@@ -134,10 +134,10 @@ def look(known: Blocks, B: np.ndarray, variance: np.ndarray, weak: list[Weak]) -
     other = _ratio(since(precision * left), steps, STEP_SD)[0].sum(axis=1)
     first, last = max(LEARN // 2, K - LOOK_BACK), K - 1
     ratio, other = ratio[first:last], other[first:last]
-    each = _log_sum(ratio)
+    each = np.logaddexp.reduce(ratio, axis=0)
     limit = np.log(FALSE_ALARM_PERIOD_S / BLOCK_S * n)
-    fault = float(_log_sum(each))
-    statistic = min(fault - limit, fault - float(_log_sum(other)) - hypotheses.CLEAR)
+    fault = float(np.logaddexp.reduce(each))
+    statistic = min(fault - limit, fault - float(np.logaddexp.reduce(other)) - hypotheses.CLEAR)
     rotor = int(np.argmax(each))
     loss, sd = np.zeros(n), np.zeros(n)
     for m, one in enumerate(weak):
@@ -168,11 +168,6 @@ def _ratio(moment: np.ndarray, information: np.ndarray, sd: float) -> tuple[np.n
     """Log marginal likelihood ratio of a signature whose size is N(0, sd^2), and its size."""
     total = np.maximum(information, 0.0) + 1.0 / sd**2
     return 0.5 * moment**2 / total - 0.5 * np.log(total * sd**2), moment / total
-
-
-def _log_sum(x: np.ndarray) -> np.ndarray:
-    most = x.max(axis=0)
-    return most + np.log(np.exp(x - most).sum(axis=0))
 
 
 def estimate(flight: Flight, vehicle: Vehicle, air: Spans, table: Ticks) -> tuple[Ticks, Kept]:
