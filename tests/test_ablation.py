@@ -9,6 +9,7 @@ from rotorwatch.campaign import ablation
 from rotorwatch.campaign.constants import TABLE
 from rotorwatch.default import caution, hypotheses, kalman, program
 from rotorwatch.errors import ConfigError
+from rotorwatch.front import losses
 from rotorwatch.motion.ticks import JUDGE, LEARN, Ticks
 
 DT = 0.1
@@ -63,6 +64,22 @@ def test_constants_are_changed_only_for_a_while():
     assert before == kalman.OUTLIER
 
 
+def test_constants_of_the_definition_are_built_in_and_given_back():
+    table = hover(0.3)
+    kept = ablation.judge(table, B, {})
+
+    def width() -> float:
+        (event,) = ablation.events.read(kept, table, B)
+        assert event.rotors == (1,)
+        low, high = event.interval[0]
+        return high - low
+
+    before = width()
+    with ablation.changed({"losses.MODEL_SD": 0.05}):
+        assert width() == pytest.approx(np.hypot(before, 2 * 1.96 * 0.05), rel=0.01)
+    assert width() == before and losses.MODEL_SD == 0.004
+
+
 def test_constants_as_parameters_are_the_constants():
     """One compiled program with its constants as parameters gives what a program with other constants in its files gives."""
     jax = load_jax()
@@ -88,7 +105,7 @@ def test_constants_as_parameters_are_the_constants():
         return compiled(given, ablation.tuned(given).init())
 
     def passed():
-        return {k: np.asarray(v, float) for k, v in ablation.constants().items() if k not in ablation.BUILT_IN}
+        return {k: np.asarray(v, float) for k, v in ablation.constants().items() if ablation._parameter(k, v)}
 
     usual = jax.tree.map(np.asarray, tuned(passed(), program.parameters(B, DT)))
     with ablation.changed(other):

@@ -6,7 +6,7 @@ b are right only with the variant and c only without it, and
 
     difference = (b - c) / n,        sd = sqrt(b + c - (b - c)^2 / n) / n          (McNemar's, for shares of the same things)
 
-A constant is any number in capitals in a file of `rotorwatch.default`; constants.py says what each means, and which value leaves
+A constant is any number in capitals in a file of FILES; constants.py says what each means, and which value leaves
 it out. Where a step's mathematics
 use it, it is a parameter of one compiled program; where it shapes the program or its start, the program is built anew.
 """
@@ -27,7 +27,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import airframes, default, logs
+from rotorwatch import airframes, logs
 from rotorwatch.campaign import batch, sequences
 from rotorwatch.campaign.constants import TABLE
 from rotorwatch.campaign.plan import Plan
@@ -37,18 +37,22 @@ from rotorwatch.diagnosis import Event
 from rotorwatch.errors import ConfigError
 from rotorwatch.experiments import inject, tools
 from rotorwatch.experiments.studies import false_alarms
+from rotorwatch.front.definition import FRONT
 from rotorwatch.motion.airborne import airborne
 from rotorwatch.motion.ticks import JUDGE, READY_S, Ticks, observe
 
-# Files of the method's step. What reads its ticks (front/) is compiled with its constants.
-FILES = (
-    "plant", "noise", "caution", "kalman", "bank", "hypotheses", "evidence", "announcement", "plausibility", "opposite", "posterior",
-)  # fmt: skip
+# Files of the method's step, and the definition that makes losses of its ticks.
+FILES = {
+    file: f"rotorwatch.default.{file}"
+    for file in (
+        "plant", "noise", "caution", "kalman", "bank", "hypotheses", "evidence", "announcement", "plausibility", "opposite", "posterior",
+    )
+} | {"losses": "rotorwatch.front.losses"}  # fmt: skip
 # Names, counts and what follows from others: nothing to be chosen.
 GIVEN = {
     "plant.PER_AXIS", "plant.SIDEWAYS", "plant.AXIS_STATES", "plant.B1", "plant.B2", "plant.B3", "plant.GAIN", "plant.DAMPING",
     "announcement.FALSE_ALARM_PERIOD_S", "bank.SLOTS", "bank.STRIDES", "bank.SLOW_S", "noise.LAGS", "hypotheses.DISTURBANCES",
-    "kalman.BIASES", "posterior.NEVER", "posterior.PLACES", "evidence.NOTHING",
+    "kalman.BIASES", "posterior.NEVER", "posterior.PLACES", "evidence.NOTHING", "losses.WITHIN_95", "losses.CANCELS",
 }  # fmt: skip
 WORDS = ("off", "half", "double")
 SOON_S = 10.0  # a fault that is announced within so much counts as found
@@ -58,10 +62,9 @@ FAULT = 0.05  # a change of loss that counts as one
 def constants() -> dict[str, Any]:
     """ "file.NAME" -> value of every constant of the method that somebody chose."""
     found = {}
-    for file in FILES:
-        path = Path(default.__file__).parent / f"{file}.py"
-        module = import_module(f"rotorwatch.default.{file}")
-        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+    for file, home in FILES.items():
+        module = import_module(home)
+        for node in ast.parse(Path(str(module.__file__)).read_text(encoding="utf-8")).body:
             if not isinstance(node, ast.Assign):
                 continue
             for target in node.targets:
@@ -119,12 +122,20 @@ def variants(only: Sequence[str] = (), words: Sequence[str] = WORDS) -> dict[str
 def changed(values: Mapping[str, Any]) -> Iterator[None]:
     """The method with other constants, while this lasts."""
     with ExitStack() as stack:
+        stack.enter_context(FRONT.changed({k: v for k, v in values.items() if _defined(k)}))
         for key, value in values.items():
+            if _defined(key):
+                continue
             file, name = key.split(".")
-            module = import_module(f"rotorwatch.default.{file}")
+            module = import_module(FILES[file])
             stack.callback(setattr, module, name, getattr(module, name))
             setattr(module, name, value)
         yield
+
+
+def _defined(key: str) -> bool:
+    """Whether a constant is one of the definition's, which is compiled with it."""
+    return FILES[key.split(".")[0]].startswith("rotorwatch.front.")
 
 
 class Tuned:
@@ -155,13 +166,16 @@ def tuned(p):
     return Tuned({k: v for k, v in p.items() if k != "constants"}, p["constants"])
 
 
+def _parameter(key: str, value: Any) -> bool:
+    """Whether a constant is a parameter of the compiled step."""
+    return key not in BUILT_IN and not _defined(key) and not isinstance(value, dict)
+
+
 def judge(table: Ticks, B: np.ndarray, values: Mapping[str, Any]) -> program.Kept:
     """The ticks of the method with other constants; those of BUILT_IN need a program of their own."""
     own = {k: v for k, v in values.items() if k in BUILT_IN}
     with changed(values):
-        passed = {
-            k: np.asarray(v, float) for k, v in constants().items() if k not in BUILT_IN and not isinstance(v, dict)
-        }
+        passed = {k: np.asarray(v, float) for k, v in constants().items() if _parameter(k, v)}
         parameters, rows = {**program.parameters(B, table.dt), "constants": passed}, program.inputs(table, B)
         backend = chosen(None, "auto")
         if not own:
@@ -272,7 +286,7 @@ def _part(work: tuple) -> list[dict[str, list[dict]]]:
     rows: list[dict[str, Any]] = [{} for _ in cases]
     plain = [judge(case.ticks, case.B, {}) for case in cases]
     for name, values in selected.items():
-        reading = all(key.startswith("events.") for key in values)  # the ticks stay as they are
+        reading = all(_defined(key) for key in values)  # the ticks stay as they are
         for row, case, same in zip(rows, cases, plain):
             kept = same if reading else judge(case.ticks, case.B, values)
             with changed(values):

@@ -12,14 +12,14 @@ Both ways give the same bits.
 from __future__ import annotations
 
 import ctypes
-import functools
 import hashlib
 import json
 import os
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -136,17 +136,43 @@ class Definition:
         self.name, self.modules, self.sizes = name, tuple(modules), sizes
         self.files = shipped.files_in(name) if files is None else sorted([*files, *TRANSLATOR])
         self._types: dict[type[Struct], np.dtype] = {}
+        self._other: dict[str, float] = {}
+        self._libraries: dict[str, ctypes.CDLL | None] = {}
 
-    @functools.cached_property
+    @property
     def library(self) -> ctypes.CDLL | None:
         """Machine code; None where there is none and no compiler to make it, or $ROTORWATCH_DEFINITIONS is python."""
+        key = repr(self._other)
+        if key not in self._libraries:
+            self._libraries[key] = self._load()
+        return self._libraries[key]
+
+    def _load(self) -> ctypes.CDLL | None:
         if os.environ.get("ROTORWATCH_DEFINITIONS") == "python":
             return None
-        path = self._shipped()
+        path = None if self._other else self._shipped()
         try:
             return ctypes.CDLL(str(path or self.build(toolchain.folder())))
         except (toolchain.Unavailable, OSError):
             return None
+
+    @contextmanager
+    def changed(self, values: Mapping[str, float]) -> Iterator[None]:
+        """While this lasts, constants of the modules have other values: "losses.HIDDEN" -> value. Machine code with them is built once."""
+        places = []  # of a name: its own module, and those that import it
+        for key, value in values.items():
+            home, _, name = key.partition(".")
+            (own,) = (vars(m) for m in self.modules if m.__name__.endswith(f".{home}"))
+            places += [(m, name, own[name], value) for m in self.modules if vars(m).get(name) is own[name]]
+        others, self._other = self._other, {**self._other, **values}
+        try:
+            for module, name, _, value in places:
+                setattr(module, name, value)
+            yield
+        finally:
+            self._other = others
+            for module, name, value, _ in places:
+                setattr(module, name, value)
 
     @property
     def digest(self) -> str:
@@ -188,7 +214,9 @@ class Definition:
     def build(self, folder: Path) -> Path:
         """The library in a folder, built unless it is there. Raises toolchain.Unavailable."""
         compiler = toolchain.compiler()
-        key = hashlib.sha256("\0".join([self.digest, *FLAGS, toolchain.machine()]).encode()).hexdigest()
+        key = hashlib.sha256(
+            "\0".join([self.digest, repr(self._other), *FLAGS, toolchain.machine()]).encode()
+        ).hexdigest()
         goal = folder / f"{self.name}-{key[:32]}.so"
         seal = goal.with_suffix(".sha256")
         if goal.exists() and seal.exists() and seal.read_text() == shipped.digest_of(goal):
