@@ -34,13 +34,15 @@ MIX = np.sign(betaflight.build("quad-x", ThrustCurve(0.0, 1.0, EXPO)).effectiven
 
 @dataclass(frozen=True)
 class Moment:
-    """What goes wrong in flight `flight`: rotor (from 0), start [s], lasting [s]; loss: None of a desync, else of its thrust."""
+    """What goes wrong in flight `flight`: rotor (from 0), start [s], lasting [s]; loss: None of a desync, else of its thrust, by a damaged
+    propeller, or by a motor that turns slower."""
 
     flight: int
     rotor: int
     start: float
     lasting: float
     loss: float | None = None
+    slower: bool = False
 
 
 @dataclass(frozen=True)
@@ -68,6 +70,8 @@ def fly(
             pushed[rows, w.flight] = w.acceleration
         elif w.loss is None:
             alive[rows, w.flight, w.rotor] = 0.0
+        elif w.slower:
+            alive[rows, w.flight, w.rotor] = np.sqrt(1.0 - w.loss)
         else:
             weak[rows, w.flight, w.rotor] = 1.0 - w.loss
     omega, n, air, total, slope, before = (np.zeros((count, k)) for k in (3, 4, 3, 3, 3, 3))
