@@ -3,8 +3,8 @@
     python benchmarks/fpv.py [--flights 1000] [--healthy-hours 20] [--jobs 2]
 
 Flights of 60 s: a 5-inch quadrotor of eight times its weight in thrust that rolls, flips, spins, dives and punches out, logged at 1 kHz,
-half of them with the motors' speeds. 35 % are healthy; 45 % lose 5 to 60 % of a rotor at 15 to 35 s, by a damaged propeller or a slow motor; in
-20 % a motor desyncs one to three times for 30 to 500 ms. Everything follows from the number of the batch.
+half of them with the motors' speeds. 35 % are healthy; 45 % lose 5 to 60 % of a rotor at 15 to 35 s, by a damaged propeller or a slow
+motor; in 20 % a motor desyncs one to three times for 30 to 500 ms. Everything follows from the number of the batch.
 """
 
 from __future__ import annotations
