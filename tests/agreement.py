@@ -489,6 +489,17 @@ FIELDS = {
         f"picture.attitude.{name}": SHOWN
         for name in ("time_s", "roll_deg", "pitch_deg", "wanted_roll_deg", "wanted_pitch_deg")
     },
+    "picture.rates": SHOWN,
+    **{
+        f"picture.rates.{name}": SHOWN
+        for name in (
+            "time_s",
+            *(f"{wanted}{axis}_dps" for wanted in ("", "wanted_") for axis in ("roll", "pitch", "yaw")),
+        )
+    },
+    "picture.speeds": SHOWN,
+    "picture.speeds.time_s": SHOWN,
+    "picture.speeds.rpm[]": SHOWN,
     "picture.commands": SHOWN,
     "picture.commands.time_s": SHOWN,
     "picture.commands.share[]": SHOWN,

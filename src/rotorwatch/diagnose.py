@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from os import PathLike
 from typing import Any
 
@@ -15,8 +16,8 @@ from rotorwatch.aerobatic import judge as aerobatic
 from rotorwatch.answer import common_mode, conclusion, health, picture, places, traces, unseen
 from rotorwatch.default import asked, events, hindsight, hypotheses, leftover
 from rotorwatch.default.announcement import threshold
-from rotorwatch.default.program import estimate
-from rotorwatch.diagnosis import Diagnosis
+from rotorwatch.default.program import Kept, estimate
+from rotorwatch.diagnosis import Diagnosis, Event
 from rotorwatch.errors import ConfigError
 from rotorwatch.esc import consistency
 from rotorwatch.flight import Flight
@@ -25,6 +26,7 @@ from rotorwatch.healthy import baselines, population
 from rotorwatch.healthy.baselines import Given
 from rotorwatch.motion import ticks, trust
 from rotorwatch.motion.airborne import airborne, gaps
+from rotorwatch.motion.allocation import Spans
 from rotorwatch.motion.ticks import JUDGE, READY_KNOWN_S, READY_S, Ticks, observe
 from rotorwatch.published import decide, published
 from rotorwatch.published.published import Tuning
@@ -35,6 +37,63 @@ AEROBATIC = (
     "later than in hover (docs/aerobatic.md)"
 )
 LONGEST_UP_US = 1e14  # a start later than that counts from 1970, not from the autopilot's boot
+
+
+@dataclass
+class Prepared:
+    """A flight before it is judged.
+
+    known: the vehicle brings what healthy flights of it say, from `source`; dynamics: of them, None where they do not fit this log.
+    air: its flights ((start, end), ...) s, up to an impact; table: its ticks, None without a flight; ready_s: after take-off, in which
+    trim and noise are learned. assumptions, warnings: grow as the flight is judged.
+    """
+
+    flight: Flight
+    vehicle: Vehicle
+    known: bool
+    dynamics: dict | None
+    source: str
+    air: Spans
+    upsets: tuple[upset.Judged, ...]
+    table: Ticks | None
+    ready_s: float
+    assumptions: list[str]
+    warnings: list[str]
+
+
+@dataclass(frozen=True)
+class Estimated:
+    """What an estimator left behind. table: the ticks as they count for it; limit: the statistic's, from which on a loss is announced;
+    last: the default estimator's state, for hindsight; own: it is the default one; hovers: False where angular motion alone was judged."""
+
+    table: Ticks
+    out: Kept
+    limit: float
+    last: Any
+    own: bool
+    hovers: bool
+
+
+@dataclass(frozen=True)
+class Found:
+    """events: all of them; faint: losses that accuse no rotor."""
+
+    events: tuple[Event, ...]
+    faint: tuple[Event, ...]
+
+
+class _Clock:
+    """Seconds of each stage: `timing` of a diagnosis."""
+
+    def __init__(self):
+        self.began, self.timing = time.perf_counter(), {}
+
+    def lap(self, name: str) -> None:
+        self.timing[name] = time.perf_counter() - self.began - sum(self.timing.values())
+
+    def stop(self) -> dict[str, float]:
+        self.timing["total_s"] = time.perf_counter() - self.began
+        return self.timing
 
 
 def diagnose(
@@ -54,15 +113,8 @@ def diagnose(
     tuning: of a published one (`rotorwatch.tune`).
     progress: called as progress(share, text). Raises LogError, VehicleError or ConfigError with one sentence.
     """
-    began = time.perf_counter()
-    timing: dict[str, float] = {}
-    tell = progress or (lambda share, text="": None)
-
-    def lap(name):
-        timing[name] = time.perf_counter() - began - sum(timing.values())
-
-    own = isinstance(estimator, str) and estimator == "default"
-    if not own:
+    clock, tell = _Clock(), progress or (lambda share, text="": None)
+    if estimator != "default":
         estimator = estimator if isinstance(estimator, str) else discovery.estimator(estimator)
         discovery.estimator(estimator)
     elif tuning is not None:
@@ -73,19 +125,32 @@ def diagnose(
         from rotorwatch import logs
 
         flight = logs.read(flight, lambda share: tell(0.3 * share, "reading"))
-    known_vehicle = baselines.vehicle_of(vehicle)
-    lap("read_s")
-    craft, source, told = baselines.settle(flight, known_vehicle, baseline)
-    lap("baseline_s")
-    known = bool(craft.identified)
-    dynamics = (craft.identified or {}).get("dynamics")
+    clock.lap("read_s")
+    ready = _prepare(flight, vehicle, baseline, clock)
+    if ready.table is None:
+        return _no_flight(ready, clock)
+    tell(0.3, "preparing the estimator (built the first time)")
+    done = _estimate(ready, ready.table, estimator, tuning, lambda share: tell(0.3 + 0.6 * share, "estimating"))
+    clock.lap("estimate_s")
+    found = _find(ready, done)
+    clock.lap("events_s")
+    diagnosis = _conclude(ready, ready.table, done, found, discovery.title(estimator), clock)
+    tell(1.0, "done")
+    return diagnosis
+
+
+def _prepare(flight: Flight, vehicle, baseline, clock: _Clock) -> Prepared:
+    """The vehicle, what is known of it, when it flew, and the ticks to be judged."""
+    craft, source, notes = baselines.settle(flight, baselines.vehicle_of(vehicle), baseline)
+    clock.lap("baseline_s")
+    known, dynamics = bool(craft.identified), (craft.identified or {}).get("dynamics")
     # Without a gyro every take-off swing looks like a torque that is missing: no short blind time then.
     ready_s = READY_KNOWN_S if dynamics and flight.has("gyro") else READY_S
     air = airborne(flight) if flight.has("motors") else ()
     upsets = upset.judged(flight, craft, air)
     air = upset.until_impact(flight, air, upsets)
     table = observe(flight, craft, air, ready_s)
-    warnings = [*flight.warnings, *told]
+    warnings = [*flight.warnings, *notes]
     warnings += [
         f"No motor outputs are logged from {start:.1f} s to {end:.1f} s, in the air: what happened in that time is only told by what "
         "was different after it."
@@ -99,7 +164,6 @@ def diagnose(
         )
         dynamics, ready_s = None, READY_S
         table = observe(flight, craft, air, ready_s)
-    lap("prepare_s")
     ready_s = ticks.ready_after(ready_s, table.dt if table is not None else 0.0)
     if not known:
         source = "the flight's own first healthy part"
@@ -107,79 +171,101 @@ def diagnose(
             f"the flight's first {ready_s:.0f} s in the air are its trim: damage that was there from take-off is judged by what healthy "
             "vehicles of any build need, and better with --baseline or --vehicle"
         )
-    facts = _facts(flight, craft, air, table)
-    names, n = places.names(craft.rotors), len(craft.rotors)
-    if table is None:
-        why = "no motor outputs" if not flight.has("motors") else "no flight: the vehicle never took off"
-        doubts = (f"the log shows {why}; nothing can be judged.",)
-        found = upset.events(upsets, (), n)
-        end = conclusion.conclude(found, None, n, doubts=() if found else doubts, places=names, hops=air)
-        timing["total_s"] = time.perf_counter() - began
-        return _answer(end, flight, craft, facts, {}, source, assumptions, warnings, timing, doubts=doubts)
-    assumptions += table.notes
-    B = craft.effectiveness()
+    assumptions += table.notes if table is not None else ()
+    clock.lap("prepare_s")
+    return Prepared(flight, craft, known, dynamics, source, air, upsets, table, ready_s, assumptions, warnings)
 
-    def estimating(share):
-        tell(0.3 + 0.6 * share, "estimating")
 
-    tell(0.3, "preparing the estimator (built the first time)")
-    last, hyp = None, hypotheses.make(n)
-    limit = float(threshold(hyp, table.dt))
-    hovers, logged = not (own and aerobatic.applies(flight)), table
-    if not hovers:
-        table, out = aerobatic.estimate(flight, craft, air, table)
-        assumptions.append(AEROBATIC)
-    elif own:
-        last, out = estimate(table, B, dynamics, estimating)
-    else:
-        out = published.judge(estimator, table, B, dynamics, tuning, estimating)
-        assumptions += published.notes(discovery.title(estimator))
-        limit = 0.5 * decide.SIGMAS**2
-    lap("estimate_s")
-    losses = events.read(out, table, B)
-    if own and hovers:
-        losses, settled = asked.settle(losses, table, B, dynamics)
-        assumptions += settled
-    if last is not None and not known:  # healthy flights would have told what happened in the blind time
-        losses = hindsight.join(losses, hindsight.find(last, table, B))
+def _no_flight(ready: Prepared, clock: _Clock) -> Diagnosis:
+    n = len(ready.vehicle.rotors)
+    why = "no flight: the vehicle never took off" if ready.flight.has("motors") else "no motor outputs"
+    doubts = (f"the log shows {why}; nothing can be judged.",)
+    found = upset.events(ready.upsets, (), n)
+    names = places.names(ready.vehicle.rotors)
+    end = conclusion.conclude(found, None, n, doubts=() if found else doubts, places=names, hops=ready.air)
+    return _answer(end, ready, {}, clock, doubts=doubts)
+
+
+def _estimate(ready: Prepared, table: Ticks, estimator: Any, tuning: Tuning | None, progress: Callable) -> Estimated:
+    """The ticks through the estimator; a vehicle that does not hover through its own way."""
+    B, own = ready.vehicle.effectiveness(), estimator == "default"
+    limit = float(threshold(hypotheses.make(B.shape[1]), table.dt))
+    if own and aerobatic.applies(ready.flight):
+        table, out = aerobatic.estimate(ready.flight, ready.vehicle, ready.air, table)
+        ready.assumptions.append(AEROBATIC)
+        return Estimated(table, out, limit, None, own, hovers=False)
+    if own:
+        last, out = estimate(table, B, ready.dynamics, progress)
+        return Estimated(table, out, limit, last, own, hovers=True)
+    out = published.judge(estimator, table, B, ready.dynamics, tuning, progress)
+    ready.assumptions += published.notes(discovery.title(estimator))
+    return Estimated(table, out, 0.5 * decide.SIGMAS**2, None, own, hovers=True)
+
+
+def _find(ready: Prepared, done: Estimated) -> Found:
+    """The events of a flight: losses, overridden outputs, contacts, control that was lost, desyncs; with what ESCs say of them."""
+    flight, craft, air, table, B = ready.flight, ready.vehicle, ready.air, done.table, ready.vehicle.effectiveness()
+    losses = events.read(done.out, table, B)
+    if done.own and done.hovers:
+        losses, settled = asked.settle(losses, table, B, ready.dynamics)
+        ready.assumptions += settled
+    if done.last is not None and not ready.known:  # healthy flights would have told what happened in the blind time
+        losses = hindsight.join(losses, hindsight.find(done.last, table, B))
     overrides = events.overrides(flight, craft, air, table)
     faint = tuple(e for e in events.unexplained(losses, overrides) if not events.accuses(e))
-    found = upset.events(upsets, events.Report(B).add(table, air).finish(air).events(losses, overrides), n)
-    found, notes = consistency.check(flight, craft, air, table, found)
-    warnings += notes
-    if not hovers:
+    report = events.Report(B).add(table, air).finish(air).events(losses, overrides)
+    found, notes = consistency.check(flight, craft, air, table, upset.events(ready.upsets, report, B.shape[1]))
+    ready.warnings += notes
+    if not done.hovers:
         found = tuple(sorted((*found, *desync.find(flight, craft, air, found)), key=lambda e: e.detected_s))
-    lap("events_s")
+    return Found(found, faint)
+
+
+def _conclude(ready: Prepared, logged: Ticks, done: Estimated, found: Found, title: str, clock: _Clock) -> Diagnosis:
+    """The answer. logged: the ticks as they were logged; title: the estimator's."""
+    flight, craft, air = ready.flight, ready.vehicle, ready.air
+    table, out, B = done.table, done.out, ready.vehicle.effectiveness()
+    n, hyp = B.shape[1], hypotheses.make(B.shape[1])
     doubts = trust.doubts(flight, craft, air, logged)
+    trusted = not doubts and done.hovers
     whole = None if doubts else _whole_flight(flight, craft, air)
-    other = None if doubts or known or not hovers else population.judge(flight, craft, air, _undisturbed(table, found))
+    other = None
+    if trusted and not ready.known:
+        other = population.judge(flight, craft, air, _undisturbed(table, found.events))
     comparison = detectors.detect(flight, craft, air)
-    lap("comparison_s")
+    clock.lap("comparison_s")
     judged = (table.mode == JUDGE) & table.valid.any(axis=1)
-    spells = (*leftover.find(out, table, hyp, limit, found, B), *leftover.faint(faint, found, float(table.time[-1])))
+    spells = (
+        *leftover.find(out, table, hyp, done.limit, found.events, B),
+        *leftover.faint(found.faint, found.events, float(table.time[-1])),
+    )
     hidden, hidden_pair = _hidden(out, table, B)
     end = conclusion.conclude(
-        found, whole, n, hidden=hidden, hidden_pair=hidden_pair, judged_s=float(judged.sum() * table.dt), places=names,
-        doubts=doubts, leftover=spells, hops=air, trends=() if doubts or not hovers else health.trends(out, table, B, found),
-        population=other,
+        found.events, whole, n, hidden=hidden, hidden_pair=hidden_pair, judged_s=float(judged.sum() * table.dt),
+        places=places.names(craft.rotors), doubts=doubts, leftover=spells, hops=air,
+        trends=health.trends(out, table, B, found.events) if trusted else (), population=other,
     )  # fmt: skip
-    common = {} if doubts or not hovers else common_mode.thrust_shift(out.biases[judged, 3])
-    tell(1.0, "done")
-    timing["total_s"] = time.perf_counter() - began
+    common = common_mode.thrust_shift(out.biases[judged, 3]) if trusted else {}
+    trace = traces.make(flight, out, table, hyp, B, air, ready.ready_s, done.limit, end.events, spells, end.rotors)
     return _answer(
-        end, flight, craft, facts, common, source, assumptions, warnings, timing, estimator=discovery.title(estimator),
-        comparison=comparison, whole_flight=whole, doubts=doubts,
-        trace=traces.make(flight, out, table, hyp, B, air, ready_s, limit, end.events, spells, end.rotors),
-    )  # fmt: skip
+        end,
+        ready,
+        common,
+        clock,
+        estimator=title,
+        comparison=comparison,
+        whole_flight=whole,
+        doubts=doubts,
+        trace=trace,
+    )
 
 
-def _answer(
-    end: conclusion.Conclusion, flight, craft, facts, common, source, assumptions, warnings, timing, **more
-) -> Diagnosis:
+def _answer(end: conclusion.Conclusion, ready: Prepared, common: dict, clock: _Clock, **more) -> Diagnosis:
+    flight, craft = ready.flight, ready.vehicle
     return Diagnosis(
-        facts, end.verdict, end.reason, end.rotors, end.events, common, source, tuple(assumptions), tuple(warnings), timing,
-        headline=end.headline, main=end.main, advice=end.advice, story=end.story,
-        picture=picture.make(flight, craft, end.events, end.main, end.story), **more,
+        _facts(flight, craft, ready.air, ready.table), end.verdict, end.reason, end.rotors, end.events, common, ready.source,
+        tuple(ready.assumptions), tuple(ready.warnings), clock.stop(), headline=end.headline, main=end.main, advice=end.advice,
+        story=end.story, picture=picture.make(flight, craft, end.events, end.main, end.story), **more,
     )  # fmt: skip
 
 

@@ -110,7 +110,8 @@ class Trace:
     pitch, yaw, thrust. command (T, n): share of full thrust, NaN where none is logged. threshold: of the evidence, log10 odds.
     evidence: hypothesis name -> (T,) log10 odds against healthy; blind: ((start, end, why), ...) when the diagnoser could not judge;
     airborne: ((start, end), ...). attitude, wanted (T, 3): roll, pitch, yaw in degrees, as flown and as asked for, or None; messages:
-    ((time, kind, text), ...), kinds as in `flight.Message`.
+    ((time, kind, text), ...), kinds as in `flight.Message`. rates, rates_wanted (T, 3): the same as attitude in degrees/s, of a vehicle
+    whose pilot commands rates.
     """
 
     time: np.ndarray
@@ -127,6 +128,8 @@ class Trace:
     attitude: np.ndarray | None = None
     wanted: np.ndarray | None = None
     messages: tuple[tuple[float, str, str], ...] = ()
+    rates: np.ndarray | None = None
+    rates_wanted: np.ndarray | None = None
 
     def to_pandas(self):
         """A pandas DataFrame, a row for each tick, its index the time [s]: columns `loss_1`, `lower_1`, `upper_1`, `command_1` and so on

@@ -1,4 +1,5 @@
-"""One picture around a loss of control: the moments of its story, the wanted and the actual attitude, the commands of every rotor.
+"""One picture around a loss of control, or a motor that lost step: its moments, wanted and actual attitude or rates, the commands of every
+rotor, and their speeds.
 
 Series have at most MOST samples, whatever the log's rate, so that an answer stays small.
 """
@@ -12,28 +13,42 @@ from typing import Any
 import numpy as np
 
 from rotorwatch.answer.story import LOST, departure
-from rotorwatch.answer.traces import angles
+from rotorwatch.answer.traces import angles, rates
 from rotorwatch.diagnosis import Event, StoryLine
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.motion import allocation
 
+DESYNC = "desync"
 MOST = 160  # samples of a series
 BEFORE_S, AFTER_S = 1.5, 1.0  # of the first departure and of the end that are shown
 # Before and after control began to be lost: what is further away would make the rest too small to see.
 EARLIEST_S, LATEST_S = 6.0, 12.0
 GOOD_S = 1.0
 MARGIN_S = 0.3  # before the lift-off
+AROUND_S = 0.5  # of a desync
 HELD_S = 3.0  # of commands before, which are held where outputs are logged slowly
 
 
 def make(
     flight: Flight, vehicle: Vehicle, events: Sequence[Event], main: int | None, story: Sequence[StoryLine]
 ) -> dict[str, Any] | None:
-    """The picture's data as docs/json.md says; None where control was not lost. story: `story.narrate` of the same events."""
+    """The picture's data as docs/json.md says; None where control was not lost and no motor lost step. story: `story.narrate` of the same
+    events."""
     lost = next((e for e in events if e.kind == LOST), None)
-    if lost is None or not story:
+    if lost is not None and story:
+        return _drawn(flight, vehicle, *_fall(lost, events, main, story))
+    steps = [e for e in events if e.kind == DESYNC]
+    if not steps:
         return None
+    chosen = events[main] if main is not None and events[main].kind == DESYNC else steps[0]
+    start, lasting = chosen.extra["times"][0], chosen.extra["durations"][0]
+    marks = [("gives nothing", start), ("works again", start + lasting)]
+    return _drawn(flight, vehicle, max(0.0, start - AROUND_S), start + lasting + AROUND_S, marks, set(chosen.rotors))
+
+
+def _fall(lost: Event, events: Sequence[Event], main: int | None, story: Sequence[StoryLine]):
+    """(start, end, marks, accused rotors) of a loss of control."""
     first = departure(events, main)
     began = lost.onset_s if first is None else min(first.onset_s, lost.onset_s)
     over = story[-1].time_s
@@ -44,15 +59,24 @@ def make(
     impact = lost.extra.get("impact_s")
     ending = ("control back", lost.end_s) if impact is None else ("impact", impact)
     marks = [good, ("first departure", began), ("control lost", story[-2].time_s), ending]
+    accused = {*lost.rotors, *(first.rotors if first is not None and not first.alternatives else ())}
+    return start, end, [(what, t) for what, t in marks if t is not None and start <= t <= end], accused
+
+
+def _drawn(
+    flight: Flight, vehicle: Vehicle, start: float, end: float, marks: list[tuple[str, float]], accused: set[int]
+) -> dict[str, Any]:
     around = {name: s.between(start - HELD_S, end + AFTER_S) for name, s in flight.signals.items()}
     part = replace(flight, signals=around)
     return {
         "start_s": start,
         "end_s": end,
-        "marks": [{"time_s": t, "what": what} for what, t in marks if t is not None and start <= t <= end],
-        "accused": sorted({*lost.rotors, *(first.rotors if first is not None and not first.alternatives else ())}),
+        "marks": [{"time_s": t, "what": what} for what, t in marks],
+        "accused": sorted(accused),
         "attitude": _attitude(part, start, end),
+        "rates": _rates(part, start, end),
         "commands": _commands(part, vehicle, start, end),
+        "speeds": _speeds(part, len(vehicle.rotors), start, end),
     }
 
 
@@ -70,6 +94,35 @@ def _attitude(flight: Flight, start: float, end: float) -> dict[str, Any] | None
     for k, name in enumerate(("wanted_roll_deg", "wanted_pitch_deg")):
         out[name] = None if wanted is None else wanted[:, k]
     return {name: None if v is None else np.round(v, 3 if name == "time_s" else 1) for name, v in out.items()}
+
+
+def _rates(flight: Flight, start: float, end: float) -> dict[str, Any] | None:
+    """Rates [degrees/s] as flown and as wanted, of a vehicle that is flown by them."""
+    flown, wanted = rates(flight)
+    if flown is None or wanted is None:
+        return None
+    time = _some(flown.time, start, end)
+    if time.size < 2:
+        return None
+    out: dict[str, Any] = {"time_s": np.round(time, 3)}
+    for prefix, signal in (("", flown), ("wanted_", wanted)):
+        values = np.round(np.degrees(signal.values[np.searchsorted(signal.time, time, side="right") - 1]), 1)
+        out |= {f"{prefix}{axis}_dps": values[:, k] for k, axis in enumerate(("roll", "pitch", "yaw"))}
+    return out
+
+
+def _speeds(flight: Flight, n: int, start: float, end: float) -> dict[str, Any] | None:
+    """What the ESCs say of each rotor's speed [revolutions a minute]; None where they say nothing of one."""
+    esc = flight.signals.get("esc")
+    names = [f"speed{k + 1}" for k in range(n)]
+    if esc is None or not set(names) <= set(esc.columns):
+        return None
+    time = _some(esc.time, start, end)
+    if time.size < 2:
+        return None
+    at, columns = np.searchsorted(esc.time, time), [esc.columns.index(name) for name in names]
+    speed = np.where(esc.valid[at][:, columns], esc.values[at][:, columns], np.nan) * 60.0 / (2.0 * np.pi)
+    return {"time_s": np.round(time, 3), "rpm": np.round(speed.T, 0)}
 
 
 def _commands(flight: Flight, vehicle: Vehicle, start: float, end: float) -> dict[str, Any] | None:

@@ -12,7 +12,7 @@ from rotorwatch.answer.wording import explanations, rotors
 from rotorwatch.default import events
 from rotorwatch.default.hypotheses import Hypotheses
 from rotorwatch.diagnosis import Trace
-from rotorwatch.flight import Flight
+from rotorwatch.flight import Flight, Signal
 from rotorwatch.motion.ticks import JUDGE, LEARN, Ticks
 
 LN10 = float(np.log(10.0))
@@ -55,7 +55,7 @@ def make(
         _bridged(time, np.where(measured, out.innovation, np.nan)), np.sqrt(out.innovation_var),
         _bridged(time, np.where(seen[:, None], table.thrust * table.hover[:, None], np.nan)),
         {k: np.clip(v, LEAST_ODDS, None) for k, v in evidence.items()}, tuple(blind), tuple(air), limit / LN10,
-        actual, wanted, _messages(flight, float(time[-1])),
+        actual, wanted, _messages(flight, float(time[-1])), *(_held(signal, time) for signal in rates(flight)),
     )  # fmt: skip
 
 
@@ -103,6 +103,27 @@ def angles(flight: Flight, name: str, time: np.ndarray) -> np.ndarray | None:
     at = np.searchsorted(when, time, side="right") - 1
     fresh = (at >= 0) & (time - when[np.maximum(at, 0)] <= BRIDGE_S)
     return np.where(fresh[:, None], np.degrees(np.stack([roll, pitch, yaw], axis=1))[np.maximum(at, 0)], np.nan)
+
+
+def rates(flight: Flight) -> tuple[Signal | None, Signal | None]:
+    """(flown, wanted) rates [rad/s] of a vehicle that is flown by them; None, None of one whose attitude is commanded."""
+    if (
+        not flight.has("rates_wanted")
+        or flight.has("attitude_wanted")
+        or not (flight.has("rates") or flight.has("gyro"))
+    ):
+        return None, None
+    return flight["rates" if flight.has("rates") else "gyro"], flight["rates_wanted"]
+
+
+def _held(signal: Signal | None, time: np.ndarray) -> np.ndarray | None:
+    """(T, 3) degrees/s at the latest sample of each tick; NaN where there is none as new as BRIDGE_S."""
+    if signal is None:
+        return None
+    at = np.searchsorted(signal.time, time, side="right") - 1
+    fresh = (at >= 0) & (time - signal.time[np.maximum(at, 0)] <= BRIDGE_S)
+    fine = fresh & signal.valid[np.maximum(at, 0)].all(axis=1)
+    return np.where(fine[:, None], np.degrees(signal.values[np.maximum(at, 0)]), np.nan)
 
 
 def _messages(flight: Flight, end: float) -> tuple[tuple[float, str, str], ...]:

@@ -68,8 +68,8 @@ class Screen:
 
 
 def plots(diagnosis: Diagnosis) -> dict[str, Any]:
-    """Bokeh figures by name: loss, lane, command, evidence, angle_roll .. angle_yaw, roll, pitch, yaw, thrust. Time axes and crosshairs
-    are linked.
+    """Bokeh figures by name: loss, lane, command, evidence, rate_roll .. rate_yaw, angle_roll .. angle_yaw, roll, pitch, yaw, thrust.
+    Time axes and crosshairs are linked.
 
     Empty without `diagnosis.trace`. Losses and commands in percent, residuals in units of
     hover thrust, evidence in log10 odds.
@@ -95,10 +95,11 @@ def plots(diagnosis: Diagnosis) -> dict[str, Any]:
     shown = _hypotheses(diagnosis)
     for i, name in enumerate(shown):
         data[f"odds{i}"] = screen.line(np.where(flying, trace.evidence[name], np.nan))
-    flown = _attitudes(trace)
-    for name, angles in flown.items():
-        for i, angle in enumerate(ANGLES):
-            data[f"{name}_{angle}"] = screen.line(np.where(flying, angles[:, i], np.nan))
+    attitudes, rates = _attitudes(trace), _rates(trace)
+    for kind, pairs in (("angle", attitudes), ("rate", rates)):
+        for name, values in pairs.items():
+            for i, axis in enumerate(ANGLES):
+                data[f"{name}_{kind}_{axis}"] = screen.line(np.where(flying, values[:, i], np.nan))
     source = ColumnDataSource(data)
     start, end = float(trace.time[0]), float(trace.time[-1])
     x_range = Range1d(start=start, end=end, bounds=(start, end), min_interval=0.2)
@@ -110,7 +111,8 @@ def plots(diagnosis: Diagnosis) -> dict[str, Any]:
         "lane": lane(diagnosis, x_range),
         "command": _commands(source, x_range, n, looks),
         "evidence": _evidence(trace, source, x_range, shown, looks) if shown else None,
-        **{f"angle_{angle}": _angle(source, x_range, angle, flown) for angle in (ANGLES if flown else ())},
+        **_followed(source, x_range, "rate", "°/s", rates),
+        **_followed(source, x_range, "angle", "°", attitudes),
         **{name: _residual(trace, source, x_range, name, i) for i, name in enumerate(CHANNELS)},
     }
     figures = {name: figure for name, figure in out.items() if figure is not None}
@@ -131,6 +133,12 @@ def _attitudes(trace: Trace) -> dict[str, np.ndarray]:
         near = 0.0 if flown is None else 360.0 * np.round(np.nan_to_num((flown - trace.wanted) / 360.0))
         out["wanted"] = _unwrapped(trace.wanted) if flown is None else trace.wanted + near
     return out
+
+
+def _rates(trace: Trace) -> dict[str, np.ndarray]:
+    """Rates (T, 3) [degrees/s] as flown and as wanted."""
+    pairs = {"actual": trace.rates, "wanted": trace.rates_wanted}
+    return {name: values for name, values in pairs.items() if values is not None}
 
 
 def _unwrapped(degrees: np.ndarray) -> np.ndarray:
@@ -334,17 +342,19 @@ def _stacked(name: str, last: bool, x_range, label: str, tips, **more) -> Any:
     return p
 
 
-def _angle(source, x_range, angle: str, flown) -> Any:
-    """Wanted against actual attitude, one axis."""
-    tips = [(name, f"@{name}_{angle}{{0.0}}°") for name in flown]
-    p = _stacked(f"angle_{angle}", angle == ANGLES[-1], x_range, f"{angle} [°]", tips)
+def _followed(source, x_range, kind: str, unit: str, pairs) -> dict[str, Any]:
+    """Wanted against actual attitude ("angle") or rates ("rate"), a plot for each axis."""
     style = {
         "actual": dict(color="#2b83ba", line_width=1.6),
         "wanted": dict(color=INK, line_width=1.3, line_dash="dashed"),
     }
-    lines = [p.line("time", f"{name}_{angle}", source=source, name=name, **style[name]) for name in flown]
-    _hover(p, lines[0])
-    return p
+    out = {}
+    for axis in ANGLES if pairs else ():
+        tips = [(name, f"@{name}_{kind}_{axis}{{0.0}}{unit}") for name in pairs]
+        p = out[f"{kind}_{axis}"] = _stacked(f"{kind}_{axis}", axis == ANGLES[-1], x_range, f"{axis} [{unit}]", tips)
+        lines = [p.line("time", f"{name}_{kind}_{axis}", source=source, name=name, **style[name]) for name in pairs]
+        _hover(p, lines[0])
+    return out
 
 
 def _residual(trace: Trace, source, x_range, name: str, channel: int) -> Any:

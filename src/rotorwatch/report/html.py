@@ -124,7 +124,7 @@ def _story(diagnosis: Diagnosis) -> str:
 
 
 def _moment(diagnosis: Diagnosis, divs: Mapping[str, str]) -> str:
-    """The picture around a loss of control."""
+    """The picture around a loss of control, or a desync."""
     names = [name for name in upset.NAMES if name in divs]
     if not names:
         return ""
@@ -134,8 +134,8 @@ def _moment(diagnosis: Diagnosis, divs: Mapping[str, str]) -> str:
         for r in diagnosis.rotors
     )
     return (
-        '<section class="moment" id="moment"><h2>The moment in one picture</h2><p>Roll and pitch: blue as it flew, dashed as it was asked '
-        "to. Commands: what each rotor was asked for, in percent of full thrust; a thick line is the rotor that is named above.</p>"
+        '<section class="moment" id="moment"><h2>The moment in one picture</h2><p>Attitude and rates: blue as it flew, dashed as it was '
+        "asked to. Commands: what each rotor was asked for, in percent of full thrust; a thick line is the rotor that is named above.</p>"
         + "".join(_plot(name, divs) for name in names)
         + f'<p class="note">{keys}</p></section>'
     )
@@ -239,6 +239,12 @@ PLOTS = (
         "Evidence",
         "Odds of each explanation against a healthy aircraft, as powers of ten. The thick grey line is the threshold. "
         "Click a name to hide it.",
+    ),
+    (
+        tuple(f"rate_{axis}" for axis in figures.ANGLES),
+        "Rates: sticks and gyro",
+        "Blue: as it turned. Dashed: as the sticks asked it to, after rates and expo (setpoint). A vehicle with a weak motor lags behind, "
+        "or shakes, on the axes of that motor.",
     ),
     (
         tuple(f"angle_{angle}" for angle in figures.ANGLES),

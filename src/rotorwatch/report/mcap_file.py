@@ -5,6 +5,7 @@
     /rotorwatch/residuals  roll, pitch, yaw, thrust, and their standard deviations (roll_sd ..), hover thrusts of one rotor
     /rotorwatch/motors     rotor_1 ..                          commands, shares of full thrust
     /rotorwatch/attitude   roll, pitch, yaw, and wanted_roll ..  degrees
+    /rotorwatch/rates      roll, pitch, yaw, and wanted_roll ..  degrees/s, of a vehicle that is flown by rates
     /rotorwatch/state      phase                               on the ground, judged, or why not; at every change
     /rotorwatch/events     moment (onset, announced, end) and the fields of docs/json.md
     /rotorwatch/verdict    the answer, once, at the start
@@ -129,11 +130,14 @@ def _series(trace: Trace) -> dict[str, tuple[list[str], np.ndarray]]:
         "residuals": ([*AXES, *(f"{axis}_sd" for axis in AXES)], np.column_stack([trace.residual, trace.residual_sd])),
         "motors": (rotors, trace.command),
     }
-    angles = {"": trace.attitude, "wanted_": trace.wanted}
-    there = {prefix: values for prefix, values in angles.items() if values is not None}
-    if there:
-        names = [f"{prefix}{axis}" for prefix in there for axis in ANGLES]
-        found["attitude"] = names, np.column_stack([*there.values()])
+    for topic, flown, wanted in (
+        ("attitude", trace.attitude, trace.wanted),
+        ("rates", trace.rates, trace.rates_wanted),
+    ):
+        there = {prefix: values for prefix, values in (("", flown), ("wanted_", wanted)) if values is not None}
+        if there:
+            names = [f"{prefix}{axis}" for prefix in there for axis in ANGLES]
+            found[topic] = names, np.column_stack([*there.values()])
     bands = np.stack([trace.loss, trace.lower, trace.upper], axis=2)
     found["losses"] = [f"{rotor}.{field}" for rotor in rotors for field in BAND], bands.reshape(len(bands), -1)
     return {f"/{NAME}/{topic}": series for topic, series in found.items()}

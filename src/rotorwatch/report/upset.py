@@ -1,4 +1,5 @@
-"""The picture around a loss of control (Bokeh): what happened when, wanted against actual roll and pitch, the commands of every rotor."""
+"""The picture around a loss of control or a desync (Bokeh): what happened when, wanted against actual attitude and rates, the commands of
+every rotor, and their speeds."""
 
 from __future__ import annotations
 
@@ -13,7 +14,11 @@ from rotorwatch.report import colours
 from rotorwatch.report.colours import FAULT, INK, SUSPECT
 from rotorwatch.report.figures import blank, words
 
-NAMES = ("moment_strip", "moment_roll", "moment_pitch", "moment_commands")
+ANGLES, RATES = ("roll", "pitch"), ("roll", "pitch", "yaw")
+NAMES = (
+    "moment_strip", *(f"moment_{angle}" for angle in ANGLES), *(f"moment_{axis}_rate" for axis in RATES), "moment_commands",
+    "moment_speeds",
+)  # fmt: skip
 TINTS = {
     "lift-off": "#0072b2",
     "last good second": "#0072b2",
@@ -21,26 +26,34 @@ TINTS = {
     "control lost": FAULT,
     "impact": INK,
     "control back": "#0072b2",
+    "gives nothing": FAULT,
+    "works again": "#0072b2",
 }
-ANGLES = ("roll", "pitch")
 HALF_TURN = 180.0
 LEAST_SPAN = 20.0  # degrees that an axis shows at least: a calm flight is to look calm
 
 
 def plots(diagnosis: Diagnosis) -> dict[str, Any]:
-    """Bokeh figures by name, one below the other on one time axis; empty where control was not lost, or nothing is logged of it."""
+    """Bokeh figures by name, one below the other on one time axis; empty where there is no such moment, or nothing is logged of it."""
     from bokeh.models import Range1d, Span
 
     facts = diagnosis.picture
-    if not facts or not (facts["attitude"] or facts["commands"]):
+    if not facts or not any(facts.get(name) for name in ("attitude", "rates", "commands")):
         return {}
     start, end = facts["start_s"], facts["end_s"]
     x_range = Range1d(start=start, end=end, bounds=(start, end), min_interval=0.1)
     out = {"moment_strip": _strip(facts, x_range)}
     if facts["attitude"]:
-        out |= {f"moment_{angle}": _angle(facts["attitude"], x_range, angle) for angle in ANGLES}
+        out |= {f"moment_{angle}": _followed(facts["attitude"], x_range, angle, "deg", "°") for angle in ANGLES}
+    if facts.get("rates"):
+        out |= {f"moment_{axis}_rate": _followed(facts["rates"], x_range, axis, "dps", "°/s") for axis in RATES}
     if facts["commands"]:
-        out["moment_commands"] = _commands(diagnosis, facts, x_range)
+        share = 100.0 * np.asarray(facts["commands"]["share"], float)
+        room = Range1d(start=-3.0, end=108.0)
+        out["moment_commands"] = _rotors(diagnosis, facts["commands"], share, x_range, "command [%]", y_range=room)
+    if facts.get("speeds"):
+        rpm = np.asarray(facts["speeds"]["rpm"], float) / 1000.0
+        out["moment_speeds"] = _rotors(diagnosis, facts["speeds"], rpm, x_range, "speed [1000/min]")
     for name, figure in out.items():
         figure.name = name
         figure.xaxis.visible = name == list(out)[-1]
@@ -81,14 +94,15 @@ def _strip(facts: Mapping[str, Any], x_range) -> Any:
     return p
 
 
-def _angle(facts: Mapping[str, Any], x_range, angle: str) -> Any:
-    """Wanted against actual, one axis [degrees]."""
+def _followed(facts: Mapping[str, Any], x_range, axis: str, key: str, unit: str) -> Any:
+    """Wanted against actual attitude or rate, one axis."""
     from bokeh.models import ColumnDataSource, HoverTool, Range1d
 
-    have = {"actual": facts[f"{angle}_deg"], "wanted": facts[f"wanted_{angle}_deg"]}
-    data = {name: _unbroken(values) for name, values in have.items() if values is not None}
+    have = {"actual": facts[f"{axis}_{key}"], "wanted": facts[f"wanted_{axis}_{key}"]}
+    known = {name: np.asarray(values, float) for name, values in have.items() if values is not None}
+    data = {name: _unbroken(values) if key == "deg" else values for name, values in known.items()}
     source = ColumnDataSource({"time": np.asarray(facts["time_s"], float), **data})
-    p = blank(x_range, 150, f"{angle} [°]", [(name, f"@{name}{{0.0}}°") for name in data])
+    p = blank(x_range, 150, f"{axis} [{unit}]", [(name, f"@{name}{{0.0}}{unit}") for name in data])
     p.yaxis.ticker.desired_num_ticks = 4
     seen = np.concatenate([v[np.isfinite(v)] for v in data.values()])
     low, high = (float(seen.min()), float(seen.max())) if seen.size else (0.0, 0.0)
@@ -110,22 +124,22 @@ def _unbroken(degrees) -> np.ndarray:
     return values
 
 
-def _commands(diagnosis: Diagnosis, facts: Mapping[str, Any], x_range) -> Any:
-    """The command of every rotor [% of full thrust], the accused ones thick and on top."""
-    from bokeh.models import ColumnDataSource, HoverTool, Range1d
+def _rotors(diagnosis: Diagnosis, series: Mapping[str, Any], values: np.ndarray, x_range, label: str, **more) -> Any:
+    """A line of `values` (n, samples) for every rotor, the accused ones thick and on top."""
+    from bokeh.models import ColumnDataSource, HoverTool
 
-    share = 100.0 * np.asarray(facts["commands"]["share"], float)
-    looks = colours.looks(diagnosis, len(share))
-    numbers = range(1, len(share) + 1)
+    accused = diagnosis.picture["accused"] if diagnosis.picture else ()
+    looks = colours.looks(diagnosis, len(values))
+    numbers = range(1, len(values) + 1)
     source = ColumnDataSource(
-        {"time": np.asarray(facts["commands"]["time_s"], float), **{f"command{k}": share[k - 1] for k in numbers}}
+        {"time": np.asarray(series["time_s"], float), **{f"rotor{k}": values[k - 1] for k in numbers}}
     )
-    tips = [(f"rotor {k}", f"@command{k}{{0}} %") for k in numbers]
-    p = blank(x_range, 230, "command [%]", tips, y_range=Range1d(start=-3.0, end=108.0))
+    tips = [(f"rotor {k}", f"@rotor{k}{{0.0}}") for k in numbers]
+    p = blank(x_range, 230, label, tips, **more)
     lines = []
-    for k in sorted(numbers, key=lambda k: k in facts["accused"]):
+    for k in sorted(numbers, key=lambda k: k in accused):
         look: dict[str, Any] = dict(name=f"rotor {k}", color=looks[k][0], line_dash=looks[k][1])
-        width = 4.0 if k in facts["accused"] else 1.6
-        lines.append(p.step("time", f"command{k}", source=source, mode="after", line_width=width, **look))
+        width = 4.0 if k in accused else 1.6
+        lines.append(p.step("time", f"rotor{k}", source=source, mode="after", line_width=width, **look))
     p.select_one(HoverTool).renderers = lines[:1]
     return p
