@@ -102,7 +102,7 @@ def table(rows: list[dict]) -> None:
                 "delay_s": _median([f["delay"] for f in found]), "error": _median([f["error"] for f in right]),
                 "rms": _rms([f["error"] for f in right]), "inside": sum(f["inside"] for f in right),
                 "cause named": sum(f["cause"] is not None for f in found),
-                "cause right": sum(f["cause"] == ("motor" if f["slower"] else "propeller") for f in found),
+                "cause right": sum(f["cause"] == ("motor_or_esc" if f["slower"] else "propeller") for f in found),
                 "causes": sorted({str(f["cause"]) for f in found}),
             }))  # fmt: skip
         for length in LENGTHS_S:
@@ -112,11 +112,14 @@ def table(rows: list[dict]) -> None:
                 "wrong motor": sum(f["wrong"] for f in chosen),
             }))  # fmt: skip
     hours = sum(AIR_S for row in rows if not row["faults"]) / 3600.0
-    alarms = sum(row["verdict"] != "healthy" for row in rows if not row["faults"])
+    healthy = [row for row in rows if not row["faults"]]
+    verdicts = {
+        word: sum(row["verdict"] == word for row in healthy) for word in sorted({r["verdict"] for r in healthy})
+    }
     false = sum(row["false"] for row in rows)
     print(json.dumps({
-        "flights": len(rows), "healthy_hours": round(hours, 2), "of these not said healthy": alarms,
-        "false announcements in all flights": false, "other events": sorted({k for row in rows for k in row["other"]}),
+        "flights": len(rows), "healthy_hours": round(hours, 2), "verdicts of healthy flights": verdicts,
+        "false announcements in all flights": false, "other events of healthy flights": [k for row in healthy for k in row["other"]],
     }), flush=True)  # fmt: skip
 
 

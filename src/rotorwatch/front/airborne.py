@@ -49,6 +49,7 @@ _LOW = 0.65  # part of the way from idle to hover below which the rotors do not 
 _LOW_S = 1.5
 _FALLING = 0.75 * _G  # specific force below which a vehicle with idle motors falls and has not landed
 _LYING_S = 1.0
+_STILL = 0.5  # rad/s: what turns faster does not stand or lie on the ground
 _BLOW = 1.2 * _G  # lateral specific force, or half of it downwards, that rotors cannot make: the ground's
 _BLOW_S = 3.0  # a blow so long before the end of a flight was the touch-down or the crash
 _WINDOW_S = 0.5
@@ -116,7 +117,7 @@ class Airborne(Struct):
     """Follows one vehicle, sample by sample in the order of time.
 
     A flight starts when the command is well above idle and the vehicle climbs or moves, or when the command is high for long. It ends when
-    the command stays low while the vehicle neither falls nor sinks fast, at once where the autopilot says landed or disarmed; or when
+    the command stays low while the vehicle neither falls nor sinks fast nor turns, at once where the autopilot says landed or disarmed; or when
     something other than the rotors carries the vehicle: it lies on the ground tilted or upside down.
     """
 
@@ -241,7 +242,7 @@ class Airborne(Struct):
         now.turning = self.turning.mean(time, False)
         now.struck = time - TICK_S < self.blow <= time
         # In the air, specific force is what the rotors push: along -z. Lying still on anything but the feet, it is not.
-        lying = abs(now.force - _G) < 2.0 and now.upward < 0.7 * now.force and now.turning < 0.5
+        lying = abs(now.force - _G) < 2.0 and now.upward < 0.7 * now.force and now.turning < _STILL
         self.lying_since = _lasting(self.lying_since, lying, time)
         if self.flying:
             self._in_the_air(time, now)
@@ -291,7 +292,9 @@ class Airborne(Struct):
     def _in_the_air(self, time: Time, now: Senses) -> None:
         low = self._little(now.command)
         end = LASTS
-        self.low_since = _lasting(self.low_since, low and not now.climb < -_SINKING, time)
+        # Pilots fly rolls and dives with idle motors.
+        grounded = low and not now.climb < -_SINKING and not now.turning > _STILL
+        self.low_since = _lasting(self.low_since, grounded, time)
         if not low:
             self.hover = _blend(self.hover, now.command, _HOVER_S)
         if now.struck:

@@ -98,7 +98,7 @@ def fly(
         out["u"][k], out["gyro"][k], out["n"][k] = u, gyro, n
     time = DT * np.arange(steps)
     u, gyro, n = (out[name].astype(float) for name in ("u", "gyro", "n"))
-    return [_logged(time, u[:, j], gyro[:, j], n[:, j], throttle[:, j], rng, rpm) for j in range(count)]
+    return [_logged(time, u[:, j], gyro[:, j], wanted[:, j], n[:, j], throttle[:, j], rng, rpm) for j in range(count)]
 
 
 def _mixed(torque: np.ndarray, throttle: np.ndarray) -> np.ndarray:
@@ -144,12 +144,13 @@ def _pilot(rng: np.random.Generator, count: int, steps: int) -> tuple[np.ndarray
     return rates, throttle, wash
 
 
-def _logged(time, u, gyro, n, throttle, rng, rpm: bool) -> Flight:
+def _logged(time, u, gyro, wanted, n, throttle, rng, rpm: bool) -> Flight:
     """One flight as it is logged."""
     signals = {
         "motors": Signal(time, u, ("r1", "r2", "r3", "r4"), "1", "body", "motor[0] .."),
         "gyro": Signal(time, gyro, ("x", "y", "z"), "rad/s", "FRD", "gyroUnfilt"),
         "rates": Signal(time, gyro, ("x", "y", "z"), "rad/s", "FRD", "gyroADC"),
+        "rates_wanted": Signal(time, wanted, ("x", "y", "z"), "rad/s", "FRD", "setpoint[0..2]"),
         "throttle": Signal(time, throttle, ("out",), "1", "", "setpoint[3]"),
     }
     if rpm:
