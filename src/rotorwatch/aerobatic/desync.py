@@ -11,7 +11,8 @@ described, exp of that has the mean 1 in a healthy flight, so that a threshold o
 there once in ten hours at most (the bound of Markov and Boole).
 
 A knock pushes in any direction: each axis with a size of its own must not explain much more. A dead or weak motor is none: it works
-before and after. One shorter than 50 ms counts only where the motor's speed shows it, or where it did it again.
+before and after. One shorter than 100 ms counts only where the motor's speed shows it, or where it did it again: so long a motor takes
+from idle to full thrust.
 """
 
 from __future__ import annotations
@@ -43,7 +44,9 @@ FITS = 0.7  # of what each axis would explain with a size of its own: gains of t
 RETURNS_S = (0.15, 0.3)  # after its end: by then it is clear that the motor is back
 AROUND_S, LEFT = 0.3, 0.5  # before and after: the rotor works there, and lacks less than that
 IDLE = 0.03  # share of full thrust: below, a motor gives next to nothing anyway
-KNOCK_S = 0.05  # without its speed, a motor that is missed once for less may as well have been a knock
+KNOCK_S = (
+    0.1  # without its speed, a motor that is missed once for less may as well have come from idle, or been a knock
+)
 APART_S = 0.06  # two that are nearer are one
 CRASH_S = 0.3  # before control is lost, what happens belongs to that
 

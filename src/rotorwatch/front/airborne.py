@@ -117,8 +117,8 @@ class Airborne(Struct):
     """Follows one vehicle, sample by sample in the order of time.
 
     A flight starts when the command is well above idle and the vehicle climbs or moves, or when the command is high for long. It ends when
-    the command stays low while the vehicle neither falls nor sinks fast nor turns, at once where the autopilot says landed or disarmed; or when
-    something other than the rotors carries the vehicle: it lies on the ground tilted or upside down.
+    the command stays low while the vehicle neither falls nor sinks fast nor turns, at once where the autopilot says landed or disarmed;
+    or when something other than the rotors carries the vehicle: it lies on the ground tilted or upside down.
     """
 
     force = embedded(HalfSecond)
