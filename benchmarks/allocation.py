@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rotorwatch import airframes
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.compiling import native
 from rotorwatch.control import allocation
 from rotorwatch.control.allocation import DRIVEN_BY, Allocator, Belief

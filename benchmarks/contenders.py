@@ -12,8 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from rotorwatch import airframes, discovery
-from rotorwatch.backend import jax as load_jax
+from rotorwatch import airframes
+from rotorwatch.base import discovery
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.compiling import native
 from rotorwatch.compiling.run import run
 from rotorwatch.estimators import mhe

@@ -5,7 +5,8 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from rotorwatch import airframes, discovery
+from rotorwatch import airframes
+from rotorwatch.base import discovery
 from rotorwatch.errors import ConfigError
 
 PAGE = Path(__file__).parent / "methods" / "index.md"

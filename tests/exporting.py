@@ -6,7 +6,7 @@ import subprocess
 
 import numpy as np
 
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.export_c import prepare, program_of
 
 jax = load_jax()

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from rotorwatch import discovery
+from rotorwatch.base import discovery
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = ROOT / "src" / "rotorwatch"
@@ -109,7 +109,7 @@ def test_a_plug_in_is_one_file(copy):
     done = run(
         sys.executable,
         "-c",
-        "from rotorwatch import airframes, detectors, discovery, logs\n"
+        "from rotorwatch import airframes, detectors, logs\nfrom rotorwatch.base import discovery\n"
         "print('planted' in discovery.estimators(), 'planted' in discovery.systems(), 'planted' in airframes.names(),\n"
         "      'planted' in [m.name for m in detectors.modules()], 'planted' in [m.FORMAT for m in logs.formats()])",
     )
@@ -119,7 +119,7 @@ def test_a_plug_in_is_one_file(copy):
 def test_two_plug_ins_of_one_name_are_refused(copy):
     folder, run = copy
     shutil.copy(folder / "estimators" / "ekf.py", folder / "estimators" / "planted.py")
-    done = run(sys.executable, "-c", "from rotorwatch import discovery; discovery.estimators()")
+    done = run(sys.executable, "-c", "from rotorwatch.base import discovery; discovery.estimators()")
     assert done.returncode != 0 and "both called 'ekf'" in done.stderr
 
 

@@ -20,7 +20,7 @@ NAMED = {who: np.where(np.isin(np.arange(6), who), 0.3, 0.0) for who in PAIRS}
 
 @pytest.fixture(scope="module", autouse=True)
 def float64():
-    from rotorwatch.backend import jax
+    from rotorwatch.base.backend import jax
 
     jax()
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
 from rotorwatch.estimators.atsukf import ATSUKF
 from rotorwatch.estimators.tsukf import TSUKF

@@ -13,9 +13,9 @@ import pytest
 from click.testing import CliRunner
 
 from rotorwatch import cli
+from rotorwatch.base.optional import tomllib
 from rotorwatch.campaign import batch, benchmark, benchmark_plan, public_data, ranking, results_file, score, summary
 from rotorwatch.errors import ConfigError
-from rotorwatch.optional import tomllib
 
 pytest.importorskip("pyarrow")
 ROOT = Path(__file__).resolve().parents[1]

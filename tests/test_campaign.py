@@ -53,7 +53,7 @@ def written(folder, text=TEXT):
 
 
 def table(changes=()):
-    from rotorwatch.optional import tomllib
+    from rotorwatch.base.optional import tomllib
 
     found = tomllib.loads(TEXT)
     for path, value in changes:

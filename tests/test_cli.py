@@ -366,6 +366,6 @@ def test_unknown_names_are_attribute_errors():
 
 
 def test_version_is_the_packages():
-    from rotorwatch.optional import tomllib
+    from rotorwatch.base.optional import tomllib
 
     assert tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"] == rotorwatch.__version__

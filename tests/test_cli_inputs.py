@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from rotorwatch import cli, files, incoming
+from rotorwatch import cli
+from rotorwatch.base import files, incoming
 from rotorwatch.commands import tools
 from rotorwatch.errors import BackendWarning, ConfigError
 from rotorwatch.healthy import tune

@@ -11,7 +11,7 @@ import pytest
 
 import exporting
 from rotorwatch import airframes
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.compiling import toolchain
 from rotorwatch.control import allocation, box
 from rotorwatch.control.allocation import Allocator, Belief, believed

@@ -22,7 +22,7 @@ B_OF = {frame: airframes.named(f"ardupilot-{frame}").effectiveness() for frame i
 
 @pytest.fixture(scope="module", autouse=True)
 def float64():
-    from rotorwatch.backend import jax
+    from rotorwatch.base.backend import jax
 
     jax()
 

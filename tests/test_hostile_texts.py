@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from rotorwatch import cli, logs
-from rotorwatch.files import printable
+from rotorwatch.base.files import printable
 from rotorwatch.flight import Flight, Message
 from rotorwatch.simulation.write_dataflash import write_dataflash
 

@@ -17,7 +17,8 @@ from pathlib import Path
 
 import pytest
 
-from rotorwatch import cli, incoming
+from rotorwatch import cli
+from rotorwatch.base import incoming
 from rotorwatch.errors import LogError
 from rotorwatch.logs import container
 from rotorwatch.many import gathering

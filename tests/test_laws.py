@@ -13,8 +13,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rotorwatch import airframes, discovery
-from rotorwatch.backend import jax as load_jax
+from rotorwatch import airframes
+from rotorwatch.base import discovery
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.core import Estimate
 from rotorwatch.default.plant import WrenchBalance
 from rotorwatch.estimators.ekf import EKF

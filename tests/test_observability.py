@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError, VehicleError
 from rotorwatch.motion.allocation import ambiguous_sets
 from rotorwatch.published import observability as module

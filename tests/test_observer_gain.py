@@ -5,7 +5,7 @@ import pytest
 from scipy.linalg import solve_discrete_are
 
 from rotorwatch import airframes
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
 from rotorwatch.maths import observer_gain
 from rotorwatch.maths.observer_gain import Lipschitz

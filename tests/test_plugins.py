@@ -4,7 +4,8 @@ import warnings
 
 import pytest
 
-from rotorwatch import airframes, campaign, detectors, discovery, logs
+from rotorwatch import airframes, campaign, detectors, logs
+from rotorwatch.base import discovery
 from rotorwatch.errors import ConfigError, LogError, PluginWarning
 
 GOOD = """

@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from rotorwatch import discovery
+from rotorwatch.base import discovery
 
 PLANT = """
 import sys
@@ -78,7 +78,8 @@ def test_whatever_is_made_makes_jax_compute_in_float64(room):
     }
     code = f"""
 import jax
-from rotorwatch import airframes, backend, discovery, systems
+from rotorwatch import airframes, systems
+from rotorwatch.base import backend, discovery
 from rotorwatch.errors import ConfigError
 wide = []
 for make in {made[room]}:

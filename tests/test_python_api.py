@@ -8,7 +8,7 @@ import pytest
 
 import rotorwatch as rw
 from conftest import hexa_diagnosis
-from rotorwatch import discovery
+from rotorwatch.base import discovery
 from rotorwatch.estimators.rls import RLS
 from rotorwatch.flight import Flight, Message, Signal
 

@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from rotorwatch import cli
-from rotorwatch.optional import tomllib
+from rotorwatch.base.optional import tomllib
 
 ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]

@@ -9,7 +9,7 @@ from click.testing import CliRunner
 
 import rotorwatch
 from rotorwatch import airframes, cli
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError, LogError
 from rotorwatch.logs import memory
 from rotorwatch.published import helicopter_log

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 import rotorwatch as rw
 from rotorwatch import airframes
-from rotorwatch.backend import jax
+from rotorwatch.base.backend import jax
 from rotorwatch.cli import cli
 from rotorwatch.errors import ConfigError
 from rotorwatch.simulation import helicopter, scenario, simulate

@@ -8,7 +8,7 @@ from scipy.optimize import linprog
 
 import rotorwatch as rw
 from rotorwatch import airframes
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import VehicleError
 from rotorwatch.flight import vehicle_file
 from rotorwatch.simulation import dynamics, prepare, rotation, scenario

@@ -5,8 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rotorwatch import airframes, discovery
-from rotorwatch.backend import jax as load_jax
+from rotorwatch import airframes
+from rotorwatch.base import discovery
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
 from rotorwatch.healthy import tune
 from rotorwatch.published import published

@@ -59,6 +59,8 @@ _HOMES = {
     "RotorwatchError": "errors",
     "VehicleError": "errors",
 }
+# Modules that users know by a shorter name than that of their room.
+_SHORT = {"checks": "base.checks"}
 
 __all__ = ["__version__", "read", *_VERBS, *(n for n in _HOMES if n != "read")]
 
@@ -135,6 +137,8 @@ def __getattr__(name: str) -> Any:
     if name in _VERBS:
         setattr(sys.modules[__name__], name, import_module(f"{__name__}.{_VERBS[name]}"))
         return sys.modules[__name__].__dict__[name]
+    if name in _SHORT:
+        return import_module(f"{__name__}.{_SHORT[name]}")
     if not name.startswith("_") and find_spec(f"{__name__}.{name}") is not None:
         return import_module(f"{__name__}.{name}")
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

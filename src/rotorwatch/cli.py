@@ -19,7 +19,8 @@ from typing import Any
 
 import click
 
-from rotorwatch import __version__, optional
+from rotorwatch import __version__
+from rotorwatch.base import optional
 from rotorwatch.commands import (
     ask,
     benchmark,
@@ -193,7 +194,7 @@ def diagnose(context, **given) -> None:
 
     Exit code: 0 healthy, 1 fault found, 3 inconclusive or ambiguous only, 2 error; of several logs the worst.
     """
-    from rotorwatch import files
+    from rotorwatch.base import files
     from rotorwatch.many import gathering
 
     request = several.Request(**given)
@@ -248,7 +249,7 @@ def _diagnose(request: several.Request) -> int:
 
 def report_paths(logs: Sequence[Any], out: Path | None, option: str = "--report", ending: str = ".html") -> list[Path]:
     """Where each log's page goes: OUT, OUT/NAME.html in a folder, or OUT with {name} filled in; never one twice."""
-    from rotorwatch import files
+    from rotorwatch.base import files
 
     if out is None:
         return []
@@ -280,7 +281,7 @@ def calibrate(logs, out, quiet) -> None:
 
     Give the file to `rotorwatch diagnose --vehicle` later.
     """
-    from rotorwatch import files
+    from rotorwatch.base import files
     from rotorwatch.flight.vehicle_file import write
     from rotorwatch.healthy.calibrate import calibrate as run
 

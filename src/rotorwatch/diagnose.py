@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import detectors, discovery
+from rotorwatch import detectors
 from rotorwatch.aerobatic import desync
 from rotorwatch.aerobatic import judge as aerobatic
 from rotorwatch.answer import common_mode, conclusion, health, picture, places, traces, unseen
+from rotorwatch.base import discovery
 from rotorwatch.default import asked, events, hindsight, hypotheses, leftover
 from rotorwatch.default.announcement import threshold
 from rotorwatch.default.program import estimate

@@ -14,7 +14,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rotorwatch import airframes, checks
+from rotorwatch import airframes
+from rotorwatch.base import checks
 from rotorwatch.compiling.c99.project import Field, Program, make
 from rotorwatch.compiling.translate import Translation
 from rotorwatch.core import Array

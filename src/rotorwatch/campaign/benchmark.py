@@ -18,8 +18,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rotorwatch import __version__, airframes, detectors, discovery, files
-from rotorwatch.backend import jax as load_jax
+from rotorwatch import __version__, airframes, detectors
+from rotorwatch.base import discovery, files
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.campaign import batch, public_data, results_file, summary, work
 from rotorwatch.campaign.benchmark_plan import Benchmark, digest, read, shipped
 from rotorwatch.campaign.plan import Plan

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import files
+from rotorwatch.base import files
 from rotorwatch.campaign.plan import Plan
 from rotorwatch.default import events
 from rotorwatch.default.announcement import TICKS

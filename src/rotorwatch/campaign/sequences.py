@@ -21,7 +21,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from rotorwatch import files
+from rotorwatch.base import files
 from rotorwatch.campaign import batch
 from rotorwatch.campaign.plan import Cell, drawn
 from rotorwatch.default import events

@@ -29,7 +29,7 @@ def export_c(
 ) -> None:
     """Write an estimator, the control allocation (docs/control.md), or the whole diagnosis, as C99 that needs nothing but libm
     (docs/export.md)."""
-    from rotorwatch import files
+    from rotorwatch.base import files
     from rotorwatch.export_c import FRAME, export_allocator
     from rotorwatch.export_c import export_c as run
     from rotorwatch.flight import vehicle_file

@@ -12,7 +12,7 @@ import importlib
 import pkgutil
 from typing import Any
 
-from rotorwatch import discovery
+from rotorwatch.base import discovery
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
 

@@ -15,8 +15,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rotorwatch import airframes, discovery
-from rotorwatch.backend import jax as load_jax
+from rotorwatch import airframes
+from rotorwatch.base import discovery
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.compiling.run import run
 from rotorwatch.errors import ConfigError, LogError
 from rotorwatch.flight import Flight

@@ -18,8 +18,9 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import airframes, checks, files, optional
-from rotorwatch.backend import jax as load_jax
+from rotorwatch import airframes
+from rotorwatch.base import checks, files, optional
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.default.plant import usual_gains
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight.vehicle import Vehicle

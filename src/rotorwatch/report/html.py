@@ -9,7 +9,8 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from rotorwatch import __version__, files, optional, report
+from rotorwatch import __version__, report
+from rotorwatch.base import files, optional
 from rotorwatch.diagnosis import Diagnosis, RotorState
 from rotorwatch.errors import ConfigError
 from rotorwatch.report import colours, drawing, figures, upset, words

@@ -26,7 +26,8 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import __version__, files, optional, report
+from rotorwatch import __version__, report
+from rotorwatch.base import files, optional
 from rotorwatch.diagnosis import Diagnosis, Trace
 
 AXES, BAND = ("roll", "pitch", "yaw", "thrust"), ("loss", "lower", "upper")

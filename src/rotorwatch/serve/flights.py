@@ -14,7 +14,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from rotorwatch import files
+from rotorwatch.base import files
 from rotorwatch.diagnosis import Diagnosis
 from rotorwatch.errors import RotorwatchError, StoreError, StoreFull, WorkerError
 from rotorwatch.fleet.address import default_url

@@ -15,7 +15,7 @@ import numpy as np
 
 import rotorwatch.healthy.tune as tune
 from rotorwatch import airframes
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.compiling.run import run
 from rotorwatch.errors import ConfigError
 from rotorwatch.experiments import tools

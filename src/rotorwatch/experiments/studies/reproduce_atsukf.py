@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from rotorwatch import airframes
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.compiling.run import run
 from rotorwatch.estimators.atsukf import ATSUKF
 from rotorwatch.estimators.tsukf import TSUKF

@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import airframes, optional
-from rotorwatch.backend import jax as load_jax
+from rotorwatch import airframes
+from rotorwatch.base import optional
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.estimators.adaptive_ekf import AdaptiveEKF
 from rotorwatch.estimators.axkf import AXKF, Carry
 from rotorwatch.estimators.ekf import EKF

@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from rotorwatch import airframes
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
 from rotorwatch.estimators.intermediate import Intermediate
 from rotorwatch.experiments.studies import error_bound, hover_flights, reproduction

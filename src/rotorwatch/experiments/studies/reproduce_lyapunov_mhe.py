@@ -10,7 +10,7 @@ import numpy as np
 
 import rotorwatch.published.observability as observability
 from rotorwatch import airframes
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.estimators.lyapunov import Lyapunov
 from rotorwatch.estimators.mh_lyapunov import MHLyapunov
 from rotorwatch.estimators.mhe import MHE

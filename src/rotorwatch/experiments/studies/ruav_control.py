@@ -23,7 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
 from rotorwatch.experiments.studies.ruav_flight import ATTITUDE, DT
 from rotorwatch.maths import h_infinity

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rotorwatch import airframes
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.systems.helicopter import Helicopter
 
 DT, SECONDS, FAULT_S = 0.02, 20.0, 8.0

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
 from rotorwatch.simulation import rotation
 from rotorwatch.simulation.rigid import G0, Air, Body, runge_kutta
