@@ -167,7 +167,7 @@ def test_without_an_excitation_nothing_changes(flown):
 
 
 def test_a_log_says_what_to_ask(flown):
-    from rotorwatch.ask import ask
+    from rotorwatch.planning.ask import ask
 
     found = ask(flown[0][1])
     assert set(found.candidates) == {(1, 2), (3, 4), (5, 6), ()}

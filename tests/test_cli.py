@@ -17,7 +17,7 @@ from conftest import hexa_diagnosis
 from rotorwatch import cli
 from rotorwatch.errors import LogError
 from rotorwatch.flight import Flight, Message, Signal
-from rotorwatch.info import info
+from rotorwatch.report.info import info
 
 ROOT = Path(__file__).parents[1]
 VERDICTS = {"healthy": 0, "fault": 1, "ambiguous": 3, "inconclusive": 3}
@@ -351,7 +351,7 @@ def test_importing_the_package_loads_nothing_heavy():
 def test_verbs_are_functions_and_modules_at_once():
     """However the submodule came to be imported: `rotorwatch.info` can be called and holds its other names."""
     code = (
-        "import inspect, rotorwatch.info, rotorwatch as rw; from rotorwatch.flight import Flight; "
+        "import inspect, rotorwatch.report.info, rotorwatch as rw; from rotorwatch.flight import Flight; "
         "assert rw.info(Flight('csv', '', {}, 0.0)) == rw.info.info(Flight('csv', '', {}, 0.0)); "
         "assert list(inspect.signature(rw.info).parameters) == ['flight']; "
         "assert rw.fuzz.OUTCOMES and callable(rw.fuzz) and rw.Flight is Flight; print('ok')"

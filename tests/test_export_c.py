@@ -22,7 +22,7 @@ from rotorwatch.compiling.c99.project import Field, make
 from rotorwatch.compiling.run import run
 from rotorwatch.errors import ConfigError
 from rotorwatch.estimators.ekf import EKF
-from rotorwatch.export_c import export_c, prepare
+from rotorwatch.export.export_c import export_c, prepare
 from rotorwatch.systems.rate_dynamics import RateDynamics
 
 jnp, lax = jax.numpy, jax.lax

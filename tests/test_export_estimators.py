@@ -12,7 +12,7 @@ from exporting import STRICT, address, difference, estimator, exported, library,
 from rotorwatch.base import discovery
 from rotorwatch.compiling.c99 import operations
 from rotorwatch.compiling.c99.plan import Plan
-from rotorwatch.export_c import SINGLE, export_c, program_of
+from rotorwatch.export.export_c import SINGLE, export_c, program_of
 
 EQUAL = 1e-12
 NAMES = [*discovery.estimators(), SINGLE]

@@ -8,7 +8,7 @@ import pytest
 
 from conftest import hexa_diagnosis
 from rotorwatch.flight import Message
-from rotorwatch.info import info
+from rotorwatch.report.info import info
 from test_cli import a_flight
 
 ROOT = Path(__file__).parents[1]

@@ -22,18 +22,18 @@ __version__ = "0.1.0"
 # Verbs: functions that live in a module of the same name (rotorwatch/diagnose.py holds diagnose), each in its room.
 _VERBS = {
     "airborne": "motion.airborne",
-    "ask": "ask",
+    "ask": "planning.ask",
     "calibrate": "healthy.calibrate",
     "diagnose": "diagnose",
     "diagnose_many": "many.diagnose_many",
-    "export_c": "export_c",
+    "export_c": "export.export_c",
     "fuzz": "experiments.fuzz",
     "fuzz_framed": "experiments.fuzz_framed",
-    "info": "info",
+    "info": "report.info",
     "inject": "experiments.inject",
     "observability": "published.observability",
     "run": "compiling.run",
-    "survive": "survive",
+    "survive": "planning.survive",
     "tune": "healthy.tune",
 }
 # Other names: where each one lives.
@@ -65,7 +65,6 @@ _SHORT = {"checks": "base.checks"}
 __all__ = ["__version__", "read", *_VERBS, *(n for n in _HOMES if n != "read")]
 
 if TYPE_CHECKING:
-    from rotorwatch.ask import ask as ask
     from rotorwatch.compiling.run import run as run
     from rotorwatch.diagnose import diagnose as diagnose
     from rotorwatch.diagnosis import Diagnosis as Diagnosis
@@ -81,7 +80,7 @@ if TYPE_CHECKING:
     from rotorwatch.experiments.inject import inject as inject
     from rotorwatch.experiments.studies.compare import compare as compare
     from rotorwatch.experiments.studies.reproduction import reproduce as reproduce
-    from rotorwatch.export_c import export_c as export_c
+    from rotorwatch.export.export_c import export_c as export_c
     from rotorwatch.flight import Flight as Flight
     from rotorwatch.flight import Message as Message
     from rotorwatch.flight import Signal as Signal
@@ -90,15 +89,16 @@ if TYPE_CHECKING:
     from rotorwatch.flight.vehicle import Vehicle as Vehicle
     from rotorwatch.healthy.calibrate import calibrate as calibrate
     from rotorwatch.healthy.tune import tune as tune
-    from rotorwatch.info import info as info
     from rotorwatch.logs import read as read
     from rotorwatch.many.diagnose_many import diagnose_many as diagnose_many
     from rotorwatch.motion.airborne import airborne as airborne
+    from rotorwatch.planning.ask import ask as ask
+    from rotorwatch.planning.survive import survive as survive
     from rotorwatch.published.observability import observability as observability
+    from rotorwatch.report.info import info as info
     from rotorwatch.serve.server import serve as serve
     from rotorwatch.simulation import simulate as simulate
     from rotorwatch.simulation.any_system import simulate_system as simulate_system
-    from rotorwatch.survive import survive as survive
 
 
 class _Verb(ModuleType):

@@ -302,7 +302,7 @@ def calibrate(logs, out, quiet) -> None:
 @common
 def info(log, as_json, quiet) -> None:
     """Show what LOG holds, what is missing for a diagnosis, and which logging setting would give it."""
-    from rotorwatch.info import info as run
+    from rotorwatch.report.info import info as run
 
     with progress(quiet) as tell:
         facts = run(_read(log, tell))

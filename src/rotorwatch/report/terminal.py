@@ -271,7 +271,7 @@ class Notes:
 
 
 def info(facts: Mapping[str, Any]) -> RenderableType:
-    """What `rotorwatch info` prints; facts as from `rotorwatch.info.info`."""
+    """What `rotorwatch info` prints; facts as from `rotorwatch.info`."""
     autopilot = "" if facts["autopilot"] in facts["firmware"] else f"{facts['autopilot']} "
     entries = {
         "log": facts["name"],

@@ -1,6 +1,6 @@
 """The whole default diagnoser as a C99 library for a flight controller: gate, ticks, estimator, decisions, events.
 
-    rw.export_c.export_diagnoser("out", vehicle="mine.toml", prefix="rotor")
+    export_diagnoser("out", vehicle="mine.toml", prefix="rotor")
 
 All of it but the estimator is made of its definition (front/), the estimator of its traced step, for this vehicle; rw_diagnoser.{h,c}
 (embedded_c) joins the two. rw_config.h and rw_config.c hold the vehicle and the rates.
