@@ -18,7 +18,7 @@ from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.compiling import native
 from rotorwatch.compiling.run import run
 from rotorwatch.estimators import mhe
-from rotorwatch.systems.rigid_body import RigidBody
+from rotorwatch.maths.systems.rigid_body import RigidBody
 
 DT = 0.01
 METHODS = ("ukf", "ekf", "tsukf", "mhe")

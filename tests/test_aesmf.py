@@ -16,7 +16,7 @@ from rotorwatch.estimators.esmf import ESMF
 from rotorwatch.experiments.studies import ruav_flight, small_systems
 from rotorwatch.maths import ellipsoid, interval, mit_rule, small, taylor
 from rotorwatch.maths.set_membership import Cutting
-from rotorwatch.systems.helicopter import Helicopter
+from rotorwatch.maths.systems.helicopter import Helicopter
 
 jax = load_jax()
 jnp = jax.numpy

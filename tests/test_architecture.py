@@ -22,7 +22,7 @@ MOST_LINES = 600
 FORBIDDEN = (
     ("flight/flight.py", "rotorwatch.logs", "Layers"),
     ("logs/series.py", "rotorwatch.motion.ticks", "Layers"),
-    ("detectors/esc_current.py", "rotorwatch.default.estimator", "Layers"),
+    ("published/detectors/esc_current.py", "rotorwatch.default.estimator", "Detectors know"),
     ("airframes/px4.py", "rotorwatch.cli", "Layers"),
     ("experiments/damage.py", "rotorwatch.experiments.fuzz", "Inside the experiments"),
     ("diagnose.py", "rotorwatch.healthy.tune", "Inside the healthy"),
@@ -32,8 +32,8 @@ FORBIDDEN = (
     ("motion/airborne.py", "rotorwatch.motion.ticks", "Inside motion"),
     ("flight/flight.py", "rotorwatch.flight.vehicle_file", "Inside the flight"),
     ("estimators/planted.py", "rotorwatch.estimators.ekf", "Estimators do not"),
-    ("systems/planted.py", "rotorwatch.systems.rate_dynamics", "Plants do not"),
-    ("detectors/thrust_loss.py", "rotorwatch.detectors.esc_current", "Detectors do not"),
+    ("maths/systems/planted.py", "rotorwatch.maths.systems.rate_dynamics", "Plants do not"),
+    ("published/detectors/thrust_loss.py", "rotorwatch.published.detectors.esc_current", "Detectors do not"),
     ("airframes/crazyflie.py", "rotorwatch.airframes.ardupilot", "Airframes do not"),
     ("logs/ulog.py", "rotorwatch.logs.tlog", "Log formats do not"),
     ("serve/hub.py", "rotorwatch.serve.live", "Inside the served"),
@@ -98,10 +98,10 @@ def test_a_plug_in_is_one_file(copy):
     (folder / "estimators" / "planted.py").write_text(
         "class Planted:\n    name = 'planted'\n    def init(self): ...\n    def step(self, carry, u, y, valid): ...\n"
     )
-    (folder / "systems" / "planted.py").write_text(
+    (folder / "maths" / "systems" / "planted.py").write_text(
         "class Planted:\n    name = 'planted'\n    def f(self): ...\n    def h(self): ...\n"
     )
-    (folder / "detectors" / "planted.py").write_text(
+    (folder / "published" / "detectors" / "planted.py").write_text(
         "name = 'planted'\nautopilot = 'PX4'\ndef detect(flight, vehicle, airborne): ...\n"
     )
     (folder / "logs" / "planted.py").write_text("FORMAT = 'planted'\ndef sniff(head, name): ...\n")

@@ -10,7 +10,7 @@ from rotorwatch.campaign import excitation_flights
 from rotorwatch.control import excitation
 from rotorwatch.default import asked
 from rotorwatch.default.plant import TAU
-from rotorwatch.diagnosis import Event
+from rotorwatch.flight.diagnosis import Event
 
 B = airframes.named("px4-hexa-x").effectiveness()
 N = excitation.null_space(B)

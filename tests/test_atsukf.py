@@ -15,7 +15,7 @@ from rotorwatch.estimators.tsukf import TSUKF
 from rotorwatch.estimators.ukf import UKF
 from rotorwatch.experiments.studies import reproduce_atsukf as study
 from rotorwatch.maths import two_stage, unscented
-from rotorwatch.systems.rate_dynamics import RateDynamics
+from rotorwatch.maths.systems.rate_dynamics import RateDynamics
 
 jnp = load_jax().numpy
 EXACT = 1e-9

@@ -18,8 +18,8 @@ from rotorwatch.compiling.run import run, run_built
 from rotorwatch.errors import BackendWarning
 from rotorwatch.estimators.ekf import EKF
 from rotorwatch.experiments.studies.compare_flights import _scene, simulate
+from rotorwatch.maths.systems.rate_dynamics import RateDynamics
 from rotorwatch.published import published
-from rotorwatch.systems.rate_dynamics import RateDynamics
 
 SAMPLE = SAMPLES / "hexax_m3_mul0.80_square_wind.bin.xz"
 COMMAND = [sys.executable, "-m", "rotorwatch.cli", "diagnose", str(SAMPLE), "--json"]

@@ -23,7 +23,7 @@ from rotorwatch.compiling.run import run
 from rotorwatch.errors import ConfigError
 from rotorwatch.estimators.ekf import EKF
 from rotorwatch.export.export_c import export_c, prepare
-from rotorwatch.systems.rate_dynamics import RateDynamics
+from rotorwatch.maths.systems.rate_dynamics import RateDynamics
 
 jnp, lax = jax.numpy, jax.lax
 pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes, cli, diagnose, logs
-from rotorwatch.diagnosis import Event
 from rotorwatch.errors import ConfigError
 from rotorwatch.experiments.studies import false_alarms as study
+from rotorwatch.flight.diagnosis import Event
 from rotorwatch.motion.ticks import JUDGE, LEARN
 
 

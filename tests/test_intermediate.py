@@ -14,9 +14,9 @@ from rotorwatch.errors import ConfigError
 from rotorwatch.estimators import intermediate
 from rotorwatch.estimators.intermediate import Intermediate
 from rotorwatch.maths import intermediate_design as design
-from rotorwatch.systems.linear_hover import LinearHover
-from rotorwatch.systems.rate_dynamics import RateDynamics
-from rotorwatch.systems.rigid_body import RigidBody
+from rotorwatch.maths.systems.linear_hover import LinearHover
+from rotorwatch.maths.systems.rate_dynamics import RateDynamics
+from rotorwatch.maths.systems.rigid_body import RigidBody
 
 jax = load_jax()
 DT = 0.01

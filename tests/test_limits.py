@@ -9,7 +9,7 @@ from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
 from rotorwatch.experiments import limits
 from rotorwatch.experiments.limits import Rows
-from rotorwatch.systems import RateDynamics
+from rotorwatch.maths.systems import RateDynamics
 
 
 def information(rows, P0, valid, onset):

@@ -16,7 +16,7 @@ from rotorwatch.estimators.lyapunov import Lyapunov
 from rotorwatch.estimators.mh_lyapunov import MHLyapunov
 from rotorwatch.estimators.mhe import MHE, banded, tridiagonal
 from rotorwatch.maths import bounded
-from rotorwatch.systems.rate_dynamics import RateDynamics
+from rotorwatch.maths.systems.rate_dynamics import RateDynamics
 
 DT = 0.005
 KINDS = {"lyapunov": Lyapunov, "mh_lyapunov": MHLyapunov, "mhe": MHE}

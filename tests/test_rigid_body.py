@@ -10,7 +10,7 @@ from rotorwatch import airframes
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
 from rotorwatch.experiments.studies.uaf_flight import DT, fly
-from rotorwatch.systems.rigid_body import RigidBody
+from rotorwatch.maths.systems.rigid_body import RigidBody
 
 jax = load_jax()
 AIRFRAME = airframes.paper("uaf-02e")

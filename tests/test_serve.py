@@ -18,9 +18,9 @@ from tests import misbehaving
 from tests.conftest import hexa_diagnosis
 
 from rotorwatch import cli
-from rotorwatch.diagnosis import Diagnosis
 from rotorwatch.errors import ConfigError, LinkError, StoreError, StoreFull
 from rotorwatch.fleet.store import Entry
+from rotorwatch.flight.diagnosis import Diagnosis
 from rotorwatch.live import metrics
 from rotorwatch.live.watched import Watched
 from rotorwatch.report.html import page

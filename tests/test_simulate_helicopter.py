@@ -65,7 +65,7 @@ def flown(system, body, command, steps=400, dt=1 / 400, air=STILL, at=None):
 
 @pytest.mark.parametrize("seed", range(5))
 def test_still_air_is_the_published_plant(seed):
-    """Body accelerations at any attitude are those of systems/helicopter.py, whose roll and pitch are Euler angles."""
+    """Body accelerations at any attitude are those of maths/systems/helicopter.py, whose roll and pitch are Euler angles."""
     rng = np.random.default_rng(seed)
     system = dynamics.plant(DATA)
     roll, pitch, yaw = rng.uniform(-1.2, 1.2, 3)

@@ -50,27 +50,23 @@ _HOMES = {
     "Rotor": "flight.vehicle",
     "ThrustCurve": "flight.vehicle",
     "Vehicle": "flight.vehicle",
-    "Diagnosis": "diagnosis",
-    "Event": "diagnosis",
-    "RotorState": "diagnosis",
-    "Trace": "diagnosis",
+    "Diagnosis": "flight.diagnosis",
+    "Event": "flight.diagnosis",
+    "RotorState": "flight.diagnosis",
+    "Trace": "flight.diagnosis",
     "ConfigError": "errors",
     "LogError": "errors",
     "RotorwatchError": "errors",
     "VehicleError": "errors",
 }
 # Modules that users know by a shorter name than that of their room.
-_SHORT = {"checks": "base.checks"}
+_SHORT = {"checks": "base.checks", "detectors": "published.detectors", "systems": "maths.systems"}
 
 __all__ = ["__version__", "read", *_VERBS, *(n for n in _HOMES if n != "read")]
 
 if TYPE_CHECKING:
     from rotorwatch.compiling.run import run as run
     from rotorwatch.diagnose import diagnose as diagnose
-    from rotorwatch.diagnosis import Diagnosis as Diagnosis
-    from rotorwatch.diagnosis import Event as Event
-    from rotorwatch.diagnosis import RotorState as RotorState
-    from rotorwatch.diagnosis import Trace as Trace
     from rotorwatch.errors import ConfigError as ConfigError
     from rotorwatch.errors import LogError as LogError
     from rotorwatch.errors import RotorwatchError as RotorwatchError
@@ -84,6 +80,10 @@ if TYPE_CHECKING:
     from rotorwatch.flight import Flight as Flight
     from rotorwatch.flight import Message as Message
     from rotorwatch.flight import Signal as Signal
+    from rotorwatch.flight.diagnosis import Diagnosis as Diagnosis
+    from rotorwatch.flight.diagnosis import Event as Event
+    from rotorwatch.flight.diagnosis import RotorState as RotorState
+    from rotorwatch.flight.diagnosis import Trace as Trace
     from rotorwatch.flight.vehicle import Rotor as Rotor
     from rotorwatch.flight.vehicle import ThrustCurve as ThrustCurve
     from rotorwatch.flight.vehicle import Vehicle as Vehicle

@@ -22,7 +22,7 @@ from rotorwatch.compiling.run import run
 from rotorwatch.errors import ConfigError, LogError
 from rotorwatch.flight import Flight
 from rotorwatch.maths.set_membership import SetMembership
-from rotorwatch.systems.helicopter import Helicopter
+from rotorwatch.maths.systems.helicopter import Helicopter
 
 ACTUATORS = 4
 LAG_S = 0.03  # of the actuators, when nothing else is known

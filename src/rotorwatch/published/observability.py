@@ -26,8 +26,8 @@ from rotorwatch.errors import ConfigError
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.maths import bounded
 from rotorwatch.maths import plant as plants
+from rotorwatch.maths.systems.rate_dynamics import G, RateDynamics
 from rotorwatch.motion.allocation import ambiguous_sets
-from rotorwatch.systems.rate_dynamics import G, RateDynamics
 
 T0 = 0.05  # s
 HIGHEST = 4  # order of derivatives: scaled like this, those above do next to nothing

@@ -11,8 +11,8 @@ from typing import Any
 
 from rotorwatch import __version__, report
 from rotorwatch.base import files, optional
-from rotorwatch.diagnosis import Diagnosis, RotorState
 from rotorwatch.errors import ConfigError
+from rotorwatch.flight.diagnosis import Diagnosis, RotorState
 from rotorwatch.report import colours, drawing, figures, upset, words
 
 UNIT = re.compile(r"(\d) (%|s|Hz|ms|V|g)(?![\w])")

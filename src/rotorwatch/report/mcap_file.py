@@ -28,7 +28,7 @@ import numpy as np
 
 from rotorwatch import __version__, report
 from rotorwatch.base import files, optional
-from rotorwatch.diagnosis import Diagnosis, Trace
+from rotorwatch.flight.diagnosis import Diagnosis, Trace
 
 AXES, BAND = ("roll", "pitch", "yaw", "thrust"), ("loss", "lower", "upper")
 ANGLES = AXES[:3]

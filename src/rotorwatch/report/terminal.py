@@ -15,7 +15,7 @@ from rich.table import Table
 from rich.text import Text
 
 from rotorwatch import report
-from rotorwatch.diagnosis import Diagnosis
+from rotorwatch.flight.diagnosis import Diagnosis
 from rotorwatch.report import plain, words
 from rotorwatch.report.overview import Row
 

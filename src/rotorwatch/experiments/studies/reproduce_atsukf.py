@@ -21,7 +21,7 @@ from rotorwatch.experiments.studies import reproduction
 from rotorwatch.experiments.studies import two_stage_as_printed as printed
 from rotorwatch.experiments.studies.reproduction import Claim, Reproduction, check_literal, graded, panels
 from rotorwatch.experiments.studies.uaf_flight import DT, ONSET, STEP, fly, losses
-from rotorwatch.systems.rigid_body import RigidBody
+from rotorwatch.maths.systems.rigid_body import RigidBody
 
 PAPER = "atsukf"
 TITLE, LITERAL = reproduction.about(PAPER)

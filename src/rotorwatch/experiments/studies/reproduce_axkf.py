@@ -22,7 +22,7 @@ from rotorwatch.experiments.studies import rot_flights as flights
 from rotorwatch.experiments.studies.reproduction import Claim, Reproduction, check_literal, graded, panels
 from rotorwatch.experiments.studies.rot_flights import DT, LOSSES, MOTORS, ONSETS
 from rotorwatch.maths import adaptive_kalman, linearise, observer_gain
-from rotorwatch.systems.port_hamiltonian_attitude import PortHamiltonianAttitude
+from rotorwatch.maths.systems.port_hamiltonian_attitude import PortHamiltonianAttitude
 
 PAPER = "axkf"
 NEEDS = ("cvxpy",)

@@ -17,7 +17,7 @@ from rotorwatch.estimators.mhe import MHE
 from rotorwatch.experiments.studies import niermeyer_flights as flights
 from rotorwatch.experiments.studies import reproduction
 from rotorwatch.experiments.studies.reproduction import Claim, Reproduction, check_literal, graded, panels
-from rotorwatch.systems.rate_dynamics import RateDynamics
+from rotorwatch.maths.systems.rate_dynamics import RateDynamics
 
 PAPER = "lyapunov-mhe"
 TITLE, LITERAL = reproduction.about(PAPER)
