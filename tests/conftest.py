@@ -196,7 +196,7 @@ def healthy():
 @pytest.fixture
 def run(capsys):
     """run(*arguments) of the real command line: (exit code, output, errors)."""
-    from rotorwatch import cli
+    from rotorwatch.commands import cli
 
     def call(*argv):
         with pytest.raises(SystemExit) as leave:

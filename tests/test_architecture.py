@@ -23,7 +23,7 @@ FORBIDDEN = (
     ("flight/flight.py", "rotorwatch.logs", "Layers"),
     ("logs/series.py", "rotorwatch.motion.ticks", "Layers"),
     ("published/detectors/esc_current.py", "rotorwatch.default.estimator", "Detectors know"),
-    ("airframes/px4.py", "rotorwatch.cli", "Layers"),
+    ("airframes/px4.py", "rotorwatch.commands.cli", "Layers"),
     ("experiments/damage.py", "rotorwatch.experiments.fuzz", "Inside the experiments"),
     ("diagnose.py", "rotorwatch.healthy.tune", "Inside the healthy"),
     ("answer/advice.py", "rotorwatch.answer.conclusion", "Inside the answer"),
@@ -126,7 +126,7 @@ def test_two_plug_ins_of_one_name_are_refused(copy):
 def test_importing_loads_nothing_heavy():
     """`import rotorwatch` and `rotorwatch --help` do not wait for numerics, plots or parsers."""
     heavy = {"numpy", "jax", "scipy", "bokeh", "pymavlink", "pyulog", "pandas", "pyarrow", "rich"}
-    code = f"import sys, rotorwatch, rotorwatch.cli; print(*sorted({heavy!r} & set(sys.modules)))"
+    code = f"import sys, rotorwatch, rotorwatch.commands.cli; print(*sorted({heavy!r} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
     assert done.stdout.split() == []
 

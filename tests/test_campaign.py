@@ -15,9 +15,10 @@ from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rotorwatch import campaign, cli
+from rotorwatch import campaign
 from rotorwatch.campaign import batch, page, score, store, summary, work
 from rotorwatch.campaign import plan as plans
+from rotorwatch.commands import cli
 from rotorwatch.errors import ConfigError
 from rotorwatch.simulation import scenario
 

@@ -14,7 +14,7 @@ import pytest
 
 import rotorwatch
 from conftest import hexa_diagnosis
-from rotorwatch import cli
+from rotorwatch.commands import cli
 from rotorwatch.errors import LogError
 from rotorwatch.flight import Flight, Message, Signal
 from rotorwatch.report.info import info
@@ -264,7 +264,7 @@ def test_fast_start():
     """Nothing heavy is loaded before it is needed. (How long it takes is a benchmark: docs/speed.md.)"""
     heavy = "jax scipy numpy bokeh rich pymavlink pyulog pandas pyarrow matplotlib cvxpy"
     code = (
-        "import sys, rotorwatch.cli as c\n"
+        "import sys, rotorwatch.commands.cli as c\n"
         "try: c.main(['--version'])\nexcept SystemExit: pass\n"
         f"print([m for m in {heavy.split()!r} if m in sys.modules])"
     )
@@ -284,7 +284,9 @@ def test_broken_pipe_is_quiet_and_no_verdict():
     """As in `rotorwatch ... | head`: 1 would say that a fault was found."""
     read_end, write_end = os.pipe()
     os.close(read_end)
-    done = subprocess.run([sys.executable, "-m", "rotorwatch.cli", "--help"], stdout=write_end, stderr=subprocess.PIPE)
+    done = subprocess.run(
+        [sys.executable, "-m", "rotorwatch.commands.cli", "--help"], stdout=write_end, stderr=subprocess.PIPE
+    )
     os.close(write_end)
     assert (done.returncode, done.stderr) == (141, b"")
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from rotorwatch import airframes, cli, diagnose
+from rotorwatch import airframes, diagnose
+from rotorwatch.commands import cli
 from rotorwatch.default import program
 from rotorwatch.errors import ConfigError
 from rotorwatch.experiments.studies import compare as study

@@ -11,7 +11,7 @@ from rich.console import Console
 import agreement
 import blackbox_writer as writer
 from rotorwatch.aerobatic import desync, innovation
-from rotorwatch.cli import main
+from rotorwatch.commands.cli import main
 from rotorwatch.diagnose import diagnose
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.healthy import baselines

@@ -13,8 +13,9 @@ from pathlib import Path
 import pytest
 
 import rotorwatch as rw
-from rotorwatch import airframes, cli, logs
+from rotorwatch import airframes, logs
 from rotorwatch.base.optional import tomllib
+from rotorwatch.commands import cli
 from rotorwatch.flight import diagnosis
 from rotorwatch.motion.allocation import ambiguous_sets
 

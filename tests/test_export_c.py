@@ -15,7 +15,7 @@ from click.testing import CliRunner
 import rotorwatch as rw
 from exporting import STRICT, address, jax, library, room, struct
 from rotorwatch import airframes
-from rotorwatch.cli import cli
+from rotorwatch.commands.cli import cli
 from rotorwatch.compiling import native, toolchain
 from rotorwatch.compiling.c99.lower import Refused
 from rotorwatch.compiling.c99.project import Field, make

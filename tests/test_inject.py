@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rotorwatch import airframes, cli, logs
+from rotorwatch import airframes, logs
+from rotorwatch.commands import cli
 from rotorwatch.errors import ConfigError
 from rotorwatch.experiments import inject
 from rotorwatch.flight import Flight, Signal

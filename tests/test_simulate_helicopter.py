@@ -8,8 +8,9 @@ import pytest
 from click.testing import CliRunner
 
 import rotorwatch
-from rotorwatch import airframes, cli
+from rotorwatch import airframes
 from rotorwatch.base.backend import jax as load_jax
+from rotorwatch.commands import cli
 from rotorwatch.errors import ConfigError, LogError
 from rotorwatch.logs import memory
 from rotorwatch.published import helicopter_log

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 import rotorwatch as rw
 from rotorwatch import airframes
 from rotorwatch.base.backend import jax
-from rotorwatch.cli import cli
+from rotorwatch.commands.cli import cli
 from rotorwatch.errors import ConfigError
 from rotorwatch.simulation import helicopter, scenario, simulate
 from rotorwatch.simulation.prepare import frame_numbers, plan, vehicle

@@ -59,7 +59,7 @@ from rotorwatch.errors import BackendWarning, ConfigError, PluginWarning, Rotorw
 
 ERROR, STOPPED, BROKEN_PIPE = 2, 128, 141  # stopped: and the number of the signal
 ENDING = "SIGTERM", "SIGHUP"  # signals that end a command as Ctrl-C does: with what it began put away
-SAMPLES = Path(__file__).parent / "samples"
+SAMPLES = Path(__file__).parents[1] / "samples"
 
 
 def main(argv: list[str] | None = None) -> None:
