@@ -21,11 +21,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rotorwatch import airframes
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.compiling import native
 from rotorwatch.control import allocation
 from rotorwatch.control.allocation import DRIVEN_BY, Allocator, Belief
-from rotorwatch.export_c import allocator_program
+from rotorwatch.export.export_c import allocator_program
 
 FRAMES = ("ardupilot-quad-x", "ardupilot-hexa-x", "ardupilot-octa-x", "ardupilot-dodecahexa-x")
 WAYS = (*(("bounded", by) for by in DRIVEN_BY), ("pseudo-inverse", "estimate"))

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from rotorwatch import campaign
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.campaign import batch
 from rotorwatch.campaign.plan import Plan
 from rotorwatch.simulation import logbook, loop, prepare

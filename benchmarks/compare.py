@@ -12,7 +12,7 @@ import argparse
 import tempfile
 from pathlib import Path
 
-from rotorwatch import discovery
+from rotorwatch.base import discovery
 from rotorwatch.campaign import benchmark, closed_loop, ranking
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -12,12 +12,13 @@ from pathlib import Path
 
 import numpy as np
 
-from rotorwatch import airframes, discovery
-from rotorwatch.backend import jax as load_jax
+from rotorwatch import airframes
+from rotorwatch.base import discovery
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.compiling import native
 from rotorwatch.compiling.run import run
 from rotorwatch.estimators import mhe
-from rotorwatch.systems.rigid_body import RigidBody
+from rotorwatch.maths.systems.rigid_body import RigidBody
 
 DT = 0.01
 METHODS = ("ukf", "ekf", "tsukf", "mhe")

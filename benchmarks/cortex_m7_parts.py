@@ -15,13 +15,14 @@ import tempfile
 from pathlib import Path
 
 import rotorwatch
-from rotorwatch import airframes, export_diagnoser
+from rotorwatch import airframes
 from rotorwatch.compiling.translate import Translation
+from rotorwatch.export import export_diagnoser
 from rotorwatch.front import definition, sizes
 
 HERE = Path(__file__).resolve().parent
 CORE = HERE.parent / "embedded" / "cortex-m7"
-SOURCES = Path(rotorwatch.__file__).parent / "embedded_c"
+SOURCES = Path(rotorwatch.__file__).parent / "export" / "embedded_c"
 CHIP = ("-mcpu=cortex-m7", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv5-d16", "-std=c99", "-Os", "-fstack-usage")
 BOARD = ("qemu-system-arm", "-M", "mps2-an500", "-nographic", "-semihosting", "-icount", "shift=0", "-kernel")
 TICK = 40  # instructions a tick of its clock

@@ -59,7 +59,7 @@ def lengthened(data: bytes, seconds: float) -> bytes:
 
 def diagnose(path: Path) -> tuple[float, float, float, dict]:
     """(wall seconds, CPU seconds, peak resident megabytes, the answer) of one `rotorwatch diagnose --json`."""
-    command = [sys.executable, "-m", "rotorwatch.cli", "diagnose", str(path), "--json", "--quiet"]
+    command = [sys.executable, "-m", "rotorwatch.commands.cli", "diagnose", str(path), "--json", "--quiet"]
     peak, before, start = 0, _cpu_seconds(), time.perf_counter()
     with tempfile.TemporaryFile() as out:
         process = subprocess.Popen(command, stdout=out)
@@ -114,7 +114,11 @@ def main() -> None:
                 f"| {what} | {minutes:.1f} | {size:.1f} | {wall:.1f} | {cpu:.1f} | {estimating:.1f} | {peak:.0f} | {beyond} |",
                 flush=True,
             )
-    print("\nImports: " + ", ".join(f"{m} {import_seconds(m):.2f} s" for m in ("numpy", "rotorwatch.cli", "jax")) + ".")
+    print(
+        "\nImports: "
+        + ", ".join(f"{m} {import_seconds(m):.2f} s" for m in ("numpy", "rotorwatch.commands.cli", "jax"))
+        + "."
+    )
 
 
 def _cpu_seconds() -> float:

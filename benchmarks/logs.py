@@ -13,7 +13,7 @@ from pathlib import Path
 from read_dataflash import enlarged, time_pymavlink, time_rotorwatch
 
 from rotorwatch import logs
-from rotorwatch.cli import SAMPLES
+from rotorwatch.commands.cli import SAMPLES
 
 QUAD = "quadx_healthy_hover.bin.xz"
 SMALL, LARGE = 4_000_000, 60_000_000  # bytes: for pymavlink, and for us alone

@@ -31,10 +31,10 @@ from typing import Any
 import numpy as np
 
 from rotorwatch import diagnose_many, many
-from rotorwatch.cli import SAMPLES
+from rotorwatch.commands.cli import SAMPLES
 
 SAMPLE = SAMPLES / "quadx_healthy_hover.bin.xz"
-COMMAND = [sys.executable, "-m", "rotorwatch.cli", "diagnose"]
+COMMAND = [sys.executable, "-m", "rotorwatch.commands.cli", "diagnose"]
 
 
 def nothing(item: int) -> int:

@@ -37,7 +37,7 @@ from contenders import METHODS, Floor, NativeBatch, Rotorwatch, build_floor, est
 from logs import reading, sample
 from peers import peers
 
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.compiling import native
 
 HERE = Path(__file__).resolve().parent

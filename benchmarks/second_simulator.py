@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.campaign import closed_loop, plan, summary
 from rotorwatch.errors import RotorwatchError
 from rotorwatch.simulation import dynamics, reconfigured, rigid

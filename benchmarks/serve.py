@@ -36,7 +36,7 @@ def main() -> None:
         command = [
             sys.executable,
             "-m",
-            "rotorwatch.cli",
+            "rotorwatch.commands.cli",
             "serve",
             "--port",
             "0",

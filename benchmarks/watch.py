@@ -112,7 +112,7 @@ def look():
     watched.Watched.advance = first
 
 threading.Thread(target=look, daemon=True).start()
-from rotorwatch.cli import main
+from rotorwatch.commands.cli import main
 main(["watch", sys.argv[1], "--listen-only", "--jsonl", "--seconds", "20"])
 """
 

@@ -14,7 +14,7 @@ import numpy as np
 
 import rotorwatch as rw
 from rotorwatch import airframes
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.default import caution, hypotheses, program
 from rotorwatch.default.plant import AXES
 from rotorwatch.experiments.inject import inject

@@ -5,7 +5,8 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from rotorwatch import airframes, discovery
+from rotorwatch import airframes
+from rotorwatch.base import discovery
 from rotorwatch.errors import ConfigError
 
 PAGE = Path(__file__).parent / "methods" / "index.md"
@@ -14,7 +15,7 @@ START, END = "<!-- table made by docs/make_methods.py -->\n", "<!-- end of the t
 
 def plants() -> dict:
     """One example of each plant, by name."""
-    from rotorwatch.systems import helicopter, linear_hover, port_hamiltonian_attitude, rate_dynamics, rigid_body
+    from rotorwatch.maths.systems import helicopter, linear_hover, port_hamiltonian_attitude, rate_dynamics, rigid_body
 
     return {
         "rate_dynamics": rate_dynamics.RateDynamics.of(airframes.paper("niermeyer-hexa")),

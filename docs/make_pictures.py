@@ -12,7 +12,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from rotorwatch.cli import SAMPLES
+from rotorwatch.commands.cli import SAMPLES
 from rotorwatch.diagnose import diagnose
 
 DOCS = Path(__file__).resolve().parent
@@ -51,7 +51,7 @@ def serve(browser: str, folder: Path, picture: Path) -> None:
     command = [
         sys.executable,
         "-m",
-        "rotorwatch.cli",
+        "rotorwatch.commands.cli",
         "serve",
         "--port",
         "0",

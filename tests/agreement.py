@@ -16,7 +16,7 @@ from rich.console import Console
 
 from rotorwatch import report
 from rotorwatch.answer.conclusion import DESYNC, LOSS, OVERRIDE
-from rotorwatch.diagnosis import EXIT_CODES
+from rotorwatch.flight.diagnosis import EXIT_CODES
 from rotorwatch.report import colours, drawing, figures, html, terminal
 
 WIDTHS = (40, 80, 200)

@@ -15,7 +15,7 @@ import pytest
 from rotorwatch import airframes
 from rotorwatch.answer import places
 from rotorwatch.answer.conclusion import conclude
-from rotorwatch.diagnosis import Diagnosis, Event, Trace
+from rotorwatch.flight.diagnosis import Diagnosis, Event, Trace
 
 # Tests run as users run them, and so do the commands that they start: PYTHONUNBUFFERED or COLUMNS of a developer's shell can hide a fault.
 # Besides what everyone has, there stays where Python, compilers and temporary files are, and what says how the tests themselves are run.
@@ -196,7 +196,7 @@ def healthy():
 @pytest.fixture
 def run(capsys):
     """run(*arguments) of the real command line: (exit code, output, errors)."""
-    from rotorwatch import cli
+    from rotorwatch.commands import cli
 
     def call(*argv):
         with pytest.raises(SystemExit) as leave:

@@ -10,11 +10,11 @@ import pytest
 
 import rotorwatch
 from rotorwatch.compiling.translate import Translation
-from rotorwatch.export_diagnoser import rates, settings
+from rotorwatch.export.export_diagnoser import rates, settings
 from rotorwatch.front import sizes
 from rotorwatch.front.definition import PARTS
 
-SOURCES = Path(rotorwatch.__file__).parent / "embedded_c"
+SOURCES = Path(rotorwatch.__file__).parent / "export" / "embedded_c"
 STUBS = Path(__file__).resolve().parents[1] / "embedded" / "stubs"  # of what the export generates
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wdouble-promotion", "-Wshadow", "-Werror")
 

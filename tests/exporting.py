@@ -6,8 +6,8 @@ import subprocess
 
 import numpy as np
 
-from rotorwatch.backend import jax as load_jax
-from rotorwatch.export_c import prepare, program_of
+from rotorwatch.base.backend import jax as load_jax
+from rotorwatch.export.export_c import prepare, program_of
 
 jax = load_jax()
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror")

@@ -32,7 +32,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from queue import SimpleQueue
 
-from rotorwatch.optional import tomllib
+from rotorwatch.base.optional import tomllib
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = Path("src") / "rotorwatch"

@@ -7,7 +7,7 @@ import subprocess
 import pytest
 
 from embedded_c_parts import SOURCES, STRICT, front
-from rotorwatch.export_diagnoser import rates, settings
+from rotorwatch.export.export_diagnoser import rates, settings
 
 # Without their library: what is undefined, or beyond an array, ends the process.
 SANITIZERS = ("-fsanitize=undefined,bounds", "-fsanitize-undefined-trap-on-error")

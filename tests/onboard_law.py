@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rotorwatch import airframes, export_diagnoser
+from rotorwatch import airframes
+from rotorwatch.export import export_diagnoser
 from rotorwatch.motion import allocation, ticks
 from rotorwatch.motion.airborne import output_range
 

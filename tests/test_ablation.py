@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from rotorwatch import cli
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.campaign import ablation
 from rotorwatch.campaign.constants import TABLE
+from rotorwatch.commands import cli
 from rotorwatch.default import caution, hypotheses, kalman, program
 from rotorwatch.errors import ConfigError
 from rotorwatch.front import losses

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rotorwatch import airframes
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.compiling.run import run
 from rotorwatch.errors import ConfigError
 from rotorwatch.estimators.aekf import AEKF
@@ -16,7 +16,7 @@ from rotorwatch.estimators.esmf import ESMF
 from rotorwatch.experiments.studies import ruav_flight, small_systems
 from rotorwatch.maths import ellipsoid, interval, mit_rule, small, taylor
 from rotorwatch.maths.set_membership import Cutting
-from rotorwatch.systems.helicopter import Helicopter
+from rotorwatch.maths.systems.helicopter import Helicopter
 
 jax = load_jax()
 jnp = jax.numpy

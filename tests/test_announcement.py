@@ -22,7 +22,7 @@ MUCH = UNDECIDED = CLEAR
 
 @pytest.fixture(scope="module", autouse=True)
 def float64():
-    from rotorwatch.backend import jax
+    from rotorwatch.base.backend import jax
 
     jax()
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from rotorwatch import discovery
+from rotorwatch.base import discovery
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = ROOT / "src" / "rotorwatch"
@@ -22,8 +22,8 @@ MOST_LINES = 600
 FORBIDDEN = (
     ("flight/flight.py", "rotorwatch.logs", "Layers"),
     ("logs/series.py", "rotorwatch.motion.ticks", "Layers"),
-    ("detectors/esc_current.py", "rotorwatch.default.estimator", "Layers"),
-    ("airframes/px4.py", "rotorwatch.cli", "Layers"),
+    ("published/detectors/esc_current.py", "rotorwatch.default.estimator", "Detectors know"),
+    ("airframes/px4.py", "rotorwatch.commands.cli", "Layers"),
     ("experiments/damage.py", "rotorwatch.experiments.fuzz", "Inside the experiments"),
     ("diagnose.py", "rotorwatch.healthy.tune", "Inside the healthy"),
     ("answer/advice.py", "rotorwatch.answer.conclusion", "Inside the answer"),
@@ -32,8 +32,8 @@ FORBIDDEN = (
     ("motion/airborne.py", "rotorwatch.motion.ticks", "Inside motion"),
     ("flight/flight.py", "rotorwatch.flight.vehicle_file", "Inside the flight"),
     ("estimators/planted.py", "rotorwatch.estimators.ekf", "Estimators do not"),
-    ("systems/planted.py", "rotorwatch.systems.rate_dynamics", "Plants do not"),
-    ("detectors/thrust_loss.py", "rotorwatch.detectors.esc_current", "Detectors do not"),
+    ("maths/systems/planted.py", "rotorwatch.maths.systems.rate_dynamics", "Plants do not"),
+    ("published/detectors/thrust_loss.py", "rotorwatch.published.detectors.esc_current", "Detectors do not"),
     ("airframes/crazyflie.py", "rotorwatch.airframes.ardupilot", "Airframes do not"),
     ("logs/ulog.py", "rotorwatch.logs.tlog", "Log formats do not"),
     ("serve/hub.py", "rotorwatch.serve.live", "Inside the served"),
@@ -98,10 +98,10 @@ def test_a_plug_in_is_one_file(copy):
     (folder / "estimators" / "planted.py").write_text(
         "class Planted:\n    name = 'planted'\n    def init(self): ...\n    def step(self, carry, u, y, valid): ...\n"
     )
-    (folder / "systems" / "planted.py").write_text(
+    (folder / "maths" / "systems" / "planted.py").write_text(
         "class Planted:\n    name = 'planted'\n    def f(self): ...\n    def h(self): ...\n"
     )
-    (folder / "detectors" / "planted.py").write_text(
+    (folder / "published" / "detectors" / "planted.py").write_text(
         "name = 'planted'\nautopilot = 'PX4'\ndef detect(flight, vehicle, airborne): ...\n"
     )
     (folder / "logs" / "planted.py").write_text("FORMAT = 'planted'\ndef sniff(head, name): ...\n")
@@ -109,7 +109,7 @@ def test_a_plug_in_is_one_file(copy):
     done = run(
         sys.executable,
         "-c",
-        "from rotorwatch import airframes, detectors, discovery, logs\n"
+        "from rotorwatch import airframes, detectors, logs\nfrom rotorwatch.base import discovery\n"
         "print('planted' in discovery.estimators(), 'planted' in discovery.systems(), 'planted' in airframes.names(),\n"
         "      'planted' in [m.name for m in detectors.modules()], 'planted' in [m.FORMAT for m in logs.formats()])",
     )
@@ -119,14 +119,14 @@ def test_a_plug_in_is_one_file(copy):
 def test_two_plug_ins_of_one_name_are_refused(copy):
     folder, run = copy
     shutil.copy(folder / "estimators" / "ekf.py", folder / "estimators" / "planted.py")
-    done = run(sys.executable, "-c", "from rotorwatch import discovery; discovery.estimators()")
+    done = run(sys.executable, "-c", "from rotorwatch.base import discovery; discovery.estimators()")
     assert done.returncode != 0 and "both called 'ekf'" in done.stderr
 
 
 def test_importing_loads_nothing_heavy():
     """`import rotorwatch` and `rotorwatch --help` do not wait for numerics, plots or parsers."""
     heavy = {"numpy", "jax", "scipy", "bokeh", "pymavlink", "pyulog", "pandas", "pyarrow", "rich"}
-    code = f"import sys, rotorwatch, rotorwatch.cli; print(*sorted({heavy!r} & set(sys.modules)))"
+    code = f"import sys, rotorwatch, rotorwatch.commands.cli; print(*sorted({heavy!r} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
     assert done.stdout.split() == []
 

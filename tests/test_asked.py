@@ -10,7 +10,7 @@ from rotorwatch.campaign import excitation_flights
 from rotorwatch.control import excitation
 from rotorwatch.default import asked
 from rotorwatch.default.plant import TAU
-from rotorwatch.diagnosis import Event
+from rotorwatch.flight.diagnosis import Event
 
 B = airframes.named("px4-hexa-x").effectiveness()
 N = excitation.null_space(B)
@@ -20,7 +20,7 @@ NAMED = {who: np.where(np.isin(np.arange(6), who), 0.3, 0.0) for who in PAIRS}
 
 @pytest.fixture(scope="module", autouse=True)
 def float64():
-    from rotorwatch.backend import jax
+    from rotorwatch.base.backend import jax
 
     jax()
 
@@ -167,7 +167,7 @@ def test_without_an_excitation_nothing_changes(flown):
 
 
 def test_a_log_says_what_to_ask(flown):
-    from rotorwatch.ask import ask
+    from rotorwatch.planning.ask import ask
 
     found = ask(flown[0][1])
     assert set(found.candidates) == {(1, 2), (3, 4), (5, 6), ()}

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
 from rotorwatch.estimators.atsukf import ATSUKF
 from rotorwatch.estimators.tsukf import TSUKF
 from rotorwatch.estimators.ukf import UKF
 from rotorwatch.experiments.studies import reproduce_atsukf as study
 from rotorwatch.maths import two_stage, unscented
-from rotorwatch.systems.rate_dynamics import RateDynamics
+from rotorwatch.maths.systems.rate_dynamics import RateDynamics
 
 jnp = load_jax().numpy
 EXACT = 1e-9

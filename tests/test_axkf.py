@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rotorwatch import airframes
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.compiling.run import run
 from rotorwatch.errors import ConfigError
 from rotorwatch.estimators.adaptive_ekf import AdaptiveEKF
@@ -16,8 +16,8 @@ from rotorwatch.estimators.akf import AKF
 from rotorwatch.estimators.axkf import AXKF
 from rotorwatch.estimators.ekf import EKF
 from rotorwatch.maths import adaptive_kalman, linearise
-from rotorwatch.systems.port_hamiltonian_attitude import PortHamiltonianAttitude
-from rotorwatch.systems.rate_dynamics import RateDynamics
+from rotorwatch.maths.systems.port_hamiltonian_attitude import PortHamiltonianAttitude
+from rotorwatch.maths.systems.rate_dynamics import RateDynamics
 
 jax = load_jax()
 jnp = jax.numpy
@@ -356,7 +356,7 @@ def test_the_papers_tuning_sees_the_papers_losses_with_the_default_bound():
     from rotorwatch import airframes
     from rotorwatch.experiments.studies import rot_flights as flights
     from rotorwatch.maths import observer_gain
-    from rotorwatch.systems.port_hamiltonian_attitude import PortHamiltonianAttitude
+    from rotorwatch.maths.systems.port_hamiltonian_attitude import PortHamiltonianAttitude
 
     airframe = airframes.paper("rot-hexa")
     plant = PortHamiltonianAttitude.of(airframe, suspects=flights.MOTORS)

@@ -9,7 +9,7 @@ from rotorwatch import airframes
 from rotorwatch.errors import ConfigError
 from rotorwatch.experiments.studies import reproduce_axkf as study
 from rotorwatch.experiments.studies import rot_flights as flights
-from rotorwatch.systems.port_hamiltonian_attitude import PortHamiltonianAttitude
+from rotorwatch.maths.systems.port_hamiltonian_attitude import PortHamiltonianAttitude
 
 
 @pytest.fixture(scope="module")

@@ -12,17 +12,17 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes
-from rotorwatch.cli import SAMPLES
+from rotorwatch.commands.cli import SAMPLES
 from rotorwatch.compiling import native
 from rotorwatch.compiling.run import run, run_built
 from rotorwatch.errors import BackendWarning
 from rotorwatch.estimators.ekf import EKF
 from rotorwatch.experiments.studies.compare_flights import _scene, simulate
+from rotorwatch.maths.systems.rate_dynamics import RateDynamics
 from rotorwatch.published import published
-from rotorwatch.systems.rate_dynamics import RateDynamics
 
 SAMPLE = SAMPLES / "hexax_m3_mul0.80_square_wind.bin.xz"
-COMMAND = [sys.executable, "-m", "rotorwatch.cli", "diagnose", str(SAMPLE), "--json"]
+COMMAND = [sys.executable, "-m", "rotorwatch.commands.cli", "diagnose", str(SAMPLE), "--json"]
 
 needs_compiler = pytest.mark.skipif(
     not any(map(shutil.which, ("cc", "gcc", "clang"))), reason="needs a C compiler: install gcc or clang"
@@ -65,7 +65,7 @@ def test_both_backends_say_the_same(tmp_path):
 def test_the_command_uses_native_code_of_itself_and_then_needs_no_jax():
     said()  # builds it
     code = (
-        "import sys; from rotorwatch import cli\n"
+        "import sys; from rotorwatch.commands import cli\n"
         f"try: cli.main({COMMAND[3:]!r})\nexcept SystemExit: pass\n"
         "print('jax' in sys.modules, file=sys.stderr)"
     )

@@ -13,7 +13,7 @@ DT, N_S, Q, TICKS = 0.05, 5, 3, 70
 @pytest.fixture(scope="module")
 def run():
     """A table of transitions, rows, gains, variances and innovations, and the bank after every tick of it."""
-    from rotorwatch.backend import jax as load
+    from rotorwatch.base.backend import jax as load
 
     jax = load()
     rng = np.random.default_rng(0)

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from rotorwatch import cli
+from rotorwatch.base.optional import tomllib
 from rotorwatch.campaign import batch, benchmark, benchmark_plan, public_data, ranking, results_file, score, summary
+from rotorwatch.commands import cli
 from rotorwatch.errors import ConfigError
-from rotorwatch.optional import tomllib
 
 pytest.importorskip("pyarrow")
 ROOT = Path(__file__).resolve().parents[1]
@@ -487,7 +487,7 @@ def test_two_methods_of_another_package_are_tried_and_ranked_by_the_real_command
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT / "src"), str(site)])}
 
     def command(*arguments):
-        line = [sys.executable, "-m", "rotorwatch.cli", "benchmark", *arguments]
+        line = [sys.executable, "-m", "rotorwatch.commands.cli", "benchmark", *arguments]
         done = subprocess.run(line, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=900)
         assert done.returncode == 0, done.stderr
         return done

@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
 from rotorwatch.maths import bounded
 

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from rotorwatch import cli
+from rotorwatch.commands import cli
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="no playwright (pip install -e '.[test]')")
-SAMPLES = Path(cli.__file__).parent / "samples"
+SAMPLES = cli.SAMPLES
 HEXA, QUAD = SAMPLES / "hexax_m3_mul0.80_square_wind.bin.xz", SAMPLES / "quadx_healthy_hover.bin.xz"
 HOSTILE = "<img src=x onerror=alert(1)>\u202e.bin"
 DRAWN = "article[data-state=FAULT] .bands .line[d^=M]"
@@ -28,7 +28,7 @@ class Server:
         command = [
             sys.executable,
             "-m",
-            "rotorwatch.cli",
+            "rotorwatch.commands.cli",
             "serve",
             "--port",
             str(self.port),

@@ -15,9 +15,10 @@ from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rotorwatch import campaign, cli
+from rotorwatch import campaign
 from rotorwatch.campaign import batch, page, score, store, summary, work
 from rotorwatch.campaign import plan as plans
+from rotorwatch.commands import cli
 from rotorwatch.errors import ConfigError
 from rotorwatch.simulation import scenario
 
@@ -53,7 +54,7 @@ def written(folder, text=TEXT):
 
 
 def table(changes=()):
-    from rotorwatch.optional import tomllib
+    from rotorwatch.base.optional import tomllib
 
     found = tomllib.loads(TEXT)
     for path, value in changes:

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import rotorwatch
-from rotorwatch import backend, campaign
+from rotorwatch import campaign
+from rotorwatch.base import backend
 from rotorwatch.campaign import batch, methods, score, work
 from rotorwatch.compiling import run, toolchain
 from rotorwatch.motion.ticks import LEARN

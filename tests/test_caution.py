@@ -17,7 +17,7 @@ EVEN = np.array([1.0, 1.1, 0.9, 1.0])
 
 @pytest.fixture(scope="module", autouse=True)
 def float64():
-    from rotorwatch.backend import jax
+    from rotorwatch.base.backend import jax
 
     jax()
 

@@ -14,10 +14,10 @@ import pytest
 
 import rotorwatch
 from conftest import hexa_diagnosis
-from rotorwatch import cli
+from rotorwatch.commands import cli
 from rotorwatch.errors import LogError
 from rotorwatch.flight import Flight, Message, Signal
-from rotorwatch.info import info
+from rotorwatch.report.info import info
 
 ROOT = Path(__file__).parents[1]
 VERDICTS = {"healthy": 0, "fault": 1, "ambiguous": 3, "inconclusive": 3}
@@ -264,7 +264,7 @@ def test_fast_start():
     """Nothing heavy is loaded before it is needed. (How long it takes is a benchmark: docs/speed.md.)"""
     heavy = "jax scipy numpy bokeh rich pymavlink pyulog pandas pyarrow matplotlib cvxpy"
     code = (
-        "import sys, rotorwatch.cli as c\n"
+        "import sys, rotorwatch.commands.cli as c\n"
         "try: c.main(['--version'])\nexcept SystemExit: pass\n"
         f"print([m for m in {heavy.split()!r} if m in sys.modules])"
     )
@@ -284,7 +284,9 @@ def test_broken_pipe_is_quiet_and_no_verdict():
     """As in `rotorwatch ... | head`: 1 would say that a fault was found."""
     read_end, write_end = os.pipe()
     os.close(read_end)
-    done = subprocess.run([sys.executable, "-m", "rotorwatch.cli", "--help"], stdout=write_end, stderr=subprocess.PIPE)
+    done = subprocess.run(
+        [sys.executable, "-m", "rotorwatch.commands.cli", "--help"], stdout=write_end, stderr=subprocess.PIPE
+    )
     os.close(write_end)
     assert (done.returncode, done.stderr) == (141, b"")
 
@@ -351,7 +353,7 @@ def test_importing_the_package_loads_nothing_heavy():
 def test_verbs_are_functions_and_modules_at_once():
     """However the submodule came to be imported: `rotorwatch.info` can be called and holds its other names."""
     code = (
-        "import inspect, rotorwatch.info, rotorwatch as rw; from rotorwatch.flight import Flight; "
+        "import inspect, rotorwatch.report.info, rotorwatch as rw; from rotorwatch.flight import Flight; "
         "assert rw.info(Flight('csv', '', {}, 0.0)) == rw.info.info(Flight('csv', '', {}, 0.0)); "
         "assert list(inspect.signature(rw.info).parameters) == ['flight']; "
         "assert rw.fuzz.OUTCOMES and callable(rw.fuzz) and rw.Flight is Flight; print('ok')"
@@ -366,6 +368,6 @@ def test_unknown_names_are_attribute_errors():
 
 
 def test_version_is_the_packages():
-    from rotorwatch.optional import tomllib
+    from rotorwatch.base.optional import tomllib
 
     assert tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"] == rotorwatch.__version__

@@ -9,18 +9,18 @@ from pathlib import Path
 
 import pytest
 
-from rotorwatch import cli, files, incoming
-from rotorwatch.commands import tools
+from rotorwatch.base import files, incoming
+from rotorwatch.commands import cli, tools
 from rotorwatch.errors import BackendWarning, ConfigError
 from rotorwatch.healthy import tune
 from test_cli import fake, run  # noqa: F401
 
-SAMPLE = Path(cli.__file__).parent / "samples" / "hexax_m3_mul0.80_square_wind.bin.xz"
+SAMPLE = cli.SAMPLES / "hexax_m3_mul0.80_square_wind.bin.xz"
 
 
 def outside(*argv, **how):
     return subprocess.run(
-        [sys.executable, "-m", "rotorwatch.cli", *map(str, argv)], capture_output=True, timeout=120, **how
+        [sys.executable, "-m", "rotorwatch.commands.cli", *map(str, argv)], capture_output=True, timeout=120, **how
     )
 
 
@@ -160,7 +160,7 @@ def test_the_benchmark_of_steps_says_which_extras_it_needs():
 
 
 def test_no_hint_names_a_package_that_is_not_published():
-    root = Path(cli.__file__).parent
+    root = Path(cli.__file__).parents[1]
     assert [p for p in root.rglob("*.py") if "rotorwatch[" in p.read_text(encoding="utf-8")] == []
 
 
@@ -199,7 +199,7 @@ FULL = "rotorwatch: Reading or writing failed: No space left on device.\n"
 )
 def test_an_answer_that_cannot_be_written_is_an_error_and_no_verdict(words, where, code, err):
     """A shell opens and closes the streams, as users have it. The output is buffered: what waits is tried again when Python ends."""
-    command = [sys.executable, "-m", "rotorwatch.cli", *map(str, words)]
+    command = [sys.executable, "-m", "rotorwatch.commands.cli", *map(str, words)]
     done = subprocess.run(["sh", "-c", f'"$@" {where}', "sh", *command], capture_output=True, text=True, timeout=120)
     assert (done.returncode, done.stdout, done.stderr) == (code, "", err)
 

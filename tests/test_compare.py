@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from rotorwatch import airframes, cli, diagnose
+from rotorwatch import airframes, diagnose
+from rotorwatch.commands import cli
 from rotorwatch.default import program
-from rotorwatch.diagnosis import Event
 from rotorwatch.errors import ConfigError
 from rotorwatch.experiments.studies import compare as study
 from rotorwatch.experiments.studies import compare_flights
+from rotorwatch.flight.diagnosis import Event
 from rotorwatch.motion.ticks import JUDGE
 from rotorwatch.published import published
 

@@ -11,12 +11,12 @@ import pytest
 
 import exporting
 from rotorwatch import airframes
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.compiling import toolchain
 from rotorwatch.control import allocation, box
 from rotorwatch.control.allocation import Allocator, Belief, believed
 from rotorwatch.errors import ConfigError
-from rotorwatch.export_c import allocator_program, export_allocator
+from rotorwatch.export.export_c import allocator_program, export_allocator
 
 BENCHMARK = importlib.util.spec_from_file_location(
     "benchmark_of_allocation", Path(__file__).resolve().parents[1] / "benchmarks" / "allocation.py"

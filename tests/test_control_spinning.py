@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import exporting
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.compiling.c99.project import Field, make
 from rotorwatch.control import spinning
 from rotorwatch.control.airframe import Airframe

@@ -12,7 +12,7 @@ import pytest
 from scipy.optimize import lsq_linear
 
 from rotorwatch import airframes
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.default import announcement, caution, hypotheses, kalman, noise, opposite, posterior
 from rotorwatch.default import bank as onsets
 from rotorwatch.default.estimator import JumpBank

@@ -11,9 +11,9 @@ from rich.console import Console
 import agreement
 import blackbox_writer as writer
 from rotorwatch.aerobatic import desync, innovation
-from rotorwatch.cli import main
+from rotorwatch.commands.cli import main
 from rotorwatch.diagnose import diagnose
-from rotorwatch.diagnosis import Event
+from rotorwatch.flight.diagnosis import Event
 from rotorwatch.healthy import baselines
 from rotorwatch.report import terminal
 from rotorwatch.simulation import fpv

@@ -6,10 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rotorwatch import airframes, detectors, logs
-from rotorwatch.detectors import esc_current, thrust_loss
+from rotorwatch import airframes, logs
 from rotorwatch.flight import Flight, Message, Signal
 from rotorwatch.flight.vehicle import ThrustCurve
+from rotorwatch.published import detectors
+from rotorwatch.published.detectors import esc_current, thrust_loss
 
 FLIGHTS = Path(__file__).resolve().parents[2] / "shared" / "flights"
 needs_flights = pytest.mark.skipif(not FLIGHTS.is_dir(), reason="the shared test flights are not beside the repository")

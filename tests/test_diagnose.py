@@ -56,7 +56,7 @@ def losses(diagnosis):
 
 def command(*arguments, code):
     done = subprocess.run(
-        [sys.executable, "-m", "rotorwatch.cli", "diagnose", *map(str, arguments)],
+        [sys.executable, "-m", "rotorwatch.commands.cli", "diagnose", *map(str, arguments)],
         capture_output=True,
         text=True,
         timeout=300,

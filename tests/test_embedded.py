@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from rotorwatch.export_c import export_c
+from rotorwatch.export.export_c import export_c
 
 EMBEDDED = Path(__file__).resolve().parents[1] / "embedded"
 ARM = (

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from rotorwatch import airframes
 from rotorwatch.answer.conclusion import main_event
 from rotorwatch.default import events
-from rotorwatch.diagnosis import Event
+from rotorwatch.flight.diagnosis import Event
 from rotorwatch.front import events as listed
 from rotorwatch.front import news, whole
 from rotorwatch.front.definition import FRONT

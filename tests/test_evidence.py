@@ -19,7 +19,7 @@ FAULTS = [h for h, fault in enumerate(HYP.fault) if fault]
 
 @pytest.fixture(scope="module", autouse=True)
 def float64():
-    from rotorwatch.backend import jax
+    from rotorwatch.base.backend import jax
 
     jax()
 

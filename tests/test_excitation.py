@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from rotorwatch import airframes
-from rotorwatch.ask import ask
 from rotorwatch.control import excitation
 from rotorwatch.control.excitation import Limits, Noise, Signal
 from rotorwatch.default.plant import TAU, usual_gains
 from rotorwatch.errors import ConfigError
+from rotorwatch.planning.ask import ask
 
 FRAMES = ("hexa-x", "hexa-plus", "octa-x", "octa-plus", "y6", "dodecahexa-x")
 NOISE = Noise(np.array([0.025**2, 0.01**2, 0.02**2, 0.2**2]), np.array(TAU))
@@ -22,7 +22,7 @@ B_OF = {frame: airframes.named(f"ardupilot-{frame}").effectiveness() for frame i
 
 @pytest.fixture(scope="module", autouse=True)
 def float64():
-    from rotorwatch.backend import jax
+    from rotorwatch.base.backend import jax
 
     jax()
 

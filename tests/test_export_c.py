@@ -15,15 +15,15 @@ from click.testing import CliRunner
 import rotorwatch as rw
 from exporting import STRICT, address, jax, library, room, struct
 from rotorwatch import airframes
-from rotorwatch.cli import cli
+from rotorwatch.commands.cli import cli
 from rotorwatch.compiling import native, toolchain
 from rotorwatch.compiling.c99.lower import Refused
 from rotorwatch.compiling.c99.project import Field, make
 from rotorwatch.compiling.run import run
 from rotorwatch.errors import ConfigError
 from rotorwatch.estimators.ekf import EKF
-from rotorwatch.export_c import export_c, prepare
-from rotorwatch.systems.rate_dynamics import RateDynamics
+from rotorwatch.export.export_c import export_c, prepare
+from rotorwatch.maths.systems.rate_dynamics import RateDynamics
 
 jnp, lax = jax.numpy, jax.lax
 pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from exporting import STRICT, address, difference, estimator, exported, library, measurements, room, struct
-from rotorwatch import discovery
+from rotorwatch.base import discovery
 from rotorwatch.compiling.c99 import operations
 from rotorwatch.compiling.c99.plan import Plan
-from rotorwatch.export_c import SINGLE, export_c, program_of
+from rotorwatch.export.export_c import SINGLE, export_c, program_of
 
 EQUAL = 1e-12
 NAMES = [*discovery.estimators(), SINGLE]

@@ -7,10 +7,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rotorwatch import airframes, cli, diagnose, logs
-from rotorwatch.diagnosis import Event
+from rotorwatch import airframes, diagnose, logs
+from rotorwatch.commands import cli
 from rotorwatch.errors import ConfigError
 from rotorwatch.experiments.studies import false_alarms as study
+from rotorwatch.flight.diagnosis import Event
 from rotorwatch.motion.ticks import JUDGE, LEARN
 
 

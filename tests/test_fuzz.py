@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rotorwatch import incoming as limited
+from rotorwatch.base import incoming as limited
 from rotorwatch.errors import ConfigError
 from rotorwatch.experiments import fuzz
 

@@ -11,7 +11,7 @@ from conftest import hexa_diagnosis, hexa_event
 from rotorwatch import report
 from rotorwatch.answer import health
 from rotorwatch.answer.conclusion import conclude
-from rotorwatch.diagnosis import Trend
+from rotorwatch.flight.diagnosis import Trend
 from rotorwatch.motion.ticks import JUDGE
 from rotorwatch.report import html, terminal
 

@@ -10,12 +10,13 @@ from pathlib import Path
 
 import pytest
 
-from rotorwatch import cli, logs
-from rotorwatch.files import printable
+from rotorwatch import logs
+from rotorwatch.base.files import printable
+from rotorwatch.commands import cli
 from rotorwatch.flight import Flight, Message
 from rotorwatch.simulation.write_dataflash import write_dataflash
 
-SAMPLE = Path(cli.__file__).parent / "samples" / "hexax_m3_mul0.80_square_wind.bin.xz"
+SAMPLE = cli.SAMPLES / "hexax_m3_mul0.80_square_wind.bin.xz"
 EVIL = "\x1b]0;x\x07\x9b31m\r\n::error::x"
 NAME = "a\x1b]0;x\x07\n::error file=x::\u202egol.bin"
 
@@ -67,7 +68,7 @@ def commands(log: Path, folder: Path) -> list[list[str]]:
 def test_no_command_of_a_log_reaches_a_terminal(log, tmp_path):
     for words in commands(log, tmp_path):
         done = subprocess.run(
-            [sys.executable, "-m", "rotorwatch.cli", *words], capture_output=True, timeout=120,
+            [sys.executable, "-m", "rotorwatch.commands.cli", *words], capture_output=True, timeout=120,
             env={**os.environ, "TERM": "dumb"},
         )  # fmt: skip
         said = done.stdout.decode() + done.stderr.decode()

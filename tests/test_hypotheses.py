@@ -13,7 +13,7 @@ WIDTH = np.array([0.1, 0.2, 0.3, 0.4])
 
 @pytest.fixture(scope="module", autouse=True)
 def float64():
-    from rotorwatch.backend import jax
+    from rotorwatch.base.backend import jax
 
     jax()
 

@@ -13,20 +13,22 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from pathlib import Path
 
 import pytest
 
-from rotorwatch import cli, incoming
+from rotorwatch.base import incoming
+from rotorwatch.commands import cli
 from rotorwatch.errors import LogError
 from rotorwatch.logs import container
 from rotorwatch.many import gathering
 
-SAMPLE = Path(cli.__file__).parent / "samples" / "hexax_m3_mul0.80_square_wind.bin.xz"
+SAMPLE = cli.SAMPLES / "hexax_m3_mul0.80_square_wind.bin.xz"
 
 
 # The command; nohup has SIGHUP ignored for all that it starts, the test's own processes too.
-COMMAND = "import signal; signal.signal(signal.SIGHUP, signal.SIG_DFL); from rotorwatch.cli import main; main()"
+COMMAND = (
+    "import signal; signal.signal(signal.SIGHUP, signal.SIG_DFL); from rotorwatch.commands.cli import main; main()"
+)
 
 
 class Drips(io.RawIOBase):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.control.allocation import rows
 from rotorwatch.simulation import incremental, loop, one, prepare, reconfigured, scenario, trajectories
 from rotorwatch.simulation.rigid import G0

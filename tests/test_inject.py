@@ -6,11 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rotorwatch import airframes, cli, logs
-from rotorwatch.diagnosis import Event
+from rotorwatch import airframes, logs
+from rotorwatch.commands import cli
 from rotorwatch.errors import ConfigError
 from rotorwatch.experiments import inject
 from rotorwatch.flight import Flight, Signal
+from rotorwatch.flight.diagnosis import Event
 from rotorwatch.motion import airborne, allocation, departures
 
 ONSET = 10.0

@@ -8,15 +8,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rotorwatch import airframes
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.compiling.run import run
 from rotorwatch.errors import ConfigError
 from rotorwatch.estimators import intermediate
 from rotorwatch.estimators.intermediate import Intermediate
 from rotorwatch.maths import intermediate_design as design
-from rotorwatch.systems.linear_hover import LinearHover
-from rotorwatch.systems.rate_dynamics import RateDynamics
-from rotorwatch.systems.rigid_body import RigidBody
+from rotorwatch.maths.systems.linear_hover import LinearHover
+from rotorwatch.maths.systems.rate_dynamics import RateDynamics
+from rotorwatch.maths.systems.rigid_body import RigidBody
 
 jax = load_jax()
 DT = 0.01

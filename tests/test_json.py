@@ -8,7 +8,7 @@ import pytest
 
 from conftest import hexa_diagnosis
 from rotorwatch.flight import Message
-from rotorwatch.info import info
+from rotorwatch.report.info import info
 from test_cli import a_flight
 
 ROOT = Path(__file__).parents[1]
@@ -52,7 +52,7 @@ def test_info_has_the_documented_fields():
 
 
 def test_verdicts_and_exit_codes_are_documented():
-    from rotorwatch.diagnosis import EXIT_CODES
+    from rotorwatch.flight.diagnosis import EXIT_CODES
 
     rows = dict(re.findall(r"^\| `(\w+)` \| (\d) \|", TEXT, re.MULTILINE))
     assert {verdict: int(code) for verdict, code in rows.items()} == EXIT_CODES

@@ -17,7 +17,7 @@ RNG = np.random.default_rng(8)
 
 @pytest.fixture(scope="module", autouse=True)
 def float64():
-    from rotorwatch.backend import jax
+    from rotorwatch.base.backend import jax
 
     jax()
 

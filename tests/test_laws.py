@@ -13,13 +13,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rotorwatch import airframes, discovery
-from rotorwatch.backend import jax as load_jax
+from rotorwatch import airframes
+from rotorwatch.base import discovery
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.core import Estimate
 from rotorwatch.default.plant import WrenchBalance
 from rotorwatch.estimators.ekf import EKF
+from rotorwatch.maths.systems.rate_dynamics import RateDynamics
 from rotorwatch.motion.ticks import GROUND, JUDGE, LEARN
-from rotorwatch.systems.rate_dynamics import RateDynamics
 
 DT, TICKS = 0.02, 220
 THETA_VAR = 0.1  # of the losses on the linear plant: much of what an innovation is made of

@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
 from rotorwatch.experiments import limits
 from rotorwatch.experiments.limits import Rows
-from rotorwatch.systems import RateDynamics
+from rotorwatch.maths.systems import RateDynamics
 
 
 def information(rows, P0, valid, onset):

@@ -22,10 +22,10 @@ from rotorwatch import airframes, logs
 from rotorwatch.compiling.running import Definition
 from rotorwatch.errors import LogError, VehicleError
 from rotorwatch.experiments import fuzz
-from rotorwatch.info import info
 from rotorwatch.logs.blackbox import decoder, encodings, frames, header, sizes
 from rotorwatch.many import gathering
 from rotorwatch.many.diagnose_many import diagnose_many, fingerprint
+from rotorwatch.report.info import info
 
 SHARED = Path(__file__).parents[1] / "../shared/flights/blackbox"
 SAMPLES = Path(__file__).resolve().parents[1] / "src" / "rotorwatch" / "samples"

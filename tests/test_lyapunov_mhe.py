@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
 from rotorwatch import airframes
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
 from rotorwatch.estimators.lyapunov import Lyapunov
 from rotorwatch.estimators.mh_lyapunov import MHLyapunov
 from rotorwatch.estimators.mhe import MHE, banded, tridiagonal
 from rotorwatch.maths import bounded
-from rotorwatch.systems.rate_dynamics import RateDynamics
+from rotorwatch.maths.systems.rate_dynamics import RateDynamics
 
 DT = 0.005
 KINDS = {"lyapunov": Lyapunov, "mh_lyapunov": MHLyapunov, "mhe": MHE}

@@ -4,7 +4,7 @@ import importlib.util
 import re
 from pathlib import Path
 
-from rotorwatch import discovery
+from rotorwatch.base import discovery
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "methods" / "index.md"

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
 from rotorwatch.estimators.imm import IMM
 from rotorwatch.estimators.mmae import MMAE
 from rotorwatch.maths import multiple_model
-from rotorwatch.systems.rate_dynamics import RateDynamics
+from rotorwatch.maths.systems.rate_dynamics import RateDynamics
 from test_laws import DT, LOSS, ONSET, Linear, flown, linear_table, rates_hexa, rates_quad
 
 jax = load_jax()

@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.default import noise
 from rotorwatch.default.plant import PER_AXIS, TAU
 

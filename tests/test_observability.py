@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError, VehicleError
+from rotorwatch.maths.systems.rate_dynamics import RateDynamics
 from rotorwatch.motion.allocation import ambiguous_sets
 from rotorwatch.published import observability as module
 from rotorwatch.published.observability import observability
-from rotorwatch.systems.rate_dynamics import RateDynamics
 
 
 @pytest.fixture(scope="module")

@@ -5,12 +5,12 @@ import pytest
 from scipy.linalg import solve_discrete_are
 
 from rotorwatch import airframes
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
 from rotorwatch.maths import observer_gain
 from rotorwatch.maths.observer_gain import Lipschitz
-from rotorwatch.systems.port_hamiltonian_attitude import PortHamiltonianAttitude
-from rotorwatch.systems.rate_dynamics import RateDynamics
+from rotorwatch.maths.systems.port_hamiltonian_attitude import PortHamiltonianAttitude
+from rotorwatch.maths.systems.rate_dynamics import RateDynamics
 
 DT = 1e-3
 C, EYE = np.eye(3, 6), np.eye(6)

@@ -14,10 +14,10 @@ import pytest
 
 from onboard_law import ACCEL, ATTITUDE, BATTERY, GYRO, LASTS, events_in_c, flown
 from rotorwatch import logs
-from rotorwatch.cli import SAMPLES
+from rotorwatch.commands.cli import SAMPLES
 from rotorwatch.diagnose import diagnose
 from rotorwatch.errors import RotorwatchError
-from rotorwatch.export_diagnoser import export_diagnoser
+from rotorwatch.export.export_diagnoser import export_diagnoser
 
 FLIGHTS = Path(__file__).parents[2] / "shared" / "flights"
 FULL = bool(os.environ.get("ROTORWATCH_FULL_LAW"))

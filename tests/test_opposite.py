@@ -16,7 +16,7 @@ HEXA, QUAD = (airframes.named(f"ardupilot-{f}").effectiveness() for f in ("hexa-
 
 @pytest.fixture(scope="module", autouse=True)
 def float64():
-    from rotorwatch.backend import jax
+    from rotorwatch.base.backend import jax
 
     jax()
 

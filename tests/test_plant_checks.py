@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rotorwatch import discovery
+from rotorwatch.base import discovery
 from rotorwatch.errors import ConfigError
 from rotorwatch.estimators.lyapunov import Lyapunov
 from rotorwatch.maths import plant

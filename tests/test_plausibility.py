@@ -23,7 +23,7 @@ NOTHING = np.zeros(N)
 
 @pytest.fixture(scope="module", autouse=True)
 def float64():
-    from rotorwatch.backend import jax
+    from rotorwatch.base.backend import jax
 
     jax()
 

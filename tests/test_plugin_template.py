@@ -66,13 +66,13 @@ def acme(tmp_path_factory):
 
 
 def test_its_log_and_airframe_are_read_by_the_real_command(command, acme):
-    done = command("rotorwatch.cli", "info", str(acme))
+    done = command("rotorwatch.commands.cli", "info", str(acme))
     assert done.returncode == 0 and "Acme log" in done.stdout and "acme-quad" in done.stdout, done.stderr
     assert "has what a diagnosis needs" in done.stdout and not done.stderr
 
 
 def test_what_it_holds_is_listed_with_its_package(command):
-    done = command("rotorwatch.cli", "benchmark", "--list")
+    done = command("rotorwatch.commands.cli", "benchmark", "--list")
     listed = " ".join(done.stdout.split())
     for name in ("template_observer", "template-full-output"):
         assert name in listed, done.stdout + done.stderr

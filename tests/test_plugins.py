@@ -4,8 +4,10 @@ import warnings
 
 import pytest
 
-from rotorwatch import airframes, campaign, detectors, discovery, logs
+from rotorwatch import airframes, campaign, logs
+from rotorwatch.base import discovery
 from rotorwatch.errors import ConfigError, LogError, PluginWarning
+from rotorwatch.published import detectors
 
 GOOD = """
 class Own:

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
 from rotorwatch.experiments.studies.rot_flights import body_rates, euler_rates
-from rotorwatch.systems.port_hamiltonian_attitude import PortHamiltonianAttitude
+from rotorwatch.maths.systems.port_hamiltonian_attitude import PortHamiltonianAttitude
 
 jax = load_jax()
 jnp = jax.numpy

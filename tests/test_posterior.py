@@ -14,7 +14,7 @@ DT, N, STATES = 0.05, 6, 9
 
 @pytest.fixture(scope="module", autouse=True)
 def float64():
-    from rotorwatch.backend import jax
+    from rotorwatch.base.backend import jax
 
     jax()
 

@@ -5,13 +5,13 @@ import sys
 
 import pytest
 
-from rotorwatch import discovery
+from rotorwatch.base import discovery
 
 PLANT = """
 import sys
 import numpy as np
 from rotorwatch import airframes
-from rotorwatch.systems.rate_dynamics import RateDynamics
+from rotorwatch.maths.systems.rate_dynamics import RateDynamics
 assert "jax" not in sys.modules  # as for those who only diagnose
 plant = RateDynamics.of(airframes.paper("niermeyer-hexa"))
 x, u, theta, y = np.full(3, 0.1), np.full(6, 0.36), np.zeros(6), np.zeros(4)
@@ -78,7 +78,9 @@ def test_whatever_is_made_makes_jax_compute_in_float64(room):
     }
     code = f"""
 import jax
-from rotorwatch import airframes, backend, discovery, systems
+from rotorwatch import airframes
+from rotorwatch.base import backend, discovery
+from rotorwatch.maths import systems
 from rotorwatch.errors import ConfigError
 wide = []
 for make in {made[room]}:

@@ -8,7 +8,7 @@ import pytest
 
 import rotorwatch as rw
 from conftest import hexa_diagnosis
-from rotorwatch import discovery
+from rotorwatch.base import discovery
 from rotorwatch.estimators.rls import RLS
 from rotorwatch.flight import Flight, Message, Signal
 
@@ -143,6 +143,6 @@ def test_a_diagnosis_by_an_instance_is_that_by_the_name(hover_log):
 @pytest.fixture(scope="module")
 def hover_log():
     """The sample flight with a fault that comes with rotorwatch."""
-    from rotorwatch.cli import SAMPLES
+    from rotorwatch.commands.cli import SAMPLES
 
     return rw.read(next(p for p in SAMPLES.glob("*.bin.xz") if "healthy" not in p.name))

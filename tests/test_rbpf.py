@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from measured import PLANT, run
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
 from rotorwatch.estimators.imm import IMM
 from rotorwatch.estimators.rbpf import RBPF

@@ -8,7 +8,7 @@ import pytest
 from rotorwatch import logs
 from rotorwatch.diagnose import diagnose
 from rotorwatch.errors import RotorwatchError
-from rotorwatch.info import info, obstacle
+from rotorwatch.report.info import info, obstacle
 from test_baselines import slower
 from test_calibrate import QUAD, flown, on_the_ground
 

@@ -15,8 +15,8 @@ from pathlib import Path
 
 import pytest
 
-from rotorwatch import cli
-from rotorwatch.optional import tomllib
+from rotorwatch.base.optional import tomllib
+from rotorwatch.commands import cli
 
 ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]

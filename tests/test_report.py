@@ -11,8 +11,8 @@ import pytest
 
 from conftest import hexa_diagnosis, hexa_trace
 from rotorwatch import report
-from rotorwatch.diagnosis import Event, RotorState
 from rotorwatch.errors import ConfigError
+from rotorwatch.flight.diagnosis import Event, RotorState
 from rotorwatch.report import colours, drawing, figures, html, terminal
 
 

@@ -10,7 +10,7 @@ from mcap.reader import make_reader
 
 import rotorwatch as rw
 from conftest import hexa_diagnosis
-from rotorwatch import cli
+from rotorwatch.commands import cli
 from rotorwatch.errors import ConfigError, LogError
 from rotorwatch.report import mcap_file
 

@@ -9,7 +9,7 @@ from rotorwatch import airframes
 from rotorwatch.experiments.studies import error_bound, hover_flights
 from rotorwatch.experiments.studies import reproduce_intermediate as study
 from rotorwatch.maths import intermediate_design as design
-from rotorwatch.systems.linear_hover import LinearHover
+from rotorwatch.maths.systems.linear_hover import LinearHover
 
 FILE = airframes.paper("f450")
 

@@ -6,7 +6,7 @@ import pytest
 from measured import PLANT, Regression, run
 from rotorwatch.errors import ConfigError
 from rotorwatch.estimators.rls import RLS
-from rotorwatch.systems.rigid_body import RigidBody
+from rotorwatch.maths.systems.rigid_body import RigidBody
 from test_laws import DT, LOSS, flown, linear_table, rates_quad
 
 MEMORY, VAR = 0.2, 0.3

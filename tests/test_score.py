@@ -8,8 +8,8 @@ import pytest
 from rotorwatch import airframes
 from rotorwatch.campaign import score
 from rotorwatch.default.announcement import TICKS
-from rotorwatch.diagnosis import Event
 from rotorwatch.experiments import limits
+from rotorwatch.flight.diagnosis import Event
 from rotorwatch.motion.ticks import JUDGE, LEARN
 
 DT, ONSET = 0.1, 30.0

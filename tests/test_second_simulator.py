@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.control.allocation import rows
 from rotorwatch.simulation import dynamics, plan, prepare, rigid, scenario
 

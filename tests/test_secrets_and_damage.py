@@ -4,7 +4,7 @@ import sqlite3
 
 import pytest
 
-from rotorwatch.files import public
+from rotorwatch.base.files import public
 from rotorwatch.fleet.store import Entry, Store
 from test_cli import run  # noqa: F401
 

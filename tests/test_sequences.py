@@ -10,8 +10,8 @@ import pytest
 
 from rotorwatch import airframes
 from rotorwatch.campaign import sequences
-from rotorwatch.diagnosis import Event
 from rotorwatch.errors import ConfigError
+from rotorwatch.flight.diagnosis import Event
 from rotorwatch.motion.ticks import JUDGE, LEARN
 
 DT, COUNT, N = 0.1, 600, 4

@@ -17,10 +17,10 @@ from starlette.testclient import TestClient
 from tests import misbehaving
 from tests.conftest import hexa_diagnosis
 
-from rotorwatch import cli
-from rotorwatch.diagnosis import Diagnosis
+from rotorwatch.commands import cli
 from rotorwatch.errors import ConfigError, LinkError, StoreError, StoreFull
 from rotorwatch.fleet.store import Entry
+from rotorwatch.flight.diagnosis import Diagnosis
 from rotorwatch.live import metrics
 from rotorwatch.live.watched import Watched
 from rotorwatch.report.html import page
@@ -31,7 +31,7 @@ from rotorwatch.serve.flights import Flights
 from rotorwatch.serve.hub import RECENT, Hub
 from rotorwatch.serve.uploads import Limits, Refused, Uploads
 
-SAMPLE = Path(cli.__file__).parent / "samples" / "quadx_healthy_hover.bin.xz"
+SAMPLE = cli.SAMPLES / "quadx_healthy_hover.bin.xz"
 TOKEN = "a-token-of-enough-letters"
 HERE = "http://127.0.0.1:8000"
 

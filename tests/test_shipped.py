@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes
-from rotorwatch.cli import SAMPLES
+from rotorwatch.commands.cli import SAMPLES
 from rotorwatch.compiling import native, shipped, toolchain
 from rotorwatch.compiling.run import run_built
 from rotorwatch.default import program, shipping
@@ -193,7 +193,7 @@ from rotorwatch.compiling import shipped
 place = Path(sys.argv.pop(1))
 find, why_not = shipped.find, shipped.why_not
 shipped.find, shipped.why_not = (lambda wanted: find(wanted, place)), (lambda: why_not(place))
-from rotorwatch import cli
+from rotorwatch.commands import cli
 cli.main(sys.argv[1:])
 """
 

@@ -8,8 +8,9 @@ import pytest
 from click.testing import CliRunner
 
 import rotorwatch
-from rotorwatch import airframes, cli
-from rotorwatch.backend import jax as load_jax
+from rotorwatch import airframes
+from rotorwatch.base.backend import jax as load_jax
+from rotorwatch.commands import cli
 from rotorwatch.errors import ConfigError, LogError
 from rotorwatch.logs import memory
 from rotorwatch.published import helicopter_log
@@ -65,7 +66,7 @@ def flown(system, body, command, steps=400, dt=1 / 400, air=STILL, at=None):
 
 @pytest.mark.parametrize("seed", range(5))
 def test_still_air_is_the_published_plant(seed):
-    """Body accelerations at any attitude are those of systems/helicopter.py, whose roll and pitch are Euler angles."""
+    """Body accelerations at any attitude are those of maths/systems/helicopter.py, whose roll and pitch are Euler angles."""
     rng = np.random.default_rng(seed)
     system = dynamics.plant(DATA)
     roll, pitch, yaw = rng.uniform(-1.2, 1.2, 3)

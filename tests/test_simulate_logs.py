@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 import rotorwatch as rw
 from rotorwatch import airframes
-from rotorwatch.backend import jax
-from rotorwatch.cli import cli
+from rotorwatch.base.backend import jax
+from rotorwatch.commands.cli import cli
 from rotorwatch.errors import ConfigError
 from rotorwatch.simulation import helicopter, scenario, simulate
 from rotorwatch.simulation.prepare import frame_numbers, plan, vehicle

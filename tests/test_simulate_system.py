@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import rotorwatch as rw
-from rotorwatch import checks
+from rotorwatch.base import checks
 from rotorwatch.errors import ConfigError
 
 

@@ -21,8 +21,8 @@ from rotorwatch import airframes, diagnose
 from rotorwatch.answer import story
 from rotorwatch.answer.conclusion import conclude
 from rotorwatch.answer.picture import MOST
-from rotorwatch.diagnosis import Diagnosis, Event
 from rotorwatch.fleet import assess, pages
+from rotorwatch.flight.diagnosis import Diagnosis, Event
 from rotorwatch.report import html, overview, terminal, upset
 from test_browser_report import complaints
 

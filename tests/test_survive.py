@@ -8,12 +8,12 @@ from scipy.optimize import linprog
 
 import rotorwatch as rw
 from rotorwatch import airframes
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import VehicleError
 from rotorwatch.flight import vehicle_file
+from rotorwatch.planning.survive import FULL, NO, NO_YAW, SPINNING
 from rotorwatch.simulation import dynamics, prepare, rotation, scenario
 from rotorwatch.simulation.rigid import Air, Body
-from rotorwatch.survive import FULL, NO, NO_YAW, SPINNING
 
 jax = load_jax()
 jnp = jax.numpy

@@ -5,14 +5,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rotorwatch import airframes, discovery
-from rotorwatch.backend import jax as load_jax
+from rotorwatch import airframes
+from rotorwatch.base import discovery
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
 from rotorwatch.healthy import tune
+from rotorwatch.maths.systems.rate_dynamics import RateDynamics
 from rotorwatch.published import published
 from rotorwatch.published.log_plant import LogPlant
 from rotorwatch.published.published import Tuning
-from rotorwatch.systems.rate_dynamics import RateDynamics
 
 jax = load_jax()
 DT, T = 0.05, 360

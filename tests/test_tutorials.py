@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from rotorwatch import cli
+from rotorwatch.commands import cli
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted((ROOT / "docs" / "tutorials").glob("*.md"))

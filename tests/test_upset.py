@@ -9,8 +9,8 @@ import pytest
 from tests import tumbling
 
 from rotorwatch import airframes, diagnose
-from rotorwatch.diagnosis import Event
 from rotorwatch.flight import Flight, Signal
+from rotorwatch.flight.diagnosis import Event
 from rotorwatch.upset import departure, find
 from rotorwatch.upset.balance import INERTIA, Offset, Window, fit
 from rotorwatch.upset.explain import Explanation, explain

@@ -9,7 +9,8 @@ import pytest
 from rich.console import Console
 from tests.conftest import hexa_event
 
-from rotorwatch import airframes, cli, diagnose, logs
+from rotorwatch import airframes, diagnose, logs
+from rotorwatch.commands import cli
 from rotorwatch.live import view
 from rotorwatch.live.changes import Changes
 from rotorwatch.live.replay import Replay
@@ -22,7 +23,7 @@ from rotorwatch.motion.ticks import READY_S
 from rotorwatch.simulation import scenario, simulate
 
 FLIGHTS = Path(__file__).resolve().parents[2] / "shared" / "flights"
-SAMPLES = Path(cli.__file__).parent / "samples"
+SAMPLES = cli.SAMPLES
 # ESC telemetry is heard, and a log doubted as a whole, only after the flight: docs/watch.md. None of these has the one or is the other.
 LOGS = (
     "ardupilot-sitl/quadx_m1_mul0.90_hover.bin.xz",

@@ -14,7 +14,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from tests.conftest import hexa_event
 
-from rotorwatch import cli
+from rotorwatch.commands import cli
 from rotorwatch.errors import ConfigError
 from rotorwatch.live import endpoint, ground, metrics, webhook
 from rotorwatch.live.link import Link

@@ -12,7 +12,6 @@ import sys
 import threading
 import time
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,7 +19,8 @@ from tests.link_faults import Wire, base
 from tests.mavlink_vehicle import ARDUPILOT, QUAD, Autopilot, mavlink
 from tests.soak import soak
 
-from rotorwatch import cli, logs
+from rotorwatch import logs
+from rotorwatch.commands import cli
 from rotorwatch.errors import LinkError, StoreError
 from rotorwatch.fleet.store import Entry
 from rotorwatch.live import endpoint, record, talk, watch
@@ -32,7 +32,7 @@ from rotorwatch.live.watched import Watched
 from rotorwatch.serve import flights as flights_of
 from rotorwatch.serve import hub, live
 
-SAMPLE = Path(cli.__file__).parent / "samples" / "quadx_healthy_hover.bin.xz"
+SAMPLE = cli.SAMPLES / "quadx_healthy_hover.bin.xz"
 FULL = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
@@ -380,7 +380,7 @@ def test_asked_to_end_it_gives_back_what_it_has_asked_for_and_keeps_the_record(t
     vehicle = Vehicle(port)
     program = (
         "import sys, signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
-        "from rotorwatch import cli; cli.main(sys.argv[1:])"
+        "from rotorwatch.commands import cli; cli.main(sys.argv[1:])"
     )
     arguments = ["watch", f"udpin:127.0.0.1:{port}", "--jsonl", "--record", str(tmp_path)]
     arguments += ["--webhook", f"http://127.0.0.1:{slow.server_port}"]

@@ -14,7 +14,8 @@ from pymavlink.dialects.v20 import ardupilotmega
 from tests.mavlink_vehicle import ARDUPILOT, HEXA, QUAD, Autopilot, messages
 
 from conftest import hexa_event
-from rotorwatch import airframes, cli, diagnose, logs
+from rotorwatch import airframes, diagnose, logs
+from rotorwatch.commands import cli
 from rotorwatch.errors import LinkError
 from rotorwatch.live import endpoint, mavlink, talk
 from rotorwatch.live.clock import Clock, Restarted
@@ -23,7 +24,7 @@ from rotorwatch.live.link import Link
 from rotorwatch.live.watched import Watched
 from rotorwatch.logs import mavlink_messages
 
-SAMPLES = Path(cli.__file__).parent / "samples"
+SAMPLES = cli.SAMPLES
 FLIGHTS = Path(__file__).resolve().parents[2] / "shared" / "flights"
 SECONDS = 50.0
 
@@ -428,7 +429,7 @@ def test_an_endpoint_is_open_before_what_takes_long_is_loaded():
         taken.bind(("127.0.0.1", 0))
         port = taken.getsockname()[1]
         program = (
-            "import sys\nfrom rotorwatch import cli\n"
+            "import sys\nfrom rotorwatch.commands import cli\n"
             f"try: cli.main(['watch', 'udpin:127.0.0.1:{port}'])\n"
             "except SystemExit: print(sorted({'numpy'} & sys.modules.keys()))"
         )

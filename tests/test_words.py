@@ -6,7 +6,7 @@ import pytest
 
 from conftest import against_healthy, hexa_diagnosis
 from rotorwatch import report
-from rotorwatch.diagnosis import RotorState
+from rotorwatch.flight.diagnosis import RotorState
 from rotorwatch.report import html
 from test_report import text_of
 

@@ -22,18 +22,18 @@ __version__ = "0.1.0"
 # Verbs: functions that live in a module of the same name (rotorwatch/diagnose.py holds diagnose), each in its room.
 _VERBS = {
     "airborne": "motion.airborne",
-    "ask": "ask",
+    "ask": "planning.ask",
     "calibrate": "healthy.calibrate",
     "diagnose": "diagnose",
     "diagnose_many": "many.diagnose_many",
-    "export_c": "export_c",
+    "export_c": "export.export_c",
     "fuzz": "experiments.fuzz",
     "fuzz_framed": "experiments.fuzz_framed",
-    "info": "info",
+    "info": "report.info",
     "inject": "experiments.inject",
     "observability": "published.observability",
     "run": "compiling.run",
-    "survive": "survive",
+    "survive": "planning.survive",
     "tune": "healthy.tune",
 }
 # Other names: where each one lives.
@@ -50,26 +50,23 @@ _HOMES = {
     "Rotor": "flight.vehicle",
     "ThrustCurve": "flight.vehicle",
     "Vehicle": "flight.vehicle",
-    "Diagnosis": "diagnosis",
-    "Event": "diagnosis",
-    "RotorState": "diagnosis",
-    "Trace": "diagnosis",
+    "Diagnosis": "flight.diagnosis",
+    "Event": "flight.diagnosis",
+    "RotorState": "flight.diagnosis",
+    "Trace": "flight.diagnosis",
     "ConfigError": "errors",
     "LogError": "errors",
     "RotorwatchError": "errors",
     "VehicleError": "errors",
 }
+# Modules that users know by a shorter name than that of their room.
+_SHORT = {"checks": "base.checks", "detectors": "published.detectors", "systems": "maths.systems"}
 
 __all__ = ["__version__", "read", *_VERBS, *(n for n in _HOMES if n != "read")]
 
 if TYPE_CHECKING:
-    from rotorwatch.ask import ask as ask
     from rotorwatch.compiling.run import run as run
     from rotorwatch.diagnose import diagnose as diagnose
-    from rotorwatch.diagnosis import Diagnosis as Diagnosis
-    from rotorwatch.diagnosis import Event as Event
-    from rotorwatch.diagnosis import RotorState as RotorState
-    from rotorwatch.diagnosis import Trace as Trace
     from rotorwatch.errors import ConfigError as ConfigError
     from rotorwatch.errors import LogError as LogError
     from rotorwatch.errors import RotorwatchError as RotorwatchError
@@ -79,24 +76,29 @@ if TYPE_CHECKING:
     from rotorwatch.experiments.inject import inject as inject
     from rotorwatch.experiments.studies.compare import compare as compare
     from rotorwatch.experiments.studies.reproduction import reproduce as reproduce
-    from rotorwatch.export_c import export_c as export_c
+    from rotorwatch.export.export_c import export_c as export_c
     from rotorwatch.flight import Flight as Flight
     from rotorwatch.flight import Message as Message
     from rotorwatch.flight import Signal as Signal
+    from rotorwatch.flight.diagnosis import Diagnosis as Diagnosis
+    from rotorwatch.flight.diagnosis import Event as Event
+    from rotorwatch.flight.diagnosis import RotorState as RotorState
+    from rotorwatch.flight.diagnosis import Trace as Trace
     from rotorwatch.flight.vehicle import Rotor as Rotor
     from rotorwatch.flight.vehicle import ThrustCurve as ThrustCurve
     from rotorwatch.flight.vehicle import Vehicle as Vehicle
     from rotorwatch.healthy.calibrate import calibrate as calibrate
     from rotorwatch.healthy.tune import tune as tune
-    from rotorwatch.info import info as info
     from rotorwatch.logs import read as read
     from rotorwatch.many.diagnose_many import diagnose_many as diagnose_many
     from rotorwatch.motion.airborne import airborne as airborne
+    from rotorwatch.planning.ask import ask as ask
+    from rotorwatch.planning.survive import survive as survive
     from rotorwatch.published.observability import observability as observability
+    from rotorwatch.report.info import info as info
     from rotorwatch.serve.server import serve as serve
     from rotorwatch.simulation import simulate as simulate
     from rotorwatch.simulation.any_system import simulate_system as simulate_system
-    from rotorwatch.survive import survive as survive
 
 
 class _Verb(ModuleType):
@@ -135,6 +137,8 @@ def __getattr__(name: str) -> Any:
     if name in _VERBS:
         setattr(sys.modules[__name__], name, import_module(f"{__name__}.{_VERBS[name]}"))
         return sys.modules[__name__].__dict__[name]
+    if name in _SHORT:
+        return import_module(f"{__name__}.{_SHORT[name]}")
     if not name.startswith("_") and find_spec(f"{__name__}.{name}") is not None:
         return import_module(f"{__name__}.{name}")
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

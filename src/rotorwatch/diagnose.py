@@ -10,17 +10,17 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import detectors, discovery
 from rotorwatch.aerobatic import desync
 from rotorwatch.aerobatic import judge as aerobatic
 from rotorwatch.answer import common_mode, conclusion, health, picture, places, traces, unseen
+from rotorwatch.base import discovery
 from rotorwatch.default import asked, events, hindsight, hypotheses, leftover
 from rotorwatch.default.announcement import threshold
 from rotorwatch.default.program import Kept, estimate
-from rotorwatch.diagnosis import Diagnosis, Event
 from rotorwatch.errors import ConfigError
 from rotorwatch.esc import consistency
 from rotorwatch.flight import Flight
+from rotorwatch.flight.diagnosis import Diagnosis, Event
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.healthy import baselines, population
 from rotorwatch.healthy.baselines import Given
@@ -28,7 +28,7 @@ from rotorwatch.motion import ticks, trust
 from rotorwatch.motion.airborne import airborne, gaps
 from rotorwatch.motion.allocation import Spans
 from rotorwatch.motion.ticks import JUDGE, READY_KNOWN_S, READY_S, Ticks, observe
-from rotorwatch.published import decide, published
+from rotorwatch.published import decide, detectors, published
 from rotorwatch.published.published import Tuning
 from rotorwatch.upset import find as upset
 

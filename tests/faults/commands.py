@@ -20,10 +20,10 @@ from typing import Any
 from tests.mavlink_vehicle import Autopilot, messages
 
 from rotorwatch import logs
-from rotorwatch.cli import SAMPLES
+from rotorwatch.commands.cli import SAMPLES
 from rotorwatch.simulation.write_dataflash import write_dataflash
 
-ROTORWATCH = [sys.executable, "-m", "rotorwatch.cli"]
+ROTORWATCH = [sys.executable, "-m", "rotorwatch.commands.cli"]
 LOGS: list[Path] = []
 PLAN = Path(__file__).parents[2] / "plans" / "default.toml"
 

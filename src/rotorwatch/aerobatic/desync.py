@@ -26,8 +26,8 @@ from rotorwatch.aerobatic.innovation import DOF, LAGS, Channel, channels
 from rotorwatch.answer.wording import desynced
 from rotorwatch.default.announcement import FALSE_ALARM_PERIOD_S
 from rotorwatch.default.hypotheses import CLEAR
-from rotorwatch.diagnosis import Event
 from rotorwatch.flight import Flight
+from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.motion.allocation import Spans
 

@@ -14,11 +14,11 @@ from importlib import resources
 from types import ModuleType
 from typing import Any
 
-from rotorwatch import discovery
+from rotorwatch.base import discovery
+from rotorwatch.base.optional import tomllib
 from rotorwatch.errors import VehicleError
 from rotorwatch.flight import Flight, vehicle_kind
 from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch.optional import tomllib
 
 KINDS = {2: "quad", 15: "tri", 13: "hexa", 14: "octa", 29: "dodecahexa", 35: "deca"}  # MAVLink MAV_TYPE
 WORDS = {"tricopter": "tri", "octo": "octa", "dodeca": "dodecahexa", **{w: w for w in ("quad", "hexa", "octa", "deca")}}

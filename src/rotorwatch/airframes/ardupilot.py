@@ -18,10 +18,10 @@ from pathlib import Path
 import numpy as np
 
 from rotorwatch import airframes
+from rotorwatch.base.optional import tomllib
 from rotorwatch.errors import VehicleError
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Rotor, ThrustCurve, Vehicle, coaxial, note_on_coaxial
-from rotorwatch.optional import tomllib
 
 CLASSES = {1: "quad", 2: "hexa", 3: "octa", 4: "octaquad", 5: "y6", 7: "tri", 12: "dodecahexa", 14: "deca"}
 TYPES = dict(enumerate("plus x v h vtail atail plus-rev".split()))

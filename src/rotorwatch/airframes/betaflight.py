@@ -15,10 +15,10 @@ from pathlib import Path
 import numpy as np
 
 from rotorwatch import airframes
+from rotorwatch.base.optional import tomllib
 from rotorwatch.errors import VehicleError
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Rotor, ThrustCurve, Vehicle, coaxial, lower_of_pairs, note_on_coaxial
-from rotorwatch.optional import tomllib
 
 FIRMWARES = ("betaflight", "inav", "emuflight", "cleanflight", "baseflight", "butterflight", "rotorflight")
 FRAMES: dict[str, tuple[tuple[float, ...], ...]] = {

@@ -1,4 +1,4 @@
-"""From events to the one answer that every view shows. Nothing is estimated in here; the answer's data are in diagnosis.py.
+"""From events to the one answer that every view shows. Nothing is estimated in here; the answer's data are in flight/diagnosis.py.
 
 wording.py      the words for numbers, rotors and events
 places.py       where a rotor sits, in words

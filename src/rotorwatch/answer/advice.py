@@ -7,7 +7,7 @@ from typing import Any
 
 from rotorwatch.answer.wording import explanations, listed, motor, rotors, seconds, sentence
 from rotorwatch.default.hypotheses import GONE
-from rotorwatch.diagnosis import Event, RotorState
+from rotorwatch.flight.diagnosis import Event, RotorState
 
 BASELINE = "To see smaller damage that was there from take-off, give a healthy flight of the same build: --baseline HEALTHY.LOG."
 

@@ -30,7 +30,7 @@ from rotorwatch.answer.wording import (
 from rotorwatch.default.events import packed
 from rotorwatch.default.hypotheses import GONE
 from rotorwatch.default.leftover import Leftover
-from rotorwatch.diagnosis import Event, RotorState, StoryLine, Trend
+from rotorwatch.flight.diagnosis import Event, RotorState, StoryLine, Trend
 from rotorwatch.front import whole
 from rotorwatch.front.definition import FRONT
 

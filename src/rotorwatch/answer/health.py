@@ -24,7 +24,7 @@ import numpy as np
 
 from rotorwatch.answer.wording import SCALE
 from rotorwatch.default.plant import USUAL_S
-from rotorwatch.diagnosis import Event, Trend
+from rotorwatch.flight.diagnosis import Event, Trend
 from rotorwatch.maths import trend as line
 from rotorwatch.motion.ticks import JUDGE, Ticks
 

@@ -14,8 +14,8 @@ import numpy as np
 
 from rotorwatch.answer.story import LOST, departure
 from rotorwatch.answer.traces import angles, rates
-from rotorwatch.diagnosis import Event, StoryLine
 from rotorwatch.flight import Flight
+from rotorwatch.flight.diagnosis import Event, StoryLine
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.motion import allocation
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from rotorwatch.answer.wording import candidates, losses, rotors, seconds, sentence
-from rotorwatch.diagnosis import Event, StoryLine
+from rotorwatch.flight.diagnosis import Event, StoryLine
 
 LOST, LOSS, ORDER = "loss_of_control", "loss_of_effectiveness", "motor_order"
 ACCUSES = (LOSS, "output_override", ORDER)

@@ -11,8 +11,8 @@ from rotorwatch.answer.conclusion import most
 from rotorwatch.answer.wording import explanations, rotors
 from rotorwatch.default import events
 from rotorwatch.default.hypotheses import Hypotheses
-from rotorwatch.diagnosis import Trace
 from rotorwatch.flight import Flight, Signal
+from rotorwatch.flight.diagnosis import Trace
 from rotorwatch.motion.ticks import JUDGE, LEARN, Ticks
 
 LN10 = float(np.log(10.0))

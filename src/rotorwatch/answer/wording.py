@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from rotorwatch.default.hypotheses import GONE
-from rotorwatch.diagnosis import Event, Trend
+from rotorwatch.flight.diagnosis import Event, Trend
 
 KINDS = {
     "loss_of_effectiveness": "loss of effectiveness",

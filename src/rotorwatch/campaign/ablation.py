@@ -33,10 +33,10 @@ from rotorwatch.campaign.constants import TABLE
 from rotorwatch.campaign.plan import Plan
 from rotorwatch.compiling.run import chosen, run_built
 from rotorwatch.default import events, program
-from rotorwatch.diagnosis import Event
 from rotorwatch.errors import ConfigError
 from rotorwatch.experiments import inject, tools
 from rotorwatch.experiments.studies import false_alarms
+from rotorwatch.flight.diagnosis import Event
 from rotorwatch.front.definition import FRONT
 from rotorwatch.motion.airborne import airborne
 from rotorwatch.motion.ticks import JUDGE, READY_S, Ticks, observe

@@ -15,19 +15,20 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from rotorwatch import airframes, detectors
-from rotorwatch.backend import jax as load_jax
+from rotorwatch import airframes
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.campaign import methods, score
 from rotorwatch.campaign.plan import Plan
 from rotorwatch.compiling.run import run_built
 from rotorwatch.default import events, program
-from rotorwatch.diagnosis import Event
 from rotorwatch.errors import ConfigError
 from rotorwatch.experiments import limits
 from rotorwatch.flight import Flight
+from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.motion.airborne import airborne
 from rotorwatch.motion.ticks import GROUND, LAG_S, READY_S, Ticks, observe
+from rotorwatch.published import detectors
 from rotorwatch.simulation import logbook
 from rotorwatch.simulation import plan as flight_plan
 from rotorwatch.simulation.loop import fly_each

@@ -18,17 +18,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rotorwatch import __version__, airframes, detectors, discovery, files
-from rotorwatch.backend import jax as load_jax
+from rotorwatch import __version__, airframes
+from rotorwatch.base import discovery, files
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.campaign import batch, public_data, results_file, summary, work
 from rotorwatch.campaign.benchmark_plan import Benchmark, digest, read, shipped
 from rotorwatch.campaign.plan import Plan
 from rotorwatch.campaign.score import COLUMNS
 from rotorwatch.errors import ConfigError
 from rotorwatch.experiments.studies import compare, compare_flights
-from rotorwatch.published import published
+from rotorwatch.maths.systems.rate_dynamics import RateDynamics
+from rotorwatch.published import detectors, published
 from rotorwatch.simulation.scenario import brief
-from rotorwatch.systems.rate_dynamics import RateDynamics
 
 __all__ = ["Benchmark", "known_methods", "parts_of", "read", "run", "selected_methods", "shipped", "try_out"]
 REPEATS = 7  # of the table that a step is timed over

@@ -17,12 +17,12 @@ import os
 from pathlib import Path
 from typing import NamedTuple
 
-from rotorwatch import files
+from rotorwatch.base import files
+from rotorwatch.base.optional import tomllib
 from rotorwatch.campaign import plan as plans
 from rotorwatch.campaign.plan import Plan
 from rotorwatch.campaign.score import RISE_S
 from rotorwatch.errors import ConfigError
-from rotorwatch.optional import tomllib
 from rotorwatch.simulation.scenario import number, plain, whole
 
 SHIPPED = Path(__file__).parent / "benchmark_plans"

@@ -19,8 +19,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rotorwatch import discovery
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base import discovery
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.campaign import batch, methods, work
 from rotorwatch.campaign import plan as plans
 from rotorwatch.campaign.plan import Plan

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import NamedTuple
 
-from rotorwatch import files
+from rotorwatch.base import files
 
 
 class Constant(NamedTuple):

@@ -22,9 +22,9 @@ from rotorwatch import airframes
 from rotorwatch.control import excitation
 from rotorwatch.default import asked, events, program
 from rotorwatch.diagnose import diagnose
-from rotorwatch.diagnosis import Event
 from rotorwatch.errors import ConfigError
 from rotorwatch.experiments import tools
+from rotorwatch.flight.diagnosis import Event
 from rotorwatch.motion.airborne import airborne
 from rotorwatch.motion.allocation import ambiguous_sets
 from rotorwatch.motion.ticks import READY_S, observe

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.compiling.run import engine, run, run_built
 from rotorwatch.default import hypotheses, program
 from rotorwatch.default.plant import PER_AXIS

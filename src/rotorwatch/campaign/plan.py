@@ -35,8 +35,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rotorwatch import detectors, discovery, files
+from rotorwatch.base import discovery, files
 from rotorwatch.errors import ConfigError
+from rotorwatch.published import detectors
 from rotorwatch.simulation import prepare, scenario
 from rotorwatch.simulation.scenario import Scenario, brief, is_number, number, plain, whole
 

@@ -29,7 +29,8 @@ from typing import Any, cast
 
 import numpy as np
 
-from rotorwatch import airframes, files, logs
+from rotorwatch import airframes, logs
+from rotorwatch.base import files
 from rotorwatch.campaign import batch
 from rotorwatch.campaign.batch import Flown
 from rotorwatch.campaign.plan import Plan

@@ -12,7 +12,8 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from rotorwatch import __version__, files
+from rotorwatch import __version__
+from rotorwatch.base import files
 from rotorwatch.campaign import results_file
 from rotorwatch.campaign.page import STYLE
 from rotorwatch.errors import ConfigError

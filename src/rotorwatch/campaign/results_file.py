@@ -15,7 +15,7 @@ import math
 import os
 from typing import Any
 
-from rotorwatch import files
+from rotorwatch.base import files
 from rotorwatch.campaign import benchmark_plan
 from rotorwatch.errors import ConfigError
 

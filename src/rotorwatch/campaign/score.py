@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import files
+from rotorwatch.base import files
 from rotorwatch.campaign.plan import Plan
 from rotorwatch.default import events
 from rotorwatch.default.announcement import TICKS
-from rotorwatch.diagnosis import Event
 from rotorwatch.experiments import limits
+from rotorwatch.flight.diagnosis import Event
 from rotorwatch.motion.ticks import JUDGE
 from rotorwatch.simulation.scenario import Scenario
 

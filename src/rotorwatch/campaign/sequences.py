@@ -21,13 +21,13 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from rotorwatch import files
+from rotorwatch.base import files
 from rotorwatch.campaign import batch
 from rotorwatch.campaign.plan import Cell, drawn
 from rotorwatch.default import events
-from rotorwatch.diagnosis import Event
 from rotorwatch.errors import ConfigError
 from rotorwatch.experiments import tools
+from rotorwatch.flight.diagnosis import Event
 from rotorwatch.motion.ticks import JUDGE, Ticks
 from rotorwatch.simulation import scenario
 from rotorwatch.simulation.scenario import Scenario

@@ -19,7 +19,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from rotorwatch import optional
+from rotorwatch.base import optional
 from rotorwatch.campaign.plan import Plan
 from rotorwatch.campaign.score import COLUMNS
 from rotorwatch.errors import ConfigError

@@ -63,7 +63,7 @@ def run(
 
 def _processes(jobs: int | None = None) -> int:
     """How many processes: `jobs`, else one per processor; never more than one on an accelerator, whose memory one takes."""
-    from rotorwatch.backend import jax
+    from rotorwatch.base.backend import jax
 
     return (jobs or many.processors()) if jax().default_backend() == "cpu" else 1
 

@@ -1,1 +1,1 @@
-"""The commands of the command line, a family a file; cli.py puts them together."""
+"""The command line: a family of commands a file; cli.py puts them together and is the program's entry."""

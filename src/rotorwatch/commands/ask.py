@@ -42,8 +42,8 @@ from rotorwatch.errors import ConfigError
 def ask(log, vehicle, candidates, loss, hover, arm, within, tilt, amplitude, commands, figure, as_json, quiet) -> None:
     """Design the small excitation of the commands that tells apart soonest which of the candidates is weak: of LOG, whose answer is
     ambiguous, or of a vehicle. It moves no thrust and no moment while all rotors are well."""
-    from rotorwatch import files
-    from rotorwatch.ask import ask as run
+    from rotorwatch.base import files
+    from rotorwatch.planning.ask import ask as run
 
     if (log is None) == (vehicle is None):
         raise ConfigError("Give a log whose answer is ambiguous, or --vehicle with --candidates.")

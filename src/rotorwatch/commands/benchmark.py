@@ -101,7 +101,7 @@ def benchmark(what, methods, more, data, jobs, out, rank, listing, as_json, quie
 def _rank(paths: tuple[str, ...], out: Path | None, as_json: bool, quiet: bool) -> None:
     import json
 
-    from rotorwatch import files
+    from rotorwatch.base import files
     from rotorwatch.campaign import ranking
 
     if out:

@@ -33,7 +33,7 @@ def campaign(plan, flights, jobs, scheduler, out, as_json, quiet) -> None:
     import json
 
     from rotorwatch import campaign as campaigns
-    from rotorwatch import files
+    from rotorwatch.base import files
     from rotorwatch.campaign import batch, page
     from rotorwatch.campaign.store import Folder
 
@@ -141,7 +141,7 @@ def closed_loop(plan, flights, drivers, by, jobs, scheduler, out, as_json, quiet
     vehicle flies. Prints who survives, how soon, and what was done for nothing. The same command again goes on where it was stopped."""
     import json
 
-    from rotorwatch import files
+    from rotorwatch.base import files
     from rotorwatch.campaign import closed_loop as study
     from rotorwatch.campaign import plan as plans
 

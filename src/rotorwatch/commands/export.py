@@ -29,9 +29,9 @@ def export_c(
 ) -> None:
     """Write an estimator, the control allocation (docs/control.md), or the whole diagnosis, as C99 that needs nothing but libm
     (docs/export.md)."""
-    from rotorwatch import files
-    from rotorwatch.export_c import FRAME, export_allocator
-    from rotorwatch.export_c import export_c as run
+    from rotorwatch.base import files
+    from rotorwatch.export.export_c import FRAME, export_allocator
+    from rotorwatch.export.export_c import export_c as run
     from rotorwatch.flight import vehicle_file
 
     if (estimator is not None) + (allocator is not None) + diagnoser != 1:
@@ -51,7 +51,7 @@ def export_c(
     if vehicle is not None and (Path(vehicle).suffix == ".toml" or Path(vehicle).exists()):
         craft = vehicle_file.read(vehicle)
     if diagnoser:
-        from rotorwatch.export_diagnoser import export_diagnoser
+        from rotorwatch.export.export_diagnoser import export_diagnoser
 
         click.echo("\n".join(map(str, export_diagnoser(out, vehicle=craft or FRAME, **own))))
         return

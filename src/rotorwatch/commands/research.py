@@ -70,7 +70,7 @@ def _vehicle(name: str):
 @common
 def reproduce(paper, seeds, literal, figures, jobs, scheduler, as_json, quiet) -> None:
     """Run the experiments of PAPER (or of `all`): each claim beside what comes out here, a verdict, and why."""
-    from rotorwatch import files, optional
+    from rotorwatch.base import files, optional
     from rotorwatch.experiments.studies import reproduction
 
     known = reproduction.studies()
@@ -110,7 +110,7 @@ def reproduce(paper, seeds, literal, figures, jobs, scheduler, as_json, quiet) -
 
 def _draw(module, result, folder: Path) -> list[Path]:
     """The study's figures as SVG files in a folder; returns where."""
-    from rotorwatch import files
+    from rotorwatch.base import files
 
     paths = []
     for stem, figure in module.figures(result).items():

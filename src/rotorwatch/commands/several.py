@@ -145,7 +145,7 @@ def _page(request: Request, path: str) -> str | None:
 
 def _write_page(request: Request, answer: Any) -> str | None:
     """Write the page and the MCAP file of an answer; returns the page's name below --html."""
-    from rotorwatch import files
+    from rotorwatch.base import files
 
     if answer.recording is not None:
         with files.replacing(request.recordings[answer.index]) as unfinished:

@@ -36,7 +36,8 @@ def simulate(scenario, out, seed, quiet) -> None:
     """Fly SCENARIO (TOML, docs/simulation.md): writes an ArduPilot .bin or a PX4 .ulg as the autopilot would have logged it (of a
     helicopter a .csv or .parquet table), and what was broken beside it, as FLIGHT.truth.json and FLIGHT.truth.csv.
     """
-    from rotorwatch import files, simulation
+    from rotorwatch import simulation
+    from rotorwatch.base import files
     from rotorwatch.simulation.scenario import read
 
     files.writable(out, "--out")
@@ -106,7 +107,8 @@ def estimate(log, airframe, estimator, lag, as_json, quiet) -> None:
     """
     import json
 
-    from rotorwatch import checks, logs
+    from rotorwatch import logs
+    from rotorwatch.base import checks
     from rotorwatch.published import helicopter_log
 
     checks.finite("--lag", lag)

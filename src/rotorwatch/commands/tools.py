@@ -16,9 +16,9 @@ from typing import Any
 
 import click
 
-from rotorwatch import incoming
+from rotorwatch.base import incoming
+from rotorwatch.base.files import printable, public
 from rotorwatch.errors import BackendWarning, ConfigError, PluginWarning, WorkerWarning
-from rotorwatch.files import printable, public
 
 PICTURES = (".svg", ".png", ".pdf")
 ADDRESS = re.compile(r"[a-z][a-z0-9+.-]+://", re.IGNORECASE)
@@ -31,7 +31,7 @@ class Log(click.ParamType):
     name = "file"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
-        from rotorwatch.files import no_address
+        from rotorwatch.base.files import no_address
 
         if isinstance(value, Path):
             return value
@@ -306,7 +306,7 @@ def counting(quiet: bool, what: str) -> Iterator[Counting | None]:
 
 def drawable(figure: Path) -> None:
     """Before the work: that --figure can be drawn. Raises ConfigError."""
-    from rotorwatch import files, optional
+    from rotorwatch.base import files, optional
 
     files.writable(figure, "--figure")
     if figure.suffix.lower() not in PICTURES:

@@ -33,7 +33,7 @@ def tune(logs, estimator, out, rounds, papers, as_json, quiet) -> None:
 
     Give the file to `rotorwatch diagnose --estimator NAME --tuning FILE` later.
     """
-    from rotorwatch import files
+    from rotorwatch.base import files
     from rotorwatch.healthy.tune import tune as run
     from rotorwatch.healthy.tune import write
 
@@ -81,7 +81,7 @@ def tune(logs, estimator, out, rounds, papers, as_json, quiet) -> None:
 @common
 def compare(logs, truth, estimators, losses, seeds, as_json, quiet) -> None:
     """Run all estimators on simulated flights, on healthy LOGs with losses put in, and on LOGs with a table of their faults."""
-    from rotorwatch import discovery
+    from rotorwatch.base import discovery
     from rotorwatch.experiments.studies import compare_flights as flights
     from rotorwatch.experiments.studies.compare import compare as run
     from rotorwatch.experiments.studies.compare import markdown

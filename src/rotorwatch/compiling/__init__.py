@@ -4,7 +4,7 @@ run.py        steps an estimator over the rows, compiled once
 native.py     the same by a C library, built once and kept
 shipped.py    libraries that come with the package
 toolchain.py  the C compiler, and where results are kept
-c99/          a traced step as C99; export_c.py makes projects for flight controllers of it
+c99/          a traced step as C99; export/ makes projects for flight controllers of it
 
 And definitions in a part of Python that is also C (front/ is made of them):
 

@@ -231,7 +231,7 @@ def flattened(tree: Any) -> list:
 
 def _made(make_estimator: Callable, select: Callable, parameters, sizes: tuple[int, int], name: str):
     """(program, layout) of an estimator built from parameters: traced and exported."""
-    from rotorwatch.backend import jax as load_jax
+    from rotorwatch.base.backend import jax as load_jax
     from rotorwatch.compiling.c99.project import Field, make
 
     jax = load_jax()

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import checks
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base import checks
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.compiling import native, toolchain
 from rotorwatch.errors import BackendWarning, ConfigError
 

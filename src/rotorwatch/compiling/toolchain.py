@@ -15,8 +15,8 @@ import subprocess
 import warnings
 from pathlib import Path
 
-from rotorwatch import incoming
-from rotorwatch.backend import cache_folder, code_folder
+from rotorwatch.base import incoming
+from rotorwatch.base.backend import cache_folder, code_folder
 from rotorwatch.errors import BackendWarning, ConfigError
 
 # Vector code of this processor; errno and signals of floating point are nobody's business here, NaN and signed zeros are.

@@ -29,8 +29,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rotorwatch import checks
-from rotorwatch.backend import jnp
+from rotorwatch.base import checks
+from rotorwatch.base.backend import jnp
 from rotorwatch.control import box
 from rotorwatch.core import Array
 from rotorwatch.errors import ConfigError

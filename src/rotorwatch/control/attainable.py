@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rotorwatch import checks
+from rotorwatch.base import checks
 from rotorwatch.errors import ConfigError
 
 SAME = 1e-9  # relative: what is smaller is rounding

@@ -14,7 +14,7 @@ the turns end with says which rotors are at a bound; the others are solved for o
 
 from __future__ import annotations
 
-from rotorwatch.backend import jax, jnp
+from rotorwatch.base.backend import jax, jnp
 
 # Of 200,000 demands on vehicles of up to twelve rotors none took more than 16 (docs/control.md).
 TURNS = 24

@@ -37,7 +37,7 @@ from rotorwatch.default.leftover import TRIM_S, TRIM_SD
 from rotorwatch.default.noise import spread
 from rotorwatch.default.plant import AXIS_STATES, GAIN, PER_AXIS, TAU, lower_rotors
 from rotorwatch.default.program import estimate
-from rotorwatch.diagnosis import Event
+from rotorwatch.flight.diagnosis import Event
 from rotorwatch.maths.nonnegative import least_squares
 from rotorwatch.maths.tails import normal_cdf
 from rotorwatch.motion.ticks import JUDGE, Ticks

@@ -15,8 +15,8 @@ from rotorwatch.compiling.running import Rows
 from rotorwatch.compiling.structs import LASTS
 from rotorwatch.default.hypotheses import Hypotheses
 from rotorwatch.default.plant import lower_rotors
-from rotorwatch.diagnosis import Event
 from rotorwatch.flight import Flight
+from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.front import deviations, losses, whole
 from rotorwatch.front import events as definition

@@ -20,7 +20,7 @@ from rotorwatch.default import events, hypotheses
 from rotorwatch.default.learning import LEARNED_WEIGHT
 from rotorwatch.default.plant import AXIS_STATES, DAMPING, GAIN, PER_AXIS, any_multirotor, lower_rotors
 from rotorwatch.default.program import estimate
-from rotorwatch.diagnosis import Event
+from rotorwatch.flight.diagnosis import Event
 from rotorwatch.motion.ticks import GROUND, JUDGE, LEARN, Ticks
 
 LOOK_S = 7.0  # beyond the blind time: a loss just before its end is announced in it, and has lasted

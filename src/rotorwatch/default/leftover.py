@@ -15,7 +15,7 @@ import numpy as np
 
 from rotorwatch.default import hypotheses, plant
 from rotorwatch.default.hypotheses import Hypotheses
-from rotorwatch.diagnosis import Event
+from rotorwatch.flight.diagnosis import Event
 from rotorwatch.motion.ticks import JUDGE, Ticks
 
 LASTS_S = 1.0

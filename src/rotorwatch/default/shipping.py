@@ -18,7 +18,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import NamedTuple
 
-from rotorwatch import backend
+from rotorwatch.base import backend
 from rotorwatch.compiling import shipped, toolchain
 from rotorwatch.errors import RotorwatchError
 

@@ -12,10 +12,10 @@ from dataclasses import replace
 import numpy as np
 
 from rotorwatch.answer.wording import CAUSES, listed, percent, probability, rotors
-from rotorwatch.diagnosis import Event
 from rotorwatch.esc import evidence, gone, ratios, telemetry, watch
 from rotorwatch.esc.telemetry import Binned
 from rotorwatch.flight import Flight
+from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.motion import allocation
 from rotorwatch.motion.ticks import Ticks

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from rotorwatch.answer.wording import CAUSES, rotors
-from rotorwatch.diagnosis import Event
 from rotorwatch.esc import ratios
+from rotorwatch.flight.diagnosis import Event
 
 
 def entry(

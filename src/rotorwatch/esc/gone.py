@@ -14,9 +14,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from rotorwatch.answer.wording import rotors, seconds
-from rotorwatch.diagnosis import Event
 from rotorwatch.esc import evidence, ratios
 from rotorwatch.esc.telemetry import Binned
+from rotorwatch.flight.diagnosis import Event
 
 USUAL = 0.75
 STANDS = 0.2  # of its usual speed

@@ -16,9 +16,9 @@ from __future__ import annotations
 import numpy as np
 
 from rotorwatch.answer.wording import interval, percent, rotors, seconds
-from rotorwatch.diagnosis import Event
 from rotorwatch.esc import evidence, ratios
 from rotorwatch.esc.telemetry import BIN_S, Binned
+from rotorwatch.flight.diagnosis import Event
 
 BLOCK_S = 5.0
 BEFORE, AFTER = 3, 2  # blocks that a change needs on each side

@@ -11,8 +11,8 @@ from __future__ import annotations
 
 from dataclasses import KW_ONLY, dataclass
 
-from rotorwatch import checks
-from rotorwatch.backend import jnp
+from rotorwatch.base import checks
+from rotorwatch.base.backend import jnp
 from rotorwatch.errors import ConfigError
 from rotorwatch.maths import ellipsoid
 from rotorwatch.maths.set_membership import Cutting, SetMembership

@@ -13,8 +13,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from rotorwatch import checks
-from rotorwatch.backend import jnp, lax
+from rotorwatch.base import checks
+from rotorwatch.base.backend import jnp, lax
 from rotorwatch.core import Array, Estimate
 from rotorwatch.maths import two_stage, unscented
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rotorwatch.backend import jax, jnp
+from rotorwatch.base.backend import jax, jnp
 from rotorwatch.maths import multiple_model
 from rotorwatch.maths.multiple_model import Bank, Output
 

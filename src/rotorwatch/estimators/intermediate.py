@@ -17,8 +17,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rotorwatch import checks
-from rotorwatch.backend import jax, jnp
+from rotorwatch.base import checks
+from rotorwatch.base.backend import jax, jnp
 from rotorwatch.core import Array, Estimate
 from rotorwatch.errors import ConfigError
 from rotorwatch.maths import intermediate_design as design

@@ -18,8 +18,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rotorwatch import checks
-from rotorwatch.backend import jax, jnp, lax
+from rotorwatch.base import checks
+from rotorwatch.base.backend import jax, jnp, lax
 from rotorwatch.core import Array, Estimate
 from rotorwatch.maths import linearise, measured_regression
 

@@ -16,8 +16,8 @@ import math
 from dataclasses import KW_ONLY, dataclass
 from typing import Any, NamedTuple
 
-from rotorwatch import checks
-from rotorwatch.backend import jax, jnp
+from rotorwatch.base import checks
+from rotorwatch.base.backend import jax, jnp
 from rotorwatch.core import Estimate
 from rotorwatch.errors import ConfigError
 from rotorwatch.maths import bounded

@@ -15,8 +15,8 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from rotorwatch import checks
-from rotorwatch.backend import jax, jnp
+from rotorwatch.base import checks
+from rotorwatch.base.backend import jax, jnp
 from rotorwatch.core import Estimate
 from rotorwatch.maths import bounded, linearise, plant
 from rotorwatch.maths.small import definite_solve, symmetric

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from rotorwatch.backend import jax
+from rotorwatch.base.backend import jax
 from rotorwatch.core import Array, Estimate
 from rotorwatch.maths import plant, unscented
 

@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import incoming as limited
 from rotorwatch import many
+from rotorwatch.base import incoming as limited
 from rotorwatch.errors import ConfigError, RotorwatchError, WorkerError
 
 OUTCOMES = ("read", "read with warnings", "rejected with a sentence", "FAILED")

@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch.diagnosis import Diagnosis
 from rotorwatch.errors import ConfigError, RotorwatchError
 from rotorwatch.experiments import damage
 from rotorwatch.experiments.fuzz import Mutations, here, load, pool
+from rotorwatch.flight.diagnosis import Diagnosis
 
 OUTCOMES = ("same", "inconclusive", "ambiguous", "missed", "rejected", "false fault", "wrong rotor", "FAILED")
 """Same verdict and rotors; three ways to say less; a sentence instead of an answer; three that must not be."""

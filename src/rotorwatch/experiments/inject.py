@@ -22,10 +22,10 @@ import numpy as np
 
 from rotorwatch import airframes, logs
 from rotorwatch.default import events, program
-from rotorwatch.diagnosis import Event
 from rotorwatch.errors import ConfigError
 from rotorwatch.experiments import tools
 from rotorwatch.flight import Flight, Signal
+from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.motion import allocation
 from rotorwatch.motion.airborne import airborne

@@ -8,8 +8,8 @@ import sys
 from pathlib import Path
 from urllib.parse import urlsplit
 
+from rotorwatch.base.files import public
 from rotorwatch.errors import ConfigError
-from rotorwatch.files import public
 
 
 def default_url() -> str:

@@ -9,9 +9,9 @@ from typing import Any
 
 import sqlalchemy as sa
 
-from rotorwatch.diagnosis import Diagnosis
 from rotorwatch.errors import ConfigError
 from rotorwatch.fleet import tables
+from rotorwatch.flight.diagnosis import Diagnosis
 
 TYPES = {sa.Text: str, sa.Integer: int, sa.BigInteger: int, sa.Float: (int, float)}
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from rotorwatch import files, optional
+from rotorwatch.base import files, optional
 from rotorwatch.fleet.store import Store
 
 PART = 10_000

@@ -6,10 +6,10 @@ import os
 from collections.abc import Callable, Sequence
 
 from rotorwatch import __version__, airframes
-from rotorwatch.diagnosis import Diagnosis
 from rotorwatch.fleet import identity
 from rotorwatch.fleet.store import Entry, digest
 from rotorwatch.flight import Flight
+from rotorwatch.flight.diagnosis import Diagnosis
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.healthy import whole_flight
 from rotorwatch.motion.airborne import airborne

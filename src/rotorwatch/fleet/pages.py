@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
 
-from rotorwatch import files
 from rotorwatch.answer.wording import listed
+from rotorwatch.base import files
 from rotorwatch.fleet.assess import FELL
 from rotorwatch.fleet.store import Store
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from rotorwatch import optional
+from rotorwatch.base import optional
 from rotorwatch.errors import ConfigError, StoreError
 
 CHUNK = 1 << 20

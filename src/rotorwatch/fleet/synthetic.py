@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import files
+from rotorwatch.base import files
 from rotorwatch.fleet import assess, judge
 from rotorwatch.fleet.store import Store
 from rotorwatch.flight import Flight, Message

@@ -1,10 +1,11 @@
-"""The basic types: a flight as its log records it, and the vehicle that flew. Data in SI units and known frames; no estimation in here.
+"""The nouns: a flight as its log records it, the vehicle that flew, the answer. Data in SI units and known frames; no estimation in here.
 
 flight.py         signals, messages and parameters of a log
 vehicle_kind.py   what a log is of, when it is no multirotor
 vehicle.py        rotors, thrust curve, mixer, and what was learned of them
 vehicle_file.py   the same as a TOML file
 notebook.py       a flight as notebooks show it
+diagnosis.py      the answer: verdict, rotors, events and the evidence for them
 """
 
 from rotorwatch.flight.flight import Flight, Message, Signal

@@ -35,9 +35,9 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import optional
+from rotorwatch.base import optional
+from rotorwatch.base.files import printable
 from rotorwatch.errors import ConfigError
-from rotorwatch.files import printable
 
 
 @dataclass(frozen=True)

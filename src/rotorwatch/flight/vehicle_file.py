@@ -28,7 +28,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import files
+from rotorwatch.base import files
 from rotorwatch.errors import ConfigError, VehicleError
 from rotorwatch.flight.vehicle import Rotor, ThrustCurve, Vehicle
 

@@ -23,11 +23,11 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import checks, discovery, files
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base import checks, discovery, files
+from rotorwatch.base.backend import jax as load_jax
+from rotorwatch.base.optional import tomllib
 from rotorwatch.errors import ConfigError
 from rotorwatch.healthy import baselines
-from rotorwatch.optional import tomllib
 from rotorwatch.published import log_plant, published
 from rotorwatch.published.log_plant import LogPlant
 from rotorwatch.published.published import Scaled, Tuning

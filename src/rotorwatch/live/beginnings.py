@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from rotorwatch.default import hindsight
-from rotorwatch.diagnosis import Event
+from rotorwatch.flight.diagnosis import Event
 from rotorwatch.motion.allocation import Spans
 from rotorwatch.motion.ticks import Ticks, joined
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from rotorwatch.default.events import KINDS, packed
-from rotorwatch.diagnosis import Event
+from rotorwatch.flight.diagnosis import Event
 from rotorwatch.front import events as listed
 from rotorwatch.front import news, whole
 from rotorwatch.front.definition import FRONT

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from rotorwatch.diagnosis import Event
 from rotorwatch.flight import Flight, Message, Signal
+from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.live.window import Window
 from rotorwatch.motion.allocation import Spans

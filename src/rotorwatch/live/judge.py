@@ -9,7 +9,7 @@ import numpy as np
 
 from rotorwatch.answer.unseen import Unseen
 from rotorwatch.default import events, program
-from rotorwatch.diagnosis import Event
+from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.live.account import Account, grounded
 from rotorwatch.live.beginnings import Beginnings

@@ -10,11 +10,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from rotorwatch.base.optional import library
 from rotorwatch.errors import ConfigError
 from rotorwatch.live import view
 from rotorwatch.live.watch import Source
 from rotorwatch.live.watched import Watched
-from rotorwatch.optional import library
 
 EVERY_S = 1.0
 STATES = ("LOST", "FAULT", "MAYBE", "OK", "GROUND", "BLIND", "SILENT", "ERROR")

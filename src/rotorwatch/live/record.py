@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from rotorwatch import files
+from rotorwatch.base import files
 
 FLUSH_S = 1.0  # of frames are lost at most when the computer fails
 MOST = 1 << 16  # bytes that wait

@@ -10,8 +10,8 @@ import numpy as np
 
 from rotorwatch import airframes
 from rotorwatch.default import events
-from rotorwatch.diagnosis import Event
 from rotorwatch.flight import Flight, Message, Signal
+from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.live.control import Control
 from rotorwatch.live.judge import Judge

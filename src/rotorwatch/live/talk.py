@@ -10,7 +10,7 @@ import json
 import os
 from collections.abc import Callable, Mapping
 
-from rotorwatch.backend import cache_folder
+from rotorwatch.base.backend import cache_folder
 from rotorwatch.live.frames import Outgoing, outgoing
 
 SYSTEM, COMPONENT = 254, 191

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from rotorwatch.answer.wording import KINDS, interval, percent, rotors
-from rotorwatch.diagnosis import Event
+from rotorwatch.flight.diagnosis import Event
 from rotorwatch.live.watch import Source
 from rotorwatch.live.watched import Watched
 from rotorwatch.upset.find import CAUSES

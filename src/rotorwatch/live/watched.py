@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from rotorwatch.diagnosis import Event
 from rotorwatch.errors import RotorwatchError
 from rotorwatch.flight import Flight, Message, Signal
+from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.live.beside import trouble
 from rotorwatch.live.changes import WITHDRAWN, Change, Changes

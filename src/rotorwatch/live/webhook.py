@@ -14,8 +14,8 @@ import urllib.request
 from collections import deque
 from collections.abc import Callable
 
+from rotorwatch.base.files import public
 from rotorwatch.errors import ConfigError
-from rotorwatch.files import public
 from rotorwatch.live.beside import as_json
 
 MOST = 1000  # alerts that wait; beyond, the oldest go

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from rotorwatch import optional
+from rotorwatch.base import optional
 from rotorwatch.errors import ConfigError, LogError
 
 MCAP = b"\x89MCAP0\r\n"

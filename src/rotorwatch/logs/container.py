@@ -8,7 +8,7 @@ import mmap
 import zlib
 from pathlib import Path
 
-from rotorwatch import incoming
+from rotorwatch.base import incoming
 from rotorwatch.errors import LogError
 
 SLACK, SHRINKS = 256 << 20, 16

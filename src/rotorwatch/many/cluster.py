@@ -22,7 +22,8 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from typing import Any
 
-from rotorwatch import __version__, optional
+from rotorwatch import __version__
+from rotorwatch.base import optional
 from rotorwatch.errors import ConfigError, WorkerError, WorkerWarning
 from rotorwatch.many.done import Done, Task, attempt, packed
 

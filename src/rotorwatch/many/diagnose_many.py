@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from rotorwatch import logs
-from rotorwatch.diagnosis import SCHEMA, Diagnosis
 from rotorwatch.errors import ConfigError, RotorwatchError
 from rotorwatch.flight import Flight
+from rotorwatch.flight.diagnosis import SCHEMA, Diagnosis
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.many import gathering
 from rotorwatch.many.done import Done

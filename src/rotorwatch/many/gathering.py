@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import unquote, urlsplit
 
-from rotorwatch import incoming, logs, optional
+from rotorwatch import logs
+from rotorwatch.base import incoming, optional
 from rotorwatch.errors import ConfigError, LogError
 from rotorwatch.logs import container
 

@@ -20,7 +20,7 @@ from dataclasses import replace
 from multiprocessing import connection, get_context, parent_process
 from typing import Any
 
-from rotorwatch import incoming
+from rotorwatch.base import incoming
 from rotorwatch.errors import WorkerError
 from rotorwatch.many.done import Done, Task, attempt, packed, portable
 

@@ -14,7 +14,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from rotorwatch import __version__, files
+from rotorwatch import __version__
+from rotorwatch.base import files
 
 PLAIN = {"builtins": {"range", "set", "frozenset", "complex", "slice"}, "collections": {"OrderedDict", "deque"}}
 OURS = ("rotorwatch.", "numpy.", "numpy")

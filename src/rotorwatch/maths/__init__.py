@@ -1,1 +1,1 @@
-"""Mathematics that several methods share: no logs, no aircraft in here."""
+"""Mathematics that several methods share, and the plants that they run on (systems/): no logs in here."""

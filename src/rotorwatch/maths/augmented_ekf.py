@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rotorwatch.backend import jnp
+from rotorwatch.base.backend import jnp
 from rotorwatch.core import Array, Estimate
 from rotorwatch.maths import linearise, mit_rule, plant
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rotorwatch.backend import jnp, lax
+from rotorwatch.base.backend import jnp, lax
 from rotorwatch.core import Array
 
 BITS = 2**31 - 1

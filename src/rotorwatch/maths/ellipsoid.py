@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from rotorwatch.backend import jax, jnp, lax
+from rotorwatch.base.backend import jax, jnp, lax
 from rotorwatch.core import Array
 from rotorwatch.maths.small import blocks, product, solve, symmetric
 

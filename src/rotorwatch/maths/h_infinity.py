@@ -28,7 +28,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rotorwatch import checks
+from rotorwatch.base import checks
 from rotorwatch.errors import ConfigError
 from rotorwatch.maths import matrix_inequality
 

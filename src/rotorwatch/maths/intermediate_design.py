@@ -17,8 +17,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rotorwatch import checks, optional
-from rotorwatch.backend import jnp
+from rotorwatch.base import checks, optional
+from rotorwatch.base.backend import jnp
 from rotorwatch.errors import ConfigError
 
 MARGIN = 1e-7  # eigenvalues above minus this much, relative to the largest, do not count as negative

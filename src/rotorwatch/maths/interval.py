@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rotorwatch.backend import jax, jnp
+from rotorwatch.base.backend import jax, jnp
 from rotorwatch.errors import ConfigError
 
 

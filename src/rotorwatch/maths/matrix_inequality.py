@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from typing import Any
 
-from rotorwatch import optional
+from rotorwatch.base import optional
 
 
 def library() -> Any:

@@ -13,8 +13,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from rotorwatch import checks
-from rotorwatch.backend import jnp
+from rotorwatch.base import checks
+from rotorwatch.base.backend import jnp
 from rotorwatch.core import Array
 
 LARGEST_STEP, SMALLEST, LARGEST = 0.5, 1e-4, 1e4

@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rotorwatch import checks
-from rotorwatch.backend import jax, jnp
+from rotorwatch.base import checks
+from rotorwatch.base.backend import jax, jnp
 from rotorwatch.core import Array, Estimate
 from rotorwatch.maths import linearise, plant
 

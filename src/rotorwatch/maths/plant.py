@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import checks
-from rotorwatch.backend import jax, jnp
+from rotorwatch.base import checks
+from rotorwatch.base.backend import jax, jnp
 from rotorwatch.errors import ConfigError
 
 SIZES, PARTS = ("n_x", "n_u", "n_theta", "n_y"), ("f", "h", "Q", "R", "x0", "P0")

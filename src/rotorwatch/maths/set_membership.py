@@ -22,8 +22,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rotorwatch import checks
-from rotorwatch.backend import jax, jnp, lax
+from rotorwatch.base import checks
+from rotorwatch.base.backend import jax, jnp, lax
 from rotorwatch.core import Array, Estimate
 from rotorwatch.errors import ConfigError
 from rotorwatch.maths import ellipsoid, interval, linearise, plant, taylor

@@ -6,8 +6,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from rotorwatch import checks
-from rotorwatch.backend import jax, jnp
+from rotorwatch.base import checks
+from rotorwatch.base.backend import jax, jnp
 
 
 def symmetric(P):

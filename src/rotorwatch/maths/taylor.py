@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from rotorwatch.backend import jax, jnp
+from rotorwatch.base.backend import jax, jnp
 from rotorwatch.maths import interval
 from rotorwatch.maths.interval import Interval
 

@@ -20,7 +20,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from rotorwatch.backend import jax, jnp
+from rotorwatch.base.backend import jax, jnp
 from rotorwatch.core import Array, Estimate
 from rotorwatch.maths import linearise, unscented
 from rotorwatch.maths.small import symmetric

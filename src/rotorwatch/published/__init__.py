@@ -5,4 +5,5 @@ published.py        a method of the literature over them, with the decisions tha
 helicopter_log.py   the same for a helicopter's log
 decide.py           when an estimate means a fault
 observability.py    observability of the losses, of any plant
+detectors/          the autopilots' own checks, for comparison, one rule a file
 """

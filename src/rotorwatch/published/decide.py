@@ -16,7 +16,7 @@ from collections import namedtuple
 
 import numpy as np
 
-from rotorwatch import checks
+from rotorwatch.base import checks
 from rotorwatch.core import Decision
 from rotorwatch.default import hypotheses
 

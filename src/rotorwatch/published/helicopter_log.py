@@ -15,13 +15,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rotorwatch import airframes, discovery
-from rotorwatch.backend import jax as load_jax
+from rotorwatch import airframes
+from rotorwatch.base import discovery
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.compiling.run import run
 from rotorwatch.errors import ConfigError, LogError
 from rotorwatch.flight import Flight
 from rotorwatch.maths.set_membership import SetMembership
-from rotorwatch.systems.helicopter import Helicopter
+from rotorwatch.maths.systems.helicopter import Helicopter
 
 ACTUATORS = 4
 LAG_S = 0.03  # of the actuators, when nothing else is known

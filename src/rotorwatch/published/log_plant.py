@@ -1,7 +1,7 @@
 """From a log's ticks to a plant and its table: what every published method needs to run on a real flight.
 
 The default diagnoser's balance  B T (1 - theta) = G m + c r + b  (default/plant.py; G motion gains, c damping, b biases)
-is the rotational dynamics of systems/rate_dynamics.py in hover thrusts of one rotor:
+is the rotational dynamics of maths/systems/rate_dynamics.py in hover thrusts of one rotor:
 
     J = diag(G),   D = diag(c),   tau_0 = -b,   m = n G_T / g,   F_0 = -b_T
 
@@ -21,9 +21,9 @@ import numpy as np
 
 from rotorwatch.default import program
 from rotorwatch.default.plant import DAMPING, GAIN, PER_AXIS, TAU, usual_gains
+from rotorwatch.maths.systems.rate_dynamics import G as G0
+from rotorwatch.maths.systems.rate_dynamics import RateDynamics
 from rotorwatch.motion.ticks import GROUND, JUDGE, LEARN, Ticks
-from rotorwatch.systems.rate_dynamics import G as G0
-from rotorwatch.systems.rate_dynamics import RateDynamics
 
 GAIN_RANGE = 3.0  # a gain further than this factor from what any multirotor has was learned from noise
 FASTEST_DAMPING = 5.0  # 1/s

@@ -18,15 +18,16 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import airframes, checks, files, optional
-from rotorwatch.backend import jax as load_jax
+from rotorwatch import airframes
+from rotorwatch.base import checks, files, optional
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.default.plant import usual_gains
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.maths import bounded
 from rotorwatch.maths import plant as plants
+from rotorwatch.maths.systems.rate_dynamics import G, RateDynamics
 from rotorwatch.motion.allocation import ambiguous_sets
-from rotorwatch.systems.rate_dynamics import G, RateDynamics
 
 T0 = 0.05  # s
 HIGHEST = 4  # order of derivatives: scaled like this, those above do next to nothing

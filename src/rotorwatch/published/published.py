@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rotorwatch import discovery
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base import discovery
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.compiling.run import chosen, run, run_built
 from rotorwatch.default import hypotheses
 from rotorwatch.default.events import MODEL_SD, rotor_sets

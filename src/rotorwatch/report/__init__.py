@@ -25,7 +25,7 @@ from rotorwatch.answer.wording import (  # noqa: F401 - its words are the report
     seconds,
     sentence,
 )
-from rotorwatch.diagnosis import Diagnosis, Event, RotorState
+from rotorwatch.flight.diagnosis import Diagnosis, Event, RotorState
 
 
 def frame(diagnosis: Diagnosis) -> str:
@@ -241,7 +241,7 @@ def comparison(diagnosis: Diagnosis) -> list[tuple[str, str, str, str]]:
 
 def _other_checks(autopilot: str) -> tuple[str, str, str, str]:
     """The row that says which other checks found nothing, or that there is none: an autopilot's checks run on its own logs alone."""
-    from rotorwatch import detectors
+    from rotorwatch.published import detectors
 
     names = ", ".join(module.name for module in detectors.of(autopilot))
     if names:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from rotorwatch.diagnosis import Diagnosis, Event
+from rotorwatch.flight.diagnosis import Diagnosis, Event
 
 # Okabe and Ito's palette and neighbours, which colour-blind readers can tell apart: vermilion for what is broken, orange for what is
 # suspected, the rest for rotors that nothing is known against. Dashes tell apart what shares a colour.

@@ -8,7 +8,7 @@ from html import escape
 import numpy as np
 
 from rotorwatch import report
-from rotorwatch.diagnosis import Diagnosis
+from rotorwatch.flight.diagnosis import Diagnosis
 from rotorwatch.flight.vehicle import Rotor
 from rotorwatch.report import colours
 

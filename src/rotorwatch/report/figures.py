@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from rotorwatch import report
-from rotorwatch.diagnosis import Diagnosis, Trace
+from rotorwatch.flight.diagnosis import Diagnosis, Trace
 from rotorwatch.report import colours
 from rotorwatch.report.colours import INK
 

@@ -9,9 +9,10 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from rotorwatch import __version__, files, optional, report
-from rotorwatch.diagnosis import Diagnosis, RotorState
+from rotorwatch import __version__, report
+from rotorwatch.base import files, optional
 from rotorwatch.errors import ConfigError
+from rotorwatch.flight.diagnosis import Diagnosis, RotorState
 from rotorwatch.report import colours, drawing, figures, upset, words
 
 UNIT = re.compile(r"(\d) (%|s|Hz|ms|V|g)(?![\w])")

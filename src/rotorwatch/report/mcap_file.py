@@ -27,8 +27,9 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import __version__, files, optional, report
-from rotorwatch.diagnosis import Diagnosis, Trace
+from rotorwatch import __version__, report
+from rotorwatch.base import files, optional
+from rotorwatch.flight.diagnosis import Diagnosis, Trace
 
 AXES, BAND = ("roll", "pitch", "yaw", "thrust"), ("loss", "lower", "upper")
 ANGLES = AXES[:3]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from html import escape
 
-from rotorwatch.diagnosis import Diagnosis
+from rotorwatch.flight.diagnosis import Diagnosis
 from rotorwatch.flight.notebook import table
 from rotorwatch.report import VERDICTS, frame, health, rotor_interval, rotor_loss, rotors_title, seconds, who
 

@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from rotorwatch import __version__, files
+from rotorwatch import __version__
+from rotorwatch.base import files
 
 ORDER = ("error", "fault", "ambiguous", "inconclusive", "healthy")
 """Worst first."""

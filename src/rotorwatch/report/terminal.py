@@ -15,7 +15,7 @@ from rich.table import Table
 from rich.text import Text
 
 from rotorwatch import report
-from rotorwatch.diagnosis import Diagnosis
+from rotorwatch.flight.diagnosis import Diagnosis
 from rotorwatch.report import plain, words
 from rotorwatch.report.overview import Row
 
@@ -271,7 +271,7 @@ class Notes:
 
 
 def info(facts: Mapping[str, Any]) -> RenderableType:
-    """What `rotorwatch info` prints; facts as from `rotorwatch.info.info`."""
+    """What `rotorwatch info` prints; facts as from `rotorwatch.info`."""
     autopilot = "" if facts["autopilot"] in facts["firmware"] else f"{facts['autopilot']} "
     entries = {
         "log": facts["name"],

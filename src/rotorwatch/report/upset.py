@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from rotorwatch import report
-from rotorwatch.diagnosis import Diagnosis
+from rotorwatch.flight.diagnosis import Diagnosis
 from rotorwatch.report import colours
 from rotorwatch.report.colours import FAULT, INK, SUSPECT
 from rotorwatch.report.figures import blank, words

@@ -14,11 +14,11 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from rotorwatch import files
-from rotorwatch.diagnosis import Diagnosis
+from rotorwatch.base import files
 from rotorwatch.errors import RotorwatchError, StoreError, StoreFull, WorkerError
 from rotorwatch.fleet.address import default_url
 from rotorwatch.fleet.store import Entry, Store
+from rotorwatch.flight.diagnosis import Diagnosis
 from rotorwatch.live.beside import as_json
 from rotorwatch.report.html import page
 

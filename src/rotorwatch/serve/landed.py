@@ -12,9 +12,9 @@ import numpy as np
 
 from rotorwatch import __version__
 from rotorwatch.answer import conclusion, places
-from rotorwatch.diagnosis import Diagnosis
 from rotorwatch.fleet import identity
 from rotorwatch.fleet.store import Entry
+from rotorwatch.flight.diagnosis import Diagnosis
 from rotorwatch.live.session import Session
 
 LEAST_S = 5.0  # in the air: less is a test of the motors, where control was not lost

@@ -47,7 +47,7 @@ def open_source(
     """An endpoint of `rotorwatch watch`, or a log that is replayed. Raises RotorwatchError with a sentence."""
     if is_endpoint(endpoint):
         return Link(open_endpoint(endpoint), tell, vehicle, record, not listen_only, math.inf)
-    from rotorwatch.files import no_address
+    from rotorwatch.base.files import no_address
     from rotorwatch.logs import read
 
     no_address(endpoint)

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from rotorwatch import checks, optional
+from rotorwatch.base import checks, optional
 from rotorwatch.errors import ConfigError, LinkError
 
 GIVE_UP_S = 2  # for connections that do not end by themselves when the server is stopped

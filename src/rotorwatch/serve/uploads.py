@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from rotorwatch import incoming as limited
+from rotorwatch.base import incoming as limited
 from rotorwatch.errors import ConfigError, LogError, RotorwatchError, VehicleError, WorkerError
 from rotorwatch.fleet.store import Entry
 from rotorwatch.many.processes import Worker

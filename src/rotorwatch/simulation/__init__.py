@@ -96,6 +96,6 @@ def one(records: Any, k: int) -> Any:
     """Flight k of a batch's records, as NumPy arrays."""
     import numpy as np
 
-    from rotorwatch.backend import jax
+    from rotorwatch.base.backend import jax
 
     return jax().tree.map(lambda a: np.asarray(a[..., k]), records)

@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rotorwatch import checks
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base import checks
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
 
 

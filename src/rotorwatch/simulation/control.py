@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.simulation import rotation
 from rotorwatch.simulation.rigid import G0
 from rotorwatch.simulation.trajectories import Reference

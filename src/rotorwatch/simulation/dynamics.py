@@ -21,7 +21,7 @@ from __future__ import annotations
 from collections import namedtuple
 from typing import Any
 
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.simulation import rotation
 from rotorwatch.simulation.rigid import G0, Air, Body, runge_kutta
 

@@ -6,7 +6,7 @@ log holds what the rotors get. A plan's `schedule` is the `control.excitation.Si
 
 from __future__ import annotations
 
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.control import excitation
 from rotorwatch.simulation.multirotor import Drives, Multirotor, Plan
 

@@ -16,7 +16,7 @@ from collections import namedtuple
 
 import numpy as np
 
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 
 MOST = 2  # at once
 KINDS = ("loss", "complete loss", "stuck", "bias", "float", "saturated", "chipped", "weak motor", "bearing")

@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 
 Array = Any
 

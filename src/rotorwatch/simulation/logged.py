@@ -4,6 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from rotorwatch import files
+from rotorwatch.base import files
 
 LOGGED, _ = files.toml(Path(__file__).with_suffix(".toml"), "table of messages")

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 
 Array = Any
 COPPER = 0.12  # of full voltage lost in the windings at full load: usual of multirotor motors, whose efficiency there is 0.8 to 0.85

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.simulation import control, dynamics, faults, incremental, motor, rotation, trajectories, wind
 from rotorwatch.simulation.loop import Moment, State
 from rotorwatch.simulation.rigid import G0, Air, Body

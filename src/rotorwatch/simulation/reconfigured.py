@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.control import spinning
 from rotorwatch.control.allocation import Allocator, Belief
 from rotorwatch.simulation import control, rotation

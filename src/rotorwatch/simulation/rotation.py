@@ -5,7 +5,7 @@ Written for one flight and mapped over many with the batch as the last axis, whe
 
 from __future__ import annotations
 
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 
 
 def axes(q):

@@ -31,7 +31,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from rotorwatch import airframes, files
+from rotorwatch import airframes
+from rotorwatch.base import files
 from rotorwatch.errors import ConfigError
 from rotorwatch.simulation import faults, trajectories
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections import namedtuple
 
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 
 KINDS = ("hover", "square", "figure-eight", "climb", "yaw", "aggressive")
 CLIMB = 1.0  # m/s on average, up to the working height

@@ -11,7 +11,7 @@ from collections import namedtuple
 
 import numpy as np
 
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 
 NOISES = 6
 FOOT = 0.3048

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rotorwatch import __version__
-from rotorwatch.backend import jax
+from rotorwatch.base.backend import jax
 from rotorwatch.compiling.c99.emit import Emitter, literal
 from rotorwatch.compiling.c99.graph import Graph, Node
 from rotorwatch.compiling.c99.lower import lower

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import discovery
+from rotorwatch.base import discovery
 from rotorwatch.compiling.run import chosen, run, run_built
 from rotorwatch.default import events, program
 from rotorwatch.errors import ConfigError

@@ -15,8 +15,8 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from rotorwatch.diagnose import diagnose
-from rotorwatch.diagnosis import Diagnosis
 from rotorwatch.experiments import tools
+from rotorwatch.flight.diagnosis import Diagnosis
 from rotorwatch.simulation import scenario, simulate
 
 DURATION_S = 80.0

@@ -18,10 +18,10 @@ import numpy as np
 from rotorwatch.default import events
 from rotorwatch.default.program import estimate
 from rotorwatch.diagnose import READY_S
-from rotorwatch.diagnosis import Event
 from rotorwatch.esc import telemetry
 from rotorwatch.experiments import tools
 from rotorwatch.flight import Flight, Signal
+from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.healthy import baselines
 from rotorwatch.motion import allocation, ticks

@@ -15,7 +15,7 @@ import numpy as np
 
 import rotorwatch.healthy.tune as tune
 from rotorwatch import airframes
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.compiling.run import run
 from rotorwatch.errors import ConfigError
 from rotorwatch.experiments import tools
@@ -42,7 +42,7 @@ class Paper(NamedTuple):
 
 def axkf() -> Paper:
     """Rot 2020: Q = 0.01, R = 0.04; sensors of 0.2 degrees."""
-    from rotorwatch.systems.port_hamiltonian_attitude import PortHamiltonianAttitude
+    from rotorwatch.maths.systems.port_hamiltonian_attitude import PortHamiltonianAttitude
 
     frame = airframes.paper("rot-hexa")
     plant = PortHamiltonianAttitude.of(frame, suspects=(0, 2), generalised_force="physical")
@@ -56,7 +56,7 @@ def axkf() -> Paper:
 
 def atsukf() -> Paper:
     """Zhang 2023: Q_theta = 0.01 a step, R = 1e-7; sensors with R."""
-    from rotorwatch.systems.rigid_body import RigidBody
+    from rotorwatch.maths.systems.rigid_body import RigidBody
 
     frame = airframes.paper("uaf-02e")
     plant = RigidBody.of(frame, P0=1e-4 * np.eye(12))
@@ -74,7 +74,7 @@ def atsukf() -> Paper:
 
 def lyapunov_mhe() -> Paper:
     """Niermeyer 2017: gyro 0.01 rad/s, accelerometer 0.3 m/s^2; no covariance is printed: the plant's own are the hand's."""
-    from rotorwatch.systems.rate_dynamics import RateDynamics
+    from rotorwatch.maths.systems.rate_dynamics import RateDynamics
 
     plant = RateDynamics.of(airframes.paper("niermeyer-hexa"))
     B = np.vstack([plant.B_tau, plant.B_T])
@@ -87,7 +87,7 @@ def lyapunov_mhe() -> Paper:
 
 def aesmf() -> Paper:
     """The 40 kg helicopter: a third of the noise bounds, as the set-membership filters' Kalman rivals have it."""
-    from rotorwatch.systems.helicopter import Helicopter
+    from rotorwatch.maths.systems.helicopter import Helicopter
 
     jax = load_jax()
     plant = Helicopter(airframes.paper("ruav-40kg"))

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.experiments.studies.runge_kutta import rk4
 
 PLANT_HZ, OBSERVER_HZ = 400, 100

@@ -13,7 +13,7 @@ from collections import namedtuple
 
 import numpy as np
 
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.experiments.studies.runge_kutta import rk4
 
 G = 9.80665

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import checks
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base import checks
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.experiments.studies import (
     reproduction,
     ruav_filters,

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from rotorwatch import airframes
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.compiling.run import run
 from rotorwatch.estimators.atsukf import ATSUKF
 from rotorwatch.estimators.tsukf import TSUKF
@@ -21,7 +21,7 @@ from rotorwatch.experiments.studies import reproduction
 from rotorwatch.experiments.studies import two_stage_as_printed as printed
 from rotorwatch.experiments.studies.reproduction import Claim, Reproduction, check_literal, graded, panels
 from rotorwatch.experiments.studies.uaf_flight import DT, ONSET, STEP, fly, losses
-from rotorwatch.systems.rigid_body import RigidBody
+from rotorwatch.maths.systems.rigid_body import RigidBody
 
 PAPER = "atsukf"
 TITLE, LITERAL = reproduction.about(PAPER)

@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import airframes, optional
-from rotorwatch.backend import jax as load_jax
+from rotorwatch import airframes
+from rotorwatch.base import optional
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.estimators.adaptive_ekf import AdaptiveEKF
 from rotorwatch.estimators.axkf import AXKF, Carry
 from rotorwatch.estimators.ekf import EKF
@@ -21,7 +22,7 @@ from rotorwatch.experiments.studies import rot_flights as flights
 from rotorwatch.experiments.studies.reproduction import Claim, Reproduction, check_literal, graded, panels
 from rotorwatch.experiments.studies.rot_flights import DT, LOSSES, MOTORS, ONSETS
 from rotorwatch.maths import adaptive_kalman, linearise, observer_gain
-from rotorwatch.systems.port_hamiltonian_attitude import PortHamiltonianAttitude
+from rotorwatch.maths.systems.port_hamiltonian_attitude import PortHamiltonianAttitude
 
 PAPER = "axkf"
 NEEDS = ("cvxpy",)

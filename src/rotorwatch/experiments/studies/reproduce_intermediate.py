@@ -12,13 +12,13 @@ from types import SimpleNamespace
 import numpy as np
 
 from rotorwatch import airframes
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
 from rotorwatch.estimators.intermediate import Intermediate
 from rotorwatch.experiments.studies import error_bound, hover_flights, reproduction
 from rotorwatch.experiments.studies.reproduction import Claim, Reproduction, graded, panels
 from rotorwatch.maths import intermediate_design as design
-from rotorwatch.systems.linear_hover import LinearHover
+from rotorwatch.maths.systems.linear_hover import LinearHover
 
 PAPER = "intermediate"
 NEEDS = ("cvxpy",)

@@ -10,14 +10,14 @@ import numpy as np
 
 import rotorwatch.published.observability as observability
 from rotorwatch import airframes
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.estimators.lyapunov import Lyapunov
 from rotorwatch.estimators.mh_lyapunov import MHLyapunov
 from rotorwatch.estimators.mhe import MHE
 from rotorwatch.experiments.studies import niermeyer_flights as flights
 from rotorwatch.experiments.studies import reproduction
 from rotorwatch.experiments.studies.reproduction import Claim, Reproduction, check_literal, graded, panels
-from rotorwatch.systems.rate_dynamics import RateDynamics
+from rotorwatch.maths.systems.rate_dynamics import RateDynamics
 
 PAPER = "lyapunov-mhe"
 TITLE, LITERAL = reproduction.about(PAPER)

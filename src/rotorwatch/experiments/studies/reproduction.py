@@ -26,7 +26,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from rotorwatch import files, many, optional
+from rotorwatch import many
+from rotorwatch.base import files, optional
 from rotorwatch.errors import ConfigError
 
 Verdict = Literal["holds", "partly", "not reproduced"]

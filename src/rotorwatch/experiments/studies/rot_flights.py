@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.experiments.studies.runge_kutta import rk4
 
 DT, DURATION = 1e-3, 8.0

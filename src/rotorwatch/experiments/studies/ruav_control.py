@@ -23,11 +23,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
 from rotorwatch.experiments.studies.ruav_flight import ATTITUDE, DT
 from rotorwatch.maths import h_infinity
-from rotorwatch.systems.helicopter import G
+from rotorwatch.maths.systems.helicopter import G
 
 N_XI, LEAK_S = 8, 3.0
 # z: attitude [per rad], its integral [per rad s], leaky yaw [per rad]; a full command of tail, longitudinal, lateral.

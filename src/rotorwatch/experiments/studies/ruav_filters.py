@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.estimators.aekf import AEKF
 from rotorwatch.estimators.aesmf import AESMF
 from rotorwatch.estimators.aukf import AUKF

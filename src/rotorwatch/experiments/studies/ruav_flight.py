@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rotorwatch import airframes
-from rotorwatch.backend import jax as load_jax
-from rotorwatch.systems.helicopter import Helicopter
+from rotorwatch.base.backend import jax as load_jax
+from rotorwatch.maths.systems.helicopter import Helicopter
 
 DT, SECONDS, FAULT_S = 0.02, 20.0, 8.0
 FAULT = np.array([0.0, 1.0, 0.0, 0.6, 0.0, 0.15, 0.0, 0.15])  # gamma = (1, 0, 1, .4), delta = (0, .15, 0, .15)

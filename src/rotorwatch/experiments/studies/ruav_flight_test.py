@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.experiments.studies import reproduction, ruav_control, ruav_filters, ruav_flight
 from rotorwatch.experiments.studies.reproduction import Claim, graded, panels
 from rotorwatch.experiments.studies.ruav_control import Designs

@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.experiments.studies import reproduction, ruav_control, ruav_flight
 from rotorwatch.experiments.studies.reproduction import Claim, graded
 from rotorwatch.experiments.studies.ruav_flight import ATTITUDE, DT, MEAN_SHARE, MEASUREMENT, PROCESS, in_ball

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.experiments.studies import reproduction, ruav_control, ruav_filters, ruav_flight
 from rotorwatch.experiments.studies.reproduction import Claim, graded
 from rotorwatch.experiments.studies.ruav_flight import DT

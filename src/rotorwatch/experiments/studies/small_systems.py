@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.estimators.esmf import ESMF
 
 DT, STEPS = 0.05, 150

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.experiments.studies.runge_kutta import rk4
 
 DT = 0.01  # s: control, measurement and filter step

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rotorwatch import airframes
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.simulation import faults, prepare, rotation, trajectories
 from rotorwatch.simulation.control import Loops
 from rotorwatch.simulation.faults import Faults

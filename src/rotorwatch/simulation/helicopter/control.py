@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.simulation import control, rotation
 from rotorwatch.simulation.control import Autopilot, Loops, Target
 from rotorwatch.simulation.helicopter import dynamics

@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch.backend import jax as load_jax
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
+from rotorwatch.maths.systems.helicopter import Helicopter
 from rotorwatch.simulation import rotation
 from rotorwatch.simulation.rigid import G0, Air, Body, runge_kutta
-from rotorwatch.systems.helicopter import Helicopter
 
 Array = Any
 SOUND = np.zeros(8)  # theta of the plant: faults are in U already

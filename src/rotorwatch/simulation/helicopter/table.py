@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rotorwatch import optional
+from rotorwatch.base import optional
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight
 from rotorwatch.logs import memory

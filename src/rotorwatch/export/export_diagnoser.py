@@ -1,6 +1,6 @@
 """The whole default diagnoser as a C99 library for a flight controller: gate, ticks, estimator, decisions, events.
 
-    rw.export_c.export_diagnoser("out", vehicle="mine.toml", prefix="rotor")
+    export_diagnoser("out", vehicle="mine.toml", prefix="rotor")
 
 All of it but the estimator is made of its definition (front/), the estimator of its traced step, for this vehicle; rw_diagnoser.{h,c}
 (embedded_c) joins the two. rw_config.h and rw_config.c hold the vehicle and the rates.
@@ -14,7 +14,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rotorwatch import airframes, checks
+from rotorwatch import airframes
+from rotorwatch.base import checks
 from rotorwatch.compiling.c99.project import Field, Program, make
 from rotorwatch.compiling.translate import Translation
 from rotorwatch.core import Array

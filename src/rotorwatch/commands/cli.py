@@ -19,7 +19,8 @@ from typing import Any
 
 import click
 
-from rotorwatch import __version__, optional
+from rotorwatch import __version__
+from rotorwatch.base import optional
 from rotorwatch.commands import (
     ask,
     benchmark,
@@ -58,7 +59,7 @@ from rotorwatch.errors import BackendWarning, ConfigError, PluginWarning, Rotorw
 
 ERROR, STOPPED, BROKEN_PIPE = 2, 128, 141  # stopped: and the number of the signal
 ENDING = "SIGTERM", "SIGHUP"  # signals that end a command as Ctrl-C does: with what it began put away
-SAMPLES = Path(__file__).parent / "samples"
+SAMPLES = Path(__file__).parents[1] / "samples"
 
 
 def main(argv: list[str] | None = None) -> None:
@@ -193,7 +194,7 @@ def diagnose(context, **given) -> None:
 
     Exit code: 0 healthy, 1 fault found, 3 inconclusive or ambiguous only, 2 error; of several logs the worst.
     """
-    from rotorwatch import files
+    from rotorwatch.base import files
     from rotorwatch.many import gathering
 
     request = several.Request(**given)
@@ -248,7 +249,7 @@ def _diagnose(request: several.Request) -> int:
 
 def report_paths(logs: Sequence[Any], out: Path | None, option: str = "--report", ending: str = ".html") -> list[Path]:
     """Where each log's page goes: OUT, OUT/NAME.html in a folder, or OUT with {name} filled in; never one twice."""
-    from rotorwatch import files
+    from rotorwatch.base import files
 
     if out is None:
         return []
@@ -280,7 +281,7 @@ def calibrate(logs, out, quiet) -> None:
 
     Give the file to `rotorwatch diagnose --vehicle` later.
     """
-    from rotorwatch import files
+    from rotorwatch.base import files
     from rotorwatch.flight.vehicle_file import write
     from rotorwatch.healthy.calibrate import calibrate as run
 
@@ -301,7 +302,7 @@ def calibrate(logs, out, quiet) -> None:
 @common
 def info(log, as_json, quiet) -> None:
     """Show what LOG holds, what is missing for a diagnosis, and which logging setting would give it."""
-    from rotorwatch.info import info as run
+    from rotorwatch.report.info import info as run
 
     with progress(quiet) as tell:
         facts = run(_read(log, tell))

@@ -14,8 +14,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from rotorwatch import checks
-from rotorwatch.backend import jax, jnp
+from rotorwatch.base import checks
+from rotorwatch.base.backend import jax, jnp
 from rotorwatch.errors import ConfigError
 from rotorwatch.maths import linearise, small
 from rotorwatch.maths.plant import Rotors

@@ -15,8 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import airframes, checks, discovery
-from rotorwatch.backend import jax as load_jax
+from rotorwatch import airframes
+from rotorwatch.base import checks, discovery
+from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.compiling.c99.project import Field, Program, make
 from rotorwatch.control import allocation
 from rotorwatch.default import noise

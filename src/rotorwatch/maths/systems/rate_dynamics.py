@@ -14,8 +14,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from rotorwatch import checks
-from rotorwatch.backend import jnp
+from rotorwatch.base import checks
+from rotorwatch.base.backend import jnp
 from rotorwatch.maths import small
 from rotorwatch.maths.plant import Rotors
 

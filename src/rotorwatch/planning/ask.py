@@ -19,7 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import airframes, checks, files, logs, optional
+from rotorwatch import airframes, logs
+from rotorwatch.base import checks, files, optional
 from rotorwatch.control import excitation
 from rotorwatch.control.excitation import Design, Limits, Noise
 from rotorwatch.default import asked, events

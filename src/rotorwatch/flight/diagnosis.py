@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import optional
+from rotorwatch.base import optional
 from rotorwatch.errors import ConfigError
 
 SCHEMA = 2

@@ -8,9 +8,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from rotorwatch import airframes
-from rotorwatch.diagnosis import SCHEMA
 from rotorwatch.errors import RotorwatchError
 from rotorwatch.flight import Flight, Signal
+from rotorwatch.flight.diagnosis import SCHEMA
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.motion import trust
 from rotorwatch.motion.airborne import airborne

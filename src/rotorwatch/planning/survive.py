@@ -19,7 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import airframes, checks, files, optional
+from rotorwatch import airframes
+from rotorwatch.base import checks, files, optional
 from rotorwatch.control import attainable, spinning
 from rotorwatch.control.airframe import Airframe
 from rotorwatch.control.attainable import Planes

@@ -20,8 +20,8 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import checks
-from rotorwatch.backend import jax, jnp
+from rotorwatch.base import checks
+from rotorwatch.base.backend import jax, jnp
 from rotorwatch.errors import ConfigError
 
 G = 9.80665

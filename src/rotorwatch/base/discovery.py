@@ -35,6 +35,8 @@ GROUPS = {
     "rotorwatch.logs": "log format",
     "rotorwatch.airframes": "airframe",
 }
+# Rooms of ours that are not called as their group.
+ROOMS = {"rotorwatch.systems": "rotorwatch.maths.systems"}
 
 
 class Source(NamedTuple):
@@ -52,7 +54,7 @@ def estimators() -> dict[str, type]:
 
 
 def systems() -> dict[str, type]:
-    """Name -> class of every plant (`core.System`: name, f, h) in `rotorwatch.systems`, the default estimator's, and those that other
+    """Name -> class of every plant (`core.System`: name, f, h) in `rotorwatch.maths.systems`, the default estimator's, and those that other
     packages offer as entry points `rotorwatch.systems`."""
     return _with_offered("rotorwatch.systems")
 
@@ -177,7 +179,7 @@ def _with_offered(group: str) -> dict[str, type]:
 def _own(group: str) -> dict[str, type]:
     """Classes defined in the modules of a room, or of the default method, that have all the parts, by their `name`, in order of names."""
     found: dict[str, type] = {}
-    for module in (module for room in (group, "rotorwatch.default") for module in modules(room)):
+    for module in (module for room in (ROOMS.get(group, group), "rotorwatch.default") for module in modules(room)):
         members: list[tuple[str, Any]] = inspect.getmembers(module, inspect.isclass)
         for label, kind in members:
             own = kind.__module__ == module.__name__ and not label.startswith("_")

@@ -12,7 +12,7 @@ import importlib
 import pkgutil
 from typing import Any
 
-from rotorwatch import discovery
+from rotorwatch.base import discovery
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
 
@@ -24,7 +24,9 @@ def modules() -> tuple[Any, ...]:
     PluginWarning."""
     found: list[Any] = [importlib.import_module(f"{__name__}.{info.name}") for info in pkgutil.iter_modules(__path__)]
     taken = {known.name for known in found}
-    others = discovery.others(__name__, PARTS, lambda rule: "its name is taken" if rule.name in taken else "")
+    others = discovery.others(
+        "rotorwatch.detectors", PARTS, lambda rule: "its name is taken" if rule.name in taken else ""
+    )
     found += [rule for _, rule in others]
     return tuple(sorted(found, key=lambda module: module.name))
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch.backend import jax
+from rotorwatch.base.backend import jax
 from rotorwatch.errors import ConfigError
 
 

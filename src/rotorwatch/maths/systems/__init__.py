@@ -4,6 +4,6 @@ from __future__ import annotations
 
 
 def __getattr__(name: str):
-    from rotorwatch import discovery
+    from rotorwatch.base import discovery
 
     return discovery.member(__name__, name)
