@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rotorwatch import logs
-from rotorwatch.flight import Flight, Message
+from rotorwatch.flight import Flight, Message, Signal
 from rotorwatch.logs.memory import from_arrays
 from rotorwatch.motion.airborne import CONFIRM_S, MOST_GAP_S, airborne, gaps
 
@@ -167,6 +167,20 @@ def test_sinking_on_little_command_is_no_landing():
     still[:, 2] = np.where(still[:, 2] == 2.0, 0.0, still[:, 2])
     signals["velocity"] = signals["velocity"].with_arrays(signals["velocity"].time, still, signals["velocity"].valid)
     assert len(airborne(replace(flight, signals=signals))) == 2  # the same without sinking: it stood on the ground
+
+
+def test_a_vehicle_that_turns_with_idle_motors_is_no_landing():
+    """A dive of three seconds, as pilots fly it; the same without turning is a stand on the ground."""
+    flight = made_up([(10.0, 50.0)], velocity=False)
+    time = flight["motors"].time
+    motors = flight["motors"].values.copy()
+    motors[(time > 20.0) & (time < 23.0)] = 0.13
+    signals = {**flight.signals, "motors": replace(flight["motors"], values=motors)}
+    for rate, flights in ((2.0, 1), (0.1, 2)):
+        gyro = np.zeros((time.size, 3))
+        gyro[(time > 20.0) & (time < 23.0), 0] = rate
+        signals["gyro"] = Signal(time, gyro, ("x", "y", "z"), "rad/s", "FRD", "made up")
+        assert len(airborne(replace(flight, signals=signals))) == flights
 
 
 def test_lying_upside_down_ends_the_flight_at_the_crash():

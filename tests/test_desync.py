@@ -15,7 +15,7 @@ from rotorwatch.commands.cli import main
 from rotorwatch.diagnose import diagnose
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.healthy import baselines
-from rotorwatch.report import terminal
+from rotorwatch.report import figures, terminal, upset
 from rotorwatch.simulation import fpv
 from rotorwatch.simulation.fpv import Moment, Push
 
@@ -179,3 +179,28 @@ def test_the_terminal_counts_them():
     with screen.capture() as out:
         screen.print(terminal.diagnosis(diagnose(flights()["long"])))
     assert "motor lost step" in out.get() and " times" in out.get()
+
+
+def test_the_picture_shows_the_moment_of_the_first_desync():
+    """Command up, speed to nothing, rates as wanted and as flown; the same numbers in JSON and in the report's plots."""
+    answer = diagnose(flights()["long"])
+    shown = json.loads(answer.to_json())["picture"]
+    start = answer.events[0].extra[TIMES][0]
+    assert [m["what"] for m in shown["marks"]] == ["gives nothing", "works again"] and shown["marks"][0][
+        "time_s"
+    ] == start
+    assert shown["accused"] == [3] and shown["start_s"] < start < shown["end_s"]
+    time, rpm = np.array(shown["speeds"]["time_s"]), np.array(shown["speeds"]["rpm"])
+    before, last = time < start - 0.05, np.argmin(np.abs(time - shown["marks"][1]["time_s"]))
+    assert rpm[2, last] < 0.3 * rpm[2, before].mean() and rpm[[0, 1, 3], last].min() > 3 * rpm[2, last]
+    flown = flights()["long"]["gyro"]
+    k = np.searchsorted(flown.time, shown["rates"]["time_s"])
+    assert shown["rates"]["roll_dps"] == pytest.approx(np.degrees(flown.values[k, 0]), abs=0.06)
+    plots = {**upset.plots(answer), **figures.plots(answer)}
+    names = {f"rate_{axis}" for axis in ("roll", "pitch", "yaw")} | {
+        f"moment_{axis}_rate" for axis in ("roll", "pitch", "yaw")
+    }
+    assert names | {"moment_speeds", "moment_commands"} <= set(plots)
+    (line,) = (r for r in plots["moment_speeds"].renderers if r.name == "rotor 3")
+    assert np.allclose(line.data_source.data["rotor3"], rpm[2] / 1000.0)
+    assert diagnose(flights()["healthy"]).picture is None
