@@ -546,7 +546,7 @@ def test_info_says_what_there_is(file):
     assert {s["name"] for s in found["signals"]} == {
         "motors", "control", "gyro", "rates", "rates_wanted", "accel", "throttle", "battery",
     }  # fmt: skip
-    assert ["attitude"] == [gap["signal"] for gap in found["missing"]]
+    assert ["attitude", "esc"] == [gap["signal"] for gap in found["missing"]]
 
 
 def mixed(frame, turned=False, **settings):

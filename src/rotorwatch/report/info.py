@@ -16,8 +16,8 @@ from rotorwatch.motion import trust
 from rotorwatch.motion.airborne import airborne
 from rotorwatch.motion.ticks import READY_S, observe, tick_length
 
-# Faster logging than this finds nothing sooner.
-FAST_HZ = 50.0
+# Faster logging than this finds nothing sooner; of vehicles that never hover no short moment.
+FAST_HZ, FAST_BLACKBOX_HZ = 50.0, 500.0
 MESSAGES_SHOWN = 40
 
 # What gives a signal on each autopilot. ArduPilot: LOG_BITMASK bits of ArduCopter/defines.h (MASK_LOG_*);
@@ -46,6 +46,7 @@ _BLACKBOX = {
     "attitude": "Betaflight from 2025.12 on and INAV log it where an accelerometer is on (blackbox_disable_attitude = OFF).",
     "battery": "Set vbat as the battery's voltage meter and log it (blackbox_disable_bat = OFF).",
     "control": "Betaflight from 4.0 on logs it, with setpoint[3]: set blackbox_disable_pids and blackbox_disable_setpoint = OFF.",
+    "esc": "Betaflight from 4.3 on logs it (eRPM) with bidirectional DShot: set dshot_bidir = ON and motor_poles. INAV: ESC telemetry.",
 }
 _TELEMETRY = "Telemetry may not carry it; use the log that the autopilot wrote itself (.bin or .ulg)."
 _BAG = "Record its topic, and have the autopilot send it (docs/foxglove.md), or use the log that the autopilot wrote itself."
@@ -58,6 +59,9 @@ _FASTER = {
         "motors": "Add SDLOG_PROFILE bit 4 (high rate, value 16): actuator_motors at full rate.",
         "gyro": "Add SDLOG_PROFILE bit 4 (high rate, value 16): vehicle_angular_velocity at full rate.",
     },
+    "blackbox": {
+        "gyro": "Set blackbox_sample_rate to 1/4 or more; before Betaflight 4.3: blackbox_p_ratio, blackbox_rate_denom."
+    },
 }
 _WHY = {
     "motors": "No motor commands: without them no rotor can be judged.",
@@ -67,7 +71,10 @@ _WHY = {
     "attitude": "No attitude: take-off, landing and flips are found less reliably.",
     "battery": "No battery voltage: battery sag cannot be told from a loss common to all rotors.",
     "lift": "No battery compensation of the autopilot: it is estimated from the voltage.",
+    "esc": "No motor speeds: a short desync is less certain, and a slow motor cannot be told from a damaged propeller.",
 }
+_ONLY = {"lift": "ardupilot", "esc": "blackbox"}
+"""Signals that are missed in logs of one autopilot alone."""
 
 
 # What is missing where no signal is, and what to do.
@@ -180,7 +187,7 @@ def _missing(flight: Flight, frame: str, stop: Obstacle | None) -> list[dict]:
     for name, why in _WHY.items():
         if _present(flight, name) or (name == "gyro" and _present(flight, "rates")):
             continue
-        if name == "lift" and _family(flight) != "ardupilot":
+        if _ONLY.get(name, _family(flight)) != _family(flight):
             continue
         setting = telemetry or settings.get(name, f"Log it, or give a table with the signal '{name}'.")
         gaps.append(_gap(name, why, setting, name == "motors"))
@@ -188,7 +195,15 @@ def _missing(flight: Flight, frame: str, stop: Obstacle | None) -> list[dict]:
     for name, setting in faster.items():
         # ArduPilot's motor commands are rebuilt from the rate controller's output where that is logged faster.
         rates = [flight[n].rate_hz for n in ((name, "control") if name == "motors" else (name,)) if _present(flight, n)]
-        if _present(flight, name) and max(rates) < FAST_HZ:
+        if not _present(flight, name):
+            continue
+        if _family(flight) == "blackbox" and max(rates) < 0.99 * FAST_BLACKBOX_HZ:
+            gaps.append(
+                _gap(
+                    name, f"Gyro at {max(rates):.3g} Hz: short moments, as desyncs are, can be missed.", setting, False
+                )
+            )
+        elif max(rates) < FAST_HZ:
             often = f"judged every {tick_length(max(rates)):g} s; faster logging finds a loss sooner"
             gaps.append(_gap(name, f"{name.capitalize()} at {max(rates):.3g} Hz: {often}.", setting, False))
     if stop and stop.what in _OBSTACLES:
