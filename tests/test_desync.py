@@ -3,6 +3,7 @@
 import functools
 import io
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -204,3 +205,13 @@ def test_the_picture_shows_the_moment_of_the_first_desync():
     (line,) = (r for r in plots["moment_speeds"].renderers if r.name == "rotor 3")
     assert np.allclose(line.data_source.data["rotor3"], rpm[2] / 1000.0)
     assert diagnose(flights()["healthy"]).picture is None
+
+
+def test_the_headline_says_that_the_motor_stopped_for_good():
+    wrong = (Moment(0, 2, 14.0, 0.2), Moment(0, 2, 19.0, 0.2), Moment(0, 2, 24.0, LONG))
+    flight = fpv.fly(1, 40.0, 1, wrong, rpm=True)[0]
+    cut = {name: s.between(0.0, 25.5) for name, s in flight.signals.items()}  # it fell
+    answer = diagnose(replace(flight, signals=cut, duration=25.5))
+    assert answer.headline.startswith("Motor 3 (rear left) desynced 2 times, first at 14.0")
+    assert "and gave nothing any more from 24." in answer.headline
+    assert "any more" not in diagnose(flights()["long"]).headline

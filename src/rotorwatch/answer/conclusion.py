@@ -318,7 +318,7 @@ def _matter(seen: Evidence, verdict: str, main: int | None) -> str:
     if event is None:
         return "Something is wrong, but the log cannot say which rotor."
     if event.kind == DESYNC:
-        return f"{sentence(desynced(event, seen.places))}."
+        return f"{sentence(desynced(event, seen.places))}{_stopped(seen, event)}."
     if event.alternatives:
         return f"Something lost thrust at {seconds(event.onset_s)}: {candidates(event, seen.places)}."
     more = sum(e.kind in ACCUSES for e in seen.events) - 1
@@ -445,6 +445,13 @@ def _of_kind(seen: Evidence, kind: str, rotor: int) -> list[Event]:
 def _together(bounds: Sequence[float]) -> float:
     """Upper bound of a loss that several things may have added to."""
     return 1.0 - float(np.prod([1.0 - bound for bound in bounds]))
+
+
+def _stopped(seen: Evidence, event: Event) -> str:
+    """What became of a motor that lost step: whether it stopped for good."""
+    after = (e for e in seen.losses if e.rotors == event.rotors and not e.alternatives and e.onset_s >= event.onset_s)
+    last = next((e for e in after if e.end_s is None and e.loss and e.loss[0] > GONE), None)
+    return "" if last is None else f", and gave nothing any more from {seconds(last.onset_s)} on"
 
 
 def _broken(loss: float) -> str:
