@@ -10,7 +10,9 @@ from rotorwatch.aerobatic import judge
 from rotorwatch.aerobatic.response import respond
 from rotorwatch.default import events
 from rotorwatch.flight import Flight, Signal
+from rotorwatch.healthy.calibrate import calibrate
 from rotorwatch.motion.ticks import JUDGE, READY_S, observe
+from rotorwatch.simulation import fpv
 
 CRAFT = airframes.named("betaflight-quad-x")
 B = CRAFT.effectiveness()
@@ -118,3 +120,12 @@ def test_it_is_what_diagnose_does_with_logs_of_such_firmware(healthy):
     assert not any(e.kind == "contact" for e in answer.events)  # turning at 15 rad/s^2 is no knock
     weak = diagnose(flown(seed=1, losses=[(0, 0.4, 30.0)]), vehicle=CRAFT)
     assert weak.verdict == "fault" and weak.rotors[0].loss > 0.2
+
+
+def test_flights_that_never_hover_are_not_compared_with_healthy_ones():
+    """The balance of hover says nothing here: what was wrong from take-off on is not judged, and the answer says so."""
+    known = calibrate([fpv.fly(1, 40.0, 3)[0]])
+    answer = diagnose(fpv.fly(1, 40.0, 4)[0], vehicle=known)
+    assert known.identified and known.identified["whole_flight"]
+    assert answer.whole_flight is None and all(r.from_takeoff == "not judged" for r in answer.rotors)
+    assert any("not compared with healthy ones" in sentence for sentence in answer.assumptions)

@@ -36,6 +36,10 @@ AEROBATIC = (
     "the vehicle is flown by commanded rates and does not hover: it is judged by its angular motion over seconds, so that a loss is seen "
     "later than in hover (docs/aerobatic.md)"
 )
+NOT_COMPARED = (
+    "flights of a vehicle that does not hover are not compared with healthy ones: the balance of its rotors follows what it flies, "
+    "so damage that was there from take-off is not judged"
+)
 LONGEST_UP_US = 1e14  # a start later than that counts from 1970, not from the autopilot's boot
 
 
@@ -45,7 +49,8 @@ class Prepared:
 
     known: the vehicle brings what healthy flights of it say, from `source`; dynamics: of them, None where they do not fit this log.
     air: its flights ((start, end), ...) s, up to an impact; table: its ticks, None without a flight; ready_s: after take-off, in which
-    trim and noise are learned. assumptions, warnings: grow as the flight is judged.
+    trim and noise are learned; hovers: False where the default method judges angular motion alone. assumptions, warnings: grow as the
+    flight is judged.
     """
 
     flight: Flight
@@ -57,6 +62,7 @@ class Prepared:
     upsets: tuple[upset.Judged, ...]
     table: Ticks | None
     ready_s: float
+    hovers: bool
     assumptions: list[str]
     warnings: list[str]
 
@@ -64,14 +70,13 @@ class Prepared:
 @dataclass(frozen=True)
 class Estimated:
     """What an estimator left behind. table: the ticks as they count for it; limit: the statistic's, from which on a loss is announced;
-    last: the default estimator's state, for hindsight; own: it is the default one; hovers: False where angular motion alone was judged."""
+    last: the default estimator's state, for hindsight; own: it is the default one."""
 
     table: Ticks
     out: Kept
     limit: float
     last: Any
     own: bool
-    hovers: bool
 
 
 @dataclass(frozen=True)
@@ -126,7 +131,7 @@ def diagnose(
 
         flight = logs.read(flight, lambda share: tell(0.3 * share, "reading"))
     clock.lap("read_s")
-    ready = _prepare(flight, vehicle, baseline, clock)
+    ready = _prepare(flight, vehicle, baseline, estimator != "default" or not aerobatic.applies(flight), clock)
     if ready.table is None:
         return _no_flight(ready, clock)
     tell(0.3, "preparing the estimator (built the first time)")
@@ -139,7 +144,7 @@ def diagnose(
     return diagnosis
 
 
-def _prepare(flight: Flight, vehicle, baseline, clock: _Clock) -> Prepared:
+def _prepare(flight: Flight, vehicle, baseline, hovers: bool, clock: _Clock) -> Prepared:
     """The vehicle, what is known of it, when it flew, and the ticks to be judged."""
     craft, source, notes = baselines.settle(flight, baselines.vehicle_of(vehicle), baseline)
     clock.lap("baseline_s")
@@ -167,13 +172,16 @@ def _prepare(flight: Flight, vehicle, baseline, clock: _Clock) -> Prepared:
     ready_s = ticks.ready_after(ready_s, table.dt if table is not None else 0.0)
     if not known:
         source = "the flight's own first healthy part"
+    if not hovers:
+        assumptions += [AEROBATIC, NOT_COMPARED]
+    elif not known:
         assumptions.append(
             f"the flight's first {ready_s:.0f} s in the air are its trim: damage that was there from take-off is judged by what healthy "
             "vehicles of any build need, and better with --baseline or --vehicle"
         )
     assumptions += table.notes if table is not None else ()
     clock.lap("prepare_s")
-    return Prepared(flight, craft, known, dynamics, source, air, upsets, table, ready_s, assumptions, warnings)
+    return Prepared(flight, craft, known, dynamics, source, air, upsets, table, ready_s, hovers, assumptions, warnings)
 
 
 def _no_flight(ready: Prepared, clock: _Clock) -> Diagnosis:
@@ -190,23 +198,22 @@ def _estimate(ready: Prepared, table: Ticks, estimator: Any, tuning: Tuning | No
     """The ticks through the estimator; a vehicle that does not hover through its own way."""
     B, own = ready.vehicle.effectiveness(), estimator == "default"
     limit = float(threshold(hypotheses.make(B.shape[1]), table.dt))
-    if own and aerobatic.applies(ready.flight):
+    if not ready.hovers:
         table, out = aerobatic.estimate(ready.flight, ready.vehicle, ready.air, table)
-        ready.assumptions.append(AEROBATIC)
-        return Estimated(table, out, limit, None, own, hovers=False)
+        return Estimated(table, out, limit, None, own)
     if own:
         last, out = estimate(table, B, ready.dynamics, progress)
-        return Estimated(table, out, limit, last, own, hovers=True)
+        return Estimated(table, out, limit, last, own)
     out = published.judge(estimator, table, B, ready.dynamics, tuning, progress)
     ready.assumptions += published.notes(discovery.title(estimator))
-    return Estimated(table, out, 0.5 * decide.SIGMAS**2, None, own, hovers=True)
+    return Estimated(table, out, 0.5 * decide.SIGMAS**2, None, own)
 
 
 def _find(ready: Prepared, done: Estimated) -> Found:
     """The events of a flight: losses, overridden outputs, contacts, control that was lost, desyncs; with what ESCs say of them."""
     flight, craft, air, table, B = ready.flight, ready.vehicle, ready.air, done.table, ready.vehicle.effectiveness()
     losses = events.read(done.out, table, B)
-    if done.own and done.hovers:
+    if done.own and ready.hovers:
         losses, settled = asked.settle(losses, table, B, ready.dynamics)
         ready.assumptions += settled
     if done.last is not None and not ready.known:  # healthy flights would have told what happened in the blind time
@@ -216,7 +223,7 @@ def _find(ready: Prepared, done: Estimated) -> Found:
     report = events.Report(B).add(table, air).finish(air).events(losses, overrides)
     found, notes = consistency.check(flight, craft, air, table, upset.events(ready.upsets, report, B.shape[1]))
     ready.warnings += notes
-    if not done.hovers:
+    if not ready.hovers:
         found = tuple(sorted((*found, *desync.find(flight, craft, air, found)), key=lambda e: e.detected_s))
     return Found(found, faint)
 
@@ -227,8 +234,8 @@ def _conclude(ready: Prepared, logged: Ticks, done: Estimated, found: Found, tit
     table, out, B = done.table, done.out, ready.vehicle.effectiveness()
     n, hyp = B.shape[1], hypotheses.make(B.shape[1])
     doubts = trust.doubts(flight, craft, air, logged)
-    trusted = not doubts and done.hovers
-    whole = None if doubts else _whole_flight(flight, craft, air)
+    trusted = not doubts and ready.hovers
+    whole = _whole_flight(flight, craft, air) if trusted else None
     other = None
     if trusted and not ready.known:
         other = population.judge(flight, craft, air, _undisturbed(table, found.events))
@@ -244,6 +251,7 @@ def _conclude(ready: Prepared, logged: Ticks, done: Estimated, found: Found, tit
         found.events, whole, n, hidden=hidden, hidden_pair=hidden_pair, judged_s=float(judged.sum() * table.dt),
         places=places.names(craft.rotors), doubts=doubts, leftover=spells, hops=air,
         trends=health.trends(out, table, B, found.events) if trusted else (), population=other,
+        comparable=ready.hovers,
     )  # fmt: skip
     common = common_mode.thrust_shift(out.biases[judged, 3]) if trusted else {}
     trace = traces.make(flight, out, table, hyp, B, air, ready.ready_s, done.limit, end.events, spells, end.rotors)

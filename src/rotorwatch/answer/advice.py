@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 from rotorwatch.answer.wording import explanations, listed, motor, rotors, seconds, sentence
 from rotorwatch.default.hypotheses import GONE
@@ -29,12 +28,12 @@ def of(
     events: Sequence[Event],
     main: int | None,
     states: Sequence[RotorState],
-    whole: Mapping[str, Any] | None,
+    compared: bool,
     places: Sequence[str],
     doubts: Sequence[str],
     stays: bool = True,
 ) -> tuple[str, ...]:
-    """Sentences, the most urgent first. stays: the main event was not over before the landing."""
+    """Sentences, the most urgent first. compared: with healthy flights, or it cannot be. stays: the main event was not over before the landing."""
     out: list[str] = []
     event = None if main is None else events[main]
     broken = [s.rotor for s in states if s.status in ("degraded", "failed")]
@@ -77,7 +76,7 @@ def of(
     knocks = [seconds(e.onset_s) for e in events if e.kind == "contact"]
     if knocks:
         out.append(f"Look the vehicle over for damage: it was knocked at {listed(knocks[:5])}.")
-    if verdict != "inconclusive" and not whole:
+    if verdict != "inconclusive" and not compared:
         out.append(BASELINE)
     return tuple(out)
 

@@ -81,7 +81,7 @@ class Evidence:
     """What there is to conclude from. n rotors; places: where each is, in words. hidden (n,): loss that could have gone unseen in
     flight, None when nothing was judged. whole: against healthy flights, or None; population: the same against healthy vehicles of
     any build. hops: ((take-off, landing), ...) s. trends: of each
-    rotor, or empty."""
+    rotor, or empty. comparable: healthy flights would tell more."""
 
     events: tuple[Event, ...]
     whole: Mapping[str, Any] | None
@@ -94,6 +94,7 @@ class Evidence:
     trends: tuple[Trend | None, ...] = ()
     population: Mapping[str, Any] | None = None
     hidden_pair: float = 0.0
+    comparable: bool = True
 
     @property
     def losses(self) -> list[Event]:
@@ -136,6 +137,7 @@ def conclude(
     hops: Sequence[tuple[float, float]] = (),
     trends: Sequence[Trend | None] = (),
     population: Mapping[str, Any] | None = None,
+    comparable: bool = True,
 ) -> Conclusion:
     """The answer to a flight of n rotors.
 
@@ -143,7 +145,7 @@ def conclude(
     each rotor that could have gone unseen since take-off; hidden_pair: the same of two opposite rotors. judged_s: seconds of flight
     judged. doubts: sentences on why the log may not show what flew; with any, nothing is concluded from its outputs. leftover: evidence
     that no event explains. places: `places.names`. trends: `health.trends`, shown of rotors that are no suspects. population:
-    `population.judge`, used where whole is None.
+    `population.judge`, used where whole is None. comparable: flights of this kind can be compared with healthy ones.
     """
     if doubts:
         shown = tuple(e for e in events if e.kind not in (*ACCUSES, *MOTOR_NOTICES))
@@ -152,7 +154,7 @@ def conclude(
     judged = judged_s >= LEAST_S and hidden is not None
     seen = Evidence(
         tuple(events), whole, n, hidden if judged else None, judged_s, tuple(leftover), tuple(places), tuple(hops),
-        tuple(trends), population, hidden_pair,
+        tuple(trends), population, hidden_pair, comparable,
     )  # fmt: skip
     main = main_event(seen.events)
     verdict, reason = _verdict(seen, main)
@@ -162,7 +164,9 @@ def conclude(
 def _concluded(seen: Evidence, verdict, reason, headline, main, doubts) -> Conclusion:
     states = tuple(_state(seen, k, verdict) for k in range(1, seen.n + 1))
     stays = main is not None and (seen.events[main].end_s is None or _landed(seen, seen.events[main].end_s))
-    next_steps = advice.of(verdict, seen.events, main, states, seen.whole, seen.places, doubts, stays)
+    next_steps = advice.of(
+        verdict, seen.events, main, states, bool(seen.whole) or not seen.comparable, seen.places, doubts, stays
+    )
     told = story.narrate(seen.events, main, seen.n, seen.places, seen.hops, not doubts)
     return Conclusion(verdict, reason, headline, main, states, next_steps, seen.events, told)
 
