@@ -33,7 +33,8 @@ def of(
     doubts: Sequence[str],
     stays: bool = True,
 ) -> tuple[str, ...]:
-    """Sentences, the most urgent first. compared: with healthy flights, or it cannot be. stays: the main event was not over before the landing."""
+    """Sentences, the most urgent first. compared: with healthy flights, or it cannot
+    be. stays: the main event was not over before the landing."""
     out: list[str] = []
     event = None if main is None else events[main]
     broken = [s.rotor for s in states if s.status in ("degraded", "failed")]
