@@ -4,12 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from rotorwatch.answer.wording import explanations, listed, motor, rotors, seconds, sentence
+from rotorwatch.answer.wording import BASELINE, explanations, listed, motor, rotors, seconds, sentence
 from rotorwatch.default.hypotheses import GONE
 from rotorwatch.flight.diagnosis import Event, RotorState
-
-BASELINE = "To see smaller damage that was there from take-off, give a healthy flight of the same build: --baseline HEALTHY.LOG."
-
 
 MOTORS = {
     "slow_motor": "Look at motor, ESC, their connectors and supply wires of",

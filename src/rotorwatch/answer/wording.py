@@ -21,6 +21,7 @@ KINDS = {
     "low_current": "motor draws less current",
 }
 CAUSES = {"propeller": "propeller", "motor_or_esc": "motor or ESC", "bearing": "bearing"}
+BASELINE = "To see smaller damage that was there from take-off, give a healthy flight of the same build: --baseline HEALTHY.LOG."
 VERDICTS = {"healthy": "Healthy", "fault": "Fault found", "ambiguous": "Ambiguous", "inconclusive": "Inconclusive"}
 
 # Grade of health, and the loss from which it holds. 5 %: propellers and motors of one build differ by as much. 20 %: the rotor turns 12 %

@@ -12,6 +12,7 @@ Both ways give the same bits.
 from __future__ import annotations
 
 import ctypes
+import functools
 import hashlib
 import json
 import os
@@ -137,17 +138,10 @@ class Definition:
         self.files = shipped.files_in(name) if files is None else sorted([*files, *TRANSLATOR])
         self._types: dict[type[Struct], np.dtype] = {}
         self._other: dict[str, float] = {}
-        self._libraries: dict[str, ctypes.CDLL | None] = {}
 
-    @property
+    @functools.cached_property
     def library(self) -> ctypes.CDLL | None:
         """Machine code; None where there is none and no compiler to make it, or $ROTORWATCH_DEFINITIONS is python."""
-        key = repr(self._other)
-        if key not in self._libraries:
-            self._libraries[key] = self._load()
-        return self._libraries[key]
-
-    def _load(self) -> ctypes.CDLL | None:
         if os.environ.get("ROTORWATCH_DEFINITIONS") == "python":
             return None
         path = None if self._other else self._shipped()
@@ -164,13 +158,17 @@ class Definition:
             home, _, name = key.partition(".")
             (own,) = (vars(m) for m in self.modules if m.__name__.endswith(f".{home}"))
             places += [(m, name, own[name], value) for m in self.modules if vars(m).get(name) is own[name]]
-        others, self._other = self._other, {**self._other, **values}
+        others, usual = self._other, self.library
+        self._other = {**others, **values}
+        if usual is not None:
+            del self.__dict__["library"]  # another one, with these values
         try:
             for module, name, _, value in places:
                 setattr(module, name, value)
             yield
         finally:
             self._other = others
+            self.__dict__["library"] = usual
             for module, name, value, _ in places:
                 setattr(module, name, value)
 

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch.answer import advice
 from rotorwatch.answer.wording import (  # noqa: F401 - its words are the report's, too
+    BASELINE,
     KINDS,
     SCALE,
     VERDICTS,
@@ -103,11 +103,7 @@ def scope(diagnosis: Diagnosis) -> str:
     since = "Changes from take-off until control was lost" if diagnosis.story else "Changes since take-off"
     if all(r.from_takeoff == "not judged" for r in diagnosis.rotors):
         more = ", and no loss in this flight" if diagnosis.whole_flight else ""
-        needs = (
-            f": that needs healthy flights of the same build{more}"
-            if more or advice.BASELINE in diagnosis.advice
-            else ""
-        )
+        needs = f": that needs healthy flights of the same build{more}" if more or BASELINE in diagnosis.advice else ""
         return f"{since}, with 95 % intervals. Damage that was there from take-off was not judged{needs}."
     if diagnosis.whole_flight:
         return "Losses compared with the healthy flights of this build, with 95 % intervals."
