@@ -63,6 +63,7 @@ def judged(flight, wrong: list[fpv.Moment], rpm: bool) -> dict:
     row: dict = {"rpm": rpm, "verdict": answer.verdict, "other": other, "false": 0, "faults": []}
     true = [m for m in wrong if m.loss is not None]
     for m in true:
+        loss = float(m.loss or 0.0)
         hit = [e for e in losses if e.detected_s >= m.start]
         fault: dict = {"loss": m.loss, "slower": m.slower, "found": bool(hit)}
         if hit:
@@ -72,7 +73,7 @@ def judged(flight, wrong: list[fpv.Moment], rpm: bool) -> dict:
             if fault["right"]:
                 k = e.rotors.index(rotor)
                 low, high = e.interval[k]
-                fault |= {"error": e.loss[k] - m.loss, "inside": low <= m.loss <= high}
+                fault |= {"error": e.loss[k] - loss, "inside": low <= loss <= high}
         row["faults"].append(fault)
     row["false"] += sum(1 for e in losses if not true or e.detected_s < true[0].start)
     lost = [m for m in wrong if m.loss is None]
