@@ -124,8 +124,9 @@ def test_it_is_what_diagnose_does_with_logs_of_such_firmware(healthy):
 
 def test_flights_that_never_hover_are_not_compared_with_healthy_ones():
     """The balance of hover says nothing here: what was wrong from take-off on is not judged, and the answer says so."""
-    known = calibrate([fpv.fly(1, 40.0, 3)[0]])
-    answer = diagnose(fpv.fly(1, 40.0, 4)[0], vehicle=known)
+    first, second = fpv.fly(2, 40.0, 3)
+    known = calibrate([first])
+    answer = diagnose(second, vehicle=known)
     assert known.identified and known.identified["whole_flight"]
     assert answer.whole_flight is None and all(r.from_takeoff == "not judged" for r in answer.rotors)
     assert any("not compared with healthy ones" in sentence for sentence in answer.assumptions)

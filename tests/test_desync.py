@@ -3,6 +3,7 @@
 import functools
 import io
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -34,6 +35,7 @@ WRONG = {
     "weak": (Moment(5, 1, 15.0, LONG, 0.5),),
     "knocks": tuple(Push(6, t, 0.05, a) for t, a in zip(AT, PUSHES)),
     "gone": (Moment(7, 1, 22.0, LONG, 1.0),),
+    "stops": (Moment(8, 2, 14.0, 0.2), Moment(8, 2, 19.0, 0.2), Moment(8, 2, 24.0, LONG)),
 }  # fmt: skip
 
 
@@ -43,11 +45,20 @@ def flights():
     return dict(zip(WRONG, made))
 
 
-def seen(name, rpm):
+@functools.cache
+def answer(name):
+    return diagnose(flights()[name])
+
+
+@functools.cache
+def all_channels(name):
     flight = flights()[name]
     vehicle, _, _ = baselines.settle(flight, None, ())
-    found = innovation.channels(flight, vehicle, ((2.5, LONG - 2.0),))
-    return found if rpm else found[:3]
+    return innovation.channels(flight, vehicle, ((2.5, LONG - 2.0),))
+
+
+def seen(name, rpm):
+    return all_channels(name) if rpm else all_channels(name)[:3]
 
 
 @functools.cache
@@ -137,7 +148,7 @@ def test_none_counts_once_control_is_lost_or_of_a_motor_that_is_gone():
 
 def test_all_views_of_the_answer_say_the_same():
     for name in ("long", "healthy"):
-        assert agreement.walk(diagnose(flights()[name])) == []
+        assert agreement.walk(answer(name)) == []
 
 
 def blackbox(flight, path):
@@ -162,31 +173,28 @@ def test_a_blackbox_log_from_the_command_line(tmp_path, capsys):
     log = blackbox(flights()["long"], tmp_path / "desync.bbl")
     with pytest.raises(SystemExit) as end:
         main(["diagnose", str(log), "--json"])
-    answer = json.loads(capsys.readouterr().out)
+    shown = json.loads(capsys.readouterr().out)
     assert end.value.code == 1
-    assert answer["verdict"] == "fault"
-    event = answer["events"][answer["main_event"]]
+    assert shown["verdict"] == "fault"
+    event = shown["events"][shown["main_event"]]
     assert (event["kind"], event["rotors"], event["rpm"]) == ("desync", [3], True)
     assert event["count"] == len(event["times"]) == len(event["durations"]) >= 3
-    with pytest.raises(SystemExit):
-        main(["diagnose", str(log)])
-    said = " ".join(capsys.readouterr().out.split())
-    assert f"Motor 3 (rear left) desynced {event['count']} times, first at" in said
-    assert "motor timing, demag compensation" in said
 
 
 def test_the_terminal_counts_them():
     screen = Console(width=150, file=io.StringIO())
     with screen.capture() as out:
-        screen.print(terminal.diagnosis(diagnose(flights()["long"])))
-    assert "motor lost step" in out.get() and " times" in out.get()
+        screen.print(terminal.diagnosis(answer("long")))
+    text = " ".join(out.get().split())
+    assert f"Motor 3 (rear left) desynced {answer('long').events[0].extra['count']} times, first at" in text
+    assert "motor lost step" in text and "motor timing, demag compensation" in text
 
 
 def test_the_picture_shows_the_moment_of_the_first_desync():
     """Command up, speed to nothing, rates as wanted and as flown; the same numbers in JSON and in the report's plots."""
-    answer = diagnose(flights()["long"])
-    shown = json.loads(answer.to_json())["picture"]
-    start = answer.events[0].extra[TIMES][0]
+    long = answer("long")
+    shown = json.loads(long.to_json())["picture"]
+    start = long.events[0].extra[TIMES][0]
     assert [m["what"] for m in shown["marks"]] == ["gives nothing", "works again"] and shown["marks"][0][
         "time_s"
     ] == start
@@ -197,21 +205,20 @@ def test_the_picture_shows_the_moment_of_the_first_desync():
     flown = flights()["long"]["gyro"]
     k = np.searchsorted(flown.time, shown["rates"]["time_s"])
     assert shown["rates"]["roll_dps"] == pytest.approx(np.degrees(flown.values[k, 0]), abs=0.06)
-    plots = {**upset.plots(answer), **figures.plots(answer)}
+    plots = {**upset.plots(long), **figures.plots(long)}
     names = {f"rate_{axis}" for axis in ("roll", "pitch", "yaw")} | {
         f"moment_{axis}_rate" for axis in ("roll", "pitch", "yaw")
     }
     assert names | {"moment_speeds", "moment_commands"} <= set(plots)
     (line,) = (r for r in plots["moment_speeds"].renderers if r.name == "rotor 3")
     assert np.allclose(line.data_source.data["rotor3"], rpm[2] / 1000.0)
-    assert diagnose(flights()["healthy"]).picture is None
+    assert answer("healthy").picture is None
 
 
 def test_the_headline_says_that_the_motor_stopped_for_good():
-    wrong = (Moment(0, 2, 14.0, 0.2), Moment(0, 2, 19.0, 0.2), Moment(0, 2, 24.0, LONG))
-    flight = fpv.fly(1, 40.0, 1, wrong, rpm=True)[0]
+    flight = flights()["stops"]
     cut = {name: s.between(0.0, 25.5) for name, s in flight.signals.items()}  # it fell
-    answer = diagnose(replace(flight, signals=cut, duration=25.5))
-    assert answer.headline.startswith("Motor 3 (rear left) desynced 2 times, first at 14.0")
-    assert "and gave nothing any more from 24." in answer.headline
-    assert "any more" not in diagnose(flights()["long"]).headline
+    stopped = diagnose(replace(flight, signals=cut, duration=25.5))
+    assert re.match(r"Motor 3 \(rear left\) desynced 2 times, first at (13\.9|14\.0)", stopped.headline)
+    assert "and gave nothing any more from 24." in stopped.headline
+    assert "any more" not in answer("long").headline
