@@ -16,6 +16,7 @@ import numpy as np
 
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.maths.huber import huber
 from rotorwatch.motion.allocation import Spans, motor_thrusts, within
 
 WIDTH_S = 0.004
@@ -124,16 +125,11 @@ def _late(x: np.ndarray, lags: range) -> np.ndarray:
 
 
 def _surprise(y, drive, motion, flies, width) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """(left, scale (K,), answer (LAGS,)) of one channel with drive (K, n): Huber's regression by reweighting. None where nothing moves."""
+    """(left, scale (K,), answer (LAGS,)) of one channel with drive (K, n). None where nothing moves."""
     X = np.column_stack([_late(drive.sum(axis=1), range(LAGS)), _late(y, range(1, PAST + 1)), motion])
-    rows, weight, fitted = X[flies], np.ones(int(flies.sum())), np.zeros(X.shape[1])
-    for _ in range(4):
-        fitted = np.linalg.lstsq(rows * weight[:, None], y[flies] * weight, rcond=None)[0]
-        error = np.abs(y[flies] - rows @ fitted)
-        spread = float(np.median(error))
-        if not spread > 0.0:
-            return None
-        weight = np.sqrt(1.0 / np.maximum(1.0, error / (2.0 * spread)))
+    if not np.ptp(y[flies]) > 0.0:
+        return None
+    fitted = huber(X[flies], y[flies]).theta
     left = y - X @ fitted
     left[~flies] = 0.0
     scale = np.hypot(_scale(np.abs(left), flies, width), _unsure(drive, fitted[:LAGS], width))
@@ -150,11 +146,10 @@ def _unsure(drive: np.ndarray, answer: np.ndarray, width: float) -> np.ndarray:
 
 
 def _slow(x: np.ndarray, width: float) -> np.ndarray:
-    """x (K, n) with a lag of TURNING_S."""
-    keep, out = np.exp(-width / TURNING_S), x.copy()
-    for k in range(1, len(out)):
-        out[k] = keep * out[k - 1] + (1.0 - keep) * x[k]
-    return out
+    """x (K, n) with a lag of TURNING_S: its impulse response, to where it is 1e-9."""
+    keep = np.exp(-width / TURNING_S)
+    response = (1.0 - keep) * keep ** np.arange(round(20.0 * TURNING_S / width))
+    return x[0] + np.column_stack([np.convolve(column, response)[: len(x)] for column in (x - x[0]).T])
 
 
 def _scale(error: np.ndarray, flies: np.ndarray, width: float) -> np.ndarray:
