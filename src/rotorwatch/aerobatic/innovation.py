@@ -27,10 +27,8 @@ EDGE_S = 0.5  # after lift-off and before landing
 LOCAL_S = 1.0  # the air changes: a surprise is as rare as it was within that
 CALMEST = 0.6  # of the flight's scale
 DOF, QUARTILE = 7.0, 0.711  # of Student's t
-TURNING_S, UNSURE = (
-    0.05,
-    1.0,
-)  # motors take so long to a new speed, from idle longer than the fit says; share that is doubted until then
+TURNING_S = 0.05  # motors take so long to a new speed, from idle longer than the fit says
+UNSURE = 1.0  # share that is doubted until then
 SPEEDS = 0.7  # share of the time that a motor's speed is reported
 
 
