@@ -66,7 +66,7 @@ def survival(result) -> RenderableType:
     return Group(Text(result.name, style="bold"), rows, Text(result.summary), *notes)
 
 
-def asking(result) -> RenderableType:
+def excitation(result) -> RenderableType:
     """The candidates, what the excitation does to each and how far apart it brings them; result as from `rotorwatch.ask`."""
     rows = listing("", "weak rotors", "loss", "turns it by", "lifts it by", "apart from the next", right=(1, 2, 3, 4))
     turn, lift = np.degrees(result.design.tilt), 1e3 * result.design.heave

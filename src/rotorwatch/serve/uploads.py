@@ -263,7 +263,7 @@ class Uploads:
         for last in (False, True):
             worker = self._idle.pop() if self._idle else self._worker()
             try:
-                return worker.ask((log, str(self._flights.page(log.digest))))
+                return worker.call((log, str(self._flights.page(log.digest))))
             except (WorkerError, MemoryError) as why:
                 if self._stopping or not worker.ready:
                     raise
