@@ -29,7 +29,7 @@ from rotorwatch.answer.wording import (
 )
 from rotorwatch.default.events import packed
 from rotorwatch.default.hypotheses import GONE
-from rotorwatch.default.residual_evidence import Leftover
+from rotorwatch.default.leftover import Leftover
 from rotorwatch.flight.diagnosis import Event, RotorState, StoryLine, Trend
 from rotorwatch.front import whole
 from rotorwatch.front.definition import FRONT
@@ -143,9 +143,9 @@ def conclude(
 
     events: what was found. whole: `WholeFlight.to_dict()`, or None without healthy flights to compare with. hidden (n,): largest loss of
     each rotor that could have gone unseen since take-off; hidden_pair: the same of two opposite rotors. judged_s: seconds of flight
-    judged. doubts: sentences on why the log may not show what flew; with any, nothing is concluded from its outputs.
-    residual_evidence: against rotors, that no event explains. places: `places.names`. trends: `health.trends`, shown of rotors that are no suspects. population:
-    `population.judge`, used where whole is None. comparable: flights of this kind can be compared with healthy ones.
+    judged. doubts: sentences on why the log may not show what flew; with any, nothing is concluded from its outputs. residual_evidence:
+    against rotors, that no event explains. places: `places.names`. trends: `health.trends`, shown of rotors that are no suspects.
+    population: `population.judge`, used where whole is None. comparable: flights of this kind can be compared with healthy ones.
     """
     if doubts:
         shown = tuple(e for e in events if e.kind not in (*ACCUSES, *MOTOR_NOTICES))
