@@ -75,7 +75,7 @@ def main() -> None:
         seen = respond(flight, vehicle, air) if air else None
         if seen is None or len((known := judge.blocks(seen, air)).end) < 2 * judge.LEARN:
             continue
-        said, judged = found(flight, vehicle, air)
+        announced, judged = found(flight, vehicle, air)
         B = vehicle.effectiveness()
         false, flown = 0, 0.0
         while flown < HOURS * 3600.0 / 5:
@@ -83,7 +83,7 @@ def main() -> None:
             flown += (len(known.end) - judge.LEARN) * judge.BLOCK_S
         hours, alarms = hours + flown / 3600.0, alarms + false
         print(
-            f"{flight.name}: {judged:.0f} s judged, {len(said)} announced; surrogates {false} in {flown / 3600:.1f} h; "
+            f"{flight.name}: {judged:.0f} s judged, {len(announced)} announced; surrogates {false} in {flown / 3600:.1f} h; "
             f"lag {1e3 * seen.lag_s:.0f} ms; 20 % at best within {bound_s(known, B, 0.2):.0f} s", flush=True,
         )  # fmt: skip
         for loss in LOSSES:
@@ -91,8 +91,8 @@ def main() -> None:
                 for moment in MOMENTS:
                     onset = float(known.start[int(moment * len(known.start))])
                     changed = inject(flight, vehicle, rotor, loss, onset)
-                    said, _ = found(changed, vehicle, air)
-                    first = next((e for e in said if e.detected_s >= onset), None)
+                    announced, _ = found(changed, vehicle, air)
+                    first = next((e for e in announced if e.detected_s >= onset), None)
                     rows.append((loss, first, rotor, onset))
     print(f"\nsurrogates: {alarms} false alarms in {hours:.1f} h\n")
     print(

@@ -173,9 +173,9 @@ def study(demands: int, by: str = "estimate", progress: Any = None) -> list[Row]
     return rows
 
 
-def arguments(program, given: Problems, rows: int) -> list[np.ndarray]:
+def arguments(program, problem: Problems, rows: int) -> list[np.ndarray]:
     """The step's inputs in its order, a row per demand."""
-    known = {"demand": given.demand, **given.belief._asdict()}
+    known = {"demand": problem.demand, **problem.belief._asdict()}
     return [np.ascontiguousarray(known[f.name][:rows], float) for f in program.inputs]
 
 
@@ -196,11 +196,11 @@ def timed() -> None:
     print("| frame | method | mean us | 99th percentile us | longest us |")
     print("|---|---|---|---|---|")
     for frame in FRAMES:
-        given = problems(frame, ROWS)
+        problem = problems(frame, ROWS)
         for method, by in WAYS:
-            program = allocator_program(Allocator(given.B, by=by, method=method), "allocator", SETS)
+            program = allocator_program(Allocator(problem.B, by=by, method=method), "allocator", SETS)
             library = ctypes.CDLL(str(native.build(program.header, program.source, "allocator")))
-            columns = arguments(program, given, ROWS)
+            columns = arguments(program, problem, ROWS)
             state, out, work = np.zeros(64), np.zeros((ROWS, 64)), np.zeros(program.workspace_bytes // 8 + 8)
 
             def each(count, again, run=library.allocator_run, columns=columns, state=state, out=out, work=work):
@@ -225,14 +225,14 @@ def instructions() -> None:
     print("| frame | method | precision | thousand instructions, mean | most | text kB | workspace kB |")
     print("|---|---|---|---|---|---|---|")
     for frame in FRAMES:
-        given = problems(frame, ROWS)
+        problem = problems(frame, ROWS)
         for method, by in WAYS:
-            allocator = Allocator(given.B, by=by, method=method)
+            allocator = Allocator(problem.B, by=by, method=method)
             program = allocator_program(allocator, "allocator", SETS)
-            turns = np.asarray(solver(Allocator(given.B, by="bounds" if by == "bounds" else "estimate"))(
-                given.demand, given.belief)[1])  # fmt: skip
+            turns = np.asarray(solver(Allocator(problem.B, by="bounds" if by == "bounds" else "estimate"))(
+                problem.demand, problem.belief)[1])  # fmt: skip
             chosen = np.r_[np.argsort(-turns, kind="stable")[: STEPS // 2], np.arange(STEPS // 2)]
-            columns = [column[chosen] for column in arguments(program, given, ROWS)]
+            columns = [column[chosen] for column in arguments(program, problem, ROWS)]
             for single in (False, True):
                 counts, text = _counted(program, columns, single)
                 last = counts[STEPS // 2 :].mean()
@@ -276,17 +276,19 @@ def _counted(program, columns, single: bool) -> tuple[np.ndarray, int]:
             "-kernel",
             elf,
         ]
-        said = subprocess.run(board, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=300, check=True)
+        result = subprocess.run(
+            board, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=300, check=True
+        )
         size = subprocess.run(["arm-none-eabi-size", str(folder / "one.o")], capture_output=True, text=True, check=True)
-    return np.array(said.stdout.split(), float) * TICK / again, int(size.stdout.splitlines()[1].split()[0])
+    return np.array(result.stdout.split(), float) * TICK / again, int(size.stdout.splitlines()[1].split()[0])
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=("exact", "time", "instructions"))
     parser.add_argument("--demands", type=int, default=100_000)
-    given = parser.parse_args()
-    {"exact": lambda: exact(given.demands), "time": timed, "instructions": instructions}[given.what]()
+    options = parser.parse_args()
+    {"exact": lambda: exact(options.demands), "time": timed, "instructions": instructions}[options.what]()
 
 
 if __name__ == "__main__":

@@ -64,10 +64,10 @@ def vehicles(folder: Path) -> dict[str, list[dict]]:
 def judged(flight: Candidate, baseline) -> whole_flight.WholeFlight | None:
     """As `diagnose` compares whole flights; None where it refuses the baseline."""
     try:
-        kept, _ = healthy(baseline, None, flight)
+        accepted, _ = healthy(baseline, None, flight)
     except VehicleError:
         return None
-    return whole_flight.judge(flight.features, [one.features for one in kept], flight.vehicle)
+    return whole_flight.judge(flight.features, [one.features for one in accepted], flight.vehicle)
 
 
 def outcome(found: whole_flight.WholeFlight | None, damaged: tuple[int, ...]) -> str:
@@ -90,13 +90,13 @@ def main() -> int:
     parser.add_argument("--most", type=int, default=60, help="combinations of one size of one vehicle")
     parser.add_argument("--check", type=int, default=0, help="cases that are given to diagnose as a whole")
     parser.add_argument("--json", type=Path)
-    given = parser.parse_args()
+    options = parser.parse_args()
     rng, cases = random.Random(1), []
-    for vehicle, rows in vehicles(given.flights).items():
+    for vehicle, rows in vehicles(options.flights).items():
         pool = [r for r in rows if r["teaches"]]
-        for size in given.sizes:
+        for size in options.sizes:
             chosen = list(itertools.combinations(pool, size))
-            chosen = rng.sample(chosen, min(given.most, len(chosen)))
+            chosen = rng.sample(chosen, min(options.most, len(chosen)))
             for baseline, row in itertools.product(chosen, rows):
                 if row in baseline:
                     continue
@@ -104,32 +104,32 @@ def main() -> int:
                 cases.append((vehicle, size, all(b["uncut"] for b in baseline), row, baseline, found))
     counts, flights = Counter(), defaultdict(Counter)
     for vehicle, size, uncut, row, _, found in cases:
-        said = outcome(found, row["damaged"])
+        verdict = outcome(found, row["damaged"])
         for scope in ("all", "uncut") if uncut else ("all",):
-            counts[vehicle, size, scope, said] += 1
-        flights[vehicle, row["path"].name][said] += 1
+            counts[vehicle, size, scope, verdict] += 1
+        flights[vehicle, row["path"].name][verdict] += 1
     print(
         f"| vehicle | baseline | {' | '.join(DAMAGED)} | {' | '.join(HEALTHY)} |\n{'|---' * (2 + len(DAMAGED + HEALTHY))}|"
     )
     for vehicle, size, scope in sorted({key[:3] for key in counts}):
-        row = [str(counts[vehicle, size, scope, said]) for said in DAMAGED + HEALTHY]
+        row = [str(counts[vehicle, size, scope, verdict]) for verdict in DAMAGED + HEALTHY]
         print(f"| {vehicle} | {size}{', uncut' if scope == 'uncut' else ''} | {' | '.join(row)} |")
     print(f"\n{len(cases)} cases. By flight, all sizes:\n\n| vehicle | flight | answers |\n|---|---|---|")
-    for (vehicle, name), said in sorted(flights.items()):
+    for (vehicle, name), verdict in sorted(flights.items()):
         print(
-            f"| {vehicle} | {name.split('.bin')[0].split('.usd')[0]} | {', '.join(f'{k} {v}' for k, v in said.most_common())} |"
+            f"| {vehicle} | {name.split('.bin')[0].split('.usd')[0]} | {', '.join(f'{k} {v}' for k, v in verdict.most_common())} |"
         )
     differ = 0
-    for vehicle, size, _, row, baseline, found in rng.sample(cases, min(given.check, len(cases))):
+    for vehicle, size, _, row, baseline, found in rng.sample(cases, min(options.check, len(cases))):
         differ += not agrees(row, baseline, found, f"{vehicle}, {size}: {row['path'].name}")
-    if given.check:
-        print(f"\ndiagnose: {differ} of {min(given.check, len(cases))} cases differ.")
-    if given.json:
+    if options.check:
+        print(f"\ndiagnose: {differ} of {min(options.check, len(cases))} cases differ.")
+    if options.json:
         table = [
             {"vehicle": v, "baseline": k, "scope": s, "answer": a, "count": c}
             for (v, k, s, a), c in sorted(counts.items())
         ]
-        given.json.write_text(json.dumps(table, indent=1))
+        options.json.write_text(json.dumps(table, indent=1))
     return int(differ > 0)
 
 

@@ -92,18 +92,18 @@ def main() -> None:
     parser.add_argument("logs", nargs="*", type=Path)
     parser.add_argument("--others", type=Path)
     parser.add_argument("--repeats", type=int, default=5)
-    given = parser.parse_args()
+    options = parser.parse_args()
     ways = {
-        "rotorwatch, machine code": (ours(NATIVE), given.repeats),
+        "rotorwatch, machine code": (ours(NATIVE), options.repeats),
         "rotorwatch, Python alone": (ours(PLAIN), 1),
-        "rotorwatch, file to Flight": (whole, given.repeats),
+        "rotorwatch, file to Flight": (whole, options.repeats),
     }
-    if given.others:
-        sys.path.append(str(given.others))
+    if options.others:
+        sys.path.append(str(options.others))
         ways |= {"betaflight-chirp-core 0.4.1": (chirp_core, 1), "orangebox 0.5.0": (orangebox, 1)}
     if NATIVE.library is None:
         del ways["rotorwatch, machine code"]
-    paths = given.logs or sorted(LOGS.glob("*.[bBT]*.xz"))
+    paths = options.logs or sorted(LOGS.glob("*.[bBT]*.xz"))
     with tempfile.TemporaryDirectory() as folder:
         unpacked = []
         for path in paths:

@@ -34,36 +34,36 @@ PHASES = {
 
 def main() -> None:
     """Print the tables."""
-    asked = argparse.ArgumentParser(description=__doc__)
-    asked.add_argument("plan", nargs="?", default=Path(__file__).parents[1] / "plans" / "default.toml")
-    asked.add_argument("--cell", type=int, default=0, help="which combination of frame, autopilot and profile")
-    asked.add_argument("--flights", type=int, help="most flights of the first exponent; default: four batches")
-    asked.add_argument("--seconds", type=float, nargs="*", default=[60.0, 90.0, 120.0], help="lengths of the second")
-    asked.add_argument("--repeats", type=int, default=2, help="the least of so many runs counts")
-    given = asked.parse_args()
-    plan = campaign.read(given.plan)
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("plan", nargs="?", default=Path(__file__).parents[1] / "plans" / "default.toml")
+    parser.add_argument("--cell", type=int, default=0, help="which combination of frame, autopilot and profile")
+    parser.add_argument("--flights", type=int, help="most flights of the first exponent; default: four batches")
+    parser.add_argument("--seconds", type=float, nargs="*", default=[60.0, 90.0, 120.0], help="lengths of the second")
+    parser.add_argument("--repeats", type=int, default=2, help="the least of so many runs counts")
+    options = parser.parse_args()
+    plan = campaign.read(options.plan)
     width = batch.width()
-    print(f"{' '.join(plan.cells[given.cell])}, {batch.where()}, load {os.getloadavg()[0]:.1f}")
+    print(f"{' '.join(plan.cells[options.cell])}, {batch.where()}, load {os.getloadavg()[0]:.1f}")
 
-    counts = [n for n in (width, 2 * width, 4 * width) if n <= (given.flights or 4 * width)]
-    judged(plan, given.cell, width, width)  # compiles
-    spent = [best(lambda n=n: judged(plan, given.cell, n, width), given.repeats) for n in counts]
+    counts = [n for n in (width, 2 * width, 4 * width) if n <= (options.flights or 4 * width)]
+    judged(plan, options.cell, width, width)  # compiles
+    spent = [best(lambda n=n: judged(plan, options.cell, n, width), options.repeats) for n in counts]
     for n, cost in zip(counts, spent, strict=True):
         print(f"{n:6d} flights of {plan.scenario['duration_s']:g} s: {cost:7.2f} s, {cost / n:.4f} s a flight")
     if len(counts) > 1:
         print(f"grows with flights as their number to the power of {exponent(counts, spent):.2f}")
-    phases(plan, given.cell, width)
+    phases(plan, options.cell, width)
 
     costs = []
-    for seconds in given.seconds:
+    for seconds in options.seconds:
         longer = replace(plan, scenario={**plan.scenario, "duration_s": seconds})
-        judged(longer, given.cell, width, width)
-        costs.append(best(lambda p=longer: judged(p, given.cell, width, width), given.repeats))
+        judged(longer, options.cell, width, width)
+        costs.append(best(lambda p=longer: judged(p, options.cell, width, width), options.repeats))
         print(f"{width:6d} flights of {seconds:g} s: {costs[-1]:7.2f} s, {costs[-1] / width:.4f} s a flight")
     if len(costs) > 1:
-        print(f"grows with their length to the power of {exponent(given.seconds, costs):.2f}")
-    for name, cost in simulated(plan, given.cell, width, given.repeats).items():
-        steps = width * plan.scenario["duration_s"] * plan.flight(given.cell).rate_hz
+        print(f"grows with their length to the power of {exponent(options.seconds, costs):.2f}")
+    for name, cost in simulated(plan, options.cell, width, options.repeats).items():
+        steps = width * plan.scenario["duration_s"] * plan.flight(options.cell).rate_hz
         print(
             f"{steps / cost:.3g} flight-steps a second by the clock: the simulator alone in {name}, {width} flights side by side"
         )
@@ -118,24 +118,24 @@ def phases(plan: Plan, cell: int, width: int) -> None:
     spent = dict.fromkeys(PHASES.values(), 0.0)
 
     def timed(name: str, function: Callable) -> Callable:
-        def run(*given):
+        def run(*args):
             began = clock()
             try:
-                return function(*given)
+                return function(*args)
             finally:
                 spent[name] += clock() - began
 
         return run
 
-    kept = {name: getattr(batch, name) for name in PHASES.values()}
+    originals = {name: getattr(batch, name) for name in PHASES.values()}
     try:
-        for name, function in kept.items():
+        for name, function in originals.items():
             setattr(batch, name, timed(name, function))
         began = clock()
         judged(plan, cell, width, width)
         whole = clock() - began
     finally:
-        for name, function in kept.items():
+        for name, function in originals.items():
             setattr(batch, name, function)
     for text, name in PHASES.items():
         if spent[name]:

@@ -122,17 +122,17 @@ def main() -> None:
         "--name", default="", help="of a run of other methods, such as -new: its rows join those that are kept"
     )
     arguments.add_argument("--out", type=Path, default=Path(tempfile.gettempdir()) / "rotorwatch-comparison")
-    asked = arguments.parse_args()
-    asked.out.mkdir(parents=True, exist_ok=True)
+    options = arguments.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
     drivers = [closed_loop.NOBODY, closed_loop.TRUTH, "default", *sorted(set(discovery.estimators()) - {"default"})]
-    up = closed_loop.run(UP_PLAN, drivers, asked.out / "closed-loop", UP_FLIGHTS, asked.jobs)
+    up = closed_loop.run(UP_PLAN, drivers, options.out / "closed-loop", UP_FLIGHTS, options.jobs)
     pages = []
-    for frame in asked.frames.split(","):
-        out = asked.out / f"{frame}{asked.name}.json"
+    for frame in options.frames.split(","):
+        out = options.out / f"{frame}{options.name}.json"
         if not out.exists():
             plan = ROOT / "benchmarks" / "comparison" / f"{frame}.toml"
-            benchmark.run(plan, asked.methods.split(","), out, asked.jobs, notify=print)
-        pages.append(table(ranking.rank(sorted(asked.out.glob(f"{frame}*.json"))), up))
+            benchmark.run(plan, options.methods.split(","), out, options.jobs, notify=print)
+        pages.append(table(ranking.rank(sorted(options.out.glob(f"{frame}*.json"))), up))
     PAGE.write_text(HEAD + "".join(pages) + staying_up(up), encoding="utf-8")
 
 

@@ -43,7 +43,7 @@ def estimator(name: str):
     return discovery.estimator(name)(plant(), DT)
 
 
-def kept(out):
+def outputs(out):
     """What every contender keeps of a step: states, losses, variances of the losses."""
     return out.x, out.theta, load_jax().numpy.diagonal(out.theta_cov)
 
@@ -61,8 +61,8 @@ def flight(rows: int, seed: int = 0, gaps: bool = False) -> tuple[np.ndarray, np
         k, theta, noise = row
         goal = jnp.array([jnp.sin(0.003 * k), jnp.cos(0.002 * k), jnp.sin(0.001 * k) - 2.0])
         pull = jnp.clip(goal - x[:3] - 1.5 * x[6:9], -2.0, 2.0)
-        lean = jnp.array([pull[1], -pull[0], 0.0]) / p.gravity
-        torque = p.J @ (40.0 * (lean - x[3:6]) - 12.0 * x[9:])
+        tilt = jnp.array([pull[1], -pull[0], 0.0]) / p.gravity
+        torque = p.J @ (40.0 * (tilt - x[3:6]) - 12.0 * x[9:])
         u = jnp.clip(mixer @ jnp.append(torque, p.m * (p.gravity - pull[2])) / (1.0 - LOSS), 0.05, 0.95)
         x = p.f(x, u, theta, DT)
         return x, (u, p.h(x, u, theta) + p.measured_sd * noise)
@@ -83,8 +83,8 @@ class Rotorwatch:
         self.method, self.backend = estimator(name), backend
 
     def __call__(self, u, y, valid) -> tuple[np.ndarray, ...]:
-        """(T, 12), (T, 4), (T, 4): what is kept."""
-        return run(self.method, u, y, valid, kept, backend=self.backend)[1]
+        """(T, 12), (T, 4), (T, 4): the outputs that are compared."""
+        return run(self.method, u, y, valid, outputs, backend=self.backend)[1]
 
 
 class NativeBatch:
@@ -92,7 +92,7 @@ class NativeBatch:
 
     def __init__(self, name: str):
         method = estimator(name)
-        self.library = native.traced(method, (), kept)
+        self.library = native.traced(method, (), outputs)
         self.start = native.flattened(method.init())
 
     def __call__(self, u, y, valid) -> np.ndarray:
@@ -109,7 +109,7 @@ class Floor:
         self._size = getattr(library, f"{name}_bytes")()
 
     def __call__(self, u, y, valid) -> np.ndarray:
-        """(T, 20) what is kept."""
+        """(T, 20) the outputs that are compared."""
         state = np.zeros(self._size // 8 + 16)
         start = ctypes.c_void_p(state.ctypes.data + -state.ctypes.data % 64)  # Eigen wants it aligned
         out = np.empty((len(u), 20))

@@ -81,8 +81,8 @@ def on_the_chip(folder: Path, chip: tuple[str, ...]) -> list[int]:
     link = ["--specs=rdimon.specs", "-T", str(CORE / "an500.ld"), "-lm"]
     subprocess.run(["arm-none-eabi-gcc", *chip, *sources, *link, "-o", elf], check=True)
     board = ["qemu-system-arm", "-M", "mps2-an500", "-nographic", "-semihosting", "-icount", "shift=0", "-kernel", elf]
-    said = subprocess.run(board, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=120, check=True)
-    return [int(word) for word in said.stdout.split()]
+    result = subprocess.run(board, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=120, check=True)
+    return [int(word) for word in result.stdout.split()]
 
 
 def code_bytes(folder: Path, chip: tuple[str, ...], names: list[str]) -> int:

@@ -70,8 +70,8 @@ def measured(n: int, single: bool) -> dict[str, tuple[int, int, int, int]]:
             ],
             cwd=folder,
         )
-        said = run([*BOARD, folder / "m7.elf"], timeout=120)
-        calls = {part: int(count) * TICK for part, count in (line.split()[:2] for line in said.splitlines())}
+        result = run([*BOARD, folder / "m7.elf"], timeout=120)
+        calls = {part: int(count) * TICK for part, count in (line.split()[:2] for line in result.splitlines())}
         calls["losses"] += calls["list"]
         run(["arm-none-eabi-gcc", *flags, "-c", folder / "rw_front.c", "-o", folder / "part.o"], cwd=folder)
         (folder / "size.c").write_text(

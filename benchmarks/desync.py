@@ -48,9 +48,9 @@ class Score:
 
     def add(self, truth: list[tuple[int, float, float, float]], found: list[desync.Desync]) -> None:
         """truth: (rotor, start, length, commanded) of each."""
-        for rotor, start, length, told in truth:
+        for rotor, start, length, commanded in truth:
             hit = any(d.rotor == rotor and abs(d.start - start) < NEAR_S and not d.others for d in found)
-            self.rows.append((length, told, hit))
+            self.rows.append((length, commanded, hit))
         for d in found:
             near = [t for t in truth if t[1] - 0.3 < d.start < t[1] + t[2] + 0.4]
             self.false += not near
@@ -61,7 +61,7 @@ class Score:
         for length in LENGTHS_S:
             row: dict = {"length_ms": round(1000 * length)}
             for low, high in itertools.pairwise(LEVELS):
-                hits = [hit for one, told, hit in self.rows if one == length and low <= told < high]
+                hits = [hit for one, commanded, hit in self.rows if one == length and low <= commanded < high]
                 row[f"from {low:g}"] = f"{sum(hits)}/{len(hits)}"
             out.append(row)
         return [*out, {"false": self.false, "wrong motor": self.wrong}]
@@ -80,7 +80,7 @@ def simulated(flights: int, hours: float) -> None:
         for j, flight in enumerate(fpv.fly(batch, 60.0, 100 + number, tuple(wrong), rpm=True)):
             own = [w for w in wrong if w.flight == j]
             for name, seen in _both(flight):
-                truth = [(w.rotor, w.start, w.lasting, _told(seen, w.rotor, w.start, w.lasting)) for w in own]
+                truth = [(w.rotor, w.start, w.lasting, _commanded(seen, w.rotor, w.start, w.lasting)) for w in own]
                 scores[name].add(truth, desync.search(seen))
     for name, score in scores.items():
         print(json.dumps({"simulated": name, "table": score.table()}, indent=1), flush=True)
@@ -100,7 +100,7 @@ def _both(flight: Flight) -> list[tuple[str, list[Channel]]]:
     return [("gyro", seen[:3]), ("gyro and speed", seen)]
 
 
-def _told(seen: list[Channel], rotor: int, start: float, length: float) -> float:
+def _commanded(seen: list[Channel], rotor: int, start: float, length: float) -> float:
     inside = (seen[0].time >= start) & (seen[0].time < start + length)
     return float(seen[0].thrust[inside, rotor].mean())
 
@@ -168,11 +168,11 @@ def real(folder: Path, hours: float) -> None:
 
 def responses(flight: Flight, vehicle, air) -> np.ndarray:
     """(3, m) impulse response of the angular acceleration to B f, STEP_S apart."""
-    told, gyro = motor_thrusts(flight, vehicle), flight["gyro"]
-    edges = np.searchsorted(told.time, np.arange(told.time[0], told.time[-1], STEP_S))
-    thrust, rate = means(told.values, edges), means(gyro.values, edges)
+    commanded, gyro = motor_thrusts(flight, vehicle), flight["gyro"]
+    edges = np.searchsorted(commanded.time, np.arange(commanded.time[0], commanded.time[-1], STEP_S))
+    thrust, rate = means(commanded.values, edges), means(gyro.values, edges)
     turning = np.diff(rate, axis=0, append=rate[-1:]) / STEP_S
-    flies = within(told.time[0] + STEP_S * np.arange(len(thrust)), tuple((a + 1.0, b - 1.0) for a, b in air))
+    flies = within(commanded.time[0] + STEP_S * np.arange(len(thrust)), tuple((a + 1.0, b - 1.0) for a, b in air))
     m, out = round(SPAN_S / STEP_S), []
     for axis, B in enumerate(vehicle.effectiveness()[:3]):
         x, y = thrust @ B, turning[:, axis]
@@ -186,23 +186,23 @@ def responses(flight: Flight, vehicle, air) -> np.ndarray:
 
 
 def inject(
-    flight: Flight, vehicle, air, turn: np.ndarray, length: float, rng, least: float = LEVELS[0], apart_s: float = 3.0
+    flight: Flight, vehicle, air, turn: np.ndarray, length: float, rng, least: float = LEVELS[0], spacing_s: float = 3.0
 ):
     """(flight with desyncs of so many s, [(rotor, start, length, commanded)])."""
-    told, gyro = motor_thrusts(flight, vehicle), flight["gyro"]
-    time, rate, B, truth = told.time, gyro.values.copy(), vehicle.effectiveness()[:3], []
+    commanded, gyro = motor_thrusts(flight, vehicle), flight["gyro"]
+    time, rate, B, truth = commanded.time, gyro.values.copy(), vehicle.effectiveness()[:3], []
     dt, now = float(np.median(np.diff(time))), air[0][0] + 2.0
     while (now := now + 0.3) + length + 2.0 < air[-1][1]:
         rotor, start = int(rng.integers(B.shape[1])), now + rng.uniform(0.0, 0.3)
         box = (time >= start) & (time < start + length)
         if (
             not box.any()
-            or told.values[box, rotor].mean() < least
+            or commanded.values[box, rotor].mean() < least
             or not any(a + 1.5 < start < b - 1.5 for a, b in air)
         ):
             continue
         first, last = np.searchsorted(time, [start, start + length + 0.3])
-        missing = (told.values[:, rotor] * box)[first:last]
+        missing = (commanded.values[:, rotor] * box)[first:last]
         slower, larger = rng.uniform(*SLOWER), rng.uniform(*LARGER)
         at = np.arange(round(SPAN_S * slower / dt)) * dt / slower
         for axis in range(3):
@@ -210,8 +210,8 @@ def inject(
             lacks = larger * B[axis, rotor] * np.convolve(missing, np.diff(step, prepend=0.0))[: last - first]
             rate[first:last, axis] -= np.cumsum(lacks) * dt
             rate[last:, axis] -= lacks.sum() * dt
-        truth.append((rotor, start, length, float(told.values[box, rotor].mean())))
-        now += apart_s + length
+        truth.append((rotor, start, length, float(commanded.values[box, rotor].mean())))
+        now += spacing_s + length
     return replace(flight, signals={**flight.signals, "gyro": replace(gyro, values=rate)}), truth
 
 
@@ -224,11 +224,11 @@ def main() -> None:
     two = ways.add_parser("logs")
     two.add_argument("folder", type=Path)
     two.add_argument("--shifted-hours", type=float, default=5.0)
-    given = parser.parse_args()
-    if given.way == "simulated":
-        simulated(given.flights, given.healthy_hours)
+    options = parser.parse_args()
+    if options.way == "simulated":
+        simulated(options.flights, options.healthy_hours)
     else:
-        real(given.folder, given.shifted_hours)
+        real(options.folder, options.shifted_hours)
 
 
 if __name__ == "__main__":

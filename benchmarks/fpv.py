@@ -138,9 +138,9 @@ def main() -> None:
     parser.add_argument("--flights", type=int, default=1000)
     parser.add_argument("--healthy-hours", type=float, default=20.0)
     parser.add_argument("--jobs", type=int, default=2)
-    given = parser.parse_args()
-    with ProcessPoolExecutor(given.jobs, get_context("spawn")) as pool:
-        for healthy, count in ((False, given.flights), (True, round(given.healthy_hours * 3600.0 / AIR_S))):
+    options = parser.parse_args()
+    with ProcessPoolExecutor(options.jobs, get_context("spawn")) as pool:
+        for healthy, count in ((False, options.flights), (True, round(options.healthy_hours * 3600.0 / AIR_S))):
             rows: list[dict] = []
             if not count:
                 continue

@@ -112,7 +112,7 @@ def spent_s(dask: Cluster | None = None) -> float:
     return total
 
 
-def overhead(given: argparse.Namespace) -> None:
+def overhead(options: argparse.Namespace) -> None:
     """Milliseconds for an item, by the clock and of processors, and how both grow with their number. The clock says little when others use
     the computer."""
     with cluster(2) as dask:
@@ -136,12 +136,12 @@ def overhead(given: argparse.Namespace) -> None:
             print(f"  processor time grows with their number to the power of {power:.2f}")
 
 
-def throughput(given: argparse.Namespace) -> None:
+def throughput(options: argparse.Namespace) -> None:
     """Logs a second by one process and by two, once they are started, and what a log costs."""
     with tempfile.TemporaryDirectory() as folder:
-        paths = copies(given.log, Path(folder), given.copies)
+        paths = copies(options.log, Path(folder), options.copies)
         list(diagnose_many(paths[:1], jobs=1))
-        for _ in range(given.rounds):
+        for _ in range(options.rounds):
             speeds, costs = [], []
             for jobs in (1, 2):
                 busy = spent_s()
@@ -162,43 +162,45 @@ def copies(log: Path, folder: Path, count: int) -> list[Path]:
     return paths
 
 
-def calls(given: argparse.Namespace) -> None:
+def calls(options: argparse.Namespace) -> None:
     """One call for all, and one for each, after a call that warms caches."""
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "check": False}
-    subprocess.run([*COMMAND, *given.logs], **quiet)
-    apart = timed(lambda: [subprocess.run([*COMMAND, log], **quiet) for log in given.logs])
-    together = timed(lambda: subprocess.run([*COMMAND, *given.logs, "--jobs", str(given.jobs)], **quiet))
+    subprocess.run([*COMMAND, *options.logs], **quiet)
+    separate = timed(lambda: [subprocess.run([*COMMAND, log], **quiet) for log in options.logs])
+    together = timed(lambda: subprocess.run([*COMMAND, *options.logs, "--jobs", str(options.jobs)], **quiet))
     print(
-        f"{len(given.logs)} logs: {apart:.1f} s in a call each, {together:.1f} s in one: {together / apart:.2f} of it"
+        f"{len(options.logs)} logs: {separate:.1f} s in a call each, {together:.1f} s in one: {together / separate:.2f} of it"
     )
     began = time.perf_counter()
-    process = subprocess.Popen([*COMMAND, *given.logs, "--jsonl", "--jobs", str(given.jobs)], stdout=subprocess.PIPE)
+    process = subprocess.Popen(
+        [*COMMAND, *options.logs, "--jsonl", "--jobs", str(options.jobs)], stdout=subprocess.PIPE
+    )
     assert process.stdout is not None
     lines = [time.perf_counter() - began for _ in process.stdout]
     print(f"the first answer after {lines[0]:.1f} s, the last after {lines[-1]:.1f} s")
 
 
-def workers(given: argparse.Namespace) -> None:
+def workers(options: argparse.Namespace) -> None:
     """Tasks that do nothing through a real scheduler with many workers, some hundred of them in each process."""
     import distributed
 
     with cluster(0) as dask:
-        each = -(-given.workers // given.processes)
+        each = -(-options.workers // options.processes)
         command = [sys.executable, __file__, "host", dask.address, str(each)]
         hosts = [
             subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-            for _ in range(given.processes)
+            for _ in range(options.processes)
         ]
         try:
             with distributed.Client(dask.address, set_as_default=False) as client:
                 began = time.perf_counter()
                 with suppress(TimeoutError):  # then with those that have come
-                    client.wait_for_workers(each * given.processes, timeout=given.patience)
+                    client.wait_for_workers(each * options.processes, timeout=options.patience)
                 there: Any = client.nthreads()
                 print(
-                    f"{len(there)} of {each * given.processes} workers are there after {time.perf_counter() - began:.0f} s"
+                    f"{len(there)} of {each * options.processes} workers are there after {time.perf_counter() - began:.0f} s"
                 )
-            for tasks in (given.workers, 4 * given.workers, 10 * given.workers):
+            for tasks in (options.workers, 4 * options.workers, 10 * options.workers):
                 spent = timed(drain(tasks, scheduler=dask.address))
                 print(f"{tasks} tasks: {spent:.1f} s, {1e3 * spent / tasks:.2f} ms each, load {os.getloadavg()[0]:.1f}")
         finally:
@@ -207,12 +209,12 @@ def workers(given: argparse.Namespace) -> None:
                 host.wait()
 
 
-def host(given: argparse.Namespace) -> None:
+def host(options: argparse.Namespace) -> None:
     """Many workers in one process."""
     from distributed import Worker
 
     async def go() -> None:
-        made = [Worker(given.address, nthreads=1, memory_limit=0, dashboard=False) for _ in range(given.count)]
+        made = [Worker(options.address, nthreads=1, memory_limit=0, dashboard=False) for _ in range(options.count)]
         for start in range(0, len(made), 25):
             await asyncio.gather(*made[start : start + 25])
         await asyncio.gather(*(worker.finished() for worker in made))
@@ -220,21 +222,21 @@ def host(given: argparse.Namespace) -> None:
     asyncio.run(go())
 
 
-def kills(given: argparse.Namespace) -> None:
+def kills(options: argparse.Namespace) -> None:
     """Judge logs on a cluster of which parts are killed; compare with what an undisturbed call leaves."""
-    rng = random.Random(given.seed)
-    with tempfile.TemporaryDirectory() as name, cluster(2) as dask, outcomes(given, Path(name)) as outcome:
+    rng = random.Random(options.seed)
+    with tempfile.TemporaryDirectory() as name, cluster(2) as dask, outcomes(options, Path(name)) as outcome:
         count, rounds, killed = 0, 0, {"worker": 0, "scheduler": 0, "client": 0}
         whole, command, read = outcome()
         subprocess.run([*command, "--jobs", "2"], check=False)
         wanted = read(whole)
-        while count < given.kills:
+        while count < options.kills:
             out, command, read = outcome()
             command, rounds = [*command, "--scheduler", dask.address], rounds + 1
             client = subprocess.Popen(command, stderr=subprocess.DEVNULL)
             while True:
                 try:
-                    client.wait(rng.uniform(given.least, given.most) if count < given.kills else None)
+                    client.wait(rng.uniform(options.least, options.most) if count < options.kills else None)
                 except subprocess.TimeoutExpired:
                     victim = rng.choice(["client", *dask.parts])
                     if victim == "client":
@@ -260,14 +262,14 @@ def kills(given: argparse.Namespace) -> None:
 
 
 @contextmanager
-def outcomes(given: argparse.Namespace, folder: Path) -> Iterator[Callable[[], tuple]]:
+def outcomes(options: argparse.Namespace, folder: Path) -> Iterator[Callable[[], tuple]]:
     """What gives, each time it is called: (where to, the command that writes there, how that is read)."""
-    logs = given.log
+    logs = options.log
     if not logs.is_dir():
         logs = folder / "logs"
         logs.mkdir()
-        copies(given.log, logs, given.copies)
-    if given.store is None:
+        copies(options.log, logs, options.copies)
+    if options.store is None:
         numbers = itertools.count()
 
         def lines():
@@ -276,7 +278,7 @@ def outcomes(given: argparse.Namespace, folder: Path) -> Iterator[Callable[[], t
 
         yield lines
         return
-    with stores(given.store, folder) as fresh:
+    with stores(options.store, folder) as fresh:
 
         def store():
             url = fresh()
@@ -318,8 +320,8 @@ def table(path: Path) -> list[str]:
 
 def main() -> None:
     """Do what is asked for."""
-    asked = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    kinds = asked.add_subparsers(dest="what", required=True)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    kinds = parser.add_subparsers(dest="what", required=True)
     kinds.add_parser("overhead").set_defaults(go=overhead)
     one = kinds.add_parser("throughput")
     one.add_argument("log", nargs="?", type=Path, default=SAMPLE)
@@ -348,8 +350,8 @@ def main() -> None:
     one.add_argument("--most", type=float, default=8.0)
     one.add_argument("--seed", type=int, default=1)
     one.set_defaults(go=kills)
-    given = asked.parse_args()
-    given.go(given)
+    options = parser.parse_args()
+    options.go(options)
 
 
 if __name__ == "__main__":

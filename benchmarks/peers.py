@@ -215,7 +215,7 @@ def _filterpy(name: str):
 
     own, p = functions(False), plant()
 
-    def kept(k, out, method):
+    def store(k, out, method):
         out[k, :N] = method.x.reshape(-1)
         out[k, N:] = np.diag(method.P)[N_X:]
 
@@ -233,7 +233,7 @@ def _filterpy(name: str):
         for k in range(len(u)):
             method.predict(u=u[k])
             method.update(y[k])
-            kept(k, out, method)
+            store(k, out, method)
         return out
 
     class Extended(kalman.ExtendedKalmanFilter):
@@ -248,7 +248,7 @@ def _filterpy(name: str):
         for k in range(len(u)):
             method.predict(u[k])
             method.update(y[k], lambda x: H, lambda x: x[:6])
-            kept(k, out, method)
+            store(k, out, method)
         return out
 
     return {"ukf": unscented, "ekf": extended}[name]

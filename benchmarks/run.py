@@ -4,7 +4,7 @@
 
 Needs the extras `benchmark` and `research` and a C++ compiler. The plant has 16 states, losses included; UKF, EKF, TSUKF and MHE are
 the registered estimators with their defaults. The C++ in floor/ is compiled here, into a temporary folder. Nothing is timed before all
-contenders have said the same to 1e-9 (relative to the largest value of each output). Contenders take turns; medians of the rounds, and
+contenders have given the same to 1e-9 (relative to the largest value of each output). Contenders take turns; medians of the rounds, and
 of the rounds' ratios. Slow ones step over fewer rows. --cpu counts processor time where the wall clock would count other work on the
 machine too: for one flight, and for batches, where it is divided by the cores.
 """
@@ -33,7 +33,7 @@ if importlib.util.find_spec("jax") is None:
 os.environ.setdefault("XLA_FLAGS", f"--xla_force_host_platform_device_count={os.cpu_count()}")  # before JAX is imported
 
 import numpy as np
-from contenders import METHODS, Floor, NativeBatch, Rotorwatch, build_floor, estimator, flight, kept
+from contenders import METHODS, Floor, NativeBatch, Rotorwatch, build_floor, estimator, flight, outputs
 from logs import reading, sample
 from peers import peers
 
@@ -70,7 +70,7 @@ print(next(line.split()[1] for line in Path("/proc/self/status").read_text().spl
 
 def same(method: str, one, other, who: str) -> float:
     """The largest relative difference. Exits when that is too large for a comparison of times to mean anything."""
-    one, other = (np.hstack(said) if isinstance(said, tuple) else said for said in (one, other))
+    one, other = (np.hstack(results) if isinstance(results, tuple) else results for results in (one, other))
     gap = float((np.abs(one - other) / np.abs(one).max(axis=0)).max())
     if not gap <= SAME:
         raise SystemExit(f"{method}: {who} differs from rotorwatch by {gap:.2g}, more than {SAME:g}: nothing is timed.")
@@ -83,11 +83,11 @@ def agreement(library) -> dict:
     found: dict = {}
     for method in METHODS:
         ours = Rotorwatch(method, "jax")
-        said, said_full = ours(*with_gaps), ours(*full)
+        results, results_full = ours(*with_gaps), ours(*full)
         found[method] = {
-            "native": same(method, said, Rotorwatch(method, "native")(*with_gaps), "native code"),
-            "floor": same(method, said, Floor(library, method)(*with_gaps), "the C++"),
-            **{name: same(method, said_full, run(*full), name) for name, run in peers(method).items()},
+            "native": same(method, results, Rotorwatch(method, "native")(*with_gaps), "native code"),
+            "floor": same(method, results, Floor(library, method)(*with_gaps), "the C++"),
+            **{name: same(method, results_full, run(*full), name) for name, run in peers(method).items()},
         }
     return found
 
@@ -136,7 +136,7 @@ def single_flight(library, steps: int, rounds: int, clock: Callable[[], float]) 
             part = tuple(a[: min(rows, max(100, mine))] for a in table)
             contenders[name] = clocked(partial(run, *part), len(part[0]), clock)
         out[method] = {**summary(turns(contenders, rounds), ("jax", "native")), "steps": rows}
-        print(f"one flight, {method}: {said(out[method])}", flush=True)
+        print(f"one flight, {method}: {printed(out[method])}", flush=True)
     return out
 
 
@@ -166,14 +166,14 @@ def batch(library, rounds: int, clock: Callable[[], float]) -> dict:
         }
         if method != "mhe":
             contenders["jax vmap(1000), one device"] = partial(alone, *tables)
-        said_by = {name: np.asarray(run()) for name, run in contenders.items()}  # compiled, and the same
+        results = {name: np.asarray(run()) for name, run in contenders.items()}  # compiled, and the same
         for name in ("native", "floor"):
-            same(method, said_by["jax"].reshape(-1, 20), said_by[name].reshape(-1, 20), f"{name} in a batch")
+            same(method, results["jax"].reshape(-1, 20), results[name].reshape(-1, 20), f"{name} in a batch")
 
         timed = {name: clocked(run, count * steps, clock) for name, run in contenders.items()}
         times = turns(timed, rounds)
         out[method] = {**summary(times, ("jax", "native")), "flights": count, "steps": steps, "cores": CORES}
-        print(f"batch, {method}: {said(out[method])}", flush=True)
+        print(f"batch, {method}: {printed(out[method])}", flush=True)
     return out
 
 
@@ -191,7 +191,7 @@ def jax_batch(method: str, chunk: int, devices: int = CORES) -> Callable:
     def one(*table):
         def step(carry, row):
             carry, out = run.step(carry, *row)
-            return carry, kept(out)
+            return carry, outputs(out)
 
         return jax.numpy.concatenate(jax.lax.scan(step, run.init(), table)[1], axis=1)
 
@@ -220,13 +220,13 @@ def live() -> dict:
     out: dict = {}
     for method in METHODS:
         u, y, valid = flight(LIVE_STEPS)
-        step, took = native.Live(estimator(method)), np.empty(LIVE_STEPS)
+        step, durations = native.Live(estimator(method)), np.empty(LIVE_STEPS)
         rows = list(zip(u, y, valid, strict=True))
         for k, row in enumerate(rows):
             start = time.perf_counter_ns()
             step.step(*row)
-            took[k] = time.perf_counter_ns() - start
-        p50, p99 = np.percentile(took[1000:], [50, 99]) / 1000
+            durations[k] = time.perf_counter_ns() - start
+        p50, p99 = np.percentile(durations[1000:], [50, 99]) / 1000
         out[method] = {"p50_us": p50, "p99_us": p99}
         print(f"live, {method}: p50 {p50:.1f} us, p99 {p99:.1f} us", flush=True)
     return {"method": "ukf", **out["ukf"], "methods": out}
@@ -276,7 +276,7 @@ def whole_verdict(flights: Path, scratch: Path, rounds: int) -> tuple[dict, dict
     return seconds, megabytes
 
 
-def said(row: dict) -> str:
+def printed(row: dict) -> str:
     others = ", ".join(f"{name} {us:.1f}" for name, us in row["peers"].items())
     ours = f"rotorwatch {row['rotorwatch_us']:.2f} us ({row['best']}), C++ {row['floor_us']:.2f} us, ratio {row['ratio']:.2f}"
     return f"{ours}; JAX {row['jax_us']:.1f}, native {row['native_us']:.2f}" + (f"; {others}" if others else "")

@@ -57,12 +57,12 @@ class Vehicle:
         self.model.extract_geometry()
         self.share = np.sqrt(thrust_max / most)  # a weaker rotor is a slower one
 
-    def step(self, p, v, q, omega, w, told, wind, theta, dt: float) -> np.ndarray:
-        """(16,) position, velocity, quaternion, body rates and mean specific force after dt [s]. w, told (n,): shares of full speed that
+    def step(self, p, v, q, omega, w, commanded, wind, theta, dt: float) -> np.ndarray:
+        """(16,) position, velocity, quaternion, body rates and mean specific force after dt [s]. w, commanded (n,): shares of full speed that
         the rotors have and are driven to; theta (n,): losses."""
         pace = FULL * self.share * np.sqrt(1.0 - theta)
         start = np.concatenate([FLIP * p, FLIP * v, FLIP * q[1:], q[:1], FLIP * omega, FLIP * wind, pace * w])
-        end = start + dt / 6.0 * self._slope(start, pace * told, dt)
+        end = start + dt / 6.0 * self._slope(start, pace * commanded, dt)
         q_new = np.r_[end[9], FLIP * end[6:9]]
         q_new = q_new / np.linalg.norm(q_new)
         v_new = FLIP * end[3:6]
@@ -70,12 +70,12 @@ class Vehicle:
         felt = (v_new - v) / dt - [0.0, 0.0, self.model.g]
         return np.concatenate([FLIP * end[:3], v_new, q_new, FLIP * end[10:13], _to_body(middle, felt)])
 
-    def _slope(self, s, told, dt: float) -> np.ndarray:
+    def _slope(self, s, commanded, dt: float) -> np.ndarray:
         """Six times the mean slope over a step: the classical Runge-Kutta rule."""
-        one = self.model._s_dot_fn(0.0, s, told)
-        two = self.model._s_dot_fn(0.0, s + 0.5 * dt * one, told)
-        three = self.model._s_dot_fn(0.0, s + 0.5 * dt * two, told)
-        return one + 2.0 * (two + three) + self.model._s_dot_fn(0.0, s + dt * three, told)
+        one = self.model._s_dot_fn(0.0, s, commanded)
+        two = self.model._s_dot_fn(0.0, s + 0.5 * dt * one, commanded)
+        three = self.model._s_dot_fn(0.0, s + 0.5 * dt * two, commanded)
+        return one + 2.0 * (two + three) + self.model._s_dot_fn(0.0, s + dt * three, commanded)
 
 
 def _to_body(q, a):
@@ -126,17 +126,17 @@ class Elsewhere(reconfigured.Reconfigured):
         jnp = jax.numpy
         near, w_new, force = dynamics.step(plan.craft, body, w, share, lag, air, theta, dt)
 
-        def asked(craft, state):
+        def slopes(craft, state):
             # Called for one flight while shapes are worked out, else for all of a batch.
             many = np.ndim(state[0]) > 1
-            given = (craft, state) if many else [[np.asarray(a)[None] for a in part] for part in (craft, state)]
-            found = STEPS(dt, *given)
+            batch = (craft, state) if many else [[np.asarray(a)[None] for a in part] for part in (craft, state)]
+            found = STEPS(dt, *batch)
             return found if many else found[0]
 
         craft = [getattr(plan.craft, name) for name in NUMBERS]
         state = [*body, w, share, air.wind, theta]
         out = jax.pure_callback(
-            asked, jax.ShapeDtypeStruct((16,), body.p.dtype), craft, state, vmap_method="broadcast_all"
+            slopes, jax.ShapeDtypeStruct((16,), body.p.dtype), craft, state, vmap_method="broadcast_all"
         )
         high = body.p[2] < -HEIGHT
         far = rigid.Body(out[:3], out[3:6], out[6:10], out[10:13])
@@ -147,33 +147,33 @@ class Elsewhere(reconfigured.Reconfigured):
 class Slower:
     """A plan's flights at RATE_HZ, with one of two simulators."""
 
-    def __init__(self, asked: plan.Plan):
-        self.asked = asked
+    def __init__(self, whole_plan: plan.Plan):
+        self.whole_plan = whole_plan
 
     def flight(self, k: int) -> Scenario:
         """Scenario of flight k."""
-        return replace(self.asked.flight(k), rate_hz=RATE_HZ)
+        return replace(self.whole_plan.flight(k), rate_hz=RATE_HZ)
 
 
-def faulty(asked: plan.Plan, most: int) -> list[int]:
+def faulty(whole_plan: plan.Plan, most: int) -> list[int]:
     """The first flights of the plan in which something breaks, equally many of each kind of flight."""
-    cells = len(asked.cells)
-    each = [k for c in range(cells) for k in _first(asked, c, -(-most // cells))]
+    cells = len(whole_plan.cells)
+    each = [k for c in range(cells) for k in _first(whole_plan, c, -(-most // cells))]
     return sorted(each)[:most]
 
 
-def _first(asked: plan.Plan, cell: int, most: int) -> list[int]:
+def _first(whole_plan: plan.Plan, cell: int, most: int) -> list[int]:
     found, k = [], cell
     while len(found) < most:
-        found += [k] if asked.flight(k).faults else []
-        k += len(asked.cells)
+        found += [k] if whole_plan.flight(k).faults else []
+        k += len(whole_plan.cells)
     return found
 
 
-def fly(asked: plan.Plan, flights: Sequence[int], out: Path, drivers: Sequence[str]) -> list[dict]:
+def fly(whole_plan: plan.Plan, flights: Sequence[int], out: Path, drivers: Sequence[str]) -> list[dict]:
     """A row for each flight, driver and simulator; parts that `out` holds already are not flown again."""
     rows = json.loads(out.read_text())["rows"] if out.exists() else []
-    cells = len(asked.cells)
+    cells = len(whole_plan.cells)
     for c in range(cells):
         here = [k for k in flights if k % cells == c]
         for name, aircraft in (("ours", reconfigured.Reconfigured), ("rotorpy", Elsewhere)):
@@ -181,10 +181,10 @@ def fly(asked: plan.Plan, flights: Sequence[int], out: Path, drivers: Sequence[s
                 done = {r["flight"] for r in rows if (r["simulator"], r["driver"]) == (name, driver)}
                 if not here or set(here) <= done:
                     continue
-                for outcome in closed_loop.fly(Slower(asked), here, driver, aircraft=aircraft):
-                    frame = asked.flight(outcome["flight"]).airframe["frame"]
+                for outcome in closed_loop.fly(Slower(whole_plan), here, driver, aircraft=aircraft):
+                    frame = whole_plan.flight(outcome["flight"]).airframe["frame"]
                     rows.append({"simulator": name, "driver": driver, "frame": frame, **outcome})
-                out.write_text(json.dumps({"plan": asked.name, "rows": rows}, indent=1))
+                out.write_text(json.dumps({"plan": whole_plan.name, "rows": rows}, indent=1))
                 print(f"cell {c + 1} of {cells}, {name}, {driver}; {STEPS.made} steps", file=sys.stderr, flush=True)
         STEPS.known.clear()
     return rows
@@ -234,15 +234,15 @@ def main() -> None:
     parser.add_argument("--flights", type=int, default=50, help="faulty flights (default: 50)")
     parser.add_argument("--drivers", default=",".join(DRIVERS), help="default: nobody,truth,default")
     parser.add_argument("-o", "--out", type=Path, required=True, help="results (JSON)")
-    given = parser.parse_args()
+    options = parser.parse_args()
     try:
         import rotorpy  # noqa: F401
     except ImportError:
         sys.exit("RotorPy is not installed: install it with `pip install rotorpy` and run this again.")
     try:
-        asked = plan.read(given.plan)
-        drivers = given.drivers.split(",")
-        rows = fly(asked, faulty(asked, given.flights), given.out, drivers)
+        whole_plan = plan.read(options.plan)
+        drivers = options.drivers.split(",")
+        rows = fly(whole_plan, faulty(whole_plan, options.flights), options.out, drivers)
     except RotorwatchError as error:
         sys.exit(str(error))
     print(markdown(rows, drivers))

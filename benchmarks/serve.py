@@ -31,7 +31,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("logs", nargs="*", type=Path)
     parser.add_argument("--watch", type=Path, default=SAMPLES / "hexax_m3_mul0.80_square_wind.bin.xz")
-    asked = parser.parse_args()
+    options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         command = [
             sys.executable,
@@ -42,7 +42,7 @@ def main() -> None:
             "0",
             "--store",
             f"{folder}/fleet.db",
-            str(asked.watch),
+            str(options.watch),
         ]
         server = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
         assert server.stdout is not None
@@ -52,11 +52,11 @@ def main() -> None:
             paint(address)
             for sample in sorted(SAMPLES.glob("*.xz")):
                 send(address, sample)
-            for log in asked.logs:
+            for log in options.logs:
                 before = cpu(server.pid)
-                took, answer = send(address, log)
+                duration, answer = send(address, log)
                 print(
-                    f"{log.name}, {log.stat().st_size / 1e6:.0f} MB, {answer['duration_s']:.0f} s of flight: answered in {took:.1f} s, "
+                    f"{log.name}, {log.stat().st_size / 1e6:.0f} MB, {answer['duration_s']:.0f} s of flight: answered in {duration:.1f} s, "
                     f"{cpu(server.pid) - before:.1f} s of it computing (load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores)"
                 )
         finally:
@@ -93,10 +93,10 @@ def send(address: str, log: Path) -> tuple[float, dict]:
         connection.request("POST", "/api/flights", file, headers)
         answer = connection.getresponse()
         text = answer.read()
-    took = time.perf_counter() - began
+    duration = time.perf_counter() - began
     if answer.status not in (200, 201):
         raise SystemExit(text.decode())
-    return took, json.loads(text)
+    return duration, json.loads(text)
 
 
 def cpu(server: int) -> float:

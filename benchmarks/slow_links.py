@@ -165,8 +165,10 @@ def add_bounds(parts: list[dict]) -> None:
 def run(flights: int, healthy: int) -> list[dict]:
     """All rows. Each flight is flown once and judged at every rate."""
     rows, parts = [], defaultdict(list)
-    asked = [(k, loss) for loss in LOSSES for k in range(flights)] + [(1000 + k, None) for k in range(healthy)]
-    for done, (k, loss) in enumerate(asked):
+    flights_and_losses = [(k, loss) for loss in LOSSES for k in range(flights)] + [
+        (1000 + k, None) for k in range(healthy)
+    ]
+    for done, (k, loss) in enumerate(flights_and_losses):
         made = drawn(k, loss)
         record = fly_each(
             MULTIROTOR, [flight_plan(made)], made.duration_s, made.rate_hz, made.record_hz, logbook.needed
@@ -176,7 +178,7 @@ def run(flights: int, healthy: int) -> list[dict]:
             rows.append(row)
             if part is not None:
                 parts[made.airframe["frame"], hz].append(part)
-        print(f"{done + 1} of {len(asked)} flights", end="\r", file=sys.stderr)
+        print(f"{done + 1} of {len(flights_and_losses)} flights", end="\r", file=sys.stderr)
     for group in parts.values():
         # Geometries are those of the frame; sizes differ, and with them nothing that the balance knows of.
         for same in _alike(group):
@@ -262,10 +264,10 @@ def main() -> None:
     parser.add_argument("--healthy", type=int, default=40)
     parser.add_argument("-o", "--out", type=Path)
     parser.add_argument("--table", type=Path, help="show the rows of this file instead")
-    given = parser.parse_args()
-    rows = json.loads(given.table.read_text()) if given.table else run(given.flights, given.healthy)
-    if given.out:
-        given.out.write_text(json.dumps(rows))
+    options = parser.parse_args()
+    rows = json.loads(options.table.read_text()) if options.table else run(options.flights, options.healthy)
+    if options.out:
+        options.out.write_text(json.dumps(rows))
     print(show(rows))
 
 

@@ -48,9 +48,9 @@ def main() -> None:
     parser.add_argument("--flights", type=int, default=600)
     parser.add_argument("--first", type=int, default=10_000)
     parser.add_argument("--jobs", type=int, default=spread.processors())
-    given = parser.parse_args()
-    numbers = range(given.first, given.first + given.flights)
-    rows = [done.result() for done in spread.run(flown, numbers, given.jobs)]
+    options = parser.parse_args()
+    numbers = range(options.first, options.first + options.flights)
+    rows = [done.result() for done in spread.run(flown, numbers, options.jobs)]
     print("| loss | flights | not announced | of these beyond the bound |\n|---|---|---|---|")
     for low, high in (*itertools.pairwise(LOSSES), (LOSSES[0], LOSSES[-1])):
         there = [row for row in rows if low <= row[0] < high]

@@ -56,13 +56,13 @@ def packed(path: str, vehicles: int, seconds: float) -> tuple[list[list[bytes]],
         rate, push = gyro.values[at[1]], accel.values[at[2]]
         us = int((t + 30.0) * 1e6)
         imu = [int(v) for v in (*np.round(push / 9.80665 * 1e3), *np.round(rate * 1e3), 0, 0, 0)]
-        said = [
+        samples = [
             mavlink.MAVLink_servo_output_raw_message(us, 0, *(pwm + [0] * 8)[:8]),
             mavlink.MAVLink_attitude_message(us // 1000, 0.0, 0.0, 0.0, *map(float, rate)),
             mavlink.MAVLink_raw_imu_message(us, *imu),
             *([beat] if step % 50 == 0 else ()),
         ]
-        frames += [[frame(k, message) for message in said] for k in range(vehicles)]
+        frames += [[frame(k, message) for message in samples] for k in range(vehicles)]
     return frames, greetings
 
 
@@ -119,7 +119,7 @@ main(["watch", sys.argv[1], "--listen-only", "--jsonl", "--seconds", "20"])
 
 def starts(path: str, times: int) -> None:
     """How long the command takes to the first tick."""
-    took = []
+    durations = []
     for _ in range(times):
         port = free_port()
         ready, go = multiprocessing.Event(), multiprocessing.Event()
@@ -129,11 +129,11 @@ def starts(path: str, times: int) -> None:
         began = time.monotonic()
         go.set()
         command = [sys.executable, "-c", FIRST_TICK, f"udpin:127.0.0.1:{port}"]
-        said = subprocess.run(command, capture_output=True, text=True, check=False).stdout.split()
+        lines = subprocess.run(command, capture_output=True, text=True, check=False).stdout.split()
         process.kill()
-        took.append(float(said[-1]) - began)
+        durations.append(float(lines[-1]) - began)
     print(
-        f"from the start to the first tick: median {statistics.median(took):.2f} s, longest {max(took):.2f} s of {times}"
+        f"from the start to the first tick: median {statistics.median(durations):.2f} s, longest {max(durations):.2f} s of {times}"
     )
 
 
@@ -144,9 +144,9 @@ def stream(path: str, port: int, ready, go) -> None:
     ready.set()
     go.wait()
     began = time.monotonic()
-    for step, said in enumerate(frames):
+    for step, messages in enumerate(frames):
         time.sleep(max(0.0, began + step / 50.0 - time.monotonic()))
-        for frame in [*(greeting[0] if step % 5 == 0 else ()), *said]:
+        for frame in [*(greeting[0] if step % 5 == 0 else ()), *messages]:
             sock.sendto(frame, ("127.0.0.1", port))
 
 
@@ -156,9 +156,9 @@ def main() -> None:
     parser.add_argument("--vehicles", type=int, default=20)
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--starts", type=int, default=0)
-    given = parser.parse_args()
-    if given.starts:
-        starts(given.flight, given.starts)
+    options = parser.parse_args()
+    if options.starts:
+        starts(options.flight, options.starts)
         return
     from rotorwatch import airframes
     from rotorwatch.default import program
@@ -169,9 +169,9 @@ def main() -> None:
     port = free_port()
     watched = link.Link(endpoint.open_endpoint(f"udpin:127.0.0.1:{port}"), lambda alert: None, talks=False)
     ready = multiprocessing.Event()
-    sent = multiprocessing.Array("d", int(given.seconds * 50) * given.vehicles, lock=False)
+    sent = multiprocessing.Array("d", int(options.seconds * 50) * options.vehicles, lock=False)
     process = multiprocessing.Process(
-        target=fly, args=(given.flight, port, given.vehicles, given.seconds, ready, sent), daemon=True
+        target=fly, args=(options.flight, port, options.vehicles, options.seconds, ready, sent), daemon=True
     )
     process.start()
     late, stepped = [], link.Watched.advance
@@ -183,8 +183,8 @@ def main() -> None:
         table, _ = self.session._judge.now
         # The vehicle's clock counts from its first message; a tick is complete with the first motion after it.
         step = int(np.ceil(table.time[-1] * 50 - 1e-6))
-        if 0 <= step * given.vehicles + number < len(sent):
-            late.append(now - sent[step * given.vehicles + number])
+        if 0 <= step * options.vehicles + number < len(sent):
+            late.append(now - sent[step * options.vehicles + number])
         return True
 
     link.Watched.advance = timed
@@ -199,7 +199,7 @@ def main() -> None:
     share = len(late) // 5
     if not late:
         raise SystemExit("nothing was judged: let the vehicles fly for longer")
-    print(f"{given.vehicles} vehicles, {wall:.0f} s: {len(late)} pieces judged, {busy / wall:.0%} of one core")
+    print(f"{options.vehicles} vehicles, {wall:.0f} s: {len(late)} pieces judged, {busy / wall:.0%} of one core")
     p50, p99, most = np.quantile(np.array(late[share:]) * 1e3, [0.5, 0.99, 1.0])
     print(f"from datagram to estimate: median {p50:.1f} ms, 99 % {p99:.1f} ms, longest {most:.1f} ms")
     behind = [wall - w.session.now for w in watched.vehicles if w.session is not None]

@@ -1,5 +1,5 @@
-"""The API reference of the documents' site: every public name of rotorwatch with its signature and what its docstring says of each
-parameter. `docs/conf.py` puts it below docs/api.md when the site is built; tests/test_site.py refuses a parameter that nothing is said of.
+"""The API reference of the documents' site: every public name of rotorwatch with its signature and the meaning of each
+parameter from its docstring. `docs/conf.py` puts it below docs/api.md when the site is built; tests/test_site.py refuses a parameter that is not described.
 
 Docstrings here are prose in which a parameter is explained as "name: text.", or "name (shape), other: text."; `explained` finds that.
 """
@@ -54,17 +54,17 @@ def parameters(found: Any) -> list[inspect.Parameter]:
 
 
 def explained(text: str, names: list[str]) -> dict[str, str]:
-    """Name of a parameter -> what a docstring says of it."""
+    """Name of a parameter -> its meaning, from a docstring."""
     found: dict[str, str] = {}
     for paragraph in inspect.cleandoc(text).split("\n\n"):
         line = " ".join(paragraph.split())
         starts = [m for m in _START.finditer(line) if _of(m.group(1)) <= set(names)]
         ends = [m.start() for m in starts[1:]] + [len(line)]
         for match, end in zip(starts, ends):
-            says = re.split(r"(?<=[.;)]) (?=Raises |Returns )", line[match.end() : end])[0].strip().rstrip(";")
+            meaning = re.split(r"(?<=[.;)]) (?=Raises |Returns )", line[match.end() : end])[0].strip().rstrip(";")
             for name in _of(match.group(1)):
                 shape = re.search(rf"\b{name} (\([^)]*\)|\[[^\]]*\])", match.group(1))
-                found.setdefault(name, f"{shape.group(1)} {says}" if shape else says)
+                found.setdefault(name, f"{shape.group(1)} {meaning}" if shape else meaning)
     return found
 
 
@@ -80,8 +80,8 @@ def unexplained() -> list[str]:
         if inspect.isclass(found) and issubclass(found, Exception):
             continue
         listed = [p.name for p in parameters(found)]
-        said = explained(found.__doc__ or "", listed)
-        missing += [f"{label}({name})" for name in listed if name not in said]
+        descriptions = explained(found.__doc__ or "", listed)
+        missing += [f"{label}({name})" for name in listed if name not in descriptions]
     return missing
 
 
@@ -106,9 +106,9 @@ def _entry(label: str, found: Any, module: str) -> str:
     listed = [] if isinstance(found, property) else parameters(found)
     shown = label if isinstance(found, property) else _signature(label, found)
     text = f"```python\n{shown}\n```\n\n{_prose(doc)}\n"
-    said = explained(doc, [p.name for p in listed])
+    descriptions = explained(doc, [p.name for p in listed])
     if listed:
-        rows = [f"| `{p.name}` | {_type(p)} | {_default(p)} | {_cell(said.get(p.name, ''))} |" for p in listed]
+        rows = [f"| `{p.name}` | {_type(p)} | {_default(p)} | {_cell(descriptions.get(p.name, ''))} |" for p in listed]
         text += "\n| parameter | type | default | meaning |\n|---|---|---|---|\n" + "\n".join(rows) + "\n"
     return text + (f"\nDefined in `{module}`.\n" if module else "")
 
@@ -138,9 +138,9 @@ def _default(p: inspect.Parameter) -> str:
     return "required" if p.default is p.empty else f"`{_value(p.default)}`".replace("|", "\\|")
 
 
-def _value(given: Any) -> str:
-    text = repr(given)
-    return getattr(given, "__name__", "...") if " at 0x" in text or len(text) > 60 else text
+def _value(value: Any) -> str:
+    text = repr(value)
+    return getattr(value, "__name__", "...") if " at 0x" in text or len(text) > 60 else text
 
 
 def _cell(text: str) -> str:

@@ -39,7 +39,7 @@ def main(log: str) -> None:
     some = (t > 2) & (t < ONSET + 20)
     plt.rcParams.update({"svg.hashsalt": "default-parts", "svg.fonttype": "none", "font.size": 8})
     figure, axes = plt.subplots(7, 1, figsize=(9, 13), sharex=True, layout="constrained")
-    plant, noise, trust, bank, said, after, size = axes
+    plant, noise, trust, bank, announcing, after, size = axes
 
     for a in (0, 2, 3):
         plant.plot(t[some], seen["y"][some, a] - seen["y"][some, a].mean(), lw=0.6, color=f"C{a}", label=AXES[a])
@@ -65,11 +65,11 @@ def main(log: str) -> None:
         ylabel="nats",
         title="bank, hypotheses and evidence: for a jump at any time since the last explanation",
     )
-    said.plot(t[some], seen["statistic"][some], label="statistic, over the threshold")
-    said.fill_between(t[some], 0, 1, where=~seen["plausible"][some], transform=said.get_xaxis_transform(), color="0.9",
+    announcing.plot(t[some], seen["statistic"][some], label="statistic, over the threshold")
+    announcing.fill_between(t[some], 0, 1, where=~seen["plausible"][some], transform=announcing.get_xaxis_transform(), color="0.9",
                       label="best one is not possible")  # fmt: skip
-    said.axhline(0, color="k", lw=0.5)
-    said.set(ylabel="nats", title="announcement and plausibility")
+    announcing.axhline(0, color="k", lw=0.5)
+    announcing.set(ylabel="nats", title="announcement and plausibility")
     for k in range(seen["share"].shape[1]):
         after.plot(t[some], seen["share"][some, k], label=("leads", "second", "third", "fourth")[k])
     after.set(ylim=(-0.02, 1.05), ylabel="probability", title="posterior: explanations after the announcement")
@@ -78,7 +78,7 @@ def main(log: str) -> None:
         size.plot(t[some], theta, color=f"C{i}", label=f"rotor {i + 1}")
         size.fill_between(t[some], theta - 1.96 * sd, theta + 1.96 * sd, color=f"C{i}", alpha=0.2, lw=0)
     size.plot([2, ONSET, ONSET, ONSET + 20], [0, 0, LOSS, LOSS], "k:", lw=1, label=f"true loss of rotor {ROTOR}")
-    size.set(ylim=(-0.02, 0.6), ylabel="loss", xlabel="s after take-off", title="what is said")
+    size.set(ylim=(-0.02, 0.6), ylabel="loss", xlabel="s after take-off", title="what is announced")
     for a in axes:
         a.axvline(ONSET, color="0.5", lw=0.6, ls=":")
         a.legend(loc="upper left", fontsize=7, ncols=3)
@@ -92,12 +92,12 @@ def steps(table, B) -> dict[str, np.ndarray]:
 
     def tick(carry, row):
         carry, out = estimator.step(carry, *row)
-        kept = {
+        outputs = {
             "y": row[1], "innovation": out.estimate.innovation, "variances": carry.noise.variances,
             "calm": caution.calm(carry.caution), "odds": out.decision.log_odds, "statistic": out.decision.statistic,
             "plausible": out.plausible, "share": out.share, "theta": out.theta, "theta_sd": out.theta_sd,
         }  # fmt: skip
-        return carry, kept
+        return carry, outputs
 
     run = jax.jit(lambda rows: jax.lax.scan(tick, estimator.init(), rows)[1])
     return {k: np.asarray(v) for k, v in run(program.inputs(table, B)).items()}

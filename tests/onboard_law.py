@@ -18,9 +18,9 @@ WIDTH, LASTS = 24, 1e300
 DRIVER = """#include "rw_diagnoser.h"
 #define WIDTH 24
 static rw_diagnoser d;
-static rw_news news[2 * RW_EVENTS];
+static rw_notification notifications[2 * RW_EVENTS];
 static int burst; /* most ticks that one call in flight took from those that waited */
-static void told(rw_real *to, const double *from, int n) { for (int k = 0; k < n; k++) to[k] = (rw_real)from[k]; }
+static void to_real(rw_real *to, const double *from, int n) { for (int k = 0; k < n; k++) to[k] = (rw_real)from[k]; }
 int sizes(int what);
 int sizes(int what) { return what == 0 ? (int)sizeof d : what == 1 ? (int)sizeof d.estimator : what == 2 ? (int)sizeof d.work : burst; }
 int drive(int rows, const double *table, double until, double *found, int most);
@@ -32,7 +32,7 @@ int drive(int rows, const double *table, double until, double *found, int most)
         rw_real x[RW_ROTORS > 4 ? RW_ROTORS : 4];
         const bool ok = row[2] > 0.5, flew = d.front.start < RW_LASTS;
         const int waited = d.front.count;
-        told(x, row + 3, row[0] < 0.5 ? RW_ROTORS : 4);
+        to_real(x, row + 3, row[0] < 0.5 ? RW_ROTORS : 4);
         switch ((int)row[0]) {
         case 0: rw_diagnoser_outputs(&d, t, x, (rw_rotors)row[2]); break;
         case 1: rw_diagnoser_accel(&d, t, x, ok); break;
@@ -44,10 +44,10 @@ int drive(int rows, const double *table, double until, double *found, int most)
         default: rw_diagnoser_battery(&d, t, x[0]); break;
         }
         if (flew && d.front.start < RW_LASTS && waited - d.front.count > burst) burst = waited - d.front.count;
-        if (i % 50 == 0) rw_diagnoser_poll(&d, news);
+        if (i % 50 == 0) rw_diagnoser_poll(&d, notifications);
     }
     rw_diagnoser_finish(&d, until);
-    rw_diagnoser_poll(&d, news);
+    rw_diagnoser_poll(&d, notifications);
     const rw_event *events;
     const int count = rw_diagnoser_events(&d, &events);
     for (int k = 0; k < count && k < most; k++) {
@@ -114,8 +114,8 @@ def table(flight, craft) -> np.ndarray:
         add(BATTERY, lift.time[ok], 1.0, lift.values[ok, k : k + 1])
     for m in flight.messages:
         if m.kind in ("landed", "armed"):
-            said = float(m.value > 0.5)
-            pair = (said, -1.0) if m.kind == "landed" else (-1.0, said)
+            value = float(m.value > 0.5)
+            pair = (value, -1.0) if m.kind == "landed" else (-1.0, value)
             add(STATE, np.array([m.time]), 1.0, np.array([pair]))
     every = np.concatenate(rows)
     return every[np.lexsort(([FIRST[int(k)] for k in every[:, 0]], every[:, 1]))]

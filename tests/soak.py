@@ -142,7 +142,7 @@ def soak(minutes: float, folder: Path, count: int = 8, seed: int = 0, flight_s: 
     flights, kept = Flights(str(folder / "fleet.db")), []
     keeper = flights.store_writer(kept.append, found.trouble.append)
     feed, now, wire = live.Feed(keeper.keep), [0.0], Wire()
-    link = Link(wire, feed.tell, talks=False, record=folder, clock=lambda: now[0])
+    link = Link(wire, feed.notify, talks=False, record=folder, clock=lambda: now[0])
     source = live.Guarded(wire.name, link, feed)
     feed._sources.append(source)
     vehicles = [Vehicle(k + 1, np.random.default_rng((seed, k)), flight_s - k, 60.0 * minutes) for k in range(count)]
@@ -158,7 +158,7 @@ def soak(minutes: float, folder: Path, count: int = 8, seed: int = 0, flight_s: 
             found.trouble.append(f"the link ended at {now[0]:.0f} s: {source.trouble}")
             break
         if round(now[0] / STEP_S) % 5 == 0:
-            feed.beside.run("the picture", feed._show)
+            feed.background.run("the picture", feed._show)
         if now[0] >= minute:
             minute += 60.0
             gc.collect()
@@ -173,8 +173,8 @@ def soak(minutes: float, folder: Path, count: int = 8, seed: int = 0, flight_s: 
     health = [watched.health for watched in link.vehicles]
     found.reboots, found.jumps = sum(h.reboots for h in health), sum(h.jumps for h in health)
     found.trouble += [f"{w.name}: {w.trouble}" for w in link.vehicles if w.trouble]
-    found.trouble += [*feed.beside.failed.values(), *filter(None, (source.trouble, link.trouble))]
-    found.trouble += [line["text"] for line in feed._said if line["type"] == "error"]
+    found.trouble += [*feed.background.failed.values(), *filter(None, (source.trouble, link.trouble))]
+    found.trouble += [line["text"] for line in feed._messages if line["type"] == "error"]
     found.seconds = time.monotonic() - began
     return found
 

@@ -159,7 +159,7 @@ def random_answer(seed):
         events=tuple(events),
         whole_flight=compared,
         doubts=doubts if rng.random() < 0.2 else (),
-        leftover=spells,
+        residual_evidence=spells,
         judged_s=1.0 if rng.random() < 0.1 else 46.0,
     )
 

@@ -152,7 +152,7 @@ def test_uploads_good_bad_and_hostile(tab, other):
 def test_nobody_is_locked_out(tab, other, looks):
     """axe-core, with vehicles, an upload and a list on the page; wide and light, narrow and dark."""
     one = {"light": tab, "dark": other}[looks]
-    one.page.evaluate("document.getElementById('said').open = true")
+    one.page.evaluate("document.getElementById('messages').open = true")
     assert one.violations() == []
     assert one.overflow() <= 0
 

@@ -123,8 +123,8 @@ def test_a_motor_that_becomes_a_little_slow_is_a_notice():
     assert event.onset_s == pytest.approx(ONSET, abs=1.0) and ONSET + 5.0 < event.detected_s < ONSET + 20.0
     low, high = event.extra["change_interval"]
     assert low - 0.01 < 0.05 < high + 0.01
-    assert "turns slower than told, since" in found.headline and any("connectors" in step for step in found.advice)
-    assert "turns slower than told" in found.rotors[1].note
+    assert "turns slower than commanded, since" in found.headline and any("connectors" in step for step in found.advice)
+    assert "turns slower than commanded" in found.rotors[1].note
 
 
 def test_a_motor_that_draws_more_is_a_notice():

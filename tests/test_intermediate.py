@@ -397,7 +397,7 @@ class Deaf(LinearHover):
         (lambda: Intermediate(Deaf(F450.B), DT), "cannot be told from them"),
         (lambda: LinearHover(np.ones((3, 4))), "B must have the shape"),
         (lambda: LinearHover(F450.B, measured_sd=(0.0,) * 8), "measured_sd must be above zero"),
-        (lambda: design.rates(-1.0), "settle_s must be above zero"),
+        (lambda: design.rates(-1.0), "settling_time_s must be above zero"),
     ],
 )
 def test_wrong_configuration(make, said):

@@ -175,10 +175,10 @@ def fails():
 def test_one_process_is_asked_one_thing_after_another():
     worker = processes.Worker(pickle.dumps((abs, None)), 5.0)
     try:
-        assert worker.ask(-3) == 3
+        assert worker.call(-3) == 3
         with pytest.raises(TypeError):
-            worker.ask("three")
-        assert worker.alive and worker.ask(-4) == 4
+            worker.call("three")
+        assert worker.alive and worker.call(-4) == 4
     finally:
         worker.stop()
 
@@ -189,7 +189,7 @@ def test_one_process_is_asked_one_thing_after_another():
 def test_a_process_that_dies_or_hangs_over_a_question_is_gone(function, item, says):
     worker = processes.Worker(pickle.dumps((function, None)), 0.1)
     with pytest.raises(WorkerError, match=says):
-        worker.ask(item)
+        worker.call(item)
     assert worker.ready and not worker.alive
 
 

@@ -117,18 +117,18 @@ def test_the_picture_is_small_at_any_rate_and_shows_what_was_wanted():
 @pytest.mark.parametrize(
     ("cause", "said"),
     [
-        ("disarmed", "All 4 rotors did what they were told until 30.00 s, when the motors were disarmed in the air."),
-        ("knock", "All 4 rotors did what they were told until 30.00 s, when something struck the vehicle."),
-        ("power", "All 4 rotors did what they were told until 30.00 s, when the power failed."),
+        ("disarmed", "All 4 rotors followed their commands until 30.00 s, when the motors were disarmed in the air."),
+        ("knock", "All 4 rotors followed their commands until 30.00 s, when something struck the vehicle."),
+        ("power", "All 4 rotors followed their commands until 30.00 s, when the power failed."),
         (
             "unknown",
-            "No rotor is accused: as far as the log shows, all 4 rotors did what they were told until 30.00 s.",
+            "No rotor is accused: as far as the log shows, all 4 rotors followed their commands until 30.00 s.",
         ),
     ],
 )
 def test_to_exonerate_is_told_as_well(cause, said):
     assert told(lost(cause), main=0) == [
-        "Until 30.00 s the vehicle flew as it was told.",
+        "Until 30.00 s the vehicle flew as commanded.",
         said,
         "Control was lost at 31.00 s, falling without thrust; it had begun to leave control at 30.00 s.",
         "It hit the ground at 33.00 s.",
@@ -138,7 +138,7 @@ def test_to_exonerate_is_told_as_well(cause, said):
 def test_a_loss_long_before_is_the_first_departure():
     weak = hexa_event(rotors=(2,), onset_s=20.0, detected_s=21.0)
     said = told(weak, lost("rotor", rotors=(2,)), main=0)
-    assert said[0] == "Until 20.00 s the vehicle flew as it was told."
+    assert said[0] == "Until 20.00 s the vehicle flew as commanded."
     assert said[1].startswith("At 20.00 s rotor 2 (rear left) lost ")
 
 
@@ -147,7 +147,7 @@ def test_a_loss_that_is_not_why_control_was_lost_leaves_the_cause_in_the_story()
     said = told(weak, lost("disarmed"), main=0)
     assert said[1].startswith("At 20.00 s rotor 2 (rear left) lost ")
     assert said[2].endswith(
-        "All 4 rotors did what they were told until 30.00 s, when the motors were disarmed in the air."
+        "All 4 rotors followed their commands until 30.00 s, when the motors were disarmed in the air."
     )
 
 

@@ -42,7 +42,7 @@ def main(argv: list[str] | None = None) -> int:
     for schema, files in SCHEMAS.items():
         _run(sys.executable, "-m", "check_jsonschema", "--builtin-schema", f"vendor.{schema}", *files)
     _run("hadolint", str(ROOT / "Dockerfile"))
-    _say("action, workflows, compose file, citation and Dockerfile are as their schemas and rules ask")
+    _report("action, workflows, compose file, citation and Dockerfile are as their schemas and rules ask")
     with tempfile.TemporaryDirectory() as scratch:
         first, second = Path(scratch, "first"), Path(scratch, "second")
         for folder in (first, second):
@@ -53,7 +53,7 @@ def main(argv: list[str] | None = None) -> int:
         if sums != digests(second):
             print(f"two builds differ: {sums} and {digests(second)}", file=sys.stderr)
             return 1
-        _say(f"built twice, alike: {', '.join(sums)}")
+        _report(f"built twice, alike: {', '.join(sums)}")
         print(_run(sys.executable, "-m", "twine", "check", "--strict", *map(str, sorted(first.iterdir()))))
         native = [wheel for wheel in first.glob("*.whl") if "-any." not in wheel.name]
         if not options.no_install and native:
@@ -88,10 +88,10 @@ def try_wheel(wheel: Path, environment: Path, out: Path) -> None:
     python = str(environment / "bin" / "python")
     _run(python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", str(wheel))
     _run(python, "-m", "pip", "check")
-    said = _run(str(environment / "bin" / "rotorwatch"), "demo", cwd=environment)
-    if "FAULT FOUND" not in said or "HEALTHY" not in said:
-        raise SystemExit(f"the installed wheel does not judge the sample flights as it should:\n{said}")
-    _say("installed into an empty environment; the sample flights are judged")
+    output = _run(str(environment / "bin" / "rotorwatch"), "demo", cwd=environment)
+    if "FAULT FOUND" not in output or "HEALTHY" not in output:
+        raise SystemExit(f"the installed wheel does not judge the sample flights as it should:\n{output}")
+    _report("installed into an empty environment; the sample flights are judged")
     bom = out / f"{wheel.name.split('-')[0]}-{wheel.name.split('-')[1]}.cdx.json"
     words = ["environment", "--output-reproducible", "--output-format", "JSON", "--output-file", str(bom), python]
     _run(sys.executable, "-m", "cyclonedx_py", *words)
@@ -101,7 +101,7 @@ def try_wheel(wheel: Path, environment: Path, out: Path) -> None:
             r for r in component.get("externalReferences", ()) if not r["url"].startswith("file:")
         ]
     bom.write_text(json.dumps(found, indent=2, sort_keys=True) + "\n", encoding="utf-8")
-    _say(f"SBOM: {bom.name}, {len(found['components'])} packages")
+    _report(f"SBOM: {bom.name}, {len(found['components'])} packages")
 
 
 def digests(folder: Path) -> dict[str, str]:
@@ -120,7 +120,7 @@ def _run(*words: str, cwd: Path = ROOT, **environment: str) -> str:
     return done.stdout
 
 
-def _say(text: str) -> None:
+def _report(text: str) -> None:
     print(f"== {text}", flush=True)
 
 

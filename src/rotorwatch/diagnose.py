@@ -249,7 +249,7 @@ def _conclude(ready: Prepared, logged: Ticks, done: Estimated, found: Found, tit
     hidden, hidden_pair = _hidden(out, table, B)
     end = conclusion.conclude(
         found.events, whole, n, hidden=hidden, hidden_pair=hidden_pair, judged_s=float(judged.sum() * table.dt),
-        places=places.names(craft.rotors), doubts=doubts, leftover=spells, hops=air,
+        places=places.names(craft.rotors), doubts=doubts, residual_evidence=spells, hops=air,
         trends=health.trends(out, table, B, found.events) if trusted else (), population=other,
         comparable=ready.hovers,
     )  # fmt: skip

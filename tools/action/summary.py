@@ -14,9 +14,11 @@ def table(lines: list[str]) -> str:
     for line in lines:
         answer = json.loads(line)
         verdict = answer.get("verdict", "error")
-        says = answer.get("headline") or answer.get("error") or ""
-        rows.append((order.get(verdict, -1), Path(answer["path"]).name, verdict, says))
-    made = "".join(f"| {cell(name)} | {cell(verdict)} | {cell(says)} |\n" for _, name, verdict, says in sorted(rows))
+        sentence = answer.get("headline") or answer.get("error") or ""
+        rows.append((order.get(verdict, -1), Path(answer["path"]).name, verdict, sentence))
+    made = "".join(
+        f"| {cell(name)} | {cell(verdict)} | {cell(sentence)} |\n" for _, name, verdict, sentence in sorted(rows)
+    )
     return f"## Flight logs\n\n| log | verdict | |\n|---|---|---|\n{made}"
 
 

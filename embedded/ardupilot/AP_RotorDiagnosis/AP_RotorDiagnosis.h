@@ -1,7 +1,7 @@
 /* An ArduPilot library that runs the whole diagnoser: which rotor has lost effectiveness, how much, since when and how sure. MIT.
  *
  * Put this folder into libraries/, `rotorwatch export-c --estimator diagnoser --vehicle mine.toml -o .` into it, define ROTORWATCH_FLOAT, and
- * call init() once and update() RW_MOTION_HZ times a second from the vehicle's scheduler table. It only tells: nothing here commands the
+ * call init() once and update() RW_MOTION_HZ times a second from the vehicle's scheduler table. It only reports: nothing here commands the
  * vehicle.
  *
  * Log records:
@@ -40,12 +40,12 @@ private:
     static constexpr uint64_t LOG_EVERY_US = 200000;
 
     void feed(uint64_t now_us, bool landed, bool armed, float voltage_ratio, const float *control);
-    void tell(const rw_news &news, uint64_t now_us) const;
+    void notify(const rw_notification &notification, uint64_t now_us) const;
 
     AP_Int8 _enable;
     AP_Int8 _text;
 
     rw_diagnoser _diagnoser {};
-    rw_news _news[2 * RW_EVENTS] {};
+    rw_notification _notifications[2 * RW_EVENTS] {};
     uint64_t _logged_us {};
 };

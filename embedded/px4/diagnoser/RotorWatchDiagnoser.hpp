@@ -2,7 +2,7 @@
  *
  * Put this folder into src/modules/rotorwatch, its message into msg/ (and its name into msg/CMakeLists.txt), write the library beside it
  * (see CMakeLists.txt), say CONFIG_MODULES_ROTORWATCH=y in the board's configuration and `rotorwatch start` in its start-up script. It runs
- * in the low-priority work queue, RW_MOTION_HZ times a second, and only tells: nothing here commands the vehicle.
+ * in the low-priority work queue, RW_MOTION_HZ times a second, and only reports: nothing here commands the vehicle.
  */
 #pragma once
 
@@ -45,8 +45,8 @@ private:
 
 	void Run() override;
 	void feed();
-	void tell(const rw_news &news);
-	void publish(const rw_event *event, uint8_t news, uint16_t number);
+	void notify(const rw_notification &notification);
+	void publish(const rw_event *event, uint8_t notification_kind, uint16_t number);
 
 	uORB::Subscription _rates{ORB_ID(vehicle_angular_velocity)};
 	uORB::Subscription _acceleration{ORB_ID(vehicle_acceleration)};
@@ -59,7 +59,7 @@ private:
 	orb_advert_t _mavlink_log_pub{nullptr};
 
 	rw_diagnoser _diagnoser{};
-	rw_news _news[2 * RW_EVENTS] {};
+	rw_notification _notifications[2 * RW_EVENTS] {};
 	hrt_abstime _published{0};
 	hrt_abstime _fed{0}; // time of the newest sample that was fed
 

@@ -14,8 +14,8 @@ MOTORS = {
     "low_current": "Look at the propeller of",
 }
 PARTS = {
-    "propeller": "its propeller first (nicked, bent, loose on its shaft); the motor turns as told",
-    "motor_or_esc": "its motor, ESC, connectors and supply wires first; it turns slower than told",
+    "propeller": "its propeller first (nicked, bent, loose on its shaft); the motor turns as commanded",
+    "motor_or_esc": "its motor, ESC, connectors and supply wires first; it turns slower than commanded",
     "bearing": "its motor's bearings first; it draws more current than its speed needs",
 }
 
@@ -38,10 +38,10 @@ def of(
     suspects = [s.rotor for s in states if s.status == "suspect"]
     if doubts:
         out += [sentence(d) for d in doubts[1:]]
-        out.append("Log the outputs that reach the motors; `rotorwatch info LOG` says what a log holds and lacks.")
+        out.append("Log the outputs that reach the motors; `rotorwatch info LOG` lists what a log holds and lacks.")
     elif verdict == "inconclusive" and (event is None or event.kind != "loss_of_control"):
         out.append(
-            "Fly at least 20 s in the air; `rotorwatch info LOG` says what this log holds and what to log next time."
+            "Fly at least 20 s in the air; `rotorwatch info LOG` lists what this log holds and what to log next time."
         )
     if event is not None and event.kind in ("motor_order", "loss_of_control"):
         out.append(_upset(event))
@@ -62,7 +62,7 @@ def of(
         out.append(f"Look at {rotors(sorted(set(rest)), places)}{', too' if out else ' before the next flight'}.")
     if verdict == "ambiguous" and (event is None or event.kind != "desync"):
         out.append(
-            "To tell the explanations apart: swap the propellers of the suspects with others and see whether the loss moves along, or fly "
+            "To distinguish the explanations: swap the propellers of the suspects with others and see whether the loss moves along, or fly "
             "with brisk turns and rolls and a healthy flight of this build as --baseline."
         )
     why = "its ESC telemetry changed in flight, though no thrust was missed"
@@ -85,7 +85,7 @@ CAUSES = {
     "controller": "Look at sensors, vibration, calibration, the estimator's messages and the pilot's inputs around that time.",
     "saturated": "The vehicle had no thrust left: take weight off, charge the battery, wait for less wind, or fit stronger motors.",
     "power": "Look at the battery, its connectors and wires, and the power module.",
-    "unknown": "Look at everything that moves or carries current before the next flight; log faster: `rotorwatch info LOG` says how.",
+    "unknown": "Look at everything that moves or carries current before the next flight; log faster: `rotorwatch info LOG` shows how.",
     "rotor": "Look at propellers, motors and ESCs before the next flight.",
 }
 
@@ -119,5 +119,5 @@ def _parts(event: Event, stays: bool) -> str:
     if not stays:
         return "it came back by itself, so look first for a loose connector, a cold joint, an ESC that lost its motor, a hot motor"
     if max(event.loss) > GONE:
-        return "propeller gone or loose, motor, ESC, and the wires between them"
+        return "propeller missing or loose, motor, ESC, and the wires between them"
     return "nicked, bent or loose propeller, motor bearing, ESC, and their connectors"

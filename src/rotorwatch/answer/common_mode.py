@@ -1,4 +1,4 @@
-"""What all rotors share: how much more thrust they are asked for together at the end of a flight than at its beginning."""
+"""The common mode: how much more thrust all rotors together are commanded at the end of a flight than at its beginning."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """The one place where events become an answer: verdict, reason, headline, main event, state of every rotor, and what to do next.
 
-Every view - terminal, page, JSON - shows what is said here and adds nothing, so that no two can contradict each other.
+Every view - terminal, page, JSON - shows this answer and adds nothing, so that no two can contradict each other.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ from rotorwatch.front.definition import FRONT
 LOSS, OVERRIDE, CONTACT = "loss_of_effectiveness", "output_override", "contact"
 LOST, ORDER, DESYNC = "loss_of_control", "motor_order", "desync"
 ACCUSES = (LOSS, OVERRIDE, ORDER, DESYNC)
-# Of ESC telemetry, without a loss: what they say of a rotor.
+# Events of ESC telemetry without a loss: the words for the rotor.
 MOTOR_NOTICES = {
-    "slow_motor": "turns slower than told",
+    "slow_motor": "turns slower than commanded",
     "high_current": "draws more current than before",
     "low_current": "draws less current than before",
 }
@@ -47,11 +47,11 @@ MOTOR_NOTICES = {
 NOT_A_ROTOR = {
     "disarmed": "the motors were stopped in the air",
     "knock": "something struck the vehicle",
-    "controller": "the vehicle left what was wanted though it did what it was told: a sensor, an estimate or the pilot was wrong",
+    "controller": "the vehicle left what was wanted though it followed its commands: a sensor, an estimate or the pilot was wrong",
     "saturated": "they had no more to give",
     "power": "the power failed",
 }
-LEAST_S = 3.0  # of judged flight, below which nothing is said of healthy rotors
+LEAST_S = 3.0  # of judged flight, below which no rotor is called healthy
 CREDIBLE = 0.05  # causes of a whole flight's difference that are less probable accuse nobody
 LANDED_S = 1.5
 UNJUDGED = "Damage from take-off was not judged."
@@ -78,17 +78,17 @@ class Conclusion:
 
 @dataclass(frozen=True)
 class Evidence:
-    """What there is to conclude from. n rotors; places: where each is, in words. hidden (n,): loss that could have gone unseen in
+    """What the conclusion is drawn from. n rotors; places: where each is, in words. hidden (n,): loss that could have gone unseen in
     flight, None when nothing was judged. whole: against healthy flights, or None; population: the same against healthy vehicles of
     any build. hops: ((take-off, landing), ...) s. trends: of each
-    rotor, or empty. comparable: healthy flights would tell more."""
+    rotor, or empty. comparable: flights of this kind can be compared with healthy ones."""
 
     events: tuple[Event, ...]
     whole: Mapping[str, Any] | None
     n: int
     hidden: np.ndarray | None
     judged_s: float
-    leftover: tuple[Leftover, ...]
+    residual_evidence: tuple[Leftover, ...]
     places: tuple[str, ...]
     hops: tuple[tuple[float, float], ...]
     trends: tuple[Trend | None, ...] = ()
@@ -112,8 +112,8 @@ class Evidence:
 
     @property
     def compared(self) -> Mapping[str, Any] | None:
-        """The comparison with healthy flights, or else with healthy vehicles, as far as it says something: it takes the mean of a whole
-        flight, so that with a certain loss or override in flight it cannot tell what was there from take-off."""
+        """The comparison with healthy flights, or else with healthy vehicles, unless inconclusive: it takes the mean of a whole
+        flight, so that with a certain loss or override in flight it cannot show what was there from take-off."""
         whole = self.whole or self.population
         return whole if whole and whole["verdict"] != "inconclusive" and not self.sure else None
 
@@ -132,7 +132,7 @@ def conclude(
     hidden_pair: float = 0.0,
     judged_s: float = 0.0,
     doubts: Sequence[str] = (),
-    leftover: Sequence[Leftover] = (),
+    residual_evidence: Sequence[Leftover] = (),
     places: Sequence[str] = (),
     hops: Sequence[tuple[float, float]] = (),
     trends: Sequence[Trend | None] = (),
@@ -143,9 +143,9 @@ def conclude(
 
     events: what was found. whole: `WholeFlight.to_dict()`, or None without healthy flights to compare with. hidden (n,): largest loss of
     each rotor that could have gone unseen since take-off; hidden_pair: the same of two opposite rotors. judged_s: seconds of flight
-    judged. doubts: sentences on why the log may not show what flew; with any, nothing is concluded from its outputs. leftover: evidence
-    that no event explains. places: `places.names`. trends: `health.trends`, shown of rotors that are no suspects. population:
-    `population.judge`, used where whole is None. comparable: flights of this kind can be compared with healthy ones.
+    judged. doubts: sentences on why the log may not show what flew; with any, nothing is concluded from its outputs. residual_evidence:
+    against rotors, that no event explains. places: `places.names`. trends: `health.trends`, shown of rotors that are no suspects.
+    population: `population.judge`, used where whole is None. comparable: flights of this kind can be compared with healthy ones.
     """
     if doubts:
         shown = tuple(e for e in events if e.kind not in (*ACCUSES, *MOTOR_NOTICES))
@@ -153,7 +153,7 @@ def conclude(
         return _concluded(seen, "inconclusive", doubts[0], "This log cannot say.", None, doubts)
     judged = judged_s >= LEAST_S and hidden is not None
     seen = Evidence(
-        tuple(events), whole, n, hidden if judged else None, judged_s, tuple(leftover), tuple(places), tuple(hops),
+        tuple(events), whole, n, hidden if judged else None, judged_s, tuple(residual_evidence), tuple(places), tuple(hops),
         tuple(trends), population, hidden_pair, comparable,
     )  # fmt: skip
     main = main_event(seen.events)
@@ -167,8 +167,8 @@ def _concluded(seen: Evidence, verdict, reason, headline, main, doubts) -> Concl
     next_steps = advice.of(
         verdict, seen.events, main, states, bool(seen.whole) or not seen.comparable, seen.places, doubts, stays
     )
-    told = story.narrate(seen.events, main, seen.n, seen.places, seen.hops, not doubts)
-    return Conclusion(verdict, reason, headline, main, states, next_steps, seen.events, told)
+    story_lines = story.narrate(seen.events, main, seen.n, seen.places, seen.hops, not doubts)
+    return Conclusion(verdict, reason, headline, main, states, next_steps, seen.events, story_lines)
 
 
 def main_event(events: Sequence[Event]) -> int | None:
@@ -200,9 +200,9 @@ def _verdict(seen: Evidence, main: int | None) -> tuple[str, str]:
     if seen.hidden is None:
         why = "the vehicle was hardly in the air, or its motion is not logged"
         return "inconclusive", f"only {seen.judged_s:.1f} s of flight could be judged: {why}."
-    if seen.leftover:
-        said = [f"{rotors(s.rotors)} from {seconds(s.start_s)} to {seconds(s.end_s)}" for s in seen.leftover]
-        return "ambiguous", f"there is evidence against {listed(said)} that no event explains."
+    if seen.residual_evidence:
+        spells = [f"{rotors(s.rotors)} from {seconds(s.start_s)} to {seconds(s.end_s)}" for s in seen.residual_evidence]
+        return "ambiguous", f"there is evidence against {listed(spells)} that no event explains."
     scope = "and none from take-off on, compared with its healthy flights" if whole else "after take-off"
     if seen.bound is not None:
         scope = (
@@ -223,14 +223,14 @@ def _what_happened(seen: Evidence, event: Event) -> str:
 
 
 def _cleared(seen: Evidence, lost: Event) -> str:
-    """What a loss of control that no rotor caused says of the rotors, a sentence."""
+    """A sentence on the rotors, of a loss of control that no rotor caused."""
     when = min((t for t in lost.extra.get("worked_until_s", ()) if t is not None), default=None)
     until = "" if when is None else f" until {seconds(when)}"
     if lost.extra.get("cause") in NOT_A_ROTOR:
-        return f"Not a rotor: all {seen.n} did what they were told{until}, when {NOT_A_ROTOR[lost.extra['cause']]}."
+        return f"Not a rotor: all {seen.n} followed their commands{until}, when {NOT_A_ROTOR[lost.extra['cause']]}."
     if lost.alternatives:
         return f"It may have been {candidates(replace(lost, rotors=lost.alternatives[0]), seen.places)}, or something else."
-    return f"No rotor is accused: as far as the log shows, all {seen.n} did what they were told{until}."
+    return f"No rotor is accused: as far as the log shows, all {seen.n} followed their commands{until}."
 
 
 def _until(seen: Evidence, event: Event, word: str) -> str:
@@ -245,7 +245,7 @@ def _and_more(seen: Evidence, main: Event) -> str:
 
 
 def _open(seen: Evidence) -> str:
-    who = sorted({r for spell in seen.leftover for r in spell.rotors})
+    who = sorted({r for spell in seen.residual_evidence for r in spell.rotors})
     return f"; later evidence against {rotors(who)} is not explained by that" if who else ""
 
 
@@ -257,14 +257,14 @@ def _headline(seen: Evidence, verdict: str, main: int | None) -> str:
     if verdict == "inconclusive":
         return "This log cannot say."
     knocks = [seconds(e.onset_s) for e in seen.events if e.kind == CONTACT]
-    said = _matter(seen, verdict, main) if verdict != "healthy" else "All rotors pull their weight."
+    first = _matter(seen, verdict, main) if verdict != "healthy" else "All rotors pull their weight."
     if verdict == "healthy" and (not seen.compared or seen.bound is not None):
-        said = "No rotor lost thrust after take-off."
+        first = "No rotor lost thrust after take-off."
     if verdict == "healthy" and knocks:
-        said = f"No rotor lost thrust in the {seen.judged_s:.0f} s that were judged."
+        first = f"No rotor lost thrust in the {seen.judged_s:.0f} s that were judged."
     if verdict == "healthy" and _growing(seen):
-        said = "No rotor lost thrust at once."
-    parts = [said]
+        first = "No rotor lost thrust at once."
+    parts = [first]
     if seen.lost is not None:
         parts.append(f"The vehicle left control at {seconds(seen.lost.onset_s)}.")
     if verdict == "healthy" and max(_unseen(seen), seen.hidden_pair) >= dict(SCALE)["degraded"]:
@@ -279,8 +279,10 @@ def _headline(seen: Evidence, verdict: str, main: int | None) -> str:
         parts.append(f"What {when} broke was not judged.")
     for rotor in sorted({r for e in _notices(seen) for r in e.rotors}):
         own = [e for e in _notices(seen) if rotor in e.rotors]
-        said = listed([MOTOR_NOTICES[e.kind] for e in own])
-        parts.append(sentence(f"{rotors([rotor], seen.places)} {said}, since {seconds(min(e.onset_s for e in own))}."))
+        notices = listed([MOTOR_NOTICES[e.kind] for e in own])
+        parts.append(
+            sentence(f"{rotors([rotor], seen.places)} {notices}, since {seconds(min(e.onset_s for e in own))}.")
+        )
     return " ".join(parts)
 
 
@@ -298,7 +300,7 @@ def _bound(seen: Evidence) -> str:
 
 def _growing(seen: Evidence) -> list[tuple[int, Trend]]:
     """Rotors whose loss grows, of those that are no suspects: (number, trend)."""
-    open_ = {r for s in seen.leftover for r in s.rotors}
+    open_ = {r for s in seen.residual_evidence for r in s.rotors}
     open_ |= {r for e in seen.losses if e.alternatives for who in explanations(e) for r in who}
     return [(k, t) for k, t in enumerate(seen.trends, start=1) if t and t.word == "growing" and k not in open_]
 
@@ -352,7 +354,7 @@ def _state(seen: Evidence, rotor: int, verdict: str) -> RotorState:
         low, high = float(bounds[0]), float(bounds[1])
         clear = status not in ("unobservable", "suspect")
         shown = since if since is not None and from_takeoff in ("not judged", "bounded") else (low, high)
-        # What was steady before control was lost says nothing of the rotor after it.
+        # The steady state before control was lost does not hold for the rotor after it.
         trend = seen.trends[rotor - 1] if clear and seen.trends and seen.lost is None else None
         vague = status == "unobservable" or (status == "healthy" and seen.lost is not None)
         grade = health.UNGRADED if vague else health.grade(shown[0], shown[1], trend)
@@ -391,7 +393,7 @@ def _state(seen: Evidence, rotor: int, verdict: str) -> RotorState:
 
 
 def _from_takeoff(whole: Mapping[str, Any] | None, rotor: int, verdict: str, seen: Evidence) -> str:
-    """What the comparison with healthy flights or vehicles says of a rotor."""
+    """The state of a rotor from take-off on, by the comparison with healthy flights or vehicles."""
     if not whole or verdict == "inconclusive":
         return "not judged"
     likely = {r for c in whole.get("causes", ()) if c["probability"] > CREDIBLE for r in c["rotors"]}
@@ -412,7 +414,7 @@ def _suspicions(seen: Evidence, rotor: int, maybe, landed, claims) -> list[tuple
     for e in _of_kind(seen, OVERRIDE, rotor):
         if e.end_s is None or _landed(seen, e.end_s):
             found.append((f"its output has not followed the mixer since {seconds(e.onset_s)}", 1.0))
-    for s in seen.leftover:
+    for s in seen.residual_evidence:
         if rotor in s.rotors:
             span = f"from {seconds(s.start_s)} to {seconds(s.end_s)}"
             found.append((f"evidence against it {span} that no event explains", 1.0))

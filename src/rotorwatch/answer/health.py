@@ -6,7 +6,7 @@ the wrench that the commands give and the motion does not show, per hover thrust
     z = (b + B T theta) / mean T,      growth of rotor i's loss by s a minute:  dz/dt = s B_i T_i / mean T
 
 b, theta: biases and losses as estimated, T: thrusts commanded; dividing by the mean takes a sagging battery out, and thrust itself, which
-battery and air move for all rotors alike, is not asked. The slopes d of z and their variances are those of `maths/trend.py`, over block
+battery and air move for all rotors alike, is left out. The slopes d of z and their variances are those of `maths/trend.py`, over block
 means since the last event, take-off or knock: a step is no trend. For each rotor s is weighted least squares on d. A drift is a rotor's
 when it is along that rotor's direction, and along no other's; wind and a shifting load point anywhere, and what is no single rotor's is
 "unclear". Intervals are for all rotors at once (Scheffe): with d within its 95 % ellipsoid about 0, none shows a trend.
@@ -31,7 +31,7 @@ from rotorwatch.motion.ticks import JUDGE, Ticks
 UNGRADED = "not judged"
 LEAST_S = 30.0  # of flight, below which no trend is looked for
 BLOCKS = 40  # at most
-ALIKE = 0.95  # cosine of the drifts of two rotors, above which a growing loss of one says nothing of the other
+ALIKE = 0.95  # cosine of the drifts of two rotors, above which a growing loss of one cannot be distinguished from one of the other
 CHI2_3, CHI2_2 = 7.815, 5.991  # 95 % of chi-squared with 3 and 2 degrees of freedom
 
 
@@ -46,13 +46,13 @@ def grade(low: float, high: float, trend: Trend | None = None) -> str:
 
 
 def trends(out, table: Ticks, B: np.ndarray, found: Sequence[Event]) -> tuple[Trend | None, ...]:
-    """The trend of each rotor's loss since the last event; None where nothing can be said of it.
+    """The trend of each rotor's loss since the last event; None where it cannot be estimated.
 
     out: the estimator's stacked outputs (theta (T, n), biases (T, 4)); B (4, n): effectiveness; found: events of the flight.
     """
     nothing = (None,) * B.shape[1]
     use = (table.mode == JUDGE) & table.valid[:, :3].all(axis=1) & ~table.upset
-    use &= table.time >= _settled(table, found)
+    use &= table.time >= _steady_from(table, found)
     rows = np.flatnonzero(use)
     if rows.size < line.LEAST or table.time[rows[-1]] - table.time[rows[0]] < LEAST_S:
         return nothing
@@ -102,7 +102,7 @@ def _trend(row, minutes: float, span, weak: bool, known: float, scatter: float) 
     return Trend(float(min(max(s, low), high)), (float(low), float(high)), span[0], span[1], word, beyond)
 
 
-def _settled(table: Ticks, found: Sequence[Event]) -> float:
+def _steady_from(table: Ticks, found: Sequence[Event]) -> float:
     """The time from which no step, no landing and no knock lies in the data."""
     marks = [t for e in found for t in (e.detected_s, e.end_s) if t is not None]
     judged = np.flatnonzero(table.mode == JUDGE)
@@ -114,7 +114,7 @@ def _settled(table: Ticks, found: Sequence[Event]) -> float:
 
 
 def _per_rotor(d: np.ndarray, sd: np.ndarray, columns: np.ndarray, weak: np.ndarray) -> list:
-    """(growth, reach of its interval, word or None) of each rotor, or None where nothing can be said, for a drift d (3,) with deviations
+    """(growth, reach of its interval, word or None) of each rotor, or None where it cannot be estimated, for a drift d (3,) with deviations
     sd. columns (3, n): drift by growth of 1; weak (n,): rotors that have lost something, and can win it back."""
     y, A = d / sd, columns / sd[:, None]
     information = np.maximum((A**2).sum(axis=0), 1e-12)

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch.answer.story import LOST, departure
+from rotorwatch.answer.story import LOST, initiating_event
 from rotorwatch.answer.traces import angles, rates
 from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import Event, StoryLine
@@ -21,7 +21,7 @@ from rotorwatch.motion import allocation
 
 DESYNC = "desync"
 MOST = 160  # samples of a series
-BEFORE_S, AFTER_S = 1.5, 1.0  # of the first departure and of the end that are shown
+BEFORE_S, AFTER_S = 1.5, 1.0  # of the initiating event and of the end that are shown
 # Before and after control began to be lost: what is further away would make the rest too small to see.
 EARLIEST_S, LATEST_S = 6.0, 12.0
 GOOD_S = 1.0
@@ -33,7 +33,7 @@ HELD_S = 3.0  # of commands before, which are held where outputs are logged slow
 def make(
     flight: Flight, vehicle: Vehicle, events: Sequence[Event], main: int | None, story: Sequence[StoryLine]
 ) -> dict[str, Any] | None:
-    """The picture's data as docs/json.md says; None where control was not lost and no motor lost step. story: `story.narrate` of the same
+    """The picture's data, as in docs/json.md; None where control was not lost and no motor lost step. story: `story.narrate` of the same
     events."""
     lost = next((e for e in events if e.kind == LOST), None)
     if lost is not None and story:
@@ -49,10 +49,10 @@ def make(
 
 def _fall(lost: Event, events: Sequence[Event], main: int | None, story: Sequence[StoryLine]):
     """(start, end, marks, accused rotors) of a loss of control."""
-    first = departure(events, main)
+    first = initiating_event(events, main)
     began = lost.onset_s if first is None else min(first.onset_s, lost.onset_s)
     over = story[-1].time_s
-    up = story[0].time_s  # before the first departure where the story begins with the take-off
+    up = story[0].time_s  # before the initiating event where the story begins with the take-off
     good = ("lift-off", up) if up < began else ("last good second", max(began - GOOD_S, 0.0))
     start = max(min(began - BEFORE_S, up - MARGIN_S), lost.onset_s - EARLIEST_S, 0.0)
     end = min(over + AFTER_S, lost.onset_s + LATEST_S)
@@ -112,7 +112,7 @@ def _rates(flight: Flight, start: float, end: float) -> dict[str, Any] | None:
 
 
 def _speeds(flight: Flight, n: int, start: float, end: float) -> dict[str, Any] | None:
-    """What the ESCs say of each rotor's speed [revolutions a minute]; None where they say nothing of one."""
+    """Each rotor's speed as its ESC reports it [revolutions a minute]; None where one is not reported."""
     esc = flight.signals.get("esc")
     names = [f"speed{k + 1}" for k in range(n)]
     if esc is None or not set(names) <= set(esc.columns):
@@ -126,7 +126,7 @@ def _speeds(flight: Flight, n: int, start: float, end: float) -> dict[str, Any] 
 
 
 def _commands(flight: Flight, vehicle: Vehicle, start: float, end: float) -> dict[str, Any] | None:
-    """What each rotor was asked for, as a share of its full thrust."""
+    """Each rotor's command, as a share of its full thrust."""
     if not flight.has("motors"):
         return None
     thrust = allocation.rotor_thrusts(flight, vehicle)

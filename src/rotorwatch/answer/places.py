@@ -16,8 +16,8 @@ CORNERS = ("front right", "rear right", "rear left", "front left")
 def names(rotors: Sequence[Rotor]) -> tuple[str, ...]:
     """One name for each rotor, all different; x forward, y right. Empty names when rotors have no places.
 
-    Two rotors of one corner are told apart by the side they are nearer to, or as inner and outer; two on one arm as
-    upper and lower: as the vehicle says, else the one with less thrust, else the one listed later is the lower one.
+    Two rotors of one corner are distinguished by the side they are nearer to, or as inner and outer; two on one arm as
+    upper and lower: as in the vehicle's description, else the one with less thrust, else the one listed later is the lower one.
     """
     at = np.array([(r.x, r.y) for r in rotors], float).reshape(-1, 2)
     reach = np.abs(at).max(initial=0.0)
@@ -30,7 +30,7 @@ def names(rotors: Sequence[Rotor]) -> tuple[str, ...]:
     for word in set(words):
         alike = [j for j, w in enumerate(words) if w == word]
         if len(alike) > 1:
-            for j, more in zip(alike, _apart(at[[first[j] for j in alike]], word), strict=True):
+            for j, more in zip(alike, _distinguished(at[[first[j] for j in alike]], word), strict=True):
                 words[j] = f"{word}, {more}"
     out = [""] * len(rotors)
     for arm, word in zip(arms, words, strict=True):
@@ -48,8 +48,8 @@ def _side(x: float, y: float) -> str:
     return SIDES[nearest] if abs(off) <= STRAIGHT else CORNERS[int(angle // 90.0)]
 
 
-def _apart(at: np.ndarray, word: str) -> list[str]:
-    """What tells rotors with the same word apart: the nearer side, inner and outer, else the angle from the nose."""
+def _distinguished(at: np.ndarray, word: str) -> list[str]:
+    """Words that distinguish rotors with the same place: the nearer side, inner and outer, else the angle from the nose."""
     angle, radius = np.degrees(np.arctan2(at[:, 1], at[:, 0])), np.hypot(*at.T)
     if len(at) == 2 and np.ptp(angle) > 10.0 and " " in word:
         end = word.split()[0]

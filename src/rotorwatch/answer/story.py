@@ -1,5 +1,5 @@
-"""What happened when a vehicle left control, in four sentences in the order of time: the last good moment, the first departure, the loss of
-control, and how it ended. The first loss of control of a flight is told; a flight without one has no story.
+"""The story of a loss of control in four sentences in the order of time: the last good moment, the initiating event, the loss of control,
+and how it ended. It is of the first loss of control of a flight; a flight without one has no story.
 """
 
 from __future__ import annotations
@@ -12,15 +12,15 @@ from rotorwatch.flight.diagnosis import Event, StoryLine
 LOST, LOSS, ORDER = "loss_of_control", "loss_of_effectiveness", "motor_order"
 ACCUSES = (LOSS, "output_override", ORDER)
 FIRST_S = 3.0  # after lift-off: the vehicle never flew well, and the last good moment is that it stood
-SOON_S = 0.1  # a tick of slow logs: what is said of such a moment holds for the next
+SOON_S = 0.1  # a tick of slow logs: moments closer than this count as one
 # Causes that clear the rotors: {who} are all of them, {when} is until when they were seen to work.
-FOLLOWED = "{who} did what they were told until {when}"
+FOLLOWED = "{who} followed their commands until {when}"
 CLEARED = {
     "disarmed": f"{FOLLOWED}, when the motors were disarmed in the air.",
     "knock": f"{FOLLOWED}, when something struck the vehicle.",
     "power": f"{FOLLOWED}, when the power failed.",
-    "saturated": "At {onset} {who} had no more to give; they did what they were told, as was seen until {when}.",
-    "controller": "At {onset} the vehicle left what was wanted, though {who} did what they were told, as was seen until {when}: "
+    "saturated": "At {onset} {who} had no more to give; they followed their commands, as was seen until {when}.",
+    "controller": "At {onset} the vehicle left what was wanted, though {who} followed their commands, as was seen until {when}: "
     "a sensor, an estimate or the pilot was wrong.",
     "unknown": f"No rotor is accused: as far as the log shows, {FOLLOWED}.",
 }
@@ -37,30 +37,30 @@ def narrate(
     """The story of a flight of n rotors; empty where control was not lost.
 
     events: of the answer; main: index of the one that matters, or None; places: `places.names`; hops: ((take-off, landing), ...) s.
-    trusted: False where the log contradicts itself, and may not tell what the rotors did.
+    trusted: False where the log contradicts itself, and may not show what the rotors did.
     """
-    gone = [e for e in events if e.kind == LOST]
-    if not gone:
+    upsets = [e for e in events if e.kind == LOST]
+    if not upsets:
         return ()
-    lost = gone[0]
-    first = departure(events, main) if trusted else None
+    lost = upsets[0]
+    first = initiating_event(events, main) if trusted else None
     began = lost.onset_s if first is None else min(first.onset_s, lost.onset_s)
     up = next((a for a, b in hops if a <= began <= b), None)
     if up is not None and began - up < FIRST_S:
         good = StoryLine(up, f"The vehicle lifted off at {seconds(up)}.")
     else:
-        good = StoryLine(began, f"Until {seconds(began)} the vehicle flew as it was told.")
+        good = StoryLine(began, f"Until {seconds(began)} the vehicle flew as commanded.")
     out = [good]
     if first is not None:
-        out.append(StoryLine(first.onset_s, _departure(first, lost, places)))
+        out.append(StoryLine(first.onset_s, _initiating_sentence(first, lost, places)))
     elif trusted:
         out.append(StoryLine(lost.onset_s, _no_rotor(lost, n, places)))
-    end = _end(lost, gone[1:], hops)
+    end = _end(lost, upsets[1:], hops)
     when = lost.detected_s if lost.detected_s <= end.time_s else max(lost.onset_s, out[-1].time_s)
     return (*out, StoryLine(when, _lost(lost, when, first, n)), end)
 
 
-def departure(events: Sequence[Event], main: int | None) -> Event | None:
+def initiating_event(events: Sequence[Event], main: int | None) -> Event | None:
     """The event with which it began: the main one when it came before control was lost, else the first that lasted until then."""
     lost = next((e for e in events if e.kind == LOST), None)
     if lost is None:
@@ -72,7 +72,7 @@ def departure(events: Sequence[Event], main: int | None) -> Event | None:
     return min(lasted, key=lambda e: e.onset_s, default=None)
 
 
-def _departure(event: Event, lost: Event, places: Sequence[str]) -> str:
+def _initiating_sentence(event: Event, lost: Event, places: Sequence[str]) -> str:
     at = seconds(event.onset_s)
     if event.kind == ORDER:
         first = f"From its first movement at {at} on it"
@@ -90,11 +90,11 @@ def _departure(event: Event, lost: Event, places: Sequence[str]) -> str:
 
 
 def _no_rotor(lost: Event, n: int, places: Sequence[str]) -> str:
-    """What is said of the rotors where no event accuses one."""
+    """The sentence on the rotors where no event accuses one."""
     if lost.alternatives:
         return f"At {seconds(lost.onset_s)} {' or '.join(rotors(a, places) for a in lost.alternatives)} may have failed, or something else."
     if lost.rotors:
-        return f"At {seconds(lost.onset_s)} {candidates(lost, places)} stopped doing what was told."
+        return f"At {seconds(lost.onset_s)} {candidates(lost, places)} stopped following the command."
     return sentence(_cleared(lost, n))
 
 
@@ -108,12 +108,12 @@ def _cleared(lost: Event, n: int) -> str:
 def _lost(lost: Event, when: float, first: Event | None, n: int) -> str:
     how = str(lost.extra.get("how") or "")
     since = "" if when - lost.onset_s < SOON_S else f"; it had begun to leave control at {seconds(lost.onset_s)}"
-    said = f"Control was lost at {seconds(when)}{f', {how}' if how else ''}{since}."
+    text = f"Control was lost at {seconds(when)}{f', {how}' if how else ''}{since}."
     named = set() if first is None else {r for who in (first.rotors, *first.alternatives) for r in who}
     other = not named & {*lost.rotors, *sum(lost.alternatives, ())}
     if first is not None and lost.extra.get("cause") in CLEARED and other:
-        said += f" {_cleared(lost, n)}"  # what had begun before is not why
-    return said
+        text += f" {_cleared(lost, n)}"  # what had begun before is not why
+    return text
 
 
 def _end(lost: Event, later: Sequence[Event], hops: Sequence[tuple[float, float]]) -> StoryLine:

@@ -25,7 +25,7 @@ def make(
     flight: Flight, out, table: Ticks, hyp: Hypotheses, B, air, ready_s: float, limit: float, found=(), spells=(), states=()
 ) -> Trace:  # fmt: skip
     """The Trace of a judged flight. out: the estimator's stacked outputs; limit: its threshold in nats; B (4, n):
-    effectiveness; found: events; spells: of evidence that no event explains (`leftover`); states: of the rotors at the end."""
+    effectiveness; found: events; spells: of evidence that no event explains (`residual_evidence`); states: of the rotors at the end."""
     judging = table.mode == JUDGE
     sd = events.sd_of(out.theta, out.theta_sd, B)
     spread = np.where(out.theta > 0, 1.96 * sd, 1.96 * np.where(judging[:, None], out.detectable, 0.0))
@@ -44,7 +44,7 @@ def make(
         blind.append((spell.start_s, spell.end_s, f"evidence against {rotors(spell.rotors)} that no event explains"))
     lower, upper = np.clip(out.theta - spread, 0, 1), np.clip(out.theta + spread, 0, 1)
     _open(lower, upper, table.time, found, spells)
-    for k, state in enumerate(states):  # what can have gone unseen, as the rotor table says
+    for k, state in enumerate(states):  # the loss that can have gone unseen, as in the rotor table
         if state.since_takeoff is not None and not (out.theta[:, k] > 0.0).any():
             upper[judging, k] = np.maximum(upper[judging, k], state.since_takeoff[1])
     time, seen = table.time, np.ones(table.time.size, bool) if table.seen is None else table.seen
@@ -74,13 +74,13 @@ def _open(lower: np.ndarray, upper: np.ndarray, time: np.ndarray, found, spells)
 
 def _bridged(time: np.ndarray, values: np.ndarray) -> np.ndarray:
     """(T, k) with NaN rows filled in a straight line between their neighbours, where those are at most BRIDGE_S apart."""
-    gone = np.isnan(values).any(axis=1)
-    have = np.flatnonzero(~gone)
-    if not gone.any() or have.size < 2:
+    missing = np.isnan(values).any(axis=1)
+    have = np.flatnonzero(~missing)
+    if not missing.any() or have.size < 2:
         return values
-    k = np.searchsorted(have, np.flatnonzero(gone))
+    k = np.searchsorted(have, np.flatnonzero(missing))
     inside = (k > 0) & (k < have.size)
-    rows = np.flatnonzero(gone)[inside]
+    rows = np.flatnonzero(missing)[inside]
     close = time[have[k[inside]]] - time[have[k[inside] - 1]] <= BRIDGE_S
     out = values.copy()
     for j in range(values.shape[1]):
@@ -127,7 +127,7 @@ def _held(signal: Signal | None, time: np.ndarray) -> np.ndarray | None:
 
 
 def _messages(flight: Flight, end: float) -> tuple[tuple[float, str, str], ...]:
-    """(time s, kind, text) of what the autopilot said and did; texts that say the same again at once are left out."""
+    """(time s, kind, text) of the autopilot's messages and modes; texts that repeat at once are left out."""
     out: list[tuple[float, str, str]] = []
     for m in flight.messages:
         row = (float(m.time), m.kind, " ".join(m.text.split()))

@@ -9,10 +9,10 @@ b: biases [hover thrusts of one rotor]; T: thrusts commanded; dividing by the me
 two blocks of time L is weighted least squares on the difference of the means of z after and before it; the variance of z is enlarged by
 (1 + r) / (1 - r) for errors of an autoregression with correlation r from block to block. The bound is the largest upper end of the 95 %
 intervals over all onsets. Wind that turns, or a load that shifts, is such a step as well: the bound then says that
-a loss could look like this. Thrust itself, which battery and air move for all rotors alike, is not asked of a single rotor.
+a loss could look like this. Thrust itself, which battery and air move for all rotors alike, is left out for a single rotor.
 
 Equal losses of rotors that are opposite each other cancel in roll and pitch, and where both turn the same way as the others on average in
-yaw, too. Of these pairs thrust is asked as well: the bound then holds a sagging battery and rising air.
+yaw, too. For these pairs thrust is used as well: the bound then holds a sagging battery and rising air.
 
 Sources: G. V. Bayley and J. M. Hammersley, The effective number of independent observations in an autocorrelated time series, Supplement
 to the Journal of the Royal Statistical Society 8 (1946) 184-197, for the enlargement; M. G. Kendall, Note on bias in the estimation of
@@ -32,7 +32,7 @@ STEP_S = 2.0  # length of a block; a longer one hides the scatter of wind, a sho
 BLOCKS = 8, 200  # at least, so that short flights have shorter ones, and at most
 SPELL = 3  # blocks before and after an onset
 CORRELATED = 0.9  # at most
-ROWS = 2048  # that are kept of a flight; of longer ones a row is the sum of several ticks
+ROWS = 2048  # that are stored of a flight; of longer ones a row is the sum of several ticks
 
 
 def of(biases: np.ndarray, table: Ticks, B: np.ndarray) -> Unseen:
@@ -48,7 +48,7 @@ def losses(biases: np.ndarray, table: Ticks, B: np.ndarray) -> np.ndarray:
 
 
 class Unseen:
-    """The bounds of a flight that goes on; what is kept of it does not grow. B (4, n): effectiveness; dt: length of a tick, s."""
+    """The bounds of a flight that goes on; its memory does not grow. B (4, n): effectiveness; dt: length of a tick, s."""
 
     def __init__(self, B: np.ndarray, dt: float):
         self._B, self._dt, self._each = B, dt, 1
@@ -73,7 +73,7 @@ class Unseen:
             added = ticks[:whole].reshape(-1, self._each, ticks.shape[1]).sum(axis=1)
             if len(self._rows) + len(added) <= ROWS:
                 break
-            pairs = len(self._rows) // 2  # of an odd number the last row is given up: it is half of a new one
+            pairs = len(self._rows) // 2  # of an odd number the last row is dropped: it is half of a new one
             self._rows = self._rows[: 2 * pairs].reshape(pairs, 2, ticks.shape[1]).sum(axis=1)
             self._each *= 2
         self._rows = np.concatenate([self._rows, added])

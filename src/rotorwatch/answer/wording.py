@@ -16,7 +16,7 @@ KINDS = {
     "loss_of_control": "loss of control",
     "motor_order": "motors in the wrong order",
     "desync": "motor lost step",
-    "slow_motor": "motor slower than told",
+    "slow_motor": "motor slower than commanded",
     "high_current": "motor draws more current",
     "low_current": "motor draws less current",
 }

@@ -64,33 +64,33 @@ def system(name: str) -> type:
     return _named("rotorwatch.systems", name)
 
 
-def estimator(given: Any) -> Any:
-    """What makes the estimator asked for: kind(system, dt) with `name`, `init` and `step`.
+def estimator(spec: Any) -> Any:
+    """The constructor of an estimator: kind(system, dt) with `name`, `init` and `step`.
 
-    given: a name, or `package.module:Class`; a class; a `functools.partial` of one with keywords; or an instance, of whose class another
+    spec: a name, or `package.module:Class`; a class; a `functools.partial` of one with keywords; or an instance, of whose class another
     one is made with the same keywords, which it must keep as attributes of these names. Raises ConfigError that lists the known ones, or
-    says what the thing that was given lacks.
+    names the part that `spec` lacks.
     """
-    if isinstance(given, str):
-        return _named("rotorwatch.estimators", given)
-    kind = given.func if isinstance(given, functools.partial) else given if inspect.isclass(given) else type(given)
+    if isinstance(spec, str):
+        return _named("rotorwatch.estimators", spec)
+    kind = spec.func if isinstance(spec, functools.partial) else spec if inspect.isclass(spec) else type(spec)
     missing = [part for part in ESTIMATOR if not hasattr(kind, part)]
     if missing:
         raise ConfigError(
             f"{kind.__name__} is no estimator, it has no {missing[0]}: give a name, or a class (or an instance) with name, init and step."
         )
     return (
-        given
-        if inspect.isclass(given) or isinstance(given, functools.partial)
-        else functools.partial(kind, **_keywords(given))
+        spec
+        if inspect.isclass(spec) or isinstance(spec, functools.partial)
+        else functools.partial(kind, **_keywords(spec))
     )
 
 
-def title(given: Any) -> str:
-    """The name of an estimator that is given as for `estimator`."""
-    if isinstance(given, str):
-        return given
-    kind = estimator(given)
+def title(spec: Any) -> str:
+    """The name of an estimator; spec: as for `estimator`."""
+    if isinstance(spec, str):
+        return spec
+    kind = estimator(spec)
     made: Any = kind.func if isinstance(kind, functools.partial) else kind
     return str(made.name)
 
@@ -124,7 +124,7 @@ def source(found: Any) -> Source:
         return Source("rotorwatch", __version__, path)
     for name in _distributions(top, tuple(sys.path)):
         return Source(name, metadata.version(name), path)
-    for group in GROUPS:  # a package that is only on the path, with its metadata beside it
+    for group in GROUPS:  # a package that is only on the path, with its metadata next to it
         for entry in offered(group).values():
             if entry.module.partition(".")[0] == top and entry.dist is not None:
                 return Source(entry.dist.name, entry.dist.version, path)
@@ -138,7 +138,7 @@ def _distributions(top: str, _path: tuple[str, ...]) -> list[str]:
 
 
 def about(found: Any) -> str:
-    """What a plug-in says of itself: the first sentence of its module, or of its class where the module says nothing."""
+    """Description of a plug-in: the first sentence of its module, or of its class where the module says nothing."""
     own = found if not inspect.isclass(found) else sys.modules.get(found.__module__)
     text = getattr(own, "__doc__", None) or found.__doc__ or ""
     return " ".join(text.split("\n\n")[0].split()).rstrip(".")

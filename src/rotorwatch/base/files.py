@@ -46,7 +46,7 @@ def toml(path: str | os.PathLike, what: str, most: int = 10_000_000) -> tuple[di
 
 
 def writable(path: str | os.PathLike, what: str, make: bool = False) -> Path:
-    """The path, when a file can be written there: nothing is changed by asking, but with `make` missing folders are made.
+    """The path, when a file can be written there. Nothing is written; with `make` missing folders are made.
 
     what: names the target in the sentence, such as "--report". Raises ConfigError.
     """
@@ -87,7 +87,7 @@ def folder(path: str | os.PathLike, what: str, make: bool = True) -> Path:
 
 @contextmanager
 def replacing(path: str | os.PathLike) -> Iterator[Path]:
-    """A temporary path beside `path`, with its ending, that takes its place at the end; it is removed when something fails on the way.
+    """A temporary path next to `path`, with its ending, that takes its place at the end; it is removed when something fails on the way.
 
     Raises ConfigError when it cannot be written.
     """

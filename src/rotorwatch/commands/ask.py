@@ -14,10 +14,10 @@ from rotorwatch.commands.tools import (
     common,
     drawable,
     flag,
-    kept,
     numbers,
     option,
     progress,
+    resumable,
     show,
     spread,
     written,
@@ -71,7 +71,7 @@ def ask(log, vehicle, candidates, loss, hover, arm, within, tilt, amplitude, com
     else:
         from rotorwatch.report import research_tables
 
-        show(lambda _: research_tables.asking(result))
+        show(lambda _: research_tables.excitation(result))
     written(quiet, figure=figure, commands=commands)
 
 
@@ -90,7 +90,7 @@ def _sets(text: str | None) -> list[tuple[int, ...]] | None:
 @option("--frames", "Airframes, in turn.", "hexa-x,hexa-plus,octa-x,octa-plus")
 @option("--seed", "Same seed, same flights.", 1, type=click.IntRange(0))
 @spread
-@kept
+@resumable
 @flag("--json as_json", "Print JSON: measures and every flight.")
 @common
 def ask_flights(flights, frames, seed, jobs, scheduler, keep, as_json, quiet) -> None:
@@ -98,7 +98,9 @@ def ask_flights(flights, frames, seed, jobs, scheduler, keep, as_json, quiet) ->
     names the broken rotors, with 95 % intervals (docs/control.md)."""
     from rotorwatch.campaign import excitation_flights
 
-    with progress(quiet) as tell:
+    with progress(quiet) as report:
         wanted = [f for f in frames.split(",") if f]
-        result = excitation_flights.run(flights, wanted, seed, progress=tell, jobs=jobs, scheduler=scheduler, keep=keep)
+        result = excitation_flights.run(
+            flights, wanted, seed, progress=report, jobs=jobs, scheduler=scheduler, keep=keep
+        )
     answer(as_json, result, excitation_flights.markdown(result))

@@ -66,7 +66,9 @@ def benchmark(what, methods, more, data, jobs, out, rank, listing, as_json, quie
 
     if out.suffix.lower() != ".json":
         raise ConfigError(f"--out {out}: results are JSON, give a name that ends in .json.")
-    sys.path.append(os.getcwd())  # a module beside the user may hold the method; worker processes inherit the path
+    sys.path.append(
+        os.getcwd()
+    )  # a module in the current folder may hold the method; worker processes inherit the path
     names = [*(part.strip() for part in methods.split(",") if part.strip()), *more]
     for spec in more:
         if ":" not in spec:
@@ -84,9 +86,9 @@ def benchmark(what, methods, more, data, jobs, out, rank, listing, as_json, quie
             results = benchmarks.run(plan, names, out, jobs, sets, report, None if quiet else say)
     except KeyboardInterrupt:
         if benchmarks.parts_of(out).is_dir():
-            kept = benchmarks.parts_of(out)
+            parts = benchmarks.parts_of(out)
             say(
-                f"finished flights are kept in {kept}: the same command goes on from there; those in the making are lost"
+                f"finished flights are kept in {parts}: the same command goes on from there; those in the making are lost"
             )
         raise
     if as_json:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from rotorwatch.commands.tools import LOG, OUT, common, counting, kept, progress, say, spread
+from rotorwatch.commands.tools import LOG, OUT, common, counting, progress, resumable, say, spread
 
 
 def register(group: click.Group) -> None:
@@ -55,7 +55,7 @@ def campaign(plan, flights, jobs, scheduler, out, as_json, quiet) -> None:
 @click.option("--flights", type=click.IntRange(1, 100_000), default=300, show_default=True, help="How many.")
 @click.option("--seed", type=click.IntRange(0, 2**31 - 1), default=31, show_default=True, help="Of the flights.")
 @spread
-@kept
+@resumable
 @click.option("--json", "as_json", is_flag=True, help="Print JSON: the table and every state.")
 @common
 def sequences(flights, seed, jobs, scheduler, keep, as_json, quiet) -> None:
@@ -84,7 +84,7 @@ def sequences(flights, seed, jobs, scheduler, keep, as_json, quiet) -> None:
 )
 @click.option("--variants", default="off,half,double", show_default=True, help="How they are changed.")
 @spread
-@kept
+@resumable
 @click.option("--json", "as_json", is_flag=True, help="Print JSON: measures and differences of every variant.")
 @common
 def ablate(plan, logs, flights, hours, only, variants, jobs, scheduler, keep, as_json, quiet) -> None:

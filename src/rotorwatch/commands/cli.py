@@ -44,10 +44,10 @@ from rotorwatch.commands.tools import (
     answer,
     common,
     flag,
-    kept,
     option,
     print_json,
     progress,
+    resumable,
     say,
     shares,
     show,
@@ -85,7 +85,7 @@ def main(argv: list[str] | None = None) -> None:
                 signal.signal(number, _stop)
     try:
         code = _run(sys.argv[1:] if argv is None else list(argv))
-    except OSError as why:  # nor can it be said what went wrong
+    except OSError as why:  # nor can the error be printed
         code = BROKEN_PIPE if isinstance(why, BrokenPipeError) else ERROR
     for stream in (sys.stdout, sys.stderr):
         try:
@@ -97,10 +97,10 @@ def main(argv: list[str] | None = None) -> None:
 
 
 def _run(argv: list[str]) -> int:
-    """Do what the arguments say, and write all of it; returns the exit code. Raises OSError where standard error cannot be written to."""
+    """Run the command and write its output; returns the exit code. Raises OSError where standard error cannot be written to."""
     try:
         try:
-            # Not cli.main: it leaves with 1 when a pipe breaks, which here says "fault found".
+            # Not cli.main: it leaves with 1 when a pipe breaks, which here means "fault found".
             with cli.make_context("rotorwatch", argv) as context:
                 cli.invoke(context)
             code = 0
@@ -144,8 +144,8 @@ def explain(why: Exception) -> str:
         traceback.print_exc()
     if isinstance(why, RotorwatchError):
         return str(why)
-    if said := lacking(why):
-        return said
+    if missing := lacking(why):
+        return missing
     if isinstance(why, OSError) and why.filename:
         return f"{why.filename}: {why.strerror}."
     if isinstance(why, OSError) and why.errno:
@@ -187,7 +187,7 @@ def cli() -> None:
 @spread
 @common
 @click.pass_context
-def diagnose(context, **given) -> None:
+def diagnose(context, **options) -> None:
     """Judge each LOG: PX4 .ulg, ArduPilot .bin/.log, Betaflight and INAV .bbl, MAVLink .tlog, ROS 2 bag, CSV, also .xz and .gz; - is
     standard input. A folder stands for all logs in it, a file for all flights in it; also quoted patterns, and addresses such as
     s3://BUCKET/FOLDER/ (docs/cluster.md).
@@ -197,7 +197,7 @@ def diagnose(context, **given) -> None:
     from rotorwatch.base import files
     from rotorwatch.many import gathering
 
-    request = several.Request(**given)
+    request = several.Request(**options)
     if request.as_json and request.jsonl:
         raise ConfigError("--json and --jsonl are two ways to say the same; give one.")
     if (request.out or request.resume) and not (request.jsonl and request.out):
@@ -229,11 +229,11 @@ def _diagnose(request: several.Request) -> int:
     from rotorwatch.many.diagnose_many import timed
 
     known = vehicle_of(request.vehicle)
-    with progress(request.quiet) as tell:
-        healthy = tuple(Candidate(_read(path, tell), known) for path in request.baselines)
-    with progress(request.quiet) as tell:
+    with progress(request.quiet) as report:
+        healthy = tuple(Candidate(_read(path, report), known) for path in request.baselines)
+    with progress(request.quiet) as report:
         result = timed(
-            lambda: _read(request.logs[0], tell), known, healthy, request.estimator, request.tuned, progress=tell
+            lambda: _read(request.logs[0], report), known, healthy, request.estimator, request.tuned, progress=report
         )
     if request.pages:
         result.to_html(request.pages[0])
@@ -286,8 +286,8 @@ def calibrate(logs, out, quiet) -> None:
     from rotorwatch.healthy.calibrate import calibrate as run
 
     files.writable(out, "--out")
-    with progress(quiet) as tell:
-        learned = run([_read(path, tell) for path in logs], progress=tell)
+    with progress(quiet) as report:
+        learned = run([_read(path, report) for path in logs], progress=report)
     write(learned, out)
     for sentence in learned.assumptions:
         if "was set aside" in sentence and not quiet:
@@ -304,8 +304,8 @@ def info(log, as_json, quiet) -> None:
     """Show what LOG holds, what is missing for a diagnosis, and which logging setting would give it."""
     from rotorwatch.report.info import info as run
 
-    with progress(quiet) as tell:
-        facts = run(_read(log, tell))
+    with progress(quiet) as report:
+        facts = run(_read(log, report))
     if as_json:
         print_json(facts)
     else:
@@ -326,8 +326,8 @@ def demo(report, quiet) -> None:
     if page:
         optional.library("bokeh", "--report")
     for sample in samples:
-        with progress(quiet) as tell:
-            result = run(_read(sample, tell), progress=tell)
+        with progress(quiet) as advance:
+            result = run(_read(sample, advance), progress=advance)
         click.echo(f"$ rotorwatch diagnose {sample.name}\n")
         show(lambda terminal, r=result: terminal.diagnosis(r))
         click.echo("")
@@ -336,7 +336,7 @@ def demo(report, quiet) -> None:
     click.echo(
         "What to look at: the line in capitals is the verdict. The rotor table says how much\n"
         "thrust each rotor has lost, and the range that holds with 95 % probability. An event\n"
-        "began at 'since'; a live observer would have been told at 'announced'."
+        "began at 'since'; a live observer would have been notified at 'announced'."
     )
     if page:
         click.echo(f"The faulty flight as a page: {page[0]} (open it in a browser; it needs no network).")
@@ -350,7 +350,7 @@ def demo(report, quiet) -> None:
 @option("--repeats", "Injections per flight, rotor and loss.", 3, type=click.IntRange(1, 1000))
 @option("--seed", "Seed of the random onsets.", 0, type=click.IntRange(0))
 @spread
-@kept
+@resumable
 @JSON
 @common
 def inject(logs, losses, repeats, seed, jobs, scheduler, keep, as_json, quiet) -> None:
@@ -358,8 +358,8 @@ def inject(logs, losses, repeats, seed, jobs, scheduler, keep, as_json, quiet) -
     from rotorwatch.experiments.inject import campaign
 
     wanted = shares("--loss", losses)
-    with progress(quiet) as tell:
-        result = campaign(logs, wanted, repeats, seed, tell, jobs, scheduler, keep)
+    with progress(quiet) as report:
+        result = campaign(logs, wanted, repeats, seed, report, jobs, scheduler, keep)
     if as_json:
         print_json(result)
     else:
@@ -386,7 +386,7 @@ def _by_loss(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
 @option("--hours", "Flight hours to simulate, over all logs.", 20.0, type=float)
 @option("--seed", "Seed of the surrogate flights.", 0, type=click.IntRange(0))
 @spread
-@kept
+@resumable
 @JSON
 @common
 def false_alarms(logs, hours, seed, jobs, scheduler, keep, as_json, quiet) -> None:
@@ -394,8 +394,8 @@ def false_alarms(logs, hours, seed, jobs, scheduler, keep, as_json, quiet) -> No
     from rotorwatch.experiments.studies.false_alarms import describe
     from rotorwatch.experiments.studies.false_alarms import false_alarms as run
 
-    with progress(quiet) as tell:
-        result = run(logs, hours, seed, tell, jobs=jobs, scheduler=scheduler, keep=keep)
+    with progress(quiet) as report:
+        result = run(logs, hours, seed, report, jobs=jobs, scheduler=scheduler, keep=keep)
     answer(as_json, result, describe(result))
 
 
@@ -418,13 +418,13 @@ def fuzz(context, log, mutations, seed, jobs, framed, damages, share, as_json, q
     """
     from rotorwatch.experiments.fuzz import fuzz as run
 
-    with progress(quiet) as tell:
+    with progress(quiet) as report:
         if framed:
             from rotorwatch.experiments.fuzz_framed import fuzz_framed
 
-            result = fuzz_framed(log, damages, share, seed, jobs, progress=tell)
+            result = fuzz_framed(log, damages, share, seed, jobs, progress=report)
         else:
-            result = run(log, mutations, seed, jobs, progress=tell)
+            result = run(log, mutations, seed, jobs, progress=report)
     if as_json:
         print_json(result)
     else:
@@ -432,10 +432,10 @@ def fuzz(context, log, mutations, seed, jobs, framed, damages, share, as_json, q
     context.exit(1 if result["failures"] else 0)
 
 
-def _read(path: Any, tell: Callable | None) -> Any:
+def _read(path: Any, report: Callable | None) -> Any:
     from rotorwatch.many.diagnose_many import read
 
-    return read(path, tell)
+    return read(path, report)
 
 
 for module in (research, simulate, campaign, benchmark):

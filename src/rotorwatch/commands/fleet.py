@@ -1,4 +1,4 @@
-"""The commands of a fleet: flights into a store, and what all of them say of every aircraft."""
+"""The commands of a fleet: flights into a store, and the state of every aircraft from all of them."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ def _store(make: bool) -> Callable:
 
     def around(command: Callable) -> Callable:
         @functools.wraps(command)
-        def with_store(url, **given):
+        def with_store(url, **options):
             from rotorwatch.fleet.store import Store
 
             with Store(url or None, make=make) as store:
-                command(store, **given)
+                command(store, **options)
 
         return add_option(with_store)
 
@@ -81,18 +81,18 @@ def add(store, logs, aircraft, vehicle, follow, jobs, scheduler, quiet) -> None:
     folders = [Path(one) for one in logs if Path(one).is_dir()]
     if follow and not folders:
         raise ConfigError("--follow watches folders; give at least one.")
-    with progress(quiet or not live()) as tell:
-        told, others = run.add(store, logs, aircraft, known, _tell, tell, jobs, scheduler)
+    with progress(quiet or not live()) as report:
+        outcomes, others = run.add(store, logs, aircraft, known, _print_outcome, report, jobs, scheduler)
         if any(a["stale"] for a in store.aircraft()):
-            assess.refresh(store, tell)
-    count = {state: sum(t.state == state for t in told) for state in ("added", "known", "failed")}
+            assess.refresh(store, report)
+    count = {state: sum(t.state == state for t in outcomes) for state in ("added", "known", "failed")}
     if not quiet:
         parts = [f"{count['added']} added"]
         parts += [f"{count['known']} known already"] if count["known"] else []
         parts += [f"{others} files that are no logs"] if others else []
         parts += [f"{count['failed']} could not be judged"] if count["failed"] else []
         say(f"{', '.join(parts)}; {store.count()} flights in {store.label}")
-        lost = sum(t.state == "added" and not t.aircraft for t in told)
+        lost = sum(t.state == "added" and not t.aircraft for t in outcomes)
         if lost:
             say(
                 f"{lost} of them name no aircraft, and belong to no history: add such logs with --aircraft NAME to an empty store."
@@ -100,16 +100,16 @@ def add(store, logs, aircraft, vehicle, follow, jobs, scheduler, quiet) -> None:
     if follow:
         if not quiet:
             say(f"watching {', '.join(map(str, folders))}; Ctrl-C ends it")
-        run.follow(store, folders, aircraft, known, _tell, say)
+        run.follow(store, folders, aircraft, known, _print_outcome, say)
     click.get_current_context().exit(FAILED if count["failed"] else ADDED)
 
 
-def _tell(told) -> None:
-    name = label(Path(told.path).name)
-    if told.state == "failed":
-        say(told.text if name in told.text else f"{name}: {told.text}")
-    elif told.state == "added":
-        click.echo(f"{told.verdict:<13}{told.aircraft or '(no aircraft)'}  {name}  {told.text}")
+def _print_outcome(outcome) -> None:
+    name = label(Path(outcome.path).name)
+    if outcome.state == "failed":
+        say(outcome.text if name in outcome.text else f"{name}: {outcome.text}")
+    elif outcome.state == "added":
+        click.echo(f"{outcome.verdict:<13}{outcome.aircraft or '(no aircraft)'}  {name}  {outcome.text}")
 
 
 @fleet.command("list", short_help="All aircraft, those that need attention first.")
@@ -141,8 +141,8 @@ def list_(store, flights, search, aircraft, limit, as_json, quiet) -> None:
         return
     rows = []
     for a in found:
-        says = a["standing"]["headline"] if a["standing"] else "not worked out yet"
-        rows.append((a["name"], str(a["flights"]), f"{a['airborne_s'] / 3600:.1f}", _day(a["last"]), says))
+        headline = a["standing"]["headline"] if a["standing"] else "not worked out yet"
+        rows.append((a["name"], str(a["flights"]), f"{a['airborne_s'] / 3600:.1f}", _day(a["last"]), headline))
     head = ("aircraft", "flights", "hours", "last flight", "how its rotors stand")
     _table(f"{len(found)} aircraft", head, rows, right=(1, 2))
     if nobody and not quiet:
@@ -152,9 +152,9 @@ def list_(store, flights, search, aircraft, limit, as_json, quiet) -> None:
 
 
 def _urgency(a: dict) -> tuple:
-    standing = a["standing"] or {}
-    worst = min((ORDER.get(r["status"], 9) for r in standing.get("rotors", ())), default=9)
-    return worst, -float(standing.get("worst") or 0.0), a["name"]
+    assessment = a["standing"] or {}
+    worst = min((ORDER.get(r["status"], 9) for r in assessment.get("rotors", ())), default=9)
+    return worst, -float(assessment.get("worst") or 0.0), a["name"]
 
 
 @fleet.command("show", short_help="One aircraft: every rotor, what changed and when.")
@@ -169,37 +169,37 @@ def show_(store, aircraft, as_json, quiet) -> None:
     if as_json:
         print_json(found | {"points": store.points(key)})
         return
-    standing = found["standing"]
+    assessment = found["standing"]
     click.echo(
         f"{found['name']}: {found['flights']} flights, {found['airborne_s'] / 3600:.1f} h in the air; {found['build']}"
     )
     click.echo(f"known by: {'; '.join(found['identities'])}")
-    if standing is None:
+    if assessment is None:
         click.echo("Not worked out yet: `rotorwatch fleet assess`.")
         return
-    click.echo(f"\n{standing['headline']}\n")
+    click.echo(f"\n{assessment['headline']}\n")
     rows = []
-    for r in standing["rotors"]:
+    for r in assessment["rotors"]:
         loss, low, high = (f"{100 * v:.1f}" for v in (r["loss"], *r["interval"]))
         rows.append((str(r["rotor"]), r["status"], f"{loss} %", f"{low} to {high} %", _outlook(r["prognosis"])))
     _table("", ("rotor", "state", "lost", "95 %", "outlook"), rows, right=(0, 2, 3))
-    for c in standing["changes"]:
-        click.echo(_said(c))
-    for s in standing["services"]:
+    for c in assessment["changes"]:
+        click.echo(_change_text(c))
+    for s in assessment["services"]:
         what = f"rotor {s['rotor']}" if s["rotor"] else "the whole aircraft"
         click.echo(f"service before flight {s['before_flight']}: {what}, {s['what']}")
-    many, sisters = len(standing["left_out"]), standing["sisters"]
+    many, sisters = len(assessment["left_out"]), assessment["sisters"]
     compared = (
         f"compared with {sisters} of the same build" if sisters else "no others of the same build to compare with"
     )
-    click.echo(f"\n{standing['used']} of {standing['flights']} flights were used; {compared}.")
-    for one in standing["left_out"][:5]:
+    click.echo(f"\n{assessment['used']} of {assessment['flights']} flights were used; {compared}.")
+    for one in assessment["left_out"][:5]:
         click.echo(f"  not used: {label(one['name'])}: {one['why']}")
     if many > 5:
         click.echo(f"  and {many - 5} more")
 
 
-def _said(c: dict) -> str:
+def _change_text(c: dict) -> str:
     first, last = c["between"]
     when = f"flight {c['flight']}" + (f" ({first} to {last})" if first != last else "")
     when += f", {_day(c['utc'])}" if c["utc"] else ""
@@ -305,8 +305,8 @@ def assess(store, quiet) -> None:
     """Work out anew where every aircraft of the store stands; `add`, `service` and `merge` do so themselves."""
     from rotorwatch.fleet import assess as run
 
-    with progress(quiet) as tell:
-        run.refresh(store, tell)
+    with progress(quiet) as report:
+        run.refresh(store, report)
         click.echo(f"{len(store.aircraft())} aircraft worked out")
 
 
@@ -324,15 +324,15 @@ def rejudge(store, every, aircraft, jobs, scheduler, as_json, quiet) -> None:
     from rotorwatch.fleet import add as run
     from rotorwatch.fleet import assess
 
-    with progress(quiet) as tell:
-        count, changes = run.rejudge(store, every, aircraft, tell, jobs, scheduler)
-        assess.refresh(store, tell)
+    with progress(quiet) as report:
+        count, changes = run.rejudge(store, every, aircraft, report, jobs, scheduler)
+        assess.refresh(store, report)
     if as_json:
         print_json({"judged": count, "changes": [asdict(c) for c in changes]})
         return
     for c in changes:
-        told = f"kept as it was: {c.lost}" if c.lost else f"{c.before[0]} -> {c.after[0]}: {c.after[1]}"
-        click.echo(f"{c.aircraft or '(no aircraft)'}  {label(c.name)}  {told}")
+        text = f"kept as it was: {c.lost}" if c.lost else f"{c.before[0]} -> {c.after[0]}: {c.after[1]}"
+        click.echo(f"{c.aircraft or '(no aircraft)'}  {label(c.name)}  {text}")
     changed = sum(not c.lost for c in changes)
     click.echo(f"{count} judged again, {changed} changed")
 
@@ -378,8 +378,8 @@ def simulate(out, aircraft, flights, seed, logs, url, as_json, quiet) -> None:
     from rotorwatch.fleet import score, synthetic
     from rotorwatch.fleet.store import Store
 
-    with progress(quiet) as tell:
-        truth, _ = synthetic.make(out, aircraft, flights, seed, url, logs, tell)
+    with progress(quiet) as report:
+        truth, _ = synthetic.make(out, aircraft, flights, seed, url, logs, report)
     with Store(url or truth.parent / synthetic.STORE) as store:
         found = score.score(store, truth.parent)
     if as_json:

@@ -48,10 +48,10 @@ class Request:
     recordings: Sequence[Path] = ()
 
 
-def settings(estimator: str, *given: Path | None) -> str:
+def settings(estimator: str, *files: Path | None) -> str:
     """A short name of all that the answers depend on but the logs: this version, the estimator, and files."""
     digest = hashlib.sha256(f"{__version__}\0{estimator}".encode())
-    for path in given:
+    for path in files:
         digest.update(b"\0" + (path.read_bytes() if path and path.is_file() else b"-"))
     return digest.hexdigest()[:12]
 
@@ -66,7 +66,7 @@ def diagnose(request: Request, explain: Callable[[Exception], str]) -> int:
         say(f"{request.others} other {'file is' if request.others == 1 else 'files are'} no flight logs and left out.")
     rows, codes, listed = overview.Rows(), set(), {}
     how = settings(request.estimator, request.vehicle, request.tuning, *request.baselines)
-    with _lines(request, how) as lines, counting(request.quiet, "logs") as tell:
+    with _lines(request, how) as lines, counting(request.quiet, "logs") as counter:
         known = {path: line.known for path, line in lines.there.items() if line.known}
         began, total = time.monotonic(), len(request.logs)
 
@@ -90,10 +90,10 @@ def diagnose(request: Request, explain: Callable[[Exception], str]) -> int:
             if request.as_json:
                 listed[answer.index] = found
             rows.add(overview.row(label(answer.path), found, page))
-            if tell and answer.diagnosis is not None and not (request.as_json or lines.streams):
+            if counter and answer.diagnosis is not None and not (request.as_json or lines.streams):
                 from rotorwatch.report import terminal
 
-                tell.show(terminal.line(label(request.logs[answer.index]), answer.diagnosis))
+                counter.show(terminal.line(label(request.logs[answer.index]), answer.diagnosis))
 
         answers = diagnose_many(
             request.logs, request.vehicle, request.baselines, request.estimator, request.tuned, request.jobs, request.scheduler,
@@ -102,8 +102,8 @@ def diagnose(request: Request, explain: Callable[[Exception], str]) -> int:
         try:
             for done, answer in enumerate(answers, start=1):
                 keep(answer)
-                if tell:
-                    tell(done, total, done / max(time.monotonic() - began, 1e-9))
+                if counter:
+                    counter(done, total, done / max(time.monotonic() - began, 1e-9))
         finally:
             with suppress(ValueError):
                 answers.close()  # type: ignore[attr-defined]
@@ -113,7 +113,7 @@ def diagnose(request: Request, explain: Callable[[Exception], str]) -> int:
 
 
 def _show(request: Request, rows: Any, listed: list[dict[str, Any]]) -> None:
-    """What stands at the end."""
+    """Print and write what comes after the last log."""
     from rotorwatch.report import overview
 
     if request.as_json:
@@ -135,7 +135,7 @@ def _show(request: Request, rows: Any, listed: list[dict[str, Any]]) -> None:
 
 
 def _page(request: Request, path: str) -> str | None:
-    """The file name of a log's page below --html: its own name, and what tells it from others of that name."""
+    """The file name of a log's page below --html: its own name, and what distinguishes it from others of that name."""
     if not request.html:
         return None
     name = path.rstrip("/").rpartition("/")[2]

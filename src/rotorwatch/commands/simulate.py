@@ -79,7 +79,7 @@ def _all_or_none(out: Path) -> Iterator[Path]:
 
 
 def _endings(out: Path, helicopter: bool) -> list[str]:
-    """What to write, by the ending asked for; without one all there is of an autopilot, .csv of a helicopter."""
+    """What to write, by the file's ending; without one all there is of an autopilot, .csv of a helicopter."""
     from rotorwatch import simulation
 
     known = simulation.helicopter.table.SUFFIXES if helicopter else tuple(simulation.SUFFIXES)

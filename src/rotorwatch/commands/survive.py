@@ -1,4 +1,4 @@
-"""The command that says what a vehicle survives."""
+"""The command that computes which losses a vehicle survives."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ def survive(vehicle, loss, mass, thrust_to_weight, arm, figure, as_json, quiet) 
     sizes = numbers("--loss", loss, "0.3,0.6,1")
     if figure:
         drawable(figure)
-    with progress(quiet) as tell:
-        result = run(vehicle, loss=sizes, mass_kg=mass, thrust_to_weight=thrust_to_weight, arm_m=arm, progress=tell)
+    with progress(quiet) as report:
+        result = run(vehicle, loss=sizes, mass_kg=mass, thrust_to_weight=thrust_to_weight, arm_m=arm, progress=report)
         if figure:
             result.figure(figure)
     if as_json:

@@ -22,7 +22,7 @@ from rotorwatch.errors import BackendWarning, ConfigError, PluginWarning, Worker
 
 PICTURES = (".svg", ".png", ".pdf")
 ADDRESS = re.compile(r"[a-z][a-z0-9+.-]+://", re.IGNORECASE)
-LINE_S, FEW = 2.0, 10  # between two lines that say how far a count has come; of fewer there are none
+LINE_S, FEW = 2.0, 10  # s between two lines of progress; no lines for fewer items
 
 
 class Log(click.ParamType):
@@ -44,10 +44,10 @@ class Log(click.ParamType):
         try:
             kind = path.stat().st_mode
         except (OSError, ValueError):
-            return path  # whoever reads it says what is wrong
+            return path  # its reader reports what is wrong
         if stat.S_ISFIFO(kind):
             with open(path, "rb") as pipe:
-                return _kept(pipe, f"pipe {path.name}")
+                return _spooled(pipe, f"pipe {path.name}")
         if not stat.S_ISREG(kind) and not stat.S_ISDIR(kind):
             raise ConfigError(f"{value} is a device, not a file; give a flight log.")
         return path
@@ -70,10 +70,10 @@ def _standard_input() -> Path:
     spool = incoming.spooled()
     if spool is not None and any(spool.glob("*/standard input")):
         raise ConfigError("Standard input (-) can be read only once.")
-    return _kept(sys.stdin.buffer, "standard input")
+    return _spooled(sys.stdin.buffer, "standard input")
 
 
-def _kept(stream: Any, name: str) -> Path:
+def _spooled(stream: Any, name: str) -> Path:
     """All of a stream in a file of that name, in a folder that goes with the process."""
     import tempfile
 
@@ -146,7 +146,7 @@ def spread(command: Callable) -> Callable:
     return jobs(scheduler(command))
 
 
-def kept(command: Callable) -> Callable:
+def resumable(command: Callable) -> Callable:
     """The option of long work that goes on where it was broken off."""
     text = "Keep in DIR what is finished; the same call goes on from it."
     return click.option("--keep", type=click.Path(path_type=Path, file_okay=False), metavar="DIR", help=text)(command)
@@ -241,7 +241,7 @@ def _bar(*columns: Any) -> Iterator[Any]:
 
 @contextmanager
 def progress(quiet: bool) -> Iterator[Callable | None]:
-    """A progress bar on standard error when that is a terminal, else nothing. Yields tell(share 0..1, text)."""
+    """A progress bar on standard error when that is a terminal, else nothing. Yields report(share 0..1, text)."""
     if quiet or not live():
         yield None
         return
@@ -250,22 +250,22 @@ def progress(quiet: bool) -> Iterator[Callable | None]:
     with _bar(TaskProgressColumn(), TimeElapsedColumn()) as bar:
         task = bar.add_task("reading", total=1.0)
 
-        def tell(share: float, text: str = "") -> None:
+        def report(share: float, text: str = "") -> None:
             bar.update(task, completed=min(max(float(share), 0.0), 1.0), description=text or None)
 
-        yield tell
+        yield report
 
 
 class Counting:
-    """How far a count has come, where no bar can move: a line now and then on standard error. Called with done, all, how many a second."""
+    """Progress where no bar can be drawn: a line now and then on standard error. Called with done, all, how many a second."""
 
     def __init__(self, what: str):
-        self.what, self.tenth, self.said = what, 0, time.monotonic()
+        self.what, self.tenth, self.reported = what, 0, time.monotonic()
 
     def __call__(self, done: int, total: int, speed: float) -> None:
         tenth = 10 * done // total
-        if total >= FEW and speed and tenth > self.tenth and time.monotonic() - self.said > LINE_S:
-            self.tenth, self.said = tenth, time.monotonic()
+        if total >= FEW and speed and tenth > self.tenth and time.monotonic() - self.reported > LINE_S:
+            self.tenth, self.reported = tenth, time.monotonic()
             say(f"{done} of {total} {self.what}, {speed:.1f} a second, {(total - done) / speed:.0f} s left")
 
     def show(self, line: Any) -> None:

@@ -40,16 +40,16 @@ def tune(logs, estimator, out, rounds, papers, as_json, quiet) -> None:
     if papers:
         from rotorwatch.experiments.studies.hand_tuning import markdown, study
 
-        with progress(quiet) as tell:
-            rows = study((), rounds, tell)
+        with progress(quiet) as report:
+            rows = study((), rounds, report)
         answer(as_json, rows, markdown(rows).strip())
         return
     if not logs:
         raise ConfigError("Give healthy logs of one build to tune to, or --papers.")
     if out:
         files.writable(out, "--out")
-    with progress(quiet) as tell:
-        found = run(logs, estimator, rounds, tell)
+    with progress(quiet) as report:
+        found = run(logs, estimator, rounds, report)
     if out:
         write(found, out)
     if as_json:
@@ -92,8 +92,8 @@ def compare(logs, truth, estimators, losses, seeds, as_json, quiet) -> None:
     names = [name.strip() for name in estimators.split(",") if name.strip()] if estimators else []
     for name in names:
         discovery.estimator(name)
-    with progress(quiet) as tell:
+    with progress(quiet) as report:
         scenes = [] if not logs else flights.with_truth(logs, truth) if truth else flights.injected(logs, wanted)
-        scenes = [*(flights.simulated(seeds, wanted, tell) if seeds else ()), *scenes]
-        result = run(scenes, names, tell)
+        scenes = [*(flights.simulated(seeds, wanted, report) if seeds else ()), *scenes]
+        result = run(scenes, names, report)
     answer(as_json, result, markdown(result).strip())

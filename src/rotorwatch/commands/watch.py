@@ -65,45 +65,45 @@ def watch(
     shown = _lines if jsonl else (lambda alert: None) if _screen() else _sentences(quiet)
     sources: list[Any] = []
     outlets = _outlets(webhook, metrics, tell_ground, listen_only, shown)
-    beside = Beside(say)
+    background = Beside(say)
     unread: list[OSError] = []
 
-    def tell(alert: dict) -> None:
+    def publish(alert: dict) -> None:
         if not unread or not isinstance(unread[0], BrokenPipeError):
             try:
                 shown(alert)
-            except OSError as why:  # whoever reads it has gone, or the disk is full: told at the end, when all is done
+            except OSError as why:  # the reader has closed, or the disk is full: raised at the end, when all is done
                 unread.append(why)
                 del unread[1:]
         for outlet in outlets:
-            beside.run(type(outlet).__name__.lower(), outlet.take, alert)
+            background.run(type(outlet).__name__.lower(), outlet.take, alert)
 
-    def unheard() -> bool:
+    def nobody_reads() -> bool:
         """Whether the reader of standard output (head) has seen enough, and nothing else is done with what is found."""
         return bool(unread) and isinstance(unread[0], BrokenPipeError) and not outlets and record is None
 
     try:
         for endpoint in endpoints:
             if endpoint in opened:
-                sources.append(Link(opened[endpoint], tell, known, record, not listen_only, patience))
+                sources.append(Link(opened[endpoint], publish, known, record, not listen_only, patience))
             else:
-                sources.append(_replay(endpoint, tell, known, pace, quiet))
+                sources.append(_replay(endpoint, publish, known, pace, quiet))
     except BaseException:
         for left in (*sources, *outlets):
             left.leave()
         raise
-    guarded = [Guarded(name, source, tell) for name, source in zip(endpoints, sources)]
+    guarded = [Guarded(name, source, publish) for name, source in zip(endpoints, sources)]
     if jsonl or not _screen():
-        run(guarded, None, seconds, outlets, beside, unheard)
+        run(guarded, None, seconds, outlets, background, nobody_reads)
     else:
-        _drawn(lambda show: run(guarded, show, seconds, outlets, beside, unheard))
+        _drawn(lambda show: run(guarded, show, seconds, outlets, background, nobody_reads))
     if unread:
         raise unread[0]
     code = _code([v for source in sources for v in source.vehicles])
     ended = next((source.why for source in guarded if source.why is not None), None)
     if code != FAULT and ended is not None and (jsonl or quiet or _screen()):
         raise ended
-    if code != FAULT and (ended or beside.failed or any(getattr(source, "trouble", "") for source in sources)):
+    if code != FAULT and (ended or background.failed or any(getattr(source, "trouble", "") for source in sources)):
         code = ERROR
     raise click.exceptions.Exit(code)
 
@@ -150,7 +150,7 @@ def _drawn(run) -> None:
         run(lambda sources: picture.update(table(sources), refresh=True))
 
 
-def _replay(endpoint: str, tell, known, speed: float, quiet: bool) -> Any:
+def _replay(endpoint: str, publish, known, speed: float, quiet: bool) -> Any:
     from rotorwatch.live.endpoint import KINDS
     from rotorwatch.live.replay import Replay
     from rotorwatch.live.watched import Watched
@@ -161,7 +161,7 @@ def _replay(endpoint: str, tell, known, speed: float, quiet: bool) -> Any:
         raise ConfigError(f"{endpoint}: no such log; give a log file, or an endpoint: {KINDS}.")
     with progress(quiet) as report:
         flight = read(path, report)
-    return Replay(flight, Watched(label(path.name), tell, known), speed)
+    return Replay(flight, Watched(label(path.name), publish, known), speed)
 
 
 def _lines(alert: dict) -> None:
@@ -174,7 +174,7 @@ def _lines(alert: dict) -> None:
 def _sentences(quiet: bool):
     """Alerts for people, where no picture can be drawn."""
 
-    def tell(alert: dict) -> None:
+    def show(alert: dict) -> None:
         if alert["type"] == "event":
             event, what = alert["event"], alert["state"]
             click.echo(
@@ -183,7 +183,7 @@ def _sentences(quiet: bool):
         elif not quiet and alert["type"] != "vehicle":
             say(alert["text"] if alert["vehicle"] in alert["text"] else f"{alert['vehicle']}: {alert['text']}")
 
-    return tell
+    return show
 
 
 def _code(vehicles) -> int:

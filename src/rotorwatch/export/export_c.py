@@ -174,7 +174,7 @@ def allocator_program(allocator: allocation.Allocator, identifier: str, candidat
 
 
 def _allocator_example(program: Program, allocator: allocation.Allocator) -> str:
-    """A main that asks for half the thrust of a vehicle whose first rotor is dead, and prints the commands."""
+    """A main that demands half the thrust of a vehicle whose first rotor is dead, and prints the commands."""
     n, name = allocator.n, program.name
     e = np.where(np.arange(n) == 0, 0.0, 1.0)
     values = {"demand": [allocator.size[0], 0, 0, 0], "mean": e, "lower": e, "upper": e}
@@ -239,7 +239,7 @@ def prepare(name: str, vehicle: Vehicle | str | None = None, dt: float | None = 
 
 
 def _learned(vehicle: Vehicle) -> dict:
-    """Geometry, and what healthy flights taught or any multirotor is like."""
+    """Geometry, and the dynamics learned from healthy flights, or usual ones."""
     return balance_parameters(vehicle.effectiveness(), LOG_DT, (vehicle.identified or {}).get("dynamics"))
 
 

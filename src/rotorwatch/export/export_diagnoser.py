@@ -32,7 +32,7 @@ from rotorwatch.motion.contact import look_back
 SOURCES = Path(__file__).parent / "embedded_c"
 FRONT_ABOUT = "The front end: samples in, ticks out. Made of the definitions in rotorwatch/front; not to be edited."
 ESTIMATOR = "rw_estimator"
-ROOMS = ("RECORDS", "CONTACTS", "FALLS", "EVENTS")  # how much is kept, which a compiler may be told otherwise
+ROOMS = ("RECORDS", "CONTACTS", "FALLS", "EVENTS")  # sizes of buffers, which a compiler's -D may override
 QUEUE_S = 6.0  # ticks that wait: airborne.CONFIRM_S, and room
 
 
@@ -76,7 +76,7 @@ def estimator_program(vehicle: Vehicle, dt: float) -> Program:
 
 
 def settings(B: np.ndarray, dt: float) -> dict[str, Any]:
-    """What rw_config.h says of the effectiveness B (4, n) and the length of a tick."""
+    """Entries of rw_config.h for the effectiveness B (4, n) and the length of a tick."""
     n = B.shape[1]
     opposite = max(1, sum(map(len, events.opposites(B).values())) // 2)
     pairs, places = n * (n - 1) // 2, posterior.PLACES
@@ -91,11 +91,11 @@ def settings(B: np.ndarray, dt: float) -> dict[str, Any]:
 
 
 def rates(output_hz: float, gyro_hz: float, accel_hz: float) -> dict[str, int]:
-    """What rw_config.h says of signals that come so often [Hz]: how many samples are kept, and how often motion is fed."""
+    """Entries of rw_config.h for signals at these rates [Hz]: lengths of the buffers, and how often motion is fed."""
     half = int(np.ceil(max(gyro_hz, accel_hz) / 2)) + 2
-    kept = int(np.ceil(max(0.4 * gyro_hz, 0.9 * accel_hz))) + 4
+    samples = int(np.ceil(max(0.4 * gyro_hz, 0.9 * accel_hz))) + 4
     often = int(np.ceil(max(gyro_hz, accel_hz)))
-    return {"HALF_SECOND": half, "MOTION_KEPT": kept, "RECENT": int(np.ceil(output_hz / 2)) + 2, "MOTION_HZ": often}
+    return {"HALF_SECOND": half, "MOTION_KEPT": samples, "RECENT": int(np.ceil(output_hz / 2)) + 2, "MOTION_HZ": often}
 
 
 def config(vehicle: Vehicle, dt: float, output_hz: float, gyro_hz: float, accel_hz: float) -> str:
@@ -116,7 +116,7 @@ def vehicle_table(
 
 
 def usual_plan(rate_hz: float, control_hz: float, gyro_hz: float, accel_hz: float, known: bool) -> ticks.Plan:
-    """A plan for outputs, controller, gyro and accelerometer at these rates; known: healthy flights have told the noise."""
+    """A plan for outputs, controller, gyro and accelerometer at these rates; known: the noise was learned from healthy flights."""
     dt = ticks.tick_length(max(rate_hz, control_hz))
     half = dt / 2.0
     ready_s = ticks.ready_after(ticks.READY_KNOWN_S if known else ticks.READY_S, dt)

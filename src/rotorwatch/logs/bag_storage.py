@@ -1,4 +1,4 @@
-"""What a ROS 2 bag is kept in: MCAP files and SQLite databases (.db3), as topics with their messages' bytes.
+"""How a ROS 2 bag is stored: MCAP files and SQLite databases (.db3), as topics with their messages' bytes.
 
 MCAP: https://mcap.dev/spec. SQLite: tables topics, messages and, since ROS 2 Iron, message_definitions.
 """
@@ -22,7 +22,7 @@ SQLITE = b"SQLite format 3\0"
 IN_MEMORY = hasattr(sqlite3.Connection, "deserialize")  # from Python 3.11 on
 ZSTD = b"\x28\xb5\x2f\xfd"
 NEEDED_BY = "Reading this bag"
-TELL = 2000  # messages between two reports of progress
+PROGRESS_EVERY = 2000  # messages between two reports of progress
 
 
 @dataclass
@@ -173,7 +173,7 @@ def read_sqlite(source: Path | bytes, bag: Bag, progress=None) -> None:
                 if isinstance(data, bytes) and isinstance(stamp, int):
                     bag.add(topics[number], stamp, data)
                 done += 1
-                if progress and done % TELL == 0:
+                if progress and done % PROGRESS_EVERY == 0:
                     progress(min(0.9, 0.9 * row / most))
         except sqlite3.Error:
             bag.notes.append("the database is damaged; what could be read of it was read")

@@ -37,7 +37,7 @@ NEAR_START = 512  # bytes that damage or a ground station may have put before th
 INSTANCE_COLUMNS = ("I", "Instance", "Inst", "IMU", "C")
 PWM_RANGE_US = (500.0, 2600.0)
 SMALL_STEP_S = 0.005  # records of one message that changed places
-ENOUGH = 20_000  # records, spread over the log, that tell the unit of a column
+ENOUGH = 20_000  # records, spread over the log, from which the unit of a column is found
 
 # Magnitudes beyond which a number is damage, not flight; (low, high) per column, in the unit of the signal.
 TURN = (-80.0, 80.0)  # rad/s: gyros end at 2000 or 4000 deg/s
@@ -316,10 +316,14 @@ class _Signals:
             near = (
                 (np.abs(motors.time[at] - time) < 0.3) & motors.valid[at].all(axis=1) & np.isfinite(control).all(axis=1)
             )
-            apart = motors.values[at[near]]
-            apart = (apart - apart.mean(axis=1, keepdims=True)) / (PWM_RANGE_US[1] - PWM_RANGE_US[0])
-            # Of most of the flight: a crash or a damaged record has no say, nor has calm air.
-            moved, output = (float(np.quantile(np.abs(v), 0.8)) if v.size else 0.0 for v in (apart, control[near]))
+            differential = motors.values[at[near]]
+            differential = (differential - differential.mean(axis=1, keepdims=True)) / (
+                PWM_RANGE_US[1] - PWM_RANGE_US[0]
+            )
+            # Of most of the flight: a crash or a damaged record does not count, nor does calm air.
+            moved, output = (
+                float(np.quantile(np.abs(v), 0.8)) if v.size else 0.0 for v in (differential, control[near])
+            )
             if moved > 5e-4 and output > 0.0:
                 return output > 2.0 * np.sqrt(RAW_TORQUE) * moved
         return _typical_peak(control) > np.sqrt(RAW_TORQUE)
@@ -351,7 +355,7 @@ class _Signals:
     def utc_start(self) -> str | None:
         """UTC of second 0 from the GPS's week and milliseconds, while it had a fix."""
         columns = self.log.columns("GPS")
-        names = [next((c for c in given if c in columns), "") for given in (("GWk", "Week"), ("GMS", "TimeMS"))]
+        names = [next((c for c in aliases if c in columns), "") for aliases in (("GWk", "Week"), ("GMS", "TimeMS"))]
         rows = self.instance("GPS", (*names, "Status")) if all(names) else None
         if rows is None:
             return None

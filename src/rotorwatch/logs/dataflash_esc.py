@@ -6,7 +6,7 @@
     ESC1, ESC2 ..  RPM Volt Curr Temp CTot                        Copter 3.6
     CESC  Id ECnt Voltage Curr Temp RPM Pow                       Copter 3.6 to 4.0, ESCs on UAVCAN: temperature in K
 
-The instance counts servo outputs from 0. ESCs on CAN buses and on outputs that are counted apart begin with 0 as well: when none of the
+The instance counts servo outputs from 0. ESCs on CAN buses and on outputs counted separately begin with 0 as well: when none of the
 rotors' outputs has an instance, and there are as many instances as rotors, they are the rotors in order. ESCX (duty cycles and status
 flags of some makes) holds neither speed nor current and is not read.
 Field lists: the LoggerMessage comments in AP_ESC_Telem/LogStructure.h of each release, and https://ardupilot.org/copter/docs/logmessages.html

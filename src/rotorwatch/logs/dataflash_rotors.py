@@ -15,7 +15,7 @@ FRAME_ROTORS: dict[int, tuple[int, ...]] = {
     for class_, count in ((1, 4), (2, 6), (3, 8), (4, 8), (5, 6), (10, 2), (12, 12), (14, 10))
 } | {7: (1, 2, 4)}
 BY_NUMBER = "No output has a motor function; rotor k was taken to be output k."
-LEAST_THROTTLE = 0.02  # standard deviation of the throttle that tells something
+LEAST_THROTTLE = 0.02  # standard deviation below which the throttle counts as constant
 FRAME_NAMES = {"QUAD": 1, "HEXA": 2, "OCTA": 3, "OCTA_QUAD": 4, "OCTAQUAD": 4, "Y6": 5, "HELI": 6, "TRI": 7}
 FRAME_NAMES |= {"SINGLE": 8, "COAX": 9, "BICOPTER": 10, "DODECA_HEXA": 12, "DODECAHEXA": 12, "DECA": 14}
 

@@ -84,14 +84,14 @@ def together(
         return None
     base = max(reporting, key=lambda r: len(r[0]))[0]
     middle = 0.5 * (base[1:] + base[:-1])
-    apart = float(np.median(np.diff(base))) if len(base) > 1 else 1.0
+    spacing = float(np.median(np.diff(base))) if len(base) > 1 else 1.0
     measured = {quantity: np.full((len(base), len(reports)), np.nan) for quantity in QUANTITIES}
     for column, report in enumerate(reports):
         if report is None or not len(report[0]):
             continue
         time, values = report
         row = np.searchsorted(middle, time)
-        near = np.abs(base[row] - time) <= apart
+        near = np.abs(base[row] - time) <= spacing
         for quantity, series_ in values.items():
             measured[quantity][row[near], column] = series_[near]
     return build(base, measured, rotors, source, notes)

@@ -1,6 +1,6 @@
 """MAVLink's messages as they are on the wire.
 
-The table beside this file is made from pymavlink's ardupilotmega dialect (`tools/mavlink_messages.py`): all that is needed of 90 MB.
+The table next to this file is made from pymavlink's ardupilotmega dialect (`tools/mavlink_messages.py`): all that is needed of 90 MB.
 https://mavlink.io/en/guide/serialization.html
 """
 

@@ -139,9 +139,9 @@ def _group(kind, ways, time, table, notes):
             rows = _rows(values)
             return series.make(kind, time[rows], values[rows], names[0] + " ..", notes)
     for names, _ in ways:
-        given = [n for n in names if n in table]
-        if given:
-            raise LogError(f"column {_list([n for n in names if n not in table])} is missing beside {_list(given)}")
+        present = [n for n in names if n in table]
+        if present:
+            raise LogError(f"column {_list([n for n in names if n not in table])} is missing beside {_list(present)}")
     return None
 
 

@@ -1,4 +1,4 @@
-"""Is a sample what its neighbours say it should be? A lone value far off is damage of the log, not of the vehicle.
+"""Outliers that are damage of the log, not of the vehicle: lone values far from their neighbours.
 
 A log's framing can be whole and a value in it wrong: one bit of one output is enough for a false fault. What a vehicle
 does leaves more than one sample: a step stays, a ramp goes on, an oscillation comes back. So a sample x_i (or two in a
@@ -26,14 +26,14 @@ from rotorwatch.flight import Flight, Signal
 
 SCALES = 8.0
 AGREE = 3.0
-BEFORE = 24  # samples before that say how rough the signal has been
-AHEAD = 7  # samples on each side that say how rough it is here; the nearest two share the value in question
-FAR = 6.0  # typical intervals; a neighbour further away says nothing
+BEFORE = 24  # samples before, for the roughness of the signal
+AHEAD = 7  # samples on each side, for the roughness here; the nearest two share the value in question
+FAR = 6.0  # typical intervals; a neighbour further away is not used
 JUMPS = 0.4  # share of what makes a value lone, beyond which another one is seen to jump with it
 ALONE = 0.125  # ... and the same as a share of how far the lone value is off
 ALONE_IN_AXIS = 0.33  # ... among motors, which share every error of roll, pitch, yaw and thrust
 HABIT = 0.05  # share of a signal's values beyond which it is not damage but what the signal is like
-FITTED, FIT_EVERY = 512, 64  # samples that say how the mixer makes commands of the controller's output, and how often
+FITTED, FIT_EVERY = 512, 64  # samples that the mixer's matrix is fitted to, and how often
 PARTNER_S = 0.1  # a command further than this from any output of the controller is not compared
 TINY = 1e-12
 NAMED = 3  # times that a warning names
@@ -205,12 +205,14 @@ def _size(time, values, valid, floor: float, alike: bool = False) -> np.ndarray:
 def _alone(t: np.ndarray, x: np.ndarray, rough: np.ndarray, floor: float) -> np.ndarray:
     """(n,) as `_size`, of one column without gaps in validity; rough: (n,) |r| that say what is usual."""
     near = FAR * max(float(np.median(np.diff(t))), 1e-6)
-    r, apart = _residual(t, x, 1, 1)
+    r, spread = _residual(t, x, 1, 1)
 
-    def far(at: np.ndarray, before: int, after: int, r: np.ndarray, apart: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Those of the samples `at` that are lone, and how far off; r, apart: `_residual` at these."""
+    def far(
+        at: np.ndarray, before: int, after: int, r: np.ndarray, spread: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Those of the samples `at` that are lone, and how far off; r, spread: `_residual` at these."""
         r = np.abs(r)
-        some = (r > floor) & (r > AGREE * apart)
+        some = (r > floor) & (r > AGREE * spread)
         at, r = at[some], r[some]
         some = (t[at] - t[at - before] <= near * before) & (t[at + after] - t[at] <= near * after)
         at, r = at[some], r[some]
@@ -222,13 +224,13 @@ def _alone(t: np.ndarray, x: np.ndarray, rough: np.ndarray, floor: float) -> np.
         return at[size > 1.0], size[size > 1.0]
 
     size = np.zeros(x.size)
-    inner = np.flatnonzero((np.abs(r) > floor) & (np.abs(r) > AGREE * apart))
-    at, off = far(inner, 1, 1, r[inner], apart[inner])
+    inner = np.flatnonzero((np.abs(r) > floor) & (np.abs(r) > AGREE * spread))
+    at, off = far(inner, 1, 1, r[inner], spread[inner])
     size[at] = off
     # Two in a row: the first is held against the samples one before and two after it, the second the other way round.
-    r, apart = _residual(t, x, 1, 2)
-    inner = np.flatnonzero((np.abs(r) > floor) & (np.abs(r) > AGREE * apart))
-    first, off = far(inner, 1, 2, r[inner], apart[inner])
+    r, spread = _residual(t, x, 1, 2)
+    inner = np.flatnonzero((np.abs(r) > floor) & (np.abs(r) > AGREE * spread))
+    first, off = far(inner, 1, 2, r[inner], spread[inner])
     second, other = far(first + 1, 2, 1, *_residual(t, x, 2, 1, first + 1))
     pair = np.minimum(off[np.isin(first + 1, second)], other)
     for at in (second - 1, second):
@@ -276,10 +278,10 @@ def _residual(t, x, before: int, after: int, at: np.ndarray | None = None) -> tu
     with np.errstate(over="ignore", invalid="ignore"):
         step = xb - xa
         r = xi - xa - step * np.clip((t[middle] - ta) / np.maximum(t[b] - ta, 1e-9), 0.0, 1.0)
-        apart = np.abs(step)
+        spread = np.abs(step)
     if at is not None:
-        return r, apart
-    return np.pad(r, (before, after)), np.pad(apart, (before, after))
+        return r, spread
+    return np.pad(r, (before, after)), np.pad(spread, (before, after))
 
 
 def _scale(rough: np.ndarray, at: np.ndarray) -> np.ndarray:

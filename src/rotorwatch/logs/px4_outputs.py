@@ -4,7 +4,7 @@ Each output driver publishes an instance of `actuator_outputs`, and none says wh
 simulated outputs as shares (0..1 or -1..1), UAVCAN as the counts of its raw command (uavcan.equipment.esc.RawCommand,
 14 bit and sign: 8191 is full) and DShot as counts of its throttle field (1999 is full).
 
-Two publishers in one instance: an experimental controller that bypasses the mixer publishes its outputs beside the autopilot's own;
+Two publishers in one instance: an experimental controller that bypasses the mixer publishes its outputs next to the autopilot's own;
 both are logged under the same name, alternate, and read as one series they make outputs jump to and fro. A sample belongs to the series
 whose last value it is nearer to (`tracks`, `flown`).
 
@@ -13,7 +13,7 @@ And which of the reports in the topic esc_status is which rotor's (`escs`):
     esc[i].esc_rpm (negative: backwards), esc_voltage V, esc_current A, esc_temperature degC    as far as the driver knows them, else 0
     esc[i].actuator_function         101 is motor 1                                     1.13 and later
     esc[i].esc_address               number of the ESC on its bus, from 0 or 1          before: reports are in this order
-    esc_online_flags                 bit i: esc[i] was heard of lately
+    esc_online_flags                 bit i: esc[i] reported recently
 
 https://docs.px4.io/main/en/msg_docs/EscStatus.html and EscReport.html
 """
@@ -39,7 +39,7 @@ NO_COMMAND = 65535.0  # drivers that take counts log this while disarmed
 MOVING, MOVING_US = 0.01, 100.0  # an output that moves less, of full command and in us, need not be a rotor's
 LEAST_VALUES = 10  # rotors move through many values, servos and spare outputs step between a few
 THERE_AND_BACK = 20  # jumps away and back again within three samples, before two publishers are believed
-APART = 4.0  # how many times nearer a sample has to be to the one before last than to the last
+ALTERNATION = 4.0  # how many times nearer a sample has to be to the one before last than to the last
 AT_REST = 0.1  # of two series, one whose outputs move so much less than the other's is not what flew
 MOST_ESCS = 12
 ESC_FIELDS = {"speed": "esc_rpm", "current": "esc_current", "voltage": "esc_voltage", "temperature": "esc_temperature"}
@@ -186,7 +186,7 @@ def tracks(values: np.ndarray, step: float) -> list[np.ndarray]:
         return everything
     jump = np.abs(np.diff(values, axis=0)).max(axis=1)
     across = np.abs(values[2:] - values[:-2]).max(axis=1)
-    lone = (np.minimum(jump[1:], jump[:-1]) > np.maximum(APART * across, step)).nonzero()[0] + 1
+    lone = (np.minimum(jump[1:], jump[:-1]) > np.maximum(ALTERNATION * across, step)).nonzero()[0] + 1
     if lone.size < THERE_AND_BACK:
         return everything
     rows = values.tolist()

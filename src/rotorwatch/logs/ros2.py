@@ -54,19 +54,19 @@ def read_folder(path: Path, progress=None) -> Flight:
     files = _files(path)
     for done, file in enumerate(files):
 
-        def tell(share, done=done):
+        def report(share, done=done):
             if progress:
                 progress((done + share) / len(files))
 
         try:
             if file.name.endswith(".db3"):
-                bag_storage.read_sqlite(file, bag, tell)
+                bag_storage.read_sqlite(file, bag, report)
                 if (left := file.with_name(file.name + "-wal")).exists() and left.stat().st_size:
                     bag.notes.append(f"{file.name}: the recording was interrupted; what {left.name} holds was not read")
             else:
                 data, _, warnings = open_log(file)
                 bag.notes += [f"{file.name}: {w}" for w in warnings]
-                bag_storage.read_mcap(data, bag, tell)
+                bag_storage.read_mcap(data, bag, report)
         except LogError as error:
             if len(files) == 1:
                 raise

@@ -1,4 +1,4 @@
-"""Definitions of the messages that are read, from the file beside this one, for bags that do not carry their own.
+"""Definitions of the messages that are read, from the file next to this one, for bags that do not carry their own.
 
 Where releases of PX4 differ in the fields that are used, each form is there, and the values decide which it is (`fits`): quaternions
 have length 1, flags are 0 or 1, a sample is not younger than its message.

@@ -85,7 +85,7 @@ def steady(time: np.ndarray) -> np.ndarray:
     """Indices of the most samples that form non-decreasing times without a gap of more than a day.
 
     The longest non-decreasing subsequence, so that a single wild stamp costs one sample, not all that follow it. At
-    either end order cannot tell: there a few samples beyond a gap are not believed (`within_ends`).
+    either end order does not help: there a few samples beyond a gap are not believed (`within_ends`).
     """
     step = time[1:] - time[:-1]
     if ((step >= 0.0) & (step <= DAY_S)).all() and np.isfinite(time[:1]).all():  # the rule; NaN fails

@@ -28,7 +28,9 @@ UNTIMED = {
 }
 _UNIX_US = 1e14  # larger time stamps count from 1970, smaller ones from the autopilot's start
 _WRAP_US = 2.0**32  # SERVO_OUTPUT_RAW.time_usec starts again there
-_APART_US = 10e6  # between two messages of the same moment; a stamp further from its neighbours in the file is damaged
+_SAME_MOMENT_US = (
+    10e6  # between two messages of the same moment; a stamp further from its neighbours in the file is damaged
+)
 _MG = series.G / 1000
 
 
@@ -143,7 +145,7 @@ class _Log:
             before = self._before(order)
             now = self._latest[before] + ahead[before]
             unwrapped = stamp + _WRAP_US * np.round((now - stamp) / _WRAP_US)
-            near = np.abs(unwrapped - now) < _APART_US
+            near = np.abs(unwrapped - now) < _SAME_MOMENT_US
             self._stamps[name] = np.where(near, np.maximum(unwrapped - ahead[before], self.start_us), np.nan)
 
     def _before(self, order):
@@ -182,7 +184,7 @@ def _columns(table, fields) -> np.ndarray:
     return np.array([table[f] for f in fields], float).T
 
 
-# Signals of which several messages may tell: the fastest counts. Of the others the first one that there is.
+# Signals that several messages may carry: the fastest counts. Of the others the first one that there is.
 FASTEST = ("motors", "gyro", "rates", "accel", "attitude")
 MOTORS = "SERVO_OUTPUT_RAW"
 BANK = 16  # outputs of each of its ports
@@ -205,7 +207,7 @@ class Messages(Protocol):
 
 @dataclass(frozen=True)
 class Reading:
-    """One message that tells of a signal. make(log): the signal, or None where the log has nothing usable of it."""
+    """One message that carries a signal. make(log): the signal, or None where the log has nothing usable of it."""
 
     source: str
     make: Callable[[Messages], Signal | None]
@@ -213,7 +215,7 @@ class Reading:
 
 @cache
 def readings(outputs: tuple[int, ...]) -> dict[str, tuple[Reading, ...]]:
-    """Signal -> the messages that tell of it, in order of preference: of a file and of a link. outputs: of `rotor_outputs`."""
+    """Signal -> the messages that carry it, in order of preference: of a file and of a link. outputs: of `rotor_outputs`."""
 
     def by(kind, name, read, rows=lambda table: slice(None)):
         """A message's values, or (values, valid), as read(table) makes them of its `rows`."""

@@ -30,7 +30,7 @@ from rotorwatch.many.done import Done, Task, attempt, packed
 AHEAD, LEAST = 2, 16
 """Items in flight for each worker, and in all."""
 COUNT_S, QUIET_S = 5.0, 10.0
-"""How often workers are counted; after how long without any that is said."""
+"""How often workers are counted; how long without any before a warning."""
 ANSWER_S, RETURN_S = 10.0, 120.0
 """For a scheduler to answer, and for one that was lost to come back."""
 
@@ -48,7 +48,7 @@ def run(function: Callable, tasks: Iterator[Task], scheduler: str) -> Iterator[D
     import distributed
     from distributed.protocol import pickle as dask_pickle
 
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what goes wrong is told here, in one sentence
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # errors are reported here, in one sentence
     work = dask_pickle.dumps(function)  # functions of scripts, too, which plain pickle cannot send to other programs
     name, turns = f"rotorwatch-{uuid.uuid4().hex[:12]}", itertools.count()
     again: deque[Task] = deque()
@@ -74,12 +74,12 @@ def run(function: Callable, tasks: Iterator[Task], scheduler: str) -> Iterator[D
                     completed.thread_condition.wait(0.5)
             batch = completed.next_batch(block=False)
             lost = False
-            for future, said in batch:
+            for future, answer in batch:
                 _, task = flying.pop(future.key)
-                if isinstance(said, bytes):
-                    yield Done(task.index, *pickle.loads(said))
-                elif isinstance(said, tuple):
-                    yield Done(task.index, None, _error(said[1]))
+                if isinstance(answer, bytes):
+                    yield Done(task.index, *pickle.loads(answer))
+                elif isinstance(answer, tuple):
+                    yield Done(task.index, None, _error(answer[1]))
                 else:  # cancelled: the scheduler is lost, and with it all that it knew
                     again.append(task)
                     lost = True
@@ -123,7 +123,7 @@ class _Room:
 
     def __init__(self, client: Any, scheduler: str):
         self.client, self.scheduler = client, scheduler
-        self.workers, self.counted, self.seen, self.said = 0, float("-inf"), time.monotonic(), False
+        self.workers, self.counted, self.seen, self.reported = 0, float("-inf"), time.monotonic(), False
 
     def __call__(self) -> int:
         now = time.monotonic()
@@ -133,15 +133,15 @@ class _Room:
             self.counted = now
             if self.workers:
                 self.seen = now
-            elif now - self.seen > QUIET_S and not self.said:
-                self.said = True
+            elif now - self.seen > QUIET_S and not self.reported:
+                self.reported = True
                 start = f"start some with `dask worker {self.scheduler} --nthreads 1`"
                 warnings.warn(f"No worker is connected to {self.scheduler}: {start}.", WorkerWarning, stacklevel=3)
         return max(LEAST, AHEAD * self.workers)
 
 
 def _error(why: Exception) -> Exception:
-    """What Dask says of an item that it gave up, in one sentence."""
+    """Dask's reason for giving up an item, as an exception with one sentence."""
     kind = type(why).__name__
     if kind == "KilledWorker":
         return WorkerError("every worker that began it died (too little memory?)", "died")

@@ -88,10 +88,10 @@ def diagnose_many(
 
     known = known or {}
     craft = vehicle_of(vehicle)
-    for given in baseline:
-        if not isinstance(given, Flight):
-            read(given)  # an error in it would be every log's
-    healthy = tuple(given if isinstance(given, Flight) else _named(given, scheduler) for given in baseline)
+    for source in baseline:
+        if not isinstance(source, Flight):
+            read(source)  # an error in it would be every log's
+    healthy = tuple(source if isinstance(source, Flight) else _named(source, scheduler) for source in baseline)
     judge = _Judge(craft, healthy, estimator, tuning, pages, recordings, hashed)
     if isinstance(paths, Sequence):
         paths = list(gathering.Gathered(paths))

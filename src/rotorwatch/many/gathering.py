@@ -28,60 +28,60 @@ MEANT = re.compile(r"\.(bin|ulg|tlog|bbl|bfl)(\.xz|\.gz|\.bz2)?$", re.IGNORECASE
 """Of files that are meant as logs: one that cannot be read was a flight, and is not passed over."""
 
 
-def is_address(given: Any) -> bool:
+def is_address(source: Any) -> bool:
     """Whether this is the address of a log or of several (s3://, http://, file:// ..), not a path."""
-    return isinstance(given, str) and ADDRESS.match(given) is not None and not os.path.exists(given)
+    return isinstance(source, str) and ADDRESS.match(source) is not None and not os.path.exists(source)
 
 
-def is_several(given: Any) -> bool:
+def is_several(source: Any) -> bool:
     """Whether this stands for any number of logs: a folder that is no log itself, a pattern, an address that is one of these, or a file
     with several flights."""
-    if is_address(given):
-        return given.endswith("/") or "*" in given
-    path = Path(given)
+    if is_address(source):
+        return source.endswith("/") or "*" in source
+    path = Path(source)
     if path.is_dir():
         return not is_log(path)
     if path.is_file():
         return len(logs.sessions(path)) > 1
-    return not path.exists() and PATTERN.search(str(given)) is not None
+    return not path.exists() and PATTERN.search(str(source)) is not None
 
 
 class Gathered:
     """The logs of a call, each once, in the order found: files by name as they are given, what is in folders and fits patterns when it is
     named or recognised as a log. `others`: how many files in those were not, counted while this is iterated over."""
 
-    def __init__(self, given: Iterable[str | os.PathLike]):
-        self.given, self.others = given, 0
+    def __init__(self, source: Iterable[str | os.PathLike]):
+        self.source, self.others = source, 0
 
     def __iter__(self) -> Iterator[str | Path]:
         """Raises ConfigError for a folder, a pattern or an address without logs."""
         seen: set[str] = set()
         self.others = 0
-        for given in self.given:
+        for source in self.source:
             count = 0
-            for log in self._of(given):
+            for log in self._of(source):
                 count += 1
                 if (name := full(log)) not in seen:
                     seen.add(name)
                     yield log
             if not count:
-                what = "holds no flight log" if is_address(given) or Path(given).is_dir() else "fits no flight log"
-                raise ConfigError(f"{given} {what}; give a log, a folder or a pattern.")
+                what = "holds no flight log" if is_address(source) or Path(source).is_dir() else "fits no flight log"
+                raise ConfigError(f"{source} {what}; give a log, a folder or a pattern.")
 
-    def _of(self, given: str | os.PathLike) -> Iterator[str | Path]:
-        if not is_address(given) and Path(given).is_file():
-            yield from self._flights(Path(given))
-        elif not is_several(given):
-            yield str(given) if is_address(given) else Path(given)
-        elif is_address(given):
-            yield from self._behind(str(given))
-        elif Path(given).is_dir():
-            yield from self._inside(Path(given))
+    def _of(self, source: str | os.PathLike) -> Iterator[str | Path]:
+        if not is_address(source) and Path(source).is_file():
+            yield from self._flights(Path(source))
+        elif not is_several(source):
+            yield str(source) if is_address(source) else Path(source)
+        elif is_address(source):
+            yield from self._behind(str(source))
+        elif Path(source).is_dir():
+            yield from self._inside(Path(source))
         else:
-            for name in sorted(glob.glob(str(given), recursive=True)):
+            for name in sorted(glob.glob(str(source), recursive=True)):
                 path = Path(name)
                 if not path.is_dir() or is_log(path):
-                    yield from self._kept(path)
+                    yield from self._recognised(path)
 
     def _inside(self, folder: Path) -> Iterator[Path]:
         if is_log(folder):
@@ -95,9 +95,9 @@ class Gathered:
                 if not path.is_symlink():  # a link may lead back here
                     yield from self._inside(path)
             else:
-                yield from self._kept(path)
+                yield from self._recognised(path)
 
-    def _kept(self, path: Path) -> Iterator[Path]:
+    def _recognised(self, path: Path) -> Iterator[Path]:
         if MEANT.search(path.name) or is_log(path):
             yield from self._flights(path)
         else:

@@ -24,8 +24,8 @@ from rotorwatch.base import incoming
 from rotorwatch.errors import WorkerError
 from rotorwatch.many.done import Done, Task, attempt, packed, portable
 
-START_S, GONE_S = 120.0, 10.0
-"""For a process to load what it needs, and to be gone after its pipe."""
+START_S, EXIT_S = 120.0, 10.0
+"""For a process to load what it needs, and to end after its pipe."""
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NPROC")
 """Variables that say how many threads numerical libraries use; the last one is XLA's."""
 READY = b"ready"
@@ -47,12 +47,12 @@ def run(
                 return
             finished: list[Done] = []
             for worker in _ready(team):
-                said, task = worker.receive(), worker.task
-                if said == READY:
+                received, task = worker.receive(), worker.task
+                if received == READY:
                     never_started = 0
                     worker.begin()
                     continue
-                if said is None:  # it died or hangs
+                if received is None:  # it died or hangs
                     team.remove(worker)
                     how = worker.ended()
                     if not worker.ready:
@@ -70,7 +70,7 @@ def run(
                         error = WorkerError(f"the process {how}{times} (too little memory?)", how)
                         finished.append(Done(task.index, None, error))
                     continue
-                value, error = _unpacked(said)
+                value, error = _unpacked(received)
                 if error is not None and not worker.ready:  # the function itself cannot be loaded there
                     raise error
                 finished.append(Done(task.index, value, error))
@@ -88,7 +88,7 @@ def run(
 
 
 def _ready(team: list[Worker]) -> list[Worker]:
-    """Those that have something to say, have died, or are beyond their limit; waits for one."""
+    """Workers that have sent a message, have died, or are beyond their limit; waits for one."""
     deadline = min(worker.deadline for worker in team)
     left_s = None if deadline == float("inf") else max(0.0, deadline - time.monotonic())
     ready = connection.wait([w.pipe for w in team], left_s)
@@ -96,9 +96,9 @@ def _ready(team: list[Worker]) -> list[Worker]:
     return [w for w in team if w.pipe in ready or now > w.deadline]
 
 
-def _unpacked(said: bytes) -> tuple[Any, Exception | None]:
+def _unpacked(received: bytes) -> tuple[Any, Exception | None]:
     try:
-        return pickle.loads(said)
+        return pickle.loads(received)
     except Exception as why:
         return None, RuntimeError(f"A result cannot be unpacked ({type(why).__name__}: {why}).")
 
@@ -121,15 +121,15 @@ class Worker:
         theirs.close()
         self.deadline = time.monotonic() + START_S
 
-    def ask(self, item: Any) -> Any:
+    def call(self, item: Any) -> Any:
         """function(item), waited for. Raises what the function raises; WorkerError when the process dies or hangs: it is gone then."""
         self.task = Task(0, item)
         value, error = None, None
         if not self.ready:
-            said = self._answer("while starting")
-            if said != READY:
+            received = self._answer("while starting")
+            if received != READY:
                 self.stop()
-                error = _unpacked(said)[1]
+                error = _unpacked(received)[1]
         if error is None:
             self.begin()
             value, error = _unpacked(self._answer())
@@ -137,11 +137,11 @@ class Worker:
 
     def _answer(self, when: str = "") -> bytes:
         _ready([self])
-        said = self.receive()
-        if said is None:
+        received = self.receive()
+        if received is None:
             how = self.ended()
             raise WorkerError(f"the process {how} {when}".rstrip(), how)
-        return said
+        return received
 
     @property
     def alive(self) -> bool:
@@ -155,7 +155,7 @@ class Worker:
             self.pipe.send_bytes(pickle.dumps(self.task.item))
 
     def receive(self) -> bytes | None:
-        """What it says; None when it has died or is beyond its limit."""
+        """Its next message; None when it has died or is beyond its limit."""
         self.hung = not self.pipe.poll()
         try:
             return None if self.hung else self.pipe.recv_bytes()
@@ -163,9 +163,9 @@ class Worker:
             return None
 
     def ended(self) -> str:
-        """How it ended that had nothing to say: "died (exit code ..)" or "hung for .. s and more"."""
+        """How it ended without a message: "died (exit code ..)" or "hung for .. s and more"."""
         if not self.hung:
-            self.process.join(GONE_S)  # its pipe is closed, its exit code not known yet
+            self.process.join(EXIT_S)  # its pipe is closed, its exit code not known yet
         self.stop()
         limit_s = self.limit_s or 0.0 if self.ready else START_S
         return f"hung for {limit_s:g} s and more" if self.hung else f"died (exit code {self.process.exitcode})"
@@ -195,7 +195,7 @@ def _one_thread() -> Iterator[None]:
 
 
 def _serve(pipe: Any, work: bytes, place: str) -> None:
-    """A process: says that it is ready, then items in, packed results out, until the pipe closes. place: for its temporary files."""
+    """A process: sends READY, then items in, packed results out, until the pipe closes. place: for its temporary files."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # who started it decides when to stop
     tempfile.tempdir = place
     if not os.environ.get("ROTORWATCH_DEBUG"):

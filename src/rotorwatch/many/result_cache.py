@@ -30,11 +30,11 @@ class ResultCache:
 
     def place(self, item: Any) -> Path:
         """The file of an item's value, whether it is there or not."""
-        told = hashlib.sha256(self._function + pickle.dumps(item))
+        digest = hashlib.sha256(self._function + pickle.dumps(item))
         for path in _files(item):
             state = os.stat(path)
-            told.update(f"{path} {state.st_size} {state.st_mtime_ns}\n".encode())
-        return self._folder / f"{told.hexdigest()[:32]}.part"
+            digest.update(f"{path} {state.st_size} {state.st_mtime_ns}\n".encode())
+        return self._folder / f"{digest.hexdigest()[:32]}.part"
 
     def load(self, item: Any) -> tuple[Any] | None:
         """(value,), or None where there is none that can be read."""

@@ -78,11 +78,11 @@ def active(trial, low, high):
     return inside.astype(float), jnp.where(inside, 0.0, fixed)
 
 
-def nominal_input(system, given=None):
-    """u (n_u,) in ordinary flight: as given, or the plant's own `u_nominal`, or for plants with B_T and m equal thrusts that
+def nominal_input(system, u_nominal=None):
+    """u (n_u,) in ordinary flight: `u_nominal`, or the plant's own `u_nominal`, or for plants with B_T and m equal thrusts that
     carry the weight, else ones."""
-    if given is not None:
-        return checks.finite("u_nominal", checks.shape("u_nominal", np.asarray(given, float), system.n_u))
+    if u_nominal is not None:
+        return checks.finite("u_nominal", checks.shape("u_nominal", np.asarray(u_nominal, float), system.n_u))
     if hasattr(system, "u_nominal"):
         return system.u_nominal
     if hasattr(system, "B_T") and hasattr(system, "m"):

@@ -1,12 +1,12 @@
 """Which rotors' losses make up a missing wrench: f = Phi theta with more rotors than channels.
 
 f (c,): what the actuators did not deliver, channel by channel; Phi (c, n): what a full loss of each rotor does; W (c,):
-weight of each channel, 1 / noise variance, 0 where it says nothing. Up to four rotors Phi can be inverted, and weighting the
+weight of each channel, 1 / noise variance, 0 where it is not measured. Up to four rotors Phi can be inverted, and weighting the
 rows balances their magnitudes. Beyond, infinitely many theta explain f, and three readings are offered:
 
     least squares    the smallest theta: spreads one rotor's loss over all of them
     sparse           the fewest faulty rotors, by enumeration, a loss common to all counting as one
-    temporal         one constant theta in [0, 1] for all that was seen lately: commands that move tell rotors apart
+    temporal         one constant theta in [0, 1] for all recent data: commands that move distinguish rotors
 
 Each is a pure rule: init() -> state, and rule(state, Phi, f, W, dt) -> (state, Answer). dt is 0 where nothing was measured.
 """
@@ -23,8 +23,8 @@ from rotorwatch.base.backend import jax, jnp, lax
 from rotorwatch.core import Array
 from rotorwatch.maths.small import definite_solve
 
-CHANNELS = 4  # roll, pitch, yaw, thrust: what rotors can be told apart by
-RIDGE = 1e-12  # of the largest information: directions with less say nothing
+CHANNELS = 4  # roll, pitch, yaw, thrust: the axes on which rotors differ
+RIDGE = 1e-12  # of the largest information: directions with less count as unobservable
 
 
 class Answer(NamedTuple):
@@ -48,7 +48,7 @@ class LeastSquares:
     """theta = (Phi' W Phi)^+ Phi' W f: exact for up to as many rotors as channels, the smallest theta beyond."""
 
     def __init__(self, n: int, loss_sd: float):
-        """n: size of theta; loss_sd: how far a loss may be from 0 where f does not tell."""
+        """n: size of theta; loss_sd: standard deviation of a loss that f does not determine."""
         self.n, self.loss_sd = n, loss_sd
 
     def init(self) -> tuple:
@@ -121,8 +121,8 @@ class Sparse:
             (jnp.linalg.cholesky((only * W) @ only.T + jnp.diag(empty)), True), only * W
         )
         odds = jnp.exp(-0.5 * away)
-        apart = (theta - chosen[:, None]) * jnp.sqrt(odds / odds.sum())
-        return state, Answer(chosen, M, apart @ apart.T + self.rest_sd**2 * np.eye(self.n), count)
+        scatter = (theta - chosen[:, None]) * jnp.sqrt(odds / odds.sum())
+        return state, Answer(chosen, M, scatter @ scatter.T + self.rest_sd**2 * np.eye(self.n), count)
 
     def _candidates(self, G, z, power):
         """theta (n, sets) of every set within bounds, and its score (sets,). G, z: information about the atoms."""

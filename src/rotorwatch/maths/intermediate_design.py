@@ -107,17 +107,17 @@ def checked(A, C, E, N, alpha, epsilon, L, mu) -> Synthesis:
     return Synthesis(L, mu, float(values.max()))
 
 
-def rates(settle_s: float, within: float = 0.1) -> tuple[float, float]:
-    """(alpha, lv) of a channel with a double pole that forgets a step to the share `within` in settle_s seconds.
+def rates(settling_time_s: float, within: float = 0.1) -> tuple[float, float]:
+    """(alpha, lv) of a channel with a double pole that forgets a step to the share `within` in settling_time_s.
 
     A double pole at -a means lv = 2 a, alpha = a / 2, and a share (1 + a t) exp(-a t) is left after t.
     """
     from scipy.special import lambertw
 
-    checks.positive("settle_s", settle_s)
+    checks.positive("settling_time_s", settling_time_s)
     checks.between("within", within, 1e-12, 1 - 1e-12)
     at = -1.0 - float(np.real(lambertw(-within / np.e, -1)))  # (1 + z) exp(-z) = within
-    return 0.5 * at / settle_s, 2.0 * at / settle_s
+    return 0.5 * at / settling_time_s, 2.0 * at / settling_time_s
 
 
 def exact_gains(lp, lv, alpha, dt):
@@ -146,7 +146,7 @@ def riccati_gains(F, G, E, H, Q, R) -> tuple[np.ndarray, np.ndarray]:
     """(K_x, K_f), (n_x, n_y) each: steady gains where a state that losses drive is not measured itself.
 
     x(k+1) = F x + G f with process noise Q, y = H x with variances R; f = E w, and w (r,) walks by unit variance a step. The
-    Riccati equation of [x; w]; raises ConfigError when w cannot be told from y (Assumption 4 fails).
+    Riccati equation of [x; w]; raises ConfigError when w is not observable from y (Assumption 4 fails).
     """
     from scipy.linalg import LinAlgError, solve_discrete_are
 

@@ -154,8 +154,8 @@ def _multiply(equation, a, b):
 def _divide(equation, a, b):
     if not isinstance(b, Interval):
         return _multiply(equation, a, 1.0 / b)
-    apart = (b.lo > 0) | (b.hi < 0)
-    inverse = Interval(jnp.where(apart, 1.0 / b.hi, -jnp.inf), jnp.where(apart, 1.0 / b.lo, jnp.inf))
+    without_zero = (b.lo > 0) | (b.hi < 0)
+    inverse = Interval(jnp.where(without_zero, 1.0 / b.hi, -jnp.inf), jnp.where(without_zero, 1.0 / b.lo, jnp.inf))
     return _multiply(equation, a, inverse)
 
 

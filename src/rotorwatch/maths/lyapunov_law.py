@@ -114,7 +114,7 @@ class Law:
         return L_x, dt * self.gamma * adapt * self.moving(u)[:, None]
 
     def moving(self, u):
-        """(n_theta,) 1, or 0 where the rotor's command is too small to tell its loss from any other."""
+        """(n_theta,) 1, or 0 where the rotor's command is too small for its loss to be observable."""
         return bounded.moving(self.system, u, self.hold * self.u_nominal)
 
     def project(self, theta):

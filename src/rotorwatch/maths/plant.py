@@ -14,7 +14,7 @@ SIZES, PARTS = ("n_x", "n_u", "n_theta", "n_y"), ("f", "h", "Q", "R", "x0", "P0"
 
 
 def checked(method: str, system: Any, dt: Any) -> Any:
-    """The plant, unchanged, when `method` can be made for it in steps of dt seconds: every estimator's constructor asks here.
+    """The plant, unchanged, after checks that `method` is defined for it with steps of dt seconds. Every estimator's constructor calls it.
 
     R (n_y,) has to be variances: of independent measurements, one after the other is taken in. Raises ConfigError for missing
     parts, wrong shapes, a Q or P0 that is no covariance and an R that is not n_y numbers of at least 0.
@@ -64,7 +64,7 @@ class Rotors:
 
 def theta_names(system: Any) -> tuple[str, ...]:
     """(n_theta,) the plant's own names of its losses, else loss_1, loss_2 .. and, for what it adds to them, theta_5 .."""
-    given = getattr(system, "theta_names", None)
-    if given is not None:
-        return tuple(given)
+    names = getattr(system, "theta_names", None)
+    if names is not None:
+        return tuple(names)
     return tuple(f"{'loss' if i < system.n_u else 'theta'}_{i + 1}" for i in range(system.n_theta))

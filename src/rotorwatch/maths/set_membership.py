@@ -30,11 +30,11 @@ from rotorwatch.maths import ellipsoid, interval, linearise, plant, taylor
 from rotorwatch.maths.small import blocks, product, symmetric
 
 UNBOUNDED = 1e6  # half-width taken for a remainder that interval arithmetic cannot bound: in effect "anything"
-OUTGROWN = 1e3  # half-width beyond which a set that nothing cut says nothing, and costs digits
+OUTGROWN = 1e3  # half-width beyond which a set that nothing cut holds no information, and costs digits
 RESTART_ROUNDS = 8
 RESTART_WEIGHTS = (0.03, 0.3, 2.0)  # of the measurement; the last makes the set that the remainder is bounded over
 ALLOWED, MARGIN = 0.5, 1.2  # a remainder's allowance: in noise bounds at most, and in remainders of the round before
-APART = 3.0, 1.5  # E(0, P) x E(0, T) lies within the ellipsoid of 3 P and 3/2 T
+PRODUCT_SCALE = 3.0, 1.5  # E(0, P) x E(0, T) lies within the ellipsoid of 3 P and 3/2 T
 SHARP = 1.0  # weight of each of the two measurements that keep the small set small
 # In every step: factor on the odds of the sum's share of least trace, and weight of the measurement. The last is for x.
 TRIED = (1.0, 0.003), (10.0, 0.003), (10.0, SHARP)
@@ -149,7 +149,9 @@ class SetMembership:
             self.weights = np.repeat([1e-3, 1.0], [n_x, n_theta]) if self.cut == "trace" else np.ones(self.n)
         self.theta_prior = np.diag(reach**2)
         self.prior = self.near_prior = blocks(np.asarray(bound**2 * np.asarray(system.P0)), self.theta_prior)
-        self.apart = blocks(np.full((n_x, n_x), APART[0]), np.full((n_theta, n_theta), APART[1]))
+        self.product_scale = blocks(
+            np.full((n_x, n_x), PRODUCT_SCALE[0]), np.full((n_theta, n_theta), PRODUCT_SCALE[1])
+        )
         if form == "ud":
             self.prior = ellipsoid.factored(self.prior)
 
@@ -221,7 +223,7 @@ class SetMembership:
         """
         n_x, n, system = self.n_x, self.n, self.system
         start = jnp.concatenate([carry.near[:n_x], jnp.asarray(self.theta_centre)])
-        S = self.apart * blocks(carry.near_shape[:n_x, :n_x], jnp.asarray(self.theta_prior), jnp)
+        S = self.product_scale * blocks(carry.near_shape[:n_x, :n_x], jnp.asarray(self.theta_prior), jnp)
         Q, bound = self.noise(dt, jnp.ones(self.n)), self._error_bound(u, "joint")
         weights = jnp.asarray(RESTART_WEIGHTS)
 
@@ -334,7 +336,7 @@ class SetMembership:
             return system.f(point[:n_x], u, point[n_x:], dt)
 
         if self.form == "joint":
-            point, around = carry.near, self.apart * carry.near_shape
+            point, around = carry.near, self.product_scale * carry.near_shape
         else:
             point, around = carry.z, self.unfactored(carry.shape)
         x, F, half = self._bounded(f, point, around)
@@ -485,9 +487,9 @@ class SetMembership:
     def _rows(self, cut, z, shape, H, e, limit, valid):
         """One valid measurement after the other; e: measured minus predicted at z."""
 
-        def row(state, given):
+        def row(state, measurement):
             a, P, health = state
-            h, left, r, valid = given
+            h, left, r, valid = measurement
             new = cut(a, P, h, left - h @ (a - z), r)
             health = jnp.where(valid, jnp.minimum(health, new.health), health)
             return (jnp.where(valid, new.a, a), jnp.where(valid, new.P, P), health), None

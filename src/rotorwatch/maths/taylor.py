@@ -160,10 +160,10 @@ class _Rules:
         bend = bend if isinstance(bend, Interval) else Interval(bend, bend)
         square = jnp.maximum(reach.hi - centre, centre - reach.lo) ** 2
         # Where it bends one way only, the tangent is furthest from it at the ends: exact, and finite at a root of 0.
-        apart = [function(t) - value - first * (t - centre) for t in (reach.lo, reach.hi)]
+        tangent_error = [function(t) - value - first * (t - centre) for t in (reach.lo, reach.hi)]
         one_way = (bend.lo >= 0) | (bend.hi <= 0)
-        low = jnp.where(one_way, jnp.minimum(*apart), 0.5 * jnp.minimum(bend.lo, 0.0) * square)
-        high = jnp.where(one_way, jnp.maximum(*apart), 0.5 * jnp.maximum(bend.hi, 0.0) * square)
+        low = jnp.where(one_way, jnp.minimum(*tangent_error), 0.5 * jnp.minimum(bend.lo, 0.0) * square)
+        high = jnp.where(one_way, jnp.maximum(*tangent_error), 0.5 * jnp.maximum(bend.hi, 0.0) * square)
         low, high = jnp.minimum(low, 0.0), jnp.maximum(high, 0.0)
         c = value + first * (x.c - centre) + 0.5 * (low + high)
         e = jnp.abs(first) * x.e + 0.5 * (high - low)
@@ -185,13 +185,13 @@ class _Rules:
         width = reach.hi - reach.lo
         slope = jnp.where(width > 0, (ends.hi - ends.lo) / jnp.where(width > 0, width, 1.0), 1.0)
 
-        def apart(corner):
+        def chord_error(corner):
             corner = jnp.clip(corner, reach.lo, reach.hi)
             return jnp.clip(corner, low, high) - ends.lo - slope * (corner - reach.lo)
 
         gaps = (
-            jnp.minimum(jnp.minimum(apart(low), apart(high)), 0.0),
-            jnp.maximum(jnp.maximum(apart(low), apart(high)), 0.0),
+            jnp.minimum(jnp.minimum(chord_error(low), chord_error(high)), 0.0),
+            jnp.maximum(jnp.maximum(chord_error(low), chord_error(high)), 0.0),
         )
         c = ends.lo + slope * (x.c - reach.lo) + 0.5 * (gaps[0] + gaps[1])
         return Model(c, slope * x.g, slope * x.e + 0.5 * (gaps[1] - gaps[0]), ends.lo, ends.hi)

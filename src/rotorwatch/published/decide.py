@@ -2,7 +2,7 @@
 
 A published method gives losses theta_hat (n,) and leaves the decision to its reader. Thresholds on each theta_hat are not enough:
 with more than four rotors the method spreads one loss over several, wind and drift move all of them, and one aircraft is a
-hundred times noisier than another. So the losses are read as the wrench they say is missing,
+hundred times noisier than another. So the losses are turned into the missing wrench,
 
     v = B theta_hat - level,        level: where B theta_hat was before, forgotten over LEVEL_S
 
@@ -20,7 +20,11 @@ from rotorwatch.base import checks
 from rotorwatch.core import Decision
 from rotorwatch.default import hypotheses
 
-LEVEL_S, SCATTER_S, SETTLE_S = 20.0, 30.0, 4.0  # forgetting; and how long after the start nothing is decided
+LEVEL_S, SCATTER_S, WARM_UP_S = (
+    20.0,
+    30.0,
+    4.0,
+)  # s: forgetting of level and scatter; no decision so long after the start
 FLOOR = 0.01  # hover thrusts: no method is steadier than that
 COMMON_SD = 0.02  # per rotor: battery and air move all of them
 CLIP = 9.0  # a square counts at most this many times its mean: a fault must not look like scatter
@@ -78,7 +82,7 @@ class Threshold:
         log_other = jnp.maximum(jnp.max(jnp.where(fault, -jnp.inf, log_odds)), 0.0)
         over = 0.5 * self.sigmas**2
         statistic = jnp.minimum(log_fault - over, log_fault - log_other)
-        ready = carry.seconds > SETTLE_S
+        ready = carry.seconds > WARM_UP_S
         wrong = ready & seen & enough & (statistic > 0.0)
         run = jnp.where(wrong & (carry.best == best), carry.run + 1, jnp.where(wrong, 1, 0)).astype(jnp.int32)
         alarm = run * dt >= self.persist_s

@@ -96,8 +96,8 @@ def rows(flight: Flight, lag_s: float = LAG_S) -> Table:
     moving = np.stack([near[:, 0] & near[:, 1], near[:, 2]], axis=1)
     valid = np.repeat(moving, 3, axis=1) & np.isfinite(y)
     # A measurement is what the row before led to: the command of then, the attitude of then.
-    command, lean = _followed(motors.values, dt, lag_s), np.stack([roll, pitch], axis=1)
-    u = np.concatenate([command[:-1], lean[:-1]], axis=1)
+    command, tilt = _followed(motors.values, dt, lag_s), np.stack([roll, pitch], axis=1)
+    u = np.concatenate([command[:-1], tilt[:-1]], axis=1)
     fine = np.isfinite(u)
     if not np.all(np.any(fine, axis=0)):
         raise LogError(f"{flight.name or 'The log'} holds a column without numbers.")

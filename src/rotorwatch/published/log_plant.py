@@ -5,7 +5,7 @@ is the rotational dynamics of maths/systems/rate_dynamics.py in hover thrusts of
 
     J = diag(G),   D = diag(c),   tau_0 = -b,   m = n G_T / g,   F_0 = -b_T
 
-so whatever teaches the default method its gains and noise - healthy flights, else the first seconds of this one - gives
+so the data that the default method learns gains and noise from - healthy flights, else the first seconds of this one - give
 the plant. Roll and pitch torques are in arm lengths, yaw in drag ratios; a flat body, J_z = J_x + J_y, makes them one unit.
 
 A tick's rate is a mean over the tick; from one to the next it changes by what the commands of both did, so a row's u is the
@@ -65,7 +65,7 @@ def plant(parameters) -> RateDynamics:
 def hops(table: Ticks, B: np.ndarray, dynamics: dict | None = None) -> tuple[LogPlant, ...]:
     """One plant and table for each hop of a flight, from the end of its learning time on; none without such a hop.
 
-    B (4, n): geometry. dynamics: what healthy flights taught (`default.learning.learn`); None: the hop's own first part,
+    B (4, n): geometry. dynamics: learned from healthy flights (`default.learning.learn`); None: the hop's own first part,
     which is taken as healthy, teaches gains and noise. Trims are always the hop's own. Causal: a row uses nothing later than
     its tick. Raises ConfigError when the commands are too slow for the default estimator, which is the teacher.
     """
@@ -97,7 +97,7 @@ def parameters(B: np.ndarray, G, c, b, noise: np.ndarray, dt: float) -> dict:
     to_common = np.array([1.0, 1.0, (G[0] + G[1]) / G[2]])  # yaw: drag ratios to arm lengths, as a flat body has it
     # What is slower than a tick counts as white noise of the same power at 0 Hz; drift as what drifts within a second.
     white, slow = noise[0], 2.0 * np.array(TAU) @ noise[1:3] + noise[3]
-    # Half of the white part is taken as the gyro's (a difference of two samples), half as torque: healthy/tune.py asks the data.
+    # Half of the white part is taken as the gyro's (a difference of two samples), half as torque: healthy/tune.py estimates the shares.
     gyro_sd = 0.5 * np.sqrt(white[:3]) * dt / G[:3]
     torque_sd = np.sqrt(0.5 * white[:3] * dt + slow[:3])
     accel_sd = np.sqrt(noise[:, 3].sum()) * G0 / (n * G[3])
@@ -131,7 +131,7 @@ def _plausible(x: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _trim(table: Ticks, rows: np.ndarray, G: np.ndarray, c: np.ndarray) -> np.ndarray:
-    """(4,) median of what the commands say and the motion does not explain; 0 on an axis that is not measured."""
+    """(4,) median of the commanded wrench less what the motion shows; 0 on an axis that is not measured."""
     n = table.thrust.shape[1]
     motion = np.column_stack([table.rate_dot[rows], n * table.load[rows]])
     turning = np.column_stack([table.rate[rows], np.zeros(rows.size)])

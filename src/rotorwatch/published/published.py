@@ -1,7 +1,7 @@
-"""A published method on a real flight: from ticks to what the default diagnoser leaves behind, so that all else is shared.
+"""A published method on a real flight: from ticks to outputs in the form of the default diagnoser's, so that all else is shared.
 
 Each hop of the flight becomes a plant and a table (log_plant.py), the method runs over it with the threshold of published/decide.py
-behind it, and what that announces is written down as the default estimator's outputs are: default/events.py, the report and the JSON
+behind it, and its announcements are recorded as the default estimator's outputs are: default/events.py, the report and the JSON
 do not know the difference. What the default method does beyond - it tests every onset, competes losses against disturbances
 over whole windows, learns the noise on the way and refines a loss - a plain method does not, and `notes` says so.
 """
@@ -110,14 +110,14 @@ class Seen(
         "Seen", "theta theta_var innovation innovation_var status log_odds statistic alarm onset best level scatter"
     )
 ):
-    """What is kept of a step: theta and its variances (n,), innovation and variances (n_y,), and the decision."""
+    """The stored outputs of a step: theta and its variances (n,), innovation and variances (n_y,), and the decision."""
 
 
 def seen(outputs: Sequence[Output]) -> tuple[Seen, ...]:
-    """What is kept of a step, for every threshold."""
+    """The stored outputs of a step, for every threshold."""
     import jax.numpy as jnp
 
-    def kept(out: Output) -> Seen:
+    def result(out: Output) -> Seen:
         e, d = out.estimate, out.decision
         n = e.theta.shape[0]
         return Seen(
@@ -125,7 +125,7 @@ def seen(outputs: Sequence[Output]) -> tuple[Seen, ...]:
             d.log_odds, d.statistic, d.alarm, d.onset, d.best, out.level, out.scatter,
         )  # fmt: skip
 
-    return tuple(kept(out) for out in outputs)
+    return tuple(result(out) for out in outputs)
 
 
 Decisions = tuple[tuple[tuple[str, float], ...], ...]
@@ -142,7 +142,7 @@ def watched(name: Any, dt: float, keywords: tuple, decisions: Decisions, p: dict
 @functools.lru_cache(maxsize=64)
 def builder(name: Any, dt: float, keywords: tuple = (), decisions: Decisions = ((),)) -> Callable:
     """build(parameters) for run_built: one compiled program for every flight with as many rotors. Native code is kept under the name of
-    the method; one of another package, or given as an object, has none, because its source may change."""
+    the method; one of another package, or passed as an object, has none, because its source may change."""
     build = functools.partial(watched, name, dt, keywords, decisions)
     ours = isinstance(name, str) and discovery.source(discovery.estimator(name)).package == "rotorwatch"
     return build if ours else lambda p: build(p)
@@ -176,10 +176,10 @@ def judge(
     progress=None,
     hops: Sequence[LogPlant] | None = None,
 ) -> Kept:
-    """What a published method leaves behind on every tick of a flight, in the default estimator's form.
+    """The outputs of a published method on every tick of a flight, in the default estimator's form.
 
     hops: of `log_plant.hops`, when they are known already. Ticks outside the judged hops hold zeros. biases: the missing
-    wrench beside that of the losses shown. log_odds: of `hypotheses.make(n)`. Raises ConfigError for an unknown method and slow logs.
+    wrench besides that of the losses shown. log_odds: of `hypotheses.make(n)`. Raises ConfigError for an unknown method and slow logs.
     """
     discovery.estimator(name)
     hyp = hypotheses.make(B.shape[1])
@@ -206,10 +206,10 @@ def blank(T: int, hyp: hypotheses.Hypotheses) -> Kept:
 
 
 def notes(name: str) -> tuple[str, ...]:
-    """What has to be taken for granted when a published method judges a log."""
+    """Assumptions of a diagnosis by a published method."""
     return (
         f"{name} runs as published, on rotational dynamics whose gains, noise and trim were identified before judging began",
-        "its losses become events by a threshold on the wrench they say is missing; rotor sets that the geometry cannot tell apart "
+        "its losses become events by a threshold on the missing wrench; rotor sets that the geometry cannot distinguish "
         "are named together, but slow changes of wind, balance or battery may still pass for losses",
     )
 
@@ -247,7 +247,7 @@ def record(out: Kept, seen: Seen, hop: LogPlant, hyp: hypotheses.Hypotheses, B: 
 def _follow(seen: Seen, hyp: hypotheses.Hypotheses, dt: float):
     """Which rotors are announced at each step: announced (T,), active (T, n), best (T,), onset (T,) steps back.
 
-    A set is replaced when another one explains OTHER_NATS more, grown when it holds the announced one, and over after decide.GONE_S
+    A set is replaced when another one explains OTHER_NATS more, grown when it holds the announced one, and over after decide.OVER_S
     without a sign of it; an end is announced too, so that it is written down with its time.
     """
     T = len(seen.alarm)

@@ -1,4 +1,4 @@
-"""What people read: terminal tables and HTML pages. No estimation here; both say the same words, which are below."""
+"""What people read: terminal tables and HTML pages. No estimation here; the words that both use are below."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def _utc(start: str, time: float) -> datetime:
 
 
 def rotor_loss(state: RotorState) -> str:
-    """'37.0 %', '?' when the log cannot tell, 'none seen' where none was found but damage from take-off was not looked for."""
+    """'37.0 %', '?' when the loss is not observable, 'none seen' where none was found but damage from take-off was not looked for."""
     if state.status == "unobservable" or (state.status == "suspect" and state.loss == 0.0):
         return "?"
     only_in_flight = state.status == "healthy" and state.from_takeoff in ("not judged", "bounded")
@@ -148,7 +148,7 @@ def event_rows(event: Event, diagnosis: Diagnosis) -> dict[str, str]:
         "announced": f"{seconds(event.detected_s)} ({later:.2f} s later)",
         "until": "it lasts" if lasts else seconds(event.end_s) if event.end_s is not None else "",
         "loss (95 % interval)": losses(event) if event.kind == "loss_of_effectiveness" else "",
-        "as told 2 s later": ", ".join(percent(v) for v in event.extra.get("loss_2s", ())),
+        "estimate 2 s later": ", ".join(percent(v) for v in event.extra.get("loss_2s", ())),
         "how sure": probability(event.probability),
         "size": size(event),
     }
@@ -188,7 +188,7 @@ def common_mode(diagnosis: Diagnosis) -> str:
 
 
 SMALL_SHIFT = 0.02
-VARIED = 0.2  # share of the thrust from which "the same" would say nothing
+VARIED = 0.2  # share of the thrust from which "the same" would mean nothing
 
 
 def whole_flight(diagnosis: Diagnosis) -> list[tuple[str, str]]:
@@ -239,7 +239,7 @@ def comparison(diagnosis: Diagnosis) -> list[tuple[str, str, str, str]]:
 
 
 def _other_checks(autopilot: str) -> tuple[str, str, str, str]:
-    """The row that says which other checks found nothing, or that there is none: an autopilot's checks run on its own logs alone."""
+    """The row of other checks that found nothing, or that there is none: an autopilot's checks run on its own logs alone."""
     from rotorwatch.published import detectors
 
     names = ", ".join(module.name for module in detectors.of(autopilot))

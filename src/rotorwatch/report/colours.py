@@ -6,8 +6,8 @@ from collections.abc import Iterable, Sequence
 
 from rotorwatch.flight.diagnosis import Diagnosis, Event
 
-# Okabe and Ito's palette and neighbours, which colour-blind readers can tell apart: vermilion for what is broken, orange for what is
-# suspected, the rest for rotors that nothing is known against. Dashes tell apart what shares a colour.
+# Okabe and Ito's palette and neighbours, which colour-blind readers can distinguish: vermilion for what is broken, orange for what is
+# suspected, the rest for rotors that nothing is known against. Dashes distinguish what shares a colour.
 FAULT, SUSPECT = "#d55e00", "#e69f00"
 OTHERS = ("#0072b2", "#009e73", "#56b4e9", "#9467bd", "#8c8c8c", "#44727f", "#6aa84f", "#b08fb5")
 # For all that are no rotors.

@@ -78,9 +78,9 @@ def geometry(diagnosis: Diagnosis) -> tuple[Rotor, ...]:
     from rotorwatch.errors import RotorwatchError
 
     try:
-        given = diagnosis.flight.get("geometry")
-        if given:
-            return tuple(Rotor(float(g["x"]), float(g["y"]), int(g["spin"])) for g in given)
+        geometry = diagnosis.flight.get("geometry")
+        if geometry:
+            return tuple(Rotor(float(g["x"]), float(g["y"]), int(g["spin"])) for g in geometry)
         return airframes.named(str(diagnosis.flight.get("frame", ""))).rotors
     except (RotorwatchError, KeyError, TypeError, ValueError):
         return ()

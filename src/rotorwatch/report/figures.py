@@ -208,7 +208,7 @@ def _hover(p, renderer) -> None:
 
 
 def lane(diagnosis: Diagnosis, x_range) -> Any:
-    """Flight modes and what the autopilot said, on the plots' time axis; None when the log holds neither."""
+    """Flight modes and messages of the autopilot, on the plots' time axis; None when the log holds neither."""
     from bokeh.models import ColumnDataSource, HoverTool, Range1d
 
     trace = diagnosis.trace
@@ -246,9 +246,9 @@ def lane(diagnosis: Diagnosis, x_range) -> Any:
             "fill": ["#c1121f" if kind == "error" else INK for _, kind, _ in rest],
         }
     )
-    said = p.scatter("time", "y", source=marks, size=7, marker="diamond", color="fill", alpha=0.9, name="messages")
+    symbols = p.scatter("time", "y", source=marks, size=7, marker="diamond", color="fill", alpha=0.9, name="messages")
     hover = p.select_one(HoverTool)
-    hover.renderers, hover.mode, hover.tooltips = [drawn, said], "mouse", [("", "@text")]
+    hover.renderers, hover.mode, hover.tooltips = [drawn, symbols], "mouse", [("", "@text")]
     return p
 
 
@@ -328,7 +328,7 @@ def _evidence(trace: Trace, source, x_range, shown: list[str], looks) -> Any:
 
 
 def _look(hypothesis: str, place: int, looks) -> dict[str, Any]:
-    """One rotor's hypothesis has the rotor's colour; the others are told apart by grey and dashes."""
+    """One rotor's hypothesis has the rotor's colour; the others are distinguished by grey and dashes."""
     number = hypothesis.rpartition(" ")[2]
     if hypothesis.startswith("rotor ") and number.isdigit() and int(number) in looks:
         return dict(zip(("color", "line_dash"), looks[int(number)], strict=True))

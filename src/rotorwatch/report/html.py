@@ -120,8 +120,8 @@ def _verdict(diagnosis: Diagnosis) -> str:
 
 def _story(diagnosis: Diagnosis) -> str:
     """What happened when control was lost."""
-    said = "".join(f"<li>{_text(s.text)}</li>" for s in diagnosis.story)
-    return f'<h2>What happened</h2><ol class="story">{said}</ol>' if said else ""
+    items = "".join(f"<li>{_text(s.text)}</li>" for s in diagnosis.story)
+    return f'<h2>What happened</h2><ol class="story">{items}</ol>' if items else ""
 
 
 def _moment(diagnosis: Diagnosis, divs: Mapping[str, str]) -> str:
@@ -223,16 +223,16 @@ def _baseline(diagnosis: Diagnosis) -> str:
 
 
 def _messages(diagnosis: Diagnosis) -> str:
-    said = report.messages(diagnosis)
-    if not said:
+    messages = report.messages(diagnosis)
+    if not messages:
         return ""
-    rows = (_row((report.seconds(t), report.moment(diagnosis, t), *what)) for t, *what in said[:MOST_SAID])
+    rows = (_row((report.seconds(t), report.moment(diagnosis, t), *what)) for t, *what in messages[:MOST_MESSAGES])
     table = _table(_row(("at", "clock", "what", "text"), cell="th"), "".join(rows))
-    more = f"<p>The first {MOST_SAID} of {len(said)}.</p>" if len(said) > MOST_SAID else ""
-    return f"<details><summary>Modes and messages of the autopilot ({len(said)})</summary>{table}{more}</details>"
+    more = f"<p>The first {MOST_MESSAGES} of {len(messages)}.</p>" if len(messages) > MOST_MESSAGES else ""
+    return f"<details><summary>Modes and messages of the autopilot ({len(messages)})</summary>{table}{more}</details>"
 
 
-MOST_SAID = 300
+MOST_MESSAGES = 300
 PLOTS = (
     (("command",), "Motor commands", "What the autopilot asked of each rotor: a weak rotor is asked for more."),
     (
@@ -312,10 +312,10 @@ def _list(title: str, sentences: Iterable[str], name: str = "") -> str:
 
 
 def _footer(diagnosis: Diagnosis, title: str) -> str:
-    took = ", ".join(f"{words(k)} {v:.2f} s" for k, v in diagnosis.timing.items())
+    durations = ", ".join(f"{words(k)} {v:.2f} s" for k, v in diagnosis.timing.items())
     name = f"{title.partition('.')[0] or 'flight'}.json"
     return (
         f"<footer>Written by rotorwatch {escape(__version__)}, estimator {escape(diagnosis.estimator)}."
-        f"{f' Time taken: {escape(took)}.' if took else ''} Times are in seconds from the first record of the log. "
+        f"{f' Time taken: {escape(durations)}.' if durations else ''} Times are in seconds from the first record of the log. "
         f'<button type="button" id="save-json" data-name="{escape(name)}">Save the answer as JSON</button></footer>'
     )

@@ -1,6 +1,6 @@
 """What a log holds, what it lacks for a diagnosis, and which setting of the autopilot would log it next time.
 
-Whether it can be judged is asked of the very functions that the diagnosis itself calls: no more and no less is promised.
+The same functions as in the diagnosis decide whether the log can be judged.
 """
 
 from __future__ import annotations
@@ -163,7 +163,7 @@ def _signal(name: str, signal: Signal) -> dict:
 
 
 def _frame(flight: Flight) -> tuple[str, list[str]]:
-    """The airframe's name, empty when it cannot be told; and why not."""
+    """The airframe's name, empty when it is not known; and why not."""
     try:
         return airframes.identify(flight).name, []
     except RotorwatchError as why:

@@ -1,4 +1,4 @@
-"""A diagnosis as an MCAP file, which Foxglove and PlotJuggler open beside the flight: JSON messages with their schemas, one a tick.
+"""A diagnosis as an MCAP file, for Foxglove and PlotJuggler next to the log: JSON messages with their schemas, one a tick.
 
     /rotorwatch/losses     rotor_1.loss, .lower, .upper ..     shares of the rotor's thrust, 95 % interval
     /rotorwatch/evidence   rotor_1, best_pair .., threshold    log10 odds against healthy, and what they have to pass to be announced
@@ -9,7 +9,7 @@
     /rotorwatch/state      phase                               on the ground, judged, or why not; at every change
     /rotorwatch/events     moment (onset, announced, end) and the fields of docs/json.md
     /rotorwatch/verdict    the answer, once, at the start
-    /rotorwatch/log        foxglove.Log: what the autopilot said and did, the events, the verdict
+    /rotorwatch/log        foxglove.Log: the autopilot's messages and modes, the events, the verdict
 
 A value that is not known is left out. MCAP: https://mcap.dev/spec; foxglove.Log: https://docs.foxglove.dev/docs/sdk/schemas/log
 """
@@ -98,31 +98,31 @@ def _rows(diagnosis: Diagnosis) -> Iterator[Row]:
     first = float(trace.time[0]) if trace is not None and trace.time.size else 0.0
     shown = ("verdict", "headline", "reason", "advice", "rotors", "warnings")
     yield _message("verdict", first, {k: v for k, v in diagnosis.to_dict().items() if k in shown})
-    yield _say(first, WARNING if diagnosis.exit_code else INFO, NAME, diagnosis.headline or diagnosis.reason)
+    yield _log(first, WARNING if diagnosis.exit_code else INFO, NAME, diagnosis.headline or diagnosis.reason)
     for event in diagnosis.events:
         about = event.to_dict()
         for moment, time in (("onset", event.onset_s), ("announced", event.detected_s), ("end", event.end_s)):
             if time is not None and np.isfinite(time):
                 yield _message("events", time, {"moment": moment, **about})
-        said = " ".join((report.kind(event), report.who(event, diagnosis), report.losses(event))).strip()
-        yield _say(event.detected_s, ERROR, NAME, f"{said}: {event.reason}" if event.reason else said)
+        title = " ".join((report.kind(event), report.who(event, diagnosis), report.losses(event))).strip()
+        yield _log(event.detected_s, ERROR, NAME, f"{title}: {event.reason}" if event.reason else title)
     if trace is not None:
         yield from _ticks(trace)
         yield from _phases(trace)
         for time, kind, text in trace.messages:
-            yield _say(time, ERROR if kind == "error" else INFO, "autopilot", f"{kind}: {text}")
+            yield _log(time, ERROR if kind == "error" else INFO, "autopilot", f"{kind}: {text}")
 
 
 def _message(topic: str, time: float, fields: Mapping[str, Any]) -> Row:
     return float(time), f"/{NAME}/{topic}", json.dumps({"time_s": time, **fields}, allow_nan=False)
 
 
-def _say(time: float, level: int, name: str, message: str) -> Row:
+def _log(time: float, level: int, name: str, message: str) -> Row:
     return float(time), LOG, json.dumps({"level": level, "message": message, "name": name, "file": "", "line": 0})
 
 
 def _series(trace: Trace) -> dict[str, tuple[list[str], np.ndarray]]:
-    """Topic -> names (k,) and values (T, k) of what is said on every tick; a name with a dot is in an object of its own."""
+    """Topic -> names (k,) and values (T, k) on every tick; a name with a dot is in an object of its own."""
     rotors = [f"rotor_{k + 1}" for k in range(trace.loss.shape[1])]
     evidence = [key(name) for name in trace.evidence]
     odds = np.stack([*trace.evidence.values()], axis=1) if evidence else np.zeros((trace.time.size, 0))

@@ -17,7 +17,7 @@ from rotorwatch.base import files
 ORDER = ("error", "fault", "ambiguous", "inconclusive", "healthy")
 """Worst first."""
 MOST = 10_000
-"""Rows that are kept; more are counted."""
+"""Rows that are shown; more are only counted."""
 # The page may run its own inline script and style and nothing else; in particular it may not fetch anything.
 POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'"
 STYLE = """

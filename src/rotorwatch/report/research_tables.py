@@ -1,4 +1,4 @@
-"""Tables for a terminal on estimation research: a paper's claims beside what came out here; what can be told apart."""
+"""Tables for a terminal on estimation research: a paper's claims next to the results here; observability; survival; excitation."""
 
 from __future__ import annotations
 
@@ -24,21 +24,21 @@ def reproduction(result: Reproduction) -> RenderableType:
     literal = f" · read literally: {', '.join(result.literal)}" if result.literal else ""
     rows = listing("", "claim", "the paper", "here", "verdict")
     for claim in result.claims:
-        said = Text(claim.claim).append(f"\n{claim.why}", style="dim")
-        rows.add_row(said, claim.paper, claim.measured, Text(claim.verdict, style=VERDICTS[claim.verdict]))
+        cell = Text(claim.claim).append(f"\n{claim.why}", style="dim")
+        rows.add_row(cell, claim.paper, claim.measured, Text(claim.verdict, style=VERDICTS[claim.verdict]))
         rows.add_section()
     return Group(title, Text(f"{result.paper} · {seeds}{literal}", style="dim"), rows)
 
 
 def observability(result) -> RenderableType:
-    """What hover and a manoeuvre tell apart; result as from `rotorwatch.observability`."""
+    """Which losses hover and a manoeuvre distinguish; result as from `rotorwatch.observability`."""
     rows = listing("", "in", "rank", "smallest singular value", "least known loss (1 sd)", right=(1, 2, 3))
     for case in result.cases:
         rank, least = f"{case.rank} of {result.unknowns}", f"{case.singular_values[-1]:.1e}"
         rows.add_row(case.name, rank, least, report.percent(case.worst_sd, 1))
     parts: list[RenderableType] = [Text(result.name, style="bold"), rows, Text(result.summary)]
     if result.alike:
-        sets = listing("Cannot be told apart in hover", "these", "look like", "apart in the manoeuvre", right=(2,))
+        sets = listing("Indistinguishable in hover", "these", "look like", "apart in the manoeuvre", right=(2,))
         for pair in result.alike:
             sets.add_row(report.rotors(pair.one), report.rotors(pair.other), f"{pair.separation:.1f} sd")
         parts += [Text(), sets]
@@ -66,7 +66,7 @@ def survival(result) -> RenderableType:
     return Group(Text(result.name, style="bold"), rows, Text(result.summary), *notes)
 
 
-def asking(result) -> RenderableType:
+def excitation(result) -> RenderableType:
     """The candidates, what the excitation does to each and how far apart it brings them; result as from `rotorwatch.ask`."""
     rows = listing("", "weak rotors", "loss", "turns it by", "lifts it by", "apart from the next", right=(1, 2, 3, 4))
     turn, lift = np.degrees(result.design.tilt), 1e3 * result.design.heave

@@ -102,19 +102,19 @@ class Fitted:
         self.wide = {i % len(columns) for i in wide}
 
     def __rich_console__(self, console: Console, options):
-        kept = [i for i in range(len(self.columns)) if i not in self.bars or options.max_width >= BARS_FROM]
-        least = 3 * (len(kept) - 1) + 2  # what stands between columns and at the edges
-        for i in kept:
+        shown = [i for i in range(len(self.columns)) if i not in self.bars or options.max_width >= BARS_FROM]
+        least = 3 * (len(shown) - 1) + 2  # what stands between columns and at the edges
+        for i in shown:
             cells = [Text(self.columns[i]), *(row[i] for row in self.rows)]
             least += max(_longest_word(c) if i in self.wide else _longest_line(c) for c in cells)
             least += 14 if i in self.wide and any(cell.cell_len > 30 for cell in cells) else 0
         if least <= options.max_width:
-            names = [self.columns[i] for i in kept]
-            table = listing(self.title, *names, right=[kept.index(i) for i in self.right if i in kept])
-            for i, column in zip(kept, table.columns):
+            names = [self.columns[i] for i in shown]
+            table = listing(self.title, *names, right=[shown.index(i) for i in self.right if i in shown])
+            for i, column in zip(shown, table.columns):
                 column.no_wrap = i not in self.wide
             for row in self.rows:
-                table.add_row(*(row[i] for i in kept))
+                table.add_row(*(row[i] for i in shown))
             yield table
             return
         yield Text(self.title, style="bold")
@@ -157,7 +157,7 @@ def _aside(text: str) -> Padding:
 
 def _story(result: Diagnosis) -> list[RenderableType]:
     """What happened when control was lost, a line for each sentence."""
-    lines = [_aside(f"{k}. {said.text}") for k, said in enumerate(result.story, start=1)]
+    lines = [_aside(f"{k}. {line.text}") for k, line in enumerate(result.story, start=1)]
     return [Text(), Text("What happened", style="bold"), *lines, Text()] if lines else []
 
 
@@ -256,17 +256,17 @@ class Notes:
 
     def __rich_console__(self, console: Console, options):
         room = options.max_width - 2 - max((len(name) for name, _ in self.rows), default=0)
-        beside = options.max_width >= 60 and all(_longest_word(Text(text)) <= room for _, text in self.rows)
+        side_by_side = options.max_width >= 60 and all(_longest_word(Text(text)) <= room for _, text in self.rows)
         grid = Table.grid(padding=(0, 2))
         grid.add_column(no_wrap=True)
         grid.add_column(overflow="fold")
         for name, text in self.rows:
             style = "yellow" if name == "warning" else "dim"
-            if beside:
+            if side_by_side:
                 grid.add_row(Text(name, style=style), Text(text))
             else:
                 yield Text(f"{name}: ", style=style).append(text, style="default not dim")
-        if beside:
+        if side_by_side:
             yield grid
 
 
@@ -291,8 +291,8 @@ def info(facts: Mapping[str, Any]) -> RenderableType:
     head = ("signal", "rate", "unit", "frame", "valid", "source")
     parts: list[RenderableType] = [grid, Text(), Fitted("Signals", head, _cells(signals), (1, 4), short=(4,)), Text()]
     if facts["messages"]:
-        said = [(f"{m['time_s']:.1f} s", m["kind"], m["text"]) for m in facts["messages"]]
-        parts += [Fitted("Messages", ("at", "what", "text"), _cells(said), (0,), short=()), Text()]
+        messages = [(f"{m['time_s']:.1f} s", m["kind"], m["text"]) for m in facts["messages"]]
+        parts += [Fitted("Messages", ("at", "what", "text"), _cells(messages), (0,), short=()), Text()]
     parts.append(Text("For a diagnosis", style="bold"))
     ready = "This log has what a diagnosis needs." if facts["ready"] else "This log cannot be diagnosed as it is."
     parts.append(Text(f" {ready}", style="green" if facts["ready"] else "red"))

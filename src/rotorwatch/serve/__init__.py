@@ -1,7 +1,7 @@
 """One page for vehicles while they fly and for flights afterwards (docs/serve.md).
 
 names.py      names of uploaded files, made harmless
-security.py   who may ask: token, host, origin; what a browser may do with the answers
+security.py   access: token, host, origin; what a browser may do with the answers
 hub.py        numbered messages to all open pages
 live.py       the watch loop, and what the page shows of it
 flights.py    the list of flights: the fleet's store, and a page for each

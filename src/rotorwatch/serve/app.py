@@ -29,17 +29,17 @@ NAME = "x-rotorwatch-name"  # header with an upload's name; no page of another s
 def application(feed: Feed, flights: Flights, limits: Limits, host: str, token: str) -> Any:
     """The ASGI application. feed: started and stopped with it."""
 
-    def tell(row: dict[str, Any]) -> None:
+    def publish(row: dict[str, Any]) -> None:
         feed.hub.publish("flight", row)
 
     def trouble(text: str) -> None:
-        feed.tell({"type": "error", "vehicle": "list", "text": text})
+        feed.notify({"type": "error", "vehicle": "list", "text": text})
 
     @asynccontextmanager
     async def lifespan(_: Starlette):
-        app.state.uploads = uploads = Uploads(flights, limits, tell, trouble)
+        app.state.uploads = uploads = Uploads(flights, limits, publish, trouble)
         uploads.start()
-        store_writer = flights.store_writer(tell, trouble)
+        store_writer = flights.store_writer(publish, trouble)
         feed.ended = store_writer.keep
         feed.start()
         try:
@@ -93,11 +93,11 @@ async def _live(request: Request) -> Response:
 
 
 async def _list(request: Request) -> Response:
-    ask = request.query_params
-    limit = _number(ask.get("limit", "50"), "limit", MOST_ROWS)
-    offset = _number(ask.get("offset", "0"), "offset", 10**9)
+    query = request.query_params
+    limit = _number(query.get("limit", "50"), "limit", MOST_ROWS)
+    offset = _number(query.get("offset", "0"), "offset", 10**9)
     rows = request.app.state.flights.rows
-    return JSONResponse(await asyncio.to_thread(rows, ask.get("search", "")[:200], limit, offset))
+    return JSONResponse(await asyncio.to_thread(rows, query.get("search", "")[:200], limit, offset))
 
 
 def _number(text: str, name: str, most: int) -> int:

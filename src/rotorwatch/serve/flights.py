@@ -1,4 +1,4 @@
-"""The list of flights: rows of the fleet's store, and beside it a folder with the page of each flight."""
+"""The list of flights: rows of the fleet's store, and next to it a folder with the page of each flight."""
 
 from __future__ import annotations
 
@@ -33,16 +33,16 @@ class Flights:
     def __init__(self, url: str | None = None):
         self._store = Store(url)
         lies = Path(self._store.label if self._store.url.startswith("sqlite") else default_url())
-        self._beside = lies.parent / f"{lies.stem}-pages"
-        files.folder(self._beside, "--store")
+        self._folder = lies.parent / f"{lies.stem}-pages"
+        files.folder(self._folder, "--store")
 
     def folder(self, name: str) -> Path:
-        """A folder of that name beside the store, made when it is missing."""
-        return files.folder(self._beside / name, "--store")
+        """A folder of that name next to the store, made when it is missing."""
+        return files.folder(self._folder / name, "--store")
 
     def page(self, digest: str) -> Path:
         """Where the page of a flight lies, or will."""
-        return self._beside / f"{digest}.html"
+        return self._folder / f"{digest}.html"
 
     def rows(self, search: str, limit: int, offset: int) -> dict[str, Any]:
         """{total, flights}: the newest first. search: words that must all be found."""
@@ -61,9 +61,9 @@ class Flights:
         assert found is not None
         return found
 
-    def store_writer(self, told: Callable[[dict[str, Any]], None], trouble: Callable[[str], None]) -> StoreWriter:
-        """Something that keeps flights without being waited for. told: called with the row of each; trouble: with a sentence."""
-        return StoreWriter(self, told, trouble, self.folder("heard"))
+    def store_writer(self, on_stored: Callable[[dict[str, Any]], None], trouble: Callable[[str], None]) -> StoreWriter:
+        """A thread that stores flights. on_stored: called with the row of each; trouble: called with a sentence on failure."""
+        return StoreWriter(self, on_stored, trouble, self.folder("heard"))
 
     def diagnosis(self, digest: str) -> dict[str, Any] | None:
         """What is known of a flight, as docs/json.md has it."""
@@ -91,8 +91,8 @@ class StoreWriter:
 
     waiting: folder for those that a store has not taken yet; the next server begins with them."""
 
-    def __init__(self, flights: Flights, told: Callable, trouble: Callable[[str], None], waiting: Path):
-        self._flights, self._told, self._trouble, self._waiting = flights, told, trouble, waiting
+    def __init__(self, flights: Flights, on_stored: Callable, trouble: Callable[[str], None], waiting: Path):
+        self._flights, self._on_stored, self._trouble, self._waiting = flights, on_stored, trouble, waiting
         self._queue: queue.SimpleQueue[Entry | None] = queue.SimpleQueue()
         for path in sorted(waiting.glob("*.json")):
             with suppress(OSError, ValueError, TypeError):
@@ -106,7 +106,7 @@ class StoreWriter:
         self._queue.put(entry)
 
     def stop(self) -> None:
-        """When what was given is kept, or is left to the next server."""
+        """End the thread when all flights are stored, or left to the next server."""
         self._leaving.set()
         self._queue.put(None)
         self._thread.join(60.0)
@@ -123,8 +123,8 @@ class StoreWriter:
                     if self._leaving.wait(AGAIN_S):
                         break
                     continue
-                with suppress(Exception):  # it is kept, whether the pages hear of it or not
-                    self._told(row)
+                with suppress(Exception):  # it is stored, whether the pages are notified or not
+                    self._on_stored(row)
                 with suppress(OSError):
                     self._path(entry).unlink(missing_ok=True)
                 break

@@ -1,4 +1,4 @@
-"""What all open pages are told: numbered messages from the thread that watches, kept for those who come back."""
+"""Server-sent events to all open pages: numbered messages from the thread that watches, buffered for pages that reconnect."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from typing import Any
 from rotorwatch.live.beside import as_json
 
 RECENT = 400  # messages for a page that was away for a while: 100 s of them while something is watched
-BEAT_S = 10.0  # a line without meaning so often keeps a quiet connection open, and shows when it is gone
+BEAT_S = 10.0  # an empty line so often keeps a quiet connection open, and shows when it is closed
 
 
 class Hub:
-    """Messages to any number of readers, none of which is waited for: who has missed too many is told everything anew.
+    """Messages to any number of readers, none of which is waited for: one that has missed too many gets the whole state again.
 
     state: what is to be known without any earlier message (the key "live" of a new page); called with `lock` held, which whoever changes
     that state holds, too. Thread-safe but for `follow`, which belongs to the server's loop.
@@ -26,17 +26,17 @@ class Hub:
         self.lock = threading.RLock()
         self._state = state
         self._run = secrets.token_hex(4)  # numbers of an earlier run of the server mean nothing in this one
-        self._kept: deque[tuple[int, str]] = deque(maxlen=RECENT)
+        self._recent: deque[tuple[int, str]] = deque(maxlen=RECENT)
         self._last = 0
         self._bells: set[asyncio.Event] = set()
         self._loop: asyncio.AbstractEventLoop | None = None
         self._closed = False
 
     def publish(self, kind: str, data: Any) -> None:
-        """Tell all pages, from any thread."""
+        """Send a message to all pages, from any thread."""
         with self.lock:
             self._last += 1
-            self._kept.append((self._last, self._frame(kind, data, self._last)))
+            self._recent.append((self._last, self._frame(kind, data, self._last)))
             loop = self._loop
         if loop is not None and not loop.is_closed():
             loop.call_soon_threadsafe(self._ring)
@@ -70,11 +70,11 @@ class Hub:
             self._bells.discard(bell)
 
     def _since(self, at: int) -> tuple[str, int]:
-        """What has come after message `at`, all of it when some of that is gone; and the number of the last one."""
+        """Messages after number `at`, or the whole state when some of them are dropped already; and the number of the last one."""
         with self.lock:
-            first = self._kept[0][0] if self._kept else self._last + 1
+            first = self._recent[0][0] if self._recent else self._last + 1
             if first - 1 <= at <= self._last:
-                return "".join(text for number, text in self._kept if number > at), self._last
+                return "".join(text for number, text in self._recent if number > at), self._last
             return self._frame("state", self._state(), self._last), self._last
 
     def _frame(self, kind: str, data: Any, number: int) -> str:

@@ -18,7 +18,7 @@ from rotorwatch.flight.diagnosis import Diagnosis
 from rotorwatch.live.session import Session
 
 LEAST_S = 5.0  # in the air: less is a test of the motors, where control was not lost
-SETTLED_S = 5.0  # after a landing: until then what was judged may be taken back
+FINAL_S = 5.0  # after a landing: until then announced events may be withdrawn
 GAP_S = 1.0  # between two points of a band; more is a gap, in which nothing was judged
 
 
@@ -29,12 +29,12 @@ class Landings:
         self._listed: list[float] = []
 
     def over(self, session: Session, all_is_over: bool) -> list[tuple[float, float]]:
-        """(start, end) [s] of each that is new. all_is_over: nothing more will be heard of this session."""
+        """(start, end) [s] of each that is new. all_is_over: the session has ended."""
         found = []
         for start, end in session.spans:
             end = min(end, session.now)
-            sure = all_is_over or (end < session.now - SETTLED_S and np.isfinite(end))
-            flown = end - start >= LEAST_S or any(start <= lost <= end + SETTLED_S for lost in session.lost)
+            sure = all_is_over or (end < session.now - FINAL_S and np.isfinite(end))
+            flown = end - start >= LEAST_S or any(start <= lost <= end + FINAL_S for lost in session.lost)
             if sure and flown and not any(abs(start - known) < LEAST_S for known in self._listed):
                 self._listed.append(start)
                 found.append((start, end))
@@ -51,7 +51,7 @@ def answer(name: str, session: Session, rows: Sequence[tuple], hop: tuple[float,
     hidden = np.ones(len(vehicle.rotors))
     for row in judged:  # the bound of a healthy rotor is of all that was flown until then
         hidden = np.where(np.asarray(row[1]) > 0.0, hidden, row[3])
-    events = [e for e in session.events() if start <= e.detected_s <= end + SETTLED_S]
+    events = [e for e in session.events() if start <= e.detected_s <= end + FINAL_S]
     names = places.names(vehicle.rotors)
     judged_s = float(steps[steps < GAP_S].sum())
     end_of = conclusion.conclude(
@@ -77,12 +77,12 @@ def answer(name: str, session: Session, rows: Sequence[tuple], hop: tuple[float,
 
 def entry(session: Session, found: Diagnosis) -> Entry:
     """The same for the store. There is no log: the hash is that of the answer."""
-    told = {k: v for k, v in found.to_dict().items() if k != "timing"}
+    content = {k: v for k, v in found.to_dict().items() if k != "timing"}
     who = identity.identify(session.about)
     name, start, end = str(found.flight["name"]), *found.flight["airborne_s"]
     return Entry(
-        hash=hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest(), path="", name=name, size=0,
+        hash=hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest(), path="", name=name, size=0,
         identity=who.text, called=who.called, utc=found.flight["utc_start"], duration_s=end - start, airborne_s=end - start,
         autopilot=session.about.autopilot, firmware=session.about.firmware, frame=str(found.flight["frame"]), rotors=len(found.rotors),
-        verdict=found.verdict, headline=found.headline, version=__version__, diagnosis=told,
+        verdict=found.verdict, headline=found.headline, version=__version__, diagnosis=content,
     )  # fmt: skip

@@ -34,19 +34,19 @@ from rotorwatch.serve.landed import Landings
 
 STEP_S = 0.2  # between two points of a band, of the vehicle's time, until there are too many
 POINTS = 600  # of a band; when there are twice as many every second one goes, so that the whole flight stays in view
-SAID = 100  # sentences that are kept
-LAST_WORD_S = 60.0  # for what was heard and is not judged yet, when the server is stopped
+MESSAGES = 100  # of the latest messages that a new page gets
+LAST_WORD_S = 60.0  # for received messages that are not judged yet, when the server is stopped
 LASTS_S = 60.0  # a loop that has gone on for so long begins again at once after an error
 COUNTS = ("taken", "lost", "twice", "damaged", "reboots", "jumps")
 EVENTS = 30  # of a vehicle that are shown, the newest
 
 
 def open_source(
-    endpoint: str, tell: Tell, vehicle: Vehicle | None, speed: float, record: Path | None, listen_only: bool
+    endpoint: str, notify: Tell, vehicle: Vehicle | None, speed: float, record: Path | None, listen_only: bool
 ) -> Source:
     """An endpoint of `rotorwatch watch`, or a log that is replayed. Raises RotorwatchError with a sentence."""
     if is_endpoint(endpoint):
-        return Link(open_endpoint(endpoint), tell, vehicle, record, not listen_only, math.inf)
+        return Link(open_endpoint(endpoint), notify, vehicle, record, not listen_only, math.inf)
     from rotorwatch.base.files import no_address
     from rotorwatch.logs import read
 
@@ -54,7 +54,7 @@ def open_source(
     path = Path(endpoint)
     if not path.exists():
         raise ConfigError(f"{endpoint}: no such log; give a log file, or an endpoint: {KINDS}.")
-    return Replay(read(path), Watched(path.name.encode("utf-8", "backslashreplace").decode(), tell, vehicle), speed)
+    return Replay(read(path), Watched(path.name.encode("utf-8", "backslashreplace").decode(), notify, vehicle), speed)
 
 
 class Band:
@@ -95,7 +95,7 @@ class Shown:
         self._sampled = -np.inf
 
     def over(self, all_is_over: bool = False) -> list[Entry]:
-        """Flights that have ended since this was asked last, for the list. all_is_over: nothing more will be heard of this session."""
+        """Flights that have ended since the last call, for the list. all_is_over: the session has ended."""
         session = self._session
         if session is None or session.vehicle is None:
             return []
@@ -125,14 +125,14 @@ class Shown:
             self._fresh.append(row)
         return another
 
-    def news(self) -> dict[str, Any]:
-        """What pages that know it have not been told: points of the band, and where its rotors are."""
-        news: dict[str, Any] = {"points": self._fresh}
+    def changes(self) -> dict[str, Any]:
+        """What is new since the last message: points of the band, and where its rotors are."""
+        changes: dict[str, Any] = {"points": self._fresh}
         self._fresh = []
         if self._due:
-            news["frame"] = self.frame
+            changes["frame"] = self.frame
             self._due = False
-        return news
+        return changes
 
     def _placed(self) -> None:
         """Where its rotors are, once that is known."""
@@ -149,12 +149,12 @@ class Shown:
         self._due = True
 
     def now(self, waits_for: str) -> dict[str, Any]:
-        """What can be said of it at this moment."""
+        """Its state at this moment, as the page shows it."""
         line, session, health = view.line(self.watched, waits_for), self.watched.session, self.watched.health
         self._placed()
         frame = self.frame
-        told = sorted(self.watched.changes.now.items(), key=lambda item: -item[1].detected_s)[:EVENTS]
-        lasting = view.lasting(e for _, e in told)
+        events = sorted(self.watched.changes.now.items(), key=lambda item: -item[1].detected_s)[:EVENTS]
+        lasting = view.lasting(e for _, e in events)
         bad = sorted({r for e in lasting if not e.alternatives for r in e.rotors})
         maybe = {r for e in lasting if e.alternatives for s in (e.rotors, *e.alternatives) for r in s}
         open_ = sorted(maybe - set(bad))
@@ -179,17 +179,17 @@ class Shown:
                     "detected_s": round(e.detected_s, 2), "end_s": None if e.end_s is None else round(e.end_s, 2),
                     "kind": "fault" if e in lasting and not e.alternatives else "maybe" if e in lasting else "other",
                 }
-                for number, e in told
+                for number, e in events
             ],
         }  # fmt: skip
 
 
 class Guarded(loop.Guarded):
-    """As in the terminal; what it shows is kept after each step."""
+    """As in the terminal; after each step the feed samples what is drawn."""
 
     def __init__(self, name: str, source: Source, feed: Feed, make: Callable[[], Source] | None = None):
         """make: opens it again; None for one that cannot be."""
-        super().__init__(name, source, feed.tell)
+        super().__init__(name, source, feed.notify)
         self._feed, self._make = feed, make
         self.lists = isinstance(source, Link)  # a log that is replayed can be dropped into the list
 
@@ -213,7 +213,7 @@ class Guarded(loop.Guarded):
             self._fail(why)
 
     def about(self) -> dict[str, str]:
-        """What the page says of the endpoint."""
+        """The endpoint's name and state, as the page shows them."""
         count = len(self.vehicles)
         state = "has ended" if self.ended else "is watched" if count else "waits for a vehicle"
         if isinstance(self.source, Link):
@@ -225,17 +225,17 @@ class Guarded(loop.Guarded):
 
 
 class Feed:
-    """All endpoints, watched from `start` to `stop`; hub: tells the pages of them. ended: called with each flight that was heard over a
+    """All endpoints, watched from `start` to `stop`; hub: sends it to the pages. ended: called with each flight that was heard over a
     link and has ended; it must not wait."""
 
     def __init__(self, ended: Callable[[Entry], None] = lambda entry: None):
         self.ended = ended
         self.hub = Hub(self.state)
         self.stopped = False
-        self.beside = Beside(self._error)
+        self.background = Beside(self._error)
         self._sources: list[Guarded] = []
         self._shown: dict[int, Shown] = {}
-        self._said: deque[dict[str, Any]] = deque(maxlen=SAID)
+        self._messages: deque[dict[str, Any]] = deque(maxlen=MESSAGES)
         self._endpoints: list[dict[str, str]] = []
         self._vehicles: list[tuple[Shown, dict[str, Any]]] = []
         self._thread: threading.Thread | None = None
@@ -245,7 +245,7 @@ class Feed:
     def open(self, endpoint: str, *about: Any) -> None:
         """Add an endpoint; `about`: the rest of `open_source`'s arguments. Raises RotorwatchError."""
         name = endpoint if is_endpoint(endpoint) else Path(endpoint).name
-        make = partial(open_source, endpoint, self.tell, *about)
+        make = partial(open_source, endpoint, self.notify, *about)
         self._sources.append(Guarded(name, make(), self, make if is_endpoint(endpoint) else None))
 
     def start(self) -> None:
@@ -256,12 +256,12 @@ class Feed:
             self._thread.start()
 
     def _run(self) -> None:
-        """The loop. An error that gets through it is told, and links are opened again: flights until then have been listed."""
+        """The loop. An error that gets through it is published, and links are opened again: flights until then have been listed."""
         pause = loop.FIRST_S
         while True:
             began = time.monotonic()
             try:
-                loop.watch(self._sources, lambda _: self._show(), beside=self.beside)
+                loop.watch(self._sources, lambda _: self._show(), beside=self.background)
                 return
             except BaseException as why:
                 text = " ".join(f"{type(why).__name__}: {why}".split())[:200]
@@ -276,10 +276,10 @@ class Feed:
                 source.again()
 
     def _error(self, text: str) -> None:
-        """An error beside the judging: in the log, and on the pages."""
+        """An error outside the diagnosis: in the log, and on the pages."""
         with suppress(Exception):  # nobody reads it
             print(f"rotorwatch: {text}", file=sys.stderr, flush=True)
-        self.tell({"type": "error", "vehicle": "rotorwatch", "text": text})
+        self.notify({"type": "error", "vehicle": "rotorwatch", "text": text})
 
     def stop(self) -> None:
         """Watch no longer: links are left as they were found, pages are let go."""
@@ -293,8 +293,8 @@ class Feed:
                 source.leave()
         self.hub.close()
 
-    def tell(self, alert: dict[str, Any]) -> None:
-        """An alert of `watch`, as a sentence in the list of what was said."""
+    def notify(self, alert: dict[str, Any]) -> None:
+        """An alert of `watch`, as a sentence in the list of messages."""
         if alert["type"] == "event":
             event = alert["event"]
             text = f"{alert['state']}: {event['kind'].replace('_', ' ')} at {event['onset_s']:.1f} s; {event['reason']}"
@@ -304,8 +304,8 @@ class Feed:
             text = str(alert.get("text", ""))
         line = {"at": round(time.time()), "type": alert["type"], "vehicle": str(alert.get("vehicle", "")), "text": text}
         with self.hub.lock:
-            self._said.append(line)
-            self.beside.run("the page", self.hub.publish, "said", line)
+            self._messages.append(line)
+            self.background.run("the page", self.hub.publish, "said", line)
 
     def sample(self, source: Guarded, all_is_over: bool = False) -> None:
         """Keep what is drawn over time of its vehicles, and the flights of links that have ended."""
@@ -316,8 +316,8 @@ class Feed:
                     self._keys += 1
                     shown = self._shown[id(watched)] = Shown(self._keys, watched)
                 if source.lists:
-                    self.beside.run(f"the list of flights of {watched.name}", self._list, shown, all_is_over)
-                self.beside.run(f"what is drawn of {watched.name}", self._sample, shown)
+                    self.background.run(f"the list of flights of {watched.name}", self._list, shown, all_is_over)
+                self.background.run(f"what is drawn of {watched.name}", self._sample, shown)
 
     def _list(self, shown: Shown, all_is_over: bool) -> None:
         for entry in shown.over(all_is_over or shown.another):
@@ -338,13 +338,13 @@ class Feed:
                     if shown is not None:
                         # One that cannot be shown does not hide the others.
                         what = partial(lambda one, why: vehicles.append((one, one.now(why))), shown, waits_for)
-                        self.beside.run(f"what is shown of {watched.name}", what)
+                        self.background.run(f"what is shown of {watched.name}", what)
             self._endpoints = [source.about() for source in self._sources]
             self._vehicles = vehicles
-            told = [{**now, **shown.news()} for shown, now in vehicles]
-            self.hub.publish("tick", {"endpoints": self._endpoints, "vehicles": told})
+            vehicles_now = [{**now, **shown.changes()} for shown, now in vehicles]
+            self.hub.publish("tick", {"endpoints": self._endpoints, "vehicles": vehicles_now})
 
     def state(self) -> dict[str, Any]:
         """All that a new page has to know; as of the last tick, since the thread that watches is at work meanwhile."""
         vehicles = [{**now, "frame": shown.frame, "points": shown.band.rows} for shown, now in self._vehicles]
-        return {"endpoints": self._endpoints, "vehicles": vehicles, "said": list(self._said)}
+        return {"endpoints": self._endpoints, "vehicles": vehicles, "said": list(self._messages)}

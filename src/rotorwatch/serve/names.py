@@ -9,10 +9,10 @@ from urllib.parse import unquote_to_bytes
 MOST = 200  # letters of a name
 
 
-def shown(given: str) -> str:
+def shown(header: str) -> str:
     """The name of an uploaded file as people may see it: the last part of a path, without signs that control a terminal, turn the
-    direction of writing around or are no letters at all. given: percent-encoded UTF-8, as it stands in a header."""
-    text = unquote_to_bytes(given[: 20 * MOST]).decode("utf-8", "replace")
+    direction of writing around or are no letters at all. header: percent-encoded UTF-8, as it stands in a header."""
+    text = unquote_to_bytes(header[: 20 * MOST]).decode("utf-8", "replace")
     last = re.split(r"[/\\]", text)[-1]
     plain = "".join(
         c for c in last if unicodedata.category(c)[0] != "C" and unicodedata.category(c) not in ("Zl", "Zp")

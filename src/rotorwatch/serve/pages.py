@@ -1,4 +1,4 @@
-"""The files of the page, and small pages that only say something."""
+"""The files of the page, and pages with a single message."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ def index() -> str:
     return (OWN / "index.html").read_text(encoding="utf-8")
 
 
-def message(text: str, asks: bool = False) -> str:
-    """A page with one sentence; asks: with a form for the token."""
+def message(text: str, with_form: bool = False) -> str:
+    """A page with one sentence; with_form: and a form for the token."""
     form = (
         '<form method="post" action="/login"><label for="token">Token</label> '
         '<input id="token" name="token" type="password" autocomplete="current-password" required> <button>Open</button></form>'
@@ -40,7 +40,7 @@ def message(text: str, asks: bool = False) -> str:
         '<meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1"><title>rotorwatch</title>'
         '<link rel="stylesheet" href="/static/page.css"><link rel="stylesheet" href="/static/serve.css">'
     )
-    body = f"<h1>rotorwatch</h1><p>{escape(text)}</p>{form if asks else ''}"
-    back = "" if asks else '<p><a href="/">To the list of flights</a></p>'
+    body = f"<h1>rotorwatch</h1><p>{escape(text)}</p>{form if with_form else ''}"
+    back = "" if with_form else '<p><a href="/">To the list of flights</a></p>'
     main = f'<main class="only">{body}{back}</main>'
     return f'<!doctype html>\n<html lang="en"><head>{head}</head><body>{main}</body></html>\n'

@@ -1,4 +1,4 @@
-"""Who may ask for what: the token, the host that is named, where a request comes from, and what a browser may do with the answers."""
+"""Access control: the token, the host that is named, where a request comes from, and what a browser may do with the answers."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ ALWAYS = {"X-Content-Type-Options": "nosniff", "X-Frame-Options": "DENY"} | dict
     ("Referrer-Policy", "Cross-Origin-Resource-Policy", "Cross-Origin-Opener-Policy"), "same-origin"
 )
 LEAST = 16  # letters of a token: nobody guesses one of them over a network
-MOST_FORM, FORM_S = 4096, 10.0  # bytes of the form that asks for the token; for sending it
+MOST_FORM, FORM_S = 4096, 10.0  # bytes of the login form; s for sending it
 NEEDED, WRONG = (
     f"{what}: give the one that rotorwatch was started with." for what in ("A token is needed", "This token is wrong")
 )
-OPEN = ("/static/page.css", "/static/serve.css")  # the form that asks for the token looks like the page
+OPEN = ("/static/page.css", "/static/serve.css")  # the login form looks like the page
 
 
 def loopback(host: str) -> bool:
@@ -57,7 +57,7 @@ def checked(host: str, token: str) -> str:
 
 
 class Guard:
-    """Around the whole application. host: that it listens on; token: empty where none is asked for."""
+    """Around the whole application. host: that it listens on; token: empty where none is required."""
 
     def __init__(self, app: ASGIApp, host: str, token: str):
         self._app, self._token = app, token
@@ -94,13 +94,13 @@ class Guard:
             return await self._login(request)
         if self._may(request) or request.url.path in OPEN:
             return None
-        given = request.query_params.get("token")
-        if given is not None and self._same(given):
+        token = request.query_params.get("token")
+        if token is not None and self._same(token):
             if request.method != "GET":  # a program's; a browser gets a cookie
                 return None
             rest = [(k, v) for k, v in request.query_params.multi_items() if k != "token"]
             return self._let_in(request, request.url.path + ("?" + urlencode(rest) if rest else ""))
-        return refused(request, 401, WRONG if given is not None or "authorization" in headers else NEEDED)
+        return refused(request, 401, WRONG if token is not None or "authorization" in headers else NEEDED)
 
     def _known(self, host: str) -> bool:
         """An address, or a name of this computer. Any other name has been turned towards us by somebody else's name server."""
@@ -117,13 +117,13 @@ class Guard:
             return name in self._names
         return True
 
-    def _same(self, given: str) -> bool:
-        return hmac.compare_digest(given.encode("utf-8", "replace"), self._token.encode())
+    def _same(self, token: str) -> bool:
+        return hmac.compare_digest(token.encode("utf-8", "replace"), self._token.encode())
 
     def _may(self, request: Request) -> bool:
-        kind, _, given = request.headers.get("authorization", "").partition(" ")
+        kind, _, token = request.headers.get("authorization", "").partition(" ")
         if kind.lower() == "bearer":
-            return self._same(given.strip())
+            return self._same(token.strip())
         cookie = request.cookies.get(_cookie(request), "").encode("utf-8", "replace")
         return hmac.compare_digest(cookie, self._secret.encode())
 
@@ -134,8 +134,8 @@ class Guard:
             return refused(request, 408, "This was too slow; try again on a better connection.")
         if len(body) > MOST_FORM:
             return refused(request, 413, "This is too long for a token.")
-        given = parse_qs(body.decode("utf-8", "replace")).get("token", [""])[0].strip()
-        if not self._same(given):
+        token = parse_qs(body.decode("utf-8", "replace")).get("token", [""])[0].strip()
+        if not self._same(token):
             return refused(request, 401, WRONG)
         return self._let_in(request, "/")
 
@@ -170,7 +170,7 @@ def _from_here(headers: Headers) -> bool:
 
 
 def refused(request: Request, code: int, why: str) -> Response:
-    """An answer with one sentence: JSON for programs, a page for people, with a form where a token is asked for."""
+    """An answer with one sentence: JSON for programs, a page for people, with a form where a token is required."""
     if request.url.path.startswith("/api/") or request.method not in ("GET", "HEAD", "POST") or code == 413:
         return JSONResponse({"error": why}, code)
     from rotorwatch.serve.pages import message

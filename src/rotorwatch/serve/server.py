@@ -1,4 +1,4 @@
-"""The server: everything is opened and checked before the first page is given out."""
+"""The server: everything is opened and checked before the first page is served."""
 
 from __future__ import annotations
 
@@ -104,8 +104,8 @@ def listen(host: str, port: int) -> socket.socket:
         }
         if reason in known:
             raise ConfigError(f"--port {port}: {known[reason]}.") from None
-        said = getattr(why, "strerror", None) or why
-        raise ConfigError(f"--host {host} --port {port}: cannot listen there ({said}).") from None
+        text = getattr(why, "strerror", None) or why
+        raise ConfigError(f"--host {host} --port {port}: cannot listen there ({text}).") from None
     return sock
 
 

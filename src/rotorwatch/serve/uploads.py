@@ -1,4 +1,4 @@
-"""Logs that are sent here: taken within bounds of size and time, judged in processes of their own, and kept as flights."""
+"""Logs that are sent here: taken within bounds of size and time, judged in processes of their own, and stored as flights."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ class _Limited:
 
 
 class Uploads:
-    """Where logs go. told: called with each flight that is new, once it is kept; trouble: with a sentence when a log has to wait.
+    """Uploaded logs. on_stored: called with each new flight, once it is stored; trouble: with a sentence when a log has to wait.
 
     A log lies in a folder of its own until it is in the store or was refused; whatever else happens, it is tried again.
     """
@@ -110,11 +110,11 @@ class Uploads:
         self,
         flights: Flights,
         limits: Limits,
-        told: Callable[[dict[str, Any]], None],
+        on_stored: Callable[[dict[str, Any]], None],
         trouble: Callable[[str], None] = lambda text: None,
     ):
         """Raises ConfigError where the folder for uploads cannot be written to."""
-        self.limits, self._flights, self._told, self._trouble = limits, flights, told, trouble
+        self.limits, self._flights, self._on_stored, self._trouble = limits, flights, on_stored, trouble
         self._incoming = flights.folder("incoming")
         self._run, self._lock = _own(self._incoming)
         self._receiving, self._stopping = 0, False
@@ -138,9 +138,9 @@ class Uploads:
             worker.stop()
         self._lock.close()
 
-    async def take(self, given_name: str, length: int | None, body: AsyncIterator[bytes]) -> tuple[dict, bool]:
-        """(the flight of an upload, whether it is new). given_name: percent-encoded. length: as announced. Raises Refused."""
-        name, most = names.shown(given_name), self.limits.most
+    async def take(self, encoded_name: str, length: int | None, body: AsyncIterator[bytes]) -> tuple[dict, bool]:
+        """(the flight of an upload, whether it is new). encoded_name: percent-encoded. length: as announced. Raises Refused."""
+        name, most = names.shown(encoded_name), self.limits.most
         if length is not None and length > most:
             await _drain(body)
             raise Refused(413, _too_large(name, most))
@@ -210,31 +210,31 @@ class Uploads:
         return task
 
     async def _judge(self, log: Log, waited_s: float) -> tuple[dict[str, Any], bool]:
-        """(the flight, kept in the store before anybody is told of it; whether it is new). Raises Refused for what is no flight, Later."""
+        """(the flight, stored before on_stored is called; whether it is new). Raises Refused for what is no flight, Later."""
         new = False
         try:
             row = await asyncio.to_thread(self._attempt, log, self._flights.row, log.digest)
             if row is None:
                 async with self._turn:
-                    row, new = await asyncio.to_thread(self._attempt, log, self._kept, log), True
+                    row, new = await asyncio.to_thread(self._attempt, log, self._into_store, log), True
         except Later as why:
             pause_s = min(max(2.0 * waited_s, AGAIN_S), LONGEST_S)
             asyncio.get_running_loop().call_later(pause_s, self._again, log, pause_s)
             self._trouble(str(why))
             raise
         except Refused:
-            await self._gone(log)
+            await self._finish(log)
             raise
-        await self._gone(log)
+        await self._finish(log)
         if new:
-            self._told(row)
+            self._on_stored(row)
         return row, new
 
     def _again(self, log: Log, waited_s: float) -> None:
         if log.digest in self._logs and not self._stopping:
             self._begin(log, waited_s)
 
-    async def _gone(self, log: Log) -> None:
+    async def _finish(self, log: Log) -> None:
         """It is in the store, or refused."""
         del self._logs[log.digest]
         shutil.rmtree(log.path.parent, ignore_errors=True)
@@ -251,7 +251,7 @@ class Uploads:
             code, text = (503, "The server stops.") if self._stopping else wrong(why)
             raise Later(code, f"{log.name}: the log is kept here and judged later. {text}") from why
 
-    def _kept(self, log: Log) -> dict[str, Any]:
+    def _into_store(self, log: Log) -> dict[str, Any]:
         """The flight, judged and put into the store."""
         found = self._answer(log)
         if isinstance(found, str):
@@ -259,11 +259,11 @@ class Uploads:
         return self._flights.keep(found)
 
     def _answer(self, log: Log) -> Entry | str:
-        """What a worker says of it. A process that dies is given it a second time: something else may have ended the first."""
+        """A worker's result. After a process that died it is tried a second time: something else may have ended the first."""
         for last in (False, True):
             worker = self._idle.pop() if self._idle else self._worker()
             try:
-                return worker.ask((log, str(self._flights.page(log.digest))))
+                return worker.call((log, str(self._flights.page(log.digest))))
             except (WorkerError, MemoryError) as why:
                 if self._stopping or not worker.ready:
                     raise

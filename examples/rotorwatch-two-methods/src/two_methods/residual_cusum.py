@@ -39,7 +39,7 @@ class ResidualCUSUM:
     not_kalman = "it says no loss until the evidence for one exceeds a threshold"
 
     def __init__(self, system, dt: float, *, smallest: float = 0.1, threshold: float = 8.0):
-        """dt: s. smallest: the loss that is looked for, 0 to 1; threshold: evidence [nats] from which a loss is said. Raises
+        """dt: s. smallest: the loss that is looked for, 0 to 1; threshold: evidence [nats] from which a loss is announced. Raises
         ConfigError."""
         self.filter = EKF(
             system, dt, theta_walk=0.0, theta_var=0.0
@@ -78,9 +78,9 @@ class ResidualCUSUM:
         g = self.smallest * a - 0.5 * self.smallest**2 * b
         on = g > 0.0
         a, b, Upsilon = jnp.where(on, a, 0.0), jnp.where(on, b, 0.0), jnp.where(on, Upsilon - K @ Omega, 0.0)
-        said = (jnp.arange(n) == jnp.argmax(g)) & (g > self.threshold)
+        announced = (jnp.arange(n) == jnp.argmax(g)) & (g > self.threshold)
         variance = 1.0 / (b + 1.0 / PRIOR_SD**2)
-        theta = jnp.where(said, jnp.clip(a * variance, 0.0, 1.0), 0.0)
+        theta = jnp.where(announced, jnp.clip(a * variance, 0.0, 1.0), 0.0)
         estimate = Estimate(
             seen.x, seen.x_cov, theta, jnp.diag(np.ones(n) * variance), seen.innovation, seen.innovation_cov, seen.status
         )  # fmt: skip

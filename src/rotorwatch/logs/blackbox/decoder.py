@@ -81,24 +81,24 @@ def decode(
     main = np.zeros((room + 1, widths[0]), np.int32)  # a frame is read before it is known to be one
     slow, gps = (np.zeros((FEW + 1, width + 1), np.int32) for width in widths[1:])
     events = np.zeros((FEW + 1, sizes.WIDTH), np.int32)
-    kept: list[list[np.ndarray]] = [[], [], [], []]
+    chunks: list[list[np.ndarray]] = [[], [], [], []]
     names = about.layouts["I"].names
     used = np.array([k for k, name in enumerate(names) if name == "time" or wanted(name)])
     done, cells, first = False, 0, 0
     while not done and cells < MOST_CELLS:
         done = BLACKBOX.call(frames.decode, stream, raw, main, slow, gps, events, room, FEW)
         counts = [int(stream[name][0]) for name in ("rows", "slow_rows", "gps_rows", "event_rows")]
-        for table, count, pieces in zip((main, slow, gps, events), counts, kept):
+        for table, count, pieces in zip((main, slow, gps, events), counts, chunks):
             some = slice(first, count) if table is main else slice(count)
             pieces.append(table[some, used] if table is main and used.size < len(names) else table[some].copy())
-        cells += kept[0][-1].size
-        # The two last frames go first: the next ones are told as differences to them.
+        cells += chunks[0][-1].size
+        # The two last frames go first: the next ones are coded as differences to them.
         two = [int(stream["before"][0]), int(stream["previous"][0])]
         main[:2], first = main[two].copy(), 2
         stream.set(rows=2, before=0, previous=1, slow_rows=0, gps_rows=0, event_rows=0)
         if progress:
             progress(float(stream["at"][0]) / max(size, 1))
-    rows = [pieces[0] if len(pieces) == 1 else np.concatenate(pieces) for pieces in kept]
+    rows = [pieces[0] if len(pieces) == 1 else np.concatenate(pieces) for pieces in chunks]
     found = _table(about, "I", used, rows[0], 0)
     slow_frames, gps_frames = (
         _table(about, kind, np.arange(table.shape[1] - 1), table, 1) for kind, table in zip("SG", rows[1:])

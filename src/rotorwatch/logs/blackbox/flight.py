@@ -150,7 +150,7 @@ def _motors(columns: Columns) -> tuple[Signal | None, np.ndarray | None, dict[st
 
 
 def _demand(columns: Columns) -> np.ndarray | None:
-    """(n, 3) what the controller asked of roll, pitch and yaw, body FRD, as shares of an output's range; within the limits of its sum."""
+    """(n, 3) the controller's demand on roll, pitch and yaw, body FRD, as shares of an output's range; within the limits of its sum."""
     parts = [columns.get(*names) for names in zip(*([f"axis{part}[{k}]" for part in "PI"] for k in range(3)))]
     if any(part is None for part in parts):
         return None
@@ -183,12 +183,12 @@ def _mixer(share: np.ndarray, demand: np.ndarray) -> dict[str, Any]:
     inner = np.asarray(((share > 0.005) & (share < 0.995)).all(axis=1))
     if inner.sum() < LEAST_ROWS:
         return {}
-    apart = share[inner] - share[inner].mean(axis=1, keepdims=True)
-    apart, asked = apart - apart.mean(axis=0), demand[inner] - demand[inner].mean(axis=0)
-    if (asked.std(axis=0) * MIXED < LEAST_STD).any():
+    differential = share[inner] - share[inner].mean(axis=1, keepdims=True)
+    differential, commanded = differential - differential.mean(axis=0), demand[inner] - demand[inner].mean(axis=0)
+    if (commanded.std(axis=0) * MIXED < LEAST_STD).any():
         return {}
-    factors = np.linalg.lstsq(asked, apart, rcond=None)[0]
-    explained = 1.0 - np.square(apart - asked @ factors).sum() / max(np.square(apart).sum(), 1e-12)
+    factors = np.linalg.lstsq(commanded, differential, rcond=None)[0]
+    explained = 1.0 - np.square(differential - commanded @ factors).sum() / max(np.square(differential).sum(), 1e-12)
     return {"mixer": np.round(factors.T, 3).tolist()} if explained > FITS else {}
 
 

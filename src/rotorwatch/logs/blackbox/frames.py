@@ -1,9 +1,9 @@
 """Frames of a Blackbox log, as a definition (`compiling.structs`): bytes in, rows of whole numbers out.
 
 A session's header says of each kind of frame which fields it has, how they are encoded and what is predicted for them. I frames stand
-alone; P frames tell the difference to what the frames before let expect. S: slow-changing states, G: GPS, H: its home, E: events.
+alone; P frames hold the difference to a prediction from the frames before. S: slow-changing states, G: GPS, H: its home, E: events.
 
-Nothing tells where a frame ends but its fields, and no checksum tells that they are whole. So a frame counts if another begins where it
+Only its fields show where a frame ends, and there is no checksum. So a frame counts if another begins where it
 ends, or the log ends there. After one that does not, or garbage, P frames are worth nothing until the next I frame.
 """
 

@@ -1,4 +1,4 @@
-"""What a session of a Blackbox log says of itself before its frames: lines `H name:value`.
+"""The header of a session of a Blackbox log: lines `H name:value` before its frames.
 
 The lines `Field I name`, `Field I predictor` and so on lay the frames out; without those of I and P frames nothing can be read. All others
 are settings of the firmware.
@@ -106,12 +106,12 @@ def starts(data) -> list[int]:
     """Bytes at which sessions begin: a log is appended to the file each time the vehicle is armed. A session whose first line is damaged
     begins at the fields of its I frames."""
     found = sorted({*_places(data, START), *_places(data, FIELDS_START)})
-    kept: list[int] = []
+    places: list[int] = []
     for at in found:
         first = bytes(data[at : at + len(START)]) == START
-        if first or not kept or at - kept[-1] > BETWEEN:
-            kept.append(at)
-    return kept[:MOST_SESSIONS]
+        if first or not places or at - places[-1] > BETWEEN:
+            places.append(at)
+    return places[:MOST_SESSIONS]
 
 
 def _places(data, text: bytes) -> list[int]:
@@ -181,7 +181,7 @@ def _numbers(text: str) -> tuple[int, ...]:
 
 
 def fill(stream: Rows, header: Header) -> None:
-    """Tell a `frames.Stream` what the header says."""
+    """Set up a `frames.Stream` from the header."""
     rows = [(KINDS[kind], layout, *laid_out(kind, layout)) for kind, layout in header.layouts.items()]
     for number, layout, encoding, runs, steps in rows:
         target = stream.part("layouts").row(number)
@@ -242,6 +242,6 @@ def _skipped(header: Header) -> np.ndarray:
     share, whole = (int(parts[1]), int(parts[2])) if parts and parts[2] else (1, int(parts[1]) if parts else 1)
     whole, share = max(whole, 1), min(max(share, 1), max(whole, 1))
     loop = np.arange(cycle)
-    kept = (loop == 0) | ((loop + share - 1) % whole < share)
-    after = np.flatnonzero(np.r_[kept, True])  # the next I frame always has one
+    logged = (loop == 0) | ((loop + share - 1) % whole < share)
+    after = np.flatnonzero(np.r_[logged, True])  # the next I frame always has one
     return (after[np.searchsorted(after, loop, side="right")] - loop).astype(np.int32)

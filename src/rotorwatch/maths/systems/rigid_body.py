@@ -79,9 +79,9 @@ class RigidBody(Rotors):
         `gravity`, `walk` and `measured_sd` are taken where it has them; options: the constructor's keywords, first choice.
         """
         T, levers = float(airframe["thrust_max"]), cls.levers(airframe)
-        given = {k: airframe[k] for k in ("gravity", "walk", "measured_sd") if k in airframe}
+        from_airframe = {k: airframe[k] for k in ("gravity", "walk", "measured_sd") if k in airframe}
         J = np.diag(airframe["inertia"]).astype(float)
-        return cls(J, T * levers, np.full(levers.shape[1], T), float(airframe["mass"]), **(given | options))
+        return cls(J, T * levers, np.full(levers.shape[1], T), float(airframe["mass"]), **(from_airframe | options))
 
     def derivative(self, x, u, theta):
         """dx/dt (12,)."""

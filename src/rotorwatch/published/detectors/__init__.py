@@ -1,4 +1,4 @@
-"""Published threshold detectors, to compare with: what the autopilots themselves would have said, and when.
+"""Published threshold detectors, for comparison: the failure checks of the autopilots themselves.
 
 A module here offers ``name``, ``autopilot`` (whose check it is, as `Flight.autopilot` names it) and
 ``detect(flight, vehicle, airborne) -> tuple[dict, ...]`` with a dict per finding: detector, rotor (1-based), time_s and reason (one

@@ -29,7 +29,7 @@ def detect(flight: Flight, vehicle: Vehicle, airborne: allocation.Spans) -> tupl
     patience = parameters.get("FD_ACT_MOT_TOUT", 100.0) / 1000.0
     low, high = vehicle.curve.u_min, vehicle.curve.u_max
     command = np.clip((flight["motors"].values - low) / (high - low), 0.0, 1.0)
-    asked = allocation.hold(flight["motors"].time, command, esc.time)
+    commanded = allocation.hold(flight["motors"].time, command, esc.time)
     inside = allocation.within(esc.time, airborne)
     found = []
     for rotor in range(1, command.shape[1] + 1):
@@ -38,7 +38,7 @@ def detect(flight: Flight, vehicle: Vehicle, airborne: allocation.Spans) -> tupl
         column = esc.columns.index(f"current{rotor}")
         current, valid = esc.values[:, column], esc.valid[:, column]
         believed = np.maximum.accumulate(np.where(valid, current, 0.0)) > HAS_CURRENT
-        drive = asked[:, rotor - 1]
+        drive = commanded[:, rotor - 1]
         low_current = inside & valid & believed & (drive > above) & (current < drive * per_command)
         since = None
         for k in np.flatnonzero(inside & valid):

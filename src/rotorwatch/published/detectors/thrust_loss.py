@@ -1,8 +1,8 @@
 """ArduPilot Copter's thrust-loss check, re-built from its published description, and the autopilot's own message.
 
 For 1 s without a break: throttle over 0.9 or limited by outputs at their top, throttle over 0.25, sinking, a desired
-lean under 15 deg and attitude under control. The rotor with the highest output (low-passed over 0.5 s) is named.
-Desired angles are not among the signals here: the lean itself stands in for them.
+tilt under 15 deg and attitude under control. The rotor with the highest output (low-passed over 0.5 s) is named.
+Desired angles are not among the signals here: the tilt itself is used instead.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ autopilot = "ArduPilot"
 MESSAGE = re.compile(r"potential thrust loss \((\d+)\)", re.IGNORECASE)
 
 HIGH_THROTTLE, LOW_THROTTLE = 0.9, 0.25
-MAX_LEAN = np.radians(15.0)
+MAX_TILT = np.radians(15.0)
 TRIGGER_S = 1.0
 FILTER_S = 0.5
 TOP = 0.98  # share of full thrust from which an output counts as being at its limit
@@ -48,9 +48,9 @@ def _check(flight: Flight, vehicle: Vehicle, airborne: allocation.Spans) -> list
     velocity, attitude = flight["velocity"], flight["attitude"]
     sinking = allocation.hold(velocity.time, velocity.values[:, 2], time) > 0
     _, x, y, _ = allocation.hold(attitude.time, attitude.values, time).T
-    lean = np.arccos(np.clip(1.0 - 2.0 * (x * x + y * y), -1.0, 1.0))
+    tilt = np.arccos(np.clip(1.0 - 2.0 * (x * x + y * y), -1.0, 1.0))
     limited = thrust.max(axis=1) > TOP
-    holds = ((throttle > HIGH_THROTTLE) | limited) & (throttle > LOW_THROTTLE) & sinking & (lean < MAX_LEAN)
+    holds = ((throttle > HIGH_THROTTLE) | limited) & (throttle > LOW_THROTTLE) & sinking & (tilt < MAX_TILT)
     holds &= allocation.within(time, airborne)
     found, since, smooth = [], None, thrust[0].copy()
     for k in range(len(time)):

@@ -5,7 +5,7 @@ const SIGNS = { healthy: "✓ Healthy", fault: "✕ Fault found", ambiguous: "? 
 const PAGE = 50;
 let most = Infinity;
 let shown = 0;
-let asked = 0;
+let queries = 0;
 
 export function start() {
   const pick = (event) => {
@@ -47,17 +47,17 @@ export function refresh() {
 }
 
 async function about() {
-  const answer = await ask("/api/about");
+  const answer = await fetched("/api/about");
   if (!answer) return;
   most = answer.most;
   say(document.getElementById("version"), `rotorwatch ${answer.version}.`);
 }
 
 async function load(offset, limit = PAGE) {
-  const mine = ++asked;
+  const mine = ++queries;
   const search = document.getElementById("search").value;
-  const found = await ask(`/api/flights?${new URLSearchParams({ search, limit: String(Math.min(limit, 200)), offset: String(offset) })}`);
-  if (!found || mine !== asked) return; // a later question is on its way
+  const found = await fetched(`/api/flights?${new URLSearchParams({ search, limit: String(Math.min(limit, 200)), offset: String(offset) })}`);
+  if (!found || mine !== queries) return; // a later query is on its way
   const body = document.querySelector("#list tbody");
   const rows = found.flights.map(row);
   if (offset) body.append(...rows);
@@ -70,7 +70,7 @@ async function load(offset, limit = PAGE) {
   if (offset && rows.length) rows[0].querySelector("a").focus();
 }
 
-async function ask(address) {
+async function fetched(address) {
   try {
     const answer = await fetch(address);
     if (answer.status === 401) location.reload();

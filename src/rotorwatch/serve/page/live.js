@@ -1,4 +1,4 @@
-// Vehicles while they fly: a card for each, redrawn as the server tells.
+// Vehicles while they fly: a card for each, redrawn at each message of the server.
 import { draw, make, mark, percent, say } from "./dom.js";
 
 const WORDS = {
@@ -16,7 +16,7 @@ const HEIGHT = 220, LEFT = 44, BOTTOM = 24, TOP = 8, RIGHT = 8;
 const DASHES = { solid: "", dashed: "6 3", dotted: "2 3", dotdash: "2 3 6 3", dashdot: "6 3 2 3" };
 
 const cards = new Map();
-const told = new Set(); // faults that were read out: of this page, so that a reload says them again once
+const announced = new Set(); // faults that were read out: of this page, so that a reload says them again once
 
 export function state(data) {
   for (const [key, card] of cards) {
@@ -25,9 +25,9 @@ export function state(data) {
       cards.delete(key);
     } else card.forget();
   }
-  const body = document.querySelector("#said tbody");
+  const body = document.querySelector("#messages tbody");
   body.replaceChildren();
-  data.said.forEach(said);
+  data.said.forEach(message);
   tick(data);
 }
 
@@ -49,13 +49,13 @@ export function begun(data) {
   cards.get(data.key)?.forget();
 }
 
-export function said(line) {
+export function message(line) {
   const at = new Date(line.at * 1000).toLocaleTimeString([], { hour12: false });
   const row = make("tr", {}, make("td", { class: "n" }, at), make("td", {}, line.vehicle), make("td", {}, line.text));
-  const body = document.querySelector("#said tbody");
+  const body = document.querySelector("#messages tbody");
   body.prepend(row);
   while (body.rows.length > 100) body.lastElementChild.remove();
-  document.getElementById("said").hidden = false;
+  document.getElementById("messages").hidden = false;
 }
 
 function endpoints(list) {
@@ -105,7 +105,7 @@ class Card {
     this.forget();
   }
 
-  /** Another flight begins, or all is told anew. */
+  /** Another flight begins, or the whole state comes again. */
   forget() {
     this.points = [];
     this.frame = null;
@@ -126,8 +126,8 @@ class Card {
     say(this.title, v.name + (this.frame ? ` – ${this.frame.name}, ${this.frame.rotors.length} rotors` : ""));
     const lasting = v.events.filter((e) => e.kind !== "other");
     say(this.sentence, lasting.length ? capital(lasting.map((e) => e.text).join("; ")) : v.blind ? capital(v.blind) : "All rotors give the thrust that they are asked for.");
-    const heard = v.counts.taken ? `, ${v.counts.taken.toLocaleString("en")} ${v.now === null ? "messages" : `messages or samples, ${v.now.toFixed(0)} s`}` : "";
-    say(this.link, `Link: ${v.link}${heard}${lasting.length && v.blind ? `; blind: ${v.blind}` : ""}${v.esc ? `; ${v.esc}` : ""}${v.notice ? `; ${v.notice}` : ""}`);
+    const received = v.counts.taken ? `, ${v.counts.taken.toLocaleString("en")} ${v.now === null ? "messages" : `messages or samples, ${v.now.toFixed(0)} s`}` : "";
+    say(this.link, `Link: ${v.link}${received}${lasting.length && v.blind ? `; blind: ${v.blind}` : ""}${v.esc ? `; ${v.esc}` : ""}${v.notice ? `; ${v.notice}` : ""}`);
     this.rotors(v);
     this.happened(v);
     this.bands(v);
@@ -212,7 +212,7 @@ class Card {
 
   point(row) {
     const last = this.points.length ? this.points[this.points.length - 1][0] : -Infinity;
-    if (row[0] <= last) return; // told twice: by the whole state and by the tick after it
+    if (row[0] <= last) return; // sent twice: in the whole state and in the tick after it
     this.points.push(row);
     if (this.points.length >= POINTS) this.points = this.points.filter((p, k) => k % 2 === 0 || p.length === 1);
   }
@@ -277,8 +277,8 @@ class Card {
   alarm(v, lasting) {
     for (const e of lasting) {
       const name = `${v.key} ${e.number} ${e.kind}`;
-      if (told.has(name)) continue;
-      told.add(name);
+      if (announced.has(name)) continue;
+      announced.add(name);
       document.getElementById("alarm").textContent = `${v.name}: ${e.kind === "fault" ? "fault" : "ambiguous"}: ${e.text}`;
     }
   }

@@ -12,7 +12,7 @@ on("state", (data) => {
 });
 on("tick", live.tick);
 on("begun", live.begun);
-on("said", live.said);
+on("said", live.message);
 on("flight", flights.refresh);
 stream.addEventListener("open", () => {
   say(document.getElementById("connection"), "");
