@@ -23,7 +23,15 @@ from rotorwatch.flight.diagnosis import Diagnosis, Event, Trace
 # Tests run as users run them, and so do the commands that they start: PYTHONUNBUFFERED or COLUMNS of a developer's shell can hide a fault.
 # Besides what everyone has, there stays where Python, compilers and temporary files are, and what says how the tests themselves are run.
 EVERYONE = "HOME PATH LANG TMPDIR SYSTEMROOT TEMP TMP USERPROFILE LOCALAPPDATA".split()
-OF_TESTS = ("PYTHONPATH", "PYTHONDONTWRITEBYTECODE", "ROTORWATCH_CACHE", "ROTORWATCH_FULL_LAW", "CI", "XLA_FLAGS", "OPENBLAS_NUM_THREADS")
+OF_TESTS = (
+    "PYTHONPATH",
+    "PYTHONDONTWRITEBYTECODE",
+    "ROTORWATCH_CACHE",
+    "ROTORWATCH_FULL_LAW",
+    "CI",
+    "XLA_FLAGS",
+    "OPENBLAS_NUM_THREADS",
+)
 for _name in [n for n in os.environ if n not in (*EVERYONE, *OF_TESTS) and not n.startswith(("PYTEST_", "PIP_"))]:
     del os.environ[_name]
 
