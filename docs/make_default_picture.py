@@ -15,7 +15,7 @@ import numpy as np
 import rotorwatch as rw
 from rotorwatch import airframes
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.default import caution, hypotheses, program
+from rotorwatch.default import hypotheses, model_error, program
 from rotorwatch.default.plant import AXES
 from rotorwatch.experiments.inject import inject
 from rotorwatch.motion.airborne import airborne
@@ -55,7 +55,7 @@ def main(log: str) -> None:
     noise.set(yscale="log", ylabel="sd, hover thrusts", title="noise: pitch, learned from differences of the residual")
     for a in range(4):
         trust.plot(t[some], seen["calm"][some, a], color=f"C{a}", label=AXES[a])
-    trust.set(ylim=(0, 1.05), ylabel="weight", title="caution: what a tick's evidence counts")
+    trust.set(ylim=(0, 1.05), ylabel="weight", title="model error: what a tick's evidence counts")
     for i in range(B.shape[1]):
         bank.plot(t[some], seen["odds"][some, i], label=f"rotor {i + 1}")
     other = seen["odds"][:, ~hyp.fault].max(axis=1)
@@ -94,7 +94,7 @@ def steps(table, B) -> dict[str, np.ndarray]:
         carry, out = estimator.step(carry, *row)
         outputs = {
             "y": row[1], "innovation": out.estimate.innovation, "variances": carry.noise.variances,
-            "calm": caution.calm(carry.caution), "odds": out.decision.log_odds, "statistic": out.decision.statistic,
+            "calm": model_error.calm(carry.model_error), "odds": out.decision.log_odds, "statistic": out.decision.statistic,
             "plausible": out.plausible, "share": out.share, "theta": out.theta, "theta_sd": out.theta_sd,
         }  # fmt: skip
         return carry, outputs

@@ -7,7 +7,7 @@ from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.campaign import ablation
 from rotorwatch.campaign.constants import TABLE
 from rotorwatch.commands import cli
-from rotorwatch.default import caution, hypotheses, kalman, program
+from rotorwatch.default import hypotheses, kalman, model_error, program
 from rotorwatch.errors import ConfigError
 from rotorwatch.front import losses
 from rotorwatch.motion.ticks import JUDGE, LEARN, Ticks
@@ -43,10 +43,12 @@ def test_the_table_names_every_constant_and_no_other():
 
 
 def test_variants_are_half_double_and_off():
-    found = ablation.variants(["caution.GAIN_ERROR", "hypotheses.WEIGHT", "plant.USUAL_S"])
+    found = ablation.variants(["model_error.GAIN_ERROR", "hypotheses.WEIGHT", "plant.USUAL_S"])
     assert found["as it is"] == {}
-    assert found["caution.GAIN_ERROR half"] == {"caution.GAIN_ERROR": tuple(0.5 * v for v in caution.GAIN_ERROR)}
-    assert found["caution.GAIN_ERROR off"] == {"caution.GAIN_ERROR": (0.0,) * 4}
+    assert found["model_error.GAIN_ERROR half"] == {
+        "model_error.GAIN_ERROR": tuple(0.5 * v for v in model_error.GAIN_ERROR)
+    }
+    assert found["model_error.GAIN_ERROR off"] == {"model_error.GAIN_ERROR": (0.0,) * 4}
     pair = found["hypotheses.WEIGHT[pair] double"]["hypotheses.WEIGHT"]
     assert pair == {**hypotheses.WEIGHT, "pair": 2 * hypotheses.WEIGHT["pair"]}
     assert "plant.USUAL_S double" in found and "plant.USUAL_S off" not in found

@@ -12,7 +12,8 @@ from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.vehicle import ThrustCurve
 from rotorwatch.front import deviations, mixer
 from rotorwatch.front.vehicle import Vehicle
-from rotorwatch.motion import allocation, departures
+from rotorwatch.motion import allocation
+from rotorwatch.motion.deviations import overrides
 
 FLIGHTS = Path(__file__).resolve().parents[2] / "shared" / "flights"
 needs_flights = pytest.mark.skipif(not FLIGHTS.is_dir(), reason="the shared test flights are not beside the repository")
@@ -202,7 +203,7 @@ HEALTHY_OUTPUTS = [
 def test_no_output_is_accused_where_all_follow(path):
     """Losses of effectiveness, a total loss with outputs at both limits, take-offs, landings."""
     flight = read(path)
-    assert departures.overrides(flight, airframes.identify(flight), spans(flight)) == ()
+    assert overrides(flight, airframes.identify(flight), spans(flight)) == ()
 
 
 INJECTED = [
@@ -225,16 +226,16 @@ INJECTED = [
 def test_an_injected_override_is_found_live(path, rotor, start, value, kind, within):
     flight = with_output(read(path), rotor, start, value)
     vehicle, airborne = airframes.identify(flight), spans(read(path))
-    found = departures.overrides(flight, vehicle, airborne)
+    found = overrides(flight, vehicle, airborne)
     assert [(o.rotor, o.kind) for o in found] == [(rotor, kind)]
     assert start < found[0].detected < start + within
     assert abs(found[0].onset - start) < 0.35
     assert f"output {rotor}" in found[0].reason
     end = found[0].detected + 0.2
-    cut = departures.overrides(flight.until(end), vehicle, tuple((a, min(b, end)) for a, b in airborne if a < end))
+    cut = overrides(flight.until(end), vehicle, tuple((a, min(b, end)) for a, b in airborne if a < end))
     assert [(o.rotor, o.kind, o.detected) for o in cut] == [(rotor, kind, found[0].detected)]
     before = found[0].detected - 0.01
-    assert departures.overrides(flight.until(before), vehicle, airborne) == ()
+    assert overrides(flight.until(before), vehicle, airborne) == ()
 
 
 @pytest.mark.parametrize("valid", [True, False])
@@ -247,11 +248,11 @@ def test_an_output_that_rests_in_calm_air_beside_a_damaged_record_is_not_stuck(v
     at = int(np.searchsorted(motors.time, 15.0))
     values[at, :3], known[at, :3] = 1000.0, valid
     signals = {"motors": replace(motors, values=values, valid=known)}
-    assert departures.overrides(replace(flight, signals=signals), vehicle, ((1.0, 30.0),)) == ()
+    assert overrides(replace(flight, signals=signals), vehicle, ((1.0, 30.0),)) == ()
     rough = values + np.random.default_rng(4).normal(0.0, 20.0, values.shape)
     rough[motors.time > 10.0, 3] = 1591.0
     signals = {"motors": replace(motors, values=rough, valid=known)}
-    (found,) = departures.overrides(replace(flight, signals=signals), vehicle, ((1.0, 30.0),))
+    (found,) = overrides(replace(flight, signals=signals), vehicle, ((1.0, 30.0),))
     assert (found.rotor, found.kind) == (4, "stuck") and found.onset == pytest.approx(10.0, abs=0.2)
 
 
@@ -262,7 +263,7 @@ def test_an_output_that_is_driven_by_something_else():
     on = motors.time >= 15.0
     values[on, 2] = 1550 + 60 * np.sin(5 * motors.time[on])
     flight = replace(flight, signals={**flight.signals, "motors": replace(motors, values=values)})
-    found = departures.overrides(flight, vehicle, ((1.0, 30.0),))
+    found = overrides(flight, vehicle, ((1.0, 30.0),))
     assert [(o.rotor, o.kind, o.end) for o in found] == [(3, "overridden", None)]
 
 
@@ -279,27 +280,27 @@ def test_outputs_that_give_way_to_a_limit_are_not_stuck():
     command[calm] = command[np.argmax(on[::5])]
     motors = replace(flight["motors"], values=command)
     signals = {**flight.signals, "motors": motors, "control": replace(flight["control"], values=control)}
-    assert departures.overrides(replace(flight, signals=signals), vehicle, ((1.0, 30.0),)) == ()
+    assert overrides(replace(flight, signals=signals), vehicle, ((1.0, 30.0),)) == ()
 
 
 def test_an_override_that_ends():
     flight, vehicle, _ = hover()
     flight = with_output(flight, 4, 12.0, 1000.0, end=16.0)
-    (found,) = departures.overrides(flight, vehicle, ((1.0, 30.0),))
+    (found,) = overrides(flight, vehicle, ((1.0, 30.0),))
     assert found.kind == "off" and found.end == pytest.approx(16.0, abs=0.25)
 
 
 def test_a_mixer_that_never_fitted_accuses_nobody():
     flight, vehicle, _ = hover()
     wrong = replace(vehicle, mixer=airframes.named("ardupilot-quad-plus").mixer)
-    assert departures.overrides(flight, wrong, ((1.0, 30.0),)) == ()
+    assert overrides(flight, wrong, ((1.0, 30.0),)) == ()
 
 
 def test_flights_without_commands_have_no_overrides():
     flight, vehicle, _ = hover()
     empty = Signal(np.zeros(0), np.zeros((0, 4)), flight["motors"].columns, "us")
     for signals in ({}, {"motors": empty}, {"motors": empty, "control": flight["control"]}):
-        assert departures.overrides(replace(flight, signals=signals), vehicle, ((0.0, 9.0),)) == ()
+        assert overrides(replace(flight, signals=signals), vehicle, ((0.0, 9.0),)) == ()
     lonely = replace(flight, signals={**flight.signals, "control": flight["control"].between(0.0, 0.03)})
     assert (
         allocation.mixed_thrusts(lonely, vehicle) is None or not allocation.mixed_thrusts(lonely, vehicle).valid.any()
@@ -398,8 +399,8 @@ def test_overrides_of_a_log_that_stops_are_those_known_by_then(end):
     """A live observer: what comes later neither finds an override sooner nor takes one back."""
     flight, vehicle, _ = hover()
     flight = with_output(with_output(flight, 2, 12.0, 1000.0, end=14.0), 3, 15.0, 1000.0)
-    whole = departures.overrides(flight, vehicle, ((1.0, 30.0),))
-    cut = departures.overrides(flight.until(end), vehicle, ((1.0, end),))
+    whole = overrides(flight, vehicle, ((1.0, 30.0),))
+    cut = overrides(flight.until(end), vehicle, ((1.0, end),))
     assert [(o.rotor, o.kind, o.onset, o.detected) for o in cut] == [
         (o.rotor, o.kind, o.onset, o.detected) for o in whole if o.detected < end
     ]
@@ -410,7 +411,7 @@ def test_a_mixer_has_to_pass_twenty_comparisons_before_it_accuses():
     """An output that is off from the first second on: nothing has been compared by then, and what comes later does not count."""
     flight, vehicle, _ = hover()
     for start, accused in ((1.0, False), (6.0, True)):
-        found = departures.overrides(with_output(flight, 2, start, 1560.0, end=start + 2.5), vehicle, ((0.0, 30.0),))
+        found = overrides(with_output(flight, 2, start, 1560.0, end=start + 2.5), vehicle, ((0.0, 30.0),))
         assert bool([o for o in found if o.reason.startswith("output 2 was at 1560")]) == accused
 
 
@@ -427,10 +428,10 @@ def test_an_override_is_known_when_the_later_of_its_two_control_samples_has_come
     driven = np.where(motors.time >= 15.0, 1550 + 60 * np.sin(5 * motors.time), motors.values[:, 2])  # never at rest
     motors = replace(motors, values=np.column_stack([*motors.values[:, :2].T, driven, motors.values[:, 3]]))
     flight = later(replace(flight, signals={**flight.signals, "motors": motors}))
-    (found,) = departures.overrides(flight, vehicle, ((1.0, 30.0),))
+    (found,) = overrides(flight, vehicle, ((1.0, 30.0),))
     assert found.detected in flight["control"].time and found.detected > found.onset
     for moment, known in ((found.detected + 1e-6, True), (found.detected - 1e-3, False)):
-        assert bool(departures.overrides(flight.until(moment), vehicle, ((1.0, moment),))) == known
+        assert bool(overrides(flight.until(moment), vehicle, ((1.0, moment),))) == known
 
 
 @pytest.mark.parametrize("known", [True, False])
@@ -486,12 +487,12 @@ def test_outputs_alone_say_which_was_off_or_did_not_move_and_until_when():
     bare = replace(flight, signals={k: v for k, v in flight.signals.items() if k != "control"})
     low = vehicle.curve.u_min
     off = with_output(with_output(bare, 2, 12.0, low - 50.0, end=16.0), 2, 16.0, low, end=19.0)
-    (found,) = departures.overrides(off, vehicle, ((1.0, 30.0),))
+    (found,) = overrides(off, vehicle, ((1.0, 30.0),))
     assert (found.rotor, found.kind, found.asked) == (2, "off", None)
     assert found.reason == f"output 2 was off at {low - 50.0:.4g} while all others flew on"
     assert found.onset == pytest.approx(12.0) and 12.2 < found.detected < 12.8
     assert found.end == pytest.approx(19.0, abs=0.15)
-    (stuck,) = departures.overrides(with_output(bare, 3, 12.0, end=16.0), vehicle, ((1.0, 30.0),))
+    (stuck,) = overrides(with_output(bare, 3, 12.0, end=16.0), vehicle, ((1.0, 30.0),))
     assert (stuck.rotor, stuck.kind) == (3, "stuck") and stuck.reason.startswith("output 3 did not move at ")
     assert stuck.onset == pytest.approx(12.0, abs=0.15) and stuck.detected - stuck.onset > deviations._SILENT_S
     assert stuck.end == pytest.approx(16.0, abs=0.15)

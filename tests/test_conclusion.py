@@ -8,7 +8,7 @@ import pytest
 import rotorwatch.diagnose  # noqa: F401  the module: the package has a function of that name
 from conftest import hexa_diagnosis, hexa_event
 from rotorwatch.answer.conclusion import main_event
-from rotorwatch.default.leftover import Leftover
+from rotorwatch.default.residual_evidence import Leftover
 from rotorwatch.healthy.baselines import Candidate
 from rotorwatch.motion import trust
 

@@ -13,7 +13,7 @@ from scipy.optimize import lsq_linear
 
 from rotorwatch import airframes
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.default import announcement, caution, hypotheses, kalman, noise, opposite, posterior
+from rotorwatch.default import announcement, hypotheses, kalman, model_error, noise, opposite, posterior
 from rotorwatch.default import bank as onsets
 from rotorwatch.default.estimator import JumpBank
 from rotorwatch.default.hypotheses import LOSS_WIDTH
@@ -145,9 +145,9 @@ def quad():
     count as exact, and every explanation is kept however unlikely."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(kalman, "OUTLIER", 1e9)
-        patch.setattr(caution, "LAG_ERROR_S", 0.0)
-        patch.setattr(caution, "SNAPSHOT", 0.0)
-        patch.setattr(caution, "calm", lambda memory: np.ones(4))
+        patch.setattr(model_error, "LAG_ERROR_S", 0.0)
+        patch.setattr(model_error, "SNAPSHOT", 0.0)
+        patch.setattr(model_error, "calm", lambda memory: np.ones(4))
         patch.setattr(hypotheses, "SLOP", (0.0,) * 4)
         patch.setattr(posterior, "OUT", -400.0)
         method = make("ardupilot-quad-x", yaw_known=True)

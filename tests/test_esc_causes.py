@@ -8,7 +8,7 @@ import pytest
 
 import rotorwatch as rw
 from rotorwatch.diagnose import observe
-from rotorwatch.esc import consistency, gone, telemetry, watch
+from rotorwatch.esc import consistency, stopped, telemetry, watch
 from rotorwatch.experiments.studies import esc_causes
 from rotorwatch.flight import Signal
 from rotorwatch.healthy import baselines
@@ -282,9 +282,9 @@ def test_no_telemetry_no_words():
 
 def test_a_spell_must_last_to_the_end():
     at, told = np.arange(10), np.ones(10, bool)
-    assert gone._last(at, np.r_[np.zeros(7, bool), np.ones(3, bool)], told, 2) == (6, 7, 8)
-    assert gone._last(at, np.r_[np.zeros(6, bool), np.ones(3, bool), False], told, 2) is None
-    assert gone._last(at, np.ones(10, bool), told, 2) is None
+    assert stopped._last(at, np.r_[np.zeros(7, bool), np.ones(3, bool)], told, 2) == (6, 7, 8)
+    assert stopped._last(at, np.r_[np.zeros(6, bool), np.ones(3, bool), False], told, 2) is None
+    assert stopped._last(at, np.ones(10, bool), told, 2) is None
 
 
 def test_the_study_counts_answers():

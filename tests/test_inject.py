@@ -12,7 +12,7 @@ from rotorwatch.errors import ConfigError
 from rotorwatch.experiments import inject
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.diagnosis import Event
-from rotorwatch.motion import airborne, allocation, departures
+from rotorwatch.motion import airborne, allocation, deviations
 
 ONSET = 10.0
 FLIGHTS = Path(__file__).resolve().parents[1] / ".." / "shared" / "flights"
@@ -73,7 +73,7 @@ def test_commands_still_follow_the_mixer(frame, fast):
     # A command between two control samples is compared with a straight line; the loss grows along a curve.
     assert np.abs(check.deviation[late]).max() < (1e-3 if fast else 1e-9)
     assert np.abs(faulty["control"].values - flight["control"].values).max() > 0.02
-    assert departures.overrides(faulty, vehicle, ((1.0, 19.0),)) == ()
+    assert deviations.overrides(faulty, vehicle, ((1.0, 19.0),)) == ()
     if fast:
         both = [allocation.mixed_thrusts(f, vehicle) for f in (flight, faulty)]
         assert both[1].valid[200:].mean() > 0.95
@@ -210,4 +210,4 @@ def test_a_real_flight_keeps_following_its_mixer():
     flight = logs.read(path)
     vehicle, air = airframes.identify(flight), airborne.airborne(flight)
     faulty = inject.inject(flight, vehicle, 1, 0.2, 40.0)
-    assert departures.overrides(faulty, vehicle, air) == departures.overrides(flight, vehicle, air) == ()
+    assert deviations.overrides(faulty, vehicle, air) == deviations.overrides(flight, vehicle, air) == ()

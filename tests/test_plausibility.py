@@ -5,8 +5,8 @@ import pytest
 
 from rotorwatch import airframes
 from rotorwatch.default import plausibility
-from rotorwatch.default.caution import AT_LIMIT, BELIEVED
 from rotorwatch.default.hypotheses import NONE
+from rotorwatch.default.model_error import AT_LIMIT, BELIEVED
 from rotorwatch.default.plant import ANSWER_S, USUAL_S
 from rotorwatch.default.plausibility import (
     ASKED_MOST,

@@ -11,7 +11,7 @@ from tests import tumbling
 from rotorwatch import airframes, diagnose
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.diagnosis import Event
-from rotorwatch.upset import departure, find
+from rotorwatch.upset import find, loss_of_control
 from rotorwatch.upset.balance import INERTIA, Offset, Window, fit
 from rotorwatch.upset.explain import Explanation, explain
 
@@ -81,7 +81,7 @@ def test_what_was_no_rotor_is_said(case, cause):
 def test_no_loss_of_control_is_claimed(case):
     flight, _ = tumbling.fly("quad-x", case, 4, duration=20.0, later=14.0)
     air = [(3.7, 19.0)]
-    assert departure.find(flight, air) == ()
+    assert loss_of_control.find(flight, air) == ()
 
 
 def still(duration: float = 10.0, hz: float = 10.0) -> Flight:
@@ -102,27 +102,27 @@ def rolled(flight: Flight, name: str, start: float, end: float, degrees: float) 
 
 
 def test_control_that_comes_back_at_once_was_not_lost():
-    assert departure.find(rolled(still(), "attitude", 5.0, 5.7, 80.0), [(0.0, 10.0)]) == ()
+    assert loss_of_control.find(rolled(still(), "attitude", 5.0, 5.7, 80.0), [(0.0, 10.0)]) == ()
 
 
 def test_two_turns_that_were_mastered_are_no_loss_of_control():
     flight = rolled(rolled(still(), "attitude", 5.0, 5.4, 80.0), "attitude", 6.2, 6.6, 80.0)
-    assert departure.find(flight, [(0.0, 10.0)]) == ()
+    assert loss_of_control.find(flight, [(0.0, 10.0)]) == ()
 
 
 def test_a_vehicle_that_tumbled_and_came_to_rest_upright_was_out_of_control():
-    (left,) = departure.find(rolled(still(), "attitude", 5.0, 5.7, 170.0), [(0.0, 10.0)])
+    (left,) = loss_of_control.find(rolled(still(), "attitude", 5.0, 5.7, 170.0), [(0.0, 10.0)])
     assert left.onset == pytest.approx(4.9, abs=0.11)
 
 
 def test_a_take_off_that_ends_on_its_side_was_lost():
-    (left,) = departure.find(rolled(still(), "attitude", 4.0, 10.0, 80.0), [(3.6, 4.3)])
+    (left,) = loss_of_control.find(rolled(still(), "attitude", 4.0, 10.0, 80.0), [(3.6, 4.3)])
     assert left.onset < 4.1
 
 
 @pytest.mark.parametrize(("lasts", "lost"), [(1.5, False), (2.5, True)])
 def test_a_vehicle_that_leans_for_seconds_as_nobody_asked_is_out_of_control(lasts, lost):
-    assert bool(departure.find(rolled(still(), "attitude", 5.0, 5.0 + lasts, 25.0), [(0.0, 10.0)])) is lost
+    assert bool(loss_of_control.find(rolled(still(), "attitude", 5.0, 5.0 + lasts, 25.0), [(0.0, 10.0)])) is lost
 
 
 def test_a_vehicle_that_left_control_before_it_counted_as_in_the_air_lost_it_at_take_off():
@@ -130,7 +130,7 @@ def test_a_vehicle_that_left_control_before_it_counted_as_in_the_air_lost_it_at_
     time = flight["attitude"].time
     outputs = np.where(time[:, None] < 3.5, 1000.0, 1600.0) * np.ones(4)
     motors = Signal(time, outputs, tuple("1234"), "us", "")
-    (left,) = departure.find(replace(flight, signals={**flight.signals, "motors": motors}), [(7.0, 10.0)])
+    (left,) = loss_of_control.find(replace(flight, signals={**flight.signals, "motors": motors}), [(7.0, 10.0)])
     assert left.onset == pytest.approx(3.9, abs=0.11)
 
 
@@ -147,7 +147,7 @@ def test_rates_that_follow_late_what_was_wanted_are_under_control(follows, lost)
         for name, values in (("rates_wanted", rolls(time)), ("gyro", actual))
     }
     flight = replace(flight, signals={"attitude": flight["attitude"], **rates})
-    assert bool(departure.find(flight, [(0.0, 10.0)])) is lost
+    assert bool(loss_of_control.find(flight, [(0.0, 10.0)])) is lost
 
 
 def test_a_rotor_dead_since_take_off_is_not_cleared_by_the_trim_it_made():
@@ -158,14 +158,14 @@ def test_a_rotor_dead_since_take_off_is_not_cleared_by_the_trim_it_made():
 
 
 def test_control_that_does_not_come_back_was_lost():
-    (left,) = departure.find(rolled(still(), "attitude", 5.0, 10.0, 80.0), [(0.0, 10.0)])
+    (left,) = loss_of_control.find(rolled(still(), "attitude", 5.0, 10.0, 80.0), [(0.0, 10.0)])
     assert left.onset == pytest.approx(4.9, abs=0.11)
     assert left.end is None
 
 
 def test_a_vehicle_that_follows_late_what_was_wanted_is_under_control():
     flight = rolled(rolled(still(), "attitude_wanted", 5.0, 7.0, 80.0), "attitude", 5.4, 7.4, 80.0)
-    assert departure.find(flight, [(0.0, 10.0)]) == ()
+    assert loss_of_control.find(flight, [(0.0, 10.0)]) == ()
 
 
 def fallen(speed: float) -> Flight:
@@ -180,13 +180,13 @@ def fallen(speed: float) -> Flight:
 
 
 def test_a_vehicle_that_strikes_the_ground_believed_level_was_out_of_control():
-    (left,) = departure.find(fallen(8.0), [(0.0, 7.2)])
+    (left,) = loss_of_control.find(fallen(8.0), [(0.0, 7.2)])
     assert left.impact == pytest.approx(7.0, abs=0.11)
     assert left.onset == pytest.approx(5.0, abs=0.3)
 
 
 def test_a_hard_landing_is_under_control():
-    assert departure.find(fallen(3.5), [(0.0, 7.2)]) == ()
+    assert loss_of_control.find(fallen(3.5), [(0.0, 7.2)]) == ()
 
 
 def window(T: np.ndarray, rate_dot: np.ndarray, load: np.ndarray | None = None) -> Window:
@@ -224,7 +224,7 @@ def test_each_rotor_is_told_from_the_others(rotor):
 
 def test_swapped_outputs_that_look_alike_are_named_as_candidates():
     pair = explain_kind("order", (0, 1)), explain_kind("order", (2, 3))
-    left = departure.Departure(5.0, 5.4, None, None, "tilted")
+    left = loss_of_control.Departure(5.0, 5.4, None, None, "tilted")
     judged = find.Judged(left, "motor_order", pair, np.array([0.6, 0.4]), None, 5.0, ())
     order, lost = find.events([judged], (), 4)
     assert {order.kind, lost.kind} == {"motor_order", "loss_of_control"}
@@ -232,7 +232,7 @@ def test_swapped_outputs_that_look_alike_are_named_as_candidates():
 
 
 def test_what_left_control_after_a_blow_was_knocked():
-    left = departure.Departure(5.0, 5.4, None, None, "tilted")
+    left = loss_of_control.Departure(5.0, 5.4, None, None, "tilted")
     judged = find.Judged(left, "unknown", (), np.empty(0), None, 5.0, ())
     blow = Event("contact", (), 4.4, 4.4, 4.4, (), (), 1.0, (), "a blow")
     assert find.events([judged], [blow], 4)[-1].extra["cause"] == "knock"
@@ -266,7 +266,7 @@ def test_who_turns_over_on_the_ground_after_a_landing_is_not_healthy_and_no_roto
     powered = np.where(time < 10.0, 1300.0, 1000.0)[:, None] * np.ones((1, 4))
     attitude, motors = Signal(time, q, tuple("wxyz"), "1"), Signal(time, powered, tuple("1234"), "us")
     flight = Flight("CSV", "ArduPilot", {"attitude": attitude, "motors": motors}, 12.0)
-    (left,) = departure.find(flight, [(1.0, 5.0)])
+    (left,) = loss_of_control.find(flight, [(1.0, 5.0)])
     assert left.landed and 6.0 <= left.onset < 6.5 and left.what == "turned over on the ground"
     parked = Signal(time, np.where(time[:, None] < 5.5, powered, 1000.0), tuple("1234"), "us")
-    assert departure.find(replace(flight, signals={"attitude": attitude, "motors": parked}), [(1.0, 5.0)]) == ()
+    assert loss_of_control.find(replace(flight, signals={"attitude": attitude, "motors": parked}), [(1.0, 5.0)]) == ()

@@ -23,9 +23,9 @@ from rotorwatch import logs
 from rotorwatch.commands import cli
 from rotorwatch.errors import LinkError, StoreError
 from rotorwatch.fleet.store import Entry
-from rotorwatch.live import endpoint, record, talk, watch
-from rotorwatch.live.beside import Beside, as_json
+from rotorwatch.live import endpoint, record, requests, watch
 from rotorwatch.live.clock import Clock, Restarted
+from rotorwatch.live.guard import Beside, as_json
 from rotorwatch.live.link import VEHICLES, Link
 from rotorwatch.live.mavlink import MOST_PARAMETERS
 from rotorwatch.live.watched import Watched
@@ -440,10 +440,10 @@ def test_a_flight_that_the_store_did_not_take_is_kept_by_the_next_server(tmp_pat
 
 
 def test_parameters_are_kept_of_a_thousand_vehicles_and_not_of_more(tmp_path, monkeypatch):
-    monkeypatch.setattr(talk, "cache_folder", lambda: tmp_path)
-    monkeypatch.setattr(talk, "KEPT", 10)
+    monkeypatch.setattr(requests, "cache_folder", lambda: tmp_path)
+    monkeypatch.setattr(requests, "KEPT", 10)
     for k in range(25):
-        talk.keep(f"ArduPilot-{k}", {"A": float(k)})
+        requests.keep(f"ArduPilot-{k}", {"A": float(k)})
         os.utime(tmp_path / "parameters" / f"ArduPilot-{k}.json", (k, k))
     assert len(list((tmp_path / "parameters").iterdir())) <= 10
-    assert talk.cached("ArduPilot-24") == {"A": 24.0} and talk.cached("ArduPilot-0") == {}
+    assert requests.cached("ArduPilot-24") == {"A": 24.0} and requests.cached("ArduPilot-0") == {}

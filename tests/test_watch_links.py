@@ -17,7 +17,7 @@ from conftest import hexa_event
 from rotorwatch import airframes, diagnose, logs
 from rotorwatch.commands import cli
 from rotorwatch.errors import LinkError
-from rotorwatch.live import endpoint, mavlink, talk
+from rotorwatch.live import endpoint, mavlink, requests
 from rotorwatch.live.clock import Clock, Restarted
 from rotorwatch.live.frames import Sender
 from rotorwatch.live.link import Link
@@ -62,9 +62,9 @@ def flight():
 
 @pytest.fixture(autouse=True)
 def _own_cache(tmp_path, monkeypatch):
-    monkeypatch.setattr(talk, "cache_folder", lambda: tmp_path / "cache")
-    monkeypatch.setattr(talk, "MISSING_S", 0.02)  # a link in memory answers at once
-    monkeypatch.setattr(talk, "LIST_S", 0.1)
+    monkeypatch.setattr(requests, "cache_folder", lambda: tmp_path / "cache")
+    monkeypatch.setattr(requests, "MISSING_S", 0.02)  # a link in memory answers at once
+    monkeypatch.setattr(requests, "LIST_S", 0.1)
 
 
 def relevant(parameters):
@@ -211,7 +211,7 @@ def test_vehicles_of_one_link_are_told_apart(flight):
 @pytest.mark.parametrize("intervals", [True, False])
 def test_rates_are_asked_for_and_given_back(intervals):
     autopilot = Autopilot({"A": 1.0}, intervals=intervals)
-    rates, now = talk.Rates(1, 1, "ArduPilot", slow=True), 0.0
+    rates, now = requests.Rates(1, 1, "ArduPilot", slow=True), 0.0
     sender, parser = Sender(254, 191), ardupilotmega.MAVLink(None)
 
     def send(message):
@@ -237,7 +237,7 @@ def test_rates_are_asked_for_and_given_back(intervals):
 
 def test_parameters_come_however_many_are_lost():
     values = {f"P{k}": float(k) for k in range(300)}
-    autopilot, parameters = Autopilot(values, lose=0.5, seed=1), talk.Parameters(1, 1)
+    autopilot, parameters = Autopilot(values, lose=0.5, seed=1), requests.Parameters(1, 1)
     sender, parser, now = Sender(254, 191), ardupilotmega.MAVLink(None), 0.0
 
     def send(message):
@@ -248,16 +248,16 @@ def test_parameters_come_however_many_are_lost():
         parameters.step(now, send)
         now += 0.1
     assert parameters.complete
-    nobody = talk.Parameters(1, 1)
+    nobody = requests.Parameters(1, 1)
     for k in range(2000):
         nobody.step(0.1 * k, lambda message: None)
     assert nobody.given_up
 
 
 def test_kept_parameters_are_used_at_once():
-    talk.keep("ArduPilot-77-1", {"FRAME_CLASS": 1.0})
-    assert talk.cached("ArduPilot-77-1") == {"FRAME_CLASS": 1.0} and talk.cached("other") == {}
-    who = talk.Identity(1, 1)
+    requests.keep("ArduPilot-77-1", {"FRAME_CLASS": 1.0})
+    assert requests.cached("ArduPilot-77-1") == {"FRAME_CLASS": 1.0} and requests.cached("other") == {}
+    who = requests.Identity(1, 1)
     who.took(77, bytes(18), 0x04050700, "ArduPilot")
     assert who.key == "ArduPilot-4d-04050700"
 
@@ -295,7 +295,7 @@ def test_parameters_kept_of_another_vehicle_give_way_to_its_own(kind):
     """Simulated vehicles all have one id. A quad's parameters do not fit a hexa; those of a quad + fit a quad X until its own have come."""
     flight = logs.read(SAMPLES / SAMPLE[kind]).until(25.0)
     own, data = relevant(flight.parameters), messages(flight, kind=kind)
-    talk.keep(KEY, QUAD_PLUS)
+    requests.keep(KEY, QUAD_PLUS)
     link, wire, autopilot, alerts = introduced(own, data, Late)
     (watched,) = link.vehicles
     assert (watched.session is None) == (kind == HEXA)
@@ -308,7 +308,7 @@ def test_parameters_kept_of_another_vehicle_give_way_to_its_own(kind):
         time.sleep(0.002)
     sent_over(link, wire, of(autopilot, data[half:]))
     assert [a["text"] for a in alerts if a["type"] == "error"] == [] and watched.trouble == ""
-    assert watched.session.vehicle.name == airframes.identify(flight).name and talk.cached(KEY) == own
+    assert watched.session.vehicle.name == airframes.identify(flight).name and requests.cached(KEY) == own
     (said,) = [a["text"] for a in alerts if "kept" in a.get("text", "")]
     assert "another vehicle" in said
     link.leave()
@@ -317,7 +317,7 @@ def test_parameters_kept_of_another_vehicle_give_way_to_its_own(kind):
 def test_parameters_kept_of_a_vehicle_are_used_until_its_own_have_come_and_nothing_is_said_of_it():
     flight = logs.read(SAMPLES / SAMPLE[QUAD]).until(15.0)
     own, data = relevant(flight.parameters), messages(flight)
-    talk.keep(KEY, own | {"MOT_SPIN_ARM": 0.11})  # changed since, which changes nothing here
+    requests.keep(KEY, own | {"MOT_SPIN_ARM": 0.11})  # changed since, which changes nothing here
     link, wire, autopilot, alerts = introduced(own, data, Late)
     (watched,) = link.vehicles
     sent_over(link, wire, of(autopilot, data[: len(data) // 2]))
@@ -326,7 +326,7 @@ def test_parameters_kept_of_a_vehicle_are_used_until_its_own_have_come_and_nothi
     for _ in range(200):
         link.poll(0.0)
         time.sleep(0.002)
-    assert talk.cached(KEY) == own
+    assert requests.cached(KEY) == own
     assert session.flying and watched.session is session and not any("kept" in a.get("text", "") for a in alerts)
     link.leave()
 

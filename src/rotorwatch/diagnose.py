@@ -14,7 +14,7 @@ from rotorwatch.aerobatic import desync
 from rotorwatch.aerobatic import judge as aerobatic
 from rotorwatch.answer import common_mode, conclusion, health, picture, places, traces, unseen
 from rotorwatch.base import discovery
-from rotorwatch.default import asked, events, hindsight, hypotheses, leftover
+from rotorwatch.default import events, excitation_response, hindsight, hypotheses, residual_evidence
 from rotorwatch.default.announcement import threshold
 from rotorwatch.default.program import Kept, estimate
 from rotorwatch.errors import ConfigError
@@ -214,7 +214,7 @@ def _find(ready: Prepared, done: Estimated) -> Found:
     flight, craft, air, table, B = ready.flight, ready.vehicle, ready.air, done.table, ready.vehicle.effectiveness()
     losses = events.read(done.out, table, B)
     if done.own and ready.hovers:
-        losses, settled = asked.settle(losses, table, B, ready.dynamics)
+        losses, settled = excitation_response.settle(losses, table, B, ready.dynamics)
         ready.assumptions += settled
     if done.last is not None and not ready.known:  # healthy flights would have told what happened in the blind time
         losses = hindsight.join(losses, hindsight.find(done.last, table, B))
@@ -243,8 +243,8 @@ def _conclude(ready: Prepared, logged: Ticks, done: Estimated, found: Found, tit
     clock.lap("comparison_s")
     judged = (table.mode == JUDGE) & table.valid.any(axis=1)
     spells = (
-        *leftover.find(out, table, hyp, done.limit, found.events, B),
-        *leftover.faint(found.faint, found.events, float(table.time[-1])),
+        *residual_evidence.find(out, table, hyp, done.limit, found.events, B),
+        *residual_evidence.faint(found.faint, found.events, float(table.time[-1])),
     )
     hidden, hidden_pair = _hidden(out, table, B)
     end = conclusion.conclude(

@@ -29,7 +29,7 @@ from rotorwatch.answer.wording import (
 )
 from rotorwatch.default.events import packed
 from rotorwatch.default.hypotheses import GONE
-from rotorwatch.default.leftover import Leftover
+from rotorwatch.default.residual_evidence import Leftover
 from rotorwatch.flight.diagnosis import Event, RotorState, StoryLine, Trend
 from rotorwatch.front import whole
 from rotorwatch.front.definition import FRONT

@@ -45,7 +45,8 @@ from rotorwatch.motion.ticks import JUDGE, READY_S, Ticks, observe
 FILES = {
     file: f"rotorwatch.default.{file}"
     for file in (
-        "plant", "noise", "caution", "kalman", "bank", "hypotheses", "evidence", "announcement", "plausibility", "opposite", "posterior",
+        "plant", "noise", "model_error", "kalman", "bank", "hypotheses", "evidence", "announcement", "plausibility", "opposite",
+        "posterior",
     )
 } | {"losses": "rotorwatch.front.losses"}  # fmt: skip
 # Names, counts and what follows from others: nothing to be chosen.

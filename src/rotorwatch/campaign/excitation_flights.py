@@ -5,8 +5,8 @@
     print(excitation_flights.markdown(result))
 
 Every flight is flown and diagnosed as it is. Where the answer is `ambiguous` the log says which rotor sets to distinguish
-(`default.asked.question`), the excitation is designed from that (`control.excitation`), and the flight is flown again with it: up to its
-start it is the same to the last bit. Healthy flights are excited as well.
+(`default.excitation_response.question`), the excitation is designed from that (`control.excitation`), and the flight is flown again with
+it: up to its start it is the same to the last bit. Healthy flights are excited as well.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy as np
 
 from rotorwatch import airframes
 from rotorwatch.control import excitation
-from rotorwatch.default import asked, events, program
+from rotorwatch.default import events, excitation_response, program
 from rotorwatch.diagnose import diagnose
 from rotorwatch.errors import ConfigError
 from rotorwatch.experiments import tools
@@ -95,12 +95,14 @@ def judged(flight: Any, end_s: float = np.inf) -> tuple[Any, Any, Any, np.ndarra
     table, B = observe(flight, vehicle, air, READY_S), vehicle.effectiveness()
     if table is None:
         raise ConfigError("This flight never took off, so no excitation can be designed for it.")
-    table = asked.until(table, int(np.searchsorted(table.time, end_s)))
+    table = excitation_response.until(table, int(np.searchsorted(table.time, end_s)))
     carry, out = program.estimate(table, B)
     return table, carry, out, B, events.read(out, table, B)
 
 
-def designed(question: asked.Question, limits: excitation.Limits | None, B: np.ndarray, exactly: bool = False):
+def designed(
+    question: excitation_response.Question, limits: excitation.Limits | None, B: np.ndarray, exactly: bool = False
+):
     """The design that answers it soonest within WITHIN_S; where that is too short, or `exactly`, the most informative one of WITHIN_S.
     None where the null space cannot distinguish the candidates."""
     give = (B, list(question.candidates.values()), question.hover, question.noise, question.gain, question.dt, limits)
@@ -115,14 +117,14 @@ def designed(question: asked.Question, limits: excitation.Limits | None, B: np.n
 def designed_unprompted(frame: str, carry, out, table, B: np.ndarray, limits: excitation.Limits | None = None):
     """The design for a flight in which nothing was announced: which of the sets that explain a change of trim is weak, else which of a few
     pairs that hover does not distinguish, or none? For WITHIN_S."""
-    sets = asked.suspects(carry, out, table, B)
+    sets = excitation_response.suspects(carry, out, table, B)
     if not sets:
         alike = _alike(frame)
         first = next(one for one, _ in alike if len(one) == 2)
         for who in (first, *(other for one, other in alike if one == first and len(other) == 2)):
             own = tuple(k - 1 for k in who)
             sets[own] = np.where(np.isin(np.arange(B.shape[1]), own), WORST, 0.0)
-    return designed(asked.question(sets, carry, table, B), limits=limits, B=B, exactly=True)
+    return designed(excitation_response.question(sets, carry, table, B), limits=limits, B=B, exactly=True)
 
 
 def attitude_change(one_: Any, other: Any) -> float:
@@ -152,7 +154,11 @@ def batch(frame: str, flights: Sequence[int], seed: int, limits: excitation.Limi
         if not sure:
             if unsure:
                 start = max(e.detected_s for e in unsure) + WAITS_S
-                made = designed(asked.question(asked.candidates(unsure[0], B), carry, table, B), limits=limits, B=B)
+                made = designed(
+                    excitation_response.question(excitation_response.candidates(unsure[0], B), carry, table, B),
+                    limits=limits,
+                    B=B,
+                )
             else:
                 table, carry, out, B, _ = judged(flight, start)
                 made = designed_unprompted(frame, carry, out, table, B, limits)

@@ -80,7 +80,7 @@ def sequences(flights, seed, jobs, scheduler, keep, as_json, quiet) -> None:
     "--hours", type=click.FloatRange(0.01, 1000.0), default=1.0, show_default=True, help="Of surrogates of LOGS."
 )
 @click.option(
-    "--only", default="", metavar="NAMES", help="Constants whose names begin so, such as caution.,noise.CLIP."
+    "--only", default="", metavar="NAMES", help="Constants whose names begin so, such as model_error.,noise.CLIP."
 )
 @click.option("--variants", default="off,half,double", show_default=True, help="How they are changed.")
 @spread

@@ -56,7 +56,7 @@ def watch(
     for endpoint in filter(is_endpoint, endpoints):
         opened[endpoint] = open_endpoint(endpoint)
         click.get_current_context().call_on_close(opened[endpoint].close)
-    from rotorwatch.live.beside import Beside
+    from rotorwatch.live.guard import Beside
     from rotorwatch.live.link import Link
     from rotorwatch.live.watch import Guarded
     from rotorwatch.live.watch import watch as run
@@ -166,7 +166,7 @@ def _replay(endpoint: str, publish, known, speed: float, quiet: bool) -> Any:
 
 def _lines(alert: dict) -> None:
     """Alerts for programs."""
-    from rotorwatch.live.beside import as_json
+    from rotorwatch.live.guard import as_json
 
     click.echo(as_json(alert))
 

@@ -17,10 +17,10 @@ from rotorwatch.core import Array, Decision, Estimate
 from rotorwatch.default import (
     announcement,
     bank,
-    caution,
     evidence,
     hypotheses,
     kalman,
+    model_error,
     noise,
     opposite,
     plant,
@@ -38,7 +38,7 @@ class Carry(NamedTuple):
     branches: posterior.Branches
     noise: noise.NoiseState
     bank: bank.Bank
-    caution: caution.Memory
+    model_error: model_error.Memory
     missing: plausibility.Missing
     standing: announcement.Standing
     opposite_s: Array
@@ -104,7 +104,7 @@ class JumpBank:
             branches=posterior.init(np.concatenate([np.asarray(self.system.x0), np.zeros(self.n)]), P, self.n),
             noise=noise.init(self.dt, *(self.noise_prior or ())),
             bank=self.jumps.init(),
-            caution=caution.init(self.n),
+            model_error=model_error.init(self.n),
             missing=plausibility.init(self.n),
             standing=announcement.init(),
             opposite_s=np.float64(0),
@@ -123,16 +123,16 @@ class JumpBank:
 
         # One tick ahead: the filters of all explanations, and the bank of the one that leads.
         branches = kalman.restart(carry.branches, system.P0, restart, hop)
-        doubt = (1.0 / caution.calm(carry.caution)).mean()
+        doubt = (1.0 / model_error.calm(carry.model_error)).mean()
         branches = kalman.predict(branches, system.decay(dt), variances, doubt, flying, dt)
         A = plant.arrays(dt).concatenate([system.decay(dt), np.ones(n)])
         onsets = self.jumps.advance(carry.bank, A, judge, judge & ~restart)
 
         # How far this tick's inputs and the model can be believed.
         x = branches.s[0, :n_x]
-        memory, seen = caution.look(carry.caution, u, y, valid, flying, restart, x, variances, n, dt)
-        error = caution.model_error(carry.caution, seen, x, y, variances[0], system.B, n, dt)
-        calm = caution.calm(memory)
+        memory, seen = model_error.look(carry.model_error, u, y, valid, flying, restart, x, variances, n, dt)
+        error = model_error.model_error(carry.model_error, seen, x, y, variances[0], system.B, n, dt)
+        calm = model_error.calm(memory)
         lacking = y[3] - u[n + 3] * x[3 * PER_AXIS + GAIN]
         missing = plausibility.follow(carry.missing, lacking, u[n + 3] / n, u[:n] / u[n + 9], valid[3], restart, dt)
 
@@ -146,7 +146,7 @@ class JumpBank:
         for a in range(4):
             w = jnp.where(counts[a], calm[a] / variance[0, a], 0.0)
             onsets = self.jumps.observe(onsets, rows[a], gains[0, a], w, innovation[0, a])
-        memory = caution.remember(memory, innovation[0], variance[0], counts, dt)
+        memory = model_error.remember(memory, innovation[0], variance[0], counts, dt)
 
         # Which explanation leads.
         branches = posterior.weigh(branches._replace(s=s, P=P), innovation, variance, counts, calm, judge, dt)

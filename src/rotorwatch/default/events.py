@@ -25,8 +25,8 @@ from rotorwatch.front.losses import CREDIBLE, CURVE_SHARE, MODEL_SD
 from rotorwatch.front.records import Found
 from rotorwatch.front.sizes import EVENTS, RECORDS, TOGETHER
 from rotorwatch.motion.contact import Contact
-from rotorwatch.motion.departures import Override
-from rotorwatch.motion.departures import overrides as deviating
+from rotorwatch.motion.deviations import Override
+from rotorwatch.motion.deviations import overrides as deviating
 from rotorwatch.motion.ticks import JUDGE, Ticks
 
 __all__ = ["CREDIBLE", "CURVE_SHARE", "MODEL_SD"]

@@ -3,7 +3,7 @@
     s = [x; theta],   s <- A s,   P <- A P A' + Q            Q: noise.py; theta walks while it is refined
     nu = y_a - h_a s,   S = h_a P h_a' + R_a,   s <- s + K nu          one axis a after the other: R is diagonal
 
-K is the Kalman gain times the share that each state may learn (caution.py); the covariance update holds for any gain (Joseph). A loss
+K is the Kalman gain times the share that each state may learn (model_error.py); the covariance update holds for any gain (Joseph). A loss
 is refined for USUAL_S, then taken as known, so that errors of the model cannot wear it away.
 """
 

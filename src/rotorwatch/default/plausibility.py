@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch.core import Array
-from rotorwatch.default import caution, hypotheses, plant
+from rotorwatch.default import hypotheses, model_error, plant
 
 # Both may be off by a standard deviation of this flight's disturbances, and by as much as the slack in calm air.
 ASKED_SHARE, ASKED_SLACK, ASKED_MOST = 0.25, 0.05, 0.35
@@ -44,8 +44,8 @@ def follow(state: Missing, missing, load, share, valid, restart, dt) -> Missing:
     up = jnp.where(valid, load - 1.0, 0.0)
     push, left = jnp.abs(up), jnp.exp(-dt / plant.USUAL_S)
     missing = jnp.where(valid, missing, state.slow)
-    near = jnp.clip((share - caution.BELIEVED) / (caution.AT_LIMIT - caution.BELIEVED), 0.0, 1.0)
-    lacks = near * (1.0 - caution.BELIEVED / jnp.maximum(share, caution.BELIEVED))
+    near = jnp.clip((share - model_error.BELIEVED) / (model_error.AT_LIMIT - model_error.BELIEVED), 0.0, 1.0)
+    lacks = near * (1.0 - model_error.BELIEVED / jnp.maximum(share, model_error.BELIEVED))
     return Missing(
         jnp.where(restart, missing, state.fast + (missing - state.fast) * jnp.minimum(dt / plant.ANSWER_S, 1.0)),
         jnp.where(restart, missing, state.slow + (missing - state.slow) * (dt / plant.USUAL_S)),

@@ -7,7 +7,7 @@ Magill, IEEE Trans. Automatic Control 10 (1965) 434-439),
 
     log w_b += g sum_a c_a [ -log S_a / 2 - nu_a^2 / (2 S_a) ],       g = TEMPER exp(-age / RESOLVE_S)
 
-c_a: weight of evidence in weather that the noise model does not know (caution.py). g: evidence of the age of an explanation tells less and
+c_a: weight of evidence in weather that the noise model lacks (model_error.py). g: evidence of the age of an explanation tells less and
 less; what decides is how a change looked, and after it the errors of the model. The branch in place 0 leads: it has the jump bank, and
 what that bank finds becomes branches of it, each with its jump in state, covariance and cross-covariance, exactly.
 """

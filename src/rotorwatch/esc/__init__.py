@@ -3,7 +3,7 @@
 telemetry.py    what can be believed of the log's records
 ratios.py       the mathematics: lost speed, lost propeller, current; the cause by their probabilities
 evidence.py     what of it stands in the answer
-gone.py         rotors that stand, or lost their propeller
+stopped.py      rotors that stopped, or lost their propeller
 watch.py        motors that became slow or hungry without a loss
 consistency.py  all of that for the events of a flight; without ESC telemetry they stay unchanged
 """

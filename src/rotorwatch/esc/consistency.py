@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from rotorwatch.answer.wording import CAUSES, listed, percent, probability, rotors
-from rotorwatch.esc import evidence, gone, ratios, telemetry, watch
+from rotorwatch.esc import evidence, ratios, stopped, telemetry, watch
 from rotorwatch.esc.telemetry import Binned
 from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import Event
@@ -44,7 +44,7 @@ def check(
     if bins is None:
         return events, tuple(notes)
     calm = _calm(bins, table, air)
-    stood, said = gone.find(bins, events, air, _upset(bins, table))
+    stood, said = stopped.find(bins, events, air, _upset(bins, table))
     events = (*events, *stood)
     healthy = _healthy(bins, events)
     # A loss of known rotors, whose cause is not known yet.
@@ -110,7 +110,7 @@ def _with_cause(event: Event, bins: Binned, calm: np.ndarray, healthy: np.ndarra
     event = replace(event, reason=f"{event.reason.removesuffix('.')}; {says}", extra=extra)
     stands = [t for t in told if t["thrust_of_speed"] < ratios.STANDS]
     if len(event.rotors) == 1 and stands:  # what stands pulls nothing, whatever a tumbling vehicle's motion says
-        event = replace(event, loss=(1.0,), interval=((gone.LEAST_LOSS, 1.0),))
+        event = replace(event, loss=(1.0,), interval=((stopped.LEAST_LOSS, 1.0),))
     return event
 
 

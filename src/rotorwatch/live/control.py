@@ -11,8 +11,8 @@ from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.live.window import Window
 from rotorwatch.motion.allocation import Spans
-from rotorwatch.upset import departure
 from rotorwatch.upset import find as upset
+from rotorwatch.upset import loss_of_control
 
 NAMES = (
     "motors", "lift", "battery", "control", "gyro", "rates", "accel", "attitude", "attitude_wanted", "rates_wanted", "velocity", "position",
@@ -62,7 +62,9 @@ class Control:
         since = self._window.now - RECENT_S
         air = tuple((max(start, since), min(end, self._window.now)) for start, end in spans if end > since)
         flight = self._window.flight(since - 1.0)
-        return bool(departure.find(flight, air)) or any(departure.hit(flight, *hop) is not None for hop in air)
+        return bool(loss_of_control.find(flight, air)) or any(
+            loss_of_control.hit(flight, *hop) is not None for hop in air
+        )
 
     def _judge(self, spans: Spans, final: bool) -> None:
         """Find the departures anew in what is kept; those whose samples are gone stay."""
@@ -74,7 +76,7 @@ class Control:
         settled = [j for j in self.found if not final and self._window.now > j.left.lost + SETTLED_S]
         new = [
             next((j for j in settled if j.left == left), None) or upset.judge(flight, self._vehicle, kept, left)
-            for left in (departure.find(flight, kept) if kept or not air else ())
+            for left in (loss_of_control.find(flight, kept) if kept or not air else ())
             if left.onset >= since
         ]
         self.found = (*old, *new)

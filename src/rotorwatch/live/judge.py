@@ -16,7 +16,7 @@ from rotorwatch.live.beginnings import Beginnings
 from rotorwatch.live.stream import Piece
 from rotorwatch.motion.airborne import CONFIRM_S
 from rotorwatch.motion.allocation import Spans
-from rotorwatch.motion.departures import Override
+from rotorwatch.motion.deviations import Override
 from rotorwatch.motion.ticks import JUDGE, Plan, Ticks
 
 

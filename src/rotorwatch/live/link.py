@@ -15,7 +15,7 @@ from rotorwatch.errors import LinkError, VehicleError
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.flight.vehicle_kind import OTHERS
-from rotorwatch.live import mavlink, talk
+from rotorwatch.live import mavlink, requests
 from rotorwatch.live.clock import Restarted
 from rotorwatch.live.endpoint import Endpoint
 from rotorwatch.live.frames import Frames, Outgoing, Sender
@@ -48,8 +48,8 @@ class Heard:
     def __init__(self, watched: Watched, key: tuple[int, int], autopilot: str, kind: int, link: Link, peer: Any):
         self.watched, self._key, self._link, self.peer = watched, key, link, peer
         self.messages = mavlink.Messages(autopilot, kind)
-        self._parameters, self._identity = talk.Parameters(*key), talk.Identity(*key)
-        self._rates = talk.Rates(*key, autopilot, link.endpoint.slow)
+        self._parameters, self._identity = requests.Parameters(*key), requests.Identity(*key)
+        self._rates = requests.Rates(*key, autopilot, link.endpoint.slow)
         self._begun: dict[str, float] | None = None
         self._unfit = False  # the parameters kept of it
         self._outputs: tuple[int, ...] = ()
@@ -118,7 +118,7 @@ class Heard:
             self._rates.answered(said["command"], said["result"])
         elif identity == MESSAGE_INTERVAL:
             self._rates.interval(said["message_id"], said["interval_us"])
-        elif identity == talk.VERSION_ID:
+        elif identity == requests.VERSION_ID:
             self._identity.took(said["uid"], said["uid2"], said["flight_sw_version"], self.messages.autopilot)
 
     def _restart(self, reboot: bool) -> None:
@@ -137,7 +137,7 @@ class Heard:
         messages = mavlink.Messages(self.messages.autopilot, self.messages.vehicle)
         messages.inherit(self.messages)
         self.messages, self._sequence = messages, None
-        self._rates = talk.Rates(*self._key, messages.autopilot, self._link.endpoint.slow)
+        self._rates = requests.Rates(*self._key, messages.autopilot, self._link.endpoint.slow)
         if self._begun is not None:
             self._begin(self._begun)
 
@@ -191,7 +191,7 @@ class Heard:
             self._parameters.kept = True
             there = self.messages.parameters()
             if self._identity.key:
-                talk.keep(self._identity.key, there)
+                requests.keep(self._identity.key, there)
             session = self.watched.session
             if self._begun is None or (there != self._begun and not (session is not None and session.flying)):
                 self._begin(there)
@@ -204,7 +204,7 @@ class Heard:
             return
         if self._begun is not None:
             return
-        there = talk.cached(self._identity.key) if self._identity.key and not self._unfit else {}
+        there = requests.cached(self._identity.key) if self._identity.key and not self._unfit else {}
         if there and self._airframe(there) is None:
             self._unfit, there = True, {}
             self.watched.say("the parameters kept of it do not fit it: those of another vehicle; its own are asked for")
@@ -284,7 +284,7 @@ class Link:
         self._refused: set[int] = set()
         self.frames = self._damaged_before = 0
         self._began, self._beat = clock(), 0.0
-        self._sender = Sender(talk.SYSTEM, talk.COMPONENT)
+        self._sender = Sender(requests.SYSTEM, requests.COMPONENT)
         self._tellers: dict[int, Sender] = {}
         self._first_version = False
         self.trouble = ""  # that does not end it: a recording that has stopped
@@ -327,7 +327,7 @@ class Link:
             self.endpoint.again()
         if self.talks and now - self._beat > BEAT_S:
             self._beat = now
-            self.send(talk.heartbeat())
+            self.send(requests.heartbeat())
         if self._record is not None:
             self._record.step()
         for heard in self._fresh:
@@ -357,7 +357,7 @@ class Link:
         system = next((key[0] for key, heard in self._heard.items() if heard.watched.name == name), None)
         if system is None or not self.talks:
             return
-        sender = self._tellers.setdefault(system, Sender(system, talk.COMPONENT))
+        sender = self._tellers.setdefault(system, Sender(system, requests.COMPONENT))
         self.endpoint.send(sender.frame(message, self._first_version))
 
     def boot_ms(self, name: str) -> int:

@@ -1,6 +1,6 @@
 """What ESC telemetry says of a vehicle that flies: how fast its rotors turn, and that one stands though it is told to turn.
 
-The rule of `esc.gone` as far as it needs nothing of what comes later: a rotor below STANDS of its usual speed in REPORTS reports in a row,
+The rule of `esc.stopped` as far as it needs nothing that comes later: a rotor below STANDS of its usual speed in REPORTS reports in a row,
 told more than TOLD of its usual command, while two others turn. What the vehicle's motion says of the same rotor is judged beside it.
 """
 
@@ -11,7 +11,7 @@ from collections import deque
 import numpy as np
 
 from rotorwatch.answer.wording import rotors
-from rotorwatch.esc.gone import OTHERS_TURN, REPORTS, STANDS, TOLD
+from rotorwatch.esc.stopped import OTHERS_TURN, REPORTS, STANDS, TOLD
 from rotorwatch.flight import Signal
 from rotorwatch.logs.esc_columns import RPM
 

@@ -20,7 +20,7 @@ from rotorwatch.live.window import KEPT_S, Window
 from rotorwatch.motion import allocation
 from rotorwatch.motion.allocation import Spans
 from rotorwatch.motion.contact import Contact
-from rotorwatch.motion.departures import Override, found
+from rotorwatch.motion.deviations import Override, found
 from rotorwatch.motion.ticks import Plan, Ticks, columns, joined, laid_out, plan
 
 ASK_S = 0.2  # at least so often it is asked whether the vehicle flies

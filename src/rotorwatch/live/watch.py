@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from typing import Protocol
 
 from rotorwatch.errors import RotorwatchError
-from rotorwatch.live.beside import Beside, trouble
+from rotorwatch.live.guard import Beside, trouble
 from rotorwatch.live.watched import Tell, Watched
 
 SHOW_S, WAIT_S, STEP_S = 0.25, 0.005, 0.05

@@ -12,8 +12,8 @@ from rotorwatch.errors import RotorwatchError
 from rotorwatch.flight import Flight, Message, Signal
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch.live.beside import trouble
 from rotorwatch.live.changes import WITHDRAWN, Change, Changes
+from rotorwatch.live.guard import trouble
 from rotorwatch.live.rotors import Rotors
 from rotorwatch.live.session import Session
 

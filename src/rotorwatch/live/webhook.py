@@ -16,7 +16,7 @@ from collections.abc import Callable
 
 from rotorwatch.base.files import public
 from rotorwatch.errors import ConfigError
-from rotorwatch.live.beside import as_json
+from rotorwatch.live.guard import as_json
 
 MOST = 1000  # alerts that wait; beyond, the oldest go
 TIMEOUT_S = 10.0

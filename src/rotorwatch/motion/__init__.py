@@ -2,7 +2,7 @@
 
 airborne.py     when it was in the air
 allocation.py   commands to the thrust of each rotor; rotors that cannot be told apart
-departures.py   outputs that leave the mixer
+deviations.py   outputs that deviate from the mixer
 contact.py      knocks: motion that no rotor can make
 ticks.py        one uniform table of all that
 trust.py        is this what flew? the log held against itself

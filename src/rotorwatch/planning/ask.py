@@ -23,7 +23,7 @@ from rotorwatch import airframes, logs
 from rotorwatch.base import checks, files, optional
 from rotorwatch.control import excitation
 from rotorwatch.control.excitation import Design, Limits, Noise
-from rotorwatch.default import asked, events
+from rotorwatch.default import events, excitation_response
 from rotorwatch.default.plant import TAU, usual_gains
 from rotorwatch.default.program import estimate
 from rotorwatch.errors import ConfigError
@@ -179,7 +179,7 @@ def ask(
             "The noise is that of simulated multirotors in a light wind; a log of the vehicle says it better.",
         )
         usual = np.full(n, HOVER if hover is None else hover)
-        question = asked.Question(given, usual, Noise(np.array(USUAL_NOISE), np.array(TAU)), gain, tick_s)
+        question = excitation_response.Question(given, usual, Noise(np.array(USUAL_NOISE), np.array(TAU)), gain, tick_s)
     about = question.hover, question.noise, question.gain, question.dt
     design = excitation.design(B, list(given.values()), *about, limits, longest_s=within_s)
     who = tuple(tuple(k + 1 for k in c) for c in given)
@@ -215,7 +215,7 @@ def _candidates(sets: Sequence[Sequence[int]], loss: float | Sequence[float], n:
     return found
 
 
-def _of_log(subject: Any, vehicle: Vehicle | None) -> tuple[str, np.ndarray, asked.Question]:
+def _of_log(subject: Any, vehicle: Vehicle | None) -> tuple[str, np.ndarray, excitation_response.Question]:
     """(name, B, what to ask) of a log whose answer is ambiguous. Raises ConfigError where it is not."""
     flight = subject if isinstance(subject, Flight) else logs.read(subject)
     craft = vehicle or airframes.identify(flight)
@@ -226,9 +226,11 @@ def _of_log(subject: Any, vehicle: Vehicle | None) -> tuple[str, np.ndarray, ask
     B = craft.effectiveness()
     carry, out = estimate(table, B)
     unsure = [e for e in events.read(out, table, B) if e.alternatives]
-    sets = asked.candidates(unsure[-1], B) if unsure else asked.suspects(carry, out, table, B)
+    sets = (
+        excitation_response.candidates(unsure[-1], B) if unsure else excitation_response.suspects(carry, out, table, B)
+    )
     if not sets:
         raise ConfigError(
             "The diagnosis of this log names no alternatives, and its trim has not changed: there is nothing to ask."
         )
-    return craft.name, B, asked.question(sets, carry, table, B)
+    return craft.name, B, excitation_response.question(sets, carry, table, B)

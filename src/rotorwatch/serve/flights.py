@@ -19,7 +19,7 @@ from rotorwatch.errors import RotorwatchError, StoreError, StoreFull, WorkerErro
 from rotorwatch.fleet.address import default_url
 from rotorwatch.fleet.store import Entry, Store
 from rotorwatch.flight.diagnosis import Diagnosis
-from rotorwatch.live.beside import as_json
+from rotorwatch.live.guard import as_json
 from rotorwatch.report.html import page
 
 AGAIN_S = 30.0  # between two attempts to reach a store

@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import AsyncIterator, Callable
 from typing import Any
 
-from rotorwatch.live.beside import as_json
+from rotorwatch.live.guard import as_json
 
 RECENT = 400  # messages for a page that was away for a while: 100 s of them while something is watched
 BEAT_S = 10.0  # an empty line so often keeps a quiet connection open, and shows when it is closed

@@ -21,8 +21,8 @@ from rotorwatch.fleet.store import Entry
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.live import view
 from rotorwatch.live import watch as loop
-from rotorwatch.live.beside import Beside
 from rotorwatch.live.endpoint import KINDS, is_endpoint, open_endpoint
+from rotorwatch.live.guard import Beside
 from rotorwatch.live.link import Link
 from rotorwatch.live.replay import Replay
 from rotorwatch.live.watch import Source

@@ -13,10 +13,10 @@ from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.motion import allocation, ticks
 from rotorwatch.motion.contact import LEAST_GAIN
 from rotorwatch.motion.ticks import Sensed
-from rotorwatch.upset import departure
+from rotorwatch.upset import loss_of_control
 from rotorwatch.upset.balance import INERTIA, Offset, Window
-from rotorwatch.upset.departure import HIT_S, Departure, held, thrust_axis
 from rotorwatch.upset.explain import Explanation, explain
+from rotorwatch.upset.loss_of_control import HIT_S, Departure, held, thrust_axis
 
 BEFORE_S, AFTER_S = 2.0, 3.0  # of the upset that are looked at, at most
 EARLIER_S, LATER_S = 0.7, 0.3  # of its onset at which a cause may have begun
@@ -66,7 +66,7 @@ class Judged:
 
 def judged(flight: Flight, vehicle: Vehicle, air) -> tuple[Judged, ...]:
     """Every departure of a flight with its cause. air: intervals ((start, end), ...) s in the air."""
-    return tuple(judge(flight, vehicle, air, left) for left in departure.find(flight, air))
+    return tuple(judge(flight, vehicle, air, left) for left in loss_of_control.find(flight, air))
 
 
 def events(found: Sequence[Judged], known: Sequence[Event], n: int) -> tuple[Event, ...]:
@@ -119,7 +119,7 @@ def _cause(
     order = sum(float(q) for e, q in zip(found, probability) if e.kind in ("order", "yaw"))
     if best.kind in ("order", "yaw") and order > SURE and fits:
         return "motor_order", ("the first movement went against the commands",)
-    blow = left.impact is not None and left.impact - onset <= HIT_S and not departure.low(flight, onset, start)
+    blow = left.impact is not None and left.impact - onset <= HIT_S and not loss_of_control.low(flight, onset, start)
     if struck or blow:
         return "knock", ("something outside pushed the vehicle harder than its rotors can",)
     if _sagged(flight, onset):
@@ -361,7 +361,9 @@ def _worked(judged: Judged, n: int, blamed, others, decided: float) -> list[floa
 
 def until_impact(flight: Flight, air, found: Sequence[Judged]) -> tuple[tuple[float, float], ...]:
     """`departure.until_impact` for departures whose onset has been judged."""
-    return departure.until_impact(flight, air, tuple(replace(j.left, onset=min(j.onset, j.left.onset)) for j in found))
+    return loss_of_control.until_impact(
+        flight, air, tuple(replace(j.left, onset=min(j.onset, j.left.onset)) for j in found)
+    )
 
 
 def window_of(
@@ -387,7 +389,7 @@ def window_of(
     stirs &= seen.rate_ok & (seen.share.max(axis=1) > 0.05) & (seen.time > start - FIRST_S)
     began = float(seen.time[np.argmax(stirs)]) - how.dt if took_off and stirs.any() else first
     still = (np.abs(seen.rate).max(axis=1) < LIES[0]) & (np.abs(seen.rate_dot).max(axis=1) < LIES[1]) & seen.rate_ok
-    still &= seen.time > max(left.onset + LATER_S, left.lost - departure.LASTS_S)
+    still &= seen.time > max(left.onset + LATER_S, left.lost - loss_of_control.LASTS_S)
     lies = np.flatnonzero(still[2:] & still[1:-1] & still[:-2])
     turning = np.abs(seen.rate).max(axis=1)
     stopped = last

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes
-from rotorwatch.default import caution, plant
+from rotorwatch.default import model_error, plant
 from rotorwatch.default.plant import AXIS_STATES, DAMPING, DAMPING_RATE, GAIN, GAIN_MEAN, PER_AXIS, any_multirotor
 
 N, DT = 4, 0.05
@@ -31,11 +31,11 @@ def settled(thrust=EVEN):
     """A memory for which these thrusts are the usual ones."""
     thrust = np.asarray(thrust, float)
     part = thrust - thrust.mean()
-    return caution.init(N)._replace(thrust=part, trim=part, collective=np.float64(thrust.mean()))
+    return model_error.init(N)._replace(thrust=part, trim=part, collective=np.float64(thrust.mean()))
 
 
 def look(memory, u, valid=YES, flying=True, restart=False, variances=CALM, dt=DT):
-    memory, seen = caution.look(memory, u, np.zeros(4), valid, flying, restart, X, variances, N, dt)
+    memory, seen = model_error.look(memory, u, np.zeros(4), valid, flying, restart, X, variances, N, dt)
     return memory, seen
 
 
@@ -47,10 +47,10 @@ def taught(seen):
 
 def test_only_motion_that_stands_out_teaches():
     """The garrote: nothing up to GARROTE times the calm level, and 1 - (GARROTE level / motion)^2 of it beyond."""
-    level = np.sqrt(caution.init(N).level)
+    level = np.sqrt(model_error.init(N).level)
     for times in (0.5, 2.4, 2.6, 10.0):
         _, seen = look(settled(), inputs(motion=times * level[:3], rates=times * level[3:]))
-        expected = max(0.0, 1.0 - (caution.GARROTE / times) ** 2)
+        expected = max(0.0, 1.0 - (model_error.GARROTE / times) ** 2)
         for shares in taught(seen):
             assert shares == pytest.approx([expected] * 3, abs=1e-4)
     others = np.asarray(seen.teach)[:AXIS_STATES].reshape(4, PER_AXIS)
@@ -67,8 +67,8 @@ def test_motion_that_gusts_have_made_teaches_less():
     variance = 0.02**2 + 0.03**2 + plant.TAU[1] * 0.01**2
     needs = N * GAIN_MEAN[:3] * motion
     for shares, force, level in zip(taught(seen), (needs, DAMPING_RATE * needs), (0.3, 0.05)):
-        garrote = 1.0 - caution.GUST_SHARE**2 * variance / force**2
-        calm = 1.0 - (caution.GARROTE * level / motion) ** 2
+        garrote = 1.0 - model_error.GUST_SHARE**2 * variance / force**2
+        calm = 1.0 - (model_error.GARROTE * level / motion) ** 2
         assert shares == pytest.approx(np.minimum(np.maximum(garrote, 0.0), calm))
 
 
@@ -89,7 +89,7 @@ def test_the_calm_level_follows_motion_and_forgets_it():
     memory = settled()
     motion = 0.2 * np.sqrt(memory.level)
     after, _ = look(memory, inputs(motion=motion[:3], rates=motion[3:]))
-    part = DT / caution.LEVEL_MEMORY_S
+    part = DT / model_error.LEVEL_MEMORY_S
     assert np.asarray(after.level) == pytest.approx(memory.level + part * (0.04 - 1.0) * memory.level)
     loud, _ = look(memory, inputs(motion=(50.0,) * 3, rates=(9.0,) * 3))
     assert np.asarray(loud.level) == pytest.approx(memory.level * (1.0 + 5.0 * part))
@@ -99,17 +99,17 @@ def test_the_calm_level_follows_motion_and_forgets_it():
 
 def test_a_rotors_jitter_is_smoothed_and_its_steps_are_not():
     """A rotor's own part of thrust: below GARROTE times its calm level what it was, beyond it what stands out; the mean passes."""
-    level = np.sqrt(caution.init(N).thrust_level[0])
+    level = np.sqrt(model_error.init(N).thrust_level[0])
     for times in (1.0, 4.0):
         step = times * level * np.array([1.0, -1.0, 1.0, -1.0])
         memory, seen = look(settled(), inputs(EVEN + step + 0.07))
-        passes = max(0.0, 1.0 - (caution.GARROTE / times) ** 2)
+        passes = max(0.0, 1.0 - (model_error.GARROTE / times) ** 2)
         assert np.asarray(seen.u)[:N] == pytest.approx(EVEN + 0.07 + passes * step)
         assert seen.collective == pytest.approx(1.07)
         assert np.asarray(seen.rise) == pytest.approx(passes * step, abs=1e-12)
         assert np.asarray(memory.thrust) == pytest.approx(EVEN - 1.0 + step * DT / plant.ANSWER_S)
         assert np.asarray(memory.trim) == pytest.approx(EVEN - 1.0 + step * DT / plant.USUAL_S)
-        wanted = level**2 * (1.0 + DT / caution.LEVEL_MEMORY_S * (min(times**2, 6.0) - 1.0))
+        wanted = level**2 * (1.0 + DT / model_error.LEVEL_MEMORY_S * (min(times**2, 6.0) - 1.0))
         assert np.asarray(memory.thrust_level) == pytest.approx(wanted)
     assert np.asarray(seen.u)[N:] == pytest.approx(inputs()[N:])
     assert np.asarray(look(settled([5.0, -0.9, 0.0, 0.1]), inputs(EVEN))[1].u)[:N].min() >= 0.0
@@ -137,40 +137,40 @@ def test_far_from_hover_is_counted_beyond_three_tenths(thrust, load, far):
 
 
 def remembered(innovations, variance=1.0, ok=YES, start=None):
-    memory = start or caution.init(N)
+    memory = start or model_error.init(N)
     for e in innovations:
-        memory = caution.remember(memory, np.full(4, e), np.full(4, variance), ok, DT)
+        memory = model_error.remember(memory, np.full(4, e), np.full(4, variance), ok, DT)
     return memory
 
 
 def test_bursts_are_remembered_for_three_seconds():
     """Mean square of innovations in standard deviations, clipped, first order; and forgotten again."""
     loud = remembered([3.0] * 20, variance=4.0)
-    part = 1.0 - (1.0 - DT / caution.BURST_MEMORY_S) ** 20
+    part = 1.0 - (1.0 - DT / model_error.BURST_MEMORY_S) ** 20
     assert np.asarray(loud.burst) == pytest.approx(1.0 + part * (1.5**2 - 1.0))
     assert np.asarray(remembered([100.0]).burst) == pytest.approx(
-        1.0 + DT / caution.BURST_MEMORY_S * (caution.BURST_CLIP - 1.0)
+        1.0 + DT / model_error.BURST_MEMORY_S * (model_error.BURST_CLIP - 1.0)
     )
     quiet = remembered([0.0] * 20, start=loud)
     assert np.asarray(quiet.burst) == pytest.approx(np.asarray(loud.burst) * (1.0 - part))
     blind = remembered([9.0] * 20, ok=NO)
     for name in ("burst", "lean", "lasting"):
-        assert np.asarray(getattr(blind, name)) == pytest.approx(getattr(caution.init(N), name))
+        assert np.asarray(getattr(blind, name)) == pytest.approx(getattr(model_error.init(N), name))
 
 
 def test_innovations_that_lean_to_one_side_are_remembered_for_half_a_minute():
     """Their mean over a second, squared, over the variance that white ones would give it."""
-    memory, lean, lasting = caution.init(N), 0.0, 1.0
+    memory, lean, lasting = model_error.init(N), 0.0, 1.0
     for e in [1.0, 0.5, 1.5, 0.0, 2.0] * 6:
-        memory = caution.remember(memory, np.full(4, e), np.ones(4), YES, DT)
+        memory = model_error.remember(memory, np.full(4, e), np.ones(4), YES, DT)
         lean += DT / plant.TAU[1] * (e - lean)
         lasting += (
             DT
-            / caution.LASTING_MEMORY_S
-            * (min(lean**2 * (2.0 * plant.TAU[1] / DT - 1.0), caution.BURST_CLIP) - lasting)
+            / model_error.LASTING_MEMORY_S
+            * (min(lean**2 * (2.0 * plant.TAU[1] / DT - 1.0), model_error.BURST_CLIP) - lasting)
         )
     assert np.asarray(memory.lean) == pytest.approx(lean) and np.asarray(memory.lasting) == pytest.approx(lasting)
-    assert 1.0 < lasting < caution.BURST_CLIP
+    assert 1.0 < lasting < model_error.BURST_CLIP
     white = np.random.default_rng(0).standard_normal(4000)
     mean, squares = 0.0, []
     for e in white:
@@ -180,14 +180,14 @@ def test_innovations_that_lean_to_one_side_are_remembered_for_half_a_minute():
 
 
 def test_evidence_counts_less_while_innovations_are_larger_than_the_model_expects():
-    memory = caution.init(N)._replace(burst=np.array([0.5, 1.0, 4.0, 2.0]), lasting=np.array([0.1, 2.0, 2.0, 5.0]))
-    assert np.asarray(caution.calm(memory)) == pytest.approx([1.0, 0.5, 0.25, 0.2])
+    memory = model_error.init(N)._replace(burst=np.array([0.5, 1.0, 4.0, 2.0]), lasting=np.array([0.1, 2.0, 2.0, 5.0]))
+    assert np.asarray(model_error.calm(memory)) == pytest.approx([1.0, 0.5, 0.25, 0.2])
 
 
 def error(u, y=(0.0,) * 4, before=(0.0,) * 4, far=0.0, white=0.01**2, dt=DT):
-    memory = caution.init(N)._replace(y=np.asarray(before, float))
-    seen = caution.Look(u, np.ones(1), np.float64(far), np.zeros(N), np.float64(1.0))
-    return np.asarray(caution.model_error(memory, seen, X, np.asarray(y, float), np.full(4, white), B, N, dt))
+    memory = model_error.init(N)._replace(y=np.asarray(before, float))
+    seen = model_error.Look(u, np.ones(1), np.float64(far), np.zeros(N), np.float64(1.0))
+    return np.asarray(model_error.model_error(memory, seen, X, np.asarray(y, float), np.full(4, white), B, N, dt))
 
 
 def test_the_model_may_be_wrong_by_a_share_of_each_of_its_terms():
@@ -196,26 +196,26 @@ def test_the_model_may_be_wrong_by_a_share_of_each_of_its_terms():
     damping = X.reshape(4, PER_AXIS)[:, DAMPING]
     assert error(inputs()) == pytest.approx(np.zeros(4))
     turned = error(inputs(motion=(3.0, -2.0, 1.0), load=1.5))
-    wanted = np.array(caution.GAIN_ERROR) * gains * [3.0, -2.0, 1.0, 0.5 * N]
-    assert turned == pytest.approx(caution.ERROR_TICKS * wanted**2)
+    wanted = np.array(model_error.GAIN_ERROR) * gains * [3.0, -2.0, 1.0, 0.5 * N]
+    assert turned == pytest.approx(model_error.ERROR_TICKS * wanted**2)
     spun = error(inputs(rates=(1.0, -2.0, 0.5)))
-    wanted = caution.DAMPING_ERROR * damping * [1.0, -2.0, 0.5, 0.0]
-    assert spun == pytest.approx(caution.ERROR_TICKS * wanted**2) and spun[2] > 0.0 == spun[3]
+    wanted = model_error.DAMPING_ERROR * damping * [1.0, -2.0, 0.5, 0.0]
+    assert spun == pytest.approx(model_error.ERROR_TICKS * wanted**2) and spun[2] > 0.0 == spun[3]
     assert error(inputs(), far=0.3) == pytest.approx(
-        np.full(4, caution.ERROR_TICKS * (caution.FAR_ERROR * N * 0.3) ** 2)
+        np.full(4, model_error.ERROR_TICKS * (model_error.FAR_ERROR * N * 0.3) ** 2)
     )
     full = error(inputs([1.0, 2.4, 1.0, 2.2]))
-    lost = np.array([0.0, 2.4 - caution.BELIEVED * 2.5, 0.0, 0.0])
-    assert full == pytest.approx(caution.ERROR_TICKS * (B * lost) ** 2 @ np.ones(N))
+    lost = np.array([0.0, 2.4 - model_error.BELIEVED * 2.5, 0.0, 0.0])
+    assert full == pytest.approx(model_error.ERROR_TICKS * (B * lost) ** 2 @ np.ones(N))
 
 
-@pytest.mark.parametrize("dt, share", [(0.05, 0.015 / 0.05), (0.5, caution.SNAPSHOT)])
+@pytest.mark.parametrize("dt, share", [(0.05, 0.015 / 0.05), (0.5, model_error.SNAPSHOT)])
 def test_a_step_of_the_commands_is_felt_a_little_sooner_or_later(dt, share):
     """By the lag's error, or for slow commands by a share of the tick; of what is beyond four standard deviations of noise."""
     found = error(inputs(), y=(0.3, -0.3, 0.03, 0.0), before=(0.1, 0.1, 0.0, 0.0), dt=dt)
     wanted = share * np.array([0.2 - 0.04, 0.4 - 0.04, 0.0, 0.0])
-    assert found == pytest.approx(caution.ERROR_TICKS * wanted**2)
-    assert caution.LAG_ERROR_S == 0.015
+    assert found == pytest.approx(model_error.ERROR_TICKS * wanted**2)
+    assert model_error.LAG_ERROR_S == 0.015
 
 
 def test_a_tick_without_commands_changes_nothing_that_is_usual():

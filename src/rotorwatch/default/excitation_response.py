@@ -31,12 +31,12 @@ import numpy as np
 
 from rotorwatch.control import excitation
 from rotorwatch.default import hypotheses
-from rotorwatch.default.caution import AT_LIMIT
 from rotorwatch.default.events import CREDIBLE, read, sd_of
-from rotorwatch.default.leftover import TRIM_S, TRIM_SD
+from rotorwatch.default.model_error import AT_LIMIT
 from rotorwatch.default.noise import spread
 from rotorwatch.default.plant import AXIS_STATES, GAIN, PER_AXIS, TAU, lower_rotors
 from rotorwatch.default.program import estimate
+from rotorwatch.default.residual_evidence import TRIM_S, TRIM_SD
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.maths.nonnegative import least_squares
 from rotorwatch.maths.tails import normal_cdf

@@ -8,7 +8,7 @@ import pytest
 from rotorwatch import airframes, diagnose
 from rotorwatch.campaign import excitation_flights
 from rotorwatch.control import excitation
-from rotorwatch.default import asked
+from rotorwatch.default import excitation_response
 from rotorwatch.default.plant import TAU
 from rotorwatch.flight.diagnosis import Event
 
@@ -30,8 +30,8 @@ def told(theta, seed=0, sd=0.015, trim=False):
     rng = np.random.default_rng(seed)
     A = (B / np.linalg.norm(B, axis=1, keepdims=True)) if trim else N.T
     J, noise = A.T @ A / sd**2, A.T @ rng.standard_normal(len(A)) / sd
-    D = len(asked.DELAYS_S)
-    return asked.Asked(30.0, 32.0, np.tile(J, (D, 1, 1)), np.tile(J @ theta + noise, (D, 1)))
+    D = len(excitation_response.DELAYS_S)
+    return excitation_response.Asked(30.0, 32.0, np.tile(J, (D, 1, 1)), np.tile(J @ theta + noise, (D, 1)))
 
 
 @pytest.mark.parametrize("who", [(), *PAIRS])
@@ -39,11 +39,11 @@ def test_the_true_pair_is_named_and_its_losses_are(who):
     theta = np.where(np.isin(np.arange(6), who), 0.25, 0.0)
     for seed in range(5):
         one = told(theta, seed)
-        found = asked.shares([one], NAMED, 6)
-        assert next(iter(found)) == who and found[who] > asked.CERTAIN
+        found = excitation_response.shares([one], NAMED, 6)
+        assert next(iter(found)) == who and found[who] > excitation_response.CERTAIN
         assert sum(found.values()) == pytest.approx(1.0)
         if who:
-            _, mean, cov = asked.evidence([one], who, asked.prior(who, 6, NAMED[who]))
+            _, mean, cov = excitation_response.evidence([one], who, excitation_response.prior(who, 6, NAMED[who]))
             apart = np.abs(mean - theta)[list(who)] / np.sqrt(np.diag(cov))[list(who)]
             assert apart.max() < 4.0
 
@@ -52,14 +52,14 @@ def test_probabilities_are_honest():
     """Of answers whose truth is drawn from what is supposed, those that are neither clear nor open are right as often as they say."""
     rng, right, said = np.random.default_rng(2), [], []
     sets = [(), *PAIRS]
-    priors = {who: asked.prior(who, 6, NAMED[who]) for who in PAIRS}
+    priors = {who: excitation_response.prior(who, 6, NAMED[who]) for who in PAIRS}
     for seed in range(300):
         who = sets[rng.integers(4)]
-        mean, sd = priors.get(who, asked.prior((), 6))
+        mean, sd = priors.get(who, excitation_response.prior((), 6))
         theta = mean + sd * rng.standard_normal(6)
         one = told(np.where(mean > 0.0, np.abs(theta), theta), seed, sd=0.15)
         one = replace(one, J=one.J[:1], z=one.z[:1])
-        logs = np.array([0.0, *(asked.evidence([one], k, priors[k])[0] for k in PAIRS)])
+        logs = np.array([0.0, *(excitation_response.evidence([one], k, priors[k])[0] for k in PAIRS)])
         share = np.exp(logs - np.logaddexp.reduce(logs))
         if 0.5 < share.max() < 0.95:
             right.append(sets[int(share.argmax())] == who)
@@ -71,16 +71,16 @@ def test_probabilities_are_honest():
 def test_negative_losses_are_none():
     """What would be explained by rotors that give more than before is no loss of theirs."""
     theta = np.where(np.isin(np.arange(6), (0, 1)), -0.2, 0.0)
-    found = asked.shares([told(theta)], NAMED, 6)
+    found = excitation_response.shares([told(theta)], NAMED, 6)
     assert found[(0, 1)] < 1e-3
 
 
 def test_a_loss_since_the_flight_began_changes_trim_and_an_older_one_does_not():
     theta = np.where(np.isin(np.arange(6), (2,)), 0.4, 0.0)
     nothing = told(np.zeros(6), 1, 0.05, trim=True)
-    new = asked.shares([told(theta)], {}, 6, told(theta, 1, 0.05, trim=True))
+    new = excitation_response.shares([told(theta)], {}, 6, told(theta, 1, 0.05, trim=True))
     assert next(iter(new)) == (2,) and all(2 in who for who, p in new.items() if p > 0.03)
-    old = asked.shares([told(theta)], {}, 6, nothing)
+    old = excitation_response.shares([told(theta)], {}, 6, nothing)
     # The pair that half of it each would answer as.
     assert {(2,), (3,), (2, 3)} >= {who for who, p in old.items() if p > 0.2} and old[()] < 0.01
 
@@ -89,7 +89,7 @@ def test_candidates_lack_the_same_in_hover():
     event = Event(
         "loss_of_effectiveness", (1, 2), 20.0, 21.0, None, (0.3, 0.3), ((0.1, 0.5),) * 2, 0.4, ((3, 4), (5, 6))
     )
-    found = asked.candidates(event, B)
+    found = excitation_response.candidates(event, B)
     for losses in found.values():
         assert B @ losses == pytest.approx(B @ found[(0, 1)], abs=1e-9)
 
@@ -104,12 +104,14 @@ def test_the_information_of_ticks_finds_the_losses_and_the_lag():
     late = np.column_stack([np.interp(time - delay, time, q[:, i]) for i in range(6)])
     e = 0.4 + late @ (B[3] * theta) + 0.02 * rng.standard_normal(T)
     noise = excitation.Noise(np.array([0.02**2, 0.0, 0.0, 1e-6]), np.array(TAU))
-    model = asked._Model(e, np.zeros(6), 0.0, noise)
+    model = excitation_response._Model(e, np.zeros(6), 0.0, noise)
     table = type("Table", (), {"time": time, "dt": dt})
-    one = asked._asked(np.arange(2, T), (0.0, 5.0), q, model, table, B)
-    best = [asked._gaussian(J, z, np.zeros(6), np.full(6, 0.3))[0] for J, z in zip(one.J, one.z, strict=True)]
-    assert asked.DELAYS_S[int(np.argmax(best))] == delay
-    found = asked.shares([one], NAMED, 6)
+    one = excitation_response._asked(np.arange(2, T), (0.0, 5.0), q, model, table, B)
+    best = [
+        excitation_response._gaussian(J, z, np.zeros(6), np.full(6, 0.3))[0] for J, z in zip(one.J, one.z, strict=True)
+    ]
+    assert excitation_response.DELAYS_S[int(np.argmax(best))] == delay
+    found = excitation_response.shares([one], NAMED, 6)
     assert next(iter(found)) == (0, 1)
     k = int(np.argmax(best))
     seen = np.linalg.pinv(N.T @ one.J[k] @ N) @ (N.T @ one.z[k])
@@ -162,8 +164,8 @@ def test_a_healthy_vehicle_stays_healthy_and_does_not_move(flown):
 
 def test_without_an_excitation_nothing_changes(flown):
     table, _, _, B_, losses = excitation_flights.judged(flown[0][1])
-    assert asked.find(table, B_) == ((), None, ())
-    assert asked.settle(losses, table, B_) == (losses, ())
+    assert excitation_response.find(table, B_) == ((), None, ())
+    assert excitation_response.settle(losses, table, B_) == (losses, ())
 
 
 def test_a_log_says_what_to_ask(flown):

@@ -7,7 +7,7 @@ import pytest
 
 from conftest import hexa_event
 from rotorwatch import airframes
-from rotorwatch.default import events, hypotheses, leftover
+from rotorwatch.default import events, hypotheses, residual_evidence
 from rotorwatch.motion.ticks import JUDGE, LEARN
 
 HYP = hypotheses.make(4)
@@ -34,7 +34,8 @@ def flight(odds=(), trim=(), mode=()):
 
 def found(*events, **given):
     return [
-        (s.rotors, round(s.start_s), round(s.end_s)) for s in leftover.find(*flight(**given), HYP, LIMIT, events, B)
+        (s.rotors, round(s.start_s), round(s.end_s))
+        for s in residual_evidence.find(*flight(**given), HYP, LIMIT, events, B)
     ]
 
 
@@ -89,6 +90,6 @@ def test_a_loss_that_may_be_nothing_accuses_nobody_and_is_said():
     )
     assert events.accuses(some) and not events.accuses(none)
     assert events.accuses(hexa_event(interval=((0.0, 0.1),), alternatives=((4,),)))  # accuses nobody alone
-    assert leftover.faint((none,), (), 60.0) == (leftover.Leftover((3,), 20.0, 60.0),)
+    assert residual_evidence.faint((none,), (), 60.0) == (residual_evidence.Leftover((3,), 20.0, 60.0),)
     knock = hexa_event(kind="contact", rotors=(), onset_s=18.0, detected_s=18.0, end_s=18.0)
-    assert leftover.faint((none,), (knock,), 60.0) == ()  # what a knock leaves behind speaks of the knock
+    assert residual_evidence.faint((none,), (knock,), 60.0) == ()  # what a knock leaves behind speaks of the knock
