@@ -16,7 +16,8 @@ import numpy as np
 from rotorwatch.fleet import explain, false_discovery, prognosis, scatter
 from rotorwatch.fleet.explain import CENTRE, STEP, WORN, Found, Series
 from rotorwatch.fleet.store import Store
-from rotorwatch.healthy.whole_flight import LIMITED, SLOPE_BETWEEN_SD
+from rotorwatch.healthy.whole_flight import LIMITED, SLOPE_BETWEEN_SD, of_wind
+from rotorwatch.maths import multivariate_t as student
 
 FELL = "control was lost in it"
 TAUGHT_BY = ("healthy", "inconclusive")
@@ -181,8 +182,7 @@ def _wind(trims: Iterable[Mapping]) -> tuple[np.ndarray, np.ndarray]:
     between = np.full(2, SLOPE_BETWEEN_SD**2)
     middle = np.zeros(2)
     for _ in range(5):
-        w = 1.0 / (own + between)
-        middle = (w * slopes).sum(axis=0) / w.sum(axis=0)
+        middle, _ = student.weighted_mean(slopes, own + between)
         # Each flight's slope counts by how well it is known; clipped, as a few are far off.
         worth = between / (own + between)
         beyond = np.minimum(np.square(slopes - middle), 9.0 * (own + between)) - own
@@ -200,9 +200,8 @@ def _table(one: History, slope: np.ndarray, slope_variance: np.ndarray) -> tuple
     for k, (row, use) in enumerate(zip(one.rows, one.use)):
         if use:
             t = row["trim"]
-            fx, fy = t["force"]
-            y[k] = np.array(t["wrench"]) - [slope[0] * fy, slope[1] * fx, 0.0]
-            c[k] = np.array(t["covariance"]) + np.diag([slope_variance[0] * fy**2, slope_variance[1] * fx**2, 0.0])
+            y[k] = t["wrench"] - of_wind(t["force"], slope)
+            c[k] = np.array(t["covariance"]) + np.diag(of_wind(np.square(t["force"]), slope_variance))
     y[~one.use] = np.median(y[one.use], axis=0)
     return y, c
 
@@ -224,7 +223,7 @@ def _with_sisters(series: Series, others: Sequence[Found], prior: np.ndarray) ->
     middle, between = np.median(levels, axis=0), BETWEEN**2 * prior
     for _ in range(5):
         between = scatter.scale(levels - middle, within, BETWEEN**2 * prior)
-        u = scatter.weights(levels - middle, between + within)
+        u = student.weights(levels - middle, between + within, scatter.NU)
         middle = (u[:, None] * levels).sum(axis=0) / u.sum()
     return replace(series, level=middle, level_covariance=INFLATION * between * (1.0 + 1.0 / len(others)))
 

@@ -38,6 +38,7 @@ import numpy as np
 from rotorwatch.fleet import scatter
 from rotorwatch.fleet.prognosis import Lines
 from rotorwatch.healthy.whole_flight import CENTRE_RHO_SD, RHO_SD, SHIFT_SD
+from rotorwatch.maths import multivariate_t as student
 from rotorwatch.maths.tails import log_normal_cdf, normal_quantile
 
 LOSS_SD = 0.15  # of e by a step, or by wear at the end of the history
@@ -138,7 +139,7 @@ def explain(series: Series) -> Found:
         atoms = _search(fit, atoms)
         fit = _Fit(series, weight, atoms)
         rest = series.y - fit.fitted
-        weight = scatter.weights(rest, series.noise)
+        weight = student.weights(rest, series.noise, scatter.NU)
         fit = _Fit(series, weight, atoms)
     atoms = _polished(fit, atoms)
     return _found(_Fit(series, weight, atoms), atoms)

@@ -6,14 +6,15 @@ closest together give the shape (the minimum covariance determinant), and the me
 be steps. Single flights that stand out (a hung weight, a storm) are weighed down later: noise has Student's t distribution with NU degrees
 of freedom.
 
-Sources: P. J. Rousseeuw and K. Van Driessen, A fast algorithm for the minimum covariance determinant estimator, Technometrics 41 (1999)
-212-223; K. L. Lange, R. J. A. Little and J. M. G. Taylor, Robust statistical modeling using the t distribution, Journal of the American
-Statistical Association 84 (1989) 881-896, for the weights.
+Source: P. J. Rousseeuw and K. Van Driessen, A fast algorithm for the minimum covariance determinant estimator, Technometrics 41 (1999)
+212-223.
 """
 
 from __future__ import annotations
 
 import numpy as np
+
+from rotorwatch.maths.multivariate_t import squared_distance
 
 NU = 5.0
 # Assumed of flights: of a rotor's thrust, relative; of the centre of mass, arm lengths.
@@ -51,25 +52,13 @@ def scale(rows: np.ndarray, within: np.ndarray, prior: np.ndarray) -> np.ndarray
     found = start
     half = m // 2 + 1
     for _ in range(ROUNDS):
-        core = rows[np.argsort(_distance(rows, found), kind="stable")[:half]]
+        core = rows[np.argsort(squared_distance(rows, found)[0], kind="stable")[:half]]
         shape = (PRIOR_FLIGHTS * start + core.T @ core) / (PRIOR_FLIGHTS + len(core))
-        size = float(np.median(_distance(rows, shape))) / MEDIAN[d]
+        size = float(np.median(squared_distance(rows, shape)[0])) / MEDIAN[d]
         found = (PRIOR_FLIGHTS * start + 0.5 * m * size * shape) / (PRIOR_FLIGHTS + 0.5 * m)
     found = found - known
     values, axes = np.linalg.eigh(0.5 * (found + found.T))
     return (axes * np.maximum(values, 0.1 * np.linalg.eigvalsh(prior).min())) @ axes.T
-
-
-def _distance(rows: np.ndarray, scales: np.ndarray) -> np.ndarray:
-    """(m,) squared Mahalanobis distance of each row (m, d) under scales (d, d) or (m, d, d)."""
-    m, d = rows.shape
-    return np.einsum("ki,ki->k", rows, np.linalg.solve(np.broadcast_to(scales, (m, d, d)), rows[..., None])[..., 0])
-
-
-def weights(rows: np.ndarray, scales: np.ndarray) -> np.ndarray:
-    """(m,) weight of each row (m, d) under scales (d, d) or (m, d, d): about 1 for usual ones, small for those that stand out."""
-    d = rows.shape[1]
-    return (NU + d) / (NU + _distance(rows, scales))
 
 
 def alone(y: np.ndarray, noise: np.ndarray) -> np.ndarray:
@@ -80,7 +69,7 @@ def alone(y: np.ndarray, noise: np.ndarray) -> np.ndarray:
     for off in (1, 2):
         if off >= K:
             break
-        far = _distance(y[off:] - y[:-off], noise[off:] + noise[:-off])
+        far, _ = squared_distance(y[off:] - y[:-off], noise[off:] + noise[:-off])
         least[off:] = np.minimum(least[off:], far)
         least[:-off] = np.minimum(least[:-off], far)
     least = np.where(np.isfinite(least), least, 0.0)

@@ -28,8 +28,8 @@ import numpy as np
 
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch.healthy.whole_flight import CENTRE_RHO_SD, LIMITED, RHO_SD, Features, features, t_density
-from rotorwatch.maths.tails import f_tail
+from rotorwatch.healthy.whole_flight import CENTRE_RHO_SD, LIMITED, RHO_SD, Features, features
+from rotorwatch.maths import multivariate_t as student
 
 CENTRE, TILT, FREEDOM = 0.04, 0.2, 6.0
 SHIFT_SD = 0.15  # arm lengths: a camera or a battery that hangs out in front
@@ -56,24 +56,20 @@ def weigh(found: Features, B: np.ndarray) -> dict:
     n = B.shape[1]
     w = np.array(found.wrench)
     scale = np.diag([CENTRE**2, CENTRE**2, TILT**2 / n]) + np.array(found.covariance)
-    p_value = f_tail(float(w @ np.linalg.solve(scale, w)) / 3, 3, FREEDOM)
+    p_value = student.tail(w, scale, FREEDOM)
     theta = np.linspace(0.0, MOST, 181)[1:]
     shifts = [_weak(B, i, theta) for i in range(n)]
     # RHO_SD: whole_flight.py, of the yaw that a damaged rotor asks for; without a turning moment of its own it asks for none.
     likelihood = np.stack([_density(w - at, scale, RHO_SD * at[:, 2]) for at in shifts])
-    step = np.linspace(-3.0, 3.0, 61) * SHIFT_SD
-    where = np.stack([g.ravel() for g in np.meshgrid(step, step)] + [np.zeros(61**2)], axis=1)
-    mass = np.exp(-0.5 * (where**2).sum(axis=1) / SHIFT_SD**2)
-    distance = np.hypot(*where.T[:2])
-    centre = (mass / mass.sum() * _density(w - where, scale, CENTRE_RHO_SD * distance)).sum()
-    weight = np.array([HEALTHY * _density(w[None], scale, 0.0)[0], SHIFTED * centre])
+    where, distance, mass = student.centred_grid(SHIFT_SD, 3.0)
+    centre = mass @ _density(w - np.pad(where, ((0, 0), (0, 1))), scale, CENTRE_RHO_SD * distance)
+    weight = np.array([HEALTHY * _density(w, scale, 0.0), SHIFTED * centre])
     rotor = ROTOR / n * likelihood.mean(axis=1)
     total = weight.sum() + rotor.sum()
     probability = rotor / total
-    cumulative = np.cumsum(likelihood, axis=1) / likelihood.sum(axis=1, keepdims=True)
-    low, high = (theta[np.minimum((cumulative < q).sum(axis=1), len(theta) - 1)] for q in (0.025, 0.975))
+    means, intervals = zip(*(student.mean_and_interval(theta, one) for one in likelihood))
+    loss, (low, high) = np.array(means), np.array(intervals).T
     best = int(np.argmax(probability))
-    loss = (likelihood * theta).sum(axis=1) / likelihood.sum(axis=1)
     named = [i for i in np.argsort(-probability) if probability[i] > OTHER * probability.sum()]
     causes = [{"kind": "rotors", "rotors": [int(i) + 1], "probability": float(probability[i])} for i in named]
     causes.append({"kind": "centre_of_mass", "rotors": [], "probability": float(weight[1] / total)})
@@ -103,7 +99,7 @@ def weigh(found: Features, B: np.ndarray) -> dict:
 
 def _density(rest: np.ndarray, scale: np.ndarray, yaw_sd) -> np.ndarray:
     """(g,) t densities, but for a factor, of rest (g, 3) with variances yaw_sd (g,) squared more in yaw."""
-    return t_density(rest, scale, np.square(np.outer(np.broadcast_to(yaw_sd, len(rest)), [0.0, 0.0, 1.0])), FREEDOM)
+    return student.density(rest, scale, FREEDOM, (0.0, 0.0, np.square(yaw_sd)))
 
 
 def _weak(B: np.ndarray, rotor: int, theta: np.ndarray) -> np.ndarray:
