@@ -23,7 +23,7 @@ from rotorwatch.base import incoming as limited
 from rotorwatch.errors import ConfigError, RotorwatchError, WorkerError
 
 OUTCOMES = ("read", "read with warnings", "rejected with a sentence", "FAILED")
-KEPT_FAILURES = 20
+MOST_FAILURES = 20
 
 
 def fuzz(
@@ -55,7 +55,7 @@ def fuzz(
     for done, (number, outcome, what, was_judged) in enumerate(results, 1):
         outcomes[outcome] += 1
         judged += was_judged
-        if outcome == "FAILED" and len(failures) < KEPT_FAILURES:
+        if outcome == "FAILED" and len(failures) < MOST_FAILURES:
             failures.append({"number": number, "mutation": mutate(task.data, seed, number)[1], "what": what})
         if progress:
             progress(done / mutations, f"{outcomes['FAILED']} failed")
