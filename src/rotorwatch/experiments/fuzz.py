@@ -46,10 +46,7 @@ def fuzz(
     outcome is FAILED for any exception other than a RotorwatchError, for a crash, and beyond a limit.
     """
     task = Mutations(load(path), Path(path).name.removesuffix(".xz").removesuffix(".gz"), seed, diagnosed, timeout_s)
-    if jobs == 0:
-        results = here(task, mutations)
-    else:
-        results = pool(task, mutations, jobs, memory_mb)
+    results = here(task, mutations) if jobs == 0 else pool(task, mutations, jobs, memory_mb)
     outcomes: dict[str, int] = dict.fromkeys(OUTCOMES, 0)
     failures, judged = [], 0
     for done, (number, outcome, what, was_judged) in enumerate(results, 1):
