@@ -106,7 +106,7 @@ def test_literal_readings_are_measured(result):
     (claim,) = [claim for claim in result.claims if "no_redraw" in claim.claim]
     assert f"{found['difference_q1']:.2g}" in claim.measured
     with pytest.raises(ConfigError, match=r"no literal reading 'nonsense'; it has no_redraw, "):
-        study.reproduce(1, ("nonsense",))
+        reproduction.reproduce("atsukf", 1, ("nonsense",))
 
 
 def test_the_losses_are_the_papers():

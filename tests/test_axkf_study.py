@@ -8,6 +8,7 @@ import pytest
 from rotorwatch import airframes
 from rotorwatch.errors import ConfigError
 from rotorwatch.experiments.studies import reproduce_axkf as study
+from rotorwatch.experiments.studies import reproduction
 from rotorwatch.experiments.studies import rot_flights as flights
 from rotorwatch.maths.systems.port_hamiltonian_attitude import PortHamiltonianAttitude
 
@@ -164,4 +165,4 @@ def test_literal_readings_change_the_losses(result, literal, least):
 
 def test_unknown_reading():
     with pytest.raises(ConfigError, match="no literal reading 'wrong'; it has innovation"):
-        study.reproduce(1, ("wrong",))
+        reproduction.reproduce("axkf", 1, ("wrong",))

@@ -120,13 +120,13 @@ def search(seen: list[Channel]) -> list[Desync]:
             best = _judged(seen, i, start, length, rotors, limit)
             if best is not None:
                 found.append(best)
-    kept: list[Desync] = []
+    separate: list[Desync] = []
     for d in sorted(found, key=lambda d: -d.ratio):
-        if all(d.start > k.end + APART_S or d.end < k.start - APART_S for k in kept):
-            kept.append(d)
+        if all(d.start > k.end + APART_S or d.end < k.start - APART_S for k in separate):
+            separate.append(d)
     spun = {c.rotor for c in seen}
-    often = {d.rotor for d in kept if d.end - d.start >= KNOCK_S or sum(e.rotor == d.rotor for e in kept) > 1}
-    return sorted((d for d in kept if d.rotor in spun or d.rotor in often), key=lambda d: d.start)
+    often = {d.rotor for d in separate if d.end - d.start >= KNOCK_S or sum(e.rotor == d.rotor for e in separate) > 1}
+    return sorted((d for d in separate if d.rotor in spun or d.rotor in often), key=lambda d: d.start)
 
 
 def _peaks(seen: list[Channel], i: int, lengths: np.ndarray, dt: float) -> list[tuple[int, int]]:
@@ -141,10 +141,10 @@ def _peaks(seen: list[Channel], i: int, lengths: np.ndarray, dt: float) -> list[
         for lag, b in enumerate(c.answer):
             back[: K - lag] -= b * pull[lag:]
         moment += c.drive[:, i] * back
-        told = c.drive[:, i] / c.scale
+        commanded = c.drive[:, i] / c.scale
         for d in range(LAGS):
             r = float(c.answer[: LAGS - d] @ c.answer[d:])
-            shared[d, : K - d] += (1.0 if d == 0 else 2.0) * r * told[: K - d] * told[d:]
+            shared[d, : K - d] += (1.0 if d == 0 else 2.0) * r * commanded[: K - d] * commanded[d:]
     M = np.concatenate([[0.0], np.cumsum(moment)])
     S = np.concatenate([np.zeros((LAGS, 1)), np.cumsum(shared, axis=1)], axis=1)
     score, which = np.zeros(K), np.zeros(K, int)

@@ -50,7 +50,7 @@ FILES = {
     )
 } | {"losses": "rotorwatch.front.losses"}  # fmt: skip
 # Names, counts and what follows from others: nothing to be chosen.
-GIVEN = {
+NOT_CHOSEN = {
     "plant.PER_AXIS", "plant.SIDEWAYS", "plant.AXIS_STATES", "plant.B1", "plant.B2", "plant.B3", "plant.GAIN", "plant.DAMPING",
     "announcement.FALSE_ALARM_PERIOD_S", "bank.SLOTS", "bank.STRIDES", "bank.SLOW_S", "noise.LAGS", "hypotheses.DISTURBANCES",
     "kalman.BIASES", "posterior.NEVER", "posterior.PLACES", "evidence.NOTHING", "losses.WITHIN_95", "losses.CANCELS",
@@ -72,7 +72,7 @@ def constants() -> dict[str, Any]:
                 for name in target.elts if isinstance(target, ast.Tuple) else [target]:
                     key, value = f"{file}.{getattr(name, 'id', '')}", getattr(module, getattr(name, "id", ""), None)
                     number = isinstance(value, int | float | np.ndarray | tuple | dict) and not isinstance(value, bool)
-                    if key.split(".")[1].isupper() and number and key not in GIVEN and _numbers(value):
+                    if key.split(".")[1].isupper() and number and key not in NOT_CHOSEN and _numbers(value):
                         found[key] = value
     return dict(sorted(found.items()))
 

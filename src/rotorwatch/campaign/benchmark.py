@@ -191,8 +191,8 @@ def _entered(benchmark: Benchmark, methods: Sequence[Method]) -> Plan:
 
 
 def _same_run(folder: Path, entered: Plan) -> None:
-    kept = folder / "plan.toml"
-    if kept.is_file() and kept.read_bytes() != entered.text.encode():
+    plan_file = folder / "plan.toml"
+    if plan_file.is_file() and plan_file.read_bytes() != entered.text.encode():
         raise ConfigError(
             f"{folder} holds parts of a run with another plan or other methods: delete that folder or give another --out."
         )

@@ -72,16 +72,16 @@ def read(plan: str | os.PathLike) -> Benchmark:
 def parsed(text: str, name: str = "") -> Benchmark:
     """The benchmark of a plan's text. Raises ConfigError."""
     table = {"name": name, **tomllib.loads(text)}
-    asked = table.pop("benchmark", None)
-    if not isinstance(asked, dict):
+    goals = table.pop("benchmark", None)
+    if not isinstance(goals, dict):
         raise ConfigError("it has no table [benchmark] with version, flights, false_alarms_h and within_s.")
-    for key in (*TABLE, *asked):
-        if key not in asked or key not in TABLE:
+    for key in (*TABLE, *goals):
+        if key not in goals or key not in TABLE:
             fault = "missing" if key in TABLE else "not a field"
             raise ConfigError(f"benchmark.{plain(key)} is {fault}; the fields are {', '.join(TABLE)}.")
-    version = whole("benchmark.version", asked["version"], 1, 1_000_000)
-    flights = whole("benchmark.flights", asked["flights"], 1, 10_000_000)
-    rate = number("benchmark.false_alarms_h", asked["false_alarms_h"], 0.0, 1e4)
-    if asked["within_s"] not in RISE_S:
+    version = whole("benchmark.version", goals["version"], 1, 1_000_000)
+    flights = whole("benchmark.flights", goals["flights"], 1, 10_000_000)
+    rate = number("benchmark.false_alarms_h", goals["false_alarms_h"], 0.0, 1e4)
+    if goals["within_s"] not in RISE_S:
         raise ConfigError(f"benchmark.within_s must be one of {', '.join(f'{s:g}' for s in RISE_S)}.")
-    return Benchmark(plans.from_table(table, text), version, flights, rate, float(asked["within_s"]), text)
+    return Benchmark(plans.from_table(table, text), version, flights, rate, float(goals["within_s"]), text)

@@ -313,14 +313,16 @@ def _next(
 
 
 @functools.cache
-def _asked():
+def _setpoints():
     """`trajectories.table`, compiled."""
     return load_jax().jit(trajectories.table, static_argnums=(1, 2))
 
 
 def _off(plan, record) -> np.ndarray:
     """(T,) distance from where the vehicle should be [m]."""
-    return np.linalg.norm(record.p - np.asarray(_asked()(plan.way, len(record.time), float(record.time[0])).p), axis=1)
+    return np.linalg.norm(
+        record.p - np.asarray(_setpoints()(plan.way, len(record.time), float(record.time[0])).p), axis=1
+    )
 
 
 def _flying(record) -> np.ndarray:

@@ -19,6 +19,7 @@ from rotorwatch.compiling.run import engine, run, run_built
 from rotorwatch.default import hypotheses, program
 from rotorwatch.default.plant import PER_AXIS
 from rotorwatch.errors import ConfigError
+from rotorwatch.experiments import tools
 from rotorwatch.motion.ticks import LEARN, Ticks
 from rotorwatch.published import log_plant, published
 from rotorwatch.published.log_plant import LogPlant
@@ -60,12 +61,7 @@ def _program(name: str, dt: float, decisions: Decisions):
 
     def single(plant, B, u, y, valid):
         estimator = published.watched(name, dt, (), decisions, {"plant": plant, "B": B})
-
-        def step(carry, row):
-            carry, out = estimator.step(carry, *row)
-            return carry, published.seen(out)
-
-        return jax.lax.scan(step, estimator.init(), (u, y, valid))[1]
+        return tools.stepped(estimator, u, y, published.seen, valid)
 
     return jax.jit(jax.vmap(single, in_axes=(0, None, 0, 0, 0)))
 

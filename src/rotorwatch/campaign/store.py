@@ -64,15 +64,15 @@ class Folder:
         """Make the folder, or check that it is of the same plan; returns the width of its batches. Raises ConfigError."""
         parquet()
         _make(self.parts)
-        about, kept = self.path / "campaign.json", self.path / "plan.toml"
+        about, plan_file = self.path / "campaign.json", self.path / "plan.toml"
         if not about.exists():
             if any(self.parts.iterdir()):
                 raise ConfigError(f"{self.path} holds parts of an unknown campaign; give another folder.")
-            _write(kept, plan.text.encode())
+            _write(plan_file, plan.text.encode())
             _write(about, json.dumps({"version": version, "width": width, "engine": engine}).encode())
             return width
         known = _known(about)
-        if not kept.is_file() or kept.read_bytes() != plan.text.encode():
+        if not plan_file.is_file() or plan_file.read_bytes() != plan.text.encode():
             raise ConfigError(f"{self.path} holds results of another plan (its plan.toml); give another folder.")
         if known["version"] != version:
             raise ConfigError(

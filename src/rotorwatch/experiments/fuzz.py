@@ -23,7 +23,7 @@ from rotorwatch.base import incoming as limited
 from rotorwatch.errors import ConfigError, RotorwatchError, WorkerError
 
 OUTCOMES = ("read", "read with warnings", "rejected with a sentence", "FAILED")
-KEPT_FAILURES = 20
+MOST_FAILURES = 20
 
 
 def fuzz(
@@ -46,16 +46,13 @@ def fuzz(
     outcome is FAILED for any exception other than a RotorwatchError, for a crash, and beyond a limit.
     """
     task = Mutations(load(path), Path(path).name.removesuffix(".xz").removesuffix(".gz"), seed, diagnosed, timeout_s)
-    if jobs == 0:
-        results = here(task, mutations)
-    else:
-        results = pool(task, mutations, jobs, memory_mb)
+    results = here(task, mutations) if jobs == 0 else pool(task, mutations, jobs, memory_mb)
     outcomes: dict[str, int] = dict.fromkeys(OUTCOMES, 0)
     failures, judged = [], 0
     for done, (number, outcome, what, was_judged) in enumerate(results, 1):
         outcomes[outcome] += 1
         judged += was_judged
-        if outcome == "FAILED" and len(failures) < KEPT_FAILURES:
+        if outcome == "FAILED" and len(failures) < MOST_FAILURES:
             failures.append({"number": number, "mutation": mutate(task.data, seed, number)[1], "what": what})
         if progress:
             progress(done / mutations, f"{outcomes['FAILED']} failed")

@@ -51,10 +51,7 @@ def fuzz_framed(
     verdict, sure, named = _answer(_judged(Path(path)))
     task = Task(data, name, seed, 1.0, timeout_s, share, verdict, named)
     total = damages * len(KINDS)
-    if jobs == 0:
-        results = here(task, total)
-    else:
-        results = pool(task, total, jobs, memory_mb)
+    results = here(task, total) if jobs == 0 else pool(task, total, jobs, memory_mb)
     table: dict[str, dict[str, int]] = {kind: dict.fromkeys(OUTCOMES, 0) for kind in KINDS}
     failures, slowest = [], 0.0
     for done, (number, outcome, what, _) in enumerate(results, 1):

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from rotorwatch import many
+from rotorwatch.base.backend import jax as load_jax
 
 Z = 1.959963984540054
 RESAMPLES = 400
@@ -33,6 +34,24 @@ def gathered(
             progress(count / len(parts), text)
 
     return [row for rows in many.ordered(part, parts, jobs, scheduler, finished, keep) for row in rows]
+
+
+def stepped(estimator: Any, u: Any, y: Any, select: Callable[[Any], Any], valid: Any = None) -> Any:
+    """What `select` keeps of each step's output over rows u (T, n_u), y (T, n_y), valid (T, n_y) (None: all are): for compiled programs,
+    and to be mapped over flights or tunings."""
+    jax = load_jax()
+    valid = jax.numpy.ones(y.shape, bool) if valid is None else valid
+
+    def step(carry, row):
+        carry, out = estimator.step(carry, *row)
+        return carry, select(out)
+
+    return jax.lax.scan(step, estimator.init(), (u, y, valid))[1]
+
+
+def losses(out: Any) -> Any:
+    """Of an estimate: theta (n_theta,). For `stepped`."""
+    return out.theta
 
 
 def rate(count: int, hours: float) -> dict[str, float] | None:

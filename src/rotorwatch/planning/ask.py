@@ -159,7 +159,7 @@ def ask(
     limits = Limits(tilt=float(np.radians(tilt_deg)), amplitude=float(amplitude))
     if isinstance(subject, Flight) or _is_log(subject):
         name, B, question = _of_log(subject, vehicle)
-        given = question.candidates if candidates is None else _candidates(candidates, loss, B.shape[1])
+        hypotheses = question.candidates if candidates is None else _candidates(candidates, loss, B.shape[1])
         notes = ("Hover, gains and noise are those of the log.",)
     else:
         craft = _vehicle(subject)
@@ -167,7 +167,7 @@ def ask(
         n = B.shape[1]
         if candidates is None:
             raise ConfigError("Name the candidates, such as --candidates 1+4,2+5,none; only a log says them by itself.")
-        given = _candidates(candidates, loss, n)
+        hypotheses = _candidates(candidates, loss, n)
         if hover is not None and not 0.0 < hover < 1.0:
             raise ConfigError(f"hover must be a share of full thrust, above 0 and below 1, not {hover:g}.")
         gain = usual_gains(n)[:3]
@@ -179,11 +179,13 @@ def ask(
             "The noise is that of simulated multirotors in a light wind; a log of the vehicle says it better.",
         )
         usual = np.full(n, HOVER if hover is None else hover)
-        question = excitation_response.Question(given, usual, Noise(np.array(USUAL_NOISE), np.array(TAU)), gain, tick_s)
+        question = excitation_response.Question(hypotheses, usual, Noise(np.array(USUAL_NOISE), np.array(TAU)), gain, tick_s)
     about = question.hover, question.noise, question.gain, question.dt
-    design = excitation.design(B, list(given.values()), *about, limits, longest_s=within_s)
-    who = tuple(tuple(k + 1 for k in c) for c in given)
-    return Asking(name, B.shape[1], who, np.stack(list(given.values())), B, question.hover, question.dt, design, notes)
+    design = excitation.design(B, list(hypotheses.values()), *about, limits, longest_s=within_s)
+    who = tuple(tuple(k + 1 for k in c) for c in hypotheses)
+    return Asking(
+        name, B.shape[1], who, np.stack(list(hypotheses.values())), B, question.hover, question.dt, design, notes
+    )
 
 
 def _is_log(subject: Any) -> bool:

@@ -32,7 +32,7 @@ from rotorwatch.simulation.rigid import G0
 
 FULL, NO_YAW, SPINNING, NO = VERDICTS = ("full control", "yaw given up", "only spinning", "cannot hover")
 LEAST = 0.01  # of each channel's authority that full control has to both sides of hover
-LEAN = 40.0  # degrees: what the simulator's autopilot leans at most
+MOST_TILT_DEG = 40.0  # degrees: what the simulator's autopilot leans at most
 STRONGEST = 60.0  # m/s
 HEADINGS = 16
 NEEDED = ("mass_kg", "thrust_to_weight", "arm_m")
@@ -84,7 +84,7 @@ class Survival:
     @property
     def summary(self) -> str:
         """What it comes down to: a sentence for each size of loss."""
-        said = []
+        sentences = []
         for loss in self.losses:
             what = "Total loss" if loss == 1.0 else f"A loss of {loss:.0%}"
             parts = []
@@ -94,8 +94,8 @@ class Survival:
                 if total:
                     ends = ", ".join(f"{verdict} in {count} of {total}" for verdict, count in found.items())
                     parts.append(f"of {word}: {ends}")
-            said.append(f"{what} {'; '.join(parts)}.")
-        return " ".join(said)
+            sentences.append(f"{what} {'; '.join(parts)}.")
+        return " ".join(sentences)
 
     def to_dict(self) -> dict:
         """Plain lists, numbers and strings."""
@@ -173,8 +173,8 @@ def survive(
     sizes = tuple(dict.fromkeys(float(x) for x in loss))
     if not sizes or not all(0.0 < x <= 1.0 for x in sizes):
         raise ConfigError("loss: give numbers above 0 and up to 1, such as 0.3, 0.6, 1.")
-    given = {"mass_kg": mass_kg, "thrust_to_weight": thrust_to_weight, "arm_m": arm_m}
-    name, airframe, servo, assumptions = _numbers(vehicle, {k: v for k, v in given.items() if v is not None})
+    options = {"mass_kg": mass_kg, "thrust_to_weight": thrust_to_weight, "arm_m": arm_m}
+    name, airframe, servo, assumptions = _numbers(vehicle, {k: v for k, v in options.items() if v is not None})
     n = len(airframe.x)
     healthy = _case(airframe, (), 1.0, servo)
     if healthy.verdict != FULL:
@@ -224,7 +224,8 @@ def _case(airframe: Airframe, rotors: tuple[int, ...], loss: float, servo: bool)
 
 
 def _wind(airframe: Airframe, e, free_yaw: bool) -> float:
-    """The strongest steady wind [m/s] from any side in which the forces balance, LEAST of every channel to spare, leaning at most LEAN."""
+    """The strongest steady wind [m/s] from any side in which the forces balance, LEAST of every channel to spare, leaning at most
+    MOST_TILT_DEG."""
     rows = 3 if free_yaw else 4
     B, size = airframe.B * e, np.abs(airframe.B).sum(axis=1) / 2.0
     size = np.where(size > 0.0, size, 1.0)
@@ -258,14 +259,14 @@ def _holds(a: Airframe, Z: Planes, size, u, speeds) -> np.ndarray:
     w0 = np.sqrt(u)
     turns = np.ones_like(V)  # rotor speeds over those of hover
     side, down = (float(np.asarray(a.drag)[k]) for k in (0, 2))
-    thrust, lean = np.full_like(V, weight), np.zeros_like(V)
+    thrust, tilt = np.full_like(V, weight), np.zeros_like(V)
     for _ in range(20):
         flow = turns * w0.sum()
-        lean = np.arctan((side * V**2 + a.k_d * flow * V) / weight)
-        thrust = weight * np.cos(lean) + (down * V**2 + a.k_z * flow * V) * np.sin(lean)
+        tilt = np.arctan((side * V**2 + a.k_d * flow * V) / weight)
+        thrust = weight * np.cos(tilt) + (down * V**2 + a.k_z * flow * V) * np.sin(tilt)
         turns = np.sqrt(thrust / weight)
     # Of the air past the body: in the rotors' plane, and down through it.
-    across, along = -V * np.cos(lean), -V * np.sin(lean)
+    across, along = -V * np.cos(tilt), -V * np.sin(tilt)
     a_x, a_y = across * np.cos(angle), across * np.sin(angle)
     flow, x, y = (turns * s for s in (w0.sum(), w0 @ a.x, w0 @ a.y))
     H_x, H_y = -a.k_d * a_x * flow, -a.k_d * a_y * flow
@@ -274,16 +275,16 @@ def _holds(a: Airframe, Z: Planes, size, u, speeds) -> np.ndarray:
     yaw = -a.k_d * (a_y * x - a_x * y)
     needed = np.stack([thrust, -roll, -pitch, -yaw], axis=-1)[..., : len(size)] / size
     inside = (needed @ Z.normals.T <= Z.limits - LEAST).all(axis=-1)
-    return (inside & (lean <= math.radians(LEAN))).all(axis=1)
+    return (inside & (tilt <= math.radians(MOST_TILT_DEG))).all(axis=1)
 
 
-def _numbers(vehicle: Any, given: dict[str, float]) -> tuple[str, Airframe, bool, tuple[str, ...]]:
+def _numbers(vehicle: Any, options: dict[str, float]) -> tuple[str, Airframe, bool, tuple[str, ...]]:
     """(name, numbers, whether yaw is a servo's, assumptions). Raises VehicleError, ConfigError."""
     known = vehicle if isinstance(vehicle, Vehicle) else None
     name = vehicle.name if isinstance(vehicle, Vehicle) else str(os.fspath(vehicle))
     if known is None and (Path(name).suffix == ".toml" or Path(name).exists()) and name not in airframes.papers():
         known = vehicle_file.read(name)
-    for key, value in given.items():
+    for key, value in options.items():
         if key == "thrust_to_weight" and not value > 1.0:
             raise ConfigError(
                 f"A thrust of {value:g} times the weight carries no vehicle: give --thrust-to-weight above 1."
@@ -292,7 +293,7 @@ def _numbers(vehicle: Any, given: dict[str, float]) -> tuple[str, Airframe, bool
     assumptions = []
     if known is not None:
         extra = {k: v for k, v in known.extra.items() if k in NEEDED or k in MAY}
-        fields = {"lag_s": known.lag_s, **extra, **given}
+        fields = {"lag_s": known.lag_s, **extra, **options}
         missing = [key for key in NEEDED if key not in fields]
         if missing:
             raise VehicleError(
@@ -301,7 +302,7 @@ def _numbers(vehicle: Any, given: dict[str, float]) -> tuple[str, Airframe, bool
             )
         plan = scenario.from_table({"airframe": {"frame": "quad-x", **fields}})
     elif name in airframes.papers():
-        if given:
+        if options:
             raise ConfigError(
                 f"{name} is a paper's airframe, whose mass, thrust and size are known: leave the options out."
             )
@@ -309,8 +310,8 @@ def _numbers(vehicle: Any, given: dict[str, float]) -> tuple[str, Airframe, bool
     else:
         known = airframes.named(name)
         usual = {key: scenario.FIELDS["airframe"][key].default for key in NEEDED}
-        fields = {**usual, **given}
-        guessed = [f"{OPTIONS[key]} {fields[key]:g}" for key in NEEDED if key not in given]
+        fields = {**usual, **options}
+        guessed = [f"{OPTIONS[key]} {fields[key]:g}" for key in NEEDED if key not in options]
         if guessed:
             assumptions.append(f"{name} is a shape; taken as usual: {', '.join(guessed)}.")
         plan = scenario.from_table({"airframe": {"frame": "quad-x", **fields}})
@@ -325,6 +326,6 @@ def _numbers(vehicle: Any, given: dict[str, float]) -> tuple[str, Airframe, bool
     airframe = Airframe.of(craft)
     assumptions.append(
         f"Wind: steady, from any side; drag as in the simulator ({airframe.drag[0]:.3g} V^2 N on the body, {airframe.k_d:.3g} N s/m of a "
-        f"rotor at full speed), leaning at most {LEAN:.0f} degrees, {LEAST:.0%} of each channel to spare."
+        f"rotor at full speed), leaning at most {MOST_TILT_DEG:.0f} degrees, {LEAST:.0%} of each channel to spare."
     )
     return name, airframe, servo, tuple(assumptions)

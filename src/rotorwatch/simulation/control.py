@@ -108,8 +108,8 @@ def outer(pilot: Autopilot, ref: Reference, body, integral, dt) -> tuple[Target,
     integral = jnp.clip(integral + pilot.velocity_i * dt * error, -5.0, 5.0) * jnp.where(ref.lift < 1.0, 0.0, 1.0)
     a = ref.a + pilot.velocity * error + integral
     up = jnp.clip(G0 - a[2], 0.3 * G0, 2.0 * G0)
-    lean = jnp.sqrt(a[0] ** 2 + a[1] ** 2)
-    fit = jnp.minimum(1.0, jnp.tan(pilot.tilt_most) * up / jnp.maximum(lean, 1e-6))
+    horizontal = jnp.sqrt(a[0] ** 2 + a[1] ** 2)
+    fit = jnp.minimum(1.0, jnp.tan(pilot.tilt_most) * up / jnp.maximum(horizontal, 1e-6))
     n, e = a[0] * fit, a[1] * fit
     size = jnp.sqrt(n * n + e * e + up * up)
     # Shortest turn that takes "down" to -f / |f|, after the turn by the yaw angle.

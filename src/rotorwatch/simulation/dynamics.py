@@ -102,9 +102,9 @@ def contact(craft: Craft, body: Body, R, ground):
     # Feet level the vehicle as long as it stands on them; e_z in body axes is the last row of R.
     upright = jnp.maximum(R[2][2], 0.0)
     inertia = jnp.stack([craft.J[0][0], craft.J[1][1], craft.J[2][2]])
-    lean = jnp.stack([R[2][1] * upright, -R[2][0] * upright, 0.0 * upright])
+    off_level = jnp.stack([R[2][1] * upright, -R[2][0] * upright, 0.0 * upright])
     stiff = touching * inertia * CONTACT_RATE
-    return force, -stiff * (CONTACT_RATE * lean + 2.0 * CONTACT_DAMPING * body.omega)
+    return force, -stiff * (CONTACT_RATE * off_level + 2.0 * CONTACT_DAMPING * body.omega)
 
 
 def derivative(craft: Craft, body: Body, rotors: Sums, air: Air) -> tuple[Body, Array]:

@@ -133,15 +133,15 @@ class Multirotor:
         theta = faults.loss(plan.faults, s)  # of the propellers
         commanded = jnp.sqrt(dynamics.thrust_share(craft.expo, driven * own.sag))
         friction = faults.summed(plan.faults, plan.faults.friction * s)
-        kept = 1.0 - faults.weak(plan.faults, s)
+        remaining = 1.0 - faults.weak(plan.faults, s)
         # Without friction the speed is the commanded one, to the last bit.
-        share = jnp.where(friction > 0.0, motor.slowed(commanded, theta, friction), commanded) * jnp.sqrt(kept)
+        share = jnp.where(friction > 0.0, motor.slowed(commanded, theta, friction), commanded) * jnp.sqrt(remaining)
         lag = craft.lag * (1.0 + (faults.SPIN_DOWN - 1.0) * undriven)
         body, w, force = self.moved(plan, body, own.w, share, lag, now.air, theta, dt)
         phase = own.phase + 0.5 * (own.w + w) * plan.sensors.full_turns * dt
         phase = phase - jnp.floor(phase)
         controls = jnp.concatenate([turning, target.throttle[None]])
-        lost = 1.0 - (1.0 - theta) * jnp.where(commanded > 0.0, (share / jnp.maximum(commanded, 1e-9)) ** 2, kept)
+        lost = 1.0 - (1.0 - theta) * jnp.where(commanded > 0.0, (share / jnp.maximum(commanded, 1e-9)) ** 2, remaining)
         lost = jnp.where(share < commanded, lost, theta)
         last = (demand, command, controls, wanted, lost, s, theta, friction, 1.0 - undriven)
         return body, loops._replace(free=free), own._replace(w=w, phase=phase, held=held), force, last

@@ -23,7 +23,7 @@ from rotorwatch.simulation.multirotor import Drives, Multirotor, Plan
 Array = Any
 PLACES = 4  # explanations of the default diagnosis
 TURN = 0.3  # rad
-LEAN = 0.25  # rad: how far from upright a turning vehicle tilts at most
+MOST_TILT = 0.25  # rad: how far from upright a turning vehicle tilts at most
 
 
 class Entry(NamedTuple):
@@ -130,12 +130,12 @@ class Reconfigured(Multirotor):
             # What is in doubt is met half way on purpose, and the integrators make up for the rest as long as no command is at a limit.
             granted = jnp.maximum(granted, ((allocated.u > 0.0) & (allocated.u < 1.0)).all().astype(granted.dtype))
 
-        # Down, as the position loop wants it, in body axes, no further from the hover's than LEAN.
+        # Down, as the position loop wants it, in body axes, no further from the hover's than MOST_TILT.
         R, upright = rotation.axes(body.q), rotation.axes(now.target.q)
         down = rotation.to_body(R, jnp.stack([upright[0][2], upright[1][2], upright[2][2]]))
         level = rotation.to_body(R, jnp.asarray([0.0, 0.0, 1.0], down.dtype))
         apart = down - level
-        apart = apart * jnp.minimum(1.0, LEAN / jnp.maximum(jnp.sqrt((apart * apart).sum()), 1e-6))
+        apart = apart * jnp.minimum(1.0, MOST_TILT / jnp.maximum(jnp.sqrt((apart * apart).sum()), 1e-6))
         lift = throttle / pilot.hover / jnp.maximum(one.hover.down[2], 0.3)
         spun = spinning.feedback(one.hover, one.gains, own.f, gyro, level + apart, jnp.clip(lift, 0.5, 1.5))
 

@@ -169,10 +169,10 @@ def from_table(table: Mapping[str, Any]) -> Scenario:
     top = _table("", {k: v for k, v in table.items() if k in FIELDS[""]}, FIELDS[""])
     parts = {}
     for part in (k for k in FIELDS if k):
-        given = table.get(part, {})
-        if not isinstance(given, Mapping):
+        values = table.get(part, {})
+        if not isinstance(values, Mapping):
             raise ConfigError(f"{part} must be a table, [{part}].")
-        parts[part] = _table(f"{part}.", given, FIELDS[part])
+        parts[part] = _table(f"{part}.", values, FIELDS[part])
     if parts["airframe"]["frame"] is None:
         raise ConfigError('airframe.frame is missing; name one, such as "quad-x".')
     rows = table.get("faults", [])
@@ -201,8 +201,8 @@ def _times(duration: float, way: Mapping[str, Any]) -> None:
 def _helicopter(table: Mapping[str, Any], duration: float, way: Mapping[str, Any]) -> None:
     """Refuse what a helicopter does not have."""
     for part, known in HELICOPTER_FIELDS.items():
-        given = table.get(part, {}) if part else [key for key in table if key in FIELDS[""]]
-        for key in given:
+        values = table.get(part, {}) if part else [key for key in table if key in FIELDS[""]]
+        for key in values:
             if key not in known:
                 field, has = (f"{part}.{key}", ", ".join(known) or "none") if part else (key, ", ".join(known))
                 raise ConfigError(f"{field} is no field of a helicopter; it has {has}.")
@@ -250,13 +250,13 @@ def _fault(where: str, row: Any, duration: float, helicopter: bool) -> Mapping[s
     return fault
 
 
-def _table(where: str, given: Mapping[str, Any], fields: Mapping[str, Field]) -> dict[str, Any]:
+def _table(where: str, values: Mapping[str, Any], fields: Mapping[str, Field]) -> dict[str, Any]:
     """All of `fields`, as given or by default."""
-    for key in given:
+    for key in values:
         if key not in fields:
             raise ConfigError(f"{where}{plain(key)} is not a field; known are {', '.join(fields)}.")
     return {
-        key: _value(f"{where}{key}", given[key], field) if key in given else field.default
+        key: _value(f"{where}{key}", values[key], field) if key in values else field.default
         for key, field in fields.items()
     }
 

@@ -15,7 +15,7 @@ CLIMB = 1.0  # m/s on average, up to the working height
 DESCENT = 0.8  # m/s, down to the ground
 BLEND = 2.0  # s from standstill into the manoeuvre, and out of it
 LEVEL = 1.5  # m/s on average, from where a climb was to the working height
-SETTLE = 2.0  # s of hover after the climb
+HOVER_FIRST = 2.0  # s of hover after the climb
 SPOOL = 1.0  # s from idling motors to what the controller asks
 
 
@@ -58,7 +58,7 @@ def _path(way: Trajectory, t):
     jnp = load_jax().numpy
     up_time = 1.0 + way.altitude / CLIMB
     # The manoeuvre's own time runs from the end of the climb to the landing, starting and ending at standstill.
-    begin = way.take_off + up_time + SETTLE
+    begin = way.take_off + up_time + HOVER_FIRST
     s = _eased(t - begin) - _eased(t - (way.landing - BLEND))
     a, v = way.size, way.speed
     north, east, rise, turn = (jnp.select([way.kind == k for k in range(len(KINDS))], row) for row in _shapes(a, v, s))

@@ -96,8 +96,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="How often ESC telemetry names the right cause, in simulated flights.")
     parser.add_argument("--flights", type=int, default=240)
     parser.add_argument("--seed", type=int, default=1)
-    given = parser.parse_args()
-    print(markdown(confusion(given.flights, given.seed)))
+    options = parser.parse_args()
+    print(markdown(confusion(options.flights, options.seed)))
 
 
 if __name__ == "__main__":

@@ -169,17 +169,13 @@ def _rmse(table: Table, truth: np.ndarray, tuning: published.Tuning) -> float:
     """Of all losses, once the filter has settled. Where a plant has biases as well, which of the two it was shows only while the
     command moves: there it is the actuators' outputs that are compared."""
     estimator = published.method(METHOD, table.system, table.dt, tuning)
-    _, theta = run(estimator, table.u, table.y, table.valid, select=_theta)
+    _, theta = run(estimator, table.u, table.y, table.valid, select=tools.losses)
     error = theta - truth
     outputs = getattr(table.system, "outputs", None)
     if outputs is not None:
         both = load_jax().vmap(outputs)
         error = np.asarray(both(table.u, theta) - both(table.u, truth))
     return float(np.sqrt(np.mean(error[tune.SETTLE :] ** 2)))
-
-
-def _theta(out):
-    return out.theta
 
 
 def markdown(rows: Sequence[dict]) -> str:

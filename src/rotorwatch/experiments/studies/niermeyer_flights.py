@@ -15,6 +15,7 @@ import numpy as np
 
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.experiments.studies.runge_kutta import rk4
+from rotorwatch.simulation.rotation import axes, rate, to_body, to_world
 
 G = 9.80665
 DT = 0.005
@@ -86,9 +87,9 @@ def fly(airframe, loss, eight, seed_noise, disturbance):
     def motion(state, u, lam, torque):
         _, v, q, omega = state
         wrench = B @ (lam * u)
-        a = down * G - turn(q, down * wrench[3] / m)
+        a = down * G - to_world(axes(q), down * wrench[3] / m)
         spin_up = (wrench[:3] + torque - jnp.cross(omega, J * omega)) / J
-        return v, a, 0.5 * product(q, jnp.concatenate([jnp.zeros(1), omega])), spin_up
+        return v, a, rate(q, omega), spin_up
 
     def moved(state, u, lam, torque, dt):
         p, v, q, omega = rk4(lambda s: motion(s, u, lam, torque), state, dt)
@@ -96,20 +97,21 @@ def fly(airframe, loss, eight, seed_noise, disturbance):
 
     def control(state, gyro, integral, t, known):
         p, v, q, _ = state
+        R = axes(q)
         p_ref, v_ref, a_ref = reference(t, eight)
         kp, kv, ka, kr = BANDWIDTH
         error = p_ref - p
         want = a_ref + kv * (v_ref - v + kp * error) + 0.4 * integral
         force = want - down * G
         size = jnp.sqrt(force @ force)
-        tilt = jnp.cross(down, turn(conjugate(q), -force / size))  # sine of the angle, about the axis to turn
-        nose = turn(q, np.array([1.0, 0.0, 0.0]))
+        tilt = jnp.cross(down, to_body(R, -force / size))  # sine of the angle, about the axis to turn
+        nose = to_world(R, np.array([1.0, 0.0, 0.0]))
         to = jnp.asarray(LOOKED_AT) - p
         heading = jnp.arctan2(nose[0] * to[1] - nose[1] * to[0], nose[0] * to[0] + nose[1] * to[1])
-        rate = jnp.array([ka * tilt[0], ka * tilt[1], YAW_BANDWIDTH[0] * heading])
+        turning = jnp.array([ka * tilt[0], ka * tilt[1], YAW_BANDWIDTH[0] * heading])
         gain = jnp.array([kr, kr, YAW_BANDWIDTH[1]])
-        torque = J * gain * (rate - gyro) + jnp.cross(gyro, J * gyro)
-        thrust = -m * force @ turn(q, down)
+        torque = J * gain * (turning - gyro) + jnp.cross(gyro, J * gyro)
+        thrust = -m * force @ to_world(R, down)
         reduced = jnp.min(known) < DEAD  # keep the tilt and let the heading go
         weight = jnp.where(reduced, np.array(REDUCED_WEIGHT), np.array(WEIGHT))
         return allocate(B * known, jnp.concatenate([torque, thrust[None]]), weight), integral + DT * error
@@ -148,22 +150,3 @@ def noise(seeds, count: int, torque_sd=0.0) -> tuple[np.ndarray, np.ndarray]:
     rng = [np.random.default_rng(seed) for seed in seeds]
     y = np.stack([r.standard_normal((count, 4)) for r in rng])
     return y, torque_sd / np.sqrt(DT) * np.stack([r.standard_normal((count, 3)) for r in rng])
-
-
-def product(p, q):
-    """Hamilton product of quaternions, scalar first."""
-    jnp = load_jax().numpy
-    vector = p[0] * q[1:] + q[0] * p[1:] + jnp.cross(p[1:], q[1:])
-    return jnp.concatenate([(p[0] * q[0] - p[1:] @ q[1:])[None], vector])
-
-
-def conjugate(q):
-    """The inverse of a unit quaternion."""
-    return q * np.array([1.0, -1.0, -1.0, -1.0])
-
-
-def turn(q, v):
-    """v (3,) turned by the unit quaternion q."""
-    jnp = load_jax().numpy
-    s = jnp.cross(q[1:], v) + q[0] * v
-    return v + 2.0 * jnp.cross(q[1:], s)

@@ -19,7 +19,7 @@ from rotorwatch.experiments.studies import (
     ruav_identification,
     ruav_linearisation,
 )
-from rotorwatch.experiments.studies.reproduction import Claim, Reproduction, check_literal, graded, panels
+from rotorwatch.experiments.studies.reproduction import Claim, Reproduction, graded, panels, silent
 from rotorwatch.experiments.studies.ruav_filters import TOO_WIDE, filters
 from rotorwatch.experiments.studies.ruav_flight import DT, FAULT_S
 from rotorwatch.experiments.studies.small_systems import adversarial_escapes, mutation_escapes
@@ -39,25 +39,20 @@ LABELS = {
 }
 
 
-def reproduce(seeds: int = SEEDS, literal: tuple[str, ...] = (), progress=None) -> Reproduction:
+def reproduce(seeds: int = SEEDS, literal: tuple[str, ...] = (), progress=silent) -> Reproduction:
     """All filters over `seeds` flights, the guarantee on small systems, the flight test, and how the model is identified and flown.
 
     progress: called with the finished share.
     """
-    import sys
-
-    literal = check_literal(sys.modules[__name__], literal)
     checks.between("seeds", seeds, 1, 1000)
     system = ruav_flight.plant()
     flights = ruav_flight.fly(system, seeds)
     made, results, series = filters(ruav_flight.plant(stops=False), literal), {}, {}
     for k, (name, estimator) in enumerate(made.items()):
-        if progress:
-            progress(k / (len(made) + 4))
+        progress(k / (len(made) + 4))
         results[name], series[name] = _judged(estimator, flights)
     escapes = adversarial_escapes(seeds=40)  # the same number below, and the programs are the same
-    if progress:
-        progress((len(made) + 1) / (len(made) + 4))
+    progress((len(made) + 1) / (len(made) + 4))
     mutants = mutation_escapes(seeds=40)
     keys = tuple(key for key in results["esmf"] if key != "restarts")
     figures: dict[str, Any] = {key: {name: results[name][key] for name in made} for key in keys}

@@ -5,7 +5,6 @@ Q1 is the paper's "matched" random walk of the losses (1e-2 a step), Q2 the "mis
 
 from __future__ import annotations
 
-import sys
 import time
 from typing import Any
 
@@ -17,9 +16,10 @@ from rotorwatch.compiling.run import run
 from rotorwatch.estimators.atsukf import ATSUKF
 from rotorwatch.estimators.tsukf import TSUKF
 from rotorwatch.estimators.ukf import UKF
+from rotorwatch.experiments import tools
 from rotorwatch.experiments.studies import reproduction
 from rotorwatch.experiments.studies import two_stage_as_printed as printed
-from rotorwatch.experiments.studies.reproduction import Claim, Reproduction, check_literal, graded, panels
+from rotorwatch.experiments.studies.reproduction import Claim, Reproduction, graded, panels, silent
 from rotorwatch.experiments.studies.uaf_flight import DT, ONSET, STEP, fly, losses
 from rotorwatch.maths.systems.rigid_body import RigidBody
 
@@ -54,32 +54,22 @@ def measure(pose: np.ndarray, variance: float, seed: int) -> np.ndarray:
 def estimates(system: RigidBody, adaptive: bool, lanes: list[tuple]) -> np.ndarray:
     """Losses (lanes, T, 4) that one filter finds in many tables at once. lanes: (u (T, 4), y (T, 6), walk per step, gate)."""
     jax = load_jax()
-    valid = np.ones(system.n_y, bool)
 
     def one(u, y, walk, gate):
-        if adaptive:
-            method = ATSUKF(system, DT, theta_walk=walk / DT, theta_var=P0_THETA, whiteness=gate)
-        else:
-            method = TSUKF(system, DT, theta_walk=walk / DT, theta_var=P0_THETA)
-
-        def step(carry, row):
-            carry, out = method.step(carry, row[0], row[1], valid)
-            return carry, out.theta
-
-        return jax.lax.scan(step, method.init(), (u, y))[1]
+        growth = {"theta_walk": walk / DT, "theta_var": P0_THETA}
+        method = ATSUKF(system, DT, **growth, whiteness=gate) if adaptive else TSUKF(system, DT, **growth)
+        return tools.stepped(method, u, y, tools.losses)
 
     return np.asarray(jax.jit(jax.vmap(one))(*(np.stack(column) for column in zip(*lanes, strict=True))))
 
 
-def reproduce(seeds: int = SEEDS, literal: tuple[str, ...] = (), progress=None) -> Reproduction:
+def reproduce(seeds: int = SEEDS, literal: tuple[str, ...] = (), progress=silent) -> Reproduction:
     """The paper's experiments with so many noise seeds. literal: names from LITERAL. progress: called with the finished share."""
-    literal = check_literal(sys.modules[__name__], literal)
-    report = progress or (lambda share: None)
     airframe, system = plant(literal)
     truth = {s: losses(s) for s in (1, 2)}
     flights = {s: fly(airframe, truth[s]) for s in (1, 2)}
     variance = LOUD if "noise" in literal else NOISE
-    report(0.1)
+    progress(0.1)
 
     def lanes(scenario, walk, gate=OPEN, variance=variance, count=seeds):
         u, pose = flights[scenario]
@@ -91,9 +81,9 @@ def reproduce(seeds: int = SEEDS, literal: tuple[str, ...] = (), progress=None) 
     loud = {("loud", q): lanes(1, q, variance=LOUD, count=few) for q in WALKS}
     gated = {("gated", "q2"): lanes(1, "q2", GATE), ("loud_gated", "q2"): lanes(1, "q2", GATE, LOUD, few)}
     found = _split(False, system, cases | loud)
-    report(0.45)
+    progress(0.45)
     found |= _split(True, system, cases | loud | gated)
-    report(0.8)
+    progress(0.8)
 
     rmse, delay = {}, {}
     for s in (1, 2):
@@ -114,7 +104,7 @@ def reproduce(seeds: int = SEEDS, literal: tuple[str, ...] = (), progress=None) 
     readings = [name for name in literal if name in printed.READINGS]
     if readings:
         figures["literal"] = {name: as_printed(system, *flights[1], truth[1], name) for name in readings}
-    report(1.0)
+    progress(1.0)
     series = {"t": np.arange(0, len(truth[1]), KEEP) * DT}
     series |= {f"truth_{s}": truth[s][::KEEP] for s in (1, 2)}
     series |= {"/".join(key): theta[0, ::KEEP] for key, theta in found.items()}
@@ -209,20 +199,16 @@ def against_kalman() -> float:
     return max(float(np.abs(a - b).max()) for a, b in (*pairs, (out.innovation_cov, S)))
 
 
-def _theta(out):
-    return out.theta
-
-
 def against_augmented(system: RigidBody, u, pose) -> dict:
     """Largest difference of losses from the augmented UKF in one flight (Q1), and how long a step of either takes."""
     y = measure(pose, NOISE, 0)
     found, microseconds = [], {}
     for method in (TSUKF, UKF):
         estimator, seconds = method(system, DT, theta_walk=WALKS["q1"] / DT, theta_var=P0_THETA), []
-        run(estimator, u[:1], y[:1], select=_theta)  # compiled apart from the clock
+        run(estimator, u[:1], y[:1], select=tools.losses)  # compiled apart from the clock
         for _ in range(2):
             start = time.perf_counter()
-            found.append(run(estimator, u, y, select=_theta)[1])
+            found.append(run(estimator, u, y, select=tools.losses)[1])
             seconds.append(time.perf_counter() - start)
         microseconds[method.name] = 1e6 * min(seconds) / len(u)
     return {"tsukf_vs_augmented_quad": float(np.abs(found[0] - found[-1]).max()), "microseconds_per_step": microseconds}
@@ -249,12 +235,12 @@ def claims(f: dict) -> tuple[Claim, ...]:
     """The paper's claims beside the numbers."""
     (one, two), loud, cost = f["rmse"].values(), f["rmse_loud"], f["microseconds_per_step"]
     change = [s["atsukf_q2"] / s["tsukf_q2"] - 1.0 for s in (one, two)]
-    kept = max(change) < 0 and max(s["atsukf_q2"] / s["tsukf_q1"] for s in (one, two)) < 1.1
+    as_accurate = max(change) < 0 and max(s["atsukf_q2"] / s["tsukf_q1"] for s in (one, two)) < 1.1
     cured = loud["atsukf_q2_gated"] < 1.1 * loud["tsukf_q2"] and f["rmse_gated_q2"] < 1.1 * one["atsukf_q2"]
     verdicts = {
         "matched": graded(max(abs(s["atsukf_q1"] / s["tsukf_q1"] - 1.0) for s in (one, two)) < 0.05),
         "plain_mismatched": graded(abs(f["settled_loss_tsukf_q2"] - STEP) >= 0.05 * STEP),
-        "adaptive_mismatched": graded(kept, max(change) < -0.1),
+        "adaptive_mismatched": graded(as_accurate, max(change) < -0.1),
         "split": graded(f["tsukf_vs_augmented_linear"] < 1e-9 and f["tsukf_vs_augmented_quad"] < 1e-3),
         "cost": graded(cost["tsukf"] < 0.8 * cost["ukf"]),
         "robust": graded(loud["atsukf_q2"] <= loud["tsukf_q2"]),

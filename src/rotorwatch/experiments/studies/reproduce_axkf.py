@@ -17,9 +17,10 @@ from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.estimators.adaptive_ekf import AdaptiveEKF
 from rotorwatch.estimators.axkf import AXKF, Carry
 from rotorwatch.estimators.ekf import EKF
+from rotorwatch.experiments import tools
 from rotorwatch.experiments.studies import reproduction
 from rotorwatch.experiments.studies import rot_flights as flights
-from rotorwatch.experiments.studies.reproduction import Claim, Reproduction, check_literal, graded, panels
+from rotorwatch.experiments.studies.reproduction import Claim, Reproduction, graded, panels, silent
 from rotorwatch.experiments.studies.rot_flights import DT, LOSSES, MOTORS, ONSETS
 from rotorwatch.maths import adaptive_kalman, linearise, observer_gain
 from rotorwatch.maths.systems.port_hamiltonian_attitude import PortHamiltonianAttitude
@@ -76,32 +77,28 @@ class AsPrinted(AXKF):
         return Carry(state, z, jnp.asarray(self.gain) @ (y - C @ z)), estimate
 
 
-def reproduce(seeds: int = SEEDS, literal: tuple[str, ...] = (), progress=None) -> Reproduction:
+def reproduce(seeds: int = SEEDS, literal: tuple[str, ...] = (), progress=silent) -> Reproduction:
     """Run the experiments; seeds: of every noisy one. literal: names out of LITERAL."""
-    import sys
-
-    literal = check_literal(sys.modules[__name__], tuple(literal))
-    report = progress or (lambda _: None)
     airframe = airframes.paper("rot-hexa")
     plant = PortHamiltonianAttitude.of(airframe)
     u, theta = flights.thrusts(), flights.losses()
     truth = flights.fly(plant.J, plant.B, u, theta)
     excited = flights.thrusts(excited=True)
     truth_excited = flights.fly(plant.J, plant.B, excited, theta)
-    report(0.1)
+    progress(0.1)
     figures: dict[str, Any] = {"p_final": truth[-1, 3:]}
     six = _six(airframe, literal, (u, truth), (excited, truth_excited), figures)
-    report(0.4)
+    progress(0.4)
     two = _two(airframe, literal, u, truth, seeds, figures)
-    report(0.6)
+    progress(0.6)
     _virtual(airframe, plant, u, truth, figures)
     _theorem(plant, figures)
-    report(0.8)
+    progress(0.8)
     figures["tumbles_after_s"] = _tumble(plant, u, theta)
     errors = _wrong_starts(airframe, seeds)
     for key, kind in (("divergence", "overconfident"), ("divergence_honest_P0", "honest")):
         figures[key] = {name: _lost(both[kind]) for name, both in errors.items()}
-    report(1.0)
+    progress(1.0)
     series = {"time": flights.clock() + DT, "u": u, "losses": theta, "truth": truth}
     series |= {"two": History(*(a[0] for a in two)), "no_fault_term": History(*(a[1] for a in two)), "six": six}
     series |= {"wrong_starts": {name: both["overconfident"][0] for name, both in errors.items()}}
@@ -121,8 +118,10 @@ def histories(system, literal, lanes) -> History:
         def step(carry, row):
             evidence = information(system, carry, row[0])
             carry, out = method.step(carry, row[0], row[1], valid)
-            kept = History(out.theta, out.x, carry.z, jax.numpy.diagonal(carry.state.S), carry.state.P[:, :3], evidence)
-            return carry, kept
+            row_out = History(
+                out.theta, out.x, carry.z, jax.numpy.diagonal(carry.state.S), carry.state.P[:, :3], evidence
+            )
+            return carry, row_out
 
         return jax.lax.scan(step, method.init(), (u, y))[1]
 
@@ -154,8 +153,8 @@ def excitation(evidence) -> tuple[float, float]:
 
 def settling(theta, truth, onset: float) -> float:
     """s from the onset until theta (T,) stays within BAND of the loss for good; inf when it does not."""
-    outside = np.flatnonzero(np.abs(theta - truth[-1]) > BAND * truth[-1])
-    last = outside.max(initial=-1)
+    off = np.flatnonzero(np.abs(theta - truth[-1]) > BAND * truth[-1])
+    last = off.max(initial=-1)
     return float((last + 2) * DT - onset) if last + 1 < len(theta) else np.inf
 
 
@@ -277,20 +276,15 @@ def _wrong_starts(airframe, seeds) -> dict[str, dict[str, np.ndarray]]:
         "ekf": lambda system: EKF(system, DT, theta_var=S0),
     }
     q = WRONG_Q * np.concatenate([np.ones(3), J**2])
-    valid, errors = np.ones(3, bool), {}
+    errors = {}
     for name, build in methods.items():
 
         def error(y, start, variance, build=build):
             noise = {"process_var": q, "measurement_var": WRONG_SD**2}
             begin = {"x0": start, "P0": jax.numpy.diag(variance)}
             system = PortHamiltonianAttitude.of(airframe, suspects=MOTORS, **noise, **begin)
-            method = build(system)
-
-            def step(carry, row):
-                carry, out = method.step(carry, row[0], row[1], valid)
-                return carry, jax.numpy.abs(out.x[:3] - row[2]).max()
-
-            return jax.lax.scan(step, method.init(), (u, y, truth[:, :3]))[1]
+            angles = tools.stepped(build(system), u, y, lambda out: out.x[:3])
+            return jax.numpy.abs(angles - truth[:, :3]).max(axis=1)
 
         run = jax.jit(jax.vmap(error, in_axes=(0, 0, None)))
         errors[name] = {kind: np.asarray(run(y, starts, variance)) for kind, variance in P0.items()}
@@ -395,8 +389,8 @@ def figures(result: Reproduction) -> dict:
         axes[0].legend()
     drawn["wrong_starts"], (axis,) = _axes(1, "largest error of angles [rad]")
     for name, error in series["wrong_starts"].items():
-        gone = np.logical_or.accumulate(~(error < 5.0))  # no angles any more
-        axis.semilogy(DT * np.arange(len(error))[rows], np.where(gone, np.nan, error)[rows], label=name)
+        invalid = np.logical_or.accumulate(~(error < 5.0))  # no angles any more
+        axis.semilogy(DT * np.arange(len(error))[rows], np.where(invalid, np.nan, error)[rows], label=name)
     axis.axhline(LOST, color="k", ls=":", lw=1)
     axis.legend()
     return drawn

@@ -16,7 +16,7 @@ from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
 from rotorwatch.estimators.intermediate import Intermediate
 from rotorwatch.experiments.studies import error_bound, hover_flights, reproduction
-from rotorwatch.experiments.studies.reproduction import Claim, Reproduction, graded, panels
+from rotorwatch.experiments.studies.reproduction import Claim, Reproduction, graded, panels, silent
 from rotorwatch.maths import intermediate_design as design
 from rotorwatch.maths.systems.linear_hover import LinearHover
 
@@ -50,32 +50,31 @@ INACCURATE = 0.05  # a loss that is off by so much
 SETS, RING_SAMPLES, RING_ONSET = 8, 700, 200  # sets of faulty rotors a number of faults, 100 Hz samples
 
 
-def reproduce(seeds: int = SEEDS, literal: tuple[str, ...] = (), progress=None) -> Reproduction:
+def reproduce(seeds: int = SEEDS, literal: tuple[str, ...] = (), progress=silent) -> Reproduction:
     """The study; see studies/reproduction.py."""
-    report = progress or (lambda share: None)
     rng = np.random.default_rng(2020)
     file = airframes.paper("f450")
     flights = _scenario_flights(file, seeds, rng)
-    report(0.2)
+    progress(0.2)
     moving = _climbing(file)
     runs, plain, filtered = _watch_all(file, flights, moving)
     if "pi" in literal:
         runs = {alpha: _without_inertia(file, flights.u, run) for alpha, run in runs.items()}
-    report(0.3)
+    progress(0.3)
     figures = {name: _scenario(name, flights, runs) for name in SCENARIOS}
     figures |= _inequality(PRINTED_EPSILON if "epsilon" in literal else EPSILON)
     figures |= _balance(flights, runs)
     figures["channels"] = _channels(file, flights, runs)
-    report(0.4)
+    progress(0.4)
     figures["manoeuvre"], series = _manoeuvre(file, moving, filtered)
-    report(0.5)
+    progress(0.5)
     figures["bound"], series["bound"] = _bound(file, *plain)
     figures["position"], series["position"] = _positions(file)
-    report(0.6)
+    progress(0.6)
     beyond = {}
     for k, (name, rotors) in enumerate(RINGS.items()):
         beyond[name] = _ring(file, rotors, rng)
-        report(0.6 + 0.2 * (k + 1))
+        progress(0.6 + 0.2 * (k + 1))
     figures["beyond_four"] = {name: ring["sparse"] for name, ring in beyond.items()}
     figures["beyond_four_rules"] = beyond
     show = {n: flights.show[n] for n in SCENARIOS}
@@ -119,20 +118,16 @@ def _watch(system, u, y, alpha, nu, **options) -> SimpleNamespace:
     jax = load_jax()
     valid = np.ones(y.shape[1:], bool)
 
-    @jax.jit
-    def all_flights(alpha, nu, u, y):
-        def one(alpha, nu, u, y):
-            estimator = Intermediate(system, DT, alpha=alpha, yaw_gain=nu, **options)
+    def one(alpha, nu, u, y):
+        estimator = Intermediate(system, DT, alpha=alpha, yaw_gain=nu, **options)
 
-            def step(carry, row):
-                carry, estimate = estimator.step(carry, *row)
-                return carry, (estimate.theta, carry.fault[:8], carry.ambiguity, estimate.x)
+        def step(carry, row):
+            carry, estimate = estimator.step(carry, *row)
+            return carry, (estimate.theta, carry.fault[:8], carry.ambiguity, estimate.x)
 
-            return jax.lax.scan(step, estimator.init(), (u, y, valid))[1]
+        return jax.lax.scan(step, estimator.init(), (u, y, valid))[1]
 
-        return jax.vmap(one)(alpha, nu, u, y)
-
-    found = all_flights(*(np.broadcast_to(v, len(u)).astype(float) for v in (alpha, nu)), u, y)
+    found = jax.jit(jax.vmap(one))(*(np.broadcast_to(v, len(u)).astype(float) for v in (alpha, nu)), u, y)
     return SimpleNamespace(**dict(zip(("theta", "fault", "ambiguity", "x"), map(np.asarray, found), strict=True)))
 
 
@@ -176,18 +171,19 @@ def _scenario(name: str, flights, runs) -> dict:
         "final_without_noise": end[1.0][clean],
         "sd": runs[1.0].theta[noisy, -LAST:].std(axis=(0, 1)) if len(noisy) else np.zeros(4),
         "settle_s": {
-            f"alpha_{alpha:g}": max(_settle(run.theta[clean], true, k) for k in onsets) for alpha, run in runs.items()
+            f"alpha_{alpha:g}": max(_settling_s(run.theta[clean], true, k) for k in onsets)
+            for alpha, run in runs.items()
         },
     }
 
 
-def _settle(theta, true, onset: int) -> float:
+def _settling_s(theta, true, onset: int) -> float:
     """Seconds from an onset until all losses stay within BAND of the truth, up to the next onset; NaN when never."""
     stop = next((k for k in (*ONSETS, len(true)) if k > onset), len(true))
-    outside = np.flatnonzero((np.abs(theta - true)[onset:stop] > BAND).any(axis=1))
-    if not outside.size:
+    off = np.flatnonzero((np.abs(theta - true)[onset:stop] > BAND).any(axis=1))
+    if not off.size:
         return 0.0
-    return float("nan") if outside[-1] == stop - onset - 1 else float(outside[-1] + 1) * DT
+    return float("nan") if off[-1] == stop - onset - 1 else float(off[-1] + 1) * DT
 
 
 def _inequality(epsilon: float) -> dict:
@@ -254,12 +250,12 @@ def _bound(file: dict, u, y, gamma, run) -> tuple[dict, dict]:
     """Theorem 1 on the four flights and on the climbing one, without noise and gain on yaw, by the observer with alpha = 1."""
     vehicle = hover_flights.craft(file)
     fault, xi = error_bound.truth(vehicle, u, y, gamma)
-    given = {}
+    rows = {}
     for k, name in enumerate((*SCENARIOS, "climbing")):
         jumps = [a for a in ONSETS if np.any(gamma[k, a] != gamma[k, a - 1])]
         starts = tuple(a + 1 for a in jumps)
-        given[name] = (y[k] - run.x[k], fault[k] - run.fault[k, :, 4:], fault[k], xi[k], starts)
-    found = error_bound.compare(given, 1.0, GAINS, EPSILON)
+        rows[name] = (y[k] - run.x[k], fault[k] - run.fault[k, :, 4:], fault[k], xi[k], starts)
+    found = error_bound.compare(rows, 1.0, GAINS, EPSILON)
     return found, {name: row.pop("series") for name, row in found["flights"].items()}
 
 
@@ -389,8 +385,8 @@ def _bound_claim(found: dict) -> Claim:
     within = climbing["error"] <= climbing["bound"]
     verdicts = {"theorem": graded(len(held) == len(flights) and within, within)}
     best = climbing["bound_best_epsilon"] / climbing["error"]
-    given = {"f": {"bound": found}, "held": len(held), "of": len(flights), "climbing": climbing, "best": best}
-    return reproduction.claims(PAPER, verdicts, **given)[0]
+    values = {"f": {"bound": found}, "held": len(held), "of": len(flights), "climbing": climbing, "best": best}
+    return reproduction.claims(PAPER, verdicts, **values)[0]
 
 
 def _channel_claim(channels: dict) -> Claim:

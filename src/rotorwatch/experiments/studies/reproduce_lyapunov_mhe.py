@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from typing import Any
 
@@ -14,9 +13,10 @@ from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.estimators.lyapunov import Lyapunov
 from rotorwatch.estimators.mh_lyapunov import MHLyapunov
 from rotorwatch.estimators.mhe import MHE
+from rotorwatch.experiments import tools
 from rotorwatch.experiments.studies import niermeyer_flights as flights
 from rotorwatch.experiments.studies import reproduction
-from rotorwatch.experiments.studies.reproduction import Claim, Reproduction, check_literal, graded, panels
+from rotorwatch.experiments.studies.reproduction import Claim, Reproduction, graded, panels, silent
 from rotorwatch.maths.systems.rate_dynamics import RateDynamics
 
 PAPER = "lyapunov-mhe"
@@ -45,29 +45,27 @@ NLP_NODES = 10  # a shorter window, for the other solver's sake
 NLP_STEPS = 260  # of a flight, after which the window is handed to another solver
 
 
-def reproduce(seeds: int = SEEDS, literal: tuple[str, ...] = (), progress=None) -> Reproduction:
+def reproduce(seeds: int = SEEDS, literal: tuple[str, ...] = (), progress=silent) -> Reproduction:
     """The experiments with that many noise seeds. literal: names from LITERAL. progress: called with share and text."""
-    literal = check_literal(sys.modules[__name__], tuple(literal))
-    report = progress or (lambda share, text="": None)
     table = airframes.paper("niermeyer-hexa")
     system = RateDynamics.of(table)
-    report(0.02, "observability")
+    progress(0.02, "observability")
     observed = observable(system, scaled="unscaled" not in literal)
-    report(0.2, "flights")
+    progress(0.2, "flights")
     options: dict[str, Any] = {"hold": 0.0} if "no-hold" in literal else {}
     errors: dict[str, dict[str, np.ndarray]] = {weather: {} for weather in WEATHER}
     cost, traces, flown = {}, {}, {}
     for w, (weather, torque_sd) in enumerate(WEATHER.items()):
         flown[weather] = fly(table, seeds, torque_sd)
         for k, (name, (kind, tuning)) in enumerate(ESTIMATORS.items()):
-            report(0.25 + 0.3 * w + 0.06 * k, f"{name}, {weather}")
+            progress(0.25 + 0.3 * w + 0.06 * k, f"{name}, {weather}")
             estimator = kind(system, flights.DT, bounds=LOOSE, **tuning, **options)
             errors[weather][name], taken, trace = judge(estimator, flown[weather])
             if w == 0:
                 cost[name], traces[name] = taken, trace
-    report(0.85, "proximal_flush, capped")
+    progress(0.85, "proximal_flush, capped")
     capped = judge(MHLyapunov(system, flights.DT, **options), flown["calm"])[0]
-    report(0.9, "another solver")
+    progress(0.9, "another solver")
     gap = mhe_vs_nlp(system, flown["calm"])
     numbers = {
         "rmse": {f: {e: by_path(v, k) for e, v in errors["calm"].items()} for k, f in enumerate(FAULTS)},
@@ -86,7 +84,7 @@ def reproduce(seeds: int = SEEDS, literal: tuple[str, ...] = (), progress=None) 
         "mhe_vs_nlp": gap,
         "microseconds_per_step": cost,
     }
-    report(1.0, "done")
+    progress(1.0, "done")
     series = {"flights": flown["calm"], "traces": traces, **{k: observed[k] for k in ("t", "along", "kernel", "other")}}
     return Reproduction(PAPER, TITLE, claims(numbers), numbers, literal, seeds, series)
 
@@ -168,18 +166,10 @@ def judge(estimator, flown: flights.Flight):
     """(rmse (paths, faults, seeds), microseconds a step, losses of the first seed (paths, faults, T, n)): the error is over rotors, from
     SETTLE_S after the onset. One flight after the other: the moving-horizon estimator solves only where a node is complete."""
     jax = load_jax()
-    jnp = jax.numpy
-
-    def one(flight):
-        def step(carry, row):
-            carry, out = estimator.step(carry, *row, jnp.ones(4, bool))
-            return carry, out.theta
-
-        return jax.lax.scan(step, estimator.init(), flight)[1]
-
     size = flown.t.shape
     table = [a.reshape(-1, *a.shape[3:]) for a in (flown.u, flown.y)]
-    program = jax.jit(lambda u, y: jax.lax.map(one, (u, y))).lower(*table).compile()
+    program = jax.jit(lambda *table: jax.lax.map(lambda flight: tools.stepped(estimator, *flight, tools.losses), table))
+    program = program.lower(*table).compile()
     began = time.process_time()  # not the clock on the wall: other programs may be running
     theta = np.asarray(program(*table))
     cost = 1e6 * (time.process_time() - began) / theta[..., 0].size

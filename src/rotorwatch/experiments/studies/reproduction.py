@@ -5,7 +5,7 @@ A study is a module `studies/reproduce_<paper>.py` with
     PAPER = "axkf"                      the name on the command line, and of papers/PAPER.toml: title, errata and the words of all claims
     TITLE, LITERAL = about(PAPER)       LITERAL: name -> what the paper prints, and what it does: errata that can be read literally
     SEEDS = 10                          noise seeds when the user names none
-    def reproduce(seeds=SEEDS, literal=(), progress=None) -> Reproduction
+    def reproduce(seeds=SEEDS, literal=(), progress=silent) -> Reproduction     of names in LITERAL; progress(share)
     def figures(result) -> {"file_stem": matplotlib Figure}             the paper's figures, drawn again
 
 and is found by looking into this folder.
@@ -132,7 +132,8 @@ def reproduce(
     """
     module = study(paper)
     check_libraries(module)
-    return module.reproduce(module.SEEDS if seeds is None else seeds, check_literal(module, literal), progress)
+    seeds = module.SEEDS if seeds is None else seeds
+    return module.reproduce(seeds, check_literal(module, literal), progress or silent)
 
 
 def reproduce_many(
@@ -140,6 +141,10 @@ def reproduce_many(
 ) -> Iterator[Reproduction]:
     """`reproduce` of each of several papers, in this order. jobs, scheduler: as for `many.run`."""
     return many.ordered(functools.partial(reproduce, seeds=seeds), papers, jobs, scheduler)
+
+
+def silent(share: float, text: str = "") -> None:
+    """Progress that nobody watches."""
 
 
 def check_libraries(module: ModuleType) -> None:

@@ -23,9 +23,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
-from rotorwatch.experiments.studies.ruav_flight import ATTITUDE, DT
+from rotorwatch.experiments.studies.ruav_flight import ATTITUDE, DT, hover
 from rotorwatch.maths import h_infinity
 from rotorwatch.maths.systems.helicopter import G
 
@@ -52,13 +51,6 @@ class Attitude(NamedTuple):
     E: np.ndarray
     C: np.ndarray
     D: np.ndarray
-
-
-def hover(system):
-    """(by_x (6, 6), by_u (6, 6)): derivatives of the plant in hover, healthy."""
-    jax = load_jax()
-    at = np.zeros(6), np.concatenate([system.trim, ATTITUDE]), np.zeros(8)
-    return tuple(np.asarray(part) for part in jax.jacfwd(system.derivative, (0, 1))(*at))
 
 
 def attitude_plant(system, slower: float = 1.0) -> Attitude:
@@ -98,7 +90,7 @@ class Designs:
         high = np.clip(np.ceil(np.asarray(high) / self.grid - 1e-9), low, round(1 / self.grid))
         return tuple(int(k) for k in (*low, *high))
 
-    def outside(self, wanted: tuple, made_for: tuple, loose: float) -> bool:
+    def is_due(self, wanted: tuple, made_for: tuple, loose: float) -> bool:
         """Whether an interval (of `key`) is not within that which a controller was made for, or one side could be `loose` tighter."""
         inward = [
             *(w - m for w, m in zip(wanted[:3], made_for[:3])),
@@ -119,11 +111,12 @@ class Designs:
         return self.made[key]
 
 
-def trim_command(trim, gain, half, displacement):
-    """(4,) the command that puts the actuators to trim, as far as the middle of gamma's bounds (gain), their half-width and delta's middle
-    say so. The middles belong together - gamma and delta are known best where they are flown - so gain is not to be clipped."""
-    sure = np.maximum(half, SURE)
-    return trim + gain * (trim - gain * trim - displacement) / (gain**2 + sure**2)
+def trim_command(trim, gain, half, displacement, wanted=None):
+    """(4,) the command that puts the actuators to wanted (4,), None: to trim, as far as the middle of gamma's bounds (gain), their
+    half-width and delta's middle say so. The middles belong together - gamma and delta are known best where they are flown - so gain
+    is not to be clipped."""
+    wanted = trim if wanted is None else wanted
+    return trim + gain * (wanted - gain * trim - displacement) / (gain**2 + half.clip(SURE) ** 2)
 
 
 def position_loop(pos, heading, velocity, turning, integral):

@@ -74,18 +74,16 @@ def closed_loop(system: Helicopter, push, error, extra, fault_step: int = -1) ->
 
     def one(push, error, extra):
         def step(state, row):
-            x, theta, attitude, integral, w = state
+            truth, integral = state
             k, push, error, extra = row
-            U = jnp.clip(system.trim - K @ jnp.concatenate([x, attitude - ATTITUDE, integral]) + extra, 0.0, 1.0)
-            theta = jnp.where(k == fault_step, theta + FAULT, theta)
-            u, w = jnp.concatenate([U, attitude]), SMOOTH * w + (1 - SMOOTH) * push
-            x_next = x + DT * system.derivative(x, u, theta) + w
-            roll_pitch = attitude + DT * jnp.stack([x[3] + attitude[1] * x[5], x[4] - attitude[0] * x[5]])
-            integral = integral + DT * x[np.array([0, 1, 2, 5])] * np.array([1, 1, 1, 0.2])
-            return (x_next, theta, roll_pitch, integral, w), (u, x_next + error, x_next, theta)
+            seen = jnp.concatenate([truth.x, truth.attitude[:2] - ATTITUDE, integral])
+            integral = integral + DT * truth.x[np.array([0, 1, 2, 5])] * np.array([1, 1, 1, 0.2])
+            u, truth = truth.moved(
+                system, jnp.clip(system.trim - K @ seen + extra, 0.0, 1.0), push, k == fault_step, FAULT
+            )
+            return (truth, integral), (u, truth.x + error, truth.x, truth.theta)
 
-        start = (jnp.zeros(6), jnp.zeros(8), jnp.asarray(ATTITUDE), jnp.zeros(4), jnp.zeros(6))
-        return lax.scan(step, start, (jnp.arange(len(push)), push, error, extra))[1]
+        return lax.scan(step, (Truth.hover(), jnp.zeros(4)), (jnp.arange(len(push)), push, error, extra))[1]
 
     return Flights(*(np.asarray(table) for table in jax.jit(jax.vmap(one))(push, error, extra)))
 
@@ -114,13 +112,18 @@ class Truth(namedtuple("Truth", "x attitude place theta w")):
         return u, Truth(new, attitude + DT * turned, place, theta, w)
 
 
+def hover(system: Helicopter) -> tuple[np.ndarray, np.ndarray]:
+    """(by_x (6, 6), by_u (6, 6)): derivatives of the plant in hover, healthy."""
+    at = np.zeros(6), np.concatenate([system.trim, ATTITUDE]), np.zeros(8)
+    by_x, by_u = (np.asarray(part) for part in load_jax().jacfwd(system.derivative, (0, 1))(*at))
+    return by_x, by_u
+
+
 def _controller(system) -> np.ndarray:
     """(4, 12) feedback from velocities, rates, attitude and the integrals of u, v, w, r."""
     from scipy.linalg import solve_discrete_are
 
-    jax = load_jax()
-    hover = (np.zeros(6), np.concatenate([system.trim, ATTITUDE]), np.zeros(8))
-    by_x, by_u = (np.asarray(part) for part in jax.jacfwd(system.derivative, (0, 1))(*hover))
+    by_x, by_u = hover(system)
     A, B = np.zeros((12, 12)), np.zeros((12, 4))
     A[:6, :6], A[:6, 6:8], B[:6] = by_x, by_u[:, 4:], by_u[:, :4]
     A[6, 3] = A[7, 4] = A[8, 0] = A[9, 1] = A[10, 2] = A[11, 5] = 1.0

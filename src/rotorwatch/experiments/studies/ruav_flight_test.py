@@ -87,7 +87,7 @@ def fly(name: str, setting: Setting, designs: Designs, estimator=None) -> Flown:
             continue
         low, high = (np.clip(middle[1:4] + sign * half[1:4], 0.0, 1.0) for sign in (-1, 1))
         wanted = designs.key(low, high)
-        if designs.outside(wanted, key, LOOSE):
+        if designs.is_due(wanted, key, LOOSE):
             found = designs.of(wanted)
             excluded += found is None
             if found is not None:
@@ -147,7 +147,7 @@ def _made(estimator):
     jax = load_jax()
     jnp = jax.numpy
     system = ruav_flight.plant()
-    lift = float(ruav_control.hover(system)[1][2, 0])
+    lift = float(ruav_flight.hover(system)[1][2, 0])
 
     def chunk(state, rows, K, trim, lift, fault, restart, eta, floor):
         knobs = _with(estimator, eta, floor)
@@ -212,18 +212,17 @@ VARIED: dict[str, dict[str, dict[str, Any]]] = {
 }
 
 
-def flight_test(progress=None) -> tuple[dict, dict]:
-    """The numbers of the flight test, and the two flights of the pictures. progress: called with the finished share."""
+def flight_test() -> tuple[dict, dict]:
+    """The numbers of the flight test, and the two flights of the pictures."""
     designs = Designs(ruav_flight.plant())
     flown = {name: fly(name, Setting(), designs) for name in ("aesmf", "aekf")}
     seen = {name: judged(one) for name, one in flown.items()}
     varied: dict[str, dict] = {name: {} for name in VARIED}
-    jobs = [(name, label) for name in VARIED for label in VARIED[name]]
-    for k, (name, label) in enumerate(jobs):
-        if progress:
-            progress(k / len(jobs))
-        one = judged(fly(name, Setting(**VARIED[name][label]), designs))
-        varied[name][label] = {key: one[key] for key in ("rates_before", "rates_after", "stable_after", "inside_after")}
+    for name, settings in VARIED.items():
+        for label, setting in settings.items():
+            one = judged(fly(name, Setting(**setting), designs))
+            looked_at = ("rates_before", "rates_after", "stable_after", "inside_after")
+            varied[name][label] = {key: one[key] for key in looked_at}
     key = designs.key(1.0 - ruav_filters.START_REACH[1:4], np.ones(3))
     short = {"aesmf": "esmf", "aekf": "aekf"}
     after = [f"{what}_after" for what in ("rates", "stable")]

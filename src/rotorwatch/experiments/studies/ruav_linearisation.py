@@ -30,7 +30,7 @@ def flight(estimator=None, seed: int = 0):
     jnp = jax.numpy
     system = ruav_flight.plant()
     estimator = ruav_filters.filters(ruav_flight.plant(stops=False))["ekf"] if estimator is None else estimator
-    inverse = np.linalg.inv(ruav_control.hover(system)[1][MOVED, :4])
+    inverse = np.linalg.inv(ruav_flight.hover(system)[1][MOVED, :4])
     push, error, wave = ruav_flight.weather(seed, STEPS)
     rows = push, error, DITHER * ruav_flight.DITHER * wave, np.arange(STEPS) == FAULT_STEP
     trim = jnp.asarray(system.trim)
@@ -41,12 +41,12 @@ def flight(estimator=None, seed: int = 0):
             push, error, dither, now = row
             attitude, heading = truth.attitude[:2], truth.attitude[2]
             roll, pitch, turn, climb, integral = ruav_control.position_loop(truth.place, heading, y[:3], y[5], integral)
-            lean = ATTITUDE_GAIN * (jnp.stack([roll, pitch]) - attitude) - RATE[:2] * y[3:5]
-            nu = jnp.concatenate([CLIMB * climb[None], lean, RATE[2] * (turn - y[5])[None]])
+            tilting = ATTITUDE_GAIN * (jnp.stack([roll, pitch]) - attitude) - RATE[:2] * y[3:5]
+            nu = jnp.concatenate([CLIMB * climb[None], tilting, RATE[2] * (turn - y[5])[None]])
             at_trim = system.derivative(y, jnp.concatenate([trim, attitude]), jnp.zeros(8))[MOVED]
-            g, h = jnp.where(informed, gain, 1.0), jnp.maximum(jnp.where(informed, half, 0.0), ruav_control.SURE)
+            known = (jnp.where(informed, a, b) for a, b in ((gain, 1.0), (half, 0.0), (displaced, 0.0)))
             wanted = inverse @ (nu - at_trim) + trim
-            U = trim + g * (wanted - g * trim - jnp.where(informed, displaced, 0.0)) / (g**2 + h**2)
+            U = ruav_control.trim_command(trim, *known, wanted)
             u, truth = truth.moved(system, jnp.clip(U + dither, 0.0, 1.0), push, now, ruav_flight.FAULT)
             y = truth.x + error
             filtered, z, P = ruav_filters.step(estimator, filtered, u, y)

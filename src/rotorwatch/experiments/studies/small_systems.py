@@ -108,7 +108,7 @@ def _program(kind, changes):
         scale = 1.0 / jnp.sqrt(jnp.diagonal(P))
         return scale * jnp.linalg.solve(P * scale * scale[:, None], scale * d)
 
-    def outside(d, P):
+    def escaped(d, P):
         return ~((d @ outward(P, d)) <= 1 + 1e-6)
 
     def one(first, noise, drive, process, drift, allowed):
@@ -130,8 +130,8 @@ def _program(kind, changes):
             y = system.h(z[:2], u, z[2:]) + away * jnp.asarray(system.measurement)
             carry, _ = tight.step(carry, u, y, jnp.ones(1, bool))
             near, P = z - carry.near, carry.near_shape
-            out = outside(z - carry.z, tight.unfactored(carry.shape))
-            return (carry, z), out | outside(near[:2], P[:2, :2]) | outside(near[2:], P[2:, 2:])
+            out = escaped(z - carry.z, tight.unfactored(carry.shape))
+            return (carry, z), out | escaped(near[:2], P[:2, :2]) | escaped(near[2:], P[2:, 2:])
 
         return lax.scan(step, (carry, z), (noise, drive))[1]
 

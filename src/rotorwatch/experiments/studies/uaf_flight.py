@@ -10,6 +10,7 @@ import numpy as np
 
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.experiments.studies.runge_kutta import rk4
+from rotorwatch.simulation import rotation
 
 DT = 0.01  # s: control, measurement and filter step
 SUBSTEPS = 4
@@ -21,7 +22,7 @@ TARGET = (0.0, 0.0, -1.0)  # m, NED
 # Gains of the position loop [1/s^2, 1/s, 1/s^3] and of the attitude loop, per axis.
 POSITION_P, POSITION_D, POSITION_I = 2.0, 2.5, (0.5, 0.5, 1.0)
 ATTITUDE_P, ATTITUDE_D, ATTITUDE_I = (100.0, 100.0, 16.0), (18.0, 18.0, 8.0), (150.0, 150.0, 10.0)
-LEAN = 0.4  # rad, at most
+TILT = 0.4  # rad, at most
 
 
 def losses(scenario: int) -> np.ndarray:
@@ -41,15 +42,11 @@ def fly(airframe: dict, loss: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     allocation = np.linalg.inv(wrench)
 
     def rate(s, thrust):
-        (a, b, c, d), v, omega = s[3:7], s[7:10], s[10:]
-        p, q, r = omega
+        q, v, omega = s[3:7], s[7:10], s[10:]
         force, torque = (wrench @ thrust)[0], (wrench @ thrust)[1:]
-        body_down = jnp.stack([2 * (b * d + a * c), 2 * (c * d - a * b), a * a - b * b - c * c + d * d])
-        turn = 0.5 * jnp.stack(
-            [-b * p - c * q - d * r, a * p + c * r - d * q, a * q - b * r + d * p, a * r + b * q - c * p]
-        )
+        body_down = jnp.stack([row[2] for row in rotation.axes(q)])
         acceleration = jnp.array([0.0, 0.0, g]) - body_down * force / m
-        return jnp.concatenate([v, turn, acceleration, (torque - jnp.cross(omega, J * omega)) / J])
+        return jnp.concatenate([v, rotation.rate(q, omega), acceleration, (torque - jnp.cross(omega, J * omega)) / J])
 
     def angles(s):
         a, b, c, d = s[3:7]
@@ -62,8 +59,8 @@ def fly(airframe: dict, loss: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         acceleration = POSITION_P * off - POSITION_D * s[7:10] + integral[:3]
         cos, sin = jnp.cos(attitude[2]), jnp.sin(attitude[2])
         forward, right = cos * acceleration[0] + sin * acceleration[1], cos * acceleration[1] - sin * acceleration[0]
-        lean = jnp.clip(jnp.stack([right, -forward]) / g, -LEAN, LEAN)
-        tilt = jnp.concatenate([lean, jnp.zeros(1)]) - attitude
+        wanted = jnp.clip(jnp.stack([right, -forward]) / g, -TILT, TILT)
+        tilt = jnp.concatenate([wanted, jnp.zeros(1)]) - attitude
         torque = J * (jnp.array(ATTITUDE_P) * tilt - jnp.array(ATTITUDE_D) * s[10:] + integral[3:])
         u = jnp.clip(allocation @ jnp.concatenate([jnp.stack([m * (g - acceleration[2])]), torque]), 0.0, 1.0)
         return u, integral + DT * jnp.concatenate([jnp.array(POSITION_I) * off, jnp.array(ATTITUDE_I) * tilt])

@@ -64,7 +64,7 @@ def plan(scenario: Scenario) -> Plan:
     loaded = float(data["mass"]) + a["payload_kg"]
     dynamics.trim(dynamics.plant(data, loaded))  # says so when it is too heavy
     # With no height to climb, the manoeuvre's own time begins this long after the take-off.
-    begin = way["take_off_s"] - 1.0 - trajectories.SETTLE
+    begin = way["take_off_s"] - 1.0 - trajectories.HOVER_FIRST
     return Plan(
         mass=np.array(loaded),
         lag=np.array(lag),
