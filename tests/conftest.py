@@ -23,7 +23,15 @@ from rotorwatch.flight.diagnosis import Diagnosis, Event, Trace
 # Tests run as users run them, and so do the commands that they start: PYTHONUNBUFFERED or COLUMNS of a developer's shell can hide a fault.
 # Besides what everyone has, there stays where Python, compilers and temporary files are, and what says how the tests themselves are run.
 EVERYONE = "HOME PATH LANG TMPDIR SYSTEMROOT TEMP TMP USERPROFILE LOCALAPPDATA".split()
-OF_TESTS = ("PYTHONPATH", "PYTHONDONTWRITEBYTECODE", "ROTORWATCH_CACHE", "ROTORWATCH_FULL_LAW", "CI", "XLA_FLAGS", "OPENBLAS_NUM_THREADS")
+OF_TESTS = (
+    "PYTHONPATH",
+    "PYTHONDONTWRITEBYTECODE",
+    "ROTORWATCH_CACHE",
+    "ROTORWATCH_FULL_LAW",
+    "CI",
+    "XLA_FLAGS",
+    "OPENBLAS_NUM_THREADS",
+)
 for _name in [n for n in os.environ if n not in (*EVERYONE, *OF_TESTS) and not n.startswith(("PYTEST_", "PIP_"))]:
     del os.environ[_name]
 
@@ -47,6 +55,33 @@ def _quick_flags():
 
 # Before JAX is imported; processes that tests start inherit it.
 os.environ.setdefault("XLA_FLAGS", _quick_flags())
+
+
+def pytest_addoption(parser):
+    parser.addoption(
+        "--thorough", action="store_true", help="also what is marked thorough: every case, however long it takes"
+    )
+
+
+def pytest_collection_modifyitems(config, items):
+    """Without --thorough, of a test with @pytest.mark.thorough(keep=N) only N cases run, spread over all; none where N is left out.
+
+    A test that is named on the command line (FILE::TEST) runs whole.
+    """
+    if config.getoption("thorough") or any("::" in arg for arg in config.args):
+        return
+    cases = {}
+    for item in items:
+        if item.get_closest_marker("thorough"):
+            cases.setdefault(item.nodeid.split("[")[0], []).append(item)
+    left_out = set()
+    for found in cases.values():
+        keep = found[0].get_closest_marker("thorough").kwargs.get("keep", 0)
+        kept = {round(k * (len(found) - 1) / max(1, keep - 1)) for k in range(keep)}
+        left_out |= {item for k, item in enumerate(found) if k not in kept}
+    items[:] = [item for item in items if item not in left_out]
+    if left_out:
+        config.hook.pytest_deselected(items=list(left_out))
 
 
 MAPS = 20_000

@@ -80,6 +80,7 @@ def test_constants_of_the_definition_are_built_in_and_given_back():
     assert width() == before and losses.MODEL_SD == 0.004
 
 
+@pytest.mark.thorough
 def test_constants_as_parameters_are_the_constants():
     """One compiled program with its constants as parameters gives what a program with other constants in its files gives."""
     jax = load_jax()

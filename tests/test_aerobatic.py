@@ -78,6 +78,7 @@ def test_nothing_is_found_in_healthy_flight(healthy):
     assert 0.03 < 1.96 * out.detectable[table.mode == JUDGE][-1].max() < 0.4  # a loss that could have gone unseen
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize(("rotor", "share"), [(0, 0.3), (3, 0.5)])
 def test_a_loss_is_found_in_rolls_and_flips(rotor, share):
     (event,), _, _ = judged(flown(seed=rotor + 1, losses=[(rotor, share, 30.0)]))

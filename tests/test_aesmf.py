@@ -236,6 +236,7 @@ def test_interval_hessians_hold_the_remainder_and_are_tighter_than_a_direction_l
 # Guaranteed containment.
 
 
+@pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize("mode", small_systems.RIGOROUS[:5], ids=str)
 def test_the_truth_never_escapes(mode):
     """Nor while theta drifts; at 8 per second a step moves it by more than the small sets are wide."""

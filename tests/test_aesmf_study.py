@@ -16,6 +16,7 @@ def judged():
     return flights, {name: study._judged(made[name], flights)[0] for name in ("esmf", "aesmf", "aekf", "aukf", "ekf")}
 
 
+@pytest.mark.thorough
 def test_the_flight_keeps_its_bounds_and_its_fault(judged):
     flights, _ = judged
     assert np.isfinite(flights.x).all() and np.abs(flights.x[..., :3]).max() < 3

@@ -55,6 +55,7 @@ def simulated(frame):
     return [Simulated(s, plan(s), one(records, k)).flight for k, s in enumerate(asked)]
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("frame", ["hexa-x", "quad-x"])
 def test_simulated_flights(frame):
     flights = simulated(frame)
@@ -68,6 +69,7 @@ def test_simulated_flights(frame):
     assert {f"{k}: {fault}" for k, a in enumerate(plotted) for fault in walk(a)} == set()
 
 
+@pytest.mark.thorough(keep=4)
 @pytest.mark.parametrize("path", WILD or ["missing"], ids=lambda p: getattr(p, "name", p))
 def test_logs_as_people_leave_them_lying_about(path):
     if not WILD:
@@ -170,6 +172,7 @@ def small(diagnosis, plotted=True):
     return replace(diagnosis, trace=TRACE if plotted else None, flight=facts)
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("part", range(4))
 def test_any_events(part):
     seeds = range(25 * part, 25 * part + 25)

@@ -37,6 +37,7 @@ BY_EYE = {
 CUT = [*BY_EYE, "px4-ulogassessment", "crazypad/normal_flight__E8_log03.usd.xz"]
 
 
+@pytest.mark.thorough(keep=5)
 @needs_flights
 @pytest.mark.parametrize("name", BY_EYE)
 def test_real_and_simulated_flights(name):
@@ -66,6 +67,7 @@ def test_crazyflie_hovers_lie_within_the_intervals():
         assert inside.mean() > 0.98 and len(intervals) == 2, path.name
 
 
+@pytest.mark.thorough(keep=6)
 @needs_flights
 @pytest.mark.parametrize("name", CUT)
 def test_a_cut_log_gives_the_same_intervals_cut(name):

@@ -75,6 +75,7 @@ PLANTED = {
 }
 
 
+@pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize("error", PLANTED)
 def test_a_planted_error_breaks_that_law(error, plant, table, monkeypatch):
     predict = two_stage.predict

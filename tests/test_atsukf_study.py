@@ -22,6 +22,7 @@ def steps(method, *table):
     return np.stack(outs)
 
 
+@pytest.mark.thorough
 def test_the_papers_variables_give_the_same_losses():
     """x_free carried instead of the fused mean, dense inverses: another way to write the same filter, and its slips."""
     plant = study.Linear()
@@ -39,6 +40,7 @@ def test_the_papers_variables_give_the_same_losses():
         assert not off(slip) < 1e-3, slip
 
 
+@pytest.mark.thorough
 def test_the_papers_variables_on_the_quadrotor():
     airframe, system = study.plant()
     u, pose = fly(airframe, np.tile([0.4, 0.0, 0.0, 0.0], (10, 1)))
@@ -64,6 +66,7 @@ SPEC_RMSE = {
 }
 
 
+@pytest.mark.thorough
 def test_figures_of_the_reproduction(result):
     figures = result.figures
     for scenario, expected in SPEC_RMSE.items():

@@ -22,6 +22,7 @@ def figures(result):
     return json.loads(result.to_json())["figures"]
 
 
+@pytest.mark.thorough
 def test_truth_and_stationary_gain(figures):
     np.testing.assert_allclose(figures["p_final"], [2.189e-3, -1.667e-3, 8.955e-4], rtol=1e-3)
     assert figures["sigma11"] == pytest.approx(0.0700, rel=1e-3)
@@ -146,6 +147,7 @@ def test_figures_can_be_drawn(result, tmp_path):
     assert 5_000 < (tmp_path / "a.svg").stat().st_size < 150_000
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("literal", "least"), [("innovation", 1e3), ("two_predictions", 1e-5), ("initial_s", 1e-5)])
 def test_literal_readings_change_the_losses(result, literal, least):
     """Nearly nothing for two of them; the innovation without A x makes losses run away."""

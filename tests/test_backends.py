@@ -43,6 +43,7 @@ np.savez(sys.argv[2], loss=d.trace.loss, events=json.dumps(told))
 """
 
 
+@pytest.mark.thorough
 @needs_compiler
 def test_both_backends_say_the_same(tmp_path):
     answers = []

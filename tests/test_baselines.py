@@ -141,6 +141,7 @@ def test_what_can_be_of_one_aircraft(other):
     assert unlike(Candidate(other()), Candidate(flown())) == ""
 
 
+@pytest.mark.thorough
 def test_motion_gains_that_one_aircraft_cannot_have(monkeypatch):
     """Simulated quads in gusts, one of them of four times the inertia: the gains say so, and only then."""
 

@@ -480,6 +480,7 @@ def installed(folder):
     return folder
 
 
+@pytest.mark.thorough
 def test_two_methods_of_another_package_are_tried_and_ranked_by_the_real_command(tmp_path):
     site = installed(tmp_path / "site")
     own = "class Quick(FixedGain):\n    'A gain that forgets sooner.'\n    name = 'quick_gain'\n"

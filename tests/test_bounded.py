@@ -51,6 +51,7 @@ def test_quadratic_programs_are_exact_as_shipped(n):
     assert bound > 0.2 * g.size  # many bounds were at work
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("n", [4, 6, 8, 12])
 def test_two_turns_for_each_element_are_enough(n):
     """A third of the turns are in reserve, for hard problems of up to twelve rotors."""

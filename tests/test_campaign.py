@@ -276,6 +276,7 @@ def parts(folder):
     return sorted(p.name for p in (folder / "parts").glob("[0-9]*.parquet")) if (folder / "parts").exists() else []
 
 
+@pytest.mark.thorough
 def test_killed_twice_and_the_same_table(fake, tmp_path):
     start, judged = fake
     rng = np.random.default_rng()

@@ -83,6 +83,7 @@ def test_as_diagnose_judges_the_log(plan, rows):
     assert 0 < some < WIDTH
 
 
+@pytest.mark.thorough
 def test_native_code_and_jax_judge_alike(plan, rows, monkeypatch):
     """One flight after the other as C, or all side by side in JAX: the same events, numbers to rounding."""
     if methods.engine() != "native":
@@ -229,6 +230,7 @@ def test_the_width_follows_the_device(monkeypatch):
     assert batch.where() == "on 1 x NVIDIA H200, 1024 flights side by side" and methods.engine() == "jax"
 
 
+@pytest.mark.thorough
 def test_as_many_at_once_as_fit_the_cache(monkeypatch):
     small, large = {"a": np.zeros(100)}, {"a": np.zeros(methods.CACHE_BYTES // 8 // 5), "b": np.zeros(1)}
     assert methods.side_by_side(small, 32) == 32

@@ -104,6 +104,7 @@ def flown(aircraft, s, numbers):
     return one(loop.fly_many(aircraft, loop.stack([numbers]), s.duration_s, s.rate_hz, s.record_hz), 0)
 
 
+@pytest.mark.thorough
 def test_nothing_changes_before_the_first_belief():
     """To the last bit the flight of the autopilot alone, as long as no entry has begun."""
     s, numbers, B = planned()

@@ -57,6 +57,7 @@ def one(compiled):
     return jax.jit(compiled(QUAD)[0].step)
 
 
+@pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize("frame, by, count", ORACLE)
 def test_commands_are_those_of_an_independent_solver(compiled, frame, by, count):
     row = study.compare(frame, count, by, seed=1, run=compiled(frame, by)[1])

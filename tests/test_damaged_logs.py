@@ -56,6 +56,7 @@ FILES = {
 }
 
 
+@pytest.mark.thorough(keep=4)
 @pytest.mark.parametrize("name", FILES)
 def test_a_log_damaged_inside_its_framing(name):
     if not (DAMAGED / name).exists():
@@ -115,6 +116,7 @@ def test_one_bit_of_one_output(tmp_path, bit):
     assert any(w.startswith("motors (RCOU)") for w in found.warnings)
 
 
+@pytest.mark.thorough(keep=4)
 @pytest.mark.parametrize("bit", [23, 26, 31, 36, 45, 63])
 @pytest.mark.parametrize("message", ["IMU", "RCOU"])
 def test_one_bit_of_the_last_time_stamp(tmp_path, message, bit):
@@ -251,6 +253,7 @@ def test_what_an_answer_to_a_damaged_log_is_worth():
     assert healthy.compare(Answer("inconclusive")) == "inconclusive"
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("which", ["bin", "ulg"])
 def test_a_small_study_makes_nothing_up(which, ulog):
     path = SAMPLE if which == "bin" else ulog

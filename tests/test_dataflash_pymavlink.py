@@ -27,6 +27,7 @@ def _read(path: str) -> bytes:
     return lzma.decompress((FLIGHTS / path).read_bytes())
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("path", LOGS.values(), ids=LOGS)
 def test_equals_pymavlink_field_by_field(path, tmp_path):
     from pymavlink import DFReader

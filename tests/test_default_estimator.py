@@ -171,6 +171,7 @@ def test_noise_that_is_known_stays_known(quad):
     np.testing.assert_allclose(quad.carries.noise.variances[-1], KNOWN_NOISE, rtol=1e-3)
 
 
+@pytest.mark.thorough(keep=3)
 @pytest.mark.parametrize("slot", [2, 9, 18, 30, 35, 47])
 def test_every_slot_is_an_augmented_kalman_filter(quad, slot):
     """Information C and z of a jump, and what it does to the state: sudden and gradual onsets, rotors and biases."""

@@ -80,6 +80,7 @@ def test_desyncs_are_found_with_motor_time_and_length(name, rotor, lasting, rpm,
             assert abs(d.end - d.start - lasting) < 0.03
 
 
+@pytest.mark.thorough(keep=7)
 @pytest.mark.parametrize(("name", "rpm"), [
     *((name, rpm) for name in ("healthy", "dead", "weak", "knocks", "gone") for rpm in (False, True)), ("second", True),
 ])  # fmt: skip

@@ -40,6 +40,7 @@ def project(tmp_path_factory):
     return folder
 
 
+@pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize("precision", ["float", "double"])
 @pytest.mark.parametrize("name", TEXT)
 def test_code_is_small_and_stack_is_bounded(name, precision, tmp_path):

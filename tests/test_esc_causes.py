@@ -61,6 +61,7 @@ def notices(found):
     return {(e.kind, e.rotors) for e in found.events if e.kind in watch.SIGN}
 
 
+@pytest.mark.thorough(keep=3)
 @pytest.mark.parametrize("autopilot, frame", [("ardupilot", "quad-x"), ("px4", "hexa-x")])
 @pytest.mark.parametrize(
     "what, cause", [("propeller", "propeller"), ("chipped", "propeller"), ("motor", "motor_or_esc")]
@@ -191,6 +192,7 @@ def swap(time, values, valid):
         values[:, [k, k + 1, k + 2, k + 3]] = values[:, [k + 1, k + 2, k + 3, k]]
 
 
+@pytest.mark.thorough(keep=3)
 @pytest.mark.parametrize(
     "change, said",
     [

@@ -35,6 +35,7 @@ SANITIZE = ("-O0", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=
 pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")
 
 
+@pytest.mark.thorough(keep=8)
 # aesmf has all of the step of esmf.
 @pytest.mark.parametrize("name", [name for name in NAMES if FULL or name != "esmf"])
 def test_a_step_in_c_is_the_step_in_python(name, tmp_path):
@@ -83,6 +84,7 @@ def runs(program, lib, real, table):
     return out
 
 
+@pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize("name", FLOAT)
 def test_single_precision_is_close(name, tmp_path):
     """The same flight with float and with double; float calls float functions only."""
@@ -99,6 +101,7 @@ def test_single_precision_is_close(name, tmp_path):
     assert not re.search(r"\b(sqrt|exp|log|cos|acos|cbrt|pow|fmod)(@|$)", called, re.MULTILINE), called
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("name", NAMES if FULL else ["ekf", "tsukf", "mhe"])
 def test_sanitizers_find_nothing(name, tmp_path):
     export_c(name, tmp_path)

@@ -154,6 +154,7 @@ def test_what_lies_too_far_ahead_has_no_end():
     assert said.word == "growing" and said.interval is not None and said.interval[1] is None
 
 
+@pytest.mark.thorough
 def test_prognosis_intervals_hold():
     held = []
     for k in range(40):

@@ -79,6 +79,7 @@ def test_workers_that_die_hang_or_eat_memory_are_found_and_replaced(monkeypatch)
     assert failed[3].startswith("hung") and failed[4] == "MemoryError"
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("name", ["intact_reference.bin", "intact_reference.ulg"])
 def test_damaged_logs_are_read_or_rejected_politely(name):
     if not CORRUPT.is_dir():

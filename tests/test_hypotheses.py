@@ -125,6 +125,7 @@ def test_a_single_rotor_with_slop_is_weighed_as_the_integral_over_loss_and_axes(
     assert logbf[0, 0] == pytest.approx(np.logaddexp(*halves) - np.log(2.0), abs=1e-4)
 
 
+@pytest.mark.thorough(keep=4)
 @pytest.mark.parametrize("reach", [0.0, 1.0])
 @pytest.mark.parametrize("ended, back", [(0.3, 0.3), (0.3, 0.2), (0.05, 0.05), (0.3, 0.0)])
 def test_a_recovery_is_weighed_as_the_integral_around_the_known_loss(ended, back, reach):

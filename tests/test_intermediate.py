@@ -338,6 +338,7 @@ def test_on_rate_dynamics_it_finds_the_rotor(rotors):
     assert (got.status == 0).all()
 
 
+@pytest.mark.thorough
 def test_where_rates_are_not_measured_riccati_gains_are_taken():
     """Pose only: faults are observable through two integrations."""
     body = RigidBody.of(airframes.paper("f450"))
@@ -404,6 +405,7 @@ def test_wrong_configuration(make, said):
         make()
 
 
+@pytest.mark.thorough
 def test_yaw_gain_needs_a_yaw_rate():
     class Nameless(LinearHover):
         x_names = tuple("abcdefgh")

@@ -183,6 +183,8 @@ def published():
     return {name: kind for name, kind in discovery.estimators().items() if name != "default"}
 
 
+# Methods whose laws are always tried on a hexacopter as well: as different from each other as they are.
+HEXA_TOO = ("ekf", "axkf", "mh_lyapunov", "tsukf", "aesmf", "imm")
 CASES = [("default", wrench_quad)] + [(name, make) for name in published() for make in (rates_quad, rates_hexa)]
 
 
@@ -385,12 +387,19 @@ FULL = os.environ.get("ROTORWATCH_FULL_LAW") == "1"
 SLOW_CASES = [c for c in CASES if c[1] is not rates_hexa and (FULL or c[0] not in ("default", "esmf"))]
 
 
+EACH = [
+    pytest.param(name, make, marks=[pytest.mark.thorough] * (make is rates_hexa and name not in HEXA_TOO))
+    for name, make in CASES
+]
+
+
 @pytest.mark.parametrize("law", LAWS, ids=lambda law: law.__name__)
-@pytest.mark.parametrize(("name", "make"), CASES, ids=lambda v: v if isinstance(v, str) else v.__name__)
+@pytest.mark.parametrize(("name", "make"), EACH, ids=lambda v: v if isinstance(v, str) else v.__name__)
 def test_law(name, make, law):
     law(case_of(name, make))
 
 
+@pytest.mark.thorough(keep=16)
 @pytest.mark.parametrize("law", SLOW_LAWS, ids=lambda law: law.__name__)
 @pytest.mark.parametrize(("name", "make"), SLOW_CASES, ids=lambda v: v if isinstance(v, str) else "")
 def test_slow_law(name, make, law):

@@ -10,6 +10,7 @@ CUT = Faults(cuts=((24.0, 3.0),))
 BAD = Faults(0.3, 0.1, 0.2, 0.05, 0.03, 0.05, holds=((15.0, 0.8), (30.0, 0.5)))
 
 
+@pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize(
     "number, faults, wanted",
     [

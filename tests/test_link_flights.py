@@ -6,6 +6,7 @@ from tests.link_flights import RECORDED, compared, sent
 from rotorwatch import diagnose, logs
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize(
     "name, link, late_s",
     [

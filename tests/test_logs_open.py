@@ -32,6 +32,7 @@ def truth_rows():
         return [r for r in csv.DictReader(file) if r["log_start_us"]]
 
 
+@pytest.mark.thorough(keep=20)
 @needs_flights
 @pytest.mark.parametrize("row", truth_rows(), ids=lambda r: Path(r["path"]).name)
 def test_every_flight_reads_with_its_start_time_and_without_simulator_truth(row):

@@ -55,6 +55,7 @@ def alike(flight, other, shift, skip=()):
         assert np.array_equal(one.valid, two.valid) and np.array_equal(one.values, two.values), name
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("storage, definitions", [("mcap", True), ("sqlite", True), ("sqlite", False)])
 def test_px4_messages_are_read_as_the_ulog_is(px4, plain, tmp_path, storage, definitions):
     folder = ros2_bags.write(tmp_path / "flight", px4[1], storage, definitions)

@@ -287,6 +287,7 @@ def method(request):
     return SimpleNamespace(estimator=estimator, table=(u, y, valid), out=out, carries=carries)
 
 
+@pytest.mark.thorough(keep=1)
 def test_the_fault_is_found(method):
     out, _ = over(method.estimator, *table(600))
     assert out.theta[-1].argmax() == 0 and out.theta[-1, 0] > 0.3

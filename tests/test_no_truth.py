@@ -83,6 +83,7 @@ def logs():
     return [*SAMPLES, *found]
 
 
+@pytest.mark.thorough(keep=5)
 @pytest.mark.parametrize("path", logs(), ids=lambda p: f"{p.parent.name}-{p.name}")
 def test_flights_hold_no_truth(path):
     with lzma.open(path) as file:

@@ -188,6 +188,7 @@ def flight(B, seed, count=420, dt=0.05):
     return out, ticks
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("frame", FRAMES)
 def test_every_event_at_every_moment_is_the_same_with_a_boards_room(built, frame):
     """Flights of anything an estimator may say: the same events after any number of ticks, in double precision."""
@@ -205,6 +206,7 @@ def test_every_event_at_every_moment_is_the_same_with_a_boards_room(built, frame
     assert seen > 100
 
 
+@pytest.mark.thorough
 def test_single_precision_tells_the_same_events(built):
     """Times are double in both: the same; shares and losses to six digits."""
     B = FRAMES["quad-x"]
@@ -217,6 +219,7 @@ def test_single_precision_tells_the_same_events(built):
         np.testing.assert_allclose(got, wanted, rtol=2e-6, atol=2e-6)
 
 
+@pytest.mark.thorough
 def test_another_compiler_agrees(built):
     B = FRAMES["quad-x"]
     out, ticks = flight(B, 1)

@@ -72,6 +72,7 @@ def with_broken_samples(table):
     return both[np.argsort(both[:, 1], kind="stable")]
 
 
+@pytest.mark.thorough(keep=1)
 @needs_compiler
 @pytest.mark.parametrize("name", ["quadx_healthy_hover.bin.xz", "hexax_m3_mul0.80_square_wind.bin.xz"])
 def test_samples_have_the_same_events_on_board(name, tmp_path):

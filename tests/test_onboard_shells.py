@@ -42,6 +42,7 @@ def topic():
     return "\n".join([*lines, "};", ""])
 
 
+@pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize("rotors", [4, 8])
 @pytest.mark.parametrize("autopilot", SHELLS)
 def test_shells_compile(autopilot, rotors, tmp_path):
@@ -56,6 +57,7 @@ def test_shells_compile(autopilot, rotors, tmp_path):
     subprocess.run([compiler, *flags, *include, str(SHELLS[autopilot])], check=True)
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize(
     ("prefix", "names"),
     [
@@ -81,6 +83,7 @@ def test_log_records_have_a_format_for_every_label():
         assert len(labels.split(",")) == len(formats) and len(labels) <= 64
 
 
+@pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize("precision", [(), ("-DROTORWATCH_FLOAT",)])
 @pytest.mark.parametrize("rotors", [3, 8, 12])
 def test_no_warning_whatever_the_number_of_rotors(tmp_path, rotors, precision):

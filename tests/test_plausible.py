@@ -183,6 +183,17 @@ def test_a_rotor_that_is_switched_off_stays():
     assert plausible.checked(flight(motors=motors))["motors"].valid.all()
 
 
+@pytest.mark.parametrize(("by", "stays"), [(30.0, True), (900.0, False)])
+def test_a_motor_at_idle_is_as_rough_as_the_others_when_it_moves(by, stays):
+    """FPV vehicles fly with motors at idle that come up for one sample."""
+    one = signals()["motors"]
+    values = one.values.copy()
+    values[150:250, 1] = 1000.0
+    values[200, 1] += by
+    flown = Flight("test", "Betaflight", {"motors": Signal(one.time, values, one.columns, "us")}, 40.0)
+    assert plausible.checked(flown)["motors"].valid[200, 1] == stays
+
+
 def test_heavy_damage_is_said():
     checked = plausible.checked(flight(**changed("lift", np.arange(20, 390, 37), 1, 0.3)))
     assert any(w.startswith("This log is damaged: too many values of lift") for w in checked.warnings)

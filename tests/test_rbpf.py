@@ -112,6 +112,7 @@ def test_the_right_mode_wins_and_finds_the_loss(make):
     assert np.abs(np.delete(out.estimate.theta[late], 1, axis=1)).max() < 0.03
 
 
+@pytest.mark.thorough
 def test_many_particles_say_what_interacting_models_say():
     """Of one Markov chain: exact but for the draws here, and for the mixing there."""
     u, y, valid, _ = flown(rates_quad, 5, LOSS)

@@ -61,6 +61,7 @@ def test_an_airframe_that_is_given_removes_that_obstacle():
     assert obstacle(replace(flown(), autopilot="", parameters={}), QUAD) is None
 
 
+@pytest.mark.thorough(keep=3)
 @pytest.mark.skipif(not (SHARED / "wild").is_dir(), reason="needs the test logs in ../shared/flights")
 @pytest.mark.parametrize("name", WILD)
 def test_real_logs_too(name):

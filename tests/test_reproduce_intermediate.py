@@ -26,6 +26,7 @@ def result():
         return found
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("k", range(1, 5))
 def test_losses_come_out_as_injected(result, k):
     found = result.figures[f"scenario_{k}"]

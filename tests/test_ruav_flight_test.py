@@ -27,6 +27,7 @@ def flown(designs):
     return study.fly("aekf", SLICE, designs)
 
 
+@pytest.mark.thorough
 def test_a_controller_is_sure_for_its_whole_interval(designs):
     plant, low, high = designs.plant, np.array([0.0, 0.5, 0.3]), np.array([0.4, 1.0, 0.6])
     made = ruav_control.design(plant, low, high)
@@ -64,6 +65,7 @@ def test_the_trim_command_makes_up_for_what_is_known():
     assert np.abs(unsure - SYSTEM.trim).max() < 0.5 * np.abs(command - SYSTEM.trim).max()
 
 
+@pytest.mark.thorough
 def test_hover_is_quiet_and_the_fault_is_the_one_that_was_set(flown):
     found, at = study.judged(flown), study.FAULT_STEP - SLICE.begin
     assert max(found["rates_before"]) < study.QUIET and found["inside_before"] > 0.9
@@ -72,6 +74,7 @@ def test_hover_is_quiet_and_the_fault_is_the_one_that_was_set(flown):
     assert found["inside_after"] < 0.6  # without a restart an adaptive Kalman filter never learns of so large a jump
 
 
+@pytest.mark.thorough
 def test_a_flight_is_the_same_twice():
     short = study.Setting(begin=study.FAULT_STEP - 40, end=study.FAULT_STEP)
     one, other = (study.fly("aekf", short, ruav_control.Designs(SYSTEM)) for _ in range(2))
@@ -80,6 +83,7 @@ def test_a_flight_is_the_same_twice():
     np.testing.assert_array_equal(one.synthesis.K, other.synthesis.K)
 
 
+@pytest.mark.thorough
 def test_an_aekf_that_starts_again_finds_the_coefficients(flown, designs):
     restarted = study.fly("aekf", replace(SLICE, end=study.FAULT_STEP + 30, restart=True), designs)
     at, roll = study.FAULT_STEP - SLICE.begin + 29, 3

@@ -444,6 +444,7 @@ def record_of(flight):
     return records[flights.index(flight)] if not isinstance(flight, int) else records[flight]
 
 
+@pytest.mark.thorough
 def test_every_flight_is_finite():
     for flight, record in zip(*fleet()):
         assert all(np.isfinite(a).all() for a in record), flight
@@ -533,6 +534,7 @@ def batch_keeps(record):
     return record._replace(omega=())
 
 
+@pytest.mark.thorough
 def test_single_precision_flies_the_same_way():
     flights, records = fleet()
     plans = loop.stack([plan(f) for f in flights[:2]])

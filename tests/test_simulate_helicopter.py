@@ -197,6 +197,7 @@ def test_trim_holds():
 # -- closed loop and faults ------------------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize("kind", scenario.HELICOPTER_WAYS)
 def test_ways_are_followed(kind):
     made = simulate(asked(trajectory={"kind": kind, "speed_m_s": 2.0}, wind={"speed_m_s": 4.0, "from_deg": 70.0}))
@@ -240,6 +241,7 @@ FAULTS = {
 }
 
 
+@pytest.mark.thorough(keep=8)
 @pytest.mark.parametrize("kind", FAULTS)
 @pytest.mark.parametrize("k", range(4))
 def test_faults_are_the_plants(kind, k):
@@ -263,6 +265,7 @@ def test_a_jammed_actuator_stays_where_it_was():
     assert np.ptp(r.actuators[r.time > 12.7, 3]) > 1e-3 and not r.theta[r.time > 12.7].any()
 
 
+@pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize(
     ("fault", "axis"),
     [("collective", 2), ("tail", 5), ("longitudinal", 4), ("lateral", 3)],
@@ -389,6 +392,7 @@ def test_every_method_for_two_unknowns_an_actuator_can_be_named():
             helicopter_log.method(name, "ruav-40kg", 0.02)
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("name", ["ekf", "adaptive_ekf", "aukf", "aesmf"])
 def test_estimators_find_the_jam(name):
     """Nothing before the onset, the jammed tail soon after it and nothing else, its displacement at the end."""

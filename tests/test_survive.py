@@ -26,6 +26,7 @@ def quad():
     return rw.survive(QUAD)
 
 
+@pytest.mark.thorough
 def test_a_quadrotor_only_spins_without_a_rotor_or_two_opposite_ones(quad):
     """Mueller and D'Andrea 2014; ArduPilot numbers the rotors so that 1 and 2, 3 and 4 are opposite."""
     ends = {case.rotors: case.verdict for case in quad.cases}
@@ -36,6 +37,7 @@ def test_a_quadrotor_only_spins_without_a_rotor_or_two_opposite_ones(quad):
     assert spinning.rate > 5.0 and spinning.tilt > 0.05 and spinning.wind is None and spinning.roll is None
 
 
+@pytest.mark.thorough
 def test_an_octorotor_keeps_full_control_and_a_hexarotor_gives_up_yaw():
     """Du, Quan, Yang and Cai 2015: the hexarotor with alternating spins is not controllable after any loss, but without yaw it is."""
     hexa, octa = (rw.survive(name, **USUAL) for name in (HEXA, OCTA))

@@ -29,6 +29,7 @@ def both(rng, N):
     return walk(rng, N) + 2.0 * rng.standard_normal(N)
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("errors", [walk, correlated, white, both])
 def test_intervals_hold_the_truth(errors):
     """Of 300 series, as often as promised but for chance (a standard deviation is 0.013) and what is not known of short walks."""

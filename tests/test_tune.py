@@ -56,6 +56,7 @@ def found():
     return tune.fit("ekf", [flight(0), flight(1)])
 
 
+@pytest.mark.thorough
 def test_the_noise_that_was_there_is_found(found):
     """Factors on variances, up to what 700 rows can tell; the plant was told 16 times too much and too little."""
     gyro, accel = found.tuning.r[:3], found.tuning.r[3]

@@ -50,6 +50,7 @@ def build(rng, vehicle):
     ]
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("vehicle, flights", [(QUAD, 1), (QUAD, 6), (HEXA, 2)], ids=["quad 1", "quad 6", "hexa 2"])
 def test_false_alarm_rate_is_the_stated_one(vehicle, flights):
     rng, count = np.random.default_rng(flights), 120
@@ -140,6 +141,7 @@ def test_the_size_is_what_the_mixer_makes_up_for(vehicle, losses):
     assert told.mass @ told.theta == pytest.approx(list(losses.values()), abs=0.02)
 
 
+@pytest.mark.thorough
 def test_batteries_put_in_otherwise_accuse_nobody():
     """Healthy flights whose centre of mass lies elsewhere each time, by up to four times what real ones show."""
     rng, faults, count = np.random.default_rng(12), 0, 0
@@ -153,6 +155,7 @@ def test_batteries_put_in_otherwise_accuse_nobody():
     assert faults <= 0.01 * count
 
 
+@pytest.mark.thorough
 def test_certainty_is_how_often_it_is_right():
     """Flights drawn from the model with 2, 3 and 6 healthy ones: of what is said with a probability, that share is true."""
     rng, said, true = np.random.default_rng(21), [], []

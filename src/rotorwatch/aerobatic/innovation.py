@@ -16,6 +16,7 @@ import numpy as np
 
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.maths.huber import huber
 from rotorwatch.motion.allocation import Spans, motor_thrusts, within
 
 WIDTH_S = 0.004
@@ -26,10 +27,8 @@ EDGE_S = 0.5  # after lift-off and before landing
 LOCAL_S = 1.0  # the air changes: a surprise is as rare as it was within that
 CALMEST = 0.6  # of the flight's scale
 DOF, QUARTILE = 7.0, 0.711  # of Student's t
-TURNING_S, UNSURE = (
-    0.05,
-    1.0,
-)  # motors take so long to a new speed, from idle longer than the fit says; share that is doubted until then
+TURNING_S = 0.05  # motors take so long to a new speed, from idle longer than the fit says
+UNSURE = 1.0  # share that is doubted until then
 SPEEDS = 0.7  # share of the time that a motor's speed is reported
 
 
@@ -124,16 +123,11 @@ def _late(x: np.ndarray, lags: range) -> np.ndarray:
 
 
 def _surprise(y, drive, motion, flies, width) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """(left, scale (K,), answer (LAGS,)) of one channel with drive (K, n): Huber's regression by reweighting. None where nothing moves."""
+    """(left, scale (K,), answer (LAGS,)) of one channel with drive (K, n). None where nothing moves."""
     X = np.column_stack([_late(drive.sum(axis=1), range(LAGS)), _late(y, range(1, PAST + 1)), motion])
-    rows, weight, fitted = X[flies], np.ones(int(flies.sum())), np.zeros(X.shape[1])
-    for _ in range(4):
-        fitted = np.linalg.lstsq(rows * weight[:, None], y[flies] * weight, rcond=None)[0]
-        error = np.abs(y[flies] - rows @ fitted)
-        spread = float(np.median(error))
-        if not spread > 0.0:
-            return None
-        weight = np.sqrt(1.0 / np.maximum(1.0, error / (2.0 * spread)))
+    if not np.ptp(y[flies]) > 0.0:
+        return None
+    fitted = huber(X[flies], y[flies]).theta
     left = y - X @ fitted
     left[~flies] = 0.0
     scale = np.hypot(_scale(np.abs(left), flies, width), _unsure(drive, fitted[:LAGS], width))
@@ -150,14 +144,10 @@ def _unsure(drive: np.ndarray, answer: np.ndarray, width: float) -> np.ndarray:
 
 
 def _slow(x: np.ndarray, width: float) -> np.ndarray:
-    """x (K, n) with a lag of TURNING_S: sums over 2, 4, 8, .. windows, each of two of the sums before it."""
-    keep, reach = np.exp(-width / TURNING_S), 1
-    out = (1.0 - keep) * x
-    out[0] = x[0]
-    while reach < len(out):
-        out[reach:] += keep**reach * out[:-reach]
-        reach *= 2
-    return out
+    """x (K, n) with a lag of TURNING_S: its impulse response, to where it is 1e-9."""
+    keep = np.exp(-width / TURNING_S)
+    response = (1.0 - keep) * keep ** np.arange(round(20.0 * TURNING_S / width))
+    return x[0] + np.column_stack([np.convolve(column, response)[: len(x)] for column in (x - x[0]).T])
 
 
 def _scale(error: np.ndarray, flies: np.ndarray, width: float) -> np.ndarray:

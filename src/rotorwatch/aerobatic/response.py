@@ -15,6 +15,7 @@ import numpy as np
 
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.maths.huber import huber
 from rotorwatch.motion.allocation import Spans, motor_thrusts, within
 
 WINDOW_S = 0.02
@@ -120,14 +121,8 @@ def _fast(x: np.ndarray) -> np.ndarray:
 
 
 def _fit(torque: np.ndarray, turning: np.ndarray, motion: np.ndarray, axis: int, flies: np.ndarray):
-    """((gain, damping, coupling), scale of what is left) of one axis: Huber's regression by reweighting."""
+    """((gain, damping, coupling), scale of what is left) of one axis."""
     i, j = OTHERS[axis]
     X = _fast(np.column_stack([torque, motion[:, axis], motion[:, i] * motion[:, j]]))[flies]
-    y, weight = _fast(turning)[flies], np.ones(flies.sum())
-    theta, scale = np.zeros(3), 1.0
-    for _ in range(4):
-        theta = np.linalg.lstsq(X * weight[:, None], y * weight, rcond=None)[0]
-        left = np.abs(y - X @ theta)
-        scale = max(1.4826 * float(np.median(left)), 1e-9)
-        weight = np.sqrt(1.0 / np.maximum(1.0, left / (1.5 * scale)))
-    return theta, scale
+    fit = huber(X, _fast(turning)[flies])
+    return fit.theta, fit.scale

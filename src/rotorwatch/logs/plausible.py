@@ -66,7 +66,7 @@ def checked(flight: Flight) -> Flight:
         signals["motors"], record_notes = _whole_records(signals["motors"])
         warnings += record_notes
     known = {name: signals[name] for name in FLOORS if name in signals}
-    sizes = {name: _size(s.time, s.values, s.valid, _floor(name, s)) for name, s in known.items()}
+    sizes = {name: _size(s.time, s.values, s.valid, _floor(name, s), name == "motors") for name, s in known.items()}
     for name, signal in known.items():
         found = _unsupported(name, signals, sizes)
         if name == "motors" and "control" in signals:
@@ -183,21 +183,29 @@ def lone(time, values, floor: float, valid=None) -> np.ndarray:
     return _size(np.asarray(time, float), values, np.isfinite(values) if valid is None else valid, floor) > 0.0
 
 
-def _size(time, values, valid, floor: float) -> np.ndarray:
-    """(n, k) how far lone values are off, as a multiple of what makes them lone; 0 for all others."""
-    size = np.zeros(values.shape)
-    for k in range(values.shape[1]):
-        known = np.flatnonzero(valid[:, k])
-        if known.size > 2 * AHEAD:
-            size[known, k] = _alone(time[known], values[known, k], floor)
+def _size(time, values, valid, floor: float, alike: bool = False) -> np.ndarray:
+    """(n, k) how far lone values are off, as a multiple of what makes them lone; 0 for all others.
+
+    alike: columns are as rough as each other, as the commands of motors are, which one mixer makes. One that stands still (a motor at
+    idle) does not show how rough it will be when it moves, so at least the mean of those that move is taken.
+    """
+    size, rough = np.zeros(values.shape), np.zeros(values.shape)
+    columns = [(k, known) for k, known in enumerate(map(np.flatnonzero, valid.T)) if known.size > 2 * AHEAD]
+    for k, known in columns:
+        rough[known, k] = np.abs(_residual(time[known], values[known, k], 1, 1)[0])
+    if alike:
+        rough = np.maximum(
+            rough, rough.sum(axis=1, keepdims=True) / np.maximum((rough > 0.0).sum(axis=1, keepdims=True), 1)
+        )
+    for k, known in columns:
+        size[known, k] = _alone(time[known], values[known, k], rough[known, k], floor)
     return size
 
 
-def _alone(t: np.ndarray, x: np.ndarray, floor: float) -> np.ndarray:
-    """(n,) as `_size`, of one column without gaps in validity."""
+def _alone(t: np.ndarray, x: np.ndarray, rough: np.ndarray, floor: float) -> np.ndarray:
+    """(n,) as `_size`, of one column without gaps in validity; rough: (n,) |r| that say what is usual."""
     near = FAR * max(float(np.median(np.diff(t))), 1e-6)
     r, apart = _residual(t, x, 1, 1)
-    rough = np.abs(r)
 
     def far(at: np.ndarray, before: int, after: int, r: np.ndarray, apart: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Those of the samples `at` that are lone, and how far off; r, apart: `_residual` at these."""
@@ -214,7 +222,7 @@ def _alone(t: np.ndarray, x: np.ndarray, floor: float) -> np.ndarray:
         return at[size > 1.0], size[size > 1.0]
 
     size = np.zeros(x.size)
-    inner = np.flatnonzero((rough > floor) & (rough > AGREE * apart))
+    inner = np.flatnonzero((np.abs(r) > floor) & (np.abs(r) > AGREE * apart))
     at, off = far(inner, 1, 1, r[inner], apart[inner])
     size[at] = off
     # Two in a row: the first is held against the samples one before and two after it, the second the other way round.
