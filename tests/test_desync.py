@@ -113,6 +113,14 @@ def test_the_fit_stays_right_in_closed_loop():
         assert 0.0 < c.answer.sum() < gain
 
 
+def test_a_motor_turns_to_what_it_is_told_with_a_lag():
+    told = np.random.default_rng(1).uniform(size=(1000, 4))
+    keep, slow = np.exp(-0.004 / innovation.TURNING_S), told.copy()
+    for k in range(1, len(told)):
+        slow[k] = keep * slow[k - 1] + (1.0 - keep) * told[k]
+    assert innovation._slow(told, 0.004) == pytest.approx(slow, abs=1e-12)
+
+
 def one(rotor=0, start=10.0, lasting=0.1, ratio=5.0, others=()):
     return desync.Desync(rotor, start, start + lasting, ratio, 1.0, others)
 
