@@ -8,7 +8,8 @@ row) is held against the samples around it:
 
 It is `lone` when |r_i| > 3 D_i, the neighbours agree with each other and not with it, and |r_i| > SCALES s_i, with s_i
 the median |r| of the samples before, or of those on both sides, whichever is larger. Nothing later than `AHEAD` samples
-counts. Of white noise one value in 15,000 is lone by this, of smooth signals none.
+counts. Of white noise one value in 15,000 is lone by this, of smooth signals none. Of motors s_i is the largest of any
+motor: one that lies at idle has no residual, and rises from it by what all are told.
 
 A knock, a kick of the stick or a gust leaves one sample, too, in a slow log, but never in one column alone: all motors
 answer, several axes shake. So a lone value is damage only when nothing else in its record, and none of the signals that
@@ -66,7 +67,7 @@ def checked(flight: Flight) -> Flight:
         signals["motors"], record_notes = _whole_records(signals["motors"])
         warnings += record_notes
     known = {name: signals[name] for name in FLOORS if name in signals}
-    sizes = {name: _size(s.time, s.values, s.valid, _floor(name, s)) for name, s in known.items()}
+    sizes = {name: _size(s.time, s.values, s.valid, _floor(name, s), name == "motors") for name, s in known.items()}
     for name, signal in known.items():
         found = _unsupported(name, signals, sizes)
         if name == "motors" and "control" in signals:
@@ -166,7 +167,7 @@ def _unasked(signals: Mapping[str, Signal], already: np.ndarray) -> np.ndarray:
 
 def _without_others(time, values, valid, floor: float) -> np.ndarray:
     """(n, k) bool: lone values in rows where no other column jumps nearly as far, as all do that one axis moves."""
-    size = _size(time, values, valid, floor)
+    size = _size(time, values, valid, floor, True)
     rows, columns = np.nonzero(size > 0.0)
     support = _support(time, values, valid, size, floor, rows, columns)
     found = np.zeros(size.shape, bool)
@@ -183,14 +184,33 @@ def lone(time, values, floor: float, valid=None) -> np.ndarray:
     return _size(np.asarray(time, float), values, np.isfinite(values) if valid is None else valid, floor) > 0.0
 
 
-def _size(time, values, valid, floor: float) -> np.ndarray:
-    """(n, k) how far lone values are off, as a multiple of what makes them lone; 0 for all others."""
+def _size(time, values, valid, floor: float, alike: bool = False) -> np.ndarray:
+    """(n, k) how far lone values are off, as a multiple of what makes them lone; 0 for all others. alike: what is usual of one column
+    is so of all."""
     size = np.zeros(values.shape)
     for k in range(values.shape[1]):
         known = np.flatnonzero(valid[:, k])
         if known.size > 2 * AHEAD:
             size[known, k] = _alone(time[known], values[known, k], floor)
+    if not alike:
+        return size
+    lone = np.flatnonzero((size > 0.0).any(axis=1))
+    usual = np.maximum(SCALES * _usual(time, values, valid, lone), max(floor, TINY))
+    size[lone] *= usual / usual.max(axis=1, keepdims=True)
+    size[size <= 1.0] = 0.0
     return size
+
+
+def _usual(time, values, valid, at: np.ndarray) -> np.ndarray:
+    """(m, k) `_scale` of each column at the rows `at`; 0 where that row is not valid."""
+    usual = np.zeros((at.size, values.shape[1]))
+    for k in range(values.shape[1]):
+        known = np.flatnonzero(valid[:, k])
+        here = np.isin(at, known)
+        if known.size > 2 * AHEAD and here.any():
+            rough = np.abs(_residual(time[known], values[known, k], 1, 1)[0])
+            usual[here, k] = _scale(rough, np.searchsorted(known, at[here]))
+    return usual
 
 
 def _alone(t: np.ndarray, x: np.ndarray, floor: float) -> np.ndarray:
