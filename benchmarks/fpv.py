@@ -1,6 +1,6 @@
 """A campaign of simulated FPV flights (simulation/fpv.py), judged by `rotorwatch.diagnose` (docs/aerobatic.md, "Simulated flights").
 
-    python benchmarks/fpv.py [--flights 1000] [--healthy-hours 20] [--jobs 2]
+    python benchmarks/fpv.py [--flights 1000] [--healthy-hours 20] [--first 0] [--jobs 2]
 
 Flights of 60 s: a 5-inch quadrotor of eight times its weight in thrust that rolls, flips, spins, dives and punches out, logged at 1 kHz,
 half of them with the motors' speeds. 35 % are healthy; 45 % lose 5 to 60 % of a rotor at 15 to 35 s, by a damaged propeller or a slow
@@ -137,6 +137,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--flights", type=int, default=1000)
     parser.add_argument("--healthy-hours", type=float, default=20.0)
+    parser.add_argument("--first", type=int, default=0, help="number of the first batch: others are other flights")
     parser.add_argument("--jobs", type=int, default=2)
     options = parser.parse_args()
     with ProcessPoolExecutor(options.jobs, get_context("spawn")) as pool:
@@ -144,7 +145,8 @@ def main() -> None:
             rows: list[dict] = []
             if not count:
                 continue
-            for made in pool.map(batch, range(-(-count // BATCH)), [healthy] * -(-count // BATCH)):
+            numbers = range(given.first, given.first - (-count // BATCH))
+            for made in pool.map(batch, numbers, [healthy] * len(numbers)):
                 rows += made
                 print(f"{len(rows)} of {count}", file=sys.stderr, flush=True)
                 if len(rows) % (10 * BATCH) == 0:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass, field
 
+import numpy as np
+
 SIGNED, UNSIGNED, NEG14, DELTA_U, DELTA_S, TAG8_8, TAG2_3, TAG8_4, NONE, TAG2_3V, GAMMA_S = (
     0,
     1,
@@ -308,3 +310,21 @@ def fly(log: Log, made, interval: int = 32) -> Log:
     for k, row in enumerate(made):
         log.add("P" if k % interval else "I", row)
     return log
+
+
+def simulated(flight, path):
+    """A flight of simulation/fpv.py as Betaflight logs it, each second sample."""
+    more = [Field(f"eRPM[{k}]", 0) for k in range(4)]
+    log = betaflight(more=more)
+    step = slice(None, None, 2)
+    motors = np.rint(158 + flight["motors"].values[step] * (2047 - 158)).astype(int)
+    motors[flight["motors"].values[step] <= 0.0] = 158
+    gyro = np.rint(np.degrees(flight["gyro"].values[step] * [1, -1, -1])).astype(int)
+    erpm = np.rint(flight["esc"].values[step, :4] * 60 / (2 * np.pi) * 7 / 100).astype(int)
+    columns = {f"motor_{k}": motors[:, k] for k in range(4)} | {f"gyroADC_{k}": gyro[:, k] for k in range(3)}
+    columns |= {f"eRPM_{k}": erpm[:, k] for k in range(4)}
+    columns |= {"setpoint_3": np.rint(1000 * flight["throttle"].values[step, 0]).astype(int), "accSmooth_2": 2048}
+    count = len(motors)
+    columns |= {"loopIteration": np.arange(count), "time": 2000 * np.arange(count)}
+    path.write_bytes(fly(log, rows(log, count, **columns)).bytes())
+    return path

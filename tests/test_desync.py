@@ -160,26 +160,8 @@ def test_all_views_of_the_answer_say_the_same():
         assert agreement.walk(answer(name)) == []
 
 
-def blackbox(flight, path):
-    """The flight as Betaflight logs it, each second sample."""
-    more = [writer.Field(f"eRPM[{k}]", 0) for k in range(4)]
-    log = writer.betaflight(more=more)
-    step = slice(None, None, 2)
-    motors = np.rint(158 + flight["motors"].values[step] * (2047 - 158)).astype(int)
-    motors[flight["motors"].values[step] <= 0.0] = 158
-    gyro = np.rint(np.degrees(flight["gyro"].values[step] * [1, -1, -1])).astype(int)
-    erpm = np.rint(flight["esc"].values[step, :4] * 60 / (2 * np.pi) * 7 / 100).astype(int)
-    columns = {f"motor_{k}": motors[:, k] for k in range(4)} | {f"gyroADC_{k}": gyro[:, k] for k in range(3)}
-    columns |= {f"eRPM_{k}": erpm[:, k] for k in range(4)}
-    columns |= {"setpoint_3": np.rint(1000 * flight["throttle"].values[step, 0]).astype(int), "accSmooth_2": 2048}
-    count = len(motors)
-    columns |= {"loopIteration": np.arange(count), "time": 2000 * np.arange(count)}
-    path.write_bytes(writer.fly(log, writer.rows(log, count, **columns)).bytes())
-    return path
-
-
 def test_a_blackbox_log_from_the_command_line(tmp_path, capsys):
-    log = blackbox(flights()["long"], tmp_path / "desync.bbl")
+    log = writer.simulated(flights()["long"], tmp_path / "desync.bbl")
     with pytest.raises(SystemExit) as end:
         main(["diagnose", str(log), "--json"])
     shown = json.loads(capsys.readouterr().out)

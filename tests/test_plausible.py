@@ -175,6 +175,28 @@ def test_a_kick_of_all_motors_stays():
     assert checked["motors"].valid.all()
 
 
+def rough_commands(seed, n=4000):
+    """(n, 4): a lively flight of a quad at 1 kHz; motor 3 is told less than it can, so that it mostly lies at idle."""
+    return np.clip([0.4, 0.3, 0.0, 0.35] + 0.025 * np.random.default_rng(seed).standard_normal((n, 4)), 0.055, 1.0)
+
+
+def commanded(values):
+    motors = Signal(1e-3 * np.arange(len(values)), values, ("a", "b", "c", "d"), "1", source="motor[0] ..")
+    return plausible.checked(Flight("test", "Betaflight", {"motors": motors}, 1e-3 * len(values)))["motors"].valid
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_motor_that_rises_from_idle_for_a_sample_is_no_damage(seed):
+    """At idle it has no residual, so that its own tells nothing of how rough the commands are: those of the others do."""
+    assert (~commanded(rough_commands(seed))).mean() < 1e-4
+
+
+def test_a_wrong_value_of_a_motor_at_idle_is_found():
+    values = rough_commands(3)
+    values[1000, 2] = 0.5
+    assert not commanded(values)[1000, 2]
+
+
 def test_a_rotor_that_is_switched_off_stays():
     one = signals()["motors"]
     values = one.values.copy()

@@ -131,7 +131,9 @@ def diagnose(
 
         flight = logs.read(flight, lambda share: tell(0.3 * share, "reading"))
     clock.lap("read_s")
-    ready = _prepare(flight, vehicle, baseline, estimator != "default" or not aerobatic.applies(flight), clock)
+    if estimator != "default":
+        aerobatic.decline(flight, "the published methods model hover; leave out the estimator.")
+    ready = _prepare(flight, vehicle, baseline, not aerobatic.applies(flight), clock)
     if ready.table is None:
         return _no_flight(ready, clock)
     tell(0.3, "preparing the estimator (built the first time)")

@@ -20,6 +20,7 @@ from rotorwatch.default import hypotheses
 from rotorwatch.default.announcement import FALSE_ALARM_PERIOD_S
 from rotorwatch.default.posterior import PLACES
 from rotorwatch.default.program import Kept
+from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.motion.allocation import Spans
@@ -94,6 +95,12 @@ class Look:
 def applies(flight: Flight) -> bool:
     """Whether a flight is of a vehicle that does not hover: of firmware for pilots who command rates."""
     return flight.autopilot.lower() in FIRMWARES
+
+
+def decline(flight: Flight, why: str) -> None:
+    """Raise ConfigError where a way that is made for hover is asked to judge a flight that is judged here. why: the sentence goes on."""
+    if applies(flight):
+        raise ConfigError(f"{flight.name or 'The log'} is flown by commanded rates and does not hover: {why}")
 
 
 def look(known: Blocks, B: np.ndarray, variance: np.ndarray, weak: list[Weak]) -> Look:

@@ -9,6 +9,7 @@ rotors do, trim and air take longer, so only what is faster than a second is fit
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,8 +63,8 @@ def respond(flight: Flight, vehicle: Vehicle, air: Spans) -> Response | None:
         return None
     turning, motion = _derivative(rate, edges)
     B, best = vehicle.effectiveness(), None
-    for lag in LAGS_S:
-        thrust = _smooth(_means(_lagged(share, np.median(np.diff(time)), lag), edges))
+    for lag, late in zip(LAGS_S, _lagged(share, float(np.median(np.diff(time))), LAGS_S)):
+        thrust = _smooth(_means(late, edges))
         fits = [_fit(thrust @ B[a], turning[:, a], motion, a, flies) for a in range(3)]
         score = sum(np.log(scale) for _, scale in fits)
         if best is None or score < best[0]:
@@ -82,11 +83,12 @@ def _valid(time: np.ndarray, values: np.ndarray, valid: np.ndarray) -> tuple[np.
     return time[valid], values[valid]
 
 
-def _lagged(share: np.ndarray, dt: float, lag: float) -> np.ndarray:
-    """Thrusts (N, n) that follow their commands, dt s apart, with a lag of first order: the filter's response at each frequency."""
-    size = 2 * len(share)
-    response = 1.0 / (1.0 + 2j * np.pi * np.fft.rfftfreq(size, dt) * lag)
-    return np.fft.irfft(np.fft.rfft(share, size, axis=0) * response[:, None], size, axis=0)[: len(share)]
+def _lagged(share: np.ndarray, dt: float, lags: Sequence[float]) -> Iterator[np.ndarray]:
+    """Thrusts (N, n) that follow their commands, dt s apart, with each lag of first order: the filter's response at each frequency."""
+    size = 1 << (2 * len(share) - 1).bit_length()  # a prime number of samples takes ten times as long
+    told, turn = np.fft.rfft(share, size, axis=0), 2j * np.pi * np.fft.rfftfreq(size, dt)
+    for lag in lags:
+        yield np.fft.irfft(told / (1.0 + turn * lag)[:, None], size, axis=0)[: len(share)]
 
 
 def _means(x: np.ndarray, edges: np.ndarray) -> np.ndarray:

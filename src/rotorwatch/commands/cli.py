@@ -290,7 +290,7 @@ def calibrate(logs, out, quiet) -> None:
         learned = run([_read(path, report) for path in logs], progress=report)
     write(learned, out)
     for sentence in learned.assumptions:
-        if "was set aside" in sentence and not quiet:
+        if ("was set aside" in sentence or "does not hover" in sentence) and not quiet:
             say(sentence)
     count = (learned.identified or {}).get("flights", len(logs))
     click.echo(f"{learned.name}: learned from {count} {'flight' if count == 1 else 'flights'}, written to {out}")

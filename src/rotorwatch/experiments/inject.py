@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rotorwatch import airframes, logs
+from rotorwatch.aerobatic import judge as aerobatic
 from rotorwatch.default import events, program
 from rotorwatch.errors import ConfigError
 from rotorwatch.experiments import tools
@@ -287,10 +288,13 @@ def losses(table: Ticks, vehicle: Vehicle) -> tuple[tuple[Event, ...], program.K
 
 
 def _judge(flight: Flight, vehicle: Vehicle, air) -> tuple[tuple[Event, ...], float]:
-    """Losses that are announced; seconds judged."""
+    """Losses that are announced, as `diagnose` judges such a flight; seconds judged."""
     table = observe(flight, vehicle, air, ready_s(vehicle))
     if table is None:
         return (), 0.0
+    if aerobatic.applies(flight):
+        table, out = aerobatic.estimate(flight, vehicle, air, table)
+        return events.read(out, table, vehicle.effectiveness()), float((table.mode == JUDGE).sum() * table.dt)
     return losses(table, vehicle)[0], float((table.mode == JUDGE).sum() * table.dt)
 
 

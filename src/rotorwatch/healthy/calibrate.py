@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from rotorwatch.aerobatic import judge as aerobatic
 from rotorwatch.default.learning import learn
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.healthy import baselines, whole_flight
@@ -79,6 +80,11 @@ def _assumptions(kept: Sequence[Candidate]) -> list[str]:
     said = [
         f"{which} healthy and of the same build, payload and battery type.",
         "The hover command is the mean of these flights, at their battery voltages.",
+    ]
+    said += [
+        f"{one.name} is flown by commanded rates and does not hover: of it only the airframe is used."
+        for one in kept
+        if aerobatic.applies(one.flight)
     ]
     short = (t.name or "A calibration flight" for t in tables if not t.usable)
     said += [f"{name} has too little steady hover to be compared with." for name in short]

@@ -23,6 +23,7 @@ from typing import Any
 
 import numpy as np
 
+from rotorwatch.aerobatic import judge as aerobatic
 from rotorwatch.base import checks, discovery, files
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.base.optional import tomllib
@@ -162,6 +163,8 @@ def tune(
         raise ConfigError("The default estimator learns its noise in flight; tune a published one, such as ekf.")
     discovery.estimator(estimator)
     kept, aside = baselines.healthy(logs)
+    for one in kept:
+        aerobatic.decline(one.flight, "the published methods model hover, so that there is nothing to tune to.")
     taught, held, held_name = _kept_back([(one.name, _hops(one)) for one in kept])
     found = fit(estimator, taught, rounds=rounds, progress=progress)
     notes = [*aside, *found.notes]

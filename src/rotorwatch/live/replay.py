@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from rotorwatch.aerobatic import judge as aerobatic
 from rotorwatch.flight import Flight
 from rotorwatch.live.watched import Watched
 
@@ -14,9 +15,10 @@ STEP_S, FAST_STEP_S = 0.05, 1.0
 
 
 class Replay:
-    """One log. speed: times as fast as it was flown; infinite: as fast as possible."""
+    """One log. speed: times as fast as it was flown; infinite: as fast as possible. Raises ConfigError for a vehicle that never hovers."""
 
     def __init__(self, flight: Flight, watched: Watched, speed: float = np.inf):
+        aerobatic.decline(flight, "it is judged as a whole, once it has landed, by `rotorwatch diagnose`.")
         times = [s.time for s in flight.signals.values() if len(s)]
         self._now = min((float(t[0]) for t in times), default=0.0)
         self._end = max((float(t[-1]) for t in times), default=0.0)

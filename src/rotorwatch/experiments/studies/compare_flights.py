@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from rotorwatch import airframes, logs
+from rotorwatch.aerobatic import judge as aerobatic
 from rotorwatch.errors import ConfigError
 from rotorwatch.experiments.inject import inject
 from rotorwatch.flight import Flight, Signal
@@ -144,7 +145,7 @@ def injected(paths: Sequence[str | PathLike], losses: Sequence[float] = (0.2, 0.
     rng = np.random.default_rng(seed)
     found = []
     for path in paths:
-        flight = logs.read(path)
+        flight = _read(path)
         vehicle, air = airframes.identify(flight), airborne(flight)
         group = f"losses put into {flight.autopilot or 'other'} logs"
         found.append(_scene(group, flight, vehicle, ()))
@@ -179,7 +180,7 @@ def with_truth(paths: Sequence[str | PathLike], truth: str | PathLike) -> list[S
         segments = (row.get("faults") or "").count(";") if row else 0
         if row is None or row["thrust_loss"] == "?" or segments >= len(row["faulty_rotors"].split("+")):
             continue
-        flight = logs.read(path)
+        flight = _read(path)
         try:
             rotors = [int(r) for r in row["faulty_rotors"].split("+") if r]
             faults = tuple((r, float(row["start_s"]), float(row["thrust_loss"])) for r in rotors)
@@ -189,6 +190,15 @@ def with_truth(paths: Sequence[str | PathLike], truth: str | PathLike) -> list[S
             ) from None
         found.append(_scene("logs with known faults", flight, airframes.identify(flight), faults))
     return [s for s in found if s is not None]
+
+
+def _read(path: str | PathLike) -> Flight:
+    flight = logs.read(path)
+    aerobatic.decline(
+        flight,
+        "the published methods model hover, so that there is nothing to compare; `rotorwatch inject` puts losses into it.",
+    )
+    return flight
 
 
 def _stem(path: str) -> str:

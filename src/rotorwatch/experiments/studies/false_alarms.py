@@ -27,6 +27,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rotorwatch import airframes, logs, many
+from rotorwatch.aerobatic import judge as aerobatic
 from rotorwatch.compiling.run import CHUNK, chosen, run_built
 from rotorwatch.default import hypotheses, program
 from rotorwatch.errors import ConfigError
@@ -319,6 +320,7 @@ def _surrogates(
     """`hours` of surrogates of one flight; its number and the seed make the random numbers. tell: called with the finished share, name."""
     i, path = numbered
     flight = path if isinstance(path, Flight) else logs.read(path)
+    aerobatic.decline(flight, "surrogates are made of the noise of hover; leave it out.")
     origin = source(flight, airframes.identify(flight))
     rng = np.random.default_rng([seed, i])
     firsts: dict[float, tuple[int, float]] = dict.fromkeys(SHIFTS, (0, 0.0))
