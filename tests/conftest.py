@@ -173,7 +173,9 @@ def hexa_event(**changes):
     return replace(event, **changes)
 
 
-def hexa_diagnosis(events=None, whole_flight=None, doubts=(), residual_evidence=(), judged_s=46.0, population=None, **changes):
+def hexa_diagnosis(
+    events=None, whole_flight=None, doubts=(), residual_evidence=(), judged_s=46.0, population=None, **changes
+):
     """The answer to these events of a hexa X in 60 s; by default to one, the loss of rotor 3. changes: of the Diagnosis made of it."""
     end = conclude(
         (hexa_event(),) if events is None else events, whole_flight, 6, hidden=np.full(6, 0.04), judged_s=judged_s,

@@ -179,7 +179,9 @@ def ask(
             "The noise is that of simulated multirotors in a light wind; a log of the vehicle says it better.",
         )
         usual = np.full(n, HOVER if hover is None else hover)
-        question = excitation_response.Question(hypotheses, usual, Noise(np.array(USUAL_NOISE), np.array(TAU)), gain, tick_s)
+        question = excitation_response.Question(
+            hypotheses, usual, Noise(np.array(USUAL_NOISE), np.array(TAU)), gain, tick_s
+        )
     about = question.hover, question.noise, question.gain, question.dt
     design = excitation.design(B, list(hypotheses.values()), *about, limits, longest_s=within_s)
     who = tuple(tuple(k + 1 for k in c) for c in hypotheses)
