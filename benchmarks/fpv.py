@@ -145,7 +145,7 @@ def main() -> None:
             rows: list[dict] = []
             if not count:
                 continue
-            numbers = range(args.first, args.first - (-count // BATCH))
+            numbers = range(options.first, options.first - (-count // BATCH))
             for made in pool.map(batch, numbers, [healthy] * len(numbers)):
                 rows += made
                 print(f"{len(rows)} of {count}", file=sys.stderr, flush=True)
