@@ -72,6 +72,20 @@ def test_the_fault_topic_and_ground_truth_are_never_decoded(monkeypatch):
     assert flight.vehicle_type == "quadrotor" and flight.parameter_changes[0][1] == "COM_RCL_EXCEPT"
 
 
+def test_every_topic_that_is_read_is_loaded(monkeypatch):
+    """A topic that is missing in TOPICS would never come from a ULog, whatever the log holds."""
+    read, real = set(), px4_topics.Topics.table
+
+    def spy(self, name, *fields, **options):
+        read.add(name)
+        return real(self, name, *fields, **options)
+
+    monkeypatch.setattr(px4_topics.Topics, "table", spy)
+    flight = logs.read(FLIGHTS / "px4-rflymad" / "TestCase_4_1000000003.ulg.xz")
+    assert read <= set(px4_topics.TOPICS), read - set(px4_topics.TOPICS)
+    assert flight["rates_wanted"].source == "vehicle_rates_setpoint"
+
+
 def test_gaps_of_not_a_number_are_masked_rows():
     flight = logs.read(FLIGHTS / "corrupt" / "nan_motor_outputs.ulg")
     motors = flight["motors"]

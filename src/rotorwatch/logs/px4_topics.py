@@ -17,7 +17,7 @@ TOPICS = (
         f"vehicle_{name}"
         for name in "acceleration angular_velocity attitude attitude_setpoint gps_position land_detected".split()
     ),
-    *(f"vehicle_{name}" for name in "local_position status thrust_setpoint torque_setpoint".split()),
+    *(f"vehicle_{name}" for name in "local_position rates_setpoint status thrust_setpoint torque_setpoint".split()),
 )
 """The topics that are read; all others, simulator truth among them, never are."""
 
