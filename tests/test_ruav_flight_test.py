@@ -52,9 +52,9 @@ def test_bounds_that_exclude_every_controller(designs):
 def test_intervals_are_rounded_outwards_and_kept_until_they_are_left(designs):
     key = designs.key([0.31, 0.5, 0.999], [0.62, 0.5, 1.0])
     assert key == (3, 5, 9, 7, 5, 10)
-    assert not designs.outside((3, 5, 9, 7, 5, 10), key, 0.2) and not designs.outside((4, 5, 9, 7, 5, 10), key, 0.2)
-    assert designs.outside((2, 5, 9, 7, 5, 10), key, 0.2) and designs.outside((5, 5, 9, 7, 5, 10), key, 0.2)
-    assert designs.outside((3, 5, 9, 8, 5, 10), key, 0.2) and designs.outside((3, 5, 9, 5, 5, 10), key, 0.2)
+    assert not designs.is_due((3, 5, 9, 7, 5, 10), key, 0.2) and not designs.is_due((4, 5, 9, 7, 5, 10), key, 0.2)
+    assert designs.is_due((2, 5, 9, 7, 5, 10), key, 0.2) and designs.is_due((5, 5, 9, 7, 5, 10), key, 0.2)
+    assert designs.is_due((3, 5, 9, 8, 5, 10), key, 0.2) and designs.is_due((3, 5, 9, 5, 5, 10), key, 0.2)
 
 
 def test_the_trim_command_makes_up_for_what_is_known():
