@@ -24,7 +24,7 @@ from rotorwatch.errors import LogError, VehicleError
 from rotorwatch.experiments import fuzz
 from rotorwatch.logs.blackbox import decoder, encodings, frames, header, sizes
 from rotorwatch.many import gathering
-from rotorwatch.many.diagnose_many import diagnose_many, fingerprint
+from rotorwatch.many.diagnose_many import diagnose_many
 from rotorwatch.report.info import info
 
 SHARED = Path(__file__).parents[1] / "../shared/flights/blackbox"
@@ -757,15 +757,13 @@ def test_every_session_is_judged_the_longest_first(file, tmp_path):
     answers = sorted(diagnose_many([path], jobs=1, hashed=True), key=lambda a: a.index)
     assert [a.path for a in answers] == [str(w) for w in wanted]
     assert [a.error for a in answers] == [None] * 3
-    assert len({a.sha256 for a in answers}) == 3 and fingerprint(path)[1] not in {a.sha256 for a in answers}
+    assert len({a.sha256 for a in answers}) == 3 and logs.fingerprint(path)[1] not in {a.sha256 for a in answers}
 
 
 def test_a_fleet_keeps_the_sessions_of_a_file_apart(file):
     pytest.importorskip("sqlalchemy")
-    from rotorwatch.fleet.store import digest
-
     path = file("LOG.BFL", three())
-    assert len({digest(path), *(digest(f"{path}#{k}") for k in (1, 2, 3))}) == 4
+    assert len({logs.fingerprint(p)[1] for p in (path, *(f"{path}#{k}" for k in (1, 2, 3)))}) == 4
 
 
 # Tables of blackbox_decode

@@ -3,6 +3,7 @@
 import bz2
 import csv
 import gzip
+import hashlib
 import lzma
 import subprocess
 import sys
@@ -178,3 +179,13 @@ def test_progress_rises_to_the_end(tmp_path):
     seen = []
     logs.read(path, progress=seen.append)
     assert seen == sorted(seen) and all(0 <= s <= 1 for s in seen)
+
+
+def test_the_fingerprint_of_a_folder_is_that_of_its_files(tmp_path):
+    """Stores and JSON lines hold these hashes: they must stay as they are."""
+    for name, data in (("b.csv", b"22"), ("a.csv", b"1")):
+        (tmp_path / name).write_bytes(data)
+    (tmp_path / "plots").mkdir()
+    assert logs.fingerprint(tmp_path) == (3, hashlib.sha256(b"a.csv\n1\n1" + b"b.csv\n2\n22").hexdigest())
+    assert logs.fingerprint(tmp_path / "b.csv") == (2, hashlib.sha256(b"22").hexdigest())
+    assert logs.fingerprint(f"{tmp_path / 'b.csv'}#3") == (2, hashlib.sha256(b"#322").hexdigest())

@@ -12,8 +12,9 @@ from pathlib import Path
 from rotorwatch import __version__, many
 from rotorwatch.errors import LogError, RotorwatchError, StoreError
 from rotorwatch.fleet import assess, judge
-from rotorwatch.fleet.store import Entry, Store, digest
+from rotorwatch.fleet.store import Entry, Store
 from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.logs import fingerprint
 from rotorwatch.many.gathering import Gathered, fetched, full, is_address, is_log
 
 POLL_S = 2.0
@@ -111,7 +112,7 @@ def _before(store: Store, log: Path | str, paths: Set[str]) -> Outcome | None:
         return None
     try:
         with fetched(log) as path, _readable(log):
-            return Outcome(log, "known") if store.has(digest(path)) else None
+            return Outcome(log, "known") if store.has(fingerprint(path)[1]) else None
     except StoreError:
         raise
     except RotorwatchError as why:
@@ -218,6 +219,6 @@ def rejudge(
 def _again(known: tuple[str, str]) -> Entry:
     path, hash = known
     with fetched(path) as here, _readable(path):
-        if digest(here) != hash:
+        if fingerprint(here)[1] != hash:
             raise LogError(f"{path} has another content now.")
         return judge.entry(here)

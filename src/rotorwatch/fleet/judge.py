@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 
 from rotorwatch import __version__, airframes
 from rotorwatch.fleet import identity
-from rotorwatch.fleet.store import Entry, digest
+from rotorwatch.fleet.store import Entry
 from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import Diagnosis
 from rotorwatch.flight.vehicle import Vehicle
@@ -21,7 +21,7 @@ def entry(
     """Read and judge a log. aircraft: a name to use in place of what the log says. Raises LogError, VehicleError or ConfigError."""
     from rotorwatch import logs
 
-    hash = digest(path)
+    hash = logs.fingerprint(path)[1]
     flight = logs.read(path, (lambda share: progress(0.3 * share, "reading")) if progress else None)
     return of_flight(
         flight, hash, os.path.abspath(path), logs.of_part(path)[0].stat().st_size, aircraft, vehicle, progress

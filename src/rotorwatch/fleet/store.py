@@ -9,13 +9,11 @@ import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 from rotorwatch.base import optional
 from rotorwatch.errors import ConfigError, StoreError
 
-CHUNK = 1 << 20
 SHOWN = (
     "hash", "ordinal", "path", "name", "size", "aircraft", "identity", "utc", "clock_us", "count", "duration_s",
     "airborne_s", "autopilot", "firmware", "frame", "rotors", "build", "verdict", "headline", "version",
@@ -72,24 +70,6 @@ class Entry:
     version: str = ""
     diagnosis: Mapping[str, Any] = field(default_factory=dict)
     trim: Mapping[str, Any] = field(default_factory=dict)
-
-
-def digest(path: str | os.PathLike) -> str:
-    """SHA-256 of a log's bytes, hexadecimal; of a log that is a folder, of its files' names and bytes in order; of a flight in a file, of
-    its number, too. Raises OSError."""
-    from rotorwatch.logs import of_part
-
-    found = hashlib.sha256()
-    path, number = of_part(path)
-    if number is not None:
-        found.update(f"#{number}".encode())
-    for file in sorted(Path(path).iterdir()) if Path(path).is_dir() else [Path(path)]:
-        if Path(path).is_dir():
-            found.update(f"{file.name}\n{file.stat().st_size}\n".encode("utf-8", "surrogateescape"))
-        with open(file, "rb") as data:
-            while block := data.read(CHUNK):
-                found.update(block)
-    return found.hexdigest()
 
 
 class Store:

@@ -14,6 +14,7 @@ It is tried when no format of ours recognises the file.
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -26,6 +27,8 @@ from rotorwatch.logs import plausible
 
 HEAD = 4096
 """Bytes that sniff sees."""
+CHUNK = 1 << 20
+"""Bytes that are hashed at once."""
 FILE_PARTS, FOLDER_PARTS = ("sniff", "read"), ("sniff_folder", "read_folder")
 
 
@@ -86,6 +89,24 @@ def of_part(path) -> tuple[Path, int | None]:
     if not mark or not name or not number.isascii() or not number.isdigit() or len(number) > 6 or path.exists():
         return path, None
     return path.with_name(name), int(number)
+
+
+def fingerprint(path) -> tuple[int, str]:
+    """(size in bytes, SHA-256 in hexadecimal) of a log: of a file its bytes; of a folder name, size and bytes of each file in order; of a
+    flight in a file its number, too. Raises OSError."""
+    path, number = of_part(path)
+    folder, total, digest = path.is_dir(), 0, hashlib.sha256()
+    if number is not None:
+        digest.update(f"#{number}".encode())
+    for file in sorted(f for f in path.iterdir() if f.is_file()) if folder else [path]:
+        size = file.stat().st_size
+        if folder:
+            digest.update(f"{file.name}\n{size}\n".encode("utf-8", "surrogateescape"))
+        with open(file, "rb") as data:
+            while block := data.read(CHUNK):
+                digest.update(block)
+        total += size
+    return total, digest.hexdigest()
 
 
 def sessions(path) -> list[str]:

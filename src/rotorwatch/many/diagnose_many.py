@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import hashlib
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from os import PathLike
-from pathlib import Path
 from typing import Any
 
 from rotorwatch import logs
@@ -157,7 +155,7 @@ class _Judge:
                 if not gathering.is_there(here):
                     raise ConfigError(f"{path}: no such file.")
                 if self.hashed:
-                    size, sha256 = fingerprint(here)
+                    size, sha256 = logs.fingerprint(here)
                     if before == Known(size, sha256):
                         return Answer(0, path, size=size, sha256=sha256, unchanged=True)
                 found = timed(partial(logs.read, here), self.vehicle, self.healthy, self.estimator, self.tuning)
@@ -195,20 +193,3 @@ def timed(
     found = diagnose(flight, progress=progress, **how)
     timing = {**found.timing, "read_s": read_s, "total_s": found.timing.get("total_s", 0.0) + read_s}
     return replace(found, timing=timing)
-
-
-def fingerprint(path: Path) -> tuple[int, str]:
-    """Size in bytes and SHA-256 of a file, or of all files of a folder with their names; of a flight in a file with its number."""
-    digest, size = hashlib.sha256(), 0
-    path, number = logs.of_part(path)
-    if number is not None:
-        digest.update(f"#{number}".encode())
-    for part in sorted(path.iterdir()) if path.is_dir() else [path]:
-        if path.is_dir():
-            digest.update(part.name.encode(errors="surrogateescape") + b"\0")
-        if part.is_file():
-            size += part.stat().st_size
-            with part.open("rb") as file:
-                while block := file.read(1 << 20):
-                    digest.update(block)
-    return size, digest.hexdigest()
