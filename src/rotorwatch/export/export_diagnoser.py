@@ -93,9 +93,14 @@ def settings(B: np.ndarray, dt: float) -> dict[str, Any]:
 def rates(output_hz: float, gyro_hz: float, accel_hz: float) -> dict[str, int]:
     """What rw_config.h says of signals that come so often [Hz]: how many samples are kept, and how often motion is fed."""
     half = int(np.ceil(max(gyro_hz, accel_hz) / 2)) + 2
-    kept = int(np.ceil(max(0.4 * gyro_hz, 0.9 * accel_hz))) + 4
+    samples = int(np.ceil(max(0.4 * gyro_hz, 0.9 * accel_hz))) + 4
     often = int(np.ceil(max(gyro_hz, accel_hz)))
-    return {"HALF_SECOND": half, "MOTION_KEPT": kept, "RECENT": int(np.ceil(output_hz / 2)) + 2, "MOTION_HZ": often}
+    return {
+        "HALF_SECOND": half,
+        "MOTION_SAMPLES": samples,
+        "RECENT": int(np.ceil(output_hz / 2)) + 2,
+        "MOTION_HZ": often,
+    }
 
 
 def config(vehicle: Vehicle, dt: float, output_hz: float, gyro_hz: float, accel_hz: float) -> str:
