@@ -28,9 +28,9 @@ BOARD = ("qemu-system-arm", "-M", "mps2-an500", "-nographic", "-semihosting", "-
 TICK = 40  # instructions a tick of its clock
 # Part -> its struct, what it is for, and how the names of its functions begin.
 PARTS = {
-    "losses": ("rw_losses", "losses", ("losses", "record", "course", "standing", "onset", "found")),
+    "losses": ("rw_losses", "losses", ("losses", "record", "course", "explanation_state", "onset", "found")),
     "report": ("rw_report", "one list of events", ("report", "event", "knock")),
-    "news": ("rw_changes", "what is new, in words", ("changes", "change", "known", "words")),
+    "changes": ("rw_changes", "what is new, in words", ("changes", "change", "known", "words")),
     "front": ("rw_front", "samples to the estimator's inputs, and outputs that do not follow the mixer", ("",)),
 }
 

@@ -163,7 +163,7 @@ def test_a_fault_is_found_late_or_never_and_an_event_without_one_is_false():
     assert wrong["false"] == 1 and wrong["states"][0] == "wrong" and wrong["delays"] == [None]
 
 
-def made(table, rotor, at=0.0, theta=0.0) -> program.Kept:
+def made(table, rotor, at=0.0, theta=0.0) -> program.TickOutput:
     """What the estimator would have left had it announced a rotor's loss at a time."""
     T, hyp = len(table.time), hypotheses.make(4)
     k = round(at / DT)
@@ -173,7 +173,7 @@ def made(table, rotor, at=0.0, theta=0.0) -> program.Kept:
     )
     sizes |= dict(innovation=4, innovation_var=4, opposite_loss=2, onsets=4)
     shape = {name: (size,) for name, size in sizes.items()}
-    kept = program.Kept(**{name: np.zeros((T, *shape.get(name, ()))) for name in program.Kept._fields})
+    kept = program.TickOutput(**{name: np.zeros((T, *shape.get(name, ()))) for name in program.TickOutput._fields})
     kept = kept._replace(announced=np.zeros(T, bool), active=np.zeros((T, 4, 4), bool), opposite=np.full(T, -1))
     kept.share[:, 0] = 1.0
     kept.theta_sd[:] = 0.02

@@ -11,7 +11,7 @@ from rotorwatch.default.announcement import (
     CERTAIN_NATS,
     EDGE,
     TICKS,
-    Standing,
+    AlarmState,
 )
 from rotorwatch.default.hypotheses import CLEAR
 from rotorwatch.default.plant import USUAL_S
@@ -107,10 +107,10 @@ def test_what_has_certainly_happened_for_a_second_is_absorbed():
     assert ticks_until_absorbed(other=20.0, fault=20.0, weak=True) is not None
     assert ticks_until_absorbed(other=-9.0, fault=CERTAIN_NATS + 0.1, weak=True, possible=False) is not None
     assert ticks_until_absorbed(**sure, judge=False) is None
-    assert not decide(Standing(np.int32(9), np.float64(9.0), np.float64(0.0)), fault=90.0, weak=True)[
+    assert not decide(AlarmState(np.int32(9), np.float64(9.0), np.float64(0.0)), fault=90.0, weak=True)[
         1
     ].absorbed  # announced instead
-    assert decide(Standing(np.int32(0), np.float64(0.7), np.float64(0.0)))[0].sure_s == 0.0
+    assert decide(AlarmState(np.int32(0), np.float64(0.7), np.float64(0.0)))[0].sure_s == 0.0
 
 
 def test_noise_is_not_learned_from_a_growing_suspicion_but_not_for_ever():

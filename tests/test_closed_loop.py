@@ -162,7 +162,7 @@ def test_explanations_become_entries():
     s, _, _ = planned(faults=[])
     T = 400
     ticks = SimpleNamespace(time=10.0 + 0.05 * np.arange(T), dt=0.05, thrust=np.ones((T, 4)), mode=np.full(T, 2.0))
-    out = program.Kept(*[None] * len(program.Kept._fields))._replace(
+    out = program.TickOutput(*[None] * len(program.TickOutput._fields))._replace(
         active=np.zeros((T, 4, 4), bool), each=np.zeros((T, 4, 4)), share=np.tile([1.0, 0, 0, 0], (T, 1)),
         theta=np.zeros((T, 4)), theta_sd=np.zeros((T, 4)),
     )  # fmt: skip

@@ -70,7 +70,7 @@ def judged(quads, monkeypatch):
         shown = np.zeros(which.ticks.thrust.shape)
         if which.faults:
             shown[:, which.faults[0][0] - 1] = theta
-        out = program.Kept(*[shown] * len(program.Kept._fields))
+        out = program.TickOutput(*[shown] * len(program.TickOutput._fields))
         monkeypatch.setattr(published, "judge", lambda *a, **k: out)
         monkeypatch.setattr(study.events, "read", lambda *a, **k: tuple(found))
         return study._trial("ekf", which)

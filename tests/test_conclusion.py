@@ -8,7 +8,7 @@ import pytest
 import rotorwatch.diagnose  # noqa: F401  the module: the package has a function of that name
 from conftest import hexa_diagnosis, hexa_event
 from rotorwatch.answer.conclusion import main_event
-from rotorwatch.default.residual_evidence import Leftover
+from rotorwatch.default.residual_evidence import ResidualEvidence
 from rotorwatch.healthy.baselines import Candidate
 from rotorwatch.motion import trust
 
@@ -118,7 +118,13 @@ def test_without_healthy_flights_damage_from_take_off_is_judged_by_healthy_vehic
         ({"population": population("healthy")}, True),
         ({"population": population("ambiguous", (3,), 0.3)}, True),
         ({"population": population("fault", (3,), 0.7)}, False),
-        ({"population": population("ambiguous", (3,), 0.3), "residual_evidence": (Leftover((3,), 20.0, 25.0),)}, False),
+        (
+            {
+                "population": population("ambiguous", (3,), 0.3),
+                "residual_evidence": (ResidualEvidence((3,), 20.0, 25.0),),
+            },
+            False,
+        ),
         ({"events": (hexa_event(alternatives=((4,),)),)}, False),
     ],
 )
@@ -205,7 +211,7 @@ def test_the_bound_speaks_of_pairs_where_more_of_them_hides(pair, told):
 
 
 def test_evidence_that_no_event_explains_makes_its_rotors_suspect_and_is_said():
-    diagnosis = hexa_diagnosis(residual_evidence=(Leftover((5,), 40.0, 44.0),))
+    diagnosis = hexa_diagnosis(residual_evidence=(ResidualEvidence((5,), 40.0, 44.0),))
     assert statuses(diagnosis)[5] == "suspect" and diagnosis.rotors[4].interval == (0.0, 1.0)
     assert "rotor 5" in diagnosis.reason and any("rotor 5" in a for a in diagnosis.advice)
 

@@ -11,8 +11,9 @@ from rotorwatch import airframes
 from rotorwatch.answer.conclusion import main_event
 from rotorwatch.default import events
 from rotorwatch.flight.diagnosis import Event
+from rotorwatch.front import changes as front_changes
 from rotorwatch.front import events as listed
-from rotorwatch.front import news, whole
+from rotorwatch.front import whole
 from rotorwatch.front.definition import FRONT
 from rotorwatch.front.sizes import EVENTS
 from rotorwatch.live.changes import Changes
@@ -154,10 +155,14 @@ def test_in_the_end_any_difference_is_told():
 
 def test_what_ended_long_ago_and_is_forgotten_is_not_withdrawn():
     """As on board, where the list has little room."""
-    known, out, gone = FRONT.new(news.Changes), FRONT.array(news.Change, 2 * EVENTS), FRONT.array(listed.Event, EVENTS)
+    known, out, withdrawn = (
+        FRONT.new(front_changes.Changes),
+        FRONT.array(front_changes.Change, 2 * EVENTS),
+        FRONT.array(listed.Event, EVENTS),
+    )
     one = events.packed([loss(10.0, end=15.0)])
-    assert FRONT.call(whole.changes, known, one, 1, 14.0, -1, False, gone, out) == 1
-    assert FRONT.call(whole.changes, known, one, 0, 20.0, -1, False, gone, out) == 0
+    assert FRONT.call(whole.changes, known, one, 1, 14.0, -1, False, withdrawn, out) == 1
+    assert FRONT.call(whole.changes, known, one, 0, 20.0, -1, False, withdrawn, out) == 0
 
 
 @settings(max_examples=60, deadline=None)

@@ -7,7 +7,7 @@ from scipy.special import logsumexp
 from rotorwatch import airframes
 from rotorwatch.default import bank, evidence, hypotheses
 from rotorwatch.default.evidence import NOTHING
-from rotorwatch.default.hypotheses import CLEAR, FAR, FAR_SHARE, GONE, LOSS_WIDTH, WEIGHT
+from rotorwatch.default.hypotheses import CLEAR, FAR, FAR_SHARE, LOSS_WIDTH, TOTAL_LOSS, WEIGHT
 
 N, N_X, DT = 4, 20, 0.05
 HYP = hypotheses.make(N)
@@ -119,7 +119,7 @@ def test_slots_that_are_not_in_use_say_nothing():
 
 
 def test_beside_a_rotor_that_is_gone_only_itself_is_judged():
-    for loss, alone in ((GONE + 0.01, True), (GONE - 0.01, False)):
+    for loss, alone in ((TOTAL_LOSS + 0.01, True), (TOTAL_LOSS - 0.01, False)):
         odds = np.asarray(gather(told(), (0.0, loss, 0.0, 0.0), (2,)).log_odds)
         for h in FAULTS:
             others = set(HYP.rotors[h]) - {1}
@@ -130,7 +130,7 @@ def test_beside_a_rotor_that_is_gone_only_itself_is_judged():
 def test_what_ends_a_loss_is_all_that_the_filter_still_holds_of_it():
     """-theta over the part of a jump that the filter holds by now, or will; of gradual onsets part is still to come."""
     bank_, theta = told(), np.array([0.0, 0.3, 0.0, 0.2])
-    gone = np.asarray(gather(bank_, theta, (2,)).gone)
+    gone = np.asarray(gather(bank_, theta, (2,)).recovery)
     for w in (0, 4, 33, 46):
         age = max(int(bank_.age[w]), 0)
         held = bank_.M[w, N_X + 1, 1] + (JUMPS.decay ** (age + 1.0) if JUMPS.slow[w] else 0.0)
@@ -151,7 +151,7 @@ def test_a_jump_has_the_covariance_of_a_gaussian_in_all_its_directions_together(
     assert np.flatnonzero(np.asarray(jump.rotors)).tolist() == who and jump.since == bank_.age[w] + 1.0
     width = LOSS_WIDTH
     if "again" in name:
-        width = float(hypotheses.recovery_sd(np.asarray(found.gone)[w, who[0]]))
+        width = float(hypotheses.recovery_sd(np.asarray(found.recovery)[w, who[0]]))
     index = [*who, *range(N, N + 4)]
     prior = np.array([width**2] * len(who) + (np.asarray(found.slop)[w] + 1e-12).tolist())
     dense = np.linalg.inv(bank_.C[w][np.ix_(index, index)] + np.diag(1.0 / prior))[: len(who), : len(who)]

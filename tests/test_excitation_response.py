@@ -31,7 +31,7 @@ def told(theta, seed=0, sd=0.015, trim=False):
     A = (B / np.linalg.norm(B, axis=1, keepdims=True)) if trim else N.T
     J, noise = A.T @ A / sd**2, A.T @ rng.standard_normal(len(A)) / sd
     D = len(excitation_response.DELAYS_S)
-    return excitation_response.Asked(30.0, 32.0, np.tile(J, (D, 1, 1)), np.tile(J @ theta + noise, (D, 1)))
+    return excitation_response.ExcitationEvidence(30.0, 32.0, np.tile(J, (D, 1, 1)), np.tile(J @ theta + noise, (D, 1)))
 
 
 @pytest.mark.parametrize("who", [(), *PAIRS])
@@ -165,7 +165,7 @@ def test_a_healthy_vehicle_stays_healthy_and_does_not_move(flown):
 def test_without_an_excitation_nothing_changes(flown):
     table, _, _, B_, losses = excitation_flights.judged(flown[0][1])
     assert excitation_response.find(table, B_) == ((), None, ())
-    assert excitation_response.settle(losses, table, B_) == (losses, ())
+    assert excitation_response.resolve(losses, table, B_) == (losses, ())
 
 
 def test_a_log_says_what_to_ask(flown):

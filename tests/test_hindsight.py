@@ -9,7 +9,7 @@ from conftest import hexa_event
 from rotorwatch import airframes
 from rotorwatch.default import events, hindsight, hypotheses
 from rotorwatch.default.program import estimate
-from rotorwatch.motion.ticks import GROUND, JUDGE, LEARN, READY_S, SETTLE_S, Ticks
+from rotorwatch.motion.ticks import GROUND, HOVER_LEARN_S, JUDGE, LEARN, READY_S, Ticks
 
 DT = 0.1
 QUAD = airframes.named("ardupilot-quad-x").effectiveness()
@@ -19,7 +19,7 @@ HYP = hypotheses.make(4)
 def flight(rotor=0, loss=0.0, onset=3.0, end=np.inf, seconds=30.0, knocked=None, seed=0):
     """Ticks of a quadrotor that hovers from 0 s on; `rotor` loses `loss` from onset to end [s]; knocked at that time, or never."""
     rng = np.random.default_rng(seed)
-    time = np.arange(SETTLE_S, seconds, DT) + DT
+    time = np.arange(HOVER_LEARN_S, seconds, DT) + DT
     count = len(time)
     thrust = 1.0 + rng.normal(0.0, 0.01, (count, 4))
     weak = (time > onset) & (time <= end)

@@ -110,7 +110,7 @@ def test_a_loss_that_has_been_refined_is_known_its_variance_remembered():
     b = branches(learning=learning, P=1e-6 * branches().P)
     b.s[:, N_X:] = [0.2, 0.2, 0.2, NONE - 0.001]
     b.theta_mean[:, 3] = NONE - 0.001
-    after = predict(b, doubt=2.0)
+    after = predict(b, burst_factor=2.0)
     P = np.asarray(after.P)
     assert not P[:, N_X, :].any() and not P[:, :, N_X].any() and P[:, N_X + 1, N_X + 1].all() and P[:, N_X + 1, 0].all()
     assert np.asarray(after.theta_var)[:, 0] == pytest.approx(2.0 * b.P[:, N_X, N_X]) and np.asarray(after.theta_var)[

@@ -41,7 +41,7 @@ def look(memory, u, valid=YES, flying=True, restart=False, variances=CALM, dt=DT
 
 def taught(seen):
     """(shares of gain, of damping) of roll, pitch and yaw."""
-    table = np.asarray(seen.teach)[:AXIS_STATES].reshape(4, PER_AXIS)
+    table = np.asarray(seen.gain_share)[:AXIS_STATES].reshape(4, PER_AXIS)
     return table[:3, GAIN], table[:3, DAMPING]
 
 
@@ -53,9 +53,9 @@ def test_only_motion_that_stands_out_teaches():
         expected = max(0.0, 1.0 - (model_error.GARROTE / times) ** 2)
         for shares in taught(seen):
             assert shares == pytest.approx([expected] * 3, abs=1e-4)
-    others = np.asarray(seen.teach)[:AXIS_STATES].reshape(4, PER_AXIS)
+    others = np.asarray(seen.gain_share)[:AXIS_STATES].reshape(4, PER_AXIS)
     assert (others[3] == 1.0).all() and (others[:3, :GAIN] == 1.0).all()
-    assert np.asarray(seen.teach).size == X.size + N and (np.asarray(seen.teach)[AXIS_STATES:] == 1.0).all()
+    assert np.asarray(seen.gain_share).size == X.size + N and (np.asarray(seen.gain_share)[AXIS_STATES:] == 1.0).all()
 
 
 def test_motion_that_gusts_have_made_teaches_less():
@@ -116,13 +116,13 @@ def test_a_rotors_jitter_is_smoothed_and_its_steps_are_not():
 
 
 def test_a_new_hop_takes_its_first_tick_for_the_usual():
-    memory = settled()._replace(burst=np.full(4, 3.0), lean=np.full(4, 2.0), lasting=np.full(4, 5.0))
+    memory = settled()._replace(burst=np.full(4, 3.0), innovation_mean=np.full(4, 2.0), lasting=np.full(4, 5.0))
     after, seen = look(memory, inputs(2.0 * EVEN), restart=True)
     assert np.asarray(seen.u)[:N] == pytest.approx(2.0 * EVEN)
     assert np.asarray(after.thrust) == pytest.approx(2.0 * (EVEN - 1.0)) == np.asarray(after.trim)
     assert after.collective == pytest.approx(2.0) and seen.far == 0.0
     assert np.asarray(after.thrust_level) == pytest.approx(memory.thrust_level)
-    assert (np.asarray(after.burst) == 1.0).all() and not np.asarray(after.lean).any()
+    assert (np.asarray(after.burst) == 1.0).all() and not np.asarray(after.innovation_mean).any()
     assert np.asarray(after.lasting) == pytest.approx(memory.lasting)
 
 
@@ -154,7 +154,7 @@ def test_bursts_are_remembered_for_three_seconds():
     quiet = remembered([0.0] * 20, start=loud)
     assert np.asarray(quiet.burst) == pytest.approx(np.asarray(loud.burst) * (1.0 - part))
     blind = remembered([9.0] * 20, ok=NO)
-    for name in ("burst", "lean", "lasting"):
+    for name in ("burst", "innovation_mean", "lasting"):
         assert np.asarray(getattr(blind, name)) == pytest.approx(getattr(model_error.init(N), name))
 
 
@@ -169,7 +169,9 @@ def test_innovations_that_lean_to_one_side_are_remembered_for_half_a_minute():
             / model_error.LASTING_MEMORY_S
             * (min(lean**2 * (2.0 * plant.TAU[1] / DT - 1.0), model_error.BURST_CLIP) - lasting)
         )
-    assert np.asarray(memory.lean) == pytest.approx(lean) and np.asarray(memory.lasting) == pytest.approx(lasting)
+    assert np.asarray(memory.innovation_mean) == pytest.approx(lean) and np.asarray(memory.lasting) == pytest.approx(
+        lasting
+    )
     assert 1.0 < lasting < model_error.BURST_CLIP
     white = np.random.default_rng(0).standard_normal(4000)
     mean, squares = 0.0, []
@@ -187,7 +189,7 @@ def test_evidence_counts_less_while_innovations_are_larger_than_the_model_expect
 def error(u, y=(0.0,) * 4, before=(0.0,) * 4, far=0.0, white=0.01**2, dt=DT):
     memory = model_error.init(N)._replace(y=np.asarray(before, float))
     seen = model_error.Look(u, np.ones(1), np.float64(far), np.zeros(N), np.float64(1.0))
-    return np.asarray(model_error.model_error(memory, seen, X, np.asarray(y, float), np.full(4, white), B, N, dt))
+    return np.asarray(model_error.variance(memory, seen, X, np.asarray(y, float), np.full(4, white), B, N, dt))
 
 
 def test_the_model_may_be_wrong_by_a_share_of_each_of_its_terms():
@@ -205,7 +207,7 @@ def test_the_model_may_be_wrong_by_a_share_of_each_of_its_terms():
         np.full(4, model_error.ERROR_TICKS * (model_error.FAR_ERROR * N * 0.3) ** 2)
     )
     full = error(inputs([1.0, 2.4, 1.0, 2.2]))
-    lost = np.array([0.0, 2.4 - model_error.BELIEVED * 2.5, 0.0, 0.0])
+    lost = np.array([0.0, 2.4 - model_error.BELOW_LIMIT * 2.5, 0.0, 0.0])
     assert full == pytest.approx(model_error.ERROR_TICKS * (B * lost) ** 2 @ np.ones(N))
 
 

@@ -6,12 +6,12 @@ import pytest
 from rotorwatch import airframes
 from rotorwatch.default import plausibility
 from rotorwatch.default.hypotheses import NONE
-from rotorwatch.default.model_error import AT_LIMIT, BELIEVED
+from rotorwatch.default.model_error import AT_LIMIT, BELOW_LIMIT
 from rotorwatch.default.plant import ANSWER_S, USUAL_S
 from rotorwatch.default.plausibility import (
-    ASKED_MOST,
-    ASKED_SHARE,
-    ASKED_SLACK,
+    DEMAND_MOST,
+    DEMAND_SHARE,
+    DEMAND_SLACK,
     LIMIT_S,
     MISSING_SLACK,
     Missing,
@@ -70,7 +70,7 @@ def test_the_smallest_loss():
 @pytest.mark.parametrize("size, smooth", [(0.3, 1.0), (0.3, 0.6), (0.9, 1.0)])
 def test_more_has_to_be_asked_of_a_rotor_that_gives_less(size, smooth):
     """A quarter of what is missing, of no more than ASKED_MOST, less the slack; of every rotor that is named."""
-    least = ASKED_SHARE * min(size, ASKED_MOST) * smooth - ASKED_SLACK
+    least = DEMAND_SHARE * min(size, DEMAND_MOST) * smooth - DEMAND_SLACK
     assert possible(jump((2, size)), rise=least + 1e-6, smooth=smooth)
     assert not possible(jump((2, size)), rise=least - 1e-6, smooth=smooth)
     rises = np.array([1.0, 1.0, 1.0, least - 1e-6])
@@ -82,11 +82,11 @@ def test_a_rough_flight_leaves_a_lone_rotor_more_slack_and_two_none():
     """Torque's standard deviation over the rotors; two at once have to show as they would in calm air."""
     rough = (0.3**2, 0.4**2, 1.2**2, 0.0)
     swing = 1.3 / N
-    least = ASKED_SHARE * 0.3 - swing
-    assert swing > ASKED_SLACK
+    least = DEMAND_SHARE * 0.3 - swing
+    assert swing > DEMAND_SLACK
     assert possible(jump((2, 0.3)), rise=least + 1e-6, rough=rough)
     assert not possible(jump((2, 0.3)), rise=least - 1e-6, rough=rough)
-    calm = ASKED_SHARE * 0.3 - ASKED_SLACK
+    calm = DEMAND_SHARE * 0.3 - DEMAND_SLACK
     assert not possible(jump((2, 0.3), (4, 0.3)), rise=calm - 1e-6, rough=rough)
     assert possible(jump((2, 0.3), (4, 0.3)), rise=calm + 1e-6, rough=rough)
 
@@ -94,7 +94,7 @@ def test_a_rough_flight_leaves_a_lone_rotor_more_slack_and_two_none():
 @pytest.mark.parametrize("rough, slack", [(0.0, MISSING_SLACK), (0.4**2, 0.4)])
 def test_thrust_that_rotors_no_longer_give_is_missing(rough, slack):
     """A quarter of it, less the slack or the roughness of thrust; against what was missing before; where thrust is measured."""
-    least = ASKED_SHARE * 0.9 * 2.0 - slack
+    least = DEMAND_SHARE * 0.9 * 2.0 - slack
     for before in (0.0, 0.3):
         for more, answer in ((1e-6, True), (-1e-6, False)):
             now = missing(fast=before + least + more, slow=9.0)
@@ -108,7 +108,7 @@ def test_thrust_that_rotors_no_longer_give_is_missing(rough, slack):
 
 
 def test_a_jump_beyond_all_lacks_no_more_than_all():
-    least = ASKED_SHARE * 1.0 * 2.0 - MISSING_SLACK
+    least = DEMAND_SHARE * 1.0 * 2.0 - MISSING_SLACK
     assert possible(jump((2, 1.5)), now=missing(fast=least + 1e-6), smooth=2.0, rise=9.0)
 
 
@@ -142,7 +142,7 @@ def test_what_is_missing_is_averaged_over_half_a_second_and_six():
     assert float(blind.slow) == pytest.approx(0.4) and float(blind.fast) == pytest.approx(0.4, abs=0.03)
     anew = followed([(3.0, 1.4, 0.95, True, True)], missing(fast=1.0, slow=0.4, limit=np.ones(N)))
     assert float(anew.fast) == float(anew.slow) == 3.0 and float(anew.heave) == pytest.approx(0.4)
-    assert anew.limit == pytest.approx(1.0 - BELIEVED / 0.95)
+    assert anew.limit == pytest.approx(1.0 - BELOW_LIMIT / 0.95)
 
 
 @pytest.mark.parametrize("load", [0.5, 1.5])
@@ -157,18 +157,24 @@ def test_a_push_up_or_down_is_remembered_for_eight_seconds(load):
 
 def test_a_rotor_near_its_limit_may_lack_what_it_is_commanded_beyond_what_is_believed():
     """None up to BELIEVED, all beyond it from AT_LIMIT on, in between in proportion; remembered for two seconds."""
-    for share, near in ((BELIEVED, 0.0), (0.5 * (BELIEVED + AT_LIMIT), 0.5), (AT_LIMIT, 1.0), (1.0, 1.0), (0.2, 0.0)):
+    for share, near in (
+        (BELOW_LIMIT, 0.0),
+        (0.5 * (BELOW_LIMIT + AT_LIMIT), 0.5),
+        (AT_LIMIT, 1.0),
+        (1.0, 1.0),
+        (0.2, 0.0),
+    ):
         found = followed([(0.0, 1.0, share, True, False)]).limit
-        assert found == pytest.approx(near * max(0.0, 1.0 - BELIEVED / share))
+        assert found == pytest.approx(near * max(0.0, 1.0 - BELOW_LIMIT / share))
     quiet = [(0.0, 1.0, 0.3, True, False)] * round(LIMIT_S / DT)
     after = followed([(0.0, 1.0, 1.0, True, False), *quiet]).limit
-    assert after == pytest.approx((1.0 - BELIEVED) * np.exp(-1.0))
+    assert after == pytest.approx((1.0 - BELOW_LIMIT) * np.exp(-1.0))
 
 
 def test_what_is_asked_of_two_rotors_follows_from_geometry():
     """A rotor alone: its own loss; of a neighbour what the least change of thrusts gives; of opposite ones each its own."""
     hexa = airframes.named("ardupilot-hexa-x").effectiveness()
-    coupling, answer = np.asarray(plausibility.asked_of(hexa)), np.linalg.pinv(hexa) @ hexa - 1 / 6
+    coupling, answer = np.asarray(plausibility.demand_coupling(hexa)), np.linalg.pinv(hexa) @ hexa - 1 / 6
     assert np.diagonal(coupling) == pytest.approx(np.ones(6))
     assert coupling @ [0.3, 0.3, 0, 0, 0, 0] == pytest.approx([0.3, 0.3, *(coupling[2:, :2].sum(axis=1) * 0.3)])
     assert (coupling @ [0.3, 0, 0.3, 0, 0, 0])[0] == pytest.approx((answer @ [0.3, 0, 0.3, 0, 0, 0])[0] / answer[0, 0])

@@ -39,7 +39,7 @@ def folder(tmp_path_factory):
 
 
 def key(frame=FRAME):
-    return native.known_by(program.estimator, program.kept, *shipping.example(frame))
+    return native.known_by(program.estimator, program.tick_output, *shipping.example(frame))
 
 
 def copied(folder, to):
@@ -65,7 +65,7 @@ def test_an_example_is_known_as_vehicles_are():
         usual = program.parameters(B, TICKS_S[-1])
         learned = {k: np.asarray(usual[k]).tolist() for k in ("x0", "P0", "noise", "noise_weight")}
         for given in (usual, program.parameters(B, TICKS_S[1], learned)):
-            assert native.known_by(program.estimator, program.kept, given, (n + 12, 4)) in known
+            assert native.known_by(program.estimator, program.tick_output, given, (n + 12, 4)) in known
 
 
 def test_the_definition_is_what_the_step_imports_and_nothing_else():
@@ -111,7 +111,7 @@ def test_shipped_code_says_what_the_definition_says(folder):
     for dt in (TICKS_S[0], TICKS_S[2]):
         parameters, valid = program.parameters(B, dt), np.ones((T, 4), bool)
         own = native.run(library, parameters, program.estimator(parameters).init(), u, y, valid)[1]
-        said = run_built(program.estimator, parameters, u, y, valid, program.kept, backend="jax")[1]
+        said = run_built(program.estimator, parameters, u, y, valid, program.tick_output, backend="jax")[1]
         assert own.announced.any() == said.announced.any()
         np.testing.assert_allclose(own.theta, said.theta, atol=1e-8)
         np.testing.assert_allclose(own.log_odds, said.log_odds, rtol=1e-7, atol=1e-7)

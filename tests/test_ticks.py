@@ -109,8 +109,8 @@ def test_modes_ground_learning_judging():
     flight, thrust = log()
     table = make(flight, thrust)
     when = table.time
-    assert np.all(table.mode[when < 2.0 + ticks.SETTLE_S] == ticks.GROUND)
-    learning = (when >= 2.0 + ticks.SETTLE_S) & (when < 5.0)
+    assert np.all(table.mode[when < 2.0 + ticks.HOVER_LEARN_S] == ticks.GROUND)
+    learning = (when >= 2.0 + ticks.HOVER_LEARN_S) & (when < 5.0)
     assert np.all(table.mode[learning] == ticks.LEARN)
     assert np.all(table.mode[(when >= 5.0) & (table.command_time <= 11.0)] == ticks.JUDGE)
     assert np.all(table.mode[table.command_time > 11.0] == ticks.GROUND)
@@ -232,10 +232,10 @@ def test_a_time_is_covered_by_enough_samples_within_it():
 
 def test_the_oldest_samples_make_room_and_late_ones_are_left_out():
     samples = sense.Samples()
-    for k in range(sense.MOTION_KEPT + 5):
+    for k in range(sense.MOTION_SAMPLES + 5):
         assert samples.add(float(k), float(k), 0.0, 0.0)
     assert not samples.add(float(k), 1.0, 0.0, 0.0) and not samples.add(3.0, 1.0, 0.0, 0.0)
-    assert (samples.count, samples.newest(), samples.start) == (sense.MOTION_KEPT, float(k), 0.0)
+    assert (samples.count, samples.newest(), samples.start) == (sense.MOTION_SAMPLES, float(k), 0.0)
     assert samples.time[samples.place(0)] == 5.0 and samples.at_or_after(7.5) == 3
     total = [0.0] * 3
     samples.area(0.0, 7.0, total)
@@ -355,5 +355,5 @@ def test_learning_is_neither_on_the_ground_nor_judged():
     assert ticks.GROUND < ticks.LEARN - 0.5 < ticks.JUDGE - 1.0
     flight, thrust = log()
     table = make(flight, thrust)
-    learning = (table.time >= 2.0 + ticks.SETTLE_S) & (table.time < 5.0)
+    learning = (table.time >= 2.0 + ticks.HOVER_LEARN_S) & (table.time < 5.0)
     assert learning.sum() > 30 and table.valid[learning].all()

@@ -16,7 +16,7 @@ from rotorwatch.answer import common_mode, conclusion, health, picture, places, 
 from rotorwatch.base import discovery
 from rotorwatch.default import events, excitation_response, hindsight, hypotheses, residual_evidence
 from rotorwatch.default.announcement import threshold
-from rotorwatch.default.program import Kept, estimate
+from rotorwatch.default.program import TickOutput, estimate
 from rotorwatch.errors import ConfigError
 from rotorwatch.esc import consistency
 from rotorwatch.flight import Flight
@@ -73,7 +73,7 @@ class Estimated:
     last: the default estimator's state, for hindsight; own: it is the default one."""
 
     table: Ticks
-    out: Kept
+    out: TickOutput
     limit: float
     last: Any
     own: bool
@@ -216,8 +216,8 @@ def _find(ready: Prepared, done: Estimated) -> Found:
     flight, craft, air, table, B = ready.flight, ready.vehicle, ready.air, done.table, ready.vehicle.effectiveness()
     losses = events.read(done.out, table, B)
     if done.own and ready.hovers:
-        losses, settled = excitation_response.settle(losses, table, B, ready.dynamics)
-        ready.assumptions += settled
+        losses, excitation_notes = excitation_response.resolve(losses, table, B, ready.dynamics)
+        ready.assumptions += excitation_notes
     if done.last is not None and not ready.known:  # healthy flights would have told what happened in the blind time
         losses = hindsight.join(losses, hindsight.find(done.last, table, B))
     overrides = events.overrides(flight, craft, air, table)

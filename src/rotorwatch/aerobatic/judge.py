@@ -19,7 +19,7 @@ from rotorwatch.aerobatic.response import EDGE_S, WINDOW_S, Response, respond
 from rotorwatch.default import hypotheses
 from rotorwatch.default.announcement import FALSE_ALARM_PERIOD_S
 from rotorwatch.default.posterior import PLACES
-from rotorwatch.default.program import Kept
+from rotorwatch.default.program import TickOutput
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
@@ -177,7 +177,7 @@ def _ratio(moment: np.ndarray, information: np.ndarray, sd: float) -> tuple[np.n
     return 0.5 * moment**2 / total - 0.5 * np.log(total * sd**2), moment / total
 
 
-def estimate(flight: Flight, vehicle: Vehicle, air: Spans, table: Ticks) -> tuple[Ticks, Kept]:
+def estimate(flight: Flight, vehicle: Vehicle, air: Spans, table: Ticks) -> tuple[Ticks, TickOutput]:
     """The ticks `table` as they count here, and what is left behind on them, in the default estimator's form. Where the flight is too
     short, or its motion does not answer its outputs, nothing is judged."""
     B = vehicle.effectiveness()
@@ -200,7 +200,7 @@ def _observed(table: Ticks, air: Spans, since: float) -> Ticks:
     return replace(table, mode=mode, upset=nothing, contact=None, contacts=(), valid=(mode > GROUND)[:, None] & turns)
 
 
-def _follow(out: Kept, known: Blocks, table: Ticks, B: np.ndarray) -> None:
+def _follow(out: TickOutput, known: Blocks, table: Ticks, B: np.ndarray) -> None:
     """Block by block; what is known goes on over landings."""
     weak: list[Weak] = []
     variance = scatter(known)
@@ -224,7 +224,7 @@ def _follow(out: Kept, known: Blocks, table: Ticks, B: np.ndarray) -> None:
             out.announced[k], out.onsets[k:] = True, np.arange(len(table.time) - k)[:, None]
 
 
-def _announce(out: Kept, first: int, now: Look, active: set[int], age: float) -> None:
+def _announce(out: TickOutput, first: int, now: Look, active: set[int], age: float) -> None:
     """A rotor fails, or one of the `active` ones works again, `age` ticks before the tick `first`."""
     rows = slice(first, None)
     sets, share = [active ^ {now.rotor}], [now.share[now.rotor]]

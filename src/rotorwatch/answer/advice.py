@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from rotorwatch.answer.wording import BASELINE, explanations, listed, motor, rotors, seconds, sentence
-from rotorwatch.default.hypotheses import GONE
+from rotorwatch.default.hypotheses import TOTAL_LOSS
 from rotorwatch.flight.diagnosis import Event, RotorState
 
 MOTORS = {
@@ -118,6 +118,6 @@ def _parts(event: Event, stays: bool) -> str:
         return PARTS[event.extra["cause"]]
     if not stays:
         return "it came back by itself, so look first for a loose connector, a cold joint, an ESC that lost its motor, a hot motor"
-    if max(event.loss) > GONE:
+    if max(event.loss) > TOTAL_LOSS:
         return "propeller missing or loose, motor, ESC, and the wires between them"
     return "nicked, bent or loose propeller, motor bearing, ESC, and their connectors"

@@ -28,8 +28,8 @@ from rotorwatch.answer.wording import (
     sentence,
 )
 from rotorwatch.default.events import packed
-from rotorwatch.default.hypotheses import GONE
-from rotorwatch.default.residual_evidence import Leftover
+from rotorwatch.default.hypotheses import TOTAL_LOSS
+from rotorwatch.default.residual_evidence import ResidualEvidence
 from rotorwatch.flight.diagnosis import Event, RotorState, StoryLine, Trend
 from rotorwatch.front import whole
 from rotorwatch.front.definition import FRONT
@@ -88,7 +88,7 @@ class Evidence:
     n: int
     hidden: np.ndarray | None
     judged_s: float
-    residual_evidence: tuple[Leftover, ...]
+    residual_evidence: tuple[ResidualEvidence, ...]
     places: tuple[str, ...]
     hops: tuple[tuple[float, float], ...]
     trends: tuple[Trend | None, ...] = ()
@@ -132,7 +132,7 @@ def conclude(
     hidden_pair: float = 0.0,
     judged_s: float = 0.0,
     doubts: Sequence[str] = (),
-    residual_evidence: Sequence[Leftover] = (),
+    residual_evidence: Sequence[ResidualEvidence] = (),
     places: Sequence[str] = (),
     hops: Sequence[tuple[float, float]] = (),
     trends: Sequence[Trend | None] = (),
@@ -456,12 +456,12 @@ def _together(bounds: Sequence[float]) -> float:
 def _stopped(seen: Evidence, event: Event) -> str:
     """What became of a motor that lost step: whether it stopped for good."""
     after = (e for e in seen.losses if e.rotors == event.rotors and not e.alternatives and e.onset_s >= event.onset_s)
-    last = next((e for e in after if e.end_s is None and e.loss and e.loss[0] > GONE), None)
+    last = next((e for e in after if e.end_s is None and e.loss and e.loss[0] > TOTAL_LOSS), None)
     return "" if last is None else f", and gave nothing any more from {seconds(last.onset_s)} on"
 
 
 def _broken(loss: float) -> str:
-    return "failed" if loss > GONE else "degraded"
+    return "failed" if loss > TOTAL_LOSS else "degraded"
 
 
 def _worked(seen: Evidence, rotor: int) -> str:

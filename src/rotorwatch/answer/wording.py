@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from rotorwatch.default.hypotheses import GONE
+from rotorwatch.default.hypotheses import TOTAL_LOSS
 from rotorwatch.flight.diagnosis import Event, Trend
 
 KINDS = {
@@ -26,8 +26,8 @@ VERDICTS = {"healthy": "Healthy", "fault": "Fault found", "ambiguous": "Ambiguou
 
 # Grade of health, and the loss from which it holds. 5 %: propellers and motors of one build differ by as much. 20 %: the rotor turns 12 %
 # faster for the same thrust, which controllers hardly notice below. 50 %: of a vehicle with twice its weight in thrust, the rotor no
-# longer carries its own share at full command. Above GONE it carries next to nothing: the status "failed" as well.
-SCALE = (("healthy", 0.0), ("worn", 0.05), ("degraded", 0.20), ("critical", 0.50), ("failed", GONE))
+# longer carries its own share at full command. Above TOTAL_LOSS it carries next to nothing: the status "failed" as well.
+SCALE = (("healthy", 0.0), ("worn", 0.05), ("degraded", 0.20), ("critical", 0.50), ("failed", TOTAL_LOSS))
 
 
 def percent(share: float, digits: int = 0) -> str:

@@ -172,7 +172,7 @@ def _parameter(key: str, value: Any) -> bool:
     return key not in BUILT_IN and not _defined(key) and not isinstance(value, dict)
 
 
-def judge(table: Ticks, B: np.ndarray, values: Mapping[str, Any]) -> program.Kept:
+def judge(table: Ticks, B: np.ndarray, values: Mapping[str, Any]) -> program.TickOutput:
     """The ticks of the method with other constants; those of BUILT_IN need a program of their own."""
     own = {k: v for k, v in values.items() if k in BUILT_IN}
     with changed(values):
@@ -180,11 +180,11 @@ def judge(table: Ticks, B: np.ndarray, values: Mapping[str, Any]) -> program.Kep
         parameters, rows = {**program.parameters(B, table.dt), "constants": passed}, program.inputs(table, B)
         backend = chosen(None, "auto")
         if not own:
-            return run_built(tuned, parameters, *rows, program.kept, backend=backend)[1]
+            return run_built(tuned, parameters, *rows, program.tick_output, backend=backend)[1]
         key = (B.shape[1], "lower" in parameters, json.dumps(own, default=repr))
         if key not in _BUILT:
             _BUILT[key] = functools.partial(tuned)
-        return run_built(_BUILT[key], parameters, *rows, program.kept, backend=backend)[1]
+        return run_built(_BUILT[key], parameters, *rows, program.tick_output, backend=backend)[1]
 
 
 _BUILT: dict[tuple, Callable] = {}
@@ -242,7 +242,7 @@ def _surrogates(path: str, hours: float, seed: int) -> list[Case]:
     return cases
 
 
-def outcomes(case: Case, kept: program.Kept) -> dict[str, Any]:
+def outcomes(case: Case, kept: program.TickOutput) -> dict[str, Any]:
     """What became of one flight: states (see sequences.py); false: announcements of rotors none of which is weak; hours judged; delays
     of faults, None where not found soon; errors of the losses of weak rotors in right states, and whether their intervals held them."""
     table, theta = case.ticks, case.theta

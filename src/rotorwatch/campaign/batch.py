@@ -72,7 +72,7 @@ class Flown:
 class Judged(NamedTuple):
     """What is kept of every tick: the default estimator's outputs, and whether its best hypothesis was plausible."""
 
-    kept: program.Kept
+    kept: program.TickOutput
     plausible: Any
 
 
@@ -192,7 +192,7 @@ def _table(table: Ticks, B: np.ndarray, rows: slice = slice(None)) -> tuple[np.n
 
 def _judged(out) -> Judged:
     """What is kept of the estimator's output of one tick."""
-    return Judged(program.kept(out), out.plausible)
+    return Judged(program.tick_output(out), out.plausible)
 
 
 @functools.lru_cache(maxsize=8)

@@ -279,7 +279,7 @@ def _beliefs(
 
 
 def _next(
-    scenario: Scenario, ticks, out: program.Kept, made: list[reconfigured.Entry], by: str
+    scenario: Scenario, ticks, out: program.TickOutput, made: list[reconfigured.Entry], by: str
 ) -> reconfigured.Entry | None:
     """The first belief after the last entry that is far enough from it."""
     if len(made) == ENTRIES:

@@ -109,7 +109,7 @@ def judge(
     B: np.ndarray,
     size: int,
     decisions: Decisions,
-) -> list[list[program.Kept]]:
+) -> list[list[program.TickOutput]]:
     """For each decision and each flight what `published.judge` leaves behind. hops: of each flight, by `learn`."""
     hyp = hypotheses.make(B.shape[1])
     kept = [[published.blank(len(table.time), hyp) for table in tables] for _ in decisions]

@@ -2,7 +2,7 @@
 
 A fault is announced when the Shiryaev-Roberts statistic, the evidence of all faults at any onset, passes a threshold. Without a fault its
 mean time to do so is at least the threshold (in ticks, over the sum of prior weights; Pollak, Ann. Statist. 13, 1985): the stated
-false-alarm rate is the threshold. Evidence only ranks what it was asked about, so the fault must also be ten times (CLEAR) likelier than
+false-alarm rate is the threshold. Evidence only ranks the given hypotheses, so the fault must also be ten times (CLEAR) likelier than
 any disturbance, at two ticks in a row, at an onset within the bank's reach, and possible at all (plausibility.py).
 """
 
@@ -26,7 +26,7 @@ EDGE = 0.9  # of the bank's reach
 ABSORB_S, CERTAIN_NATS = 1.0, 16.0
 
 
-class Standing(NamedTuple):
+class AlarmState(NamedTuple):
     """above: ticks over the threshold in a row. sure_s: seconds for which something has been certain, yet unannounced; frozen: seconds of
     suspicion in which no noise was learned."""
 
@@ -35,7 +35,7 @@ class Standing(NamedTuple):
     frozen: Array
 
 
-class Said(NamedTuple):
+class AlarmDecision(NamedTuple):
     """alarm: a fault is announced. absorbed: something that certainly happened is explained without. statistic: above 0, a fault is
     more likely than promised; possible: the likeliest one may be true."""
 
@@ -45,9 +45,9 @@ class Said(NamedTuple):
     possible: Array
 
 
-def init() -> Standing:
+def init() -> AlarmState:
     """Nothing suspected."""
-    return Standing(np.int32(0), np.float64(0), np.float64(0))
+    return AlarmState(np.int32(0), np.float64(0), np.float64(0))
 
 
 def threshold(hyp: Hypotheses, dt, period_s: float | None = None):
@@ -60,37 +60,37 @@ def threshold(hyp: Hypotheses, dt, period_s: float | None = None):
 
 
 def decide(
-    standing: Standing, found: Evidence, best: Jump, onsets: bank.Jumps, limit, possible, weak, judge, dt
-) -> tuple[Standing, Said]:
+    state: AlarmState, found: Evidence, best: Jump, onsets: bank.Jumps, limit, possible, weak, judge, dt
+) -> tuple[AlarmState, AlarmDecision]:
     """One tick. best: jump of the likeliest fault; limit: its `threshold`; possible, judge, weak: may it be true, is the flight judged,
     is a rotor known to be weak."""
     import jax.numpy as jnp
 
     # Beside a weak rotor the vehicle moves as it has not before, and one more rotor's direction may be met by chance. Of a first loss the
-    # flight's own disturbances are asked alone: with larger ones a rotor that is lost in wind went unannounced until the vehicle fell.
+    # flight's own disturbances alone are tested: with larger ones a rotor that is lost in wind went unannounced until the vehicle fell.
     again = weak & (best.rotors.sum() < 2)
     other = jnp.where(again, jnp.logaddexp(found.other, found.far), found.other)
     statistic = jnp.minimum(found.fault - limit, found.fault - other - hypotheses.CLEAR)
     # The most probable onset at the edge of the bank speaks of a drift that began before it, not of a jump.
     possible &= best.since < EDGE * onsets.reach
-    above = jnp.where(judge & (statistic > 0.0) & possible, standing.above + 1, 0)
+    above = jnp.where(judge & (statistic > 0.0) & possible, state.above + 1, 0)
     alarm = above >= TICKS
     # What certainly happened is explained, whatever it was; where nothing is known to be wrong, only what is no fault.
     certain = jnp.maximum(found.other, found.fault) > CERTAIN_NATS
     certain &= (found.other > found.fault + hypotheses.CLEAR) | weak
-    sure_s = jnp.where(judge & ~alarm & certain, standing.sure_s + dt, 0.0)
+    sure_s = jnp.where(judge & ~alarm & certain, state.sure_s + dt, 0.0)
     absorbed = sure_s >= ABSORB_S
     above = jnp.where(alarm, 0, above).astype(jnp.int32)
-    return Standing(above, jnp.where(absorbed, 0.0, sure_s), standing.frozen), Said(
+    return AlarmState(above, jnp.where(absorbed, 0.0, sure_s), state.frozen), AlarmDecision(
         alarm, absorbed, statistic, possible
     )
 
 
-def suspicion(standing: Standing, found: Evidence, hyp: Hypotheses, dt) -> tuple[Standing, Array]:
+def suspicion(state: AlarmState, found: Evidence, hyp: Hypotheses, dt) -> tuple[AlarmState, Array]:
     """Noise is not learned while there is more evidence than chance would bring in its memory, but not for ever: whether it may be learned
     at this tick."""
     import jax.numpy as jnp
 
     suspicious = found.fault > threshold(hyp, dt, 1.0) + jnp.log(noise.MEMORY_S)
-    frozen = jnp.where(suspicious, standing.frozen + dt, jnp.maximum(standing.frozen - dt, 0.0))
-    return standing._replace(frozen=jnp.minimum(frozen, 2.0 * plant.USUAL_S)), ~suspicious | (frozen > plant.USUAL_S)
+    frozen = jnp.where(suspicious, state.frozen + dt, jnp.maximum(state.frozen - dt, 0.0))
+    return state._replace(frozen=jnp.minimum(frozen, 2.0 * plant.USUAL_S)), ~suspicious | (frozen > plant.USUAL_S)

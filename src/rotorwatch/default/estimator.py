@@ -33,14 +33,14 @@ from rotorwatch.front.ticks import AGAIN, GROUND, JUDGE
 
 class Carry(NamedTuple):
     """All that lasts from tick to tick: the explanations with their filters, the noise model, the leader's bank, and the memories of
-    caution, plausibility, announcement and (opposite_s) of opposite rotors."""
+    model error, plausibility, announcement and (opposite_s) of opposite rotors."""
 
     branches: posterior.Branches
     noise: noise.NoiseState
     bank: bank.Bank
     model_error: model_error.Memory
     missing: plausibility.Missing
-    standing: announcement.Standing
+    alarm_state: announcement.AlarmState
     opposite_s: Array
 
     @property
@@ -106,7 +106,7 @@ class JumpBank:
             bank=self.jumps.init(),
             model_error=model_error.init(self.n),
             missing=plausibility.init(self.n),
-            standing=announcement.init(),
+            alarm_state=announcement.init(),
             opposite_s=np.float64(0),
         )
 
@@ -123,15 +123,15 @@ class JumpBank:
 
         # One tick ahead: the filters of all explanations, and the bank of the one that leads.
         branches = kalman.restart(carry.branches, system.P0, restart, hop)
-        doubt = (1.0 / model_error.calm(carry.model_error)).mean()
-        branches = kalman.predict(branches, system.decay(dt), variances, doubt, flying, dt)
+        burst_factor = (1.0 / model_error.calm(carry.model_error)).mean()
+        branches = kalman.predict(branches, system.decay(dt), variances, burst_factor, flying, dt)
         A = plant.arrays(dt).concatenate([system.decay(dt), np.ones(n)])
         onsets = self.jumps.advance(carry.bank, A, judge, judge & ~restart)
 
         # How far this tick's inputs and the model can be believed.
         x = branches.s[0, :n_x]
         memory, seen = model_error.look(carry.model_error, u, y, valid, flying, restart, x, variances, n, dt)
-        error = model_error.model_error(carry.model_error, seen, x, y, variances[0], system.B, n, dt)
+        error = model_error.variance(carry.model_error, seen, x, y, variances[0], system.B, n, dt)
         calm = model_error.calm(memory)
         lacking = y[3] - u[n + 3] * x[3 * PER_AXIS + GAIN]
         missing = plausibility.follow(carry.missing, lacking, u[n + 3] / n, u[:n] / u[n + 9], valid[3], restart, dt)
@@ -140,9 +140,9 @@ class JumpBank:
         rows = jnp.concatenate([system.C(seen.u), system.H(seen.u, x)], axis=1)
         counts, R = valid & flying, variances[0] + error
         left = y - rows @ branches.s[0]
-        s, P, gains, innovation, variance = jax.vmap(lambda s, P: kalman.update(s, P, rows, y, counts, R, seen.teach))(
-            branches.s, branches.P
-        )
+        s, P, gains, innovation, variance = jax.vmap(
+            lambda s, P: kalman.update(s, P, rows, y, counts, R, seen.gain_share)
+        )(branches.s, branches.P)
         for a in range(4):
             w = jnp.where(counts[a], calm[a] / variance[0, a], 0.0)
             onsets = self.jumps.observe(onsets, rows[a], gains[0, a], w, innovation[0, a])
@@ -155,40 +155,40 @@ class JumpBank:
 
         # What the bank says of any jump since, and whether that is announced.
         theta, P, active = branches.s[0, n_x:], branches.P[0], branches.active[0]
-        told = bank.without_last(onsets, jnp.maximum(P[self.yaw_gain, self.yaw_gain], 1e-12))
+        statistics = bank.without_last(onsets, jnp.maximum(P[self.yaw_gain, self.yaw_gain], 1e-12))
         reach = jnp.abs(rows[:, n_x:]).max(axis=0)
-        found = evidence.gather(hyp, self.jumps, told, theta, active, variances, reach)
+        found = evidence.gather(hyp, self.jumps, statistics, theta, active, variances, reach)
         first = jnp.argmax(found.probability)
-        best = evidence.jump(hyp, told, found, first)
+        best = evidence.jump(hyp, statistics, found, first)
         rough = noise.spread(variances)
-        coupling = plausibility.asked_of(system.B)
+        coupling = plausibility.demand_coupling(system.B)
         possible = plausibility.plausible(
             best.each, seen.u[:n], seen.rise, missing, carry.missing, valid[3], active, rough, coupling
         )
-        standing, said = announcement.decide(
-            carry.standing, found, best, self.jumps, self.limit, possible, active.any(), judge, dt
+        alarm_state, alarm_decision = announcement.decide(
+            carry.alarm_state, found, best, self.jumps, self.limit, possible, active.any(), judge, dt
         )
-        free = judge & ~said.alarm & (jnp.abs(seen.u[n + 6]) < opposite.TURNING) & ~active.any()
+        free = judge & ~alarm_decision.alarm & (jnp.abs(seen.u[n + 6]) < opposite.TURNING) & ~active.any()
         pair, opposite_s = opposite.suspect(
-            hyp, self.jumps, told, found, system.B, free, missing, self.limit, carry.opposite_s, dt
+            hyp, self.jumps, statistics, found, system.B, free, missing, self.limit, carry.opposite_s, dt
         )
         # Opposite rotors are announced as any other fault; only which pair it is the others of its kind contest.
         shared = pair.pair >= 0
-        first, alarm = jnp.where(shared, pair.pair, first), said.alarm | shared
+        first, alarm = jnp.where(shared, pair.pair, first), alarm_decision.alarm | shared
         alike = opposite.contested(hyp, system.B)
         mine = jnp.where(jnp.arange(alike.size) == first, found.log_odds, -jnp.inf).max()
         other = jnp.maximum(found.log_odds, mine + posterior.ALIKE)
         even = found._replace(log_odds=jnp.where(alike & (alike[first]), other, found.log_odds))
-        branches = posterior.born(branches, hyp, told, even, alike, first, alarm, said.absorbed)
-        onsets = bank.forget(onsets, alarm | said.absorbed)
+        branches = posterior.born(branches, hyp, statistics, even, alike, first, alarm, alarm_decision.absorbed)
+        onsets = bank.forget(onsets, alarm | alarm_decision.absorbed)
 
         # The noise learns from what the calm parts leave over, biases included.
-        standing, quiet = announcement.suspicion(standing, found, hyp, dt)
+        alarm_state, quiet = announcement.suspicion(alarm_state, found, hyp, dt)
         learns = quiet & flying
         left = left + (rows[:, :n_x] * jnp.asarray(np.isin(np.arange(n_x), kalman.BIASES), float)) @ x
         noises = noise.step(carry.noise, left, valid & learns, variances[0] / R, dt)
 
-        after = Carry(branches, noises, onsets, memory, missing, standing, opposite_s)
+        after = Carry(branches, noises, onsets, memory, missing, alarm_state, opposite_s)
         shown = jnp.clip(after.s[n_x:], 0.0, 1.0)
         # The filter believes its noise model; where innovations have been larger or longer than that, so is the error.
         unsure = opposite.common(shown, branches.alike[0])
@@ -199,16 +199,18 @@ class JumpBank:
         )
         return after, Output(
             estimate=estimate,
-            decision=Decision(found.log_odds, said.statistic, said.alarm, best.since, first.astype(jnp.int32)),
+            decision=Decision(
+                found.log_odds, alarm_decision.statistic, alarm_decision.alarm, best.since, first.astype(jnp.int32)
+            ),
             probability=found.probability,
             theta=shown,
             theta_sd=jnp.sqrt(jnp.maximum(shown_var, 0.0)),
-            announced=alarm | (said.absorbed & active.any()),
+            announced=alarm | (alarm_decision.absorbed & active.any()),
             onsets=branches.onset,
             active=branches.active,
             each=jnp.clip(branches.s[:, n_x:], 0.0, 1.0),
             share=posterior.shares(branches),
-            detectable=evidence.detectable(told, found),
-            plausible=said.possible,
+            detectable=evidence.detectable(statistics, found),
+            plausible=alarm_decision.possible,
             opposite=pair._replace(pair=jnp.int32(-1)),
         )

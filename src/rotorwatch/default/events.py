@@ -71,13 +71,13 @@ class Losses:
             )
 
     @property
-    def said(self) -> int:
+    def announcements(self) -> int:
         """How often something has been announced or suspected."""
-        return int(self._state["said"][0])
+        return int(self._state["announcements"][0])
 
     def events(self, flies: bool = False) -> tuple[Event, ...]:
         """The losses so far. flies: the flight goes on, and what was announced a moment ago may still turn out to be a pair."""
-        return _in_words(self.rows(flies)) if self.said else ()
+        return _in_words(self.rows(flies)) if self.announcements else ()
 
     def rows(self, flies: bool = False) -> Rows:
         """The same as the definition has them."""

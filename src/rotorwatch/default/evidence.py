@@ -23,7 +23,7 @@ NOTHING = -50.0  # nats, of what cannot be
 class Evidence(NamedTuple):
     """Of all hypotheses (n_h,): log evidence over all onsets, probability among faults. fault, other: log of the sums; far: that
     of disturbances much larger than this flight's; log_bf (W, n_h): Bayes factors, per_slot (W, n_h): with prior weights; nu
-    (W, n_fault, 2): most probable sizes; gone (W, n): sizes that end a known loss; slop (W, 4): `hypotheses.slop`; width (4,): of
+    (W, n_fault, 2): most probable sizes; recovery (W, n): sizes that end a known loss; slop (W, 4): `hypotheses.slop`; width (4,): of
     disturbances; live (W,): slots in use."""
 
     log_odds: Array
@@ -34,7 +34,7 @@ class Evidence(NamedTuple):
     log_bf: Array
     per_slot: Array
     nu: Array
-    gone: Array
+    recovery: Array
     slop: Array
     width: Array
     live: Array
@@ -52,7 +52,7 @@ class Jump(NamedTuple):
     each: Array
 
 
-def gather(hyp: Hypotheses, onsets: bank.Jumps, told: bank.Bank, theta, active, variances, reach) -> Evidence:
+def gather(hyp: Hypotheses, onsets: bank.Jumps, statistics: bank.Bank, theta, active, variances, reach) -> Evidence:
     """The evidence of a bank without its last direction. theta (n,): known losses, of the rotors `active` (n,); variances (4, 4) of
     the noise model; reach (n,): the most that a whole loss of each rotor does to any axis."""
     import jax.numpy as jnp
@@ -61,20 +61,20 @@ def gather(hyp: Hypotheses, onsets: bank.Jumps, told: bank.Bank, theta, active, 
     # A known loss may be taken back; what the filter has absorbed of that already is part of the jump.
     lo, hi = jnp.where(active, -1.0, 0.0), jnp.maximum(1.0 - theta, 0.0)
     width = jnp.clip(DISTURBANCE_SCALE * jnp.sqrt(noise.spread(variances)), *DISTURBANCE_RANGE)
-    live = told.age >= 0
+    live = statistics.age >= 0
     # What ends a known loss: of a unit jump the filter has by now, or will have, so much of theta left.
-    own = jnp.diagonal(told.M[:, -n:, :n], axis1=1, axis2=2)
-    to_come = jnp.where(jnp.asarray(onsets.slow), onsets.decay ** (jnp.maximum(told.age, 0) + 1.0), 0.0)
-    gone = jnp.where(active, -theta / jnp.maximum(own + to_come[:, None], 0.3), 0.0)
-    slop = hypotheses.slop(told.C, told.z, lo, hi, reach)
-    log_bf, nu = hypotheses.log_bayes_factors(hyp, told.C, told.z, lo, hi, width, gone, slop)
-    far = hypotheses.disturbances(hyp, told.C, told.z, hypotheses.FAR * width)
+    own = jnp.diagonal(statistics.M[:, -n:, :n], axis1=1, axis2=2)
+    to_come = jnp.where(jnp.asarray(onsets.slow), onsets.decay ** (jnp.maximum(statistics.age, 0) + 1.0), 0.0)
+    recovery = jnp.where(active, -theta / jnp.maximum(own + to_come[:, None], 0.3), 0.0)
+    slop = hypotheses.slop(statistics.C, statistics.z, lo, hi, reach)
+    log_bf, nu = hypotheses.log_bayes_factors(hyp, statistics.C, statistics.z, lo, hi, width, recovery, slop)
+    far = hypotheses.disturbances(hyp, statistics.C, statistics.z, hypotheses.FAR * width)
     log_bf, far = (jnp.where(live[:, None], b, NOTHING) for b in (log_bf, far))
     stride = jnp.asarray(onsets.log_stride)
     per_slot = log_bf + stride[:, None] + jnp.log(jnp.asarray(hyp.weight))[None, :]
     far = far + stride[:, None] + jnp.log(hypotheses.FAR_SHARE * hypotheses.WEIGHT["disturbance"])
-    # With a rotor gone the vehicle flies at its limits: only that rotor itself is still judged.
-    dead, members = active & (theta > hypotheses.GONE), jnp.asarray(hyp.pick.sum(axis=1))
+    # With a rotor lost altogether the vehicle flies at its limits: only that rotor itself is still judged.
+    dead, members = active & (theta > hypotheses.TOTAL_LOSS), jnp.asarray(hyp.pick.sum(axis=1))
     known = members @ (~active).astype(float) < 0.5
     barred = (dead.any() & (members @ (~dead).astype(float) > 0.5)) | (jnp.asarray(hyp.well) & ~known)
     fault = jnp.asarray(hyp.fault)
@@ -95,14 +95,14 @@ def gather(hyp: Hypotheses, onsets: bank.Jumps, told: bank.Bank, theta, active, 
         log_bf=log_bf,
         per_slot=per_slot,
         nu=nu,
-        gone=gone,
+        recovery=recovery,
         slop=slop,
         width=width,
         live=live,
     )
 
 
-def jump(hyp: Hypotheses, told: bank.Bank, found: Evidence, h) -> Jump:
+def jump(hyp: Hypotheses, statistics: bank.Bank, found: Evidence, h) -> Jump:
     """Hypothesis h at its most probable onset: sizes of its rotors, or of the steps of a disturbance."""
     import jax.numpy as jnp
 
@@ -110,30 +110,30 @@ def jump(hyp: Hypotheses, told: bank.Bank, found: Evidence, h) -> Jump:
     it = (jnp.arange(len(hyp.names)) == h).astype(float)
     slot = jnp.argmax(jnp.where(found.live, found.per_slot @ it, -jnp.inf))
     slot = (jnp.arange(found.live.shape[0]) == slot).astype(float)
-    _, C, z = bank.pick(told, slot)
+    _, C, z = bank.pick(statistics, slot)
     rotors = jnp.einsum("h,hkr->kr", it, jnp.asarray(hyp.pick))
     steps, well = it @ jnp.asarray(hyp.steps), it @ jnp.asarray(hyp.well, float)
     each = jnp.einsum("w,h,whk->k", slot, it[: found.nu.shape[1]], found.nu)[:, None] * rotors
     free = jnp.where(steps.sum() > 0.5, steps * (hypotheses.FAR * found.width) ** 2, slot @ found.slop) + 1e-12
-    width = jnp.where(well > 0.5, hypotheses.recovery_sd(slot @ found.gone @ rotors[0]), hypotheses.LOSS_WIDTH)
+    width = jnp.where(well > 0.5, hypotheses.recovery_sd(slot @ found.recovery @ rotors[0]), hypotheses.LOSS_WIDTH)
     D = jnp.concatenate([jnp.concatenate([rotors, jnp.zeros((2, 4))], axis=1), jnp.eye(q)[n:]])
     own = jnp.concatenate([1.0 / width[None] ** 2, 1.0 / width[None] ** 2, 1.0 / free])
     half = _half_inverse(D @ C @ D.T + jnp.diag(own))
     # What geometry is wrong by counts in how well a loss is known; it does not become a disturbance.
-    kept = jnp.concatenate([jnp.ones(n), steps])
-    cov = D.T @ (half.T @ half) @ D * kept[:, None] * kept[None, :]
+    mask = jnp.concatenate([jnp.ones(n), steps])
+    cov = D.T @ (half.T @ half) @ D * mask[:, None] * mask[None, :]
     half = _half_inverse(C[n:, n:] + jnp.diag(1.0 / free))
     size = jnp.concatenate([each.sum(axis=0), steps * (half.T @ (half @ z[n:]))])
-    since = slot @ jnp.where(found.live, told.age + 1.0, 0.0)
+    since = slot @ jnp.where(found.live, statistics.age + 1.0, 0.0)
     return Jump(slot=slot, since=since, rotors=rotors.sum(axis=0) > 0.5, size=size, cov=cov, each=each)
 
 
-def detectable(told: bank.Bank, found: Evidence):
+def detectable(statistics: bank.Bank, found: Evidence):
     """(n,) standard deviation with which a loss of each rotor would be measured now."""
     import jax.numpy as jnp
 
-    n = found.gone.shape[1]
-    own = jnp.where(found.live[:, None], jnp.diagonal(told.C, axis1=1, axis2=2)[:, :n], 0.0).max(0)
+    n = found.recovery.shape[1]
+    own = jnp.where(found.live[:, None], jnp.diagonal(statistics.C, axis1=1, axis2=2)[:, :n], 0.0).max(0)
     return 1.0 / jnp.sqrt(own + 1.0 / hypotheses.LOSS_WIDTH**2)
 
 

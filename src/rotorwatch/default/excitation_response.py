@@ -6,8 +6,8 @@ excited is an experiment. The commanded thrust that the motion does not show, e 
     e(t) = sum_i phi_i(t) theta_i + noise,        phi_i = B_i q_i,        q: the part of the thrusts that nobody needed
 
 q is what the thrusts (n,) have in ker B, less what follows from the commanded wrench (mixers that are no pseudo-inverse have such a
-part at all times). It is chosen by whoever asks, independently of gusts and of the controller's answers to them: unlike the
-evidence of a jump, which grows old while errors of the model go on (posterior.py), this evidence is worth all that it says. With the noise
+part at all times). It is chosen by whoever designs the excitation, independently of gusts and of the controller's answers to them: unlike
+the evidence of a jump, which grows old while errors of the model go on (posterior.py), this evidence counts in full. With the noise
 as it was learned before, Sigma, the information and vector of theta are
 
     J = phi' Sigma^-1 phi,        z = phi' Sigma^-1 e
@@ -43,14 +43,14 @@ from rotorwatch.maths.tails import normal_cdf
 from rotorwatch.motion.ticks import JUDGE, Ticks
 
 LEAST = 0.05  # hover thrusts of one rotor, off the mixer's own way of making a wrench: an excitation, no rounding
-SHORTEST_S, APART_S, ASIDE_S = 0.5, 1.0, 1.0  # of an excitation; between two; of flight looked at before and after
+SHORTEST_S, GAP_S, ASIDE_S = 0.5, 1.0, 1.0  # of an excitation; between two; of flight looked at before and after
 HOVER_S = 3.0  # over which hover's commands are averaged
 LONGEST = 400  # ticks looked at together
 CERTAIN = 0.99  # probability from which on a set is named
 UNLIKE = 0.03  # by what share healthy rotors differ in what a command changes
 LOSS_SD = 0.05  # of what hover says of a loss, besides RECOVERY_SHARE of it
 EXPLAINED = 4.0  # standard deviations of trim that a set of rotors may leave unexplained to be suspected
-SUSPECT = 0.1  # ... and the smallest loss in it
+LEAST_LOSS = 0.1  # ... and the smallest loss in it
 OTHER = 1e-4  # prior weight of a set that no event names, relative to one that is named and to none
 CONTAINS = 0.1  # ... of one that contains another that it named: the smaller says it all
 AFTER_S = 2.0  # for which an excitation still shows in the evidence of jumps
@@ -58,8 +58,8 @@ DELAYS_S = (0.0, 0.02, 0.04, 0.07, 0.1)  # of a rotor behind what the ticks take
 
 
 @dataclass(frozen=True)
-class Asked:
-    """What one excitation said. start, end [s]. J (D, n, n), z (D, n): information on the losses, for each of DELAYS_S."""
+class ExcitationEvidence:
+    """The evidence of one excitation. start, end [s]. J (D, n, n), z (D, n): information on the losses, for each of DELAYS_S."""
 
     start: float
     end: float
@@ -67,12 +67,14 @@ class Asked:
     z: np.ndarray
 
 
-def find(table: Ticks, B: np.ndarray, dynamics=None) -> tuple[tuple[Asked, ...], Asked | None, tuple[Event, ...]]:
+def find(
+    table: Ticks, B: np.ndarray, dynamics=None
+) -> tuple[tuple[ExcitationEvidence, ...], ExcitationEvidence | None, tuple[Event, ...]]:
     """The excitations of a flight, in order; `trim` before the first of them; and the losses known by then. table: its ticks; B (4, n);
-    dynamics: what healthy flights have taught of the vehicle.
+    dynamics: what was learned of the vehicle from healthy flights.
 
-    What the vehicle is like, and how noisy, is what the default estimator knew when the first of them began: answers of weak rotors would
-    teach it gains that are none."""
+    What the vehicle is like, and how noisy, is what the default estimator knew when the first of them began: from the answers of
+    weak rotors it would learn wrong gains."""
     N = excitation.null_space(B)
     full = table.thrust * table.hover[:, None]
     usable = (table.mode == JUDGE) & table.valid[:, 3] & (full < AT_LIMIT).all(axis=1) & (full > 0.0).all(axis=1)
@@ -91,11 +93,11 @@ def find(table: Ticks, B: np.ndarray, dynamics=None) -> tuple[tuple[Asked, ...],
         rows = np.flatnonzero(near)[:LONGEST]
         if rows.size * table.dt >= SHORTEST_S:
             span = float(table.command_time[a]), float(table.time[b])
-            found.append(_asked(rows, span, q, model, table, B))
+            found.append(_response(rows, span, q, model, table, B))
     return tuple(found), trim(carry, out, before, B), read(out, before, B)
 
 
-def trim(carry, out, table: Ticks, B: np.ndarray) -> Asked | None:
+def trim(carry, out, table: Ticks, B: np.ndarray) -> ExcitationEvidence | None:
     """What the wrench of trim has changed by since the flight was first judged, as information on losses that began since then; its
     uncertainty is that of what a loss leaves behind, and of how much this flight's disturbances wander. None where it was not judged."""
     lacking, sd = shift(carry, out, table)
@@ -103,7 +105,7 @@ def trim(carry, out, table: Ticks, B: np.ndarray) -> Asked | None:
         return None
     J, z = (B.T / sd**2) @ B, (B.T / sd**2) @ lacking
     D = len(DELAYS_S)
-    return Asked(float(table.time[0]), float(table.time[-1]), np.tile(J, (D, 1, 1)), np.tile(z, (D, 1)))
+    return ExcitationEvidence(float(table.time[0]), float(table.time[-1]), np.tile(J, (D, 1, 1)), np.tile(z, (D, 1)))
 
 
 def shift(carry, out, table: Ticks) -> tuple[np.ndarray | None, np.ndarray]:
@@ -127,7 +129,7 @@ def suspects(carry, out, table: Ticks, B: np.ndarray) -> dict[tuple[int, ...], n
         losses = np.zeros(n)
         losses[list(who)], left = least_squares(B[:, who] / sd[:, None], lacking / sd)
         least = losses[list(who)].min()
-        if left < EXPLAINED and SUSPECT < least and losses.max() <= 1.0:
+        if left < EXPLAINED and LEAST_LOSS < least and losses.max() <= 1.0:
             found[who] = losses
     return found
 
@@ -152,12 +154,12 @@ def _unneeded(table: Ticks, N: np.ndarray, usable: np.ndarray) -> np.ndarray:
     return q
 
 
-def _spans(table: Ticks, asked: np.ndarray) -> list[tuple[int, int]]:
+def _spans(table: Ticks, responses: np.ndarray) -> list[tuple[int, int]]:
     """First and last ticks of spells that are no more than APART_S apart and last SHORTEST_S."""
-    ticks = np.flatnonzero(asked)
+    ticks = np.flatnonzero(responses)
     if not ticks.size:
         return []
-    breaks = np.flatnonzero(np.diff(table.time[ticks]) > APART_S)
+    breaks = np.flatnonzero(np.diff(table.time[ticks]) > GAP_S)
     starts, ends = ticks[np.r_[0, breaks + 1]], ticks[np.r_[breaks, ticks.size - 1]]
     return [(int(a), int(b)) for a, b in zip(starts, ends) if table.time[b] - table.time[a] >= SHORTEST_S]
 
@@ -184,7 +186,7 @@ def _model(carry, table: Ticks, B: np.ndarray) -> _Model:
     return _Model(left, more, sd, excitation.Noise(np.asarray(carry.noise.variances)[:, 3], np.array(TAU)))
 
 
-def _asked(rows, span, q, model: _Model, table: Ticks, B: np.ndarray) -> Asked:
+def _response(rows, span, q, model: _Model, table: Ticks, B: np.ndarray) -> ExcitationEvidence:
     """The information of one excitation, seen at ticks `rows`."""
     n, time, here = B.shape[1], table.time, rows - rows[0]
     J, z = [], []
@@ -198,7 +200,7 @@ def _asked(rows, span, q, model: _Model, table: Ticks, B: np.ndarray) -> Asked:
         known = share / (scale + share @ share)
         J.append((phi.T @ phi - np.outer(phi.T @ share, known @ phi)) / scale)
         z.append((phi.T @ e - phi.T @ share * (known @ e)) / scale)
-    return Asked(span[0], span[1], np.stack(J), np.stack(z))
+    return ExcitationEvidence(span[0], span[1], np.stack(J), np.stack(z))
 
 
 def _unexplained(phi: np.ndarray, e: np.ndarray) -> float:
@@ -215,7 +217,7 @@ class Prior(NamedTuple):
 
 
 def prior(rotors: Sequence[int], n: int, losses: np.ndarray | None = None) -> Prior:
-    """Of a set (0-based) that anybody might name, or of one whose losses (n,) hover has told."""
+    """Of a set (0-based) that anybody might name, or of one whose losses (n,) hover has shown."""
     own = np.isin(np.arange(n), list(rotors))
     if losses is None:
         return Prior(np.zeros(n), np.where(own, hypotheses.LOSS_WIDTH, UNLIKE))
@@ -223,10 +225,12 @@ def prior(rotors: Sequence[int], n: int, losses: np.ndarray | None = None) -> Pr
     return Prior(np.where(own, losses, 0.0), np.where(own, spread, UNLIKE))
 
 
-def evidence(asked: Sequence[Asked], rotors: Sequence[int], before: Prior) -> tuple[float, np.ndarray, np.ndarray]:
+def evidence(
+    responses: Sequence[ExcitationEvidence], rotors: Sequence[int], before: Prior
+) -> tuple[float, np.ndarray, np.ndarray]:
     """Log evidence that these rotors (0-based) are weak, against none; and mean (n,) and covariance (n, n) of all losses then."""
     n, own = len(before.mean), list(rotors)
-    J, z = (np.sum([getattr(one, name) for one in asked], axis=0) for name in ("J", "z"))
+    J, z = (np.sum([getattr(one, name) for one in responses], axis=0) for name in ("J", "z"))
     total, base, mean, cov = [], [], [], []
     none = np.full(n, UNLIKE)
     for own_J, own_z in zip(J, z, strict=True):
@@ -265,19 +269,22 @@ def _gaussian(J: np.ndarray, z: np.ndarray, mean: np.ndarray, sd: np.ndarray) ->
 
 
 def shares(
-    asked: Sequence[Asked], named: dict[tuple[int, ...], np.ndarray], n: int, before: Asked | None = None
+    responses: Sequence[ExcitationEvidence],
+    named: dict[tuple[int, ...], np.ndarray],
+    n: int,
+    before: ExcitationEvidence | None = None,
 ) -> dict[tuple[int, ...], float]:
     """Probability of each set of weak rotors (0-based; (): none): of those named, with the losses (n,) that hover gives them, of all single
     rotors and of all pairs. before: the trim, which a loss since then has changed and an older one has not."""
     logs: dict[tuple[int, ...], float] = {(): 0.0}
     for who in (*combinations(range(n), 1), *combinations(range(n), 2)):
-        old = evidence(asked, who, prior(who, n))[0]
-        new = evidence([*asked, before], who, prior(who, n))[0] if before else old
+        old = evidence(responses, who, prior(who, n))[0]
+        new = evidence([*responses, before], who, prior(who, n))[0] if before else old
         logs[who] = np.log(OTHER) + np.logaddexp(old, new) - np.log(2.0)
     for who, losses in named.items():
         weight = CONTAINS if any(set(other) < set(who) for other in named) else 1.0
         logs[who] = np.logaddexp(
-            logs.get(who, -np.inf), np.log(weight) + evidence(asked, who, prior(who, n, losses))[0]
+            logs.get(who, -np.inf), np.log(weight) + evidence(responses, who, prior(who, n, losses))[0]
         )
     top = max(logs.values())
     weights = {who: float(np.exp(v - top)) for who, v in logs.items()}
@@ -312,7 +319,8 @@ class Question(NamedTuple):
 
 
 def question(sets: dict[tuple[int, ...], np.ndarray], carry, table: Ticks, B: np.ndarray) -> Question:
-    """What to ask of sets of rotors (`candidates` or `suspects`), or none. carry: of the default estimator after the ticks of `table`."""
+    """What an excitation has to distinguish: sets of rotors (`candidates` or `suspects`), or none. carry: of the default estimator after
+    the ticks of `table`."""
     flying = table.mode == JUDGE
     late = flying & (table.time > table.time[flying][-1] - HOVER_S)
     hover = (table.thrust * table.hover[:, None])[late].mean(axis=0)
@@ -323,37 +331,37 @@ def question(sets: dict[tuple[int, ...], np.ndarray], carry, table: Ticks, B: np
     )
 
 
-def settle(
+def resolve(
     events: Sequence[Event], table: Ticks, B: np.ndarray, dynamics=None
 ) -> tuple[tuple[Event, ...], tuple[str, ...]]:
-    """The losses of a flight with what its excitations say of them: ambiguous ones are settled where an excitation after them says which
+    """The losses of a flight with what its excitations say of them: ambiguous ones are resolved where an excitation after them says which
     rotors it was, so are those that were announced while one was going on (weak rotors answer it by what looks like jumps of others), and
     losses that nothing else has shown are added; and sentences on what it says no rotor made. Without an excitation the events are what
     they were. table, B, dynamics: as for `find`."""
-    asked, before, known = find(table, B, dynamics)
-    if not asked:
+    responses, before, known = find(table, B, dynamics)
+    if not responses:
         return tuple(events), ()
     open_ = {e.detected_s: e for e in known if e.alternatives}
-    kept, notes = [], []
+    result, notes = [], []
     for e in events:
         if not e.alternatives and e.detected_s in open_ and e.end_s is None:
             e = open_[
                 e.detected_s
             ]  # what has become of its explanations since is what the excitation did to their weights
-        during = [q for q in asked if q.start < e.detected_s < q.end + AFTER_S]
-        later = [q for q in asked if q.start > e.onset_s and (e.end_s is None or q.end < e.end_s)]
+        during = [q for q in responses if q.start < e.detected_s < q.end + AFTER_S]
+        later = [q for q in responses if q.start > e.onset_s and (e.end_s is None or q.end < e.end_s)]
         if not during and (not e.alternatives or not later):
-            kept.append(e)
+            result.append(e)
             continue
         later = later or during
-        settled, note = _settled(e, later, B)
-        kept += [settled] if settled else []
+        resolved, note = _resolved(e, later, B)
+        result += [resolved] if resolved else []
         notes += [note] if note else []
-    if not kept:
-        found, note = _unseen(asked, before, B)
-        kept += [found] if found and not notes else []
+    if not result:
+        found, note = _unseen(responses, before, B)
+        result += [found] if found and not notes else []
         notes += [note] if note and not notes else []
-    return tuple(kept), tuple(notes)
+    return tuple(result), tuple(notes)
 
 
 def _unsure(event: Event, found: dict[tuple[int, ...], float], extra: dict) -> Event:
@@ -371,18 +379,20 @@ def _unsure(event: Event, found: dict[tuple[int, ...], float], extra: dict) -> E
     return replace(event, alternatives=others, reason=reason, extra=extra) if others else replace(event, extra=extra)
 
 
-def _unseen(asked: Sequence[Asked], before: Asked | None, B: np.ndarray) -> tuple[Event | None, str]:
+def _unseen(
+    responses: Sequence[ExcitationEvidence], before: ExcitationEvidence | None, B: np.ndarray
+) -> tuple[Event | None, str]:
     """The loss that only the excitations show, if there is one, since the flight was judged (then the trim `before` has changed as well) or
     from before; else, if so, that there is none."""
     n = B.shape[1]
-    found = shares(asked, {}, n, before)
+    found = shares(responses, {}, n, before)
     best, share = next(iter(found.items()))
-    when = _when(asked)
+    when = _when(responses)
     if not best:
         well = f"the excitation of the commands from {when} was answered as by a vehicle whose rotors are all well"
         return None, well if share > CERTAIN else ""
-    whole = [asked, *([[*asked, before]] if before else [])]
-    _, mean, cov = max((evidence(told, best, prior(best, n)) for told in whole), key=lambda one: one[0])
+    whole = [responses, *([[*responses, before]] if before else [])]
+    _, mean, cov = max((evidence(some, best, prior(best, n)) for some in whole), key=lambda one: one[0])
     loss, bounds = _losses(best, mean, cov, B)
     if found[()] > 1.0 - CERTAIN or max(low for low, _ in bounds) < UNLIKE:
         return None, ""
@@ -390,19 +400,19 @@ def _unseen(asked: Sequence[Asked], before: Asked | None, B: np.ndarray) -> tupl
     who = tuple(k + 1 for k in best)
     reason = f"the excitation of the commands from {when} was answered as by a vehicle whose rotor {' and '.join(map(str, who))} is weak"
     reason += f", but {', '.join('+'.join(map(str, o)) for o in others)} would look the same" if others else ""
-    extra = {"asked": _told(asked, found)}
-    start, end = asked[0].start, asked[-1].end
+    extra = {"asked": _extra(responses, found)}
+    start, end = responses[0].start, responses[-1].end
     return Event("loss_of_effectiveness", who, start, end, None, loss, bounds, share, others, reason, extra), ""
 
 
-def _when(asked: Sequence[Asked]) -> str:
-    return f"{asked[0].start:.1f} to {asked[-1].end:.1f} s"
+def _when(responses: Sequence[ExcitationEvidence]) -> str:
+    return f"{responses[0].start:.1f} to {responses[-1].end:.1f} s"
 
 
-def _told(asked: Sequence[Asked], found: dict[tuple[int, ...], float]) -> dict:
+def _extra(responses: Sequence[ExcitationEvidence], found: dict[tuple[int, ...], float]) -> dict:
     """For an event's `extra`: when it was asked, and the probabilities of the sets that are left."""
     left = {"+".join(str(k + 1) for k in who) or "none": round(p, 6) for who, p in found.items() if p > 1e-3}
-    return {"start_s": asked[0].start, "end_s": asked[-1].end, "probability": left}
+    return {"start_s": responses[0].start, "end_s": responses[-1].end, "probability": left}
 
 
 def _losses(who: tuple[int, ...], mean: np.ndarray, cov: np.ndarray, B: np.ndarray) -> tuple[tuple, tuple]:
@@ -416,12 +426,12 @@ def _losses(who: tuple[int, ...], mean: np.ndarray, cov: np.ndarray, B: np.ndarr
     return tuple(float(v) for v in loss), bounds
 
 
-def _settled(event: Event, asked: Sequence[Asked], B: np.ndarray) -> tuple[Event | None, str]:
+def _resolved(event: Event, responses: Sequence[ExcitationEvidence], B: np.ndarray) -> tuple[Event | None, str]:
     named = candidates(event, B)
     n = B.shape[1]
-    found = shares(asked, named, n)
+    found = shares(responses, named, n)
     best, share = next(iter(found.items()))
-    when, extra = _when(asked), {**event.extra, "asked": _told(asked, found)}
+    when, extra = _when(responses), {**event.extra, "asked": _extra(responses, found)}
     if share < CERTAIN:
         return _unsure(event, found, extra), ""
     if not best:
@@ -429,7 +439,7 @@ def _settled(event: Event, asked: Sequence[Asked], B: np.ndarray) -> tuple[Event
             f"a shift of thrust at {event.onset_s:.1f} s might have been rotors {'+'.join(map(str, event.rotors))} or others; the "
             f"excitation of the commands from {when} was answered as by a vehicle whose rotors are all well"
         )
-    _, mean, cov = evidence(asked, best, prior(best, n, named.get(best)))
+    _, mean, cov = evidence(responses, best, prior(best, n, named.get(best)))
     loss, bounds = _losses(best, mean, cov, B)
     who = tuple(k + 1 for k in best)
     names = " and ".join(map(str, who))

@@ -16,8 +16,8 @@ import numpy as np
 
 # Nats by which one explanation has to be better than another before that counts: ten times likelier.
 CLEAR = float(np.log(10.0))
-# Losses: so large that the rotor is as good as gone; so small that it is none.
-GONE, NONE = 0.8, 0.015
+# Losses: so large that the rotor is lost altogether; so small that it is none.
+TOTAL_LOSS, NONE = 0.8, 0.015
 LOSS_WIDTH, SMALL_WIDTH = 0.3, 0.06
 # Share by which what a loss does to roll, pitch, yaw and thrust may differ from geometry: inflow and battery change thrust, and
 # in moving air rotors that no longer match in speed drag the vehicle round.
@@ -121,9 +121,9 @@ def _clip_pair(c11, c12, c22, z1, z2, lo1, hi1, lo2, hi2):
     return best_a, best_b, best
 
 
-def log_bayes_factors(hyp: Hypotheses, C, z, lo, hi, width, gone, slop):
+def log_bayes_factors(hyp: Hypotheses, C, z, lo, hi, width, recovery, slop):
     """C (W, q, q), z (W, q) for W jump times; lo, hi (n,) bounds of rotor jumps; width (4,): how large disturbances of this
-    aircraft are; gone (W, n): the jump that would end each rotor's loss; slop (W, 4): of that name. -> log BF (W, n_h), nu (W, n_fault,
+    aircraft are; recovery (W, n): the jump that would end each rotor's loss; slop (W, 4): of that name. -> log BF (W, n_h), nu (W, n_fault,
     2)."""
     import jax.numpy as jnp
 
@@ -142,25 +142,25 @@ def log_bayes_factors(hyp: Hypotheses, C, z, lo, hi, width, gone, slop):
     large = z * nu1 - 0.5 * c1 * nu1**2 - 0.5 * jnp.log(c1 * w2)
     small = z * nu0 - 0.5 * c0 * nu0**2 - 0.5 * jnp.log(c0 * SMALL_WIDTH**2)
     single = jnp.logaddexp(large, small) - np.log(2.0) + gain[:, None]
-    variance = recovery_sd(gone) ** 2
+    variance = recovery_sd(recovery) ** 2
     left = c + 1.0 / variance
-    more = (z - c * gone) / left
-    over = z * gone - 0.5 * c * gone**2 + 0.5 * left * more**2 - 0.5 * jnp.log(left * variance)
+    more = (z - c * recovery) / left
+    over = z * recovery - 0.5 * c * recovery**2 + 0.5 * left * more**2 - 0.5 * jnp.log(left * variance)
     over = over + gain[:, None]
     nu = [
         jnp.stack([nu1, jnp.zeros_like(nu1)], -1),
         jnp.stack([pa, pb], -1),
-        jnp.stack([gone + more, jnp.zeros_like(nu1)], -1),
+        jnp.stack([recovery + more, jnp.zeros_like(nu1)], -1),
     ]
     nu = jnp.concatenate(nu, axis=1)
     return jnp.concatenate([single, pair, over, others], axis=1), nu
 
 
-def recovery_sd(gone):
-    """Standard deviation of the jump `gone` that ends a loss."""
+def recovery_sd(recovery):
+    """Standard deviation of the jump `recovery` that ends a loss."""
     import jax.numpy as jnp
 
-    return jnp.hypot(NONE, RECOVERY_SHARE * gone)
+    return jnp.hypot(NONE, RECOVERY_SHARE * recovery)
 
 
 def disturbances(hyp: Hypotheses, C, z, width):
@@ -198,17 +198,17 @@ def with_slop(C, z, prior):
     import jax.numpy as jnp
 
     n = z.shape[1] - 4
-    own, told, gain = jnp.diagonal(C, axis1=1, axis2=2)[:, :n], z[:, :n], jnp.zeros(z.shape[0])
+    own, score, gain = jnp.diagonal(C, axis1=1, axis2=2)[:, :n], z[:, :n], jnp.zeros(z.shape[0])
     cross, among, step = C[:, :n, n:], C[:, n:, n:], z[:, n:]
     for a in range(4):
         d = among[:, 0, 0] + 1.0 / prior[:, a]
         gain = gain + 0.5 * step[:, 0] ** 2 / d - 0.5 * jnp.log(d * prior[:, a])
         share, row = cross[:, :, 0] / d[:, None], among[:, 0, 1:]
-        own, told = own - cross[:, :, 0] * share, told - share * step[:, :1]
+        own, score = own - cross[:, :, 0] * share, score - share * step[:, :1]
         cross = cross[:, :, 1:] - share[:, :, None] * row[:, None, :]
         step = step[:, 1:] - (step[:, 0] / d)[:, None] * row
         among = among[:, 1:, 1:] - row[:, :, None] * (row / d[:, None])[:, None, :]
-    return own, told, gain
+    return own, score, gain
 
 
 def cholesky(A):

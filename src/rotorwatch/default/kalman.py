@@ -43,9 +43,9 @@ def restart(branches: Branches, P0, begins, hop) -> Branches:
     )
 
 
-def predict(branches: Branches, decay, variances, doubt, flying, dt) -> Branches:
-    """One tick ahead. decay (n_x,): of the plant's states; variances (4, 4) of the noise model; doubt: by how much errors have been larger
-    than that. A loss that has been refined long enough is taken as known, its variance is remembered; one that is none is over."""
+def predict(branches: Branches, decay, variances, burst_factor, flying, dt) -> Branches:
+    """One tick ahead. decay (n_x,): of the plant's states; variances (4, 4) of the noise model; burst_factor: by how much errors have been
+    larger than that. A loss that has been refined long enough is taken as known, its variance is remembered; one that is none is over."""
     import jax
     import jax.numpy as jnp
 
@@ -57,7 +57,7 @@ def predict(branches: Branches, decay, variances, doubt, flying, dt) -> Branches
     def one(s, P, active, learning, theta_var, theta_mean):
         theta = s[n_x:]
         mean = theta_mean + (theta - theta_mean) * (dt / MOVING_S)
-        var = doubt * jnp.diagonal(P)[n_x:]
+        var = burst_factor * jnp.diagonal(P)[n_x:]
         finished = (learning > 0) & (learning <= dt)
         moving = finished & (jnp.abs(theta - mean) > jnp.sqrt(jnp.maximum(var, 0.0)))
         finished &= ~moving
@@ -75,9 +75,9 @@ def predict(branches: Branches, decay, variances, doubt, flying, dt) -> Branches
     return branches._replace(**dict(zip(parts, ahead)))
 
 
-def update(s, P, rows, y, valid, R, teach):
-    """One tick's wrench y (4,) where valid (4,), of rows (4, n_s) and noise variances R (4,); teach (n_s,): share of the gain that each
-    state gets. -> s, P, gains (4, n_s), innovations (4,), variances (4,)."""
+def update(s, P, rows, y, valid, R, gain_share):
+    """One tick's wrench y (4,) where valid (4,), of rows (4, n_s) and noise variances R (4,); gain_share (n_s,): share of the gain that
+    each state gets. -> s, P, gains (4, n_s), innovations (4,), variances (4,)."""
     import jax.numpy as jnp
 
     gains, innovations, variances = [], [], []
@@ -88,7 +88,7 @@ def update(s, P, rows, y, valid, R, teach):
         S = h @ Ph + R[a]
         S = jnp.maximum(S, nu * nu / OUTLIER**2)
         nu = jnp.where(valid[a], nu, 0.0)
-        K = Ph * jnp.where(valid[a], 1.0 / S, 0.0) * teach
+        K = Ph * jnp.where(valid[a], 1.0 / S, 0.0) * gain_share
         s = s + K * nu
         P = P - K[:, None] * Ph[None, :] - Ph[:, None] * K[None, :]
         P = P + jnp.where(valid[a], S, 0.0) * K[:, None] * K[None, :]

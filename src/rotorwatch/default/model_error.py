@@ -1,6 +1,6 @@
-"""How far commands and motion can be believed: what the filter may learn from them, and how wrong its model may be for a moment.
+"""How far commands and motion can be trusted: which states the filter may learn from them, and how wrong its model may be for a moment.
 
-In closed loop the commands answer the noise. Three things follow, each learned the hard way: small motion teaches the
+In closed loop the commands answer the noise. Three things follow, each learned the hard way: from small motion the filter would learn the
 controller's gains instead of the vehicle's; a loss must not be regressed on a rotor's own jitter; and gains, damping,
 thrust curve and lag are wrong by some share of what they multiply, which belongs in the measurement noise.
 """
@@ -30,7 +30,7 @@ GUST_SHARE, LEAST_GAIN = 2.0, 0.3
 FAR, FAR_ERROR = 0.3, 0.5
 # Shares of full thrust: up to the first a rotor gives what it is commanded; from the second on it is at its limit and may give only the
 # first: batteries sag, speed controllers and simulated motors reach their end early.
-BELIEVED, AT_LIMIT = 0.6, 0.9
+BELOW_LIMIT, AT_LIMIT = 0.6, 0.9
 
 
 class Memory(NamedTuple):
@@ -44,16 +44,16 @@ class Memory(NamedTuple):
     collective: Array
     y: Array
     burst: Array
-    lean: Array
+    innovation_mean: Array
     lasting: Array
 
 
 class Look(NamedTuple):
-    """What this tick's inputs are worth. u: with smoothed thrusts. teach (n_s,): share of the Kalman gain each state gets.
-    far: hover thrusts away from hover. rise (n,): thrust asked for above trim. collective: mean thrust."""
+    """How informative this tick's inputs are. u: with smoothed thrusts. gain_share (n_s,): share of the Kalman gain each state gets.
+    far: hover thrusts away from hover. rise (n,): commanded thrust above trim. collective: mean thrust."""
 
     u: Array
-    teach: Array
+    gain_share: Array
     far: Array
     rise: Array
     collective: Array
@@ -95,8 +95,8 @@ def look(memory: Memory, u, y, valid, flying, restart, x, variances, n: int, dt)
     fade = jnp.where(flying & valid[0], dt / LEVEL_MEMORY_S, 0.0)
     level = memory.level + fade * (jnp.minimum(motion**2, 6.0 * memory.level) - memory.level)
     one = jnp.ones(1)
-    teach = jnp.ones((4, PER_AXIS)).at[:, GAIN].set(jnp.concatenate([shrink[:3], one]))
-    teach = teach.at[:, DAMPING].set(jnp.concatenate([shrink[3:], one]))
+    gain_share = jnp.ones((4, PER_AXIS)).at[:, GAIN].set(jnp.concatenate([shrink[:3], one]))
+    gain_share = gain_share.at[:, DAMPING].set(jnp.concatenate([shrink[3:], one]))
 
     # What a loss takes is in proportion to the rotor's thrust, but not to its jitter: a disturbance that the controller
     # answers through rotor i would correlate with that rotor's own command and look like its loss.
@@ -124,11 +124,11 @@ def look(memory: Memory, u, y, valid, flying, restart, x, variances, n: int, dt)
         usual + (collective - usual) * (past / plant.USUAL_S),
         jnp.where(valid, y, memory.y),
         jnp.where(restart, 1.0, memory.burst),
-        jnp.where(restart, 0.0, memory.lean),
+        jnp.where(restart, 0.0, memory.innovation_mean),
         memory.lasting,
     )
-    teach = jnp.concatenate([teach.reshape(-1), jnp.ones(x.size - AXIS_STATES + n)])
-    return new, Look(jnp.concatenate([smooth, u[n:]]), teach, far, smooth - collective - memory.trim, collective)
+    gain_share = jnp.concatenate([gain_share.reshape(-1), jnp.ones(x.size - AXIS_STATES + n)])
+    return new, Look(jnp.concatenate([smooth, u[n:]]), gain_share, far, smooth - collective - memory.trim, collective)
 
 
 def calm(memory: Memory):
@@ -145,24 +145,24 @@ def remember(memory: Memory, innovation, variance, ok, dt) -> Memory:
     size = innovation / jnp.sqrt(variance)
     burst = jnp.minimum(size**2, BURST_CLIP)
     fade = jnp.where(ok, dt, 0.0)
-    lean = memory.lean + fade / plant.TAU[1] * (size - memory.lean)
+    innovation_mean = memory.innovation_mean + fade / plant.TAU[1] * (size - memory.innovation_mean)
     # White innovations would give a mean over plant.TAU[1] this variance.
-    lasting = jnp.minimum(lean**2 * (2.0 * plant.TAU[1] / dt - 1.0), BURST_CLIP)
+    lasting = jnp.minimum(innovation_mean**2 * (2.0 * plant.TAU[1] / dt - 1.0), BURST_CLIP)
     return memory._replace(
         burst=memory.burst + fade / BURST_MEMORY_S * (burst - memory.burst),
-        lean=lean,
+        innovation_mean=innovation_mean,
         lasting=memory.lasting + fade / LASTING_MEMORY_S * (lasting - memory.lasting),
     )
 
 
-def model_error(memory: Memory, seen: Look, x, y, white, B, n: int, dt):
+def variance(memory: Memory, seen: Look, x, y, white, B, n: int, dt):
     """(4,) variance by which the plant's model may be wrong at this tick; x (n_x,) state, white (4,) noise variance, B (4, n)."""
     import jax.numpy as jnp
 
     u, x = seen.u, x[:AXIS_STATES].reshape(4, PER_AXIS)
     motion = jnp.concatenate([u[n : n + 3], u[n + 3 : n + 4] - n])
     rates = jnp.concatenate([u[n + 4 : n + 7], jnp.zeros(1)])
-    missing = jnp.where(u[:n] > AT_LIMIT * u[n + 9], u[:n] - BELIEVED * u[n + 9], 0.0)
+    missing = jnp.where(u[:n] > AT_LIMIT * u[n + 9], u[:n] - BELOW_LIMIT * u[n + 9], 0.0)
     step = jnp.maximum(jnp.abs(y - memory.y) - 4.0 * jnp.sqrt(white), 0.0)
     return ERROR_TICKS * (
         (jnp.asarray(GAIN_ERROR) * x[:, GAIN] * motion) ** 2

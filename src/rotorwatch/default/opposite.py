@@ -1,7 +1,7 @@
 """A sudden shift that is a disturbance, or else a pair of opposite rotors that explains it as well.
 
 Torques of opposite rotors cancel in roll and pitch, so that the shift left in thrust (and yaw) is what battery, payload or a gust make,
-too - but those do not come within a tick. Which of the pairs it is, and how they share the loss, motion does not say: what is asked is one
+too - but those do not come within a tick. Which of the pairs it is, and how they share the loss, motion does not say: the hypothesis is one
 loss nu that both rotors of a pair have. With C (q, q) and z (q,) of the bank and d = e_i + e_j its log Bayes factor against "no jump" is
 that of a single rotor with information d'C d and vector d'z (hypotheses.py): one number, as the step of an axis is, and not two, of which
 one would be paid for but never seen.
@@ -33,14 +33,23 @@ class Opposite(NamedTuple):
 
 
 def suspect(
-    hyp: Hypotheses, onsets: bank.Jumps, told: bank.Bank, found: evidence.Evidence, B, calm, missing, limit, lasted, dt
+    hyp: Hypotheses,
+    onsets: bank.Jumps,
+    statistics: bank.Bank,
+    found: evidence.Evidence,
+    B,
+    calm,
+    missing,
+    limit,
+    lasted,
+    dt,
 ) -> tuple[Opposite, Array]:
     """B (4, n): effectiveness; calm: flight without turns of which nothing is known but a disturbance; missing: `plausibility.Missing`;
     limit: nats that a fault needs; lasted: seconds for which it has been so, returned with this tick added."""
     import jax.numpy as jnp
 
     n, slow = hyp.n, jnp.asarray(onsets.slow)
-    log_bf, nu = shared(hyp, told.C, told.z)
+    log_bf, nu = shared(hyp, statistics.C, statistics.z)
     usable = ~slow[:, None] & torque_free(hyp, B)[None, :] & (nu > hypotheses.NONE) & found.live[:, None]
     fit = jnp.where(usable, log_bf, evidence.NOTHING)
     free_fit = jnp.where(found.live[:, None], found.log_bf[:, ~hyp.fault], evidence.NOTHING)
@@ -48,8 +57,8 @@ def suspect(
     pair = jnp.argmax(fit.max(axis=0))
     slot = jnp.argmax(fit[:, pair])
     loss = nu[slot, pair]
-    since_onset = jnp.exp(told.age[slot] * dt / plant.USUAL_S)  # what was forgotten of the heaving meanwhile
-    # A quadrotor's pairs can be told apart by their yaw: there the fault hypotheses say all there is to say.
+    since_onset = jnp.exp(statistics.age[slot] * dt / plant.USUAL_S)  # what was forgotten of the heaving meanwhile
+    # A quadrotor's pairs can be distinguished by their yaw: there the fault hypotheses say all there is to say.
     now = (
         calm
         & (missing.heave * since_onset < HEAVING + 2.0 * loss / n)
@@ -60,9 +69,9 @@ def suspect(
         & (best > gradual)
     )
     since = jnp.where(now, lasted + dt, 0.0)
-    news = (since >= plant.ANSWER_S) & (lasted < plant.ANSWER_S)
-    which = jnp.where(news, n + pair, -1).astype(jnp.int32)
-    return Opposite(which, told.age[slot].astype(float) + 1.0, jnp.stack([loss, loss])), since
+    newly = (since >= plant.ANSWER_S) & (lasted < plant.ANSWER_S)
+    which = jnp.where(newly, n + pair, -1).astype(jnp.int32)
+    return Opposite(which, statistics.age[slot].astype(float) + 1.0, jnp.stack([loss, loss])), since
 
 
 def shared(hyp: Hypotheses, C, z):

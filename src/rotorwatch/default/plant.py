@@ -59,12 +59,12 @@ class WrenchBalance:
         self.n_theta = B.shape[1]
         self.n_u = self.n_theta + 10
         self.n_x = AXIS_STATES + (lower is not None)
-        self._given, self._share = prior, share
+        self._prior, self._share = prior, share
 
     @cached_property
     def prior(self):
         """(mean (n_x,), covariance (n_x, n_x)) of the state before anything is known; made when it is asked for, as `pack` needs none."""
-        mean, P = any_multirotor(self.n_theta) if self._given is None else self._given
+        mean, P = any_multirotor(self.n_theta) if self._prior is None else self._prior
         if self.lower is None:
             return mean, P
         return _with_share(mean, P, np.array([0.0, SHARE_SD**2]) if self._share is None else self._share)

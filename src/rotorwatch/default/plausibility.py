@@ -1,4 +1,4 @@
-"""Before a loss is believed: has the controller asked more of that rotor, and is the thrust missing that it no longer gives?
+"""Before a loss is announced: has the controller commanded more of that rotor, and is the thrust missing that it no longer gives?
 
 Evidence says which explanation fits best; these gates say whether the best one can be true at all.
 """
@@ -13,7 +13,7 @@ from rotorwatch.core import Array
 from rotorwatch.default import hypotheses, model_error, plant
 
 # Both may be off by a standard deviation of this flight's disturbances, and by as much as the slack in calm air.
-ASKED_SHARE, ASKED_SLACK, ASKED_MOST = 0.25, 0.05, 0.35
+DEMAND_SHARE, DEMAND_SLACK, DEMAND_MOST = 0.25, 0.05, 0.35
 MISSING_SLACK = 0.15  # hover thrusts of one rotor
 LIMIT_S = 2.0  # how long it is remembered that a rotor was at its limit
 
@@ -44,8 +44,8 @@ def follow(state: Missing, missing, load, share, valid, restart, dt) -> Missing:
     up = jnp.where(valid, load - 1.0, 0.0)
     push, left = jnp.abs(up), jnp.exp(-dt / plant.USUAL_S)
     missing = jnp.where(valid, missing, state.slow)
-    near = jnp.clip((share - model_error.BELIEVED) / (model_error.AT_LIMIT - model_error.BELIEVED), 0.0, 1.0)
-    lacks = near * (1.0 - model_error.BELIEVED / jnp.maximum(share, model_error.BELIEVED))
+    near = jnp.clip((share - model_error.BELOW_LIMIT) / (model_error.AT_LIMIT - model_error.BELOW_LIMIT), 0.0, 1.0)
+    lacks = near * (1.0 - model_error.BELOW_LIMIT / jnp.maximum(share, model_error.BELOW_LIMIT))
     return Missing(
         jnp.where(restart, missing, state.fast + (missing - state.fast) * jnp.minimum(dt / plant.ANSWER_S, 1.0)),
         jnp.where(restart, missing, state.slow + (missing - state.slow) * (dt / plant.USUAL_S)),
@@ -55,8 +55,8 @@ def follow(state: Missing, missing, load, share, valid, restart, dt) -> Missing:
     )
 
 
-def asked_of(B):
-    """(n, n): by what share of it a loss of rotor j raises what is asked of rotor i, above the mean of all, where its own loss counts 1.
+def demand_coupling(B):
+    """(n, n): by what share of it a loss of rotor j raises the command of rotor i, above the mean of all, where its own loss counts 1.
 
     A controller makes up for the wrench B x that is missing with the least change of thrusts, B' (B B')^-1 B x. Of opposite rotors each
     has to rise by itself: where they lose the same neither does, and only steady flight can tell (opposite.py)."""
@@ -74,7 +74,7 @@ def asked_of(B):
 def plausible(jump, smooth, rise, now: Missing, before: Missing, thrust_valid, active, rough, coupling):
     """bool: may the jump (2, n; two rotors at most, 0 elsewhere) be a loss? coupling (n, n): `asked_of`.
 
-    smooth (n,): thrust of each rotor; rise (n,): what is asked above trim. active (n,): rotors already known to be weak.
+    smooth (n,): thrust of each rotor; rise (n,): commands above trim. active (n,): rotors already known to be weak.
     rough (4,): variance of this flight's disturbances.
     """
     import jax.numpy as jnp
@@ -84,14 +84,14 @@ def plausible(jump, smooth, rise, now: Missing, before: Missing, thrust_valid, a
     # Two rotors at once are rare: they have to show as they would in calm air.
     n, rough = smooth.shape[0], jnp.where((jump != 0.0).any(axis=1).all(), 0.0, rough)
     swing = jnp.sqrt(rough[:3].sum()) / n
-    asked = coupling @ (jnp.minimum(jump, ASKED_MOST).sum(axis=0) * smooth)
+    demanded = coupling @ (jnp.minimum(jump, DEMAND_MOST).sum(axis=0) * smooth)
     ok = (jnp.abs(jump).max() > hypotheses.NONE) & jnp.where(
-        jump > 0, rise > ASKED_SHARE * asked - jnp.maximum(ASKED_SLACK, swing), True
+        jump > 0, rise > DEMAND_SHARE * demanded - jnp.maximum(DEMAND_SLACK, swing), True
     ).all()
     # ... and what the rotors no longer give must be missing from the thrust.
     slack = jnp.maximum(MISSING_SLACK, jnp.sqrt(rough[3]))
-    lost = (jnp.clip(jump, 0.0, 1.0) * smooth).sum()
-    ok &= ~thrust_valid | (lost <= 0.0) | (now.fast - before.slow > ASKED_SHARE * lost - slack)
+    lost_thrust = (jnp.clip(jump, 0.0, 1.0) * smooth).sum()
+    ok &= ~thrust_valid | (lost_thrust <= 0.0) | (now.fast - before.slow > DEMAND_SHARE * lost_thrust - slack)
     # ... and not because a rotor at its limit gives no more.
-    told = (jump > 0) & ~active[None, :]
-    return ok & jnp.where(told, jump > now.limit[None, :], True).all()
+    claimed = (jump > 0) & ~active[None, :]
+    return ok & jnp.where(claimed, jump > now.limit[None, :], True).all()

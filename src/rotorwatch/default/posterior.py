@@ -70,9 +70,9 @@ def weigh(branches: Branches, innovation, variance, valid, calm, counts, dt) -> 
     import jax.numpy as jnp
 
     fit = -0.5 * jnp.log(variance) - 0.5 * innovation**2 / variance
-    told = jnp.where(valid, calm, 0.0)
+    counted = jnp.where(valid, calm, 0.0)
     share = jnp.where(counts, TEMPER * jnp.exp(-branches.age / RESOLVE_S), 0.0)
-    weight = branches.weight + share * (fit @ told)
+    weight = branches.weight + share * (fit @ counted)
     weight = weight - weight[0]
     # How rotors differ in hover is not known well enough to drop one of several pairs that look the same.
     weight = jnp.where(branches.alike.any(axis=1) & branches.alike[0].any(), jnp.maximum(weight, ALIKE), weight)
@@ -107,7 +107,7 @@ def shares(branches: Branches):
 
 
 def born(
-    branches: Branches, hyp: Hypotheses, told: bank.Bank, found: evidence.Evidence, alike, first, alarm, absorbed
+    branches: Branches, hyp: Hypotheses, statistics: bank.Bank, found: evidence.Evidence, alike, first, alarm, absorbed
 ) -> Branches:
     """What may have happened becomes branches of the one that leads: the likeliest disturbance and the likeliest faults. alike
     (n_h,): pairs that others look like. Hypothesis `first` leads where it is announced, the disturbance where something was
@@ -128,24 +128,24 @@ def born(
         which, weight = (jnp.stack(part)[turn] for part in zip(*chosen))
         # The first place leads; nobody else may be ahead from the start.
         weight = jnp.minimum(weight - weight[0], hypotheses.CLEAR)
-        # The odds against disturbances are what an announcement is made by; they are not asked again. Without one, and where no rotor
+        # The odds against disturbances are what an announcement is made by; they are not tested again. Without one, and where no rotor
         # is weak, nothing but a disturbance may lead.
-        doubt = alarm | branches.active[0].any()
-        barred = jnp.where(alarm, which == none, ~doubt & (which != none))
+        considered = alarm | branches.active[0].any()
+        barred = jnp.where(alarm, which == none, ~considered & (which != none))
         weight = jnp.where(barred | (weight <= OUT), NEVER, weight)
-        child = jax.vmap(lambda h: _child(branches, hyp, told, found, alike, h))(which)
-        return child._replace(weight=weight, age=jnp.where(doubt, 0.0, branches.age))
+        child = jax.vmap(lambda h: _child(branches, hyp, statistics, found, alike, h))(which)
+        return child._replace(weight=weight, age=jnp.where(considered, 0.0, branches.age))
 
     return jax.lax.cond(alarm | absorbed, made, lambda same: same, branches)
 
 
-def _child(branches: Branches, hyp: Hypotheses, told: bank.Bank, found: evidence.Evidence, alike, h) -> Branches:
+def _child(branches: Branches, hyp: Hypotheses, statistics: bank.Bank, found: evidence.Evidence, alike, h) -> Branches:
     """The leader with the jump of hypothesis h: exactly what an augmented filter with this jump would hold."""
     import jax.numpy as jnp
 
     n_x, n = branches.s.shape[1] - hyp.n, hyp.n
-    jump = evidence.jump(hyp, told, found, h)
-    M, _, _ = bank.pick(told, jump.slot)
+    jump = evidence.jump(hyp, statistics, found, h)
+    M, _, _ = bank.pick(statistics, jump.slot)
     s, P = branches.s[0] + M @ jump.size, branches.P[0] + M @ jump.cov @ M.T
     theta, sd = s[n_x:], jnp.sqrt(jnp.maximum(jnp.diagonal(P)[n_x:], 0.0))
     taken_back = (jump.each.sum(axis=0) < 0) & (theta < jnp.maximum(hypotheses.NONE, 2.0 * sd))

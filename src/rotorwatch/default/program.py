@@ -13,8 +13,8 @@ from rotorwatch.errors import ConfigError
 from rotorwatch.motion.ticks import AGAIN, TICKS_S, Ticks
 
 
-class Kept(NamedTuple):
-    """What is kept of every tick; shapes as in estimator.Output."""
+class TickOutput(NamedTuple):
+    """Outputs stored for every tick; shapes as in estimator.Output."""
 
     theta: Array
     theta_sd: Array
@@ -37,13 +37,13 @@ class Kept(NamedTuple):
     opposite_loss: Array
 
 
-def kept(out) -> Kept:
+def tick_output(out) -> TickOutput:
     """The usual selection of a tick's output."""
     import jax.numpy as jnp
 
     e, d = out.estimate, out.decision
-    same = {name: getattr(out, name) for name in Kept._fields if hasattr(out, name)}
-    told = {name: getattr(d, name) for name in ("log_odds", "statistic", "best", "onset")}
+    same = {name: getattr(out, name) for name in TickOutput._fields if hasattr(out, name)}
+    decided = {name: getattr(d, name) for name in ("log_odds", "statistic", "best", "onset")}
     own = dict(
         innovation=e.innovation,
         innovation_var=jnp.diagonal(e.innovation_cov),
@@ -52,7 +52,7 @@ def kept(out) -> Kept:
         opposite_onset=out.opposite.onset,
         opposite_loss=out.opposite.loss,
     )
-    return Kept(**{**same, **told, **own})
+    return TickOutput(**{**same, **decided, **own})
 
 
 def estimator(p):
@@ -86,12 +86,12 @@ def parameters(B: np.ndarray, dt: float, dynamics=None) -> dict:
     if dt not in TICKS_S:
         known = ", ".join(f"{t:g}" for t in TICKS_S)
         raise ConfigError(f"The default estimator has no ticks of {dt:g} s; it has {known}.")
-    given = {"B": B, "dt": np.array(dt), **coaxial}
+    arrays = {"B": B, "dt": np.array(dt), **coaxial}
     if dynamics:
-        return {**given, **{k: np.array(dynamics[k], float) for k in ("x0", "P0", "noise", "noise_weight")}}
+        return {**arrays, **{k: np.array(dynamics[k], float) for k in ("x0", "P0", "noise", "noise_weight")}}
     system = WrenchBalance(B)
     return {
-        **given,
+        **arrays,
         "x0": system.x0,
         "P0": system.P0,
         "noise": noise.GENERIC,
@@ -99,16 +99,16 @@ def parameters(B: np.ndarray, dt: float, dynamics=None) -> dict:
     }
 
 
-def estimate(table: Ticks, B: np.ndarray, dynamics=None, progress=None, keep=kept):
+def estimate(table: Ticks, B: np.ndarray, dynamics=None, progress=None, keep=tick_output):
     """Run the default estimator over ticks: (last carry, stacked outputs). Raises ConfigError when commands are too slow.
 
     As native code where there is a C compiler, which is several times as fast and needs no JAX once it is built; $ROTORWATCH_BACKEND
     says otherwise.
     """
-    given, backend = parameters(B, table.dt, dynamics), chosen(None, "auto")
-    return run_built(estimator, given, *inputs(table, B), keep, progress, backend=backend)
+    arrays, backend = parameters(B, table.dt, dynamics), chosen(None, "auto")
+    return run_built(estimator, arrays, *inputs(table, B), keep, progress, backend=backend)
 
 
 def steps(dt: float, B: np.ndarray, dynamics=None) -> Steps:
     """The default estimator for ticks of dt seconds, gone on with as ticks come; `inputs` makes its rows. Raises ConfigError."""
-    return Steps(estimator, parameters(B, dt, dynamics), kept, (B.shape[1] + 12, 4))
+    return Steps(estimator, parameters(B, dt, dynamics), tick_output, (B.shape[1] + 12, 4))

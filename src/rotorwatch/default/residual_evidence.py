@@ -3,7 +3,7 @@
 Announcing asks for more than a threshold: one hypothesis that beats every disturbance for a while, and a motion that fits it. Beside
 a loss that is already known, or with the vehicle at its limits, that may never be met although a second rotor is failing. Its evidence
 is then absorbed as a disturbance, and calling the rotor healthy would be wrong. The same where the trim is learned afresh after a contact,
-and comes out changed as by a rotor's loss. Such a spell is not an event - which rotor, and how much, remains open - but it is said.
+and comes out changed as by a rotor's loss. Such a spell is not an event - which rotor, and how much, remains open - but it is reported.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ LEAST_TRIM, UNEXPLAINED = 0.2, 0.5
 
 
 @dataclass(frozen=True)
-class Leftover:
+class ResidualEvidence:
     """A spell of unexplained evidence: rotors (1-based) it points to, start and end [s]."""
 
     rotors: tuple[int, ...]
@@ -39,7 +39,7 @@ class Leftover:
 
 def find(
     out, table: Ticks, hyp: Hypotheses, limit: float, events: Sequence[Event], B: np.ndarray | None = None
-) -> tuple[Leftover, ...]:
+) -> tuple[ResidualEvidence, ...]:
     """Spells of at least LASTS_S, after the first event, in which faults of other rotors than the known ones have more evidence than
     `limit` [nats] and no disturbance explains them clearly better; in flights without an event, spells of ALONE_LASTS_S in which a
     fault of one rotor has that, and more than any disturbance; and, with B (4, n), trims that were learned afresh and changed as a
@@ -76,23 +76,23 @@ def find(
                 own[[r - 1 for r in e.rotors]] = True
         mine = np.flatnonzero((weight > 0.5 * (b - a)) & ~own)
         if mine.size:
-            found.append(Leftover(tuple(int(i) + 1 for i in mine), float(time[a]), float(time[b - 1])))
+            found.append(ResidualEvidence(tuple(int(i) + 1 for i in mine), float(time[a]), float(time[b - 1])))
     if B is not None:
         found += _trims(np.asarray(out.biases), table, known, B)
     return tuple(sorted(found, key=lambda spell: spell.start_s))
 
 
-def faint(losses: Sequence[Event], found: Sequence[Event], end_s: float) -> tuple[Leftover, ...]:
+def faint(losses: Sequence[Event], found: Sequence[Event], end_s: float) -> tuple[ResidualEvidence, ...]:
     """Spells of `losses` that accuse nobody (`events.accuses`), but for those that a knock among the events explains."""
     knocks = [e.onset_s for e in found if e.kind == "contact"]
     return tuple(
-        Leftover(e.rotors, e.onset_s, end_s if e.end_s is None else e.end_s)
+        ResidualEvidence(e.rotors, e.onset_s, end_s if e.end_s is None else e.end_s)
         for e in losses
         if not any(t - 0.5 <= e.onset_s <= t + plant.USUAL_S for t in knocks)
     )
 
 
-def _trims(biases: np.ndarray, table: Ticks, known: Sequence[Event], B: np.ndarray) -> list[Leftover]:
+def _trims(biases: np.ndarray, table: Ticks, known: Sequence[Event], B: np.ndarray) -> list[ResidualEvidence]:
     """Times after an event when the vehicle flew on but was not judged, and the commanded wrench of trim, biases (T, 4), came out changed
     along the direction of rotors, columns of B (4, n)."""
     time, judging = table.time, table.mode == JUDGE
@@ -116,5 +116,5 @@ def _trims(biases: np.ndarray, table: Ticks, known: Sequence[Event], B: np.ndarr
         left = np.linalg.norm(weighted[:, None] - columns * size, axis=0)
         mine = np.flatnonzero((size > LEAST_TRIM) & (left < UNEXPLAINED * np.linalg.norm(weighted)))
         if mine.size:
-            found.append(Leftover(tuple(int(i) + 1 for i in mine), float(time[a]), float(time[b])))
+            found.append(ResidualEvidence(tuple(int(i) + 1 for i in mine), float(time[a]), float(time[b])))
     return found

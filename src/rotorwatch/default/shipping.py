@@ -85,13 +85,13 @@ def built(frame: Frame, marches: Sequence[str], folder: Path) -> tuple[str, dict
     from rotorwatch.default import program
 
     parameters, sizes = example(frame)
-    made, layout = native.exported(program.estimator, program.kept, parameters, sizes)
+    made, layout = native.exported(program.estimator, program.tick_output, parameters, sizes)
     libraries = {}
     for march in marches:
         name = f"{frame.name}{march and '-' + march}.so"
         shutil.copyfile(native.build(made.header, made.source, "estimator", march), folder / name)
         libraries[march] = name, shipped.digest_of(folder / name)
-    known = native.known_by(program.estimator, program.kept, parameters, sizes)
+    known = native.known_by(program.estimator, program.tick_output, parameters, sizes)
     assert known is not None
     return known, {"frame": frame.name, "libraries": libraries, "layout": layout, "source": made.digest}
 

@@ -280,7 +280,7 @@ def ready_s(vehicle: Vehicle) -> float:
     return READY_KNOWN_S if vehicle.identified else READY_S
 
 
-def losses(table: Ticks, vehicle: Vehicle) -> tuple[tuple[Event, ...], program.Kept]:
+def losses(table: Ticks, vehicle: Vehicle) -> tuple[tuple[Event, ...], program.TickOutput]:
     """Losses that the default diagnoser announces, without what it makes for people to look at, and its outputs."""
     B = vehicle.effectiveness()
     _, out = program.estimate(table, B, (vehicle.identified or {}).get("dynamics"))

@@ -95,7 +95,12 @@ def rates(output_hz: float, gyro_hz: float, accel_hz: float) -> dict[str, int]:
     half = int(np.ceil(max(gyro_hz, accel_hz) / 2)) + 2
     samples = int(np.ceil(max(0.4 * gyro_hz, 0.9 * accel_hz))) + 4
     often = int(np.ceil(max(gyro_hz, accel_hz)))
-    return {"HALF_SECOND": half, "MOTION_KEPT": samples, "RECENT": int(np.ceil(output_hz / 2)) + 2, "MOTION_HZ": often}
+    return {
+        "HALF_SECOND": half,
+        "MOTION_SAMPLES": samples,
+        "RECENT": int(np.ceil(output_hz / 2)) + 2,
+        "MOTION_HZ": often,
+    }
 
 
 def config(vehicle: Vehicle, dt: float, output_hz: float, gyro_hz: float, accel_hz: float) -> str:

@@ -170,7 +170,7 @@ class Airborne(Struct):
             return
         self.command = sqrt(total / real(count))
         if not self.walking:
-            if self.last > -LASTS and not self._goes_on(time):
+            if self.last > -LASTS and not self._continues(time):
                 self._end_flight()
             self.walking = True
             self.tick = -floor(-time / TICK_S)
@@ -225,7 +225,7 @@ class Airborne(Struct):
     def close(self) -> None:
         """No sample comes any more: a flight that lasts ends with the last command."""
         if self.start < LASTS:
-            self._keep(self.last)
+            self._store(self.last)
 
     def end_of(self, i: int) -> Time:
         """When flight i of those that are over ended: where its end began to show, and not after the last command."""
@@ -251,7 +251,7 @@ class Airborne(Struct):
         if self.flying and self.start >= LASTS:
             self.start = time
         elif not self.flying and self.start < LASTS:
-            self._keep(self.since)
+            self._store(self.since)
 
     def _on_the_ground(self, time: Time, now: Senses) -> None:
         ground = self.idle if self.idle_known else 0.0
@@ -320,7 +320,7 @@ class Airborne(Struct):
         """Is it too little to carry a vehicle that flies?"""
         return command < self.floor + _LOW * (self.hover - self.floor)
 
-    def _goes_on(self, time: Time) -> bool:
+    def _continues(self, time: Time) -> bool:
         """Does the vehicle still fly after a gap, by the first command after it? What lasted before the gap begins anew."""
         self.low_since = LASTS
         self.lying_since = LASTS
@@ -328,7 +328,7 @@ class Airborne(Struct):
             return False
         return self.flying and not self._little(self.command)
 
-    def _keep(self, end: Time) -> None:
+    def _store(self, end: Time) -> None:
         """A flight is over."""
         if min(end, self.last) > self.start:
             if self.ended == FLIGHTS:

@@ -67,7 +67,7 @@ class Touch(Struct):
     size: Real = 0.0  # g, or hover thrusts of one rotor where it turned the vehicle; of its largest tick so far
     push: int = TURNED
     hit: bool = False  # something outside pushed the vehicle in this tick
-    news: bool = False  # a new contact, or one that was larger than thought
+    is_new: bool = False  # a new contact, or one that was larger than thought
 
 
 class Contact(Struct):
@@ -123,17 +123,17 @@ class Contact(Struct):
         self.next = (self.next + 1) % back
 
         found.hit = sizes[best] - limits[best] > 0.0
-        found.news = False
+        found.is_new = False
         if not found.hit:
             return
         same = (best == TURNED) == (last.push == TURNED)
         if x.time - self.hit > TOGETHER_S:
             last.time = x.time
-            found.news = True
-        if found.news or (same and sizes[best] > last.size):
+            found.is_new = True
+        if found.is_new or (same and sizes[best] > last.size):
             last.size = sizes[best]
             last.push = best
-            found.news = True
+            found.is_new = True
         self.hit = x.time
         found.time = last.time
         found.size = last.size

@@ -11,13 +11,13 @@ from rotorwatch.compiling.running import Definition, Rows
 from rotorwatch.flight import Flight, Message
 from rotorwatch.front import (
     airborne,
+    changes,
     contact,
     deviations,
     events,
     front,
     losses,
     mixer,
-    news,
     records,
     sense,
     sizes,
@@ -27,7 +27,7 @@ from rotorwatch.front import (
     words,
 )
 
-PARTS = (vehicle, airborne, mixer, deviations, contact, sense, ticks, front, events, records, losses, news, words)
+PARTS = (vehicle, airborne, mixer, deviations, contact, sense, ticks, front, events, records, losses, changes, words)
 FRONT = Definition("front", (*PARTS, whole), sizes)
 KINDS = {
     "motors": whole.OUTPUTS, "control": whole.CONTROL, "gyro": whole.GYRO, "accel": whole.ACCEL, "velocity": whole.VELOCITY,

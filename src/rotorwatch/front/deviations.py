@@ -270,16 +270,16 @@ class Deviations(Struct):
                 copy(out[j], out[j - 1])
                 j -= 1
             copy(out[j], self.overrides[i])
-        kept = 0
+        distinct = 0
         for i in range(self.overrides_count):  # of those of one rotor that overlap in time, the first
             hidden = False
-            for h in range(kept):
+            for h in range(distinct):
                 hidden = hidden or (out[h].rotor == out[i].rotor and out[i].onset < out[h].end)
             if not hidden:
-                copy(out[kept], out[i])
-                kept += 1
+                copy(out[distinct], out[i])
+                distinct += 1
         reported = 0
-        for i in range(kept):
+        for i in range(distinct):
             if not self._balances(v, out[i]):
                 copy(out[reported], out[i])
                 reported += 1
@@ -447,17 +447,17 @@ def _against_others(rotors: int, c: Comparison, share: Real, interior: Flags, de
     share: of the yaw that is given up.
     """
     demanded = local(REAL, ROTORS)
-    apart = local(REAL, ROTORS)
+    differences = local(REAL, ROTORS)
     rest = local(REAL, ROTORS)
     for k in range(rotors):
         demanded[k] = c.demanded[k] - share * c.yaw[k]
-        apart[k] = c.thrust[k] - demanded[k]
+        differences[k] = c.thrust[k] - demanded[k]
     for k in range(rotors):
         count = 0
         agree = 0
         for j in range(rotors):
             if j != k and interior[j]:
-                rest[count] = apart[j]
+                rest[count] = differences[j]
                 count += 1
         deviation[k] = 0.0
         agreed[k] = False

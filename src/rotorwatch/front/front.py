@@ -26,7 +26,7 @@ from rotorwatch.front.deviations import Deviations
 from rotorwatch.front.mixer import Comparison, Mixer, curve
 from rotorwatch.front.sense import Plan, Sense, Sensed
 from rotorwatch.front.sizes import QUEUE, ROTORS
-from rotorwatch.front.ticks import SETTLE_S, Made, Ticks
+from rotorwatch.front.ticks import HOVER_LEARN_S, Made, Ticks
 from rotorwatch.front.vehicle import Vehicle
 
 _LYING_S, _BLOW_S = 0.5, 3.0  # of airborne: by how much an end may lie before what showed it
@@ -65,7 +65,7 @@ class Front(Struct):
             self.known[k] = not isnan(output[k])
             all_known = all_known and self.known[k]
         self.air.outputs(v, time, output, self.known)
-        self._go_on(v, p, time)
+        self._advance(v, p, time)
         for k in range(v.rotors):
             self.thrust[k] = curve(v, output[k], self.battery)
         if self.mixer.outputs(v, time, output, all_known, self.battery, one) > 0:
@@ -78,33 +78,33 @@ class Front(Struct):
     def control(self, v: Vehicle, p: Plan, time: Time, demand: Reals) -> None:
         """What the rate controller demands of the mixer: roll, pitch, yaw, throttle; NaN: not known."""
         thrust = local(REAL, ROTORS)
-        trusted = local(FLAG, ROTORS)
+        valid_thrust = local(FLAG, ROTORS)
         valid = not (isnan(demand[0]) or isnan(demand[1]) or isnan(demand[2]) or isnan(demand[3]))
-        self._go_on(v, p, time)
+        self._advance(v, p, time)
         one = Comparison()
         while self.mixer.control(v, time, demand, valid, one):
             self._compare(v, one)
         if not p.rebuilt:
             return
         all_known = True
-        self.mixer.thrust(v, time, demand, valid, self.battery, thrust, trusted)
+        self.mixer.thrust(v, time, demand, valid, self.battery, thrust, valid_thrust)
         for k in range(v.rotors):
-            if not trusted[k]:
+            if not valid_thrust[k]:
                 thrust[k] = self.thrust[k]
-            all_known = all_known and (trusted[k] or self.known[k])
+            all_known = all_known and (valid_thrust[k] or self.known[k])
         self.sense.thrust(v, p, time, thrust, all_known)
 
     def gyro(self, v: Vehicle, p: Plan, time: Time, x: Real, y: Real, z: Real) -> None:
         """Angular rate, body FRD, rad/s; NaN: not known."""
         valid = not (isnan(x) or isnan(y) or isnan(z))
         self.air.gyro(time, x, y, z, valid)
-        self._go_on(v, p, time)
+        self._advance(v, p, time)
         if valid:
             self.sense.gyros.add(time, x, y, z)
 
     def rates(self, v: Vehicle, p: Plan, time: Time, x: Real, y: Real, z: Real) -> None:
         """Angular rate where there is no gyro: from the attitude, slow."""
-        self._go_on(v, p, time)
+        self._advance(v, p, time)
         if not (isnan(x) or isnan(y) or isnan(z)):
             self.sense.gyros.add(time, x, y, z)
 
@@ -112,29 +112,29 @@ class Front(Struct):
         """Specific force, body FRD, m/s^2, -9.8 along z at rest; NaN: not known."""
         valid = not (isnan(x) or isnan(y) or isnan(z))
         self.air.accel(time, x, y, z, valid)
-        self._go_on(v, p, time)
+        self._advance(v, p, time)
         if valid:
             self.sense.accel(time, x, y, z)
 
     def velocity(self, v: Vehicle, p: Plan, time: Time, climb: Real, speed: Real) -> None:
         """Climb rate and horizontal speed, m/s; NaN: not known."""
         self.air.velocity(time, climb, speed)
-        self._go_on(v, p, time)
+        self._advance(v, p, time)
 
     def state(self, v: Vehicle, p: Plan, time: Time, landed: int, armed: int) -> None:
         """The autopilot says that it has landed, or is armed: 1 or 0; -1: nothing new."""
         self.air.state(time, landed, armed)
-        self._go_on(v, p, time)
+        self._advance(v, p, time)
 
     def attitude(self, v: Vehicle, p: Plan, time: Time, x: Real, y: Real) -> None:
         """Second and third part of the attitude quaternion, body to world, scalar first."""
-        self._go_on(v, p, time)
+        self._advance(v, p, time)
         if not (isnan(x) or isnan(y)):
             self.sense.levels.add(time, 1.0 - 2.0 * (x * x + y * y))
 
     def voltage(self, v: Vehicle, p: Plan, time: Time, ratio: Real) -> None:
         """Battery voltage as a share of full, filtered."""
-        self._go_on(v, p, time)
+        self._advance(v, p, time)
         if not isnan(ratio):
             self.battery = ratio
 
@@ -144,7 +144,7 @@ class Front(Struct):
         self._landed_or_lifted()
         self.doubting = False
         self.now = LASTS
-        self._take(v, p)
+        self._take_rows(v, p)
         if self.start < LASTS:
             self.air.close()
             self._landed(self.air.last)
@@ -152,7 +152,7 @@ class Front(Struct):
 
     def next(self, v: Vehicle, p: Plan, out: Made) -> bool:
         """The oldest tick of which it is known whether it lies in the air; False where there is none."""
-        self._take(v, p)
+        self._take_rows(v, p)
         if self.count == 0 or not (self.certain > 0 or self.count == QUEUE or self._clear()):
             return False
         row = self.queue[self.first]
@@ -167,12 +167,12 @@ class Front(Struct):
         if self.start >= LASTS:
             return True
         row = self.queue[self.first]
-        if row.when > self.start and (row.when > self._doubt() or row.when > self.air.last):
+        if row.when > self.start and (row.when > self._uncertain_from() or row.when > self.air.last):
             return False
         # What carries the vehicle is learned from all ticks of the first second.
-        return not (row.time >= self.start and self.newest < self.start + SETTLE_S)
+        return not (row.time >= self.start and self.newest < self.start + HOVER_LEARN_S)
 
-    def _doubt(self) -> Time:
+    def _uncertain_from(self) -> Time:
         """The earliest moment at which the flight that goes on may still turn out to have ended; LASTS: none, it flies."""
         if self.air.start >= LASTS:
             return LASTS
@@ -183,17 +183,17 @@ class Front(Struct):
 
     def _flight_of(self, row: Sensed) -> Time:
         """Start of the flight in which a tick lies, LASTS on the ground."""
-        if self.start < LASTS and row.time >= self.start + SETTLE_S:
+        if self.start < LASTS and row.time >= self.start + HOVER_LEARN_S:
             return self.start
-        if self.before_start < LASTS and row.time >= self.before_start + SETTLE_S and row.when <= self.before_end:
+        if self.before_start < LASTS and row.time >= self.before_start + HOVER_LEARN_S and row.when <= self.before_end:
             return self.before_start
         return LASTS
 
-    def _go_on(self, v: Vehicle, p: Plan, now: Time) -> None:
+    def _advance(self, v: Vehicle, p: Plan, now: Time) -> None:
         """After a sample of time `now` has reached the gate."""
         self.now = now
         self._landed_or_lifted()
-        if self._doubt() < LASTS:
+        if self._uncertain_from() < LASTS:
             if not self.doubting:
                 copy(self.sure[0], self.deviations)
                 self.compared = LASTS
@@ -201,13 +201,13 @@ class Front(Struct):
             self.doubting = True
         else:
             self.doubting = False
-        self._take(v, p)
+        self._take_rows(v, p)
 
     def _landed_or_lifted(self) -> None:
         if self.air.start < self.start or self.air.start > self.start:
             if self.start < LASTS:
-                kept = self.air.ended > 0 and self.air.flights[self.air.ended - 1].start <= self.start
-                self._landed(self.air.end_of(self.air.ended - 1) if kept else self.start)
+                same_flight = self.air.ended > 0 and self.air.flights[self.air.ended - 1].start <= self.start
+                self._landed(self.air.end_of(self.air.ended - 1) if same_flight else self.start)
             self.start = self.air.start
 
     def _landed(self, end: Time) -> None:
@@ -221,15 +221,15 @@ class Front(Struct):
             self.deviations.landed(self.compared, self.logged)
         self.doubting = False
 
-    def _take(self, v: Vehicle, p: Plan) -> None:
+    def _take_rows(self, v: Vehicle, p: Plan) -> None:
         """Ticks that have become known, into the queue."""
         while self.count < QUEUE and self.sense.ready(p, self.now):
             row = self.queue[(self.first + self.count) % QUEUE]
             self.sense.make(v, p, row)
             self.count += 1
             self.newest = row.when
-            if self.start < LASTS and self.start <= row.when < self.start + SETTLE_S:
-                self.ticks.settle(v, row, self.start)
+            if self.start < LASTS and self.start <= row.when < self.start + HOVER_LEARN_S:
+                self.ticks.learn_hover(v, row, self.start)
 
     def _aloft(self, time: Time) -> bool:
         return time >= self.start or self.before_start <= time < self.before_end

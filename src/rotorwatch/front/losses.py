@@ -31,7 +31,7 @@ from rotorwatch.compiling.structs import (
     sqrt,
 )
 from rotorwatch.front.events import LOSS, PLAIN, SHARED, SUSPECTED, Event
-from rotorwatch.front.records import Course, Found, Onset, Record, Records, Standing
+from rotorwatch.front.records import Course, ExplanationState, Found, Onset, Record, Records
 from rotorwatch.front.sizes import ALTERNATIVES, PAIRS, PLACES, REACH, RECORDS, ROTORS, SETS, TOGETHER
 from rotorwatch.front.ticks import JUDGE
 from rotorwatch.front.vehicle import PITCH, ROLL, Vehicle
@@ -54,8 +54,8 @@ class Losses(Struct):
     """Losses of one vehicle, tick by tick."""
 
     records = embedded(Records)  # what is settled: all before the last announcement
-    latest = embedded(Standing)  # after the last tick
-    judged = embedded(Standing)  # after the last that was judged
+    latest = embedded(ExplanationState)  # after the last tick
+    judged = embedded(ExplanationState)  # after the last that was judged
     courses = array(Course, ROTORS)
     before_courses = array(Course, ROTORS)  # before the last announcement
     onsets = array(Onset, PLACES)  # of the last announcement
@@ -73,7 +73,7 @@ class Losses(Struct):
     hidden = array(FLAG, PAIRS)
     announced: bool = False  # something has been in this flight
     flown: bool = False  # a tick of this flight was judged
-    said: int = 0  # announcements and suspicions so far
+    announcements: int = 0  # announcements and suspicions so far
 
     def on(self, v: Vehicle, time: Time, when: Time, mode: int, restart: bool, found: Found) -> None:
         """One more tick, in their order, on the ground as well. time, when: of the tick and, in the mean, of its commands, s; restart: the
@@ -96,7 +96,7 @@ class Losses(Struct):
             self._hide(v, found)
             self.records.earlier = self.records.suspicion
             self.announced = True
-            self.said += 1
+            self.announcements += 1
         if self.announced:
             led = int(self.latest.active[0])
             for p in range(PLACES):
@@ -113,7 +113,7 @@ class Losses(Struct):
                         reset(self.courses[k])
         if v.rotors <= found.opposite < v.rotors + pairs(v):
             self._suspect(v, found, time)
-            self.said += 1
+            self.announcements += 1
         if mode != JUDGE:
             return
         copy(self.judged, self.latest)
@@ -203,18 +203,18 @@ class Losses(Struct):
 
     # What an announcement has become
 
-    def _conclude(self, v: Vehicle, to: Records, at: Standing) -> None:
+    def _conclude(self, v: Vehicle, to: Records, at: ExplanationState) -> None:
         """Write down what the last announcement stands for by the explanations `at`."""
         if not self.announced:
             return
         now = int(at.active[0])
-        gone = self.before & ~now
+        recovered = self.before & ~now
         fresh = now & ~self.before
         began = self.onsets[self._nearest(at.onset)]
         for k in range(v.rotors):
-            if (gone & (1 << k)) != 0 and to.of[k] >= 0:
+            if (recovered & (1 << k)) != 0 and to.of[k] >= 0:
                 place = int(to.of[k])
-                ended = to.all[place].rotors & gone
+                ended = to.all[place].rotors & recovered
                 if (
                     ended != to.all[place].rotors
                 ):  # the others are weak still: a record of its own for those that work again
@@ -457,7 +457,7 @@ def _usual(v: Vehicle, r: Record, courses: list[Course], last: int) -> None:
             place += 1
 
 
-def _weigh(r: Record, at: Standing, before: int) -> None:
+def _weigh(r: Record, at: ExplanationState, before: int) -> None:
     """The sets of rotors that may have failed, beside those that were weak before, and their probabilities."""
     total: Real = 0.0
     r.count = 0

@@ -151,7 +151,7 @@ class Mixer(Struct):
         return False
 
     def thrust(
-        self, v: Vehicle, time: Time, control: Reals, valid: bool, battery: Real, thrust: Reals, trusted: Flags
+        self, v: Vehicle, time: Time, control: Reals, valid: bool, battery: Real, thrust: Reals, valid_thrust: Flags
     ) -> bool:
         """Thrusts that the rate controller's output stands for, after `control` of that sample. Whether any of them may be trusted.
 
@@ -167,8 +167,8 @@ class Mixer(Struct):
             inside = inside and 0.005 < demanded < 0.99 * top
             thrust[k] = (1.0 - v.expo) * drive + v.expo * drive * drive
         for k in range(v.rotors):
-            trusted[k] = inside and self.trusted[k]
-            some = some or trusted[k]
+            valid_thrust[k] = inside and self.trusted[k]
+            some = some or valid_thrust[k]
         return some
 
     def _compare(
@@ -236,10 +236,10 @@ class Mixer(Struct):
             product += thrust[k] * demand[k]
             least = min(least, thrust[k])
         own = product / max(power, 1e-12)
-        apart: Real = 0.0
+        gap: Real = 0.0
         for k in range(v.rotors):
-            apart = max(apart, abs(thrust[k] - own * demand[k]))
-        if not (least > FLYING and apart < PART and 0.6 < own < 1.7):
+            gap = max(gap, abs(thrust[k] - own * demand[k]))
+        if not (least > FLYING and gap < PART and 0.6 < own < 1.7):
             return
         fade = real(exp((self.usable - time) / _GAIN_MEMORY_S))
         self.product = self.product * fade + product

@@ -94,18 +94,18 @@ class Records(Struct):
         self.count += 1
         return self.count - 1
 
-    def remove(self, gone: int) -> None:
+    def remove(self, removed: int) -> None:
         """Forget one."""
-        for i in range(gone, self.count - 1):
+        for i in range(removed, self.count - 1):
             copy(self.all[i], self.all[i + 1])
         self.count -= 1
         for k in range(ROTORS):
-            self.of[k] = _after_removal(self.of[k], gone)
-        self.suspicion = _after_removal(self.suspicion, gone)
-        self.earlier = _after_removal(self.earlier, gone)
+            self.of[k] = _after_removal(self.of[k], removed)
+        self.suspicion = _after_removal(self.suspicion, removed)
+        self.earlier = _after_removal(self.earlier, removed)
 
 
-class Standing(Struct):
+class ExplanationState(Struct):
     """Explanations as they were after a tick; active[0] is the leader's set of rotors."""
 
     found: Time = 0.0  # s, since when this set leads
@@ -166,5 +166,5 @@ class Onset(Struct):
     before: int = 0  # the last tick before `time`
 
 
-def _after_removal(place: int, gone: int) -> int:
-    return -1 if place == gone else place - 1 if place > gone else place
+def _after_removal(place: int, removed: int) -> int:
+    return -1 if place == removed else place - 1 if place > removed else place

@@ -25,7 +25,7 @@ from rotorwatch.compiling.structs import (
     reset,
 )  # fmt: skip
 from rotorwatch.front.contact import G0, Vibration
-from rotorwatch.front.sizes import LEVELS, MOTION_KEPT, ROTORS, WAITING
+from rotorwatch.front.sizes import LEVELS, MOTION_SAMPLES, ROTORS, WAITING
 from rotorwatch.front.vehicle import Vehicle
 
 SIDE_S = 0.5  # side forces are averaged over: they change as slowly as speed and wind, and vibration is louder
@@ -79,17 +79,17 @@ class Sensed(Struct):
 class Samples(Struct):
     """The last samples of a vector, as straight lines between them."""
 
-    time = array(TIME, MOTION_KEPT)
-    x = array(REAL, MOTION_KEPT)
-    y = array(REAL, MOTION_KEPT)
-    z = array(REAL, MOTION_KEPT)
+    time = array(TIME, MOTION_SAMPLES)
+    x = array(REAL, MOTION_SAMPLES)
+    y = array(REAL, MOTION_SAMPLES)
+    z = array(REAL, MOTION_SAMPLES)
     start: Time = LASTS  # of the first sample of all
     first: int = 0
     count: int = 0
 
     def place(self, k: int) -> int:
         """Where sample k is, the oldest being 0."""
-        return (self.first + k) % MOTION_KEPT
+        return (self.first + k) % MOTION_SAMPLES
 
     def newest(self) -> Time:
         """Time of the last sample."""
@@ -101,8 +101,8 @@ class Samples(Struct):
             return False
         if self.start >= LASTS:
             self.start = time
-        if self.count == MOTION_KEPT:
-            self.first = (self.first + 1) % MOTION_KEPT
+        if self.count == MOTION_SAMPLES:
+            self.first = (self.first + 1) % MOTION_SAMPLES
             self.count -= 1
         at = self.place(self.count)
         self.time[at] = time
@@ -241,7 +241,7 @@ class Sense(Struct):
 
     def accel(self, time: Time, x: Real, y: Real, z: Real) -> None:
         """Specific force, m/s^2."""
-        if self.accels.count == MOTION_KEPT:
+        if self.accels.count == MOTION_SAMPLES:
             oldest = self.accels.place(0)
             self._shake(self.accels.time[oldest] + BEFORE_S)  # what needs the sample that goes is counted first
             if self.tail == 0:

@@ -15,7 +15,7 @@ from rotorwatch.front.vehicle import THRUST, YAW, Vehicle
 GROUND, LEARN, JUDGE = 0, 1, 2
 AGAIN = 2  # in the place of a restart: the trim is learned afresh, what is known to be lost stays
 
-SETTLE_S = 1.0  # after lift-off: the first second gives the hover command and is not judged
+HOVER_LEARN_S = 1.0  # after lift-off: the first second gives the hover command and is not judged
 TUMBLE_S = 0.3  # of tumbling, after which a vehicle does not hover again in this flight
 UPSET_RATE = 6.0  # rad/s of roll or pitch rate: the vehicle tumbles, hover physics is over
 UPSET_LEVEL = 0.42261826174069944  # cosine of 65 degrees
@@ -69,25 +69,30 @@ class Ticks(Struct):
     settling = array(REAL, SETTLING)  # share of full thrust over load factor, sorted
     hover: Real = 1.0  # share of full thrust that carries the vehicle
     learned: int = -1  # ticks of controlled flight since the last contact of this flight, -1 without one
-    settled: int = 0
+    hover_samples: int = 0
     tumbling: int = 0  # ticks in a row
-    gone: bool = False  # the vehicle has tumbled in this flight: what follows is a fall
+    tumbled: bool = False  # the vehicle has tumbled in this flight: what follows is a fall
     begun: bool = False
 
-    def settle(self, v: Vehicle, row: Sensed, start: Time) -> None:
+    def learn_hover(self, v: Vehicle, row: Sensed, start: Time) -> None:
         """Before the first tick of a flight is made: every row with start <= when < start + 1 s, in order. What carries the vehicle is
         learned from them."""
         if self.flight < start or self.flight > start:
             self.flight = start
-            self.settled = 0
+            self.hover_samples = 0
         total: Real = 0.0
         for k in range(v.rotors):
             total += row.share[k]
-        if not row.some or not total > 0.0 or not start <= row.when < start + SETTLE_S or self.settled == SETTLING:
+        if (
+            not row.some
+            or not total > 0.0
+            or not start <= row.when < start + HOVER_LEARN_S
+            or self.hover_samples == SETTLING
+        ):
             return
         load = max(0.5, min(2.0, row.load)) if row.load_ok else 1.0
-        self.settled += 1
-        _insert(self.settling, self.settled, total / real(v.rotors) / load)
+        self.hover_samples += 1
+        _insert(self.settling, self.hover_samples, total / real(v.rotors) / load)
 
     def make(self, v: Vehicle, p: Plan, row: Sensed, start: Time, out: Made) -> None:
         """One row, in order, on the ground too. start: of the flight that it lies in (time >= start + 1 s and when <= its end), else
@@ -101,16 +106,16 @@ class Ticks(Struct):
         out.start = start
         out.some = row.some
         out.restart = inside and (start < self.hop or start > self.hop)
-        if (self.flight <= row.time and (self.settled > 0 or inside)) or (
-            self.flight > row.time and out.restart and self.settled == 0
+        if (self.flight <= row.time and (self.hover_samples > 0 or inside)) or (
+            self.flight > row.time and out.restart and self.hover_samples == 0
         ):
             self._learn_hover(v, p, row)
         if out.restart:
             self.hop = start
-            self.gone = False
+            self.tumbled = False
             self.tumbling = 0
             self.learned = -1
-            self.settled = 0
+            self.hover_samples = 0
         out.mode = GROUND if not inside else JUDGE if row.time >= start + p.ready else LEARN
         self._tumble(p, row, inside, out)
 
@@ -153,8 +158,8 @@ class Ticks(Struct):
     def _learn_hover(self, v: Vehicle, p: Plan, row: Sensed) -> None:
         """What carries the vehicle from the start of this flight on."""
         level = p.hover
-        if not level > 0.0 and self.settled > 0:
-            level = _middle(self.settling, self.settled)
+        if not level > 0.0 and self.hover_samples > 0:
+            level = _middle(self.settling, self.hover_samples)
         if not level > 0.0:  # nothing was commanded in its first second
             for k in range(v.rotors):
                 _insert(self.settling, k + 1, row.share[k])
@@ -167,8 +172,8 @@ class Ticks(Struct):
         width = max(2, int(TUMBLE_S / p.dt + 0.5))
         upset = max(abs(row.rate[0]), abs(row.rate[1])) > UPSET_RATE or row.level < UPSET_LEVEL
         self.tumbling = min(self.tumbling + 1, width) if inside and upset else 0
-        self.gone = self.gone or self.tumbling >= width
-        out.upset = upset or (self.gone and inside)
+        self.tumbled = self.tumbled or self.tumbling >= width
+        out.upset = upset or (self.tumbled and inside)
 
     def _touch(self, v: Vehicle, p: Plan, row: Sensed, fresh: bool, out: Made) -> None:
         """Whether something outside pushed the vehicle."""

@@ -20,16 +20,16 @@ from rotorwatch.compiling.structs import (
     local,
 )
 from rotorwatch.front.airborne import Airborne
+from rotorwatch.front.changes import Change, Changes
 from rotorwatch.front.deviations import Deviations, Override
 from rotorwatch.front.events import Event, Report, main_event
 from rotorwatch.front.front import Front
 from rotorwatch.front.losses import Losses
 from rotorwatch.front.mixer import CONTROLS, Comparison, Mixer
-from rotorwatch.front.news import Change, Changes
 from rotorwatch.front.records import Found
 from rotorwatch.front.sense import Plan, Sense, Sensed
 from rotorwatch.front.sizes import ROTORS
-from rotorwatch.front.ticks import SETTLE_S, Made, Ticks
+from rotorwatch.front.ticks import HOVER_LEARN_S, Made, Ticks
 from rotorwatch.front.vehicle import Vehicle
 from rotorwatch.front.words import Words, severity
 
@@ -134,9 +134,9 @@ def assemble(
     for i in range(n):
         if lifted[i] < LASTS and (lifted[i] < flight or lifted[i] > flight):
             flight = lifted[i]
-            while ahead < n and rows[ahead].when < flight + SETTLE_S:
+            while ahead < n and rows[ahead].when < flight + HOVER_LEARN_S:
                 if rows[ahead].when >= flight:
-                    t.settle(v, rows[ahead], flight)
+                    t.learn_hover(v, rows[ahead], flight)
                 ahead += 1
         t.make(v, p, rows[i], start[i], made[i])
 
@@ -320,27 +320,27 @@ def follow(
 
 
 def events(
-    r: Report, v: Vehicle, lost: list[Event], n: int, overridden: list[Override], m: int, out: list[Event]
+    r: Report, v: Vehicle, losses: list[Event], n: int, overridden: list[Override], m: int, out: list[Event]
 ) -> int:
     """All events of n losses and m overrides; how many."""
-    return r.events(v, lost, n, overridden, m, out)
+    return r.events(v, losses, n, overridden, m, out)
 
 
 def changes(
     c: Changes,
     found: list[Event],
     count: int,
-    settled: Time,
+    final: Time,
     refined: int,
     every: bool,
-    gone: list[Event],
+    withdrawn: list[Event],
     out: list[Change],
 ) -> int:
     """What is new about them; how much."""
-    return c.look(found, count, settled, refined, every, gone, out)
+    return c.look(found, count, final, refined, every, withdrawn, out)
 
 
-def say(found: list[Event], withdrawn: bool, what: str, w: Words) -> int:
+def in_words(found: list[Event], withdrawn: bool, what: str, w: Words) -> int:
     """The first of these events in words; its severity."""
     w.event(found[0], withdrawn, what)
     return severity(found[0], withdrawn)

@@ -1,4 +1,4 @@
-"""What is new about a list of events that is made again and again (front/news.py), in words: announced, changed, withdrawn or final."""
+"""What is new about a list of events that is made again and again (front/changes.py), in words: announced, changed, withdrawn or final."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 from rotorwatch.default.events import KINDS, packed
 from rotorwatch.flight.diagnosis import Event
+from rotorwatch.front import changes, whole
 from rotorwatch.front import events as listed
-from rotorwatch.front import news, whole
 from rotorwatch.front.definition import FRONT
 from rotorwatch.front.sizes import EVENTS
 
 ANNOUNCED, CHANGED, WITHDRAWN, FINAL = "announced", "changed", "withdrawn", "final"
-NAMES = {news.ANNOUNCED: ANNOUNCED, news.CHANGED: CHANGED, news.WITHDRAWN: WITHDRAWN}
+NAMES = {changes.ANNOUNCED: ANNOUNCED, changes.CHANGED: CHANGED, changes.WITHDRAWN: WITHDRAWN}
 
 
 @dataclass(frozen=True)
@@ -30,8 +30,8 @@ class Changes:
 
     def __init__(self):
         self.now: dict[int, Event] = {}
-        self._known = FRONT.new(news.Changes)
-        self._room = FRONT.array(listed.Event, EVENTS), FRONT.array(news.Change, 2 * EVENTS)
+        self._known = FRONT.new(changes.Changes)
+        self._room = FRONT.array(listed.Event, EVENTS), FRONT.array(changes.Change, 2 * EVENTS)
 
     def of(self, events: Sequence[Event], final: bool = False) -> list[Change]:
         """What is new about the events as they are now. final: nothing will come after, so that any difference is told."""
@@ -41,9 +41,9 @@ class Changes:
         count = FRONT.call(whole.changes, self._known, *given)
         found = []
         for number, place, what in zip(*(out[name][:count].tolist() for name in ("number", "place", "what"))):
-            if what == news.WITHDRAWN:
+            if what == changes.WITHDRAWN:
                 found.append(Change(number, WITHDRAWN, self.now.pop(number)))
             elif self.now.get(number) != events[place]:
                 self.now[number] = events[place]
-                found.append(Change(number, FINAL if final and what == news.CHANGED else NAMES[what], events[place]))
+                found.append(Change(number, FINAL if final and what == changes.CHANGED else NAMES[what], events[place]))
         return found

@@ -142,7 +142,7 @@ def said(alert: dict) -> tuple[str, int]:
     if not _over(alert["event"]):
         event.end_s = None
     made = FRONT.new(words.Words)
-    severity = FRONT.call(whole.say, packed([event]), withdrawn, what, made)
+    severity = FRONT.call(whole.in_words, packed([event]), withdrawn, what, made)
     text = bytes(made["at"].reshape(-1)[: int(made["length"][0])].tolist()).decode("ascii")
     return text, CRITICAL if event.kind == LOST and severity == WARNING else severity
 

@@ -56,7 +56,7 @@ class Judge:
     def said(self) -> int:
         """Grows, or shrinks, when there may be other events."""
         early = 0 if self._beginnings is None else len(self._beginnings.found)
-        return self._account.losses.said + len(self._overrides) + len(self._account.report.contacts) + early
+        return self._account.losses.announcements + len(self._overrides) + len(self._account.report.contacts) + early
 
     @property
     def contact_s(self) -> float:

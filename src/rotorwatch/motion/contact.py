@@ -46,8 +46,8 @@ def look_back(dt: float) -> int:
 def contacts(touch: Rows, before: tuple[Contact, ...] = ()) -> tuple[Contact, ...]:
     """The contacts of ticks, after those `before`: each as large as its largest tick."""
     found = list(before)
-    news = np.flatnonzero(touch["news"])
-    for time, size, push in zip(touch["time"][news], touch["size"][news], touch["push"][news]):
+    new = np.flatnonzero(touch["is_new"])
+    for time, size, push in zip(touch["time"][new], touch["size"][new], touch["push"][new]):
         one = Contact(float(time), float(size), int(push))
         if found and found[-1].time == one.time:
             found[-1] = one

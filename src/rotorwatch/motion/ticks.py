@@ -20,11 +20,11 @@ from rotorwatch.front import ticks as definition
 from rotorwatch.front import whole
 from rotorwatch.front.definition import FRONT, craft, known, merged
 from rotorwatch.front.sense import LATE_S, SIDE_S
-from rotorwatch.front.ticks import AGAIN, GROUND, JUDGE, LEARN, SETTLE_S
+from rotorwatch.front.ticks import AGAIN, GROUND, HOVER_LEARN_S, JUDGE, LEARN
 from rotorwatch.motion import allocation
 from rotorwatch.motion.contact import Contact, contacts, look_back
 
-__all__ = ["AGAIN", "GROUND", "JUDGE", "LATE_S", "LEARN", "SETTLE_S", "SIDE_S"]
+__all__ = ["AGAIN", "GROUND", "HOVER_LEARN_S", "JUDGE", "LATE_S", "LEARN", "SIDE_S"]
 
 LAG_S = 0.02
 
@@ -284,7 +284,7 @@ def assemble(
     n, count, time = B.shape[1], len(seen), seen.time
     lifted, start = np.full(count, LASTS), np.full(count, LASTS)
     for begin, end in airborne:
-        inside = (time >= begin + SETTLE_S) & (seen.when <= end)
+        inside = (time >= begin + HOVER_LEARN_S) & (seen.when <= end)
         if inside.any():
             lifted[time >= begin] = begin
             start[inside] = begin

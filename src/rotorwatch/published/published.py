@@ -22,7 +22,7 @@ from rotorwatch.compiling.run import chosen, run, run_built
 from rotorwatch.default import hypotheses
 from rotorwatch.default.events import MODEL_SD, rotor_sets
 from rotorwatch.default.posterior import PLACES
-from rotorwatch.default.program import Kept
+from rotorwatch.default.program import TickOutput
 from rotorwatch.errors import ConfigError
 from rotorwatch.motion.ticks import Ticks
 from rotorwatch.published import decide, log_plant
@@ -175,7 +175,7 @@ def judge(
     tuning: Tuning | None = None,
     progress=None,
     hops: Sequence[LogPlant] | None = None,
-) -> Kept:
+) -> TickOutput:
     """The outputs of a published method on every tick of a flight, in the default estimator's form.
 
     hops: of `log_plant.hops`, when they are known already. Ticks outside the judged hops hold zeros. biases: the missing
@@ -189,7 +189,7 @@ def judge(
     return out
 
 
-def blank(T: int, hyp: hypotheses.Hypotheses) -> Kept:
+def blank(T: int, hyp: hypotheses.Hypotheses) -> TickOutput:
     """T ticks on which nothing was seen; what only the default method looks at stays so."""
     n, n_h = hyp.n, len(hyp.names)
     numbers = {
@@ -202,7 +202,7 @@ def blank(T: int, hyp: hypotheses.Hypotheses) -> Kept:
         "best": np.zeros(T, int), "probability": np.full((T, n_h), 1.0 / n_h), "detectable": np.ones((T, n)),
         "opposite": np.full(T, -1),
     } | {k: np.zeros((T, *size), bool) for k, size in flags.items()}  # fmt: skip
-    return Kept(**{name: filled[name] for name in Kept._fields})
+    return TickOutput(**{name: filled[name] for name in TickOutput._fields})
 
 
 def notes(name: str) -> tuple[str, ...]:
@@ -214,7 +214,7 @@ def notes(name: str) -> tuple[str, ...]:
     )
 
 
-def record(out: Kept, seen: Seen, hop: LogPlant, hyp: hypotheses.Hypotheses, B: np.ndarray) -> None:
+def record(out: TickOutput, seen: Seen, hop: LogPlant, hyp: hypotheses.Hypotheses, B: np.ndarray) -> None:
     """Fill the rows of one hop in what `blank` made."""
     rows, dt, n = hop.rows, hop.dt, B.shape[1]
     fault = np.asarray(hyp.fault)

@@ -135,7 +135,8 @@ def timings(name: str, scenes: Sequence[Scene], repeats: int) -> list[float]:
         u[:, -1] = 0.0  # a flight repeated is no new flight
         rows = _repeated(u, y, valid)
         return _timed(
-            lambda: run_built(build, parameters, *rows, select=program.kept, backend=chosen(None, "auto")), repeats
+            lambda: run_built(build, parameters, *rows, select=program.tick_output, backend=chosen(None, "auto")),
+            repeats,
         )
     if not scene.hops:
         return [float("nan")] * repeats

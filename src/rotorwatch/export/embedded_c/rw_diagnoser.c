@@ -38,7 +38,7 @@ static void judge(rw_diagnoser *d, const rw_made *made)
     found.announced = out->announced;
     rw_losses_on(&d->losses, d->vehicle, made->time, made->when, made->mode, made->restart, &found);
     rw_report_tick(&d->report, made->time, made->start, made->upset);
-    if (made->touch.news) rw_report_contact(&d->report, made->touch.time, made->touch.push, made->touch.size);
+    if (made->touch.is_new) rw_report_contact(&d->report, made->touch.time, made->touch.push, made->touch.size);
     d->judged = d->judged || made->mode == RW_JUDGE;
 }
 

@@ -39,10 +39,10 @@ class Changes(Struct):
         self,
         events: list[Event],
         count: int,
-        settled: Time,
+        final: Time,
         refined: int,
         every: bool,
-        gone: list[Event],
+        withdrawn: list[Event],
         out: list[Change],
     ) -> int:
         """What is new about the events as they are now, into out [2 EVENTS]; how many.
@@ -55,7 +55,7 @@ class Changes(Struct):
         event_of = local(INT, EVENTS)
         found = 0
         left = 0
-        lost = 0
+        withdrawn_count = 0
         for i in range(EVENTS):
             known_of[i] = -1
             event_of[i] = -1
@@ -73,13 +73,13 @@ class Changes(Struct):
                 if left != j:
                     copy(self.known[left], self.known[j])
                 left += 1
-            elif not self.known[j].event.end < settled:
-                copy(gone[lost], self.known[j].event)
+            elif not self.known[j].event.end < final:
+                copy(withdrawn[withdrawn_count], self.known[j].event)
                 out[found].number = self.known[j].number
-                out[found].place = lost
+                out[found].place = withdrawn_count
                 out[found].what = WITHDRAWN
                 found += 1
-                lost += 1
+                withdrawn_count += 1
         self.count = left
         for i in range(count):
             fresh = known_of[i] < 0
