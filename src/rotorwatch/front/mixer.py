@@ -98,7 +98,7 @@ class Mixer(Struct):
     weights = array(TIME, CONTROLS + 1, ROTORS)  # of an unknown mixer: (roll, pitch, yaw, throttle, 1) -> thrust
     spread = array(TIME, CONTROLS + 1, CONTROLS + 1)  # covariance of a rotor's weights
     good = array(FLAG, ROTORS)  # the last comparison fitted
-    trusted = array(FLAG, ROTORS)  # ... and the one before
+    confirmed = array(FLAG, ROTORS)  # ... and the one before
 
     def outputs(self, v: Vehicle, time: Time, output: Reals, valid: bool, battery: Real, out: Comparison) -> int:
         """Outputs at `time` s. How many comparisons are made, 0 or 1, in `out`."""
