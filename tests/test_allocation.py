@@ -181,7 +181,10 @@ LOGS = {
 def test_known_mixers_explain_real_outputs(path):
     flight = read(path)
     check = allocation.compare(flight, airframes.identify(flight))
-    free = np.all((check.asked > 0.02) & (check.asked < 0.97 * check.rows["top"][:, None]), axis=1) & check.yaw_granted
+    free = (
+        np.all((check.demanded > 0.02) & (check.demanded < 0.97 * check.rows["top"][:, None]), axis=1)
+        & check.yaw_granted
+    )
     flying = free & (check.demand.min(axis=1) > 0.1)
     assert flying.sum() > 100
     assert np.sqrt(np.mean(check.deviation[flying] ** 2)) < LOGS[path]
@@ -448,9 +451,9 @@ def test_a_sample_is_judged_by_what_was_known_before_it(known):
     else:
         taught = [slice(max(k, 1)) for k in range(at.size)]  # the first one by what it has taught itself
         asked = np.array([inputs[k] @ least_squares(inputs[t], check.demand[t]) for k, t in enumerate(taught)])
-    np.testing.assert_allclose(check.asked, asked, rtol=1e-12 if known else 1e-7)
+    np.testing.assert_allclose(check.demanded, asked, rtol=1e-12 if known else 1e-7)
     top = check.rows["top"][:, None]
-    np.testing.assert_allclose(check.deviation, check.demand - np.clip(check.asked, 0.0, top), atol=1e-15)
+    np.testing.assert_allclose(check.deviation, check.demand - np.clip(check.demanded, 0.0, top), atol=1e-15)
 
 
 def test_the_last_value_known_is_held_and_none_that_comes_later():
@@ -488,7 +491,7 @@ def test_outputs_alone_say_which_was_off_or_did_not_move_and_until_when():
     low = vehicle.curve.u_min
     off = with_output(with_output(bare, 2, 12.0, low - 50.0, end=16.0), 2, 16.0, low, end=19.0)
     (found,) = overrides(off, vehicle, ((1.0, 30.0),))
-    assert (found.rotor, found.kind, found.asked) == (2, "off", None)
+    assert (found.rotor, found.kind, found.demanded) == (2, "off", None)
     assert found.reason == f"output 2 was off at {low - 50.0:.4g} while all others flew on"
     assert found.onset == pytest.approx(12.0) and 12.2 < found.detected < 12.8
     assert found.end == pytest.approx(19.0, abs=0.15)

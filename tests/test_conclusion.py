@@ -132,7 +132,7 @@ def test_a_healthy_flight_may_be_unlike_those_of_other_builds(monkeypatch, chang
     """A vehicle with a camera out in front needs its own healthy flights more than others do."""
     answer = hexa_diagnosis(**{"events": (), **changes})
     monkeypatch.setattr(sys.modules["rotorwatch.diagnose"], "diagnose", lambda *_, **__: answer)
-    monkeypatch.setattr(trust, "doubts", lambda *_: ())
+    monkeypatch.setattr(trust, "contradictions", lambda *_: ())
     one = SimpleNamespace(table=True, flight=None, vehicle=None, air=())
     assert (Candidate.flaw.func(one) == "") is taken  # pyright: ignore[reportArgumentType]
 

@@ -37,7 +37,7 @@ def flown(seed=1, kind="figure-eight", loss=0.0, rotor=2, duration=45.0):
 
 def doubts(flight):
     vehicle, air = airframes.identify(flight), airborne(flight)
-    return trust.doubts(flight, vehicle, air, observe(flight, vehicle, air, READY_S))
+    return trust.contradictions(flight, vehicle, air, observe(flight, vehicle, air, READY_S))
 
 
 def with_signal(flight, name, **changes):

@@ -224,7 +224,7 @@ def test_each_rotor_is_told_from_the_others(rotor):
 
 def test_swapped_outputs_that_look_alike_are_named_as_candidates():
     pair = explain_kind("order", (0, 1)), explain_kind("order", (2, 3))
-    left = loss_of_control.Departure(5.0, 5.4, None, None, "tilted")
+    left = loss_of_control.LossOfControl(5.0, 5.4, None, None, "tilted")
     judged = find.Judged(left, "motor_order", pair, np.array([0.6, 0.4]), None, 5.0, ())
     order, lost = find.events([judged], (), 4)
     assert {order.kind, lost.kind} == {"motor_order", "loss_of_control"}
@@ -232,7 +232,7 @@ def test_swapped_outputs_that_look_alike_are_named_as_candidates():
 
 
 def test_what_left_control_after_a_blow_was_knocked():
-    left = loss_of_control.Departure(5.0, 5.4, None, None, "tilted")
+    left = loss_of_control.LossOfControl(5.0, 5.4, None, None, "tilted")
     judged = find.Judged(left, "unknown", (), np.empty(0), None, 5.0, ())
     blow = Event("contact", (), 4.4, 4.4, 4.4, (), (), 1.0, (), "a blow")
     assert find.events([judged], [blow], 4)[-1].extra["cause"] == "knock"

@@ -251,7 +251,7 @@ def test_a_loss_of_control_is_critical_and_its_cause_is_told(event, state, sever
     extra = {k: v for k, v in event.items() if k in ("cause", "impact_s")}
     told = {"kind": "loss_of_control", "rotors": (), "loss": (), "interval": (), **told, "extra": extra}
     said = alert(state=state, **told)
-    assert ground.said(said) == (f"rotorwatch: {words}", severity)
+    assert ground.text_of(said) == (f"rotorwatch: {words}", severity)
 
 
 def test_a_cause_that_is_known_later_is_told_again(told):
@@ -302,7 +302,7 @@ def test_words_fit_one_message(count, kind):
         alternatives=((11, 12), (7, 8, 9)),
     )  # fmt: skip
     for state in ("announced", "withdrawn"):
-        said, _ = ground.said({"type": "event", "state": state, "event": event.to_dict()})
+        said, _ = ground.text_of({"type": "event", "state": state, "event": event.to_dict()})
         assert said.isascii() and len(said) <= 50 and "10" in said
 
 

@@ -25,7 +25,7 @@ from rotorwatch.errors import LinkError, StoreError
 from rotorwatch.fleet.store import Entry
 from rotorwatch.live import endpoint, record, requests, watch
 from rotorwatch.live.clock import Clock, Restarted
-from rotorwatch.live.guard import Beside, as_json
+from rotorwatch.live.guard import Guard, as_json
 from rotorwatch.live.link import VEHICLES, Link
 from rotorwatch.live.mavlink import MOST_PARAMETERS
 from rotorwatch.live.watched import Watched
@@ -109,8 +109,8 @@ def test_what_fails_beside_the_judging_ends_nothing_and_is_said_once(monkeypatch
         raise FULL
 
     said, told, source = [], [], Source(50)
-    beside = Beside(said.append)
-    watch.watch([watch.Guarded("one", source, told.append)], show, outlets=[Outlet(), Outlet()], beside=beside)
+    beside = Guard(said.append)
+    watch.watch([watch.Guarded("one", source, told.append)], show, outlets=[Outlet(), Outlet()], guard=beside)
     assert source.polled == 50 and source.left and told == []
     assert len(said) == 2 and "counting is broken" in said[0] and "No space left" in said[1]
     assert set(beside.failed) == {"outlet", "the picture"}
@@ -275,7 +275,7 @@ def test_parameters_and_heartbeats_without_end_take_no_memory_without_end():
         body = body[:1] + bytes((25,)) + body[2:4] + bytes((k % 256,)) + body[5:]
         wire.queue.append(("a", body + sums(body, 220)))
     link.poll(0.0)
-    heard = link._heard[1, 1]
+    heard = link._vehicles[1, 1]
     assert len(heard.messages._parameters) <= MOST_PARAMETERS
     for k in range(10_000):
         pack = mavlink.MAVLink(None, srcSystem=2 + k % 250, srcComponent=1 + k // 250)
@@ -441,9 +441,9 @@ def test_a_flight_that_the_store_did_not_take_is_kept_by_the_next_server(tmp_pat
 
 def test_parameters_are_kept_of_a_thousand_vehicles_and_not_of_more(tmp_path, monkeypatch):
     monkeypatch.setattr(requests, "cache_folder", lambda: tmp_path)
-    monkeypatch.setattr(requests, "KEPT", 10)
+    monkeypatch.setattr(requests, "CACHED_VEHICLES", 10)
     for k in range(25):
-        requests.keep(f"ArduPilot-{k}", {"A": float(k)})
+        requests.store(f"ArduPilot-{k}", {"A": float(k)})
         os.utime(tmp_path / "parameters" / f"ArduPilot-{k}.json", (k, k))
     assert len(list((tmp_path / "parameters").iterdir())) <= 10
     assert requests.cached("ArduPilot-24") == {"A": 24.0} and requests.cached("ArduPilot-0") == {}

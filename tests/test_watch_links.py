@@ -127,7 +127,7 @@ def events_of(alerts):
 def test_running_numbers_tell_what_was_lost_and_what_came_late(flight, step, lost, twice, new):
     """Up to half of the numbers ahead are frames that were lost; more are frames that come late."""
     link, *_ = linked(flight, seconds=1.0)
-    (one,) = link._heard.values()
+    (one,) = link._vehicles.values()
     one._sequence = 250
     health = one.watched.health
     before = health.lost, health.twice
@@ -183,7 +183,7 @@ def test_what_a_bad_link_does_is_survived_and_counted(flight):
 def test_a_reboot_in_flight_and_silence_are_told_and_survived(flight):
     link, wire, autopilot, alerts, data = linked(flight, seconds=20.0)
     sent_over(link, wire, of(autopilot, data))
-    link.vehicles[0].health.heard -= 10.0
+    link.vehicles[0].health.last_frame -= 10.0
     link.poll(0.0)
     sent_over(link, wire, of(autopilot, messages(flight, boot_s=1.0, seconds=20.0)))
     now = link.vehicles[0].session.now
@@ -242,7 +242,7 @@ def test_parameters_come_however_many_are_lost():
 
     def send(message):
         for answer in parser.parse_buffer(autopilot.answer(sender.frame(message))) or []:
-            parameters.took(answer.param_index, answer.param_count, now)
+            parameters.received(answer.param_index, answer.param_count, now)
 
     while not (parameters.complete or parameters.given_up) and now < 200.0:
         parameters.step(now, send)
@@ -255,10 +255,10 @@ def test_parameters_come_however_many_are_lost():
 
 
 def test_kept_parameters_are_used_at_once():
-    requests.keep("ArduPilot-77-1", {"FRAME_CLASS": 1.0})
+    requests.store("ArduPilot-77-1", {"FRAME_CLASS": 1.0})
     assert requests.cached("ArduPilot-77-1") == {"FRAME_CLASS": 1.0} and requests.cached("other") == {}
     who = requests.Identity(1, 1)
-    who.took(77, bytes(18), 0x04050700, "ArduPilot")
+    who.received(77, bytes(18), 0x04050700, "ArduPilot")
     assert who.key == "ArduPilot-4d-04050700"
 
 
@@ -295,7 +295,7 @@ def test_parameters_kept_of_another_vehicle_give_way_to_its_own(kind):
     """Simulated vehicles all have one id. A quad's parameters do not fit a hexa; those of a quad + fit a quad X until its own have come."""
     flight = logs.read(SAMPLES / SAMPLE[kind]).until(25.0)
     own, data = relevant(flight.parameters), messages(flight, kind=kind)
-    requests.keep(KEY, QUAD_PLUS)
+    requests.store(KEY, QUAD_PLUS)
     link, wire, autopilot, alerts = introduced(own, data, Late)
     (watched,) = link.vehicles
     assert (watched.session is None) == (kind == HEXA)
@@ -317,7 +317,7 @@ def test_parameters_kept_of_another_vehicle_give_way_to_its_own(kind):
 def test_parameters_kept_of_a_vehicle_are_used_until_its_own_have_come_and_nothing_is_said_of_it():
     flight = logs.read(SAMPLES / SAMPLE[QUAD]).until(15.0)
     own, data = relevant(flight.parameters), messages(flight)
-    requests.keep(KEY, own | {"MOT_SPIN_ARM": 0.11})  # changed since, which changes nothing here
+    requests.store(KEY, own | {"MOT_SPIN_ARM": 0.11})  # changed since, which changes nothing here
     link, wire, autopilot, alerts = introduced(own, data, Late)
     (watched,) = link.vehicles
     sent_over(link, wire, of(autopilot, data[: len(data) // 2]))

@@ -235,7 +235,7 @@ def _conclude(ready: Prepared, logged: Ticks, done: Estimated, found: Found, tit
     flight, craft, air = ready.flight, ready.vehicle, ready.air
     table, out, B = done.table, done.out, ready.vehicle.effectiveness()
     n, hyp = B.shape[1], hypotheses.make(B.shape[1])
-    doubts = trust.doubts(flight, craft, air, logged)
+    doubts = trust.contradictions(flight, craft, air, logged)
     trusted = not doubts and ready.hovers
     whole = _whole_flight(flight, craft, air) if trusted else None
     other = None

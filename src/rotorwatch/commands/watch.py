@@ -56,7 +56,7 @@ def watch(
     for endpoint in filter(is_endpoint, endpoints):
         opened[endpoint] = open_endpoint(endpoint)
         click.get_current_context().call_on_close(opened[endpoint].close)
-    from rotorwatch.live.guard import Beside
+    from rotorwatch.live.guard import Guard
     from rotorwatch.live.link import Link
     from rotorwatch.live.watch import Guarded
     from rotorwatch.live.watch import watch as run
@@ -65,7 +65,7 @@ def watch(
     shown = _lines if jsonl else (lambda alert: None) if _screen() else _sentences(quiet)
     sources: list[Any] = []
     outlets = _outlets(webhook, metrics, tell_ground, listen_only, shown)
-    background = Beside(say)
+    background = Guard(say)
     unread: list[OSError] = []
 
     def publish(alert: dict) -> None:
@@ -187,13 +187,13 @@ def _sentences(quiet: bool):
 
 
 def _code(vehicles) -> int:
-    from rotorwatch.live.ground import LOST
+    from rotorwatch.live.ground import TOTAL_LOSS
 
     found = [e for v in vehicles for e in v.events]
     if any(
-        e.kind in ("loss_of_effectiveness", "output_override", "motor_order") or (e.kind == LOST and e.rotors)
+        e.kind in ("loss_of_effectiveness", "output_override", "motor_order") or (e.kind == TOTAL_LOSS and e.rotors)
         for e in found
     ):
         return FAULT
     open_ = any(v.trouble or v.session is None or not v.session.judged for v in vehicles)
-    return NOTHING if not vehicles or open_ or any(e.kind == LOST for e in found) else 0
+    return NOTHING if not vehicles or open_ or any(e.kind == TOTAL_LOSS for e in found) else 0

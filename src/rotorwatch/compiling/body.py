@@ -157,10 +157,10 @@ class Body:
         f = self.function
         body = f.node.body[1:] if ast.get_docstring(f.node) is not None else f.node.body
         lines = self.block(body, 1, top=True)
-        said = comment(ast.get_docstring(f.node) or "") if not f.public else ""
+        doc = comment(ast.get_docstring(f.node) or "") if not f.public else ""
         head = ("static " if not f.public else "") + self.all.signature(f)
         hoisted = [f"    {text}" for text in self.hoisted.values()]
-        return "\n".join([*([said] if said else []), head, "{", *hoisted, *lines, "}", ""])
+        return "\n".join([*([doc] if doc else []), head, "{", *hoisted, *lines, "}", ""])
 
     def wrong(self, node: ast.AST, why: str) -> ConfigError:
         return self.all.wrong(self.module, node, why)
@@ -177,9 +177,9 @@ class Body:
                     lines.append(f"{pad}/* {comments[line][0]} */")
             self.shown = max(self.shown, statement.lineno)
             made = self.statement(statement, depth, top)
-            said = comments.get(statement.lineno)
-            if said and not said[1] and made:
-                made[0] += f" /* {said[0]} */"
+            note = comments.get(statement.lineno)
+            if note and not note[1] and made:
+                made[0] += f" /* {note[0]} */"
             lines += [pad + line for line in made]
         return lines
 
@@ -471,11 +471,11 @@ class Body:
     def call(self, node: ast.Call, function: Function | None, first: list[Code]) -> Code:
         if function is None:
             raise self.wrong(node, f"{ast.unparse(node.func)} is no definition")
-        given = [*first, *(self.expression(a) for a in node.args)]
-        if len(given) != len(function.parameters):
+        arguments = [*first, *(self.expression(a) for a in node.args)]
+        if len(arguments) != len(function.parameters):
             raise self.wrong(node, f"{function.name} takes {len(function.parameters)} arguments")
         texts = []
-        for code, (name, what) in zip(given, function.parameters.items()):
+        for code, (name, what) in zip(arguments, function.parameters.items()):
             if what.scalar:
                 texts.append(self.cast(code, what))
                 continue
@@ -485,19 +485,21 @@ class Body:
         return Code(f"{function.name}({', '.join(texts)})", function.result)
 
     def builtin(self, node: ast.Call, name: str) -> Code:
-        given = [self.expression(a) for a in node.args] if name != "local" else []
-        first = given[0]
+        arguments = [self.expression(a) for a in node.args] if name != "local" else []
+        first = arguments[0]
         if name in MODULO:
-            if any(g.type.base not in ("int", "ilit") for g in given):
+            if any(g.type.base not in ("int", "ilit") for g in arguments):
                 raise self.wrong(node, f"{name} is of whole numbers")
-            last = f"(uint32_t){given[1].within(14)}" if name != "shift32" else given[1].within(14)
+            last = f"(uint32_t){arguments[1].within(14)}" if name != "shift32" else arguments[1].within(14)
             return Code(f"(int32_t)((uint32_t){first.within(14)} {MODULO[name]} {last})", Type("int"), 14)
         if name in ("reset", "copy"):
             self.change(first.root)
-            at = [g.text if g.pointer else f"&{g.within(15)}" for g in given]
+            at = [g.text if g.pointer else f"&{g.within(15)}" for g in arguments]
             if name == "reset":
                 return Code(f"{first.type.c}_init({at[0]})", Type("none"))
-            return Code(f"*{at[0]} = *{at[1]}" if given[1].pointer else f"*{at[0]} = {given[1].text}", Type("none"), 0)
+            return Code(
+                f"*{at[0]} = *{at[1]}" if arguments[1].pointer else f"*{at[0]} = {arguments[1].text}", Type("none"), 0
+            )
         if name == "len" and first.type.base == "text":
             return Code(f"(int32_t)strlen({first.text})", Type("int"), 14)
         if name == "ord":
@@ -517,6 +519,6 @@ class Body:
         if name == "abs":
             what = Type(FIRST.get(first.type.base, first.type.base))
             return Code(f"abs_{what.base}({self.cast(first, what)})", what)
-        what = self.join(*given)
+        what = self.join(*arguments)
         what = Type(FIRST.get(what.base, what.base))
-        return Code(f"{name}_{what.base}({', '.join(self.cast(g, what) for g in given)})", what)
+        return Code(f"{name}_{what.base}({', '.join(self.cast(g, what) for g in arguments)})", what)

@@ -67,8 +67,8 @@ def build(header: str, source: str, name: str, march: str = "native") -> Path:
             if not done.returncode or not extra:
                 break
         if done.returncode:
-            said = (done.stderr.strip().splitlines() or ["nothing said"])[0]
-            raise Unavailable(f"{cc} cannot build native code: {said}.")
+            message = (done.stderr.strip().splitlines() or ["nothing said"])[0]
+            raise Unavailable(f"{cc} cannot build native code: {message}.")
         # Whole or not at all, whoever else builds the same; between the two it is not sealed, and built again.
         part = goal.with_suffix(f".{os.getpid()}")
         for place, data in ((goal, made.read_bytes()), (seal, shipped.digest_of(made).encode())):
@@ -80,9 +80,9 @@ def build(header: str, source: str, name: str, march: str = "native") -> Path:
 def _sealed(library: Path) -> bool:
     """Whether a library of the cache is there, whole, as it was built; found out once of each, as what is loaded stays loaded."""
     if library not in _SEALED:
-        said = shipped.digest_of(library)
+        recorded_digest = shipped.digest_of(library)
         try:
-            if not said or library.with_suffix(".sha256").read_text() != said:
+            if not recorded_digest or library.with_suffix(".sha256").read_text() != recorded_digest:
                 return False
         except (OSError, ValueError):
             return False
@@ -139,9 +139,9 @@ class Library:
         between = [_address(parameters)] if self.layout.parameters else []
         for first in range(0, rows, ROWS):
             part = slice(first, first + ROWS)
-            given = [_address(a[part]) for a in (u, y, valid)]
+            arguments = [_address(a[part]) for a in (u, y, valid)]
             count = min(ROWS, rows - first)
-            self.call(ctypes.c_int32(count), _address(state), *between, *given, _address(out[part]), _address(room))
+            self.call(ctypes.c_int32(count), _address(state), *between, *arguments, _address(out[part]), _address(room))
             if progress:
                 progress(min(1.0, (first + ROWS) / rows))
         return self.columns(out)
@@ -377,9 +377,9 @@ class Session:
 
     def run(self, u, y, valid) -> Any:
         """Outputs of the rows, stacked."""
-        given = [np.ascontiguousarray(u, float), np.ascontiguousarray(y, float), np.ascontiguousarray(valid, bool)]
+        arguments = [np.ascontiguousarray(u, float), np.ascontiguousarray(y, float), np.ascontiguousarray(valid, bool)]
         out, call = np.empty(len(u), self._library.out_type), self._library.call
-        call(ctypes.c_int32(len(u)), *self._between, *(_address(a) for a in given), _address(out), self._work)
+        call(ctypes.c_int32(len(u)), *self._between, *(_address(a) for a in arguments), _address(out), self._work)
         return self._make(self._library.columns(out))
 
 

@@ -95,8 +95,8 @@ def run(
     rows = len(u) if u.ndim else 0
     for name, table, width in (("u", u, getattr(system, "n_u", None)), ("y", y, getattr(system, "n_y", None))):
         if table.ndim != 2 or len(table) != rows or (width is not None and table.shape[1] != width):
-            wanted = f"({rows}, {width if width is not None else 'n'})"
-            raise ConfigError(f"{name} must have the shape {wanted}, a row per time step, not {table.shape}.")
+            expected = f"({rows}, {width if width is not None else 'n'})"
+            raise ConfigError(f"{name} must have the shape {expected}, a row per time step, not {table.shape}.")
     if valid.shape != y.shape:
         raise ConfigError(f"valid must have the shape of y, {y.shape}, not {valid.shape}.")
     timed = dt is not None

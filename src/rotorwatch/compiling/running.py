@@ -227,8 +227,8 @@ class Definition:
             command = [compiler, *FLAGS, "-o", str(made), str(place / f"rw_{self.name}.c"), "-lm"]
             done = subprocess.run(command, capture_output=True, text=True, check=False)
             if done.returncode:
-                said = (done.stderr.strip().splitlines() or ["nothing said"])[0]
-                raise toolchain.Unavailable(f"{compiler} cannot build native code: {said}.")
+                message = (done.stderr.strip().splitlines() or ["nothing said"])[0]
+                raise toolchain.Unavailable(f"{compiler} cannot build native code: {message}.")
             for to, data in ((goal, made.read_bytes()), (seal, shipped.digest_of(made).encode())):
                 part = to.with_suffix(f".{os.getpid()}")
                 part.write_bytes(data)
@@ -271,15 +271,15 @@ class Definition:
             return Rows(kind, None, [kind() for _ in range(count)], many=True)
         return Rows(kind, np.zeros(count, self.type_of(kind)), None, many=True)
 
-    def call(self, function: Callable, *given: Any) -> Any:
+    def call(self, function: Callable, *arguments: Any) -> Any:
         """Call a free function of the modules."""
         if self.library is None:
-            return function(*(_plain(x) for x in given))
+            return function(*(_plain(x) for x in arguments))
         name = f"rw_{function.__module__.rpartition('.')[2]}_{function.__name__}"
         called = getattr(self.library, name)
         result = str(function.__annotations__.get("return"))
         called.restype = {"int": ctypes.c_int32, "bool": ctypes.c_bool, "None": None}.get(result, ctypes.c_double)
-        return called(*(_native(x) for x in given))
+        return called(*(_native(x) for x in arguments))
 
 
 def _native(x: Any) -> Any:

@@ -122,22 +122,22 @@ def key(names: Any, shapes: Any, like: Any, sizes: Any) -> str:
 def _index(folder: Path) -> tuple[dict, str]:
     """(programs by key, why there are none)."""
     try:
-        told = json.loads((folder / INDEX).read_text(encoding="utf-8"))
-        files, said, made_for = told["definition"]["files"], told["definition"]["digest"], told["target"]
+        index = json.loads((folder / INDEX).read_text(encoding="utf-8"))
+        files, recorded_digest, made_for = index["definition"]["files"], index["definition"]["digest"], index["target"]
     except OSError:
         return {}, "this installation came without native code"
     except (ValueError, KeyError, TypeError):
         return {}, f"{folder / INDEX} is damaged: install rotorwatch again"
     if made_for != target():
         return {}, f"the native code that came with it is for {made_for}"
-    if digest(files) != said:
+    if digest(files) != recorded_digest:
         return {}, "the native code that came with it is of another version of the method"
-    return told["programs"], ""
+    return index["programs"], ""
 
 
-def find(wanted: str, folder: Path = FOLDER) -> tuple[Path, list] | None:
+def find(program: str, folder: Path = FOLDER) -> tuple[Path, list] | None:
     """(library, layout) of a program by its `key`, best for this processor; None where there is none (`why_not`)."""
-    known = _index(folder)[0].get(wanted)
+    known = _index(folder)[0].get(program)
     if not known:
         return None
     for level in levels():

@@ -36,12 +36,12 @@ class Unmakeable(Unavailable):
 
 def compiler() -> str:
     """The C compiler: $CC, else cc, gcc or clang. Raises Unavailable."""
-    wanted = [os.environ["CC"]] if os.environ.get("CC") else ["cc", "gcc", "clang"]
-    for name in wanted:
+    candidates = [os.environ["CC"]] if os.environ.get("CC") else ["cc", "gcc", "clang"]
+    for name in candidates:
         found = shutil.which(shlex.split(name)[0])
         if found:
             return found
-    raise Unavailable(f"There is no C compiler ({', '.join(wanted)}): install gcc or clang, or set CC.")
+    raise Unavailable(f"There is no C compiler ({', '.join(candidates)}): install gcc or clang, or set CC.")
 
 
 @functools.cache
@@ -49,9 +49,9 @@ def processor() -> str:
     """The kind of processor that the compiler builds for, as in `platform.machine()`: another one than this computer's when it is a cross
     compiler (CC=aarch64-linux-gnu-gcc). Raises Unavailable without a compiler."""
     done = subprocess.run([compiler(), "-dumpmachine"], capture_output=True, text=True, check=False)
-    said = done.stdout.strip().partition("-")[0]
-    same = not said or done.returncode or {said, platform.machine().lower()} == {"x86_64", "amd64"}
-    return platform.machine() if same else said
+    target = done.stdout.strip().partition("-")[0]
+    same = not target or done.returncode or {target, platform.machine().lower()} == {"x86_64", "amd64"}
+    return platform.machine() if same else target
 
 
 @functools.cache
@@ -67,10 +67,10 @@ def machine() -> str:
     return f"{cc} {about.st_size} {about.st_mtime_ns} {platform.machine()} {cpu}"
 
 
-def kept_under(name: str, about: str) -> Path:
+def cached_path(name: str, about: str) -> Path:
     """A place in the cache for what is made of `about` by this compiler for this processor. Raises Unavailable without a compiler."""
-    said = "\0".join([about, machine(), *QUICK, *FLAGS, *VECTORS])
-    return folder() / f"{name}-{hashlib.sha256(said.encode()).hexdigest()[:32]}"
+    key = "\0".join([about, machine(), *QUICK, *FLAGS, *VECTORS])
+    return folder() / f"{name}-{hashlib.sha256(key.encode()).hexdigest()[:32]}"
 
 
 def folder() -> Path:
@@ -78,10 +78,10 @@ def folder() -> Path:
     try:
         return code_folder("native")
     except PermissionError as why:
-        said = str(why) if why.errno is None else f"{why.filename} cannot be written"
+        reason = str(why) if why.errno is None else f"{why.filename} cannot be written"
     except OSError:
-        said = f"{cache_folder()} cannot be written"
-    return _temporary(said)
+        reason = f"{cache_folder()} cannot be written"
+    return _temporary(reason)
 
 
 @functools.cache

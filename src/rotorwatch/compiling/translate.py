@@ -172,9 +172,9 @@ class Translation:
     def _struct(self, module: ModuleType, kind: type) -> str:
         comments, rows = self.comments[module], []
         for name, (what, node) in self.fields[kind].items():
-            said = comments.get(node.lineno, ("", False))[0]  # type: ignore[attr-defined]
+            note = comments.get(node.lineno, ("", False))[0]  # type: ignore[attr-defined]
             dims = "".join(f"[{d}]" for d in what.dims)
-            rows.append(f"    {what.c} {name}{dims};" + (f" /* {said} */" if said else ""))
+            rows.append(f"    {what.c} {name}{dims};" + (f" /* {note} */" if note else ""))
         return (
             comment(inspect.getdoc(kind) or "")
             + "\ntypedef struct {\n"

@@ -95,7 +95,7 @@ def rows(vehicle: Vehicle) -> np.ndarray:
 def believed(mean, lower=None, upper=None, candidates=None, weights=None) -> Belief:
     """A `Belief` from what there is: bounds default to the mean, candidates to the mean alone, weights to equal ones."""
     mean = jnp.asarray(mean, float)
-    lower, upper = (mean if given is None else jnp.asarray(given, float) for given in (lower, upper))
+    lower, upper = (mean if bound is None else jnp.asarray(bound, float) for bound in (lower, upper))
     candidates = mean[None] if candidates is None else jnp.asarray(candidates, float)
     weights = jnp.ones(candidates.shape[0]) if weights is None else jnp.asarray(weights, float)
     return Belief(mean, lower, upper, candidates, weights)
@@ -189,9 +189,9 @@ class Allocator:
         share = jnp.where(none, 0.0, weights / jnp.where(none, 1.0, total))
         expected = jnp.where(none, mean, share @ candidates)
         second = jnp.where(none, mean[:, None] * mean, (candidates.T * share) @ candidates)
-        wish = self._wish(self.C * expected, b)
+        preferred = self._wish(self.C * expected, b)
         H = (self.C.T @ self.C) * second + self.eps * np.eye(self.n)
-        return bounded.quadratic(H, (b @ self.C) * expected + self.eps * wish, 0.0, 1.0)
+        return bounded.quadratic(H, (b @ self.C) * expected + self.eps * preferred, 0.0, 1.0)
 
     def _desaturated(self, A, b):
         """Commands (n,) of the pseudo-inverse of A for b (4,), brought into [0, 1]: the thrust moves so that roll and pitch fit, they
@@ -205,9 +205,9 @@ class Allocator:
         per = 1.0 / jnp.where(pushes, lift, 1.0)
         slope = tilt * per
         # A thrust c fits a share k of the tilt when -k slope_i <= c <= per_j - k slope_j for all rotors i, j.
-        apart = slope - slope[:, None]
-        narrow = (apart > 1e-12) & pushes & pushes[:, None]
-        k = jnp.minimum(jnp.where(narrow, per / jnp.where(narrow, apart, 1.0), 1.0).min(), 1.0)
+        difference = slope - slope[:, None]
+        narrow = (difference > 1e-12) & pushes & pushes[:, None]
+        k = jnp.minimum(jnp.where(narrow, per / jnp.where(narrow, difference, 1.0), 1.0).min(), 1.0)
         low = jnp.where(pushes, -k * slope, -jnp.inf).max()
         high = jnp.where(pushes, per - k * slope, jnp.inf).min()
         u = jnp.clip(jnp.minimum(jnp.maximum(b[0], low), high) * lift + k * tilt, 0.0, 1.0)

@@ -37,7 +37,7 @@ FLAT = 1e-9  # of the largest singular value: what counts as no effect
 PERIODS = (0.4, 0.5, 0.6, 0.8, 1.0, 1.25, 1.6, 2.0)  # s
 TICKS = 5.0  # in a period, at least
 LONGEST_S = 10.0
-KEPT = 0.5  # share of the room to the commands' limits that stays the controller's
+CONTROLLER_SHARE = 0.5  # share of the room to the commands' limits that stays the controller's
 FASTER = 1.5  # the second wave
 HOLD = 3.0  # rad/s: attitude is held at least so fast, by whatever autopilot
 DAMPED = 0.87  # ... with this damping: an attitude loop a third as fast as its rate loop
@@ -131,8 +131,8 @@ def covariance(noise: Noise, ticks: int, dt: float) -> np.ndarray:
     """Sigma (T, T) of the noise over T ticks, its level unknown."""
     white, first, second, walk = np.asarray(noise.variances, float)
     t = dt * np.arange(ticks)
-    apart = np.abs(t[:, None] - t[None, :])
-    both = first * np.exp(-apart / noise.tau[0]) + second * np.exp(-apart / noise.tau[1])
+    lag = np.abs(t[:, None] - t[None, :])
+    both = first * np.exp(-lag / noise.tau[0]) + second * np.exp(-lag / noise.tau[1])
     return white * np.eye(ticks) + both + walk * np.minimum(t[:, None], t[None, :]) + OPEN * (white + first + second)
 
 
@@ -202,7 +202,9 @@ def design(
     blind = [tuple(p) for p, A in zip(pairs, seen, strict=True) if np.abs(A).max() * unit < 1e-6 * size]
     if blind:
         raise ConfigError(_why_blind(thetas, N, blind[0]))
-    room = np.minimum((1.0 - KEPT) * np.minimum(hover - limits.least, limits.most - hover), limits.amplitude)
+    room = np.minimum(
+        (1.0 - CONTROLLER_SHARE) * np.minimum(hover - limits.least, limits.most - hover), limits.amplitude
+    )
     used = np.linalg.norm(N, axis=1) > FLAT
     if (room[used] < 1e-3).any():
         tight = ", ".join(str(k + 1) for k in np.flatnonzero(used & (room < 1e-3)))
@@ -257,10 +259,10 @@ def design(
 
 def _why_blind(thetas, N, pair) -> str:
     one, other = (("+".join(str(k + 1) for k in np.flatnonzero(thetas[i] > 0)) or "none") for i in pair)
-    apart = np.flatnonzero(np.abs(thetas[pair[0]] - thetas[pair[1]]) > 0)
-    if not apart.size:
+    differing = np.flatnonzero(np.abs(thetas[pair[0]] - thetas[pair[1]]) > 0)
+    if not differing.size:
         return f"The candidates {one} and {other} have the same losses: there is nothing to tell apart."
-    still = [k for k in apart if np.linalg.norm(N[k]) < 1e-6]
+    still = [k for k in differing if np.linalg.norm(N[k]) < 1e-6]
     if still:
         who = ", ".join(str(k + 1) for k in still)
         return (

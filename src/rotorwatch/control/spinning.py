@@ -112,14 +112,14 @@ def relaxed_hover(airframe: Airframe, effectiveness) -> Hover | None:
     if not k or full * COMMANDS[1] < weight:
         return None
     arm = max(float(np.hypot(airframe.x, airframe.y).max()), 1e-6)
-    given = (_some(airframe, alive), e[alive], weight, arm)
+    arguments = (_some(airframe, alive), e[alive], weight, arm)
     balance, derivative, cost = _programs()
-    constraint = {"type": "eq", "fun": lambda z: np.asarray(balance(z, *given)),
-                  "jac": lambda z: np.asarray(derivative(z, *given))}  # fmt: skip
+    constraint = {"type": "eq", "fun": lambda z: np.asarray(balance(z, *arguments)),
+                  "jac": lambda z: np.asarray(derivative(z, *arguments))}  # fmt: skip
     limits = [COMMANDS] * k + [(-RATE_MOST / RATE_UNIT, RATE_MOST / RATE_UNIT)] * 3
     level = np.clip(weight / full, 0.05, 0.9)
-    lost = np.array([-(airframe.y * (1 - e)).sum(), (airframe.x * (1 - e)).sum()])
-    lost = lost / max(float(np.linalg.norm(lost)), 1e-9)
+    lost_moment = np.array([-(airframe.y * (1 - e)).sum(), (airframe.x * (1 - e)).sum()])
+    lost_moment = lost_moment / max(float(np.linalg.norm(lost_moment)), 1e-9)
     # The yaw moment of the rotors that are left turns it.
     way = float(np.sign(np.sum(airframe.spin[alive])) or 1.0)
     best, found, same = np.inf, None, 0
@@ -127,7 +127,7 @@ def relaxed_hover(airframe: Airframe, effectiveness) -> Hover | None:
         for side in (0.3, -0.3) if rate else (0.0,):
             if same:  # found twice
                 break
-            start = np.r_[np.full(k, level), np.r_[side * lost, way] * rate / RATE_UNIT]
+            start = np.r_[np.full(k, level), np.r_[side * lost_moment, way] * rate / RATE_UNIT]
             done = minimize(
                 lambda z: tuple(np.asarray(part) for part in cost(z)), start, jac=True, method="SLSQP", bounds=limits,
                 constraints=constraint, options={"maxiter": ITERATIONS, "ftol": 1e-12},

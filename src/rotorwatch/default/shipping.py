@@ -126,7 +126,7 @@ def ship(folder: Path, frames: Sequence[Frame] = FRAMES, portable: bool = False)
 
 def kept(portable: bool) -> Path:
     """Where the cache keeps what `ship` makes of this definition with this compiler on this computer. Raises toolchain.Unavailable."""
-    return toolchain.kept_under(
+    return toolchain.cached_path(
         "shipped",
         json.dumps([definition()["digest"], *(shipped.digest(shipped.files_in(r)) for r in DEFINED), portable, FRAMES]),
     )

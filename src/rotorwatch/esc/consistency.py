@@ -22,7 +22,7 @@ from rotorwatch.motion.ticks import Ticks
 
 LOSS, OVERRIDE = "loss_of_effectiveness", "output_override"
 CLEAR_S = 1.0  # before an onset: it is known no better
-SETTLED_S = 0.5  # after it: controllers and motors answer
+RESPONSE_S = 0.5  # after it: controllers and motors answer
 USED_S = 10.0  # how much of a loss is heard, its last
 LEARNED_S = 60.0  # of healthy flight, the last before the onset
 TAKE_OFF_S = 2.0  # spool-up and ground effect are no usual flight
@@ -44,8 +44,8 @@ def check(
     if bins is None:
         return events, tuple(notes)
     calm = _calm(bins, table, air)
-    stood, said = stopped.find(bins, events, air, _upset(bins, table))
-    events = (*events, *stood)
+    stopped_events, stopped_notes = stopped.find(bins, events, air, _upset(bins, table))
+    events = (*events, *stopped_events)
     healthy = _healthy(bins, events)
     # A loss of known rotors, whose cause is not known yet.
     open_ = [e.kind == LOSS and not e.alternatives and "cause" not in e.extra for e in events]
@@ -54,7 +54,7 @@ def check(
     found, more = watch.look(bins, calm & healthy.all(axis=1, keepdims=True))
     named = {rotor for e in out if e.kind == LOSS for rotor in e.rotors}
     found = [e for e in found if e.kind != LOSS or not named & set(e.rotors)]  # what is known already
-    return tuple(sorted((*out, *found), key=lambda e: e.detected_s)), (*notes, *said, *more)
+    return tuple(sorted((*out, *found), key=lambda e: e.detected_s)), (*notes, *stopped_notes, *more)
 
 
 def _upset(bins: Binned, table: Ticks) -> np.ndarray:
@@ -91,24 +91,24 @@ def _with_cause(event: Event, bins: Binned, calm: np.ndarray, healthy: np.ndarra
     before = undisturbed & (bins.time < event.onset_s - CLEAR_S)
     before &= np.cumsum(before[::-1])[::-1] <= LEARNED_S / telemetry.BIN_S
     end = event.end_s if event.end_s is not None else next((b for a, b in air if a <= event.onset_s <= b), np.inf)
-    after = (bins.time > event.onset_s + SETTLED_S) & (bins.time < end)
+    after = (bins.time > event.onset_s + RESPONSE_S) & (bins.time < end)
     after &= calm[:, 0] | ~(after & calm[:, 0]).any()  # of a vehicle that tumbles at once what there is
     after &= np.cumsum(after[::-1])[::-1] <= USED_S / telemetry.BIN_S
     if before.sum() < ratios.FEWEST or not after.any():
         return event
     laws = learn(bins, before)
-    told = []
+    entries = []
     for rotor, loss, interval in zip(event.rotors, event.loss, event.interval, strict=True):
         seen = ratios.measure(laws, bins, rotor - 1, before, after, healthy)
         if seen is not None:
-            told.append(_entry(rotor, loss, interval, seen))
-    if not told:
+            entries.append(_entry(rotor, loss, interval, seen))
+    if not entries:
         return event
-    main = max(told, key=lambda t: event.loss[event.rotors.index(t["rotor"])])
-    extra = {**event.extra, "cause": main["cause"], "causes": main["causes"], "esc": told}
-    says = "; ".join(in_words(t) for t in told)
-    event = replace(event, reason=f"{event.reason.removesuffix('.')}; {says}", extra=extra)
-    stands = [t for t in told if t["thrust_of_speed"] < ratios.STANDS]
+    main = max(entries, key=lambda t: event.loss[event.rotors.index(t["rotor"])])
+    extra = {**event.extra, "cause": main["cause"], "causes": main["causes"], "esc": entries}
+    sentence = "; ".join(in_words(t) for t in entries)
+    event = replace(event, reason=f"{event.reason.removesuffix('.')}; {sentence}", extra=extra)
+    stands = [t for t in entries if t["thrust_of_speed"] < ratios.STANDS]
     if len(event.rotors) == 1 and stands:  # what stands pulls nothing, whatever a tumbling vehicle's motion says
         event = replace(event, loss=(1.0,), interval=((stopped.LEAST_LOSS, 1.0),))
     return event
@@ -138,27 +138,27 @@ def _entry(rotor: int, loss: float, interval: tuple[float, float], seen: ratios.
     return evidence.entry(rotor, cause, share, parts, seen.speed_ratio[0], current, drop)
 
 
-def in_words(told: dict) -> str:
+def in_words(entry: dict) -> str:
     """What an ESC says, in words: 'ESC 3: it turns as told and draws 20 % less than ..., so the propeller (97 %)'."""
-    share = told["thrust_of_speed"]
-    high = 1.0 - told["speed_loss_interval"][0]
+    share = entry["thrust_of_speed"]
+    high = 1.0 - entry["speed_loss_interval"][0]
     if share < ratios.STANDS:
-        said = ["it stands"]
+        phrases = ["it stands"]
     elif high < 1.0:
-        said = [f"its speed gives {percent(share)} of the thrust asked for"]
+        phrases = [f"its speed gives {percent(share)} of the thrust asked for"]
     else:
-        said = ["it turns as told"]
-    draws = told["current_ratio"]
+        phrases = ["it turns as told"]
+    draws = entry["current_ratio"]
     if draws is not None and abs(draws - 1.0) >= 0.1:
         more = "more" if draws > 1.0 else "less"
-        said.append(f"draws {percent(abs(draws - 1.0))} {more} current than such a speed needs")
-    drop = told["supply_drop_V"]
+        phrases.append(f"draws {percent(abs(draws - 1.0))} {more} current than such a speed needs")
+    drop = entry["supply_drop_V"]
     if drop is not None and drop > NOTABLE_V:
-        said.append(f"its supply fell {drop:.1f} V below the others'")
-    cause = told["cause"]
+        phrases.append(f"its supply fell {drop:.1f} V below the others'")
+    cause = entry["cause"]
     if cause == ratios.UNKNOWN:
-        none_fits = told["causes"][ratios.UNKNOWN] >= LEAST_PROBABILITY
+        none_fits = entry["causes"][ratios.UNKNOWN] >= LEAST_PROBABILITY
         so = "which fits no single cause" if none_fits else "which leaves the cause open"
     else:
-        so = f"so the cause is the {CAUSES[cause]} ({probability(told['causes'][cause])})"
-    return f"the ESC of {rotors([told['rotor']])} says that {listed(said)}, {so}"
+        so = f"so the cause is the {CAUSES[cause]} ({probability(entry['causes'][cause])})"
+    return f"the ESC of {rotors([entry['rotor']])} says that {listed(phrases)}, {so}"

@@ -34,7 +34,7 @@ def loss(
     size: Sequence[float],
     shares: Sequence[float],
     parts: Mapping[str, Sequence[float]],
-    says: str,
+    sentence: str,
     thrust_of_speed: float,
     current_ratio: float | None = None,
 ) -> Event:
@@ -42,7 +42,7 @@ def loss(
     order of `ratios.PRIOR`; parts: as for `entry`; says: what the ESC says, to follow "says that"."""
     causes = dict(zip(ratios.PRIOR, shares, strict=True))
     cause = max(causes, key=lambda name: causes[name])
-    reason = f"the ESC of {rotors([rotor])} says that {says}so the cause is the {CAUSES[cause]}"
+    reason = f"the ESC of {rotors([rotor])} says that {sentence}so the cause is the {CAUSES[cause]}"
     about = entry(rotor, cause, causes, parts, thrust_of_speed, current_ratio)
     extra = {"cause": cause, "causes": causes, "esc": [about]}
     return Event(

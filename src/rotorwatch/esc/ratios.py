@@ -176,9 +176,9 @@ def gaussian(value: float, mean: float, sd: float) -> float:
 def parts(seen: Measured, theta: float, theta_sd: float) -> dict[str, tuple[float, float, float]]:
     """Loss of speed and loss of the propeller, which make theta together, each with its 95 % interval: (loss, low, high), in 0..1."""
     S, S_sd = seen.speed_ratio
-    kept = max(S, 0.05)
-    propeller = 1.0 - (1.0 - theta) / kept
-    propeller_sd = float(np.hypot(theta_sd / kept, (1.0 - theta) / kept**2 * S_sd))
+    speed_share = max(S, 0.05)
+    propeller = 1.0 - (1.0 - theta) / speed_share
+    propeller_sd = float(np.hypot(theta_sd / speed_share, (1.0 - theta) / speed_share**2 * S_sd))
     return {"speed": _bounded(1.0 - S, S_sd), "propeller": _bounded(propeller, propeller_sd)}
 
 
@@ -214,14 +214,14 @@ def measure(
     known = bins.known & bins.current_known & (bins.power > 0.0)
     rest, there = residual(current, z, v, known, healthy)
     b2, a2 = before & there[:, k], after & there[:, k]
-    standing = after & bins.known[:, k] & (bins.power[:, k] <= 0.0) & bins.current_known[:, k]
-    if b2.sum() < FEWEST or not (a2.any() or standing.any()):
+    stopped = after & bins.known[:, k] & (bins.power[:, k] <= 0.0) & bins.current_known[:, k]
+    if b2.sum() < FEWEST or not (a2.any() or stopped.any()):
         return Measured((S, S_sd), None, 1.0, count, volts)
     usual = float(np.mean(bins.current[b2, k]))
     expected = bins.current[:, k] * np.exp(-np.clip(rest[:, k], -12.0, 12.0))
     # Standing, it needs no current.
-    draws = np.concatenate([(bins.current[a2, k] - expected[a2]), bins.current[standing, k]]) / usual
-    load = float(np.mean(np.concatenate([expected[a2], np.zeros(int(standing.sum()))])) / usual)
+    draws = np.concatenate([(bins.current[a2, k] - expected[a2]), bins.current[stopped, k]]) / usual
+    load = float(np.mean(np.concatenate([expected[a2], np.zeros(int(stopped.sum()))])) / usual)
     noise = _noise(current, k, draws.size, int(b2.sum()))
     reach = _reach(v, a2, b2, k) if a2.any() else 0.0
     variance = max(load, 0.3) ** 2 * (noise + (current.power_sd * reach) ** 2) + (MODEL_D * max(load, 1.0)) ** 2
@@ -248,6 +248,6 @@ def _volts(bins, k: int, a: np.ndarray, b: np.ndarray) -> tuple[float, float] | 
     a, b = a & ok, b & ok
     if not a.any() or b.sum() < FEWEST:
         return None
-    apart = np.median(bins.voltage[:, others], axis=1) - bins.voltage[:, k]
-    sd = float(np.std(apart[b]) * np.sqrt(1.0 / a.sum() + 1.0 / b.sum()))
-    return float(apart[a].mean() - apart[b].mean()), max(sd, 0.02)
+    difference = np.median(bins.voltage[:, others], axis=1) - bins.voltage[:, k]
+    sd = float(np.std(difference[b]) * np.sqrt(1.0 / a.sum() + 1.0 / b.sum()))
+    return float(difference[a].mean() - difference[b].mean()), max(sd, 0.02)

@@ -20,7 +20,7 @@ from rotorwatch.flight.diagnosis import Event
 
 USUAL = 0.75
 STANDS = 0.2  # of its usual speed
-TOLD = 0.5  # of its usual command
+COMMANDED = 0.5  # of its usual command
 OTHERS_TURN = 0.4  # of their usual speed
 TURNS, UNLOADED = 0.6, 0.35  # of its usual speed; of the current that such a speed usually takes
 REPORTS, UNLOADED_REPORTS, UNLOADED_S = 2, 3, 0.5
@@ -41,9 +41,9 @@ def find(bins: Binned, events: Sequence[Event], air, upset: np.ndarray) -> tuple
         turns = np.partition(bins.speed / np.maximum(usual, 1e-9), -2, axis=1)[:, -2] > OTHERS_TURN
         for k in np.flatnonzero(usual > 0.0):
             rotor = int(k) + 1
-            told = (bins.commanded[:, k] > TOLD * commanded[k]) & turns
+            turning = (bins.commanded[:, k] > COMMANDED * commanded[k]) & turns
             at = np.flatnonzero(inside & bins.speed_known[:, k])
-            spell = _last(at, bins.speed[at, k] < STANDS * usual[k], told, REPORTS)
+            spell = _last(at, bins.speed[at, k] < STANDS * usual[k], turning, REPORTS)
             if spell is not None:
                 onset, known = _times(bins, spell)
                 later = (bins.time > onset) & (bins.time < end) & ~upset
@@ -62,7 +62,7 @@ def find(bins: Binned, events: Sequence[Event], air, upset: np.ndarray) -> tuple
                 continue
             load = bins.amps[at, k] / bins.speed[at, k] ** ratios.CURRENT_POWER[0]
             load /= np.quantile(load, USUAL)
-            spell = _last(at, load < UNLOADED, told, UNLOADED_REPORTS)
+            spell = _last(at, load < UNLOADED, turning, UNLOADED_REPORTS)
             if spell is not None:
                 onset, known = _times(bins, spell)
                 lasted = bins.report_time[at[-1]] - onset
@@ -71,7 +71,7 @@ def find(bins: Binned, events: Sequence[Event], air, upset: np.ndarray) -> tuple
     return tuple(out), warnings
 
 
-def _last(at: np.ndarray, bad: np.ndarray, told: np.ndarray, reports: int) -> tuple[int, int, int] | None:
+def _last(at: np.ndarray, bad: np.ndarray, commanded: np.ndarray, reports: int) -> tuple[int, int, int] | None:
     """(report before, first report, report with which it is known) of the stretch of bad reports that lasts to the end; None without one.
 
     The rotor must be told to turn in `reports` of them. A stretch that ends is a gap of the telemetry.
@@ -79,7 +79,7 @@ def _last(at: np.ndarray, bad: np.ndarray, told: np.ndarray, reports: int) -> tu
     if not bad.any() or bad.all() or not bad[-1]:
         return None
     first = at.size - int(np.argmin(bad[::-1]))
-    counted = [int(i) for i in at[first:] if told[i]]
+    counted = [int(i) for i in at[first:] if commanded[i]]
     return (int(at[first - 1]), int(at[first]), counted[reports - 1]) if len(counted) >= reports else None
 
 
@@ -102,13 +102,13 @@ def _explained(events: Sequence[Event], rotor: int, onset: float) -> bool:
 
 def _stands(rotor: int, onset: float, known: float) -> Event:
     parts = {"speed": (1.0, LEAST_LOSS, 1.0), "propeller": (0.0, 0.0, 1.0)}
-    says = f"it stands from {seconds(onset)} on though it is told to turn, "
-    return evidence.loss(rotor, onset, known, (1.0, LEAST_LOSS, 1.0), (0.0, 0.95, 0.04, 0.01), parts, says, 0.0)
+    sentence = f"it stands from {seconds(onset)} on though it is told to turn, "
+    return evidence.loss(rotor, onset, known, (1.0, LEAST_LOSS, 1.0), (0.0, 0.95, 0.04, 0.01), parts, sentence, 0.0)
 
 
 def _unloaded(rotor: int, onset: float, known: float, load: float) -> Event:
     loss = 1.0 - load
     parts = {"speed": (0.0, 0.0, 0.1), "propeller": (loss, LEAST_UNLOADED, 1.0)}
-    says = f"it turns from {seconds(onset)} on with a fraction of the current that such a speed needs, "
+    sentence = f"it turns from {seconds(onset)} on with a fraction of the current that such a speed needs, "
     size = max(loss, LEAST_UNLOADED), LEAST_UNLOADED, 1.0
-    return evidence.loss(rotor, onset, known, size, (0.95, 0.02, 0.0, 0.03), parts, says, 1.0, load)
+    return evidence.loss(rotor, onset, known, size, (0.95, 0.02, 0.0, 0.03), parts, sentence, 1.0, load)

@@ -97,7 +97,7 @@ def read(flight: Flight, thrust: Signal, air: allocation.Spans) -> tuple[Binned 
     commanded = allocation.hold(thrust.time, thrust.values, esc.time)
     still = frozen(esc.time, speed, commanded, SPEED_POWER, inside)
     still_current = frozen(esc.time, current, commanded, CURRENT_POWER, inside)
-    _say_frozen(esc.time, still, notes)
+    _note_frozen(esc.time, still, notes)
     # An ESC that repeats its last report repeats all of it.
     speed = Quantity(speed.values, speed.valid & ~still)
     current = Quantity(
@@ -169,7 +169,7 @@ def frozen(time, what: Quantity, commanded: np.ndarray, power: float, inside) ->
     return still
 
 
-def _say_frozen(time, still: np.ndarray, notes: list[str]) -> None:
+def _note_frozen(time, still: np.ndarray, notes: list[str]) -> None:
     for k in np.flatnonzero(still.any(axis=0)):
         at = np.flatnonzero(still[:, k])
         notes.append(
@@ -250,11 +250,13 @@ def binned(time, speed: Quantity, current: Quantity, voltage: Quantity, thrust: 
         lo, hi = edges[:-1], edges[1:]
         commanded, some = _means(sent_time, sent_values, np.ones(sent_values.shape, bool), lo, hi)
         commanded = np.where(some, commanded, allocation.hold(sent_time, sent_values, 0.5 * (lo + hi)))
-        told = commanded > LEAST_SHARE
-        w2, known = _means(time, speed.values**2, speed.valid, lo, hi, told)
-        amps, amps_known = _means(time, current.values, current.valid, lo, hi, told)
+        turning = commanded > LEAST_SHARE
+        w2, known = _means(time, speed.values**2, speed.valid, lo, hi, turning)
+        amps, amps_known = _means(time, current.values, current.valid, lo, hi, turning)
         volts, volts_known = _means(time, voltage.values, voltage.valid, lo, hi)
-        parts.append((0.5 * (lo + hi), np.where(told, commanded, 1.0), w2, known, amps, amps_known, volts, volts_known))
+        parts.append(
+            (0.5 * (lo + hi), np.where(turning, commanded, 1.0), w2, known, amps, amps_known, volts, volts_known)
+        )
     if not parts:
         return None
     names = ("time", "thrust", "power", "known", "current", "current_known", "voltage", "voltage_known")

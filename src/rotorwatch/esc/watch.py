@@ -67,24 +67,24 @@ def look(bins: Binned, usable: np.ndarray) -> tuple[tuple[Event, ...], list[str]
 
 def _notice(kind: str, rotor: int, onset: float, announced: float, size: float, bounds, sure: float) -> Event:
     who, much = rotors([rotor]), f"{percent(size)} ({interval(*bounds)})"
-    says = {
+    phrases = {
         SLOW: f"the speed of {who} gives {much} less thrust than told",
         HIGH: f"{who} draws {much} more current at the same speed than before",
         LOW: f"{who} draws {much} less current at the same speed than before",
     }[kind]
-    reason = f"since {seconds(onset)} {says}, and the other rotors do not; commands and motion show no loss"
+    reason = f"since {seconds(onset)} {phrases}, and the other rotors do not; commands and motion show no loss"
     extra = {"change": size, "change_interval": bounds}
     return Event(kind, (rotor,), onset, announced, None, (), (), sure, (), reason, extra)
 
 
 def lost_speed(rotor: int, onset: float, announced: float, size: float, bounds) -> Event:
     """A loss that speed and current show and commands and motion do not."""
-    says = (
+    sentence = (
         f"since {seconds(onset)} its speed gives {percent(size)} less thrust than told, and its current fell with it; commands and motion "
         "alone do not show it; "
     )
     parts = {"speed": (size, *bounds), "propeller": (0.0, 0.0, 1.0)}
-    return evidence.loss(rotor, onset, announced, (size, *bounds), (0.0, 0.95, 0.02, 0.03), parts, says, 1.0 - size)
+    return evidence.loss(rotor, onset, announced, (size, *bounds), (0.0, 0.95, 0.02, 0.03), parts, sentence, 1.0 - size)
 
 
 def _follows(time, law, k: int, onset: float, announced: float, change: float) -> bool:

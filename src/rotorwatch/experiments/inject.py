@@ -154,7 +154,7 @@ def _control(flight: Flight, vehicle: Vehicle, raised: Callable, onset: float) -
         weights = check.gain[:, None, None] * weights  # the mixer with the gain it was seen to have
     last = np.clip(np.searchsorted(check.known, control.time, side="right") - 1, 0, len(weights) - 1)
     values = control.values.copy()
-    own, believed = vehicle.curve.expo, allocation.believed_curve(vehicle).expo
+    own, believed = vehicle.curve.expo, allocation.mixer_curve(vehicle).expo
     later = np.flatnonzero((control.time > onset) & control.valid.all(axis=1))
     for part in np.array_split(later, len(later) // 8192 + 1):  # weights of all rows: much memory
         if not part.size:

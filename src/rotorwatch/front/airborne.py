@@ -133,7 +133,7 @@ class Airborne(Struct):
     landed: int = -1  # the autopilot's last word: 1 or 0, -1 before the first
     armed: int = -1
     walking: bool = False  # there are commands
-    down: bool = False  # the autopilot has said since the last command that it is on the ground
+    down: bool = False  # the autopilot has reported since the last command that it is on the ground
     since: Time = -LASTS  # when the present state began
     high_since: Time = LASTS  # LASTS: not so
     low_since: Time = LASTS

@@ -1,4 +1,4 @@
-"""What is new about a list of events that is made again and again: announced, changed, or taken back."""
+"""What is new about a list of events that is made again and again: announced, changed, or withdrawn."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from rotorwatch.front.sizes import EVENTS, TOGETHER
 
 ANNOUNCED, CHANGED, WITHDRAWN = 0, 1, 2
 
-LOSS_STEP = 0.02  # by which a loss or a bound of it must move to be news
+LOSS_STEP = 0.02  # by which a loss or a bound of it must move to be a change
 SAME_S = 1.0  # two onsets so close are of one event
 
 
@@ -21,7 +21,7 @@ class Known(Struct):
 
 class Change(Struct):
     """Something new about an event. what: ANNOUNCED, CHANGED, WITHDRAWN; place: of the event in the list or, withdrawn, among those that
-    are gone."""
+    were withdrawn."""
 
     number: int = 0
     place: Small = 0
@@ -47,9 +47,9 @@ class Changes(Struct):
     ) -> int:
         """What is new about the events as they are now, into out [2 EVENTS]; how many.
 
-        settled: time in s before which nothing is withdrawn: an event that ended before and is missing was forgotten. refined: events of
-        this kind, as losses, may turn out to be of other rotors. every: each known event is listed, whether much of it has changed or not.
-        gone [EVENTS]: room for events that are withdrawn.
+        final: time in s before which nothing is withdrawn: an event that ended before and is missing was forgotten. refined: events of
+                this kind, as losses, may turn out to be of other rotors. every: each known event is listed, whether much of it has changed or not.
+        withdrawn [EVENTS]: room for events that are withdrawn.
         """
         known_of = local(INT, EVENTS)  # place among what is known, -1: new
         event_of = local(INT, EVENTS)

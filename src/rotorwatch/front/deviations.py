@@ -62,13 +62,13 @@ class Override(Struct):
 
 
 class Rest(Struct):
-    """A value that may have settled."""
+    """A value that may have become steady."""
 
     since: Time = LASTS
     anchor: Real = inf
 
     def update(self, time: Time, value: Real, tolerance: Real) -> Time:
-        """Time since which the value has stayed within `tolerance` of where it settled."""
+        """Time since which the value has stayed within `tolerance` of where it became steady."""
         if abs(value - self.anchor) > tolerance:
             self.anchor = value
             self.since = time

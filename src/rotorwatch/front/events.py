@@ -28,7 +28,7 @@ from rotorwatch.front.vehicle import PITCH, ROLL, THRUST, Vehicle
 # What happened: a rotor makes less thrust than its command asks for; an output does not follow the mixer, and nothing is wrong with the
 # rotor; something outside the vehicle pushed it.
 LOSS, OUTPUT_OVERRIDE, CONTACT = 0, 1, 2
-# What can be said at this moment: not in the air for long enough yet; healthy so far; something happened, and to which rotor or output;
+# The state at this moment: not in the air for long enough yet; healthy so far; something happened, and to which rotor or output;
 # something happened, and several sets of rotors explain it.
 NOT_JUDGED, HEALTHY, FAULT, AMBIGUOUS = 0, 1, 2, 3
 # Of a loss: opposite rotors may share it, and then so may the battery; the same, and that is all that is known; two rotors of one arm lack
@@ -80,7 +80,7 @@ class Event(Struct):
 
     def share_arm(self, v: Vehicle) -> None:
         """Where its two rotors stand on one coaxial arm and together lack about one rotor, each of them alone is named as well. In all but
-        yaw one rotor that is gone looks like parts of both, and what is left of the arm then gives another thrust and yaw than geometry
+        yaw one rotor that is lost looks like parts of both, and what is left of the arm then gives another thrust and yaw than geometry
         says, because the air between the two has changed."""
         if not v.coaxial or self.alternative_count > 0 or self.kind != LOSS:
             return
@@ -261,7 +261,7 @@ def _put(out: list[Event], count: int, one: Event) -> int:
 
 
 def verdict(events: list[Event], count: int, judged: bool) -> int:
-    """What can be said by the events alone; judged: at least one tick has been judged."""
+    """The state by the events alone; judged: at least one tick has been judged."""
     unsure = False
     for i in range(count):
         if events[i].kind != CONTACT and events[i].alternative_count == 0:

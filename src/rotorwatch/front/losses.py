@@ -53,7 +53,7 @@ CANCELS = 0.05  # of the largest lever
 class Losses(Struct):
     """Losses of one vehicle, tick by tick."""
 
-    records = embedded(Records)  # what is settled: all before the last announcement
+    records = embedded(Records)  # final ones: all before the last announcement
     latest = embedded(ExplanationState)  # after the last tick
     judged = embedded(ExplanationState)  # after the last that was judged
     courses = array(Course, ROTORS)
@@ -108,7 +108,7 @@ class Losses(Struct):
             self.latest.onset = self._jumped(found.onsets[0])
             if found.announced or self.latest.active[0] != led:
                 self.latest.found = time
-                for k in range(v.rotors):  # what is estimated of rotors that no settled record holds begins here
+                for k in range(v.rotors):  # what is estimated of rotors that no final record holds begins here
                     if (self.before & (1 << k)) == 0:
                         reset(self.courses[k])
         if v.rotors <= found.opposite < v.rotors + pairs(v):
@@ -394,7 +394,7 @@ class Losses(Struct):
         for i in range(r.count):
             if r.suspicion or r.share[i] >= CREDIBLE:
                 _name(e, r.sets[i])
-        for i in range(n):  # all that only a manoeuvre could tell apart
+        for i in range(n):  # all that only a manoeuvre could distinguish
             for j in range(i + 1, n):
                 if paired and (opposite_of(v, i) & (1 << j)) != 0:
                     _name(e, (1 << i) | (1 << j))

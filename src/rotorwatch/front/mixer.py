@@ -38,7 +38,7 @@ from rotorwatch.front.vehicle import PITCH, ROLL, YAW, Vehicle
 THROTTLE, CONTROLS = 3, 4
 
 PART = 0.05
-"""Share of full thrust by which rebuilt thrust and that of the outputs may differ before the rebuilt one is not trusted."""
+"""Share of full thrust by which rebuilt thrust and that of the outputs may differ before the rebuilt one is not valid."""
 FLYING = 0.05
 """Share of full thrust above which a rotor does enough for a comparison."""
 NOISE_SD = 0.004
@@ -49,7 +49,7 @@ _PAIR_WITHIN_S = 0.15  # outputs further than this from any sample of the rate c
 _TOGETHER_S = (
     0.002  # at equal rates outputs come within 1 ms of their rate controller's sample: no need to wait for the next one
 )
-_FRESH_S = 0.5  # rebuilt thrust is trusted for so long after a comparison
+_FRESH_S = 0.5  # rebuilt thrust is valid for so long after a comparison
 
 
 class Comparison(Struct):
@@ -98,7 +98,7 @@ class Mixer(Struct):
     weights = array(TIME, CONTROLS + 1, ROTORS)  # of an unknown mixer: (roll, pitch, yaw, throttle, 1) -> thrust
     spread = array(TIME, CONTROLS + 1, CONTROLS + 1)  # covariance of a rotor's weights
     good = array(FLAG, ROTORS)  # the last comparison fitted
-    trusted = array(FLAG, ROTORS)  # ... and the one before
+    confirmed = array(FLAG, ROTORS)  # ... and the one before
 
     def outputs(self, v: Vehicle, time: Time, output: Reals, valid: bool, battery: Real, out: Comparison) -> int:
         """Outputs at `time` s. How many comparisons are made, 0 or 1, in `out`."""
@@ -153,10 +153,10 @@ class Mixer(Struct):
     def thrust(
         self, v: Vehicle, time: Time, control: Reals, valid: bool, battery: Real, thrust: Reals, valid_thrust: Flags
     ) -> bool:
-        """Thrusts that the rate controller's output stands for, after `control` of that sample. Whether any of them may be trusted.
+        """Thrusts that the rate controller's output stands for, after `control` of that sample. Whether any of them is valid.
 
-        trusted: of each rotor; where not, the last outputs are better: at limits, with more yaw than the mixer grants, and where a rotor's
-        last outputs differed (thrust boost, spool-up, an output that is overridden).
+        valid_thrust: of each rotor; where not, the last outputs are better: at limits, with more yaw than the mixer grants, and where a rotor's
+                last outputs differed (thrust boost, spool-up, an output that is overridden).
         """
         top = _share(v, v.mixer_expo, v.u_max, battery)
         inside = valid and time - self.time < _FRESH_S and _grants_yaw(v, control)

@@ -52,7 +52,7 @@ class Record(Struct):
     sets = array(MASK, SETS)  # that may have failed, the record's own among them
     count: Small = 0  # of `sets`
     rotors: Mask = 0
-    hiding: Mask = 0  # each of these may have failed together with rotor `hider`: the data do not say
+    hiding: Mask = 0  # each of these may have failed together with rotor `hider`: the data do not show which
     hider: Small = 0
     hidden = array(FLAG, PAIRS)  # pairs that the data alone prefer to rotor `hider`
     suspicion: bool = False  # a shift of thrust that opposite rotors share, or something else

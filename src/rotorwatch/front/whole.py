@@ -142,7 +142,7 @@ def assemble(
 
 
 class Mixed(Struct):
-    """Thrusts that one sample of the rate controller stands for; ok: they may be trusted."""
+    """Thrusts that one sample of the rate controller stands for; ok: they are valid."""
 
     time: Time = 0.0
     thrust = array(REAL, ROTORS)

@@ -111,7 +111,7 @@ class Candidate:
         try:
             assert self.table is not None
             found = diagnose(self.flight, vehicle=self.vehicle)
-            doubts = trust.doubts(self.flight, self.vehicle, self.air, self.table)
+            doubts = trust.contradictions(self.flight, self.vehicle, self.air, self.table)
         except RotorwatchError as why:
             return str(why).rstrip(".")
         # Unlike other builds it may well be: that it is healthy nevertheless is what its owner says.

@@ -12,7 +12,7 @@ from rotorwatch.default.events import COLUMNS, Losses, Report
 from rotorwatch.motion.allocation import Spans
 from rotorwatch.motion.ticks import GROUND, Ticks, joined
 
-KEPT_S = 120.0  # of ticks, at least, that can be gone through again
+REPLAY_S = 120.0  # of ticks, at least, that can be gone through again
 
 
 class Account:
@@ -41,19 +41,19 @@ class Account:
             table = joined([table for table, _ in tape])
             out = SimpleNamespace(**{name: np.concatenate([getattr(out, name) for _, out in tape]) for name in names})
             self._older = (*self._mark()[:2], [(table, out)])
-            self._take(table, out)
+            self._feed(table, out)
             self._newer = self._mark()
 
     def add(self, table: Ticks, out: Any) -> None:
         """More ticks with the estimator's outputs."""
         tape = self._newer[2]
-        if tape and table.time[0] - tape[0][0].time[0] > KEPT_S:
+        if tape and table.time[0] - tape[0][0].time[0] > REPLAY_S:
             self._older, self._newer = self._newer, self._mark()
         self._time = float(table.command_time[-1])
         self._newer[2].append((table, SimpleNamespace(**{name: np.asarray(getattr(out, name)) for name in COLUMNS})))
-        self._take(*self._newer[2][-1])
+        self._feed(*self._newer[2][-1])
 
-    def _take(self, table: Ticks, out: SimpleNamespace) -> None:
+    def _feed(self, table: Ticks, out: SimpleNamespace) -> None:
         after = landed(table, self._spans)
         if after.any():
             silent = {"announced": out.announced.astype(bool) & ~after, "opposite": np.where(after, -1, out.opposite)}

@@ -45,9 +45,9 @@ class Beginnings:
     def look(self, carry, spans: Spans, now: float, final: bool = False) -> None:
         """Look at the last flight, at `now` s; final: at all that are kept. carry: what the estimator has come to."""
         self._looked = now
-        kept = [start for start, _ in spans[-HOPS:]] or [now]
-        first = kept[0] if final else kept[-1]
-        self._ticks = [t for t in self._ticks if t.time[-1] >= kept[0]]
+        recent = [start for start, _ in spans[-HOPS:]] or [now]
+        first = recent[0] if final else recent[-1]
+        self._ticks = [t for t in self._ticks if t.time[-1] >= recent[0]]
         ticks = [t for t in self._ticks if t.time[-1] >= first]
         if ticks:
             old = tuple(e for e in self.found if e.detected_s < first)

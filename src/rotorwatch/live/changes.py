@@ -35,10 +35,10 @@ class Changes:
 
     def of(self, events: Sequence[Event], final: bool = False) -> list[Change]:
         """What is new about the events as they are now. final: nothing will come after, so that any difference is told."""
-        gone, out = self._room
+        withdrawn, out = self._room
         refined, never = KINDS.index("loss_of_control"), -listed.LASTS
-        given = packed(events), min(len(events), EVENTS), never, refined, final, gone, out
-        count = FRONT.call(whole.changes, self._known, *given)
+        arguments = packed(events), min(len(events), EVENTS), never, refined, final, withdrawn, out
+        count = FRONT.call(whole.changes, self._known, *arguments)
         found = []
         for number, place, what in zip(*(out[name][:count].tolist() for name in ("number", "place", "what"))):
             if what == changes.WITHDRAWN:

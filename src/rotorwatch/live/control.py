@@ -17,10 +17,10 @@ from rotorwatch.upset import loss_of_control
 NAMES = (
     "motors", "lift", "battery", "control", "gyro", "rates", "accel", "attitude", "attitude_wanted", "rates_wanted", "velocity", "position",
 )  # fmt: skip
-KEPT_S = 600.0  # of samples; a flight that is longer is judged by its last ten minutes
+WINDOW_S = 600.0  # of samples; a flight that is longer is judged by its last ten minutes
 RECENT_S = 6.0  # in which a departure shows, if there is one
 EVERY_S, SELDOM_S = 0.5, 5.0  # between two looks: as long as since the first suspicion, within these
-SETTLED_S = upset.AFTER_S + 2.0  # after a loss of control: all that its cause is judged by has been heard
+FINAL_S = upset.AFTER_S + 2.0  # after a loss of control: all that its cause is judged by has been heard
 
 
 class Control:
@@ -29,7 +29,7 @@ class Control:
     def __init__(self, about: Flight, vehicle: Vehicle):
         self._window, self._vehicle = Window(about), vehicle
         self.found: tuple[upset.Judged, ...] = ()
-        self.said = 0
+        self.revision = 0
         self._hops = 0  # that have ended
         self._impacts: dict[float, float] = {}  # start of a flight -> when it fell to the ground
         self._suspected = np.inf
@@ -50,7 +50,7 @@ class Control:
             if over or np.isfinite(self._suspected) or self._leaves(spans):
                 self._suspected = min(self._suspected, now)
                 self._judge(spans, final)
-            self._window.forget(now - KEPT_S)
+            self._window.forget(now - WINDOW_S)
         return tuple((start, min(end, self._impacts.get(start, np.inf))) for start, end in spans)
 
     def events(self, known: tuple[Event, ...], n: int) -> tuple[Event, ...]:
@@ -69,22 +69,22 @@ class Control:
     def _judge(self, spans: Spans, final: bool) -> None:
         """Find the departures anew in what is kept; those whose samples are gone stay."""
         flight = self._window.flight(-np.inf)
-        since = self._window.now - KEPT_S + upset.BEFORE_S
+        since = self._window.now - WINDOW_S + upset.BEFORE_S
         old = tuple(j for j in self.found if j.left.onset < since)
         air = tuple((start, min(end, self._window.now)) for start, end in spans)
-        kept = tuple(span for span in air if span[1] > since)
-        settled = [j for j in self.found if not final and self._window.now > j.left.lost + SETTLED_S]
+        recent = tuple(span for span in air if span[1] > since)
+        final_ones = [j for j in self.found if not final and self._window.now > j.left.lost + FINAL_S]
         new = [
-            next((j for j in settled if j.left == left), None) or upset.judge(flight, self._vehicle, kept, left)
-            for left in (loss_of_control.find(flight, kept) if kept or not air else ())
+            next((j for j in final_ones if j.left == left), None) or upset.judge(flight, self._vehicle, recent, left)
+            for left in (loss_of_control.find(flight, recent) if recent or not air else ())
             if left.onset >= since
         ]
         self.found = (*old, *new)
-        for (start, end), (_, cut) in zip(kept, upset.until_impact(flight, kept, self.found)):
+        for (start, end), (_, cut) in zip(recent, upset.until_impact(flight, recent, self.found)):
             if cut < end:
                 self._impacts[start] = cut
             else:
                 self._impacts.pop(start, None)
-        self.said += 1
+        self.revision += 1
         if not self.found:
             self._suspected = np.inf

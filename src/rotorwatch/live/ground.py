@@ -27,7 +27,7 @@ PAUSE_S = 2.0  # between two texts of one vehicle
 A_MINUTE = 10  # texts of one vehicle in a minute
 STEP = 0.1  # by which a loss must move to be told again: half of what is worth an alert elsewhere would fill a pilot's screen
 SLOW_S, FAST_S = 5.0, 1.0  # between two values of a rotor, on serial ports and elsewhere
-LOST = "loss_of_control"
+TOTAL_LOSS = "loss_of_control"
 WORDS = {"output_override": "output overridden", "contact": "knock or contact", "motor_order": "in the wrong order"}
 CAUSES = {  # of a loss of control without a rotor, in the few characters there are
     "disarmed": "motors stopped", "knock": "knock", "controller": "told wrong", "saturated": "no thrust left", "power": "power failed",
@@ -38,7 +38,7 @@ CAUSES = {  # of a loss of control without a rotor, in the few characters there 
 class _Vehicle:
     """said: event -> (rotors, alternatives, over, losses) as told last; waiting: event -> the latest alert."""
 
-    said: dict[int, tuple] = field(default_factory=dict)
+    text_of: dict[int, tuple] = field(default_factory=dict)
     waiting: dict[int, dict] = field(default_factory=dict)
     texts: list[float] = field(default_factory=list)  # when they were sent
     values: float = -math.inf
@@ -88,13 +88,13 @@ class Ground:
     def _texts(self, link: Link, name: str, vehicle: _Vehicle, now: float) -> None:
         vehicle.texts = [t for t in vehicle.texts if t > now - 60.0]
         for number, alert in list(vehicle.waiting.items()):
-            if not _worth(vehicle.said.get(number), alert):
+            if not _worth_sending(vehicle.said.get(number), alert):
                 del vehicle.waiting[number]
         if not vehicle.waiting or len(vehicle.texts) >= A_MINUTE:
             return
         if vehicle.texts and now - vehicle.texts[-1] < PAUSE_S:
             return
-        number, alert = min(vehicle.waiting.items(), key=lambda item: (said(item[1])[1], item[0]))
+        number, alert = min(vehicle.waiting.items(), key=lambda item: (text_of(item[1])[1], item[0]))
         del vehicle.waiting[number]
         vehicle.said[number] = _gist(alert)
         vehicle.texts.append(now)
@@ -105,9 +105,9 @@ def _gist(alert: dict) -> tuple:
     if alert["type"] == "notice":
         return (alert["text"],), (), False, False, ()
     event = alert["event"]
-    gone = _over(event), alert["state"] == WITHDRAWN
+    over = _over(event), alert["state"] == WITHDRAWN
     return (
-        tuple(event["rotors"]), (event.get("cause"), *map(tuple, event["alternatives"])), *gone, tuple(event["loss"]),
+        tuple(event["rotors"]), (event.get("cause"), *map(tuple, event["alternatives"])), *over, tuple(event["loss"]),
     )  # fmt: skip
 
 
@@ -116,17 +116,17 @@ def _over(event: dict) -> bool:
     return event["kind"] != "contact" and event["end_s"] is not None and not event.get("impact_s")
 
 
-def _worth(said: tuple | None, alert: dict) -> bool:
+def _worth_sending(reported: tuple | None, alert: dict) -> bool:
     """Whether it is worth a text: something new, or a loss that has moved by STEP since it was told."""
     new = _gist(alert)
-    if said is None:
+    if reported is None:
         return not new[3]  # taken back before it was said
-    if said[:4] != new[:4]:
+    if reported[:4] != new[:4]:
         return True
-    return any(abs(a - b) >= STEP for a, b in zip(said[4], new[4]))
+    return any(abs(a - b) >= STEP for a, b in zip(reported[4], new[4]))
 
 
-def said(alert: dict) -> tuple[str, int]:
+def text_of(alert: dict) -> tuple[str, int]:
     """(a text of plain ASCII, severity) of an alert: front/words.py. A loss of control is critical as well."""
     if alert["type"] == "notice":
         stands = "stands" in alert["text"]
@@ -135,7 +135,7 @@ def said(alert: dict) -> tuple[str, int]:
     event: Any = SimpleNamespace(extra={}, **alert["event"])
     withdrawn = alert["state"] == WITHDRAWN
     what = WORDS.get(event.kind, event.kind.replace("_", " "))
-    if event.kind == LOST:
+    if event.kind == TOTAL_LOSS:
         numbers = "+".join(map(str, event.rotors))
         who = f"rotor{'s' if len(event.rotors) > 1 else ''} {numbers}" if numbers else CAUSES.get(event.cause, "")
         what, event.rotors = ", ".join(filter(None, ("LOSS OF CONTROL", who))), ()
@@ -144,13 +144,13 @@ def said(alert: dict) -> tuple[str, int]:
     made = FRONT.new(words.Words)
     severity = FRONT.call(whole.in_words, packed([event]), withdrawn, what, made)
     text = bytes(made["at"].reshape(-1)[: int(made["length"][0])].tolist()).decode("ascii")
-    return text, CRITICAL if event.kind == LOST and severity == WARNING else severity
+    return text, CRITICAL if event.kind == TOTAL_LOSS and severity == WARNING else severity
 
 
 def text(alert: dict) -> Outgoing:
     """The STATUSTEXT of an alert."""
-    told, severity = said(alert)
-    return outgoing("STATUSTEXT", severity=severity, text=told.encode())
+    sent, severity = text_of(alert)
+    return outgoing("STATUSTEXT", severity=severity, text=sent.encode())
 
 
 def value(boot_ms: int, rotor: int, loss: float) -> Outgoing:

@@ -27,12 +27,12 @@ def trouble(why: BaseException) -> str:
     return f"an error in rotorwatch itself ({text}); please report it"
 
 
-class Beside:
+class Guard:
     """Does such work. say: told once when a part of it begins to fail, and when it works again. failed: a sentence for each part that has
     failed, by its name."""
 
-    def __init__(self, say: Callable[[str], None]):
-        self._say, self._failing = say, set[str]()
+    def __init__(self, notify: Callable[[str], None]):
+        self._notify, self._failing = notify, set[str]()
         self.failed: dict[str, str] = {}
 
     def run(self, what: str, work: Callable[..., Any], *args: Any) -> bool:
@@ -44,24 +44,24 @@ class Beside:
                 self._failing.add(what)
                 reason = f"{why.strerror or why}" if isinstance(why, OSError) else trouble(why)
                 self.failed[what] = f"{what}: {reason.rstrip('.')}; vehicles are judged on."
-                self._said(self.failed[what])
+                self._report(self.failed[what])
             return False
         if what in self._failing:
             self._failing.discard(what)
-            self._said(f"{what}: it works again.")
+            self._report(f"{what}: it works again.")
         return True
 
-    def _said(self, text: str) -> None:
+    def _report(self, text: str) -> None:
         with suppress(Exception):  # nobody hears it: `failed` remembers
-            self._say(text)
+            self._notify(text)
 
 
-def as_json(told: Any) -> str:
+def as_json(value: Any) -> str:
     """JSON of what is told. A number of NumPy is a number; what is no number (nan, infinity) is null."""
     try:
-        return json.dumps(told, allow_nan=False)
+        return json.dumps(value, allow_nan=False)
     except (TypeError, ValueError):
-        return json.dumps(_plain(told), allow_nan=False)
+        return json.dumps(_plain(value), allow_nan=False)
 
 
 def _plain(value: Any) -> Any:

@@ -53,7 +53,7 @@ class Judge:
             early.look(self._steps.carry, self._spans, self._time, final)
 
     @property
-    def said(self) -> int:
+    def revision(self) -> int:
         """Grows, or shrinks, when there may be other events."""
         early = 0 if self._beginnings is None else len(self._beginnings.found)
         return self._account.losses.announcements + len(self._overrides) + len(self._account.report.contacts) + early
@@ -91,9 +91,9 @@ def _earlier(old: Spans, new: Spans) -> float | None:
 
 def _in_flight(found: tuple[Override, ...], spans: Spans) -> list[Override]:
     """Overrides that were noticed in flight, each ended with its flight at the latest."""
-    kept = []
+    inside = []
     for one in found:
         for start, end in spans:
             if start <= one.onset < end and one.detected <= end + CONFIRM_S:
-                kept.append(one if (one.end or np.inf) <= end else replace(one, end=end))
-    return kept
+                inside.append(one if (one.end or np.inf) <= end else replace(one, end=end))
+    return inside

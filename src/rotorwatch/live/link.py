@@ -21,7 +21,7 @@ from rotorwatch.live.endpoint import Endpoint
 from rotorwatch.live.frames import Frames, Outgoing, Sender
 from rotorwatch.live.record import Record
 from rotorwatch.live.senders import Senders
-from rotorwatch.live.watched import Tell, Watched
+from rotorwatch.live.watched import Notify, Watched
 from rotorwatch.logs.px4_topics import MAV_TYPES
 from rotorwatch.logs.tlog import FORMAT
 
@@ -42,7 +42,7 @@ NO_AUTOPILOT, ON_BOARD, GROUND = 8, 18, 6
 COMMAND_ACK, MESSAGE_INTERVAL = 77, 244
 
 
-class Heard:
+class LinkedVehicle:
     """One vehicle on a link. watched: what is made of its samples."""
 
     def __init__(self, watched: Watched, key: tuple[int, int], autopilot: str, kind: int, link: Link, peer: Any):
@@ -72,7 +72,7 @@ class Heard:
         self._sequence = sequence
         return True
 
-    def _told_apart(self) -> bool:
+    def _one_sender(self) -> bool:
         """Whether all frames are of one sender: nothing can be judged of what two send together."""
         if self._senders.several and not self._mixed:
             self.watched.say(f"{TWO_SENDERS}; nothing is judged until only one is left", "error")
@@ -91,8 +91,8 @@ class Heard:
             self.watched.fail(why)
 
     def _on(self, identity: int, frame: bytes, arrival: float) -> None:
-        self.watched.health.heard = arrival
-        if not self._told_apart():
+        self.watched.health.last_frame = arrival
+        if not self._one_sender():
             return
         if self._silent:
             self._silent = False
@@ -108,18 +108,18 @@ class Heard:
             self.messages.add(layout, frame, arrival)
         if layout.name == "PARAM_VALUE":
             row = mavlink.row(frame, layout)
-            self._parameters.took(int(row["param_index"]), int(row["param_count"]), arrival)
+            self._parameters.received(int(row["param_index"]), int(row["param_count"]), arrival)
 
     def _answer(self, identity: int, frame: bytes) -> None:
-        said = mavlink.decoded(identity, frame)
-        if said is None:
+        answer = mavlink.decoded(identity, frame)
+        if answer is None:
             return
         if identity == COMMAND_ACK:
-            self._rates.answered(said["command"], said["result"])
+            self._rates.answered(answer["command"], answer["result"])
         elif identity == MESSAGE_INTERVAL:
-            self._rates.interval(said["message_id"], said["interval_us"])
+            self._rates.interval(answer["message_id"], answer["interval_us"])
         elif identity == requests.VERSION_ID:
-            self._identity.took(said["uid"], said["uid2"], said["flight_sw_version"], self.messages.autopilot)
+            self._identity.received(answer["uid"], answer["uid2"], answer["flight_sw_version"], self.messages.autopilot)
 
     def _restart(self, reboot: bool) -> None:
         """Its clock began anew: another flight."""
@@ -162,7 +162,7 @@ class Heard:
             self._anew()
 
     def _step(self, now: float) -> None:
-        if now - self.watched.health.heard > SILENT_S and not self._silent:
+        if now - self.watched.health.last_frame > SILENT_S and not self._silent:
             self._silent = True
             self.watched.say(f"nothing has been heard for {SILENT_S:.0f} s")
         if self._mixed:
@@ -186,12 +186,12 @@ class Heard:
             self._parameters.step(now, self._send)
             self._identity.step(now, self._send)
             if now - self._first > HELLO_S and not self._rates.done:
-                self._rates.step(now, self._send, self.messages.heard_hz())
-        if self._parameters.complete and not self._parameters.kept:
-            self._parameters.kept = True
+                self._rates.step(now, self._send, self.messages.rates_hz())
+        if self._parameters.complete and not self._parameters.used:
+            self._parameters.used = True
             there = self.messages.parameters()
             if self._identity.key:
-                requests.keep(self._identity.key, there)
+                requests.store(self._identity.key, there)
             session = self.watched.session
             if self._begun is None or (there != self._begun and not (session is not None and session.flying)):
                 self._begin(there)
@@ -269,17 +269,17 @@ class Link:
     """An endpoint that is watched. known: the vehicle, where a file says it. talks: it may ask the vehicle for what it needs."""
 
     def __init__(
-        self, endpoint: Endpoint, tell: Tell, known: Vehicle | None = None, record: Path | None = None, talks: bool = True,
+        self, endpoint: Endpoint, tell: Notify, known: Vehicle | None = None, record: Path | None = None, talks: bool = True,
         patience_s: float = 30.0, clock: Callable[[], float] = time.monotonic,
     ):  # fmt: skip
         """record: folder to record in. patience_s: how long to wait for a first vehicle. clock: time of arrival [s]. Raises ConfigError
         for a folder that cannot be written."""
         self.clock = clock
         self.endpoint, self.known, self.talks = endpoint, known, talks
-        self._tell, self._patience_s = tell, patience_s
+        self._notify, self._patience_s = tell, patience_s
         self._parsers: dict[Any, Any] = {}
-        self._heard: dict[tuple[int, int], Heard] = {}
-        self._fresh: dict[Heard, None] = {}  # those that something has come of since they were judged
+        self._vehicles: dict[tuple[int, int], LinkedVehicle] = {}
+        self._fresh: dict[LinkedVehicle, None] = {}  # those that something has come of since they were judged
         self._stepped = 0.0
         self._refused: set[int] = set()
         self.frames = self._damaged_before = 0
@@ -298,11 +298,11 @@ class Link:
 
     @property
     def vehicles(self) -> tuple[Watched, ...]:
-        return tuple(heard.watched for heard in self._heard.values())
+        return tuple(vehicle.watched for vehicle in self._vehicles.values())
 
     def shown(self) -> list[tuple[Watched, str]]:
         """Each vehicle with what is not known of it yet."""
-        return [(heard.watched, heard.waits_for()) for heard in self._heard.values()]
+        return [(vehicle.watched, vehicle.waits_for()) for vehicle in self._vehicles.values()]
 
     def _open(self, folder: Path) -> Record:
         name = re.sub(r"[^A-Za-z0-9]+", "-", self.endpoint.name).strip("-")
@@ -311,7 +311,7 @@ class Link:
 
     def _unrecorded(self, text: str) -> None:
         self.trouble = text
-        self._tell({"type": "error", "vehicle": self.endpoint.name, "text": text})
+        self._notify({"type": "error", "vehicle": self.endpoint.name, "text": text})
 
     def poll(self, wait_s: float) -> bool:
         """Take what has come."""
@@ -320,7 +320,7 @@ class Link:
             self._take(peer, data)
         now = self.clock()
         if not received or now - self._stepped > ALL_S:
-            self._stepped, self._fresh = now, dict.fromkeys(self._heard.values())
+            self._stepped, self._fresh = now, dict.fromkeys(self._vehicles.values())
         if not self.endpoint.open:
             self._damaged_before = self.damaged
             self._parsers.clear()
@@ -330,10 +330,10 @@ class Link:
             self.send(requests.heartbeat())
         if self._record is not None:
             self._record.step()
-        for heard in self._fresh:
-            heard.step(now)
+        for vehicle in self._fresh:
+            vehicle.step(now)
         self._fresh = {}
-        if not self._heard and now - self._began > self._patience_s:
+        if not self._vehicles and now - self._began > self._patience_s:
             raise LinkError(self._nobody())
         return True
 
@@ -354,7 +354,7 @@ class Link:
 
     def tell(self, name: str, message: Outgoing) -> None:
         """Something said to all who listen, as by an onboard computer of the vehicle of this name."""
-        system = next((key[0] for key, heard in self._heard.items() if heard.watched.name == name), None)
+        system = next((key[0] for key, vehicle in self._vehicles.items() if vehicle.watched.name == name), None)
         if system is None or not self.talks:
             return
         sender = self._tellers.setdefault(system, Sender(system, requests.COMPONENT))
@@ -362,7 +362,9 @@ class Link:
 
     def boot_ms(self, name: str) -> int:
         """The vehicle's own time, as its messages tell it."""
-        clock = next((heard.messages.clock for heard in self._heard.values() if heard.watched.name == name), None)
+        clock = next(
+            (vehicle.messages.clock for vehicle in self._vehicles.values() if vehicle.watched.name == name), None
+        )
         return 0 if clock is None or clock.start is None else int(clock.start * 1e-3 + clock.now * 1e3) % 2**32
 
     def _take(self, peer: Any, data: bytes) -> None:
@@ -382,26 +384,26 @@ class Link:
 
     def _dispatch(self, peer: Any, frame: bytes, arrival: float) -> None:
         sequence, system, component, identity = mavlink.header(frame)
-        heard = self._heard.get((system, component))
-        if heard is None:
+        vehicle = self._vehicles.get((system, component))
+        if vehicle is None:
             if identity == 0:
                 self._meet(peer, frame, system, component)
             return
-        if heard.peer != peer and not self._followed(heard, peer, arrival):
+        if vehicle.peer != peer and not self._followed(vehicle, peer, arrival):
             return
-        self._fresh[heard] = None
-        if heard.counted(sequence):
-            heard.on(identity, frame, arrival)
+        self._fresh[vehicle] = None
+        if vehicle.counted(sequence):
+            vehicle.on(identity, frame, arrival)
 
-    def _followed(self, heard: Heard, peer: Any, arrival: float) -> bool:
+    def _followed(self, vehicle: LinkedVehicle, peer: Any, arrival: float) -> bool:
         """Whether a vehicle is now heard through another peer. While its own still sends, what the other one sends under its id is another
         copy of it, or another vehicle: left out."""
-        if arrival - heard.watched.health.heard > SILENT_S:
-            heard.peer = peer
+        if arrival - vehicle.watched.health.last_frame > SILENT_S:
+            vehicle.peer = peer
             return True
-        if not heard.watched.health.others:
-            heard.watched.say(f"it is heard from a second address too, which is left out; {ONE_ID}")
-        heard.watched.health.others += 1
+        if not vehicle.watched.health.others:
+            vehicle.watched.say(f"it is heard from a second address too, which is left out; {ONE_ID}")
+        vehicle.watched.health.others += 1
         return False
 
     def _meet(self, peer: Any, frame: bytes, system: int, component: int) -> None:
@@ -414,7 +416,7 @@ class Link:
             if kind not in self._refused:
                 self._refused.add(kind)
                 what = OTHERS.get(kind, f"of an unknown kind (MAV_TYPE {kind})")
-                self._tell(
+                self._notify(
                     {
                         "type": "notice",
                         "vehicle": self._name(system, component),
@@ -422,29 +424,29 @@ class Link:
                     }
                 )
             return
-        if len(self._heard) >= VEHICLES and not self._room():
+        if len(self._vehicles) >= VEHICLES and not self._room():
             return
         self._first_version = frame[0] == 0xFE
         name = self._name(system, component)
         words = mavlink.AUTOPILOTS.get(autopilot, f"MAVLink autopilot {autopilot}")
-        watched = Watched(name, self._tell, self.known)
-        watched.health.heard = self.clock()
-        self._heard[system, component] = Heard(watched, (system, component), words, kind, self, peer)
+        watched = Watched(name, self._notify, self.known)
+        watched.health.last_frame = self.clock()
+        self._vehicles[system, component] = LinkedVehicle(watched, (system, component), words, kind, self, peer)
         watched.say(f"{words}, {MAV_TYPES[kind][0]}")
 
     def _room(self) -> bool:
         """Whether there is room for one more vehicle: that of one of which nothing but a heartbeat has come, and which is silent."""
         now = self.clock()
-        for key, heard in self._heard.items():
-            if heard.empty and now - heard.watched.health.heard > SILENT_S:
-                heard.give_back()
-                self._fresh.pop(heard, None)
-                del self._heard[key]
+        for key, vehicle in self._vehicles.items():
+            if vehicle.empty and now - vehicle.watched.health.last_frame > SILENT_S:
+                vehicle.give_back()
+                self._fresh.pop(vehicle, None)
+                del self._vehicles[key]
                 return True
         if now - self._crowded > 60.0:
             self._crowded = now
             text = f"more than {VEHICLES} vehicles are heard here; the others are left out"
-            self._tell({"type": "error", "vehicle": self.endpoint.name, "text": text})
+            self._notify({"type": "error", "vehicle": self.endpoint.name, "text": text})
         return False
 
     def _name(self, system: int, component: int) -> str:
@@ -452,10 +454,10 @@ class Link:
 
     def leave(self) -> None:
         """Give back what was asked for, and close. The vehicles come first: there may be no time for more."""
-        for heard in self._heard.values():
-            heard.give_back()
+        for vehicle in self._vehicles.values():
+            vehicle.give_back()
         if self._record is not None:
             self._record.close()
-        for heard in self._heard.values():
-            heard.watched.finish()
+        for vehicle in self._vehicles.values():
+            vehicle.watched.finish()
         self.endpoint.close()

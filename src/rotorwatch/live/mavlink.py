@@ -113,7 +113,7 @@ class Messages:
         self._newest: dict[tuple[str, int], float] = {}  # stamp of the last message taken of each part
         self._counts: dict[str, deque[float]] = {}
         self._source: dict[str, str] = {}
-        self._told: dict[str, float] = {}  # when the source of a signal last told something usable
+        self._usable_at: dict[str, float] = {}  # when the source of a signal last told something usable
         self._states: dict[str, float] = {}
         self._seen: dict[str, deque[float]] = {}  # when the last messages arrived
 
@@ -140,7 +140,7 @@ class Messages:
                 return False
         return True
 
-    def heard_hz(self) -> dict[str, float]:
+    def rates_hz(self) -> dict[str, float]:
         """Message -> how often it arrives."""
         last = max((seen[-1] for seen in self._seen.values() if seen), default=0.0)
         return {name: sum(t > last - RATE_S for t in seen) / RATE_S for name, seen in self._seen.items()}
@@ -236,12 +236,12 @@ class Messages:
         signals: dict[str, Signal] = {}
         options = tlog.readings(outputs)
         for name in SIGNALS:
-            heard = [reading for reading in options[name] if reading.source in there]
-            for reading in self._order(name, heard, aloft) if heard else ():
+            readings = [reading for reading in options[name] if reading.source in there]
+            for reading in self._order(name, readings, aloft) if readings else ():
                 made = reading.make(self)
                 if made is not None:
                     signals[name] = made
-                    self._source[name], self._told[name] = reading.source, now
+                    self._source[name], self._usable_at[name] = reading.source, now
                     break
         if not ESC.isdisjoint(there):
             esc = mavlink_esc.read(self.get, outputs, self.notes)
@@ -253,19 +253,19 @@ class Messages:
         self.notes.clear()
         return signals, messages
 
-    def _order(self, name: str, heard: list[tlog.Reading], aloft: bool) -> list[tlog.Reading]:
+    def _order(self, name: str, readings: list[tlog.Reading], aloft: bool) -> list[tlog.Reading]:
         """Which of the messages that have come is to tell of a signal, and which instead when it says nothing usable: the fastest, in order
         of preference."""
         source = self._source.get(name)
-        silent = source is None or self.clock.now - self._told[name] > UNKNOWN_S
-        own = [reading for reading in heard if reading.source == source]
-        if not silent and (aloft or name not in tlog.FASTEST or len(heard) == len(own)):
+        silent = source is None or self.clock.now - self._usable_at[name] > UNKNOWN_S
+        own = [reading for reading in readings if reading.source == source]
+        if not silent and (aloft or name not in tlog.FASTEST or len(readings) == len(own)):
             return own
         best = None if silent else source
-        for reading in heard:
+        for reading in readings:
             if best is None or self._count(reading.source) > 1.5 * self._count(best) + 10:
                 best = reading.source
-        return sorted(heard, key=lambda reading: reading.source != best)
+        return sorted(readings, key=lambda reading: reading.source != best)
 
     def _count(self, source: str) -> int:
         return len(self._counts.get(source, ()))
@@ -274,9 +274,9 @@ class Messages:
         """States are told again and again; only what is new counts."""
         if message.kind in ("text", "error"):
             return True
-        told = self._states.get(message.kind) != message.value
+        changed = self._states.get(message.kind) != message.value
         self._states[message.kind] = message.value
-        return told
+        return changed
 
 
 def facts(messages: Messages, parameters: Mapping[str, float]) -> dict[str, Any]:

@@ -31,7 +31,7 @@ class Picture:
     ticks: int
     taken: int
     lost: int
-    heard: float
+    last_frame: float
 
 
 def picture(watched: Watched, waits_for: str = "") -> Picture:
@@ -44,7 +44,7 @@ def picture(watched: Watched, waits_for: str = "") -> Picture:
     ticks = 0 if watched.session is None else watched.session.ticks
     health = watched.health
     state = view.line(watched, waits_for).state
-    return Picture(watched.name, state, rotors, events, ticks, health.taken, health.lost, health.heard)
+    return Picture(watched.name, state, rotors, events, ticks, health.taken, health.lost, health.last_frame)
 
 
 class Metrics:
@@ -125,5 +125,5 @@ class Metrics:
             taken.add_metric([one.name], one.taken)
             lost.add_metric([one.name], one.lost)
             share.add_metric([one.name], one.lost / max(one.lost + one.taken, 1))
-            age.add_metric([one.name], max(now - one.heard, 0.0))
+            age.add_metric([one.name], max(now - one.last_frame, 0.0))
         yield from (state, *columns, events, ticks, taken, lost, share, age)

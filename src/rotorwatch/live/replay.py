@@ -46,7 +46,7 @@ class Replay:
         signals = {name: s.between(self._before, now) for name, s in self._flight.signals.items()}
         messages = [m for m in self._flight.messages if self._before <= m.time < now]
         self._now = self._before = now
-        self.watched.health.heard = time.monotonic()
+        self.watched.health.last_frame = time.monotonic()
         self.watched.health.taken += sum(len(s) for s in signals.values())
         self.watched.add({name: s for name, s in signals.items() if len(s)}, messages)
         self.watched.advance(float(np.nextafter(now, -np.inf)))

@@ -18,7 +18,7 @@ REQUEST_MESSAGE, SET_INTERVAL, GET_INTERVAL = 512, 511, 510
 VERSION_ID = 148
 LIST_S, MISSING_S, AT_ONCE, ROUNDS = 3.0, 0.7, 12, 40
 ACK_S, TRIES = 0.7, 3
-KEPT = 1000  # vehicles whose parameters are kept: who sends under many names does not fill the disk
+CACHED_VEHICLES = 1000  # vehicles whose parameters are kept: who sends under many names does not fill the disk
 FAST = {"SERVO_OUTPUT_RAW": 50.0, "ATTITUDE": 50.0, "IMU": 50.0}
 SLOW = {"SERVO_OUTPUT_RAW": 20.0, "ATTITUDE": 25.0, "IMU": 25.0}
 BESIDES = {"LOCAL_POSITION_NED": 5.0, "ATTITUDE_TARGET": 5.0, "EXTENDED_SYS_STATE": 2.0, "SYS_STATUS": 2.0}
@@ -48,7 +48,7 @@ class Parameters:
         self._to, self._next, self._round = _to(system, component), 0.0, 0
         self._there: set[int] = set()
         self.count = 0
-        self.given_up = self.kept = False
+        self.given_up = self.used = False
 
     @property
     def complete(self) -> bool:
@@ -59,7 +59,7 @@ class Parameters:
         """How many of them have come."""
         return len(self._there) / self.count if self.count else 0.0
 
-    def took(self, index: int, count: int, now: float) -> None:
+    def received(self, index: int, count: int, now: float) -> None:
         """One has come. An index of 65535 is one that was set, not asked for."""
         if index < count < 65535:
             self.count = count
@@ -89,17 +89,17 @@ class Identity:
     """Which vehicle and firmware it is. key: for the cache of its parameters; None as long as that is not known."""
 
     def __init__(self, system: int, component: int):
-        self._to, self._asked, self._next = _to(system, component), 0, 0.0
+        self._to, self._requested, self._next = _to(system, component), 0, 0.0
         self.key: str | None = None
 
-    def took(self, uid: int, uid2: bytes, version: int, autopilot: str) -> None:
+    def received(self, uid: int, uid2: bytes, version: int, autopilot: str) -> None:
         who = bytes(uid2).hex().strip("0") or (f"{uid:x}" if uid else "")
         if who and version:
             self.key = f"{autopilot}-{who}-{version:08x}"
 
     def step(self, now: float, send: Send) -> None:
-        if self.key is None and self._asked < TRIES and now >= self._next:
-            self._asked, self._next = self._asked + 1, now + ACK_S
+        if self.key is None and self._requested < TRIES and now >= self._next:
+            self._requested, self._next = self._requested + 1, now + ACK_S
             send(outgoing("COMMAND_LONG", **self._to, command=REQUEST_MESSAGE, param1=VERSION_ID))
 
 
@@ -111,7 +111,7 @@ class Rates:
         wanted = {**(SLOW if slow else FAST), **BESIDES}
         self._to, self._imu = _to(system, component), imu
         self._left = [(imu if name == "IMU" else name, hz) for name, hz in wanted.items()]
-        self._tries, self._next, self._asked = 0, 0.0, False
+        self._tries, self._next, self._requested = 0, 0.0, False
         self._before: dict[int, int] = {}
         self._set: list[int] = []
         self._streams: dict[int, int] = {}
@@ -128,7 +128,7 @@ class Rates:
 
     def answered(self, command: int, result: int) -> None:
         """The vehicle has answered a command."""
-        if command == SET_INTERVAL and self._left and self._asked:
+        if command == SET_INTERVAL and self._left and self._requested:
             if result == 0:
                 self._set.append(IDS[self._left[0][0]])
                 self._after()
@@ -140,11 +140,11 @@ class Rates:
             self._tries = TRIES
             return
         del self._left[0]
-        self._tries, self._next, self._asked = 0, 0.0, False
+        self._tries, self._next, self._requested = 0, 0.0, False
 
     def step(self, now: float, send: Send, seen_hz: Mapping[str, float]) -> None:
         """Ask, and ask again where nothing is answered; without any answer by the old streams. seen_hz: rates that come already."""
-        while self._left and seen_hz.get(self._left[0][0], 0.0) >= 0.8 * self._left[0][1] and not self._asked:
+        while self._left and seen_hz.get(self._left[0][0], 0.0) >= 0.8 * self._left[0][1] and not self._requested:
             self._after()
         if not self._left or now < self._next:
             return
@@ -156,7 +156,7 @@ class Rates:
                 self._by_streams(send, seen_hz)
             return
         first = not self._tries
-        self._tries, self._next, self._asked = self._tries + 1, now + ACK_S, True
+        self._tries, self._next, self._requested = self._tries + 1, now + ACK_S, True
         if first:
             send(self._command(GET_INTERVAL, IDS[name], 0))
         send(self._command(SET_INTERVAL, IDS[name], 1e6 / hz))
@@ -165,8 +165,8 @@ class Rates:
         return outgoing("COMMAND_LONG", **self._to, command=command, param1=message, param2=interval)
 
     def _stream(self, stream: int, hz: int, start: bool) -> Outgoing:
-        asked = {"req_stream_id": stream, "req_message_rate": hz, "start_stop": start}
-        return outgoing("REQUEST_DATA_STREAM", **self._to, **asked)
+        fields = {"req_stream_id": stream, "req_message_rate": hz, "start_stop": start}
+        return outgoing("REQUEST_DATA_STREAM", **self._to, **fields)
 
     def _by_streams(self, send: Send, seen_hz: Mapping[str, float]) -> None:
         for name, hz in self._all.items():
@@ -176,7 +176,7 @@ class Rates:
                 send(self._stream(stream, round(hz), True))
         self._left = []
 
-    def give_back(self, send: Send) -> None:
+    def restore(self, send: Send) -> None:
         """Everything as often as before; where that is not known, as often as usual."""
         for message in self._set:
             before = self._before.get(message, 0)
@@ -195,7 +195,7 @@ def cached(key: str) -> dict[str, float]:
         return {}
 
 
-def keep(key: str, parameters: Mapping[str, float]) -> None:
+def store(key: str, parameters: Mapping[str, float]) -> None:
     """Keep the parameters of a vehicle; where that cannot be written, they are asked for again."""
     folder = cache_folder() / "parameters"
     part = folder / f".{key}.{os.getpid()}"
@@ -204,8 +204,8 @@ def keep(key: str, parameters: Mapping[str, float]) -> None:
         part.write_text(json.dumps(dict(parameters)), "utf-8")
         os.replace(part, folder / f"{key}.json")
         there = list(folder.glob("*.json"))
-        if len(there) > KEPT:  # half of it at once, those that were written longest ago
-            for old in sorted(there, key=lambda path: path.stat().st_mtime)[: len(there) - KEPT // 2]:
+        if len(there) > CACHED_VEHICLES:  # half of it at once, those that were written longest ago
+            for old in sorted(there, key=lambda path: path.stat().st_mtime)[: len(there) - CACHED_VEHICLES // 2]:
                 old.unlink(missing_ok=True)
     except OSError:
         pass

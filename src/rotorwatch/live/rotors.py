@@ -11,11 +11,11 @@ from collections import deque
 import numpy as np
 
 from rotorwatch.answer.wording import rotors
-from rotorwatch.esc.stopped import OTHERS_TURN, REPORTS, STANDS, TOLD
+from rotorwatch.esc.stopped import COMMANDED, OTHERS_TURN, REPORTS, STANDS
 from rotorwatch.flight import Signal
 from rotorwatch.logs.esc_columns import RPM
 
-KEPT, LEAST = 300, 20  # reports that tell what is usual
+USUAL_REPORTS, LEAST = 300, 20  # reports that tell what is usual
 AGAIN_S = 2.0  # of turning before a rotor that stood is said to turn again
 
 
@@ -24,8 +24,8 @@ class Rotors:
 
     def __init__(self):
         self.speed: np.ndarray | None = None
-        self._speeds: deque[np.ndarray] = deque(maxlen=KEPT)
-        self._asked: deque[np.ndarray] = deque(maxlen=KEPT)
+        self._speeds: deque[np.ndarray] = deque(maxlen=USUAL_REPORTS)
+        self._commands: deque[np.ndarray] = deque(maxlen=USUAL_REPORTS)
         self._bad = np.zeros(0, int)
         self._turned: dict[int, float] = {}  # rotor that stands, from 0 -> since when it turns again
         self._command: np.ndarray | None = None
@@ -47,19 +47,19 @@ class Rotors:
         if self.speed is None or self.speed.size != speed.size:
             self.speed, self._bad = speed.copy(), np.zeros(speed.size, int)
             self._speeds.clear()
-            self._asked.clear()
+            self._commands.clear()
         self.speed = np.where(known, speed, self.speed)
         command = self._command
         if not flying or command is None or command.size != speed.size:
             self._bad[:] = 0
             return []
-        usual = asked = np.zeros(speed.size)
+        usual = usual_command = np.zeros(speed.size)
         if len(self._speeds) >= LEAST:
             usual = np.nan_to_num(np.nanmedian(np.array(self._speeds), axis=0)) if known.any() else usual
-            asked = np.median(np.array(self._asked), axis=0)
+            usual_command = np.median(np.array(self._commands), axis=0)
         turning = np.sort(np.where(usual > 0.0, self.speed / np.maximum(usual, 1e-9), 0.0))
         others = turning.size > 2 and turning[-2] > OTHERS_TURN
-        stands = known & (usual > 0.0) & (self.speed < STANDS * usual) & (command > TOLD * asked) & others
+        stands = known & (usual > 0.0) & (self.speed < STANDS * usual) & (command > COMMANDED * usual_command) & others
         self._bad = np.where(known, np.where(stands, self._bad + 1, 0), self._bad)
         found = []
         for k in np.flatnonzero(self._bad >= REPORTS).tolist():
@@ -74,7 +74,7 @@ class Rotors:
                     found.append((k + 1, f"the ESC of {rotors([k + 1])} reports that it turns again, at {time:.1f} s"))
         if not self._bad.any() and known.any():
             self._speeds.append(np.where(known, speed, np.nan))
-            self._asked.append(command)
+            self._commands.append(command)
         return found
 
     def words(self) -> str:

@@ -198,10 +198,10 @@ class Session:
         return self._spans
 
     @property
-    def said(self) -> int:
+    def revision(self) -> int:
         """Grows when there may be other events."""
-        known = 0 if self._judge is None else self._judge.said
-        return known + (0 if self._control is None else self._control.said)
+        known = 0 if self._judge is None else self._judge.revision
+        return known + (0 if self._control is None else self._control.revision)
 
     def losses(self) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
         """(loss, lower, upper), each (n,): of every rotor at the last tick; None before there is one."""

@@ -16,14 +16,14 @@ from rotorwatch.flight import Flight, Message, Signal
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.front import front, ticks, whole
 from rotorwatch.front.definition import FRONT, merged, states
-from rotorwatch.live.window import KEPT_S, Window
+from rotorwatch.live.window import WINDOW_S, Window
 from rotorwatch.motion import allocation
 from rotorwatch.motion.allocation import Spans
 from rotorwatch.motion.contact import Contact
 from rotorwatch.motion.deviations import Override, found
 from rotorwatch.motion.ticks import Plan, Ticks, columns, joined, laid_out, plan
 
-ASK_S = 0.2  # at least so often it is asked whether the vehicle flies
+LOOK_S = 0.2  # at least so often it is asked whether the vehicle flies
 FORGET_S = 1.0  # between two clearings of what is not needed any more
 FIRST, FIRST_S, LEAST = 64, 20.0, 20  # commands from which a flight is planned, or so long and so many
 SUM_S = 1e-9  # by which two sums of the same times may differ: a tick does not wait for the next sample because of that
@@ -74,7 +74,7 @@ class Stream:
         tables = self._feed()
         if self.window.now > self._forgot + FORGET_S:
             self._forgot = self.window.now
-            self.window.forget(self.window.now - KEPT_S)
+            self.window.forget(self.window.now - WINDOW_S)
         return self._piece(tables)
 
     def finish(self, duration: float) -> Piece | None:
@@ -93,10 +93,10 @@ class Stream:
     def due_s(self) -> float:
         """Time from which there may be another tick: nothing need be asked for before."""
         if self.plan is None:
-            return self.window.now + ASK_S
+            return self.window.now + LOOK_S
         sense, how = self._front.part("sense"), self.plan
         end = float(sense["origin"][0]) + how.dt * int(sense["next"][0])
-        return min(end + how.lag_s + max(how.half.values(), default=0.0) - SUM_S, self.window.now + ASK_S)
+        return min(end + how.lag_s + max(how.half.values(), default=0.0) - SUM_S, self.window.now + LOOK_S)
 
     def replanned(self) -> Flight | None:
         """At the first lift-off: the flight that is kept, when its rates are not those that it was planned by, so that it must be begun
@@ -104,7 +104,7 @@ class Stream:
         if self._planned_aloft or self.plan is None or not self._spans():
             return None
         self._planned_aloft = True
-        flight = self.window.flight(self.window.now - KEPT_S)
+        flight = self.window.flight(self.window.now - WINDOW_S)
         mixing = allocation.faster_control(flight)
         commands = flight["control" if mixing else "motors"]
         if len(commands) < LEAST:
@@ -152,8 +152,8 @@ class Stream:
             parts.append(("state", *states(messages)))
         samples, tables, taken = merged(parts), [], 0
         while taken < len(samples):
-            given = (taken, len(samples), samples.kind, samples.time, samples.at, samples.values)
-            FRONT.call(whole.feed, self._front, self._craft, self._plan, *given, self._made, ROOM, self._done)
+            arguments = (taken, len(samples), samples.kind, samples.time, samples.at, samples.values)
+            FRONT.call(whole.feed, self._front, self._craft, self._plan, *arguments, self._made, ROOM, self._done)
             taken = int(self._done["samples"][0])
             if count := int(self._done["rows"][0]):
                 tables.append(self._table(count))

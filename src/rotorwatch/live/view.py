@@ -15,7 +15,7 @@ from rotorwatch.upset.find import CAUSES
 
 BAR = " ▁▂▃▄▅▆▇█"
 SILENT_S = 3.0
-LOST = "loss_of_control"
+PACKET_LOSS = "loss_of_control"
 SHOWN = 3  # events of a vehicle: that control was lost, and the newest
 STYLES = {
     "LOST": "bold white on red",
@@ -46,7 +46,7 @@ def lasting(events: Iterable[Event]) -> list[Event]:
     return [
         e
         for e in events
-        if e.kind in (LOST, "motor_order")
+        if e.kind in (PACKET_LOSS, "motor_order")
         or (e.kind in ("loss_of_effectiveness", "output_override") and e.end_s is None)
     ]
 
@@ -54,13 +54,13 @@ def lasting(events: Iterable[Event]) -> list[Event]:
 def line(watched: Watched, waits_for: str = "") -> Line:
     """What there is to say of a vehicle right now."""
     session, health = watched.session, watched.health
-    silence = time.monotonic() - health.heard
+    silence = time.monotonic() - health.last_frame
     known = None if session is None else session.losses()
     wrong = lasting(watched.events)
     blind = watched.trouble or (
         f"waiting for {waits_for}" if waits_for else "not known yet" if session is None else session.blind()
     )
-    if any(e.kind == LOST for e in wrong):
+    if any(e.kind == PACKET_LOSS for e in wrong):
         state = "LOST"
     elif watched.trouble:
         state = "ERROR"
@@ -79,9 +79,9 @@ def line(watched: Watched, waits_for: str = "") -> Line:
     if known is not None:
         bars = tuple((k + 1, float(loss), "bold red" if k + 1 in named else "") for k, loss in enumerate(known[0]))
     now = 0.0 if session is None else session.now
-    newest = sorted(watched.events, key=lambda e: (e.kind != LOST, -e.detected_s))[:SHOWN]
-    told = tuple(words(e, now) for e in newest)
-    return Line(watched.name, state, bars, told, _link(health, silence), blind, watched.rotors.words())
+    newest = sorted(watched.events, key=lambda e: (e.kind != PACKET_LOSS, -e.detected_s))[:SHOWN]
+    alerts = tuple(words(e, now) for e in newest)
+    return Line(watched.name, state, bars, alerts, _link(health, silence), blind, watched.rotors.words())
 
 
 def words(event: Event, now: float | None = None) -> str:
@@ -89,9 +89,9 @@ def words(event: Event, now: float | None = None) -> str:
     ago = f"{event.onset_s:.1f} s" + ("" if now is None else f" ({max(now - event.onset_s, 0.0):.0f} s ago)")
     over = "" if event.end_s is None or event.kind == "contact" else f", over at {event.end_s:.1f} s"
     others = f"; or {' or '.join('+'.join(map(str, a)) for a in event.alternatives)}" if event.alternatives else ""
-    if event.kind == LOST:
+    if event.kind == PACKET_LOSS:
         who = f", {rotors(event.rotors)}" if event.rotors else ""
-        return f"{KINDS[LOST]} at {ago}{who}{others}: {CAUSES[event.extra['cause']]}"
+        return f"{KINDS[PACKET_LOSS]} at {ago}{who}{others}: {CAUSES[event.extra['cause']]}"
     if event.kind != "loss_of_effectiveness":
         who = f" of {rotors(event.rotors)}" if event.rotors else ""
         return f"{KINDS[event.kind]}{who} at {ago}{over}"
@@ -147,6 +147,6 @@ def table(sources: Sequence[Source]) -> Any:
                     (0, 0, 0, 9),
                 )
             )
-        if said := getattr(source, "trouble", ""):
-            parts.append(Text(said, "bold red"))
+        if sentences := getattr(source, "trouble", ""):
+            parts.append(Text(sentences, "bold red"))
     return Group(*parts) if parts else Text("nothing has been heard yet")

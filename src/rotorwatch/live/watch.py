@@ -12,8 +12,8 @@ from contextlib import contextmanager
 from typing import Protocol
 
 from rotorwatch.errors import RotorwatchError
-from rotorwatch.live.guard import Beside, trouble
-from rotorwatch.live.watched import Tell, Watched
+from rotorwatch.live.guard import Guard, trouble
+from rotorwatch.live.watched import Notify, Watched
 
 SHOW_S, WAIT_S, STEP_S = 0.25, 0.005, 0.05
 FIRST_S, LONGEST_S = 0.25, 10.0  # before a source that has failed is tried again: doubled each time
@@ -61,11 +61,11 @@ class Guarded:
 
     trouble: why it is not watched, in a sentence, empty while it is. ended: for good. why: the first error there was."""
 
-    def __init__(self, name: str, source: Source, tell: Tell):
-        self.name, self.source, self._tell = name, source, tell
+    def __init__(self, name: str, source: Source, notify: Notify):
+        self.name, self.source, self._notify = name, source, notify
         self.ended, self.trouble = False, ""
         self.why: Exception | None = None
-        self._said, self._again, self._pause = "", -math.inf, 0.0
+        self._reported, self._again, self._pause = "", -math.inf, 0.0
 
     @property
     def vehicles(self) -> Sequence[Watched]:
@@ -90,7 +90,7 @@ class Guarded:
         else:
             self.trouble = ""
             if self._pause and now > self._again + LONGEST_S:
-                self._said, self._pause = "", 0.0
+                self._reported, self._pause = "", 0.0
         return not self.ended
 
     def leave(self) -> None:
@@ -103,36 +103,36 @@ class Guarded:
     def _fail(self, why: Exception) -> None:
         self.why = self.why or why
         self.trouble = trouble(why)
-        if self.trouble != self._said:
-            self._said = self.trouble
-            self._tell({"type": "error", "vehicle": self.name, "text": self.trouble})
+        if self.trouble != self._reported:
+            self._reported = self.trouble
+            self._notify({"type": "error", "vehicle": self.name, "text": self.trouble})
 
 
 def watch(
     sources: Sequence[Guarded], show: Callable[[Sequence[Source]], None] | None = None, seconds: float = math.inf,
-    outlets: Sequence[Outlet] = (), beside: Beside | None = None, ends: Callable[[], bool] = lambda: False,
+    outlets: Sequence[Outlet] = (), guard: Guard | None = None, ends: Callable[[], bool] = lambda: False,
 ) -> None:  # fmt: skip
     """Watch until all sources have ended, for so many seconds, until `ends`, or until the program is asked to end.
 
     show: called with the sources a few times a second. outlets: get the loop's turns; alerts come to them by the sources' `tell`. beside:
     does all that is no judging.
     """
-    beside = Beside(lambda text: None) if beside is None else beside
+    guard = Guard(lambda text: None) if guard is None else guard
     watched = [source.source for source in sources]
     gc.collect()
     gc.freeze()  # what is loaded stays: looking through it for garbage again and again would stop the judging for tenths of a second
     alive, shown, stepped, began = list(sources), 0.0, 0.0, time.monotonic()
-    with _asked_to_end() as asked:
+    with _end_requested() as requested:
         try:
-            while alive and not asked and not ends() and time.monotonic() - began < seconds:
+            while alive and not requested and not ends() and time.monotonic() - began < seconds:
                 alive = [source for source in alive if source.poll(WAIT_S / len(alive))]
                 now = time.monotonic()
                 if outlets and now - stepped > STEP_S:
                     stepped = now
                     for outlet in outlets:
-                        beside.run(_name(outlet), outlet.step, watched)
+                        guard.run(_name(outlet), outlet.step, watched)
                 if show is not None and now - shown > SHOW_S:
-                    beside.run("the picture", show, watched)
+                    guard.run("the picture", show, watched)
                     shown = now
         except KeyboardInterrupt:
             pass
@@ -141,9 +141,9 @@ def watch(
             for source in sources:
                 source.leave()
             for outlet in outlets:
-                beside.run(_name(outlet), outlet.leave)
+                guard.run(_name(outlet), outlet.leave)
             if show is not None:
-                beside.run("the picture", show, watched)
+                guard.run("the picture", show, watched)
 
 
 def _name(outlet: Outlet) -> str:
@@ -151,14 +151,14 @@ def _name(outlet: Outlet) -> str:
 
 
 @contextmanager
-def _asked_to_end() -> Iterator[list[int]]:
+def _end_requested() -> Iterator[list[int]]:
     """A list that is no longer empty once the program is asked to end: by Ctrl-C, by SIGTERM, or as its terminal is closed. Nothing is
     interrupted by that, so that the last word on each vehicle can be said; who asks again ends it at once."""
-    asked: list[int] = []
+    requested: list[int] = []
 
-    def ask(number: int, frame: object) -> None:
-        asked.append(number)
-        if len(asked) > 1:
+    def on_signal(number: int, frame: object) -> None:
+        requested.append(number)
+        if len(requested) > 1:
             raise KeyboardInterrupt
 
     before = {}
@@ -167,9 +167,9 @@ def _asked_to_end() -> Iterator[list[int]]:
             number = getattr(signal, name, None)
             # One that is ignored stays so: of a command in the background, or under nohup.
             if number is not None and signal.getsignal(number) not in (signal.SIG_IGN, None):
-                before[number] = signal.signal(number, ask)
+                before[number] = signal.signal(number, on_signal)
     try:
-        yield asked
+        yield requested
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)

@@ -17,7 +17,7 @@ from rotorwatch.live.guard import trouble
 from rotorwatch.live.rotors import Rotors
 from rotorwatch.live.session import Session
 
-Tell = Callable[[dict], None]
+Notify = Callable[[dict], None]
 LOOK_S = 0.5  # of the vehicle's time, between two looks at events that are known
 
 
@@ -33,7 +33,7 @@ class Health:
     reboots: int = 0
     jumps: int = 0
     others: int = 0
-    heard: float = field(default_factory=time.monotonic)
+    last_frame: float = field(default_factory=time.monotonic)
 
     @property
     def loss(self) -> float:
@@ -44,21 +44,21 @@ class Health:
 class Watched:
     """A vehicle by its name. tell: called with each alert, a dict (docs/watch.md)."""
 
-    def __init__(self, name: str, tell: Tell, vehicle: Vehicle | None = None):
+    def __init__(self, name: str, notify: Notify, vehicle: Vehicle | None = None):
         self.name, self.health, self.trouble, self.notice = name, Health(), "", ""
         self.broken = False  # by an error of rotorwatch's own, not for what the vehicle is
-        self._tell, self._given = tell, vehicle
+        self._notify, self._vehicle = notify, vehicle
         self.session: Session | None = None
         self.rotors = Rotors()
         self.changes = Changes()
-        self._looked, self._said, self._limits = -np.inf, 0, ""
+        self._looked, self._revision, self._limits = -np.inf, 0, ""
 
     def begin(self, about: Flight) -> None:
         """A flight begins: what is known of it besides its signals."""
-        self.session, self.changes = Session(about, self._given), Changes()
+        self.session, self.changes = Session(about, self._vehicle), Changes()
         self.trouble, self.broken = "", False
         self.rotors = Rotors()
-        self._looked, self._said = -np.inf, 0
+        self._looked, self._revision = -np.inf, 0
 
     def add(self, signals: Mapping[str, Signal], messages: Iterable[Message] = ()) -> None:
         """More of the flight, in time order."""
@@ -71,7 +71,9 @@ class Watched:
                 self.say(text, rotor=rotor)
             if known is None and self.session.vehicle is not None:
                 frame = self.session.vehicle
-                self._tell({"type": "vehicle", "vehicle": self.name, "frame": frame.name, "rotors": len(frame.rotors)})
+                self._notify(
+                    {"type": "vehicle", "vehicle": self.name, "frame": frame.name, "rotors": len(frame.rotors)}
+                )
         except Exception as why:
             self.fail(why)
 
@@ -98,8 +100,8 @@ class Watched:
             self._limits = self.session.limits
             if self._limits:
                 self.say(self._limits)
-        said = self.session.said
-        if said != self._said or ((said or self.changes.now) and self.session.now - self._looked > LOOK_S):
+        revision = self.session.said
+        if revision != self._revision or ((revision or self.changes.now) and self.session.now - self._looked > LOOK_S):
             self._look()
         return stepped
 
@@ -125,17 +127,17 @@ class Watched:
 
     def _look(self, final: bool = False) -> None:
         assert self.session is not None
-        self._said, self._looked = self.session.said, self.session.now
+        self._revision, self._looked = self.session.said, self.session.now
         for change in self.changes.of(self.session.events(), final):
             self._alert(change)
 
     def _alert(self, change: Change) -> None:
         alert = {"type": "event", "vehicle": self.name, "number": change.number, "state": change.what}
-        self._tell({**alert, "event": change.event.to_dict()})
+        self._notify({**alert, "event": change.event.to_dict()})
         if change.what == WITHDRAWN:
             self.notice = "an event was taken back: it began with the landing, or the data favour another explanation"
 
     def say(self, text: str, kind: str = "notice", **more: int) -> None:
         """A sentence on the link or the vehicle. more: fields of the alert beside it."""
         self.notice = text
-        self._tell({"type": kind, "vehicle": self.name, "text": text, **more})
+        self._notify({"type": kind, "vehicle": self.name, "text": text, **more})

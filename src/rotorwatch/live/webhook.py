@@ -50,14 +50,14 @@ class Webhook:
 
     sent, refused, dropped: alerts that were taken by the other side, that it refused for good, and that gave way to newer ones."""
 
-    def __init__(self, url: str, told: Callable[[str], None] = lambda text: None, pause_s: float = FIRST_S):
+    def __init__(self, url: str, notify: Callable[[str], None] = lambda text: None, pause_s: float = FIRST_S):
         """Raises ConfigError for what is no address."""
         self.name = _checked(url)
-        self._url, self._told, self._pause_s = url, told, pause_s
+        self._url, self._notify, self._pause_s = url, notify, pause_s
         self.sent = self.refused = self.dropped = 0
         self._queue: deque[bytes] = deque()
         self._change = threading.Condition()
-        self._news: deque[str] = deque(maxlen=100)
+        self._notices: deque[str] = deque(maxlen=100)
         self._ends: float | None = None
         self._open = urllib.request.build_opener(_Here)
         self._start()
@@ -79,11 +79,11 @@ class Webhook:
         """Tell what there is to tell; called by the loop, so that all is told by one thread."""
         if self._ends is None and not self._thread.is_alive():
             self._start()
-            self._news.append(
+            self._notices.append(
                 f"{self.name}: sending alerts had ended by an error in rotorwatch itself and begins again; please report it"
             )
-        while self._news:
-            self._told(self._news.popleft())
+        while self._notices:
+            self._notify(self._notices.popleft())
 
     def leave(self) -> None:
         """Send what waits, for LAST_S at most."""
@@ -94,7 +94,7 @@ class Webhook:
         with self._change:
             left = len(self._queue)
         if left:
-            self._news.append(f"{self.name}: {left} alert{'s' if left > 1 else ''} could not be sent before the end")
+            self._notices.append(f"{self.name}: {left} alert{'s' if left > 1 else ''} could not be sent before the end")
         self.step()
 
     def _work(self) -> None:
@@ -110,14 +110,14 @@ class Webhook:
             with self._change:
                 if not why:
                     if failing:
-                        self._news.append(f"{self.name} takes alerts again")
+                        self._notices.append(f"{self.name} takes alerts again")
                     failing, pause = False, self._pause_s
                     if self.dropped == dropped:  # else this one has gone already
                         self._queue.popleft()
                     continue
                 if not failing:
                     failing = True
-                    self._news.append(f"{self.name} does not take alerts ({why}); they wait, and it is tried again")
+                    self._notices.append(f"{self.name} does not take alerts ({why}); they wait, and it is tried again")
                 self._change.wait_for(self._ended, min(pause, self._left()))
                 pause = min(2.0 * pause, LONGEST_S)
 
@@ -142,7 +142,9 @@ class Webhook:
             if 300 <= code < 500 and code not in AGAIN:
                 self.refused += 1
                 if self.refused == 1:
-                    self._news.append(f"{self.name} refuses alerts ({code} {reason}); check the address of --webhook")
+                    self._notices.append(
+                        f"{self.name} refuses alerts ({code} {reason}); check the address of --webhook"
+                    )
                 return ""
             return f"{code} {reason}"
         except Exception as why:  # whatever a network does

@@ -9,7 +9,7 @@ import numpy as np
 
 from rotorwatch.flight import Flight, Message, Signal
 
-KEPT_S = 8.0  # the longest look back is two seconds; what is late or waited for comes on top
+WINDOW_S = 8.0  # the longest look back is two seconds; what is late or waited for comes on top
 STATES = ("landed", "armed")
 
 

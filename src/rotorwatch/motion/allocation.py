@@ -130,7 +130,7 @@ class Comparison:
     time: np.ndarray
     known: np.ndarray
     demand: np.ndarray
-    asked: np.ndarray
+    demanded: np.ndarray
     deviation: np.ndarray
     yaw_granted: np.ndarray
     gain: np.ndarray
@@ -141,8 +141,8 @@ def compare(flight: Flight, vehicle: Vehicle) -> Comparison:
     """Hold the rebuilt demands against the logged ones, learning the mixer's gain (or, for a mixer that is not known,
     all of its factors) on the way. Needs signals ``motors`` and ``control``."""
     rows, _ = _mixed(flight, vehicle)
-    demand, asked, deviation = (rows[name][:, : len(vehicle.rotors)] for name in ("thrust", "demanded", "deviation"))
-    return Comparison(rows["time"], rows["known"], demand, asked, deviation, rows["yaw_granted"], rows["gain"], rows)
+    demand, demanded, deviation = (rows[name][:, : len(vehicle.rotors)] for name in ("thrust", "demanded", "deviation"))
+    return Comparison(rows["time"], rows["known"], demand, demanded, deviation, rows["yaw_granted"], rows["gain"], rows)
 
 
 def _mixed(flight: Flight, vehicle: Vehicle) -> tuple[Rows, Rows]:
@@ -156,8 +156,8 @@ def _mixed(flight: Flight, vehicle: Vehicle) -> tuple[Rows, Rows]:
     samples = merged(parts)
     found, made = FRONT.array(mixer.Comparison, len(motors) + 1), FRONT.array(whole.Mixed, max(len(control), 1))
     done = FRONT.new(whole.Done)
-    given = (len(samples), samples.kind, samples.time, samples.at, samples.values)
-    FRONT.call(whole.mix, FRONT.new(mixer.Mixer), laid_out(vehicle, flight), *given, found, made, done)
+    arguments = (len(samples), samples.kind, samples.time, samples.at, samples.values)
+    FRONT.call(whole.mix, FRONT.new(mixer.Mixer), laid_out(vehicle, flight), *arguments, found, made, done)
     return found.cut(int(done["rows"][0])), made.cut(int(done["samples"][0]))
 
 
@@ -173,7 +173,7 @@ def table(vehicle: Vehicle, output: tuple[float, float], headroom: float = YAW_H
     return {
         "effectiveness": vehicle.effectiveness(), "mixer": np.zeros((n, 4)) if vehicle.mixer is None else np.asarray(vehicle.mixer, float),
         "u_min": curve.u_min, "u_max": curve.u_max, "output_low": output[0], "output_high": max(output[1], output[0] + 1e-6),
-        "expo": curve.expo, "mixer_expo": believed_curve(vehicle).expo, "yaw_headroom": yaw_always(headroom),
+        "expo": curve.expo, "mixer_expo": mixer_curve(vehicle).expo, "yaw_headroom": yaw_always(headroom),
         "mixer_known": vehicle.mixer is not None, "rests_at_minimum": bool(vehicle.extra.get("rests_at_minimum", False)),
     }  # fmt: skip
 
@@ -191,7 +191,7 @@ def yaw_always(headroom: float = YAW_HEADROOM) -> float:
     return float(np.clip(np.nan_to_num(headroom, nan=YAW_HEADROOM), 100.0, 500.0)) / 1000.0
 
 
-def believed_curve(vehicle: Vehicle) -> ThrustCurve:
+def mixer_curve(vehicle: Vehicle) -> ThrustCurve:
     """The thrust curve the autopilot's mixer reckons with; the vehicle's own unless ``extra`` has ``mixer_expo``."""
     return replace(vehicle.curve, expo=float(vehicle.extra.get("mixer_expo", vehicle.curve.expo)))
 

@@ -37,7 +37,7 @@ class Override:
     detected: float
     end: float | None
     reason: str
-    asked: float | None = None
+    demanded: float | None = None
 
 
 def overrides(flight: Flight, vehicle: Vehicle, airborne: Spans) -> tuple[Override, ...]:
@@ -85,5 +85,5 @@ def _in_words(
         )
     else:
         reason = f"{named} {'did not move' if kind == 'stuck' else 'was off'} at {output:.4g} while all others flew on"
-    asked = demanded if demanded >= 0.0 else None
-    return Override(rotor + 1, kind, onset, detected, None if end >= LASTS else end, reason, asked)
+    known_demand = demanded if demanded >= 0.0 else None
+    return Override(rotor + 1, kind, onset, detected, None if end >= LASTS else end, reason, known_demand)

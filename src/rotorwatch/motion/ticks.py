@@ -230,8 +230,8 @@ def sense(flight: Flight, thrust: Signal, plan: Plan) -> Sensed:
     state, rows, done = FRONT.new(cutting.Sense), FRONT.array(cutting.Sensed, ROOM), FRONT.new(whole.Done)
     pieces, taken = [], 0
     while taken < len(samples):
-        given = (taken, len(samples), samples.kind, samples.time, samples.at, samples.values)
-        FRONT.call(whole.cut, state, vehicle, how, *given, rows, ROOM, done)
+        arguments = (taken, len(samples), samples.kind, samples.time, samples.at, samples.values)
+        FRONT.call(whole.cut, state, vehicle, how, *arguments, rows, ROOM, done)
         taken = int(done["samples"][0])
         pieces.append(rows.cut(int(done["rows"][0])))
     while count := FRONT.call(whole.rest, state, vehicle, how, rows, ROOM):

@@ -59,7 +59,7 @@ class Case:
         return self.table.mode > 0
 
 
-def doubts(flight: Flight, vehicle: Vehicle, air: Spans, table: Ticks) -> tuple[str, ...]:
+def contradictions(flight: Flight, vehicle: Vehicle, air: Spans, table: Ticks) -> tuple[str, ...]:
     """Why the log cannot be what flew, a sentence for each test that fails; empty when nothing contradicts it."""
     case = Case(flight, vehicle, air, table)
     return tuple(why for test in TESTS if (why := test(case)))

@@ -142,7 +142,7 @@ def obstacle(flight: Flight, vehicle: Vehicle | None = None) -> Obstacle | None:
     table = observe(flight, craft, air, READY_S)
     if table is None:
         return Obstacle("airborne", "No part of this log is in the air.")
-    doubts = trust.doubts(flight, craft, air, table)
+    doubts = trust.contradictions(flight, craft, air, table)
     return Obstacle("trust", doubts[0]) if doubts else None
 
 

@@ -22,11 +22,11 @@ from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.live import view
 from rotorwatch.live import watch as loop
 from rotorwatch.live.endpoint import KINDS, is_endpoint, open_endpoint
-from rotorwatch.live.guard import Beside
+from rotorwatch.live.guard import Guard
 from rotorwatch.live.link import Link
 from rotorwatch.live.replay import Replay
 from rotorwatch.live.watch import Source
-from rotorwatch.live.watched import Tell, Watched
+from rotorwatch.live.watched import Notify, Watched
 from rotorwatch.report import colours, drawing
 from rotorwatch.serve import landed
 from rotorwatch.serve.hub import Hub
@@ -42,7 +42,7 @@ EVENTS = 30  # of a vehicle that are shown, the newest
 
 
 def open_source(
-    endpoint: str, notify: Tell, vehicle: Vehicle | None, speed: float, record: Path | None, listen_only: bool
+    endpoint: str, notify: Notify, vehicle: Vehicle | None, speed: float, record: Path | None, listen_only: bool
 ) -> Source:
     """An endpoint of `rotorwatch watch`, or a log that is replayed. Raises RotorwatchError with a sentence."""
     if is_endpoint(endpoint):
@@ -232,7 +232,7 @@ class Feed:
         self.ended = ended
         self.hub = Hub(self.state)
         self.stopped = False
-        self.background = Beside(self._error)
+        self.background = Guard(self._error)
         self._sources: list[Guarded] = []
         self._shown: dict[int, Shown] = {}
         self._messages: deque[dict[str, Any]] = deque(maxlen=MESSAGES)
@@ -261,7 +261,7 @@ class Feed:
         while True:
             began = time.monotonic()
             try:
-                loop.watch(self._sources, lambda _: self._show(), beside=self.background)
+                loop.watch(self._sources, lambda _: self._show(), guard=self.background)
                 return
             except BaseException as why:
                 text = " ".join(f"{type(why).__name__}: {why}".split())[:200]

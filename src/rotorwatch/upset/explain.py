@@ -12,7 +12,7 @@ from itertools import combinations
 
 import numpy as np
 
-from rotorwatch.upset.balance import Fit, Offset, Window, fit, given
+from rotorwatch.upset.balance import Fit, Offset, Window, delivered, fit
 
 SIZES = np.array([0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0])
 CARRIES = 1.5  # hover thrusts: a rotor that still gives so much, turns nothing over
@@ -21,7 +21,7 @@ PRIOR = {"healthy": 0.4, "rotor": 0.4, "outside": 0.1}
 ORDER = {"healthy": 0.25, "rotor": 0.35, "outside": 0.08, "order": 0.25, "yaw": 0.05}
 # That all rotors fail alike: where the battery's voltage was steady, where it is not logged, where it collapsed.
 COMMON = {False: 0.0001, None: 0.005, True: 0.3}
-OUTSIDE_SD = 1.0  # hover thrusts of one rotor, of a torque from outside that lasts
+EXTERNAL_SD = 1.0  # hover thrusts of one rotor, of a torque from outside that lasts
 CHUNK = 256  # courses that are fitted at once
 
 
@@ -49,7 +49,7 @@ def explain(
     first take-off: later it would have shown); sagged: whether the battery's voltage collapsed, None where that is not known.
     """
     n, K = B.shape[1], window.time.size
-    T = given(window)
+    T = delivered(window)
     healthy = T @ B.T
     courses: list[np.ndarray] = []
     labels: list[tuple[str, tuple[int, ...], int, float]] = []
@@ -74,7 +74,7 @@ def explain(
         for a in range(3):
             for push in (-1.5, -0.6, 0.6, 1.5):
                 shifted = healthy.copy()
-                shifted[:, a] += np.where(since[:, 0], push * OUTSIDE_SD, 0.0)
+                shifted[:, a] += np.where(since[:, 0], push * EXTERNAL_SD, 0.0)
                 add("outside", (), k, push, shifted)
     if orders:
         for i, j in combinations(range(n), 2):

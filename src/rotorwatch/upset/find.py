@@ -16,7 +16,7 @@ from rotorwatch.motion.ticks import Sensed
 from rotorwatch.upset import loss_of_control
 from rotorwatch.upset.balance import INERTIA, Offset, Window
 from rotorwatch.upset.explain import Explanation, explain
-from rotorwatch.upset.loss_of_control import HIT_S, Departure, held, thrust_axis
+from rotorwatch.upset.loss_of_control import HIT_S, LossOfControl, held, thrust_axis
 
 BEFORE_S, AFTER_S = 2.0, 3.0  # of the upset that are looked at, at most
 EARLIER_S, LATER_S = 0.7, 0.3  # of its onset at which a cause may have begun
@@ -55,7 +55,7 @@ class Judged:
     """What is said of one departure. cause; explanations with their probabilities, () where the log shows too little; window; onset [s];
     evidence: sentences."""
 
-    left: Departure
+    left: LossOfControl
     cause: str
     found: tuple[Explanation, ...]
     probability: np.ndarray
@@ -80,7 +80,7 @@ def events(found: Sequence[Judged], known: Sequence[Event], n: int) -> tuple[Eve
     return tuple(sorted(out, key=lambda e: e.detected_s))
 
 
-def judge(flight: Flight, vehicle: Vehicle, air, left: Departure) -> Judged:
+def judge(flight: Flight, vehicle: Vehicle, air, left: LossOfControl) -> Judged:
     """The cause of one departure."""
     if left.landed:
         return Judged(left, "unknown", (), np.empty(0), None, left.onset, ("it had landed before, under control",))
@@ -88,8 +88,10 @@ def judge(flight: Flight, vehicle: Vehicle, air, left: Departure) -> Judged:
     got = window_of(flight, vehicle, left, start)
     if got is None:
         return Judged(left, "disarmed" if left.falls else "unknown", (), np.empty(0), None, left.onset, ())
-    window, offset, onsets, took_off, ground = got
-    found, probability = explain(window, vehicle.effectiveness(), offset, onsets, took_off, _sagged(flight, left.onset))
+    window, offset, onsets, at_take_off, ground = got
+    found, probability = explain(
+        window, vehicle.effectiveness(), offset, onsets, at_take_off, _sagged(flight, left.onset)
+    )
     healthy = next(e for e in found if e.kind == "healthy")
     onset = left.onset if left.falls else _strays(window, healthy.residual, left.onset)
     cause, evidence = _cause(flight, vehicle, start, left, found, probability, window, onset)
@@ -101,13 +103,15 @@ def judge(flight: Flight, vehicle: Vehicle, air, left: Departure) -> Judged:
 
 
 def _cause(
-    flight, vehicle, start: float, left: Departure, found, probability, window: Window, onset: float
+    flight, vehicle, start: float, left: LossOfControl, found, probability, window: Window, onset: float
 ) -> tuple[str, tuple[str, ...]]:
     """The cause of a departure, and the sentences that speak for it."""
     if left.falls:
-        said = any(m.kind == "armed" and not m.value and abs(m.time - left.onset) < DISARMED_S for m in flight.messages)
+        disarmed = any(
+            m.kind == "armed" and not m.value and abs(m.time - left.onset) < DISARMED_S for m in flight.messages
+        )
         return "disarmed", (
-            "all outputs went to rest in the air" + (", and the autopilot says disarmed" if said else ""),
+            "all outputs went to rest in the air" + (", and the autopilot says disarmed" if disarmed else ""),
         )
     best, p = found[0], float(probability[0])
     rms = np.sqrt((best.residual[:, :3] ** 2).mean(axis=0))
@@ -169,7 +173,7 @@ def _sagged(flight: Flight, onset: float) -> bool | None:
     return float(np.nanmin(now)) < SAG * float(np.nanmedian(usual))
 
 
-def _level(flight: Flight, left: Departure, onset: float) -> bool:
+def _level(flight: Flight, left: LossOfControl, onset: float) -> bool:
     """Did the autopilot believe that the vehicle was upright while it left?"""
     if not flight.has("attitude"):
         return False
@@ -188,7 +192,7 @@ def _strays(window: Window, residual: np.ndarray, onset: float) -> float:
     return first
 
 
-def _weak(events_, left: Departure) -> Event | None:
+def _weak(events_, left: LossOfControl) -> Event | None:
     """The largest loss that had been known for long when control was lost."""
     before = [
         e
@@ -199,7 +203,7 @@ def _weak(events_, left: Departure) -> Event | None:
     return max(before, key=lambda e: max(e.loss), default=None)
 
 
-def _told(events_, left: Departure) -> Event | None:
+def _announced_near(events_, left: LossOfControl) -> Event | None:
     """The loss that was announced in flight as control was lost."""
     near = [e for e in events_ if e.kind == LOSS and abs(e.onset_s - left.onset) < SAME_S and e.detected_s <= left.lost]
     return near[0] if near else None
@@ -213,52 +217,56 @@ def _merged(events_: list[Event], judged: Judged, n: int) -> list[Event]:
         judged = replace(
             judged, cause="rotor", found=(), evidence=(f"{_who(weak.rotors)} had been weak since {weak.onset_s:.1f} s",)
         )
-        return [*events_, _lost(judged, n, weak.rotors, (), left.lost)]
+        return [*events_, _control_lost(judged, n, weak.rotors, (), left.lost)]
     touched = any(e.kind == "contact" and 0.0 <= judged.onset - e.onset_s < TOUCHED_S for e in events_)
     if judged.cause == "unknown" and touched:
         judged = replace(judged, cause="knock", evidence=("something had struck the vehicle just before",))
-    told = _told(events_, left)
+    announced = _announced_near(events_, left)
     cleared = judged.found and judged.found[0].kind == "healthy" and judged.probability[0] > SURE
-    if told is not None and judged.cause in ("controller", "saturated", "unknown") and not cleared:
-        judged = replace(judged, cause="rotor", found=(), evidence=(told.reason,))
-        return [*events_, _lost(judged, n, told.rotors, told.alternatives, left.lost)]
+    if announced is not None and judged.cause in ("controller", "saturated", "unknown") and not cleared:
+        judged = replace(judged, cause="rotor", found=(), evidence=(announced.reason,))
+        return [*events_, _control_lost(judged, n, announced.rotors, announced.alternatives, left.lost)]
     decided = left.lost if window is None else float(window.time[-1])
     rotors = [(e, float(p)) for e, p in zip(judged.found, judged.probability) if e.kind == "rotor" and p >= CREDIBLE]
     whole = [p for e, p in zip(judged.found, judged.probability) if e.kind == "common" and p >= CREDIBLE]
     others = tuple((e.rotors[0] + 1,) for e, _ in rotors[1:]) + ((tuple(range(1, n + 1)),) if whole else ())
-    blame = sum(p for _, p in rotors)
-    accused = (judged.cause == "rotor" and bool(rotors)) or (judged.cause == "unknown" and blame > 1.0 - SURE)
+    rotor_probability = sum(p for _, p in rotors)
+    accused = (judged.cause == "rotor" and bool(rotors)) or (
+        judged.cause == "unknown" and rotor_probability > 1.0 - SURE
+    )
     rotor = (rotors[0][0].rotors[0] + 1,) if accused else ()
     # What was told before the vehicle began to leave stands, unless what came then shows another rotor.
     stands = -np.inf if accused or judged.cause == "motor_order" else left.onset
-    kept, same = [], None
+    result, same = [], None
     for e in events_:
         late = e.onset_s > left.onset - SAME_S and e.kind in (LOSS, OVERRIDE) and bool(judged.found)
         if late and e.kind == LOSS and e.rotors == rotor and same is None:
             same = e
         elif not late or e.detected_s < stands or (e.kind == OVERRIDE and e.onset_s <= left.lost):
-            kept.append(e)
-    held = [e for e in kept if e.kind == OVERRIDE and left.onset - SAME_S < e.onset_s <= left.lost]
+            result.append(e)
+    held = [e for e in result if e.kind == OVERRIDE and left.onset - SAME_S < e.onset_s <= left.lost]
     if held and judged.cause not in ("rotor", "motor_order"):  # what the mixer did not ask for is the cause
         judged = replace(judged, cause="rotor", evidence=(held[0].reason,))
-        return [*kept, _lost(replace(judged, found=()), n, held[0].rotors, (), decided)]
+        return [*result, _control_lost(replace(judged, found=()), n, held[0].rotors, (), decided)]
     if accused:
         best, p = rotors[0]
         sure = p > SURE and judged.cause == "rotor" and best.low > 0.0  # a fault has a loss above nothing
         others = () if sure else others or (tuple(range(1, n + 1)),)
-        kept.append(_loss(best, p, others, n, decided, judged) if same is None or others != same.alternatives else same)
-        kept.append(_lost(judged, n, rotor, others, decided))
+        result.append(
+            _loss(best, p, others, n, decided, judged) if same is None or others != same.alternatives else same
+        )
+        result.append(_control_lost(judged, n, rotor, others, decided))
     elif judged.cause == "motor_order":
         others = tuple(
             tuple(r + 1 for r in e.rotors)
             for e, p in zip(judged.found[1:], judged.probability[1:])
             if e.kind == "order" and p >= CREDIBLE and judged.probability[0] < SURE
         )
-        kept.append(_order(judged.found[0], float(judged.probability[0]), others, decided))
-        kept.append(_lost(judged, n, tuple(r + 1 for r in judged.found[0].rotors), others, decided))
+        result.append(_order(judged.found[0], float(judged.probability[0]), others, decided))
+        result.append(_control_lost(judged, n, tuple(r + 1 for r in judged.found[0].rotors), others, decided))
     else:
-        kept.append(
-            _lost(
+        result.append(
+            _control_lost(
                 judged,
                 n,
                 (),
@@ -266,7 +274,7 @@ def _merged(events_: list[Event], judged: Judged, n: int) -> list[Event]:
                 decided,
             )
         )
-    return kept
+    return result
 
 
 def _who(rotors: Sequence[int]) -> str:
@@ -322,13 +330,13 @@ CAUSES = {
 }
 
 
-def _lost(judged: Judged, n: int, blamed, others, decided: float) -> Event:
+def _control_lost(judged: Judged, n: int, named, others, decided: float) -> Event:
     left = judged.left
     fell = left.impact is not None and left.impact - judged.onset > HIT_S
     end = left.impact if fell else left.end
-    worked = _worked(judged, n, blamed, others, decided)
+    worked = _worked(judged, n, named, others, decided)
     reason = f"the vehicle left control at {judged.onset:.1f} s, {left.what}: {CAUSES[judged.cause]}"
-    reason += "".join(f"; {said}" for said in judged.evidence)
+    reason += "".join(f"; {disarmed}" for disarmed in judged.evidence)
     if fell:
         reason += f"; it hit the ground at {left.impact:.1f} s"
     p = (
@@ -337,7 +345,7 @@ def _lost(judged: Judged, n: int, blamed, others, decided: float) -> Event:
         else 1.0
     )
     return Event(
-        "loss_of_control", tuple(blamed), judged.onset, left.lost, end, (), (), p, others, reason,
+        "loss_of_control", tuple(named), judged.onset, left.lost, end, (), (), p, others, reason,
         {
             "cause": judged.cause, "live": True, "worked_until_s": worked, "impact_s": left.impact if fell else None,
             "evidence": list(judged.evidence), "how": left.what,
@@ -345,18 +353,18 @@ def _lost(judged: Judged, n: int, blamed, others, decided: float) -> Event:
     )  # fmt: skip
 
 
-def _worked(judged: Judged, n: int, blamed, others, decided: float) -> list[float | None]:
+def _worked(judged: Judged, n: int, named, others, decided: float) -> list[float | None]:
     """Until when each rotor was seen to work [s]; None where that is not known."""
     suspects = {r for who in others for r in who}
     if not judged.found:
-        return [None if r in blamed or r in suspects else judged.onset for r in range(1, n + 1)]
+        return [None if r in named or r in suspects else judged.onset for r in range(1, n + 1)]
     if judged.cause == "motor_order":
-        return [None if r in blamed else decided for r in range(1, n + 1)]
+        return [None if r in named else decided for r in range(1, n + 1)]
     if judged.left.impact is not None and judged.left.impact > judged.onset:
         decided = min(decided, judged.left.impact)
     until = decided if judged.cause in ("rotor", "controller", "saturated") else judged.onset
     start = judged.found[0].onset if judged.found[0].kind == "rotor" else judged.onset
-    return [start if r in blamed else judged.onset if r in suspects else until for r in range(1, n + 1)]
+    return [start if r in named else judged.onset if r in suspects else until for r in range(1, n + 1)]
 
 
 def until_impact(flight: Flight, air, found: Sequence[Judged]) -> tuple[tuple[float, float], ...]:
@@ -367,7 +375,7 @@ def until_impact(flight: Flight, air, found: Sequence[Judged]) -> tuple[tuple[fl
 
 
 def window_of(
-    flight: Flight, vehicle: Vehicle, left: Departure, start: float
+    flight: Flight, vehicle: Vehicle, left: LossOfControl, start: float
 ) -> tuple[Window, Offset, np.ndarray, bool, float | None] | None:
     """The ticks around an upset, the torques' offset before it, indices of the ticks at which its cause may have begun, whether it came
     with the take-off, and when the vehicle lay on the ground, or None [s]; None where the log shows no commands or rates there. start:
@@ -383,11 +391,11 @@ def window_of(
         return None
     how = ticks.plan(part, thrust, 0.0)
     seen = ticks.sense(part, thrust, how)
-    took_off = left.onset - start < FIRST_S
-    hover = _hover(flight, seen, vehicle, left.onset, took_off)
+    at_take_off = left.onset - start < FIRST_S
+    hover = _hover(flight, seen, vehicle, left.onset, at_take_off)
     stirs = (np.abs(seen.rate_dot).max(axis=1) > STIRS[0]) | (np.abs(seen.rate).max(axis=1) > STIRS[1])
     stirs &= seen.rate_ok & (seen.share.max(axis=1) > 0.05) & (seen.time > start - FIRST_S)
-    began = float(seen.time[np.argmax(stirs)]) - how.dt if took_off and stirs.any() else first
+    began = float(seen.time[np.argmax(stirs)]) - how.dt if at_take_off and stirs.any() else first
     still = (np.abs(seen.rate).max(axis=1) < LIES[0]) & (np.abs(seen.rate_dot).max(axis=1) < LIES[1]) & seen.rate_ok
     still &= seen.time > max(left.onset + LATER_S, left.lost - loss_of_control.LASTS_S)
     lies = np.flatnonzero(still[2:] & still[1:-1] & still[:-2])
@@ -412,8 +420,14 @@ def window_of(
         T[np.maximum(inside - 1, 0)], T[np.minimum(inside + 1, len(seen) - 1)], left.onset,
     )  # fmt: skip
     causes = np.flatnonzero((window.time >= left.onset - EARLIER_S) & (window.time <= left.onset + LATER_S))
-    onsets = np.union1d([0], causes) if took_off or not causes.size else causes
-    return window, _offset(window, vehicle.effectiveness(), left.onset - EARLIER_S, took_off), onsets, took_off, ground
+    onsets = np.union1d([0], causes) if at_take_off or not causes.size else causes
+    return (
+        window,
+        _offset(window, vehicle.effectiveness(), left.onset - EARLIER_S, at_take_off),
+        onsets,
+        at_take_off,
+        ground,
+    )
 
 
 def _pinned(rate: np.ndarray, rate_dot: np.ndarray) -> np.ndarray:
@@ -423,7 +437,7 @@ def _pinned(rate: np.ndarray, rate_dot: np.ndarray) -> np.ndarray:
     return there & (there.sum(axis=0) >= 4)
 
 
-def _hover(flight: Flight, seen: Sensed, vehicle: Vehicle, until: float, took_off: bool) -> float:
+def _hover(flight: Flight, seen: Sensed, vehicle: Vehicle, until: float, at_take_off: bool) -> float:
     """Mean share of full thrust that carries the vehicle: as healthy flights told, of the ticks before `until` [s] at which about one g was
     carried, or as the autopilot has learned it."""
     known = ticks.known_hover(vehicle)
@@ -439,16 +453,16 @@ def _hover(flight: Flight, seen: Sensed, vehicle: Vehicle, until: float, took_of
         & (load < 1.6)
         & (seen.time < until)
     )
-    if not took_off and carried.any():
+    if not at_take_off and carried.any():
         return float(np.clip(np.median(mean[carried] / load[carried]), 0.05, 1.0))
     learned = [flight.parameters[name] for name in HOVER_PARAMETERS if 0.05 < flight.parameters.get(name, 0.0) < 0.8]
     return float(learned[0]) if learned else USUAL_HOVER
 
 
-def _offset(window: Window, B: np.ndarray, until: float, took_off: bool) -> Offset:
+def _offset(window: Window, B: np.ndarray, until: float, at_take_off: bool) -> Offset:
     """Torques that the vehicle is commanded in calm flight before `until` [s]: trim."""
     calm = np.flatnonzero((window.time < until) & window.torque_ok.all(axis=1))
-    if took_off or calm.size < 2 or window.time[calm[-1]] - window.time[calm[0]] < CALM_S:
+    if at_take_off or calm.size < 2 or window.time[calm[-1]] - window.time[calm[0]] < CALM_S:
         return Offset(np.zeros(3), np.full(3, UNKNOWN_SD))
     w = (window.thrust @ B.T)[calm, :3] - B.shape[1] * INERTIA * window.rate_dot[calm]
     return Offset(-np.median(w, axis=0), CALM_SD + 0.5 * w.std(axis=0))

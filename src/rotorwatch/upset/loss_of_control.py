@@ -15,14 +15,14 @@ from rotorwatch.motion.airborne import commands, output_range
 
 # Degrees between the actual direction of thrust and any that was wanted lately, and for how long. Healthy vehicles of public logs,
 # aerobatics and gusts of 18 m/s included, stay below 20 degrees, but for half a second of 57 in one manual flight.
-APART_DEG, LASTS_S = 40.0, 0.4
+ERROR_DEG, LASTS_S = 40.0, 0.4
 AWAY_DEG, AWAY_S = 20.0, 2.0  # less, for long: of public logs only vehicles that no longer fly as they are asked
-GONE_S = 1.2  # control that is back sooner was not lost: a knock or a hard turn that the vehicle mastered
+LOST_S = 1.2  # control that is back sooner was not lost: a knock or a hard turn that the vehicle mastered
 TUMBLED_DEG = 100.0  # two samples so far from all that was wanted: it tumbled, however it came to rest
 SPINS = 20.0  # rad/s of yaw, faster than anybody asks for
 ANSWERS_S = 0.6  # within which a vehicle under control has the attitude, or the rates, that were wanted
 BACK = np.linspace(0.0, ANSWERS_S, 7)
-RATE_APART = 6.0  # rad/s of roll or pitch between the wanted and the actual rate
+RATE_ERROR = 6.0  # rad/s of roll or pitch between the wanted and the actual rate
 OVER_DEG = 100.0  # of tilt, which nobody has asked for where nothing says what was wanted
 BACK_DEG, BACK_S = 15.0, 2.0  # closer than that for so long: control has come back
 MASTERED_S = 0.5  # the same, of a turn that is mastered at once, though another follows it: the vehicle was under control between them
@@ -44,7 +44,7 @@ G0 = 9.80665
 
 
 @dataclass(frozen=True)
-class Departure:
+class LossOfControl:
     """onset: when the vehicle began to leave what was wanted; lost: when that was certain; end: when control came back, else None; impact:
     of the ground or what it fell on, None where none was seen [all s]. what: in words. falls: outputs came to rest in the air. landed: it
     had landed before, so that the ground pushed it as well as its rotors."""
@@ -75,7 +75,7 @@ def held(signal: Signal, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return values[np.maximum(k, 0)], age
 
 
-def apart(flight: Flight) -> tuple[np.ndarray, np.ndarray, str]:
+def attitude_error(flight: Flight) -> tuple[np.ndarray, np.ndarray, str]:
     """Times (m,) s, angle (m,) in degrees by which the direction of thrust differs from what was wanted, and what that is, in words.
 
     NaN where it is not known. A difference of rates counts as the angle that it makes within LASTS_S.
@@ -89,7 +89,7 @@ def apart(flight: Flight) -> tuple[np.ndarray, np.ndarray, str]:
             angle = _angle(flight["attitude_wanted"], time, axis)
         if flight.has("rates_wanted"):
             both = np.isnan(angle) & _known_rates(flight, time)
-            rate = np.minimum(_rate_error(flight, time) / RATE_APART * APART_DEG, 90.0)
+            rate = np.minimum(_rate_error(flight, time) / RATE_ERROR * ERROR_DEG, 90.0)
             angle = np.where(both, rate, angle)
         if np.isnan(angle).all():
             tilt = np.degrees(np.arccos(np.clip(axis[:, 2], -1.0, 1.0)))
@@ -130,9 +130,9 @@ def _spins(flight: Flight, time: np.ndarray) -> np.ndarray:
     return (np.abs(rate[:, 2]) > SPINS) & (age <= FRESH_S)
 
 
-def find(flight: Flight, air) -> tuple[Departure, ...]:
+def find(flight: Flight, air) -> tuple[LossOfControl, ...]:
     """The departures of a flight, one at most in each of the intervals `air` ((start, end), ...) s in which it was in the air."""
-    time, angle, words = apart(flight)
+    time, angle, words = attitude_error(flight)
     found = []
     for start, end in _from_the_ground(flight, time, angle, air) or _powered(flight):
         spans = [
@@ -157,7 +157,7 @@ def _from_the_ground(flight: Flight, time: np.ndarray, angle: np.ndarray, air) -
         return ()
     (start, end), *later = air
     before = [a for a, b in _powered(flight) if a < start <= b]
-    left = before and (angle[(time >= before[0]) & (time <= start)] > APART_DEG).any()
+    left = before and (angle[(time >= before[0]) & (time <= start)] > ERROR_DEG).any()
     return ((before[0] if left else start, end), *later)
 
 
@@ -171,7 +171,7 @@ def _powered(flight: Flight) -> list[tuple[float, float]]:
     return [(float(time[a]), float(time[b])) for a, b in zip(starts, stops) if time[b] - time[a] > LASTS_S]
 
 
-def _turns_over(flight: Flight, end: float) -> Departure | None:
+def _turns_over(flight: Flight, end: float) -> LossOfControl | None:
     """A vehicle on its head after a landing at `end` s while its motors still push."""
     if not flight.has("attitude"):
         return None
@@ -181,20 +181,20 @@ def _turns_over(flight: Flight, end: float) -> Departure | None:
     t, up = attitude.time[ok], thrust_axis(attitude.values[ok])[:, 2]
     tilt = np.degrees(np.arccos(np.clip(up, -1.0, 1.0)))
     over = np.flatnonzero(tilt > OVER_DEG)
-    if not over.size or until - t[over[0]] < GONE_S:
+    if not over.size or until - t[over[0]] < LOST_S:
         return None
     k = int(over[0])
-    return Departure(
+    return LossOfControl(
         _began(t, tilt, k), float(min(t[k] + LASTS_S, t[-1])), None, None, "turned over on the ground", landed=True
     )
 
 
-def _leaves(flight, time, angle, words, start, end) -> Departure | None:
+def _leaves(flight, time, angle, words, start, end) -> LossOfControl | None:
     inside = np.flatnonzero((time >= start) & (time <= end + LASTS_S) & np.isfinite(angle))
     if inside.size < 3:
         return None
     t, a = time[inside], angle[inside]
-    out = (a > APART_DEG) | _long(t, (a > AWAY_DEG) & (a <= APART_DEG))
+    out = (a > ERROR_DEG) | _long(t, (a > AWAY_DEG) & (a <= ERROR_DEG))
     for k in np.flatnonzero(out & ~np.concatenate([[False], out[:-1]])):
         if t[k] > end:
             return None
@@ -209,30 +209,30 @@ def _leaves(flight, time, angle, words, start, end) -> Departure | None:
         until = t[-1] if soon is None else soon
         over = (a[k:] > TUMBLED_DEG) & (t[k:] <= until)
         if not (over[1:] & over[:-1]).any() and lasts < (
-            GONE_S if impact is None or impact - onset <= HIT_S else LASTS_S
+            LOST_S if impact is None or impact - onset <= HIT_S else LASTS_S
         ):
             continue
         certain = np.flatnonzero(out[k:] & (t[k:] - t[k] >= LASTS_S))
         lost = float(t[k + certain[0]]) if certain.size else float(min(t[k] + LASTS_S, t[-1]))
         largest = float(a[k:][t[k:] <= (lost + 1.0 if back is None else back)].max())
-        return Departure(onset, lost, back, impact, words.format(largest))
+        return LossOfControl(onset, lost, back, impact, words.format(largest))
     return None
 
 
 def _long(t: np.ndarray, away: np.ndarray) -> np.ndarray:
     """(m,) bool: the samples of every run of `away` that lasts AWAY_S."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], away, [False]])))
-    kept = np.zeros(away.size, bool)
+    lasting = np.zeros(away.size, bool)
     for a, b in zip(edges[::2], edges[1::2]):
-        kept[a:b] = t[b - 1] - t[a] >= AWAY_S
-    return kept
+        lasting[a:b] = t[b - 1] - t[a] >= AWAY_S
+    return lasting
 
 
 def _began(t: np.ndarray, a: np.ndarray, k: int) -> float:
     """When the angle that passes APART_DEG at k began to grow: the last sample that was as close as is usual in this flight."""
     calm = a[: max(k - 5, 1)]
     usual = max(2.0, 3.0 * float(np.median(calm))) if calm.size > 5 else 2.0
-    close = np.flatnonzero(a[:k] <= min(usual, 0.5 * APART_DEG))
+    close = np.flatnonzero(a[:k] <= min(usual, 0.5 * ERROR_DEG))
     return float(t[close[-1]] if close.size else t[0])
 
 
@@ -246,7 +246,7 @@ def _back(t: np.ndarray, a: np.ndarray, k: int, lasts: float = BACK_S) -> float 
     return None
 
 
-def _falls(flight: Flight, start: float, end: float) -> Departure | None:
+def _falls(flight: Flight, start: float, end: float) -> LossOfControl | None:
     """Outputs that come to rest while nothing carries the vehicle."""
     if not flight.has("motors", "accel"):
         return None
@@ -267,13 +267,13 @@ def _falls(flight: Flight, start: float, end: float) -> Departure | None:
         if since is not None and when - since >= FALLS_S:
             quiet = motors.time[(share < REST) & (motors.time <= when) & (motors.time > since - 1.0)]
             onset = float(min(since, quiet[0])) if quiet.size else float(since)
-            return Departure(
+            return LossOfControl(
                 onset, float(when), None, hit(flight, float(when), end + 30.0), "falling without thrust", True
             )
     return None
 
 
-def _sinks(flight: Flight, start: float, end: float) -> Departure | None:
+def _sinks(flight: Flight, start: float, end: float) -> LossOfControl | None:
     """A vehicle that sinks fast, and goes on to, while its rotors are asked for nearly all they have."""
     if not flight.has("motors", "velocity", "accel"):
         return None
@@ -289,7 +289,7 @@ def _sinks(flight: Flight, start: float, end: float) -> Departure | None:
         if since is not None and when - since >= LASTS_S:
             slow = np.flatnonzero((time < since) & (down < 0.2 * SINKS_M_S))
             onset = float(time[slow[-1]]) if slow.size else float(since)
-            return Departure(
+            return LossOfControl(
                 onset,
                 float(when),
                 None,
@@ -299,7 +299,7 @@ def _sinks(flight: Flight, start: float, end: float) -> Departure | None:
     return None
 
 
-def _strikes(flight: Flight, start: float, end: float) -> Departure | None:
+def _strikes(flight: Flight, start: float, end: float) -> LossOfControl | None:
     """A vehicle that strikes the ground faster than anything lands, though its attitude, as it was believed to be, was as wanted."""
     if not flight.has("velocity"):
         return None
@@ -311,7 +311,7 @@ def _strikes(flight: Flight, start: float, end: float) -> Departure | None:
         if before.any() and down[before].max() > CRASHES_M_S and (np.abs(velocity.values[after]) < STOPS_M_S).all():
             slow = np.flatnonzero((time < blow - HIT_S) & (down < 0.2 * CRASHES_M_S))
             onset = float(time[slow[-1]]) if slow.size else start
-            return Departure(onset, blow, None, blow, f"striking the ground at {down[before].max():.0f} m/s")
+            return LossOfControl(onset, blow, None, blow, f"striking the ground at {down[before].max():.0f} m/s")
         at = blow + 0.5
     return None
 
@@ -335,7 +335,7 @@ def hit(flight: Flight, start: float, end: float) -> float | None:
     return float(when[0]) if when.size else None
 
 
-def until_impact(flight: Flight, air, left: tuple[Departure, ...]) -> tuple[tuple[float, float], ...]:
+def until_impact(flight: Flight, air, left: tuple[LossOfControl, ...]) -> tuple[tuple[float, float], ...]:
     """The intervals `air` ((start, end), ...) s, each cut where the vehicle fell to the ground: what outputs and motion do after that says
     nothing of its rotors."""
     cut = []

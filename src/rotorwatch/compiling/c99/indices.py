@@ -12,9 +12,9 @@ from rotorwatch.compiling.c99.graph import Axis, Graph, Node, strides
 
 def filling(kind: str, params):
     """What a gather puts where the index is outside."""
-    given = params.get("fill_value")
-    if given is not None:
-        return given
+    fill_value = params.get("fill_value")
+    if fill_value is not None:
+        return fill_value
     return {"f": np.nan, "i": -(2**31), "l": -(2**63), "b": True}[kind]
 
 

@@ -409,7 +409,7 @@ def _scan(graph, x, params, outvars):
     ]
     slices = tuple(p for p in each if p.op == "param" and p.region is region)
     out = lower(graph, body.jaxpr, body.consts, [*consts, *carry, *each])
-    out[:n_carry] = [_kept(graph, new, old, region) for new, old in zip(out, carry)]
+    out[:n_carry] = [_held_state(graph, new, old, region) for new, old in zip(out, carry)]
     loop = Loop(
         region,
         int(params["length"]),
@@ -439,7 +439,7 @@ def _first(graph, a: Node) -> Node:
     return graph.broadcast(graph.const(np.asarray(uniform(a), NUMPY[a.kind])), a.shape[1:], ())
 
 
-def _kept(graph, new: Node, old: Node, region: Region) -> Node:
+def _held_state(graph, new: Node, old: Node, region: Region) -> Node:
     """The new carry as a value of its own, so that no turn reads a carry that is half written."""
     root = new.args[0] if new.op in ("view", "alias") else new
     if new is old or new.op == "const" or root.op != "param":
