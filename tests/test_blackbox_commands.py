@@ -39,7 +39,7 @@ def test_inject_judges_as_diagnose_does(log, capsys):
     (("watch", "--speed", "max", "--jsonl"), "`rotorwatch diagnose`"),
     (("false-alarms", "--hours", "0.1"), "noise of hover"),
     (("diagnose", "--estimator", "ekf"), "leave out the estimator"),
-    (("tune", "-e", "ekf"), "published methods model hover"),
+    (("tune", "--estimator", "ekf"), "published methods model hover"),
 ])  # fmt: skip
 def test_what_is_made_for_hover_says_so(log, capsys, words, why):
     code, out, err = run(capsys, words[0], log, *words[1:])

@@ -80,6 +80,16 @@ def test_desyncs_are_found_with_motor_time_and_length(name, rotor, lasting, rpm,
             assert abs(d.end - d.start - lasting) < 0.03
 
 
+def test_beginning_and_end_of_a_long_one_are_those_of_the_speed():
+    """Where a speed falls the likelihood is a narrow ridge: steps of a fourth of the length went by it, and ended 120 ms too early."""
+    flight = fpv.fly(4, 40.0, 6, tuple(Moment(j, 2, t, 0.5) for j in range(4) for t in (11.0, 27.0)), rpm=True)[0]
+    vehicle, _, _ = baselines.settle(flight, None, ())
+    here = desync.search(innovation.channels(flight, vehicle, ((2.5, 38.0),)))
+    assert [(d.rotor, d.start, d.end) for d in here] == [
+        (2, pytest.approx(t, abs=0.02), pytest.approx(t + 0.5, abs=0.02)) for t in (11.0, 27.0)
+    ]
+
+
 @pytest.mark.thorough(keep=7)
 @pytest.mark.parametrize(("name", "rpm"), [
     *((name, rpm) for name in ("healthy", "dead", "weak", "knocks", "gone") for rpm in (False, True)), ("second", True),

@@ -35,7 +35,8 @@ DESYNC, LOSS, LOST = "desync", "loss_of_effectiveness", "loss_of_control"
 SHORTEST_S, LONGEST_S = 0.025, 0.65  # 30 to 500 ms, as well as ends are known
 LENGTHS_S = 0.03 * 10.0 ** (0.1 * np.arange(15))  # 30 to 750 ms: what lasts longer is none, and must be seen to
 SCREEN = 9.0  # nats, from which the matched filter's peaks are looked at
-REFINED = 20.0  # nats that a better start and length may add
+REFINED = 20.0  # nats that moves of single windows may add to the best start and length on a line
+ALONG, POINTS = 8, 16  # windows by which a short one's ends are moved at least; moves each way of a longer one's
 SIZES = np.linspace(-1.2, 2.4, 19)  # theta
 LEAST_SIZE, MOST_SIZE = 0.5, 1.4
 SLOWER_S = (0.0, 0.015, 0.03)  # than a motor that is told to
@@ -172,9 +173,7 @@ def _peaks(seen: list[Channel], i: int, lengths: np.ndarray, dt: float) -> list[
 def _judged(seen: list[Channel], i: int, start: int, length: int, rotors: list[int], limit: float) -> Desync | None:
     """The desync of rotor i near (start, length); None where it is none."""
     dt = seen[0].width
-    if _marginal(_ratios(seen, i, start, length)) < limit - REFINED:
-        return None
-    start, length = _refined(seen, i, start, length)
+    start, length = _refined(seen, i, start, length, limit - REFINED)
     if not SHORTEST_S <= length * dt <= LONGEST_S:
         return None
     inside = slice(start, start + length)
@@ -204,21 +203,27 @@ def _judged(seen: list[Channel], i: int, start: int, length: int, rotors: list[i
     return Desync(i, float(time[start]), float(time[start] + length * dt), ratio - limit, size, tuple(others))
 
 
-def _refined(seen: list[Channel], i: int, start: int, length: int) -> tuple[int, int]:
-    """The likeliest start and length near these."""
-    best = _marginal(_ratios(seen, i, start, length))
-    step = max(1, length // 4)
+def _refined(seen: list[Channel], i: int, start: int, length: int, least: float) -> tuple[int, int]:
+    """The likeliest start and length near these: first the start, then the end over half the length, as a speed that falls makes the
+    likelihood a narrow ridge; then both by ever smaller steps, where that may come to `least`. (0, 0) where it does not."""
+
+    def value(s: int, n: int) -> float:
+        possible = s >= 0 and n >= 2 and s + n + LAGS < len(seen[0].left)
+        return _marginal(_ratios(seen, i, s, n)) if possible else -np.inf
+
+    reach = max(ALONG, length // 2)
+    step = max(1, reach // POINTS)
+    moves = range(-(reach // step) * step, reach + 1, step)
+    best, start, length = max((value(start + d, length - d), start + d, length - d) for d in moves)
+    best, length = max((value(start, length + d), length + d) for d in moves)
+    if best < least:
+        return 0, 0
     while step >= 1:
-        moved = False
         for ds, dl in ((-step, step), (step, -step), (0, step), (0, -step), (-step, 0), (step, 0)):
-            s, n = start + ds, length + dl
-            if s < 0 or n < 2 or s + n + LAGS >= len(seen[0].left):
-                continue
-            value = _marginal(_ratios(seen, i, s, n))
-            if value > best + 1e-9:
-                best, start, length, moved = value, s, n, True
+            if (moved := value(start + ds, length + dl)) > best + 1e-9:
+                best, start, length = moved, start + ds, length + dl
                 break
-        if not moved:
+        else:
             step //= 2
     return start, length
 

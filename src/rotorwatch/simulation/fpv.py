@@ -10,6 +10,7 @@ at once, as arrays (flights, ...).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,9 +57,11 @@ class Push:
 
 
 def fly(
-    count: int, duration_s: float, seed: int = 0, wrong: tuple[Moment | Push, ...] = (), rpm: bool = False
-) -> list[Flight]:
-    """So many flights. rpm: speeds are logged."""
+    count: int, duration_s: float, seed: int = 0, wrong: tuple[Moment | Push, ...] = (), rpm: bool = False,
+    expo: float | Sequence[float] = EXPO,
+) -> list[Flight]:  # fmt: skip
+    """So many flights. rpm: speeds are logged. expo: of the motors' thrust curve, one for all or one each; the airframe's is EXPO."""
+    curve = np.broadcast_to(np.asarray(expo, float), count)[:, None]
     rng = np.random.default_rng(seed)
     steps = round(duration_s / DT)
     wanted, throttle, wash = _pilot(rng, count, steps)
@@ -86,7 +89,7 @@ def fly(
         total = np.clip(total + error * DT * flies[:, None], -0.5, 0.5)
         u = _mixed(PROPORTIONAL * error + INTEGRAL * total - DERIVATIVE * slope, throttle[k])
         u = np.where(flies[:, None], u, 0.0)
-        goal = np.sqrt((1.0 - EXPO) * u + EXPO * u * u) * alive[k]
+        goal = np.sqrt((1.0 - curve) * u + curve * u * u) * alive[k]
         lag = np.where(goal > n, LAG_S * (1.0 + IDLE_SPIN_UP * (n < 0.25)), RUNS_DOWN_S)
         speeding = (goal - n) / lag
         n = n + DT * speeding
