@@ -18,7 +18,7 @@ WIDTH, LASTS = 24, 1e300
 DRIVER = """#include "rw_diagnoser.h"
 #define WIDTH 24
 static rw_diagnoser d;
-static rw_news news[2 * RW_EVENTS];
+static rw_notification notifications[2 * RW_EVENTS];
 static int burst; /* most ticks that one call in flight took from those that waited */
 static void told(rw_real *to, const double *from, int n) { for (int k = 0; k < n; k++) to[k] = (rw_real)from[k]; }
 int sizes(int what);
@@ -44,10 +44,10 @@ int drive(int rows, const double *table, double until, double *found, int most)
         default: rw_diagnoser_battery(&d, t, x[0]); break;
         }
         if (flew && d.front.start < RW_LASTS && waited - d.front.count > burst) burst = waited - d.front.count;
-        if (i % 50 == 0) rw_diagnoser_poll(&d, news);
+        if (i % 50 == 0) rw_diagnoser_poll(&d, notifications);
     }
     rw_diagnoser_finish(&d, until);
-    rw_diagnoser_poll(&d, news);
+    rw_diagnoser_poll(&d, notifications);
     const rw_event *events;
     const int count = rw_diagnoser_events(&d, &events);
     for (int k = 0; k < count && k < most; k++) {

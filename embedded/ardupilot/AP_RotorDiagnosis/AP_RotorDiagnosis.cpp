@@ -42,9 +42,9 @@ void AP_RotorDiagnosis::update(bool landed, bool armed, float voltage_ratio, con
     const uint64_t now_us = AP_HAL::micros64();
     feed(now_us, landed, armed, voltage_ratio, control);
 
-    const int count = rw_diagnoser_poll(&_diagnoser, _news);
+    const int count = rw_diagnoser_poll(&_diagnoser, _notifications);
     for (int i = 0; i < count; i++) {
-        tell(_news[i], now_us);
+        notify(_notifications[i], now_us);
     }
     if (now_us - _logged_us >= LOG_EVERY_US) {
         _logged_us = now_us;
@@ -72,8 +72,8 @@ void AP_RotorDiagnosis::feed(uint64_t now_us, bool landed, bool armed, float vol
     }
     rw_diagnoser_outputs(&_diagnoser, now, output, known);
     if (control != nullptr) {
-        const rw_real asked[4] = {control[0], control[1], control[2], control[3]};
-        rw_diagnoser_control(&_diagnoser, now, asked, true);
+        const rw_real demand[4] = {control[0], control[1], control[2], control[3]};
+        rw_diagnoser_control(&_diagnoser, now, demand, true);
     }
 
     const Vector3f gyro = AP::ins().get_gyro();
@@ -95,16 +95,16 @@ void AP_RotorDiagnosis::feed(uint64_t now_us, bool landed, bool armed, float vol
     }
 }
 
-void AP_RotorDiagnosis::tell(const rw_news &news, uint64_t now_us) const
+void AP_RotorDiagnosis::notify(const rw_notification &notification, uint64_t now_us) const
 {
-    const rw_event &event = *news.event;
+    const rw_event &event = *notification.event;
     char text[RW_TEXT];
-    const int severity = rw_diagnoser_words(&news, text);
+    const int severity = rw_diagnoser_words(&notification, text);
     if (severity <= _text.get()) {
         GCS_SEND_TEXT(MAV_SEVERITY(severity), "%s", text);
     }
-    AP::logger().Write("RWEV", "TimeUS,Num,What,Kind,Rot,Alt,On,End,Loss,Lo,Hi,P", "QHBBHHddffff", now_us, unsigned(news.number),
-                       unsigned(news.kind), unsigned(event.kind), unsigned(event.rotors),
+    AP::logger().Write("RWEV", "TimeUS,Num,What,Kind,Rot,Alt,On,End,Loss,Lo,Hi,P", "QHBBHHddffff", now_us, unsigned(notification.number),
+                       unsigned(notification.kind), unsigned(event.kind), unsigned(event.rotors),
                        unsigned(event.alternative_count ? event.alternatives[0] : 0), event.onset,
                        event.end < RW_LASTS ? event.end : 0.0, double(event.loss[0]), double(event.lower[0]), double(event.upper[0]),
                        double(event.probability));

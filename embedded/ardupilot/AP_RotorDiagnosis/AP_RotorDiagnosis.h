@@ -40,12 +40,12 @@ private:
     static constexpr uint64_t LOG_EVERY_US = 200000;
 
     void feed(uint64_t now_us, bool landed, bool armed, float voltage_ratio, const float *control);
-    void tell(const rw_news &news, uint64_t now_us) const;
+    void notify(const rw_notification &notification, uint64_t now_us) const;
 
     AP_Int8 _enable;
     AP_Int8 _text;
 
     rw_diagnoser _diagnoser {};
-    rw_news _news[2 * RW_EVENTS] {};
+    rw_notification _notifications[2 * RW_EVENTS] {};
     uint64_t _logged_us {};
 };

@@ -44,11 +44,11 @@ void RotorWatchDiagnoser::Run()
 	feed();
 
 	const hrt_abstime now = hrt_absolute_time();
-	const int count = rw_diagnoser_poll(&_diagnoser, _news);
+	const int count = rw_diagnoser_poll(&_diagnoser, _notifications);
 
 	for (int i = 0; i < count; i++) {
-		tell(_news[i]);
-		publish(_news[i].event, _news[i].kind, _news[i].number);
+		notify(_notifications[i]);
+		publish(_notifications[i].event, _notifications[i].kind, _notifications[i].number);
 	}
 
 	if (count > 0 || now - _published >= PUBLISH_US) {
@@ -160,10 +160,10 @@ void RotorWatchDiagnoser::feed()
 	}
 }
 
-void RotorWatchDiagnoser::tell(const rw_news &news)
+void RotorWatchDiagnoser::notify(const rw_notification &notification)
 {
 	char text[RW_TEXT];
-	const int severity = rw_diagnoser_words(&news, text);
+	const int severity = rw_diagnoser_words(&notification, text);
 
 	if (severity > _param_rotw_text.get()) {
 		return;
@@ -180,37 +180,37 @@ void RotorWatchDiagnoser::tell(const rw_news &news)
 	}
 }
 
-void RotorWatchDiagnoser::publish(const rw_event *event, uint8_t news, uint16_t number)
+void RotorWatchDiagnoser::publish(const rw_event *event, uint8_t notification, uint16_t number)
 {
-	rotorwatch_verdict_s said{};
-	said.timestamp = hrt_absolute_time();
-	said.verdict = static_cast<uint8_t>(rw_diagnoser_verdict(&_diagnoser));
-	said.kind = rotorwatch_verdict_s::KIND_NONE;
-	said.news = news;
-	said.number = number;
+	rotorwatch_verdict_s verdict{};
+	verdict.timestamp = hrt_absolute_time();
+	verdict.verdict = static_cast<uint8_t>(rw_diagnoser_verdict(&_diagnoser));
+	verdict.kind = rotorwatch_verdict_s::KIND_NONE;
+	verdict.news = notification;
+	verdict.number = number;
 
 	if (event != nullptr) {
-		said.kind = event->kind;
-		said.rotors = event->rotors;
+		verdict.kind = event->kind;
+		verdict.rotors = event->rotors;
 
 		for (int i = 0; i < 4 && i < event->alternative_count; i++) {
-			said.alternatives[i] = event->alternatives[i];
+			verdict.alternatives[i] = event->alternatives[i];
 		}
 
-		said.onset = microseconds(event->onset);
-		said.detected = microseconds(event->detected);
-		said.end = microseconds(event->end);
-		said.loss = static_cast<float>(event->loss[0]);
-		said.loss_lower = static_cast<float>(event->lower[0]);
-		said.loss_upper = static_cast<float>(event->upper[0]);
-		said.probability = static_cast<float>(event->probability);
+		verdict.onset = microseconds(event->onset);
+		verdict.detected = microseconds(event->detected);
+		verdict.end = microseconds(event->end);
+		verdict.loss = static_cast<float>(event->loss[0]);
+		verdict.loss_lower = static_cast<float>(event->lower[0]);
+		verdict.loss_upper = static_cast<float>(event->upper[0]);
+		verdict.probability = static_cast<float>(event->probability);
 	}
 
 	for (int k = 0; k < 12; k++) {
-		said.rotor_loss[k] = k < RW_ROTORS ? static_cast<float>(_diagnoser.out.theta[k]) : NAN;
+		verdict.rotor_loss[k] = k < RW_ROTORS ? static_cast<float>(_diagnoser.out.theta[k]) : NAN;
 	}
 
-	_verdict.publish(said);
+	_verdict.publish(verdict);
 }
 
 int RotorWatchDiagnoser::print_status()

@@ -45,8 +45,8 @@ private:
 
 	void Run() override;
 	void feed();
-	void tell(const rw_news &news);
-	void publish(const rw_event *event, uint8_t news, uint16_t number);
+	void notify(const rw_notification &notification);
+	void publish(const rw_event *event, uint8_t notification, uint16_t number);
 
 	uORB::Subscription _rates{ORB_ID(vehicle_angular_velocity)};
 	uORB::Subscription _acceleration{ORB_ID(vehicle_acceleration)};
@@ -59,7 +59,7 @@ private:
 	orb_advert_t _mavlink_log_pub{nullptr};
 
 	rw_diagnoser _diagnoser{};
-	rw_news _news[2 * RW_EVENTS] {};
+	rw_notification _notifications[2 * RW_EVENTS] {};
 	hrt_abstime _published{0};
 	hrt_abstime _fed{0}; // time of the newest sample that was fed
 

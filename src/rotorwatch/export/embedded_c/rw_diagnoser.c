@@ -3,7 +3,7 @@
 #include <math.h>
 #include <string.h>
 
-static const rw_time SETTLED_S = 60.0; /* what ended so long ago is not withdrawn any more */
+static const rw_time FINAL_S = 60.0; /* what ended so long ago is not withdrawn any more */
 
 void rw_diagnoser_init(rw_diagnoser *d, const rw_vehicle *v, const rw_plan *p)
 {
@@ -123,7 +123,7 @@ void rw_diagnoser_finish(rw_diagnoser *d, rw_time time)
     while (d->front.count);
 }
 
-int rw_diagnoser_poll(rw_diagnoser *d, rw_news *news)
+int rw_diagnoser_poll(rw_diagnoser *d, rw_notification *notifications)
 {
     rw_event losses[RW_RECORDS];
     rw_override overrides[RW_OVERRIDES];
@@ -132,12 +132,12 @@ int rw_diagnoser_poll(rw_diagnoser *d, rw_news *news)
     const int32_t lost = rw_losses_losses(&d->losses, d->vehicle, flies, losses);
     const int32_t deviating = rw_deviations_found(&d->front.deviations, d->vehicle, overrides);
     d->event_count = (uint8_t)rw_report_events(&d->report, d->vehicle, losses, lost, overrides, deviating, d->listed);
-    const rw_time settled = d->front.newest - SETTLED_S;
-    const int32_t count = rw_changes_look(&d->changes, d->listed, d->event_count, settled, -1, false, d->gone, changes);
+    const rw_time final = d->front.newest - FINAL_S;
+    const int32_t count = rw_changes_look(&d->changes, d->listed, d->event_count, final, -1, false, d->withdrawn, changes);
     for (int k = 0; k < count; k++) {
-        news[k].event = changes[k].what == RW_WITHDRAWN ? &d->gone[changes[k].place] : &d->listed[changes[k].place];
-        news[k].number = (uint16_t)changes[k].number;
-        news[k].kind = (uint8_t)changes[k].what;
+        notifications[k].event = changes[k].what == RW_WITHDRAWN ? &d->withdrawn[changes[k].place] : &d->listed[changes[k].place];
+        notifications[k].number = (uint16_t)changes[k].number;
+        notifications[k].kind = (uint8_t)changes[k].what;
     }
     return (int)count;
 }
@@ -158,12 +158,12 @@ const char *rw_diagnoser_verdict_text(const rw_diagnoser *d)
     return words[rw_diagnoser_verdict(d)];
 }
 
-int rw_diagnoser_words(const rw_news *news, char *text)
+int rw_diagnoser_words(const rw_notification *notification, char *text)
 {
-    const bool withdrawn = news->kind == RW_WITHDRAWN;
+    const bool withdrawn = notification->kind == RW_WITHDRAWN;
     rw_words words;
     rw_words_init(&words);
-    rw_words_event(&words, news->event, withdrawn, news->event->kind == RW_CONTACT ? "knock or contact" : "output overridden");
+    rw_words_event(&words, notification->event, withdrawn, notification->event->kind == RW_CONTACT ? "knock or contact" : "output overridden");
     memcpy(text, words.at, RW_TEXT);
-    return (int)rw_words_severity(news->event, withdrawn);
+    return (int)rw_words_severity(notification->event, withdrawn);
 }

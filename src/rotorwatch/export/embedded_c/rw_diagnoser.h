@@ -7,7 +7,7 @@
      static rw_diagnoser d;
      rw_diagnoser_init(&d, &rw_vehicle_default, &rw_plan_default);
      rw_diagnoser_gyro(&d, t, rate, true); ... rw_diagnoser_outputs(&d, t, output, all, 1);
-     int n = rw_diagnoser_poll(&d, news);
+     int n = rw_diagnoser_poll(&d, notifications);
 
    Nothing is allocated and nothing global changes: any number of them can run at once. The work is done where samples are fed, not in the
    poll: in steady flight one call of each tick's length takes a step of the estimator, the others none. When ticks have waited, a call
@@ -44,7 +44,7 @@ typedef struct {
     const rw_event *event;
     uint16_t number; /* from 1, of the event for as long as it is remembered */
     uint8_t kind;    /* RW_ANNOUNCED, RW_CHANGED, RW_WITHDRAWN */
-} rw_news;
+} rw_notification;
 
 typedef struct {
     const rw_vehicle *vehicle;
@@ -53,7 +53,7 @@ typedef struct {
     rw_losses losses;
     rw_report report;
     rw_changes changes;
-    rw_event listed[RW_EVENTS], gone[RW_EVENTS];
+    rw_event listed[RW_EVENTS], withdrawn[RW_EVENTS];
     rw_estimator_state estimator;
     rw_estimator_out out;
     rw_estimator_workspace work;
@@ -91,8 +91,8 @@ void rw_diagnoser_state(rw_diagnoser *d, rw_time time, int landed, int armed);
 /* All samples up to `time` s have come and nothing comes after them: the end of a log. */
 void rw_diagnoser_finish(rw_diagnoser *d, rw_time time);
 
-/* What is new since the last poll, into news[2 * RW_EVENTS]; returns how many. Its events stay until the next poll. */
-int rw_diagnoser_poll(rw_diagnoser *d, rw_news *news);
+/* What is new since the last poll, into notifications[2 * RW_EVENTS]; returns how many. Its events stay until the next poll. */
+int rw_diagnoser_poll(rw_diagnoser *d, rw_notification *notifications);
 
 /* After a poll: all events; the place of the one that matters most, or -1; what can be said: RW_NOT_JUDGED, RW_HEALTHY, RW_FAULT or
    RW_AMBIGUOUS, and in a word or two: "healthy so far". */
@@ -102,7 +102,7 @@ int rw_diagnoser_verdict(const rw_diagnoser *d);
 const char *rw_diagnoser_verdict_text(const rw_diagnoser *d);
 
 /* "rotorwatch: rotor 3 lost 32 % (28-36)" into text[RW_TEXT]; returns its severity: RW_CRITICAL, RW_WARNING or RW_NOTICE. */
-int rw_diagnoser_words(const rw_news *news, char *text);
+int rw_diagnoser_words(const rw_notification *notification, char *text);
 
 #ifdef __cplusplus
 }
