@@ -55,7 +55,7 @@ def clear_fault(scenario: Scenario) -> Mapping[str, Any] | None:
 
 
 def estimator(name: str, f, kept, statistic: np.ndarray, seen: Sequence[Event], bound, plan: Plan) -> dict[str, Any]:
-    """The row of an estimator. f: batch.Flown. kept: program.Kept. statistic (T,): above 0 it announces. bound:
+    """The row of an estimator. f: batch.Flown. kept: program.TickOutput. statistic (T,): above 0 it announces. bound:
     (T,) information of `limits`, or None."""
     found = [(e.detected_s, {tuple(sorted(e.rotors)), *map(tuple, map(sorted, e.alternatives))}, e) for e in seen]
     row = _row(name, f, found, bound, plan)
