@@ -142,7 +142,7 @@ def soak(minutes: float, folder: Path, count: int = 8, seed: int = 0, flight_s: 
     flights, kept = Flights(str(folder / "fleet.db")), []
     keeper = flights.store_writer(kept.append, found.trouble.append)
     feed, now, wire = live.Feed(keeper.keep), [0.0], Wire()
-    link = Link(wire, feed.tell, talks=False, record=folder, clock=lambda: now[0])
+    link = Link(wire, feed.broadcast, talks=False, record=folder, clock=lambda: now[0])
     source = live.Guarded(wire.name, link, feed)
     feed._sources.append(source)
     vehicles = [Vehicle(k + 1, np.random.default_rng((seed, k)), flight_s - k, 60.0 * minutes) for k in range(count)]

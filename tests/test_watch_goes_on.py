@@ -157,7 +157,7 @@ def test_a_loop_that_dies_is_seen_and_begins_again(monkeypatch, capsys):
 
 def test_a_vehicle_that_cannot_be_shown_hides_no_other_and_is_judged_on(monkeypatch):
     feed, source = live.Feed(), Source(5)
-    source.vehicles = [Watched(name, feed.tell) for name in "ab"]
+    source.vehicles = [Watched(name, feed.broadcast) for name in "ab"]
     source.shown = lambda: [(watched, "parameters") for watched in source.vehicles]
     guarded = live.Guarded("udp:1", source, feed)
     feed._sources = [guarded]
