@@ -227,7 +227,7 @@ def test_rates_are_asked_for_and_given_back(intervals):
     asked = {int(m.param1): m.param2 for m in autopilot.asked if m.get_type() == "COMMAND_LONG" and m.command == 511}
     assert rates.done and asked.get(36) == pytest.approx(50000.0)
     before = len(autopilot.asked)
-    rates.give_back(send)
+    rates.restore(send)
     back = autopilot.asked[before:]
     if intervals:
         assert 1 not in asked and {int(m.param1): m.param2 for m in back} == dict.fromkeys(asked, 250000.0)

@@ -72,8 +72,8 @@ void AP_RotorDiagnosis::feed(uint64_t now_us, bool landed, bool armed, float vol
     }
     rw_diagnoser_outputs(&_diagnoser, now, output, known);
     if (control != nullptr) {
-        const rw_real asked[4] = {control[0], control[1], control[2], control[3]};
-        rw_diagnoser_control(&_diagnoser, now, asked, true);
+        const rw_real demand[4] = {control[0], control[1], control[2], control[3]};
+        rw_diagnoser_control(&_diagnoser, now, demand, true);
     }
 
     const Vector3f gyro = AP::ins().get_gyro();

@@ -171,13 +171,13 @@ def design(
     length_s: float | None = None,
     lag: float = 0.03,
 ) -> Design:
-    """The excitation that tells the candidates apart soonest.
+    """The excitation that distinguishes the candidates soonest.
 
     B (4, n): roll, pitch, yaw, thrust of each rotor (`Vehicle.effectiveness`); candidates: losses (n,) of each; hover
     (n,): commands in hover, shares of full thrust, whose mean is a hover thrust; noise: in hover thrusts; gain (3,): hover thrusts per
     rad/s^2 of roll, pitch, yaw; dt [s]: a tick of the diagnosis; lag [s] of a rotor. longest_s: no longer than that; length_s: exactly so
     long instead. Raises ConfigError with one sentence where no excitation can be designed: no null space, no room, or candidates
-    that it cannot tell apart, or not in that time.
+    that it cannot distinguish, or not in that time.
     """
     limits = limits or Limits()
     B, hover, gain = (np.asarray(v, float) for v in (B, hover, gain))

@@ -187,8 +187,8 @@ class Report:
             onset=np.array([o.onset_s for o in overridden]), detected=np.array([o.detected_s for o in overridden]),
             end=np.array([_end(o) for o in overridden]), rotor=np.array([o.rotors[0] - 1 for o in overridden], int),
         )  # fmt: skip
-        given = packed(lost), len(lost), outputs, len(overridden)
-        rows = rows.cut(FRONT.call(whole.events, self._state, self.craft, *given, rows))
+        arguments = packed(lost), len(lost), outputs, len(overridden)
+        rows = rows.cut(FRONT.call(whole.events, self._state, self.craft, *arguments, rows))
         found, contacts = [], {c.time: c for c in self.contacts}
         for kind, source, detail, onset in zip(
             *(rows[name].tolist() for name in ("kind", "source", "detail", "onset"))

@@ -1,4 +1,4 @@
-"""What an excitation of the commands says of events that are ambiguous without it.
+"""What the response to an excitation of the commands shows of events that are ambiguous without it.
 
 Commands in the null space of the geometry (control/excitation.py) move nothing while all rotors are well; a flight in which they were
 excited is an experiment. The commanded thrust that the motion does not show, e = y - G m of the thrust channel (plant.py), then holds
@@ -410,7 +410,7 @@ def _when(responses: Sequence[ExcitationEvidence]) -> str:
 
 
 def _extra(responses: Sequence[ExcitationEvidence], found: dict[tuple[int, ...], float]) -> dict:
-    """For an event's `extra`: when it was asked, and the probabilities of the sets that are left."""
+    """For an event's `extra`: when it was excited, and the probabilities of the sets that are left."""
     left = {"+".join(str(k + 1) for k in who) or "none": round(p, 6) for who, p in found.items() if p > 1e-3}
     return {"start_s": responses[0].start, "end_s": responses[-1].end, "probability": left}
 

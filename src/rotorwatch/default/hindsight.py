@@ -1,4 +1,4 @@
-"""Losses in the blind time after take-off, found afterwards: a flight tells its gains and noise, and with these its start is judged again.
+"""Losses in the blind time after take-off, found afterwards: a flight shows its gains and noise, and with these its start is judged again.
 
 The estimator learns a vehicle's trim, gains and noise in the blind time and so takes a rotor that fails there as normal. After the
 flight gains and noise are known. The same estimator then runs again over the first seconds of each hop, judging from the end of the first

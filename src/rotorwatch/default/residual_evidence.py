@@ -1,4 +1,4 @@
-"""What the estimator's evidence still says after all events are written down: faults over the threshold that were never announced.
+"""The estimator's evidence that is left after all events are written down: faults over the threshold that were never announced.
 
 Announcing asks for more than a threshold: one hypothesis that beats every disturbance for a while, and a motion that fits it. Beside
 a loss that is already known, or with the vehicle at its limits, that may never be met although a second rotor is failing. Its evidence

@@ -139,7 +139,7 @@ def _entry(rotor: int, loss: float, interval: tuple[float, float], seen: ratios.
 
 
 def in_words(entry: dict) -> str:
-    """What an ESC says, in words: 'ESC 3: it turns as told and draws 20 % less than ..., so the propeller (97 %)'."""
+    """What an ESC reports, in words: 'ESC 3: it turns as told and draws 20 % less than ..., so the propeller (97 %)'."""
     share = entry["thrust_of_speed"]
     high = 1.0 - entry["speed_loss_interval"][0]
     if share < ratios.STANDS:

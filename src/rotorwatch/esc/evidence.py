@@ -39,7 +39,7 @@ def loss(
     current_ratio: float | None = None,
 ) -> Event:
     """A loss of effectiveness that an ESC alone shows. size: likeliest, least and largest loss; shares: probability of each cause, in the
-    order of `ratios.PRIOR`; parts: as for `entry`; says: what the ESC says, to follow "says that"."""
+    order of `ratios.PRIOR`; parts: as for `entry`; sentence: what the ESC shows, to follow "says that"."""
     causes = dict(zip(ratios.PRIOR, shares, strict=True))
     cause = max(causes, key=lambda name: causes[name])
     reason = f"the ESC of {rotors([rotor])} says that {sentence}so the cause is the {CAUSES[cause]}"

@@ -1,4 +1,4 @@
-"""A rotor that stands though it is told to turn, or turns without load, until the vehicle is down: seen by its ESC alone.
+"""A rotor that stands though it is commanded to turn, or turns without load, until the vehicle is down: seen by its ESC alone.
 
 A quadrotor without one rotor tumbles within half a second, and commands and motion of a tumbling vehicle are evidence of nothing. Its ESC
 needs two reports. A dead motor reports speed 0. A motor without its propeller turns, but draws next to nothing: current over speed to
@@ -74,7 +74,7 @@ def find(bins: Binned, events: Sequence[Event], air, upset: np.ndarray) -> tuple
 def _last(at: np.ndarray, bad: np.ndarray, commanded: np.ndarray, reports: int) -> tuple[int, int, int] | None:
     """(report before, first report, report with which it is known) of the stretch of bad reports that lasts to the end; None without one.
 
-    The rotor must be told to turn in `reports` of them. A stretch that ends is a gap of the telemetry.
+    The rotor must be commanded to turn in `reports` of them. A stretch that ends is a gap of the telemetry.
     """
     if not bad.any() or bad.all() or not bad[-1]:
         return None

@@ -21,7 +21,7 @@ from rotorwatch.motion import allocation
 BIN_S = 0.5
 LEAST_SHARE = 0.03  # of full thrust: less is no command to compare with
 FROZEN_S, FROZEN_SAMPLES = 2.0, 5
-# Relative change, and steps of the telemetry's resolution, that a command must have asked for.
+# Relative change, and steps of the telemetry's resolution, that a command must have changed by.
 FROZEN_CHANGE, FROZEN_STEPS = 0.02, 4.0
 SPEED_POWER, CURRENT_POWER = 0.5, 1.5  # of thrust
 MOSTLY = 0.5  # share of the time in the air of which telemetry must be usable
@@ -34,7 +34,7 @@ ORDER_FIT, ORDER_BETTER, ORDINARY = 0.6, 0.3, 0.25
 class Binned:
     """T bins of BIN_S of a flight of n rotors, in the air only. Values are 1 where not valid.
 
-    time (T,): middle of the bin [s]. thrust (T, n): asked for, share of full; power (T, n): mean square of speed [rad^2/s^2], known (T, n);
+    time (T,): middle of the bin [s]. thrust (T, n): commanded, share of full; power (T, n): mean square of speed [rad^2/s^2], known (T, n);
     current (T, n) [A], current_known; voltage (T, n) [V], voltage_known.
 
     The m reports that bins are made of: report_time (m,), speed (m, n) [rad/s] with speed_known, amps (m, n) [A] with amps_known, commanded
@@ -78,7 +78,7 @@ def quantity(esc: Signal, name: str, rotors_: int) -> Quantity:
 def read(flight: Flight, thrust: Signal, air: allocation.Spans) -> tuple[Binned | None, list[str]]:
     """(what can be used, sentences on what cannot); (None, ..) where nothing can, and (None, []) where the log has no telemetry.
 
-    thrust: share of full thrust asked of each rotor, as `allocation.rotor_thrusts` has it. air: ((start, end), ...) s.
+    thrust: commanded share of full thrust of each rotor, as `allocation.rotor_thrusts` has it. air: ((start, end), ...) s.
     """
     if not flight.has("esc") or not air:
         return None, []
@@ -179,7 +179,7 @@ def _note_frozen(time, still: np.ndarray, notes: list[str]) -> None:
 
 
 def _shifted(time, speed: Quantity, usable, thrust: Signal, notes: list[str]) -> np.ndarray | None:
-    """(n,) bool: rotors whose speed follows their command only shifted in time; None where that cannot be told. Says by how much."""
+    """(n,) bool: rotors whose speed follows their command only shifted in time; None where that is unknown. Says by how much."""
     start, end = max(time[0], thrust.time[0]), min(time[-1], thrust.time[-1])
     grid = np.arange(start, end, GRID_S)
     half = round(SHIFT_MOST_S / GRID_S)
@@ -239,7 +239,7 @@ def _mixed_up(bins: Binned) -> bool:
 
 
 def binned(time, speed: Quantity, current: Quantity, voltage: Quantity, thrust: Signal, air) -> Binned | None:
-    """Means over bins of BIN_S within each stretch in the air; None without any. A bin counts for a rotor that is told to turn in it."""
+    """Means over bins of BIN_S within each stretch in the air; None without any. A bin counts for a rotor commanded to turn in it."""
     parts = []
     sent = thrust.valid.all(axis=1)
     sent_time, sent_values = thrust.time[sent], thrust.values[sent]

@@ -48,7 +48,7 @@ class Changes(Struct):
         """What is new about the events as they are now, into out [2 EVENTS]; how many.
 
         final: time in s before which nothing is withdrawn: an event that ended before and is missing was forgotten. refined: events of
-                this kind, as losses, may turn out to be of other rotors. every: each known event is listed, whether much of it has changed or not.
+        this kind, as losses, may turn out to be of other rotors. every: each known event is listed, whether much of it has changed or not.
         withdrawn [EVENTS]: room for events that are withdrawn.
         """
         known_of = local(INT, EVENTS)  # place among what is known, -1: new

@@ -155,8 +155,8 @@ class Mixer(Struct):
     ) -> bool:
         """Thrusts that the rate controller's output stands for, after `control` of that sample. Whether any of them is valid.
 
-        valid_thrust: of each rotor; where not, the last outputs are better: at limits, with more yaw than the mixer grants, and where a rotor's
-                last outputs differed (thrust boost, spool-up, an output that is overridden).
+        valid_thrust: of each rotor; where not, the last outputs are better: at limits, with more yaw than the mixer grants, and where a
+        rotor's last outputs differed (thrust boost, spool-up, an output that is overridden).
         """
         top = _share(v, v.mixer_expo, v.u_max, battery)
         inside = valid and time - self.time < _FRESH_S and _grants_yaw(v, control)

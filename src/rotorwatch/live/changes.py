@@ -34,7 +34,7 @@ class Changes:
         self._room = FRONT.array(listed.Event, EVENTS), FRONT.array(changes.Change, 2 * EVENTS)
 
     def of(self, events: Sequence[Event], final: bool = False) -> list[Change]:
-        """What is new about the events as they are now. final: nothing will come after, so that any difference is told."""
+        """What is new about the events as they are now. final: nothing will come after, so that any difference is announced."""
         withdrawn, out = self._room
         refined, never = KINDS.index("loss_of_control"), -listed.LASTS
         arguments = packed(events), min(len(events), EVENTS), never, refined, final, withdrawn, out

@@ -1,4 +1,4 @@
-"""A vehicle's own clock on a link: its stamps put in order, reboots and damaged stamps told apart."""
+"""A vehicle's own clock on a link: its stamps put in order, reboots and damaged stamps distinguished."""
 
 from __future__ import annotations
 

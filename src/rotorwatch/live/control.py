@@ -24,7 +24,7 @@ FINAL_S = upset.AFTER_S + 2.0  # after a loss of control: all that its cause is 
 
 
 class Control:
-    """The departures of one vehicle. found: with their causes, as they look now; said: grows when these may be others."""
+    """The losses of control of one vehicle. found: with their causes, as they look now; revision: grows when these may be others."""
 
     def __init__(self, about: Flight, vehicle: Vehicle):
         self._window, self._vehicle = Window(about), vehicle
@@ -54,7 +54,7 @@ class Control:
         return tuple((start, min(end, self._impacts.get(start, np.inf))) for start, end in spans)
 
     def events(self, known: tuple[Event, ...], n: int) -> tuple[Event, ...]:
-        """The events `known` of n rotors with those of the departures."""
+        """The events `known` of n rotors with those of the losses of control."""
         return upset.events(self.found, known, n) if self.found else known
 
     def _leaves(self, spans: Spans) -> bool:
@@ -67,7 +67,7 @@ class Control:
         )
 
     def _judge(self, spans: Spans, final: bool) -> None:
-        """Find the departures anew in what is kept; those whose samples are gone stay."""
+        """Find the losses of control anew in the window; those whose samples are forgotten stay."""
         flight = self._window.flight(-np.inf)
         since = self._window.now - WINDOW_S + upset.BEFORE_S
         old = tuple(j for j in self.found if j.left.onset < since)

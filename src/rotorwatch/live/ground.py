@@ -1,4 +1,4 @@
-"""Alerts told to a vehicle's ground stations, over its own link: STATUSTEXT in plain words, and NAMED_VALUE_FLOAT of each rotor's loss.
+"""Alerts to a vehicle's ground stations, over its own link: STATUSTEXT in plain words, and NAMED_VALUE_FLOAT of each rotor's loss.
 
 Both messages only tell; nothing here commands a vehicle. They come from an onboard computer of the vehicle's own system, as from a
 companion computer, so that routers pass them on and ground stations show them with the vehicle's other words.
@@ -36,7 +36,7 @@ CAUSES = {  # of a loss of control without a rotor, in the few characters there 
 
 @dataclass
 class _Vehicle:
-    """said: event -> (rotors, alternatives, over, losses) as told last; waiting: event -> the latest alert."""
+    """sent: event -> (rotors, alternatives, over, losses) as sent last; waiting: event -> the latest alert."""
 
     text_of: dict[int, tuple] = field(default_factory=dict)
     waiting: dict[int, dict] = field(default_factory=dict)
@@ -53,7 +53,7 @@ class Ground:
         self._vehicles: dict[str, _Vehicle] = {}
 
     def take(self, alert: dict) -> None:
-        """One alert. Only the latest of each event waits, so that what changes fast is said once."""
+        """One alert. Only the latest of each event waits, so that what changes fast is sent once."""
         if alert["type"] == "vehicle":  # a flight begins: its events are numbered anew
             self._vehicles[alert["vehicle"]] = _Vehicle(texts=self._of(alert["vehicle"]).texts)
         elif alert["type"] == "event":
@@ -80,15 +80,15 @@ class Ground:
                     if known is not None:
                         vehicle.values = now
                         for number, loss in enumerate(known[0].tolist(), 1):
-                            source.tell(watched.name, value(source.boot_ms(watched.name), number, loss))
+                            source.broadcast(watched.name, value(source.boot_ms(watched.name), number, loss))
 
     def leave(self) -> None:
-        """What waits is not said any more: the link is closing."""
+        """What waits is not sent any more: the link is closing."""
 
     def _texts(self, link: Link, name: str, vehicle: _Vehicle, now: float) -> None:
         vehicle.texts = [t for t in vehicle.texts if t > now - 60.0]
         for number, alert in list(vehicle.waiting.items()):
-            if not _worth_sending(vehicle.said.get(number), alert):
+            if not _worth_sending(vehicle.sent.get(number), alert):
                 del vehicle.waiting[number]
         if not vehicle.waiting or len(vehicle.texts) >= A_MINUTE:
             return
@@ -96,9 +96,9 @@ class Ground:
             return
         number, alert = min(vehicle.waiting.items(), key=lambda item: (text_of(item[1])[1], item[0]))
         del vehicle.waiting[number]
-        vehicle.said[number] = _gist(alert)
+        vehicle.sent[number] = _gist(alert)
         vehicle.texts.append(now)
-        link.tell(name, text(alert))
+        link.broadcast(name, text(alert))
 
 
 def _gist(alert: dict) -> tuple:
@@ -117,7 +117,7 @@ def _over(event: dict) -> bool:
 
 
 def _worth_sending(reported: tuple | None, alert: dict) -> bool:
-    """Whether it is worth a text: something new, or a loss that has moved by STEP since it was told."""
+    """Whether it is worth a text: something new, or a loss that has moved by STEP since it was sent."""
     new = _gist(alert)
     if reported is None:
         return not new[3]  # taken back before it was said

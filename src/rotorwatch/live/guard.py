@@ -1,4 +1,4 @@
-"""What is done beside the judging - showing, recording, telling, counting - and must never end it."""
+"""Displays, records, alerts and counters, whose failures must never end the judging."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ def trouble(why: BaseException) -> str:
 
 
 class Guard:
-    """Does such work. say: told once when a part of it begins to fail, and when it works again. failed: a sentence for each part that has
-    failed, by its name."""
+    """Does such work. notify: called once when a part of it begins to fail, and when it works again. failed: a sentence for each part
+    that has failed, by its name."""
 
     def __init__(self, notify: Callable[[str], None]):
         self._notify, self._failing = notify, set[str]()
@@ -57,7 +57,7 @@ class Guard:
 
 
 def as_json(value: Any) -> str:
-    """JSON of what is told. A number of NumPy is a number; what is no number (nan, infinity) is null."""
+    """JSON of a value. A number of NumPy is a number; what is no number (nan, infinity) is null."""
     try:
         return json.dumps(value, allow_nan=False)
     except (TypeError, ValueError):

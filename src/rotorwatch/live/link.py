@@ -1,4 +1,4 @@
-"""One endpoint: its frames told apart by vehicle, recorded, and turned into samples; and what is asked of each vehicle."""
+"""One endpoint: its frames sorted by vehicle, recorded, and turned into samples; and what is requested of each vehicle."""
 
 from __future__ import annotations
 
@@ -181,7 +181,7 @@ class LinkedVehicle:
             self.watched.advance()
 
     def _know(self, now: float) -> None:
-        """Parameters, from the vehicle or kept from earlier; when they are there, it is watched."""
+        """Parameters, from the vehicle or cached from earlier; when they are there, it is watched."""
         if self._link.talks and not self._silent:
             self._parameters.step(now, self._send)
             self._identity.step(now, self._send)
@@ -254,10 +254,10 @@ class LinkedVehicle:
             return ""
         return f"parameters, {self._parameters.share:.0%}" if self._parameters.count else "parameters"
 
-    def give_back(self) -> None:
-        """What was asked for."""
+    def restore_rates(self) -> None:
+        """Rates as they were before."""
         if self._link.talks:
-            self._rates.give_back(self._send)
+            self._rates.restore(self._send)
 
     @property
     def empty(self) -> bool:
@@ -266,7 +266,7 @@ class LinkedVehicle:
 
 
 class Link:
-    """An endpoint that is watched. known: the vehicle, where a file says it. talks: it may ask the vehicle for what it needs."""
+    """An endpoint that is watched. known: the vehicle, where a file says it. talks: it may request what it needs of the vehicle."""
 
     def __init__(
         self, endpoint: Endpoint, tell: Notify, known: Vehicle | None = None, record: Path | None = None, talks: bool = True,
@@ -352,8 +352,8 @@ class Link:
         """A message to one peer, or to all."""
         self.endpoint.send(self._sender.frame(message, self._first_version), peer)
 
-    def tell(self, name: str, message: Outgoing) -> None:
-        """Something said to all who listen, as by an onboard computer of the vehicle of this name."""
+    def broadcast(self, name: str, message: Outgoing) -> None:
+        """A message to all who listen, as by an onboard computer of the vehicle of this name."""
         system = next((key[0] for key, vehicle in self._vehicles.items() if vehicle.watched.name == name), None)
         if system is None or not self.talks:
             return
@@ -439,7 +439,7 @@ class Link:
         now = self.clock()
         for key, vehicle in self._vehicles.items():
             if vehicle.empty and now - vehicle.watched.health.last_frame > SILENT_S:
-                vehicle.give_back()
+                vehicle.restore_rates()
                 self._fresh.pop(vehicle, None)
                 del self._vehicles[key]
                 return True
@@ -453,9 +453,9 @@ class Link:
         return f"{self.endpoint.name}/{system}" + (f".{component}" if component != 1 else "")
 
     def leave(self) -> None:
-        """Give back what was asked for, and close. The vehicles come first: there may be no time for more."""
+        """Restore the rates, and close. The vehicles come first: there may be no time for more."""
         for vehicle in self._vehicles.values():
-            vehicle.give_back()
+            vehicle.restore_rates()
         if self._record is not None:
             self._record.close()
         for vehicle in self._vehicles.values():

@@ -92,7 +92,7 @@ def _answers() -> dict[int, np.dtype]:
 
 
 def decoded(identity: int, frame: bytes) -> dict[str, Any] | None:
-    """The fields of an answer to what was asked; None for other messages."""
+    """The fields of an answer to a request; None for other messages."""
     kind = _answers().get(identity)
     if kind is None:
         return None
@@ -271,7 +271,7 @@ class Messages:
         return len(self._counts.get(source, ()))
 
     def _new(self, message: Message) -> bool:
-        """States are told again and again; only what is new counts."""
+        """States are sent again and again; only what is new counts."""
         if message.kind in ("text", "error"):
             return True
         changed = self._states.get(message.kind) != message.value

@@ -22,7 +22,7 @@ STATES = ("LOST", "FAULT", "MAYBE", "OK", "GROUND", "BLIND", "SILENT", "ERROR")
 
 @dataclass(frozen=True)
 class Picture:
-    """One vehicle at one moment. rotors: (loss, lower, upper) of each; heard: when the last message came (monotonic, s)."""
+    """One vehicle at one moment. rotors: (loss, lower, upper) of each; last_frame: when the last message came (monotonic, s)."""
 
     name: str
     state: str

@@ -1,4 +1,4 @@
-"""What is said to a vehicle: asking for parameters, for rates, and for who it is. Nothing here commands it.
+"""Messages to a vehicle: requests for parameters, rates, and who it is. Nothing here commands it.
 
 Parameter protocol: https://mavlink.io/en/services/parameter.html; rates: https://mavlink.io/en/mavgen_notes/message_intervals.html.
 The watcher calls itself an onboard computer of system 254, so that no autopilot takes it for its ground station.
@@ -41,8 +41,8 @@ def _to(system: int, component: int) -> dict[str, int]:
 
 
 class Parameters:
-    """All parameters of one vehicle, asked for until they are there. complete: they are; given_up: they will not come;
-    kept: they have been made use of."""
+    """All parameters of one vehicle, requested until they are there. complete: they are; given_up: they will not come;
+    used: they have been made use of."""
 
     def __init__(self, system: int, component: int):
         self._to, self._next, self._round = _to(system, component), 0.0, 0
@@ -104,7 +104,7 @@ class Identity:
 
 
 class Rates:
-    """The rates one vehicle is asked for, one after the other, and how they were before."""
+    """The rates requested of one vehicle, one after the other, and how they were before."""
 
     def __init__(self, system: int, component: int, autopilot: str, slow: bool):
         imu = "HIGHRES_IMU" if autopilot == "PX4" else "RAW_IMU"
@@ -122,7 +122,7 @@ class Rates:
         return not self._left
 
     def interval(self, message: int, us: int) -> None:
-        """The vehicle says how often it sends a message."""
+        """The vehicle reports how often it sends a message."""
         if message not in self._set:
             self._before[message] = us
 
@@ -187,7 +187,7 @@ class Rates:
 
 
 def cached(key: str) -> dict[str, float]:
-    """The parameters kept of a vehicle with its firmware; empty without any."""
+    """The cached parameters of a vehicle with its firmware; empty without any."""
     try:
         found = json.loads((cache_folder() / "parameters" / f"{key}.json").read_text("utf-8"))
         return {str(name): float(value) for name, value in found.items()}
@@ -196,7 +196,7 @@ def cached(key: str) -> dict[str, float]:
 
 
 def store(key: str, parameters: Mapping[str, float]) -> None:
-    """Keep the parameters of a vehicle; where that cannot be written, they are asked for again."""
+    """Cache the parameters of a vehicle; where that cannot be written, they are requested again."""
     folder = cache_folder() / "parameters"
     part = folder / f".{key}.{os.getpid()}"
     try:

@@ -1,7 +1,7 @@
-"""What ESC telemetry says of a vehicle that flies: how fast its rotors turn, and that one stands though it is told to turn.
+"""What ESC telemetry says of a vehicle that flies: how fast its rotors turn, and that one stands though it is commanded to turn.
 
 The rule of `esc.stopped` as far as it needs nothing that comes later: a rotor below STANDS of its usual speed in REPORTS reports in a row,
-told more than TOLD of its usual command, while two others turn. What the vehicle's motion says of the same rotor is judged beside it.
+commanded more than COMMANDED of its usual command, while two others turn. The vehicle's motion is judged separately.
 """
 
 from __future__ import annotations

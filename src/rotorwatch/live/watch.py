@@ -57,7 +57,7 @@ class Outlet(Protocol):
 
 
 class Guarded:
-    """A source that cannot take the others down. What it says of itself ends it; any other error is told, and it is tried again.
+    """A source that cannot take the others down. A RotorwatchError ends it; any other error is reported, and it is tried again.
 
     trouble: why it is not watched, in a sentence, empty while it is. ended: for good. why: the first error there was."""
 
@@ -114,7 +114,7 @@ def watch(
 ) -> None:  # fmt: skip
     """Watch until all sources have ended, for so many seconds, until `ends`, or until the program is asked to end.
 
-    show: called with the sources a few times a second. outlets: get the loop's turns; alerts come to them by the sources' `tell`. beside:
+    show: called with the sources a few times a second. outlets: get the loop's turns; alerts come to them by the sources' `notify`. guard:
     does all that is no judging.
     """
     guard = Guard(lambda text: None) if guard is None else guard
@@ -153,7 +153,7 @@ def _name(outlet: Outlet) -> str:
 @contextmanager
 def _end_requested() -> Iterator[list[int]]:
     """A list that is no longer empty once the program is asked to end: by Ctrl-C, by SIGTERM, or as its terminal is closed. Nothing is
-    interrupted by that, so that the last word on each vehicle can be said; who asks again ends it at once."""
+    interrupted by that, so that the last alert of each vehicle can be sent; a second signal ends it at once."""
     requested: list[int] = []
 
     def on_signal(number: int, frame: object) -> None:

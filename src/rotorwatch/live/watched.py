@@ -1,4 +1,4 @@
-"""One vehicle that is watched: its session, what has been told of it, and how its link is."""
+"""One vehicle that is watched: its session, its alerts so far, and how its link is."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ LOOK_S = 0.5  # of the vehicle's time, between two looks at events that are know
 @dataclass
 class Health:
     """How a link does: messages taken, lost (by their running numbers), seen twice or out of order, damaged; reboots and clock jumps of the
-    vehicle; frames with its id from elsewhere, left out; when it was last heard (monotonic, s)."""
+    vehicle; frames with its id from elsewhere, left out; last_frame: when the last one came (monotonic, s)."""
 
     taken: int = 0
     lost: int = 0
@@ -42,7 +42,7 @@ class Health:
 
 
 class Watched:
-    """A vehicle by its name. tell: called with each alert, a dict (docs/watch.md)."""
+    """A vehicle by its name. notify: called with each alert, a dict (docs/watch.md)."""
 
     def __init__(self, name: str, notify: Notify, vehicle: Vehicle | None = None):
         self.name, self.health, self.trouble, self.notice = name, Health(), "", ""
@@ -116,13 +116,13 @@ class Watched:
             self.fail(why)
 
     def withdraw(self) -> None:
-        """Take back what was told of this flight: it was judged as another vehicle's."""
+        """Withdraw all alerts of this flight: it was judged as another vehicle's."""
         for change in self.changes.of(()):
             self._alert(change)
 
     @property
     def events(self) -> tuple[Event, ...]:
-        """All that has been told and holds."""
+        """All events that were announced and hold."""
         return tuple(self.changes.now.values())
 
     def _look(self, final: bool = False) -> None:
@@ -138,6 +138,6 @@ class Watched:
             self.notice = "an event was taken back: it began with the landing, or the data favour another explanation"
 
     def say(self, text: str, kind: str = "notice", **more: int) -> None:
-        """A sentence on the link or the vehicle. more: fields of the alert beside it."""
+        """A sentence on the link or the vehicle. more: further fields of the alert."""
         self.notice = text
         self._notify({"type": kind, "vehicle": self.name, "text": text, **more})

@@ -1,4 +1,4 @@
-"""Alerts posted to a web address, as they come, by a thread of its own: what is slow or gone there never holds up the judging.
+"""Alerts posted to a web address, as they come, by a thread of its own: what is slow or unreachable there never holds up the judging.
 
 The standard library's client: an alert is one POST a few times a minute, and what matters here - a queue with an end, growing pauses - a
 library would not bring.
@@ -46,7 +46,7 @@ class _Here(urllib.request.HTTPRedirectHandler):
 
 
 class Webhook:
-    """POST of each alert as JSON to `url`. told: called by `step` with a sentence when it begins to fail, and when it works again.
+    """POST of each alert as JSON to `url`. notify: called by `step` with a sentence when it begins to fail, and when it works again.
 
     sent, refused, dropped: alerts that were taken by the other side, that it refused for good, and that gave way to newer ones."""
 
@@ -76,7 +76,7 @@ class Webhook:
             self._change.notify()
 
     def step(self, sources=()) -> None:
-        """Tell what there is to tell; called by the loop, so that all is told by one thread."""
+        """Report what has happened; called by the loop, so that one thread reports it all."""
         if self._ends is None and not self._thread.is_alive():
             self._start()
             self._notices.append(

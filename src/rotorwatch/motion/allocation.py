@@ -1,4 +1,4 @@
-"""From logged commands to rotor thrusts, and what rotor thrusts cannot tell apart.
+"""From logged commands to rotor thrusts, and which rotors their thrusts cannot distinguish.
 
 A rotor's command u is logged slowly (ArduPilot: 10 Hz), the rate controller's output c = (roll, pitch, yaw, throttle)
 often fast. The autopilot turns c into thrust demands with its mixer M and its gain g (air density),
@@ -122,7 +122,7 @@ class Comparison:
     """Logged against rebuilt demand at the m motor samples that have control samples around them.
 
     time (m,): of the motor sample. known (m,): when its comparison could be made (the later control sample has come).
-    demand (m, n): logged m(u). asked (m, n): rebuilt, as if outputs had no limits. deviation (m, n): logged minus rebuilt within the
+    demand (m, n): logged m(u). demanded (m, n): rebuilt, as if outputs had no limits. deviation (m, n): logged minus rebuilt within the
     limits. yaw_granted (m,): the mixer grants all of the yaw. gain (m,): of the mixer, as it is known right after this sample. rows: the
     same as the definitions take them.
     """
@@ -187,7 +187,7 @@ def output_range(flight: Flight) -> tuple[float, float]:
 
 
 def yaw_always(headroom: float = YAW_HEADROOM) -> float:
-    """Yaw that ArduPilot's mixer grants whatever else is asked: its parameter MOT_YAW_HEADROOM, in thousandths, within its limits."""
+    """Yaw that ArduPilot's mixer grants whatever else is demanded: its parameter MOT_YAW_HEADROOM, in thousandths, within its limits."""
     return float(np.clip(np.nan_to_num(headroom, nan=YAW_HEADROOM), 100.0, 500.0)) / 1000.0
 
 

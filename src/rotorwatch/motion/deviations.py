@@ -27,8 +27,8 @@ KINDS = {deviations.STUCK: "stuck", deviations.OFF: "off", deviations.OVERRIDDEN
 class Override:
     """An output that no longer follows the mixer.
 
-    rotor: 1-based. kind: stuck, off or overridden. Times in s, end None while it lasts. reason: one sentence. asked: share of full
-    thrust that the mixer asked for when it was noticed; None where the log does not say what the mixer asked for.
+    rotor: 1-based. kind: stuck, off or overridden. Times in s, end None while it lasts. reason: one sentence. demanded: share of
+    full thrust that the mixer demanded when it was noticed; None where the log does not show that.
     """
 
     rotor: int
@@ -45,7 +45,7 @@ def overrides(flight: Flight, vehicle: Vehicle, airborne: Spans) -> tuple[Overri
 
     airborne: ((start, end), ...) in s. With a ``control`` signal that the mixer is seen to follow, an output counts
     when it differs by more than 0.05 of full thrust (and six times the usual difference) for 0.25 s while no rotor is
-    near its limits; limits explain neither an output below its minimum nor one that rests though it is asked to
+    near its limits; limits explain neither an output below its minimum nor one that rests though it is commanded to
     move against the others. Without it, only outputs that are off, or constant for 0.5 s while all others move, are found. Loss of
     effectiveness never shows here: the commands are what is compared. Causal: `detected` is when a live observer would have known.
     """

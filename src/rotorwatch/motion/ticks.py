@@ -255,7 +255,7 @@ def observe(flight: Flight, vehicle: Vehicle, air, ready_s: float) -> Ticks | No
 
 
 def known_hover(vehicle: Vehicle) -> float | None:
-    """Share of full thrust that carries the vehicle, where healthy flights have told."""
+    """Share of full thrust that carries the vehicle, where healthy flights have shown it."""
     return (vehicle.identified or {}).get("hover")
 
 

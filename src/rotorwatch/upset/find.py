@@ -52,8 +52,8 @@ TRIM = 0.1  # arm lengths: healthy vehicles are commanded less of roll and pitch
 
 @dataclass(frozen=True)
 class Judged:
-    """What is said of one departure. cause; explanations with their probabilities, () where the log shows too little; window; onset [s];
-    evidence: sentences."""
+    """The verdict on one loss of control. cause; explanations with their probabilities, () where the log shows too little; window; onset
+    [s]; evidence: sentences."""
 
     left: LossOfControl
     cause: str
@@ -65,12 +65,12 @@ class Judged:
 
 
 def judged(flight: Flight, vehicle: Vehicle, air) -> tuple[Judged, ...]:
-    """Every departure of a flight with its cause. air: intervals ((start, end), ...) s in the air."""
+    """Every loss of control of a flight with its cause. air: intervals ((start, end), ...) s in the air."""
     return tuple(judge(flight, vehicle, air, left) for left in loss_of_control.find(flight, air))
 
 
 def events(found: Sequence[Judged], known: Sequence[Event], n: int) -> tuple[Event, ...]:
-    """The events `known` of a flight of n rotors with those of its departures.
+    """The events `known` of a flight of n rotors with those of its losses of control.
 
     What was announced after control had been lost, by a method that believes in hover, gives way.
     """
@@ -81,7 +81,7 @@ def events(found: Sequence[Judged], known: Sequence[Event], n: int) -> tuple[Eve
 
 
 def judge(flight: Flight, vehicle: Vehicle, air, left: LossOfControl) -> Judged:
-    """The cause of one departure."""
+    """The cause of one loss of control."""
     if left.landed:
         return Judged(left, "unknown", (), np.empty(0), None, left.onset, ("it had landed before, under control",))
     start = next((a for a, b in air if a - 1.0 <= left.onset <= b + 1.0), left.onset)
@@ -105,7 +105,7 @@ def judge(flight: Flight, vehicle: Vehicle, air, left: LossOfControl) -> Judged:
 def _cause(
     flight, vehicle, start: float, left: LossOfControl, found, probability, window: Window, onset: float
 ) -> tuple[str, tuple[str, ...]]:
-    """The cause of a departure, and the sentences that speak for it."""
+    """The cause of a loss of control, and the sentences that speak for it."""
     if left.falls:
         disarmed = any(
             m.kind == "armed" and not m.value and abs(m.time - left.onset) < DISARMED_S for m in flight.messages
@@ -182,7 +182,7 @@ def _level(flight: Flight, left: LossOfControl, onset: float) -> bool:
 
 
 def _strays(window: Window, residual: np.ndarray, onset: float) -> float:
-    """When the motion began to leave the commands, of a departure that showed at `onset` [s]."""
+    """When the motion began to leave the commands, of a loss of control that showed at `onset` [s]."""
     far = (np.abs(residual[:, :3]) > STRAYS).any(axis=1) | (np.abs(residual[:, 3]) > STRAYS_THRUST)
     first = onset
     for k in np.flatnonzero(far & (window.time < onset))[::-1]:
@@ -210,7 +210,7 @@ def _announced_near(events_, left: LossOfControl) -> Event | None:
 
 
 def _merged(events_: list[Event], judged: Judged, n: int) -> list[Event]:
-    """The events with that of the departure and of the rotors it accuses, less those that it explains."""
+    """The events with that of the loss of control and of the rotors it accuses, less those that it explains."""
     left, window = judged.left, judged.window
     weak = _weak(events_, left)
     if weak is not None and judged.cause in ("rotor", "saturated", "unknown", "controller"):
@@ -235,7 +235,7 @@ def _merged(events_: list[Event], judged: Judged, n: int) -> list[Event]:
         judged.cause == "unknown" and rotor_probability > 1.0 - SURE
     )
     rotor = (rotors[0][0].rotors[0] + 1,) if accused else ()
-    # What was told before the vehicle began to leave stands, unless what came then shows another rotor.
+    # What was announced before the vehicle began to leave stands, unless what came then shows another rotor.
     stands = -np.inf if accused or judged.cause == "motor_order" else left.onset
     result, same = [], None
     for e in events_:
@@ -368,7 +368,7 @@ def _worked(judged: Judged, n: int, named, others, decided: float) -> list[float
 
 
 def until_impact(flight: Flight, air, found: Sequence[Judged]) -> tuple[tuple[float, float], ...]:
-    """`departure.until_impact` for departures whose onset has been judged."""
+    """`loss_of_control.until_impact` for losses of control whose onset has been judged."""
     return loss_of_control.until_impact(
         flight, air, tuple(replace(j.left, onset=min(j.onset, j.left.onset)) for j in found)
     )
@@ -438,8 +438,8 @@ def _pinned(rate: np.ndarray, rate_dot: np.ndarray) -> np.ndarray:
 
 
 def _hover(flight: Flight, seen: Sensed, vehicle: Vehicle, until: float, at_take_off: bool) -> float:
-    """Mean share of full thrust that carries the vehicle: as healthy flights told, of the ticks before `until` [s] at which about one g was
-    carried, or as the autopilot has learned it."""
+    """Mean share of full thrust that carries the vehicle: as learned from healthy flights, of the ticks before `until` [s] at which about
+    one g was carried, or as the autopilot has learned it."""
     known = ticks.known_hover(vehicle)
     if known:
         return known

@@ -131,7 +131,7 @@ def _spins(flight: Flight, time: np.ndarray) -> np.ndarray:
 
 
 def find(flight: Flight, air) -> tuple[LossOfControl, ...]:
-    """The departures of a flight, one at most in each of the intervals `air` ((start, end), ...) s in which it was in the air."""
+    """The losses of control of a flight, one at most in each of the intervals `air` ((start, end), ...) s in which it was in the air."""
     time, angle, words = attitude_error(flight)
     found = []
     for start, end in _from_the_ground(flight, time, angle, air) or _powered(flight):
