@@ -1,6 +1,6 @@
 """A campaign of simulated FPV flights (simulation/fpv.py), judged by `rotorwatch.diagnose` (docs/aerobatic.md, "Simulated flights").
 
-    python benchmarks/fpv.py [--flights 1000] [--healthy-hours 20] [--first 0] [--jobs 2]
+    python benchmarks/fpv.py [--flights 1000] [--healthy-hours 20] [--first 0] [--jobs 2] [--curves]
 
 Flights of 60 s: a 5-inch quadrotor of eight times its weight in thrust that rolls, flips, spins, dives and punches out, logged at 1 kHz,
 half of them with the motors' speeds. 35 % are healthy; 45 % lose 5 to 60 % of a rotor at 15 to 35 s, by a damaged propeller or a slow
@@ -42,12 +42,15 @@ def drawn(rng: np.random.Generator, j: int) -> list[fpv.Moment]:
     return [fpv.Moment(j, rotor, float(s), float(rng.choice(LENGTHS_S))) for s in starts]
 
 
-def batch(number: int, healthy: bool) -> list[dict]:
-    """A row for each flight of a batch."""
+def batch(number: int, healthy: bool, curves: bool = False) -> list[dict]:
+    """A row for each flight of a batch. curves: each has its own thrust curve, from linear to quadratic, which nobody knows."""
     rng = np.random.default_rng((7, number, healthy))
     wrong = [[] if healthy else drawn(rng, j) for j in range(BATCH)]
     rpm = bool(number % 2)
-    flights = fpv.fly(BATCH, DURATION_S, 10_000 * (1 + healthy) + number, tuple(m for ms in wrong for m in ms), rpm=rpm)
+    expo = rng.uniform(0.0, 1.0, BATCH) if curves else fpv.EXPO
+    flights = fpv.fly(
+        BATCH, DURATION_S, 10_000 * (1 + healthy) + number, tuple(m for ms in wrong for m in ms), rpm, expo
+    )
     return [judged(flight, ms, rpm) for flight, ms in zip(flights, wrong)]
 
 
@@ -139,6 +142,7 @@ def main() -> None:
     parser.add_argument("--healthy-hours", type=float, default=20.0)
     parser.add_argument("--first", type=int, default=0, help="number of the first batch: others are other flights")
     parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--curves", action="store_true", help="thrust curves that the judge does not know")
     options = parser.parse_args()
     with ProcessPoolExecutor(options.jobs, get_context("spawn")) as pool:
         for healthy, count in ((False, options.flights), (True, round(options.healthy_hours * 3600.0 / AIR_S))):
@@ -146,7 +150,7 @@ def main() -> None:
             if not count:
                 continue
             numbers = range(options.first, options.first - (-count // BATCH))
-            for made in pool.map(batch, numbers, [healthy] * len(numbers)):
+            for made in pool.map(batch, numbers, [healthy] * len(numbers), [options.curves] * len(numbers)):
                 rows += made
                 print(f"{len(rows)} of {count}", file=sys.stderr, flush=True)
                 if len(rows) % (10 * BATCH) == 0:

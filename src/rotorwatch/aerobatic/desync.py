@@ -126,7 +126,8 @@ def search(seen: list[Channel]) -> list[Desync]:
         if all(d.start > k.end + APART_S or d.end < k.start - APART_S for k in separate):
             separate.append(d)
     spun = {c.rotor for c in seen}
-    often = {d.rotor for d in separate if d.end - d.start >= KNOCK_S or sum(e.rotor == d.rotor for e in separate) > 1}
+    long = KNOCK_S - 2.0 * dt  # both ends are known to a window
+    often = {d.rotor for d in separate if d.end - d.start > long or sum(e.rotor == d.rotor for e in separate) > 1}
     return sorted((d for d in separate if d.rotor in spun or d.rotor in often), key=lambda d: d.start)
 
 

@@ -43,7 +43,7 @@ OUTLIER = 3.0  # standard deviations, from which a block counts less
 LOOK_BACK = 60  # blocks
 WHOLE = 0.9  # share of a block's windows that fly
 NOTHING = -20.0  # the statistic where nothing is known
-CURVE_SD = 0.3  # of theta (1 - theta): thrust curves of these vehicles are assumed, not known
+CURVE_SD = 0.2  # of theta (1 - theta): the thrust curve is assumed; what curves from linear to quadratic in the command make of a loss
 
 
 @dataclass(frozen=True)
