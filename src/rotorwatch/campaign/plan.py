@@ -39,7 +39,7 @@ from rotorwatch.base import discovery, files
 from rotorwatch.errors import ConfigError
 from rotorwatch.published import detectors
 from rotorwatch.simulation import prepare, scenario
-from rotorwatch.simulation.scenario import Scenario, brief, is_number, number, plain, whole
+from rotorwatch.simulation.scenario import Scenario, brief, is_number, number, only_fields, whole
 
 MAX_BYTES = 1_000_000
 DRAWS = ("choice", "uniform", "log_uniform")
@@ -136,9 +136,7 @@ def read(path: str | os.PathLike) -> Plan:
 
 def from_table(table: Mapping[str, Any], text: str = "") -> Plan:
     """The plan of a parsed TOML table. Raises ConfigError naming the field that is missing or wrong."""
-    for key in table:
-        if key not in TOP:
-            raise ConfigError(f"{plain(key)} is not a field of a plan; known are {', '.join(TOP)}.")
+    only_fields(table, TOP, of=" of a plan")
     fields = {**TOP, **table}
     if not isinstance(fields["name"], str):
         raise ConfigError(f"name must be a text, not {brief(fields['name'])}.")
@@ -207,9 +205,7 @@ def _decisions(rows: Any) -> tuple[Decision, ...]:
     found = []
     for k, row in enumerate(rows):
         where = f"decisions[{k + 1}]"
-        for key in row:
-            if key not in ("name", *DECISION):
-                raise ConfigError(f"{where}.{plain(key)} is not a field; known are name, {', '.join(DECISION)}.")
+        only_fields(row, ("name", *DECISION), f"{where}.")
         name = row.get("name")
         if not isinstance(name, str) or not name or name in (d.name for d in found):
             raise ConfigError(f"{where}.name must be a text that no other decision has, not {brief(name)}.")

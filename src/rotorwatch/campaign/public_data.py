@@ -39,7 +39,7 @@ from rotorwatch.errors import ConfigError, RotorwatchError
 from rotorwatch.flight import Flight
 from rotorwatch.motion.airborne import airborne
 from rotorwatch.motion.ticks import LAG_S, READY_S, observe
-from rotorwatch.simulation.scenario import Scenario, brief, number, plain, whole
+from rotorwatch.simulation.scenario import Scenario, brief, number, only_fields, whole
 
 SHIPPED, OWN = Path(__file__).parent / "datasets", "rotorwatch-index.toml"
 FIELDS = ("path", "healthy", "rotors", "onset_s", "loss")
@@ -168,9 +168,7 @@ def _entries(table: Mapping[str, Any], index: Path) -> tuple[Entry, ...]:
 
 
 def _entry(row: Mapping[str, Any], where: str) -> Entry:
-    for key in row:
-        if key not in FIELDS:
-            raise ConfigError(f"{where}.{plain(key)} is not a field; known are {', '.join(FIELDS)}.")
+    only_fields(row, FIELDS, f"{where}.")
     path, healthy, rotors = row.get("path"), row.get("healthy", False), row.get("rotors", [])
     if not isinstance(path, str) or not path:
         raise ConfigError(f"{where}.path must be a pattern, not {brief(path)}.")

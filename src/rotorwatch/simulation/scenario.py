@@ -26,7 +26,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -162,10 +162,7 @@ def is_helicopter(frame: Any) -> bool:
 
 def from_table(table: Mapping[str, Any]) -> Scenario:
     """The scenario of a parsed TOML table. Raises ConfigError naming the field that is missing or wrong."""
-    known = {*FIELDS[""], *(k for k in FIELDS if k), "faults"}
-    for key in table:
-        if key not in known:
-            raise ConfigError(f"{plain(key)} is not a field of a scenario; known are {', '.join(sorted(known))}.")
+    only_fields(table, sorted({*FIELDS[""], *(k for k in FIELDS if k), "faults"}), of=" of a scenario")
     top = _table("", {k: v for k, v in table.items() if k in FIELDS[""]}, FIELDS[""])
     parts = {}
     for part in (k for k in FIELDS if k):
@@ -252,9 +249,7 @@ def _fault(where: str, row: Any, duration: float, helicopter: bool) -> Mapping[s
 
 def _table(where: str, values: Mapping[str, Any], fields: Mapping[str, Field]) -> dict[str, Any]:
     """All of `fields`, as given or by default."""
-    for key in values:
-        if key not in fields:
-            raise ConfigError(f"{where}{plain(key)} is not a field; known are {', '.join(fields)}.")
+    only_fields(values, fields, where)
     return {
         key: _value(f"{where}{key}", values[key], field) if key in values else field.default
         for key, field in fields.items()
@@ -282,6 +277,13 @@ def _value(name: str, value: Any, field: Field) -> Any:
     if isinstance(field.default, int) or name.endswith(".rotor"):
         return whole(name, value, field.low, field.high)
     return number(name, value, field.low, field.high)
+
+
+def only_fields(table: Iterable[str], known: Collection[str], where: str = "", of: str = "") -> None:
+    """Raise ConfigError for the first key of a table that is none of its fields."""
+    for key in table:
+        if key not in known:
+            raise ConfigError(f"{where}{plain(key)} is not a field{of}; known are {', '.join(known)}.")
 
 
 def brief(value: Any) -> str:
