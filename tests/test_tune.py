@@ -142,11 +142,11 @@ def hop(rows):
 
 def test_something_is_kept_back_to_check_on():
     a, b, short = hop(900), hop(300), hop(500)
-    assert tune._kept_back([("a", [a]), ("nothing", []), ("b", [b])]) == ([a], [b], "b")
-    taught, held, name = tune._kept_back([("a", [a])])
+    assert tune._held_out([("a", [a]), ("nothing", []), ("b", [b])]) == ([a], [b], "b")
+    taught, held, name = tune._held_out([("a", [a])])
     assert [len(h.u) for h in (*taught, *held)] == [675, 225] and name == "the last quarter of a"
     assert held[0].rows[0] == 675
-    assert tune._kept_back([("short", [short])]) == ([short], [], "")
+    assert tune._held_out([("short", [short])]) == ([short], [], "")
 
 
 def test_factors_at_their_bounds_are_named(found):
