@@ -17,7 +17,7 @@ import pytest
 
 from rotorwatch import airframes
 from rotorwatch.answer import places
-from rotorwatch.answer.conclusion import conclude
+from rotorwatch.answer.conclusion import Evidence, conclude
 from rotorwatch.flight.diagnosis import Diagnosis, Event, Trace
 
 # Tests run as users run them, and so do the commands that they start: PYTHONUNBUFFERED or COLUMNS of a developer's shell can hide a fault.
@@ -177,10 +177,11 @@ def hexa_diagnosis(
     events=None, whole_flight=None, doubts=(), residual_evidence=(), judged_s=46.0, population=None, **changes
 ):
     """The answer to these events of a hexa X in 60 s; by default to one, the loss of rotor 3. changes: of the Diagnosis made of it."""
-    end = conclude(
-        (hexa_event(),) if events is None else events, whole_flight, 6, hidden=np.full(6, 0.04), judged_s=judged_s,
-        doubts=doubts, residual_evidence=residual_evidence, places=places.names(HEXA), hops=((4.0, 58.0),), population=population,
+    seen = Evidence(
+        (hexa_event(),) if events is None else events, 6, whole_flight, hidden=np.full(6, 0.04), judged_s=judged_s,
+        residual_evidence=residual_evidence, places=places.names(HEXA), hops=((4.0, 58.0),), population=population,
     )  # fmt: skip
+    end = conclude(seen, doubts)
     whole = Diagnosis(
         flight={
             "name": "hexa.bin",

@@ -224,7 +224,9 @@ def test_one_measurement_after_the_other_is_all_at_once(seed, lam):
     shapes = ((n,), (n, n), (n, p), (m,), (m, n), (m, p))
     table = (*(rng.standard_normal(shape) for shape in shapes), covariance(n), rng.uniform(0.1, 1, m))
     tuned = adaptive_kalman.Tuning(1.0, lam, np.inf, np.ones(p))
-    found, out = adaptive_kalman.step(state, *table, np.ones(m, bool), tuned)
+    x, F, Phi, e, C, D, Q, R = table
+    f, h = linearise.Linear(x, F, Phi), linearise.Linear(np.zeros(m), C, D)
+    found, out = adaptive_kalman.step(state, x, f, e, h, Q, R, np.ones(m, bool), tuned)
     for a, b in zip(found, dense(state, *table, lam), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(out.x_cov, found.P + found.Upsilon @ found.S @ found.Upsilon.T, atol=1e-9)

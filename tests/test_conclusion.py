@@ -182,9 +182,9 @@ def test_an_event_that_ended_is_over():
 
 
 def test_what_became_of_a_loss_after_landing_is_not_known():
-    from rotorwatch.answer.conclusion import conclude
+    from rotorwatch.answer.conclusion import Evidence, conclude
 
-    end = conclude((hexa_event(end_s=49.9),), None, 6, hidden=[0.04] * 6, judged_s=60, hops=((4, 50), (60, 90)))
+    end = conclude(Evidence((hexa_event(end_s=49.9),), 6, hidden=[0.04] * 6, judged_s=60, hops=((4, 50), (60, 90))))
     assert end.rotors[2].status == "suspect" and end.rotors[2].interval == pytest.approx((0.0, 0.41))
     assert "not judged again after landing" in end.rotors[2].note
     assert "until the landing at 49.90 s" in end.headline and not any("came back" in step for step in end.advice)
@@ -192,18 +192,18 @@ def test_what_became_of_a_loss_after_landing_is_not_known():
 
 @pytest.mark.parametrize(("hidden", "told"), [(0.04, False), (0.19, False), (0.21, True), (1.0, True)])
 def test_a_pilot_reads_how_large_a_loss_could_have_gone_unseen_where_it_is_large(hidden, told):
-    from rotorwatch.answer.conclusion import conclude
+    from rotorwatch.answer.conclusion import Evidence, conclude
 
-    end = conclude((), None, 6, hidden=[hidden] * 6, judged_s=60.0)
+    end = conclude(Evidence((), 6, hidden=[hidden] * 6, judged_s=60.0))
     said = f"oss of up to {100 * hidden:.0f} % of one rotor could have gone unseen"
     assert end.verdict == "healthy" and said in end.reason and (said in end.headline) == told
 
 
 @pytest.mark.parametrize(("pair", "told"), [(0.03, False), (0.15, False), (0.25, True)])
 def test_the_bound_speaks_of_pairs_where_more_of_them_hides(pair, told):
-    from rotorwatch.answer.conclusion import conclude
+    from rotorwatch.answer.conclusion import Evidence, conclude
 
-    end = conclude((), None, 6, hidden=[0.04] * 6, hidden_pair=pair, judged_s=60.0)
+    end = conclude(Evidence((), 6, hidden=[0.04] * 6, hidden_pair=pair, judged_s=60.0))
     said = (
         f"oss of up to 4 % of one rotor, or {100 * pair:.0f} % of each of two opposite rotors, could have gone unseen"
     )

@@ -10,7 +10,7 @@ import pytest
 from conftest import hexa_diagnosis, hexa_event
 from rotorwatch import report
 from rotorwatch.answer import health
-from rotorwatch.answer.conclusion import conclude
+from rotorwatch.answer.conclusion import Evidence, conclude
 from rotorwatch.flight.diagnosis import Trend
 from rotorwatch.motion.ticks import JUDGE
 from rotorwatch.report import html, terminal
@@ -157,7 +157,7 @@ SLOW = Trend(0.073, (0.055, 0.091), 18.0, 148.0, "growing", (0.12, 0.2))
 
 
 def told(trends, events=(), **more):
-    return conclude(events, None, 4, hidden=np.full(4, 0.02), judged_s=130.0, trends=trends, **more)
+    return conclude(Evidence(events, 4, hidden=np.full(4, 0.02), judged_s=130.0, trends=trends), **more)
 
 
 def test_the_answer_names_the_rotor_whose_loss_grows():
@@ -178,7 +178,7 @@ def test_suspects_have_no_trend():
 
 
 def test_where_nothing_can_be_said_no_grade_is():
-    end = conclude((), None, 4, hidden=None, judged_s=0.0)
+    end = conclude(Evidence((), 4))
     assert [(r.grade, r.trend) for r in end.rotors] == [("not judged", None)] * 4
 
 

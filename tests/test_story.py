@@ -19,7 +19,7 @@ from agreement import walk
 from conftest import hexa_event
 from rotorwatch import airframes, diagnose
 from rotorwatch.answer import story
-from rotorwatch.answer.conclusion import conclude
+from rotorwatch.answer.conclusion import Evidence, conclude
 from rotorwatch.answer.picture import MOST
 from rotorwatch.fleet import assess, pages
 from rotorwatch.flight.diagnosis import Diagnosis, Event
@@ -170,9 +170,8 @@ def test_how_it_ended_is_told_where_nothing_was_hit():
 
 
 def test_a_log_that_is_not_believed_says_nothing_of_its_rotors():
-    end = conclude(
-        [lost("disarmed")], None, 4, doubts=("The outputs are not those that flew.",), places=PLACES, hops=HOPS
-    )
+    seen = Evidence([lost("disarmed")], 4, places=PLACES, hops=HOPS)
+    end = conclude(seen, ("The outputs are not those that flew.",))
     assert end.story
     assert "rotor" not in " ".join(s.text for s in end.story)
 

@@ -192,7 +192,7 @@ def _no_flight(ready: Prepared, clock: _Clock) -> Diagnosis:
     doubts = (f"the log shows {why}; nothing can be judged.",)
     found = upset.events(ready.upsets, (), n)
     names = places.names(ready.vehicle.rotors)
-    end = conclusion.conclude(found, None, n, doubts=() if found else doubts, places=names, hops=ready.air)
+    end = conclusion.conclude(conclusion.Evidence(found, n, places=names, hops=ready.air), () if found else doubts)
     return _answer(end, ready, {}, clock, doubts=doubts)
 
 
@@ -249,12 +249,11 @@ def _conclude(ready: Prepared, logged: Ticks, done: Estimated, found: Found, tit
         *residual_evidence.faint(found.faint, found.events, float(table.time[-1])),
     )
     hidden, hidden_pair = _hidden(out, table, B)
-    end = conclusion.conclude(
-        found.events, whole, n, hidden=hidden, hidden_pair=hidden_pair, judged_s=float(judged.sum() * table.dt),
-        places=places.names(craft.rotors), doubts=doubts, residual_evidence=spells, hops=air,
-        trends=health.trends(out, table, B, found.events) if trusted else (), population=other,
-        comparable=ready.hovers,
+    seen = conclusion.Evidence(
+        found.events, n, whole, hidden, hidden_pair, float(judged.sum() * table.dt), spells, places.names(craft.rotors), air,
+        health.trends(out, table, B, found.events) if trusted else (), other, ready.hovers,
     )  # fmt: skip
+    end = conclusion.conclude(seen, doubts)
     common = common_mode.thrust_shift(out.biases[judged, 3]) if trusted else {}
     trace = traces.make(flight, out, table, hyp, B, air, ready.ready_s, done.limit, end.events, spells, end.rotors)
     return _answer(

@@ -78,22 +78,23 @@ class Conclusion:
 
 @dataclass(frozen=True)
 class Evidence:
-    """What the conclusion is drawn from. n rotors; places: where each is, in words. hidden (n,): loss that could have gone unseen in
-    flight, None when nothing was judged. whole: against healthy flights, or None; population: the same against healthy vehicles of
-    any build. hops: ((take-off, landing), ...) s. trends: of each
-    rotor, or empty. comparable: flights of this kind can be compared with healthy ones."""
+    """What there is to conclude from. n rotors; places: where each is, in words. hidden (n,): loss that could have gone unseen in
+    flight since take-off, None when nothing was judged; hidden_pair: the same of two opposite rotors. judged_s: seconds of flight judged.
+    whole: `WholeFlight.to_dict()` against healthy flights, or None; population: `population.judge` against healthy vehicles of any build.
+    residual_evidence: evidence that no event explains. places: `places.names`. hops: ((take-off, landing), ...) s. trends: `health.trends`, shown of
+    rotors that are no suspects, or empty. comparable: flights of this kind can be compared with healthy ones."""
 
-    events: tuple[Event, ...]
-    whole: Mapping[str, Any] | None
+    events: Sequence[Event]
     n: int
-    hidden: np.ndarray | None
-    judged_s: float
-    residual_evidence: tuple[ResidualEvidence, ...]
-    places: tuple[str, ...]
-    hops: tuple[tuple[float, float], ...]
-    trends: tuple[Trend | None, ...] = ()
-    population: Mapping[str, Any] | None = None
+    whole: Mapping[str, Any] | None = None
+    hidden: np.ndarray | None = None
     hidden_pair: float = 0.0
+    judged_s: float = 0.0
+    leftover: Sequence[Leftover] = ()
+    places: Sequence[str] = ()
+    hops: Sequence[tuple[float, float]] = ()
+    trends: Sequence[Trend | None] = ()
+    population: Mapping[str, Any] | None = None
     comparable: bool = True
 
     @property
@@ -123,39 +124,13 @@ class Evidence:
         return max(high for _, high in self.compared["interval"]) if self.compared and not self.whole else None
 
 
-def conclude(
-    events: Sequence[Event],
-    whole: Mapping[str, Any] | None,
-    n: int,
-    *,
-    hidden: np.ndarray | None = None,
-    hidden_pair: float = 0.0,
-    judged_s: float = 0.0,
-    doubts: Sequence[str] = (),
-    residual_evidence: Sequence[ResidualEvidence] = (),
-    places: Sequence[str] = (),
-    hops: Sequence[tuple[float, float]] = (),
-    trends: Sequence[Trend | None] = (),
-    population: Mapping[str, Any] | None = None,
-    comparable: bool = True,
-) -> Conclusion:
-    """The answer to a flight of n rotors.
-
-    events: what was found. whole: `WholeFlight.to_dict()`, or None without healthy flights to compare with. hidden (n,): largest loss of
-    each rotor that could have gone unseen since take-off; hidden_pair: the same of two opposite rotors. judged_s: seconds of flight
-    judged. doubts: sentences on why the log may not show what flew; with any, nothing is concluded from its outputs. residual_evidence:
-    against rotors, that no event explains. places: `places.names`. trends: `health.trends`, shown of rotors that are no suspects.
-    population: `population.judge`, used where whole is None. comparable: flights of this kind can be compared with healthy ones.
-    """
+def conclude(seen: Evidence, doubts: Sequence[str] = ()) -> Conclusion:
+    """The answer to a flight. doubts: sentences on why the log may not show what flew; with any, nothing is concluded from its outputs."""
     if doubts:
-        shown = tuple(e for e in events if e.kind not in (*ACCUSES, *MOTOR_NOTICES))
-        seen = Evidence(shown, None, n, None, judged_s, (), tuple(places), tuple(hops))
+        shown = tuple(e for e in seen.events if e.kind not in (*ACCUSES, *MOTOR_NOTICES))
+        seen = Evidence(shown, seen.n, judged_s=seen.judged_s, places=seen.places, hops=seen.hops)
         return _concluded(seen, "inconclusive", doubts[0], "This log cannot say.", None, doubts)
-    judged = judged_s >= LEAST_S and hidden is not None
-    seen = Evidence(
-        tuple(events), whole, n, hidden if judged else None, judged_s, tuple(residual_evidence), tuple(places), tuple(hops),
-        tuple(trends), population, hidden_pair, comparable,
-    )  # fmt: skip
+    seen = replace(seen, events=tuple(seen.events), hidden=seen.hidden if seen.judged_s >= LEAST_S else None)
     main = main_event(seen.events)
     verdict, reason = _verdict(seen, main)
     return _concluded(seen, verdict, reason, _headline(seen, verdict, main), main, ())

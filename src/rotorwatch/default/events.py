@@ -8,6 +8,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -279,31 +280,35 @@ def _rotors(mask: int, first: int = 0) -> tuple[int, ...]:
 
 def _in_words(rows: Rows) -> tuple[Event, ...]:
     """Losses as people read them."""
-    names = (
-        "onset",
-        "detected",
-        "end",
-        "rotors",
-        "probability",
-        "detail",
-        "alternative_count",
-        "alternatives",
-        "loss",
-        "lower",
-        "upper",
-    )
-    return tuple(_loss(*values) for values in zip(*(rows[name].tolist() for name in names)))
+    return tuple(_loss(_Row(*values)) for values in zip(*(rows[name].tolist() for name in _Row._fields)))
 
 
-def _loss(onset, detected, end, mask, probability, detail, count, others, loss, lower, upper) -> Event:
-    rotors, alternatives = _rotors(mask, 1), tuple(_rotors(m, 1) for m in others[:count])
+class _Row(NamedTuple):
+    """A loss as compiled code has it: sets of rotors as masks, lists longer than what is in them."""
+
+    onset: float
+    detected: float
+    end: float
+    rotors: int
+    probability: float
+    detail: bool
+    alternative_count: int
+    alternatives: list[int]
+    loss: list[float]
+    lower: list[float]
+    upper: list[float]
+
+
+def _loss(row: _Row) -> Event:
+    onset, rotors = row.onset, _rotors(row.rotors, 1)
+    alternatives = tuple(_rotors(mask, 1) for mask in row.alternatives[: row.alternative_count])
     names = " and ".join(map(str, rotors))
     if alternatives:
         reason = (
             f"commands and motion changed at {onset:.1f} s as if rotor {names} had lost thrust, but "
             + ", ".join("+".join(map(str, a)) for a in alternatives)
             + " would look the same"
-            + (", and so would a sudden drop of battery voltage or more weight" if detail else "")
+            + (", and so would a sudden drop of battery voltage or more weight" if row.detail else "")
         )
     else:
         reason = (
@@ -312,6 +317,6 @@ def _loss(onset, detected, end, mask, probability, detail, count, others, loss, 
         )
     n = len(rotors)
     return Event(
-        "loss_of_effectiveness", rotors, onset, detected, None if end >= LASTS else end, tuple(loss[:n]),
-        tuple(zip(lower[:n], upper[:n])), probability, alternatives, reason,
+        "loss_of_effectiveness", rotors, onset, row.detected, None if row.end >= LASTS else row.end, tuple(row.loss[:n]),
+        tuple(zip(row.lower[:n], row.upper[:n])), row.probability, alternatives, reason,
     )  # fmt: skip

@@ -26,6 +26,6 @@ class AdaptiveEKF(adaptive_kalman.Zhang):
         """Predict over dt with input u (n_u,), then update with y (n_y,) where valid."""
         system = self.system
         seconds = self.dt if dt is None else dt
-        x, F, Phi = linearise.transition(system, carry.x, u, carry.theta, seconds)
-        h, C, D = linearise.measurement(system, x, u, carry.theta)
-        return self.recursion(carry, x, F, Phi, y - h, C, D, u, valid, dt)
+        f = linearise.transition(system, carry.x, u, carry.theta, seconds)
+        h = linearise.measurement(system, f.value, u, carry.theta)
+        return self.recursion(carry, f.value, f, y - h.value, h, u, valid, dt)

@@ -50,11 +50,11 @@ class AKF(adaptive_kalman.Zhang):
         system, (state, k) = self.system, carry
         seconds = self.dt if dt is None else dt
         a, healthy = self._point(k), jnp.zeros(system.n_theta)
-        f, F, Phi = linearise.transition(system, a, u, healthy, seconds)
-        h, C, D = linearise.measurement(system, a, u, healthy)
-        x = f + F @ (state.x - a) + Phi @ state.theta
-        e = y - (h + C @ (x - a) + D @ state.theta)
-        state, estimate = self.recursion(state, x, F, Phi, e, C, D, u, valid, dt)
+        f = linearise.transition(system, a, u, healthy, seconds)
+        h = linearise.measurement(system, a, u, healthy)
+        x = f.value + f.by_x @ (state.x - a) + f.by_theta @ state.theta
+        e = y - (h.value + h.by_x @ (x - a) + h.by_theta @ state.theta)
+        state, estimate = self.recursion(state, x, f, e, h, u, valid, dt)
         return Carry(state, (k + 1).astype(jnp.int32)), estimate
 
     def _point(self, k):

@@ -58,13 +58,13 @@ class AXKF(adaptive_kalman.Zhang):
         """Predict over dt with input u (n_u,), then update with y (n_y,) where valid."""
         system, state = self.system, carry.state
         seconds = self.dt if dt is None else dt
-        f, F, Phi = linearise.transition(system, carry.z, u, state.theta, seconds)
-        z = f + carry.correction
-        x = f + F @ (state.x - carry.z)
-        h, C, D = linearise.measurement(system, z, u, state.theta)
-        e = y - (h + C @ (x - z))
-        state, estimate = self.recursion(state, x, F, Phi, e, C, D, u, valid, dt)
+        f = linearise.transition(system, carry.z, u, state.theta, seconds)
+        z = f.value + carry.correction
+        x = f.value + f.by_x @ (state.x - carry.z)
+        h = linearise.measurement(system, z, u, state.theta)
+        e = y - (h.value + h.by_x @ (x - z))
+        state, estimate = self.recursion(state, x, f, e, h, u, valid, dt)
         # What the measurement adds to the observer acts with the next step, in which its loss is known: h + D dtheta.
-        seen = h + D @ (state.theta - carry.state.theta)
+        seen = h.value + h.by_theta @ (state.theta - carry.state.theta)
         correction = jnp.asarray(self.gain) @ jnp.where(valid, y - seen, 0.0)
         return Carry(state, z, correction), estimate

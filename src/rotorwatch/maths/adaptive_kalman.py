@@ -76,10 +76,12 @@ class Zhang:
         x, P = jnp.asarray(self.system.x0, float), jnp.asarray(self.system.P0, float)
         return State(x, P, jnp.zeros(p), jnp.diag(self.tuned.theta_var), jnp.zeros((n, p)))
 
-    def recursion(self, state: State, x, F, Phi, e, C, D, u, valid, dt) -> tuple[State, Estimate]:
+    def recursion(
+        self, state: State, x, f: linearise.Linear, e, h: linearise.Linear, u, valid, dt
+    ) -> tuple[State, Estimate]:
         """`step` with this plant's noise."""
         Q, R = self.system.Q(self.dt if dt is None else dt), self.system.R(u)
-        return step(state, x, F, Phi, e, C, D, Q, R, valid, self.tuned, dt)
+        return step(state, x, f, e, h, Q, R, valid, self.tuned, dt)
 
 
 def forget(S, tuned: Tuning, dt=None):
@@ -91,12 +93,15 @@ def forget(S, tuned: Tuning, dt=None):
     return forgotten - (1.0 - lam) / tuned.s_max * (forgotten @ forgotten) + floor
 
 
-def step(state: State, x, F, Phi, e, C, D, Q, R, valid, tuned: Tuning, dt=None) -> tuple[State, Estimate]:
+def step(
+    state: State, x, f: linearise.Linear, e, h: linearise.Linear, Q, R, valid, tuned: Tuning, dt=None
+) -> tuple[State, Estimate]:
     """One step from the prediction x (n,) at the old theta, and e (m,): y minus what it predicts.
 
-    F (n, n), Phi (n, p), C (m, n), D (m, p): derivatives of the step and of the measurement. R (m,): variances. The equations
+    f, h: the step, with F (n, n) and Phi (n, p), and the measurement, with C (m, n) and D (m, p). R (m,): variances. The equations
     above, one measurement after the other, because R is diagonal: nothing is inverted.
     """
+    (_, F, Phi), (_, C, D) = f, h
     e = jnp.where(valid, e, 0.0)
     n, p = len(x), len(state.theta)
     P = F @ state.P @ F.T + Q

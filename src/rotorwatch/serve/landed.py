@@ -54,9 +54,8 @@ def answer(name: str, session: Session, rows: Sequence[tuple], hop: tuple[float,
     events = [e for e in session.events() if start <= e.detected_s <= end + FINAL_S]
     names = places.names(vehicle.rotors)
     judged_s = float(steps[steps < GAP_S].sum())
-    end_of = conclusion.conclude(
-        events, None, len(vehicle.rotors), hidden=hidden, judged_s=judged_s, places=names, hops=(hop,)
-    )
+    seen = conclusion.Evidence(events, len(vehicle.rotors), hidden=hidden, judged_s=judged_s, places=names, hops=(hop,))
+    end_of = conclusion.conclude(seen)
     began = datetime.fromtimestamp(time.time() - session.now, timezone.utc).strftime("%Y-%m-%dT%H:%M:%SZ")
     return Diagnosis(
         flight={

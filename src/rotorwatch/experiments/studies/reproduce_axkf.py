@@ -66,14 +66,14 @@ class AsPrinted(AXKF):
         if not {"innovation", "two_predictions"} & set(self.literal):
             return super().step(carry, u, y, valid, dt)
         system, (state, z, correction) = self.system, carry
-        f, F, Phi = linearise.transition(system, z, u, state.theta, self.dt)
-        _, C, D = linearise.measurement(system, z, u, state.theta)
-        increment = f - z if "innovation" in self.literal else state.x + f - z
+        f = linearise.transition(system, z, u, state.theta, self.dt)
+        h = linearise.measurement(system, z, u, state.theta)
+        C, increment = h.by_x, f.value - z if "innovation" in self.literal else state.x + f.value - z
         x = system.f(state.x, u, state.theta, self.dt)
         state, estimate = adaptive_kalman.step(
-            state, x, F, Phi, y - C @ increment, C, D, system.Q(self.dt), system.R(u), valid, self.tuned
+            state, x, f, y - C @ increment, h, system.Q(self.dt), system.R(u), valid, self.tuned
         )
-        z = f + correction
+        z = f.value + correction
         return Carry(state, z, jnp.asarray(self.gain) @ (y - C @ z)), estimate
 
 
