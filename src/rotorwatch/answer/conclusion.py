@@ -78,11 +78,14 @@ class Conclusion:
 
 @dataclass(frozen=True)
 class Evidence:
-    """What there is to conclude from. n rotors; places: where each is, in words. hidden (n,): loss that could have gone unseen in
-    flight since take-off, None when nothing was judged; hidden_pair: the same of two opposite rotors. judged_s: seconds of flight judged.
-    whole: `WholeFlight.to_dict()` against healthy flights, or None; population: `population.judge` against healthy vehicles of any build.
-    residual_evidence: evidence that no event explains. places: `places.names`. hops: ((take-off, landing), ...) s. trends: `health.trends`, shown of
-    rotors that are no suspects, or empty. comparable: flights of this kind can be compared with healthy ones."""
+    """What the conclusion is drawn from.
+
+    n: rotors; places: `places.names`. hidden (n,): loss of each rotor that could have gone unseen in flight, None when nothing was judged;
+    hidden_pair: the same of two opposite rotors. judged_s: seconds of flight judged. whole: `WholeFlight.to_dict()` against healthy
+    flights, or None; population: `population.judge` against healthy vehicles of any build. residual_evidence: against rotors, that no
+    event explains. hops: ((take-off, landing), ...) s. trends: `health.trends`, of each rotor, shown of rotors that are no suspects, or
+    empty. comparable: flights of this kind can be compared with healthy ones.
+    """
 
     events: Sequence[Event]
     n: int
@@ -90,7 +93,7 @@ class Evidence:
     hidden: np.ndarray | None = None
     hidden_pair: float = 0.0
     judged_s: float = 0.0
-    leftover: Sequence[Leftover] = ()
+    residual_evidence: Sequence[ResidualEvidence] = ()
     places: Sequence[str] = ()
     hops: Sequence[tuple[float, float]] = ()
     trends: Sequence[Trend | None] = ()
