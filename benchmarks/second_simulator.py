@@ -58,8 +58,8 @@ class Vehicle:
         self.share = np.sqrt(thrust_max / most)  # a weaker rotor is a slower one
 
     def step(self, p, v, q, omega, w, commanded, wind, theta, dt: float) -> np.ndarray:
-        """(16,) position, velocity, quaternion, body rates and mean specific force after dt [s]. w, commanded (n,): shares of full speed that
-        the rotors have and are driven to; theta (n,): losses."""
+        """(16,) position, velocity, quaternion, body rates and mean specific force after dt [s]. w, commanded (n,): actual and
+        commanded speeds of the rotors as shares of full speed; theta (n,): losses."""
         pace = FULL * self.share * np.sqrt(1.0 - theta)
         start = np.concatenate([FLIP * p, FLIP * v, FLIP * q[1:], q[:1], FLIP * omega, FLIP * wind, pace * w])
         end = start + dt / 6.0 * self._slope(start, pace * commanded, dt)

@@ -1,5 +1,5 @@
-"""The API reference of the documents' site: every public name of rotorwatch with its signature and the meaning of each
-parameter from its docstring. `docs/conf.py` puts it below docs/api.md when the site is built; tests/test_site.py refuses a parameter that is not described.
+"""The API reference of the documents' site: every public name of rotorwatch with its signature and the meaning of each parameter from its
+docstring. `docs/conf.py` puts it below docs/api.md when the site is built; tests/test_site.py refuses a parameter that is not described.
 
 Docstrings here are prose in which a parameter is explained as "name: text.", or "name (shape), other: text."; `explained` finds that.
 """
