@@ -23,7 +23,15 @@ from rotorwatch.flight.diagnosis import Diagnosis, Event, Trace
 # Tests run as users run them, and so do the commands that they start: PYTHONUNBUFFERED or COLUMNS of a developer's shell can hide a fault.
 # Besides what everyone has, there stays where Python, compilers and temporary files are, and what says how the tests themselves are run.
 EVERYONE = "HOME PATH LANG TMPDIR SYSTEMROOT TEMP TMP USERPROFILE LOCALAPPDATA".split()
-OF_TESTS = ("PYTHONPATH", "PYTHONDONTWRITEBYTECODE", "ROTORWATCH_CACHE", "ROTORWATCH_FULL_LAW", "CI", "XLA_FLAGS", "OPENBLAS_NUM_THREADS")
+OF_TESTS = (
+    "PYTHONPATH",
+    "PYTHONDONTWRITEBYTECODE",
+    "ROTORWATCH_CACHE",
+    "ROTORWATCH_FULL_LAW",
+    "CI",
+    "XLA_FLAGS",
+    "OPENBLAS_NUM_THREADS",
+)
 for _name in [n for n in os.environ if n not in (*EVERYONE, *OF_TESTS) and not n.startswith(("PYTEST_", "PIP_"))]:
     del os.environ[_name]
 
@@ -138,7 +146,9 @@ def hexa_event(**changes):
     return replace(event, **changes)
 
 
-def hexa_diagnosis(events=None, whole_flight=None, doubts=(), residual_evidence=(), judged_s=46.0, population=None, **changes):
+def hexa_diagnosis(
+    events=None, whole_flight=None, doubts=(), residual_evidence=(), judged_s=46.0, population=None, **changes
+):
     """The answer to these events of a hexa X in 60 s; by default to one, the loss of rotor 3. changes: of the Diagnosis made of it."""
     end = conclude(
         (hexa_event(),) if events is None else events, whole_flight, 6, hidden=np.full(6, 0.04), judged_s=judged_s,

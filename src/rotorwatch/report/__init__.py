@@ -1,4 +1,4 @@
-"""What people read: terminal tables and HTML pages. No estimation here; the words that both use are below."""
+"""The answer as terminal tables and HTML pages. No estimation here; the words that both use are below."""
 
 from __future__ import annotations
 
@@ -139,7 +139,7 @@ def health_scale(diagnosis: Diagnosis) -> str:
 
 
 def event_rows(event: Event, diagnosis: Diagnosis) -> dict[str, str]:
-    """What is known of an event, by name, in the order of importance. Only what there is."""
+    """Label -> text of an event's fields, in the order of importance; only fields that it has."""
     lasts = event.end_s is None and event.kind in ("loss_of_effectiveness", "output_override")
     later = event.detected_s - event.onset_s
     rows = {

@@ -232,7 +232,7 @@ def _family(flight: Flight) -> str:
 
 
 def _messages(flight: Flight) -> list[dict]:
-    """What a reader wants to know happened: errors, modes, arming, landing, dropouts, texts on motors and failsafes."""
+    """Messages that matter to a reader: errors, modes, arming, landing, dropouts, texts on motors and failsafes."""
     words = "thrust motor esc crash failsafe fail-safe vibration battery error emergency lost".split()
     shown = [m for m in flight.messages if m.kind != "text" or any(w in m.text.lower() for w in words)]
     return [{"time_s": round(float(m.time), 3), "kind": m.kind, "text": m.text} for m in shown[:MESSAGES_SHOWN]]
