@@ -35,7 +35,7 @@ class Known:
 @dataclass(frozen=True)
 class Answer:
     """The result of one log. index: its place among the logs; path: its full path, or its address. diagnosis: without the trace; None
-    where there is an error. size, sha256: of the content, where it was asked for. page: the HTML report, where it was asked for.
+    where there is an error. size, sha256: of the content, where requested. page: the HTML report, where requested.
     recording: the MCAP file, likewise. unchanged: it is as it was known, and was not judged again."""
 
     index: int

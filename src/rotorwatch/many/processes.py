@@ -122,7 +122,7 @@ class Worker:
         self.deadline = time.monotonic() + START_S
 
     def call(self, item: Any) -> Any:
-        """function(item), waited for. Raises what the function raises; WorkerError when the process dies or hangs: it is gone then."""
+        """function(item), waited for. Raises what the function raises; WorkerError when the process dies or hangs; it has ended then."""
         self.task = Task(0, item)
         value, error = None, None
         if not self.ready:
